@@ -1,4 +1,4 @@
-//! Tells the program its commit, which every run stores. Without git it is not known, and absent.
+//! Passes its commit to the program; every run stores it. Without git it is not known, and absent.
 //! Uses: git, where there is one. Never: a failure of the build.
 
 use std::process::Command;

@@ -5,7 +5,7 @@
 //! One ended run, labelled virtual. A configuration has 1 to 6 tips on points of the default skin and
 //! 11 depths; forces grow with depth, the first tip's from 5 N on, so that every trial has a contact.
 //! The twin is the simulated frame, the measured one the same times 1 + 2 % of error that is smooth
-//! over the channels, plus 1.2 mV of noise, in counts. Each trial is a commit of its own, as in a run.
+//! over the channels, plus 1.2 mV of noise, in counts. Each trial is a separate commit, as in a run.
 //! A copy is a further run with the same trials and twins, without raw frames, in one transaction: 35
 //! copies make 3.4 million trials in a few minutes, 24 GB. The examination of such a file reports the missing
 //! frames as damage, so that no run is armed on it.
@@ -100,7 +100,7 @@ fn normal(rng: &mut ChaCha8Rng) -> f64 {
     radius * (TAU * rng.random::<f64>()).cos()
 }
 
-/// What the converter reads where the model says this.
+/// Reading of the converter for this voltage of the model.
 fn measured(simulated_v: &[f32], electrodes: usize, rng: &mut ChaCha8Rng) -> Vec<i16> {
     let read = |(channel, &volts): (usize, &f32)| {
         let (k, j) = ((channel / electrodes) as f64, (channel % electrodes) as f64);

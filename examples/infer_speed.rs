@@ -87,7 +87,7 @@ fn time(file: &Path, batch: usize, seconds: f64, callers: usize) -> Result<(), F
     Ok(())
 }
 
-/// Memory of this process that is there, where the system tells.
+/// Memory of this process, if the system reports it.
 fn resident_kib() -> Option<i64> {
     let status = std::fs::read_to_string("/proc/self/status").ok()?;
     let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:"))?;

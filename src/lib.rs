@@ -1,5 +1,5 @@
-//! Palpate: touches a robot skin overnight, learns from it, and tells where and how hard it is
-//! touched. The modules below are listed in the order in which data flows through them; each chapter
+//! Palpate: presses a tactile robot skin with a rig, trains models on the measured trials, and
+//! estimates position and force of contacts. The modules below are listed in the order in which data flows through them; each chapter
 //! is a crate, and crates only use those before them.
 
 pub use palpate_words::{

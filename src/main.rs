@@ -1,5 +1,5 @@
 //! The palpate binary: reads the command line, sets up the log, hands over.
-//! Uses: `palpate::cli`, and as the only one `virtual_rig`, which it runs as a process of its own.
+//! Uses: `palpate::cli`, and as the only one `virtual_rig`, which it runs as a separate process.
 //! Never: anything else.
 
 use std::fmt::Display;
@@ -13,7 +13,8 @@ use clap_complete::Shell;
 use palpate::cli;
 use virtual_rig::{OperatorArgs, RigArgs, operator_main, rig_main};
 
-/// Touches a robot skin overnight, learns from it, and tells where and how hard it is touched.
+/// Presses a tactile robot skin with a rig, trains models on the measured trials, and estimates position and
+/// force of contacts.
 ///
 /// Start with `palpate run experiments/quickstart.toml`: without a rig it starts a virtual one.
 #[derive(Debug, Parser)]
@@ -29,9 +30,9 @@ struct CommandLine {
 enum Command {
     #[command(flatten)]
     Service(cli::Command),
-    /// Run a stand-in rig behind real wires.
+    /// Run a virtual rig behind real wires.
     VirtualRig(VirtualRigArgs),
-    /// Run the stand-in for the person who mounts tips and places weights.
+    /// Run the virtual operator, which mounts tips and places weights on a virtual rig.
     VirtualOperator(OperatorArgs),
     /// Print the completions of a shell.
     ///
@@ -50,7 +51,7 @@ enum Command {
     },
 }
 
-/// A stand-in rig started by hand: what is not named is the default lab.
+/// A virtual rig that a person starts; files that are not named are those of the default lab.
 #[derive(Debug, Args)]
 struct VirtualRigArgs {
     /// Rig file: which devices, on which wires [default: the virtual rig].
@@ -62,35 +63,35 @@ struct VirtualRigArgs {
     /// Sensor file: the skin's geometry and materials [default: ert-28].
     #[arg(long, value_name = "FILE")]
     sensor: Option<PathBuf>,
-    /// A seed is a skin.
+    /// Seed of the skin: each seed is a different skin.
     #[arg(long, value_name = "N", default_value_t = cli::DEFAULT_SKIN_SEED)]
     seed: u64,
-    /// Process seconds in a wall second; the rig file's clock_rate if absent. The service must be
-    /// started with the rig file that --out-rig writes to know of it.
+    /// Process seconds per wall second [default: clock_rate of the rig file]. Start the service with
+    /// the rig file that --out-rig writes: it contains this rate.
     #[arg(long, value_name = "N")]
     speed: Option<f64>,
     /// Days since the readout was first switched on: its offsets have drifted since.
     #[arg(long, value_name = "DAYS", default_value_t = 0.0)]
     age_days: f64,
-    /// Serve every wire at a free port or a new pseudo-terminal, whatever the rig file says.
+    /// Serve every wire at a free port or a new pseudo-terminal, independent of the rig file.
     #[arg(long)]
     ephemeral: bool,
-    /// Write the rig file with the addresses as really served.
+    /// Write the rig file with the addresses that are served.
     #[arg(long, value_name = "FILE")]
     out_rig: Option<PathBuf>,
-    /// Fault script: what shall go wrong, and when.
+    /// Fault script: which faults occur, and when.
     #[arg(long, value_name = "SCRIPT")]
     fault: Option<PathBuf>,
-    /// Where the control socket listens.
+    /// Address of the control socket.
     #[arg(long, value_name = "ADDRESS", default_value = "127.0.0.1:0")]
     control: String,
-    /// Where solved response fields are kept between starts [default: DATA/cache].
+    /// Folder in which solved response fields are cached [default: DATA/cache].
     #[arg(long, value_name = "DIR")]
     cache: Option<PathBuf>,
-    /// Write the line that says that everything listens to a file, too.
+    /// Write the line that reports readiness to this file, too.
     #[arg(long, value_name = "FILE")]
     ready_file: Option<PathBuf>,
-    /// End when standard input closes: a child dies with its parent.
+    /// End when standard input closes, that is when the parent process ends.
     #[arg(long)]
     with_parent: bool,
     /// Folder for the default files and the cache [env: PALPATE_DATA] [default: palpate-data].
@@ -100,14 +101,14 @@ struct VirtualRigArgs {
 
 fn main() -> ExitCode {
     palpate::commit::set(option_env!("PALPATE_COMMIT"));
-    let (CommandLine { command, log }, as_json) = match parsed() {
+    let (CommandLine { command, log }, output) = match parsed() {
         Ok(parsed) => parsed,
         Err(code) => return code,
     };
     // The log is written out when this value is dropped, at the end.
     let _log = cli::log::start(&log);
     match command {
-        Command::Service(command) => cli::main(command, as_json),
+        Command::Service(command) => cli::main(command, output),
         Command::VirtualOperator(args) => ended(operator_main(args)),
         Command::Completions { shell } => {
             let mut text = Vec::new();
@@ -120,7 +121,7 @@ fn main() -> ExitCode {
         Command::VirtualRig(args) => match args.complete() {
             Ok(args) => ended(rig_main(args)),
             Err(error) => {
-                cli::report(&error, false);
+                cli::report(&error, cli::Output::Text);
                 error.exit_code()
             }
         },
@@ -135,19 +136,19 @@ fn write_manual(folder: &Path) -> Result<(), String> {
     write().map_err(|error| format!("{}: {error}", folder.display()))
 }
 
-/// The command line, and whether its errors are printed as JSON; otherwise the exit code.
-fn parsed() -> Result<(CommandLine, bool), ExitCode> {
+/// The command line, and the form in which it prints errors; otherwise the exit code.
+fn parsed() -> Result<(CommandLine, cli::Output), ExitCode> {
     let matches = cli::help::complete(CommandLine::command()).try_get_matches();
     let read = matches.and_then(|matches| {
         let line = CommandLine::from_arg_matches(&matches)?;
-        Ok((line, wants_json(&matches)))
+        Ok((line, cli::Output::of(wants_json(&matches))))
     });
     read.map_err(|error| {
         let is_help = !error.use_stderr()
             || error.kind() == ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand;
         match !is_help && std::env::args().any(|word| word == "--json") {
             true => cli::report_usage(&error.render().to_string()),
-            // A pipe that nobody reads is no error.
+            // A closed pipe is no error.
             false => drop(error.print()),
         }
         ExitCode::from(u8::try_from(error.exit_code()).unwrap_or(2))
@@ -187,7 +188,7 @@ fn ended(outcome: Result<(), impl Display>) -> ExitCode {
     match outcome {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            // A pipe that nobody reads is no error.
+            // A closed pipe is no error.
             let _ = writeln!(io::stderr(), "error: {error}");
             ExitCode::FAILURE
         }
@@ -268,7 +269,7 @@ mod tests {
                 let name = option.get_long().unwrap_or_default();
                 assert!(!help.is_empty(), "palpate {path} --{name}: no help");
                 let variable = match name {
-                    // It has a default of its own.
+                    // Its default differs from that of the other commands.
                     _ if path == "virtual-operator" => "",
                     "url" => "[env: PALPATE_URL]",
                     "ca" => "[env: PALPATE_CA]",

@@ -7,7 +7,7 @@
 //! |---|---|---|
 //! | `simulation` | Fig. 7 | fit of simulated twins to the trials of a run |
 //! | `method` | | scores of one method on one dataset |
-//! | `quantity` | | positions, patterns, counts or forces: nets beside ridge and kernel ridge |
+//! | `quantity` | | positions, patterns, counts or forces: nets next to ridge and kernel ridge |
 //! | `transfer` | Table III | Transfer-Nets by the number of contacts in training |
 //! | `maps` | Table IV, Fig. 9 | Recon-Nets of twelve force maps |
 //! | `noise` | Fig. 10 | residuals of a Transfer-Net, and maps at three levels of noise |

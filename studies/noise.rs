@@ -19,7 +19,7 @@ const DIAMETER_MM: f64 = 20.0;
 /// Largest number of forces in a cell of the table.
 const FORCES_SHOWN: usize = 6;
 /// Conditions on the drawn trial: three contacts, one of them of 15 N or more, not trained on.
-const SHOWN: [&str; 3] = ["contact_count__eq=3", "split__eq=test", "max_force_n__gte=15"];
+const SHOWN_TRIAL: [&str; 3] = ["contact_count__eq=3", "split__eq=test", "max_force_n__gte=15"];
 
 /// Trains one Transfer-Net and a Recon-Net for each level of noise, and reads one trial of three
 /// contacts.
@@ -84,7 +84,7 @@ fn strongest(contacts: &[FoundContact]) -> String {
 
 /// A test trial of three contacts.
 async fn triple<L: Lab>(lab: &L) -> Result<Trial, L::Error> {
-    let trial = lab.first_trial(R2S, &SHOWN.map(str::to_owned)).await?;
+    let trial = lab.first_trial(R2S, &SHOWN_TRIAL.map(str::to_owned)).await?;
     let none = || StudyError::NoTrial {
         dataset: R2S.into(),
         trial: "a test trial of three contacts".into(),

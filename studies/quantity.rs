@@ -1,5 +1,5 @@
-//! A quantity of whole frames on any skin: nets beside ridge and kernel ridge regression, on the same rows.
-//! Uses: `lab`, `budget`, `evaluate::table`. Never: a net without the two regressions beside it.
+//! A quantity of whole frames on any skin: nets compared with ridge and kernel ridge regression, on the same rows.
+//! Uses: `lab`, `budget`, `evaluate::table`. Never: a net without the two regressions.
 
 use serde_json::{Value, json};
 

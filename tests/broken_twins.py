@@ -56,7 +56,7 @@ def try_twin(name: str) -> bool:
         return False
     sound = path.read_text()
     if sound.count(there) != 1:
-        print(f"{name}: {file} has changed; the twin must be made anew")
+        print(f"{name}: {file} has changed; the twin must be made again")
         return False
     command = ["cargo", "test", "--quiet", "--workspace", "--test", "system", "--", *tests]
     try:

@@ -1,5 +1,5 @@
 //! The service's process killed, frozen and told to end. `kill -9` at random instants of a running
-//! campaign: after going on, every planned trial is stored once (`PALPATE_KILLS` says how often,
+//! campaign: after resuming, every planned trial is stored once (`PALPATE_KILLS` says how often,
 //! default 4). SIGSTOP in a press: the missing samples trip. SIGTERM in a jog: the axis stops. A database
 //! that is locked for a minute, a full disk: trips and e-stops do not wait for them. Processes, sockets
 //! and files as a lab has them. A separate binary, because the tests measure how soon real processes
@@ -20,12 +20,12 @@ use sqlx::{ConnectOptions, Connection};
 const SPEED: &str = "20";
 /// Longest wait for a process to answer, and for the end.
 const LIMIT: Duration = Duration::from_secs(120);
-/// Two settings of so many configurations and four depths, which go on after any number of crashes.
+/// Two settings of `configurations` configurations and four depths, which resume after any number of crashes.
 fn experiment(configurations: u32) -> String {
     settling(configurations, 2000.0)
 }
 
-/// The same, with a load held for so long before it is measured.
+/// The same, with a load held for `settle_ms` before it is measured.
 fn settling(configurations: u32, settle_ms: f64) -> String {
     format!(
         "name = 'crash'\nseed = 8\nsensor = 's'\n[real_hex]\ntips = [1, 3]\n\

@@ -169,9 +169,9 @@ live.on('status', ({ status, at }) => {
   stopState(status)
   $('virtual').hidden = rig.label !== 'virtual'
   const word = run ? plain(run.state) : plain(rig.state)
-  const wish = { paused: ', pause requested', idle: ', end requested' }[run?.requested_state] ?? ''
+  const requested = { paused: ', pause requested', idle: ', end requested' }[run?.requested_state] ?? ''
   say($('rig-name'), rig.name)
-  say($('bar-state'), `${run ? '' : 'Rig '}${word}${wish}${run ? ` · ${run.experiment}` : ''}`)
+  say($('bar-state'), `${run ? '' : 'Rig '}${word}${requested}${run ? ` · ${run.experiment}` : ''}`)
   $('bar-state').className = `bar-state ${TONE[run?.state ?? rig.state] ?? ''}`
   say($('bar-count'), run ? `${count(run.trials_stored)} of ${count(run.trials_planned)}` : '')
   $('bar-count').title = run ? percent(run.trials_stored, run.trials_planned) : ''

@@ -12,9 +12,9 @@ use crate::statistics::Statistics;
 /// Frames that a net reads.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Frames {
-    /// Measured ones.
+    /// Frames that the readout measured, V.
     Measured,
-    /// Simulated ones.
+    /// Frames that the forward model computed, V; measured ones pass a Transfer-Net first.
     Simulated,
 }
 
@@ -37,9 +37,9 @@ pub enum Answer {
 /// A net that is fitted in closed form, not by steps.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ClosedForm {
-    /// Ridge regression.
+    /// Linear regression with a penalty on the squared weights.
     Ridge,
-    /// Kernel ridge regression.
+    /// Regression on the likeness of a frame to training rows, `exp(-gamma |x - c|^2)`.
     KernelRidge {
         /// Largest number of centres.
         centres: usize,

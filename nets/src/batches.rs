@@ -19,7 +19,7 @@ const AHEAD: usize = 2;
 pub struct Batch {
     /// Number of samples.
     pub len: usize,
-    /// `[len, channels]`.
+    /// Voltages, V, `[len, channels]`, row-major.
     pub inputs: Vec<f32>,
     /// `[len, numbers of a target]`.
     pub targets: Vec<f32>,

@@ -7,7 +7,7 @@ use rand_chacha::ChaCha8Rng;
 /// Purpose of a generator.
 #[derive(Debug, Clone, Copy)]
 pub(crate) enum Purpose {
-    /// First weights.
+    /// Weights before the first step.
     Weights,
     /// Order of an epoch's samples.
     Order,

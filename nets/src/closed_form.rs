@@ -67,7 +67,7 @@ pub fn fit(
     Ok(Trained { network, curve: log.curve, end })
 }
 
-/// Message about channels that say nothing.
+/// Message about channels without information.
 pub fn constant_channels(constant: usize, channels: usize) -> String {
     format!(
         "{constant} of {channels} channels are constant in the training rows: they are ignored, whatever \

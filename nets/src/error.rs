@@ -14,7 +14,7 @@ pub enum RecipeError {
         field: &'static str,
         /// Value of the field, as text.
         found: String,
-        /// Allowed values.
+        /// Limit that the value must keep, as text.
         limit: &'static str,
     },
 }

@@ -19,7 +19,7 @@ pub enum Layer {
         outputs: usize,
         /// W, `[outputs][inputs]`, as PyTorch stores it.
         weight: Vec<f32>,
-        /// b, `[outputs]`.
+        /// Offsets b, `[outputs]`.
         bias: Vec<f32>,
     },
     /// `max(0, x)`.
@@ -99,7 +99,7 @@ pub enum Layer {
         inputs: usize,
         /// Centres, `[centres][inputs]`.
         centres: Vec<f32>,
-        /// gamma, > 0.
+        /// Factor gamma on the squared distance, > 0.
         gamma: f32,
     },
     /// `x scale + shift`, one number each for all.

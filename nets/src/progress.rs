@@ -45,7 +45,7 @@ pub struct Progress {
 /// Next step of a training.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Flow {
-    /// Continue.
+    /// Train the next batch.
     Continue,
     /// Pass a checkpoint to the observer, then continue.
     Checkpoint,

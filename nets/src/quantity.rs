@@ -18,7 +18,7 @@ pub enum Quantity {
 }
 
 impl Quantity {
-    /// All quantities.
+    /// All quantities, in the order of their declaration.
     pub const ALL: [Self; 4] = [Self::Position, Self::Pattern, Self::Count, Self::Force];
 
     /// Name in recipes, manifests and commands.

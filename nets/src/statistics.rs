@@ -16,7 +16,7 @@ pub const MEASURED_MAX: u64 = 8192;
 /// Number of samples in memory at a time.
 const CHUNK: usize = 64;
 /// A channel whose standard deviation is below this share of the channels' median is constant: what it
-/// does later says nothing, and would be scaled up without a bound.
+/// does later has no information, and would be scaled up without a bound.
 const CONSTANT: f64 = 1e-4;
 /// Standard deviation of a constant channel: its standardised value is zero.
 const NEVER_V: f32 = 1e30;

@@ -6,7 +6,7 @@ DuckDB and polars read the Parquet file of the dataset, which is fetched first; 
 tables over HTTP; Datasette (with --data, the service's folder) serves a copy of ``palpate.db``. The
 dataset must hold every stored trial, as ``run-1`` of a folder with one run does.
 
-Each question runs in a process of its own: once to warm up, then ``--repeat`` times. Prints for each
+Each question runs in a separate process: once to warm up, then ``--repeat`` times. Prints for each
 the median time, the peak memory of the client process, the number of rows, the characters that the user
 types, and whether the rows are those of Palpate.
 """
@@ -332,7 +332,7 @@ def table_of(args: argparse.Namespace, file: str, datasette: str) -> list[dict[s
 
 
 def child(args: argparse.Namespace, engine: str, place: str, text: str) -> dict[str, Any]:
-    """Asks a question in a process of its own."""
+    """Asks a question in a separate process."""
     command = [sys.executable, __file__, "--repeat", str(args.repeat), "--child", engine, place, text]
     done = subprocess.run(command, capture_output=True, text=True)
     if done.returncode:

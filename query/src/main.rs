@@ -14,7 +14,7 @@ fn main() -> ExitCode {
     let arguments: Vec<_> = std::env::args_os().skip(1).collect();
     match arguments.as_slice() {
         [] => return palpate_query::talk::serve(),
-        // A pipe that nobody reads is no error.
+        // A closed pipe is no error.
         [flag] if flag == "--version" => drop(writeln!(stdout(), "palpate-query {VERSION}")),
         [flag] if flag == "--help" => drop(writeln!(stdout(), "{USAGE}")),
         _ => {

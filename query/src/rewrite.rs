@@ -1,4 +1,4 @@
-//! What SQL means and polars does not take, in words that polars takes.
+//! SQL that polars does not accept, rewritten as SQL that it accepts.
 //! PURE. Uses: sqlparser, `aggregates`. Never: another meaning.
 //!
 //! ```text

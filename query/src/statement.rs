@@ -58,7 +58,7 @@ pub enum StatementError {
     Group {
         /// Without an aggregate.
         column: String,
-        /// An aggregate.
+        /// The aggregate expression, as SQL.
         aggregate: String,
     },
     /// A comparison with a subquery that may have any number of rows.

@@ -22,7 +22,7 @@ const LEFT: i32 = 3;
 
 /// Serves one query on standard input and output.
 pub fn serve() -> ExitCode {
-    // What a panic says becomes the refusal.
+    // The message of a panic becomes the refusal.
     panic::set_hook(Box::new(|_| {}));
     let mut out = BufWriter::new(stdout().lock());
     let answered = match query(&mut out) {
@@ -57,7 +57,7 @@ fn query(out: &mut impl Write) -> Result<DataFrame, String> {
         eprintln!("palpate-query: this kernel has no Landlock: no file is closed to this process");
     }
     let lifeline = thread::Builder::new().name("lifeline".into()).spawn(|| {
-        // Nothing more is said: the input ends with the service, or when the client has left.
+        // No message follows: the input ends with the service, or when the client has left.
         let _ = io::copy(&mut stdin().lock(), &mut io::sink());
         process::exit(LEFT);
     });
@@ -76,7 +76,7 @@ fn on_deep_stack<T: Send + 'static>(
 ) -> Result<T, String> {
     let (sender, done) = mpsc::channel();
     let worker = thread::Builder::new().stack_size(STACK_BYTES).spawn(move || {
-        // Nobody waits for a late result.
+        // No receiver waits for a late result.
         let _ = sender.send(work());
     });
     let worker = worker.map_err(|error| error.to_string())?;

@@ -1,4 +1,4 @@
-//! What polars says of an error, as a short sentence about the statement.
+//! Errors of polars, each as a short sentence about the statement.
 //! PURE. Uses: `words::near`, the errors of polars. Never: a plan, a syntax tree or a type of Rust.
 
 use palpate_words::near::did_you_mean;
@@ -97,7 +97,7 @@ pub fn of_panic(said: &str, memory_max_bytes: u64) -> String {
 }
 
 fn memory(memory_max_bytes: u64) -> String {
-    // As the service says it if an allocation has ended this process.
+    // As the service reports it if an allocation has ended this process.
     let mib = memory_max_bytes >> 20;
     format!("sql: needs more than {mib} MiB of memory: select fewer rows or columns")
 }

@@ -4,7 +4,7 @@
 use crate::digest::Digest;
 use crate::sensor::Sensor;
 
-/// One electrode.
+/// Position and contact of one electrode on the sheet.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ElectrodeSite {
     /// Position on the skin along x, mm.

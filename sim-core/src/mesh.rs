@@ -55,7 +55,7 @@ pub struct MeshPlace {
 /// One sheet of bricks through the thickness.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct BrickSheet {
-    /// Height, mm.
+    /// Height of the bricks, mm.
     pub height_mm: f64,
     /// Young's modulus, MPa.
     pub youngs_mpa: f64,

@@ -13,7 +13,7 @@ use crate::sensor::Sensor;
 use crate::solve::{Factor, SolveError};
 
 /// Number of right-hand sides solved together.
-const BLOCK: usize = 64;
+const BLOCK_SIDES: usize = 64;
 /// First bytes of a cache; the last digit is the layout's version.
 const MAGIC: &[u8; 8] = b"palp-ur2";
 
@@ -170,7 +170,7 @@ fn solve_rows(mesh: &Mesh) -> Result<Vec<f32>, ResponsesError> {
     slots.sort_by_key(|(node, _)| boundary.unknown(surface, *node, 2));
     let threads = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
     let mut shares: Vec<Vec<&mut [Slot<'_>]>> = (0..threads).map(|_| Vec::new()).collect();
-    for (i, block) in slots.chunks_mut(BLOCK).enumerate() {
+    for (i, block) in slots.chunks_mut(BLOCK_SIDES).enumerate() {
         shares[i % threads].push(block);
     }
     std::thread::scope(|scope| {

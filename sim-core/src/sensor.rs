@@ -45,7 +45,7 @@ pub struct SensorFile {
     pub layers: Layers,
     /// Foam resistance against compression, paper Eq. 1.
     pub piezo: Piezo,
-    /// Readout circuit.
+    /// Sheet resistance, source voltage and gain of the readout.
     pub circuit: Circuit,
 }
 
@@ -81,7 +81,7 @@ pub struct ElectrodeRows {
 pub struct Layers {
     /// High-resistance fabric at the bottom.
     pub bottom: Layer,
-    /// Piezoresistive foam.
+    /// Foam whose resistance depends on its compression.
     pub foam: Layer,
     /// Low-resistance fabric on top.
     pub top: Layer,
@@ -91,7 +91,7 @@ pub struct Layers {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Layer {
-    /// Thickness, mm.
+    /// Thickness without load, mm.
     pub thickness_mm: f64,
     /// Young's modulus, MPa.
     pub youngs_mpa: f64,
@@ -362,7 +362,7 @@ mod tests {
     fn a_point_is_named_by_its_row_and_column_from_1() {
         let s = paper();
         let p = s.points()[0];
-        // The corner is left out.
+        // The corner has no point.
         assert_eq!(p.label(), "R1 C2");
         let near = s.nearest_point([p.x_mm + 3.0, p.y_mm - 2.0]).unwrap();
         assert_eq!(near.label(), "R1 C2");

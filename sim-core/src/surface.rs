@@ -20,7 +20,7 @@ use crate::sensor::Sensor;
 use crate::solve::Factor;
 
 /// Number of points whose loads are solved together.
-const BLOCK: usize = 64;
+const BLOCK_POINTS: usize = 64;
 
 /// Sinking of the top face, mm per N (> 0 is down), for a tip on each of some points.
 #[derive(Debug, Clone, PartialEq)]
@@ -65,7 +65,7 @@ impl SurfaceSinking {
         };
         let loaded: Vec<[u32; 6]> = points.iter().map(|&p| mesh.points[p].vertices).collect();
         let mut units = Vec::with_capacity(points.len());
-        for tips in loaded.chunks(BLOCK) {
+        for tips in loaded.chunks(BLOCK_POINTS) {
             let columns = tips.len();
             let mut raised = vec![0.0; boundary.unknowns() * columns];
             for (column, vertices) in tips.iter().enumerate() {

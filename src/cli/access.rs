@@ -4,7 +4,7 @@
 
 use clap::{Args, Subcommand, ValueEnum};
 use reqwest::Method;
-use serde_json::json;
+use serde_json::{Value, json};
 
 use super::client::{Client, who};
 use super::error::CliError;
@@ -51,6 +51,8 @@ pub enum KeyCommand {
     },
     /// Show the keys, without their texts.
     List,
+    /// Show the name of the key that this terminal uses, and its role.
+    Whoami,
     /// Revoke a key.
     Revoke {
         /// Number of the key.
@@ -97,7 +99,7 @@ async fn lock_of(people: &People, args: &LockArgs) -> Result<(), CliError> {
     } else if let Some(note) = &args.note {
         let lock = people.take_lock(note).await?;
         if lock.is_keyless() && !json {
-            say("taken without a key, it holds for everybody until `palpate lock --clear`");
+            say("taken without a key, it holds for every caller until `palpate lock --clear`");
         }
     }
     match people.lock().await? {
@@ -113,10 +115,13 @@ async fn lock_of(people: &People, args: &LockArgs) -> Result<(), CliError> {
 /// # Errors
 /// `CliError` if the service or the data folder cannot be used, or refuses the request.
 pub async fn key(args: KeyArgs) -> Result<(), CliError> {
+    if let Some(KeyCommand::Whoami) = args.command {
+        return whoami(&args.at).await;
+    }
     let people = People::of(&args.at).await?;
     let outcome = match args.command.unwrap_or(KeyCommand::List) {
         KeyCommand::Create { name, role } => create(&people, &name, role, args.at.json).await,
-        KeyCommand::List => list(&people, args.at.json).await,
+        KeyCommand::List | KeyCommand::Whoami => list(&people, args.at.json).await,
         KeyCommand::Revoke { id } => match people.revoke_key(id).await {
             Ok(()) => list(&people, args.at.json).await,
             refused => refused,
@@ -124,6 +129,18 @@ pub async fn key(args: KeyArgs) -> Result<(), CliError> {
     };
     people.close().await;
     outcome
+}
+
+/// Prints the caller, as the service sees this terminal.
+async fn whoami(at: &At) -> Result<(), CliError> {
+    let caller: Value = embed::server(at).await?.get("/api/v1/caller").await?;
+    if at.json {
+        say_json(&caller);
+        return Ok(());
+    }
+    let name = caller["name"].as_str().unwrap_or("without a key");
+    say(format_args!("{name}, {}", caller["role"].as_str().unwrap_or_default()));
+    Ok(())
 }
 
 async fn create(people: &People, name: &str, role: RoleName, json: bool) -> Result<(), CliError> {

@@ -12,7 +12,7 @@ use tokio::time::Instant;
 use super::client::Client;
 use super::error::CliError;
 use super::key::key;
-use super::output::{counted, duration, note, say, say_json};
+use super::output::{Output, counted, duration, note, say, say_json};
 use super::view::{RunView, StatusView};
 use super::{At, embed};
 use crate::campaign::bench::stopping::StoppingDistance;
@@ -21,8 +21,8 @@ use crate::ids::RunUid;
 
 /// Longest wait for the axes' acknowledgement of an emergency stop.
 const ACKNOWLEDGED: Duration = Duration::from_secs(2);
-/// Interval of polling.
-const LOOK: Duration = Duration::from_millis(50);
+/// Interval of polling for the acknowledgement, and pause before a stop is sent again.
+const ACKNOWLEDGED_POLL: Duration = Duration::from_millis(50);
 /// Repetitions of a stop that was not answered.
 const ESTOP_AGAIN: usize = 4;
 
@@ -71,6 +71,19 @@ pub async fn status(at: &At) -> Result<(), CliError> {
     }
     let twins: Value = client.get("/api/v1/twins").await?;
     say(status_words(&client.status().await?, &twins));
+    Ok(())
+}
+
+/// Runs `palpate metrics`.
+///
+/// # Errors
+/// `CliError` if the server cannot be reached.
+pub async fn metrics(at: &At) -> Result<(), CliError> {
+    let text = embed::server(at).await?.text("/metrics").await?;
+    match at.output() {
+        Output::Json => say_json(&json!({ "metrics": text })),
+        Output::Text => say(text.trim_end()),
+    }
     Ok(())
 }
 
@@ -179,7 +192,7 @@ pub async fn press_estop(
                 if tries < ESTOP_AGAIN =>
             {
                 tries += 1;
-                tokio::time::sleep(LOOK).await;
+                tokio::time::sleep(ACKNOWLEDGED_POLL).await;
             }
             // Another client may have no key, or another address.
             Err(error @ CliError::Refused { status: 401, .. }) if tries + 1 < clients.len() => {
@@ -194,7 +207,7 @@ pub async fn press_estop(
     let mut stopped =
         Stopped { latched, acknowledged_ms: None, missing: Vec::new(), has_stage: true };
     while stopped.has_stage && stopped.acknowledged_ms.is_none() && asked.elapsed() < ACKNOWLEDGED {
-        tokio::time::sleep(LOOK).await;
+        tokio::time::sleep(ACKNOWLEDGED_POLL).await;
         // The stop is latched, whether or not the service reports on it.
         if let Ok(status) = client.status().await {
             stopped.acknowledged_ms = status.rig.estop_acknowledged_ms;

@@ -1,4 +1,4 @@
-//! A question at the terminal, whose answer arrives while other work goes on.
+//! A question at the terminal, whose answer arrives while other work continues.
 //! Uses: a thread that waits for standard input. Never: a wait of the program for a person.
 
 use std::io::IsTerminal;

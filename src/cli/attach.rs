@@ -11,7 +11,7 @@ use super::begin::last_event;
 use super::client::Client;
 use super::error::CliError;
 use super::follow::{Follower, Left, Signals, Watch};
-use super::output::{say, say_json};
+use super::output::{Output, say, say_json};
 use super::summary::Closing;
 use super::twins::wait_for_twins;
 use super::{At, embed};
@@ -29,7 +29,7 @@ pub struct AttachArgs {
     /// Abort when the run has waited for a person for this duration, s [default: wait].
     #[arg(long, value_name = "SECONDS")]
     pub patience: Option<u32>,
-    /// Server.
+    /// Address of the service, and the form of the output.
     #[command(flatten)]
     pub at: At,
 }
@@ -58,10 +58,10 @@ pub async fn attach(args: AttachArgs) -> Result<ExitCode, CliError> {
         patience: args.patience.map(|s| Duration::from_secs(s.into())),
     };
     let Some(closing) = to_its_end(&client, watch, &mut signals).await? else {
-        detached(&client, run.scan_id, run.uid, None, args.at.json);
+        detached(&client, run.scan_id, run.uid, None, args.at.output());
         return Ok(ExitCode::SUCCESS);
     };
-    Ok(closed(&closing.with_next(&args.at.data(), Some(client.url())), args.at.json))
+    Ok(closed(&closing.with_next(&args.at.data(), Some(client.url())), args.at.output()))
 }
 
 /// Follows a run to its end; none if it was left to the service.
@@ -95,25 +95,24 @@ async fn fit(client: &Client, run: RunUid) -> Option<SimulationReport> {
 }
 
 /// Prints the closing summary; returns the exit code.
-pub fn closed(closing: &Closing, json: bool) -> ExitCode {
-    if json {
-        say_json(&closing.finished);
-    } else {
-        say(closing);
+pub fn closed(closing: &Closing, output: Output) -> ExitCode {
+    match output {
+        Output::Json => say_json(&closing.finished),
+        Output::Text => say(closing),
     }
     if closing.is_success() { ExitCode::SUCCESS } else { ExitCode::FAILURE }
 }
 
-/// Tells how to come back to a run that was left to the service. `process`: the service's, if it outlives the
+/// Prints how to come back to a run that was left to the service. `process`: the service's, if it outlives the
 /// command that started it.
-pub fn detached(client: &Client, scan_id: i64, uid: RunUid, process: Option<u32>, json: bool) {
+pub fn detached(client: &Client, scan_id: i64, uid: RunUid, process: Option<u32>, output: Output) {
     let url = client.url();
-    if json {
+    if output == Output::Json {
         let left = json!({ "event": "detached", "run": uid, "scan_id": scan_id, "url": url,
             "process": process });
         return say_json(&left);
     }
-    say(format_args!("run {scan_id} goes on without this terminal; its page is {url}/"));
+    say(format_args!("run {scan_id} continues without this terminal; its page is {url}/"));
     say(format_args!("  palpate attach --url {url}   follows it"));
     say(format_args!("  palpate stop --url {url}     stops it after its trial"));
     if let Some(process) = process {

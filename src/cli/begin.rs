@@ -68,7 +68,7 @@ pub async fn resume(args: &ResumeArgs) -> Result<(), CliError> {
     Ok(())
 }
 
-/// Whether a run goes on without being named: it was stopped or interrupted. One that was aborted or has failed
+/// Whether a run resumes without being named: it was stopped or interrupted. One that was aborted or has failed
 /// is resumed by its number only.
 pub fn goes_on(run: &RunRow) -> bool {
     run.state == StoredState::Interrupted || run.exit_status == Some(ExitStatus::Stopped)

@@ -8,6 +8,7 @@ use clap::Args;
 
 use super::error::{CliError, io_words};
 use super::files::{DEFAULT_GAP, DEFAULT_SKIN_SEED, RigFiles, read_or_carried};
+use super::output::Output;
 use super::virtual_bench::BenchOptions;
 use crate::carried::GAPS;
 use crate::file_kind::FileKind;
@@ -131,7 +132,7 @@ impl BenchArgs {
         data: &Path,
         rig: RigFiles,
         sensor_text: String,
-        quiet: bool,
+        output: Output,
     ) -> Result<BenchOptions, CliError> {
         Ok(BenchOptions {
             data: data.into(),
@@ -142,7 +143,7 @@ impl BenchArgs {
             age_days: self.skin_age_days.unwrap_or(0.0),
             speed: self.speed(),
             fault: self.fault.clone(),
-            quiet,
+            output,
         })
     }
 }

@@ -33,9 +33,9 @@ pub struct DiskView {
 pub struct SuspenderView {
     /// Name of the monitor.
     pub name: String,
-    /// Present value.
+    /// Latest value, in its unit; absent before the first one.
     pub value: Option<f64>,
-    /// Threshold.
+    /// Value beyond which the run is suspended, in the same unit.
     pub threshold: f64,
     /// Unit of both.
     pub unit: String,

@@ -1,38 +1,25 @@
 //! `palpate dataset`: lists, shows, makes and exports datasets.
 //! Uses: `client`, `import`. Never: rows in this process (the service reads and writes them).
 
-use std::io::{Seek, SeekFrom, Write};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::time::Duration;
 
-use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use clap::{Args, Subcommand};
-use futures::StreamExt;
-use reqwest::Method;
-use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
 use super::client::Client;
 use super::error::CliError;
+use super::export::{self, ExportArgs};
 use super::files::read_as;
 use super::import::{ImportArgs, import};
-use super::output::{bytes, counted, say, say_json};
-use super::progress::progress_bar;
+use super::output::{Output, bytes, say, say_json};
 use super::start_time::local;
 use super::table::{Align, Table, or_dash};
 use super::{At, embed};
-use crate::dataset::export::ExportRequest;
-use crate::dataset::format::Format;
-use crate::digest::Hashing;
 use crate::file_kind::FileKind;
-use crate::ids::DatasetId;
 
-/// Interval of polling an export's progress.
-const LOOK: Duration = Duration::from_millis(200);
 /// Longest wait until a dataset is made.
-const MAKING: Duration = Duration::from_secs(3600);
-/// Number of attempts of a download whose connection breaks.
-const TRIES: u32 = 5;
+pub const MAKING: Duration = Duration::from_secs(3600);
 
 /// Options of `dataset`.
 #[derive(Debug, Args)]
@@ -47,6 +34,8 @@ enum What {
     List(At),
     /// Show a dataset: parts, contacts, excluded trials with reasons, columns.
     Show(ShowArgs),
+    /// Print the card of a dataset: content, units, quality, origin, citation.
+    Card(CardArgs),
     /// Make a dataset from the trials stored now, by its definition file or its name.
     Make(MakeArgs),
     /// Write a dataset to a file.
@@ -54,6 +43,8 @@ enum What {
     /// The service writes it first, resumes after a restart and reports its progress; then the file
     /// is downloaded, resumed if a connection breaks, and its sha256 checked.
     Export(ExportArgs),
+    /// Show the exports, newest first.
+    Exports(At),
     /// Remove the older datasets of each name, except those that a model or a job needs.
     Prune(PruneArgs),
     /// Import trials measured elsewhere, as a separate run.
@@ -73,6 +64,17 @@ struct ShowArgs {
     /// Show the lineage: runs, models, calibrations, shards, code.
     #[arg(long)]
     lineage: bool,
+    #[command(flatten)]
+    at: At,
+}
+
+#[derive(Debug, Args)]
+struct CardArgs {
+    /// Id or name; `run-N` is all trials of a run.
+    name: String,
+    /// Print the description as a Data Package instead, JSON.
+    #[arg(long)]
+    datapackage: bool,
     #[command(flatten)]
     at: At,
 }
@@ -99,52 +101,6 @@ struct PruneArgs {
     at: At,
 }
 
-#[derive(Debug, Args)]
-struct ExportArgs {
-    /// Id or name; `run-N` is all trials of a run.
-    name: String,
-    /// Format of the file.
-    #[arg(long, default_value = Format::Parquet.name(), value_parser = formats())]
-    format: Format,
-    /// A condition on rows, such as `contact_count__gte=3` or `split=train`; may be repeated.
-    #[arg(long = "where", value_name = "COLUMN__gt=VALUE")]
-    conditions: Vec<String>,
-    /// Columns, in this order.
-    #[arg(long, value_delimiter = ',', value_name = "NAME,..")]
-    columns: Vec<String>,
-    /// A force map for each row, as pixel x diameter in mm: 4x20.
-    #[arg(long, value_name = "PIXELxDIAMETER")]
-    map: Option<String>,
-    /// Only these values of each frame, the end excluded: 0:28.
-    #[arg(long, value_name = "FIRST:END")]
-    slice: Option<String>,
-    /// The file [default: NAME.FORMAT here].
-    #[arg(long, value_name = "FILE")]
-    out: Option<PathBuf>,
-    #[command(flatten)]
-    at: At,
-}
-
-/// Parser of the name of a format; the help lists the formats.
-fn formats() -> impl TypedValueParser<Value = Format> {
-    let of = |format: Format| PossibleValue::new(format.name()).help(format.about());
-    PossibleValuesParser::new(Format::ALL.map(of)).try_map(|name| name.parse::<Format>())
-}
-
-/// Fields of an export that are read.
-#[derive(Debug, Clone, Serialize, Deserialize)]
-struct ExportView {
-    id: String,
-    state: String,
-    rows_done: u64,
-    rows_total: u64,
-    dataset: Option<DatasetId>,
-    bytes: Option<u64>,
-    sha256: Option<String>,
-    error: Option<String>,
-    url: Option<String>,
-}
-
 /// Runs `palpate dataset`.
 ///
 /// # Errors
@@ -159,6 +115,15 @@ pub async fn dataset(args: DatasetArgs) -> Result<(), CliError> {
             let at = args.at.clone();
             embed::reading(&at, move |client| async move { show(&client, &args).await }).await
         }
+        What::Card(args) => {
+            let at = args.at.clone();
+            embed::reading(&at, move |client| async move { card(&client, &args).await }).await
+        }
+        What::Exports(at) => {
+            let output = at.output();
+            embed::reading(&at, move |client| async move { export::list(&client, output).await })
+                .await
+        }
         What::Prune(args) => {
             let at = args.at.clone();
             embed::reading(&at, move |client| async move { prune(&client, &args).await }).await
@@ -169,7 +134,8 @@ pub async fn dataset(args: DatasetArgs) -> Result<(), CliError> {
         }
         What::Export(args) => {
             let at = args.at.clone();
-            embed::with_server(&at, move |client| async move { export(&client, &args).await }).await
+            let work = move |client: Client| async move { export::export(&client, &args).await };
+            embed::with_server(&at, work).await
         }
         What::Import(args) => import(args).await,
     }
@@ -258,6 +224,25 @@ async fn show(client: &Client, args: &ShowArgs) -> Result<(), CliError> {
     Ok(())
 }
 
+async fn card(client: &Client, args: &CardArgs) -> Result<(), CliError> {
+    let path = format!("/api/v1/datasets/{}", args.name);
+    let client = client.patient(MAKING);
+    if args.datapackage {
+        let package: Value = client.get(&format!("{path}/datapackage.json")).await?;
+        match args.at.output() {
+            Output::Json => say_json(&package),
+            Output::Text => say(format_args!("{package:#}")),
+        }
+        return Ok(());
+    }
+    let card = client.text(&format!("{path}/card")).await?;
+    match args.at.output() {
+        Output::Json => say_json(&json!({ "card": card })),
+        Output::Text => say(card.trim_end()),
+    }
+    Ok(())
+}
+
 async fn make(client: &Client, args: &MakeArgs) -> Result<(), CliError> {
     let what = args.what.display().to_string();
     let is_file = args.what.extension().is_some() || args.what.is_file();
@@ -299,106 +284,6 @@ fn part_lines(heading: &str, counts: &Value) {
     for (what, rows) in counts.as_object().into_iter().flatten() {
         say(format_args!("  {heading:<9} {what:<44} {rows:>8}"));
     }
-}
-
-async fn export(client: &Client, args: &ExportArgs) -> Result<(), CliError> {
-    let request = ExportRequest {
-        dataset: args.name.clone(),
-        format: args.format,
-        columns: args.columns.clone(),
-        conditions: args.conditions.clone(),
-        map: args.map.clone(),
-        slice: args.slice.clone(),
-    };
-    let asked: ExportView = client.post("/api/v1/exports", &request).await?;
-    let done = follow(client, asked).await?;
-    let out = args
-        .out
-        .clone()
-        .unwrap_or_else(|| PathBuf::from(format!("{}.{}", args.name, args.format.extension())));
-    fetch(client, &done, &out).await?;
-    if args.at.json {
-        say_json(&json!({ "file": out, "export": done }));
-    } else {
-        let rows = counted(done.rows_total, "row", "rows");
-        let of = done.dataset.as_ref().map_or("", DatasetId::as_str);
-        let length = bytes(done.bytes.unwrap_or_default() as f64);
-        let rows = if done.rows_total > 0 { format!("{rows} of ") } else { String::new() };
-        say(format_args!(
-            "{}: {rows}{of}, {length}, sha256 {}",
-            out.display(),
-            done.sha256.clone().unwrap_or_default()
-        ));
-    }
-    Ok(())
-}
-
-/// Shows the progress of an export until it has ended.
-async fn follow(client: &Client, asked: ExportView) -> Result<ExportView, CliError> {
-    let bar = progress_bar("rows");
-    let (mut now, mut rows) = (asked, 0);
-    loop {
-        rows = rows.max(now.rows_total);
-        bar.set_length(now.rows_total);
-        bar.set_position(now.rows_done);
-        match now.state.as_str() {
-            "done" => {
-                bar.finish_and_clear();
-                now.rows_total = rows;
-                return Ok(now);
-            }
-            "failed" | "stopped" => {
-                bar.abandon();
-                let operation = format!("export {}", now.id);
-                let detail = now.error.unwrap_or_default();
-                return Err(CliError::Refused { operation, status: 409, detail });
-            }
-            _ => tokio::time::sleep(LOOK).await,
-        }
-        now = client.get(&format!("/api/v1/exports/{}", now.id)).await?;
-    }
-}
-
-/// Downloads the file of an export, and resumes if a connection breaks.
-async fn fetch(client: &Client, done: &ExportView, out: &Path) -> Result<(), CliError> {
-    let failed = |source| CliError::File { path: out.into(), source };
-    let partial = out.with_extension("partial");
-    let mut file = std::fs::File::create(&partial).map_err(failed)?;
-    let url = done.url.clone().unwrap_or_else(|| format!("/api/v1/exports/{}/file", done.id));
-    let (mut hash, mut have, mut tries) = (Hashing::default(), 0_u64, 0);
-    let wanted = done.bytes.unwrap_or_default();
-    let bar = progress_bar("bytes");
-    bar.set_length(wanted);
-    while have < wanted {
-        let range = format!("bytes={have}-");
-        let answer = client.patient(MAKING).send_ranged(Method::GET, &url, &range).await?;
-        let mut pieces = answer.bytes_stream();
-        while let Some(piece) = pieces.next().await {
-            match piece {
-                Ok(piece) => {
-                    file.write_all(&piece).map_err(failed)?;
-                    hash.update(&piece);
-                    have += piece.len() as u64;
-                    bar.set_position(have);
-                }
-                Err(_) if tries < TRIES => {
-                    tries += 1;
-                    break;
-                }
-                Err(source) => {
-                    return Err(CliError::Http { operation: format!("GET {url}"), source });
-                }
-            }
-        }
-    }
-    bar.finish_and_clear();
-    let found = hash.finish();
-    if Some(&found) != done.sha256.as_ref() {
-        let detail = format!("the downloaded file has the sha256 {found}");
-        return Err(CliError::Refused { operation: format!("GET {url}"), status: 500, detail });
-    }
-    file.seek(SeekFrom::End(0)).and_then(|_| file.sync_all()).map_err(failed)?;
-    std::fs::rename(&partial, out).map_err(failed)
 }
 
 fn text(value: &Value) -> &str {

@@ -9,7 +9,7 @@ use serde_json::{Value, json};
 
 use super::error::CliError;
 use super::help::wrapped;
-use super::output::{note_drawn, shown};
+use super::output::{Output, note_drawn, shown};
 use crate::locate::locate;
 use crate::plain::escaped;
 use crate::problem::{Place, Problem};
@@ -17,9 +17,9 @@ use crate::problem::{Place, Problem};
 /// Largest file that is read again for its lines, bytes.
 const FILE_MAX_BYTES: u64 = 1 << 20;
 
-/// Prints an error on standard error: drawn, or with `--json` as one line.
-pub fn report(error: &CliError, as_json: bool) {
-    if as_json {
+/// Prints an error on standard error: drawn, or as one line of JSON.
+pub fn report(error: &CliError, output: Output) {
+    if output == Output::Json {
         return note_drawn(body(error));
     }
     let terminal = io::stderr().is_terminal();

@@ -221,19 +221,12 @@ impl CliError {
     }
 }
 
-/// Cause of an error of the operating system, without its number where its meaning is plain.
+/// Cause of a failed read or write of a file.
 pub fn io_words(error: &io::Error) -> String {
-    let words = match error.kind() {
-        ErrorKind::NotFound => "there is no such file or folder",
-        ErrorKind::PermissionDenied => "this user has no right to it",
-        ErrorKind::IsADirectory => "is a folder, not a file",
-        ErrorKind::NotADirectory => "a part of the path is a file, not a folder",
-        ErrorKind::InvalidData => "is not text (UTF-8)",
-        ErrorKind::StorageFull => "no space is left on this disk",
-        ErrorKind::ReadOnlyFilesystem => "is on a disk that can only be read",
-        _ => return system_words(error),
-    };
-    words.into()
+    match error.kind() {
+        ErrorKind::InvalidData => "is not text (UTF-8)".into(),
+        _ => system_words(error),
+    }
 }
 
 /// Why a request has no usable answer.
@@ -251,7 +244,9 @@ fn unanswered(error: &reqwest::Error) -> String {
     match () {
         () if error.is_timeout() => format!("{host} did not answer in time"),
         () if error.is_decode() => {
-            format!("{host} answers in another form than palpate: {cause}")
+            format!(
+                "{host} does not answer as palpate does: it is another program, or another version"
+            )
         }
         () => format!("{host} did not answer: {cause}"),
     }

@@ -42,9 +42,9 @@ pub struct ExperimentFiles {
     pub definition: String,
     /// Text of its sensor file.
     pub sensor_text: String,
-    /// Parsed experiment.
+    /// Experiment, parsed and checked.
     pub experiment: Experiment,
-    /// Parsed sensor.
+    /// Sensor that the experiment names, parsed and checked.
     pub sensor: Sensor,
     /// Plan of the experiment.
     pub plan: Plan,
@@ -57,7 +57,7 @@ pub struct RigFiles {
     pub file: String,
     /// Text of the rig file.
     pub text: String,
-    /// Parsed configuration.
+    /// Devices, wires and limits that the file states.
     pub config: RigSetup,
 }
 
@@ -174,7 +174,14 @@ pub fn read_or_carried(
         return Ok(text.to_owned());
     }
     match name.filter(|name| !name.contains(['.', '/'])) {
-        None => read_as(kind, path),
+        // The path of a carried file in a checkout, typed elsewhere.
+        None => read_as(kind, path).map_err(|error| match (error, carried_name(path, files)) {
+            (CliError::Problems(mut problems), Some(name)) if !path.exists() => {
+                problems[0].limit += &format!("; palpate carries {name}, without a path");
+                CliError::Problems(problems)
+            }
+            (error, _) => error,
+        }),
         Some(name) => {
             let names: Vec<&str> = carried::names(files).collect();
             let words = format!(
@@ -186,6 +193,15 @@ pub fn read_or_carried(
             Err(CliError::Problems(vec![Problem::whole(name, words)]))
         }
     }
+}
+
+/// The name of a path's file among the carried ones.
+fn carried_name(
+    path: &Path,
+    files: &'static [(&'static str, &'static str)],
+) -> Option<&'static str> {
+    let name = path.file_stem()?.to_str()?;
+    carried::names(files).find(|carried| *carried == name)
 }
 
 /// As [`read_input`], for a file of this kind.

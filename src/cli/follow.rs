@@ -5,7 +5,7 @@
 use std::io::IsTerminal;
 use std::time::Duration;
 
-use indicatif::{ProgressBar, ProgressStyle};
+use indicatif::ProgressBar;
 use serde_json::json;
 use tokio::signal::unix::{Signal, SignalKind, signal};
 use tokio::time::{Instant, MissedTickBehavior, interval};
@@ -15,13 +15,14 @@ use super::client::Client;
 use super::error::CliError;
 use super::leave::{Choice, Interrupt, question};
 use super::output::{counted, duration, note, say_json, shown};
+use super::progress::bar;
 use super::view::{RunView, StatusView};
 use crate::campaign::shown::status::{Eta, Phase};
 use crate::ids::RunUid;
 use crate::state::StoredState;
 
 /// Interval of polling the status.
-const LOOK: Duration = Duration::from_millis(200);
+const STATUS_POLL: Duration = Duration::from_millis(200);
 /// Interval of progress lines without a terminal.
 const TELL: Duration = Duration::from_secs(10);
 /// Time without an answer after which the service counts as ended.
@@ -79,7 +80,7 @@ impl Signals {
 pub enum Left {
     /// The run has ended.
     Ended,
-    /// The service goes on with it, and this program ends.
+    /// The service continues the run, and this program ends.
     Detached,
     /// The run is open and not driven, or this program leaves it; with the reason.
     Open(&'static str),
@@ -143,7 +144,7 @@ impl Follower {
     /// # Errors
     /// `CliError` if the service does not answer, or the run does not start.
     pub async fn follow(mut self, signals: &mut Signals) -> Result<Left, CliError> {
-        let mut tick = interval(LOOK);
+        let mut tick = interval(STATUS_POLL);
         tick.set_missed_tick_behavior(MissedTickBehavior::Skip);
         let mut heard = Instant::now();
         loop {
@@ -257,8 +258,8 @@ impl Follower {
         Ok(())
     }
 
-    /// A closed terminal leaves the run to the service. An interrupt asks what to do, or stops where nobody can
-    /// be asked; the second one aborts, the third one leaves the run as it is.
+    /// A closed terminal leaves the run to the service. An interrupt asks what to do, or stops without a
+    /// terminal; the second one aborts, the third one leaves the run as it is.
     async fn asked(&mut self, asked: Asked) -> Option<Left> {
         match asked {
             Asked::HangUp => return Some(Left::Detached),
@@ -329,10 +330,7 @@ struct Screen {
 impl Screen {
     fn new(json: bool) -> Self {
         let terminal = std::io::stderr().is_terminal();
-        let bar = if terminal { ProgressBar::new(0) } else { ProgressBar::hidden() };
-        if let Ok(style) = ProgressStyle::with_template("{bar:24} {pos}/{len} {wide_msg}") {
-            bar.set_style(style);
-        }
+        let bar = bar("{bar:24} {pos}/{len} {wide_msg}");
         Self { bar, terminal, json, told: None, stored: None }
     }
 

@@ -20,7 +20,7 @@ use crate::dataset::import::preview;
 use crate::dataset::import::summary::Summary;
 
 /// Longest wait until an import is stored.
-const STORING: Duration = Duration::from_secs(3600);
+const IMPORT_WAIT: Duration = Duration::from_secs(3600);
 
 /// Options of `dataset import`.
 #[derive(Debug, Args)]
@@ -117,7 +117,7 @@ async fn store(
         TextPart::value("who", client.who().to_owned()),
     ];
     let mut made: Value = client
-        .patient(STORING)
+        .patient(IMPORT_WAIT)
         .upload("/api/v1/imports", &args.file, texts.into_iter().chain(map))
         .await?;
     if args.at.json {

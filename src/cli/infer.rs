@@ -84,14 +84,14 @@ pub async fn infer(args: InferArgs) -> Result<(), CliError> {
             (None, None) => return Ok(()),
         };
         for frames in frames.chunks(FRAMES_AT_ONCE) {
-            let wish = InferOptions {
+            let options = InferOptions {
                 method,
                 model: args.model.clone(),
                 transfer: args.transfer.clone(),
                 map: args.map,
                 averaged: args.averaged,
             };
-            let request = InferRequest { wish, frames: frames.to_vec() };
+            let request = InferRequest { options, frames: frames.to_vec() };
             let answers: Vec<FrameAnswer> = client.post("/api/v1/infer", &request).await?;
             for answer in answers {
                 if args.at.json {
@@ -106,7 +106,7 @@ pub async fn infer(args: InferArgs) -> Result<(), CliError> {
     .await
 }
 
-/// Shows the answers of a net that gives a quantity of a whole frame.
+/// Shows the answers of a net that estimates a quantity of a whole frame.
 async fn quantities(
     client: &Client,
     model: &str,

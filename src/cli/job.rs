@@ -5,13 +5,13 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use clap::{Args, Subcommand};
-use indicatif::{ProgressBar, ProgressStyle};
+use indicatif::ProgressBar;
 use serde_json::Value;
 
 use super::client::Client;
 use super::error::CliError;
-use super::output::{duration, note, say, say_json};
-use super::progress::LogLines;
+use super::output::{Output, duration, note, say, say_json};
+use super::progress::{LogLines, bar};
 use super::start_time::local;
 use super::table::{Align, Table};
 use super::{At, embed, job_losses};
@@ -20,7 +20,7 @@ use crate::jobs::Progress;
 use crate::store::TaskState;
 
 /// Interval of polling a job's progress.
-pub const LOOK: Duration = Duration::from_millis(250);
+pub const JOB_POLL: Duration = Duration::from_millis(250);
 
 /// Waits for the end of a job and shows its progress.
 ///
@@ -30,7 +30,7 @@ pub async fn wait_for(client: &Client, asked: JobOut) -> Result<JobOut, CliError
     let mut screen = JobScreen::new();
     let mut now = asked;
     while !screen.has_ended(&now)? {
-        tokio::time::sleep(LOOK).await;
+        tokio::time::sleep(JOB_POLL).await;
         now = client.get(&format!("/api/v1/jobs/{}", now.id)).await?;
     }
     Ok(now)
@@ -46,7 +46,7 @@ pub struct JobScreen {
 impl JobScreen {
     /// A screen without a job.
     pub fn new() -> Self {
-        let bar = job_bar();
+        let bar = bar("{bar:30} {msg}");
         let lines = LogLines::instead_of(&bar);
         Self { bar, lines }
     }
@@ -89,15 +89,6 @@ impl JobScreen {
             }
         }
     }
-}
-
-fn job_bar() -> ProgressBar {
-    use std::io::IsTerminal;
-    if !std::io::stderr().is_terminal() {
-        return ProgressBar::hidden();
-    }
-    let style = ProgressStyle::with_template("{bar:30} {msg}");
-    ProgressBar::new(0).with_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()))
 }
 
 fn words(progress: &Progress) -> String {
@@ -184,7 +175,7 @@ pub async fn job(args: JobArgs) -> Result<(), CliError> {
             JobWhat::Stop(one) => {
                 let path = format!("/api/v1/jobs/{}/stop", one.job);
                 let job: JobOut = client.post(&path, &Value::Null).await?;
-                shown(&job, one.at.json);
+                shown(&job, one.at.output());
             }
             JobWhat::Losses(JobLosses { plot: None, one }) => {
                 say(job_losses::losses(&client, &one.job).await?.trim_end());
@@ -232,8 +223,8 @@ pub fn recipe_name(job: &JobOut) -> Option<String> {
 }
 
 /// Prints one line on a job, or its JSON.
-pub fn shown(job: &JobOut, as_json: bool) {
-    if as_json {
+pub fn shown(job: &JobOut, output: Output) {
+    if output == Output::Json {
         return say_json(job);
     }
     let cells = cells(job).into_iter().filter(|cell| !cell.is_empty());

@@ -20,21 +20,15 @@ use crate::figure::Heading;
 /// # Errors
 /// As [`Client::send`].
 pub async fn losses(client: &Client, job: &str) -> Result<String, CliError> {
-    let running = text(client, &format!("/api/v1/jobs/{job}/losses")).await?;
+    let running = client.text(&format!("/api/v1/jobs/{job}/losses")).await?;
     if !running.is_empty() {
         return Ok(running);
     }
     let job: JobOut = client.get(&format!("/api/v1/jobs/{job}")).await?;
     match job.result.as_ref().and_then(|result| result["model"].as_str()) {
-        Some(model) => text(client, &format!("/api/v1/models/{model}/losses")).await,
+        Some(model) => client.text(&format!("/api/v1/models/{model}/losses")).await,
         None => Ok(String::new()),
     }
-}
-
-async fn text(client: &Client, path: &str) -> Result<String, CliError> {
-    let answer = client.send(reqwest::Method::GET, path, None::<&Value>).await?;
-    let text = answer.text().await;
-    text.map_err(|source| CliError::Http { operation: format!("GET {path}"), source })
 }
 
 /// Draws the learning curve of a training to a file.

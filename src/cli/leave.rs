@@ -12,7 +12,7 @@ pub enum Choice {
     Resume,
     /// End after the trial; the run can be resumed later.
     Stop,
-    /// Go on following.
+    /// Continue to follow.
     Continue,
 }
 
@@ -36,13 +36,13 @@ pub fn question(is_paused: bool) -> &'static str {
         "d  detach: the run stays paused\nr  resume\ns  stop: the run can be resumed later\nc  continue\n\
          Ctrl-C again raises the tips now and aborts"
     } else {
-        "d  detach: the run goes on\np  pause after this trial\ns  stop after this trial: the run can be resumed \
+        "d  detach: the run continues\np  pause after this trial\ns  stop after this trial: the run can be resumed \
          later\nc  continue\nCtrl-C again raises the tips now and aborts"
     }
 }
 
 /// The question on a training.
-pub const QUESTION_ON_TRAINING: &str = "d  detach: the training goes on\n\
+pub const QUESTION_ON_TRAINING: &str = "d  detach: the training continues\n\
      s  stop: the same command resumes it\nc  continue\nCtrl-C again stops";
 
 /// What an interrupt leads to.

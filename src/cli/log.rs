@@ -4,12 +4,13 @@
 
 use std::io::{self, IsTerminal, Write};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use clap::Args;
+use parking_lot::{Mutex, MutexGuard};
 use tracing::Dispatch;
 use tracing_appender::rolling::{InitError, RollingFileAppender, Rotation};
 use tracing_subscriber::EnvFilter;
@@ -69,7 +70,7 @@ impl Drop for Held {
 }
 
 fn behind_screen() -> MutexGuard<'static, Option<Vec<String>>> {
-    BEHIND_SCREEN.lock().unwrap_or_else(PoisonError::into_inner)
+    BEHIND_SCREEN.lock()
 }
 
 /// Format of the lines.
@@ -263,7 +264,6 @@ mod tests {
     use crate::dataset::background::background;
     use crate::ids::TrialKey;
     use serde_json::{Value, json};
-    use std::sync::Mutex;
     use tracing::Instrument;
 
     #[derive(Debug, Clone, Default)]
@@ -271,7 +271,7 @@ mod tests {
 
     impl Write for Kept {
         fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-            self.0.lock().unwrap().extend_from_slice(bytes);
+            self.0.lock().extend_from_slice(bytes);
             Ok(bytes.len())
         }
 
@@ -307,7 +307,7 @@ mod tests {
             let runtime = tokio::runtime::Builder::new_current_thread().build().unwrap();
             runtime.block_on(of_run.instrument(span_of_run()));
         });
-        String::from_utf8(kept.0.lock().unwrap().clone()).unwrap()
+        String::from_utf8(kept.0.lock().clone()).unwrap()
     }
 
     fn lines(text: &str) -> Vec<Value> {

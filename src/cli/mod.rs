@@ -30,6 +30,7 @@ mod drawn;
 mod embed;
 mod error;
 mod evaluate;
+mod export;
 mod files;
 mod follow;
 pub mod help;
@@ -41,6 +42,7 @@ mod job_losses;
 mod key;
 mod leave;
 pub mod log;
+mod measured;
 mod model;
 mod morning;
 mod output;
@@ -75,6 +77,7 @@ pub use drawn::{report, report_usage};
 pub use error::CliError;
 pub use files::DEFAULT_SKIN_SEED;
 use files::{DEFAULT_GAP, DEFAULT_RIG, DEFAULT_SENSOR};
+pub use output::Output;
 
 /// Default URL of the server.
 pub const DEFAULT_URL: &str = "http://127.0.0.1:8080";
@@ -119,6 +122,11 @@ impl At {
         self.data.is_some() || std::env::var_os("PALPATE_DATA").is_some_and(|d| !d.is_empty())
     }
 
+    /// Form of the output.
+    pub fn output(&self) -> Output {
+        Output::of(self.json)
+    }
+
     /// Path of the data folder.
     pub fn data(&self) -> PathBuf {
         data_or_default(self.data.clone())
@@ -138,6 +146,9 @@ pub struct StatusArgs {
     /// resumes, E is the emergency stop.
     #[arg(long)]
     pub watch: bool,
+    /// Show the simulated twins: made and pending by run, and the fit of the last trials.
+    #[arg(long, conflicts_with = "watch")]
+    pub twins: bool,
     /// Server of the rig.
     #[command(flatten)]
     pub at: At,
@@ -180,6 +191,8 @@ pub enum Command {
     Simulate(simulate::SimulateArgs),
     /// Show the state of rig, run and service.
     Status(StatusArgs),
+    /// Print counters and gauges of the service, in the text format of Prometheus.
+    Metrics(At),
     /// Show and change the queue of runs.
     Queue(queue::QueueArgs),
     /// Pause the active run, after its trial.
@@ -198,7 +211,7 @@ pub enum Command {
     Confirm(placement::ConfirmArgs),
     /// Repeat a manual trial that was faulty, the last one by default; its data is kept as an attempt.
     Repeat(placement::RepeatArgs),
-    /// Show the weights that a run asks for, and what the skin feels of them.
+    /// Show the weights that a run requests, and the contacts estimated from the skin.
     Placement(At),
     /// Print the overlay of a sensor.
     Sensor(sensor::SensorArgs),
@@ -215,6 +228,8 @@ pub enum Command {
     Plot(query::PlotArgs),
     /// List what happened, or follow it.
     Events(morning::EventsArgs),
+    /// List who requested what and why, newest first: stops, jogs, edits, promotions, refusals.
+    Actions(morning::ActionsArgs),
     /// Draw a run or a trial: facts, map, forces, frame.
     Show(morning::ShowArgs),
     /// Write the report of a run as HTML and PDF.
@@ -249,15 +264,15 @@ pub enum Command {
     Evaluate(evaluate::EvaluateArgs),
 }
 
-/// Runs a command. Errors are printed on standard error, with `as_json` as one line of JSON; the exit
-/// code is 0, 1, or 2 for bad input.
-pub fn main(command: Command, as_json: bool) -> ExitCode {
+/// Runs a command. Errors are printed on standard error in this form; the exit code is 0, 1, or 2 for bad
+/// input.
+pub fn main(command: Command, output: Output) -> ExitCode {
     let outcome = match command {
         Command::Plan(args) if args.plot.is_none() => plan::plan(&args),
         command => on_runtime(command),
     };
     outcome.unwrap_or_else(|error| {
-        drawn::report(&error, as_json);
+        drawn::report(&error, output);
         error.exit_code()
     })
 }
@@ -288,6 +303,8 @@ async fn answer(command: Command) -> Result<ExitCode, CliError> {
         Command::Rig(args) => return rig::rig(args).await,
         Command::Serve(args) => serve::serve(args).await?,
         Command::Status(args) if args.watch => watch::watch(&args.at).await?,
+        Command::Status(args) if args.twins => twins::status(&args.at).await?,
+        Command::Metrics(at) => ask::metrics(&at).await?,
         Command::Status(args) => ask::status(&args.at).await?,
         Command::Queue(args) => queue::queue(args).await?,
         Command::Pause(args) => ask::pause(&args).await?,
@@ -303,6 +320,7 @@ async fn answer(command: Command) -> Result<ExitCode, CliError> {
         Command::Query(args) => query::query(args).await?,
         Command::Plot(args) => query::plot(args).await?,
         Command::Events(args) => morning::events(args).await?,
+        Command::Actions(args) => morning::actions(args).await?,
         Command::Show(args) => morning::show(args).await?,
         Command::Report(args) => morning::report(args).await?,
         Command::Diff(args) => morning::diff(args).await?,

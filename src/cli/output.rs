@@ -9,6 +9,22 @@ use serde::Serialize;
 
 use crate::plain::escaped_lines;
 
+/// Form of what a command prints.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Output {
+    /// Text for people, with progress on a terminal.
+    Text,
+    /// JSON for scripts, without progress.
+    Json,
+}
+
+impl Output {
+    /// The form that `--json` selects.
+    pub fn of(json: bool) -> Self {
+        if json { Self::Json } else { Self::Text }
+    }
+}
+
 /// Prints one or several lines on standard output.
 pub fn say(text: impl Display) {
     let _ = writeln!(io::stdout().lock(), "{}", shown(text));

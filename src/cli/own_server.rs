@@ -1,4 +1,4 @@
-//! The service of `palpate run` or `train`, where none is running: a process of its own, so that the work goes on
+//! The service of `palpate run` or `train`, where none is running: a separate process, so that the work continues
 //! when the command or its terminal is closed.
 //! Uses: tokio's processes, `running`. Never: a decision for the run.
 
@@ -17,6 +17,7 @@ use tokio::time::{Instant, sleep, timeout};
 use super::bench_args::BenchArgs;
 use super::client::{Client, Found};
 use super::error::CliError;
+use super::output::Output;
 use super::progress::spinner;
 use super::running::Running;
 use crate::new_file;
@@ -25,14 +26,14 @@ use crate::new_file;
 const LOG: &str = "service.log";
 /// Longest wait for the service: the first start of a virtual rig solves the skin's responses.
 const READY: Duration = Duration::from_secs(150);
-/// Interval of looking for it.
-const LOOK: Duration = Duration::from_millis(50);
+/// Interval of polling for the service.
+const SERVICE_POLL: Duration = Duration::from_millis(50);
 /// Longest wait for its end: it raises the tips and closes the database.
 const END: Duration = Duration::from_secs(60);
 
 /// A service that this command started.
 pub struct OwnServer {
-    /// Its client.
+    /// Client with the address and key of that service.
     pub client: Client,
     child: Child,
     log: PathBuf,
@@ -41,7 +42,7 @@ pub struct OwnServer {
 impl OwnServer {
     /// Starts a service on a bench, and waits until it answers.
     ///
-    /// `sensor`: sensor file of the skin. `quiet`: no progress on the terminal.
+    /// `sensor`: sensor file of the skin. `output`: only text has progress.
     ///
     /// # Errors
     /// As [`Self::start`].
@@ -49,12 +50,12 @@ impl OwnServer {
         bench: &BenchArgs,
         data: &Path,
         sensor: &Path,
-        quiet: bool,
+        output: Output,
     ) -> Result<Self, CliError> {
         let mut arguments = bench.arguments();
         arguments.extend(["--sensor".into(), sensor.into()]);
         let words = "starting the service (a new skin's responses are solved once)";
-        Self::start(&arguments, data, spinner(quiet, words)).await
+        Self::start(&arguments, data, spinner(output, words)).await
     }
 
     /// Starts a service without a rig, and waits until it answers.
@@ -62,7 +63,7 @@ impl OwnServer {
     /// # Errors
     /// As [`Self::start`].
     pub async fn at_desk(data: &Path) -> Result<Self, CliError> {
-        Self::start(&["--desk".into()], data, spinner(true, "")).await
+        Self::start(&["--desk".into()], data, ProgressBar::hidden()).await
     }
 
     /// Starts the service on a free port of the loopback, and waits until it answers.
@@ -150,7 +151,7 @@ async fn answering(
                 return child.map(|child| (client, child)).ok_or_else(|| ended("it is gone", log));
             }
         }
-        sleep(LOOK).await;
+        sleep(SERVICE_POLL).await;
     }
     Err(CliError::Late { what: "the service's first answer".into(), after_s: READY.as_secs() })
 }

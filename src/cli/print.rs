@@ -34,7 +34,7 @@ pub enum PrintError {
     /// The browser failed.
     #[error("{browser}: {why}", browser = browser.display())]
     Failed {
-        /// The browser.
+        /// Path of the browser that failed.
         browser: PathBuf,
         /// Cause, as text.
         why: String,

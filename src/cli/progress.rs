@@ -6,25 +6,28 @@ use std::time::{Duration, Instant};
 
 use indicatif::{ProgressBar, ProgressStyle};
 
-use super::output::note;
+use super::output::{Output, note};
 
 /// A bar on standard error, in units of this name; hidden if that is not a terminal.
 pub fn progress_bar(unit: &str) -> ProgressBar {
+    bar(&format!(
+        "{{bar:30}} {{human_pos}} / {{human_len}} {unit}, {{per_sec}}, {{eta}} to go {{msg}}"
+    ))
+}
+
+/// A bar of this template on standard error; hidden if that is not a terminal.
+pub fn bar(template: &str) -> ProgressBar {
     if !std::io::stderr().is_terminal() {
         return ProgressBar::hidden();
     }
-    let shape = format!(
-        "{{bar:30}} {{human_pos}} / {{human_len}} {unit}, {{per_sec}}, {{eta}} to go {{msg}}"
-    );
-    let style =
-        ProgressStyle::with_template(&shape).unwrap_or_else(|_| ProgressStyle::default_bar());
-    ProgressBar::new(0).with_style(style)
+    let style = ProgressStyle::with_template(template);
+    ProgressBar::new(0).with_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()))
 }
 
-/// A sign of life on standard error while something works, with the time since it began; hidden if `quiet`, or if
+/// A sign of life on standard error while something works, with the time since it began; hidden for JSON, or if
 /// that is not a terminal.
-pub fn spinner(quiet: bool, words: &str) -> ProgressBar {
-    if quiet {
+pub fn spinner(output: Output, words: &str) -> ProgressBar {
+    if output == Output::Json {
         return ProgressBar::hidden();
     }
     let style = ProgressStyle::with_template("{spinner} {msg}, {elapsed}");
@@ -61,7 +64,7 @@ impl Working {
             note(format_args!("{words} .."));
             return Self(ProgressBar::hidden());
         }
-        Self(spinner(false, words))
+        Self(spinner(Output::Text, words))
     }
 }
 

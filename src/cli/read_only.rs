@@ -14,7 +14,7 @@ use crate::new_file::make_folder;
 
 /// Name of the database, and of its log.
 const DATABASE: [&str; 2] = ["palpate.db", "palpate.db-wal"];
-/// Files that belong to a process, and what a service writes beside the data.
+/// Files that belong to a process, and what a service writes into the folder of the data.
 const LEFT_OUT: [&str; 5] =
     ["palpate.db-shm", "palpate.lock", "server.json", "service.log", "cache"];
 

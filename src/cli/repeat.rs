@@ -24,7 +24,7 @@ const STOP: &str = "POST /api/v1/estop";
 /// Operations that a service carries out once per `Idempotency-Key`, such as `POST /api/v1/queue`.
 static ONCE: LazyLock<HashSet<String>> = LazyLock::new(|| {
     let once = operations().into_iter().filter(|(.., needs)| needs.once);
-    // An action on the rig must not wait for a write: a full disk keeps nobody from resetting it.
+    // An action on the rig must not wait for a write: a full disk does not prevent its reset.
     let once = once.filter(|(_, path, _)| path != "/api/v1/rig/actions");
     once.map(|(method, path, _)| format!("{method} {path}")).collect()
 });

@@ -15,12 +15,12 @@ use super::client::Client;
 use super::error::CliError;
 use super::files::RigFiles;
 use super::follow::Signals;
-use super::output::{say, say_json};
+use super::output::{Output, say, say_json};
 use super::view::StatusView;
-use super::{At, embed};
+use super::{At, embed, measured};
 use crate::api::LockFile;
 use crate::campaign::bench::rig_state::RigState;
-use crate::record::Pose;
+use crate::record::{ARMS, Pose};
 use crate::rig::check::{self, Scope};
 use crate::rig::link::StopLatch;
 
@@ -31,7 +31,7 @@ const SOON: Duration = Duration::from_secs(60);
 /// Longest wait for a jog.
 const JOGGING: Duration = Duration::from_secs(120);
 /// Interval of polling the rig.
-const LOOK: Duration = Duration::from_millis(100);
+const RIG_POLL: Duration = Duration::from_millis(100);
 /// A jog has arrived when the axis is this close, mm.
 const ARRIVED_MM: f64 = 0.2;
 
@@ -81,11 +81,20 @@ pub enum RigCommand {
     /// State the number of mounted tips, on arms 1 to n; the cells must not contradict.
     Tips {
         /// Number of tips.
-        #[arg(value_parser = clap::value_parser!(u8).range(0..=6))]
+        #[arg(value_parser = clap::value_parser!(u8).range(0..=ARMS as i64))]
         tips: u8,
     },
     /// Acknowledge a trip.
     Reset,
+    /// Show the ranges of forces and z of the last minutes; --json prints the samples.
+    Samples {
+        /// Length of the time before now, minutes, 1 to 30.
+        #[arg(long, value_name = "N", default_value_t = 5)]
+        #[arg(value_parser = clap::value_parser!(u8).range(1..=30))]
+        minutes: u8,
+    },
+    /// Show when the untouched skin was last measured, and its voltages; --json prints the frame.
+    Untouched,
     /// Show presses on the skin, travel of the axes, age of the cells' calibrations, the last check.
     Wear,
 }
@@ -136,14 +145,24 @@ pub async fn rig(args: RigArgs) -> Result<ExitCode, CliError> {
         };
     }
     let client = embed::server(&at).await?;
-    if let RigCommand::Wear = command {
-        let wear: Value = client.get("/api/v1/wear").await?;
-        if at.json {
-            say_json(&wear);
-        } else {
-            say(wear_words(&wear));
+    match command {
+        RigCommand::Wear => {
+            let wear: Value = client.get("/api/v1/wear").await?;
+            match at.output() {
+                Output::Json => say_json(&wear),
+                Output::Text => say(wear_words(&wear)),
+            }
+            return Ok(ExitCode::SUCCESS);
         }
-        return Ok(ExitCode::SUCCESS);
+        RigCommand::Samples { minutes } => {
+            measured::samples(&client, minutes, at.output()).await?;
+            return Ok(ExitCode::SUCCESS);
+        }
+        RigCommand::Untouched => {
+            measured::untouched(&client, at.output()).await?;
+            return Ok(ExitCode::SUCCESS);
+        }
+        _ => {}
     }
     let status = by_hand(&client, command).await?;
     if at.json {
@@ -157,7 +176,10 @@ pub async fn rig(args: RigArgs) -> Result<ExitCode, CliError> {
 
 async fn by_hand(client: &Client, command: RigCommand) -> Result<StatusView, CliError> {
     match command {
-        RigCommand::Check { .. } | RigCommand::Wear => client.status().await,
+        RigCommand::Check { .. }
+        | RigCommand::Samples { .. }
+        | RigCommand::Untouched
+        | RigCommand::Wear => client.status().await,
         RigCommand::Connect => {
             client.act_on_rig("connect", json!({})).await?;
             until_rig(client, "connecting", SOON, |s| s.rig.state != RigState::Disconnected).await
@@ -216,7 +238,7 @@ pub async fn until_rig(
         if asked.elapsed() > deadline {
             return Err(CliError::Late { what: what.into(), after_s: deadline.as_secs() });
         }
-        sleep(LOOK).await;
+        sleep(RIG_POLL).await;
     }
 }
 

@@ -105,13 +105,13 @@ pub async fn run(args: RunArgs) -> Result<ExitCode, CliError> {
     let server = if args.bench.on_virtual { None } else { embed::find(&args.at).await? };
     args.check(server.as_ref())?;
     let rig = RigFiles::read(args.bench.rig.as_deref())?;
-    let (json, data) = (args.at.json, args.at.data());
+    let (output, data) = (args.at.output(), args.at.data());
     let order = Order {
         files,
         new: args.new,
         detach: args.detach,
         yes: args.yes,
-        json,
+        json: args.at.json,
         by_itself: server.is_none() && args.bench.is_virtual(),
         own_service: server.is_none(),
         patience: args.patience.map(|s| Duration::from_secs(s.into())),
@@ -126,7 +126,7 @@ pub async fn run(args: RunArgs) -> Result<ExitCode, CliError> {
             let sensor = data.join("sensor.toml");
             write(&sensor, &order.files.sensor_text)?;
             let own = tokio::select! {
-                own = OwnServer::on_bench(&args.bench, &data, &sensor, json) => own?,
+                own = OwnServer::on_bench(&args.bench, &data, &sensor, output) => own?,
                 _ = signals.next() => return Err(CliError::Interrupted),
             };
             let (client, process) = (own.client.clone(), own.process());
@@ -139,12 +139,12 @@ pub async fn run(args: RunArgs) -> Result<ExitCode, CliError> {
     };
     match outcome {
         Outcome::Detached(run) => {
-            detached(&client, run.scan_id, run.uid, process, json);
+            detached(&client, run.scan_id, run.uid, process, output);
             Ok(ExitCode::SUCCESS)
         }
         Outcome::Closed(closing) => {
             let url = process.is_none().then(|| client.url());
-            Ok(closed(&closing.with_next(&data, url), json))
+            Ok(closed(&closing.with_next(&data, url), output))
         }
     }
 }

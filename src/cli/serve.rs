@@ -14,7 +14,7 @@ use super::error::CliError;
 use super::files::{RigFiles, parse_calibration, read_sensor_text};
 use super::follow::Signals;
 use super::key::key;
-use super::output::{note, say};
+use super::output::{Output, note, say};
 use super::running::Running;
 use super::virtual_bench::VirtualBench;
 use crate::api::{ServeOptions, Service, Tls};
@@ -85,7 +85,7 @@ pub async fn serve(args: ServeArgs) -> Result<(), CliError> {
     }
     let (_, sensor_text) = read_sensor_text(args.sensor.as_deref())?;
     let data = data_or_default(args.data.clone());
-    let options = args.bench.bench(&data, rig, sensor_text, false)?;
+    let options = args.bench.bench(&data, rig, sensor_text, Output::Text)?;
     let mut bench = tokio::select! {
         bench = VirtualBench::switch_on(&options) => bench?,
         _ = signals.next() => return Ok(()),
@@ -155,7 +155,7 @@ fn send_operator(
     let key = if needs_key { key()? } else { None };
     match without_operator(args.tls_cert.is_some(), needs_key && key.is_none()) {
         Some(cause) => {
-            note(format_args!("no virtual operator: {cause}; nobody mounts tips and confirms"));
+            note(format_args!("no virtual operator: {cause}; a person must mount tips"));
             Ok(())
         }
         None => bench.send_operator(&service.local_url(), key.as_deref()),

@@ -33,7 +33,7 @@ pub struct Finished {
     pub reason: String,
     /// Trials in its plan.
     pub trials_planned: u64,
-    /// Trials stored.
+    /// Number of trials of the run that are stored.
     pub trials_stored: u64,
     /// Trials of skipped configurations.
     pub trials_skipped: u64,
@@ -206,7 +206,7 @@ impl Closing {
             next.push(("the same command again".into(), "resumes where it stopped"));
         }
         next.push((format!("palpate show {run}{place}"), "draws it in the terminal"));
-        next.push((format!("palpate report {run}{place}"), "what to look at, as HTML and PDF"));
+        next.push((format!("palpate report {run}{place}"), "its findings, as HTML and PDF"));
         if self.follow_url.is_none() {
             next.push((format!("palpate serve --open{place}"), "shows it in the browser"));
         }

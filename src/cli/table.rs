@@ -14,9 +14,9 @@ const NARROWEST: usize = 12;
 /// Side to which a column is aligned.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Align {
-    /// For words.
+    /// Left-aligned, for texts.
     Left,
-    /// For numbers.
+    /// Right-aligned, for numbers.
     Right,
 }
 

@@ -12,7 +12,7 @@ use super::client::Client;
 use super::error::CliError;
 use super::files::read_or_carried;
 use super::follow::{Asked, Signals};
-use super::job::{JobScreen, LOOK, shown};
+use super::job::{JOB_POLL, JobScreen, shown};
 use super::leave::{Choice, Interrupt, QUESTION_ON_TRAINING};
 use super::output::{duration, say, say_json};
 use super::own_server::OwnServer;
@@ -233,14 +233,14 @@ async fn train_on(
 ) -> Result<Option<JobOut>, CliError> {
     let (id, url) = (asked.id, client.url());
     if args.no_wait {
-        shown(&asked, args.at.json);
+        shown(&asked, args.at.output());
     } else if let Some(done) = follow(client, asked, process.is_some(), signals).await? {
         return Ok(Some(done));
     }
     if args.at.json {
         say_json(&json!({ "event": "detached", "job": id, "url": url, "process": process }));
     } else {
-        say(format_args!("training {id} goes on without this terminal; its page is {url}/nets"));
+        say(format_args!("training {id} continues without this terminal; its page is {url}/nets"));
         say(format_args!("  palpate job show {id} --url {url}   shows it"));
         if let Some(process) = process {
             say(format_args!(
@@ -273,7 +273,7 @@ async fn report(client: &Client, done: &JobOut, json: bool) -> Result<(), CliErr
 }
 
 /// Shows the progress of a job until it has ended; none if it was left to the service. Ctrl-C asks what to do,
-/// or stops the job where nobody can be asked. `own_service`: the service ends with this program.
+/// or stops the job without a terminal. `own_service`: the service ends with this program.
 ///
 /// # Errors
 /// `CliError::Refused` if the job failed or was stopped; other variants if a request fails.
@@ -292,7 +292,7 @@ async fn follow(
             return Ok(Some(now));
         }
         let choice = tokio::select! {
-            () = tokio::time::sleep(LOOK) => None,
+            () = tokio::time::sleep(JOB_POLL) => None,
             line = asking.answer() => match Choice::of(&line) {
                 Some(choice @ (Choice::Detach | Choice::Stop | Choice::Continue)) => Some(choice),
                 _ => {

@@ -21,7 +21,7 @@ use crate::problem::Problem;
 pub struct Certificates {
     /// Name of their file.
     pub name: String,
-    /// PEM.
+    /// Text of the file, PEM.
     pub pem: Vec<u8>,
 }
 

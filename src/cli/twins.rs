@@ -1,4 +1,4 @@
-//! The wait for the simulated twins of a run.
+//! The simulated twins: their status, and the wait for those of a run.
 //! Uses: `client`. Never: simulation (the service makes the twins).
 
 use std::time::Duration;
@@ -9,13 +9,15 @@ use tokio::time::Instant;
 
 use super::client::Client;
 use super::error::CliError;
-use super::output::counted;
+use super::output::{counted, say, say_json};
 use super::progress::progress_bar;
+use super::table::{Align, Table};
+use super::{At, embed};
 use crate::ids::RunUid;
 use crate::store::TwinCount;
 
 /// Interval of polling the twins' progress.
-const LOOK: Duration = Duration::from_millis(200);
+const TWINS_POLL: Duration = Duration::from_millis(200);
 
 /// Fields of `GET /api/v1/runs/{run}/twins` that are read.
 #[derive(Debug, Deserialize)]
@@ -23,6 +25,40 @@ struct RunTwinsView {
     #[serde(flatten)]
     count: TwinCount,
     pending: u64,
+}
+
+/// Runs `palpate status --twins`.
+///
+/// # Errors
+/// `CliError` if the server cannot be reached.
+pub async fn status(at: &At) -> Result<(), CliError> {
+    let twins: Value = embed::server(at).await?.get("/api/v1/twins").await?;
+    if at.json {
+        say_json(&twins);
+        return Ok(());
+    }
+    let pool = &twins["pool"];
+    let threads = counted(pool["workers"].as_u64().unwrap_or_default(), "thread", "threads");
+    let rate = pool["per_s"].as_f64().map(|per_s| format!(", {per_s:.1} per second"));
+    let made = &pool["made"];
+    say(format_args!("{threads}, {made} made since the start{}", rate.unwrap_or_default()));
+    if let Some(fvu) = pool["rolling"]["median_fvu"].as_f64() {
+        let trials = &pool["rolling"]["trials"];
+        say(format_args!("median FVU {fvu:.3} of the last {trials} trials with a force"));
+    }
+    if let Some(why) = pool["last_error"].as_str() {
+        say(format_args!("last failure: {why}"));
+    }
+    let numbers = ["trials", "twins", "failures", "pending"];
+    let heads = numbers.map(|head| (head, Align::Right));
+    let heads: Vec<_> = [("run", Align::Left)].into_iter().chain(heads).collect();
+    let mut table = Table::new(&heads, "no run has trials");
+    for run in twins["runs"].as_array().into_iter().flatten() {
+        let uid = run["run"].as_str().unwrap_or_default().to_owned();
+        table.push([uid].into_iter().chain(numbers.map(|number| run[number].to_string())));
+    }
+    say(&table);
+    Ok(())
 }
 
 /// Waits until every trial of a run has its twin, with a progress bar on a terminal. `patience`:
@@ -53,7 +89,7 @@ pub async fn wait_for_twins(
             bar.finish_and_clear();
             return Err(stalled(client, pending, patience).await?);
         }
-        tokio::time::sleep(LOOK).await;
+        tokio::time::sleep(TWINS_POLL).await;
     }
 }
 

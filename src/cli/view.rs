@@ -105,13 +105,13 @@ pub struct RunView {
     pub experiment: String,
     /// State of the run.
     pub state: StoredState,
-    /// Requested state.
+    /// State that a request leads to; absent without a request.
     pub requested_state: Option<StoredState>,
     /// Reason of a pause.
     pub paused_why: Option<PausedWhy>,
     /// What the run waits for, as text.
     pub waiting_for: Option<String>,
-    /// Current phase.
+    /// Activity within the current trial.
     pub phase: Phase,
     /// The current trial.
     pub trial: Option<TrialKey>,
@@ -171,7 +171,7 @@ pub struct TakenUpView {
     pub started: Option<String>,
 }
 
-/// One event.
+/// An event of the service, as `GET /api/v1/events` returns it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct EventView {
     /// Kind of the event.
@@ -185,6 +185,15 @@ pub struct EventView {
     pub at: String,
     /// Data of the event.
     pub data: Value,
+}
+
+/// Kind of an event as text for a person.
+pub fn shown_kind(kind: &str) -> String {
+    match kind {
+        "not_gone_on" => "not resumed".into(),
+        "went_on" => "resumed".into(),
+        _ => kind.replace('_', " "),
+    }
 }
 
 impl EventView {
@@ -205,7 +214,7 @@ impl EventView {
                 Some(format!("TIPS NOT RAISED: {}", text("why")))
             }
             "suspended" | "store" | "repeat" | "not_gone_on" | "not_begun" => {
-                Some(format!("{}: {}", self.kind.replace('_', " "), text("why")))
+                Some(format!("{}: {}", shown_kind(&self.kind), text("why")))
             }
             "twins" => Some(format!("twins: {}", text("words"))),
             "recovering" => Some("recovering: checking whether the cause is gone".into()),
@@ -264,6 +273,8 @@ mod tests {
         assert_eq!(words("wanted", wanted).unwrap(), shown);
         assert_eq!(words("state", json!({ "state": "running" })), None);
         assert_eq!(words("touch_off", json!({})), None);
+        let unreached = json!({ "attempt": 1, "why": "no answer" });
+        assert_eq!(words("not_gone_on", unreached).unwrap(), "not resumed: no answer");
         let twins = json!({ "level": "warn", "words": "median FVU 0.35, limit 0.30" });
         assert_eq!(words("twins", twins).unwrap(), "twins: median FVU 0.35, limit 0.30");
     }

@@ -15,10 +15,11 @@ use tokio::time::timeout;
 use super::error::CliError;
 use super::files::{RigFiles, write};
 use super::key::KEY_VARIABLE;
+use super::output::Output;
 use super::progress::spinner;
 use crate::api::LockFile;
 use crate::new_file;
-use crate::rig::config::Label;
+use crate::rig::config::RigLabel;
 
 /// Longest wait for the rig: its first start solves the skin's unit responses.
 const READY: Duration = Duration::from_secs(120);
@@ -48,8 +49,8 @@ pub struct BenchOptions {
     pub speed: f64,
     /// Script of faults.
     pub fault: Option<PathBuf>,
-    /// Whether to show no progress while it starts.
-    pub quiet: bool,
+    /// Form of the output: only text has progress.
+    pub output: Output,
 }
 
 /// A running virtual rig.
@@ -89,7 +90,7 @@ impl VirtualBench {
         let mut child = start("virtual rig", &mut command, &log, Stdio::piped())?;
         let stdout = child.stdout.take().ok_or_else(|| failed("virtual rig", "no pipe", &log))?;
         let mut stdout = BufReader::new(stdout);
-        let spinner = spinner(options.quiet, "virtual rig: solving the skin's responses (once)");
+        let spinner = spinner(options.output, "virtual rig: solving the skin's responses (once)");
         let ready = ready_line(&mut stdout, &log).await;
         spinner.finish_and_clear();
         // A child cannot write why it ended on a full disk.
@@ -133,7 +134,7 @@ fn rig_command(options: &BenchOptions, folder: &Path, served: &Path) -> Result<C
     let [rig, gap, sensor] = ["rig.toml", "gap.toml", "sensor.toml"].map(|name| folder.join(name));
     // Data of a virtual rig must not be labelled as measured.
     let mut config = options.rig.config.clone();
-    config.set_label(Label::Virtual);
+    config.set_label(RigLabel::Virtual);
     write(&rig, &toml::to_string(&config)?)?;
     write(&gap, &options.gap_text)?;
     write(&sensor, &options.sensor_text)?;

@@ -1,6 +1,6 @@
-//! The service: what runs next, the simulated twins of stored trials, what the skin feels of manual
-//! trials, and HTTP.
-//! Uses: all chapters before it. Never: motion but by asking the campaign for it.
+//! The service: what runs next, the simulated twins of stored trials, the contacts estimated during
+//! manual trials, and HTTP.
+//! Uses: all chapters before it. Never: motion, except as a request to the campaign.
 
 use palpate_bench::{campaign, rig, schedule};
 use palpate_data::{dataset, query};

@@ -1,5 +1,23 @@
 //! From frames to contacts: training, inference and evaluation of nets.
 //! Uses: `words`, `store`, `model`, `data`. Never: motion, HTTP.
+//!
+//! ```text
+//! dataset, recipe --> learn --> order --> trainer (a process) --> model: ONNX file and manifest
+//!                                                                   |
+//! frame ---------------------------> infer, the promoted models  <--+
+//!                                      |
+//!                                      +--> contacts, force map --> evaluate --> scores, figures
+//! ```
+//! - `learn` makes samples of rows and an order of a recipe, and defines the file of a model.
+//! - `infer` answers a frame with the serving models: methods `paper`, `fast` and `exact`, and quantities of
+//!   a whole frame.
+//! - `evaluate` compares answers with true contacts and the model with measured frames; it returns numbers
+//!   and figures, and starts nothing.
+//! - `jobs` runs trainings and evaluations, one at a time, as tasks of the store that survive a restart.
+//!
+//! `service::api` requests jobs, promotes models and serves live contacts; `service::placement` compares the
+//! contacts of a frame with the requested weights; `studies` compute the paper's tables with `evaluate`. The
+//! training itself is in `trainer`, which uses `learn` and files and never opens the store.
 
 use palpate_data::dataset;
 use palpate_model::{calibrate, figure, simulate};

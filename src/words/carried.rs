@@ -27,7 +27,7 @@ pub const EXPERIMENTS: &[(&str, &str)] = carried![
     "touch-real-random",
 ];
 
-/// The rigs.
+/// Rig files in the program: name and text.
 pub const RIGS: &[(&str, &str)] = carried![
     "rigs":
     "virtual",
@@ -40,7 +40,7 @@ pub const RIGS: &[(&str, &str)] = carried![
 /// The differences of virtual skins from the model.
 pub const GAPS: &[(&str, &str)] = carried!["gaps": "gap-a", "gap-b", "gap-c", "gap-d"];
 
-/// The sensors.
+/// Sensor files in the program: name and text.
 pub const SENSORS: &[(&str, &str)] = carried!["sensors": "ert-28"];
 
 /// The definitions of datasets.

@@ -12,11 +12,11 @@ pub enum FileKind {
     Sensor,
     /// Differences of a virtual skin from its model.
     Gap,
-    /// A training.
+    /// Recipe of a training.
     Recipe,
     /// The rows of a dataset.
     Dataset,
-    /// Fitted parameters.
+    /// Parameters of a skin, fitted to measurements.
     Calibration,
     /// Faults of a virtual rig.
     Faults,

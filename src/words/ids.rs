@@ -158,7 +158,7 @@ pub struct TrialKey {
 pub struct IdError {
     /// Thing that the id denotes.
     kind: &'static str,
-    /// The text.
+    /// Text that was read as an id.
     text: String,
     /// Start of each id of this kind.
     start: &'static str,
@@ -230,7 +230,7 @@ text_ids! {
 #[derive(Debug, Clone, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(from = "String", into = "String")]
 pub enum PromotedId {
-    /// A net.
+    /// A net, by its id.
     Model(ModelId),
     /// A calibration: the skin of the exact method.
     Calibration(CalibrationId),

@@ -10,6 +10,7 @@ use std::collections::BTreeSet;
 use async_trait::async_trait;
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
+use strum::IntoStaticStr;
 use utoipa::ToSchema;
 
 use crate::ids::{RunUid, TrialId, TrialKey};
@@ -81,8 +82,9 @@ pub struct Progress {
 }
 
 /// How a run ended.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema, IntoStaticStr)]
 #[serde(rename_all = "lowercase")]
+#[strum(serialize_all = "lowercase")]
 pub enum ExitStatus {
     /// Every planned trial is stored, or its configuration was skipped.
     Success,
@@ -97,12 +99,7 @@ pub enum ExitStatus {
 impl ExitStatus {
     /// Name of the status, as stored.
     pub fn as_str(self) -> &'static str {
-        match self {
-            ExitStatus::Success => "success",
-            ExitStatus::Stopped => "stopped",
-            ExitStatus::Abort => "abort",
-            ExitStatus::Fail => "fail",
-        }
+        self.into()
     }
 }
 

@@ -38,7 +38,7 @@ pub struct NewFile {
 /// A complete and durable file.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Finished {
-    /// Length, bytes.
+    /// Length of the file, bytes.
     pub bytes: u64,
     /// sha256 of its bytes, in hexadecimal digits.
     pub sha256: String,

@@ -2,6 +2,7 @@
 //! PURE. Uses: nothing. Never: a text that is refused and shown as it is.
 
 use std::borrow::Cow;
+use std::io::{self, ErrorKind};
 
 /// Whether a character controls a terminal (C0, DEL, C1) or the direction of the text after it.
 fn is_control(c: char) -> bool {
@@ -26,8 +27,20 @@ fn escape(text: &str, of: impl Fn(char) -> bool) -> Cow<'_, str> {
     text.chars().map(shown).collect()
 }
 
-/// Returns the words of an error of the operating system, without its number.
-pub fn system_words(error: &std::io::Error) -> String {
+/// Returns the words of an error of the operating system, without its number: plain ones where its meaning is
+/// plain.
+pub fn system_words(error: &io::Error) -> String {
+    if error.raw_os_error().is_some() {
+        match error.kind() {
+            ErrorKind::NotFound => return "there is no such file or folder".into(),
+            ErrorKind::PermissionDenied => return "this user has no right to it".into(),
+            ErrorKind::IsADirectory => return "is a folder, not a file".into(),
+            ErrorKind::NotADirectory => return "a part of the path is a file, not a folder".into(),
+            ErrorKind::StorageFull => return "no space is left on this disk".into(),
+            ErrorKind::ReadOnlyFilesystem => return "is on a disk that can only be read".into(),
+            _ => {}
+        }
+    }
     let words = error.to_string();
     match words.split_once(" (os error ") {
         Some((words, rest)) => {
@@ -62,6 +75,8 @@ mod tests {
     fn an_error_of_the_system_is_shown_without_its_number() {
         let error = std::io::Error::from_raw_os_error(111);
         assert_eq!(system_words(&error), "Connection refused");
+        let missing = io::Error::from_raw_os_error(2);
+        assert_eq!(system_words(&missing), "there is no such file or folder");
         let error = std::io::Error::other("port: Connection refused (os error 111); again");
         assert_eq!(system_words(&error), "port: Connection refused; again");
         assert_eq!(system_words(&std::io::Error::other("none")), "none");

@@ -6,7 +6,7 @@ use std::fmt;
 /// A place in a text: line and column from 1, in characters.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 pub struct Place {
-    /// Line.
+    /// Line of the text, from 1.
     pub line: u32,
     /// Column of the first character.
     pub column: u32,

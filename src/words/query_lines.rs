@@ -1,4 +1,4 @@
-//! What the service and the query engine say to each other, one JSON object per line.
+//! Messages between the service and the query engine, one JSON object per line.
 //! Uses: serde. Never: SQL, the meaning of a table.
 //!
 //! ```text

@@ -7,9 +7,15 @@
 
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
+use strum::IntoStaticStr;
 use utoipa::ToSchema;
 
 use crate::ids::{RunUid, TrialKey};
+
+/// Number of arms of the indenter, attached or not (paper II-B).
+pub const ARMS: usize = 6;
+/// Largest number of contacts of a trial: one per arm.
+pub const CONTACTS_MAX: usize = ARMS;
 
 /// Disk space reserved for the log of the database in addition to the trials, bytes: the store
 /// truncates it to this size.
@@ -137,11 +143,43 @@ impl TrialScalars {
     }
 }
 
+/// Origin of the data of a run.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema, IntoStaticStr)]
+#[serde(rename_all = "lowercase")]
+#[strum(serialize_all = "lowercase")]
+pub enum Label {
+    /// Measured on a real rig.
+    Measured,
+    /// Measured on the virtual rig.
+    Virtual,
+    /// Computed by a model elsewhere, and imported.
+    Simulated,
+}
+
+impl Label {
+    /// Returns the label as it is stored and shown.
+    pub fn as_str(self) -> &'static str {
+        self.into()
+    }
+}
+
 /// Possible fault of a stored trial.
 #[derive(
-    Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, ToSchema,
+    Debug,
+    Clone,
+    Copy,
+    PartialEq,
+    Eq,
+    PartialOrd,
+    Ord,
+    Hash,
+    Serialize,
+    Deserialize,
+    ToSchema,
+    IntoStaticStr,
 )]
 #[serde(rename_all = "snake_case")]
+#[strum(serialize_all = "snake_case")]
 pub enum Flag {
     /// Forces still changed when the longest settling time ended.
     Unsettled,
@@ -164,16 +202,7 @@ pub enum Flag {
 impl Flag {
     /// Name of the flag, as stored and shown.
     pub fn as_str(self) -> &'static str {
-        match self {
-            Self::Unsettled => "unsettled",
-            Self::SaturatedChannels => "saturated_channels",
-            Self::InjectionSum => "injection_sum",
-            Self::DroppedFrames => "dropped_frames",
-            Self::DepthMissed => "depth_missed",
-            Self::StillCell => "still_cell",
-            Self::SilentSkin => "silent_skin",
-            Self::Doubted => "doubted",
-        }
+        self.into()
     }
 }
 
@@ -278,7 +307,7 @@ pub struct TareRecord {
 pub struct ReferenceRecord {
     /// Index of the next configuration in the plan.
     pub before_configuration: u32,
-    /// Measured pose.
+    /// Pose that was measured after the motion.
     pub reached: Pose,
     /// Depth of the press, mm.
     pub depth_mm: f64,

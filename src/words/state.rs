@@ -4,11 +4,15 @@
 use std::fmt;
 
 use serde::{Deserialize, Serialize};
+use strum::{EnumIter, IntoStaticStr};
 use utoipa::ToSchema;
 
 /// State of a run, from submission to end.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[derive(
+    Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema, IntoStaticStr, EnumIter,
+)]
 #[serde(rename_all = "snake_case")]
+#[strum(serialize_all = "snake_case")]
 pub enum StoredState {
     /// It waits in the queue.
     Queued,
@@ -39,20 +43,7 @@ pub enum StoredState {
 impl StoredState {
     /// Text of the state, in the database and on every wire.
     pub fn as_str(self) -> &'static str {
-        match self {
-            Self::Queued => "queued",
-            Self::Idle => "idle",
-            Self::Running => "running",
-            Self::Pausing => "pausing",
-            Self::Paused => "paused",
-            Self::Stopping => "stopping",
-            Self::Aborting => "aborting",
-            Self::Suspending => "suspending",
-            Self::Panicked => "panicked",
-            Self::Interrupted => "interrupted",
-            Self::Ended => "ended",
-            Self::Removed => "removed",
-        }
+        self.into()
     }
 }
 
@@ -63,8 +54,11 @@ impl fmt::Display for StoredState {
 }
 
 /// Reason why a run waits.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[derive(
+    Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema, IntoStaticStr, EnumIter,
+)]
 #[serde(rename_all = "snake_case")]
+#[strum(serialize_all = "snake_case")]
 pub enum PausedWhy {
     /// A person requested it.
     Operator,
@@ -83,21 +77,14 @@ pub enum PausedWhy {
 impl PausedWhy {
     /// Text of the reason, in the database and on every wire.
     pub fn as_str(self) -> &'static str {
-        match self {
-            Self::Operator => "operator",
-            Self::TipChange => "tip_change",
-            Self::ManualTrial => "manual_trial",
-            Self::Suspender => "suspender",
-            Self::Trip => "trip",
-            Self::Restart => "restart",
-        }
+        self.into()
     }
 }
 
 /// A state that a run has reached, as it is stored.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct StateChange {
-    /// The state.
+    /// State that the run has reached.
     pub state: StoredState,
     /// Requested state that is not reached yet.
     pub requested: Option<StoredState>,
@@ -114,29 +101,16 @@ impl StateChange {
 
 #[cfg(test)]
 mod tests {
+    use strum::IntoEnumIterator;
+
     use super::*;
 
     #[test]
     fn texts_are_those_of_serde() {
-        use StoredState as S;
-        for state in [
-            S::Queued,
-            S::Idle,
-            S::Running,
-            S::Pausing,
-            S::Paused,
-            S::Stopping,
-            S::Aborting,
-            S::Suspending,
-            S::Panicked,
-            S::Interrupted,
-            S::Ended,
-            S::Removed,
-        ] {
+        for state in StoredState::iter() {
             assert_eq!(serde_json::to_value(state).unwrap(), state.as_str());
         }
-        use PausedWhy as W;
-        for why in [W::Operator, W::TipChange, W::ManualTrial, W::Suspender, W::Trip, W::Restart] {
+        for why in PausedWhy::iter() {
             assert_eq!(serde_json::to_value(why).unwrap(), why.as_str());
         }
     }

@@ -1,14 +1,18 @@
 //! The structure of the source tree: which way imports point, what stays pure, how a
-//! file opens and how long it may be. `docs/architecture.md` says why.
+//! file opens, how long it may be, and which phrases no text has. `docs/architecture.md` says why.
 //! Uses: std alone. Never: git (a checkout without history is enough), the network.
 //!
-//! Each rule (`rules`) is seen to find something in made-up files that break it.
+//! Each rule (`rules`, `prose`) is seen to find something in made-up files that break it.
 
+mod prose;
+mod names;
 mod rules;
 mod source;
 
 use std::path::Path;
 
+use names::ambiguous_constants;
+use prose::{PHRASES, forbidden_phrases};
 use rules::{
     CHAPTERS, LONGEST, REFERENCES, broken_links, contents_out_of_order, dead_citations,
     entangled_stand_in, faceless_folders, folder, forward_imports, headless_or_long,
@@ -63,6 +67,11 @@ fn files_open_with_what_they_are_and_are_short() {
 }
 
 #[test]
+fn a_constant_is_named_by_its_use() {
+    none(ambiguous_constants(&checkout()));
+}
+
+#[test]
 fn nothing_names_the_machine_it_was_written_on() {
     none(machine_paths(&checkout()));
 }
@@ -76,6 +85,11 @@ fn links_between_documents_lead_somewhere() {
 #[test]
 fn citations_lead_somewhere() {
     none(dead_citations(&checkout()));
+}
+
+#[test]
+fn no_text_has_a_phrase_that_the_style_forbids() {
+    none(forbidden_phrases(&checkout()));
 }
 
 // ---------------------------------------------------------------- the rules see what they forbid
@@ -234,6 +248,20 @@ fn headless_long_and_faceless_files_are_found() {
 }
 
 #[test]
+fn a_constant_of_one_name_in_two_files_is_found() {
+    let of = |path: &str, text: &str| file(path, text);
+    let poll = of("src/cli/a.rs", "    const LOOK: Duration = Duration::from_secs(1);");
+    let other = of("src/words/b.rs", "pub(crate) const LOOK: u8 = 1;");
+    let found = ambiguous_constants(&[poll, other]);
+    assert_eq!(found, ["LOOK is defined in src/cli/a.rs, src/words/b.rs: name each by its use"]);
+    none(ambiguous_constants(&[
+        of("src/cli/a.rs", "const PAGE: u8 = 1;\nconst PAGE_ROWS: u8 = 1;"),
+        of("src/cli/b.rs", "// const PAGE: u8 = 2;\nconst OTHER: &str = \"const PAGE:\";"),
+        of("virtual-rig/src/c.rs", "const PAGE: u8 = 3;"),
+    ]));
+}
+
+#[test]
 fn a_path_of_the_machine_and_a_broken_link_are_found() {
     let text = format!("first line\nsee {}/shared", "/work");
     assert_eq!(machine_paths(&[file("docs/a.md", &text)]).len(), 1);
@@ -268,6 +296,33 @@ fn a_dead_citation_is_found() {
     ] {
         none(with("src/a.rs", text));
     }
+}
+
+#[test]
+fn a_forbidden_phrase_is_found_however_it_is_broken() {
+    let in_file = |path: &str, text: &str| forbidden_phrases(&[file(path, text)]);
+    for phrase in PHRASES {
+        let (first, rest) = phrase.split_once(' ').unwrap_or((phrase, ""));
+        for text in [
+            format!("//! A.\n/// It is {phrase}."),
+            format!("fn f() {{ say(\"{}\"); }}", phrase.to_uppercase()),
+            format!("/// It is {first}\n    /// {rest}, here."),
+            format!("say(\"{first} \\\n    {rest}\")"),
+        ] {
+            assert_eq!(in_file("src/a.rs", &text).len(), 1, "{text}");
+            assert_eq!(in_file("docs/how-to/a.md", &text).len(), 1, "{text}");
+            assert_eq!(in_file("web/lib/a.js", &text).len(), 1, "{text}");
+            none(in_file("docs/style.md", &text));
+            none(in_file("web/vendor/a.js", &text));
+            none(in_file("migrations/0001_a.sql", &text));
+        }
+    }
+    let second = in_file("src/a.rs", "//! A.\n// A net of its\n// own.");
+    assert_eq!(second, ["src/a.rs:2: \"of its own\", see docs/style.md"]);
+    none(in_file(
+        "src/a.rs",
+        "//! On its own thread; a canewood; `not_gone_on`.\n// So.\n\n// Many.",
+    ));
 }
 
 #[test]

@@ -97,8 +97,8 @@ pub const SHELVES: [&str; 4] = ["core", "table", "bench", "lab"];
 /// Files of `src/` that put the others together.
 pub const WIRING: [&str; 3] = ["lib", "main", "build"];
 
-/// Longest source file, lines. 500 is the aim; this is where it must be cut.
-pub const LONGEST: usize = 620;
+/// Longest source file, lines. 400 is the aim; this is where it must be cut.
+pub const LONGEST: usize = 500;
 
 /// What the sources rely on and did not derive; cited by path and heading.
 pub const REFERENCES: &str = "docs/references.md";

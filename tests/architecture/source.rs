@@ -6,7 +6,7 @@ use std::path::Path;
 
 use super::rules::ARROWS;
 
-/// Never looked into, besides what `.gitignore` names at the root: history, output, data.
+/// Never looked into, in addition to what `.gitignore` names at the root: history, output, data.
 pub const SKIPPED: [&str; 3] = [".git", "target", "palpate-data"];
 
 /// A text file, by its path from the root.

@@ -42,7 +42,7 @@ class Service:
     url = f"http://127.0.0.1:{PORT}"
 
     def __init__(self):
-        # Addresses of its own: a bench or a test on this machine keeps its rig.
+        # Separate addresses: a bench or a test on this machine keeps its rig.
         rig = WORK / "rig.toml"
         rig.write_text(RIG.read_text().replace("127.0.0.1:50", "127.0.0.1:250"))
         self.command = [BINARY, "serve", "--data", DATA, "--bind", f"127.0.0.1:{PORT}", "--rig", rig, "--twin-workers", "0"]
@@ -201,25 +201,25 @@ def export(service: Service, ours: str, frame: pl.DataFrame) -> None:
     table(f"All of `run-1` as Parquet: {ours_s / polars_s:.2f} of a polars write", ["", "best", "file", "memory"], rows)
     rows = []
     for form in ["arrow", "npz", "csv", "ndjson"]:
-        wish = {"dataset": "run-1", "format": form}
-        rows.append([form, *exported(service, wish)])
+        requested = {"dataset": "run-1", "format": form}
+        rows.append([form, *exported(service, requested)])
     table("Exports of all of `run-1` (once each)", ["format", "time", "file", "rows/s", "memory"], rows)
 
 
-def finished(service: Service, wish: str) -> dict:
+def finished(service: Service, requested: str) -> dict:
     def look():
-        row = service.json(f"/api/v1/exports/{wish}")
+        row = service.json(f"/api/v1/exports/{requested}")
         if row["state"] == "failed":
-            raise SystemExit(f"{wish}: {row['error']}")
+            raise SystemExit(f"{requested}: {row['error']}")
         return row if row["state"] == "done" else None
 
-    return until(look, f"{wish} to be done", pause=0.1)
+    return until(look, f"{requested} to be done", pause=0.1)
 
 
-def exported(service: Service, wish: dict) -> list[str]:
+def exported(service: Service, requested: dict) -> list[str]:
     service.restart()
     before = service.memory_mb()
-    ask = lambda: finished(service, service.json("/api/v1/exports", wish)["id"])
+    ask = lambda: finished(service, service.json("/api/v1/exports", requested)["id"])
     seconds, row = timed(ask)
     rows = service.json(f"/api/v1/datasets/{row['dataset']}")["rows"]
     memory = f"{before:.0f} -> {service.memory_mb():.0f} MB"
@@ -244,9 +244,9 @@ def join(service: Service) -> None:
 
 
 def kill(service: Service) -> None:
-    wish = {"dataset": "run-1", "format": "csv", "columns": ["trial_id", "contacts", "voltages_v"]}
+    requested = {"dataset": "run-1", "format": "csv", "columns": ["trial_id", "contacts", "voltages_v"]}
     clear_exports()
-    ask = service.json("/api/v1/exports", wish)["id"]
+    ask = service.json("/api/v1/exports", requested)["id"]
 
     def half():
         row = service.json(f"/api/v1/exports/{ask}")
@@ -262,7 +262,7 @@ def kill(service: Service) -> None:
     bytes_ = service.get(f"/api/v1/exports/{ask}/file")
     right = hashlib.sha256(bytes_).hexdigest() == resumed["sha256"]
     clear_exports()
-    again = finished(service, service.json("/api/v1/exports", wish)["id"])
+    again = finished(service, service.json("/api/v1/exports", requested)["id"])
     same = again["sha256"] == resumed["sha256"] and right
     cells = [f"{row['rows_done']:,} of {row['rows_total']:,}", ", ".join(left), resumed["sha256"][:16], again["sha256"][:16], "yes" if same else "NO"]
     table("CSV export, killed with SIGKILL and resumed", ["killed at row", "left behind", "sha256", "undisturbed", "the same"], [cells])

@@ -5,8 +5,8 @@
     python3 tests/figures/latency.py URL load SECONDS         200 read requests a second against the API
 
 `gaps`: within a configuration, from the last frame of a trial to the start of the next one's motion: the
-commit and everything else that is neither motion, settling nor frame. While the run is under way, for so
-many seconds, each second minute is under load. Without SECONDS: a run as it was. With OF, another run's
+commit and everything else that is neither motion, settling nor frame. While the run is under way, for
+SECONDS, each second minute is under load. Without SECONDS: a run as it was. With OF, another run's
 name such as `run-1`, the load is exports of it, one after the other, instead of reads; with `dashboards` it is
 20 pages of the night: live status, live frames, and what a page reads again and again; with `analysts` ten
 people who ask one question after the other, in SQL, as groups, or for 10,000 trials with their frames.

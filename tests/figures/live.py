@@ -29,7 +29,7 @@ def main(palpate: str, url: str, frames: int, methods: list[str]) -> None:
         of_rig = answers[-1]["sequence"] - answers[0]["sequence"] + 1
         contacts = [len(answer["contacts"]) for answer in answers]
         print(f"{words(method, answers)}; {min(contacts)} to {max(contacts)} contacts, rig sent {of_rig}")
-        # exact says whether it looked for contacts anew or followed those of the frame before.
+        # exact says whether it searched for contacts or followed those of the frame before.
         for name, searched in ("tracked", False), ("searched", True):
             some = [answer for answer in answers if answer.get("searched") is searched]
             if some:

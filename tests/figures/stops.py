@@ -6,7 +6,7 @@
     python3 tests/figures/stops.py URL CONTROL drifts COUNT [--load] [--pid PID] [--lock DB]
 
 `estop`: from the request's first byte to the moment at which the last axis's stop was read at the
-virtual rig (its control socket at CONTROL tells), x moving at each. With --load 200 reads a second go on;
+virtual rig (its control socket at CONTROL tells), x moving at each. With --load 200 reads per second continue;
 with --pid the service's process may write no file any more (a full disk: RLIMIT_FSIZE, `prlimit`); with
 --lock somebody else holds the database's write lock.
 `compare`: as `estop`, with the store idle, refusing writes and locked in turn.

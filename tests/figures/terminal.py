@@ -88,6 +88,16 @@ def detached(terminal: Terminal):
     terminal.run("attach")
 
 
+def reboot(terminal: Terminal):
+    """A night with Ctrl-C, then the machine loses power: its service is killed. The same command resumes."""
+    terminal.run("run quickstart --speed 30", [(r"[1-9]\d*/264", "\x03"), ("c  continue", "d\r")])
+    time.sleep(3.0)
+    terminal.stream.feed("(the machine loses power, and starts again)\r\n")
+    kill(terminal.folder, 9)
+    terminal.run("runs")
+    terminal.run("run quickstart --speed 30")
+
+
 def morning(terminal: Terminal):
     """What ran, and one run drawn."""
     terminal.run("run quickstart --speed 100 --json")
@@ -106,7 +116,17 @@ def mistakes(terminal: Terminal):
     terminal.run("estop")
 
 
-SCENES = [first_minutes, detached, morning, mistakes]
+SCENES = [first_minutes, detached, reboot, morning, mistakes]
+
+
+def kill(folder: str, signal: int):
+    """Ends the service of a folder, and with it its virtual rig."""
+    try:
+        process = re.search(r'"process":(\d+)', pathlib.Path(folder, "palpate-data/server.json").read_text())
+        pexpect.run(f"kill -{signal} {process[1]}")
+        time.sleep(5.0)
+    except FileNotFoundError:
+        pass
 
 
 def main():
@@ -119,12 +139,7 @@ def main():
         with tempfile.TemporaryDirectory() as folder:
             terminal = Terminal(palpate, folder)
             scene(terminal)
-            try:
-                process = re.search(r'"process":(\d+)', pathlib.Path(folder, "palpate-data/server.json").read_text())
-                pexpect.run(f"kill {process[1]}")
-                time.sleep(5.0)
-            except FileNotFoundError:
-                pass
+            kill(folder, 15)
         lines = terminal.lines()
         (out / f"{scene.__name__}.txt").write_text("\n".join(line.plain for line in lines) + "\n")
         console = Console(record=True, width=COLUMNS, file=open("/dev/null", "w"))

@@ -325,7 +325,7 @@ def follow(path: pathlib.Path, args: argparse.Namespace, folder: pathlib.Path) -
 
 
 def alone() -> None:
-    """Goes on in its own network, processes and folder of locks, where the system allows that."""
+    """Continues in its own network, processes and folder of locks, where the system allows that."""
     if os.environ.get("FOLLOW_ALONE"):
         if os.environ["FOLLOW_ALONE"] == "1":
             subprocess.run(["ip", "link", "set", "lo", "up"], check=True)

@@ -1,5 +1,5 @@
 //! The measurements in `examples/calibration/`: they are what their comments say (`UPDATE=1` writes
-//! them anew), and calibrating with them gives back what they were made from. None was measured.
+//! them again), and calibrating with them gives back what they were made from. None was measured.
 
 use std::fmt::Write;
 use std::path::PathBuf;

@@ -179,8 +179,7 @@ async fn a_report_is_one_file_that_loads_nothing_and_a_missing_browser_is_a_sent
     let told = told(&url, &["report", "1", "--out", &out, "--no-pdf"]);
     assert_eq!(told["pdf"], Value::Null);
     let page = std::fs::read_to_string(folder.join("reports/run-1.html")).unwrap();
-    for part in ["<!doctype html>", "Run 1, whole (virtual)", "What to look at", "12 of 12", "<svg"]
-    {
+    for part in ["<!doctype html>", "Run 1, whole (virtual)", "<h2>Findings", "12 of 12", "<svg"] {
         assert!(page.contains(part), "{part}");
     }
     assert!(!page.contains("<script") && !page.contains("src=") && !page.contains("<link"));

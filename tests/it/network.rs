@@ -389,7 +389,7 @@ async fn the_manuals_nginx_passes_everything_on() {
     assert_eq!(large.status(), StatusCode::BAD_REQUEST, "{:?}", large.text().await);
     let long = format!("{status}?{}", "x".repeat(20 << 10));
     assert_eq!(own(client.get(&long)).send().await.unwrap().status(), 200);
-    // An event arrives while its stream goes on.
+    // An event arrives while its stream continues.
     let events = own(client.get(format!("{url}/api/v1/events?since=-3")));
     let events = events.header("accept", "text/event-stream").send().await.unwrap();
     let mut events = events.bytes_stream();

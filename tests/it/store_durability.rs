@@ -116,8 +116,8 @@ async fn open_with_run(path: &Path) -> Store {
     store
 }
 
-/// Not a test of its own: the process that the others start, kill, and starve. It goes on where
-/// the run stopped, as a campaign would, and says on its output what was acknowledged.
+/// Not a test by itself: the process that the others start, kill, and starve. It resumes where the
+/// run stopped, as a campaign does, and prints what was acknowledged.
 #[tokio::test]
 async fn child() {
     let Ok(path) = std::env::var(CHILD) else { return };

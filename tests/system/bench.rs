@@ -40,7 +40,7 @@ pub fn rig_args(rig: &str, speed: f64) -> RigArgs {
 }
 
 /// An accelerated rig needs the machine for itself: what is late by a wall millisecond is late by
-/// tens of its own.
+/// tens of process milliseconds.
 static ONE_AT_A_TIME: tokio::sync::Mutex<()> = tokio::sync::Mutex::const_new(());
 
 /// Waits for the machine.
@@ -81,7 +81,7 @@ impl Lab {
         lab
     }
 
-    /// Switches everything on; nobody mounts tips or places weights.
+    /// Switches everything on; no operator mounts tips or places weights.
     pub async fn open_alone(name: &str, args: RigArgs) -> Self {
         let turn = turn().await;
         let rig = VirtualRig::switch_on(&args).await.unwrap();
@@ -214,7 +214,7 @@ impl Lab {
         tell(&self.rig, command).await;
     }
 
-    /// Waits until a run has stored so many trials.
+    /// Waits until a run has stored `n` trials.
     pub async fn stored(&self, n: u64) {
         let enough = |s: &Value| s["run"]["trials_stored"].as_u64().is_some_and(|t| t >= n);
         self.until("progress", enough).await;

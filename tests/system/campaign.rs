@@ -158,7 +158,7 @@ async fn an_emergency_stop_latches_until_a_person_resets_and_loses_nothing() {
     assert_eq!(tripped["rig"]["state"], "tripped", "{tripped:#}");
     assert_eq!(tripped["rig"]["trip"]["kind"], "estop");
     let (status, _) = lab.act(&run, json!({ "action": "resume" })).await;
-    assert_eq!(status, 409, "a latched rig goes on with nothing");
+    assert_eq!(status, 409, "a latched rig resumes nothing");
     home_again(&lab).await;
     lab.posted(&format!("/api/v1/runs/{run}/actions"), json!({ "action": "resume" })).await;
     complete(&lab, &run).await;

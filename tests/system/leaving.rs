@@ -15,7 +15,7 @@ use crate::bench::turn;
 const EXPERIMENT: &str = "name = \"leaving\"\nseed = 1\nsensor = \"sensors/ert-28.toml\"\n\
     [real_hex]\ntips = [1]\nconfigurations = 6\nblock = 6\nreference_every = 6\n";
 
-/// A data folder of its own, removed at the end with the service that may still use it.
+/// A separate data folder, removed at the end with the service that may still use it.
 struct Desk(PathBuf);
 
 impl Desk {

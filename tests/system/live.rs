@@ -57,7 +57,7 @@ async fn followed(lab: &Lab, meanwhile: impl Future<Output = ()>) -> Vec<Value> 
         tokio::pin!(ended);
         loop {
             let message = tokio::select! {
-                message = socket.next() => message.expect("the service goes on").unwrap(),
+                message = socket.next() => message.expect("the service continues").unwrap(),
                 _ = &mut ended => return answers,
             };
             if let Message::Text(text) = message {
@@ -86,19 +86,19 @@ fn answered_in_order(answers: &[Value]) {
     }
 }
 
-/// A wish for the answer to a frame of zeros, so many, but for the first voltage.
-fn wish(channels: usize, first_v: Value) -> Value {
+/// A request for the answer to a frame of `channels` zeros, except for the first voltage.
+fn infer_request(channels: usize, first_v: Value) -> Value {
     let mut frame = vec![json!(0.0); channels];
     frame[0] = first_v;
     json!({ "method": "fast", "frames": [frame] })
 }
 
-/// What cannot be is refused with what is wrong with it, and what serves goes on as it was.
+/// A request that cannot be met is refused with its fault, and what serves does not change.
 async fn what_cannot_be_changes_nothing(lab: &Lab) {
     let before = lab.get(SERVING).await;
     for (path, body, status, words) in [
-        (INFER, wish(CHANNELS - 1, json!(0.0)), 422, "frames[0] = 783"),
-        (INFER, wish(CHANNELS, Value::Null), 422, "null"),
+        (INFER, infer_request(CHANNELS - 1, json!(0.0)), 422, "frames[0] = 783"),
+        (INFER, infer_request(CHANNELS, Value::Null), 422, "null"),
         (SERVING, json!({ "what": "nobody" }), 404, "nobody"),
         (ROLL_BACK, json!({ "slot": "nowhere" }), 422, "nowhere"),
     ] {
@@ -142,7 +142,7 @@ async fn models_change_between_two_live_frames_and_what_is_refused_changes_none(
     what_cannot_be_changes_nothing(&lab).await;
     let serving = lab.get(SERVING).await;
     assert_eq!(serving["serves"][2], json!({ "slot": "points", "what": one }));
-    let answers = lab.posted(INFER, wish(CHANNELS, json!(0.0))).await;
+    let answers = lab.posted(INFER, infer_request(CHANNELS, json!(0.0))).await;
     assert_eq!(answers.as_array().unwrap().len(), 1, "{answers}");
     assert_eq!(answers[0]["model"], one, "{answers}");
     lab.close().await;

@@ -222,7 +222,7 @@ async fn a_wrong_placement_is_refused_placed_anyway_repeated_and_the_run_resumes
         assert_eq!((&trial["flags"], &trial["attempt"]), (&json!([]), &json!(2)), "{trial:#}");
     }
 
-    // The service ends and starts; the run goes on with the third placement, and an operator who always
+    // The service ends and starts; the run resumes with the third placement, and an operator who always
     // errs at first finishes it.
     let lab = lab.restart_alone().await;
     lab.posted("/api/v1/infer", json!({ "method": "exact", "frames": [vec![0.0; 784]] })).await;

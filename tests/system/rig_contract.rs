@@ -203,7 +203,7 @@ async fn a_drive_with_a_watchdog_stops_when_the_service_falls_silent() {
     tokio::time::sleep(Duration::from_millis(1500)).await;
     let (z, x) = (z.status().await.unwrap(), x.status().await.unwrap());
     assert!(!z.moving && z.position < 35.0 && z.alarm.is_none(), "{z:?}");
-    assert!((x.position - 40.0).abs() < 0.06, "without one it goes on to its target: {x:?}");
+    assert!((x.position - 40.0).abs() < 0.06, "without one it continues to its target: {x:?}");
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -238,7 +238,7 @@ fn a_rig_that_somebody_has_is_not_checked_by_another_process() {
     assert!(!refused.status.success() && said.contains(&holder), "{said}");
 }
 
-/// A rig as `palpate run` starts it, in a data folder of its own.
+/// A rig as `palpate run` starts it, in a separate data folder.
 fn child(data: &Path) -> Child {
     Command::new(env!("CARGO_BIN_EXE_palpate"))
         .args(["virtual-rig", "--ephemeral", "--speed", "200", "--with-parent", "--data"])

@@ -1,5 +1,5 @@
 //! A stop needs a valid key and nothing else: whatever its body, however many have come before,
-//! whoever reads meanwhile. And who holds the operator lock is not a matter of claiming it.
+//! whatever is read meanwhile. And who holds the operator lock is not a matter of claiming it.
 
 use std::io::{Read, Write};
 use std::sync::Arc;
@@ -72,7 +72,7 @@ fn head(start: &str, key: Option<&str>, more: &str) -> String {
 }
 
 /// Sends bytes and reads up to the end of a JSON answer, whether the bytes were all taken or not;
-/// its status, all of it, and how long it took from the connection on. On a thread of its own, as
+/// its status, all of it, and how long it took from the connection on. On a separate thread, as
 /// another process would be: what the service's threads do then tells nothing about the client.
 async fn exchange(lab: &Lab, head: String, body: Vec<u8>) -> (u16, String, Duration) {
     let address = address(lab);
@@ -101,7 +101,7 @@ async fn exchange(lab: &Lab, head: String, body: Vec<u8>) -> (u16, String, Durat
     tokio::task::spawn_blocking(work).await.unwrap()
 }
 
-/// A stop over a connection of its own; how long it took to be answered.
+/// A stop over a separate connection; how long it took to be answered.
 async fn stop(lab: &Lab, key: &str, framing: &str, body: Vec<u8>) -> Duration {
     let head = head(&format!("POST {ESTOP}"), Some(key), framing);
     let (status, answer, took) = exchange(lab, head, body).await;
@@ -310,7 +310,7 @@ async fn behind_idle_connections_and_readers(lab: &Lab, viewer: &str) {
 /// While every place is busy the stop and /health are reached, and nothing else.
 async fn behind_busy_connections(lab: &Lab, viewer: &str) {
     let more = "content-type: application/json\r\ncontent-length: 10\r\n";
-    // One key alone may not have so many requests in progress.
+    // One key alone may not have that number of requests in progress.
     let mut never_end = Vec::new();
     for n in 0..KEYS {
         let key = key(lab, &format!("crowd {n}"), "operator").await;

@@ -22,7 +22,8 @@ struct Repeated {
 const CHANNELS: usize = 784;
 /// Number of points of the paper's skin.
 const POINTS: usize = 804;
-const KEPT: usize = 256;
+/// Number of samples that are repeated.
+const ROWS: usize = 256;
 
 impl Samples for Repeated {
     fn len(&self) -> u64 {
@@ -37,7 +38,7 @@ impl Samples for Repeated {
     fn read(&self, samples: &[u64], x: &mut [f32], y: &mut [f32]) -> Result<(), SamplesError> {
         let outs = x.chunks_exact_mut(CHANNELS).zip(y.chunks_exact_mut(self.target_len));
         for (&sample, (x, y)) in samples.iter().zip(outs) {
-            let row = sample as usize % KEPT;
+            let row = sample as usize % ROWS;
             x.copy_from_slice(&self.inputs[row * CHANNELS..][..CHANNELS]);
             y.copy_from_slice(&self.targets[row * self.target_len..][..self.target_len]);
         }
@@ -89,8 +90,8 @@ fn main() {
     let target_len = recipe.net.answer().target_len(CHANNELS, POINTS);
     let numbers = |n: usize| (0..n).map(|i| (i as f32 * 0.618).sin() * 0.05).collect();
     let samples = Repeated {
-        inputs: numbers(KEPT * CHANNELS),
-        targets: (0..KEPT * target_len).map(|i| if i % 97 == 0 { 9.0 } else { 0.0 }).collect(),
+        inputs: numbers(ROWS * CHANNELS),
+        targets: (0..ROWS * target_len).map(|i| if i % 97 == 0 { 9.0 } else { 0.0 }).collect(),
         target_len,
     };
     let plan = Plan {

@@ -1,5 +1,5 @@
 //! The order of a job's folder, carried out: locks the folder, trains, writes the result.
-//! Uses: `learn`, `recipe`, `talk`. Never: a result beside that of another order.
+//! Uses: `learn`, `recipe`, `talk`. Never: a result in the folder of another order.
 
 use std::fs::{self, File, TryLockError};
 use std::path::Path;
@@ -103,12 +103,24 @@ struct Lineage {
     simulation: Option<String>,
 }
 
+/// The rows of a dataset, on which a net trains.
+struct DatasetRows<'a> {
+    id: &'a DatasetId,
+    /// Its data file.
+    file: &'a Path,
+    /// Number of rows.
+    count: u64,
+    /// Folder for the frames while the net trains.
+    scratch: &'a Path,
+}
+
 impl Work<'_> {
     fn run(&self) -> Result<bool, TrainerError> {
         let checkpoint = fs::read(self.folder.join(CHECKPOINT)).ok();
         let (learned, lineage) = match &self.order.source {
             Source::Dataset { id, file, rows, scratch, label, calibration, simulation } => {
-                let learned = self.on_dataset([file, scratch], (id, *rows), checkpoint)?;
+                let rows = DatasetRows { id, file, count: *rows, scratch };
+                let learned = self.on_dataset(&rows, checkpoint)?;
                 let lineage = Lineage {
                     label: *label,
                     dataset: Some(id.clone()),
@@ -130,16 +142,15 @@ impl Work<'_> {
 
     fn on_dataset(
         &self,
-        [file, scratch]: [&Path; 2],
-        (id, rows): (&DatasetId, u64),
+        rows: &DatasetRows<'_>,
         checkpoint: Option<Vec<u8>>,
     ) -> Result<Learned, TrainerError> {
-        self.phase("gathering frames", rows);
+        self.phase("gathering frames", rows.count);
         let (skin, _) =
             registry::facts("sensor", &self.order.sensor).map_err(LearnError::Problems)?;
         let (conditions, columns) = (&self.recipe.conditions, self.recipe.task().columns());
-        let examples = Examples::gather(file, conditions, columns, scratch)?;
-        let names = std::iter::once(id.as_str()).chain(conditions.iter().map(String::as_str));
+        let examples = Examples::gather(rows.file, conditions, columns, rows.scratch)?;
+        let names = std::iter::once(rows.id.as_str()).chain(conditions.iter().map(String::as_str));
         let given = Given {
             data: names.collect::<Vec<_>>().join(" "),
             examples: &examples,

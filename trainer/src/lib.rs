@@ -1,4 +1,4 @@
-//! Training of Palpate's nets, in a process of its own: reads an order, trains, writes the result.
+//! Training of Palpate's nets, in a separate process: reads an order, trains, writes the result.
 //! Uses: burn, here alone; nets, `learn` of the chapter `touch`. Never: the store, HTTP, two processes
 //! on one folder.
 

@@ -14,7 +14,7 @@ const USAGE: &str = "palpate-trainer FOLDER\n\
 fn main() -> ExitCode {
     let arguments: Vec<_> = std::env::args_os().skip(1).collect();
     match arguments.as_slice() {
-        // A pipe that nobody reads is no error.
+        // A closed pipe is no error.
         [flag] if flag == "--version" => drop(writeln!(stdout(), "palpate-trainer {VERSION}")),
         [flag] if flag == "--help" => drop(writeln!(stdout(), "{USAGE}")),
         [folder] => return palpate_trainer::job::carry_out(Path::new(folder)),

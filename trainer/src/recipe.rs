@@ -58,7 +58,7 @@ pub struct Given<'a> {
 pub struct Learned {
     /// The trained net, with its losses.
     pub trained: Trained,
-    /// Trained range.
+    /// Numbers of contacts, largest force and largest frame of the training rows.
     pub range: TrainedRange,
     /// Residuals; only of a Transfer-Net.
     pub residuals: Option<Residuals>,
@@ -86,7 +86,7 @@ pub fn train(
     for (rows, part) in [(&learn, "train"), (&choose, "validation")] {
         if rows.is_empty() {
             let limit = format!("has no rows in part {part}");
-            return Err(LearnError::value("dataset", &given.data, &limit));
+            return Err(LearnError::value("recipe", "dataset", &given.data, &limit));
         }
     }
     let plan = Plan {
@@ -107,7 +107,7 @@ pub fn train(
             if rows.is_empty() {
                 let limit =
                     format!("has no rows in part {part} with a {}", targets.quantity.name());
-                return Err(LearnError::value("dataset", &given.data, &limit));
+                return Err(LearnError::value("recipe", "dataset", &given.data, &limit));
             }
         }
     }
@@ -139,7 +139,7 @@ pub fn train_on_stream(
 ) -> Result<Learned, LearnError> {
     let Net::PointNet(net) = &recipe.training.net else {
         let limit = "must be point-net if no dataset is named";
-        return Err(LearnError::value("training.net", recipe.task().as_str(), limit));
+        return Err(LearnError::value("recipe", "training.net", recipe.task().as_str(), limit));
     };
     let batch = Arc::new(BatchModel::new(model, Kernel::detect()));
     let points = model.sensor().points();
@@ -193,19 +193,23 @@ fn samples<'a>(
         (Answer::Frame, _) => Ok(Box::new(FramePairs { examples, rows })),
         (Answer::Map { side }, Some(map)) => {
             let draws = ForceMap::new(map, given.skin.width_mm, given.skin.height_mm);
-            let draws = draws.map_err(|error| LearnError::value("map", map, &error.to_string()))?;
+            let draws = draws
+                .map_err(|error| LearnError::value("recipe", "map", map, &error.to_string()))?;
             if draws.pixels() != side {
                 let limit = format!("must be the {} pixels of a side of map {map}", draws.pixels());
-                return Err(LearnError::value("training.net.side", side, &limit));
+                return Err(LearnError::value("recipe", "training.net.side", side, &limit));
             }
             // If no contact has a force, the map contains positions only.
             let contacts = || rows.iter().flat_map(|&row| examples.contacts(row));
             let unknown = contacts().all(|c| c.force_n.is_none()).then_some(1.0);
             Ok(Box::new(FramesAndMaps { examples, rows, draws, force_of_unknown_n: unknown }))
         }
-        _ => {
-            Err(LearnError::value("training.net", recipe.task().as_str(), "does not use a dataset"))
-        }
+        _ => Err(LearnError::value(
+            "recipe",
+            "training.net",
+            recipe.task().as_str(),
+            "does not use a dataset",
+        )),
     }
 }
 

@@ -4,7 +4,7 @@
 use nets::error::SamplesError;
 use nets::samples::Samples;
 
-use crate::dataset::force_map::ForceMap;
+use crate::dataset::force_map::{ForceMap, MapContact};
 use crate::learn::error::LearnError;
 use crate::learn::examples::Examples;
 use crate::learn::targets::Targets;
@@ -41,7 +41,7 @@ pub struct FramesAndTargets<'a> {
     pub examples: &'a Examples,
     /// Indices of the rows, each with a target.
     pub rows: Vec<u32>,
-    /// The quantity.
+    /// Quantity that the net estimates, with the known places.
     pub targets: Targets,
 }
 
@@ -105,18 +105,19 @@ impl Samples for Fixed {
     }
 }
 
-/// Converts contacts to the arguments of a map.
+/// Converts contacts to those of a map.
 ///
 /// # Errors
 /// A text if a contact has no position or no force; the caller adds the row.
 pub fn drawn(
     contacts: &[Contact],
     force_of_unknown_n: Option<f64>,
-) -> Result<Vec<(f64, f64, f64)>, &'static str> {
+) -> Result<Vec<MapContact>, &'static str> {
     let of = |c: &Contact| {
         let force_n = c.force_n.or(force_of_unknown_n).ok_or("a contact without a force")?;
         let x_mm = c.x_mm.ok_or("a contact without a position")?;
-        Ok((x_mm, c.y_mm.ok_or("a contact without a position")?, force_n))
+        let y_mm = c.y_mm.ok_or("a contact without a position")?;
+        Ok(MapContact { x_mm, y_mm, force_n })
     };
     contacts.iter().map(of).collect()
 }

@@ -81,12 +81,12 @@ pub struct RigFile {
 #[derive(Debug, Clone, Deserialize)]
 #[serde(tag = "kind", rename_all = "kebab-case")]
 pub enum Line {
-    /// TCP listener.
+    /// Modbus TCP: the rig listens at an address.
     ModbusTcp {
         /// `host:port`.
         address: String,
     },
-    /// Pseudo-terminal.
+    /// Modbus RTU: the rig serves a pseudo-terminal.
     ModbusRtu {
         /// Path of the serial device.
         path: String,
@@ -136,7 +136,7 @@ pub struct Slot {
     pub radius_at_zero_mm: f64,
     /// Slope, mm/deg.
     pub mm_per_deg: f64,
-    /// Backlash, mm.
+    /// Slack of the slot, mm of radius.
     pub backlash_mm: f64,
 }
 
@@ -183,7 +183,7 @@ pub enum Ert {
         /// Frames per process second.
         frame_rate_hz: f64,
     },
-    /// Serial port.
+    /// Serial line: the rig serves a pseudo-terminal.
     Serial {
         /// Path of the serial device.
         path: String,
@@ -250,7 +250,7 @@ pub struct Device<'a> {
     pub key: String,
     /// Name of its wire.
     pub line: &'a str,
-    /// Modbus address.
+    /// Modbus address of the device on its wire.
     pub unit: u8,
 }
 

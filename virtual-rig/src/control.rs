@@ -28,7 +28,7 @@ const LINE_MAX: u64 = 64 * 1024;
 /// Largest number of simultaneous connections.
 const CONNECTIONS_MAX: usize = 32;
 /// Pause after a failed accept.
-const AGAIN: Duration = Duration::from_millis(50);
+const ACCEPT_PAUSE: Duration = Duration::from_millis(50);
 
 #[derive(Debug, Deserialize)]
 #[serde(tag = "cmd", rename_all = "snake_case")]
@@ -46,7 +46,7 @@ pub async fn serve(lab: Arc<Lab>, listener: TcpListener) {
     let seats = Arc::new(Semaphore::new(CONNECTIONS_MAX));
     loop {
         let Ok((stream, _)) = listener.accept().await else {
-            tokio::time::sleep(AGAIN).await;
+            tokio::time::sleep(ACCEPT_PAUSE).await;
             continue;
         };
         let Ok(seat) = Arc::clone(&seats).try_acquire_owned() else { continue };

@@ -58,6 +58,22 @@ impl Mechanism {
     }
 }
 
+/// State of the motor's servo.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Servo {
+    /// The motor holds its position.
+    On,
+    /// The motor is free.
+    Off,
+}
+
+impl Servo {
+    /// On under a condition, otherwise off.
+    pub fn on_if(condition: bool) -> Self {
+        if condition { Self::On } else { Self::Off }
+    }
+}
+
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Jam {
     position: f64,
@@ -73,8 +89,8 @@ pub struct Drive {
     pace: Pace,
     /// True position at which the counter reads zero.
     counter_zero: f64,
-    servo: bool,
-    servo_at_power_up: bool,
+    servo: Servo,
+    servo_at_power_up: Servo,
     homed: bool,
     homing_until_s: Option<f64>,
     crash_at_s: Option<f64>,
@@ -85,9 +101,9 @@ pub struct Drive {
 }
 
 impl Drive {
-    /// Creates a drive at power-up: at `position`, not homed, the counter at zero, the motor on if
-    /// it is `servo_at_power_up`.
-    pub fn power_up(mechanism: Mechanism, position: f64, servo_at_power_up: bool) -> Self {
+    /// Creates a drive at power-up: at `position`, not homed, the counter at zero, the motor in the
+    /// state `servo_at_power_up`.
+    pub fn power_up(mechanism: Mechanism, position: f64, servo_at_power_up: Servo) -> Self {
         let pace = Pace {
             speed: mechanism.speed,
             acceleration: mechanism.acceleration,
@@ -176,7 +192,7 @@ impl Drive {
 
     /// Whether the motor is on.
     pub fn servo(&self) -> bool {
-        self.servo
+        self.servo == Servo::On
     }
 
     /// Whether homing is complete.
@@ -210,11 +226,11 @@ impl Drive {
     }
 
     /// Switches the motor on or off; a moving motor brakes first.
-    pub fn set_servo(&mut self, t_s: f64, on: bool) {
-        if self.servo && !on {
+    pub fn set_servo(&mut self, t_s: f64, servo: Servo) {
+        if self.servo == Servo::On && servo == Servo::Off {
             self.brake(t_s);
         }
-        self.servo = on;
+        self.servo = servo;
     }
 
     /// Starts an absolute motion to a counter value.
@@ -257,7 +273,7 @@ impl Drive {
     pub fn trip(&mut self, t_s: f64, alarm: Alarm) {
         self.brake(t_s);
         if matches!(alarm, Alarm::Deviation | Alarm::Scripted(_)) {
-            self.servo = false;
+            self.servo = Servo::Off;
         }
         self.alarm = Some(alarm);
     }
@@ -329,7 +345,7 @@ mod tests {
 
     #[test]
     fn homing_takes_time_and_makes_the_counter_true() {
-        let mut drive = Drive::power_up(STAGE, 200.0, true);
+        let mut drive = Drive::power_up(STAGE, 200.0, Servo::On);
         assert_eq!(drive.counter(0.0), 0.0);
         drive.start_home(0.0);
         drive.refresh(1.0);
@@ -341,7 +357,7 @@ mod tests {
 
     #[test]
     fn a_stopped_homing_is_no_homing() {
-        let mut drive = Drive::power_up(STAGE, 200.0, true);
+        let mut drive = Drive::power_up(STAGE, 200.0, Servo::On);
         drive.start_home(0.0);
         drive.stop(1.0);
         drive.refresh(20.0);
@@ -351,7 +367,7 @@ mod tests {
 
     #[test]
     fn a_jammed_axis_stands_still_and_stays_under_way_until_freed() {
-        let mut drive = Drive::power_up(STAGE, 0.0, true);
+        let mut drive = Drive::power_up(STAGE, 0.0, Servo::On);
         drive.start_move(0.0, 100.0, PACE);
         drive.jam(0.2, None);
         let stuck = drive.position(0.2);
@@ -365,7 +381,7 @@ mod tests {
 
     #[test]
     fn the_iron_raises_an_alarm_and_drops_the_servo() {
-        let mut drive = Drive::power_up(STAGE, 500.0, true);
+        let mut drive = Drive::power_up(STAGE, 500.0, Servo::On);
         drive.start_move(0.0, 300.0, PACE);
         drive.refresh(10.0);
         assert_eq!(drive.alarm(), Some(Alarm::Deviation));

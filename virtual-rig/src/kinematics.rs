@@ -20,7 +20,7 @@ pub struct Pace {
 pub struct Start {
     /// Time of the start, s.
     pub t_s: f64,
-    /// Position, units.
+    /// Position, mm; deg for the rotary axis.
     pub position: f64,
     /// Velocity, units/s.
     pub velocity: f64,

@@ -15,7 +15,7 @@ use crate::bench::Load;
 use crate::skin::AnySkin;
 
 /// Number of loads whose voltages are stored.
-const KEPT: usize = 32;
+const LOADS_KEPT: usize = 32;
 /// Number of loads that may wait; the newest is solved first, and the others are requested again if
 /// needed.
 const WAITING: usize = 16;
@@ -73,7 +73,7 @@ impl Solver {
 fn remember(known: &Known, load: Arc<Load>, solved: Solved) {
     let mut known = known.lock();
     known.push_front((load, solved));
-    known.truncate(KEPT);
+    known.truncate(LOADS_KEPT);
 }
 
 fn work(skin: &AnySkin, inbox: &Receiver<Arc<Load>>, known: &Known) {

@@ -65,7 +65,7 @@ export async function ask(path, { body, method = body === undefined ? 'GET' : 'P
   throw new Refused(response.status, words, problem)
 }
 
-/** GET as JSON; `query` becomes the parameters, null ones are left out. */
+/** GET as JSON; `query` becomes the parameters, null ones are omitted. */
 export async function get(path, query = {}, options = {}) {
   return (await ask(withQuery(`/api/v1${path}`, query), options)).json()
 }

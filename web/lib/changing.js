@@ -2,7 +2,7 @@
 
 import { facts, fill, say } from './dom.js'
 
-/** Shows facts ([name, text] each, false ones are left out) in `node`. */
+/** Shows facts ([name, text] each, false ones are omitted) in `node`. */
 export function changing(node, rows) {
   const wanted = rows.filter(Boolean), names = wanted.map(([name]) => name).join()
   if (node.dataset.names !== names) {

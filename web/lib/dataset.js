@@ -244,7 +244,7 @@ export function datasetView({ signal, go, onmade, onexport }) {
   }
 }
 
-/** Whether the name alone makes it: a built-in definition, without what a file of its own would add. */
+/** Whether the name alone makes it: a built-in definition, without what a separate file would add. */
 const lineageIsNamed = ({ definition: d }) => !d.runs?.length && !d.where?.length && !d.contact_counts?.length && !d.label
 
 function excluded(report, rows) {

@@ -44,7 +44,7 @@ export function note(node, text) {
   if (node.hidden === Boolean(text)) node.hidden = !text // Setting the same again would compute styles again.
 }
 
-/** Makes a section with a heading: `panel('Forces', {}, …)`. `props.aside` stands beside the heading. */
+/** Makes a section with a heading: `panel('Forces', {}, …)`. `props.aside` is next to the heading. */
 export function panel(title, { aside, ...props } = {}, ...inside) {
   const heading = el('h2', {}, el('span', {}, title), aside ?? '')
   return el('section', { 'aria-label': title, ...props }, heading, ...inside)
@@ -87,7 +87,7 @@ let beat = null, beaten = 0
 
 /**
  * Like `soon`, for what follows live values: all such drawings share one picture, at most ten times per
- * second. Each picture of its own would cost a layout and a painting of the page.
+ * second. A separate picture for each would cost a layout and a painting of the page.
  */
 export function onBeat(draw) {
   const run = () => {

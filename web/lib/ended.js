@@ -28,7 +28,7 @@ export function ended({ said, signal }) {
       head.textContent = capital(over ? endWord(run) : 'interrupted')
       head.className = `state ${over ? run.exit_status === 'success' ? '' : TONE[run.exit_status] ?? '' : 'warn'}`
       fill(why, `Run ${run.scan_id}, ${run.experiment}${run.ended_at ? `, ${moment(run.ended_at)}` : ''}: `,
-        over ? `${run.reason ?? run.exit_status}.` : `it waits: ${WAITS[run.paused_why] ?? 'it was interrupted'}. Its trials are stored, and it can go on.`)
+        over ? `${run.reason ?? run.exit_status}.` : `it waits: ${WAITS[run.paused_why] ?? 'it was interrupted'}. Its trials are stored, and it can resume.`)
       fill(begin, isResumable(run) && el('div', { className: 'row' }, beginButton('Arm and resume', run, said, { className: 'main' })))
       try {
         const summary = await get(`/runs/${run.uid}/summary`, {}, { signal }), fvu = el('span', {}, NONE)

@@ -43,7 +43,7 @@ export function fit({ choose, signal }) {
   async function draw(run, report) {
     const query = `/api/v1/runs/${run.scan_id}/evaluation/simulation`, label = () => run.label
     if (!report.trials) return void (fill(body), say(told, 'No trial of this run has a simulated twin yet.'))
-    const flagged = report.flagged ? `, ${count(report.flagged)} more left out for a flag` : ''
+    const flagged = report.flagged ? `, ${count(report.flagged)} more excluded for a flag` : ''
     say(told, `${counted(report.trials, 'trial')} with a twin${flagged}. ${FVU_WORDS}`)
     const numbers = facts([['Median FVU', fixed(report.median_fvu, 3)], ['Median RMSE', about((report.median_rmse_v ?? NaN) * 1e3, 'mV')],
       ['Deadband', report.deadband_n == null ? 'not found' : fixed(report.deadband_n, 0, 'N')],

@@ -19,7 +19,7 @@ const MOVES = [['y +', 'ArrowUp', 'y', 1], ['x \u2212', 'ArrowLeft', 'x', -1], [
 /** Makes the pad. `allowed()` returns why it must not move, or ''. `gate()` shows it. Ends with `signal`. */
 export function jog({ allowed, steps, choose, signal }) {
   const told = el('p', { className: 'said', role: 'status' }), why = el('p', { className: 'soft' })
-  // The shown pose is up to half a second old: a second press soon after goes on from where the first one ended.
+  // The shown pose is up to half a second old: a second press soon after continues from where the first one ended.
   let held = null, last = { axis: '', to: 0, at: 0 }
   const size = axis => axis === 'z' ? Number(steps().z) : Number(steps().xy)
 

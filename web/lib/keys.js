@@ -26,7 +26,7 @@ export function keys(said, signal) {
 
   async function revoke(key) {
     if (!await named() || !await confirm(`Revoke the key of ${key.name}?`,
-      ['Whoever holds it is locked out at once: its streams end within a second.', 'It cannot be restored; a new key can be made.'], 'Revoke it')) return
+      ['Its holder is locked out at once: its streams end within a second.', 'It cannot be restored; a new key can be made.'], 'Revoke it')) return
     await said.run(`Key of ${key.name}`, async () => { await ask(`/api/v1/keys/${key.id}`, { method: 'DELETE' }); await load() })
   }
   const shown = table({

@@ -1,4 +1,4 @@
-// Numbers that the paper prints, shown beside what this service measured. Each with its table. No DOM.
+// Numbers that the paper prints, shown next to what this service measured. Each with its table. No DOM.
 
 /** Table I: trials by the number of contacts, 1 to 6. */
 export const TRIALS = { 'real-hex': [20092, 21313, 19712, 14487, 15944, 2126], 'real-random': [0, 50, 50, 50, 0, 0] }

@@ -10,7 +10,7 @@ const LOAD = { force_n: { sign: 'n', least: 0, most: 100, step: 0.5, words: 'for
   depth_mm: { sign: 'mm', least: 0, most: 4, step: 0.1, words: 'depth, mm' } }
 const TEXT = /^(-?[\d.]+),(-?[\d.]+),([\d.]+)(n|mm)$/
 
-/** "270,280,20n;100,150,1.5mm" as contacts; what is not one is left out. "none" is no contact. */
+/** "270,280,20n;100,150,1.5mm" as contacts; other text is omitted. "none" is no contact. */
 export function parseContacts(text) {
   return (text ?? '').split(';').slice(0, MOST).flatMap(one => {
     const [, x, y, value, sign] = TEXT.exec(one) ?? []

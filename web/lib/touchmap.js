@@ -110,7 +110,7 @@ export function touchMap({ signal, label, query }) {
       pen.fillText(words, right ? x + r + 6 : x - r - 6, y)
     }
   }
-  function describe() { return answer ? `The skin with ${answer.contacts.length} contacts; the table beside it lists them.` : 'The skin; no answer yet.' }
+  function describe() { return answer ? `The skin with ${answer.contacts.length} contacts; the table next to it lists them.` : 'The skin; no answer yet.' }
 
   function tellLegend() {
     fill(legend, el('span', {}, '0'), strip(i => palette[i]), el('span', {}, `${fixed(end, 0, 'N')} on one contact of ${fixed(TIP_MM, 0, 'mm')}`),

@@ -163,7 +163,7 @@ export function tourMap({ signal, label, query, href, onselect = () => {}, force
   dark.addEventListener('change', changed, { signal })
   return {
     node: el('div', {}, view.node, legend, at),
-    /** Puts a control beside the title. */
+    /** Puts a control next to the title. */
     beside(control) { view.node.querySelector('figcaption > span').after(control) },
     set(tour, next, shape, over) {
       if ((tour?.steps ?? null) !== steps) {

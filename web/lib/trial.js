@@ -1,4 +1,4 @@
-// One trial in full: skin with tips and forces, frame beside twin and difference, forces over depth, what was reached.
+// One trial in full: skin with tips and forces, frame next to twin and difference, forces over depth, what was reached.
 
 import { chart } from './chart.js'
 import { colour, el, facts, fill, note, panel, pane, select } from './dom.js'

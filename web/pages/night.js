@@ -118,8 +118,8 @@ export async function show(root, { query, signal, set }) {
   }
 
   function tellRun(now, fresh) {
-    const wish = { paused: ', pause requested', idle: ', end requested' }[now.requested_state] ?? ''
-    say(headline, `${plain(now.state)}${wish}`)
+    const requested = { paused: ', pause requested', idle: ', end requested' }[now.requested_state] ?? ''
+    say(headline, `${plain(now.state)}${requested}`)
     headline.className = `state ${TONE[now.state] ?? ''}`
     say(why, stateWords(now))
     const index = now.current_step?.index ?? progress?.current, of = now.current_step?.of ?? tour?.steps.configuration.length

@@ -1,4 +1,4 @@
-// Manual trials: which weight goes where, now? One instruction, read from beside the rig, and what the
+// Manual trials: which weight goes where, now? One instruction, read by a person at the rig, and what the
 // skin feels of it. Confirmed by a key or a foot switch; a press confirms the shown placement alone.
 
 import { all, get, person } from '../lib/api.js'

@@ -104,10 +104,10 @@ export async function show(root, { query, signal, set }) {
       tips,
       panel('Teach', {}, el('p', {}, 'The present pose in machine coordinates, to copy into the rig file.'), copy, toCopy),
       panel('Test of the stop', {}, el('ol', { className: 'steps' },
-        ['Home the rig, and let it travel: jog x while somebody watches.', 'Press Stop in the top bar while it moves. It asks nothing.',
+        ['Home the rig, and let it travel: jog x while a person watches.', 'Press Stop in the top bar while it moves. It asks nothing.',
         'Read here how long every axis took to acknowledge, and look whether it stands.',
         'Reset, then home. Do the same with the button on the rig, which removes the power.'].map(words => el('li', {}, words))),
-          el('p', { className: 'soft' }, 'This stop is software: it asks the drives to stop. A rig that can hurt somebody needs the one in hardware.'))),
+          el('p', { className: 'soft' }, 'This stop is software: it asks the drives to stop. A rig that can injure a person needs the one in hardware.'))),
     el('div', { className: 'column' }, panel('From wire to tip', { className: 'live' }, links.node),
       checks,
       panel('Limits', {}, limits))))
@@ -221,7 +221,7 @@ export async function show(root, { query, signal, set }) {
 }
 
 const TRIPS = {
-  estop: 'Somebody pressed the stop. When nobody is in danger: reset, then home.',
+  estop: 'A person pressed the stop. When there is no danger: reset, then home.',
     force: 'A force was beyond its limit. Look for what the tip hit, then reset and home.',
     cell: 'A load cell left its range. Check its cable and its supply, then reset and home.',
   position: 'An axis is not where it should be. Check that nothing blocks it, then reset and home.',

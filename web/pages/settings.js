@@ -10,7 +10,7 @@ import { count, moment } from '../lib/format.js'
 import { keys } from '../lib/keys.js'
 import { live, who } from '../lib/live.js'
 
-const ROLES = { viewer: 'You may look at everything, export, and pause, stop or abort a run. The stop is everybody\'s.',
+const ROLES = { viewer: 'You may look at everything, export, and pause, stop or abort a run. Every caller may stop the rig.',
   operator: 'You may also queue, arm and start runs, move the rig, train and promote.',
   admin: 'You may also make and revoke keys, and release the lock of another person.' }
 
@@ -83,7 +83,7 @@ function operatorLock(signal, done) {
   const form = el('div', {}, el('label', { htmlFor: 'lock-note' }, 'Why, for the others'), text)
   const node = panel('Operator lock', { className: 'live' }, words, noted, form, el('div', { className: 'row' }, take, free), said.node,
     el('p', { className: 'soft small' }, 'It keeps others from starting, editing and moving, never from stopping. ',
-      'Taken without a key it holds for everybody, its holder included, until somebody without a key or an admin releases it.'))
+      'Taken without a key it holds for every caller, its holder included, until a caller without a key or an admin releases it.'))
   return { node, show(lock) {
     const now = JSON.stringify(lock ?? null)
     if (now === held) return
@@ -116,7 +116,7 @@ function reach() {
   const lines = text => el('div', { className: 'command' }, el('pre', { tabIndex: 0 }, text), copyButton(() => text))
   return panel('From other machines', {},
     el('p', {}, `This page is at ${location.origin}. ${/^(localhost|127\.|\[::1\])/.test(location.hostname) ? 'That address is of this machine alone.' : ''}`),
-    el('p', {}, 'To open it to a lab: make a key for everybody who needs one, then let the service listen on the network.'),
+    el('p', {}, 'To open it to a lab: make a key for each person who needs one, then let the service listen on the network.'),
       lines('palpate key create ada --role admin'), lines('palpate serve --bind 0.0.0.0:8080 --tls-cert cert.pem --tls-key key.pem'),
     el('p', {}, 'Every request from outside needs a key. Without the two TLS files, keys and data travel readable. ',
       'Do not restart the service during a run: it is interrupted, and resumes only if its policy allows.'),

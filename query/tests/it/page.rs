@@ -3,13 +3,13 @@
 
 use crate::common::{BOUNDS, Folder, Outcome, Trials, ask, tables};
 
-const PAGE: &str = include_str!("../../../docs/query-sql.md");
+const DOCUMENT: &str = include_str!("../../../docs/query-sql.md");
 
 /// The lines of the blocks of SQL.
 fn examples() -> Vec<&'static str> {
     let mut inside = false;
     let mut found = Vec::new();
-    for line in PAGE.lines() {
+    for line in DOCUMENT.lines() {
         if line.starts_with("```") {
             inside = line == "```sql";
         } else if inside {

@@ -82,7 +82,7 @@ fn it_ends_with_its_input_while_it_computes() {
         }
         sleep(Duration::from_millis(10));
         waited += Duration::from_millis(10);
-        assert!(waited < PATIENCE, "it goes on");
+        assert!(waited < PATIENCE, "it still runs");
     };
     assert_eq!(status.code(), Some(3));
 }

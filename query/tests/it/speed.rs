@@ -41,7 +41,7 @@ const SCALARS: [(&str, &str); 8] = [
     ("median", "SELECT tips, median(fvu) AS fvu FROM trials GROUP BY tips ORDER BY tips"),
 ];
 
-const FRAMES: [(&str, &str); 2] = [
+const FRAME_QUERIES: [(&str, &str); 2] = [
     (
         "FVU by pair",
         "SELECT pair, avg((voltage_v - sim_voltage_v) * (voltage_v - sim_voltage_v)) \
@@ -113,5 +113,5 @@ fn times_of_queries() {
         "frames" => Form::Frames,
         _ => Form::Voltages,
     };
-    measured("33,000 frames", &files, &form, &FRAMES);
+    measured("33,000 frames", &files, &form, &FRAME_QUERIES);
 }

@@ -10,7 +10,7 @@ use crate::network::lane::{Lane32, ROUND};
 use crate::piezo::LEAST_COMPRESSION_MM;
 
 /// Nodes that are evaluated together; a multiple of every lane count.
-pub(super) const BLOCK: usize = 16;
+pub(super) const BLOCK_NODES: usize = 16;
 
 /// Limit of b x: beyond it the foam's resistance is c to f32 accuracy, and E is still far from its
 /// largest value.
@@ -38,7 +38,7 @@ impl Foam {
                 .iter()
                 .map(|&node| laws.get(node as usize).map_or(without, |law| of(law) as f32))
                 .collect();
-            column.resize(order.len().next_multiple_of(BLOCK), without);
+            column.resize(order.len().next_multiple_of(BLOCK_NODES), without);
             column
         };
         Self {
@@ -58,10 +58,12 @@ impl Foam {
     /// Replaces the nominal compressions of a block of nodes (mm, before the clamp) by their
     /// conductances (S).
     #[inline(always)]
-    pub(super) fn conduct<L: Lane32>(&self, block: usize, values: &mut [f32; BLOCK]) {
-        let first = block * BLOCK;
+    pub(super) fn conduct<L: Lane32>(&self, block: usize, values: &mut [f32; BLOCK_NODES]) {
+        let first = block * BLOCK_NODES;
         let at = |values: &[f32], part: usize| L::load(&values[first + part..]);
-        for (part, values) in (0..BLOCK).step_by(L::LANES).zip(values.chunks_exact_mut(L::LANES)) {
+        for (part, values) in
+            (0..BLOCK_NODES).step_by(L::LANES).zip(values.chunks_exact_mut(L::LANES))
+        {
             let mut x = L::load(values).max(L::splat(0.0)).mul(at(&self.compliance, part));
             if let Some(lut) = &self.displacement {
                 x.store(values);
@@ -103,13 +105,13 @@ mod tests {
     use crate::network::lane::LaneJob;
     use crate::piezo::conductance_s;
 
-    struct Conduct<'a>(&'a Foam, [f32; BLOCK]);
+    struct Conduct<'a>(&'a Foam, [f32; BLOCK_NODES]);
 
     impl LaneJob for Conduct<'_> {
-        type Output = [f32; BLOCK];
+        type Output = [f32; BLOCK_NODES];
 
         #[inline(always)]
-        fn run<L: Lane32>(mut self) -> [f32; BLOCK] {
+        fn run<L: Lane32>(mut self) -> [f32; BLOCK_NODES] {
             self.0.conduct::<L>(0, &mut self.1);
             self.1
         }
@@ -118,27 +120,31 @@ mod tests {
     #[test]
     fn eq_1_holds_to_5e_7_at_every_compression() {
         let law = NodeLaw { a_ohm: 2.2e8, b_per_mm: 1.4, c_ohm: 6.5e5, compliance: 1.0 };
-        let order: Vec<u32> = (0..BLOCK as u32).collect();
-        let foam = Foam::new(&order, &[law; BLOCK], None);
+        let order: Vec<u32> = (0..BLOCK_NODES as u32).collect();
+        let foam = Foam::new(&order, &[law; BLOCK_NODES], None);
         for kernel in Kernel::ALL.into_iter().filter(|kernel| kernel.is_here()) {
             let mut worst = 0f64;
             for step in 0..4000 {
                 // 1e-5 to 1e3 mm, and below zero.
                 let x = (1e-5 * 10f64.powf(8.0 * f64::from(step) / 4000.0)) as f32;
-                let found = kernel.run(Conduct(&foam, [x; BLOCK]));
+                let found = kernel.run(Conduct(&foam, [x; BLOCK_NODES]));
                 assert!(found.iter().all(|g| *g == found[0]), "the same in every lane");
                 let exact = conductance_s(law.a_ohm, law.b_per_mm, law.c_ohm, f64::from(x));
                 worst = worst.max((f64::from(found[0]) / exact - 1.0).abs());
             }
             assert!(worst < 5e-7, "{}: {worst:e}", kernel.name());
-            let rest = kernel.run(Conduct(&foam, [0.0; BLOCK]));
-            assert_eq!(kernel.run(Conduct(&foam, [-3.0; BLOCK])), rest, "uplift is no compression");
+            let rest = kernel.run(Conduct(&foam, [0.0; BLOCK_NODES]));
+            assert_eq!(
+                kernel.run(Conduct(&foam, [-3.0; BLOCK_NODES])),
+                rest,
+                "uplift is no compression"
+            );
         }
     }
 
     #[test]
     fn a_node_without_foam_conducts_nothing() {
         let foam = Foam::new(&[7], &[], None);
-        assert_eq!(Kernel::detect().run(Conduct(&foam, [2.0; BLOCK])), [0.0; BLOCK]);
+        assert_eq!(Kernel::detect().run(Conduct(&foam, [2.0; BLOCK_NODES])), [0.0; BLOCK_NODES]);
     }
 }

@@ -4,7 +4,7 @@
 //! A row is the compression at every node under one newton on a point, mm. Its blocks of sixteen
 //! nodes with negligible values are skipped: the response decays within about ten tip widths.
 
-use super::foam::BLOCK;
+use super::foam::BLOCK_NODES;
 use crate::forward::ForwardModel;
 use crate::network::lane::Lane32;
 
@@ -49,12 +49,12 @@ impl PointRows {
         &self,
         row: usize,
         force_n: f64,
-        compression_mm: &mut [[f32; BLOCK]],
+        compression_mm: &mut [[f32; BLOCK_NODES]],
         touched: &mut [bool],
     ) {
         let row = &self.0[row];
         let force = L::splat(force_n);
-        for (&block, units) in row.blocks.iter().zip(row.values.chunks_exact(BLOCK)) {
+        for (&block, units) in row.blocks.iter().zip(row.values.chunks_exact(BLOCK_NODES)) {
             touched[usize::from(block)] = true;
             let sums = compression_mm[usize::from(block)].chunks_exact_mut(L::LANES);
             for (sum, units) in sums.zip(units.chunks_exact(L::LANES)) {
@@ -77,12 +77,12 @@ fn row(model: &ForwardModel, order: &[u32], point: usize, place_mm: [f64; 2]) ->
         }
     }
     let mut found = PointRow { place_mm, blocks: Vec::new(), values: Vec::new() };
-    for (block, nodes) in order.chunks(BLOCK).enumerate() {
+    for (block, nodes) in order.chunks(BLOCK_NODES).enumerate() {
         let unit = |&node: &u32| sum.get(node as usize).copied().unwrap_or(0.0);
         if nodes.iter().any(|node| unit(node).abs() >= LEAST_RESPONSE_MM_PER_N) {
             found.blocks.push(block as u16);
             found.values.extend(nodes.iter().map(|node| unit(node) as f32));
-            found.values.resize(found.blocks.len() * BLOCK, 0.0);
+            found.values.resize(found.blocks.len() * BLOCK_NODES, 0.0);
         }
     }
     found

@@ -11,7 +11,7 @@ mod loads;
 
 pub use kernel::Kernel;
 
-use foam::{BLOCK, Foam};
+use foam::{BLOCK_NODES, Foam};
 use loads::PointRows;
 
 use crate::forward::{Contact, ContactError, ForwardModel, Workspace};
@@ -61,7 +61,7 @@ pub struct BatchModel {
 #[derive(Default)]
 struct TrialLoad {
     /// Nominal compression, before the clamp.
-    compression_mm: Vec<[f32; BLOCK]>,
+    compression_mm: Vec<[f32; BLOCK_NODES]>,
     /// Blocks whose compression is not zero.
     touched: Vec<bool>,
 }
@@ -71,7 +71,7 @@ struct TrialLoad {
 pub struct BatchWork {
     one: Workspace,
     loads: Vec<TrialLoad>,
-    rest_s: Vec<[f32; BLOCK]>,
+    rest_s: Vec<[f32; BLOCK_NODES]>,
     to_top_s: Vec<f32>,
     lanes: LaneWork,
     reduced: Vec<f32>,
@@ -151,7 +151,7 @@ impl LaneJob for Rest<'_> {
     #[inline(always)]
     fn run<L: Lane32>(self) {
         self.work.rest_s.clear();
-        self.work.rest_s.resize(self.foam.nodes() / BLOCK, [0.0; BLOCK]);
+        self.work.rest_s.resize(self.foam.nodes() / BLOCK_NODES, [0.0; BLOCK_NODES]);
         for (block, values) in self.work.rest_s.iter_mut().enumerate() {
             self.foam.conduct::<L>(block, values);
         }
@@ -178,7 +178,7 @@ impl LaneJob for Load<'_> {
             superpose::<L>(batch, contacts, load, &mut work.one).map_err(|e| (lane, e))?;
         }
         work.to_top_s.resize(batch.foam.nodes() * L::LANES, 0.0);
-        let nodes = work.to_top_s.chunks_exact_mut(BLOCK * L::LANES);
+        let nodes = work.to_top_s.chunks_exact_mut(BLOCK_NODES * L::LANES);
         for (block, (nodes, rest_s)) in nodes.zip(&work.rest_s).enumerate() {
             for (lane, load) in work.loads.iter().enumerate() {
                 let mut values = *rest_s;
@@ -245,10 +245,10 @@ fn superpose<L: Lane32>(
     load: &mut TrialLoad,
     one: &mut Workspace,
 ) -> Result<(), ContactError> {
-    let blocks = batch.foam.nodes() / BLOCK;
+    let blocks = batch.foam.nodes() / BLOCK_NODES;
     let TrialLoad { compression_mm, touched } = load;
     compression_mm.clear();
-    compression_mm.resize(blocks, [0.0; BLOCK]);
+    compression_mm.resize(blocks, [0.0; BLOCK_NODES]);
     touched.clear();
     touched.resize(blocks, false);
     for (index, contact) in contacts.iter().enumerate() {

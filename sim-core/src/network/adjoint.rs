@@ -8,7 +8,7 @@
 //! Rounding: on a light load all of U contains one huge common number (1e8 ohm and more) that does
 //! not affect the frame, in addition to differences of 1e4 ohm that do. So `U = common + D`, and D
 //! is computed: electrodes at `Z - common`, the top at `-common`. The frame's change is then a sum
-//! of terms of its own magnitude.
+//! of terms of the same magnitude.
 
 use super::back::KronFactor;
 use super::kron::KronReduction;
@@ -21,7 +21,7 @@ use crate::circuit::ReadoutCircuit;
 /// Side of the squares in which products are summed.
 const TILE: usize = 4;
 /// Number of rows that are summed together: they fit into the first-level cache.
-const BLOCK: usize = 128;
+const BLOCK_ROWS: usize = 128;
 
 /// Potentials at every node per ampere drawn at each electrode.
 #[derive(Debug, Default)]
@@ -194,7 +194,7 @@ impl LaneJob for Products<'_> {
     #[inline(always)]
     fn run<L: Lane32>(self) {
         let Self { rows, weights, width, out } = self;
-        for (rows, weights) in rows.chunks(BLOCK * width).zip(weights.chunks(BLOCK)) {
+        for (rows, weights) in rows.chunks(BLOCK_ROWS * width).zip(weights.chunks(BLOCK_ROWS)) {
             for j in (0..width).step_by(TILE) {
                 for k in (j..width).step_by(TILE) {
                     let mut sums = [[0.0; TILE]; TILE];

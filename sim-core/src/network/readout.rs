@@ -3,7 +3,7 @@
 //!
 //! `Z = E' A^-1 E`: potential at j, below the top, per ampere drawn at k. With electrode k at 0 V
 //! and the top at V0: `V_j(k) = V0 (Z_kk - Z_jk) / Z_kk`
-//! (`docs/references.md`, "Resistor network"). A lead adds to Z_kk of its own electrode. Frame:
+//! (`docs/references.md`, "Resistor network"). A lead adds to Z_kk of the electrode that it belongs to. Frame:
 //! `v[n k + j] = gain (V_j - V_(j+1 mod n))`.
 
 use crate::circuit::ReadoutCircuit;

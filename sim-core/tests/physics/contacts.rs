@@ -207,8 +207,8 @@ fn a_still_load_is_looked_at_again_as_its_frames_add_up() {
     assert_eq!((fits[0].contacts.len(), fits[29].contacts.len()), (3, 4), "{:?}", fits[29]);
     assert!(searches.len() <= 4 && searches.contains(&25), "{searches:?}");
     let observation = Observation { frame_v: &mean_v, frames: 30.0, offset_sd_v: 0.0 };
-    let anew = fitter().fit(&observation, &[], &mut work).unwrap();
-    for (tracked, found) in fits[29].contacts.iter().zip(&anew.contacts) {
+    let searched = fitter().fit(&observation, &[], &mut work).unwrap();
+    for (tracked, found) in fits[29].contacts.iter().zip(&searched.contacts) {
         assert!(distance_mm(&tracked.contact, &found.contact) < 0.2 * found.x_sd_mm);
     }
 }

@@ -198,13 +198,13 @@ fn a_skin_with_other_electrodes_is_the_one_made_anew() {
     // The last one is a node itself, without a resistance.
     for contact_ohm in [30.0, 0.0] {
         circuit.electrodes[20].contact_ohm = contact_ohm;
-        let (moved, anew) = (before.with_circuit(circuit.clone()).unwrap(), of(&circuit));
-        assert_eq!(moved.model_hash(), anew.model_hash());
+        let (moved, built) = (before.with_circuit(circuit.clone()).unwrap(), of(&circuit));
+        assert_eq!(moved.model_hash(), built.model_hash());
         let frame_of = |model: &ForwardModel| {
             model.voltages(&[press(222, 30.0)], &mut Workspace::default()).unwrap().to_vec()
         };
-        let (moved_v, anew_v) = (frame_of(&moved), frame_of(&anew));
-        assert_eq!(moved_v, anew_v, "to the last bit");
+        let (moved_v, built_v) = (frame_of(&moved), frame_of(&built));
+        assert_eq!(moved_v, built_v, "to the last bit");
         assert_ne!(frame_of(&before), moved_v);
     }
 }

@@ -78,8 +78,8 @@ pub async fn make_safe(
         travelled_mm,
         took_ms: began.elapsed().as_secs_f64() * 1e3,
     };
-    // Only these trips are caused by a sample of a moving z: the delay of the others is that of their
-    // own cause.
+    // Only these trips are caused by a sample of a moving z: the delay of the others
+    // follows from their cause.
     let by_sample = trip.is_some_and(|t| matches!(t.kind, TripKind::Force | TripKind::Cell));
     if by_sample && sampled.is_some_and(|s| s.z_mm.is_some()) {
         stage.stopping.note_stop(sample_to_stop);

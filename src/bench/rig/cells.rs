@@ -5,9 +5,9 @@
 use jiff::civil::Date;
 use serde::{Deserialize, Serialize};
 
-use super::config::ARMS;
 use super::device::CellsDevice;
 use crate::problem::Checks;
+use crate::record::ARMS;
 
 /// Fraction of the supply up to which a cell counts as disconnected (its zero is at 0.1).
 const DEAD_SHARE: f64 = 0.05;

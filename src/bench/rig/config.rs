@@ -14,10 +14,8 @@ pub use super::device::{AxisDevice, CellsDevice};
 pub use super::guard::Guard;
 pub use super::limits::RigLimits;
 use crate::problem::{Checks, Problem};
+use crate::record::Label;
 use crate::syntax::syntax_problem;
-
-/// Number of arms of the indenter (paper II-B).
-pub const ARMS: usize = 6;
 
 /// Contents of a rig file.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -26,7 +24,7 @@ pub struct RigConfig {
     /// Name of the rig, stored with each run.
     pub name: String,
     /// Label of all data of this rig.
-    pub label: Label,
+    pub label: RigLabel,
     /// Process seconds per wall second: 1 on a real bench.
     #[serde(default = "one")]
     pub clock_rate: f64,
@@ -46,22 +44,21 @@ pub struct RigConfig {
     pub limits: RigLimits,
 }
 
-/// Label of everything measured with a rig.
+/// Label of everything measured with a rig: a rig measures, so that it cannot be [`Label::Simulated`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
-pub enum Label {
+pub enum RigLabel {
     /// Measured on a real bench.
     Measured,
     /// Measured on a virtual rig.
     Virtual,
 }
 
-impl Label {
-    /// Label as stored.
-    pub fn as_str(self) -> &'static str {
-        match self {
-            Label::Measured => "measured",
-            Label::Virtual => "virtual",
+impl From<RigLabel> for Label {
+    fn from(label: RigLabel) -> Self {
+        match label {
+            RigLabel::Measured => Self::Measured,
+            RigLabel::Virtual => Self::Virtual,
         }
     }
 }

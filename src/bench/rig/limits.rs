@@ -3,8 +3,8 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::config::ARMS;
 use crate::problem::Checks;
+use crate::record::ARMS;
 
 /// Limits that trip the rig. They are compared with every sample; a stale sample exceeds its limit.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

@@ -33,7 +33,7 @@ pub mod registry;
 
 use device::{AxisDevice, CellsDevice};
 
-/// Supported drives.
+/// Drives that a rig file can name.
 pub const DRIVES: &[AxisDevice] = &[iai::DRIVE, oriental_az::DRIVE, leadshine_em2rs::DRIVE];
 
 /// Supported analog input modules.

@@ -40,7 +40,7 @@ pub enum Command {
     Move(f64),
     /// Find the zero.
     Home,
-    /// Stop.
+    /// Stop before the target is reached.
     Stop,
 }
 

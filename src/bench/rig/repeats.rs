@@ -8,7 +8,7 @@
 //! not read. A repeat therefore counts only if a whole update period lies between the request and the
 //! reply that was counted before: the two are different conversions.
 
-use super::config::ARMS;
+use crate::record::ARMS;
 
 /// Repeat counters of the inputs of arms 1 to 6.
 #[derive(Debug, Clone)]

@@ -4,9 +4,10 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::config::{ErtConfig, Label, RigConfig, one};
+use super::config::{ErtConfig, RigConfig, RigLabel, one};
 use super::limits::check_frame_age;
 use crate::problem::{Checks, Problem};
+use crate::record::Label;
 use crate::syntax::syntax_problem;
 
 /// Sections that only a bench has. A file without all of them describes a skin alone.
@@ -29,7 +30,7 @@ pub struct SkinConfig {
     /// Name of the rig, stored with each run.
     pub name: String,
     /// Label of all data of this rig.
-    pub label: Label,
+    pub label: RigLabel,
     /// Process seconds per wall second: 1 on a real board.
     #[serde(default = "one")]
     pub clock_rate: f64,
@@ -87,13 +88,13 @@ impl RigSetup {
     /// Label of all data of the rig.
     pub fn label(&self) -> Label {
         match self {
-            Self::Bench(config) => config.label,
-            Self::Skin(skin) => skin.label,
+            Self::Bench(config) => config.label.into(),
+            Self::Skin(skin) => skin.label.into(),
         }
     }
 
     /// Replaces the label.
-    pub fn set_label(&mut self, label: Label) {
+    pub fn set_label(&mut self, label: RigLabel) {
         match self {
             Self::Bench(config) => config.label = label,
             Self::Skin(skin) => skin.label = label,

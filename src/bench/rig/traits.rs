@@ -10,8 +10,9 @@ use async_trait::async_trait;
 use tokio::sync::watch;
 use tokio::time::Instant;
 
-use super::config::{ARMS, Guard};
+use super::config::Guard;
 use super::error::RigError;
+use crate::record::ARMS;
 
 /// State of an axis in one reading.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -94,7 +95,7 @@ pub trait Axis: Send + Sync {
     /// After `reset_alarm` it restores a drive that had an alarm or lost its power, but not its
     /// homing.
     async fn prepare(&self) -> Result<String, RigError>;
-    /// Starts homing.
+    /// Starts homing, which finds the zero of the axis; does not wait for its end.
     async fn start_home(&self) -> Result<(), RigError>;
     /// Starts an absolute motion. A target outside the soft limits is refused before any byte is
     /// sent.
@@ -220,7 +221,7 @@ pub struct Bench {
     pub radial: Arc<dyn Axis>,
     /// Load cells of the six arms.
     pub cells: Arc<dyn LoadCells>,
-    /// Voltage stream.
+    /// Frames of the skin, from the voltage stream.
     pub skin: Arc<dyn SkinReader>,
 }
 

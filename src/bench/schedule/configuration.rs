@@ -10,13 +10,10 @@ use serde::{Deserialize, Serialize};
 use sim_core::sensor::{Point, Sensor};
 
 use crate::chance::Chance;
-
-/// Number of arms of the indenter (paper II-B).
-pub const ARMS: u8 = 6;
+use crate::record::ARMS;
 
 /// Half-pitches along x and rows along y of one step along each arm's direction.
-const ARM_STEPS: [(i64, i64); ARMS as usize] =
-    [(2, 0), (1, 1), (-1, 1), (-2, 0), (-1, -1), (1, -1)];
+const ARM_STEPS: [(i64, i64); ARMS] = [(2, 0), (1, 1), (-1, 1), (-2, 0), (-1, -1), (1, -1)];
 
 /// One configuration of the indenter for a number of attached tips.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
@@ -71,7 +68,7 @@ impl<'a> Lattice<'a> {
         let point = self.sensor.points().get(configuration.centre as usize)?;
         let (half_column, row) = place(point);
         let k = i64::from(configuration.radius_pitches);
-        ARM_STEPS[..usize::from(configuration.tips.min(ARMS))]
+        ARM_STEPS[..usize::from(configuration.tips).min(ARMS)]
             .iter()
             .map(|(dx, dy)| self.point_at(half_column + k * dx, row + k * dy))
             .collect()

@@ -7,7 +7,7 @@ use serde_json::Value;
 use super::plan::Plan;
 
 /// Largest number of differences that are written out.
-const SHOWN: usize = 3;
+const DIFFERENCES_SHOWN: usize = 3;
 
 impl Plan {
     /// The plan as canonical JSON: the same plan results in the same text. Its sha256 identifies it.
@@ -31,11 +31,11 @@ pub fn difference(stored: &str, now: &str) -> Result<Option<String>, serde_json:
     let (stored, now): (Value, Value) = (serde_json::from_str(stored)?, serde_json::from_str(now)?);
     let mut places = Vec::new();
     compare("", Some(&stored), Some(&now), &mut places);
-    let more = match places.len().saturating_sub(SHOWN) {
+    let more = match places.len().saturating_sub(DIFFERENCES_SHOWN) {
         0 => String::new(),
         more => format!("; and {more} more"),
     };
-    places.truncate(SHOWN);
+    places.truncate(DIFFERENCES_SHOWN);
     Ok((!places.is_empty()).then(|| format!("{}{more}", places.join("; "))))
 }
 

@@ -2,7 +2,7 @@
 //! Uses: `calibrate`, `simulate` (the model that voltages are compared with), files; `skin` also
 //! the service, for a run's trials. Never: the rig.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use clap::{Args, Subcommand};
@@ -182,11 +182,16 @@ fn answer(common: &Common, whole: &Calibration, left_out: usize) -> Result<(), C
         let lines = counted(left_out as u64, "frame", "frames");
         say(format_args!("{lines} skipped: not exactly one contact"));
     }
-    match &common.out {
-        Some(path) => say(format_args!("written to {}", path.display())),
-        None => say("not written: name a file with --out"),
-    }
+    say_end(common.out.as_deref());
     Ok(())
+}
+
+/// Prints the path of the written file, and the next command.
+fn say_end(out: Option<&Path>) {
+    let Some(path) = out.map(Path::display) else {
+        return say("not written\nnext: the same command with --out skin.toml");
+    };
+    say(format_args!("written to {path}\nnext: palpate model add-calibration {path}"));
 }
 
 fn say_fitted(name: &str, fitted: &Fitted, unit: &str) {

@@ -32,9 +32,9 @@ use crate::simulate::model::{ModelUnavailable, unit_responses};
 use crate::store::{RunKind, RunRow, TrialRow};
 
 /// Trials per page, without frames.
-const PAGE: usize = 5000;
+const PAGE_TRIALS: usize = 5000;
 /// Trials per page with frames, requested by their ids.
-const FRAMES: usize = 200;
+const PAGE_FRAMES: usize = 200;
 /// Largest default number of threads of a fit: a campaign may be active.
 const THREADS: usize = 8;
 
@@ -132,7 +132,7 @@ async fn candidates(client: &Client, run: &RunRow) -> Result<Vec<Candidate>, Cli
         None => None,
     };
     let force_noise_n = force_noise_n.unwrap_or(0.0);
-    let path = format!("/api/v1/runs/{}/trials?flagged=false&limit={PAGE}", run.uid);
+    let path = format!("/api/v1/runs/{}/trials?flagged=false&limit={PAGE_TRIALS}", run.uid);
     let (mut candidates, mut cursor) = (Vec::new(), String::new());
     loop {
         let page: Page<TrialRow> = client.get(&format!("{path}{cursor}")).await?;
@@ -162,10 +162,10 @@ async fn frames(
     bar.set_length((choice.fitted.len() + choice.held_out.len()) as u64);
     let mut sides = [Vec::new(), Vec::new()];
     for (side, chosen) in sides.iter_mut().zip([&choice.fitted, &choice.held_out]) {
-        for some in chosen.chunks(FRAMES) {
+        for some in chosen.chunks(PAGE_FRAMES) {
             let ids: Vec<String> = some.iter().map(|&i| candidates[i].trial.to_string()).collect();
             let path = format!(
-                "/api/v1/runs/{}/trials?voltages=true&limit={FRAMES}&trial_id__in={}",
+                "/api/v1/runs/{}/trials?voltages=true&limit={PAGE_FRAMES}&trial_id__in={}",
                 run.uid,
                 ids.join(",")
             );
@@ -206,10 +206,12 @@ fn fit(
     options.errors.noise_v = noise_v(&fitted).unwrap_or(options.errors.noise_v);
     let bar = progress_bar("trials");
     let mut lines = LogLines::instead_of(&bar);
-    let both = [fitted.as_slice(), held_out.as_slice()];
+    let (both, trials) = ([fitted.as_slice(), held_out.as_slice()], fitted.len());
     let outcome = calibrate(sensor, &responses, both, source, &options, &mut |p| {
-        bar.set_length(p.total as u64);
-        bar.set_position(p.done as u64);
+        // A step processes each trial several times; the bar counts it as one.
+        bar.set_length((p.steps * trials) as u64);
+        let of_step = p.done * trials / p.total.max(1);
+        bar.set_position((p.step.saturating_sub(1) * trials + of_step) as u64);
         let cost = p.cost.map_or(String::new(), |cost| format!(", cost {cost:.4e}"));
         let words = format!("step {} of at most {}{cost}", p.step, p.steps);
         lines.say(|| format!("{words}: {} % of it", 100 * p.done / p.total.max(1)));
@@ -251,9 +253,6 @@ fn answer(
         let doubted = counted(evidence.doubted as u64, "trial", "trials");
         say(format_args!("  {doubted} with a weight below one half: outliers"));
     }
-    match &args.out {
-        Some(path) => say(format_args!("written to {}", path.display())),
-        None => say("not written: name a file with --out"),
-    }
+    super::say_end(args.out.as_deref());
     Ok(())
 }

@@ -30,7 +30,7 @@ const ANSWER: Duration = Duration::from_secs(60);
 /// Longest time that a stream of events is open: longer than any run.
 const STREAM: Duration = Duration::from_secs(400 * 86_400);
 /// Longest wait when probing for a server.
-const LOOK: Duration = Duration::from_secs(2);
+const PROBE_WAIT: Duration = Duration::from_secs(2);
 
 /// A client of one service. Clones share its connections.
 #[derive(Debug, Clone)]
@@ -48,9 +48,9 @@ pub struct Client {
 pub enum Found {
     /// A palpate server.
     Palpate,
-    /// Another program.
+    /// A program that does not reply as this service does.
     Stranger,
-    /// Nothing.
+    /// No program accepts the connection and answers in time.
     Nothing,
 }
 
@@ -59,7 +59,7 @@ pub enum Found {
 pub struct TextPart {
     /// Name of the part.
     pub key: &'static str,
-    /// Content.
+    /// Text of the part, without encoding.
     pub text: String,
     /// Name of its file; absent for a value that is not a file.
     pub file_name: Option<String>,
@@ -120,7 +120,7 @@ impl Client {
     /// `CliError::Untrusted` if its certificate is not trusted.
     pub async fn look(&self) -> Result<Found, CliError> {
         let url = format!("{}/health/live", self.url);
-        let body: Value = match self.http.get(url).timeout(LOOK).send().await {
+        let body: Value = match self.http.get(url).timeout(PROBE_WAIT).send().await {
             Ok(answer) => answer.json().await.unwrap_or_default(),
             Err(error) => match self.untrusted(&error) {
                 Some(untrusted) => return Err(untrusted),

@@ -12,6 +12,9 @@ use crate::cli::view::{ArmedView, EventView, StatusView, TakenUpView};
 use crate::ids::RunUid;
 use crate::store::RunRow;
 
+/// Entries per request: whole trials take about 2 kB each.
+const PAGE_ENTRIES: usize = 500;
+
 impl Client {
     /// Returns the status of rig, run and service.
     ///
@@ -57,6 +60,40 @@ impl Client {
             let Some(next) = page.next else { return Ok(all) };
             cursor = format!("&cursor={next}");
         }
+    }
+
+    /// Returns the first entries of a list, at most `most`, and whether they are all; `path` has its
+    /// parameters, or none after `?`.
+    ///
+    /// # Errors
+    /// As [`Self::send`].
+    pub async fn first<T: DeserializeOwned>(
+        &self,
+        path: &str,
+        most: usize,
+    ) -> Result<(Vec<T>, bool), CliError> {
+        let (mut found, mut cursor) = (Vec::new(), String::new());
+        loop {
+            let limit = (most - found.len()).clamp(1, PAGE_ENTRIES);
+            let page: Page<T> = self.get(&format!("{path}&limit={limit}{cursor}")).await?;
+            found.extend(page.items);
+            let is_all = page.next.is_none() && found.len() <= most;
+            found.truncate(most);
+            match page.next {
+                Some(next) if found.len() < most => cursor = format!("&cursor={next}"),
+                _ => return Ok((found, is_all)),
+            }
+        }
+    }
+
+    /// Returns an answer that is a text.
+    ///
+    /// # Errors
+    /// As [`Self::send`]; `CliError::Http` if the connection breaks.
+    pub async fn text(&self, path: &str) -> Result<String, CliError> {
+        let answer = self.send(Method::GET, path, None::<&Value>).await?;
+        let text = answer.text().await;
+        text.map_err(|source| CliError::Http { operation: format!("GET {path}"), source })
     }
 
     /// Returns the newest of all runs that `fits` accepts.

@@ -213,14 +213,14 @@ impl Lab for ServiceLab {
         transfer: &ModelId,
         map: &ModelId,
     ) -> Result<Reading, CliError> {
-        let wish = InferOptions {
+        let options = InferOptions {
             method: Method::Paper,
             model: Some(map.to_string()),
             transfer: Some(transfer.to_string()),
             map: true,
             averaged: 1.0,
         };
-        let request = InferRequest { wish, frames: vec![frame_v.to_vec()] };
+        let request = InferRequest { options, frames: vec![frame_v.to_vec()] };
         let answers: Vec<FrameAnswer> = self.client.post("/api/v1/infer", &request).await?;
         let answer = answers.into_iter().next();
         let answer = answer.ok_or_else(|| CliError::argument("frame", "none", "no answer"))?;
@@ -242,7 +242,7 @@ fn changes(training: &Training, name: &str) -> Changes {
         batch: training.batch,
         noise: training.noise.as_ref().map(|noise| noise.level),
         noise_of: training.noise.as_ref().map(|noise| noise.of.to_string()),
-        // A net with the recipe's epochs also ends as the recipe says.
+        // A net with the recipe's epochs also ends as the recipe requires.
         all_epochs: training.epochs.is_some(),
     }
 }

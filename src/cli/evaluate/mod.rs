@@ -67,7 +67,7 @@ enum What {
 /// Options of `evaluate method`.
 #[derive(Debug, Clone, Args)]
 struct MethodArgs {
-    /// Method.
+    /// Method from a frame to contacts.
     #[arg(value_name = "METHOD", value_parser = methods(Method::ALL.into_iter()))]
     method: Method,
     /// Name or id of a dataset.

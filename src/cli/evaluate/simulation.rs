@@ -63,6 +63,12 @@ async fn report(client: Client, args: SimulationArgs) -> Result<(), CliError> {
         if let Some(folder) = &args.out {
             say(format_args!("numbers, tables and figures in {}", folder.display()));
         }
+        let number = run.scan_id;
+        say("\nnext:");
+        if args.out.is_none() {
+            say(format_args!("  palpate evaluate simulation --run {number} --out fit"));
+        }
+        say(format_args!("  palpate calibrate skin --run {number} --out skin.toml"));
     }
     Ok(())
 }

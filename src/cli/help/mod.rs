@@ -11,13 +11,13 @@ use examples::EXAMPLES;
 const GROUPS: &[(&str, &[&str])] = &[
     ("Runs", &["plan", "run", "serve", "queue", "init"]),
     ("The active run", &["status", "attach", "pause", "resume", "stop", "abort", "estop"]),
-    ("The morning after", &["runs", "trials", "events", "show", "report", "diff"]),
+    ("The morning after", &["runs", "trials", "events", "actions", "show", "report", "diff"]),
     ("Manual trials", &["placement", "confirm", "repeat", "sensor"]),
-    ("Rig and people", &["rig", "lock", "key"]),
+    ("Rig and people", &["rig", "lock", "key", "metrics"]),
     ("Simulation and calibration", &["simulate", "calibrate"]),
     ("Data", &["dataset", "query", "plot"]),
     ("Nets", &["train", "job", "model", "infer", "live", "evaluate"]),
-    ("Stand-ins", &["virtual-rig", "virtual-operator"]),
+    ("Virtual rig", &["virtual-rig", "virtual-operator"]),
     ("This program", &["completions", "man"]),
 ];
 

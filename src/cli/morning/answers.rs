@@ -11,6 +11,7 @@ use crate::cli::output::{duration, grouped};
 use crate::cli::progress::progress_bar;
 use crate::evaluate::simulation::SimulationReport;
 use crate::ids::RunUid;
+use crate::state::StoredState;
 use crate::store::{MAX_PAGE, RunRow};
 
 /// Columns of a trial that these commands read.
@@ -154,7 +155,7 @@ pub fn state_words(run: &RunRow) -> String {
 
 /// Wall time from the first start to the end, or to now while it is open; `None` before the start.
 pub fn elapsed(run: &RunRow, now: Timestamp) -> Option<SignedDuration> {
-    let is_active = run.exit_status.is_none() && run.state.as_str() != "interrupted";
+    let is_active = run.exit_status.is_none() && run.state != StoredState::Interrupted;
     let end = run.ended_at.or(is_active.then_some(now))?;
     Some(end.duration_since(run.started_at?))
 }

@@ -111,11 +111,11 @@ fn colour_code(colour: Color, base: u8) -> Option<String> {
 /// Values at one depth: quartiles of forces, N, and their number.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct AtDepth {
-    /// Depth, mm.
+    /// Planned depth, mm.
     pub depth_mm: f64,
     /// First quartile, N.
     pub q1_n: f64,
-    /// Median, N.
+    /// Median of the largest forces, N.
     pub median_n: f64,
     /// Third quartile, N.
     pub q3_n: f64,

@@ -28,7 +28,7 @@ pub struct Change {
 pub struct Difference {
     /// Number of values.
     pub n: usize,
-    /// Median.
+    /// Median of the differences, in their unit.
     pub median: f64,
     /// Lower end of the interval; absent for fewer than 6 values.
     pub low_95: Option<f64>,
@@ -39,7 +39,7 @@ pub struct Difference {
 /// Differences of the largest force at one depth, N.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct AtDepth {
-    /// Depth, mm.
+    /// Planned depth of the trials, mm.
     pub depth_mm: f64,
     /// Later minus earlier, N, one value per configuration.
     #[serde(flatten)]
@@ -51,11 +51,11 @@ pub struct AtDepth {
 pub struct Pair {
     /// Number of the place.
     pub place: usize,
-    /// Depth, mm.
+    /// Planned depth of the trials, mm.
     pub depth_mm: f64,
-    /// Earlier trial.
+    /// Id of the trial of the earlier run.
     pub before: i64,
-    /// Later trial.
+    /// Id of the trial of the later run.
     pub after: i64,
     /// Largest force, later minus earlier, N; absent if one was not measured.
     pub force_n: Option<f64>,

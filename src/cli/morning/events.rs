@@ -21,11 +21,11 @@ use crate::cli::table::{Align, Table};
 use crate::cli::view::EventView;
 
 /// Events without `--limit` and `--since`.
-const SHOWN: usize = 50;
+const EVENTS_SHOWN: usize = 50;
 /// Events per request.
-const PAGE: u32 = 1000;
+const PAGE_EVENTS: u32 = 1000;
 /// Time until a broken stream is opened again.
-const AGAIN: Duration = Duration::from_secs(1);
+const REOPEN_PAUSE: Duration = Duration::from_secs(1);
 /// Width of the kinds of a stream, characters.
 const KIND: usize = 14;
 
@@ -72,7 +72,7 @@ async fn newest(
     };
     let mut kept = VecDeque::new();
     loop {
-        let path = format!("/api/v1/events?since={since}&limit={PAGE}{selection}");
+        let path = format!("/api/v1/events?since={since}&limit={PAGE_EVENTS}{selection}");
         let page: Page<EventView> = client.get(&path).await?;
         for event in page.items {
             since = event.seq;
@@ -92,7 +92,7 @@ async fn newest(
 
 async fn list(client: &Client, args: &EventsArgs) -> Result<(), CliError> {
     let selection = selection(client, args).await?;
-    let limit = args.limit.or(args.since.is_none().then_some(SHOWN));
+    let limit = args.limit.or(args.since.is_none().then_some(EVENTS_SHOWN));
     let kept = newest(client, args, &selection, limit).await?;
     if args.at.json {
         say_json(&json!({ "items": kept }));
@@ -136,7 +136,7 @@ async fn follow(client: &Client, args: &EventsArgs) -> Result<(), CliError> {
             }
             note(format_args!("{error}; trying again"));
         }
-        tokio::time::sleep(AGAIN).await;
+        tokio::time::sleep(REOPEN_PAUSE).await;
     }
 }
 

@@ -5,6 +5,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 
+mod actions;
 mod answers;
 mod chart;
 mod compare;
@@ -12,6 +13,7 @@ mod diff;
 mod events;
 mod find;
 mod frame;
+mod history;
 mod report;
 mod runs;
 mod show;
@@ -21,6 +23,7 @@ mod trials;
 mod when;
 mod words;
 
+pub use actions::actions;
 pub use answers::{TrialFacts, all_trials};
 pub use diff::diff;
 pub use events::events;
@@ -29,6 +32,7 @@ pub use report::report;
 pub use runs::runs;
 pub use show::show;
 pub use trials::trials;
+pub use when::second;
 
 use super::At;
 
@@ -94,6 +98,19 @@ pub struct EventsArgs {
     pub at: At,
 }
 
+/// Options of `actions`.
+#[derive(Debug, Clone, Args)]
+pub struct ActionsArgs {
+    /// Run: number, start of the id, or `last`; without it all actions.
+    pub run: Option<String>,
+    /// Largest number of actions.
+    #[arg(long, value_name = "N", default_value_t = 20)]
+    pub limit: usize,
+    /// Server, or data folder.
+    #[command(flatten)]
+    pub at: At,
+}
+
 /// Options of `show`.
 #[derive(Debug, Clone, Args)]
 pub struct ShowArgs {
@@ -101,6 +118,9 @@ pub struct ShowArgs {
     /// or RUN/CONFIGURATION/DEPTH with the index of the depth.
     #[arg(value_name = "RUN|TRIAL")]
     pub what: String,
+    /// Show the run over time: trials, failed attempts, forces, FVU, states.
+    #[arg(long)]
+    pub history: bool,
     /// Server, or data folder.
     #[command(flatten)]
     pub at: At,

@@ -10,7 +10,7 @@ use super::answers::{
     stored_words,
 };
 use super::chart::{AtDepth, by_depth, forces, picture, width};
-use super::{ShowArgs, find, show_trial};
+use super::{ShowArgs, find, history, show_trial};
 use crate::api::Summary;
 use crate::cli::client::Client;
 use crate::cli::embed;
@@ -42,7 +42,8 @@ pub async fn show(args: ShowArgs) -> Result<(), CliError> {
     let at = args.at.clone();
     embed::reading(&at, move |client| async move {
         match show_trial::named(&args.what) {
-            Some(trial) => show_trial::show(&client, &trial, args.at.json).await,
+            _ if args.history => history::show(&client, &args.what, args.at.output()).await,
+            Some(trial) => show_trial::show(&client, &trial, args.at.output()).await,
             None => run(&client, &args.what, args.at.json).await,
         }
     })

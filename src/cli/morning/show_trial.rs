@@ -10,7 +10,7 @@ use super::when::second;
 use crate::api::Page;
 use crate::cli::client::Client;
 use crate::cli::error::CliError;
-use crate::cli::output::{is_coloured, say, say_drawn, say_json};
+use crate::cli::output::{Output, is_coloured, say, say_drawn, say_json};
 use crate::store::TrialRow;
 
 /// Width of the bar of a force, characters.
@@ -39,7 +39,7 @@ pub fn named(text: &str) -> Option<TrialName> {
 ///
 /// # Errors
 /// `CliError` if there is no such trial, or a request fails.
-pub async fn show(client: &Client, name: &TrialName, as_json: bool) -> Result<(), CliError> {
+pub async fn show(client: &Client, name: &TrialName, output: Output) -> Result<(), CliError> {
     let query = match name {
         TrialName::Id(id) => format!("/api/v1/trials?trial_id={id}"),
         TrialName::Key(run, configuration, depth) => {
@@ -56,7 +56,7 @@ pub async fn show(client: &Client, name: &TrialName, as_json: bool) -> Result<()
         };
         return Err(CliError::argument("TRIAL", shown, limit));
     };
-    if as_json {
+    if output == Output::Json {
         say_json(&trial);
         return Ok(());
     }

@@ -5,16 +5,12 @@ use reqwest::Url;
 use serde_json::json;
 
 use super::{TrialsArgs, find};
-use crate::api::Page;
 use crate::cli::client::Client;
 use crate::cli::embed;
 use crate::cli::error::CliError;
 use crate::cli::output::{grouped, say, say_json};
 use crate::cli::table::{Align, Table, or_dash};
-use crate::store::{MAX_PAGE, TrialRow};
-
-/// Trials per request: whole trials take about 2 kB each.
-const PAGE: usize = 500;
+use crate::store::TrialRow;
 
 /// What was asked for: at most one run, and conditions.
 #[derive(Debug, PartialEq, Eq)]
@@ -69,13 +65,18 @@ async fn list(client: &Client, args: &TrialsArgs, asked: Asked) -> Result<(), Cl
     let mut pairs = asked.conditions;
     let sort = if args.oldest { "trial_id" } else { "-trial_id" };
     pairs.push(("sort".into(), sort.into()));
-    let (found, is_all) = read(client, &list, &encoded(&pairs), args.limit).await?;
+    let path = format!("{list}?{}", encoded(&pairs));
+    let (found, is_all) = client.first::<TrialRow>(&path, args.limit).await?;
     if args.at.json {
         say_json(&json!({ "items": found, "all": is_all }));
         return Ok(());
     }
-    let table = table(&found, run.is_none());
-    say(&table);
+    let is_everything = run.is_none() && pairs.len() == 1;
+    if found.is_empty() && is_everything {
+        say("there are no trials: palpate run quickstart measures some on the virtual rig");
+        return Ok(());
+    }
+    say(table(&found, run.is_none()));
     let dataset = run.map_or("run-N".into(), |run| format!("run-{}", run.scan_id));
     if !found.is_empty() {
         let which = if args.oldest { "oldest" } else { "newest" };
@@ -90,28 +91,6 @@ async fn list(client: &Client, args: &TrialsArgs, asked: Asked) -> Result<(), Cl
         ));
     }
     Ok(())
-}
-
-/// At most `limit` trials, and whether they are all.
-async fn read(
-    client: &Client,
-    list: &str,
-    query: &str,
-    limit: usize,
-) -> Result<(Vec<TrialRow>, bool), CliError> {
-    let (mut found, mut cursor) = (Vec::new(), String::new());
-    loop {
-        let page = (limit - found.len()).clamp(1, PAGE.min(MAX_PAGE as usize));
-        let path = format!("{list}?{query}&limit={page}{cursor}");
-        let page: Page<TrialRow> = client.get(&path).await?;
-        found.extend(page.items);
-        let is_all = page.next.is_none() && found.len() <= limit;
-        found.truncate(limit);
-        match page.next {
-            Some(next) if found.len() < limit => cursor = format!("&cursor={next}"),
-            _ => return Ok((found, is_all)),
-        }
-    }
 }
 
 fn table(trials: &[TrialRow], with_run: bool) -> Table {

@@ -4,7 +4,7 @@
 use serde_json::Value;
 
 use crate::cli::output::{counted, duration};
-use crate::cli::view::EventView;
+use crate::cli::view::{EventView, shown_kind};
 
 /// Longest words of an event without a sentence, characters.
 const DETAIL: usize = 160;
@@ -13,8 +13,8 @@ const DETAIL: usize = 160;
 pub fn words(event: &EventView) -> String {
     let words = sentence(&event.kind, &event.data).or_else(|| event.words());
     let words = words.unwrap_or_else(|| detail(&event.data));
-    // The kind has a column of its own.
-    let prefix = format!("{}: ", event.kind.replace('_', " "));
+    // The kind is in a separate column.
+    let prefix = format!("{}: ", shown_kind(&event.kind));
     words.strip_prefix(&prefix).map_or(words.clone(), str::to_owned)
 }
 

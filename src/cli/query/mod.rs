@@ -2,7 +2,7 @@
 //! Uses: `client`, `table`, `figure::series`. Never: rows in this process but those that it shows.
 
 use std::io::{IsTerminal, Write};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use clap::Args;
@@ -19,6 +19,7 @@ use super::progress::{Working, shown_wait};
 use super::table::{Align, Table};
 use super::{At, embed};
 use crate::dataset::format::Format;
+use crate::new_file::NewFile;
 use crate::query::TIME_MAX;
 
 mod plot;
@@ -26,8 +27,8 @@ mod prepared;
 
 pub use plot::{PlotArgs, plot};
 
-/// Interval of asking again while the engine is built.
-const LOOK: Duration = Duration::from_secs(2);
+/// Interval of polling while the engine is built.
+const ENGINE_POLL: Duration = Duration::from_secs(2);
 /// Time for sending a result, in addition to that of the query.
 const SENDING: Duration = Duration::from_secs(600);
 /// Longest cell of a table, characters.
@@ -61,7 +62,7 @@ fn formats() -> impl TypedValueParser<Value = Format> {
 /// A column of an answer.
 #[derive(Debug, Clone, PartialEq, Eq, Deserialize)]
 pub struct AnswerColumn {
-    /// Name.
+    /// Name of the column, as the statement states it.
     pub name: String,
     /// Type, for people.
     #[serde(rename = "type")]
@@ -171,7 +172,7 @@ async fn send(client: &Client, body: &Value) -> Result<reqwest::Response, CliErr
                 if building.is_none() {
                     building = Some(Working::on(&detail));
                 }
-                tokio::time::sleep(LOOK).await;
+                tokio::time::sleep(ENGINE_POLL).await;
             }
             answered => return answered,
         }
@@ -196,31 +197,22 @@ async fn write(
         while let Some(piece) = pieces.next().await {
             let piece =
                 piece.map_err(|source| CliError::Http { operation: operation(), source })?;
-            // A pipe that nobody reads any more is no error.
+            // A closed pipe is no error.
             if output.write_all(&piece).and_then(|()| output.flush()).is_err() {
                 break;
             }
         }
         return Ok(());
     };
-    // The file appears whole, or not at all.
-    let partial = path.with_added_extension("part");
     let failed = |source| CliError::File { path: path.clone(), source };
-    let mut file = std::fs::File::create(&partial).map_err(failed)?;
-    let mut length = 0;
-    let written = async {
-        while let Some(piece) = pieces.next().await {
-            let piece =
-                piece.map_err(|source| CliError::Http { operation: operation(), source })?;
-            length += piece.len();
-            file.write_all(&piece).map_err(failed)?;
-        }
-        file.sync_all().and_then(|()| std::fs::rename(&partial, &path)).map_err(failed)
-    };
-    if let Err(error) = written.await {
-        let _ = std::fs::remove_file(&partial);
-        return Err(error);
+    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
+    let mut file = NewFile::create(folder.unwrap_or(Path::new("."))).map_err(failed)?;
+    while let Some(piece) = pieces.next().await {
+        let piece = piece.map_err(|source| CliError::Http { operation: operation(), source })?;
+        file.write_all(&piece).map_err(failed)?;
     }
+    let written = file.finish(&path.file_name().unwrap_or_default().to_string_lossy());
+    let length = written.map_err(failed)?.bytes;
     note(format_args!("{}: {format}, {}", path.display(), bytes(length as f64)));
     Ok(())
 }

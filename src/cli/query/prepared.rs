@@ -21,7 +21,7 @@ const DEPTH_MM: f64 = 0.1;
 /// A statement and how its rows are drawn: the first column over the others.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Question {
-    /// The statement.
+    /// SELECT statement, in the dialect of polars.
     pub sql: String,
     /// Title of the figure.
     pub title: String,
@@ -38,7 +38,7 @@ pub struct Question {
 pub struct Trials {
     /// Only this run.
     pub run: Option<RunUid>,
-    /// Conditions.
+    /// Conditions on columns; a trial meets all of them.
     pub conditions: Vec<Condition>,
 }
 

@@ -267,9 +267,10 @@ impl Screen {
         );
         let (made, wall, rate) = (self.made, duration(wall_s), self.rate());
         say(format_args!("{there}; {made} made in {wall} ({rate:.0}/s)"));
-        if !complete {
-            say("stopped; the same command resumes");
-        }
+        say(match complete {
+            true => "next: palpate train recon-net (it learns from the folders in DATA/sim-random)",
+            false => "stopped; the same command resumes",
+        });
     }
 }
 

@@ -41,7 +41,7 @@ pub struct Disk {
 pub struct Suspender {
     /// Name for people.
     pub name: String,
-    /// Present value.
+    /// Latest value; absent before the first one.
     pub value: Option<f64>,
     /// Value beyond which it acts.
     pub threshold: Option<f64>,
@@ -79,7 +79,7 @@ pub struct Weight {
     pub x_mm: f64,
     /// Position along its height, mm.
     pub y_mm: f64,
-    /// Weight, N.
+    /// Force of the weight, N.
     pub force_n: f64,
 }
 
@@ -87,13 +87,13 @@ pub struct Weight {
 #[derive(Debug, Clone, Default, PartialEq, Deserialize)]
 #[serde(default)]
 pub struct Skin {
-    /// Width, mm.
+    /// Extent of the skin along x, mm.
     pub width_mm: f64,
-    /// Height, mm.
+    /// Extent of the skin along y, mm.
     pub height_mm: f64,
     /// Corners of the outline, mm; absent for a rectangle.
     pub outline_mm: Option<Vec<[f64; 2]>>,
-    /// The electrodes.
+    /// Positions of the electrodes, in measuring order.
     pub electrodes: Vec<Place>,
     /// Diameter of a tip, mm.
     pub tip_diameter_mm: Option<f64>,
@@ -114,7 +114,7 @@ pub struct Place {
 pub struct Tour {
     /// Planned depths of each configuration, mm.
     pub depths_mm: Vec<f64>,
-    /// The configurations.
+    /// Index and contacts of each configuration, in the planned order.
     pub steps: Steps,
 }
 
@@ -160,7 +160,7 @@ pub struct Twins {
 pub struct Pool {
     /// Fit over the last trials.
     pub rolling: Option<Rolling>,
-    /// Last failure.
+    /// Cause of the newest twin that failed; absent if none did.
     pub last_error: Option<String>,
 }
 
@@ -170,7 +170,7 @@ pub struct Pool {
 pub struct Rolling {
     /// `ok`, `warn` or `suspend`.
     pub level: String,
-    /// Median FVU.
+    /// Median FVU, a share; absent before the first twin.
     pub median_fvu: Option<f64>,
 }
 

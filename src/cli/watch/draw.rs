@@ -12,11 +12,10 @@ use super::night::{Level, Night};
 use super::skin;
 use super::theme::Theme;
 use crate::cli::view::RigView;
+use crate::record::ARMS;
 
 /// Keys, for the last line.
 const KEYS: &str = " q quit   p pause   r resume   E emergency stop ";
-/// Arms of the indenter.
-const ARMS: usize = 6;
 /// Least width of the map, for its legend, if half of the screen is that wide.
 const MAP_COLUMNS: u16 = 36;
 /// Room for the number of a bar.

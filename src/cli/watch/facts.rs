@@ -20,7 +20,7 @@ const NAME: usize = 11;
 /// Wall time and zone of the terminal.
 #[derive(Debug, Clone)]
 pub struct Now {
-    /// Wall time.
+    /// Wall time at which the screen is drawn.
     pub at: Timestamp,
     /// Zone in which times are shown.
     pub zone: TimeZone,
@@ -217,7 +217,7 @@ fn shortened(name: &str) -> String {
     name.chars().take(NAME - 1).collect()
 }
 
-/// An event.
+/// Returns the line of an event: its time and its words, coloured by level.
 pub fn event(told: &Told, now: &Now, theme: Theme) -> Line<'static> {
     let at = told.at.map_or_else(String::new, |at| now.clock(at, "%H:%M:%S"));
     let style = match told.level {

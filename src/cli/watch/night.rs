@@ -47,7 +47,7 @@ pub enum News {
 pub struct Night {
     /// URL of the service.
     pub url: String,
-    /// Last status.
+    /// Newest status of the service; absent before the first one.
     pub status: Option<StatusView>,
     /// Its fields that an older service lacks.
     pub more: More,
@@ -57,9 +57,9 @@ pub struct Night {
     pub trouble: Option<String>,
     /// The run that the map shows: the active one, or the last one.
     pub run: Option<RunUid>,
-    /// Its skin.
+    /// Skin of the active run; absent before it was read.
     pub skin: Option<Skin>,
-    /// Its tour.
+    /// Tour of the active run; absent before it was read.
     pub tour: Option<Tour>,
     /// Its progress along the tour.
     pub progress: Option<TourProgress>,
@@ -76,9 +76,9 @@ pub struct Night {
 /// An event as text.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Told {
-    /// Wall time.
+    /// Wall time of the event; absent if it cannot be read.
     pub at: Option<Timestamp>,
-    /// One line.
+    /// Text for a person, on one line.
     pub words: String,
     /// How much it matters.
     pub level: Level,
@@ -247,7 +247,7 @@ impl Night {
         self.ahead().unwrap_or((Level::Fine, "nothing".into()))
     }
 
-    /// What will stop the run if nobody looks.
+    /// What will stop the run unless a person acts.
     fn ahead(&self) -> Option<(Level, String)> {
         if let Some(disk) = self.more.disk
             && let (Some(free), Some(needed)) = (disk.free_bytes, disk.needed_bytes)

@@ -28,7 +28,7 @@ const ANSWER: Duration = Duration::from_secs(2);
 /// Number of earlier events that are read first.
 const EARLIER_EVENTS: i64 = 100;
 
-/// Reads the status until nobody listens. `runs` receives the active run.
+/// Reads the status until the receiver is closed. `runs` receives the active run.
 pub async fn follow_status(
     client: Client,
     runs: watch::Sender<Option<RunUid>>,
@@ -64,7 +64,7 @@ async fn status(client: &Client) -> Result<(StatusView, More), CliError> {
     Ok((status, More::of(&value)))
 }
 
-/// Reads all else until nobody listens: the skin and the tour once per run.
+/// Reads all else until the receiver is closed: the skin and the tour once per run.
 pub async fn follow_rest(
     client: Client,
     runs: watch::Receiver<Option<RunUid>>,
@@ -107,7 +107,7 @@ struct Rest {
 }
 
 impl Rest {
-    /// Reads the events, and if it is `due` all else. Returns `false` if nobody listens.
+    /// Reads the events, and if it is `due` all else. Returns `false` if the receiver is closed.
     async fn read(&mut self, due: bool) -> Result<bool, CliError> {
         if !self.events().await? {
             return Ok(false);

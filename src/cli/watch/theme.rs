@@ -25,7 +25,7 @@ impl Theme {
         if self.colour { Style::new().fg(colour) } else { Style::new() }
     }
 
-    /// What runs.
+    /// Returns the style of what runs.
     pub fn life(self) -> Style {
         self.coloured(Color::Green)
     }

@@ -15,8 +15,9 @@ use arrow_buffer::OffsetBuffer;
 use arrow_schema::{ArrowError, DataType, Field, SchemaRef};
 use jiff::Timestamp;
 
-use super::schema::{self, ARMS};
+use super::schema;
 use super::split::Part;
+use crate::record::ARMS;
 use crate::simulate::schema as base;
 use crate::store::table::{Column, Of};
 use crate::store::{Contact, TrialRow};
@@ -137,7 +138,7 @@ fn contacts<'a>(
 fn forces<'a>(trials: impl Iterator<Item = &'a TrialRow>) -> ArrayRef {
     let field = base::with_unit(Field::new(base::ELEMENT, DataType::Float32, true), "N");
     let mut forces =
-        FixedSizeListBuilder::new(Float32Builder::new(), ARMS).with_field(Arc::new(field));
+        FixedSizeListBuilder::new(Float32Builder::new(), ARMS as i32).with_field(Arc::new(field));
     for trial in trials {
         for force_n in trial.forces_n {
             forces.values().append_option(force_n.map(|f| f as f32));

@@ -170,7 +170,7 @@ pub struct Definition {
     /// Division into train, validation and test.
     #[serde(default)]
     pub split: Split,
-    /// Licence under which the rows may be used, as an SPDX identifier or in words; for the card.
+    /// Licence under which the rows may be used, as an SPDX identifier or as text; for the card.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub license: Option<String>,
 }

@@ -29,10 +29,7 @@ pub enum DatasetError {
         choices: String,
     },
     /// No dataset of this name has been made.
-    #[error(
-        "dataset {0} has not been made: run `palpate dataset make {0}`, or post {{\"name\": \"{0}\"}} to \
-         /api/v1/datasets"
-    )]
+    #[error("dataset {0} has not been made: palpate dataset make {0}")]
     NotMade(String),
     /// The file was imported before, with the same name, label and sensor. Holds the scan id of the run.
     #[error("this file was imported as run {0}, with the same name, label and sensor")]

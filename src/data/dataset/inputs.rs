@@ -20,7 +20,7 @@ const BUILD_VERSION: u32 = 1;
 /// The current inputs of a definition.
 #[derive(Debug, Clone)]
 pub struct Inputs {
-    /// The definition.
+    /// Definition that selects, labels and splits the rows.
     pub definition: Definition,
     /// The selected runs by scan id, each with the extent of its trials.
     pub runs: Vec<(RunRow, RunExtent)>,

@@ -13,7 +13,7 @@ use crate::store::DatasetRow;
 /// A dataset, and what becomes of it.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, ToSchema)]
 pub struct Pruned {
-    /// Id.
+    /// Id of the dataset, `ds-..`.
     pub id: DatasetId,
     /// Name of its definition.
     pub name: String,

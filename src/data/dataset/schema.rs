@@ -6,11 +6,10 @@ use std::sync::Arc;
 use arrow_schema::{DataType, Field, Schema, SchemaRef, TimeUnit};
 
 use super::definition::{Definition, SplitBy, Task};
+use crate::record::ARMS;
 use crate::simulate::schema as base;
 use crate::store::table::{Column, Kind, Of, TABLE};
 
-/// Number of arms, attached or not.
-pub const ARMS: i32 = 6;
 /// Number of rows of a batch, and of a row group of a file.
 pub const BATCH_ROWS: usize = 1000;
 /// Column of the measured frame.
@@ -72,7 +71,7 @@ fn field(column: &Column, channels: i32) -> Field {
         Of::Flags => {
             plain(DataType::List(Arc::new(Field::new(base::ELEMENT, DataType::Utf8, false))))
         }
-        Of::Forces => list(column.name, ARMS, column.unit),
+        Of::Forces => list(column.name, ARMS as i32, column.unit),
         Of::Measured(_) | Of::Simulated(_) => base::voltages(column.name, channels, true),
     }
 }

@@ -15,7 +15,7 @@ use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 use super::filter;
-use super::force_map::{ForceMap, ForceMapSpec};
+use super::force_map::{ForceMap, ForceMapSpec, MapContact};
 use super::schema;
 use crate::problem::Problem;
 use crate::simulate::schema as base;
@@ -239,11 +239,8 @@ impl Selection {
     }
 }
 
-/// Position (x and y, mm) and force (N) of a contact, as [`ForceMap::render`] takes it.
-type Pressed = (f64, f64, f64);
-
 /// Positions and forces of contacts; `None` if one of these values is unknown.
-fn pressed(contacts: &arrow_array::StructArray) -> Result<Option<Vec<Pressed>>, ArrowError> {
+fn pressed(contacts: &arrow_array::StructArray) -> Result<Option<Vec<MapContact>>, ArrowError> {
     let column = |name: &str| {
         let missing = || ArrowError::SchemaError(format!("contacts have no field {name}"));
         contacts.column_by_name(name).ok_or_else(missing)
@@ -252,7 +249,11 @@ fn pressed(contacts: &arrow_array::StructArray) -> Result<Option<Vec<Pressed>>, 
     let y = column("y_mm")?.as_primitive::<Float64Type>();
     let force = column("force_n")?.as_primitive::<Float32Type>();
     let unknown = x.null_count() + y.null_count() + force.null_count() > 0;
-    let of = |at| (x.value(at), y.value(at), f64::from(force.value(at)));
+    let of = |at| MapContact {
+        x_mm: x.value(at),
+        y_mm: y.value(at),
+        force_n: f64::from(force.value(at)),
+    };
     Ok((!unknown).then(|| (0..contacts.len()).map(of).collect()))
 }
 

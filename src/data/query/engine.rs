@@ -149,7 +149,7 @@ impl Engine {
     async fn say<T: serde::Serialize + ?Sized>(&mut self, line: &T) -> Result<(), QueryError> {
         let mut line = serde_json::to_vec(line).map_err(std::io::Error::from)?;
         line.push(b'\n');
-        // If the engine has ended, `hear` tells why.
+        // If the engine has ended, `hear` returns the cause.
         let _ = self.input.write_all(&line).await;
         Ok(())
     }

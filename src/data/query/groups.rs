@@ -5,6 +5,7 @@
 
 use std::fmt;
 
+use crate::dataset::sort::Sort;
 use crate::store::table::{self, Column, Kind};
 use crate::store::{Condition, TrialQuery};
 
@@ -137,19 +138,14 @@ pub fn conditions(query: &TrialQuery) -> Vec<String> {
 ///
 /// # Errors
 /// A message with the columns of scalars if there is no such column.
-pub fn sorted_ids(
-    query: &TrialQuery,
-    column: &str,
-    descending: bool,
-    from: u64,
-) -> Result<String, String> {
-    let column = comparable(column)?;
+pub fn sorted_ids(query: &TrialQuery, sort: &Sort, from: u64) -> Result<String, String> {
+    let column = comparable(&sort.column)?;
     let conditions = conditions(query);
     let filter = match conditions.is_empty() {
         true => String::new(),
         false => format!(" WHERE {}", conditions.join(" AND ")),
     };
-    let direction = if descending { " DESC" } else { "" };
+    let direction = if sort.descending { " DESC" } else { "" };
     Ok(format!(
         "SELECT trial_id FROM trials{filter} ORDER BY {column}{direction} NULLS LAST, trial_id \
          LIMIT {} OFFSET {from}",
@@ -338,12 +334,12 @@ mod tests {
                    ARRAY_CONTAINS(flags, 'unsettled')";
         assert_eq!(conditions(&query).join(" AND "), all);
         assert_eq!(
-            sorted_ids(&query, "fvu", true, 10).unwrap(),
+            sorted_ids(&query, &Sort::parse("-fvu"), 10).unwrap(),
             format!(
                 "SELECT trial_id FROM trials WHERE {all} ORDER BY fvu DESC NULLS LAST, trial_id \
                  LIMIT 5 OFFSET 10"
             )
         );
-        assert!(sorted_ids(&query, "contacts", true, 0).is_err());
+        assert!(sorted_ids(&query, &Sort::parse("-contacts"), 0).is_err());
     }
 }

@@ -1,6 +1,6 @@
 //! Questions in SQL: a SELECT statement over the stored trials and the datasets.
 //! Uses: `dataset::{catalog, format}`, `store`, `words::{program, query_lines}`. Never: a write to the store, SQL
-//! of its own, an answer that the campaign waits for.
+//! that no client sent, an answer that the campaign waits for.
 //!
 //! ```text
 //! statement -> engine (a process): which tables?   -> tables: their Parquet files
@@ -38,7 +38,7 @@ use tables::Tables;
 /// Longest time of a query, without that of sending its result.
 pub const TIME_MAX: Duration = Duration::from_secs(60);
 /// Longest wait for the turn of a query.
-pub const TURN: Duration = Duration::from_secs(10);
+pub const QUERY_WAIT: Duration = Duration::from_secs(10);
 /// Queries in progress; further ones wait.
 pub const QUERIES: usize = 2;
 /// Largest number of rows of a result.
@@ -72,7 +72,7 @@ impl Queries {
     /// if files, the store or the engine fail.
     pub async fn answer(&self, sql: &str) -> Result<ResultRows, QueryError> {
         let program = self.inner.starter.program()?;
-        let turn = timeout(TURN, self.inner.turns.clone().acquire_owned()).await;
+        let turn = timeout(QUERY_WAIT, self.inner.turns.clone().acquire_owned()).await;
         let turn = turn.map_err(|_| QueryError::Busy)?.map_err(|_| QueryError::Busy)?;
         let work = async {
             let (engine, names) = Engine::start(&program, sql, ROWS_MAX).await?;

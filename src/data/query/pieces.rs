@@ -17,7 +17,7 @@ use crate::new_file::NewFile;
 use crate::store::{RunRow, Store, TrialRow};
 
 /// Time for which a piece is kept after it was last used.
-const KEPT: Duration = Duration::from_secs(3600);
+const PIECE_KEPT: Duration = Duration::from_secs(3600);
 /// Hexadecimal digits of the hash in a name.
 const DIGITS: usize = 16;
 
@@ -80,7 +80,7 @@ pub fn trim(folder: &Path) {
     let Ok(entries) = std::fs::read_dir(folder) else { return };
     for entry in entries.flatten() {
         let modified = entry.metadata().and_then(|file| file.modified());
-        if modified.is_ok_and(|at| at.elapsed().is_ok_and(|age| age > KEPT)) {
+        if modified.is_ok_and(|at| at.elapsed().is_ok_and(|age| age > PIECE_KEPT)) {
             let _ = std::fs::remove_file(entry.path());
         }
     }

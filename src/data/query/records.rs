@@ -1,4 +1,4 @@
-//! What the store holds besides trials, as tables: runs, events, reference presses.
+//! What the store holds in addition to trials, as tables: runs, events, reference presses.
 //! Uses: `store`, arrow-json, `dataset::format`. Never: the texts of files that a run was made of.
 
 use std::path::{Path, PathBuf};
@@ -15,7 +15,7 @@ use crate::new_file::NewFile;
 use crate::store::{RunRow, Store};
 
 /// Events of a page.
-const PAGE: u32 = 10_000;
+const PAGE_EVENTS: u32 = 10_000;
 /// Rows that the decoder holds: its default.
 const BATCH: usize = 1024;
 
@@ -120,7 +120,7 @@ pub async fn events(store: &Store, runs: &[RunRow]) -> Result<Records, DatasetEr
     let mut rows = Vec::new();
     let mut after = 0;
     loop {
-        let page = store.events_since(after, PAGE, None, &[]).await?;
+        let page = store.events_since(after, PAGE_EVENTS, None, &[]).await?;
         let Some(last) = page.last() else { break };
         after = last.seq;
         rows.extend(page.into_iter().map(|event| {

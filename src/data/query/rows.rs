@@ -22,7 +22,7 @@ const AHEAD: usize = 2;
 
 /// Rows of a result. The engine ends when they are dropped.
 pub struct ResultRows {
-    /// Columns.
+    /// Names and types of the columns.
     pub schema: SchemaRef,
     /// Number of rows.
     pub count: u64,

@@ -22,7 +22,7 @@ use crate::store::{RunRow, Store};
 /// A table that every data folder has, for messages and the manual.
 #[derive(Debug)]
 pub struct TableAbout {
-    /// Name.
+    /// Name of the table in a statement.
     pub name: &'static str,
     /// What a row is.
     pub about: &'static str,

@@ -11,10 +11,10 @@ use super::piezo::PiezoFit;
 use crate::figure::style::{COLOURS, INK, SMALL, TEXT, decade, legend, mesh, plain};
 use crate::figure::{Area, Heading, PageSize, figure};
 
-const SIZE: PageSize = PageSize { width_px: 860, height_px: 520 };
+const FIT_SIZE: PageSize = PageSize { width_px: 860, height_px: 520 };
 const FIT: RGBColor = COLOURS[1];
-/// Number of points on a curve.
-const STEPS: u32 = 200;
+/// Number of steps of a curve.
+const CURVE_STEPS: u32 = 200;
 /// Label of the measurements: a table of a test bench.
 const LABEL: &str = "measured";
 
@@ -23,7 +23,8 @@ const LABEL: &str = "measured";
 /// # Errors
 /// `CalibrateError::Plot` if the plotting backend fails.
 pub fn piezo(fit: &PiezoFit) -> Result<String, CalibrateError> {
-    figure(SIZE, &piezo_heading(fit), |area| draw_piezo(area, fit)).map_err(CalibrateError::Plot)
+    figure(FIT_SIZE, &piezo_heading(fit), |area| draw_piezo(area, fit))
+        .map_err(CalibrateError::Plot)
 }
 
 fn piezo_heading(fit: &PiezoFit) -> Heading {
@@ -37,8 +38,8 @@ fn piezo_heading(fit: &PiezoFit) -> Heading {
 
 fn draw_piezo(area: &Area<'_>, fit: &PiezoFit) -> Result<(), Box<dyn Error>> {
     let [least, most] = fit.calibration.compression_mm;
-    let at = |n: u32| least + (most - least) * f64::from(n) / f64::from(STEPS);
-    let bands: Vec<_> = (0..=STEPS).map(|n| (at(n), fit.band(at(n)))).collect();
+    let at = |n: u32| least + (most - least) * f64::from(n) / f64::from(CURVE_STEPS);
+    let bands: Vec<_> = (0..=CURVE_STEPS).map(|n| (at(n), fit.band(at(n)))).collect();
     let measured = fit.rows.iter().map(|r| r.resistance_ohm);
     let ends = bands.iter().flat_map(|(_, b)| b.measurement_ohm);
     let (low, high) = measured.chain(ends).fold((f64::MAX, 0f64), |(l, h), v| (l.min(v), h.max(v)));
@@ -95,7 +96,7 @@ fn dot(x: f64, y: f64, colour: RGBColor) -> Circle<(f64, f64), i32> {
 /// # Errors
 /// `CalibrateError::Plot` if the plotting backend fails.
 pub fn foam(fit: &FoamFit) -> Result<String, CalibrateError> {
-    figure(SIZE, &foam_heading(fit), |area| draw_foam(area, fit)).map_err(CalibrateError::Plot)
+    figure(FIT_SIZE, &foam_heading(fit), |area| draw_foam(area, fit)).map_err(CalibrateError::Plot)
 }
 
 fn foam_heading(fit: &FoamFit) -> Heading {
@@ -138,8 +139,8 @@ fn draw_foam(area: &Area<'_>, fit: &FoamFit) -> Result<(), Box<dyn Error>> {
         };
         let (slope, sd) = (per_n(|r| r.fitted_mm), per_n(|r| r.fitted_sd_mm));
         let edge = |sign: f64| {
-            (0..=STEPS).map(move |k| {
-                let force_n = most_n * f64::from(k) / f64::from(STEPS);
+            (0..=CURVE_STEPS).map(move |k| {
+                let force_n = most_n * f64::from(k) / f64::from(CURVE_STEPS);
                 let half = fit.t_95 * (sd * force_n).hypot(fit.residual_sd_mm);
                 (force_n, slope * force_n + sign * half)
             })

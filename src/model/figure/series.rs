@@ -8,8 +8,8 @@ use plotters::prelude::*;
 use super::style::{COLOURS, SMALL, TEXT, dash, legend, mesh, plain};
 use super::{Area, Heading, PageSize, figure};
 
-/// Size of the drawing.
-const SIZE: PageSize = PageSize { width_px: 960, height_px: 480 };
+/// Size of a drawing of series.
+const SERIES_SIZE: PageSize = PageSize { width_px: 960, height_px: 480 };
 /// Longest series whose points are marked.
 const DOTS: usize = 60;
 /// Most names below the axis.
@@ -24,14 +24,14 @@ pub enum Marks {
     Bars,
     /// Lines in the order of the places.
     Lines,
-    /// Dots.
+    /// A dot at each value, without lines.
     Dots,
 }
 
 /// Places on the horizontal axis.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Places {
-    /// Numbers.
+    /// Positions on a linear axis, in its unit.
     Numbers(Vec<f64>),
     /// Names, at equal distances.
     Names(Vec<String>),
@@ -40,7 +40,7 @@ pub enum Places {
 /// Values at each place; absent ones are not drawn.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Series {
-    /// Name.
+    /// Name of the series in the legend.
     pub name: String,
     /// One value for each place.
     pub values: Vec<Option<f64>>,
@@ -57,7 +57,7 @@ pub struct Chart {
     pub places: Places,
     /// Width that a bar of a number stands for; absent: the least distance of two places.
     pub width: Option<f64>,
-    /// The series.
+    /// Series in the order of the legend.
     pub series: Vec<Series>,
     /// How they are drawn.
     pub marks: Marks,
@@ -100,7 +100,7 @@ impl Chart {
         let below = if self.marks == Marks::Bars && low == 0.0 { 0.0 } else { room_y };
         let x_range = left - before - room..right + after + room;
         let y_range = low - below..high + above;
-        figure(SIZE, heading, |area| {
+        figure(SERIES_SIZE, heading, |area| {
             self.draw_on(area, &numbers, x_range, y_range, [before, after])
         })
     }

@@ -33,7 +33,7 @@ const BELOW: u32 = 46;
 const LEFT: u32 = 58;
 const MARGIN: u32 = 10;
 /// Number of steps of a colour bar.
-const STEPS: u32 = 100;
+const BAR_STEPS: u32 = 100;
 
 impl Outline {
     /// The outline of a sensor.
@@ -131,9 +131,9 @@ pub fn colour_bar(
         .y_label_area_size(66)
         .build_cartesian_2d(0.0..1.0, from..to)?;
     // Each step reaches to the end: no seam between two.
-    chart.draw_series((0..STEPS).map(|i| {
-        let start = from + (to - from) * f64::from(i) / f64::from(STEPS);
-        let middle = start + 0.5 * (to - from) / f64::from(STEPS);
+    chart.draw_series((0..BAR_STEPS).map(|i| {
+        let start = from + (to - from) * f64::from(i) / f64::from(BAR_STEPS);
+        let middle = start + 0.5 * (to - from) / f64::from(BAR_STEPS);
         Rectangle::new([(0.0, start), (1.0, to)], colour(middle).filled())
     }))?;
     chart

@@ -71,7 +71,7 @@ impl<'a> Pen<'a> {
         self.content.restore_state();
     }
 
-    /// Electrodes with their indices in their discs: beside them are the names of points.
+    /// Electrodes with their indices in their discs: the names of points are next to them.
     fn electrodes(&mut self, sensor: &Sensor, tiling: &Tiling, sheet: &Sheet) {
         for (index, &[x, y]) in sensor.electrodes_mm().iter().enumerate() {
             if !tiling.shows(sheet, [x, y], 2.0 * LABEL_MM) {

@@ -25,7 +25,7 @@ pub enum Paper {
 
 /// Writes the overlay of a sensor. 1 mm of the skin is 1 mm on the paper if it is printed at 100 %.
 pub fn pdf(sensor: &Sensor, paper: Paper) -> Vec<u8> {
-    let area = Area::of(sensor.file.width_mm, sensor.file.height_mm);
+    let area = Area::of([sensor.file.width_mm, sensor.file.height_mm]);
     let tiling = match paper {
         Paper::A4 => Tiling::a4(&area),
         Paper::Sheet => Tiling::one(&area),

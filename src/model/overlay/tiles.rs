@@ -24,8 +24,9 @@ pub(super) struct Area {
 }
 
 impl Area {
-    /// Area of a skin, with its legends.
-    pub fn of(width_mm: f64, height_mm: f64) -> Self {
+    /// Area of a skin, with its legends; `skin_mm`: its width and height.
+    pub fn of(skin_mm: [f64; 2]) -> Self {
+        let [width_mm, height_mm] = skin_mm;
         let size_mm = [width_mm + LEFT_MM + AROUND_MM, height_mm + BELOW_MM + AROUND_MM];
         Self { origin_mm: [-LEFT_MM, -BELOW_MM], size_mm }
     }
@@ -40,12 +41,12 @@ pub(super) struct Sheet {
     pub origin_mm: [f64; 2],
 }
 
-/// All sheets.
+/// Division of the drawing into sheets of paper.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Tiling {
     /// Width and height of the paper.
     pub page_mm: [f64; 2],
-    /// Blank edge.
+    /// Width of the blank edge of each sheet, mm.
     pub margin_mm: f64,
     /// Number of columns and rows.
     pub counts: [usize; 2],
@@ -113,7 +114,7 @@ mod tests {
 
     #[test]
     fn tiles_cover_the_area_and_overlap_by_a_strip() {
-        let area = Area::of(540.0, 560.0);
+        let area = Area::of([540.0, 560.0]);
         let tiling = Tiling::a4(&area);
         assert_eq!(tiling.counts, [3, 3]);
         let corners = [area.origin_mm, [545.0, 565.0], [-12.0, 565.0], [545.0, -24.0]];
@@ -128,12 +129,12 @@ mod tests {
 
     #[test]
     fn one_sheet_is_as_large_as_the_skin_and_its_legends() {
-        let tiling = Tiling::one(&Area::of(540.0, 560.0));
+        let tiling = Tiling::one(&Area::of([540.0, 560.0]));
         assert_eq!(tiling.page_mm, [571.0, 603.0]);
         assert_eq!(tiling.sheets.len(), 1);
-        let small = Tiling::a4(&Area::of(100.0, 100.0));
+        let small = Tiling::a4(&Area::of([100.0, 100.0]));
         assert_eq!(small.sheets.len(), 1);
-        let wide = Tiling::a4(&Area::of(250.0, 100.0));
+        let wide = Tiling::a4(&Area::of([250.0, 100.0]));
         assert_eq!((wide.sheets.len(), wide.page_mm), (1, [297.0, 210.0]));
     }
 }

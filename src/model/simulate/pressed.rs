@@ -1,4 +1,4 @@
-//! What the model says of contacts that are given by their force or their depth: the other of the two,
+//! What the model computes for contacts that are given by their force or their depth: the other of the two,
 //! and the frame and the dent.
 //! PURE. Uses: `contacts`, `dent`, sim-core. Never: limits of input (`contacts` checks them).
 //!

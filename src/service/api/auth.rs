@@ -49,7 +49,7 @@ impl Caller {
     }
 
     /// Whether the caller may release a lock: its holder, an admin, and for a lock that was taken
-    /// without a key everybody without one.
+    /// without a key every caller without one.
     pub fn may_release(&self, lock: &LockRow) -> bool {
         self.holds(lock) || self.role == Role::Admin || (self.key.is_none() && lock.is_keyless())
     }
@@ -91,7 +91,7 @@ pub fn identify(app: &App, headers: &HeaderMap) -> Result<Caller, ApiError> {
 #[derive(Debug, Clone, Copy)]
 pub struct Peer(pub IpAddr);
 
-/// Determines the caller of the e-stop: whoever is on this machine needs no key, whatever the options
+/// Determines the caller of the e-stop: a caller on this machine needs no key, whatever the options
 /// of the service.
 ///
 /// # Errors

@@ -14,7 +14,7 @@ use super::audit::Act;
 use super::pages::{Cursors, Page, PageParams, PageRequest};
 use super::params::{FileParams, RowGroupParams, RowsParams};
 use super::problem::{ApiError, Body, Path, ProblemBody};
-use super::query::{GroupsRequest, file_query, for_pages, groups_query, rows_query};
+use super::query::{GroupsOf, GroupsRequest, file_query, for_pages, groups_query, rows_query};
 use super::send::{self, Download};
 use super::trials::grouped;
 use crate::dataset::definition::Definition;
@@ -26,14 +26,14 @@ use crate::ids::DatasetId;
 use crate::query::groups::conditions;
 use crate::store::DatasetRow;
 
-/// A dataset.
+/// A dataset: its definition, size, checksum and counts.
 #[derive(Debug, Serialize, ToSchema)]
 pub struct DatasetOut {
     /// `ds-` and the start of a sha256 over its definition, its rows and its columns.
     pub id: DatasetId,
     /// Name of the definition.
     pub name: String,
-    /// The definition.
+    /// Definition that selected, labelled and split the trials.
     #[schema(value_type = Definition)]
     pub definition: Value,
     /// Number of rows.
@@ -95,7 +95,7 @@ pub struct DatasetsPage {
 pub struct DatasetRequest {
     /// Name of a built-in definition, of an existing dataset, or of a run (`run-N`).
     pub name: Option<String>,
-    /// A definition.
+    /// A definition, as JSON instead of TOML.
     pub definition: Option<Definition>,
     /// Text of a definition file.
     pub toml: Option<String>,
@@ -292,7 +292,11 @@ pub async fn prune(
     act: Act,
     Body(request): Body<PruneRequest>,
 ) -> Result<Json<PruneOut>, ApiError> {
-    let datasets = app.datasets.prune(request.keep.get() as usize, request.dry_run).await?;
+    let keep = request.keep.get() as usize;
+    let datasets = match request.dry_run {
+        true => app.datasets.prunable(keep).await?,
+        false => app.datasets.prune(keep).await?,
+    };
     let gone = datasets.iter().filter(|one| one.stays.is_none());
     let freed_bytes = gone.map(|one| one.bytes).sum();
     act.about(&format!("keep {}{}", request.keep, if request.dry_run { ", dry run" } else { "" }));
@@ -371,7 +375,7 @@ pub async fn groups(
     headers: HeaderMap,
 ) -> Result<Response, ApiError> {
     let GroupsRequest { query, groups, format } =
-        groups_query(&pairs, false).map_err(ApiError::bad_query)?;
+        groups_query(&pairs, GroupsOf::Dataset).map_err(ApiError::bad_query)?;
     let row = app.datasets.find(&dataset).await?;
     let sql = groups.sql(row.id.as_str(), &conditions(&query), query.limit);
     grouped(&app, sql, format.or_else(|| send::accepted(&headers))).await

@@ -312,7 +312,7 @@ fn problem(meaning: &str) -> Response {
 }
 
 /// Rewrites schemas that are valid, but that generators refuse or cannot satisfy: tuples that end in
-/// `items: false`, and flattened structs. Entries of pages become schemas of their own.
+/// `items: false`, and flattened structs. Entries of pages become separate schemas.
 fn simplify(components: &mut Components) {
     let names: Vec<String> = components.schemas.keys().cloned().collect();
     for name in names {
@@ -331,7 +331,7 @@ fn simplify(components: &mut Components) {
     }
 }
 
-/// Makes the entries of a page a schema of their own, with the name of their type.
+/// Makes the entries of a page a separate schema, with the name of their type.
 fn share_items(components: &mut Components, page: &str, of: &str) {
     if let Some(RefOr::T(Schema::Object(object))) = components.schemas.get_mut(page)
         && let Some(RefOr::T(Schema::Array(list))) = object.properties.get_mut("items")

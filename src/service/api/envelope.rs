@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 use crate::campaign::shown::samples::ForceSample;
-use crate::rig::config::ARMS;
+use crate::record::ARMS;
 
 /// Samples of the load cells, oldest first; one entry of each list per sample. Where samples were
 /// combined, two entries have the extremes of each value in the order of their occurrence, at the times
@@ -22,7 +22,7 @@ pub struct SamplesOut {
 }
 
 impl SamplesOut {
-    /// Lists samples.
+    /// Returns the samples as columns.
     pub fn of(samples: &[ForceSample]) -> Self {
         let thousandths = |value: Option<f64>| value.map(|v| (v * 1e3).round() / 1e3);
         Self {

@@ -36,7 +36,7 @@ pub struct Latched {
 
 /// Stops all axes immediately and latches the e-stop.
 ///
-/// Any valid key permits it, whatever its role and whoever holds the lock; it may be repeated. The
+/// Any valid key permits it, for every role and every holder of the lock; it may be repeated. The
 /// body is only used for the log of actions: without one, or with an invalid one, the stop is the
 /// same.
 #[utoipa::path(post, path = "/api/v1/estop", tag = "rig", 

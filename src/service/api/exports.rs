@@ -19,13 +19,13 @@ use crate::dataset::format::Format;
 use crate::ids::{DatasetId, TaskId};
 use crate::store::{TaskKind, TaskRow, TaskState};
 
-/// An export.
+/// An export: what was requested, and its progress.
 #[derive(Debug, Serialize, ToSchema)]
 pub struct ExportOut {
     /// Id of the export, `ex-..`.
     #[schema(value_type = String)]
     pub id: TaskId,
-    /// The request.
+    /// Dataset, format and columns, as they were requested.
     #[schema(value_type = ExportRequest)]
     pub request: Value,
     /// State of the export.

@@ -301,7 +301,7 @@ impl App {
     }
 
     /// Checks that no other person holds the operator lock. A lock that was taken without a key
-    /// holds for everybody: nobody can prove to be its holder.
+    /// holds for every caller: none can prove to be its holder.
     ///
     /// # Errors
     /// 409 if the lock is held, or the store fails.
@@ -316,7 +316,7 @@ impl App {
 fn locked(lock: &LockRow) -> ApiError {
     let how = match lock.is_keyless() {
         true => {
-            "it was taken without a key and holds for everybody: `palpate lock --clear` ends it"
+            "it was taken without a key and holds for every caller: `palpate lock --clear` ends it"
         }
         false => "ask the holder to release it",
     };

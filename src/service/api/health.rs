@@ -26,7 +26,7 @@ pub struct Live {
     pub service: &'static str,
     /// Version of the program.
     pub version: &'static str,
-    /// Process id.
+    /// Process id of the service.
     pub pid: u32,
 }
 

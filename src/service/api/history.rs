@@ -71,7 +71,7 @@ pub struct History {
     pub predicted_s: Option<f64>,
     /// Wall time from the start to `to`, s; null if the run has not started.
     pub elapsed_s: Option<f64>,
-    /// What the estimate said through the run, oldest first, at most 1000; empty for a run that an older version
+    /// Estimates of the end during the run, oldest first, at most 1000; empty for a run that an older version
     /// drove.
     pub predictions: Vec<Prediction>,
     /// Events that an operator must see, oldest first: trips, suspensions, waits for a person, skips,
@@ -85,7 +85,7 @@ pub struct Prediction {
     /// Time of the estimate.
     #[schema(value_type = String, format = DateTime)]
     pub at: Timestamp,
-    /// Expected end.
+    /// Expected wall time of the end.
     #[schema(value_type = String, format = DateTime)]
     pub end: Timestamp,
     /// Early end of the band that contains 90 % of the ends.

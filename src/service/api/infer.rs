@@ -21,7 +21,7 @@ use super::auth::Caller;
 use super::guard::Place;
 use super::limits::{
     EXACT_MAX, FIT_REQUESTS, FRAME_CLIENTS, FRAMES_MAX, LIVE_CLIENTS, MAPS_MAX, MESSAGE_MAX_BYTES,
-    NET_REQUESTS, PREFLIGHTS, SIMULATIONS, STATUS_CLIENTS, TURN,
+    NET_REQUESTS, PREFLIGHTS, SIMULATIONS, STATUS_CLIENTS, TURN_WAIT,
 };
 use super::live::INTERVAL;
 use super::problem::{ApiError, Params, ProblemBody, Upgrade};
@@ -29,6 +29,7 @@ use crate::clock::Clock;
 use crate::dataset::background::background;
 use crate::infer::answer::Reading;
 use crate::infer::error::InferError;
+use crate::infer::maps::ForceMaps;
 use crate::infer::methods::exact::Tracked;
 use crate::infer::methods::{Frames, Method};
 use crate::infer::pipeline::{Followed, Pipeline};
@@ -41,7 +42,7 @@ const SEND: Duration = Duration::from_secs(5);
 #[into_params(parameter_in = Query)]
 #[serde(deny_unknown_fields)]
 pub struct InferOptions {
-    /// Method.
+    /// Method from a frame to contacts.
     #[param(inline)]
     pub method: Method,
     /// Id or name of a model to use instead of the serving one.
@@ -67,9 +68,9 @@ fn one() -> f64 {
 /// Request for contacts of frames.
 #[derive(Debug, Serialize, Deserialize, ToSchema)]
 pub struct InferRequest {
-    /// Options.
+    /// Method, models and form of the answers, as keys of the request itself.
     #[serde(flatten)]
-    pub wish: InferOptions,
+    pub options: InferOptions,
     /// Frames, V, each with one voltage per channel, injection-major; 1 to 2000, for `exact` 300,
     /// with maps 100.
     pub frames: Vec<Vec<f32>>,
@@ -121,7 +122,8 @@ pub async fn infer(
         let started_s = clock.process_s();
         let averaged = options.averaged;
         let frames = Frames { averaged, ..Frames::single(&frames) };
-        let answered = pipeline.answer(options.method, &frames, options.map)?;
+        let answered =
+            pipeline.answer(options.method, &frames, ForceMaps::if_wanted(options.map))?;
         let count = answered.readings.len().max(1) as f64;
         let latency_us = (1e6 * (clock.process_s() - started_s) / count) as u64;
         let answer = |reading| FrameAnswer {
@@ -182,7 +184,7 @@ async fn received(
     } else {
         let body =
             Json::<InferRequest>::from_request(request, app).await.map_err(ApiError::from)?;
-        let InferRequest { wish: options, frames } = body.0;
+        let InferRequest { options, frames } = body.0;
         for (index, frame) in frames.iter().enumerate() {
             if frame.len() != channels {
                 let key = format!("frames[{index}]");
@@ -272,10 +274,10 @@ pub async fn live(
         let words = format!("{LIVE_CLIENTS} live clients are connected, the largest number");
         ApiError::new(StatusCode::SERVICE_UNAVAILABLE, words)
     })?;
-    let span = tracing::Span::current();
+    let (maps, span) = (ForceMaps::if_wanted(options.map), tracing::Span::current());
     Ok(upgrade.max_message_size(MESSAGE_MAX_BYTES).on_upgrade(async move |socket| {
         tokio::select! {
-            () = follow(&app, socket, method, options.map).instrument(span) => {}
+            () = follow(&app, socket, method, maps).instrument(span) => {}
             () = app.until_revoked(&caller) => {}
         }
         drop((turn, counted));
@@ -305,7 +307,7 @@ impl Turns {
     }
 
     async fn turn(of: &Arc<Semaphore>) -> Result<OwnedSemaphorePermit, ApiError> {
-        let Ok(Ok(turn)) = timeout(TURN, of.clone().acquire_owned()).await else {
+        let Ok(Ok(turn)) = timeout(TURN_WAIT, of.clone().acquire_owned()).await else {
             let words = "too many requests: none could be started within 10 s; retry";
             return Err(ApiError::new(StatusCode::SERVICE_UNAVAILABLE, words));
         };
@@ -328,7 +330,7 @@ impl Default for Turns {
     }
 }
 
-async fn follow(app: &App, mut socket: WebSocket, method: Method, map: bool) {
+async fn follow(app: &App, mut socket: WebSocket, method: Method, maps: ForceMaps) {
     let mut frames = app.campaign.watch_frames();
     let mut ending = app.facts.ending.clone();
     let clock = Clock::new(1.0);
@@ -348,7 +350,7 @@ async fn follow(app: &App, mut socket: WebSocket, method: Method, map: bool) {
         let mut memory = std::mem::take(&mut tracked);
         let volts = frame.voltages_v();
         let work = move || {
-            let answered = pipeline.follow(method, &volts, map, &mut memory);
+            let answered = pipeline.follow(method, &volts, maps, &mut memory);
             (answered, memory)
         };
         let Ok((answered, memory)) = tokio::task::spawn_blocking(work).await else { return };

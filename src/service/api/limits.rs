@@ -29,7 +29,7 @@ pub const CALLER_REQUESTS: usize = 128;
 /// Preflights of submissions in progress.
 pub const PREFLIGHTS: usize = 2;
 /// Longest wait for the turn of a preflight, a simulation or an inference.
-pub const TURN: Duration = Duration::from_secs(10);
+pub const TURN_WAIT: Duration = Duration::from_secs(10);
 /// Simulations in progress; further ones wait.
 pub const SIMULATIONS: usize = 2;
 /// Contacts of one simulation.
@@ -187,7 +187,7 @@ mod tests {
             line("simulations in progress", n(SIMULATIONS), "the request waits, then 503"),
             line("contacts of a simulation", n(SIMULATED_CONTACTS), "422"),
             line("force of a contact of a simulation", format!("{FORCE_MAX_N} N"), "422"),
-            line("wait for the turn of a preflight, a simulation or an inference", seconds(TURN), "503"),
+            line("wait for the turn of a preflight, a simulation or an inference", seconds(TURN_WAIT), "503"),
             line("queries in progress", n(QUERIES), "the request waits, then 503 with Retry-After"),
             line("statement of a query", bytes(SQL_MAX_BYTES), "400"),
             line("time of a query, without sending its rows", seconds(TIME_MAX), "400"),

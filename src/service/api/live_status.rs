@@ -130,7 +130,7 @@ pub async fn publish(app: App) {
         }
         sent = Instant::now();
         changes.mark_unchanged();
-        // A reading that takes longer goes on, and is shown by a later message.
+        // A reading that takes longer continues, and is shown by a later message.
         let task = reading.get_or_insert_with(|| tokio::spawn(read_stored(app.clone())));
         if let Ok(read) = timeout(STORED_WAIT, task).await {
             reading = None;

@@ -5,7 +5,7 @@
 //! A rig belongs to the machine, not to a user: with a lock file in a folder of each user, two users would
 //! drive it at once. A serial port refuses a second process itself (`TIOCEXCL`), Modbus TCP does not. So the
 //! lock of a rig is in the machine's folder for locks, `/run/lock`, or else in `/tmp`, where every user may
-//! create files and nobody may replace those of another. Its name can be guessed. So no link is followed,
+//! create files and none may replace those of another. Its name can be guessed. So no link is followed,
 //! the file must be an ordinary one with one name, it is written only by the holder of the lock, and it is
 //! never believed: what is read of it is shown. Any user may hold the lock without a rig; the refusal names
 //! process and user, and root may end it.

@@ -24,7 +24,7 @@ use crate::record::Untouched;
 use crate::schedule::experiment::TwinLimits;
 use crate::store::StoredProgress;
 
-/// Kept values.
+/// Answers that are kept, so that a request need not read the store again.
 #[derive(Debug)]
 pub struct Memory {
     /// Tours by run and plan.
@@ -41,7 +41,7 @@ pub struct Memory {
     pub(super) stored_part: Kept<(), StoredPart>,
     /// The stored frame of the untouched skin.
     pub(super) untouched: Kept<(), Option<Arc<Untouched>>>,
-    /// The wear.
+    /// Wear of skin, axes and cells.
     pub(super) wear: Kept<(), Arc<Wear>>,
     /// The wear by runs that have ended.
     pub(super) ended_wear: EndedWear,

@@ -125,7 +125,7 @@ const LEAVE: Duration = Duration::from_secs(60);
 /// State of all handlers. Clones share it.
 #[derive(Clone)]
 pub struct App {
-    /// Stored records.
+    /// Database of runs, trials, events and tasks.
     pub store: Store,
     /// Valid API keys.
     pub keys: KeyRing,
@@ -139,15 +139,15 @@ pub struct App {
     pub datasets: Catalog,
     /// Questions in SQL.
     pub queries: Queries,
-    /// Stored models.
+    /// Models in the data folder, by id and name.
     pub models: Registry,
-    /// Serving models.
+    /// Slots with the models and calibrations that answer requests.
     pub serving: Serving,
     /// Trainings and evaluations.
     pub jobs: Jobs,
     /// Limits of concurrent inferences.
     pub turns: Turns,
-    /// What the skin feels of manual trials.
+    /// Contacts estimated during manual trials.
     pub placement: PlacementWatch,
     facts: Arc<Facts>,
 }
@@ -419,7 +419,7 @@ impl Service {
 /// automatically only after the examination; runs that a person starts do not wait for it.
 async fn after_start(app: App, resume: bool) {
     let continue_run = async {
-        if let Err(error) = app.conductor.go_on(resume).await {
+        if let Err(error) = app.conductor.resume_after_restart(resume).await {
             tracing::warn!(error = error_chain(&error), "no run was resumed");
         }
     };

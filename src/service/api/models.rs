@@ -28,7 +28,7 @@ use crate::problem::Problem;
 use crate::store::ModelRow;
 use crate::syntax::syntax_problem;
 
-/// A model.
+/// A trained model with its manifest.
 #[derive(Debug, Serialize, Deserialize, ToSchema)]
 pub struct ModelOut {
     /// Id of the model, `mdl-..`.
@@ -68,7 +68,7 @@ pub struct PromotionRequest {
 #[derive(Debug, Deserialize, Serialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RollBackRequest {
-    /// The slot.
+    /// Slot of the model or calibration.
     pub slot: Slot,
     /// Reason, for the log of actions.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -81,7 +81,7 @@ pub struct RollBackRequest {
 /// Content of a slot.
 #[derive(Debug, Serialize, Deserialize, ToSchema)]
 pub struct ServesOut {
-    /// The slot.
+    /// Slot of the model or calibration.
     pub slot: Slot,
     /// Id of the serving model or calibration; null if the slot is empty.
     #[schema(value_type = Option<String>)]
@@ -100,10 +100,10 @@ pub struct ServingOut {
     pub history: Vec<PromotionOut>,
 }
 
-/// A promotion.
+/// A change of what a slot serves.
 #[derive(Debug, Serialize, Deserialize, ToSchema)]
 pub struct PromotionOut {
-    /// The slot.
+    /// Name of the slot.
     pub slot: String,
     /// Id of the promoted model or calibration; null if the slot was emptied.
     #[schema(value_type = Option<String>)]

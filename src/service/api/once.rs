@@ -93,7 +93,7 @@ async fn keyed(
         Err(running) if running == sha256 => return Ok(repeated(in_progress())),
         Err(_) => return Ok(repeated(other_request())),
     };
-    // From here on an entry without a response is one whose outcome nobody knows.
+    // From here on an entry without a response is one whose outcome is unknown.
     if let Some(first) = app.store.begin_once(&key, &sha256, ONCE_KEPT, ONCE_MAX).await? {
         return Ok(repeated(repetition(&sha256, first).unwrap_or_else(ApiError::into_response)));
     }

@@ -73,7 +73,7 @@ pub enum ServeError {
     /// The address is not available.
     #[error("listening at {bind}: {}; choose another address with --bind", system_words(source))]
     Bind {
-        /// The address.
+        /// Address of the service.
         bind: SocketAddr,
         /// Error of the operating system.
         source: std::io::Error,

@@ -63,8 +63,8 @@ pub async fn lock(State(app): State<App>) -> Result<Json<Option<LockRow>>, ApiEr
 /// Takes the operator lock.
 ///
 /// It prevents others from starting and editing, never from stopping. A lock that is taken without
-/// a key holds for everybody, its holder included, until somebody without a key, or an admin,
-/// releases it: without a key nobody can prove to be the holder.
+/// a key holds for every caller, its holder included, until a caller without a key, or an admin,
+/// releases it: without a key no caller can prove to be the holder.
 #[utoipa::path(put, path = "/api/v1/lock", tag = "people", request_body = LockRequest,
     responses((status = 200, body = LockRow),
         (status = 409, body = ProblemBody, description = "another person holds the operator lock")))]
@@ -161,7 +161,7 @@ pub struct CallerOut {
     /// Name of the key; absent for a caller on this machine without one.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub name: Option<String>,
-    /// Rights.
+    /// Role, which determines the allowed operations.
     pub role: Role,
 }
 

@@ -1,4 +1,4 @@
-//! `GET /api/v1/placement`: which weights a person is asked to place, and what the skin feels.
+//! `GET /api/v1/placement`: which weights a person is asked to place, and the estimated contacts.
 //! Uses: `placement`, `campaign` (its status), `store`. Never: a wait for an inference.
 
 use axum::Json;
@@ -20,7 +20,7 @@ use crate::placement::verdict::{AskedContact, Verdict};
 use crate::placement::watch::{Awaited, Felt, Judged};
 use crate::store::LastPlaced;
 
-/// A placement of weights, and what the skin feels of it.
+/// A placement of weights, and the contacts estimated from the skin.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct PlacementOut {
     /// Uid of the run.
@@ -101,10 +101,10 @@ impl From<LastPlaced> for LastPlacement {
     }
 }
 
-/// Returns the placement that a run asks for, what the skin feels of it, and the verdict.
+/// Returns the placement that a run requests, the estimated contacts, and the verdict.
 ///
 /// While the run waits, the frames are read continuously. The weights must not be touched when the skin
-/// is judged: `at_rest` says whether it has settled.
+/// is judged: `at_rest` states whether it has settled.
 #[utoipa::path(get, operation_id = "placement", path = "/api/v1/placement", tag = "runs",
     responses((status = 200, body = PlacementOut),
         (status = 404, body = ProblemBody, description = "no run asks for a placement")))]

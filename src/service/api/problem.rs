@@ -223,6 +223,8 @@ impl From<QueryError> for ApiError {
                 Self::new(StatusCode::SERVICE_UNAVAILABLE, words).retry_after(5)
             }
             QueryError::Busy => Self::new(StatusCode::SERVICE_UNAVAILABLE, words).retry_after(1),
+            // A program that is not installed is no fault of this one.
+            QueryError::Program(_) => Self::new(StatusCode::SERVICE_UNAVAILABLE, words),
             QueryError::Dataset(error) => error.into(),
             _ => {
                 tracing::error!(error = error_chain(&error), "a query failed");

@@ -1,4 +1,4 @@
-//! Answers of a net that gives a quantity of a whole frame. It need not be for the rig's sensor.
+//! Answers of a net that estimates a quantity of a whole frame. It need not be for the rig's sensor.
 //! Uses: `infer::quantity`. Never: what serves.
 
 use axum::Json;
@@ -21,7 +21,7 @@ pub struct QuantityRequest {
     pub frames: Vec<Vec<f32>>,
 }
 
-/// Answers frames by a net that gives a position, pattern, count or force.
+/// Answers frames by a net that estimates a position, pattern, count or force.
 ///
 /// The net may be of an imported sensor. Contacts and force maps come from `/api/v1/infer`.
 #[utoipa::path(post, operation_id = "model_quantities",

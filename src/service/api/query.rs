@@ -17,7 +17,7 @@ use crate::store::{Condition, MAX_PAGE, Order, TrialQuery};
 /// Longest part of an invalid parameter that its refusal repeats, characters.
 const SHOWN_CHARS: usize = 200;
 /// Default number of rows per page.
-const PAGE: u32 = 100;
+const PAGE_ROWS: u32 = 100;
 
 /// Selection of stored trials by a query string.
 #[derive(Debug, Default)]
@@ -53,7 +53,7 @@ pub fn trial_query(
     run: Option<RunUid>,
     pairs: &[(String, String)],
 ) -> Result<TrialsRequest, Vec<Problem>> {
-    let query = TrialQuery { run, limit: PAGE, ..TrialQuery::default() };
+    let query = TrialQuery { run, limit: PAGE_ROWS, ..TrialQuery::default() };
     let mut wanted = TrialsRequest { query, ..TrialsRequest::default() };
     each(pairs, |key, value| {
         no_groups(key, "/api/v1/trials/groups")?;
@@ -83,7 +83,7 @@ pub fn trial_query(
 /// All unknown names and invalid values.
 pub fn rows_query(pairs: &[(String, String)]) -> Result<RowsRequest, Vec<Problem>> {
     let wanted = Wanted::default();
-    let mut request = RowsRequest { wanted, format: None, sort: None, limit: PAGE };
+    let mut request = RowsRequest { wanted, format: None, sort: None, limit: PAGE_ROWS };
     each(pairs, |key, value| {
         no_groups(key, "/api/v1/datasets/NAME/groups")?;
         if common(&mut request.wanted, &mut request.format, &mut request.limit, key, value)? {
@@ -129,13 +129,22 @@ pub struct GroupsRequest {
     pub format: Option<Format>,
 }
 
-/// Parses a query string for groups. `stored`: of stored trials, otherwise of the rows of a dataset.
+/// What the rows of groups are.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum GroupsOf {
+    /// Stored trials, with their parameters.
+    StoredTrials,
+    /// Rows of a dataset, with conditions on its columns.
+    Dataset,
+}
+
+/// Parses a query string for groups.
 ///
 /// # Errors
 /// All unknown names and invalid values.
 pub fn groups_query(
     pairs: &[(String, String)],
-    stored: bool,
+    of: GroupsOf,
 ) -> Result<GroupsRequest, Vec<Problem>> {
     let query = TrialQuery { limit: MAX_PAGE, ..TrialQuery::default() };
     let mut request = GroupsRequest { query, groups: Grouping::default(), format: None };
@@ -149,9 +158,9 @@ pub fn groups_query(
         {
             return Ok(true);
         }
-        match stored {
-            true => apply(&mut request.query, key, value),
-            false => {
+        match of {
+            GroupsOf::StoredTrials => apply(&mut request.query, key, value),
+            GroupsOf::Dataset => {
                 request.query.filters.push(condition(key, value)?.0);
                 Ok(true)
             }

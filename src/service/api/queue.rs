@@ -11,7 +11,7 @@ use utoipa::{IntoParams, ToSchema};
 
 use super::App;
 use super::audit::Act;
-use super::limits::TURN;
+use super::limits::TURN_WAIT;
 use super::pages::Page;
 use super::problem::{ApiError, Body, Params, Path, ProblemBody};
 use super::runs::find;
@@ -153,7 +153,7 @@ pub async fn preflight(
     State(app): State<App>,
     Body(submission): Body<Submission>,
 ) -> Result<Json<Preflight>, ApiError> {
-    let Ok(Ok(_turn)) = timeout(TURN, app.turns.preflights.acquire()).await else {
+    let Ok(Ok(_turn)) = timeout(TURN_WAIT, app.turns.preflights.acquire()).await else {
         let words = "too many preflights: none could be started within 10 s; retry";
         return Err(ApiError::new(StatusCode::SERVICE_UNAVAILABLE, words));
     };

@@ -22,7 +22,7 @@ static CHECKING: tokio::sync::Mutex<()> = tokio::sync::Mutex::const_new(());
 /// Request for an action on the rig.
 #[derive(Debug, Clone, Deserialize, ToSchema)]
 pub struct RigActionRequest {
-    /// The action.
+    /// Action that the rig must perform.
     pub action: RigAction,
     /// For `jog`: `x`, `y`, `z` or `radius`.
     pub axis: Option<String>,

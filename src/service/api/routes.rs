@@ -65,7 +65,7 @@ pub enum Lock {
 
 /// An operation, or several of one path with the same needs.
 pub struct Operation {
-    /// Needs.
+    /// Rights and locks that the operation needs.
     pub needs: Needs,
     /// Description, path and handler.
     pub route: UtoipaMethodRouter<App>,

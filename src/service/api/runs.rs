@@ -27,7 +27,7 @@ use crate::store::{Role, RunRow, SettingCount, SkipRow};
 /// Results of a run.
 #[derive(Debug, Clone, Serialize, Deserialize, ToSchema)]
 pub struct Summary {
-    /// The run.
+    /// Row of the run: experiment, plan, state, label, times.
     pub run: RunRow,
     /// Number of stored trials.
     pub trials_stored: u64,
@@ -48,7 +48,7 @@ pub struct Summary {
 /// Request for an action on a run.
 #[derive(Debug, Clone, Deserialize, ToSchema)]
 pub struct ActionRequest {
-    /// The action.
+    /// Action that the run must perform.
     pub action: Action,
     /// For `pause`: `checkpoint` (after the trial, the default) or `now`.
     pub when: Option<When>,
@@ -130,7 +130,7 @@ pub enum When {
 pub struct Attribution {
     /// Name of the person.
     pub who: Option<String>,
-    /// Reason.
+    /// Reason, in the words of the person.
     pub why: Option<String>,
 }
 

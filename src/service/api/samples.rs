@@ -105,7 +105,7 @@ pub(super) fn drained(follower: &mut Receiver<ForceSample>) -> Vec<ForceSample> 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::rig::config::ARMS;
+    use crate::record::ARMS;
 
     fn sample(at_ms: i64) -> ForceSample {
         ForceSample { at_ms, z_mm: None, forces_n: [Some(1.0); ARMS] }

@@ -42,7 +42,7 @@ pub struct SensorOut {
     pub injections: usize,
 }
 
-/// An electrode.
+/// Index and position of an electrode.
 #[derive(Debug, Serialize, ToSchema)]
 pub struct ElectrodeOut {
     /// Index in measuring order, from 0.

@@ -1,4 +1,4 @@
-//! What the model says of contacts: the frame and the dent.
+//! What the model computes for contacts: the frame and the dent.
 //! Uses: `simulate::pressed`, the models that `twins` keeps warm. Never: the rig, a stored frame.
 
 use axum::Json;
@@ -12,17 +12,16 @@ use tracing::Instrument;
 use utoipa::ToSchema;
 
 use super::App;
-use super::limits::{SIMULATED_CONTACTS, TURN};
+use super::limits::{SIMULATED_CONTACTS, TURN_WAIT};
 use super::problem::{ApiError, Body, ProblemBody};
 use super::runs::find;
 use crate::clock::Clock;
 use crate::dataset::background::background;
-use crate::ids::CalibrationId;
 use crate::problem::Problem;
 use crate::simulate::contacts::{Limits, Load, RequestedContact};
 use crate::simulate::dent::Dent;
 use crate::simulate::pressed::{Pressed, PressedError, pressed};
-use crate::twins::skins::{SkinError, Source};
+use crate::twins::skins::{SkinCalibration, SkinError, Source};
 
 /// Name of the body in problems.
 const BODY: &str = "request";
@@ -63,7 +62,7 @@ pub struct PressedContact {
     /// Mean compression of the foam under the rim of the tip, mm. Under other contacts it may be
     /// larger than the requested one.
     pub depth_mm: f64,
-    /// Force, N.
+    /// Normal force of the contact, N.
     pub force_n: f64,
 }
 
@@ -120,14 +119,15 @@ pub async fn simulate(
     Limits::of(&skin.sensor, SIMULATED_CONTACTS)
         .check(BODY, &contacts)
         .map_err(ApiError::problems)?;
-    let Ok(Ok(turn)) = timeout(TURN, app.turns.simulations.clone().acquire_owned()).await else {
+    let Ok(Ok(turn)) = timeout(TURN_WAIT, app.turns.simulations.clone().acquire_owned()).await
+    else {
         let words = "too many simulations: none could be started within 10 s; retry";
         return Err(ApiError::new(StatusCode::SERVICE_UNAVAILABLE, words));
     };
-    let model = skin.calibration.as_ref().map_or("sensor file".into(), |(id, _)| id.to_string());
+    let model = skin.calibration.as_ref().map_or("sensor file".into(), |of| of.id.to_string());
     let (skins, clock) = (app.twins.skins().clone(), Clock::new(1.0));
     let foam_mm = skin.sensor.file.layers.foam.thickness_mm;
-    // A task of its own: its turn ends with the work, not with a client that does not wait.
+    // A separate task: its turn ends with the work, not with a client that does not wait.
     let work = async move {
         let _turn = turn;
         let warm = skins.of(&skin.sensor_text, skin.calibration).await?;
@@ -169,7 +169,7 @@ fn within_foam(
 struct Skin {
     sensor: Sensor,
     sensor_text: String,
-    calibration: Option<(CalibrationId, Source)>,
+    calibration: Option<SkinCalibration>,
 }
 
 impl Skin {
@@ -179,7 +179,7 @@ impl Skin {
             let calibration = match app.serving.promoted_skin().await? {
                 Some(id) => {
                     let file = app.serving.stored_calibration(&id)?;
-                    Some((id, Source::Stored(file)))
+                    Some(SkinCalibration { id, source: Source::Stored(file) })
                 }
                 None => app.twins.calibration_of(&sensor.file.name),
             };
@@ -192,11 +192,13 @@ impl Skin {
         })?;
         let own = app.twins.calibration_of(&sensor.file.name);
         let calibration = match run.calibration_id {
-            Some(id) if own.as_ref().is_some_and(|(own, _)| *own == id) => own,
-            // Without its file the answer says that it is the sensor file's.
-            Some(id) => {
-                app.serving.stored_calibration(&id).ok().map(|file| (id, Source::Stored(file)))
-            }
+            Some(id) if own.as_ref().is_some_and(|own| own.id == id) => own,
+            // Without its file the answer states that it is the sensor file's.
+            Some(id) => app
+                .serving
+                .stored_calibration(&id)
+                .ok()
+                .map(|file| SkinCalibration { id, source: Source::Stored(file) }),
             None => None,
         };
         Ok(Self { sensor, sensor_text: run.sensor, calibration })

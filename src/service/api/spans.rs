@@ -15,14 +15,14 @@ use crate::state::{PausedWhy, StoredState};
 /// A state of a run, from a time until the next.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct StateSpan {
-    /// The state.
+    /// State that the run had.
     pub state: StoredState,
     /// Reason why the run waits or is about to wait; null in other states.
     pub why: Option<PausedWhy>,
-    /// Start.
+    /// Wall time at which the run reached it.
     #[schema(value_type = String, format = DateTime)]
     pub from: Timestamp,
-    /// End; null while it lasts.
+    /// Wall time at which the run left it; null while it lasts.
     #[schema(value_type = Option<String>, format = DateTime)]
     pub to: Option<Timestamp>,
 }

@@ -1,5 +1,5 @@
 //! Questions in SQL: one SELECT statement, answered in the requested format.
-//! Uses: `data::query`. Never: SQL of its own, an answer that is not whole without an error.
+//! Uses: `data::query`. Never: SQL that no client sent, an answer that is not whole without an error.
 
 use arrow_schema::ArrowError;
 use axum::Json;
@@ -26,7 +26,7 @@ use crate::query::{QueryError, ResultRows, TABLES};
 /// Longest part of a statement that its refusal repeats, characters.
 const SHOWN_CHARS: usize = 200;
 
-/// A question.
+/// A statement, and the format of its rows.
 #[derive(Debug, Clone, Deserialize, ToSchema, IntoParams)]
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
@@ -45,7 +45,7 @@ pub struct QueryRequest {
 /// A column of a result.
 #[derive(Debug, Serialize, ToSchema)]
 pub struct QueryColumn {
-    /// Name.
+    /// Name of the column, as the statement states it.
     pub name: String,
     /// Type, for people.
     #[serde(rename = "type")]

@@ -76,7 +76,7 @@ pub struct ServiceInfo {
     /// Time of the start of the service.
     #[schema(value_type = String, format = DateTime)]
     pub started_at: Timestamp,
-    /// Process id.
+    /// Process id of the service.
     pub pid: u32,
     /// Number of requests without a valid key since the start.
     pub wrong_keys: u64,

@@ -47,7 +47,7 @@ impl Tour {
 /// A tour with its response.
 #[derive(Debug)]
 pub struct KeptTour {
-    /// The tour.
+    /// Configurations in the planned order.
     pub tour: Tour,
     body: Bytes,
     tag: String,

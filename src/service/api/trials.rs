@@ -22,7 +22,7 @@ use super::App;
 use super::pages::{Cursors, Page, PageParams, PageRequest};
 use super::params::{TrialGroupParams, TrialParams};
 use super::problem::{ApiError, Path, ProblemBody};
-use super::query::{GroupsRequest, TrialsRequest, for_pages, groups_query, trial_query};
+use super::query::{GroupsOf, GroupsRequest, TrialsRequest, for_pages, groups_query, trial_query};
 use super::runs::find;
 use super::{send, sql};
 use crate::dataset::batch::{self, Row};
@@ -135,7 +135,7 @@ pub async fn groups(
     headers: HeaderMap,
 ) -> Result<Response, ApiError> {
     let GroupsRequest { query, groups, format } =
-        groups_query(&pairs, true).map_err(ApiError::bad_query)?;
+        groups_query(&pairs, GroupsOf::StoredTrials).map_err(ApiError::bad_query)?;
     let sql = groups.sql("trials", &groups::conditions(&query), query.limit);
     grouped(&app, sql, format.or_else(|| send::accepted(&headers))).await
 }
@@ -216,7 +216,7 @@ async fn ids(app: &App, request: &PageOf) -> Result<(Vec<TrialId>, Option<i64>),
     let PageOf { query, sort, from } = request;
     let limit = query.limit as usize;
     let mut one_more = TrialQuery { limit: query.limit + 1, ..query.clone() };
-    let Some(Sort { column, descending }) = sort else {
+    let Some(sort) = sort else {
         one_more.after = (*from > 0).then_some(TrialId(*from));
         let mut ids = app.store.trial_ids(&one_more).await?;
         let more = ids.len() > limit;
@@ -224,8 +224,8 @@ async fn ids(app: &App, request: &PageOf) -> Result<(Vec<TrialId>, Option<i64>),
         let next = ids.last().filter(|_| more).map(|id| id.0);
         return Ok((ids, next));
     };
-    let sql = groups::sorted_ids(&one_more, column, *descending, from.unsigned_abs())
-        .map_err(|limit| ApiError::query("sort", column, &limit))?;
+    let sql = groups::sorted_ids(&one_more, sort, from.unsigned_abs())
+        .map_err(|limit| ApiError::query("sort", &sort.column, &limit))?;
     let mut rows = app.queries.answer(&sql).await?;
     let mut ids = Vec::new();
     while let Some(batch) = rows.next().await {

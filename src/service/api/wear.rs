@@ -16,7 +16,7 @@ use utoipa::ToSchema;
 use super::App;
 use super::problem::ApiError;
 use crate::ids::RunUid;
-use crate::rig::config::ARMS;
+use crate::record::ARMS;
 use crate::store::{RunKind, RunRow, StoreError, StoredWear};
 
 /// Names of the axes, in the order of the stored travel.

@@ -24,7 +24,7 @@ const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; \
     img-src 'self' data: blob:; connect-src 'self'; manifest-src 'self'; base-uri 'none'; \
     form-action 'none'; frame-ancestors 'none'";
 
-/// The files.
+/// Files of the dashboard, which are part of the program.
 #[derive(RustEmbed)]
 #[folder = "../../web"]
 struct Files;

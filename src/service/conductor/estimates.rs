@@ -1,4 +1,4 @@
-//! What the estimate said through a run: stored as events of the kind `estimate`, at the start of a run
+//! Estimates of the end of a run: stored as events of the kind `estimate`, at the start of a run
 //! and every ten minutes of it, so that a prediction can be compared with what happened.
 //! Uses: `campaign` (its status), `store`. Never: a wait of the campaign.
 
@@ -18,7 +18,7 @@ pub const ESTIMATE: &str = "estimate";
 /// Time between two estimates of a run.
 const PERIOD: Duration = Duration::from_secs(600);
 /// Interval of reading the status.
-const LOOK: Duration = Duration::from_secs(1);
+const STATUS_POLL: Duration = Duration::from_secs(1);
 
 /// The last estimate that was stored.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -31,7 +31,7 @@ impl Conductor {
     /// Stores the estimates of active runs until the future is dropped.
     pub async fn note_estimates(self) {
         let mut noted = None;
-        let mut tick = tokio::time::interval(LOOK);
+        let mut tick = tokio::time::interval(STATUS_POLL);
         tick.set_missed_tick_behavior(MissedTickBehavior::Delay);
         loop {
             tick.tick().await;

@@ -9,7 +9,6 @@ use super::{ConductorError, RigFile};
 use crate::campaign::run::job::Job;
 use crate::carried;
 use crate::problem::Problem;
-use crate::rig::config;
 use crate::rig::reach::{bench, reach};
 use crate::schedule::experiment::Experiment;
 use crate::schedule::kept;
@@ -43,7 +42,7 @@ impl Submission {
 
 /// A submission, planned and checked for one rig.
 pub struct Prepared {
-    /// Parsed experiment.
+    /// Experiment, parsed and checked.
     pub experiment: Experiment,
     /// Plan of the run.
     pub plan: Plan,
@@ -79,10 +78,7 @@ impl Prepared {
         let problems = lint(file, &experiment, &sensor, &reach(&rig.file, &rig.config));
         let plan = Plan::of(file, &experiment, &sensor)?;
         let preflight = Preflight::of(&plan, &bench(&rig.config), problems);
-        let label = match rig.config.label() {
-            config::Label::Measured => Label::Measured,
-            config::Label::Virtual => Label::Virtual,
-        };
+        let label = rig.config.label();
         let clock_rate = rig.config.clock_rate();
         let tip_diameter_mm = sensor.file.tip_diameter_mm;
         let sensor_name = sensor.file.name;

@@ -18,7 +18,7 @@ use crate::store::RunRow;
 /// Longest wait for homing, wall.
 const HOMING: Duration = Duration::from_secs(300);
 /// Interval of polling the rig's state.
-const LOOK: Duration = Duration::from_millis(50);
+const RIG_POLL: Duration = Duration::from_millis(50);
 /// Number of attempts to reach the rig after a restart, and the pause before the second; it
 /// doubles.
 const RESTART_TRIES: u32 = 8;
@@ -35,7 +35,7 @@ impl Conductor {
     ///
     /// # Errors
     /// `ConductorError` if the store fails, or the run cannot resume.
-    pub async fn go_on(&self, resume: bool) -> Result<(), ConductorError> {
+    pub async fn resume_after_restart(&self, resume: bool) -> Result<(), ConductorError> {
         let store = &self.inner.store;
         let (open, waiting) = (store.open_runs().await?, store.waiting_runs().await?);
         let TakenOver { driven, waiting, dropped } = TakenOver::of(open, waiting, resume);
@@ -51,7 +51,7 @@ impl Conductor {
                 None => return Ok(()),
             },
         };
-        let outcome = self.go_on_with(&first).instrument(run_span(first.uid, first.scan_id)).await;
+        let outcome = self.drive_again(&first).instrument(run_span(first.uid, first.scan_id)).await;
         let begun = matches!(outcome, Ok(true));
         if was_driven && !begun {
             store.interrupt_open_runs(None).await?;
@@ -93,7 +93,7 @@ impl Conductor {
     }
 
     /// Drives a run again; returns `false` if the rig could not be reached.
-    async fn go_on_with(&self, run: &RunRow) -> Result<bool, ConductorError> {
+    async fn drive_again(&self, run: &RunRow) -> Result<bool, ConductorError> {
         // Before the wires are opened: nothing moves for a run that is refused.
         self.require_sound_store()?;
         if let Err(error) = self.prepare_stored(run).await {
@@ -154,7 +154,7 @@ impl Conductor {
                         return Err(Refusal::State(format!("the rig tripped: {why}")));
                     }
                     RigState::Disconnected | RigState::Disarmed | RigState::Armed => {
-                        tokio::time::sleep(LOOK).await;
+                        tokio::time::sleep(RIG_POLL).await;
                     }
                 }
             }

@@ -21,7 +21,7 @@ pub(super) fn is_due(run: &RunRow, now: Timestamp) -> bool {
 /// When it is decided, and the operator lock at that time.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Present<'a> {
-    /// Wall time.
+    /// Wall time of the decision.
     pub now: Timestamp,
     /// The lock; `None` if it is free.
     pub lock: Option<&'a LockRow>,
@@ -167,7 +167,7 @@ mod tests {
             words,
             "run 1 (quickstart) starts when bob releases the operator lock: hands in the rig"
         );
-        // Who took the lock before could start the run himself, or gave it to nobody else.
+        // Who took the lock before could start the run himself, or gave it to no other.
         assert!(of(lock("bob", -200)).0 && of(lock("ada", -50)).0);
     }
 

@@ -22,7 +22,7 @@ pub(super) struct Calm {
 
 /// A mean of frames.
 pub(super) struct Mean {
-    /// Voltages, V.
+    /// Mean voltage of each channel, V, injection-major.
     pub volts: Vec<f32>,
     /// Number of averaged frames.
     pub frames: f64,

@@ -1,5 +1,5 @@
-//! Manual trials (paper, II-C): whether the skin feels the weights where a person was asked to place
-//! them.
+//! Manual trials (paper, II-C): whether the contacts estimated from the skin agree with the weights that a
+//! person was asked to place.
 //! Uses: `campaign` (its status and its frames), `infer`, `store`. Never: a delay of the campaign; a
 //! frame of a trial.
 //!

@@ -1,4 +1,4 @@
-//! The verdict on a placement: what the skin feels, compared with what was asked.
+//! The verdict on a placement: the estimated contacts, compared with the requested ones.
 //! PURE. Uses: `evaluate::matching`, `infer::answer`, sim-core's sensor. Never: a wait, the rig.
 //!
 //! The thresholds follow from the published accuracy of the serving method on placed weights
@@ -66,7 +66,7 @@ impl AskedContact {
 /// Verdict on a placement.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct Verdict {
-    /// The verdict.
+    /// Whether estimated and requested contacts agree.
     pub kind: VerdictKind,
     /// Its reasons, one sentence each.
     pub words: Vec<String>,
@@ -97,7 +97,7 @@ impl Verdict {
 /// A deviation: whether it is certain, and a sentence.
 type Finding = (bool, String);
 
-/// Compares what the skin feels with what was asked. A verdict is `unsure` if the skin is not at rest or
+/// Compares the estimated contacts with the requested ones. A verdict is `unsure` if the skin is not at rest or
 /// the method does not explain the frame.
 pub fn judge(
     asked: &[AskedContact],

@@ -19,6 +19,7 @@ use crate::campaign::shown::status::{Status, Wanted};
 use crate::dataset::background::background;
 use crate::ids::RunUid;
 use crate::infer::answer::FoundContact;
+use crate::infer::maps::ForceMaps;
 use crate::infer::methods::{Frames, Method, UntouchedBefore};
 use crate::infer::serving::Serving;
 use crate::infer::untouched::Tared;
@@ -40,11 +41,11 @@ const NOT_READ: &str = "the skin was not read yet";
 /// A placement that a run waits for.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Awaited {
-    /// The run.
+    /// Uid of the run that waits.
     pub run: RunUid,
     /// Index of the placement.
     pub trial: u32,
-    /// The weights.
+    /// Requested position and force of each weight, mm and N.
     pub contacts: Vec<PlacedContact>,
 }
 
@@ -62,7 +63,7 @@ impl Awaited {
     }
 }
 
-/// What the skin feels of a placement.
+/// Contacts estimated from the skin during a placement.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Felt {
     /// Method that was used.
@@ -76,7 +77,7 @@ pub struct Felt {
 /// A placement as it is judged now.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Judged {
-    /// The run.
+    /// Uid of the run that waits.
     pub run: RunUid,
     /// Index of the placement.
     pub trial: u32,
@@ -86,7 +87,7 @@ pub struct Judged {
     pub at_rest: Option<bool>,
     /// What is felt; `None` before the first inference.
     pub felt: Option<Felt>,
-    /// The verdict.
+    /// Verdict on the newest frames, with its reasons.
     pub verdict: Verdict,
     /// Time at which the first frame of the verdict arrived; `None` if it needed no frame.
     since: Option<Instant>,
@@ -305,7 +306,7 @@ impl<'a> Follower<'a> {
         let work = move || {
             let untouched = untouched.as_ref();
             let frames = Frames { voltages_v: &volts, averaged: frames, untouched };
-            pipeline.answer(method, &frames, false)
+            pipeline.answer(method, &frames, ForceMaps::Without)
         };
         let answered = match background(work).await {
             Ok(Ok(answered)) => answered,

@@ -22,7 +22,7 @@ use tracing::{Instrument, Span};
 use utoipa::ToSchema;
 
 use self::drift::{DriftWatch, Level, Pairing, RollingFit};
-use self::skins::{SkinError, Source, WarmSkins};
+use self::skins::{SkinCalibration, SkinError, Source, WarmSkins};
 use crate::campaign::shown::command::{Handle, Request};
 use crate::campaign::spans::{run_span, trial_span};
 use crate::dataset::pressed::contacts;
@@ -139,9 +139,9 @@ impl TwinPool {
     }
 
     /// The calibration of the service, if it applies to a sensor, with its id.
-    pub fn calibration_of(&self, sensor_name: &str) -> Option<(CalibrationId, Source)> {
+    pub fn calibration_of(&self, sensor_name: &str) -> Option<SkinCalibration> {
         let own = self.inner.calibration.as_ref().filter(|(_, c)| c.sensor == sensor_name)?;
-        Some((own.0.clone(), Source::Here(own.1.clone())))
+        Some(SkinCalibration { id: own.0.clone(), source: Source::Here(own.1.clone()) })
     }
 
     /// Current status of the pool.

@@ -17,7 +17,7 @@ use crate::infer::methods::exact::skins::StoredCalibration;
 use crate::simulate::model::{ModelUnavailable, load_or_build};
 
 /// Largest number of models that are kept; one has about 60 MB.
-const KEPT: usize = 3;
+const MODELS_KEPT: usize = 3;
 
 /// Why the model of a skin is not available.
 #[derive(Debug, thiserror::Error)]
@@ -45,7 +45,7 @@ pub enum SkinError {
 /// The model of a skin, and its frame without contact.
 #[derive(Debug)]
 pub struct WarmSkin {
-    /// Model.
+    /// Forward model of the skin with its calibration.
     pub model: Arc<ForwardModel>,
     /// Frame of the untouched skin, V, injection-major.
     pub untouched_v: Vec<f64>,
@@ -56,8 +56,17 @@ pub struct WarmSkin {
 pub enum Source {
     /// It was read already.
     Here(Arc<Calibration>),
-    /// Its file.
+    /// File of the calibration in the data folder.
     Stored(StoredCalibration),
+}
+
+/// A calibration of a skin.
+#[derive(Debug, Clone)]
+pub struct SkinCalibration {
+    /// Id of the calibration.
+    pub id: CalibrationId,
+    /// Where it is read from.
+    pub source: Source,
 }
 
 /// The kept models, the most recently used one last. Clones share them.
@@ -87,7 +96,7 @@ impl WarmSkins {
     pub async fn of(
         &self,
         sensor_text: &str,
-        calibration: Option<(CalibrationId, Source)>,
+        calibration: Option<SkinCalibration>,
     ) -> Result<Arc<WarmSkin>, SkinError> {
         // A client that does not wait finds the model at its next request.
         let finding = self.clone().find_or_build(sensor_text.to_owned(), calibration);
@@ -97,9 +106,9 @@ impl WarmSkins {
     async fn find_or_build(
         self,
         sensor_text: String,
-        calibration: Option<(CalibrationId, Source)>,
+        calibration: Option<SkinCalibration>,
     ) -> Result<Arc<WarmSkin>, SkinError> {
-        let (id, source) = calibration.unzip();
+        let (id, source) = calibration.map(|of| (of.id, of.source)).unzip();
         let mut kept = self.kept.lock().await;
         let is_it = |k: &Kept| k.sensor_text == sensor_text && k.calibration == id;
         if let Some(at) = kept.iter().position(is_it) {
@@ -121,7 +130,7 @@ impl WarmSkins {
             Ok(WarmSkin { model: Arc::new(model), untouched_v })
         };
         let skin = Arc::new(background(building).await.map_err(|_| SkinError::Worker)??);
-        if kept.len() >= KEPT {
+        if kept.len() >= MODELS_KEPT {
             kept.remove(0);
         }
         kept.push(Kept { sensor_text, calibration: id, skin: skin.clone() });
@@ -147,15 +156,15 @@ mod tests {
         assert_eq!(first.untouched_v.len(), 784);
         assert!(Arc::ptr_eq(&first, &get(0).await));
         let mut others = Vec::new();
-        for n in 1..KEPT {
+        for n in 1..MODELS_KEPT {
             others.push(get(n).await);
         }
         // The first one was used again: the second one goes.
         assert!(Arc::ptr_eq(&first, &get(0).await));
-        get(KEPT).await;
+        get(MODELS_KEPT).await;
         assert!(Arc::ptr_eq(&first, &get(0).await));
         assert!(!Arc::ptr_eq(&others[0], &get(1).await));
-        assert_eq!(skins.kept.lock().await.len(), KEPT);
+        assert_eq!(skins.kept.lock().await.len(), MODELS_KEPT);
         let refused = skins.of("name = 1", None).await;
         assert!(matches!(refused, Err(SkinError::Sensor(_))));
         std::fs::remove_dir_all(&folder).unwrap();

@@ -10,7 +10,7 @@ mod plans;
 mod run_state;
 /// Queued runs, and started runs that wait for their turn.
 mod queue;
-/// Storing trials.
+/// Trials: one transaction each.
 pub(crate) mod trials;
 /// The placement that was stored last.
 pub(crate) mod placed;
@@ -28,7 +28,7 @@ mod mountings;
 pub(crate) mod counts;
 /// Wear, and trials of the untouched skin.
 pub(crate) mod wear;
-/// Events.
+/// Events, with numbers that only increase.
 mod events;
 /// The log of actions.
 pub(crate) mod actions;

@@ -75,7 +75,7 @@ pub(super) async fn discard(
     Ok(())
 }
 
-/// Stores a plan unless an equal one is stored; mends a stored one that was damaged. Returns its
+/// Stores a plan unless an equal one is stored; replaces a stored one that was damaged. Returns its
 /// sha256.
 pub(super) async fn keep(
     connection: &mut SqliteConnection,

@@ -10,17 +10,14 @@ use crate::core::columns::{counts_blob, time_text, volts_blob};
 use crate::core::facts::{RunFacts, RunKind};
 use crate::core::{During, Store, StoreError};
 use crate::ids::{RunUid, TrialId, TrialKey};
-use crate::record::{ArmReading, FrameRecord, PlacedContact, TrialRecord};
+use crate::record::{ArmReading, CONTACTS_MAX, FrameRecord, PlacedContact, TrialRecord};
 use crate::table::checksum::{self, Numbers};
 use crate::table::trial_row::Contact;
-
-/// Largest number of contacts of a trial: the indenter has six arms.
-const CONTACTS_MAX: usize = 6;
 
 /// Largest number of rows of one statement.
 const ROWS_AT_ONCE: usize = 100;
 
-const STORING: &str = "storing a trial";
+const STORING_TRIAL: &str = "storing a trial";
 
 /// A checked trial with the values of its columns.
 struct Entry {
@@ -70,10 +67,11 @@ impl Entry {
     /// of the stored trial.
     async fn insert(&self, connection: &mut SqliteConnection) -> Result<TrialId, StoreError> {
         let Some(id) = self.insert_row(connection).await? else {
-            let stored = id_of_key(connection, self.scan_id, self.record.key, STORING).await?;
+            let stored =
+                id_of_key(connection, self.scan_id, self.record.key, STORING_TRIAL).await?;
             return stored.ok_or_else(|| refused("its key", "is neither new nor stored"));
         };
-        insert_voltages(connection, id, &self.voltages_v, STORING).await?;
+        insert_voltages(connection, id, &self.voltages_v, STORING_TRIAL).await?;
         insert_tips(connection, id, &self.record.arms).await?;
         insert_placed(connection, id, &self.record.placed).await?;
         insert_frames(connection, id, &self.record.frames).await?;
@@ -135,7 +133,7 @@ impl Entry {
              RETURNING id",
         );
         let id: Option<i64> =
-            insert.build_query_scalar().fetch_optional(connection).await.during(STORING)?;
+            insert.build_query_scalar().fetch_optional(connection).await.during(STORING_TRIAL)?;
         Ok(id.map(TrialId))
     }
 }
@@ -151,23 +149,25 @@ impl Store {
         run: RunUid,
         trial: &TrialRecord,
     ) -> Result<TrialId, StoreError> {
-        let facts = self.facts_to_write(run, STORING).await?;
+        let facts = self.facts_to_write(run, STORING_TRIAL).await?;
         let entry = Entry::new(facts, trial.clone())?;
         let key = trial.key;
         self.inner
             .writer
             .patient()
             .run_and_settle(
-                STORING,
+                STORING_TRIAL,
                 async move |connection| entry.insert(connection).await,
-                async move |connection| id_of_key(connection, facts.scan_id, key, STORING).await,
+                async move |connection| {
+                    id_of_key(connection, facts.scan_id, key, STORING_TRIAL).await
+                },
             )
             .await
     }
 }
 
 fn refused(field: &'static str, limit: &'static str) -> StoreError {
-    StoreError::Refused { operation: STORING, field, limit }
+    StoreError::Refused { operation: STORING_TRIAL, field, limit }
 }
 
 /// Checks the frames and numbers of a trial: SQLite would store NaN as NULL, and frames of different
@@ -306,7 +306,7 @@ async fn insert_many<T>(
             .build()
             .execute(&mut *connection)
             .await
-            .during(STORING)?;
+            .during(STORING_TRIAL)?;
     }
     Ok(())
 }

@@ -21,11 +21,11 @@ use super::error::{During, StoreError};
 /// Number of connections.
 const CONNECTIONS: u32 = 4;
 /// Longest wait for a free connection.
-const TURN: Duration = Duration::from_secs(5);
+const CONNECTION_WAIT: Duration = Duration::from_secs(5);
 /// Memory of the pages that a connection keeps, KiB.
 const CACHE_KIB: i64 = 8 << 10;
 /// Steps of SQLite's machine after which a read checks whether its caller still waits.
-const STEPS: i32 = 10_000;
+const CHECK_STEPS: i32 = 10_000;
 
 /// The connections of a store. Clones share them.
 #[derive(Clone)]
@@ -68,7 +68,7 @@ impl Bulk {
         operation: &'static str,
         work: impl FnOnce(&Connection) -> Result<T, StoreError> + Send + 'static,
     ) -> Result<T, StoreError> {
-        let turn = timeout(TURN, self.inner.turns.clone().acquire_owned()).await;
+        let turn = timeout(CONNECTION_WAIT, self.inner.turns.clone().acquire_owned()).await;
         let turn = turn.map_err(|_| busy()).during(operation)?;
         let turn = turn.map_err(|_| StoreError::Closed { operation })?;
         self.view(operation, Some(turn), work).await
@@ -103,7 +103,7 @@ impl Bulk {
             let kept = turn.as_ref().and_then(|_| inner.idle.lock().pop());
             let connection = kept.map_or_else(|| inner.open(), Ok).during(operation)?;
             let stops = move || gone.load(Ordering::Relaxed);
-            connection.progress_handler(STEPS, Some(stops)).during(operation)?;
+            connection.progress_handler(CHECK_STEPS, Some(stops)).during(operation)?;
             let view = connection.unchecked_transaction().during(operation)?;
             let result = work(&view)?;
             view.finish().during(operation)?;
@@ -143,7 +143,7 @@ impl Inner {
 }
 
 fn busy() -> rusqlite::Error {
-    let words = format!("no connection is free within {} s", TURN.as_secs());
+    let words = format!("no connection is free within {} s", CONNECTION_WAIT.as_secs());
     let code = rusqlite::ffi::Error::new(rusqlite::ffi::SQLITE_BUSY);
     rusqlite::Error::SqliteFailure(code, Some(words))
 }

@@ -3,6 +3,7 @@
 
 use serde::{Deserialize, Serialize};
 use sqlx::sqlite::SqliteConnection;
+use strum::IntoStaticStr;
 use utoipa::ToSchema;
 
 use super::columns;
@@ -10,10 +11,12 @@ use super::error::{During, StoreError};
 use super::store::Store;
 use super::writer::Writer;
 use crate::ids::RunUid;
+pub use crate::record::Label;
 
 /// Origin of the trials of a run: Real-Hex or Real-Random (paper, Table I), or an import.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema, IntoStaticStr)]
 #[serde(rename_all = "kebab-case")]
+#[strum(serialize_all = "kebab-case")]
 pub enum RunKind {
     /// Pressed by the multi-point indenter; contacts below the deadband are removed from the labels.
     RealHex,
@@ -26,34 +29,7 @@ pub enum RunKind {
 impl RunKind {
     /// Returns the kind as it is stored and shown.
     pub fn as_str(self) -> &'static str {
-        match self {
-            RunKind::RealHex => "real-hex",
-            RunKind::RealRandom => "real-random",
-            RunKind::Imported => "imported",
-        }
-    }
-}
-
-/// Origin of the data of a run.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
-#[serde(rename_all = "lowercase")]
-pub enum Label {
-    /// Measured on a real rig.
-    Measured,
-    /// Measured on the virtual rig.
-    Virtual,
-    /// Computed by a model elsewhere, and imported.
-    Simulated,
-}
-
-impl Label {
-    /// Returns the label as it is stored and shown.
-    pub fn as_str(self) -> &'static str {
-        match self {
-            Label::Measured => "measured",
-            Label::Virtual => "virtual",
-            Label::Simulated => "simulated",
-        }
+        self.into()
     }
 }
 

@@ -13,6 +13,7 @@ use jiff::Timestamp;
 use parking_lot::{RwLock, RwLockReadGuard, RwLockWriteGuard};
 use serde::{Deserialize, Serialize};
 use sqlx::sqlite::SqliteRow;
+use strum::IntoStaticStr;
 use tokio::sync::watch;
 use tracing::Instrument;
 use utoipa::ToSchema;
@@ -39,8 +40,21 @@ pub const KEYLESS: &str = "local";
 pub const KEYLESS_SUFFIX: &str = " (local)";
 
 /// Rights of an API key; each role includes the rights of the previous ones.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, ToSchema)]
+#[derive(
+    Debug,
+    Clone,
+    Copy,
+    PartialEq,
+    Eq,
+    PartialOrd,
+    Ord,
+    Serialize,
+    Deserialize,
+    ToSchema,
+    IntoStaticStr,
+)]
 #[serde(rename_all = "lowercase")]
+#[strum(serialize_all = "lowercase")]
 pub enum Role {
     /// Read, and stop the rig.
     Viewer,
@@ -52,11 +66,7 @@ pub enum Role {
 
 impl Role {
     fn as_str(self) -> &'static str {
-        match self {
-            Role::Viewer => "viewer",
-            Role::Operator => "operator",
-            Role::Admin => "admin",
-        }
+        self.into()
     }
 }
 

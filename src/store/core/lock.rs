@@ -13,7 +13,7 @@ use crate::plain::violated;
 
 /// Longest name of a holder, with the mark of one without a key.
 const HOLDER_MAX_CHARS: usize = 120;
-/// Longest note.
+/// Longest note of the operator lock, characters.
 const NOTE_MAX_CHARS: usize = 500;
 
 /// The operator lock while a person holds it.

@@ -19,7 +19,7 @@ pub(crate) mod store;
 pub(crate) mod facts;
 /// The operator lock, and the settings.
 pub(crate) mod lock;
-/// API keys.
+/// API keys, stored as hashes.
 pub(crate) mod keys;
 /// Requests that are carried out once.
 pub(crate) mod once;

@@ -27,13 +27,13 @@ impl OnceKey {
 /// A stored response.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct OnceResponse {
-    /// HTTP status.
+    /// HTTP status that was sent.
     pub status: u16,
     /// Address of the new object; absent without one.
     pub location: Option<String>,
     /// Media type of the body; absent without a body.
     pub content_type: Option<String>,
-    /// The body.
+    /// Bytes of the body; empty without one.
     pub body: Vec<u8>,
 }
 

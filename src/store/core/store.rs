@@ -192,7 +192,7 @@ async fn create(path: &Path, options: &SqliteConnectOptions) -> Result<(), Store
     let new = path.with_added_extension("new");
     // Remains of a killed process. SQLite removes their log itself.
     let _ = std::fs::remove_file(&new);
-    // SQLite gives its log the rights of the database.
+    // SQLite creates its log with the rights of the database.
     let made = std::fs::File::options().write(true).create_new(true).mode(0o600).open(&new);
     made.map_err(|e| StoreError::Open { path: path.to_owned(), source: e.into() })?;
     let writer = Writer::start(options.clone().filename(&new))?;

@@ -12,10 +12,12 @@ use super::twins::{self, Twin, TwinModelId, TwinOutcome};
 use crate::bench::run_row::{self, NewRun, RunRow};
 use crate::bench::trials::insert_voltages;
 use crate::core::columns::time_text;
+use crate::core::facts::RunKind;
 use crate::core::{During, Store, StoreError};
 use crate::ids::{RunUid, TrialId, TrialKey};
 use crate::journal::ExitStatus;
 use crate::record::{Flag, FrameQuality, TrialScalars};
+use crate::state::StoredState;
 use crate::table::checksum::Numbers;
 use crate::table::trial_row::Contact;
 
@@ -25,7 +27,7 @@ pub const IMPORTED_MODEL: &str = "imported";
 /// Largest number of contacts of an imported trial.
 pub const IMPORTED_CONTACTS_MAX: usize = 64;
 
-const STORING: &str = "storing an import";
+const STORING_IMPORT: &str = "storing an import";
 
 /// A trial measured elsewhere. Unknown values are absent.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -58,8 +60,12 @@ pub struct ImportedTrial {
     pub split: Option<String>,
 }
 
+/// State of an import until it is complete: lists of runs show no removed run, and a database that earlier
+/// versions open has no other state that they hide.
+const INCOMPLETE: StoredState = StoredState::Removed;
+
 impl Store {
-    /// Stores a run that was measured elsewhere, in the state `removed` until [`Store::end_import`].
+    /// Stores a run that was measured elsewhere; lists show it after [`Store::end_import`].
     ///
     /// # Errors
     /// `Refused` if the number of trials is too large or the deadband is not finite;
@@ -68,13 +74,14 @@ impl Store {
         let now = self.now_text();
         self.inner
             .writer
-            .run(STORING, async move |connection| {
-                let row = run_row::insert(connection, new, false, now, STORING).await?;
-                sqlx::query("UPDATE runs SET state = 'removed' WHERE scan_id = ?1")
+            .run(STORING_IMPORT, async move |connection| {
+                let row = run_row::insert(connection, new, false, now, STORING_IMPORT).await?;
+                sqlx::query("UPDATE runs SET state = ?2 WHERE scan_id = ?1")
                     .bind(row.scan_id)
+                    .bind(INCOMPLETE.as_str())
                     .execute(connection)
                     .await
-                    .during(STORING)?;
+                    .during(STORING_IMPORT)?;
                 Ok(row)
             })
             .await
@@ -97,7 +104,7 @@ impl Store {
         .bind(&new.definition)
         .fetch_optional(&self.inner.readers)
         .await
-        .during(STORING)
+        .during(STORING_IMPORT)
     }
 
     /// Stores a batch of trials of an import in one transaction. `model` is the model of their simulated
@@ -112,11 +119,11 @@ impl Store {
         model: Option<TwinModelId>,
         trials: Vec<ImportedTrial>,
     ) -> Result<(), StoreError> {
-        let scan_id = self.facts(run, STORING).await?.scan_id;
+        let scan_id = self.facts(run, STORING_IMPORT).await?.scan_id;
         let now = self.now_text();
         self.inner
             .writer
-            .run(STORING, async move |connection| {
+            .run(STORING_IMPORT, async move |connection| {
                 for trial in &trials {
                     insert(connection, scan_id, model, trial, &now).await?;
                 }
@@ -133,7 +140,7 @@ impl Store {
         let now = self.now_text();
         self.inner
             .writer
-            .run(STORING, async move |connection| {
+            .run(STORING_IMPORT, async move |connection| {
                 let row = sqlx::query(
                     "UPDATE runs SET state = 'ended', exit_status = ?2, reason = 'imported',
                          ended_at = ?3
@@ -144,8 +151,8 @@ impl Store {
                 .bind(now)
                 .fetch_one(connection)
                 .await
-                .during(STORING)?;
-                RunRow::read(&row, STORING)
+                .during(STORING_IMPORT)?;
+                RunRow::read(&row, STORING_IMPORT)
             })
             .await
     }
@@ -161,8 +168,10 @@ impl Store {
             .run(OPERATION, async move |connection| {
                 let gone = sqlx::query(
                     "DELETE FROM trials WHERE run IN
-                         (SELECT scan_id FROM runs WHERE kind = 'imported' AND state = 'removed')",
+                         (SELECT scan_id FROM runs WHERE kind = ?1 AND state = ?2)",
                 )
+                .bind(RunKind::Imported.as_str())
+                .bind(INCOMPLETE.as_str())
                 .execute(connection)
                 .await
                 .during(OPERATION)?;
@@ -180,7 +189,7 @@ async fn insert(
     trial: &ImportedTrial,
     now: &str,
 ) -> Result<(), StoreError> {
-    let refused = |field, limit| StoreError::Refused { operation: STORING, field, limit };
+    let refused = |field, limit| StoreError::Refused { operation: STORING_IMPORT, field, limit };
     if trial.contacts.len() > IMPORTED_CONTACTS_MAX {
         return Err(refused("contacts", "must be at most 64"));
     }
@@ -236,8 +245,8 @@ async fn insert(
     .bind(trial.frame_count)
     .fetch_one(&mut *connection)
     .await
-    .during(STORING)?;
-    insert_voltages(connection, TrialId(id), &trial.voltages_v, STORING).await?;
+    .during(STORING_IMPORT)?;
+    insert_voltages(connection, TrialId(id), &trial.voltages_v, STORING_IMPORT).await?;
     for (n, contact) in trial.contacts.iter().enumerate() {
         sqlx::query(
             "INSERT INTO placed_contacts (trial, n, x_mm, y_mm, force_n, diameter_mm)
@@ -251,7 +260,7 @@ async fn insert(
         .bind(contact.diameter_mm)
         .execute(&mut *connection)
         .await
-        .during(STORING)?;
+        .during(STORING_IMPORT)?;
     }
     let (Some(model), Some(frame), Some((rmse_v, fvu))) = (model, &trial.sim_voltages_v, trial.fit)
     else {

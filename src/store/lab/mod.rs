@@ -7,7 +7,7 @@ pub(crate) mod twins;
 pub(crate) mod progress;
 /// A run over time.
 pub(crate) mod history;
-/// Datasets.
+/// Facts of datasets; their rows are files.
 pub(crate) mod datasets;
 /// Trained nets, and promotions.
 pub(crate) mod models;

@@ -7,6 +7,7 @@ use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use sqlx::sqlite::SqliteRow;
+use strum::EnumIter;
 use utoipa::ToSchema;
 
 use crate::core::columns::Columns;
@@ -47,7 +48,7 @@ impl fmt::Display for TaskKind {
 }
 
 /// State of a task.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema, EnumIter)]
 #[serde(rename_all = "lowercase")]
 pub enum TaskState {
     /// It waits for earlier tasks of its queue.
@@ -58,7 +59,7 @@ pub enum TaskState {
     Done,
     /// A person stopped it.
     Stopped,
-    /// It failed.
+    /// It ended with an error, which is stored.
     Failed,
 }
 

@@ -105,7 +105,7 @@ pub struct Fit {
     pub fvu: Option<f64>,
 }
 
-const STORING: &str = "storing twins";
+const STORING_TWINS: &str = "storing twins";
 
 impl Store {
     /// Returns the number of a model, after storing it if it is new.
@@ -204,14 +204,14 @@ impl Store {
         let runs: Vec<i64> = self
             .inner
             .writer
-            .run(STORING, async move |connection| {
+            .run(STORING_TWINS, async move |connection| {
                 for twin in twins {
                     insert(connection, model, twin, &now).await?;
                 }
                 let runs = "SELECT DISTINCT run FROM trials \
                             WHERE id IN (SELECT value FROM json_each(?1))";
                 let runs = sqlx::query_scalar(runs).bind(format!("{trials:?}"));
-                runs.fetch_all(connection).await.during(STORING)
+                runs.fetch_all(connection).await.during(STORING_TWINS)
             })
             .await?;
         runs.into_iter().for_each(|run| self.count_change(run));
@@ -328,7 +328,7 @@ pub(crate) async fn insert(
     .bind(now)
     .execute(&mut *connection)
     .await
-    .during(STORING)?;
+    .during(STORING_TWINS)?;
     if let Some(voltages_v) = voltages_v.filter(|_| inserted.rows_affected() == 1) {
         let volts = volts_blob(&voltages_v);
         sqlx::query(
@@ -340,7 +340,7 @@ pub(crate) async fn insert(
         .bind(checksum::of_volts(&volts))
         .execute(connection)
         .await
-        .during(STORING)?;
+        .during(STORING_TWINS)?;
     }
     Ok(())
 }

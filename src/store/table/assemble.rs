@@ -13,7 +13,7 @@ use crate::core::bulk::Statement;
 use crate::core::columns::Columns;
 use crate::core::facts::RunKind;
 use crate::ids::TrialId;
-use crate::record::{ArmReading, FrameQuality, Pose, TrialScalars};
+use crate::record::{ARMS, ArmReading, FrameQuality, Pose, TrialScalars};
 
 /// Returns the reading of an attached tip from its columns.
 pub(crate) fn arm(c: &Columns<'_>) -> Result<ArmReading, StoreError> {
@@ -99,7 +99,7 @@ fn trial_row(
             .map(|p| Contact { diameter_mm: p.diameter_mm.or(diameter_mm), ..*p })
             .collect(),
     };
-    let mut forces_n = [None; 6];
+    let mut forces_n = [None; ARMS];
     for a in &arms {
         if let Some(force) = usize::from(a.arm).checked_sub(1).and_then(|i| forces_n.get_mut(i)) {
             *force = Some(a.force_n);

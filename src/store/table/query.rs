@@ -18,7 +18,7 @@ pub(crate) const SELECT: &str = "SELECT t.*, r.uid, r.experiment, r.kind, r.labe
          AND w.model = (SELECT max(model) FROM twins n WHERE n.trial = t.id)
      LEFT JOIN twin_models m ON m.id = w.model";
 
-/// Joins of the tables that conditions may need besides `trials`.
+/// Joins of the tables that conditions may need in addition to `trials`.
 const JOIN_RUN: &str = " CROSS JOIN runs r ON r.scan_id = t.run";
 const JOIN_TWIN: &str = " LEFT JOIN twins w ON w.trial = t.id
          AND w.model = (SELECT max(model) FROM twins n WHERE n.trial = t.id)";

@@ -7,7 +7,7 @@ use utoipa::ToSchema;
 
 use crate::core::facts::{Label, RunKind};
 use crate::ids::{RunUid, TrialId};
-use crate::record::{ArmReading, Flag, FrameQuality, PlacedContact, Pose, TrialScalars};
+use crate::record::{ARMS, ArmReading, Flag, FrameQuality, PlacedContact, Pose, TrialScalars};
 
 /// A contact of a trial: position, force and diameter of one tip on the skin.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize, ToSchema)]
@@ -73,7 +73,7 @@ pub struct TrialRow {
     pub contacts: Vec<Contact>,
     /// Raw forces of arms 1 to 6, N; null for an arm without a tip.
     #[schema(value_type = Vec<Option<f64>>, min_items = 6, max_items = 6)]
-    pub forces_n: [Option<f64>; 6],
+    pub forces_n: [Option<f64>; ARMS],
     /// Reading of each attached tip.
     pub arms: Vec<ArmReading>,
     /// Target pose; absent if no stage moved (placed weights, imports).

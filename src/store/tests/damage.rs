@@ -19,7 +19,8 @@ use crate::{RunKind, Soundness, Store, StoreError, TrialQuery};
 
 /// Number of trials in the file that is damaged.
 const TRIALS: u32 = 66;
-const PAGE: usize = PAGE_BYTES as usize;
+/// Size of a page of the file, bytes.
+const PAGE_LEN: usize = PAGE_BYTES as usize;
 
 /// Creates and closes a database with trials, reference presses and events. Returns its run.
 async fn filled(folder: &Folder) -> RunUid {
@@ -73,18 +74,18 @@ const WAYS: [Damage; 14] = [
     ("no database at all", |bytes, rng| rng.fill(&mut bytes[..])),
     ("another file's text", |bytes, _| *bytes = b"not a database\n".repeat(2000)),
     ("header zeroed", |bytes, _| bytes[..100].fill(0)),
-    ("first page zeroed", |bytes, _| bytes[..PAGE].fill(0)),
+    ("first page zeroed", |bytes, _| bytes[..PAGE_LEN].fill(0)),
     ("another page size", |bytes, _| bytes[16..18].copy_from_slice(&4096u16.to_be_bytes())),
     ("a format of the future", |bytes, _| bytes[18..20].fill(9)),
     ("cut at a page", |bytes, rng| {
-        let pages = bytes.len() / PAGE;
-        bytes.truncate(PAGE * rng.random_range(1..pages));
+        let pages = bytes.len() / PAGE_LEN;
+        bytes.truncate(PAGE_LEN * rng.random_range(1..pages));
     }),
     ("cut anywhere", |bytes, rng| bytes.truncate(rng.random_range(1..bytes.len()))),
     ("a page zeroed", |bytes, rng| page(bytes, rng).fill(0)),
     ("a page of ones", |bytes, rng| page(bytes, rng).fill(0xFF)),
     ("a page of noise", |bytes, rng| {
-        let mut noise = [0; PAGE];
+        let mut noise = [0; PAGE_LEN];
         rng.fill(&mut noise[..]);
         page(bytes, rng).copy_from_slice(&noise);
     }),
@@ -100,8 +101,8 @@ const WAYS: [Damage; 14] = [
 
 /// Draws a page other than the first.
 fn page<'b>(bytes: &'b mut [u8], rng: &mut ChaCha8Rng) -> &'b mut [u8] {
-    let n = rng.random_range(1..bytes.len() / PAGE);
-    &mut bytes[PAGE * n..PAGE * (n + 1)]
+    let n = rng.random_range(1..bytes.len() / PAGE_LEN);
+    &mut bytes[PAGE_LEN * n..PAGE_LEN * (n + 1)]
 }
 
 #[expect(clippy::ptr_arg, reason = "every way to damage has this type; some shorten the file")]
@@ -132,7 +133,7 @@ impl Original {
         assert_eq!((measured.len(), stored.len()), (TRIALS as usize, TRIALS as usize));
         let keys = "SELECT rootpage FROM sqlite_schema WHERE name = 'sqlite_autoindex_trials_1'";
         let keys: i64 = sqlx::query_scalar(keys).fetch_one(&store.inner.readers).await.unwrap();
-        Self { bytes, run, measured, stored, keys_at: PAGE * (keys as usize - 1) }
+        Self { bytes, run, measured, stored, keys_at: PAGE_LEN * (keys as usize - 1) }
     }
 
     /// Returns whether the damaged file is `refused`, `found` to be damaged, or `harmless`. It never
@@ -184,7 +185,7 @@ async fn a_key_that_changed_in_its_index_alone_is_found() {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let mut bytes = original.bytes.clone();
         // The records of a page are at its end.
-        let at = original.keys_at + PAGE - 1 - rng.random_range(0..500);
+        let at = original.keys_at + PAGE_LEN - 1 - rng.random_range(0..500);
         bytes[at] ^= 1 << rng.random_range(0..8);
         let verdict = original.verdict(&bytes, &format!("index, seed {seed}")).await;
         found += u32::from(verdict == "found");
@@ -384,7 +385,7 @@ async fn a_damaged_log_is_refused_and_one_that_a_crash_tore_is_not() {
     };
     assert_eq!(reopened(&log).await, Ok(22));
     // Torn: the end is missing, or differs from what was to be written.
-    let frame = 24 + PAGE;
+    let frame = 24 + PAGE_LEN;
     assert_eq!(reopened(&log[..log.len() - 5]).await, Ok(21));
     let mut torn = log.clone();
     torn[log.len() - 9000..].fill(0);

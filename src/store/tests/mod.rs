@@ -8,6 +8,7 @@ mod once;
 mod people;
 mod runs;
 mod schema;
+mod states;
 mod task_queue;
 mod tasks;
 mod trials;

@@ -30,7 +30,7 @@ async fn a_run_keeps_its_provenance() {
 }
 
 #[tokio::test]
-async fn states_go_on_until_the_end_and_no_further() {
+async fn states_advance_until_the_end_and_no_further() {
     let folder = Folder::new();
     let store = open(&folder.file()).await;
     let run = store.enqueue(new_run(RunKind::RealHex)).await.unwrap().uid;

@@ -130,7 +130,7 @@ async fn a_commit_that_failed_but_was_stored_is_found() {
 }
 
 #[tokio::test]
-async fn a_full_disk_is_an_error_and_later_trials_go_on() {
+async fn a_full_disk_is_an_error_and_later_trials_are_stored() {
     let folder = Folder::new();
     let (store, run) = with_run(&folder, RunKind::RealHex).await;
     store

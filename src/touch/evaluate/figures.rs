@@ -8,6 +8,7 @@ use plotters::style::colors::colormaps::ViridisRGB;
 use crate::figure::skin::{Outline, colour_bar};
 use crate::figure::style::{COLOURS, INK, SMALL, TEXT, TINY, legend, mesh, plain, whole};
 use crate::figure::{Area, Heading, PageSize};
+use crate::record::CONTACTS_MAX;
 
 use super::simulation::{BoxPlot, FORCE_BIN_N, FORCE_END_N, ForceBin, PointFit, SimulationReport};
 
@@ -46,7 +47,8 @@ impl Quantity {
     }
 }
 
-const SIZE: PageSize = PageSize { width_px: 960, height_px: 600 };
+/// Size of a figure of the report.
+const REPORT_SIZE: PageSize = PageSize { width_px: 960, height_px: 600 };
 /// Bins with fewer trials are not drawn: their mean is not significant.
 const FEWEST: u64 = 5;
 /// Widths of bins, N: the narrowest is used whose drawn bins hold most of the trials.
@@ -93,7 +95,7 @@ fn binned(report: &SimulationReport, quantity: Quantity, width_n: f64) -> Vec<(u
         }
         (contacts, bins)
     };
-    (0..=6).map(of_count).filter(|(_, bins)| !bins.is_empty()).collect()
+    (0..=CONTACTS_MAX as u8).map(of_count).filter(|(_, bins)| !bins.is_empty()).collect()
 }
 
 /// The narrowest bins of which those with enough trials hold most trials.
@@ -128,7 +130,7 @@ pub fn by_force(
     let heading = heading.clone().with_note(format!(
         "Dots: means of bins of {width_n} N with at least {FEWEST} trials, joined where bins adjoin{last}. Bars: trials"
     ));
-    page("means by force", SIZE, &heading, |area| {
+    page("means by force", REPORT_SIZE, &heading, |area| {
         let (above, below) = area.split_vertically(410);
         let mut chart = ChartBuilder::on(&above)
             .margin(14)
@@ -242,7 +244,7 @@ pub fn boxes(
         "Boxes: quartiles and median; whiskers: outermost values within 1.5 interquartile ranges; \
          values beyond them are not drawn",
     );
-    page("boxes by contacts", SIZE, &heading, |area| {
+    page("boxes by contacts", REPORT_SIZE, &heading, |area| {
         let mut chart = ChartBuilder::on(area)
             .margin(14)
             .x_label_area_size(50)

@@ -5,7 +5,7 @@ use plotters::prelude::*;
 use plotters::style::colors::colormaps::ViridisRGB;
 
 use super::figures::{FigureError, page};
-use crate::dataset::force_map::{ForceMap, ForceMapSpec, SIDE_MM};
+use crate::dataset::force_map::{ForceMap, ForceMapSpec, MapContact, SIDE_MM};
 use crate::figure::style::{COLOURS, SMALL, TEXT, TINY, dash, legend, mesh, plain, whole};
 use crate::figure::{Heading, PageSize};
 use crate::store::Contact;
@@ -39,7 +39,8 @@ impl Picture {
         let draws = ForceMap::new(spec, skin.width_mm, skin.height_mm).map_err(failed)?;
         let mut map = vec![0.0; draws.pixels() * draws.pixels()];
         let pressed = contacts.iter().filter_map(|c| c.pressed());
-        let pressed: Vec<(f64, f64, f64)> = pressed.map(|[x, y, n]| (x, y, n)).collect();
+        let of = |[x_mm, y_mm, force_n]: [f64; 3]| MapContact { x_mm, y_mm, force_n };
+        let pressed: Vec<MapContact> = pressed.map(of).collect();
         draws.render(&pressed, &mut map).map_err(failed)?;
         Ok(Self { name: name.into(), spec, map })
     }

@@ -20,7 +20,8 @@ pub struct EpochLoss {
     pub validation_loss: Option<f64>,
 }
 
-const SIZE: PageSize = PageSize { width_px: 960, height_px: 520 };
+/// Size of the learning curve.
+const LOSSES_SIZE: PageSize = PageSize { width_px: 960, height_px: 520 };
 /// Most epochs that have a dot each.
 const DOTS: usize = 60;
 
@@ -58,7 +59,7 @@ pub fn curve(heading: &Heading, unit: &str, losses: &[EpochLoss]) -> Result<Stri
     let (low, high) =
         all.iter().fold((f64::MAX, f64::MIN), |(l, h), at| (l.min(at.1), h.max(at.1)));
     let room = (right * 0.02).max(0.2);
-    page("learning curve", SIZE, heading, |area| {
+    page("learning curve", LOSSES_SIZE, heading, |area| {
         let mut chart = ChartBuilder::on(area)
             .margin(14)
             .x_label_area_size(50)

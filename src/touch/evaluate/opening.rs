@@ -18,7 +18,7 @@ use crate::store::Contact;
 /// A method's answer to a trial.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Answer {
-    /// Estimated contacts.
+    /// Estimated contacts, mm and N.
     pub contacts: Vec<Contact>,
     /// Force map of the net, if it has one.
     pub map: Option<Picture>,
@@ -27,7 +27,7 @@ pub struct Answer {
 /// A trial: its true contacts, and the answers in the order of the methods.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Row {
-    /// True contacts.
+    /// Contacts that were measured, mm and N.
     pub truth: Vec<Contact>,
     /// Answer of each method.
     pub answers: Vec<Answer>,
@@ -38,7 +38,7 @@ pub struct Row {
 pub struct Rank {
     /// Name of the method.
     pub name: String,
-    /// Mean, mm.
+    /// Mean location error, mm.
     pub mean_mm: f64,
     /// 95 % interval of the mean, mm, if known.
     pub interval_mm: Option<[f64; 2]>,
@@ -46,7 +46,7 @@ pub struct Rank {
     pub n: u64,
     /// Number of answers per true contact, if known: many answers are close to every contact.
     pub answers_per_contact: Option<f64>,
-    /// Origin.
+    /// Source of the value.
     pub role: Role,
 }
 
@@ -71,7 +71,7 @@ const HEAD_PX: u32 = 32;
 /// Least force of a pixel that is drawn, as a share of the largest.
 const FAINT: f32 = 0.03;
 /// Most answers that are drawn, the strongest.
-const SHOWN: usize = 8;
+const ANSWERS_SHOWN: usize = 8;
 /// Length of the scale bar, mm.
 const BAR_MM: f64 = 100.0;
 
@@ -160,7 +160,7 @@ fn cell(
     }
     let answers = answer.map_or(&[][..], |answer| &answer.contacts);
     let middle_mm = middle_of(answers);
-    for contact in answers.iter().take(SHOWN) {
+    for contact in answers.iter().take(ANSWERS_SHOWN) {
         let (Some(x), Some(y)) = (contact.x_mm, contact.y_mm) else { continue };
         // The square of a map is larger than the skin.
         if !((0.0..=width).contains(&x) && (0.0..=height).contains(&y)) {
@@ -171,8 +171,8 @@ fn cell(
             force(&mut chart, [x, y], newtons, (6, x >= middle_mm))?;
         }
     }
-    if answers.len() > SHOWN {
-        let more = format!("and {} weaker", answers.len() - SHOWN);
+    if answers.len() > ANSWERS_SHOWN {
+        let more = format!("and {} weaker", answers.len() - ANSWERS_SHOWN);
         chart.draw_series([Text::new(more, (16.0, 30.0), TINY)])?;
     }
     if answer.is_none() {

@@ -82,7 +82,7 @@ pub const REAL_UNSEEN: Published = Published {
 pub struct Transfer {
     /// Mean RMSE, V.
     pub rmse_v: f64,
-    /// Mean FVU, %.
+    /// Mean FVU as printed in the paper, %.
     pub fvu_percent: f64,
 }
 

@@ -23,7 +23,7 @@ pub struct QuantityScores {
     pub left_out: u64,
     /// Mean error of a row: distance, mm; wrong places; difference of counts; difference of forces, N.
     pub error: Mean,
-    /// Median error.
+    /// Median error of the answers, in the unit of the quantity.
     pub median_error: f64,
     /// Share of rows that are right, 0 to 1: all places of a pattern, or the number of contacts.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -32,8 +32,13 @@ pub struct QuantityScores {
     pub constant_error: f64,
 }
 
-/// Error of an answer, and whether it is right where that is meant.
-type Error = (f64, Option<bool>);
+/// Error of an answer to one row.
+struct Error {
+    /// Distance, mm; wrong places; difference of counts; difference of forces, N.
+    size: f64,
+    /// Whether the answer is right; `None` for a quantity that has no right and wrong.
+    is_right: Option<bool>,
+}
 
 impl QuantityScores {
     /// Scores answers, each as a net of the quantity gives it, to rows given by their contacts; `seed`
@@ -41,11 +46,11 @@ impl QuantityScores {
     pub fn of(targets: &Targets, rows: &[(&[Contact], &[f32])], seed: u64) -> Option<Self> {
         let of = |(contacts, answer): &(&[Contact], &[f32])| error(targets, contacts, answer);
         let errors: Vec<Error> = rows.iter().filter_map(of).collect();
-        let values: Vec<f64> = errors.iter().map(|(error, _)| *error).collect();
-        let rights = errors.iter().filter_map(|(_, right)| Some(f64::from(u8::from((*right)?))));
+        let values: Vec<f64> = errors.iter().map(|error| error.size).collect();
+        let rights = errors.iter().filter_map(|error| Some(f64::from(u8::from(error.is_right?))));
         let same = constant(targets, rows.iter().map(|(contacts, _)| *contacts))?;
         let same = rows.iter().filter_map(|(contacts, _)| error(targets, contacts, &same));
-        let same: Vec<f64> = same.map(|(error, _)| error).collect();
+        let same: Vec<f64> = same.map(|error| error.size).collect();
         Some(Self {
             quantity: targets.quantity.name().into(),
             rows: errors.len() as u64,
@@ -70,19 +75,22 @@ fn error(targets: &Targets, contacts: &[Contact], answer: &[f32]) -> Option<Erro
         Quantity::Position => {
             let truth = targets.of_row(contacts)?;
             let apart = |axis: usize| f64::from(answer[axis]) - f64::from(truth[axis]);
-            Some((apart(0).hypot(apart(1)), None))
+            Some(Error { size: apart(0).hypot(apart(1)), is_right: None })
         }
-        Quantity::Force => Some((difference(&targets.of_row(contacts)?).abs(), None)),
+        Quantity::Force => {
+            let size = difference(&targets.of_row(contacts)?).abs();
+            Some(Error { size, is_right: None })
+        }
         Quantity::Count => {
             let truth = contacts.len() as f64;
             let apart = (f64::from(answer[0]).round().max(0.0) - truth).abs();
-            Some((apart, Some(apart == 0.0)))
+            Some(Error { size: apart, is_right: Some(apart == 0.0) })
         }
         Quantity::Pattern => {
             let truth = targets.pressed(contacts)?;
             let wrong = truth.places.iter().zip(answer).filter(|(is, y)| **is != (**y > 0.0));
             let wrong = wrong.count() as u32 + truth.elsewhere;
-            Some((f64::from(wrong), Some(wrong == 0)))
+            Some(Error { size: f64::from(wrong), is_right: Some(wrong == 0) })
         }
     }
 }

@@ -314,7 +314,7 @@ fn yes() -> bool {
 /// A row and its reading.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct Example {
-    /// True contacts.
+    /// Contacts of the row as its label states them, mm and N.
     pub truth: Vec<Contact>,
     /// Answer of the method.
     pub reading: Reading,

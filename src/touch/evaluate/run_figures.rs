@@ -9,7 +9,8 @@ use super::figures::{FigureError, page};
 use crate::figure::style::{COLOURS, SMALL, TEXT, TINY, dash, legend, mesh, plain, whole};
 use crate::figure::{Heading, PageSize};
 
-const SIZE: PageSize = PageSize { width_px: 900, height_px: 500 };
+/// Size of a figure of a run.
+const RUN_SIZE: PageSize = PageSize { width_px: 900, height_px: 500 };
 /// Bins of a histogram.
 const BINS: usize = 40;
 /// Largest number of contacts of a trial.
@@ -44,7 +45,7 @@ pub fn bands(heading: &Heading, x: &str, y: &str, bands: &[Band]) -> Result<Stri
     let right = all().map(|at| at[0]).fold(1e-6, f64::max);
     let (low, high) =
         all().fold((0.0, 1e-6), |(low, high): (f64, f64), at| (low.min(at[1]), high.max(at[3])));
-    page("bands", SIZE, heading, |area| {
+    page("bands", RUN_SIZE, heading, |area| {
         let mut chart = ChartBuilder::on(area)
             .margin(18)
             .x_label_area_size(50)
@@ -87,7 +88,7 @@ pub fn contacts(heading: &Heading, contacts: &Contacts) -> Result<String, Figure
     let here = contacts.here.map(|count| count as f64);
     let top = here.iter().chain(published.iter().flat_map(|(_, all)| all)).copied();
     let top = 1.15 * top.fold(1.0, f64::max);
-    page("contacts", SIZE, heading, |area| {
+    page("contacts", RUN_SIZE, heading, |area| {
         let mut chart = ChartBuilder::on(area)
             .margin(18)
             .x_label_area_size(50)
@@ -148,7 +149,7 @@ pub fn histogram(
         counts[((value.max(0.0) / width) as usize).min(BINS - 1)] += 1;
     }
     let top = 1.12 * f64::from(counts.iter().copied().max().unwrap_or(0).max(1));
-    page("histogram", SIZE, heading, |area| {
+    page("histogram", RUN_SIZE, heading, |area| {
         let mut chart = ChartBuilder::on(area)
             .margin(18)
             .x_label_area_size(50)
@@ -203,7 +204,7 @@ pub fn over_time(
     let room = (0.08 * (high - low)).max(1e-3 * high.abs()).max(1e-6);
     // Several lines have a legend above them.
     let above = if lines.len() > 1 { 0.3 * (high - low) } else { 0.0 };
-    page("over time", SIZE, heading, |area| {
+    page("over time", RUN_SIZE, heading, |area| {
         let mut chart = ChartBuilder::on(area)
             .margin(18)
             .x_label_area_size(50)

@@ -5,6 +5,7 @@ use serde::{Deserialize, Serialize};
 use sim_core::stats::{median, quantile, sorted};
 use utoipa::ToSchema;
 
+use crate::record::CONTACTS_MAX;
 use crate::store::Fit;
 
 /// Width of a bin of forces, N.
@@ -15,8 +16,6 @@ pub const FORCE_END_N: f64 = 50.0;
 const DEADBAND_FVU: f64 = 0.5;
 /// Width of the window over which the mean FVU is taken, N: more trials than in one bin.
 const DEADBAND_WINDOW_N: f64 = 3.0;
-/// Largest number of contacts of a trial.
-const CONTACTS_MAX: usize = 6;
 
 /// The fit of a run's twins.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
@@ -54,7 +53,7 @@ pub struct ForceBin {
     pub trials: u64,
     /// Mean RMSE, V.
     pub mean_rmse_v: f64,
-    /// Mean FVU.
+    /// Mean FVU of these trials, a share.
     pub mean_fvu: f64,
 }
 
@@ -74,15 +73,15 @@ pub struct ContactBoxes {
 /// Tukey's box plot: quartiles, and the outermost values within 1.5 times their distance.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct BoxPlot {
-    /// Lower whisker.
+    /// Smallest value within 1.5 times the quartiles' distance below `q1`.
     pub low: f64,
-    /// First quartile.
+    /// First quartile: a quarter of the values is at most this.
     pub q1: f64,
-    /// Median.
+    /// Median of the values, in their unit.
     pub median: f64,
-    /// Third quartile.
+    /// Third quartile: three quarters of the values are at most this.
     pub q3: f64,
-    /// Upper whisker.
+    /// Largest value within 1.5 times the quartiles' distance above `q3`.
     pub high: f64,
     /// Share of values beyond the whiskers.
     pub outliers: f64,
@@ -97,7 +96,7 @@ pub struct PointFit {
     pub y_mm: f64,
     /// Number of trials.
     pub trials: u64,
-    /// Mean FVU.
+    /// Mean FVU of these trials, a share.
     pub mean_fvu: f64,
 }
 

@@ -17,7 +17,7 @@ pub struct VoltageScore {
     pub rmse_v: f64,
     /// Mean FVU (Eq. 2), over trials whose target has variance.
     pub fvu: f64,
-    /// Median FVU.
+    /// Median FVU of these trials, a share.
     pub median_fvu: f64,
 }
 

@@ -3,11 +3,32 @@
 
 use super::answer::{FoundContact, Reading};
 use super::error::InferError;
-use crate::dataset::force_map::{ForceMap, ForceMapSpec, TABLE_IV};
+use crate::dataset::force_map::{ForceMap, ForceMapSpec, MapContact, TABLE_IV};
 
 /// Map in which the contacts of methods without a map are drawn: the paper's Map 1, 160 x 160
 /// pixels.
 pub const MAP_1: ForceMapSpec = TABLE_IV[0];
+
+/// Whether readings contain force maps.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum ForceMaps {
+    /// With the force map of each frame.
+    With,
+    /// Without force maps.
+    Without,
+}
+
+impl ForceMaps {
+    /// With force maps under a condition, otherwise without.
+    pub fn if_wanted(wanted: bool) -> Self {
+        if wanted { Self::With } else { Self::Without }
+    }
+
+    /// The map of a frame, if readings contain maps.
+    pub fn keep(self, map: impl FnOnce() -> Vec<f32>) -> Option<Vec<f32>> {
+        (self == Self::With).then(map)
+    }
+}
 
 /// Draws the contacts of readings without a map (Map 1); those without a force are skipped.
 ///
@@ -19,7 +40,9 @@ pub fn draw(readings: &mut [Reading], [width_mm, height_mm]: [f64; 2]) -> Result
     }
     let draws = ForceMap::new(MAP_1, width_mm, height_mm)?;
     for reading in readings.iter_mut().filter(|reading| reading.force_map_n.is_none()) {
-        let pressed = reading.contacts.iter().filter_map(|c| Some((c.x_mm, c.y_mm, c.force_n?)));
+        let of =
+            |c: &FoundContact| Some(MapContact { x_mm: c.x_mm, y_mm: c.y_mm, force_n: c.force_n? });
+        let pressed = reading.contacts.iter().filter_map(of);
         let mut map = vec![0.0; draws.pixels() * draws.pixels()];
         draws.render(&pressed.collect::<Vec<_>>(), &mut map)?;
         reading.force_map_n = Some(map);

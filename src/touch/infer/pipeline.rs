@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use super::answer::Reading;
 use super::error::InferError;
-use super::maps::draw;
+use super::maps::{ForceMaps, draw};
 use super::methods::exact::{ExactSkin, Tracked};
 use super::methods::fast::PointPipeline;
 use super::methods::{Frames, Method, Models, ReadyMethod};
@@ -19,7 +19,7 @@ pub struct Pipeline {
     models: Models,
 }
 
-/// Answers, and the models that gave them.
+/// Answers, and the models that determined them.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Answered {
     /// One reading per frame.
@@ -29,10 +29,10 @@ pub struct Answered {
     pub model: String,
 }
 
-/// Answer to one frame of a stream, and the models that gave it.
+/// Answer to one frame of a stream, and the models that determined it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Followed {
-    /// The reading.
+    /// Contacts and, for a net of maps, the map of the frame.
     pub reading: Reading,
     /// Id of the model, as in [`Answered`].
     pub model: String,
@@ -108,11 +108,11 @@ impl Pipeline {
         &self,
         method: Method,
         frames: &Frames<'_>,
-        with_map: bool,
+        maps: ForceMaps,
     ) -> Result<Answered, InferError> {
         let ready = self.ready(method)?;
-        let mut readings = ready.read(frames, with_map)?;
-        if with_map {
+        let mut readings = ready.read(frames, maps)?;
+        if maps == ForceMaps::With {
             draw(&mut readings, ready.size_mm())?;
         }
         Ok(Answered { readings, model: ready.id() })
@@ -127,12 +127,12 @@ impl Pipeline {
         &self,
         method: Method,
         frame: &[f32],
-        with_map: bool,
+        maps: ForceMaps,
         tracked: &mut Tracked,
     ) -> Result<Followed, InferError> {
         let ready = self.ready(method)?;
-        let mut reading = ready.follow(frame, with_map, tracked)?;
-        if with_map {
+        let mut reading = ready.follow(frame, maps, tracked)?;
+        if maps == ForceMaps::With {
             draw(std::slice::from_mut(&mut reading), ready.size_mm())?;
         }
         Ok(Followed { reading, model: ready.id() })

@@ -1,4 +1,4 @@
-//! Answers of nets that give a quantity of a whole frame: position, pattern, count or force.
+//! Answers of nets that estimate a quantity of a whole frame: position, pattern, count or force.
 //! Uses: `registry`, `plan`. Never: what serves; a frame of another length than the net's.
 
 use nets::quantity::Quantity;

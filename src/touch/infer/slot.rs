@@ -21,7 +21,7 @@ pub enum Slot {
 }
 
 impl Slot {
-    /// All slots.
+    /// All slots, in the order in which they are listed.
     pub const ALL: [Self; 4] = [Self::Transfer, Self::Map, Self::Points, Self::Skin];
 
     /// Name in commands, requests and the store.

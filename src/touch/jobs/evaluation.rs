@@ -28,6 +28,7 @@ use crate::evaluate::voltages::VoltageScores;
 use crate::ids::{CalibrationId, DatasetId, TrialId};
 use crate::infer::answer::FoundContact;
 use crate::infer::error::InferError;
+use crate::infer::maps::ForceMaps;
 use crate::infer::methods::fast::PointPipeline;
 use crate::infer::methods::{Frames, Models, ReadyMethod};
 use crate::infer::registry::Model;
@@ -106,11 +107,11 @@ pub(super) async fn run(
     let measured = columns.contains(&MEASURED);
     if request.frames == FramesRead::First && !measured {
         let limit = "no measured frames are read: use mean, or name a Transfer-Net";
-        return Err(LearnError::value("frames", "first", limit).into());
+        return Err(LearnError::value("evaluation", "frames", "first", limit).into());
     }
-    let wish = request.clone();
+    let requested = request.clone();
     let at = file.clone();
-    let gathered = background(move || Gathered::new(&at, &wish, columns, &scratch)).await??;
+    let gathered = background(move || Gathered::new(&at, &requested, columns, &scratch)).await??;
     let raw = match request.frames {
         FramesRead::Mean => None,
         FramesRead::First => Some(first_frames(&jobs.inner.store, &gathered).await?),
@@ -365,7 +366,7 @@ impl Scoring {
         report.quantity = QuantityScores::of(&targets, &rows, self.request.seed);
         if report.quantity.is_none() {
             let limit = format!("must have rows with a {}", quantity.name());
-            return Err(LearnError::value("dataset", &self.dataset.id, &limit).into());
+            return Err(LearnError::value("evaluation", "dataset", &self.dataset.id, &limit).into());
         }
         Ok(true)
     }
@@ -389,13 +390,16 @@ impl Scoring {
             let frames = Frames { voltages_v: &voltages_v, averaged, untouched };
             let before_s = self.clock.process_s();
             let shown = (self.request.examples as usize).saturating_sub(report.examples.len());
-            let readings = method.read(&frames, shown > 0)?;
+            let readings = method.read(&frames, ForceMaps::if_wanted(shown > 0))?;
             latencies.push(1e3 * (self.clock.process_s() - before_s));
             for (&row, reading) in rows.iter().zip(&readings) {
                 let sure = reading.contacts.iter().filter(|found| self.is_sure(found));
                 let found: Vec<Contact> = sure.map(Contact::from).collect();
                 let touch = Touch::of(&self.truths(row), &found);
-                touches.push(touch.map_err(|e| LearnError::value("row", row, &e.to_string()))?);
+                touches
+                    .push(touch.map_err(|e| {
+                        LearnError::value("evaluation", "row", row, &e.to_string())
+                    })?);
             }
             let examples = rows.iter().zip(readings).take(shown);
             report.examples.extend(
@@ -422,8 +426,9 @@ impl Scoring {
         let truths: Vec<Vec<Contact>> =
             self.gathered.rows.iter().map(|&row| self.truths(row)).collect();
         let truths = truths.iter().map(Vec::as_slice);
-        let perfect = perfect(&draws, truths, self.request.threshold_n)
-            .map_err(|error| LearnError::value("dataset", &self.dataset.id, &error.to_string()))?;
+        let perfect = perfect(&draws, truths, self.request.threshold_n).map_err(|error| {
+            LearnError::value("evaluation", "dataset", &self.dataset.id, &error.to_string())
+        })?;
         if !perfect.is_empty() {
             report.perfect = Some(Scores::of(&perfect, self.request.seed));
             report.map = Some(spec.to_string());

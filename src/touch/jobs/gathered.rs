@@ -49,7 +49,7 @@ impl Gathered {
         if rows.is_empty() {
             let part = request.part.as_deref().unwrap_or("any part");
             let limit = format!("has no rows in {part}: nothing to score");
-            return Err(LearnError::value("dataset", &request.dataset, &limit).into());
+            return Err(LearnError::value("evaluation", "dataset", &request.dataset, &limit).into());
         }
         if let Some(limit) = request.limit
             && (limit as usize) < rows.len()
@@ -83,7 +83,7 @@ pub async fn first_frames(store: &Store, gathered: &Gathered) -> Result<Vec<Vec<
         };
         let Some(first) = frames.first() else {
             let limit = "first: row has no raw frames in the store; use mean";
-            return Err(LearnError::value("frames", row, limit).into());
+            return Err(LearnError::value("evaluation", "frames", row, limit).into());
         };
         let volts = first.volts_per_count;
         firsts.push(first.counts.iter().map(|&count| f32::from(count) * volts).collect());

@@ -4,7 +4,7 @@
 //!
 //! A job is a task of the store: it resumes after a restart, a training from its last checkpoint. It
 //! runs at low priority, so that it does not slow acquisition: an evaluation on a thread, a training in
-//! a process of its own (`trainer`).
+//! a separate process (`trainer`).
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;

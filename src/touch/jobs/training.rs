@@ -201,7 +201,13 @@ fn result(folder: &Path, order: &Order, name: String) -> Result<NewModel, JobErr
     let same =
         manifest.model.recipe.as_ref() == Some(&order.recipe) && manifest.model.code == order.code;
     if !same {
-        return Err(LearnError::value("result", MANIFEST, "is not of this recipe and code").into());
+        return Err(LearnError::value(
+            "training",
+            "result",
+            MANIFEST,
+            "is not of this recipe and code",
+        )
+        .into());
     }
     let residuals = match fs::read(path(RESIDUALS)) {
         Ok(bytes) => Some(serde_json::from_slice(&bytes).map_err(JobError::Json)?),

@@ -52,7 +52,7 @@ impl Watch {
         self.stop.load(Ordering::Relaxed)
     }
 
-    /// Current progress.
+    /// Returns the newest progress of the job.
     pub fn progress(&self) -> Progress {
         self.progress.lock().clone()
     }

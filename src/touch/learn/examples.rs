@@ -69,7 +69,7 @@ impl Examples {
         for &name in frames {
             if !has(name) {
                 let limit = "is not a column of this dataset";
-                return Err(LearnError::value("dataset", name, limit));
+                return Err(LearnError::value("dataset", "column", name, limit));
             }
         }
         let others = [SPLIT, TRIAL_ID, FRAME_COUNT].into_iter().filter(|name| has(name));
@@ -184,10 +184,15 @@ impl Examples {
             let frame = column(name).and_then(|c| c.as_fixed_size_list_opt());
             let frame = frame.filter(|f| f.value_length() as usize == self.channels);
             let frame = frame
-                .ok_or_else(|| LearnError::value("dataset", name, "frames of different lengths"))?;
+                .ok_or_else(|| LearnError::value("dataset", "column", name, DIFFERENT_LENGTHS))?;
             if frame.null_count() > 0 {
                 let rows = format!("{name} of {} rows", frame.null_count());
-                return Err(LearnError::value("dataset", rows, "is missing: exclude these rows"));
+                return Err(LearnError::value(
+                    "dataset",
+                    "column",
+                    rows,
+                    "is missing: exclude these rows",
+                ));
             }
             frames.push(frame);
         }
@@ -246,10 +251,13 @@ impl Examples {
     }
 }
 
+/// Limit of frames that differ in length.
+const DIFFERENT_LENGTHS: &str = "must have frames of one length";
+
 fn frame_length(rows: &DatasetRows, column: &str) -> Result<usize, LearnError> {
     match rows.schema().field_with_name(column).map(|field| field.data_type().clone()) {
         Ok(DataType::FixedSizeList(_, length)) => Ok(length as usize),
-        _ => Err(LearnError::value("dataset", column, "does not hold frames")),
+        _ => Err(LearnError::value("dataset", "column", column, "must hold frames")),
     }
 }
 
@@ -263,9 +271,9 @@ fn unnamed_file(folder: &Path) -> std::io::Result<File> {
 }
 
 impl LearnError {
-    /// Error for a value that cannot be used.
-    pub fn value(key: &str, value: impl std::fmt::Display, limit: &str) -> Self {
-        Self::Problems(vec![Problem::new("recipe", key, value, limit)])
+    /// Error for a value of `of` (a recipe, a dataset, an evaluation) that cannot be used.
+    pub fn value(of: &str, key: &str, value: impl std::fmt::Display, limit: &str) -> Self {
+        Self::Problems(vec![Problem::new(of, key, value, limit)])
     }
 }
 

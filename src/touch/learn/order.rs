@@ -2,7 +2,7 @@
 //! in a job's folder, the lines of the trainer's standard output.
 //! PURE. Uses: serde. Never: files, processes.
 //!
-//! A training is a process of its own. The service writes `order.json` into the job's folder and starts
+//! A training is a separate process. The service writes `order.json` into the job's folder and starts
 //! `palpate-trainer FOLDER`; the trainer writes checkpoint, losses and result into the same folder.
 //! Closing its standard input, or a line `stop`, ends it after a checkpoint.
 
@@ -37,7 +37,7 @@ pub const VERSION: &str = concat!(env!("CARGO_PKG_VERSION"), ", order 1");
 pub struct Order {
     /// [`VERSION`] of the service.
     pub version: String,
-    /// Recipe, TOML.
+    /// Text of the recipe, TOML.
     pub recipe: String,
     /// Program and commit, as the manifest states them.
     pub code: String,
@@ -155,7 +155,7 @@ pub enum Event {
     Stopped,
     /// The end: without a result.
     Failed {
-        /// Reason.
+        /// Cause of the failure, as text.
         error: String,
     },
 }

@@ -16,7 +16,7 @@ const SAME_MM: f64 = 0.1;
 /// A quantity, with the places that a pattern knows.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Targets {
-    /// The quantity.
+    /// What the net estimates of a whole frame.
     pub quantity: Quantity,
     /// Known places, mm, in the order of a pattern's numbers; empty for other quantities.
     pub places_mm: Vec<[f64; 2]>,
@@ -49,12 +49,17 @@ impl Targets {
             if places.len() > PLACES_MAX {
                 let limit = "has too many places of contacts for a pattern, 4096 at most: answer the \
                              position, or a force map";
-                return Err(LearnError::value("dataset", format!("over {PLACES_MAX}"), limit));
+                return Err(LearnError::value(
+                    "dataset",
+                    "places",
+                    format!("over {PLACES_MAX}"),
+                    limit,
+                ));
             }
         }
         if places.is_empty() {
             let limit = "must have contacts with positions: a pattern is of known places";
-            return Err(LearnError::value("dataset", "no places", limit));
+            return Err(LearnError::value("dataset", "places", "none", limit));
         }
         let in_mm = |[y, x]: [i64; 2]| [x, y].map(|steps| steps as f64 * SAME_MM);
         Ok(Self { quantity, places_mm: places.into_iter().map(in_mm).collect() })

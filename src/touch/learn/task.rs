@@ -34,7 +34,7 @@ pub enum NetTask {
 /// Frames that a net reads when it serves.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Reads {
-    /// Measured ones.
+    /// Frames that the readout measured, V.
     Measured,
     /// Simulated ones, or measured ones through a Transfer-Net.
     Simulated,

@@ -10,7 +10,7 @@ use super::lines::{Lines, push_last};
 use super::{Known, ProgramError};
 
 /// Interval at which a stop is noticed.
-const LOOK: std::time::Duration = std::time::Duration::from_millis(100);
+const STOP_POLL: std::time::Duration = std::time::Duration::from_millis(100);
 
 /// Variables that cargo sets for the program that it runs, and that would change a build.
 const OF_CARGO: [&str; 5] =
@@ -44,7 +44,7 @@ pub async fn build(
     let mut child = command.spawn().map_err(failed)?;
     let mut lines = Lines::of(child.stderr.take());
     let mut last = Vec::new();
-    let mut look = tokio::time::interval(LOOK);
+    let mut look = tokio::time::interval(STOP_POLL);
     loop {
         tokio::select! {
             line = lines.next() => {

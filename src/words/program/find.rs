@@ -1,4 +1,4 @@
-//! Where a program is: named, beside this one, to be built from the source, or missing.
+//! Where a program is: named, next to this one, to be built from the source, or missing.
 //! PURE. Never: the disk (what exists is passed in), a build (`build`).
 
 use std::path::{Path, PathBuf};
@@ -29,10 +29,10 @@ pub struct Build {
     pub program: PathBuf,
 }
 
-/// Finds a program: the stated path, else beside the running executable, else a build if that
+/// Finds a program: the stated path, else next to the running executable, else a build if that
 /// executable is in a target folder of cargo and its source is there.
 ///
-/// `source` is the root of the source tree from which this program was built; `exists` tells which
+/// `source` is the root of the source tree from which this program was built; `exists` states which
 /// paths exist.
 pub fn find(
     known: &Known,
@@ -47,8 +47,8 @@ pub fn find(
     let Some(folder) = executable.parent() else { return Program::Missing };
     // Cargo places tests one folder deeper than programs.
     let above = if folder.ends_with("deps") { folder.parent() } else { None };
-    let beside = [Some(folder), above].into_iter().flatten().map(|folder| folder.join(known.name));
-    if let Some(program) = beside.into_iter().find(|program| exists(program)) {
+    let nearby = [Some(folder), above].into_iter().flatten().map(|folder| folder.join(known.name));
+    if let Some(program) = nearby.into_iter().find(|program| exists(program)) {
         return Program::Ready(program);
     }
     let profile_folder = above.unwrap_or(folder);
@@ -100,7 +100,7 @@ mod tests {
     }
 
     #[test]
-    fn the_program_beside_this_one_is_used_and_a_test_looks_one_folder_up() {
+    fn the_program_next_to_this_one_is_used_and_a_test_checks_one_folder_up() {
         let ready = Program::Ready("/t/debug/palpate-trainer".into());
         let there: &[&[&str]] = &[&TARGET, &SOURCES, &["/t/debug/palpate-trainer"]];
         assert_eq!(found("/t/debug/palpate", there), ready);

@@ -33,12 +33,12 @@ pub struct Known {
 pub enum ProgramError {
     /// It is not installed, and this program was not built from a source that is still there.
     #[error(
-        "no {}: it is not beside {}, and {} does not name it; run `cargo install --path {} --locked` \
+        "no {}: it is not next to {}, and {} does not name it; run `cargo install --path {} --locked` \
          in the source of palpate {}, then try again",
         known.name, executable.display(), known.variable, known.folder, env!("CARGO_PKG_VERSION")
     )]
     Missing {
-        /// The program.
+        /// Program that is needed.
         known: Known,
         /// The running program.
         executable: PathBuf,
@@ -46,15 +46,15 @@ pub enum ProgramError {
     /// Cargo could not be started.
     #[error("building {}: cargo: {source}; run `{}`", known.about, known.command())]
     Cargo {
-        /// The program.
+        /// Program that is needed.
         known: Known,
         /// Error of the operating system.
         source: io::Error,
     },
-    /// Cargo failed.
+    /// Cargo could not build the program.
     #[error("building {} with `{}` failed:\n{said}", known.about, known.command())]
     Build {
-        /// The program.
+        /// Program that is needed.
         known: Known,
         /// The last lines of cargo.
         said: String,
@@ -144,7 +144,7 @@ mod tests {
         };
         let error = ProgramError::Missing { known, executable: "/usr/bin/palpate".into() };
         for words in [
-            "no palpate-trainer: it is not beside /usr/bin/palpate",
+            "no palpate-trainer: it is not next to /usr/bin/palpate",
             "PALPATE_TRAINER does not name it",
             "cargo install --path trainer --locked",
         ] {

@@ -172,8 +172,8 @@ async fn a_truncated_sha256_of_an_export_is_not_used() {
 }
 
 #[tokio::test]
-async fn wishes_that_cannot_be_met_are_refused_or_fail_with_their_reason() {
-    let lab = Filled::open("wishes").await;
+async fn requests_that_cannot_be_met_are_refused_or_fail_with_their_reason() {
+    let lab = Filled::open("exports-refused").await;
     let ask = async |request: Value| lab.post("/api/v1/exports", request).await;
     assert_eq!(ask(json!({ "dataset": "reel", "format": "csv" })).await.0, 404);
     assert_eq!(ask(json!({ "dataset": "real", "format": "xlsx" })).await.0, 422);

@@ -35,7 +35,7 @@ fn contacts(x_mm: f64) -> ArrayRef {
 /// x and y in mm, and the force in N where it is known.
 pub type Touch = (f64, f64, Option<f64>);
 
-/// Contacts of trials that have so many each.
+/// Contacts of trials, `lengths` of them in each.
 pub fn lists(contacts: &[Touch], lengths: impl IntoIterator<Item = usize>) -> ArrayRef {
     let field = |name, kind| Field::new(name, kind, true);
     let fields = Fields::from(vec![

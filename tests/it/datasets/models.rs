@@ -111,16 +111,16 @@ async fn nets_are_trained_scored_promoted_and_asked() {
     assert_eq!(lab.get("/api/v1/models/maps").await["scores"], json!([report]));
 
     let frame = lab.a_frame().await;
-    let wish = json!({ "method": "paper", "frames": [frame, frame], "map": true });
-    let (status, refused) = lab.post("/api/v1/infer", wish.clone()).await;
+    let request = json!({ "method": "paper", "frames": [frame, frame], "map": true });
+    let (status, refused) = lab.post("/api/v1/infer", request.clone()).await;
     assert_eq!(status, 409, "{refused}");
     let (status, _) = lab.post("/api/v1/serving", json!({ "what": "maps" })).await;
     assert_eq!(status, 200);
-    let mut both = wish.clone();
+    let mut both = request.clone();
     both["transfer"] = json!(transfer);
     let (status, refused) = lab.post("/api/v1/infer", both).await;
     assert_eq!((status, &refused["errors"][0]["key"]), (422, &json!("transfer")), "{refused}");
-    let (status, answers) = lab.post("/api/v1/infer", wish).await;
+    let (status, answers) = lab.post("/api/v1/infer", request).await;
     assert_eq!(status, 200, "{answers}");
     assert_eq!(answers.as_array().unwrap().len(), 2);
     assert_eq!((&answers[0]["model"], &answers[0]["method"]), (&json!(maps), &json!("paper")));
@@ -279,8 +279,8 @@ async fn what_cannot_be_is_named_and_changes_nothing() {
     }
     assert_eq!(lab.get("/api/v1/models").await["items"].as_array().unwrap().len(), 1);
 
-    let wish = json!({ "method": "fast", "model": id, "frames": [frame] });
-    let (status, body) = lab.post("/api/v1/infer", wish).await;
+    let request = json!({ "method": "fast", "model": id, "frames": [frame] });
+    let (status, body) = lab.post("/api/v1/infer", request).await;
     assert_eq!(status, 409, "{body}");
     assert!(body["detail"].as_str().unwrap().contains("has no use for it"), "{body}");
     let file = parquet(vec![
@@ -306,7 +306,7 @@ async fn what_cannot_be_is_named_and_changes_nothing() {
     lab.close().await;
 }
 
-/// Each place of a pad shows on a channel of its own.
+/// Each place of a pad has a separate channel.
 #[tokio::test]
 async fn touches_without_forces_are_learned_and_scored_and_no_force_is_made_up() {
     let lab = Filled::open("models-patterns").await;

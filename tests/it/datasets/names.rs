@@ -85,7 +85,7 @@ async fn equal_places_never_straddle_a_split_and_datasets_divide_alike() {
         };
         let [train, validation, test] = ["train", "validation", "test"].map(of);
         let all = train + validation + test;
-        // Flagged trials take part in the draw and are left out after it.
+        // Flagged trials take part in the draw and are excluded after it.
         assert!((5 * train - 3 * all).abs() <= 30, "{contacts}: {train} {validation} {test}");
         assert!((5 * test - all).abs() <= 30, "{contacts}: {train} {validation} {test}");
     }
@@ -100,14 +100,14 @@ async fn an_id_is_its_contents_and_a_name_follows_them() {
     assert!(id.starts_with("ds-") && id.len() == 19, "{id}");
     let again = lab.make("r2s-transfer").await;
     assert_eq!((&again["id"], &again["created_at"]), (&first["id"], &first["created_at"]));
-    // Made anew from nothing, it is the same file.
+    // Made again from nothing, it is the same file.
     let file = lab.data.join("datasets").join(format!("{id}.parquet"));
     let bytes = std::fs::read(&file).unwrap();
     std::fs::remove_file(&file).unwrap();
     assert_eq!(lab.refused(&format!("/api/v1/datasets/{id}")).await.0, 404);
     assert_eq!(lab.make("r2s-transfer").await["id"], first["id"]);
     assert_eq!(std::fs::read(&file).unwrap(), bytes);
-    // Another deadband labels anew: another dataset.
+    // Another deadband gives other labels: another dataset.
     let relabelled = json!({ "definition": { "name": "softer", "task": "r2s-transfer",
         "deadband_n": 6.0 } });
     let (_, relabelled) = lab.post("/api/v1/datasets", relabelled).await;

@@ -1,5 +1,5 @@
 //! The tools of a notebook against a service: pandas, polars, DuckDB, pyarrow and numpy, value by value
-//! beside the database. Without them the test says that it was left out; with
+//! compared with the database. Without them the test says that it was left out; with
 //! `PALPATE_REQUIRE_TOOLS=1` it fails instead.
 
 use std::collections::BTreeMap;

@@ -6,7 +6,7 @@ use std::io::Write;
 use std::process::{Command, Output, Stdio};
 
 use palpate::chance::Chance;
-use palpate::dataset::force_map::{ForceMap, TABLE_IV};
+use palpate::dataset::force_map::{ForceMap, MapContact, TABLE_IV};
 use palpate::evaluate::anova::{Factor, Factorial};
 use palpate::evaluate::matching::matched;
 use palpate::evaluate::score::Scores;
@@ -44,8 +44,9 @@ fn contacts(chance: &mut Chance, fewest: u32) -> Vec<Contact> {
         .collect()
 }
 
-fn pressed(contacts: &[Contact]) -> Vec<(f64, f64, f64)> {
-    contacts.iter().filter_map(Contact::pressed).map(|[x, y, n]| (x, y, n)).collect()
+fn pressed(contacts: &[Contact]) -> Vec<MapContact> {
+    let of = |[x_mm, y_mm, force_n]: [f64; 3]| MapContact { x_mm, y_mm, force_n };
+    contacts.iter().filter_map(Contact::pressed).map(of).collect()
 }
 
 /// Labels as they are drawn (flat discs, which tie), blurred ones under noise as nets answer, and

@@ -64,7 +64,7 @@ fn nets_and_regressions_are_compared_on_skins_of_other_channels() {
         // The net is one of 120 epochs; that it learns is what is checked.
         assert!(ours("mlp") < ours("ridge") * 1.5 + 0.05, "{skin}: mlp {}", ours("mlp"));
     }
-    // A model answers frames of its own sensor, with and without a name of its own.
+    // A model answers frames of the sensor that it was trained for, with and without a name.
     let frame: Vec<String> = (0..192).map(|c| format!("{:.3}", 0.01 * f64::from(c))).collect();
     std::fs::write(folder.join("frame.jsonl"), format!("[{}]\n", frame.join(", "))).unwrap();
     run(

@@ -23,7 +23,7 @@ use random_nets::{CHANNELS, Draw, architectures, net};
 use crate::support::{self, Folder};
 
 /// Frames for each net: batches of 64 and of eight, and three alone.
-const FRAMES: usize = 75;
+const COMPARED_FRAMES: usize = 75;
 
 fn file_of(network: &Network) -> Vec<u8> {
     let says = Description {
@@ -67,7 +67,7 @@ struct Compared {
 fn tract_and_the_trainer_give_the_same_answers_for_every_layer_and_every_net() {
     let mut draw = Draw::new(1);
     for (name, network) in [kinds(&mut draw), architectures(&mut draw)].concat() {
-        let frames = draw.frames(FRAMES, network.inputs);
+        let frames = draw.frames(COMPARED_FRAMES, network.inputs);
         let mut answers = Vec::new();
         let plan = Plan::load(&file_of(&network), network.inputs, &network.output).unwrap();
         plan.answer(&frames, &mut answers).unwrap();
@@ -86,7 +86,7 @@ fn tract_and_onnxruntime_give_the_same_answers_for_every_layer_and_every_net() {
     for (name, network) in &nets {
         network.layers.iter().for_each(|layer| covered[kind_index(layer)] = true);
         let file = file_of(network);
-        let frames = draw.frames(FRAMES, network.inputs);
+        let frames = draw.frames(COMPARED_FRAMES, network.inputs);
         let mut answers = Vec::new();
         let plan = Plan::load(&file, network.inputs, &network.output).unwrap();
         plan.answer(&frames, &mut answers).unwrap();
@@ -109,7 +109,7 @@ fn tract_and_onnxruntime_give_the_same_answers_for_every_layer_and_every_net() {
             found.difference, found.largest
         );
         assert!(relative <= 1e-5, "{name}: {relative:e}");
-        assert_eq!(found.shape, [&[FRAMES], &network.output[..]].concat(), "{name}");
+        assert_eq!(found.shape, [&[COMPARED_FRAMES], &network.output[..]].concat(), "{name}");
         assert_eq!([&found.input, &found.output], ["voltages_v", "answer_n"]);
         assert_eq!(found.metadata["palpate.model"], "mdl-0123456789abcdef");
         assert_eq!(found.metadata["palpate.task"], "test");

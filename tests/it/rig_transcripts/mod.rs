@@ -186,7 +186,7 @@ async fn another_module_or_another_range_is_refused() {
     .await;
 }
 
-/// Sends a transcript's answers to whoever connects, in portions, again and again.
+/// Sends a transcript's answers to every client that connects, in portions, again and again.
 async fn broadcast(listener: tokio::net::TcpListener, portion: usize) {
     let (mut wire, _) = listener.accept().await.unwrap();
     let steps = read("ert_stream.txt");

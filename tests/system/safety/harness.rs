@@ -128,7 +128,7 @@ impl Harness {
         }
     }
 
-    /// Waits until so many trials are stored.
+    /// Waits until `n` trials are stored.
     pub async fn stored(&self, n: u64) {
         self.until("trials", |s| s.run.as_ref().is_some_and(|r| r.trials_stored >= n)).await;
     }

@@ -1,6 +1,7 @@
 //! Conductance from the sheet through the foam to the top layer, as a law of the local pressure.
 //! Uses: `laws`, `field`. Never: compression, forces.
 
+use crate::Stroke;
 use crate::field::{Field, normal, stream};
 use crate::laws::{ConductanceLaw, Laws};
 use crate::press::Grid;
@@ -39,7 +40,7 @@ impl Conductance {
 
     /// Conductance of a cell under a pressure, S/mm^2. While unloading, contacts that have formed remain:
     /// the conductance is larger at the same pressure.
-    pub fn s_per_mm2(&self, cell: usize, pressure_mpa: f64, is_unloading: bool) -> f64 {
+    pub fn s_per_mm2(&self, cell: usize, pressure_mpa: f64, stroke: Stroke) -> f64 {
         let pressure_mpa = pressure_mpa.max(0.0);
         let contacts = match self.law {
             ConductanceLaw::Power { s_per_mm2_at_1_mpa, exponent } => {
@@ -54,7 +55,10 @@ impl Conductance {
                 s_per_mm2_at_1_mpa * (above.powf(exponent) - at_rest.powf(exponent)).max(0.0)
             }
         };
-        let kept = if is_unloading { 1.0 + self.unloading } else { 1.0 };
+        let kept = match stroke {
+            Stroke::Loading => 1.0,
+            Stroke::Unloading => 1.0 + self.unloading,
+        };
         let formed = self.factors[cell] * kept * contacts;
         self.untouched[cell] + formed / (1.0 + formed * self.series_ohm_mm2)
     }

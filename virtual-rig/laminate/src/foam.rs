@@ -11,7 +11,7 @@ const LOFTS_MAX: f64 = 7.0;
 /// A law's value and its slope.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Value {
-    /// Pressure, MPa.
+    /// Pressure at the strain, MPa.
     pub pressure_mpa: f64,
     /// Its derivative by the argument.
     pub slope: f64,

@@ -9,7 +9,7 @@
 use crate::field::Field;
 use crate::laws::Laws;
 use crate::press::{Foundation, Punch};
-use crate::{LaminateError, Plan};
+use crate::{LaminateError, Plan, Stroke};
 
 /// Forces at which depths are solved, N.
 const FORCES_N: [f64; 15] =
@@ -61,7 +61,7 @@ impl Forces {
     }
 
     /// Force of an arm's tip at a place and a depth of the stage below the nominal surface, N, >= 0.
-    pub fn force_n(&self, arm: usize, at_mm: [f64; 2], z_mm: f64, is_unloading: bool) -> f64 {
+    pub fn force_n(&self, arm: usize, at_mm: [f64; 2], z_mm: f64, stroke: Stroke) -> f64 {
         let (mean_mm, sd_mm) = self.stage;
         let offset_mm = self.arms_mm.get(arm).copied().unwrap_or(0.0);
         let into_mm = z_mm - mean_mm - sd_mm * self.height.at(at_mm) - offset_mm;
@@ -79,7 +79,11 @@ impl Forces {
             let middle = 0.5 * (low + high);
             if depth_mm(middle) < into_mm { low = middle } else { high = middle }
         }
-        0.5 * (low + high) * if is_unloading { 1.0 - self.unloading } else { 1.0 }
+        let loading_n = 0.5 * (low + high);
+        match stroke {
+            Stroke::Loading => loading_n,
+            Stroke::Unloading => loading_n * (1.0 - self.unloading),
+        }
     }
 
     /// Depth of the centre of a tip at a force, mm, interpolated; a tip without force touches with its edge.

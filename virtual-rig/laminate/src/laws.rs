@@ -17,17 +17,17 @@ pub struct LawsError {
     pub limit: &'static str,
 }
 
-/// Laws and parameters.
+/// Laws and parameters of a skin, one field per section of the gap file.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Laws {
     /// Squares of the mechanics and of the sheet.
     pub grid: GridLaw,
-    /// The foam.
+    /// Compression of the foam, and its variation over the skin.
     pub foam: Foam,
     /// The fabric above it.
     pub cover: CoverLaw,
-    /// The tips.
+    /// Tilts of tips and of the skin under them.
     pub tips: Tips,
     /// Heights and springs of the rig.
     pub stage: Stage,
@@ -35,9 +35,9 @@ pub struct Laws {
     pub conductance: Foamed,
     /// The high-resistance fabric.
     pub sheet: SheetLaw,
-    /// The electrodes.
+    /// Sizes, positions and resistances of the electrodes.
     pub electrodes: Electrodes,
-    /// The readout.
+    /// Sampling, noise and drift of the readout.
     pub readout: ReadoutLaw,
 }
 
@@ -51,7 +51,7 @@ pub struct GridLaw {
     pub sheet_mm: f64,
 }
 
-/// The foam.
+/// Compression of the foam, and its variation over the skin.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Foam {
@@ -75,7 +75,7 @@ pub enum FoamLaw {
     Avalle {
         /// Initial modulus, MPa.
         modulus_mpa: f64,
-        /// Plateau, MPa.
+        /// Pressure at which the cells of the foam collapse, MPa.
         plateau_mpa: f64,
         /// Scale of the densification, MPa.
         densification_mpa: f64,
@@ -107,7 +107,7 @@ pub struct CoverLaw {
     pub loft_mpa: f64,
 }
 
-/// The tips.
+/// Tilts of tips and of the skin under them.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Tips {
@@ -163,21 +163,21 @@ pub enum ConductanceLaw {
     Power {
         /// Conductance at 1 MPa, S/mm^2.
         s_per_mm2_at_1_mpa: f64,
-        /// Exponent.
+        /// Exponent of the power, without unit.
         exponent: f64,
     },
     /// A power of the pressure above a threshold.
     Percolation {
         /// Conductance at 1 MPa above the threshold, S/mm^2.
         s_per_mm2_at_1_mpa: f64,
-        /// Threshold, MPa.
+        /// Pressure around which the foam starts to conduct, MPa.
         threshold_mpa: f64,
-        /// Exponent.
+        /// Exponent of the power, without unit.
         exponent: f64,
     },
 }
 
-/// The high-resistance fabric.
+/// Conductance of the high-resistance fabric.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SheetLaw {
@@ -189,7 +189,7 @@ pub struct SheetLaw {
     pub correlation_mm: f64,
 }
 
-/// The electrodes.
+/// Sizes, positions and resistances of the electrodes.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Electrodes {
@@ -207,7 +207,7 @@ pub struct Electrodes {
     pub lead_ln_sd: f64,
 }
 
-/// The readout.
+/// Sampling, noise and drift of the readout.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ReadoutLaw {

@@ -32,7 +32,7 @@ use press::{Foundation, Patch};
 pub use readout::Readout;
 use sheet::Sheet;
 
-/// What the sensor file says of the skin: numbers only.
+/// Numbers of the sensor file that describe the skin.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Plan {
     /// Size along x and y, mm.
@@ -49,17 +49,26 @@ pub struct Plan {
     pub source_v: f64,
 }
 
+/// Direction in which the depth of a tip in contact changes: the foam is softer while unloading.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Stroke {
+    /// Downward, or at the deepest position so far.
+    Loading,
+    /// Upward from the deepest position.
+    Unloading,
+}
+
 /// A tip or a weight that presses.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Touch {
     /// Index of the arm, or the number of arms for a weight placed by hand.
     pub arm: usize,
-    /// Centre, mm.
+    /// Centre of the touch, skin coordinates, mm.
     pub at_mm: [f64; 2],
-    /// Force, N.
+    /// Normal force, N.
     pub force_n: f64,
-    /// Whether the force has fallen since it was largest.
-    pub is_unloading: bool,
+    /// Direction in which its depth changes.
+    pub stroke: Stroke,
 }
 
 /// Why a skin cannot be built or solved.
@@ -82,7 +91,7 @@ pub enum LaminateError {
          under {force_n} N"
     )]
     Equilibrium {
-        /// Steps taken.
+        /// Number of steps that were made.
         steps: usize,
         /// Largest residual, N.
         residual_n: f64,
@@ -171,9 +180,13 @@ impl Laminate {
         let touches = self.on_skin(touches);
         let mut per_mm2 = self.conductance.untouched().to_vec();
         for patch in self.press(&touches)? {
-            let is_unloading = patch.punches.iter().any(|&p| touches[p].is_unloading);
+            let is_unloading = |&p: &usize| touches[p].stroke == Stroke::Unloading;
+            let stroke = match patch.punches.iter().any(is_unloading) {
+                true => Stroke::Unloading,
+                false => Stroke::Loading,
+            };
             for (cell, pressure_mpa) in patch.pressures_mpa {
-                let conductance = self.conductance.s_per_mm2(cell, pressure_mpa, is_unloading);
+                let conductance = self.conductance.s_per_mm2(cell, pressure_mpa, stroke);
                 per_mm2[cell] = conductance.max(per_mm2[cell]);
             }
         }

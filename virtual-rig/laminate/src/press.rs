@@ -83,9 +83,9 @@ impl Grid {
 /// A tip, or a weight, that presses.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Punch {
-    /// Centre, mm.
+    /// Centre of the tip, skin coordinates, mm.
     pub at_mm: [f64; 2],
-    /// Force, N.
+    /// Normal force, N.
     pub force_n: f64,
     /// Slope of its face against the skin along x and y.
     pub slope: [f64; 2],
@@ -170,7 +170,7 @@ impl Foundation {
         }
     }
 
-    /// The squares.
+    /// Returns the squares of the mechanics.
     pub fn grid(&self) -> &Grid {
         &self.grid
     }
@@ -424,7 +424,7 @@ impl Coupling {
         Ok(Self { matrix, symbolic })
     }
 
-    /// K w.
+    /// Returns `K w`: the force on each square, N, under the displacements `w`, mm.
     fn forces_n(&self, w: &[f64]) -> Vec<f64> {
         let mut forces = vec![0.0; w.len()];
         for entry in self.matrix.triplet_iter() {

@@ -3,7 +3,7 @@
 //!
 //! Channel i of a frame that begins at t is sampled at `t + i / sample_hz`. In its order,
 //! `counts(g(T, held) v + crosstalk + mains + buffers_j - buffers_(j+1) + white)`: temperature and relaxation
-//! change the signal, buffers of electrodes carry offsets, 1/f noise and a walk of their own.
+//! change the signal, buffers of electrodes carry offsets, separate 1/f noise and a separate walk.
 
 use std::f64::consts::{LN_10, TAU};
 

@@ -33,7 +33,7 @@ pub struct Sheet {
 /// A resistor of the network: squares, then electrodes.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Resistor {
-    /// Its ends.
+    /// Indices of the two nodes that it connects.
     pub between: [usize; 2],
     /// Its conductance, S.
     pub conductance_s: f64,
@@ -77,7 +77,7 @@ impl Sheet {
         &self.leads_ohm
     }
 
-    /// The squares.
+    /// Returns the squares of the sheet.
     pub fn grid(&self) -> &Grid {
         &self.grid
     }

@@ -6,7 +6,7 @@ use std::process::Command;
 use laminate::laws::{ConductanceLaw, FoamLaw};
 use laminate::press::{Foundation, Patch, Punch};
 use laminate::sheet::Sheet;
-use laminate::{Forces, Laminate, Laws, Plan, Readout, Touch};
+use laminate::{Forces, Laminate, Laws, Plan, Readout, Stroke, Touch};
 
 const GAP_C: &str = include_str!("../../../experiments/gaps/gap-c.toml");
 
@@ -40,7 +40,7 @@ fn even(mut laws: Laws) -> Laws {
 }
 
 fn touch(x_mm: f64, y_mm: f64, force_n: f64) -> Touch {
-    Touch { arm: 0, at_mm: [x_mm, y_mm], force_n, is_unloading: false }
+    Touch { arm: 0, at_mm: [x_mm, y_mm], force_n, stroke: Stroke::Loading }
 }
 
 fn press(laws: &Laws, punch: Punch) -> (Foundation, Patch) {
@@ -190,7 +190,7 @@ fn differences_vanish_with_the_resistance_of_the_sheet_and_pressure_makes_them()
         signals[0] < 0.1 && signals[1] > 0.1 && signals[2] > 20.0 * signals[1],
         "{signals:?} mV"
     );
-    let back = Touch { is_unloading: true, ..touch(270.0, 280.0, 5.0) };
+    let back = Touch { stroke: Stroke::Unloading, ..touch(270.0, 280.0, 5.0) };
     assert!(mv(&[back]) > 1.05 * signals[1]);
     for nowhere in
         [touch(-1.0, 280.0, 9.0), touch(270.0, 280.0, f64::NAN), touch(270.0, 280.0, 0.0)]
@@ -217,11 +217,12 @@ fn forces_grow_with_depth_from_the_height_of_the_skin() {
     let mut at_five_mm = Vec::new();
     for (x, y) in [(60.0, 70.0), (270.0, 280.0), (333.0, 122.0), (480.0, 500.0)] {
         for arm in 0..6 {
-            let force = |z_mm: f64, unloading| forces.force_n(arm, [x, y], z_mm, unloading);
-            let curve: Vec<f64> = (0..=50).map(|n| force(0.1 * f64::from(n), false)).collect();
+            let force = |z_mm: f64, stroke| forces.force_n(arm, [x, y], z_mm, stroke);
+            let curve: Vec<f64> =
+                (0..=50).map(|n| force(0.1 * f64::from(n), Stroke::Loading)).collect();
             assert!(curve.windows(2).all(|f| f[1] >= f[0]), "{curve:?}");
-            assert_eq!(force(-3.0, false), 0.0);
-            assert!(force(4.0, true) < force(4.0, false));
+            assert_eq!(force(-3.0, Stroke::Loading), 0.0);
+            assert!(force(4.0, Stroke::Unloading) < force(4.0, Stroke::Loading));
             // No jump: a tenth of a millimetre is at most a few newtons.
             assert!(curve.windows(2).all(|f| f[1] - f[0] < 3.0), "{curve:?}");
             at_five_mm.push(curve[50]);

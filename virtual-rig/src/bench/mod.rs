@@ -38,7 +38,7 @@ const UNLOADING_MM: f64 = 0.005;
 /// When the bytes of a request arrived.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Arrival {
-    /// Process s.
+    /// Process time, s.
     pub process_s: f64,
     /// The same time, wall seconds since 1970.
     pub unix_s: f64,

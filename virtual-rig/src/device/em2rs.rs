@@ -4,7 +4,7 @@
 //! Never: clocks, wires; jog, velocity paths, chained paths and saved parameters are omitted.
 
 use super::{AxisDevice, AxisMap, counts, high, long, low, read_each};
-use crate::drive::{Alarm, Drive};
+use crate::drive::{Alarm, Drive, Servo};
 use crate::kinematics::Pace;
 use crate::modbus::{Exception, Reply, Request};
 
@@ -51,7 +51,7 @@ const FACTORY_PULSES: u16 = 10_000;
 /// The drive as rig files name it.
 pub const DRIVE: AxisDevice = AxisDevice {
     name: "leadshine_em2rs",
-    servo_at_power_up: true,
+    servo_at_power_up: Servo::On,
     map: |counts_per_unit, _| Box::new(Em2rs::new(counts_per_unit)),
 };
 
@@ -159,13 +159,13 @@ impl Em2rs {
             DIRECTION if value <= 1 => self.direction = value,
             ENABLE if value <= 1 => {
                 self.enable = value;
-                drive.set_servo(t_s, value == 1 && drive.alarm().is_none());
+                drive.set_servo(t_s, Servo::on_if(value == 1 && drive.alarm().is_none()));
             }
             GLOBAL => self.global = value,
             CONTROL => match value {
                 CONTROL_CLEAR_ALARM => {
                     drive.reset_alarm();
-                    drive.set_servo(t_s, self.enable == 1);
+                    drive.set_servo(t_s, Servo::on_if(self.enable == 1));
                 }
                 CONTROL_SAVE => {}
                 _ => return Err(Exception::IllegalValue),
@@ -311,7 +311,7 @@ mod tests {
     const STAGE: Mechanism = Mechanism { travel: [0.0, 560.0], speed: 250.0, acceleration: 1500.0 };
 
     fn ready() -> (Em2rs, Drive) {
-        let (mut map, mut drive) = (Em2rs::new(2000.0), Drive::power_up(STAGE, 40.0, true));
+        let (mut map, mut drive) = (Em2rs::new(2000.0), Drive::power_up(STAGE, 40.0, Servo::On));
         map.serve(&set(TRIGGER, TRIGGER_HOME), &mut drive, 0.0).unwrap();
         drive.refresh(20.0);
         (map, drive)

@@ -5,7 +5,7 @@
 //! Never: clocks, wires; push motion, position tables and PIO patterns are omitted.
 
 use super::{AxisDevice, AxisMap, counts, high, long, low, read_each};
-use crate::drive::{Alarm, Drive};
+use crate::drive::{Alarm, Drive, Servo};
 use crate::kinematics::Pace;
 use crate::modbus::{Exception, Reply, Request};
 
@@ -30,9 +30,10 @@ const VNOW: u16 = 0x900A;
 const DEVI: u16 = 0x900E;
 const MONITOR_END: u16 = 0x9015;
 
+/// First register of a direct command, and its number of registers.
 const PCMD: u16 = 0x9900;
-const BLOCK: usize = 9;
-/// Offsets in the block.
+const COMMAND_WORDS: usize = 9;
+/// Offsets in the command.
 const PCMD_LOW: usize = 1;
 const FLAGS: usize = 8;
 /// Relative motion (unverified).
@@ -41,7 +42,7 @@ const FLAG_RELATIVE: u16 = 1 << 3;
 /// The drive as rig files name it.
 pub const DRIVE: AxisDevice = AxisDevice {
     name: "iai",
-    servo_at_power_up: false,
+    servo_at_power_up: Servo::Off,
     map: |counts_per_unit, _| Box::new(Iai::new(counts_per_unit)),
 };
 
@@ -50,7 +51,7 @@ pub const DRIVE: AxisDevice = AxisDevice {
 pub struct Iai {
     counts_per_unit: f64,
     /// Last written position, band, speed, acceleration, push and flags.
-    block: [u16; BLOCK],
+    block: [u16; COMMAND_WORDS],
     modbus_commands: bool,
     pause: bool,
     home_coil: bool,
@@ -68,7 +69,7 @@ enum Held {
 impl Iai {
     /// Creates a controller at power-up: servo off, PIO in control.
     pub fn new(counts_per_unit: f64) -> Self {
-        let mut block = [0; BLOCK];
+        let mut block = [0; COMMAND_WORDS];
         block[3] = 10;
         Self {
             counts_per_unit,
@@ -132,7 +133,7 @@ impl Iai {
         match address {
             MODBUS_COMMANDS => self.modbus_commands = on,
             SERVO if self.modbus_commands && !(on && drive.alarm().is_some()) => {
-                drive.set_servo(t_s, on);
+                drive.set_servo(t_s, Servo::on_if(on));
             }
             ALARM_RESET => {
                 if on && !self.reset_coil {
@@ -184,7 +185,8 @@ impl Iai {
         t_s: f64,
     ) -> Result<Reply, Exception> {
         let first = address.checked_sub(PCMD).map(usize::from);
-        let first = first.filter(|f| f + values.len() <= BLOCK).ok_or(Exception::IllegalAddress)?;
+        let first =
+            first.filter(|f| f + values.len() <= COMMAND_WORDS).ok_or(Exception::IllegalAddress)?;
         self.block[first..first + values.len()].copy_from_slice(values);
         if (first..first + values.len()).contains(&PCMD_LOW) && self.modbus_commands {
             let (mut target, pace) = (self.commanded(), self.pace());
@@ -330,7 +332,7 @@ mod tests {
 
     impl Rig {
         fn new() -> Self {
-            Self { map: Iai::new(100.0), drive: Drive::power_up(STAGE, 40.0, false) }
+            Self { map: Iai::new(100.0), drive: Drive::power_up(STAGE, 40.0, Servo::Off) }
         }
 
         fn ready() -> Self {

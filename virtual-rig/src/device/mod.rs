@@ -14,7 +14,7 @@ use std::fmt;
 
 use serde::de::{Deserialize, Deserializer, Error};
 
-use crate::drive::Drive;
+use crate::drive::{Drive, Servo};
 use crate::modbus::{Exception, Reply, Request};
 
 /// Register maps of drives, the only list of them.
@@ -67,8 +67,8 @@ pub trait CellsMap: fmt::Debug + Send + Sync {
 pub struct AxisDevice {
     /// Name in rig files.
     pub name: &'static str,
-    /// Whether the motor is on at power-up.
-    pub servo_at_power_up: bool,
+    /// State of the motor at power-up.
+    pub servo_at_power_up: Servo,
     /// Creates the map at power-up, with counts per axis unit and process seconds per wall second
     /// (a watchdog runs in wall time).
     pub map: fn(f64, f64) -> Box<dyn AxisMap>,

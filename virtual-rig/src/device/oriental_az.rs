@@ -6,14 +6,14 @@
 //! Never: clocks, wires; stored data operation, push and wrap motion are omitted.
 
 use super::{AxisDevice, AxisMap, counts, high, long, low, read_each};
-use crate::drive::{Alarm, Drive};
+use crate::drive::{Alarm, Drive, Servo};
 use crate::kinematics::Pace;
 use crate::modbus::{Exception, Reply, Request};
 
 /// Direct data operation: data number, type, position, speed, start and stop rate, current,
 /// trigger; each a 32-bit value.
-const BLOCK: u16 = 0x0058;
-const BLOCK_WORDS: usize = 16;
+const DIRECT_DATA: u16 = 0x0058;
+const DIRECT_DATA_WORDS: usize = 16;
 const TYPE: usize = 1;
 const POSITION: usize = 2;
 const SPEED: usize = 3;
@@ -58,7 +58,7 @@ const TOP_HZ: i32 = 4_000_000;
 /// The drive as rig files name it.
 pub const DRIVE: AxisDevice = AxisDevice {
     name: "oriental_az",
-    servo_at_power_up: true,
+    servo_at_power_up: Servo::On,
     map: |counts_per_unit, clock_rate| Box::new(OrientalAz::new(counts_per_unit, clock_rate)),
 };
 
@@ -66,7 +66,7 @@ pub const DRIVE: AxisDevice = AxisDevice {
 #[derive(Debug, Clone)]
 pub struct OrientalAz {
     counts_per_unit: f64,
-    block: [u16; BLOCK_WORDS],
+    block: [u16; DIRECT_DATA_WORDS],
     input: [u16; 2],
     timeout: [u16; 2],
     /// Process seconds per wall second.
@@ -81,7 +81,7 @@ impl OrientalAz {
     pub fn new(counts_per_unit: f64, clock_rate: f64) -> Self {
         let mut az = Self {
             counts_per_unit,
-            block: [0; BLOCK_WORDS],
+            block: [0; DIRECT_DATA_WORDS],
             input: [0; 2],
             timeout: [0; 2],
             clock_rate,
@@ -154,10 +154,10 @@ impl OrientalAz {
         t_s: f64,
     ) -> Result<Reply, Exception> {
         let end = usize::from(address) + values.len();
-        if address >= BLOCK && end <= usize::from(BLOCK) + BLOCK_WORDS {
-            let first = usize::from(address - BLOCK);
+        if address >= DIRECT_DATA && end <= usize::from(DIRECT_DATA) + DIRECT_DATA_WORDS {
+            let first = usize::from(address - DIRECT_DATA);
             self.block[first..first + values.len()].copy_from_slice(values);
-            if end == usize::from(BLOCK) + BLOCK_WORDS {
+            if end == usize::from(DIRECT_DATA) + DIRECT_DATA_WORDS {
                 let trigger = self.value(TRIGGER);
                 (self.block[14], self.block[15]) = (0, 0);
                 return self.trigger(trigger, drive, t_s);
@@ -233,10 +233,10 @@ impl OrientalAz {
         let rising = input[1] & !self.input[1];
         if rising & IN_ALARM_RESET != 0 {
             drive.reset_alarm();
-            drive.set_servo(t_s, true);
+            drive.set_servo(t_s, Servo::On);
         }
         if (input[1] ^ self.input[1]) & IN_FREE != 0 {
-            drive.set_servo(t_s, input[1] & IN_FREE == 0);
+            drive.set_servo(t_s, Servo::on_if(input[1] & IN_FREE == 0));
         }
         if input[1] & IN_STOP != 0 {
             drive.stop(t_s);
@@ -262,7 +262,7 @@ impl OrientalAz {
 
     fn register(&self, address: u16, drive: &Drive, t_s: f64) -> Option<u16> {
         if let Some(&word) =
-            address.checked_sub(BLOCK).and_then(|offset| self.block.get(usize::from(offset)))
+            address.checked_sub(DIRECT_DATA).and_then(|offset| self.block.get(usize::from(offset)))
         {
             return Some(word);
         }
@@ -304,7 +304,7 @@ mod tests {
 
     fn ready() -> (OrientalAz, Drive) {
         let mut map = OrientalAz::new(200.0, 20.0);
-        let mut drive = Drive::power_up(STAGE, 40.0, true);
+        let mut drive = Drive::power_up(STAGE, 40.0, Servo::On);
         input(&mut map, &mut drive, IN_HOME, 0.0);
         input(&mut map, &mut drive, 0, 0.1);
         drive.refresh(20.0);
@@ -319,7 +319,7 @@ mod tests {
     fn go(position: i32, speed_hz: i32) -> Request {
         let block = [0, TYPE_ABSOLUTE, position, speed_hz, 300_000, 300_000, 1000, 1];
         let values = block.iter().flat_map(|&v| [high(v), low(v)]).collect();
-        Request::WriteRegisters { address: BLOCK, values }
+        Request::WriteRegisters { address: DIRECT_DATA, values }
     }
 
     fn read_long(map: &mut OrientalAz, drive: &mut Drive, address: u16, t_s: f64) -> i32 {
@@ -357,7 +357,7 @@ mod tests {
     #[test]
     fn an_absolute_move_before_homing_is_an_alarm() {
         let mut map = OrientalAz::new(200.0, 20.0);
-        let mut drive = Drive::power_up(STAGE, 40.0, true);
+        let mut drive = Drive::power_up(STAGE, 40.0, Servo::On);
         map.serve(&go(40_000, 50_000), &mut drive, 0.0).unwrap();
         assert_eq!(read_long(&mut map, &mut drive, PRESENT_ALARM, 0.0), 0x4A);
         assert!(!drive.moving(0.0));

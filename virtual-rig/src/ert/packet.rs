@@ -12,7 +12,7 @@ const KIND_FRAME: u8 = 1;
 /// Kind of a packet with a text line.
 const KIND_STATUS: u8 = 2;
 /// Number of gain steps of the amplifier; each has half the full scale of the previous one.
-const STEPS: i32 = 8;
+const GAIN_STEPS: i32 = 8;
 /// Largest fraction of a gain step that the signal may use.
 const USE: f64 = 0.8;
 /// Reserve for noise and drift in addition to the held voltages, V.
@@ -29,7 +29,7 @@ impl Amplifier {
     /// Voltage of one count, V: that of the finest gain step that contains `largest_v`.
     pub fn volts_per_count(&self, largest_v: f64) -> f32 {
         let needed = (largest_v + NOISE_ROOM_V) / USE;
-        let steps = (self.source_v / needed).log2().floor().clamp(0.0, f64::from(STEPS - 1));
+        let steps = (self.source_v / needed).log2().floor().clamp(0.0, f64::from(GAIN_STEPS - 1));
         (self.source_v / 2f64.powf(steps) / f64::from(i16::MAX)) as f32
     }
 }

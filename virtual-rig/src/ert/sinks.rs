@@ -20,7 +20,7 @@ pub enum Sinks {
     Tcp {
         /// Listener that accepts the clients.
         listener: TcpListener,
-        /// Connected clients.
+        /// Clients that are connected and receive the stream.
         clients: Vec<Client>,
     },
     /// Master side of a pseudo-terminal.

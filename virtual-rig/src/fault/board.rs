@@ -23,7 +23,7 @@ impl Entry {
 /// A fault in effect.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ActiveFault {
-    /// The fault.
+    /// Kind of the fault, with its parameters.
     pub kind: Kind,
     /// Process time of its begin, s.
     pub began_s: f64,

@@ -183,7 +183,7 @@ pub enum Kind {
 /// Target device of the fault.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Target {
-    /// An axis.
+    /// The drive of one axis.
     Axis(AxisName),
     /// The module of the load cells.
     Cells,
@@ -202,7 +202,7 @@ pub enum Start {
     Frame(u32),
     /// At the nth press into contact, from 1.
     Press(u64),
-    /// Immediately.
+    /// When the fault is set.
     Now,
 }
 
@@ -368,7 +368,7 @@ const KINDS: &str = "must be no_reply, exception, disconnect, late_reply, garble
 fn check(index: usize, entry: &FaultEntry, rig: &RigFile) -> Result<Fault, FaultError> {
     let e = Entry { index, entry };
     let (kind, target) = (e.kind()?, e.target(rig)?);
-    let (fits, whom) = match (kind, &target) {
+    let (fits, targets) = match (kind, &target) {
         (Kind::Disconnect { .. }, _) => (true, ""),
         (
             Kind::NoReply { .. }
@@ -405,7 +405,7 @@ fn check(index: usize, entry: &FaultEntry, rig: &RigFile) -> Result<Fault, Fault
         ) => (*target == Target::Ert, "ert"),
     };
     if !fits {
-        let limit = format!("{} affects only {whom}", entry.kind);
+        let limit = format!("{} affects only {targets}", entry.kind);
         return Err(e.bad("device", &entry.device, &limit));
     }
     if let Some(for_s) = entry.for_s.filter(|f| !(f.is_finite() && *f > 0.0)) {

@@ -75,14 +75,14 @@ pub enum Request {
     WriteRegister {
         /// Address of the register.
         address: u16,
-        /// New value.
+        /// Value that is written.
         value: u16,
     },
     /// Function 16: write a block of registers.
     WriteRegisters {
         /// Address of the first register.
         address: u16,
-        /// New values.
+        /// Values that are written, one per register.
         values: Vec<u16>,
     },
 }

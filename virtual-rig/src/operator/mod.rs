@@ -23,9 +23,9 @@ use crate::run::{RunError, end_of_life};
 /// Environment variable with the API key of the operator.
 const KEY_VARIABLE: &str = "PALPATE_KEY";
 /// Period at which the status is checked, wall.
-const LOOK: Duration = Duration::from_millis(100);
+const STATUS_POLL: Duration = Duration::from_millis(100);
 /// Shortest period, if the clock of the rig runs fast.
-const LOOK_MIN: Duration = Duration::from_millis(5);
+const STATUS_POLL_MIN: Duration = Duration::from_millis(5);
 /// Time without a reply of the service after which the operator ends.
 const AWAY_MAX: Duration = Duration::from_secs(10);
 /// Longest wait for one reply of the service, which judges a placement first, or of the control socket;
@@ -38,7 +38,7 @@ const CLEAR: Duration = Duration::from_secs(6);
 const CLEAR_MIN: Duration = Duration::from_secs(1);
 /// Time after which a request that is still shown is handled again: the confirmation was lost, or
 /// the trial is repeated.
-const AGAIN: Duration = Duration::from_secs(1);
+const REPEAT_AFTER: Duration = Duration::from_secs(1);
 
 /// `palpate virtual-operator`: mounts tips, places weights, confirms.
 #[derive(Debug, Clone, Args)]
@@ -118,14 +118,14 @@ struct Run {
 
 /// Request of a paused run to a person.
 #[derive(Debug, Clone, PartialEq)]
-enum Wish {
+enum Requested {
     Tips(usize),
     Weights { trial: u64, contacts: Vec<Weight> },
 }
 
 impl Run {
     /// Request of the run, if it is one that the operator can handle.
-    fn wish(&self) -> Option<Wish> {
+    fn requested(&self) -> Option<Requested> {
         #[derive(Deserialize)]
         struct Tips {
             tips: usize,
@@ -138,11 +138,11 @@ impl Run {
         let wanted = self.wanted.clone().filter(|_| self.state == "paused")?;
         match self.paused_why.as_deref()? {
             "tip_change" => {
-                serde_json::from_value(wanted).ok().map(|Tips { tips }| Wish::Tips(tips))
+                serde_json::from_value(wanted).ok().map(|Tips { tips }| Requested::Tips(tips))
             }
             "manual_trial" => serde_json::from_value(wanted)
                 .ok()
-                .map(|Trial { trial, contacts }| Wish::Weights { trial, contacts }),
+                .map(|Trial { trial, contacts }| Requested::Weights { trial, contacts }),
             _ => None,
         }
     }
@@ -175,12 +175,12 @@ struct Operator {
     client: reqwest::Client,
     control: Option<BufReader<TcpStream>>,
     weights_down: bool,
-    confirmed: Option<(String, Wish, Instant)>,
+    confirmed: Option<(String, Requested, Instant)>,
     /// Uid of the run in which the skin was tared.
     tared: Option<String>,
     hand: Hand,
     /// A confirmation that was refused, and how often.
-    refused: Option<(Wish, u32)>,
+    refused: Option<(Requested, u32)>,
 }
 
 impl Operator {
@@ -201,7 +201,7 @@ impl Operator {
 
     /// Checks and acts until the service has not replied for `away_max`.
     async fn work(&mut self, away_max: Duration) {
-        let look = LOOK.div_f64(self.args.speed.max(1.0)).max(LOOK_MIN);
+        let look = STATUS_POLL.div_f64(self.args.speed.max(1.0)).max(STATUS_POLL_MIN);
         let mut seen = Instant::now();
         let mut told = String::new();
         loop {
@@ -243,35 +243,36 @@ impl Operator {
     }
 
     async fn act(&mut self, status: Status) -> Result<(), HandError> {
-        let wish = status.run.as_ref().and_then(Run::wish);
-        let (Some(run), Some(wish)) = (status.run, wish) else {
+        let requested = status.run.as_ref().and_then(Run::requested);
+        let (Some(run), Some(requested)) = (status.run, requested) else {
             self.confirmed = None;
             return Ok(());
         };
         if let Some((uid, done, when)) = &self.confirmed
             && *uid == run.uid
-            && *done == wish
-            && when.elapsed() < AGAIN
+            && *done == requested
+            && when.elapsed() < REPEAT_AFTER
         {
             return Ok(());
         }
         // After a first refusal the weights are placed as asked; after a second one they are right, and
         // the skin is wrong.
-        let refusals = self.refused.as_ref().filter(|(w, _)| *w == wish).map_or(0, |(_, n)| *n);
-        let why = self.do_by_hand(&run.uid, &wish, refusals).await?;
-        match self.confirm(&run.uid, &wish, &why, refusals > 1).await {
+        let refusals =
+            self.refused.as_ref().filter(|(w, _)| *w == requested).map_or(0, |(_, n)| *n);
+        let why = self.do_requested(&run.uid, &requested, refusals).await?;
+        match self.confirm(&run.uid, &requested, &why, refusals > 1).await {
             Err(HandError::Refused { status, .. })
                 if status == reqwest::StatusCode::CONFLICT && refusals < REFUSALS_MAX =>
             {
-                self.refused = Some((wish, refusals + 1));
+                self.refused = Some((requested, refusals + 1));
                 return Ok(());
             }
             outcome => outcome?,
         }
-        // Nobody may read it.
+        // A closed stderr is no error.
         let _ = writeln!(io::stderr(), "{why}, confirmed");
         self.refused = None;
-        self.confirmed = Some((run.uid, wish, Instant::now()));
+        self.confirmed = Some((run.uid, requested, Instant::now()));
         Ok(())
     }
 
@@ -286,7 +287,7 @@ impl Operator {
                 if self.untouched_at().await? != before {
                     return Ok(());
                 }
-                tokio::time::sleep(LOOK_MIN).await;
+                tokio::time::sleep(STATUS_POLL_MIN).await;
             }
         }
         let url = format!("{}/api/v1/rig/actions", self.args.url.trim_end_matches('/'));
@@ -313,14 +314,14 @@ impl Operator {
         }
     }
 
-    async fn do_by_hand(
+    async fn do_requested(
         &mut self,
         uid: &str,
-        wish: &Wish,
+        requested: &Requested,
         refusals: u32,
     ) -> Result<String, HandError> {
-        match wish {
-            Wish::Tips(tips) => {
+        match requested {
+            Requested::Tips(tips) => {
                 if self.weights_down {
                     self.tell_rig(&json!({ "cmd": "clear" })).await?;
                     self.weights_down = false;
@@ -328,7 +329,7 @@ impl Operator {
                 self.tell_rig(&json!({ "cmd": "mount", "tips": tips })).await?;
                 Ok(format!("mounted {tips} tips"))
             }
-            Wish::Weights { trial, contacts } => {
+            Requested::Weights { trial, contacts } => {
                 let placed = match refusals {
                     0 => {
                         self.clear_skin(uid).await?;
@@ -346,16 +347,16 @@ impl Operator {
     async fn confirm(
         &self,
         uid: &str,
-        wish: &Wish,
+        requested: &Requested,
         why: &str,
         anyway: bool,
     ) -> Result<(), HandError> {
         let base = self.args.url.trim_end_matches('/');
         let url = format!("{base}/api/v1/runs/{uid}/actions");
         let mut body = json!({ "action": "confirm", "who": self.args.who, "why": why });
-        match wish {
-            Wish::Tips(tips) => body["tips"] = (*tips).into(),
-            Wish::Weights { trial, .. } => body["trial"] = (*trial).into(),
+        match requested {
+            Requested::Tips(tips) => body["tips"] = (*tips).into(),
+            Requested::Weights { trial, .. } => body["trial"] = (*trial).into(),
         }
         if anyway {
             body["anyway"] = true.into();

@@ -24,13 +24,13 @@ async fn willing_rig(heard: Heard) -> String {
     address
 }
 
-/// A service whose status is the first of `wishes` that has not been confirmed.
-async fn service(wishes: Vec<&'static str>, heard: Heard) -> String {
+/// A service whose status is the first of `requests` that has not been confirmed.
+async fn service(requests: Vec<&'static str>, heard: Heard) -> String {
     let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
     let url = format!("http://{}", listener.local_addr().unwrap());
     tokio::spawn(async move {
-        let mut wishes = std::collections::VecDeque::from(wishes);
-        while !wishes.is_empty() {
+        let mut requests = std::collections::VecDeque::from(requests);
+        while !requests.is_empty() {
             let (mut stream, _) = listener.accept().await.unwrap();
             let mut request = vec![0; 4096];
             let mut have = 0;
@@ -42,7 +42,7 @@ async fn service(wishes: Vec<&'static str>, heard: Heard) -> String {
                 }
             };
             let body = if text.starts_with("GET /api/v1/status ") {
-                format!("{{\"run\":{{\"uid\":\"u1\",{}}}}}", wishes[0])
+                format!("{{\"run\":{{\"uid\":\"u1\",{}}}}}", requests[0])
             } else if text.starts_with("GET /api/v1/frames/untouched ") {
                 r#"{"at":"2026-11-20T18:00:00Z"}"#.to_owned()
             } else if text.starts_with("POST /api/v1/rig/actions ") {
@@ -52,7 +52,7 @@ async fn service(wishes: Vec<&'static str>, heard: Heard) -> String {
                 assert!(text.starts_with("POST /api/v1/runs/u1/actions "), "{text}");
                 assert!(text.to_lowercase().contains("authorization: bearer k"));
                 heard.lock().unwrap().push(text.lines().last().unwrap().to_owned());
-                wishes.pop_front();
+                requests.pop_front();
                 "{}".to_owned()
             };
             let reply = format!(
@@ -70,12 +70,12 @@ async fn service(wishes: Vec<&'static str>, heard: Heard) -> String {
 async fn it_does_what_the_run_asks_says_so_and_goes_home() {
     let heard = Heard::default();
     let control = willing_rig(Arc::clone(&heard)).await;
-    let wishes = vec![
+    let requests = vec![
         r#""state":"paused","paused_why":"manual_trial",
            "wanted":{"trial":12,"contacts":[{"x_mm":100.0,"y_mm":80.0,"force_n":4.905}]}"#,
         r#""state":"paused","paused_why":"tip_change","wanted":{"tips":4}"#,
     ];
-    let url = service(wishes, Arc::clone(&heard)).await;
+    let url = service(requests, Arc::clone(&heard)).await;
     let who = "virtual operator".to_owned();
     let args = OperatorArgs { speed: 20.0, who, ..args(url, control) };
     let mut operator = Operator::new(args, Some("k".into())).unwrap();
@@ -121,8 +121,8 @@ fn a_pause_by_the_operator_is_nothing_to_confirm() {
         paused_why: Some(why.into()),
         wanted: Some(json!({ "tips": 3 })),
     };
-    assert_eq!(run("tip_change").wish(), Some(Wish::Tips(3)));
-    assert_eq!(run("operator").wish(), None);
+    assert_eq!(run("tip_change").requested(), Some(Requested::Tips(3)));
+    assert_eq!(run("operator").requested(), None);
     let running = Run { state: "running".into(), ..run("tip_change") };
-    assert_eq!(running.wish(), None);
+    assert_eq!(running.requested(), None);
 }

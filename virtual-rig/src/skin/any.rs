@@ -65,7 +65,7 @@ fn plan(sensor: &Sensor) -> Plan {
 pub enum AnySkin {
     /// The service's model with deviations.
     Model(Box<Skin>),
-    /// Another physics.
+    /// Skin of `laminate`: another physics than that of `sim-core`.
     Laminate(Box<Laminate>),
 }
 
@@ -101,7 +101,7 @@ impl AnySkin {
                     arm: t.arm,
                     at_mm: [t.x_mm, t.y_mm],
                     force_n: t.force_n,
-                    is_unloading: t.stroke == Stroke::Unloading,
+                    stroke: t.stroke,
                 };
                 skin.voltages(&tips.iter().map(touch).collect::<Vec<_>>())
             }
@@ -173,9 +173,7 @@ impl AnyMechanics {
     pub fn force_n(&self, at: &TipPosition, z_below_surface_mm: f64, stroke: Stroke) -> f64 {
         match self {
             Self::Model(mechanics) => mechanics.force_n(at, z_below_surface_mm, stroke),
-            Self::Laminate(forces) => {
-                forces.force_n(at.arm, at.tip_mm, z_below_surface_mm, stroke == Stroke::Unloading)
-            }
+            Self::Laminate(forces) => forces.force_n(at.arm, at.tip_mm, z_below_surface_mm, stroke),
         }
     }
 }

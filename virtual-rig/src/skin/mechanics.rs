@@ -1,5 +1,5 @@
 //! Force of each tip as a function of the depth of the stage (`docs/references.md`, "Tip forces").
-//! Uses: gap, chance. Never: the finite elements of the foam (this is a fit to the paper's Table
+//! Uses: gap, chance, laminate's `Stroke`. Never: the finite elements of the foam (this is a fit to the paper's Table
 //! I), voltages.
 //!
 //! Tip i reaches 5 N at the travel `T_i = mu + c + t_i + o_i` (c per configuration, t_i per tip and
@@ -13,6 +13,8 @@
 //! before the mean for n = 1..6: over the six settings 0.37 mm. 1.71 + 0.37 = 2.07: z = 0 is the
 //! surface that touch-offs find, averaged over settings and places. One arm alone finds it 0.37 mm
 //! lower, six 0.16 higher.
+
+pub use laminate::Stroke;
 
 use super::chance::{SmoothField, stream};
 use super::gap::MechanicsGap;
@@ -31,15 +33,6 @@ pub struct TipPosition {
     pub radius_mm: f64,
     /// Centre of the tip, skin coordinates, mm.
     pub tip_mm: [f64; 2],
-}
-
-/// Direction in which the depth of a tip in contact changes: the foam is softer while unloading.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Stroke {
-    /// Downward, or at the deepest position so far.
-    Loading,
-    /// Upward from the deepest position.
-    Unloading,
 }
 
 /// The mechanics of one rig on one skin. The unevenness is a smooth function of position: returning

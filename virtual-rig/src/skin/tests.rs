@@ -436,7 +436,7 @@ fn a_gap_file_with_the_table_laminate_is_a_skin_of_other_physics() {
     assert!(error.to_string().contains("cover.loft_mm = 0: must be a number > 0"), "{error}");
 }
 
-/// Frames of one tip of 9.81 N: a skin of another physics has a conductance of its own, whose scale is
+/// Frames of one tip of 9.81 N: a skin of another physics has another conductance, whose scale is
 /// set so that they are as large as by the paper's Eq. 1, the only figures of a real skin that there are.
 #[test]
 fn the_signal_of_other_physics_is_that_of_eq_1_at_one_weight() {

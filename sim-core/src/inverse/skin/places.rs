@@ -51,8 +51,7 @@ pub(super) fn placed(
         trials.iter().map(|&i| sweep.trials()[i].contacts.as_slice()).collect();
     let frames = Frames { parameters, model, vector, loads: &loads };
     let changes = frames.changes(&candidates, &seen, sweep.threads())?;
-    let choice =
-        Quadratic::new(parameters, vector, &candidates, (&seen, &changes), sweep.threads())?;
+    let choice = Quadratic::new(parameters, vector, &candidates, &seen, &changes, sweep.threads())?;
     let chosen = choice.improved(&candidates, parameters.electrodes());
     if chosen.iter().all(Option::is_none) {
         return Ok(None);
@@ -138,7 +137,8 @@ impl Quadratic {
         parameters: &Parameters,
         vector: &[f64],
         candidates: &[Candidate],
-        (seen, changes): (&[(FrameTerms, WhiteColumns)], &[Vec<f32>]),
+        seen: &[(FrameTerms, WhiteColumns)],
+        changes: &[Vec<f32>],
         threads: usize,
     ) -> Result<Self, SkinFitError> {
         let (count, all) = (candidates.len(), parameters.len());

@@ -14,7 +14,7 @@ use crate::forward::ForwardModel;
 use crate::stats::{sorted, upper_quantile};
 
 /// Number of trials whose terms are in memory at a time (about 1 MB each).
-const BLOCK: usize = 64;
+const BLOCK_TRIALS: usize = 64;
 /// The pull of a misfit is linear above this multiple of the median's root.
 const EDGE: f64 = 3.0;
 /// From this number of untouched skins on, they alone determine the offsets: the model error under
@@ -167,7 +167,7 @@ impl<'a> Sweep<'a> {
     ) -> Result<Vec<(FrameTerms, WhiteColumns)>, SkinFitError> {
         let circuit = self.parameters.circuit_changes(model);
         let law_slopes = law_slopes(model);
-        let pass = self.pass(model, (&circuit, &law_slopes), offsets_v);
+        let pass = self.pass(model, &circuit, &law_slopes, offsets_v);
         in_order(0..trials.len(), &mut self.work, |i, work| {
             pass.terms_and_columns(&self.trials[trials[i]], factor(trials[i]), work)
         })
@@ -200,7 +200,8 @@ impl<'a> Sweep<'a> {
     fn pass<'p>(
         &self,
         model: &'p ForwardModel,
-        (circuit, law_slopes): (&'p CircuitChanges, &'p [f64; LAW_PIECES]),
+        circuit: &'p CircuitChanges,
+        law_slopes: &'p [f64; LAW_PIECES],
         offsets_v: &'p [f64],
     ) -> Pass<'p>
     where
@@ -220,9 +221,9 @@ impl<'a> Sweep<'a> {
     ) -> Result<(), SkinFitError> {
         let circuit = self.parameters.circuit_changes(model);
         let law_slopes = law_slopes(model);
-        let pass = self.pass(model, (&circuit, &law_slopes), offsets_v);
-        for start in (0..self.trials.len()).step_by(BLOCK) {
-            let end = (start + BLOCK).min(self.trials.len());
+        let pass = self.pass(model, &circuit, &law_slopes, offsets_v);
+        for start in (0..self.trials.len()).step_by(BLOCK_TRIALS) {
+            let end = (start + BLOCK_TRIALS).min(self.trials.len());
             let of_block =
                 in_order(start..end, &mut self.work, |i, work| of_trial(&pass, i, work))?;
             of_block.into_iter().for_each(&mut take);

@@ -1,4 +1,4 @@
-//! Tests of the fit: differences of its cost, skins of its own family, invalid input.
+//! Tests of the fit: differences of its cost, skins of the family that it fits, invalid input.
 
 use std::sync::OnceLock;
 

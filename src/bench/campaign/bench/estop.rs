@@ -18,7 +18,7 @@ use crate::rig::traits::{Axis, Bench};
 
 /// Pause before a stop that was not acknowledged is sent again. Once the wire works again, the stop
 /// is sent within this time.
-const AGAIN: Duration = Duration::from_millis(50);
+const RESEND_PAUSE: Duration = Duration::from_millis(50);
 
 /// Result of the stop of one axis.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
@@ -154,7 +154,7 @@ impl StopSwitch {
                     logged = Some(words);
                 }
             }
-            tokio::time::sleep(AGAIN).await;
+            tokio::time::sleep(RESEND_PAUSE).await;
         }
     }
 

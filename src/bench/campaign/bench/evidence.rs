@@ -8,7 +8,8 @@
 
 use std::sync::Arc;
 
-use crate::rig::config::{ARMS, RigLimits};
+use crate::record::ARMS;
+use crate::rig::config::RigLimits;
 use crate::rig::traits::Frame;
 
 /// Force on any attached arm from which a touch counts as measured by the cells, N.
@@ -29,7 +30,7 @@ const SILENT_MAX: u32 = 3;
 /// Newest forces of the attached arms, and when they were compared with the skin.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct WeighedForces<'a> {
-    /// Forces, N.
+    /// Newest force of each attached arm, N, in the order of the arms.
     pub forces_n: &'a [f64],
     /// Time of the comparison, process s.
     pub now_s: f64,
@@ -173,7 +174,7 @@ pub fn outside_corridor(
 /// Force on an attached arm, and the depth of its tip.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PressedArm {
-    /// Force, N.
+    /// Force on the load cell of the arm, N.
     pub force_n: f64,
     /// Distance of the tip below its touch height of the touch-off, mm.
     pub below_touch_mm: f64,

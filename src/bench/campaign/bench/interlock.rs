@@ -7,8 +7,8 @@
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-use crate::record::Pose;
-use crate::rig::config::{ARMS, CellsConfig, RigConfig};
+use crate::record::{ARMS, Pose};
+use crate::rig::config::{CellsConfig, RigConfig};
 use crate::rig::traits::CellVolts;
 
 /// Force on an arm without a tip that contradicts the number of tips entered, N.

@@ -12,11 +12,13 @@
 //! must be homed again before it can be armed: nothing moves from an unknown position.
 
 use serde::{Deserialize, Serialize};
+use strum::IntoStaticStr;
 use utoipa::ToSchema;
 
 /// State of the rig.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema, IntoStaticStr)]
 #[serde(rename_all = "lowercase")]
+#[strum(serialize_all = "lowercase")]
 pub enum RigState {
     /// No wire is open.
     Disconnected,
@@ -33,13 +35,7 @@ pub enum RigState {
 impl RigState {
     /// Name of the state, as in the API and the database.
     pub fn as_str(self) -> &'static str {
-        match self {
-            RigState::Disconnected => "disconnected",
-            RigState::Disarmed => "disarmed",
-            RigState::Homed => "homed",
-            RigState::Armed => "armed",
-            RigState::Tripped => "tripped",
-        }
+        self.into()
     }
 }
 

@@ -21,8 +21,8 @@ use crate::campaign::run::halt::Halt;
 use crate::campaign::safe_end::Height;
 use crate::campaign::shown::samples::{ForceSample, Samples};
 use crate::clock::Clock;
-use crate::record::{Pose, TouchOffRecord};
-use crate::rig::config::{ARMS, RigConfig};
+use crate::record::{ARMS, Pose, TouchOffRecord};
+use crate::rig::config::RigConfig;
 use crate::rig::error::RigError;
 use crate::rig::traits::{Axis, Bench, CellVolts};
 use crate::schedule::configuration::Stand;
@@ -227,7 +227,7 @@ impl Stage {
         Ok(reading)
     }
 
-    /// Publishes one sample, read with z at `z_mm` if z was read; waits for nobody.
+    /// Publishes one sample, read with z at `z_mm` if z was read; does not wait for followers.
     pub(in crate::campaign) fn publish(&self, reading: &CellVolts, z_mm: Option<f64>) {
         let age = self.clock.now().saturating_duration_since(reading.at);
         let at = self.clock.timestamp() - age;

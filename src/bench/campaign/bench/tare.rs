@@ -6,8 +6,8 @@ use crate::campaign::bench::interlock::{FOREIGN_N, TripKind};
 use crate::campaign::bench::stage::Stage;
 use crate::campaign::run::control::Control;
 use crate::campaign::run::halt::Halt;
-use crate::record::Untouched;
-use crate::rig::config::{ARMS, RigConfig};
+use crate::record::{ARMS, Untouched};
+use crate::rig::config::RigConfig;
 
 /// Limit of the spread of a cell's readings in the air, as a multiple of its noise.
 const NOISE_MULTIPLE: f64 = 10.0;

@@ -17,8 +17,7 @@ use crate::campaign::bench::travel::{Descent, Sample, Target};
 use crate::campaign::run::control::Control;
 use crate::campaign::run::halt::Halt;
 use crate::campaign::safe_end::raise_as_planned;
-use crate::record::TouchOffRecord;
-use crate::rig::config::ARMS;
+use crate::record::{ARMS, TouchOffRecord};
 use crate::schedule::configuration::Stand;
 
 /// Force at which a tip counts as touching, N.

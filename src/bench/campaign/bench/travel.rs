@@ -11,8 +11,7 @@ use crate::campaign::bench::interlock::{self, TripKind};
 use crate::campaign::bench::stage::{AxisName, GRACE, Stage};
 use crate::campaign::run::control::Control;
 use crate::campaign::run::halt::Halt;
-use crate::record::Pose;
-use crate::rig::config::ARMS;
+use crate::record::{ARMS, Pose};
 use crate::rig::traits::{AxisStatus, CellVolts};
 use crate::schedule::configuration::Stand;
 

@@ -25,7 +25,7 @@ use crate::state::StateChange;
 /// Longest wait for the store, for a trial or for earlier notes to be durable.
 pub const STORE_LIMIT: Duration = Duration::from_secs(30);
 /// Period at which requests are checked while waiting for the store at rest.
-const LOOK: Duration = Duration::from_millis(20);
+const REQUESTS_POLL: Duration = Duration::from_millis(20);
 
 /// States of rig and run, pending requests, and the published status.
 pub struct Control {
@@ -223,7 +223,7 @@ impl Control {
                     Ok(outcome) => Ok(outcome?),
                     Err(_late) => Err(Halt::Store(silent())),
                 },
-                () = tokio::time::sleep(LOOK) => self.attend()?,
+                () = tokio::time::sleep(REQUESTS_POLL) => self.attend()?,
             }
         }
     }

@@ -103,7 +103,7 @@ pub enum RunEvent {
     Need(PausedWhy),
     /// A suspender, a trip or an e-stop: raise the tips now and wait.
     Suspend(PausedWhy),
-    /// Resume.
+    /// The run continues with its next step.
     Resume,
     /// End after the current trial.
     Stop,

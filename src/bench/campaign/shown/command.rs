@@ -69,7 +69,7 @@ pub enum Request {
     Confirm {
         /// What was done, as far as it was stated.
         done: Done,
-        /// Who confirms it, and what the skin feels.
+        /// Who confirms it, and the verdict on the placement.
         confirmation: Confirmation,
     },
     /// Withdraw a manual trial and repeat it.
@@ -100,7 +100,7 @@ pub enum Refusal {
 /// A request with the channel for its answer.
 #[derive(Debug)]
 pub struct Envelope {
-    /// The request.
+    /// What the campaign must do.
     pub request: Request,
     /// Channel for the answer: accepted or refused.
     pub answer: oneshot::Sender<Result<(), Refusal>>,

@@ -1,13 +1,15 @@
-//! The confirmation of a placement of weights: who placed them, and whether the skin feels the same.
+//! The confirmation of a placement of weights: who placed them, and the verdict.
 //! PURE. Uses: nothing of the rig. Never: the judgement itself (the service makes it).
 
 use serde::{Deserialize, Serialize};
 use serde_json::json;
+use strum::IntoStaticStr;
 use utoipa::ToSchema;
 
-/// Whether the skin feels the weights where they were asked.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+/// Whether the estimated contacts agree with the requested weights.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema, IntoStaticStr)]
 #[serde(rename_all = "snake_case")]
+#[strum(serialize_all = "snake_case")]
 pub enum VerdictKind {
     /// Every weight is felt near its point, with about its force, and nothing else is felt.
     Right,
@@ -22,12 +24,7 @@ pub enum VerdictKind {
 impl VerdictKind {
     /// Name of the verdict, as stored and shown.
     pub fn as_str(self) -> &'static str {
-        match self {
-            Self::Right => "right",
-            Self::Wrong => "wrong",
-            Self::Unsure => "unsure",
-            Self::Unknown => "unknown",
-        }
+        self.into()
     }
 }
 

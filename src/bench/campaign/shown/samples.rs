@@ -1,10 +1,10 @@
-//! Every sample of the load cells, published for whoever follows them.
+//! Every sample of the load cells, published for their followers.
 //! Uses: tokio's broadcast channel, `rig::config`. Never: a wait for a follower; one that is too slow
 //! misses samples.
 
 use tokio::sync::broadcast;
 
-use crate::rig::config::ARMS;
+use crate::record::ARMS;
 
 /// Samples that a follower may be behind: a second of the fastest rig.
 const BEHIND: usize = 8192;
@@ -31,7 +31,7 @@ impl Default for Samples {
 }
 
 impl Samples {
-    /// Publishes a sample; waits for nobody.
+    /// Publishes a sample without waiting for its followers.
     pub fn publish(&self, sample: ForceSample) {
         // Without followers there is nothing to do.
         let _ = self.0.send(sample);

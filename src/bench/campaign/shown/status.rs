@@ -213,7 +213,7 @@ pub enum Phase {
     Press,
     /// Waiting until the forces settle.
     Settle,
-    /// Taking frames.
+    /// Frames of the settled load are read.
     Measure,
     /// Waiting until the trial is durable.
     Commit,
@@ -226,7 +226,7 @@ pub enum Phase {
 /// Remaining time, wall s.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct Eta {
-    /// Expected value.
+    /// Expected remaining time, wall s.
     pub remaining_s: f64,
     /// Lower end of the band that contains the end of 90 % of the runs at this pace.
     pub low_s: f64,

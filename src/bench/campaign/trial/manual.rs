@@ -33,7 +33,7 @@ pub fn contacts(placement: &PlannedPlacement) -> Vec<PlacedContact> {
 pub struct Confirmed<'a> {
     /// Run that asked for the placement.
     pub run: RunUid,
-    /// Who has placed the weights, and whether the skin feels the same.
+    /// Who has placed the weights, and the verdict.
     pub confirmation: Confirmation,
     /// How the placement is measured.
     pub measure: &'a Measure,

@@ -5,8 +5,7 @@ use crate::campaign::bench::evidence::SkinWatch;
 use crate::campaign::bench::stage::Stage;
 use crate::campaign::run::control::Control;
 use crate::campaign::run::halt::Halt;
-use crate::record::{Flag, FrameQuality, FrameRecord};
-use crate::rig::config::ARMS;
+use crate::record::{ARMS, Flag, FrameQuality, FrameRecord};
 use crate::rig::traits::{CellVolts, Frame};
 use crate::schedule::experiment::Measure;
 
@@ -57,7 +56,7 @@ pub async fn settle(
 /// Frames of a held load, with the cells read before and after them.
 #[derive(Debug, Clone)]
 pub struct Taken {
-    /// Raw frames.
+    /// Frames in the order of the stream, each with its voltages, V.
     pub frames: Vec<FrameRecord>,
     /// Mean output of the cells around the frames, V.
     pub volts: [f64; ARMS],

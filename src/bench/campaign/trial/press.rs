@@ -20,9 +20,8 @@ use crate::campaign::trial::measure::{self, Taken};
 use crate::ids::{RunUid, TrialKey};
 use crate::journal::JournalError;
 use crate::record::{
-    ArmReading, Flag, Pose, ReferenceRecord, TareRecord, TrialRecord, TrialScalars,
+    ARMS, ArmReading, Flag, Pose, ReferenceRecord, TareRecord, TrialRecord, TrialScalars,
 };
-use crate::rig::config::ARMS;
 use crate::schedule::configuration::Stand;
 use crate::schedule::plan::{Plan, PlannedConfiguration, ReferencePress};
 

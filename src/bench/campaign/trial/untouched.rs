@@ -13,14 +13,14 @@ use crate::rig::traits::SkinReader;
 
 /// Frames per window, one second at 30 frames per second: the mean of 10 frames does not show a weight of 5 N
 /// on every skin.
-pub const FRAMES: usize = 30;
+pub const WINDOW_FRAMES: usize = 30;
 
-/// A mean of [`FRAMES`] frames, and the wall time of the last one.
+/// A mean of [`WINDOW_FRAMES`] frames, and the wall time of the last one.
 #[derive(Debug, Clone)]
 pub struct Seen {
-    /// The frames.
+    /// Mean of the frames, V.
     pub window: Window,
-    /// Wall time.
+    /// Wall time of the last frame.
     pub at: Timestamp,
 }
 
@@ -30,7 +30,7 @@ impl Seen {
     /// # Errors
     /// `RigError` if they do not arrive.
     pub async fn next(skin: &Arc<dyn SkinReader>, clock: &Clock) -> Result<Self, RigError> {
-        let frames = skin.take(clock.now(), FRAMES).await?;
+        let frames = skin.take(clock.now(), WINDOW_FRAMES).await?;
         Ok(Self { window: Window::of(&frames), at: clock.timestamp() })
     }
 }
@@ -86,7 +86,7 @@ mod tests {
 
     /// A window of 784 channels with a load in half of them, in counts of 1 mV, and noise; it ends at second `at_s`.
     fn seen(load: f64, at_s: i64) -> Seen {
-        let frames: Vec<_> = (0..FRAMES as i32)
+        let frames: Vec<_> = (0..WINDOW_FRAMES as i32)
             .map(|i| {
                 let noise = |c: i32| f64::from((c * 31 + i * 17) % 7 - 3);
                 let load = |c: i32| if c % 2 == 0 { load } else { 0.0 };

@@ -14,7 +14,8 @@ use parking_lot::Mutex;
 
 use self::codec::Range;
 use crate::clock::Clock;
-use crate::rig::config::{ARMS, CellsConfig};
+use crate::record::ARMS;
+use crate::rig::config::CellsConfig;
 use crate::rig::device::CellsDevice;
 use crate::rig::error::RigError;
 use crate::rig::repeats::Repeats;

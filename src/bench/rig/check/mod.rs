@@ -13,7 +13,8 @@ use sim_core::stats::{sorted, upper_quantile};
 
 pub use self::report::{AxisFound, CellsFound, CheckReport, LineFound, StreamFound};
 use crate::clock::Clock;
-use crate::rig::config::{ARMS, CellsConfig, RigConfig};
+use crate::record::{ARMS, Label};
+use crate::rig::config::{CellsConfig, RigConfig};
 use crate::rig::error::RigError;
 use crate::rig::ert_stream::ErtStream;
 use crate::rig::link::StopLatch;
@@ -31,7 +32,7 @@ const STOP_LOOK: Duration = Duration::from_millis(5);
 /// Extent of a check: what it may do to the drives.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Scope {
-    /// Only read.
+    /// Registers are read, none is written.
     Look,
     /// Take control and switch the servos on, like connecting. They stay on.
     Enable,
@@ -90,7 +91,7 @@ async fn check_skin(config: &SkinConfig, open: &ErtStream, clock: &Clock) -> Che
     let stream = stream::check(&config.ert, frame_age, open, clock, &mut problems).await;
     CheckReport {
         rig: config.name.clone(),
-        label: config.label.as_str(),
+        label: Label::from(config.label).as_str(),
         enabled: false,
         axes: Vec::new(),
         cells: None,
@@ -142,7 +143,7 @@ pub async fn check(
         .iter()
         .map(|(name, line)| LineFound { name: name.clone(), counts: line.counts() })
         .collect();
-    let (rig, label) = (config.name.clone(), config.label.as_str());
+    let (rig, label) = (config.name.clone(), Label::from(config.label).as_str());
     let enabled = scope == Scope::Enable;
     CheckReport { rig, label, enabled, axes, cells, stream, lines, problems, unchecked }
 }

@@ -5,7 +5,8 @@ use std::fmt;
 
 use serde::Serialize;
 
-use crate::rig::config::{ARMS, Guard};
+use crate::record::ARMS;
+use crate::rig::config::Guard;
 use crate::rig::link::LineCounts;
 
 /// Findings of a rig check.

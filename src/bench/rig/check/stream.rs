@@ -15,7 +15,7 @@ use crate::rig::ert_stream::ErtStream;
 use crate::rig::traits::{Frame, SkinReader};
 
 /// Minimum number of frames evaluated.
-const FRAMES: usize = 30;
+const FRAMES_MIN: usize = 30;
 /// Minimum wall time over which they are collected, so that rates are accurate on an accelerated
 /// rig too.
 const FRAMES_OVER: Duration = Duration::from_millis(1500);
@@ -49,9 +49,9 @@ pub(super) async fn check(
     let counters = stream.counters();
     found.status_line = stream.status_line();
     (found.missed, found.garbled, found.frames) = (counters.missed, counters.garbled, frames.len());
-    if frames.len() < FRAMES {
+    if frames.len() < FRAMES_MIN {
         let why = stream.wire_trouble().unwrap_or_else(|| "the wire is open".into());
-        problems.push(format!("ert: {} of {FRAMES} frames arrived ({why})", frames.len()));
+        problems.push(format!("ert: {} of {FRAMES_MIN} frames arrived ({why})", frames.len()));
     }
     let Some((first, last)) = frames.first().zip(frames.last()).filter(|_| frames.len() > 1) else {
         return found;
@@ -110,12 +110,12 @@ async fn collect(
     clock: &Clock,
 ) -> Vec<Arc<Frame>> {
     let mut feed = stream.subscribe();
-    let needed = clock.wall(FRAMES as f64 / config.frame_rate_hz());
+    let needed = clock.wall(FRAMES_MIN as f64 / config.frame_rate_hz());
     let deadline: Instant = clock.now() + 2 * needed + frame_age + Duration::from_secs(1);
-    let mut frames: Vec<Arc<Frame>> = Vec::with_capacity(FRAMES);
+    let mut frames: Vec<Arc<Frame>> = Vec::with_capacity(FRAMES_MIN);
     let enough = |frames: &[Arc<Frame>]| {
         let span = frames.first().zip(frames.last()).map(|(a, b)| b.received - a.received);
-        frames.len() >= FRAMES && span >= Some(FRAMES_OVER)
+        frames.len() >= FRAMES_MIN && span >= Some(FRAMES_OVER)
     };
     while !enough(&frames) {
         match tokio::time::timeout_at(deadline, feed.recv()).await {

@@ -123,7 +123,7 @@ async fn a_silent_device_is_waited_for_until_the_deadline() {
 }
 
 #[tokio::test]
-async fn a_lost_wire_is_opened_again_and_frames_go_on() {
+async fn a_lost_wire_is_opened_again_and_frames_continue() {
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let address = listener.local_addr().unwrap().to_string();
     std::thread::spawn(move || {

@@ -56,7 +56,7 @@ pub fn enable() -> Request {
     Request::WriteRegister { address: ENABLE, word: 1 }
 }
 
-/// Starts homing.
+/// Returns the request that starts homing.
 pub fn home() -> Request {
     Request::WriteRegister { address: TRIGGER, word: HOME }
 }

@@ -44,7 +44,7 @@ pub enum Request {
 /// Reply of a device.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Reply {
-    /// Register values.
+    /// Values of the registers that were read.
     Words(Vec<u16>),
     /// Echo of a coil that was written.
     Coil {

@@ -13,7 +13,8 @@ use async_trait::async_trait;
 use parking_lot::Mutex;
 
 use crate::clock::Clock;
-use crate::rig::config::{ARMS, CellsConfig};
+use crate::record::ARMS;
+use crate::rig::config::CellsConfig;
 use crate::rig::device::CellsDevice;
 use crate::rig::error::RigError;
 use crate::rig::repeats::Repeats;

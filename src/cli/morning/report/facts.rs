@@ -22,7 +22,7 @@ const KINDS: &str = "trip,suspended,skipped,attempt_failed,twins,not_gone_on,not
 /// Duration of a run below which its time is shown in minutes, s.
 const SHORT_S: f64 = 3.0 * 3600.0;
 /// Records per request.
-const PAGE: u32 = 1000;
+const PAGE_RECORDS: u32 = 1000;
 
 /// The facts of a run.
 #[derive(Debug, Clone)]
@@ -33,7 +33,7 @@ pub struct Facts {
     pub twins: TwinsOf,
     /// Fit of the twins.
     pub fit: SimulationReport,
-    /// All trials.
+    /// Every stored trial of the run, oldest first.
     pub trials: Vec<TrialFacts>,
     /// States over time.
     pub states: Vec<Span>,
@@ -50,31 +50,31 @@ pub struct Facts {
 /// A state of the run, from a time until the next.
 #[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
 pub struct Span {
-    /// The state.
+    /// State that the run had.
     pub state: StoredState,
     /// Reason of a wait.
     pub why: Option<PausedWhy>,
-    /// Start.
+    /// Wall time at which the run reached it.
     pub from: Timestamp,
-    /// End; absent while it lasts.
+    /// Wall time at which the run left it; absent while it lasts.
     pub to: Option<Timestamp>,
 }
 
 /// An event as text.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Told {
-    /// Time.
+    /// Wall time, as the service recorded it.
     pub at: Timestamp,
-    /// Kind.
+    /// Kind of the event, as it is stored.
     pub kind: String,
-    /// Words.
+    /// Text for a person, without the kind.
     pub words: String,
 }
 
 /// Outputs of the attached cells without load.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 pub struct Tare {
-    /// Time.
+    /// Wall time, as the service recorded it.
     pub at: Timestamp,
     /// Arm and output, V.
     pub volts: Vec<(u8, f64)>,
@@ -83,9 +83,9 @@ pub struct Tare {
 /// A press at a fixed place.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 pub struct Reference {
-    /// Time.
+    /// Wall time, as the service recorded it.
     pub at: Timestamp,
-    /// Depth, mm.
+    /// Depth of the press below depth 0, mm.
     pub depth_mm: f64,
     /// Readings of the attached tips.
     pub arms: Vec<ReferenceArm>,
@@ -96,7 +96,7 @@ pub struct Reference {
 pub struct ReferenceArm {
     /// Number of the arm.
     pub arm: u8,
-    /// Force, N.
+    /// Force on the tip at that depth, N.
     pub force_n: f64,
 }
 
@@ -110,7 +110,7 @@ impl Facts {
         let path = format!("/api/v1/runs/{uid}");
         let summary = client.summary(uid).await?;
         let history: Value = client.get(&format!("{path}/history?bins=1")).await?;
-        let records = |kind: &str| format!("{path}/records/{kind}?limit={PAGE}");
+        let records = |kind: &str| format!("{path}/records/{kind}?limit={PAGE_RECORDS}");
         let outline = Sensor::from_toml(&run.sensor).ok().map(|sensor| Outline::of(&sensor));
         let (twins, fit) = fit_of(client, uid).await?;
         Ok(Self {
@@ -126,7 +126,7 @@ impl Facts {
         })
     }
 
-    /// The run.
+    /// Returns the row of the run: experiment, plan, state, label.
     pub fn run(&self) -> &RunRow {
         &self.summary.run
     }
@@ -149,7 +149,7 @@ impl Facts {
 async fn events(client: &Client, run: &RunRow) -> Result<Vec<Told>, CliError> {
     let (mut told, mut since) = (Vec::new(), 0);
     loop {
-        let query = format!("since={since}&run={}&kind={KINDS}&limit={PAGE}", run.uid);
+        let query = format!("since={since}&run={}&kind={KINDS}&limit={PAGE_RECORDS}", run.uid);
         let page: Page<EventView> = client.get(&format!("/api/v1/events?{query}")).await?;
         for event in &page.items {
             since = event.seq;

@@ -1,4 +1,4 @@
-//! What to look at: conclusions from the facts of a run.
+//! Findings: conclusions from the facts of a run.
 //! PURE. Uses: `facts`, sim-core's quantiles. Never: a request, a limit that is not named here.
 
 use std::collections::BTreeMap;
@@ -47,7 +47,7 @@ pub struct Finding {
     pub words: String,
 }
 
-/// Returns what to look at, the most important first; empty if nothing stands out.
+/// Returns the findings, the most important first.
 pub fn findings(facts: &Facts) -> Vec<Finding> {
     let mut all = Vec::new();
     all.extend(end(facts));

@@ -12,10 +12,12 @@ use super::findings::{Level, findings, outliers};
 use super::plots::{self, Plot};
 use crate::cli::output::{counted, duration, grouped};
 use crate::cli::summary::table_one;
+use crate::cli::view::shown_kind;
 use crate::evaluate::figures::FigureError;
+use crate::state::StoredState;
 
 const STYLE: &str = include_str!("report.css");
-/// Rows of a table of what happened or of trials: the report says how many more there are.
+/// Rows of a table of what happened or of trials: the report states how many more there are.
 const ROWS: usize = 40;
 const WORST: usize = 10;
 
@@ -68,10 +70,10 @@ fn end_words(facts: &Facts) -> String {
 }
 
 fn look(page: &mut String, facts: &Facts) {
-    page.push_str("<section><h2>What to look at</h2>\n");
+    page.push_str("<section><h2>Findings</h2>\n");
     let all = findings(facts);
     if all.is_empty() {
-        page.push_str("<p>Nothing stands out.</p>\n");
+        page.push_str("<p>No findings.</p>\n");
     } else {
         page.push_str("<ul class=\"findings\">\n");
         for finding in all {
@@ -152,7 +154,7 @@ fn happened(page: &mut String, facts: &Facts) {
     page.push_str("<section><h2>What happened</h2>\n");
     let waits = facts.states.iter().filter(|span| {
         span.to.is_some_and(|to| {
-            to.duration_since(span.from).as_secs_f64() >= 1.0 && span.state.as_str() != "running"
+            to.duration_since(span.from).as_secs_f64() >= 1.0 && span.state != StoredState::Running
         })
     });
     let waits = waits.map(|span| {
@@ -164,7 +166,7 @@ fn happened(page: &mut String, facts: &Facts) {
         (span.from, span.state.as_str().to_owned(), words)
     });
     let events = facts.events.iter();
-    let events = events.map(|event| (event.at, event.kind.replace('_', " "), event.words.clone()));
+    let events = events.map(|event| (event.at, shown_kind(&event.kind), event.words.clone()));
     let mut all: Vec<(Timestamp, String, String)> = waits.chain(events).collect();
     all.sort_by_key(|(at, ..)| *at);
     let count = all.len();

@@ -12,6 +12,7 @@ mod plots;
 mod tests;
 
 use facts::Facts;
+pub use facts::Span;
 
 use super::{ReportArgs, find};
 use crate::cli::client::Client;
@@ -58,8 +59,8 @@ async fn make(client: &Client, args: &ReportArgs) -> Result<(), CliError> {
     for finding in &found {
         say(format_args!("- {}", finding.words));
     }
-    let count = counted(found.len() as u64, "thing", "things");
-    say(format_args!("{count} to look at; {}", file.display()));
+    let count = counted(found.len() as u64, "finding", "findings");
+    say(format_args!("{count}; {}", file.display()));
     if let Some(pdf) = printed {
         say(pdf.display());
     }

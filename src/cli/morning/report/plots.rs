@@ -24,7 +24,7 @@ const POINTS: usize = 400;
 /// A figure with its caption.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Plot {
-    /// SVG text.
+    /// The figure as an `svg` element.
     pub svg: String,
     /// What it shows, for people.
     pub caption: String,

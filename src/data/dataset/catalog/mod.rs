@@ -306,19 +306,27 @@ impl Catalog {
         DatasetRows::open(&path, wanted)
     }
 
-    /// Removes the datasets of each name but the `keep` newest, and those to which a model or a job refers;
-    /// `dry`: removes none. Returns what becomes of each.
+    /// Returns what [`Self::prune`] would do with each dataset; removes none.
+    ///
+    /// # Errors
+    /// `DatasetError::Store` if the store fails.
+    pub async fn prunable(&self, keep: usize) -> Result<Vec<Pruned>, DatasetError> {
+        let rows = self.inner.store.datasets().await?;
+        let needed = self.inner.store.dataset_users().await?;
+        Ok(prune::decide(&rows, keep, &needed, |id| self.last_used_at(id)))
+    }
+
+    /// Removes the datasets of each name except the `keep` newest and those to which a model or a job
+    /// refers. Returns what became of each.
     ///
     /// # Errors
     /// `DatasetError::Store` if the store fails; `File` if a file cannot be removed.
-    pub async fn prune(&self, keep: usize, dry: bool) -> Result<Vec<Pruned>, DatasetError> {
+    pub async fn prune(&self, keep: usize) -> Result<Vec<Pruned>, DatasetError> {
         let _no_build = self.inner.building.lock().await;
-        let rows = self.inner.store.datasets().await?;
-        let needed = self.inner.store.dataset_users().await?;
-        let decided = prune::decide(&rows, keep, &needed, |id| self.last_used_at(id));
+        let decided = self.prunable(keep).await?;
         let gone: Vec<DatasetId> =
             decided.iter().filter(|one| one.stays.is_none()).map(|one| one.id.clone()).collect();
-        if dry || gone.is_empty() {
+        if gone.is_empty() {
             return Ok(decided);
         }
         self.inner.store.remove_datasets(gone.clone()).await?;

@@ -105,17 +105,18 @@ pub enum ForceMapError {
         x_mm: f64,
         /// Position along y, mm.
         y_mm: f64,
-        /// Force, N.
+        /// Force of the contact, N.
         force_n: f64,
     },
 }
 
 impl ForceMapSpec {
-    /// Checks pixel and map diameter, mm.
+    /// Returns the specification if its pixel and map diameter are valid.
     ///
     /// # Errors
     /// `ForceMapError::PixelRange`, `PixelDivides` or `Diameter` for a value outside its limits.
-    pub fn new(pixel_mm: f64, diameter_mm: f64) -> Result<Self, ForceMapError> {
+    pub fn checked(self) -> Result<Self, ForceMapError> {
+        let Self { pixel_mm, diameter_mm } = self;
         if !(PIXEL_MM.0..=PIXEL_MM.1).contains(&pixel_mm) {
             return Err(ForceMapError::PixelRange { pixel_mm });
         }
@@ -125,7 +126,7 @@ impl ForceMapSpec {
         if !(diameter_mm > 0.0 && diameter_mm <= DIAMETER_MAX_MM) {
             return Err(ForceMapError::Diameter { diameter_mm });
         }
-        Ok(Self { pixel_mm, diameter_mm })
+        Ok(self)
     }
 
     /// Number of pixels along a side of the map.
@@ -143,7 +144,7 @@ impl FromStr for ForceMapSpec {
         });
         let (pixel_mm, diameter_mm) =
             numbers.ok_or_else(|| ForceMapError::Syntax { text: text.to_owned() })?;
-        Self::new(pixel_mm, diameter_mm)
+        Self { pixel_mm, diameter_mm }.checked()
     }
 }
 
@@ -167,6 +168,17 @@ impl From<ForceMapSpec> for String {
     }
 }
 
+/// A contact as a map shows it: position, skin coordinates, and force.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct MapContact {
+    /// Position along x, mm.
+    pub x_mm: f64,
+    /// Position along y, mm.
+    pub y_mm: f64,
+    /// Normal force, N.
+    pub force_n: f64,
+}
+
 /// Renders the maps of one specification on one skin.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ForceMap {
@@ -180,9 +192,9 @@ impl ForceMap {
     ///
     /// # Errors
     /// `ForceMapError::Skin` if the skin is larger than the square; the errors of
-    /// [`ForceMapSpec::new`].
+    /// [`ForceMapSpec::checked`].
     pub fn new(spec: ForceMapSpec, width_mm: f64, height_mm: f64) -> Result<Self, ForceMapError> {
-        let spec = ForceMapSpec::new(spec.pixel_mm, spec.diameter_mm)?;
+        let spec = spec.checked()?;
         let fits = |extent_mm: f64| extent_mm > 0.0 && extent_mm <= SIDE_MM;
         if !(fits(width_mm) && fits(height_mm)) {
             return Err(ForceMapError::Skin { width_mm, height_mm });
@@ -196,7 +208,7 @@ impl ForceMap {
         self.spec.pixels()
     }
 
-    /// Adds contacts `(x_mm, y_mm, force_n)` to `map`, which the caller has zeroed.
+    /// Adds contacts to `map`, which the caller has zeroed.
     ///
     /// `map` is row-major, `pixels x pixels`: `map[row * pixels + column]`, row 0 at the least y,
     /// column 0 at the least x; N per pixel. What a contact adds sums to its force. Only pixels
@@ -209,15 +221,11 @@ impl ForceMap {
     ///
     /// # Panics
     /// If `map` is not `pixels x pixels` long.
-    pub fn render(
-        &self,
-        contacts: &[(f64, f64, f64)],
-        map: &mut [f32],
-    ) -> Result<(), ForceMapError> {
+    pub fn render(&self, contacts: &[MapContact], map: &mut [f32]) -> Result<(), ForceMapError> {
         let pixels = self.pixels();
         assert_eq!(map.len(), pixels * pixels, "a map of {pixels} x {pixels} pixels");
         let disc = Disc::new(self.spec.diameter_mm / 2.0);
-        for &(x_mm, y_mm, force_n) in contacts {
+        for &MapContact { x_mm, y_mm, force_n } in contacts {
             let columns = self.axis(&disc, x_mm - self.origin_mm[0]);
             let rows = self.axis(&disc, y_mm - self.origin_mm[1]);
             let area_mm2 = disc.within(&columns.whole, &rows.whole);

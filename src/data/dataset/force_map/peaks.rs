@@ -271,6 +271,7 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
+    use crate::dataset::force_map::MapContact;
 
     const PIXELS: usize = 160;
 
@@ -280,7 +281,8 @@ mod tests {
 
     fn drawn(map: &ForceMap, contacts: &[(f64, f64, f64)]) -> Vec<f32> {
         let mut pixels = vec![0.0; map.pixels() * map.pixels()];
-        map.render(contacts, &mut pixels).unwrap();
+        let contact = |&(x_mm, y_mm, force_n)| MapContact { x_mm, y_mm, force_n };
+        map.render(&contacts.iter().map(contact).collect::<Vec<_>>(), &mut pixels).unwrap();
         pixels
     }
 

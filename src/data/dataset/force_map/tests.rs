@@ -5,7 +5,7 @@ use std::f64::consts::PI;
 
 use proptest::prelude::*;
 
-use super::{Disc, ForceMap, ForceMapError, ForceMapSpec, Span, TABLE_IV};
+use super::{Disc, ForceMap, ForceMapError, ForceMapSpec, MapContact, Span, TABLE_IV};
 
 const SKIN_MM: (f64, f64) = (540.0, 560.0);
 
@@ -13,9 +13,14 @@ fn map(spec: &str) -> ForceMap {
     ForceMap::new(spec.parse().unwrap(), SKIN_MM.0, SKIN_MM.1).unwrap()
 }
 
+fn contact((x_mm, y_mm, force_n): (f64, f64, f64)) -> MapContact {
+    MapContact { x_mm, y_mm, force_n }
+}
+
 fn drawn(map: &ForceMap, contacts: &[(f64, f64, f64)]) -> Vec<f32> {
     let mut pixels = vec![0.0; map.pixels() * map.pixels()];
-    map.render(contacts, &mut pixels).unwrap();
+    let contacts: Vec<MapContact> = contacts.iter().copied().map(contact).collect();
+    map.render(&contacts, &mut pixels).unwrap();
     pixels
 }
 
@@ -69,7 +74,7 @@ proptest! {
     fn only_pixels_that_the_disc_overlaps_are_touched(
         (x, y) in (60.0..480.0_f64, 60.0..500.0_f64), diameter in 1.0..120.0_f64,
     ) {
-        let spec = ForceMapSpec::new(10.0, diameter).unwrap();
+        let spec = ForceMapSpec { pixel_mm: 10.0, diameter_mm: diameter };
         let map = ForceMap::new(spec, SKIN_MM.0, SKIN_MM.1).unwrap();
         let pixels = drawn(&map, &[(x, y, 1.0)]);
         for (i, &newtons) in pixels.iter().enumerate() {
@@ -129,11 +134,9 @@ fn a_disc_beyond_the_rim_keeps_its_force_on_the_square() {
 fn contacts_that_no_pixel_can_hold_are_refused() {
     let map = map("4x20");
     let mut pixels = vec![0.0; 160 * 160];
-    for contact in
-        [(-61.0, 0.0, 1.0), (0.0, 620.0, 1.0), (f64::NAN, 0.0, 1.0), (0.0, 0.0, f64::NAN)]
-    {
-        let refused = map.render(&[contact], &mut pixels);
-        assert!(matches!(refused, Err(ForceMapError::Contact { .. })), "{contact:?}");
+    for at in [(-61.0, 0.0, 1.0), (0.0, 620.0, 1.0), (f64::NAN, 0.0, 1.0), (0.0, 0.0, f64::NAN)] {
+        let refused = map.render(&[contact(at)], &mut pixels);
+        assert!(matches!(refused, Err(ForceMapError::Contact { .. })), "{at:?}");
     }
     assert!(pixels.iter().all(|&n| n == 0.0));
 }
@@ -143,7 +146,7 @@ fn a_specification_is_read_back_as_it_is_written() {
     for (spec, written) in TABLE_IV.iter().zip(["4x20", "4x28", "4x32", "4x44"]) {
         assert_eq!(spec.to_string(), written);
     }
-    for spec in TABLE_IV.into_iter().chain([ForceMapSpec::new(6.4, 12.5).unwrap()]) {
+    for spec in TABLE_IV.into_iter().chain([ForceMapSpec { pixel_mm: 6.4, diameter_mm: 12.5 }]) {
         assert_eq!(spec.to_string().parse(), Ok(spec));
         let json = serde_json::to_string(&spec).unwrap();
         assert_eq!(serde_json::from_str::<ForceMapSpec>(&json).unwrap(), spec);

@@ -7,7 +7,7 @@ use super::{Part, compression_colour};
 /// Length of a tick, as a share of the part's longer side.
 const TICK_SHARE: f64 = 0.014;
 /// Number of colour steps of the bar.
-const STEPS: usize = 64;
+const BAR_STEPS: usize = 64;
 
 /// Smallest 1, 2 or 5 times a power of ten that is not below `value`; 0.1 for zero.
 pub(super) fn round_up(value: f64) -> f64 {
@@ -94,11 +94,11 @@ fn height_bar(out: &mut Drawing, view: &View, part: &Part, outwards: f64) -> ([f
 pub(super) fn colour_bar(out: &mut Drawing, [left, top, right, bottom]: [f64; 4], most_mm: f64) {
     let height = |share: f64| bottom + share * (top - bottom);
     out.group("stroke=\"none\"");
-    for step in 0..STEPS {
-        let [low, high] = [step, step + 1].map(|s| height(s as f64 / STEPS as f64));
-        let colour = compression_colour((step as f64 + 0.5) / STEPS as f64);
+    for step in 0..BAR_STEPS {
+        let [low, high] = [step, step + 1].map(|s| height(s as f64 / BAR_STEPS as f64));
+        let colour = compression_colour((step as f64 + 0.5) / BAR_STEPS as f64);
         // Half a pixel of overlap avoids a visible seam.
-        let high = high - if step + 1 < STEPS { 0.5 } else { 0.0 };
+        let high = high - if step + 1 < BAR_STEPS { 0.5 } else { 0.0 };
         out.polygon(&[[left, low], [right, low], [right, high], [left, high]], colour);
     }
     out.end_group();

@@ -19,12 +19,11 @@ use sim_core::sensor::Point;
 
 use crate::chance::Chance;
 use crate::problem::Checks;
+use crate::record::CONTACTS_MAX;
 
 /// Version of these draws: increased by a change that gives other contacts for a seed.
 pub const DRAW_VERSION: u32 = 1;
 
-/// Largest number of contacts of a trial.
-pub const CONTACTS_MAX: u8 = 6;
 /// Largest load of a trial, N; the model is checked up to it.
 pub const LOAD_MAX_N: f64 = 240.0;
 
@@ -52,7 +51,7 @@ impl Draws {
     pub fn check(&self, points: usize, checks: &mut Checks<'_>) {
         let [fewest, most] = self.contacts;
         let shown = format!("{fewest}..{most}");
-        let in_order = fewest <= most && most <= CONTACTS_MAX;
+        let in_order = fewest <= most && usize::from(most) <= CONTACTS_MAX;
         let limit = format!("must be A..B with 0 <= A <= B <= {CONTACTS_MAX}");
         checks.require(in_order, "contacts", &shown, &limit);
         let limit = format!("the skin has {points} points");
@@ -74,7 +73,7 @@ impl Draws {
         let mut chance = Chance::numbered(self.seed, "sim-random", index);
         let [fewest, most] = self.contacts;
         let count = usize::from(fewest) + chance.below(u32::from(most - fewest) + 1) as usize;
-        let mut drawn = [0usize; CONTACTS_MAX as usize];
+        let mut drawn = [0; CONTACTS_MAX];
         for n in 0..count {
             drawn[n] = loop {
                 let point = chance.below(points.len() as u32) as usize;

@@ -21,7 +21,7 @@ pub const MANIFEST: &str = "_manifest.json";
 /// Suffix of a temporary file's name in earlier versions.
 const PARTIAL: &str = ".partial";
 /// Number of bytes read at a time.
-const BLOCK: usize = 1 << 20;
+const READ_BYTES: usize = 1 << 20;
 
 /// Depth of the check of completed shards.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -171,7 +171,7 @@ fn text(name: &OsStr) -> String {
 
 fn sha256(file: File) -> io::Result<String> {
     let mut hash = Hashing::default();
-    io::copy(&mut BufReader::with_capacity(BLOCK, file), &mut hash)?;
+    io::copy(&mut BufReader::with_capacity(READ_BYTES, file), &mut hash)?;
     Ok(hash.finish())
 }
 

@@ -21,7 +21,7 @@ use self::one_step::OneStepPipeline;
 use self::paper::MapPipeline;
 use super::answer::Reading;
 use super::error::InferError;
-use super::maps::MAP_1;
+use super::maps::{ForceMaps, MAP_1};
 use super::registry::Model;
 use super::slot::Slot;
 use crate::dataset::force_map::ForceMapSpec;
@@ -285,11 +285,11 @@ impl UntouchedBefore {
 
 /// A method with its models, ready to read frames.
 pub trait ReadyMethod: Send + Sync {
-    /// Reads frames; keeps the method's own maps, if it has maps, only if `with_map`.
+    /// Reads frames; `maps`: whether to keep the method's own maps, if it has maps.
     ///
     /// # Errors
     /// `InferError` if a frame cannot be answered.
-    fn read(&self, frames: &Frames<'_>, with_map: bool) -> Result<Vec<Reading>, InferError>;
+    fn read(&self, frames: &Frames<'_>, maps: ForceMaps) -> Result<Vec<Reading>, InferError>;
 
     /// Reads the next frame of a stream (V).
     ///
@@ -298,10 +298,10 @@ pub trait ReadyMethod: Send + Sync {
     fn follow(
         &self,
         frame: &[f32],
-        with_map: bool,
+        maps: ForceMaps,
         _tracked: &mut Tracked,
     ) -> Result<Reading, InferError> {
-        Ok(self.read(&Frames::single(frame), with_map)?.into_iter().next().unwrap_or_default())
+        Ok(self.read(&Frames::single(frame), maps)?.into_iter().next().unwrap_or_default())
     }
 
     /// Its nets, in the order of use.

@@ -39,7 +39,7 @@ const BUILDING: &str = "building the trainer: once, some minutes";
 /// Time from a request to stop to the end by force: one batch and a checkpoint take less.
 const STOP_MAX: Duration = Duration::from_secs(20);
 /// Interval at which a stop is noticed.
-const LOOK: Duration = Duration::from_millis(100);
+const STOP_POLL: Duration = Duration::from_millis(100);
 
 /// Why a trainer did not train.
 #[derive(Debug, thiserror::Error)]
@@ -95,7 +95,7 @@ pub async fn run(
     let mut lines = Lines::of(child.stdout.take());
     let errors = tokio::spawn(Lines::of(child.stderr.take()).last());
     let mut reported = None;
-    let mut look = tokio::time::interval(LOOK);
+    let mut look = tokio::time::interval(STOP_POLL);
     let mut kill_at = None;
     loop {
         tokio::select! {

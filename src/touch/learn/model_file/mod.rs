@@ -135,7 +135,7 @@ pub struct ModelFacts {
     /// Text of its recipe.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub recipe: Option<String>,
-    /// Trained range.
+    /// Numbers of contacts, largest force and largest frame of the training rows.
     #[serde(default)]
     pub trained_on: TrainedRange,
 }
@@ -362,7 +362,7 @@ pub fn model_of(
     let properties = model.properties();
     let says = Description {
         name: model.task.as_str(),
-        doc: "A net of Palpate; its manifest says what it was made from.",
+        doc: "A net of Palpate; its manifest states what it was made from.",
         input: model.task.input(),
         output: model.task.output(),
         version: env!("CARGO_PKG_VERSION"),

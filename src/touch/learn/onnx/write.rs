@@ -27,7 +27,7 @@ pub enum WriteError {
         tensor: &'static str,
         /// Length of the tensor.
         found: usize,
-        /// Required length.
+        /// Length that the shape requires.
         wanted: usize,
     },
     /// A value of a tensor is not finite.

@@ -266,8 +266,8 @@ def check_slices_and_maps(expected: dict[str, list[dict]]) -> None:
             if not check(apart < pixel / 2, f"{path}, trial {row['trial_id']}: {apart:.1f} mm off its contacts"):
                 break
         # A pixel is an f32: half an ulp, 6e-8 of it, and as much for each contact that adds to it.
-        check(worst < 1e-6, f"{path}: a map sums to its forces but for {worst:.1e}")
-        print(f"       map {text}: sums to its forces but for {worst:.1e}")
+        check(worst < 1e-6, f"{path}: a map sums to its forces except for {worst:.1e}")
+        print(f"       map {text}: sums to its forces except for {worst:.1e}")
 
 
 def main() -> None:

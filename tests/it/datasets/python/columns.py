@@ -1,4 +1,4 @@
-"""The columns that docs/how-to/datasets.md promises, and values in one form, whoever read them."""
+"""The columns that docs/how-to/datasets.md promises, and values in one form, for every reader."""
 
 import math
 import re

@@ -63,7 +63,7 @@ def of_npz(bytes_: bytes) -> dict:
         if kind == CONTACTS:
             counts = [int(count) for count in arrays["contact_count"]]
             beyond = all(np.isnan(row[count:]).all() for row, count in zip(values, counts))
-            check(beyond, "NPZ: contacts go on beyond contact_count")
+            check(beyond, "NPZ: contacts continue beyond contact_count")
             found[name] = [[dict(zip(CONTACT, c)) for c in row[:n]] for row, n in zip(values, counts)]
     return found
 

@@ -1,4 +1,4 @@
-"""Queries and wishes that must be refused, and in which words."""
+"""Queries and requests that must be refused, and in which words."""
 
 from wire import check, get
 

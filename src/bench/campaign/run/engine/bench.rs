@@ -21,7 +21,7 @@ use crate::campaign::shown::command::{Envelope, Refusal, Request};
 use crate::campaign::shown::show;
 use crate::clock::Clock;
 use crate::journal::Mounting;
-use crate::rig::config::ARMS;
+use crate::record::ARMS;
 use crate::rig::error::RigError;
 use crate::rig::link::Line;
 use crate::rig::registry;

@@ -327,7 +327,7 @@ struct Attempts {
 /// The placement that was measured last in this session.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Last {
-    /// None yet.
+    /// No placement was measured in this session.
     Unknown,
     /// This one is stored.
     Stored(u32),

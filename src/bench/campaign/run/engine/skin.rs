@@ -10,7 +10,7 @@ use super::Engine;
 use crate::campaign::run::run_state::PausedWhy;
 use crate::campaign::shown::command::Refusal;
 use crate::campaign::trial::rest::Window;
-use crate::campaign::trial::untouched::{FRAMES, Seen, UntouchedSkin};
+use crate::campaign::trial::untouched::{Seen, UntouchedSkin, WINDOW_FRAMES};
 use crate::clock::Clock;
 use crate::record::Untouched;
 use crate::rig::error::RigError;
@@ -26,7 +26,7 @@ type Answer = oneshot::Sender<Result<(), Refusal>>;
 /// What is known of the empty skin.
 #[derive(Debug, Default)]
 pub(super) enum EmptySkin {
-    /// Nothing.
+    /// No untouched frame was measured in this session.
     #[default]
     Unknown,
     /// A person states that it is empty; it must come to rest.
@@ -124,7 +124,7 @@ impl Engine {
         self.control.untouched(Untouched {
             voltages_v: seen.window.mean_v.iter().map(|v| *v as f32).collect(),
             at: seen.at,
-            frames: FRAMES,
+            frames: WINDOW_FRAMES,
             run: self.control.run_uid(),
         });
     }

@@ -44,7 +44,7 @@ pub(super) enum Kind {
     Numbers,
     /// Texts of at most this number of bytes.
     Texts(u64),
-    /// Times, UTC.
+    /// Times, ms since 1970, UTC.
     Times,
     /// Values that cannot be read.
     Other,
@@ -85,11 +85,11 @@ impl Shape {
 /// Values of an array, row by row.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) enum Values {
-    /// Voltages, V.
+    /// Voltages, V, in single precision.
     Singles(Vec<f32>),
-    /// Numbers.
+    /// Real numbers in double precision; truth values are 0 and 1.
     Numbers(Vec<f64>),
-    /// Texts.
+    /// Texts, decoded to UTF-8.
     Texts(Vec<String>),
     /// Times, ms since 1970, UTC.
     Times(Vec<Option<i64>>),

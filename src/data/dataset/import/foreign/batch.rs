@@ -17,13 +17,13 @@ use crate::store::Contact;
 /// Type of the values of a column with one value per trial.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Scalar {
-    /// Numbers.
+    /// Real numbers in double precision.
     Number,
-    /// Times.
+    /// Times, ms since 1970, UTC.
     Time,
-    /// Texts.
+    /// One text per trial.
     Text,
-    /// Lists of words.
+    /// Lists of words per trial, such as flags.
     Words,
 }
 

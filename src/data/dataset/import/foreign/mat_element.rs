@@ -29,7 +29,7 @@ pub(super) const NUMBERS: std::ops::RangeInclusive<u8> = 6..=15;
 /// Header of a matrix.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) struct Matrix {
-    /// Class.
+    /// Class of the values, by its number in the format.
     pub class: u8,
     /// Whether it has an imaginary part.
     pub is_complex: bool,

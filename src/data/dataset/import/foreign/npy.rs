@@ -32,7 +32,7 @@ pub(super) enum Item {
     Bytes,
     /// Time since 1970; the units of a second as a power of ten: s 0, ms 3, us 6, ns 9.
     Time(u32),
-    /// Anything else.
+    /// Values that cannot be read.
     Other,
 }
 

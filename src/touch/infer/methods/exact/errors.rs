@@ -55,7 +55,7 @@ pub struct KnownTrial {
 pub struct KnownTrials {
     /// With contacts, of configurations that no skin is fitted to.
     pub pressed: Vec<KnownTrial>,
-    /// Without contacts.
+    /// Untouched frames of the run.
     pub untouched: Untouched,
 }
 
@@ -84,9 +84,9 @@ impl SkinErrors {
 /// Ratio of the errors of known contacts to the stated standard deviations.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub(super) struct Stretch {
-    /// Of positions.
+    /// Ratio of the errors of positions.
     pub place: f64,
-    /// Of forces.
+    /// Ratio of the errors of forces.
     pub force: f64,
 }
 

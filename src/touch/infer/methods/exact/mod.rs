@@ -21,6 +21,7 @@ use super::fast::{PROPOSED, PointPipeline};
 use super::{Frames, ReadyMethod, UsedSkin};
 use crate::infer::answer::{FoundContact, Reading};
 use crate::infer::error::InferError;
+use crate::infer::maps::ForceMaps;
 use crate::infer::registry::Model;
 
 /// Largest offset that the live zero takes off, in standard deviations of the drift.
@@ -54,7 +55,7 @@ impl ReadyMethod for ExactPipeline {
         format!("{}{}", self.skin.id(), net.unwrap_or_default())
     }
 
-    fn read(&self, frames: &Frames<'_>, _: bool) -> Result<Vec<Reading>, InferError> {
+    fn read(&self, frames: &Frames<'_>, _: ForceMaps) -> Result<Vec<Reading>, InferError> {
         let Frames { voltages_v, averaged, untouched } = *frames;
         let untouched = self.skin.better(untouched);
         let (mut work, mut frame_v) = (FitWork::default(), Vec::new());
@@ -71,7 +72,12 @@ impl ReadyMethod for ExactPipeline {
 
     /// Fits the mean of the frames since the last change of the load, starting from the last fit if
     /// it is still valid. While nothing is found, the zero follows the offsets.
-    fn follow(&self, frame: &[f32], _: bool, tracked: &mut Tracked) -> Result<Reading, InferError> {
+    fn follow(
+        &self,
+        frame: &[f32],
+        _: ForceMaps,
+        tracked: &mut Tracked,
+    ) -> Result<Reading, InferError> {
         if tracked.skin.as_deref() != Some(self.skin.id()) {
             *tracked = Tracked { skin: Some(self.skin.id().to_owned()), ..Tracked::default() };
         }

@@ -11,7 +11,7 @@ use crate::infer::answer::{FoundContact, Reading};
 use crate::infer::error::InferError;
 use crate::infer::methods::UntouchedBefore;
 
-/// Drift in a day, in standard deviations of the noise of a pair, from which offsets must be measured anew.
+/// Drift in a day, in standard deviations of the noise of a pair, from which offsets must be measured again.
 const DRIFT_MATTERS: f64 = 2.0;
 /// A fit whose residual exceeds this multiple of the assumed noise does not explain the frame.
 const MISFIT_EXPLAINED: f64 = 3.0;
@@ -100,7 +100,7 @@ impl ExactSkin {
         self.offset_v.len()
     }
 
-    /// The untouched skin, if it gives better offsets than the calibration.
+    /// The untouched skin, if its offsets are better than those of the calibration.
     pub(super) fn better<'a>(
         &self,
         untouched: Option<&'a UntouchedBefore>,
@@ -113,7 +113,7 @@ impl ExactSkin {
         untouched.filter(fits).filter(is_better)
     }
 
-    /// Standard deviation of what is left of an offset, V: at least the noise of the untouched frame.
+    /// Standard deviation of the residual of an offset, V: at least the noise of the untouched frame.
     pub(super) fn offset_sd_v(&self, untouched: Option<&UntouchedBefore>) -> f64 {
         let pairs = self.channels().isqrt() as f64;
         let noise_v =

@@ -297,6 +297,7 @@ mod tests {
     use sim_core::responses::UnitResponses;
 
     use super::*;
+    use crate::infer::maps::ForceMaps;
     use crate::infer::methods::ReadyMethod;
     use crate::infer::methods::exact::ExactPipeline;
 
@@ -332,8 +333,8 @@ mod tests {
         let (known, fewer, other) = (known(70), known(69), &trials[75]);
         let answer = || {
             let skin = Arc::new(ready(&model, &known, &cache).unwrap());
-            let read =
-                ExactPipeline { skin, points: None }.read(&Frames::single(&other.frame_v), false);
+            let exact = ExactPipeline { skin, points: None };
+            let read = exact.read(&Frames::single(&other.frame_v), ForceMaps::Without);
             read.unwrap().remove(0)
         };
         let learnt = answer();

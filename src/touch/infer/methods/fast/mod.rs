@@ -11,6 +11,7 @@ use super::{Frames, ReadyMethod};
 use crate::ids::ModelId;
 use crate::infer::answer::{FoundContact, Reading};
 use crate::infer::error::InferError;
+use crate::infer::maps::ForceMaps;
 use crate::infer::registry::Model;
 use crate::learn::task::Answers;
 
@@ -77,7 +78,7 @@ impl PointPipeline {
 }
 
 impl ReadyMethod for PointPipeline {
-    fn read(&self, frames: &Frames<'_>, _: bool) -> Result<Vec<Reading>, InferError> {
+    fn read(&self, frames: &Frames<'_>, _: ForceMaps) -> Result<Vec<Reading>, InferError> {
         let range = &self.model.manifest.model.trained_on;
         let candidates = self.candidates(frames.voltages_v, SAID)?;
         let frames = frames.voltages_v.chunks_exact(self.model.plan.channels());

@@ -10,11 +10,11 @@ use sim_core::forward::ForwardModel;
 use sim_core::inverse::linear::{OneStep, Penalty, PointSlopes, Regularisation};
 
 use super::{Frames, ReadyMethod, UsedSkin};
-use crate::dataset::force_map::ForceMap;
+use crate::dataset::force_map::{ForceMap, MapContact};
 use crate::ids::CalibrationId;
 use crate::infer::answer::Reading;
 use crate::infer::error::InferError;
-use crate::infer::maps::{MAP_1, contacts};
+use crate::infer::maps::{ForceMaps, MAP_1, contacts};
 use crate::infer::registry::Model;
 
 /// Force per point about which the model is linearised, N: the middle of the usual range.
@@ -63,18 +63,20 @@ impl OneStepPipeline {
 }
 
 impl ReadyMethod for OneStepPipeline {
-    fn read(&self, frames: &Frames<'_>, with_map: bool) -> Result<Vec<Reading>, InferError> {
+    fn read(&self, frames: &Frames<'_>, maps: ForceMaps) -> Result<Vec<Reading>, InferError> {
         let mut readings = Vec::new();
         for frame in frames.voltages_v.chunks_exact(self.offset_v.len()) {
             let frame = frame.iter().zip(&self.offset_v).map(|(v, offset)| f64::from(*v) - offset);
             let forces = self.step.solve(&frame.collect::<Vec<_>>(), Penalty::Gcv)?.forces_n;
             let pressed = self.points_mm.iter().zip(forces).filter(|(_, n)| *n > 0.0);
-            let pressed: Vec<(f64, f64, f64)> = pressed.map(|([x, y], n)| (*x, *y, n)).collect();
+            let of =
+                |(&[x_mm, y_mm], force_n): (&[f64; 2], f64)| MapContact { x_mm, y_mm, force_n };
+            let pressed: Vec<MapContact> = pressed.map(of).collect();
             let mut map = vec![0.0; self.draws.pixels() * self.draws.pixels()];
             self.draws.render(&pressed, &mut map)?;
             readings.push(Reading {
                 contacts: contacts(&self.draws, &map, self.threshold_n),
-                force_map_n: with_map.then_some(map),
+                force_map_n: maps.keep(|| map),
                 ..Reading::default()
             });
         }

@@ -7,7 +7,7 @@ use super::{Frames, ReadyMethod};
 use crate::dataset::force_map::{ForceMap, ForceMapSpec};
 use crate::infer::answer::Reading;
 use crate::infer::error::InferError;
-use crate::infer::maps::contacts;
+use crate::infer::maps::{ForceMaps, contacts};
 use crate::infer::registry::Model;
 use crate::learn::task::{Answers, Reads};
 use crate::problem::Problem;
@@ -68,7 +68,7 @@ impl MapPipeline {
         Ok(Self { transfer, map, spec, draws, threshold_n, has_forces })
     }
 
-    fn read_some(&self, frames: &[f32], with_map: bool) -> Result<Vec<Reading>, InferError> {
+    fn read_some(&self, frames: &[f32], kept: ForceMaps) -> Result<Vec<Reading>, InferError> {
         let mut transferred = Vec::new();
         let frames_in = match &self.transfer {
             Some(transfer) => {
@@ -93,7 +93,7 @@ impl MapPipeline {
             let outside = ranges[0].frame(frame).into_iter().chain(ranges[1].answer(&forces_n));
             readings.push(Reading {
                 contacts,
-                force_map_n: with_map.then(|| map.to_vec()),
+                force_map_n: kept.keep(|| map.to_vec()),
                 outside: outside.map(|out| out.to_string()).collect(),
                 ..Reading::default()
             });
@@ -103,11 +103,11 @@ impl MapPipeline {
 }
 
 impl ReadyMethod for MapPipeline {
-    fn read(&self, frames: &Frames<'_>, with_map: bool) -> Result<Vec<Reading>, InferError> {
+    fn read(&self, frames: &Frames<'_>, maps: ForceMaps) -> Result<Vec<Reading>, InferError> {
         let mut readings = Vec::new();
         let first = self.transfer.as_ref().unwrap_or(&self.map);
         for frames in frames.voltages_v.chunks(FRAMES_AT_ONCE * first.plan.channels()) {
-            readings.extend(self.read_some(frames, with_map)?);
+            readings.extend(self.read_some(frames, maps)?);
         }
         Ok(readings)
     }

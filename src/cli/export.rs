@@ -1,0 +1,224 @@
+//! `palpate dataset export` and `dataset exports`: a dataset as a file, and the list of such files.
+//! Uses: `client`. Never: rows in this process (the service writes them).
+
+use std::io::{Seek, SeekFrom, Write};
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use clap::Args;
+use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
+use futures::StreamExt;
+use jiff::Timestamp;
+use reqwest::Method;
+use serde::{Deserialize, Serialize};
+use serde_json::{Value, json};
+
+use super::At;
+use super::client::Client;
+use super::dataset::MAKING;
+use super::error::CliError;
+use super::output::{Output, bytes, counted, say, say_json};
+use super::progress::progress_bar;
+use super::start_time::local;
+use super::table::{Align, Table, or_dash};
+use crate::dataset::export::ExportRequest;
+use crate::dataset::format::Format;
+use crate::digest::Hashing;
+use crate::ids::DatasetId;
+
+/// Interval of polling an export's progress.
+const EXPORT_POLL: Duration = Duration::from_millis(200);
+/// Number of attempts of a download whose connection breaks.
+const TRIES: u32 = 5;
+
+/// Options of `dataset export`.
+#[derive(Debug, Args)]
+pub struct ExportArgs {
+    /// Id or name; `run-N` is all trials of a run.
+    name: String,
+    /// Format of the file.
+    #[arg(long, default_value = Format::Parquet.name(), value_parser = formats())]
+    format: Format,
+    /// A condition on rows, such as `contact_count__gte=3` or `split=train`; may be repeated.
+    #[arg(long = "where", value_name = "COLUMN__gt=VALUE")]
+    conditions: Vec<String>,
+    /// Columns, in this order.
+    #[arg(long, value_delimiter = ',', value_name = "NAME,..")]
+    columns: Vec<String>,
+    /// A force map for each row, as pixel x diameter in mm: 4x20.
+    #[arg(long, value_name = "PIXELxDIAMETER")]
+    map: Option<String>,
+    /// Only these values of each frame, the end excluded: 0:28.
+    #[arg(long, value_name = "FIRST:END")]
+    slice: Option<String>,
+    /// The file [default: NAME.FORMAT here].
+    #[arg(long, value_name = "FILE")]
+    out: Option<PathBuf>,
+    /// Server, or data folder.
+    #[command(flatten)]
+    pub at: At,
+}
+
+/// Parser of the name of a format; the help lists the formats.
+fn formats() -> impl TypedValueParser<Value = Format> {
+    let of = |format: Format| PossibleValue::new(format.name()).help(format.about());
+    PossibleValuesParser::new(Format::ALL.map(of)).try_map(|name| name.parse::<Format>())
+}
+
+/// Fields of an export that are read.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+struct ExportView {
+    id: String,
+    state: String,
+    rows_done: u64,
+    rows_total: u64,
+    dataset: Option<DatasetId>,
+    bytes: Option<u64>,
+    sha256: Option<String>,
+    error: Option<String>,
+    url: Option<String>,
+}
+
+/// Runs `palpate dataset export`.
+///
+/// # Errors
+/// `CliError` if the service refuses or the export fails, or if the file cannot be written.
+pub async fn export(client: &Client, args: &ExportArgs) -> Result<(), CliError> {
+    let request = ExportRequest {
+        dataset: args.name.clone(),
+        format: args.format,
+        columns: args.columns.clone(),
+        conditions: args.conditions.clone(),
+        map: args.map.clone(),
+        slice: args.slice.clone(),
+    };
+    let asked: ExportView = client.post("/api/v1/exports", &request).await?;
+    let done = follow(client, asked).await?;
+    let out = args
+        .out
+        .clone()
+        .unwrap_or_else(|| PathBuf::from(format!("{}.{}", args.name, args.format.extension())));
+    fetch(client, &done, &out).await?;
+    if args.at.json {
+        say_json(&json!({ "file": out, "export": done }));
+    } else {
+        let rows = counted(done.rows_total, "row", "rows");
+        let of = done.dataset.as_ref().map_or(args.name.as_str(), DatasetId::as_str);
+        let length = bytes(done.bytes.unwrap_or_default() as f64);
+        let rows = if done.rows_total > 0 { format!("{rows} of ") } else { String::new() };
+        say(format_args!(
+            "{}: {rows}{of}, {length}, sha256 {}",
+            out.display(),
+            done.sha256.clone().unwrap_or_default()
+        ));
+        say(format_args!("next: palpate dataset card {of}"));
+    }
+    Ok(())
+}
+
+/// Shows the progress of an export until it has ended.
+async fn follow(client: &Client, asked: ExportView) -> Result<ExportView, CliError> {
+    let bar = progress_bar("rows");
+    let (mut now, mut rows) = (asked, 0);
+    loop {
+        rows = rows.max(now.rows_total);
+        bar.set_length(now.rows_total);
+        bar.set_position(now.rows_done);
+        match now.state.as_str() {
+            "done" => {
+                bar.finish_and_clear();
+                now.rows_total = rows;
+                return Ok(now);
+            }
+            "failed" | "stopped" => {
+                bar.abandon();
+                let operation = format!("export {}", now.id);
+                let detail = now.error.unwrap_or_default();
+                return Err(CliError::Refused { operation, status: 409, detail });
+            }
+            _ => tokio::time::sleep(EXPORT_POLL).await,
+        }
+        now = client.get(&format!("/api/v1/exports/{}", now.id)).await?;
+    }
+}
+
+/// Downloads the file of an export, and resumes if a connection breaks.
+async fn fetch(client: &Client, done: &ExportView, out: &Path) -> Result<(), CliError> {
+    let failed = |source| CliError::File { path: out.into(), source };
+    let partial = out.with_extension("partial");
+    let mut file = std::fs::File::create(&partial).map_err(failed)?;
+    let url = done.url.clone().unwrap_or_else(|| format!("/api/v1/exports/{}/file", done.id));
+    let (mut hash, mut have, mut tries) = (Hashing::default(), 0_u64, 0);
+    let wanted = done.bytes.unwrap_or_default();
+    let bar = progress_bar("bytes");
+    bar.set_length(wanted);
+    while have < wanted {
+        let range = format!("bytes={have}-");
+        let answer = client.patient(MAKING).send_ranged(Method::GET, &url, &range).await?;
+        let mut pieces = answer.bytes_stream();
+        while let Some(piece) = pieces.next().await {
+            match piece {
+                Ok(piece) => {
+                    file.write_all(&piece).map_err(failed)?;
+                    hash.update(&piece);
+                    have += piece.len() as u64;
+                    bar.set_position(have);
+                }
+                Err(_) if tries < TRIES => {
+                    tries += 1;
+                    break;
+                }
+                Err(source) => {
+                    return Err(CliError::Http { operation: format!("GET {url}"), source });
+                }
+            }
+        }
+    }
+    bar.finish_and_clear();
+    let found = hash.finish();
+    if Some(&found) != done.sha256.as_ref() {
+        let detail = format!("the downloaded file has the sha256 {found}");
+        return Err(CliError::Refused { operation: format!("GET {url}"), status: 500, detail });
+    }
+    file.seek(SeekFrom::End(0)).and_then(|_| file.sync_all()).map_err(failed)?;
+    std::fs::rename(&partial, out).map_err(failed)
+}
+
+/// Prints the exports, newest first.
+///
+/// # Errors
+/// As [`Client::send`].
+pub async fn list(client: &Client, output: Output) -> Result<(), CliError> {
+    let exports: Vec<Value> = client.all("/api/v1/exports?").await?;
+    if output == Output::Json {
+        say_json(&json!({ "items": exports }));
+        return Ok(());
+    }
+    let heads = [
+        ("export", Align::Left),
+        ("state", Align::Left),
+        ("dataset", Align::Left),
+        ("format", Align::Left),
+        ("size", Align::Right),
+        ("requested", Align::Left),
+        ("by", Align::Left),
+        ("", Align::Left),
+    ];
+    let mut table = Table::new(&heads, "there are no exports: palpate dataset export NAME");
+    for export in &exports {
+        let text = |value: &Value| value.as_str().unwrap_or_default().to_owned();
+        let requested = export["created_at"].as_str().and_then(|at| at.parse::<Timestamp>().ok());
+        table.push([
+            text(&export["id"]),
+            text(&export["state"]),
+            text(&export["request"]["dataset"]),
+            text(&export["request"]["format"]),
+            or_dash(export["bytes"].as_f64().map(bytes)),
+            or_dash(requested.map(local)),
+            text(&export["asked_by"]),
+            text(&export["error"]),
+        ]);
+    }
+    say(&table);
+    Ok(())
+}

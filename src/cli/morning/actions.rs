@@ -1,0 +1,71 @@
+//! `palpate actions`: who requested what, when, why, and with which result.
+//! Uses: `client`, `table`. Never: a change.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use serde_json::json;
+
+use super::answers::if_there;
+use super::when::second;
+use super::{ActionsArgs, find};
+use crate::cli::client::Client;
+use crate::cli::embed;
+use crate::cli::error::CliError;
+use crate::cli::output::{say, say_json};
+use crate::cli::table::{Align, Table, or_dash};
+use crate::store::{ActionRow, RunRow};
+
+/// Runs `palpate actions`.
+///
+/// # Errors
+/// `CliError` if the service cannot be reached or started, or has no such run.
+pub async fn actions(args: ActionsArgs) -> Result<(), CliError> {
+    let at = args.at.clone();
+    embed::reading(&at, move |client| async move { list(&client, &args).await }).await
+}
+
+async fn list(client: &Client, args: &ActionsArgs) -> Result<(), CliError> {
+    let of_run = match &args.run {
+        Some(run) => format!("run={}", find::run(client, run).await?.uid),
+        None => String::new(),
+    };
+    let path = format!("/api/v1/actions?{of_run}");
+    let (found, is_all) = client.first::<ActionRow>(&path, args.limit).await?;
+    if args.at.json {
+        say_json(&json!({ "items": found, "all": is_all }));
+        return Ok(());
+    }
+    // An action names its run by the uid, a person by the number.
+    let mut numbers = BTreeMap::new();
+    let uids = found.iter().filter_map(|action| action.run).map(|run| run.to_string());
+    for uid in uids.collect::<BTreeSet<_>>() {
+        let row: Option<RunRow> = if_there(client, &format!("/api/v1/runs/{uid}")).await?;
+        numbers.insert(uid, row.map(|row| row.scan_id));
+    }
+    let number = |action: &ActionRow| *numbers.get(&action.run?.to_string())?;
+    let heads = [
+        ("time", Align::Left),
+        ("action", Align::Left),
+        ("run", Align::Right),
+        ("who", Align::Left),
+        ("", Align::Left),
+        ("why, values", Align::Left),
+    ];
+    let mut table = Table::new(&heads, "there are no actions");
+    for action in &found {
+        let words = action.why.iter().chain(&action.detail).cloned().collect::<Vec<_>>();
+        table.push([
+            second(action.at),
+            action.action.clone(),
+            or_dash(number(action)),
+            action.who.clone(),
+            if action.accepted { "" } else { "refused" }.into(),
+            words.join("; "),
+        ]);
+    }
+    say(&table);
+    if !is_all {
+        say(format_args!("the newest {}; --limit N shows more", found.len()));
+    }
+    Ok(())
+}

@@ -1,0 +1,125 @@
+//! `palpate show RUN --history`: a run over time, in intervals of equal length, and its states.
+//! Uses: `client`, `table`. Never: a change.
+
+use jiff::{SignedDuration, Timestamp};
+use serde::Deserialize;
+use serde_json::Value;
+
+use super::answers::duration_words;
+use super::find;
+use super::report::Span;
+use super::when::second;
+use crate::cli::client::Client;
+use crate::cli::error::CliError;
+use crate::cli::output::{Output, duration, say, say_json};
+use crate::cli::table::{Align, Table, or_dash};
+
+/// Number of intervals of the table.
+const INTERVALS: usize = 24;
+
+/// Fields of `GET /api/v1/runs/{run}/history` that are read; lists of numbers have one entry per interval.
+#[derive(Debug, Deserialize)]
+struct History {
+    from: Option<Timestamp>,
+    to: Option<Timestamp>,
+    bin_s: Option<f64>,
+    trials: Vec<u32>,
+    attempts_failed: Vec<u32>,
+    largest_force_n: Vec<Option<f64>>,
+    fvu: Vec<Option<f64>>,
+    states: Vec<Span>,
+    predicted_s: Option<f64>,
+}
+
+/// Shows the history of a run.
+///
+/// # Errors
+/// `CliError` if there is no such run, or a request fails.
+pub async fn show(client: &Client, run: &str, output: Output) -> Result<(), CliError> {
+    let run = find::run(client, run).await?;
+    let path = format!("/api/v1/runs/{}/history", run.uid);
+    if output == Output::Json {
+        say_json(&client.get::<Value>(&path).await?);
+        return Ok(());
+    }
+    let history: History = client.get(&format!("{path}?bins={INTERVALS}")).await?;
+    let (Some(from), Some(to), Some(bin_s)) = (history.from, history.to, history.bin_s) else {
+        say(format_args!("run {}, {}: it has not started", run.scan_id, run.experiment));
+        return Ok(());
+    };
+    let predicted = history.predicted_s.map(|s| format!(", predicted {}", duration(s)));
+    say(format_args!(
+        "run {}, {}: {} to {}, {}{}\n",
+        run.scan_id,
+        run.experiment,
+        second(from),
+        second(to),
+        duration_words(to.duration_since(from)),
+        predicted.unwrap_or_default()
+    ));
+    say(intervals(&history, from, bin_s));
+    say("");
+    say(states(&history.states));
+    Ok(())
+}
+
+fn intervals(history: &History, from: Timestamp, bin_s: f64) -> Table {
+    let heads = [
+        ("from", Align::Left),
+        ("trials", Align::Right),
+        ("failed attempts", Align::Right),
+        ("largest force, N", Align::Right),
+        ("median FVU", Align::Right),
+    ];
+    let mut table = Table::new(&heads, "no interval");
+    for (n, trials) in history.trials.iter().enumerate() {
+        let after = SignedDuration::try_from_secs_f64(n as f64 * bin_s).ok();
+        let begin = after.and_then(|after| from.checked_add(after).ok());
+        let number = |values: &[Option<f64>], digits: usize| {
+            or_dash(values.get(n).copied().flatten().map(|value| format!("{value:.digits$}")))
+        };
+        table.push([
+            or_dash(begin.map(second)),
+            trials.to_string(),
+            or_dash(history.attempts_failed.get(n)),
+            number(&history.largest_force_n, 1),
+            number(&history.fvu, 3),
+        ]);
+    }
+    table
+}
+
+fn states(spans: &[Span]) -> Table {
+    let heads = [("state", Align::Left), ("from", Align::Left), ("to", Align::Left)];
+    let mut table = Table::new(&heads, "no change of state is stored");
+    for span in spans {
+        let why = span.why.map(|why| format!(" ({})", why.as_str().replace('_', " ")));
+        table.push([
+            format!("{}{}", span.state.as_str(), why.unwrap_or_default()),
+            second(span.from),
+            or_dash(span.to.map(second)),
+        ]);
+    }
+    table
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_interval_without_a_measured_value_has_a_dash() {
+        let history: History = serde_json::from_value(serde_json::json!({
+            "from": "2026-11-24T22:00:00Z", "to": "2026-11-24T22:02:00Z", "bin_s": 60.0,
+            "trials": [4, 0], "attempts_failed": [0, 2], "largest_force_n": [9.54, null],
+            "fvu": [null, null], "states": [{ "state": "running", "why": null,
+            "from": "2026-11-24T22:00:00Z", "to": null }], "predicted_s": null,
+        }))
+        .unwrap();
+        let table = intervals(&history, history.from.unwrap(), 60.0).to_string();
+        let ends: Vec<Vec<&str>> =
+            table.lines().skip(1).map(|line| line.split_whitespace().skip(2).collect()).collect();
+        assert_eq!(ends, [["4", "0", "9.5", "-"], ["0", "2", "-", "-"]]);
+        assert!(states(&history.states).to_string().ends_with('-'));
+    }
+}
