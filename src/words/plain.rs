@@ -30,7 +30,8 @@ fn escape(text: &str, of: impl Fn(char) -> bool) -> Cow<'_, str> {
 /// Returns the words of an error of the operating system, without its number: plain ones where its meaning is
 /// plain.
 pub fn system_words(error: &io::Error) -> String {
-    if error.raw_os_error().is_some() {
+    // An error with a text has more in it than its kind.
+    if error.get_ref().is_none() {
         match error.kind() {
             ErrorKind::NotFound => return "there is no such file or folder".into(),
             ErrorKind::PermissionDenied => return "this user has no right to it".into(),

@@ -84,7 +84,14 @@ pub fn tcp_stream_opener(address: String, bytes: u32) -> Opener {
 
 /// The error of a port, with its address or path.
 fn named(port: &str, error: &io::Error) -> io::Error {
-    io::Error::new(error.kind(), format!("{port}: {}", system_words(error)))
+    // The library of serial ports has the system's words as its own.
+    let words = match error.kind() {
+        kind @ (io::ErrorKind::NotFound | io::ErrorKind::PermissionDenied) => {
+            system_words(&kind.into())
+        }
+        _ => system_words(error),
+    };
+    io::Error::new(error.kind(), format!("{port}: {words}"))
 }
 
 /// Opens a serial port. The port is not claimed exclusively: on a pseudo-terminal this claim
