@@ -86,10 +86,7 @@ impl From<RoleName> for Role {
 /// # Errors
 /// `CliError` if the service or the data folder cannot be used, or refuses the request.
 pub async fn lock(args: LockArgs) -> Result<(), CliError> {
-    let people = People::of(&args.at).await?;
-    let outcome = lock_of(&people, &args).await;
-    people.close().await;
-    outcome
+    with_people(&args.at, async |people| lock_of(people, &args).await).await
 }
 
 async fn lock_of(people: &People, args: &LockArgs) -> Result<(), CliError> {
@@ -115,18 +112,29 @@ async fn lock_of(people: &People, args: &LockArgs) -> Result<(), CliError> {
 /// # Errors
 /// `CliError` if the service or the data folder cannot be used, or refuses the request.
 pub async fn key(args: KeyArgs) -> Result<(), CliError> {
-    if let Some(KeyCommand::Whoami) = args.command {
-        return whoami(&args.at).await;
+    let (at, json) = (&args.at, args.at.json);
+    match args.command.unwrap_or(KeyCommand::List) {
+        KeyCommand::Create { name, role } => {
+            with_people(at, async |people| create(people, &name, role, json).await).await
+        }
+        KeyCommand::List => with_people(at, async |people| list(people, json).await).await,
+        KeyCommand::Revoke { id } => {
+            with_people(at, async |people| {
+                people.revoke_key(id).await?;
+                list(people, json).await
+            })
+            .await
+        }
+        KeyCommand::Whoami => whoami(at).await,
     }
-    let people = People::of(&args.at).await?;
-    let outcome = match args.command.unwrap_or(KeyCommand::List) {
-        KeyCommand::Create { name, role } => create(&people, &name, role, args.at.json).await,
-        KeyCommand::List | KeyCommand::Whoami => list(&people, args.at.json).await,
-        KeyCommand::Revoke { id } => match people.revoke_key(id).await {
-            Ok(()) => list(&people, args.at.json).await,
-            refused => refused,
-        },
-    };
+}
+
+async fn with_people(
+    at: &At,
+    act: impl AsyncFnOnce(&People) -> Result<(), CliError>,
+) -> Result<(), CliError> {
+    let people = People::of(at).await?;
+    let outcome = act(&people).await;
     people.close().await;
     outcome
 }

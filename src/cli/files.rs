@@ -19,7 +19,7 @@ use crate::schedule::experiment::Experiment;
 use crate::schedule::lint::lint;
 use crate::schedule::plan::Plan;
 use crate::schedule::preflight::Preflight;
-use crate::syntax::syntax_problem;
+use crate::syntax::parse_toml;
 
 /// Name of the carried rig file in problems.
 pub const DEFAULT_RIG_FILE: &str = "experiments/rigs/virtual.toml";
@@ -263,14 +263,16 @@ pub fn read_sensor_text(path: Option<&Path>) -> Result<(Sensor, String), CliErro
 
 fn parse_sensor(file: &str, text: &str) -> Result<Sensor, CliError> {
     Sensor::from_toml(text).map_err(|error| {
-        let problem = match error {
-            SensorError::Value { key, value, limit } => Problem::new(file, &key, value, limit),
-            SensorError::Syntax(words) => match toml::from_str::<SensorFile>(text) {
-                Err(e) => syntax_problem(file, text, &e),
-                Ok(_) => Problem::whole(file, words),
+        let problems = match error {
+            SensorError::Value { key, value, limit } => {
+                vec![Problem::new(file, &key, value, limit)]
+            }
+            SensorError::Syntax(words) => match parse_toml::<SensorFile>(file, text) {
+                Err(problems) => problems,
+                Ok(_) => vec![Problem::whole(file, words)],
             },
         };
-        of_kind(FileKind::Sensor, file, text, vec![problem])
+        of_kind(FileKind::Sensor, file, text, problems)
     })
 }
 

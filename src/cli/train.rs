@@ -106,11 +106,8 @@ pub fn quantities() -> impl TypedValueParser<Value = Quantity> {
 /// `CliError::Problems` if the recipe cannot be read, or a change does not apply.
 pub fn recipe_text(named: &str, changes: &Changes) -> Result<String, CliError> {
     let text = read_or_carried(FileKind::Recipe, Path::new(named), RECIPES)?;
-    let unread = |error: toml::de::Error| {
-        let problem = crate::syntax::syntax_problem(named, &text, &error);
-        CliError::Problems(vec![problem])
-    };
-    let mut recipe: toml::Table = toml::from_str(&text).map_err(unread)?;
+    let mut recipe: toml::Table =
+        crate::syntax::parse_toml(named, &text).map_err(CliError::Problems)?;
     changes.apply(&mut recipe);
     toml::to_string(&recipe).map_err(|error| CliError::argument("RECIPE", named, error.to_string()))
 }

@@ -1,15 +1,74 @@
-//! Converts the error of a TOML parser to a problem with file, key, value, limit and place.
+//! Parses a TOML text; errors of the parser become problems with file, key, value, limit and place.
 //! PURE. Uses: `problem`, `locate`, `toml_words`. Never: files (the text is passed in).
 
 use std::ops::Range;
+
+use serde::de::DeserializeOwned;
+use toml::de::{DeTable, DeValue, Deserializer};
 
 use crate::locate::{key_at, place};
 use crate::problem::Problem;
 use crate::toml_words::{Meaning, meaning};
 
+/// Most problems of one text that are reported at once.
+const PROBLEMS_MAX: usize = 20;
+/// Value of the problem of a key that must be given.
+const ABSENT: &str = "absent";
+
+/// Parses a text.
+///
+/// # Errors
+/// Every key that is unknown or has a value of a wrong type, in the order of the text. If there is none: the
+/// first key that is absent, or the first error of the syntax.
+pub fn parse_toml<T: DeserializeOwned>(file: &str, text: &str) -> Result<T, Vec<Problem>> {
+    toml::from_str(text).map_err(|first| problems::<T>(file, text, &first))
+}
+
+/// The parser stops at its first error. The following ones are found by parsing again without the key of the
+/// last one. A key that is absent then is not reported, because it may be the one that was removed or misspelled:
+/// parsing continues without its table.
+fn problems<T: DeserializeOwned>(file: &str, text: &str, first: &toml::de::Error) -> Vec<Problem> {
+    let mut found = vec![syntax_problem(file, text, first)];
+    let Ok(mut parsed) = DeTable::parse(text) else { return found };
+    let mut span = first.span();
+    while found.len() < PROBLEMS_MAX
+        && span.is_some_and(|span| without_key_at(parsed.get_mut(), &span))
+    {
+        let Err(error) = T::deserialize(Deserializer::from(parsed.clone())) else { break };
+        let problem = syntax_problem(file, text, &error);
+        span = error.span();
+        match (problem.value == ABSENT, problem.at) {
+            (false, _) => found.push(problem),
+            (true, Some(_)) => {} // the table goes
+            (true, None) => break,
+        }
+    }
+    found.sort_by_key(|problem| problem.at.map(|at| (at.line, at.column)));
+    found
+}
+
+/// Removes the innermost key whose name or value is at a place; returns whether there was one.
+fn without_key_at(table: &mut DeTable<'_>, span: &Range<usize>) -> bool {
+    let inner_is_removed = table.iter_mut().any(|(_, value)| match value.get_mut() {
+        DeValue::Table(inner) => without_key_at(inner, span),
+        DeValue::Array(list) => list.iter_mut().any(|entry| match entry.get_mut() {
+            DeValue::Table(inner) => without_key_at(inner, span),
+            _ => false,
+        }),
+        _ => false,
+    });
+    if inner_is_removed {
+        return true;
+    }
+    let is_here = |of: Range<usize>| of.contains(&span.start);
+    let here = table.iter().find(|(name, value)| is_here(name.span()) || is_here(value.span()));
+    let name = here.map(|(name, _)| name.get_ref().to_string());
+    name.is_some_and(|name| table.remove(name.as_str()).is_some())
+}
+
 /// Problem for an error of the parser: key (with its table) and value at the place that the error
 /// refers to. Without such a key, the problem concerns the file as a whole.
-pub fn syntax_problem(file: &str, text: &str, error: &toml::de::Error) -> Problem {
+fn syntax_problem(file: &str, text: &str, error: &toml::de::Error) -> Problem {
     let span = error.span();
     let (key, value) = span.as_ref().map_or_else(Default::default, |span| {
         let is_twice = error.message().starts_with("duplicate key");
@@ -32,7 +91,7 @@ pub fn syntax_problem(file: &str, text: &str, error: &toml::de::Error) -> Proble
                 true => (missing, None),
                 false => (format!("{key}.{missing}"), at),
             };
-            Problem::new(file, &key, "absent", "must be given").at(at)
+            Problem::new(file, &key, ABSENT, "must be given").at(at)
         }
         Meaning::Limit(limit) if key.is_empty() => Problem::whole(file, limit).at(at),
         Meaning::Limit(limit) => Problem::new(file, &key, value, limit).at(at),
@@ -78,9 +137,32 @@ mod tests {
         count: u32,
     }
 
+    fn all_problems(text: &str) -> Vec<String> {
+        let problems = parse_toml::<File>("f.toml", text).unwrap_err();
+        problems.iter().map(Problem::to_string).collect()
+    }
+
     fn problem(text: &str) -> String {
-        let error = toml::from_str::<File>(text).unwrap_err();
-        syntax_problem("f.toml", text, &error).to_string()
+        let [problem] = <[String; 1]>::try_from(all_problems(text)).unwrap();
+        problem
+    }
+
+    #[test]
+    fn all_keys_that_are_wrong_are_reported_at_once() {
+        let text = "tabel = 3\n[table]\ncuont = 3\nb.c = { d = 4 }\n[[lists]]\ne = 5\n[[lists]]\n";
+        assert_eq!(
+            all_problems(text),
+            [
+                "f.toml: tabel = 3: unknown key; did you mean `table`? (line 1)",
+                "f.toml: table.cuont = 3: unknown key; did you mean `count`? (line 3)",
+                "f.toml: table.b = a table: unknown key; the keys here are count (line 4)",
+                "f.toml: lists = [[lists]]: unknown key; the keys here are table (line 5)",
+            ]
+        );
+        let text = "[table]\ncount = 'three'\ncuont = 3\n";
+        assert_eq!(all_problems(text).len(), 2);
+        let many: String = (0..50).map(|n| format!("key{n} = 1\n")).collect();
+        assert_eq!(all_problems(&many).len(), PROBLEMS_MAX);
     }
 
     #[test]
@@ -111,8 +193,7 @@ mod tests {
     #[test]
     fn an_error_of_the_syntax_has_its_place() {
         let text = "[table]\ncount = \"3\n";
-        let error = toml::from_str::<File>(text).unwrap_err();
-        let at = syntax_problem("f.toml", text, &error).at.unwrap();
+        let at = parse_toml::<File>("f.toml", text).unwrap_err()[0].at.unwrap();
         assert_eq!((at.line, at.length), (2, 1));
         assert!((9..=11).contains(&at.column), "{at:?}");
     }

@@ -15,7 +15,7 @@ pub use super::guard::Guard;
 pub use super::limits::RigLimits;
 use crate::problem::{Checks, Problem};
 use crate::record::Label;
-use crate::syntax::syntax_problem;
+use crate::syntax::parse_toml;
 
 /// Contents of a rig file.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -337,10 +337,9 @@ impl RigConfig {
     /// Parses and checks the text of a rig file. `file` is its name in the problems.
     ///
     /// # Errors
-    /// All problems found; only the first one if the text is not valid TOML or has an unknown key.
+    /// All problems of the text or, if it has none, of its values.
     pub fn from_toml(file: &str, text: &str) -> Result<Self, Vec<Problem>> {
-        let config: Self =
-            toml::from_str(text).map_err(|e| vec![syntax_problem(file, text, &e)])?;
+        let config: Self = parse_toml(file, text)?;
         config.check(file)?;
         Ok(config)
     }

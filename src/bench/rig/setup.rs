@@ -8,7 +8,7 @@ use super::config::{ErtConfig, RigConfig, RigLabel, one};
 use super::limits::check_frame_age;
 use crate::problem::{Checks, Problem};
 use crate::record::Label;
-use crate::syntax::syntax_problem;
+use crate::syntax::parse_toml;
 
 /// Sections that only a bench has. A file without all of them describes a skin alone.
 const OF_A_BENCH: [&str; 5] = ["axes", "slot", "skin", "cells", "lines"];
@@ -59,8 +59,7 @@ impl RigSetup {
         if !is_skin {
             return RigConfig::from_toml(file, text).map(|config| Self::Bench(Box::new(config)));
         }
-        let skin: SkinConfig =
-            toml::from_str(text).map_err(|e| vec![syntax_problem(file, text, &e)])?;
+        let skin: SkinConfig = parse_toml(file, text)?;
         let mut c = Checks::of(file);
         c.within("clock_rate", skin.clock_rate, 0.01, 2000.0);
         check_frame_age(skin.limits.frame_age_ms, &mut c);

@@ -13,7 +13,7 @@ use utoipa::ToSchema;
 use super::schema::{counts, radii, weights};
 use crate::plain::violated;
 use crate::problem::{Checks, Problem};
-use crate::syntax::syntax_problem;
+use crate::syntax::parse_toml;
 
 /// Longest name of an experiment, characters.
 pub const NAME_MAX_CHARS: usize = 200;
@@ -271,8 +271,7 @@ impl Experiment {
     /// # Errors
     /// All problems found; only the first one if the text is not valid TOML or has an unknown key.
     pub fn from_toml(file: &str, text: &str) -> Result<Self, Vec<Problem>> {
-        let experiment: Self =
-            toml::from_str(text).map_err(|e| vec![syntax_problem(file, text, &e)])?;
+        let experiment: Self = parse_toml(file, text)?;
         experiment.check(file)?;
         Ok(experiment)
     }

@@ -10,7 +10,7 @@ use crate::carried::{self, DATASETS};
 use crate::ids::DatasetId;
 use crate::problem::{Checks, Problem};
 use crate::store::{Condition, Label, RunKind};
-use crate::syntax::syntax_problem;
+use crate::syntax::parse_toml;
 
 /// Largest number of runs, counts, conditions or folders of one definition.
 const LIST_MAX: usize = 1000;
@@ -207,10 +207,9 @@ impl Definition {
     /// Parses and checks a definition file; `file` is its name in messages.
     ///
     /// # Errors
-    /// The syntax error, or all invalid values.
+    /// All problems of the text or, if it has none, of its values.
     pub fn from_toml(file: &str, text: &str) -> Result<Self, Vec<Problem>> {
-        let definition: Self =
-            toml::from_str(text).map_err(|error| vec![syntax_problem(file, text, &error)])?;
+        let definition: Self = parse_toml(file, text)?;
         definition.check(file)?;
         Ok(definition)
     }

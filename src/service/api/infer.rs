@@ -9,22 +9,20 @@ use axum::extract::ws::{Message, WebSocket};
 use axum::extract::{FromRequest, Request, State};
 use axum::http::{StatusCode, header};
 use axum::response::Response;
-use axum::{Extension, Json, extract::Query};
+use axum::{Json, extract::Query};
 use serde::{Deserialize, Serialize};
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 use tokio::time::{Instant, sleep_until, timeout};
-use tracing::Instrument;
 use utoipa::{IntoParams, ToSchema};
 
 use super::App;
-use super::auth::Caller;
-use super::guard::Place;
 use super::limits::{
-    EXACT_MAX, FIT_REQUESTS, FRAME_CLIENTS, FRAMES_MAX, LIVE_CLIENTS, MAPS_MAX, MESSAGE_MAX_BYTES,
-    NET_REQUESTS, PREFLIGHTS, SIMULATIONS, STATUS_CLIENTS, TURN_WAIT,
+    EXACT_MAX, FIT_REQUESTS, FRAME_CLIENTS, FRAMES_MAX, LIVE_CLIENTS, MAPS_MAX, NET_REQUESTS,
+    PREFLIGHTS, SIMULATIONS, STATUS_CLIENTS, TURN_WAIT,
 };
 use super::live::INTERVAL;
-use super::problem::{ApiError, Params, ProblemBody, Upgrade};
+use super::problem::{ApiError, Params, ProblemBody};
+use super::socket::LiveClient;
 use crate::clock::Clock;
 use crate::dataset::background::background;
 use crate::infer::answer::Reading;
@@ -254,13 +252,10 @@ pub struct LiveAnswer {
         (status = 409, body = ProblemBody, description = "no model serves for the method"),
         (status = 503, body = ProblemBody, description = "too many live clients are connected")))]
 pub async fn live(
-    State(app): State<App>,
-    Extension(caller): Extension<Caller>,
-    Extension(counted): Extension<Option<Place>>,
     Params(options): Params<LiveParams>,
-    Upgrade(upgrade): Upgrade,
+    client: LiveClient,
 ) -> Result<Response, ApiError> {
-    let serving = app.serving.once_restored(options.method).await;
+    let serving = client.app.serving.once_restored(options.method).await;
     let method = match options.method {
         Some(method) => method,
         None => serving.best().ok_or_else(|| {
@@ -270,18 +265,10 @@ pub async fn live(
     };
     // Checked now, so that the error is a status instead of a message for each frame.
     serving.ready(method)?;
-    let turn = app.turns.live.clone().try_acquire_owned().map_err(|_| {
-        let words = format!("{LIVE_CLIENTS} live clients are connected, the largest number");
-        ApiError::new(StatusCode::SERVICE_UNAVAILABLE, words)
-    })?;
-    let (maps, span) = (ForceMaps::if_wanted(options.map), tracing::Span::current());
-    Ok(upgrade.max_message_size(MESSAGE_MAX_BYTES).on_upgrade(async move |socket| {
-        tokio::select! {
-            () = follow(&app, socket, method, maps).instrument(span) => {}
-            () = app.until_revoked(&caller) => {}
-        }
-        drop((turn, counted));
-    }))
+    let (places, maps) = (client.app.turns.live.clone(), ForceMaps::if_wanted(options.map));
+    client.open(&places, (LIVE_CLIENTS, "live contacts"), move |app, socket| {
+        follow(app, socket, method, maps)
+    })
 }
 
 /// Limits of concurrent inferences and simulations, so that enough processor time remains for the campaign.
@@ -330,7 +317,7 @@ impl Default for Turns {
     }
 }
 
-async fn follow(app: &App, mut socket: WebSocket, method: Method, maps: ForceMaps) {
+async fn follow(app: App, mut socket: WebSocket, method: Method, maps: ForceMaps) {
     let mut frames = app.campaign.watch_frames();
     let mut ending = app.facts.ending.clone();
     let clock = Clock::new(1.0);

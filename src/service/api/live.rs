@@ -3,20 +3,16 @@
 
 use std::time::Duration;
 
-use axum::Extension;
-use axum::extract::State;
 use axum::extract::ws::{Message, WebSocket};
-use axum::http::StatusCode;
 use axum::response::Response;
 use serde::Serialize;
 use tokio::time::{Instant, sleep_until, timeout};
 use utoipa::ToSchema;
 
 use super::App;
-use super::auth::Caller;
-use super::guard::Place;
-use super::limits::{FRAME_CLIENTS, MESSAGE_MAX_BYTES};
-use super::problem::{ApiError, ProblemBody, Upgrade};
+use super::limits::FRAME_CLIENTS;
+use super::problem::{ApiError, ProblemBody};
+use super::socket::LiveClient;
 use crate::campaign::bench::stuck::StuckChannels;
 use crate::rig::traits::Frame;
 
@@ -52,26 +48,12 @@ pub struct LiveFrame {
         description = "a ticket of `POST /api/v1/tickets`: a browser's WebSocket sends no header with a key")),
     responses((status = 101, description = "WebSocket whose messages are LiveFrame", body = LiveFrame),
         (status = 503, body = ProblemBody, description = "too many clients are connected")))]
-pub async fn frames(
-    State(app): State<App>,
-    Extension(caller): Extension<Caller>,
-    Extension(counted): Extension<Option<Place>>,
-    Upgrade(upgrade): Upgrade,
-) -> Result<Response, ApiError> {
-    let place = app.turns.frames.clone().try_acquire_owned().map_err(|_| {
-        let words = format!("{FRAME_CLIENTS} clients of live frames are connected, the limit");
-        ApiError::new(StatusCode::SERVICE_UNAVAILABLE, words)
-    })?;
-    Ok(upgrade.max_message_size(MESSAGE_MAX_BYTES).on_upgrade(async move |socket| {
-        tokio::select! {
-            () = send(&app, socket) => {}
-            () = app.until_revoked(&caller) => {}
-        }
-        drop((place, counted));
-    }))
+pub async fn frames(client: LiveClient) -> Result<Response, ApiError> {
+    let places = client.app.turns.frames.clone();
+    client.open(&places, (FRAME_CLIENTS, "live frames"), send)
 }
 
-async fn send(app: &App, mut socket: WebSocket) {
+async fn send(app: App, mut socket: WebSocket) {
     let mut frames = app.campaign.watch_frames();
     let mut ending = app.facts.ending.clone();
     let mut channels = StuckChannels::default();

@@ -4,10 +4,7 @@
 
 use std::time::Duration;
 
-use axum::Extension;
-use axum::extract::State;
 use axum::extract::ws::{Message, Utf8Bytes, WebSocket};
-use axum::http::StatusCode;
 use axum::response::Response;
 use serde::Serialize;
 use tokio::sync::broadcast::Sender;
@@ -17,12 +14,11 @@ use tokio::time::{Instant, MissedTickBehavior, timeout};
 use utoipa::ToSchema;
 
 use super::App;
-use super::auth::Caller;
 use super::envelope::{SamplesOut, envelope};
-use super::guard::Place;
-use super::limits::{MESSAGE_MAX_BYTES, STATUS_CLIENTS};
-use super::problem::{ApiError, ProblemBody, Upgrade};
+use super::limits::STATUS_CLIENTS;
+use super::problem::{ApiError, ProblemBody};
 use super::samples::drained;
+use super::socket::LiveClient;
 use super::status::{ServiceStatus, StoredPart};
 
 /// Shortest time between two messages.
@@ -67,26 +63,12 @@ impl Default for Messages {
         description = "a ticket of `POST /api/v1/tickets`: a browser's WebSocket sends no header with a key")),
     responses((status = 101, description = "WebSocket whose messages are LiveStatus", body = LiveStatus),
         (status = 503, body = ProblemBody, description = "too many clients are connected")))]
-pub async fn live(
-    State(app): State<App>,
-    Extension(caller): Extension<Caller>,
-    Extension(counted): Extension<Option<Place>>,
-    Upgrade(upgrade): Upgrade,
-) -> Result<Response, ApiError> {
-    let place = app.turns.status.clone().try_acquire_owned().map_err(|_| {
-        let words = format!("{STATUS_CLIENTS} clients of the live status are connected, the limit");
-        ApiError::new(StatusCode::SERVICE_UNAVAILABLE, words)
-    })?;
-    Ok(upgrade.max_message_size(MESSAGE_MAX_BYTES).on_upgrade(async move |socket| {
-        tokio::select! {
-            () = send(&app, socket) => {}
-            () = app.until_revoked(&caller) => {}
-        }
-        drop((place, counted));
-    }))
+pub async fn live(client: LiveClient) -> Result<Response, ApiError> {
+    let places = client.app.turns.status.clone();
+    client.open(&places, (STATUS_CLIENTS, "live status"), send)
 }
 
-async fn send(app: &App, mut socket: WebSocket) {
+async fn send(app: App, mut socket: WebSocket) {
     let mut messages = app.facts.memory.live_status.0.subscribe();
     let mut ending = app.facts.ending.clone();
     loop {

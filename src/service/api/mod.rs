@@ -84,6 +84,7 @@ mod seat;
 mod send;
 mod simulations;
 mod sensor;
+mod socket;
 mod spans;
 mod sql;
 mod status;

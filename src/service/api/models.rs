@@ -26,7 +26,7 @@ use crate::learn::residuals::Residuals;
 use crate::learn::task::NetTask;
 use crate::problem::Problem;
 use crate::store::ModelRow;
-use crate::syntax::syntax_problem;
+use crate::syntax::parse_toml;
 
 /// A trained model with its manifest.
 #[derive(Debug, Serialize, Deserialize, ToSchema)]
@@ -264,8 +264,7 @@ async fn store(app: &App, parts: Parts) -> Result<ModelRow, ApiError> {
     let (sensor, name) = (given(parts.sensor, "sensor")?, given(parts.name, "name")?);
     let stated = given(parts.facts, "facts")?;
     let (_, sensor_facts) = facts("sensor", &sensor).map_err(ApiError::problems)?;
-    let stated: ModelFacts = toml::from_str(&stated)
-        .map_err(|error| ApiError::problems(vec![syntax_problem("facts", &stated, &error)]))?;
+    let stated: ModelFacts = parse_toml("facts", &stated).map_err(ApiError::problems)?;
     let onnx = given(parts.file, "file")?;
     let manifest = manifest_for_foreign(&onnx, stated, &sensor_facts)
         .map_err(crate::infer::error::InferError::from)?;

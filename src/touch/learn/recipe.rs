@@ -8,7 +8,7 @@ use super::task::{Answers, NetTask};
 use crate::dataset::force_map::ForceMapSpec;
 use crate::ids::ModelId;
 use crate::problem::{Checks, Problem};
-use crate::syntax::syntax_problem;
+use crate::syntax::parse_toml;
 
 /// Largest number of rows in an epoch: their order is in memory.
 const ROWS_MAX: u64 = 20_000_000;
@@ -47,8 +47,7 @@ impl Recipe {
     /// # Errors
     /// All problems of the text or its values.
     pub fn from_toml(file: &str, text: &str) -> Result<Self, Vec<Problem>> {
-        let recipe: Self =
-            toml::from_str(text).map_err(|error| vec![syntax_problem(file, text, &error)])?;
+        let recipe: Self = parse_toml(file, text)?;
         recipe.check(file)?;
         Ok(recipe)
     }

@@ -7,7 +7,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::problem::{Checks, Problem};
-use crate::syntax::syntax_problem;
+use crate::syntax::parse_toml;
 
 /// Largest magnitude of a component of the offset, mm.
 const OFFSET_MAX_MM: f64 = 1e6;
@@ -39,10 +39,9 @@ impl Coordinates {
     /// messages.
     ///
     /// # Errors
-    /// The syntax error, or all invalid values.
+    /// All problems of the text or, if it has none, of its values.
     pub fn from_toml(file: &str, text: &str) -> Result<Self, Vec<Problem>> {
-        let map: Self =
-            toml::from_str(text).map_err(|error| vec![syntax_problem(file, text, &error)])?;
+        let map: Self = parse_toml(file, text)?;
         let mut checks = Checks::of(file);
         checks.within("rotate_deg", map.rotate_deg, -360.0, 360.0);
         for (at, mm) in map.offset_mm.into_iter().enumerate() {

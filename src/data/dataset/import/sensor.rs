@@ -6,7 +6,7 @@ use serde::Deserialize;
 use sim_core::sensor::Sensor;
 
 use crate::problem::{Checks, Problem};
-use crate::syntax::syntax_problem;
+use crate::syntax::parse_toml;
 
 /// Largest number of voltages per frame.
 const CHANNELS_MAX: usize = 65_536;
@@ -45,8 +45,7 @@ impl ImportedSensor {
                 tip_diameter_mm: Some(sensor.file.tip_diameter_mm),
             });
         }
-        let sensor: Self =
-            toml::from_str(text).map_err(|error| vec![syntax_problem(file, text, &error)])?;
+        let sensor: Self = parse_toml(file, text)?;
         let mut checks = Checks::of(file);
         let channels = sensor.channels;
         let limit = format!("must be from 1 to {CHANNELS_MAX}");

@@ -17,7 +17,7 @@ use crate::digest::Hashing;
 use crate::ids::{CalibrationId, DatasetId, ModelId};
 use crate::problem::{Checks, Problem};
 use crate::store::Label;
-use crate::syntax::syntax_problem;
+use crate::syntax::parse_toml;
 
 /// Number of hexadecimal digits of an id.
 const ID_DIGITS: usize = 16;
@@ -308,8 +308,7 @@ impl Manifest {
     /// # Errors
     /// All problems of the text or its facts.
     pub fn from_toml(file: &str, text: &str, sensor: &SensorFacts) -> Result<Self, Vec<Problem>> {
-        let manifest: Self =
-            toml::from_str(text).map_err(|error| vec![syntax_problem(file, text, &error)])?;
+        let manifest: Self = parse_toml(file, text)?;
         manifest.model.check(file, sensor)?;
         Ok(manifest)
     }
