@@ -1,9 +1,10 @@
 // The shell: top bar with the stop, links, the key, and the page of the address. Knows no data.
 
 import { door, estop, giveKey, hasKey, keep } from './lib/api.js'
-import { actOnRig, actor, modal, outcome } from './lib/actions.js'
+import { actOnRig, actor, modal, outcome, sureHome } from './lib/actions.js'
 import { button, el, fill, link, note, say } from './lib/dom.js'
 import { capital, clock, count, momentBand, percent, plain, span } from './lib/format.js'
+import { steadyEnds } from './lib/eta.js'
 import { kindOf } from './lib/kinds.js'
 import { live, start } from './lib/live.js'
 import { TONE, WAITS } from './lib/words.js'
@@ -37,8 +38,8 @@ async function open() {
   leaving = new AbortController()
   present = { name }
   const { signal } = leaving, root = $('main')
-  document.title = `${page?.title ?? 'Unknown page'} · Palpate`
   document.body.dataset.page = name
+  entitle()
   if (!page) return fill(root, el('section', {}, el('h1', {}, 'No such page'), el('p', {}, link('/', 'The night'), ' is where to begin.')))
   try {
     const module = await import(`./pages/${name}.js`)
@@ -160,9 +161,8 @@ const said = outcome()
 const repair = el('div', { className: 'row' })
 function etaWords(run, at) {
   if (!run?.eta || run.trials_stored + run.trials_skipped >= run.trials_planned) return ''
-  const { remaining_s, low_s, high_s } = run.eta
-  if (!['running', 'pausing'].includes(run.state)) return `about ${span(remaining_s)} to go`
-  return `done about ${momentBand(...[remaining_s, low_s, high_s].map(s => at + s * 1e3), high_s < 900)}`
+  if (!['running', 'pausing'].includes(run.state)) return `about ${span(run.eta.remaining_s)} to go`
+  return `done about ${momentBand(...steadyEnds(run, at), run.eta.high_s < 900)}`
 }
 live.on('status', ({ status, at }) => {
   const { rig, run, lock } = status
@@ -176,10 +176,17 @@ live.on('status', ({ status, at }) => {
   say($('bar-count'), run ? `${count(run.trials_stored)} of ${count(run.trials_planned)}` : '')
   $('bar-count').title = run ? percent(run.trials_stored, run.trials_planned) : ''
   say($('bar-eta'), etaWords(run, at))
-  const title = `${run ? `${run.state} ${percent(run.trials_stored, run.trials_planned)}` : plain(rig.state)} · ${PAGES.find(p => p.name === document.body.dataset.page)?.title ?? ''} · Palpate`
-  if (document.title !== title) document.title = title
+  entitle()
   needs(rig, run, lock)
 })
+
+/** The title of the tab: what the rig does, but never an old state as if it were the present one. */
+function entitle() {
+  const { fresh, why, status } = live, { run, rig } = status ?? {}
+  const state = !fresh ? why && (/^No status/.test(why) ? 'No status' : 'No connection') : run ? `${run.state} ${percent(run.trials_stored, run.trials_planned)}` : plain(rig.state)
+  const title = [state, PAGES.find(page => page.name === document.body.dataset.page)?.title ?? 'Unknown page', 'Palpate'].filter(Boolean).join(' · ')
+  if (document.title !== title) document.title = title
+}
 
 let wasTripped = false
 /** The one thing that a person must do, above everything else. */
@@ -207,7 +214,7 @@ function needs(rig, run) {
     if (box.dataset.buttons !== buttons) said.tell('') // What came of another button would be read as of this one.
     box.dataset.buttons = buttons
     box.className = `notice ${rig.trip || run?.state === 'panicked' ? 'bad' : 'warn'}`
-    fill(repair, buttons === 'reset' && actor('Reset', said, () => actOnRig('reset')), buttons === 'home' && actor('Home', said, () => actOnRig('home')), buttons === 'place' && link('/place', 'Go to the weights'))
+    fill(repair, buttons === 'reset' && actor('Reset', said, () => actOnRig('reset')), buttons === 'home' && actor('Home', said, () => actOnRig('home'), { sure: sureHome }), buttons === 'place' && link('/place', 'Go to the weights'))
     fill(box, el('p', {}, text), repair, said.node)
   }
   box.hidden = !text
@@ -215,6 +222,8 @@ function needs(rig, run) {
 
 live.on('fresh', ({ fresh, why, at, status }) => {
   document.documentElement.dataset.live = fresh ? 'yes' : 'no'
+  entitle()
+  repair.inert = !fresh // What these buttons are for may be over.
   note($('gone'), fresh || !why ? '' : `${why} since ${clock(at || Date.now())}.${status ? ' What is shown is old.' : ''} Trying again.`)
 })
 

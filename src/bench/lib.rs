@@ -19,7 +19,7 @@
 
 #[cfg(test)]
 use palpate_words::carried;
-use palpate_words::{chance, clock, ids, journal, plain, problem, record, state, syntax};
+use palpate_words::{chance, clock, ids, journal, plain, priority, problem, record, state, syntax};
 
 pub mod schedule;
 pub mod rig;

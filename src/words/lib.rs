@@ -14,6 +14,7 @@ pub mod locate;
 pub mod near;
 pub mod new_file;
 pub mod plain;
+pub mod priority;
 pub mod problem;
 pub mod program;
 pub mod query_lines;

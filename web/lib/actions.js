@@ -1,16 +1,22 @@
 // Actions: who does them, what was refused. Every button of every page acts through here.
 
 import { Refused, once, person, send } from './api.js'
-import { button, el, fill, note } from './dom.js'
+import { button, el, fill, note, say } from './dom.js'
 import { kindOf } from './kinds.js'
 import { live, who } from './live.js'
+import { lockWords, locked } from './lock.js'
 
-/** Opens a dialog over the page; a press where the stop is still presses the stop. */
+/**
+ * Opens a dialog over the page. The page behind it takes no click and no key: the dialog has a stop as well, and a
+ * press where the page's stop is still presses it. A stop closes the dialog, unconfirmed.
+ */
 export function modal(box) {
+  const stop = document.getElementById('stop'), press = () => { box.close(); stop.click() }
   box.addEventListener('click', ({ target, clientX, clientY }) => {
-    const stop = document.getElementById('stop'), { left, right, top, bottom } = stop.getBoundingClientRect()
-    if (target === box && clientX >= left && clientX <= right && clientY >= top && clientY <= bottom) stop.click()
+    const { left, right, top, bottom } = stop.getBoundingClientRect()
+    if (target === box && clientX >= left && clientX <= right && clientY >= top && clientY <= bottom) press()
   })
+  box.append(el('div', { className: 'row over' }, button('Stop the rig', press, { className: 'stop' })))
   document.body.append(box)
   box.showModal()
 }
@@ -66,18 +72,19 @@ export function outcome() {
 }
 
 /**
- * Makes a button that asks for the name, acts, tells what came of it, and is hidden from those who may not.
+ * Makes a button that asks for the name, acts, tells what came of it, and is hidden from those who may not. While another
+ * person's operator lock refuses it (`locks`), a press states this alone.
  * `work` gets what `seen()` returned at the press: what the person saw, whatever came meanwhile.
  */
-export function actor(words, said, work, { role = 'operator', seen = () => undefined, ...props } = {}) {
+export function actor(words, said, work, { role = 'operator', locks = role === 'operator', seen = () => undefined, sure = () => true, ...props } = {}) {
   const node = button(words, async () => {
     const what = seen()
-    if (!await named()) return
+    if (!await sure() || !await named()) return
     node.disabled = true
     node.dataset.busy = 'yes' // Who enables it again meanwhile would allow a second request.
     try { await said.run(props.what ?? words, () => work(what)) } finally { delete node.dataset.busy; node.disabled = false }
   }, props)
-  return only(role, node)
+  return only(role, locks ? locked(node, said.tell) : node)
 }
 
 /** Hides a control from callers who may not use it. */
@@ -90,8 +97,12 @@ live.addEventListener('caller', () => document.querySelectorAll('[data-role]').f
 
 /** An action on a run. */
 export const actOnRun = (run, action, more = {}) => send(`/runs/${run}/actions`, { action, who: who(), ...more }, { wait: 15_000 })
-/** An action on the rig. */
-export const actOnRig = (action, more = {}) => once('/rig/actions', { action, who: who(), ...more }, { wait: 15_000 })
+/** An action on the rig. Homing is not repeated after a failed connection: the axes must not move long after the press. */
+export const actOnRig = (action, more = {}) => (action === 'home' ? send : once)('/rig/actions', { action, who: who(), ...more }, { wait: action === 'home' ? 4000 : 15_000 })
+
+/** Asks before the axes of a real rig are homed; closes if they may no longer be. */
+export const sureHome = () => live.status?.rig.label === 'virtual' || confirm('Home the axes?', 'They move. Keep hands and tools away from the rig.', 'Home',
+  ({ rig }) => !['tripped', 'disconnected'].includes(rig.state))
 
 /** Whether a paused run can resume on this rig: with a stage it must be homed, except for weights that a person places. */
 function mayResume(run, rig) {
@@ -101,7 +112,7 @@ function mayResume(run, rig) {
 
 /** The buttons of a run, for its present state: pause, resume, stop, abort, or what the person did; `without` leaves some out. */
 export function runButtons(said, { without = [] } = {}) {
-  const node = el('div', { className: 'row' })
+  const node = el('div', { className: 'row' }), why = el('span', { className: 'soft small' })
   let shown = ''
   const act = (words, action, more, props) => actor(words, said, run => actOnRun(run.uid, action, more?.(run)), { seen: () => live.status.run, ...props })
   const SETS = {
@@ -123,6 +134,9 @@ export function runButtons(said, { without = [] } = {}) {
       !waits && (state === 'pausing' || state === 'paused' && mayResume(run, rig)) && 'resume', ends && 'stop', ends && 'abort'].filter(name => name && !without.includes(name))
     const names = (wanted || []).join()
     if (shown !== names) { shown = names; fill(node, (wanted || []).map(name => SETS[name]())) }
+    const held = live.may('operator') && ['resume', 'confirm'].some(name => wanted?.includes(name)) ? lockWords() : ''
+    say(why, held)
+    if (node.contains(why) !== Boolean(held)) held ? node.append(why) : why.remove()
     for (const one of node.children) one.inert = !fresh
   }
   return { node, show }

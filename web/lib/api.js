@@ -34,14 +34,17 @@ export class Refused extends Error {
   }
 }
 
+// A browser opens six connections to a service: the stop must not wait for one that a slow answer holds.
+let others = new AbortController()
+
 /** Sends a request and returns the response. Throws `Refused` with the words of the problem. `keyless` sends no key. */
 export async function ask(path, { body, method = body === undefined ? 'GET' : 'POST', wait = 8000, accept = 'application/json', signal, headers = {}, keyless = false } = {}) {
   const sent = keyless ? '' : secret
   const limit = wait ? AbortSignal.timeout(wait) : null
-  const until = [signal, limit].filter(Boolean)
+  const until = [signal, limit, path === ESTOP ? null : others.signal].filter(Boolean)
   const form = body instanceof FormData || body instanceof Blob
   const response = await fetch(path, {
-    method, cache: 'no-store', body: form || body === undefined ? body : JSON.stringify(body),
+    method, cache: 'no-store', priority: path === ESTOP ? 'high' : 'auto', body: form || body === undefined ? body : JSON.stringify(body),
     headers: { accept, ...(sent && { authorization: `Bearer ${sent}` }), ...(body !== undefined && !form && { 'content-type': 'application/json' }), ...headers },
     signal: until.length ? AbortSignal.any(until) : undefined,
   }).catch(error => {
@@ -177,8 +180,10 @@ export const person = { get name() { return keep('localStorage', 'palpate-who') 
 
 const ESTOP = '/api/v1/estop'
 
-/** Presses the stop: asks nothing, tries five times, returns what came of it. */
+/** Presses the stop: asks nothing, ends all other requests, tries five times, returns what came of it. */
 export async function estop() {
+  others.abort(new Error('ended by the stop'))
+  others = new AbortController()
   const why = person.name ? `pressed on the page by ${person.name}` : 'pressed on the page'
   let reason = 'it did not latch', keyless = false
   for (let attempt = 0; attempt < 5; attempt += 1) {

@@ -60,6 +60,7 @@ export function preflightWords(preflight) {
 
 /** Who may start a run: { tone, words } for this caller, while the operator lock is free or taken. */
 export function startWords(caller, lock) {
+  if (lock && lock.holder === caller?.name) return { tone: 'soft', words: 'You have the operator lock: others cannot start a run until you release it.' }
   if (lock) return { tone: 'warn', words: `${lock.holder} has the operator lock since ${moment(lock.since)}: ${lock.note}. Others cannot start a run until it is released.` }
   if (!caller) return { tone: 'soft', words: 'Runs are started by callers with the role operator or admin.' }
   return caller.role === 'viewer' ? { tone: 'warn', words: 'You may watch, pause and stop. Starting a run needs a key with the role operator: see the settings.' }
@@ -112,7 +113,7 @@ export async function beginRun(run, said, { ask = true } = {}) {
 
 /** Makes a button that begins a run; `beginRun` tells each step and the result, `after` gets it. */
 export const beginButton = (words, run, said, { after = () => {}, ...props } = {}) =>
-  actor(words, { run: (_, work) => work() }, () => beginRun(run, said).then(after), props)
+  actor(words, { ...said, run: (_, work) => work() }, () => beginRun(run, said).then(after), props)
 
 /** Queues an experiment, by its text; returns the run. Services that carry the sensor file need no text of it. */
 export const queueText = (file, definition, more = {}) => once('/queue', { file, definition, who: who(), ...more })

@@ -2,10 +2,11 @@
 
 import uPlot from '../vendor/uPlot.js'
 import { colour, dark, el } from './dom.js'
-import { fixed } from './format.js'
+import { clock, day, fixed } from './format.js'
 import { picture } from './picture.js'
 
 const COLOURS = ['--c1', '--c2', '--c3', '--c4', '--c5', '--c6']
+const DAY_S = 86_400
 
 /**
  * Makes a chart. `series`: [{ name, unit?, digits?, colour?, points?, line?, axis?: 'right', dash? }],
@@ -28,14 +29,17 @@ export function chart({ title, x = 'Time', xUnit, y = '', unit = '', series, tim
   const axis = more => ({ stroke: colour('--soft'), grid: { stroke: colour('--line'), width: 1 }, ticks: { show: false }, font: '12px system-ui, sans-serif', ...more })
   function make() {
     plot?.destroy()
-    const clock = t => new Date(t * 1e3).toLocaleTimeString('en-GB')
+    // Beyond a day a time alone would be ambiguous.
+    const isLong = u => u.scales.x.max - u.scales.x.min > DAY_S
+    const tick = (u, step) => t => isLong(u) ? `${day(t * 1e3)}${step < DAY_S ? ` ${clock(t * 1e3).slice(0, 5)}` : ''}` : clock(t * 1e3).slice(0, step < 60 ? 8 : 5)
+    const cursor = (u, t) => `${isLong(u) ? `${day(t * 1e3)} ` : ''}${clock(t * 1e3)}`
     plot = new uPlot({
       width: Math.max(120, holder.clientWidth), height, padding: [8, 12, 0, 0],
       scales: { x: { time }, y: { range: (_, low, high) => spread(low, high), ...(log && { distr: 3, range: undefined }) }, ...(right && { right: { range: right.range ?? ((_, low, high) => spread(low, high)) } }) },
-      axes: [axis({ size: time ? 28 : 44, space: time ? 76 : 50, ...(time && { values: (_, ts) => ts.map((t, i) => clock(t).slice(0, ts.length > 1 && ts[1] - ts[0] < 60 ? 8 : 5)) }), ...(whole && { incrs: [1, 2, 5, 10, 20, 50, 100, 200, 500, 1000] }), ...(!time && { label: `${x}${xUnit ? `, ${xUnit}` : ''}`, labelSize: 18, labelFont: '12px system-ui, sans-serif' }) }),
+      axes: [axis({ size: time ? 28 : 44, space: time ? (_, i, low, high) => high - low > DAY_S ? 104 : 76 : 50, ...(time && { values: (u, ts) => ts.map(tick(u, ts.length > 1 ? ts[1] - ts[0] : 60)) }), ...(whole && { incrs: [1, 2, 5, 10, 20, 50, 100, 200, 500, 1000] }), ...(!time && { label: `${x}${xUnit ? `, ${xUnit}` : ''}`, labelSize: 18, labelFont: '12px system-ui, sans-serif' }) }),
         axis({ size: 52, ...(y && { label: `${y}${unit ? `, ${unit}` : ''}`, labelSize: 16, labelFont: '12px system-ui, sans-serif' }) }),
         ...(right ? [axis({ side: 1, scale: 'right', size: 46, grid: { show: false }, label: right.label, labelSize: 16, labelFont: '12px system-ui, sans-serif' })] : [])],
-      series: [{ label: x, value: (_, v) => v == null ? '' : time ? clock(v) : fixed(v, 2, xUnit) },
+      series: [{ label: x, value: (u, v) => v == null ? '' : time ? cursor(u, v) : fixed(v, 2, xUnit) },
         ...series.map((one, i) => ({
           label: one.name, scale: one.axis === 'right' ? 'right' : 'y', stroke: pen(one.colour, i), width: one.line === false ? 0 : 1.5, dash: one.dash,
           points: { show: one.points ?? false, size: 4, fill: pen(one.colour, i) }, fill: one.fill ? `${pen(one.colour, i)}30` : undefined, paths: one.bars ? uPlot.paths.bars({ size: [0.9, 40] }) : one.steps ? uPlot.paths.stepped({ align: 1 }) : undefined,

@@ -6,7 +6,7 @@ import { actor, outcome } from './actions.js'
 import { button, el, fill, sleep } from './dom.js'
 import { fields } from './fields.js'
 import { live, who } from './live.js'
-import { partsBar, planFacts, problemList } from './preflight.js'
+import { NEEDS_OPERATOR, partsBar, planFacts, problemList } from './preflight.js'
 import { raw } from './toml.js'
 
 const REST_MS = 400
@@ -24,10 +24,11 @@ export function schema() {
 const local = at => (at ? new Date(new Date(at) - new Date(at).getTimezoneOffset() * 6e4).toISOString().slice(0, 16) : '')
 
 /**
- * Makes the editor of `draft` { name, text, file, sensor?, notBefore?, autoResume?, run? }: a run that is edited, or
- * none. `ifMatch()` is the entity tag of the queue; `ondone(row)` follows what was queued or changed.
+ * Makes the editor of `draft` { name, text, file, sensor?, notBefore?, autoResume?, run?, tag? }: a run that is edited,
+ * with the entity tag of the queue before its text was read, or none. `reread()` reads the draft again; `ondone(row)`
+ * follows what was queued or changed.
  */
-export function editor({ draft, ifMatch, ondone, onclose, signal }) {
+export function editor({ draft, reread, ondone, onclose, signal }) {
   const said = outcome()
   const { run } = draft
   const stored = `palpate-draft-${draft.name}`
@@ -35,6 +36,8 @@ export function editor({ draft, ifMatch, ondone, onclose, signal }) {
   const state = { ...draft, ...(kept && JSON.parse(kept)) }
   // The text of a sensor file belongs to the name that the experiment had with it; another name is one that the program carries.
   state.named ??= raw(state.text, '', 'sensor')
+  // The text that the changes began with, kept with them: another person may have changed the run since.
+  state.of ??= draft.text
   const sensor = () => (raw(state.text, '', 'sensor') === state.named ? (state.sensor ?? undefined) : undefined)
   const body = () => ({ file: state.file, definition: state.text, sensor: sensor() })
   const forget = () => keep('sessionStorage', stored, '')
@@ -49,10 +52,11 @@ export function editor({ draft, ifMatch, ondone, onclose, signal }) {
   })
   const begin = () => {
     area.value = draft.text
+    state.of = draft.text
     again.hidden = true
     changed(draft.text)
   }
-  const again = el('p', { className: 'warn' }, 'Your changes of before are shown. ', button('Begin again', begin, { className: 'plain' }))
+  const again = el('p', { className: 'warn' }, 'Your changes of before are shown. ', run && state.of !== draft.text && 'The run has been changed since. ', button('Begin again', begin, { className: 'plain' }))
   const found = el('div', { className: 'found', 'aria-live': 'polite' })
   const start = el('input', { id: 'not-before', type: 'datetime-local', value: local(state.notBefore), min: local(new Date()) })
   area.addEventListener('input', () => changed(area.value))
@@ -64,7 +68,7 @@ export function editor({ draft, ifMatch, ondone, onclose, signal }) {
     keep(
       'sessionStorage',
       stored,
-      JSON.stringify({ text: state.text, notBefore: state.notBefore, sensor: state.sensor, named: state.named, file: state.file }),
+      JSON.stringify({ text: state.text, notBefore: state.notBefore, sensor: state.sensor, named: state.named, file: state.file, of: state.of }),
     )
 
   let asking = new AbortController()
@@ -80,7 +84,7 @@ export function editor({ draft, ifMatch, ondone, onclose, signal }) {
     asking = new AbortController()
     const until = AbortSignal.any([asking.signal, signal])
     if (!live.may('operator'))
-      return fill(found, el('p', { className: 'soft' }, 'A key with the role operator is needed to check and to queue an experiment.'))
+      return fill(found, el('p', { className: 'soft' }, NEEDS_OPERATOR))
     await sleep(REST_MS, until)
     if (until.aborted) return undefined
     try {
@@ -112,13 +116,18 @@ export function editor({ draft, ifMatch, ondone, onclose, signal }) {
     forget()
     ondone(row)
   }
-  async function put(more) {
+  let known = draft
+  const contentOf = ({ text, sensor, notBefore, autoResume }) => JSON.stringify([text, sensor, notBefore, autoResume])
+  async function put(more, repeats = true) {
     try {
-      return await send(`/queue/${run.uid}`, more, { method: 'PUT', headers: ifMatch() ? { 'if-match': ifMatch() } : {} })
+      return await send(`/queue/${run.uid}`, more, { method: 'PUT', headers: known.tag ? { 'if-match': known.tag } : {} })
     } catch (error) {
-      if (error.status === 412)
-        throw new Refused(412, 'the queue has changed since it was shown. It is shown as it is now: save again if your change still fits', error.problem)
-      throw error
+      if (error.status !== 412) throw error
+      // The tag is that of the whole queue: often another run has changed it.
+      const before = known
+      known = await reread()
+      if (repeats && contentOf(known) === contentOf(before)) return put(more, false)
+      throw new Refused(412, 'the run has been changed since its text was shown: close and edit it again to see it, or save again to replace it', error.problem)
     }
   }
   const save = actor(run ? 'Save changes' : 'Add to queue', said, submit, { className: 'main' })

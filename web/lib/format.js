@@ -33,13 +33,16 @@ export function bytes(n) {
 /** 14:03:59 */
 export const clock = t => TIMES.format(new Date(t))
 
+/** 24 Nov */
+export const day = t => DAYS.format(new Date(t))
+
 /** 14:03, with the day if it is not today. */
 export function moment(t, seconds = false) {
   if (t == null) return NONE
-  const day = x => new Date(x).setHours(0, 0, 0, 0)
-  const days = Math.round((day(t) - day(Date.now())) / 864e5)
+  const midnight = x => new Date(x).setHours(0, 0, 0, 0)
+  const days = Math.round((midnight(t) - midnight(Date.now())) / 864e5)
   const words = days === 0 ? '' : days === 1 ? 'tomorrow ' : days === -1 ? 'yesterday '
-    : `${DAYS.format(new Date(t))} `
+    : `${day(t)} `
   return words + clock(t).slice(0, seconds ? 8 : 5)
 }
 
@@ -51,14 +54,14 @@ export function momentBand(likely, low, high, seconds = false) {
   return `${end} (${ends.map(text => (text.lastIndexOf(' ') + 1 === day.length && text.startsWith(day) ? text.slice(day.length) : text)).join(' to ')})`
 }
 
-/** 5 s, 12 min, 3 h 04 min */
+/** 5 s, 12 min, 3 h 04 min, 2 days 23 h */
 export function span(s) {
   if (s == null) return NONE
   if (s < 10) return `${s.toFixed(1)}\u202fs`
   if (s < 60) return `${Math.round(s)}\u202fs`
   if (s < 3600) return `${Math.floor(s / 60)}\u202fmin`
   if (s < 172_800) return `${Math.floor(s / 3600)}\u202fh ${String(Math.floor(s % 3600 / 60)).padStart(2, '0')}\u202fmin`
-  return `${Math.floor(s / 86_400)} days`
+  return `${Math.floor(s / 86_400)} days ${Math.floor(s % 86_400 / 3600)}\u202fh`
 }
 
 /** Age of a moment, s. */

@@ -1,7 +1,7 @@
-// A frame as a picture: 28 injections by 28 channels, the same colours for the same voltage everywhere.
+// A frame as a picture: injections by channels, the same colours for the same voltage everywhere.
 
-import { colour, dark, el, say, soon } from './dom.js'
-import { count, fixed } from './format.js'
+import { dark, el, note, say, soon } from './dom.js'
+import { counted, fixed } from './format.js'
 import { picture } from './picture.js'
 
 // Linear up to BEND of the scale's end, logarithmic beyond: far channels stay visible.
@@ -54,23 +54,64 @@ export function round125(top) {
 }
 
 /**
- * Makes a picture of a frame. `show(values, { scale, marks })`: 784 voltages, injection-major;
- * `scale` is the end of the colours (else it grows as 1, 2, 5 and stands still otherwise); `marks`
- * { stuck, saturated, missing }: lists of channels, drawn as crosses.
+ * Width and height of the picture of `n` values: channels by injections. 784 are 28 by 28; another square number is a
+ * square as well. Others are one row of channels, since their number alone does not state the injections.
  */
-export function frame({ title = 'Frame', size = 28, unit = 'V', name, query, label, signal } = {}) {
-  const map = el('canvas', { width: size, height: size, className: 'frame', role: 'img', 'aria-label': title })
+export function sizeOf(n) {
+  const side = Math.round(Math.sqrt(n))
+  return side * side === n ? [side, side] : [n, 1]
+}
+
+// Pixels of the canvas per channel, so that a mark has some; fewer in a long row.
+const CELL_PX = 16, ROW_PX = 1024, ROW_ASPECT = 8
+
+// Half width of a mark, in pixels of the page: it may be larger than its channel, which can be small.
+const MARK_PX = { stuck: 4, saturated: 5.5 }
+
+/** Draws a mark; `px` is a pixel of the page. A dark line on a light one is visible on every colour, in light and dark. */
+function mark(pen, x, y, kind, px) {
+  const r = MARK_PX[kind] * px
+  pen.beginPath()
+  if (kind === 'saturated') pen.arc(x, y, r, 0, 2 * Math.PI)
+  else for (const [dx, dy] of [[r, r], [r, -r]]) { pen.moveTo(x - dx, y - dy); pen.lineTo(x + dx, y + dy) }
+  for (const [ink, width] of [['#fff', 3.6], ['#000', 1.5]]) {
+    pen.strokeStyle = ink
+    pen.lineWidth = width * px
+    pen.stroke()
+  }
+}
+
+/**
+ * Makes a picture of a frame. `show(values, { scale, marks })`: voltages, injection-major (see `sizeOf`);
+ * `scale` is the end of the colours (else it grows as 1, 2, 5 and does not change otherwise); `marks`
+ * { stuck, saturated }: lists of channels, drawn as crosses and as rings.
+ */
+export function frame({ title = 'Frame', unit = 'V', name, query, label, signal } = {}) {
+  let size = [28, 28], cell = CELL_PX
+  const map = el('canvas', { className: 'frame', role: 'img', 'aria-label': title }), small = el('canvas')
   const bar = strip(i => [i, i, i], 'colours')
-  const ticks = el('div', { className: 'ticks' }), at = el('p', { className: 'soft hover' })
+  const ticks = el('div', { className: 'ticks' }), at = el('p', { className: 'soft hover' }), marked = el('p', { className: 'small warn', hidden: true })
+  const side = el('div', { className: 'side', 'aria-hidden': 'true' }), foot = el('div', { className: 'ticks', 'aria-hidden': 'true' })
   let values = null, marks = {}, end = 0, words = null
   const paintBar = () => {
     const palette = diverging()
     paintStrip(bar, i => palette[i])
     words = Uint32Array.from(palette, ([r, g, b]) => 0xff000000 | b << 16 | g << 8 | r) // Bytes r, g, b, a in memory.
   }
-  const image = new ImageData(size, size), pixels = new Uint32Array(image.data.buffer)
+  let image, pixels
+  const shape = next => {
+    const [width, height] = size = next
+    image = new ImageData(width, height)
+    pixels = new Uint32Array(image.data.buffer)
+    cell = height > 1 ? CELL_PX : Math.max(1, Math.floor(ROW_PX / width))
+    Object.assign(small, { width, height })
+    Object.assign(map, { width: width * cell, height: height > 1 ? height * cell : Math.ceil(width * cell / ROW_ASPECT) })
+    map.style.aspectRatio = String(height > 1 ? 1 : ROW_ASPECT)
+    side.replaceChildren(...height > 1 ? [height - 1, 'injection', 0].map(text => el('span', {}, String(text))) : [])
+    foot.replaceChildren(...[0, 'channel', width - 1].map(text => el('span', {}, String(text))))
+  }
   const draw = soon(() => {
-    if (!values) return
+    if (!values?.length) return
     pixels.fill(0)
     let low = Infinity, high = -Infinity
     for (let i = 0; i < values.length; i += 1) {
@@ -80,11 +121,14 @@ export function frame({ title = 'Frame', size = 28, unit = 'V', name, query, lab
       if (v > high) high = v
       pixels[i] = words[Math.round(127 + 127 * Math.max(-1, Math.min(1, bend(v / end))))]
     }
-    const pen = map.getContext('2d')
-    pen.putImageData(image, 0, 0)
-    pen.fillStyle = colour('--bad')
-    for (const channel of [...marks.stuck ?? [], ...marks.saturated ?? []]) pen.fillRect(channel % size, Math.floor(channel / size), 1, 1)
-    map.ariaLabel = `${title}: voltages by injection and channel, from ${fixed(low, 4)} to ${fixed(high, 4, unit)}`
+    const pen = map.getContext('2d'), [width, height] = size, tall = map.height / height
+    small.getContext('2d').putImageData(image, 0, 0)
+    pen.clearRect(0, 0, map.width, map.height)
+    pen.imageSmoothingEnabled = false
+    pen.drawImage(small, 0, 0, map.width, map.height)
+    const px = marked.hidden ? 1 : map.width / (map.clientWidth || map.width)
+    for (const kind of ['stuck', 'saturated']) for (const i of marks[kind] ?? []) mark(pen, (i % width + 0.5) * cell, (Math.floor(i / width) + 0.5) * tall, kind, px)
+    map.ariaLabel = `${title}: voltages by ${height > 1 ? 'injection and ' : ''}channel, from ${fixed(low, 4)} to ${fixed(high, 4, unit)}${marked.hidden ? '' : `; ${marked.textContent}`}`
   })
   const tell = () => {
     const digits = v => Math.max(0, 1 - Math.floor(Math.log10(Math.abs(v))))
@@ -92,17 +136,21 @@ export function frame({ title = 'Frame', size = 28, unit = 'V', name, query, lab
   }
   map.onpointermove = event => {
     const box = map.getBoundingClientRect()
-    const [channel, injection] = [event.clientX - box.left, event.clientY - box.top].map(v => Math.max(0, Math.min(size - 1, Math.floor(v / box.width * size))))
-    say(at, values ? `injection ${injection}, channel ${channel}: ${fixed(values[injection * size + channel], 4, unit)}` : '')
+    const part = [(event.clientX - box.left) / box.width, (event.clientY - box.top) / box.height]
+    const [channel, injection] = part.map((share, k) => Math.max(0, Math.min(size[k] - 1, Math.floor(share * size[k]))))
+    say(at, values ? `${size[1] > 1 ? `injection ${injection}, ` : ''}channel ${channel}: ${fixed(values[injection * size[0] + channel], 4, unit)}` : '')
   }
   map.onpointerleave = () => say(at, '')
   dark.addEventListener('change', () => { paintBar(); draw() }, { signal })
   paintBar()
   const node = picture({
     title, name, query, label, canvas: () => map,
-    data: () => ({ heads: ['injection', 'channel', unit === 'V' ? 'voltage_v' : `value_${unit}`], rows: Array.from(values ?? [], (v, i) => [Math.floor(i / size), i % size, missing(v) ? null : v]) }),
-  }, el('div', { className: 'frame-box' }, el('div', { className: 'side', 'aria-hidden': 'true' }, el('span', {}, String(size - 1)), el('span', {}, 'injection'), el('span', {}, '0')), map,
-    el('div', { className: 'ticks', 'aria-hidden': 'true' }, el('span', {}, '0'), el('span', {}, 'channel'), el('span', {}, String(size - 1))), bar, ticks), at)
+    data() {
+      const [width, height] = size, value = unit === 'V' ? 'voltage_v' : `value_${unit}`, places = i => height > 1 ? [Math.floor(i / width), i % width] : [i]
+      return { heads: [...height > 1 ? ['injection'] : [], 'channel', value], rows: Array.from(values ?? [], (v, i) => [...places(i), missing(v) ? null : v]) }
+    },
+  }, el('div', { className: 'frame-box' }, side, map, foot, bar, ticks), marked, at)
+  shape(size)
   // The end of the colours where none is given: it grows as 1, 2, 5 and does not change otherwise.
   const grown = next => {
     let top = 1e-6
@@ -111,14 +159,16 @@ export function frame({ title = 'Frame', size = 28, unit = 'V', name, query, lab
   }
   return {
     node,
-    show(next, { scale, marks: marked } = {}) {
+    show(next, { scale, marks: found } = {}) {
       values = next
-      marks = marked ?? {}
-      if (!next) return
+      marks = found ?? {}
+      const words = [['stuck', '\u00d7'], ['saturated', '\u25cb']].filter(([kind]) => marks[kind]?.length)
+      note(marked, next && words.map(([kind, sign]) => `${sign} ${counted(marks[kind].length, `${kind} channel`)}`).join(', '))
+      if (!next?.length) return
+      if (next.length !== image.width * image.height) shape(sizeOf(next.length))
       const wanted = scale ?? grown(next)
       if (wanted !== end) { end = wanted; tell() }
       draw()
     },
-    marked: () => count((marks.stuck?.length ?? 0) + (marks.saturated?.length ?? 0)),
   }
 }

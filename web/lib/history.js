@@ -34,7 +34,7 @@ export function predictionWords({ predicted_s, elapsed_s, predictions = [], from
  * reads the history of a run and draws it; `update(state)` follows the address.
  */
 export function history({ title = 'The night', state, set, signal, label, height = 170 }) {
-  let data = null, run = null, facts = {}, shown = ''
+  let data = null, run = null, facts = {}, shown = '', asked = 0
   const words = el('p', { className: 'soft small' }), text = el('p', { className: 'event-text', role: 'status' }), band = el('p', { className: 'legend' })
   const whole = button('Whole run', () => set({ from: null, to: null }), { className: 'plain', hidden: !state.from })
   const query = () => `/api/v1/runs/${run?.scan_id}/history?bins=${bins()}`
@@ -72,6 +72,16 @@ export function history({ title = 'The night', state, set, signal, label, height
     } catch (error) { return signal.aborted ? null : say(text, `The event could not be read: ${error.message}`) }
   }
 
+  // What is drawn of another run would be read as of this one.
+  function clear() {
+    data = null
+    shown = ''
+    rate.set([[], [], []])
+    fit.set([[], [], []])
+    end.set([[], [], [], []])
+    fill(band)
+    say(text, '')
+  }
   function draw() {
     if (!data?.from) {
       if (data) say(words, 'This run has not started.')
@@ -104,14 +114,18 @@ export function history({ title = 'The night', state, set, signal, label, height
     /** Body of the newest history, or null. */
     data: () => data,
     async show(next, more = {}) {
+      const mine = asked += 1
+      if (run && run.uid !== next.uid) clear()
       run = next
       facts = more
       try {
         if (!data) say(words, 'Reading the history of this run …')
-        data = await get(`/runs/${run.scan_id}/history`, { bins: bins() }, { signal, wait: READ_MS })
+        const read = await get(`/runs/${next.scan_id}/history`, { bins: bins() }, { signal, wait: READ_MS })
+        if (mine !== asked) return // Another run is shown meanwhile, or the same one was read again.
+        data = read
         draw()
         if (shown !== state.event) { shown = state.event; openEvent() } else if (!state.event) openEvent()
-      } catch (error) { if (!signal.aborted) say(words, `The history of this run could not be read: ${error.message}`) }
+      } catch (error) { if (!signal.aborted && mine === asked) say(words, `The history of this run could not be read: ${error.message}`) }
     },
     update(next) {
       const zoomed = next.from !== state.from || next.to !== state.to, opened = next.event !== state.event

@@ -3,7 +3,7 @@
 
 import { ask, door, get, person, socket } from './api.js'
 import { onBeat, sleep } from './dom.js'
-import { addSamples } from './samples.js'
+import { KEPT_MINUTES, addSamples, fillSamples, lastAt } from './samples.js'
 
 const OLD_MS = 2600, CALLER_MS = 3000, TELL_MS = 240
 
@@ -89,9 +89,27 @@ async function poll(signal) {
 
 let socketAt = 0
 async function listen(signal) {
-  await get('/rig/samples', { minutes: 10 }).then(take, () => {})
+  // Without a socket no samples come: those after `since` are read once it is open again.
+  let since = lastAt() ?? 0, whole = false, asked = false
+  const read = async () => {
+    asked = true
+    try {
+      const more = await get('/rig/samples', { minutes: KEPT_MINUTES }, { signal })
+      whole = true
+      if (fillSamples(more, since)) live.dispatchEvent(new Event('samples'))
+    } catch { /* Read with the next opening. */ }
+  }
+  await read()
+  asked = whole
   socket('/status/live', {
-    signal, onmessage(message) {
+    signal,
+    onstate(open) {
+      if (open && !asked) read()
+      if (open) return
+      if (whole) since = lastAt() ?? 0
+      whole = asked = false
+    },
+    onmessage(message) {
       socketAt = Date.now()
       take(message.samples)
       if (message.status) live.take(message.status)

@@ -6,7 +6,7 @@ import { clock, moment } from './format.js'
 import { LOUD, sentence } from './words.js'
 
 const KEPT = 400, SHOWN = 80
-const MATTERS = new Set([...Object.keys(LOUD), 'ended', 'not_begun', 'recovering', 'repeat', 'placed', 'tips'])
+const MATTERS = new Set([...Object.keys(LOUD), 'ended', 'recovering', 'repeat', 'placed', 'tips'])
 
 /** Whether a person must not miss an event. */
 export function matters({ kind, data }) {

@@ -7,7 +7,7 @@ import { bytes, count, counted, fixed, moment } from './format.js'
 import { frame } from './frame.js'
 import { losses } from './losses.js'
 import { opened } from './opened.js'
-import { save } from './save.js'
+import { save, shows } from './save.js'
 import { contactTable, voltageTable } from './scores.js'
 import { slotOf } from './serving.js'
 
@@ -102,7 +102,7 @@ export function netView({ signal, models, promote }) {
         { className: 'row' },
         !model.serves && promoting,
         save('ONNX file', `/api/v1/models/${model.id}/onnx`, `${model.name}-${model.id}.onnx`),
-        el('a', { href: `/api/v1/models/${model.id}`, target: '_blank', rel: 'noopener' }, 'JSON')
+        shows('JSON', `/api/v1/models/${model.id}`, `${model.name}-${model.id}.json`)
       )
     )
     const curves = losses({ path: `/models/${model.id}/losses`, label, signal: mine })
@@ -139,14 +139,13 @@ function residuals(model, label, signal) {
   const pictures = el('div', { className: 'pair residuals', hidden: true })
   get(path, {}, { signal, wait: 120_000 }).then(
     ({ mean_v, sd_v, trials }) => {
-      const size = Math.round(Math.sqrt(mean_v.length)),
-        top = values => values.reduce((a, v) => Math.max(a, Math.abs(v)), 0),
+      const top = values => values.reduce((a, v) => Math.max(a, Math.abs(v)), 0),
         rms = Math.sqrt(sd_v.reduce((sum, v, i) => sum + v * v + mean_v[i] ** 2, 0) / sd_v.length)
       for (const [title, values] of [
         ['Mean of the transfer error', mean_v],
         ['Standard deviation', sd_v],
       ]) {
-        const one = frame({ title, size, name: `${model.id}-${title === 'Standard deviation' ? 'sd' : 'mean'}`, label, query: `/api/v1${path}`, signal })
+        const one = frame({ title, name: `${model.id}-${title === 'Standard deviation' ? 'sd' : 'mean'}`, label, query: `/api/v1${path}`, signal })
         pictures.append(one.node)
         one.show(values)
       }

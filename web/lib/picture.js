@@ -1,6 +1,7 @@
 // The small menu of every picture: its numbers (CSV), the picture (PNG), the request behind it.
 
 import { button, download, el } from './dom.js'
+import { shows } from './save.js'
 import { csv } from './table.js'
 
 /**
@@ -12,7 +13,7 @@ export function picture({ title, name, label, data, canvas, query, props = {} },
   const items = [
     data && button('Numbers (CSV)', () => { const { heads, rows } = data(); download(`${file}.csv`, csv(heads, rows), 'text/csv') }),
     canvas && button('Picture (PNG)', () => labelled(canvas(), [title, label?.()].filter(Boolean).join(' · ')).toBlob(blob => download(`${file}.png`, blob))),
-    query && el('a', { href: typeof query === 'function' ? '#' : query, onclick: event => { if (typeof query === 'function') { event.currentTarget.href = query() } }, target: '_blank', rel: 'noopener' }, 'Request behind it'),
+    query && shows('Request behind it', query, () => `${file}.${/format=csv/.test(typeof query === 'function' ? query() : query) ? 'csv' : 'json'}`),
   ].filter(Boolean)
   const menu = items.length ? el('details', { className: 'menu' }, el('summary', { 'aria-label': `${title}: save` }, '⋯'), el('div', {}, items)) : null
   return el('figure', { className: 'picture', ...props }, el('figcaption', {}, el('span', {}, title), menu), ...inside)

@@ -17,6 +17,9 @@ const PARTS = {
   approach_s: 'lowering',
   raise_s: 'raising',
 }
+/** Why a caller without the role sees no preflight of a text. */
+export const NEEDS_OPERATOR = 'A key with the role operator is needed to check and to queue an experiment.'
+
 const COLOURS = ['--c1', '--c2', '--c3', '--c4', '--c5', '--c6']
 
 /** The band of a duration: "44 s (39 to 65 s)". */

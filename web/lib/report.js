@@ -101,7 +101,7 @@ export function report(root, { state, set, go, said, others, signal }) {
   }
   const abort = run =>
     button('Abort', async () => {
-      const sure = await confirm(`Abort run ${run.scan_id}?`, 'It ends. Its stored trials stay; it cannot be resumed. Nothing moves.', 'Abort the run')
+      const sure = await confirm(`Abort run ${run.scan_id}?`, 'It ends. Its stored trials stay; it can be resumed later. Nothing moves.', 'Abort the run')
       if (!sure || !(await named())) return
       await said.run(`Abort run ${run.scan_id}`, () => actOnRun(run.uid, 'abort'))
       await read()

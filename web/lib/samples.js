@@ -1,6 +1,8 @@
 // Samples of force and depth of the last minutes, as columns of plain numbers: a night of them leaves no garbage.
 
-const ARMS = 6, KEPT_MS = 15 * 60_000
+const ARMS = 6
+/** Minutes of samples that are kept and asked for: the longest time that a chart offers. */
+export const KEPT_MINUTES = 15
 let room = 4096
 const column = Type => new Type(room)
 
@@ -22,6 +24,25 @@ export function indexOf(at) {
 /** Time of the newest sample, ms; undefined without any. */
 export const lastAt = () => samples.length ? samples.at_ms[samples.length - 1] : undefined
 
+/**
+ * Replaces the samples after the time `since` by those of an answer: so a gap is filled. Newer ones than the last of
+ * the answer, which came meanwhile, are kept. Returns whether the answer had any after `since`.
+ */
+export function fillSamples(more, since) {
+  const last = more?.at_ms?.at(-1) ?? 0
+  if (last <= since) return false
+  const begin = indexOf(last + 1), late = { at_ms: [], z_mm: [], forces_n: [] }
+  for (let i = begin; i < samples.length; i += 1) {
+    late.at_ms.push(samples.at_ms[i])
+    late.z_mm.push(samples.z_mm[i])
+    late.forces_n.push(samples.forces_n.map(column => column[i]))
+  }
+  samples.length = indexOf(since + 1)
+  addSamples(more)
+  addSamples(late)
+  return true
+}
+
 /** Adds the samples of a message that are newer; returns whether there were any. */
 export function addSamples(more) {
   const newest = lastAt() ?? 0, from = more?.at_ms?.findIndex(at => at > newest) ?? -1
@@ -40,7 +61,7 @@ export function addSamples(more) {
 // Old ones are dropped first; only if all are young the columns grow.
 function makeRoom(wanted) {
   if (samples.length + wanted <= room) return
-  const old = indexOf(lastAt() - KEPT_MS)
+  const old = indexOf(lastAt() - 60_000 * KEPT_MINUTES)
   for (const one of columns()) one.copyWithin(0, old, samples.length)
   samples.length -= old
   if (samples.length + wanted <= 0.75 * room) return

@@ -5,6 +5,7 @@ import { actor, confirm, named, only } from './actions.js'
 import { button, el, fill, link, panel } from './dom.js'
 import { moment } from './format.js'
 import { who } from './live.js'
+import { lockWords } from './lock.js'
 import { SLOTS } from './serves.js'
 import { table } from './table.js'
 
@@ -38,6 +39,7 @@ export function servingPanel({ signal, said, name, onchange }) {
     return mine.slice(1).find(one => one.what && one.what !== now)?.what ?? null
   }
   async function rollBack(slot) {
+    if (lockWords()) return void said.tell(lockWords(), 'warn')
     const now = serves.find(one => one.slot === slot)?.what,
       to = before(slot)
     const sure = await confirm(
@@ -54,6 +56,7 @@ export function servingPanel({ signal, said, name, onchange }) {
     if (sure && (await named())) change(`Roll back ${slot}`, '/serving/roll-back', { slot })
   }
   async function promote(what, slot) {
+    if (lockWords()) return void said.tell(lockWords(), 'warn')
     const now = serves.find(one => one.slot === slot)?.what
     const sure = await confirm(
       `Promote ${name(what)}?`,

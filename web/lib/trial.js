@@ -4,6 +4,7 @@ import { chart } from './chart.js'
 import { colour, el, facts, fill, note, panel, pane, select } from './dom.js'
 import { NONE, about, capital, count, counted, fixed, moment, plain, span } from './format.js'
 import { frame, minus, round125 } from './frame.js'
+import { shows } from './save.js'
 import { FLAGS } from './selection.js'
 import { sensor, skin, tips } from './skin.js'
 import { table } from './table.js'
@@ -168,7 +169,7 @@ export function trialView({ signal, href, onscale }) {
       ['touch', minus(v, untouched?.voltages_v)],
     ]) {
       shown[kind].node.classList.toggle('absent', !values)
-      shown[kind].show(values ?? new Array(784).fill(null), { scale: end })
+      shown[kind].show(values ?? new Array(v.length).fill(null), { scale: end })
     }
     note(why.twin, s ? '' : 'No twin yet: the service simulates it after the trial was stored.')
     note(why.touch, untouched ? untouched.words : 'No untouched frame is known for this trial.')
@@ -213,7 +214,7 @@ export function trialView({ signal, href, onscale }) {
           row.kind === 'imported'
             ? 'none: imported'
             : row.frame_count
-              ? el('a', { href: `/api/v1/trials/${row.trial_id}/frames`, target: '_blank', rel: 'noopener' }, count(row.frame_count))
+              ? shows(count(row.frame_count), `/api/v1/trials/${row.trial_id}/frames`, `trial-${row.trial_id}-frames.json`)
               : 'none',
         ],
       ]),

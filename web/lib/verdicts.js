@@ -18,15 +18,15 @@ export function safe({ rig, run }) {
   return { tone: 'good', words: `No fault. Largest force now ${fixed(largest, 1, 'N')} of ${fixed(rig.force_limit_n, 0, 'N')}.` }
 }
 
-/** Is it on time? `history` may be null, `next` is the first run of the queue. */
-export function onTime({ run }, at, history, next) {
+/** Is it on time? `ends` are the likely, early and late end, ms; `history` may be null, `next` is the first run of the queue. */
+export function onTime({ run }, ends, history, next) {
   if (!run && !next) return { tone: '', words: 'No run is active, and none is queued.' }
   if (!run) return { tone: '', words: `No run is active. Next: ${next.experiment}, ${counted(next.trials_planned, 'trial')}.` }
   if (run.state === 'paused' && run.paused_why) return { tone: 'warn', words: `It waits: ${WAITS[run.paused_why] ?? plain(run.paused_why)}.` }
   if (!run.eta) return { tone: '', words: 'The end is not known yet.' }
-  const { remaining_s, low_s, high_s } = run.eta, short = high_s < 900, end = momentBand(...[remaining_s, low_s, high_s].map(s => at + 1e3 * s), short)
+  const end = momentBand(...ends, run.eta.high_s < 900)
   const planned = history?.predicted_s == null || !history.from ? null : Date.parse(history.from) + 1e3 * history.predicted_s
-  const late_s = planned == null ? null : (at + 1e3 * remaining_s - planned) / 1e3
+  const late_s = planned == null ? null : (ends[0] - planned) / 1e3
   const than = late_s == null ? '' : Math.abs(late_s) < 60 ? ', as predicted' : `, ${span(Math.abs(late_s))} ${late_s > 0 ? 'late' : 'early'}`
   const slow = late_s != null && late_s > Math.max(SLOW_S, 0.1 * history.predicted_s)
   return { tone: slow ? 'warn' : 'good', words: `Done about ${end}${than}.` }

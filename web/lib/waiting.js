@@ -7,6 +7,7 @@ import { clockline, predict } from './clockline.js'
 import { button, el, panel, say } from './dom.js'
 import { NONE, capital, count, counted, moment, momentBand, plain, span } from './format.js'
 import { live, who } from './live.js'
+import { lockWords } from './lock.js'
 import { dragRows } from './drag.js'
 import { table } from './table.js'
 
@@ -35,7 +36,7 @@ function conditions(rows, rig) {
     .join(' ')
 }
 
-/** Makes the panel: { node, refresh, tag }. `said` tells what became of an action, `go` leads to the editor. */
+/** Makes the panel: { node, refresh }. `said` tells what became of an action, `go` leads to the editor. */
 export function waiting({ said, go, signal }) {
   const line = clockline()
   const estimates = new Map()
@@ -103,6 +104,7 @@ export function waiting({ said, go, signal }) {
     }
   }
   async function remove(row) {
+    if (lockWords()) return void said.tell(lockWords(), 'warn')
     const words = `${row.experiment} is taken from the queue. Its number is not used again; the experiment can be queued again.`
     if (!(await confirm(`Remove run ${row.scan_id}?`, words, 'Remove')) || !(await named())) return
     const path = withQuery(`/queue/${row.uid}`, { who: who() })
@@ -190,5 +192,5 @@ export function waiting({ said, go, signal }) {
 
   live.addEventListener('caller', drag.attach, { signal })
   const node = panel('In this order', { className: 'queue live' }, head, line.node, list.node, said.node, hint, startRights(signal))
-  return { node, refresh, tag: () => tag }
+  return { node, refresh }
 }

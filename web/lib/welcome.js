@@ -53,4 +53,4 @@ export function welcome({ said }) {
 }
 
 // `beginRun` tells each step and its result; only a failure before it is told here.
-const quiet = said => ({ run: (words, work) => work().catch(error => said.tell(`${words}: ${error.message}`, 'bad')) })
+const quiet = said => ({ ...said, run: (words, work) => work().catch(error => said.tell(`${words}: ${error.message}`, 'bad')) })

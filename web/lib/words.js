@@ -33,7 +33,7 @@ const EVENTS = {
   placed: d => `placement ${d.trial} confirmed by ${d.who}${d.verdict ? `, felt ${d.verdict}` : ''}${d.anyway ? ', stored anyway' : ''}`,
 }
 /** Kinds of events that an operator must not miss. */
-export const LOUD = { trip: 'bad', diary_gap: 'bad', store: 'bad', wanted: 'warn', suspended: 'warn', attempt_failed: 'warn', skipped: 'warn' }
+export const LOUD = { trip: 'bad', diary_gap: 'bad', store: 'bad', not_gone_on: 'bad', not_begun: 'warn', wanted: 'warn', suspended: 'warn', attempt_failed: 'warn', skipped: 'warn' }
 
 /** Sentence of an event; an unknown kind is told by its fields. */
 export function sentence({ kind, data }) {

@@ -7,6 +7,7 @@ import { changing } from '../lib/changing.js'
 import { dataView } from '../lib/dataview.js'
 import { el, fill, panel, pane, say, select, sleep } from '../lib/dom.js'
 import { ended } from '../lib/ended.js'
+import { steadyEnds } from '../lib/eta.js'
 import { forceBars, forceChart } from '../lib/forces.js'
 import { age, bytes, capital, count, counted, fixed, moment, percent, plain, span } from '../lib/format.js'
 import { history } from '../lib/history.js'
@@ -96,7 +97,8 @@ export async function show(root, { query, signal, set }) {
   // What follows the status: at most ten times per second, text only where it differs.
   function tell({ status, at, fresh }) {
     if (status.run?.uid !== run?.uid || (!status.run && run)) change()
-    const verdict = [safe(status), onTime(status, at, course, queue[0]), good(status, twins, seen)]
+    const ends = status.run?.eta && steadyEnds(status.run, at)
+    const verdict = [safe(status), onTime(status, ends, course, queue[0]), good(status, twins, seen)]
     answers.forEach(({ node }, i) => { say(node, verdict[i].words); node.className = `answer ${verdict[i].tone}` })
     tellStrip(status)
     watch.show(status.suspenders)
@@ -167,9 +169,10 @@ export async function show(root, { query, signal, set }) {
     nowPart.classList.toggle('over', !run)
     say(nowPart.querySelector('h2 > span'), run ? 'Now' : 'The last run')
     if (!of) return void hello.show(queue[0] ?? null)
-    tour = progress = null
+    tour = progress = course = null
     data.run(of.uid)
-    await Promise.allSettled([readTour(of), readShape(of), readCourse()])
+    readCourse() // That of a long run takes minutes: nothing waits for it.
+    await Promise.allSettled([readTour(of), readShape(of)])
     if (left()) return
     if (!tour) map.set(null, null, shape, !run)
     await readProgress()
@@ -200,10 +203,14 @@ export async function show(root, { query, signal, set }) {
     const chosen = state.configuration == null ? -1 : tour.steps.configuration.indexOf(Number(state.configuration))
     map.choose(chosen < 0 ? null : chosen)
   }
+  let reading = ''
   async function readCourse() {
     const of = run ?? last
-    if (!of) return
+    const key = `${of?.uid} ${run ? '' : last?.ended_at}` // The end of a run is read again at once.
+    if (!of || reading === key) return
+    reading = key
     await nightPart.show(of, { endedAt: !run && last?.ended_at ? Date.parse(last.ended_at) : null, eta_s: live.status?.run?.eta?.remaining_s ?? null })
+    if (reading === key) reading = ''
     course = nightPart.data()
   }
 

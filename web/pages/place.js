@@ -6,6 +6,7 @@ import { actOnRig, actOnRun, actor, confirm, named, outcome, runButtons } from '
 import { button, el, fill, note, pane, say, sleep } from '../lib/dom.js'
 import { age, count, counted, span } from '../lib/format.js'
 import { live, who } from '../lib/live.js'
+import { lockWords } from '../lib/lock.js'
 import { manual } from '../lib/manual.js'
 import { overlay } from '../lib/overlay.js'
 import { STAGES, drawPlacement, feltOf, isRead, kilograms, newtons, notYet, present, rest, spot, verdict } from '../lib/placing.js'
@@ -106,7 +107,7 @@ function placing(signal) {
   function draw() {
     const { placement } = state
     if (!placement || signal.aborted) return
-    const why = notYet(placement, { ...state, fresh: live.fresh }), busy = placement.stage !== 'place'
+    const why = lockWords() || notYet(placement, { ...state, fresh: live.fresh }), busy = placement.stage !== 'place'
     say(head, `Trial ${count(placement.done + 1)} of ${count(placement.of)}${state.repeats ? `, ${state.repeats} repeated` : ''}`)
     say(resting, rest(placement))
     Object.assign(bar, { max: placement.of, value: placement.done, ariaLabel: `${placement.done} of ${placement.of} trials stored` })
@@ -121,7 +122,7 @@ function placing(signal) {
     for (const one of [done, anyway, again]) one.classList.toggle('denied', !live.may('operator'))
     say(hint, !live.may('operator') ? 'You see what is asked. To confirm it you need the key of an operator.' : why
       || (busy ? 'The next placement appears by itself.' : `${STAGES.place} Keys: Enter, Space, Page Down.`))
-    again.disabled = !placement.last || busy || state.open
+    again.disabled = !placement.last || busy || state.open || Boolean(lockWords())
     again.title = placement.last ? `Withdraws trial ${placement.last.trial + 1} and asks for it again` : 'No trial of this run can be repeated yet'
     const { untouched_at: at } = placement
     say(zero, at ? `Untouched ${span(Math.floor(age(at)))} ago. Lift all weights for five seconds before you place the next.`
@@ -154,7 +155,7 @@ function placing(signal) {
 
   async function press(sure) {
     const { placement } = state
-    if (done.disabled || !placement || !live.may('operator') || notYet(placement, { ...state, fresh: live.fresh })) return
+    if (done.disabled || !placement || !live.may('operator') || lockWords() || notYet(placement, { ...state, fresh: live.fresh })) return
     state.open = true
     draw()
     try {

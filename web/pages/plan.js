@@ -10,12 +10,12 @@ import { forcesPanel } from '../lib/expected.js'
 import { capital, counted, fixed, moment, plain, span } from '../lib/format.js'
 import { endWord, isResumable } from '../lib/runwords.js'
 import { live } from '../lib/live.js'
-import { partsBar, planFacts, problemList, settingsTable } from '../lib/preflight.js'
+import { NEEDS_OPERATOR, partsBar, planFacts, problemList, settingsTable } from '../lib/preflight.js'
 import { sensor } from '../lib/skin.js'
 import { tourView } from '../lib/tour.js'
 
 const ENDED = ['ended', 'removed']
-const FIRST_STATUS_MS = 1500
+const FIRST_ANSWER_MS = 1500
 const settled = promise =>
   promise.then(
     p => ({ p }),
@@ -29,6 +29,7 @@ export async function show(root, { query, signal, go, set }) {
   let tour = null
   let view = null
   let geometry = null
+  let checked = null
   const said = outcome()
 
   async function open(query) {
@@ -62,7 +63,9 @@ export async function show(root, { query, signal, go, set }) {
   // An experiment that is not queued has a preflight; its tour is drawn when it is queued.
   async function offered(item) {
     if (!item.text) return fill(root, panel(item.name, {}, el('p', { className: 'bad' }, `The program carries no experiment ${item.name}.`), await choices()))
-    const answer = await settled(send('/preflight', { file: item.file, definition: item.text }, { signal }))
+    await first('caller', () => live.caller)
+    checked = live.may('operator')
+    const answer = checked ? await settled(send('/preflight', { file: item.file, definition: item.text }, { signal })) : {}
     if (signal.aborted) return undefined
     const add = async () => go(`/plan?run=${(await queueText(item.file, item.text)).scan_id}`)
     const queue = actor('Queue it', said, add, { className: 'main', disabled: !answer.p || answer.p.problems.length > 0 })
@@ -81,6 +84,7 @@ export async function show(root, { query, signal, go, set }) {
   }
 
   function verdict({ p, error }) {
+    if (!p && !error) return el('p', { className: 'soft' }, NEEDS_OPERATOR)
     const errors = error?.problem?.errors
     if (error)
       return el(
@@ -170,7 +174,7 @@ export async function show(root, { query, signal, go, set }) {
   }
 
   async function details(p, text, run) {
-    await firstStatus()
+    await first('status', () => live.status)
     const forces = await forcesPanel({ p, text, run, depths: tour?.depths_mm, signal })
     if (!p) return el('div', { className: 'column' }, forces)
     const rate = live.status?.rig.clock_rate ?? 1
@@ -185,14 +189,21 @@ export async function show(root, { query, signal, go, set }) {
     if (!signal.aborted) fill(root, panel('Plan', {}, words, link('/plan', 'The next run')))
   }
   const update = next => open(next).catch(failed)
+  // Another key may check what the present one may not, and the other way round.
+  const again = () => {
+    if (!state.experiment || checked == null || checked === live.may('operator')) return
+    shown = ''
+    update(state)
+  }
+  live.addEventListener('caller', again, { signal })
   await update(query)
   return { update }
 }
 
-/** Waits for the first status, shortly: limits and speed of the rig come from it. */
-const firstStatus = () =>
-  live.status ??
+/** Waits shortly for the first event of a kind: limits and speed of the rig come with the status, the role with the caller. */
+const first = (kind, known) =>
+  known() ??
   new Promise(resolve => {
-    live.addEventListener('status', resolve, { once: true })
-    setTimeout(resolve, FIRST_STATUS_MS)
+    live.addEventListener(kind, resolve, { once: true })
+    setTimeout(resolve, FIRST_ANSWER_MS)
   })

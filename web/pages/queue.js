@@ -1,7 +1,7 @@
 // Queue: what comes next, and when does it end? Runs in their order with predicted times, changed by
 // dragging or by buttons; an editor for a new run, a copy, or a change.
 
-import { get, keep } from '../lib/api.js'
+import { ask, get, keep } from '../lib/api.js'
 import { only, outcome } from '../lib/actions.js'
 import { carried, carriedTable } from '../lib/carried.js'
 import { button, el, fill, link, panel } from '../lib/dom.js'
@@ -46,10 +46,12 @@ export async function show(root, { query, signal, go }) {
       if (!item) throw new Error(`the program carries no experiment ${add}`)
       return { name: item.name, text: item.text, file: item.file }
     }
+    // The tag is read before the text: what is changed later than this text has another one.
+    const tag = edit && (await ask('/api/v1/queue', { signal })).headers.get('etag')
     const run = await get(`/runs/${encodeURIComponent(edit ?? copy)}`, {}, { signal })
     if (edit && run.state !== 'queued') throw new Error(`run ${run.scan_id} is ${plain(run.state)}: only a queued run can be edited. Copy it instead`)
     const draft = { text: run.definition, file: `${run.experiment}.toml`, sensor: run.sensor, from: run.scan_id, autoResume: run.auto_resume }
-    return edit ? { ...draft, name: `edit-${run.scan_id}`, run, notBefore: run.not_before } : { ...draft, name: `copy-${run.scan_id}` }
+    return edit ? { ...draft, name: `edit-${run.scan_id}`, run, tag, notBefore: run.not_before } : { ...draft, name: `copy-${run.scan_id}` }
   }
   let opened = null
   let closing = new AbortController()
@@ -76,7 +78,7 @@ export async function show(root, { query, signal, go }) {
         close()
         list.refresh()
       }
-      fill(edit, heading, editor({ draft, ifMatch: list.tag, ondone, onclose: close, signal: until }).node)
+      fill(edit, heading, editor({ draft, reread: () => drafted(next), ondone, onclose: close, signal: until }).node)
       edit.scrollIntoView({ block: 'start' })
     } catch (error) {
       if (!until.aborted) fill(edit, heading, el('p', { className: 'bad' }, `${capital(error.message)}.`), button('Close', close))

@@ -2,7 +2,7 @@
 // reason where one cannot be done, jog while a button is held, the check, and the pose to copy.
 
 import { once, get } from '../lib/api.js'
-import { actOnRig, actor, outcome } from '../lib/actions.js'
+import { actOnRig, actor, outcome, sureHome } from '../lib/actions.js'
 import { chain, lastWord, stopWords, stoppingWords, streamWords, wireWords } from '../lib/chain.js'
 import { copyButton } from '../lib/copybutton.js'
 import { el, facts, fill, panel, say, select } from '../lib/dom.js'
@@ -10,6 +10,7 @@ import { count, fixed, moment, plain } from '../lib/format.js'
 import { forceBars } from '../lib/forces.js'
 import { jog } from '../lib/jog.js'
 import { live, who } from '../lib/live.js'
+import { lockWords } from '../lib/lock.js'
 import { rates } from '../lib/rates.js'
 import { checkReport } from '../lib/rigcheck.js'
 import { entries } from '../lib/toml.js'
@@ -27,6 +28,7 @@ const STAGE = ['home', 'tare', 'tips', 'jog']
 function forbidden(action, { rig, run }, fresh) {
   if (!fresh) return 'No connection.'
   if (!live.may('operator')) return 'It needs the role operator.'
+  if (lockWords()) return lockWords()
   const { state } = rig, is = plain(state)
   if (rig.has_stage === false && STAGE.includes(action)) return 'This rig is a skin and its readout alone: there is no stage.'
   // A run that tripped waits for exactly these two.
@@ -59,7 +61,7 @@ export async function show(root, { query, signal, set }) {
     } })
 
   const rows = ACTIONS.map(([action, words, about]) => {
-    const why = el('span', { className: 'soft' }), one = actor(words, said, () => actOnRig(action))
+    const why = el('span', { className: 'soft' }), one = actor(words, said, () => actOnRig(action), action === 'home' ? { sure: sureHome } : {})
     return { action, about, why, one, node: el('li', {}, one, why) }
   })
   fill(acts, rows.map(row => row.node))

@@ -9,6 +9,8 @@ import { button, el, facts, fill, note, panel, say } from '../lib/dom.js'
 import { count, moment } from '../lib/format.js'
 import { keys } from '../lib/keys.js'
 import { live, who } from '../lib/live.js'
+import { mayRelease } from '../lib/lock.js'
+import { shows } from '../lib/save.js'
 
 const ROLES = { viewer: 'You may look at everything, export, and pause, stop or abort a run. Every caller may stop the rig.',
   operator: 'You may also queue, arm and start runs, move the rig, train and promote.',
@@ -32,6 +34,7 @@ export async function show(root, { query, signal, set }) {
     keyPart.classList.toggle('two', live.may('admin'))
     you.show()
     if (live.may('admin')) key.load()
+    if (live.status) lock.show(live.status.lock)
   }
   rights()
   live.addEventListener('caller', rights, { signal })
@@ -78,13 +81,14 @@ function operatorLock(signal, done) {
     done()
   }
   const take = actor('Take the lock', said, () => changed('PUT', { holder: who(), note: text.value || 'no reason given' })(),
-    { what: 'Lock', className: 'main' })
-  const free = actor('Release it', said, () => changed('DELETE', undefined, `?who=${encodeURIComponent(who())}`)(), { what: 'Release' })
+    { what: 'Lock', locks: false, className: 'main' })
+  const free = actor('Release it', said, () => changed('DELETE', undefined, `?who=${encodeURIComponent(who())}`)(), { what: 'Release', locks: false })
   const form = el('div', {}, el('label', { htmlFor: 'lock-note' }, 'Why, for the others'), text)
   const node = panel('Operator lock', { className: 'live' }, words, noted, form, el('div', { className: 'row' }, take, free), said.node,
     el('p', { className: 'soft small' }, 'It keeps others from starting, editing and moving, never from stopping. ',
       'Taken without a key it holds for every caller, its holder included, until a caller without a key or an admin releases it.'))
   return { node, show(lock) {
+    free.hidden = !lock || !mayRelease(lock)
     const now = JSON.stringify(lock ?? null)
     if (now === held) return
     held = now
@@ -93,7 +97,6 @@ function operatorLock(signal, done) {
     words.className = `big ${lock ? 'warn' : ''}`
     note(noted, lock ? `${lock.note} (since ${moment(lock.since)})` : '')
     form.hidden = take.hidden = Boolean(lock)
-    free.hidden = !lock
   } }
 }
 
@@ -107,7 +110,7 @@ function drawService(node, { service, rig, queue_length: waiting }) {
       ['Queue', count(waiting)]]),
   facts([['Data', el('code', {}, service.database)]], { className: 'facts one' }),
   el('p', {}, el('a', { href: '/docs', target: '_blank', rel: 'noopener' }, 'Description of the API'), ', with its limits at each request · ',
-    el('a', { href: '/metrics', target: '_blank', rel: 'noopener' }, 'metrics')),
+    shows('metrics', '/metrics', 'metrics.txt')),
   el('p', { className: 'soft small' }, 'A refusal always names the limit that it met.'))
 }
 

@@ -4,6 +4,7 @@ import { all, get, withQuery } from '../lib/api.js'
 import { around } from '../lib/around.js'
 import { button, el, fill, link, note, panel } from '../lib/dom.js'
 import { count, counted, fixed, moment, plain } from '../lib/format.js'
+import { shows } from '../lib/save.js'
 import { conditions, selection } from '../lib/selection.js'
 import { columnsOf, spread } from '../lib/spread.js'
 import { table } from '../lib/table.js'
@@ -231,7 +232,7 @@ export async function show(root, { query, signal, set, go }) {
       link(`/runs?run=${row.scan_id}`, `Run ${row.scan_id}`),
       link(`/trials?scan_id=${row.scan_id}&configuration=${row.configuration}&sort=trial_id`, 'The same configuration'),
       link(`/model?trial=${id}`, 'In the model'),
-      el('a', { href: `/api/v1/trials/${id}`, target: '_blank', rel: 'noopener' }, 'JSON')
+      shows('JSON', `/api/v1/trials/${id}`, `trial-${id}.json`)
     )
     const near = Promise.all([neighbour(id, false), neighbour(id, true)]).catch(() => [null, null])
     const context = await around(row, read, { signal }).catch(() => ({}))

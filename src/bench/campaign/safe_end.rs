@@ -62,9 +62,10 @@ pub async fn make_safe(
     let sampled = stage.take_last_sample();
     let bench = stage.bench.clone();
     let lateral = [&bench.x, &bench.y, &bench.radial];
-    let (mut stops, (z_stop, (tips, deepest_mm))) = futures::join!(
-        join_all(lateral.map(|axis| stop(axis.as_ref(), began))),
-        stop_and_raise(control, stage, began, height)
+    // z first: on a shared wire each stop waits for those before it.
+    let ((z_stop, (tips, deepest_mm)), mut stops) = futures::join!(
+        stop_and_raise(control, stage, began, height),
+        join_all(lateral.map(|axis| stop(axis.as_ref(), began)))
     );
     let stopped = z_stop.acknowledged_ms.map(|ms| began + Duration::from_secs_f64(ms / 1e3));
     let sample_to_stop = sampled.zip(stopped).map(|(s, to)| to.saturating_duration_since(s.at));

@@ -226,8 +226,9 @@ pub struct Bench {
 }
 
 impl Bench {
-    /// The axes in the order of a safe stop: lateral and radial, then z.
+    /// The axes in the order of a stop: z first, which presses. On a wire that they share, each waits for the
+    /// ones before it.
     pub fn axes(&self) -> [&Arc<dyn Axis>; 4] {
-        [&self.x, &self.y, &self.radial, &self.z]
+        [&self.z, &self.x, &self.y, &self.radial]
     }
 }

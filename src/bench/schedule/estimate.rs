@@ -358,8 +358,8 @@ impl<'a> Walk<'a> {
         parts.radial_s += self.wall((spread_s - lateral_s).max(0.0));
     }
 
-    /// Duration of a touch-off: the first place is searched from the top of the surface's range,
-    /// the others from just above the surface.
+    /// Duration of a touch-off: each place is approached slowly from the top of the surface's range, the first
+    /// from a clearance above it.
     fn touch_off(&mut self, places: &[Stand]) -> f64 {
         let Some(bench) = &self.bench.stage else { return 0.0 };
         let slow = Motion { speed_mm_s: bench.approach_mm_s, ..bench.z };
@@ -374,7 +374,7 @@ impl<'a> Walk<'a> {
             let converted_s = 2.0 * bench.cell_update_ms / 1e3;
             total_s += parts.total_s() + self.wall(down_s + converted_s);
             total_s += 3.0 * self.assumed.command_ms / 1e3;
-            searched_mm = bench.clearance_mm;
+            searched_mm = self.assumed.surface_at * (bottom - top);
         }
         total_s
     }

@@ -1,13 +1,11 @@
 //! Work that takes seconds: a dedicated thread with low priority for each task.
-//! Uses: std's threads, rustix. Never: a thread that is used again (its priority stays low).
+//! Uses: std's threads, `priority`. Never: a thread that is used again (its priority stays low).
 
 use tokio::sync::oneshot;
 use tracing::Span;
 
 use super::error::DatasetError;
-
-/// Nice value of the thread: a thread at 0 gets about ten times as much processor time.
-const NICE: i32 = 10;
+use crate::priority;
 
 /// Runs `work` on a new thread with low priority, in the present span, and returns its result.
 ///
@@ -20,10 +18,7 @@ pub async fn background<T: Send + 'static>(
     let span = Span::current();
     let thread = std::thread::Builder::new().name("background".into()).spawn(move || {
         let _inside = span.entered();
-        // On Linux this applies to the calling thread only. Without it the work only competes more.
-        if let Err(error) = rustix::process::nice(NICE) {
-            tracing::debug!(%error, "background work runs with normal priority");
-        }
+        priority::lower();
         // The caller may have been dropped.
         let _ = done.send(work());
     });

@@ -43,6 +43,7 @@ use super::line::{Line, Sent};
 use super::problem::ApiError;
 use super::seat::{InFlight, Seat, Seats};
 use super::work;
+use crate::priority;
 
 /// Interval of closing connections that have been idle for too long.
 const SWEEP: Duration = Duration::from_secs(1);
@@ -108,6 +109,7 @@ pub fn open(
         }
     };
     thread::Builder::new().name("door".into()).spawn(move || {
+        priority::raise();
         own.block_on(serve(listener, handlers, ending));
         own.shutdown_background();
     })

@@ -8,6 +8,7 @@ use serde_json::json;
 use tokio::time::Instant;
 
 use super::{Conductor, ConductorError, turn};
+use crate::campaign::shown::status::Status;
 use crate::campaign::spans::run_span;
 use crate::ids::RunUid;
 use crate::journal::error_chain;
@@ -33,10 +34,14 @@ impl Conductor {
                 () = self.inner.look.notified() => again = None,
                 () = due => again = None,
             }
-            let free = {
+            let (free, tripped) = {
                 let now = status.borrow_and_update();
-                now.run.is_none() && now.rig.is_ready()
+                (now.run.is_none() && now.rig.is_ready(), needs_person(&now).map(ToOwned::to_owned))
             };
+            // A person comes to the rig: it must not start by itself once it is homed again.
+            if let Some(why) = tripped {
+                self.drop_all_waiting(&why).await;
+            }
             if !free {
                 again = None;
             } else if again.is_none() {
@@ -95,6 +100,34 @@ impl Conductor {
         self.inner.look.notify_one();
     }
 
+    /// Removes all runs from those that wait, because of a trip that needs a person.
+    async fn drop_all_waiting(&self, trip: &str) {
+        // In memory first: none of them begins, whatever the store does.
+        let dropped = std::mem::take(&mut *self.waiting());
+        if dropped.is_empty() {
+            return;
+        }
+        let why = format!("the rig tripped ({trip}): start it again");
+        let stored = match self.inner.store.waiting_runs().await {
+            Ok(stored) => stored,
+            Err(error) => {
+                tracing::warn!(
+                    error = error_chain(&error),
+                    "waiting runs are dropped in memory only"
+                );
+                return;
+            }
+        };
+        for run in stored.iter().filter(|run| dropped.contains(&run.uid)) {
+            if let Err(error) = self.drop_waiting(run, &why).await {
+                tracing::warn!(
+                    error = error_chain(&error),
+                    "a waiting run is dropped in memory only"
+                );
+            }
+        }
+    }
+
     /// Removes a run from those that wait; an event reports it.
     pub(super) async fn drop_waiting(&self, run: &RunRow, why: &str) -> Result<(), ConductorError> {
         run_span(run.uid, run.scan_id)
@@ -103,5 +136,31 @@ impl Conductor {
         self.inner.store.clear_waiting(run.uid).await?;
         self.say(run, "not_begun", json!({ "why": why })).await;
         Ok(())
+    }
+}
+
+/// The trip that brings a person to the rig, if there is one: without a run any, during a run one that does not pass
+/// without a person.
+pub(super) fn needs_person(status: &Status) -> Option<&str> {
+    let trip = status.rig.trip.as_ref()?;
+    (status.run.is_none() || !trip.kind.may_pass()).then_some(trip.detail.as_str())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::campaign::bench::interlock::{Trip, TripKind};
+    use crate::campaign::shown::show;
+    use crate::rig::setup::RigSetup;
+
+    #[test]
+    fn a_trip_without_a_run_brings_a_person_to_the_rig() {
+        let rig = include_str!("../../../experiments/rigs/virtual.toml");
+        let mut status = show::closed(&RigSetup::from_toml("virtual.toml", rig).unwrap());
+        assert_eq!(needs_person(&status), None);
+        for kind in [TripKind::Wire, TripKind::Estop] {
+            status.rig.trip = Some(Trip { kind, detail: "why".into() });
+            assert_eq!(needs_person(&status), Some("why"), "{kind:?}");
+        }
     }
 }

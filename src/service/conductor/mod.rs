@@ -178,7 +178,12 @@ impl Conductor {
         startable(run)?;
         self.check_code(run, code)?;
         let is_early = !turn::is_due(run, Timestamp::now());
-        if is_early || self.inner.campaign.status().run.is_some() {
+        let status = self.inner.campaign.status();
+        if is_early || status.run.is_some() {
+            if let Some(trip) = follow::needs_person(&status) {
+                let words = format!("the rig has tripped ({trip}): reset it, then start the run");
+                return Err(ConductorError::Forbidden(words));
+            }
             let _one_at_a_time = self.inner.beginning.lock().await;
             self.require_sound_store()?;
             self.unedited(run).await?;

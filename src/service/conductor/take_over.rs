@@ -13,7 +13,7 @@ use crate::campaign::bench::rig_state::RigState;
 use crate::campaign::shown::command::{Refusal, Request};
 use crate::campaign::spans::run_span;
 use crate::journal::error_chain;
-use crate::store::RunRow;
+use crate::store::{LockRow, RunRow};
 
 /// Longest wait for homing, wall.
 const HOMING: Duration = Duration::from_secs(300);
@@ -44,6 +44,10 @@ impl Conductor {
             self.drop_waiting(run, why).await?;
         }
         let was_driven = driven.is_some();
+        let since = match &driven {
+            Some(run) => store.last_trial_at(run.uid).await?.or(run.started_at),
+            None => None,
+        };
         let first = match driven {
             Some(run) => run,
             None => match self.first_due(waiting).await? {
@@ -51,7 +55,8 @@ impl Conductor {
                 None => return Ok(()),
             },
         };
-        let outcome = self.drive_again(&first).instrument(run_span(first.uid, first.scan_id)).await;
+        let outcome =
+            self.drive_again(&first, since).instrument(run_span(first.uid, first.scan_id)).await;
         let begun = matches!(outcome, Ok(true));
         if was_driven && !begun {
             store.interrupt_open_runs(None).await?;
@@ -92,8 +97,13 @@ impl Conductor {
         }
     }
 
-    /// Drives a run again; returns `false` if the rig could not be reached.
-    async fn drive_again(&self, run: &RunRow) -> Result<bool, ConductorError> {
+    /// Drives a run again; returns `false` if the rig could not be reached. `since`: the last time at which the
+    /// run did something; nothing moves if a person has taken the operator lock after it.
+    async fn drive_again(
+        &self,
+        run: &RunRow,
+        since: Option<Timestamp>,
+    ) -> Result<bool, ConductorError> {
         // Before the wires are opened: nothing moves for a run that is refused.
         self.require_sound_store()?;
         if let Err(error) = self.prepare_stored(run).await {
@@ -103,9 +113,21 @@ impl Conductor {
         }
         let mut pause = RESTART_PAUSE;
         for attempt in 1..=RESTART_TRIES {
-            let outcome = match self.bring_up().await {
-                Ok(()) => self.begin(run).await,
-                Err(refusal) => Err(refusal.into()),
+            let lock = self.inner.store.lock().await?;
+            let present = turn::Present { now: Timestamp::now(), lock: lock.as_ref() };
+            let refusing = match (&lock, since) {
+                (Some(lock), Some(since)) => Some(lock).filter(|lock| lock.since > since),
+                (lock, _) => lock.as_ref().filter(|_| !present.lets_begin(run)),
+            };
+            let outcome = match refusing {
+                Some(LockRow { holder, note, .. }) => {
+                    let words = format!("{holder} has taken the operator lock: {note}");
+                    Err(Refusal::State(words).into())
+                }
+                None => match self.bring_up().await {
+                    Ok(()) => self.begin(run).await,
+                    Err(refusal) => Err(refusal.into()),
+                },
             };
             let Err(error) = outcome else {
                 tracing::info!(attempt, "the run is driven again");

@@ -96,6 +96,13 @@ impl Journal for Store {
         self.read_last_mounted().await.map_err(StoreError::of("the number of mounted tips"))
     }
 
+    async fn lock_since(&self, at: Timestamp) -> Result<Option<String>, JournalError> {
+        let lock = self.lock().await.map_err(StoreError::of("the operator lock"))?;
+        Ok(lock
+            .filter(|lock| lock.since > at)
+            .map(|lock| format!("{}: {}", lock.holder, lock.note)))
+    }
+
     async fn free_bytes(&self) -> Result<u64, JournalError> {
         Store::free_bytes(self).await.map_err(StoreError::of("the free space"))
     }

@@ -66,7 +66,7 @@ impl Store {
                 }
                 let row = sqlx::query(
                     "INSERT INTO operator_lock (id, holder, note, since) VALUES (1, ?1, ?2, ?3)
-                     ON CONFLICT (id) DO UPDATE SET note = ?2
+                     ON CONFLICT (id) DO UPDATE SET note = ?2, since = ?3
                      RETURNING *",
                 )
                 .bind(holder)

@@ -17,6 +17,7 @@ use tracing::{Instrument, Span};
 
 use super::error::{During, StoreError};
 use crate::journal::error_chain;
+use crate::priority;
 
 /// Length of the job queue; further callers wait until they can submit their job.
 const WAITING_JOBS: usize = 64;
@@ -67,6 +68,7 @@ impl Writer {
         std::thread::Builder::new()
             .name("store-writer".into())
             .spawn(move || {
+                priority::raise();
                 runtime.block_on(async move {
                     while !hand.closed
                         && let Some(job) = inbox.recv().await

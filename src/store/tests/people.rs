@@ -244,7 +244,8 @@ async fn the_lock_has_one_holder() {
     let error = store.set_lock("Bob", "mine").await.unwrap_err();
     assert!(matches!(&error, StoreError::LockHeld { holder, .. } if holder == "Ada"), "{error}");
     let again = store.set_lock("Ada", "still changing tips").await.unwrap();
-    assert_eq!((again.note.as_str(), again.since), ("still changing tips", first.since));
+    // Taken again, it is as new: what it holds up depends on when it was taken.
+    assert!(again.note == "still changing tips" && again.since > first.since, "{again:?}");
     assert_eq!(store.clear_lock().await.unwrap(), Some(again));
     assert_eq!(store.clear_lock().await.unwrap(), None);
     store.set_lock("Bob", "mine").await.unwrap();

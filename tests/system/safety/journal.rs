@@ -41,6 +41,8 @@ pub struct Taken {
     pub attempts: Vec<AttemptRecord>,
     /// How runs ended.
     pub ends: Vec<(ExitStatus, String)>,
+    /// When a person took the operator lock.
+    pub locked_at: Option<Timestamp>,
     mounting: Option<Mounting>,
 }
 
@@ -157,6 +159,11 @@ impl Journal for Scripted {
         taken.events.push((kind.to_owned(), data.clone(), at));
         let seq = taken.events.len() as i64;
         Ok(Event { seq, run, at, kind: kind.to_owned(), data })
+    }
+
+    async fn lock_since(&self, at: Timestamp) -> Result<Option<String>, JournalError> {
+        let locked = self.taken().locked_at;
+        Ok(locked.filter(|since| *since > at).map(|_| "ada: hands in the rig".into()))
     }
 
     async fn mounted(&self, mounting: &Mounting, _: Timestamp) -> Result<(), JournalError> {

@@ -4,5 +4,6 @@
 
 mod harness;
 mod journal;
+mod people;
 mod rows;
 mod stops;

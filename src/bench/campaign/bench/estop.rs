@@ -41,8 +41,16 @@ pub struct StopSwitch {
 #[derive(Debug, Default)]
 struct Inner {
     latch: StopLatch,
-    pressed: watch::Sender<bool>,
-    press: Mutex<Option<Press>>,
+    /// Number of the press that latched it; none while it is released.
+    latched: watch::Sender<Option<u64>>,
+    state: Mutex<State>,
+}
+
+#[derive(Debug, Default)]
+struct State {
+    press: Option<Press>,
+    /// Presses so far, also while it was latched.
+    presses: u64,
 }
 
 /// One press and the stops that it caused.
@@ -70,32 +78,38 @@ impl Press {
 }
 
 impl StopSwitch {
-    /// Latches and wakes the tasks that stop the axes. Idempotent: the first press counts.
+    /// Latches and wakes the tasks that stop the axes. While it is latched, the first press is the one that is
+    /// shown; each further one is counted, so that no reset which was requested before it releases it.
     pub fn press(&self, why: &str) {
-        let mut slot = self.press_slot();
+        let mut state = self.state();
         self.inner.latch.latch();
-        slot.get_or_insert_with(|| Press {
-            why: why.into(),
-            at: Instant::now(),
-            stops: BTreeMap::new(),
-        });
-        self.inner.pressed.send_replace(true);
+        state.presses += 1;
+        if state.press.is_none() {
+            state.press =
+                Some(Press { why: why.into(), at: Instant::now(), stops: BTreeMap::new() });
+            self.inner.latched.send_replace(Some(state.presses));
+        }
+    }
+
+    /// Presses so far.
+    pub fn presses(&self) -> u64 {
+        self.state().presses
     }
 
     /// The latched press, if any.
     pub fn pressed(&self) -> Option<Press> {
-        self.press_slot().clone()
+        self.state().press.clone()
     }
 
-    /// Releases the latch if the latched press is the one that the caller has seen, named by its
-    /// time (none: no press). Returns false and changes nothing if it has been pressed again since.
-    pub fn release(&self, seen: Option<Instant>) -> bool {
-        let mut slot = self.press_slot();
-        if slot.as_ref().map(|press| press.at) != seen {
+    /// Releases the latch if there was no press after the first `presses`, those that the caller knew of.
+    /// Otherwise returns false and changes nothing.
+    pub fn release(&self, presses: u64) -> bool {
+        let mut state = self.state();
+        if state.presses != presses {
             return false;
         }
-        *slot = None;
-        self.inner.pressed.send_replace(false);
+        state.press = None;
+        self.inner.latched.send_replace(None);
         self.inner.latch.clear();
         true
     }
@@ -108,21 +122,24 @@ impl StopSwitch {
     /// Waits for presses and stops every axis of a bench, each independently, until dropped. If the
     /// stop is already latched, it stops the bench immediately.
     pub async fn serve(self, bench: Bench) {
-        let mut pressed = self.inner.pressed.subscribe();
-        while pressed.wait_for(|latched| *latched).await.is_ok() {
+        let mut latched = self.inner.latched.subscribe();
+        let mut served = None;
+        // A release and the next press may both come before this task runs again: the number differs.
+        let is_new = |press: &Option<u64>, served| press.is_some() && *press != served;
+        while let Ok(press) =
+            latched.wait_for(|press| is_new(press, served)).await.map(|press| *press)
+        {
+            served = press;
             self.expect(&bench);
             let stops = bench.axes().map(|axis| self.stop_until_acknowledged(axis.as_ref()));
             futures::future::join_all(stops).await;
-            if pressed.wait_for(|latched| !*latched).await.is_err() {
-                return;
-            }
         }
     }
 
     /// Lists every axis as not acknowledged, so that none counts as stopped before it has
     /// acknowledged.
     fn expect(&self, bench: &Bench) {
-        if let Some(press) = self.press_slot().as_mut() {
+        if let Some(press) = self.state().press.as_mut() {
             for axis in bench.axes() {
                 let axis = axis.name();
                 let stop = AxisStop { axis: axis.into(), acknowledged_ms: None, error: None };
@@ -140,7 +157,7 @@ impl StopSwitch {
                 acknowledged_ms: outcome.is_ok().then(|| press.at.elapsed().as_secs_f64() * 1e3),
                 error: outcome.as_ref().err().map(ToString::to_string),
             };
-            if let Some(press) = self.press_slot().as_mut() {
+            if let Some(press) = self.state().press.as_mut() {
                 press.stops.insert(axis.name(), stop);
             }
             match outcome {
@@ -158,7 +175,27 @@ impl StopSwitch {
         }
     }
 
-    fn press_slot(&self) -> MutexGuard<'_, Option<Press>> {
-        self.inner.press.lock()
+    fn state(&self) -> MutexGuard<'_, State> {
+        self.inner.state.lock()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_press_outlasts_every_reset_that_was_requested_before_it() {
+        let stop = StopSwitch::default();
+        stop.press("first");
+        let requested = stop.presses();
+        stop.press("second");
+        assert!(!stop.release(requested));
+        assert_eq!(stop.pressed().unwrap().why, "first");
+        assert!(stop.release(stop.presses()) && stop.pressed().is_none());
+        // Also of a reset that was decided while it was not pressed.
+        let decided = stop.presses();
+        stop.press("third");
+        assert!(!stop.release(decided) && stop.pressed().is_some());
     }
 }

@@ -145,14 +145,16 @@ impl Stage {
         Driven { axis: axis.as_ref(), tolerance, speed, acceleration }
     }
 
-    /// Height at which lateral motion is allowed, machine mm. Until the surface is known, it is
-    /// derived from the upper end of the search window.
+    /// Height at which lateral motion is allowed, machine mm: above the median surface for the longest tip, and
+    /// above the highest touch. Until the surface is known, it is derived from the upper end of the search
+    /// window.
     pub fn clear_z_mm(&self) -> f64 {
         let place = &self.config.skin;
         match &self.surface {
             Some(found) => {
                 let longest = found.tip_offset_mm.iter().map(|t| t.1).fold(0.0, f64::min);
-                (found.surface_z_mm + longest - place.clearance_mm)
+                let highest = found.touches.iter().map(|t| t.3).fold(f64::INFINITY, f64::min);
+                (highest.min(found.surface_z_mm + longest) - place.clearance_mm)
                     .max(self.config.axes.z.travel_mm[0])
             }
             None => place.surface_z_mm[0] - place.clearance_mm,

@@ -129,7 +129,9 @@ async fn touch(
     let tips = usize::from(stage.tips);
     let z = stage.config.axes.z.clone();
     if let Some(first) = known_mm {
-        let near = (first - 2.0 * BACK_OFF_MM).max(z.travel_mm[0]);
+        // At travelling speed only where no surface can be: this place may be higher than the others.
+        let [top_mm, _] = stage.config.skin.surface_z_mm;
+        let near = (first - 2.0 * BACK_OFF_MM).min(top_mm).max(z.travel_mm[0]);
         stage.weighed_travel(control, Target::of(AxisName::Z, near)).await?;
     }
     let coarse = stage.stopping.press_speed_mm_s(&stage.config, stage.tips);

@@ -12,7 +12,7 @@ use crate::campaign::bench::stage::{AxisName, GRACE, Stage};
 use crate::campaign::run::control::Control;
 use crate::campaign::run::halt::Halt;
 use crate::record::{ARMS, Pose};
-use crate::rig::traits::{AxisStatus, CellVolts};
+use crate::rig::traits::{Axis, AxisStatus, CellVolts};
 use crate::schedule::configuration::Stand;
 
 /// Longest homing of one axis, process s.
@@ -190,7 +190,9 @@ impl Stage {
         for target in targets {
             let driven = self.driven(target.axis);
             let speed = target.speed.unwrap_or(driven.speed);
-            let from = driven.axis.status().await?.position;
+            let status = driven.axis.status().await?;
+            require_zero(driven.axis, &status)?;
+            let from = status.position;
             let takes_s =
                 (target.position - from).abs() / speed + 2.0 * speed / driven.acceleration;
             longest_s = longest_s.max(takes_s);
@@ -247,6 +249,7 @@ impl Stage {
 
     async fn require_clear(&self) -> Result<(), Halt> {
         let z = self.bench.z.status().await?;
+        require_zero(self.bench.z.as_ref(), &z)?;
         let tolerance = self.driven(AxisName::Z).tolerance;
         let clear = self.clear_z_mm();
         if z.moving || z.position > clear + tolerance {
@@ -330,4 +333,14 @@ impl Stage {
             self.poll_pause().await;
         }
     }
+}
+
+/// A drive that restarted may have lost its zero: its positions, and the targets of its motions, would be wrong.
+fn require_zero(axis: &dyn Axis, status: &AxisStatus) -> Result<(), Halt> {
+    if status.homed {
+        return Ok(());
+    }
+    let detail =
+        format!("{} is not homed any more: it has restarted, or lost its zero", axis.name());
+    Err(Halt::trip(TripKind::Position, detail))
 }

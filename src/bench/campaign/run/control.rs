@@ -245,7 +245,7 @@ impl Control {
         if let Some(press) = self.estop.pressed() {
             return Err(Halt::trip(TripKind::Estop, press.why));
         }
-        while let Ok(envelope) = self.inbox.requests.try_recv() {
+        while let Some(envelope) = self.inbox.pending() {
             let action = self.take_up_while_moving(envelope);
             if action == Some(RunAction::Raise) || self.leaving {
                 return Err(Halt::Asked);
@@ -272,7 +272,7 @@ impl Control {
     }
 
     fn take_up_while_moving(&mut self, envelope: Envelope) -> Option<RunAction> {
-        let Envelope { request, answer, asked_in: _ } = envelope;
+        let Envelope { request, answer, .. } = envelope;
         let idle = self.run == RunState::Idle;
         let outcome = match self.run_request(&request) {
             // Homing or jogging outside a run also ends when the service ends.

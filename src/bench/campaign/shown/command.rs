@@ -106,6 +106,35 @@ pub struct Envelope {
     pub answer: oneshot::Sender<Result<(), Refusal>>,
     /// Span in which it was made, for the log.
     pub asked_in: Span,
+    /// Presses of the e-stop when it was made.
+    pub presses: u64,
+}
+
+impl Envelope {
+    /// Whether nobody waits for the answer any more to a request that would move the rig or permit it: the
+    /// caller was told that it failed. What stops or ends is carried out in any case.
+    fn is_abandoned(&self) -> bool {
+        self.answer.is_closed()
+            && match self.request {
+                Request::Connect
+                | Request::Home
+                | Request::Jog { .. }
+                | Request::Reset
+                | Request::Start(_)
+                | Request::Resume
+                | Request::Confirm { .. } => true,
+                Request::Disconnect
+                | Request::Tare
+                | Request::Mounted { .. }
+                | Request::PauseAtCheckpoint
+                | Request::PauseNow
+                | Request::Suspend(_)
+                | Request::Stop
+                | Request::Abort
+                | Request::Repeat { .. }
+                | Request::Shutdown => false,
+            }
+    }
 }
 
 /// Access of the rest of the service to the campaign.
@@ -149,6 +178,28 @@ pub fn channel(estop: StopSwitch, status: Status) -> (Handle, Inbox) {
     (handle, inbox)
 }
 
+impl Inbox {
+    /// Waits for the next request that somebody waits for; `None` once every handle is dropped.
+    pub async fn next(&mut self) -> Option<Envelope> {
+        loop {
+            let envelope = self.requests.recv().await?;
+            if !envelope.is_abandoned() {
+                return Some(envelope);
+            }
+        }
+    }
+
+    /// The next request that has already arrived and that somebody waits for.
+    pub fn pending(&mut self) -> Option<Envelope> {
+        while let Ok(envelope) = self.requests.try_recv() {
+            if !envelope.is_abandoned() {
+                return Some(envelope);
+            }
+        }
+        None
+    }
+}
+
 impl Handle {
     /// Sends a request and waits until it is accepted or refused.
     ///
@@ -158,7 +209,8 @@ impl Handle {
     pub async fn ask(&self, request: Request) -> Result<(), Refusal> {
         let (answer, answered) = oneshot::channel();
         let asked_in = Span::current();
-        let sent = self.requests.try_send(Envelope { request, answer, asked_in });
+        let presses = self.estop.presses();
+        let sent = self.requests.try_send(Envelope { request, answer, asked_in, presses });
         sent.map_err(|_| Refusal::Gone)?;
         match tokio::time::timeout(TAKE_UP, answered).await {
             Ok(Ok(answer)) => answer,
@@ -199,5 +251,30 @@ impl Handle {
     /// Returns the frames of the untouched skin that were taken last; none before the first.
     pub fn untouched(&self) -> Option<Arc<Untouched>> {
         self.untouched.borrow().clone()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::campaign::shown::show;
+    use crate::rig::setup::RigSetup;
+
+    #[tokio::test]
+    async fn a_motion_that_nobody_waits_for_is_dropped_and_a_stop_is_not() {
+        let rig = include_str!("../../../../experiments/rigs/virtual.toml");
+        let setup = RigSetup::from_toml("virtual.toml", rig).unwrap();
+        let (handle, mut inbox) = channel(StopSwitch::default(), show::closed(&setup));
+        for request in [Request::Home, Request::Stop, Request::Resume, Request::Abort] {
+            let asked = tokio::time::timeout(Duration::from_millis(1), handle.ask(request));
+            assert!(asked.await.is_err(), "nobody answers");
+        }
+        let waiting = tokio::spawn(async move { handle.ask(Request::Reset).await });
+        tokio::task::yield_now().await;
+        let taken: Vec<Envelope> = std::iter::from_fn(|| inbox.pending()).collect();
+        let requests: Vec<&Request> = taken.iter().map(|envelope| &envelope.request).collect();
+        assert!(matches!(requests[..], [Request::Stop, Request::Abort, Request::Reset]));
+        drop(taken);
+        assert!(waiting.await.unwrap().is_err());
     }
 }

@@ -51,6 +51,10 @@ impl Pressing<'_> {
         c: &PlannedConfiguration,
         pending: &[u32],
     ) -> Result<u32, Halt> {
+        // What fails before the first press is of this configuration, not of the one before.
+        let first =
+            pending.first().map(|&depth_index| TrialKey { configuration: c.index, depth_index });
+        control.show_run(|run| run.trial = first);
         self.prepare(stage, control, &c.stand, c.index).await?;
         let mut stored = 0;
         let mut before: Option<Held> = None;

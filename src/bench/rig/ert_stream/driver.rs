@@ -19,6 +19,7 @@ use tokio::time::{Instant, timeout, timeout_at};
 use super::codec::{Decoder, Event, RawFrame};
 use super::timing::DeviceTiming;
 use crate::clock::Clock;
+use crate::priority;
 use crate::rig::config::{ErtConfig, Parity};
 use crate::rig::error::RigError;
 use crate::rig::link::{Opener, Port, SerialSettings, serial_opener, tcp_stream_opener};
@@ -216,6 +217,7 @@ fn start(reader: Reader) -> Result<JoinHandle<()>, RigError> {
         tokio::runtime::Builder::new_current_thread().enable_all().build().map_err(failed)?;
     let shared = Arc::clone(&reader.shared);
     let run = move || {
+        priority::raise();
         runtime.block_on(async {
             tokio::select! {
                 () = reader.run() => {}

@@ -16,7 +16,7 @@ use crate::campaign::bench::travel::Target;
 use crate::campaign::diary::Note;
 use crate::campaign::run::control::{Control, name};
 use crate::campaign::run::halt::Halt;
-use crate::campaign::safe_end::Height;
+use crate::campaign::safe_end::{Height, raise_as_planned};
 use crate::campaign::shown::command::{Envelope, Refusal, Request};
 use crate::campaign::shown::show;
 use crate::clock::Clock;
@@ -34,7 +34,7 @@ const TARE_SAMPLES: u32 = 4;
 impl Engine {
     /// Accepts a request that concerns only the rig.
     pub(super) async fn rig_request(&mut self, envelope: Envelope) {
-        let Envelope { request, answer, asked_in: _ } = envelope;
+        let Envelope { request, answer, asked_in: _, presses } = envelope;
         if let Err(refusal) = self.allowed(&request) {
             let _ = answer.send(Err(refusal));
             return;
@@ -43,7 +43,7 @@ impl Engine {
         let outcome = match request {
             Request::Connect => self.connect().await,
             Request::Disconnect => self.disconnect(),
-            Request::Reset => self.reset().await,
+            Request::Reset => self.reset(presses).await,
             Request::Home => match self.control.rig_event(RigEvent::Homing) {
                 Ok(()) => {
                     let _ = answer.send(Ok(()));
@@ -213,25 +213,25 @@ impl Engine {
         self.connection.as_ref()?.stage.as_ref()
     }
 
-    fn stage_mut(&mut self) -> Result<&mut Stage, Refusal> {
+    pub(super) fn stage_mut(&mut self) -> Result<&mut Stage, Refusal> {
         let connection = self.connection.as_mut().ok_or_else(no_wires)?;
         connection.stage.as_mut().ok_or_else(no_stage)
     }
 
     /// Resets a trip: every axis must reply, alarms are cleared, drives are prepared again, and the
-    /// stop is released last.
+    /// stop is released last. `presses`: presses of the stop when the reset was requested or decided; a later
+    /// one holds.
     ///
     /// # Errors
     /// A stop is not acknowledged, a device does not follow, or the stop was pressed again. The rig
     /// then stays tripped.
-    pub(super) async fn reset(&mut self) -> Result<(), Refusal> {
+    pub(super) async fn reset(&mut self, presses: u64) -> Result<(), Refusal> {
         if let Some(axis) = self.not_acknowledged() {
             return Err(Refusal::State(format!("not reset: {axis}")));
         }
         let connection = self.connection.as_ref().ok_or_else(no_wires)?;
         let bench = connection.stage.as_ref().map(|stage| stage.bench.clone());
         let fail = |e: RigError| Refusal::State(format!("not reset: {e}"));
-        let press = self.control.estop.pressed().map(|press| press.at);
         if let Some(bench) = bench {
             for axis in bench.axes() {
                 axis.status().await.map_err(fail)?;
@@ -242,7 +242,7 @@ impl Engine {
             }
             bench.cells.prepare().await.map_err(fail)?;
         }
-        if !self.control.estop.release(press) {
+        if !self.control.estop.release(presses) {
             return Err(Refusal::State("not reset: the stop was pressed again".into()));
         }
         self.prepared_setting = None;
@@ -275,6 +275,10 @@ impl Engine {
             Box::pin(async move {
                 let volts = stage.bench.cells.read().await?.volts;
                 stage.tips = assumed.unwrap_or_else(|| leading_live(stage, &volts));
+                if target.axis != AxisName::Z {
+                    // The clearance may have grown since: other tips, or an unknown surface.
+                    raise_as_planned(control, stage).await?;
+                }
                 stage.begin_watch();
                 stage.weighed_travel(control, target).await
             })
@@ -366,9 +370,11 @@ impl Engine {
         self.control.diary.note(Note::Mounted(mounting.clone()));
         self.control.say("tips", json!({ "tips": tips, "live_cells": live_cells, "who": who }));
         self.control.show(|status| status.rig.tips = Some(tips));
-        self.stage_mut()?.tips = tips;
+        let stage = self.stage_mut()?;
+        stage.tips = tips;
+        // The result of the touch-off may no longer be valid, nor the clearance that follows from it.
+        stage.surface = None;
         self.mounting = Some((mounting, true));
-        // The result of the touch-off may no longer be valid.
         self.prepared_setting = None;
         Ok(())
     }

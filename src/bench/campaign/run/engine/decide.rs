@@ -153,10 +153,11 @@ impl Engine {
             self.control.diary.note(Note::Skip(job.run, configuration, reason.clone()));
             let data = json!({ "configuration": configuration, "reason": reason });
             self.control.say("skipped", data);
-            attempts.skipped += 1;
         }
+        // A touch-off or a reference press cannot be skipped: it is tried again, as often.
+        attempts.skipped += 1;
         attempts.of_configuration = 1;
-        if configuration.is_none() || attempts.skipped > job.plan.policy.max_skipped {
+        if attempts.skipped > job.plan.policy.max_skipped {
             let _ = self.control.run_event(RunEvent::Ended);
             let words = format!("gave up after {} skipped: {reason}", attempts.skipped);
             return Next::End(ExitStatus::Fail, words);

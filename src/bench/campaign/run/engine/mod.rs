@@ -35,6 +35,7 @@ use crate::campaign::shown::show;
 use crate::campaign::spans::run_span;
 use crate::clock::Clock;
 use crate::journal::{ExitStatus, Journal, Mounting, error_chain};
+use crate::priority;
 use crate::rig::link::Line;
 use crate::rig::setup::RigSetup;
 use crate::rig::traits::SkinReader;
@@ -68,6 +69,7 @@ pub fn spawn(
     let (handle, inbox) = channel(estop.clone(), show::closed(&config));
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     let thread = std::thread::Builder::new().name("campaign".into()).spawn(move || {
+        priority::raise();
         runtime.block_on(async {
             let (diary, writing) = Diary::open(journal.clone());
             let control = Control::new(inbox, estop, diary, journal);
@@ -118,6 +120,8 @@ struct Engine {
     empty_skin: EmptySkin,
     /// Parts of the last safe end that are not complete.
     owed: Owed,
+    /// Wall time at which the driven run halted last.
+    halted_at: jiff::Timestamp,
     /// Span of the driven run, for the log; none outside a run.
     driven: Span,
 }
@@ -162,6 +166,7 @@ impl Engine {
             mounting: None,
             empty_skin: EmptySkin::default(),
             owed: Owed::Nothing,
+            halted_at: jiff::Timestamp::now(),
             driven: Span::none(),
         }
     }
@@ -188,13 +193,13 @@ impl Engine {
         tick.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Skip);
         while !self.control.leaving() {
             tokio::select! {
-                envelope = self.control.inbox.requests.recv() => match envelope {
+                envelope = self.control.inbox.next() => match envelope {
                     None => return,
                     Some(Envelope { request: Request::Shutdown, answer, .. }) => {
                         let _ = answer.send(Ok(()));
                         return;
                     }
-                    Some(Envelope { request: Request::Start(job), answer, asked_in }) => {
+                    Some(Envelope { request: Request::Start(job), answer, asked_in, .. }) => {
                         asked_in.in_scope(|| {
                             let (run, scan_id) = (job.run, job.scan_id);
                             tracing::info!(%run, scan_id, "the start of a run is requested");

@@ -39,29 +39,45 @@ impl Engine {
     /// No wires are open, a device does not reply, no press is slow enough for the margin, or the
     /// state does not allow arming.
     pub(super) async fn arm(&mut self, job: &Job) -> Result<(), Refusal> {
-        let connection = self.connection.as_mut().ok_or_else(no_wires)?;
+        if self.connection.is_none() {
+            return Err(no_wires());
+        }
         if job.plan.kind == Kind::RealHex {
-            let stage = connection.stage.as_mut().ok_or_else(no_stage)?;
-            if self.control.rig() == RigState::Homed {
-                let timed = stage.time_polls().await;
-                timed.map_err(|halt| Refusal::State(trip_of(&halt).detail))?;
-            }
+            let stage = self.stage_mut()?;
             stage.stopping.begin();
-            let distance = stage.stopping.distance(&stage.config, job.plan.most_tips());
-            let distance = distance.map_err(Refusal::Value)?;
-            self.control.rig_event(RigEvent::Arm)?;
-            let (rig, run) = (&stage.config.limits, &job.plan.limits);
-            stage.limits = ForceLimits {
-                each_n: rig.force_n.min(run.force_n),
-                sum_n: rig.force_sum_n.min(run.force_sum_n),
-                below_n: rig.tare_drift_n,
-            };
             stage.silent = SilentArms::default();
-            self.control.show(|status| status.rig.stopping = Some(distance));
+            self.arm_stage(job).await?;
         }
         self.prepared_setting = None;
         self.control.show(|status| status.run = Some(show::started(job)));
         self.control.begin(job.run)
+    }
+
+    /// Arms a homed rig with the force limits of a run and the measured pace of the wires; also for its resume,
+    /// since the wires may have been opened again meanwhile.
+    ///
+    /// # Errors
+    /// As `arm`.
+    pub(super) async fn arm_stage(&mut self, job: &Job) -> Result<(), Refusal> {
+        let connection = self.connection.as_mut().ok_or_else(no_wires)?;
+        let stage = connection.stage.as_mut().ok_or_else(no_stage)?;
+        if self.control.rig() == RigState::Homed {
+            let timed = stage.time_polls().await;
+            timed.map_err(|halt| Refusal::State(trip_of(&halt).detail))?;
+        }
+        let distance = stage.stopping.distance(&stage.config, job.plan.most_tips());
+        let distance = distance.map_err(Refusal::Value)?;
+        if self.control.rig() != RigState::Armed {
+            self.control.rig_event(RigEvent::Arm)?;
+        }
+        let (rig, run) = (&stage.config.limits, &job.plan.limits);
+        stage.limits = ForceLimits {
+            each_n: rig.force_n.min(run.force_n),
+            sum_n: rig.force_sum_n.min(run.force_sum_n),
+            below_n: rig.tare_drift_n,
+        };
+        self.control.show(|status| status.rig.stopping = Some(distance));
+        Ok(())
     }
 
     pub(super) async fn run(&mut self, job: &Job) {
@@ -116,6 +132,7 @@ impl Engine {
                 }
                 Err(halt) => halt,
             };
+            self.halted_at = jiff::Timestamp::now();
             match self.decide(job, halt, &mut attempts, &mut auto_resumes).await {
                 Next::Again => {}
                 Next::Leave => return None,
@@ -221,6 +238,7 @@ impl Engine {
                     return Ok(0);
                 }
                 control.phase(Phase::TouchOff);
+                control.show_run(|run| run.trial = None);
                 let samples = job.plan.measure.tare_samples;
                 let at = stage.clock.timestamp();
                 let found = touch_off::touch_off(stage, control, places, samples, at).await?;
@@ -231,6 +249,7 @@ impl Engine {
                 Ok(0)
             }
             Step::Reference(press) => {
+                control.show_run(|run| run.trial = None);
                 pressing.reference(stage, control, press).await?;
                 control.phase(Phase::Raise);
                 raise_as_planned(control, stage).await?;

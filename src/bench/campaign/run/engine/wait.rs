@@ -1,12 +1,14 @@
 //! A run that waits: for a person, or for the policy's automatic resume.
 //! Uses: `campaign::run::control`. Never: pressing.
 
+use std::time::Duration;
+
 use serde_json::json;
 use tokio::time::Instant;
 
 use super::skin::next_window;
 use super::{Attempts, Engine, IDLE_TICK, Last, Next, Owed, Waited, backoff};
-use crate::campaign::bench::rig_state::{RigEvent, RigState};
+use crate::campaign::bench::rig_state::RigState;
 use crate::campaign::diary::Note;
 use crate::campaign::run::control::name;
 use crate::campaign::run::job::Job;
@@ -17,6 +19,9 @@ use crate::campaign::shown::status::{Done, Phase, Wanted};
 use crate::ids::TrialKey;
 use crate::journal::error_chain;
 use crate::schedule::plan::Kind;
+
+/// Longest wait for the store before an automatic resume; meanwhile no request is read.
+const LOCK_LIMIT: Duration = Duration::from_secs(1);
 
 /// How an automatic resume ended.
 enum Recovery {
@@ -41,6 +46,10 @@ impl Engine {
         if self.control.leaving() {
             return Next::Leave;
         }
+        let waits_for = {
+            let status = self.control.inbox.status.borrow();
+            status.run.as_ref().and_then(|run| run.waiting_for.clone())
+        };
         let mut try_at = passing.as_deref().map(|n| Instant::now() + backoff(job, *n));
         let mut failures = 0;
         let mut tick = tokio::time::interval(IDLE_TICK);
@@ -48,7 +57,7 @@ impl Engine {
         let mut window = Box::pin(next_window(self.watched_skin()));
         loop {
             let waited = tokio::select! {
-                envelope = self.control.inbox.requests.recv() => match envelope {
+                envelope = self.control.inbox.next() => match envelope {
                     Some(envelope) => {
                         // The request may close the wires: no window keeps them.
                         window.set(next_window(None));
@@ -64,18 +73,28 @@ impl Engine {
                     None
                 }
                 _ = tick.tick() => {
+                    // A press from here on outlasts an automatic resume.
+                    let presses = self.control.estop.presses();
                     self.look().await;
                     let ended = self.raise_when_possible(job).await;
                     if ended.is_some() {
                         ended
                     } else if self.control.estop.pressed().is_some() {
                         // A person has stopped the rig: nothing resumes automatically any more.
-                        try_at = None;
+                        if try_at.take().is_some() {
+                            self.control.show_run(|run| run.waiting_for = waits_for.clone());
+                        }
                         None
                     } else if try_at.is_some_and(|at| Instant::now() >= at)
                         && matches!(self.control.run(), RunState::Paused(PausedWhy::Trip))
                     {
-                        let recovery = self.recover(job).await;
+                        let lock = self.taken_lock().await;
+                        let shown = lock.clone().or_else(|| waits_for.clone());
+                        self.control.show_run(|run| run.waiting_for = shown);
+                        let recovery = match lock {
+                            Some(_) => Recovery::NotYet,
+                            None => self.recover(job, presses).await,
+                        };
                         failures += 1;
                         let resumes = passing.as_deref_mut().map_or(0, |n| {
                             *n += u32::from(matches!(recovery, Recovery::Failed));
@@ -107,7 +126,10 @@ impl Engine {
                         self.control.say("placed", confirmation.event(trial));
                         attempts.confirmed = Some((trial, confirmation));
                     }
-                    let _ = self.control.run_event(RunEvent::Resume);
+                    // With a stage the handler of the request has resumed it.
+                    if job.plan.kind == Kind::RealRandom {
+                        let _ = self.control.run_event(RunEvent::Resume);
+                    }
                     return Next::Again;
                 }
                 Some(Waited::Repeat) => {
@@ -148,9 +170,21 @@ impl Engine {
         }
     }
 
+    /// Why nothing may move automatically: a person has taken the operator lock since the run halted, for example
+    /// with hands in the rig, or the store does not answer.
+    async fn taken_lock(&self) -> Option<String> {
+        let journal = self.control.journal.clone();
+        match tokio::time::timeout(LOCK_LIMIT, journal.lock_since(self.halted_at)).await {
+            Ok(Ok(lock)) => lock.map(|who| format!("release of the operator lock ({who})")),
+            Ok(Err(error)) => Some(format!("the store: {}", error_chain(&error))),
+            Err(_late) => Some("the store, which does not answer".into()),
+        }
+    }
+
     /// Automatic resume after a trip that may pass: checks, resets, homes, arms and resumes.
     /// In a manual run nothing moves: a person's hands may be on the skin.
-    async fn recover(&mut self, job: &Job) -> Recovery {
+    /// `presses`: presses of the e-stop when it was decided; a later one is not cleared.
+    async fn recover(&mut self, job: &Job, presses: u64) -> Recovery {
         self.control.say("recovering", json!({}));
         let Some(connection) = self.connection.as_ref() else { return Recovery::NotYet };
         if let Some(stage) = &connection.stage
@@ -163,11 +197,13 @@ impl Engine {
         }
         if job.plan.kind == Kind::RealRandom {
             let tripped = self.control.rig() == RigState::Tripped;
-            let reset = !tripped || self.reset().await.is_ok();
+            let reset = !tripped || self.reset(presses).await.is_ok();
             let resumed = reset && self.control.run_event(RunEvent::Resume).is_ok();
             return if resumed { Recovery::Done } else { Recovery::Failed };
         }
-        let resumed = self.reset().await.is_ok() && self.home().await && self.resume().is_ok();
+        let resumed = self.reset(presses).await.is_ok()
+            && self.home().await
+            && self.resume(job).await.is_ok();
         if resumed { Recovery::Done } else { Recovery::Failed }
     }
 
@@ -176,16 +212,24 @@ impl Engine {
         self.control.inbox.status.borrow().rig.trip.as_ref().is_none_or(|t| t.kind.may_pass())
     }
 
-    /// Arms again if a reset has disarmed the rig, and resumes the run.
-    fn resume(&mut self) -> Result<(), Refusal> {
-        match self.control.rig() {
-            RigState::Homed => self.control.rig_event(RigEvent::Arm)?,
-            RigState::Armed => {}
-            RigState::Disconnected | RigState::Disarmed | RigState::Tripped => {
-                let rig = self.control.rig().as_str();
+    /// Whether the run may move the rig. A manual run moves nothing.
+    fn may_move(&self, job: &Job) -> Result<(), Refusal> {
+        let rig = self.control.rig();
+        match (job.plan.kind, rig) {
+            (Kind::RealRandom, _) | (Kind::RealHex, RigState::Homed | RigState::Armed) => Ok(()),
+            (Kind::RealHex, RigState::Disconnected | RigState::Disarmed | RigState::Tripped) => {
+                let rig = rig.as_str();
                 let words = format!("resume is not possible while the rig is {rig}: reset, home");
-                return Err(Refusal::State(words));
+                Err(Refusal::State(words))
             }
+        }
+    }
+
+    /// Resumes the run; arms again if a reset has disarmed the rig.
+    async fn resume(&mut self, job: &Job) -> Result<(), Refusal> {
+        self.may_move(job)?;
+        if job.plan.kind == Kind::RealHex {
+            self.arm_stage(job).await?;
         }
         self.control.run_event(RunEvent::Resume).map(|_| ())
     }
@@ -206,19 +250,16 @@ impl Engine {
     ) -> Option<Waited> {
         let why = self.control.run().why();
         let needs_person = matches!(why, Some(PausedWhy::TipChange | PausedWhy::ManualTrial));
-        let Envelope { request, answer, asked_in } = envelope;
+        let Envelope { request, answer, asked_in, presses } = envelope;
         match request {
             Request::Resume if !needs_person => {
-                let resumed = match job.plan.kind {
-                    Kind::RealHex => self.resume(),
-                    Kind::RealRandom => self.control.run_event(RunEvent::Resume).map(|_| ()),
-                };
+                let resumed = self.resume(job).await;
                 let waited = resumed.is_ok().then_some(Waited::Resume);
                 let _ = answer.send(resumed);
                 waited
             }
             Request::Confirm { done, confirmation } if needs_person => {
-                let checked = self.check_confirmed(&confirmation.who, done).await;
+                let checked = self.confirmed(job, &confirmation.who, done).await;
                 let waited = checked.is_ok().then_some(Waited::Confirmed(confirmation));
                 let _ = answer.send(checked);
                 waited
@@ -257,7 +298,7 @@ impl Engine {
             // A person has reset a panicked run: it waits as after any trip.
             Request::Reset if self.control.run() == RunState::Panicked => {
                 let reset = match self.control.rig() {
-                    RigState::Tripped => self.reset().await,
+                    RigState::Tripped => self.reset(presses).await,
                     _ => Ok(()),
                 };
                 if reset.is_ok() {
@@ -302,9 +343,19 @@ impl Engine {
             | Request::Tare
             | Request::Mounted { .. }
             | Request::Reset => {
-                self.rig_request(Envelope { request, answer, asked_in }).await;
+                self.rig_request(Envelope { request, answer, asked_in, presses }).await;
                 None
             }
+        }
+    }
+
+    /// Accepts a confirmation, and resumes a run with a stage: only a rig that may move.
+    async fn confirmed(&mut self, job: &Job, who: &str, done: Done) -> Result<(), Refusal> {
+        self.may_move(job)?;
+        self.check_confirmed(who, done).await?;
+        match job.plan.kind {
+            Kind::RealHex => self.resume(job).await,
+            Kind::RealRandom => Ok(()),
         }
     }
 
