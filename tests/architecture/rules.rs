@@ -38,7 +38,7 @@ pub const STUDIES: [&str; 12] = [
 ];
 
 /// What everything may use and what uses nothing but each other.
-pub const VOCABULARY: [&str; 19] = [
+pub const VOCABULARY: [&str; 20] = [
     "carried",
     "chance",
     "clock",
@@ -51,6 +51,7 @@ pub const VOCABULARY: [&str; 19] = [
     "near",
     "new_file",
     "plain",
+    "priority",
     "problem",
     "program",
     "query_lines",
