@@ -11,23 +11,26 @@ use tokio::time::timeout;
 
 use super::datasets::filled::Filled;
 
-/// Most that may be taken of a body or message that is refused, bytes: what the kernel buffers of it
-/// (`tcp_rmem` and `tcp_wmem` reach 32 + 4 MiB; 20 MiB were seen), less than the shortest message here.
-const TAKEN_MAX: usize = 48 << 20;
+/// Length of the bodies and messages that are refused, bytes.
+const LENGTH: usize = 1 << 30;
+
+/// Most that may be taken of one of them, bytes: several times what the kernels of both ends buffer
+/// (`tcp_rmem` and `tcp_wmem`, tens of MiB) before a connection that is no longer read is closed.
+const TAKEN_MAX: usize = LENGTH / 4;
 
 /// Sends a head, then `a` until the service closes the connection: the number of bytes that it took, and
 /// the start of its answer.
-async fn flooded(lab: &Filled, head: &[u8], length: usize) -> (usize, String) {
+async fn flooded(lab: &Filled, head: &[u8]) -> (usize, String) {
     let address = lab.url("");
     let mut wire = TcpStream::connect(address.trim_start_matches("http://")).await.unwrap();
     wire.write_all(head).await.unwrap();
     let (piece, mut taken) = (vec![b'a'; 1 << 16], 0);
     let flood = async {
-        while taken < length && wire.write_all(&piece).await.is_ok() {
+        while taken < LENGTH && wire.write_all(&piece).await.is_ok() {
             taken += piece.len();
         }
     };
-    timeout(Duration::from_secs(30), flood).await.expect("the connection is closed");
+    timeout(Duration::from_secs(120), flood).await.expect("the connection is closed");
     let mut answer = [0; 200];
     let read = wire.read(&mut answer).await.unwrap_or_default();
     (taken, String::from_utf8_lossy(&answer[..read]).into())
@@ -69,24 +72,23 @@ async fn what_is_refused_is_not_taken_whole() {
         let head = format!("--XX\r\nContent-Disposition: form-data; name=\"{part}\"\r\n\r\n");
         let head = format!(
             "POST /api/v1/imports HTTP/1.1\r\nhost: localhost\r\ncontent-type: \
-             multipart/form-data; boundary=XX\r\ncontent-length: {}\r\n\r\n{head}",
-            1 << 30
+             multipart/form-data; boundary=XX\r\ncontent-length: {LENGTH}\r\n\r\n{head}"
         );
-        let (taken, answer) = flooded(&lab, head.as_bytes(), 1 << 30).await;
+        let (taken, answer) = flooded(&lab, head.as_bytes()).await;
         assert!(taken < TAKEN_MAX, "{part}: {taken}");
         assert!(answer.is_empty() || answer.starts_with("HTTP/1.1 413"), "{part}: {answer}");
     }
-    // A WebSocket that announces a message of 60 MB.
+    // A WebSocket that announces a message as long.
     let mut head = Vec::from(
         b"GET /api/v1/frames/live HTTP/1.1\r\nhost: localhost\r\nupgrade: websocket\r\n\
          connection: upgrade\r\nsec-websocket-version: 13\r\n\
          sec-websocket-key: dGhlIHNhbXBsZSBub25jZQ==\r\n\r\n",
     );
     // A part of a text, masked with zeros; the service refuses one without a mask for that alone.
-    let length: u64 = 60 << 20;
+    let length = LENGTH as u64;
     head.extend([0x01, 0xff].into_iter().chain(length.to_be_bytes()).chain([0; 4]));
-    let (taken, _) = flooded(&lab, &head, 60 << 20).await;
-    assert!(taken < TAKEN_MAX, "{taken}");
+    let (taken, _) = flooded(&lab, &head).await;
+    assert!(taken < TAKEN_MAX, "WebSocket: {taken}");
     lab.close().await;
 }
 
