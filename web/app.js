@@ -1,12 +1,14 @@
 // The shell: top bar with the stop, links, the key, and the page of the address. Knows no data.
 
+import { address, go, set } from './lib/address.js'
 import { door, estop, giveKey, hasKey, keep } from './lib/api.js'
 import { actOnRig, actor, modal, outcome, sureHome } from './lib/actions.js'
 import { button, el, fill, link, note, say } from './lib/dom.js'
-import { capital, clock, count, momentBand, percent, plain, span } from './lib/format.js'
+import { capital, clock, countOf, momentBand, percent, plain, span } from './lib/format.js'
 import { steadyEnds } from './lib/eta.js'
 import { kindOf } from './lib/kinds.js'
 import { live, start } from './lib/live.js'
+import { READ_KEYS } from './lib/readkeys.js'
 import { TONE, WAITS } from './lib/words.js'
 import { FIRST, PAGES } from './pages.js'
 
@@ -15,12 +17,6 @@ const $ = id => document.getElementById(id)
 // Pages: the address is the whole state. A page is a module with `show(root, context)`, called
 // again with new parameters only if it returns no `update`; `signal` aborts when it is left.
 let leaving = new AbortController(), present = null
-
-/** Goes to an address of the dashboard; `replace` keeps the history as it is. */
-export function go(href, { replace = false } = {}) {
-  history[replace ? 'replaceState' : 'pushState'](null, '', href)
-  open()
-}
 
 async function open() {
   const name = location.pathname.slice(1) || FIRST, page = PAGES.find(page => page.name === name)
@@ -48,19 +44,12 @@ async function open() {
     const body = el('div', { className: `page page-${name}` })
     fill(root, head, body)
     scrollTo(0, 0)
-    const { update } = await module.show(body, { query, signal, go, set: (changes, options) => go(withState(changes), { replace: true, ...options }) }) ?? {}
+    const { update } = await module.show(body, { query, signal, go, set }) ?? {}
     if (!signal.aborted) present = { name, update }
   } catch (error) {
     if (!signal.aborted) fill(root, el('section', {}, el('h1', {}, page.title), el('p', { className: 'bad' }, `This page could not be shown: ${error.message}`), button('Try again', () => { present = null; open() })))
   }
   return undefined
-}
-
-/** The present address with some parameters changed; null removes one. */
-function withState(changes) {
-  const query = new URLSearchParams(location.search)
-  for (const [key, value] of Object.entries(changes)) value == null || value === '' ? query.delete(key) : query.set(key, value)
-  return `${location.pathname}${query.size ? `?${query}` : ''}`
 }
 
 document.addEventListener('click', event => {
@@ -71,7 +60,7 @@ document.addEventListener('click', event => {
   event.preventDefault()
   go(a.getAttribute('href'))
 })
-addEventListener('popstate', open)
+address.addEventListener('open', open)
 
 // Links and keys: g then a letter opens a page, ? lists them. No key stops or starts anything.
 let group = ''
@@ -93,8 +82,11 @@ document.addEventListener('keydown', event => {
   if (event.key === '?') help()
 })
 function help() {
-  const box = el('dialog', { 'aria-label': 'Keys', onclose: () => box.remove() }, el('h2', {}, 'Keys'),
-    el('dl', { className: 'keys' }, PAGES.map(page => el('div', {}, el('dt', {}, el('kbd', {}, 'g'), ' ', el('kbd', {}, page.key)), el('dd', {}, page.title))), el('div', {}, el('dt', {}, el('kbd', {}, '?')), el('dd', {}, 'this list'))),
+  const list = rows => el('dl', { className: 'keys' }, rows.map(([keys, words]) => el('div', {}, el('dt', {}, keys), el('dd', {}, words))))
+  const pages = PAGES.map(page => [[el('kbd', {}, 'g'), ' ', el('kbd', {}, page.key)], page.title])
+  const box = el('dialog', { className: 'help', 'aria-label': 'Keys', onclose: () => box.remove() }, el('h2', {}, 'Keys'),
+    el('div', { className: 'help-columns' }, list([...pages, [el('kbd', {}, '?'), 'this list']]),
+      el('div', {}, READ_KEYS.map(([title, rows]) => [el('h3', {}, title), list(rows)]))),
     el('p', { className: 'soft' }, 'No key stops the rig: use the stop button, or the one on the rig.'), button('Close', () => box.close()))
   modal(box)
 }
@@ -173,7 +165,7 @@ live.on('status', ({ status, at }) => {
   say($('rig-name'), rig.name)
   say($('bar-state'), `${run ? '' : 'Rig '}${word}${requested}${run ? ` · ${run.experiment}` : ''}`)
   $('bar-state').className = `bar-state ${TONE[run?.state ?? rig.state] ?? ''}`
-  say($('bar-count'), run ? `${count(run.trials_stored)} of ${count(run.trials_planned)}` : '')
+  say($('bar-count'), run ? countOf(run.trials_stored, run.trials_planned) : '')
   $('bar-count').title = run ? percent(run.trials_stored, run.trials_planned) : ''
   say($('bar-eta'), etaWords(run, at))
   entitle()

@@ -58,6 +58,7 @@ mod queue;
 mod read_only;
 mod repeat;
 mod rig;
+mod rig_limits;
 mod run;
 mod running;
 mod sensor;

@@ -1,4 +1,4 @@
-//! `palpate rig`: manual check, connection, homing, jog, tare, reset, and wear.
+//! `palpate rig`: manual check, connection, homing, jog, tare, reset, limits and wear.
 //! Uses: `client`; for a check of a file `api::LockFile` and `rig::check`. Never: motion in this
 //! process.
 
@@ -17,7 +17,7 @@ use super::files::RigFiles;
 use super::follow::Signals;
 use super::output::{Output, say, say_json};
 use super::view::StatusView;
-use super::{At, embed, measured};
+use super::{At, embed, measured, rig_limits};
 use crate::api::LockFile;
 use crate::campaign::bench::rig_state::RigState;
 use crate::record::{ARMS, Pose};
@@ -86,6 +86,8 @@ pub enum RigCommand {
     },
     /// Acknowledge a trip.
     Reset,
+    /// Show the limits that trip the rig, and the ranges of its axes.
+    Limits,
     /// Show the ranges of forces and z of the last minutes; --json prints the samples.
     Samples {
         /// Length of the time before now, minutes, 1 to 30.
@@ -154,6 +156,10 @@ pub async fn rig(args: RigArgs) -> Result<ExitCode, CliError> {
             }
             return Ok(ExitCode::SUCCESS);
         }
+        RigCommand::Limits => {
+            rig_limits::limits(&client, at.output()).await?;
+            return Ok(ExitCode::SUCCESS);
+        }
         RigCommand::Samples { minutes } => {
             measured::samples(&client, minutes, at.output()).await?;
             return Ok(ExitCode::SUCCESS);
@@ -177,6 +183,7 @@ pub async fn rig(args: RigArgs) -> Result<ExitCode, CliError> {
 async fn by_hand(client: &Client, command: RigCommand) -> Result<StatusView, CliError> {
     match command {
         RigCommand::Check { .. }
+        | RigCommand::Limits
         | RigCommand::Samples { .. }
         | RigCommand::Untouched
         | RigCommand::Wear => client.status().await,

@@ -21,13 +21,9 @@ use crate::api::{JobOut, ModelOut};
 use crate::carried::{self, RECIPES};
 use crate::evaluate::losses::{best, read};
 use crate::file_kind::FileKind;
+use crate::learn::recipe::map_channels;
 use crate::learn::targets::Quantity;
 use crate::problem::Problem;
-
-/// Largest side of maps, pixels, that are drawn with fewer layers than a recipe's default: from a
-/// first image of 8 or 4 pixels, as larger maps are from one of 10.
-const FEW_PIXELS: i64 = 64;
-const FEWER_CHANNELS: [i64; 3] = [128, 64, 32];
 
 /// Help of the argument RECIPE.
 fn recipe_help() -> String {
@@ -155,8 +151,8 @@ impl Changes {
         if let (Some(pixel_mm), Some(net)) = (pixel_mm, net) {
             let side = (crate::dataset::force_map::SIDE_MM / pixel_mm).round() as i64;
             net.insert("side".into(), side.into());
-            if side <= FEW_PIXELS && !net.contains_key("channels") {
-                net.insert("channels".into(), FEWER_CHANNELS.to_vec().into());
+            if let Some(channels) = map_channels(side).filter(|_| !net.contains_key("channels")) {
+                net.insert("channels".into(), channels.to_vec().into());
             }
         }
     }

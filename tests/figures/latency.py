@@ -58,6 +58,14 @@ def spread(name: str, values: list[float], unit: str) -> None:
 
 
 def gaps(url: str, run: str, seconds: float, of: str) -> None:
+    for name, (took, shares) in measured(url, run, seconds, of).items():
+        spread(f"last frame to next motion, {name}", took, "ms")
+        if shares:
+            print(f"  share of a trial's time: mean {100 * statistics.mean(shares):.2f} %")
+
+
+def measured(url: str, run: str, seconds: float, of: str) -> dict[str, tuple[list[float], list[float]]]:
+    """Gaps between trials, ms, and their shares of a trial's time: idle and under load."""
     call(url, f"/api/v1/runs/{run}/trials?limit=1")  # a wrong RUN fails now, not after the load
     loaded, end = [], time.time() + seconds
     while time.time() < end:
@@ -81,10 +89,7 @@ def gaps(url: str, run: str, seconds: float, of: str) -> None:
             gap = at - when(last, "measured_at")
             took.append(gap * 1e3)
             shares.append(gap / (when(row, "measured_at") - when(last, "measured_at")))
-    for name, (took, shares) in found.items():
-        spread(f"last frame to next motion, {name}", took, "ms")
-        if shares:
-            print(f"  share of a trial's time: mean {100 * statistics.mean(shares):.2f} %")
+    return found
 
 
 def analysts(url: str, seconds: float, count: int = 10) -> None:

@@ -1,4 +1,4 @@
-//! What is done at the desk: experiments that the program carries, the schema of one, a queued run that
+//! What is done at the desk: experiments and recipes that the program carries, the schema of one, a queued run that
 //! is edited, start times, and simulations of contacts.
 
 use std::io::Write;
@@ -83,11 +83,21 @@ async fn every_carried_experiment_can_be_queued_as_it_is() {
         let body = json!({ "file": item["file"], "definition": item["text"] });
         let (status, preflight) = lab.post("/api/v1/preflight", body.clone()).await;
         assert_eq!((status, &preflight["trials"]), (200, &item["trials"]), "{preflight}");
+        let (status, tour) = lab.post("/api/v1/tour", body.clone()).await;
+        assert_eq!((status, &tour["kind"]), (200, &item["kind"]), "{tour}");
         let run = lab.queue(body).await;
         assert_eq!(run["sensor"], crate::support::SENSOR);
+        let queued = lab.get(&format!("/api/v1/runs/{}/tour", run["scan_id"])).await;
+        for key in ["kind", "depths_mm", "force_limit_n", "force_sum_limit_n", "steps"] {
+            assert_eq!(tour[key], queued[key], "{name}: {key}");
+        }
+        assert_eq!(tour["sensor"], lab.get("/api/v1/sensor").await, "{name}");
     }
     let other = QUICKSTART.replace("sensors/ert-28", "sensors/mine");
-    let (status, refused) = lab.post(QUEUE, json!({ "file": "q", "definition": other })).await;
+    let other = json!({ "file": "q", "definition": other });
+    let (status, refused) = lab.post("/api/v1/tour", other.clone()).await;
+    assert_eq!((status, &refused["errors"][0]["key"]), (422, &json!("sensor")), "{refused}");
+    let (status, refused) = lab.post(QUEUE, other).await;
     assert_eq!((status, &refused["errors"][0]["key"]), (422, &json!("sensor")), "{refused}");
     assert!(refused["detail"].as_str().unwrap().contains("sensors/ert-28.toml"), "{refused}");
     let schema = lab.get("/api/v1/experiments/schema").await;
@@ -97,6 +107,31 @@ async fn every_carried_experiment_can_be_queued_as_it_is() {
         |of: &Value| of["properties"].as_object().unwrap().keys().cloned().collect::<Vec<_>>();
     assert_eq!(keys(&schema), keys(component));
     assert_eq!(schema["properties"]["real_hex"]["properties"]["depths"]["maximum"], 1000);
+    lab.close().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn recipes_and_limits_of_the_rig_are_those_of_their_files() {
+    let lab = Filled::serve(folder("desk-recipes")).await;
+    let recipes = lab.get("/api/v1/recipes").await;
+    let named = |name: &str| {
+        let mut items = recipes["items"].as_array().unwrap().iter();
+        items.find(|item| item["name"] == name).unwrap()
+    };
+    assert_eq!(
+        named("recon-net")["text"],
+        include_str!("../../experiments/recipes/recon-net.toml")
+    );
+    let maps = named("recon-net")["maps"].as_array().unwrap();
+    assert_eq!(maps[0], json!({ "map": "4x20", "side": 160, "channels": null }));
+    assert_eq!(maps[11], json!({ "map": "20x60", "side": 32, "channels": [128, 64, 32] }));
+    assert_eq!(named("transfer-net")["maps"], json!([]));
+    let limits = lab.get("/api/v1/rig/limits").await;
+    let rig: toml::Table = toml::from_str(crate::support::VIRTUAL_RIG).unwrap();
+    let (bench, stated) = (&limits["bench"], rig["limits"].as_table().unwrap());
+    assert_eq!(limits["frame_age_ms"].as_i64(), stated["frame_age_ms"].as_integer());
+    assert_eq!(bench["force_n"].as_f64(), stated["force_n"].as_float());
+    assert_eq!(bench["x_mm"][1].as_f64(), rig["axes"]["x"]["travel_mm"][1].as_float());
     lab.close().await;
 }
 

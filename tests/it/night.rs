@@ -65,7 +65,7 @@ async fn the_sensor_is_that_of_its_file() {
     let size = |key: &str| number(&found[key]);
     assert_eq!((size("width_mm"), size("height_mm")), (skin.file.width_mm, skin.file.height_mm));
     assert_eq!((&found["channels"], &found["injections"]), (&json!(784), &json!(28)));
-    assert_eq!(found["outline_mm"], Value::Null);
+    assert_eq!((&found["outline_mm"], size("force_map_mm")), (&Value::Null, 640.0));
     let points: Vec<[f64; 2]> = serde_json::from_value(found["points_mm"].clone()).unwrap();
     assert_eq!(points.len(), 804);
     for (point, wanted) in points.iter().zip(skin.points()) {

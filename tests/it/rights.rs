@@ -170,7 +170,9 @@ async fn a_lock_without_a_key_holds_for_everybody_and_nobody_signs_as_another() 
     let tare = |who: &str| json!({ "action": "tare", "who": who });
     let (lock, rig) = ("/api/v1/lock", "/api/v1/rig/actions");
     assert_eq!(lab.send(&local, &Method::PUT, lock, &put("alice")).await.status, 200);
-    assert_eq!(lab.get(lock).await["holder"], "alice (local)");
+    let held = lab.get(lock).await;
+    assert_eq!((&held["holder"], &held["keyless"]), (&json!("alice (local)"), &json!(true)));
+    assert_eq!(lab.get("/api/v1/status").await["lock"], held);
     for (caller, who) in [(&local, "alice"), (&local, "alice (local)"), (&alice, "alice (local)")] {
         let answer = lab.send(caller, &Method::POST, rig, &tare(who)).await;
         assert_eq!(answer.status, 409, "{}", answer.body);

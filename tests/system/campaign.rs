@@ -8,7 +8,7 @@ use serde_json::{Value, json};
 use sqlx::sqlite::SqliteConnectOptions;
 use sqlx::{ConnectOptions, Connection};
 
-use super::bench::{Lab, SENSOR, rig_args};
+use super::bench::{Lab, SENSOR, http, rig_args};
 
 /// Two settings of three configurations and four depths: 24 trials.
 const SMALL: &str = "name = 'small'\nseed = 5\nsensor = 's'\n[real_hex]\ntips = [1, 4]\n\
@@ -150,6 +150,28 @@ async fn stop_and_abort_end_a_run_short_of_its_plan_and_it_resumes_with_what_is_
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn no_run_begins_by_itself_after_one_that_was_ended_while_it_was_halted() {
+    let (lab, run) = started("halted").await;
+    let next = lab.queue(SMALL).await;
+    lab.start(&next).await;
+    lab.stored(2).await;
+    assert_eq!(lab.act(&run, json!({ "action": "pause", "when": "now" })).await.0, 202);
+    lab.until("a pause", |s| s["run"]["state"] == "paused").await;
+    assert_eq!(lab.act(&run, json!({ "action": "abort" })).await.0, 202);
+    lab.ended(&run).await;
+    let is_dropped = |page: &Value| {
+        let why = page["items"][0]["data"]["why"].as_str().unwrap_or_default();
+        why.contains("ended while it was halted")
+    };
+    lab.eventually("the event", "/api/v1/events?kind=not_begun", is_dropped).await;
+    let status = lab.get("/api/v1/status").await;
+    assert_eq!((&status["run"], &status["rig"]["state"]), (&Value::Null, &json!("homed")));
+    lab.start(&next).await;
+    complete(&lab, &next).await;
+    lab.close().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn an_emergency_stop_latches_until_a_person_resets_and_loses_nothing() {
     let (lab, run) = started("estop").await;
     lab.stored(5).await;
@@ -203,6 +225,53 @@ async fn a_run_that_this_version_would_plan_differently_does_not_resume() {
     assert_eq!((&ended["state"], &ended["exit_status"]), (&json!("ended"), &json!("abort")));
     let (status, _) = lab.act(&run, json!({ "action": "abort" })).await;
     assert_eq!(status, 409, "it has ended");
+    lab.close().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_lock_that_was_taken_after_the_last_trial_holds_the_run_through_a_restart() {
+    let (lab, run) = started("locked").await;
+    lab.stored(5).await;
+    let lock = |lab: &Lab| format!("{}/api/v1/lock", lab.service.url());
+    let taken = http().put(lock(&lab)).json(&json!({ "note": "hands" })).send().await.unwrap();
+    assert!(taken.status().is_success());
+    let file = SqliteConnectOptions::new().filename(lab.data.join("palpate.db"));
+    let mut database = file.connect().await.unwrap();
+    // Whatever is still stored before the service ends is earlier.
+    sqlx::query("UPDATE operator_lock SET since = ?1")
+        .bind((Timestamp::now() + SignedDuration::from_hours(1)).to_string())
+        .execute(&mut database)
+        .await
+        .unwrap();
+    database.close().await.unwrap();
+    let lab = lab.restart().await;
+    let is_held = |page: &Value| {
+        let why = page["items"][0]["data"]["why"].as_str().unwrap_or_default();
+        why.contains("has taken the operator lock: hands")
+    };
+    lab.eventually("the lock holds it", "/api/v1/events?kind=not_gone_on", is_held).await;
+    assert_eq!(lab.get("/api/v1/status").await["rig"]["state"], "disconnected");
+    let freed = http().delete(lock(&lab)).send().await.unwrap();
+    assert!(freed.status().is_success());
+    complete(&lab, &run).await;
+    lab.close().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_stopped_run_whose_rig_homes_when_the_service_ends_does_not_go_on_by_itself() {
+    let (lab, run) = started("homing").await;
+    lab.stored(2).await;
+    lab.posted("/estop", json!({ "why": "smoke" })).await;
+    lab.until("acknowledged", |s| s["rig"]["estop_acknowledged_ms"].is_number()).await;
+    lab.until("a trip", |s| s["run"]["paused_why"] == "trip").await;
+    let act = |action: &str| json!({ "action": action, "who": "test" });
+    lab.posted("/api/v1/rig/actions", act("reset")).await;
+    lab.posted("/api/v1/rig/actions", act("home")).await;
+    let lab = lab.restart().await;
+    let is_left = |row: &Value| row["state"] == "interrupted";
+    lab.eventually("the run is left alone", &format!("/api/v1/runs/{run}"), is_left).await;
+    let status = lab.get("/api/v1/status").await;
+    assert_eq!((&status["run"], &status["rig"]["state"]), (&Value::Null, &json!("disconnected")));
     lab.close().await;
 }
 

@@ -46,7 +46,7 @@ fn write_gap_free() -> PathBuf {
     path
 }
 
-fn skin_alone() -> RigArgs {
+pub fn skin_alone() -> RigArgs {
     RigArgs { gap: gap_free(), ..rig_args("skin-only", SPEED) }
 }
 
@@ -69,7 +69,7 @@ fn nominal() -> String {
 }
 
 /// Lets `exact` serve with the nominal skin.
-async fn serve_exact(lab: &Lab) {
+pub async fn serve_exact(lab: &Lab) {
     let url = format!("{}/api/v1/calibrations", lab.service.url());
     let added = http().post(url).body(nominal()).send().await.unwrap();
     assert_eq!(added.status(), 201, "{}", added.text().await.unwrap());

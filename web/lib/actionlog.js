@@ -42,7 +42,7 @@ export function actionLog(signal) {
       items.push(...page.items)
       next = page.next
       rows.show(joined(items))
-      say(told, next ? `${items.length} actions shown` : items.length ? 'All are shown.' : '')
+      say(told, [next ? `${items.length} actions shown.` : items.length ? 'All are shown.' : '', `Read at ${clock(Date.now())}.`].filter(Boolean).join(' '))
       more.hidden = !next || items.length >= MOST
     } catch (error) { if (!signal.aborted) say(told, `The log could not be read: ${error.message}`) }
     more.disabled = false

@@ -51,7 +51,7 @@ export function confirm(title, words, verb = 'Continue', holds = () => true) {
   })
 }
 
-/** A line that says what became of the last action: `outcome()` returns { node, tell, run }. */
+/** A line that says what became of the last action: `outcome()` returns { node, tell, run }. What became of one is brought into view. */
 export function outcome() {
   const node = el('p', { className: 'said', role: 'status', hidden: true })
   const tell = (words, tone = 'soft') => { note(node, words); node.className = `said ${tone}` }
@@ -66,6 +66,9 @@ export function outcome() {
       if (error.name === 'AbortError') return undefined
       tell(error instanceof Refused ? `${words}: refused. ${error.message}` : `${words}: no answer (${error.message}).`, 'bad')
       return undefined
+    } finally {
+      // The line may be far from the button, which would seem to do nothing.
+      node.scrollIntoView({ block: 'nearest' })
     }
   }
   return { node, tell, run }
@@ -87,13 +90,12 @@ export function actor(words, said, work, { role = 'operator', locks = role === '
   return only(role, locks ? locked(node, said.tell) : node)
 }
 
-/** Hides a control from callers who may not use it. */
+/** Hides a control, or a whole form, from callers who may not use it. The rule of app.css follows `data-caller` of the document. */
 export function only(role, node) {
   node.dataset.role = role
-  node.classList.toggle('denied', !live.may(role))
   return node
 }
-live.addEventListener('caller', () => document.querySelectorAll('[data-role]').forEach(node => node.classList.toggle('denied', !live.may(node.dataset.role))))
+live.addEventListener('caller', () => { document.documentElement.dataset.caller = live.caller?.role ?? 'viewer' })
 
 /** An action on a run. */
 export const actOnRun = (run, action, more = {}) => send(`/runs/${run}/actions`, { action, who: who(), ...more }, { wait: 15_000 })

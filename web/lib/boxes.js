@@ -22,7 +22,7 @@ export function boxes({ title, unit = '', factor = 1, paper, query, label, signa
     grid(pen, { top, left, width, y })
     items.forEach((item, i) => one(pen, item, left + (width - left) * (i + 0.5) / items.length, Math.min(46, (width - left) / items.length * 0.5), y))
     if (paper) dashed(pen, { left, width, y: y(paper) })
-    const words = item => `${item.name}: median ${about(item.median * factor, unit)}, quartiles ${about(item.q1 * factor)} to ${about(item.q3 * factor, unit)}`
+    const words = item => `${item.name}: median ${about(item.median * factor, unit)}, quartiles ${about(item.q1 * factor)} to ${about(item.q3 * factor, unit)}, whiskers ${about(item.low * factor)} to ${about(item.high * factor, unit)}`
     canvas.ariaLabel = `${title}: ${items.map(item => `${words(item)}, ${count(item.trials)} trials`).join('; ')}`
   })
   function grid(pen, { top, left, width, y }) {

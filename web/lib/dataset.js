@@ -5,6 +5,7 @@ import { actor, outcome } from './actions.js'
 import { el, facts, fill, link, note, panel } from './dom.js'
 import { bytes, count, counted, moment, percent, plain } from './format.js'
 import { FORMATS } from './exports.js'
+import { fold } from './fold.js'
 import { lineageWalk } from './lineage.js'
 import { markdown } from './markdown.js'
 import { copyable, save } from './save.js'
@@ -230,7 +231,7 @@ export function datasetView({ signal, go, onmade, onexport }) {
           save('Save as Data Package', `/api/v1/datasets/${item.id}/datapackage.json`, 'datapackage.json')
         ),
       },
-      el('details', { className: 'card' }, el('summary', {}, 'Read the card'), markdown(card))
+      fold('card', 'Read the card', { className: 'card', signal: ending.signal }, markdown(card))
     )
     fill(node, head, counts, el('div', { className: 'columns two' }, files, columns), graph, about)
     walk.show(query)

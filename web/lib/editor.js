@@ -7,6 +7,7 @@ import { button, el, fill, sleep } from './dom.js'
 import { fields } from './fields.js'
 import { live, who } from './live.js'
 import { NEEDS_OPERATOR, partsBar, planFacts, problemList } from './preflight.js'
+import { tourPart } from './submitted.js'
 import { raw } from './toml.js'
 
 const REST_MS = 400
@@ -94,7 +95,8 @@ export function editor({ draft, reread, ondone, onclose, signal }) {
       const words = p.problems.length
         ? el('p', { className: 'bad' }, 'This bench cannot run it. Change the values that are marked, or the rig file.')
         : el('p', { className: 'good' }, 'This bench can run it.')
-      return fill(found, words, problemList(problems), planFacts(p), el('details', {}, el('summary', {}, 'Time by activity'), partsBar(p.parts)))
+      const parts = el('details', {}, el('summary', {}, 'Time by activity'), partsBar(p.parts))
+      return fill(found, words, problemList(problems), planFacts(p), parts, tourPart(body(), until))
     } catch (error) {
       if (until.aborted) return undefined
       const errors = error.problem?.errors

@@ -2,12 +2,10 @@
 
 import { get } from './api.js'
 import { el, facts, fill, link, panel } from './dom.js'
-import { schema } from './editor.js'
 import { count, counted, fixed } from './format.js'
 import { live } from './live.js'
 import { largest, median } from './runwords.js'
 import { table } from './table.js'
-import { raw } from './toml.js'
 
 const RUNS = 20
 
@@ -42,15 +40,14 @@ function seen({ run, deepest_mm, settings }) {
   return [el('p', { className: 'soft' }, words), table({ rows: settings, columns }).node]
 }
 
-/** Makes the panel. `p` is the preflight or null, `text` the experiment file, `run` the stored run or null, `depths` of its tour. */
-export async function forcesPanel({ p, text, run, depths = [], signal }) {
-  const known = await schema()
+/** Makes the panel. `p` is the preflight or null, `tour` the tour or null, `run` the stored run or null. */
+export function forcesPanel({ p, tour, run, signal }) {
   const rig = live.status?.rig
-  const limit = key => Number(raw(text, 'limits', key) ?? known?.properties?.limits?.properties?.[key]?.default ?? NaN)
+  const depths = tour?.depths_mm ?? []
   const before = el('div', {}, el('p', { className: 'soft' }, 'Looking for an earlier run on this skin …'))
   const list = facts([
-    ['Limit on one tip', fixed(limit('force_n'), 0, 'N')],
-    ['Limit on all tips', fixed(limit('force_sum_n'), 0, 'N')],
+    tour?.force_limit_n != null && ['Limit on one tip', fixed(tour.force_limit_n, 0, 'N')],
+    tour?.force_sum_limit_n != null && ['Limit on all tips', fixed(tour.force_sum_limit_n, 0, 'N')],
     ['Limit of the rig', fixed(rig?.force_limit_n, 0, 'N')],
     depths.length > 0 && ['Depths', String(depths.length)],
     depths.length > 0 && ['Deepest', fixed(depths.at(-1), 2, 'mm')],

@@ -2,7 +2,8 @@
 
 import { get, once } from './api.js'
 import { actor, outcome } from './actions.js'
-import { button, el, panel, select, sleep } from './dom.js'
+import { button, el, note, panel, select, sleep } from './dom.js'
+import { keepForm } from './formstate.js'
 import { bytes, count, moment, percent, plain } from './format.js'
 import { save } from './save.js'
 import { table } from './table.js'
@@ -18,7 +19,7 @@ const MAPS = [
 ]
 const busy = one => ['waiting', 'running'].includes(one.state)
 
-/** Makes the panel of the exports; `choose(name)` sets the dataset of the form. */
+/** Makes the panel of the exports; `choose(name)` sets the dataset of the form, whose values are in the address. */
 export function exportsPanel({ signal }) {
   const said = outcome(),
     dataset = el('input', { id: 'ex-dataset', required: true, placeholder: 'name or id' })
@@ -81,20 +82,29 @@ export function exportsPanel({ signal }) {
   })
   let items = [],
     next = null
-  const more = button('More', () => read(next), { hidden: true })
+  const more = button('More', () => read(next), { hidden: true }),
+    trouble = el('p', { className: 'bad', role: 'status', hidden: true })
   async function read(cursor) {
-    const page = await get('/exports', { limit: 20, cursor }, { signal }).catch(() => null)
-    if (!page || signal.aborted) return
+    let page
+    try {
+      page = await get('/exports', { limit: 20, cursor }, { signal })
+    } catch (error) {
+      if (signal.aborted) return undefined
+      note(trouble, `The exports could not be read: ${error.message}. Trying again.`)
+      return cursor && trouble.scrollIntoView({ block: 'nearest' }) // The button is below the rows.
+    }
+    if (signal.aborted) return undefined
+    note(trouble, '')
     items = cursor ? [...items, ...page.items] : page.items
     next = page.next
     more.hidden = !next || items.length >= 200
-    rows.show(items)
+    return rows.show(items)
   }
   async function watch() {
     await read()
     while (!signal.aborted) {
       await sleep(1500, signal)
-      if (!signal.aborted && !document.hidden && items.some(busy)) await read()
+      if (!signal.aborted && !document.hidden && (items.some(busy) || !trouble.hidden)) await read()
     }
   }
   watch()
@@ -119,13 +129,23 @@ export function exportsPanel({ signal }) {
     ),
     el('div', { className: 'row' }, asks),
     said.node,
+    trouble,
     rows.node,
     more
   )
+  const controls = [dataset, format, map, where, columns]
+  const first = new Map(controls.map(control => [control, control.value]))
+  let usual = '' // The dataset that is open, until a person enters another one.
+  const write = keepForm(controls, { usual: control => (control === dataset ? usual : first.get(control)), signal })
   return {
     node,
-    choose(name) {
+    /** Offers a dataset; one that a person entered stays, unless this was asked for (`asked`). */
+    choose(name, asked = false) {
+      const isFree = dataset.value === usual
+      usual = asked ? usual : name
+      if (!isFree && !asked) return
       dataset.value = name
+      write(dataset)
     },
   }
 }

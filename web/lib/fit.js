@@ -16,26 +16,34 @@ const SAMPLE = 40, DOTS = 6000
 const FVU_WORDS = 'FVU is the share of the variance of the measured voltages that the simulation does not explain (Eq. 2): 0 is perfect.'
 
 /** Makes the part of the page on the fit; `choose(run)` is called when a person takes another run. */
-export function fit({ choose, signal }) {
+export function fit({ choose, signal: page }) {
   const body = el('div', { className: 'page' }), picker = el('div', { className: 'row' }), told = el('p', { className: 'soft' }, 'Reading the runs …')
   const node = el('div', { className: 'page fit' }, panel('How well does the simulation fit? (paper, Fig. 7)', {}, picker, told), body)
-  let runs = null, shown = null
+  let runs = null, shown = null, ending = new AbortController(), signal = page, choice = null
 
   async function show(wanted) {
-    try { runs ??= (await all('/runs', {}, { most: 200, signal })).filter(run => run.started_at || run.kind === 'imported') } catch (error) { return void say(told, `The runs could not be read: ${error.message}`) }
+    try { runs ??= (await all('/runs', {}, { most: 200, signal: page })).filter(run => run.started_at || run.kind === 'imported') } catch (error) { return void say(told, `The runs could not be read: ${error.message}`) }
     const run = runs.find(run => String(run.scan_id) === wanted || run.uid === wanted)
       ?? runs.find(run => run.ended_at) ?? runs[0]
     if (!run) return void say(told, 'No run is stored yet. After the first one, its trials are compared with their simulated twins here.')
-    fill(picker, el('label', { className: 'inline' }, 'Run',
-      select(runs.map(run => [run.scan_id, `${run.scan_id} ${run.experiment}${run.label === 'virtual' ? ' (virtual)' : ''}`]), run.scan_id, choose)))
+    // Made once: another one would lose the focus at each choice.
+    if (!choice) {
+      choice = select(runs.map(run => [run.scan_id, `${run.scan_id} ${run.experiment}${run.label === 'virtual' ? ' (virtual)' : ''}`]), run.scan_id, choose)
+      fill(picker, el('label', { className: 'inline' }, 'Run', choice))
+    }
+    choice.value = run.scan_id
     if (shown === run.uid) return undefined
     shown = run.uid
+    // The charts of the run before end: two of the same name would write one zoom.
+    ending.abort()
+    ending = new AbortController()
+    signal = AbortSignal.any([page, ending.signal])
     say(told, 'Comparing …')
     try {
       const report = await get(`/runs/${run.scan_id}/evaluation/simulation`, {}, { signal, wait: 60_000 })
       if (shown === run.uid) await draw(run, report)
     } catch (error) {
-      if (!signal.aborted) { shown = null; fill(body); say(told, `The comparison failed: ${error.message}`) }
+      if (!page.aborted && shown === run.uid) { shown = null; fill(body); say(told, `The comparison failed: ${error.message}`) }
     }
     return undefined
   }
@@ -70,8 +78,8 @@ export function fit({ choose, signal }) {
     const trials = (await get('/trials', query, { signal, wait: 30_000 })).items.filter(trial => trial.sim_voltages_v && trial.voltages_v)
     if (!trials.length) return
     const words = `newest ${counted(trials.length, 'trial')} with contacts`
-    const dots = scatter({ title: `Measured against simulated voltage, ${words}`, label, signal })
-    const pairs = chart({ title: `FVU by pair of electrodes, ${words}`, x: 'First electrode of the pair', time: false,
+    const dots = scatter({ title: `Measured against simulated voltage, ${words}`, key: 'voltages', label, signal })
+    const pairs = chart({ title: `FVU by pair of electrodes, ${words}`, key: 'electrodes', whole: true, x: 'First electrode of the pair', time: false,
       series: [{ name: 'FVU', bars: true, fill: true, digits: 3 }], range: (_, high) => [0, Math.max(0.1, high * 1.1)], height: 200, label, signal })
     fill(into, pane(dots.node), pane(pairs.node))
     dots.set(trials.flatMap(trial => trial.voltages_v.map((v, i) => [v, trial.sim_voltages_v[i]])))
@@ -82,8 +90,8 @@ export function fit({ choose, signal }) {
 }
 
 /** Makes a chart of simulated over measured voltages, mV, with the line on which both are the same: `set([[measured, simulated], …])`. */
-export function scatter({ title, label, signal, query }) {
-  const made = chart({ title, x: 'Measured', xUnit: 'mV', y: 'Simulated', unit: 'mV', time: false, height: 300, label, query, signal,
+export function scatter({ title, key, label, signal, query }) {
+  const made = chart({ title, key, x: 'Measured', xUnit: 'mV', y: 'Simulated', unit: 'mV', time: false, height: 300, label, query, signal,
     series: [{ name: 'Simulated', line: false, points: true, digits: 2 }, { name: 'the same', dash: [5, 4], colour: '--soft', digits: 2 }] })
   return { node: made.node, set(pairs) {
     const step = Math.max(1, Math.ceil(pairs.length / DOTS)),
@@ -117,7 +125,7 @@ function pairFvu(trials, size = 28) {
 function byForce(report, key, { title, unit = '', factor = 1, range, label, query, signal }) {
   const groups = [null, 1, 2, 3, 4, 5, 6].filter(n => report.by_force.some(bin => bin.contacts === n))
   const forces = [...new Set(report.by_force.map(bin => bin.from_n))].sort((a, b) => a - b)
-  const made = chart({ title, x: 'Largest force', xUnit: 'N', y: key === 'mean_fvu' ? 'FVU' : 'RMSE', unit, time: false, height: 230, range, label, query,
+  const made = chart({ title, key: key.replaceAll('_', '-'), x: 'Largest force', xUnit: 'N', y: key === 'mean_fvu' ? 'FVU' : 'RMSE', unit, time: false, height: 230, range, label, query,
     signal,
     series: groups.map(n => ({ name: n == null ? 'all' : NUMERALS[n], digits: unit ? 2 : 3, gaps: true, points: true,
       ...(n == null ? { colour: '--ink' } : { colour: `--c${n}`, line: false }) })) })
@@ -132,6 +140,7 @@ function heat(run, report, { label, query, signal }) {
   const view = skin({ title: `Mean FVU by place, one tip above the deadband (Fig. 7D)`, label, query, signal,
     describe: () => `Skin with the mean FVU at ${counted(report.by_point.length, 'place')}`,
     data: () => ({ heads: ['x_mm', 'y_mm', 'trials', 'mean_fvu'], rows: report.by_point.map(p => [p.x_mm, p.y_mm, p.trials, p.mean_fvu]) }),
+    spots: () => report.by_point.map(p => [p.x_mm, p.y_mm]),
     onhover(mm) {
       const p = nearest(mm)
       return p ? `x ${fixed(p.x_mm, 0)}, y ${fixed(p.y_mm, 0, 'mm')}: mean FVU ${fixed(p.mean_fvu, 3)} of ${counted(p.trials, 'trial')}` : ''

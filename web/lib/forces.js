@@ -53,7 +53,7 @@ export function forceBars({ signal }) {
 /** Makes the chart of the last `minutes`: force of each arm, depth below the surface; redrawn once per second. */
 export function forceChart({ signal, height = 150, minutes = 2, label }) {
   const view = chart({
-    title: 'Force and depth', x: 'Time', y: 'Force', unit: 'N', height, signal, label, query: () => `/api/v1/rig/samples?minutes=${Math.min(30, minutes)}`,
+    title: 'Force and depth', key: 'forces', x: 'Time', y: 'Force', unit: 'N', height, signal, label, query: () => `/api/v1/rig/samples?minutes=${Math.min(30, minutes)}`,
     series: [...ARMS.map(arm => ({ name: `arm ${arm + 1}`, digits: 1 })),
       { name: 'depth', unit: 'mm', digits: 2, axis: 'right', colour: '--soft', dash: [3, 3] }],
     range: () => [0, OVER * (live.status?.rig.force_limit_n ?? 100)], right: { range: () => [-SHOWN_MM, SHOWN_MM], label: 'Depth, mm' },

@@ -1,7 +1,8 @@
 // A frame as a picture: injections by channels, the same colours for the same voltage everywhere.
 
-import { dark, el, note, say, soon } from './dom.js'
-import { counted, fixed } from './format.js'
+import { cellKeys } from './cellkeys.js'
+import { dark, el, say, soon } from './dom.js'
+import { count, fixed } from './format.js'
 import { picture } from './picture.js'
 
 // Linear up to BEND of the scale's end, logarithmic beyond: far channels stay visible.
@@ -68,6 +69,15 @@ const CELL_PX = 16, ROW_PX = 1024, ROW_ASPECT = 8
 // Half width of a mark, in pixels of the page: it may be larger than its channel, which can be small.
 const MARK_PX = { stuck: 4, saturated: 5.5 }
 
+/** Draws the rim of a cell that a key reached, on the light and dark of all colours. */
+function rim(pen, x, y, width, height, px) {
+  for (const [ink, line] of [['#fff', 5], ['#000', 2]]) {
+    pen.strokeStyle = ink
+    pen.lineWidth = line * px
+    pen.strokeRect(x, y, width, height)
+  }
+}
+
 /** Draws a mark; `px` is a pixel of the page. A dark line on a light one is visible on every colour, in light and dark. */
 function mark(pen, x, y, kind, px) {
   const r = MARK_PX[kind] * px
@@ -88,11 +98,11 @@ function mark(pen, x, y, kind, px) {
  */
 export function frame({ title = 'Frame', unit = 'V', name, query, label, signal } = {}) {
   let size = [28, 28], cell = CELL_PX
-  const map = el('canvas', { className: 'frame', role: 'img', 'aria-label': title }), small = el('canvas')
+  const map = el('canvas', { className: 'frame', 'aria-label': title }), small = el('canvas')
   const bar = strip(i => [i, i, i], 'colours')
-  const ticks = el('div', { className: 'ticks' }), at = el('p', { className: 'soft hover' }), marked = el('p', { className: 'small warn', hidden: true })
+  const ticks = el('div', { className: 'ticks' }), at = el('p', { className: 'soft hover' })
   const side = el('div', { className: 'side', 'aria-hidden': 'true' }), foot = el('div', { className: 'ticks', 'aria-hidden': 'true' })
-  let values = null, marks = {}, end = 0, words = null
+  let values = null, marks = {}, end = 0, words = null, pointed = null, reached = null, marked = ''
   const paintBar = () => {
     const palette = diverging()
     paintStrip(bar, i => palette[i])
@@ -101,6 +111,7 @@ export function frame({ title = 'Frame', unit = 'V', name, query, label, signal 
   let image, pixels
   const shape = next => {
     const [width, height] = size = next
+    pointed = reached = null
     image = new ImageData(width, height)
     pixels = new Uint32Array(image.data.buffer)
     cell = height > 1 ? CELL_PX : Math.max(1, Math.floor(ROW_PX / width))
@@ -111,7 +122,10 @@ export function frame({ title = 'Frame', unit = 'V', name, query, label, signal 
     foot.replaceChildren(...[0, 'channel', width - 1].map(text => el('span', {}, String(text))))
   }
   const draw = soon(() => {
-    if (!values?.length) return
+    const pen = map.getContext('2d'), [width, height] = size, tall = map.height / height
+    pen.clearRect(0, 0, map.width, map.height) // Without a frame nothing of an earlier one may stay.
+    tellCell()
+    if (!values?.length) return void (map.ariaLabel = `${title}: no frame`)
     pixels.fill(0)
     let low = Infinity, high = -Infinity
     for (let i = 0; i < values.length; i += 1) {
@@ -121,26 +135,44 @@ export function frame({ title = 'Frame', unit = 'V', name, query, label, signal 
       if (v > high) high = v
       pixels[i] = words[Math.round(127 + 127 * Math.max(-1, Math.min(1, bend(v / end))))]
     }
-    const pen = map.getContext('2d'), [width, height] = size, tall = map.height / height
     small.getContext('2d').putImageData(image, 0, 0)
-    pen.clearRect(0, 0, map.width, map.height)
     pen.imageSmoothingEnabled = false
     pen.drawImage(small, 0, 0, map.width, map.height)
-    const px = marked.hidden ? 1 : map.width / (map.clientWidth || map.width)
+    const px = !marked && !reached ? 1 : map.width / (map.clientWidth || map.width)
     for (const kind of ['stuck', 'saturated']) for (const i of marks[kind] ?? []) mark(pen, (i % width + 0.5) * cell, (Math.floor(i / width) + 0.5) * tall, kind, px)
-    map.ariaLabel = `${title}: voltages by ${height > 1 ? 'injection and ' : ''}channel, from ${fixed(low, 4)} to ${fixed(high, 4, unit)}${marked.hidden ? '' : `; ${marked.textContent}`}`
+    if (reached) rim(pen, reached[0] * cell, reached[1] * tall, cell, tall, px)
+    // A reader would read a label that changes under its focus again and again.
+    if (document.activeElement !== map) map.ariaLabel = low > high ? `${title}: no values` : `${title}: voltages by ${height > 1 ? 'injection and ' : ''}channel, from ${fixed(low, 4)} to ${fixed(high, 4, unit)}${marked && `; channels: ${marked.replace(/[\u00d7\u25cb] /g, '')}`}`
+    return undefined
   })
   const tell = () => {
     const digits = v => Math.max(0, 1 - Math.floor(Math.log10(Math.abs(v))))
     ticks.replaceChildren(...[-1, -0.5, 0, 0.5, 1].map(t => unbend(t) * end).map(v => el('span', {}, v ? fixed(v, digits(v)) : `0\u202f${unit}`)))
   }
+  function cellWords([channel, injection]) {
+    if (!values?.length) return 'No frame.'
+    const i = injection * size[0] + channel, kinds = Object.keys(MARK_PX).filter(kind => marks[kind]?.includes(i))
+    return `${[size[1] > 1 && `injection ${injection}`, `channel ${channel}`].filter(Boolean).join(', ')}: ${[fixed(values[i], 4, unit), ...kinds].join(', ')}`
+  }
+  // One line, so that nothing moves: the cell under the pointer or reached by a key, else how many channels are marked.
+  function tellCell() {
+    const place = pointed ?? reached, tone = `hover ${place || !marked ? 'soft' : 'warn'}`
+    say(at, place && values?.length ? cellWords(place) : marked)
+    if (at.className !== tone) at.className = tone
+  }
   map.onpointermove = event => {
     const box = map.getBoundingClientRect()
     const part = [(event.clientX - box.left) / box.width, (event.clientY - box.top) / box.height]
-    const [channel, injection] = part.map((share, k) => Math.max(0, Math.min(size[k] - 1, Math.floor(share * size[k]))))
-    say(at, values ? `${size[1] > 1 ? `injection ${injection}, ` : ''}channel ${channel}: ${fixed(values[injection * size[0] + channel], 4, unit)}` : '')
+    pointed = part.map((share, k) => Math.max(0, Math.min(size[k] - 1, Math.floor(share * size[k]))))
+    tellCell()
   }
-  map.onpointerleave = () => say(at, '')
+  map.onpointerleave = () => { pointed = null; tellCell() }
+  cellKeys(map, { size: () => size, show(to) {
+    reached = to
+    draw()
+    tellCell()
+    return to ? cellWords(to) : ''
+  } })
   dark.addEventListener('change', () => { paintBar(); draw() }, { signal })
   paintBar()
   const node = picture({
@@ -149,7 +181,7 @@ export function frame({ title = 'Frame', unit = 'V', name, query, label, signal 
       const [width, height] = size, value = unit === 'V' ? 'voltage_v' : `value_${unit}`, places = i => height > 1 ? [Math.floor(i / width), i % width] : [i]
       return { heads: [...height > 1 ? ['injection'] : [], 'channel', value], rows: Array.from(values ?? [], (v, i) => [...places(i), missing(v) ? null : v]) }
     },
-  }, el('div', { className: 'frame-box' }, side, map, foot, bar, ticks), marked, at)
+  }, el('div', { className: 'frame-box' }, side, map, foot, bar, ticks), at)
   shape(size)
   // The end of the colours where none is given: it grows as 1, 2, 5 and does not change otherwise.
   const grown = next => {
@@ -162,9 +194,9 @@ export function frame({ title = 'Frame', unit = 'V', name, query, label, signal 
     show(next, { scale, marks: found } = {}) {
       values = next
       marks = found ?? {}
-      const words = [['stuck', '\u00d7'], ['saturated', '\u25cb']].filter(([kind]) => marks[kind]?.length)
-      note(marked, next && words.map(([kind, sign]) => `${sign} ${counted(marks[kind].length, `${kind} channel`)}`).join(', '))
-      if (!next?.length) return
+      const shown = [['stuck', '\u00d7'], ['saturated', '\u25cb']].filter(([kind]) => marks[kind]?.length)
+      marked = next ? shown.map(([kind, sign]) => `${sign} ${count(marks[kind].length)} ${kind}`).join(', ') : ''
+      if (!next?.length) return draw()
       if (next.length !== image.width * image.height) shape(sizeOf(next.length))
       const wanted = scale ?? grown(next)
       if (wanted !== end) { end = wanted; tell() }

@@ -36,12 +36,24 @@ export function predictionWords({ predicted_s, elapsed_s, predictions = [], from
 export function history({ title = 'The night', state, set, signal, label, height = 170 }) {
   let data = null, run = null, facts = {}, shown = '', asked = 0
   const words = el('p', { className: 'soft small' }), text = el('p', { className: 'event-text', role: 'status' }), band = el('p', { className: 'legend' })
-  const whole = button('Whole run', () => set({ from: null, to: null }), { className: 'plain', hidden: !state.from })
+  const whole = button('Whole run', () => onselect(null, null), { className: 'plain', hidden: !state.from })
   const query = () => `/api/v1/runs/${run?.scan_id}/history?bins=${bins()}`
   const bins = () => state.from ? 1000 : 120
-  const onselect = (low, high) => set({ from: Math.round(low), to: Math.round(high) })
+  /** Shows a part, or the whole without ends; returns whether there is something to change. */
+  function onselect(low, high) {
+    if (low == null && !state.from) return false
+    set(low == null ? { from: null, to: null } : { from: Math.floor(low), to: Math.ceil(high) })
+    return true
+  }
+  // A mark is chosen by a click near it, or by Enter at the point of the cursor.
+  function onenter(x) {
+    const near = data?.events.reduce((best, e) => (best && Math.abs(seconds(best.at) - x) <= Math.abs(seconds(e.at) - x) ? best : e), null)
+    if (!near) return 'No event is marked.'
+    set({ event: near.seq })
+    return '' // The line below is spoken by itself.
+  }
   const marks = u => drawMarks(u, data)
-  const shared = { height, signal, label, query, onselect, marks }
+  const shared = { height, signal, label, query, onselect, onenter, marks }
   const rate = chart({ ...shared, title: 'Trials per hour', y: 'Per hour', range: (_, high) => [0, Math.max(10, 1.15 * (high || 1))],
     series: [{ name: 'trials', digits: 0, steps: true, fill: true }, { name: 'failed attempts', digits: 0, steps: true, colour: '--bad' }] })
   const fit = chart({ ...shared, title: 'Largest force and fit of the twins', y: 'Force', unit: 'N',

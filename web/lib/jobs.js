@@ -2,8 +2,10 @@
 
 import { get, send } from './api.js'
 import { confirm, named, only } from './actions.js'
-import { button, el, facts, fill, link, panel, say, sleep } from './dom.js'
-import { capital, count, counted, fixed, moment, percent, plain, span } from './format.js'
+import { changing } from './changing.js'
+import { button, el, fill, link, note, panel, say, sleep } from './dom.js'
+import { capital, count, counted, countOf, fixed, moment, percent, plain, span } from './format.js'
+import { live } from './live.js'
 import { losses } from './losses.js'
 import { opened } from './opened.js'
 import { reportView } from './scores.js'
@@ -42,7 +44,7 @@ export function jobsPanel({ signal, href, current, onchange }) {
   const rows = table({
     href: job => href(job.id),
     current: job => job.id === current(),
-    empty: 'No training and no evaluation yet: start one below.',
+    empty: () => `No training and no evaluation yet${live.may('operator') ? ': start one below' : ''}.`,
     columns: [
       { head: 'Job', left: true, cell: job => capital(jobWords(job)) },
       { head: 'State', left: true, cell: state },
@@ -57,13 +59,22 @@ export function jobsPanel({ signal, href, current, onchange }) {
     ],
   })
   const more = button('More', () => read(next), { hidden: true }),
-    node = panel('Jobs', { className: 'live' }, rows.node, el('div', { className: 'row' }, more))
+    trouble = el('p', { className: 'bad', role: 'status', hidden: true }),
+    node = panel('Jobs', { className: 'live' }, trouble, rows.node, el('div', { className: 'row' }, more))
   let jobs = [],
     next = null,
     before = ''
   async function read(cursor) {
-    const page = await get('/jobs', { limit: cursor ? 50 : 25, cursor }, { signal }).catch(() => null)
-    if (!page || signal.aborted) return
+    let page
+    try {
+      page = await get('/jobs', { limit: cursor ? 50 : 25, cursor }, { signal })
+    } catch (error) {
+      if (signal.aborted) return undefined
+      note(trouble, `The jobs could not be read: ${error.message}. Trying again.`)
+      return cursor && trouble.scrollIntoView({ block: 'nearest' }) // The button is below the rows.
+    }
+    if (signal.aborted) return undefined
+    note(trouble, '')
     // The first page is read again and again: what was read beyond it stays.
     const fresh = new Set(page.items.map(job => job.id))
     const had = jobs.length > page.items.length || cursor
@@ -79,7 +90,7 @@ export function jobsPanel({ signal, href, current, onchange }) {
         .join(),
       changed = before !== '' && before !== ended
     before = ended || '-'
-    onchange(jobs, changed)
+    return onchange(jobs, changed)
   }
   async function watch() {
     for (let wait = 0; !signal.aborted; wait = jobs.some(busy) ? 2000 : 10_000) {
@@ -98,6 +109,8 @@ export function jobView({ signal, said, models, onstopped }) {
   async function follow(node, id, mine) {
     const title = el('span', {}),
       words = el('p', {}),
+      stated = el('span', {}),
+      from = el('span', {}),
       bar = el('progress', { max: 1, value: 0, 'aria-label': 'Progress of this phase' }),
       numbers = el('div'),
       result = el('div'),
@@ -132,33 +145,33 @@ export function jobView({ signal, said, models, onstopped }) {
     only('operator', stop)
     const draw = () => {
       say(title, capital(jobWords(job)))
-      fill(
-        words,
-        state(job),
-        job.state === 'waiting' ? '. Jobs run one after the other; this one begins by itself.' : '.',
-        job.dataset ? [' Dataset: ', link(`/data?dataset=${job.dataset}`, job.dataset), '.'] : ''
-      )
+      // Only what differs is set: a focus on the link or the button stays.
+      say(stated, stateWords(job)).className = TONE[job.state] ?? ''
+      if (from.dataset.of !== `${job.state} ${job.dataset}`) {
+        from.dataset.of = `${job.state} ${job.dataset}`
+        fill(
+          from,
+          job.state === 'waiting' ? '. Jobs run one after the other; this one begins by itself.' : '.',
+          job.dataset ? [' Dataset: ', link(`/data?dataset=${job.dataset}`, job.dataset), '.'] : ''
+        )
+        fill(words, stated, from)
+      }
       bar.hidden = job.state !== 'running'
       bar.value = job.progress?.total ? job.progress.done / job.progress.total : 0
       const p = job.progress
-      fill(
-        numbers,
-        facts(
-          [
-            ['Requested', moment(job.created_at, true)],
-            ['By', job.asked_by],
-            ['Took', span(took(job))],
-            p?.total > 0 && ['Done', `${count(p.done)} of ${count(p.total)}`],
-            p?.per_second != null && ['Rate', `${count(Math.round(p.per_second))} per s`],
-            p?.train_loss != null && ['Train loss', fixed(p.train_loss, 5)],
-            p?.validation_loss != null && ['Validation loss', fixed(p.validation_loss, 5)],
-          ].map(fact => fact || null)
-        )
-      )
-      fill(controls, busy(job) && stop)
+      changing(numbers, [
+        ['Requested', moment(job.created_at, true)],
+        ['By', job.asked_by],
+        ['Took', span(took(job))],
+        p?.total > 0 && ['Done', countOf(p.done, p.total)],
+        p?.per_second != null && ['Rate', `${count(Math.round(p.per_second))} per s`],
+        p?.train_loss != null && ['Train loss', fixed(p.train_loss, 5)],
+        p?.validation_loss != null && ['Validation loss', fixed(p.validation_loss, 5)],
+      ])
+      if (controls.hasChildNodes() !== busy(job)) fill(controls, busy(job) && stop)
       if (job.kind === 'training' && job.state !== 'waiting' && !curves) {
         curves = losses({ path: `/jobs/${id}/losses`, signal: mine, live: () => job.state === 'running' })
-        node.append(el('section', {}, curves.node))
+        node.append(el('section', { className: 'live' }, curves.node))
       }
       if (drawn !== job.state) {
         drawn = job.state

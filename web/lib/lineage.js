@@ -1,6 +1,6 @@
 // What a dataset was made from, as a graph to walk: dataset, runs, trials, frame. A choice is in the address.
 
-import { Refused, get, withQuery } from './api.js'
+import { get, withQuery } from './api.js'
 import { button, el, fill, link, onLook, soon } from './dom.js'
 import { NONE, count, counted, fixed, moment } from './format.js'
 import { frame } from './frame.js'
@@ -186,10 +186,10 @@ export function lineageWalk({ dataset, lineage, nets, label, signal, set }) {
       )
       boxes.set('frame', { node: end, of: `trial-${id}` })
     } catch (error) {
-      if (error instanceof Refused) {
-        end.hidden = false
-        fill(words, el('p', { className: 'bad' }, error.message))
-      }
+      if (signal.aborted || id !== chosen.trial) return
+      end.hidden = false
+      picture.show(null)
+      fill(words, el('p', { className: 'bad' }, `Trial ${id} cannot be shown: ${error.message}.`))
     }
     draw()
   }

@@ -2,20 +2,18 @@
 
 import { live } from './live.js'
 
-// End of the name of a holder without a key; one without a name is `local`.
-const isKeyless = ({ holder }) => holder === 'local' || holder.endsWith(' (local)')
 const holds = lock => live.caller?.name != null && live.caller.name === lock.holder
 
 /** Why the lock refuses what the caller wants to start, edit or move, as text; '' if it does not. */
 export function lockWords() {
   const lock = live.status?.lock
   if (!lock || holds(lock)) return ''
-  const all = isKeyless(lock) ? ' It holds for every caller.' : '' // Without a key none can prove to be the holder.
+  const all = lock.keyless ? ' It holds for every caller.' : '' // Without a key none can prove to be the holder.
   return `${lock.holder} has the operator lock: ${lock.note.replace(/[.\s]+$/, '')}.${all}`
 }
 
 /** Whether the caller may release the lock: its holder, an admin, and without a key one that was taken without a key. */
-export const mayRelease = lock => holds(lock) || live.may('admin') || isKeyless(lock) && live.caller != null && live.caller.name == null
+export const mayRelease = lock => holds(lock) || live.may('admin') || lock.keyless && live.caller != null && live.caller.name == null
 
 const mark = (node, why) => {
   node.ariaDisabled = why ? 'true' : null

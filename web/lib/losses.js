@@ -21,6 +21,7 @@ export function losses({ path, label, signal, live = () => false }) {
   const said = el('p', { className: 'soft small' }),
     curves = chart({
       title: 'Losses over epochs',
+      key: 'losses',
       x: 'Epoch',
       y: 'Loss',
       time: false,

@@ -3,7 +3,7 @@
 import { all, get } from './api.js'
 import { actor } from './actions.js'
 import { beginButton, queueText } from './begin.js'
-import { el, fill, link, panel } from './dom.js'
+import { el, fill, link, panel, say } from './dom.js'
 import { count, moment } from './format.js'
 import { overlay } from './overlay.js'
 import { table } from './table.js'
@@ -16,17 +16,17 @@ const STEPS = [
   'The skin feels what was placed. A weight on the wrong point is named before it is stored. You may stop at any time: the run continues where it stopped.',
 ]
 
-const isManual = item => /^\s*\[real_random\]/m.test(item.text)
+const isManual = item => item.kind === 'real-random'
 
 /** Makes the page for when no weights are asked; `load()` reads the queue again. */
 export function manual(said, { signal }) {
   const queued = el('div'), carried = el('div'), reason = el('p', { className: 'state' }), follows = el('p', { className: 'soft' })
   const node = el('div', { className: 'page' },
-    el('section', { 'aria-label': 'Now' }, reason, follows, said.node),
+    el('section', { className: 'live', 'aria-label': 'Now' }, reason, follows),
     el('div', { className: 'columns two' },
       panel('How manual trials go', {}, el('ol', { className: 'steps' }, STEPS.map(words => el('li', {}, words)))),
-      el('div', { className: 'column' }, panel('Begin', {}, queued, carried), panel('Overlay to print', {},
-        el('p', {}, 'All points of the skin with their labels, its outline and its electrodes, at true scale.'), overlay(said),
+      el('div', { className: 'column' }, panel('Begin', {}, queued, carried, said.node), panel('Overlay to print', {},
+        el('p', {}, 'All points of the skin with their labels, its outline and its electrodes, at true scale.'), overlay(),
           el('p', { className: 'soft small' }, 'Print at 100 %, without "fit to page", and measure the ruler before you cut.')))))
 
   async function load() {
@@ -49,8 +49,8 @@ export function manual(said, { signal }) {
   }
   /** Says why no weights are asked. */
   const tell = run => {
-    fill(reason, run ? `Run ${run.scan_id} wants no weights now` : 'No run waits for weights')
-    fill(follows, run ? `${run.experiment} is ${run.state}${run.waiting_for ? `: ${run.waiting_for}` : ''}. When a run waits for weights, they appear here.`
+    say(reason, run ? `Run ${run.scan_id} wants no weights now` : 'No run waits for weights')
+    say(follows, run ? `${run.experiment} is ${run.state}${run.waiting_for ? `: ${run.waiting_for}` : ''}. When a run waits for weights, they appear here.`
       : 'When a manual run is started, its first placement appears here by itself.')
   }
   return { node, load, tell }

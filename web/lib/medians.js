@@ -41,6 +41,7 @@ export function medianChart(runs, { label, query, signal }) {
   const x = [...new Set(lines.flatMap(line => [...line.depths.keys()]))].sort((a, b) => a - b)
   const view = chart({
     title: 'Force over depth, medians',
+    key: 'medians',
     time: false,
     x: 'Depth',
     xUnit: 'mm',

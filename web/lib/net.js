@@ -118,7 +118,7 @@ export function netView({ signal, models, promote }) {
       { aside: el('span', {}, counted(model.scores.length, 'evaluation')) },
       volts.length ? voltageTable(volts, models()) : '',
       touch.length ? contactTable(touch, models()) : '',
-      model.scores.length ? '' : el('p', { className: 'soft' }, 'It was not evaluated yet: start an evaluation below.')
+      model.scores.length ? '' : el('p', { className: 'soft' }, 'It was not evaluated yet.')
     )
     fill(
       node,

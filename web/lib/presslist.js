@@ -53,9 +53,12 @@ export function contactList(change) {
       found = el('td', { className: 'nowrap' })
     const kinds = Object.entries(LOAD).map(([key, { words }]) => [key, words])
     const kind = select(kinds, 'force_n', next => change(i, { kind: next }), { 'aria-label': `Contact ${i + 1}: given by` })
-    const remove = button('Remove', () => change(i, null), { className: 'plain', 'aria-label': `Remove contact ${i + 1}` })
+    const remove = button('Remove', () => {
+      change(i, null)
+      rows[Math.min(i, rows.length - 1)]?.remove.focus() // The rows are new: the focus stays in the list.
+    }, { className: 'plain', 'aria-label': `Remove contact ${i + 1}` })
     const line = el('tr', {}, el('th', { scope: 'row' }, String(i + 1)), [x, y, kind, value].map((input, k) => el('td', { data: { head: HEADS[k] } }, input)), found, el('td', {}, remove))
-    return { x, y, value, kind, found, line }
+    return { x, y, value, kind, found, remove, line }
   }
   function make(count) {
     rows = Array.from({ length: count }, (_, i) => row(i))

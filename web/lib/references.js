@@ -33,6 +33,7 @@ export function references({ label, signal }) {
     const tips = [...new Set(drawn.map(one => one.tips))].sort()
     const view = chart({
       title: 'Force at the reference presses, mean of the tips',
+      key: 'references',
       y: 'Force',
       unit: 'N',
       height: 190,

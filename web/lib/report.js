@@ -7,7 +7,8 @@ import { changing } from './changing.js'
 import { chart } from './chart.js'
 import { contactsTable, fitTable } from './contacts.js'
 import { button, el, fill, link, pane, say, select } from './dom.js'
-import { about, age, count, counted, fixed, moment, percent, plain, span } from './format.js'
+import { fold } from './fold.js'
+import { about, age, count, countOf, counted, fixed, moment, percent, plain, span } from './format.js'
 import { history } from './history.js'
 import { live } from './live.js'
 import { matters } from './log.js'
@@ -60,10 +61,11 @@ export function report(root, { state, set, go, said, others, signal }) {
   const colouring = select(COLOURINGS, state.colour ?? 'force', colour => set({ colour }), { id: 'colouring' })
   const skin = pane(map.node)
   map.beside(el('label', { className: 'inline' }, 'Colour', colouring))
-  const each = { time: false, x: 'Step of the tour', height: 200, signal, label, query: `/api/v1/runs/${n}/progress` }
+  const each = { time: false, whole: true, x: 'Step of the tour', height: 200, signal, label, query: `/api/v1/runs/${n}/progress` }
   const force = chart({
     ...each,
     title: 'Largest force by configuration',
+    key: 'force',
     y: 'Force',
     unit: 'N',
     series: [{ name: 'largest force', digits: 1, points: true, line: false, colour: '--c3' }],
@@ -71,6 +73,7 @@ export function report(root, { state, set, go, said, others, signal }) {
   const fvu = chart({
     ...each,
     title: 'FVU by configuration, median of its trials',
+    key: 'fvu',
     y: 'FVU',
     series: [{ name: 'median FVU', digits: 3, points: true, line: false, colour: '--c2' }],
     range: (_, high) => [0, Math.max(0.1, (high ?? 0) * 1.08)],
@@ -138,7 +141,7 @@ export function report(root, { state, set, go, said, others, signal }) {
     renew(top, run.uid, () => heading(run))
     say(told, runSentence(run)).className = `big ${runTone(run)}`
     changing(numbers, [
-      ['Stored', `${count(summary.trials_stored)} of ${count(run.trials_planned)}`],
+      ['Stored', countOf(summary.trials_stored, run.trials_planned)],
       ['Share', percent(summary.trials_stored, run.trials_planned)],
       ['Skipped configurations', count(summary.skips.length)],
       ['Trials of these', count(summary.trials_skipped)],
@@ -193,7 +196,7 @@ export function report(root, { state, set, go, said, others, signal }) {
       }).node,
     ])
     renew(text, run.definition, () => [
-      el('details', {}, el('summary', {}, 'Experiment file'), el('pre', { tabIndex: 0 }, run.definition)),
+      fold('experiment', 'Experiment file', { signal }, el('pre', { tabIndex: 0 }, run.definition)),
       run.state !== 'removed' && run.kind !== 'imported' ? el('p', { className: 'said' }, link(`/queue?copy=${run.scan_id}`, 'Queue a copy of it')) : null,
     ])
   }
@@ -238,6 +241,8 @@ export function report(root, { state, set, go, said, others, signal }) {
     tour ??= await quiet(get(`/runs/${run.scan_id}/tour`, {}, { signal, wait: 30_000 }))
     shape ??= await quiet(sensor(run.scan_id))
     if (signal.aborted) return
+    // What is read again and again is old without a connection.
+    for (const part of [top, contacts, fits, skips, log, skin, byStep]) part.classList.toggle('live', isActive(run))
     skin.hidden = !tour || !shape
     byStep.hidden = !progress
     if (!skin.hidden) {

@@ -1,33 +1,46 @@
 // The two forms of the nets: start a training, start an evaluation. What is sent can be read before.
 
-import { once } from './api.js'
+import { keep, once } from './api.js'
 import { actor } from './actions.js'
 import { el, panel, say, select, set } from './dom.js'
-import { FEW, RECIPES, hasMap, side } from './recipes.js'
+import { fold } from './fold.js'
+import { keepForm } from './formstate.js'
+import { recipes } from './recipes.js'
 import { put, raw } from './toml.js'
 
-const MAPS = ['4x20', '4x28', '4x32', '4x44', '4x52', '4x60', '10x10', '10x30', '10x50', '10x70', '20x20', '20x60']
 const field = (words, node, id) => {
   node.id = id
   return el('div', { data: { field: id } }, el('label', { htmlFor: id }, words), node)
 }
-const choices = (node, list, without) => {
-  const value = node.value
-  node.replaceChildren(
-    ...[...list, ...(without ? [['', without]] : [])]
-      .map(one => (Array.isArray(one) ? one : [one, one]))
-      .map(([of, words]) => el('option', { value: of }, words))
-  )
-  node.value = [...node.options].some(option => option.value === value) && value ? value : (node.options[0]?.value ?? '')
+
+/** Fills a select. What a person or the address has chosen stays, whatever is read later. */
+function choices(node, list, without) {
+  const { chosen } = node.dataset
+  const wanted = chosen ?? node.value
+  const all = [...list, ...(without ? [['', without]] : [])].map(one => (Array.isArray(one) ? one : [one, one]))
+  if (chosen && !all.some(([of]) => of === chosen)) all.push([chosen, chosen])
+  node.replaceChildren(...all.map(([of, words]) => el('option', { value: of }, words)))
+  const isThere = all.some(([of]) => of === wanted) && (wanted || chosen != null)
+  node.value = isThere ? wanted : (all[0]?.[0] ?? '')
 }
 
-/** Form of a training. `knows({ datasets, models })` fills its choices. */
-export function trainingForm({ said, onstart }) {
+const DRAFT = 'palpate-draft-training'
+
+/**
+ * Form of a training. `knows({ datasets, models })` fills its choices. Its fields are in the address; what is written into
+ * its text beyond them is kept in this tab, since a text is too long for an address.
+ */
+export function trainingForm({ said, onstart, signal }) {
   const about = el('p', { className: 'soft' }),
     text = el('textarea', { id: 'tr-text', rows: 14, spellcheck: false })
-  const recipe = select(Object.keys(RECIPES), 'transfer-net', begin),
+  const recipe = select([], '', () => {
+      begin()
+      written()
+    }),
     dataset = select([], '', change),
-    map = select(MAPS, '4x20', change)
+    map = select([], '', change)
+  let carried = []
+  const chosen = () => carried.find(one => one.name === recipe.value)
   const number = props => el('input', { type: 'number', min: 1, step: 1, onchange: change, ...props })
   const epochs = number({}),
     rows = number({ placeholder: 'all' }),
@@ -42,25 +55,36 @@ export function trainingForm({ said, onstart }) {
     field('Force map, pixel x diameter, mm', map, 'tr-map'),
     field('Name of the model', name, 'tr-name'),
   ]
-  const plainOf = (table, key) => (raw(text.value, table, key) ?? '').replace(/^"|"$/g, '')
+  // Where the text has the value of a field.
+  const AT = new Map([
+    [dataset, ['', 'dataset']],
+    [epochs, ['training', 'epochs']],
+    [rows, ['', 'rows']],
+    [seed, ['training', 'seed']],
+    [map, ['', 'map']],
+    [name, ['', 'name']],
+  ])
+  const all = [recipe, ...AT.keys()]
+  const plainOf = (of, node) => (raw(of, ...AT.get(node)) ?? '').replace(/^"|"$/g, '')
   /** The fields as the text has them. */
   function show() {
-    const [wanted, wantedMap] = [plainOf('', 'dataset'), plainOf('', 'map')]
+    const [wanted, wantedMap] = [plainOf(text.value, dataset), plainOf(text.value, map)]
     if (wanted && ![...dataset.options].some(option => option.value === wanted)) dataset.append(el('option', { value: wanted }, wanted))
     set(dataset, { value: wanted })
     if (wantedMap) map.value = wantedMap
-    for (const [node, table, key] of [
-      [epochs, 'training', 'epochs'],
-      [rows, '', 'rows'],
-      [seed, 'training', 'seed'],
-      [name, '', 'name'],
-    ])
-      node.value = plainOf(table, key)
+    for (const node of [epochs, rows, seed, name]) node.value = plainOf(text.value, node)
   }
   function begin() {
-    text.value = RECIPES[recipe.value].text
-    say(about, RECIPES[recipe.value].about)
-    fields.find(node => node.dataset.field === 'tr-map').hidden = !hasMap(recipe.value)
+    if (!chosen()) recipe.value = carried[0].name // That of an old address.
+    for (const node of [dataset, map]) delete node.dataset.chosen
+    const { text: begun, about: words, maps } = chosen()
+    text.value = begun
+    say(about, words)
+    choices(
+      map,
+      maps.map(one => one.map)
+    )
+    fields.find(node => node.dataset.field === 'tr-map').hidden = !maps.length
     show()
   }
   /** The text as the fields have it. */
@@ -74,14 +98,27 @@ export function trainingForm({ said, onstart }) {
     write('', 'rows', rows.value || null)
     if (epochs.value) write('training', 'epochs', epochs.value)
     if (seed.value) write('training', 'seed', seed.value)
-    if (hasMap(recipe.value)) {
-      write('', 'map', JSON.stringify(map.value))
-      write('training.net', 'side', String(side(map.value)))
-      write('training.net', 'channels', side(map.value) <= FEW.pixels ? FEW.channels : null)
+    const drawn = chosen()?.maps.find(one => one.map === map.value)
+    if (drawn) {
+      write('', 'map', JSON.stringify(drawn.map))
+      write('training.net', 'side', String(drawn.side))
+      write('training.net', 'channels', drawn.channels && JSON.stringify(drawn.channels))
     }
     text.value = now
+    remember()
   }
-  text.addEventListener('change', show)
+  const values = () => JSON.stringify(all.map(node => node.value))
+  const remember = () => keep('sessionStorage', DRAFT, JSON.stringify({ text: text.value, values: values() }))
+  let write = () => {}
+  /** The address as the fields are, after the form has set some. */
+  function written() {
+    for (const node of all) write(node)
+    remember()
+  }
+  text.addEventListener('change', () => {
+    show()
+    written()
+  })
   const start = actor(
     'Train',
     said,
@@ -98,10 +135,28 @@ export function trainingForm({ said, onstart }) {
     el('p', { className: 'soft' }, 'It trains in the service at low priority, one job after the other, and continues after a restart.'),
     el('div', { className: 'form' }, fields),
     about,
-    el('details', {}, el('summary', {}, 'The recipe as it is sent'), el('label', { htmlFor: 'tr-text' }, 'Recipe (TOML)'), text),
+    fold('recipe', 'The recipe as it is sent', { signal }, el('label', { htmlFor: 'tr-text' }, 'Recipe (TOML)'), text),
     el('div', { className: 'row' }, start)
   )
-  begin()
+  recipes().then(
+    found => {
+      if (signal.aborted) return
+      carried = found
+      choices(
+        recipe,
+        carried.map(one => one.name)
+      )
+      begin()
+      const kept = keep('sessionStorage', DRAFT)
+      const usual = node => (node === recipe ? carried[0].name : plainOf(chosen().text, node) || (node === map ? (chosen().maps[0]?.map ?? '') : ''))
+      write = keepForm(all, { usual, changed: node => (node === recipe ? begin() : change()), signal })
+      // What was written into the text belongs to the fields that it had.
+      const draft = kept && JSON.parse(kept)
+      if (draft?.values === values()) text.value = draft.text
+      remember()
+    },
+    error => say(about, `The list of recipes has no answer: ${error.message}.`)
+  )
   return {
     node,
     knows({ datasets }) {
@@ -127,10 +182,16 @@ const METHODS = {
 const NEEDED = { paper: ['map'], fast: ['points'] }
 const TASKS = { transfer: ['transfer'], map: ['recon', 'end-to-end'], points: ['points'] }
 
-/** Form of an evaluation. `knows({ datasets, models })` fills its choices. */
-export function evaluationForm({ said, onstart }) {
+const USUAL_METHOD = 'voltages'
+
+/** Form of an evaluation. `knows({ datasets, models })` fills its choices. Its values are in the address. */
+export function evaluationForm({ said, onstart, signal }) {
   const about = el('p', { className: 'soft' })
-  const scored = select(Object.keys(METHODS), 'voltages', show),
+  const scored = select(Object.keys(METHODS), USUAL_METHOD, () => {
+      delete dataset.dataset.chosen // Each method has the dataset that the paper scores it on.
+      show()
+      write(dataset)
+    }),
     dataset = select([], '', () => {}),
     part = select([['', 'all rows'], 'train', 'validation', 'test'], 'test', () => {}),
     frames = select(
@@ -158,6 +219,7 @@ export function evaluationForm({ said, onstart }) {
   }
   let known = { datasets: [], models: [] }
   function show() {
+    if (!METHODS[scored.value]) scored.value = USUAL_METHOD
     const method = METHODS[scored.value]
     say(about, method.about)
     for (const key of ['transfer', 'map', 'points']) {
@@ -166,7 +228,7 @@ export function evaluationForm({ said, onstart }) {
       choices(models[key], fit, NEEDED[scored.value]?.includes(key) ? (fit.length ? null : 'none is trained yet') : 'none')
     }
     fields.sd.hidden = scored.value !== 'exact'
-    if ([...dataset.options].some(option => option.value === method.dataset)) dataset.value = method.dataset
+    if (!dataset.dataset.chosen && [...dataset.options].some(option => option.value === method.dataset)) dataset.value = method.dataset
   }
   const start = actor(
     'Evaluate',
@@ -198,6 +260,11 @@ export function evaluationForm({ said, onstart }) {
     about,
     el('div', { className: 'row' }, start)
   )
+  // A dataset and nets that no person has chosen follow the method and what is trained.
+  const follows = new Set([dataset, ...Object.values(models)])
+  const first = new Map([scored, part, limit, frames, sd].map(control => [control, control.value]))
+  const usual = control => (!follows.has(control) ? first.get(control) : control.dataset.chosen ? null : control.value)
+  const write = keepForm([...first.keys(), ...follows], { usual, changed: show, signal })
   return {
     node,
     knows(next) {

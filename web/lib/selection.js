@@ -15,13 +15,14 @@ export const FLAGS = {
   doubted: 'It was stored although the skin felt a weight in another place.',
 }
 
-/** Parameters of the page that are no condition on trials. */
+/** Parameters of the page that are no condition on trials: its own, and those of its charts. */
 const OWN = ['trial', 'sort', 'scale']
+const isOwn = key => OWN.includes(key) || key.startsWith('zoom-')
 const COMPARES = { eq: '=', gt: '>', gte: '≥', lt: '<', lte: '≤', in: 'one of' }
 
 /** The conditions of an address, as the API takes them. */
 export function conditions(query) {
-  return Object.fromEntries(Object.entries(query).filter(([key, value]) => !OWN.includes(key) && value !== ''))
+  return Object.fromEntries(Object.entries(query).filter(([key, value]) => !isOwn(key) && value !== ''))
 }
 
 /** A condition as text: `fvu__gte`, 0.5 -> "FVU ≥ 0.5". */

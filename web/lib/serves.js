@@ -36,7 +36,7 @@ export function servingPart() {
     return el('li', { className: ready ? '' : 'soft' }, el('b', {}, method.name), `, ${method.about}: `, ready ? 'serves' : needWords(method, serving))
   }
   return {
-    node: panel('What serves', {}, list), none,
+    node: panel('What serves', { className: 'live' }, list), none,
     show(serving) {
       const text = JSON.stringify(serving.serves)
       if (text === shown) return

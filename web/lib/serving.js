@@ -3,6 +3,7 @@
 import { ask, once } from './api.js'
 import { actor, confirm, named, only } from './actions.js'
 import { button, el, fill, link, panel } from './dom.js'
+import { fold } from './fold.js'
 import { moment } from './format.js'
 import { who } from './live.js'
 import { lockWords } from './lock.js'
@@ -130,14 +131,17 @@ export function servingPanel({ signal, said, name, onchange }) {
     'What serves',
     { className: 'live' },
     holder,
-    el('details', {}, el('summary', {}, 'History of promotions'), record),
-    el(
-      'details',
-      {},
-      el('summary', {}, 'Add a calibration of the skin'),
-      el('label', { htmlFor: 'cal-file' }, 'File of palpate calibrate skin'),
-      file,
-      el('div', { className: 'row' }, add)
+    fold('promotions', 'History of promotions', { signal }, record),
+    only(
+      'operator',
+      fold(
+        'calibration',
+        'Add a calibration of the skin',
+        { signal },
+        el('label', { htmlFor: 'cal-file' }, 'File of palpate calibrate skin'),
+        file,
+        el('div', { className: 'row' }, add)
+      )
     )
   )
   return { node, read, draw, promote, serves: () => serves }

@@ -2,6 +2,7 @@
 
 import { colour, dark, el, onLook, say, soon } from './dom.js'
 import { get } from './api.js'
+import { mapKeys } from './mapkeys.js'
 import { picture } from './picture.js'
 
 const known = new Map()
@@ -20,13 +21,15 @@ export function sensor(run) {
 /**
  * Makes a drawing of the skin. `draw(pen, view)` draws over outline and electrodes, in pixels:
  * `view.x(mm)`, `view.y(mm)`, `view.scale` (pixels per mm), `view.colour(name)`. `onpick(mm, event)`
- * and `onhover(mm | null)` get positions on the skin; `describe()` returns the words for a reader.
+ * and `onhover(mm | null)` get positions on the skin, by pointer or by key, and may return words; `spots()` are the places
+ * [x, y] that can be read, in their order, `turn(step)` what Page Up and Page Down do instead of going through them.
+ * `describe()` returns the words for a reader.
  * `redraw()` draws again; `geometry(sensor)` gives the sensor.
  */
-export function skin({ title = 'Skin', draw = () => {}, onpick, onhover, ondrag, describe = () => title, points = false, label, query, data, signal, tall = false }) {
-  const canvas = el('canvas', { className: `skin${onpick || ondrag ? ' picks' : ''}`, role: 'img', 'aria-label': title, ...(onpick && { tabIndex: 0 }) })
+export function skin({ title = 'Skin', draw = () => {}, onpick, onhover, ondrag, describe = () => title, spots = () => [], turn, points = false, label, query, data, signal, tall = false }) {
+  const canvas = el('canvas', { className: `skin${onpick || ondrag ? ' picks' : ''}`, role: 'img', 'aria-label': title })
   const words = el('p', { className: 'soft hover' })
-  let shape = null, view = null, ground = null, groundOf = '', groundShape = null
+  let shape = null, view = null, reached = null, ground = null, groundOf = '', groundShape = null
   const redraw = soon(() => {
     const width = canvas.clientWidth, height = canvas.clientHeight
     if (!shape || !width) return
@@ -43,8 +46,22 @@ export function skin({ title = 'Skin', draw = () => {}, onpick, onhover, ondrag,
     pen.setTransform(ratio, 0, 0, ratio, 0, 0)
     pen.lineJoin = 'round'
     draw(pen, view, shape)
-    canvas.ariaLabel = describe()
+    if (reached) sight(pen)
+    // A reader would read a label that changes under its focus again and again.
+    if (document.activeElement !== canvas) canvas.ariaLabel = describe()
   })
+  // Where the keys are: a ring with four ticks, light on dark, seen on every colour.
+  function sight(pen) {
+    const x = view.x(reached[0]), y = view.y(reached[1])
+    for (const [ink, width] of [['--panel', 5], ['--ink', 2]]) {
+      pen.strokeStyle = colour(ink)
+      pen.lineWidth = width
+      pen.beginPath()
+      pen.arc(x, y, 9, 0, 7)
+      for (const [dx, dy] of [[1, 0], [-1, 0], [0, 1], [0, -1]]) { pen.moveTo(x + 9 * dx, y + 9 * dy); pen.lineTo(x + 16 * dx, y + 16 * dy) }
+      pen.stroke()
+    }
+  }
   // Outline, electrodes, points and ruler: drawn again only with another size, sensor or light.
   function background(ratio) {
     const now = `${canvas.width} ${canvas.height} ${dark.matches}`
@@ -97,6 +114,12 @@ export function skin({ title = 'Skin', draw = () => {}, onpick, onhover, ondrag,
     canvas.addEventListener('pointerleave', () => say(words, onhover(null) ?? ''))
   }
   if (ondrag) for (const kind of ['pointerdown', 'pointermove', 'pointerup']) canvas.addEventListener(kind, event => { const mm = place(event); if (mm) ondrag(kind.slice(7), mm, event) })
+  if (onhover || onpick) mapKeys(canvas, { spots, turn, pick: onpick, extent: () => [shape?.width_mm, shape?.height_mm], show(mm) {
+    reached = mm
+    redraw()
+    say(words, onhover?.(mm) ?? '')
+    return mm && (words.textContent || `x ${mm[0].toFixed(0)}, y ${mm[1].toFixed(0)} mm`)
+  } })
   onLook(canvas, redraw, signal)
   const node = picture({ title, label, query, data, canvas: () => canvas, props: { className: `picture skin-box${tall ? ' tall' : ''}` } }, canvas, words)
   return { node, canvas, redraw, geometry(next) { shape = next; canvas.style.aspectRatio = `${next.width_mm + 20} / ${next.height_mm + 30}`; redraw() }, get shape() { return shape } }

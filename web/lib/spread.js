@@ -35,6 +35,7 @@ export function spread({ signal, label }) {
   const force = chart({
     ...common,
     title: 'Largest force of a trial',
+    key: 'largest',
     x: 'Largest force',
     xUnit: 'N',
     y: 'Trials',
@@ -43,6 +44,7 @@ export function spread({ signal, label }) {
   const contacts = chart({
     ...common,
     title: 'Contacts of a trial',
+    key: 'contacts',
     whole: true,
     x: 'Contacts',
     y: 'Trials',
@@ -51,6 +53,7 @@ export function spread({ signal, label }) {
   const fit = chart({
     ...common,
     title: 'FVU over largest force',
+    key: 'fvu',
     x: 'Largest force',
     xUnit: 'N',
     y: 'FVU',

@@ -18,6 +18,15 @@ export function table({ columns, rows = [], caption, empty = 'Nothing yet.', hre
     return el(i === 0 ? 'th' : 'td', { ...(i === 0 && { scope: 'row' }), className: column.left ? 'left' : '', data: { head: column.head } }, inside)
   }
   const show = rows => {
+    const focused = node.contains(document.activeElement) && keyOf(document.activeElement)
+    draw(rows)
+    // Rows that are read again and again must not take the focus from what a person is at, nor give it to another row's.
+    const alike = focused && !node.contains(document.activeElement) ? [...node.querySelectorAll('a, button')].filter(one => keyOf(one) === focused) : []
+    if (alike.length === 1) alike[0].focus({ preventScroll: true })
+    return node
+  }
+  const keyOf = one => [one.getAttribute('href'), one.ariaLabel ?? one.textContent].join(' ')
+  const draw = rows => {
     if (!rows.length) return fill(node, el('p', { className: 'soft' }, typeof empty === 'function' ? empty() : empty))
     const line = row => el('tr', { className: current?.(row) ? 'current' : '' }, columns.map((column, i) => cell(row, column, i)))
     return fill(node, el('table', {}, caption && el('caption', {}, caption), el('thead', {}, el('tr', {}, columns.map(head))), el('tbody', {}, rows.map(line))))

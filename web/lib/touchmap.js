@@ -6,9 +6,7 @@ import { fixed } from './format.js'
 import { sequential, strip } from './frame.js'
 import { skin } from './skin.js'
 
-/** Side of a force map, mm; its centre is the centre of the skin. */
-const MAP_MM = 640
-const SAME_MM = 40, TIP_MM = 20, SDS = 2
+const SAME_MM = 40, SDS = 2
 
 /** Gives each contact the number that it had in the frame before: the nearest within 40 mm keeps it. */
 export function numbered(contacts, before) {
@@ -45,6 +43,8 @@ export function touchMap({ signal, label, query }) {
 
   // The net's own map: one pixel each, row 0 at the lowest y; drawn once more only when it is new.
   function paint(map) {
+    if (!view.shape) return
+    const { tip_diameter_mm: tip, force_map_mm: whole } = view.shape
     const n = Math.round(Math.sqrt(map.length))
     if (n !== side) {
       side = n
@@ -53,7 +53,7 @@ export function touchMap({ signal, label, query }) {
       image = new ImageData(n, n)
     }
     // A contact of `end` newtons spread over a tip fills the colours.
-    const full = end / (Math.PI * (TIP_MM / 2) ** 2) * (MAP_MM / n) ** 2, pixels = image.data
+    const full = end / (Math.PI * (tip / 2) ** 2) * (whole / n) ** 2, pixels = image.data
     for (let row = 0; row < n; row += 1) {
       for (let column = 0; column < n; column += 1) {
         const value = map[row * n + column], at = 4 * ((n - 1 - row) * n + column), rgb = palette[Math.max(0, Math.min(254, Math.round(254 * value / full)))]
@@ -70,20 +70,20 @@ export function touchMap({ signal, label, query }) {
     if (!answer) return
     const unsure = answer.outside?.length > 0
     if (answer.force_map_n) {
-      const left = shape.width_mm / 2 - MAP_MM / 2, top = shape.height_mm / 2 + MAP_MM / 2
+      const whole = shape.force_map_mm, left = shape.width_mm / 2 - whole / 2, top = shape.height_mm / 2 + whole / 2
       pen.save()
       pen.beginPath()
       pen.rect(view.x(0), view.y(shape.height_mm), shape.width_mm * view.scale, shape.height_mm * view.scale)
       pen.clip()
       pen.imageSmoothingEnabled = true
-      pen.drawImage(board, view.x(left), view.y(top), MAP_MM * view.scale, MAP_MM * view.scale)
+      pen.drawImage(board, view.x(left), view.y(top), whole * view.scale, whole * view.scale)
       pen.restore()
     }
     pen.font = '600 15px system-ui, sans-serif'
     pen.textBaseline = 'middle'
     pen.textAlign = 'left'
     for (const contact of answer.contacts) {
-      const x = view.x(contact.x_mm), y = view.y(contact.y_mm), r = TIP_MM / 2 * view.scale
+      const x = view.x(contact.x_mm), y = view.y(contact.y_mm), r = shape.tip_diameter_mm / 2 * view.scale
       if (!answer.force_map_n) {
         const rgb = shade(contact.force_n ?? end / 2)
         pen.fillStyle = `rgb(${rgb[0]} ${rgb[1]} ${rgb[2]})`
@@ -113,14 +113,19 @@ export function touchMap({ signal, label, query }) {
   function describe() { return answer ? `The skin with ${answer.contacts.length} contacts; the table next to it lists them.` : 'The skin; no answer yet.' }
 
   function tellLegend() {
-    fill(legend, el('span', {}, '0'), strip(i => palette[i]), el('span', {}, `${fixed(end, 0, 'N')} on one contact of ${fixed(TIP_MM, 0, 'mm')}`),
+    const tip = view.shape ? ` of ${fixed(view.shape.tip_diameter_mm, 0, 'mm')}` : ''
+    fill(legend, el('span', {}, '0'), strip(i => palette[i]), el('span', {}, `${fixed(end, 0, 'N')} on one contact${tip}`),
       el('span', {}, 'Ellipse: 2 standard deviations of the place, where the method knows them'))
   }
   dark.addEventListener('change', () => { palette = sequential(); ink = inks(); tellLegend(); view.redraw() }, { signal })
   tellLegend()
   return {
     node: el('div', {}, view.node, legend),
-    geometry: view.geometry,
+    geometry(next) {
+      view.geometry(next)
+      tellLegend()
+      if (answer?.force_map_n) paint(answer.force_map_n)
+    },
     show(next) {
       answer = next
       if (next?.force_map_n) paint(next.force_map_n)

@@ -5,6 +5,7 @@ import { button, dark, el, fill, say } from './dom.js'
 import { count, counted, fixed } from './format.js'
 import { paintStrip, sequential } from './frame.js'
 import { skin, tips } from './skin.js'
+import { places } from './tourmap.js'
 
 const BINS = 96
 const TRAIL = 10
@@ -20,6 +21,7 @@ export function tourView({ onstep, label, query, signal }) {
   let shape = null
   let kept = []
   let middles = []
+  let spots = []
   let at = 0
   let bitmap = null
   let drawn = ''
@@ -46,6 +48,12 @@ export function tourView({ onstep, label, query, signal }) {
         walk(nearest(mm))
         onstep(kept[at])
       }
+      return words()
+    },
+    spots: () => spots,
+    turn: n => {
+      by(n)
+      return words()
     },
   })
   const slider = el('input', { type: 'range', id: 'tour-step', min: 0, max: 0, value: 0, 'aria-describedby': 'tour-words' })
@@ -163,6 +171,7 @@ export function tourView({ onstep, label, query, signal }) {
       shape = sensor
       kept = tour.steps.tips.map((n, i) => i).filter(i => only == null || tour.steps.tips[i] === only)
       middles = kept.map(i => middle(tour.steps.contacts_mm[i]))
+      spots = places({ contacts_mm: kept.map(i => tour.steps.contacts_mm[i]) }).map(({ x, y }) => [x, y])
       slider.max = Math.max(0, kept.length - 1)
       slider.disabled = kept.length < 2
       view.geometry(sensor)

@@ -33,13 +33,7 @@ export function tourMap({ signal, label, query, href, onselect = () => {}, force
   const values = () => kind === 'force' ? progress?.largest_force_n : progress?.fvu
   const scaleEnd = () => kind === 'force' ? forceLimit() ?? 100 : round125(Math.max(0.05, ...quantile(progress?.fvu)))
 
-  const view = skin({ title: 'Tour', signal, label, query, points: true, draw, describe, onhover, onpick })
-  view.canvas.addEventListener('keydown', event => {
-    const step = { ArrowRight: 1, ArrowDown: 1, ArrowLeft: -1, ArrowUp: -1 }[event.key]
-    if (!step || !steps) return
-    event.preventDefault()
-    choose(Math.max(0, Math.min(steps.configuration.length - 1, (chosen ?? now() ?? 0) + step)))
-  })
+  const view = skin({ title: 'Tour', signal, label, query, points: true, draw, describe, onhover, onpick, turn, spots: () => spots.map(({ x, y }) => [x, y]) })
 
   function now() { return present ?? progress?.current ?? null }
 
@@ -122,7 +116,16 @@ export function tourMap({ signal, label, query, href, onselect = () => {}, force
     if (next !== hovered) { hovered = next; view.redraw() }
     return next == null ? '' : words(next)
   }
-  function onpick(mm) { if (steps) choose(near(mm)) }
+  function onpick(mm) {
+    if (steps) choose(near(mm))
+    return at.textContent
+  }
+  // By key: one configuration of the tour on or back.
+  function turn(step) {
+    if (!steps) return ''
+    choose(Math.max(0, Math.min(steps.configuration.length - 1, (chosen ?? now() ?? 0) + step)))
+    return at.textContent
+  }
 
   const at = el('p', { className: 'picked' })
   function choose(index) {
@@ -141,7 +144,7 @@ export function tourMap({ signal, label, query, href, onselect = () => {}, force
     if (!steps) return 'The skin; no tour is known.'
     const done = steps.configuration.filter((_, i) => total(i) >= depths).length
     const told = `${done} of ${steps.configuration.length} configurations done, ${progress?.skipped.length ?? 0} skipped`
-    return `The skin with the tour: ${told}. Arrow keys choose a configuration.`
+    return `The skin with the tour: ${told}.`
   }
 
   function tellLegend() {

@@ -27,7 +27,7 @@ export function trialWords(row) {
 /** Makes the view of one trial; `show(row, { siblings, untouched, deepest })` draws it. */
 export function trialView({ signal, href, onscale }) {
   let row = null,
-    diameter = 20
+    diameter = 0 // Known with the geometry, before anything is drawn.
   const label = () => (row?.label === 'virtual' ? 'virtual' : '')
   const picture = (title, name) => frame({ title, name, signal, label, query: () => `/api/v1/trials/${row.trial_id}` })
   const shown = {
@@ -58,6 +58,7 @@ export function trialView({ signal, href, onscale }) {
   })
   const depths = chart({
     title: 'Forces over depth, this configuration',
+    key: 'depths',
     x: 'Depth',
     xUnit: 'mm',
     y: 'Force',
@@ -278,7 +279,7 @@ export function trialView({ signal, href, onscale }) {
       const shape = await sensor(row.scan_id).catch(() => sensor().catch(() => null))
       if (signal.aborted || row !== next) return
       if (shape) {
-        diameter = shape.tip_diameter_mm ?? 20
+        diameter = shape.tip_diameter_mm
         if (map.shape !== shape) map.geometry(shape)
       }
       map.redraw()

@@ -1,7 +1,8 @@
 // The simulated twins that the service makes in the background: how far, how fast, how well.
 
 import { get } from './api.js'
-import { el, facts, fill, link, panel, say, sleep } from './dom.js'
+import { changing } from './changing.js'
+import { el, link, panel, say, sleep } from './dom.js'
 import { about, count, fixed, plain } from './format.js'
 import { table } from './table.js'
 import { TONE } from './words.js'
@@ -24,10 +25,10 @@ export function twins(signal) {
     if (rows.some(row => !names.has(row.run))) for (const run of (await get('/runs', { limit: 1000 }, { signal })).items) names.set(run.uid,
       `${run.scan_id} ${run.experiment}`)
     const { rolling } = pool
-    fill(numbers, facts([['Speed', pool.per_s == null ? 'none made yet' : `${about(pool.per_s)}\u202f/s`], ['Made since start', count(pool.made)],
+    changing(numbers, [['Speed', pool.per_s == null ? 'none made yet' : `${about(pool.per_s)}\u202f/s`], ['Made since start', count(pool.made)],
       ['Workers', count(pool.workers)], ['Pending', count(rows.reduce((sum, row) => sum + row.pending, 0))],
       ['Rolling FVU', rolling ? fixed(rolling.median_fvu, 3) : 'no run watched'],
-        ...(rolling ? [['Pairs over their limit', count(rolling.pairs_over_limit)]] : [])]))
+        rolling && ['Pairs over their limit', count(rolling.pairs_over_limit)]])
     const worst = rolling?.worst_pairs.map(pair => `${pair.electrodes.join('–')} (${fixed(pair.fvu, 2)})`).join(', ')
     say(verdict, !rolling ? '' : `${LEVELS[rolling.level] ?? plain(rolling.level)}${worst ? ` Worst pairs of electrodes, by FVU: ${worst}.` : ''}`)
     verdict.className = TONE[rolling?.level] ?? { ok: 'good', warn: 'warn', suspend: 'bad' }[rolling?.level] ?? 'soft'

@@ -39,12 +39,16 @@ export function wearMap({ onchoose, label, signal }) {
     points: true,
     describe,
     onhover: mm => (mm ? words(near(mm)) : ''),
-    onpick: mm => pick(near(mm)),
+    onpick: mm => {
+      pick(near(mm))
+      return chosen.textContent
+    },
+    spots: () => order.map(i => [points.x_mm[i], points.y_mm[i]]), // The most pressed first.
     data: () => ({ heads: ['x_mm', 'y_mm', 'presses'], rows: order.map(at) }),
   })
   const series = [{ name: 'places', digits: 0, bars: true, fill: true, colour: '--c1' }]
   const range = (_, high) => [0, Math.max(1, (high || 1) * 1.1)]
-  const spread = chart({ title: 'Places by their presses', time: false, x: 'Presses', y: 'Places', height: 170, signal, label, query, series, range })
+  const spread = chart({ title: 'Places by their presses', key: 'places', time: false, x: 'Presses', y: 'Places', height: 170, signal, label, query, series, range })
   const spreadPart = pane(spread.node)
   dark.addEventListener('change', () => top() && tellLegend(), { signal })
 
@@ -70,6 +74,10 @@ export function wearMap({ onchoose, label, signal }) {
     return best
   }
   const pick = i => (i == null ? onchoose(null, null) : onchoose(Math.round(at(i)[0]), Math.round(at(i)[1])))
+  function find(i) {
+    pick(i)
+    view.node.scrollIntoView({ block: 'nearest' }) // On a phone the map is beyond the table.
+  }
 
   function disc(pen, v, [x, y], radius) {
     pen.beginPath()
@@ -103,12 +111,12 @@ export function wearMap({ onchoose, label, signal }) {
     const used = points.presses.filter(n => n > 0)
     const usual = median(used)
     const where = i => `x ${fixed(at(i)[0], 0)}, y ${fixed(at(i)[1], 0, 'mm')}`
-    const find = i => button('Show', () => pick(i), { className: 'plain small', 'aria-label': `Show the place at ${where(i)}` })
+    const showing = i => button('Show', () => find(i), { className: 'plain small', 'aria-label': `Show the place at ${where(i)}` })
     const columns = [
       { head: 'Place', left: true, cell: where },
       { head: 'Presses', cell: i => count(points.presses[i]) },
       { head: 'Of the median', cell: i => (usual ? `${fixed(points.presses[i] / usual, 1)}\u202f×` : NONE) },
-      { head: 'Show', cell: find },
+      { head: 'Show', cell: showing },
     ]
     const list = facts([
       ['Presses in all', count(points.presses.reduce((a, b) => a + b, 0))],

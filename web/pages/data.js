@@ -1,11 +1,13 @@
 // The datasets: "What can I load?" The list as the paper's Table I, one opened above it, exports below.
 
-import { get, once } from '../lib/api.js'
-import { actor, outcome } from '../lib/actions.js'
+import { get, keep, once } from '../lib/api.js'
+import { actor, only, outcome } from '../lib/actions.js'
 import { button, el, fill, note, panel } from '../lib/dom.js'
 import { bytes, count, counted, moment } from '../lib/format.js'
 import { contactColumns, datasetView, partsWords } from '../lib/dataset.js'
 import { exportsPanel } from '../lib/exports.js'
+import { fold } from '../lib/fold.js'
+import { live } from '../lib/live.js'
 import { table } from '../lib/table.js'
 
 const ABOUT = {
@@ -16,6 +18,7 @@ const ABOUT = {
   's2s-recon': 'simulated voltages to force map (Table II)',
   'real-unseen': 'Real-Random: the test with weights (Table II)',
 }
+const DRAFT = 'palpate-draft-dataset'
 const EXAMPLE = 'name = "strong"\ntask = "real"\nwhere = ["max_force_n__gt=20"]\n\n[split]\nratio = [3, 1, 1]\nseed = 1\n'
 
 /** Shows the page. */
@@ -33,7 +36,7 @@ export async function show(root, { query, signal, set, go }) {
     go: set,
     onmade: made,
     onexport: name => {
-      files.choose(name)
+      files.choose(name, true)
       files.node.scrollIntoView({ block: 'start' })
       files.node.querySelector('select').focus()
     },
@@ -42,7 +45,7 @@ export async function show(root, { query, signal, set, go }) {
   const list = table({
     href: item => `/data?dataset=${newest(item) ? item.name : item.id}`,
     current: item => item.id === query.dataset || (item.name === query.dataset && newest(item)),
-    empty: 'No dataset yet. A run gives one when it ends; the definitions below make the others.',
+    empty: () => `No dataset yet. A run gives one when it ends${live.may('operator') ? '; the definitions below make the others' : ''}.`,
     columns: [
       { head: 'Dataset', cell: item => item.name, left: true },
       { head: 'Label', cell: item => labels.get(item.id), left: true },
@@ -57,13 +60,22 @@ export async function show(root, { query, signal, set, go }) {
     offered = el('div', { className: 'offers' })
 
   // Making one: by a name, or by the text of a definition.
-  const text = el('textarea', { id: 'ds-text', rows: 9, spellcheck: false, value: EXAMPLE })
+  // A text is too long for an address: it is kept in this tab.
+  const text = el('textarea', {
+    id: 'ds-text',
+    rows: 9,
+    spellcheck: false,
+    value: keep('sessionStorage', DRAFT) || EXAMPLE,
+    oninput: () => keep('sessionStorage', DRAFT, text.value),
+  })
   const file = el('input', {
     id: 'ds-file',
     type: 'file',
     accept: '.toml',
     onchange: async () => {
-      if (file.files[0]) text.value = await file.files[0].text()
+      if (!file.files[0]) return
+      text.value = await file.files[0].text()
+      keep('sessionStorage', DRAFT, text.value)
     },
   })
   const make = (words, body, props) =>
@@ -77,10 +89,10 @@ export async function show(root, { query, signal, set, go }) {
       },
       props
     )
-  const own = el(
-    'details',
-    {},
-    el('summary', {}, 'A definition of your own'),
+  const own = fold(
+    'definition',
+    'A definition of your own',
+    { signal },
     el(
       'p',
       { className: 'soft small' },
@@ -98,7 +110,7 @@ export async function show(root, { query, signal, set, go }) {
     )
   )
   const listPanel = panel('Datasets', { aside: told }, trouble, list.node, el('div', { className: 'row' }, more))
-  const makePanel = panel('Make one of the trials stored now', {}, offered, own, said.node)
+  const makePanel = only('operator', panel('Make one of the trials stored now', {}, offered, own, said.node))
   root.append(view.node, listPanel, makePanel, files.node)
 
   function made(item) {
@@ -115,6 +127,7 @@ export async function show(root, { query, signal, set, go }) {
       note(trouble, '')
     } catch (error) {
       if (!signal.aborted) note(trouble, `The datasets cannot be read: ${error.message}`)
+      if (cursor) trouble.scrollIntoView({ block: 'nearest' }) // The button is below the rows.
     }
     if (signal.aborted) return
     more.hidden = !next
@@ -148,6 +161,7 @@ export async function show(root, { query, signal, set, go }) {
     view.show(query)
     list.show(items)
   }
+  live.addEventListener('caller', () => list.show(items), { signal }) // What an empty list says depends on the role.
   files.choose(query.dataset ?? 'real')
   view.show(query)
   read()

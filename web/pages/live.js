@@ -1,5 +1,5 @@
 // Live: what is touching the skin? Contacts of the live frames at up to 30 per second, how sure they are, which
-// model answers; a recording of the raw frames. Its address: method, scale.
+// model answers; a recording of the raw frames. Its address: method, scale, zoom-total.
 
 import { get, socket } from '../lib/api.js'
 import { changing } from '../lib/changing.js'
@@ -16,7 +16,6 @@ import { numbered, touchMap } from '../lib/touchmap.js'
 
 const SCALES = [['5', '5 N'], ['20', '20 N'], ['', '50 N'], ['100', '100 N']]
 const TELL_MS = 250, TRACE_MS = 100, TRACED = 600, SERVING_MS = 10_000, STALE_MS = 2000
-const FRAME_MISFIT_LIMIT = 3 // Beyond it a fit does not explain the frame; the service says so in `outside`.
 
 /** How sure an answer is: { tone, words }. */
 export function sureness(answer, old) {
@@ -24,7 +23,7 @@ export function sureness(answer, old) {
   if (answer.error) return { tone: 'bad', words: `The method failed: ${answer.error}` }
   if (old) return { tone: 'warn', words: 'Old: no answer has come for some seconds.' }
   if (answer.outside?.length) return { tone: 'warn', words: `Unsure: ${answer.outside.join('; ')}.` }
-  const misfit = answer.misfit == null ? '' : ` The fit leaves ${fixed(answer.misfit, 1)} times the noise (limit ${FRAME_MISFIT_LIMIT}).`
+  const misfit = answer.misfit == null ? '' : ` The fit leaves ${fixed(answer.misfit, 1)} times the noise (limit ${answer.misfit_limit}).`
   return { tone: 'good', words: `${answer.contacts.length ? counted(answer.contacts.length, 'contact') : 'Nothing touches the skin'}.${misfit}` }
 }
 
@@ -49,12 +48,13 @@ export async function show(root, { query, signal, set }) {
   const presence = { head: 'Presence', unit: '%', cell: c => c.presence == null ? '–' : fixed(100 * c.presence, 0) }
   const [placed, proposed] = [columns, [...columns, presence]].map(columns => table({ caption: 'Contacts', empty: 'Nothing touches the skin.', columns }))
   const lists = el('div')
-  const total = chart({ title: 'Total force, last minute', y: 'Force', unit: 'N', height: 130, signal, label,
+  const total = chart({ title: 'Total force, last minute', key: 'total', y: 'Force', unit: 'N', height: 130, signal, label,
     series: [{ name: 'total', digits: 1, fill: true }], range: (_, high) => [0, round125(Math.max(5, high || 0))] })
   const now = panel('Now', { className: 'live touch', aside: methods }, sure, numbers, lists)
   const colours = el('label', { className: 'inline' }, 'Colours up to', scales)
   const picture = el('section', { className: 'live' }, el('div', { className: 'row tight' }, colours), map.node)
-  const beside = el('div', { className: 'column' }, now, el('section', { className: 'live touched' }, total.node), serves.node, recorder({ signal }))
+  const touched = el('section', { className: 'live touched' }, total.node)
+  const beside = el('div', { className: 'column' }, now, touched, serves.node, recorder({ signal }))
   const page = el('div', { className: 'columns live-columns' }, picture, beside)
   fill(root, serves.none, page)
 
@@ -110,7 +110,7 @@ export async function show(root, { query, signal, set }) {
     const old = answer && Date.now() - at > STALE_MS, method = chosen(), words = open || !serving ? sureness(answer, old) : missing(method)
     say(sure, words.words)
     sure.className = `answer sure ${words.tone}`
-    picture.classList.toggle('old', Boolean(old))
+    for (const part of [picture, numbers, lists, touched]) part.classList.toggle('old', Boolean(old))
     const seconds = (performance.now() - since) / 1e3
     if (seconds >= 1) {
       const sorted = [...latencies].sort((a, b) => a - b), latency = sorted[sorted.length >> 1]

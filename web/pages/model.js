@@ -26,8 +26,12 @@ export async function show(root, { query, signal, set }) {
     data: () => ({ heads: ['x_mm', 'y_mm', 'force_n', 'depth_mm'], rows: (state.answer?.contacts ?? []).map(c => [c.x_mm, c.y_mm, c.force_n, c.depth_mm]) }) })
   const list = contactList(edit), told = el('p', { className: 'said', role: 'status' }), numbers = el('div')
   const voltages = frame({ title: 'Voltages', name: 'simulated-frame', label: () => `simulated, ${viewWords()}`, signal })
-  const picker = el('div', { className: 'row' }), against = scatter({ title: 'Trial: measured against simulated', label: () => state.trial?.label, signal })
-  const trialForm = el('form', { className: 'row', onsubmit: event => { event.preventDefault(); set({ trial: trialInput.value, contacts: null }) } })
+  const picker = el('div', { className: 'row' }), against = scatter({ title: 'Trial: measured against simulated', key: 'trial', label: () => state.trial?.label, signal })
+  const trialForm = el('form', { className: 'row', onsubmit: event => {
+    event.preventDefault()
+    state.trialId = null // The same trial again has its own contacts again.
+    set({ trial: trialInput.value, contacts: null })
+  } })
   const trialInput = el('input', { type: 'number', min: 1, id: 'model-trial', className: 'short' }), trialWords = el('p', { className: 'soft' })
   const scatterPane = pane(against.node)
   const without = button('Without', () => set({ trial: null }), { className: 'plain', hidden: true })
@@ -37,20 +41,20 @@ export async function show(root, { query, signal, set }) {
 
   root.append(el('div', { className: 'columns two' },
     el('div', { className: 'column' }, pane(drawn.node, bend.legend,
-      el('p', { className: 'soft small' }, `Click adds a contact (at most ${MOST}), drag moves it.`)),
+      el('p', { className: 'soft small' }, `Click adds a contact (at most ${MOST}), drag moves it. By keyboard: arrows, Enter, and the list.`)),
       panel('Answer', {}, numbers, told)),
     el('div', { className: 'column' },
-      panel('Contacts', {}, list.node, el('div', { className: 'row' }, button('Add a contact', () => add(apart())),
-        button('Remove all', () => put([]), { className: 'plain' })),
+      panel('Contacts', {}, list.node, el('div', { className: 'row' }, button('Add a contact', () => drawn.shape ? add(apart()) : note(told, 'The skin is not known yet.')),
+        button('Remove all', () => state.contacts.length ? put([]) : note(told, 'There is no contact to remove.'), { className: 'plain' })),
         trialForm, trialWords),
       pane(voltages.node, picker))), scatterPane, below.node, twins(signal))
 
-  const centre = () => { const { width_mm: w = 540, height_mm: h = 560 } = drawn.shape ?? {}; return [w / 2, h / 2] }
+  const centre = () => [drawn.shape.width_mm / 2, drawn.shape.height_mm / 2]
   // A place 60 mm from every contact, as near the centre as there is one on a grid of 30 mm.
   const apart = () => {
-    const { width_mm: w = 540, height_mm: h = 560 } = drawn.shape ?? {}, [x, y] = centre(), far = ([a, b], [c, d]) => Math.hypot(a - c, b - d)
+    const { width_mm: w, height_mm: h, tip_diameter_mm: rim } = drawn.shape, [x, y] = centre(), far = ([a, b], [c, d]) => Math.hypot(a - c, b - d)
     const grid = Array.from({ length: 15 * 15 }, (_, i) => [x + 30 * (i % 15 - 7), y + 30 * (Math.floor(i / 15) - 7)])
-      .filter(([a, b]) => a > 20 && b > 20 && a < w - 20 && b < h - 20).sort((a, b) => far(a, [x, y]) - far(b, [x, y]))
+      .filter(([a, b]) => a > rim && b > rim && a < w - rim && b < h - rim).sort((a, b) => far(a, [x, y]) - far(b, [x, y]))
     return grid.find(p => state.contacts.every(c => far(p, [c.x_mm, c.y_mm]) >= 59)) ?? [x, y]
   }
   const viewWords = () => [...VIEWS, ...TRIAL_VIEWS].find(([name]) => name === state.view)?.[1].toLowerCase() ?? ''
@@ -67,7 +71,7 @@ export async function show(root, { query, signal, set }) {
   signal.addEventListener('abort', () => { clearTimeout(timer); cut.abort() })
   const add = ([x_mm, y_mm]) => state.contacts.length < MOST
     ? put([...state.contacts, { ...NEW, ...(({ kind, value }) => kind && { kind, value })(state.contacts.at(-1) ?? {}), x_mm, y_mm }])
-    : say(told, `At most ${MOST} contacts: remove one first.`)
+    : note(told, `At most ${MOST} contacts: remove one first.`)
   function edit(i, change) {
     if (!change) return put(state.contacts.filter((_, k) => k !== i))
     const found = state.answer?.contacts?.[i]
@@ -75,7 +79,7 @@ export async function show(root, { query, signal, set }) {
     if (change.kind && change.kind !== state.contacts[i].kind) change.value = +(found?.[change.kind] ?? (change.kind === 'force_n' ? 20 : 1)).toFixed(2)
     return put(state.contacts.map((contact, k) => k === i ? { ...contact, ...change } : contact))
   }
-  const under = ([x, y]) => state.contacts.findIndex(c => Math.hypot(c.x_mm - x, c.y_mm - y) < Math.max(12, (drawn.shape?.tip_diameter_mm ?? 20) * 0.7))
+  const under = ([x, y]) => state.contacts.findIndex(c => Math.hypot(c.x_mm - x, c.y_mm - y) < Math.max(12, drawn.shape.tip_diameter_mm * 0.7))
   function drag(kind, mm, event) {
     if (kind === 'down') {
       state.held = under(mm)
@@ -86,8 +90,10 @@ export async function show(root, { query, signal, set }) {
   }
   function pick(mm) {
     const { width_mm: w, height_mm: h } = drawn.shape
+    const had = state.contacts.length
     if (!state.moved && mm[0] >= 0 && mm[1] >= 0 && mm[0] <= w && mm[1] <= h) add(mm)
     state.moved = false
+    return state.contacts.length > had ? `Contact ${had + 1} is pressed here.` : told.textContent
   }
   function hover(mm) {
     const grid = state.answer?.dent_mm
@@ -138,10 +144,11 @@ export async function show(root, { query, signal, set }) {
   function drawFrame() {
     const { answer, trial, view } = state
     const choices = [...VIEWS, ...(trial?.voltages_v ? TRIAL_VIEWS : [])]
-    if (picker.dataset.views !== `${choices.length}${view}`) {
-      picker.dataset.views = `${choices.length}${view}`
+    if (picker.dataset.views !== String(choices.length)) {
+      picker.dataset.views = choices.length
       fill(picker, el('label', { className: 'inline' }, 'Shown', select(choices, view, next => set({ view: next === 'difference' ? null : next }))))
     }
+    picker.querySelector('select').value = view
     const v = answer?.voltages_v, values = { difference: () => minus(v, answer?.untouched_v), frame: () => v, untouched: () => answer?.untouched_v,
       measured: () => trial?.voltages_v, residual: () => minus(trial?.voltages_v, v) }[view]?.()
     if (values) voltages.show(values)
@@ -196,7 +203,8 @@ export async function show(root, { query, signal, set }) {
     const { run = '', trial = '' } = next, other = trial !== state.trialId, asks = run !== state.run || other
     state.run = run
     if (other) await take(trial, Boolean(next.contacts))
-    const text = next.contacts ?? (trial && state.trial ? state.text || null : contactsText([{ ...NEW, x_mm: centre()[0], y_mm: centre()[1] }]))
+    const first = drawn.shape ? [{ ...NEW, x_mm: centre()[0], y_mm: centre()[1] }] : []
+    const text = next.contacts ?? (trial && state.trial ? state.text || null : contactsText(first))
     if (text != null && text !== state.text) {
       state.text = text
       state.contacts = parseContacts(text).map(contact => within(contact, drawn.shape))

@@ -5,6 +5,7 @@ import { only, outcome } from '../lib/actions.js'
 import { button, el, fill, panel } from '../lib/dom.js'
 import { counted, fixed, moment } from '../lib/format.js'
 import { jobView, jobsPanel } from '../lib/jobs.js'
+import { live } from '../lib/live.js'
 import { TASKS, netView } from '../lib/net.js'
 import { evaluationForm, trainingForm } from '../lib/requests.js'
 import { contactTable, shortScore, voltageTable } from '../lib/scores.js'
@@ -17,7 +18,8 @@ export async function show(root, { query, signal, go }) {
     next = null,
     datasets = []
   const said = outcome(),
-    asked = outcome()
+    asked = outcome(),
+    toForms = words => (live.may('operator') ? ` ${words}` : '')
   const name = id => models.find(model => model.id === id)?.name ?? id
   const serving = servingPanel({
     signal,
@@ -36,7 +38,7 @@ export async function show(root, { query, signal, go }) {
   const list = table({
     href: model => `/nets?model=${model.id}`,
     current: model => [model.id, model.name].includes(query.model),
-    empty: 'No model yet. Start a training below, or add one with palpate model add.',
+    empty: () => `No model yet.${toForms('Start a training below, or add one with palpate model add.')}`,
     columns: [
       { head: 'Model', left: true, cell: model => model.name },
       { head: 'Id', left: true, cell: model => el('code', {}, model.id) },
@@ -72,7 +74,7 @@ export async function show(root, { query, signal, go }) {
       scores,
       reports.length
         ? [volts.length ? voltageTable(volts, models, { href, current }) : '', touch.length ? contactTable(touch, models, { href, current }) : '']
-        : el('p', { className: 'soft' }, 'No evaluation has ended yet: start one below.')
+        : el('p', { className: 'soft' }, `No evaluation has ended yet.${toForms('Start one below.')}`)
     )
   }
   let seen = ''
@@ -96,8 +98,10 @@ export async function show(root, { query, signal, go }) {
     jobs.read()
     go(href(job.id))
   }
-  const training = trainingForm({ said: asked, onstart }),
-    evaluation = evaluationForm({ said: asked, onstart })
+  const training = trainingForm({ said: asked, onstart, signal }),
+    evaluation = evaluationForm({ said: asked, onstart, signal })
+  // Both are refused to a viewer.
+  const forms = only('operator', el('div', { className: 'columns two' }, training.node, evaluation.node))
 
   async function readModels(cursor) {
     try {
@@ -134,7 +138,7 @@ export async function show(root, { query, signal, go }) {
     scoresPanel,
     jobs.node,
     el('section', { className: 'asked' }, asked.node),
-    el('div', { className: 'columns two' }, training.node, evaluation.node)
+    forms
   )
   /** Names of datasets for the forms: made ones first, then what can be made. */
   async function readDatasets() {
@@ -148,6 +152,16 @@ export async function show(root, { query, signal, go }) {
     training.knows({ datasets })
     evaluation.knows({ datasets, models })
   }
+  // What the empty lists say depends on the role.
+  live.addEventListener(
+    'caller',
+    () => {
+      list.show(models)
+      jobs.redraw()
+      drawScores(jobs.all())
+    },
+    { signal }
+  )
   view.show(query.model)
   serving.read()
   readDatasets()

@@ -9,7 +9,7 @@ import { el, fill, panel, pane, say, select, sleep } from '../lib/dom.js'
 import { ended } from '../lib/ended.js'
 import { steadyEnds } from '../lib/eta.js'
 import { forceBars, forceChart } from '../lib/forces.js'
-import { age, bytes, capital, count, counted, fixed, moment, percent, plain, span } from '../lib/format.js'
+import { age, bytes, capital, count, countOf, counted, fixed, moment, percent, plain, span } from '../lib/format.js'
 import { history } from '../lib/history.js'
 import { live } from '../lib/live.js'
 import { eventLog } from '../lib/log.js'
@@ -127,7 +127,7 @@ export async function show(root, { query, signal, set }) {
     const index = now.current_step?.index ?? progress?.current, of = now.current_step?.of ?? tour?.steps.configuration.length
     const depth = now.trial && tour?.depths_mm[now.trial.depth_index]
     const thing = tour?.kind === 'real-random' ? 'Placement' : 'Configuration'
-    const where = index != null && of ? `${thing} ${count(index + 1)} of ${count(of)}`
+    const where = index != null && of ? `${thing} ${countOf(index + 1, of)}`
       : now.trial ? `${thing} ${count(now.trial.configuration)}` : 'Between configurations'
     const deep = depth == null || !now.trial ? '' : `, depth ${now.trial.depth_index + 1} of ${tour.depths_mm.length}: ${fixed(depth, 1, 'mm')}`
     say(step, where + deep)
@@ -135,7 +135,7 @@ export async function show(root, { query, signal, set }) {
     bar.value = now.trials_stored
     map.now(now.current_step?.index ?? null)
     changing(runFacts, [
-      ['Stored', `${count(now.trials_stored)} of ${count(now.trials_planned)}`], ['Share', percent(now.trials_stored, now.trials_planned)],
+      ['Stored', countOf(now.trials_stored, now.trials_planned)], ['Share', percent(now.trials_stored, now.trials_planned)],
       ['Skipped', counted(now.trials_skipped, 'trial')], ['Failed attempts', count(now.retries)],
     ])
     active.inert = !fresh

@@ -1,10 +1,12 @@
 // Manual trials: which weight goes where, now? One instruction, read by a person at the rig, and what the
-// skin feels of it. Confirmed by a key or a foot switch; a press confirms the shown placement alone.
+// skin feels of it. Confirmed by a key or a foot switch; a press confirms the shown placement alone. Its address: weight.
 
+import { hold } from '../lib/address.js'
 import { all, get, person } from '../lib/api.js'
 import { actOnRig, actOnRun, actor, confirm, named, outcome, runButtons } from '../lib/actions.js'
 import { button, el, fill, note, pane, say, sleep } from '../lib/dom.js'
-import { age, count, counted, span } from '../lib/format.js'
+import { fold } from '../lib/fold.js'
+import { age, counted, countOf, span } from '../lib/format.js'
 import { live, who } from '../lib/live.js'
 import { lockWords } from '../lib/lock.js'
 import { manual } from '../lib/manual.js'
@@ -36,6 +38,7 @@ export async function show(root, { signal }) {
     if (shown === idle && queued !== null && status.queue_length !== queued) idle.load()
     queued = status.queue_length
   }, signal)
+  return { update() {} } // The parts follow the address themselves.
 }
 
 /** Asks for the placement while a manual run is active, three times a second; calls `take` with it or null. */
@@ -74,9 +77,10 @@ function placing(signal) {
     el('div', { className: 'row spread' }, head, resting), bar, weights, words, refusal,
     el('div', { className: 'row' }, done, anyway), hint,
     el('div', { className: 'row' }, tare, zero), el('div', { className: 'row' }, again, buttons.node), said.node, by,
-    el('details', {}, el('summary', {}, 'Overlay to print'), overlay(said))))
+    fold('overlay', 'Overlay to print', { signal }, overlay())))
   const now = () => state.placement?.contacts.find(({ number }) => number === (state.chosen ?? present(state.placement)))
   live.on('status', buttons.show, signal)
+  const write = hold('weight', { take: text => { state.chosen = Number(text) || null; draw() }, text: () => state.chosen && String(state.chosen), signal })
 
   function describe() {
     const { placement } = state
@@ -88,11 +92,19 @@ function placing(signal) {
   function take(placement) {
     const other = placement.trial !== state.placement?.trial || placement.run !== state.placement?.run
     if (placement.run !== state.placement?.run) begin(placement)
-    if (other) Object.assign(state, { chosen: null, refused: '' })
+    // The weight of the address is that of the placement at which the page was opened.
+    if (other) Object.assign(state, { chosen: state.placement ? null : state.chosen, refused: '' })
+    if (!placement.contacts.some(({ number }) => number === state.chosen)) state.chosen = null
     if (other || placement.stage !== 'place' || Date.now() - state.sentAt > 5000) state.sent = null
     if (placement.verdict?.kind !== 'wrong') state.refused = ''
     if (other || isRead(placement)) state.unrestSince = Date.now()
     state.placement = placement
+    if (other) write()
+    draw()
+  }
+  function choose(number) {
+    state.chosen = number
+    write()
     draw()
   }
 
@@ -108,7 +120,7 @@ function placing(signal) {
     const { placement } = state
     if (!placement || signal.aborted) return
     const why = lockWords() || notYet(placement, { ...state, fresh: live.fresh }), busy = placement.stage !== 'place'
-    say(head, `Trial ${count(placement.done + 1)} of ${count(placement.of)}${state.repeats ? `, ${state.repeats} repeated` : ''}`)
+    say(head, `Trial ${countOf(placement.done + 1, placement.of)}${state.repeats ? `, ${state.repeats} repeated` : ''}`)
     say(resting, rest(placement))
     Object.assign(bar, { max: placement.of, value: placement.done, ariaLabel: `${placement.done} of ${placement.of} trials stored` })
     drawWeights(placement)
@@ -144,7 +156,7 @@ function placing(signal) {
         : `felt ${Math.round(felt.distance_mm)} mm away, ${newtons(felt.contact.force_n)}` : 'not felt'
       return el('li', { 'aria-current': contact.number === chosen ? 'step' : 'false', className: contact.number === chosen ? 'now' : '' },
         el('button', { type: 'button', className: 'weight', 'aria-label': `Weight ${contact.number}: ${kilograms(contact.force_n)} at ${spot(contact)}`,
-          onclick: () => { state.chosen = contact.number; draw() } },
+          onclick: () => choose(contact.number) },
           el('span', { className: 'number-badge' }, String(contact.number)),
             el('span', { className: 'mass' }, kilograms(contact.force_n).split('\u202f')[0], el('span', { className: 'unit' }, '\u202fkg')),
             el('span', { className: 'point' }, spot(contact))),
@@ -200,12 +212,8 @@ function placing(signal) {
       if (!event.repeat) press(false)
     } else if (step && numbers.length) {
       event.preventDefault()
-      state.chosen = numbers[(numbers.indexOf(now()?.number) + step + numbers.length) % numbers.length]
-      draw()
-    } else if (numbers.includes(Number(event.key))) {
-      state.chosen = Number(event.key)
-      draw()
-    }
+      choose(numbers[(numbers.indexOf(now()?.number) + step + numbers.length) % numbers.length])
+    } else if (numbers.includes(Number(event.key))) choose(Number(event.key))
   }, { signal })
   addEventListener('keyup', event => { if (event.target === done && KEYS.includes(event.key)) event.preventDefault() }, { signal })
   node.addEventListener('click', event => { if (event.detail > 0) event.target.closest('button')?.blur() })

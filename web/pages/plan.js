@@ -11,6 +11,7 @@ import { capital, counted, fixed, moment, plain, span } from '../lib/format.js'
 import { endWord, isResumable } from '../lib/runwords.js'
 import { live } from '../lib/live.js'
 import { NEEDS_OPERATOR, partsBar, planFacts, problemList, settingsTable } from '../lib/preflight.js'
+import { rigLabel, submittedTour } from '../lib/submitted.js'
 import { sensor } from '../lib/skin.js'
 import { tourView } from '../lib/tour.js'
 
@@ -42,7 +43,7 @@ export async function show(root, { query, signal, go, set }) {
     const chosen = await choose(query)
     if (signal.aborted || wanted !== shown) return undefined
     if (!chosen) return empty()
-    return chosen.run ? planned(chosen.run, query) : offered(chosen.item)
+    return chosen.run ? planned(chosen.run, query) : offered(chosen.item, query)
   }
 
   /** The run or the carried experiment of the address, else the next run of the queue, else the active or newest one. */
@@ -60,27 +61,30 @@ export async function show(root, { query, signal, go, set }) {
     fill(root, panel('No plan yet', {}, el('p', {}, 'No run is queued or stored. Choose an experiment to see what it will do.'), await choices()))
   }
 
-  // An experiment that is not queued has a preflight; its tour is drawn when it is queued.
-  async function offered(item) {
+  async function offered(item, query) {
     if (!item.text) return fill(root, panel(item.name, {}, el('p', { className: 'bad' }, `The program carries no experiment ${item.name}.`), await choices()))
     await first('caller', () => live.caller)
     checked = live.may('operator')
-    const answer = checked ? await settled(send('/preflight', { file: item.file, definition: item.text }, { signal })) : {}
+    const submission = { file: item.file, definition: item.text }
+    const asked = checked ? [send('/preflight', submission, { signal }), submittedTour(submission, signal)] : []
+    const [answer = {}, made] = await Promise.all(asked.map(settled))
     if (signal.aborted) return undefined
+    tour = made?.p ?? null
+    geometry = tour?.sensor ?? null
     const add = async () => go(`/plan?run=${(await queueText(item.file, item.text)).scan_id}`)
     const queue = actor('Queue it', said, add, { className: 'main', disabled: !answer.p || answer.p.problems.length > 0 })
     const words = pane(
       el('h2', {}, el('span', {}, item.name), link('/plan', 'The next run')),
       el('p', {}, item.about),
-      el('p', { className: 'soft' }, 'It is not queued. Its tour over the skin is drawn once it is.'),
+      el('p', { className: 'soft' }, 'It is not queued. This is what it would do on this rig.'),
       verdict(answer),
       el('div', { className: 'row' }, queue, link(`/queue?add=${encodeURIComponent(item.name)}`, 'Change it first')),
       said.node,
       el('details', {}, el('summary', {}, 'Experiment file'), el('pre', { tabIndex: 0 }, item.text)),
-      el('h3', { className: 'said' }, 'Others'),
-      await choices(),
     )
-    return fill(root, el('div', { className: 'columns two' }, words, await details(answer.p, item.text, null)))
+    const picture = made && el('section', {}, drawing({ label: rigLabel, absent: `The service has no tour of it: ${made.error?.message}.` }, query))
+    const others = panel('Others', {}, await choices())
+    return fill(root, el('div', { className: 'columns two plan' }, el('div', { className: 'column' }, words, picture, others), await details(answer.p, null)))
   }
 
   function verdict({ p, error }) {
@@ -129,11 +133,10 @@ export async function show(root, { query, signal, go, set }) {
       ),
       said.node,
     )
-    const picture = el('section', {}, await drawing(run, query))
-    fill(
-      root,
-      el('div', { className: 'columns two plan' }, el('div', { className: 'column' }, facing, picture), await details(answer.p, run.definition, run)),
-    )
+    const label = () => (run.label === 'virtual' ? 'virtual' : '')
+    const absent = run.kind === 'imported' ? 'An imported run has no plan.' : 'The service has no tour of this run.'
+    const picture = el('section', {}, drawing({ label, absent, source: `/api/v1/runs/${run.scan_id}/tour` }, query))
+    fill(root, el('div', { className: 'columns two plan' }, el('div', { className: 'column' }, facing, picture), await details(answer.p, run)))
   }
 
   function standing(run) {
@@ -149,12 +152,12 @@ export async function show(root, { query, signal, go, set }) {
     return `${capital(plain(run.state))}. This is what it does; durations are for the whole plan.`
   }
 
-  async function drawing(run, query) {
-    if (!tour) return el('p', { className: 'soft' }, run.kind === 'imported' ? 'An imported run has no plan.' : 'The service has no tour of this run.')
+  /** The tour on its skin, or `absent`; `source` is the address of a stored one. */
+  function drawing({ label, absent, source }, query) {
+    if (!tour) return el('p', { className: 'soft' }, absent)
     if (!geometry) return el('p', { className: 'soft' }, 'The service does not describe the sensor of this run, so the skin cannot be drawn.')
     const counts = [...new Set(tour.steps.tips)]
-    const label = () => (run.label === 'virtual' ? 'virtual' : '')
-    view = tourView({ onstep: step => set({ step: step || null }), label, query: `/api/v1/runs/${run.scan_id}/tour`, signal })
+    view = tourView({ onstep: step => set({ step: step || null }), label, query: source, signal })
     turn(query)
     if (counts.length < 2) return view.node
     const choices = [['', 'all settings'], ...counts.map(n => [n, counted(n, tour.kind === 'real-random' ? 'weight' : 'tip')])]
@@ -173,9 +176,9 @@ export async function show(root, { query, signal, go, set }) {
     view.show(tour, geometry, { tips: query.tips ? Number(query.tips) : null, step })
   }
 
-  async function details(p, text, run) {
+  async function details(p, run) {
     await first('status', () => live.status)
-    const forces = await forcesPanel({ p, text, run, depths: tour?.depths_mm, signal })
+    const forces = forcesPanel({ p, tour, run, signal })
     if (!p) return el('div', { className: 'column' }, forces)
     const rate = live.status?.rig.clock_rate ?? 1
     const real = `The clock of this virtual rig runs ${fixed(rate, 0)} times faster: a real one takes about ${span(p.duration_s * rate)}.`

@@ -1,6 +1,7 @@
 // The rig: can it move, and what is wrong with it? Its devices in a chain from wire to tip, its actions with the
 // reason where one cannot be done, jog while a button is held, the check, and the pose to copy.
 
+import { hold } from '../lib/address.js'
 import { once, get } from '../lib/api.js'
 import { actOnRig, actor, outcome, sureHome } from '../lib/actions.js'
 import { chain, lastWord, stopWords, stoppingWords, streamWords, wireWords } from '../lib/chain.js'
@@ -13,7 +14,6 @@ import { live, who } from '../lib/live.js'
 import { lockWords } from '../lib/lock.js'
 import { rates } from '../lib/rates.js'
 import { checkReport } from '../lib/rigcheck.js'
-import { entries } from '../lib/toml.js'
 import { RIG, TONE } from '../lib/words.js'
 
 const CHECK_MS = 120_000
@@ -49,7 +49,7 @@ function forbidden(action, { rig, run }, fresh) {
 /** Shows the page. */
 export async function show(root, { query, signal, set }) {
   const state = { steps: { xy: query.step ?? '0.5', z: query.stepz ?? '0.1' }, found: {}, limits: null, shown: '' }
-  const said = outcome(), counters = rates(), links = chain()
+  const said = outcome(), saidTips = outcome(), saidCheck = outcome(), counters = rates(), links = chain()
   const head = el('p', { className: 'state' }), sentence = el('p'), acts = el('ul', { className: 'acts' }), pose = el('div'),
     copy = el('pre', { tabIndex: 0 }), limits = el('div'), trip = el('div', { className: 'trip', hidden: true })
   const bars = forceBars({ signal })
@@ -68,12 +68,22 @@ export async function show(root, { query, signal, set }) {
 
   // Tips: the number that a person mounted, on arms 1 to n.
   const tipsWhy = el('span', { className: 'soft' }), tipsChoice = select([0, 1, 2, 3, 4, 5, 6], live.status?.rig.tips ?? 0,
-    () => { tipsChoice.dataset.chosen = 'yes' }, { id: 'rig-tips' })
-  const tipsEnter = actor('Enter', said, () => actOnRig('tips', { tips: Number(tipsChoice.value) }), { what: 'Tips' })
+    value => chooseTips(value), { id: 'rig-tips' })
+  const tipsEnter = actor('Enter', saidTips, async () => {
+    await actOnRig('tips', { tips: Number(tipsChoice.value) })
+    chooseTips('') // What was entered is what the rig reports from now on.
+  }, { what: 'Tips' })
+  const writeTips = hold('tips', { take: text => { if (/^[0-6]$/.test(text)) Object.assign(tipsChoice, { value: text }).dataset.chosen = 'yes' },
+    text: () => tipsChoice.dataset.chosen ? tipsChoice.value : null, signal })
+  function chooseTips(value) {
+    tipsChoice.dataset.chosen = value && 'yes'
+    writeTips()
+  }
 
   // The check: a report of every device; the rig must be disconnected.
+  // Whether the servos are switched on is not in the address: a link must not choose it.
   const report = el('div'), enable = el('input', { type: 'checkbox', id: 'rig-enable' }), checkWhy = el('span', { className: 'soft' })
-  const checkNow = actor('Check every device', said, async () => {
+  const checkNow = actor('Check every device', saidCheck, async () => {
     fill(report, el('p', { className: 'soft' }, 'Asking every device; this takes some seconds …'))
     try {
       fill(report, checkReport(await once('/rig/check', { enable: enable.checked, who: who() }, { wait: CHECK_MS, signal })))
@@ -94,17 +104,17 @@ export async function show(root, { query, signal, set }) {
     viewer.hidden = live.may('operator')
   }
   const tips = panel('Tips', {}, el('div', { className: 'row' }, el('label', { className: 'inline', htmlFor: 'rig-tips' }, 'Mounted on arms 1 to'),
-    tipsChoice, tipsEnter), tipsWhy)
+    tipsChoice, tipsEnter), tipsWhy, saidTips.node)
   const checks = panel('Check', {}, el('p', {}, 'Asks every device, reads the cells and the stream, and moves nothing.'),
     el('div', { className: 'row' }, checkNow, el('label', { className: 'inline', htmlFor: 'rig-enable' }, enable,
-      'also switch the servos on (they stay on)')), checkWhy, report)
+      'also switch the servos on (they stay on)')), checkWhy, saidCheck.node, report)
 
   root.append(el('div', { className: 'columns wide-right' },
     el('div', { className: 'column' },
       panel('Can it move?', { className: 'live' }, head, sentence, trip, viewer, acts, said.node),
       panel('Jog', { className: 'live' }, pose, pad.node),
       tips,
-      panel('Teach', {}, el('p', {}, 'The present pose in machine coordinates, to copy into the rig file.'), copy, toCopy),
+      panel('Teach', { className: 'live' }, el('p', {}, 'The present pose in machine coordinates, to copy into the rig file.'), copy, toCopy),
       panel('Test of the stop', {}, el('ol', { className: 'steps' },
         ['Home the rig, and let it travel: jog x while a person watches.', 'Press Stop in the top bar while it moves. It asks nothing.',
         'Read here how long every axis took to acknowledge, and look whether it stands.',
@@ -187,26 +197,23 @@ export async function show(root, { query, signal, set }) {
         { name: 'Stopping distance', ...stoppingWords(rig.stopping) }, cells, tips] : [])]
   }
 
-  /** Limits as the newest run stored them: the service has no request for its rig file. */
   function drawLimits(rig) {
-    const rows = [rig.force_limit_n != null && ['Force on one cell', fixed(rig.force_limit_n, 0, 'N')], ...(state.limits?.rows ?? [])].filter(Boolean),
+    const rows = [rig.force_limit_n != null && ['Force on one cell', fixed(rig.force_limit_n, 0, 'N')], ...(state.limits ?? [])].filter(Boolean),
       text = JSON.stringify(rows)
     if (limits.dataset.text === text) return
     limits.dataset.text = text
-    fill(limits, facts(rows), el('p', { className: 'soft' }, state.limits ? `From the rig file as run ${state.limits.run} stored it.`
+    fill(limits, facts(rows), el('p', { className: 'soft' }, state.limits ? 'From the rig file, which was read at the start of the service.'
       : 'The other limits are in the rig file.'))
   }
 
-  get('/runs', { limit: 1 }, { signal }).then(({ items: [run] }) => {
-    if (!run || run.rig == null) return
-    const found = new Map(entries(run.rig).map(e => [`${e.table}.${e.key}`, e.raw])), range = key => found.has(key)
-      ? found.get(key).replace(/[[\]]/g, '').replace(',', ' to') : null
-    const row = (words, key, unit) => range(key) && [words, `${range(key)}\u202f${unit}`]
-    state.limits = { run: run.scan_id, rows: [row('Sum of forces', 'limits.force_sum_n', 'N'), row('Margin for a stop', 'limits.force_margin_n', 'N'),
-      row('Drift of a tare', 'limits.tare_drift_n', 'N'), row('Age of a sample', 'limits.sample_age_ms', 'ms'),
-      row('Age of a frame', 'limits.frame_age_ms', 'ms'),
-      ...['x', 'y', 'z'].map(name => row(`Travel of ${name}`, `axes.${name}.travel_mm`, 'mm')), row('Radius', 'slot.radius_mm', 'mm'),
-        row('Surface', 'skin.surface_z_mm', 'mm'), row('Clearance', 'skin.clearance_mm', 'mm')].filter(Boolean) }
+  get('/rig/limits', {}, { signal }).then(({ frame_age_ms, bench }) => {
+    // A number, or a range; a skin alone has the age of a frame only.
+    const row = (words, value, unit) => value != null && [words, `${[value].flat().join(' to ')}\u202f${unit}`]
+    state.limits = [row('Sum of forces', bench?.force_sum_n, 'N'), row('Margin for a stop', bench?.force_margin_n, 'N'),
+      row('Margin of the sum', bench?.force_sum_margin_n, 'N'), row('Drift of a tare', bench?.tare_drift_n, 'N'),
+      row('Age of a sample', bench?.sample_age_ms, 'ms'), row('Age of a frame', frame_age_ms, 'ms'),
+      ...['x', 'y', 'z'].map(name => row(`Travel of ${name}`, bench?.[`${name}_mm`], 'mm')), row('Radius', bench?.radius_mm, 'mm'),
+      row('Surface', bench?.surface_z_mm, 'mm'), row('Clearance', bench?.clearance_mm, 'mm')]
     draw(live)
   }, () => {})
   // What each device said when the wires were opened last.

@@ -88,8 +88,16 @@ export async function show(root, { query, signal, go, set }) {
     choice('kind', 'Kind', [['', 'any'], 'real-hex', 'real-random', 'imported']),
     choice('label', 'Data', [['', 'any'], 'measured', 'virtual', 'simulated']),
   )
-  const more = button('More', () => read(next).then(draw), { hidden: true })
-  list.append(panel('History', {}, filters, trouble, told, rows.node, el('div', { className: 'row' }, more)))
+  const more = button(
+    'More',
+    async () => {
+      await read(next)
+      if (!trouble.hidden) trouble.scrollIntoView({ block: 'nearest' }) // The button is below the rows.
+      return draw()
+    },
+    { hidden: true },
+  )
+  list.append(panel('History', { className: 'live' }, filters, trouble, told, rows.node, el('div', { className: 'row' }, more)))
   const kept = () => Object.fromEntries(['state', 'kind', 'label'].filter(key => query[key]).map(key => [key, query[key]]))
 
   async function read(cursor) {

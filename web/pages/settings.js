@@ -2,7 +2,7 @@
 // what runs here and how it is reached.
 
 import { ask, giveKey, hasKey, person } from '../lib/api.js'
-import { actor, outcome } from '../lib/actions.js'
+import { actor, only, outcome } from '../lib/actions.js'
 import { actionLog } from '../lib/actionlog.js'
 import { copyButton } from '../lib/copybutton.js'
 import { button, el, facts, fill, note, panel, say } from '../lib/dom.js'
@@ -26,7 +26,7 @@ export async function show(root, { query, signal, set }) {
     onchange: () => set({ run: runInput.value }) })
   log.node.querySelector('h2').after(el('div', { className: 'row' }, el('label', { className: 'inline', htmlFor: 'log-run' }, 'Only of run'), runInput,
     button('Read again', () => log.load({ again: true }), { className: 'plain' })))
-  root.append(el('div', { className: 'columns three' }, you.node, lock.node, panel('This service', {}, service)), keyPart, log.node)
+  root.append(el('div', { className: 'columns three' }, you.node, lock.node, panel('This service', { className: 'live' }, service)), keyPart, log.node)
   log.load({ run: query.run ?? '' })
 
   const rights = () => {
@@ -48,7 +48,7 @@ function yourself() {
   const secret = el('input', { id: 'my-key', type: 'password', autocomplete: 'off' }), rights = el('p', {}), role = el('p', { className: 'big' })
   const keep = event => { event.preventDefault(); person.name = name.value;
     say(kept, person.name ? `Kept: actions are logged as ${who()}.` : 'No name: it is asked for at the next action.') }
-  const give = event => { event.preventDefault(); if (!secret.value) return
+  const give = event => { event.preventDefault(); if (!secret.value) return say(kept, 'Enter a key first.')
     const wrong = giveKey(secret.value)
     if (!wrong) secret.value = ''
     say(kept, wrong || 'The key is used from now on. It stays in this tab.') }
@@ -83,7 +83,7 @@ function operatorLock(signal, done) {
   const take = actor('Take the lock', said, () => changed('PUT', { holder: who(), note: text.value || 'no reason given' })(),
     { what: 'Lock', locks: false, className: 'main' })
   const free = actor('Release it', said, () => changed('DELETE', undefined, `?who=${encodeURIComponent(who())}`)(), { what: 'Release', locks: false })
-  const form = el('div', {}, el('label', { htmlFor: 'lock-note' }, 'Why, for the others'), text)
+  const form = only('operator', el('div', {}, el('label', { htmlFor: 'lock-note' }, 'Why, for the others'), text))
   const node = panel('Operator lock', { className: 'live' }, words, noted, form, el('div', { className: 'row' }, take, free), said.node,
     el('p', { className: 'soft small' }, 'It keeps others from starting, editing and moving, never from stopping. ',
       'Taken without a key it holds for every caller, its holder included, until a caller without a key or an admin releases it.'))

@@ -3,7 +3,7 @@
 import { all, get, withQuery } from '../lib/api.js'
 import { around } from '../lib/around.js'
 import { button, el, fill, link, note, panel } from '../lib/dom.js'
-import { count, counted, fixed, moment, plain } from '../lib/format.js'
+import { clock, count, counted, fixed, moment, plain } from '../lib/format.js'
 import { shows } from '../lib/save.js'
 import { conditions, selection } from '../lib/selection.js'
 import { columnsOf, spread } from '../lib/spread.js'
@@ -28,7 +28,8 @@ export async function show(root, { query, signal, set, go }) {
     listing = new AbortController(),
     open = null,
     looked = ''
-  const href = trial => withQuery('/trials', { ...state, trial })
+  // A chart puts its own zoom back: that of an old address would undo the newer one.
+  const href = trial => withQuery('/trials', { ...conditions(state), sort: state.sort, scale: state.scale, trial })
   const said = el('p', { className: 'bad', role: 'status', hidden: true })
   const filters = selection({ set, said })
   const charts = spread({ signal, label: () => (rows.some(row => row.label === 'virtual') ? 'virtual' : '') })
@@ -59,7 +60,8 @@ export async function show(root, { query, signal, set, go }) {
     ],
   })
   const more = button('More', () => load(), { hidden: true }),
-    told = el('span', { className: 'soft' })
+    told = el('span', { className: 'soft' }),
+    again = el('span', { className: 'soft small' })
   const listPanel = panel(
     'Trials',
     { aside: told },
@@ -73,9 +75,11 @@ export async function show(root, { query, signal, set, go }) {
         () => {
           asked = ''
           reload()
+          again.textContent = `Read at ${clock(Date.now())}.` // Often nothing else changes.
         },
         { className: 'plain', title: 'Trials may have been stored since' }
-      )
+      ),
+      again
     )
   )
 
@@ -95,6 +99,7 @@ export async function show(root, { query, signal, set, go }) {
     } catch (error) {
       if (mine.signal.aborted) return
       note(said, `The selection was refused: ${error.message}`)
+      if (rows.length) said.scrollIntoView({ block: 'nearest' }) // The button is below the rows.
       next = null
     }
     more.disabled = false
@@ -189,7 +194,7 @@ export async function show(root, { query, signal, set, go }) {
         { className: 'row' },
         previous,
         following,
-        button('Close', () => go(withQuery('/trials', { ...state, trial: null })), { className: 'plain' })
+        button('Close', () => go(href(null)), { className: 'plain' })
       )
     ),
     words,

@@ -107,6 +107,7 @@ pub const EXAMPLES: &[(&str, &[&str])] = &[
     ("rig tare", &["palpate rig tare"]),
     ("rig tips", &["palpate rig tips 4"]),
     ("rig reset", &["palpate rig reset"]),
+    ("rig limits", &["palpate rig limits", "palpate rig limits --json"]),
     ("rig samples", &["palpate rig samples", "palpate rig samples --minutes 30 --json"]),
     ("rig untouched", &["palpate rig untouched", "palpate rig untouched --json"]),
     ("rig wear", &["palpate rig wear"]),

@@ -51,6 +51,7 @@ pub fn body(operation: &str) -> Option<Value> {
                 { "x_mm": 180.0, "y_mm": 160.0, "depth_mm": 1.5 },
             ] })
         }
+        "submission_tour" => submission(),
         "take_lock" => json!({ "note": "hands in the rig" }),
         "train" => json!({ "recipe": text(RECIPES, "transfer-net")? }),
         _ => return None,

@@ -1,5 +1,5 @@
 //! The experiments that the program carries, and the schema of an experiment file.
-//! Uses: `carried`, `schedule::experiment`. Never: files, a plan.
+//! Uses: `carried`, `schedule::experiment`, `store` (the kinds). Never: files, a plan.
 
 use axum::Json;
 use serde::Serialize;
@@ -11,6 +11,7 @@ use super::problem::ApiError;
 use crate::carried::{EXPERIMENTS, about};
 use crate::schedule::experiment::Experiment;
 use crate::schedule::schema::of_experiments;
+use crate::store::RunKind;
 
 /// An experiment that the program carries.
 #[derive(Debug, Clone, Serialize, ToSchema)]
@@ -23,6 +24,8 @@ pub struct CarriedExperiment {
     pub about: String,
     /// Text of the file, for the queue. The program carries the sensor file that it names, too.
     pub text: String,
+    /// Kind of the experiment; null if the file cannot be read.
+    pub kind: Option<RunKind>,
     /// Number of trials; null if the file cannot be read.
     pub trials: Option<u64>,
 }
@@ -34,12 +37,17 @@ pub struct CarriedExperiment {
 pub async fn list() -> Result<Page<CarriedExperiment>, ApiError> {
     let carried = |(name, text): &(&str, &str)| {
         let file = format!("{name}.toml");
-        let parsed = Experiment::from_toml(&file, text);
+        let parsed = Experiment::from_toml(&file, text).ok();
+        let kind = |experiment: &Experiment| match experiment.real_hex {
+            Some(_) => RunKind::RealHex,
+            None => RunKind::RealRandom,
+        };
         CarriedExperiment {
             name: (*name).into(),
             about: about(text),
             text: (*text).into(),
-            trials: parsed.ok().map(|experiment| experiment.trials()),
+            kind: parsed.as_ref().map(kind),
+            trials: parsed.as_ref().map(Experiment::trials),
             file,
         }
     };

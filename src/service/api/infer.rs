@@ -281,7 +281,7 @@ pub struct Turns {
     pub(super) frames: Arc<Semaphore>,
     /// Clients of the live status.
     pub(super) status: Arc<Semaphore>,
-    /// Preflights of submissions.
+    /// Preflights and tours of submissions.
     pub(super) preflights: Arc<Semaphore>,
     /// Simulations of contacts.
     pub(super) simulations: Arc<Semaphore>,

@@ -26,7 +26,7 @@ pub const BODY_WITHIN: Duration = Duration::from_secs(60);
 pub const UPLOAD_WITHIN: Duration = Duration::from_secs(6 * 3600);
 /// Requests in progress of one key, or of all clients without a key; streams count.
 pub const CALLER_REQUESTS: usize = 128;
-/// Preflights of submissions in progress.
+/// Preflights and tours of submissions in progress.
 pub const PREFLIGHTS: usize = 2;
 /// Longest wait for the turn of a preflight, a simulation or an inference.
 pub const TURN_WAIT: Duration = Duration::from_secs(10);

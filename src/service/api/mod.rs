@@ -76,7 +76,9 @@ mod query;
 mod quantities;
 mod queue;
 mod ranges;
+mod recipes;
 mod rig;
+mod rig_limits;
 mod routes;
 mod runs;
 mod samples;
@@ -411,6 +413,9 @@ impl Service {
         let door = tokio::task::spawn_blocking(move || self.door.join());
         if !matches!(door.await, Ok(Ok(()))) {
             tracing::error!("the door's thread panicked");
+        }
+        if self.app.campaign.stop_switch().pressed().is_some() {
+            self.app.conductor.keep_stopped().await;
         }
         self.app.store.close().await;
     }

@@ -17,6 +17,23 @@ use super::queue::WhoParams;
 use super::runs::find;
 use crate::store::{ActionRow, KeyRow, LockRow, Role};
 
+/// The operator lock while a person holds it.
+#[derive(Debug, Clone, Serialize, ToSchema)]
+pub struct LockOut {
+    /// Holder, note and time.
+    #[serde(flatten)]
+    pub row: LockRow,
+    /// Whether it was taken without a key: then it holds for every caller, its holder included, and a
+    /// caller without a key may release it.
+    pub keyless: bool,
+}
+
+impl From<LockRow> for LockOut {
+    fn from(row: LockRow) -> Self {
+        Self { keyless: row.is_keyless(), row }
+    }
+}
+
 /// Request for the operator lock.
 #[derive(Debug, Deserialize, ToSchema)]
 pub struct LockRequest {
@@ -55,9 +72,9 @@ pub struct ActionParams {
 
 /// Returns the operator lock, or null.
 #[utoipa::path(get, path = "/api/v1/lock", tag = "people",
-    responses((status = 200, body = Option<LockRow>)))]
-pub async fn lock(State(app): State<App>) -> Result<Json<Option<LockRow>>, ApiError> {
-    Ok(Json(app.store.lock().await?))
+    responses((status = 200, body = Option<LockOut>)))]
+pub async fn lock(State(app): State<App>) -> Result<Json<Option<LockOut>>, ApiError> {
+    Ok(Json(app.store.lock().await?.map(LockOut::from)))
 }
 
 /// Takes the operator lock.
@@ -66,18 +83,18 @@ pub async fn lock(State(app): State<App>) -> Result<Json<Option<LockRow>>, ApiEr
 /// a key holds for every caller, its holder included, until a caller without a key, or an admin,
 /// releases it: without a key no caller can prove to be the holder.
 #[utoipa::path(put, path = "/api/v1/lock", tag = "people", request_body = LockRequest,
-    responses((status = 200, body = LockRow),
+    responses((status = 200, body = LockOut),
         (status = 409, body = ProblemBody, description = "another person holds the operator lock")))]
 pub async fn take_lock(
     State(app): State<App>,
     act: Act,
     Body(new): Body<LockRequest>,
-) -> Result<Json<LockRow>, ApiError> {
+) -> Result<Json<LockOut>, ApiError> {
     act.stated(new.holder.as_deref(), Some(&new.note));
     let holder = new.holder.as_deref();
     ApiError::check_text("holder", holder.unwrap_or_default(), WHO_MAX_CHARS)?;
     ApiError::check_text("note", &new.note, WHY_MAX_CHARS)?;
-    Ok(Json(app.store.set_lock(&act.caller().holder(holder), &new.note).await?))
+    Ok(Json(app.store.set_lock(&act.caller().holder(holder), &new.note).await?.into()))
 }
 
 /// Releases the operator lock.

@@ -157,7 +157,7 @@ impl IntoResponse for ApiError {
 impl From<Refusal> for ApiError {
     fn from(refusal: Refusal) -> Self {
         let status = match &refusal {
-            Refusal::State(_) => StatusCode::CONFLICT,
+            Refusal::State(_) | Refusal::Busy(_) => StatusCode::CONFLICT,
             Refusal::Value(words) => {
                 return Self::problems(vec![Problem::whole("request", words.clone())]);
             }

@@ -160,6 +160,8 @@ mod tests {
             experiment: "t".into(),
             kind: RunKind::RealHex,
             depths_mm: vec![0.0, 0.5],
+            force_limit_n: None,
+            force_sum_limit_n: None,
             steps,
         }
     }

@@ -6,6 +6,7 @@ use axum::extract::State;
 use axum::http::StatusCode;
 use jiff::Timestamp;
 use serde::Deserialize;
+use tokio::sync::SemaphorePermit;
 use tokio::time::timeout;
 use utoipa::{IntoParams, ToSchema};
 
@@ -153,9 +154,18 @@ pub async fn preflight(
     State(app): State<App>,
     Body(submission): Body<Submission>,
 ) -> Result<Json<Preflight>, ApiError> {
-    let Ok(Ok(_turn)) = timeout(TURN_WAIT, app.turns.preflights.acquire()).await else {
+    let _turn = preflight_turn(&app).await?;
+    Ok(Json(app.conductor.preflight(submission).await?))
+}
+
+/// Waits for the turn of a preflight: planning takes processor time that a campaign may need.
+///
+/// # Errors
+/// 503 if it does not come in time.
+pub(super) async fn preflight_turn(app: &App) -> Result<SemaphorePermit<'_>, ApiError> {
+    let Ok(Ok(turn)) = timeout(TURN_WAIT, app.turns.preflights.acquire()).await else {
         let words = "too many preflights: none could be started within 10 s; retry";
         return Err(ApiError::new(StatusCode::SERVICE_UNAVAILABLE, words));
     };
-    Ok(Json(app.conductor.preflight(submission).await?))
+    Ok(turn)
 }

@@ -16,9 +16,6 @@ use crate::campaign::shown::command::Request;
 use crate::rig::check::{self, CheckReport, Scope};
 use crate::rig::error::RigError;
 
-/// Held during a check: a wire has one owner, so only one check may be active.
-static CHECKING: tokio::sync::Mutex<()> = tokio::sync::Mutex::const_new(());
-
 /// Request for an action on the rig.
 #[derive(Debug, Clone, Deserialize, ToSchema)]
 pub struct RigActionRequest {
@@ -154,11 +151,15 @@ pub async fn check(
 
 async fn checked(app: &App, enable: bool) -> Result<CheckReport, ApiError> {
     let conflict = |words: &str| ApiError::new(StatusCode::CONFLICT, words);
-    let _alone =
-        CHECKING.try_lock().map_err(|_| conflict("another check is active: wait for its end"))?;
-    if app.campaign.status().rig.state != RigState::Disconnected {
-        return Err(conflict("the rig is connected: disconnect it before a check"));
-    }
+    let wires = app.campaign.wires();
+    let Some(_wires) = wires.take() else {
+        let is_connected = app.campaign.status().rig.state != RigState::Disconnected;
+        return Err(conflict(if is_connected {
+            "the rig is connected: disconnect it before a check"
+        } else {
+            "another check is active, or the rig is connecting: wait for its end"
+        }));
+    };
     let latch = app.campaign.stop_switch().latch();
     let scope = if enable { Scope::Enable } else { Scope::Look };
     let report = check::run_on(&app.facts.rig.config, &latch, scope).await;

@@ -15,8 +15,8 @@ use super::limits::{
 use super::{
     App, datasets, estop, evaluation, events, experiments, exports, health, history, imports,
     infer, jobs, live, live_status, models, overlay, people, placement, progress, quantities,
-    queue, rig, runs, samples, sensor, simulations, sql, status, tour, trials, twins, untouched,
-    wear,
+    queue, recipes, rig, rig_limits, runs, samples, sensor, simulations, sql, status, tour, trials,
+    twins, untouched, wear,
 };
 use crate::store::Role;
 
@@ -132,6 +132,7 @@ pub fn table() -> Vec<Operation> {
         (acts("remove").of(Edited::Queue), routes!(queue::remove)),
         (acts("move").of(Edited::Queue), routes!(queue::shift)),
         (READS.role(Role::Operator), routes!(queue::preflight)),
+        (READS.role(Role::Operator), routes!(tour::of_submission)),
         (READS, routes!(experiments::list)),
         (READS, routes!(experiments::schema)),
         (READS.body(ACTION_BODY_MAX_BYTES), routes!(simulations::simulate)),
@@ -177,6 +178,7 @@ pub fn table() -> Vec<Operation> {
         (READS, routes!(exports::one)),
         (READS, routes!(exports::file)),
         (acts("import").body(IMPORT_MAX_BYTES), routes!(imports::add)),
+        (READS, routes!(recipes::list)),
         (acts("train").body(BODY_MAX_BYTES).once(), routes!(jobs::train)),
         (acts("evaluate").once(), routes!(jobs::evaluate)),
         (READS, routes!(jobs::list)),
@@ -201,6 +203,7 @@ pub fn table() -> Vec<Operation> {
         (READS, routes!(samples::last_minutes)),
         (READS, routes!(untouched::untouched)),
         (READS, routes!(wear::wear)),
+        (READS, routes!(rig_limits::limits)),
         (acts("rig_action").once(), routes!(rig::act)),
         (acts("rig_check").once(), routes!(rig::check)),
         (READS.of(Edited::Lock), routes!(people::lock)),

@@ -323,17 +323,16 @@ async fn request_action(
         return Ok(Some(app.conductor.start(run, code).await?));
     }
     let active = app.campaign.status().run.is_some_and(|r| r.uid == run.uid);
-    if !active && asked.action == Action::Abort && run.state == StoredState::Interrupted {
-        app.conductor.abort_interrupted(run).await?;
+    if !active && asked.action == Action::Abort && run.is_open() {
+        app.conductor.abort_undriven(run).await?;
         return Ok(None);
     }
     if !active {
-        let words = format!(
-            "action {}: run {} is {}, not active",
-            asked.action.name(),
-            run.scan_id,
-            run.state
-        );
+        let (action, scan_id, state) = (asked.action.name(), run.scan_id, run.state);
+        let mut words = format!("action {action}: run {scan_id} is {state}, not active");
+        if run.is_open() && state != StoredState::Interrupted {
+            words += "; it is about to be driven again after a restart: abort ends it";
+        }
         return Err(ApiError::new(StatusCode::CONFLICT, words));
     }
     let request = match asked.action {

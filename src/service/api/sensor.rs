@@ -1,5 +1,5 @@
 //! The sensor, as pictures of the skin need it: size, electrodes, points of contact.
-//! Uses: sim-core's sensor, `store`. Never: its materials or its circuit (the sensor file has them).
+//! Uses: sim-core's sensor, `dataset::force_map`, `store`. Never: its materials or its circuit (the sensor file has them).
 
 use axum::Json;
 use axum::extract::State;
@@ -10,6 +10,7 @@ use utoipa::{IntoParams, ToSchema};
 use super::App;
 use super::problem::{ApiError, Params, ProblemBody};
 use super::runs::find;
+use crate::dataset::force_map::SIDE_MM;
 
 /// Selection of a sensor.
 #[derive(Debug, Deserialize, IntoParams)]
@@ -36,6 +37,8 @@ pub struct SensorOut {
     pub points_mm: Vec<[f64; 2]>,
     /// Diameter of a tip, mm.
     pub tip_diameter_mm: f64,
+    /// Side of the square that force maps cover, mm; its centre is the centre of the skin.
+    pub force_map_mm: f64,
     /// Number of values of a frame.
     pub channels: usize,
     /// Number of injections of a frame.
@@ -54,7 +57,8 @@ pub struct ElectrodeOut {
 }
 
 impl SensorOut {
-    fn of(sensor: &Sensor) -> Self {
+    /// Describes a sensor.
+    pub(super) fn of(sensor: &Sensor) -> Self {
         let electrodes = sensor.electrodes_mm();
         let electrode = |(index, [x_mm, y_mm]): (usize, &[f64; 2])| ElectrodeOut {
             index,
@@ -70,6 +74,7 @@ impl SensorOut {
             electrodes: electrodes.iter().enumerate().map(electrode).collect(),
             points_mm: sensor.points().iter().map(|p| [p.x_mm, p.y_mm]).collect(),
             tip_diameter_mm: sensor.file.tip_diameter_mm,
+            force_map_mm: SIDE_MM,
             channels: sensor.channels(),
             injections: electrodes.len(),
         }

@@ -10,6 +10,7 @@ use serde::Serialize;
 use utoipa::ToSchema;
 
 use super::App;
+use super::people::LockOut;
 use super::problem::ApiError;
 use super::suspenders::{Readings, Suspender};
 use crate::campaign::shown::status::Status;
@@ -27,7 +28,7 @@ pub struct ServiceStatus {
     /// Version and process of the service.
     pub service: ServiceInfo,
     /// The operator lock; absent if it is free.
-    pub lock: Option<LockRow>,
+    pub lock: Option<LockOut>,
     /// Number of runs in the queue.
     pub queue_length: usize,
     /// What the next run that was started waits for, as text: its start time, or the active run;
@@ -164,7 +165,7 @@ impl App {
         ServiceStatus {
             campaign,
             service,
-            lock: stored.lock,
+            lock: stored.lock.map(LockOut::from),
             queue_length: stored.queue_length,
             waiting_for: stored.waiting_for,
             disk: free_bytes.map(|free_bytes| DiskStatus { free_bytes, needed_bytes }),

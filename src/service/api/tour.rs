@@ -1,8 +1,9 @@
-//! The tour of a run: where its plan presses, in the order of driving.
+//! The tour of a run or of a submission: where its plan presses, in the order of driving.
 //! Uses: `schedule`, `store`. Never: what was measured there (`progress` and the trials have it).
 
 use std::sync::Arc;
 
+use axum::Json;
 use axum::body::Bytes;
 use axum::extract::State;
 use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
@@ -13,9 +14,13 @@ use utoipa::ToSchema;
 
 use super::App;
 use super::edited::lists;
-use super::problem::{ApiError, Path, ProblemBody};
+use super::problem::{ApiError, Body, Path, ProblemBody};
+use super::queue::preflight_turn;
 use super::runs::find;
+use super::sensor::SensorOut;
+use crate::conductor::{Submission, run_kind};
 use crate::digest::sha256_hex;
+use crate::problem::Problem;
 use crate::schedule::experiment::Experiment;
 use crate::schedule::plan::Plan;
 use crate::schedule::visits::Visits;
@@ -32,8 +37,76 @@ pub struct Tour {
     pub kind: RunKind,
     /// Depths of each configuration, mm; empty for manual trials.
     pub depths_mm: Vec<f64>,
+    /// Limit of the experiment of the force on one tip, N; null if its file cannot be read. The limit of
+    /// the rig applies too.
+    pub force_limit_n: Option<f64>,
+    /// Limit of the experiment of the sum over the tips, N; null if its file cannot be read.
+    pub force_sum_limit_n: Option<f64>,
     /// The configurations or placements.
     pub steps: Visits,
+}
+
+/// Where the plan of a submission would press, in the order of driving.
+#[derive(Debug, Serialize, ToSchema)]
+pub struct SubmittedTour {
+    /// Name of the experiment.
+    pub experiment: String,
+    /// Kind of the experiment.
+    pub kind: RunKind,
+    /// Depths of each configuration, mm; empty for manual trials.
+    pub depths_mm: Vec<f64>,
+    /// Limit of the experiment of the force on one tip, N. The limit of the rig applies too.
+    pub force_limit_n: f64,
+    /// Limit of the experiment of the sum over the tips, N.
+    pub force_sum_limit_n: f64,
+    /// The configurations or placements.
+    pub steps: Visits,
+    /// The sensor of the submission.
+    pub sensor: SensorOut,
+}
+
+impl SubmittedTour {
+    /// Plans a submission.
+    ///
+    /// # Errors
+    /// All problems of the experiment or sensor file.
+    fn of(submission: &Submission) -> Result<Self, Vec<Problem>> {
+        let file = &submission.file;
+        let experiment = Experiment::from_toml(file, &submission.definition)?;
+        let named = experiment.sensor.as_str();
+        let sensor = Sensor::from_toml(&submission.sensor_text(named)?)
+            .map_err(|e| vec![Problem::whole(named, e.to_string())])?;
+        let plan = Plan::of(file, &experiment, &sensor)?;
+        Ok(Self {
+            kind: run_kind(&plan),
+            force_limit_n: plan.limits.force_n,
+            force_sum_limit_n: plan.limits.force_sum_n,
+            steps: Visits::of(&plan),
+            sensor: SensorOut::of(&sensor),
+            experiment: plan.experiment,
+            depths_mm: plan.depths_mm,
+        })
+    }
+}
+
+/// Returns the tour of a submission and its sensor, without queuing it.
+///
+/// The preflight has the problems of the submission on this rig.
+#[utoipa::path(post, operation_id = "submission_tour", path = "/api/v1/tour", tag = "queue",
+    request_body = Submission,
+    responses((status = 200, body = SubmittedTour),
+        (status = 422, body = ProblemBody, description = "a file of the submission is invalid")))]
+pub async fn of_submission(
+    State(app): State<App>,
+    Body(submission): Body<Submission>,
+) -> Result<Json<SubmittedTour>, ApiError> {
+    let _turn = preflight_turn(&app).await?;
+    // A plan of 198,000 trials takes about 0.3 s: not on a thread that answers requests.
+    let planning = tokio::task::spawn_blocking(move || SubmittedTour::of(&submission));
+    match planning.await {
+        Ok(planned) => planned.map(Json).map_err(ApiError::problems),
+        Err(error) => Err(ApiError::new(StatusCode::INTERNAL_SERVER_ERROR, error.to_string())),
+    }
 }
 
 impl Tour {
@@ -109,7 +182,16 @@ async fn read(app: &App, run: &RunRow) -> Result<Arc<KeptTour>, ApiError> {
             Some(plan) => Visits::of_text(&plan).map_err(|e| e.to_string())?,
             None => planned(&run)?,
         };
-        let tour = Tour { scan_id, experiment, kind, depths_mm, steps };
+        let file = Experiment::from_toml(&run.experiment, &run.definition).ok();
+        let tour = Tour {
+            scan_id,
+            experiment,
+            kind,
+            depths_mm,
+            force_limit_n: file.as_ref().map(|file| file.limits.force_n),
+            force_sum_limit_n: file.as_ref().map(|file| file.limits.force_sum_n),
+            steps,
+        };
         let body = Bytes::from(serde_json::to_vec(&tour).map_err(|e| e.to_string())?);
         let tag = format!("\"{}\"", sha256_hex(&body));
         Ok(Arc::new(KeptTour { tour, body, tag }))

@@ -8,11 +8,19 @@ use serde_json::json;
 use tokio::time::Instant;
 
 use super::{Conductor, ConductorError, turn};
+use crate::campaign::shown::command::Refusal;
 use crate::campaign::shown::status::Status;
 use crate::campaign::spans::run_span;
 use crate::ids::RunUid;
 use crate::journal::error_chain;
+use crate::state::StoredState;
 use crate::store::{RunRow, StoreError};
+
+/// Pause before a run that the rig did not take up is offered again.
+const BUSY_AGAIN: Duration = Duration::from_secs(5);
+/// Why waiting runs do not begin after a run that was ended while it waited.
+const ENDED_HALTED: &str =
+    "the run before it was ended while it was halted, and a person may be at the rig";
 
 impl Conductor {
     /// Follows the campaign: a run that was started while another was active, or before its time,
@@ -21,6 +29,7 @@ impl Conductor {
         let mut status = self.inner.campaign.watch_status();
         // While the rig is free and no waiting run is due: when to decide again.
         let mut again: Option<Instant> = None;
+        let mut is_attended = false;
         loop {
             let until = again;
             let due = async move {
@@ -34,12 +43,16 @@ impl Conductor {
                 () = self.inner.look.notified() => again = None,
                 () = due => again = None,
             }
-            let (free, tripped) = {
+            let (free, why_not) = {
                 let now = status.borrow_and_update();
-                (now.run.is_none() && now.rig.is_ready(), needs_person(&now).map(ToOwned::to_owned))
+                let is_free = now.run.is_none() && now.rig.is_ready();
+                let tripped = needs_person(&now).map(|trip| format!("the rig tripped ({trip})"));
+                let ended = now.run.is_none() && std::mem::take(&mut is_attended);
+                is_attended = may_be_attended(is_attended, &now);
+                (is_free, tripped.or_else(|| ended.then(|| ENDED_HALTED.to_owned())))
             };
-            // A person comes to the rig: it must not start by itself once it is homed again.
-            if let Some(why) = tripped {
+            // A person may be at the rig: it must not start by itself once it is free or homed again.
+            if let Some(why) = why_not {
                 self.drop_all_waiting(&why).await;
             }
             if !free {
@@ -66,6 +79,10 @@ impl Conductor {
                 Ok(()) => return Ok(None),
                 // Another run was started first: this one continues to wait.
                 Err(_) if self.inner.campaign.status().run.is_some() => return Ok(None),
+                // The rig is busy, for example with a jog or a homing.
+                Err(ConductorError::Refused(Refusal::Busy(_) | Refusal::Gone)) => {
+                    return Ok(Some(BUSY_AGAIN));
+                }
                 Err(error) => self.drop_waiting(run, &error.to_string()).await?,
             }
         }
@@ -100,14 +117,14 @@ impl Conductor {
         self.inner.look.notify_one();
     }
 
-    /// Removes all runs from those that wait, because of a trip that needs a person.
-    async fn drop_all_waiting(&self, trip: &str) {
+    /// Removes all runs from those that wait, because a person may be at the rig.
+    async fn drop_all_waiting(&self, why: &str) {
         // In memory first: none of them begins, whatever the store does.
         let dropped = std::mem::take(&mut *self.waiting());
         if dropped.is_empty() {
             return;
         }
-        let why = format!("the rig tripped ({trip}): start it again");
+        let why = format!("{why}: start it again");
         let stored = match self.inner.store.waiting_runs().await {
             Ok(stored) => stored,
             Err(error) => {
@@ -128,6 +145,22 @@ impl Conductor {
         }
     }
 
+    /// Called at the end of the service while an e-stop is latched, which the next process would not know: it must
+    /// drive no run by itself.
+    pub async fn keep_stopped(&self) {
+        let kept = async {
+            self.inner.store.interrupt_open_runs(None).await?;
+            for run in self.inner.store.waiting_runs().await? {
+                let why = "the e-stop was latched when the service ended: start it again";
+                self.drop_waiting(&run, why).await?;
+            }
+            Ok::<(), ConductorError>(())
+        };
+        if let Err(error) = kept.await {
+            tracing::error!(error = error_chain(&error), "a stopped run may resume automatically");
+        }
+    }
+
     /// Removes a run from those that wait; an event reports it.
     pub(super) async fn drop_waiting(&self, run: &RunRow, why: &str) -> Result<(), ConductorError> {
         run_span(run.uid, run.scan_id)
@@ -144,6 +177,16 @@ impl Conductor {
 pub(super) fn needs_person(status: &Status) -> Option<&str> {
     let trip = status.rig.trip.as_ref()?;
     (status.run.is_none() || !trip.kind.may_pass()).then_some(trip.detail.as_str())
+}
+
+/// Whether a person may be at the rig because of the active run: it was halted, and has not moved again since.
+/// `before`: the answer for the last status. Between two statuses others may have been missed.
+fn may_be_attended(before: bool, status: &Status) -> bool {
+    match status.run.as_ref().map(|run| run.state) {
+        Some(StoredState::Paused | StoredState::Panicked) => true,
+        Some(StoredState::Running) | None => false,
+        Some(_) => before,
+    }
 }
 
 #[cfg(test)]

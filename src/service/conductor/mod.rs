@@ -36,7 +36,7 @@ mod turn;
 
 pub use error::ConductorError;
 use prepare::Prepared;
-pub use prepare::Submission;
+pub use prepare::{Submission, run_kind};
 pub use queue::Terms;
 
 /// Time for which a code from arming is valid, wall.
@@ -195,22 +195,23 @@ impl Conductor {
         Ok(Started::Running)
     }
 
-    /// Ends an interrupted run as aborted. Its trials stay; nothing moves.
+    /// Ends a run that is open but not driven as aborted: it was interrupted, or is about to be driven again after a
+    /// restart. Its trials stay; it begins nothing.
     ///
     /// # Errors
-    /// `ConductorError::Forbidden` if the run is not interrupted, `Store` if its end is not stored.
-    pub async fn abort_interrupted(&self, run: &RunRow) -> Result<(), ConductorError> {
+    /// `ConductorError::Forbidden` if the run is not open or is driven, `Store` if its end is not stored.
+    pub async fn abort_undriven(&self, run: &RunRow) -> Result<(), ConductorError> {
         let _one_at_a_time = self.inner.beginning.lock().await;
         let now = self.present(run).await?;
         let active = self.inner.campaign.status().run.is_some_and(|r| r.uid == run.uid);
-        if active || now.state != StoredState::Interrupted {
-            let words = format!("run {} is {}, not interrupted", now.scan_id, now.state);
+        if active || !now.is_open() {
+            let words = format!("run {} is {}: there is nothing to abort", now.scan_id, now.state);
             return Err(ConductorError::Forbidden(words));
         }
         self.armings().remove(&run.uid);
         self.waiting().remove(&run.uid);
         let stored: u64 = self.inner.store.contact_counts(run.uid).await?.iter().sum();
-        let reason = format!("aborted at {stored} of {} trials, interrupted", run.trials_planned);
+        let reason = format!("aborted at {stored} of {} trials, not driven", run.trials_planned);
         let status = ExitStatus::Abort;
         self.inner.store.end_run(run.uid, status, &reason, Timestamp::now()).await?;
         let data = json!({ "run": run.uid, "exit_status": status, "reason": reason });
@@ -231,6 +232,16 @@ impl Conductor {
             return Ok(now);
         }
         let words = format!("run {} was edited meanwhile: arm and start it again", run.scan_id);
+        Err(ConductorError::Forbidden(words))
+    }
+
+    /// The row of a run as it is stored now, unless it was edited, ended or removed since `run` was read.
+    async fn unended(&self, run: &RunRow) -> Result<RunRow, ConductorError> {
+        let now = self.unedited(run).await?;
+        if (now.state, now.exit_status) == (run.state, run.exit_status) {
+            return Ok(now);
+        }
+        let words = format!("run {} is {} meanwhile: it is not driven", now.scan_id, now.state);
         Err(ConductorError::Forbidden(words))
     }
 
@@ -269,12 +280,7 @@ impl Conductor {
             let _one_at_a_time = self.inner.beginning.lock().await;
             self.require_sound_store()?;
             // It may have been aborted while the rig was homed.
-            let run = &self.unedited(run).await?;
-            let ended = run.state == StoredState::Ended && !run.is_resumable();
-            if ended || run.state == StoredState::Removed {
-                let words = format!("run {} is {}: it cannot be driven", run.scan_id, run.state);
-                return Err(ConductorError::Forbidden(words));
-            }
+            let run = &self.unended(run).await?;
             let job = self.prepare_stored(run).await?.job(run);
             self.inner.campaign.ask(Request::Start(Arc::new(job))).await?;
             self.armings().remove(&run.uid);

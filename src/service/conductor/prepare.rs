@@ -38,6 +38,31 @@ impl Submission {
             sensor: Some(run.sensor.clone()),
         }
     }
+
+    /// Text of the sensor file that the experiment names: submitted, or carried by the program.
+    ///
+    /// # Errors
+    /// The names of the carried files, if it is neither.
+    pub fn sensor_text(&self, named: &str) -> Result<String, Vec<Problem>> {
+        let carried = || carried::sensor(named).map(Into::into);
+        self.sensor.clone().or_else(carried).ok_or_else(|| {
+            let names = carried::names(carried::SENSORS);
+            let known: Vec<String> = names.map(|name| format!("sensors/{name}.toml")).collect();
+            let limit = format!(
+                "must be a file that the program carries ({}), or its text must be in the request",
+                known.join(", ")
+            );
+            vec![Problem::new(&self.file, "sensor", named, limit)]
+        })
+    }
+}
+
+/// Kind of the run that executes a plan.
+pub fn run_kind(plan: &Plan) -> RunKind {
+    match plan.kind {
+        Kind::RealHex => RunKind::RealHex,
+        Kind::RealRandom => RunKind::RealRandom,
+    }
 }
 
 /// A submission, planned and checked for one rig.
@@ -69,10 +94,7 @@ impl Prepared {
     pub fn of(submission: &Submission, rig: &RigFile) -> Result<Self, Vec<Problem>> {
         let file = &submission.file;
         let experiment = Experiment::from_toml(file, &submission.definition)?;
-        let sensor_text = match &submission.sensor {
-            Some(text) => text.clone(),
-            None => carried_sensor(file, &experiment.sensor)?,
-        };
+        let sensor_text = submission.sensor_text(&experiment.sensor)?;
         let sensor = Sensor::from_toml(&sensor_text)
             .map_err(|e| vec![Problem::whole(&experiment.sensor, e.to_string())])?;
         let problems = lint(file, &experiment, &sensor, &reach(&rig.file, &rig.config));
@@ -105,14 +127,6 @@ impl Prepared {
             Ok(self)
         } else {
             Err(ConductorError::Problems { problems: self.preflight.problems })
-        }
-    }
-
-    /// The kind of the stored run.
-    pub fn run_kind(&self) -> RunKind {
-        match self.plan.kind {
-            Kind::RealHex => RunKind::RealHex,
-            Kind::RealRandom => RunKind::RealRandom,
         }
     }
 
@@ -156,19 +170,6 @@ impl Prepared {
             plan: self.plan,
         }
     }
-}
-
-/// Text of the sensor file that an experiment names.
-fn carried_sensor(file: &str, named: &str) -> Result<String, Vec<Problem>> {
-    carried::sensor(named).map(Into::into).ok_or_else(|| {
-        let known: Vec<String> =
-            carried::names(carried::SENSORS).map(|name| format!("sensors/{name}.toml")).collect();
-        let limit = format!(
-            "must be a file that the program carries ({}), or its text must be in the request",
-            known.join(", ")
-        );
-        vec![Problem::new(file, "sensor", named, limit)]
-    })
 }
 
 fn same_label(run: i64, of_run: Label, of_rig: Label) -> Result<(), ConductorError> {

@@ -4,7 +4,7 @@
 use jiff::Timestamp;
 use serde_json::json;
 
-use super::prepare::Prepared;
+use super::prepare::{Prepared, run_kind};
 use super::{Conductor, ConductorError, Submission, turn};
 use crate::ids::{CalibrationId, RunUid};
 use crate::state::StoredState;
@@ -82,7 +82,7 @@ impl Conductor {
             .map_err(|problems| ConductorError::Problems { problems })?;
         let definition = submission.definition.clone();
         let prepared = self.prepare(submission).await?.sound()?;
-        let kind = prepared.run_kind();
+        let kind = run_kind(&prepared.plan);
         let Prepared { experiment, preflight, sensor_name, .. } = prepared;
         Ok(NewRun {
             uid,

@@ -63,12 +63,21 @@ impl Conductor {
         }
         let mut waiting = store.waiting_runs().await?;
         waiting.retain(|run| !(begun && run.uid == first.uid));
-        if self.inner.campaign.status().rig.state == RigState::Tripped {
-            for run in &waiting {
-                self.drop_waiting(run, "the rig tripped during the start").await?;
+        let tripped = self.inner.campaign.status().rig.state == RigState::Tripped;
+        let why_not = match &outcome {
+            _ if tripped => Some("the rig tripped during the start"),
+            Err(ConductorError::Forbidden(_)) if was_driven => {
+                Some("the run before it is not driven again, and a person may be at the rig")
             }
-        } else {
-            self.let_wait(waiting.iter().map(|run| run.uid));
+            Ok(_) | Err(_) => None,
+        };
+        match why_not {
+            None => self.let_wait(waiting.iter().map(|run| run.uid)),
+            Some(why) => {
+                for run in &waiting {
+                    self.drop_waiting(run, why).await?;
+                }
+            }
         }
         outcome.map(|_| ())
     }
@@ -113,23 +122,7 @@ impl Conductor {
         }
         let mut pause = RESTART_PAUSE;
         for attempt in 1..=RESTART_TRIES {
-            let lock = self.inner.store.lock().await?;
-            let present = turn::Present { now: Timestamp::now(), lock: lock.as_ref() };
-            let refusing = match (&lock, since) {
-                (Some(lock), Some(since)) => Some(lock).filter(|lock| lock.since > since),
-                (lock, _) => lock.as_ref().filter(|_| !present.lets_begin(run)),
-            };
-            let outcome = match refusing {
-                Some(LockRow { holder, note, .. }) => {
-                    let words = format!("{holder} has taken the operator lock: {note}");
-                    Err(Refusal::State(words).into())
-                }
-                None => match self.bring_up().await {
-                    Ok(()) => self.begin(run).await,
-                    Err(refusal) => Err(refusal.into()),
-                },
-            };
-            let Err(error) = outcome else {
+            let Err(error) = self.try_to_drive(run, since).await else {
                 tracing::info!(attempt, "the run is driven again");
                 self.say(run, "went_on", json!({ "attempt": attempt })).await;
                 return Ok(true);
@@ -153,8 +146,41 @@ impl Conductor {
         Ok(false)
     }
 
-    /// Opens the wires and homes the rig, as needed; a skin alone has nothing to home. After a crash the first motion is z up, as in
-    /// every homing.
+    /// Brings the rig up and begins a run, unless the run was ended or a lock was taken, also while it homed.
+    async fn try_to_drive(
+        &self,
+        run: &RunRow,
+        since: Option<Timestamp>,
+    ) -> Result<(), ConductorError> {
+        self.unended(run).await?;
+        self.require_no_lock(run, since).await?;
+        self.bring_up().await?;
+        self.require_no_lock(run, since).await?;
+        self.begin(run).await
+    }
+
+    async fn require_no_lock(
+        &self,
+        run: &RunRow,
+        since: Option<Timestamp>,
+    ) -> Result<(), ConductorError> {
+        let lock = self.inner.store.lock().await?;
+        let present = turn::Present { now: Timestamp::now(), lock: lock.as_ref() };
+        let refusing = match (&lock, since) {
+            (Some(lock), Some(since)) => Some(lock).filter(|lock| lock.since > since),
+            (lock, _) => lock.as_ref().filter(|_| !present.lets_begin(run)),
+        };
+        match refusing {
+            None => Ok(()),
+            Some(LockRow { holder, note, .. }) => {
+                let words = format!("{holder} has taken the operator lock: {note}");
+                Err(Refusal::State(words).into())
+            }
+        }
+    }
+
+    /// Opens the wires and homes the rig, as needed; a skin alone has nothing to home. After a crash the first
+    /// motion is z up, as in every homing.
     async fn bring_up(&self) -> Result<(), Refusal> {
         let campaign = &self.inner.campaign;
         if campaign.status().rig.state == RigState::Disconnected {

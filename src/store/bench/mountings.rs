@@ -38,16 +38,23 @@ impl Store {
             .await
     }
 
-    /// Returns the last confirmed number of tips; `None` before the first.
+    /// Returns the last confirmed number of tips; `None` before the first, and after a manual run, during which
+    /// tips may be removed.
     ///
     /// # Errors
     /// `Sql` or `Unreadable` if the read fails.
     pub(crate) async fn read_last_mounted(&self) -> Result<Option<Mounting>, StoreError> {
         const OPERATION: &str = "reading the number of mounted tips";
-        let row = sqlx::query("SELECT * FROM mountings ORDER BY id DESC LIMIT 1")
-            .fetch_optional(&self.inner.readers)
-            .await
-            .during(OPERATION)?;
+        let row = sqlx::query(
+            "SELECT * FROM (SELECT * FROM mountings ORDER BY id DESC LIMIT 1) AS last
+             WHERE NOT EXISTS (
+                 SELECT 1 FROM runs WHERE kind = 'real-random'
+                     AND (started_at > last.at OR ended_at > last.at
+                         OR (started_at IS NOT NULL AND state NOT IN ('ended', 'removed'))))",
+        )
+        .fetch_optional(&self.inner.readers)
+        .await
+        .during(OPERATION)?;
         row.map(|row| {
             let c = Columns::of(&row, OPERATION);
             let (tips, live_cells) = (c.whole("tips")?, c.whole("live_cells")?);

@@ -141,6 +141,11 @@ pub struct RunPage {
 }
 
 impl RunRow {
+    /// Whether it has begun and has not ended, driven or not.
+    pub fn is_open(&self) -> bool {
+        !matches!(self.state, StoredState::Queued | StoredState::Ended | StoredState::Removed)
+    }
+
     /// Whether nothing drives it and its plan has trials left, so that it can be driven on: it was
     /// interrupted, or ended short of its plan.
     pub fn is_resumable(&self) -> bool {

@@ -62,6 +62,9 @@ pub struct Reading {
     /// Mean square of the fit's residual, in units of the assumed noise.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub misfit: Option<f64>,
+    /// Misfit beyond which a fit does not explain the frame; present with `misfit`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub misfit_limit: Option<f64>,
     /// Number of averaged frames of a constant load; present for a followed stream.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub averaged: Option<f64>,

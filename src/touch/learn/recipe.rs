@@ -14,6 +14,17 @@ use crate::syntax::parse_toml;
 const ROWS_MAX: u64 = 20_000_000;
 /// Longest name, characters.
 const NAME_MAX: usize = 80;
+/// Largest side of maps, pixels, that are drawn with fewer layers than a net's default: from a first
+/// image of 8 or 4 pixels, as larger maps are from one of 10.
+const FEW_PIXELS: i64 = 64;
+/// Channels of these layers.
+const FEWER_CHANNELS: [i64; 3] = [128, 64, 32];
+
+/// Returns the channels (`training.net.channels`) of a net whose maps have this side, pixels; `None`: the
+/// default of the net.
+pub fn map_channels(side: i64) -> Option<[i64; 3]> {
+    (side <= FEW_PIXELS).then_some(FEWER_CHANNELS)
+}
 
 /// Contents of a recipe file.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

@@ -5,11 +5,22 @@
 use std::path::Path;
 use std::process::Command;
 
-use serde_json::Value;
+use serde_json::{Value, json};
 
 use super::bench::{Lab, rig_args};
+use super::placement::{serve_exact, skin_alone};
 
 const MODULES: &str = "playwright, axe_playwright_python";
+
+/// A campaign of 48 trials.
+const SHORT: &str = "name = 'short'\nseed = 5\nsensor = 's'\n[real_hex]\ntips = [1]\n\
+    configurations = 8\ndepths = 6\nblock = 8\nreference_every = 8\n";
+/// A campaign of 6,000 trials, longer than any scenario.
+const LONG: &str = "name = 'long'\nseed = 6\nsensor = 's'\n[real_hex]\ntips = [1]\n\
+    configurations = 1000\ndepths = 6\n";
+/// Two placements of two weights.
+const WEIGHTS: &str = "name = 'weights'\nseed = 2\nsensor = 's'\n[real_random]\ncontacts = [2]\n\
+    trials_each = 2\nweights_n = [4.905, 9.81]\n[measure]\nframes_per_trial = 5\n";
 
 /// A Python that has the modules, and the path of Chromium (`PALPATE_CHROMIUM`, otherwise `chromium`).
 /// Without them the test prints `LEFT OUT`.
@@ -39,12 +50,40 @@ async fn plays(lab: &Lab, (python, chromium): (String, String), scenario: &str) 
     command
         .arg(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/system/browser/scenarios.py"))
         .args([scenario, &lab.service.url(), &lab.rig.ready.control])
+        .env("PYTHONDONTWRITEBYTECODE", "1")
         .env("PALPATE_CHROMIUM", chromium)
         .env("PALPATE_SCREENS", Path::new(env!("CARGO_TARGET_TMPDIR")).join("screens"));
     let output = tokio::task::spawn_blocking(move || command.output()).await.unwrap().unwrap();
     let said = [output.stdout, output.stderr].map(|b| String::from_utf8_lossy(&b).into_owned());
     println!("{}", said.join("\n"));
     assert!(output.status.success(), "{scenario}: {}", said.join("\n"));
+}
+
+/// A lab with a long run under way, and the run's uid.
+async fn running(name: &str, speed: f64) -> (Lab, String) {
+    let lab = Lab::open(name, rig_args("virtual", speed)).await;
+    lab.home().await;
+    let run = lab.queue(LONG).await;
+    lab.start(&run).await;
+    lab.stored(1).await;
+    (lab, run)
+}
+
+/// A lab in which each page has something to show: a run that ended, its dataset, a net, a run that is
+/// under way and one that waits.
+async fn furnished(name: &str) -> Lab {
+    let lab = Lab::open(name, rig_args("virtual", 40.0)).await;
+    lab.home().await;
+    let run = lab.queue(SHORT).await;
+    lab.start(&run).await;
+    lab.ended(&run).await;
+    lab.posted("/api/v1/datasets", json!({ "name": "run-1" })).await;
+    super::live::small_net(&lab).await;
+    let run = lab.queue(LONG).await;
+    lab.start(&run).await;
+    lab.stored(1).await;
+    lab.queue(SHORT).await;
+    lab
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -78,6 +117,25 @@ async fn a_run_is_checked_started_paused_stopped_at_once_and_finished() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn abort_asks_first_and_keeps_what_is_stored() {
+    let Some(tools) = tools() else { return };
+    let (lab, run) = running("browser-abort", 10.0).await;
+    plays(&lab, tools, "abort").await;
+    let actions = lab.get(&format!("/api/v1/actions?run={run}&limit=100")).await;
+    let aborts = actions["items"].as_array().unwrap().iter().filter(|a| a["action"] == "abort");
+    assert_eq!(aborts.count(), 1, "a cancelled abort is not sent: {actions:#}");
+    lab.close().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn the_stop_needs_no_mouse() {
+    let Some(tools) = tools() else { return };
+    let (lab, _) = running("browser-keyboard", 10.0).await;
+    plays(&lab, tools, "keyboard").await;
+    lab.close().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn a_person_places_weights_as_the_page_says() {
     let Some(tools) = tools() else { return };
     let lab = Lab::open_alone("browser-place", rig_args("virtual", 10.0)).await;
@@ -90,11 +148,62 @@ async fn a_person_places_weights_as_the_page_says() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn a_weight_on_a_wrong_point_is_named_before_it_is_stored_and_a_trial_is_repeated() {
+    let Some(tools) = tools() else { return };
+    let lab = Lab::open_alone("browser-wrong", skin_alone()).await;
+    serve_exact(&lab).await;
+    lab.posted("/api/v1/rig/actions", json!({ "action": "connect", "who": "test" })).await;
+    let run = lab.queue(WEIGHTS).await;
+    lab.start(&run).await;
+    plays(&lab, tools, "wrong_weight").await;
+    let summary = lab.get(&format!("/api/v1/runs/{run}/summary")).await;
+    assert_eq!(summary["retries"], 1, "one trial was withdrawn: {summary:#}");
+    let trials = lab.get(&format!("/api/v1/runs/{run}/trials")).await;
+    assert!(trials["items"][0]["placed_by"].as_str().unwrap().contains("Ada"), "{trials:#}");
+    lab.close().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn a_model_is_promoted_and_followed_live() {
     let Some(tools) = tools() else { return };
     let lab = Lab::open("browser-touch", rig_args("virtual", 1.0)).await;
     lab.home().await;
     super::live::small_net(&lab).await;
     plays(&lab, tools, "touch").await;
+    lab.close().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_viewer_sees_no_button_that_would_be_refused() {
+    let Some(tools) = tools() else { return };
+    let lab = furnished("browser-viewer").await;
+    plays(&lab, tools, "viewer").await;
+    lab.close().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_lost_connection_is_shown_and_heals() {
+    let Some(tools) = tools() else { return };
+    let (lab, _) = running("browser-lost", 10.0).await;
+    plays(&lab, tools, "lost").await;
+    let status = lab.get("/api/v1/status").await;
+    assert!(status["rig"]["trip"].is_null(), "no stop arrived later: {status:#}");
+    lab.close().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn axe_finds_no_serious_fault_on_any_page_item_dialog_or_state() {
+    let Some(tools) = tools() else { return };
+    let lab = furnished("browser-axe").await;
+    plays(&lab, tools, "axe").await;
+    lab.close().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_page_has_no_element_for_each_trial_or_event() {
+    let Some(tools) = tools() else { return };
+    let lab = Lab::open("browser-size", rig_args("virtual", 40.0)).await;
+    lab.home().await;
+    plays(&lab, tools, "size").await;
     lab.close().await;
 }

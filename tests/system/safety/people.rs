@@ -6,8 +6,8 @@ use palpate::campaign::bench::interlock::TripKind;
 use palpate::campaign::bench::rig_state::RigState;
 use palpate::campaign::shown::command::Request;
 use palpate::campaign::shown::placement::Confirmation;
-use palpate::campaign::shown::status::{Done, Status};
-use palpate::state::StoredState;
+use palpate::campaign::shown::status::{Done, Phase, Status};
+use palpate::state::{PausedWhy, StoredState};
 use serde_json::json;
 
 use super::harness::{Harness, experiment};
@@ -78,5 +78,99 @@ async fn a_drive_that_lost_its_zero_is_not_moved() {
     let after = harness.truth().await["axes"][0]["position"].as_f64().unwrap();
     assert!((before - after).abs() < 1e-6, "x moved from {before} to {after}: {trip:?}");
     assert!(trip.detail.contains("not homed"), "{trip:?}");
+    harness.close().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn the_limits_of_a_run_hold_after_its_wires_were_opened_again() {
+    let harness = Harness::homed().await;
+    harness.run(2, "[limits]\nforce_n = 15.0\n").await;
+    harness
+        .until("a touch-off", |s| s.run.as_ref().is_some_and(|r| r.phase == Phase::TouchOff))
+        .await;
+    harness.fault("no_reply", "cells", json!({ "for_s": 12.0 })).await;
+    let trip = harness.tripped().await.rig.trip.unwrap();
+    assert_eq!(trip.kind, TripKind::Wire, "{trip:?}");
+    // The module replies again.
+    tokio::time::sleep(Duration::from_secs(2)).await;
+    harness.ask(Request::Disconnect).await.unwrap();
+    harness.ask(Request::Connect).await.unwrap();
+    harness.ask(Request::Reset).await.unwrap();
+    harness.home().await;
+    harness.ask(Request::Resume).await.unwrap();
+    let trip = harness.tripped().await.rig.trip.unwrap();
+    assert!(
+        trip.kind == TripKind::Force && trip.detail.contains("over its limit 15 N"),
+        "{trip:?}"
+    );
+    harness.is_safe().await;
+    harness.close().await;
+}
+
+/// A run that resumes automatically a second after a trip that passes, tripped by its wires for a second.
+async fn tripped_by_its_wires() -> Harness {
+    let harness = Harness::homed().await;
+    harness.mount(2, 2).await;
+    let definition = experiment(2, "[policy]\nauto_resume_after_s = 1.0\n");
+    harness.start(harness.job(&definition, |job| job.auto_resume = true)).await;
+    harness.stored(1).await;
+    harness.fault("no_reply", "cells", json!({ "for_s": 8.0 })).await;
+    let trip = harness.tripped().await.rig.trip.unwrap();
+    assert_eq!(trip.kind, TripKind::Wire, "{trip:?}");
+    harness
+}
+
+/// Nothing is stored in three seconds more.
+async fn stays(harness: &Harness) {
+    let stored = harness.journal.taken().trials.len();
+    tokio::time::sleep(Duration::from_secs(3)).await;
+    assert_eq!(harness.journal.taken().trials.len(), stored);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_pause_holds_a_run_that_was_to_resume_automatically() {
+    let harness = tripped_by_its_wires().await;
+    harness.ask(Request::PauseAtCheckpoint).await.unwrap();
+    stays(&harness).await;
+    let status = harness.handle.status();
+    assert_eq!(status.rig.state, RigState::Tripped);
+    assert_eq!(status.run.unwrap().paused_why, Some(PausedWhy::Operator));
+    harness.ask(Request::Reset).await.unwrap();
+    harness.home().await;
+    harness.ask(Request::Resume).await.unwrap();
+    let stored = harness.journal.taken().trials.len() as u64;
+    harness.stored(stored + 1).await;
+    harness.ask(Request::Abort).await.unwrap();
+    harness.close().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_drive_that_was_without_power_waits_for_a_person() {
+    let harness = tripped_by_its_wires().await;
+    harness.fault("power_loss", "x", json!({ "count": 1 })).await;
+    let waits = |s: &Status| {
+        let words = s.run.as_ref().and_then(|run| run.waiting_for.clone());
+        words.is_some_and(|words| words.contains("x is not homed any more"))
+    };
+    harness.until("words for a person", waits).await;
+    stays(&harness).await;
+    assert_eq!(harness.handle.status().rig.state, RigState::Tripped);
+    harness.ask(Request::Abort).await.unwrap();
+    harness.close().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_lock_that_is_taken_while_the_rig_homes_automatically_holds_the_run() {
+    let harness = tripped_by_its_wires().await;
+    harness.until("an automatic reset", |s| s.rig.state == RigState::Disarmed).await;
+    harness.journal.taken().locked_at = Some(jiff::Timestamp::now());
+    harness.until("homed", |s| s.rig.state == RigState::Homed).await;
+    stays(&harness).await;
+    let run = harness.handle.status().run.unwrap();
+    assert_eq!((run.state, run.paused_why), (StoredState::Paused, Some(PausedWhy::Trip)));
+    harness.journal.taken().locked_at = None;
+    let stored = harness.journal.taken().trials.len() as u64;
+    harness.stored(stored + 1).await;
+    harness.ask(Request::Abort).await.unwrap();
     harness.close().await;
 }

@@ -93,7 +93,7 @@ pub(in crate::campaign) struct LastSample {
 pub(in crate::campaign) enum Raised {
     /// z is up; the deepest position that was read on the way, machine mm.
     Up { deepest_mm: f64 },
-    /// z has lost its zero; nothing was moved.
+    /// z has lost its zero: it is not moved, or is where its drive lost it.
     NotHomed,
 }
 
@@ -388,6 +388,10 @@ impl Stage {
             deepest_mm = deepest_mm.max(now.position);
             if let Some(alarm) = now.alarm {
                 return Err(format!("z reports alarm {alarm:#x} at {:.3} mm", now.position));
+            }
+            // A drive that has restarted reports the position of its new zero.
+            if !now.homed {
+                return Ok(Raised::NotHomed);
             }
             if !now.moving && now.position <= up + z.tolerance {
                 return Ok(Raised::Up { deepest_mm });

@@ -239,11 +239,14 @@ impl Control {
     /// Accepts pending requests. Called at every poll of motion, settling and waiting.
     ///
     /// # Errors
-    /// `Halt::Trip` for an e-stop, `Halt::Asked` for a request that needs the tips up: the rig must
-    /// be made safe immediately.
+    /// `Halt::Trip` for an e-stop, `Halt::Asked` for a request that needs the tips up, and once the thread
+    /// was asked to end: the rig must be made safe immediately.
     pub fn attend(&mut self) -> Result<(), Halt> {
         if let Some(press) = self.estop.pressed() {
             return Err(Halt::trip(TripKind::Estop, press.why));
+        }
+        if self.leaving {
+            return Err(Halt::Asked);
         }
         while let Some(envelope) = self.inbox.pending() {
             let action = self.take_up_while_moving(envelope);
@@ -283,17 +286,19 @@ impl Control {
             }
             Some(event) => self.run_event(event),
             None => {
-                let doing = if idle { "the rig moves".into() } else { self.run_words() };
-                Err(Refusal::State(match &request {
-                    Request::Confirm { .. } if !idle => {
-                        format!("nothing is to be confirmed: {doing}")
+                let (what, doing) = (name(&request), self.run_words());
+                Err(match &request {
+                    _ if idle => {
+                        Refusal::Busy(format!("{what} is not possible while the rig moves"))
                     }
-                    _ if idle => format!("{} is not possible while {doing}", name(&request)),
+                    Request::Confirm { .. } => {
+                        Refusal::State(format!("nothing is to be confirmed: {doing}"))
+                    }
                     _ => {
                         let next = self.run.allowed();
-                        format!("{} is not possible while {doing}: {next}", name(&request))
+                        Refusal::State(format!("{what} is not possible while {doing}: {next}"))
                     }
-                }))
+                })
             }
         };
         let action = outcome.as_ref().ok().copied();

@@ -203,7 +203,10 @@ pub fn step(state: RunState, event: RunEvent) -> Result<(RunState, RunAction), I
         (S::Running | S::Pausing(_), E::PauseNow) => {
             Ok((S::Suspending(PausedWhy::Operator), Raise))
         }
-        (S::Running | S::Pausing(_), E::Suspend(why)) => Ok((S::Suspending(why), Raise)),
+        (S::Running, E::Suspend(why)) => Ok((S::Suspending(why), Raise)),
+        (S::Pausing(before) | S::Suspending(before) | S::Paused(before), E::Suspend(why)) => {
+            Ok((S::Suspending(lasting(before, why)), Raise))
+        }
         (S::Running, E::Raised) => Ok((S::Running, Continue)),
         (S::Running, E::Resume) => illegal,
 
@@ -211,8 +214,15 @@ pub fn step(state: RunState, event: RunEvent) -> Result<(RunState, RunAction), I
         (S::Pausing(_), E::Resume) => Ok((S::Running, Continue)),
         (S::Pausing(_), E::PauseAtCheckpoint | E::Need(_)) => illegal,
 
+        // A person pauses what would resume automatically.
+        (S::Suspending(PausedWhy::Trip), E::PauseAtCheckpoint | E::PauseNow) => {
+            Ok((S::Suspending(PausedWhy::Operator), Raise))
+        }
+        (S::Paused(PausedWhy::Trip), E::PauseAtCheckpoint | E::PauseNow) => {
+            Ok((S::Paused(PausedWhy::Operator), Raise))
+        }
+
         (S::Suspending(_), E::PauseAtCheckpoint | E::PauseNow | E::Need(_) | E::Resume) => illegal,
-        (S::Suspending(_) | S::Paused(_), E::Suspend(why)) => Ok((S::Suspending(why), Raise)),
 
         (S::Paused(_), E::Resume) => Ok((S::Running, Continue)),
         (S::Paused(_), E::Raised) => Ok((state, Wait)),
@@ -240,6 +250,15 @@ pub fn step(state: RunState, event: RunEvent) -> Result<(RunState, RunAction), I
         (S::Pausing(_) | S::Suspending(_) | S::Paused(_), E::Ended) => {
             Ok((S::Idle, End(ExitStatus::Fail)))
         }
+    }
+}
+
+/// Reason of a halted run that is halted again: what a person requested, or what waits for one, does not become
+/// a reason after which the run resumes automatically.
+fn lasting(before: PausedWhy, next: PausedWhy) -> PausedWhy {
+    match (before, next) {
+        (PausedWhy::Operator, _) | (_, PausedWhy::Restart) => before,
+        _ => next,
     }
 }
 
@@ -314,6 +333,26 @@ mod tests {
         for s in states() {
             let open = !matches!(s, S::Idle | S::Panicked | S::Aborting);
             assert_eq!(step(s, RunEvent::Abort).is_ok(), open, "{s:?}");
+        }
+    }
+
+    #[test]
+    fn what_waits_for_a_person_does_not_become_what_passes_by_itself() {
+        use PausedWhy::{ManualTrial, Operator, Restart, Suspender, TipChange, Trip};
+        let next = |state, event| step(state, event).unwrap().0;
+        for why in [Operator, TipChange, ManualTrial, Suspender, Trip] {
+            let ends = RunEvent::Suspend(Restart);
+            for state in [RunState::Pausing(why), RunState::Suspending(why), RunState::Paused(why)]
+            {
+                assert_eq!(next(state, ends), RunState::Suspending(why), "{state:?}");
+            }
+        }
+        let trip = RunEvent::Suspend(Trip);
+        assert_eq!(next(RunState::Pausing(Operator), trip), RunState::Suspending(Operator));
+        assert_eq!(next(RunState::Running, trip), RunState::Suspending(Trip));
+        for pause in [RunEvent::PauseAtCheckpoint, RunEvent::PauseNow] {
+            assert_eq!(next(RunState::Suspending(Trip), pause), RunState::Suspending(Operator));
+            assert_eq!(next(RunState::Paused(Trip), pause), RunState::Paused(Operator));
         }
     }
 

@@ -8,7 +8,7 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use tokio::sync::{broadcast, mpsc, oneshot, watch};
+use tokio::sync::{Mutex, OwnedMutexGuard, broadcast, mpsc, oneshot, watch};
 use tracing::Span;
 
 use crate::campaign::bench::estop::StopSwitch;
@@ -89,6 +89,9 @@ pub enum Refusal {
     /// The present state forbids it.
     #[error("{0}")]
     State(String),
+    /// The rig moves outside a run; it may be possible afterwards.
+    #[error("{0}")]
+    Busy(String),
     /// A value is outside its limits.
     #[error("{0}")]
     Value(String),
@@ -137,6 +140,17 @@ impl Envelope {
     }
 }
 
+/// The wires of the rig: held by who has them open. Two owners would take each other's replies.
+#[derive(Debug, Clone, Default)]
+pub struct Wires(Arc<Mutex<()>>);
+
+impl Wires {
+    /// Takes the wires; `None` while somebody else has them open.
+    pub fn take(&self) -> Option<OwnedMutexGuard<()>> {
+        Arc::clone(&self.0).try_lock_owned().ok()
+    }
+}
+
 /// Access of the rest of the service to the campaign.
 #[derive(Debug, Clone)]
 pub struct Handle {
@@ -146,6 +160,7 @@ pub struct Handle {
     samples: Samples,
     untouched: watch::Receiver<Option<Arc<Untouched>>>,
     estop: StopSwitch,
+    wires: Wires,
 }
 
 /// The engine's side of a handle.
@@ -161,6 +176,8 @@ pub struct Inbox {
     pub samples: Samples,
     /// Channel for the untouched skin.
     pub untouched: watch::Sender<Option<Arc<Untouched>>>,
+    /// The wires, which a check of the rig opens too.
+    pub wires: Wires,
 }
 
 /// Creates a handle and the engine's side of it.
@@ -170,11 +187,24 @@ pub fn channel(estop: StopSwitch, status: Status) -> (Handle, Inbox) {
     let (frames_tx, frames) = watch::channel(None);
     let (untouched_tx, untouched) = watch::channel(None);
     let samples = Samples::default();
-    let of_handle = samples.clone();
-    let handle =
-        Handle { requests: requests_tx, status, frames, samples: of_handle, untouched, estop };
-    let inbox =
-        Inbox { requests, status: status_tx, frames: frames_tx, samples, untouched: untouched_tx };
+    let wires = Wires::default();
+    let handle = Handle {
+        requests: requests_tx,
+        status,
+        frames,
+        samples: samples.clone(),
+        untouched,
+        estop,
+        wires: wires.clone(),
+    };
+    let inbox = Inbox {
+        requests,
+        status: status_tx,
+        frames: frames_tx,
+        samples,
+        untouched: untouched_tx,
+        wires,
+    };
     (handle, inbox)
 }
 
@@ -226,6 +256,11 @@ impl Handle {
     /// Returns the stop button, for a bench that another part opens.
     pub fn stop_switch(&self) -> StopSwitch {
         self.estop.clone()
+    }
+
+    /// Returns the wires, for a check that opens them while the rig is disconnected.
+    pub fn wires(&self) -> Wires {
+        self.wires.clone()
     }
 
     /// Returns the newest status.

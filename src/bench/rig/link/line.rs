@@ -7,8 +7,9 @@
 //! taken for the answer to the next request (tokio-modbus #324; on RTU replies have no number at
 //! all). Exceptions 1 to 4 are returned immediately, 5 and 6 are repeated within a deadline, 8, 0xA
 //! and 0xB are retried once over a new connection
-//! (`docs/references.md`, "Exceptions and lost replies"). A motion whose reply was lost is returned
-//! as an error, because only its driver can check whether it was received.
+//! (`docs/references.md`, "Exceptions and lost replies"). A motion whose reply was lost, or whose
+//! exception (5, 8, 0xB) leaves open whether it was received, is returned as an error, because only
+//! its driver can check that.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -417,7 +418,9 @@ impl Wire {
         let next = match error {
             LineError::Exception { code } => {
                 count(&self.counters.exceptions);
+                let is_motion = matches!(job.kind, Kind::Motion(_));
                 match code {
+                    5 | 8 | 0x0B if is_motion => Next::GiveUp,
                     5 | 6 => {
                         let since = *job.busy_since.get_or_insert(self.clock.now());
                         let waited = self.clock.now().saturating_duration_since(since);

@@ -165,6 +165,20 @@ async fn a_gateways_exception_is_retried_once_over_a_fresh_connection() {
 }
 
 #[tokio::test]
+async fn a_motion_that_may_have_been_received_is_handed_back_not_repeated() {
+    for (code, sent) in [(5, 1), (6, 3), (8, 1), (0x0A, 2), (0x0B, 1)] {
+        let mut rig = rig(move |n, _| match code {
+            6 if n == 2 => Act::Echo,
+            _ => Act::Exception(code),
+        });
+        let permit = MotionGate::new(StopLatch::new()).permit().unwrap();
+        // A busy device (6) has refused it, and a gateway without a path (0xA) has not passed it on.
+        let accepted = rig.line.ask_motion(1, coil(1), permit).await.is_ok();
+        assert_eq!((rig.seen().len(), accepted), (sent, code == 6), "exception {code}");
+    }
+}
+
+#[tokio::test]
 async fn a_stop_overtakes_and_voids_the_motions_that_waited() {
     let mut rig = rig(|n, _| if n == 0 { Act::Late(GRACE / 2) } else { Act::Echo });
     let gate = MotionGate::new(StopLatch::new());

@@ -6,6 +6,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use serde_json::json;
+use tokio::sync::OwnedMutexGuard;
 
 use super::{Connection, Engine, Owed, no_stage, no_wires, trip_of};
 use crate::campaign::bench::interlock::{self, Trip, TripKind};
@@ -128,6 +129,15 @@ impl Engine {
             return Err(Refusal::State(words.into()));
         }
         self.connection = None;
+        // What was measured before is not what is now.
+        let closed = show::closed(&self.config).rig;
+        self.control.show(|status| {
+            status.rig.pose = closed.pose;
+            status.rig.forces_n = closed.forces_n;
+            status.rig.live_cells = closed.live_cells;
+            status.rig.stream = closed.stream;
+            status.rig.wires = closed.wires;
+        });
         self.control.rig_event(RigEvent::Lost)
     }
 
@@ -149,13 +159,16 @@ impl Engine {
     /// A wire does not open, a device does not reply or is not the one in the rig file, or the
     /// state does not allow it.
     pub(super) async fn connect(&mut self) -> Result<(), Refusal> {
+        let wires = self.control.inbox.wires.take().ok_or_else(|| {
+            Refusal::State("a check of the rig uses its wires: wait for its end".into())
+        })?;
         let clock = Clock::new(self.config.clock_rate());
         let fail = |e: RigError| Refusal::State(e.to_string());
         let config = match &self.config {
             RigSetup::Bench(config) => config.as_ref().clone(),
             RigSetup::Skin(skin) => {
                 let skin = registry::open_skin(skin, &clock).map_err(fail)?;
-                return self.connected(skin, BTreeMap::new(), None, clock);
+                return self.connected(skin, BTreeMap::new(), None, clock, wires);
             }
         };
         let open = registry::open(&config, &clock, &self.control.estop.latch()).map_err(fail)?;
@@ -173,7 +186,7 @@ impl Engine {
         self.control.say("device", json!({ "device": "cells", "found": found }));
         let mut stage = Stage::new(open.bench.clone(), config, clock.clone());
         stage.samples = self.control.inbox.samples.clone();
-        self.connected(open.bench.skin, open.lines, Some(stage), clock)?;
+        self.connected(open.bench.skin, open.lines, Some(stage), clock, wires)?;
         if !alarms.is_empty() {
             let detail = format!("{}; clear the cause, reset, home", alarms.join("; "));
             self.control.latch(&Trip { kind: TripKind::Device, detail });
@@ -188,6 +201,7 @@ impl Engine {
         lines: BTreeMap<String, Arc<Line>>,
         stage: Option<Stage>,
         clock: Clock,
+        wires: OwnedMutexGuard<()>,
     ) -> Result<(), Refusal> {
         let bench = stage.as_ref().map(|stage| stage.bench.clone());
         let stop = self.control.estop.clone();
@@ -199,7 +213,8 @@ impl Engine {
         });
         let frames = show::forward_frames(skin.follow(), self.control.inbox.frames.clone());
         let frames = tokio::spawn(frames);
-        self.connection = Some(Connection { lines, skin, clock, stage, estop, frames });
+        self.connection =
+            Some(Connection { lines, skin, clock, stage, estop, frames, _wires: wires });
         self.owed = Owed::Nothing;
         let last = self.control.inbox.status.borrow().rig.trip.clone();
         self.control.rig_event(RigEvent::Connected)?;

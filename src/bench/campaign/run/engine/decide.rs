@@ -5,19 +5,21 @@
 use serde_json::json;
 
 use super::{Attempts, Engine, Next, Owed};
-use crate::campaign::bench::interlock::Trip;
+use crate::campaign::bench::interlock::{Trip, TripKind};
 use crate::campaign::diary::Note;
 use crate::campaign::run::halt::Halt;
 use crate::campaign::run::job::Job;
 use crate::campaign::run::run_state::{PausedWhy, RunAction, RunEvent, RunState};
 use crate::campaign::safe_end::Height;
+use crate::campaign::shown::safe_end::Tips;
 use crate::campaign::shown::status::Wanted;
 use crate::journal::{ExitStatus, error_chain};
 use crate::record::AttemptRecord;
 use crate::schedule::plan::Kind;
 
 impl Engine {
-    /// Decides what follows a halt. Nothing is decided, recorded or awaited before the rig is safe.
+    /// Decides what follows a halt, once the rig is safe. Only the state that a trip leads to is noted before, in
+    /// memory: a process that dies meanwhile must not have left a run that resumes automatically.
     pub(super) async fn decide(
         &mut self,
         job: &Job,
@@ -27,6 +29,9 @@ impl Engine {
     ) -> Next {
         let hands = matches!(halt, Halt::Needs(Wanted::Tips { .. }));
         let height = if hands { Height::Top } else { Height::Clear };
+        if let Some(trip) = halt.as_trip() {
+            self.suspend_for(PausedWhy::Trip, trip.detail.clone());
+        }
         let safe = self.leave_contact(job, halt.as_trip(), height).await;
         let mut passing = false;
         if job.plan.kind == Kind::RealRandom {
@@ -36,6 +41,12 @@ impl Engine {
         match halt {
             Halt::Asked => self.note_suspension(),
             Halt::Checkpoint => {}
+            // Nobody is called to tips that may be down.
+            Halt::Needs(Wanted::Tips { tips }) if !self.tips_are_raised() => {
+                let detail = format!("the tips are not raised for their change to {tips} tips");
+                self.control.latch(&Trip { kind: TripKind::Position, detail: detail.clone() });
+                self.suspend_for(PausedWhy::Trip, detail);
+            }
             Halt::Needs(wanted) => self.need(wanted, attempts.not_measured.take()),
             // A placement is never given up: the person is asked again.
             Halt::Failed(reason) if job.plan.kind == Kind::RealRandom => {
@@ -50,7 +61,6 @@ impl Engine {
             }
             Halt::Trip(trip) => {
                 self.note_attempt(job, &trip.detail, attempts);
-                self.suspend_for(PausedWhy::Trip, trip.detail.clone());
                 let may = job.auto_resume && trip.kind.may_pass();
                 if may && *auto_resumes < job.plan.policy.max_auto_resumes {
                     *auto_resumes += 1;
@@ -107,6 +117,12 @@ impl Engine {
             let _ = self.control.run_event(RunEvent::RaiseFailed);
         }
         safe
+    }
+
+    /// Whether the last safe end has raised the tips.
+    fn tips_are_raised(&self) -> bool {
+        let status = self.control.inbox.status.borrow();
+        status.rig.safe_end.as_ref().is_some_and(|end| end.tips == Tips::Raised)
     }
 
     fn note_suspension(&mut self) {

@@ -13,7 +13,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use futures::FutureExt;
-use tokio::sync::oneshot;
+use tokio::sync::{OwnedMutexGuard, oneshot};
 use tokio::task::JoinHandle;
 use tokio::time::Instant;
 use tracing::{Instrument, Span};
@@ -43,6 +43,7 @@ use crate::state::{StateChange, StoredState};
 
 mod bench;
 mod decide;
+mod recovery;
 mod session;
 mod skin;
 mod wait;
@@ -93,6 +94,8 @@ struct Connection {
     stage: Option<Stage>,
     estop: JoinHandle<()>,
     frames: JoinHandle<()>,
+    /// Released with the connection; its tasks close their ports as soon as they run again.
+    _wires: OwnedMutexGuard<()>,
 }
 
 impl Connection {
@@ -131,12 +134,14 @@ struct Engine {
 enum Owed {
     /// The safe end is complete.
     Nothing,
-    /// The wires to an axis failed, or failed during the raise, at this time: repeated once they
-    /// work.
-    Wires(Instant),
+    /// The wires to an axis failed, or failed during the raise to this height, at this time: repeated
+    /// once they work.
+    Wires(Instant, Height),
     /// The wires work and the tips are still down: a person must inspect the rig.
     Person,
 }
+/// Where the outcome of a request is sent.
+type Answer = oneshot::Sender<Result<(), Refusal>>;
 
 /// Decision after a halt.
 enum Next {
@@ -223,8 +228,8 @@ impl Engine {
         }
     }
 
-    async fn start(&mut self, job: &Job, answer: oneshot::Sender<Result<(), Refusal>>) {
-        let armed = self.arm(job).await;
+    async fn start(&mut self, job: &Job, answer: Answer) {
+        let armed = self.arm(job, &answer).await;
         let go = armed.is_ok();
         let _ = answer.send(armed);
         if go {
@@ -245,8 +250,8 @@ impl Engine {
         let end = safe_end::make_safe(&mut self.control, stage, trip, height).await;
         self.owed = match (end.is_safe(), end.is_acknowledged()) {
             (true, true) => Owed::Nothing,
-            (true, false) => Owed::Wires(Instant::now()),
-            (false, _) if stage.pose().await.is_err() => Owed::Wires(Instant::now()),
+            (true, false) => Owed::Wires(Instant::now(), height),
+            (false, _) if stage.pose().await.is_err() => Owed::Wires(Instant::now(), height),
             (false, _) => Owed::Person,
         };
         end.is_safe()
@@ -261,12 +266,12 @@ impl Engine {
             self.control.latch(&Trip { kind: TripKind::Estop, detail: press.why });
         }
         let Some(connection) = self.connection.as_ref() else { return };
-        if let Owed::Wires(tried) = self.owed
+        if let Owed::Wires(tried, height) = self.owed
             && tried.elapsed() > OWED_AGAIN
             && let Some(stage) = &connection.stage
             && stage.pose().await.is_ok()
         {
-            self.make_safe(None, Height::Clear).await;
+            self.make_safe(None, height).await;
         }
         if let Some(connection) = self.connection.as_ref() {
             connection.show_counters(&self.control);

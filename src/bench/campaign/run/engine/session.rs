@@ -7,7 +7,7 @@ use tokio::time::Instant;
 use tracing::Instrument;
 
 use super::skin::EmptySkin;
-use super::{Attempts, Engine, Last, Next, no_stage, no_wires, trip_of};
+use super::{Answer, Attempts, Engine, Last, Next, no_stage, no_wires, trip_of};
 use crate::campaign::bench::evidence::SilentArms;
 use crate::campaign::bench::interlock::{self, ForceLimits, TripKind};
 use crate::campaign::bench::rig_state::{RigEvent, RigState};
@@ -36,9 +36,9 @@ impl Engine {
     /// stopping distance must stay within the margin of the force limit.
     ///
     /// # Errors
-    /// No wires are open, a device does not reply, no press is slow enough for the margin, or the
-    /// state does not allow arming.
-    pub(super) async fn arm(&mut self, job: &Job) -> Result<(), Refusal> {
+    /// No wires are open, a device does not reply, no press is slow enough for the margin, the
+    /// state does not allow arming, or nobody waits for the answer any more.
+    pub(super) async fn arm(&mut self, job: &Job, answer: &Answer) -> Result<(), Refusal> {
         if self.connection.is_none() {
             return Err(no_wires());
         }
@@ -46,7 +46,7 @@ impl Engine {
             let stage = self.stage_mut()?;
             stage.stopping.begin();
             stage.silent = SilentArms::default();
-            self.arm_stage(job).await?;
+            self.arm_stage(job, Some(answer)).await?;
         }
         self.prepared_setting = None;
         self.control.show(|status| status.run = Some(show::started(job)));
@@ -54,11 +54,16 @@ impl Engine {
     }
 
     /// Arms a homed rig with the force limits of a run and the measured pace of the wires; also for its resume,
-    /// since the wires may have been opened again meanwhile.
+    /// since the wires may have been opened again meanwhile. `answer`: of the request, whose caller may have been
+    /// told meanwhile that it failed; none for an automatic resume.
     ///
     /// # Errors
     /// As `arm`.
-    pub(super) async fn arm_stage(&mut self, job: &Job) -> Result<(), Refusal> {
+    pub(super) async fn arm_stage(
+        &mut self,
+        job: &Job,
+        answer: Option<&Answer>,
+    ) -> Result<(), Refusal> {
         let connection = self.connection.as_mut().ok_or_else(no_wires)?;
         let stage = connection.stage.as_mut().ok_or_else(no_stage)?;
         if self.control.rig() == RigState::Homed {
@@ -67,6 +72,9 @@ impl Engine {
         }
         let distance = stage.stopping.distance(&stage.config, job.plan.most_tips());
         let distance = distance.map_err(Refusal::Value)?;
+        if answer.is_some_and(Answer::is_closed) {
+            return Err(Refusal::Gone);
+        }
         if self.control.rig() != RigState::Armed {
             self.control.rig_event(RigEvent::Arm)?;
         }

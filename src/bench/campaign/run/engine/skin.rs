@@ -4,9 +4,7 @@
 use std::future::pending;
 use std::sync::Arc;
 
-use tokio::sync::oneshot;
-
-use super::Engine;
+use super::{Answer, Engine};
 use crate::campaign::run::run_state::PausedWhy;
 use crate::campaign::shown::command::Refusal;
 use crate::campaign::trial::rest::Window;
@@ -20,8 +18,6 @@ use crate::rig::traits::SkinReader;
 const TARE_WINDOWS: u32 = 4;
 /// Pause after frames that did not arrive, process s.
 const PAUSE_S: f64 = 1.0;
-
-type Answer = oneshot::Sender<Result<(), Refusal>>;
 
 /// What is known of the empty skin.
 #[derive(Debug, Default)]

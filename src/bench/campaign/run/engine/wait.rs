@@ -1,13 +1,11 @@
 //! A run that waits: for a person, or for the policy's automatic resume.
 //! Uses: `campaign::run::control`. Never: pressing.
 
-use std::time::Duration;
-
 use serde_json::json;
-use tokio::time::Instant;
 
+use super::recovery::{Automatic, is_by_hand};
 use super::skin::next_window;
-use super::{Attempts, Engine, IDLE_TICK, Last, Next, Owed, Waited, backoff};
+use super::{Answer, Attempts, Engine, IDLE_TICK, Last, Next, Owed, Waited};
 use crate::campaign::bench::rig_state::RigState;
 use crate::campaign::diary::Note;
 use crate::campaign::run::control::name;
@@ -20,19 +18,6 @@ use crate::ids::TrialKey;
 use crate::journal::error_chain;
 use crate::schedule::plan::Kind;
 
-/// Longest wait for the store before an automatic resume; meanwhile no request is read.
-const LOCK_LIMIT: Duration = Duration::from_secs(1);
-
-/// How an automatic resume ended.
-enum Recovery {
-    /// A device does not answer yet; nothing was moved.
-    NotYet,
-    /// The reset, the homing or the resume failed.
-    Failed,
-    /// The run resumes.
-    Done,
-}
-
 impl Engine {
     /// Waits for a person, or for the policy's automatic resume (`passing`: automatic resumes of the
     /// run, this one included).
@@ -40,27 +25,30 @@ impl Engine {
         &mut self,
         job: &Job,
         attempts: &mut Attempts,
-        mut passing: Option<&mut u32>,
+        passing: Option<&mut u32>,
     ) -> Next {
         self.control.phase(Phase::Wait);
-        if self.control.leaving() {
-            return Next::Leave;
-        }
         let waits_for = {
             let status = self.control.inbox.status.borrow();
             status.run.as_ref().and_then(|run| run.waiting_for.clone())
         };
-        let mut try_at = passing.as_deref().map(|n| Instant::now() + backoff(job, *n));
-        let mut failures = 0;
+        let mut automatic = passing.map(|resumes| Automatic::new(job, resumes, waits_for));
         let mut tick = tokio::time::interval(IDLE_TICK);
         tick.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Skip);
         let mut window = Box::pin(next_window(self.watched_skin()));
         loop {
+            if self.control.leaving() {
+                return Next::Leave;
+            }
             let waited = tokio::select! {
                 envelope = self.control.inbox.next() => match envelope {
                     Some(envelope) => {
                         // The request may close the wires: no window keeps them.
                         window.set(next_window(None));
+                        if is_by_hand(&envelope.request) {
+                            let words = "a request to resume: a person has operated the rig";
+                            self.end_automatic(&mut automatic, Some(words.into()));
+                        }
                         let waited = self.waiting_request(job, envelope, attempts.last).await;
                         window.set(next_window(self.watched_skin()));
                         waited
@@ -76,44 +64,9 @@ impl Engine {
                     // A press from here on outlasts an automatic resume.
                     let presses = self.control.estop.presses();
                     self.look().await;
-                    let ended = self.raise_when_possible(job).await;
-                    if ended.is_some() {
-                        ended
-                    } else if self.control.estop.pressed().is_some() {
-                        // A person has stopped the rig: nothing resumes automatically any more.
-                        if try_at.take().is_some() {
-                            self.control.show_run(|run| run.waiting_for = waits_for.clone());
-                        }
-                        None
-                    } else if try_at.is_some_and(|at| Instant::now() >= at)
-                        && matches!(self.control.run(), RunState::Paused(PausedWhy::Trip))
-                    {
-                        let lock = self.taken_lock().await;
-                        let shown = lock.clone().or_else(|| waits_for.clone());
-                        self.control.show_run(|run| run.waiting_for = shown);
-                        let recovery = match lock {
-                            Some(_) => Recovery::NotYet,
-                            None => self.recover(job, presses).await,
-                        };
-                        failures += 1;
-                        let resumes = passing.as_deref_mut().map_or(0, |n| {
-                            *n += u32::from(matches!(recovery, Recovery::Failed));
-                            *n
-                        });
-                        let again = match recovery {
-                            Recovery::Failed => {
-                                resumes <= job.plan.policy.max_auto_resumes && self.trip_may_pass()
-                            }
-                            Recovery::NotYet | Recovery::Done => true,
-                        };
-                        if !again {
-                            self.control.say("recovering", json!({ "ended": true }));
-                        }
-                        let pause = backoff(job, resumes + failures);
-                        try_at = again.then(|| Instant::now() + pause);
-                        matches!(recovery, Recovery::Done).then_some(Waited::Resume)
-                    } else {
-                        None
+                    match self.raise_when_possible(job).await {
+                        None => self.resume_automatically(job, &mut automatic, presses).await,
+                        ended => ended,
                     }
                 }
             };
@@ -155,7 +108,7 @@ impl Engine {
         if job.plan.kind == Kind::RealHex {
             match self.owed {
                 Owed::Nothing if self.connection.is_some() => {}
-                Owed::Nothing | Owed::Wires(_) => return None,
+                Owed::Nothing | Owed::Wires(..) => return None,
                 Owed::Person => {
                     let _ = self.control.run_event(RunEvent::RaiseFailed);
                     return None;
@@ -168,48 +121,6 @@ impl Engine {
             RunAction::End(status) => Some(Waited::Ended(status)),
             RunAction::Continue | RunAction::Raise | RunAction::Wait => None,
         }
-    }
-
-    /// Why nothing may move automatically: a person has taken the operator lock since the run halted, for example
-    /// with hands in the rig, or the store does not answer.
-    async fn taken_lock(&self) -> Option<String> {
-        let journal = self.control.journal.clone();
-        match tokio::time::timeout(LOCK_LIMIT, journal.lock_since(self.halted_at)).await {
-            Ok(Ok(lock)) => lock.map(|who| format!("release of the operator lock ({who})")),
-            Ok(Err(error)) => Some(format!("the store: {}", error_chain(&error))),
-            Err(_late) => Some("the store, which does not answer".into()),
-        }
-    }
-
-    /// Automatic resume after a trip that may pass: checks, resets, homes, arms and resumes.
-    /// In a manual run nothing moves: a person's hands may be on the skin.
-    /// `presses`: presses of the e-stop when it was decided; a later one is not cleared.
-    async fn recover(&mut self, job: &Job, presses: u64) -> Recovery {
-        self.control.say("recovering", json!({}));
-        let Some(connection) = self.connection.as_ref() else { return Recovery::NotYet };
-        if let Some(stage) = &connection.stage
-            && (stage.pose().await.is_err() || stage.bench.cells.read().await.is_err())
-        {
-            return Recovery::NotYet;
-        }
-        if connection.skin.take(Instant::now(), 1).await.is_err() {
-            return Recovery::NotYet;
-        }
-        if job.plan.kind == Kind::RealRandom {
-            let tripped = self.control.rig() == RigState::Tripped;
-            let reset = !tripped || self.reset(presses).await.is_ok();
-            let resumed = reset && self.control.run_event(RunEvent::Resume).is_ok();
-            return if resumed { Recovery::Done } else { Recovery::Failed };
-        }
-        let resumed = self.reset(presses).await.is_ok()
-            && self.home().await
-            && self.resume(job).await.is_ok();
-        if resumed { Recovery::Done } else { Recovery::Failed }
-    }
-
-    /// Whether the present trip may pass without a person.
-    fn trip_may_pass(&self) -> bool {
-        self.control.inbox.status.borrow().rig.trip.as_ref().is_none_or(|t| t.kind.may_pass())
     }
 
     /// Whether the run may move the rig. A manual run moves nothing.
@@ -225,11 +136,16 @@ impl Engine {
         }
     }
 
-    /// Resumes the run; arms again if a reset has disarmed the rig.
-    async fn resume(&mut self, job: &Job) -> Result<(), Refusal> {
+    /// Resumes the run; arms again if a reset has disarmed the rig. `answer`: of the request; none if it resumes
+    /// automatically.
+    pub(super) async fn resume(
+        &mut self,
+        job: &Job,
+        answer: Option<&Answer>,
+    ) -> Result<(), Refusal> {
         self.may_move(job)?;
         if job.plan.kind == Kind::RealHex {
-            self.arm_stage(job).await?;
+            self.arm_stage(job, answer).await?;
         }
         self.control.run_event(RunEvent::Resume).map(|_| ())
     }
@@ -253,13 +169,13 @@ impl Engine {
         let Envelope { request, answer, asked_in, presses } = envelope;
         match request {
             Request::Resume if !needs_person => {
-                let resumed = self.resume(job).await;
+                let resumed = self.resume(job, Some(&answer)).await;
                 let waited = resumed.is_ok().then_some(Waited::Resume);
                 let _ = answer.send(resumed);
                 waited
             }
             Request::Confirm { done, confirmation } if needs_person => {
-                let checked = self.confirmed(job, &confirmation.who, done).await;
+                let checked = self.confirmed(job, &confirmation.who, done, &answer).await;
                 let waited = checked.is_ok().then_some(Waited::Confirmed(confirmation));
                 let _ = answer.send(checked);
                 waited
@@ -307,6 +223,12 @@ impl Engine {
                 let _ = answer.send(reset);
                 None
             }
+            // The tips are up, or their raise is pending: only the reason to wait changes.
+            Request::PauseAtCheckpoint | Request::PauseNow if why == Some(PausedWhy::Trip) => {
+                let paused = self.control.run_event(RunEvent::PauseNow).map(|_| ());
+                let _ = answer.send(paused);
+                None
+            }
             Request::Start(_)
             | Request::Confirm { .. }
             | Request::PauseAtCheckpoint
@@ -350,11 +272,17 @@ impl Engine {
     }
 
     /// Accepts a confirmation, and resumes a run with a stage: only a rig that may move.
-    async fn confirmed(&mut self, job: &Job, who: &str, done: Done) -> Result<(), Refusal> {
+    async fn confirmed(
+        &mut self,
+        job: &Job,
+        who: &str,
+        done: Done,
+        answer: &Answer,
+    ) -> Result<(), Refusal> {
         self.may_move(job)?;
         self.check_confirmed(who, done).await?;
         match job.plan.kind {
-            Kind::RealHex => self.resume(job).await,
+            Kind::RealHex => self.resume(job, Some(answer)).await,
             Kind::RealRandom => Ok(()),
         }
     }

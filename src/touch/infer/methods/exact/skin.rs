@@ -152,7 +152,14 @@ impl ExactSkin {
         });
         let outside = outside.into_iter().collect();
         let notes = self.drifted(is_tared, frames).into_iter().collect();
-        Reading { contacts, misfit: Some(misfit), outside, notes, ..Reading::default() }
+        Reading {
+            contacts,
+            misfit: Some(misfit),
+            misfit_limit: Some(MISFIT_EXPLAINED),
+            outside,
+            notes,
+            ..Reading::default()
+        }
     }
 
     /// Subtracts the offsets of the untouched skin from a frame, V: those of the calibration, and their

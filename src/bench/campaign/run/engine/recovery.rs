@@ -1,0 +1,251 @@
+//! The automatic resume of a run after a trip that may pass: when it is tried, what holds it, and what ends it.
+//! Uses: `campaign::run::control`, `rig::traits`. Never: a step of the plan.
+
+use std::time::Duration;
+
+use serde_json::json;
+use tokio::time::Instant;
+
+use super::{Engine, Waited, backoff};
+use crate::campaign::bench::rig_state::RigState;
+use crate::campaign::run::job::Job;
+use crate::campaign::run::run_state::{PausedWhy, RunEvent, RunState};
+use crate::campaign::shown::command::Request;
+use crate::journal::error_chain;
+use crate::rig::error::RigError;
+use crate::rig::traits::Bench;
+use crate::schedule::plan::Kind;
+
+/// Longest wait for the store before an automatic resume; meanwhile no request is read.
+const LOCK_LIMIT: Duration = Duration::from_secs(1);
+/// Longest silence of a device after which a run resumes automatically, wall: a longer one may be a stop that removes
+/// the power of the drives, and a person may be at the rig.
+const SILENCE_MAX: Duration = Duration::from_secs(600);
+
+/// The automatic resume of a run that waits.
+pub(super) struct Automatic<'a> {
+    /// Automatic resumes of the run, this one included.
+    resumes: &'a mut u32,
+    /// What the run waits for otherwise, as text.
+    waits_for: Option<String>,
+    /// Time of the next attempt.
+    at: Instant,
+    attempts: u32,
+    /// Whether an attempt has begun to home: axes that are not homed are then no sign of a loss of power.
+    has_homed: bool,
+    /// Whether the tips could not be raised yet, since the wires fail.
+    is_down: bool,
+    /// Time since which a device may not have replied.
+    silent_since: Option<Instant>,
+}
+
+/// Result of an attempt to resume.
+enum Recovery {
+    /// A device does not reply yet.
+    Silent,
+    /// It waits for this, as text.
+    Held(String),
+    /// A drive has lost its power, or a person was there, as text.
+    ForPerson(String),
+    /// The reset, the homing or the resume failed.
+    Failed,
+    /// The run resumes.
+    Done,
+}
+
+impl<'a> Automatic<'a> {
+    pub(super) fn new(job: &Job, resumes: &'a mut u32, waits_for: Option<String>) -> Self {
+        let now = Instant::now();
+        let at = now + backoff(job, *resumes);
+        let silent_since = Some(now);
+        Self { resumes, waits_for, at, attempts: 0, has_homed: false, is_down: false, silent_since }
+    }
+}
+
+/// Whether a request means that a person operates the rig: the run then resumes only by request.
+pub(super) fn is_by_hand(request: &Request) -> bool {
+    match request {
+        Request::Connect
+        | Request::Disconnect
+        | Request::Home
+        | Request::Jog { .. }
+        | Request::Tare
+        | Request::Reset
+        | Request::Mounted { .. } => true,
+        Request::Start(_)
+        | Request::PauseAtCheckpoint
+        | Request::PauseNow
+        | Request::Suspend(_)
+        | Request::Resume
+        | Request::Stop
+        | Request::Abort
+        | Request::Confirm { .. }
+        | Request::Repeat { .. }
+        | Request::Shutdown => false,
+    }
+}
+
+impl Engine {
+    /// One look at a run that is to resume automatically. `presses`: presses of the e-stop when it was decided; a later
+    /// one is not cleared.
+    pub(super) async fn resume_automatically(
+        &mut self,
+        job: &Job,
+        automatic: &mut Option<Automatic<'_>>,
+        presses: u64,
+    ) -> Option<Waited> {
+        let resume = automatic.as_mut()?;
+        if self.control.estop.pressed().is_some() {
+            let words = resume.waits_for.take();
+            self.end_automatic(automatic, words);
+            return None;
+        }
+        match self.control.run() {
+            RunState::Paused(PausedWhy::Trip) => {}
+            RunState::Suspending(_) => {
+                resume.is_down = true;
+                return None;
+            }
+            _ => return None,
+        }
+        let now = Instant::now();
+        if std::mem::take(&mut resume.is_down) {
+            // The wires have just begun to work again: who made them work may be at the rig.
+            resume.at = resume.at.max(now + backoff(job, 1));
+        }
+        if now < resume.at {
+            return None;
+        }
+        if resume.silent_since.is_some_and(|since| since.elapsed() > SILENCE_MAX) {
+            let minutes = SILENCE_MAX.as_secs() / 60;
+            let words = format!(
+                "a device was silent for more than {minutes} min: check the rig, reset, home, resume"
+            );
+            self.end_automatic(automatic, Some(words));
+            return None;
+        }
+        let recovery = match self.taken_lock().await {
+            Some(lock) => Recovery::Held(lock),
+            None => self.recover(job, presses, &mut resume.has_homed).await,
+        };
+        resume.attempts += 1;
+        resume.silent_since = match recovery {
+            Recovery::Silent => resume.silent_since.or(Some(now)),
+            Recovery::Held(_) | Recovery::ForPerson(_) | Recovery::Failed | Recovery::Done => None,
+        };
+        let words = match recovery {
+            Recovery::Done => return Some(Waited::Resume),
+            Recovery::ForPerson(words) => {
+                self.end_automatic(automatic, Some(words));
+                return None;
+            }
+            Recovery::Failed => {
+                *resume.resumes += 1;
+                if *resume.resumes > job.plan.policy.max_auto_resumes || !self.trip_may_pass() {
+                    let words = resume.waits_for.take();
+                    self.end_automatic(automatic, words);
+                    return None;
+                }
+                resume.waits_for.clone()
+            }
+            Recovery::Silent => resume.waits_for.clone(),
+            Recovery::Held(words) => Some(words),
+        };
+        resume.at = Instant::now() + backoff(job, *resume.resumes + resume.attempts);
+        self.control.show_run(|run| run.waiting_for = words);
+        None
+    }
+
+    /// Ends the automatic resume: the run waits for a request. `words`: what it waits for.
+    pub(super) fn end_automatic(
+        &self,
+        automatic: &mut Option<Automatic<'_>>,
+        words: Option<String>,
+    ) {
+        if automatic.take().is_some() {
+            self.control.say("recovering", json!({ "ended": true, "why": words }));
+            self.control.show_run(|run| run.waiting_for = words);
+        }
+    }
+
+    /// Why nothing may move automatically: a person has taken the operator lock since the run halted, for example
+    /// with hands in the rig, or the store does not answer.
+    async fn taken_lock(&self) -> Option<String> {
+        let journal = self.control.journal.clone();
+        match tokio::time::timeout(LOCK_LIMIT, journal.lock_since(self.halted_at)).await {
+            Ok(Ok(lock)) => lock.map(|who| format!("release of the operator lock ({who})")),
+            Ok(Err(error)) => Some(format!("the store: {}", error_chain(&error))),
+            Err(_late) => Some("the store, which does not answer".into()),
+        }
+    }
+
+    /// Checks every device, resets, homes, arms and resumes. In a manual run nothing moves: a person's hands may be on
+    /// the skin.
+    async fn recover(&mut self, job: &Job, presses: u64, has_homed: &mut bool) -> Recovery {
+        self.control.say("recovering", json!({}));
+        let Some(connection) = self.connection.as_ref() else { return Recovery::Silent };
+        if let Some(stage) = &connection.stage {
+            if stage.pose().await.is_err() || stage.bench.cells.read().await.is_err() {
+                return Recovery::Silent;
+            }
+            if job.plan.kind == Kind::RealHex {
+                // Homed before the halt, or by an attempt that a lock held up.
+                let must_be_homed = !*has_homed || self.control.rig() == RigState::Homed;
+                match switched_off(&stage.bench, must_be_homed).await {
+                    Ok(None) => {}
+                    Ok(Some(words)) => return Recovery::ForPerson(words),
+                    Err(_) => return Recovery::Silent,
+                }
+            }
+        }
+        if connection.skin.take(Instant::now(), 1).await.is_err() {
+            return Recovery::Silent;
+        }
+        let is_reset = self.control.rig() != RigState::Tripped || self.reset(presses).await.is_ok();
+        if !is_reset {
+            return Recovery::Failed;
+        }
+        if job.plan.kind == Kind::RealRandom {
+            let resumed = self.control.run_event(RunEvent::Resume).is_ok();
+            return if resumed { Recovery::Done } else { Recovery::Failed };
+        }
+        *has_homed = true;
+        if !self.home().await {
+            return Recovery::Failed;
+        }
+        if let Some(lock) = self.taken_lock().await {
+            return Recovery::Held(lock);
+        }
+        // A pause that was requested while it homed holds.
+        let still = self.control.run() == RunState::Paused(PausedWhy::Trip);
+        let resumed = still && self.resume(job, None).await.is_ok();
+        if resumed { Recovery::Done } else { Recovery::Failed }
+    }
+
+    /// Whether the present trip may pass without a person.
+    fn trip_may_pass(&self) -> bool {
+        self.control.inbox.status.borrow().rig.trip.as_ref().is_none_or(|t| t.kind.may_pass())
+    }
+}
+
+/// First axis whose drive was switched off, or stopped or taken over by a person, as text.
+///
+/// # Errors
+/// A drive does not reply.
+async fn switched_off(bench: &Bench, must_be_homed: bool) -> Result<Option<String>, RigError> {
+    for axis in bench.axes() {
+        let found = axis.identify().await?;
+        let why = match found.alarm {
+            Some(alarm) => format!("has alarm {alarm:#x}"),
+            None if found.emergency_stop => "is stopped by its own stop".into(),
+            None if must_be_homed && !found.homed => "is not homed any more".into(),
+            None if found.in_command == Some(false) => "is no longer under remote control".into(),
+            None => continue,
+        };
+        let name = axis.name();
+        let words =
+            format!("{name} {why}, as after a loss of power: check the rig, reset, home, resume");
+        return Ok(Some(words));
+    }
+    Ok(None)
+}

@@ -1,0 +1,91 @@
+//! The recipes that the program carries, from which trainings begin.
+//! Uses: `carried`, `learn::recipe`, `dataset::force_map`. Never: a training (`jobs` requests it).
+
+use serde::Serialize;
+use utoipa::ToSchema;
+
+use super::pages::Page;
+use super::problem::ApiError;
+use crate::carried::{RECIPES, about};
+use crate::dataset::force_map::{ForceMapSpec, TABLE_IV};
+use crate::learn::recipe::{Recipe, map_channels};
+
+/// A recipe that the program carries.
+#[derive(Debug, Clone, Serialize, ToSchema)]
+pub struct CarriedRecipe {
+    /// Name of the recipe.
+    pub name: String,
+    /// The comment at the start of the file.
+    pub about: String,
+    /// Text of the file, for a training.
+    pub text: String,
+    /// Force maps of the paper's Table IV that its net can be trained for; empty if its answers are no
+    /// force maps.
+    pub maps: Vec<RecipeMap>,
+}
+
+/// A force map, and the keys of a recipe that follow from it.
+#[derive(Debug, Clone, Serialize, ToSchema)]
+pub struct RecipeMap {
+    /// Key `map`: pixel and diameter, mm, as `4x20`.
+    pub map: String,
+    /// Key `training.net.side`: number of pixels along a side of the map.
+    pub side: usize,
+    /// Key `training.net.channels`; null: the default of the net.
+    pub channels: Option<Vec<i64>>,
+}
+
+impl RecipeMap {
+    fn of(map: &ForceMapSpec) -> Self {
+        let side = map.pixels();
+        let channels = map_channels(side as i64).map(Vec::from);
+        Self { map: map.to_string(), side, channels }
+    }
+}
+
+/// Returns the recipes that the program carries.
+#[utoipa::path(get, operation_id = "list_recipes", path = "/api/v1/recipes", tag = "jobs",
+    responses((status = 200, body = Page<CarriedRecipe>)))]
+pub async fn list() -> Result<Page<CarriedRecipe>, ApiError> {
+    Ok(Page::whole(RECIPES.iter().map(carried).collect()))
+}
+
+fn carried((name, text): &(&str, &str)) -> CarriedRecipe {
+    let recipe = Recipe::from_toml(&format!("{name}.toml"), text);
+    let gives_map = recipe.is_ok_and(|recipe| recipe.task().gives_map());
+    let maps: &[ForceMapSpec] = if gives_map { &TABLE_IV } else { &[] };
+    CarriedRecipe {
+        name: (*name).into(),
+        about: about(text),
+        text: (*text).into(),
+        maps: maps.iter().map(RecipeMap::of).collect(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_recipe_is_valid_as_it_is_and_with_each_of_its_maps() {
+        let recipes: Vec<CarriedRecipe> = RECIPES.iter().map(carried).collect();
+        let with_maps = recipes.iter().filter(|recipe| recipe.maps.len() == TABLE_IV.len());
+        let names: Vec<&str> = with_maps.map(|recipe| recipe.name.as_str()).collect();
+        assert_eq!(names, ["recon-net", "end-to-end"]);
+        for recipe in recipes {
+            assert!(recipe.about.ends_with('.'), "{}", recipe.name);
+            Recipe::from_toml(&recipe.name, &recipe.text).unwrap();
+            for RecipeMap { map, side, channels } in recipe.maps {
+                let mut table: toml::Table = toml::from_str(&recipe.text).unwrap();
+                table.insert("map".into(), map.into());
+                let training = table.get_mut("training").and_then(|t| t.as_table_mut()).unwrap();
+                let net = training.get_mut("net").and_then(|net| net.as_table_mut()).unwrap();
+                net.insert("side".into(), (side as i64).into());
+                if let Some(channels) = channels {
+                    net.insert("channels".into(), channels.into());
+                }
+                Recipe::from_toml(&recipe.name, &toml::to_string(&table).unwrap()).unwrap();
+            }
+        }
+    }
+}

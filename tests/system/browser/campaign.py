@@ -1,0 +1,153 @@
+"""Scenarios of a campaign: from nothing to data, the states of a run, its abort, and the stop without a mouse."""
+
+import re
+
+from playwright.sync_api import expect
+
+from person import (RUN_MS, URL, api, button, confirmed, downloaded, in_dialog, LIMIT_MS, named, pressed, said, state,
+                    tabbed, until)
+from views import watched
+
+SMALL = """name = 'small'
+seed = 5
+sensor = 'sensors/ert-28.toml'
+[real_hex]
+tips = [1]
+configurations = 8
+depths = 6
+block = 8
+reference_every = 8
+"""
+
+
+def rig():
+    return api("/status")["rig"]
+
+
+def stored():
+    """Number of trials that the active run has stored."""
+    return (api("/status")["run"] or {}).get("trials_stored", 0)
+
+
+def first_evening(page, _browser):
+    """From the empty folder by one button to a finished campaign, a trial, a lineage, a dataset."""
+    page.goto(URL)
+    pressed(page, "Run the quickstart")
+    named(page)
+    if page.locator("dialog[open]").count():
+        in_dialog(page, "Start")
+    state(page, "running")
+    said(page, re.compile("264"))
+    until("the end of the run", lambda: api("/runs")["items"][0].get("exit_status") == "success", 240)
+    said(page, "Finished")
+    # A trial.
+    page.goto(f"{URL}/trials?run=1")
+    page.locator("main tbody th a").first.click()
+    said(page, re.compile("Twin", re.I))
+    expect(page).to_have_url(re.compile("trial="))
+    before = page.url
+
+    def another():
+        page.keyboard.press("k")
+        page.wait_for_timeout(300)
+        return page.url != before
+
+    until("the trial before", another)
+    # A dataset, its download and its lineage down to a frame.
+    api("/datasets", {"name": "run-1"})
+    page.goto(f"{URL}/data")
+    page.locator("main tbody th a").first.click()
+    said(page, re.compile("read_parquet"))
+    name, content = downloaded(page, lambda: page.get_by_role("link", name="Parquet", exact=True).first.click())
+    assert name.endswith(".parquet") and content[:4] == b"PAR1", name
+    said(page, "What it was made from")
+    page.locator("button.walk-box", has_text="Run 1").first.click()
+    page.locator(".walk-list button").first.click()
+    expect(page.get_by_role("link", name="Open this trial")).to_be_visible(timeout=LIMIT_MS)
+    page.get_by_role("link", name="Open this trial").click()
+    expect(page).to_have_url(re.compile("/trials[?]trial="), timeout=LIMIT_MS)
+
+
+def operate(page, _browser):
+    """Checked, armed and started by the page; paused, resumed, stopped at once, homed and finished."""
+    errors = watched(page)
+    page.goto(f"{URL}/queue")
+    said(page, re.compile("quickstart"))
+    page.locator("input[type=file]").first.set_input_files(
+        {"name": "small.toml", "mimeType": "text/plain", "buffer": SMALL.encode()})
+    pressed(page, "Add to queue")
+    named(page)
+    run = until("the run in the queue", lambda: api("/queue")["items"])[0]
+    page.goto(f"{URL}/plan?run={run['scan_id']}")
+    said(page, re.compile("48"))
+    pressed(page, "Arm and start")
+    in_dialog(page, "Start")
+    state(page, "running", RUN_MS)
+    page.goto(URL)
+    pressed(page, "Pause")
+    state(page, "paused")
+    pressed(page, "Resume")
+    state(page, "running")
+    # Answers that never end hold all connections that a browser opens to one service.
+    page.evaluate("import('/web/lib/api.js').then(({ ask }) => { for (let n = 0; n < 8; n += 1)"
+                  " ask('/api/v1/events?since=0', { accept: 'text/event-stream', wait: 0 }).catch(() => 0) })")
+    page.wait_for_timeout(1000)
+    page.get_by_role("button", name="Stop", exact=True).click()
+    expect(page.locator("body")).to_contain_text("Emergency stop latched", timeout=2000)
+    said(page, re.compile("Every axis stopped after"))
+    pressed(page, "Reset")
+    until("the reset", lambda: rig()["state"] != "tripped")
+    pressed(page, "Home")
+    until("homing", lambda: rig()["state"] == "homed")
+    pressed(page, "Resume")
+    until("the end of the run", lambda: api(f"/runs/{run['uid']}").get("exit_status") == "success", 240)
+    assert not errors, errors
+
+
+def abort(page, _browser):
+    """Abort asks first. Cancelled, the run continues; confirmed, it ends, and what it has stored stays."""
+    page.goto(URL)
+    run = until("a trial", lambda: stored() > 0 and api("/status")["run"])
+    pressed(page, "Abort")
+    expect(page.locator("dialog[open]")).to_be_visible()
+    page.keyboard.press("Escape")
+    expect(page.locator("dialog[open]")).to_have_count(0)
+    before = stored()
+    until("another trial", lambda: stored() > before)
+    pressed(page, "Abort")
+    confirmed(page)
+    named(page)
+    ended = until("the end of the run", lambda: (row := api(f"/runs/{run['uid']}"))["state"] == "ended" and row)
+    assert ended["exit_status"] == "abort", ended
+    assert api(f"/runs/{run['uid']}/summary")["trials_stored"] > before
+    expect(button(page, "Abort")).to_be_hidden(timeout=LIMIT_MS)
+
+
+def keyboard(page, _browser):
+    """The stop, the reset and homing without a mouse, and the stop of an open dialog."""
+    page.goto(URL)
+    state(page, "running")
+    tabbed(page, "#stop", 6)
+    page.keyboard.press("Enter")
+    expect(page.locator("#stop-said")).to_contain_text(re.compile("latched", re.I), timeout=LIMIT_MS)
+    until("the stop", lambda: (rig()["trip"] or {}).get("kind") == "estop")
+    until("its acknowledgement", lambda: rig()["estop_acknowledged_ms"] is not None)
+    expect(page.locator("#needs button")).to_be_visible(timeout=LIMIT_MS)
+    page.wait_for_timeout(500)  # The last words of the stop arrive.
+    tabbed(page, "#needs button")
+    page.keyboard.press("Enter")
+    expect(page.locator("dialog[open]").get_by_label("Name")).to_be_focused(timeout=LIMIT_MS)
+    page.keyboard.type("Ada")
+    page.keyboard.press("Enter")
+    until("the reset", lambda: rig()["state"] == "disarmed")
+    expect(button(page, "Home")).to_be_visible(timeout=LIMIT_MS)
+    tabbed(page, "#needs button")
+    page.keyboard.press("Enter")
+    until("homing", lambda: rig()["state"] == "homed")
+    # A dialog covers the page, its stop as well: it has another one.
+    page.keyboard.press("?")
+    expect(page.locator("dialog[open]")).to_be_visible(timeout=LIMIT_MS)
+    tabbed(page, "dialog[open] button.stop", 10)
+    page.keyboard.press("Space")
+    expect(page.locator("dialog[open]")).to_have_count(0)
+    until("the second stop", lambda: rig()["state"] == "tripped")

@@ -1,0 +1,242 @@
+"""What there is to look at in the dashboard: pages, what is opened on them, dialogs, and the states that break them.
+
+The tests with axe and the pictures (`tests/figures/screens.py`) go through the same list. A state changes what the
+browser receives, or cuts its connection: nothing happens to the rig. Of the dialogs none is confirmed.
+"""
+
+import json
+import re
+from contextlib import contextmanager
+from dataclasses import dataclass
+from datetime import datetime, timezone
+from typing import Callable
+
+from wire import Wire
+
+PAGES = "import('/web/pages.js').then(m => m.PAGES.map(({ name }) => [name, name === m.FIRST ? '/' : `/${name}`]))"
+LIMIT_MS = 60_000
+# In the page: ms from the newest status to the moment at which it is shown as old.
+LOST = """globalThis.palpateLost = new Promise(told => import('/web/lib/live.js').then(({ live }) => {
+  live.addEventListener('fresh', () => live.fresh || told(Date.now() - live.at)) })); 0"""
+# An operation of the API that has parameters and several answers, at the address that Swagger UI gives it.
+OPERATION = "/docs#/runs/run_tour"
+
+
+def nothing(_page):
+    """Changes nothing."""
+
+
+@dataclass(frozen=True)
+class View:
+    """Something to look at: name, address, what is changed before it is opened, and what opens it afterwards."""
+
+    name: str
+    path: str
+    before: Callable = nothing
+    open: Callable = nothing
+
+    @property
+    def is_docs(self):
+        """Whether it is a page of Swagger UI."""
+        return self.path.startswith("/docs")
+
+
+# --- What the browser is told -------------------------------------------------------------------------
+
+
+def with_status(change):
+    """Lets a page receive only changed statuses: without its socket it asks for them."""
+
+    def changed(route):
+        answer = route.fetch()
+        status = answer.json()
+        if isinstance(status, dict) and "rig" in status:
+            change(status)
+        route.fulfill(response=answer, body=json.dumps(status))
+
+    def before(page):
+        page.route_web_socket("**/status/live*", lambda socket: socket.close())
+        page.route("**/api/v1/status", changed)
+
+    return before
+
+
+def tripped(status):
+    """A force was beyond its limit."""
+    status["rig"].update(state="tripped", trip={"kind": "force", "detail": "cell 3 reads 91.4 N, limit 88.0 N"})
+    if status["run"]:
+        status["run"].update(state="paused", paused_why="trip", requested_state=None)
+
+
+def disk_full(status):
+    """The disk has no room for the remaining trials, and the run is suspended."""
+    free, needed = 90_000_000, 4_200_000_000
+    status["disk"] = {"free_bytes": free, "needed_bytes": needed}
+    for one in status["suspenders"]:
+        if one["name"] == "disk":
+            one.update(value=free, threshold=needed, since=status["service"]["started_at"])
+    if status["run"]:
+        status["run"].update(state="paused", paused_why="suspender", requested_state=None,
+                             waiting_for="the disk has 90 MB free, the run needs 4.2 GB")
+
+
+ASKED = [{"number": 1, "x_mm": 150.0, "y_mm": 190.0, "force_n": 7.358, "point": "R7 C5"},
+         {"number": 2, "x_mm": 380.0, "y_mm": 400.0, "force_n": 4.905, "point": "R16 C14"}]
+FELT = [{"x_mm": 153.0, "y_mm": 186.0, "force_n": 7.1}, {"x_mm": 290.0, "y_mm": 300.0, "force_n": 5.2}]
+PLACEMENT = {
+    "run": "1", "scan_id": 1, "experiment": "real-random", "trial": 41, "of": 150, "done": 41, "contacts": ASKED,
+    "stage": "place", "at_rest": True, "felt": {"method": "exact", "model": "cal-0", "contacts": FELT},
+    "verdict": {"kind": "wrong", "words": ["weight 2 (0.50 kg), asked at R16 C14, is felt 135 mm away, near R12 C11"],
+                "matches": [{"asked": 1, "felt": 0, "distance_mm": 5.0, "force_n": 7.1},
+                            {"asked": 2, "felt": 1, "distance_mm": 134.5, "force_n": 5.2}]},
+    "last": {"trial": 40, "trial_id": 1, "verdict": "right"},
+}
+
+
+def asks(status):
+    """The active run asks for weights."""
+    if status["run"]:
+        contacts = [{key: one[key] for key in ("x_mm", "y_mm", "force_n")} for one in ASKED]
+        status["run"].update(state="paused", paused_why="manual_trial", requested_state=None,
+                             waiting_for="place 2 weights", wanted={"trial": PLACEMENT["trial"], "contacts": contacts})
+
+
+def wrong_weight(page):
+    """A run asks for two weights, and the skin feels the second one on another point."""
+    named(page)
+    answer = {**PLACEMENT, "untouched_at": datetime.now(timezone.utc).isoformat()}
+    page.route("**/api/v1/placement", lambda route: route.fulfill(json=answer))
+    with_status(asks)(page)
+
+
+def named(page):
+    """The browser knows the name of the person."""
+    page.add_init_script("localStorage.setItem('palpate-who', 'Ada')")
+
+
+def with_key(secret):
+    """The tab sends this key."""
+    return lambda page: page.add_init_script(f"sessionStorage.setItem('palpate-key', {json.dumps(secret)})")
+
+
+# --- What is looked at --------------------------------------------------------------------------------
+
+
+def pages(page):
+    """Every page; `page` shows one of them."""
+    return [View(name, path) for name, path in page.evaluate(PAGES)]
+
+
+def waits_for(selector):
+    """Waits until the page shows an element."""
+    return lambda page: page.locator(selector).first.wait_for(timeout=LIMIT_MS)
+
+
+def asks_by(words):
+    """Presses the first button whose name begins like this, which opens a dialog."""
+
+    def press(page):
+        page.get_by_role("button", name=re.compile(f"^{words}")).first.click(timeout=LIMIT_MS)
+        waits_for("dialog[open]")(page)
+
+    return press
+
+
+def asks_for_help(page):
+    """Opens the list of keys."""
+    page.keyboard.press("?")
+    waits_for("dialog[open]")(page)
+
+
+# They need a run that is active, one that is queued, and a net that does not serve.
+DIALOGS = [
+    View("dialog-keys", "/", open=asks_for_help),
+    View("dialog-name", "/settings", open=asks_by("Take the lock")),
+    View("dialog-abort", "/", before=named, open=asks_by("Abort")),
+    View("dialog-start", "/queue", before=named, open=asks_by("Arm and start")),
+    View("dialog-remove", "/queue", before=named, open=asks_by("Remove")),
+    View("dialog-promote", "/nets", before=named, open=asks_by("Promote")),
+]
+DOCS = [View("docs", "/docs", open=waits_for(".opblock-tag")),
+        View("docs-operation", OPERATION, open=waits_for(".opblock.is-open"))]
+# The page asks for a key; a weight is wrong while a run asks for it.
+FORMS = [View("key", "/", before=with_key("wrong"), open=waits_for("#key-form")),
+         View("wrong-weight", "/place", before=wrong_weight, open=waits_for(".verdict.bad"))]
+
+
+def opened(get):
+    """What can be opened with the data of a service; `get` returns the JSON of a path of its API."""
+    runs = [run for run in get("/runs")["items"] if run["state"] not in ("queued", "removed")]
+    ended = [run["scan_id"] for run in runs if run["state"] == "ended"]
+    numbers = ended + [run["scan_id"] for run in runs if run["scan_id"] not in ended]
+    trial, dataset, net, job, queued = (next(iter(get(path)["items"]), None) for path in (
+        "/trials?limit=1", "/datasets?limit=1", "/models?limit=1", "/jobs?limit=1", "/queue"))
+    found = {"new-run": "/queue?add=quickstart", "offer": "/plan?experiment=quickstart",
+             "touched": "/model?contacts=270,280,20n;150,150,1.5mm"}
+    if trial:
+        found["trial"] = f"/trials?trial={trial['trial_id']}"
+        found["trial-in-model"] = f"/model?trial={trial['trial_id']}"
+    if ended:
+        found["report"], found["step"] = f"/runs?run={ended[0]}", f"/plan?run={ended[0]}&step=3"
+    if len(numbers) > 1:
+        found["comparison"] = f"/runs?run={numbers[0]}&with={numbers[1]}"
+    if dataset:
+        found["dataset"] = f"/data?dataset={dataset['name']}"
+        runs_of = get(f"/datasets/{dataset['id']}/lineage")["lineage"]["runs"]
+        for run in [one["scan_id"] for one in runs_of][:1]:
+            of = get(f"/trials?scan_id={run}&limit=1")["items"][0]["trial_id"]
+            found["lineage"] = f"/data?dataset={dataset['name']}&run={run}&trial={of}"
+    if net:
+        found["net"] = f"/nets?model={net['id']}"
+    if job:
+        found["job"] = f"/nets?job={job['id']}"
+    if queued:
+        found["editor"] = f"/queue?edit={queued['scan_id']}"
+    return [View(name, path) for name, path in found.items()]
+
+
+# --- How it is shown ----------------------------------------------------------------------------------
+
+# States in which the browser is told something else; `lost` cuts the connection of a page that was shown.
+BROKEN = {"tripped": with_status(tripped), "disk": with_status(disk_full), "lost": nothing}
+
+
+@contextmanager
+def shown(browser, url, view, state="busy", settle_ms=1200, **look):
+    """Opens a view in a state in a new context; yields the page, settled, and the errors that it wrote until then."""
+    wire = Wire(url) if state == "lost" else None
+    context = browser.new_context(**look)
+    page = context.new_page()
+    page.set_default_timeout(LIMIT_MS)
+    errors = watched(page)
+    try:
+        view.before(page)
+        BROKEN.get(state, nothing)(page)
+        page.goto((wire.url if wire else url) + view.path, wait_until="domcontentloaded")
+        waits_for("#docs .info" if view.is_docs else "main h1")(page)
+        page.wait_for_timeout(settle_ms)
+        view.open(page)
+        written = list(errors)
+        if wire:
+            wire.cut()
+            waits_for("#gone:not([hidden])")(page)
+        yield page, written
+    finally:
+        page.unroute_all(behavior="ignoreErrors")
+        context.close()
+        if wire:
+            wire.close()
+
+
+def watched(page):
+    """The list of errors that a page writes; an answer that a page requested in vain is none."""
+    errors = []
+    page.on("pageerror", lambda error: errors.append(str(error)))
+
+    def console(message):
+        is_refusal = "Failed to load resource" in message.text or "WebSocket" in message.text
+        if message.type == "error" and not is_refusal:
+            errors.append(message.text)
+
+    page.on("console", console)
+    return errors

@@ -1,0 +1,32 @@
+// The tour of an experiment that is not queued, as the service plans it. The plan and the editor draw it.
+
+import { send } from './api.js'
+import { el, fill } from './dom.js'
+import { live } from './live.js'
+import { tourView } from './tour.js'
+
+/** Label of a picture of what the rig would do. */
+export const rigLabel = () => (live.status?.rig.label === 'virtual' ? 'virtual' : '')
+
+/** Asks for the tour, with its sensor, of a submission { file, definition, sensor }. */
+export const submittedTour = (submission, signal) => send('/tour', submission, { signal })
+
+/** Makes the part of a page that plans and draws the tour once it is opened. */
+export function tourPart(submission, signal) {
+  const place = el('div')
+  const node = el('details', {}, el('summary', {}, 'Tour over the skin'), place)
+  node.addEventListener('toggle', async () => {
+    if (!node.open || place.firstChild) return
+    fill(place, el('p', { className: 'soft' }, 'Planning …'))
+    try {
+      const tour = await submittedTour(submission, signal)
+      if (signal.aborted) return
+      const view = tourView({ onstep: () => {}, label: rigLabel, signal })
+      fill(place, view.node)
+      view.show(tour, tour.sensor)
+    } catch (error) {
+      if (!signal.aborted) fill(place, el('p', { className: 'bad' }, `The tour has no answer: ${error.message}.`))
+    }
+  })
+  return node
+}
