@@ -23,7 +23,7 @@ use tokio_modbus::slave::{Slave, SlaveContext};
 
 use super::counts::{Counters, LineCounts, count};
 use super::latch::MotionPermit;
-use super::pdu::{Reply, Request};
+use super::pdu::{self, Reply, Request};
 use super::wire::{self, Framing, Opener};
 use crate::clock::Clock;
 
@@ -384,7 +384,7 @@ impl Wire {
         }
         context.set_slave(Slave(job.unit));
         let sent = self.clock.now();
-        let call = context.call(to_wire(&job.request));
+        let call = context.call(pdu::to_wire(&job.request));
         let outcome = tokio::time::timeout(self.policy.timeout, call).await;
         self.silent_since = self.clock.now();
         let outcome = match outcome {
@@ -400,7 +400,7 @@ impl Wire {
         let result = match outcome {
             Err(exception) => Err(LineError::Exception { code: exception.into() }),
             Ok(response) => {
-                let reply = reply_of(response);
+                let reply = pdu::reply_of(response);
                 if let Err(cause) = job.request.accepts(&reply) {
                     return Err(LineError::Garbled { cause });
                 }
@@ -418,9 +418,8 @@ impl Wire {
         let next = match error {
             LineError::Exception { code } => {
                 count(&self.counters.exceptions);
-                let is_motion = matches!(job.kind, Kind::Motion(_));
                 match code {
-                    5 | 8 | 0x0B if is_motion => Next::GiveUp,
+                    5 | 8 | 0x0B if matches!(job.kind, Kind::Motion(_)) => Next::GiveUp,
                     5 | 6 => {
                         let since = *job.busy_since.get_or_insert(self.clock.now());
                         let waited = self.clock.now().saturating_duration_since(since);
@@ -458,30 +457,6 @@ impl Wire {
             count(&self.counters.retries);
         }
         next
-    }
-}
-
-fn to_wire(request: &Request) -> tokio_modbus::Request<'_> {
-    use tokio_modbus::Request as Pdu;
-    match request {
-        Request::ReadHolding { address, count } => Pdu::ReadHoldingRegisters(*address, *count),
-        Request::ReadInput { address, count } => Pdu::ReadInputRegisters(*address, *count),
-        Request::WriteCoil { address, on } => Pdu::WriteSingleCoil(*address, *on),
-        Request::WriteRegister { address, word } => Pdu::WriteSingleRegister(*address, *word),
-        Request::WriteRegisters { address, words } => {
-            Pdu::WriteMultipleRegisters(*address, words.as_slice().into())
-        }
-    }
-}
-
-fn reply_of(response: tokio_modbus::Response) -> Reply {
-    use tokio_modbus::Response as Pdu;
-    match response {
-        Pdu::ReadHoldingRegisters(words) | Pdu::ReadInputRegisters(words) => Reply::Words(words),
-        Pdu::WriteSingleCoil(address, on) => Reply::Coil { address, on },
-        Pdu::WriteSingleRegister(address, word) => Reply::Register { address, word },
-        Pdu::WriteMultipleRegisters(address, count) => Reply::Registers { address, count },
-        _ => Reply::Foreign,
     }
 }
 

@@ -1,5 +1,5 @@
 //! The five Modbus functions that the supported devices use, and the valid replies to each.
-//! PURE. Uses: nothing. Never: ports, addresses of devices, meanings of registers.
+//! PURE. Uses: tokio-modbus (its form of them). Never: ports, addresses of devices, meanings of registers.
 
 /// A request to a device.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -114,6 +114,32 @@ impl std::fmt::Display for Request {
                 write!(f, "write of {} at 0x{address:04X}", words.len())
             }
         }
+    }
+}
+
+/// A request as the library sends it.
+pub(super) fn to_wire(request: &Request) -> tokio_modbus::Request<'_> {
+    use tokio_modbus::Request as Pdu;
+    match request {
+        Request::ReadHolding { address, count } => Pdu::ReadHoldingRegisters(*address, *count),
+        Request::ReadInput { address, count } => Pdu::ReadInputRegisters(*address, *count),
+        Request::WriteCoil { address, on } => Pdu::WriteSingleCoil(*address, *on),
+        Request::WriteRegister { address, word } => Pdu::WriteSingleRegister(*address, *word),
+        Request::WriteRegisters { address, words } => {
+            Pdu::WriteMultipleRegisters(*address, words.as_slice().into())
+        }
+    }
+}
+
+/// A reply as the library has received it.
+pub(super) fn reply_of(response: tokio_modbus::Response) -> Reply {
+    use tokio_modbus::Response as Pdu;
+    match response {
+        Pdu::ReadHoldingRegisters(words) | Pdu::ReadInputRegisters(words) => Reply::Words(words),
+        Pdu::WriteSingleCoil(address, on) => Reply::Coil { address, on },
+        Pdu::WriteSingleRegister(address, word) => Reply::Register { address, word },
+        Pdu::WriteMultipleRegisters(address, count) => Reply::Registers { address, count },
+        _ => Reply::Foreign,
     }
 }
 
