@@ -9,12 +9,14 @@ from person import URL, api
 SERIOUS = ("serious", "critical")
 LIGHTS = ("light", "dark")
 REDRAWN_MS = 500
+# Pages that show a broken state in their own way; of the others only the bar does, which these have too.
+OWN_STATES = ("/", "/rig", "/live", "/place")
 # Faults of Swagger UI 5.35 itself, which is an unchanged file of another author (web/vendor). Its tracker has them,
 # open. They count on every other element of the page, and all other rules count on Swagger UI as well.
 SWAGGER = {
     "color-contrast": "colours of methods, types and buttons ('WCAG 2.1 1.4.3 -- Insufficient Color Contrast')",
-    "select-name": "choices of a parameter have no name ('a11y: missing labels on controls')",
-    "label": "fields of a parameter have no name ('Provide missing labels for form elements and select')",
+    "nested-interactive": "the line of an operation is a button that holds buttons",
+    "scrollable-region-focusable": "an example that is longer than its box is not reached by keys",
 }
 IN_SWAGGER = "selector => document.querySelector(selector)?.closest('.swagger-ui') != null"
 
@@ -24,7 +26,8 @@ def axe(page, browser):
     page.goto(URL)
     pages = views.pages(page)
     items = [*pages, *views.opened(api), *views.DOCS, *views.DIALOGS, *views.FORMS]
-    looked_at = [(view, "busy") for view in items] + [(view, state) for state in views.BROKEN for view in pages]
+    looked_at = [(view, "busy") for view in items] + [(view, state) for state in views.BROKEN for view in pages
+                                                     if view.path in OWN_STATES]
     found, met = [], set()
     for view, state in looked_at:
         size = {"width": 1400, "height": 900}

@@ -17,6 +17,8 @@ def lost(page, _browser):
     page.goto(wire.url)
     state(page, "running")
     lines = page.locator("html")
+    # Something is read that may grow old.
+    expect(page.locator("main .live").nth(3)).to_be_visible()
     for interrupt in (wire.cut, wire.silence):
         expect(lines).to_have_attribute("data-live", "yes")
         page.evaluate(LOST)

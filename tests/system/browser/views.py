@@ -19,7 +19,7 @@ LIMIT_MS = 60_000
 LOST = """globalThis.palpateLost = new Promise(told => import('/web/lib/live.js').then(({ live }) => {
   live.addEventListener('fresh', () => live.fresh || told(Date.now() - live.at)) })); 0"""
 # An operation of the API that has parameters and several answers, at the address that Swagger UI gives it.
-OPERATION = "/docs#/runs/run_tour"
+OPERATION = "/docs#/runs/run"
 
 
 def nothing(_page):

@@ -11,6 +11,12 @@ use palpate::state::{PausedWhy, StoredState};
 use serde_json::json;
 
 use super::harness::{Harness, experiment};
+use crate::bench::rig_args;
+
+/// A homed rig, faster than those whose forces are compared: here only what follows what counts.
+async fn homed() -> Harness {
+    Harness::homed_on(&rig_args("virtual", 20.0)).await
+}
 
 fn confirm() -> Request {
     let confirmation = Confirmation::of("ada".into());
@@ -19,7 +25,7 @@ fn confirm() -> Request {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_confirmed_tip_change_moves_only_a_rig_that_was_homed_after_a_stop() {
-    let harness = Harness::homed().await;
+    let harness = homed().await;
     harness.start(harness.job(&experiment(2, ""), |_| {})).await;
     let waits = |s: &Status| s.run.as_ref().is_some_and(|r| r.wanted.is_some());
     harness.until("a tip change", waits).await;
@@ -43,12 +49,12 @@ async fn a_confirmed_tip_change_moves_only_a_rig_that_was_homed_after_a_stop() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn an_automatic_resume_waits_for_the_release_of_a_lock_that_was_taken_after_the_trip() {
-    let harness = Harness::homed().await;
+    let harness = homed().await;
     harness.mount(2, 2).await;
     let definition = experiment(2, "[policy]\nauto_resume_after_s = 1.0\n");
     harness.start(harness.job(&definition, |job| job.auto_resume = true)).await;
     harness.stored(1).await;
-    harness.fault("no_reply", "cells", json!({ "for_s": 16.0 })).await;
+    harness.fault("no_reply", "cells", json!({ "for_s": 40.0 })).await;
     let trip = harness.tripped().await.rig.trip.unwrap();
     assert_eq!(trip.kind, TripKind::Wire, "{trip:?}");
     harness.journal.taken().locked_at = Some(jiff::Timestamp::now());
@@ -68,7 +74,7 @@ async fn an_automatic_resume_waits_for_the_release_of_a_lock_that_was_taken_afte
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_drive_that_lost_its_zero_is_not_moved() {
-    let harness = Harness::homed().await;
+    let harness = homed().await;
     harness.fault("power_loss", "x", json!({ "count": 1 })).await;
     // The drive is off for a moment, then replies again.
     tokio::time::sleep(Duration::from_millis(500)).await;
@@ -83,16 +89,16 @@ async fn a_drive_that_lost_its_zero_is_not_moved() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn the_limits_of_a_run_hold_after_its_wires_were_opened_again() {
-    let harness = Harness::homed().await;
+    let harness = homed().await;
     harness.run(2, "[limits]\nforce_n = 15.0\n").await;
     harness
         .until("a touch-off", |s| s.run.as_ref().is_some_and(|r| r.phase == Phase::TouchOff))
         .await;
-    harness.fault("no_reply", "cells", json!({ "for_s": 12.0 })).await;
+    harness.fault("no_reply", "cells", json!({ "for_s": 60.0 })).await;
     let trip = harness.tripped().await.rig.trip.unwrap();
     assert_eq!(trip.kind, TripKind::Wire, "{trip:?}");
     // The module replies again.
-    tokio::time::sleep(Duration::from_secs(2)).await;
+    tokio::time::sleep(Duration::from_secs(4)).await;
     harness.ask(Request::Disconnect).await.unwrap();
     harness.ask(Request::Connect).await.unwrap();
     harness.ask(Request::Reset).await.unwrap();
@@ -107,14 +113,14 @@ async fn the_limits_of_a_run_hold_after_its_wires_were_opened_again() {
     harness.close().await;
 }
 
-/// A run that resumes automatically a second after a trip that passes, tripped by its wires for a second.
+/// A run that resumes automatically a second after a trip that passes, tripped by its wires, which fail for two seconds.
 async fn tripped_by_its_wires() -> Harness {
-    let harness = Harness::homed().await;
+    let harness = homed().await;
     harness.mount(2, 2).await;
     let definition = experiment(2, "[policy]\nauto_resume_after_s = 1.0\n");
     harness.start(harness.job(&definition, |job| job.auto_resume = true)).await;
     harness.stored(1).await;
-    harness.fault("no_reply", "cells", json!({ "for_s": 8.0 })).await;
+    harness.fault("no_reply", "cells", json!({ "for_s": 40.0 })).await;
     let trip = harness.tripped().await.rig.trip.unwrap();
     assert_eq!(trip.kind, TripKind::Wire, "{trip:?}");
     harness
