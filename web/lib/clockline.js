@@ -73,7 +73,7 @@ export function clockline() {
     const last = t => t === from
     fill(
       scale,
-      [from, ...ticks(from, to).filter(t => (t - from) / (to - from) > 0.06 && (t - from) / (to - from) < 0.96)].map(t =>
+      [from, ...ticks(from, to).filter(t => (t - from) / (to - from) > 0.06 && (t - from) / (to - from) < 0.88)].map(t =>
         el('span', { style: { left: part(t) } }, last(t) ? 'now' : days ? moment(t).replace('tomorrow ', 'tom. ') : clock(t).slice(0, 5)),
       ),
     )

@@ -114,10 +114,14 @@ export function onLook(node, then, signal) {
 }
 
 const colours = new Map()
-dark.addEventListener('change', () => colours.clear()) // Before all others: it is the first to listen.
+let coloursOf = null
 
 /** Value of a colour of app.css: `colour('--live')`. Kept, because asking makes the browser compute all styles. */
 export function colour(name) {
+  if (coloursOf !== dark.matches) { // The light changes before its event comes.
+    colours.clear()
+    coloursOf = dark.matches
+  }
   if (!colours.has(name)) {
     const value = getComputedStyle(document.documentElement).getPropertyValue(name).trim()
     if (!value) return value // The styles have not come yet.
