@@ -4,7 +4,7 @@ import { address, go, set } from './lib/address.js'
 import { door, estop, giveKey, hasKey, keep } from './lib/api.js'
 import { actOnRig, actor, modal, outcome, sureHome } from './lib/actions.js'
 import { button, el, fill, link, note, say } from './lib/dom.js'
-import { capital, clock, countOf, momentBand, percent, plain, span } from './lib/format.js'
+import { capital, clock, momentBand, percent, plain, span, steadyCountOf } from './lib/format.js'
 import { steadyEnds } from './lib/eta.js'
 import { kindOf } from './lib/kinds.js'
 import { live, start } from './lib/live.js'
@@ -165,7 +165,7 @@ live.on('status', ({ status, at }) => {
   say($('rig-name'), rig.name)
   say($('bar-state'), `${run ? '' : 'Rig '}${word}${requested}${run ? ` · ${run.experiment}` : ''}`)
   $('bar-state').className = `bar-state ${TONE[run?.state ?? rig.state] ?? ''}`
-  say($('bar-count'), run ? countOf(run.trials_stored, run.trials_planned) : '')
+  say($('bar-count'), run ? steadyCountOf(run.trials_stored, run.trials_planned) : '')
   $('bar-count').title = run ? percent(run.trials_stored, run.trials_planned) : ''
   say($('bar-eta'), etaWords(run, at))
   entitle()

@@ -1,6 +1,7 @@
 //! Campaigns from the queue to their end, with people and faults in between.
 
 use std::collections::BTreeSet;
+use std::time::Duration;
 
 use jiff::{SignedDuration, Timestamp};
 use palpate::digest::sha256_hex;
@@ -268,6 +269,25 @@ async fn a_stopped_run_whose_rig_homes_when_the_service_ends_does_not_go_on_by_i
     lab.posted("/api/v1/rig/actions", act("reset")).await;
     lab.posted("/api/v1/rig/actions", act("home")).await;
     let lab = lab.restart().await;
+    let is_left = |row: &Value| row["state"] == "interrupted";
+    lab.eventually("the run is left alone", &format!("/api/v1/runs/{run}"), is_left).await;
+    let status = lab.get("/api/v1/status").await;
+    assert_eq!((&status["run"], &status["rig"]["state"]), (&Value::Null, &json!("disconnected")));
+    lab.close().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_e_stop_while_the_service_ends_is_known_to_the_next_process() {
+    let (lab, run) = started("ending").await;
+    lab.stored(2).await;
+    let address = format!("{}/api/v1/estop", lab.service.url());
+    let stop = tokio::spawn(async move {
+        // The tips are raised by then, or about to be; the door is open until they are.
+        tokio::time::sleep(Duration::from_millis(10)).await;
+        http().post(address).json(&json!({ "why": "smoke" })).send().await.unwrap().status()
+    });
+    let lab = lab.restart().await;
+    assert!(stop.await.unwrap().is_success());
     let is_left = |row: &Value| row["state"] == "interrupted";
     lab.eventually("the run is left alone", &format!("/api/v1/runs/{run}"), is_left).await;
     let status = lab.get("/api/v1/status").await;

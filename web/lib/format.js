@@ -11,11 +11,14 @@ const DAYS = new Intl.DateTimeFormat('en-GB', { day: 'numeric', month: 'short' }
 /** 12,481 */
 export const count = n => n == null ? NONE : COUNTS.format(n)
 
-/** 9 of 264, followed by spaces as wide as the digits and commas that it has not yet: its width does not change. */
-export const countOf = (n, of) => {
+/** 9 of 264. */
+export const countOf = (n, of) => `${count(n)} of ${count(of)}`
+
+/** The same, followed by spaces as wide as the digits and commas that it has not yet: its width does not change. */
+export const steadyCountOf = (n, of) => {
   const [now, whole] = [count(n), count(of)]
   const rest = whole.slice(0, Math.max(0, whole.length - now.length))
-  return `${now} of ${whole}${rest.replace(/\d/g, '\u2007').replace(/,/g, '\u2008')}`
+  return countOf(n, of) + rest.replace(/\d/g, '\u2007').replace(/,/g, '\u2008')
 }
 
 /** A number with fixed digits and its unit; a true minus sign. */

@@ -4,7 +4,7 @@ import { get, send } from './api.js'
 import { confirm, named, only } from './actions.js'
 import { changing } from './changing.js'
 import { button, el, fill, link, note, panel, say, sleep } from './dom.js'
-import { capital, count, counted, countOf, fixed, moment, percent, plain, span } from './format.js'
+import { capital, count, counted, fixed, moment, percent, plain, span, steadyCountOf } from './format.js'
 import { live } from './live.js'
 import { losses } from './losses.js'
 import { opened } from './opened.js'
@@ -163,7 +163,7 @@ export function jobView({ signal, said, models, onstopped }) {
         ['Requested', moment(job.created_at, true)],
         ['By', job.asked_by],
         ['Took', span(took(job))],
-        p?.total > 0 && ['Done', countOf(p.done, p.total)],
+        p?.total > 0 && ['Done', steadyCountOf(p.done, p.total)],
         p?.per_second != null && ['Rate', `${count(Math.round(p.per_second))} per s`],
         p?.train_loss != null && ['Train loss', fixed(p.train_loss, 5)],
         p?.validation_loss != null && ['Validation loss', fixed(p.validation_loss, 5)],

@@ -9,7 +9,7 @@ import { el, fill, panel, pane, say, select, sleep } from '../lib/dom.js'
 import { ended } from '../lib/ended.js'
 import { steadyEnds } from '../lib/eta.js'
 import { forceBars, forceChart } from '../lib/forces.js'
-import { age, bytes, capital, count, countOf, counted, fixed, moment, percent, plain, span } from '../lib/format.js'
+import { age, bytes, capital, count, countOf, counted, fixed, moment, percent, plain, span, steadyCountOf } from '../lib/format.js'
 import { history } from '../lib/history.js'
 import { live } from '../lib/live.js'
 import { eventLog } from '../lib/log.js'
@@ -135,7 +135,7 @@ export async function show(root, { query, signal, set }) {
     bar.value = now.trials_stored
     map.now(now.current_step?.index ?? null)
     changing(runFacts, [
-      ['Stored', countOf(now.trials_stored, now.trials_planned)], ['Share', percent(now.trials_stored, now.trials_planned)],
+      ['Stored', steadyCountOf(now.trials_stored, now.trials_planned)], ['Share', percent(now.trials_stored, now.trials_planned)],
       ['Skipped', counted(now.trials_skipped, 'trial')], ['Failed attempts', count(now.retries)],
     ])
     active.inert = !fresh
