@@ -16,7 +16,7 @@ use virtual_rig::{OperatorArgs, RigArgs, operator_main, rig_main};
 /// Presses a tactile robot skin with a rig, trains models on the measured trials, and estimates position and
 /// force of contacts.
 ///
-/// Start with `palpate run experiments/quickstart.toml`: without a rig it starts a virtual one.
+/// Start with `palpate run quickstart`: without a rig it starts a virtual one.
 #[derive(Debug, Parser)]
 #[command(name = "palpate", version, propagate_version = true)]
 struct CommandLine {

@@ -1,6 +1,6 @@
 // The shell: top bar with the stop, links, the key, and the page of the address. Knows no data.
 
-import { address, go, set } from './lib/address.js'
+import { address, go, params, set, shown } from './lib/address.js'
 import { door, estop, giveKey, hasKey, keep } from './lib/api.js'
 import { actOnRig, actor, modal, outcome, sureHome } from './lib/actions.js'
 import { button, el, fill, link, note, say } from './lib/dom.js'
@@ -19,8 +19,8 @@ const $ = id => document.getElementById(id)
 let leaving = new AbortController(), present = null
 
 async function open() {
-  const name = location.pathname.slice(1) || FIRST, page = PAGES.find(page => page.name === name)
-  const query = Object.fromEntries(new URLSearchParams(location.search))
+  const name = shown().pathname.slice(1) || FIRST, page = PAGES.find(page => page.name === name)
+  const query = params()
   for (const one of document.querySelectorAll('#links a')) {
     if (one.dataset.page === name) {
       one.ariaCurrent = 'page'
@@ -29,7 +29,11 @@ async function open() {
     }
     else one.removeAttribute('aria-current')
   }
-  if (present?.name === name && present.update) return present.update(query)
+  if (present?.name === name && present.update) {
+    const updated = present.update(query)
+    reach()
+    return updated
+  }
   leaving.abort()
   leaving = new AbortController()
   present = { name }
@@ -45,11 +49,19 @@ async function open() {
     fill(root, head, body)
     scrollTo(0, 0)
     const { update } = await module.show(body, { query, signal, go, set }) ?? {}
-    if (!signal.aborted) present = { name, update }
+    if (signal.aborted) return undefined
+    present = { name, update }
+    reach()
   } catch (error) {
     if (!signal.aborted) fill(root, el('section', {}, el('h1', {}, page.title), el('p', { className: 'bad' }, `This page could not be shown: ${error.message}`), button('Try again', () => { present = null; open() })))
   }
   return undefined
+}
+
+/** Scrolls to the part that the address names, as in /data#exports. */
+function reach() {
+  const { hash } = shown()
+  if (hash) document.getElementById(hash.slice(1))?.scrollIntoView({ block: 'start' })
 }
 
 document.addEventListener('click', event => {
@@ -91,7 +103,7 @@ function help() {
   modal(box)
 }
 
-// The stop: asks nothing, says what came of it until that is over, and what state was reached.
+// The stop: sends without a question and shows the outcome until that is over, and what state was reached.
 let press = null, presses = 0
 function stopSaid(words, ...more) {
   fill($('stop-said'), words, more)

@@ -48,7 +48,7 @@ pub async fn turn() -> tokio::sync::MutexGuard<'static, ()> {
     ONE_AT_A_TIME.lock().await
 }
 
-/// Tells a rig's control socket something, as a hand would; what it answers.
+/// Sends a line to the control socket, as a hand would; what it answers.
 pub async fn tell(rig: &VirtualRig, command: Value) -> Value {
     use tokio::io::{AsyncBufReadExt, AsyncWriteExt, BufReader};
     let wire = tokio::net::TcpStream::connect(&rig.ready.control).await.unwrap();
@@ -209,7 +209,7 @@ impl Lab {
             .collect()
     }
 
-    /// Tells the rig's control socket something, as a hand would.
+    /// Sends a line to the control socket, as a hand would.
     pub async fn tell_rig(&self, command: Value) {
         tell(&self.rig, command).await;
     }

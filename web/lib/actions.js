@@ -75,7 +75,7 @@ export function outcome() {
 }
 
 /**
- * Makes a button that asks for the name, acts, tells what came of it, and is hidden from those who may not. While another
+ * Makes a button that asks for the name, acts, shows the outcome, and is hidden from those who may not. While another
  * person's operator lock refuses it (`locks`), a press states this alone.
  * `work` gets what `seen()` returned at the press: what the person saw, whatever came meanwhile.
  */

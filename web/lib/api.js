@@ -180,7 +180,7 @@ export const person = { get name() { return keep('localStorage', 'palpate-who') 
 
 const ESTOP = '/api/v1/estop'
 
-/** Presses the stop: asks nothing, ends all other requests, tries five times, returns what came of it. */
+/** Presses the stop: sends without a question, ends all other requests, tries five times, returns the outcome. */
 export async function estop() {
   others.abort(new Error('ended by the stop'))
   others = new AbortController()

@@ -32,6 +32,6 @@ export async function carriedTable(href) {
     node.classList.add('stack', 'carried')
     return node
   } catch (error) {
-    return el('p', { className: 'soft' }, `The list of carried experiments has no answer: ${error.message}. Choose a file instead.`)
+    return el('p', { className: 'soft' }, `The list of carried experiments could not be read: ${error.message}. Choose a file instead.`)
   }
 }

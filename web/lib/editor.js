@@ -2,7 +2,7 @@
 // Nothing is queued before a person asks for it.
 
 import { Refused, get, keep, once, send } from './api.js'
-import { actor, outcome } from './actions.js'
+import { actor, confirm, outcome } from './actions.js'
 import { button, el, fill, sleep } from './dom.js'
 import { fields } from './fields.js'
 import { live, who } from './live.js'
@@ -22,6 +22,9 @@ export function schema() {
   return schemaAsked
 }
 
+/** Whether a draft differs from the text that it began with. */
+export const isEdited = ({ text, of }) => of != null && text !== of
+
 const local = at => (at ? new Date(new Date(at) - new Date(at).getTimezoneOffset() * 6e4).toISOString().slice(0, 16) : '')
 
 /**
@@ -38,7 +41,7 @@ export function editor({ draft, reread, ondone, onclose, signal }) {
   // The text of a sensor file belongs to the name that the experiment had with it; another name is one that the program carries.
   state.named ??= raw(state.text, '', 'sensor')
   // The text that the changes began with, kept with them: another person may have changed the run since.
-  state.of ??= draft.text
+  state.of ??= draft.text ?? state.text
   const sensor = () => (raw(state.text, '', 'sensor') === state.named ? (state.sensor ?? undefined) : undefined)
   const body = () => ({ file: state.file, definition: state.text, sensor: sensor() })
   const forget = () => keep('sessionStorage', stored, '')
@@ -73,6 +76,9 @@ export function editor({ draft, reread, ondone, onclose, signal }) {
     )
 
   let asking = new AbortController()
+  // Parts of the newest answer: those that a person has opened are open in the next one.
+  let parts = null
+  let tour = null
   function changed(text) {
     state.text = text
     remember()
@@ -95,8 +101,9 @@ export function editor({ draft, reread, ondone, onclose, signal }) {
       const words = p.problems.length
         ? el('p', { className: 'bad' }, 'This bench cannot run it. Change the values that are marked, or the rig file.')
         : el('p', { className: 'good' }, 'This bench can run it.')
-      const parts = el('details', {}, el('summary', {}, 'Time by activity'), partsBar(p.parts))
-      return fill(found, words, problemList(problems), planFacts(p), parts, tourPart(body(), until))
+      parts = el('details', { open: parts?.open }, el('summary', {}, 'Time by activity'), partsBar(p.parts))
+      tour = tourPart(body(), until, tour?.open)
+      return fill(found, words, problemList(problems), planFacts(p), parts, tour)
     } catch (error) {
       if (until.aborted) return undefined
       const errors = error.problem?.errors
@@ -132,6 +139,13 @@ export function editor({ draft, reread, ondone, onclose, signal }) {
       throw new Refused(412, 'the run has been changed since its text was shown: close and edit it again to see it, or save again to replace it', error.problem)
     }
   }
+  async function close() {
+    const words = `The text was changed and is not ${run ? 'saved' : 'in the queue'}. It cannot be restored.`
+    if (isEdited(state) && !(await confirm('Discard your changes?', words, 'Discard'))) return
+    if (signal.aborted) return
+    forget()
+    onclose()
+  }
   const save = actor(run ? 'Save changes' : 'Add to queue', said, submit, { className: 'main' })
 
   const node = el(
@@ -161,14 +175,7 @@ export function editor({ draft, reread, ondone, onclose, signal }) {
         'div',
         { className: 'row' },
         save,
-        button(
-          'Close',
-          () => {
-            forget()
-            onclose()
-          },
-          { className: 'plain' },
-        ),
+        button('Close', close, { className: 'plain' }),
       ),
       said.node,
     ),

@@ -1,5 +1,6 @@
 // Recorded frames in this browser, bounded: in IndexedDB, which outlives a reload and the tab, or in memory where the
-// browser forbids it. A part is some frames in a row: { label, channels, at, sequence, device_time_us, voltages_v }. No DOM.
+// browser forbids it. A part is some frames in a row: { label, channels, at, sequence, device_time_us, voltages_v }. No DOM,
+// except the question of the browser before it closes a page whose frames are in memory alone.
 
 const NAME = 'palpate-frames'
 
@@ -30,6 +31,9 @@ function first(part, frames) {
   for (const key of ['at', 'sequence', 'device_time_us']) cut[key] = part[key].slice(0, frames)
   return cut
 }
+
+/** Marks what is kept as saved, unless it has changed since `of`, what the file was made of. */
+const savedAs = (now, of) => (now.frames === of.frames && now.to === of.to ? { ...now, saved: true } : now)
 
 const answer = request =>
   new Promise((resolve, reject) => {
@@ -73,10 +77,10 @@ function lasting(base) {
         if (part) then(part) // Another tab may have discarded it meanwhile.
       }
     },
-    async markSaved() {
+    async markSaved(of) {
       const { work, kept } = open('readwrite')
       const now = await read(kept)
-      if (now.frames) kept.put({ ...now, saved: true }, 0)
+      if (now.frames) kept.put(savedAs(now, of), 0)
       await done(work)
     },
     async clear() {
@@ -91,6 +95,10 @@ function lasting(base) {
 function passing() {
   let all = []
   let now = NOTHING
+  // On every page, until the tab is closed: the page that recorded may have been left.
+  addEventListener('beforeunload', event => {
+    if (!now.saved) event.preventDefault()
+  })
   return {
     isLasting: false,
     kept: async () => now,
@@ -105,8 +113,8 @@ function passing() {
     async each(then) {
       for (const part of all) then(part)
     },
-    async markSaved() {
-      now = { ...now, saved: true }
+    async markSaved(of) {
+      now = savedAs(now, of)
     },
     async clear() {
       all = []

@@ -170,7 +170,7 @@ export function jobView({ signal, said, models, onstopped }) {
       ])
       if (controls.hasChildNodes() !== busy(job)) fill(controls, busy(job) && stop)
       if (job.kind === 'training' && job.state !== 'waiting' && !curves) {
-        curves = losses({ path: `/jobs/${id}/losses`, signal: mine, live: () => job.state === 'running' })
+        curves = losses({ path: `/jobs/${id}/losses`, key: 'job-losses', signal: mine, live: () => job.state === 'running' })
         node.append(el('section', { className: 'live' }, curves.node))
       }
       if (drawn !== job.state) {

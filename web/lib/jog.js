@@ -10,6 +10,11 @@ import { live, who } from './live.js'
 // At least REST_MS between two moves: at most 20 mm/s, and 4 mm/s for z.
 const WAIT_MS = 10_000, FRESH_MS = 1200, REST_MS = 50
 const STEPS = { flat: [0.1, 0.5, 1], down: [0.05, 0.1, 0.2] }
+const among = (sizes, wanted, usual) => (sizes.some(mm => String(mm) === wanted) ? wanted : usual)
+
+/** Sizes of a move, mm, as the address has them; what no choice offers is the usual one. */
+export const stepsOf = ({ step, stepz }) => ({ xy: among(STEPS.flat, step, '0.5'), z: among(STEPS.down, stepz, '0.1') })
+
 const HOLD = 'Hold a button: small moves follow one another until you let go. '
   + 'z is lowered to the safe height at most; the touch-off alone moves into the skin.'
 // Words, key, axis, direction. z counts downwards from the raised position.
@@ -62,11 +67,12 @@ export function jog({ allowed, steps, choose, signal }) {
     return one
   })
   const pad = axes => el('div', { className: `pad pad-${axes[0]}` }, buttons.filter((_, i) => axes.includes(MOVES[i][2])))
-  const step = (key, choices) => el('label', { className: 'inline' }, key === 'xy' ? 'Step of x, y and arms' : 'Step of z',
-    select(choices.map(mm => [mm, `${mm} mm`]), steps()[key], mm => choose({ [key]: mm })))
+  const sizes = Object.fromEntries([['xy', STEPS.flat], ['z', STEPS.down]].map(([key, choices]) => [key,
+    select(choices.map(mm => [mm, `${mm} mm`]), steps()[key], mm => choose({ [key]: mm }))]))
+  const step = key => el('label', { className: 'inline' }, key === 'xy' ? 'Step of x, y and arms' : 'Step of z', sizes[key])
   const node = el('div', { className: 'jogs', tabIndex: 0, role: 'group', 'aria-label': 'Jog: hold a button, or an arrow key while this group has the focus' },
     why, el('div', { className: 'row' }, pad(['x', 'y']), pad(['z']), pad(['radius'])),
-      el('div', { className: 'row' }, step('xy', STEPS.flat), step('z', STEPS.down)), told)
+      el('div', { className: 'row' }, step('xy'), step('z')), told)
   // Keys move only while the group has the focus, and only while they are down.
   node.addEventListener('keydown', event => {
     const move = MOVES.find(([, key]) => key === event.key)
@@ -88,5 +94,9 @@ export function jog({ allowed, steps, choose, signal }) {
     say(why, reason || HOLD)
     for (const one of buttons) one.disabled = Boolean(reason)
   }
-  return { node, gate }
+  /** Shows the sizes of the address. */
+  function follow() {
+    for (const [key, one] of Object.entries(sizes)) one.value = steps()[key]
+  }
+  return { node, gate, follow }
 }

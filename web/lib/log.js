@@ -1,4 +1,4 @@
-// The event log: newest first, what matters marked, followed live.
+// The event log: newest first, important events marked, followed live.
 
 import { follow } from './api.js'
 import { el, onBeat, panel, say, select } from './dom.js'
@@ -17,12 +17,12 @@ export function matters({ kind, data }) {
 
 const tone = event => event.kind === 'safe_end' && matters(event) ? 'bad' : LOUD[event.kind] ?? ''
 
-/** Makes the log. `state.log` is 'all' or absent (only what matters). */
+/** Makes the log. `state.log` is 'all' or absent (only important ones). */
 export function eventLog({ state, set, signal, since = -200 }) {
   let made = new Map()
   const kept = [], list = el('ol', { className: 'events scroll', tabIndex: 0, 'aria-label': 'Events, newest first' }), line = el('p',
     { className: 'soft small' })
-  const choice = select([['', 'Only what matters'], ['all', 'All events']], state.log ?? '', value => set({ log: value }), { 'aria-label': 'Which events' })
+  const choice = select([['', 'Only important ones'], ['all', 'All events']], state.log ?? '', value => set({ log: value }), { 'aria-label': 'Which events' })
   const row = event => el('li', { className: tone(event) }, el('time', { dateTime: event.at, title: moment(event.at, true) },
     Date.now() - Date.parse(event.at) < 64_800e3 ? clock(event.at) : moment(event.at)), el('span', {}, sentence(event)))
   const draw = onBeat(() => {
@@ -33,7 +33,7 @@ export function eventLog({ state, set, signal, since = -200 }) {
     rows.forEach((node, i) => { if (list.children[i] !== node) list.insertBefore(node, list.children[i] ?? null) })
     while (list.children.length > rows.length) list.lastChild.remove()
     if (last.length) say(line, wanted.length > SHOWN ? `The newest ${SHOWN} events.` : '')
-    else say(line, kept.length ? 'Nothing that matters happened. All events are one choice away.' : 'No events yet.')
+    else say(line, kept.length ? 'No important events. Select “All events” to see every one.' : 'No events yet.')
   })
   follow(since, {
     signal, onevent(event) {

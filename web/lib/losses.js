@@ -15,13 +15,13 @@ async function read(path, signal) {
 
 /**
  * Makes the curves of `/models/ID/losses` or `/jobs/ID/losses`. `live()`: whether it is read again
- * each 2 s. Ends with `signal`.
+ * each 2 s. `key` is unique in its page: its zoom is in the address. Ends with `signal`.
  */
-export function losses({ path, label, signal, live = () => false }) {
+export function losses({ path, key = 'losses', label, signal, live = () => false }) {
   const said = el('p', { className: 'soft small' }),
     curves = chart({
       title: 'Losses over epochs',
-      key: 'losses',
+      key,
       x: 'Epoch',
       y: 'Loss',
       time: false,

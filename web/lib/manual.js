@@ -10,10 +10,10 @@ import { table } from './table.js'
 
 const STEPS = [
   'Print the overlay at true scale, check its 100 mm ruler, and fix it on the skin: its labels name the points.',
-  'Have the weights at hand: 0.50, 0.75 and 1.00 kg, each on a tip of 20 mm.',
+  'Prepare the weights: 0.50, 0.75 and 1.00 kg, each on a tip of 20 mm.',
   'Queue the experiment, arm and start it. The service draws the points and the weights; the same seed draws the same ones.',
   'For each trial this page shows which weight goes where. Place all of them, take your hands off, press Done: a key or a foot switch is enough.',
-  'The skin feels what was placed. A weight on the wrong point is named before it is stored. You may stop at any time: the run continues where it stopped.',
+  'The skin feels what was placed. A weight on the wrong point is reported before it is stored. You may stop at any time: the run continues where it stopped.',
 ]
 
 const isManual = item => item.kind === 'real-random'

@@ -9,7 +9,6 @@ import { losses } from './losses.js'
 import { opened } from './opened.js'
 import { save, shows } from './save.js'
 import { contactTable, voltageTable } from './scores.js'
-import { slotOf } from './serving.js'
 
 /** What each task maps to what. */
 export const TASKS = {
@@ -17,6 +16,10 @@ export const TASKS = {
   recon: 'simulated voltages to a force map',
   'end-to-end': 'measured voltages to a force map',
   points: 'voltages to points and forces',
+  position: 'a frame to a position',
+  pattern: 'a frame to the places that are pressed',
+  count: 'a frame to the number of contacts',
+  force: 'a frame to the total force',
 }
 
 /** Makes the view of one model; ends what it began when another one is shown. `promote(id, slot)` asks and acts. */
@@ -38,7 +41,7 @@ export function netView({ signal, models, promote }) {
       label = () => (manifest.label === 'virtual' ? 'virtual' : ''),
       learned = manifest.trained_on ?? {}
     const size = el('span', {}, '…'),
-      promoting = only('operator', button('Promote', () => promote(model.id, slotOf(model.task)), { className: 'main' }))
+      promoting = model.slot && only('operator', button('Promote', () => promote(model.id, model.slot), { className: 'main' }))
     ask(`/api/v1/models/${model.id}/onnx`, { method: 'HEAD', accept: '*/*', signal: mine }).then(
       answer => {
         size.textContent = bytes(Number(answer.headers.get('content-length')) || null)

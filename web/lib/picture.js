@@ -4,16 +4,19 @@ import { button, download, el } from './dom.js'
 import { shows } from './save.js'
 import { csv } from './table.js'
 
+const slug = text => text.toLowerCase().replace(/[^a-z0-9]+/g, '-')
+
 /**
  * Makes a figure: heading, picture, menu. `data()` returns { heads, rows } for the CSV; `canvas()`
  * the canvas for the PNG; `query` the address of the numbers in the API.
  */
 export function picture({ title, name, label, data, canvas, query, props = {} }, ...inside) {
-  const file = `${name ?? title.toLowerCase().replace(/[^a-z0-9]+/g, '-')}`
+  // The numbers have no place for the label: the name of the file has it.
+  const file = () => [name ?? slug(title), slug(label?.() ?? '')].filter(Boolean).join('-')
   const items = [
-    data && button('Numbers (CSV)', () => { const { heads, rows } = data(); download(`${file}.csv`, csv(heads, rows), 'text/csv') }),
-    canvas && button('Picture (PNG)', () => labelled(canvas(), [title, label?.()].filter(Boolean).join(' · ')).toBlob(blob => download(`${file}.png`, blob))),
-    query && shows('Request behind it', query, () => `${file}.${/format=csv/.test(typeof query === 'function' ? query() : query) ? 'csv' : 'json'}`),
+    data && button('Numbers (CSV)', () => { const { heads, rows } = data(); download(`${file()}.csv`, csv(heads, rows), 'text/csv') }),
+    canvas && button('Picture (PNG)', () => labelled(canvas(), [title, label?.()].filter(Boolean).join(' · ')).toBlob(blob => download(`${file()}.png`, blob))),
+    query && shows('Request behind it', query, () => `${file()}.${/format=csv/.test(typeof query === 'function' ? query() : query) ? 'csv' : 'json'}`),
   ].filter(Boolean)
   const menu = items.length ? el('details', { className: 'menu' }, el('summary', { 'aria-label': `${title}: save` }, '⋯'), el('div', {}, items)) : null
   return el('figure', { className: 'picture', ...props }, el('figcaption', {}, el('span', {}, title), menu), ...inside)

@@ -39,7 +39,7 @@ export const isRead = placement => placement.at_rest === true || placement.verdi
 /** Why "Done" cannot be pressed now, as words; empty if it can. */
 export function notYet(placement, { open, sent, fresh, unrestSince }) {
   if (!fresh) return 'No connection.'
-  if (open) return 'Comparing what the skin feels with what was asked …'
+  if (open) return 'Comparing the estimated contacts with what was asked …'
   if (!placement) return 'Nothing is asked.'
   if (placement.stage !== 'place') return ''
   if (sent === placement.trial) return 'Confirmed. Waiting for the service …'
@@ -57,9 +57,9 @@ export function verdict(placement) {
   const tone = { right: 'good', wrong: 'bad', unsure: 'warn' }[kind] ?? 'soft'
   if (words.length) return { words: words.map(text => capital(text).replace(/[^.!?]$/, '$&.')).join(' '), tone }
   const plainly = { right: 'Right: every weight is felt where it belongs.', wrong: 'Wrong: the skin feels something else.',
-    unsure: 'Unsure: what the skin feels is not certain enough to judge.',
+    unsure: 'Unsure: the estimated contacts are not certain enough to judge.',
     unknown: 'Not judged: no model serves. Check each weight yourself.' }[kind]
-  return { words: plainly ?? (kind ? plain(kind) : 'Comparing what the skin feels …'), tone }
+  return { words: plainly ?? (kind ? plain(kind) : 'Comparing the estimated contacts …'), tone }
 }
 
 /** Rest of the signal, as words. */

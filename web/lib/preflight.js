@@ -1,4 +1,4 @@
-// What a plan will take: facts, time by activity, settings, and what forbids it. Used by the queue and the plan.
+// What a plan will take: facts, time by activity, settings, and what prevents it. Used by the queue and the plan.
 
 import { el, facts } from './dom.js'
 import { about, bytes, count, counted, fixed, percent, span } from './format.js'

@@ -114,13 +114,14 @@ export function recorder({ signal }) {
   async function save(format) {
     const [extension, type, head, line] = FORMATS[format]
     await writing
-    kept = await store.kept()
-    const texts = [head(kept)]
+    const of = await store.kept() // Frames may be added while the file is made.
+    kept = of
+    const texts = [head(of)]
     await store.each(one => texts.push(new Blob([one.at.map((_, i) => `${line(one, i)}\n`).join('')])))
-    if (!kept.frames) throw new Error('another tab has discarded the frames')
-    download(`frames-${kept.labels.join('-') || 'unknown'}-${new Date(kept.from).toISOString().slice(0, 19).replaceAll(':', '')}.${extension}`,
+    if (!of.frames) throw new Error('another tab has discarded the frames')
+    download(`frames-${of.labels.join('-') || 'unknown'}-${new Date(of.from).toISOString().slice(0, 19).replaceAll(':', '')}.${extension}`,
       new Blob(texts, { type }))
-    await store.markSaved()
+    await store.markSaved(of)
     kept = await store.kept()
     offer()
   }
@@ -139,9 +140,9 @@ export function recorder({ signal }) {
       kept.frames > 0 && [saving('NDJSON'), saving('CSV'), button('Discard', discard, { className: 'plain' })]])
   }
 
-  // Asked only where something would be lost: what is not stored yet, and frames that the browser keeps in this tab alone.
+  // Asked only where something would be lost: what is not stored yet. For frames in memory alone, the store asks.
   addEventListener('beforeunload', event => {
-    if (waiting() || store && !store.isLasting && kept.frames && !kept.saved) event.preventDefault()
+    if (waiting()) event.preventDefault()
     write() // While the browser asks, this is stored.
   }, { signal })
   // Another tab may have recorded or discarded meanwhile.

@@ -203,7 +203,7 @@ export function report(root, { state, set, go, said, others, signal }) {
 
   const choice = select(
     [
-      ['', 'Only what matters'],
+      ['', 'Only important ones'],
       ['all', 'All events'],
     ],
     state.log ?? '',
@@ -227,7 +227,7 @@ export function report(root, { state, set, go, said, others, signal }) {
               el('li', { className: LOUD[event.kind] ?? '' }, el('time', { dateTime: event.at }, moment(event.at, true)), el('span', {}, sentence(event))),
             ),
           )
-        : el('p', { className: 'soft' }, page ? 'Nothing that matters is among its newest events.' : 'The events have no answer.'),
+        : el('p', { className: 'soft' }, page ? 'No important event among the newest.' : 'The events could not be read.'),
     )
     if (list.firstChild) list.firstChild.scrollTop = scrolled
   }

@@ -108,13 +108,19 @@ export function trainingForm({ said, onstart, signal }) {
     remember()
   }
   const values = () => JSON.stringify(all.map(node => node.value))
-  const remember = () => keep('sessionStorage', DRAFT, JSON.stringify({ text: text.value, values: values() }))
+  let held = '' // The fields as the address has them. While the text is typed, the fields do not follow yet.
+  const keepText = () => keep('sessionStorage', DRAFT, JSON.stringify({ text: text.value, values: held }))
+  function remember() {
+    held = values()
+    keepText()
+  }
   let write = () => {}
   /** The address as the fields are, after the form has set some. */
   function written() {
     for (const node of all) write(node)
     remember()
   }
+  text.addEventListener('input', () => held && keepText())
   text.addEventListener('change', () => {
     show()
     written()
@@ -140,7 +146,7 @@ export function trainingForm({ said, onstart, signal }) {
   )
   recipes().then(
     found => {
-      if (signal.aborted) return
+      if (signal.aborted) return undefined
       carried = found
       choices(
         recipe,
@@ -152,10 +158,12 @@ export function trainingForm({ said, onstart, signal }) {
       write = keepForm(all, { usual, changed: node => (node === recipe ? begin() : change()), signal })
       // What was written into the text belongs to the fields that it had.
       const draft = kept && JSON.parse(kept)
-      if (draft?.values === values()) text.value = draft.text
-      remember()
+      if (draft?.values !== values()) return remember()
+      text.value = draft.text
+      show()
+      return written()
     },
-    error => say(about, `The list of recipes has no answer: ${error.message}.`)
+    error => say(about, `The list of recipes could not be read: ${error.message}.`)
   )
   return {
     node,

@@ -36,7 +36,7 @@ export function servingPart() {
     return el('li', { className: ready ? '' : 'soft' }, el('b', {}, method.name), `, ${method.about}: `, ready ? 'serves' : needWords(method, serving))
   }
   return {
-    node: panel('What serves', { className: 'live' }, list), none,
+    node: panel('Active models', { className: 'live' }, list), none,
     show(serving) {
       const text = JSON.stringify(serving.serves)
       if (text === shown) return
@@ -47,7 +47,7 @@ export function servingPart() {
       fill(list, el('ul', {}, METHODS.map(method => row(method, serving))), facts(models), limits)
       fill(none, !bestMethod(serving) && howTo())
     },
-    failed(error) { shown = ''; fill(list, el('p', { className: 'soft' }, `It is not known what serves: ${error.message}`)) },
+    failed(error) { shown = ''; fill(list, el('p', { className: 'soft' }, `The active models cannot be read: ${error.message}`)) },
   }
 }
 

@@ -10,9 +10,6 @@ import { lockWords } from './lock.js'
 import { SLOTS } from './serves.js'
 import { table } from './table.js'
 
-/** Slot that a model of a task serves in. */
-export const slotOf = task => (task === 'transfer' ? 'transfer' : task === 'points' ? 'points' : 'map')
-
 /** Makes the panel; `name(id)` gives a model's name. `promote(what, slot)` asks first. */
 export function servingPanel({ signal, said, name, onchange }) {
   let etag = null,
@@ -108,7 +105,7 @@ export function servingPanel({ signal, said, name, onchange }) {
       ;({ serves, history } = await answer.json())
       draw()
     } catch (error) {
-      if (!signal.aborted) fill(holder, el('p', { className: 'bad' }, `What serves cannot be read: ${error.message}`))
+      if (!signal.aborted) fill(holder, el('p', { className: 'bad' }, `The active models cannot be read: ${error.message}`))
     }
   }
 
@@ -128,7 +125,7 @@ export function servingPanel({ signal, said, name, onchange }) {
     { what: 'Add the calibration' }
   )
   const node = panel(
-    'What serves',
+    'Active models',
     { className: 'live' },
     holder,
     fold('promotions', 'History of promotions', { signal }, record),

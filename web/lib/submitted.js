@@ -11,12 +11,14 @@ export const rigLabel = () => (live.status?.rig.label === 'virtual' ? 'virtual' 
 /** Asks for the tour, with its sensor, of a submission { file, definition, sensor }. */
 export const submittedTour = (submission, signal) => send('/tour', submission, { signal })
 
-/** Makes the part of a page that plans and draws the tour once it is opened. */
-export function tourPart(submission, signal) {
+/** Makes the part of a page that plans and draws the tour once it is opened, or at once if `open`. */
+export function tourPart(submission, signal, open = false) {
   const place = el('div')
-  const node = el('details', {}, el('summary', {}, 'Tour over the skin'), place)
+  let asked = false
+  const node = el('details', { open }, el('summary', {}, 'Tour over the skin'), place)
   node.addEventListener('toggle', async () => {
-    if (!node.open || place.firstChild) return
+    if (!node.open || asked) return
+    asked = true
     fill(place, el('p', { className: 'soft' }, 'Planning …'))
     try {
       const tour = await submittedTour(submission, signal)
@@ -25,7 +27,8 @@ export function tourPart(submission, signal) {
       fill(place, view.node)
       view.show(tour, tour.sensor)
     } catch (error) {
-      if (!signal.aborted) fill(place, el('p', { className: 'bad' }, `The tour has no answer: ${error.message}.`))
+      asked = false
+      if (!signal.aborted) fill(place, el('p', { className: 'bad' }, `The tour could not be read: ${error.message}. Close this part and open it to try again.`))
     }
   })
   return node

@@ -27,6 +27,7 @@ export function trialWords(row) {
 /** Makes the view of one trial; `show(row, { siblings, untouched, deepest })` draws it. */
 export function trialView({ signal, href, onscale }) {
   let row = null,
+    context = {},
     diameter = 0 // Known with the geometry, before anything is drawn.
   const label = () => (row?.label === 'virtual' ? 'virtual' : '')
   const picture = (title, name) => frame({ title, name, signal, label, query: () => `/api/v1/trials/${row.trial_id}` })
@@ -269,12 +270,18 @@ export function trialView({ signal, href, onscale }) {
 
   return {
     node,
+    /** Draws what the shown trial got since: its twin and the fit of it. */
+    renew() {
+      words()
+      frames(context)
+    },
     async show(next, { siblings = [], untouched = null, deepest = null } = {}, by = '') {
       row = next
+      context = { untouched, deepest }
       scale.value = by
       words()
       curves(siblings)
-      frames({ untouched, deepest })
+      frames(context)
       map.redraw()
       const shape = await sensor(row.scan_id).catch(() => sensor().catch(() => null))
       if (signal.aborted || row !== next) return

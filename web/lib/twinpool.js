@@ -9,7 +9,7 @@ import { TONE } from './words.js'
 
 const PERIOD_MS = 5000
 const LEVELS = { ok: 'The model fits the skin.', warn: 'The fit is worse than it should be: look at the pairs.',
-  suspend: 'The fit is so bad that the run is suspended: check skin and wires.' }
+  suspend: 'The error of the fit is above the limit that suspends the run: check skin and wires.' }
 
 /** Makes the panel of the twins; it asks every five seconds until `signal` aborts. */
 export function twins(signal) {

@@ -29,7 +29,7 @@ function conditions(rows, rig) {
   const open = held === rows.length ? 'None of these runs is' : `${count(held)} of these runs ${held === 1 ? 'is' : 'are'} not`
   return [
     held > 0 && `${open} started yet: the times hold if each is started before its turn.`,
-    'Work of persons (tips, weights) is not in the times.',
+    'Times exclude manual work (tips, weights).',
     rig?.label === 'virtual' && 'The rig is virtual: durations are at the speed of its clock.',
   ]
     .filter(Boolean)

@@ -158,12 +158,13 @@ export async function show(root, { query, signal, set, go }) {
   }
   function update(changed) {
     query = changed
+    files.choose(query.dataset ?? 'real')
     view.show(query)
     list.show(items)
   }
   live.addEventListener('caller', () => list.show(items), { signal }) // What an empty list says depends on the role.
   files.choose(query.dataset ?? 'real')
   view.show(query)
-  read()
+  await read() // The rows move what is below them, as the part of a link to #exports.
   return { update }
 }

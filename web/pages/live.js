@@ -21,7 +21,7 @@ const TELL_MS = 250, TRACE_MS = 100, TRACED = 600, SERVING_MS = 10_000, STALE_MS
 export function sureness(answer, old) {
   if (!answer) return { tone: 'soft', words: 'No answer yet: frames come while the rig is connected.' }
   if (answer.error) return { tone: 'bad', words: `The method failed: ${answer.error}` }
-  if (old) return { tone: 'warn', words: 'Old: no answer has come for some seconds.' }
+  if (old) return { tone: 'warn', words: 'Outdated: no answer for some seconds.' }
   if (answer.outside?.length) return { tone: 'warn', words: `Unsure: ${answer.outside.join('; ')}.` }
   const misfit = answer.misfit == null ? '' : ` The fit leaves ${fixed(answer.misfit, 1)} times the noise (limit ${answer.misfit_limit}).`
   return { tone: 'good', words: `${answer.contacts.length ? counted(answer.contacts.length, 'contact') : 'Nothing touches the skin'}.${misfit}` }
@@ -135,7 +135,7 @@ export async function show(root, { query, signal, set }) {
     if (trace.at.length > 5) total.set([trace.at, trace.total])
   }
   const missing = method => method ? { tone: 'warn', words: `${method.name} ${needWords(method, serving)} that serves.` }
-    : { tone: 'soft', words: 'No model serves, so nothing is known of contacts.' }
+    : { tone: 'soft', words: 'No model is active: contacts cannot be estimated.' }
 
   function tellServing() {
     serves.show(serving)

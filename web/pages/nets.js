@@ -1,4 +1,4 @@
-// The nets: "What has learned, and is it better?" Serving, models, evaluations side by side, jobs, and the forms that start them.
+// The nets: "Which models are trained, and which is best?" Serving, models, evaluations side by side, jobs, and the forms that start them.
 
 import { all, get } from '../lib/api.js'
 import { only, outcome } from '../lib/actions.js'
@@ -9,7 +9,7 @@ import { live } from '../lib/live.js'
 import { TASKS, netView } from '../lib/net.js'
 import { evaluationForm, trainingForm } from '../lib/requests.js'
 import { contactTable, shortScore, voltageTable } from '../lib/scores.js'
-import { servingPanel, slotOf } from '../lib/serving.js'
+import { servingPanel } from '../lib/serving.js'
 import { table } from '../lib/table.js'
 
 /** Shows the page. */
@@ -54,7 +54,9 @@ export async function show(root, { query, signal, go }) {
         cell: model =>
           model.serves
             ? el('span', { className: 'good' }, 'serves')
-            : only('operator', button('Promote', () => serving.promote(model.id, slotOf(model.task)), { 'aria-label': `Promote ${model.name}, ${model.id}` })),
+            : model.slot
+              ? only('operator', button('Promote', () => serving.promote(model.id, model.slot), { 'aria-label': `Promote ${model.name}, ${model.id}` }))
+              : el('span', { className: 'soft', title: 'palpate infer --model answers frames with it' }, 'asked by name'),
       },
     ],
   })
@@ -69,11 +71,13 @@ export async function show(root, { query, signal, go }) {
     const reports = jobs.filter(job => job.result?.scored).map(job => ({ ...job.result, job: job.id, asked: job.request.dataset })),
       current = one => one.job != null && one.job === query.job
     const volts = reports.filter(one => one.voltages),
-      touch = reports.filter(one => one.contacts)
+      touch = reports.filter(one => one.contacts),
+      others = reports.filter(one => !one.voltages && !one.contacts)
     fill(
       scores,
       reports.length
-        ? [volts.length ? voltageTable(volts, models, { href, current }) : '', touch.length ? contactTable(touch, models, { href, current }) : '']
+        ? [volts.length ? voltageTable(volts, models, { href, current }) : '', touch.length ? contactTable(touch, models, { href, current }) : '',
+           others.length ? el('p', { className: 'soft' }, `${counted(others.length, 'evaluation')} of nets of quantities: palpate job show ID prints their tables.`) : '']
         : el('p', { className: 'soft' }, `No evaluation has ended yet.${toForms('Start one below.')}`)
     )
   }

@@ -225,7 +225,13 @@ export async function show(root, { query, signal, set }) {
     if (mode === 'welcome') hello.show(queue[0] ?? null)
   }, signal)
   every(() => (tour?.steps.configuration.length ?? 0) > LONG_TOUR ? 10 * PROGRESS_MS : PROGRESS_MS,
-    async () => { if (run && live.status?.run?.trials_stored !== storedThen) await readProgress() }, signal)
+    async () => {
+      if (!run || live.status?.run?.trials_stored === storedThen) return
+      // What could not be read at first is read again.
+      if (!tour) await readTour(run)
+      if (!shape) await readShape(run)
+      await readProgress()
+    }, signal)
   every(HISTORY_MS, async () => { if (run) await readCourse() }, signal)
   await change()
 

@@ -185,8 +185,8 @@ function placing(signal) {
 
   async function storeAnyway() {
     const { placement } = state
-    const sure = await confirm('Store this placement although it is felt as wrong?',
-      [verdict(placement).words, 'The trial is stored with what was asked as its truth, and with a flag that says it was doubted.'], 'Store anyway')
+    const sure = await confirm('Store this placement although the skin contradicts it?',
+      [verdict(placement).words, 'The trial is stored with the requested weights as labels and the flag “doubted”.'], 'Store anyway')
     // What was confirmed is what was shown: not a placement that came meanwhile.
     if (sure && state.placement.trial === placement.trial) press(true)
   }

@@ -1,4 +1,4 @@
-// Plan: what will a run do, and what forbids it? The tour on the skin, time by activity, forces, disk, and
+// Plan: what will a run do, and what prevents it? The tour on the skin, time by activity, forces, disk, and
 // what is refused and why. `run=N` is a stored run, `experiment=NAME` one that the program carries.
 
 import { get, send } from '../lib/api.js'
@@ -7,6 +7,7 @@ import { beginButton, queueText } from '../lib/begin.js'
 import { carried, carriedTable } from '../lib/carried.js'
 import { el, fill, link, pane, panel, select } from '../lib/dom.js'
 import { forcesPanel } from '../lib/expected.js'
+import { fold } from '../lib/fold.js'
 import { capital, counted, fixed, moment, plain, span } from '../lib/format.js'
 import { endWord, isResumable } from '../lib/runwords.js'
 import { live } from '../lib/live.js'
@@ -43,7 +44,9 @@ export async function show(root, { query, signal, go, set }) {
     const chosen = await choose(query)
     if (signal.aborted || wanted !== shown) return undefined
     if (!chosen) return empty()
-    return chosen.run ? planned(chosen.run, query) : offered(chosen.item, query)
+    // Another address may be asked for before all is read.
+    const isOver = () => signal.aborted || wanted !== shown
+    return chosen.run ? planned(chosen.run, query, isOver) : offered(chosen.item, query, isOver)
   }
 
   /** The run or the carried experiment of the address, else the next run of the queue, else the active or newest one. */
@@ -61,14 +64,14 @@ export async function show(root, { query, signal, go, set }) {
     fill(root, panel('No plan yet', {}, el('p', {}, 'No run is queued or stored. Choose an experiment to see what it will do.'), await choices()))
   }
 
-  async function offered(item, query) {
+  async function offered(item, query, isOver) {
     if (!item.text) return fill(root, panel(item.name, {}, el('p', { className: 'bad' }, `The program carries no experiment ${item.name}.`), await choices()))
     await first('caller', () => live.caller)
     checked = live.may('operator')
     const submission = { file: item.file, definition: item.text }
     const asked = checked ? [send('/preflight', submission, { signal }), submittedTour(submission, signal)] : []
     const [answer = {}, made] = await Promise.all(asked.map(settled))
-    if (signal.aborted) return undefined
+    if (isOver()) return undefined
     tour = made?.p ?? null
     geometry = tour?.sensor ?? null
     const add = async () => go(`/plan?run=${(await queueText(item.file, item.text)).scan_id}`)
@@ -80,11 +83,12 @@ export async function show(root, { query, signal, go, set }) {
       verdict(answer),
       el('div', { className: 'row' }, queue, link(`/queue?add=${encodeURIComponent(item.name)}`, 'Change it first')),
       said.node,
-      el('details', {}, el('summary', {}, 'Experiment file'), el('pre', { tabIndex: 0 }, item.text)),
+      fold('file', 'Experiment file', { signal }, el('pre', { tabIndex: 0 }, item.text)),
     )
     const picture = made && el('section', {}, drawing({ label: rigLabel, absent: `The service has no tour of it: ${made.error?.message}.` }, query))
-    const others = panel('Others', {}, await choices())
-    return fill(root, el('div', { className: 'columns two plan' }, el('div', { className: 'column' }, words, picture, others), await details(answer.p, null)))
+    const [others, parts] = [panel('Others', {}, await choices()), await details(answer.p, null)]
+    if (isOver()) return undefined
+    return fill(root, el('div', { className: 'columns two plan' }, el('div', { className: 'column' }, words, picture, others), parts))
   }
 
   function verdict({ p, error }) {
@@ -101,13 +105,13 @@ export async function show(root, { query, signal, go, set }) {
     return el('p', { className: 'good' }, 'This bench can run it.')
   }
 
-  async function planned(run, query) {
+  async function planned(run, query, isOver) {
     const [answer, drawn, shape] = await Promise.all([
       settled(get(`/runs/${run.uid}/preflight`, {}, { signal, wait: 20_000 })),
       get(`/runs/${run.scan_id}/tour`, {}, { signal, wait: 30_000 }).catch(() => null),
       sensor(run.scan_id).catch(() => null),
     ])
-    if (signal.aborted) return
+    if (isOver()) return
     tour = drawn
     geometry = shape
     const waits = run.state === 'queued' || isResumable(run)
@@ -136,7 +140,8 @@ export async function show(root, { query, signal, go, set }) {
     const label = () => (run.label === 'virtual' ? 'virtual' : '')
     const absent = run.kind === 'imported' ? 'An imported run has no plan.' : 'The service has no tour of this run.'
     const picture = el('section', {}, drawing({ label, absent, source: `/api/v1/runs/${run.scan_id}/tour` }, query))
-    fill(root, el('div', { className: 'columns two plan' }, el('div', { className: 'column' }, facing, picture), await details(answer.p, run)))
+    const parts = await details(answer.p, run)
+    if (!isOver()) fill(root, el('div', { className: 'columns two plan' }, el('div', { className: 'column' }, facing, picture), parts))
   }
 
   function standing(run) {
@@ -188,6 +193,7 @@ export async function show(root, { query, signal, go, set }) {
   }
 
   const failed = error => {
+    shown = '' // The same address may be tried again.
     const words = el('p', { className: 'bad' }, capital(`${error.message}.`))
     if (!signal.aborted) fill(root, panel('Plan', {}, words, link('/plan', 'The next run')))
   }

@@ -2,10 +2,10 @@
 // dragging or by buttons; an editor for a new run, a copy, or a change.
 
 import { ask, get, keep } from '../lib/api.js'
-import { only, outcome } from '../lib/actions.js'
+import { confirm, only, outcome } from '../lib/actions.js'
 import { carried, carriedTable } from '../lib/carried.js'
 import { button, el, fill, link, panel } from '../lib/dom.js'
-import { editor } from '../lib/editor.js'
+import { editor, isEdited } from '../lib/editor.js'
 import { readExperiment, takeDrops } from '../lib/filedrop.js'
 import { capital, plain } from '../lib/format.js'
 import { live } from '../lib/live.js'
@@ -28,7 +28,12 @@ export async function show(root, { query, signal, go }) {
 
   async function take(files) {
     try {
-      file = await readExperiment(files)
+      const next = await readExperiment(files)
+      const kept = keep('sessionStorage', 'palpate-draft-file')
+      const words = 'Its text was changed and is not in the queue. It cannot be restored.'
+      if (kept && isEdited(JSON.parse(kept)) && !(await confirm(`Replace ${JSON.parse(kept).file}?`, words, 'Replace'))) return
+      if (signal.aborted) return
+      file = next
       keep('sessionStorage', 'palpate-draft-file', JSON.stringify(file))
       opened = null
       go('/queue?add=file')

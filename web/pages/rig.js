@@ -9,7 +9,7 @@ import { copyButton } from '../lib/copybutton.js'
 import { el, facts, fill, panel, say, select } from '../lib/dom.js'
 import { count, fixed, moment, plain } from '../lib/format.js'
 import { forceBars } from '../lib/forces.js'
-import { jog } from '../lib/jog.js'
+import { jog, stepsOf } from '../lib/jog.js'
 import { live, who } from '../lib/live.js'
 import { lockWords } from '../lib/lock.js'
 import { rates } from '../lib/rates.js'
@@ -18,7 +18,7 @@ import { RIG, TONE } from '../lib/words.js'
 
 const CHECK_MS = 120_000
 const ACTIONS = [['connect', 'Connect', 'Opens the wires and asks every device who it is.'],
-  ['home', 'Home', 'Gives each axis its zero, z first. The axes move.'],
+  ['home', 'Home', 'Homes each axis, z first. The axes move.'],
   ['tare', 'Tare', 'Takes the present output of the cells as zero: nothing may touch the tips.'],
   ['reset', 'Reset', 'Acknowledges the trip after its cause is cleared. Nothing moves.'], ['disconnect', 'Disconnect', 'Closes the wires.']]
 
@@ -48,7 +48,7 @@ function forbidden(action, { rig, run }, fresh) {
 
 /** Shows the page. */
 export async function show(root, { query, signal, set }) {
-  const state = { steps: { xy: query.step ?? '0.5', z: query.stepz ?? '0.1' }, found: {}, limits: null, shown: '' }
+  const state = { steps: stepsOf(query), found: {}, limits: null, shown: '' }
   const said = outcome(), saidTips = outcome(), saidCheck = outcome(), counters = rates(), links = chain()
   const head = el('p', { className: 'state' }), sentence = el('p'), acts = el('ul', { className: 'acts' }), pose = el('div'),
     copy = el('pre', { tabIndex: 0 }), limits = el('div'), trip = el('div', { className: 'trip', hidden: true })
@@ -117,7 +117,7 @@ export async function show(root, { query, signal, set }) {
       panel('Teach', { className: 'live' }, el('p', {}, 'The present pose in machine coordinates, to copy into the rig file.'), copy, toCopy),
       panel('Test of the stop', {}, el('ol', { className: 'steps' },
         ['Home the rig, and let it travel: jog x while a person watches.', 'Press Stop in the top bar while it moves. It asks nothing.',
-        'Read here how long every axis took to acknowledge, and look whether it stands.',
+        'Read here how long every axis took to acknowledge, and check that it has stopped.',
         'Reset, then home. Do the same with the button on the rig, which removes the power.'].map(words => el('li', {}, words))),
           el('p', { className: 'soft' }, 'This stop is software: it asks the drives to stop. A rig that can injure a person needs the one in hardware.'))),
     el('div', { className: 'column' }, panel('From wire to tip', { className: 'live' }, links.node),
@@ -180,7 +180,7 @@ export async function show(root, { query, signal, set }) {
     const closed = rig.state === 'disconnected', moves = rig.has_stage !== false
     const wires = rig.wires.map(wire => ({ name: `Wire ${wire.name}`, ...wireWords(wire, counters.of(`wire ${wire.name}`)) }))
     const axis = (name, key, unit = 'mm') => ({ name: key === 'radius' ? 'Arms (radial axis)' : `Axis ${name}`, words: closed ? 'Closed.'
-      : lastWord(state.found[name]) || 'What it reported when the wires were opened is not among the newest events.',
+      : lastWord(state.found[name]) || 'Its report at connection is older than the shown events.',
       figures: rig.pose ? [['Position', fixed(rig.pose[`${key}_mm`], 2, unit)], ['Known', ['homed', 'armed'].includes(rig.state) ? 'homed' : 'not homed']]
         : [] })
     const dead = rig.forces_n.slice(0, rig.tips ?? 0).flatMap((force, i) => force == null ? [i + 1] : [])
@@ -226,12 +226,12 @@ export async function show(root, { query, signal, set }) {
   live.on('fresh', draw, signal)
   live.addEventListener('caller', () => { showRole(); draw(live) }, { signal })
   showRole()
-  return { update: next => Object.assign(state.steps, { xy: next.step ?? '0.5', z: next.stepz ?? '0.1' }) }
+  return { update(next) { Object.assign(state.steps, stepsOf(next)); pad.follow() } }
 }
 
 const TRIPS = {
   estop: 'A person pressed the stop. When there is no danger: reset, then home.',
-    force: 'A force was beyond its limit. Look for what the tip hit, then reset and home.',
+    force: 'A force was beyond its limit. Find what the tip touched, then reset and home.',
     cell: 'A load cell left its range. Check its cable and its supply, then reset and home.',
   position: 'An axis is not where it should be. Check that nothing blocks it, then reset and home.',
     wire: 'A wire failed. Check cable and power of its devices, then reset and home.',

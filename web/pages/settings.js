@@ -121,7 +121,7 @@ function reach() {
     el('p', {}, `This page is at ${location.origin}. ${/^(localhost|127\.|\[::1\])/.test(location.hostname) ? 'That address is of this machine alone.' : ''}`),
     el('p', {}, 'To open it to a lab: make a key for each person who needs one, then let the service listen on the network.'),
       lines('palpate key create ada --role admin'), lines('palpate serve --bind 0.0.0.0:8080 --tls-cert cert.pem --tls-key key.pem'),
-    el('p', {}, 'Every request from outside needs a key. Without the two TLS files, keys and data travel readable. ',
+    el('p', {}, 'Every request from outside needs a key. Without the two TLS files, keys and data are sent unencrypted. ',
       'Do not restart the service during a run: it is interrupted, and resumes only if its policy allows.'),
     el('p', { className: 'soft' }, 'Another way that changes nothing here, from the other machine:'), lines(`ssh -L 8080:${location.host} USER@RIG`))
 }

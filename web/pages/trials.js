@@ -2,7 +2,7 @@
 
 import { all, get, withQuery } from '../lib/api.js'
 import { around } from '../lib/around.js'
-import { button, el, fill, link, note, panel } from '../lib/dom.js'
+import { button, el, fill, link, note, panel, sleep } from '../lib/dom.js'
 import { clock, count, counted, fixed, moment, plain } from '../lib/format.js'
 import { shows } from '../lib/save.js'
 import { conditions, selection } from '../lib/selection.js'
@@ -12,7 +12,8 @@ import { trialView, trialWords } from '../lib/trial.js'
 
 const PAGE = 50,
   ROWS_MOST = 1000,
-  KEPT = 40
+  KEPT = 40,
+  TWIN_MS = 3000
 
 /** In the API a run is its uid, its number is scan_id: a link with a number is put right. */
 const byNumber = ({ run }) => (/^\d+$/.test(run ?? '') ? { run: null, scan_id: run } : null)
@@ -203,11 +204,27 @@ export async function show(root, { query, signal, set, go }) {
   )
   const detail = el('div', { className: 'trial-detail', hidden: true }, head, view.node)
 
+  /** Reads a trial without a twin again until its twin has come: twins follow their trials. */
+  async function followTwin(row, until) {
+    while (!row.sim_voltages_v) {
+      await sleep(TWIN_MS, until)
+      const found = until.aborted || document.hidden ? null : await get(`/trials/${row.trial_id}`, {}, { signal: until }).catch(() => null)
+      if (until.aborted) return
+      if (!found?.sim_voltages_v) continue
+      Object.assign(row, found) // The same object is kept for the next time.
+      words.textContent = trialWords(row)
+      view.renew()
+    }
+  }
+  let shown = new AbortController()
   async function showTrial() {
     const id = state.trial
     const look = `${id} ${state.scale ?? ''}`
     if (looked === look) return
     looked = look
+    shown.abort()
+    shown = new AbortController()
+    const until = AbortSignal.any([signal, shown.signal])
     const first = detail.hidden
     open = id
     detail.hidden = !id
@@ -243,6 +260,7 @@ export async function show(root, { query, signal, set, go }) {
     const context = await around(row, read, { signal }).catch(() => ({}))
     if (open !== id || signal.aborted) return
     view.show(row, context, state.scale ?? '')
+    followTwin(row, until)
     ;[sides.earlier, sides.later] = await near
     if (open !== id || signal.aborted) return
     previous.disabled = sides.earlier == null

@@ -1,5 +1,5 @@
 // Wear: what needs care? Presses on each place of the skin, travel of the axes, age of the cells' calibration,
-// last check, hours. Numbers only: what counts as much is not known.
+// last check, hours. Numbers only: no limits are defined.
 
 import { all, get } from '../lib/api.js'
 import { button, el, facts, fill, link, panel } from '../lib/dom.js'
@@ -40,7 +40,7 @@ function axes(wear) {
     { head: 'Axis', left: true, cell: a => a.axis },
     { head: 'Travel', unit: 'm', cell: a => fixed(a.travel_m, 1) },
   ]
-  const words = 'A lower bound: the sum over consecutive stored poses. Ways between them, homing and jogging are not in it.'
+  const words = 'A lower bound: the sum over consecutive stored poses. Moves between poses, homing and jogs are not included.'
   return panel('Axes', {}, table({ rows: wear.axes, columns, empty: 'No pose is stored yet.' }).node, el('p', { className: 'soft small said' }, words))
 }
 
@@ -68,7 +68,7 @@ function whatToDo(wear) {
     ['Keep the dates of cell calibrations in the rig file, so that their age is shown here.'],
   ]
   const unknown =
-    'How many presses a skin withstands, and how far an axis may travel before it needs grease, is not known here: see the manuals of the makers.'
+    'How many presses a skin withstands, and how far an axis may travel before it needs grease, is not stored here: see the manufacturers’ manuals.'
   return panel(
     'What to do',
     {},
@@ -106,7 +106,7 @@ export async function show(root, { query, signal, set }) {
       await drift.show(runs)
     } catch (error) {
       if (signal.aborted) return
-      const words = el('p', { className: 'bad' }, `The wear of this rig has no answer: ${error.message}.`)
+      const words = el('p', { className: 'bad' }, `The wear of this rig could not be read: ${error.message}.`)
       fill(top, words, el('div', { className: 'row' }, button('Try again', read)))
     }
   }

@@ -275,7 +275,7 @@ impl Service {
         }
         if !options.bind.ip().is_loopback() && tls.is_none() {
             let bind = options.bind;
-            tracing::warn!(%bind, "keys and data travel readable: use --tls-cert, or a proxy with TLS");
+            tracing::warn!(%bind, "keys and data are sent unencrypted: use --tls-cert, or a proxy with TLS");
         }
         let bind = |source| ServeError::Bind { bind: options.bind, source };
         door::raise_file_limit();

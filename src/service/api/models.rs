@@ -35,8 +35,10 @@ pub struct ModelOut {
     pub id: ModelId,
     /// Name of the model.
     pub name: String,
-    /// Task: `transfer`, `recon`, `end-to-end` or `points`.
+    /// Task: `transfer`, `recon`, `end-to-end`, `points`, or the quantity of a whole frame.
     pub task: String,
+    /// Slot in which it can serve; null if models of its task do not serve.
+    pub slot: Option<Slot>,
     /// Manifest: label, sensor, datasets, recipe, calibration, code, trained range.
     #[schema(value_type = Object)]
     pub manifest: Value,
@@ -376,6 +378,7 @@ async fn out(app: &App, row: ModelRow) -> Result<ModelOut, ApiError> {
         scores: scores.collect(),
         id: row.id,
         name: row.name,
+        slot: NetTask::deserialize(json!(row.task)).ok().and_then(Slot::of),
         task: row.task,
         created_at: row.created_at,
     })

@@ -104,6 +104,18 @@ def operate(page, _browser):
     assert not errors, errors
 
 
+def jog_steps(page):
+    """A link cannot choose a larger move than the page offers."""
+    page.goto(f"{URL}/rig?step=200&stepz=-0.2")
+    step = page.get_by_label("Step of x, y and arms")
+    expect(step).to_have_value("0.5")
+    expect(page.get_by_label("Step of z")).to_have_value("0.1")
+    page.goto(f"{URL}/rig?step=1")
+    expect(step).to_have_value("1")
+    page.get_by_role("link", name="Rig", exact=True).click()
+    expect(step).to_have_value("0.5")
+
+
 def abort(page, _browser):
     """Abort asks first. Cancelled, the run continues; confirmed, it ends, and what it has stored stays."""
     page.goto(URL)
@@ -125,6 +137,7 @@ def abort(page, _browser):
 
 def keyboard(page, _browser):
     """The stop, the reset and homing without a mouse, and the stop of an open dialog."""
+    jog_steps(page)
     page.goto(URL)
     state(page, "running")
     tabbed(page, "#stop", 6)

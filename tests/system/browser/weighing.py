@@ -64,7 +64,7 @@ def elsewhere(contacts):
 
 
 def wrong_weight(page, _browser):
-    """A weight on a wrong point is named and not stored; corrected it is stored; then that trial is repeated."""
+    """A weight on a wrong point is reported and not stored; corrected it is stored; then that trial is repeated."""
     views.named(page)
     page.goto(f"{URL}/place")
     contacts = asked(0)

@@ -151,7 +151,7 @@ impl Harness {
         status
     }
 
-    /// Tells the rig's control socket something.
+    /// Sends a line to the control socket.
     pub async fn tell(&self, command: Value) -> Value {
         bench::tell(&self.rig, command).await
     }
