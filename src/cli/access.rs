@@ -1,5 +1,5 @@
 //! `palpate lock` and `palpate key`: rights to start and edit, and to send requests at all.
-//! Uses: `client`; without a server `api::Offline`. Never: a key's text except in the answer that creates
+//! Uses: `client`; without a service `api::Offline`. Never: a key's text except in the answer that creates
 //! it; the rig.
 
 use clap::{Args, Subcommand, ValueEnum};
@@ -22,7 +22,7 @@ pub struct LockArgs {
     /// Release the lock.
     #[arg(long)]
     pub clear: bool,
-    /// Server, or data folder.
+    /// Service, or data folder.
     #[command(flatten)]
     pub at: At,
 }
@@ -33,7 +33,7 @@ pub struct KeyArgs {
     /// Action on the keys; lists them if absent.
     #[command(subcommand)]
     pub command: Option<KeyCommand>,
-    /// Server, or data folder.
+    /// Service, or data folder.
     #[command(flatten)]
     pub at: At,
 }

@@ -1,6 +1,6 @@
 //! `palpate status`, `pause`, `resume`, `stop`, `abort`, `estop`: questions
-//! and requests to the server that drives the rig.
-//! Uses: `client`. Never: a server in this process (it would have no rig and no run).
+//! and requests to the service that drives the rig.
+//! Uses: `client`. Never: a service in this process (it would have no rig and no run).
 
 use std::time::Duration;
 
@@ -32,7 +32,7 @@ pub struct ActArgs {
     /// Reason, for the log of actions.
     #[arg(long, value_name = "TEXT")]
     pub why: Option<String>,
-    /// Server of the rig.
+    /// Service of the rig.
     #[command(flatten)]
     pub at: At,
 }
@@ -61,7 +61,7 @@ pub struct AbortArgs {
 /// Runs `palpate status`.
 ///
 /// # Errors
-/// `CliError` if the server cannot be reached.
+/// `CliError` if the service cannot be reached.
 pub async fn status(at: &At) -> Result<(), CliError> {
     let client = embed::server(at).await?;
     if at.json {
@@ -77,7 +77,7 @@ pub async fn status(at: &At) -> Result<(), CliError> {
 /// Runs `palpate metrics`.
 ///
 /// # Errors
-/// `CliError` if the server cannot be reached.
+/// `CliError` if the service cannot be reached.
 pub async fn metrics(at: &At) -> Result<(), CliError> {
     let text = embed::server(at).await?.text("/metrics").await?;
     match at.output() {
@@ -90,7 +90,7 @@ pub async fn metrics(at: &At) -> Result<(), CliError> {
 /// Sends an action to the active run.
 ///
 /// # Errors
-/// `CliError::Idle` without an active run; other variants if the server cannot be reached or
+/// `CliError::Idle` without an active run; other variants if the service cannot be reached or
 /// refuses.
 pub async fn act(args: &ActArgs, action: &str, more: Value) -> Result<(), CliError> {
     let client = embed::server(&args.at).await?;
@@ -133,7 +133,7 @@ pub async fn pause(args: &PauseArgs) -> Result<(), CliError> {
 /// Runs `palpate abort`.
 ///
 /// # Errors
-/// As [`act`]; also if the server has no such run.
+/// As [`act`]; also if the service has no such run.
 pub async fn abort(args: &AbortArgs) -> Result<(), CliError> {
     let Some(run) = &args.run else { return act(&args.act, "abort", json!({})).await };
     let client = embed::server(&args.act.at).await?;
@@ -164,7 +164,7 @@ pub async fn press_estop(
     why: Option<&str>,
     tell: impl FnOnce(&str),
 ) -> Result<Stopped, CliError> {
-    // The server is not probed first: the stop must be the first request. On the loopback it needs no
+    // The service is not probed first: the stop must be the first request. On the loopback it needs no
     // key: one that cannot be read, or that is refused, must not prevent it.
     let key = key().unwrap_or_else(|error| {
         tell(&format!("the stop is requested without a key: {error}"));

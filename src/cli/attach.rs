@@ -37,7 +37,7 @@ pub struct AttachArgs {
 /// Runs `palpate attach`.
 ///
 /// # Errors
-/// `CliError::Idle` without an active run; others if the server cannot be reached.
+/// `CliError::Idle` without an active run; others if the service cannot be reached.
 pub async fn attach(args: AttachArgs) -> Result<ExitCode, CliError> {
     let client = embed::server(&args.at).await?;
     let run = match &args.run {

@@ -39,7 +39,7 @@ pub struct ResumeArgs {
 /// Runs `palpate resume`.
 ///
 /// # Errors
-/// `CliError::NothingToResume` if there is no such run; others if the server cannot be reached or refuses, or
+/// `CliError::NothingToResume` if there is no such run; others if the service cannot be reached or refuses, or
 /// the motion of a real rig is not confirmed.
 pub async fn resume(args: &ResumeArgs) -> Result<(), CliError> {
     let client = embed::server(&args.act.at).await?;

@@ -23,7 +23,7 @@ pub struct BenchArgs {
     /// Rig file of the bench [default: a virtual rig]; with --virtual, the bench to simulate.
     #[arg(long, value_name = "FILE")]
     pub rig: Option<PathBuf>,
-    /// Use a virtual rig, also with --rig; `run` then starts a separate server.
+    /// Use a virtual rig, also with --rig; `run` then starts a separate service.
     #[arg(long = "virtual")]
     pub on_virtual: bool,
     /// Virtual rig: process seconds per wall second [default: 20].

@@ -104,7 +104,7 @@ struct PruneArgs {
 /// Runs `palpate dataset`.
 ///
 /// # Errors
-/// `CliError` if the server cannot be reached or refuses, or a file cannot be read or written.
+/// `CliError` if the service cannot be reached or refuses, or a file cannot be read or written.
 pub async fn dataset(args: DatasetArgs) -> Result<(), CliError> {
     match args.what {
         What::List(at) => {

@@ -1,4 +1,4 @@
-//! A running server, or one in this process for the duration of a command.
+//! A running service, or one in this process for the duration of a command.
 //! Uses: `api`, `client`. Never: a second process on a data folder (prevented by the service's
 //! lock).
 
@@ -21,7 +21,7 @@ use crate::api::{ServeOptions, Service};
 /// speed, and leaves the other processors idle.
 pub const TWIN_WORKERS: usize = 1;
 
-/// Returns clients of the servers that the options may mean, the most likely one first: the named one;
+/// Returns clients of the services that the options may mean, the most likely one first: the named one;
 /// otherwise the one that serves the data folder, then the one at the default address.
 ///
 /// # Errors
@@ -49,23 +49,23 @@ pub fn clients_with(at: &At, key: Option<String>) -> Result<Vec<Client>, CliErro
     Ok(recorded.into_iter().chain([Client::new(DEFAULT_URL, ca, key)?]).collect())
 }
 
-/// Returns the server that the options name, or the one on this machine, if it answers. The server at the default
+/// Returns the service that the options name, or the one on this machine, if it answers. The service at the default
 /// address is none for a command that names another data folder.
 ///
 /// # Errors
-/// `CliError::NoServer` if a named server does not answer, `Stranger` if something else does; otherwise
+/// `CliError::NoServer` if a named service does not answer, `Stranger` if something else does; otherwise
 /// as [`clients`] and [`Client::look`].
 pub async fn find(at: &At) -> Result<Option<Client>, CliError> {
     let looked = look(at).await?;
     match (looked, at.url()) {
         (Ok(client), _) => Ok(Some(client)),
-        // Without a named server, one is started at another address.
+        // Without a named service, one is started at another address.
         (Err(_), None) => Ok(None),
         (Err(why), Some(_)) => Err(why),
     }
 }
 
-/// Returns the server, or why there is none.
+/// Returns the service, or why there is none.
 async fn look(at: &At) -> Result<Result<Client, CliError>, CliError> {
     let (mut untrusted, mut stranger) = (None, None);
     for client in clients(at)? {
@@ -85,19 +85,19 @@ async fn look(at: &At) -> Result<Result<Client, CliError>, CliError> {
     }
 }
 
-/// Whether a server that was found serves the data folder that a command names.
+/// Whether a service that was found serves the data folder that a command names.
 async fn serves(client: &Client, at: &At) -> bool {
     let folder = |path: &Path| path.canonicalize().unwrap_or_else(|_| path.to_owned());
     if at.url().is_some() || !at.names_data() {
         return true;
     }
-    // A server that does not tell is asked: it will refuse for a better reason.
+    // A service that does not tell is asked: it will refuse for a better reason.
     let Ok(status) = client.status().await else { return true };
     let database = folder(Path::new(&status.service.database));
     database.parent() == Some(folder(&at.data()).as_path())
 }
 
-/// Returns the server, which must be running.
+/// Returns the service, which must be running.
 ///
 /// # Errors
 /// `CliError::NoServer` if it does not answer, `Stranger` if something else does.
@@ -129,10 +129,10 @@ fn options(data: PathBuf, rig: &RigFiles, idle: bool) -> Result<ServeOptions, Cl
     })
 }
 
-/// Runs `work` with a running server, or with one started for it, which needs no rig.
+/// Runs `work` with a running service, or with one started for it, which needs no rig.
 ///
 /// # Errors
-/// `CliError` if no server can be reached or started, or the error of `work`.
+/// `CliError` if no service can be reached or started, or the error of `work`.
 pub async fn with_server<T, F>(at: &At, work: impl FnOnce(Client) -> F) -> Result<T, CliError>
 where
     F: Future<Output = Result<T, CliError>> + Send + 'static,
@@ -141,7 +141,7 @@ where
     with_server_that(false, at, work).await
 }
 
-/// As [`with_server`], for work that only reads: a server that is started for it makes nothing by itself, so
+/// As [`with_server`], for work that only reads: a service that is started for it makes nothing by itself, so
 /// that a look at the data does not resume a training.
 ///
 /// # Errors

@@ -27,13 +27,13 @@ pub enum CliError {
     /// Values in files, options or requests are invalid.
     #[error("{}", lines(.0))]
     Problems(Vec<Problem>),
-    /// No server answers at the URL.
+    /// No service answers at the URL.
     #[error(
-        "no palpate server at {url}; start one with `palpate serve`, or name it with --url or \
+        "no palpate service at {url}; start one with `palpate serve`, or name it with --url or \
          PALPATE_URL"
     )]
     NoServer {
-        /// URL of the expected server.
+        /// URL of the expected service.
         url: String,
     },
     /// Something else answers at the URL.
@@ -42,7 +42,7 @@ pub enum CliError {
          PALPATE_URL"
     )]
     Stranger {
-        /// URL of the expected server.
+        /// URL of the expected service.
         url: String,
     },
     /// An emergency stop has not reached a rig.
@@ -55,19 +55,19 @@ pub enum CliError {
         "THE STOP IS NOT CONFIRMED: {0}\nUSE THE EMERGENCY STOP ON THE RIG, or cut the power of its drives."
     )]
     StopUnanswered(Box<CliError>),
-    /// The certificate of the server is not trusted.
+    /// The certificate of the service is not trusted.
     #[error(
         "the certificate of {url} is not trusted: {why}; name its file, or that of its authority, with \
          --ca or PALPATE_CA"
     )]
     Untrusted {
-        /// URL of the server.
+        /// URL of the service.
         url: String,
         /// Cause, as text.
         why: String,
     },
     /// TLS is not available.
-    #[error("TLS: {0}; name the certificate of the server with --ca or PALPATE_CA")]
+    #[error("TLS: {0}; name the certificate of the service with --ca or PALPATE_CA")]
     Tls(#[from] rustls::Error),
     /// A request had no answer, or an invalid one.
     #[error("{}", unanswered(source))]
@@ -78,7 +78,7 @@ pub enum CliError {
         source: reqwest::Error,
     },
     /// A WebSocket failed.
-    #[error("the connection to the server failed: {source}")]
+    #[error("the connection to the service failed: {source}")]
     Socket {
         /// Method and path of the request.
         operation: String,
@@ -232,10 +232,10 @@ pub fn io_words(error: &io::Error) -> String {
 /// Why a request has no usable answer.
 fn unanswered(error: &reqwest::Error) -> String {
     let host = error.url().map_or_else(
-        || "the server".into(),
+        || "the service".into(),
         |url| {
             let port = url.port().map_or_else(String::new, |port| format!(":{port}"));
-            format!("the server at {}{port}", url.host_str().unwrap_or("?"))
+            format!("the service at {}{port}", url.host_str().unwrap_or("?"))
         },
     );
     let mut causes = std::iter::successors(Some(error as &dyn std::error::Error), |e| e.source());

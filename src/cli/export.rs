@@ -54,7 +54,7 @@ pub struct ExportArgs {
     /// The file [default: NAME.FORMAT here].
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
-    /// Server, or data folder.
+    /// Service, or data folder.
     #[command(flatten)]
     pub at: At,
 }

@@ -50,7 +50,7 @@ pub struct ImportArgs {
 /// Runs `palpate dataset import`.
 ///
 /// # Errors
-/// `CliError` if a file cannot be read, a value is invalid, or the server refuses.
+/// `CliError` if a file cannot be read, a value is invalid, or the service refuses.
 pub async fn import(args: ImportArgs) -> Result<(), CliError> {
     let sensor = read_input(&args.sensor)?;
     let map = args.coordinates.as_deref().map(read_input).transpose()?;

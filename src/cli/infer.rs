@@ -208,7 +208,7 @@ fn contact_words(contact: &FoundContact) -> String {
 /// Runs `palpate live`.
 ///
 /// # Errors
-/// `CliError` if the server cannot be reached or refuses.
+/// `CliError` if the service cannot be reached or refuses.
 pub async fn live(args: LiveArgs) -> Result<(), CliError> {
     let client = embed::server(&args.at).await?;
     let method = args.method.map_or(String::new(), |method| format!("&method={}", method.name()));

@@ -1,5 +1,5 @@
 //! The command line: commands and their execution.
-//! It is a client of a running server; without one it starts a server for the duration of the
+//! It is a client of a running service; without one it starts a service for the duration of the
 //! command.
 //! Uses: every stage through `api`, and the pure ones. Never: the virtual rig's code (`main` starts
 //! it), decisions about motion.
@@ -80,23 +80,23 @@ pub use files::DEFAULT_SKIN_SEED;
 use files::{DEFAULT_GAP, DEFAULT_RIG, DEFAULT_SENSOR};
 pub use output::Output;
 
-/// Default URL of the server.
+/// Default URL of the service.
 pub const DEFAULT_URL: &str = "http://127.0.0.1:8080";
 /// Default folder of the database.
 const DEFAULT_DATA: &str = "palpate-data";
 
-/// Server, data folder and form of the output.
+/// Service, data folder and form of the output.
 #[derive(Debug, Clone, Default, Args)]
 pub struct At {
-    /// URL of the server [env: PALPATE_URL] [default: http://127.0.0.1:8080]; its key is in
+    /// URL of the service [env: PALPATE_URL] [default: http://127.0.0.1:8080]; its key is in
     /// PALPATE_KEY, or in the file of PALPATE_KEY_FILE.
     #[arg(long, value_name = "URL", global = true)]
     pub url: Option<String>,
-    /// Certificate of an https server or of its authority, PEM [env: PALPATE_CA] [default: the
+    /// Certificate of an https service or of its authority, PEM [env: PALPATE_CA] [default: the
     /// authorities of the system].
     #[arg(long, value_name = "FILE", global = true)]
     pub ca: Option<PathBuf>,
-    /// Folder of the database for a server that this command starts [env: PALPATE_DATA] [default:
+    /// Folder of the database for a service that this command starts [env: PALPATE_DATA] [default:
     /// palpate-data].
     #[arg(long, value_name = "DIR", global = true)]
     pub data: Option<PathBuf>,
@@ -106,7 +106,7 @@ pub struct At {
 }
 
 impl At {
-    /// URL of the server, if one was named.
+    /// URL of the service, if one was named.
     pub fn url(&self) -> Option<String> {
         let from_env = || std::env::var("PALPATE_URL").ok().filter(|u| !u.is_empty());
         self.url.clone().or_else(from_env)
@@ -150,7 +150,7 @@ pub struct StatusArgs {
     /// Show the simulated twins: made and pending by run, and the fit of the last trials.
     #[arg(long, conflicts_with = "watch")]
     pub twins: bool,
-    /// Server of the rig.
+    /// Service of the rig.
     #[command(flatten)]
     pub at: At,
 }
@@ -165,7 +165,7 @@ pub enum Command {
     Serve(serve::ServeArgs),
     /// Queue, arm and run an experiment to its end.
     ///
-    /// The rig of a running server runs the experiment. Without a server one is started: with the
+    /// The rig of a running service runs the experiment. Without a service one is started: with the
     /// rig of --rig, or else with a virtual rig and a virtual operator. A stopped or interrupted run
     /// of the same files is resumed. Ctrl-C offers to detach, pause or stop; a second one aborts.
     /// Without a terminal it stops after the trial. A closed terminal detaches. Exit code: 0 success,

@@ -59,7 +59,7 @@ pub async fn repeat(args: &RepeatArgs) -> Result<(), CliError> {
 /// Runs `palpate placement`.
 ///
 /// # Errors
-/// `CliError` if the server cannot be reached, or no run asks for a placement.
+/// `CliError` if the service cannot be reached, or no run asks for a placement.
 pub async fn placement(at: &At) -> Result<(), CliError> {
     let client = embed::server(at).await?;
     let placement: PlacementOut = client.get("/api/v1/placement").await?;

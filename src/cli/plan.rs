@@ -1,4 +1,4 @@
-//! `palpate plan`: preflight and ordered schedule of an experiment; nothing moves, no server is
+//! `palpate plan`: preflight and ordered schedule of an experiment; nothing moves, no service is
 //! used.
 //! Uses: `files`, `schedule`. Never: the network, the clock: the same files give the same bytes.
 

@@ -24,7 +24,7 @@ pub struct QueueArgs {
     /// Action on the queue; lists it if absent.
     #[command(subcommand)]
     pub command: Option<QueueCommand>,
-    /// Server, or data folder.
+    /// Service, or data folder.
     #[command(flatten)]
     pub at: At,
 }

@@ -41,7 +41,7 @@ pub struct RigArgs {
     /// Manual action.
     #[command(subcommand)]
     pub command: RigCommand,
-    /// Server of the rig.
+    /// Service of the rig.
     #[command(flatten)]
     pub at: At,
 }
@@ -52,7 +52,7 @@ pub enum RigCommand {
     /// Check every device and report what is found; nothing moves, nothing is switched on.
     ///
     /// With a rig file this command opens its wires, unless another process holds that rig; without
-    /// one the server does the check.
+    /// one the service does the check.
     Check {
         /// Rig file.
         #[arg(value_name = "RIG.toml")]
@@ -137,7 +137,7 @@ impl AxisName {
 /// Runs `palpate rig`.
 ///
 /// # Errors
-/// `CliError` if the server cannot be reached or refuses, the rig trips, or a deadline passes.
+/// `CliError` if the service cannot be reached or refuses, the rig trips, or a deadline passes.
 pub async fn rig(args: RigArgs) -> Result<ExitCode, CliError> {
     let RigArgs { command, at } = args;
     if let RigCommand::Check { file, enable } = command {
@@ -257,7 +257,7 @@ async fn check_file(
     let rig = RigFiles::read(Some(file))?;
     let _held = LockFile::of_rig(&rig.config)?;
     let scope = if enable { Scope::Enable } else { Scope::Look };
-    // No server holds this rig, so no request reaches this check: a signal is its emergency stop.
+    // No service holds this rig, so no request reaches this check: a signal is its emergency stop.
     let (latch, mut signals) = (StopLatch::new(), Signals::catch()?);
     let pressed = latch.clone();
     let stop = tokio::spawn(async move {
@@ -304,7 +304,7 @@ fn verdict(problems: usize, json: bool) -> Result<ExitCode, CliError> {
     }
 }
 
-/// Summary of the server's report; `--json` prints all of it.
+/// Summary of the service's report; `--json` prints all of it.
 fn report_words(report: &Value) -> String {
     let text = |value: &Value| match value {
         Value::String(text) => text.clone(),

@@ -1,5 +1,5 @@
 //! `palpate run`: one experiment from its file to its closing summary, as a client of the service;
-//! without a server it starts one, with a virtual rig if needed, which a detached run outlives.
+//! without a service it starts one, with a virtual rig if needed, which a detached run outlives.
 //! Uses: `begin`, `attach`, `own_server`. Never: the rig (the service has it).
 
 use std::path::PathBuf;
@@ -47,17 +47,17 @@ pub struct RunArgs {
     /// Bench to run on.
     #[command(flatten)]
     pub bench: BenchArgs,
-    /// Server, and data folder.
+    /// Service, and data folder.
     #[command(flatten)]
     pub at: At,
 }
 
 impl RunArgs {
-    /// Checks for options that contradict each other, or that a running server does not support.
+    /// Checks for options that contradict each other, or that a running service does not support.
     fn check(&self, server: Option<&Client>) -> Result<(), CliError> {
         if let Some(client) = server {
             let limit = format!(
-                "the server at {} has its own rig: stop it, or omit this option",
+                "the service at {} has its own rig: stop it, or omit this option",
                 client.url()
             );
             let stated = self.bench.stated().into_iter();
@@ -97,11 +97,11 @@ enum Outcome {
 /// Runs `palpate run`.
 ///
 /// # Errors
-/// `CliError` if an input is invalid, the rig or a server is not available, or the run cannot
+/// `CliError` if an input is invalid, the rig or a service is not available, or the run cannot
 /// start.
 pub async fn run(args: RunArgs) -> Result<ExitCode, CliError> {
     let files = ExperimentFiles::read(&args.experiment)?;
-    // With --virtual this command has its own bench and server.
+    // With --virtual this command has its own bench and service.
     let server = if args.bench.on_virtual { None } else { embed::find(&args.at).await? };
     args.check(server.as_ref())?;
     let rig = RigFiles::read(args.bench.rig.as_deref())?;

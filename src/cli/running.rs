@@ -41,7 +41,7 @@ impl Running {
 
     /// Removes the file, if there is one.
     pub fn remove(data: &Path) {
-        // A file that remains names a server that does not answer.
+        // A file that remains names a service that does not answer.
         let _ = std::fs::remove_file(data.join(FILE));
     }
 

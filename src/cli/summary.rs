@@ -107,7 +107,7 @@ impl Closing {
         self
     }
 
-    /// Adds the next commands: with the data folder, or the server that has the run.
+    /// Adds the next commands: with the data folder, or the service that has the run.
     pub fn with_next(mut self, data: &std::path::Path, server: Option<&str>) -> Self {
         self.data = data.display().to_string();
         self.follow_url = server.map(Into::into);

@@ -158,7 +158,7 @@ impl Changes {
     }
 }
 
-/// Runs `palpate train`. Without a server it starts one, which a detached training outlives.
+/// Runs `palpate train`. Without a service it starts one, which a detached training outlives.
 ///
 /// # Errors
 /// `CliError` if the recipe is invalid, the service refuses, or the training fails or is stopped.

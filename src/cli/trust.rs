@@ -1,4 +1,4 @@
-//! Which servers a client trusts: TLS of requests and WebSockets.
+//! Which services a client trusts: TLS of requests and WebSockets.
 //! Uses: rustls with ring, the system's authorities. Never: a certificate that is not verified.
 
 use std::io;
@@ -46,7 +46,7 @@ impl Certificates {
     }
 }
 
-/// TLS for the server at a URL. With certificates only these are trusted, as those of the server or of
+/// TLS for the service at a URL. With certificates only these are trusted, as those of the service or of
 /// its authority; without them the authorities of the system. Nothing is read for `http://`.
 ///
 /// # Errors
@@ -87,7 +87,7 @@ pub fn refused(error: &(dyn std::error::Error + 'static)) -> Option<String> {
     })
 }
 
-/// Trusts the servers that show one of these certificates, whatever its name and date, and those whose
+/// Trusts the services that show one of these certificates, whatever its name and date, and those whose
 /// certificate one of them has signed.
 #[derive(Debug)]
 struct Known {
@@ -121,7 +121,7 @@ impl ServerCertVerifier for Known {
         status: &[u8],
         now: UnixTime,
     ) -> Result<ServerCertVerified, Error> {
-        // The signature of the handshake proves that the server has its key.
+        // The signature of the handshake proves that the service has its key.
         match self.certificates.contains(own) {
             true => Ok(ServerCertVerified::assertion()),
             false => self.chains.verify_server_cert(own, between, name, status, now),

@@ -30,7 +30,7 @@ struct RunTwinsView {
 /// Runs `palpate status --twins`.
 ///
 /// # Errors
-/// `CliError` if the server cannot be reached.
+/// `CliError` if the service cannot be reached.
 pub async fn status(at: &At) -> Result<(), CliError> {
     let twins: Value = embed::server(at).await?.get("/api/v1/twins").await?;
     if at.json {
@@ -97,7 +97,7 @@ pub async fn wait_for_twins(
 async fn stalled(client: &Client, pending: u64, patience: Duration) -> Result<CliError, CliError> {
     let twins: Value = client.get("/api/v1/twins").await?;
     let why = match (twins["pool"]["workers"].as_u64(), twins["pool"]["last_error"].as_str()) {
-        (Some(0), _) => "; the server has no --twin-workers".into(),
+        (Some(0), _) => "; the service has no --twin-workers".into(),
         (_, Some(error)) => format!("; {error}"),
         (_, None) => String::new(),
     };

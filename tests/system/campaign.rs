@@ -229,11 +229,10 @@ async fn a_run_that_this_version_would_plan_differently_does_not_resume() {
     lab.close().await;
 }
 
-#[tokio::test(flavor = "multi_thread")]
-async fn a_lock_that_was_taken_after_the_last_trial_holds_the_run_through_a_restart() {
-    let (lab, run) = started("locked").await;
+/// A service that was restarted during a run, which a lock holds that was taken after its last trial.
+async fn held_by_a_lock(name: &str) -> (Lab, String) {
+    let (lab, run) = started(name).await;
     lab.stored(5).await;
-    let lock = |lab: &Lab| format!("{}/api/v1/lock", lab.service.url());
     let taken = http().put(lock(&lab)).json(&json!({ "note": "hands" })).send().await.unwrap();
     assert!(taken.status().is_success());
     let file = SqliteConnectOptions::new().filename(lab.data.join("palpate.db"));
@@ -252,9 +251,41 @@ async fn a_lock_that_was_taken_after_the_last_trial_holds_the_run_through_a_rest
     };
     lab.eventually("the lock holds it", "/api/v1/events?kind=not_gone_on", is_held).await;
     assert_eq!(lab.get("/api/v1/status").await["rig"]["state"], "disconnected");
-    let freed = http().delete(lock(&lab)).send().await.unwrap();
+    (lab, run)
+}
+
+fn lock(lab: &Lab) -> String {
+    format!("{}/api/v1/lock", lab.service.url())
+}
+
+async fn release(lab: &Lab) {
+    let freed = http().delete(lock(lab)).send().await.unwrap();
     assert!(freed.status().is_success());
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_lock_that_was_taken_after_the_last_trial_holds_the_run_through_a_restart() {
+    let (lab, run) = held_by_a_lock("locked").await;
+    release(&lab).await;
     complete(&lab, &run).await;
+    lab.close().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_run_that_is_about_to_be_driven_again_can_be_aborted() {
+    let (lab, run) = held_by_a_lock("undriven").await;
+    let (status, refused) = lab.act(&run, json!({ "action": "pause" })).await;
+    assert_eq!(status, 409, "{refused:#}");
+    assert!(refused["detail"].as_str().unwrap().contains("abort ends it"), "{refused:#}");
+    let (status, answer) = lab.act(&run, json!({ "action": "abort" })).await;
+    assert_eq!(status, 202, "{answer:#}");
+    release(&lab).await;
+    // Longer than until the next attempt.
+    tokio::time::sleep(Duration::from_secs(8)).await;
+    let row = lab.get(&format!("/api/v1/runs/{run}")).await;
+    assert_eq!((&row["state"], &row["exit_status"]), (&json!("ended"), &json!("abort")));
+    let status = lab.get("/api/v1/status").await;
+    assert_eq!((&status["run"], &status["rig"]["state"]), (&Value::Null, &json!("disconnected")));
     lab.close().await;
 }
 

@@ -29,7 +29,7 @@ mod questions;
 const ANSWER: Duration = Duration::from_secs(60);
 /// Longest time that a stream of events is open: longer than any run.
 const STREAM: Duration = Duration::from_secs(400 * 86_400);
-/// Longest wait when probing for a server.
+/// Longest wait when probing for a service.
 const PROBE_WAIT: Duration = Duration::from_secs(2);
 
 /// A client of one service. Clones share its connections.
@@ -46,7 +46,7 @@ pub struct Client {
 /// What answers at a URL.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Found {
-    /// A palpate server.
+    /// A palpate service.
     Palpate,
     /// A program that does not reply as this service does.
     Stranger,
@@ -348,7 +348,7 @@ impl Client {
         Err(refusal(operation, status, &body))
     }
 
-    /// The error of a server whose certificate is not trusted, if this is the cause.
+    /// The error of a service whose certificate is not trusted, if this is the cause.
     fn untrusted(&self, error: &(dyn std::error::Error + 'static)) -> Option<CliError> {
         let why = trust::refused(error)?;
         Some(CliError::Untrusted { url: self.url.clone(), why })
@@ -371,7 +371,7 @@ impl Client {
     }
 }
 
-/// Rejects what is not the URL of a server.
+/// Rejects what is not the URL of a service.
 fn check_url(url: &str) -> Result<(), CliError> {
     let limit = match reqwest::Url::parse(url) {
         Ok(read) if matches!(read.scheme(), "http" | "https") && read.has_host() => return Ok(()),
@@ -383,7 +383,7 @@ fn check_url(url: &str) -> Result<(), CliError> {
 
 /// Converts a problem body to an error: values outside their limits are bad input.
 fn refusal(operation: String, status: u16, body: &Value) -> CliError {
-    tracing::debug!(operation, status, "the server refused a request");
+    tracing::debug!(operation, status, "the service refused a request");
     let text = |value: &Value| value.as_str().unwrap_or_default().to_owned();
     let problems: Vec<Problem> = body["errors"]
         .as_array()

@@ -52,7 +52,7 @@ pub struct RunsArgs {
     /// Largest number of runs.
     #[arg(long, value_name = "N", default_value_t = 20)]
     pub limit: usize,
-    /// Server, or data folder.
+    /// Service, or data folder.
     #[command(flatten)]
     pub at: At,
 }
@@ -70,7 +70,7 @@ pub struct TrialsArgs {
     /// Largest number of trials.
     #[arg(long, value_name = "N", default_value_t = 20)]
     pub limit: usize,
-    /// Server, or data folder.
+    /// Service, or data folder.
     #[command(flatten)]
     pub at: At,
 }
@@ -93,7 +93,7 @@ pub struct EventsArgs {
     /// Largest number of events, the newest [default: 50; with --since all].
     #[arg(long, value_name = "N")]
     pub limit: Option<usize>,
-    /// Server, or data folder.
+    /// Service, or data folder.
     #[command(flatten)]
     pub at: At,
 }
@@ -106,7 +106,7 @@ pub struct ActionsArgs {
     /// Largest number of actions.
     #[arg(long, value_name = "N", default_value_t = 20)]
     pub limit: usize,
-    /// Server, or data folder.
+    /// Service, or data folder.
     #[command(flatten)]
     pub at: At,
 }
@@ -121,7 +121,7 @@ pub struct ShowArgs {
     /// Show the run over time: trials, failed attempts, forces, FVU, states.
     #[arg(long)]
     pub history: bool,
-    /// Server, or data folder.
+    /// Service, or data folder.
     #[command(flatten)]
     pub at: At,
 }
@@ -137,7 +137,7 @@ pub struct ReportArgs {
     /// Write the HTML only.
     #[arg(long)]
     pub no_pdf: bool,
-    /// Server, or data folder.
+    /// Service, or data folder.
     #[command(flatten)]
     pub at: At,
 }
@@ -151,7 +151,7 @@ pub struct DiffArgs {
     /// The run that is compared with it.
     #[arg(value_name = "RUN")]
     pub after: String,
-    /// Server, or data folder.
+    /// Service, or data folder.
     #[command(flatten)]
     pub at: At,
 }

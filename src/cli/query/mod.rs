@@ -49,7 +49,7 @@ pub struct QueryArgs {
     /// Largest number of rows of a table.
     #[arg(long, value_name = "N", default_value_t = 100)]
     pub limit: usize,
-    /// Server, or data folder.
+    /// Service, or data folder.
     #[command(flatten)]
     pub at: At,
 }

@@ -40,7 +40,7 @@ pub struct PlotArgs {
     /// Title of the figure.
     #[arg(long, value_name = "TEXT")]
     pub title: Option<String>,
-    /// Server, or data folder.
+    /// Service, or data folder.
     #[command(flatten)]
     pub at: At,
 }

@@ -1,6 +1,6 @@
 //! `palpate status --watch`: the night on the whole terminal, and the keys that a person needs.
 //! Uses: `read` (what is asked), `night` (what is known), `draw` (how it looks), `ask` (the stop), the
-//! terminal. Never: a server in this process, a wait of the keys for an answer of the service.
+//! terminal. Never: a service in this process, a wait of the keys for an answer of the service.
 
 use std::io::{self, IsTerminal};
 use std::time::Duration;
@@ -95,7 +95,7 @@ impl Asked {
 /// Runs `palpate status --watch`.
 ///
 /// # Errors
-/// `CliError::Problems` without a terminal, or with `--json`; other variants if the server cannot be
+/// `CliError::Problems` without a terminal, or with `--json`; other variants if the service cannot be
 /// reached, or the terminal fails.
 pub async fn watch(at: &At) -> Result<(), CliError> {
     let unsuited = |limit| CliError::argument("--watch", "given", limit);

@@ -8,11 +8,10 @@ use axum::extract::State;
 
 use super::App;
 use super::problem::{ApiError, ProblemBody};
+use crate::infer::methods::exact::skins::UNTOUCHED_N;
 use crate::record::Untouched;
 use crate::store::{RunKind, StoreError, TrialRow};
 
-/// Largest force of a stored trial that counts as untouched, N: noise of the cells.
-const UNTOUCHED_N: f64 = 0.5;
 /// Trials whose frames are averaged.
 const TRIALS: u32 = 8;
 /// Runs that are searched, newest first.

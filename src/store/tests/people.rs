@@ -9,7 +9,8 @@ use serde_json::json;
 
 use super::{Folder, new_run, now, open, time};
 use crate::core::store::Inner;
-use crate::journal::{Journal, Mounting};
+use crate::journal::{ExitStatus, Journal, Mounting};
+use crate::state::{StateChange, StoredState};
 use crate::{KeyRing, NewAction, Role, RunKind, Store, StoreError};
 
 #[tokio::test]
@@ -76,6 +77,25 @@ async fn what_was_said_last_of_the_tips_counts() {
     store.close().await;
     let last = open(&folder.file()).await.last_mounted().await.unwrap();
     assert_eq!(last, Some(said(1, 6, "Bob")));
+}
+
+#[tokio::test]
+async fn tips_are_not_known_after_a_manual_run() {
+    let folder = Folder::new();
+    let store = open(&folder.file()).await;
+    let said = Mounting { tips: 4, live_cells: 4, who: "Ada".into() };
+    let (before, during, after) =
+        (time("2026-11-20T18:00:00Z"), time("2026-11-20T19:00:00Z"), time("2026-11-20T20:00:00Z"));
+    let running = StateChange::to(StoredState::Running);
+    let run = store.create_run(new_run(RunKind::RealRandom)).await.unwrap().uid;
+    store.mounted(&said, before).await.unwrap();
+    assert_eq!(store.last_mounted().await.unwrap(), Some(said.clone()));
+    store.run_state(run, running, during).await.unwrap();
+    assert_eq!(store.last_mounted().await.unwrap(), None, "weights may be on the skin");
+    store.end_run(run, ExitStatus::Stopped, "by request", during).await.unwrap();
+    assert_eq!(store.last_mounted().await.unwrap(), None);
+    store.mounted(&said, after).await.unwrap();
+    assert_eq!(store.last_mounted().await.unwrap(), Some(said), "entered again");
 }
 
 /// The records of the campaign wait for a disk that hangs; all other callers give up after 30 s.

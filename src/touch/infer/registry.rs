@@ -19,16 +19,13 @@ use crate::clock::Clock;
 use crate::dataset::import::sensor::ImportedSensor;
 use crate::ids::ModelId;
 use crate::learn::model_file::{Manifest, SensorFacts};
+use crate::learn::order::{LOSSES, MANIFEST, ONNX, RESIDUALS};
 use crate::learn::residuals::Residuals;
 use crate::new_file::{self, sweep};
 use crate::problem::Problem;
 use crate::store::{ModelRow, Store};
 
-const ONNX: &str = "model.onnx";
-const MANIFEST: &str = "manifest.toml";
 const SENSOR: &str = "sensor.toml";
-const LOSSES: &str = "losses.ndjson";
-const RESIDUALS: &str = "residuals.json";
 /// Number of models that stay loaded in addition to those in use.
 const LOADED_MAX: usize = 8;
 

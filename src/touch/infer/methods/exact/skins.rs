@@ -31,10 +31,11 @@ const KNOWN_TRIALS: usize = 1000;
 /// errors, and contacts that are hard to distinguish are light.
 const KNOWN_CONTACTS: f64 = 3.0;
 const KNOWN_FORCE_N: f64 = 40.0;
-/// Largest number of untouched trials, and the force below which a trial is one, N: a twentieth of the
-/// signal of the paper's deadband.
+/// Largest number of untouched trials.
 const UNTOUCHED_TRIALS: usize = 300;
-const UNTOUCHED_N: f64 = 0.5;
+/// Force below which a trial is untouched, N: a twentieth of the signal of the paper's deadband, noise of the
+/// cells.
+pub const UNTOUCHED_N: f64 = 0.5;
 
 /// Version of the estimation of errors: part of the cache's key.
 const ERRORS_VERSION: &str = "4";
