@@ -94,16 +94,12 @@ async fn run(client: &Client, args: QueryArgs) -> Result<(), CliError> {
     let Some(sql) = args.sql.as_deref().map(statement).transpose()? else {
         return tables(client, args.at.json).await;
     };
-    let by_ending = args.out.as_deref().and_then(|out| {
-        let ending = out.extension()?.to_str()?.to_lowercase();
-        Format::ALL
-            .into_iter()
-            .find(|f| f.streams() && (f.extension() == ending || f.name() == ending))
-    });
-    match (args.format.or(by_ending), args.out) {
+    match (args.format.or(args.out.as_deref().and_then(by_ending)), args.out) {
         (Some(format), out) => write(client, &sql, format, out).await,
         (None, Some(out)) => {
-            let limit = "must end in parquet, arrows, csv or ndjson, or name a --format";
+            let rows = Format::ALL.into_iter().filter(|format| format.streams());
+            let endings: Vec<&str> = rows.map(Format::extension).collect();
+            let limit = format!("must end in {}, or name a --format", endings.join(", "));
             Err(CliError::argument("--out", out.display(), limit))
         }
         (None, None) if args.at.json => {
@@ -179,6 +175,13 @@ async fn send(client: &Client, body: &Value) -> Result<reqwest::Response, CliErr
     }
 }
 
+/// The format of rows that the ending of a file names.
+fn by_ending(out: &Path) -> Option<Format> {
+    let name = out.file_name()?.to_str()?.to_lowercase();
+    let (_, format) = Format::of_file(&name)?;
+    format.streams().then_some(format)
+}
+
 async fn write(
     client: &Client,
     sql: &str,
@@ -189,7 +192,7 @@ async fn write(
     let mut pieces = answer.bytes_stream();
     let operation = || "POST /api/v1/query".to_owned();
     let Some(path) = out else {
-        if std::io::stdout().is_terminal() && matches!(format, Format::Parquet | Format::Arrow) {
+        if std::io::stdout().is_terminal() && !format.is_text() {
             let limit = "must go to a file: add --out FILE, or redirect standard output";
             return Err(CliError::argument("--format", format, limit));
         }
@@ -268,6 +271,14 @@ fn cell(value: Option<&Value>) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_ending_of_a_file_names_a_format_of_rows() {
+        let of = |name: &str| by_ending(Path::new(name));
+        assert_eq!(of("out/a.b.CSV"), Some(Format::Csv));
+        assert_eq!((of("a.arrows"), of("a.arrow")), (Some(Format::Arrow), Some(Format::Feather)));
+        assert_eq!((of("a.npz"), of("a.xls"), of("csv")), (None, None, None));
+    }
 
     #[test]
     fn cells_are_short_and_keep_seven_digits() {

@@ -35,7 +35,7 @@ pub fn lacking(needed: u64, free: u64) -> u64 {
 
 /// Upper estimate of the size of a row in a file, bytes.
 pub fn row_bytes(schema: &Schema, format: Format) -> u64 {
-    let as_text = matches!(format, Format::Csv | Format::Ndjson);
+    let as_text = format.is_text();
     let name = |name: &str| if as_text { name.len() as u64 + 4 } else { 0 };
     schema.fields().iter().map(|f| cell_bytes(f.data_type(), as_text) + name(f.name())).sum()
 }

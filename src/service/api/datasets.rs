@@ -402,11 +402,10 @@ pub async fn data(
     Query(pairs): Pairs,
     request: Request,
 ) -> Result<Response, ApiError> {
-    let (name, extension) = file.rsplit_once('.').unwrap_or((&file, ""));
-    let by_extension = Format::ALL.into_iter().find(|format| format.extension() == extension);
-    let format = by_extension.map_or_else(|| extension.parse(), Ok);
-    let format: Format =
-        format.map_err(|error: UnknownFormat| ApiError::not_found(format!("{file}: {error}")))?;
+    let (name, format) = Format::of_file(&file).ok_or_else(|| {
+        let name = file.rsplit_once('.').map_or("", |(_, ending)| ending).to_owned();
+        ApiError::not_found(format!("{file}: {}", UnknownFormat { name }))
+    })?;
     let wanted = file_query(&pairs).map_err(ApiError::bad_query)?;
     let row = app.datasets.find(name).await?;
     let export_file = app.datasets.file(&row, format, &wanted, std::sync::Arc::default()).await?;

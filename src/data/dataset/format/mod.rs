@@ -61,6 +61,8 @@ struct Row {
     media_type: &'static str,
     about: &'static str,
     streams: bool,
+    /// Whether numbers are written as text.
+    is_text: bool,
 }
 
 impl Format {
@@ -77,6 +79,7 @@ impl Format {
                 media_type: "application/vnd.apache.parquet",
                 about: "Apache Parquet, compressed with zstd",
                 streams: true,
+                is_text: false,
             },
             Self::Arrow => Row {
                 name: "arrow",
@@ -84,6 +87,7 @@ impl Format {
                 media_type: "application/vnd.apache.arrow.stream",
                 about: "Arrow IPC stream, uncompressed",
                 streams: true,
+                is_text: false,
             },
             Self::Feather => Row {
                 name: "feather",
@@ -91,6 +95,7 @@ impl Format {
                 media_type: "application/vnd.apache.arrow.file",
                 about: "Arrow IPC file (Feather 2), uncompressed",
                 streams: true,
+                is_text: false,
             },
             Self::Csv => Row {
                 name: "csv",
@@ -98,6 +103,7 @@ impl Format {
                 media_type: "text/csv; charset=utf-8; header=present",
                 about: "CSV (RFC 4180) with a header line",
                 streams: true,
+                is_text: true,
             },
             Self::Ndjson => Row {
                 name: "ndjson",
@@ -105,6 +111,7 @@ impl Format {
                 media_type: "application/x-ndjson",
                 about: "a JSON object per line, without missing values",
                 streams: true,
+                is_text: true,
             },
             Self::Npz => Row {
                 name: "npz",
@@ -112,6 +119,7 @@ impl Format {
                 media_type: "application/zip",
                 about: "NumPy arrays, one per column",
                 streams: false,
+                is_text: false,
             },
         }
     }
@@ -130,6 +138,17 @@ impl Format {
             Self::Ndjson => Box::new(LineDelimitedWriter::new(out)),
             Self::Npz => return Err(FormatError::NotAStream),
         })
+    }
+
+    /// Splits the name of a file at the dot before its ending: the extension of a format or, if it is of
+    /// none, the name of one; `None` for another ending.
+    pub fn of_file(name: &str) -> Option<(&str, Self)> {
+        let by = |ending: fn(Self) -> &'static str| {
+            Self::ALL.into_iter().find_map(|format| {
+                Some((name.strip_suffix(ending(format))?.strip_suffix('.')?, format))
+            })
+        };
+        by(Self::extension).or_else(|| by(Self::name))
     }
 
     /// Name in queries and commands.
@@ -155,6 +174,11 @@ impl Format {
     /// True if rows can be written in one pass: all formats except NPZ.
     pub fn streams(self) -> bool {
         self.row().streams
+    }
+
+    /// True if numbers are written as text: a file is longer, and a person can read it.
+    pub fn is_text(self) -> bool {
+        self.row().is_text
     }
 }
 

@@ -407,6 +407,19 @@ fn refusals_name_what_is_wrong() {
 }
 
 #[test]
+fn the_ending_of_a_file_is_an_extension_before_it_is_a_name() {
+    for format in Format::ALL {
+        let file = format!("real.v2.{}", format.extension());
+        assert_eq!(Format::of_file(&file), Some(("real.v2", format)));
+    }
+    assert_eq!(Format::of_file("real.feather"), Some(("real", Format::Feather)));
+    assert_eq!(Format::of_file(".csv"), Some(("", Format::Csv)));
+    for other in ["real", "real.", "csv", "realcsv", "real.csv.xls", "real.CSV"] {
+        assert_eq!(Format::of_file(other), None, "{other}");
+    }
+}
+
+#[test]
 fn batches_of_wide_rows_are_shorter() {
     let frame = |items| {
         let item = Arc::new(Field::new("element", DataType::Float32, true));
