@@ -10,7 +10,7 @@ import { table } from './table.js'
 import { TONE } from './words.js'
 
 /** Formats of files, as the API names them. */
-export const FORMATS = { parquet: 'Parquet', arrow: 'Arrow', csv: 'CSV', ndjson: 'NDJSON', npz: 'NumPy (npz)' }
+export const FORMATS = { parquet: 'Parquet', feather: 'Arrow (Feather)', csv: 'CSV', ndjson: 'NDJSON', npz: 'NumPy (npz)' }
 const MAPS = [
   ['', 'none'],
   ['4x20', '4 mm pixels, 20 mm'],
