@@ -189,11 +189,7 @@ pub struct EventView {
 
 /// Kind of an event as text for a person.
 pub fn shown_kind(kind: &str) -> String {
-    match kind {
-        "not_gone_on" => "not resumed".into(),
-        "went_on" => "resumed".into(),
-        _ => kind.replace('_', " "),
-    }
+    kind.replace('_', " ")
 }
 
 impl EventView {
@@ -213,7 +209,7 @@ impl EventView {
             "safe_end" if self.data["tips"] == "not_raised" => {
                 Some(format!("TIPS NOT RAISED: {}", text("why")))
             }
-            "suspended" | "store" | "repeat" | "not_gone_on" | "not_begun" => {
+            "suspended" | "store" | "repeat" | "not_resumed" | "not_begun" => {
                 Some(format!("{}: {}", shown_kind(&self.kind), text("why")))
             }
             "twins" => Some(format!("twins: {}", text("words"))),
@@ -274,7 +270,7 @@ mod tests {
         assert_eq!(words("state", json!({ "state": "running" })), None);
         assert_eq!(words("touch_off", json!({})), None);
         let unreached = json!({ "attempt": 1, "why": "no answer" });
-        assert_eq!(words("not_gone_on", unreached).unwrap(), "not resumed: no answer");
+        assert_eq!(words("not_resumed", unreached).unwrap(), "not resumed: no answer");
         let twins = json!({ "level": "warn", "words": "median FVU 0.35, limit 0.30" });
         assert_eq!(words("twins", twins).unwrap(), "twins: median FVU 0.35, limit 0.30");
     }

@@ -321,7 +321,7 @@ fn a_forbidden_phrase_is_found_however_it_is_broken() {
     assert_eq!(second, ["src/a.rs:2: \"of its own\", see docs/style.md"]);
     none(in_file(
         "src/a.rs",
-        "//! On its own thread; a canewood; `not_gone_on`.\n// So.\n\n// Many.",
+        "//! On its own thread; a canewood; `well_gone_on`.\n// So.\n\n// Many.",
     ));
 }
 

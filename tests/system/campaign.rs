@@ -195,7 +195,7 @@ async fn a_service_that_was_ended_in_the_middle_goes_on_by_itself() {
     let lab = lab.restart().await;
     let summary = complete(&lab, &run).await;
     assert_eq!(summary["retries"], 0, "what was under way is not a failure");
-    assert!(kinds(&lab.events().await).contains(&"went_on"));
+    assert!(kinds(&lab.events().await).contains(&"resumed"));
     lab.close().await;
 }
 
@@ -216,7 +216,7 @@ async fn a_run_that_this_version_would_plan_differently_does_not_resume() {
     let scan_id = &row["scan_id"];
     assert!(detail.starts_with(&format!("run {scan_id} was queued by version")), "{detail}");
     assert!(detail.contains("policy.max_skipped: stored 11, now 10."), "{detail}");
-    assert!(kinds(&lab.events().await).contains(&"not_gone_on"));
+    assert!(kinds(&lab.events().await).contains(&"not_resumed"));
     assert_eq!(lab.keys(&run).await, stored);
     // Nothing was switched on for it, and it can be ended.
     assert_eq!(lab.get("/api/v1/status").await["rig"]["state"], "disconnected");
@@ -249,7 +249,7 @@ async fn held_by_a_lock(name: &str) -> (Lab, String) {
         let why = page["items"][0]["data"]["why"].as_str().unwrap_or_default();
         why.contains("has taken the operator lock: hands")
     };
-    lab.eventually("the lock holds it", "/api/v1/events?kind=not_gone_on", is_held).await;
+    lab.eventually("the lock holds it", "/api/v1/events?kind=not_resumed", is_held).await;
     assert_eq!(lab.get("/api/v1/status").await["rig"]["state"], "disconnected");
     (lab, run)
 }

@@ -25,7 +25,7 @@ const EVENTS = {
   wanted: d => `waits for a person: ${d.words}`, suspended: d => `suspended: ${d.why}`, trip: d => `tripped (${plain(d.kind)}): ${d.detail}`,
   attempt_failed: d => `attempt ${d.attempt}${of(d.trial)} failed: ${d.reason}`, skipped: d => `configuration ${d.configuration} skipped: ${d.reason}`,
   touch_off: d => `surface found at z = ${fixed(d.surface_z_mm, 2, 'mm')} with ${d.tips} tips`, recovering: () => 'recovering automatically',
-  not_gone_on: d => `not resumed: ${d.why}`, went_on: () => 'resumed after the start of the service',
+  not_resumed: d => `not resumed: ${d.why}`, resumed: () => 'resumed after the start of the service',
   reference: d => `reference press before configuration ${d.before}`, repeat: d => `trial${of(d.trial)} is repeated: ${d.why}`,
   ended: d => `run ended, ${d.exit_status}: ${d.reason}`, tips: d => `${d.who}: ${counted(d.tips, 'tip')} mounted, ${counted(d.live_cells, 'load cell')} connected`,
   safe_end: d => d.tips === 'not_raised' ? `THE TIPS ARE NOT RAISED: ${d.why}` : `stop sent to every axis, tips ${plain(d.tips)}`,
@@ -33,7 +33,7 @@ const EVENTS = {
   placed: d => `placement ${d.trial} confirmed by ${d.who}${d.verdict ? `, felt ${d.verdict}` : ''}${d.anyway ? ', stored anyway' : ''}`,
 }
 /** Kinds of events that an operator must not miss. */
-export const LOUD = { trip: 'bad', diary_gap: 'bad', store: 'bad', not_gone_on: 'bad', not_begun: 'warn', wanted: 'warn', suspended: 'warn', attempt_failed: 'warn', skipped: 'warn' }
+export const LOUD = { trip: 'bad', diary_gap: 'bad', store: 'bad', not_resumed: 'bad', not_begun: 'warn', wanted: 'warn', suspended: 'warn', attempt_failed: 'warn', skipped: 'warn' }
 
 /** Sentence of an event; an unknown kind is told by its fields. */
 export function sentence({ kind, data }) {

@@ -276,7 +276,7 @@ impl Night {
 fn told(event: &EventView) -> Option<Told> {
     let words = one_line(&event.words()?);
     let level = match event.kind.as_str() {
-        "trip" | "safe_end" | "not_gone_on" | "not_begun" => Level::Act,
+        "trip" | "safe_end" | "not_resumed" | "not_begun" => Level::Act,
         "suspended" | "skipped" | "attempt_failed" | "wanted" | "store" => Level::Look,
         _ => Level::Fine,
     };

@@ -117,18 +117,18 @@ impl Conductor {
         self.require_sound_store()?;
         if let Err(error) = self.prepare_stored(run).await {
             let data = json!({ "attempt": 0, "why": error.to_string() });
-            self.say(run, "not_gone_on", data).await;
+            self.say(run, "not_resumed", data).await;
             return Err(error);
         }
         let mut pause = RESTART_PAUSE;
         for attempt in 1..=RESTART_TRIES {
             let Err(error) = self.try_to_drive(run, since).await else {
                 tracing::info!(attempt, "the run is driven again");
-                self.say(run, "went_on", json!({ "attempt": attempt })).await;
+                self.say(run, "resumed", json!({ "attempt": attempt })).await;
                 return Ok(true);
             };
             let why = error.to_string();
-            self.say(run, "not_gone_on", json!({ "attempt": attempt, "why": why })).await;
+            self.say(run, "not_resumed", json!({ "attempt": attempt, "why": why })).await;
             let tripped = self.inner.campaign.status().rig.state == RigState::Tripped;
             let for_good = matches!(
                 error,

@@ -3,7 +3,6 @@
 
 use serde_json::json;
 use sqlx::Connection;
-use sqlx::sqlite::SqliteConnectOptions;
 
 use super::{Folder, new_run, open, random_trial, time};
 use crate::ids::{DatasetId, RunUid, TrialKey};
@@ -122,16 +121,7 @@ async fn a_dataset_is_stored_once_and_found_by_its_inputs() {
 #[tokio::test]
 async fn tables_made_anew_lose_nothing() {
     let folder = Folder::new();
-    let options = SqliteConnectOptions::new().filename(folder.file()).create_if_missing(true);
-    let mut old = sqlx::SqliteConnection::connect_with(&options).await.unwrap();
-    let mut before = sqlx::migrate::Migrator::new(std::path::Path::new(concat!(
-        env!("CARGO_MANIFEST_DIR"),
-        "/../../migrations"
-    )))
-    .await
-    .unwrap();
-    before.migrations.to_mut().truncate(2);
-    before.run(&mut old).await.unwrap();
+    let mut old = folder.file_before(3).await;
     sqlx::raw_sql(
         "INSERT INTO runs (scan_id, uid, experiment, kind, definition, definition_sha256, seed,
              rig, rig_sha256, sensor, sensor_sha256, label, version, deadband_n, trials_planned,

@@ -19,6 +19,9 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU32, Ordering};
 
 use jiff::Timestamp;
+use sqlx::migrate::Migrator;
+use sqlx::sqlite::SqliteConnectOptions;
+use sqlx::{Connection, SqliteConnection};
 
 use crate::clock::Clock;
 use crate::ids::{RunUid, TrialKey};
@@ -41,6 +44,17 @@ impl Folder {
 
     fn file(&self) -> PathBuf {
         self.0.join("palpate.sqlite")
+    }
+
+    /// Makes the file as the version before the migration of this number had it, and opens it.
+    async fn file_before(&self, migration: i64) -> SqliteConnection {
+        let options = SqliteConnectOptions::new().filename(self.file()).create_if_missing(true);
+        let mut file = SqliteConnection::connect_with(&options).await.unwrap();
+        let folder = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../migrations"));
+        let mut before = Migrator::new(folder).await.unwrap();
+        before.migrations.to_mut().retain(|known| known.version < migration);
+        before.run(&mut file).await.unwrap();
+        file
     }
 }
 

@@ -6,6 +6,7 @@ use std::time::Duration;
 
 use parking_lot::Mutex;
 use serde_json::json;
+use sqlx::Connection;
 
 use super::{Folder, new_run, now, open, time};
 use crate::core::store::Inner;
@@ -50,6 +51,29 @@ async fn events_are_selected_by_kind_before_they_are_counted() {
     assert_eq!(of(None, 9, &["trip", "keys"]).await, [2, 3, 4]);
     assert_eq!(of(Some(run), 9, &["trip"]).await, [2]);
     assert!(of(None, 9, &["tri'p", "%"]).await.is_empty());
+}
+
+#[tokio::test]
+async fn events_of_earlier_versions_have_the_kinds_of_today() {
+    let folder = Folder::new();
+    let mut old = folder.file_before(18).await;
+    sqlx::raw_sql(
+        r#"INSERT INTO events (at, kind, data) VALUES
+             ('2026-11-20T18:00:00.000Z', 'not_gone_on', '{"attempt":1,"why":"no answer"}'),
+             ('2026-11-20T18:00:01.000Z', 'went_on', '{"attempt":2}'),
+             ('2026-11-20T18:00:02.000Z', 'not_begun', '{"why":"a lock"}');"#,
+    )
+    .execute(&mut old)
+    .await
+    .unwrap();
+    old.close().await.unwrap();
+
+    let store = open(&folder.file()).await;
+    let events = store.events_since(0, 9, None, &[]).await.unwrap();
+    let kinds: Vec<&str> = events.iter().map(|event| event.kind.as_str()).collect();
+    assert_eq!(kinds, ["not_resumed", "resumed", "not_begun"]);
+    assert_eq!(events[0].data, json!({ "attempt": 1, "why": "no answer" }));
+    assert_eq!(events[0].at, time("2026-11-20T18:00:00Z"));
 }
 
 #[tokio::test]

@@ -3,7 +3,6 @@
 
 use serde_json::{Value, json};
 use sqlx::Connection;
-use sqlx::sqlite::SqliteConnectOptions;
 
 use super::{Folder, open, time};
 use crate::ids::TaskId;
@@ -124,16 +123,7 @@ fn states_and_kinds_have_one_text() {
 #[tokio::test]
 async fn exports_and_jobs_become_tasks() {
     let folder = Folder::new();
-    let options = SqliteConnectOptions::new().filename(folder.file()).create_if_missing(true);
-    let mut old = sqlx::SqliteConnection::connect_with(&options).await.unwrap();
-    let mut before = sqlx::migrate::Migrator::new(std::path::Path::new(concat!(
-        env!("CARGO_MANIFEST_DIR"),
-        "/../../migrations"
-    )))
-    .await
-    .unwrap();
-    before.migrations.to_mut().retain(|migration| migration.version < 8);
-    before.run(&mut old).await.unwrap();
+    let mut old = folder.file_before(8).await;
     sqlx::raw_sql(
         "INSERT INTO datasets VALUES ('ds-1', 'real', '{}', 3, 4, 'ab', '{}', '{}',
              '2026-11-20T18:00:00.000Z');

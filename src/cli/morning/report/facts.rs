@@ -18,7 +18,7 @@ use crate::state::{PausedWhy, StoredState};
 use crate::store::RunRow;
 
 /// Kinds of events that a report lists.
-const KINDS: &str = "trip,suspended,skipped,attempt_failed,twins,not_gone_on,not_begun,store,ended";
+const KINDS: &str = "trip,suspended,skipped,attempt_failed,twins,not_resumed,not_begun,store,ended";
 /// Duration of a run below which its time is shown in minutes, s.
 const SHORT_S: f64 = 3.0 * 3600.0;
 /// Records per request.
