@@ -319,6 +319,20 @@ pub struct ReferenceRecord {
     pub at: Timestamp,
 }
 
+/// A touch of one arm in a touch-off.
+// Earlier versions stored the values alone, in this order, as an array: serde reads both forms.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct ArmTouch {
+    /// x of the tip's centre, skin coordinates, mm.
+    pub x_mm: f64,
+    /// y of the tip's centre, skin coordinates, mm.
+    pub y_mm: f64,
+    /// Arm, from 1.
+    pub arm: u8,
+    /// Machine z at which the arm touched, mm.
+    pub z_mm: f64,
+}
+
 /// Result of a touch-off after a tip change.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct TouchOffRecord {
@@ -329,8 +343,8 @@ pub struct TouchOffRecord {
     /// Height of each attached arm's first contact below that median, mm; positive for a shorter
     /// tip.
     pub tip_offset_mm: Vec<(u8, f64)>,
-    /// All touches: skin x, skin y, arm, machine z; mm.
-    pub touches: Vec<(f64, f64, u8, f64)>,
+    /// All touches.
+    pub touches: Vec<ArmTouch>,
     /// Wall time of the touch-off.
     #[schema(value_type = String, format = DateTime)]
     pub at: Timestamp,
@@ -339,6 +353,14 @@ pub struct TouchOffRecord {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_touch_of_an_earlier_version_is_an_array() {
+        let touch = ArmTouch { x_mm: 270.0, y_mm: 297.3, arm: 2, z_mm: 41.4 };
+        let read = |text: &str| serde_json::from_str::<ArmTouch>(text).unwrap();
+        assert_eq!(read("[270.0,297.3,2,41.4]"), touch);
+        assert_eq!(read(&serde_json::to_string(&touch).unwrap()), touch);
+    }
 
     #[test]
     fn every_scalar_is_a_column_under_its_own_name() {

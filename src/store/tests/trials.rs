@@ -7,7 +7,8 @@ use super::{Folder, hex_trial, new_run, now, open, random_trial, time};
 use crate::ids::{RunUid, TrialId, TrialKey};
 use crate::journal::Journal;
 use crate::record::{
-    AttemptRecord, Flag, ReferenceRecord, TareRecord, TouchOffRecord, TrialScalars, Untouched,
+    ArmTouch, AttemptRecord, Flag, ReferenceRecord, TareRecord, TouchOffRecord, TrialScalars,
+    Untouched,
 };
 use crate::{Condition, Order, RunKind, SettingCount, Store, StoreError, TrialQuery};
 
@@ -382,7 +383,10 @@ async fn what_stands_beside_the_trials_comes_back() {
         tips: 2,
         surface_z_mm: 41.300_1,
         tip_offset_mm: vec![(1, -0.1), (2, 0.1)],
-        touches: vec![(270.0, 280.0, 1, 41.2), (270.0, 297.3, 2, 41.4)],
+        touches: vec![
+            ArmTouch { x_mm: 270.0, y_mm: 280.0, arm: 1, z_mm: 41.2 },
+            ArmTouch { x_mm: 270.0, y_mm: 297.3, arm: 2, z_mm: 41.4 },
+        ],
         at,
     };
     store.touch_off(run, &found).await.unwrap();

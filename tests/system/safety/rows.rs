@@ -87,7 +87,7 @@ async fn heights(update_ms: f64) -> Vec<f64> {
     harness.run(1, "").await;
     let status = harness.until("a surface", |s| s.rig.surface.is_some()).await;
     harness.close().await;
-    status.rig.surface.unwrap().touches.iter().map(|touch| touch.3).collect()
+    status.rig.surface.unwrap().touches.iter().map(|touch| touch.z_mm).collect()
 }
 
 #[tokio::test(flavor = "multi_thread")]

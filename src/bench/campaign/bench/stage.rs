@@ -153,7 +153,7 @@ impl Stage {
         match &self.surface {
             Some(found) => {
                 let longest = found.tip_offset_mm.iter().map(|t| t.1).fold(0.0, f64::min);
-                let highest = found.touches.iter().map(|t| t.3).fold(f64::INFINITY, f64::min);
+                let highest = found.touches.iter().map(|t| t.z_mm).fold(f64::INFINITY, f64::min);
                 (highest.min(found.surface_z_mm + longest) - place.clearance_mm)
                     .max(self.config.axes.z.travel_mm[0])
             }

@@ -17,7 +17,7 @@ use crate::campaign::bench::travel::{Descent, Sample, Target};
 use crate::campaign::run::control::Control;
 use crate::campaign::run::halt::Halt;
 use crate::campaign::safe_end::raise_as_planned;
-use crate::record::{ARMS, TouchOffRecord};
+use crate::record::{ARMS, ArmTouch, TouchOffRecord};
 use crate::schedule::configuration::Stand;
 
 /// Force at which a tip counts as touching, N.
@@ -52,14 +52,14 @@ pub async fn touch_off(
 ) -> Result<TouchOffRecord, Halt> {
     stage.surface = None;
     raise_as_planned(control, stage).await?;
-    let mut touches: Vec<(f64, f64, u8, f64)> = Vec::new();
+    let mut touches: Vec<ArmTouch> = Vec::new();
     for (i, place) in places.iter().enumerate() {
         stage.go_over(control, place).await?;
         let accept = if i == 0 { Accept::AnyZero } else { Accept::NearLast };
         tare::tare_untouched(stage, control, tare_samples, accept).await?;
         for (arm, z_mm) in touch(stage, control, first_height(&touches)).await? {
-            let [x, y] = place.tips_mm[usize::from(arm) - 1];
-            touches.push((x, y, arm, z_mm));
+            let [x_mm, y_mm] = place.tips_mm[usize::from(arm) - 1];
+            touches.push(ArmTouch { x_mm, y_mm, arm, z_mm });
         }
         raise_as_planned(control, stage).await?;
     }
@@ -69,13 +69,13 @@ pub async fn touch_off(
     Ok(record)
 }
 
-fn first_height(touches: &[(f64, f64, u8, f64)]) -> Option<f64> {
-    touches.iter().map(|t| t.3).min_by(f64::total_cmp)
+fn first_height(touches: &[ArmTouch]) -> Option<f64> {
+    touches.iter().map(|t| t.z_mm).min_by(f64::total_cmp)
 }
 
-fn require_every_arm(tips: u8, touches: &[(f64, f64, u8, f64)]) -> Result<(), Halt> {
+fn require_every_arm(tips: u8, touches: &[ArmTouch]) -> Result<(), Halt> {
     let silent: Vec<String> = (1..=tips)
-        .filter(|arm| touches.iter().all(|t| t.2 != *arm))
+        .filter(|arm| touches.iter().all(|t| t.arm != *arm))
         .map(|arm| arm.to_string())
         .collect();
     if silent.is_empty() {
@@ -221,16 +221,12 @@ impl Heights {
 }
 
 /// Median height, and the median of each arm relative to it.
-fn conclude(
-    tips: u8,
-    touches: Vec<(f64, f64, u8, f64)>,
-    at: Timestamp,
-) -> Result<TouchOffRecord, Halt> {
-    let surface_z_mm = median(touches.iter().map(|t| t.3))
+fn conclude(tips: u8, touches: Vec<ArmTouch>, at: Timestamp) -> Result<TouchOffRecord, Halt> {
+    let surface_z_mm = median(touches.iter().map(|t| t.z_mm))
         .ok_or_else(|| Halt::trip(TripKind::Position, "no tip touched the surface"))?;
     let tip_offset_mm = (1..=tips)
         .filter_map(|arm| {
-            let own = touches.iter().filter(|t| t.2 == arm).map(|t| t.3);
+            let own = touches.iter().filter(|t| t.arm == arm).map(|t| t.z_mm);
             median(own).map(|z| (arm, z - surface_z_mm))
         })
         .collect();
@@ -248,7 +244,8 @@ mod tests {
             let bump = 0.1 * f64::from(place - 2);
             for arm in 1..=6u8 {
                 let late = if arm == 6 { 2.0 } else { 0.0 };
-                touches.push((0.0, 0.0, arm, 60.0 + bump + late));
+                let z_mm = 60.0 + bump + late;
+                touches.push(ArmTouch { x_mm: 0.0, y_mm: 0.0, arm, z_mm });
             }
         }
         let found = conclude(6, touches, Timestamp::UNIX_EPOCH).expect("tips touched");
