@@ -22,15 +22,23 @@ use crate::store::RunRow;
 /// Longest wait for the wires of a rig.
 const CONNECTING: Duration = Duration::from_secs(60);
 
+/// Option of the commands that move a rig.
+#[derive(Debug, Clone, Copy, Args)]
+pub struct MotionArgs {
+    /// Move a real rig without asking at the terminal.
+    #[arg(long, short)]
+    pub yes: bool,
+}
+
 /// Options of `resume`.
 #[derive(Debug, Clone, Args)]
 pub struct ResumeArgs {
     /// Number or uid of a run that was stopped or interrupted; without it the paused run, or else the last
     /// one that can be resumed.
     pub run: Option<String>,
-    /// Move a real rig without asking at the terminal.
-    #[arg(long, short)]
-    pub yes: bool,
+    /// Confirmation of the motion.
+    #[command(flatten)]
+    pub motion: MotionArgs,
     /// Options of every request.
     #[command(flatten)]
     pub act: ActArgs,
@@ -55,7 +63,7 @@ pub async fn resume(args: &ResumeArgs) -> Result<(), CliError> {
     }
     let Some(run) = named else { return Err(CliError::NothingToResume) };
     let stored = client.summary(run.uid).await?.trials_stored;
-    bring_up(&client, args.yes).await?;
+    bring_up(&client, args.motion).await?;
     let begun = arm_and_start(&client, &run).await?;
     if args.act.at.json {
         output::say_json(&json!({ "run": run.uid, "action": "resume", "taken_up": true }));
@@ -75,11 +83,11 @@ pub fn goes_on(run: &RunRow) -> bool {
 }
 
 /// Connects and homes the rig, if it is not connected or homed, and returns the status. A skin alone has
-/// nothing to home. `yes`: a real rig moves without a question.
+/// nothing to home.
 ///
 /// # Errors
 /// `CliError` if the rig cannot be brought up, is tripped, or its motion is not confirmed.
-pub async fn bring_up(client: &Client, yes: bool) -> Result<StatusView, CliError> {
+pub async fn bring_up(client: &Client, motion: MotionArgs) -> Result<StatusView, CliError> {
     let mut status = client.status().await?;
     if status.run.is_some() {
         return Ok(status);
@@ -97,7 +105,7 @@ pub async fn bring_up(client: &Client, yes: bool) -> Result<StatusView, CliError
     if !status.rig.has_stage {
         return Ok(status);
     }
-    confirm_motion(yes, &status).await?;
+    confirm_motion(motion, &status).await?;
     if status.rig.state == RigState::Disarmed {
         client.act_on_rig("home", json!({})).await?;
         status = until_rig(client, "homing", HOMING, |s| s.rig.state != RigState::Disarmed).await?;
@@ -106,8 +114,8 @@ pub async fn bring_up(client: &Client, yes: bool) -> Result<StatusView, CliError
 }
 
 /// Asks for the confirmation that a real rig may move.
-async fn confirm_motion(yes: bool, status: &StatusView) -> Result<(), CliError> {
-    if yes || status.rig.label == "virtual" {
+async fn confirm_motion(motion: MotionArgs, status: &StatusView) -> Result<(), CliError> {
+    if motion.yes || status.rig.label == "virtual" {
         return Ok(());
     }
     let rig = status.rig.name.clone();

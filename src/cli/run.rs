@@ -10,7 +10,7 @@ use clap::Args;
 use serde_json::json;
 
 use super::attach::{closed, detached, to_its_end};
-use super::begin::{Begun, arm_and_start, bring_up, goes_on, last_event};
+use super::begin::{Begun, MotionArgs, arm_and_start, bring_up, goes_on, last_event};
 use super::bench_args::BenchArgs;
 use super::client::Client;
 use super::error::CliError;
@@ -41,9 +41,9 @@ pub struct RunArgs {
     /// Abort when the run has waited for a person for this duration, s [default: wait].
     #[arg(long, value_name = "SECONDS")]
     pub patience: Option<u32>,
-    /// Move a real rig without asking at the terminal.
-    #[arg(long, short)]
-    pub yes: bool,
+    /// Confirmation of the motion.
+    #[command(flatten)]
+    pub motion: MotionArgs,
     /// Bench to run on.
     #[command(flatten)]
     pub bench: BenchArgs,
@@ -77,7 +77,7 @@ struct Order {
     files: ExperimentFiles,
     new: bool,
     detach: bool,
-    yes: bool,
+    motion: MotionArgs,
     json: bool,
     /// Whether the virtual operator works.
     by_itself: bool,
@@ -110,7 +110,7 @@ pub async fn run(args: RunArgs) -> Result<ExitCode, CliError> {
         files,
         new: args.new,
         detach: args.detach,
-        yes: args.yes,
+        motion: args.motion,
         json: args.at.json,
         by_itself: server.is_none() && args.bench.is_virtual(),
         own_service: server.is_none(),
@@ -185,7 +185,7 @@ async fn drive(client: &Client, order: &Order, signals: &mut Signals) -> Result<
 
 /// Starts the run, or finds it: returns it, the number of the last event before, and whether it waits.
 async fn begin(client: &Client, order: &Order) -> Result<(RunRow, i64, bool), CliError> {
-    let status = bring_up(client, order.yes).await?;
+    let status = bring_up(client, order.motion).await?;
     if let Some(active) = status.run.as_ref().filter(|_| !order.new) {
         let run = client.run(active.uid).await?;
         if order.is_of(&run, &status) {
