@@ -13,7 +13,7 @@ use tokio::time::{Instant, MissedTickBehavior, interval};
 use super::asking::Asking;
 use super::client::Client;
 use super::error::CliError;
-use super::leave::{Choice, Interrupt, question};
+use super::leave::{Choice, Interrupt, QUESTION_ON_PAUSED_RUN, QUESTION_ON_RUN};
 use super::output::{counted, duration, note, say_json, shown};
 use super::progress::bar;
 use super::view::{RunView, StatusView};
@@ -269,7 +269,7 @@ impl Follower {
             Asked::Terminate => return Some(Left::Detached),
             Asked::Interrupt => self.interrupts += 1,
         }
-        match Interrupt::of(self.interrupts, Asking::is_possible()) {
+        match Interrupt::of(self.interrupts, Asking::terminal()) {
             Interrupt::Ask => self.ask(),
             Interrupt::Stop => {
                 self.act("stop", "stopping after this trial; Ctrl-C again aborts").await;
@@ -285,7 +285,10 @@ impl Follower {
 
     /// Asks at the terminal what to do; the answer arrives later.
     fn ask(&mut self) {
-        self.screen.note(question(self.state == Some(StoredState::Paused)));
+        self.screen.note(match self.state {
+            Some(StoredState::Paused) => QUESTION_ON_PAUSED_RUN,
+            _ => QUESTION_ON_RUN,
+        });
         self.asking.open();
     }
 

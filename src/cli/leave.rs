@@ -30,16 +30,15 @@ impl Choice {
     }
 }
 
-/// The question, on a run that is driven or paused.
-pub fn question(is_paused: bool) -> &'static str {
-    if is_paused {
-        "d  detach: the run stays paused\nr  resume\ns  stop: the run can be resumed later\nc  continue\n\
-         Ctrl-C again raises the tips now and aborts"
-    } else {
-        "d  detach: the run continues\np  pause after this trial\ns  stop after this trial: the run can be resumed \
-         later\nc  continue\nCtrl-C again raises the tips now and aborts"
-    }
-}
+/// The question on a run that is driven.
+pub const QUESTION_ON_RUN: &str = "d  detach: the run continues\np  pause after this trial\n\
+     s  stop after this trial: the run can be resumed later\nc  continue\n\
+     Ctrl-C again raises the tips now and aborts";
+
+/// The question on a run that is paused.
+pub const QUESTION_ON_PAUSED_RUN: &str = "d  detach: the run stays paused\nr  resume\n\
+     s  stop: the run can be resumed later\nc  continue\n\
+     Ctrl-C again raises the tips now and aborts";
 
 /// The question on a training.
 pub const QUESTION_ON_TRAINING: &str = "d  detach: the training continues\n\
@@ -58,13 +57,22 @@ pub enum Interrupt {
     Leave,
 }
 
+/// Whether a person can be asked.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Terminal {
+    /// Questions are shown and answered at a terminal.
+    Present,
+    /// No person can be asked.
+    Absent,
+}
+
 impl Interrupt {
     /// The meaning of the n-th interrupt since the last answer, from 1.
-    pub fn of(count: u32, at_terminal: bool) -> Self {
-        match count {
-            0 | 1 if at_terminal => Self::Ask,
-            0 | 1 => Self::Stop,
-            2 => Self::Abort,
+    pub fn of(count: u32, terminal: Terminal) -> Self {
+        match (count, terminal) {
+            (0 | 1, Terminal::Present) => Self::Ask,
+            (0 | 1, Terminal::Absent) => Self::Stop,
+            (2, _) => Self::Abort,
             _ => Self::Leave,
         }
     }
@@ -76,9 +84,8 @@ mod tests {
 
     #[test]
     fn every_letter_of_the_question_is_an_answer() {
-        for is_paused in [false, true] {
-            let letters: Vec<&str> =
-                question(is_paused).split_whitespace().filter(|w| w.len() == 1).collect();
+        for question in [QUESTION_ON_RUN, QUESTION_ON_PAUSED_RUN] {
+            let letters: Vec<&str> = question.split_whitespace().filter(|w| w.len() == 1).collect();
             assert_eq!(letters.len(), 4);
             assert!(letters.iter().all(|letter| Choice::of(letter).is_some()), "{letters:?}");
         }
@@ -89,11 +96,11 @@ mod tests {
 
     #[test]
     fn a_second_interrupt_aborts_with_and_without_a_terminal() {
-        for at_terminal in [false, true] {
-            assert_eq!(Interrupt::of(2, at_terminal), Interrupt::Abort);
-            assert_eq!(Interrupt::of(3, at_terminal), Interrupt::Leave);
+        for terminal in [Terminal::Present, Terminal::Absent] {
+            assert_eq!(Interrupt::of(2, terminal), Interrupt::Abort);
+            assert_eq!(Interrupt::of(3, terminal), Interrupt::Leave);
         }
-        assert_eq!(Interrupt::of(1, true), Interrupt::Ask);
-        assert_eq!(Interrupt::of(1, false), Interrupt::Stop);
+        assert_eq!(Interrupt::of(1, Terminal::Present), Interrupt::Ask);
+        assert_eq!(Interrupt::of(1, Terminal::Absent), Interrupt::Stop);
     }
 }

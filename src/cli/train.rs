@@ -300,7 +300,7 @@ async fn follow(
                 Asked::Terminate => Some(Choice::Detach),
                 Asked::Interrupt => {
                     interrupts += 1;
-                    match Interrupt::of(interrupts, Asking::is_possible()) {
+                    match Interrupt::of(interrupts, Asking::terminal()) {
                         Interrupt::Ask => {
                             screen.note(QUESTION_ON_TRAINING);
                             asking.open();
