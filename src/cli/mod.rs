@@ -125,7 +125,7 @@ impl At {
 
     /// Form of the output.
     pub fn output(&self) -> Output {
-        Output::of(self.json)
+        if self.json { Output::Json } else { Output::Text }
     }
 
     /// Path of the data folder.

@@ -18,13 +18,6 @@ pub enum Output {
     Json,
 }
 
-impl Output {
-    /// The form that `--json` selects.
-    pub fn of(json: bool) -> Self {
-        if json { Self::Json } else { Self::Text }
-    }
-}
-
 /// Prints one or several lines on standard output.
 pub fn say(text: impl Display) {
     let _ = writeln!(io::stdout().lock(), "{}", shown(text));

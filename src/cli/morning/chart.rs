@@ -38,11 +38,16 @@ pub fn picture(width: u16, height: u16, draw: impl FnOnce(&mut Frame)) -> Result
     let mut terminal =
         Terminal::with_options(CrosstermBackend::new(io::sink()), options).map_err(failed)?;
     let drawn = terminal.draw(draw).map_err(failed)?;
-    Ok(lines(drawn.buffer, is_coloured()))
+    Ok(printed(drawn.buffer))
+}
+
+/// The lines of a picture, with colours if standard output shows them.
+pub fn printed(buffer: &Buffer) -> String {
+    lines(buffer, is_coloured())
 }
 
 /// The lines of a picture, without blanks at their ends.
-pub fn lines(buffer: &Buffer, coloured: bool) -> String {
+fn lines(buffer: &Buffer, coloured: bool) -> String {
     let width = usize::from(buffer.area.width.max(1));
     let line = |cells: &[ratatui::buffer::Cell]| {
         let is_blank = |cell: &ratatui::buffer::Cell| {

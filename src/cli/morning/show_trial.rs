@@ -3,7 +3,7 @@
 
 use std::fmt::Write;
 
-use super::chart::{bar, lines, width};
+use super::chart::{bar, printed, width};
 use super::find;
 use super::frame::{Ink, Picture, draw};
 use super::when::second;
@@ -21,8 +21,15 @@ const BAR: usize = 40;
 pub enum TrialName {
     /// `t812`: the number of a stored trial.
     Id(i64),
-    /// `3/81/4`: run, configuration, index of the depth.
-    Key(String, u32, u32),
+    /// `3/81/4`: a configuration and depth of a run.
+    Key {
+        /// Number or uid of the run, or `last`.
+        run: String,
+        /// Index of the configuration in the plan.
+        configuration: u32,
+        /// Index of the depth in the plan.
+        depth_index: u32,
+    },
 }
 
 /// Reads the name of a trial; `None` for other texts.
@@ -31,8 +38,9 @@ pub fn named(text: &str) -> Option<TrialName> {
         return number.parse().ok().map(TrialName::Id);
     }
     let parts: Vec<&str> = text.split('/').collect();
-    let [run, configuration, depth] = parts[..] else { return None };
-    Some(TrialName::Key(run.into(), configuration.parse().ok()?, depth.parse().ok()?))
+    let [run, configuration, depth_index] = parts[..] else { return None };
+    let (configuration, depth_index) = (configuration.parse().ok()?, depth_index.parse().ok()?);
+    Some(TrialName::Key { run: run.into(), configuration, depth_index })
 }
 
 /// Shows a trial.
@@ -42,9 +50,10 @@ pub fn named(text: &str) -> Option<TrialName> {
 pub async fn show(client: &Client, name: &TrialName, output: Output) -> Result<(), CliError> {
     let query = match name {
         TrialName::Id(id) => format!("/api/v1/trials?trial_id={id}"),
-        TrialName::Key(run, configuration, depth) => {
+        TrialName::Key { run, configuration, depth_index } => {
             let run = find::run(client, run).await?.uid;
-            format!("/api/v1/runs/{run}/trials?configuration={configuration}&depth_index={depth}")
+            let key = format!("configuration={configuration}&depth_index={depth_index}");
+            format!("/api/v1/runs/{run}/trials?{key}")
         }
     };
     let page: Page<TrialRow> = client.get(&format!("{query}&voltages=true&limit=1")).await?;
@@ -52,7 +61,9 @@ pub async fn show(client: &Client, name: &TrialName, output: Output) -> Result<(
         let limit = "no trial has this name: palpate trials lists them";
         let shown = match name {
             TrialName::Id(id) => format!("t{id}"),
-            TrialName::Key(run, configuration, depth) => format!("{run}/{configuration}/{depth}"),
+            TrialName::Key { run, configuration, depth_index } => {
+                format!("{run}/{configuration}/{depth_index}")
+            }
         };
         return Err(CliError::argument("TRIAL", shown, limit));
     };
@@ -69,7 +80,7 @@ pub async fn show(client: &Client, name: &TrialName, output: Output) -> Result<(
             true => Ink::Palette,
         };
         say("\nframe: a row per injection, a column per reading; the end of each scale holds 98 %");
-        say_drawn(&lines(&draw(&pictures, ink, width()), ink != Ink::Shades));
+        say_drawn(&printed(&draw(&pictures, ink, width())));
     }
     Ok(())
 }
@@ -172,8 +183,11 @@ mod tests {
     #[test]
     fn a_trial_is_named_by_its_number_or_its_key() {
         assert_eq!(named("t812"), Some(TrialName::Id(812)));
-        assert_eq!(named("3/81/4"), Some(TrialName::Key("3".into(), 81, 4)));
-        assert_eq!(named("last/0/1"), Some(TrialName::Key("last".into(), 0, 1)));
+        let key = |run: &str, configuration, depth_index| {
+            Some(TrialName::Key { run: run.into(), configuration, depth_index })
+        };
+        assert_eq!(named("3/81/4"), key("3", 81, 4));
+        assert_eq!(named("last/0/1"), key("last", 0, 1));
         for run in ["3", "last", "t", "3/81", "3/x/4", "0193ab"] {
             assert_eq!(named(run), None, "{run}");
         }
