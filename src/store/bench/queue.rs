@@ -7,6 +7,7 @@ use sqlx::sqlite::SqliteConnection;
 use super::run_row::{self, NewRun, RunRow};
 use crate::core::{During, Store, StoreError};
 use crate::ids::RunUid;
+use crate::state::StoredState;
 
 impl Store {
     /// Stores a new run at the end of the queue.
@@ -18,7 +19,7 @@ impl Store {
         const OPERATION: &str = "queueing a run";
         let now = self.now_text();
         let insert = async move |c: &mut SqliteConnection| {
-            run_row::insert(c, new, true, now, OPERATION).await
+            run_row::insert(c, new, StoredState::Queued, now, OPERATION).await
         };
         Ok(self.keep_facts(self.inner.writer.run(OPERATION, insert).await?))
     }

@@ -211,7 +211,7 @@ macro_rules! inserting {
     };
 }
 
-/// Inserts a run, at the end of the queue if `queued`, and returns its row. `now` is its time of
+/// Inserts a run, `Queued` at the end of the queue or `Idle`, and returns its row. `now` is its time of
 /// creation.
 ///
 /// # Errors
@@ -220,12 +220,12 @@ macro_rules! inserting {
 pub(crate) async fn insert(
     connection: &mut SqliteConnection,
     new: NewRun,
-    queued: bool,
+    state: StoredState,
     now: String,
     operation: &'static str,
 ) -> Result<RunRow, StoreError> {
     let statement = concat!(inserting!(), " RETURNING *");
-    write(connection, statement, new, queued, now, operation).await
+    write(connection, statement, new, state, now, operation).await
 }
 
 /// Replaces the inputs of the queued run with the uid of `new`, and returns its row; number, place,
@@ -261,7 +261,7 @@ pub(crate) async fn replace(
              waiting_since = NULL
          RETURNING *"
     );
-    let row = write(&mut *connection, statement, new, true, now, operation).await?;
+    let row = write(&mut *connection, statement, new, StoredState::Queued, now, operation).await?;
     if let Some(sha256) = earlier_plan {
         plans::discard(connection, &sha256, operation).await?;
     }
@@ -272,7 +272,7 @@ async fn write(
     connection: &mut SqliteConnection,
     statement: &'static str,
     new: NewRun,
-    queued: bool,
+    state: StoredState,
     now: String,
     operation: &'static str,
 ) -> Result<RunRow, StoreError> {
@@ -307,7 +307,7 @@ async fn write(
         .bind(new.tip_diameter_mm)
         .bind(planned)
         .bind(new.auto_resume)
-        .bind(if queued { StoredState::Queued } else { StoredState::Idle }.as_str())
+        .bind(state.as_str())
         .bind(now)
         .bind(&new.submitted_by)
         .bind(plan_sha256)

@@ -7,6 +7,7 @@ use super::run_row::{self, NewRun, RunPage, RunRow};
 use crate::core::facts::RunFacts;
 use crate::core::{During, Store, StoreError};
 use crate::ids::RunUid;
+use crate::state::StoredState;
 
 impl Store {
     /// Stores a new run in the state `idle`. Returns its row, which holds its number.
@@ -18,7 +19,7 @@ impl Store {
         const OPERATION: &str = "creating a run";
         let now = self.now_text();
         let insert = async move |c: &mut SqliteConnection| {
-            run_row::insert(c, new, false, now, OPERATION).await
+            run_row::insert(c, new, StoredState::Idle, now, OPERATION).await
         };
         Ok(self.keep_facts(self.inner.writer.run(OPERATION, insert).await?))
     }

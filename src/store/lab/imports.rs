@@ -75,7 +75,8 @@ impl Store {
         self.inner
             .writer
             .run(STORING_IMPORT, async move |connection| {
-                let row = run_row::insert(connection, new, false, now, STORING_IMPORT).await?;
+                let state = StoredState::Idle;
+                let row = run_row::insert(connection, new, state, now, STORING_IMPORT).await?;
                 sqlx::query("UPDATE runs SET state = ?2 WHERE scan_id = ?1")
                     .bind(row.scan_id)
                     .bind(INCOMPLETE.as_str())
