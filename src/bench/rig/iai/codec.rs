@@ -36,9 +36,14 @@ const ACCELERATION_MAX: i32 = 300;
 /// Largest value of the speed register, 0.01 mm/s.
 const SPEED_MAX: i32 = 999_999;
 
-/// Switches a coil on or off.
-pub fn coil(address: u16, on: bool) -> Request {
-    Request::WriteCoil { address, on }
+/// Switches a coil on.
+pub fn on(address: u16) -> Request {
+    Request::WriteCoil { address, on: true }
+}
+
+/// Switches a coil off.
+pub fn off(address: u16) -> Request {
+    Request::WriteCoil { address, on: false }
 }
 
 /// Requests the status block.

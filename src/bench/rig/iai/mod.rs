@@ -13,7 +13,7 @@ pub mod codec;
 
 use std::time::Duration;
 
-use self::codec::{Status, coil};
+use self::codec::{Status, off, on};
 use crate::clock::Clock;
 use crate::rig::axis::{Drive, DriveState, MoveOrder};
 use crate::rig::device::AxisDevice;
@@ -56,23 +56,19 @@ impl Drive for Iai {
     }
 
     fn home_requests(&self) -> Vec<Request> {
-        vec![coil(codec::COIL_HOME, false), coil(codec::COIL_HOME, true)]
+        vec![off(codec::COIL_HOME), on(codec::COIL_HOME)]
     }
 
     fn stop_requests(&self) -> Vec<Request> {
-        vec![coil(codec::COIL_PAUSE, true)]
+        vec![on(codec::COIL_PAUSE)]
     }
 
     fn release_requests(&self) -> Vec<Request> {
-        vec![
-            coil(codec::COIL_ALARM_RESET, true),
-            coil(codec::COIL_ALARM_RESET, false),
-            coil(codec::COIL_PAUSE, false),
-        ]
+        vec![on(codec::COIL_ALARM_RESET), off(codec::COIL_ALARM_RESET), off(codec::COIL_PAUSE)]
     }
 
     fn reset_requests(&self) -> Vec<Request> {
-        vec![coil(codec::COIL_ALARM_RESET, true), coil(codec::COIL_ALARM_RESET, false)]
+        vec![on(codec::COIL_ALARM_RESET), off(codec::COIL_ALARM_RESET)]
     }
 
     async fn identify(&self, station: &Station) -> Result<Found, RigError> {
@@ -88,7 +84,7 @@ impl Drive for Iai {
     }
 
     async fn prepare(&self, station: &Station, clock: &Clock) -> Result<String, RigError> {
-        station.write("switch to Modbus", coil(codec::COIL_MODBUS, true)).await?;
+        station.write("switch to Modbus", on(codec::COIL_MODBUS)).await?;
         let status = Self::status(station).await?;
         if status.emergency {
             return Err(station.not_ready("servo on", "its emergency stop is pressed".into()));
@@ -97,7 +93,7 @@ impl Drive for Iai {
             let why = format!("alarm 0x{:03X}", status.alarm_code);
             return Err(station.not_ready("servo on", why));
         }
-        station.write("servo on", coil(codec::COIL_SERVO, true)).await?;
+        station.write("servo on", on(codec::COIL_SERVO)).await?;
         let deadline = clock.now() + SERVO_DEADLINE;
         loop {
             let status = Self::status(station).await?;
