@@ -72,7 +72,9 @@ fn field(column: &Column, channels: i32) -> Field {
             plain(DataType::List(Arc::new(Field::new(base::ELEMENT, DataType::Utf8, false))))
         }
         Of::Forces => list(column.name, ARMS as i32, column.unit),
-        Of::Measured(_) | Of::Simulated(_) => base::voltages(column.name, channels, true),
+        Of::Measured(_) | Of::Simulated(_) => {
+            base::voltages(column.name, channels).with_nullable(true)
+        }
     }
 }
 

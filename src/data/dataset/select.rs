@@ -280,7 +280,7 @@ fn channels(field: &Field) -> Option<usize> {
 fn sliced(field: &Field, slice: Option<(usize, usize)>) -> Field {
     match (slice, channels(field)) {
         (Some((first, end)), Some(_)) => {
-            base::voltages(field.name(), (end - first) as i32, field.is_nullable())
+            base::voltages(field.name(), (end - first) as i32).with_nullable(field.is_nullable())
         }
         _ => field.clone(),
     }

@@ -58,12 +58,12 @@ pub fn voltage_element() -> Field {
     with_unit(Field::new(ELEMENT, DataType::Float32, false), "V")
 }
 
-/// A frame of voltages (V after gain), injection-major; `nullable` where it may be missing.
+/// A frame of voltages (V after gain), injection-major, in every row.
 ///
 /// `channels` is the number of voltages in a frame: 784 for 28 electrodes.
-pub fn voltages(name: &str, channels: i32, nullable: bool) -> Field {
+pub fn voltages(name: &str, channels: i32) -> Field {
     let frame = DataType::FixedSizeList(Arc::new(voltage_element()), channels);
-    with_unit(Field::new(name, frame, nullable), "V")
+    with_unit(Field::new(name, frame, false), "V")
 }
 
 /// The trials table of Sim-Random: `seed` and `index` instead of run and configuration. Quantities
@@ -76,7 +76,7 @@ pub fn sim_random(channels: i32) -> Schema {
         Field::new(CONTACT_COUNT, DataType::UInt8, false),
         with_unit(Field::new(MAX_FORCE_N, DataType::Float32, true), "N"),
         contacts(),
-        voltages(SIM_VOLTAGES_V, channels, false),
+        voltages(SIM_VOLTAGES_V, channels),
     ])
 }
 
