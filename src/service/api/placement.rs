@@ -157,22 +157,21 @@ fn stage(run: &RunStatus, trial: u32) -> Option<Stage> {
 /// The request that confirms what a run waits for. A placement is judged first.
 ///
 /// # Errors
-/// 409 with the reasons if the skin contradicts the placement, unless `anyway`.
+/// 409 with the reasons if the skin contradicts the placement, unless it is to be stored anyway.
 pub async fn confirmation(
     app: &App,
-    who: String,
     mut done: Done,
-    anyway: bool,
+    mut confirmation: Confirmation,
 ) -> Result<Request, ApiError> {
     let status = app.campaign.status();
     let wanted = status.run.as_ref().and_then(|run| run.wanted.clone());
     let Some(awaited) = Awaited::of(&status).filter(|_| wanted.is_some_and(|w| done.fits(&w)))
     else {
         // A tip change, or a confirmation that the campaign refuses.
-        return Ok(Request::Confirm { done, confirmation: Confirmation::of(who) });
+        return Ok(Request::Confirm { done, confirmation });
     };
     let verdict = app.placement.judge_now(awaited.run, awaited.trial).await;
-    if verdict.kind == VerdictKind::Wrong && !anyway {
+    if verdict.kind == VerdictKind::Wrong && !confirmation.anyway {
         let reasons = verdict.words.join("; ");
         let words = format!(
             "trial {} is not confirmed: {reasons}; correct it, or confirm it with `anyway`",
@@ -182,6 +181,6 @@ pub async fn confirmation(
     }
     // The verdict holds for this placement only.
     done.trial = Some(awaited.trial);
-    let confirmation = Confirmation { who, verdict: verdict.kind, anyway };
+    confirmation.verdict = verdict.kind;
     Ok(Request::Confirm { done, confirmation })
 }

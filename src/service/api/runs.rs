@@ -16,6 +16,7 @@ use super::placement::confirmation;
 use super::problem::{ApiError, Body, Path, ProblemBody};
 use crate::campaign::STOPS;
 use crate::campaign::shown::command::Request;
+use crate::campaign::shown::placement::Confirmation;
 use crate::campaign::shown::status::Done;
 use crate::conductor::{Armed, Started};
 use crate::ids::RunUid;
@@ -343,7 +344,8 @@ async fn request_action(
         Action::Abort => Request::Abort,
         Action::Confirm => {
             let done = Done { trial: asked.trial, tips: asked.tips };
-            confirmation(app, act.name(), done, asked.anyway).await?
+            let by = Confirmation { anyway: asked.anyway, ..Confirmation::of(act.name()) };
+            confirmation(app, done, by).await?
         }
         Action::Repeat => {
             Request::Repeat { trial: asked.trial, why: asked.why.unwrap_or_default() }
