@@ -2,7 +2,7 @@
 
 use sim_core::sensor::Sensor;
 
-use super::verdict::{AskedContact, Verdict, direction, judge};
+use super::verdict::{AskedContact, Observed, Verdict, direction, judge};
 use crate::campaign::shown::placement::VerdictKind;
 use crate::infer::answer::{FoundContact, Reading};
 use crate::record::PlacedContact;
@@ -47,7 +47,7 @@ fn shifted([x, y]: [f64; 2], dx: f64, dy: f64) -> [f64; 2] {
 }
 
 fn verdict(asked: &[AskedContact], reading: &Reading) -> Verdict {
-    judge(asked, reading, true, Some(&sensor()))
+    judge(asked, Observed { reading, at_rest: true }, Some(&sensor()))
 }
 
 /// Three weights far from each other.
@@ -127,9 +127,9 @@ fn what_is_not_certain_is_not_called_wrong() {
     let mut found = three();
     found[0].0 = shifted(found[0].0, 0.0, 40.0);
     let moved = felt(&found);
-    let at_rest = |at_rest| judge(&asked(&three()), &moved, at_rest, None).kind;
-    assert_eq!(at_rest(true), VerdictKind::Wrong);
-    assert_eq!(at_rest(false), VerdictKind::Unsure);
+    let kind = |at_rest| judge(&asked(&three()), Observed { reading: &moved, at_rest }, None).kind;
+    assert_eq!(kind(true), VerdictKind::Wrong);
+    assert_eq!(kind(false), VerdictKind::Unsure);
     let mut vague = moved.clone();
     vague.contacts[0].x_sd_mm = Some(20.0);
     assert_eq!(verdict(&asked(&three()), &vague).kind, VerdictKind::Unsure);

@@ -11,7 +11,7 @@ use tokio::sync::watch;
 use tokio::time::{Instant, timeout};
 
 use super::calm::{Calm, Mean};
-use super::verdict::{AskedContact, Verdict, judge};
+use super::verdict::{AskedContact, Observed, Verdict, judge};
 use crate::campaign::run::run_state::PausedWhy;
 use crate::campaign::shown::command::Handle;
 use crate::campaign::shown::placement::VerdictKind;
@@ -315,7 +315,8 @@ impl<'a> Follower<'a> {
         };
         let Some(reading) = answered.readings.into_iter().next() else { return };
         let judged = &mut self.judged;
-        judged.verdict = judge(&judged.asked, &reading, at_rest, self.sensor.as_deref());
+        let observed = Observed { reading: &reading, at_rest };
+        judged.verdict = judge(&judged.asked, observed, self.sensor.as_deref());
         judged.felt = Some(Felt { method, model: answered.model, contacts: reading.contacts });
         judged.since = Some(since);
     }
