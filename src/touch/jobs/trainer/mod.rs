@@ -19,7 +19,7 @@ use tokio::io::AsyncWriteExt;
 use tokio::process::{ChildStdin, Command};
 use tokio::time::Instant;
 
-use self::end::end;
+use self::end::Exit;
 pub use self::end::{Ended, TrainerEnd};
 use crate::jobs::Watch;
 use crate::learn::order::{Event, STOP};
@@ -124,7 +124,7 @@ pub async fn run(
     }
     let status = child.wait().await.map_err(failed)?;
     let said = errors.await.unwrap_or_default();
-    end(reported, status, watch.is_stopped(), said)
+    Exit { reported, status, stop_requested: watch.is_stopped(), said }.end()
 }
 
 /// Requests the end; the input is closed even if the line cannot be written.
