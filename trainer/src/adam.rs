@@ -14,11 +14,19 @@ use crate::model::Model;
 /// Number of values that one thread updates at a time.
 const CHUNK: usize = 1 << 14;
 
+/// How weights and moments are updated.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Update {
+    /// In one pass over buffers in host memory.
+    InPlace,
+    /// By operations on tensors, on any device.
+    AsTensors,
+}
+
 /// State of the optimiser.
 pub(crate) struct Adam {
     settings: Optimiser,
-    /// Whether tensors are in host memory.
-    host: bool,
+    update: Update,
     /// Number of steps taken.
     steps: u64,
     /// For each parameter the means of gradient and squared gradient.
@@ -42,10 +50,10 @@ impl Adam {
         settings: Optimiser,
         shapes: impl Iterator<Item = [usize; 2]>,
         device: &Device,
-        host: bool,
+        update: Update,
     ) -> Self {
         let zeros = |shape| [Tensor::zeros(shape, device), Tensor::zeros(shape, device)];
-        Self { settings, host, steps: 0, moments: shapes.map(zeros).collect() }
+        Self { settings, update, steps: 0, moments: shapes.map(zeros).collect() }
     }
 
     /// Returns the number of steps, and the moments in the order of the parameters.
@@ -79,10 +87,10 @@ impl Adam {
         model.move_parameters(|weight| {
             let (moments, gradient) = old.next().expect("every parameter has moments");
             let [first, second] = moments;
-            let (weight, moments) = if self.host {
-                step.in_place([weight, first, second], gradient)
-            } else {
-                step.as_tensors([weight, first, second], gradient)
+            let moved = [weight, first, second];
+            let (weight, moments) = match self.update {
+                Update::InPlace => step.in_place(moved, gradient),
+                Update::AsTensors => step.as_tensors(moved, gradient),
             };
             self.moments.push(moments);
             weight

@@ -8,7 +8,7 @@ use nets::recipe::Recipe;
 use nets::statistics::Statistics;
 use serde::Deserialize;
 
-use crate::adam::Adam;
+use crate::adam::{Adam, Update};
 use crate::loss::value;
 use crate::model::Model;
 
@@ -102,11 +102,11 @@ fn gradients_are_those_of_pytorch() {
 }
 
 /// Numbers after all steps of the case.
-fn after(case: &Case, host: bool) -> Vec<f32> {
+fn after(case: &Case, update: Update) -> Vec<f32> {
     let mut begun = begin(case);
     let device = Device::flex();
     let optimiser = begun.recipe.optimiser;
-    let mut adam = Adam::new(optimiser, begun.model.shapes(), &device, host);
+    let mut adam = Adam::new(optimiser, begun.model.shapes(), &device, update);
     for wanted in &case.losses {
         let (loss, gradients) = gradients(&mut begun);
         assert!((loss / wanted - 1.0).abs() < 1e-5, "{}: {loss}, {wanted}", case.recipe);
@@ -118,11 +118,11 @@ fn after(case: &Case, host: bool) -> Vec<f32> {
 #[test]
 fn steps_are_those_of_pytorch_in_place_and_as_tensors() {
     for case in cases() {
-        for host in [true, false] {
-            let found = after(&case, host);
+        for update in [Update::InPlace, Update::AsTensors] {
+            let found = after(&case, update);
             let moved = apart(&case.numbers, &case.after);
             let apart = apart(&found, &case.after);
-            assert!(apart < 2e-6 && apart < moved / 1e3, "{} {host}: {apart}", case.recipe);
+            assert!(apart < 2e-6 && apart < moved / 1e3, "{} {update:?}: {apart}", case.recipe);
         }
     }
 }

@@ -16,7 +16,7 @@ use nets::recipe::Recipe;
 use nets::samples::Samples;
 use nets::statistics::Statistics;
 
-use crate::adam::Adam;
+use crate::adam::{Adam, Update};
 use crate::device;
 use crate::loss::value;
 use crate::model::Model;
@@ -149,7 +149,8 @@ impl<'a> Training<'a> {
         let device = device::of(plan.compute)?;
         let loss = recipe.net.architecture().loss(network.target_size());
         let model = Model::new(network, Input::LAYERS, &device);
-        let mut adam = Adam::new(recipe.optimiser, model.shapes(), &device, plan.compute.is_host());
+        let update = if plan.compute.is_host() { Update::InPlace } else { Update::AsTensors };
+        let mut adam = Adam::new(recipe.optimiser, model.shapes(), &device, update);
         if let Some(state) = state {
             adam.set_state(state.steps, state.moments);
         }
