@@ -16,6 +16,7 @@ use super::running::Running;
 use super::trust::Certificates;
 use super::{At, DEFAULT_URL};
 use crate::api::{ServeOptions, Service};
+use crate::conductor::AutoResume;
 
 /// Default number of threads for simulated twins: one keeps up with a rig at a hundred times real
 /// speed, and leaves the other processors idle.
@@ -121,7 +122,7 @@ fn options(data: PathBuf, rig: &RigFiles, idle: bool) -> Result<ServeOptions, Cl
         data,
         rig_file: rig.file.clone(),
         rig_text: rig.text.clone(),
-        resume: false,
+        resume: AutoResume::Off,
         twin_workers: TWIN_WORKERS,
         calibration: None,
         sensor,

@@ -18,6 +18,7 @@ use super::output::{Output, note, say};
 use super::running::Running;
 use super::virtual_bench::VirtualBench;
 use crate::api::{ServeOptions, Service, Tls};
+use crate::conductor::AutoResume;
 
 /// Options of `serve`.
 #[derive(Debug, Clone, Args)]
@@ -115,7 +116,7 @@ async fn serve_rig(
         data: data_or_default(args.data.clone()),
         rig_file: rig.file,
         rig_text: rig.text,
-        resume: !args.no_resume,
+        resume: if args.no_resume { AutoResume::Off } else { AutoResume::Allowed },
         twin_workers: args.twin_workers,
         calibration: args.calibration.as_deref().map(parse_calibration).transpose()?,
         sensor,

@@ -5,6 +5,7 @@ use std::time::{Duration, Instant};
 
 use palpate::api::{ServeOptions, Service};
 use palpate::cli::trust;
+use palpate::conductor::AutoResume;
 use serde_json::{Value, json};
 use sim_core::sensor::Sensor;
 use virtual_rig::run::{RigArgs, VirtualRig};
@@ -259,7 +260,7 @@ pub fn options(rig: &VirtualRig, data: &Path) -> ServeOptions {
         data: data.into(),
         rig_file: "served.toml".into(),
         rig_text: rig.rig_text.clone(),
-        resume: true,
+        resume: AutoResume::Allowed,
         twin_workers: 1,
         calibration: None,
         sensor: Sensor::from_toml(SENSOR).unwrap(),

@@ -19,7 +19,7 @@ use utoipa_axum::router::OpenApiRouter;
 use crate::campaign::run::engine;
 use crate::campaign::shown::command::{Handle, Request};
 use crate::clock::Clock;
-use crate::conductor::{Conductor, RigFile};
+use crate::conductor::{AutoResume, Conductor, RigFile};
 use crate::dataset::catalog::Catalog;
 use crate::infer::registry::Registry;
 use crate::infer::serving::Serving;
@@ -423,7 +423,7 @@ impl Service {
 
 /// Examines the database, and continues the work of the previous process. A run is resumed
 /// automatically only after the examination; runs that a person starts do not wait for it.
-async fn after_start(app: App, resume: bool) {
+async fn after_start(app: App, resume: AutoResume) {
     let continue_run = async {
         if let Err(error) = app.conductor.resume_after_restart(resume).await {
             tracing::warn!(error = error_chain(&error), "no run was resumed");
@@ -440,7 +440,7 @@ async fn after_start(app: App, resume: bool) {
             }
         }
     };
-    if resume {
+    if resume == AutoResume::Allowed {
         examine.await;
         continue_run.await;
     } else {

@@ -8,6 +8,7 @@ use sim_core::calibration::Calibration;
 use sim_core::sensor::Sensor;
 
 use super::{LockFileError, Tls, TlsError};
+use crate::conductor::AutoResume;
 use crate::dataset::error::DatasetError;
 use crate::infer::error::InferError;
 use crate::journal::error_chain;
@@ -35,8 +36,8 @@ pub struct ServeOptions {
     pub require_key: bool,
     /// True: callers without a key, on loopback, may also make and revoke keys.
     pub local_admin: bool,
-    /// True: resume an interrupted run automatically, if its policy allows it.
-    pub resume: bool,
+    /// Whether runs of the previous process resume automatically.
+    pub resume: AutoResume,
     /// Number of threads that simulate twins; 0 simulates none.
     pub twin_workers: usize,
     /// Calibration for the twins of runs on its sensor.

@@ -38,6 +38,7 @@ pub use error::ConductorError;
 use prepare::Prepared;
 pub use prepare::{Submission, run_kind};
 pub use queue::Terms;
+pub use restart::AutoResume;
 
 /// Time for which a code from arming is valid, wall.
 const CODE_VALID: Duration = Duration::from_secs(600);

@@ -13,6 +13,15 @@ const NOT_ALLOWED: &str = "its arming does not allow an automatic start after a 
 const SOMEBODY_THERE: &str =
     "the run before it was waiting, tripped or ending: a person may be at the rig";
 
+/// Whether a start of the service may resume runs automatically, if their arming allows it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum AutoResume {
+    /// Runs may resume.
+    Allowed,
+    /// No run resumes: a person starts each again.
+    Off,
+}
+
 /// Decision on open and waiting runs.
 #[derive(Debug, PartialEq)]
 pub(super) struct TakenOver {
@@ -25,12 +34,12 @@ pub(super) struct TakenOver {
 }
 
 impl TakenOver {
-    /// Decides on the open runs and on those that wait, both in their order. `resume`: this start
-    /// may resume runs automatically.
-    pub(super) fn of(open: Vec<RunRow>, waiting: Vec<RunRow>, resume: bool) -> Self {
+    /// Decides on the open runs and on those that wait, both in their order.
+    pub(super) fn of(open: Vec<RunRow>, waiting: Vec<RunRow>, resume: AutoResume) -> Self {
+        let may_resume = resume == AutoResume::Allowed;
         let somebody_there = !open.iter().all(was_driven);
         let refusal = |run: &RunRow| match run.auto_resume {
-            _ if !resume => Some(NOT_ASKED),
+            _ if !may_resume => Some(NOT_ASKED),
             false => Some(NOT_ALLOWED),
             true => somebody_there.then_some(SOMEBODY_THERE),
         };
@@ -41,7 +50,7 @@ impl TakenOver {
                 None => kept.push(run),
             }
         }
-        let driven = open.into_iter().rfind(|run| resume && run.auto_resume && was_driven(run));
+        let driven = open.into_iter().rfind(|run| may_resume && run.auto_resume && was_driven(run));
         Self { driven, waiting: kept, dropped }
     }
 }
@@ -54,6 +63,7 @@ fn was_driven(run: &RunRow) -> bool {
 
 #[cfg(test)]
 pub(super) mod tests {
+    use super::AutoResume::{Allowed, Off};
     use super::*;
     use crate::ids::RunUid;
     use crate::store::{Label, RunKind};
@@ -104,7 +114,7 @@ pub(super) mod tests {
     fn becomes(
         open: Option<RunRow>,
         waits_and_may: Option<bool>,
-        resume: bool,
+        resume: AutoResume,
     ) -> (bool, bool, Option<&'static str>) {
         let waiting = waits_and_may.map(|may| run(StoredState::Queued, None, may));
         let taken =
@@ -116,17 +126,17 @@ pub(super) mod tests {
     #[test]
     fn a_run_that_was_under_way_goes_on_where_its_arming_allows_it() {
         let running = |may| Some(run(StoredState::Running, None, may));
-        assert_eq!(becomes(running(true), None, true), (true, false, None));
-        assert_eq!(becomes(running(false), None, true), (false, false, None));
-        assert_eq!(becomes(running(true), None, false), (false, false, None));
+        assert_eq!(becomes(running(true), None, Allowed), (true, false, None));
+        assert_eq!(becomes(running(false), None, Allowed), (false, false, None));
+        assert_eq!(becomes(running(true), None, Off), (false, false, None));
         let restarted = run(StoredState::Paused, Some(PausedWhy::Restart), true);
-        assert_eq!(becomes(Some(restarted), None, true), (true, false, None));
+        assert_eq!(becomes(Some(restarted), None, Allowed), (true, false, None));
         for (state, why) in [
             (StoredState::Paused, Some(PausedWhy::Operator)),
             (StoredState::Paused, Some(PausedWhy::Trip)),
             (StoredState::Stopping, None),
         ] {
-            assert_eq!(becomes(Some(run(state, why, true)), None, true), (false, false, None));
+            assert_eq!(becomes(Some(run(state, why, true)), None, Allowed), (false, false, None));
         }
     }
 
@@ -134,17 +144,20 @@ pub(super) mod tests {
     fn a_run_that_waits_keeps_its_turn_where_its_arming_allows_it() {
         let running = |may| Some(run(StoredState::Running, None, may));
         // Behind one that resumes, behind one that may not, and without one before it.
-        assert_eq!(becomes(running(true), Some(true), true), (true, true, None));
-        assert_eq!(becomes(running(false), Some(true), true), (false, true, None));
-        assert_eq!(becomes(None, Some(true), true), (false, true, None));
-        assert_eq!(becomes(None, Some(false), true), (false, false, Some(NOT_ALLOWED)));
-        assert_eq!(becomes(running(true), Some(false), true), (true, false, Some(NOT_ALLOWED)));
-        assert_eq!(becomes(None, Some(true), false), (false, false, Some(NOT_ASKED)));
+        assert_eq!(becomes(running(true), Some(true), Allowed), (true, true, None));
+        assert_eq!(becomes(running(false), Some(true), Allowed), (false, true, None));
+        assert_eq!(becomes(None, Some(true), Allowed), (false, true, None));
+        assert_eq!(becomes(None, Some(false), Allowed), (false, false, Some(NOT_ALLOWED)));
+        assert_eq!(becomes(running(true), Some(false), Allowed), (true, false, Some(NOT_ALLOWED)));
+        assert_eq!(becomes(None, Some(true), Off), (false, false, Some(NOT_ASKED)));
     }
 
     #[test]
     fn nothing_begins_by_itself_where_somebody_may_be_at_the_rig() {
         let change = run(StoredState::Paused, Some(PausedWhy::TipChange), true);
-        assert_eq!(becomes(Some(change), Some(true), true), (false, false, Some(SOMEBODY_THERE)));
+        assert_eq!(
+            becomes(Some(change), Some(true), Allowed),
+            (false, false, Some(SOMEBODY_THERE))
+        );
     }
 }

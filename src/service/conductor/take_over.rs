@@ -7,7 +7,7 @@ use jiff::Timestamp;
 use serde_json::json;
 use tracing::Instrument;
 
-use super::restart::TakenOver;
+use super::restart::{AutoResume, TakenOver};
 use super::{Conductor, ConductorError, turn};
 use crate::campaign::bench::rig_state::RigState;
 use crate::campaign::shown::command::{Refusal, Request};
@@ -35,7 +35,7 @@ impl Conductor {
     ///
     /// # Errors
     /// `ConductorError` if the store fails, or the run cannot resume.
-    pub async fn resume_after_restart(&self, resume: bool) -> Result<(), ConductorError> {
+    pub async fn resume_after_restart(&self, resume: AutoResume) -> Result<(), ConductorError> {
         let store = &self.inner.store;
         let (open, waiting) = (store.open_runs().await?, store.waiting_runs().await?);
         let TakenOver { driven, waiting, dropped } = TakenOver::of(open, waiting, resume);

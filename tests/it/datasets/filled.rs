@@ -7,6 +7,7 @@ use std::time::{Duration, Instant};
 
 use palpate::api::{ServeOptions, Service};
 use palpate::clock::Clock;
+use palpate::conductor::AutoResume;
 use palpate::ids::{CalibrationId, RunUid, TrialKey};
 use palpate::journal::{ExitStatus, Journal};
 use palpate::record::{
@@ -239,7 +240,7 @@ impl Filled {
             data: data.clone(),
             rig_file: "rig.toml".into(),
             rig_text: rig(),
-            resume: false,
+            resume: AutoResume::Off,
             twin_workers: 0,
             calibration: None,
             sensor: sensor(),
