@@ -2,6 +2,7 @@
 //! Uses: nothing. Never: HTTP, exit codes, logging.
 
 use std::fmt;
+use std::ops::RangeInclusive;
 
 /// A place in a text: line and column from 1, in characters.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
@@ -87,9 +88,10 @@ impl<'a> Checks<'a> {
         }
     }
 
-    /// Adds a problem unless `value` is finite and within `[min, max]`.
-    pub fn within(&mut self, key: &str, value: f64, min: f64, max: f64) {
-        let ok = value.is_finite() && (min..=max).contains(&value);
+    /// Adds a problem unless `value` is finite and within the range.
+    pub fn within(&mut self, key: &str, value: f64, range: RangeInclusive<f64>) {
+        let ok = value.is_finite() && range.contains(&value);
+        let (min, max) = range.into_inner();
         self.require(ok, key, value, &format!("must be from {min} to {max}"));
     }
 

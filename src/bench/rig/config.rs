@@ -326,7 +326,7 @@ impl ErtConfig {
 
     /// Checks rate and electrodes.
     pub(super) fn check(&self, c: &mut Checks<'_>) {
-        c.within("ert.frame_rate_hz", self.frame_rate_hz(), 0.1, 1000.0);
+        c.within("ert.frame_rate_hz", self.frame_rate_hz(), 0.1..=1000.0);
         let electrodes = self.electrodes();
         let ok = (2..=64).contains(&electrodes);
         c.require(ok, "ert.electrodes", electrodes, "must be 2 to 64");
@@ -371,7 +371,7 @@ impl RigConfig {
 
     fn check(&self, file: &str) -> Result<(), Vec<Problem>> {
         let mut c = Checks::of(file);
-        c.within("clock_rate", self.clock_rate, 0.01, 2000.0);
+        c.within("clock_rate", self.clock_rate, 0.01..=2000.0);
         self.check_lines(&mut c);
         let profiles = [
             ("x", "mm", self.axes.x.profile()),
@@ -385,10 +385,10 @@ impl RigConfig {
             c.require(known, &key("line"), &p.line, "must be one of [lines]");
             let unit_ok = (1..=247).contains(&p.address);
             c.require(unit_ok, &key("unit"), p.address, "must be 1 to 247");
-            c.within(&key("counts_per_*"), p.counts_per_unit, 1e-3, 1e7);
-            c.within(&key("speed_*_s"), p.speed, 1e-3, 5000.0);
-            c.within(&key("acceleration_*_s2"), p.acceleration, 1e-3, 1e5);
-            c.within(&key("tolerance_*"), p.tolerance, 1e-4, 5.0);
+            c.within(&key("counts_per_*"), p.counts_per_unit, 1e-3..=1e7);
+            c.within(&key("speed_*_s"), p.speed, 1e-3..=5000.0);
+            c.within(&key("acceleration_*_s2"), p.acceleration, 1e-3..=1e5);
+            c.within(&key("tolerance_*"), p.tolerance, 1e-4..=5.0);
             let ordered = p.travel[0].is_finite() && p.travel[0] < p.travel[1];
             let shown = format!("[{}, {}]", p.travel[0], p.travel[1]);
             c.require(ordered, &key("travel_*"), &shown, "must be [lower, upper]");
@@ -427,11 +427,11 @@ impl RigConfig {
             format!("[{top}, {bottom}]"),
             "must be [lower, upper] within axes.z.travel_mm, with clearance_mm above",
         );
-        c.within("skin.search_below_mm", self.skin.search_below_mm, 0.5, 20.0);
+        c.within("skin.search_below_mm", self.skin.search_below_mm, 0.5..=20.0);
         if let Some(expected) = self.skin.expected_z_mm {
-            c.within("skin.expected_z_mm", expected, top, bottom);
+            c.within("skin.expected_z_mm", expected, top..=bottom);
         }
-        c.within("skin.clearance_mm", self.skin.clearance_mm, 0.5, 100.0);
+        c.within("skin.clearance_mm", self.skin.clearance_mm, 0.5..=100.0);
         self.limits.check(&mut c, self.cells.full_scale_n);
         self.ert.check(&mut c);
         c.done()

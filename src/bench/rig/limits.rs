@@ -58,14 +58,14 @@ impl RigLimits {
 
     /// Checks every limit; `full_scale_n` is the range of a cell.
     pub(super) fn check(&self, c: &mut Checks<'_>, full_scale_n: f64) {
-        c.within("limits.force_n", self.force_n, 1.0, 0.8 * full_scale_n);
-        c.within("limits.force_sum_n", self.force_sum_n, 1.0, 5000.0);
-        c.within("limits.force_margin_n", self.force_margin_n, 0.1, self.force_n);
-        c.within("limits.force_sum_margin_n", self.sum_margin_n(), 0.1, self.force_sum_n);
-        c.within("limits.stiffness_n_per_mm", self.stiffness_n_per_mm, 0.1, 1000.0);
-        c.within("limits.tare_drift_n", self.tare_drift_n, 0.01, 50.0);
-        c.within("limits.skin_touch_v", self.skin_touch_v, 1e-6, 10.0);
-        c.within("limits.must_press_mm", self.must_press_mm, 0.1, 20.0);
+        c.within("limits.force_n", self.force_n, 1.0..=0.8 * full_scale_n);
+        c.within("limits.force_sum_n", self.force_sum_n, 1.0..=5000.0);
+        c.within("limits.force_margin_n", self.force_margin_n, 0.1..=self.force_n);
+        c.within("limits.force_sum_margin_n", self.sum_margin_n(), 0.1..=self.force_sum_n);
+        c.within("limits.stiffness_n_per_mm", self.stiffness_n_per_mm, 0.1..=1000.0);
+        c.within("limits.tare_drift_n", self.tare_drift_n, 0.01..=50.0);
+        c.within("limits.skin_touch_v", self.skin_touch_v, 1e-6..=10.0);
+        c.within("limits.must_press_mm", self.must_press_mm, 0.1..=20.0);
         let [low, high] = self.corridor_n_per_mm;
         let shown = format!("[{low}, {high}]");
         let ordered = low >= 0.0 && low < high && high.is_finite();

@@ -61,7 +61,7 @@ impl RigSetup {
         }
         let skin: SkinConfig = parse_toml(file, text)?;
         let mut c = Checks::of(file);
-        c.within("clock_rate", skin.clock_rate, 0.01, 2000.0);
+        c.within("clock_rate", skin.clock_rate, 0.01..=2000.0);
         check_frame_age(skin.limits.frame_age_ms, &mut c);
         skin.ert.check(&mut c);
         c.done()?;

@@ -303,7 +303,7 @@ impl Experiment {
                 && (1..hex.tips.len()).all(|i| !hex.tips[..i].contains(&hex.tips[i]));
             let shown = format!("{:?}", hex.tips);
             c.require(tips_ok, "real_hex.tips", shown, "must be different counts from 1 to 6");
-            c.within("real_hex.configurations", f64::from(hex.configurations), 1.0, 1e6);
+            c.within("real_hex.configurations", f64::from(hex.configurations), 1.0..=1e6);
             let [low, high] = hex.radius_pitches;
             c.require(
                 (2..=high).contains(&low) && high <= 15,
@@ -311,13 +311,13 @@ impl Experiment {
                 format!("[{low}, {high}]"),
                 "must be [lower, upper] from 2 (1 would make tips touch) to 15",
             );
-            c.within("real_hex.first_depth_mm", hex.first_depth_mm, 0.0, 8.0);
-            c.within("real_hex.depth_step_mm", hex.depth_step_mm, 0.01, 8.0);
-            c.within("real_hex.depths", f64::from(hex.depths), 1.0, 1000.0);
-            c.within("real_hex.deepest depth", hex.deepest_mm(), 0.0, 8.0);
-            c.within("real_hex.standoff_mm", hex.standoff_mm, 0.0, 5.0);
-            c.within("real_hex.reference_depth_mm", hex.reference_depth_mm, 0.0, 8.0);
-            c.within("real_hex.block", f64::from(hex.block), 1.0, 1000.0);
+            c.within("real_hex.first_depth_mm", hex.first_depth_mm, 0.0..=8.0);
+            c.within("real_hex.depth_step_mm", hex.depth_step_mm, 0.01..=8.0);
+            c.within("real_hex.depths", f64::from(hex.depths), 1.0..=1000.0);
+            c.within("real_hex.deepest depth", hex.deepest_mm(), 0.0..=8.0);
+            c.within("real_hex.standoff_mm", hex.standoff_mm, 0.0..=5.0);
+            c.within("real_hex.reference_depth_mm", hex.reference_depth_mm, 0.0..=8.0);
+            c.within("real_hex.block", f64::from(hex.block), 1.0..=1000.0);
         }
         if let Some(random) = &self.real_random {
             let ok = !random.contacts.is_empty()
@@ -326,31 +326,31 @@ impl Experiment {
                     .all(|i| !random.contacts[..i].contains(&random.contacts[i]));
             let shown = format!("{:?}", random.contacts);
             c.require(ok, "real_random.contacts", shown, "must be different counts from 1 to 6");
-            c.within("real_random.trials_each", f64::from(random.trials_each), 1.0, 1e6);
+            c.within("real_random.trials_each", f64::from(random.trials_each), 1.0..=1e6);
             let ok = !random.weights_n.is_empty() && random.weights_n.iter().all(|w| *w > 0.0);
             let shown = format!("{:?}", random.weights_n);
             c.require(ok, "real_random.weights_n", shown, "must be positive forces");
         }
         let m = &self.measure;
-        c.within("measure.frames_per_trial", f64::from(m.frames_per_trial), 1.0, 1000.0);
-        c.within("measure.settle_ms", m.settle_ms, 0.0, 600_000.0);
-        c.within("measure.settle_n", m.settle_n, 0.0, 50.0);
-        c.within("measure.settle_max_ms", m.settle_max_ms, m.settle_ms, 3_600_000.0);
-        c.within("measure.tare_samples", f64::from(m.tare_samples), 1.0, 1000.0);
-        c.within("measure.deadband_n", m.deadband_n, 0.0, 100.0);
-        c.within("measure.injection_sum_v", m.injection_sum_v, 0.0, 100.0);
-        c.within("policy.retries", f64::from(self.policy.retries), 0.0, 100.0);
-        c.within("policy.auto_resume_after_s", self.policy.auto_resume_after_s, 0.0, 86_400.0);
+        c.within("measure.frames_per_trial", f64::from(m.frames_per_trial), 1.0..=1000.0);
+        c.within("measure.settle_ms", m.settle_ms, 0.0..=600_000.0);
+        c.within("measure.settle_n", m.settle_n, 0.0..=50.0);
+        c.within("measure.settle_max_ms", m.settle_max_ms, m.settle_ms..=3_600_000.0);
+        c.within("measure.tare_samples", f64::from(m.tare_samples), 1.0..=1000.0);
+        c.within("measure.deadband_n", m.deadband_n, 0.0..=100.0);
+        c.within("measure.injection_sum_v", m.injection_sum_v, 0.0..=100.0);
+        c.within("policy.retries", f64::from(self.policy.retries), 0.0..=100.0);
+        c.within("policy.auto_resume_after_s", self.policy.auto_resume_after_s, 0.0..=86_400.0);
         let t = &self.twins;
-        c.within("twins.window", f64::from(t.window), 2.0, 10_000.0);
-        c.within("twins.min_force_n", t.min_force_n, 0.0, 1000.0);
-        c.within("twins.warn_fvu", t.warn_fvu, 0.0, 1e6);
+        c.within("twins.window", f64::from(t.window), 2.0..=10_000.0);
+        c.within("twins.min_force_n", t.min_force_n, 0.0..=1000.0);
+        c.within("twins.warn_fvu", t.warn_fvu, 0.0..=1e6);
         if let Some(suspend_fvu) = t.suspend_fvu {
-            c.within("twins.suspend_fvu", suspend_fvu, 0.0, 1e6);
+            c.within("twins.suspend_fvu", suspend_fvu, 0.0..=1e6);
         }
-        c.within("twins.pair_warn_fvu", t.pair_warn_fvu, 0.0, 1e6);
-        c.within("limits.force_n", self.limits.force_n, 0.5, 1000.0);
-        c.within("limits.force_sum_n", self.limits.force_sum_n, 0.5, 6000.0);
+        c.within("twins.pair_warn_fvu", t.pair_warn_fvu, 0.0..=1e6);
+        c.within("limits.force_n", self.limits.force_n, 0.5..=1000.0);
+        c.within("limits.force_sum_n", self.limits.force_sum_n, 0.5..=6000.0);
         c.done()
     }
 }

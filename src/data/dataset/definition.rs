@@ -225,7 +225,7 @@ impl Definition {
         let limit = "must be 1 to 60 characters of a-z, 0-9 and -, and must not start with ds-";
         checks.require(named && self.name.parse::<DatasetId>().is_err(), "name", &self.name, limit);
         if let Some(deadband_n) = self.deadband_n {
-            checks.within("deadband_n", deadband_n, 0.0, 1000.0);
+            checks.within("deadband_n", deadband_n, 0.0..=1000.0);
         }
         if let Some(license) = &self.license {
             let one_line = !license.contains(char::is_control);

@@ -209,7 +209,7 @@ impl EvaluationRequest {
         let part = self.part.as_deref().unwrap_or("test");
         let parts = crate::dataset::split::Part::ALL.map(|part| part.name());
         checks.require(parts.contains(&part), "part", part, "must be train, validation or test");
-        checks.within("threshold_n", self.threshold_n, 0.0, 1000.0);
+        checks.within("threshold_n", self.threshold_n, 0.0..=1000.0);
         let scored = self.scored.name();
         for (slot, is_set) in [
             (Slot::Transfer, self.transfer.is_some()),
@@ -228,7 +228,7 @@ impl EvaluationRequest {
         let net = self.net.as_deref().unwrap_or("none");
         checks.require(is_quantity == self.net.is_some(), "net", net, limit);
         if let Some(limit_mm) = self.place_sd_mm {
-            checks.within("place_sd_mm", limit_mm, 1.0, 1000.0);
+            checks.within("place_sd_mm", limit_mm, 1.0..=1000.0);
             let unused =
                 format!("must be absent for {scored}, which states no standard deviations");
             checks.require(self.scored.is_fit(), "place_sd_mm", limit_mm, &unused);

@@ -43,11 +43,11 @@ impl Coordinates {
     pub fn from_toml(file: &str, text: &str) -> Result<Self, Vec<Problem>> {
         let map: Self = parse_toml(file, text)?;
         let mut checks = Checks::of(file);
-        checks.within("rotate_deg", map.rotate_deg, -360.0, 360.0);
+        checks.within("rotate_deg", map.rotate_deg, -360.0..=360.0);
         for (at, mm) in map.offset_mm.into_iter().enumerate() {
-            checks.within(&format!("offset_mm[{at}]"), mm, -OFFSET_MAX_MM, OFFSET_MAX_MM);
+            checks.within(&format!("offset_mm[{at}]"), mm, -OFFSET_MAX_MM..=OFFSET_MAX_MM);
         }
-        checks.within("scale", map.scale, SCALES[0], SCALES[1]);
+        checks.within("scale", map.scale, SCALES[0]..=SCALES[1]);
         checks.done().map(|()| map)
     }
 
