@@ -16,21 +16,32 @@ const LIST_BYTES: u64 = 600;
 /// Size of a stored contact, bytes: its row and the entry of the index.
 const CONTACT_BYTES: u64 = 80;
 
-/// Checks that `needed` bytes leave the space that is reserved for runs; `free`: free space, bytes.
-///
-/// # Errors
-/// `DatasetError::DiskFull` if they do not.
-pub fn check(product: Product, needed: u64, free: u64) -> Result<(), DatasetError> {
-    let kept = KEPT_FREE_BYTES;
-    if needed.checked_add(kept).is_some_and(|all| all <= free) {
-        return Ok(());
-    }
-    Err(DatasetError::DiskFull { product, needed, free, kept })
+/// Space on the disk, bytes.
+#[derive(Debug, Clone, Copy)]
+pub struct Space {
+    /// What is to be written.
+    pub needed: u64,
+    /// Free space.
+    pub free: u64,
 }
 
-/// Number of bytes that must become free for `needed` bytes; 0 if there is room. `free`: as in [`check`].
-pub fn lacking(needed: u64, free: u64) -> u64 {
-    needed.saturating_add(KEPT_FREE_BYTES).saturating_sub(free)
+impl Space {
+    /// Checks that what is needed leaves the space that is reserved for runs.
+    ///
+    /// # Errors
+    /// `DatasetError::DiskFull` if it does not.
+    pub fn check(self, product: Product) -> Result<(), DatasetError> {
+        let (Self { needed, free }, kept) = (self, KEPT_FREE_BYTES);
+        if needed.checked_add(kept).is_some_and(|all| all <= free) {
+            return Ok(());
+        }
+        Err(DatasetError::DiskFull { product, needed, free, kept })
+    }
+
+    /// Number of bytes that must become free; 0 if there is room.
+    pub fn lacking(self) -> u64 {
+        self.needed.saturating_add(KEPT_FREE_BYTES).saturating_sub(self.free)
+    }
 }
 
 /// Upper estimate of the size of a row in a file, bytes.
@@ -55,15 +66,29 @@ fn cell_bytes(kind: &DataType, as_text: bool) -> u64 {
     }
 }
 
-/// Size of an import in the database, bytes. `frames`: number of measured and simulated frames of all
-/// trials, of `channels` voltages each; `contacts`: number of contacts of all trials.
-pub fn imported_bytes(trials: u64, frames: u64, channels: u64, contacts: u64) -> u64 {
-    let parts = [
-        trials.saturating_mul(TRIAL_BYTES),
-        frames.saturating_mul(VOLTAGES_BYTES + 4 * channels),
-        contacts.saturating_mul(CONTACT_BYTES),
-    ];
-    parts.into_iter().fold(0, u64::saturating_add)
+/// What an import consists of.
+#[derive(Debug, Clone, Copy)]
+pub struct ImportCounts {
+    /// Number of trials.
+    pub trials: u64,
+    /// Number of measured and simulated frames of all trials.
+    pub frames: u64,
+    /// Number of voltages of a frame.
+    pub channels: u64,
+    /// Number of contacts of all trials.
+    pub contacts: u64,
+}
+
+impl ImportCounts {
+    /// Size in the database, bytes.
+    pub fn bytes(self) -> u64 {
+        let parts = [
+            self.trials.saturating_mul(TRIAL_BYTES),
+            self.frames.saturating_mul(VOLTAGES_BYTES + 4 * self.channels),
+            self.contacts.saturating_mul(CONTACT_BYTES),
+        ];
+        parts.into_iter().fold(0, u64::saturating_add)
+    }
 }
 
 /// Size of an uploaded file and of its trials in the database, bytes. Measured on frames of noise: the
@@ -80,12 +105,15 @@ mod tests {
     #[test]
     fn nothing_is_written_into_the_space_of_runs() {
         let free = KEPT_FREE_BYTES + 1000;
-        check(Product::Import, 1000, free).unwrap();
-        let refused = check(Product::Import, 1001, free).unwrap_err().to_string();
+        let fits = Space { needed: 1000, free };
+        fits.check(Product::Import).unwrap();
+        let large = Space { needed: 1001, free };
+        let refused = large.check(Product::Import).unwrap_err().to_string();
         assert!(refused.starts_with("an import of about 1001 bytes: 2147484648 bytes are free"));
-        check(Product::Import, 0, KEPT_FREE_BYTES - 1).unwrap_err();
-        check(Product::Export, u64::MAX, u64::MAX).unwrap_err();
-        assert_eq!((lacking(1000, free), lacking(1001, free)), (0, 1));
+        let full = Space { needed: 0, free: KEPT_FREE_BYTES - 1 };
+        full.check(Product::Import).unwrap_err();
+        Space { needed: u64::MAX, free: u64::MAX }.check(Product::Export).unwrap_err();
+        assert_eq!((fits.lacking(), large.lacking()), (0, 1));
     }
 
     #[test]
@@ -102,9 +130,10 @@ mod tests {
     fn an_import_takes_the_space_that_was_measured() {
         // 20,000 trials of one contact: 3500 bytes each in SQLite, 6798 with a simulated frame.
         for (frames, measured) in [(1, 3500), (2, 6798)] {
-            let bytes = imported_bytes(1, frames, 784, 1);
+            let bytes = ImportCounts { trials: 1, frames, channels: 784, contacts: 1 }.bytes();
             assert!((measured..measured * 5 / 4).contains(&bytes), "{frames}: {bytes}");
         }
-        assert_eq!(imported_bytes(u64::MAX, 1, 1, 1), u64::MAX);
+        let most = ImportCounts { trials: u64::MAX, frames: 1, channels: 1, contacts: 1 };
+        assert_eq!(most.bytes(), u64::MAX);
     }
 }

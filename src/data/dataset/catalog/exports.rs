@@ -16,7 +16,7 @@ use crate::dataset::format::{Format, Rows};
 use crate::dataset::read::SKIN;
 use crate::dataset::schema;
 use crate::dataset::select::{Selection, Wanted};
-use crate::dataset::space;
+use crate::dataset::space::{self, Space};
 use crate::ids::TaskId;
 use crate::journal::error_chain;
 use crate::new_file;
@@ -92,9 +92,10 @@ impl Catalog {
         let needed = rows.count().saturating_mul(space::row_bytes(&rows.schema(), format));
         let free = self.inner.store.free_bytes().await?;
         // Old exports make room for a new one.
-        trim(&folder, EXPORTS_BYTES, space::lacking(needed, free))
+        trim(&folder, EXPORTS_BYTES, Space { needed, free }.lacking())
             .map_err(DatasetError::file("removing old exports in", &folder))?;
-        space::check(Product::Export, needed, self.inner.store.free_bytes().await?)?;
+        let free = self.inner.store.free_bytes().await?;
+        Space { needed, free }.check(Product::Export)?;
         let failed = DatasetError::file("writing", &digest);
         let writing = background(move || {
             let finished = export::write(&rows, format, &folder, &name, &progress)?;

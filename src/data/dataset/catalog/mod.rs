@@ -26,7 +26,7 @@ use crate::dataset::prune::{self, Pruned};
 use crate::dataset::read::DatasetRows;
 use crate::dataset::schema;
 use crate::dataset::select::Wanted;
-use crate::dataset::space;
+use crate::dataset::space::{self, Space};
 use crate::ids::DatasetId;
 use crate::new_file::sweep;
 use crate::problem::Problem;
@@ -279,7 +279,7 @@ impl Catalog {
         format: Format,
     ) -> Result<(), DatasetError> {
         let needed = rows.saturating_mul(space::row_bytes(columns, format));
-        space::check(product, needed, self.inner.store.free_bytes().await?)
+        Space { needed, free: self.inner.store.free_bytes().await? }.check(product)
     }
 
     /// Checks that the disk has room for an upload of `bytes` bytes and for its trials; 0 bytes: that
@@ -288,8 +288,8 @@ impl Catalog {
     /// # Errors
     /// `DatasetError::DiskFull` if it has not, `Store` if the free space is unknown.
     pub async fn check_upload(&self, bytes: u64) -> Result<(), DatasetError> {
-        let free = self.inner.store.free_bytes().await?;
-        space::check(Product::Import, space::upload_bytes(bytes), free)
+        let (needed, free) = (space::upload_bytes(bytes), self.inner.store.free_bytes().await?);
+        Space { needed, free }.check(Product::Import)
     }
 
     /// Opens selected rows of a dataset.

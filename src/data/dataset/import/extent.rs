@@ -8,7 +8,7 @@ use parquet::file::metadata::ParquetMetaData;
 use super::rows::is_read;
 use super::sensor::ImportedSensor;
 use crate::dataset::schema::VOLTAGES_V;
-use crate::dataset::space::imported_bytes;
+use crate::dataset::space::ImportCounts;
 use crate::problem::{Checks, Problem};
 use crate::simulate::schema::{CONTACTS, SIM_VOLTAGES_V};
 use crate::store::IMPORTED_CONTACTS_MAX;
@@ -83,7 +83,7 @@ impl Extent {
         let frames = [VOLTAGES_V, SIM_VOLTAGES_V].iter().filter(|f| self.values.contains_key(**f));
         let frames = self.rows.saturating_mul(frames.count() as u64);
         let contacts = self.values.get(CONTACTS).copied().unwrap_or(0);
-        Ok(imported_bytes(self.rows, frames, channels, contacts))
+        Ok(ImportCounts { trials: self.rows, frames, channels, contacts }.bytes())
     }
 }
 
@@ -106,7 +106,8 @@ mod tests {
             let extent = extent(rows, [(VOLTAGES_V, voltages), (CONTACTS, contacts)]);
             extent.needed("f", &pad()).map_err(|all| all[0].to_string())
         };
-        assert_eq!(of(10, 40, 12).unwrap(), imported_bytes(10, 10, 4, 12));
+        let counts = ImportCounts { trials: 10, frames: 10, channels: 4, contacts: 12 };
+        assert_eq!(of(10, 40, 12).unwrap(), counts.bytes());
         let refused = "f: voltages_v = 41 values: must have at most 4 values per row";
         assert_eq!(of(10, 41, 12).unwrap_err(), refused);
         let refused = "f: contacts = 641 values: must have at most 64 values per row";

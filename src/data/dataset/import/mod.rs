@@ -16,7 +16,7 @@ use tokio::sync::mpsc;
 
 use super::background::background;
 use super::error::{DatasetError, Product};
-use super::space;
+use super::space::Space;
 use crate::digest::{Hashing, sha256_hex};
 use crate::ids::RunUid;
 use crate::problem::Problem;
@@ -137,7 +137,7 @@ fn check(
     // A few bytes of a compressed file may stand for any number of values.
     let rows = source.extent().rows();
     let needed = source.extent().needed(file, sensor).map_err(DatasetError::Problems)?;
-    space::check(Product::Import, needed, free)?;
+    Space { needed, free }.check(Product::Import)?;
     let mut hashing = Hashing::default();
     let mut bytes = File::open(path).map_err(DatasetError::file("opening", path))?;
     std::io::copy(&mut bytes, &mut hashing).map_err(DatasetError::file("reading", path))?;
