@@ -192,7 +192,7 @@ fn samples<'a>(
     match (recipe.training.net.answer(), recipe.map) {
         (Answer::Frame, _) => Ok(Box::new(FramePairs { examples, rows })),
         (Answer::Map { side }, Some(map)) => {
-            let draws = ForceMap::new(map, given.skin.width_mm, given.skin.height_mm);
+            let draws = ForceMap::new(map, [given.skin.width_mm, given.skin.height_mm]);
             let draws = draws
                 .map_err(|error| LearnError::value("recipe", "map", map, &error.to_string()))?;
             if draws.pixels() != side {

@@ -108,7 +108,7 @@ impl Selection {
                 return None;
             };
             let spec = text.parse::<ForceMapSpec>();
-            let map = spec.and_then(|spec| ForceMap::new(spec, skin.width_mm, skin.height_mm));
+            let map = spec.and_then(|spec| ForceMap::new(spec, [skin.width_mm, skin.height_mm]));
             map.map_err(|error| wrong("map", text, error.to_string())).ok()
         });
         let slice = wanted

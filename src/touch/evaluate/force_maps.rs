@@ -36,7 +36,7 @@ impl Picture {
             why: error.to_string(),
         };
         let skin = crate::dataset::read::SKIN;
-        let draws = ForceMap::new(spec, skin.width_mm, skin.height_mm).map_err(failed)?;
+        let draws = ForceMap::new(spec, [skin.width_mm, skin.height_mm]).map_err(failed)?;
         let mut map = vec![0.0; draws.pixels() * draws.pixels()];
         let pressed = contacts.iter().filter_map(|c| c.pressed());
         let of = |[x_mm, y_mm, force_n]: [f64; 3]| MapContact { x_mm, y_mm, force_n };

@@ -70,7 +70,7 @@ mod tests {
     use crate::evaluate::score::Scores;
 
     fn map(spec: &str) -> ForceMap {
-        ForceMap::new(spec.parse().unwrap(), 540.0, 560.0).unwrap()
+        ForceMap::new(spec.parse().unwrap(), [540.0, 560.0]).unwrap()
     }
 
     fn contact(x_mm: f64, y_mm: f64, force_n: f64) -> Contact {

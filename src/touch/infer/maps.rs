@@ -34,11 +34,11 @@ impl ForceMaps {
 ///
 /// # Errors
 /// `InferError::Map` if the map does not fit the skin.
-pub fn draw(readings: &mut [Reading], [width_mm, height_mm]: [f64; 2]) -> Result<(), InferError> {
+pub fn draw(readings: &mut [Reading], skin_mm: [f64; 2]) -> Result<(), InferError> {
     if readings.iter().all(|reading| reading.force_map_n.is_some()) {
         return Ok(());
     }
-    let draws = ForceMap::new(MAP_1, width_mm, height_mm)?;
+    let draws = ForceMap::new(MAP_1, skin_mm)?;
     for reading in readings.iter_mut().filter(|reading| reading.force_map_n.is_none()) {
         let of =
             |c: &FoundContact| Some(MapContact { x_mm: c.x_mm, y_mm: c.y_mm, force_n: c.force_n? });

@@ -188,19 +188,21 @@ pub struct ForceMap {
 }
 
 impl ForceMap {
-    /// Prepares maps of a skin with this extent, mm. The centre of the square is that of the skin.
+    /// Prepares maps of a skin with this extent along x and y, mm. The centre of the square is that of the
+    /// skin.
     ///
     /// # Errors
     /// `ForceMapError::Skin` if the skin is larger than the square; the errors of
     /// [`ForceMapSpec::checked`].
-    pub fn new(spec: ForceMapSpec, width_mm: f64, height_mm: f64) -> Result<Self, ForceMapError> {
+    pub fn new(spec: ForceMapSpec, skin_mm: [f64; 2]) -> Result<Self, ForceMapError> {
         let spec = spec.checked()?;
         let fits = |extent_mm: f64| extent_mm > 0.0 && extent_mm <= SIDE_MM;
-        if !(fits(width_mm) && fits(height_mm)) {
+        let [width_mm, height_mm] = skin_mm;
+        if !skin_mm.into_iter().all(fits) {
             return Err(ForceMapError::Skin { width_mm, height_mm });
         }
         let corner = |extent_mm: f64| (extent_mm - SIDE_MM) / 2.0;
-        Ok(Self { spec, origin_mm: [corner(width_mm), corner(height_mm)] })
+        Ok(Self { spec, origin_mm: skin_mm.map(corner) })
     }
 
     /// Number of pixels along a side: a map holds the square of this number.

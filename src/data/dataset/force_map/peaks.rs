@@ -276,7 +276,7 @@ mod tests {
     const PIXELS: usize = 160;
 
     fn map(spec: &str) -> ForceMap {
-        ForceMap::new(spec.parse().unwrap(), 540.0, 560.0).unwrap()
+        ForceMap::new(spec.parse().unwrap(), [540.0, 560.0]).unwrap()
     }
 
     fn drawn(map: &ForceMap, contacts: &[(f64, f64, f64)]) -> Vec<f32> {
@@ -403,7 +403,7 @@ mod tests {
             ),
         ) {
             let spec = crate::dataset::force_map::TABLE_IV[which];
-            let map = ForceMap::new(spec, 540.0, 560.0).unwrap();
+            let map = ForceMap::new(spec, [540.0, 560.0]).unwrap();
             let peaks = map.peaks(&drawn(&map, &contacts), 5.0);
             for (i, peak) in peaks.iter().enumerate() {
                 prop_assert!(peak.force_n >= 5.0 && peak.diameter_mm > 0.0);

@@ -7,10 +7,10 @@ use proptest::prelude::*;
 
 use super::{Disc, ForceMap, ForceMapError, ForceMapSpec, MapContact, Span, TABLE_IV};
 
-const SKIN_MM: (f64, f64) = (540.0, 560.0);
+const SKIN_MM: [f64; 2] = [540.0, 560.0];
 
 fn map(spec: &str) -> ForceMap {
-    ForceMap::new(spec.parse().unwrap(), SKIN_MM.0, SKIN_MM.1).unwrap()
+    ForceMap::new(spec.parse().unwrap(), SKIN_MM).unwrap()
 }
 
 fn contact((x_mm, y_mm, force_n): (f64, f64, f64)) -> MapContact {
@@ -63,7 +63,7 @@ proptest! {
             (-49.0..589.0_f64, -39.0..599.0_f64, 0.1..60.0_f64), 0..7,
         ),
     ) {
-        let map = ForceMap::new(TABLE_IV[which], SKIN_MM.0, SKIN_MM.1).unwrap();
+        let map = ForceMap::new(TABLE_IV[which], SKIN_MM).unwrap();
         let pixels = drawn(&map, &contacts);
         let forces: f64 = contacts.iter().map(|c| c.2).sum();
         prop_assert!((sum(&pixels) - forces).abs() <= 1e-6 * forces, "{}", sum(&pixels));
@@ -75,7 +75,7 @@ proptest! {
         (x, y) in (60.0..480.0_f64, 60.0..500.0_f64), diameter in 1.0..120.0_f64,
     ) {
         let spec = ForceMapSpec { pixel_mm: 10.0, diameter_mm: diameter };
-        let map = ForceMap::new(spec, SKIN_MM.0, SKIN_MM.1).unwrap();
+        let map = ForceMap::new(spec, SKIN_MM).unwrap();
         let pixels = drawn(&map, &[(x, y, 1.0)]);
         for (i, &newtons) in pixels.iter().enumerate() {
             let low = [(i % 64) as f64 * 10.0 - 50.0, (i / 64) as f64 * 10.0 - 40.0];
@@ -170,6 +170,6 @@ fn a_refused_specification_names_its_limit() {
         let error = text.parse::<ForceMapSpec>().unwrap_err().to_string();
         assert!(error.contains(limit), "{text}: {error}");
     }
-    let large = ForceMap::new(TABLE_IV[0], 700.0, 560.0).unwrap_err().to_string();
+    let large = ForceMap::new(TABLE_IV[0], [700.0, 560.0]).unwrap_err().to_string();
     assert!(large.contains("at most 640 mm"), "{large}");
 }

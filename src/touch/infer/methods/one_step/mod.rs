@@ -54,7 +54,7 @@ impl OneStepPipeline {
             step: Arc::new(OneStep::new(&slopes, regularisation)?),
             points_mm: sensor.points().iter().map(|p| [p.x_mm, p.y_mm]).collect(),
             offset_v: offsets.unwrap_or_else(|| vec![0.0; channels]),
-            draws: ForceMap::new(MAP_1, sensor.file.width_mm, sensor.file.height_mm)?,
+            draws: ForceMap::new(MAP_1, [sensor.file.width_mm, sensor.file.height_mm])?,
             threshold_n,
             calibration: sensor.calibration().map(CalibrationId::unchecked),
             size_mm: [sensor.file.width_mm, sensor.file.height_mm],

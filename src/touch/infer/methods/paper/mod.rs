@@ -62,7 +62,7 @@ impl MapPipeline {
             let problem = Problem::new("request", "transfer", &transfer.manifest.id, limit);
             return Err(InferError::Problems(vec![problem]));
         }
-        let draws = ForceMap::new(spec, map.skin.width_mm, map.skin.height_mm)?;
+        let draws = ForceMap::new(spec, [map.skin.width_mm, map.skin.height_mm])?;
         let has_forces = !map.manifest.model.trained_on.forces_unknown;
         let threshold_n = if has_forces { threshold_n } else { HALF_A_CONTACT };
         Ok(Self { transfer, map, spec, draws, threshold_n, has_forces })
