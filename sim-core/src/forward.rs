@@ -15,7 +15,7 @@ use crate::mesh::{Mesh, MeshError};
 use crate::network::kron::{KronReduction, KronWork};
 use crate::network::readout::ReadoutWork;
 use crate::network::{ElectrodeError, SheetNetwork};
-use crate::piezo::{SPECIMEN_AREA_MM2, conductance_s};
+use crate::piezo::{NodeLaw, SPECIMEN_AREA_MM2};
 use crate::responses::UnitResponses;
 use crate::sensor::{ResistancePer, Sensor};
 use crate::tip::{Share, Spreading, TipLattice};
@@ -92,15 +92,6 @@ pub enum ContactError {
         /// Force of the contact, N.
         force_n: f64,
     },
-}
-
-/// Eq. 1 at one node, with all factors of the node included.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct NodeLaw {
-    pub a_ohm: f64,
-    pub b_per_mm: f64,
-    pub c_ohm: f64,
-    pub compliance: f64,
 }
 
 /// The forward model of one skin. `Send + Sync`; each thread needs its own [`Workspace`].
@@ -395,7 +386,7 @@ impl ForwardModel {
             if let Some(lut) = &self.fields.displacement {
                 *x = lut.apply(*x);
             }
-            *g = conductance_s(law.a_ohm, law.b_per_mm, law.c_ohm, *x);
+            *g = law.conductance_s(*x);
         }
     }
 

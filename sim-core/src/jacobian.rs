@@ -11,12 +11,12 @@
 
 use crate::circuit::ReadoutCircuit;
 use crate::fields::NodeFields;
-use crate::forward::{Contact, ContactError, ForwardModel, NodeLaw, Workspace};
+use crate::forward::{Contact, ContactError, ForwardModel, Workspace};
 use crate::mesh::Mesh;
 use crate::network::adjoint::{Direction, Potentials, Pull};
 use crate::network::back::KronFactor;
 use crate::network::{Resistor, sheet};
-use crate::piezo::conductance_slopes;
+use crate::piezo::NodeLaw;
 use crate::tip::Share;
 
 /// A contact's parameters, in the order of [`Linearised::contacts`]: x (mm), y (mm), force (N).
@@ -120,7 +120,7 @@ impl NodeSlopes {
             Some(lut) => (lut.apply(linear_mm), lut.slope(linear_mm)),
             None => (linear_mm, 1.0),
         };
-        let of = conductance_slopes(law.a_ohm, law.b_per_mm, law.c_ohm, compression_mm);
+        let of = law.conductance_slopes(compression_mm);
         let presses = if sum_mm > 0.0 { law.compliance } else { 0.0 };
         Self {
             per_mm: of.per_mm * slope * presses,

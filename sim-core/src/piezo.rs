@@ -18,11 +18,40 @@ pub fn resistance_ohm(piezo: &Piezo, compression_mm: f64) -> f64 {
     piezo.a_ohm / (piezo.b_per_mm * x).exp_m1() + piezo.c_ohm
 }
 
-/// `1 / f(x)`, S, of plain numbers; for the forward model's inner loop.
-#[inline]
-pub(crate) fn conductance_s(a_ohm: f64, b_per_mm: f64, c_ohm: f64, compression_mm: f64) -> f64 {
-    let x = compression_mm.max(LEAST_COMPRESSION_MM);
-    1.0 / (a_ohm / (b_per_mm * x).exp_m1() + c_ohm)
+/// Eq. 1 at one node, with all factors of the node included.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct NodeLaw {
+    pub a_ohm: f64,
+    pub b_per_mm: f64,
+    pub c_ohm: f64,
+    /// Factor from the compression of the nominal skin to that of this one.
+    pub compliance: f64,
+}
+
+impl NodeLaw {
+    /// `1 / f(x)` at a compression of this skin, S; for the forward model's inner loop.
+    #[inline]
+    pub fn conductance_s(&self, compression_mm: f64) -> f64 {
+        let x = compression_mm.max(LEAST_COMPRESSION_MM);
+        1.0 / (self.a_ohm / (self.b_per_mm * x).exp_m1() + self.c_ohm)
+    }
+
+    /// Slopes of [`NodeLaw::conductance_s`].
+    pub fn conductance_slopes(&self, compression_mm: f64) -> ConductanceSlopes {
+        let Self { a_ohm, b_per_mm, c_ohm, .. } = *self;
+        let x = compression_mm.max(LEAST_COMPRESSION_MM);
+        let grown = (b_per_mm * x).exp_m1();
+        let foam_ohm = a_ohm / grown;
+        let g = 1.0 / (foam_ohm + c_ohm);
+        // d(foam_ohm)/dx = -foam_ohm b (grown + 1) / grown.
+        let along_x = g * g * foam_ohm * b_per_mm * (1.0 + 1.0 / grown);
+        ConductanceSlopes {
+            per_mm: if compression_mm > LEAST_COMPRESSION_MM { along_x } else { 0.0 },
+            per_ln_a: -g * g * foam_ohm,
+            per_ln_b: along_x * x,
+            per_ln_c: -g * g * c_ohm,
+        }
+    }
 }
 
 /// Derivatives of a node's conductance at one compression.
@@ -36,25 +65,4 @@ pub(crate) struct ConductanceSlopes {
     pub per_ln_b: f64,
     /// By ln c, S.
     pub per_ln_c: f64,
-}
-
-/// Slopes of [`conductance_s`].
-pub(crate) fn conductance_slopes(
-    a_ohm: f64,
-    b_per_mm: f64,
-    c_ohm: f64,
-    compression_mm: f64,
-) -> ConductanceSlopes {
-    let x = compression_mm.max(LEAST_COMPRESSION_MM);
-    let grown = (b_per_mm * x).exp_m1();
-    let foam_ohm = a_ohm / grown;
-    let g = 1.0 / (foam_ohm + c_ohm);
-    // d(foam_ohm)/dx = -foam_ohm b (grown + 1) / grown.
-    let along_x = g * g * foam_ohm * b_per_mm * (1.0 + 1.0 / grown);
-    ConductanceSlopes {
-        per_mm: if compression_mm > LEAST_COMPRESSION_MM { along_x } else { 0.0 },
-        per_ln_a: -g * g * foam_ohm,
-        per_ln_b: along_x * x,
-        per_ln_c: -g * g * c_ohm,
-    }
 }

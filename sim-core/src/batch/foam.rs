@@ -5,9 +5,8 @@
 //! Lanes are nodes here, not loads; a node's result is the same in every lane.
 
 use crate::fields::DisplacementLut;
-use crate::forward::NodeLaw;
 use crate::network::lane::{Lane32, ROUND};
-use crate::piezo::LEAST_COMPRESSION_MM;
+use crate::piezo::{LEAST_COMPRESSION_MM, NodeLaw};
 
 /// Nodes that are evaluated together; a multiple of every lane count.
 pub(super) const BLOCK_NODES: usize = 16;
@@ -103,7 +102,6 @@ mod tests {
     use super::*;
     use crate::batch::Kernel;
     use crate::network::lane::LaneJob;
-    use crate::piezo::conductance_s;
 
     struct Conduct<'a>(&'a Foam, [f32; BLOCK_NODES]);
 
@@ -129,7 +127,7 @@ mod tests {
                 let x = (1e-5 * 10f64.powf(8.0 * f64::from(step) / 4000.0)) as f32;
                 let found = kernel.run(Conduct(&foam, [x; BLOCK_NODES]));
                 assert!(found.iter().all(|g| *g == found[0]), "the same in every lane");
-                let exact = conductance_s(law.a_ohm, law.b_per_mm, law.c_ohm, f64::from(x));
+                let exact = law.conductance_s(f64::from(x));
                 worst = worst.max((f64::from(found[0]) / exact - 1.0).abs());
             }
             assert!(worst < 5e-7, "{}: {worst:e}", kernel.name());
