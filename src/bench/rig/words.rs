@@ -18,9 +18,9 @@ pub fn bit(word: u16, n: u32) -> bool {
     word >> n & 1 == 1
 }
 
-/// Converts a physical value to a register value: rounded, and clamped to `[min, max]`.
-pub fn to_count(value: f64, min: i32, max: i32) -> i32 {
-    (value.round() as i32).clamp(min, max)
+/// Converts a physical value to a register value: rounded, from 1 to `max`.
+pub fn to_count(value: f64, max: i32) -> i32 {
+    (value.round() as i32).clamp(1, max)
 }
 
 #[cfg(test)]

@@ -108,9 +108,9 @@ impl Status {
 /// low word of the target starts the motion, so the block is written in one request.
 pub fn move_block(order: &MoveOrder) -> Request {
     let [target_high, target_low] = to_words(order.target);
-    let [band_high, band_low] = to_words(to_count(order.tolerance, 1, 999_999));
-    let [speed_high, speed_low] = to_words(to_count(order.speed, 1, SPEED_MAX));
-    let acceleration = to_count(order.acceleration / COUNTS_PER_CENTI_G, 1, ACCELERATION_MAX);
+    let [band_high, band_low] = to_words(to_count(order.tolerance, 999_999));
+    let [speed_high, speed_low] = to_words(to_count(order.speed, SPEED_MAX));
+    let acceleration = to_count(order.acceleration / COUNTS_PER_CENTI_G, ACCELERATION_MAX);
     let words = vec![
         target_high,
         target_low,

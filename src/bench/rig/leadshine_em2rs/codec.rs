@@ -73,13 +73,13 @@ pub fn clear_alarm() -> Request {
 
 /// Converts pulses/s to whole rpm, at least 1.
 pub fn rpm(pulses_per_s: f64, pulses_per_rev: u16) -> u16 {
-    to_count(pulses_per_s * 60.0 / f64::from(pulses_per_rev), 1, RPM_MAX) as u16
+    to_count(pulses_per_s * 60.0 / f64::from(pulses_per_rev), RPM_MAX) as u16
 }
 
 /// Converts pulses/s^2 to milliseconds per 1000 rpm, at least 1.
 pub fn ms_per_1000_rpm(pulses_per_s2: f64, pulses_per_rev: u16) -> u16 {
     let rpm_per_s = pulses_per_s2 * 60.0 / f64::from(pulses_per_rev);
-    to_count(1e6 / rpm_per_s, 1, 65_535) as u16
+    to_count(1e6 / rpm_per_s, 65_535) as u16
 }
 
 /// An absolute motion: writes path 0, then triggers it.

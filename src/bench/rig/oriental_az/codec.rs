@@ -93,12 +93,12 @@ pub fn guard_requests(guard: &Guard) -> Vec<GuardRequest> {
 
 /// An absolute motion as direct data operation.
 pub fn move_block(order: &MoveOrder) -> Request {
-    let rate = to_count(order.acceleration, 1, RATE_MAX);
+    let rate = to_count(order.acceleration, RATE_MAX);
     let values = [
         0,
         ABSOLUTE,
         order.target,
-        to_count(order.speed, 1, SPEED_MAX),
+        to_count(order.speed, SPEED_MAX),
         rate,
         rate,
         current(order.torque_percent),
