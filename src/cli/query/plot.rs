@@ -154,7 +154,7 @@ async fn question(client: &Client, trials: &Trials, name: &str) -> Result<Questi
         let limit = "has no value in the selected trials";
         return Err(CliError::argument("COLUMN", name, limit));
     };
-    Ok(trials.histogram(column, low, high))
+    Ok(trials.histogram(column, [low, high]))
 }
 
 /// A statement as a question: what is not known of it follows from its answer.

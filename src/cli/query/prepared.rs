@@ -111,8 +111,8 @@ impl Trials {
         })
     }
 
-    /// The histogram of a column between its ends.
-    pub fn histogram(&self, column: &Column, low: f64, high: f64) -> Question {
+    /// The histogram of a column from its least to its largest value.
+    pub fn histogram(&self, column: &Column, [low, high]: [f64; 2]) -> Question {
         let width = nice((high - low) / BINS);
         let name = column.name;
         let unit =
@@ -160,7 +160,7 @@ mod tests {
         assert!(trials.named("colour").is_none());
         assert!(trials.labels().contains("WHERE tips = 4 GROUP BY label"));
         let column = number("fvu").unwrap();
-        let question = trials.histogram(column, 0.0, 1.7);
+        let question = trials.histogram(column, [0.0, 1.7]);
         assert_eq!(question.width, Some(0.05));
         assert!(question.sql.contains("WHERE tips = 4 AND fvu IS NOT NULL"), "{}", question.sql);
         assert!(number("label").is_none() && number("seed").is_none());
