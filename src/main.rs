@@ -253,6 +253,56 @@ mod tests {
         assert!(count > 60, "{count} examples");
     }
 
+    /// The files of a folder and of the folders in it, with their texts.
+    fn sources(folder: &Path) -> Vec<(PathBuf, String)> {
+        let paths = std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path());
+        let found = paths.flat_map(|path| match path.is_dir() {
+            true => sources(&path),
+            false => vec![(path.clone(), std::fs::read_to_string(&path).unwrap())],
+        });
+        found.collect()
+    }
+
+    /// A text for `format!` with a value for each argument.
+    fn filled(literal: &str) -> String {
+        let parts = literal.split(['{', '}']).enumerate().map(|(n, part)| match (n % 2, part) {
+            (0, text) => text,
+            (_, "method") => "fast",
+            (_, "slot") => "map",
+            (_, "task") => "position",
+            _ => "1",
+        });
+        parts.collect()
+    }
+
+    #[test]
+    fn every_command_that_is_printed_as_the_next_one_can_be_typed() {
+        let mut count = 0;
+        for (path, text) in sources(&Path::new(env!("CARGO_MANIFEST_DIR")).join("src/cli")) {
+            for call in text.split(".suggest(").skip(1).map(str::trim_start) {
+                let is_literal = call.starts_with('"') || call.starts_with("format_args!(\"");
+                assert!(is_literal, "{}: a command is written at the call: {call}", path.display());
+                let typed = filled(call.split('"').nth(1).unwrap_or_default());
+                let mut places = vec![""];
+                if text.contains("Next::of(") {
+                    places.push(" --data d");
+                    // It starts a service: none is named.
+                    places.extend(
+                        (!typed.starts_with("palpate serve")).then_some(" --url http://rig"),
+                    );
+                }
+                for line in places.into_iter().map(|place| format!("{typed}{place}")) {
+                    assert!(line.starts_with("palpate "), "{}: {line}", path.display());
+                    let read = command_line().try_get_matches_from(arguments(&line));
+                    let error = read.err().map(|error| error.to_string());
+                    assert_eq!(error, None, "{}: {line}", path.display());
+                }
+                count += 1;
+            }
+        }
+        assert!(count > 20, "{count} commands");
+    }
+
     #[test]
     fn no_line_of_a_help_is_wider_than_a_terminal_and_options_state_their_defaults() {
         let mut root = command_line();

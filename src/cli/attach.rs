@@ -11,6 +11,7 @@ use super::begin::last_event;
 use super::client::Client;
 use super::error::CliError;
 use super::follow::{Follower, Left, Signals, Watch};
+use super::next::Next;
 use super::output::{Output, say, say_json};
 use super::summary::Closing;
 use super::twins::wait_for_twins;
@@ -98,7 +99,10 @@ async fn fit(client: &Client, run: RunUid) -> Option<SimulationReport> {
 pub fn closed(closing: &Closing, output: Output) -> ExitCode {
     match output {
         Output::Json => say_json(&closing.finished),
-        Output::Text => say(closing),
+        Output::Text => {
+            say(closing.to_string().trim_end());
+            closing.next_commands().say();
+        }
     }
     if closing.is_success() { ExitCode::SUCCESS } else { ExitCode::FAILURE }
 }
@@ -113,11 +117,12 @@ pub fn detached(client: &Client, scan_id: i64, uid: RunUid, process: Option<u32>
         return say_json(&left);
     }
     say(format_args!("run {scan_id} continues without this terminal; its page is {url}/"));
-    say(format_args!("  palpate attach --url {url}   follows it"));
-    say(format_args!("  palpate stop --url {url}     stops it after its trial"));
+    let mut next = Next::of(&At { url: Some(url.into()), ..At::default() })
+        .suggest("palpate attach", "follows it")
+        .suggest("palpate stop", "stops it after its trial");
     if let Some(process) = process {
-        say(format_args!(
-            "  kill {process}   ends the service; a run that is active can be resumed"
-        ));
+        let what = "ends the service; a run that is active can be resumed";
+        next = next.line(format_args!("kill {process}"), what);
     }
+    next.say();
 }

@@ -11,6 +11,7 @@ use super::ask::{ActArgs, request};
 use super::client::Client;
 use super::embed;
 use super::error::CliError;
+use super::next::Next;
 use super::output::{self, say};
 use super::rig::{HOMING, until_rig};
 use super::view::{PreflightView, StatusView};
@@ -72,7 +73,7 @@ pub async fn resume(args: &ResumeArgs) -> Result<(), CliError> {
     let (scan_id, planned) = (run.scan_id, run.trials_planned);
     let when = if begun.waiting { "resumes when the active run has ended," } else { "resumes" };
     say(format_args!("run {scan_id} {when} at {stored} of {planned} trials"));
-    say(format_args!("palpate attach {scan_id}   follows it"));
+    Next::of(&args.act.at).suggest(format_args!("palpate attach {scan_id}"), "follows it").say();
     Ok(())
 }
 

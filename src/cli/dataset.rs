@@ -12,6 +12,7 @@ use super::error::CliError;
 use super::export::{self, ExportArgs};
 use super::files::read_as;
 use super::import::{ImportArgs, import};
+use super::next::Next;
 use super::output::{Output, bytes, say, say_json};
 use super::start_time::local;
 use super::table::{Align, Table, or_dash};
@@ -255,6 +256,11 @@ async fn make(client: &Client, args: &MakeArgs) -> Result<(), CliError> {
         say_json(&made);
     } else {
         describe(&made, client.url());
+        let id = text(&made["id"]);
+        Next::of(&args.at)
+            .suggest(format_args!("palpate dataset card {id}"), "its content, units and citation")
+            .suggest(format_args!("palpate dataset export {id} --format csv"), "writes a file")
+            .say();
     }
     Ok(())
 }

@@ -17,6 +17,7 @@ use super::At;
 use super::client::Client;
 use super::dataset::MAKING;
 use super::error::CliError;
+use super::next::Next;
 use super::output::{Output, bytes, counted, say, say_json};
 use super::progress::progress_bar;
 use super::start_time::local;
@@ -111,7 +112,9 @@ pub async fn export(client: &Client, args: &ExportArgs) -> Result<(), CliError> 
             out.display(),
             done.sha256.clone().unwrap_or_default()
         ));
-        say(format_args!("next: palpate dataset card {of}"));
+        Next::of(&args.at)
+            .suggest(format_args!("palpate dataset card {of}"), "its content, units and citation")
+            .say();
     }
     Ok(())
 }

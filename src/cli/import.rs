@@ -12,6 +12,7 @@ use serde_json::{Value, json};
 use super::client::{Client, TextPart};
 use super::error::CliError;
 use super::files::read_input;
+use super::next::Next;
 use super::output::{counted, say, say_json};
 use super::{At, embed};
 use crate::dataset::error::DatasetError;
@@ -61,7 +62,10 @@ pub async fn import(args: ImportArgs) -> Result<(), CliError> {
     if args.dry_run {
         match args.at.json {
             true => say_json(&json!({ "summary": summary, "stored": false })),
-            false => say("nothing was stored: --dry-run"),
+            false => {
+                say("nothing was stored: --dry-run");
+                Next::of(&args.at).same_command("without --dry-run", "stores the trials").say();
+            }
         }
         return Ok(());
     }
@@ -129,7 +133,11 @@ async fn store(
     let run = &made["run"];
     let trials = counted(made["trials"].as_u64().unwrap_or_default(), "trial", "trials");
     say(format_args!("run {}: {trials} ({})", run["scan_id"], text(&run["label"])));
-    say(format_args!("  its dataset: palpate dataset show {}", text(&made["dataset"])));
+    let (run, dataset) = (&run["scan_id"], text(&made["dataset"]));
+    Next::of(&args.at)
+        .suggest(format_args!("palpate dataset show {dataset}"), "its parts and columns")
+        .suggest(format_args!("palpate trials {run}"), "its trials")
+        .say();
     Ok(())
 }
 

@@ -10,6 +10,7 @@ use serde_json::Value;
 use super::client::Client;
 use super::error::CliError;
 use super::files::read_input;
+use super::next::Next;
 use super::output::{note, say, say_json};
 use super::{At, embed};
 use crate::api::{FrameAnswer, InferOptions, InferRequest, LiveAnswer, QuantityRequest};
@@ -79,7 +80,7 @@ pub async fn infer(args: InferArgs) -> Result<(), CliError> {
     embed::with_server(&at, move |client| async move {
         let method = match (args.method, &args.model) {
             (Some(method), _) => method,
-            (None, Some(model)) => return quantities(&client, model, &frames, at.json).await,
+            (None, Some(model)) => return quantities(&client, model, &frames, &args.at).await,
             // clap requires one of them.
             (None, None) => return Ok(()),
         };
@@ -101,6 +102,11 @@ pub async fn infer(args: InferArgs) -> Result<(), CliError> {
                 }
             }
         }
+        let method = method.name();
+        Next::of(&args.at)
+            .suggest("palpate model serving", "what answers, and what limits it")
+            .suggest(format_args!("palpate live --method {method}"), "answers on the rig's skin")
+            .say();
         Ok(())
     })
     .await
@@ -111,20 +117,21 @@ async fn quantities(
     client: &Client,
     model: &str,
     frames: &[Vec<f32>],
-    json: bool,
+    at: &At,
 ) -> Result<(), CliError> {
     for frames in frames.chunks(FRAMES_AT_ONCE) {
         let request = QuantityRequest { frames: frames.to_vec() };
         let path = format!("/api/v1/models/{model}/quantities");
         let answers: Vec<QuantityAnswer> = client.post(&path, &request).await?;
         for answer in answers {
-            if json {
+            if at.json {
                 say_json(&answer);
             } else {
                 say(quantity_words(&answer));
             }
         }
     }
+    Next::of(at).suggest(format_args!("palpate model show {model}"), "its facts and recipe").say();
     Ok(())
 }
 

@@ -6,6 +6,7 @@ use std::path::PathBuf;
 use clap::Args;
 
 use super::error::CliError;
+use super::next::{Next, word};
 use super::output::{counted, say};
 use crate::carried::FOLDERS;
 use crate::new_file;
@@ -47,6 +48,12 @@ pub fn init(args: &InitArgs) -> Result<(), CliError> {
             counted(kept, "file was", "files were")
         ));
     }
-    say(format_args!("next: palpate plan {shown}/quickstart.toml"));
+    let file = args.folder.join("quickstart.toml").display().to_string();
+    Next::default()
+        .suggest(
+            format_args!("palpate plan {}", word(&file)),
+            "checks an experiment; nothing moves",
+        )
+        .say();
     Ok(())
 }

@@ -45,6 +45,7 @@ pub mod log;
 mod measured;
 mod model;
 mod morning;
+mod next;
 mod output;
 mod own_server;
 mod placement;

@@ -1,6 +1,7 @@
 //! `palpate model`: lists, shows, promotes and adds models.
 //! Uses: `client`. Never: models in this process (the service stores them).
 
+use std::fmt::Display;
 use std::path::PathBuf;
 use std::time::Duration;
 
@@ -10,6 +11,7 @@ use serde_json::{Value, json};
 use super::client::{Client, TextPart};
 use super::error::CliError;
 use super::files::{DEFAULT_SENSOR, read_input, write, write_bytes};
+use super::next::Next;
 use super::output::{say, say_json};
 use super::table::{Align, Table};
 use super::{At, embed};
@@ -172,6 +174,11 @@ async fn answer(client: Client, what: What) -> Result<(), CliError> {
             let client = client.patient(PROMOTING);
             let serves: ServesOut = client.post("/api/v1/serving", &request).await?;
             tell(&serves, at.json);
+            let slot = serves.slot.name();
+            Next::of(&at)
+                .suggest("palpate live", "contacts on the rig's skin")
+                .suggest(format_args!("palpate model roll-back {slot}"), "restores the one before")
+                .say();
         }
         What::RollBack(RollBack { slot, why, at }) => {
             let request = RollBackRequest { slot, why, who: Some(client.who().into()) };
@@ -217,15 +224,30 @@ async fn answer(client: Client, what: What) -> Result<(), CliError> {
                 TextPart::value("name", add.name.clone()),
             ];
             let model: ModelOut = client.upload("/api/v1/models", &add.file, texts).await?;
-            if add.at.json { say_json(&model) } else { say(line(&model)) }
+            if add.at.json {
+                say_json(&model);
+            } else {
+                say(line(&model));
+            }
+            promotion(&add.at, &model.id).say();
         }
         What::AddCalibration(add) => {
             let text = read_input(&add.file)?;
             let id: CalibrationId = client.post_text("/api/v1/calibrations", text).await?;
-            if add.at.json { say_json(&json!({ "calibration": id })) } else { say(id) }
+            if add.at.json {
+                say_json(&json!({ "calibration": id }));
+            } else {
+                say(&id);
+            }
+            promotion(&add.at, &id).say();
         }
     }
     Ok(())
+}
+
+/// The command that makes what was added serve.
+fn promotion(at: &At, id: impl Display) -> Next {
+    Next::of(at).suggest(format_args!("palpate model promote {id}"), "makes it serve")
 }
 
 fn tell(serves: &ServesOut, as_json: bool) {

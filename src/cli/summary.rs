@@ -6,7 +6,9 @@ use std::fmt;
 
 use serde::Serialize;
 
+use super::next::Next;
 use super::output::{counted, duration};
+use super::{At, DEFAULT_DATA};
 use crate::api::Summary;
 use crate::evaluate::simulation::SimulationReport;
 use crate::ids::RunUid;
@@ -114,6 +116,24 @@ impl Closing {
         self
     }
 
+    /// The next commands.
+    pub fn next_commands(&self) -> Next {
+        let run = self.finished.scan_id;
+        let (url, is_default) = (self.follow_url.clone(), self.data == DEFAULT_DATA);
+        let data = (url.is_none() && !is_default).then(|| self.data.clone().into());
+        let mut next = Next::of(&At { url, data, ..At::default() });
+        if self.finished.resumable {
+            next = next.same_command("again", "resumes where it stopped");
+        }
+        next = next
+            .suggest(format_args!("palpate show {run}"), "draws it in the terminal")
+            .suggest(format_args!("palpate report {run}"), "its findings, as HTML and PDF");
+        match self.follow_url {
+            None => next.suggest("palpate serve --open", "shows it in the browser"),
+            Some(_) => next,
+        }
+    }
+
     /// Whether the run ended as a success.
     pub fn is_success(&self) -> bool {
         self.finished.exit_status == ExitStatus::Success
@@ -156,8 +176,7 @@ impl fmt::Display for Closing {
         for skip in &self.summary.skips {
             line(f, "skipped", format!("configuration {}: {}", skip.configuration, skip.reason))?;
         }
-        self.table(f)?;
-        self.next(f)
+        self.table(f)
     }
 }
 
@@ -190,30 +209,6 @@ impl Closing {
                 tips.join(", "),
                 self.summary.run.deadband_n
             )?;
-        }
-        Ok(())
-    }
-
-    fn next(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let run = self.finished.scan_id;
-        let place = match &self.follow_url {
-            Some(url) => format!(" --url {url}"),
-            None if self.data == super::DEFAULT_DATA => String::new(),
-            None => format!(" --data {}", self.data),
-        };
-        let mut next = Vec::new();
-        if self.finished.resumable {
-            next.push(("the same command again".into(), "resumes where it stopped"));
-        }
-        next.push((format!("palpate show {run}{place}"), "draws it in the terminal"));
-        next.push((format!("palpate report {run}{place}"), "its findings, as HTML and PDF"));
-        if self.follow_url.is_none() {
-            next.push((format!("palpate serve --open{place}"), "shows it in the browser"));
-        }
-        writeln!(f, "\nnext:")?;
-        let width = next.iter().map(|(command, _)| command.len()).max().unwrap_or(0);
-        for (command, what) in next {
-            writeln!(f, "  {command:<width$}   {what}")?;
         }
         Ok(())
     }

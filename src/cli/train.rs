@@ -14,6 +14,7 @@ use super::files::read_or_carried;
 use super::follow::{Asked, Signals};
 use super::job::{JOB_POLL, JobScreen, shown};
 use super::leave::{Choice, Interrupt, QUESTION_ON_TRAINING};
+use super::next::Next;
 use super::output::{duration, say, say_json};
 use super::own_server::OwnServer;
 use super::{At, embed, job_losses};
@@ -172,7 +173,7 @@ pub async fn train(args: TrainArgs) -> Result<(), CliError> {
     if let Some(client) = embed::find(&args.at).await? {
         let asked = request(&client, &args.recipe, &recipe).await?;
         return match train_on(&client, asked, &args, None, &mut signals).await? {
-            Some(done) => report(&client, &done, args.at.json).await,
+            Some(done) => report(&client, &done, &args.at).await,
             None => Ok(()),
         };
     }
@@ -189,7 +190,7 @@ pub async fn train(args: TrainArgs) -> Result<(), CliError> {
     match done.await {
         Ok(None) => Ok(()),
         Ok(Some(done)) => {
-            let reported = report(&client, &done, args.at.json).await;
+            let reported = report(&client, &done, &args.at).await;
             own.end().await?;
             reported
         }
@@ -234,34 +235,49 @@ async fn train_on(
         say_json(&json!({ "event": "detached", "job": id, "url": url, "process": process }));
     } else {
         say(format_args!("training {id} continues without this terminal; its page is {url}/nets"));
-        say(format_args!("  palpate job show {id} --url {url}   shows it"));
+        let mut next = Next::of(&At { url: Some(url.into()), ..At::default() })
+            .suggest(format_args!("palpate job show {id}"), "shows it");
         if let Some(process) = process {
-            say(format_args!(
-                "  kill {process}   ends the service; the next one resumes the training"
-            ));
+            let what = "ends the service; the next one resumes the training";
+            next = next.line(format_args!("kill {process}"), what);
         }
+        next.say();
     }
     Ok(None)
 }
 
 /// Prints the model of a training, and what to do with it.
-async fn report(client: &Client, done: &JobOut, json: bool) -> Result<(), CliError> {
+async fn report(client: &Client, done: &JobOut, at: &At) -> Result<(), CliError> {
     let model = done.result.as_ref().and_then(|r| r["model"].as_str()).unwrap_or_default();
     let model: ModelOut = client.get(&format!("/api/v1/models/{model}")).await?;
-    if json {
+    if at.json {
         say_json(&json!({ "job": done, "model": model }));
         return Ok(());
     }
     let took = done.finished_at.zip(done.started_at);
     let took = took.map(|(end, start)| duration(end.duration_since(start).as_secs_f64()));
     say(format_args!("{} {}, trained in {}", model.id, model.name, took.unwrap_or_default()));
+    let mut next = Next::of(at);
     let losses = read(&job_losses::losses(client, &done.id.to_string()).await?);
     if let Some((epoch, loss)) = best(&losses) {
         let epochs = losses.len();
         say(format_args!("best epoch {epoch} of {epochs}, validation loss {loss:.3e}"));
+        next = next.suggest(
+            format_args!("palpate job losses {} --plot losses.svg", done.id),
+            "draws the learning curve",
+        );
     }
-    say(format_args!("\nnext:\n  palpate job losses {} --plot losses.svg", done.id));
-    say(format_args!("  palpate model show {}", model.id));
+    let ModelOut { id, task, .. } = &model;
+    next = next.suggest(format_args!("palpate model show {id}"), "its facts and recipe");
+    if model.slot.is_some() {
+        next = next.suggest(format_args!("palpate model promote {id}"), "makes it serve");
+    } else if let Some(dataset) = &done.dataset {
+        next = next.suggest(
+            format_args!("palpate evaluate quantity {task} --dataset {dataset} --net {id}"),
+            "scores it, with ridge regressions",
+        );
+    }
+    next.say();
     Ok(())
 }
 

@@ -12,12 +12,13 @@ use sim_core::sensor::Sensor;
 
 mod skin;
 
-use super::data_or_default;
 use super::error::CliError;
 use super::files::{read_calibration, read_input, read_sensor, write};
+use super::next::{Next, word};
 use super::output::{counted, say, say_json};
 use super::picture;
 use super::progress::Working;
+use super::{At, data_or_default};
 use crate::calibrate::{CalibrateError, foam, frames, piezo, plot};
 use crate::cli::simulate::solved;
 
@@ -182,16 +183,27 @@ fn answer(common: &Common, whole: &Calibration, left_out: usize) -> Result<(), C
         let lines = counted(left_out as u64, "frame", "frames");
         say(format_args!("{lines} skipped: not exactly one contact"));
     }
-    say_end(common.out.as_deref());
+    say_end(common.out.as_deref(), &At { data: common.data.clone(), ..At::default() });
     Ok(())
 }
 
 /// Prints the path of the written file, and the next command.
-fn say_end(out: Option<&Path>) {
-    let Some(path) = out.map(Path::display) else {
-        return say("not written\nnext: the same command with --out skin.toml");
+fn say_end(out: Option<&Path>, at: &At) {
+    let next = Next::of(at);
+    let next = match out.map(|path| path.display().to_string()) {
+        None => {
+            say("not written");
+            next.same_command("with --out skin.toml", "writes the calibration")
+        }
+        Some(path) => {
+            say(format_args!("written to {path}"));
+            next.suggest(
+                format_args!("palpate model add-calibration {}", word(&path)),
+                "stores it in the service, to be promoted",
+            )
+        }
     };
-    say(format_args!("written to {path}\nnext: palpate model add-calibration {path}"));
+    next.say();
 }
 
 fn say_fitted(name: &str, fitted: &Fitted, unit: &str) {

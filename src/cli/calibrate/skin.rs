@@ -253,6 +253,6 @@ fn answer(
         let doubted = counted(evidence.doubted as u64, "trial", "trials");
         say(format_args!("  {doubted} with a weight below one half: outliers"));
     }
-    super::say_end(args.out.as_deref());
+    super::say_end(args.out.as_deref(), &args.at);
     Ok(())
 }

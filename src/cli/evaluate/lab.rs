@@ -12,6 +12,7 @@ use crate::api::{FrameAnswer, InferOptions, InferRequest, JobOut, ModelOut};
 use crate::cli::client::Client;
 use crate::cli::error::CliError;
 use crate::cli::job::wait_for;
+use crate::cli::next::Next;
 use crate::cli::output::{note, say, say_json};
 use crate::cli::picture::Pictures;
 use crate::cli::train::{Changes, recipe_text};
@@ -113,6 +114,12 @@ where
             if let Some(folder) = &args.out {
                 say(format_args!("\nnumbers, table and figures in {}", folder.display()));
             }
+            let next = match args.out {
+                Some(_) => Next::of(&args.at),
+                None => Next::of(&args.at)
+                    .same_command("with --out DIR", "writes numbers, table and figures"),
+            };
+            next.suggest("palpate model list", "the nets, with their last scores").say();
         }
         Ok(())
     })

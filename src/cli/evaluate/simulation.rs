@@ -11,6 +11,7 @@ use super::write_all;
 use crate::cli::client::Client;
 use crate::cli::error::CliError;
 use crate::cli::morning::{TrialFacts, all_trials};
+use crate::cli::next::Next;
 use crate::cli::output::{counted, say, say_json};
 use crate::cli::picture::Pictures;
 use crate::cli::twins::wait_for_twins;
@@ -64,11 +65,18 @@ async fn report(client: Client, args: SimulationArgs) -> Result<(), CliError> {
             say(format_args!("numbers, tables and figures in {}", folder.display()));
         }
         let number = run.scan_id;
-        say("\nnext:");
+        let mut next = Next::of(&args.at);
         if args.out.is_none() {
-            say(format_args!("  palpate evaluate simulation --run {number} --out fit"));
+            next = next.suggest(
+                format_args!("palpate evaluate simulation --run {number} --out fit"),
+                "writes numbers, tables and figures",
+            );
         }
-        say(format_args!("  palpate calibrate skin --run {number} --out skin.toml"));
+        next.suggest(
+            format_args!("palpate calibrate skin --run {number} --out skin.toml"),
+            "fits the model to this skin",
+        )
+        .say();
     }
     Ok(())
 }

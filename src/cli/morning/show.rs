@@ -15,6 +15,7 @@ use crate::api::Summary;
 use crate::cli::client::Client;
 use crate::cli::embed;
 use crate::cli::error::CliError;
+use crate::cli::next::Next;
 use crate::cli::output::{counted, grouped, say, say_drawn, say_json};
 use crate::cli::start_time::local;
 use crate::cli::table::{Align, Table};
@@ -44,7 +45,7 @@ pub async fn show(args: ShowArgs) -> Result<(), CliError> {
         match show_trial::named(&args.what) {
             _ if args.history => history::show(&client, &args.what, args.at.output()).await,
             Some(trial) => show_trial::show(&client, &trial, args.at.output()).await,
-            None => run(&client, &args.what, args.at.json).await,
+            None => run(&client, &args).await,
         }
     })
     .await
@@ -59,13 +60,13 @@ struct Drawn {
     night: Night,
 }
 
-async fn run(client: &Client, what: &str, as_json: bool) -> Result<(), CliError> {
-    let found = find::run(client, what).await?;
+async fn run(client: &Client, args: &ShowArgs) -> Result<(), CliError> {
+    let found = find::run(client, &args.what).await?;
     let path = format!("/api/v1/runs/{}", found.uid);
     let summary: Summary = client.summary(found.uid).await?;
     let (twins, fit) = fit_of(client, found.uid).await?;
     let median_fvu = fit.median_fvu;
-    if as_json {
+    if args.at.json {
         say_json(&json!({ "summary": summary, "twins": twins, "median_fvu": median_fvu }));
         return Ok(());
     }
@@ -77,7 +78,10 @@ async fn run(client: &Client, what: &str, as_json: bool) -> Result<(), CliError>
     };
     let trials = all_trials(client, found.uid, summary.trials_stored).await?;
     let night = Night { run: Some(found.uid), skin, tour, progress, ..Night::new(client.url()) };
-    draw(&Drawn { summary, twins, median_fvu, trials, night })
+    let drawn = Drawn { summary, twins, median_fvu, trials, night };
+    draw(&drawn)?;
+    with_commands(&drawn, Next::of(&args.at)).say();
+    Ok(())
 }
 
 fn draw(drawn: &Drawn) -> Result<(), CliError> {
@@ -92,21 +96,24 @@ fn draw(drawn: &Drawn) -> Result<(), CliError> {
         say("");
         say_drawn(&picture);
     }
+    Ok(())
+}
+
+/// Adds the commands for this run, and for its trial with the worst fit.
+fn with_commands(drawn: &Drawn, next: Next) -> Next {
     let run = drawn.summary.run.scan_id;
+    let next = next
+        .suggest(format_args!("palpate report {run}"), "all of it as HTML and PDF")
+        .suggest(format_args!("palpate trials {run}"), "its trials");
     let worst = drawn.trials.iter().filter(|trial| trial.contact_count > 0);
     let worst = worst.filter_map(|t| Some((t.fvu?, t.trial_id))).max_by(|a, b| a.0.total_cmp(&b.0));
-    let mut next = vec![
-        (format!("palpate report {run}"), "all of it as HTML and PDF".to_owned()),
-        (format!("palpate trials {run}"), "its trials".into()),
-    ];
-    next.extend(worst.map(|(fvu, trial)| {
-        (format!("palpate show t{trial}"), format!("the trial with the largest FVU, {fvu:.2}"))
-    }));
-    say("\nnext:");
-    for (command, what) in next {
-        say(format_args!("  {command:<24} {what}"));
+    match worst {
+        None => next,
+        Some((fvu, trial)) => next.suggest(
+            format_args!("palpate show t{trial}"),
+            format_args!("the trial with the largest FVU, {fvu:.2}"),
+        ),
     }
-    Ok(())
 }
 
 fn facts(drawn: &Drawn) -> String {

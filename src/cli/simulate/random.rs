@@ -14,13 +14,14 @@ use serde_json::json;
 use sim_core::batch::{BatchModel, Kernel};
 use sim_core::calibrated::CalibratedSensor;
 
-use crate::cli::data_or_default;
 use crate::cli::error::CliError;
 use crate::cli::files::{read_calibration, read_sensor};
 use crate::cli::follow::Signals;
+use crate::cli::next::Next;
 use crate::cli::output::{self, bytes, counted, duration, say, say_json};
 use crate::cli::progress::progress_bar;
 use crate::cli::simulate::solved;
+use crate::cli::{At, data_or_default};
 use crate::simulate::random::draw::Draws;
 use crate::simulate::random::folder::Look;
 use crate::simulate::random::manifest::{Definition, Manifest, Order};
@@ -266,11 +267,14 @@ impl Screen {
             args.out.display(),
         );
         let (made, wall, rate) = (self.made, duration(wall_s), self.rate());
-        say(format_args!("{there}; {made} made in {wall} ({rate:.0}/s)"));
-        say(match complete {
-            true => "next: palpate train recon-net (it learns from the folders in DATA/sim-random)",
-            false => "stopped; the same command resumes",
-        });
+        let end = if complete { "" } else { "stopped: " };
+        say(format_args!("{end}{there}; {made} made in {wall} ({rate:.0}/s)"));
+        let next = Next::of(&At { data: args.data.clone(), ..At::default() });
+        let next = match complete {
+            true => next.suggest("palpate train recon-net", "learns from DATA/sim-random"),
+            false => next.same_command("again", "resumes after the last complete shard"),
+        };
+        next.say();
     }
 }
 

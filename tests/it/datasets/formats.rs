@@ -204,7 +204,9 @@ async fn a_dry_run_shows_what_was_understood_and_stores_nothing() {
     assert_eq!(runs().await, before);
     let output = import(&lab, &files, "pad.csv", &[]).await;
     let words = String::from_utf8(output.stdout).unwrap();
-    assert!(words.contains("3 channels, -1.5 to 3 V") && words.contains("its dataset"), "{words}");
+    assert!(words.contains("3 channels, -1.5 to 3 V"), "{words}");
+    let next = String::from_utf8(output.stderr).unwrap();
+    assert!(next.contains("\nnext:\n  palpate dataset show "), "{next}");
     assert_eq!(runs().await, before + 1);
     std::fs::write(files.join("counts.csv"), text.replace("-1.5", "4096")).unwrap();
     let output = import(&lab, &files, "counts.csv", &["--dry-run"]).await;

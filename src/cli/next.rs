@@ -1,0 +1,112 @@
+//! The commands to type after a result. They go to standard error: standard output has the result alone.
+//! Uses: `output`. Never: anything with `--json`. A test of `main.rs` parses every command that is written in
+//! a call of [`Next::suggest`].
+
+use std::fmt::Display;
+
+use super::At;
+use super::output::note;
+
+/// Commands to type next, each with what it does.
+#[derive(Debug, Clone, Default)]
+pub struct Next {
+    /// Options that name the service and the data folder, as they were typed.
+    place: String,
+    /// Whether the output is for a script.
+    json: bool,
+    /// Commands, with what they do.
+    lines: Vec<[String; 2]>,
+}
+
+impl Next {
+    /// Commands for the service and the data folder that these options name.
+    pub fn of(at: &At) -> Self {
+        let path = |path: &std::path::PathBuf| path.display().to_string();
+        let typed = [
+            ("url", at.url.clone()),
+            ("ca", at.ca.as_ref().map(path)),
+            ("data", at.data.as_ref().map(path)),
+        ];
+        let typed = typed.into_iter().filter_map(|(option, value)| Some((option, value?)));
+        let place = typed.map(|(option, value)| format!(" --{option} {}", word(&value)));
+        Self { place: place.collect(), json: at.json, lines: Vec::new() }
+    }
+
+    /// Adds a command of `palpate`.
+    pub fn suggest(self, command: impl Display, what: impl Display) -> Self {
+        let command = format!("{command}{}", self.place);
+        self.line(command, what)
+    }
+
+    /// Adds the command that was typed: `again`, or `with` and `without` an option.
+    pub fn same_command(self, how: impl Display, what: impl Display) -> Self {
+        self.line(format!("the same command {how}"), what)
+    }
+
+    /// Adds a line that is no command of `palpate`.
+    pub fn line(mut self, command: impl Display, what: impl Display) -> Self {
+        self.lines.push([command.to_string(), what.to_string()]);
+        self
+    }
+
+    /// Prints the commands; nothing if there is none, or for a script.
+    pub fn say(&self) {
+        if !self.json && !self.lines.is_empty() {
+            note(self.text());
+        }
+    }
+
+    fn text(&self) -> String {
+        let width = self.lines.iter().map(|[command, _]| command.chars().count()).max();
+        let width = width.unwrap_or(0);
+        let lines =
+            self.lines.iter().map(|[command, what]| format!("\n  {command:<width$}   {what}"));
+        format!("\nnext:{}", lines.collect::<String>())
+    }
+}
+
+/// A word of a command line; in single quotes if the shell would read it otherwise.
+pub fn word(text: &str) -> String {
+    let is_plain = |c: char| c.is_alphanumeric() || "-_./:=,@+%".contains(c);
+    match !text.is_empty() && text.chars().all(is_plain) {
+        true => text.to_owned(),
+        false => format!("'{}'", text.replace('\'', r"'\''")),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn commands_name_the_service_and_the_folder_as_they_were_typed() {
+        let at = At {
+            url: Some("http://rig:8080".into()),
+            data: Some("my data".into()),
+            ..At::default()
+        };
+        let next = Next::of(&at)
+            .same_command("again", "resumes it")
+            .suggest("palpate runs", "lists the runs");
+        let runs = "palpate runs --url http://rig:8080 --data 'my data'";
+        assert_eq!(
+            next.text(),
+            format!(
+                "\nnext:\n  {:<1$}   resumes it\n  {runs}   lists the runs",
+                "the same command again",
+                runs.len()
+            )
+        );
+        assert_eq!(
+            Next::default().suggest("palpate runs", "").text(),
+            "\nnext:\n  palpate runs   "
+        );
+    }
+
+    #[test]
+    fn a_word_is_quoted_if_the_shell_would_read_it_otherwise() {
+        assert_eq!(word("/srv/palpate"), "/srv/palpate");
+        assert_eq!(word("it's"), r"'it'\''s'");
+        assert_eq!(word(""), "''");
+    }
+}
