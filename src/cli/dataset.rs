@@ -176,7 +176,11 @@ async fn list(client: &Client, json: bool) -> Result<(), CliError> {
 
 async fn prune(client: &Client, args: &PruneArgs) -> Result<(), CliError> {
     let body = json!({ "keep": args.keep, "dry_run": args.dry_run });
-    let pruned: Value = client.patient(MAKING).post("/api/v1/datasets/prune", &body).await?;
+    let pruned: Value = client
+        .patient(MAKING)
+        .showing("removing datasets")
+        .post("/api/v1/datasets/prune", &body)
+        .await?;
     if args.at.json {
         say_json(&pruned);
         return Ok(());
@@ -210,10 +214,15 @@ async fn prune(client: &Client, args: &PruneArgs) -> Result<(), CliError> {
     Ok(())
 }
 
+/// A client that waits until a dataset is made, and shows it.
+fn making(client: &Client) -> Client {
+    client.patient(MAKING).showing("making the dataset")
+}
+
 async fn show(client: &Client, args: &ShowArgs) -> Result<(), CliError> {
     let more = if args.lineage { "/lineage" } else { "" };
     let path = format!("/api/v1/datasets/{}{more}", args.name);
-    let found: Value = client.patient(MAKING).get(&path).await?;
+    let found: Value = making(client).get(&path).await?;
     if args.at.json {
         say_json(&found);
     } else if args.lineage {
@@ -227,7 +236,7 @@ async fn show(client: &Client, args: &ShowArgs) -> Result<(), CliError> {
 
 async fn card(client: &Client, args: &CardArgs) -> Result<(), CliError> {
     let path = format!("/api/v1/datasets/{}", args.name);
-    let client = client.patient(MAKING);
+    let client = making(client);
     if args.datapackage {
         let package: Value = client.get(&format!("{path}/datapackage.json")).await?;
         match args.at.output() {
@@ -251,7 +260,7 @@ async fn make(client: &Client, args: &MakeArgs) -> Result<(), CliError> {
         true => json!({ "toml": read_as(FileKind::Dataset, &args.what)?, "file": what }),
         false => json!({ "name": what }),
     };
-    let made: Value = client.patient(MAKING).post("/api/v1/datasets", &body).await?;
+    let made: Value = making(client).post("/api/v1/datasets", &body).await?;
     if args.at.json {
         say_json(&made);
     } else {

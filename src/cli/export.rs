@@ -19,7 +19,7 @@ use super::dataset::MAKING;
 use super::error::CliError;
 use super::next::Next;
 use super::output::{Output, bytes, counted, say, say_json};
-use super::progress::progress_bar;
+use super::progress::{LogLines, progress_bar};
 use super::start_time::local;
 use super::table::{Align, Table, or_dash};
 use crate::dataset::export::ExportRequest;
@@ -122,11 +122,15 @@ pub async fn export(client: &Client, args: &ExportArgs) -> Result<(), CliError> 
 /// Shows the progress of an export until it has ended.
 async fn follow(client: &Client, asked: ExportView) -> Result<ExportView, CliError> {
     let bar = progress_bar("rows");
+    let mut lines = LogLines::instead_of(&bar);
     let (mut now, mut rows) = (asked, 0);
     loop {
         rows = rows.max(now.rows_total);
         bar.set_length(now.rows_total);
         bar.set_position(now.rows_done);
+        // The dataset is made before its rows are counted.
+        bar.set_message(if now.rows_total == 0 { "(making the dataset)" } else { "" });
+        lines.say(|| format!("{} of {} rows exported", now.rows_done, now.rows_total));
         match now.state.as_str() {
             "done" => {
                 bar.finish_and_clear();
@@ -154,6 +158,7 @@ async fn fetch(client: &Client, done: &ExportView, out: &Path) -> Result<(), Cli
     let (mut hash, mut have, mut tries) = (Hashing::default(), 0_u64, 0);
     let wanted = done.bytes.unwrap_or_default();
     let bar = progress_bar("bytes");
+    let mut lines = LogLines::instead_of(&bar);
     bar.set_length(wanted);
     while have < wanted {
         let range = format!("bytes={have}-");
@@ -166,6 +171,7 @@ async fn fetch(client: &Client, done: &ExportView, out: &Path) -> Result<(), Cli
                     hash.update(&piece);
                     have += piece.len() as u64;
                     bar.set_position(have);
+                    lines.say(|| format!("{have} of {wanted} bytes downloaded"));
                 }
                 Err(_) if tries < TRIES => {
                     tries += 1;

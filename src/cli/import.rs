@@ -14,6 +14,7 @@ use super::error::CliError;
 use super::files::read_input;
 use super::next::Next;
 use super::output::{counted, say, say_json};
+use super::progress::shown_wait;
 use super::{At, embed};
 use crate::dataset::error::DatasetError;
 use crate::dataset::import::coordinates::Coordinates;
@@ -88,9 +89,9 @@ async fn understood(
     let (path, sensor_file) = (args.file.clone(), args.sensor.display().to_string());
     let file = path.display().to_string();
     let reading =
-        tokio::task::spawn_blocking(move || preview(&path, &file, &sensor_file, &sensor, map))
-            .await;
-    match reading.unwrap_or(Err(DatasetError::Worker)) {
+        tokio::task::spawn_blocking(move || preview(&path, &file, &sensor_file, &sensor, map));
+    let read = shown_wait("reading the file", reading).await;
+    match read.unwrap_or(Err(DatasetError::Worker)) {
         Ok(summary) => Ok(summary),
         Err(DatasetError::Problems(problems)) => Err(CliError::Problems(problems)),
         Err(DatasetError::File { path, source, .. }) => Err(CliError::File { path, source }),
@@ -122,6 +123,7 @@ async fn store(
     ];
     let mut made: Value = client
         .patient(IMPORT_WAIT)
+        .showing("storing the trials")
         .upload("/api/v1/imports", &args.file, texts.into_iter().chain(map))
         .await?;
     if args.at.json {

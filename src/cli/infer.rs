@@ -93,6 +93,7 @@ pub async fn infer(args: InferArgs) -> Result<(), CliError> {
                 averaged: args.averaged,
             };
             let request = InferRequest { options, frames: frames.to_vec() };
+            let client = client.showing("estimating contacts");
             let answers: Vec<FrameAnswer> = client.post("/api/v1/infer", &request).await?;
             for answer in answers {
                 if args.at.json {
@@ -122,6 +123,7 @@ async fn quantities(
     for frames in frames.chunks(FRAMES_AT_ONCE) {
         let request = QuantityRequest { frames: frames.to_vec() };
         let path = format!("/api/v1/models/{model}/quantities");
+        let client = client.showing("estimating");
         let answers: Vec<QuantityAnswer> = client.post(&path, &request).await?;
         for answer in answers {
             if at.json {

@@ -171,7 +171,7 @@ async fn answer(client: Client, what: What) -> Result<(), CliError> {
         }
         What::Promote(Promote { what, why, at }) => {
             let request = PromotionRequest { what, why, who: Some(client.who().into()) };
-            let client = client.patient(PROMOTING);
+            let client = client.patient(PROMOTING).showing("loading and warming up");
             let serves: ServesOut = client.post("/api/v1/serving", &request).await?;
             tell(&serves, at.json);
             let slot = serves.slot.name();
@@ -182,7 +182,7 @@ async fn answer(client: Client, what: What) -> Result<(), CliError> {
         }
         What::RollBack(RollBack { slot, why, at }) => {
             let request = RollBackRequest { slot, why, who: Some(client.who().into()) };
-            let client = client.patient(PROMOTING);
+            let client = client.patient(PROMOTING).showing("loading and warming up");
             let serves: ServesOut = client.post("/api/v1/serving/roll-back", &request).await?;
             tell(&serves, at.json);
         }

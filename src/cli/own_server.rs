@@ -18,7 +18,7 @@ use super::bench_args::BenchArgs;
 use super::client::{Client, Found};
 use super::error::CliError;
 use super::output::Output;
-use super::progress::spinner;
+use super::progress::{shown_wait, spinner};
 use super::running::Running;
 use crate::new_file;
 
@@ -63,7 +63,9 @@ impl OwnServer {
     /// # Errors
     /// As [`Self::start`].
     pub async fn at_desk(data: &Path) -> Result<Self, CliError> {
-        Self::start(&["--desk".into()], data, ProgressBar::hidden()).await
+        let arguments: [OsString; 1] = ["--desk".into()];
+        let start = Self::start(&arguments, data, ProgressBar::hidden());
+        shown_wait("starting the service", start).await
     }
 
     /// Starts the service on a free port of the loopback, and waits until it answers.

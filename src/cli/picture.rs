@@ -10,6 +10,7 @@ use tokio::process::Command;
 use super::error::CliError;
 use super::files;
 use super::print::{self, PrintError};
+use super::progress::shown_wait;
 
 /// Program of librsvg, which needs no browser.
 const CONVERTER: &str = "rsvg-convert";
@@ -91,7 +92,8 @@ pub async fn write(path: &Path, svg: &str) -> Result<(), CliError> {
     // Makes the folder, and refuses a file that cannot be written before a program starts.
     files::write_bytes(path, &[])?;
     let folder = std::env::temp_dir().join(format!("palpate-figure-{}", std::process::id()));
-    let converted = converted(&folder, svg, path, format).await;
+    let converted =
+        shown_wait("converting the figure", converted(&folder, svg, path, format)).await;
     let _ = std::fs::remove_dir_all(&folder);
     if converted.is_err() {
         let _ = std::fs::remove_file(path);

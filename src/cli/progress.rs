@@ -64,6 +64,11 @@ impl Working {
             note(format_args!("{words} .."));
             return Self(ProgressBar::hidden());
         }
+        Self::at_terminal(words)
+    }
+
+    /// Names the work on a terminal, and nowhere else.
+    pub fn at_terminal(words: &str) -> Self {
         Self(spinner(Output::Text, words))
     }
 }

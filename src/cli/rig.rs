@@ -16,6 +16,7 @@ use super::error::CliError;
 use super::files::RigFiles;
 use super::follow::Signals;
 use super::output::{Output, say, say_json};
+use super::progress::Working;
 use super::view::StatusView;
 use super::{At, embed, measured, rig_limits};
 use crate::api::LockFile;
@@ -30,6 +31,8 @@ pub const HOMING: Duration = Duration::from_secs(300);
 const SOON: Duration = Duration::from_secs(60);
 /// Longest wait for a jog.
 const JOGGING: Duration = Duration::from_secs(120);
+/// What is shown while a rig is checked.
+const CHECKING: &str = "checking every device";
 /// Interval of polling the rig.
 const RIG_POLL: Duration = Duration::from_millis(100);
 /// A jog has arrived when the axis is this close, mm.
@@ -234,6 +237,7 @@ pub async fn until_rig(
     wanted: impl Fn(&StatusView) -> bool,
 ) -> Result<StatusView, CliError> {
     let asked = Instant::now();
+    let _shown = Working::at_terminal(&format!("rig: {what}"));
     loop {
         let status = client.status().await?;
         if status.rig.state == RigState::Tripped && status.rig.trip.is_some() {
@@ -264,7 +268,9 @@ async fn check_file(
         signals.next().await;
         pressed.latch();
     });
+    let shown = Working::at_terminal(CHECKING);
     let report = check::run_on(&rig.config, &latch, scope).await;
+    drop(shown);
     stop.abort();
     let report = report?;
     if json {
@@ -279,7 +285,9 @@ async fn check_file(
 async fn check_server(at: &At, enable: bool) -> Result<ExitCode, CliError> {
     let client = embed::server(at).await?;
     let asked = json!({ "enable": enable, "who": client.who() });
+    let shown = Working::at_terminal(CHECKING);
     let report: Value = client.post("/api/v1/rig/check", &asked).await?;
+    drop(shown);
     if at.json {
         say_json(&report);
     } else {

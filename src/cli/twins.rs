@@ -10,7 +10,7 @@ use tokio::time::Instant;
 use super::client::Client;
 use super::error::CliError;
 use super::output::{counted, say, say_json};
-use super::progress::progress_bar;
+use super::progress::{LogLines, progress_bar};
 use super::table::{Align, Table};
 use super::{At, embed};
 use crate::ids::RunUid;
@@ -73,11 +73,13 @@ pub async fn wait_for_twins(
 ) -> Result<TwinCount, CliError> {
     let path = format!("/api/v1/runs/{run}/twins");
     let bar = progress_bar("twins");
+    let mut lines = LogLines::instead_of(&bar);
     let mut least = (u64::MAX, Instant::now());
     loop {
         let RunTwinsView { count, pending } = client.get(&path).await?;
         bar.set_length(count.trials);
         bar.set_position(count.trials - pending);
+        lines.say(|| format!("{} of {} twins", count.trials - pending, count.trials));
         if pending == 0 {
             bar.finish_and_clear();
             return Ok(count);

@@ -20,6 +20,7 @@ use super::super::files::{calibration_problem, parse_calibration, write};
 use super::super::output::{counted, say, say_json};
 use super::super::picture;
 use super::super::progress::{LogLines, progress_bar};
+use super::super::simulate::solving;
 use super::super::{At, embed};
 use crate::api::Page;
 use crate::calibrate::CalibrateError;
@@ -76,7 +77,7 @@ pub async fn skin(args: SkinArgs) -> Result<ExitCode, CliError> {
 async fn fit_run(client: Client, args: SkinArgs) -> Result<(), CliError> {
     let run = client.run(&args.run).await?;
     let (sensor, earlier) = start(&run, &args)?;
-    let candidates = candidates(&client, &run).await?;
+    let candidates = candidates(&client.showing("reading the trials"), &run).await?;
     let least_n = if run.kind == RunKind::RealHex { run.deadband_n } else { 0.0 };
     let choice = choose(&candidates, args.trials, least_n);
     let trials = frames(&client, &run, &candidates, &choice, sensor.channels()).await?;
@@ -200,22 +201,22 @@ fn fit(
     source: Source,
     threads: usize,
 ) -> Result<CalibratedSkin, CliError> {
+    let shown = solving();
     let responses: Arc<UnitResponses> =
         Arc::new(unit_responses(sensor, cache).map_err(ModelUnavailable::from)?);
+    drop(shown);
     let mut options = SkinFitOptions::for_trials(fitted.len(), threads);
     options.errors.noise_v = noise_v(&fitted).unwrap_or(options.errors.noise_v);
-    let bar = progress_bar("trials");
+    let bar = progress_bar("evaluations");
     let mut lines = LogLines::instead_of(&bar);
-    let (both, trials) = ([fitted.as_slice(), held_out.as_slice()], fitted.len());
+    let both = [fitted.as_slice(), held_out.as_slice()];
     let outcome = calibrate(sensor, &responses, both, source, &options, &mut |p| {
-        // A step processes each trial several times; the bar counts it as one.
-        bar.set_length((p.steps * trials) as u64);
-        let of_step = p.done * trials / p.total.max(1);
-        bar.set_position((p.step.saturating_sub(1) * trials + of_step) as u64);
+        bar.set_length(p.total as u64);
+        bar.set_position(p.done as u64);
         let cost = p.cost.map_or(String::new(), |cost| format!(", cost {cost:.4e}"));
         let words = format!("step {} of at most {}{cost}", p.step, p.steps);
-        lines.say(|| format!("{words}: {} % of it", 100 * p.done / p.total.max(1)));
-        bar.set_message(words);
+        lines.say(|| format!("{words}, {} % of all steps", 100 * p.done / p.total.max(1)));
+        bar.set_message(format!("at most, {words}"));
     });
     bar.finish_and_clear();
     Ok(outcome?)

@@ -41,6 +41,8 @@ pub struct Client {
     key: Option<String>,
     who: String,
     answer_within: Duration,
+    /// Name of the work that is shown while an answer takes long.
+    work: Option<&'static str>,
 }
 
 /// What answers at a URL.
@@ -96,12 +98,19 @@ impl Client {
         let http = trust::http(tls.clone())
             .map_err(|source| CliError::Http { operation: "HTTP client".into(), source })?;
         let url = url.trim_end_matches('/').into();
-        Ok(Self { url, http, tls: tls.into(), key, who: who(), answer_within: ANSWER })
+        let (tls, who) = (tls.into(), who());
+        Ok(Self { url, http, tls, key, who, answer_within: ANSWER, work: None })
     }
 
     /// Returns the same client with another deadline for answers.
     pub fn patient(&self, answer_within: Duration) -> Self {
         Self { answer_within, ..self.clone() }
+    }
+
+    /// Returns the same client; while an answer takes longer than a moment, standard error names this work. Not
+    /// for requests next to a progress bar.
+    pub fn showing(&self, work: &'static str) -> Self {
+        Self { work: Some(work), ..self.clone() }
     }
 
     /// URL of the service.
@@ -326,10 +335,9 @@ impl Client {
         tracing::debug!(operation, url = self.url, "request");
         let request = self.with_key(request).timeout(self.answer_within);
         let sent = repeat::send(request, &operation, self.answer_within);
-        // Only requests that may take long have a long deadline.
-        let answer = match self.answer_within > ANSWER {
-            true => shown_wait("waiting for the service", sent).await,
-            false => sent.await,
+        let answer = match self.work {
+            Some(work) => shown_wait(work, sent).await,
+            None => sent.await,
         };
         let answer = answer.map_err(|source| {
             if let Some(untrusted) = self.untrusted(&source) {

@@ -136,7 +136,8 @@ pub struct ServiceLab {
 impl ServiceLab {
     /// Description of a dataset, which is made if needed.
     async fn dataset(&self, name: &str) -> Result<Value, CliError> {
-        self.client.patient(MAKING).post("/api/v1/datasets", &json!({ "name": name })).await
+        let client = self.client.patient(MAKING).showing("making the dataset");
+        client.post("/api/v1/datasets", &json!({ "name": name })).await
     }
 }
 

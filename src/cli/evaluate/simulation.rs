@@ -52,7 +52,7 @@ async fn report(client: Client, args: SimulationArgs) -> Result<(), CliError> {
     let run = client.run(run_of(&client, args.run).await?).await?;
     let count = wait_for_twins(&client, run.uid, STALLED).await?;
     let path = format!("/api/v1/runs/{}/evaluation/simulation", run.uid);
-    let report: SimulationReport = client.get(&path).await?;
+    let report: SimulationReport = client.showing("scoring the twins").get(&path).await?;
     if let Some(folder) = &args.out {
         let pairs = pairs(&client, &run, report.trials).await?;
         write_all(folder, &files(&run, &report, &pairs)?, &args.pictures).await?;

@@ -8,7 +8,7 @@ use serde_json::Value;
 use crate::cli::client::Client;
 use crate::cli::error::CliError;
 use crate::cli::output::{duration, grouped};
-use crate::cli::progress::progress_bar;
+use crate::cli::progress::{LogLines, progress_bar};
 use crate::evaluate::simulation::SimulationReport;
 use crate::ids::RunUid;
 use crate::state::StoredState;
@@ -84,7 +84,8 @@ pub async fn stored_of(client: &Client, run: RunUid) -> Result<u64, CliError> {
 pub async fn fit_of(client: &Client, run: RunUid) -> Result<(TwinsOf, SimulationReport), CliError> {
     let path = format!("/api/v1/runs/{run}");
     let Counted { trials, failures } = client.get(&format!("{path}/twins")).await?;
-    let fit: SimulationReport = client.get(&format!("{path}/evaluation/simulation")).await?;
+    let shown = client.showing("scoring the twins");
+    let fit: SimulationReport = shown.get(&format!("{path}/evaluation/simulation")).await?;
     let twins = fit.trials + fit.flagged;
     let pending = trials.saturating_sub(twins + failures);
     Ok((TwinsOf { trials, twins, failures, pending }, fit))
@@ -115,6 +116,7 @@ pub async fn all_trials(
     expected: u64,
 ) -> Result<Vec<TrialFacts>, CliError> {
     let bar = progress_bar("trials read");
+    let mut lines = LogLines::instead_of(&bar);
     bar.set_length(expected);
     let (mut all, mut last) = (Vec::new(), 0);
     loop {
@@ -135,6 +137,7 @@ pub async fn all_trials(
             all.push(trial);
         }
         bar.set_position(all.len() as u64);
+        lines.say(|| format!("{} of {expected} trials read", all.len()));
         match all.last() {
             Some(trial) if all.len() - before == MAX_PAGE as usize => last = trial.trial_id,
             _ => break,

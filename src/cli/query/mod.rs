@@ -15,7 +15,7 @@ use serde_json::{Map, Value, json};
 use super::client::Client;
 use super::error::CliError;
 use super::output::{bytes, counted, grouped, note, say, say_json};
-use super::progress::{Working, shown_wait};
+use super::progress::Working;
 use super::table::{Align, Table};
 use super::{At, embed};
 use crate::dataset::format::Format;
@@ -159,11 +159,10 @@ pub async fn ask<T: serde::de::DeserializeOwned>(
 }
 
 async fn send(client: &Client, body: &Value) -> Result<reqwest::Response, CliError> {
-    let client = client.patient(TIME_MAX + SENDING);
+    let client = client.patient(TIME_MAX + SENDING).showing("evaluating the query");
     let mut building = None;
     loop {
-        let sent = client.send(Method::POST, "/api/v1/query", Some(body));
-        match shown_wait("evaluating the query", sent).await {
+        match client.send(Method::POST, "/api/v1/query", Some(body)).await {
             Err(CliError::Refused { status: 503, detail, .. }) => {
                 if building.is_none() {
                     building = Some(Working::on(&detail));

@@ -1,7 +1,6 @@
 //! `palpate simulate`: frames from contacts, without a rig.
 //! Uses: `simulate`. Never: the network.
 
-use std::io::IsTerminal;
 use std::path::Path;
 use std::process::ExitCode;
 
@@ -45,10 +44,13 @@ pub fn solved(
     sensor: impl Into<CalibratedSensor>,
     cache: &Path,
 ) -> Result<ForwardModel, ModelUnavailable> {
-    let on_terminal = std::io::stderr().is_terminal();
-    let _shown =
-        on_terminal.then(|| Working::on("the skin's responses (solved once, then cached)"));
+    let _shown = solving();
     load_or_build(sensor, cache)
+}
+
+/// A sign of life on a terminal while the responses of a skin are read or solved.
+pub fn solving() -> Working {
+    Working::at_terminal("the skin's responses (solved once, then cached)")
 }
 
 /// Runs `palpate simulate`.

@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 use clap::Args;
 use indicatif::ProgressBar;
@@ -19,7 +19,7 @@ use crate::cli::files::{read_calibration, read_sensor};
 use crate::cli::follow::Signals;
 use crate::cli::next::Next;
 use crate::cli::output::{self, bytes, counted, duration, say, say_json};
-use crate::cli::progress::progress_bar;
+use crate::cli::progress::{LogLines, Working, progress_bar};
 use crate::cli::simulate::solved;
 use crate::cli::{At, data_or_default};
 use crate::simulate::random::draw::Draws;
@@ -27,8 +27,6 @@ use crate::simulate::random::folder::Look;
 use crate::simulate::random::manifest::{Definition, Manifest, Order};
 use crate::simulate::random::{Means, Outcome, Progress, generate};
 
-/// Interval of progress lines without a terminal.
-const TELL: Duration = Duration::from_secs(10);
 /// Largest number of threads.
 const THREADS_MAX: usize = 256;
 
@@ -141,7 +139,7 @@ fn make(args: &RandomArgs, stop: &AtomicBool) -> Result<ExitCode, CliError> {
     let definition = Definition::new(order, &model, kernel);
     let frames = BatchModel::new(&model, kernel);
     let look = if args.verify { Look::Sha256 } else { Look::Length };
-    let mut screen = Screen::new(args.json, args.trials);
+    let mut screen = Screen::new(args);
     let means = Means { threads, look, stop };
     let outcome =
         generate(&definition, &sensor, &frames, &args.out, means, &mut |p| screen.tell(p));
@@ -166,26 +164,38 @@ fn threads(asked: Option<usize>) -> Result<NonZeroUsize, CliError> {
 /// Output: standard error for people, standard output for scripts.
 struct Screen {
     bar: ProgressBar,
+    lines: LogLines,
+    /// Shown while every byte of the existing shards is read.
+    verifying: Option<Working>,
     json: bool,
     trials: u64,
     found: u64,
     made: u64,
     stored: u64,
     started: Instant,
-    told: Instant,
 }
 
 impl Screen {
-    fn new(json: bool, trials: u64) -> Self {
+    fn new(args: &RandomArgs) -> Self {
         let bar = progress_bar("trials");
-        bar.set_length(trials);
-        let now = Instant::now();
-        Self { bar, json, trials, found: 0, made: 0, stored: 0, started: now, told: now }
+        bar.set_length(args.trials);
+        Self {
+            lines: LogLines::instead_of(&bar),
+            bar,
+            verifying: args.verify.then(|| Working::at_terminal("reading the existing shards")),
+            json: args.json,
+            trials: args.trials,
+            found: 0,
+            made: 0,
+            stored: 0,
+            started: Instant::now(),
+        }
     }
 
     fn tell(&mut self, progress: Progress<'_>) {
         match progress {
             Progress::Found { trials, damaged } => {
+                self.verifying = None;
                 self.found = trials;
                 self.stored = trials;
                 self.bar.set_position(trials);
@@ -213,15 +223,11 @@ impl Screen {
 
     /// Prints a progress line at intervals without a terminal.
     fn tell_a_log(&mut self) {
-        if self.bar.is_hidden() && self.told.elapsed() >= TELL {
-            self.told = Instant::now();
-            let (done, rate) = (self.found + self.made, self.rate());
-            let left = duration((self.trials - done) as f64 / rate);
-            output::note(format_args!(
-                "{done}/{} {rate:.0} trials/s | done in {left}",
-                self.trials
-            ));
-        }
+        let (done, trials, rate) = (self.found + self.made, self.trials, self.rate());
+        self.lines.say(|| {
+            let left = duration((trials - done) as f64 / rate);
+            format!("{done}/{trials} {rate:.0} trials/s | done in {left}")
+        });
     }
 
     /// Trials per second in this process.

@@ -199,10 +199,10 @@ pub struct SkinProgress {
     pub steps: usize,
     /// Cost after the previous step; `None` in the first step.
     pub cost: Option<f64>,
-    /// Trials processed in this step; a step processes all of them three times, and six times if
-    /// electrode positions are searched.
+    /// Trials processed in all steps, each as often as it was processed: a step processes all of them three
+    /// times, and six times if electrode positions are searched.
     pub done: usize,
-    /// Number of trials to process in this step.
+    /// Number to process if the fit takes all its steps.
     pub total: usize,
 }
 

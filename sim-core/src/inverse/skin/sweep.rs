@@ -28,6 +28,8 @@ pub(super) struct Sweep<'a> {
     options: &'a SkinFitOptions,
     progress: &'a mut dyn FnMut(SkinProgress),
     at: SkinProgress,
+    /// Trials that are processed at the end of the step.
+    end: usize,
     work: Vec<FrameWork>,
 }
 
@@ -106,10 +108,11 @@ impl<'a> Sweep<'a> {
         options: &'a SkinFitOptions,
         progress: &'a mut dyn FnMut(SkinProgress),
     ) -> Self {
-        let at = SkinProgress { step: 0, steps: options.steps, cost: None, done: 0, total: 0 };
+        let total = passes(options.steps) * trials.len();
+        let at = SkinProgress { step: 0, steps: options.steps, cost: None, done: 0, total };
         let mut work = Vec::new();
         work.resize_with(options.threads.max(1), FrameWork::default);
-        Self { parameters, trials, options, progress, at, work }
+        Self { parameters, trials, options, progress, at, end: 0, work }
     }
 
     /// Parameters of the fit.
@@ -117,11 +120,11 @@ impl<'a> Sweep<'a> {
         self.parameters
     }
 
-    /// Starts a step: resets its progress.
+    /// Starts a step, from 1: the steps before it are done.
     pub fn begin(&mut self, step: usize, cost: Option<f64>) {
-        let passes = if PLACING.contains(&step) { 6 } else { 3 };
         (self.at.step, self.at.cost) = (step, cost);
-        (self.at.done, self.at.total) = (0, passes * self.trials.len());
+        self.at.done = passes(step - 1) * self.trials.len();
+        self.end = passes(step) * self.trials.len();
     }
 
     /// Computes the misfits of all trials.
@@ -227,11 +230,16 @@ impl<'a> Sweep<'a> {
             let of_block =
                 in_order(start..end, &mut self.work, |i, work| of_trial(&pass, i, work))?;
             of_block.into_iter().for_each(&mut take);
-            self.at.done = (self.at.done + end - start).min(self.at.total);
+            self.at.done = (self.at.done + end - start).min(self.end);
             (self.progress)(self.at);
         }
         Ok(())
     }
+}
+
+/// How often the first steps of a fit process each trial.
+fn passes(steps: usize) -> usize {
+    (1..=steps).map(|step| if PLACING.contains(&step) { 6 } else { 3 }).sum()
 }
 
 /// Processes each index on one thread per memory; returns the results in the order of the indices.

@@ -217,8 +217,16 @@ fn threads_change_no_bit_and_a_wild_frame_is_doubted() {
     // An untouched skin with a readout offset.
     trials.push(MeasuredTrial { contacts: Vec::new(), frame_v: vec![2e-4; 784] });
     let three = SkinFitOptions { threads: 3, ..one };
-    let [a, b] =
-        [one, three].map(|o| fit(sensor(), responses(), &trials, &o, &mut |_| {}).unwrap());
+    let [a, b] = [one, three].map(|o| {
+        let mut counted = Vec::new();
+        let fitted = fit(sensor(), responses(), &trials, &o, &mut |p| counted.push(p)).unwrap();
+        // One count for the whole fit: the time to go does not begin again with each step.
+        assert!(counted.is_sorted_by_key(|p| p.done));
+        let [first, end] = [counted.first(), counted.last()].map(|p| p.unwrap());
+        assert!(first.step == 1 && end.step > 1 && end.done <= end.total, "{end:?}");
+        assert!(counted.iter().all(|p| p.total == 24 * trials.len()));
+        fitted
+    });
     assert_eq!(
         (&a.fields, &a.electrodes, &a.offsets_mv),
         (&b.fields, &b.electrodes, &b.offsets_mv)

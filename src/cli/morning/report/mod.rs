@@ -21,6 +21,7 @@ use crate::cli::error::CliError;
 use crate::cli::files::write;
 use crate::cli::output::{counted, note, say, say_json};
 use crate::cli::print;
+use crate::cli::progress::shown_wait;
 
 /// Runs `palpate report`.
 ///
@@ -42,7 +43,7 @@ async fn make(client: &Client, args: &ReportArgs) -> Result<(), CliError> {
     let pdf = file.with_extension("pdf");
     let printed = match args.no_pdf {
         true => None,
-        false => match print::print(&file, &pdf).await {
+        false => match shown_wait("printing the PDF", print::print(&file, &pdf)).await {
             Ok(()) => Some(pdf),
             Err(error) => {
                 note(format_args!("no PDF was written: {error}; the HTML prints from any browser"));
