@@ -318,20 +318,49 @@ mod tests {
                 let help = option.get_help().map(ToString::to_string).unwrap_or_default();
                 let name = option.get_long().unwrap_or_default();
                 assert!(!help.is_empty(), "palpate {path} --{name}: no help");
-                let variable = match name {
+                let variables: &[&str] = match name {
                     // Its default differs from that of the other commands.
-                    _ if path == "virtual-operator" => "",
-                    "url" => "[env: PALPATE_URL]",
-                    "ca" => "[env: PALPATE_CA]",
-                    "data" => "[env: PALPATE_DATA]",
-                    _ => "",
+                    "url" if path == "virtual-operator" => &["PALPATE_KEY"],
+                    "url" => &["[env: PALPATE_URL]", "PALPATE_KEY,", "PALPATE_KEY_FILE"],
+                    "ca" => &["[env: PALPATE_CA]"],
+                    "data" => &["[env: PALPATE_DATA]"],
+                    "log" => &["[env: PALPATE_LOG]"],
+                    "log-format" => &["[env: PALPATE_LOG_FORMAT]"],
+                    "log-file" => &["[env: PALPATE_LOG_FILE]"],
+                    "require-key" => &["PALPATE_KEY"],
+                    _ => &[],
                 };
                 let words = help.split_whitespace().collect::<Vec<_>>().join(" ");
-                assert!(words.contains(variable), "palpate {path} --{name}: {words}");
+                for variable in variables {
+                    assert!(words.contains(variable), "palpate {path} --{name}: {words}");
+                }
                 let hidden = option.is_hide_default_value_set();
                 assert!(!hidden || words.contains("[default:"), "palpate {path} --{name}: {words}");
             }
         });
+    }
+
+    #[test]
+    fn every_variable_of_the_environment_that_is_read_is_on_the_first_page() {
+        let page = command_line().render_help().to_string();
+        let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+        let mut count = 0;
+        for (path, text) in
+            ["src", "virtual-rig/src"].into_iter().flat_map(|of| sources(&root.join(of)))
+        {
+            let is_variable = |word: &&str| {
+                let rest = word.strip_prefix("PALPATE_").unwrap_or_default();
+                !rest.is_empty() && rest.chars().all(|c| c.is_ascii_uppercase() || c == '_')
+            };
+            // The commit is of the build, not of the environment.
+            for name in text.split('"').filter(is_variable).filter(|name| *name != "PALPATE_COMMIT")
+            {
+                let listed = page.split([' ', ',', '\n']).any(|word| word == name);
+                assert!(listed, "{}: {name} is not in ENVIRONMENT, src/cli/help", path.display());
+                count += 1;
+            }
+        }
+        assert!(count > 9, "{count} variables");
     }
 
     #[test]

@@ -41,7 +41,8 @@ pub struct ServeArgs {
     /// Private key of the certificate, PEM.
     #[arg(long, value_name = "FILE", requires = "tls_cert")]
     pub tls_key: Option<PathBuf>,
-    /// Demand a key from callers on this machine, too; the emergency stop needs none there.
+    /// Demand a key from callers on this machine, too; the emergency stop needs none there. The virtual
+    /// operator's is in PALPATE_KEY.
     #[arg(long)]
     pub require_key: bool,
     /// Let callers on this machine make and revoke keys without having one.

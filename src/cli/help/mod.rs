@@ -21,6 +21,17 @@ const GROUPS: &[(&str, &[&str])] = &[
     ("This program", &["completions", "man"]),
 ];
 
+/// Environment of all commands; a test demands every variable that the program reads.
+const ENVIRONMENT: &str = "\
+Environment:
+  PALPATE_URL, PALPATE_CA          service, and its certificate, as --url and --ca
+  PALPATE_KEY, PALPATE_KEY_FILE    API key, or the file that has it in its first line
+  PALPATE_DATA                     folder of the database, as --data
+  PALPATE_LOG, PALPATE_LOG_FORMAT, PALPATE_LOG_FILE
+                                   level, format and file of the log, as --log and its like
+  PALPATE_TRAINER, PALPATE_QUERY   programs that a service starts for trainings and for queries
+  NO_COLOR                         no colours, if it is not empty";
+
 /// Exit codes of all commands, as in `docs/commands.md`.
 pub const EXIT_CODES: &str = "\
 Exit codes:
@@ -44,7 +55,7 @@ pub fn complete(mut root: Command) -> Command {
     // Options that hold for subcommands, too, reach them here.
     root.build();
     let groups = groups(&root);
-    let root = root.after_help(EXIT_CODES);
+    let root = root.after_help(format!("{ENVIRONMENT}\n\n{EXIT_CODES}"));
     let template = format!(
         "{{about-with-newline}}\n{{usage-heading}} {{usage}}\n\n{groups}{}\n{{options}}{{after-help}}",
         heading("Options")

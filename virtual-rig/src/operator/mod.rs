@@ -43,7 +43,7 @@ const REPEAT_AFTER: Duration = Duration::from_secs(1);
 /// `palpate virtual-operator`: mounts tips, places weights, confirms.
 #[derive(Debug, Clone, Args)]
 pub struct OperatorArgs {
-    /// Base URL of the service.
+    /// Base URL of the service; its key is in PALPATE_KEY.
     #[arg(long, value_name = "URL", default_value = "http://127.0.0.1:8080")]
     pub url: String,
     /// Address of the rig's control socket.
