@@ -57,7 +57,7 @@ pub enum RigCommand {
     /// With a rig file this command opens its wires, unless another process holds that rig; without
     /// one the service does the check.
     Check {
-        /// Rig file.
+        /// Rig file [default: the rig of the service].
         #[arg(value_name = "RIG.toml")]
         file: Option<PathBuf>,
         /// Also take control of the drives and switch their servos on; they stay on.

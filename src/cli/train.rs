@@ -52,37 +52,37 @@ pub struct TrainArgs {
 /// Changes of a recipe.
 #[derive(Debug, Clone, Default, Args)]
 pub struct Changes {
-    /// Name of the model.
+    /// Name of the model [default: the recipe's].
     #[arg(long, value_name = "NAME")]
     pub name: Option<String>,
-    /// Name or id of a dataset.
+    /// Name or id of a dataset [default: the recipe's].
     #[arg(long, value_name = "NAME")]
     pub dataset: Option<String>,
     /// A condition on its rows, `COLUMN__lte=VALUE`; may be repeated.
     #[arg(long = "where", value_name = "CONDITION")]
     pub conditions: Vec<String>,
-    /// Quantity that it answers: position, pattern, count or force.
+    /// Quantity that it answers: position, pattern, count or force [default: the recipe's].
     #[arg(long, value_name = "QUANTITY", value_parser = quantities())]
     pub answers: Option<Quantity>,
-    /// Pixel and diameter of the force maps, mm.
+    /// Pixel and diameter of the force maps, mm [default: the recipe's].
     #[arg(long, value_name = "4x20")]
     pub map: Option<String>,
-    /// Seed of the first weights, the order of samples and the noise.
+    /// Seed of the first weights, the order of samples and the noise [default: the recipe's].
     #[arg(long, value_name = "N")]
     pub seed: Option<i64>,
-    /// Number of passes over the data.
+    /// Number of passes over the data [default: the recipe's].
     #[arg(long, value_name = "N")]
     pub epochs: Option<i64>,
-    /// Largest number of rows for training, taken evenly.
+    /// Largest number of rows for training, taken evenly [default: the recipe's].
     #[arg(long, value_name = "N")]
     pub rows: Option<i64>,
-    /// Number of samples in a batch.
+    /// Number of samples in a batch [default: the recipe's].
     #[arg(long, value_name = "N")]
     pub batch: Option<i64>,
-    /// Factor on the noise of --noise-of.
+    /// Factor on the noise of --noise-of [default: the recipe's].
     #[arg(long, value_name = "0.1")]
     pub noise: Option<f64>,
-    /// The Transfer-Net whose residuals are the noise.
+    /// The Transfer-Net whose residuals are the noise [default: the recipe's].
     #[arg(long, value_name = "MODEL")]
     pub noise_of: Option<String>,
     /// Learn all epochs, without early stopping.

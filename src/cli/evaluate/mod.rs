@@ -88,7 +88,7 @@ struct MethodArgs {
     /// Id or name of a Point-Net.
     #[arg(long, value_name = "MODEL")]
     points: Option<String>,
-    /// Id of a calibration stored in the service.
+    /// Id of a calibration stored in the service [default: the serving one].
     #[arg(long, value_name = "CAL")]
     skin: Option<String>,
     /// Read only the first frame of each trial, instead of the mean of all.
@@ -145,7 +145,7 @@ struct UnseenArgs {
     /// Id or name of a Point-Net, scored as `fast`; also proposes to `exact`.
     #[arg(long, value_name = "MODEL")]
     points: Option<String>,
-    /// Id of a calibration stored in the service, scored as `exact`.
+    /// Id of a calibration stored in the service, scored as `exact` [default: the serving one].
     #[arg(long, value_name = "CAL")]
     skin: Option<String>,
     /// Skip the paper's nets: score our methods only.

@@ -37,7 +37,7 @@ pub struct PlotArgs {
     /// How a statement is drawn [default: bars for names and few whole numbers, else lines].
     #[arg(long, value_enum)]
     pub marks: Option<MarksArg>,
-    /// Title of the figure.
+    /// Title of the figure [default: that of the question].
     #[arg(long, value_name = "TEXT")]
     pub title: Option<String>,
     /// Service, or data folder.

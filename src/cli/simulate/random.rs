@@ -52,7 +52,7 @@ pub struct RandomArgs {
     /// Sensor file: the skin's geometry and materials [default: ert-28].
     #[arg(long, value_name = "FILE")]
     sensor: Option<PathBuf>,
-    /// Calibration file, whose values replace those of the sensor file.
+    /// Calibration file, whose values replace those of the sensor file [default: none].
     #[arg(long, value_name = "FILE")]
     calibration: Option<PathBuf>,
     /// Number of contacts of a trial, A..B, each number equally likely.

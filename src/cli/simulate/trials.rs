@@ -33,7 +33,7 @@ pub struct TrialArgs {
     /// Sensor file: the skin's geometry and materials [default: ert-28].
     #[arg(long, value_name = "FILE")]
     sensor: Option<PathBuf>,
-    /// Calibration file, whose values replace those of the sensor file.
+    /// Calibration file, whose values replace those of the sensor file [default: none].
     #[arg(long, value_name = "FILE")]
     calibration: Option<PathBuf>,
     /// Largest number of contacts in a trial.
