@@ -2,7 +2,7 @@
 
 Each scene runs commands of PALPATE in a terminal of 100 columns, in an empty folder, with the virtual rig, and presses
 the keys that a person would press. OUT gets SCENE.svg, the start of what was printed as a picture, and SCENE.txt, all
-of it. Needs pexpect, pyte and rich.
+of it, as in `docs/transcripts/`. Needs pexpect, pyte and rich.
 """
 
 import pathlib
@@ -134,22 +134,23 @@ def main():
     palpate, out = str(pathlib.Path(sys.argv[1]).resolve()), pathlib.Path(sys.argv[2])
     out.mkdir(parents=True, exist_ok=True)
     for scene in SCENES:
-        if sys.argv[3:] and scene.__name__ not in sys.argv[3:]:
+        name = scene.__name__.replace("_", "-")
+        if sys.argv[3:] and name not in sys.argv[3:]:
             continue
         with tempfile.TemporaryDirectory() as folder:
             terminal = Terminal(palpate, folder)
             scene(terminal)
             kill(folder, 15)
         lines = terminal.lines()
-        (out / f"{scene.__name__}.txt").write_text("\n".join(line.plain for line in lines) + "\n")
+        (out / f"{name}.txt").write_text("\n".join(line.plain for line in lines) + "\n")
         console = Console(record=True, width=COLUMNS, file=open("/dev/null", "w"))
         for line in lines[:KEPT]:
             console.print(line, no_wrap=True, soft_wrap=True)
         picture = console.export_svg(title="palpate (virtual rig)")
         # No font from elsewhere: the reader's own.
         picture = re.sub(r"@font-face \{.*?\}", "", picture, flags=re.DOTALL).replace("Fira Code", "DejaVu Sans Mono")
-        (out / f"{scene.__name__}.svg").write_text(picture)
-        print(f"{out / scene.__name__}.svg: {len(lines)} lines")
+        (out / f"{name}.svg").write_text(picture)
+        print(f"{out / name}.svg: {len(lines)} lines")
 
 
 if __name__ == "__main__":
