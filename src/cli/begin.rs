@@ -13,9 +13,10 @@ use super::embed;
 use super::error::CliError;
 use super::next::Next;
 use super::output::{self, say};
-use super::rig::{HOMING, until_rig};
+use super::rig::until_rig;
 use super::view::{PreflightView, StatusView};
 use crate::campaign::bench::rig_state::RigState;
+use crate::campaign::bench::travel::HOMING_WAIT;
 use crate::journal::ExitStatus;
 use crate::state::StoredState;
 use crate::store::RunRow;
@@ -109,7 +110,8 @@ pub async fn bring_up(client: &Client, motion: MotionArgs) -> Result<StatusView,
     confirm_motion(motion, &status).await?;
     if status.rig.state == RigState::Disarmed {
         client.act_on_rig("home", json!({})).await?;
-        status = until_rig(client, "homing", HOMING, |s| s.rig.state != RigState::Disarmed).await?;
+        status =
+            until_rig(client, "homing", HOMING_WAIT, |s| s.rig.state != RigState::Disarmed).await?;
     }
     Ok(status)
 }

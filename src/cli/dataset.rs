@@ -20,7 +20,7 @@ use super::{At, embed};
 use crate::file_kind::FileKind;
 
 /// Longest wait until a dataset is made.
-pub const MAKING: Duration = Duration::from_secs(3600);
+pub const DATASET_WAIT: Duration = Duration::from_secs(3600);
 
 /// Options of `dataset`.
 #[derive(Debug, Args)]
@@ -177,7 +177,7 @@ async fn list(client: &Client, json: bool) -> Result<(), CliError> {
 async fn prune(client: &Client, args: &PruneArgs) -> Result<(), CliError> {
     let body = json!({ "keep": args.keep, "dry_run": args.dry_run });
     let pruned: Value = client
-        .patient(MAKING)
+        .patient(DATASET_WAIT)
         .showing("removing datasets")
         .post("/api/v1/datasets/prune", &body)
         .await?;
@@ -216,7 +216,7 @@ async fn prune(client: &Client, args: &PruneArgs) -> Result<(), CliError> {
 
 /// A client that waits until a dataset is made, and shows it.
 fn making(client: &Client) -> Client {
-    client.patient(MAKING).showing("making the dataset")
+    client.patient(DATASET_WAIT).showing("making the dataset")
 }
 
 async fn show(client: &Client, args: &ShowArgs) -> Result<(), CliError> {

@@ -15,7 +15,7 @@ use serde_json::{Value, json};
 
 use super::At;
 use super::client::Client;
-use super::dataset::MAKING;
+use super::dataset::DATASET_WAIT;
 use super::error::CliError;
 use super::next::Next;
 use super::output::{Output, bytes, counted, say, say_json};
@@ -162,7 +162,7 @@ async fn fetch(client: &Client, done: &ExportView, out: &Path) -> Result<(), Cli
     bar.set_length(wanted);
     while have < wanted {
         let range = format!("bytes={have}-");
-        let answer = client.patient(MAKING).send_ranged(Method::GET, &url, &range).await?;
+        let answer = client.patient(DATASET_WAIT).send_ranged(Method::GET, &url, &range).await?;
         let mut pieces = answer.bytes_stream();
         while let Some(piece) = pieces.next().await {
             match piece {

@@ -15,7 +15,7 @@ use super::client::Client;
 use super::error::CliError;
 use super::leave::{Choice, Interrupt, QUESTION_ON_PAUSED_RUN, QUESTION_ON_RUN};
 use super::output::{counted, duration, note, say_json, shown};
-use super::progress::bar;
+use super::progress::{PROGRESS_LINES, bar};
 use super::view::{RunView, StatusView};
 use crate::campaign::shown::status::{Eta, Phase};
 use crate::ids::RunUid;
@@ -23,8 +23,6 @@ use crate::state::StoredState;
 
 /// Interval of polling the status.
 const STATUS_POLL: Duration = Duration::from_millis(200);
-/// Interval of progress lines without a terminal.
-const TELL: Duration = Duration::from_secs(10);
 /// Time without an answer after which the service counts as ended.
 const SILENT_MAX: Duration = Duration::from_secs(15);
 /// Longest wait for a started run to appear in the status.
@@ -356,7 +354,7 @@ impl Screen {
     fn is_due(&self, run: &RunView) -> bool {
         self.told.as_ref().is_none_or(|(at, waited_for)| {
             let same_wait = run.waiting_for.is_some() && *waited_for == run.waiting_for;
-            at.elapsed() >= TELL && !same_wait
+            at.elapsed() >= PROGRESS_LINES && !same_wait
         })
     }
 

@@ -8,6 +8,9 @@ use indicatif::{ProgressBar, ProgressStyle};
 
 use super::output::{Output, note};
 
+/// Interval of progress lines without a terminal.
+pub const PROGRESS_LINES: Duration = Duration::from_secs(10);
+
 /// A bar on standard error, in units of this name; hidden if that is not a terminal.
 pub fn progress_bar(unit: &str) -> ProgressBar {
     bar(&format!(
@@ -79,9 +82,6 @@ impl Drop for Working {
     }
 }
 
-/// Shortest interval between two lines of a log.
-const LINES_APART: Duration = Duration::from_secs(30);
-
 /// Prints the progress of long work on standard error at intervals, if no bar is visible.
 pub struct LogLines(Option<Instant>);
 
@@ -94,7 +94,7 @@ impl LogLines {
     /// Prints a line, if the last one is old enough.
     pub fn say(&mut self, words: impl FnOnce() -> String) {
         if let Some(last) = &mut self.0
-            && last.elapsed() >= LINES_APART
+            && last.elapsed() >= PROGRESS_LINES
         {
             *last = Instant::now();
             note(words());

@@ -21,12 +21,11 @@ use super::view::StatusView;
 use super::{At, embed, measured, rig_limits};
 use crate::api::LockFile;
 use crate::campaign::bench::rig_state::RigState;
+use crate::campaign::bench::travel::HOMING_WAIT;
 use crate::record::{ARMS, Pose};
 use crate::rig::check::{self, Scope};
 use crate::rig::link::StopLatch;
 
-/// Longest wait for homing.
-pub const HOMING: Duration = Duration::from_secs(300);
 /// Longest wait for the wires, for a tare, and for actions without motion.
 const SOON: Duration = Duration::from_secs(60);
 /// Longest wait for a jog.
@@ -201,7 +200,7 @@ async fn by_hand(client: &Client, command: RigCommand) -> Result<StatusView, Cli
         }
         RigCommand::Home => {
             client.act_on_rig("home", json!({})).await?;
-            until_rig(client, "homing", HOMING, |s| s.rig.state == RigState::Homed).await
+            until_rig(client, "homing", HOMING_WAIT, |s| s.rig.state == RigState::Homed).await
         }
         RigCommand::Jog { axis, to_mm } => {
             let more = json!({ "axis": axis.as_str(), "to_mm": to_mm });

@@ -5,6 +5,9 @@ use std::io::{self, Write};
 
 use sha2::{Digest, Sha256};
 
+/// Number of hexadecimal digits of a digest in an id, such as `ds-0123456789abcdef`.
+pub const ID_DIGITS: usize = 16;
+
 /// Returns the sha256 of `content` as 64 lowercase hexadecimal digits.
 pub fn sha256_hex(content: impl AsRef<[u8]>) -> String {
     hex::encode(Sha256::digest(content))

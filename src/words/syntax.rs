@@ -10,8 +10,8 @@ use crate::locate::{key_at, place};
 use crate::problem::Problem;
 use crate::toml_words::{Meaning, meaning};
 
-/// Most problems of one text that are reported at once.
-const PROBLEMS_MAX: usize = 20;
+/// Most problems of one text or file that are reported at once.
+pub const PROBLEMS_MAX: usize = 20;
 /// Value of the problem of a key that must be given.
 const ABSENT: &str = "absent";
 

@@ -10,16 +10,15 @@
 //! is computed: electrodes at `Z - common`, the top at `-common`. The frame's change is then a sum
 //! of terms of the same magnitude.
 
+use super::TILE;
 use super::back::KronFactor;
-use super::kron::KronReduction;
+use super::kron::{KronReduction, four};
 use super::lane::{Lane32, LaneJob, Portable};
 #[cfg(target_arch = "x86_64")]
 use super::lane_x86;
 use super::readout::ReadoutWork;
 use crate::circuit::ReadoutCircuit;
 
-/// Side of the squares in which products are summed.
-const TILE: usize = 4;
 /// Number of rows that are summed together: they fit into the first-level cache.
 const BLOCK_ROWS: usize = 128;
 
@@ -199,7 +198,7 @@ impl LaneJob for Products<'_> {
                 for k in (j..width).step_by(TILE) {
                     let mut sums = [[0.0; TILE]; TILE];
                     for (row, &weight) in rows.chunks_exact(width).zip(weights) {
-                        let (left, right) = (tile(row, j), tile(row, k));
+                        let (left, right) = (four(row, j), four(row, k));
                         for (sums, left) in sums.iter_mut().zip(left) {
                             let factor = weight * left;
                             for (sum, right) in sums.iter_mut().zip(right) {
@@ -216,11 +215,6 @@ impl LaneJob for Products<'_> {
             }
         }
     }
-}
-
-#[inline(always)]
-fn tile(row: &[f64], at: usize) -> &[f64; TILE] {
-    row[at..].first_chunk().expect("rows are padded to whole tiles")
 }
 
 /// The adjoint of [`Direction`]: how the inner product of a frame with a residual changes with each

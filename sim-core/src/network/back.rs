@@ -4,7 +4,8 @@
 //! The potential of a removed node is the mean of those that remained at its removal, weighted by
 //! `a_kj / d`; the fronts are processed in reverse order.
 
-use super::kron::{KronReduction, TILE, four};
+use super::TILE;
+use super::kron::{KronReduction, four};
 
 /// Factor stored by [`KronReduction::factor`]: the pivots' columns of all fronts, one after the
 /// other, each with `1 / sqrt(d)` on its diagonal.

@@ -13,13 +13,11 @@
 use std::sync::Arc;
 
 use super::back::KronFactor;
-use super::{Resistor, SheetNetwork};
+use super::{Resistor, SheetNetwork, TILE};
 use crate::order::{Part, dissect};
 
 /// Number of pivots that update the rest of a front together.
 const PANEL: usize = 8;
-/// Columns and rows are updated in squares of this side length.
-pub(super) const TILE: usize = 4;
 
 /// One dense front.
 #[derive(Debug, Clone)]
@@ -246,9 +244,10 @@ fn update_tiles(panel: &[f64], columns: &mut [f64], lead: usize, from: usize) {
     }
 }
 
+/// The numbers of a tile in a row or column, from `at`.
 #[inline(always)]
 pub(super) fn four(values: &[f64], at: usize) -> &[f64; TILE] {
-    values[at..].first_chunk().expect("columns are padded to whole tiles")
+    values[at..].first_chunk().expect("rows and columns are padded to whole tiles")
 }
 
 /// Scales a panel's columns by `1 / sqrt(d)`, each updated by those before it.

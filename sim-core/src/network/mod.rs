@@ -20,6 +20,9 @@ pub mod sheet;
 use crate::circuit::ReadoutCircuit;
 use crate::mesh::Mesh;
 
+/// Rows, columns and products are processed in squares of this side length.
+const TILE: usize = 4;
+
 /// A resistor between two nodes.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Resistor {

@@ -6,11 +6,8 @@
 //! `boundary`, the top layer always last). The conductances that the removal of the pivots adds
 //! between boundary nodes are the front's remainder, which is added to its parent.
 
-use super::SheetNetwork;
+use super::{SheetNetwork, TILE};
 use crate::order::{Part, dissect};
-
-/// Rows and columns are processed in squares of this side length.
-pub(super) const TILE: usize = 4;
 
 /// One dense front.
 ///

@@ -12,8 +12,9 @@
 //! sums while the pivots are computed; then each tile of the boundary is divided by them
 //! separately, in the first-level cache; then the remainder is written tile by tile.
 
+use super::TILE;
 use super::lane::Lane;
-use super::plan::{Front, ReductionPlan, TILE, packed, packed_entry};
+use super::plan::{Front, ReductionPlan, packed, packed_entry};
 
 /// Four rows of a column.
 type Rows<L> = [L; TILE];

@@ -2,7 +2,6 @@
 //! Uses: `client`, `cli::train`, `studies::lab`. Never: two trainings of one recipe on one dataset.
 
 use std::path::PathBuf;
-use std::time::Duration;
 
 use clap::{Args, ValueEnum};
 use serde_json::{Value, json};
@@ -10,6 +9,7 @@ use serde_json::{Value, json};
 use super::write_all;
 use crate::api::{FrameAnswer, InferOptions, InferRequest, JobOut, ModelOut};
 use crate::cli::client::Client;
+use crate::cli::dataset::DATASET_WAIT;
 use crate::cli::error::CliError;
 use crate::cli::job::wait_for;
 use crate::cli::next::Next;
@@ -26,9 +26,6 @@ use crate::learn::residuals::Residuals;
 use crate::studies::budget::{Budget, Scale};
 use crate::studies::lab::{Lab, StudyError, Training, Trial};
 use crate::studies::sheet::Sheet;
-
-/// Longest wait until a dataset is made.
-const MAKING: Duration = Duration::from_secs(3600);
 
 /// Extent of training and scoring.
 #[derive(Debug, Clone, Copy, ValueEnum)]
@@ -136,7 +133,7 @@ pub struct ServiceLab {
 impl ServiceLab {
     /// Description of a dataset, which is made if needed.
     async fn dataset(&self, name: &str) -> Result<Value, CliError> {
-        let client = self.client.patient(MAKING).showing("making the dataset");
+        let client = self.client.patient(DATASET_WAIT).showing("making the dataset");
         client.post("/api/v1/datasets", &json!({ "name": name })).await
     }
 }

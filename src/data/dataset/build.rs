@@ -32,7 +32,7 @@ use super::schema::{self, BATCH_ROWS};
 use super::shards::ShardFolder;
 use super::split::{Group, Part, divide, place};
 use super::survey::{NO_PART, Survey, Surveyed, label};
-use crate::digest::Hashing;
+use crate::digest::{Hashing, ID_DIGITS};
 use crate::ids::DatasetId;
 use crate::new_file::{self, Finished, NewFile};
 use crate::store::{DatasetRow, RunRow, Store, TrialQuery};
@@ -43,8 +43,6 @@ const AHEAD: usize = 2;
 const SURVEY_ROWS: u32 = 2000;
 /// Number of pages that are read concurrently.
 const READS: usize = 2;
-/// Number of hexadecimal digits of an id.
-const ID_DIGITS: usize = 16;
 
 /// Progress of writing a dataset or an export; shared between threads.
 #[derive(Debug, Default)]

@@ -14,6 +14,8 @@ use crate::store::table::{Column, Kind, Of, TABLE};
 pub const BATCH_ROWS: usize = 1000;
 /// Column of the measured frame.
 pub const VOLTAGES_V: &str = "voltages_v";
+/// Column of the number of frames in the mean.
+pub const FRAME_COUNT: &str = "frame_count";
 /// Column of a rendered force map.
 pub const FORCE_MAP_N: &str = "force_map_n";
 /// Column of the part of the split.

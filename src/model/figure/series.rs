@@ -11,7 +11,7 @@ use super::{Area, Heading, PageSize, figure};
 /// Size of a drawing of series.
 const SERIES_SIZE: PageSize = PageSize { width_px: 960, height_px: 480 };
 /// Longest series whose points are marked.
-const DOTS: usize = 60;
+pub const MARKED_POINTS: usize = 60;
 /// Most names below the axis.
 const NAMES_MAX: usize = 24;
 /// Share of a place that its bars fill.
@@ -164,7 +164,7 @@ impl Chart {
                     chart.draw_series(bars)?
                 }
                 Marks::Lines => {
-                    if points.len() <= DOTS {
+                    if points.len() <= MARKED_POINTS {
                         let dots = points.iter().map(|at| Circle::new(*at, 3, colour.filled()));
                         chart.draw_series(dots)?;
                     }

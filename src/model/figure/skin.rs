@@ -32,6 +32,8 @@ const CAPTION: u32 = 30;
 const BELOW: u32 = 46;
 const LEFT: u32 = 58;
 const MARGIN: u32 = 10;
+/// Width of the part of a figure that holds a colour bar, px.
+pub const BAR_PX: u32 = 112;
 /// Number of steps of a colour bar.
 const BAR_STEPS: u32 = 100;
 

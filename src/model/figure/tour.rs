@@ -8,7 +8,7 @@ use std::error::Error;
 use plotters::prelude::*;
 use plotters::style::colors::colormaps::ViridisRGB;
 
-use super::skin::{Outline, SkinChart, colour_bar};
+use super::skin::{BAR_PX, Outline, SkinChart, colour_bar};
 use super::style::{COLOURS, INK};
 use super::{Area, Heading, PageSize, figure};
 
@@ -16,8 +16,6 @@ use super::{Area, Heading, PageSize, figure};
 const COLUMNS: usize = 3;
 /// Width of the skin in a panel, px: a single one, and one of several.
 const SKIN_PX: [u32; 2] = [520, 320];
-/// Width of the colour scale, px.
-const BAR_PX: u32 = 112;
 /// Most stops whose way is drawn: of more it would cover the tips.
 pub const WAY_STOPS: usize = 400;
 /// Most stops whose arms are drawn, from the centre to each tip.

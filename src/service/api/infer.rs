@@ -3,9 +3,8 @@
 //! rig.
 
 use std::sync::Arc;
-use std::time::Duration;
 
-use axum::extract::ws::{Message, WebSocket};
+use axum::extract::ws::WebSocket;
 use axum::extract::{FromRequest, Request, State};
 use axum::http::{StatusCode, header};
 use axum::response::Response;
@@ -20,9 +19,9 @@ use super::limits::{
     EXACT_MAX, FIT_REQUESTS, FRAME_CLIENTS, FRAMES_MAX, LIVE_CLIENTS, MAPS_MAX, NET_REQUESTS,
     PREFLIGHTS, SIMULATIONS, STATUS_CLIENTS, TURN_WAIT,
 };
-use super::live::INTERVAL;
+use super::live::{FRAME_INTERVAL, next_frame};
 use super::problem::{ApiError, Params, ProblemBody};
-use super::socket::LiveClient;
+use super::socket::{LiveClient, is_sent};
 use crate::clock::Clock;
 use crate::dataset::background::background;
 use crate::infer::answer::Reading;
@@ -31,9 +30,6 @@ use crate::infer::maps::ForceMaps;
 use crate::infer::methods::exact::Tracked;
 use crate::infer::methods::{Frames, Method};
 use crate::infer::pipeline::{Followed, Pipeline};
-
-/// Longest time for sending a message; a slower client is disconnected.
-const SEND: Duration = Duration::from_secs(5);
 
 /// Options of an inference.
 #[derive(Debug, Clone, Serialize, Deserialize, ToSchema, IntoParams)]
@@ -322,17 +318,8 @@ async fn follow(app: App, mut socket: WebSocket, method: Method, maps: ForceMaps
     let mut ending = app.facts.ending.clone();
     let clock = Clock::new(1.0);
     let mut tracked = Tracked::default();
-    loop {
-        tokio::select! {
-            changed = frames.changed() => if changed.is_err() { return },
-            _ = ending.wait_for(|e| *e) => return,
-            message = socket.recv() => match message {
-                Some(Ok(Message::Close(_)) | Err(_)) | None => return,
-                Some(Ok(_)) => continue,
-            },
-        }
-        let Some(frame) = frames.borrow_and_update().clone() else { continue };
-        let next = Instant::now() + INTERVAL;
+    while let Some(frame) = next_frame(&mut frames, &mut ending, &mut socket).await {
+        let next = Instant::now() + FRAME_INTERVAL;
         let pipeline = app.serving.current();
         let mut memory = std::mem::take(&mut tracked);
         let volts = frame.voltages_v();
@@ -354,8 +341,7 @@ async fn follow(app: App, mut socket: WebSocket, method: Method, maps: ForceMaps
             })),
         };
         let Ok(text) = text else { return };
-        let sent = timeout(SEND, socket.send(Message::Text(text.into()))).await;
-        if !matches!(sent, Ok(Ok(()))) {
+        if !is_sent(&mut socket, text.into()).await {
             return;
         }
         sleep_until(next).await;

@@ -130,6 +130,8 @@ pub const ONCE_RESPONSE_MAX_BYTES: usize = 1 << 20;
 pub const CONDITIONS_MAX: usize = 100;
 /// Values of all conditions of a selection, also those of `COLUMN__in`.
 pub const VALUES_MAX: usize = 1000;
+/// Longest part of an invalid parameter or statement that its refusal repeats, characters.
+pub const REPEATED_CHARS: usize = 200;
 /// Numbers in the frames and maps of one page, as rows x numbers per row.
 pub const PAGE_NUMBERS_MAX: u64 = 20_000_000;
 

@@ -1,29 +1,29 @@
 //! Live frames over a WebSocket: always the newest, as fast as the client receives them.
 //! Uses: the campaign's newest frame. Never: a queue (a slow client misses frames).
 
+use std::sync::Arc;
 use std::time::Duration;
 
 use axum::extract::ws::{Message, WebSocket};
 use axum::response::Response;
 use serde::Serialize;
-use tokio::time::{Instant, sleep_until, timeout};
+use tokio::sync::watch::Receiver;
+use tokio::time::{Instant, sleep_until};
 use utoipa::ToSchema;
 
 use super::App;
 use super::limits::FRAME_CLIENTS;
 use super::problem::{ApiError, ProblemBody};
-use super::socket::LiveClient;
+use super::socket::{LiveClient, is_sent};
 use crate::campaign::bench::stuck::StuckChannels;
 use crate::rig::traits::Frame;
 
 /// Shortest time between two frames to one client. Less than the 33.3 ms of a board's frame, so that a
 /// client that keeps up misses none of 30 per second.
-pub(super) const INTERVAL: Duration = Duration::from_millis(30);
+pub(super) const FRAME_INTERVAL: Duration = Duration::from_millis(30);
 /// Number of equal counts after which a channel is shown as stuck: 2 s. In trials fewer suffice, because
 /// the skin is pressed in between; here it may be at rest, and a quiet channel repeats a count by chance.
 const STUCK_FRAMES: u32 = 60;
-/// Longest time for sending a frame; a slower client is disconnected.
-const SEND: Duration = Duration::from_secs(5);
 
 /// A live frame.
 #[derive(Debug, Serialize, ToSchema)]
@@ -57,24 +57,36 @@ async fn send(app: App, mut socket: WebSocket) {
     let mut frames = app.campaign.watch_frames();
     let mut ending = app.facts.ending.clone();
     let mut channels = StuckChannels::default();
+    while let Some(frame) = next_frame(&mut frames, &mut ending, &mut socket).await {
+        let next = Instant::now() + FRAME_INTERVAL;
+        let Ok(text) = serde_json::to_string(&shown(&frame, &mut channels)) else { return };
+        if !is_sent(&mut socket, text.into()).await {
+            return;
+        }
+        sleep_until(next).await;
+    }
+}
+
+/// Waits for the next frame of the stream. It is absent if the client closes the socket, or if the campaign or the
+/// service ends.
+pub(super) async fn next_frame(
+    frames: &mut Receiver<Option<Arc<Frame>>>,
+    ending: &mut Receiver<bool>,
+    socket: &mut WebSocket,
+) -> Option<Arc<Frame>> {
     loop {
         tokio::select! {
-            changed = frames.changed() => if changed.is_err() { return },
-            _ = ending.wait_for(|e| *e) => return,
+            changed = frames.changed() => changed.ok()?,
+            _ = ending.wait_for(|e| *e) => return None,
             message = socket.recv() => match message {
-                Some(Ok(Message::Close(_)) | Err(_)) | None => return,
+                Some(Ok(Message::Close(_)) | Err(_)) | None => return None,
                 Some(Ok(_)) => continue,
             },
         }
         let frame = frames.borrow_and_update().clone();
-        let Some(frame) = frame else { continue };
-        let next = Instant::now() + INTERVAL;
-        let Ok(text) = serde_json::to_string(&shown(&frame, &mut channels)) else { return };
-        let sent = timeout(SEND, socket.send(Message::Text(text.into()))).await;
-        if !matches!(sent, Ok(Ok(()))) {
-            return;
+        if frame.is_some() {
+            return frame;
         }
-        sleep_until(next).await;
     }
 }
 

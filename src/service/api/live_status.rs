@@ -18,7 +18,7 @@ use super::envelope::{SamplesOut, envelope};
 use super::limits::STATUS_CLIENTS;
 use super::problem::{ApiError, ProblemBody};
 use super::samples::drained;
-use super::socket::LiveClient;
+use super::socket::{LiveClient, is_sent};
 use super::status::{ServiceStatus, StoredPart};
 
 /// Shortest time between two messages.
@@ -30,8 +30,6 @@ const HEARTBEAT: Duration = Duration::from_millis(850);
 const STORED_WAIT: Duration = Duration::from_millis(300);
 /// Most samples of a message.
 const SAMPLES_OF_MESSAGE: usize = 50;
-/// Longest time for sending a message; a slower client is disconnected.
-const SEND: Duration = Duration::from_secs(5);
 /// Messages that a client may be behind.
 const BEHIND: usize = 4;
 
@@ -84,7 +82,7 @@ async fn send(app: App, mut socket: WebSocket) {
                 Some(Ok(_)) => continue,
             },
         };
-        if !matches!(timeout(SEND, socket.send(Message::Text(text))).await, Ok(Ok(()))) {
+        if !is_sent(&mut socket, text).await {
             return;
         }
     }

@@ -2,7 +2,7 @@
 //! PURE. Uses: `store`'s table of columns and its conditions. Never: SQL, a name of a column.
 
 use super::audit::cut;
-use super::limits::{CONDITIONS_MAX, VALUES_MAX};
+use super::limits::{CONDITIONS_MAX, REPEATED_CHARS, VALUES_MAX};
 use super::params::page_formats;
 use crate::dataset::format::Format;
 use crate::dataset::select::Wanted;
@@ -14,8 +14,6 @@ use crate::record::Flag;
 use crate::store::table::{self, Column, Kind};
 use crate::store::{Condition, MAX_PAGE, Order, TrialQuery};
 
-/// Longest part of an invalid parameter that its refusal repeats, characters.
-const SHOWN_CHARS: usize = 200;
 /// Default number of rows per page.
 const PAGE_ROWS: u32 = 100;
 
@@ -219,7 +217,7 @@ fn each(
     let mut problems = Vec::new();
     for (key, value) in pairs {
         if let Err(limit) = apply(key, value) {
-            let (key, value) = (cut(key, SHOWN_CHARS), cut(value, SHOWN_CHARS));
+            let (key, value) = (cut(key, REPEATED_CHARS), cut(value, REPEATED_CHARS));
             problems.push(Problem::new("query", &key, value, limit));
         }
     }

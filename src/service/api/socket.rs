@@ -1,16 +1,18 @@
-//! Opens the WebSockets of live data: a limited number of clients for each kind of data.
+//! Opens the WebSockets of live data: a limited number of clients for each kind of data; ends slow ones.
 //! Uses: `guard`, `limits`. Never: what is sent.
 
 use std::convert::Infallible;
 use std::sync::Arc;
+use std::time::Duration;
 
 use axum::Extension;
 use axum::extract::rejection::ExtensionRejection;
-use axum::extract::ws::{WebSocket, WebSocketUpgrade};
+use axum::extract::ws::{Message, Utf8Bytes, WebSocket, WebSocketUpgrade};
 use axum::extract::{FromRequestParts, State};
 use axum::http::StatusCode;
 use axum::response::Response;
 use tokio::sync::Semaphore;
+use tokio::time::timeout;
 use tracing::{Instrument, Span};
 
 use super::App;
@@ -18,6 +20,14 @@ use super::auth::Caller;
 use super::guard::Place;
 use super::limits::MESSAGE_MAX_BYTES;
 use super::problem::ApiError;
+
+/// Longest time for sending a message; a slower client is disconnected.
+const MESSAGE_WITHIN: Duration = Duration::from_secs(5);
+
+/// Sends a message; returns `false` if the client has gone or was too slow: the socket must be dropped.
+pub(super) async fn is_sent(socket: &mut WebSocket, text: Utf8Bytes) -> bool {
+    matches!(timeout(MESSAGE_WITHIN, socket.send(Message::Text(text))).await, Ok(Ok(())))
+}
 
 /// Extractor of a client that requests live data; a request for no WebSocket is answered with a problem body.
 #[derive(FromRequestParts)]

@@ -13,7 +13,7 @@ use utoipa::{IntoParams, ToSchema};
 
 use super::App;
 use super::audit::cut;
-use super::limits::QUERY_JSON_MAX_BYTES;
+use super::limits::{QUERY_JSON_MAX_BYTES, REPEATED_CHARS};
 use super::problem::{ApiError, Body as JsonBody, Params, ProblemBody};
 use super::query::for_pages;
 use super::send;
@@ -22,9 +22,6 @@ use crate::dataset::format::{Format, Stream};
 use crate::dataset::schema::type_words;
 use crate::journal::error_chain;
 use crate::query::{QueryError, ResultRows, TABLES};
-
-/// Longest part of a statement that its refusal repeats, characters.
-const SHOWN_CHARS: usize = 200;
 
 /// A statement, and the format of its rows.
 #[derive(Debug, Clone, Deserialize, ToSchema, IntoParams)]
@@ -144,7 +141,7 @@ async fn answer(
     };
     format.map_or(Ok(()), for_pages).map_err(ApiError::bad_query)?;
     let rows = app.queries.answer(&request.sql).await.map_err(|error| match error {
-        QueryError::Refused(why) => ApiError::query("sql", cut(&request.sql, SHOWN_CHARS), &why),
+        QueryError::Refused(why) => ApiError::query("sql", cut(&request.sql, REPEATED_CHARS), &why),
         other => other.into(),
     })?;
     match format {

@@ -10,13 +10,12 @@ use tracing::Instrument;
 use super::restart::{AutoResume, TakenOver};
 use super::{Conductor, ConductorError, turn};
 use crate::campaign::bench::rig_state::RigState;
+use crate::campaign::bench::travel::HOMING_WAIT;
 use crate::campaign::shown::command::{Refusal, Request};
 use crate::campaign::spans::run_span;
 use crate::journal::error_chain;
 use crate::store::{LockRow, RunRow};
 
-/// Longest wait for homing, wall.
-const HOMING: Duration = Duration::from_secs(300);
 /// Interval of polling the rig's state.
 const RIG_POLL: Duration = Duration::from_millis(50);
 /// Number of attempts to reach the rig after a restart, and the pause before the second; it
@@ -208,9 +207,9 @@ impl Conductor {
             }
         };
         let late = || {
-            let limit_s = HOMING.as_secs();
+            let limit_s = HOMING_WAIT.as_secs();
             Err(Refusal::State(format!("the rig was not homed within {limit_s} s: check its axes")))
         };
-        tokio::time::timeout(HOMING, homed).await.unwrap_or_else(|_| late())
+        tokio::time::timeout(HOMING_WAIT, homed).await.unwrap_or_else(|_| late())
     }
 }

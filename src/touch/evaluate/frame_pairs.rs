@@ -6,7 +6,7 @@ use plotters::prelude::*;
 use sim_core::stats::{quantile, sorted};
 
 use super::figures::{FigureError, page};
-use crate::figure::skin::colour_bar;
+use crate::figure::skin::{BAR_PX, colour_bar};
 use crate::figure::style::{INK, SMALL, TEXT, TINY, diverging};
 use crate::figure::{Area, Heading, PageSize};
 
@@ -24,9 +24,8 @@ pub struct FramePair {
 /// Side of an image, and the size of a panel around it, px.
 const IMAGE_PX: u32 = 252;
 const PANEL: [u32; 2] = [IMAGE_PX + 66, IMAGE_PX + 82];
-/// Height of a trial's name, and width of the colour scale, px.
+/// Height of a trial's name, px.
 const NAME_PX: u32 = 30;
-const BAR_PX: u32 = 112;
 /// Share of the readings within the colour scale: single large ones do not flatten the image.
 const WITHIN: f64 = 0.99;
 

@@ -6,6 +6,7 @@ use serde::Deserialize;
 
 use super::charts::{empty, upwards};
 use super::figures::{FigureError, page};
+use crate::figure::series::MARKED_POINTS;
 use crate::figure::style::{COLOURS, INK, SMALL, TEXT, dash, decade, legend, mesh, whole};
 use crate::figure::{Heading, PageSize};
 
@@ -22,8 +23,6 @@ pub struct EpochLoss {
 
 /// Size of the learning curve.
 const LOSSES_SIZE: PageSize = PageSize { width_px: 960, height_px: 520 };
-/// Most epochs that have a dot each.
-const DOTS: usize = 60;
 
 /// Reads the losses of a training: a JSON object per line. Lines that are none are skipped.
 pub fn read(lines: &str) -> Vec<EpochLoss> {
@@ -83,7 +82,7 @@ pub fn curve(heading: &Heading, unit: &str, losses: &[EpochLoss]) -> Result<Stri
                 .draw_series(LineSeries::new(places.iter().copied(), colour.stroke_width(3)))?
                 .label(name)
                 .legend(dash(colour));
-            if places.len() <= DOTS {
+            if places.len() <= MARKED_POINTS {
                 chart.draw_series(places.iter().map(|at| Circle::new(*at, 3, colour.filled())))?;
             }
         }

@@ -20,7 +20,7 @@ use super::error::LearnError;
 use super::model_file::TrainedRange;
 use crate::dataset::format::Rows;
 use crate::dataset::read::DatasetRows;
-use crate::dataset::schema::{SPLIT, VOLTAGES_V};
+use crate::dataset::schema::{FRAME_COUNT, SPLIT, VOLTAGES_V};
 use crate::dataset::select::Wanted;
 use crate::dataset::split::Part;
 use crate::new_file;
@@ -30,8 +30,6 @@ use crate::store::Contact;
 
 /// Column with the number of a trial in the store.
 const TRIAL_ID: &str = "trial_id";
-/// Column with the number of frames in the mean.
-const FRAME_COUNT: &str = "frame_count";
 
 /// Rows of a dataset.
 #[derive(Debug)]

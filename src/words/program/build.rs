@@ -7,10 +7,7 @@ use tokio::process::Command;
 
 use super::find::Build;
 use super::lines::{Lines, push_last};
-use super::{Known, ProgramError};
-
-/// Interval at which a stop is noticed.
-const STOP_POLL: std::time::Duration = std::time::Duration::from_millis(100);
+use super::{Known, ProgramError, STOP_POLL};
 
 /// Variables that cargo sets for the program that it runs, and that would change a build.
 const OF_CARGO: [&str; 5] =

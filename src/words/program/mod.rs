@@ -5,6 +5,7 @@
 
 use std::io;
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 
 mod build;
 mod find;
@@ -12,6 +13,9 @@ mod lines;
 
 pub use find::{Build, Program};
 pub use lines::Lines;
+
+/// Interval at which a stop is noticed while a program is built or works.
+pub const STOP_POLL: Duration = Duration::from_millis(100);
 
 /// A program that belongs to this one.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

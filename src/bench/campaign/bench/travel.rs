@@ -4,6 +4,8 @@
 //!
 //! No lateral or radial motion unless z is measured clear of the surface.
 
+use std::time::Duration;
+
 use futures::future::try_join_all;
 use tokio::time::Instant;
 
@@ -17,6 +19,8 @@ use crate::schedule::configuration::Stand;
 
 /// Longest homing of one axis, process s.
 const HOMING_S: f64 = 180.0;
+/// Longest wait of those who request homing until all axes are homed, wall time.
+pub const HOMING_WAIT: Duration = Duration::from_secs(300);
 
 /// Target of one axis.
 #[derive(Debug, Clone, Copy)]

@@ -11,7 +11,7 @@ mod tests;
 
 mod columns;
 mod csv;
-mod npy;
+pub(crate) mod npy;
 mod npz;
 mod parquet;
 mod stream;

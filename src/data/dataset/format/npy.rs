@@ -16,7 +16,7 @@ use arrow_schema::{ArrowError, DataType, Field, FieldRef, TimeUnit};
 /// Length of the header, bytes: enough for all layouts, and a multiple of the alignment.
 const HEADER_BYTES: usize = 128;
 /// NumPy's NaT.
-const NOT_A_TIME: i64 = i64::MIN;
+pub(crate) const NOT_A_TIME: i64 = i64::MIN;
 
 /// Properties of a column's values that determine its layout.
 #[derive(Debug, Clone, Copy, Default)]

@@ -17,7 +17,7 @@ use tokio::sync::mpsc;
 use super::background::background;
 use super::error::{DatasetError, Product};
 use super::space::Space;
-use crate::digest::{Hashing, sha256_hex};
+use crate::digest::{Hashing, ID_DIGITS, sha256_hex};
 use crate::ids::RunUid;
 use crate::problem::Problem;
 use crate::store::{
@@ -204,7 +204,7 @@ fn new_run(import: &Import, sensor: &ImportedSensor, checked: &Checked) -> NewRu
 async fn model(store: &Store, sha256: &str, run: &RunRow) -> Result<TwinModelId, DatasetError> {
     let digest = sha256_hex(format!("{IMPORTED_MODEL} {sha256}"));
     let new = NewTwinModel {
-        hash: format!("sim-{}", &digest[..16]),
+        hash: format!("sim-{}", &digest[..ID_DIGITS]),
         sensor_sha256: run.sensor_sha256.clone(),
         calibration_id: None,
         version: IMPORTED_MODEL.into(),

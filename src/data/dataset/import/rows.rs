@@ -13,13 +13,14 @@ use jiff::Timestamp;
 
 use super::coordinates::Coordinates;
 use super::sensor::ImportedSensor;
-use crate::dataset::schema::{SPLIT, VOLTAGES_V};
+use crate::dataset::schema::{FRAME_COUNT, SPLIT, VOLTAGES_V};
 use crate::dataset::split::Part;
 use crate::problem::Problem;
 use crate::record::{Flag, FrameQuality};
 use crate::simulate::compare::difference;
 use crate::simulate::schema::{CONTACTS, SIM_VOLTAGES_V};
 use crate::store::{Contact, IMPORTED_CONTACTS_MAX, ImportedTrial};
+use crate::syntax::PROBLEMS_MAX;
 
 /// Columns that are read.
 const READ: [&str; 11] = [
@@ -35,12 +36,8 @@ const READ: [&str; 11] = [
     FRAME_COUNT,
     SPLIT,
 ];
-/// Column of the number of frames in the mean.
-const FRAME_COUNT: &str = "frame_count";
 /// Fields of a contact.
 const CONTACT: [&str; 4] = ["x_mm", "y_mm", "force_n", "diameter_mm"];
-/// Number of problems after which checking ends.
-const PROBLEMS_MAX: usize = 20;
 /// Largest valid force of a contact, N.
 const FORCE_MAX_N: f64 = 100_000.0;
 /// Largest plausible magnitude of a voltage, V: beyond it the unit is another one, such as mV or counts.

@@ -23,7 +23,7 @@ use self::end::Exit;
 pub use self::end::{Ended, TrainerEnd};
 use crate::jobs::Watch;
 use crate::learn::order::{Event, STOP};
-use crate::program::{Known, Lines, ProgramError};
+use crate::program::{Known, Lines, ProgramError, STOP_POLL};
 
 /// The program of the trainer.
 const TRAINER: Known = Known {
@@ -38,8 +38,6 @@ const BUILDING: &str = "building the trainer: once, some minutes";
 
 /// Time from a request to stop to the end by force: one batch and a checkpoint take less.
 const STOP_MAX: Duration = Duration::from_secs(20);
-/// Interval at which a stop is noticed.
-const STOP_POLL: Duration = Duration::from_millis(100);
 
 /// Why a trainer did not train.
 #[derive(Debug, thiserror::Error)]

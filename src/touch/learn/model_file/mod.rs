@@ -13,14 +13,12 @@ use super::onnx::write::{Description, WriteError, to_onnx};
 use super::onnx::{OnnxError, OnnxFile, Port, sealed, unsealed};
 use super::task::NetTask;
 use crate::dataset::force_map::ForceMapSpec;
-use crate::digest::Hashing;
+use crate::digest::{Hashing, ID_DIGITS};
 use crate::ids::{CalibrationId, DatasetId, ModelId};
 use crate::problem::{Checks, Problem};
 use crate::store::Label;
 use crate::syntax::parse_toml;
 
-/// Number of hexadecimal digits of an id.
-const ID_DIGITS: usize = 16;
 /// Largest number of values of an answer, and of channels of a sensor: bounds the memory.
 const NUMBERS_MAX: usize = 1 << 20;
 

@@ -22,11 +22,10 @@ use crate::dataset::schema::VOLTAGES_V;
 use crate::problem::Problem;
 use crate::simulate::schema::{CONTACTS, SIM_VOLTAGES_V};
 use crate::store::Contact;
+use crate::syntax::PROBLEMS_MAX;
 
 /// Separators of cells.
 const SEPARATORS: [u8; 3] = *b",;\t";
-/// Number of invalid cells after which reading ends.
-const PROBLEMS_MAX: usize = 20;
 /// Fields of a contact: the stem of the name and its unit.
 const FIELDS: [(&str, &str); 4] =
     [("x", "_mm"), ("y", "_mm"), ("force", "_n"), ("diameter", "_mm")];

@@ -1,5 +1,5 @@
 //! An array of NumPy's format `.npy`: its header, and its values one by one.
-//! Uses: nothing. Never: pickle, records.
+//! Uses: `format::npy` (the time that is none). Never: pickle, records.
 //!
 //! Source: NumPy, `numpy.lib.format`, versions 1.0 to 3.0. Kept crates read the header with a parser generator, which
 //! costs twelve crates.
@@ -7,13 +7,12 @@
 use std::io::{self, Read};
 
 use super::invalid;
+use crate::dataset::format::npy::NOT_A_TIME;
 
 /// Largest length of the header of an array, bytes: simple types need 128.
 const HEADER_MAX_BYTES: usize = 4096;
 /// Length of a character of a text in UTF-32, bytes.
 const CHARACTER_BYTES: usize = 4;
-/// NumPy's NaT.
-const NOT_A_TIME: i64 = i64::MIN;
 
 /// How a value is stored, by its type code.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
