@@ -12,7 +12,7 @@ use crate::evaluate::anova::{Anova, Factor, Factorial, MarginalMean, Moments};
 use crate::evaluate::charts::{Bar, bars};
 use crate::evaluate::published::{FIG_11, Held, Marginal};
 use crate::evaluate::request::EvaluationReport;
-use crate::evaluate::table::{self, COLUMNS};
+use crate::evaluate::table::{self, SCORE_COLUMNS};
 use crate::evaluate::touch::Metric;
 use crate::figure::Heading;
 use crate::ids::ModelId;
@@ -135,7 +135,7 @@ fn sheet(
     }
     text += &format!(
         "\n## A perfect map under the same rule\n\n{}\n{}\n",
-        table::markdown(&COLUMNS, &perfects(conditions.iter().map(|c| &c.report))),
+        table::markdown(&SCORE_COLUMNS, &perfects(conditions.iter().map(|c| &c.report))),
         budget.caption(label)
     );
     let numbers = conditions.iter().map(|condition| {

@@ -4,11 +4,11 @@
 use serde_json::json;
 
 use crate::budget::{Budget, RECON_NET};
-use crate::dataset::force_map::{ForceMapSpec, TABLE_IV};
+use crate::dataset::force_map::{ForceMapSpec, TABLE_IV_MAPS};
 use crate::evaluate::charts::{Heat, heats};
 use crate::evaluate::published::table_iv as published_table_iv;
 use crate::evaluate::score::{Mean, Score};
-use crate::evaluate::table::{Beside, COLUMNS, markdown, published_row, score_row};
+use crate::evaluate::table::{Beside, SCORE_COLUMNS, markdown, published_row, score_row};
 use crate::figure::Heading;
 use crate::infer::methods::Method;
 use crate::lab::{Lab, StudyError};
@@ -25,7 +25,7 @@ pub async fn table_iv<L: Lab>(lab: &L, budget: &Budget) -> Result<Sheet, L::Erro
     let (mut rows, mut numbers, mut scores) = (Vec::new(), Vec::new(), Vec::new());
     let mut scored = 0;
     let mut label = String::new();
-    for (number, spec) in (1..).zip(TABLE_IV) {
+    for (number, spec) in (1..).zip(TABLE_IV_MAPS) {
         let model = lab.train(&budget.map_net(RECON_NET, spec, None)).await?;
         let mut request = budget.request(Method::Paper, "s2s-recon", Some("test"));
         request.map = Some(model.to_string());
@@ -43,7 +43,7 @@ pub async fn table_iv<L: Lab>(lab: &L, budget: &Budget) -> Result<Sheet, L::Erro
     }
     let text = format!(
         "# Table IV: Recon-Net on simulated voltages, mean ± standard deviation\n\n{}\n{}\n",
-        markdown(&COLUMNS, &rows),
+        markdown(&SCORE_COLUMNS, &rows),
         budget.caption(&format!("simulated; twins of {label} trials"))
     );
     let title = "Fig. 9: errors of a Recon-Net by the pixel and the diameter of its force map";

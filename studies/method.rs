@@ -4,7 +4,7 @@
 use serde_json::json;
 
 use crate::evaluate::request::{EvaluationReport, EvaluationRequest};
-use crate::evaluate::table::{COLUMNS, markdown};
+use crate::evaluate::table::{SCORE_COLUMNS, markdown};
 use crate::lab::Lab;
 use crate::rows::{by_contacts, perfect, read_by};
 use crate::sheet::Sheet;
@@ -23,7 +23,7 @@ pub async fn scores<L: Lab>(lab: &L, request: &EvaluationRequest) -> Result<Shee
         "# {name} on {} ({}), mean [95 % interval]\n\n{}\n{}{}{}",
         request.dataset,
         report.label,
-        markdown(&COLUMNS, &rows),
+        markdown(&SCORE_COLUMNS, &rows),
         latency(&report),
         skipped(&report),
         read_by(&report)

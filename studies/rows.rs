@@ -6,7 +6,7 @@ use crate::evaluate::table::{Beside, score_row};
 use crate::ids::{CalibrationId, ModelId};
 
 /// Rows of a method: over all frames, then by the number of contacts. Columns:
-/// `evaluate::table::COLUMNS`, means with 95 % intervals.
+/// `evaluate::table::SCORE_COLUMNS`, means with 95 % intervals.
 pub fn by_contacts(name: &str, report: &EvaluationReport) -> Vec<Vec<String>> {
     let Some(scores) = &report.contacts else { return Vec::new() };
     let mut rows = vec![score_row(name, &scores.all, Beside::Interval)];

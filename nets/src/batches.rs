@@ -13,7 +13,7 @@ use crate::samples::{Samples, read_finite};
 
 /// Number of batches that wait for the trainer, in addition to the one being read and the one being
 /// learned.
-const AHEAD: usize = 2;
+const BATCHES_AHEAD: usize = 2;
 
 /// A batch of samples.
 pub struct Batch {
@@ -77,7 +77,7 @@ impl Pass<'_> {
         self,
         mut learn: impl FnMut(Batch) -> Result<bool, E>,
     ) -> Result<bool, E> {
-        let (send, receive) = sync_channel(AHEAD);
+        let (send, receive) = sync_channel(BATCHES_AHEAD);
         std::thread::scope(|scope| {
             // The receiver is dropped with this closure: a reader blocked in a send then ends.
             let receive: Receiver<Result<Batch, SamplesError>> = receive;

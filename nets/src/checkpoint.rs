@@ -11,8 +11,8 @@ use crate::error::CheckpointError;
 use crate::network::Network;
 use crate::recipe::Recipe;
 
-const MAGIC: &[u8; 12] = b"palpate-nets";
-const VERSION: u32 = 1;
+const CHECKPOINT_MAGIC: &[u8; 12] = b"palpate-nets";
+const CHECKPOINT_VERSION: u32 = 1;
 
 /// Losses of an epoch, in the loss's own unit.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -89,8 +89,8 @@ pub fn write(subject: &Subject, state: &State) -> Vec<u8> {
     };
     let head = toml::to_string(&head).expect("a head is plain numbers and names");
     let mut bytes = Vec::new();
-    bytes.extend_from_slice(MAGIC);
-    bytes.extend_from_slice(&VERSION.to_le_bytes());
+    bytes.extend_from_slice(CHECKPOINT_MAGIC);
+    bytes.extend_from_slice(&CHECKPOINT_VERSION.to_le_bytes());
     bytes.extend_from_slice(&(head.len() as u32).to_le_bytes());
     bytes.extend_from_slice(head.as_bytes());
     for numbers in [&state.network, &state.best].into_iter().chain(&state.moments) {
@@ -132,9 +132,10 @@ pub fn fits(state: &State, network: &Network) -> Result<(), CheckpointError> {
 /// Splits into the head and the numbers that it announces.
 fn split(bytes: &[u8]) -> Result<(Head, Vec<f32>), CheckpointError> {
     use CheckpointError::Bytes;
-    let rest = bytes.strip_prefix(MAGIC).ok_or(Bytes("the bytes are not a checkpoint"))?;
+    let rest =
+        bytes.strip_prefix(CHECKPOINT_MAGIC).ok_or(Bytes("the bytes are not a checkpoint"))?;
     let (version, rest) = word(rest)?;
-    if version != VERSION {
+    if version != CHECKPOINT_VERSION {
         return Err(Bytes("it was written by another version"));
     }
     let (len, rest) = word(rest)?;

@@ -17,7 +17,7 @@ use crate::statistics::Statistics;
 /// Largest number of values of frames in memory, 1 GB.
 const HELD_MAX: usize = 1 << 27;
 /// Number of rows that are read at a time.
-const CHUNK: usize = 256;
+const CLOSED_FORM_ROWS: usize = 256;
 /// Largest numbers of training and validation rows by which the width of the kernel is chosen.
 const FEW: [usize; 2] = [1200, 1000];
 /// Largest number of validation rows.
@@ -102,13 +102,14 @@ impl Data<'_> {
             frames: Mat::zeros(numbers.len(), channels),
             targets: Mat::zeros(numbers.len(), target),
         };
-        let (mut x, mut y) = (vec![0.0; CHUNK * channels], vec![0.0; CHUNK * target]);
+        let (mut x, mut y) =
+            (vec![0.0; CLOSED_FORM_ROWS * channels], vec![0.0; CLOSED_FORM_ROWS * target]);
         let of = self.statistics;
-        for (piece, numbers) in numbers.chunks(CHUNK).enumerate() {
+        for (piece, numbers) in numbers.chunks(CLOSED_FORM_ROWS).enumerate() {
             let (x, y) = (&mut x[..numbers.len() * channels], &mut y[..numbers.len() * target]);
             read_finite(from, numbers, x, y)?;
             for (nth, &number) in numbers.iter().enumerate() {
-                let row = piece * CHUNK + nth;
+                let row = piece * CLOSED_FORM_ROWS + nth;
                 let frame = &mut x[nth * channels..][..channels];
                 self.noise.add(0, number, frame);
                 for (i, &v) in frame.iter().enumerate() {
@@ -228,7 +229,7 @@ fn ridge(
         let mut right = Mat::<f64>::zeros(channels, train.target_len());
         let mut square = 0.0;
         let numbers: Vec<u64> = (0..train.len()).collect();
-        for numbers in numbers.chunks(4 * CHUNK) {
+        for numbers in numbers.chunks(4 * CLOSED_FORM_ROWS) {
             let rows = data.read(train, numbers)?;
             products += rows.frames.transpose() * &rows.frames;
             right += rows.frames.transpose() * &rows.targets;

@@ -14,7 +14,7 @@ use crate::samples::{Samples, read_finite};
 /// Largest number of samples that are measured, drawn from the seed.
 pub const MEASURED_MAX: u64 = 8192;
 /// Number of samples in memory at a time.
-const CHUNK: usize = 64;
+const SAMPLES_AT_ONCE: usize = 64;
 /// A channel whose standard deviation is below this share of the channels' median is constant: what it
 /// does later has no information, and would be scaled up without a bound.
 const CONSTANT: f64 = 1e-4;
@@ -115,8 +115,9 @@ impl Statistics {
         let mut products = Mat::<f64>::zeros(rows, rows);
         let mut unit_sum = vec![0.0; channels];
         let picked = pick(from, seed);
-        let (mut x, mut y) = (vec![0.0; CHUNK * channels], vec![0.0; CHUNK * targets]);
-        for numbers in picked.chunks(CHUNK) {
+        let (mut x, mut y) =
+            (vec![0.0; SAMPLES_AT_ONCE * channels], vec![0.0; SAMPLES_AT_ONCE * targets]);
+        for numbers in picked.chunks(SAMPLES_AT_ONCE) {
             let (x, y) = (&mut x[..numbers.len() * channels], &mut y[..numbers.len() * targets]);
             read_finite(from, numbers, x, y)?;
             let mut units = Mat::<f64>::zeros(channels, numbers.len());

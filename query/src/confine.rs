@@ -10,7 +10,7 @@ use landlock::{
 use rustix::process::{Resource, Rlimit, getrlimit, nice, setrlimit};
 
 /// Nice value: a process at 0 gets about seventy times as much processor time.
-const NICE: i32 = 19;
+const ENGINE_NICE: i32 = 19;
 /// Longest processor time of all threads together, s. The service ends a query sooner; this is for
 /// a process that no service watches any more.
 const TIME_MAX_S: u64 = 300;
@@ -20,7 +20,7 @@ const RIGHTS: ABI = ABI::V10;
 /// Lowers the priority of this thread and of those that it starts.
 pub fn low_priority() {
     // Without it queries only compete more.
-    let _ = nice(NICE);
+    let _ = nice(ENGINE_NICE);
 }
 
 /// Bounds the memory and the processor time of this process; what goes beyond ends it.

@@ -4,7 +4,7 @@
 use std::io::{Write, stderr, stdout};
 use std::process::ExitCode;
 
-use palpate_words::query_lines::VERSION;
+use palpate_words::query_lines::LINES_VERSION;
 
 const USAGE: &str = "palpate-query\n\
     Evaluates a SELECT statement over Parquet files. palpate starts it for each query, and names the\n\
@@ -15,7 +15,7 @@ fn main() -> ExitCode {
     match arguments.as_slice() {
         [] => return palpate_query::talk::serve(),
         // A closed pipe is no error.
-        [flag] if flag == "--version" => drop(writeln!(stdout(), "palpate-query {VERSION}")),
+        [flag] if flag == "--version" => drop(writeln!(stdout(), "palpate-query {LINES_VERSION}")),
         [flag] if flag == "--help" => drop(writeln!(stdout(), "{USAGE}")),
         _ => {
             drop(writeln!(stderr(), "{USAGE}"));

@@ -21,7 +21,7 @@ use crate::aggregates::parts;
 use crate::statement::StatementError;
 
 /// Longest name that a column of the result gets from its expression, characters.
-const NAME_MAX: usize = 64;
+const COLUMN_NAME_MAX: usize = 64;
 
 /// Rewrites every SELECT of a statement.
 #[derive(Default)]
@@ -144,7 +144,7 @@ pub fn name_columns(statement: &mut Statement) {
         let is_several = matches!(&*expr, Expr::Function(function)
             if function.name.to_string().eq_ignore_ascii_case("columns"));
         let name = expr.to_string();
-        if !is_column && !is_several && name.chars().count() <= NAME_MAX {
+        if !is_column && !is_several && name.chars().count() <= COLUMN_NAME_MAX {
             let alias = Ident::with_quote('"', name);
             *item = SelectItem::ExprWithAlias { expr: expr.clone(), alias };
         }

@@ -8,7 +8,7 @@ use std::sync::mpsc::{self, RecvTimeoutError};
 use std::thread;
 use std::time::Duration;
 
-use palpate_words::query_lines::{Answer, Order, Table, VERSION};
+use palpate_words::query_lines::{Answer, LINES_VERSION, Order, Table};
 use polars::frame::DataFrame;
 
 use crate::{confine, evaluate, statement, words};
@@ -18,7 +18,7 @@ const STACK_BYTES: usize = 256 << 20;
 /// Longest time of parsing: some nonsense takes a parser for ever.
 const PARSE_MAX: Duration = Duration::from_secs(5);
 /// Exit status if the service ended the input.
-const LEFT: i32 = 3;
+const INPUT_ENDED: i32 = 3;
 
 /// Serves one query on standard input and output.
 pub fn serve() -> ExitCode {
@@ -39,9 +39,9 @@ pub fn serve() -> ExitCode {
 /// Reads the order and the tables; returns the rows, or why there are none.
 fn query(out: &mut impl Write) -> Result<DataFrame, String> {
     let Order { version, sql, rows_max, memory_max_bytes } = line()?;
-    if version != VERSION {
+    if version != LINES_VERSION {
         return Err(format!(
-            "palpate-query is of version {VERSION}, the service of version {version}: build it again"
+            "palpate-query is of version {LINES_VERSION}, the service of version {version}: build it again"
         ));
     }
     confine::low_priority();
@@ -59,7 +59,7 @@ fn query(out: &mut impl Write) -> Result<DataFrame, String> {
     let lifeline = thread::Builder::new().name("lifeline".into()).spawn(|| {
         // No message follows: the input ends with the service, or when the client has left.
         let _ = io::copy(&mut stdin().lock(), &mut io::sink());
-        process::exit(LEFT);
+        process::exit(INPUT_ENDED);
     });
     drop(lifeline.map_err(|error| error.to_string())?);
     on_deep_stack(None, memory_max_bytes, move || {

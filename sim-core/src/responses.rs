@@ -15,7 +15,7 @@ use crate::solve::{Factor, SolveError};
 /// Number of right-hand sides solved together.
 const BLOCK_SIDES: usize = 64;
 /// First bytes of a cache; the last digit is the layout's version.
-const MAGIC: &[u8; 8] = b"palp-ur2";
+const CACHE_MAGIC: &[u8; 8] = b"palp-ur2";
 
 /// Why unit responses are not available.
 #[derive(Debug, thiserror::Error)]
@@ -111,7 +111,7 @@ impl UnitResponses {
     /// Returns the bytes of a cache: magic, key, nodes, rows, CRC-32 over everything before it.
     pub fn to_bytes(&self) -> Vec<u8> {
         let mut bytes = Vec::with_capacity(52 + 4 * self.rows.len());
-        bytes.extend_from_slice(MAGIC);
+        bytes.extend_from_slice(CACHE_MAGIC);
         bytes.extend_from_slice(&self.key);
         bytes.extend_from_slice(&(self.nodes as u64).to_le_bytes());
         for value in &self.rows {
@@ -131,7 +131,7 @@ impl UnitResponses {
         let damaged = ResponsesError::Damaged;
         let (content, sum) = bytes.split_last_chunk::<4>().ok_or(damaged(Damage::Length))?;
         let (magic, rest) = content.split_first_chunk::<8>().ok_or(damaged(Damage::Length))?;
-        if magic != MAGIC {
+        if magic != CACHE_MAGIC {
             return Err(damaged(Damage::Magic));
         }
         let (key, rest) = rest.split_first_chunk::<32>().ok_or(damaged(Damage::Length))?;

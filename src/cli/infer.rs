@@ -20,7 +20,7 @@ use crate::infer::quantity::QuantityAnswer;
 use crate::problem::Problem;
 
 /// Number of frames per request.
-const FRAMES_AT_ONCE: usize = 64;
+const FRAMES_PER_REQUEST: usize = 64;
 
 /// Options of `infer`.
 #[derive(Debug, Args)]
@@ -84,7 +84,7 @@ pub async fn infer(args: InferArgs) -> Result<(), CliError> {
             // clap requires one of them.
             (None, None) => return Ok(()),
         };
-        for frames in frames.chunks(FRAMES_AT_ONCE) {
+        for frames in frames.chunks(FRAMES_PER_REQUEST) {
             let options = InferOptions {
                 method,
                 model: args.model.clone(),
@@ -120,7 +120,7 @@ async fn quantities(
     frames: &[Vec<f32>],
     at: &At,
 ) -> Result<(), CliError> {
-    for frames in frames.chunks(FRAMES_AT_ONCE) {
+    for frames in frames.chunks(FRAMES_PER_REQUEST) {
         let request = QuantityRequest { frames: frames.to_vec() };
         let path = format!("/api/v1/models/{model}/quantities");
         let client = client.showing("estimating");

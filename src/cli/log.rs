@@ -43,7 +43,7 @@ const LEVEL: &str = "warn";
 /// Lines that may wait for standard error; further ones are counted and lost.
 const WAITING_LINES: usize = 8192;
 /// Longest wait for standard error at the end of the process.
-const FAREWELL: Duration = Duration::from_secs(1);
+const FLUSH_WAIT: Duration = Duration::from_secs(1);
 
 /// Lines that wait for the end of a screen on the terminal; `None` while there is no screen.
 static BEHIND_SCREEN: Mutex<Option<Vec<String>>> = Mutex::new(None);
@@ -148,14 +148,14 @@ pub fn start(args: &LogArgs) -> Option<Log> {
 
 impl Drop for Log {
     fn drop(&mut self) {
-        let deadline = Instant::now() + FAREWELL;
+        let deadline = Instant::now() + FLUSH_WAIT;
         while let Err(TrySendError::Full(_)) = self.lines.try_send(Item::End) {
             if Instant::now() > deadline {
                 return;
             }
             std::thread::sleep(Duration::from_millis(10));
         }
-        let _ = self.written.recv_timeout(FAREWELL);
+        let _ = self.written.recv_timeout(FLUSH_WAIT);
     }
 }
 

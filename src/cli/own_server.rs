@@ -25,11 +25,11 @@ use crate::new_file;
 /// Name of the log in the data folder.
 const LOG: &str = "service.log";
 /// Longest wait for the service: the first start of a virtual rig solves the skin's responses.
-const READY: Duration = Duration::from_secs(150);
+const SERVER_READY_WAIT: Duration = Duration::from_secs(150);
 /// Interval of polling for the service.
 const SERVICE_POLL: Duration = Duration::from_millis(50);
 /// Longest wait for its end: it raises the tips and closes the database.
-const END: Duration = Duration::from_secs(60);
+const SERVER_END_WAIT: Duration = Duration::from_secs(60);
 
 /// A service that this command started.
 pub struct OwnServer {
@@ -110,11 +110,11 @@ impl OwnServer {
     /// `CliError::Late` if it does not end.
     pub async fn end(mut self) -> Result<(), CliError> {
         terminate(&self.child);
-        match timeout(END, self.child.wait()).await {
+        match timeout(SERVER_END_WAIT, self.child.wait()).await {
             Ok(_) => Ok(()),
             Err(_) => {
                 let what = format!("the end of the service (its log is {})", self.log.display());
-                Err(CliError::Late { what, after_s: END.as_secs() })
+                Err(CliError::Late { what, after_s: SERVER_END_WAIT.as_secs() })
             }
         }
     }
@@ -138,7 +138,7 @@ async fn answering(
 ) -> Result<(Client, Child), CliError> {
     let process = starting.0.as_ref().and_then(Child::id).map(u32::cast_signed);
     let started = Instant::now();
-    while started.elapsed() < READY {
+    while started.elapsed() < SERVER_READY_WAIT {
         if let Some(Ok(Some(_))) = starting.0.as_mut().map(Child::try_wait) {
             let said = said_since(log, begin);
             let said = said.trim();
@@ -155,7 +155,10 @@ async fn answering(
         }
         sleep(SERVICE_POLL).await;
     }
-    Err(CliError::Late { what: "the service's first answer".into(), after_s: READY.as_secs() })
+    Err(CliError::Late {
+        what: "the service's first answer".into(),
+        after_s: SERVER_READY_WAIT.as_secs(),
+    })
 }
 
 fn terminate(child: &Child) {

@@ -20,10 +20,10 @@ const BROWSERS: [&str; 8] = [
     "/Applications/Google Chrome.app/Contents/MacOS/Google Chrome",
 ];
 /// Longest time that printing may take.
-const LIMIT: Duration = Duration::from_secs(120);
+const PRINT_WITHIN: Duration = Duration::from_secs(120);
 
 /// Pixels of a PNG per pixel of its page.
-const SCALE: u32 = 2;
+const PNG_SCALE: u32 = 2;
 
 /// Why there is no PDF or PNG.
 #[derive(Debug, thiserror::Error)]
@@ -72,7 +72,7 @@ pub async fn photograph(
 ) -> Result<(), PrintError> {
     let options = [
         "--hide-scrollbars".to_owned(),
-        format!("--force-device-scale-factor={SCALE}"),
+        format!("--force-device-scale-factor={PNG_SCALE}"),
         format!("--window-size={width_px},{height_px}"),
         format!("--screenshot={}", png.display()),
     ];
@@ -104,12 +104,12 @@ async fn driven(html: &Path, out: &Path, options: &[String]) -> Result<(), Print
         // Its sandbox refuses root. The page is our own, without scripts.
         command.arg("--no-sandbox");
     }
-    let ended = tokio::time::timeout(LIMIT, command.status()).await;
+    let ended = tokio::time::timeout(PRINT_WITHIN, command.status()).await;
     let _ = std::fs::remove_dir_all(&profile);
     let status = match ended {
         Ok(Ok(status)) => status,
         Ok(Err(error)) => return Err(failed(error.to_string())),
-        Err(_) => return Err(failed(format!("not done after {} s", LIMIT.as_secs()))),
+        Err(_) => return Err(failed(format!("not done after {} s", PRINT_WITHIN.as_secs()))),
     };
     let written = std::fs::metadata(out).is_ok_and(|file| file.len() > 0);
     if status.success() && written { Ok(()) } else { Err(failed(status.to_string())) }

@@ -41,7 +41,7 @@ pub fn spinner(output: Output, words: &str) -> ProgressBar {
 }
 
 /// Time after which a wait is shown.
-const QUIET: Duration = Duration::from_millis(1500);
+const UNSHOWN_WAIT: Duration = Duration::from_millis(1500);
 
 /// Waits for `work`; what takes longer than a moment is named on standard error, on a terminal with the time
 /// since it began.
@@ -49,7 +49,7 @@ pub async fn shown_wait<T>(words: &str, work: impl Future<Output = T>) -> T {
     let mut work = std::pin::pin!(work);
     tokio::select! {
         done = &mut work => return done,
-        () = tokio::time::sleep(QUIET) => {}
+        () = tokio::time::sleep(UNSHOWN_WAIT) => {}
     }
     let shown = Working::on(words);
     let done = work.await;

@@ -19,7 +19,7 @@ const PAUSES: [Duration; 3] =
 const IN_PROGRESS: Duration = Duration::from_secs(1);
 
 /// The stop, which is not looked up among all operations first.
-const STOP: &str = "POST /api/v1/estop";
+const ESTOP_CALL: &str = "POST /api/v1/estop";
 
 /// Operations that a service carries out once per `Idempotency-Key`, such as `POST /api/v1/queue`.
 static ONCE: LazyLock<HashSet<String>> = LazyLock::new(|| {
@@ -40,7 +40,7 @@ pub async fn send(
     operation: &str,
     within: Duration,
 ) -> Result<Response, Error> {
-    let once = operation != STOP && ONCE.contains(operation);
+    let once = operation != ESTOP_CALL && ONCE.contains(operation);
     if once {
         request = request.header("idempotency-key", Uuid::now_v7().to_string());
     }

@@ -9,7 +9,7 @@ use super::output::terminal_width;
 /// Gap between two columns.
 const GAP: &str = "  ";
 /// Narrowest last column that is still cut to the width of the terminal, characters.
-const NARROWEST: usize = 12;
+const LAST_COLUMN_MIN: usize = 12;
 
 /// Side to which a column is aligned.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -103,7 +103,7 @@ fn one_line(cell: &str) -> String {
 /// Cuts a line to the width of a terminal; elsewhere it stays whole.
 fn cut(line: &str, width: Option<usize>) -> String {
     match width {
-        Some(width) if width >= NARROWEST && length(line) > width => {
+        Some(width) if width >= LAST_COLUMN_MIN && length(line) > width => {
             let kept: String = line.chars().take(width - 1).collect();
             format!("{}…", kept.trim_end())
         }

@@ -22,9 +22,9 @@ use crate::new_file;
 use crate::rig::config::RigLabel;
 
 /// Longest wait for the rig: its first start solves the skin's unit responses.
-const READY: Duration = Duration::from_secs(120);
+const RIG_READY_WAIT: Duration = Duration::from_secs(120);
 /// Longest wait for a child to end after its input is closed.
-const END: Duration = Duration::from_secs(3);
+const CHILD_END_WAIT: Duration = Duration::from_secs(3);
 /// Free space below which a disk counts as full, bytes.
 const NO_SPACE_BYTES: u64 = 4 << 20;
 /// Number of lines of a child's log that are shown when it fails.
@@ -175,10 +175,11 @@ fn start(
 async fn ready_line(stdout: &mut BufReader<ChildStdout>, log: &Path) -> Result<Ready, CliError> {
     let name = "virtual rig";
     let mut line = String::new();
-    match timeout(READY, stdout.read_line(&mut line)).await {
-        Err(_) => {
-            Err(CliError::Late { what: "the virtual rig's start".into(), after_s: READY.as_secs() })
-        }
+    match timeout(RIG_READY_WAIT, stdout.read_line(&mut line)).await {
+        Err(_) => Err(CliError::Late {
+            what: "the virtual rig's start".into(),
+            after_s: RIG_READY_WAIT.as_secs(),
+        }),
         Ok(Err(e)) => Err(failed(name, &e.to_string(), log)),
         Ok(Ok(0)) => Err(failed(name, &format!("ended at its start{}", tail(log)), log)),
         Ok(Ok(_)) => serde_json::from_str(&line)
@@ -209,7 +210,7 @@ fn tail(log: &Path) -> String {
 /// Closes the child's pipe, which ends it; a child that remains is killed.
 async fn end(child: &mut Child) {
     drop(child.stdin.take());
-    if timeout(END, child.wait()).await.is_err() {
+    if timeout(CHILD_END_WAIT, child.wait()).await.is_err() {
         tracing::warn!("a child process had to be killed");
         let _ = child.kill().await;
     }

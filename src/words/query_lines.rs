@@ -15,7 +15,7 @@ use std::path::PathBuf;
 use serde::{Deserialize, Serialize};
 
 /// Version of these lines; an engine refuses another one.
-pub const VERSION: u32 = 1;
+pub const LINES_VERSION: u32 = 1;
 
 /// Longest statement, bytes.
 pub const SQL_MAX_BYTES: usize = 65_536;
@@ -23,7 +23,7 @@ pub const SQL_MAX_BYTES: usize = 65_536;
 /// A statement to evaluate.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Order {
-    /// [`VERSION`] of the service.
+    /// [`LINES_VERSION`] of the service.
     pub version: u32,
     /// One SELECT statement.
     pub sql: String,

@@ -100,7 +100,7 @@ pub struct FrameQuality {
 /// Scalars measured in a trial, each a column of the table of trials; absent if not measured, as in
 /// manual trials.
 ///
-/// A new scalar is a field with its line in `COLUMNS`: the store writes, reads and checks it by name.
+/// A new scalar is a field with its line in `SCALAR_COLUMNS`: the store writes, reads and checks it by name.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct TrialScalars {
     /// Largest force while approaching and settling minus the measured force, N.
@@ -112,11 +112,11 @@ type Field = fn(&mut TrialScalars) -> &mut Option<f64>;
 
 impl TrialScalars {
     /// Name and field of each scalar, in the order in which they were added.
-    const COLUMNS: &[(&'static str, Field)] = &[("overshoot_n", |s| &mut s.overshoot_n)];
+    const SCALAR_COLUMNS: &[(&'static str, Field)] = &[("overshoot_n", |s| &mut s.overshoot_n)];
 
     /// Returns the names of the columns with their values.
     pub fn columns(mut self) -> impl Iterator<Item = (&'static str, Option<f64>)> {
-        Self::COLUMNS.iter().map(move |(name, field)| (*name, *field(&mut self)))
+        Self::SCALAR_COLUMNS.iter().map(move |(name, field)| (*name, *field(&mut self)))
     }
 
     /// Returns the scalars for whose columns `value` returns the values.
@@ -127,7 +127,7 @@ impl TrialScalars {
         mut value: impl FnMut(&'static str) -> Result<Option<f64>, E>,
     ) -> Result<Self, E> {
         let mut scalars = Self::default();
-        for (name, field) in Self::COLUMNS {
+        for (name, field) in Self::SCALAR_COLUMNS {
             *field(&mut scalars) = value(name)?;
         }
         Ok(scalars)
@@ -136,7 +136,7 @@ impl TrialScalars {
     /// Returns scalars that are all present and have this value, for trials that nothing measured.
     pub fn all(value: f64) -> Self {
         let mut scalars = Self::default();
-        for (_, field) in Self::COLUMNS {
+        for (_, field) in Self::SCALAR_COLUMNS {
             *field(&mut scalars) = Some(value);
         }
         scalars
@@ -370,7 +370,11 @@ mod tests {
             Ok::<_, ()>(Some(f64::from(n)))
         });
         let fields = serde_json::to_value(numbered.unwrap()).unwrap();
-        assert_eq!(fields.as_object().unwrap().len(), n as usize, "a line of COLUMNS is missing");
+        assert_eq!(
+            fields.as_object().unwrap().len(),
+            n as usize,
+            "a line of SCALAR_COLUMNS is missing"
+        );
         for (name, value) in numbered.unwrap().columns() {
             assert_eq!(fields[name].as_f64(), value, "{name}");
         }

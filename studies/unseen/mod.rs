@@ -5,10 +5,10 @@
 use serde_json::json;
 
 use crate::budget::{Budget, END_TO_END, R2S, RECON_NET, Scale, up_to};
-use crate::dataset::force_map::{ForceMapSpec, TABLE_IV};
+use crate::dataset::force_map::{ForceMapSpec, TABLE_IV_MAPS};
 use crate::evaluate::published::REAL_UNSEEN;
 use crate::evaluate::request::{EvaluationReport, EvaluationRequest, FramesRead};
-use crate::evaluate::table::{Beside, COLUMNS, markdown, published_row, score_row};
+use crate::evaluate::table::{Beside, SCORE_COLUMNS, markdown, published_row, score_row};
 use crate::factorial::{COARSE_MM, DIAMETERS_MM};
 use crate::figure::Heading;
 use crate::ids::{CalibrationId, ModelId};
@@ -197,7 +197,7 @@ impl<L: Lab> Study<'_, L> {
 /// The maps of Table IV; below full scale those of the factorial design.
 fn maps(scale: Scale) -> Vec<ForceMapSpec> {
     if scale == Scale::Full {
-        return TABLE_IV.to_vec();
+        return TABLE_IV_MAPS.to_vec();
     }
     let of_pixel =
         |pixel_mm| DIAMETERS_MM.map(|diameter_mm| ForceMapSpec { pixel_mm, diameter_mm });
@@ -237,7 +237,7 @@ fn sheet(budget: &Budget, scores: &Scores, columns: &[Named]) -> Result<Sheet, S
         .map_or(String::new(), |(_, report)| format!("real-to-sim, best: {}", read_by(report)));
     let text = format!(
         "# Fig. 12: contacts that no net has seen, mean [95 % interval]\n\n{}\n{}{by_best}{}{}\n",
-        markdown(&COLUMNS, &table),
+        markdown(&SCORE_COLUMNS, &table),
         nets(pipeline, end_to_end),
         ours.last().map_or(String::new(), |(_, exact)| format!("exact: {}\n", read_by(exact))),
         budget.caption(&label)
@@ -270,7 +270,7 @@ fn nets(pipeline: &[Named], end_to_end: &[Named]) -> String {
     if rows.is_empty() {
         return String::new();
     }
-    format!("All nets, by map and noise:\n\n{}\n", markdown(&COLUMNS, &rows))
+    format!("All nets, by map and noise:\n\n{}\n", markdown(&SCORE_COLUMNS, &rows))
 }
 
 #[cfg(test)]

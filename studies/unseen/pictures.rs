@@ -2,7 +2,7 @@
 //! PURE. Uses: `evaluate::{charts, force_maps, opening}`. Never: scores computed here.
 
 use super::{EXAMPLES, Named, Scores, best};
-use crate::dataset::force_map::{ForceMapSpec, TABLE_IV};
+use crate::dataset::force_map::{ForceMapSpec, TABLE_IV_MAPS};
 use crate::evaluate::charts::{Bar, bars};
 use crate::evaluate::figures::FigureError;
 use crate::evaluate::force_maps::{Picture, pictures};
@@ -28,7 +28,7 @@ pub fn examples(heading: &Heading, columns: &[Named]) -> Result<String, FigureEr
         let of_row: Vec<(&str, ForceMapSpec, &Example)> = of_row.collect();
         let Some((_, _, first)) = of_row.first() else { break };
         let name = format!("{} contacts", first.truth.len());
-        maps.push(Picture::of_contacts(&name, TABLE_IV[0], &first.truth)?);
+        maps.push(Picture::of_contacts(&name, TABLE_IV_MAPS[0], &first.truth)?);
         for (name, spec, example) in of_row {
             maps.push(match &example.reading.force_map_n {
                 Some(map) => Picture { name: name.into(), spec, map: map.clone() },

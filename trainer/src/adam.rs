@@ -12,7 +12,7 @@ use rayon::prelude::*;
 use crate::model::Model;
 
 /// Number of values that one thread updates at a time.
-const CHUNK: usize = 1 << 14;
+const VALUES_AT_ONCE: usize = 1 << 14;
 
 /// How weights and moments are updated.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -105,10 +105,10 @@ impl Step {
         let [mut weight, mut first, mut second] = moved.map(Tensor::into_data);
         let gradient = gradient.into_data();
         let parts = numbers_mut(&mut weight)
-            .par_chunks_mut(CHUNK)
-            .zip(numbers_mut(&mut first).par_chunks_mut(CHUNK))
-            .zip(numbers_mut(&mut second).par_chunks_mut(CHUNK))
-            .zip(gradient.as_slice::<f32>().expect("gradients are f32").par_chunks(CHUNK));
+            .par_chunks_mut(VALUES_AT_ONCE)
+            .zip(numbers_mut(&mut first).par_chunks_mut(VALUES_AT_ONCE))
+            .zip(numbers_mut(&mut second).par_chunks_mut(VALUES_AT_ONCE))
+            .zip(gradient.as_slice::<f32>().expect("gradients are f32").par_chunks(VALUES_AT_ONCE));
         parts.for_each(|(((weight, first), second), gradient)| {
             for (((w, m), v), &g) in weight.iter_mut().zip(first).zip(second).zip(gradient) {
                 *m += (1.0 - self.beta1) * (g - *m);

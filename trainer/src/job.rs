@@ -28,7 +28,7 @@ use crate::store::Label;
 use crate::talk::Talk;
 
 /// Nice value of the process: one at 0 gets about ten times as much processor time.
-const NICE: i32 = 10;
+const TRAINER_NICE: i32 = 10;
 /// Longest wait for the trainer of a service that has just ended: it writes its checkpoint.
 const BUSY_MAX: Duration = Duration::from_secs(60);
 const BUSY_LOOK: Duration = Duration::from_millis(50);
@@ -36,7 +36,7 @@ const BUSY_LOOK: Duration = Duration::from_millis(50);
 /// Carries out the order in a folder, and reports its end on standard output.
 pub fn carry_out(folder: &Path) -> ExitCode {
     // Before any thread starts: the others inherit it. Without it the work only competes more.
-    let _ = rustix::process::nice(NICE);
+    let _ = rustix::process::nice(TRAINER_NICE);
     let talk = Talk::begin();
     let (end, status) = match run(folder, &talk) {
         Ok(true) => (Event::Done, ExitCode::SUCCESS),

@@ -5,7 +5,7 @@ use std::io::{Write, stderr, stdout};
 use std::path::Path;
 use std::process::ExitCode;
 
-use palpate_touch::learn::order::VERSION;
+use palpate_touch::learn::order::ORDER_VERSION;
 
 const USAGE: &str = "palpate-trainer FOLDER\n\
     Trains a net: carries out FOLDER/order.json, and reports one JSON object per line.\n\
@@ -15,7 +15,9 @@ fn main() -> ExitCode {
     let arguments: Vec<_> = std::env::args_os().skip(1).collect();
     match arguments.as_slice() {
         // A closed pipe is no error.
-        [flag] if flag == "--version" => drop(writeln!(stdout(), "palpate-trainer {VERSION}")),
+        [flag] if flag == "--version" => {
+            drop(writeln!(stdout(), "palpate-trainer {ORDER_VERSION}"))
+        }
         [flag] if flag == "--help" => drop(writeln!(stdout(), "{USAGE}")),
         [folder] => return palpate_trainer::job::carry_out(Path::new(folder)),
         _ => {

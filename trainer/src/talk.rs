@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use parking_lot::Mutex;
 
-use crate::learn::order::{Event, STOP};
+use crate::learn::order::{Event, STOP_LINE};
 
 /// The line to the service. Clones share it.
 #[derive(Clone, Default)]
@@ -28,7 +28,7 @@ impl Talk {
         std::thread::spawn(move || {
             for line in std::io::stdin().lock().lines() {
                 match line {
-                    Ok(line) if line != STOP => {}
+                    Ok(line) if line != STOP_LINE => {}
                     _ => break,
                 }
             }

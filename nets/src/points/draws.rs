@@ -40,13 +40,13 @@ impl Default for Draws {
 }
 
 /// Largest number of contacts of a sample; the model is checked up to it.
-const CONTACTS_MAX: usize = 6;
+const DRAWN_CONTACTS_MAX: usize = 6;
 
 impl Draws {
     pub(crate) fn check(&self) -> Result<(), RecipeError> {
         let [fewest, most] = self.contacts;
         let shown = format!("{:?}", self.contacts);
-        let holds = fewest <= most && most <= CONTACTS_MAX;
+        let holds = fewest <= most && most <= DRAWN_CONTACTS_MAX;
         require(holds, "net.draws.contacts", shown, "two numbers in order, at most 6")?;
         for (field, share) in [
             ("net.draws.untouched_share", self.untouched_share),

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus, Stdio};
 use std::time::{Duration, Instant};
 
-use palpate_words::query_lines::{Answer, Form, Order, Table, VERSION};
+use palpate_words::query_lines::{Answer, Form, LINES_VERSION, Order, Table};
 use polars::prelude::*;
 
 /// The built program.
@@ -275,7 +275,7 @@ impl Engine {
         let output = BufReader::new(child.stdout.take().expect("an output"));
         let mut engine = Self { child, output };
         engine.say(&Order {
-            version: VERSION,
+            version: LINES_VERSION,
             sql: sql.into(),
             rows_max: bounds.rows_max,
             memory_max_bytes: bounds.memory_max_bytes,

@@ -30,7 +30,7 @@ use crate::state::{PausedWhy, StateChange, StoredState};
 /// Notes that may wait for the store. A rig at rest creates a few per hour.
 const CAPACITY: usize = 4096;
 /// Delays before a failed write is repeated: the first, doubled up to the second.
-const RETRY: [Duration; 2] = [Duration::from_millis(200), Duration::from_secs(5)];
+const WRITE_PAUSE: [Duration; 2] = [Duration::from_millis(200), Duration::from_secs(5)];
 
 /// A record of something that happened.
 #[derive(Debug, Clone)]
@@ -180,7 +180,7 @@ impl Writer {
 
     /// Writes a note, repeatedly until it succeeds; a note that the store refuses is logged.
     async fn write_note(&mut self, note: &Note, at: Timestamp) {
-        let mut pause = RETRY[0];
+        let mut pause = WRITE_PAUSE[0];
         let mut waits = false;
         loop {
             let missing = self.missing.swap(0, Ordering::Relaxed);
@@ -214,7 +214,7 @@ impl Writer {
             }
             self.tell_who_waits(&error);
             tokio::time::sleep(pause).await;
-            pause = (2 * pause).min(RETRY[1]);
+            pause = (2 * pause).min(WRITE_PAUSE[1]);
         }
     }
 

@@ -35,9 +35,9 @@ use crate::store::{RunKind, RunRow, TrialRow};
 /// Trials per page, without frames.
 const PAGE_TRIALS: usize = 5000;
 /// Trials per page with frames, requested by their ids.
-const PAGE_FRAMES: usize = 200;
+const FIT_PAGE_TRIALS: usize = 200;
 /// Largest default number of threads of a fit: a campaign may be active.
-const THREADS: usize = 8;
+const FIT_THREADS_MAX: usize = 8;
 
 /// Options of `calibrate skin`.
 #[derive(Debug, Clone, Args)]
@@ -163,10 +163,10 @@ async fn frames(
     bar.set_length((choice.fitted.len() + choice.held_out.len()) as u64);
     let mut sides = [Vec::new(), Vec::new()];
     for (side, chosen) in sides.iter_mut().zip([&choice.fitted, &choice.held_out]) {
-        for some in chosen.chunks(PAGE_FRAMES) {
+        for some in chosen.chunks(FIT_PAGE_TRIALS) {
             let ids: Vec<String> = some.iter().map(|&i| candidates[i].trial.to_string()).collect();
             let path = format!(
-                "/api/v1/runs/{}/trials?voltages=true&limit={PAGE_FRAMES}&trial_id__in={}",
+                "/api/v1/runs/{}/trials?voltages=true&limit={FIT_PAGE_TRIALS}&trial_id__in={}",
                 run.uid,
                 ids.join(",")
             );
@@ -189,7 +189,7 @@ async fn frames(
 }
 
 fn threads(asked: Option<usize>) -> usize {
-    let here = || thread::available_parallelism().map_or(1, |n| n.get().min(THREADS));
+    let here = || thread::available_parallelism().map_or(1, |n| n.get().min(FIT_THREADS_MAX));
     asked.unwrap_or_else(here).max(1)
 }
 

@@ -26,7 +26,7 @@ use crate::problem::Problem;
 mod questions;
 
 /// Longest wait for an answer; connecting a rig takes longest.
-const ANSWER: Duration = Duration::from_secs(60);
+const ANSWER_WAIT: Duration = Duration::from_secs(60);
 /// Longest time that a stream of events is open: longer than any run.
 const STREAM: Duration = Duration::from_secs(400 * 86_400);
 /// Longest wait when probing for a service.
@@ -99,7 +99,7 @@ impl Client {
             .map_err(|source| CliError::Http { operation: "HTTP client".into(), source })?;
         let url = url.trim_end_matches('/').into();
         let (tls, who) = (tls.into(), who());
-        Ok(Self { url, http, tls, key, who, answer_within: ANSWER, work: None })
+        Ok(Self { url, http, tls, key, who, answer_within: ANSWER_WAIT, work: None })
     }
 
     /// Returns the same client with another deadline for answers.

@@ -15,7 +15,7 @@ use crate::state::StoredState;
 use crate::store::{MAX_PAGE, RunRow};
 
 /// Columns of a trial that these commands read.
-const COLUMNS: &str = "trial_id,configuration,depth_index,depth_mm,tips,contact_count,max_force_n,\
+const TRIAL_COLUMNS: &str = "trial_id,configuration,depth_index,depth_mm,tips,contact_count,max_force_n,\
                        forces_n,contacts,fvu,rmse_v,flags,overshoot_n,settle_ms,measured_at";
 
 /// A trial without its frame.
@@ -121,7 +121,7 @@ pub async fn all_trials(
     let (mut all, mut last) = (Vec::new(), 0);
     loop {
         let path = format!(
-            "/api/v1/runs/{run}/trials?format=ndjson&columns={COLUMNS}&trial_id__gt={last}&limit={MAX_PAGE}"
+            "/api/v1/runs/{run}/trials?format=ndjson&columns={TRIAL_COLUMNS}&trial_id__gt={last}&limit={MAX_PAGE}"
         );
         let answer = client.send(reqwest::Method::GET, &path, None::<&Value>).await?;
         let operation = format!("GET /api/v1/runs/{run}/trials");

@@ -16,7 +16,7 @@ use crate::cli::error::CliError;
 use crate::cli::output::{is_coloured, terminal_width};
 
 /// Width without a terminal, characters.
-pub const WIDTH: u16 = 100;
+pub const CHART_WIDTH: u16 = 100;
 /// Narrowest and widest picture, characters.
 const NARROWEST: u16 = 40;
 const WIDEST: u16 = 140;
@@ -24,7 +24,7 @@ const WIDEST: u16 = 140;
 /// Width of a picture, characters.
 pub fn width() -> u16 {
     let found = terminal_width().and_then(|width| u16::try_from(width).ok());
-    found.unwrap_or(WIDTH).clamp(NARROWEST, WIDEST)
+    found.unwrap_or(CHART_WIDTH).clamp(NARROWEST, WIDEST)
 }
 
 /// Draws a picture and returns its lines, with colours if standard output shows them.

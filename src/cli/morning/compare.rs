@@ -10,7 +10,7 @@ use super::answers::TrialFacts;
 use crate::cli::watch::answers::Tour;
 
 /// Fewest values of an interval: with fewer the extremes cover the median with less than 95 %.
-const FEWEST: usize = 6;
+const INTERVAL_VALUES_MIN: usize = 6;
 
 /// A value that differs.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
@@ -168,7 +168,7 @@ pub fn difference(values: impl IntoIterator<Item = f64>) -> Option<Difference> {
     let median = quantile(&sorted, 0.5)?;
     // Rank of the lower end, from 1: (n - 1.96 sqrt(n)) / 2, at least the first value.
     let rank = ((n as f64 - 1.96 * (n as f64).sqrt()) / 2.0).floor().max(1.0) as usize;
-    let interval = (n >= FEWEST).then(|| [sorted[rank - 1], sorted[n - rank]]);
+    let interval = (n >= INTERVAL_VALUES_MIN).then(|| [sorted[rank - 1], sorted[n - rank]]);
     Some(Difference {
         n,
         median,

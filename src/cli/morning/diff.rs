@@ -26,7 +26,7 @@ use crate::store::{RunRow, TrialRow};
 /// Largest number of pairs whose frames are compared.
 const PAIRS_MAX: usize = 300;
 /// Trials with frames per request.
-const PAGE_FRAMES: usize = 50;
+const DIFF_PAGE_TRIALS: usize = 50;
 
 /// A run with all that is compared.
 struct Side {
@@ -239,7 +239,7 @@ async fn frames(client: &Client, paired: &[Pair]) -> Result<Frames, CliError> {
     let touched: Vec<Pair> = paired.iter().filter(|pair| pair.in_contact).copied().collect();
     let some = sampled(&touched, PAIRS_MAX);
     let (mut values, mut sim_models) = (Vec::new(), [Vec::new(), Vec::new()]);
-    for chunk in some.chunks(PAGE_FRAMES) {
+    for chunk in some.chunks(DIFF_PAGE_TRIALS) {
         let before = read(client, chunk.iter().map(|pair| pair.before)).await?;
         let after = read(client, chunk.iter().map(|pair| pair.after)).await?;
         for pair in chunk {
@@ -264,8 +264,10 @@ async fn read(
     ids: impl Iterator<Item = i64>,
 ) -> Result<HashMap<i64, TrialRow>, CliError> {
     let ids: Vec<String> = ids.map(|id| id.to_string()).collect();
-    let path =
-        format!("/api/v1/trials?voltages=true&limit={PAGE_FRAMES}&trial_id__in={}", ids.join(","));
+    let path = format!(
+        "/api/v1/trials?voltages=true&limit={DIFF_PAGE_TRIALS}&trial_id__in={}",
+        ids.join(",")
+    );
     let page: Page<TrialRow> = client.get(&path).await?;
     Ok(page.items.into_iter().map(|trial| (trial.trial_id.0, trial)).collect())
 }

@@ -23,7 +23,7 @@ use crate::cli::view::EventView;
 /// Events without `--limit` and `--since`.
 const EVENTS_SHOWN: usize = 50;
 /// Events per request.
-const PAGE_EVENTS: u32 = 1000;
+const EVENTS_PER_REQUEST: u32 = 1000;
 /// Time until a broken stream is opened again.
 const REOPEN_PAUSE: Duration = Duration::from_secs(1);
 /// Width of the kinds of a stream, characters.
@@ -72,7 +72,7 @@ async fn newest(
     };
     let mut kept = VecDeque::new();
     loop {
-        let path = format!("/api/v1/events?since={since}&limit={PAGE_EVENTS}{selection}");
+        let path = format!("/api/v1/events?since={since}&limit={EVENTS_PER_REQUEST}{selection}");
         let page: Page<EventView> = client.get(&path).await?;
         for event in page.items {
             since = event.seq;

@@ -9,7 +9,7 @@ use sim_core::stats::{quantile, sorted};
 /// Shades of magnitude, the smallest first.
 const SHADES: [char; 8] = [' ', '.', ':', '-', '=', '+', '*', '#'];
 /// Share of the values within the scale: single large ones do not flatten the picture.
-const WITHIN: f64 = 0.98;
+const VALUES_SHARE: f64 = 0.98;
 /// Gap between two pictures, characters.
 const GAP: u16 = 3;
 
@@ -39,7 +39,7 @@ impl Picture {
     /// A picture whose scale holds almost all values.
     pub fn new(title: &'static str, voltages_v: Vec<f32>) -> Self {
         let magnitudes = sorted(voltages_v.iter().map(|v| f64::from(v.abs())));
-        let end_v = quantile(&magnitudes, WITHIN).unwrap_or(0.0).max(1e-9);
+        let end_v = quantile(&magnitudes, VALUES_SHARE).unwrap_or(0.0).max(1e-9);
         Self { title, voltages_v, end_v }
     }
 

@@ -19,7 +19,7 @@ use crate::near::did_you_mean;
 use crate::store::Condition;
 
 /// Most whole numbers that are drawn as names.
-const NAMES_MAX: usize = 40;
+const DRAWN_NAMES_MAX: usize = 40;
 
 /// Options of `plot`.
 #[derive(Debug, Clone, Args)]
@@ -197,7 +197,7 @@ fn chart(question: &Question, marks: Marks, answer: &Answer) -> Result<Chart, St
     // A row without a place is not drawn.
     let rows: Vec<_> = answer.rows.iter().filter(|row| row.contains_key(&first.name)).collect();
     let numbers: Vec<f64> = rows.iter().filter_map(|row| row.get(&first.name)?.as_f64()).collect();
-    let whole = numbers.iter().all(|n| n.fract() == 0.0) && numbers.len() <= NAMES_MAX;
+    let whole = numbers.iter().all(|n| n.fract() == 0.0) && numbers.len() <= DRAWN_NAMES_MAX;
     // Bars of few whole numbers, such as counts, are parted like names.
     let as_names = whole && marks == Marks::Bars && question.width.is_none();
     let places = if numbers.len() == rows.len() && !as_names {

@@ -14,7 +14,7 @@ pub const NAMES: [(&str, &str); 3] = [
     ("fvu-by-pair", "fraction of variance unexplained by the twin, by pair of electrodes"),
 ];
 /// Ranges of a histogram, about.
-const BINS: f64 = 40.0;
+const HISTOGRAM_RANGES: f64 = 40.0;
 /// Width of the ranges of depth, mm.
 const DEPTH_MM: f64 = 0.1;
 
@@ -113,7 +113,7 @@ impl Trials {
 
     /// The histogram of a column from its least to its largest value.
     pub fn histogram(&self, column: &Column, [low, high]: [f64; 2]) -> Question {
-        let width = nice((high - low) / BINS);
+        let width = nice((high - low) / HISTOGRAM_RANGES);
         let name = column.name;
         let unit =
             if column.unit.is_empty() { String::new() } else { format!(", {}", column.unit) };

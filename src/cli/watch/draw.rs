@@ -15,9 +15,9 @@ use crate::cli::view::RigView;
 use crate::record::ARMS;
 
 /// Keys, for the last line.
-const KEYS: &str = " q quit   p pause   r resume   E emergency stop ";
+const KEYS_HELP: &str = " q quit   p pause   r resume   E emergency stop ";
 /// Least width of the map, for its legend, if half of the screen is that wide.
-const MAP_COLUMNS: u16 = 36;
+const MAP_COLUMNS_MIN: u16 = 36;
 /// Room for the number of a bar.
 const NUMBER: u16 = 9;
 
@@ -65,7 +65,7 @@ pub fn draw(frame: &mut Frame, night: &Night, now: &Now, theme: Theme) {
 
 /// Width of the map: a skin is about as wide as it is high, and a character twice as high as wide.
 fn map_columns(middle: Rect) -> u16 {
-    (middle.height * 2).max(MAP_COLUMNS).min(middle.width.saturating_sub(2) / 2)
+    (middle.height * 2).max(MAP_COLUMNS_MIN).min(middle.width.saturating_sub(2) / 2)
 }
 
 /// Lines of what a person must do: two if it is long.
@@ -137,9 +137,9 @@ fn draw_forces(frame: &mut Frame, area: Rect, rig: &RigView, limit_n: Option<f64
 /// A bar that fills a share of a width, to an eighth of a character. A gauge would leave a gap for its
 /// label.
 fn filled(share: f64, width: u16) -> String {
-    const PARTS: [&str; 8] = ["", "▏", "▎", "▍", "▌", "▋", "▊", "▉"];
+    const BAR_PARTS: [&str; 8] = ["", "▏", "▎", "▍", "▌", "▋", "▊", "▉"];
     let eighths = (share.clamp(0.0, 1.0) * f64::from(width) * 8.0).round() as usize;
-    "█".repeat(eighths / 8) + PARTS[eighths % 8]
+    "█".repeat(eighths / 8) + BAR_PARTS[eighths % 8]
 }
 
 /// The last events, the newest at the bottom.
@@ -155,7 +155,7 @@ fn draw_events(frame: &mut Frame, area: Rect, night: &Night, now: &Now, theme: T
 fn draw_foot(frame: &mut Frame, area: Rect, night: &Night, theme: Theme) {
     let line = match &night.outcome {
         Some(words) => Line::styled(format!(" {words}"), theme.level(Level::Look)),
-        None => Line::styled(KEYS, theme.aside()),
+        None => Line::styled(KEYS_HELP, theme.aside()),
     };
     frame.render_widget(line, area);
 }

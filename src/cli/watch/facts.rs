@@ -15,7 +15,7 @@ use crate::cli::view::{RunView, StatusView};
 use crate::state::StoredState;
 
 /// Width of the names of the facts.
-const NAME: usize = 11;
+const NAME_COLUMNS: usize = 11;
 
 /// Wall time and zone of the terminal.
 #[derive(Debug, Clone)]
@@ -105,7 +105,7 @@ fn eta_words(eta: &Eta, heard_at: Timestamp, now: &Now) -> String {
 pub fn facts(night: &Night, status: &StatusView, now: &Now, theme: Theme) -> Vec<Line<'static>> {
     let mut lines = Vec::new();
     let mut fact = |name: &str, words: String, level: Level| {
-        let name = Span::styled(format!("{name:<NAME$}"), theme.aside());
+        let name = Span::styled(format!("{name:<NAME_COLUMNS$}"), theme.aside());
         lines.push(Line::from(vec![name, Span::styled(words, theme.level(level))]));
     };
     if let Some(run) = &status.run {
@@ -214,7 +214,7 @@ fn number(value: f64) -> String {
 /// A name that leaves room for a value.
 fn shortened(name: &str) -> String {
     let name = one_line(&name.replace('_', " "));
-    name.chars().take(NAME - 1).collect()
+    name.chars().take(NAME_COLUMNS - 1).collect()
 }
 
 /// Returns the line of an event: its time and its words, coloured by level.

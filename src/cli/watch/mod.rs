@@ -38,7 +38,7 @@ use crate::ids::RunUid;
 /// Interval at which the screen is drawn without news, for ages.
 const REDRAW: Duration = Duration::from_millis(250);
 /// Interval at which the thread that reads keys checks whether the screen is still there.
-const KEYS: Duration = Duration::from_millis(100);
+const KEYS_POLL: Duration = Duration::from_millis(100);
 /// Number of news, and of keys, that may wait.
 const WAITING: usize = 64;
 
@@ -147,7 +147,7 @@ fn keys() -> Result<mpsc::Receiver<KeyEvent>, CliError> {
     let (send, keys) = mpsc::channel(WAITING);
     let reading = move || {
         while !send.is_closed() {
-            let read = match event::poll(KEYS) {
+            let read = match event::poll(KEYS_POLL) {
                 Ok(true) => event::read(),
                 Ok(false) => continue,
                 Err(error) => Err(error),

@@ -19,7 +19,7 @@ const LOST: SignedDuration = SignedDuration::from_millis(2000);
 /// Time after which the progress along the tour counts as old.
 const OLD_PROGRESS: SignedDuration = SignedDuration::from_secs(15);
 /// Number of events that are kept.
-const EVENTS: usize = 60;
+const EVENTS_KEPT: usize = 60;
 
 /// What was read.
 #[derive(Debug)]
@@ -136,7 +136,7 @@ impl Night {
             News::Twins(twins) => self.twins = Some(twins),
             News::Events(events) => {
                 self.events.extend(events.iter().filter_map(told));
-                let surplus = self.events.len().saturating_sub(EVENTS);
+                let surplus = self.events.len().saturating_sub(EVENTS_KEPT);
                 self.events.drain(..surplus);
             }
             News::Outcome(words) => self.outcome = Some(one_line(&words)),

@@ -18,13 +18,13 @@ use crate::cli::view::{EventView, StatusView};
 use crate::ids::RunUid;
 
 /// Interval of polling the status.
-const STATUS: Duration = Duration::from_millis(200);
+const STATUS_READ: Duration = Duration::from_millis(200);
 /// Interval of polling events.
-const EVENTS: Duration = Duration::from_secs(1);
+const EVENTS_POLL: Duration = Duration::from_secs(1);
 /// Interval of polling progress and twins.
 const PROGRESS: Duration = Duration::from_secs(5);
 /// Longest wait for an answer.
-const ANSWER: Duration = Duration::from_secs(2);
+const WATCH_ANSWER_WAIT: Duration = Duration::from_secs(2);
 /// Number of earlier events that are read first.
 const EARLIER_EVENTS: i64 = 100;
 
@@ -34,8 +34,8 @@ pub async fn follow_status(
     runs: watch::Sender<Option<RunUid>>,
     news: mpsc::Sender<News>,
 ) {
-    let client = client.patient(ANSWER);
-    let mut tick = interval(STATUS);
+    let client = client.patient(WATCH_ANSWER_WAIT);
+    let mut tick = interval(STATUS_READ);
     tick.set_missed_tick_behavior(MissedTickBehavior::Delay);
     loop {
         tick.tick().await;
@@ -70,9 +70,9 @@ pub async fn follow_rest(
     runs: watch::Receiver<Option<RunUid>>,
     news: mpsc::Sender<News>,
 ) {
-    let client = client.patient(ANSWER);
+    let client = client.patient(WATCH_ANSWER_WAIT);
     let mut rest = Rest { client, news, run: None, skin: false, tour: false, since: None };
-    let mut tick = interval(EVENTS);
+    let mut tick = interval(EVENTS_POLL);
     tick.set_missed_tick_behavior(MissedTickBehavior::Delay);
     let mut polled: Option<Instant> = None;
     loop {

@@ -18,7 +18,7 @@ const HEIGHT_MM: f64 = 560.0;
 /// Diameter of a tip without a sensor file of the service, mm.
 const TIP_MM: f64 = 20.0;
 /// Room around the outline, mm.
-const MARGIN_MM: f64 = 8.0;
+const OUTLINE_ROOM_MM: f64 = 8.0;
 /// Dots of a character cell, along a line and along a column.
 const DOTS: (f64, f64) = (2.0, 4.0);
 
@@ -84,8 +84,8 @@ pub fn draw(frame: &mut Frame, area: Rect, night: &Night, theme: Theme) {
 /// Ranges of x and y, mm, that show the skin in the middle of an area, undistorted.
 fn bounds(area: Rect, width_mm: f64, height_mm: f64) -> ([f64; 2], [f64; 2]) {
     let dots = (f64::from(area.width) * DOTS.0, f64::from(area.height) * DOTS.1);
-    let mm_per_dot = ((width_mm + 2.0 * MARGIN_MM) / dots.0.max(1.0))
-        .max((height_mm + 2.0 * MARGIN_MM) / dots.1.max(1.0));
+    let mm_per_dot = ((width_mm + 2.0 * OUTLINE_ROOM_MM) / dots.0.max(1.0))
+        .max((height_mm + 2.0 * OUTLINE_ROOM_MM) / dots.1.max(1.0));
     let range = |middle: f64, dots: f64| {
         let half = dots * mm_per_dot / 2.0;
         [middle - half, middle + half]

@@ -38,11 +38,11 @@ use crate::new_file::{self, Finished, NewFile};
 use crate::store::{DatasetRow, RunRow, Store, TrialQuery};
 
 /// Largest number of pages that wait for the encoder.
-const AHEAD: usize = 2;
+const PAGES_AHEAD: usize = 2;
 /// Number of trials per page of the survey, which reads no frames.
 const SURVEY_ROWS: u32 = 2000;
 /// Number of pages that are read concurrently.
-const READS: usize = 2;
+const PAGES_AT_ONCE: usize = 2;
 
 /// Progress of writing a dataset or an export; shared between threads.
 #[derive(Debug, Default)]
@@ -90,7 +90,7 @@ pub async fn build(
     let lineage = lineage(store, &inputs, &rows_of_run, &shards).await?;
     let footer = footer(definition, &inputs, &lineage)?;
 
-    let (pages, waiting) = mpsc::channel(AHEAD);
+    let (pages, waiting) = mpsc::channel(PAGES_AHEAD);
     let encoder = Encoder::new(folder, definition, &columns, footer)?;
     let (shown, schema) = (progress.clone(), columns.clone());
     let encoding = background(move || encode(encoder, waiting, shards, &schema, &shown));
@@ -211,7 +211,7 @@ async fn read_pages(
             store.trials_with_voltages(&ids).await.map(|trials| (chunk, trials))
         }
     });
-    let mut reads = futures::stream::iter(reads).buffered(READS);
+    let mut reads = futures::stream::iter(reads).buffered(PAGES_AT_ONCE);
     while let Some(read) = reads.next().await {
         let (chunk, trials) = read?;
         if trials.len() != chunk.len() {
@@ -388,7 +388,7 @@ fn footer(
         ("palpate.lineage".to_owned(), lineage.to_string()),
     ]);
     if let Some((run, _)) = inputs.runs.first() {
-        footer.insert(schema::SENSOR.into(), run.sensor.clone());
+        footer.insert(schema::SENSOR_KEY.into(), run.sensor.clone());
     }
     Ok(footer)
 }

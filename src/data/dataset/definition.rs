@@ -13,7 +13,7 @@ use crate::store::{Condition, Label, RunKind};
 use crate::syntax::parse_toml;
 
 /// Largest number of runs, counts, conditions or folders of one definition.
-const LIST_MAX: usize = 1000;
+const DEFINITION_LIST_MAX: usize = 1000;
 
 /// Longest name of a licence, characters.
 const LICENSE_MAX: usize = 100;
@@ -245,8 +245,8 @@ impl Definition {
             ("where", self.conditions.len()),
             ("sim_random", self.sim_random.len()),
         ] {
-            let limit = format!("must hold at most {LIST_MAX}");
-            checks.require(length <= LIST_MAX, key, length, &limit);
+            let limit = format!("must hold at most {DEFINITION_LIST_MAX}");
+            checks.require(length <= DEFINITION_LIST_MAX, key, length, &limit);
         }
         let (by, tests) = (self.split.by, &self.split.test_runs);
         let limit = "must name the runs of the test part: split.by is run";

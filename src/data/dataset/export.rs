@@ -22,7 +22,7 @@ use crate::new_file::{Finished, NewFile};
 use crate::store::TaskRow;
 
 /// Version of the bytes that the formats produce; part of the file name.
-const FORMAT_VERSION: u32 = 2;
+const EXPORTS_VERSION: u32 = 2;
 /// Number of hexadecimal digits of a file name.
 const NAME_DIGITS: usize = 24;
 
@@ -80,7 +80,7 @@ pub fn file_name(
     format: Format,
     wanted: &Wanted,
 ) -> Result<String, DatasetError> {
-    let text = serde_json::to_string(&(FORMAT_VERSION, dataset, format.name(), wanted));
+    let text = serde_json::to_string(&(EXPORTS_VERSION, dataset, format.name(), wanted));
     let digest = sha256_hex(text.map_err(DatasetError::Json)?);
     Ok(format!("{}.{}", &digest[..NAME_DIGITS], format.extension()))
 }

@@ -99,7 +99,7 @@ impl Inputs {
                 _ => found = Some((frame.len(), who)),
             }
         }
-        let channels = found.map_or(schema::CHANNELS as usize, |(channels, _)| channels);
+        let channels = found.map_or(schema::PAPER_CHANNELS as usize, |(channels, _)| channels);
         i32::try_from(channels).map_err(|_| DatasetError::Channels {
             one: format!("{channels} voltages per frame"),
             other: format!("limit {}", i32::MAX),

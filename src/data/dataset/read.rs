@@ -22,7 +22,7 @@ use super::select::{Selection, Skin, Wanted};
 use super::sort::Sort;
 
 /// Extent of the paper's skin, used if a file has no sensor file in its metadata.
-pub const SKIN: Skin = Skin { width_mm: 540.0, height_mm: 560.0 };
+pub const PAPER_SKIN: Skin = Skin { width_mm: 540.0, height_mm: 560.0 };
 
 /// Selected rows of a dataset.
 pub struct DatasetRows {
@@ -233,7 +233,7 @@ pub fn sensor_text(path: &Path) -> Result<String, DatasetError> {
 
 fn sensor(metadata: &ArrowReaderMetadata) -> Option<&str> {
     let footer = metadata.metadata().file_metadata().key_value_metadata();
-    footer?.iter().find(|kv| kv.key == schema::SENSOR)?.value.as_deref()
+    footer?.iter().find(|kv| kv.key == schema::SENSOR_KEY)?.value.as_deref()
 }
 
 fn skin(metadata: &ArrowReaderMetadata) -> Skin {
@@ -244,7 +244,7 @@ fn skin(metadata: &ArrowReaderMetadata) -> Skin {
     }
     match sensor(metadata).and_then(|text| toml::from_str::<Extent>(text).ok()) {
         Some(Extent { width_mm, height_mm }) => Skin { width_mm, height_mm },
-        None => SKIN,
+        None => PAPER_SKIN,
     }
 }
 

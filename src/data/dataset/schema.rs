@@ -22,10 +22,10 @@ pub const FORCE_MAP_N: &str = "force_map_n";
 pub const SPLIT: &str = "split";
 
 /// Metadata key of a file that holds the text of its sensor file.
-pub const SENSOR: &str = "palpate.sensor";
+pub const SENSOR_KEY: &str = "palpate.sensor";
 
 /// Number of voltages per frame of the paper's skin, used if a dataset has no frames.
-pub const CHANNELS: i32 = 784;
+pub const PAPER_CHANNELS: i32 = 784;
 
 fn of(name: &str, kind: DataType) -> Field {
     Field::new(name, kind, true)
@@ -82,7 +82,7 @@ fn field(column: &Column, channels: i32) -> Field {
 
 /// The columns with scalar values.
 pub fn scalars() -> SchemaRef {
-    let all = all(CHANNELS);
+    let all = all(PAPER_CHANNELS);
     let fields = all.fields().iter().filter(|field| is_comparable(field.name()));
     Arc::new(Schema::new(fields.cloned().collect::<Vec<_>>()))
 }

@@ -11,11 +11,11 @@ use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;
 
 use super::schema::BATCH_ROWS;
 use crate::digest::sha256_hex;
-use crate::simulate::random::folder::MANIFEST;
+use crate::simulate::random::folder::SHARDS_MANIFEST;
 use crate::simulate::random::manifest::{Manifest, ShardRow};
 
 /// Folder in the data folder that holds the folders of shards.
-pub const SIM_RANDOM: &str = "sim-random";
+const SHARDS_FOLDER: &str = "sim-random";
 /// Name that selects all folders.
 const ALL: &str = "*";
 
@@ -100,7 +100,7 @@ impl ShardFolder {
 /// `ShardsError::None` if a folder does not exist, `Read` or `Manifest` if its manifest cannot be
 /// read.
 pub fn find(data: &Path, wanted: &[String]) -> Result<Vec<ShardFolder>, ShardsError> {
-    let root = data.join(SIM_RANDOM);
+    let root = data.join(SHARDS_FOLDER);
     let mut names: Vec<String> = Vec::new();
     for name in wanted {
         if name == ALL {
@@ -123,7 +123,7 @@ fn all(root: &Path) -> Result<Vec<String>, ShardsError> {
     let mut names = Vec::new();
     for entry in entries {
         let entry = entry.map_err(read)?;
-        if entry.path().join(MANIFEST).is_file() {
+        if entry.path().join(SHARDS_MANIFEST).is_file() {
             names.push(entry.file_name().to_string_lossy().into_owned());
         }
     }
@@ -132,7 +132,7 @@ fn all(root: &Path) -> Result<Vec<String>, ShardsError> {
 
 fn open(root: &Path, name: String) -> Result<ShardFolder, ShardsError> {
     let path = root.join(&name);
-    let file = path.join(MANIFEST);
+    let file = path.join(SHARDS_MANIFEST);
     let text = match fs::read(&file) {
         Ok(text) => text,
         Err(error) if error.kind() == io::ErrorKind::NotFound => {

@@ -15,7 +15,7 @@ use tokio::task::JoinHandle;
 
 use super::error::QueryError;
 use crate::program::{Known, Lines, Program};
-use crate::query_lines::{Answer, Order, Table, VERSION};
+use crate::query_lines::{Answer, LINES_VERSION, Order, Table};
 
 /// The program of the engine.
 pub const QUERY: Known = Known {
@@ -28,7 +28,7 @@ pub const QUERY: Known = Known {
 /// Largest memory of an engine, bytes.
 pub const MEMORY_MAX_BYTES: u64 = 2 << 30;
 /// Threads of an engine.
-const THREADS: usize = 2;
+const ENGINE_THREADS: usize = 2;
 /// The signals of a failed allocation, and of a stack that is too small.
 const ABORT: i32 = 6;
 const SEGV: i32 = 11;
@@ -98,7 +98,7 @@ impl Engine {
         rows_max: u64,
     ) -> Result<(Self, Vec<String>), QueryError> {
         let mut command = Command::new(program);
-        command.env("POLARS_MAX_THREADS", THREADS.to_string());
+        command.env("POLARS_MAX_THREADS", ENGINE_THREADS.to_string());
         command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped());
         // Ctrl-C in a terminal is for the service.
         command.process_group(0).kill_on_drop(true);
@@ -109,7 +109,7 @@ impl Engine {
         let said = tokio::spawn(Lines::of(child.stderr.take()).last());
         let mut engine = Self { child, input, output, said };
         let order = Order {
-            version: VERSION,
+            version: LINES_VERSION,
             sql: sql.to_owned(),
             rows_max,
             memory_max_bytes: MEMORY_MAX_BYTES,

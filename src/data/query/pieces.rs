@@ -19,7 +19,7 @@ use crate::store::{RunRow, Store, TrialRow};
 /// Time for which a piece is kept after it was last used.
 const PIECE_KEPT: Duration = Duration::from_secs(3600);
 /// Hexadecimal digits of the hash in a name.
-const DIGITS: usize = 16;
+const PIECE_DIGITS: usize = 16;
 
 /// Returns the files with the trials of a run, in the order of storing; those that are missing are
 /// written to `folder`.
@@ -34,7 +34,7 @@ pub async fn of_run(
     let trials = store.newest_twins(run.uid).await?;
     let mut files = Vec::new();
     for piece in trials.chunks(BATCH_ROWS) {
-        let key = &sha256_hex(format!("{piece:?}"))[..DIGITS];
+        let key = &sha256_hex(format!("{piece:?}"))[..PIECE_DIGITS];
         let name = format!("run-{}-{key}.parquet", run.scan_id);
         let path = folder.join(&name);
         // Used now: it is kept.
@@ -56,16 +56,16 @@ pub async fn of_run(
 /// # Errors
 /// `DatasetError` if it cannot be written.
 pub fn empty(folder: &Path) -> Result<PathBuf, DatasetError> {
-    const NAME: &str = "no-trials.parquet";
-    if !folder.join(NAME).is_file() {
-        write(folder, NAME, Vec::new())?;
+    const EMPTY_PIECE: &str = "no-trials.parquet";
+    if !folder.join(EMPTY_PIECE).is_file() {
+        write(folder, EMPTY_PIECE, Vec::new())?;
     }
-    Ok(folder.join(NAME))
+    Ok(folder.join(EMPTY_PIECE))
 }
 
 fn write(folder: &Path, name: &str, trials: Vec<TrialRow>) -> Result<(), DatasetError> {
     let frame = trials.iter().find_map(|trial| trial.voltages_v.as_ref().map(Vec::len));
-    let table = schema::stored(frame.map_or(schema::CHANNELS, |channels| channels as i32));
+    let table = schema::stored(frame.map_or(schema::PAPER_CHANNELS, |channels| channels as i32));
     let failed = DatasetError::file("writing", &folder.join(name));
     let file = NewFile::create(folder).map_err(&failed)?;
     let mut stream = Stream::new(Format::Parquet, &table, file)?;

@@ -17,7 +17,7 @@ use crate::store::{RunRow, Store};
 /// Events of a page.
 const PAGE_EVENTS: u32 = 10_000;
 /// Rows that the decoder holds: its default.
-const BATCH: usize = 1024;
+const DECODER_ROWS: usize = 1024;
 
 /// A file that is removed with this value.
 #[derive(Debug)]
@@ -49,7 +49,7 @@ impl Records {
         let named = zone::renamed(&empty, zone::OFFSET, zone::NAME)?.schema();
         let mut stream = Stream::new(Format::Parquet, &named, file)?;
         let mut decoder = ReaderBuilder::new(self.schema.clone()).build_decoder()?;
-        for rows in self.rows.chunks(BATCH) {
+        for rows in self.rows.chunks(DECODER_ROWS) {
             decoder.serialize(rows)?;
             if let Some(batch) = decoder.flush()? {
                 stream.push(&zone::renamed(&batch, zone::OFFSET, zone::NAME)?)?;

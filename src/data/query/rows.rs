@@ -18,7 +18,7 @@ use crate::dataset::error::DatasetError;
 use crate::dataset::format::zone;
 
 /// Number of batches that wait for the reader.
-const AHEAD: usize = 2;
+const RESULTS_AHEAD: usize = 2;
 
 /// Rows of a result. The engine ends when they are dropped.
 pub struct ResultRows {
@@ -39,7 +39,7 @@ impl ResultRows {
         turn: OwnedSemaphorePermit,
     ) -> Result<Self, QueryError> {
         let (output, alive) = engine.into_output()?;
-        let (sender, batches) = mpsc::channel(AHEAD);
+        let (sender, batches) = mpsc::channel(RESULTS_AHEAD);
         let (columns, schema) = oneshot::channel();
         tokio::spawn(background(move || {
             let reader = match StreamReader::try_new(output, None) {

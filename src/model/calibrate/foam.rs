@@ -28,7 +28,7 @@ use crate::digest::sha256_hex;
 use crate::problem::Problem;
 
 const MOST_MM: f64 = 1e4;
-const COLUMNS: [Column; 7] = [
+const FOAM_COLUMNS: [Column; 7] = [
     Column::number("point", [0.0, 1e9], "must be the index of a point"),
     Column::number("x_mm", [0.0, MOST_MM], "must be a number >= 0"),
     Column::number("y_mm", [0.0, MOST_MM], "must be a number >= 0"),
@@ -234,7 +234,7 @@ impl<'a> Skin<'a> {
 }
 
 fn read(file: &str, text: &str, sensor: &Sensor) -> Result<Vec<Indentation>, CalibrateError> {
-    let rows = table::read(file, text, &COLUMNS).map_err(CalibrateError::Measurements)?;
+    let rows = table::read(file, text, &FOAM_COLUMNS).map_err(CalibrateError::Measurements)?;
     let (mut out, mut problems) = (Vec::with_capacity(rows.len()), Vec::new());
     for row in &rows {
         match indentation(file, row, sensor) {

@@ -17,7 +17,7 @@ use super::regression::{self, Prediction, Regression, RegressionError};
 use super::table::{self, Column};
 use crate::digest::sha256_hex;
 
-const COLUMNS: [Column; 2] = [
+const PIEZO_COLUMNS: [Column; 2] = [
     Column::number(
         "displacement_mm",
         [LEAST_COMPRESSION_MM, 100.0],
@@ -33,7 +33,7 @@ const COLUMNS: [Column; 2] = [
 /// Names of the unknowns, in their order.
 const UNKNOWNS: [&str; 3] = ["a_ohm", "b_per_mm", "c_ohm"];
 /// Largest ratio of an interval's ends: with a larger one the data do not determine the number.
-const WIDEST: f64 = 100.0;
+const ENDS_RATIO_MAX: f64 = 100.0;
 
 /// A row of a compression test.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -125,11 +125,11 @@ pub fn calibrate(file: &str, text: &str, sensor: &Piezo) -> Result<PiezoFit, Cal
 
 /// Whether an interval determines its number; an interval that is not a number does not.
 fn is_narrow(fitted: &Fitted) -> bool {
-    fitted.high_95 / fitted.low_95 <= WIDEST
+    fitted.high_95 / fitted.low_95 <= ENDS_RATIO_MAX
 }
 
 fn read(file: &str, text: &str) -> Result<Vec<Compression>, CalibrateError> {
-    let rows = table::read(file, text, &COLUMNS).map_err(CalibrateError::Measurements)?;
+    let rows = table::read(file, text, &PIEZO_COLUMNS).map_err(CalibrateError::Measurements)?;
     rows.iter()
         .map(|row| match row.values[..] {
             [Some(displacement_mm), Some(resistance_ohm)] => {

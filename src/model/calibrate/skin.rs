@@ -27,7 +27,7 @@ pub const LEAST_TRIALS: usize = 50;
 const STRATUM_MM: f64 = 90.0;
 const STRATUM_N: f64 = 10.0;
 /// Positions closer than this are the same, mm: repeats of a configuration.
-const SAME_PLACE_MM: f64 = 1.0;
+const REPEATED_MM: f64 = 1.0;
 
 /// A trial that may be used: its contacts, without its frame.
 #[derive(Debug, Clone, PartialEq)]
@@ -106,7 +106,7 @@ pub fn is_held_out(tips_mm: &[[f64; 2]]) -> bool {
 
 /// A number for the positions of the tips.
 fn configuration(tips_mm: &[[f64; 2]]) -> u64 {
-    let step = |mm: f64| (mm / SAME_PLACE_MM).round() as i64;
+    let step = |mm: f64| (mm / REPEATED_MM).round() as i64;
     let mut places: Vec<[i64; 2]> = tips_mm.iter().map(|&[x, y]| [step(x), step(y)]).collect();
     places.sort_unstable();
     scrambled(places.iter().flatten().flat_map(|n| n.to_le_bytes()))

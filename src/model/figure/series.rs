@@ -13,9 +13,9 @@ const SERIES_SIZE: PageSize = PageSize { width_px: 960, height_px: 480 };
 /// Longest series whose points are marked.
 pub const MARKED_POINTS: usize = 60;
 /// Most names below the axis.
-const NAMES_MAX: usize = 24;
+const AXIS_NAMES_MAX: usize = 24;
 /// Share of a place that its bars fill.
-const FILLED: f64 = 0.84;
+const BAR_SHARE: f64 = 0.84;
 
 /// How series are drawn.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -128,7 +128,7 @@ impl Chart {
         };
         let labels = match &self.places {
             Places::Numbers(_) => 12,
-            Places::Names(names) => names.len().clamp(2, NAMES_MAX) * 2 + 1,
+            Places::Names(names) => names.len().clamp(2, AXIS_NAMES_MAX) * 2 + 1,
         };
         let mut frame = chart.configure_mesh();
         frame
@@ -156,9 +156,9 @@ impl Chart {
             let drawn = match self.marks {
                 Marks::Bars => {
                     let room = before + after;
-                    let one = room * FILLED / count;
+                    let one = room * BAR_SHARE / count;
                     let bars = points.iter().map(|&(x, y)| {
-                        let from = x - before + room * (1.0 - FILLED) / 2.0 + one * n as f64;
+                        let from = x - before + room * (1.0 - BAR_SHARE) / 2.0 + one * n as f64;
                         Rectangle::new([(from, 0.0), (from + one, y)], colour.mix(0.85).filled())
                     });
                     chart.draw_series(bars)?

@@ -13,7 +13,7 @@ use super::style::{COLOURS, INK};
 use super::{Area, Heading, PageSize, figure};
 
 /// Most panels next to each other.
-const COLUMNS: usize = 3;
+const PANELS_ACROSS: usize = 3;
 /// Width of the skin in a panel, px: a single one, and one of several.
 const SKIN_PX: [u32; 2] = [520, 320];
 /// Most stops whose way is drawn: of more it would cover the tips.
@@ -47,7 +47,7 @@ pub struct Stop {
 /// Text of the error of the plotting backend.
 pub fn tour(heading: &Heading, outline: &Outline, legs: &[Leg]) -> Result<String, String> {
     let count = legs.len().max(1);
-    let columns = count.min(COLUMNS);
+    let columns = count.min(PANELS_ACROSS);
     let rows = count.div_ceil(columns);
     let panel = outline.panel(SKIN_PX[usize::from(count > 1)]);
     let panels_px = panel.width_px * columns as u32;

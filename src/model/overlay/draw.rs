@@ -8,7 +8,7 @@ use sim_core::sensor::{Point, Sensor};
 use super::tiles::{OVERLAP_MM, Sheet, Tiling};
 
 /// Name of the font in the resources of a page.
-pub(super) const FONT: Name<'static> = Name(b"F1");
+pub(super) const PAGE_FONT: Name<'static> = Name(b"F1");
 /// Ratio of the handles of a cubic arc of a quarter circle to its radius.
 const QUARTER: f64 = 0.552_284_75;
 /// Length of the ruler.
@@ -235,7 +235,7 @@ impl<'a> Pen<'a> {
             Align::End => at[0] - width,
         };
         self.content.set_fill_rgb(r, g, b);
-        self.content.begin_text().set_font(FONT, size_mm as f32);
+        self.content.begin_text().set_font(PAGE_FONT, size_mm as f32);
         self.content.next_line(x as f32, at[1] as f32).show(Str(words.as_bytes())).end_text();
     }
 }

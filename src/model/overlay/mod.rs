@@ -50,7 +50,7 @@ pub fn pdf(sensor: &Sensor, paper: Paper) -> Vec<u8> {
         let media = Rect::new(0.0, 0.0, points(width_mm), points(height_mm));
         let mut written = pdf.page(page);
         written.media_box(media).parent(tree).contents(content);
-        written.resources().fonts().pair(draw::FONT, font);
+        written.resources().fonts().pair(draw::PAGE_FONT, font);
         drop(written);
         pdf.stream(content, &drawn(sensor, &tiling, sheet));
     }

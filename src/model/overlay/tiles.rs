@@ -10,7 +10,7 @@ const BELOW_MM: f64 = 24.0;
 /// A4, upright.
 const A4_MM: [f64; 2] = [210.0, 297.0];
 /// Edge of a sheet that a printer may leave blank.
-const MARGIN_MM: f64 = 7.0;
+const BLANK_EDGE_MM: f64 = 7.0;
 /// Strip that neighbouring sheets have in common.
 pub(super) const OVERLAP_MM: f64 = 10.0;
 
@@ -57,9 +57,9 @@ pub(super) struct Tiling {
 impl Tiling {
     /// One sheet, as large as needed.
     pub fn one(area: &Area) -> Self {
-        let page_mm = area.size_mm.map(|mm| mm + 2.0 * MARGIN_MM);
+        let page_mm = area.size_mm.map(|mm| mm + 2.0 * BLANK_EDGE_MM);
         let sheets = vec![Sheet { at: [0, 0], origin_mm: area.origin_mm }];
-        Self { page_mm, margin_mm: MARGIN_MM, counts: [1, 1], sheets }
+        Self { page_mm, margin_mm: BLANK_EDGE_MM, counts: [1, 1], sheets }
     }
 
     /// Sheets of A4, upright or across, whichever needs fewer.
@@ -70,7 +70,7 @@ impl Tiling {
     }
 
     fn of(area: &Area, page_mm: [f64; 2]) -> Self {
-        let part_mm = page_mm.map(|mm| mm - 2.0 * MARGIN_MM);
+        let part_mm = page_mm.map(|mm| mm - 2.0 * BLANK_EDGE_MM);
         let axes: [(usize, f64); 2] = std::array::from_fn(|axis| {
             let (size, step) = (area.size_mm[axis], part_mm[axis] - OVERLAP_MM);
             let count = ((size - OVERLAP_MM) / step).ceil().max(1.0);
@@ -86,7 +86,7 @@ impl Tiling {
             origin_mm: [x_mm + at[0] as f64 * step_mm[0], y_mm + at[1] as f64 * step_mm[1]],
         };
         let sheets = at.map(sheet).collect();
-        Self { page_mm, margin_mm: MARGIN_MM, counts: [columns, rows], sheets }
+        Self { page_mm, margin_mm: BLANK_EDGE_MM, counts: [columns, rows], sheets }
     }
 
     /// Width and height of the part of the plane on one sheet.

@@ -13,7 +13,7 @@ use super::contacts::{FORCE_MAX_N, Load, RequestedContact};
 use super::dent::{Dent, dent};
 
 /// Largest number of rounds over the contacts: two tips that almost coincide need the most.
-const ROUNDS: usize = 400;
+const PRESS_ROUNDS: usize = 400;
 /// Halvings of a range of forces: to 1e-12 of it.
 const HALVINGS: usize = 40;
 /// Change of a force at which the forces are found, N.
@@ -119,7 +119,7 @@ fn forces_n(model: &ForwardModel, placed: &[RequestedContact]) -> Result<Vec<f64
         };
         rims[index].iter().map(of_node).sum()
     };
-    for _ in 0..ROUNDS {
+    for _ in 0..PRESS_ROUNDS {
         let mut change_n: f64 = 0.0;
         for (index, contact) in placed.iter().enumerate() {
             let Load::DepthMm(depth) = contact.load else { continue };

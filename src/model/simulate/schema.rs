@@ -129,7 +129,7 @@ mod tests {
     use super::*;
 
     /// Last words of names, and the unit in the metadata.
-    const UNITS: [(&str, &str); 3] = [("_n", "N"), ("_mm", "mm"), ("_v", "V")];
+    const COLUMN_UNITS: [(&str, &str); 3] = [("_n", "N"), ("_mm", "mm"), ("_v", "V")];
 
     #[test]
     fn units_in_names_and_metadata_agree() {
@@ -137,7 +137,7 @@ mod tests {
         let contact = contact_fields();
         let mut with_units = 0;
         for field in schema.fields().iter().chain(contact.iter()) {
-            let by_name = UNITS.iter().find(|(end, _)| field.name().ends_with(end));
+            let by_name = COLUMN_UNITS.iter().find(|(end, _)| field.name().ends_with(end));
             let stated = field.metadata().get(UNIT).map(|unit| unit.as_str());
             assert_eq!(by_name.map(|(_, unit)| *unit), stated, "{}", field.name());
             with_units += usize::from(stated.is_some());

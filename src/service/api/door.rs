@@ -48,12 +48,12 @@ use crate::priority;
 /// Interval of closing connections that have been idle for too long.
 const SWEEP: Duration = Duration::from_secs(1);
 /// Wait after a connection could not be accepted because no more files may be open.
-const RETRY: Duration = Duration::from_millis(20);
+const ACCEPT_RETRY: Duration = Duration::from_millis(20);
 /// Wanted limit of open files of the process.
 const FILES: u64 = 4096;
 
 /// Longest wait for requests in progress when the service ends.
-const FAREWELL: Duration = Duration::from_secs(5);
+const REQUESTS_END_WAIT: Duration = Duration::from_secs(5);
 
 /// Raises the limit of open files of this process to `FILES`, or as far as the system allows. A
 /// failure is only logged.
@@ -139,7 +139,7 @@ async fn serve(listener: TcpListener, handlers: Handlers, mut ending: watch::Rec
                         tracing::warn!(%error, "a connection could not be accepted");
                     }
                     seats.make_room();
-                    sleep(RETRY).await;
+                    sleep(ACCEPT_RETRY).await;
                 }
             },
             Some(_) = connections.join_next() => {}
@@ -150,7 +150,9 @@ async fn serve(listener: TcpListener, handlers: Handlers, mut ending: watch::Rec
         }
     }
     drop(listener);
-    if timeout(FAREWELL, async { while connections.join_next().await.is_some() {} }).await.is_err()
+    if timeout(REQUESTS_END_WAIT, async { while connections.join_next().await.is_some() {} })
+        .await
+        .is_err()
     {
         tracing::warn!("connections were closed while a request was in progress");
     }

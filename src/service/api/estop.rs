@@ -23,7 +23,7 @@ use super::runs::Attribution;
 use super::trace::RequestId;
 
 /// Part of the body that is read, bytes.
-const BODY_MAX_BYTES: usize = 4096;
+const ESTOP_BODY_BYTES: usize = 4096;
 /// Longest time for receiving the body.
 const BODY_WAIT: Duration = Duration::from_secs(1);
 
@@ -109,7 +109,7 @@ async fn beginning(body: Body) -> Vec<u8> {
     let mut pieces = body.into_data_stream();
     let take = async {
         while let Some(Ok(piece)) = pieces.next().await {
-            let room = BODY_MAX_BYTES - kept.len();
+            let room = ESTOP_BODY_BYTES - kept.len();
             kept.extend_from_slice(&piece[..piece.len().min(room)]);
         }
     };

@@ -21,9 +21,9 @@ use crate::journal::{Event, error_chain};
 use crate::store::StoreError;
 
 /// Number of events per reading of a live stream.
-const PIECE: u32 = 200;
+const PIECE_EVENTS: u32 = 200;
 /// Interval of reading the table for a live client.
-const POLL: Duration = Duration::from_millis(200);
+const LIVE_EVENTS_POLL: Duration = Duration::from_millis(200);
 
 /// Selection of events.
 #[derive(Debug, Deserialize, IntoParams)]
@@ -108,7 +108,7 @@ fn follow(
                         true => since,
                         false => app.store.last_event_seq().await?,
                     };
-                    Ok((last, app.store.events_since(since, PIECE, run, &kinds).await?))
+                    Ok((last, app.store.events_since(since, PIECE_EVENTS, run, &kinds).await?))
                 };
                 let (last, events) = match read.await {
                     Ok(read) => read,
@@ -129,7 +129,7 @@ fn follow(
                 since = since.max(last);
                 tokio::select! {
                     ended = ending.wait_for(|e| *e) => { let _ = ended; return None; }
-                    () = tokio::time::sleep(POLL) => {}
+                    () = tokio::time::sleep(LIVE_EVENTS_POLL) => {}
                 }
             }
         },

@@ -5,13 +5,12 @@ use serde_json::{Value, json};
 
 use crate::carried::{RECIPES, text};
 
-const EXPERIMENT: &str = include_str!("../../../experiments/quickstart.toml");
-const SENSOR: &str = include_str!("../../../experiments/sensors/ert-28.toml");
+const EXPERIMENT_TEXT: &str = include_str!("../../../experiments/quickstart.toml");
+const SENSOR_TEXT: &str = include_str!("../../../experiments/sensors/ert-28.toml");
 
 /// Returns the example of an operation's body; `None` for uploads, and for frames, which are long.
 pub fn body(operation: &str) -> Option<Value> {
-    let submission =
-        || json!({ "file": "quickstart.toml", "definition": EXPERIMENT, "sensor": SENSOR });
+    let submission = || json!({ "file": "quickstart.toml", "definition": EXPERIMENT_TEXT, "sensor": SENSOR_TEXT });
     Some(match operation {
         "arm_run" => json!({ "who": "Ada", "why": "overnight run" }),
         "check_rig" => json!({ "enable": false, "who": "Ada" }),

@@ -13,7 +13,7 @@ use crate::state::StoredState;
 use crate::store::RunKind;
 
 /// Interval of checking for runs that have ended.
-const POLL: Duration = Duration::from_secs(5);
+const FINISHED_POLL: Duration = Duration::from_secs(5);
 /// Number of runs that are checked, newest first.
 const CHECKED_RUNS: u32 = 20;
 
@@ -21,7 +21,7 @@ const CHECKED_RUNS: u32 = 20;
 pub async fn keep(app: App) {
     let mut done = std::collections::HashSet::new();
     loop {
-        tokio::time::sleep(POLL).await;
+        tokio::time::sleep(FINISHED_POLL).await;
         if app.campaign.status().run.is_some() {
             continue;
         }

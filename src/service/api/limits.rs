@@ -11,11 +11,11 @@ pub const CONNECTIONS: usize = 512;
 /// only.
 pub const RESERVED: usize = 32;
 /// Longest time for the head of a request, from the start of the connection or from its first byte.
-pub const HEAD: Duration = Duration::from_secs(5);
+pub const HEAD_WITHIN: Duration = Duration::from_secs(5);
 /// Least time that a new connection is kept for its first request.
 pub const YOUNG: Duration = Duration::from_millis(20);
 /// Longest time from the end of a response to the next request.
-pub const IDLE: Duration = Duration::from_secs(60);
+pub const IDLE_WITHIN: Duration = Duration::from_secs(60);
 /// Longest time without a byte of a request's body.
 pub const BODY_STALL: Duration = Duration::from_secs(10);
 /// Longest time without a byte of a response that the client takes.
@@ -138,7 +138,7 @@ pub const PAGE_NUMBERS_MAX: u64 = 20_000_000;
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::dataset::import::extent::TRIALS_MAX;
+    use crate::dataset::import::extent::IMPORTED_TRIALS_MAX;
     use crate::dataset::space::KEPT_FREE_BYTES;
     use crate::query::{MEMORY_MAX_BYTES, QUERIES, ROWS_MAX, TIME_MAX};
     use crate::query_lines::SQL_MAX_BYTES;
@@ -178,8 +178,8 @@ mod tests {
         vec![
             line("connections", n(CONNECTIONS), "the connection that was idle for longest is closed; if all are busy: 503, except for the e-stop and /health"),
             line("further connections for the e-stop and /health", n(RESERVED), "as above"),
-            line("head of a request, from its first byte", seconds(HEAD), "the connection is closed"),
-            line("connection between two requests", seconds(IDLE), "the connection is closed"),
+            line("head of a request, from its first byte", seconds(HEAD_WITHIN), "the connection is closed"),
+            line("connection between two requests", seconds(IDLE_WITHIN), "the connection is closed"),
             line("body: time without a byte", seconds(BODY_STALL), "408, the connection is closed"),
             line("body: whole, uploads excluded", seconds(BODY_WITHIN), "408, the connection is closed"),
             line("body: whole, of an upload", seconds(UPLOAD_WITHIN), "408, the connection is closed"),
@@ -220,7 +220,7 @@ mod tests {
             line("body with frames", bytes(FRAMES_MAX_BYTES), "413"),
             line("form with a model", bytes(MODEL_MAX_BYTES), "413"),
             line("import", bytes(IMPORT_MAX_BYTES), "413"),
-            line("trials of an import", TRIALS_MAX.to_string(), "400"),
+            line("trials of an import", IMPORTED_TRIALS_MAX.to_string(), "400"),
             line("free space that imports, datasets and exports leave to runs: at least", bytes(KEPT_FREE_BYTES as usize), "507; exports: the task fails"),
             line("text part of a form", bytes(PART_MAX_BYTES), "413"),
             line("name of a person, holder, key or model", format!("{WHO_MAX_CHARS} characters"), "422; in the log of actions: cut"),

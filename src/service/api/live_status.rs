@@ -22,7 +22,7 @@ use super::socket::{LiveClient, is_sent};
 use super::status::{ServiceStatus, StoredPart};
 
 /// Shortest time between two messages.
-const INTERVAL: Duration = Duration::from_millis(100);
+const STATUS_INTERVAL: Duration = Duration::from_millis(100);
 /// Longest time between two messages, less an interval: a client that receives none for two seconds has
 /// lost its connection.
 const HEARTBEAT: Duration = Duration::from_millis(850);
@@ -31,7 +31,7 @@ const STORED_WAIT: Duration = Duration::from_millis(300);
 /// Most samples of a message.
 const SAMPLES_OF_MESSAGE: usize = 50;
 /// Messages that a client may be behind.
-const BEHIND: usize = 4;
+const MESSAGES_BEHIND: usize = 4;
 
 /// Message of the live status.
 #[derive(Debug, Serialize, ToSchema)]
@@ -48,7 +48,7 @@ pub struct Messages(Sender<Utf8Bytes>);
 
 impl Default for Messages {
     fn default() -> Self {
-        Self(Sender::new(BEHIND))
+        Self(Sender::new(MESSAGES_BEHIND))
     }
 }
 
@@ -97,7 +97,7 @@ pub async fn publish(app: App) {
     let mut reading: Option<JoinHandle<Option<StoredPart>>> = None;
     let mut sent = Instant::now();
     let (mut clients, mut samples) = (0, Vec::new());
-    let mut tick = tokio::time::interval(INTERVAL);
+    let mut tick = tokio::time::interval(STATUS_INTERVAL);
     tick.set_missed_tick_behavior(MissedTickBehavior::Delay);
     loop {
         tick.tick().await;
@@ -147,10 +147,10 @@ mod tests {
 
     #[test]
     fn a_message_is_due_for_something_new_and_at_least_once_per_second() {
-        let soon = INTERVAL;
+        let soon = STATUS_INTERVAL;
         assert!(is_due(true, true, soon));
         assert!(!is_due(true, false, soon) && !is_due(false, true, soon));
         assert!(is_due(true, false, HEARTBEAT) && is_due(false, false, HEARTBEAT));
-        assert!(HEARTBEAT + INTERVAL < Duration::from_secs(1));
+        assert!(HEARTBEAT + STATUS_INTERVAL < Duration::from_secs(1));
     }
 }

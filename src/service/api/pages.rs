@@ -22,7 +22,7 @@ use crate::digest::sha256_hex;
 /// Parameters that change neither the list nor the selection of its entries.
 const OF_PAGES: [&str; 3] = ["cursor", "limit", "format"];
 /// Number of hexadecimal digits that identify a list and a selection in a cursor.
-const DIGITS: usize = 12;
+const CURSOR_DIGITS: usize = 12;
 
 /// A page of a list.
 #[derive(Debug, Serialize, Deserialize, ToSchema)]
@@ -142,7 +142,7 @@ impl Cursors {
             pairs.iter().filter(|(key, _)| !OF_PAGES.contains(&key.as_str())).collect();
         selection.sort();
         let mut list = sha256_hex(format!("{} {selection:?}", uri.path()));
-        list.truncate(DIGITS);
+        list.truncate(CURSOR_DIGITS);
         Self { uri, list }
     }
 

@@ -16,7 +16,7 @@ use http_range_header::{EndPosition, StartPosition, parse_range_header};
 use super::limits::RANGES_MAX;
 
 /// Length of the pieces in which a file is read, bytes.
-const PIECE: u64 = 64 << 10;
+const PIECE_BYTES: u64 = 64 << 10;
 
 /// What a `Range` header selects of a file.
 #[derive(Debug, PartialEq, Eq)]
@@ -113,7 +113,7 @@ fn body(file: File, pieces: VecDeque<Piece>) -> (Body, u64) {
             None => return Ok::<_, io::Error>(None),
             Some(Piece::Text(text)) => text,
             Some(Piece::Of(part)) => {
-                let end = part.end.min(part.start + PIECE);
+                let end = part.end.min(part.start + PIECE_BYTES);
                 if end < part.end {
                     pieces.push_front(Piece::Of(end..part.end));
                 }
@@ -125,7 +125,7 @@ fn body(file: File, pieces: VecDeque<Piece>) -> (Body, u64) {
     (Body::from_stream(read), length)
 }
 
-/// Reads a part, of at most `PIECE` bytes, outside the threads that handle requests.
+/// Reads a part, of at most `PIECE_BYTES` bytes, outside the threads that handle requests.
 async fn read(file: Arc<File>, part: Range<u64>) -> io::Result<Bytes> {
     let reading = tokio::task::spawn_blocking(move || {
         let mut bytes = vec![0; usize::try_from(part.end - part.start).map_err(io::Error::other)?];

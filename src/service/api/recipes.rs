@@ -7,7 +7,7 @@ use utoipa::ToSchema;
 use super::pages::Page;
 use super::problem::ApiError;
 use crate::carried::{RECIPES, about};
-use crate::dataset::force_map::{ForceMapSpec, TABLE_IV};
+use crate::dataset::force_map::{ForceMapSpec, TABLE_IV_MAPS};
 use crate::learn::recipe::{Recipe, map_channels};
 
 /// A recipe that the program carries.
@@ -53,7 +53,7 @@ pub async fn list() -> Result<Page<CarriedRecipe>, ApiError> {
 fn carried((name, text): &(&str, &str)) -> CarriedRecipe {
     let recipe = Recipe::from_toml(&format!("{name}.toml"), text);
     let gives_map = recipe.is_ok_and(|recipe| recipe.task().gives_map());
-    let maps: &[ForceMapSpec] = if gives_map { &TABLE_IV } else { &[] };
+    let maps: &[ForceMapSpec] = if gives_map { &TABLE_IV_MAPS } else { &[] };
     CarriedRecipe {
         name: (*name).into(),
         about: about(text),
@@ -69,7 +69,7 @@ mod tests {
     #[test]
     fn a_recipe_is_valid_as_it_is_and_with_each_of_its_maps() {
         let recipes: Vec<CarriedRecipe> = RECIPES.iter().map(carried).collect();
-        let with_maps = recipes.iter().filter(|recipe| recipe.maps.len() == TABLE_IV.len());
+        let with_maps = recipes.iter().filter(|recipe| recipe.maps.len() == TABLE_IV_MAPS.len());
         let names: Vec<&str> = with_maps.map(|recipe| recipe.name.as_str()).collect();
         assert_eq!(names, ["recon-net", "end-to-end"]);
         for recipe in recipes {

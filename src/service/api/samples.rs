@@ -19,7 +19,7 @@ use super::problem::{ApiError, Params, ProblemBody};
 use crate::campaign::shown::samples::ForceSample;
 
 /// Period for which samples are combined before they are kept: of a period two remain.
-const PERIOD: Duration = Duration::from_millis(50);
+const SAMPLES_PERIOD: Duration = Duration::from_millis(50);
 /// Samples kept of a period.
 const OF_PERIOD: usize = 2;
 /// Most samples kept: about 9 MB.
@@ -85,7 +85,7 @@ pub async fn last_minutes(
 pub async fn keep(app: App) {
     let mut follower = app.campaign.follow_samples();
     loop {
-        tokio::time::sleep(PERIOD).await;
+        tokio::time::sleep(SAMPLES_PERIOD).await;
         app.facts.memory.samples.add(&drained(&mut follower));
     }
 }

@@ -8,7 +8,7 @@ use tokio::sync::Notify;
 use tokio::sync::futures::Notified;
 use tokio::time::Instant;
 
-use super::limits::{CONNECTIONS, HEAD, IDLE, RESERVED, YOUNG};
+use super::limits::{CONNECTIONS, HEAD_WITHIN, IDLE_WITHIN, RESERVED, YOUNG};
 
 /// Largest number of connections including those that are being closed.
 const WITH_CLOSING: usize = 2 * CONNECTIONS;
@@ -105,13 +105,13 @@ impl State {
     /// State of a new connection.
     fn new() -> Self {
         let since = Instant::now();
-        Self::Idle { since, until: since + HEAD, new: true }
+        Self::Idle { since, until: since + HEAD_WITHIN, new: true }
     }
 
     /// State after a request.
     fn idle() -> Self {
         let since = Instant::now();
-        Self::Idle { since, until: since + IDLE, new: false }
+        Self::Idle { since, until: since + IDLE_WITHIN, new: false }
     }
 }
 
@@ -145,10 +145,10 @@ impl Seat {
         *self.state() = State::Upgraded;
     }
 
-    /// Records received bytes: the head of a request that begins must be complete within `HEAD`.
+    /// Records received bytes: the head of a request that begins must be complete within `HEAD_WITHIN`.
     pub fn bytes_received(&self) {
         if let State::Idle { until, .. } = &mut *self.state() {
-            *until = (*until).min(Instant::now() + HEAD);
+            *until = (*until).min(Instant::now() + HEAD_WITHIN);
         }
     }
 
@@ -296,10 +296,10 @@ mod tests {
             seats.sweep(start + time);
             [&silent, &shaking, &slow, &idle, &stream, &socket].map(|seat| seat.is_closing())
         };
-        assert_eq!(closed_after(HEAD / 2), [false; 6]);
+        assert_eq!(closed_after(HEAD_WITHIN / 2), [false; 6]);
         let late = Duration::from_millis(1);
-        assert_eq!(closed_after(HEAD + late), [true, true, true, false, false, false]);
-        assert_eq!(closed_after(IDLE + late), [true, true, true, true, false, false]);
-        assert_eq!(closed_after(10 * IDLE), [true, true, true, true, false, false]);
+        assert_eq!(closed_after(HEAD_WITHIN + late), [true, true, true, false, false, false]);
+        assert_eq!(closed_after(IDLE_WITHIN + late), [true, true, true, true, false, false]);
+        assert_eq!(closed_after(10 * IDLE_WITHIN), [true, true, true, true, false, false]);
     }
 }

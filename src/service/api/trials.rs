@@ -41,7 +41,7 @@ use crate::store::{Store, StoreError, TrialQuery, TrialRow};
 /// Number of trials per piece of a page.
 const PIECE_ROWS: usize = 250;
 /// Number of pieces that are read concurrently.
-const READS: usize = 3;
+const PIECES_AT_ONCE: usize = 3;
 
 /// A raw frame of a trial.
 #[derive(Debug, Serialize, ToSchema)]
@@ -264,7 +264,7 @@ async fn table(
                 let store = store.clone();
                 async move { read(&store, &chunk, frames).await }
             });
-            let mut reads = futures::stream::iter(reads).buffered(READS);
+            let mut reads = futures::stream::iter(reads).buffered(PIECES_AT_ONCE);
             while let Some(trials) = reads.next().await {
                 let rows: Vec<Row> =
                     trials?.into_iter().map(|trial| Row { trial, part: None }).collect();
@@ -317,7 +317,7 @@ async fn checked(app: &App, request: &PageOf, wanted: &Wanted) -> Result<Checked
         );
         return Err(ApiError::new(StatusCode::CONFLICT, words));
     }
-    let channels = lengths.first().map_or(schema::CHANNELS, |&length| length as i32);
+    let channels = lengths.first().map_or(schema::PAPER_CHANNELS, |&length| length as i32);
     let table = trials_schema(channels, with_voltages);
     let selection = Selection::new(wanted, &table, None).map_err(ApiError::bad_query)?;
     send::check_numbers(send::numbers_per_row(selection.schema()), query.limit)?;

@@ -14,7 +14,7 @@ use crate::store::TwinCount;
 use crate::twins::PoolStatus;
 
 /// Number of runs that are counted, newest first: counting 33,000 trials takes about 20 ms.
-const RUNS: usize = 10;
+const COUNTED_RUNS: usize = 10;
 
 /// Status of the simulated twins.
 #[derive(Debug, Serialize, ToSchema)]
@@ -49,7 +49,7 @@ impl RunTwins {
     responses((status = 200, body = Twins)))]
 pub async fn all(State(app): State<App>) -> Result<Json<Twins>, ApiError> {
     let mut runs = Vec::new();
-    for run in app.store.runs_with_trials().await?.into_iter().take(RUNS) {
+    for run in app.store.runs_with_trials().await?.into_iter().take(COUNTED_RUNS) {
         runs.push(RunTwins::of(&app, run).await?);
     }
     Ok(Json(Twins { pool: app.twins.status(), runs }))

@@ -13,9 +13,9 @@ use crate::record::Untouched;
 use crate::store::{RunKind, StoreError, TrialRow};
 
 /// Trials whose frames are averaged.
-const TRIALS: u32 = 8;
+const AVERAGED_TRIALS: u32 = 8;
 /// Runs that are searched, newest first.
-const RUNS: usize = 10;
+const SEARCHED_RUNS: usize = 10;
 
 /// Returns the newest mean frame of the untouched skin of this rig.
 ///
@@ -39,12 +39,12 @@ pub async fn untouched(State(app): State<App>) -> Result<Json<Arc<Untouched>>, A
 async fn stored(app: &App) -> Result<Option<Arc<Untouched>>, StoreError> {
     let channels = app.serving.sensor().channels();
     let label = app.facts.rig.config.label().as_str();
-    for run in app.store.runs_with_trials().await?.into_iter().take(RUNS) {
+    for run in app.store.runs_with_trials().await?.into_iter().take(SEARCHED_RUNS) {
         let row = app.store.run(run).await?;
         if row.is_none_or(|row| row.kind != RunKind::RealHex || row.label.as_str() != label) {
             continue;
         }
-        let ids = app.store.untouched_trials(run, UNTOUCHED_N, TRIALS).await?;
+        let ids = app.store.untouched_trials(run, UNTOUCHED_N, AVERAGED_TRIALS).await?;
         let trials = app.store.trials_with_voltages(&ids).await?;
         if let Some(mean) = mean(&trials, channels) {
             return Ok(Some(Arc::new(mean)));

@@ -16,9 +16,9 @@ use crate::state::StoredState;
 /// Kind of the events.
 pub const ESTIMATE: &str = "estimate";
 /// Time between two estimates of a run.
-const PERIOD: Duration = Duration::from_secs(600);
+const ESTIMATE_PERIOD: Duration = Duration::from_secs(600);
 /// Interval of reading the status.
-const STATUS_POLL: Duration = Duration::from_secs(1);
+const ESTIMATE_POLL: Duration = Duration::from_secs(1);
 
 /// The last estimate that was stored.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -31,7 +31,7 @@ impl Conductor {
     /// Stores the estimates of active runs until the future is dropped.
     pub async fn note_estimates(self) {
         let mut noted = None;
-        let mut tick = tokio::time::interval(STATUS_POLL);
+        let mut tick = tokio::time::interval(ESTIMATE_POLL);
         tick.set_missed_tick_behavior(MissedTickBehavior::Delay);
         loop {
             tick.tick().await;
@@ -60,7 +60,7 @@ fn is_due(noted: Option<Noted>, run: RunUid, state: StoredState, now: Timestamp)
         None => true,
         Some(noted) => {
             let since = now.duration_since(noted.at);
-            state == StoredState::Running && since.as_secs_f64() >= PERIOD.as_secs_f64()
+            state == StoredState::Running && since.as_secs_f64() >= ESTIMATE_PERIOD.as_secs_f64()
         }
     }
 }

@@ -17,7 +17,7 @@ use crate::journal::error_chain;
 use crate::store::{LockRow, RunRow};
 
 /// Interval of polling the rig's state.
-const RIG_POLL: Duration = Duration::from_millis(50);
+const HOMING_POLL: Duration = Duration::from_millis(50);
 /// Number of attempts to reach the rig after a restart, and the pause before the second; it
 /// doubles.
 const RESTART_TRIES: u32 = 8;
@@ -201,7 +201,7 @@ impl Conductor {
                         return Err(Refusal::State(format!("the rig tripped: {why}")));
                     }
                     RigState::Disconnected | RigState::Disarmed | RigState::Armed => {
-                        tokio::time::sleep(RIG_POLL).await;
+                        tokio::time::sleep(HOMING_POLL).await;
                     }
                 }
             }

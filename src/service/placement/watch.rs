@@ -32,7 +32,7 @@ const EVERY: Duration = Duration::from_millis(500);
 /// Time after a confirmation at which the frames are judged even if the skin is not at rest, wall.
 const PATIENCE: Duration = Duration::from_millis(2500);
 /// Longest wait of a confirmation for its verdict, wall: reached on an overloaded machine only.
-const LIMIT: Duration = Duration::from_secs(8);
+const VERDICT_WITHIN: Duration = Duration::from_secs(8);
 /// Reason of a verdict if no method serves.
 const NOBODY_SERVES: &str = "no model serves: the placement is not judged";
 /// Reason of a verdict before the first frames.
@@ -162,12 +162,12 @@ impl PlacementWatch {
             let judged = judged.as_ref().filter(|j| j.run == run && j.trial == trial);
             judged.is_some_and(|j| j.since.is_some_and(|since| since >= from))
         };
-        let found = timeout(LIMIT, judged.wait_for(is_judged)).await;
+        let found = timeout(VERDICT_WITHIN, judged.wait_for(is_judged)).await;
         let found = found.ok().and_then(Result::ok).and_then(|judged| judged.clone());
         self.inner.demand.send_if_modified(|demand| demand.take_if(|d| *d == from).is_some());
         found.map_or_else(
             || {
-                let limit_s = LIMIT.as_secs();
+                let limit_s = VERDICT_WITHIN.as_secs();
                 let why = format!("the skin was not judged within {limit_s} s: check its frames");
                 Verdict::without(VerdictKind::Unsure, why)
             },
@@ -349,6 +349,6 @@ mod tests {
         assert!(is_due(true, soon, soon), "a person waits");
         assert!(!is_due(false, soon, None) && is_due(false, late, None));
         assert!(!is_due(false, None, None), "no frame of a hand on the skin is read");
-        assert!(LIMIT > PATIENCE + EVERY, "the forced inference has time");
+        assert!(VERDICT_WITHIN > PATIENCE + EVERY, "the forced inference has time");
     }
 }

@@ -13,7 +13,7 @@ use crate::schedule::experiment::TwinLimits;
 /// Number of pairs of electrodes in a finding, the worst first.
 const WORST_PAIRS: usize = 5;
 /// Share of the window that must be filled before the fit is evaluated.
-const FILLED: f64 = 0.5;
+const WINDOW_SHARE: f64 = 0.5;
 
 /// A trial with its twin.
 #[derive(Debug, Clone)]
@@ -133,7 +133,7 @@ impl DriftWatch {
             self.window.pop_front();
         }
         self.window.push_back(pairing);
-        if (self.window.len() as f64) < FILLED * window as f64 {
+        if (self.window.len() as f64) < WINDOW_SHARE * window as f64 {
             return None;
         }
         let fit = self.fit();

@@ -38,9 +38,9 @@ use crate::store::{
 
 /// Number of trials per worker in a page: a few milliseconds of work, and a transaction that does
 /// not delay a trial's commit for longer.
-const TRIALS_AT_ONCE: usize = 16;
+const WORKER_TRIALS: usize = 16;
 /// Interval of polling the store if nothing is pending.
-const IDLE: Duration = Duration::from_millis(250);
+const PENDING_POLL: Duration = Duration::from_millis(250);
 /// Pause after a failure of the store.
 const BACK_OFF: Duration = Duration::from_secs(5);
 /// Interval at which skipped trials, and runs without pending trials, are checked again.
@@ -174,7 +174,7 @@ impl TwinPool {
             }
             match self.page(&mut progress).await {
                 Ok(true) => {}
-                Ok(false) => tokio::time::sleep(IDLE).await,
+                Ok(false) => tokio::time::sleep(PENDING_POLL).await,
                 Err(error) => {
                     tracing::warn!(error = error_chain(&error), "twins could not be made");
                     self.show(|status| status.last_error = Some(error.to_string()));
@@ -196,7 +196,7 @@ impl TwinPool {
         // A run that was resumed has new trials.
         progress.done.retain(|run| Some(*run) != active);
         let others = store.runs_with_trials().await?.into_iter().filter(|r| Some(*r) != active);
-        let limit = (self.inner.workers * TRIALS_AT_ONCE) as u32;
+        let limit = (self.inner.workers * WORKER_TRIALS) as u32;
         for run in active.into_iter().chain(others) {
             let given_up = progress.unusable.contains(&run);
             if given_up || progress.done.contains(&run) {

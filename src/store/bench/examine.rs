@@ -25,10 +25,10 @@ use crate::table::query::SELECT_WITH_VOLTAGES;
 const OPERATION: &str = "examining the database";
 
 /// Longest wall time of an examination: a file of 10 GB on a slow disk.
-const DEADLINE: Duration = Duration::from_secs(600);
+const EXAMINE_DEADLINE: Duration = Duration::from_secs(600);
 
 /// Number of trials that are read at once.
-const TRIALS_AT_ONCE: usize = 100;
+const EXAMINED_AT_ONCE: usize = 100;
 
 /// Largest number of reported findings.
 const FINDINGS_MAX: usize = 20;
@@ -46,7 +46,7 @@ impl Store {
     /// # Errors
     /// `Sql` or `Read` if the file cannot be examined; `Late` after 600 s.
     pub async fn examine(&self, last: u32) -> Result<Soundness, StoreError> {
-        let examined = tokio::time::timeout(DEADLINE, async {
+        let examined = tokio::time::timeout(EXAMINE_DEADLINE, async {
             let options = self.inner.readers.connect_options();
             let mut own = options.connect().await.during(OPERATION)?;
             let mut findings = of_file(&mut own).await?;
@@ -63,7 +63,8 @@ impl Store {
             }
             Ok(findings)
         });
-        let late = || StoreError::Late { operation: OPERATION, limit_s: DEADLINE.as_secs() };
+        let late =
+            || StoreError::Late { operation: OPERATION, limit_s: EXAMINE_DEADLINE.as_secs() };
         let mut findings = examined.await.unwrap_or_else(|_| Err(late()))?;
         findings.truncate(FINDINGS_MAX);
         let soundness = match findings.is_empty() {
@@ -103,7 +104,7 @@ fn of_trials(connection: &Connection, last: u32, room: usize) -> Result<Vec<Stri
         Err(error) => return error.into_findings(),
     };
     let mut findings = Vec::new();
-    for ids in ids.chunks(TRIALS_AT_ONCE) {
+    for ids in ids.chunks(EXAMINED_AT_ONCE) {
         if findings.len() >= room {
             break;
         }

@@ -19,7 +19,7 @@ use super::columns::{Columns, Names};
 use super::error::{During, StoreError};
 
 /// Number of connections.
-const CONNECTIONS: u32 = 4;
+const BULK_CONNECTIONS: u32 = 4;
 /// Longest wait for a free connection.
 const CONNECTION_WAIT: Duration = Duration::from_secs(5);
 /// Memory of the pages that a connection keeps, KiB.
@@ -52,7 +52,7 @@ impl Drop for Gone {
 impl Bulk {
     /// Connections to this file, opened when they are first needed.
     pub(crate) fn new(path: &Path, busy_timeout: Duration) -> Self {
-        let turns = Arc::new(Semaphore::new(CONNECTIONS as usize));
+        let turns = Arc::new(Semaphore::new(BULK_CONNECTIONS as usize));
         let inner = Inner { path: path.to_owned(), busy_timeout, turns, idle: Mutex::default() };
         Self { inner: Arc::new(inner) }
     }
@@ -124,7 +124,7 @@ impl Bulk {
 
     /// Closes the connections after the reads in progress, except those apart; further reads return `Closed`.
     pub(crate) async fn close(&self) {
-        let all = self.inner.turns.acquire_many(CONNECTIONS).await;
+        let all = self.inner.turns.acquire_many(BULK_CONNECTIONS).await;
         self.inner.turns.close();
         drop(all);
         self.inner.idle.lock().clear();

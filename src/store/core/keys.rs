@@ -31,7 +31,7 @@ const PREFIX: &str = "palpate_";
 const USE_GRAIN_S: i64 = 60;
 
 /// Longest name of a key, characters.
-const NAME_MAX_CHARS: usize = 100;
+const KEY_NAME_MAX_CHARS: usize = 100;
 
 /// Name of a caller without a key and without a name.
 pub const KEYLESS: &str = "local";
@@ -214,10 +214,10 @@ impl KeyRing {
     }
 
     fn check_name(&self, name: &str) -> Result<(), StoreError> {
-        if name.trim().is_empty() || name.chars().count() > NAME_MAX_CHARS {
+        if name.trim().is_empty() || name.chars().count() > KEY_NAME_MAX_CHARS {
             return Err(refused("must have 1 to 100 characters"));
         }
-        if violated(name, NAME_MAX_CHARS).is_some() {
+        if violated(name, KEY_NAME_MAX_CHARS).is_some() {
             return Err(refused("must have no control characters"));
         }
         if name == KEYLESS || name.ends_with(KEYLESS_SUFFIX) {

@@ -10,7 +10,7 @@
 //! Damage in the last transaction cannot be distinguished from a crash and is not found.
 
 /// Size of the header of the log, bytes.
-const HEADER: usize = 32;
+const LOG_HEADER: usize = 32;
 /// Size of the header of a frame, bytes.
 const FRAME_HEADER: usize = 24;
 
@@ -25,15 +25,15 @@ pub struct LogDamage {
 
 /// Returns the damage of a log; `None` if it is empty, complete, or incomplete at its end after a crash.
 pub fn damage(log: &[u8]) -> Option<LogDamage> {
-    let frames = |page: usize| log[HEADER..].chunks_exact(FRAME_HEADER + page);
-    let header = log.get(..HEADER)?;
+    let frames = |page: usize| log[LOG_HEADER..].chunks_exact(FRAME_HEADER + page);
+    let header = log.get(..LOG_HEADER)?;
     let page = word(header, 8) as usize;
     let big_endian = word(header, 0) & 1 == 1;
     let mut sum = checksum(big_endian, (0, 0), &header[..24]);
     let known = word(header, 0) & !1 == 0x377f_0682 && page.is_power_of_two() && page >= 512;
     if !known || sum != (word(header, 24), word(header, 28)) {
         // The header is on the disk before the first frame is written.
-        let written = log[HEADER..].iter().any(|byte| *byte != 0);
+        let written = log[LOG_HEADER..].iter().any(|byte| *byte != 0);
         return written.then_some(LogDamage { at_byte: 0, transactions: 1 });
     }
     let salt = &header[16..24];
@@ -54,7 +54,7 @@ pub fn damage(log: &[u8]) -> Option<LogDamage> {
     };
     let stored = rest.windows(2).any(|pair| commits(pair[0]) && continues(pair));
     let transactions = rest.iter().filter(|frame| commits(frame)).count();
-    let at_byte = HEADER + sound * (FRAME_HEADER + page);
+    let at_byte = LOG_HEADER + sound * (FRAME_HEADER + page);
     stored.then_some(LogDamage { at_byte, transactions })
 }
 

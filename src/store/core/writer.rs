@@ -23,7 +23,7 @@ use crate::priority;
 const WAITING_JOBS: usize = 64;
 
 /// Longest wall time from submitting a job to its answer, except for a patient writer.
-const DEADLINE: Duration = Duration::from_secs(30);
+const WRITE_DEADLINE: Duration = Duration::from_secs(30);
 
 /// Longest wall time for opening: a migration may rewrite a large file.
 const OPEN_DEADLINE: Duration = Duration::from_secs(600);
@@ -79,7 +79,7 @@ impl Writer {
                 });
             })
             .map_err(StoreError::StartWriter)?;
-        Ok(Self { jobs, deadline: Some(DEADLINE) })
+        Ok(Self { jobs, deadline: Some(WRITE_DEADLINE) })
     }
 
     /// Returns the same writer without a deadline, for a caller that has its own.
@@ -161,7 +161,7 @@ impl Writer {
     /// Closes the connection after all submitted jobs, and ends the thread.
     pub(crate) async fn close(&self) {
         let closing = self
-            .hand_over("closing the store", Some(DEADLINE), async |hand| {
+            .hand_over("closing the store", Some(WRITE_DEADLINE), async |hand| {
                 hand.close().await;
                 hand.closed = true;
                 Ok(())

@@ -22,7 +22,7 @@ use crate::ids::TaskId;
 use crate::journal::error_chain;
 
 /// Interval of polling the store if no task is open, and shortest pause after a failure of the store.
-const IDLE: Duration = Duration::from_millis(500);
+const TASKS_POLL: Duration = Duration::from_millis(500);
 /// Longest pause between two attempts to store the end of a task.
 const PAUSE_MAX: Duration = Duration::from_secs(60);
 
@@ -113,7 +113,7 @@ impl<W: Default> TaskQueue<W> {
                 }
             }
             // The timeout repeats a failed read.
-            let _ = tokio::time::timeout(IDLE, self.added.notified()).await;
+            let _ = tokio::time::timeout(TASKS_POLL, self.added.notified()).await;
         }
     }
 
@@ -135,7 +135,7 @@ impl<W: Default> TaskQueue<W> {
                 Err(error) => {
                     let error = error_chain(&error);
                     tracing::warn!(error, "a task could not begin, and is tried again");
-                    tokio::time::sleep(IDLE).await;
+                    tokio::time::sleep(TASKS_POLL).await;
                 }
             }
         };
@@ -153,7 +153,7 @@ impl<W: Default> TaskQueue<W> {
 
     /// Stores the end of a task; tries until it is stored, since the task would otherwise run again.
     async fn end(&self, id: TaskId, end: &TaskEnd) {
-        let mut pause = IDLE;
+        let mut pause = TASKS_POLL;
         loop {
             match self.store.end_task(id, end.clone()).await {
                 // An earlier attempt may have been stored although it failed, or the task was stopped.

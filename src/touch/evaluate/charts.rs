@@ -54,7 +54,7 @@ pub struct Panel {
 }
 
 /// Columns of panels, and the size of a panel, px.
-const COLUMNS: usize = 3;
+const CHARTS_ACROSS: usize = 3;
 const PANEL: [u32; 2] = [350, 290];
 /// Height of the legend below the panels, px.
 const LEGEND_PX: u32 = 34;
@@ -80,12 +80,13 @@ pub fn panels(
         return empty(heading);
     }
     let ends = [left - 0.4, right + 0.4, low / 1.5, high.max(2e-3) * 1.5];
-    let rows = panels.len().div_ceil(COLUMNS) as u32;
+    let rows = panels.len().div_ceil(CHARTS_ACROSS) as u32;
     let panels_px = PANEL[1] * rows;
-    let size = PageSize { width_px: PANEL[0] * COLUMNS as u32, height_px: panels_px + LEGEND_PX };
+    let size =
+        PageSize { width_px: PANEL[0] * CHARTS_ACROSS as u32, height_px: panels_px + LEGEND_PX };
     page("panels", size, heading, |area| {
         let (above, below) = area.split_vertically(panels_px);
-        for (panel, area) in panels.iter().zip(above.split_evenly((rows as usize, COLUMNS))) {
+        for (panel, area) in panels.iter().zip(above.split_evenly((rows as usize, CHARTS_ACROSS))) {
             draw_panel(&area, [x, y], ends, panel)?;
         }
         let names = panels.iter().map(|panel| &panel.lines).max_by_key(|lines| lines.len());

@@ -50,7 +50,7 @@ impl Quantity {
 /// Size of a figure of the report.
 const REPORT_SIZE: PageSize = PageSize { width_px: 960, height_px: 600 };
 /// Bins with fewer trials are not drawn: their mean is not significant.
-const FEWEST: u64 = 5;
+const BIN_TRIALS_MIN: u64 = 5;
 /// Widths of bins, N: the narrowest is used whose drawn bins hold most of the trials.
 const WIDTHS_N: [f64; 4] = [FORCE_BIN_N, 2.0, 5.0, 10.0];
 /// That share of the trials.
@@ -102,7 +102,8 @@ fn binned(report: &SimulationReport, quantity: Quantity, width_n: f64) -> Vec<(u
 fn bins(report: &SimulationReport, quantity: Quantity) -> (f64, Vec<(u8, Vec<Bin>)>) {
     let holds_most = |lines: &[(u8, Vec<Bin>)]| {
         let all = || lines.iter().flat_map(|(_, bins)| bins);
-        let shown: u64 = all().map(|bin| bin.trials).filter(|trials| *trials >= FEWEST).sum();
+        let shown: u64 =
+            all().map(|bin| bin.trials).filter(|trials| *trials >= BIN_TRIALS_MIN).sum();
         shown as f64 >= MOST * all().map(|bin| bin.trials).sum::<u64>() as f64
     };
     let all = WIDTHS_N.map(|width_n| (width_n, binned(report, quantity, width_n)));
@@ -122,13 +123,13 @@ pub fn by_force(
 ) -> Result<String, FigureError> {
     let (width_n, lines) = bins(report, quantity);
     let all = || lines.iter().flat_map(|(_, bins)| bins);
-    let shown = || all().filter(|bin| bin.trials >= FEWEST);
+    let shown = || all().filter(|bin| bin.trials >= BIN_TRIALS_MIN);
     let top = 1.08 * shown().map(|bin| bin.mean).fold(1e-6, f64::max);
     let end_n = all().map(|bin| bin.middle_n + 0.5 * width_n).fold(10.0, f64::max);
     let end_n = (10.0 * (end_n / 10.0).ceil()).min(FORCE_END_N);
     let last = if end_n < FORCE_END_N { "" } else { "; the last one holds all above" };
     let heading = heading.clone().with_note(format!(
-        "Dots: means of bins of {width_n} N with at least {FEWEST} trials, joined where bins adjoin{last}. Bars: trials"
+        "Dots: means of bins of {width_n} N with at least {BIN_TRIALS_MIN} trials, joined where bins adjoin{last}. Bars: trials"
     ));
     page("means by force", REPORT_SIZE, &heading, |area| {
         let (above, below) = area.split_vertically(410);
@@ -149,7 +150,8 @@ pub fn by_force(
             .draw()?;
         for (contacts, bins) in &lines {
             let colour = COLOURS[usize::from(*contacts)];
-            let shown: Vec<Bin> = bins.iter().copied().filter(|bin| bin.trials >= FEWEST).collect();
+            let shown: Vec<Bin> =
+                bins.iter().copied().filter(|bin| bin.trials >= BIN_TRIALS_MIN).collect();
             let adjoin = |a: &Bin, b: &Bin| b.middle_n - a.middle_n < 1.5 * width_n;
             for stretch in shown.chunk_by(adjoin) {
                 let places = stretch.iter().map(|bin| (bin.middle_n, bin.mean));

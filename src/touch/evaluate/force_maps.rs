@@ -35,7 +35,7 @@ impl Picture {
             figure: "force map",
             why: error.to_string(),
         };
-        let skin = crate::dataset::read::SKIN;
+        let skin = crate::dataset::read::PAPER_SKIN;
         let draws = ForceMap::new(spec, [skin.width_mm, skin.height_mm]).map_err(failed)?;
         let mut map = vec![0.0; draws.pixels() * draws.pixels()];
         let pressed = contacts.iter().filter_map(|c| c.pressed());

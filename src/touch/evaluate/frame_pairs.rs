@@ -27,7 +27,7 @@ const PANEL: [u32; 2] = [IMAGE_PX + 66, IMAGE_PX + 82];
 /// Height of a trial's name, px.
 const NAME_PX: u32 = 30;
 /// Share of the readings within the colour scale: single large ones do not flatten the image.
-const WITHIN: f64 = 0.99;
+const READINGS_SHARE: f64 = 0.99;
 
 /// Draws trials, one below the other. A frame of 28 x 28 readings has a row per injection.
 ///
@@ -57,7 +57,7 @@ fn draw(area: &Area<'_>, pair: &FramePair) -> Result<(), Box<dyn std::error::Err
     let differences: Vec<f32> = differences.collect();
     let both = pair.measured_v.iter().chain(&pair.simulated_v);
     let magnitudes = sorted(both.map(|v| 1e3 * f64::from(v.abs())));
-    let end_mv = quantile(&magnitudes, WITHIN).unwrap_or(0.0).max(1e-3);
+    let end_mv = quantile(&magnitudes, READINGS_SHARE).unwrap_or(0.0).max(1e-3);
     let shown = [
         ("measured", &pair.measured_v),
         ("twin", &pair.simulated_v),

@@ -10,7 +10,7 @@ use super::charts::segments;
 use super::figures::{FigureError, page};
 use super::force_maps::Picture;
 use crate::dataset::force_map::SIDE_MM;
-use crate::dataset::read::SKIN;
+use crate::dataset::read::PAPER_SKIN;
 use crate::figure::style::{COLOURS, INK, SMALL, TEXT, TINY, mesh, plain};
 use crate::figure::{Area, Heading, PageSize};
 use crate::store::Contact;
@@ -125,7 +125,7 @@ fn cell(
     truth: &[Contact],
     answer: Option<&Answer>,
 ) -> Result<(), Box<dyn std::error::Error>> {
-    let (width, height) = (SKIN.width_mm, SKIN.height_mm);
+    let (width, height) = (PAPER_SKIN.width_mm, PAPER_SKIN.height_mm);
     let mut chart = ChartBuilder::on(area)
         .margin(8)
         .build_cartesian_2d(-4.0..width + 4.0, -4.0..height + 4.0)?;
@@ -191,7 +191,7 @@ fn force(
     newtons: f64,
     (radius_px, on_right): (i32, bool),
 ) -> Result<(), Box<dyn std::error::Error>> {
-    let share = x / SKIN.width_mm;
+    let share = x / PAPER_SKIN.width_mm;
     let is_left = share < 0.15 || (on_right && share < 0.85);
     let side = if is_left { HPos::Left } else { HPos::Right };
     let style = TINY.into_font().color(&INK).pos(Pos::new(side, VPos::Center));
@@ -276,7 +276,7 @@ fn named(rank: &Rank) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::dataset::force_map::TABLE_IV;
+    use crate::dataset::force_map::TABLE_IV_MAPS;
 
     #[test]
     fn rows_columns_and_errors_are_drawn_also_without_any() {
@@ -287,7 +287,7 @@ mod tests {
             diameter_mm: None,
         };
         let truth = vec![at(100.0, 12.0), at(450.0, 30.0)];
-        let map = Picture::of_contacts("net", TABLE_IV[0], &truth).unwrap();
+        let map = Picture::of_contacts("net", TABLE_IV_MAPS[0], &truth).unwrap();
         let answers = vec![
             Answer { contacts: vec![at(120.0, 10.0)], map: Some(map) },
             Answer { contacts: truth.clone(), map: None },

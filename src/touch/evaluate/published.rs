@@ -47,7 +47,7 @@ const fn map(number: [f64; 2], location: [f64; 2], force: [f64; 2], width: [f64;
     }
 }
 
-/// Table IV: Recon-Net alone, Maps 1 to 12 in the order of [`force_map::TABLE_IV`].
+/// Table IV: Recon-Net alone, Maps 1 to 12 in the order of [`force_map::TABLE_IV_MAPS`].
 pub const TABLE_IV: [Published; 12] = [
     map([-22.0, 23.0], [11.0, 22.0], [-1.0, 52.0], [-31.0, 12.0]),
     map([-18.0, 22.0], [11.0, 18.0], [-7.0, 42.0], [11.0, 17.0]),
@@ -65,7 +65,7 @@ pub const TABLE_IV: [Published; 12] = [
 
 /// Table IV's score of a map, if it is one of the twelve.
 pub fn table_iv(spec: ForceMapSpec) -> Option<Published> {
-    let number = force_map::TABLE_IV.iter().position(|map| *map == spec)?;
+    let number = force_map::TABLE_IV_MAPS.iter().position(|map| *map == spec)?;
     Some(TABLE_IV[number])
 }
 

@@ -12,9 +12,9 @@ use crate::figure::{Heading, PageSize};
 /// Size of a figure of a run.
 const RUN_SIZE: PageSize = PageSize { width_px: 900, height_px: 500 };
 /// Bins of a histogram.
-const BINS: usize = 40;
+const HISTOGRAM_BINS: usize = 40;
 /// Largest number of contacts of a trial.
-const CONTACTS: usize = 7;
+const CONTACTS_SHOWN: usize = 7;
 
 /// A named curve with a band.
 #[derive(Debug, Clone, PartialEq)]
@@ -29,11 +29,11 @@ pub struct Band {
 #[derive(Debug, Clone, PartialEq)]
 pub struct Contacts {
     /// Number of trials with 0, 1, .. 6 contacts.
-    pub here: [u64; CONTACTS],
+    pub here: [u64; CONTACTS_SHOWN],
     /// Name of the run in the legend.
     pub name: String,
     /// Name and numbers of the comparison, scaled to as many trials; absent without one.
-    pub published: Option<(String, [f64; CONTACTS])>,
+    pub published: Option<(String, [f64; CONTACTS_SHOWN])>,
 }
 
 /// Draws curves with their bands: x from zero, y from zero or the lowest value.
@@ -97,7 +97,7 @@ pub fn contacts(heading: &Heading, contacts: &Contacts) -> Result<String, Figure
         chart
             .configure_mesh()
             .disable_x_mesh()
-            .x_labels(CONTACTS)
+            .x_labels(CONTACTS_SHOWN)
             .x_label_formatter(&whole)
             .y_label_formatter(&whole)
             .x_desc("contacts")
@@ -143,10 +143,10 @@ pub fn histogram(
     end: f64,
     mark: Option<(&str, f64)>,
 ) -> Result<String, FigureError> {
-    let width = end / BINS as f64;
-    let mut counts = [0_u32; BINS];
+    let width = end / HISTOGRAM_BINS as f64;
+    let mut counts = [0_u32; HISTOGRAM_BINS];
     for value in values.iter().filter(|value| value.is_finite()) {
-        counts[((value.max(0.0) / width) as usize).min(BINS - 1)] += 1;
+        counts[((value.max(0.0) / width) as usize).min(HISTOGRAM_BINS - 1)] += 1;
     }
     let top = 1.12 * f64::from(counts.iter().copied().max().unwrap_or(0).max(1));
     page("histogram", RUN_SIZE, heading, |area| {

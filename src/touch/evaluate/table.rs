@@ -7,7 +7,7 @@ use super::score::{Mean, Score};
 
 /// Columns of a table of scores. The paper's one location error is in both columns of location; the
 /// reason is in `published`.
-pub const COLUMNS: [&str; 10] = [
+pub const SCORE_COLUMNS: [&str; 10] = [
     "method",
     "trials",
     "number %",
@@ -21,7 +21,7 @@ pub const COLUMNS: [&str; 10] = [
 ];
 
 /// Text of a cell without a value.
-const ABSENT: &str = "-";
+const EMPTY_CELL: &str = "-";
 /// Smaller p-values are printed as `<` this, as in the paper.
 const SMALLEST_P: f64 = 1e-4;
 
@@ -34,11 +34,11 @@ pub enum Beside {
     Interval,
 }
 
-/// A score as a row under [`COLUMNS`].
+/// A score as a row under [`SCORE_COLUMNS`].
 pub fn score_row(method: &str, score: &Score, beside: Beside) -> Vec<String> {
     let cell = |mean: &Option<Mean>, scale: f64| match mean {
         Some(mean) => mean_cell(mean, scale, beside),
-        None => ABSENT.into(),
+        None => EMPTY_CELL.into(),
     };
     let force_median = score.force_median_percent;
     vec![
@@ -48,7 +48,7 @@ pub fn score_row(method: &str, score: &Score, beside: Beside) -> Vec<String> {
         cell(&score.location_mm, 1.0),
         closest(score, &cell),
         cell(&score.force_percent, 1.0),
-        force_median.map_or(ABSENT.into(), |median| figure(median, decimals(median))),
+        force_median.map_or(EMPTY_CELL.into(), |median| figure(median, decimals(median))),
         cell(&score.diameter_percent, 1.0),
         // The standard deviation of a yes/no value follows from its mean.
         match (beside, &score.exact_rate) {
@@ -72,13 +72,13 @@ fn closest(score: &Score, cell: &impl Fn(&Option<Mean>, f64) -> String) -> Strin
     }
 }
 
-/// A published score as a row under [`COLUMNS`], in the paper's digits.
+/// A published score as a row under [`SCORE_COLUMNS`], in the paper's digits.
 pub fn published_row(method: &str, published: &Published) -> Vec<String> {
     let cell = |printed: &Printed| match printed.sd {
         Some(sd) => format!("{} ± {sd}", printed.mean),
         None => printed.mean.to_string(),
     };
-    let absent = || ABSENT.to_owned();
+    let absent = || EMPTY_CELL.to_owned();
     vec![
         method.into(),
         absent(),
@@ -102,11 +102,11 @@ pub fn anova(anova: &Anova) -> String {
             names.collect::<Vec<&str>>().join(" x "),
             format!("{:.4e}", effect.sum_of_squares),
             effect.df.to_string(),
-            effect.f.map_or(ABSENT.into(), |f| format!("{f:.2}")),
+            effect.f.map_or(EMPTY_CELL.into(), |f| format!("{f:.2}")),
             match effect.p {
                 Some(p) if p < SMALLEST_P => format!("< {SMALLEST_P}"),
                 Some(p) => format!("{p:.4}"),
-                None => ABSENT.into(),
+                None => EMPTY_CELL.into(),
             },
         ]);
     }
@@ -114,8 +114,8 @@ pub fn anova(anova: &Anova) -> String {
         "error".into(),
         format!("{:.4e}", anova.error_sum_of_squares),
         anova.error_df.to_string(),
-        ABSENT.into(),
-        ABSENT.into(),
+        EMPTY_CELL.into(),
+        EMPTY_CELL.into(),
     ]);
     markdown(&["effect", "sum of squares", "df", "F", "p"], &rows)
 }
@@ -203,7 +203,7 @@ mod tests {
             published_row("paper, Map 1", &TABLE_IV[0]),
             published_row("paper, V-D", &REAL_UNSEEN),
         ];
-        let table = markdown(&COLUMNS[..4], &rows.clone().map(|row| row[..4].to_vec()));
+        let table = markdown(&SCORE_COLUMNS[..4], &rows.clone().map(|row| row[..4].to_vec()));
         let expected = "\
 | method         | trials |       number % |     location mm |
 | :------------- | -----: | -------------: | --------------: |
@@ -218,6 +218,6 @@ mod tests {
         assert_eq!(rows[0][4..], ["-", "-", "10", "-", "71", "0.0 ± 0.2"]);
         assert_eq!(rows[1][8..], ["71 [67, 75]", "0.0 [0.0, 0.0]"]);
         assert_eq!(rows[2][7], "-31 ± 12");
-        assert!(rows.iter().all(|row| row.len() == COLUMNS.len()));
+        assert!(rows.iter().all(|row| row.len() == SCORE_COLUMNS.len()));
     }
 }

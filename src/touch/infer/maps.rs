@@ -3,11 +3,11 @@
 
 use super::answer::{FoundContact, Reading};
 use super::error::InferError;
-use crate::dataset::force_map::{ForceMap, ForceMapSpec, MapContact, TABLE_IV};
+use crate::dataset::force_map::{ForceMap, ForceMapSpec, MapContact, TABLE_IV_MAPS};
 
 /// Map in which the contacts of methods without a map are drawn: the paper's Map 1, 160 x 160
 /// pixels.
-pub const MAP_1: ForceMapSpec = TABLE_IV[0];
+pub const MAP_1: ForceMapSpec = TABLE_IV_MAPS[0];
 
 /// Whether readings contain force maps.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

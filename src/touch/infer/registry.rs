@@ -25,7 +25,7 @@ use crate::new_file::{self, sweep};
 use crate::problem::Problem;
 use crate::store::{ModelRow, Store};
 
-const SENSOR: &str = "sensor.toml";
+const SENSOR_FILE: &str = "sensor.toml";
 /// Number of models that stay loaded in addition to those in use.
 const LOADED_MAX: usize = 8;
 
@@ -241,7 +241,7 @@ fn write(folder: &Path, new: &NewModel) -> Result<(), InferError> {
     // The manifest is written last: a folder without one is incomplete.
     let files = [
         (ONNX, Some(new.onnx.as_slice())),
-        (SENSOR, Some(new.sensor.as_bytes())),
+        (SENSOR_FILE, Some(new.sensor.as_bytes())),
         (LOSSES, new.losses.as_deref().map(str::as_bytes)),
         (RESIDUALS, residuals.as_deref()),
         (MANIFEST, Some(manifest.as_bytes())),
@@ -259,8 +259,8 @@ fn read(folder: &Path, row: &ModelRow) -> Result<Model, InferError> {
         let path = folder.join(name);
         fs::read_to_string(&path).map_err(InferError::file("reading", &path))
     };
-    let sensor = text(SENSOR)?;
-    let (skin, facts) = facts(SENSOR, &sensor).map_err(InferError::Problems)?;
+    let sensor = text(SENSOR_FILE)?;
+    let (skin, facts) = facts(SENSOR_FILE, &sensor).map_err(InferError::Problems)?;
     let manifest = Manifest::from_toml(MANIFEST, &text(MANIFEST)?, &facts);
     let manifest = manifest.map_err(InferError::Problems)?;
     let path = folder.join(ONNX);

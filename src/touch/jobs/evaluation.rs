@@ -42,7 +42,7 @@ use crate::simulate::compare::difference;
 use crate::store::{Contact, DatasetRow, TaskRow};
 
 /// Number of frames that a Transfer-Net reads at a time.
-const FRAMES_AT_ONCE: usize = 8;
+const TRANSFERRED_AT_ONCE: usize = 8;
 
 /// Reader of the frames.
 enum Reader {
@@ -322,8 +322,8 @@ impl Scoring {
         let channels = examples.channels;
         let began_s = self.clock.process_s();
         let (mut fits, mut target) = (Vec::new(), vec![0.0; channels]);
-        for (at, rows) in self.gathered.rows.chunks(FRAMES_AT_ONCE).enumerate() {
-            let frames = self.frames(at * FRAMES_AT_ONCE, rows)?;
+        for (at, rows) in self.gathered.rows.chunks(TRANSFERRED_AT_ONCE).enumerate() {
+            let frames = self.frames(at * TRANSFERRED_AT_ONCE, rows)?;
             let mut answers = Vec::new();
             match transfer {
                 Some(model) => {
@@ -353,10 +353,10 @@ impl Scoring {
     ) -> Result<bool, JobError> {
         let began_s = self.clock.process_s();
         let mut answers = Vec::new();
-        for (at, rows) in self.gathered.rows.chunks(FRAMES_AT_ONCE).enumerate() {
-            let frames = self.frames(at * FRAMES_AT_ONCE, rows)?;
+        for (at, rows) in self.gathered.rows.chunks(TRANSFERRED_AT_ONCE).enumerate() {
+            let frames = self.frames(at * TRANSFERRED_AT_ONCE, rows)?;
             net.plan.answer(&frames, &mut answers).map_err(InferError::from)?;
-            if !self.goes_on(at * FRAMES_AT_ONCE + rows.len(), began_s) {
+            if !self.goes_on(at * TRANSFERRED_AT_ONCE + rows.len(), began_s) {
                 return Ok(false);
             }
         }

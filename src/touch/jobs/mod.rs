@@ -35,7 +35,7 @@ pub use error::JobError;
 pub use watch_job::{Progress, Watch};
 
 /// Largest number of waiting jobs.
-const WAITING_MAX: u32 = 1000;
+const WAITING_JOBS_MAX: u32 = 1000;
 
 /// The jobs of a service. Clones share them.
 #[derive(Clone)]
@@ -92,8 +92,8 @@ impl Jobs {
     }
 
     async fn ask(&self, kind: TaskKind, request: Value, who: &str) -> Result<TaskRow, JobError> {
-        if self.inner.queue.is_full(WAITING_MAX).await? {
-            return Err(JobError::Full(WAITING_MAX));
+        if self.inner.queue.is_full(WAITING_JOBS_MAX).await? {
+            return Err(JobError::Full(WAITING_JOBS_MAX));
         }
         Ok(self.inner.queue.add(kind, request, who).await?)
     }

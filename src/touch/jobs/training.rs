@@ -21,7 +21,7 @@ use crate::learn::error::LearnError;
 use crate::learn::examples::MEASURED;
 use crate::learn::model_file::Manifest;
 use crate::learn::order::{
-    CHECKPOINT, Event, LOSSES, MANIFEST, ONNX, ORDER, Order, RESIDUALS, Source, VERSION,
+    CHECKPOINT, Event, LOSSES, MANIFEST, ONNX, ORDER, ORDER_VERSION, Order, RESIDUALS, Source,
 };
 use crate::learn::recipe::Recipe;
 use crate::new_file;
@@ -29,7 +29,7 @@ use crate::store::{DatasetRow, Label, TaskRow};
 
 /// Name of the file with the id of the calibration whose simulations the training uses; empty for
 /// the nominal skin.
-const SKIN: &str = "skin";
+const SKIN_FILE: &str = "skin";
 /// Name of the file with the id of the Transfer-Net whose residuals are the noise.
 const NOISE: &str = "noise";
 
@@ -117,13 +117,13 @@ async fn prepare(
         }
         None => {
             let serving = &jobs.inner.serving;
-            let skin = match begun_with(folder, SKIN) {
+            let skin = match begun_with(folder, SKIN_FILE) {
                 Some(text) if text.is_empty() => None,
                 Some(text) => Some(CalibrationId::unchecked(text)),
                 None => serving.promoted_skin().await?,
             };
             let text = skin.as_ref().map_or("", CalibrationId::as_str);
-            write(folder, SKIN, text.as_bytes())?;
+            write(folder, SKIN_FILE, text.as_bytes())?;
             let stored = skin.as_ref().map(|id| serving.stored_calibration(id)).transpose()?;
             let calibration = stored.map(|stored| absolute(stored.path()));
             let cache = absolute(&cache);
@@ -131,7 +131,7 @@ async fn prepare(
         }
     };
     let order = Order {
-        version: VERSION.into(),
+        version: ORDER_VERSION.into(),
         // A recipe was read from TOML and contains numbers, names and lists.
         recipe: toml::to_string(&recipe).unwrap_or_default(),
         code: code(),

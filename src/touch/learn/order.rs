@@ -27,15 +27,15 @@ pub const MANIFEST: &str = "manifest.toml";
 /// Residuals of the result; only of a Transfer-Net.
 pub const RESIDUALS: &str = "residuals.json";
 /// Line on standard input that requests the end.
-pub const STOP: &str = "stop";
+pub const STOP_LINE: &str = "stop";
 /// Version of orders: service and trainer must be of the same one.
-pub const VERSION: &str = concat!(env!("CARGO_PKG_VERSION"), ", order 1");
+pub const ORDER_VERSION: &str = concat!(env!("CARGO_PKG_VERSION"), ", order 1");
 
 /// What a trainer is asked for: all names are resolved.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Order {
-    /// [`VERSION`] of the service.
+    /// [`ORDER_VERSION`] of the service.
     pub version: String,
     /// Text of the recipe, TOML.
     pub recipe: String,
@@ -89,7 +89,7 @@ pub enum OrderError {
     Json(#[from] serde_json::Error),
     /// It was written by another version of the service.
     #[error(
-        "{ORDER}: version = {found}: this trainer is of version {VERSION}; install service and \
+        "{ORDER}: version = {found}: this trainer is of version {ORDER_VERSION}; install service and \
          trainer of the same version"
     )]
     Version {
@@ -107,7 +107,7 @@ impl Order {
         // The version first: an order of another version may have other fields.
         let value: serde_json::Value = serde_json::from_str(text)?;
         let found = value["version"].as_str().unwrap_or("unknown");
-        if found != VERSION {
+        if found != ORDER_VERSION {
             return Err(OrderError::Version { found: found.into() });
         }
         Ok(serde_json::from_value(value)?)
@@ -166,7 +166,7 @@ mod tests {
 
     fn order() -> Order {
         Order {
-            version: VERSION.into(),
+            version: ORDER_VERSION.into(),
             recipe: "name = \"a\"\n".into(),
             code: "palpate".into(),
             sensor: "name = \"s\"\n".into(),
@@ -199,7 +199,7 @@ mod tests {
             let error = Order::read(text).unwrap_err();
             assert!(matches!(error, OrderError::Version { .. }), "{error}");
         }
-        let unknown = format!(r#"{{"version": "{VERSION}", "other": 1}}"#);
+        let unknown = format!(r#"{{"version": "{ORDER_VERSION}", "other": 1}}"#);
         assert!(matches!(Order::read(&unknown), Err(OrderError::Json(_))));
         assert!(matches!(Order::read("{"), Err(OrderError::Json(_))));
     }

@@ -11,9 +11,9 @@ use crate::problem::{Checks, Problem};
 use crate::syntax::parse_toml;
 
 /// Largest number of rows in an epoch: their order is in memory.
-const ROWS_MAX: u64 = 20_000_000;
+const EPOCH_ROWS_MAX: u64 = 20_000_000;
 /// Longest name, characters.
-const NAME_MAX: usize = 80;
+const RECIPE_NAME_MAX: usize = 80;
 /// Largest side of maps, pixels, that are drawn with fewer layers than a net's default: from a first
 /// image of 8 or 4 pixels, as larger maps are from one of 10.
 const FEW_PIXELS: i64 = 64;
@@ -72,7 +72,7 @@ impl Recipe {
         let task = self.task();
         let mut checks = Checks::of(file);
         let word = |c: char| c.is_ascii_alphanumeric() || "-_.".contains(c);
-        let named = (1..=NAME_MAX).contains(&self.name.len()) && self.name.chars().all(word);
+        let named = (1..=RECIPE_NAME_MAX).contains(&self.name.len()) && self.name.chars().all(word);
         let own = self.name.parse::<ModelId>().is_err();
         checks.require(named && own, "name", &self.name, "must be letters, digits, - _ . only");
         let map = self.map.map_or("none".into(), |map| map.to_string());
@@ -82,7 +82,7 @@ impl Recipe {
         let has_data = self.dataset.is_some() || task.answers() == Answers::Points;
         checks.require(has_data, "dataset", dataset, "must be a dataset's name or id");
         let rows = self.rows.unwrap_or(1);
-        checks.require((1..=ROWS_MAX).contains(&rows), "rows", rows, "must be 1 to 20000000");
+        checks.require((1..=EPOCH_ROWS_MAX).contains(&rows), "rows", rows, "must be 1 to 20000000");
         let level = self.training.noise.level;
         let limit = "must name the Transfer-Net whose residuals training.noise.level scales";
         let noise_of = self.noise_of.as_deref().unwrap_or("none");

@@ -11,7 +11,7 @@ use crate::store::Contact;
 /// Largest number of known places.
 const PLACES_MAX: usize = 4096;
 /// Positions that agree to this are one place, mm.
-const SAME_MM: f64 = 0.1;
+const SAME_TARGET_MM: f64 = 0.1;
 
 /// A quantity, with the places that a pattern knows.
 #[derive(Debug, Clone, PartialEq)]
@@ -61,7 +61,7 @@ impl Targets {
             let limit = "must have contacts with positions: a pattern is of known places";
             return Err(LearnError::value("dataset", "places", "none", limit));
         }
-        let in_mm = |[y, x]: [i64; 2]| [x, y].map(|steps| steps as f64 * SAME_MM);
+        let in_mm = |[y, x]: [i64; 2]| [x, y].map(|steps| steps as f64 * SAME_TARGET_MM);
         Ok(Self { quantity, places_mm: places.into_iter().map(in_mm).collect() })
     }
 
@@ -110,13 +110,13 @@ impl Targets {
     }
 }
 
-/// Position of a contact in steps of [`SAME_MM`]: x, y.
+/// Position of a contact in steps of [`SAME_TARGET_MM`]: x, y.
 fn place(contact: &Contact) -> Option<[i64; 2]> {
     Some(steps([contact.x_mm?, contact.y_mm?]))
 }
 
 fn steps(place_mm: [f64; 2]) -> [i64; 2] {
-    place_mm.map(|mm| (mm / SAME_MM).round() as i64)
+    place_mm.map(|mm| (mm / SAME_TARGET_MM).round() as i64)
 }
 
 #[cfg(test)]

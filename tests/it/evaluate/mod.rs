@@ -6,7 +6,7 @@ use std::io::Write;
 use std::process::{Command, Output, Stdio};
 
 use palpate::chance::Chance;
-use palpate::dataset::force_map::{ForceMap, MapContact, TABLE_IV};
+use palpate::dataset::force_map::{ForceMap, MapContact, TABLE_IV_MAPS};
 use palpate::evaluate::anova::{Factor, Factorial};
 use palpate::evaluate::matching::matched;
 use palpate::evaluate::score::Scores;

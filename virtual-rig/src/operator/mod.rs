@@ -30,7 +30,7 @@ const STATUS_POLL_MIN: Duration = Duration::from_millis(5);
 const AWAY_MAX: Duration = Duration::from_secs(10);
 /// Longest wait for one reply of the service, which judges a placement first, or of the control socket;
 /// less than `AWAY_MAX`.
-const ANSWER: Duration = Duration::from_millis(9500);
+const REPLY_WAIT: Duration = Duration::from_millis(9500);
 /// Refusals of one confirmation to which the operator reacts; later ones are reported.
 const REFUSALS_MAX: u32 = 2;
 /// Time for which the skin is left clear until the service has seen it, process, and at least this wall time.
@@ -191,7 +191,7 @@ impl Operator {
             .map_err(OperatorError::Tls)?
             .with_root_certificates(RootCertStore::empty())
             .with_no_client_auth();
-        let client = reqwest::Client::builder().tls_backend_preconfigured(tls).timeout(ANSWER);
+        let client = reqwest::Client::builder().tls_backend_preconfigured(tls).timeout(REPLY_WAIT);
         let client = client.build().map_err(OperatorError::Client)?;
         let hand = Hand::new(args.mistakes, args.seed, args.sensor.as_deref())?;
         let (control, confirmed, tared, refused) = (None, None, None, None);
@@ -372,7 +372,7 @@ impl Operator {
 
     /// Sends one command to the rig and reads its reply.
     async fn tell_rig(&mut self, command: &Value) -> Result<(), HandError> {
-        let reply = timeout(ANSWER, self.exchange(command)).await;
+        let reply = timeout(REPLY_WAIT, self.exchange(command)).await;
         let reply = reply.map_err(io::Error::other).and_then(|r| r);
         if reply.is_err() {
             self.control = None;

@@ -18,7 +18,7 @@ use crate::forward::Contact;
 use crate::sensor::Sensor;
 
 /// Number of sample loads from which the directions are determined.
-const SAMPLES: usize = 640;
+const SAMPLE_LOADS: usize = 640;
 /// Largest number of contacts in a sample load.
 const MOST_CONTACTS: usize = 6;
 /// Range of the forces of a sample load, N.
@@ -204,7 +204,7 @@ fn sample_frames(batch: &BatchModel, sensor: &Sensor) -> Result<Vec<Vec<f64>>, F
         (state >> 11) as f64 / (1u64 << 53) as f64
     };
     let [least, most] = FORCES_N;
-    let loads: Vec<Vec<Contact>> = (0..SAMPLES)
+    let loads: Vec<Vec<Contact>> = (0..SAMPLE_LOADS)
         .map(|sample| {
             (0..1 + sample % MOST_CONTACTS)
                 .map(|_| {
@@ -216,7 +216,7 @@ fn sample_frames(batch: &BatchModel, sensor: &Sensor) -> Result<Vec<Vec<f64>>, F
         })
         .collect();
     let trials: Vec<&[Contact]> = loads.iter().map(Vec::as_slice).collect();
-    let mut frames = vec![0f32; SAMPLES * batch.frame_len()];
+    let mut frames = vec![0f32; SAMPLE_LOADS * batch.frame_len()];
     batch.voltages(&trials, &mut frames, &mut BatchWork::default())?;
     let volts = |frame: &[f32]| frame.iter().map(|&v| f64::from(v)).collect();
     Ok(frames.chunks_exact(batch.frame_len()).map(volts).collect())

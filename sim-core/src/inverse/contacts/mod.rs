@@ -44,7 +44,7 @@ const FADED_MOST: f64 = 0.75;
 /// If the number of frames in the mean grew by this factor, further contacts may be detectable.
 const FRAMES_GROWTH: f64 = 5.0;
 /// Number of comparisons of the hypotheses with exact frames.
-const ROUNDS: usize = 3;
+const COMPARISONS: usize = 3;
 
 /// Fits contacts to the frames of one skin. `Send + Sync`; each thread needs its own [`FitWork`].
 pub struct ContactFitter {
@@ -230,7 +230,7 @@ impl ContactFitter {
     ) -> Result<(), ContactError> {
         let channels = self.batch.frame_len();
         let (mut lacks, mut sum, mut slopes) = (Vec::new(), Vec::new(), Vec::new());
-        for _ in 0..ROUNDS {
+        for _ in 0..COMPARISONS {
             let loads: Vec<Vec<Contact>> = hypotheses
                 .iter()
                 .map(|h| h.places.iter().map(|&place| shapes::contact(place)).collect())

@@ -24,7 +24,7 @@ const FIRST_LN_FORCE: [f64; 2] = [0.7, 4.1];
 /// A count whose score is worse than the best by this (in -2 ln evidence) is not extended.
 const HOPELESS: f64 = 16.0;
 /// Hypotheses whose contacts all agree to this distance are the same, mm.
-const SAME_MM: f64 = 8.0;
+const SAME_HYPOTHESIS_MM: f64 = 8.0;
 pub(super) const EFFORT: Effort = Effort { iterations: 12, tolerance: 0.05 };
 
 /// A candidate load.
@@ -252,8 +252,8 @@ pub(super) fn closest_mm(places: &[Place]) -> f64 {
     pairs.fold(f64::INFINITY, f64::min)
 }
 
-/// Whether two hypotheses with the same number of contacts are equal up to [`SAME_MM`].
+/// Whether two hypotheses with the same number of contacts are equal up to [`SAME_HYPOTHESIS_MM`].
 pub(super) fn same(a: &[Place], b: &[Place]) -> bool {
     a.len() == b.len()
-        && a.iter().all(|p| b.iter().any(|q| (p[0] - q[0]).hypot(p[1] - q[1]) < SAME_MM))
+        && a.iter().all(|p| b.iter().any(|q| (p[0] - q[0]).hypot(p[1] - q[1]) < SAME_HYPOTHESIS_MM))
 }

@@ -18,7 +18,7 @@ const LEVELS_N: [f64; 8] = [1.5, 3.0, 5.5, 9.0, 15.0, 24.0, 40.0, 80.0];
 const STRENGTH_N: [f64; 2] = [0.2, 160.0];
 const STRENGTH_STEPS: usize = 64;
 /// Trials in a batch.
-const BATCH: usize = 256;
+const SHAPE_TRIALS: usize = 256;
 
 /// x (mm), y (mm), ln of the force in N.
 pub(super) type Place = [f64; 3];
@@ -179,9 +179,9 @@ impl Runs<'_> {
         mut take: impl FnMut(usize, &[f64]),
     ) -> Result<(), FitterError> {
         let channels = self.batch.frame_len();
-        let mut frames = vec![0f32; BATCH * channels];
+        let mut frames = vec![0f32; SHAPE_TRIALS * channels];
         let (mut frame_v, mut scratch, mut z) = (Vec::new(), Vec::new(), Vec::new());
-        for (first, loads) in loads.chunks(BATCH).enumerate() {
+        for (first, loads) in loads.chunks(SHAPE_TRIALS).enumerate() {
             let trials: Vec<&[Contact]> = loads.iter().map(std::slice::from_ref).collect();
             let frames = &mut frames[..trials.len() * channels];
             self.batch.voltages(&trials, frames, &mut self.work)?;
@@ -189,7 +189,7 @@ impl Runs<'_> {
                 frame_v.clear();
                 frame_v.extend(frame.iter().map(|&v| f64::from(v)));
                 self.basis.project_frame(&frame_v, &mut scratch, &mut z);
-                take(first * BATCH + index, &z);
+                take(first * SHAPE_TRIALS + index, &z);
             }
         }
         Ok(())

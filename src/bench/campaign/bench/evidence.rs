@@ -17,7 +17,7 @@ const WEIGHED_N: f64 = 1.0;
 /// Sum of forces to which the skin must respond, N.
 const MUST_FEEL_N: f64 = 20.0;
 /// A skin whose change beyond its noise is less than this fraction of the noise does not respond.
-const QUIET: f64 = 0.5;
+const QUIET_SHARE: f64 = 0.5;
 /// Consecutive frames that must show a touch before it counts.
 pub const FELT_FRAMES: u32 = 3;
 /// Force from which a tip is in contact, so that more depth must increase it, N.
@@ -25,7 +25,7 @@ const IN_CONTACT_N: f64 = 5.0;
 /// Force up to which an arm counts as silent, N.
 const SILENT_N: f64 = 0.5;
 /// Consecutive configurations in which an attached arm may be silent at the deepest step.
-const SILENT_MAX: u32 = 3;
+const SILENT_CONFIGURATIONS: u32 = 3;
 
 /// Newest forces of the attached arms, and when they were compared with the skin.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -130,7 +130,7 @@ impl SkinWatch {
 
     /// Whether the skin does not respond although the forces are large enough.
     pub fn is_silent(&self, frame: &Frame, forces_n: &[f64]) -> bool {
-        let quiet = self.touch_v(frame).is_some_and(|touch_v| touch_v < QUIET * self.noise_v);
+        let quiet = self.touch_v(frame).is_some_and(|touch_v| touch_v < QUIET_SHARE * self.noise_v);
         quiet && forces_n.iter().sum::<f64>() > MUST_FEEL_N
     }
 }
@@ -207,7 +207,7 @@ impl SilentArms {
             let PressedArm { force_n, below_touch_mm } = arm;
             if arm.is_silent(limits) {
                 self.configurations[i] += 1;
-                if self.configurations[i] >= SILENT_MAX {
+                if self.configurations[i] >= SILENT_CONFIGURATIONS {
                     let n = self.configurations[i];
                     words.get_or_insert(format!(
                         "arm {} has measured no force in {n} configurations, the last time \

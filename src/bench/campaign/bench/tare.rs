@@ -10,7 +10,7 @@ use crate::record::{ARMS, Untouched};
 use crate::rig::config::RigConfig;
 
 /// Limit of the spread of a cell's readings in the air, as a multiple of its noise.
-const NOISE_MULTIPLE: f64 = 10.0;
+const TARE_NOISE_MULTIPLE: f64 = 10.0;
 /// Frames of the untouched skin: at 30 frames per second they arrive while the cells are read.
 const UNTOUCHED_FRAMES: usize = 4;
 
@@ -120,8 +120,8 @@ fn zeros(
         }
         let spread = readings.iter().map(|r| (r[i] - mean).abs()).fold(0.0, f64::max);
         let spread_n = spread * cells.newtons_per_volt();
-        if spread_n > NOISE_MULTIPLE * cells.force_noise_n {
-            let limit = NOISE_MULTIPLE * cells.force_noise_n;
+        if spread_n > TARE_NOISE_MULTIPLE * cells.force_noise_n {
+            let limit = TARE_NOISE_MULTIPLE * cells.force_noise_n;
             return Err(Halt::Failed(format!(
                 "cell {arm} varies by {spread_n:.2} N in the air, limit {limit:.2} N"
             )));
@@ -180,7 +180,7 @@ mod tests {
 
     #[test]
     fn a_cell_that_is_not_quiet_fails_the_attempt_and_does_not_trip() {
-        let limit_n = NOISE_MULTIPLE * rig().cells.force_noise_n;
+        let limit_n = TARE_NOISE_MULTIPLE * rig().cells.force_noise_n;
         let swings = |n: f64| [[n, 0.0, 0.0, 0.0, 0.0, 0.0], [-n, 0.0, 0.0, 0.0, 0.0, 0.0]];
         assert!(tared(Accept::NearLast, &swings(0.9 * limit_n)).is_ok());
         let why = words(tared(Accept::NearLast, &swings(1.1 * limit_n)));

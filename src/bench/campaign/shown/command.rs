@@ -20,7 +20,7 @@ use crate::record::Untouched;
 use crate::rig::traits::Frame;
 
 /// Capacity of the request queue.
-const QUEUE: usize = 64;
+const REQUESTS_WAITING: usize = 64;
 /// Longest wait until a request is accepted.
 const TAKE_UP: Duration = Duration::from_secs(10);
 
@@ -182,7 +182,7 @@ pub struct Inbox {
 
 /// Creates a handle and the engine's side of it.
 pub fn channel(estop: StopSwitch, status: Status) -> (Handle, Inbox) {
-    let (requests_tx, requests) = mpsc::channel(QUEUE);
+    let (requests_tx, requests) = mpsc::channel(REQUESTS_WAITING);
     let (status_tx, status) = watch::channel(status);
     let (frames_tx, frames) = watch::channel(None);
     let (untouched_tx, untouched) = watch::channel(None);

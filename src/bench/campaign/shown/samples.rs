@@ -7,7 +7,7 @@ use tokio::sync::broadcast;
 use crate::record::ARMS;
 
 /// Samples that a follower may be behind: a second of the fastest rig.
-const BEHIND: usize = 8192;
+const SAMPLES_BEHIND: usize = 8192;
 
 /// One sample of the load cells.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -26,7 +26,7 @@ pub struct Samples(broadcast::Sender<ForceSample>);
 
 impl Default for Samples {
     fn default() -> Self {
-        Self(broadcast::Sender::new(BEHIND))
+        Self(broadcast::Sender::new(SAMPLES_BEHIND))
     }
 }
 
@@ -53,7 +53,7 @@ mod tests {
         let sample = |at_ms| ForceSample { at_ms, z_mm: None, forces_n: [None; ARMS] };
         samples.publish(sample(-1));
         let mut slow = samples.follow();
-        let most = BEHIND as i64 + 10;
+        let most = SAMPLES_BEHIND as i64 + 10;
         (0..most).for_each(|at_ms| samples.publish(sample(at_ms)));
         assert_eq!(slow.try_recv(), Err(broadcast::error::TryRecvError::Lagged(10)));
         assert_eq!(slow.try_recv().unwrap().at_ms, 10);

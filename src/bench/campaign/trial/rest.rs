@@ -9,7 +9,7 @@ use crate::rig::traits::Frame;
 /// Frames per window; the means of two successive windows are compared.
 pub const WINDOW: usize = 10;
 /// Largest change between windows that counts as noise, as a multiple of the noise of their means.
-const NOISE_MULTIPLE: f64 = 1.5;
+const REST_NOISE_MULTIPLE: f64 = 1.5;
 
 /// Mean of the frames of a window, and noise of one frame, V.
 #[derive(Debug, Clone)]
@@ -48,7 +48,7 @@ impl Window {
         let square: f64 = self.mean_v.iter().zip(&last.mean_v).map(|(a, b)| (a - b).powi(2)).sum();
         let change_v = (square / self.mean_v.len().max(1) as f64).sqrt();
         let noise_v = self.noise_v.max(last.noise_v) * (2.0 / self.frames).sqrt();
-        change_v <= NOISE_MULTIPLE * noise_v
+        change_v <= REST_NOISE_MULTIPLE * noise_v
     }
 }
 

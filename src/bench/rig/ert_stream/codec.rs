@@ -8,13 +8,13 @@
 //! A damaged packet is dropped completely; decoding resumes after the next zero.
 
 /// Version of the packet layout.
-const VERSION: u8 = 1;
+const PACKET_VERSION: u8 = 1;
 /// Kind of a packet with a frame of voltages.
 const KIND_FRAME: u8 = 1;
 /// Kind of a packet with a line of text.
 const KIND_STATUS: u8 = 2;
 /// Length of the header before the counts, bytes.
-const HEADER: usize = 20;
+const PACKET_HEADER: usize = 20;
 /// Length of the checksum, bytes.
 const CHECKSUM: usize = 4;
 /// Longest stored line of text, characters.
@@ -71,8 +71,8 @@ pub struct Decoder {
 impl Decoder {
     /// Creates a decoder for frames of `electrodes` squared counts.
     pub fn new(electrodes: u16) -> Self {
-        let plain = HEADER + 2 * usize::from(electrodes).pow(2) + CHECKSUM;
-        let limit = cobs::max_encoding_length(plain.max(STATUS_LENGTH + HEADER));
+        let plain = PACKET_HEADER + 2 * usize::from(electrodes).pow(2) + CHECKSUM;
+        let limit = cobs::max_encoding_length(plain.max(STATUS_LENGTH + PACKET_HEADER));
         Self {
             electrodes,
             packet: Vec::with_capacity(limit),
@@ -159,7 +159,7 @@ impl Decoder {
 /// Content of a decoded packet; `None` if any part of it is invalid.
 fn parse(packet: &[u8], electrodes: u16) -> Option<Event> {
     let (body, checksum) = packet.split_last_chunk::<CHECKSUM>()?;
-    if crc32fast::hash(body) != u32::from_le_bytes(*checksum) || *body.first()? != VERSION {
+    if crc32fast::hash(body) != u32::from_le_bytes(*checksum) || *body.first()? != PACKET_VERSION {
         return None;
     }
     match *body.get(1)? {
@@ -174,7 +174,7 @@ fn parse(packet: &[u8], electrodes: u16) -> Option<Event> {
 }
 
 fn parse_frame(body: &[u8], electrodes: u16) -> Option<Event> {
-    let (header, counts) = body.split_first_chunk::<HEADER>()?;
+    let (header, counts) = body.split_first_chunk::<PACKET_HEADER>()?;
     let [_, _, e0, e1, s0, s1, s2, s3, t0, t1, t2, t3, t4, t5, t6, t7, v0, v1, v2, v3] = *header;
     let volts_per_count = f32::from_le_bytes([v0, v1, v2, v3]);
     let sound = u16::from_le_bytes([e0, e1]) == electrodes

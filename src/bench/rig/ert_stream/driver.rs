@@ -28,11 +28,11 @@ use crate::rig::traits::{Frame, SkinReader, StreamCounters};
 /// Frames by which a taker may lag before it loses some.
 const FEED: usize = 256;
 /// Bytes read at once: more than a packet, less than a second of packets.
-const READ_BYTES: usize = 16 * 1024;
+const STREAM_READ_BYTES: usize = 16 * 1024;
 /// Bytes that may wait in the kernel: about 40 packets.
 const BUFFER_BYTES: u32 = 64 * 1024;
 /// First and longest wait before the wire is reopened, wall time.
-const BACKOFF: [Duration; 2] = [Duration::from_millis(50), Duration::from_secs(1)];
+const REOPEN_WAIT: [Duration; 2] = [Duration::from_millis(50), Duration::from_secs(1)];
 /// Longest wait for the wire to open, wall time.
 const OPEN_LIMIT: Duration = Duration::from_secs(2);
 /// Bits per byte on a serial line.
@@ -242,7 +242,7 @@ struct Reader {
 
 impl Reader {
     async fn run(mut self) {
-        let mut wait = BACKOFF[0];
+        let mut wait = REOPEN_WAIT[0];
         loop {
             let opened = timeout(OPEN_LIMIT, (self.opener)()).await;
             let trouble = match opened {
@@ -252,7 +252,7 @@ impl Reader {
                     let before = self.decoder.tally().frames;
                     let ended = self.read(port).await;
                     if self.decoder.tally().frames > before {
-                        wait = BACKOFF[0];
+                        wait = REOPEN_WAIT[0];
                     }
                     self.shared.reconnects.fetch_add(1, Ordering::Relaxed);
                     self.decoder.reopen();
@@ -262,13 +262,13 @@ impl Reader {
             };
             lock(&self.shared.status).1 = Some(trouble);
             tokio::time::sleep(wait).await;
-            wait = (2 * wait).min(BACKOFF[1]);
+            wait = (2 * wait).min(REOPEN_WAIT[1]);
         }
     }
 
     /// Reads until the connection is lost or no data arrives; returns the reason.
     async fn read(&mut self, mut port: Box<dyn Port>) -> String {
-        let mut bytes = vec![0; READ_BYTES];
+        let mut bytes = vec![0; STREAM_READ_BYTES];
         loop {
             let n = match timeout(self.silence, port.read(&mut bytes)).await {
                 Err(_silent) => return format!("no data for {} ms", self.silence.as_millis()),

@@ -22,7 +22,7 @@ pub const DRIVE: AxisDevice =
     AxisDevice::new("leadshine_em2rs", |parts| parts.on(LeadshineEm2rs::default()));
 
 /// Pulses per revolution as set at the factory.
-const PULSES_PER_REV: u16 = 10_000;
+const FACTORY_PULSES_PER_REV: u16 = 10_000;
 /// Longest wait until the motor is enabled, wall time.
 const ENABLE_DEADLINE: Duration = Duration::from_secs(1);
 /// Period at which the enabled state is checked.
@@ -37,7 +37,7 @@ pub struct LeadshineEm2rs {
 
 impl Default for LeadshineEm2rs {
     fn default() -> Self {
-        Self { pulses_per_rev: AtomicU16::new(PULSES_PER_REV) }
+        Self { pulses_per_rev: AtomicU16::new(FACTORY_PULSES_PER_REV) }
     }
 }
 

@@ -28,11 +28,11 @@ use super::wire::{self, Framing, Opener};
 use crate::clock::Clock;
 
 /// Capacity of the queue of requests.
-const QUEUE: usize = 64;
+const LINE_REQUESTS_WAITING: usize = 64;
 /// Capacity of the queue of stops.
 const URGENT_QUEUE: usize = 16;
 /// Wait before the second retry; before the n-th it is n - 1 times as long.
-const BACKOFF: Duration = Duration::from_millis(25);
+const RETRY_STEP: Duration = Duration::from_millis(25);
 /// Wait before the request to a busy device (exceptions 5 and 6) is repeated.
 const BUSY_BACKOFF: Duration = Duration::from_millis(10);
 
@@ -110,7 +110,7 @@ impl Line {
         policy: LinePolicy,
         clock: Clock,
     ) -> Self {
-        let (ordinary, ordinary_jobs) = mpsc::channel(QUEUE);
+        let (ordinary, ordinary_jobs) = mpsc::channel(LINE_REQUESTS_WAITING);
         let (urgent, urgent_jobs) = mpsc::channel(URGENT_QUEUE);
         let (bell, counters) = (Arc::<Notify>::default(), Arc::<Counters>::default());
         let owner = Owner {
@@ -448,7 +448,7 @@ impl Wire {
                 } else if job.failures == 1 {
                     Next::Again
                 } else {
-                    Next::AgainAfter(BACKOFF * (job.failures - 1))
+                    Next::AgainAfter(RETRY_STEP * (job.failures - 1))
                 }
             }
             LineError::Latched | LineError::Withdrawn | LineError::Closed => Next::GiveUp,

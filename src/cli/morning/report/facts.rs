@@ -18,7 +18,8 @@ use crate::state::{PausedWhy, StoredState};
 use crate::store::RunRow;
 
 /// Kinds of events that a report lists.
-const KINDS: &str = "trip,suspended,skipped,attempt_failed,twins,not_resumed,not_begun,store,ended";
+const EVENT_KINDS: &str =
+    "trip,suspended,skipped,attempt_failed,twins,not_resumed,not_begun,store,ended";
 /// Duration of a run below which its time is shown in minutes, s.
 const SHORT_S: f64 = 3.0 * 3600.0;
 /// Records per request.
@@ -149,7 +150,8 @@ impl Facts {
 async fn events(client: &Client, run: &RunRow) -> Result<Vec<Told>, CliError> {
     let (mut told, mut since) = (Vec::new(), 0);
     loop {
-        let query = format!("since={since}&run={}&kind={KINDS}&limit={PAGE_RECORDS}", run.uid);
+        let query =
+            format!("since={since}&run={}&kind={EVENT_KINDS}&limit={PAGE_RECORDS}", run.uid);
         let page: Page<EventView> = client.get(&format!("/api/v1/events?{query}")).await?;
         for event in &page.items {
             since = event.seq;

@@ -18,7 +18,7 @@ use crate::state::StoredState;
 
 const STYLE: &str = include_str!("report.css");
 /// Rows of a table of what happened or of trials: the report states how many more there are.
-const ROWS: usize = 40;
+const TABLE_ROWS: usize = 40;
 const WORST: usize = 10;
 
 /// Returns the report. `now`: the time at which it is made.
@@ -173,21 +173,21 @@ fn happened(page: &mut String, facts: &Facts) {
     if all.is_empty() {
         page.push_str("<p>No stop, trip, pause, skip or failed attempt.</p>\n");
     } else {
-        let rows = all.into_iter().take(ROWS);
+        let rows = all.into_iter().take(TABLE_ROWS);
         let rows = rows.map(|(at, kind, words)| vec![second(at), kind, words]);
         table(page, &["time", "what", ""], rows, "events");
-        if count > ROWS {
+        if count > TABLE_ROWS {
             let _ = writeln!(
                 page,
                 "<p>{} more: <code>palpate events {}</code></p>",
-                count - ROWS,
+                count - TABLE_ROWS,
                 facts.run().scan_id
             );
         }
     }
     if !facts.summary.skips.is_empty() {
         page.push_str("<h3>Skipped configurations</h3>\n");
-        let skips = facts.summary.skips.iter().take(ROWS);
+        let skips = facts.summary.skips.iter().take(TABLE_ROWS);
         let rows = skips
             .map(|skip| vec![skip.configuration.to_string(), second(skip.at), skip.reason.clone()]);
         table(page, &["configuration", "time", "reason"], rows, "events");

@@ -13,7 +13,7 @@ use crate::dataset::build::{Progress, data_file};
 use crate::dataset::error::{DatasetError, Product};
 use crate::dataset::export::{self, ExportFile, ExportRequest, ExportResult};
 use crate::dataset::format::{Format, Rows};
-use crate::dataset::read::SKIN;
+use crate::dataset::read::PAPER_SKIN;
 use crate::dataset::schema;
 use crate::dataset::select::{Selection, Wanted};
 use crate::dataset::space::{self, Space};
@@ -27,7 +27,7 @@ const EXPORTS_BYTES: u64 = 20 << 30;
 /// Number of hexadecimal digits of a sha256.
 const SHA256_DIGITS: usize = 64;
 /// Largest number of waiting exports.
-const WAITING_MAX: u32 = 100;
+const WAITING_EXPORTS_MAX: u32 = 100;
 
 /// Progress of an export.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -117,9 +117,9 @@ impl Catalog {
         request: &ExportRequest,
         asked_by: &str,
     ) -> Result<TaskRow, DatasetError> {
-        if self.inner.queue.is_full(WAITING_MAX).await? {
-            let limit = format!("must be under {WAITING_MAX}: wait until one ends");
-            return Err(DatasetError::value("waiting exports", WAITING_MAX, &limit));
+        if self.inner.queue.is_full(WAITING_EXPORTS_MAX).await? {
+            let limit = format!("must be under {WAITING_EXPORTS_MAX}: wait until one ends");
+            return Err(DatasetError::value("waiting exports", WAITING_EXPORTS_MAX, &limit));
         }
         let wanted = request.wanted();
         if let Ok(id) = request.dataset.parse() {
@@ -129,8 +129,8 @@ impl Catalog {
             // made.
             let wanted = Wanted { slice: None, ..wanted };
             let definition = self.definition(&request.dataset).await?;
-            let columns = schema::of_dataset(&definition, schema::CHANNELS);
-            Selection::new(&wanted, &columns, Some(SKIN)).map_err(DatasetError::Problems)?;
+            let columns = schema::of_dataset(&definition, schema::PAPER_CHANNELS);
+            Selection::new(&wanted, &columns, Some(PAPER_SKIN)).map_err(DatasetError::Problems)?;
         }
         let request = serde_json::to_value(request).map_err(DatasetError::Json)?;
         Ok(self.inner.queue.add(TaskKind::Export, request, asked_by).await?)

@@ -44,7 +44,7 @@ pub struct ForceMapSpec {
 }
 
 /// The twelve maps of Table IV, in its order.
-pub const TABLE_IV: [ForceMapSpec; 12] = [
+pub const TABLE_IV_MAPS: [ForceMapSpec; 12] = [
     spec(4.0, 20.0),
     spec(4.0, 28.0),
     spec(4.0, 32.0),

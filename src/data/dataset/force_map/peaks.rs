@@ -397,12 +397,12 @@ mod tests {
         /// under the threshold, and contacts that are far from each other are all found.
         #[test]
         fn peaks_keep_their_distance(
-            which in 0..crate::dataset::force_map::TABLE_IV.len(),
+            which in 0..crate::dataset::force_map::TABLE_IV_MAPS.len(),
             contacts in prop::collection::vec(
                 (20.0..520.0_f64, 20.0..540.0_f64, 8.0..40.0_f64), 0..7,
             ),
         ) {
-            let spec = crate::dataset::force_map::TABLE_IV[which];
+            let spec = crate::dataset::force_map::TABLE_IV_MAPS[which];
             let map = ForceMap::new(spec, [540.0, 560.0]).unwrap();
             let peaks = map.peaks(&drawn(&map, &contacts), 5.0);
             for (i, peak) in peaks.iter().enumerate() {

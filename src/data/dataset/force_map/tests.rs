@@ -5,7 +5,7 @@ use std::f64::consts::PI;
 
 use proptest::prelude::*;
 
-use super::{Disc, ForceMap, ForceMapError, ForceMapSpec, MapContact, Span, TABLE_IV};
+use super::{Disc, ForceMap, ForceMapError, ForceMapSpec, MapContact, Span, TABLE_IV_MAPS};
 
 const SKIN_MM: [f64; 2] = [540.0, 560.0];
 
@@ -58,12 +58,12 @@ proptest! {
 
     #[test]
     fn a_map_sums_to_its_forces_wherever_they_are(
-        which in 0..TABLE_IV.len(),
+        which in 0..TABLE_IV_MAPS.len(),
         contacts in prop::collection::vec(
             (-49.0..589.0_f64, -39.0..599.0_f64, 0.1..60.0_f64), 0..7,
         ),
     ) {
-        let map = ForceMap::new(TABLE_IV[which], SKIN_MM).unwrap();
+        let map = ForceMap::new(TABLE_IV_MAPS[which], SKIN_MM).unwrap();
         let pixels = drawn(&map, &contacts);
         let forces: f64 = contacts.iter().map(|c| c.2).sum();
         prop_assert!((sum(&pixels) - forces).abs() <= 1e-6 * forces, "{}", sum(&pixels));
@@ -143,10 +143,11 @@ fn contacts_that_no_pixel_can_hold_are_refused() {
 
 #[test]
 fn a_specification_is_read_back_as_it_is_written() {
-    for (spec, written) in TABLE_IV.iter().zip(["4x20", "4x28", "4x32", "4x44"]) {
+    for (spec, written) in TABLE_IV_MAPS.iter().zip(["4x20", "4x28", "4x32", "4x44"]) {
         assert_eq!(spec.to_string(), written);
     }
-    for spec in TABLE_IV.into_iter().chain([ForceMapSpec { pixel_mm: 6.4, diameter_mm: 12.5 }]) {
+    for spec in TABLE_IV_MAPS.into_iter().chain([ForceMapSpec { pixel_mm: 6.4, diameter_mm: 12.5 }])
+    {
         assert_eq!(spec.to_string().parse(), Ok(spec));
         let json = serde_json::to_string(&spec).unwrap();
         assert_eq!(serde_json::from_str::<ForceMapSpec>(&json).unwrap(), spec);
@@ -170,6 +171,6 @@ fn a_refused_specification_names_its_limit() {
         let error = text.parse::<ForceMapSpec>().unwrap_err().to_string();
         assert!(error.contains(limit), "{text}: {error}");
     }
-    let large = ForceMap::new(TABLE_IV[0], [700.0, 560.0]).unwrap_err().to_string();
+    let large = ForceMap::new(TABLE_IV_MAPS[0], [700.0, 560.0]).unwrap_err().to_string();
     assert!(large.contains("at most 640 mm"), "{large}");
 }

@@ -4,7 +4,7 @@
 use arrow_schema::{DataType, Schema};
 
 /// Largest number of rows per batch.
-const ROWS: usize = 1000;
+const WRITTEN_ROWS: usize = 1000;
 /// Largest size of a batch of several rows, bytes.
 const BYTES: usize = 16 << 20;
 /// Assumed size of a text or a list of variable length, bytes.
@@ -14,7 +14,7 @@ const LOOSE_BYTES: usize = 64;
 /// (force maps), so that a batch holds at most 16 MiB; at least 1.
 pub fn rows_per_batch(schema: &Schema) -> usize {
     let row: usize = schema.fields().iter().map(|field| bytes(field.data_type())).sum();
-    (BYTES / row.max(1)).clamp(1, ROWS)
+    (BYTES / row.max(1)).clamp(1, WRITTEN_ROWS)
 }
 
 fn bytes(kind: &DataType) -> usize {

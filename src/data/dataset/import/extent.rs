@@ -14,7 +14,7 @@ use crate::simulate::schema::{CONTACTS, SIM_VOLTAGES_V};
 use crate::store::IMPORTED_CONTACTS_MAX;
 
 /// Largest number of trials of an import: their keys are kept in memory.
-pub const TRIALS_MAX: u64 = 10_000_000;
+pub const IMPORTED_TRIALS_MAX: u64 = 10_000_000;
 
 /// Numbers of rows and values of a file.
 #[derive(Debug, Default)]
@@ -66,8 +66,8 @@ impl Extent {
     /// sensor can have.
     pub fn needed(&self, file: &str, sensor: &ImportedSensor) -> Result<u64, Vec<Problem>> {
         let mut checks = Checks::of(file);
-        let limit = format!("must be at most {TRIALS_MAX}: split the file");
-        checks.require(self.rows <= TRIALS_MAX, "rows", self.rows, &limit);
+        let limit = format!("must be at most {IMPORTED_TRIALS_MAX}: split the file");
+        checks.require(self.rows <= IMPORTED_TRIALS_MAX, "rows", self.rows, &limit);
         let channels = sensor.channels as u64;
         for (column, number) in &self.values {
             let most = match column.as_str() {
@@ -112,7 +112,7 @@ mod tests {
         assert_eq!(of(10, 41, 12).unwrap_err(), refused);
         let refused = "f: contacts = 641 values: must have at most 64 values per row";
         assert_eq!(of(10, 40, 641).unwrap_err(), refused);
-        let refused = of(TRIALS_MAX + 1, 0, 0).unwrap_err();
+        let refused = of(IMPORTED_TRIALS_MAX + 1, 0, 0).unwrap_err();
         assert!(refused.starts_with("f: rows = 10000001: must be at most 10000000"), "{refused}");
     }
 }

@@ -36,10 +36,10 @@ const READ: [&str; 11] = [
     FRAME_COUNT,
     SPLIT,
 ];
-/// Fields of a contact.
-const CONTACT: [&str; 4] = ["x_mm", "y_mm", "force_n", "diameter_mm"];
+/// Fields of a contact, in their order in an array.
+pub(super) const CONTACT_FIELDS: [&str; 4] = ["x_mm", "y_mm", "force_n", "diameter_mm"];
 /// Largest valid force of a contact, N.
-const FORCE_MAX_N: f64 = 100_000.0;
+const IMPORTED_FORCE_MAX_N: f64 = 100_000.0;
 /// Largest plausible magnitude of a voltage, V: beyond it the unit is another one, such as mV or counts.
 const VOLTAGE_MAX_V: f32 = 1000.0;
 
@@ -264,7 +264,7 @@ impl<'a> Reader<'a> {
         let mut contacts = Vec::with_capacity(found.len());
         for contact in 0..found.len() {
             let [mut x_mm, mut y_mm, force_n, diameter_mm] =
-                CONTACT.map(|name| number(name, contact));
+                CONTACT_FIELDS.map(|name| number(name, contact));
             if let (Some(x), Some(y)) = (x_mm, y_mm) {
                 [x_mm, y_mm] = self.map.apply([x, y]).map(Some);
             }
@@ -272,7 +272,7 @@ impl<'a> Reader<'a> {
             for (name, value, least, most) in [
                 ("x_mm", x_mm, 0.0, width_mm),
                 ("y_mm", y_mm, 0.0, height_mm),
-                ("force_n", force_n, 0.0, FORCE_MAX_N),
+                ("force_n", force_n, 0.0, IMPORTED_FORCE_MAX_N),
                 ("diameter_mm", diameter_mm, 0.0, width_mm.max(height_mm)),
             ] {
                 if let Some(value) = value
@@ -412,7 +412,7 @@ fn contacts(file: &str, batch: &RecordBatch) -> Result<Option<ArrayRef>, Problem
             let known = |field: &Arc<Field>| {
                 let numeric =
                     field.data_type().is_numeric() || *field.data_type() == DataType::Null;
-                CONTACT.contains(&field.name().as_str()) && numeric
+                CONTACT_FIELDS.contains(&field.name().as_str()) && numeric
             };
             if !fields.iter().all(known) {
                 return Err(wrong_contacts(file, found));

@@ -36,7 +36,7 @@ const ARROW_SHARE: f64 = 0.17;
 /// Forces below this share of the largest have no arrow.
 const LEAST_ARROW: f64 = 0.02;
 /// Forces within this distance belong to a contact's label, mm.
-const NEAR_MM: f64 = 15.0;
+const LABEL_NEAR_MM: f64 = 15.0;
 /// Colour of forces.
 const ARROW: Colour = [28.0, 79.0, 156.0];
 /// Colours of the fabric, seen from the side.
@@ -314,7 +314,7 @@ fn draw_arrows(out: &mut Drawing, view: &View, arrows: &[Arrow], contacts: &[Con
     out.group("fill=\"#16407f\" font-size=\"15\" font-weight=\"bold\"");
     for contact in contacts.iter().filter(|c| c.force_n > 0.0) {
         let near =
-            |a: &&Arrow| (a.from[0] - contact.x_mm).hypot(a.from[1] - contact.y_mm) < NEAR_MM;
+            |a: &&Arrow| (a.from[0] - contact.x_mm).hypot(a.from[1] - contact.y_mm) < LABEL_NEAR_MM;
         let tops = arrows.iter().filter(near).map(|a| view.place(a.from)[1]);
         let [x, _] = view.place([contact.x_mm, contact.y_mm, 0.0]);
         let y = tops.fold(f64::MAX, f64::min);

@@ -17,11 +17,11 @@ use crate::digest::Hashing;
 use crate::new_file::{self, NewFile};
 
 /// Name of the manifest.
-pub const MANIFEST: &str = "_manifest.json";
+pub const SHARDS_MANIFEST: &str = "_manifest.json";
 /// Suffix of a temporary file's name in earlier versions.
-const PARTIAL: &str = ".partial";
+const OLD_PARTIAL: &str = ".partial";
 /// Number of bytes read at a time.
-const READ_BYTES: usize = 1 << 20;
+const SHARD_READ_BYTES: usize = 1 << 20;
 
 /// Depth of the check of completed shards.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -58,7 +58,7 @@ impl Folder {
         let folder = Self { path: path.into(), _lock: lock };
         new_file::sweep(path).map_err(RandomError::file("removing incomplete files in", path))?;
         for name in folder.names()? {
-            if name.starts_with('_') && name.ends_with(PARTIAL) {
+            if name.starts_with('_') && name.ends_with(OLD_PARTIAL) {
                 let stray = folder.path.join(name);
                 fs::remove_file(&stray).map_err(RandomError::file("removing", stray))?;
             }
@@ -73,7 +73,7 @@ impl Folder {
     /// `OtherDefinition` or `Foreign` if the folder belongs to something else; `Manifest` or `File`
     /// if the manifest cannot be read or written.
     pub fn manifest(&self, definition: &Definition) -> Result<Manifest, RandomError> {
-        let path = self.path.join(MANIFEST);
+        let path = self.path.join(SHARDS_MANIFEST);
         let bytes = match fs::read(&path) {
             Ok(bytes) => bytes,
             Err(error) if error.kind() == io::ErrorKind::NotFound => {
@@ -106,11 +106,11 @@ impl Folder {
     /// # Errors
     /// `RandomError::File` if it cannot be written.
     pub fn write_manifest(&self, manifest: &Manifest) -> Result<(), RandomError> {
-        let path = self.path.join(MANIFEST);
+        let path = self.path.join(SHARDS_MANIFEST);
         let mut text = serde_json::to_vec_pretty(manifest)
             .map_err(|source| RandomError::Manifest { path: path.clone(), source })?;
         text.push(b'\n');
-        let written = new_file::write(&self.path, MANIFEST, text).map(|_| ());
+        let written = new_file::write(&self.path, SHARDS_MANIFEST, text).map(|_| ());
         written.map_err(RandomError::file("writing", path))
     }
 
@@ -171,7 +171,7 @@ fn text(name: &OsStr) -> String {
 
 fn sha256(file: File) -> io::Result<String> {
     let mut hash = Hashing::default();
-    io::copy(&mut BufReader::with_capacity(READ_BYTES, file), &mut hash)?;
+    io::copy(&mut BufReader::with_capacity(SHARD_READ_BYTES, file), &mut hash)?;
     Ok(hash.finish())
 }
 

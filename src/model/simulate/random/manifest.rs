@@ -15,13 +15,13 @@ use crate::problem::{Checks, Problem};
 /// Name of the experiment.
 pub const SIM_RANDOM: &str = "sim-random";
 /// Version of the shards' columns and settings: increased by a change that gives other bytes.
-const FORMAT_VERSION: u32 = 1;
+const SHARDS_VERSION: u32 = 1;
 /// Number of trials of a row group, the unit of work of a thread.
 pub const ROW_GROUP_TRIALS: u64 = 1000;
 /// Largest number of trials of a shard.
 pub const SHARD_TRIALS_MAX: u64 = 1_000_000;
 /// Largest number of trials with one seed.
-pub const TRIALS_MAX: u64 = 10_000_000_000;
+pub const SEED_TRIALS_MAX: u64 = 10_000_000_000;
 /// Cargo.lock, for the versions of the crates that produce bytes.
 const LOCK: &str = include_str!("../../../../Cargo.lock");
 /// The crates that produce bytes, one version of each. (A separate test covers the draws.)
@@ -80,8 +80,8 @@ impl Order {
         points: usize,
     ) -> Result<Self, Vec<Problem>> {
         let mut checks = Checks::of("command line");
-        let limit = format!("must be from 1 to {TRIALS_MAX}");
-        checks.require((1..=TRIALS_MAX).contains(&trials), "trials", trials, &limit);
+        let limit = format!("must be from 1 to {SEED_TRIALS_MAX}");
+        checks.require((1..=SEED_TRIALS_MAX).contains(&trials), "trials", trials, &limit);
         let limit = format!("must be from 1 to {SHARD_TRIALS_MAX}");
         let fits = (1..=SHARD_TRIALS_MAX).contains(&shard_trials);
         checks.require(fits, "shard-trials", shard_trials, &limit);
@@ -96,7 +96,7 @@ impl Definition {
         let Order { draws, trials, shard_trials } = order;
         Self {
             experiment: SIM_RANDOM.into(),
-            format_version: FORMAT_VERSION,
+            format_version: SHARDS_VERSION,
             draw_version: DRAW_VERSION,
             draws,
             trials,

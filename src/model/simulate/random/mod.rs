@@ -28,7 +28,7 @@ use folder::{Folder, Look};
 use manifest::{Definition, Manifest, Shard, ShardRow};
 
 /// Number of row groups that a thread may be ahead of the file.
-const AHEAD: usize = 2;
+const GROUPS_AHEAD: usize = 2;
 
 /// Progress of the generation.
 #[derive(Debug, Clone, Copy)]
@@ -94,7 +94,7 @@ pub fn generate(
         let threads = means.threads.get();
         let queues: Vec<Receiver<Made>> = (0..threads)
             .map(|thread| {
-                let (give, take) = sync_channel(AHEAD);
+                let (give, take) = sync_channel(GROUPS_AHEAD);
                 let share =
                     missing.iter().flat_map(|s| s.row_groups()).skip(thread).step_by(threads);
                 let maker = &maker;

@@ -22,7 +22,7 @@ use tokio::time::Instant;
 use self::end::Exit;
 pub use self::end::{Ended, TrainerEnd};
 use crate::jobs::Watch;
-use crate::learn::order::{Event, STOP};
+use crate::learn::order::{Event, STOP_LINE};
 use crate::program::{Known, Lines, ProgramError, STOP_POLL};
 
 /// The program of the trainer.
@@ -128,7 +128,7 @@ pub async fn run(
 /// Requests the end; the input is closed even if the line cannot be written.
 async fn request_stop(mut input: ChildStdin) {
     // A trainer that has already ended reads nothing.
-    let _ = input.write_all(format!("{STOP}\n").as_bytes()).await;
+    let _ = input.write_all(format!("{STOP_LINE}\n").as_bytes()).await;
 }
 
 #[cfg(test)]

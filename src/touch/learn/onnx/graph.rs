@@ -10,7 +10,7 @@ use tract_onnx::pb::{
 };
 
 /// Name of the batch's dimension.
-const BATCH: &str = "N";
+const BATCH_DIMENSION: &str = "N";
 
 /// A graph under construction.
 #[derive(Debug, Default)]
@@ -79,7 +79,7 @@ impl Graph {
 
 /// An input or output of floats, `[N, shape..]`.
 pub(super) fn value(name: &str, doc: &str, shape: &[usize]) -> ValueInfoProto {
-    let batch = Length::DimParam(BATCH.into());
+    let batch = Length::DimParam(BATCH_DIMENSION.into());
     let lengths = shape.iter().map(|&length| Length::DimValue(length as i64));
     let dim = std::iter::once(batch).chain(lengths);
     let dim = dim.map(|value| Dimension { value: Some(value), ..Dimension::default() }).collect();

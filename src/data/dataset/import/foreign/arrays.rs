@@ -16,6 +16,7 @@ use super::{mat, npz};
 use crate::dataset::error::DatasetError;
 use crate::dataset::import::BATCH_TRIALS;
 use crate::dataset::import::extent::Extent;
+use crate::dataset::import::rows::CONTACT_FIELDS;
 use crate::dataset::schema::VOLTAGES_V;
 use crate::problem::Problem;
 use crate::simulate::schema::{CONTACTS, SIM_VOLTAGES_V};
@@ -25,8 +26,6 @@ pub const HELD_MAX_BYTES: u64 = 1 << 30;
 
 /// Array of the positions of contacts, (n, k, 2), mm.
 const CONTACTS_XY_MM: &str = "contacts_xy_mm";
-/// Arrays of the fields of contacts, in the order of an array `contacts` (n, k, 4).
-const FIELDS: [&str; 4] = ["x_mm", "y_mm", "force_n", "diameter_mm"];
 
 /// Container of the arrays.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -191,7 +190,7 @@ impl Layout {
             }
         }
         let has = |name: &str| arrays.contains_key(name);
-        let places = has(FIELDS[0]) || has(FIELDS[1]);
+        let places = has(CONTACT_FIELDS[0]) || has(CONTACT_FIELDS[1]);
         let forms = [has(CONTACTS), has(CONTACTS_XY_MM), places];
         if forms.into_iter().filter(|form| *form).count() > 1 {
             let limit =
@@ -224,7 +223,7 @@ impl Layout {
             most = most.or(found);
             found.map(|k| (k * inner, inner))
         };
-        if let Some((per_trial, step)) = lengths(CONTACTS, FIELDS.len()) {
+        if let Some((per_trial, step)) = lengths(CONTACTS, CONTACT_FIELDS.len()) {
             fields =
                 [0, 1, 2, 3].map(|first| Some(Place { array: CONTACTS, per_trial, step, first }));
         } else {
@@ -233,7 +232,7 @@ impl Layout {
                     *field = Some(Place { array: CONTACTS_XY_MM, per_trial, step, first });
                 }
             }
-            for (name, field) in FIELDS.into_iter().zip(&mut fields) {
+            for (name, field) in CONTACT_FIELDS.into_iter().zip(&mut fields) {
                 if let Some((per_trial, step)) = lengths(name, 1) {
                     *field = Some(Place { array: name, per_trial, step, first: 0 });
                 }

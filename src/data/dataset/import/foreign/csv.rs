@@ -27,7 +27,7 @@ use crate::syntax::PROBLEMS_MAX;
 /// Separators of cells.
 const SEPARATORS: [u8; 3] = *b",;\t";
 /// Fields of a contact: the stem of the name and its unit.
-const FIELDS: [(&str, &str); 4] =
+const CONTACT_STEMS: [(&str, &str); 4] =
     [("x", "_mm"), ("y", "_mm"), ("force", "_n"), ("diameter", "_mm")];
 
 /// A CSV file whose header has been read and whose rows have been counted.
@@ -83,7 +83,7 @@ fn meaning(name: &str) -> Meaning {
     if let Some(channel) = item(SIM_VOLTAGES_V) {
         return Meaning::Channel(1, channel);
     }
-    for (field, (stem, unit)) in FIELDS.into_iter().enumerate() {
+    for (field, (stem, unit)) in CONTACT_STEMS.into_iter().enumerate() {
         let number = name.strip_prefix(stem).and_then(|rest| rest.strip_suffix(unit));
         match number {
             Some("") => return Meaning::Contact(0, field),
@@ -329,7 +329,9 @@ impl Page {
         for (n, cells) in layout.contacts.iter().enumerate() {
             let mut values = [None; 4];
             for (field, at) in cells.iter().enumerate() {
-                let column = || format!("contacts[{n}].{}{}", FIELDS[field].0, FIELDS[field].1);
+                let column = || {
+                    format!("contacts[{n}].{}{}", CONTACT_STEMS[field].0, CONTACT_STEMS[field].1)
+                };
                 values[field] = at.and_then(|at| number(&column, at));
             }
             contacts.extend(batch::contact(values));

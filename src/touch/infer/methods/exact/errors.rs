@@ -27,7 +27,7 @@ const KNOWN_FOR_EACH: usize = 4;
 /// Smallest number of known trials from which the model's error is estimated.
 pub(super) const LEAST_KNOWN: usize = 60;
 /// Largest number of threads that prepare a skin.
-const THREADS: usize = 8;
+const SKIN_THREADS_MAX: usize = 8;
 /// Number of known trials from which the factors on standard deviations are estimated.
 const STRETCHED_BY: usize = 200;
 /// Smallest force of a contact used for these factors, N: the paper's deadband.
@@ -165,7 +165,7 @@ impl ExactSkin {
             };
             trials.iter().map(one).collect::<Result<Vec<_>, InferError>>()
         };
-        let threads = thread::available_parallelism().map_or(1, |n| n.get().min(THREADS));
+        let threads = thread::available_parallelism().map_or(1, |n| n.get().min(SKIN_THREADS_MAX));
         let shares = known.chunks(known.len().div_ceil(threads).max(1));
         let done: Result<Vec<_>, InferError> = thread::scope(|scope| {
             let working: Vec<_> = shares.map(|share| scope.spawn(|| refine(share))).collect();

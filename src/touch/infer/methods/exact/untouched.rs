@@ -7,7 +7,7 @@ use super::super::UntouchedBefore;
 use super::zero::of_pairs;
 
 /// Number of parts of the run between which offsets are compared.
-const PARTS: usize = 10;
+const OFFSET_PARTS: usize = 10;
 /// Smallest number of frames in a part.
 const PART_FRAMES: usize = 4;
 /// Age of the offsets for which an answer allows: a skin that was calibrated yesterday.
@@ -73,7 +73,7 @@ pub struct Untouched {
 impl Untouched {
     /// Number of frames in a part, if that is enough.
     fn part(&self) -> Option<usize> {
-        Some(self.frames_v.len() / PARTS).filter(|count| *count >= PART_FRAMES)
+        Some(self.frames_v.len() / OFFSET_PARTS).filter(|count| *count >= PART_FRAMES)
     }
 
     /// Standard deviation of a channel's noise in one frame, V, within the parts of the run; none with too
@@ -83,14 +83,14 @@ impl Untouched {
         let count = self.part()?;
         let channels = self.frames_v[0].len();
         let mut sum_v2 = 0.0;
-        for part in self.frames_v.chunks_exact(count).take(PARTS) {
+        for part in self.frames_v.chunks_exact(count).take(OFFSET_PARTS) {
             for channel in 0..channels {
                 let values = part.iter().map(|frame| f64::from(frame[channel]));
                 let mean = values.clone().sum::<f64>() / count as f64;
                 sum_v2 += values.map(|v| (v - mean).powi(2)).sum::<f64>() / (count - 1) as f64;
             }
         }
-        let noise_v = (self.averaged * sum_v2 / (PARTS * channels) as f64).sqrt();
+        let noise_v = (self.averaged * sum_v2 / (OFFSET_PARTS * channels) as f64).sqrt();
         (noise_v > 0.0).then_some(noise_v)
     }
 
@@ -113,7 +113,7 @@ impl Untouched {
             of_pairs(&change_v)
         };
         let changes: Vec<Vec<f64>> = both.map(change).collect();
-        let pairs = changes.first().filter(|_| changes.len() >= PARTS * PART_FRAMES)?.len();
+        let pairs = changes.first().filter(|_| changes.len() >= OFFSET_PARTS * PART_FRAMES)?.len();
         let squares: f64 = changes.iter().flatten().map(|v| v * v).sum();
         // The noise of the frame itself is no offset.
         let noise_v2 = self.noise_sd_v()?.powi(2) / (self.averaged * pairs as f64);
@@ -131,8 +131,8 @@ impl Untouched {
             channels.map(|c| f64::from(frame[c]) - offset_v[c]).sum::<f64>() / pairs as f64
         };
         let count = self.part()?;
-        let (mut means, mut noise_v2) = (Vec::with_capacity(PARTS), 0.0);
-        for part in self.frames_v.chunks_exact(count).take(PARTS) {
+        let (mut means, mut noise_v2) = (Vec::with_capacity(OFFSET_PARTS), 0.0);
+        for part in self.frames_v.chunks_exact(count).take(OFFSET_PARTS) {
             let mean = |pair| part.iter().map(|f| of_pair(f, pair)).sum::<f64>() / count as f64;
             let mean: Vec<f64> = (0..pairs).map(mean).collect();
             for (pair, mean) in mean.iter().enumerate() {
@@ -142,14 +142,15 @@ impl Untouched {
             means.push(mean);
         }
         // Variance of the mean of a part by noise alone.
-        let noise_v2 = noise_v2 / (PARTS * pairs * count) as f64;
+        let noise_v2 = noise_v2 / (OFFSET_PARTS * pairs * count) as f64;
         let mean_square = |values: &mut dyn Iterator<Item = f64>, number: usize| {
             values.map(|v| v * v).sum::<f64>() / number as f64
         };
-        let in_run_v2 = mean_square(&mut means.iter().flatten().copied(), PARTS * pairs) - noise_v2;
-        let ends = means[0].iter().zip(&means[PARTS - 1]);
+        let in_run_v2 =
+            mean_square(&mut means.iter().flatten().copied(), OFFSET_PARTS * pairs) - noise_v2;
+        let ends = means[0].iter().zip(&means[OFFSET_PARTS - 1]);
         let change_v2 = mean_square(&mut ends.map(|(a, b)| a - b), pairs) - 2.0 * noise_v2;
-        let between_hours = self.hours * (1.0 - 1.0 / PARTS as f64);
+        let between_hours = self.hours * (1.0 - 1.0 / OFFSET_PARTS as f64);
         let growth = if self.hours >= LEAST_HOURS { AGE_HOURS / between_hours } else { 1.0 };
         Some((in_run_v2.max(0.0) + growth * change_v2.max(0.0)).sqrt())
     }

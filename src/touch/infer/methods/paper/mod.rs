@@ -15,7 +15,7 @@ use crate::problem::Problem;
 /// Least sum of a peak for nets trained without forces, whose contacts sum up to 1.
 const HALF_A_CONTACT: f64 = 0.5;
 /// Number of frames whose maps are in memory at a time.
-const FRAMES_AT_ONCE: usize = 64;
+const MAPS_AT_ONCE: usize = 64;
 
 /// Transfer-Net and Recon-Net, or an end-to-end net alone.
 #[derive(Debug, Clone)]
@@ -106,7 +106,7 @@ impl ReadyMethod for MapPipeline {
     fn read(&self, frames: &Frames<'_>, maps: ForceMaps) -> Result<Vec<Reading>, InferError> {
         let mut readings = Vec::new();
         let first = self.transfer.as_ref().unwrap_or(&self.map);
-        for frames in frames.voltages_v.chunks(FRAMES_AT_ONCE * first.plan.channels()) {
+        for frames in frames.voltages_v.chunks(MAPS_AT_ONCE * first.plan.channels()) {
             readings.extend(self.read_some(frames, maps)?);
         }
         Ok(readings)
