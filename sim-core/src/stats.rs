@@ -1,4 +1,4 @@
-//! Quantiles of samples, and the fraction of variance unexplained of a frame.
+//! Quantiles of samples; the fraction of variance unexplained of a frame, and its sums over the injections.
 //! Uses: nothing. Never: weights, missing values (callers remove them).
 //!
 //! There are two quantiles. [`quantile`] interpolates and is that of every reported number.
@@ -49,6 +49,18 @@ pub fn upper_quantile(sorted: &[f64], share: f64) -> Option<f64> {
 /// even number of values. `None` without values.
 pub fn median(values: impl IntoIterator<Item = f64>) -> Option<f64> {
     quantile(&sorted(values), 0.5)
+}
+
+/// Sums of a frame over its injections: one per pair of electrodes, in the unit of the frame.
+///
+/// `frame`: a value per channel, injection-major, as many injections as pairs.
+pub fn pair_sums(frame: &[f64]) -> Vec<f64> {
+    let pairs = frame.len().isqrt().max(1);
+    let mut sums = vec![0.0; pairs];
+    for injection in frame.chunks(pairs) {
+        sums.iter_mut().zip(injection).for_each(|(sum, value)| *sum += value);
+    }
+    sums
 }
 
 /// Fraction of variance unexplained of one frame (paper, Eq. 2): the sum of squared differences over
@@ -129,6 +141,12 @@ mod tests {
     #[should_panic(expected = "a share is 0 to 1")]
     fn a_percentage_is_no_share() {
         quantile(&[1.0, 2.0], 50.0);
+    }
+
+    #[test]
+    fn a_pair_is_summed_over_the_injections() {
+        assert_eq!(pair_sums(&[1.0, 10.0, 2.0, 30.0]), [3.0, 40.0]);
+        assert_eq!(pair_sums(&[]), [0.0]);
     }
 
     #[test]

@@ -16,6 +16,7 @@ use super::fit::Observation;
 use crate::batch::{BatchModel, BatchWork};
 use crate::forward::Contact;
 use crate::sensor::Sensor;
+use crate::stats::pair_sums;
 
 /// Number of sample loads from which the directions are determined.
 const SAMPLE_LOADS: usize = 640;
@@ -94,16 +95,8 @@ impl Basis {
         }
         flat.resize(width * channels, 0.0);
         // What is correlated between the numbers is dropped: their variances stay.
-        let pairs = channels.isqrt().max(1);
-        let by_drift = |row: &Vec<f64>| -> f64 {
-            let of_pair = |pair: usize| {
-                let injections = (pair..channels).step_by(pairs);
-                injections.map(|c| row[c] * inverse_sd[c]).sum::<f64>()
-            };
-            (0..pairs).map(|pair| of_pair(pair).powi(2)).sum()
-        };
-        let mut drift: Vec<f64> = rows.iter().map(by_drift).collect();
-        drift.resize(width, 0.0);
+        let by_drift = |row: &[f64]| pair_sums(row).iter().map(|sum| sum.powi(2)).sum::<f64>();
+        let drift: Vec<f64> = flat.chunks_exact(channels).map(by_drift).collect();
         let precision: f64 = inverse_sd.iter().map(|s| s * s).sum();
         let mean_precision = precision / channels as f64;
         // What the numbers have of the drift is not outside.

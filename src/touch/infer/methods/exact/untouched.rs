@@ -126,17 +126,19 @@ impl Untouched {
     /// with too few frames.
     fn day_sd_v(&self, offset_v: &[f64]) -> Option<f64> {
         let pairs = offset_v.len().isqrt().max(1);
-        let of_pair = |frame: &Vec<f32>, pair: usize| -> f64 {
-            let channels = (pair..offset_v.len()).step_by(pairs);
-            channels.map(|c| f64::from(frame[c]) - offset_v[c]).sum::<f64>() / pairs as f64
+        let change = |frame: &Vec<f32>| {
+            let both = frame.iter().zip(offset_v);
+            let change_v: Vec<f64> = both.map(|(v, offset)| f64::from(*v) - offset).collect();
+            of_pairs(&change_v)
         };
         let count = self.part()?;
         let (mut means, mut noise_v2) = (Vec::with_capacity(OFFSET_PARTS), 0.0);
         for part in self.frames_v.chunks_exact(count).take(OFFSET_PARTS) {
-            let mean = |pair| part.iter().map(|f| of_pair(f, pair)).sum::<f64>() / count as f64;
+            let changes: Vec<Vec<f64>> = part.iter().map(change).collect();
+            let mean = |pair: usize| changes.iter().map(|c| c[pair]).sum::<f64>() / count as f64;
             let mean: Vec<f64> = (0..pairs).map(mean).collect();
             for (pair, mean) in mean.iter().enumerate() {
-                let squares = part.iter().map(|f| (of_pair(f, pair) - mean).powi(2)).sum::<f64>();
+                let squares = changes.iter().map(|c| (c[pair] - mean).powi(2)).sum::<f64>();
                 noise_v2 += squares / (count - 1) as f64;
             }
             means.push(mean);
