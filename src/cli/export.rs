@@ -1,7 +1,7 @@
 //! `palpate dataset export` and `dataset exports`: a dataset as a file, and the list of such files.
-//! Uses: `client`. Never: rows in this process (the service writes them).
+//! Uses: `client`, `new_file`. Never: rows in this process (the service writes them).
 
-use std::io::{Seek, SeekFrom, Write};
+use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -24,8 +24,8 @@ use super::start_time::local;
 use super::table::{Align, Table, or_dash};
 use crate::dataset::export::ExportRequest;
 use crate::dataset::format::Format;
-use crate::digest::Hashing;
 use crate::ids::DatasetId;
+use crate::new_file::NewFile;
 
 /// Interval of polling an export's progress.
 const EXPORT_POLL: Duration = Duration::from_millis(200);
@@ -152,10 +152,9 @@ async fn follow(client: &Client, asked: ExportView) -> Result<ExportView, CliErr
 /// Downloads the file of an export, and resumes if a connection breaks.
 async fn fetch(client: &Client, done: &ExportView, out: &Path) -> Result<(), CliError> {
     let failed = |source| CliError::File { path: out.into(), source };
-    let partial = out.with_extension("partial");
-    let mut file = std::fs::File::create(&partial).map_err(failed)?;
+    let mut file = NewFile::create_for(out).map_err(failed)?;
     let url = done.url.clone().unwrap_or_else(|| format!("/api/v1/exports/{}/file", done.id));
-    let (mut hash, mut have, mut tries) = (Hashing::default(), 0_u64, 0);
+    let (mut have, mut tries) = (0_u64, 0);
     let wanted = done.bytes.unwrap_or_default();
     let bar = progress_bar("bytes");
     let mut lines = LogLines::instead_of(&bar);
@@ -168,7 +167,6 @@ async fn fetch(client: &Client, done: &ExportView, out: &Path) -> Result<(), Cli
             match piece {
                 Ok(piece) => {
                     file.write_all(&piece).map_err(failed)?;
-                    hash.update(&piece);
                     have += piece.len() as u64;
                     bar.set_position(have);
                     lines.say(|| format!("{have} of {wanted} bytes downloaded"));
@@ -184,13 +182,13 @@ async fn fetch(client: &Client, done: &ExportView, out: &Path) -> Result<(), Cli
         }
     }
     bar.finish_and_clear();
-    let found = hash.finish();
+    let found = file.sha256();
     if Some(&found) != done.sha256.as_ref() {
         let detail = format!("the downloaded file has the sha256 {found}");
         return Err(CliError::Refused { operation: format!("GET {url}"), status: 500, detail });
     }
-    file.seek(SeekFrom::End(0)).and_then(|_| file.sync_all()).map_err(failed)?;
-    std::fs::rename(&partial, out).map_err(failed)
+    let name = out.file_name().unwrap_or_default().to_string_lossy();
+    file.finish(&name).map(drop).map_err(failed)
 }
 
 /// Prints the exports, newest first.

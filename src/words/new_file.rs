@@ -62,6 +62,21 @@ impl NewFile {
         Ok(Self { folder, partial, file, sha256, bytes: 0, finished: false })
     }
 
+    /// Creates a file under a temporary name in the folder of `path`, which is created if needed.
+    ///
+    /// # Errors
+    /// If folder or file cannot be created.
+    pub fn create_for(path: &Path) -> io::Result<Self> {
+        // The folder of a name alone is the present one.
+        let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
+        Self::create(folder.unwrap_or(Path::new(".")))
+    }
+
+    /// sha256 of the bytes that have been written, in hexadecimal digits.
+    pub fn sha256(&self) -> String {
+        self.sha256.clone().finish()
+    }
+
     /// Path under the temporary name.
     pub fn path(&self) -> &Path {
         &self.partial
@@ -174,6 +189,7 @@ mod tests {
         file.write_all(b"ab").unwrap();
         file.write_all(b"c").unwrap();
         assert!(!folder.join("a.txt").exists());
+        assert_eq!(file.sha256(), crate::digest::sha256_hex("abc"));
         let finished = file.finish("a.txt").unwrap();
         assert_eq!((finished.bytes, finished.sha256), (3, crate::digest::sha256_hex("abc")));
         assert_eq!(names(&folder), ["a.txt"]);

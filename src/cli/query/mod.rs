@@ -2,7 +2,7 @@
 //! Uses: `client`, `table`, `figure::series`. Never: rows in this process but those that it shows.
 
 use std::io::{IsTerminal, Write};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::time::Duration;
 
 use clap::Args;
@@ -207,8 +207,7 @@ async fn write(
         return Ok(());
     };
     let failed = |source| CliError::File { path: path.clone(), source };
-    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
-    let mut file = NewFile::create(folder.unwrap_or(Path::new("."))).map_err(failed)?;
+    let mut file = NewFile::create_for(&path).map_err(failed)?;
     while let Some(piece) = pieces.next().await {
         let piece = piece.map_err(|source| CliError::Http { operation: operation(), source })?;
         file.write_all(&piece).map_err(failed)?;

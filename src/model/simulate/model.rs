@@ -73,7 +73,8 @@ fn cache_file(sensor: &Sensor, cache_dir: &Path) -> PathBuf {
 }
 
 /// Writes a temporary file and renames it: a reader never reads a partial file. If the disk is
-/// full, the temporary file is removed.
+/// full, the temporary file is removed. Not a [`new_file::NewFile`]: several processes share the cache, and
+/// [`sweep_partial`] must tell by the name whose file is unfinished.
 fn write_whole(path: &Path, bytes: &[u8]) -> io::Result<()> {
     let dir = path.parent().unwrap_or(Path::new("."));
     new_file::make_folder(dir)?;
