@@ -83,6 +83,31 @@ pub enum Request {
     Shutdown,
 }
 
+impl Request {
+    /// Whether it concerns the rig, not a run: a person operates the rig.
+    pub fn is_of_rig(&self) -> bool {
+        match self {
+            Self::Connect
+            | Self::Disconnect
+            | Self::Home
+            | Self::Jog { .. }
+            | Self::Tare
+            | Self::Reset
+            | Self::Mounted { .. } => true,
+            Self::Start(_)
+            | Self::PauseAtCheckpoint
+            | Self::PauseNow
+            | Self::Suspend(_)
+            | Self::Resume
+            | Self::Stop
+            | Self::Abort
+            | Self::Confirm { .. }
+            | Self::Repeat { .. }
+            | Self::Shutdown => false,
+        }
+    }
+}
+
 /// Reason why a request was refused.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum Refusal {

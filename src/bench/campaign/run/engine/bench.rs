@@ -63,16 +63,8 @@ impl Engine {
             },
             Request::Tare => self.tare().await,
             Request::Mounted { tips, who } => self.mounted(tips, &who).await,
-            Request::Start(_)
-            | Request::PauseAtCheckpoint
-            | Request::PauseNow
-            | Request::Suspend(_)
-            | Request::Resume
-            | Request::Stop
-            | Request::Abort
-            | Request::Confirm { .. }
-            | Request::Repeat { .. }
-            | Request::Shutdown => {
+            // Of a run. Which requests these are, `Request::is_of_rig` states.
+            _ => {
                 let words = format!("{} is not possible: no run is active", name(&request));
                 Err(Refusal::State(words))
             }
@@ -89,16 +81,8 @@ impl Engine {
             Request::Tare | Request::Mounted { .. } => rig != RigState::Disconnected,
             Request::Reset => rig == RigState::Tripped,
             Request::Disconnect => rig != RigState::Armed,
-            Request::Start(_)
-            | Request::PauseAtCheckpoint
-            | Request::PauseNow
-            | Request::Suspend(_)
-            | Request::Resume
-            | Request::Stop
-            | Request::Abort
-            | Request::Confirm { .. }
-            | Request::Repeat { .. }
-            | Request::Shutdown => true,
+            // Refused by `rig_request`.
+            _ => true,
         };
         let words = || match request {
             Request::Reset => format!("the rig is {}, not tripped: nothing to reset", rig.as_str()),

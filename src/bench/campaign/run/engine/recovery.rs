@@ -10,7 +10,6 @@ use super::{Engine, Waited, backoff};
 use crate::campaign::bench::rig_state::RigState;
 use crate::campaign::run::job::Job;
 use crate::campaign::run::run_state::{PausedWhy, RunEvent, RunState};
-use crate::campaign::shown::command::Request;
 use crate::journal::error_chain;
 use crate::rig::error::RigError;
 use crate::rig::traits::Bench;
@@ -59,29 +58,6 @@ impl<'a> Automatic<'a> {
         let at = now + backoff(job, *resumes);
         let silent_since = Some(now);
         Self { resumes, waits_for, at, attempts: 0, has_homed: false, is_down: false, silent_since }
-    }
-}
-
-/// Whether a request means that a person operates the rig: the run then resumes only by request.
-pub(super) fn is_by_hand(request: &Request) -> bool {
-    match request {
-        Request::Connect
-        | Request::Disconnect
-        | Request::Home
-        | Request::Jog { .. }
-        | Request::Tare
-        | Request::Reset
-        | Request::Mounted { .. } => true,
-        Request::Start(_)
-        | Request::PauseAtCheckpoint
-        | Request::PauseNow
-        | Request::Suspend(_)
-        | Request::Resume
-        | Request::Stop
-        | Request::Abort
-        | Request::Confirm { .. }
-        | Request::Repeat { .. }
-        | Request::Shutdown => false,
     }
 }
 

@@ -3,7 +3,7 @@
 
 use serde_json::json;
 
-use super::recovery::{Automatic, is_by_hand};
+use super::recovery::Automatic;
 use super::skin::next_window;
 use super::{Answer, Attempts, Engine, IDLE_TICK, Last, Next, Owed, Waited};
 use crate::campaign::bench::rig_state::RigState;
@@ -45,7 +45,7 @@ impl Engine {
                     Some(envelope) => {
                         // The request may close the wires: no window keeps them.
                         window.set(next_window(None));
-                        if is_by_hand(&envelope.request) {
+                        if envelope.request.is_of_rig() {
                             let words = "a request to resume: a person has operated the rig";
                             self.end_automatic(&mut automatic, Some(words.into()));
                         }
