@@ -210,14 +210,19 @@ fn data_sha256<'a>(trials: impl Iterator<Item = &'a MeasuredTrial>) -> String {
     let mut digest = Hashing::default();
     for trial in trials {
         digest.update((trial.contacts.len() as u64).to_le_bytes());
-        for contact in &trial.contacts {
-            for value in [contact.x_mm, contact.y_mm, contact.force_n] {
-                digest.update(value.to_le_bytes());
-            }
-        }
-        trial.frame_v.iter().for_each(|v| digest.update(v.to_le_bytes()));
+        digest_trial(&mut digest, &trial.contacts, &trial.frame_v);
     }
     digest.finish()
+}
+
+/// Adds the contacts of a trial and its frame, V, to a digest.
+pub fn digest_trial(digest: &mut Hashing, contacts: &[Contact], frame_v: &[f32]) {
+    for contact in contacts {
+        for value in [contact.x_mm, contact.y_mm, contact.force_n] {
+            digest.update(value.to_le_bytes());
+        }
+    }
+    frame_v.iter().for_each(|v| digest.update(v.to_le_bytes()));
 }
 
 #[cfg(test)]

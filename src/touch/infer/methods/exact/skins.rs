@@ -277,12 +277,7 @@ fn key(model: &ForwardModel, known: &KnownTrials) -> String {
     digest.update(known.untouched.hours.to_le_bytes());
     for trial in &known.pressed {
         digest.update(trial.frames.to_le_bytes());
-        for contact in &trial.contacts {
-            for value in [contact.x_mm, contact.y_mm, contact.force_n] {
-                digest.update(value.to_le_bytes());
-            }
-        }
-        trial.frame_v.iter().for_each(|v| digest.update(v.to_le_bytes()));
+        skin::digest_trial(&mut digest, &trial.contacts, &trial.frame_v);
     }
     digest.finish()
 }
