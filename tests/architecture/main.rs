@@ -311,7 +311,11 @@ fn a_forbidden_phrase_is_found_however_it_is_broken() {
         ] {
             assert_eq!(in_file("src/a.rs", &text).len(), 1, "{text}");
             assert_eq!(in_file("docs/how-to/a.md", &text).len(), 1, "{text}");
-            assert_eq!(in_file("web/lib/a.js", &text).len(), 1, "{text}");
+            for path in
+                ["web/lib/a.js", "web/a.html", "web/a.css", "experiments/a.toml", "python/a.py"]
+            {
+                assert_eq!(in_file(path, &text).len(), 1, "{path}: {text}");
+            }
             none(in_file("docs/style.md", &text));
             none(in_file("web/vendor/a.js", &text));
             none(in_file("migrations/0001_a.sql", &text));
@@ -319,6 +323,7 @@ fn a_forbidden_phrase_is_found_however_it_is_broken() {
     }
     let second = in_file("src/a.rs", "//! A.\n// A net of its\n// own.");
     assert_eq!(second, ["src/a.rs:2: \"of its own\", see docs/style.md"]);
+    assert_eq!(in_file("python/a.py", "# A net of its\n# own.").len(), 1);
     none(in_file(
         "src/a.rs",
         "//! On its own thread; a canewood; `well_gone_on`.\n// So.\n\n// Many.",
