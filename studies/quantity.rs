@@ -16,7 +16,7 @@ use crate::sheet::Sheet;
 /// The regressions that every net is compared with, and their names.
 const BASELINES: [(&str, &str); 2] = [("ridge", "ridge"), ("kernel-ridge", "kernel ridge")];
 
-/// What is compared.
+/// Nets that are compared, and the rows and the quantity on which they are.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Compared {
     /// Quantity that is answered.

@@ -165,9 +165,9 @@ fn shown(part: &impl ToString) -> String {
 /// Names found in a statement.
 #[derive(Default)]
 struct Reads {
-    /// Read in FROM.
+    /// Tables that FROM names.
     tables: BTreeSet<String>,
-    /// Defined by WITH.
+    /// Names that WITH defines.
     defined: BTreeSet<String>,
     /// Names that are defined twice by WITH.
     twice: Option<String>,

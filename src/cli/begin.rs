@@ -149,7 +149,7 @@ pub struct Begun {
     pub since: i64,
     /// Whether it waits for another run or for its time.
     pub waiting: bool,
-    /// What was planned.
+    /// Its preflight: number of trials, duration, disk space.
     pub preflight: PreflightView,
 }
 

@@ -37,7 +37,7 @@ pub struct SuspenderView {
     pub value: Option<f64>,
     /// Value beyond which the run is suspended, in the same unit.
     pub threshold: f64,
-    /// Unit of both.
+    /// Unit of value and threshold.
     pub unit: String,
     /// Time since which the value is beyond the threshold.
     pub since: Option<Timestamp>,

@@ -35,7 +35,7 @@ pub struct Signals {
     hang_up: Signal,
 }
 
-/// Kinds of signals.
+/// Signal that ends or interrupts a command.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Asked {
     /// A person pressed Ctrl-C.

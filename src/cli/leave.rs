@@ -12,7 +12,7 @@ pub enum Choice {
     Resume,
     /// End after the trial; the run can be resumed later.
     Stop,
-    /// Continue to follow.
+    /// Leave the run as it is, and continue to follow it.
     Continue,
 }
 

@@ -31,7 +31,7 @@ const TOUCHED: &str = "contact_count__gte=1";
 /// Number of trials that are drawn.
 const EXAMPLES: u64 = 3;
 
-/// What is scored.
+/// Methods that are scored, and the dataset on which they are.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Unseen {
     /// Name or id of the dataset.
@@ -47,7 +47,7 @@ pub struct Unseen {
 /// A method's name and report.
 type Named = (String, EvaluationReport);
 
-/// Reports by group.
+/// Reports of the methods, by the group of the table in which they are.
 struct Scores {
     /// The paper's pipeline: each map at each level of noise.
     pipeline: Vec<Named>,
@@ -85,7 +85,7 @@ pub async fn fig_12<L: Lab>(lab: &L, budget: &Budget, unseen: &Unseen) -> Result
     Ok(sheet(budget, &scores, &columns)?)
 }
 
-/// The study's parts.
+/// The arguments of the study, for its steps.
 struct Study<'a, L> {
     lab: &'a L,
     budget: &'a Budget,

@@ -38,7 +38,7 @@ pub enum Going {
 pub enum Command {
     /// Move to a position, in the axis's unit.
     Move(f64),
-    /// Find the zero.
+    /// Home: find the zero of the axis.
     Home,
     /// Stop before the target is reached.
     Stop,

@@ -45,7 +45,7 @@ pub struct Suspender {
     pub value: Option<f64>,
     /// Value beyond which it acts.
     pub threshold: Option<f64>,
-    /// Unit of both.
+    /// Unit of value and threshold; absent without one.
     pub unit: Option<String>,
     /// Time since which the value is beyond the threshold.
     pub since: Option<Timestamp>,

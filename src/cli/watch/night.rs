@@ -21,7 +21,7 @@ const OLD_PROGRESS: SignedDuration = SignedDuration::from_secs(15);
 /// Number of events that are kept.
 const EVENTS_KEPT: usize = 60;
 
-/// What was read.
+/// An answer of the service that changes the screen.
 #[derive(Debug)]
 pub enum News {
     /// The status, and when it was asked for.
@@ -98,7 +98,7 @@ pub enum Level {
 /// State of a configuration on the map.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Mark {
-    /// It comes later.
+    /// Its turn has not come.
     Later,
     /// All its trials are stored.
     Done,

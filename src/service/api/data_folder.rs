@@ -75,11 +75,11 @@ fn warn_if_open(data: &Path) -> io::Result<()> {
 /// What to do with the rights of a folder or file.
 #[derive(Debug, PartialEq, Eq)]
 enum Rights {
-    /// Nothing.
+    /// Leave them: other users have none.
     Private,
     /// Set this mode.
     Narrow(u32),
-    /// Nothing: it belongs to another user, or to all users.
+    /// Leave them: it belongs to another user, or to all users.
     NotOurs,
 }
 

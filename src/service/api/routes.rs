@@ -230,7 +230,7 @@ pub fn table() -> Vec<Operation> {
 pub struct AllNeeds(HashMap<(Method, String), Needs>);
 
 impl AllNeeds {
-    /// Reads the table.
+    /// Needs of the operations of a table.
     pub fn of(table: &[Operation]) -> Self {
         let mut all = HashMap::new();
         for Operation { needs, route } in table {

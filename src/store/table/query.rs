@@ -42,7 +42,7 @@ pub enum Order {
     /// In the order in which they were stored.
     #[default]
     OldestFirst,
-    /// In reverse order.
+    /// In the reverse of the order in which they were stored.
     NewestFirst,
 }
 

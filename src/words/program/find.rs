@@ -8,7 +8,7 @@ use super::Known;
 /// How a program is available.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Program {
-    /// It is there.
+    /// It is installed at this path.
     Ready(PathBuf),
     /// It can be built, as this program was.
     Source(Build),

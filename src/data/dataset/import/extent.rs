@@ -30,7 +30,7 @@ impl Extent {
         Self { rows, values }
     }
 
-    /// Reads a footer.
+    /// Extent of a Parquet file, by its footer.
     pub fn of(footer: &ParquetMetaData) -> Self {
         let count = |n: i64| u64::try_from(n).unwrap_or(u64::MAX);
         let mut leaves: BTreeMap<String, u64> = BTreeMap::new();

@@ -16,7 +16,7 @@ const KILL: i32 = 9;
 pub enum Ended {
     /// The result is in the folder.
     Done,
-    /// It was stopped.
+    /// A request ended it before its result.
     Stopped,
 }
 

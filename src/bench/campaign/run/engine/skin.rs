@@ -27,7 +27,7 @@ pub(super) enum EmptySkin {
     Unknown,
     /// A person states that it is empty; it must come to rest.
     Tared { answer: Answer, before: Option<Window>, windows: u32 },
-    /// It is followed.
+    /// It came to rest: each window that differs from the last untouched one by noise alone is untouched, too.
     Followed(UntouchedSkin),
 }
 
