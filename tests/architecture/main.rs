@@ -1,16 +1,18 @@
 //! The structure of the source tree: which way imports point, what stays pure, how a
-//! file opens, how long it may be, and which phrases no text has. `docs/architecture.md` says why.
+//! file opens, how long it may be, what comments state, and which phrases no text has. `docs/architecture.md` says why.
 //! Uses: std alone. Never: git (a checkout without history is enough), the network.
 //!
-//! Each rule (`rules`, `prose`) is seen to find something in made-up files that break it.
+//! Each rule (`rules`, `names`, `docs`, `prose`) is seen to find something in made-up files that break it.
 
-mod prose;
+mod docs;
 mod names;
+mod prose;
 mod rules;
 mod source;
 
 use std::path::Path;
 
+use docs::{empty_comments, silent_errors};
 use names::ambiguous_constants;
 use prose::{PHRASES, forbidden_phrases};
 use rules::{
@@ -69,6 +71,12 @@ fn files_open_with_what_they_are_and_are_short() {
 #[test]
 fn a_constant_is_named_by_its_use() {
     none(ambiguous_constants(&checkout()));
+}
+
+#[test]
+fn comments_state_errors_and_say_something() {
+    none(silent_errors(&checkout()));
+    none(empty_comments(&checkout()));
 }
 
 #[test]
@@ -259,6 +267,37 @@ fn a_constant_of_one_name_in_two_files_is_found() {
         of("src/cli/b.rs", "// const PAGE: u8 = 2;\nconst OTHER: &str = \"const PAGE:\";"),
         of("virtual-rig/src/c.rs", "const PAGE: u8 = 3;"),
     ]));
+}
+
+#[test]
+fn an_error_without_a_section_is_found() {
+    let found = |text: &str| silent_errors(&[file("src/a.rs", text)]);
+    let silent = "/// Opens it.\npub async fn open(path: &Path) -> io::Result<File> {\n}\n";
+    assert_eq!(found(silent), ["src/a.rs:2: open has no # Errors"]);
+    for text in [
+        "pub fn f<F: Fn() -> u8>(\n    given: F,\n) -> Result<u8, String>\nwhere F: Send {",
+        "/// # Errors\n/// Always.\npub fn a() -> fmt::Result {}\npub const fn f() -> fmt::Result {",
+    ] {
+        assert_eq!(found(text).len(), 1, "{text}");
+    }
+    for text in [
+        "/// A.\n///\n/// # Errors\n/// `A` if it is open;\n/// `B` if not.\n#[inline]\npub fn f() -> Result<(), A> {",
+        "#[utoipa::path(get,\n    path = \"/a\")]\npub async fn f(\n) -> Result<A, B> {",
+        "fn f() -> Result<(), A> {",
+        "pub fn f(of: impl Fn() -> Result<(), A>) -> Option<A> {",
+        "#[cfg(test)]\nmod tests {\n    pub fn f() -> Result<(), A> {}\n}",
+    ] {
+        none(found(text));
+    }
+    none(silent_errors(&[file("tests/it/a.rs", silent)]));
+}
+
+#[test]
+fn a_comment_that_says_nothing_is_found() {
+    let found = |text: &str| empty_comments(&[file("src/a.rs", text)]);
+    let empty = "struct A {\n    /// Why.\n    why: u8,\n}";
+    assert_eq!(found(empty), ["src/a.rs:2: \"Why.\" says nothing"]);
+    none(found("/// Why it waits.\n/// A.\n/// Why.\n// Why.\nfn f() {}"));
 }
 
 #[test]

@@ -77,6 +77,9 @@ pub struct Skin {
 impl Skin {
     /// Builds a skin. The unit responses (seconds of work) are read from `cache_dir` if they are
     /// there, and left there if they are not.
+    ///
+    /// # Errors
+    /// `SkinError` if the unit responses cannot be solved, or sensor and gap do not match.
     pub fn new(
         sensor: Sensor,
         gap: Gap,
