@@ -26,6 +26,7 @@ mod error;
 mod evaluation;
 mod gathered;
 mod kept;
+mod scoring;
 mod starts;
 mod trainer;
 mod training;

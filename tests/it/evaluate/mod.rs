@@ -53,7 +53,7 @@ fn pressed(contacts: &[Contact]) -> Vec<MapContact> {
 /// noise alone with pixels that are no numbers; on each of the paper's twelve maps.
 fn peaks(chance: &mut Chance) -> Vec<Value> {
     let mut cases = Vec::new();
-    for (spec, kind) in TABLE_IV.iter().flat_map(|spec| (0..3).map(move |kind| (spec, kind))) {
+    for (spec, kind) in TABLE_IV_MAPS.iter().flat_map(|spec| (0..3).map(move |kind| (spec, kind))) {
         let map = ForceMap::new(*spec, [540.0, 560.0]).unwrap();
         let mut pixels = vec![0.0; map.pixels() * map.pixels()];
         if kind < 2 {

@@ -1,0 +1,364 @@
+//! Scores the answers of nets and methods to gathered rows: voltages, a quantity, or contacts.
+//! Uses: `gathered`, `evaluate`, `infer`. Never: the store, files, a number without its rows.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+use std::time::Duration;
+
+use nets::quantity::Quantity;
+use sim_core::stats::{quantile, sorted};
+
+use super::Watch;
+use super::error::JobError;
+use super::gathered::Gathered;
+use crate::clock::Clock;
+use crate::dataset::force_map::ForceMap;
+use crate::evaluate::anova::Moments;
+use crate::evaluate::perfect::perfect;
+use crate::evaluate::quantities::QuantityScores;
+use crate::evaluate::request::{EvaluationReport, EvaluationRequest, Example};
+use crate::evaluate::score::Scores;
+use crate::evaluate::touch::{Metric, Touch};
+use crate::evaluate::voltages::VoltageScores;
+use crate::ids::TrialId;
+use crate::infer::answer::FoundContact;
+use crate::infer::error::InferError;
+use crate::infer::maps::ForceMaps;
+use crate::infer::methods::{Frames, ReadyMethod};
+use crate::infer::registry::Model;
+use crate::infer::untouched::UntouchedSkins;
+use crate::learn::error::LearnError;
+use crate::learn::examples::{MEASURED, SIMULATED};
+use crate::learn::targets::Targets;
+use crate::learn::task::Reads;
+use crate::simulate::compare::difference;
+use crate::store::{Contact, DatasetRow};
+
+/// Number of frames that a Transfer-Net reads at a time.
+const TRANSFERRED_AT_ONCE: usize = 8;
+
+/// Reader of the frames.
+pub(super) enum Reader {
+    /// A Transfer-Net, or none: the frames themselves.
+    Voltages(Option<Arc<Model>>),
+    /// A net that answers a quantity.
+    Quantity(Arc<Model>, Quantity),
+    /// A method from a frame to contacts.
+    Contacts(Box<dyn ReadyMethod>),
+}
+
+impl Reader {
+    /// The method, if contacts are read.
+    pub(super) fn method(&self) -> Option<&dyn ReadyMethod> {
+        match self {
+            Self::Voltages(_) | Self::Quantity(..) => None,
+            Self::Contacts(method) => Some(method.as_ref()),
+        }
+    }
+
+    /// Nets that are used.
+    pub(super) fn nets(&self) -> Vec<&Model> {
+        match self {
+            Self::Voltages(transfer) => transfer.iter().map(Arc::as_ref).collect(),
+            Self::Quantity(net, _) => vec![net],
+            Self::Contacts(method) => method.nets(),
+        }
+    }
+
+    /// Columns of frames that are needed.
+    pub(super) fn columns(&self) -> &'static [&'static str] {
+        match self {
+            Self::Voltages(_) => &[MEASURED, SIMULATED],
+            Self::Quantity(..) => &[MEASURED],
+            Self::Contacts(method) => match method.reads() {
+                Reads::Simulated => &[SIMULATED],
+                Reads::Measured => &[MEASURED],
+            },
+        }
+    }
+}
+
+/// Inputs of the scoring.
+pub(super) struct Scoring {
+    pub(super) request: EvaluationRequest,
+    pub(super) dataset: DatasetRow,
+    /// Whether none of the rows can have been used to train a net.
+    pub(super) held_out: bool,
+    pub(super) gathered: Gathered,
+    pub(super) raw: Option<Vec<Vec<f32>>>,
+    /// The untouched skin before the rows.
+    pub(super) untouched: UntouchedSkins,
+    pub(super) reader: Reader,
+    /// Whether measured frames are read.
+    pub(super) measured: bool,
+    /// Name and channels of the rig's sensor, which is that of the exact model.
+    pub(super) rig_sensor: (String, usize),
+    pub(super) watch: Arc<Watch>,
+    pub(super) clock: Clock,
+}
+
+impl Scoring {
+    /// Scores the answers to all rows; `None` if it was stopped.
+    ///
+    /// # Errors
+    /// `JobError` if the models are for another sensor, a row cannot be read, or a model cannot answer.
+    pub(super) fn run(self) -> Result<Option<EvaluationReport>, JobError> {
+        self.check_sensor()?;
+        let mut report = self.blank();
+        self.watch.phase("scoring", self.gathered.rows.len() as u64);
+        let done = match &self.reader {
+            Reader::Voltages(transfer) => self.voltages(transfer.as_deref(), &mut report)?,
+            Reader::Quantity(net, quantity) => self.quantity(net, *quantity, &mut report)?,
+            Reader::Contacts(method) => self.contacts(method.as_ref(), &mut report)?,
+        };
+        Ok(done.then_some(report))
+    }
+
+    /// Checks that the models are for the sensor of the rows.
+    fn check_sensor(&self) -> Result<(), InferError> {
+        let here = &self.gathered.sensor;
+        let nets = self.reader.nets().into_iter().map(|net| {
+            let facts = &net.manifest.model;
+            (net.manifest.id.to_string(), facts.sensor.clone(), facts.channels)
+        });
+        let skin = self.reader.method().and_then(|method| method.skin());
+        let of_rig =
+            skin.map(|skin| (skin.id.to_owned(), self.rig_sensor.0.clone(), self.rig_sensor.1));
+        let same = |(_, sensor, channels): &(String, String, usize)| {
+            *sensor == here.name && *channels == here.channels
+        };
+        match nets.chain(of_rig).find(|model| !same(model)) {
+            None => Ok(()),
+            Some((id, sensor, channels)) => Err(InferError::OtherSensor {
+                id,
+                sensor,
+                channels,
+                here: format!("{} with {}", here.name, here.channels),
+            }),
+        }
+    }
+
+    /// Restrictions on the validity of the scores.
+    fn notes(&self) -> Vec<String> {
+        let run = self.reader.method().and_then(|method| method.skin()?.run);
+        let runs = self.dataset.lineage["runs"].as_array().into_iter().flatten();
+        let seen = run.filter(|run| runs.into_iter().any(|r| r["uid"].as_str() == Some(run)));
+        let seen = seen.map(|run| {
+            format!("the skin was calibrated to trials of run {run}, which are in the dataset")
+        });
+        let learned = (!self.held_out)
+            .then(|| "the rows may include rows that the nets were trained on".to_owned());
+        seen.into_iter().chain(learned).collect()
+    }
+
+    fn blank(&self) -> EvaluationReport {
+        let models = self.reader.nets().iter().map(|net| net.manifest.id.clone()).collect();
+        let skin = self.reader.method().and_then(|method| method.skin());
+        let calibration = skin.and_then(|skin| skin.calibration.cloned());
+        let label = self.dataset.lineage["runs"][0]["label"].as_str();
+        EvaluationReport {
+            scored: self.request.scored,
+            dataset: self.dataset.id.clone(),
+            part: self.request.part.clone(),
+            held_out: self.held_out,
+            conditions: self.request.conditions.clone(),
+            frames: self.request.frames,
+            label: label.filter(|_| self.measured).unwrap_or("simulated").into(),
+            models,
+            calibration,
+            rows: self.gathered.rows.len() as u64,
+            threshold_n: self.request.threshold_n,
+            place_sd_mm: self.request.place_sd_mm,
+            contacts: None,
+            perfect: None,
+            map: None,
+            voltages: None,
+            quantity: None,
+            cells: None,
+            latency_ms: None,
+            notes: self.notes(),
+            examples: Vec::new(),
+        }
+    }
+
+    /// Reports progress; returns `false` if the job must end.
+    fn goes_on(&self, done: usize, began_s: f64) -> bool {
+        let elapsed = Duration::from_secs_f64((self.clock.process_s() - began_s).max(1e-3));
+        self.watch.done(done as u64, done as u64, elapsed);
+        !self.watch.is_stopped()
+    }
+
+    /// Scores voltages; returns `false` if it was stopped.
+    fn voltages(
+        &self,
+        transfer: Option<&Model>,
+        report: &mut EvaluationReport,
+    ) -> Result<bool, JobError> {
+        let examples = &self.gathered.examples;
+        let channels = examples.channels;
+        let began_s = self.clock.process_s();
+        let (mut fits, mut target) = (Vec::new(), vec![0.0; channels]);
+        for (at, rows) in self.gathered.rows.chunks(TRANSFERRED_AT_ONCE).enumerate() {
+            let frames = self.frames(at * TRANSFERRED_AT_ONCE, rows)?;
+            let mut answers = Vec::new();
+            match transfer {
+                Some(model) => {
+                    model.plan.answer(&frames, &mut answers).map_err(InferError::from)?
+                }
+                None => answers = frames,
+            }
+            for (&row, answer) in rows.iter().zip(answers.chunks_exact(channels)) {
+                examples.frame(row, 1, &mut target)?;
+                let fit = difference(&target, answer);
+                fits.push((examples.contacts(row).len() as u32, fit.rmse_v, fit.fvu));
+            }
+            if !self.goes_on(fits.len(), began_s) {
+                return Ok(false);
+            }
+        }
+        report.voltages = VoltageScores::of(&fits);
+        Ok(true)
+    }
+
+    /// Scores a quantity; returns `false` if it was stopped.
+    fn quantity(
+        &self,
+        net: &Model,
+        quantity: Quantity,
+        report: &mut EvaluationReport,
+    ) -> Result<bool, JobError> {
+        let began_s = self.clock.process_s();
+        let mut answers = Vec::new();
+        for (at, rows) in self.gathered.rows.chunks(TRANSFERRED_AT_ONCE).enumerate() {
+            let frames = self.frames(at * TRANSFERRED_AT_ONCE, rows)?;
+            net.plan.answer(&frames, &mut answers).map_err(InferError::from)?;
+            if !self.goes_on(at * TRANSFERRED_AT_ONCE + rows.len(), began_s) {
+                return Ok(false);
+            }
+        }
+        let targets = Targets { quantity, places_mm: net.manifest.model.places_mm.clone() };
+        let contacts = self.gathered.rows.iter().map(|&row| self.gathered.examples.contacts(row));
+        let rows: Vec<_> = contacts.zip(answers.chunks_exact(targets.len())).collect();
+        report.quantity = QuantityScores::of(&targets, &rows, self.request.seed);
+        if report.quantity.is_none() {
+            let limit = format!("must have rows with a {}", quantity.name());
+            return Err(LearnError::value("evaluation", "dataset", &self.dataset.id, &limit).into());
+        }
+        Ok(true)
+    }
+
+    /// Scores contacts; returns `false` if it was stopped.
+    fn contacts(
+        &self,
+        method: &dyn ReadyMethod,
+        report: &mut EvaluationReport,
+    ) -> Result<bool, JobError> {
+        let began_s = self.clock.process_s();
+        let (mut touches, mut latencies) = (Vec::new(), Vec::new());
+        let mut calibrated = 0;
+        // One frame at a time, as on a rig: the latency is measured.
+        for (at, rows) in self.gathered.rows.chunks(1).enumerate() {
+            let voltages_v = self.frames(at, rows)?;
+            let trial = self.gathered.examples.trial_id(rows[0]);
+            let untouched = trial.and_then(|trial| self.untouched.of(TrialId(trial)));
+            calibrated += u64::from(untouched.is_none());
+            let (averaged, untouched) = (self.averaged(rows[0]), untouched.as_ref());
+            let frames = Frames { voltages_v: &voltages_v, averaged, untouched };
+            let before_s = self.clock.process_s();
+            let shown = (self.request.examples as usize).saturating_sub(report.examples.len());
+            let readings = method.read(&frames, ForceMaps::if_wanted(shown > 0))?;
+            latencies.push(1e3 * (self.clock.process_s() - before_s));
+            for (&row, reading) in rows.iter().zip(&readings) {
+                let sure = reading.contacts.iter().filter(|found| self.is_sure(found));
+                let found: Vec<Contact> = sure.map(Contact::from).collect();
+                let touch = Touch::of(&self.truths(row), &found);
+                touches
+                    .push(touch.map_err(|e| {
+                        LearnError::value("evaluation", "row", row, &e.to_string())
+                    })?);
+            }
+            let examples = rows.iter().zip(readings).take(shown);
+            report.examples.extend(
+                examples.map(|(&row, reading)| Example { truth: self.truths(row), reading }),
+            );
+            if !self.goes_on(touches.len(), began_s) {
+                return Ok(false);
+            }
+        }
+        if calibrated > 0 && method.takes_untouched() {
+            report.notes.push(format!(
+                "{calibrated} of {} rows were read with the offsets of the calibration, which drift",
+                touches.len()
+            ));
+        }
+        let latencies = sorted(latencies);
+        report.latency_ms =
+            quantile(&latencies, 0.5).zip(quantile(&latencies, 0.99)).map(Into::into);
+        report.contacts = Some(Scores::of(&touches, self.request.seed));
+        report.cells = Some(cells(&touches));
+        let spec = method.map();
+        let draws = ForceMap::new(spec, self.gathered.skin.width_mm, self.gathered.skin.height_mm);
+        let draws = draws.map_err(InferError::from)?;
+        let truths: Vec<Vec<Contact>> =
+            self.gathered.rows.iter().map(|&row| self.truths(row)).collect();
+        let truths = truths.iter().map(Vec::as_slice);
+        let perfect = perfect(&draws, truths, self.request.threshold_n).map_err(|error| {
+            LearnError::value("evaluation", "dataset", &self.dataset.id, &error.to_string())
+        })?;
+        if !perfect.is_empty() {
+            report.perfect = Some(Scores::of(&perfect, self.request.seed));
+            report.map = Some(spec.to_string());
+        }
+        Ok(true)
+    }
+
+    /// Whether the standard deviation of a contact's position is within the requested limit.
+    fn is_sure(&self, found: &FoundContact) -> bool {
+        let sds = found.x_sd_mm.zip(found.y_sd_mm);
+        let wanted = self.request.place_sd_mm.zip(sds);
+        wanted.is_none_or(|(limit_mm, (x, y))| x.hypot(y) <= limit_mm * f64::sqrt(2.0))
+    }
+
+    /// True contacts of a row; their diameter is the tip's if none is stated.
+    fn truths(&self, row: u32) -> Vec<Contact> {
+        let tip_mm = self.gathered.skin.tip_diameter_mm;
+        let known = |c: &Contact| Contact { diameter_mm: c.diameter_mm.or(tip_mm), ..*c };
+        self.gathered.examples.contacts(row).iter().map(known).collect()
+    }
+
+    /// Frames of rows, V, one after the other.
+    fn frames(&self, first: usize, rows: &[u32]) -> Result<Vec<f32>, JobError> {
+        if let Some(raw) = &self.raw {
+            return Ok(raw[first..first + rows.len()].concat());
+        }
+        let channels = self.gathered.examples.channels;
+        let mut frames = vec![0.0; channels * rows.len()];
+        for (&row, frame) in rows.iter().zip(frames.chunks_exact_mut(channels)) {
+            self.gathered.examples.frame(row, 0, frame)?;
+        }
+        Ok(frames)
+    }
+
+    /// Number of frames of which the frame of a row is the mean.
+    fn averaged(&self, row: u32) -> f64 {
+        let count = self.gathered.examples.frame_count(row);
+        let single = self.raw.is_some() || count == 0;
+        if single { 1.0 } else { f64::from(count) }
+    }
+}
+
+/// Moments of the paper's four criteria, each contact a sample (V-C2).
+fn cells(touches: &[Touch]) -> BTreeMap<String, Moments> {
+    [
+        ("number_percent", Metric::Number),
+        ("location_mm", Metric::Location),
+        ("force_percent", Metric::Force),
+        ("diameter_percent", Metric::Diameter),
+    ]
+    .into_iter()
+    .map(|(name, metric)| {
+        let values = touches.iter().flat_map(|touch| touch.values_by_contact(metric));
+        (name.to_owned(), values.collect())
+    })
+    .collect()
+}
