@@ -297,7 +297,8 @@ impl Scoring {
         report.contacts = Some(Scores::of(&touches, self.request.seed));
         report.cells = Some(cells(&touches));
         let spec = method.map();
-        let draws = ForceMap::new(spec, self.gathered.skin.width_mm, self.gathered.skin.height_mm);
+        let skin = &self.gathered.skin;
+        let draws = ForceMap::new(spec, [skin.width_mm, skin.height_mm]);
         let draws = draws.map_err(InferError::from)?;
         let truths: Vec<Vec<Contact>> =
             self.gathered.rows.iter().map(|&row| self.truths(row)).collect();
