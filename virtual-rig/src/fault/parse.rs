@@ -1,0 +1,320 @@
+//! Parses and checks faults: a script in TOML, or one fault in JSON.
+//! Uses: serde, toml. Never: a fault that the rig of the script cannot have.
+
+use serde::Deserialize;
+
+use super::{Fault, Kind, Part, Start, Target};
+use crate::config::{ARMS, AxisName, RigFile};
+
+/// Error in a fault script.
+#[derive(Debug, thiserror::Error)]
+pub enum FaultError {
+    /// The text is not TOML (or JSON), or has a key or a type that a fault does not have.
+    #[error("{0}")]
+    Syntax(String),
+    /// A value of a fault is not valid.
+    #[error("fault {index}: {key} = {value}: {limit}")]
+    Value {
+        /// Number of the fault in the script, from 1.
+        index: usize,
+        /// Key of the value.
+        key: &'static str,
+        /// Value that was found.
+        value: String,
+        /// Allowed values.
+        limit: String,
+    },
+}
+
+/// A fault as written in a script.
+#[derive(Debug, Clone, Default, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct FaultEntry {
+    kind: String,
+    device: String,
+    at_s: Option<f64>,
+    at_frame: Option<u32>,
+    at_press: Option<u64>,
+    for_s: Option<f64>,
+    count: Option<u32>,
+    code: Option<u16>,
+    delay_ms: Option<u64>,
+    part: Option<Part>,
+    executed: Option<bool>,
+    arm: Option<u8>,
+    n_per_s: Option<f64>,
+    n: Option<f64>,
+    rate: Option<f64>,
+    alarm_after_s: Option<f64>,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Script {
+    #[serde(default)]
+    fault: Vec<FaultEntry>,
+}
+
+/// Parses and checks a fault script for a rig.
+///
+/// # Errors
+/// `FaultError` for the first invalid fault.
+pub fn script(text: &str, rig: &RigFile) -> Result<Vec<Fault>, FaultError> {
+    let script: Script = toml::from_str(text).map_err(|e| FaultError::Syntax(e.to_string()))?;
+    script.fault.iter().enumerate().map(|(i, entry)| check(i + 1, entry, rig)).collect()
+}
+
+/// Parses and checks one fault from the control socket; without a start it begins immediately.
+///
+/// # Errors
+/// `FaultError` if the fault is not valid.
+pub fn from_json(value: serde_json::Value, rig: &RigFile) -> Result<Fault, FaultError> {
+    let entry: FaultEntry =
+        serde_json::from_value(value).map_err(|e| FaultError::Syntax(e.to_string()))?;
+    check(1, &entry, rig)
+}
+
+struct Entry<'a> {
+    index: usize,
+    entry: &'a FaultEntry,
+}
+
+impl Entry<'_> {
+    fn bad(&self, key: &'static str, value: impl ToString, limit: &str) -> FaultError {
+        let (index, value) = (self.index, value.to_string());
+        FaultError::Value { index, key, value, limit: limit.to_owned() }
+    }
+
+    fn arm(&self) -> Result<usize, FaultError> {
+        match self.entry.arm {
+            Some(arm) if (1..=ARMS as u8).contains(&arm) => Ok(usize::from(arm) - 1),
+            Some(arm) => Err(self.bad("arm", arm, "must be 1 to 6")),
+            None => Err(self.bad("arm", "", "is needed: 1 to 6")),
+        }
+    }
+
+    /// Load on a cell, N, positive: the kind determines whether it pushes or pulls.
+    fn load_n(&self) -> Result<f64, FaultError> {
+        match self.entry.n {
+            Some(n) if n > 0.0 && n <= 1000.0 => Ok(n),
+            Some(n) => Err(self.bad("n", n, "must be above 0, at most 1000")),
+            None => Err(self.bad("n", "", "is needed: newtons")),
+        }
+    }
+
+    fn rate(&self) -> Result<f64, FaultError> {
+        let rate = self.entry.rate.unwrap_or(1.0);
+        let ok = rate > 0.0 && rate <= 1.0;
+        if ok { Ok(rate) } else { Err(self.bad("rate", rate, "must be in (0, 1]")) }
+    }
+
+    fn kind(&self) -> Result<Kind, FaultError> {
+        let e = self.entry;
+        let executed = e.executed.unwrap_or(false);
+        Ok(match e.kind.as_str() {
+            "no_reply" => Kind::NoReply { executed },
+            "disconnect" => Kind::Disconnect { executed },
+            "exception" => match e.code {
+                Some(code @ 1..=255) => Kind::Exception { code: code as u8 },
+                code => {
+                    let shown = code.map_or(String::new(), |c| c.to_string());
+                    return Err(self.bad("code", shown, "is needed: 1 to 255"));
+                }
+            },
+            "late_reply" => match e.delay_ms {
+                Some(delay_ms @ 1..=60_000) => Kind::LateReply { delay_ms },
+                delay => {
+                    let shown = delay.map_or(String::new(), |d| d.to_string());
+                    return Err(self.bad("delay_ms", shown, "is needed: 1 to 60000"));
+                }
+            },
+            "garbled_reply" => Kind::GarbledReply { part: e.part.unwrap_or(Part::Header) },
+            "stuck_axis" => Kind::StuckAxis { alarm_after_s: e.alarm_after_s },
+            "alarm" => Kind::Alarm { code: e.code.unwrap_or(0xFF) },
+            "power_loss" => Kind::PowerLoss,
+            // A hanging module repeats its last conversion.
+            "stale_registers" | "hung_module" => Kind::StaleRegisters,
+            "dead_cell" => Kind::DeadCell { arm: self.arm()? },
+            "saturated_cell" => Kind::SaturatedCell { arm: self.arm()? },
+            "frozen_cell" => Kind::FrozenCell { arm: self.arm()? },
+            "drifting_cell" => {
+                let n_per_s = e.n_per_s.ok_or_else(|| self.bad("n_per_s", "", "is needed"))?;
+                Kind::DriftingCell { arm: self.arm()?, n_per_s }
+            }
+            "foreign_load" => Kind::ForeignLoad { arm: self.arm()?, n: self.load_n()? },
+            "pulling_cell" => Kind::ForeignLoad { arm: self.arm()?, n: -self.load_n()? },
+            "missing_tip" => Kind::MissingTip { arm: self.arm()? },
+            "uncoupled_cell" => Kind::UncoupledCell { arm: self.arm()? },
+            "drop_bytes" => Kind::DropBytes { rate: self.rate()? },
+            "flip_bytes" => Kind::FlipBytes { rate: self.rate()? },
+            "double_bytes" => Kind::DoubleBytes { rate: self.rate()? },
+            "stall_stream" => Kind::StallStream,
+            other => return Err(self.bad("kind", other, KINDS)),
+        })
+    }
+
+    fn target(&self, rig: &RigFile) -> Result<Target, FaultError> {
+        let device = self.entry.device.as_str();
+        if let Some(&axis) = AxisName::ALL.iter().find(|a| a.as_str() == device) {
+            return Ok(Target::Axis(axis));
+        }
+        match device {
+            "ert" => Ok(Target::Ert),
+            "cells" if !rig.lines.contains_key("cells") || self.affects_cells() => {
+                Ok(Target::Cells)
+            }
+            line if rig.lines.contains_key(line) => Ok(Target::Line(line.to_owned())),
+            other => {
+                let lines: Vec<&str> = rig.lines.keys().map(String::as_str).collect();
+                let limit =
+                    format!("must be x, y, z, radial, cells, ert or a line: {}", lines.join(", "));
+                Err(self.bad("device", other, &limit))
+            }
+        }
+    }
+
+    /// A line may be called `cells`: then only faults of a module refer to the module.
+    fn affects_cells(&self) -> bool {
+        let kind = self.entry.kind.as_str();
+        let of_module = ["stale_registers", "hung_module", "foreign_load", "missing_tip"];
+        kind.ends_with("_cell") || of_module.contains(&kind)
+    }
+
+    fn start(&self) -> Result<Start, FaultError> {
+        let e = self.entry;
+        match (e.at_s, e.at_frame, e.at_press) {
+            (Some(t), None, None) if t.is_finite() && t >= 0.0 => Ok(Start::Time(t)),
+            (Some(t), None, None) => Err(self.bad("at_s", t, "must be 0 or more")),
+            (None, Some(frame), None) => Ok(Start::Frame(frame)),
+            (None, None, Some(press)) if press >= 1 => Ok(Start::Press(press)),
+            (None, None, Some(press)) => Err(self.bad("at_press", press, "counts from 1")),
+            (None, None, None) => Ok(Start::Now),
+            _ => Err(self.bad("at_s", "", "give one of at_s, at_frame, at_press")),
+        }
+    }
+}
+
+const KINDS: &str = "must be no_reply, exception, disconnect, late_reply, garbled_reply, \
+    stuck_axis, alarm, power_loss, stale_registers, hung_module, dead_cell, saturated_cell, \
+    frozen_cell, drifting_cell, pulling_cell, foreign_load, missing_tip, uncoupled_cell, \
+    drop_bytes, flip_bytes, double_bytes or stall_stream";
+
+fn check(index: usize, entry: &FaultEntry, rig: &RigFile) -> Result<Fault, FaultError> {
+    let e = Entry { index, entry };
+    let (kind, target) = (e.kind()?, e.target(rig)?);
+    let (fits, targets) = match (kind, &target) {
+        (Kind::Disconnect { .. }, _) => (true, ""),
+        (
+            Kind::NoReply { .. }
+            | Kind::Exception { .. }
+            | Kind::LateReply { .. }
+            | Kind::GarbledReply { .. },
+            target,
+        ) => (*target != Target::Ert, "an axis, cells or a line"),
+        (Kind::StaleRegisters, target) if entry.kind == "hung_module" => {
+            (*target == Target::Cells, "cells")
+        }
+        (Kind::StaleRegisters, target) => {
+            (matches!(target, Target::Axis(_) | Target::Cells), "an axis or cells")
+        }
+        (Kind::StuckAxis { .. } | Kind::Alarm { .. } | Kind::PowerLoss, target) => {
+            (matches!(target, Target::Axis(_)), "an axis")
+        }
+        (
+            Kind::DeadCell { .. }
+            | Kind::SaturatedCell { .. }
+            | Kind::FrozenCell { .. }
+            | Kind::DriftingCell { .. }
+            | Kind::ForeignLoad { .. }
+            | Kind::MissingTip { .. }
+            | Kind::UncoupledCell { .. },
+            target,
+        ) => (*target == Target::Cells, "cells"),
+        (
+            Kind::DropBytes { .. }
+            | Kind::FlipBytes { .. }
+            | Kind::DoubleBytes { .. }
+            | Kind::StallStream,
+            target,
+        ) => (*target == Target::Ert, "ert"),
+    };
+    if !fits {
+        let limit = format!("{} affects only {targets}", entry.kind);
+        return Err(e.bad("device", &entry.device, &limit));
+    }
+    if let Some(for_s) = entry.for_s.filter(|f| !(f.is_finite() && *f > 0.0)) {
+        return Err(e.bad("for_s", for_s, "must be a positive number"));
+    }
+    if entry.count == Some(0) {
+        return Err(e.bad("count", 0, "must be at least 1"));
+    }
+    Ok(Fault { kind, target, start: e.start()?, for_s: entry.for_s, count: entry.count })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn rig() -> RigFile {
+        RigFile::from_toml(include_str!("../../../experiments/rigs/virtual.toml")).unwrap()
+    }
+
+    fn parse(lines: &str) -> Result<Vec<Fault>, String> {
+        script(&format!("[[fault]]\n{lines}"), &rig()).map_err(|e| e.to_string())
+    }
+
+    #[test]
+    fn a_script_becomes_faults() {
+        let faults = parse("kind = \"no_reply\"\ndevice = \"z\"\nat_s = 2.5\nfor_s = 1.0").unwrap();
+        let expected = Fault {
+            kind: Kind::NoReply { executed: false },
+            target: Target::Axis(AxisName::Z),
+            start: Start::Time(2.5),
+            for_s: Some(1.0),
+            count: None,
+        };
+        assert_eq!(faults, [expected]);
+        assert_eq!(script("", &rig()).unwrap(), []);
+    }
+
+    #[test]
+    fn the_example_has_every_kind() {
+        let text = include_str!("../../examples/faults.toml");
+        script(text, &rig()).unwrap();
+        let shown: std::collections::BTreeSet<&str> = text
+            .lines()
+            .filter_map(|line| line.strip_prefix("kind = \"")?.strip_suffix('"'))
+            .collect();
+        let named = KINDS.trim_start_matches("must be ").replace(" or ", ", ");
+        assert_eq!(shown, named.split(", ").collect());
+    }
+
+    #[test]
+    fn a_line_called_cells_and_the_module_on_it_are_told_apart() {
+        let wire = parse("kind = \"no_reply\"\ndevice = \"cells\"").unwrap();
+        assert_eq!(wire[0].target, Target::Line("cells".into()));
+        let module = parse("kind = \"dead_cell\"\ndevice = \"cells\"\narm = 2").unwrap();
+        assert_eq!(module[0].target, Target::Cells);
+        assert_eq!(module[0].kind, Kind::DeadCell { arm: 1 });
+    }
+
+    #[test]
+    fn nonsense_is_named() {
+        let cases = [
+            ("kind = \"no_reply\"\ndevice = \"w\"", "fault 1: device = w: must be x, y, z"),
+            ("kind = \"explode\"\ndevice = \"z\"", "fault 1: kind = explode: must be no_reply"),
+            ("kind = \"dead_cell\"\ndevice = \"cells\"\narm = 7", "arm = 7: must be 1 to 6"),
+            ("kind = \"stall_stream\"\ndevice = \"z\"", "stall_stream affects only ert"),
+            ("kind = \"hung_module\"\ndevice = \"z\"", "hung_module affects only cells"),
+            ("kind = \"pulling_cell\"\ndevice = \"cells\"\narm = 1", "n = : is needed"),
+            ("kind = \"exception\"\ndevice = \"z\"", "code = : is needed: 1 to 255"),
+            ("kind = \"no_reply\"\ndevice = \"z\"\nat_s = 1.0\nat_press = 2", "give one of"),
+            ("kind = \"no_reply\"\ndevice = \"z\"\nfor_s = 0.0", "for_s = 0"),
+            ("kind = \"no_reply\"\ndevice = \"z\"\nwhen = 3", "unknown field `when`"),
+        ];
+        for (lines, expected) in cases {
+            let error = parse(lines).unwrap_err();
+            assert!(error.contains(expected), "{error}");
+        }
+    }
+}
