@@ -13,7 +13,8 @@ use rand_chacha::ChaCha8Rng;
 use crate::field::{normal, stream};
 use crate::laws::{Laws, ReadoutLaw};
 
-const DAY_S: f64 = 86_400.0;
+/// A day, s.
+pub const DAY_S: f64 = 86_400.0;
 const HOUR_S: f64 = 3_600.0;
 /// Correlation time of the temperature's irregular part, s.
 const HOURS_S: f64 = 7_200.0;

@@ -4,14 +4,13 @@
 
 use std::path::Path;
 
+use laminate::readout::DAY_S;
 use laminate::{Forces, Laminate, LaminateError, Laws, Plan, Touch};
 use serde::Deserialize;
 use sim_core::sensor::Sensor;
 
 use super::mechanics::{Mechanics, Stroke, TipPosition};
 use super::{Gap, GapError, Readout, Skin, SkinError, TipLoad};
-
-const DAY_S: f64 = 86_400.0;
 
 /// A gap file of either physics.
 #[derive(Debug, Clone, PartialEq)]
