@@ -1,11 +1,12 @@
 """Samples per second that each net learns: ours, PyTorch with its default Adam, and with fused Adam.
 
-    python trainer/examples/rate.py RATE_BINARY [--rounds N] [--seconds S] [--threads T] [NET ..]
+    python trainer/examples/rate.py RATE_BINARY [--rounds N] [--seconds S] [--threads T] [--cpu | --gpu] [NET ..]
 
 The three alternate, round after round, so that other load on the machine affects all of them equally;
 the medians over rounds are printed, and the ratios of the medians. On a shared machine, --cpu counts
 seconds of the processor instead of the clock's, with one thread each. Inputs are in memory; layers,
-losses and batches are the same. Needs torch.
+losses and batches are the same. --gpu: RATE_BINARY was built for a GPU, and PyTorch runs on the NVIDIA GPU, by
+its defaults (TF32 in convolutions alone); both copy every batch from host memory. Needs torch.
 """
 import argparse, json, statistics, subprocess, sys, time
 import torch
@@ -57,23 +58,34 @@ def build(name):
     return recon(side, kernel, [128, 64, 32] if side < 160 else [128, 64, 32, 16]), 101, side * side, mse
 
 
-def torch_rate(name, batch, seconds, fused, cpu):
+def torch_rate(name, batch, seconds, fused, cpu, gpu):
     net, inputs, targets, loss = build(name)
+    device = torch.device("cuda" if gpu else "cpu")
+    net.to(device)
     adam = torch.optim.Adam(net.parameters(), lr=1e-3, betas=(0.7, 0.999), fused=fused)
     x = torch.randn(batch, inputs)
     y = (torch.rand(batch, targets) > 0.99).float() * 9
+    if gpu:
+        x, y = x.pin_memory(), y.pin_memory()
 
     def step():
         adam.zero_grad()
-        loss(net(x), y).backward()
+        there = [t.to(device, non_blocking=True) for t in (x, y)]
+        loss(net(there[0]), there[1]).backward()
         adam.step()
 
-    for _ in range(4):
+    def finished():
+        if gpu:
+            torch.cuda.synchronize()
+
+    for _ in range(32):
         step()
+    finished()
     done, begun, used = 0, time.perf_counter(), time.process_time()
     while time.perf_counter() - begun < seconds:
         step()
         done += batch
+    finished()
     return done / (time.process_time() - used if cpu else time.perf_counter() - begun)
 
 
@@ -90,18 +102,20 @@ def main():
     parser.add_argument("--seconds", type=float, default=3)
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--cpu", action="store_true")
+    parser.add_argument("--gpu", action="store_true")
     a = parser.parse_intermixed_args()
     a.threads = 1 if a.cpu else a.threads
     torch.set_num_threads(a.threads)
     print(f"torch {torch.__version__}, {a.threads} threads, medians of {a.rounds} rounds of {a.seconds} s"
-          + (", per second of the processor" if a.cpu else ""))
+          + (", per second of the processor" if a.cpu else "")
+          + (f", {torch.cuda.get_device_name()}" if a.gpu else ""))
     for name in a.nets or NETS:
         net, batch = NETS[name]
         rates = {"ours": [], "torch": [], "fused": []}
         for _ in range(a.rounds):
             rates["ours"].append(ours(a.binary, net, batch, a.seconds, a.threads, a.cpu))
-            rates["torch"].append(torch_rate(name, batch, a.seconds, False, a.cpu))
-            rates["fused"].append(torch_rate(name, batch, a.seconds, True, a.cpu))
+            rates["torch"].append(torch_rate(name, batch, a.seconds, False, a.cpu, a.gpu))
+            rates["fused"].append(torch_rate(name, batch, a.seconds, True, a.cpu, a.gpu))
         m = {k: statistics.median(v) for k, v in rates.items()}
         print(f"{name:18} batch {batch:4}  ours {m['ours']:7.0f}/s  torch {m['torch']:7.0f}/s  fused {m['fused']:7.0f}/s"
               f"  ours/torch {m['ours'] / m['torch']:.2f}  ours/fused {m['ours'] / m['fused']:.2f}", flush=True)

@@ -1,6 +1,7 @@
 //! Samples per second that each net learns, for a comparison with PyTorch:
 //! `rate NET BATCH SECONDS [THREADS]` prints one JSON line, by the clock and by the processor's
-//! time (Linux). `rate.py` in the same folder runs this and PyTorch in turn.
+//! time (Linux). `rate.py` in the same folder runs this and PyTorch in turn. Built for a GPU, it
+//! learns there; samples are in host memory and every batch is copied.
 //! Uses: the clock, which the crate itself does not.
 
 use std::time::{Duration, Instant};
@@ -10,6 +11,7 @@ use nets::error::SamplesError;
 use nets::progress::{Flow, Observer, Plan, Progress};
 use nets::recipe::Recipe;
 use nets::samples::Samples;
+use palpate_trainer::device;
 use palpate_trainer::train::train;
 
 /// The same few hundred samples repeatedly: reading costs almost no time.
@@ -24,6 +26,8 @@ const CHANNELS: usize = 784;
 const POINTS: usize = 804;
 /// Number of samples that are repeated.
 const ROWS: usize = 256;
+/// Number of batches before the measurement: a GPU's kernels are compiled and selected in them.
+const WARM_UP: u64 = 32;
 
 impl Samples for Repeated {
     fn len(&self) -> u64 {
@@ -57,7 +61,7 @@ struct Count {
 impl Observer for Count {
     fn see(&mut self, progress: &Progress) -> Flow {
         let (now, used_s, done) = (Instant::now(), processor_s(), progress.samples[0]);
-        if progress.batches[0] < 4 {
+        if progress.batches[0] < WARM_UP {
             return Flow::Continue;
         }
         let (begun, used_before_s, first) = *self.begun.get_or_insert((now, used_s, done));
@@ -94,12 +98,13 @@ fn main() {
         targets: (0..ROWS * target_len).map(|i| if i % 97 == 0 { 9.0 } else { 0.0 }).collect(),
         target_len,
     };
+    let own = device::own();
     let plan = Plan {
         recipe,
         data: "rate".into(),
         noise_sd_v: None,
         start: None,
-        compute: Compute::Cpu { threads },
+        compute: if own.is_host() { Compute::Cpu { threads } } else { own },
     };
     let lasts = Duration::from_secs_f64(seconds.parse().expect("SECONDS is a number"));
     let mut count = Count { begun: None, lasts, rates: [0.0; 2] };

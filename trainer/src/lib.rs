@@ -27,3 +27,5 @@ pub mod job;
 
 #[cfg(test)]
 mod against_torch;
+#[cfg(all(test, feature = "gpu"))]
+mod against_processor;
