@@ -1,20 +1,19 @@
 //! Makes a dataset: surveys its runs, then reads, encodes, hashes and stores the selected rows.
-//! Uses: `store`, `dataset::{survey, shards, batch, format}`, `new_file`. Never: HTTP; all rows at once.
+//! Uses: `store`, `dataset::{survey, shards, begun, encoder}`, `new_file`. Never: HTTP; all rows at once.
 //!
 //! ```text
 //! runs -> survey (no frames) -> selected ids, parts -> pages of 1000 with frames ---+
 //! shards, each checked --------------------------------------------------------> encoder thread
 //!                                           Parquet file <- row group, sha256 of the rows <-+
 //! ```
-//! The id is known after the last row; the file is then renamed to it.
+//! The id is known after the last row; the file is then renamed to it. The first rows of a run's dataset
+//! may have been written while the run was active (`begun`).
 
 use std::collections::{BTreeMap, HashMap};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use arrow_array::RecordBatch;
-use arrow_ipc::writer::StreamWriter;
 use arrow_schema::SchemaRef;
 use futures::StreamExt;
 use jiff::Timestamp;
@@ -22,19 +21,19 @@ use serde_json::{Value, json};
 use tokio::sync::mpsc;
 
 use super::background::background;
-use super::batch::{self, Row};
+use super::batch::Row;
+use super::begun::Begun;
 use super::card;
 use super::definition::{Definition, SplitBy};
+use super::encoder::{Encoder, Tally};
 use super::error::DatasetError;
-use super::format::{Format, Stream};
 use super::inputs::Inputs;
 use super::schema::{self, BATCH_ROWS};
 use super::shards::ShardFolder;
 use super::split::{Group, Part, divide, place};
 use super::survey::{NO_PART, Survey, Surveyed, label};
-use crate::digest::{Hashing, ID_DIGITS};
-use crate::ids::DatasetId;
-use crate::new_file::{self, Finished, NewFile};
+use crate::ids::{DatasetId, TrialId};
+use crate::new_file;
 use crate::store::{DatasetRow, RunRow, Store, TrialQuery};
 
 /// Largest number of pages that wait for the encoder.
@@ -61,7 +60,8 @@ struct SplitShards {
     parts: Vec<Option<Part>>,
 }
 
-/// Makes the dataset of `inputs` in `folder`, with its card, and stores its row.
+/// Makes the dataset of `inputs` in `folder`, with its card, and stores its row. `begun`: the begun file of
+/// this dataset, which is continued if its rows are still those of the dataset.
 ///
 /// # Errors
 /// `DatasetError::Channels` or `Models` if runs or shards do not fit each other, `Changed` if
@@ -71,6 +71,7 @@ pub async fn build(
     store: &Store,
     folder: &Path,
     inputs: Inputs,
+    begun: Option<Begun>,
     at: Timestamp,
     progress: Arc<Progress>,
 ) -> Result<DatasetRow, DatasetError> {
@@ -90,28 +91,39 @@ pub async fn build(
     let lineage = lineage(store, &inputs, &rows_of_run, &shards).await?;
     let footer = footer(definition, &inputs, &lineage)?;
 
+    let mut start = None;
+    if let (Some(begun), Some((run, _))) = (begun, inputs.runs.first()) {
+        let stored = store.newest_twins(run.uid, TrialId(0), u32::MAX).await?;
+        start = begun.start_of(&columns, &surveyed.kept, &stored);
+    }
+    let encoder = match start {
+        Some(begun) => begun,
+        None => Encoder::new(folder, definition, &columns)?,
+    };
+    let rest = &surveyed.kept[encoder.tally().rows as usize..];
+
     let (pages, waiting) = mpsc::channel(PAGES_AHEAD);
-    let encoder = Encoder::new(folder, definition, &columns, footer)?;
-    let (shown, schema) = (progress.clone(), columns.clone());
-    let encoding = background(move || encode(encoder, waiting, shards, &schema, &shown));
+    let shown = progress.clone();
+    let encoding = background(move || encode(encoder, waiting, shards, &shown));
     // If the encoder fails, reading ends without an error; the encoder returns the cause.
-    let reading = read_pages(store, &inputs, &surveyed.kept, pages);
+    let reading = read_pages(store, &inputs, rest, pages);
     let (encoded, read) = futures::join!(encoding, reading);
     read?;
-    let (encoder, tally) = encoded??;
+    let mut encoder = encoded??;
 
-    let report = report(definition, &columns, channels, &surveyed, &tally);
-    let id = encoder.id();
+    let report = report(definition, &columns, channels, &surveyed, encoder.tally());
+    let (id, rows) = (encoder.id()?, encoder.tally().rows);
     // Equal rows of other inputs: the file with its sha256 stays as it is.
     let existing = store.dataset(&id).await?;
     if let Some(row) = existing.filter(|row| data_file(folder, &row.id).is_file()) {
         return Ok(store.insert_dataset(row, &inputs.key).await?);
     }
-    let finished = encoder.finish(&id)?;
+    let name = id.clone();
+    let finished = background(move || encoder.finish(&name, footer)).await??;
     let row = DatasetRow {
         name: definition.name.clone(),
         definition: serde_json::to_value(definition).map_err(DatasetError::Json)?,
-        rows: tally.rows,
+        rows,
         bytes: finished.bytes,
         sha256: finished.sha256,
         report,
@@ -198,7 +210,7 @@ fn divide_shards(
 async fn read_pages(
     store: &Store,
     inputs: &Inputs,
-    kept: &[(crate::ids::TrialId, Option<Part>)],
+    kept: &[(TrialId, Option<Part>)],
     pages: mpsc::Sender<Vec<Row>>,
 ) -> Result<(), DatasetError> {
     let by_scan_id: BTreeMap<i64, &RunRow> =
@@ -230,80 +242,17 @@ async fn read_pages(
     Ok(())
 }
 
-/// Counts of the written rows.
-#[derive(Debug, Default)]
-struct Tally {
-    rows: u64,
-    parts: BTreeMap<&'static str, u64>,
-    contact_counts: BTreeMap<u8, u64>,
-}
-
-impl Tally {
-    fn count(&mut self, part: Option<Part>, contacts: u8) {
-        self.rows += 1;
-        *self.contact_counts.entry(contacts).or_default() += 1;
-        if let Some(part) = part {
-            *self.parts.entry(part.name()).or_default() += 1;
-        }
-    }
-}
-
-/// The unfinished file of a dataset, and the hash of its rows.
-struct Encoder {
-    parquet: Stream<'static, NewFile>,
-    rows: StreamWriter<Hashing>,
-}
-
-impl Encoder {
-    fn new(
-        folder: &Path,
-        definition: &Definition,
-        schema: &SchemaRef,
-        footer: HashMap<String, String>,
-    ) -> Result<Self, DatasetError> {
-        let file =
-            NewFile::create(folder).map_err(DatasetError::file("creating a file in", folder))?;
-        let described = Arc::new(schema.as_ref().clone().with_metadata(footer));
-        let mut hash = Hashing::default();
-        hash.update(serde_json::to_string(definition).map_err(DatasetError::Json)?);
-        Ok(Self {
-            parquet: Stream::new(Format::Parquet, &described, file)?,
-            // Without the footer: the same rows have the same id on every machine.
-            rows: StreamWriter::try_new(hash, schema)?,
-        })
-    }
-
-    fn push(&mut self, batch: &RecordBatch) -> Result<(), DatasetError> {
-        self.rows.write(batch)?;
-        Ok(self.parquet.push(batch)?)
-    }
-
-    /// `ds-` and the start of a sha256 over definition, schema and rows.
-    fn id(&self) -> DatasetId {
-        let digits = self.rows.get_ref().clone().finish();
-        DatasetId::unchecked(format!("ds-{}", &digits[..ID_DIGITS]))
-    }
-
-    fn finish(self, id: &DatasetId) -> Result<Finished, DatasetError> {
-        let file = self.parquet.finish()?;
-        let name = format!("{id}.parquet");
-        file.finish(&name).map_err(DatasetError::file("writing", Path::new(&name)))
-    }
-}
-
 /// Encodes pages of trials as they arrive, then the shards. Runs on a dedicated thread.
 fn encode(
     mut encoder: Encoder,
     mut pages: mpsc::Receiver<Vec<Row>>,
     shards: Vec<SplitShards>,
-    schema: &SchemaRef,
     progress: &Progress,
-) -> Result<(Encoder, Tally), DatasetError> {
-    let mut tally = Tally::default();
+) -> Result<Encoder, DatasetError> {
+    let show = |encoder: &Encoder| progress.done.store(encoder.tally().rows, Ordering::Relaxed);
     while let Some(page) = pages.blocking_recv() {
-        encoder.push(&batch::of_trials(schema, &page)?)?;
-        page.iter().for_each(|row| tally.count(row.part, row.trial.contact_count));
-        progress.done.store(tally.rows, Ordering::Relaxed);
+        encoder.push_trials(&page)?;
+        show(&encoder);
     }
     for SplitShards { folder, parts } in shards {
         let mut parts = parts.as_slice();
@@ -311,19 +260,12 @@ fn encode(
             for rows in folder.read(shard)? {
                 let (own, rest) = parts.split_at(rows.num_rows().min(parts.len()));
                 parts = rest;
-                let batch = batch::of_shard(schema, &rows, own)?;
-                let counts = batch.column_by_name("contact_count").cloned();
-                for (row, part) in own.iter().enumerate() {
-                    let count = counts.as_ref().and_then(|c| super::filter::number(c, row));
-                    tally.count(*part, count.unwrap_or_default() as u8);
-                }
-                encoder.push(&batch)?;
-                progress.done.store(tally.rows, Ordering::Relaxed);
+                encoder.push_shard(&rows, own)?;
+                show(&encoder);
             }
         }
     }
-    encoder.rows.finish()?;
-    Ok((encoder, tally))
+    Ok(encoder)
 }
 
 /// Lineage of the rows: runs, models, folders of shards, and the version of the code.

@@ -26,6 +26,8 @@ pub mod read;
 pub mod card;
 pub mod inputs;
 pub mod pressed;
+pub mod encoder;
+pub mod begun;
 pub mod build;
 pub mod export;
 pub mod import;

@@ -31,7 +31,7 @@ pub async fn of_run(
     folder: &Path,
     run: &RunRow,
 ) -> Result<Vec<PathBuf>, DatasetError> {
-    let trials = store.newest_twins(run.uid).await?;
+    let trials = store.newest_twins(run.uid, TrialId(0), u32::MAX).await?;
     let mut files = Vec::new();
     for piece in trials.chunks(BATCH_ROWS) {
         let key = &sha256_hex(format!("{piece:?}"))[..PIECE_DIGITS];

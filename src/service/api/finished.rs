@@ -1,6 +1,8 @@
-//! Makes the dataset of each run that has ended: Parquet file and card.
-//! Uses: `dataset`, `twins`, `store`. Never: work while a run is active.
+//! Makes the dataset of each run that has ended, Parquet file and card. The file is written while the run is
+//! active, 1000 trials at a time, so that little is missing when it ends.
+//! Uses: `dataset`, `twins`, `store`. Never: more than a few seconds of work at a time while a run is active.
 
+use std::collections::HashSet;
 use std::time::Duration;
 
 use tracing::Instrument;
@@ -12,17 +14,30 @@ use crate::journal::error_chain;
 use crate::state::StoredState;
 use crate::store::RunKind;
 
-/// Interval of checking for runs that have ended.
+/// Interval of checking for runs that have ended, and for trials of the active run.
 const FINISHED_POLL: Duration = Duration::from_secs(5);
 /// Number of runs that are checked, newest first.
 const CHECKED_RUNS: u32 = 20;
 
-/// Makes the dataset of every run that has ended and has its twins, while no run is active.
+/// Writes the trials of the active run ahead, and makes the dataset of every run that has ended and has its
+/// twins: while a run is active, only that of a run whose file was begun.
 pub async fn keep(app: App) {
-    let mut done = std::collections::HashSet::new();
+    let (mut done, mut given_up) = (HashSet::new(), HashSet::new());
     loop {
         tokio::time::sleep(FINISHED_POLL).await;
-        if app.campaign.status().run.is_some() {
+        let active = app.campaign.status().run.map(|run| (run.uid, run.scan_id));
+        if let Some((run, scan_id)) = active
+            && !given_up.contains(&run)
+        {
+            let writing = app.datasets.write_ahead(run, scan_id);
+            if let Err(error) = writing.instrument(run_span(run, scan_id)).await {
+                let error = error_chain(&error);
+                tracing::info!(error, "the dataset of this run is written when it has ended");
+                given_up.insert(run);
+            }
+        }
+        let begun = app.datasets.begun().filter(|begun| active.is_none_or(|(_, id)| id != *begun));
+        if active.is_some() && begun.is_none() {
             continue;
         }
         let runs = match app.store.runs(CHECKED_RUNS, None).await {
@@ -33,6 +48,9 @@ pub async fn keep(app: App) {
             }
         };
         for run in runs.iter().filter(|run| run.state == StoredState::Ended) {
+            if active.is_some() && begun != Some(run.scan_id) {
+                continue;
+            }
             // An import may be of a skin without a model: its twins are not awaited.
             let gets_twins = app.twins.status().workers > 0 && run.kind != RunKind::Imported;
             let twins_wait = match app.twins.count(run.uid).await {

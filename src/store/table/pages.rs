@@ -87,18 +87,26 @@ impl Store {
         self.inner.bulk.read(READING, move |c| rows_of_ids(c, select, &ids, READING)).await
     }
 
-    /// Returns the ids of the trials of a run in the order of storing, each with the number of the model
-    /// of its newest twin; 0 without a twin.
+    /// Returns the ids of up to `limit` trials of a run in the order of storing, from the first one after
+    /// `after`, each with the number of the model of its newest twin; 0 without a twin.
     ///
     /// # Errors
     /// `NoSuchRun` if the run is not stored; `Sql` if the read fails.
-    pub async fn newest_twins(&self, run: RunUid) -> Result<Vec<(TrialId, i64)>, StoreError> {
+    pub async fn newest_twins(
+        &self,
+        run: RunUid,
+        after: TrialId,
+        limit: u32,
+    ) -> Result<Vec<(TrialId, i64)>, StoreError> {
         let scan_id = self.facts(run, READING).await?.scan_id;
         let rows: Vec<(i64, i64)> = sqlx::query_as(
             "SELECT t.id, coalesce((SELECT max(model) FROM twins w WHERE w.trial = t.id), 0)
-             FROM trials t INDEXED BY trials_in_order WHERE t.run = ?1 ORDER BY t.id",
+             FROM trials t INDEXED BY trials_in_order WHERE t.run = ?1 AND t.id > ?2
+             ORDER BY t.id LIMIT ?3",
         )
         .bind(scan_id)
+        .bind(after.0)
+        .bind(limit)
         .fetch_all(&self.inner.readers)
         .await
         .during(READING)?;

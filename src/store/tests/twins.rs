@@ -62,6 +62,12 @@ async fn what_is_pending_is_what_is_not_there() {
     assert_eq!(trial.sim_voltages_v, Some(vec![0.25; 784]));
     assert_eq!(store.trial_by_id(ids[1]).await.unwrap().unwrap().fvu, None, "a failure has none");
 
+    let newest = store.newest_twins(run, TrialId(0), 10).await.unwrap();
+    assert_eq!(newest.iter().map(|(trial, _)| *trial).collect::<Vec<_>>(), ids);
+    let models: Vec<i64> = newest.iter().map(|(_, model)| *model).collect();
+    assert!(models[0] > models[1] && models[1] > 0 && models[2..] == [0_i64; 3], "{models:?}");
+    assert_eq!(store.newest_twins(run, ids[0], 2).await.unwrap(), newest[1..3]);
+
     let fits = store.fits(run).await.unwrap();
     let [fit] = &fits[..] else { panic!("one trial has a frame: {fits:?}") };
     assert_eq!((fit.trial, fit.fvu, fit.contact_count), (ids[0], Some(0.05), 1));

@@ -1,6 +1,7 @@
 //! Datasets of a service on real files and sockets, and models made of them: what names give, what
 //! never changes, exports that outlive the service, imports, the tools that a notebook uses.
 
+mod ahead;
 mod exports;
 pub mod filled;
 mod formats;

@@ -17,6 +17,7 @@ use jiff::Timestamp;
 use tracing::{Instrument, error_span};
 
 use crate::clock::Clock;
+use crate::dataset::begun::Begun;
 use crate::dataset::build::{self, Progress, build, data_file};
 use crate::dataset::definition::Definition;
 use crate::dataset::error::{DatasetError, Product};
@@ -24,10 +25,10 @@ use crate::dataset::format::Format;
 use crate::dataset::inputs::Inputs;
 use crate::dataset::prune::{self, Pruned};
 use crate::dataset::read::DatasetRows;
-use crate::dataset::schema;
+use crate::dataset::schema::{self, BATCH_ROWS};
 use crate::dataset::select::Wanted;
 use crate::dataset::space::{self, Space};
-use crate::ids::DatasetId;
+use crate::ids::{DatasetId, RunUid};
 use crate::new_file::sweep;
 use crate::problem::Problem;
 use crate::state::StoredState;
@@ -45,7 +46,8 @@ struct Inner {
     store: Store,
     data: PathBuf,
     clock: Clock,
-    building: tokio::sync::Mutex<()>,
+    /// Held while a dataset is made; the begun file of a run.
+    building: tokio::sync::Mutex<Option<Begun>>,
     writing: tokio::sync::Mutex<()>,
     queue: TaskQueue<Progress>,
 }
@@ -235,7 +237,7 @@ impl Catalog {
         let (catalog, definition) = (self.clone(), definition.clone());
         let span = error_span!("dataset", dataset = definition.name);
         let making = async move {
-            let _one_at_a_time = catalog.inner.building.lock().await;
+            let mut building = catalog.inner.building.lock().await;
             let (row, inputs) = catalog.existing(&definition).await?;
             if let Some(row) = row {
                 return Ok(row);
@@ -247,16 +249,36 @@ impl Catalog {
             }
             let columns =
                 schema::of_dataset(&definition, inputs.channels(&catalog.inner.store).await?);
-            catalog
-                .check_space(Product::Dataset, inputs.candidates(), &columns, Format::Parquet)
-                .await?;
+            let begun = building.take_if(|begun| begun.is_of(&definition));
+            let rows = inputs.candidates().saturating_sub(begun.as_ref().map_or(0, Begun::rows));
+            catalog.check_space(Product::Dataset, rows, &columns, Format::Parquet).await?;
             let (store, folder) = (&catalog.inner.store, catalog.datasets());
             let at = catalog.inner.clock.timestamp();
-            let row = build(store, &folder, inputs, at, progress).await?;
+            let row = build(store, &folder, inputs, begun, at, progress).await?;
             tracing::info!(id = %row.id, rows = row.rows, "a dataset was made");
             Ok(row)
         };
         tokio::spawn(making.instrument(span)).await.map_err(|_| DatasetError::Worker)?
+    }
+
+    /// Writes the next 1000 trials of an active run to the begun file of its dataset, if they have their
+    /// twins. Does nothing while a dataset is made, or if the disk has only the space for runs.
+    ///
+    /// # Errors
+    /// `DatasetError::Store` or `File` if the trials cannot be read or written.
+    pub async fn write_ahead(&self, run: RunUid, scan_id: i64) -> Result<(), DatasetError> {
+        let Ok(mut begun) = self.inner.building.try_lock() else { return Ok(()) };
+        let (rows, columns) = (BATCH_ROWS as u64, schema::all(schema::CHANNELS));
+        match self.check_space(Product::Dataset, rows, &columns, Format::Parquet).await {
+            Err(DatasetError::DiskFull { .. }) => return Ok(()),
+            checked => checked?,
+        }
+        Begun::advance(&mut begun, &self.inner.store, &self.datasets(), run, scan_id).await
+    }
+
+    /// Returns the scan id of the run whose dataset has a begun file; `None` also while a dataset is made.
+    pub fn begun(&self) -> Option<i64> {
+        self.inner.building.try_lock().ok()?.as_ref().map(Begun::scan_id)
     }
 
     /// The dataset of the current inputs of a definition, if it exists, and these inputs.

@@ -29,6 +29,7 @@ use arrow_schema::{ArrowError, DataType, SchemaRef};
 use serde::{Deserialize, Serialize};
 use zip::result::ZipError;
 
+pub(super) use self::parquet::Writer as ParquetWriter;
 pub use columns::rows_per_batch;
 use stream::RowWriter;
 pub use stream::Stream;

@@ -5,7 +5,9 @@
 //! split for floating-point numbers, whose upper bytes repeat; deltas for whole numbers; statistics
 //! for scalars, so that readers can skip row groups, and none for lists.
 
+use std::collections::HashMap;
 use std::io::Write;
+use std::sync::Arc;
 use std::{panic, thread};
 
 use arrow_array::RecordBatch;
@@ -13,9 +15,9 @@ use arrow_schema::{Schema, SchemaRef};
 use parking_lot::Mutex;
 use parquet::arrow::arrow_writer::{
     ArrowColumnChunk, ArrowColumnWriter, ArrowLeafColumn, ArrowRowGroupWriterFactory,
-    compute_leaves,
+    ArrowWriterOptions, compute_leaves,
 };
-use parquet::arrow::{ArrowSchemaConverter, ArrowWriter};
+use parquet::arrow::{ArrowSchemaConverter, ArrowWriter, add_encoded_arrow_schema_to_metadata};
 use parquet::basic::{Compression, Encoding, Type, ZstdLevel};
 use parquet::errors::ParquetError;
 use parquet::file::metadata::KeyValue;
@@ -24,8 +26,8 @@ use parquet::file::writer::SerializedFileWriter;
 
 use super::FormatError;
 
-/// A Parquet file being written.
-pub(super) struct Writer<W: Write + Send> {
+/// A Parquet file being written. The metadata of the schema is written at the end.
+pub(in crate::dataset) struct Writer<W: Write + Send> {
     schema: SchemaRef,
     file: SerializedFileWriter<W>,
     columns: ArrowRowGroupWriterFactory,
@@ -33,15 +35,22 @@ pub(super) struct Writer<W: Write + Send> {
 }
 
 impl<W: Write + Send> Writer<W> {
-    pub(super) fn new(schema: &SchemaRef, out: W) -> Result<Self, FormatError> {
-        let settings = Some(properties(schema)?);
-        let writer = ArrowWriter::try_new(out, schema.clone(), settings)?;
+    pub(in crate::dataset) fn new(schema: &SchemaRef, out: W) -> Result<Self, FormatError> {
+        let options = ArrowWriterOptions::new()
+            .with_properties(properties(schema)?)
+            .with_skip_arrow_metadata(true);
+        let writer = ArrowWriter::try_new_with_options(out, schema.clone(), options)?;
         let (file, columns) = writer.into_serialized_writer()?;
         Ok(Self { schema: schema.clone(), file, columns, groups: 0 })
     }
 
+    /// Replaces the metadata of the schema.
+    pub(in crate::dataset) fn describe(&mut self, metadata: HashMap<String, String>) {
+        self.schema = Arc::new(self.schema.as_ref().clone().with_metadata(metadata));
+    }
+
     /// Appends a row group, unless the batch is empty.
-    pub(super) fn push(&mut self, batch: &RecordBatch) -> Result<(), FormatError> {
+    pub(in crate::dataset) fn push(&mut self, batch: &RecordBatch) -> Result<(), FormatError> {
         if batch.num_rows() == 0 {
             return Ok(());
         }
@@ -59,9 +68,23 @@ impl<W: Write + Send> Writer<W> {
         Ok(())
     }
 
-    pub(super) fn finish(self) -> Result<W, FormatError> {
+    pub(in crate::dataset) fn finish(mut self) -> Result<W, FormatError> {
+        for pair in footer(&self.schema) {
+            self.file.append_key_value_metadata(pair);
+        }
         Ok(self.file.into_inner()?)
     }
+}
+
+/// The metadata of the schema by key, then the schema itself as Arrow encodes it.
+fn footer(schema: &Schema) -> Vec<KeyValue> {
+    let mut pairs: Vec<_> = schema.metadata().iter().collect();
+    pairs.sort();
+    let pairs = pairs.into_iter().map(|(key, text)| KeyValue::new(key.clone(), text.clone()));
+    let builder = WriterProperties::builder().set_key_value_metadata(Some(pairs.collect()));
+    let mut properties = builder.build();
+    add_encoded_arrow_schema_to_metadata(schema, &mut properties);
+    properties.key_value_metadata().cloned().unwrap_or_default()
 }
 
 /// Encodes and compresses the columns of a row group on two threads; returns them in their order.
@@ -88,12 +111,8 @@ fn encode(
 }
 
 fn properties(schema: &Schema) -> Result<WriterProperties, ParquetError> {
-    let mut footer: Vec<_> = schema.metadata().iter().collect();
-    footer.sort();
-    let footer = footer.into_iter().map(|(key, text)| KeyValue::new(key.clone(), text.clone()));
     let mut properties = WriterProperties::builder()
         .set_compression(Compression::ZSTD(ZstdLevel::default()))
-        .set_key_value_metadata(Some(footer.collect()))
         .set_statistics_enabled(EnabledStatistics::Chunk);
     for leaf in ArrowSchemaConverter::new().convert(schema)?.columns() {
         let encoding = match leaf.physical_type() {
