@@ -19,7 +19,7 @@ use super::columns::{Columns, Names};
 use super::error::{During, StoreError};
 
 /// Number of connections.
-const BULK_CONNECTIONS: u32 = 4;
+pub(crate) const BULK_CONNECTIONS: u32 = 4;
 /// Longest wait for a free connection.
 const CONNECTION_WAIT: Duration = Duration::from_secs(5);
 /// Memory of the pages that a connection keeps, KiB.
