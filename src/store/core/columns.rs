@@ -43,26 +43,34 @@ enum Source<'r> {
     Lent(&'r rusqlite::Row<'r>, &'r Names),
 }
 
-/// The names of the columns of a statement.
+/// The names of the columns of a statement. Each row is read in the same order, so that the column that is
+/// read after another is found where it was found before.
 pub(crate) struct Names {
     names: Vec<String>,
-    /// Place at which a search starts: columns are mostly read in their order.
-    next: Cell<usize>,
+    /// For each column the place of the one that was read after it.
+    followers: Vec<Cell<usize>>,
+    /// Place of the column that was read last.
+    last: Cell<usize>,
 }
 
 impl Names {
     /// The names of the columns of this statement.
     pub(crate) fn of(statement: &rusqlite::Statement<'_>) -> Self {
-        let names = statement.column_names().into_iter().map(str::to_owned).collect();
-        Self { names, next: Cell::new(0) }
+        let names: Vec<String> = statement.column_names().into_iter().map(str::to_owned).collect();
+        let followers = (1..=names.len()).map(Cell::new).collect();
+        Self { names, followers, last: Cell::new(0) }
     }
 
     fn position(&self, column: &str) -> Option<usize> {
-        let (before, after) = self.names.split_at(self.next.get().min(self.names.len()));
-        let same = |name: &String| name == column;
-        let later = after.iter().position(same).map(|place| place + before.len());
-        let place = later.or_else(|| before.iter().position(same))?;
-        self.next.set(place + 1);
+        let last = self.last.get();
+        let follower = self.followers.get(last)?;
+        let is_there = |place: &usize| self.names.get(*place).is_some_and(|name| name == column);
+        let place = [follower.get(), last].into_iter().find(is_there).or_else(|| {
+            let found = self.names.iter().position(|name| name == column)?;
+            follower.set(found);
+            Some(found)
+        })?;
+        self.last.set(place);
         Some(place)
     }
 }
@@ -172,8 +180,17 @@ impl<'r> Columns<'r> {
         &self,
         column: &'static str,
     ) -> Result<Option<Timestamp>, StoreError> {
-        let Some(text) = self.get::<Option<&str>>(column)? else { return Ok(None) };
-        text.parse().map(Some).map_err(|_| self.unreadable(column, text))
+        Ok(self.time_and_text(column)?.map(|(time, _)| time))
+    }
+
+    /// Returns a time and its text as it is stored; `None` for NULL.
+    pub(crate) fn time_and_text(
+        &self,
+        column: &'static str,
+    ) -> Result<Option<(Timestamp, &'r str)>, StoreError> {
+        let Some(text) = self.get::<Option<&'r str>>(column)? else { return Ok(None) };
+        let time = text.parse().map_err(|_| self.unreadable(column, text))?;
+        Ok(Some((time, text)))
     }
 
     /// Returns the id of a run.
@@ -241,15 +258,11 @@ impl<'r> Columns<'r> {
         }
     }
 
-    /// Returns voltages, V, injection-major; `None` for NULL.
-    pub(crate) fn volts_or_none(
-        &self,
-        column: &'static str,
-    ) -> Result<Option<Vec<f32>>, StoreError> {
-        let Some(bytes) = self.get::<Option<&[u8]>>(column)? else { return Ok(None) };
+    /// Returns the voltages, V, injection-major, that a column holds as `bytes`.
+    pub(crate) fn volts(&self, column: &'static str, bytes: &[u8]) -> Result<Vec<f32>, StoreError> {
         let (values, rest) = bytes.as_chunks::<4>();
         if rest.is_empty() {
-            Ok(Some(values.iter().map(|b| f32::from_le_bytes(*b)).collect()))
+            Ok(values.iter().map(|b| f32::from_le_bytes(*b)).collect())
         } else {
             Err(self.unreadable(column, format!("{} bytes", bytes.len())))
         }

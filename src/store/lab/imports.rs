@@ -216,7 +216,7 @@ async fn insert(
         contact_count: contacts,
         max_force_n: largest,
         frame_count: trial.frame_count,
-        times: [trial.started_at, None],
+        times: [at.as_deref().map(Into::into), None],
         imported_split: trial.split.as_deref(),
     };
     let id: i64 = sqlx::query_scalar(
@@ -235,7 +235,7 @@ async fn insert(
     .bind(flags)
     .bind(contacts)
     .bind(largest)
-    .bind(at)
+    .bind(at.as_deref())
     .bind(trial.quality.saturated_channels)
     .bind(trial.quality.stuck_channels)
     .bind(trial.quality.missing_channels)

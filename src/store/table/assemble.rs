@@ -53,7 +53,7 @@ pub(crate) fn rows_of_ids(
     query.push(")) ORDER BY t.id");
     query.rows(connection, operation, |c| {
         let trial = c.get("id")?;
-        trial_row(c, tips.take(trial), placed.take(trial))
+        trial_row(c, TrialId(trial), tips.take(trial), placed.take(trial))
     })
 }
 
@@ -86,6 +86,7 @@ impl<T> Belonging<T> {
 /// Returns a trial from its columns; `placed` are its placed contacts as they are stored.
 fn trial_row(
     c: &Columns<'_>,
+    trial_id: TrialId,
     arms: Vec<ArmReading>,
     placed: Vec<Contact>,
 ) -> Result<TrialRow, StoreError> {
@@ -105,7 +106,7 @@ fn trial_row(
             *force = Some(a.force_n);
         }
     }
-    let trial_id = TrialId(c.get("id")?);
+    let (started, measured) = (c.time_and_text("started_at")?, c.time_and_text("measured_at")?);
     let of = || format!("trial {}", trial_id.0);
     let row = TrialRow {
         trial_id,
@@ -151,8 +152,8 @@ fn trial_row(
         settle_ms: c.get("settle_ms")?,
         scalars: TrialScalars::of_columns(|name| c.get(name))?,
         frame_count: c.whole("frame_count")?,
-        started_at: c.time_or_none("started_at")?,
-        measured_at: c.time_or_none("measured_at")?,
+        started_at: started.map(|(at, _)| at),
+        measured_at: measured.map(|(at, _)| at),
         imported_split: c.get("imported_split")?,
         voltages_v: match c.has("voltages_v") {
             true => checksum::volts(c, "voltages_v", "volts_crc32", of)?,
@@ -166,9 +167,9 @@ fn trial_row(
         rmse_v: c.get("rmse_v")?,
         fvu: c.get("fvu")?,
     };
-    checksum::compare(c.whole_or_none("crc32")?, Numbers::of_row(&row, &placed).crc32(), || {
-        format!("the row of {}", of())
-    })?;
+    let times = [started, measured].map(|at| at.map(|(_, text)| text));
+    let found = Numbers::of_row(&row, &placed, times).crc32();
+    checksum::compare(c.whole_or_none("crc32")?, found, || format!("the row of {}", of()))?;
     Ok(row)
 }
 

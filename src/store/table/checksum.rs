@@ -5,7 +5,7 @@
 //! SQLite stores no checksums: a bit that flips on the disk is read as another number. Rows from before
 //! migration 6 have no checksum and are not compared.
 
-use jiff::Timestamp;
+use std::borrow::Cow;
 
 use super::trial_row::{Contact, TrialRow};
 use crate::core::StoreError;
@@ -76,12 +76,14 @@ pub(crate) fn volts(
     sum: &'static str,
     of: impl FnOnce() -> String,
 ) -> Result<Option<Vec<f32>>, StoreError> {
-    if let Some(bytes) = c.get::<Option<&[u8]>>(column)? {
-        let what = || format!("{column} of {}", of());
-        compare(c.whole_or_none(sum)?, of_volts(bytes), what)?;
-    }
-    c.volts_or_none(column)
+    let Some(bytes) = c.get::<Option<&[u8]>>(column)? else { return Ok(None) };
+    let what = || format!("{column} of {}", of());
+    compare(c.whole_or_none(sum)?, of_volts(bytes), what)?;
+    c.volts(column, bytes).map(Some)
 }
+
+/// Usual number of bytes of the values that the checksum of a trial covers.
+const SUMMED_BYTES: usize = 512;
 
 /// Values of a trial that its checksum covers: its row, tips and placed contacts.
 pub(crate) struct Numbers<'a> {
@@ -100,7 +102,8 @@ pub(crate) struct Numbers<'a> {
     pub contact_count: u8,
     pub max_force_n: Option<f64>,
     pub frame_count: u32,
-    pub times: [Option<Timestamp>; 2],
+    /// Start and measurement, as they are stored.
+    pub times: [Option<Cow<'a, str>>; 2],
     pub imported_split: Option<&'a str>,
 }
 
@@ -128,13 +131,18 @@ impl<'a> Numbers<'a> {
             contact_count,
             max_force_n,
             frame_count: record.frames.len() as u32,
-            times: [Some(record.started_at), Some(record.measured_at)],
+            times: [record.started_at, record.measured_at].map(|at| Some(time_text(at).into())),
             imported_split: None,
         }
     }
 
-    /// Returns the values of a trial that was read; `placed` are its placed contacts as they are stored.
-    pub(crate) fn of_row(row: &'a TrialRow, placed: &'a [Contact]) -> Self {
+    /// Returns the values of a trial that was read; `placed` are its placed contacts and `times` its start
+    /// and measurement as they are stored.
+    pub(crate) fn of_row(
+        row: &'a TrialRow,
+        placed: &'a [Contact],
+        times: [Option<&'a str>; 2],
+    ) -> Self {
         Self {
             key: TrialKey { configuration: row.configuration, depth_index: row.depth_index },
             attempt: row.attempt,
@@ -151,7 +159,7 @@ impl<'a> Numbers<'a> {
             contact_count: row.contact_count,
             max_force_n: row.max_force_n,
             frame_count: row.frame_count,
-            times: [row.started_at, row.measured_at],
+            times: times.map(|at| at.map(Cow::Borrowed)),
             imported_split: row.imported_split.as_deref(),
         }
     }
@@ -159,7 +167,7 @@ impl<'a> Numbers<'a> {
     /// Returns the CRC-32 of the values, in the order of this function. The order never changes: a
     /// stored checksum would differ. A value that older rows lack enters only if it is present.
     pub(crate) fn crc32(&self) -> u32 {
-        let mut sum = Sum(crc32fast::Hasher::new());
+        let mut sum = Sum(Vec::with_capacity(SUMMED_BYTES));
         let wholes = [
             self.key.configuration,
             self.key.depth_index,
@@ -190,8 +198,8 @@ impl<'a> Numbers<'a> {
         for flag in self.flags {
             sum.text(Some(flag.as_str()));
         }
-        for at in self.times {
-            sum.text(at.map(time_text).as_deref());
+        for at in &self.times {
+            sum.text(at.as_deref());
         }
         // The overshoot is as old as the checksums.
         sum.if_present(self.scalars.columns().filter(|(name, _)| *name != "overshoot_n"));
@@ -200,20 +208,21 @@ impl<'a> Numbers<'a> {
             sum.text(Some("imported_split"));
             sum.text(self.imported_split);
         }
-        sum.0.finalize()
+        sum.crc32()
     }
 }
 
-/// A running checksum of values. An absent value differs from zero.
-struct Sum(crc32fast::Hasher);
+/// Values of which a checksum is computed: all at once takes a fraction of the time of one after the other.
+/// An absent value differs from zero.
+struct Sum(Vec<u8>);
 
 impl Sum {
     /// Adds numbers. SQLite stores a negative zero as zero, and NaN as NULL.
     fn numbers(&mut self, values: impl IntoIterator<Item = Option<f64>>) {
         for value in values {
             match value.filter(|v| !v.is_nan()) {
-                Some(value) => self.0.update(&(value + 0.0).to_le_bytes()),
-                None => self.0.update(b"-"),
+                Some(value) => self.0.extend_from_slice(&(value + 0.0).to_le_bytes()),
+                None => self.0.push(b'-'),
             }
         }
     }
@@ -231,8 +240,12 @@ impl Sum {
 
     /// Adds a text, then whether it is present.
     fn text(&mut self, value: Option<&str>) {
-        self.0.update(value.unwrap_or_default().as_bytes());
-        self.0.update(&[u8::from(value.is_some())]);
+        self.0.extend_from_slice(value.unwrap_or_default().as_bytes());
+        self.0.push(u8::from(value.is_some()));
+    }
+
+    fn crc32(&self) -> u32 {
+        crc32fast::hash(&self.0)
     }
 }
 
@@ -271,7 +284,7 @@ mod tests {
             contact_count: 1,
             max_force_n: Some(5.5),
             frame_count: 2,
-            times: [Some("2026-11-20T18:00:00.123Z".parse().unwrap()), None],
+            times: [Some("2026-11-20T18:00:00.123Z".into()), None],
             imported_split: None,
         };
         assert_eq!(numbers.crc32(), 0x10e258d5);
@@ -288,10 +301,10 @@ mod tests {
     #[test]
     fn a_later_scalar_enters_only_if_it_is_present() {
         let sum = |columns: &[(&'static str, Option<f64>)]| {
-            let mut sum = Sum(crc32fast::Hasher::new());
+            let mut sum = Sum(Vec::new());
             sum.numbers([Some(1.0)]);
             sum.if_present(columns.iter().copied());
-            sum.0.finalize()
+            sum.crc32()
         };
         assert_eq!(sum(&[("a_n", None), ("b_n", Some(f64::NAN))]), sum(&[]));
         assert_ne!(sum(&[("a_n", Some(0.0))]), sum(&[]));
