@@ -11,6 +11,9 @@
 //! user can open, and a [`NewFile`] is no more readable than its folder. The umask of the process stays as it
 //! is: files that a person asks for elsewhere (`--out`) follow it.
 //!
+//! [`NewFile::finish_unsynced`] omits both syncs, for files that are made again and that no later process
+//! reads: a sync of one file delays those of all others, such as the commit of a trial.
+//!
 //! Not covered: the entry of the folder in its parent if [`NewFile::create`] had to create the folder, and
 //! disks that report a sync before they have done it.
 
@@ -88,10 +91,23 @@ impl NewFile {
     /// If syncing or renaming fails; a file that could not be renamed is removed.
     pub fn finish(mut self, name: &str) -> io::Result<Finished> {
         self.file.sync_all()?;
-        fs::rename(&self.partial, self.folder.join(name))?;
-        self.finished = true;
+        self.rename(name)?;
         File::open(&self.folder)?.sync_all()?;
         Ok(Finished { bytes: self.bytes, sha256: std::mem::take(&mut self.sha256).finish() })
+    }
+
+    /// Gives the file its name. A power failure may leave a part of it under this name.
+    ///
+    /// # Errors
+    /// If renaming fails; the file is then removed.
+    pub fn finish_unsynced(mut self, name: &str) -> io::Result<()> {
+        self.rename(name)
+    }
+
+    fn rename(&mut self, name: &str) -> io::Result<()> {
+        fs::rename(&self.partial, self.folder.join(name))?;
+        self.finished = true;
+        Ok(())
     }
 }
 
@@ -195,6 +211,10 @@ mod tests {
         assert_eq!(names(&folder), ["a.txt"]);
         write(&folder, "a.txt", "d").unwrap();
         assert_eq!(fs::read(folder.join("a.txt")).unwrap(), b"d");
+        let mut again = NewFile::create(&folder).unwrap();
+        again.write_all(b"e").unwrap();
+        again.finish_unsynced("a.txt").unwrap();
+        assert_eq!(fs::read(folder.join("a.txt")).unwrap(), b"e");
         assert_eq!(names(&folder), ["a.txt"]);
         fs::remove_dir_all(folder).unwrap();
     }

@@ -5,7 +5,7 @@
 //! ```text
 //! statement -> engine (a process): which tables?   -> tables: their Parquet files
 //!                                                      ended run:  its dataset, if it is current
-//!                                                      other runs: pieces of 1000 trials, kept
+//!                                                      other runs: pieces of up to 1000 trials, kept
 //!              engine: evaluates                   <-
 //!           -> rows: batches, as they arrive
 //! ```

@@ -55,7 +55,7 @@ impl Records {
                 stream.push(&zone::renamed(&batch, zone::OFFSET, zone::NAME)?)?;
             }
         }
-        stream.finish()?.finish(&name).map_err(failed)?;
+        stream.finish()?.finish_unsynced(&name).map_err(failed)?;
         Ok(Scratch(folder.join(name)))
     }
 }

@@ -64,9 +64,11 @@ struct Current {
 }
 
 impl Tables {
-    /// Tables over the store and the datasets of a data folder.
+    /// Tables over the store and the datasets of a data folder. Files of an earlier process are removed.
     pub fn new(store: Store, datasets: Catalog, data: &Path) -> Self {
-        Self { store, datasets, folder: data.join("query"), current: Mutex::default() }
+        let folder = data.join("query");
+        pieces::clear(&folder);
+        Self { store, datasets, folder, current: Mutex::default() }
     }
 
     /// Returns the tables with these names, and the files that are removed after the query.
