@@ -70,7 +70,7 @@ impl Encoder {
         &self.columns
     }
 
-    /// Counts of the rows written so far.
+    /// Counts of the written rows.
     pub(super) fn tally(&self) -> &Tally {
         &self.tally
     }
