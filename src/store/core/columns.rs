@@ -189,7 +189,7 @@ impl<'r> Columns<'r> {
         column: &'static str,
     ) -> Result<Option<(Timestamp, &'r str)>, StoreError> {
         let Some(text) = self.get::<Option<&'r str>>(column)? else { return Ok(None) };
-        let time = text.parse().map_err(|_| self.unreadable(column, text))?;
+        let time: Timestamp = text.parse().map_err(|_| self.unreadable(column, text))?;
         Ok(Some((time, text)))
     }
 
