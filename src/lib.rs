@@ -3,7 +3,7 @@
 //! is a crate, and crates only use those before them.
 
 pub use palpate_words::{
-    carried, chance, clock, commit, digest, file_kind, ids, journal, locate, near, new_file, plain,
+    carried, chance, clock, commit, digest, event, file_kind, ids, journal, locate, near, new_file, plain,
     problem, program, record, state, syntax, toml_words,
 };
 

@@ -220,7 +220,10 @@ impl Follower {
                     say_json(&event);
                 }
                 // Actions of the virtual operator are not shown.
-                let routine = self.watch.by_itself && event.kind == "wanted";
+                let kind = event.kind.as_str();
+                let by_operator = matches!(kind, "wanted" | "tips" | "placed");
+                // The end is shown by the summary.
+                let routine = kind == "ended" || self.watch.by_itself && by_operator;
                 if let Some(words) = event.words().filter(|_| !routine) {
                     self.screen.note(&words);
                 }

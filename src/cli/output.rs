@@ -8,6 +8,7 @@ use std::io::{self, IsTerminal, Write};
 use serde::Serialize;
 
 use crate::plain::escaped_lines;
+pub use crate::plain::{counted, duration};
 
 /// Form of what a command prints.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -77,20 +78,6 @@ pub fn say_json(value: &impl Serialize) {
     }
 }
 
-/// Formats a duration: `25 h 12 min`, `12 min 5 s`, `4.2 s`.
-pub fn duration(seconds: f64) -> String {
-    let whole = seconds.max(0.0).round() as u64;
-    match whole {
-        0..10 => format!("{seconds:.1} s"),
-        10..60 => format!("{whole} s"),
-        60..3600 => format!("{} min {} s", whole / 60, whole % 60),
-        _ => {
-            let minutes = (seconds / 60.0).round() as u64;
-            format!("{} h {} min", minutes / 60, minutes % 60)
-        }
-    }
-}
-
 /// Formats a size: `0.21 GB`, `3.4 MB`, `12 kB`.
 pub fn bytes(count: f64) -> String {
     match count {
@@ -113,11 +100,6 @@ pub fn grouped(count: u64) -> String {
     words
 }
 
-/// Formats a count with its noun: `1 retry`, `3 retries`.
-pub fn counted(count: u64, one: &str, many: &str) -> String {
-    format!("{count} {}", if count == 1 { one } else { many })
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -129,15 +111,10 @@ mod tests {
     }
 
     #[test]
-    fn durations_and_bytes_read_well() {
-        assert_eq!(duration(4.21), "4.2 s");
-        assert_eq!(duration(59.9), "1 min 0 s");
-        assert_eq!(duration(725.0), "12 min 5 s");
-        assert_eq!(duration(90_720.0), "25 h 12 min");
+    fn bytes_and_large_counts_read_well() {
         assert_eq!(bytes(12_345.0), "12 kB");
         assert_eq!(bytes(2.1e8), "0.21 GB");
         let shown: Vec<String> = [0, 999, 1000, 1_234_567].map(grouped).into();
         assert_eq!(shown, ["0", "999", "1,000", "1,234,567"]);
-        assert_eq!(counted(1, "retry", "retries"), "1 retry");
     }
 }

@@ -11,6 +11,7 @@ use crate::campaign::bench::rig_state::RigState;
 use crate::campaign::bench::stopping::StoppingDistance;
 use crate::campaign::shown::safe_end::SafeEnd;
 use crate::campaign::shown::status::{Eta, Phase};
+use crate::event::{self, Importance};
 use crate::ids::{RunUid, TrialKey};
 use crate::record::Pose;
 use crate::state::{PausedWhy, StoredState};
@@ -187,47 +188,16 @@ pub struct EventView {
     pub data: Value,
 }
 
-/// Kind of an event as text for a person.
-pub fn shown_kind(kind: &str) -> String {
-    kind.replace('_', " ")
-}
-
 impl EventView {
-    /// Text for a person who follows the run; `None` for events that the progress shows.
-    pub fn words(&self) -> Option<String> {
-        let text = |key: &str| self.data[key].as_str().unwrap_or("?").to_owned();
-        match self.kind.as_str() {
-            "wanted" => Some(format!("wanted: {}{}", text("words"), self.weights())),
-            "trip" => Some(format!("trip ({}): {}", text("kind"), text("detail"))),
-            "skipped" => {
-                let configuration = &self.data["configuration"];
-                Some(format!("skipped configuration {configuration}: {}", text("reason")))
-            }
-            "attempt_failed" => {
-                Some(format!("attempt {} failed: {}", self.data["attempt"], text("reason")))
-            }
-            "safe_end" if self.data["tips"] == "not_raised" => {
-                Some(format!("TIPS NOT RAISED: {}", text("why")))
-            }
-            "suspended" | "store" | "repeat" | "not_resumed" | "not_begun" => {
-                Some(format!("{}: {}", shown_kind(&self.kind), text("why")))
-            }
-            "twins" => Some(format!("twins: {}", text("words"))),
-            "recovering" => Some("recovering: checking whether the cause is gone".into()),
-            "state" => self.state_words(),
-            _ => None,
-        }
+    /// How much the event matters to a person.
+    pub fn importance(&self) -> Importance {
+        event::importance(&self.kind, &self.data)
     }
 
-    /// Text of a change of state, unless its cause has been shown.
-    fn state_words(&self) -> Option<String> {
-        let state = self.data["state"].as_str()?;
-        match self.data["why"].as_str() {
-            _ if matches!(state, "running" | "idle") => None,
-            Some("tip_change" | "manual_trial") => None,
-            Some(why) => Some(format!("{state} ({})", why.replace('_', " "))),
-            None => Some(state.into()),
-        }
+    /// Text for a person who follows the run; `None` for events that the progress shows.
+    pub fn words(&self) -> Option<String> {
+        let matters = self.importance() >= Importance::Notable;
+        matters.then(|| format!("{}{}", event::words(&self.kind, &self.data), self.weights()))
     }
 
     /// Positions of the weights to place.
@@ -260,7 +230,7 @@ mod tests {
         let trip = json!({ "kind": "force", "detail": "arm 2: 81.0 N over 80.0 N" });
         assert_eq!(words("trip", trip).unwrap(), "trip (force): arm 2: 81.0 N over 80.0 N");
         let paused = |why: &str| words("state", json!({ "state": "paused", "why": why }));
-        assert_eq!(paused("operator").unwrap(), "paused (operator)");
+        assert_eq!(paused("operator").unwrap(), "run paused (operator)");
         assert_eq!(paused("tip_change"), None);
         let wanted = json!({ "words": "place 1 weights", "wanted": { "trial": 3, "contacts": [
             { "x_mm": 100.0, "y_mm": 80.04, "force_n": 4.905 },

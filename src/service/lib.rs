@@ -10,7 +10,7 @@ use palpate_touch::{evaluate, infer, jobs, learn};
 #[cfg(test)]
 use palpate_words::query_lines;
 use palpate_words::{
-    carried, clock, commit, digest, ids, journal, new_file, plain, priority, problem, record,
+    carried, clock, commit, digest, event, ids, journal, new_file, plain, priority, problem, record,
     state, syntax,
 };
 

@@ -104,16 +104,15 @@ impl ExitStatus {
 }
 
 /// A record of something that happened, for people: numbered without gaps in the order of storage.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Event {
     /// Number of the event, from 1.
     pub seq: i64,
     /// Run that the event belongs to; null outside a run.
     pub run: Option<RunUid>,
     /// Wall time of the event.
-    #[schema(value_type = String, format = DateTime)]
     pub at: Timestamp,
-    /// Kind, one word: `state`, `trial`, `skip`, `trip`, `tare`, ...
+    /// Kind, one of [`crate::event::KINDS`].
     pub kind: String,
     /// Details, depending on the kind.
     pub data: serde_json::Value,

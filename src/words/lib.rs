@@ -7,6 +7,7 @@ pub mod chance;
 pub mod clock;
 pub mod commit;
 pub mod digest;
+pub mod event;
 pub mod file_kind;
 pub mod ids;
 pub mod journal;

@@ -1,4 +1,5 @@
-//! Text that other people entered: what of it must not reach a terminal, and what a name may contain.
+//! Text for people: what other people entered, of which not everything may reach a terminal, what a name may contain,
+//! and numbers with their nouns and units.
 //! PURE. Uses: nothing. Never: a text that is refused and shown as it is.
 
 use std::borrow::Cow;
@@ -59,6 +60,25 @@ pub fn violated(text: &str, max_chars: usize) -> Option<String> {
     text.contains(is_control).then(|| "must have no control characters".into())
 }
 
+/// Formats a duration: `25 h 12 min`, `12 min 5 s`, `4.2 s`.
+pub fn duration(seconds: f64) -> String {
+    let whole = seconds.max(0.0).round() as u64;
+    match whole {
+        0..10 => format!("{seconds:.1} s"),
+        10..60 => format!("{whole} s"),
+        60..3600 => format!("{} min {} s", whole / 60, whole % 60),
+        _ => {
+            let minutes = (seconds / 60.0).round() as u64;
+            format!("{} h {} min", minutes / 60, minutes % 60)
+        }
+    }
+}
+
+/// Formats a count with its noun: `1 retry`, `3 retries`.
+pub fn counted(count: u64, one: &str, many: &str) -> String {
+    format!("{count} {}", if count == 1 { one } else { many })
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -70,6 +90,16 @@ mod tests {
         assert_eq!(escaped(text), whole);
         assert_eq!(escaped_lines(text), whole.replace(r"\u{a}\u{9}", "\n\t"));
         assert!(matches!(escaped("Ölfleck – 3"), Cow::Borrowed("Ölfleck – 3")));
+    }
+
+    #[test]
+    fn durations_and_counts_read_well() {
+        assert_eq!(duration(4.21), "4.2 s");
+        assert_eq!(duration(59.9), "1 min 0 s");
+        assert_eq!(duration(725.0), "12 min 5 s");
+        assert_eq!(duration(90_720.0), "25 h 12 min");
+        assert_eq!(counted(1, "retry", "retries"), "1 retry");
+        assert_eq!(counted(0, "retry", "retries"), "0 retries");
     }
 
     #[test]

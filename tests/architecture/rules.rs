@@ -38,12 +38,13 @@ pub const STUDIES: [&str; 12] = [
 ];
 
 /// What everything may use and what uses nothing but each other.
-pub const VOCABULARY: [&str; 20] = [
+pub const VOCABULARY: [&str; 21] = [
     "carried",
     "chance",
     "clock",
     "commit",
     "digest",
+    "event",
     "file_kind",
     "ids",
     "journal",

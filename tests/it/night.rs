@@ -187,11 +187,14 @@ async fn the_history_has_every_trial_and_the_states_from_start_to_end() {
         assert_eq!((&history["predicted_s"], &history["predictions"]), (&Value::Null, &json!([])));
         let uid = &run["uid"];
         let notable = recorded["events"].as_array().unwrap().iter().filter(|e| {
-            e["run"] == *uid && ["wanted", "ended", "trip"].contains(&e["kind"].as_str().unwrap())
+            let kind = e["kind"].as_str().unwrap();
+            e["run"] == *uid && ["wanted", "tips", "ended", "trip"].contains(&kind)
         });
         let notable: Vec<&Value> = notable.map(|e| &e["seq"]).collect();
         let shown = history["events"].as_array().unwrap();
         assert_eq!(shown.iter().map(|e| &e["seq"]).collect::<Vec<_>>(), notable);
+        let wanted = shown.iter().find(|e| e["kind"] == "wanted").unwrap();
+        assert_eq!(wanted["importance"], "look");
     }
     let half = lab.get(&path(&recorded, HALF, "/history")).await;
     let last = half["states"].as_array().unwrap().last().unwrap();

@@ -5,7 +5,7 @@ import { get } from './api.js'
 import { chart } from './chart.js'
 import { button, colour, el, fill, panel, say, select } from './dom.js'
 import { counted, moment, plain, span } from './format.js'
-import { LOUD, TONE, sentence } from './words.js'
+import { LOUD, TONE } from './words.js'
 
 const TONES = { good: '--live', warn: '--warn', bad: '--bad' }
 // The first reading of a long run takes the service a while.
@@ -80,7 +80,7 @@ export function history({ title = 'The night', state, set, signal, label, height
     try {
       const { items } = await get('/events', { since: seq - 1, limit: 1 }, { signal })
       const found = items.find(event => event.seq === Number(seq))
-      return say(text, found ? `${moment(found.at, true)}: ${sentence(found)}` : 'This event is no longer stored.')
+      return say(text, found ? `${moment(found.at, true)}: ${found.words}` : 'This event is no longer stored.')
     } catch (error) { return signal.aborted ? null : say(text, `The event could not be read: ${error.message}`) }
   }
 
@@ -165,7 +165,7 @@ function drawMarks(u, data) {
   for (const one of data.events) {
     const at = u.valToPos(seconds(one.at), 'x', true)
     if (at < left || at > left + width) continue
-    pen.fillStyle = colour(TONES[LOUD[one.kind]] ?? '--soft')
+    pen.fillStyle = colour(TONES[LOUD[one.importance]] ?? '--soft')
     pen.beginPath()
     pen.moveTo(at - 5 * ratio, top)
     pen.lineTo(at + 5 * ratio, top)

@@ -3,19 +3,13 @@
 import { follow } from './api.js'
 import { el, onBeat, panel, say, select } from './dom.js'
 import { clock, moment } from './format.js'
-import { LOUD, sentence } from './words.js'
+import { LOUD } from './words.js'
 
 const KEPT = 400, SHOWN = 80
-const MATTERS = new Set([...Object.keys(LOUD), 'ended', 'recovering', 'repeat', 'placed', 'tips'])
-
 /** Whether a person must not miss an event. */
-export function matters({ kind, data }) {
-  if (kind === 'safe_end') return data?.tips === 'not_raised'
-  if (kind === 'state') return ['paused', 'panicked', 'interrupted'].includes(data?.state)
-  return MATTERS.has(kind)
-}
+export const matters = event => event.importance !== 'routine'
 
-const tone = event => event.kind === 'safe_end' && matters(event) ? 'bad' : LOUD[event.kind] ?? ''
+const tone = event => LOUD[event.importance] ?? ''
 
 /** Makes the log. `state.log` is 'all' or absent (only important ones). */
 export function eventLog({ state, set, signal, since = -200 }) {
@@ -24,7 +18,7 @@ export function eventLog({ state, set, signal, since = -200 }) {
     { className: 'soft small' })
   const choice = select([['', 'Only important ones'], ['all', 'All events']], state.log ?? '', value => set({ log: value }), { 'aria-label': 'Which events' })
   const row = event => el('li', { className: tone(event) }, el('time', { dateTime: event.at, title: moment(event.at, true) },
-    Date.now() - Date.parse(event.at) < 64_800e3 ? clock(event.at) : moment(event.at)), el('span', {}, sentence(event)))
+    Date.now() - Date.parse(event.at) < 64_800e3 ? clock(event.at) : moment(event.at)), el('span', {}, event.words))
   const draw = onBeat(() => {
     const wanted = state.log === 'all' ? kept : kept.filter(matters), last = wanted.slice(-SHOWN).reverse()
     // A row is made once: events come every second, and a list of new rows each time is garbage.

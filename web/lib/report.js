@@ -18,7 +18,7 @@ import { save } from './save.js'
 import { sensor } from './skin.js'
 import { table } from './table.js'
 import { COLOURINGS, tourMap } from './tourmap.js'
-import { LOUD, sentence } from './words.js'
+import { LOUD } from './words.js'
 
 const EVENTS = 200
 const quiet = promise => promise.catch(() => null)
@@ -224,7 +224,7 @@ export function report(root, { state, set, go, said, others, signal }) {
             'ol',
             { className: 'events scroll', tabIndex: 0, ariaLabel: 'Events of the run, newest first' },
             items.map(event =>
-              el('li', { className: LOUD[event.kind] ?? '' }, el('time', { dateTime: event.at }, moment(event.at, true)), el('span', {}, sentence(event))),
+              el('li', { className: LOUD[event.importance] ?? '' }, el('time', { dateTime: event.at }, moment(event.at, true)), el('span', {}, event.words)),
             ),
           )
         : el('p', { className: 'soft' }, page ? 'No important event among the newest.' : 'The events could not be read.'),

@@ -19,6 +19,7 @@ use crate::cli::error::CliError;
 use crate::cli::output::{note, say, say_json};
 use crate::cli::table::{Align, Table};
 use crate::cli::view::EventView;
+use crate::event::Importance;
 
 /// Events without `--limit` and `--since`.
 const EVENTS_SHOWN: usize = 50;
@@ -40,6 +41,13 @@ pub async fn events(args: EventsArgs) -> Result<(), CliError> {
     }
     let at = args.at.clone();
     embed::reading(&at, move |client| async move { list(&client, &args).await }).await
+}
+
+impl EventsArgs {
+    /// Whether an event is shown, of those that the service selects.
+    fn selects(&self, event: &EventView) -> bool {
+        !self.important || event.importance() >= Importance::Notable
+    }
 }
 
 /// Parameters that select run and kinds, each with `&` in front.
@@ -77,7 +85,7 @@ async fn newest(
         for event in page.items {
             since = event.seq;
             let is_late = |from| event.at.parse::<Timestamp>().is_ok_and(|at| at >= from);
-            if from.is_none_or(is_late) {
+            if from.is_none_or(is_late) && args.selects(&event) {
                 kept.push_back(event);
             }
             if limit.is_some_and(|limit| kept.len() > limit) {
@@ -99,7 +107,7 @@ async fn list(client: &Client, args: &EventsArgs) -> Result<(), CliError> {
         return Ok(());
     }
     let heads = [("time", Align::Left), ("kind", Align::Left), ("event", Align::Left)];
-    let filtered = !args.kind.is_empty() || args.since.is_some();
+    let filtered = !args.kind.is_empty() || args.since.is_some() || args.important;
     let empty = if filtered { "no event fits" } else { "there are no events" };
     let mut table = Table::new(&heads, empty);
     for event in &kept {
@@ -124,7 +132,7 @@ async fn follow(client: &Client, args: &EventsArgs) -> Result<(), CliError> {
         }
     }
     loop {
-        if let Err(error) = listen(client, &selection, &mut last, args.at.json).await {
+        if let Err(error) = listen(client, args, &selection, &mut last).await {
             let is_lost = matches!(
                 error,
                 CliError::NoServer { .. }
@@ -143,9 +151,9 @@ async fn follow(client: &Client, args: &EventsArgs) -> Result<(), CliError> {
 /// Prints events until the connection ends.
 async fn listen(
     client: &Client,
+    args: &EventsArgs,
     selection: &str,
     last: &mut Option<String>,
-    json: bool,
 ) -> Result<(), CliError> {
     let path = format!("/api/v1/events?{}", selection.trim_start_matches('&'));
     let answer = client.stream(&path, last.as_deref()).await?;
@@ -156,8 +164,10 @@ async fn listen(
             piece.map_err(|source| CliError::Http { operation: "events".into(), source })?;
         for sent in collect.take(&piece) {
             *last = Some(sent.id);
-            if let Ok(event) = serde_json::from_str::<EventView>(&sent.data) {
-                print(&event, json);
+            if let Ok(event) = serde_json::from_str::<EventView>(&sent.data)
+                && args.selects(&event)
+            {
+                print(&event, args.at.json);
             }
         }
     }

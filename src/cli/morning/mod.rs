@@ -86,6 +86,9 @@ pub struct EventsArgs {
     /// Only events of these kinds, such as `trip,skipped,state`.
     #[arg(long, value_name = "KIND,..", value_delimiter = ',')]
     pub kind: Vec<String>,
+    /// Only events that a person should not miss: trips, suspensions, skips, waits, the end.
+    #[arg(long)]
+    pub important: bool,
     /// Only events after this: a duration ago (8h, 90min), a time (22:00, 2026-11-24T22:00), or the
     /// number of an event.
     #[arg(long, value_name = "WHEN")]

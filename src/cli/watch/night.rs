@@ -10,6 +10,7 @@ use crate::campaign::bench::rig_state::RigState;
 use crate::campaign::shown::safe_end::Tips;
 use crate::cli::output::bytes;
 use crate::cli::view::{EventView, RunView, StatusView};
+use crate::event::Importance;
 use crate::ids::RunUid;
 use crate::plain::escaped;
 use crate::state::{PausedWhy, StoredState};
@@ -275,10 +276,10 @@ impl Night {
 /// An event that a person may want to know, as one line.
 fn told(event: &EventView) -> Option<Told> {
     let words = one_line(&event.words()?);
-    let level = match event.kind.as_str() {
-        "trip" | "safe_end" | "not_resumed" | "not_begun" => Level::Act,
-        "suspended" | "skipped" | "attempt_failed" | "wanted" | "store" => Level::Look,
-        _ => Level::Fine,
+    let level = match event.importance() {
+        Importance::Act => Level::Act,
+        Importance::Look => Level::Look,
+        Importance::Notable | Importance::Routine => Level::Fine,
     };
     Some(Told { at: event.at.parse().ok(), words, level })
 }

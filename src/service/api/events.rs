@@ -9,21 +9,52 @@ use axum::http::{HeaderMap, header};
 use axum::response::sse::{self, KeepAlive, Sse};
 use axum::response::{IntoResponse, Response};
 use futures::stream::{self, Stream, StreamExt};
-use serde::Deserialize;
-use utoipa::IntoParams;
+use jiff::Timestamp;
+use serde::{Deserialize, Serialize};
+use utoipa::{IntoParams, ToSchema};
 
 use super::App;
 use super::pages::{Page, PageParams, PageRequest};
 use super::problem::{ApiError, Params, ProblemBody};
 use super::runs::find;
+use crate::event::{self, Importance};
 use crate::ids::RunUid;
-use crate::journal::{Event, error_chain};
+use crate::journal::{self, error_chain};
 use crate::store::StoreError;
 
 /// Number of events per reading of a live stream.
 const PIECE_EVENTS: u32 = 200;
 /// Interval of reading the table for a live client.
 const LIVE_EVENTS_POLL: Duration = Duration::from_millis(200);
+
+/// A record of something that happened, for people: numbered without gaps in the order of storage.
+#[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
+pub struct Event {
+    /// Number of the event, from 1.
+    pub seq: i64,
+    /// Run that the event belongs to; null outside a run.
+    pub run: Option<RunUid>,
+    /// Wall time of the event.
+    #[schema(value_type = String, format = DateTime)]
+    pub at: Timestamp,
+    /// Kind, one of those of `GET /api/v1/vocabulary`: `state`, `trip`, `skipped`, ...
+    pub kind: String,
+    /// Details, depending on the kind.
+    pub data: serde_json::Value,
+    /// How much it matters to a person.
+    pub importance: Importance,
+    /// The event as a sentence.
+    pub words: String,
+}
+
+impl From<journal::Event> for Event {
+    fn from(stored: journal::Event) -> Self {
+        let journal::Event { seq, run, at, kind, data } = stored;
+        let importance = event::importance(&kind, &data);
+        let words = event::words(&kind, &data);
+        Self { seq, run, at, kind, data, importance, words }
+    }
+}
 
 /// Selection of events.
 #[derive(Debug, Deserialize, IntoParams)]
@@ -82,6 +113,7 @@ pub async fn events(
         None => resolved(&app, params.since.unwrap_or(0)).await?,
     };
     let events = app.store.events_since(since, asked.limit + 1, run, &kinds).await?;
+    let events: Vec<Event> = events.into_iter().map(Event::from).collect();
     Ok(asked.first(events, |event| event.seq).into_response())
 }
 
@@ -137,7 +169,8 @@ fn follow(
     .flatten()
 }
 
-fn out(event: Event) -> Result<sse::Event, Infallible> {
+fn out(stored: journal::Event) -> Result<sse::Event, Infallible> {
+    let event = Event::from(stored);
     let sse = sse::Event::default().id(event.seq.to_string()).event(event.kind.clone());
     // An event is plain JSON: serialisation does not fail.
     Ok(sse.json_data(&event).unwrap_or_default())

@@ -15,14 +15,14 @@ use super::problem::{ApiError, Params, Path, ProblemBody};
 use super::runs::find;
 use super::spans::{StateSpan, restarts, spans};
 use crate::conductor::estimates::ESTIMATE;
+use crate::event::{Importance, importance, notable_kinds};
 use crate::journal::Event;
 use crate::state::StoredState;
 use crate::store::{Bins, RunRow, StoreError, StoredHistory};
 
 /// Most bins of a history.
 const BINS_MAX: u32 = 1000;
-/// Events that an operator must see, and their largest number, the newest ones.
-const NOTABLE: [&str; 5] = ["trip", "suspended", "wanted", "skipped", "ended"];
+/// Largest number of notable events, the newest ones.
 const NOTABLE_MAX: u32 = 500;
 /// Largest numbers of changes of state and of estimates, the newest ones.
 const STATES_MAX: u32 = 5000;
@@ -74,8 +74,8 @@ pub struct History {
     /// Estimates of the end during the run, oldest first, at most 1000; empty for a run that an older version
     /// drove.
     pub predictions: Vec<Prediction>,
-    /// Events that an operator must see, oldest first: trips, suspensions, waits for a person, skips,
-    /// the end; the newest 500.
+    /// Notable events and those that matter more, oldest first: trips, suspensions, waits for a person, skips,
+    /// failed attempts, the end; at most 500, the newest ones. `states` lists the changes of state.
     pub events: Vec<NotableEvent>,
 }
 
@@ -96,7 +96,7 @@ pub struct Prediction {
     pub high: Timestamp,
 }
 
-/// An event that an operator must see; `GET /events` has its details.
+/// An event that is at least notable; `GET /events` has its details.
 #[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
 pub struct NotableEvent {
     /// Number of the event.
@@ -106,6 +106,8 @@ pub struct NotableEvent {
     pub at: Timestamp,
     /// Kind of the event.
     pub kind: String,
+    /// How much it matters to a person.
+    pub importance: Importance,
 }
 
 /// Returns the history of a run: trials, forces, failures and fits over time, its states, predictions
@@ -132,7 +134,9 @@ pub async fn of_run(
 
 async fn read(app: &App, run: &RunRow, bins: u32) -> Result<Arc<History>, StoreError> {
     let store = &app.store;
-    let notable = store.events_of_kinds(run.uid, &NOTABLE, NOTABLE_MAX).await?;
+    let kinds: Vec<&str> = notable_kinds().collect();
+    let mut notable = store.events_of_kinds(run.uid, &kinds, NOTABLE_MAX).await?;
+    notable.retain(|event| importance(&event.kind, &event.data) >= Importance::Notable);
     let Some(from) = run.started_at else { return Ok(Arc::new(History::unstarted(notable))) };
     let now = Timestamp::now();
     let is_active = app.campaign.status().run.is_some_and(|active| active.uid == run.uid);
@@ -190,7 +194,8 @@ impl History {
 
 impl From<Event> for NotableEvent {
     fn from(event: Event) -> Self {
-        Self { seq: event.seq, at: event.at, kind: event.kind }
+        let importance = importance(&event.kind, &event.data);
+        Self { seq: event.seq, at: event.at, kind: event.kind, importance }
     }
 }
 

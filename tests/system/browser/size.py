@@ -65,6 +65,7 @@ def a_week_of_events(page):
     """The page receives the events of a week at once; what follows is the service's."""
     now, sent = datetime.now(timezone.utc), []
     event = lambda n: {"seq": n, "run": None, "kind": "reference", "data": {"before": n},
+                       "importance": "routine", "words": f"reference press before configuration {n}",
                        "at": (now - timedelta(seconds=30 * (EVENTS - n))).isoformat()}
     body = "".join(f"id: {n}\ndata: {json.dumps(event(n))}\n\n" for n in range(1, EVENTS + 1))
 

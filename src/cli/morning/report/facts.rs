@@ -13,13 +13,11 @@ use crate::cli::client::Client;
 use crate::cli::error::CliError;
 use crate::cli::view::EventView;
 use crate::evaluate::simulation::SimulationReport;
+use crate::event::{self, Importance};
 use crate::figure::skin::Outline;
 use crate::state::{PausedWhy, StoredState};
 use crate::store::RunRow;
 
-/// Kinds of events that a report lists.
-const EVENT_KINDS: &str =
-    "trip,suspended,skipped,attempt_failed,twins,not_resumed,not_begun,store,ended";
 /// Duration of a run below which its time is shown in minutes, s.
 const SHORT_S: f64 = 3.0 * 3600.0;
 /// Records per request.
@@ -149,13 +147,16 @@ impl Facts {
 
 async fn events(client: &Client, run: &RunRow) -> Result<Vec<Told>, CliError> {
     let (mut told, mut since) = (Vec::new(), 0);
+    let kinds = event::notable_kinds().collect::<Vec<_>>().join(",");
     loop {
-        let query =
-            format!("since={since}&run={}&kind={EVENT_KINDS}&limit={PAGE_RECORDS}", run.uid);
+        let query = format!("since={since}&run={}&kind={kinds}&limit={PAGE_RECORDS}", run.uid);
         let page: Page<EventView> = client.get(&format!("/api/v1/events?{query}")).await?;
         for event in &page.items {
             since = event.seq;
             let Ok(at) = event.at.parse() else { continue };
+            if event.importance() < Importance::Notable {
+                continue;
+            }
             told.push(Told { at, kind: event.kind.clone(), words: words(event) });
         }
         if page.next.is_none() {

@@ -12,8 +12,8 @@ use super::findings::{Level, findings, outliers};
 use super::plots::{self, Plot};
 use crate::cli::output::{counted, duration, grouped};
 use crate::cli::summary::table_one;
-use crate::cli::view::shown_kind;
 use crate::evaluate::figures::FigureError;
+use crate::event::shown_kind;
 use crate::state::StoredState;
 
 const STYLE: &str = include_str!("report.css");
