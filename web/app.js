@@ -9,6 +9,7 @@ import { steadyEnds } from './lib/eta.js'
 import { kindOf } from './lib/kinds.js'
 import { live, start } from './lib/live.js'
 import { READ_KEYS } from './lib/readkeys.js'
+import { readVocabulary } from './lib/vocabulary.js'
 import { TONE, WAITS } from './lib/words.js'
 import { FIRST, PAGES } from './pages.js'
 
@@ -42,7 +43,7 @@ async function open() {
   entitle()
   if (!page) return fill(root, el('section', {}, el('h1', {}, 'No such page'), el('p', {}, link('/', 'The night'), ' is where to begin.')))
   try {
-    const module = await import(`./pages/${name}.js`)
+    const [module] = await Promise.all([import(`./pages/${name}.js`), readVocabulary()])
     if (signal.aborted) return undefined
     const head = el('div', { className: 'page-head' }, el('h1', {}, page.title), el('p', { className: 'soft' }, page.about))
     const body = el('div', { className: `page page-${name}` })

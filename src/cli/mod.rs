@@ -73,6 +73,7 @@ pub mod trust;
 mod twins;
 mod view;
 mod virtual_bench;
+mod vocabulary;
 mod watch;
 
 pub use drawn::{report, report_usage};
@@ -195,6 +196,8 @@ pub enum Command {
     Status(StatusArgs),
     /// Print counters and gauges of the service, in the text format of Prometheus.
     Metrics(At),
+    /// Show the names that requests use, with what they mean: methods, formats, flags, events, trips.
+    Vocabulary(vocabulary::VocabularyArgs),
     /// Show and change the queue of runs.
     Queue(queue::QueueArgs),
     /// Pause the active run, after its trial.
@@ -308,6 +311,7 @@ async fn answer(command: Command) -> Result<ExitCode, CliError> {
         Command::Status(args) if args.twins => twins::status(&args.at).await?,
         Command::Metrics(at) => ask::metrics(&at).await?,
         Command::Status(args) => ask::status(&args.at).await?,
+        Command::Vocabulary(args) => vocabulary::vocabulary(args).await?,
         Command::Queue(args) => queue::queue(args).await?,
         Command::Pause(args) => ask::pause(&args).await?,
         Command::Resume(args) => begin::resume(&args).await?,

@@ -10,17 +10,14 @@ use super::next::Next;
 use super::output::{counted, duration};
 use super::{At, DEFAULT_DATA};
 use crate::api::Summary;
+use crate::evaluate::published::{REAL_HEX, REAL_RANDOM};
 use crate::evaluate::simulation::SimulationReport;
 use crate::ids::RunUid;
 use crate::journal::ExitStatus;
 use crate::store::{Label, RunKind};
 
-/// Real-Hex of Table I: trials with 1 to 6 contacts.
-const REAL_HEX: [u64; 6] = [20_092, 21_313, 19_712, 14_487, 15_944, 2_126];
 /// Presses for it: six settings of 33,000 (paper IV-A). The rest had no contact over 5 N.
 const REAL_HEX_PRESSED: u64 = 198_000;
-/// Real-Random of Table I.
-const REAL_RANDOM: [u64; 6] = [0, 50, 50, 50, 0, 0];
 
 /// The last line of `palpate run --json`. Scripts rely on these names: they must not change.
 #[derive(Debug, Clone, PartialEq, Serialize)]

@@ -200,6 +200,34 @@ pub enum Flag {
 }
 
 impl Flag {
+    /// All flags.
+    pub const ALL: [Self; 8] = [
+        Self::Unsettled,
+        Self::SaturatedChannels,
+        Self::InjectionSum,
+        Self::DroppedFrames,
+        Self::DepthMissed,
+        Self::StillCell,
+        Self::SilentSkin,
+        Self::Doubted,
+    ];
+
+    /// What the flag means, in one sentence.
+    pub fn about(self) -> &'static str {
+        match self {
+            Self::Unsettled => "The forces still changed when the longest settling time ended.",
+            Self::SaturatedChannels => "A voltage channel was saturated.",
+            Self::InjectionSum => "An injection sum is not zero within noise.",
+            Self::DroppedFrames => "Frames were lost between the raw frames of this trial.",
+            Self::DepthMissed => {
+                "The measured depth differs from its target by more than the tolerance."
+            }
+            Self::StillCell => "An attached cell measured no force where its tip must press.",
+            Self::SilentSkin => "The cells measure a load to which the skin does not respond.",
+            Self::Doubted => "It was stored although the skin felt a weight in another place.",
+        }
+    }
+
     /// Name of the flag, as stored and shown.
     pub fn as_str(self) -> &'static str {
         self.into()

@@ -78,6 +78,8 @@ async fn every_carried_experiment_can_be_queued_as_it_is() {
     let quickstart = named("quickstart");
     assert_eq!((&quickstart["text"], &quickstart["trials"]), (&json!(QUICKSTART), &json!(264)));
     assert!(quickstart["about"].as_str().unwrap().starts_with("The first command"));
+    assert_eq!(quickstart["weights_n"], json!([]));
+    assert_eq!(named("real-random")["weights_n"], json!([4.905, 7.358, 9.81]));
     for name in ["quickstart", "real-hex-1", "real-random"] {
         let item = named(name);
         let body = json!({ "file": item["file"], "definition": item["text"] });
@@ -132,6 +134,11 @@ async fn recipes_and_limits_of_the_rig_are_those_of_their_files() {
     assert_eq!(limits["frame_age_ms"].as_i64(), stated["frame_age_ms"].as_integer());
     assert_eq!(bench["force_n"].as_f64(), stated["force_n"].as_float());
     assert_eq!(bench["x_mm"][1].as_f64(), rig["axes"]["x"]["travel_mm"][1].as_float());
+    let published = lab.get("/api/v1/published").await;
+    assert_eq!(published["table_iv"].as_array().unwrap().len(), maps.len());
+    assert_eq!(published["table_iv"][0]["score"]["location_mm"], json!({ "mean": 11.0, "sd": 22.0 }));
+    assert_eq!(published["table_iii"][5]["test"][5]["fvu_percent"], 4.2);
+    assert_eq!(lab.get("/api/v1/vocabulary").await["trips"][0]["name"], "estop");
     lab.close().await;
 }
 

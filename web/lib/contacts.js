@@ -2,8 +2,8 @@
 
 import { el } from './dom.js'
 import { count, fixed } from './format.js'
-import { TRIALS } from './paper.js'
 import { table } from './table.js'
+import { paper as printed } from './vocabulary.js'
 
 const HEADS = ['Single', 'Double', 'Triple', 'Quadruple', 'Quintuple', 'Sextuple']
 const sum = values => values.reduce((a, b) => a + b, 0)
@@ -11,8 +11,8 @@ const sum = values => values.reduce((a, b) => a + b, 0)
 /** The table: `rows` [{ name, kind, counts (0 to 6 contacts) }]; the paper's row for each kind is added. */
 export function contactsTable(rows) {
   const paper = [...new Set(rows.map(row => row.kind))]
-    .filter(kind => TRIALS[kind])
-    .map(kind => ({ name: `Paper, ${kind === 'real-hex' ? 'Real-Hex' : 'Real-Random'}`, counts: [null, ...TRIALS[kind]] }))
+    .flatMap(kind => printed.table_i.filter(one => one.kind === kind))
+    .map(({ kind, trials }) => ({ name: `Paper, ${kind === 'real-hex' ? 'Real-Hex' : 'Real-Random'}`, counts: [null, ...trials] }))
   return table({
     rows: [...rows, ...paper],
     caption: 'Trials by the number of contacts (paper, Table I). The total excludes trials without contact, in which every force is below the deadband.',

@@ -4,12 +4,12 @@ import { all, ask, get, hasKey, once } from './api.js'
 import { actor, outcome } from './actions.js'
 import { el, facts, fill, link, note, panel } from './dom.js'
 import { bytes, count, counted, moment, percent, plain } from './format.js'
-import { FORMATS } from './exports.js'
 import { fold } from './fold.js'
 import { lineageWalk } from './lineage.js'
 import { markdown } from './markdown.js'
 import { copyable, save } from './save.js'
 import { table } from './table.js'
+import { vocabulary } from './vocabulary.js'
 
 /** Heads of the paper's Table I, by number of contacts. */
 export const NUMBERS = ['None', 'Single', 'Double', 'Triple', 'Quadruple', 'Quintuple', 'Sextuple']
@@ -184,7 +184,7 @@ export function datasetView({ signal, go, onmade, onexport }) {
       el(
         'div',
         { className: 'chips downloads' },
-        Object.entries(FORMATS).map(([format, words]) => save(words, `/api/v1/data/${item.id}.${format}`, `${item.id}.${format}`)),
+        vocabulary.formats.map(({ title, extension }) => save(title, `/api/v1/data/${item.id}.${extension}`, `${item.id}.${extension}`)),
         el(
           'a',
           {

@@ -7,24 +7,20 @@ import { keepForm } from './formstate.js'
 import { bytes, count, moment, percent, plain } from './format.js'
 import { save } from './save.js'
 import { table } from './table.js'
+import { vocabulary } from './vocabulary.js'
 import { TONE } from './words.js'
 
-/** Formats of files, as the API names them. */
-export const FORMATS = { parquet: 'Parquet', feather: 'Arrow (Feather)', csv: 'CSV', ndjson: 'NDJSON', npz: 'NumPy (npz)' }
-const MAPS = [
-  ['', 'none'],
-  ['4x20', '4 mm pixels, 20 mm'],
-  ['10x30', '10 mm pixels, 30 mm'],
-  ['20x60', '20 mm pixels, 60 mm'],
-]
+/** Format of files by its name. */
+const formatOf = name => vocabulary.formats.find(format => format.name === name)
 const busy = one => ['waiting', 'running'].includes(one.state)
 
 /** Makes the panel of the exports; `choose(name)` sets the dataset of the form, whose values are in the address. */
 export function exportsPanel({ signal }) {
   const said = outcome(),
     dataset = el('input', { id: 'ex-dataset', required: true, placeholder: 'name or id' })
-  const format = select(Object.entries(FORMATS), 'parquet', () => {}, { id: 'ex-format' }),
-    map = select(MAPS, '', () => {}, { id: 'ex-map' })
+  const format = select(vocabulary.formats.map(({ name, title }) => [name, title]), 'parquet', () => {}, { id: 'ex-format' }),
+    maps = vocabulary.maps.map(({ name, pixel_mm, diameter_mm }) => [name, `${pixel_mm} mm pixels, ${diameter_mm} mm`]),
+    map = select([['', 'none'], ...maps], '', () => {}, { id: 'ex-map' })
   const where = el('input', { id: 'ex-where', placeholder: 'split=train, max_force_n__gt=10' }),
     columns = el('input', { id: 'ex-columns', placeholder: 'all' })
   const field = (words, node) => el('div', {}, el('label', { htmlFor: node.id }, words), node)
@@ -62,7 +58,7 @@ export function exportsPanel({ signal }) {
     )
   const what = one =>
     [
-      FORMATS[one.request.format] ?? one.request.format,
+      formatOf(one.request.format)?.title ?? one.request.format,
       one.request.map && `with force maps ${one.request.map}`,
       one.request.where?.length && `where ${one.request.where.join(' and ')}`,
       one.request.columns?.length && `${one.request.columns.length} columns`,
@@ -77,7 +73,7 @@ export function exportsPanel({ signal }) {
       { head: 'State', cell: state, left: true },
       { head: 'Size', cell: one => (one.bytes == null ? null : bytes(one.bytes)) },
       { head: 'Requested', cell: one => `${moment(one.created_at)} by ${one.asked_by}` },
-      { head: 'Save', cell: one => one.url && save('Save', one.url, `${one.dataset ?? one.request.dataset}.${one.request.format}`) },
+      { head: 'Save', cell: one => one.url && save('Save', one.url, `${one.dataset ?? one.request.dataset}.${formatOf(one.request.format)?.extension ?? one.request.format}`) },
     ],
   })
   let items = [],

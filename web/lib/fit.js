@@ -6,9 +6,9 @@ import { chart } from './chart.js'
 import { el, facts, fill, pane, panel, say, select } from './dom.js'
 import { about, count, counted, fixed, percent } from './format.js'
 import { sequential } from './frame.js'
-import { FVU } from './paper.js'
 import { scaleBar } from './scalebar.js'
 import { sensor, skin } from './skin.js'
+import { paper } from './vocabulary.js'
 
 const NUMERALS = ['', 'I', 'II', 'III', 'IV', 'V', 'VI']
 /** Trials of which the voltages are compared one by one: newest with contacts. */
@@ -56,7 +56,7 @@ export function fit({ choose, signal: page }) {
     const numbers = facts([['Median FVU', fixed(report.median_fvu, 3)], ['Median RMSE', about((report.median_rmse_v ?? NaN) * 1e3, 'mV')],
       ['Deadband', report.deadband_n == null ? 'not found' : fixed(report.deadband_n, 0, 'N')],
       ...report.contact_counts.slice(1).map((n, i) => [counted(i + 1, 'contact'), `${count(n)} (${percent(n, report.trials)})`])])
-    const fvu = boxes({ title: 'FVU by number of contacts, without the deadband (Fig. 7F; dashed: the paper, about 0.1)', paper: FVU, label, query,
+    const fvu = boxes({ title: `FVU by number of contacts, without the deadband (Fig. 7F; dashed: the paper, about ${paper.simulation_fvu})`, paper: paper.simulation_fvu, label, query,
       signal })
     const rmse = boxes({ title: 'RMSE by number of contacts (Fig. 7C)', unit: 'mV', factor: 1e3, label, query, signal })
     const of = key => report.by_contacts.map(one => ({ name: NUMERALS[one.contacts], trials: one.trials, ...one[key] }))

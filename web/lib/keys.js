@@ -6,14 +6,13 @@ import { copyButton } from './copybutton.js'
 import { button, el, fill, panel, select } from './dom.js'
 import { moment, plain } from './format.js'
 import { table } from './table.js'
-
-const ROLES = [['viewer', 'viewer: read, pause, stop'], ['operator', 'operator: also run, move, train'], ['admin', 'admin: also keys and locks']]
+import { vocabulary } from './vocabulary.js'
 
 /** Makes the panel of the keys. */
 export function keys(said, signal) {
   const made = el('div', { className: 'new-key', hidden: true }), name = el('input', { id: 'key-name', maxLength: 100, autocomplete: 'off', required: true }),
     list = el('div')
-  const role = select(ROLES, 'viewer', () => {}, { id: 'key-role' })
+  const role = select(vocabulary.roles.map(({ name, about }) => [name, `${name}: ${about}`]), 'viewer', () => {}, { id: 'key-role' })
   const create = actor('Make a key', said, async () => {
     if (!name.value.trim()) throw new Error('enter the name of its holder first')
     const { key, secret } = await send('/keys', { name: name.value.trim(), role: role.value }, { signal })

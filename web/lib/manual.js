@@ -4,18 +4,20 @@ import { all, get } from './api.js'
 import { actor } from './actions.js'
 import { beginButton, queueText } from './begin.js'
 import { el, fill, link, panel, say } from './dom.js'
-import { count, moment } from './format.js'
+import { count, fixed, moment } from './format.js'
 import { overlay } from './overlay.js'
 import { table } from './table.js'
 
 const STEPS = [
   'Print the overlay at true scale, check its 100 mm ruler, and fix it on the skin: its labels name the points.',
-  'Prepare the weights: 0.50, 0.75 and 1.00 kg, each on a tip of 20 mm.',
+  'Prepare the weights of the experiment, each on a tip: the table next to this states them.',
   'Queue the experiment, arm and start it. The service draws the points and the weights; the same seed draws the same ones.',
   'For each trial this page shows which weight goes where. Place all of them, take your hands off, press Done: a key or a foot switch is enough.',
   'The skin feels what was placed. A weight on the wrong point is reported before it is stored. You may stop at any time: the run continues where it stopped.',
 ]
 
+const G = 9.81 // m/s²
+const kilograms = force_n => fixed(force_n / G, 2, 'kg')
 const isManual = item => item.kind === 'real-random'
 
 /** Makes the page for when no weights are asked; `load()` reads the queue again. */
@@ -41,7 +43,7 @@ export function manual(said, { signal }) {
     const rows = table({
       rows: items, empty: 'No carried experiment is a manual one.',
       columns: [{ head: 'Experiment', cell: item => item.name }, { head: 'What it is', left: true, cell: item => item.about },
-        { head: 'Trials', cell: item => count(item.trials) },
+        { head: 'Trials', cell: item => count(item.trials) }, { head: 'Weights', cell: item => item.weights_n.map(kilograms).join(', ') },
         { head: 'Queue', cell: item => actor('Queue it', said, () => put(item),
           { what: `${item.name} queued`, className: `nowrap${waiting.length || item !== items[0] ? '' : ' main'}` }) }],
     })

@@ -9,18 +9,7 @@ import { losses } from './losses.js'
 import { opened } from './opened.js'
 import { save, shows } from './save.js'
 import { contactTable, voltageTable } from './scores.js'
-
-/** What each task maps to what. */
-export const TASKS = {
-  transfer: 'measured to simulated voltages',
-  recon: 'simulated voltages to a force map',
-  'end-to-end': 'measured voltages to a force map',
-  points: 'voltages to points and forces',
-  position: 'a frame to a position',
-  pattern: 'a frame to the places that are pressed',
-  count: 'a frame to the number of contacts',
-  force: 'a frame to the total force',
-}
+import { meaning } from './vocabulary.js'
 
 /** Makes the view of one model; ends what it began when another one is shown. `promote(id, slot)` asks and acts. */
 export function netView({ signal, models, promote }) {
@@ -69,7 +58,7 @@ export function netView({ signal, models, promote }) {
       el(
         'p',
         {},
-        `From ${TASKS[model.task] ?? model.task}; learned on ${manifest.label} data of ${manifest.sensor}. `,
+        `From ${meaning('tasks', model.task) || model.task}; learned on ${manifest.label} data of ${manifest.sensor}. `,
         model.serves ? el('span', { className: 'good' }, 'It serves.') : 'It does not serve.'
       ),
       facts([

@@ -2,17 +2,19 @@
 
 import { button, el, fill, select } from './dom.js'
 import { fixed } from './format.js'
+import { vocabulary } from './vocabulary.js'
 
 /** Most contacts of a simulation. */
-export const MOST = 6
+export const most = () => vocabulary.simulation.contacts_max
 
-const LOAD = { force_n: { sign: 'n', least: 0, most: 100, step: 0.5, words: 'force, N' },
-  depth_mm: { sign: 'mm', least: 0, most: 4, step: 0.1, words: 'depth, mm' } }
+const LOAD = { force_n: { sign: 'n', step: 0.5, words: 'force, N' }, depth_mm: { sign: 'mm', step: 0.1, words: 'depth, mm' } }
+/** Largest load of a kind; without a `shape` a depth has none. */
+const mostOf = (kind, shape) => kind === 'force_n' ? vocabulary.simulation.force_max_n : shape?.foam_thickness_mm
 const TEXT = /^(-?[\d.]+),(-?[\d.]+),([\d.]+)(n|mm)$/
 
 /** "270,280,20n;100,150,1.5mm" as contacts; other text is omitted. "none" is no contact. */
 export function parseContacts(text) {
-  return (text ?? '').split(';').slice(0, MOST).flatMap(one => {
+  return (text ?? '').split(';').slice(0, most()).flatMap(one => {
     const [, x, y, value, sign] = TEXT.exec(one) ?? []
     const numbers = [x, y, value].map(Number)
     if (!sign || numbers.some(Number.isNaN)) return []
@@ -31,10 +33,10 @@ export const asked = contacts => contacts.map(({ x_mm, y_mm, kind, value }) => (
 
 /** A contact, moved so that its whole tip is on the skin, and its load within the limits. */
 export function within(contact, shape) {
-  const { least, most } = LOAD[contact.kind], bound = (v, low, high) => Math.min(high, Math.max(low, v))
+  const bound = (v, low, high) => Math.min(high ?? Infinity, Math.max(low, v))
   const rim = (shape?.tip_diameter_mm ?? 0) / 2
   const place = shape && { x_mm: bound(contact.x_mm, rim, shape.width_mm - rim), y_mm: bound(contact.y_mm, rim, shape.height_mm - rim) }
-  return { ...contact, ...place, value: bound(contact.value, least, most) }
+  return { ...contact, ...place, value: bound(contact.value, 0, mostOf(contact.kind, shape)) }
 }
 
 /**
@@ -67,13 +69,13 @@ export function contactList(change) {
       : el('p', { className: 'soft' }, 'No contact: the skin is untouched. Click on the skin to press it.'))
   }
   const write = (input, value) => { if (document.activeElement !== input || input.valueAsNumber !== value) input.value = value }
-  function show(contacts, answer) {
+  function show(contacts, answer, shape) {
     if (contacts.length !== rows.length || !node.firstChild) make(contacts.length)
     contacts.forEach((contact, i) => {
-      const { x, y, kind, value, found } = rows[i], { least, most, step } = LOAD[contact.kind], other = answer?.[i]
+      const { x, y, kind, value, found } = rows[i], { step } = LOAD[contact.kind], other = answer?.[i]
       write(x, +contact.x_mm.toFixed(1))
       write(y, +contact.y_mm.toFixed(1))
-      Object.assign(value, { min: least, max: most, step })
+      Object.assign(value, { min: 0, max: mostOf(contact.kind, shape) ?? '', step })
       write(value, +contact.value.toFixed(3))
       kind.value = contact.kind
       found.textContent = !other ? '' : contact.kind === 'force_n' ? fixed(other.depth_mm, 2, 'mm') : fixed(other.force_n, 1, 'N')

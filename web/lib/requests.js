@@ -4,9 +4,12 @@ import { keep, once } from './api.js'
 import { actor } from './actions.js'
 import { el, panel, say, select, set } from './dom.js'
 import { fold } from './fold.js'
+import { capital } from './format.js'
 import { keepForm } from './formstate.js'
 import { recipes } from './recipes.js'
+import { slotOf } from './serves.js'
 import { put, raw } from './toml.js'
+import { vocabulary } from './vocabulary.js'
 
 const field = (words, node, id) => {
   node.id = id
@@ -174,28 +177,13 @@ export function trainingForm({ said, onstart, signal }) {
   }
 }
 
-// Which models each method reads, as the service requires them.
-const METHODS = {
-  voltages: { about: 'Voltages of a Transfer-Net, or the measured ones, against the twins: Table III.', uses: ['transfer'], dataset: 'r2s-transfer' },
-  paper: {
-    about: 'Transfer-Net, Recon-Net, peaks of the force map: the paper\u2019s pipeline (V-C, V-D).',
-    uses: ['transfer', 'map'],
-    dataset: 'real-unseen',
-  },
-  fast: { about: 'Point-Net\u2019s candidates.', uses: ['points'], dataset: 'real-unseen' },
-  exact: { about: 'Contacts fitted to the frame through the model of the serving skin.', uses: ['points', 'skin'], dataset: 'real-unseen' },
-  tikhonov: { about: 'One-step reconstruction with Tikhonov\u2019s regularisation: a baseline of the paper.', uses: ['skin'], dataset: 'real-unseen' },
-  noser: { about: 'One-step reconstruction with NOSER\u2019s regularisation: a baseline.', uses: ['skin'], dataset: 'real-unseen' },
-}
-const NEEDED = { paper: ['map'], fast: ['points'] }
-const TASKS = { transfer: ['transfer'], map: ['recon', 'end-to-end'], points: ['points'] }
-
 const USUAL_METHOD = 'voltages'
 
 /** Form of an evaluation. `knows({ datasets, models })` fills its choices. Its values are in the address. */
 export function evaluationForm({ said, onstart, signal }) {
   const about = el('p', { className: 'soft' })
-  const scored = select(Object.keys(METHODS), USUAL_METHOD, () => {
+  const methodOf = name => vocabulary.scored.find(one => one.name === name)
+  const scored = select(vocabulary.scored.map(one => one.name), USUAL_METHOD, () => {
       delete dataset.dataset.chosen // Each method has the dataset that the paper scores it on.
       show()
       write(dataset)
@@ -210,7 +198,9 @@ export function evaluationForm({ said, onstart, signal }) {
       'mean',
       () => {}
     )
-  const models = { transfer: select([], '', () => {}), map: select([], '', () => {}), points: select([], '', () => {}) }
+  // A request names the model of each slot, or the net of a quantity, which has no slot.
+  const models = Object.fromEntries(['transfer', 'map', 'points', 'net'].map(key => [key, select([], '', () => {})]))
+  const usesOf = method => (method.name === 'quantity' ? ['net'] : method.uses)
   const number = props => el('input', { type: 'number', min: 1, ...props })
   const limit = number({ step: 1, placeholder: 'all' }),
     sd = number({ step: 'any', placeholder: 'any' })
@@ -218,22 +208,21 @@ export function evaluationForm({ said, onstart, signal }) {
     scored: field('What is scored', scored, 'ev-scored'),
     dataset: field('Dataset', dataset, 'ev-dataset'),
     part: field('Part', part, 'ev-part'),
-    transfer: field('Transfer-Net', models.transfer, 'ev-transfer'),
-    map: field('Net with force maps', models.map, 'ev-map'),
-    points: field('Point-Net', models.points, 'ev-points'),
+    ...Object.fromEntries(Object.entries(models).map(([key, node]) => [key, field(capital(slotOf(key)?.title ?? 'net of a quantity'), node, `ev-${key}`)])),
     limit: field('Rows, taken evenly', limit, 'ev-limit'),
     frames: field('Frames', frames, 'ev-frames'),
     sd: field('Only contacts known to, mm', sd, 'ev-sd'),
   }
   let known = { datasets: [], models: [] }
   function show() {
-    if (!METHODS[scored.value]) scored.value = USUAL_METHOD
-    const method = METHODS[scored.value]
-    say(about, method.about)
-    for (const key of ['transfer', 'map', 'points']) {
-      fields[key].hidden = !method.uses.includes(key)
-      const fit = known.models.filter(model => TASKS[key].includes(model.task)).map(model => [model.id, `${model.name} · ${model.id}`])
-      choices(models[key], fit, NEEDED[scored.value]?.includes(key) ? (fit.length ? null : 'none is trained yet') : 'none')
+    if (!methodOf(scored.value)) scored.value = USUAL_METHOD
+    const method = methodOf(scored.value)
+    say(about, `${capital(method.about)}.`)
+    for (const [key, node] of Object.entries(models)) {
+      fields[key].hidden = !usesOf(method).includes(key)
+      const fit = known.models.filter(model => (key === 'net' ? !model.slot : model.slot === key)).map(model => [model.id, `${model.name} · ${model.id}`])
+      const mustName = key === 'net' || method.must_name.includes(key)
+      choices(node, fit, mustName ? (fit.length ? null : 'none is trained yet') : 'none')
     }
     fields.sd.hidden = scored.value !== 'exact'
     if (!dataset.dataset.chosen && [...dataset.options].some(option => option.value === method.dataset)) dataset.value = method.dataset
@@ -242,10 +231,11 @@ export function evaluationForm({ said, onstart, signal }) {
     'Evaluate',
     said,
     async () => {
-      const method = METHODS[scored.value],
-        named = Object.fromEntries(
-          ['transfer', 'map', 'points'].filter(key => method.uses.includes(key) && models[key].value).map(key => [key, models[key].value])
-        )
+      const named = Object.fromEntries(
+        Object.entries(models)
+          .filter(([key, { value }]) => usesOf(methodOf(scored.value)).includes(key) && value)
+          .map(([key, { value }]) => [key, value])
+      )
       const job = await once('/evaluations', {
         scored: scored.value,
         dataset: dataset.value,

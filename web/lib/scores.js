@@ -2,8 +2,8 @@
 
 import { el, facts, link } from './dom.js'
 import { NONE, count, counted, fixed, percent } from './format.js'
-import { RECON, TRANSFER, UNSEEN } from './paper.js'
 import { table } from './table.js'
+import { paper } from './vocabulary.js'
 
 const ROMAN = ['none', 'I', 'II', 'III', 'IV', 'V', 'VI']
 const spread = (mean, digits, unit = '') =>
@@ -24,15 +24,17 @@ const rows = report => [
 
 /** Rows of what the paper prints: they have a source instead of models, rows and label. */
 const printed = (source, about, scores) => ({ paper: `Paper, ${source}`, about, ...scores })
+/** Table III: the Transfer-Net that learned 1 to 6 contacts, on its test sets of 1 to 6. */
+const transferOfPaper = () => paper.table_iii.at(-1).test
 const voltagesOfPaper = () =>
   printed('Table III', 'Transfer-Net that learned I to VI', {
-    voltages: { by_contacts: TRANSFER.map(([rmse_v, percent], i) => ({ contacts: i + 1, rmse_v, fvu: percent / 100 })), all: null },
+    voltages: { by_contacts: transferOfPaper().map(({ rmse_v, fvu_percent }, i) => ({ contacts: i + 1, rmse_v, fvu: fvu_percent / 100 })), all: null },
   })
 const contactsOfPaper = reports => [
   ...[...new Set(reports.map(report => report.map))]
-    .filter(map => RECON[map])
-    .map(map => printed('Table IV', `Recon-Net alone, simulated voltages, map ${map}`, { contacts: { all: RECON[map] } })),
-  printed('V\u2011D', 'whole pipeline on Real-Unseen', { contacts: { all: UNSEEN } }),
+    .flatMap(map => paper.table_iv.filter(one => one.map === map))
+    .map(({ map, score }) => printed('Table IV', `Recon-Net alone, simulated voltages, map ${map}`, { contacts: { all: score } })),
+  printed('V\u2011D', 'whole pipeline on Real-Unseen', { contacts: { all: paper.real_unseen } }),
 ]
 
 /** Columns that say what was scored. */
@@ -159,8 +161,8 @@ export function reportView(report, models) {
             { head: 'RMSE', unit: 'mV', cell: one => fixed(one.rmse_v * 1e3, 2) },
             { head: 'FVU', unit: '%', cell: one => fixed(one.fvu * 100, 1) },
             { head: 'Median FVU', unit: '%', cell: one => fixed(one.median_fvu * 100, 1) },
-            { head: 'Paper, Table III: RMSE', unit: 'mV', cell: one => fixed(TRANSFER[one.contacts - 1]?.[0] * 1e3, 0) },
-            { head: 'FVU', unit: '%', cell: one => fixed(TRANSFER[one.contacts - 1]?.[1], 1) },
+            { head: 'Paper, Table III: RMSE', unit: 'mV', cell: one => fixed(transferOfPaper()[one.contacts - 1]?.rmse_v * 1e3, 0) },
+            { head: 'FVU', unit: '%', cell: one => fixed(transferOfPaper()[one.contacts - 1]?.fvu_percent, 1) },
           ],
         }).node
       : '',

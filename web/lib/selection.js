@@ -2,18 +2,7 @@
 
 import { button, el, fill, panel, select } from './dom.js'
 import { plain } from './format.js'
-
-/** What each flag of a trial means. */
-export const FLAGS = {
-  unsettled: 'The forces still changed when the longest settling time ended.',
-  saturated_channels: 'A voltage channel was saturated.',
-  injection_sum: 'An injection sum is not zero within noise.',
-  dropped_frames: 'Frames were lost between the raw frames of this trial.',
-  depth_missed: 'The measured depth differs from its target by more than the tolerance.',
-  still_cell: 'An attached cell measured no force where its tip must press.',
-  silent_skin: 'The cells measure a load to which the skin does not respond.',
-  doubted: 'It was stored although the skin felt a weight in another place.',
-}
+import { vocabulary } from './vocabulary.js'
 
 /** Parameters of the page that are no condition on trials: its own, and those of its charts. */
 const OWN = ['trial', 'sort', 'scale']
@@ -63,7 +52,7 @@ export function selection({ set, said }) {
       ['', 'any'],
       ['flagged=true', 'with a flag'],
       ['flagged=false', 'without a flag'],
-      ...Object.keys(FLAGS).map(flag => [`flag=${flag}`, plain(flag)]),
+      ...vocabulary.flags.map(({ name }) => [`flag=${name}`, plain(name)]),
     ],
     '',
     value => {

@@ -1,31 +1,20 @@
 // What serves: which method has its models, and how to get one where none has. Live and the nets ask this.
 
 import { el, facts, fill, link, panel } from './dom.js'
-import { plain } from './format.js'
+import { capital } from './format.js'
+import { vocabulary } from './vocabulary.js'
 
-/** The methods, the best last: what each needs, and what it is. */
-export const METHODS = [
-  { name: 'paper', needs: ['map'], about: 'the paper’s: force map of a net, and its peaks' },
-  { name: 'fast', needs: ['points'], about: 'candidates of a Point-Net' },
-  { name: 'exact', needs: ['skin'], about: 'contacts fitted through the model of this skin, with their uncertainty' },
-]
-
-/** The slots: what each holds, its name in a list, and which methods use it. */
-export const SLOTS = {
-  transfer: { holds: 'Transfer-Net', name: 'Transfer-Net', use: 'paper: measured to simulated voltages' },
-  map: { holds: 'net with force maps', name: 'Force map', use: 'paper: voltages to a force map' },
-  points: { holds: 'Point-Net', name: 'Point-Net', use: 'fast, and the start of exact' },
-  skin: { holds: 'calibration of this skin', name: 'Calibrated skin', use: 'exact' },
-}
+/** A slot by its name. */
+export const slotOf = name => vocabulary.slots.find(slot => slot.name === name)
 
 /** Slots that a method needs and that are empty; `serving` is the body of GET /serving. */
 export const lacks = (method, serving) => method.needs.filter(slot => !serving?.serves.find(one => one.slot === slot)?.what)
 
 /** The best method that has all its models, or null. */
-export const bestMethod = serving => METHODS.findLast(method => !lacks(method, serving).length) ?? null
+export const bestMethod = serving => vocabulary.methods.findLast(method => !lacks(method, serving).length) ?? null
 
 /** needs a Point-Net */
-export const needWords = (method, serving) => `needs a ${lacks(method, serving).map(slot => SLOTS[slot].holds).join(' and a ')}`
+export const needWords = (method, serving) => `needs a ${lacks(method, serving).map(slot => slotOf(slot).title).join(' and a ')}`
 
 /** Makes a panel of what serves, and one (`none`) that says how to get a model while there is none. */
 export function servingPart() {
@@ -42,9 +31,9 @@ export function servingPart() {
       if (text === shown) return
       shown = text
       const filled = serving.serves.filter(one => one.what)
-      const models = filled.map(one => [SLOTS[one.slot]?.holds ?? plain(one.slot), link('/nets', one.what)])
-      const limits = filled.filter(one => one.limitation).map(one => el('p', { className: 'soft' }, `${SLOTS[one.slot]?.name ?? plain(one.slot)}: ${one.limitation}`))
-      fill(list, el('ul', {}, METHODS.map(method => row(method, serving))), facts(models), limits)
+      const models = filled.map(one => [capital(slotOf(one.slot).title), link('/nets', one.what)])
+      const limits = filled.filter(one => one.limitation).map(one => el('p', { className: 'soft' }, `${capital(slotOf(one.slot).title)}: ${one.limitation}`))
+      fill(list, el('ul', {}, vocabulary.methods.map(method => row(method, serving))), facts(models), limits)
       fill(none, !bestMethod(serving) && howTo())
     },
     failed(error) { shown = ''; fill(list, el('p', { className: 'soft' }, `The active models cannot be read: ${error.message}`)) },

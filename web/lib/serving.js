@@ -4,11 +4,17 @@ import { ask, once } from './api.js'
 import { actor, confirm, named, only } from './actions.js'
 import { button, el, fill, link, panel } from './dom.js'
 import { fold } from './fold.js'
-import { moment } from './format.js'
+import { capital, moment } from './format.js'
 import { who } from './live.js'
 import { lockWords } from './lock.js'
-import { SLOTS } from './serves.js'
+import { slotOf } from './serves.js'
 import { table } from './table.js'
+
+/** paper: measured to simulated voltages */
+function useOf(name) {
+  const { methods, about } = slotOf(name)
+  return `${methods.join(', ')}: ${about}`
+}
 
 /** Makes the panel; `name(id)` gives a model's name. `promote(what, slot)` asks first. */
 export function servingPanel({ signal, said, name, onchange }) {
@@ -41,7 +47,7 @@ export function servingPanel({ signal, said, name, onchange }) {
     const now = serves.find(one => one.slot === slot)?.what,
       to = before(slot)
     const sure = await confirm(
-      `Roll back ${SLOTS[slot].name}?`,
+      `Roll back ${slotOf(slot).title}?`,
       [
         `Serves now: ${name(now)} (${now}).`,
         to
@@ -59,7 +65,7 @@ export function servingPanel({ signal, said, name, onchange }) {
     const sure = await confirm(
       `Promote ${name(what)}?`,
       [
-        `Slot: ${SLOTS[slot].name} (${SLOTS[slot].use}).`,
+        `Slot: ${slotOf(slot).title} (${useOf(slot)}).`,
         now ? `It replaces ${name(now)} (${now}), which roll back restores.` : 'The slot is empty now.',
         'Live contacts and /infer use it from the next frame on. It is loaded and warmed up first: no frame is dropped.',
       ],
@@ -71,14 +77,14 @@ export function servingPanel({ signal, said, name, onchange }) {
     const shown = table({
       rows: serves,
       columns: [
-        { head: 'Slot', left: true, cell: one => SLOTS[one.slot]?.name ?? one.slot },
-        { head: 'Used by', left: true, cell: one => SLOTS[one.slot]?.use ?? '' },
+        { head: 'Slot', left: true, cell: one => capital(slotOf(one.slot).title) },
+        { head: 'Used by', left: true, cell: one => useOf(one.slot) },
         { head: 'Serves', left: true, cell: one => words(one.what) },
         { head: 'Since', left: true, cell: one => (one.what && since(one.slot) ? `${moment(since(one.slot).at)} by ${since(one.slot).who}` : null) },
         {
           head: 'Change',
           cell: one =>
-            one.what ? only('operator', button('Roll back', () => rollBack(one.slot), { 'aria-label': `Roll back ${SLOTS[one.slot]?.name}` })) : '',
+            one.what ? only('operator', button('Roll back', () => rollBack(one.slot), { 'aria-label': `Roll back ${slotOf(one.slot).title}` })) : '',
         },
       ],
     })

@@ -5,9 +5,9 @@ import { colour, el, facts, fill, note, panel, pane, select } from './dom.js'
 import { NONE, about, capital, count, counted, fixed, moment, plain, span } from './format.js'
 import { frame, minus, round125 } from './frame.js'
 import { shows } from './save.js'
-import { FLAGS } from './selection.js'
 import { sensor, skin, tips } from './skin.js'
 import { table } from './table.js'
+import { meaning } from './vocabulary.js'
 
 const ARMS = [1, 2, 3, 4, 5, 6]
 const largest = values => (values ?? []).reduce((top, v) => Math.max(top, Math.abs(v ?? 0)), 1e-4)
@@ -252,7 +252,7 @@ export function trialView({ signal, href, onscale }) {
         ? el(
             'ul',
             {},
-            row.flags.map(flag => el('li', { className: 'warn' }, `${capital(plain(flag))}. `, el('span', { className: 'soft' }, FLAGS[flag] ?? '')))
+            row.flags.map(flag => el('li', { className: 'warn' }, `${capital(plain(flag))}. `, el('span', { className: 'soft' }, meaning('flags', flag))))
           )
         : el('p', {}, 'No flag: nothing in this trial looks faulty.')
     )

@@ -9,10 +9,11 @@ import { counted, fixed } from '../lib/format.js'
 import { round125 } from '../lib/frame.js'
 import { live } from '../lib/live.js'
 import { recorder } from '../lib/recording.js'
-import { METHODS, bestMethod, lacks, needWords, servingPart } from '../lib/serves.js'
+import { bestMethod, lacks, needWords, servingPart } from '../lib/serves.js'
 import { sensor } from '../lib/skin.js'
 import { table } from '../lib/table.js'
 import { numbered, touchMap } from '../lib/touchmap.js'
+import { vocabulary } from '../lib/vocabulary.js'
 
 const SCALES = [['5', '5 N'], ['20', '20 N'], ['', '50 N'], ['100', '100 N']]
 const TELL_MS = 250, TRACE_MS = 100, TRACED = 600, SERVING_MS = 10_000, STALE_MS = 2000
@@ -34,11 +35,11 @@ export async function show(root, { query, signal, set }) {
   let listed = '', arrived = 0, drawings = 0, told = { arrived: 0, drawings: 0 }, since = performance.now(), rates = {}
   const latencies = [], trace = { at: [], total: [], from: 0 }
   const label = () => live.status?.rig.label
-  const chosen = () => METHODS.find(one => one.name === state.method) ?? bestMethod(serving)
+  const chosen = () => vocabulary.methods.find(one => one.name === state.method) ?? bestMethod(serving)
 
   const map = touchMap({ signal, label, query: '/api/v1/serving' })
   const scales = select(SCALES, state.scale ?? '', value => set({ scale: value }), { 'aria-label': 'Force at the end of the colours' })
-  const methods = select([['', 'Best that serves'], ...METHODS.map(one => [one.name, one.name])], state.method ?? '', value => set({ method: value }),
+  const methods = select([['', 'Best that serves'], ...vocabulary.methods.map(one => [one.name, one.name])], state.method ?? '', value => set({ method: value }),
     { 'aria-label': 'Method' })
   const sure = el('p', { className: 'answer sure' }), numbers = el('div'), serves = servingPart()
   const columns = [

@@ -2,7 +2,7 @@
 // with voltages, dent and forces. A stored trial can be laid over it, and Fig. 7 of the paper is below.
 
 import { get, send } from '../lib/api.js'
-import { MOST, asked, contactList, contactsText, parseContacts, within } from '../lib/presslist.js'
+import { asked, contactList, contactsText, most, parseContacts, within } from '../lib/presslist.js'
 import { dent } from '../lib/dent.js'
 import { button, el, facts, fill, note, pane, panel, say, select } from '../lib/dom.js'
 import { fit, fvuOf, scatter } from '../lib/fit.js'
@@ -41,7 +41,7 @@ export async function show(root, { query, signal, set }) {
 
   root.append(el('div', { className: 'columns two' },
     el('div', { className: 'column' }, pane(drawn.node, bend.legend,
-      el('p', { className: 'soft small' }, `Click adds a contact (at most ${MOST}), drag moves it. By keyboard: arrows, Enter, and the list.`)),
+      el('p', { className: 'soft small' }, `Click adds a contact (at most ${most()}), drag moves it. By keyboard: arrows, Enter, and the list.`)),
       panel('Answer', {}, numbers, told)),
     el('div', { className: 'column' },
       panel('Contacts', {}, list.node, el('div', { className: 'row' }, button('Add a contact', () => drawn.shape ? add(apart()) : note(told, 'The skin is not known yet.')),
@@ -62,16 +62,16 @@ export async function show(root, { query, signal, set }) {
   // Contacts: changed by mouse, list or address; asked for after a rest.
   let timer = 0, cut = new AbortController()
   function put(contacts) {
-    state.contacts = contacts.slice(0, MOST).map(contact => within(contact, drawn.shape))
-    list.show(state.contacts)
+    state.contacts = contacts.slice(0, most()).map(contact => within(contact, drawn.shape))
+    list.show(state.contacts, null, drawn.shape)
     drawn.redraw()
     clearTimeout(timer)
     timer = setTimeout(() => { state.text = contactsText(state.contacts); set({ contacts: state.text }); simulate() }, REST_MS)
   }
   signal.addEventListener('abort', () => { clearTimeout(timer); cut.abort() })
-  const add = ([x_mm, y_mm]) => state.contacts.length < MOST
+  const add = ([x_mm, y_mm]) => state.contacts.length < most()
     ? put([...state.contacts, { ...NEW, ...(({ kind, value }) => kind && { kind, value })(state.contacts.at(-1) ?? {}), x_mm, y_mm }])
-    : note(told, `At most ${MOST} contacts: remove one first.`)
+    : note(told, `At most ${most()} contacts: remove one first.`)
   function edit(i, change) {
     if (!change) return put(state.contacts.filter((_, k) => k !== i))
     const found = state.answer?.contacts?.[i]
@@ -125,7 +125,7 @@ export async function show(root, { query, signal, set }) {
       told.className = 'said bad'
     }
     bend.take(state.answer?.dent_mm ?? null)
-    list.show(state.contacts, state.answer?.contacts)
+    list.show(state.contacts, state.answer?.contacts, drawn.shape)
     drawn.redraw()
     drawFrame()
   }
@@ -193,7 +193,7 @@ export async function show(root, { query, signal, set }) {
       // What pressed: every tip with a force, those below the deadband as well, as for the twin.
       const pressed = trial.arms?.filter(arm => arm.force_n > 0).length ? trial.arms.filter(arm => arm.force_n > 0) : trial.contacts
       say(trialWords, `Trial ${trial.trial_id} of run ${trial.scan_id} (${trial.experiment}, ${trial.label}): ${counted(pressed.length, 'tip')} with a force.`)
-      if (!keep) put(pressed.slice(0, MOST).map(c => ({ x_mm: c.x_mm, y_mm: c.y_mm, kind: 'force_n', value: +(c.force_n ?? 0).toFixed(3) })))
+      if (!keep) put(pressed.slice(0, most()).map(c => ({ x_mm: c.x_mm, y_mm: c.y_mm, kind: 'force_n', value: +(c.force_n ?? 0).toFixed(3) })))
     } catch (error) { say(trialWords, `Trial ${id}: ${error.message}`) }
   }
 
@@ -208,7 +208,7 @@ export async function show(root, { query, signal, set }) {
     if (text != null && text !== state.text) {
       state.text = text
       state.contacts = parseContacts(text).map(contact => within(contact, drawn.shape))
-      list.show(state.contacts)
+      list.show(state.contacts, null, drawn.shape)
       simulate()
     } else if (asks && !(other && state.trial && !next.contacts)) simulate()
     drawn.redraw()

@@ -6,11 +6,12 @@ import { button, el, fill, panel } from '../lib/dom.js'
 import { counted, fixed, moment } from '../lib/format.js'
 import { jobView, jobsPanel } from '../lib/jobs.js'
 import { live } from '../lib/live.js'
-import { TASKS, netView } from '../lib/net.js'
+import { netView } from '../lib/net.js'
 import { evaluationForm, trainingForm } from '../lib/requests.js'
 import { contactTable, shortScore, voltageTable } from '../lib/scores.js'
 import { servingPanel } from '../lib/serving.js'
 import { table } from '../lib/table.js'
+import { meaning } from '../lib/vocabulary.js'
 
 /** Shows the page. */
 export async function show(root, { query, signal, go }) {
@@ -42,7 +43,7 @@ export async function show(root, { query, signal, go }) {
     columns: [
       { head: 'Model', left: true, cell: model => model.name },
       { head: 'Id', left: true, cell: model => el('code', {}, model.id) },
-      { head: 'Learned', left: true, cell: model => TASKS[model.task] ?? model.task },
+      { head: 'Learned', left: true, cell: model => meaning('tasks', model.task) || model.task },
       { head: 'From', left: true, cell: model => [...(model.manifest.datasets ?? [])].join(', ') || 'simulations' },
       { head: 'Label', left: true, cell: model => model.manifest.label },
       { head: 'Contacts', cell: model => model.manifest.trained_on?.contact_counts?.join(', ') },

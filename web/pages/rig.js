@@ -14,6 +14,7 @@ import { live, who } from '../lib/live.js'
 import { lockWords } from '../lib/lock.js'
 import { rates } from '../lib/rates.js'
 import { checkReport } from '../lib/rigcheck.js'
+import { meaning } from '../lib/vocabulary.js'
 import { RIG, TONE } from '../lib/words.js'
 
 const CHECK_MS = 120_000
@@ -132,7 +133,7 @@ export async function show(root, { query, signal, set }) {
   function drawTrip(rig) {
     trip.hidden = !rig.trip
     if (rig.trip) fill(trip, el('p', { className: 'bad' }, `Tripped (${plain(rig.trip.kind)}): ${rig.trip.detail}.`),
-      el('p', {}, TRIPS[rig.trip.kind] ?? 'Clear the cause, reset, then home.'))
+      el('p', {}, meaning('trips', rig.trip.kind)))
   }
 
   function draw({ status, fresh }) {
@@ -227,15 +228,4 @@ export async function show(root, { query, signal, set }) {
   live.addEventListener('caller', () => { showRole(); draw(live) }, { signal })
   showRole()
   return { update(next) { Object.assign(state.steps, stepsOf(next)); pad.follow() } }
-}
-
-const TRIPS = {
-  estop: 'A person pressed the stop. When there is no danger: reset, then home.',
-    force: 'A force was beyond its limit. Find what the tip touched, then reset and home.',
-    cell: 'A load cell left its range. Check its cable and its supply, then reset and home.',
-  position: 'An axis is not where it should be. Check that nothing blocks it, then reset and home.',
-    wire: 'A wire failed. Check cable and power of its devices, then reset and home.',
-    device: 'A device reports a fault. Clear it at the device, then reset and home.',
-  stale: 'Samples or frames were too old. Check the wires and the load of the computer, then reset and home.',
-    service: 'The service itself failed. Read the event log, then reset and home.',
 }

@@ -6,15 +6,18 @@ import { actor, only, outcome } from '../lib/actions.js'
 import { actionLog } from '../lib/actionlog.js'
 import { copyButton } from '../lib/copybutton.js'
 import { button, el, facts, fill, note, panel, say } from '../lib/dom.js'
-import { count, moment } from '../lib/format.js'
+import { capital, count, moment } from '../lib/format.js'
 import { keys } from '../lib/keys.js'
 import { live, who } from '../lib/live.js'
 import { mayRelease } from '../lib/lock.js'
 import { shows } from '../lib/save.js'
+import { vocabulary } from '../lib/vocabulary.js'
 
-const ROLES = { viewer: 'You may look at everything, export, and pause, stop or abort a run. Every caller may stop the rig.',
-  operator: 'You may also queue, arm and start runs, move the rig, train and promote.',
-  admin: 'You may also make and revoke keys, and release the lock of another person.' }
+/** Rights of a role, with those of the roles before it. */
+function rightsOf(role) {
+  const until = vocabulary.roles.findIndex(({ name }) => name === role)
+  return capital(vocabulary.roles.slice(0, until + 1).map(({ about }) => about).join('; '))
+}
 
 /** Shows the page. */
 export async function show(root, { query, signal, set }) {
@@ -61,7 +64,7 @@ function yourself() {
   function show() {
     const { caller } = live
     say(role, caller ? `${caller.name ?? (person.name ? `${person.name} (local)` : 'A caller on this machine')}, ${caller.role}` : 'Role not known yet')
-    say(rights, ROLES[caller?.role] ?? '')
+    say(rights, rightsOf(caller?.role))
     forget.hidden = !hasKey()
   }
   return { node, show }

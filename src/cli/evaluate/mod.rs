@@ -11,6 +11,7 @@ use super::files::write;
 use super::infer::methods;
 use super::picture::Pictures;
 use super::train::quantities;
+use super::{At, vocabulary};
 use crate::evaluate::request::{EvaluationRequest, FramesRead, OffsetsRead};
 use crate::ids::CalibrationId;
 use crate::infer::methods::Method;
@@ -62,6 +63,8 @@ enum What {
     Factorial(LabArgs),
     /// Fig. 12 and V-D: the paper's pipeline, both baselines and our methods on Real-Unseen.
     Unseen(UnseenArgs),
+    /// Show the values that the paper prints; nothing is computed.
+    Published(At),
 }
 
 /// Options of `evaluate method`.
@@ -194,6 +197,7 @@ pub async fn evaluate(args: EvaluateArgs) -> Result<(), CliError> {
             let unseen = Unseen { dataset, points, skin, ours };
             with_lab(lab, |lab, budget| async move { fig_12(&lab, &budget, &unseen).await }).await
         }
+        What::Published(at) => vocabulary::published(&at).await,
     }
 }
 

@@ -59,6 +59,7 @@ pub const EXAMPLES: &[(&str, &[&str])] = &[
     ("simulate random", &["palpate simulate random --trials 200000 --out sim-random"]),
     ("status", &["palpate status", "palpate status --watch", "palpate status --twins --json"]),
     ("metrics", &["palpate metrics"]),
+    ("vocabulary", &["palpate vocabulary", "palpate vocabulary trips"]),
     ("queue", &["palpate queue", "palpate queue add real-hex-1 --at 22:00"]),
     ("queue list", &["palpate queue list", "palpate queue list --json"]),
     ("queue add", &["palpate queue add real-hex-1 --at 22:00"]),
@@ -171,6 +172,7 @@ pub const EXAMPLES: &[(&str, &[&str])] = &[
     ("evaluate noise", &["palpate evaluate noise --scale small --out noise"]),
     ("evaluate factorial", &["palpate evaluate factorial --scale small --out factorial"]),
     ("evaluate unseen", &["palpate evaluate unseen --scale small --out unseen"]),
+    ("evaluate published", &["palpate evaluate published", "palpate evaluate published --json"]),
     (
         "virtual-rig",
         &[

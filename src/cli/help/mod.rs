@@ -18,7 +18,7 @@ const GROUPS: &[(&str, &[&str])] = &[
     ("Data", &["dataset", "query", "plot"]),
     ("Nets", &["train", "job", "model", "infer", "live", "evaluate"]),
     ("Virtual rig", &["virtual-rig", "virtual-operator"]),
-    ("This program", &["completions", "man"]),
+    ("This program", &["vocabulary", "completions", "man"]),
 ];
 
 /// Environment of all commands; a test demands every variable that the program reads.

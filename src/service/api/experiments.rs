@@ -28,6 +28,8 @@ pub struct CarriedExperiment {
     pub kind: Option<RunKind>,
     /// Number of trials; null if the file cannot be read.
     pub trials: Option<u64>,
+    /// Forces of the weights that a person places, N; empty unless the experiment is a manual one.
+    pub weights_n: Vec<f64>,
 }
 
 /// Returns the experiments that the program carries.
@@ -48,6 +50,9 @@ pub async fn list() -> Result<Page<CarriedExperiment>, ApiError> {
             text: (*text).into(),
             kind: parsed.as_ref().map(kind),
             trials: parsed.as_ref().map(Experiment::trials),
+            weights_n: parsed
+                .and_then(|experiment| experiment.real_random)
+                .map_or_else(Vec::new, |random| random.weights_n),
             file,
         }
     };

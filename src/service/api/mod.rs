@@ -65,6 +65,7 @@ mod people;
 mod placement;
 mod problem;
 mod progress;
+mod published;
 mod query;
 mod quantities;
 mod queue;
@@ -92,6 +93,7 @@ mod trials;
 mod twins;
 mod web;
 mod untouched;
+mod vocabulary;
 mod wear;
 mod work;
 

@@ -14,9 +14,9 @@ use super::limits::{
 };
 use super::{
     App, datasets, estop, evaluation, events, experiments, exports, health, history, imports,
-    infer, jobs, live, live_status, models, overlay, people, placement, progress, quantities,
-    queue, recipes, rig, rig_limits, runs, samples, sensor, simulations, sql, status, tour, trials,
-    twins, untouched, wear,
+    infer, jobs, live, live_status, models, overlay, people, placement, progress, published,
+    quantities, queue, recipes, rig, rig_limits, runs, samples, sensor, simulations, sql, status,
+    tour, trials, twins, untouched, vocabulary, wear,
 };
 use crate::store::Role;
 
@@ -179,6 +179,7 @@ pub fn table() -> Vec<Operation> {
         (READS, routes!(exports::file)),
         (acts("import").body(IMPORT_MAX_BYTES), routes!(imports::add)),
         (READS, routes!(recipes::list)),
+        (READS, routes!(published::published)),
         (acts("train").body(BODY_MAX_BYTES).once(), routes!(jobs::train)),
         (acts("evaluate").once(), routes!(jobs::evaluate)),
         (READS, routes!(jobs::list)),
@@ -217,6 +218,7 @@ pub fn table() -> Vec<Operation> {
         (READS, routes!(people::caller)),
         (READS, routes!(people::ticket)),
         (READS, routes!(people::actions)),
+        (READS, routes!(vocabulary::vocabulary)),
         (READS, routes!(health::metrics)),
         (READS.access(Access::Open), routes!(health::live)),
         (READS.access(Access::Open), routes!(health::ready)),

@@ -1,5 +1,5 @@
 //! The sensor, as pictures of the skin need it: size, electrodes, points of contact.
-//! Uses: sim-core's sensor, `dataset::force_map`, `store`. Never: its materials or its circuit (the sensor file has them).
+//! Uses: sim-core's sensor, `dataset::force_map`, `store`. Never: its conductivity or its circuit (the sensor file has them).
 
 use axum::Json;
 use axum::extract::State;
@@ -37,6 +37,8 @@ pub struct SensorOut {
     pub points_mm: Vec<[f64; 2]>,
     /// Diameter of a tip, mm.
     pub tip_diameter_mm: f64,
+    /// Thickness of the foam, mm: the largest depth of a simulated contact.
+    pub foam_thickness_mm: f64,
     /// Side of the square that force maps cover, mm; its centre is the centre of the skin.
     pub force_map_mm: f64,
     /// Number of values of a frame.
@@ -74,6 +76,7 @@ impl SensorOut {
             electrodes: electrodes.iter().enumerate().map(electrode).collect(),
             points_mm: sensor.points().iter().map(|p| [p.x_mm, p.y_mm]).collect(),
             tip_diameter_mm: sensor.file.tip_diameter_mm,
+            foam_thickness_mm: sensor.file.layers.foam.thickness_mm,
             force_map_mm: SIDE_MM,
             channels: sensor.channels(),
             injections: electrodes.len(),

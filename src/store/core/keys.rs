@@ -65,7 +65,22 @@ pub enum Role {
 }
 
 impl Role {
-    fn as_str(self) -> &'static str {
+    /// All roles, each with the rights of the previous ones.
+    pub const ALL: [Self; 3] = [Self::Viewer, Self::Operator, Self::Admin];
+
+    /// Rights of its holder, in one line.
+    pub fn about(self) -> &'static str {
+        match self {
+            Self::Viewer => {
+                "reads and exports everything; pauses, stops and aborts runs; may stop the rig"
+            }
+            Self::Operator => "also queues and starts runs, moves the rig, trains and promotes",
+            Self::Admin => "also makes and revokes keys, and removes the operator lock of others",
+        }
+    }
+
+    /// Name of the role, as in requests and in the database.
+    pub fn as_str(self) -> &'static str {
         self.into()
     }
 }

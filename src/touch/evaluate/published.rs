@@ -1,15 +1,26 @@
-//! The paper's published values for comparison: Tables III and IV, V-C2 (Fig. 11) and V-D.
+//! The paper's published values for comparison: Tables I, III and IV, Fig. 7F, V-C2 (Fig. 11) and V-D.
 //! PURE. Uses: `force_map` (the twelve maps). Never: a number that the paper does not print.
 //!
 //! The paper prints one location error. Under Table IV it is called the distance from each true
 //! contact to the closest estimate; the text (V-B2) matches contacts first. Palpate reports both.
 
+use serde::Serialize;
+use utoipa::ToSchema;
+
 use crate::dataset::force_map::{self, ForceMapSpec};
 
 use super::touch::Metric;
 
+/// Table I: trials of Real-Hex with 1 to 6 contacts.
+pub const REAL_HEX: [u64; 6] = [20_092, 21_313, 19_712, 14_487, 15_944, 2_126];
+/// Table I: trials of Real-Random with 1 to 6 contacts.
+pub const REAL_RANDOM: [u64; 6] = [0, 50, 50, 50, 0, 0];
+
+/// Fig. 7F: median FVU of the simulation, read from the figure.
+pub const SIMULATION_FVU: f64 = 0.1;
+
 /// A published mean.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, ToSchema)]
 pub struct Printed {
     /// Value of the mean.
     pub mean: f64,
@@ -18,7 +29,7 @@ pub struct Printed {
 }
 
 /// A published score.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, ToSchema)]
 pub struct Published {
     /// Error of the number of contacts, %.
     pub number_percent: Printed,
@@ -78,7 +89,7 @@ pub const REAL_UNSEEN: Published = Published {
 };
 
 /// RMSE and FVU of one cell of Table III.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, ToSchema)]
 pub struct Transfer {
     /// Mean RMSE, V.
     pub rmse_v: f64,
@@ -87,7 +98,7 @@ pub struct Transfer {
 }
 
 /// One row of Table III.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, ToSchema)]
 pub struct Rung {
     /// Trained on frames of 1 to this many contacts.
     pub trained_to: u32,

@@ -63,13 +63,33 @@ impl Scored {
         }
     }
 
+    /// Description in one line.
+    pub fn about(self) -> &'static str {
+        match self {
+            Self::Voltages => {
+                "voltages of a Transfer-Net, or the measured ones, against the twins (Table III)"
+            }
+            Self::Quantity => "a position, pattern, count or force that a net answers for a frame",
+            Self::Method(method) => method.about(),
+        }
+    }
+
+    /// Name of the dataset on which the paper scores it; `None` if it does not.
+    pub fn usual_dataset(self) -> Option<&'static str> {
+        match self {
+            Self::Voltages => Some("r2s-transfer"),
+            Self::Quantity => None,
+            Self::Method(_) => Some("real-unseen"),
+        }
+    }
+
     /// Whether its scores describe the net in a slot. A fit only starts from a net's proposals.
     pub fn rates(self, slot: Slot) -> bool {
         self.slots().contains(&slot) && !self.is_fit()
     }
 
     /// The slots whose model a request must name.
-    fn named_slots(self) -> &'static [Slot] {
+    pub fn named_slots(self) -> &'static [Slot] {
         match self {
             Self::Voltages | Self::Quantity => &[],
             Self::Method(method) => method.named_slots(),

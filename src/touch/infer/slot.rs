@@ -34,6 +34,26 @@ impl Slot {
         }
     }
 
+    /// What it holds.
+    pub fn title(self) -> &'static str {
+        match self {
+            Self::Transfer => "Transfer-Net",
+            Self::Map => "net with force maps",
+            Self::Points => "Point-Net",
+            Self::Skin => "calibrated skin",
+        }
+    }
+
+    /// What it is used for, in one line.
+    pub fn about(self) -> &'static str {
+        match self {
+            Self::Transfer => "measured to simulated voltages",
+            Self::Map => "voltages to a force map",
+            Self::Points => "candidates of contacts, from which a fit also starts",
+            Self::Skin => "the model of this skin, calibrated to a run",
+        }
+    }
+
     /// The slot of models with a task; `None`: models of the task do not serve.
     pub fn of(task: NetTask) -> Option<Self> {
         match task.answers() {

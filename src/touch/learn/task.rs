@@ -106,6 +106,32 @@ impl NetTask {
         }
     }
 
+    /// All tasks.
+    pub const ALL: [Self; 8] = [
+        Self::Transfer,
+        Self::Recon,
+        Self::EndToEnd,
+        Self::Points,
+        Self::Position,
+        Self::Pattern,
+        Self::Count,
+        Self::Force,
+    ];
+
+    /// Description in one line.
+    pub fn about(self) -> &'static str {
+        match self {
+            Self::Transfer => "measured to simulated voltages",
+            Self::Recon => "simulated voltages to a force map",
+            Self::EndToEnd => "measured voltages to a force map",
+            Self::Points => "voltages to points and forces",
+            Self::Position => "a frame to the position of one contact",
+            Self::Pattern => "a frame to the places that are pressed",
+            Self::Count => "a frame to the number of contacts",
+            Self::Force => "a frame to the total force",
+        }
+    }
+
     /// Name of the task in manifests.
     pub fn as_str(self) -> &'static str {
         self.row().name

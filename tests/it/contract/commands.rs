@@ -45,6 +45,7 @@ const COMMANDS: &[(&str, &str)] = &[
     ("model_residuals", "evaluate transfer"),
     ("placement", "placement"),
     ("queue", "queue list"),
+    ("published", "evaluate published"),
     ("query_by_address", "query SELECT"),
     ("query_tables", "query"),
     ("readiness", "status"),
@@ -66,6 +67,7 @@ const COMMANDS: &[(&str, &str)] = &[
     ("trial_groups", "query SELECT"),
     ("twins", "status --twins"),
     ("untouched_frame", "rig untouched"),
+    ("vocabulary", "vocabulary"),
     ("wear", "rig wear"),
 ];
 

@@ -5,6 +5,7 @@
 //! against cells, force against depth) are in `campaign::bench::evidence`.
 
 use serde::{Deserialize, Serialize};
+use strum::IntoStaticStr;
 use utoipa::ToSchema;
 
 use crate::record::{ARMS, Pose};
@@ -24,8 +25,9 @@ pub struct Trip {
 }
 
 /// Kinds of trips; the policy treats them differently.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema, IntoStaticStr)]
 #[serde(rename_all = "snake_case")]
+#[strum(serialize_all = "snake_case")]
 pub enum TripKind {
     /// A person or a program pressed the stop.
     Estop,
@@ -46,6 +48,53 @@ pub enum TripKind {
 }
 
 impl TripKind {
+    /// All kinds.
+    pub const ALL: [Self; 8] = [
+        Self::Estop,
+        Self::Force,
+        Self::Cell,
+        Self::Position,
+        Self::Wire,
+        Self::Device,
+        Self::Stale,
+        Self::Service,
+    ];
+
+    /// Name of the kind, as in the status.
+    pub fn name(self) -> &'static str {
+        self.into()
+    }
+
+    /// What it means, and what to do.
+    pub fn about(self) -> &'static str {
+        match self {
+            TripKind::Estop => {
+                "A person or a program pressed the stop. When there is no danger: reset, then home."
+            }
+            TripKind::Force => {
+                "A force was beyond its limit. Find what the tip touched, then reset and home."
+            }
+            TripKind::Cell => {
+                "A load cell left its range. Check its cable and its supply, then reset and home."
+            }
+            TripKind::Position => {
+                "An axis is not where it should be. Check that nothing blocks it, then reset and home."
+            }
+            TripKind::Wire => {
+                "A wire failed. Check cable and power of its devices, then reset and home."
+            }
+            TripKind::Device => {
+                "A device reports a fault. Clear it at the device, then reset and home."
+            }
+            TripKind::Stale => {
+                "Samples or frames were too old. Check the wires and the load of the computer, then reset and home."
+            }
+            TripKind::Service => {
+                "The service itself failed. Read the event log, then reset and home."
+            }
+        }
+    }
+
     /// Whether a run that was armed with automatic resume may resume without a person once every
     /// check passes again: true for transient faults of wires, never for forces, positions or
     /// persons.

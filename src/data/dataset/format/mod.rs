@@ -58,6 +58,7 @@ pub enum Format {
 /// A row of the list of formats.
 struct Row {
     name: &'static str,
+    title: &'static str,
     extension: &'static str,
     media_type: &'static str,
     about: &'static str,
@@ -76,6 +77,7 @@ impl Format {
         match self {
             Self::Parquet => Row {
                 name: "parquet",
+                title: "Parquet",
                 extension: "parquet",
                 media_type: "application/vnd.apache.parquet",
                 about: "Apache Parquet, compressed with zstd",
@@ -84,6 +86,7 @@ impl Format {
             },
             Self::Arrow => Row {
                 name: "arrow",
+                title: "Arrow stream",
                 extension: "arrows",
                 media_type: "application/vnd.apache.arrow.stream",
                 about: "Arrow IPC stream, uncompressed",
@@ -92,6 +95,7 @@ impl Format {
             },
             Self::Feather => Row {
                 name: "feather",
+                title: "Arrow file (Feather)",
                 extension: "arrow",
                 media_type: "application/vnd.apache.arrow.file",
                 about: "Arrow IPC file (Feather 2), uncompressed",
@@ -100,6 +104,7 @@ impl Format {
             },
             Self::Csv => Row {
                 name: "csv",
+                title: "CSV",
                 extension: "csv",
                 media_type: "text/csv; charset=utf-8; header=present",
                 about: "CSV (RFC 4180) with a header line",
@@ -108,6 +113,7 @@ impl Format {
             },
             Self::Ndjson => Row {
                 name: "ndjson",
+                title: "NDJSON",
                 extension: "ndjson",
                 media_type: "application/x-ndjson",
                 about: "a JSON object per line, without missing values",
@@ -116,6 +122,7 @@ impl Format {
             },
             Self::Npz => Row {
                 name: "npz",
+                title: "NumPy (npz)",
                 extension: "npz",
                 media_type: "application/zip",
                 about: "NumPy arrays, one per column",
@@ -155,6 +162,11 @@ impl Format {
     /// Name in queries and commands.
     pub fn name(self) -> &'static str {
         self.row().name
+    }
+
+    /// Name for people.
+    pub fn title(self) -> &'static str {
+        self.row().title
     }
 
     /// Extension of file names, without the dot.

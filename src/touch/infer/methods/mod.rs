@@ -162,7 +162,7 @@ impl Method {
 
     /// The methods that serve, the best last.
     pub fn served() -> impl DoubleEndedIterator<Item = Self> {
-        Self::ALL.into_iter().filter(|method| method.row().serves)
+        Self::ALL.into_iter().filter(|method| method.serves())
     }
 
     /// The method of this name.
@@ -188,6 +188,17 @@ impl Method {
     /// The slots whose model an evaluation must name.
     pub fn named_slots(self) -> &'static [Slot] {
         self.row().named
+    }
+
+    /// The slots without which it has no answer.
+    pub fn needs(self) -> impl Iterator<Item = Slot> {
+        let needs = move |slot: &Slot| self.named_slots().contains(slot) || *slot == Slot::Skin;
+        self.slots().iter().copied().filter(needs)
+    }
+
+    /// Whether it serves live contacts; all methods can be evaluated.
+    pub fn serves(self) -> bool {
+        self.row().serves
     }
 
     /// Whether contacts are fitted: an answer takes a tenth of a second instead of milliseconds.

@@ -1,0 +1,246 @@
+//! The names that requests and answers use, with what they mean, and the limits of a simulation.
+//! Uses: the lists of the other chapters. Never: what serves, what is stored, a list of its own.
+
+use axum::Json;
+use serde::Serialize;
+use utoipa::ToSchema;
+
+use super::limits::SIMULATED_CONTACTS;
+use crate::campaign::bench::interlock::TripKind;
+use crate::dataset::force_map::TABLE_IV;
+use crate::dataset::format::Format;
+use crate::evaluate::request::Scored;
+use crate::event::{Importance, KINDS};
+use crate::infer::methods::Method;
+use crate::infer::slot::Slot;
+use crate::learn::task::NetTask;
+use crate::record::Flag;
+use crate::simulate::contacts::FORCE_MAX_N;
+use crate::store::Role;
+
+/// The names that requests and answers use, with what they mean.
+#[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
+pub struct Vocabulary {
+    /// Methods from a frame to contacts that serve, the best last.
+    pub methods: Vec<MethodWord>,
+    /// What an evaluation can score.
+    pub scored: Vec<ScoredWord>,
+    /// Slots for promotions.
+    pub slots: Vec<SlotWord>,
+    /// Tasks of nets.
+    pub tasks: Vec<Word>,
+    /// File formats of datasets and exports.
+    pub formats: Vec<FormatWord>,
+    /// Force maps of the paper's Table IV.
+    pub maps: Vec<MapWord>,
+    /// Flags of trials.
+    pub flags: Vec<Word>,
+    /// Kinds of events.
+    pub events: Vec<EventWord>,
+    /// Kinds of trips, with what to do.
+    pub trips: Vec<Word>,
+    /// Roles of keys; each has the rights of the previous ones.
+    pub roles: Vec<Word>,
+    /// Limits of a simulation.
+    pub simulation: SimulationLimits,
+}
+
+/// A name and what it means.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, ToSchema)]
+pub struct Word {
+    /// The name.
+    pub name: &'static str,
+    /// What it means, in one line.
+    pub about: &'static str,
+}
+
+/// A method from a frame to contacts.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, ToSchema)]
+pub struct MethodWord {
+    /// Name in requests.
+    pub name: &'static str,
+    /// What it does, in one line.
+    pub about: &'static str,
+    /// Slots that it uses.
+    pub uses: Vec<Slot>,
+    /// Slots without which it has no answer.
+    pub needs: Vec<Slot>,
+}
+
+/// What an evaluation can score.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, ToSchema)]
+pub struct ScoredWord {
+    /// Name in requests.
+    pub name: &'static str,
+    /// What is scored, in one line.
+    pub about: &'static str,
+    /// Slots that it uses.
+    pub uses: Vec<Slot>,
+    /// Slots whose model a request must name.
+    pub must_name: Vec<Slot>,
+    /// Name of the dataset on which the paper scores it; null if it does not.
+    pub dataset: Option<&'static str>,
+}
+
+/// A slot for promotions.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, ToSchema)]
+pub struct SlotWord {
+    /// Name in requests.
+    pub name: Slot,
+    /// What it holds.
+    pub title: &'static str,
+    /// What it is used for, in one line.
+    pub about: &'static str,
+    /// Methods that use it and serve.
+    pub methods: Vec<&'static str>,
+    /// Tasks of the nets that it takes; empty for the skin, which is a calibration.
+    pub tasks: Vec<&'static str>,
+}
+
+/// A file format.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, ToSchema)]
+pub struct FormatWord {
+    /// Name in requests.
+    pub name: &'static str,
+    /// Name for people.
+    pub title: &'static str,
+    /// Extension of file names, without the dot.
+    pub extension: &'static str,
+    /// What it is, in one line.
+    pub about: &'static str,
+}
+
+/// A force map.
+#[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
+pub struct MapWord {
+    /// Name in requests: pixel and diameter, mm, as `4x20`.
+    pub name: String,
+    /// Side of a pixel, mm.
+    pub pixel_mm: f64,
+    /// Diameter over which the force of a contact is distributed, mm.
+    pub diameter_mm: f64,
+}
+
+/// A kind of events.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, ToSchema)]
+pub struct EventWord {
+    /// Name of the kind.
+    pub name: &'static str,
+    /// What it reports, in one line.
+    pub about: &'static str,
+    /// Largest importance of such an event; each event states its own.
+    pub importance: Importance,
+}
+
+/// Limits of a simulation of contacts; a depth is at most the thickness of the foam.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, ToSchema)]
+pub struct SimulationLimits {
+    /// Largest number of contacts.
+    pub contacts_max: usize,
+    /// Largest force of a contact, N.
+    pub force_max_n: f64,
+}
+
+/// Returns the names that requests and answers use, with what they mean.
+#[utoipa::path(get, operation_id = "vocabulary", path = "/api/v1/vocabulary", tag = "health",
+    responses((status = 200, body = Vocabulary)))]
+pub async fn vocabulary() -> Json<Vocabulary> {
+    Json(Vocabulary {
+        methods: Method::served().map(MethodWord::from).collect(),
+        scored: Scored::all().map(ScoredWord::from).collect(),
+        slots: Slot::ALL.map(SlotWord::from).into(),
+        tasks: NetTask::ALL.map(|task| Word { name: task.as_str(), about: task.about() }).into(),
+        formats: Format::ALL.map(FormatWord::from).into(),
+        maps: TABLE_IV
+            .map(|map| MapWord {
+                name: map.to_string(),
+                pixel_mm: map.pixel_mm,
+                diameter_mm: map.diameter_mm,
+            })
+            .into(),
+        flags: Flag::ALL.map(|flag| Word { name: flag.as_str(), about: flag.about() }).into(),
+        events: KINDS
+            .map(|kind| EventWord { name: kind.name, about: kind.about, importance: kind.most })
+            .into(),
+        trips: TripKind::ALL.map(|kind| Word { name: kind.name(), about: kind.about() }).into(),
+        roles: Role::ALL.map(|role| Word { name: role.as_str(), about: role.about() }).into(),
+        simulation: SimulationLimits { contacts_max: SIMULATED_CONTACTS, force_max_n: FORCE_MAX_N },
+    })
+}
+
+impl From<Method> for MethodWord {
+    fn from(method: Method) -> Self {
+        Self {
+            name: method.name(),
+            about: method.about(),
+            uses: method.slots().to_vec(),
+            needs: method.needs().collect(),
+        }
+    }
+}
+
+impl From<Scored> for ScoredWord {
+    fn from(scored: Scored) -> Self {
+        Self {
+            name: scored.name(),
+            about: scored.about(),
+            uses: scored.slots().to_vec(),
+            must_name: scored.named_slots().to_vec(),
+            dataset: scored.usual_dataset(),
+        }
+    }
+}
+
+impl From<Slot> for SlotWord {
+    fn from(slot: Slot) -> Self {
+        let uses = Method::served().filter(|method| method.slots().contains(&slot));
+        let takes = NetTask::ALL.into_iter().filter(|task| Slot::of(*task) == Some(slot));
+        Self {
+            name: slot,
+            title: slot.title(),
+            about: slot.about(),
+            methods: uses.map(Method::name).collect(),
+            tasks: takes.map(NetTask::as_str).collect(),
+        }
+    }
+}
+
+impl From<Format> for FormatWord {
+    fn from(format: Format) -> Self {
+        Self {
+            name: format.name(),
+            title: format.title(),
+            extension: format.extension(),
+            about: format.about(),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[tokio::test]
+    async fn each_list_has_what_its_definition_has() {
+        let Json(words) = vocabulary().await;
+        let methods: Vec<&str> = words.methods.iter().map(|method| method.name).collect();
+        assert_eq!(methods, ["paper", "fast", "exact"]);
+        let needs: Vec<&[Slot]> = words.methods.iter().map(|method| &*method.needs).collect();
+        assert_eq!(needs, [&[Slot::Map][..], &[Slot::Points], &[Slot::Skin]]);
+        let [transfer, map, points, skin] = &words.slots[..] else { panic!("four slots") };
+        assert_eq!((&*transfer.methods, &*transfer.tasks), (&["paper"][..], &["transfer"][..]));
+        assert_eq!(map.tasks, ["recon", "end-to-end"]);
+        assert_eq!(points.methods, ["fast", "exact"]);
+        assert!(skin.tasks.is_empty());
+        let fast = words.scored.iter().find(|scored| scored.name == "fast").unwrap();
+        assert_eq!((&*fast.must_name, fast.dataset), (&[Slot::Points][..], Some("real-unseen")));
+        assert_eq!((words.maps.len(), words.maps[0].name.as_str()), (12, "4x20"));
+        let flags: Vec<&str> = words.flags.iter().map(|flag| flag.name).collect();
+        assert!(flags.contains(&"still_cell") && flags.len() == Flag::ALL.len());
+        assert_eq!(words.trips[6].name, "stale");
+        assert_eq!(
+            words.roles.iter().map(|role| role.name).collect::<Vec<_>>(),
+            ["viewer", "operator", "admin"]
+        );
+    }
+}
