@@ -60,6 +60,7 @@ mod read_only;
 mod repeat;
 mod rig;
 mod rig_limits;
+mod rig_rates;
 mod run;
 mod running;
 mod sensor;

@@ -4,18 +4,22 @@
 use std::path::{Path, PathBuf};
 
 use clap::{Args, Subcommand};
+use jiff::Timestamp;
 use reqwest::Method;
+use serde::Deserialize;
 use serde_json::{Value, json};
 
 use super::client::Client;
 use super::error::CliError;
 use super::files::ExperimentFiles;
-use super::output::{say, say_json};
+use super::morning::second;
+use super::output::{duration, say, say_json};
 use super::run::submission;
 use super::start_time::{StartTime, local};
 use super::table::{Align, Table, or_dash};
 use super::{At, embed};
 use crate::api::Page;
+use crate::ids::RunUid;
 use crate::store::RunRow;
 
 /// Options of `queue`.
@@ -32,7 +36,7 @@ pub struct QueueArgs {
 /// Actions on the queue.
 #[derive(Debug, Clone, Subcommand)]
 pub enum QueueCommand {
-    /// Show the waiting runs, the next one first.
+    /// Show the waiting runs, the next one first, with their predicted times.
     List,
     /// Queue an experiment; nothing starts.
     Add {
@@ -114,12 +118,26 @@ fn body(client: &Client, experiment: &Path, at: Option<StartTime>) -> Result<Val
     Ok(body)
 }
 
+/// Fields of `GET /api/v1/queue/times` that are shown.
+#[derive(Debug, Deserialize)]
+struct QueueTime {
+    run: RunUid,
+    duration_s: Option<f64>,
+    begin: Option<Timestamp>,
+    end: Option<Timestamp>,
+    problem: Option<String>,
+}
+
 async fn list(client: &Client, json: bool) -> Result<(), CliError> {
-    let queue: Page<RunRow> = client.get("/api/v1/queue").await?;
     if json {
+        let mut queue: Value = client.get("/api/v1/queue").await?;
+        let times: Value = client.get("/api/v1/queue/times").await?;
+        queue["times"] = times["items"].clone();
         say_json(&queue);
         return Ok(());
     }
+    let queue: Page<RunRow> = client.get("/api/v1/queue").await?;
+    let times: Page<QueueTime> = client.get("/api/v1/queue/times").await?;
     let heads = [
         ("place", Align::Right),
         ("run", Align::Right),
@@ -127,9 +145,18 @@ async fn list(client: &Client, json: bool) -> Result<(), CliError> {
         ("trials", Align::Right),
         ("submitted by", Align::Left),
         ("starts from", Align::Left),
+        ("takes", Align::Right),
+        ("begins", Align::Left),
+        ("ends", Align::Left),
     ];
     let mut table = Table::new(&heads, "the queue is empty");
+    let mut refused = Vec::new();
     for run in queue.items {
+        let time = times.items.iter().find(|time| time.run == run.uid);
+        if let Some(problem) = time.and_then(|time| time.problem.as_ref()) {
+            refused.push(format!("run {} would be refused: {problem}", run.scan_id));
+        }
+        let at = |of: fn(&QueueTime) -> Option<Timestamp>| or_dash(time.and_then(of).map(second));
         table.push([
             or_dash(run.queue_position),
             run.scan_id.to_string(),
@@ -137,8 +164,14 @@ async fn list(client: &Client, json: bool) -> Result<(), CliError> {
             run.trials_planned.to_string(),
             run.submitted_by,
             run.not_before.map_or_else(String::new, local),
+            or_dash(time.and_then(|time| time.duration_s).map(duration)),
+            at(|time| time.begin),
+            at(|time| time.end),
         ]);
     }
     say(&table);
+    for words in refused {
+        say(words);
+    }
     Ok(())
 }

@@ -18,7 +18,7 @@ use super::follow::Signals;
 use super::output::{Output, say, say_json};
 use super::progress::Working;
 use super::view::StatusView;
-use super::{At, embed, measured, rig_limits};
+use super::{At, embed, measured, rig_limits, rig_rates};
 use crate::api::LockFile;
 use crate::campaign::bench::rig_state::RigState;
 use crate::campaign::bench::travel::HOMING_WAIT;
@@ -90,6 +90,8 @@ pub enum RigCommand {
     Reset,
     /// Show the limits that trip the rig, and the ranges of its axes.
     Limits,
+    /// Show what the voltage stream and the wires did in the last minute.
+    Rates,
     /// Show the ranges of forces and z of the last minutes; --json prints the samples.
     Samples {
         /// Length of the time before now, minutes, 1 to 30.
@@ -162,6 +164,10 @@ pub async fn rig(args: RigArgs) -> Result<ExitCode, CliError> {
             rig_limits::limits(&client, at.output()).await?;
             return Ok(ExitCode::SUCCESS);
         }
+        RigCommand::Rates => {
+            rig_rates::rates(&client, at.output()).await?;
+            return Ok(ExitCode::SUCCESS);
+        }
         RigCommand::Samples { minutes } => {
             measured::samples(&client, minutes, at.output()).await?;
             return Ok(ExitCode::SUCCESS);
@@ -186,6 +192,7 @@ async fn by_hand(client: &Client, command: RigCommand) -> Result<StatusView, Cli
     match command {
         RigCommand::Check { .. }
         | RigCommand::Limits
+        | RigCommand::Rates
         | RigCommand::Samples { .. }
         | RigCommand::Untouched
         | RigCommand::Wear => client.status().await,

@@ -136,7 +136,10 @@ async fn recipes_and_limits_of_the_rig_are_those_of_their_files() {
     assert_eq!(bench["x_mm"][1].as_f64(), rig["axes"]["x"]["travel_mm"][1].as_float());
     let published = lab.get("/api/v1/published").await;
     assert_eq!(published["table_iv"].as_array().unwrap().len(), maps.len());
-    assert_eq!(published["table_iv"][0]["score"]["location_mm"], json!({ "mean": 11.0, "sd": 22.0 }));
+    assert_eq!(
+        published["table_iv"][0]["score"]["location_mm"],
+        json!({ "mean": 11.0, "sd": 22.0 })
+    );
     assert_eq!(published["table_iii"][5]["test"][5]["fvu_percent"], 4.2);
     assert_eq!(lab.get("/api/v1/vocabulary").await["trips"][0]["name"], "estop");
     lab.close().await;
@@ -148,6 +151,10 @@ async fn an_edited_run_has_a_new_plan_and_keeps_its_place() {
     let first = lab.queue(submission(2)).await;
     let edited = lab.queue(submission(3)).await;
     lab.queue(submission(4)).await;
+    let times = lab.get("/api/v1/queue/times").await["items"].clone();
+    assert_eq!((&times[0]["run"], &times[2]["problem"]), (&first["uid"], &Value::Null), "{times}");
+    assert!(times[0]["duration_s"].as_f64().unwrap() > 0.0, "{times}");
+    assert!(times[1]["begin"].is_string() && times[1]["begin"] == times[0]["end"], "{times}");
     let seen = lab.queue_tag().await;
     let plan = format!("/api/v1/runs/{}/plan", edited["uid"].as_str().unwrap());
     let before = lab.get(&plan).await;

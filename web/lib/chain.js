@@ -2,21 +2,20 @@
 
 import { el, fill, say } from './dom.js'
 import { NONE, about, count, counted, fixed, moment, percent, span } from './format.js'
-import { perMinute } from './rates.js'
 
 const BAD = [['timeouts', 'reply did not arrive in time', 'replies did not arrive in time'], ['garbled', 'reply was damaged', 'replies were damaged'],
   ['reconnects', 'reopening', 'reopenings'], ['retries', 'repeated request', 'repeated requests']]
 
-/** A wire in words: { tone, words, figures }. */
+/** A wire in words: { tone, words, figures }. `rate`: what it did in the last minute, null while that is not known. */
 export function wireWords(wire, rate) {
-  const wrong = rate ? BAD.filter(([key]) => rate.change[key] > 0) : []
+  const wrong = rate ? BAD.filter(([key]) => rate[key] > 0) : []
   const bad = wrong.some(([key]) => key !== 'retries')
   const total = [counted(wire.requests, 'request'), counted(wire.timeouts, 'timeout'), `${count(wire.garbled)} garbled`, counted(wire.reconnects, 'reopening')]
-  const found = wrong.map(([key, one, more]) => `${count(rate.change[key])} ${rate.change[key] === 1 ? one : more}`).join(', ')
-  const words = !rate ? 'Counting …' : found ? `In the last ${span(rate.seconds)}: ${found}. Check its cable and its plug.`
-    : rate.change.requests ? 'Every request of the last minute was answered.' : 'Open; nothing was asked in the last minute.'
+  const found = wrong.map(([key, one, more]) => `${count(rate[key])} ${rate[key] === 1 ? one : more}`).join(', ')
+  const words = !rate ? 'Counting …' : found ? `In the last ${span(rate.over_s)}: ${found}. Check its cable and its plug.`
+    : rate.requests ? 'Every request of the last minute was answered.' : 'Open; nothing was asked in the last minute.'
   return { tone: bad ? 'bad' : wrong.length ? 'warn' : '', words,
-    figures: [['Requests', perMinute(rate, 'requests') == null ? NONE : `${about(perMinute(rate, 'requests'))} per min`],
+    figures: [['Requests', rate?.requests_per_min == null ? NONE : `${about(rate.requests_per_min)} per min`],
     ['Last round trip', about(wire.last_round_trip_us, 'µs')]],
     since: `Since opened: ${total.join(', ')}.` }
 }
@@ -25,16 +24,16 @@ export function wireWords(wire, rate) {
 export function streamWords(stream, rate, rig) {
   if (!stream.frames) return { tone: rig.state === 'disconnected' ? '' : 'bad', words: rig.state === 'disconnected' ? 'Closed.'
     : 'No frame has arrived: check the readout and its cable.', figures: [] }
-  const { frames = 0, missed = 0, garbled = 0 } = rate?.change ?? {}
-  const silent = rate && rate.seconds > 3 && frames === 0
+  const { frames = 0, missed = 0, garbled = 0 } = rate ?? {}
+  const silent = rate && rate.over_s > 3 && frames === 0
   const harm = rig.clock_rate > 1 ? `: a rig that runs ${about(rig.clock_rate)} times as fast as the clock skips frames, no fault`
     : '. A trial waits for the frames that it needs'
   const words = !rate ? 'Counting …' : silent ? 'Silent: no frame arrives. Check the readout and its cable.' : garbled
-    ? `${counted(garbled, 'damaged packet')} in the last ${span(rate.seconds)}: check the cable and the earth.`
-    : missed ? `${percent(missed, frames + missed)} of the frames of the last ${span(rate.seconds)} are missing${harm}.`
+    ? `${counted(garbled, 'damaged packet')} in the last ${span(rate.over_s)}: check the cable and the earth.`
+    : missed ? `${percent(missed, frames + missed)} of the frames of the last ${span(rate.over_s)} are missing${harm}.`
       : 'No frame of the last minute is missing.'
   return { tone: silent ? 'bad' : garbled || missed && rig.clock_rate <= 1 ? 'warn' : '', words,
-    figures: [['Frame rate', rate ? about(frames / rate.seconds, 'Hz') : NONE],
+    figures: [['Frame rate', rate?.frames_per_s == null ? NONE : about(rate.frames_per_s, 'Hz')],
     ['Newest frame', stream.age_ms == null ? NONE : `${count(stream.age_ms)}\u202fms old`]],
     since: `Since opened: ${[counted(stream.frames, 'frame'), `${percent(stream.missed, stream.frames + stream.missed)} missed`,
       `${count(stream.garbled)} garbled`].join(', ')}.` }

@@ -1,34 +1,7 @@
-// When queued runs begin and end: a prediction from their preflights, and a line of time that shows it.
+// A line of time that shows when queued runs begin and end.
 
 import { el, fill } from './dom.js'
 import { clock, moment } from './format.js'
-
-/**
- * Predicted begin and end of queued runs, ms. `rows` in the order of the queue, `estimates` a Map from
- * uid to a preflight, `free` when the rig is free: { likely, low, high }. A run whose start time has
- * not come lets others pass. A run without an estimate ends the prediction for those behind it.
- */
-export function predict(rows, estimates, free) {
-  const times = new Map()
-  const open = [...rows]
-  let at = { ...free }
-  const early = row => (row.not_before ? Date.parse(row.not_before) : 0)
-  while (open.length) {
-    const due = open.find(row => early(row) <= at.likely)
-    const next = due ?? open.reduce((a, b) => (early(b) < early(a) ? b : a))
-    const p = estimates.get(next.uid)
-    if (!p) break
-    open.splice(open.indexOf(next), 1)
-    const begin = Math.max(at.likely, early(next))
-    at = {
-      likely: begin + p.duration_s * 1e3,
-      low: Math.max(at.low, early(next)) + p.duration_low_s * 1e3,
-      high: Math.max(at.high, early(next)) + p.duration_high_s * 1e3,
-    }
-    times.set(next.uid, { begin, end: at.likely, low: at.low, high: at.high })
-  }
-  return times
-}
 
 const STEPS_MIN = [1, 2, 5, 10, 15, 30, 60, 120, 180, 360, 720, 1440, 2880, 10_080]
 

@@ -1,17 +1,15 @@
 // The waiting runs: their order, predicted times, and what may be done with each. Rows are dragged or moved by buttons.
 
-import { Refused, ask, get, send, withQuery } from './api.js'
+import { ask, get, send, withQuery } from './api.js'
 import { actor, confirm, named, only } from './actions.js'
 import { beginButton, startRights } from './begin.js'
-import { clockline, predict } from './clockline.js'
+import { clockline } from './clockline.js'
 import { button, el, panel, say } from './dom.js'
 import { NONE, capital, count, counted, moment, momentBand, plain, span } from './format.js'
 import { live, who } from './live.js'
 import { lockWords } from './lock.js'
 import { dragRows } from './drag.js'
 import { table } from './table.js'
-
-const MOST_ESTIMATES = 50
 
 const until = ({ end, low, high }) => momentBand(end, low, high)
 const name = row => `${row.scan_id} ${row.experiment}`
@@ -39,9 +37,9 @@ function conditions(rows, rig) {
 /** Makes the panel: { node, refresh }. `said` tells what became of an action, `go` leads to the editor. */
 export function waiting({ said, go, signal }) {
   const line = clockline()
-  const estimates = new Map()
   const cells = new Map()
   let rows = []
+  let predicted = new Map() // By uid: times of a run, as the service predicts them, with moments in ms.
   let tag = ''
   let pressed = ''
 
@@ -128,7 +126,7 @@ export function waiting({ said, go, signal }) {
         draw((await answer.json()).items)
       }
       times()
-      for (const row of rows.slice(0, MOST_ESTIMATES)) await estimate(row)
+      await predict()
     } catch (error) {
       if (signal.aborted) return
       fails = `The queue could not be read: ${error.message}.`
@@ -143,22 +141,16 @@ export function waiting({ said, go, signal }) {
     drag.attach()
     if (focus) list.node.querySelector(`[data-key="${focus}"]`)?.focus()
   }
-  async function estimate(row) {
-    const known = estimates.get(row.uid)
-    if (known?.plan === row.plan_sha256 || signal.aborted) return
-    try {
-      estimates.set(row.uid, { ...(await get(`/runs/${row.uid}/preflight`, {}, { signal, wait: 20_000 })), plan: row.plan_sha256 })
-    } catch (error) {
-      // Only a refusal is an answer: what failed otherwise is asked again with the next reading.
-      if (error instanceof Refused && error.status < 500 && error.status !== 429) estimates.set(row.uid, { plan: row.plan_sha256, refused: error.message })
-    }
-    times()
+  async function predict() {
+    const ms = text => (text == null ? null : Date.parse(text))
+    const { items } = await get('/queue/times', {}, { signal, wait: 30_000 })
+    predicted = new Map(items.map(one => [one.run, { ...one, begin: ms(one.begin), end: ms(one.end), low: ms(one.low), high: ms(one.high) }]))
   }
 
   function stateOf(row, now) {
-    const p = estimates.get(row.uid)
+    const problem = predicted.get(row.uid)?.problem
     const early = row.not_before && Date.parse(row.not_before) > now ? `not before ${moment(row.not_before)}` : ''
-    const bad = p?.problems?.length ? `refused: ${p.problems[0].key}` : p?.refused ? `refused: ${p.refused}` : ''
+    const bad = problem ? `refused: ${problem}` : ''
     const words = row.waiting_since ? 'started, waits for its turn' : 'to be started by a person'
     return { words: capital([bad, words, early].filter(Boolean).join(', ')), tone: bad ? 'bad' : row.waiting_since ? 'good' : 'warn' }
   }
@@ -167,25 +159,21 @@ export function waiting({ said, go, signal }) {
     const now = Date.now()
     const { run, rig } = live.status ?? {}
     const eta = run?.eta
-    const after = s => now + (s ?? 0) * 1e3
-    const free = { likely: after(eta?.remaining_s), low: after(eta?.low_s), high: after(eta?.high_s) }
-    const predicted = predict(rows, new Map([...estimates].filter(([, p]) => p.duration_s != null)), free)
     for (const row of rows) {
-      const p = estimates.get(row.uid)
       const t = predicted.get(row.uid)
-      say(cell(row, 'duration'), p?.duration_s == null ? NONE : span(p.duration_s))
-      say(cell(row, 'begins'), t ? moment(t.begin) : NONE)
-      say(cell(row, 'ends'), t ? until(t) : NONE)
+      say(cell(row, 'duration'), t?.duration_s == null ? NONE : span(t.duration_s))
+      say(cell(row, 'begins'), t?.begin == null ? NONE : moment(t.begin))
+      say(cell(row, 'ends'), t?.end == null ? NONE : until(t))
       const { words, tone } = stateOf(row, now)
       say(cell(row, 'state'), words)
       cell(row, 'state').className = tone
     }
-    const active = run && eta ? [{ name: name(run), href: '/', begin: now, end: free.likely, tone: 'now' }] : []
+    const active = run && eta ? [{ name: name(run), href: '/', begin: now, end: now + eta.remaining_s * 1e3, tone: 'now' }] : []
     const bar = row => ({ name: name(row), href: `/plan?run=${row.scan_id}`, ...predicted.get(row.uid) })
-    const bars = rows.filter(row => predicted.has(row.uid)).map(bar)
+    const bars = rows.filter(row => predicted.get(row.uid)?.begin != null).map(bar)
     line.show(now, [...active, ...bars.sort((a, b) => a.begin - b.begin)])
     const last = Math.max(0, ...[...active, ...bars].map(one => one.end))
-    say(head, fails || summary(run, rows, last, rows.length > predicted.size))
+    say(head, fails || summary(run, rows, last, rows.length > bars.length))
     head.className = `big ${fails ? 'bad' : ''}`
     say(hint, conditions(rows, rig))
   }

@@ -6,18 +6,17 @@ import { once, get } from '../lib/api.js'
 import { actOnRig, actor, outcome, sureHome } from '../lib/actions.js'
 import { chain, lastWord, stopWords, stoppingWords, streamWords, wireWords } from '../lib/chain.js'
 import { copyButton } from '../lib/copybutton.js'
-import { el, facts, fill, panel, say, select } from '../lib/dom.js'
+import { el, facts, fill, panel, say, select, sleep } from '../lib/dom.js'
 import { count, fixed, moment, plain } from '../lib/format.js'
 import { forceBars } from '../lib/forces.js'
 import { jog, stepsOf } from '../lib/jog.js'
 import { live, who } from '../lib/live.js'
 import { lockWords } from '../lib/lock.js'
-import { rates } from '../lib/rates.js'
 import { checkReport } from '../lib/rigcheck.js'
 import { meaning } from '../lib/vocabulary.js'
 import { RIG, TONE } from '../lib/words.js'
 
-const CHECK_MS = 120_000
+const CHECK_MS = 120_000, RATES_MS = 2000, SURE_S = 8
 const ACTIONS = [['connect', 'Connect', 'Opens the wires and asks every device who it is.'],
   ['home', 'Home', 'Homes each axis, z first. The axes move.'],
   ['tare', 'Tare', 'Takes the present output of the cells as zero: nothing may touch the tips.'],
@@ -49,8 +48,8 @@ function forbidden(action, { rig, run }, fresh) {
 
 /** Shows the page. */
 export async function show(root, { query, signal, set }) {
-  const state = { steps: stepsOf(query), found: {}, limits: null, shown: '' }
-  const said = outcome(), saidTips = outcome(), saidCheck = outcome(), counters = rates(), links = chain()
+  const state = { steps: stepsOf(query), found: {}, limits: null, shown: '', rates: null }
+  const said = outcome(), saidTips = outcome(), saidCheck = outcome(), links = chain()
   const head = el('p', { className: 'state' }), sentence = el('p'), acts = el('ul', { className: 'acts' }), pose = el('div'),
     copy = el('pre', { tabIndex: 0 }), limits = el('div'), trip = el('div', { className: 'trip', hidden: true })
   const bars = forceBars({ signal })
@@ -138,13 +137,11 @@ export async function show(root, { query, signal, set }) {
 
   function draw({ status, fresh }) {
     if (!status) return
-    const { run } = status, closed = status.rig.state === 'disconnected', { wires, stream } = status.rig
+    const { run } = status, closed = status.rig.state === 'disconnected', { stream } = status.rig
     // The status keeps what was read last: with closed wires it is not the present pose.
     const rig = closed ? { ...status.rig, pose: null, forces_n: [], live_cells: null, wires: [], stream: { ...stream, frames: 0 } } : status.rig
     if (state.closed && !closed) listen()
     bars.hidden = state.closed = closed
-    counters.add({ stream: { frames: stream.frames, missed: stream.missed, garbled: stream.garbled },
-      ...Object.fromEntries(wires.map(wire => [`wire ${wire.name}`, (({ name, last_round_trip_us, ...numbers }) => numbers)(wire)])) })
     say(head, run ? `${plain(rig.state)}, run ${run.scan_id}` : plain(rig.state))
     head.className = `state ${TONE[rig.state] ?? ''}`
     say(sentence, run ? `${run.experiment} is ${plain(run.state)}${run.waiting_for ? `: ${run.waiting_for}` : ''}.` : rig.has_stage === false
@@ -179,7 +176,7 @@ export async function show(root, { query, signal, set }) {
   /** The chain: wires, stream, axes, stop, cells, tips, skin. */
   function devices(rig) {
     const closed = rig.state === 'disconnected', moves = rig.has_stage !== false
-    const wires = rig.wires.map(wire => ({ name: `Wire ${wire.name}`, ...wireWords(wire, counters.of(`wire ${wire.name}`)) }))
+    const wires = rig.wires.map(wire => ({ name: `Wire ${wire.name}`, ...wireWords(wire, rateOf(state.rates?.wires.find(one => one.name === wire.name))) }))
     const axis = (name, key, unit = 'mm') => ({ name: key === 'radius' ? 'Arms (radial axis)' : `Axis ${name}`, words: closed ? 'Closed.'
       : lastWord(state.found[name]) || 'Its report at connection is older than the shown events.',
       figures: rig.pose ? [['Position', fixed(rig.pose[`${key}_mm`], 2, unit)], ['Known', ['homed', 'armed'].includes(rig.state) ? 'homed' : 'not homed']]
@@ -193,7 +190,7 @@ export async function show(root, { query, signal, set }) {
       : `${count(rig.tips)} mounted${rig.tips ? ` on arms 1 to ${rig.tips}` : ''}.`, figures: surface
       ? [['Surface', fixed(surface.surface_z_mm, 2, 'mm')], ['Found', `${moment(surface.at)} with ${surface.tips} tips`]]
       : [['Surface', 'not searched for yet']] }
-    return [...wires, { name: 'Voltage stream', ...streamWords(rig.stream, counters.of('stream'), rig) },
+    return [...wires, { name: 'Voltage stream', ...streamWords(rig.stream, rateOf(state.rates?.stream), rig) },
       ...(moves ? [axis('x', 'x'), axis('y', 'y'), axis('z', 'z'), axis('radial', 'radius'), { name: 'Stop', ...stopWords(rig) },
         { name: 'Stopping distance', ...stoppingWords(rig.stopping) }, cells, tips] : [])]
   }
@@ -217,6 +214,22 @@ export async function show(root, { query, signal, set }) {
       row('Surface', bench?.surface_z_mm, 'mm'), row('Clearance', bench?.clearance_mm, 'mm')]
     draw(live)
   }, () => {})
+  // While nothing has changed in the first seconds, nothing is told: the counters of the wires are read every few seconds.
+  function rateOf(change) {
+    const over_s = state.rates?.over_s ?? 0
+    const isQuiet = !change || Object.values(change).every(value => typeof value !== 'number' || value === 0)
+    return over_s === 0 || over_s < SURE_S && isQuiet ? null : { over_s, ...change }
+  }
+  async function followRates() {
+    while (!signal.aborted) {
+      if (!document.hidden && live.status?.rig.state !== 'disconnected') {
+        state.rates = await get('/rig/rates', {}, { signal }).catch(() => state.rates)
+        if (!signal.aborted) draw(live)
+      }
+      await sleep(RATES_MS, signal)
+    }
+  }
+  followRates()
   // What each device said when the wires were opened last.
   const listen = () => get('/events', { since: -1000 }, { signal }).then(({ items }) => {
     for (const event of items) if (event.kind === 'device') state.found[event.data.device] = event

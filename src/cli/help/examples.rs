@@ -109,6 +109,7 @@ pub const EXAMPLES: &[(&str, &[&str])] = &[
     ("rig tips", &["palpate rig tips 4"]),
     ("rig reset", &["palpate rig reset"]),
     ("rig limits", &["palpate rig limits", "palpate rig limits --json"]),
+    ("rig rates", &["palpate rig rates", "palpate rig rates --json"]),
     ("rig samples", &["palpate rig samples", "palpate rig samples --minutes 30 --json"]),
     ("rig untouched", &["palpate rig untouched", "palpate rig untouched --json"]),
     ("rig wear", &["palpate rig wear"]),

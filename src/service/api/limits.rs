@@ -62,7 +62,7 @@ pub const LIVE_CLIENTS: usize = 8;
 pub const TOURS_MAX: usize = 8;
 /// Time for which a tour is kept in memory.
 pub const TOUR_KEPT: Duration = Duration::from_secs(24 * 3600);
-/// Queued runs whose disk space is kept in memory.
+/// Queued runs whose disk space and duration are kept in memory.
 pub const ROOM_MAX: usize = 256;
 /// Runs whose progress, and histories that are kept in memory.
 pub const KEPT_RUNS: usize = 8;

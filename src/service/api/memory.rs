@@ -1,7 +1,7 @@
 //! What the service keeps in memory for its readers: values that are expensive to read, and the live
 //! samples and messages.
 //! Uses: `kept`, the resources whose values are kept. Never: a value that is not also stored, except the
-//! samples of the last half hour.
+//! samples of the last half hour and the counters of the last minute.
 
 use std::sync::Arc;
 
@@ -14,6 +14,8 @@ use super::limits::{
     WEAR_KEPT,
 };
 use super::live_status::Messages;
+use super::queue_times::Planned;
+use super::rates::Counters;
 use super::samples::Ring;
 use super::status::StoredPart;
 use super::suspenders::Beyond;
@@ -37,6 +39,8 @@ pub struct Memory {
     pub(super) limits: Kept<RunUid, Option<Arc<TwinLimits>>>,
     /// Disk space of queued runs by definition and number of trials, bytes.
     pub(super) room: Kept<(String, u64), Option<u64>>,
+    /// Durations of queued runs by run and plan.
+    pub(super) planned: Kept<(RunUid, Option<String>), Arc<Planned>>,
     /// The stored part of the live status.
     pub(super) stored_part: Kept<(), StoredPart>,
     /// The stored frame of the untouched skin.
@@ -51,6 +55,8 @@ pub struct Memory {
     pub(super) live_status: Messages,
     /// Samples of the load cells.
     pub(super) samples: Ring,
+    /// Counters of the stream and the wires.
+    pub(super) counters: Counters,
 }
 
 impl Default for Memory {
@@ -61,6 +67,7 @@ impl Default for Memory {
             histories: Kept::new(HISTORY_KEPT, KEPT_RUNS),
             limits: Kept::new(TOUR_KEPT, KEPT_RUNS),
             room: Kept::new(TOUR_KEPT, ROOM_MAX),
+            planned: Kept::new(TOUR_KEPT, ROOM_MAX),
             stored_part: Kept::new(STORED_PART_KEPT, 1),
             untouched: Kept::new(WEAR_KEPT, 1),
             wear: Kept::new(WEAR_KEPT, 1),
@@ -68,6 +75,7 @@ impl Default for Memory {
             beyond: Beyond::default(),
             live_status: Messages::default(),
             samples: Ring::default(),
+            counters: Counters::default(),
         }
     }
 }

@@ -15,8 +15,8 @@ use super::limits::{
 use super::{
     App, datasets, estop, evaluation, events, experiments, exports, health, history, imports,
     infer, jobs, live, live_status, models, overlay, people, placement, progress, published,
-    quantities, queue, recipes, rig, rig_limits, runs, samples, sensor, simulations, sql, status,
-    tour, trials, twins, untouched, vocabulary, wear,
+    quantities, queue, queue_times, rates, recipes, rig, rig_limits, runs, samples, sensor,
+    simulations, sql, status, tour, trials, twins, untouched, vocabulary, wear,
 };
 use crate::store::Role;
 
@@ -131,6 +131,7 @@ pub fn table() -> Vec<Operation> {
         (acts("edit").body(BODY_MAX_BYTES).of(Edited::Queue), routes!(queue::edit)),
         (acts("remove").of(Edited::Queue), routes!(queue::remove)),
         (acts("move").of(Edited::Queue), routes!(queue::shift)),
+        (READS, routes!(queue_times::times)),
         (READS.role(Role::Operator), routes!(queue::preflight)),
         (READS.role(Role::Operator), routes!(tour::of_submission)),
         (READS, routes!(experiments::list)),
@@ -205,6 +206,7 @@ pub fn table() -> Vec<Operation> {
         (READS, routes!(untouched::untouched)),
         (READS, routes!(wear::wear)),
         (READS, routes!(rig_limits::limits)),
+        (READS, routes!(rates::rates)),
         (acts("rig_action").once(), routes!(rig::act)),
         (acts("rig_check").once(), routes!(rig::check)),
         (READS.of(Edited::Lock), routes!(people::lock)),

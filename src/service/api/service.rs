@@ -18,7 +18,7 @@ use super::options::{ServeError, ServeOptions};
 use super::routes::{self, AllNeeds};
 use super::tls::Tls;
 use super::{
-    App, Facts, auth, data_folder, door, edited, finished, guard, limits, live_status, once,
+    App, Facts, auth, data_folder, door, edited, finished, guard, limits, live_status, once, rates,
     router, samples,
 };
 use crate::campaign::run::engine;
@@ -162,6 +162,7 @@ impl Service {
             tokio::spawn(app.conductor.clone().note_estimates()),
             tokio::spawn(app.placement.clone().work()),
             tokio::spawn(samples::keep(app.clone())),
+            tokio::spawn(rates::keep(app.clone())),
             tokio::spawn(live_status::publish(app.clone())),
             tokio::spawn(after_start(app.clone(), options.resume)),
             tokio::spawn(async move { serving.restore().await }),

@@ -1,0 +1,111 @@
+//! `palpate rig rates`: what the voltage stream and the wires did in the last minute.
+//! Uses: `client`, `table`. Never: a request to the rig.
+
+use serde::Deserialize;
+use serde_json::Value;
+
+use super::client::Client;
+use super::error::CliError;
+use super::output::{Output, say, say_json};
+use super::table::{Align, Table, or_dash};
+
+/// `GET /api/v1/rig/rates`.
+#[derive(Debug, Clone, Default, PartialEq, Deserialize)]
+#[serde(default)]
+pub struct RatesView {
+    /// Length of the time, wall s; 0 until the counters were read twice.
+    pub over_s: f64,
+    /// The voltage stream.
+    pub stream: StreamRates,
+    /// Each wire.
+    pub wires: Vec<WireRates>,
+}
+
+/// What the voltage stream did.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Deserialize)]
+#[serde(default)]
+pub struct StreamRates {
+    /// Valid frames per second; absent until the counters were read twice.
+    pub frames_per_s: Option<f64>,
+    /// Number of missing frames.
+    pub missed: u64,
+    /// Number of rejected packets.
+    pub garbled: u64,
+}
+
+/// What a wire did.
+#[derive(Debug, Clone, Default, PartialEq, Deserialize)]
+#[serde(default)]
+pub struct WireRates {
+    /// Name of the wire.
+    pub name: String,
+    /// Requests per minute; absent until the counters were read twice.
+    pub requests_per_min: Option<f64>,
+    /// Number of repeated requests.
+    pub retries: u64,
+    /// Number of replies that did not arrive in time.
+    pub timeouts: u64,
+    /// Number of invalid replies.
+    pub garbled: u64,
+    /// Number of times the wire was reopened.
+    pub reconnects: u64,
+}
+
+/// Prints the rates of the last minute; as JSON the answer of the service.
+///
+/// # Errors
+/// As [`Client::send`].
+pub async fn rates(client: &Client, output: Output) -> Result<(), CliError> {
+    const PATH: &str = "/api/v1/rig/rates";
+    if output == Output::Json {
+        say_json(&client.get::<Value>(PATH).await?);
+        return Ok(());
+    }
+    let rates: RatesView = client.get(PATH).await?;
+    let RatesView { over_s, stream, .. } = &rates;
+    say(format_args!(
+        "the last {over_s:.0} s: {} frames/s, {} missed, {} packets garbled",
+        or_dash(stream.frames_per_s.map(|rate| format!("{rate:.1}"))),
+        stream.missed,
+        stream.garbled
+    ));
+    say(table(&rates));
+    Ok(())
+}
+
+fn table(rates: &RatesView) -> Table {
+    let heads = [
+        ("wire", Align::Left),
+        ("requests/min", Align::Right),
+        ("retries", Align::Right),
+        ("timeouts", Align::Right),
+        ("garbled", Align::Right),
+        ("reopened", Align::Right),
+    ];
+    let mut table = Table::new(&heads, "no wire is open");
+    for wire in &rates.wires {
+        table.push([
+            wire.name.clone(),
+            or_dash(wire.requests_per_min.map(|rate| format!("{rate:.0}"))),
+            wire.retries.to_string(),
+            wire.timeouts.to_string(),
+            wire.garbled.to_string(),
+            wire.reconnects.to_string(),
+        ]);
+    }
+    table
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_rate_that_is_not_known_yet_is_a_dash() {
+        let wire = WireRates { name: "cells".into(), timeouts: 3, ..WireRates::default() };
+        let rates = RatesView { wires: vec![wire], ..RatesView::default() };
+        let shown = table(&rates).to_string();
+        let cells: Vec<&str> = shown.lines().nth(1).unwrap().split_whitespace().collect();
+        assert_eq!(cells, ["cells", "-", "0", "3", "0", "0"]);
+    }
+}
