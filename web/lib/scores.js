@@ -1,8 +1,9 @@
 // Scores of evaluations as the paper's tables: voltages (Table III), contacts (Table IV). Side by side, and one by contacts.
 
 import { el, facts, link } from './dom.js'
-import { NONE, count, counted, fixed, percent } from './format.js'
+import { NONE, capital, count, counted, fixed, percent } from './format.js'
 import { table } from './table.js'
+import { raw } from './toml.js'
 import { paper } from './vocabulary.js'
 
 const ROMAN = ['none', 'I', 'II', 'III', 'IV', 'V', 'VI']
@@ -112,6 +113,51 @@ export function contactTable(reports, models, { href, current } = {}) {
   }).node
 }
 
+// What a net answers for a whole frame: the unit of its error, and what must be small.
+const UNITS = { position: 'mm', pattern: 'places', count: 'contacts', force: 'N' }
+const cost = ({ error, right }) => (right ? 1 - right.mean : error.mean)
+const interval = (mean, scale, digits) =>
+  mean ? `${fixed(mean.mean * scale, digits)}${mean.low_95 == null ? '' : ` [${fixed(mean.low_95 * scale, digits)}, ${fixed(mean.high_95 * scale, digits)}]`}` : NONE
+
+/** Name of the net of a recipe: ridge, kernel-ridge, mlp. */
+const kindOf = (report, models) => {
+  const recipe = models.find(model => model.id === report.models?.[0])?.manifest.recipe
+  return recipe ? (raw(recipe, 'training.net', 'kind') ?? '').replace(/"/g, '') : ''
+}
+
+/**
+ * Evaluations of quantities side by side, one table for the nets that answered the same quantity of the same rows: their
+ * error, and how it compares with that of ridge regression, which costs nothing to train.
+ */
+export function quantityTables(reports, models, { href, current } = {}) {
+  const sameRows = ({ quantity, dataset, part, where, rows, frames }) => JSON.stringify([quantity.quantity, dataset, part, where, rows, frames])
+  return [...new Set(reports.map(sameRows))].map(key => {
+    const group = reports.filter(report => sameRows(report) === key)
+    const [first] = group
+    const ridge = group.find(report => kindOf(report, models) === 'ridge')
+    const constant = { constant: true, quantity: { error: { mean: first.quantity.constant_error }, rows: first.quantity.rows } }
+    const of = words => one => (one.constant ? '' : words(one))
+    return table({
+      current,
+      caption:
+        `${capital(first.quantity.quantity)} on ${first.part ? `${first.part} of ` : ''}${first.asked ?? first.dataset}: error with its 95\u202f% interval. ` +
+        'A net must at least beat ridge regression. The last row is one answer for all rows.',
+      rows: [...[...group].sort((a, b) => cost(a.quantity) - cost(b.quantity)), constant],
+      columns: [
+        { head: 'Net', left: true, cell: one => (one.constant ? 'best constant' : one.job && href ? el('a', { href: href(one.job) }, nets(one, models)) : nets(one, models)) },
+        { head: 'Kind', left: true, cell: of(one => kindOf(one, models)) },
+        { head: 'Rows', cell: one => count(one.quantity.rows) },
+        { head: 'Error', unit: UNITS[first.quantity.quantity], cell: one => interval(one.quantity.error, 1, 2) },
+        { head: 'Median', cell: of(one => fixed(one.quantity.median_error, 2)) },
+        { head: 'Right', unit: '%', cell: of(one => interval(one.quantity.right, 100, 1)) },
+        { head: 'Of ridge', cell: of(one => (ridge && cost(ridge.quantity) > 0 ? fixed(cost(one.quantity) / cost(ridge.quantity), 2) : NONE)) },
+        { head: 'Held out', cell: of(one => (one.held_out === false ? el('span', { className: 'warn' }, 'no') : 'yes')) },
+        { head: 'Label', left: true, cell: of(one => one.label) },
+      ],
+    }).node
+  })
+}
+
 /** One evaluation in full. */
 export function reportView(report, models) {
   const by = report.contacts
@@ -140,7 +186,7 @@ export function reportView(report, models) {
       ['Part', report.part ?? 'all'],
       ['Label', report.label],
       ['Held out', report.held_out === false ? el('span', { className: 'warn' }, 'no') : 'yes'],
-      report.scored !== 'voltages' && ['Least peak', fixed(report.threshold_n, 1, 'N')],
+      report.contacts && ['Least peak', fixed(report.threshold_n, 1, 'N')],
       report.place_sd_mm && ['Only known to', fixed(report.place_sd_mm, 0, 'mm')],
       report.latency_ms && ['Answer after', fixed(report.latency_ms[0], 1, 'ms')],
       report.latency_ms && ['99 % after', fixed(report.latency_ms[1], 1, 'ms')],
@@ -176,7 +222,9 @@ export function reportView(report, models) {
             ...METRICS.map(metric => ({ ...metric, cell: one => metric.cell(one.score) })),
           ],
         }).node
-      : ''
+      : '',
+    report.quantity ? quantityTables([report], models) : '',
+    report.quantity?.left_out ? el('p', { className: 'soft' }, `${counted(report.quantity.left_out, 'row')} without this quantity ${report.quantity.left_out === 1 ? 'has' : 'have'} no score.`) : ''
   )
 }
 
@@ -185,6 +233,11 @@ export function shortScore(report) {
   const of = `${report.part ?? 'all'}, ${counted(report.rows, 'row')}`
   if (report.voltages)
     return `FVU ${fixed(report.voltages.all.fvu * 100, 1)}\u202f%, median ${fixed(report.voltages.all.median_fvu * 100, 1)}\u202f% (${of})`
+  const { quantity } = report
+  if (quantity) {
+    const error = fixed(quantity.error.mean, 2, UNITS[quantity.quantity])
+    return `${quantity.right ? `${fixed(quantity.right.mean * 100, 0, '%')} right` : `error ${error}`} (${of})`
+  }
   const all = report.contacts?.all
   return all
     ? [

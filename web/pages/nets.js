@@ -8,7 +8,7 @@ import { jobView, jobsPanel } from '../lib/jobs.js'
 import { live } from '../lib/live.js'
 import { netView } from '../lib/net.js'
 import { evaluationForm, trainingForm } from '../lib/requests.js'
-import { contactTable, shortScore, voltageTable } from '../lib/scores.js'
+import { contactTable, quantityTables, shortScore, voltageTable } from '../lib/scores.js'
 import { servingPanel } from '../lib/serving.js'
 import { table } from '../lib/table.js'
 import { meaning } from '../lib/vocabulary.js'
@@ -73,12 +73,12 @@ export async function show(root, { query, signal, go }) {
       current = one => one.job != null && one.job === query.job
     const volts = reports.filter(one => one.voltages),
       touch = reports.filter(one => one.contacts),
-      others = reports.filter(one => !one.voltages && !one.contacts)
+      quantities = reports.filter(one => one.quantity)
     fill(
       scores,
       reports.length
         ? [volts.length ? voltageTable(volts, models, { href, current }) : '', touch.length ? contactTable(touch, models, { href, current }) : '',
-           others.length ? el('p', { className: 'soft' }, `${counted(others.length, 'evaluation')} of nets of quantities: palpate job show ID prints their tables.`) : '']
+           quantityTables(quantities, models, { href, current })]
         : el('p', { className: 'soft' }, `No evaluation has ended yet.${toForms('Start one below.')}`)
     )
   }
