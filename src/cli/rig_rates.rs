@@ -9,6 +9,9 @@ use super::error::CliError;
 use super::output::{Output, say, say_json};
 use super::table::{Align, Table, or_dash};
 
+/// Channels that are named.
+const CHANNELS_SHOWN: usize = 4;
+
 /// `GET /api/v1/rig/rates`.
 #[derive(Debug, Clone, Default, PartialEq, Deserialize)]
 #[serde(default)]
@@ -22,7 +25,7 @@ pub struct RatesView {
 }
 
 /// What the voltage stream did.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Deserialize)]
 #[serde(default)]
 pub struct StreamRates {
     /// Valid frames per second; absent until the counters were read twice.
@@ -31,6 +34,26 @@ pub struct StreamRates {
     pub missed: u64,
     /// Number of rejected packets.
     pub garbled: u64,
+    /// Indices of the channels that are stuck.
+    pub stuck: Vec<usize>,
+    /// Indices of the channels at the end of the converter's range.
+    pub saturated: Vec<usize>,
+}
+
+impl StreamRates {
+    /// Channels that are stuck or saturated, as text; `None` if there are none.
+    pub fn broken_channels(&self) -> Option<String> {
+        let of = |channels: &[usize], what: &str| {
+            let first: Vec<String> =
+                channels.iter().take(CHANNELS_SHOWN).map(usize::to_string).collect();
+            let more = if channels.len() > CHANNELS_SHOWN { ", .." } else { "" };
+            let words = format!("{} {what} ({}{more})", channels.len(), first.join(", "));
+            (!channels.is_empty()).then_some(words)
+        };
+        let parts = [of(&self.stuck, "stuck"), of(&self.saturated, "saturated")];
+        let parts: Vec<String> = parts.into_iter().flatten().collect();
+        (!parts.is_empty()).then(|| parts.join(", "))
+    }
 }
 
 /// What a wire did.
@@ -69,6 +92,9 @@ pub async fn rates(client: &Client, output: Output) -> Result<(), CliError> {
         stream.missed,
         stream.garbled
     ));
+    if let Some(words) = stream.broken_channels() {
+        say(format_args!("channels: {words}"));
+    }
     say(table(&rates));
     Ok(())
 }
@@ -107,5 +133,8 @@ mod tests {
         let shown = table(&rates).to_string();
         let cells: Vec<&str> = shown.lines().nth(1).unwrap().split_whitespace().collect();
         assert_eq!(cells, ["cells", "-", "0", "3", "0", "0"]);
+        assert_eq!(rates.stream.broken_channels(), None);
+        let stuck = StreamRates { stuck: (7..12).collect(), ..StreamRates::default() };
+        assert_eq!(stuck.broken_channels().unwrap(), "5 stuck (7, 8, 9, 10, ..)");
     }
 }

@@ -11,6 +11,7 @@ use super::night::{Level, Night, Told, one_line};
 use super::theme::Theme;
 use crate::campaign::shown::status::{Eta, Phase};
 use crate::cli::output::{bytes, counted, duration, grouped};
+use crate::cli::rig_rates::RatesView;
 use crate::cli::view::{RunView, StatusView};
 use crate::state::StoredState;
 
@@ -121,6 +122,10 @@ pub fn facts(night: &Night, status: &StatusView, now: &Now, theme: Theme) -> Vec
         let level = if short { Level::Act } else { Level::Fine };
         fact("disk", format!("{free} free, {needed} needed"), level);
     }
+    let rates = night.rates.as_ref();
+    if let Some(words) = rates.and_then(|rates| rates.stream.broken_channels()) {
+        fact("channels", words, Level::Look);
+    }
     if let Some((words, level)) = twins(night) {
         fact("twins", words, level);
     }
@@ -135,6 +140,15 @@ pub fn facts(night: &Night, status: &StatusView, now: &Now, theme: Theme) -> Vec
             (Some(_), true) => Level::Act,
         };
         fact(&shortened(&suspender.name), suspender_words(suspender, now), level);
+    }
+    if let Some(words) = status.run.as_ref().and_then(|_| pace(night)) {
+        fact("pace", words, Level::Fine);
+    }
+    if let Some(words) = status.run.as_ref().and_then(|run| predicted(night, run, now)) {
+        fact("predicted", words, Level::Fine);
+    }
+    for (name, words, level) in rates.map_or_else(Vec::new, rate_words) {
+        fact(name, words, level);
     }
     if let Some(run) = status.run.as_ref().filter(|run| run.retries > 0) {
         fact("retries", grouped(run.retries), Level::Fine);
@@ -166,6 +180,50 @@ fn phase(night: &Night, run: &RunView) -> String {
         (None, Some(key)) => format!("{words}, configuration {}", key.configuration),
         (None, None) => words.into(),
     }
+}
+
+/// Trials per hour, of the whole run and of its last tenth.
+fn pace(night: &Night) -> Option<String> {
+    let course = night.course.as_ref()?;
+    let lately = course.per_hour(Some(course.trials.len().div_ceil(10)))?;
+    Some(format!("{:.0} trials/h, {lately:.0} lately", course.per_hour(None)?))
+}
+
+/// The end as it was predicted at the start, and how much later or earlier it is expected now.
+fn predicted(night: &Night, run: &RunView, now: &Now) -> Option<String> {
+    let course = night.course.as_ref()?;
+    let after = |from: Timestamp, in_s: f64| {
+        SignedDuration::try_from_secs_f64(in_s).ok().and_then(|in_s| from.checked_add(in_s).ok())
+    };
+    let planned = after(course.from?, course.predicted_s?)?;
+    let expected = after(night.heard_at?, run.eta?.remaining_s)?;
+    let late_s = expected.duration_since(planned).as_secs_f64();
+    let by = match late_s.abs() {
+        0.0..60.0 => String::from("as predicted"),
+        late => format!("{} {}", duration(late), if late_s > 0.0 { "later" } else { "earlier" }),
+    };
+    Some(format!("{} at the start, now {by}", now.clock(planned, "%H:%M")))
+}
+
+/// What the stream and the wires did in the last minute.
+fn rate_words(rates: &RatesView) -> Vec<(&'static str, String, Level)> {
+    let stream = &rates.stream;
+    let Some(frames_per_s) = stream.frames_per_s else { return Vec::new() };
+    let lost = format!("{} missed, {} garbled", stream.missed, stream.garbled);
+    let level = if stream.garbled > 0 { Level::Look } else { Level::Fine };
+    let mut lines = vec![("stream", format!("{frames_per_s:.1} frames/s, {lost}"), level)];
+    for wire in &rates.wires {
+        let failed = wire.timeouts + wire.garbled + wire.reconnects;
+        let level = if failed > 0 { Level::Look } else { Level::Fine };
+        let per_min = wire.requests_per_min.unwrap_or(0.0);
+        let words = format!(
+            "{}: {per_min:.0}/min, {} repeated, {failed} failed",
+            one_line(&wire.name),
+            wire.retries
+        );
+        lines.push(("wire", words, level));
+    }
+    lines
 }
 
 /// Backlog and fit of the twins.

@@ -5,10 +5,11 @@ use std::collections::VecDeque;
 
 use jiff::{SignedDuration, Timestamp};
 
-use super::answers::{More, Skin, Tour, TourProgress, Twins, Weight};
+use super::answers::{Course, More, Skin, Tour, TourProgress, Twins, Weight};
 use crate::campaign::bench::rig_state::RigState;
 use crate::campaign::shown::safe_end::Tips;
 use crate::cli::output::bytes;
+use crate::cli::rig_rates::RatesView;
 use crate::cli::view::{EventView, RunView, StatusView};
 use crate::event::Importance;
 use crate::ids::RunUid;
@@ -35,6 +36,10 @@ pub enum News {
     Tour(RunUid, Option<Tour>),
     /// The progress of a run along its tour.
     Progress(RunUid, TourProgress),
+    /// A run over time.
+    Course(RunUid, Course),
+    /// What stream and wires did in the last minute.
+    Rates(RatesView),
     /// The simulated twins.
     Twins(Twins),
     /// New events, in their order.
@@ -66,6 +71,10 @@ pub struct Night {
     pub progress: Option<TourProgress>,
     /// When the progress was read.
     pub progress_at: Option<Timestamp>,
+    /// The active run over time.
+    pub course: Option<Course>,
+    /// What stream and wires did in the last minute.
+    pub rates: Option<RatesView>,
     /// The simulated twins.
     pub twins: Option<Twins>,
     /// The last events, the newest last.
@@ -133,7 +142,9 @@ impl Night {
             News::Progress(run, progress) if self.run == Some(run) => {
                 (self.progress, self.progress_at) = (Some(progress), Some(now));
             }
-            News::Skin(..) | News::Tour(..) | News::Progress(..) => {}
+            News::Course(run, course) if self.run == Some(run) => self.course = Some(course),
+            News::Skin(..) | News::Tour(..) | News::Progress(..) | News::Course(..) => {}
+            News::Rates(rates) => self.rates = Some(rates),
             News::Twins(twins) => self.twins = Some(twins),
             News::Events(events) => {
                 self.events.extend(events.iter().filter_map(told));
@@ -149,6 +160,7 @@ impl Night {
         if run.is_some() && run != self.run {
             self.run = run;
             (self.skin, self.tour, self.progress, self.progress_at) = (None, None, None, None);
+            self.course = None;
         }
     }
 

@@ -9,7 +9,7 @@ use serde_json::Value;
 use tokio::sync::{mpsc, watch};
 use tokio::time::{Instant, MissedTickBehavior, interval};
 
-use super::answers::{More, Skin, Tour, TourProgress};
+use super::answers::{Course, More, Skin, Tour, TourProgress};
 use super::night::News;
 use crate::api::Page;
 use crate::cli::client::Client;
@@ -23,6 +23,10 @@ const STATUS_READ: Duration = Duration::from_millis(200);
 const EVENTS_POLL: Duration = Duration::from_secs(1);
 /// Interval of polling progress and twins.
 const PROGRESS: Duration = Duration::from_secs(5);
+/// Interval of polling the course of a run, which the service reads from all its trials.
+const COURSE: Duration = Duration::from_secs(30);
+/// Bins of a course, as the page asks for them: the service then reads it once for both.
+const COURSE_BINS: u32 = 120;
 /// Longest wait for an answer.
 const WATCH_ANSWER_WAIT: Duration = Duration::from_secs(2);
 /// Number of earlier events that are read first.
@@ -71,7 +75,8 @@ pub async fn follow_rest(
     news: mpsc::Sender<News>,
 ) {
     let client = client.patient(WATCH_ANSWER_WAIT);
-    let mut rest = Rest { client, news, run: None, skin: false, tour: false, since: None };
+    let mut rest =
+        Rest { client, news, run: None, skin: false, tour: false, course: None, since: None };
     let mut tick = interval(EVENTS_POLL);
     tick.set_missed_tick_behavior(MissedTickBehavior::Delay);
     let mut polled: Option<Instant> = None;
@@ -80,7 +85,7 @@ pub async fn follow_rest(
         let run = *runs.borrow();
         let changed = run != rest.run;
         if changed {
-            (rest.run, rest.skin, rest.tour) = (run, false, false);
+            (rest.run, rest.skin, rest.tour, rest.course) = (run, false, false, None);
         }
         let due = changed || polled.is_none_or(|at| at.elapsed() >= PROGRESS);
         if due {
@@ -102,6 +107,8 @@ struct Rest {
     run: Option<RunUid>,
     skin: bool,
     tour: bool,
+    /// When the course was asked for.
+    course: Option<Instant>,
     /// Number of the last event.
     since: Option<i64>,
 }
@@ -114,6 +121,12 @@ impl Rest {
         }
         if !due {
             return Ok(true);
+        }
+        let rates = stated(self.client.get("/api/v1/rig/rates").await)?;
+        if let Some(rates) = rates
+            && self.news.send(News::Rates(rates)).await.is_err()
+        {
+            return Ok(false);
         }
         let twins = self.client.get("/api/v1/twins").await?;
         if self.news.send(News::Twins(twins)).await.is_err() {
@@ -139,7 +152,22 @@ impl Rest {
         let progress: Option<TourProgress> =
             stated(self.client.get(&format!("/api/v1/runs/{run}/progress")).await)?;
         let Some(progress) = progress else { return Ok(true) };
-        Ok(self.news.send(News::Progress(run, progress)).await.is_ok())
+        if self.news.send(News::Progress(run, progress)).await.is_err() {
+            return Ok(false);
+        }
+        self.course(run).await
+    }
+
+    /// Reads the course of a run, if it is due.
+    async fn course(&mut self, run: RunUid) -> Result<bool, CliError> {
+        if self.course.is_some_and(|at| at.elapsed() < COURSE) {
+            return Ok(true);
+        }
+        self.course = Some(Instant::now());
+        let path = format!("/api/v1/runs/{run}/history?bins={COURSE_BINS}");
+        let course: Option<Course> = stated(self.client.get(&path).await)?;
+        let Some(course) = course else { return Ok(true) };
+        Ok(self.news.send(News::Course(run, course)).await.is_ok())
     }
 
     async fn events(&mut self) -> Result<bool, CliError> {

@@ -135,6 +135,29 @@ fn all_facts_of_the_night_are_on_usual_terminals() {
 }
 
 #[test]
+fn pace_prediction_rates_and_stuck_channels_are_shown() {
+    let mut night = night();
+    let course = json!({ "from": "2026-03-01T08:00:00Z", "bin_s": 360.0, "predicted_s": 43_200.0,
+        "trials": vec![10; 100] });
+    night.take(News::Course(run(), serde_json::from_value(course).unwrap()), start());
+    let wires =
+        json!([{ "name": "cells", "requests_per_min": 1200.0, "retries": 2, "timeouts": 1 }]);
+    let rates = json!({ "over_s": 60.0, "wires": wires,
+        "stream": { "frames_per_s": 30.0, "missed": 4, "stuck": [17] } });
+    night.take(News::Rates(serde_json::from_value(rates).unwrap()), start());
+    let shown = text(&drawn(&night, &after(0), (120, 40), COLOUR));
+    for words in [
+        "100 trials/h, 100 lately",
+        "20:00 at the start, now 4 min 22 s later",
+        "30.0 frames/s, 4 missed, 0 garbled",
+        "cells: 1200/min, 2 repeated, 1 failed",
+        "1 stuck (17)",
+    ] {
+        assert!(shown.contains(words), "{words}:\n{shown}");
+    }
+}
+
+#[test]
 fn no_size_of_a_terminal_is_too_small() {
     for night in [night(), Night::new("http://127.0.0.1:8080")] {
         for width in [1, 2, 7, 20, 40, 300] {

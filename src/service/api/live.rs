@@ -23,7 +23,7 @@ use crate::rig::traits::Frame;
 pub(super) const FRAME_INTERVAL: Duration = Duration::from_millis(30);
 /// Number of equal counts after which a channel is shown as stuck: 2 s. In trials fewer suffice, because
 /// the skin is pressed in between; here it may be at rest, and a quiet channel repeats a count by chance.
-const STUCK_FRAMES: u32 = 60;
+pub(super) const STUCK_FRAMES: u32 = 60;
 
 /// A live frame.
 #[derive(Debug, Serialize, ToSchema)]

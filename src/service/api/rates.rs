@@ -1,5 +1,5 @@
-//! What the voltage stream and the wires did in the last minute: changes of their counters.
-//! Uses: the campaign's status. Never: a request to a device, a counter on the disk.
+//! What the voltage stream and the wires did in the last minute: changes of their counters, and channels that are stuck.
+//! Uses: the campaign's status and newest frame. Never: a request to a device, a counter on the disk.
 
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
@@ -11,10 +11,14 @@ use serde::Serialize;
 use utoipa::ToSchema;
 
 use super::App;
+use super::live::STUCK_FRAMES;
+use crate::campaign::bench::stuck::StuckChannels;
 use crate::campaign::shown::status::{StreamStatus, WireStatus};
 
-/// Interval of reading the counters.
-const COUNTERS_READ: Duration = Duration::from_secs(1);
+/// Interval of looking at the newest frame.
+const FRAME_LOOK: Duration = Duration::from_millis(100);
+/// Looks at frames between two readings of the counters, which are a second apart.
+const FRAME_LOOKS: u32 = 10;
 /// Time over which changes are stated.
 const WINDOW: Duration = Duration::from_secs(60);
 
@@ -30,7 +34,7 @@ pub struct RigRates {
 }
 
 /// What the voltage stream did.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, ToSchema)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, ToSchema)]
 pub struct StreamRates {
     /// Valid frames per second; null until the counters were read twice.
     pub frames_per_s: Option<f64>,
@@ -40,6 +44,10 @@ pub struct StreamRates {
     pub missed: u64,
     /// Number of rejected packets.
     pub garbled: u64,
+    /// Indices of the channels that returned one count in the last 60 frames that were looked at, ten per second.
+    pub stuck: Vec<usize>,
+    /// Indices of the channels at the end of the converter's range in the newest frame.
+    pub saturated: Vec<usize>,
 }
 
 /// What a wire did.
@@ -63,7 +71,11 @@ pub struct WireRates {
 
 /// The counters of the last minute, oldest first.
 #[derive(Debug, Default)]
-pub struct Counters(Mutex<VecDeque<Read>>);
+pub struct Counters {
+    reads: Mutex<VecDeque<Read>>,
+    /// Channels that are stuck, and saturated ones; empty while no frame arrives.
+    channels: Mutex<[Vec<usize>; 2]>,
+}
 
 /// The counters at a time.
 #[derive(Debug, Clone)]
@@ -93,7 +105,7 @@ impl Read {
 
 impl Counters {
     fn add(&self, read: Read) {
-        let mut kept = self.0.lock();
+        let mut kept = self.reads.lock();
         if kept.back().is_some_and(|last| !read.continues(last)) {
             kept.clear();
         }
@@ -105,7 +117,8 @@ impl Counters {
     }
 
     fn rates(&self) -> RigRates {
-        let kept = self.0.lock();
+        let [stuck, saturated] = self.channels.lock().clone();
+        let kept = self.reads.lock();
         let (Some(first), Some(last)) = (kept.front(), kept.back()) else {
             return RigRates { over_s: 0.0, stream: StreamRates::default(), wires: Vec::new() };
         };
@@ -132,6 +145,8 @@ impl Counters {
                 frames,
                 missed: now.missed - then.missed,
                 garbled: now.garbled - then.garbled,
+                stuck,
+                saturated,
             },
             wires: last.wires.iter().zip(&first.wires).map(wire).collect(),
         }
@@ -145,13 +160,33 @@ pub async fn rates(State(app): State<App>) -> Json<RigRates> {
     Json(app.facts.memory.counters.rates())
 }
 
-/// Reads the counters until the service ends.
+/// Reads the counters and looks at frames until the service ends.
 pub async fn keep(app: App) {
+    let mut frames = app.campaign.watch_frames();
+    let mut channels = StuckChannels::default();
     loop {
+        let mut newest = None;
+        for _ in 0..FRAME_LOOKS {
+            tokio::time::sleep(FRAME_LOOK).await;
+            if frames.has_changed().unwrap_or(false) {
+                let frame = frames.borrow_and_update().clone();
+                if let Some(frame) = &frame {
+                    channels.push(&frame.counts);
+                }
+                newest = frame.or(newest);
+            }
+        }
+        let found = match &newest {
+            Some(frame) => [channels.unchanged_in(STUCK_FRAMES), frame.saturated().collect()],
+            None => {
+                channels = StuckChannels::default();
+                [Vec::new(), Vec::new()]
+            }
+        };
+        *app.facts.memory.counters.channels.lock() = found;
         let rig = app.campaign.status().rig;
         let read = Read { at: Instant::now(), stream: rig.stream, wires: rig.wires };
         app.facts.memory.counters.add(read);
-        tokio::time::sleep(COUNTERS_READ).await;
     }
 }
 
