@@ -1,7 +1,7 @@
 // The shell: top bar with the stop, links, the key, and the page of the address. Knows no data.
 
 import { address, go, params, set, shown } from './lib/address.js'
-import { door, estop, giveKey, hasKey, keep } from './lib/api.js'
+import { Stopped, door, estop, giveKey, hasKey, keep } from './lib/api.js'
 import { actOnRig, actor, modal, outcome, sureHome } from './lib/actions.js'
 import { button, el, fill, link, note, say } from './lib/dom.js'
 import { capital, clock, momentBand, percent, plain, span, steadyCountOf } from './lib/format.js'
@@ -30,6 +30,7 @@ async function open() {
     }
     else one.removeAttribute('aria-current')
   }
+  if (present?.name === name && present.isLoading) return undefined // It follows the address once it is there.
   if (present?.name === name && present.update) {
     const updated = present.update(query)
     reach()
@@ -37,7 +38,7 @@ async function open() {
   }
   leaving.abort()
   leaving = new AbortController()
-  present = { name }
+  present = { name, isLoading: Boolean(page) }
   const { signal } = leaving, root = $('main')
   document.body.dataset.page = name
   entitle()
@@ -52,12 +53,18 @@ async function open() {
     const { update } = await module.show(body, { query, signal, go, set }) ?? {}
     if (signal.aborted) return undefined
     present = { name, update }
+    if (!isSame(query, params())) return open()
     reach()
   } catch (error) {
-    if (!signal.aborted) fill(root, el('section', {}, el('h1', {}, page.title), el('p', { className: 'bad' }, `This page could not be shown: ${error.message}`), button('Try again', () => { present = null; open() })))
+    if (signal.aborted) return undefined
+    present = { name }
+    if (error instanceof Stopped) return open()
+    fill(root, el('section', {}, el('h1', {}, page.title), el('p', { className: 'bad' }, `This page could not be shown: ${error.message}`), button('Try again', () => { present = null; open() })))
   }
   return undefined
 }
+
+const isSame = (a, b) => Object.keys({ ...a, ...b }).every(key => a[key] === b[key])
 
 /** Scrolls to the part that the address names, as in /data#exports. */
 function reach() {

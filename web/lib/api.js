@@ -34,6 +34,11 @@ export class Refused extends Error {
   }
 }
 
+/** A request that a stop ended: it is neither a lost connection nor to be sent again. */
+export class Stopped extends Error {
+  constructor() { super('the stop ended this request') }
+}
+
 // A browser opens six connections to a service: the stop must not wait for one that a slow answer holds.
 let others = new AbortController()
 
@@ -41,13 +46,14 @@ let others = new AbortController()
 export async function ask(path, { body, method = body === undefined ? 'GET' : 'POST', wait = 8000, accept = 'application/json', signal, headers = {}, keyless = false } = {}) {
   const sent = keyless ? '' : secret
   const limit = wait ? AbortSignal.timeout(wait) : null
-  const until = [signal, limit, path === ESTOP ? null : others.signal].filter(Boolean)
+  const ending = path === ESTOP ? null : others.signal, until = [signal, limit, ending].filter(Boolean)
   const form = body instanceof FormData || body instanceof Blob
   const response = await fetch(path, {
     method, cache: 'no-store', priority: path === ESTOP ? 'high' : 'auto', body: form || body === undefined ? body : JSON.stringify(body),
     headers: { accept, ...(sent && { authorization: `Bearer ${sent}` }), ...(body !== undefined && !form && { 'content-type': 'application/json' }), ...headers },
     signal: until.length ? AbortSignal.any(until) : undefined,
   }).catch(error => {
+    if (ending?.aborted) throw ending.reason
     if (error.name !== 'AbortError') error = new Error(error.name === 'TimeoutError' ? 'no answer in time' : 'no connection', { cause: error })
     throw error
   })
@@ -88,13 +94,14 @@ function uuid() {
   return hex.replace(/^(.{8})(.{4})(.{4})(.{4})/, '$1-$2-$3-$4-')
 }
 
-/** Sends a request that starts something: with an Idempotency-Key, repeated if the connection fails. */
+/** Sends a request that starts something: with an Idempotency-Key, repeated if the connection fails, never after a stop. */
 export async function once(path, body = {}, options = {}) {
-  const headers = { ...options.headers, 'idempotency-key': uuid() }
+  const headers = { ...options.headers, 'idempotency-key': uuid() }, begun = others
   for (let attempt = 0; ; attempt += 1) {
     try { return await send(path, body, { ...options, headers }) } catch (error) {
-      if (error instanceof Refused || attempt === 2) throw error
+      if (error instanceof Refused || error instanceof Stopped || error.name === 'AbortError' || attempt === 2) throw error
       await sleep(500)
+      if (begun !== others) throw new Stopped() // A stop since then: what it ended must not move the rig again.
     }
   }
 }
@@ -182,7 +189,7 @@ const ESTOP = '/api/v1/estop'
 
 /** Presses the stop: sends without a question, ends all other requests, tries five times, returns the outcome. */
 export async function estop() {
-  others.abort(new Error('ended by the stop'))
+  others.abort(new Stopped())
   others = new AbortController()
   const why = person.name ? `pressed on the page by ${person.name}` : 'pressed on the page'
   let reason = 'it did not latch', keyless = false

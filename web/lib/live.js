@@ -1,7 +1,7 @@
 // The state of rig and run as all pages share it: one socket, or polling where there is none.
 // Old is known to be old: `live.fresh` is false within 3 s after the last answer.
 
-import { ask, door, get, person, socket } from './api.js'
+import { Stopped, ask, door, get, person, socket } from './api.js'
 import { onBeat, sleep } from './dom.js'
 import { KEPT_MINUTES, addSamples, fillSamples, lastAt } from './samples.js'
 
@@ -76,6 +76,7 @@ async function caller(signal) {
 }
 
 function lost(error) {
+  if (error instanceof Stopped) return // The next reading tells whether there is a connection.
   live.state(false, error?.status === 401 ? 'No status without a key that is valid' : error?.status ? `No status (${error.message})` : 'No connection')
 }
 
