@@ -1,16 +1,18 @@
 // Box plots side by side: median, quartiles, whiskers, and the share of values beyond them.
 
-import { colour, el, onLook, soon } from './dom.js'
+import { colour, el, onLook, say, soon } from './dom.js'
 import { about, count, percent } from './format.js'
 import { picture } from './picture.js'
+import { readByKeys } from './boxkeys.js'
 
 /**
  * Makes a box plot. `set([{ name, trials, low, q1, median, q3, high, outliers }])`. `paper`: a published
  * value, drawn as a dashed line.
  */
 export function boxes({ title, unit = '', factor = 1, paper, query, label, signal, height = 200 }) {
-  const canvas = el('canvas', { role: 'img', className: 'boxes', style: { height: `${height}px` } })
-  let items = []
+  const canvas = el('canvas', { className: 'boxes', style: { height: `${height}px` } }), at = el('p', { className: 'chart-at', 'aria-hidden': 'true', style: { top: `${height}px` } })
+  const holder = el('div', { className: 'chart' }, canvas, at)
+  let items = [], marked = null // The box that is read by keys.
   const draw = soon(() => {
     const width = canvas.clientWidth, ratio = window.devicePixelRatio || 1, pen = canvas.getContext('2d')
     if (!width) return
@@ -20,11 +22,11 @@ export function boxes({ title, unit = '', factor = 1, paper, query, label, signa
     const top = nice(Math.max(...items.map(item => item.high * factor), paper ?? 0, 1e-9)), left = 50, foot = 36, head = 10
     const y = value => height - foot - (height - foot - head) * value / top
     grid(pen, { top, left, width, y })
-    items.forEach((item, i) => one(pen, item, left + (width - left) * (i + 0.5) / items.length, Math.min(46, (width - left) / items.length * 0.5), y))
+    items.forEach((item, i) => one(pen, { ...item, isMarked: i === marked }, left + (width - left) * (i + 0.5) / items.length, Math.min(46, (width - left) / items.length * 0.5), y))
     if (paper) dashed(pen, { left, width, y: y(paper) })
-    const words = item => `${item.name}: median ${about(item.median * factor, unit)}, quartiles ${about(item.q1 * factor)} to ${about(item.q3 * factor, unit)}, whiskers ${about(item.low * factor)} to ${about(item.high * factor, unit)}`
-    canvas.ariaLabel = `${title}: ${items.map(item => `${words(item)}, ${count(item.trials)} trials`).join('; ')}`
+    canvas.ariaLabel = `${title}: ${items.map(words).join('; ')}`
   })
+  const words = item => `${item.name}: median ${about(item.median * factor, unit)}, quartiles ${about(item.q1 * factor)} to ${about(item.q3 * factor, unit)}, whiskers ${about(item.low * factor)} to ${about(item.high * factor, unit)}, ${count(item.trials)} trials`
   function grid(pen, { top, left, width, y }) {
     pen.textBaseline = 'middle'
     for (let k = 0; k <= 4; k += 1) {
@@ -57,6 +59,7 @@ export function boxes({ title, unit = '', factor = 1, paper, query, label, signa
     pen.lineWidth = 1
     pen.textAlign = 'center'
     pen.fillStyle = colour('--ink')
+    if (item.isMarked) pen.fillRect(x - wide / 2, height - 16, wide, 2)
     pen.fillText(item.name, x, height - 25)
     pen.fillStyle = colour('--soft')
     pen.fillText(`n ${count(item.trials)}`, x, height - 9)
@@ -73,8 +76,14 @@ export function boxes({ title, unit = '', factor = 1, paper, query, label, signa
   onLook(canvas, draw, signal)
   const data = () => ({ heads: ['group', 'trials', 'low', 'q1', 'median', 'q3', 'high', 'share beyond'],
     rows: items.map(item => [item.name, item.trials, item.low, item.q1, item.median, item.q3, item.high, percent(item.outliers, 1)]) })
-  const node = picture({ title, query, label, data, canvas: () => canvas }, canvas)
-  return { node, set(next) { items = next; draw() } }
+  const keys = readByKeys(canvas, { count: () => items.length, show(i) {
+    marked = i
+    draw()
+    say(at, i == null ? '' : words(items[i]))
+    return at.textContent
+  } })
+  const node = picture({ title, query, label, data, canvas: () => canvas }, holder)
+  return { node, set(next) { items = next; keys.refresh(); draw() } }
 }
 
 /** A round number at least as large, that four parts divide well. */

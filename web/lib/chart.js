@@ -24,12 +24,12 @@ const zoomText = ([low, high]) => [low, high].map(v => +v.toPrecision(12)).join(
  * drawn from `set([x, y1, y2, …])`; x in Unix seconds if `time`. `marks(u)` may draw over it.
  * `range`: [low, high] of y, fixed, or a function (low, high) => [low, high].
  * `whole`: x is marked at whole numbers only. A drag or a key zooms along x: with `key`, a name that is unique in its page,
- * the zoom is in the address; with `onselect(low, high)` the page does it all (null, null: the whole). `onenter(x)` opens
- * what is near a point. Ends with `signal`.
+ * the zoom is in the address, and so are the curves that are hidden; with `onselect(low, high)` the page does the zoom
+ * (null, null: the whole). `onenter(x)` opens what is near a point. Ends with `signal`.
  */
 export function chart({ title, key, onenter, x = 'Time', xUnit, y = '', unit = '', series, time = true, height = 180, range, marks, query, label, signal, log = false, right, onselect, whole = false }) {
   const holder = el('div', { className: 'chart' })
-  let data = [[], ...series.map(() => [])], plot = null, zoom = null
+  let data = [[], ...series.map(() => [])], plot = null, zoom = null, hidden = new Set() // Numbers of curves, from 1.
   const pen = (name, i) => colour(name ?? COLOURS[i % COLOURS.length])
   const text = (value, of) => value == null ? '' : fixed(value, of?.digits ?? 2, of?.unit ?? unit)
   const spread = (low, high) => {
@@ -54,19 +54,30 @@ export function chart({ title, key, onenter, x = 'Time', xUnit, y = '', unit = '
         ...(right ? [axis({ side: 1, scale: 'right', size: 46, grid: { show: false }, label: right.label, labelSize: 16, labelFont: '12px system-ui, sans-serif' })] : [])],
       series: [{ label: x, value: (u, v) => v == null ? '' : time ? cursor(u, v) : fixed(v, whole ? 0 : 2, xUnit) },
         ...series.map((one, i) => ({
-          label: one.name, scale: one.axis === 'right' ? 'right' : 'y', stroke: pen(one.colour, i), width: one.line === false ? 0 : 1.5, dash: one.dash,
+          label: one.name, show: !hidden.has(i + 1), scale: one.axis === 'right' ? 'right' : 'y', stroke: pen(one.colour, i), width: one.line === false ? 0 : 1.5, dash: one.dash,
           points: { show: one.points ?? false, size: 4, fill: pen(one.colour, i) }, fill: one.fill ? `${pen(one.colour, i)}30` : undefined, paths: one.bars ? uPlot.paths.bars({ size: [0.9, 40] }) : one.steps ? uPlot.paths.stepped({ align: 1 }) : undefined,
           value: (_, v) => text(v, one), spanGaps: one.gaps ?? false,
         }))],
       cursor: { drag: { x: true, y: false, dist: DRAG_PX } },
-      hooks: { draw: marks ? [marks] : [], setSelect: [u => { if (u.select.width > 0) zoomTo(u.posToVal(u.select.left, 'x'), u.posToVal(u.select.left + u.select.width, 'x')) }] },
+      hooks: { draw: marks ? [marks] : [], setSeries: [noteHidden], setSelect: [u => { if (u.select.width > 0) zoomTo(u.posToVal(u.select.left, 'x'), u.posToVal(u.select.left + u.select.width, 'x')) }] },
       legend: { live: true },
     }, data, holder)
     holder.querySelector('canvas')?.setAttribute('aria-hidden', 'true')
     scale()
   }
   const scale = () => { if (zoom) plot?.setScale('x', { min: zoom[0], max: zoom[1] }) }
-  const kept = key ? hold(`zoom-${key}`, { take: text => { zoom = zoomOf(text); zoom ? scale() : plot?.setData(data) }, text: () => zoom && zoomText(zoom), signal }) : () => {}
+  // Hidden by a key or by a click in the legend.
+  const noteHidden = (u, _, { show }) => {
+    if (show == null) return
+    hidden = new Set(series.map((_, i) => i + 1).filter(k => !u.series[k].show))
+    keptHidden()
+  }
+  const keptHidden = key ? hold(`hide-${key}`, { take(text) {
+    hidden = new Set(text.split(',').map(Number).filter(k => k > 0 && k <= series.length))
+    const wanted = hidden // The plot tells of each change by itself.
+    for (const [k, one] of plot?.series.entries() ?? []) if (k > 0 && one.show === wanted.has(k)) plot.setSeries(k, { show: !wanted.has(k) })
+  }, text: () => hidden.size ? [...hidden].join(',') : null, signal }) : () => {}
+  const kept = key && !onselect ? hold(`zoom-${key}`, { take: text => { zoom = zoomOf(text); zoom ? scale() : plot?.setData(data) }, text: () => zoom && zoomText(zoom), signal }) : () => {}
   function zoomTo(low, high) {
     if (onselect) return onselect(low, high)
     zoom = [low, high]

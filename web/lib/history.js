@@ -54,12 +54,12 @@ export function history({ title = 'The night', state, set, signal, label, height
   }
   const marks = u => drawMarks(u, data)
   const shared = { height, signal, label, query, onselect, onenter, marks }
-  const rate = chart({ ...shared, title: 'Trials per hour', y: 'Per hour', range: (_, high) => [0, Math.max(10, 1.15 * (high || 1))],
+  const rate = chart({ ...shared, key: 'rate', title: 'Trials per hour', y: 'Per hour', range: (_, high) => [0, Math.max(10, 1.15 * (high || 1))],
     series: [{ name: 'trials', digits: 0, steps: true, fill: true }, { name: 'failed attempts', digits: 0, steps: true, colour: '--bad' }] })
-  const fit = chart({ ...shared, title: 'Largest force and fit of the twins', y: 'Force', unit: 'N',
+  const fit = chart({ ...shared, key: 'fit', title: 'Largest force and fit of the twins', y: 'Force', unit: 'N',
     series: [{ name: 'largest force', digits: 1, colour: '--c3' }, { name: 'median FVU', unit: '', digits: 3, axis: 'right', colour: '--c2' }],
     range: (_, high) => [0, Math.max(20, 1.15 * (high || 1))], right: { range: (_, low, high) => [0, Math.max(0.1, 1.15 * (high || 0))], label: 'FVU' } })
-  const end = chart({ ...shared, title: 'Predicted end, against the actual or newest one', y: 'Later', unit: 'min',
+  const end = chart({ ...shared, key: 'end', title: 'Predicted end, against the actual or newest one', y: 'Later', unit: 'min',
     series: [{ name: 'likely', digits: 0 }, ...['early', 'late'].map(name => ({ name, digits: 0, colour: '--grey', dash: [3, 3] }))] })
   const second = el('div'), choice = select([['fit', 'Force and fit'], ['end', 'Predicted end']], state.night ?? 'fit',
     night => set({ night: night === 'fit' ? null : night }), { 'aria-label': 'Second chart' })

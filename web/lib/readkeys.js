@@ -1,6 +1,6 @@
 // The keys by which pictures are read, as the list of keys shows them.
 
-/** Keys of charts, frames and maps: title and rows of [keys, what they do]. */
+/** Keys of charts, box plots, frames and maps: title and rows of [keys, what they do]. */
 export const READ_KEYS = [
   ['On a chart', [
     ['Left, Right', 'point by point'],
@@ -10,6 +10,10 @@ export const READ_KEYS = [
     ['Escape', 'the whole chart'],
     ['1 to 9', 'hide or show a curve'],
     ['Enter', 'open the nearest event, where there are events'],
+  ]],
+  ['On a box plot', [
+    ['Left, Right', 'box by box'],
+    ['Home, End', 'first and last box'],
   ]],
   ['On a frame', [
     ['Arrows', 'cell by cell'],

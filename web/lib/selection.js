@@ -6,7 +6,7 @@ import { vocabulary } from './vocabulary.js'
 
 /** Parameters of the page that are no condition on trials: its own, and those of its charts. */
 const OWN = ['trial', 'sort', 'scale']
-const isOwn = key => OWN.includes(key) || key.startsWith('zoom-')
+const isOwn = key => OWN.includes(key) || /^(zoom|hide)-/.test(key)
 const COMPARES = { eq: '=', gt: '>', gte: '≥', lt: '<', lte: '≤', in: 'one of' }
 
 /** The conditions of an address, as the API takes them. */
