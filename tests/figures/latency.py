@@ -8,7 +8,7 @@
 commit and everything else that is neither motion, settling nor frame. While the run is under way, for
 SECONDS, each second minute is under load. Without SECONDS: a run as it was. With OF, another run's
 name such as `run-1`, the load is exports of it, one after the other, instead of reads; with `dashboards` it is
-20 pages of the night: live status, live frames, and what a page reads again and again; with `analysts` ten
+20 pages of the night: live status, live frames, events, and what a page reads again and again; with `analysts` ten
 people who ask one question after the other, in SQL, as groups, or for 10,000 trials with their frames.
 `estop moving`: x is on its way at each stop (a rig that may move, homed before each).
 """
@@ -135,8 +135,8 @@ def exports(url: str, seconds: float, of: str) -> None:
 
 
 def dashboards(url: str, seconds: float, run: str, count: int = 20) -> None:
-    """As many pages as `count`: two WebSockets each, whose messages are read, and the repeated requests."""
-    end, received = time.monotonic() + seconds, []
+    """As many pages as `count`: two WebSockets each, whose messages are read, the stream of events, and the repeated requests."""
+    end, received, events = time.monotonic() + seconds, [], []
 
     def follow(path: str) -> None:
         at = urlsplit(url)
@@ -148,19 +148,27 @@ def dashboards(url: str, seconds: float, run: str, count: int = 20) -> None:
                 total += len(piece)
             received.append(total)
 
+    def listen() -> None:
+        request = urllib.request.Request(f"{url}/api/v1/events?since=-200", headers={"Accept": "text/event-stream"})
+        # Without events the service sends a comment every 15 s.
+        with urllib.request.urlopen(request, timeout=30) as answer:
+            while time.monotonic() < end and (line := answer.readline()):
+                if line.startswith(b"data:"):
+                    events.append(len(line))
+
     def ask() -> None:
         while time.monotonic() < end:
             for path in (f"/api/v1/runs/{run}/progress", "/api/v1/twins", f"/api/v1/runs/{run}/history?bins=120"):
                 call(url, path)
             time.sleep(max(0.0, min(5.0, end - time.monotonic())))
 
-    work = [(follow, "/api/v1/status/live"), (follow, "/api/v1/frames/live"), (ask,)] * count
+    work = [(follow, "/api/v1/status/live"), (follow, "/api/v1/frames/live"), (listen,), (ask,)] * count
     threads = [threading.Thread(target=one[0], args=one[1:]) for one in work]
     for thread in threads:
         thread.start()
     for thread in threads:
         thread.join()
-    print(f"{count} dashboards received {sum(received) / seconds / 1e6:.2f} MB/s over their WebSockets")
+    print(f"{count} dashboards received {sum(received) / seconds / 1e6:.2f} MB/s over their WebSockets, {len(events)} events")
 
 
 def load(url: str, seconds: float, rate: float = 200.0) -> None:
