@@ -1,6 +1,6 @@
 //! `palpate vocabulary` and `palpate evaluate published`: the names that requests use, and the values that the paper
 //! prints.
-//! Uses: `client`, `table`. Never: a list of its own (the service states them).
+//! Uses: `client`, `table`. Never: a copy of a list (the service states them).
 
 use clap::Args;
 use serde_json::Value;

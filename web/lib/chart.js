@@ -74,7 +74,7 @@ export function chart({ title, key, onenter, x = 'Time', xUnit, y = '', unit = '
   }
   const keptHidden = key ? hold(`hide-${key}`, { take(text) {
     hidden = new Set(text.split(',').map(Number).filter(k => k > 0 && k <= series.length))
-    const wanted = hidden // The plot tells of each change by itself.
+    const wanted = hidden // The plot reports each change by itself.
     for (const [k, one] of plot?.series.entries() ?? []) if (k > 0 && one.show === wanted.has(k)) plot.setSeries(k, { show: !wanted.has(k) })
   }, text: () => hidden.size ? [...hidden].join(',') : null, signal }) : () => {}
   const kept = key && !onselect ? hold(`zoom-${key}`, { take: text => { zoom = zoomOf(text); zoom ? scale() : plot?.setData(data) }, text: () => zoom && zoomText(zoom), signal }) : () => {}

@@ -76,7 +76,7 @@ async function caller(signal) {
 }
 
 function lost(error) {
-  if (error instanceof Stopped) return // The next reading tells whether there is a connection.
+  if (error instanceof Stopped) return // The next reading shows whether there is a connection.
   live.state(false, error?.status === 401 ? 'No status without a key that is valid' : error?.status ? `No status (${error.message})` : 'No connection')
 }
 

@@ -214,7 +214,7 @@ export async function show(root, { query, signal, set }) {
       row('Surface', bench?.surface_z_mm, 'mm'), row('Clearance', bench?.clearance_mm, 'mm')]
     draw(live)
   }, () => {})
-  // While nothing has changed in the first seconds, nothing is told: the counters of the wires are read every few seconds.
+  // While nothing has changed in the first seconds, no rate is shown: the counters of the wires are read every few seconds.
   function rateOf(change) {
     const over_s = state.rates?.over_s ?? 0
     const isQuiet = !change || Object.values(change).every(value => typeof value !== 'number' || value === 0)

@@ -86,7 +86,7 @@ struct Read {
 }
 
 impl Read {
-    /// Whether the same wires have counted on since; a wire that was opened again begins at zero.
+    /// Whether no counter of the same wires fell since; a wire that was opened again begins at zero.
     fn continues(&self, earlier: &Self) -> bool {
         let (now, then) = (self.stream, earlier.stream);
         let numbers = |wire: &WireStatus| {

@@ -1,5 +1,5 @@
 //! The names that requests and answers use, with what they mean, and the limits of a simulation.
-//! Uses: the lists of the other chapters. Never: what serves, what is stored, a list of its own.
+//! Uses: the lists of the other chapters. Never: what serves, what is stored, a copy of a list.
 
 use axum::Json;
 use serde::Serialize;
