@@ -3,8 +3,8 @@
 //! is a crate, and crates only use those before them.
 
 pub use palpate_words::{
-    carried, chance, clock, commit, digest, event, file_kind, ids, journal, locate, near, new_file, plain,
-    problem, program, record, state, syntax, toml_words,
+    carried, chance, clock, commit, digest, event, file_kind, ids, journal, locate, near, new_file,
+    plain, problem, program, record, state, syntax, toml_words,
 };
 
 pub use palpate_bench::{campaign, rig, schedule};

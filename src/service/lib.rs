@@ -10,8 +10,8 @@ use palpate_touch::{evaluate, infer, jobs, learn};
 #[cfg(test)]
 use palpate_words::query_lines;
 use palpate_words::{
-    carried, clock, commit, digest, event, ids, journal, new_file, plain, priority, problem, record,
-    state, syntax,
+    carried, clock, commit, digest, event, ids, journal, new_file, plain, priority, problem,
+    record, state, syntax,
 };
 
 pub mod conductor;
