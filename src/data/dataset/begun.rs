@@ -32,7 +32,7 @@ impl Begun {
     fn new(folder: &Path, scan_id: i64, trials: &[TrialRow]) -> Result<Self, DatasetError> {
         let definition = Definition::of_run(scan_id);
         let frame = trials.iter().find_map(|trial| trial.voltages_v.as_ref().map(Vec::len));
-        let channels = frame.map_or(schema::CHANNELS, |channels| channels as i32);
+        let channels = frame.map_or(schema::PAPER_CHANNELS, |channels| channels as i32);
         let columns = schema::of_dataset(&definition, channels);
         let encoder = Encoder::new(folder, &definition, &columns)?;
         Ok(Self { scan_id, encoder, written: Vec::new() })

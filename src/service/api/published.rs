@@ -48,7 +48,7 @@ pub struct PublishedMap {
 #[utoipa::path(get, operation_id = "published", path = "/api/v1/published", tag = "jobs",
     responses((status = 200, body = PublishedValues)))]
 pub async fn published() -> Json<PublishedValues> {
-    let maps = force_map::TABLE_IV.iter().zip(TABLE_IV);
+    let maps = force_map::TABLE_IV_MAPS.iter().zip(TABLE_IV);
     Json(PublishedValues {
         table_i: vec![
             PublishedTrials { kind: RunKind::RealHex, trials: REAL_HEX },

@@ -7,7 +7,7 @@ use utoipa::ToSchema;
 
 use super::limits::SIMULATED_CONTACTS;
 use crate::campaign::bench::interlock::TripKind;
-use crate::dataset::force_map::TABLE_IV;
+use crate::dataset::force_map::TABLE_IV_MAPS;
 use crate::dataset::format::Format;
 use crate::evaluate::request::Scored;
 use crate::event::{Importance, KINDS};
@@ -151,7 +151,7 @@ pub async fn vocabulary() -> Json<Vocabulary> {
         slots: Slot::ALL.map(SlotWord::from).into(),
         tasks: NetTask::ALL.map(|task| Word { name: task.as_str(), about: task.about() }).into(),
         formats: Format::ALL.map(FormatWord::from).into(),
-        maps: TABLE_IV
+        maps: TABLE_IV_MAPS
             .map(|map| MapWord {
                 name: map.to_string(),
                 pixel_mm: map.pixel_mm,

@@ -268,7 +268,7 @@ impl Catalog {
     /// `DatasetError::Store` or `File` if the trials cannot be read or written.
     pub async fn write_ahead(&self, run: RunUid, scan_id: i64) -> Result<(), DatasetError> {
         let Ok(mut begun) = self.inner.building.try_lock() else { return Ok(()) };
-        let (rows, columns) = (BATCH_ROWS as u64, schema::all(schema::CHANNELS));
+        let (rows, columns) = (BATCH_ROWS as u64, schema::all(schema::PAPER_CHANNELS));
         match self.check_space(Product::Dataset, rows, &columns, Format::Parquet).await {
             Err(DatasetError::DiskFull { .. }) => return Ok(()),
             checked => checked?,
