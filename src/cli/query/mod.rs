@@ -1,8 +1,8 @@
 //! Questions in SQL: `palpate query` as a table or a file, `palpate plot` as a picture.
 //! Uses: `client`, `table`, `figure::series`. Never: rows in this process but those that it shows.
 
-use std::path::Path;
 use std::io::{IsTerminal, Write};
+use std::path::Path;
 use std::path::PathBuf;
 use std::time::Duration;
 

@@ -119,6 +119,7 @@ pub async fn act(
             Request::Jog { axis, to_mm }
         }
     };
+    app.conductor.note_operation();
     app.campaign.ask(request).await?;
     Ok(StatusCode::ACCEPTED)
 }

@@ -4,6 +4,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use jiff::Timestamp;
@@ -73,6 +74,10 @@ struct Inner {
     look: Notify,
     /// Held while a run begins, or ends without having been driven.
     beginning: tokio::sync::Mutex<()>,
+    /// The run for which the rig is brought up after a start of the service; none once it was aborted.
+    brought_up: Mutex<Option<RunUid>>,
+    /// Whether a person has operated the rig since the start of the service.
+    is_operated: AtomicBool,
 }
 
 /// The first of the two steps of starting a run.
@@ -132,9 +137,25 @@ impl Conductor {
         calibration: Option<Calibration>,
     ) -> Self {
         let (armings, waiting, look) = (Mutex::default(), Mutex::default(), Notify::new());
-        let beginning = tokio::sync::Mutex::default();
-        let inner = Inner { store, campaign, rig, calibration, armings, waiting, look, beginning };
+        let (beginning, brought_up) = (tokio::sync::Mutex::default(), Mutex::default());
+        let inner = Inner {
+            store,
+            campaign,
+            rig,
+            calibration,
+            armings,
+            waiting,
+            look,
+            beginning,
+            brought_up,
+            is_operated: AtomicBool::new(false),
+        };
         Self { inner: Arc::new(inner) }
+    }
+
+    /// A person operates the rig: no run is driven again by itself after the start of the service.
+    pub fn note_operation(&self) {
+        self.inner.is_operated.store(true, Ordering::Relaxed);
     }
 
     /// Returns the preflight of a submission, without queueing it.
@@ -197,7 +218,7 @@ impl Conductor {
     }
 
     /// Ends a run that is open but not driven as aborted: it was interrupted, or is about to be driven again after a
-    /// restart. Its trials stay; it begins nothing.
+    /// restart; if the rig homes for it, the homing ends, too. Its trials stay; it begins nothing.
     ///
     /// # Errors
     /// `ConductorError::Forbidden` if the run is not open or is driven, `Store` if its end is not stored.
@@ -209,12 +230,15 @@ impl Conductor {
             let words = format!("run {} is {}: there is nothing to abort", now.scan_id, now.state);
             return Err(ConductorError::Forbidden(words));
         }
+        self.end_bringing_up(run.uid);
         self.armings().remove(&run.uid);
         self.waiting().remove(&run.uid);
         let stored: u64 = self.inner.store.contact_counts(run.uid).await?.iter().sum();
         let reason = format!("aborted at {stored} of {} trials, not driven", run.trials_planned);
         let status = ExitStatus::Abort;
         self.inner.store.end_run(run.uid, status, &reason, Timestamp::now()).await?;
+        // An attempt that began meanwhile still found it open.
+        self.end_bringing_up(run.uid);
         let data = json!({ "run": run.uid, "exit_status": status, "reason": reason });
         self.say(run, "ended", data).await;
         Ok(())

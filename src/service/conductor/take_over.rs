@@ -1,6 +1,7 @@
 //! After a start of the service: drives what the earlier process drove, as `restart` decides.
 //! Uses: `conductor::restart`, `campaign` (its handle), `store`. Never: motion, HTTP.
 
+use std::sync::atomic::Ordering;
 use std::time::Duration;
 
 use jiff::Timestamp;
@@ -13,8 +14,9 @@ use crate::campaign::bench::rig_state::RigState;
 use crate::campaign::bench::travel::HOMING_WAIT;
 use crate::campaign::shown::command::{Refusal, Request};
 use crate::campaign::spans::run_span;
+use crate::ids::RunUid;
 use crate::journal::error_chain;
-use crate::store::{LockRow, RunRow};
+use crate::store::{LockRow, RunKind, RunRow};
 
 /// Interval of polling the rig's state.
 const HOMING_POLL: Duration = Duration::from_millis(50);
@@ -145,17 +147,43 @@ impl Conductor {
         Ok(false)
     }
 
-    /// Brings the rig up and begins a run, unless the run was ended or a lock was taken, also while it homed.
+    /// Brings the rig up and begins a run, unless the run was ended, a lock was taken or a person has operated the
+    /// rig, also while it homed.
     async fn try_to_drive(
         &self,
         run: &RunRow,
         since: Option<Timestamp>,
     ) -> Result<(), ConductorError> {
+        *self.inner.brought_up.lock() = Some(run.uid);
         self.unended(run).await?;
-        self.require_no_lock(run, since).await?;
-        self.bring_up().await?;
-        self.require_no_lock(run, since).await?;
+        self.require_unattended(run, since).await?;
+        self.bring_up(run).await?;
+        self.require_unattended(run, since).await?;
         self.begin(run).await
+    }
+
+    /// Ends the homing for a run that is not driven any more.
+    pub(super) fn end_bringing_up(&self, run: RunUid) {
+        self.inner.brought_up.lock().take_if(|uid| *uid == run);
+    }
+
+    fn is_brought_up(&self, run: RunUid) -> bool {
+        *self.inner.brought_up.lock() == Some(run)
+    }
+
+    /// Refuses a run if a person may be at the rig: one has operated it since the start of the service, or has taken
+    /// the operator lock.
+    async fn require_unattended(
+        &self,
+        run: &RunRow,
+        since: Option<Timestamp>,
+    ) -> Result<(), ConductorError> {
+        if self.inner.is_operated.load(Ordering::Relaxed) {
+            let words =
+                "a person has operated the rig since the start of the service: start the run";
+            return Err(ConductorError::Forbidden(words.into()));
+        }
+        self.require_no_lock(run, since).await
     }
 
     async fn require_no_lock(
@@ -178,21 +206,28 @@ impl Conductor {
         }
     }
 
-    /// Opens the wires and homes the rig, as needed; a skin alone has nothing to home. After a crash the first
-    /// motion is z up, as in every homing.
-    async fn bring_up(&self) -> Result<(), Refusal> {
+    /// Opens the wires and homes the rig, as needed. A skin alone has nothing to home, and for a manual run nothing
+    /// moves: a person's hands may be on the skin. After a crash the first motion is z up, as in every homing.
+    async fn bring_up(&self, run: &RunRow) -> Result<(), Refusal> {
         let campaign = &self.inner.campaign;
         if campaign.status().rig.state == RigState::Disconnected {
             campaign.ask(Request::Connect).await?;
         }
-        if campaign.status().rig.is_ready() {
+        let rig = campaign.status().rig;
+        let is_manual = run.kind == RunKind::RealRandom;
+        if rig.is_ready() || is_manual && rig.state == RigState::Disarmed {
             return Ok(());
         }
-        if campaign.status().rig.state == RigState::Disarmed {
+        if rig.state == RigState::Disarmed {
             campaign.ask(Request::Home).await?;
         }
         let homed = async {
             loop {
+                if !self.is_brought_up(run.uid) {
+                    // Refused if nothing moves any more.
+                    let _ = campaign.ask(Request::Abort).await;
+                    return Err(Refusal::State("the run was aborted".into()));
+                }
                 let rig = campaign.status().rig;
                 match rig.state {
                     RigState::Homed => return Ok(()),

@@ -41,7 +41,7 @@ pub struct StopSwitch {
 #[derive(Debug, Default)]
 struct Inner {
     latch: StopLatch,
-    /// Number of the press that latched it; none while it is released.
+    /// Number of the newest press while it is latched; none while it is released.
     latched: watch::Sender<Option<u64>>,
     state: Mutex<State>,
 }
@@ -79,7 +79,8 @@ impl Press {
 
 impl StopSwitch {
     /// Latches and wakes the tasks that stop the axes. While it is latched, the first press is the one that is
-    /// shown; each further one is counted, so that no reset which was requested before it releases it.
+    /// shown; each further one sends the stops again, and is counted, so that no reset which was requested before
+    /// it releases it.
     pub fn press(&self, why: &str) {
         let mut state = self.state();
         self.inner.latch.latch();
@@ -87,8 +88,8 @@ impl StopSwitch {
         if state.press.is_none() {
             state.press =
                 Some(Press { why: why.into(), at: Instant::now(), stops: BTreeMap::new() });
-            self.inner.latched.send_replace(Some(state.presses));
         }
+        self.inner.latched.send_replace(Some(state.presses));
     }
 
     /// Presses so far.
@@ -158,7 +159,11 @@ impl StopSwitch {
                 error: outcome.as_ref().err().map(ToString::to_string),
             };
             if let Some(press) = self.state().press.as_mut() {
-                press.stops.insert(axis.name(), stop);
+                let known = press.stops.entry(axis.name()).or_insert_with(|| stop.clone());
+                // The time of the first press holds, unless a further one finds the axis silent.
+                if known.acknowledged_ms.is_none() || stop.error.is_some() {
+                    *known = stop;
+                }
             }
             match outcome {
                 Ok(()) => return,
@@ -183,6 +188,34 @@ impl StopSwitch {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::campaign::bench::stand_in::StandIns;
+
+    /// Waits until every axis has acknowledged the stop of the first press, and `stops` were received.
+    async fn acknowledged(stop: &StopSwitch, axes: &StandIns, stops: u64) -> f64 {
+        let wait = async {
+            loop {
+                let known = stop.pressed().and_then(|press| press.acknowledged_ms());
+                match known.filter(|_| axes.stops() >= stops) {
+                    Some(ms) => return ms,
+                    None => tokio::time::sleep(Duration::from_millis(1)).await,
+                }
+            }
+        };
+        tokio::time::timeout(Duration::from_secs(10), wait).await.expect("the stops are sent")
+    }
+
+    #[tokio::test]
+    async fn a_further_press_sends_the_stops_again_and_shows_the_time_of_the_first() {
+        let (stop, axes) = (StopSwitch::default(), StandIns::default());
+        let serving = tokio::spawn(stop.clone().serve(axes.bench()));
+        stop.press("first");
+        let first_ms = acknowledged(&stop, &axes, 4).await;
+        tokio::time::sleep(Duration::from_millis(20)).await;
+        stop.press("second");
+        assert_eq!(acknowledged(&stop, &axes, 8).await, first_ms);
+        assert_eq!(stop.pressed().unwrap().why, "first");
+        serving.abort();
+    }
 
     #[test]
     fn a_press_outlasts_every_reset_that_was_requested_before_it() {

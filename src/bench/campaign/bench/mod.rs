@@ -13,3 +13,5 @@ pub mod rig_state;
 pub mod stuck;
 pub mod tare;
 pub mod touch_off;
+#[cfg(test)]
+pub(in crate::campaign) mod stand_in;

@@ -406,3 +406,25 @@ impl Stage {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::campaign::bench::stand_in::StandIns;
+    use crate::rig::traits::AxisStatus;
+
+    #[tokio::test]
+    async fn a_drive_that_restarts_while_it_raises_the_tips_has_not_raised_them() {
+        let axes = StandIns::default();
+        let (stage, stop) = (axes.stage(), StopSwitch::default());
+        axes.z.status.lock().position = 60.0;
+        // Its position counts from where it restarted: it looks as if z were at the top.
+        let restarted = AxisStatus { position: 0.0, homed: false, ..axes.z.present() };
+        *axes.z.after_start.lock() = Some(restarted);
+        assert_eq!(stage.raise_once(Height::Clear, &stop).await, Ok(Raised::NotHomed));
+        // A drive that keeps its zero does raise them.
+        *axes.z.status.lock() = AxisStatus { position: 60.0, homed: true, ..restarted };
+        let raised = stage.raise_once(Height::Clear, &stop).await;
+        assert_eq!(raised, Ok(Raised::Up { deepest_mm: 60.0 }));
+    }
+}

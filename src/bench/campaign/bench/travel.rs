@@ -302,6 +302,7 @@ impl Stage {
             self.travel(control, &[Target::of(AxisName::Z, top)]).await?;
         }
         self.home_axes(control, &[AxisName::Z]).await?;
+        self.require_clear().await?;
         self.home_axes(control, &[AxisName::X, AxisName::Y, AxisName::Radial]).await
     }
 
@@ -316,13 +317,14 @@ impl Stage {
         loop {
             control.attend()?;
             let read = try_join_all(names.iter().map(|&n| self.driven(n).axis.status())).await?;
-            if read.iter().all(|s| s.homed && !s.moving) {
-                return Ok(());
-            }
+            // A drive in alarm is at rest, and may keep its earlier zero.
             if let Some((name, s)) = names.iter().zip(&read).find(|(_, s)| s.alarm.is_some()) {
                 let code = s.alarm.unwrap_or_default();
                 let detail = format!("{} reports alarm {code:#x}", name_of(*name));
                 return Err(Halt::trip(TripKind::Device, detail));
+            }
+            if read.iter().all(|s| s.homed && !s.moving) {
+                return Ok(());
             }
             if self.clock.now() > deadline {
                 let left: Vec<&str> = names

@@ -43,6 +43,7 @@ pub struct Control {
     suspended_for: Option<String>,
     leaving: bool,
     estop_noted: bool,
+    operated: bool,
 }
 
 impl Control {
@@ -59,6 +60,7 @@ impl Control {
             suspended_for: None,
             leaving: false,
             estop_noted: false,
+            operated: false,
         }
     }
 
@@ -276,10 +278,13 @@ impl Control {
 
     fn take_up_while_moving(&mut self, envelope: Envelope) -> Option<RunAction> {
         let Envelope { request, answer, .. } = envelope;
+        self.operated |= request.is_of_rig();
         let idle = self.run == RunState::Idle;
         let outcome = match self.run_request(&request) {
-            // Homing or jogging outside a run also ends when the service ends.
-            Some(_) if idle && self.leaving => Ok(RunAction::Raise),
+            // Homing or jogging outside a run also ends when the service ends, or by an abort.
+            Some(event) if idle && (self.leaving || event == RunEvent::Abort) => {
+                Ok(RunAction::Raise)
+            }
             // A paused run whose rig homes: it resumes once the rig is ready, not before.
             Some(RunEvent::Resume) if matches!(self.run, RunState::Paused(_)) => {
                 Err(Refusal::State("resume is not possible while the rig moves".into()))
@@ -305,6 +310,11 @@ impl Control {
         // The client may have disconnected; its request still holds.
         let _ = answer.send(outcome.map(|_| ()));
         action
+    }
+
+    /// Whether a person tried to operate the rig while it moved, since this was last taken.
+    pub fn take_operated(&mut self) -> bool {
+        std::mem::take(&mut self.operated)
     }
 
     fn run_words(&self) -> String {

@@ -382,6 +382,11 @@ impl Wire {
         if !self.policy.silence.is_zero() && next > self.clock.now() {
             tokio::time::sleep_until(next).await;
         }
+        // The stop may have been latched while the wire was opened or silent.
+        if let Err(refused) = job.permitted() {
+            self.context = Some(context);
+            return Err(refused);
+        }
         context.set_slave(Slave(job.unit));
         let sent = self.clock.now();
         let call = context.call(pdu::to_wire(&job.request));

@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use tokio::io::{AsyncReadExt, AsyncWriteExt, DuplexStream};
-use tokio::sync::mpsc;
+use tokio::sync::{Notify, mpsc};
 
 use super::*;
 use crate::clock::Clock;
@@ -263,6 +263,35 @@ async fn a_latched_rig_sends_no_motion_but_reads_and_stops() {
     assert_eq!(rig.seen(), [(1, 3, 0x9000), (1, 5, 9)]);
     latch.clear();
     assert!(rig.line.ask_motion(1, coil(1), permit).await.is_ok());
+}
+
+#[tokio::test]
+async fn a_motion_whose_wire_opens_after_the_stop_was_latched_is_not_sent() {
+    let (ours, mut theirs) = tokio::io::duplex(64);
+    let (begun, go) = (Arc::<Notify>::default(), Arc::<Notify>::default());
+    let (begins, goes, mut port) = (Arc::clone(&begun), Arc::clone(&go), Some(ours));
+    let opener: Opener = Box::new(move || {
+        let (begins, goes, port) = (Arc::clone(&begins), Arc::clone(&goes), port.take());
+        Box::pin(async move {
+            begins.notify_one();
+            goes.notified().await;
+            let port = port.ok_or(std::io::ErrorKind::ConnectionRefused)?;
+            Ok(Box::new(port) as Box<dyn Port>)
+        })
+    });
+    let silence = Duration::ZERO;
+    let policy = LinePolicy { timeout: LONG, attempts: 3, silence, stop_grace: GRACE };
+    let line = Arc::new(Line::spawn("wire", Framing::Tcp, opener, policy, Clock::new(1.0)));
+    let latch = StopLatch::new();
+    let permit = MotionGate::new(latch.clone()).permit().unwrap();
+    let asking = Arc::clone(&line);
+    let moving = tokio::spawn(async move { asking.ask_motion(1, coil(1), permit).await });
+    begun.notified().await;
+    latch.latch();
+    go.notify_one();
+    assert_eq!(moving.await.unwrap(), Err(LineError::Latched));
+    let sent = tokio::time::timeout(TIMEOUT, theirs.read_u8()).await;
+    assert!(sent.is_err(), "nothing is sent: {sent:?}");
 }
 
 #[tokio::test]

@@ -8,7 +8,7 @@ use std::sync::Arc;
 use serde_json::json;
 use tokio::sync::OwnedMutexGuard;
 
-use super::{Connection, Engine, Owed, no_stage, no_wires, trip_of};
+use super::{Answer, Connection, Engine, Owed, no_stage, no_wires, trip_of};
 use crate::campaign::bench::interlock::{self, Trip, TripKind};
 use crate::campaign::bench::rig_state::{RigEvent, RigState};
 use crate::campaign::bench::stage::{AxisName, Stage};
@@ -44,7 +44,7 @@ impl Engine {
         let outcome = match request {
             Request::Connect => self.connect().await,
             Request::Disconnect => self.disconnect(),
-            Request::Reset => self.reset(presses).await,
+            Request::Reset => self.reset(presses, Some(&answer)).await,
             Request::Home => match self.control.rig_event(RigEvent::Homing) {
                 Ok(()) => {
                     let _ = answer.send(Ok(()));
@@ -179,7 +179,7 @@ impl Engine {
     }
 
     /// Keeps the open wires, and starts the tasks that use them.
-    fn connected(
+    pub(super) fn connected(
         &mut self,
         skin: Arc<dyn SkinReader>,
         lines: BTreeMap<String, Arc<Line>>,
@@ -219,12 +219,17 @@ impl Engine {
 
     /// Resets a trip: every axis must reply, alarms are cleared, drives are prepared again, and the
     /// stop is released last. `presses`: presses of the stop when the reset was requested or decided; a later
-    /// one holds.
+    /// one holds. `answer`: of the request; none for an automatic reset. After an e-stop the tips then stay where they
+    /// are until the rig is homed.
     ///
     /// # Errors
-    /// A stop is not acknowledged, a device does not follow, or the stop was pressed again. The rig
-    /// then stays tripped.
-    pub(super) async fn reset(&mut self, presses: u64) -> Result<(), Refusal> {
+    /// A stop is not acknowledged, a device does not follow, the stop was pressed again, or the caller was told
+    /// meanwhile that the reset failed. The rig then stays tripped.
+    pub(super) async fn reset(
+        &mut self,
+        presses: u64,
+        answer: Option<&Answer>,
+    ) -> Result<(), Refusal> {
         if let Some(axis) = self.not_acknowledged() {
             return Err(Refusal::State(format!("not reset: {axis}")));
         }
@@ -241,8 +246,15 @@ impl Engine {
             }
             bench.cells.prepare().await.map_err(fail)?;
         }
+        if answer.is_some_and(Answer::is_closed) {
+            return Err(Refusal::Gone);
+        }
+        let was_stopped = self.control.estop.pressed().is_some();
         if !self.control.estop.release(presses) {
             return Err(Refusal::State("not reset: the stop was pressed again".into()));
+        }
+        if was_stopped {
+            self.owed = Owed::Nothing;
         }
         self.prepared_setting = None;
         self.control.show(|status| {

@@ -46,6 +46,8 @@ mod decide;
 mod recovery;
 mod session;
 mod skin;
+#[cfg(test)]
+mod tests;
 mod wait;
 
 /// Period at which an idle or waiting engine checks its bench, wall.
@@ -285,16 +287,17 @@ impl Engine {
     async fn after_panic(&mut self, words: &str) {
         let detail = format!("the campaign's thread failed: {words}");
         let trip = Trip { kind: TripKind::Service, detail };
-        let safe = AssertUnwindSafe(self.make_safe(Some(&trip), Height::Clear)).catch_unwind();
-        if safe.await.is_err() {
-            tracing::error!("the safe end itself failed: inspect the rig");
-        }
+        // Before the safe end, as for any trip: a process that dies meanwhile leaves no run that resumes automatically.
         if self.control.run() != RunState::Idle
             && let Some(run) = self.control.run_uid()
         {
             let why = Some(PausedWhy::Trip);
             let change = StateChange { why, ..StateChange::to(StoredState::Interrupted) };
             self.control.diary.note(Note::RunState(run, change));
+        }
+        let safe = AssertUnwindSafe(self.make_safe(Some(&trip), Height::Clear)).catch_unwind();
+        if safe.await.is_err() {
+            tracing::error!("the safe end itself failed: inspect the rig");
         }
         self.control.forget_run();
         self.control.show(|status| status.run = None);

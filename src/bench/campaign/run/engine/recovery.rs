@@ -20,6 +20,8 @@ const LOCK_LIMIT: Duration = Duration::from_secs(1);
 /// Longest silence of a device after which a run resumes automatically, wall: a longer one may be a stop that removes
 /// the power of the drives, and a person may be at the rig.
 const SILENCE_MAX: Duration = Duration::from_secs(600);
+/// What a run waits for after a person has operated the rig.
+pub(super) const BY_HAND: &str = "a request to resume: a person has operated the rig";
 
 /// The automatic resume of a run that waits.
 pub(super) struct Automatic<'a> {
@@ -177,7 +179,8 @@ impl Engine {
         if connection.skin.take(Instant::now(), 1).await.is_err() {
             return Recovery::Silent;
         }
-        let is_reset = self.control.rig() != RigState::Tripped || self.reset(presses).await.is_ok();
+        let is_reset =
+            self.control.rig() != RigState::Tripped || self.reset(presses, None).await.is_ok();
         if !is_reset {
             return Recovery::Failed;
         }
@@ -186,7 +189,12 @@ impl Engine {
             return if resumed { Recovery::Done } else { Recovery::Failed };
         }
         *has_homed = true;
-        if !self.home().await {
+        self.control.take_operated();
+        let is_homed = self.home().await;
+        if self.control.take_operated() {
+            return Recovery::ForPerson(BY_HAND.into());
+        }
+        if !is_homed {
             return Recovery::Failed;
         }
         if let Some(lock) = self.taken_lock().await {
@@ -224,4 +232,44 @@ async fn switched_off(bench: &Bench, must_be_homed: bool) -> Result<Option<Strin
         return Ok(Some(words));
     }
     Ok(None)
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::atomic::Ordering;
+
+    use super::super::tests::{engine, job, trip};
+    use super::*;
+    use crate::campaign::bench::stand_in::StandIns;
+
+    /// One attempt of an automatic resume while a device has been silent for this time: whether further ones follow,
+    /// and what the run waits for.
+    async fn attempt(silent_since: Option<Duration>) -> (bool, Option<String>) {
+        let (axes, job) = (StandIns::default(), job());
+        let mut engine = engine(&axes);
+        trip(&mut engine, &job);
+        axes.x.replies.store(false, Ordering::SeqCst);
+        let mut resumes = 1;
+        let mut resume = Automatic::new(&job, &mut resumes, Some("no reply".into()));
+        let now = Instant::now();
+        (resume.at, resume.silent_since) = (now, silent_since.map(|time| now - time));
+        let mut automatic = Some(resume);
+        assert!(engine.resume_automatically(&job, &mut automatic, 0).await.is_none());
+        assert_eq!(engine.control.rig(), RigState::Tripped);
+        assert_eq!(axes.z.starts.load(Ordering::SeqCst), 0);
+        let known = automatic.as_ref().is_none_or(|resume| resume.silent_since.is_some());
+        assert!(known, "the time of the silence is kept");
+        let status = engine.control.inbox.status.borrow();
+        (automatic.is_some(), status.run.as_ref().and_then(|run| run.waiting_for.clone()))
+    }
+
+    #[tokio::test]
+    async fn a_run_resumes_by_itself_only_within_ten_minutes_of_silence() {
+        for short in [None, Some(SILENCE_MAX - Duration::from_secs(10))] {
+            assert_eq!(attempt(short).await, (true, Some("no reply".into())), "{short:?}");
+        }
+        let (continues, words) = attempt(Some(SILENCE_MAX + Duration::from_secs(1))).await;
+        assert!(!continues);
+        assert!(words.is_some_and(|words| words.contains("silent for more than 10 min")));
+    }
 }

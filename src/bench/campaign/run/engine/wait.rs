@@ -3,7 +3,7 @@
 
 use serde_json::json;
 
-use super::recovery::Automatic;
+use super::recovery::{Automatic, BY_HAND};
 use super::skin::next_window;
 use super::{Answer, Attempts, Engine, IDLE_TICK, Last, Next, Owed, Waited};
 use crate::campaign::bench::rig_state::RigState;
@@ -46,8 +46,7 @@ impl Engine {
                         // The request may close the wires: no window keeps them.
                         window.set(next_window(None));
                         if envelope.request.is_of_rig() {
-                            let words = "a request to resume: a person has operated the rig";
-                            self.end_automatic(&mut automatic, Some(words.into()));
+                            self.end_automatic(&mut automatic, Some(BY_HAND.into()));
                         }
                         let waited = self.waiting_request(job, envelope, attempts.last).await;
                         window.set(next_window(self.watched_skin()));
@@ -214,7 +213,7 @@ impl Engine {
             // A person has reset a panicked run: it waits as after any trip.
             Request::Reset if self.control.run() == RunState::Panicked => {
                 let reset = match self.control.rig() {
-                    RigState::Tripped => self.reset(presses).await,
+                    RigState::Tripped => self.reset(presses, Some(&answer)).await,
                     _ => Ok(()),
                 };
                 if reset.is_ok() {

@@ -1,0 +1,303 @@
+//! Stand-ins for unit tests: axes, cells and a skin that do as they are told, without wires or time, and a journal
+//! that takes everything.
+//! Uses: `rig::traits`, `journal`. Never: in a program.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+
+use async_trait::async_trait;
+use jiff::Timestamp;
+use parking_lot::Mutex;
+use serde_json::Value;
+use tokio::sync::watch;
+use tokio::time::Instant;
+
+use crate::campaign::bench::stage::Stage;
+use crate::clock::Clock;
+use crate::ids::{RunUid, TrialId, TrialKey};
+use crate::journal::{Event, ExitStatus, Journal, JournalError, Mounting, Progress};
+use crate::record::{
+    ARMS, AttemptRecord, ReferenceRecord, TareRecord, TouchOffRecord, TrialRecord, Untouched,
+};
+use crate::rig::config::{Guard, RigConfig};
+use crate::rig::error::RigError;
+use crate::rig::traits::{
+    Axis, AxisStatus, Bench, CellVolts, Found, Frame, LoadCells, SkinReader, StreamCounters,
+};
+use crate::state::StateChange;
+
+/// The rig file of the stand-ins.
+pub fn config() -> RigConfig {
+    let text = include_str!("../../../../experiments/rigs/virtual.toml");
+    RigConfig::from_toml("virtual.toml", text).expect("the virtual rig file is sound")
+}
+
+/// An axis that reaches each target at once.
+#[derive(Debug)]
+pub struct StandIn {
+    name: &'static str,
+    /// What it reports.
+    pub status: Mutex<AxisStatus>,
+    /// What it reports after the next motion that is started, in place of the target.
+    pub after_start: Mutex<Option<AxisStatus>>,
+    /// Whether it replies.
+    pub replies: AtomicBool,
+    /// Motions and homings that were started.
+    pub starts: AtomicU64,
+    /// Stops that it received.
+    pub stops: AtomicU64,
+}
+
+impl StandIn {
+    /// Creates an axis that is homed and at its zero.
+    fn new(name: &'static str) -> Arc<Self> {
+        let status = AxisStatus {
+            position: 0.0,
+            moving: false,
+            homed: true,
+            ready: true,
+            alarm: None,
+            at: Instant::now(),
+        };
+        Arc::new(Self {
+            name,
+            status: Mutex::new(status),
+            after_start: Mutex::default(),
+            replies: AtomicBool::new(true),
+            starts: AtomicU64::default(),
+            stops: AtomicU64::default(),
+        })
+    }
+
+    /// What it reports at present.
+    pub fn present(&self) -> AxisStatus {
+        *self.status.lock()
+    }
+
+    fn reply(&self, operation: &str) -> Result<(), RigError> {
+        if self.replies.load(Ordering::SeqCst) {
+            return Ok(());
+        }
+        let (device, operation) = (self.name.into(), operation.into());
+        Err(RigError::NoReply { device, operation, timeout_ms: 300 })
+    }
+
+    fn start(&self, operation: &str, reached: AxisStatus) -> Result<(), RigError> {
+        self.reply(operation)?;
+        self.starts.fetch_add(1, Ordering::SeqCst);
+        *self.status.lock() = self.after_start.lock().take().unwrap_or(reached);
+        Ok(())
+    }
+}
+
+#[async_trait]
+impl Axis for StandIn {
+    fn name(&self) -> &'static str {
+        self.name
+    }
+
+    fn travel(&self) -> [f64; 2] {
+        [0.0, 600.0]
+    }
+
+    fn guard(&self) -> Guard {
+        Guard::default()
+    }
+
+    async fn identify(&self) -> Result<Found, RigError> {
+        self.reply("identify")?;
+        let AxisStatus { homed, alarm, .. } = self.present();
+        let device = "stand-in".into();
+        Ok(Found { device, enabled: true, homed, alarm, emergency_stop: false, in_command: None })
+    }
+
+    async fn prepare(&self) -> Result<String, RigError> {
+        self.reply("prepare").map(|()| "stand-in".into())
+    }
+
+    async fn start_home(&self) -> Result<(), RigError> {
+        self.start("homing", AxisStatus { position: 0.0, homed: true, ..self.present() })
+    }
+
+    async fn start_move(&self, target: f64, _speed: f64) -> Result<(), RigError> {
+        self.start("move", AxisStatus { position: target, ..self.present() })
+    }
+
+    async fn status(&self) -> Result<AxisStatus, RigError> {
+        self.reply("status").map(|()| AxisStatus { at: Instant::now(), ..self.present() })
+    }
+
+    async fn stop(&self) -> Result<(), RigError> {
+        self.reply("stop")?;
+        self.stops.fetch_add(1, Ordering::SeqCst);
+        Ok(())
+    }
+
+    async fn reset_alarm(&self) -> Result<(), RigError> {
+        self.reply("alarm reset")
+    }
+}
+
+/// Cells without a load.
+struct Cells;
+
+#[async_trait]
+impl LoadCells for Cells {
+    async fn prepare(&self) -> Result<String, RigError> {
+        Ok("stand-in".into())
+    }
+
+    async fn read(&self) -> Result<CellVolts, RigError> {
+        Ok(CellVolts { volts: [0.5; ARMS], repeats: [0; ARMS], at: Instant::now() })
+    }
+}
+
+/// A skin that sends no frame.
+struct Skin;
+
+#[async_trait]
+impl SkinReader for Skin {
+    fn latest(&self) -> Option<Arc<Frame>> {
+        None
+    }
+
+    fn follow(&self) -> watch::Receiver<Option<Arc<Frame>>> {
+        watch::channel(None).1
+    }
+
+    fn counters(&self) -> StreamCounters {
+        StreamCounters::default()
+    }
+
+    async fn take(&self, _: Instant, wanted: usize) -> Result<Vec<Arc<Frame>>, RigError> {
+        Err(RigError::NoFrames { wanted, got: 0, timeout_ms: 0 })
+    }
+}
+
+/// The axes of a bench.
+#[derive(Debug)]
+pub struct StandIns {
+    /// Stage axis along the width of the skin.
+    pub x: Arc<StandIn>,
+    /// Stage axis along the height of the skin.
+    pub y: Arc<StandIn>,
+    /// Stage axis toward the skin.
+    pub z: Arc<StandIn>,
+    /// Rotary actuator of the slots.
+    pub radial: Arc<StandIn>,
+}
+
+impl Default for StandIns {
+    fn default() -> Self {
+        let [x, y, z, radial] = ["x", "y", "z", "radial"].map(StandIn::new);
+        Self { x, y, z, radial }
+    }
+}
+
+impl StandIns {
+    /// The bench of these axes, with cells and a skin.
+    pub fn bench(&self) -> Bench {
+        Bench {
+            x: self.x.clone(),
+            y: self.y.clone(),
+            z: self.z.clone(),
+            radial: self.radial.clone(),
+            cells: Arc::new(Cells),
+            skin: Arc::new(Skin),
+        }
+    }
+
+    /// The guarded bench of these axes.
+    pub fn stage(&self) -> Stage {
+        Stage::new(self.bench(), config(), Clock::new(1.0))
+    }
+
+    /// Stops that all axes received together.
+    pub fn stops(&self) -> u64 {
+        let axes = [&self.x, &self.y, &self.z, &self.radial];
+        axes.map(|axis| axis.stops.load(Ordering::SeqCst)).iter().sum()
+    }
+}
+
+/// A journal that takes everything and keeps nothing.
+#[derive(Debug)]
+pub struct Forgetful;
+
+#[async_trait]
+impl Journal for Forgetful {
+    async fn trial(&self, _: RunUid, _: &TrialRecord) -> Result<TrialId, JournalError> {
+        Ok(TrialId(1))
+    }
+
+    async fn attempt(&self, _: RunUid, _: &AttemptRecord) -> Result<(), JournalError> {
+        Ok(())
+    }
+
+    async fn tare(&self, _: RunUid, _: &TareRecord) -> Result<(), JournalError> {
+        Ok(())
+    }
+
+    async fn untouched(&self, _: RunUid, _: &Untouched) -> Result<(), JournalError> {
+        Ok(())
+    }
+
+    async fn reference(&self, _: RunUid, _: &ReferenceRecord) -> Result<(), JournalError> {
+        Ok(())
+    }
+
+    async fn touch_off(&self, _: RunUid, _: &TouchOffRecord) -> Result<(), JournalError> {
+        Ok(())
+    }
+
+    async fn skip(&self, _: RunUid, _: u32, _: &str, _: Timestamp) -> Result<(), JournalError> {
+        Ok(())
+    }
+
+    async fn discard(&self, _: RunUid, _: TrialKey, _: &str) -> Result<(), JournalError> {
+        Ok(())
+    }
+
+    async fn progress(&self, _: RunUid) -> Result<Progress, JournalError> {
+        Ok(Progress::default())
+    }
+
+    async fn run_state(&self, _: RunUid, _: StateChange, _: Timestamp) -> Result<(), JournalError> {
+        Ok(())
+    }
+
+    async fn end_run(
+        &self,
+        _: RunUid,
+        _: ExitStatus,
+        _: &str,
+        _: Timestamp,
+    ) -> Result<(), JournalError> {
+        Ok(())
+    }
+
+    async fn event(
+        &self,
+        run: Option<RunUid>,
+        kind: &str,
+        data: Value,
+        at: Timestamp,
+    ) -> Result<Event, JournalError> {
+        Ok(Event { seq: 1, run, at, kind: kind.into(), data })
+    }
+
+    async fn lock_since(&self, _: Timestamp) -> Result<Option<String>, JournalError> {
+        Ok(None)
+    }
+
+    async fn mounted(&self, _: &Mounting, _: Timestamp) -> Result<(), JournalError> {
+        Ok(())
+    }
+
+    async fn last_mounted(&self) -> Result<Option<Mounting>, JournalError> {
+        Ok(None)
+    }
+
+    async fn free_bytes(&self) -> Result<u64, JournalError> {
+        Ok(u64::MAX)
+    }
+}

@@ -1,0 +1,160 @@
+//! The engine on a bench of stand-ins: what resets, arms and moves, and what does not.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+use std::time::Duration;
+
+use sim_core::sensor::Sensor;
+use tokio::sync::oneshot;
+use tokio::time::Instant;
+
+use super::{Answer, Engine, OWED_AGAIN, Owed};
+use crate::campaign::bench::estop::StopSwitch;
+use crate::campaign::bench::interlock::{Trip, TripKind};
+use crate::campaign::bench::rig_state::{RigEvent, RigState};
+use crate::campaign::bench::stand_in::{Forgetful, StandIns, config};
+use crate::campaign::diary::Diary;
+use crate::campaign::run::control::Control;
+use crate::campaign::run::job::Job;
+use crate::campaign::run::run_state::{PausedWhy, RunEvent, RunState};
+use crate::campaign::safe_end::Height;
+use crate::campaign::shown::command::{Refusal, channel};
+use crate::campaign::shown::show;
+use crate::clock::Clock;
+use crate::ids::RunUid;
+use crate::journal::Journal;
+use crate::rig::setup::RigSetup;
+use crate::rig::traits::AxisStatus;
+use crate::schedule::experiment::Experiment;
+use crate::schedule::plan::Plan;
+
+/// An engine whose wires to these axes are open; the rig is disarmed.
+pub(super) fn engine(axes: &StandIns) -> Engine {
+    let (setup, estop) = (RigSetup::from(config()), StopSwitch::default());
+    let (_handle, inbox) = channel(estop.clone(), show::closed(&setup));
+    let journal: Arc<dyn Journal> = Arc::new(Forgetful);
+    let (diary, _writing) = Diary::open(journal.clone());
+    let mut engine = Engine::new(setup, Control::new(inbox, estop, diary, journal));
+    let (stage, clock) = (axes.stage(), Clock::new(1.0));
+    let wires = engine.control.inbox.wires.take().expect("the wires are free");
+    let skin = stage.bench.skin.clone();
+    engine.connected(skin, BTreeMap::new(), Some(stage), clock, wires).unwrap();
+    engine
+}
+
+/// A run of one tip.
+pub(super) fn job() -> Job {
+    let text = "name = 'stand-in'\nseed = 3\nsensor = 's'\n[real_hex]\ntips = [1]\n\
+                configurations = 2\ndepths = 2\n";
+    let experiment = Experiment::from_toml("t.toml", text).expect("sound");
+    let sensor = include_str!("../../../../../experiments/sensors/ert-28.toml");
+    let sensor = Sensor::from_toml(sensor).expect("sound");
+    Job {
+        run: RunUid::new(),
+        scan_id: 1,
+        plan: Plan::of("t.toml", &experiment, &sensor).expect("sound"),
+        predicted_trial_s: 1.0,
+        auto_resume: true,
+        bytes_per_trial: 4000,
+    }
+}
+
+/// The run is paused after a trip of its wires, and the rig is tripped.
+pub(super) fn trip(engine: &mut Engine, job: &Job) {
+    engine.control.show(|status| status.run = Some(show::started(job)));
+    engine.control.begin(job.run).unwrap();
+    engine.control.latch(&Trip { kind: TripKind::Wire, detail: "no reply".into() });
+    engine.control.run_event(RunEvent::Suspend(PausedWhy::Trip)).unwrap();
+    engine.control.run_event(RunEvent::Raised).unwrap();
+}
+
+/// The answer of a request whose caller was told that it failed.
+fn abandoned() -> Answer {
+    oneshot::channel().0
+}
+
+/// The e-stop is pressed and latched, and every axis has acknowledged it.
+async fn stop(engine: &mut Engine) {
+    engine.control.estop.press("test");
+    engine.control.latch(&Trip { kind: TripKind::Estop, detail: "test".into() });
+    let known = || engine.control.estop.pressed().and_then(|press| press.acknowledged_ms());
+    while known().is_none() {
+        tokio::time::sleep(Duration::from_millis(1)).await;
+    }
+}
+
+#[tokio::test]
+async fn a_start_and_a_resume_whose_caller_was_told_that_they_failed_are_not_carried_out() {
+    let (axes, job) = (StandIns::default(), job());
+    let mut engine = engine(&axes);
+    engine.control.rig_event(RigEvent::Homed).unwrap();
+    assert_eq!(engine.arm(&job, &abandoned()).await, Err(Refusal::Gone));
+    let states = |engine: &Engine| (engine.control.rig(), engine.control.run());
+    assert_eq!(states(&engine), (RigState::Homed, RunState::Idle));
+
+    trip(&mut engine, &job);
+    engine.control.rig_event(RigEvent::Reset).unwrap();
+    engine.control.rig_event(RigEvent::Homed).unwrap();
+    let paused = RunState::Paused(PausedWhy::Trip);
+    assert_eq!(engine.resume(&job, Some(&abandoned())).await, Err(Refusal::Gone));
+    assert_eq!(states(&engine), (RigState::Homed, paused));
+    let (waited_for, _caller) = oneshot::channel();
+    assert_eq!(engine.resume(&job, Some(&waited_for)).await, Ok(()));
+    assert_eq!(states(&engine), (RigState::Armed, RunState::Running));
+}
+
+#[tokio::test]
+async fn a_reset_whose_caller_was_told_that_it_failed_releases_no_stop() {
+    let axes = StandIns::default();
+    let mut engine = engine(&axes);
+    stop(&mut engine).await;
+    let presses = engine.control.estop.presses();
+    assert_eq!(engine.reset(presses, Some(&abandoned())).await, Err(Refusal::Gone));
+    assert!(engine.control.estop.pressed().is_some());
+    assert_eq!(engine.control.rig(), RigState::Tripped);
+    assert_eq!(engine.reset(presses, None).await, Ok(()));
+    assert!(engine.control.estop.pressed().is_none());
+}
+
+#[tokio::test]
+async fn after_an_e_stop_a_reset_raises_no_tips_by_itself() {
+    let axes = StandIns::default();
+    let mut engine = engine(&axes);
+    axes.z.status.lock().position = 60.0;
+    // The safe end before had no wires to raise them.
+    engine.owed = Owed::Wires(Instant::now(), Height::Clear);
+    stop(&mut engine).await;
+    engine.reset(engine.control.estop.presses(), None).await.unwrap();
+    tokio::time::sleep(OWED_AGAIN + Duration::from_millis(50)).await;
+    engine.look().await;
+    assert_eq!((axes.z.starts.load(Ordering::SeqCst), axes.z.present().position), (0, 60.0));
+    // Without an e-stop the safe end is completed.
+    engine.owed = Owed::Wires(Instant::now(), Height::Clear);
+    tokio::time::sleep(OWED_AGAIN + Duration::from_millis(50)).await;
+    engine.look().await;
+    assert!(axes.z.present().position < 50.0 && engine.owed == Owed::Nothing);
+}
+
+#[tokio::test]
+async fn no_axis_homes_sideways_before_z_is_measured_clear() {
+    let axes = StandIns::default();
+    let mut engine = engine(&axes);
+    // A drive whose zero is where it happens to be.
+    let unhomed = AxisStatus { position: 60.0, homed: false, ..axes.z.present() };
+    *axes.z.status.lock() = unhomed;
+    *axes.z.after_start.lock() = Some(AxisStatus { homed: true, ..unhomed });
+    assert!(!engine.home().await);
+    let starts = [&axes.x, &axes.y, &axes.radial].map(|axis| axis.starts.load(Ordering::SeqCst));
+    assert_eq!((starts, engine.control.rig()), ([0; 3], RigState::Tripped));
+}
+
+#[tokio::test]
+async fn a_drive_in_alarm_that_keeps_its_zero_is_not_homed() {
+    let axes = StandIns::default();
+    let mut engine = engine(&axes);
+    *axes.x.after_start.lock() = Some(AxisStatus { alarm: Some(1), ..axes.x.present() });
+    assert!(!engine.home().await);
+    let trip = engine.control.inbox.status.borrow().rig.trip.clone();
+    assert_eq!(trip.map(|trip| trip.kind), Some(TripKind::Device));
+}
