@@ -17,9 +17,9 @@ const SMALL: &str = "name = 'small'\nseed = 5\nsensor = 's'\n[real_hex]\ntips = 
      [measure]\nsettle_ms = 400.0\n[policy]\nauto_resume_after_s = 0.2\n";
 const TRIALS: usize = 24;
 /// Process seconds in a wall second.
-const SPEED: f64 = 20.0;
+pub(super) const SPEED: f64 = 20.0;
 
-async fn started(name: &str) -> (Lab, String) {
+pub(super) async fn started(name: &str) -> (Lab, String) {
     let lab = Lab::open(name, rig_args("virtual", SPEED)).await;
     lab.home().await;
     let run = lab.queue(SMALL).await;
@@ -28,7 +28,7 @@ async fn started(name: &str) -> (Lab, String) {
 }
 
 /// Ended with success, and every planned trial is there once.
-async fn complete(lab: &Lab, run: &str) -> Value {
+pub(super) async fn complete(lab: &Lab, run: &str) -> Value {
     let summary = lab.ended(run).await;
     assert_eq!(summary["run"]["exit_status"], "success", "{summary:#}\n{:#}", lab.events().await);
     let keys = lab.keys(run).await;
@@ -230,7 +230,7 @@ async fn a_run_that_this_version_would_plan_differently_does_not_resume() {
 }
 
 /// A service that was restarted during a run, which a lock holds that was taken after its last trial.
-async fn held_by_a_lock(name: &str) -> (Lab, String) {
+pub(super) async fn held_by_a_lock(name: &str) -> (Lab, String) {
     let (lab, run) = started(name).await;
     lab.stored(5).await;
     let taken = http().put(lock(&lab)).json(&json!({ "note": "hands" })).send().await.unwrap();
@@ -258,7 +258,7 @@ fn lock(lab: &Lab) -> String {
     format!("{}/api/v1/lock", lab.service.url())
 }
 
-async fn release(lab: &Lab) {
+pub(super) async fn release(lab: &Lab) {
     let freed = http().delete(lock(lab)).send().await.unwrap();
     assert!(freed.status().is_success());
 }
@@ -370,7 +370,7 @@ async fn a_run_that_waits_for_its_turn_keeps_it_through_a_restart() {
 }
 
 /// Queues a run with a start in some seconds, and starts it.
-async fn started_early(lab: &Lab, seconds: i64) -> String {
+pub(super) async fn started_early(lab: &Lab, seconds: i64) -> String {
     let not_before = (Timestamp::now() + SignedDuration::from_secs(seconds)).to_string();
     let body = json!({ "file": "test.toml", "definition": SMALL, "sensor": SENSOR,
         "not_before": not_before });

@@ -14,3 +14,4 @@ mod placement;
 mod rig_contract;
 mod safety;
 mod stop;
+mod take_over;

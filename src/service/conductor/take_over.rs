@@ -218,7 +218,7 @@ impl Conductor {
         if rig.is_ready() || is_manual && rig.state == RigState::Disarmed {
             return Ok(());
         }
-        if rig.state == RigState::Disarmed {
+        if rig.state == RigState::Disarmed && self.is_brought_up(run.uid) {
             campaign.ask(Request::Home).await?;
         }
         let homed = async {

@@ -194,10 +194,10 @@ impl Harness {
         assert!(z < truth["surface_z_mm"].as_f64().unwrap() - 1.0, "{truth:#}");
     }
 
-    /// The diary, once written, tells the trip, the safe end after it, and the failed attempt after
-    /// both: nothing was written before the rig was safe.
+    /// The diary, once written, tells the state that the trip leads to, the trip, the safe end after it, and the
+    /// failed attempt after all of them: a process that dies in the safe end leaves no run that resumes by itself.
     pub async fn diary_tells(&self, trip: &str) {
-        let kinds = ["trip", "safe_end", "attempt_failed"];
+        let kinds = ["run suspending", "trip", "safe_end", "attempt_failed"];
         let start = Instant::now();
         loop {
             let found: Vec<usize> = {

@@ -1,11 +1,13 @@
 //! What a person at the rig may rely on: nothing moves that was not asked for since.
 
+use std::sync::Arc;
 use std::time::Duration;
 
 use palpate::campaign::bench::interlock::TripKind;
 use palpate::campaign::bench::rig_state::RigState;
-use palpate::campaign::shown::command::Request;
+use palpate::campaign::shown::command::{Refusal, Request};
 use palpate::campaign::shown::placement::Confirmation;
+use palpate::campaign::shown::safe_end::Tips;
 use palpate::campaign::shown::status::{Done, Phase, Status};
 use palpate::state::{PausedWhy, StoredState};
 use serde_json::json;
@@ -184,5 +186,76 @@ async fn a_lock_that_is_taken_while_the_rig_homes_automatically_holds_the_run() 
     let stored = harness.journal.taken().trials.len() as u64;
     harness.stored(stored + 1).await;
     harness.ask(Request::Abort).await.unwrap();
+    harness.close().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_person_who_operates_the_rig_while_it_homes_automatically_holds_the_run() {
+    let harness = tripped_by_its_wires().await;
+    harness.until("an automatic reset", |s| s.rig.state == RigState::Disarmed).await;
+    let refused = harness.ask(Request::Tare).await.unwrap_err();
+    assert!(refused.to_string().contains("tare is not possible"), "{refused}");
+    let waits = |s: &Status| {
+        let words = s.run.as_ref().and_then(|run| run.waiting_for.clone());
+        words.is_some_and(|words| words.contains("a person has operated the rig"))
+    };
+    harness.until("words for a person", waits).await;
+    stays(&harness).await;
+    let run = harness.handle.status().run.unwrap();
+    assert_eq!((run.state, run.paused_why), (StoredState::Paused, Some(PausedWhy::Trip)));
+    harness.ask(Request::Abort).await.unwrap();
+    harness.close().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn hands_are_not_called_to_tips_that_are_not_raised() {
+    let harness = homed().await;
+    harness.ask(Request::Jog { axis: "z".into(), to_mm: 40.0 }).await.unwrap();
+    let is_down = |s: &Status| s.rig.pose.is_some_and(|pose| (pose.z_mm - 40.0).abs() < 0.1);
+    harness.until("z at 40 mm", is_down).await;
+    // It reports no alarm: the raise to the top for the tip change does not arrive.
+    harness.fault("stuck_axis", "z", json!({ "for_s": 6000.0 })).await;
+    harness.start(harness.job(&experiment(2, ""), |_| {})).await;
+    let status = harness.tripped().await;
+    assert!(matches!(status.rig.safe_end.unwrap().tips, Tips::NotRaised(_)));
+    let panicked = |s: &Status| s.run.as_ref().is_some_and(|r| r.state == StoredState::Panicked);
+    harness.until("panicked", panicked).await;
+    tokio::time::sleep(Duration::from_millis(500)).await;
+    assert_eq!(harness.handle.status().run.unwrap().wanted, None);
+    assert!(!harness.journal.taken().order.iter().any(|taken| taken == "wanted"));
+    // Once a person has raised them, they are called for.
+    harness.tell(json!({ "cmd": "mend" })).await;
+    harness.ask(Request::Reset).await.unwrap();
+    harness.home().await;
+    harness.ask(Request::Resume).await.unwrap();
+    harness.until("a tip change", |s| s.run.as_ref().is_some_and(|r| r.wanted.is_some())).await;
+    harness.ask(Request::Abort).await.unwrap();
+    harness.close().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn wires_have_one_owner() {
+    let harness = homed().await;
+    let wires = harness.handle.wires();
+    assert!(wires.take().is_none(), "the rig is connected");
+    harness.ask(Request::Disconnect).await.unwrap();
+    let check = wires.take().expect("the rig is disconnected");
+    let refused = harness.ask(Request::Connect).await.unwrap_err().to_string();
+    assert!(refused.contains("a check of the rig uses its wires"), "{refused}");
+    assert_eq!(harness.handle.status().rig.state, RigState::Disconnected);
+    drop(check);
+    harness.ask(Request::Connect).await.unwrap();
+    assert!(wires.take().is_none());
+    harness.close().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_start_during_a_jog_is_told_that_the_rig_is_busy() {
+    let harness = Harness::homed().await;
+    // A quarter of a second of the wall.
+    harness.ask(Request::Jog { axis: "x".into(), to_mm: 550.0 }).await.unwrap();
+    let job = harness.job(&experiment(1, ""), |_| {});
+    let refused = harness.ask(Request::Start(Arc::new(job))).await.unwrap_err();
+    assert!(matches!(refused, Refusal::Busy(_)), "{refused:?}");
     harness.close().await;
 }

@@ -339,5 +339,9 @@ async fn a_panic_in_contact_raises_the_tips_and_the_thread_goes_on_serving() {
     assert!(harness.handle.status().run.is_none());
     harness.ask(Request::Reset).await.unwrap();
     harness.home().await;
+    // The run was left to a person before the tips were raised.
+    let order = harness.journal.taken().order.clone();
+    let at = |kind: &str| order.iter().rposition(|taken| taken == kind);
+    assert!(at("run interrupted").is_some() && at("run interrupted") < at("safe_end"), "{order:?}");
     harness.close().await;
 }

@@ -1,0 +1,118 @@
+//! What moves by itself after a start of the service, or at the start time of a run, and what ends or holds it.
+
+use std::time::Duration;
+
+use jiff::{SignedDuration, Timestamp};
+use serde_json::{Value, json};
+
+use super::bench::{Lab, rig_args, tell};
+use super::campaign::{SPEED, complete, held_by_a_lock, release, started, started_early};
+
+/// An action on the rig.
+async fn rig(lab: &Lab, action: Value) {
+    lab.posted("/api/v1/rig/actions", action).await;
+}
+
+/// True position of x, mm.
+async fn x_mm(lab: &Lab) -> f64 {
+    let truth = tell(&lab.rig, json!({ "cmd": "status" })).await;
+    truth["axes"][0]["position"].as_f64().unwrap()
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_manual_run_is_taken_up_after_a_restart_without_a_motion() {
+    let lab = Lab::open_alone("hands", rig_args("virtual", SPEED)).await;
+    lab.home().await;
+    rig(&lab, json!({ "action": "jog", "axis": "x", "to_mm": 100.0 })).await;
+    lab.until("x at 100 mm", |s| s["rig"]["pose"]["x_mm"].as_f64().is_some_and(|x| x > 99.9)).await;
+    let definition = "name = 'weights'\nseed = 2\nsensor = 's'\n[real_random]\ncontacts = [2]\n\
+        trials_each = 3\nweights_n = [4.905]\n[measure]\nsettle_ms = 60000.0\n\
+        settle_max_ms = 120000.0\n";
+    let run = lab.queue(definition).await;
+    lab.start(&run).await;
+    let waits = |s: &Value| s["run"]["paused_why"] == "manual_trial";
+    lab.until("a placement", waits).await;
+    let confirm = json!({ "action": "confirm", "trial": 0, "anyway": true });
+    let (status, answer) = lab.act(&run, confirm).await;
+    assert_eq!(status, 202, "{answer:#}");
+    // The placement is measured for three seconds, with hands and weights at the skin.
+    lab.until("the measurement", |s| s["run"]["phase"] == "settle").await;
+    let lab = lab.restart_alone().await;
+    let status = lab.until("the same placement", waits).await;
+    assert_eq!(status["rig"]["state"], "disarmed", "{status:#}");
+    assert!((x_mm(&lab).await - 100.0).abs() < 0.1, "x has moved");
+    let is_told = |page: &Value| page["items"].as_array().is_some_and(|items| !items.is_empty());
+    lab.eventually("the event", "/api/v1/events?kind=went_on", is_told).await;
+    lab.close().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_run_is_not_driven_again_by_itself_after_a_person_has_operated_the_rig() {
+    let (lab, run) = held_by_a_lock("operated").await;
+    release(&lab).await;
+    rig(&lab, json!({ "action": "connect" })).await;
+    let is_left = |row: &Value| row["state"] == "interrupted";
+    lab.eventually("the run is left alone", &format!("/api/v1/runs/{run}"), is_left).await;
+    let page = lab.get("/api/v1/events?kind=not_gone_on").await;
+    let why = |event: &Value| event["data"]["why"].as_str().unwrap_or_default().to_owned();
+    let told = |event: &Value| why(event).contains("a person has operated the rig");
+    assert!(page["items"].as_array().unwrap().iter().any(told), "{page:#}");
+    assert_eq!(lab.get("/api/v1/status").await["rig"]["state"], "disarmed");
+    rig(&lab, json!({ "action": "home" })).await;
+    lab.until("homed", |s| s["rig"]["state"] == "homed").await;
+    tokio::time::sleep(Duration::from_secs(3)).await;
+    let status = lab.get("/api/v1/status").await;
+    assert_eq!((&status["run"], &status["rig"]["state"]), (&Value::Null, &json!("homed")));
+    lab.start(&run).await;
+    complete(&lab, &run).await;
+    lab.close().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_abort_ends_the_homing_for_a_run_that_is_about_to_be_driven_again() {
+    let (lab, run) = started("homes").await;
+    lab.stored(5).await;
+    // Its homing lasts until the limit of twelve seconds.
+    lab.tell_rig(json!({ "cmd": "fault", "kind": "stuck_axis", "device": "x", "for_s": 6000.0 }))
+        .await;
+    let lab = lab.restart().await;
+    lab.until("a homing", |s| s["rig"]["state"] == "disarmed").await;
+    tokio::time::sleep(Duration::from_millis(500)).await;
+    let (status, answer) = lab.act(&run, json!({ "action": "abort" })).await;
+    assert_eq!(status, 202, "{answer:#}");
+    let status = lab.until("a safe end", |s| !s["rig"]["safe_end"].is_null()).await;
+    assert_eq!(
+        (&status["rig"]["state"], &status["rig"]["trip"]),
+        (&json!("disarmed"), &Value::Null)
+    );
+    // Longer than until the next attempt.
+    tokio::time::sleep(Duration::from_secs(3)).await;
+    let row = lab.get(&format!("/api/v1/runs/{run}")).await;
+    assert_eq!((&row["state"], &row["exit_status"]), (&json!("ended"), &json!("abort")));
+    let status = lab.get("/api/v1/status").await;
+    assert_eq!((&status["run"], &status["rig"]["state"]), (&Value::Null, &json!("disarmed")));
+    lab.close().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_jog_at_the_start_time_of_a_run_does_not_drop_it() {
+    // Slow enough that a jog lasts longer than a second.
+    let lab = Lab::open("jogged", rig_args("virtual", 2.0)).await;
+    lab.home().await;
+    let run = started_early(&lab, 6).await;
+    let row = lab.get(&format!("/api/v1/runs/{run}")).await;
+    let due: Timestamp = row["not_before"].as_str().unwrap().parse().unwrap();
+    let before = due - SignedDuration::from_millis(400);
+    let left = Duration::try_from(before.duration_since(Timestamp::now())).unwrap();
+    tokio::time::sleep(left).await;
+    rig(&lab, json!({ "action": "jog", "axis": "x", "to_mm": 550.0 })).await;
+    let begun = |s: &Value| s["run"]["uid"] == run;
+    lab.until("the run", begun).await;
+    let late = Timestamp::now().duration_since(due);
+    assert!(late > SignedDuration::from_secs(3), "the rig was not busy: {late}");
+    let page = lab.get("/api/v1/events?kind=not_begun").await;
+    assert_eq!(page["items"], json!([]), "{page:#}");
+    assert_eq!(lab.act(&run, json!({ "action": "abort" })).await.0, 202);
+    lab.ended(&run).await;
+    lab.close().await;
+}
