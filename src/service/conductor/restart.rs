@@ -3,7 +3,7 @@
 //! PURE. Uses: `state`, `store` (its rows). Never: the rig, a request.
 
 use crate::state::{PausedWhy, StoredState};
-use crate::store::RunRow;
+use crate::store::{RunKind, RunRow};
 
 /// This start of the service does not allow automatic resumes.
 const NOT_ASKED: &str = "the service was started without automatic resume";
@@ -11,7 +11,7 @@ const NOT_ASKED: &str = "the service was started without automatic resume";
 const NOT_ALLOWED: &str = "its arming does not allow an automatic start after a restart";
 /// Tips may be partly mounted, or hands in the way.
 const SOMEBODY_THERE: &str =
-    "the run before it was waiting, tripped or ending: a person may be at the rig";
+    "the run before it was manual, waiting, tripped or ending: a person may be at the rig";
 
 /// Whether a start of the service may resume runs automatically, if their arming allows it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -37,7 +37,7 @@ impl TakenOver {
     /// Decides on the open runs and on those that wait, both in their order.
     pub(super) fn of(open: Vec<RunRow>, waiting: Vec<RunRow>, resume: AutoResume) -> Self {
         let may_resume = resume == AutoResume::Allowed;
-        let somebody_there = !open.iter().all(was_driven);
+        let somebody_there = open.iter().any(|run| is_manual(run) || !was_driven(run));
         let refusal = |run: &RunRow| match run.auto_resume {
             _ if !may_resume => Some(NOT_ASKED),
             false => Some(NOT_ALLOWED),
@@ -61,12 +61,17 @@ fn was_driven(run: &RunRow) -> bool {
     run.state == StoredState::Running || run.paused_why == Some(PausedWhy::Restart)
 }
 
+/// Whether a person is at the skin all the time.
+fn is_manual(run: &RunRow) -> bool {
+    run.kind == RunKind::RealRandom
+}
+
 #[cfg(test)]
 pub(super) mod tests {
     use super::AutoResume::{Allowed, Off};
     use super::*;
     use crate::ids::RunUid;
-    use crate::store::{Label, RunKind};
+    use crate::store::Label;
 
     /// A stored run.
     pub(in super::super) fn run(
@@ -155,9 +160,13 @@ pub(super) mod tests {
     #[test]
     fn nothing_begins_by_itself_where_somebody_may_be_at_the_rig() {
         let change = run(StoredState::Paused, Some(PausedWhy::TipChange), true);
-        assert_eq!(
-            becomes(Some(change), Some(true), Allowed),
-            (false, false, Some(SOMEBODY_THERE))
-        );
+        let dropped = Some(SOMEBODY_THERE);
+        assert_eq!(becomes(Some(change), Some(true), Allowed), (false, false, dropped));
+        // Also while a placement was measured, and whether or not the manual run itself may resume.
+        for may in [true, false] {
+            let manual =
+                RunRow { kind: RunKind::RealRandom, ..run(StoredState::Running, None, may) };
+            assert_eq!(becomes(Some(manual), Some(true), Allowed), (may, false, dropped));
+        }
     }
 }
