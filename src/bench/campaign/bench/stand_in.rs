@@ -174,7 +174,7 @@ impl SkinReader for Skin {
     }
 }
 
-/// The axes of a bench.
+/// The axes of a bench, and the journal of its runs.
 #[derive(Debug)]
 pub struct StandIns {
     /// Stage axis along the width of the skin.
@@ -185,12 +185,14 @@ pub struct StandIns {
     pub z: Arc<StandIn>,
     /// Rotary actuator of the slots.
     pub radial: Arc<StandIn>,
+    /// Where the records go.
+    pub journal: Arc<Forgetful>,
 }
 
 impl Default for StandIns {
     fn default() -> Self {
         let [x, y, z, radial] = ["x", "y", "z", "radial"].map(StandIn::new);
-        Self { x, y, z, radial }
+        Self { x, y, z, radial, journal: Arc::default() }
     }
 }
 
@@ -220,8 +222,11 @@ impl StandIns {
 }
 
 /// A journal that takes everything and keeps nothing.
-#[derive(Debug)]
-pub struct Forgetful;
+#[derive(Debug, Default)]
+pub struct Forgetful {
+    /// When a person took the operator lock.
+    pub locked_at: Mutex<Option<Timestamp>>,
+}
 
 #[async_trait]
 impl Journal for Forgetful {
@@ -285,8 +290,9 @@ impl Journal for Forgetful {
         Ok(Event { seq: 1, run, at, kind: kind.into(), data })
     }
 
-    async fn lock_since(&self, _: Timestamp) -> Result<Option<String>, JournalError> {
-        Ok(None)
+    async fn lock_since(&self, at: Timestamp) -> Result<Option<String>, JournalError> {
+        let locked_at = *self.locked_at.lock();
+        Ok(locked_at.filter(|since| *since > at).map(|_| "ada: hands in the rig".into()))
     }
 
     async fn mounted(&self, _: &Mounting, _: Timestamp) -> Result<(), JournalError> {

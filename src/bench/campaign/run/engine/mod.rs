@@ -125,8 +125,8 @@ struct Engine {
     empty_skin: EmptySkin,
     /// Parts of the last safe end that are not complete.
     owed: Owed,
-    /// Wall time at which the driven run halted last.
-    halted_at: jiff::Timestamp,
+    /// Wall time and instant at which the driven run halted last.
+    halted_at: (jiff::Timestamp, Instant),
     /// Span of the driven run, for the log; none outside a run.
     driven: Span,
 }
@@ -173,7 +173,7 @@ impl Engine {
             mounting: None,
             empty_skin: EmptySkin::default(),
             owed: Owed::Nothing,
-            halted_at: jiff::Timestamp::now(),
+            halted_at: (jiff::Timestamp::now(), Instant::now()),
             driven: Span::none(),
         }
     }

@@ -150,7 +150,10 @@ impl Engine {
     /// with hands in the rig, or the store does not answer.
     async fn taken_lock(&self) -> Option<String> {
         let journal = self.control.journal.clone();
-        match tokio::time::timeout(LOCK_LIMIT, journal.lock_since(self.halted_at)).await {
+        let (halted_at, halted) = self.halted_at;
+        // The wall clock may have been set since: then the earlier of the two times counts.
+        let since = halted_at.min(jiff::Timestamp::now() - halted.elapsed());
+        match tokio::time::timeout(LOCK_LIMIT, journal.lock_since(since)).await {
             Ok(Ok(lock)) => lock.map(|who| format!("release of the operator lock ({who})")),
             Ok(Err(error)) => Some(format!("the store: {}", error_chain(&error))),
             Err(_late) => Some("the store, which does not answer".into()),
@@ -271,5 +274,19 @@ mod tests {
         let (continues, words) = attempt(Some(SILENCE_MAX + Duration::from_secs(1))).await;
         assert!(!continues);
         assert!(words.is_some_and(|words| words.contains("silent for more than 10 min")));
+    }
+
+    #[tokio::test]
+    async fn a_lock_counts_although_the_clock_was_set_back_after_the_halt() {
+        let axes = StandIns::default();
+        let mut engine = engine(&axes);
+        let halted = Instant::now() - Duration::from_secs(60);
+        let ahead = jiff::Timestamp::now() + Duration::from_secs(3600);
+        engine.halted_at = (ahead, halted);
+        assert_eq!(engine.taken_lock().await, None);
+        *axes.journal.locked_at.lock() = Some(jiff::Timestamp::now());
+        assert!(engine.taken_lock().await.is_some(), "taken a minute after the halt");
+        *axes.journal.locked_at.lock() = Some(jiff::Timestamp::now() - Duration::from_secs(120));
+        assert_eq!(engine.taken_lock().await, None, "taken a minute before the halt");
     }
 }

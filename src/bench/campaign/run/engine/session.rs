@@ -140,7 +140,7 @@ impl Engine {
                 }
                 Err(halt) => halt,
             };
-            self.halted_at = jiff::Timestamp::now();
+            self.halted_at = (jiff::Timestamp::now(), Instant::now());
             match self.decide(job, halt, &mut attempts, &mut auto_resumes).await {
                 Next::Again => {}
                 Next::Leave => return None,

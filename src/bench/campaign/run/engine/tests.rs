@@ -13,7 +13,7 @@ use super::{Answer, Engine, OWED_AGAIN, Owed};
 use crate::campaign::bench::estop::StopSwitch;
 use crate::campaign::bench::interlock::{Trip, TripKind};
 use crate::campaign::bench::rig_state::{RigEvent, RigState};
-use crate::campaign::bench::stand_in::{Forgetful, StandIns, config};
+use crate::campaign::bench::stand_in::{StandIns, config};
 use crate::campaign::diary::Diary;
 use crate::campaign::run::control::Control;
 use crate::campaign::run::job::Job;
@@ -33,7 +33,7 @@ use crate::schedule::plan::Plan;
 pub(super) fn engine(axes: &StandIns) -> Engine {
     let (setup, estop) = (RigSetup::from(config()), StopSwitch::default());
     let (_handle, inbox) = channel(estop.clone(), show::closed(&setup));
-    let journal: Arc<dyn Journal> = Arc::new(Forgetful);
+    let journal: Arc<dyn Journal> = axes.journal.clone();
     let (diary, _writing) = Diary::open(journal.clone());
     let mut engine = Engine::new(setup, Control::new(inbox, estop, diary, journal));
     let (stage, clock) = (axes.stage(), Clock::new(1.0));
