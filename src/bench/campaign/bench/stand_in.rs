@@ -42,6 +42,8 @@ pub struct StandIn {
     pub after_start: Mutex<Option<AxisStatus>>,
     /// Whether it replies.
     pub replies: AtomicBool,
+    /// Whether no motion can be started, for want of a reply.
+    pub starts_fail: AtomicBool,
     /// Motions and homings that were started.
     pub starts: AtomicU64,
     /// Stops that it received.
@@ -64,6 +66,7 @@ impl StandIn {
             status: Mutex::new(status),
             after_start: Mutex::default(),
             replies: AtomicBool::new(true),
+            starts_fail: AtomicBool::default(),
             starts: AtomicU64::default(),
             stops: AtomicU64::default(),
         })
@@ -75,15 +78,19 @@ impl StandIn {
     }
 
     fn reply(&self, operation: &str) -> Result<(), RigError> {
-        if self.replies.load(Ordering::SeqCst) {
-            return Ok(());
-        }
+        if self.replies.load(Ordering::SeqCst) { Ok(()) } else { Err(self.silent(operation)) }
+    }
+
+    fn silent(&self, operation: &str) -> RigError {
         let (device, operation) = (self.name.into(), operation.into());
-        Err(RigError::NoReply { device, operation, timeout_ms: 300 })
+        RigError::NoReply { device, operation, timeout_ms: 300 }
     }
 
     fn start(&self, operation: &str, reached: AxisStatus) -> Result<(), RigError> {
         self.reply(operation)?;
+        if self.starts_fail.load(Ordering::SeqCst) {
+            return Err(self.silent(operation));
+        }
         self.starts.fetch_add(1, Ordering::SeqCst);
         *self.status.lock() = self.after_start.lock().take().unwrap_or(reached);
         Ok(())
@@ -152,7 +159,7 @@ impl LoadCells for Cells {
     }
 }
 
-/// A skin that sends no frame.
+/// A skin that nothing touches; it sends frames when they are taken.
 struct Skin;
 
 #[async_trait]
@@ -169,8 +176,13 @@ impl SkinReader for Skin {
         StreamCounters::default()
     }
 
-    async fn take(&self, _: Instant, wanted: usize) -> Result<Vec<Arc<Frame>>, RigError> {
-        Err(RigError::NoFrames { wanted, got: 0, timeout_ms: 0 })
+    async fn take(&self, _: Instant, count: usize) -> Result<Vec<Arc<Frame>>, RigError> {
+        let frame = |sequence| {
+            let (device_time_us, volts_per_count, counts) = (0, 1e-3, vec![0; 784]);
+            let received = Instant::now();
+            Arc::new(Frame { sequence, device_time_us, volts_per_count, counts, received })
+        };
+        Ok((1..).take(count).map(frame).collect())
     }
 }
 

@@ -208,7 +208,7 @@ impl Engine {
         Ok(())
     }
 
-    fn stage(&self) -> Option<&Stage> {
+    pub(super) fn stage(&self) -> Option<&Stage> {
         self.connection.as_ref()?.stage.as_ref()
     }
 

@@ -3,6 +3,7 @@
 
 use std::time::Duration;
 
+use futures::future::join_all;
 use serde_json::json;
 use tokio::time::Instant;
 
@@ -20,6 +21,8 @@ const LOCK_LIMIT: Duration = Duration::from_secs(1);
 /// Longest silence of a device after which a run resumes automatically, wall: a longer one may be a stop that removes
 /// the power of the drives, and a person may be at the rig.
 const SILENCE_MAX: Duration = Duration::from_secs(600);
+/// Axes of a bench.
+const AXES: usize = 4;
 /// What a run waits for after a person has operated the rig.
 pub(super) const BY_HAND: &str = "a request to resume: a person has operated the rig";
 
@@ -32,8 +35,9 @@ pub(super) struct Automatic<'a> {
     /// Time of the next attempt.
     at: Instant,
     attempts: u32,
-    /// Whether an attempt has begun to home: axes that are not homed are then no sign of a loss of power.
-    has_homed: bool,
+    /// Whether each drive was homed when it was last known, in the order of the stops: an attempt that failed while it
+    /// homed leaves some that are not.
+    homed: [bool; AXES],
     /// Whether the tips could not be raised yet, since the wires fail.
     is_down: bool,
     /// Time since which a device may not have replied.
@@ -58,8 +62,8 @@ impl<'a> Automatic<'a> {
     pub(super) fn new(job: &Job, resumes: &'a mut u32, waits_for: Option<String>) -> Self {
         let now = Instant::now();
         let at = now + backoff(job, *resumes);
-        let silent_since = Some(now);
-        Self { resumes, waits_for, at, attempts: 0, has_homed: false, is_down: false, silent_since }
+        let (homed, silent_since) = ([true; AXES], Some(now));
+        Self { resumes, waits_for, at, attempts: 0, homed, is_down: false, silent_since }
     }
 }
 
@@ -104,13 +108,16 @@ impl Engine {
         }
         let recovery = match self.taken_lock().await {
             Some(lock) => Recovery::Held(lock),
-            None => self.recover(job, presses, &mut resume.has_homed).await,
+            None => self.recover(job, presses, &mut resume.homed).await,
         };
         resume.attempts += 1;
-        resume.silent_since = match recovery {
-            Recovery::Silent => resume.silent_since.or(Some(now)),
-            Recovery::Held(_) | Recovery::ForPerson(_) | Recovery::Failed | Recovery::Done => None,
+        let is_silent = match &recovery {
+            Recovery::Silent => true,
+            // Who holds the lock may have cut the power.
+            Recovery::Held(_) => !self.devices_reply().await,
+            Recovery::ForPerson(_) | Recovery::Failed | Recovery::Done => false,
         };
+        resume.silent_since = resume.silent_since.or(Some(now)).filter(|_| is_silent);
         let words = match recovery {
             Recovery::Done => return Some(Waited::Resume),
             Recovery::ForPerson(words) => {
@@ -160,23 +167,41 @@ impl Engine {
         }
     }
 
+    /// Whether the axes and the cells reply.
+    async fn devices_reply(&self) -> bool {
+        match self.connection.as_ref().map(|connection| &connection.stage) {
+            Some(Some(stage)) => {
+                stage.pose().await.is_ok() && stage.bench.cells.read().await.is_ok()
+            }
+            Some(None) => true,
+            None => false,
+        }
+    }
+
+    /// Which drives are homed; one that does not reply counts as homed, so that it must be once it replies.
+    async fn homed_drives(&self) -> [bool; AXES] {
+        let mut homed = [true; AXES];
+        let Some(stage) = self.stage() else { return homed };
+        let read = join_all(stage.bench.axes().map(|axis| axis.status())).await;
+        for (homed, status) in homed.iter_mut().zip(read) {
+            *homed = !status.is_ok_and(|status| !status.homed);
+        }
+        homed
+    }
+
     /// Checks every device, resets, homes, arms and resumes. In a manual run nothing moves: a person's hands may be on
     /// the skin.
-    async fn recover(&mut self, job: &Job, presses: u64, has_homed: &mut bool) -> Recovery {
+    async fn recover(&mut self, job: &Job, presses: u64, homed: &mut [bool; AXES]) -> Recovery {
         self.control.say("recovering", json!({}));
+        if !self.devices_reply().await {
+            return Recovery::Silent;
+        }
         let Some(connection) = self.connection.as_ref() else { return Recovery::Silent };
-        if let Some(stage) = &connection.stage {
-            if stage.pose().await.is_err() || stage.bench.cells.read().await.is_err() {
-                return Recovery::Silent;
-            }
-            if job.plan.kind == Kind::RealHex {
-                // Homed before the halt, or by an attempt that a lock held up.
-                let must_be_homed = !*has_homed || self.control.rig() == RigState::Homed;
-                match switched_off(&stage.bench, must_be_homed).await {
-                    Ok(None) => {}
-                    Ok(Some(words)) => return Recovery::ForPerson(words),
-                    Err(_) => return Recovery::Silent,
-                }
+        if let Some(stage) = connection.stage.as_ref().filter(|_| job.plan.kind == Kind::RealHex) {
+            match switched_off(&stage.bench, homed).await {
+                Ok(None) => {}
+                Ok(Some(words)) => return Recovery::ForPerson(words),
+                Err(_) => return Recovery::Silent,
             }
         }
         if connection.skin.take(Instant::now(), 1).await.is_err() {
@@ -191,11 +216,16 @@ impl Engine {
             let resumed = self.control.run_event(RunEvent::Resume).is_ok();
             return if resumed { Recovery::Done } else { Recovery::Failed };
         }
-        *has_homed = true;
         self.control.take_operated();
         let is_homed = self.home().await;
+        *homed = self.homed_drives().await;
         if self.control.take_operated() {
             return Recovery::ForPerson(BY_HAND.into());
+        }
+        if !homed.contains(&true) {
+            let words = "no drive is homed after a homing that failed, so that a loss of power would not show: check \
+                         the rig, reset, home, resume";
+            return Recovery::ForPerson(words.into());
         }
         if !is_homed {
             return Recovery::Failed;
@@ -219,13 +249,13 @@ impl Engine {
 ///
 /// # Errors
 /// A drive does not reply.
-async fn switched_off(bench: &Bench, must_be_homed: bool) -> Result<Option<String>, RigError> {
-    for axis in bench.axes() {
+async fn switched_off(bench: &Bench, was_homed: &[bool; AXES]) -> Result<Option<String>, RigError> {
+    for (axis, was_homed) in bench.axes().into_iter().zip(was_homed) {
         let found = axis.identify().await?;
         let why = match found.alarm {
             Some(alarm) => format!("has alarm {alarm:#x}"),
             None if found.emergency_stop => "is stopped by its own stop".into(),
-            None if must_be_homed && !found.homed => "is not homed any more".into(),
+            None if *was_homed && !found.homed => "is not homed any more".into(),
             None if found.in_command == Some(false) => "is no longer under remote control".into(),
             None => continue,
         };
@@ -245,13 +275,15 @@ mod tests {
     use super::*;
     use crate::campaign::bench::stand_in::StandIns;
 
-    /// One attempt of an automatic resume while a device has been silent for this time: whether further ones follow,
-    /// and what the run waits for.
-    async fn attempt(silent_since: Option<Duration>) -> (bool, Option<String>) {
+    /// One attempt of an automatic resume while a device has been silent for this time, and a person holds the operator
+    /// lock or not: whether further ones follow, and what the run waits for.
+    async fn attempt(silent_since: Option<Duration>, is_locked: bool) -> (bool, Option<String>) {
         let (axes, job) = (StandIns::default(), job());
         let mut engine = engine(&axes);
         trip(&mut engine, &job);
         axes.x.replies.store(false, Ordering::SeqCst);
+        let since = jiff::Timestamp::now() + Duration::from_secs(1);
+        *axes.journal.locked_at.lock() = is_locked.then_some(since);
         let mut resumes = 1;
         let mut resume = Automatic::new(&job, &mut resumes, Some("no reply".into()));
         let now = Instant::now();
@@ -269,11 +301,39 @@ mod tests {
     #[tokio::test]
     async fn a_run_resumes_by_itself_only_within_ten_minutes_of_silence() {
         for short in [None, Some(SILENCE_MAX - Duration::from_secs(10))] {
-            assert_eq!(attempt(short).await, (true, Some("no reply".into())), "{short:?}");
+            assert_eq!(attempt(short, false).await, (true, Some("no reply".into())), "{short:?}");
+            let (continues, words) = attempt(short, true).await;
+            assert!(continues && words.is_some_and(|words| words.contains("operator lock (ada")));
         }
-        let (continues, words) = attempt(Some(SILENCE_MAX + Duration::from_secs(1))).await;
-        assert!(!continues);
-        assert!(words.is_some_and(|words| words.contains("silent for more than 10 min")));
+        for is_locked in [false, true] {
+            let long = Some(SILENCE_MAX + Duration::from_secs(1));
+            let (continues, words) = attempt(long, is_locked).await;
+            assert!(!continues);
+            assert!(words.is_some_and(|words| words.contains("silent for more than 10 min")));
+        }
+    }
+
+    #[tokio::test]
+    async fn a_loss_of_power_between_two_automatic_resumes_waits_for_a_person() {
+        let (axes, job) = (StandIns::default(), job());
+        let mut engine = engine(&axes);
+        trip(&mut engine, &job);
+        let mut resumes = 1;
+        let mut automatic = Some(Automatic::new(&job, &mut resumes, None));
+        // The first one loses a wire while it homes.
+        axes.x.starts_fail.store(true, Ordering::SeqCst);
+        automatic.as_mut().unwrap().at = Instant::now();
+        assert!(engine.resume_automatically(&job, &mut automatic, 0).await.is_none());
+        let starts = axes.z.starts.load(Ordering::SeqCst);
+        assert!(starts > 0 && automatic.is_some() && engine.control.rig() == RigState::Tripped);
+        // A person switches the drives off and on.
+        axes.x.starts_fail.store(false, Ordering::SeqCst);
+        axes.z.status.lock().homed = false;
+        automatic.as_mut().unwrap().at = Instant::now();
+        assert!(engine.resume_automatically(&job, &mut automatic, 0).await.is_none());
+        assert!(automatic.is_none() && axes.z.starts.load(Ordering::SeqCst) == starts);
+        let words = engine.control.inbox.status.borrow().run.as_ref().unwrap().waiting_for.clone();
+        assert!(words.is_some_and(|words| words.contains("z is not homed any more")));
     }
 
     #[tokio::test]
