@@ -223,12 +223,14 @@ impl Conductor {
         }
         let homed = async {
             loop {
+                let rig = campaign.status().rig;
                 if !self.is_brought_up(run.uid) {
-                    // Refused if nothing moves any more.
-                    let _ = campaign.ask(Request::Abort).await;
+                    if rig.state == RigState::Disarmed {
+                        // Refused if nothing moves any more.
+                        let _ = campaign.ask(Request::Abort).await;
+                    }
                     return Err(Refusal::State("the run was aborted".into()));
                 }
-                let rig = campaign.status().rig;
                 match rig.state {
                     RigState::Homed => return Ok(()),
                     RigState::Tripped => {

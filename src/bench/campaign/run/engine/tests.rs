@@ -21,6 +21,7 @@ use crate::campaign::run::run_state::{PausedWhy, RunEvent, RunState};
 use crate::campaign::safe_end::Height;
 use crate::campaign::shown::command::{Refusal, channel};
 use crate::campaign::shown::show;
+use crate::campaign::shown::status::{Done, Wanted};
 use crate::clock::Clock;
 use crate::ids::RunUid;
 use crate::journal::Journal;
@@ -102,6 +103,25 @@ async fn a_start_and_a_resume_whose_caller_was_told_that_they_failed_are_not_car
     let (waited_for, _caller) = oneshot::channel();
     assert_eq!(engine.resume(&job, Some(&waited_for)).await, Ok(()));
     assert_eq!(states(&engine), (RigState::Armed, RunState::Running));
+}
+
+#[tokio::test]
+async fn a_confirmation_whose_caller_was_told_that_it_failed_resumes_nothing() {
+    let (axes, job) = (StandIns::default(), job());
+    let mut engine = engine(&axes);
+    engine.control.rig_event(RigEvent::Homed).unwrap();
+    engine.control.show(|status| status.run = Some(show::started(&job)));
+    engine.control.begin(job.run).unwrap();
+    engine.control.run_event(RunEvent::Need(PausedWhy::TipChange)).unwrap();
+    engine.control.run_event(RunEvent::Raised).unwrap();
+    engine.control.show_run(|run| run.wanted = Some(Wanted::Tips { tips: 1 }));
+    let (waits, done) = (RunState::Paused(PausedWhy::TipChange), Done::default());
+    let confirmed = engine.confirmed(&job, "ada", done, &abandoned()).await;
+    assert_eq!(confirmed, Err(Refusal::Gone));
+    assert_eq!((engine.control.rig(), engine.control.run()), (RigState::Homed, waits));
+    let (waited_for, _caller) = oneshot::channel();
+    assert_eq!(engine.confirmed(&job, "ada", done, &waited_for).await, Ok(()));
+    assert_eq!(engine.control.run(), RunState::Running);
 }
 
 #[tokio::test]

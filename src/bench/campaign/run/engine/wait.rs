@@ -271,7 +271,7 @@ impl Engine {
     }
 
     /// Accepts a confirmation, and resumes a run with a stage: only a rig that may move.
-    async fn confirmed(
+    pub(super) async fn confirmed(
         &mut self,
         job: &Job,
         who: &str,
