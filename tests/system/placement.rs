@@ -338,8 +338,12 @@ async fn under_a_stage_nothing_moves_during_a_manual_run_nor_after_it_before_tip
     let run = lab.queue(TWO).await;
     lab.start(&run).await;
     let page = asked(&lab, 0).await;
-    for action in [json!({ "action": "home" }), json!({ "action": "jog", "axis": "x", "to_mm": 9 })]
-    {
+    for action in [
+        json!({ "action": "home" }),
+        json!({ "action": "jog", "axis": "x", "to_mm": 9 }),
+        // They would let the next run press at once.
+        json!({ "action": "tips", "tips": 1 }),
+    ] {
         let (status, problem) = lab.post("/api/v1/rig/actions", action).await;
         assert!(
             status == 409 && problem["detail"].as_str().unwrap().contains("hands"),

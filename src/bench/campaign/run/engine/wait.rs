@@ -249,7 +249,10 @@ impl Engine {
                 self.tare_skin(answer);
                 None
             }
-            Request::Home | Request::Jog { .. } if job.plan.kind == Kind::RealRandom => {
+            // Tips that are entered now would let the next run press at once, on weights.
+            Request::Home | Request::Jog { .. } | Request::Mounted { .. }
+                if job.plan.kind == Kind::RealRandom =>
+            {
                 let words = format!(
                     "{} is not possible during a manual run: hands may be on the skin; end the run first",
                     name(&request)
