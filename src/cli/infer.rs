@@ -2,6 +2,7 @@
 //! Uses: `client`. Never: models (the service answers).
 
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 
 use clap::Args;
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
@@ -13,14 +14,18 @@ use super::files::read_input;
 use super::next::Next;
 use super::output::{note, say, say_json};
 use super::{At, embed};
-use crate::api::{FrameAnswer, InferOptions, InferRequest, LiveAnswer, QuantityRequest};
+use crate::api::{FrameAnswer, InferOptions, InferRequest, LiveAnswer, ModelOut, QuantityRequest};
+use crate::ids::CalibrationId;
 use crate::infer::answer::FoundContact;
 use crate::infer::methods::Method;
 use crate::infer::quantity::QuantityAnswer;
+use crate::infer::slot::Slot;
 use crate::problem::Problem;
 
 /// Number of frames per request.
 const FRAMES_PER_REQUEST: usize = 64;
+/// Longest wait for an answer by a skin that must be prepared first.
+const SKIN_READY_WITHIN: Duration = Duration::from_secs(900);
 
 /// Options of `infer`.
 #[derive(Debug, Args)]
@@ -28,10 +33,10 @@ pub struct InferArgs {
     /// JSON lines: each an array of voltages, or an object with voltages_v; - for standard input.
     #[arg(value_name = "FILE|-")]
     file: PathBuf,
-    /// Method; not for a --model that answers a position, pattern, count or force.
+    /// Method [default: that of the --model]; not for a model that answers a position, pattern, count or force.
     #[arg(long, value_parser = methods(Method::served()), required_unless_present = "model")]
     method: Option<Method>,
-    /// Id or name of a model, instead of the serving one.
+    /// Id or name of a model, or id of a calibration, instead of the serving one; it need not be promoted.
     #[arg(long, value_name = "MODEL")]
     model: Option<String>,
     /// Id or name of a Transfer-Net before it, instead of the serving one.
@@ -78,9 +83,17 @@ pub async fn infer(args: InferArgs) -> Result<(), CliError> {
     let frames = frames(&args.file)?;
     let at = args.at.clone();
     embed::with_server(&at, move |client| async move {
+        let is_skin = |model: &String| model.parse::<CalibrationId>().is_ok();
+        let client = match args.model.as_ref().is_some_and(is_skin) {
+            true => client.patient(SKIN_READY_WITHIN),
+            false => client,
+        };
         let method = match (args.method, &args.model) {
             (Some(method), _) => method,
-            (None, Some(model)) => return quantities(&client, model, &frames, &args.at).await,
+            (None, Some(model)) => match method_of(&client, model).await? {
+                Some(method) => method,
+                None => return quantities(&client, model, &frames, &args.at).await,
+            },
             // clap requires one of them.
             (None, None) => return Ok(()),
         };
@@ -111,6 +124,15 @@ pub async fn infer(args: InferArgs) -> Result<(), CliError> {
         Ok(())
     })
     .await
+}
+
+/// The method by which a model or a calibration answers; `None` if it answers a quantity.
+async fn method_of(client: &Client, model: &str) -> Result<Option<Method>, CliError> {
+    if model.parse::<CalibrationId>().is_ok() {
+        return Ok(Some(Method::of(Slot::Skin)));
+    }
+    let found: ModelOut = client.get(&format!("/api/v1/models/{model}")).await?;
+    Ok(found.slot.map(Method::of))
 }
 
 /// Shows the answers of a net that estimates a quantity of a whole frame.

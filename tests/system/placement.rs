@@ -68,12 +68,19 @@ fn nominal() -> String {
     Calibration { sensor, piezo: Some(piezo), foam, voltage, skin }.to_toml().unwrap()
 }
 
-/// Lets `exact` serve with the nominal skin.
+/// Lets `exact` serve with the nominal skin, after a request that names its calibration was answered.
 pub async fn serve_exact(lab: &Lab) {
     let url = format!("{}/api/v1/calibrations", lab.service.url());
     let added = http().post(url).body(nominal()).send().await.unwrap();
     assert_eq!(added.status(), 201, "{}", added.text().await.unwrap());
     let id: Value = added.json().await.unwrap();
+    let frame = vec![0.0; 784];
+    let named = json!({ "method": "exact", "model": id, "frames": [frame] });
+    let answers = lab.posted("/api/v1/infer", named).await;
+    assert_eq!(answers[0]["model"], id, "{answers}");
+    let unnamed = json!({ "method": "exact", "frames": [frame] });
+    let (status, refused) = lab.post("/api/v1/infer", unnamed).await;
+    assert_eq!(status, 409, "it was not promoted: {refused}");
     let serves = lab.posted("/api/v1/serving", json!({ "what": id })).await;
     assert_eq!(serves["slot"], "skin", "{serves}");
 }

@@ -162,7 +162,13 @@ pub const EXAMPLES: &[(&str, &[&str])] = &[
     ("model onnx", &["palpate model onnx transfer-net --out transfer.onnx"]),
     ("model add", &["palpate model add net.onnx --facts facts.toml --name mine"]),
     ("model add-calibration", &["palpate model add-calibration skin.toml"]),
-    ("infer", &["palpate infer --method fast frames.jsonl"]),
+    (
+        "infer",
+        &[
+            "palpate infer --method fast frames.jsonl",
+            "palpate infer --model cal-0192 frames.jsonl",
+        ],
+    ),
     ("live", &["palpate live --method fast", "palpate live --frames 100 --json"]),
     ("evaluate", &["palpate evaluate simulation --run 3"]),
     ("evaluate simulation", &["palpate evaluate simulation --run 3 --out figures --also png"]),

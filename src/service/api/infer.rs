@@ -24,12 +24,15 @@ use super::problem::{ApiError, Params, ProblemBody};
 use super::socket::{LiveClient, is_sent};
 use crate::clock::Clock;
 use crate::dataset::background::background;
+use crate::ids::CalibrationId;
 use crate::infer::answer::Reading;
 use crate::infer::error::InferError;
 use crate::infer::maps::ForceMaps;
 use crate::infer::methods::exact::Tracked;
 use crate::infer::methods::{Frames, Method};
 use crate::infer::pipeline::{Followed, Pipeline};
+use crate::infer::registry::Model;
+use crate::infer::slot::Slot;
 
 /// Options of an inference.
 #[derive(Debug, Clone, Serialize, Deserialize, ToSchema, IntoParams)]
@@ -39,7 +42,8 @@ pub struct InferOptions {
     /// Method from a frame to contacts.
     #[param(inline)]
     pub method: Method,
-    /// Id or name of a model to use instead of the serving one.
+    /// Id or name of a model to use instead of the serving one, or for `exact` id of a calibration; it need not
+    /// be promoted. A net of another sensor than the rig's is used alone.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub model: Option<String>,
     /// Id or name of a Transfer-Net to use instead of the serving one.
@@ -65,8 +69,8 @@ pub struct InferRequest {
     /// Method, models and form of the answers, as keys of the request itself.
     #[serde(flatten)]
     pub options: InferOptions,
-    /// Frames, V, each with one voltage per channel, injection-major; 1 to 2000, for `exact` 300,
-    /// with maps 100.
+    /// Frames, V, each with one voltage per channel of the sensor, injection-major; 1 to 2000, for
+    /// `exact` 300, with maps 100.
     pub frames: Vec<Vec<f32>>,
 }
 
@@ -94,7 +98,7 @@ pub struct FrameAnswer {
     request_body(content((InferRequest = "application/json"),
         (Vec<u8> = "application/octet-stream"))),
     responses((status = 200, body = Vec<FrameAnswer>),
-        (status = 404, body = ProblemBody, description = "no model has the given id or name"),
+        (status = 404, body = ProblemBody, description = "no model or calibration has the given id or name"),
         (status = 409, body = ProblemBody,
             description = "no model serves for the method, or a model does not fit method or sensor"),
         (status = 422, body = ProblemBody, description = "a frame or an option is invalid"),
@@ -103,13 +107,14 @@ pub async fn infer(
     State(app): State<App>,
     request: Request,
 ) -> Result<Json<Vec<FrameAnswer>>, ApiError> {
-    let channels = app.serving.sensor().channels();
-    let (options, frames) = received(&app, request, channels).await?;
-    let pipeline = pipeline(&app, &options).await?;
+    let (options, sent) = received(&app, request).await?;
+    let named = Named::load(&app, &options).await?;
+    let frames = sent.frames(&options, named.sensor(&app).1)?;
     let turn = match options.method.is_fit() {
         true => Turns::turn(&app.turns.fits).await?,
         false => app.turns.answer().await?,
     };
+    let pipeline = named.pipeline(&app, &options).await?;
     let clock = Clock::new(1.0);
     let work = move || {
         let _turn = turn;
@@ -133,81 +138,140 @@ pub async fn infer(
     Ok(Json(answers))
 }
 
-async fn pipeline(app: &App, options: &InferOptions) -> Result<Pipeline, ApiError> {
-    let mut pipeline = app.serving.once_restored(Some(options.method)).await.as_ref().clone();
-    for name in options.transfer.iter().chain(&options.model) {
-        let model = app.models.load(name).await?;
-        app.serving.fits(&model)?;
-        if !options.method.slots().contains(&model.slot()?) {
-            return Err(InferError::OtherTask {
-                id: model.manifest.id.clone(),
-                task: model.manifest.model.task.as_str(),
-                wanted: "the method has no use for it",
-            }
-            .into());
-        }
-        pipeline = pipeline.with(model)?;
-    }
-    if let Some(transfer) = &options.transfer
-        && !pipeline.uses_transfer()
-    {
-        let limit = "must be absent: an end-to-end net reads measured voltages";
-        return Err(ApiError::value("transfer", transfer, limit));
-    }
-    Ok(pipeline)
+/// The models that a request names; without any, those that serve answer.
+struct Named {
+    nets: Vec<Arc<Model>>,
+    skin: Option<CalibrationId>,
 }
 
-/// Reads options and frames, and checks that all frames are complete and finite.
-async fn received(
-    app: &App,
-    request: Request,
-    channels: usize,
-) -> Result<(InferOptions, Vec<f32>), ApiError> {
+impl Named {
+    async fn load(app: &App, options: &InferOptions) -> Result<Self, ApiError> {
+        let slots = options.method.slots();
+        let skin = options.model.as_deref().and_then(|id| id.parse::<CalibrationId>().ok());
+        if let Some(id) = skin.as_ref().filter(|_| !slots.contains(&Slot::Skin)) {
+            let limit = format!("must be a net: {} uses no calibration", options.method.name());
+            return Err(ApiError::value("model", id, &limit));
+        }
+        let net = options.model.as_ref().filter(|_| skin.is_none());
+        let mut nets = Vec::new();
+        for name in options.transfer.iter().chain(net) {
+            let model = app.models.load(name).await?;
+            if !slots.contains(&model.slot()?) {
+                return Err(model.of_other_task("the method has no use for it").into());
+            }
+            nets.push(model);
+        }
+        Ok(Self { nets, skin })
+    }
+
+    /// Name and channels of the sensor of the frames: that of the nets, or else the rig's.
+    fn sensor<'a>(&'a self, app: &'a App) -> (&'a str, usize) {
+        let of_net = |net: &'a Arc<Model>| {
+            let facts = &net.manifest.model;
+            (facts.sensor.as_str(), facts.channels)
+        };
+        let of_rig = app.serving.sensor();
+        self.nets.first().map_or((of_rig.file.name.as_str(), of_rig.channels()), of_net)
+    }
+
+    /// What serves, with the named models in their slots. Nets of another sensor than the rig's answer alone.
+    async fn pipeline(&self, app: &App, options: &InferOptions) -> Result<Pipeline, ApiError> {
+        let (sensor, channels) = self.sensor(app);
+        let of_rig = app.serving.sensor();
+        let mut pipeline = match sensor == of_rig.file.name && channels == of_rig.channels() {
+            true => app.serving.once_restored(Some(options.method)).await.as_ref().clone(),
+            false => Pipeline::default(),
+        };
+        for net in &self.nets {
+            net.is_for(sensor, channels)?;
+            pipeline = pipeline.with(net.clone())?;
+        }
+        if self.skin.is_some() {
+            let skin = app.serving.skin(self.skin.as_ref()).await?;
+            pipeline = pipeline.with_skin(Some(skin));
+        }
+        if let Some(transfer) = &options.transfer
+            && !pipeline.uses_transfer()
+        {
+            let limit = "must be absent: an end-to-end net reads measured voltages";
+            return Err(ApiError::value("transfer", transfer, limit));
+        }
+        Ok(pipeline)
+    }
+}
+
+/// Frames as they were sent, V: their length depends on the models.
+enum Sent {
+    /// A list for each frame.
+    Lists(Vec<Vec<f32>>),
+    /// Little-endian f32, one frame after the other.
+    Bytes(bytes::Bytes),
+}
+
+/// Reads the options and the frames.
+async fn received(app: &App, request: Request) -> Result<(InferOptions, Sent), ApiError> {
     let kind = request.headers().get(header::CONTENT_TYPE);
     let raw = kind.is_some_and(|kind| kind.as_bytes().starts_with(b"application/octet-stream"));
-    let (options, frames) = if raw {
+    let (options, sent) = if raw {
         let query = Query::<InferOptions>::try_from_uri(request.uri()).map_err(ApiError::from)?.0;
         let bytes = bytes::Bytes::from_request(request, app).await;
         let bytes = bytes.map_err(|e| ApiError::of_body(e.status(), e.body_text(), &e))?;
-        if bytes.len() % (4 * channels) != 0 {
-            let limit =
-                format!("must be a multiple of {} bytes: frames of {channels} f32", 4 * channels);
-            return Err(ApiError::value("body", bytes.len(), &limit));
-        }
-        (query, bytes.as_chunks().0.iter().map(|b| f32::from_le_bytes(*b)).collect())
+        (query, Sent::Bytes(bytes))
     } else {
         let body =
             Json::<InferRequest>::from_request(request, app).await.map_err(ApiError::from)?;
-        let InferRequest { options, frames } = body.0;
-        for (index, frame) in frames.iter().enumerate() {
-            if frame.len() != channels {
-                let key = format!("frames[{index}]");
-                let limit = format!("must have {channels} voltages, one per channel of the sensor");
-                return Err(ApiError::value(&key, frame.len(), &limit));
-            }
-        }
-        (options, frames.concat())
+        (body.0.options, Sent::Lists(body.0.frames))
     };
-    let count = frames.len() / channels;
-    if count == 0 || count > FRAMES_MAX {
-        return Err(ApiError::value("frames", count, &format!("must be from 1 to {FRAMES_MAX}")));
-    }
-    if options.method.is_fit() && count > EXACT_MAX {
-        let limit = format!("must be from 1 to {EXACT_MAX} for a method that fits contacts");
-        return Err(ApiError::value("frames", count, &limit));
-    }
-    if options.map && count > MAPS_MAX {
-        let limit = format!("must be from 1 to {MAPS_MAX} if maps are requested");
-        return Err(ApiError::value("frames", count, &limit));
-    }
-    if let Some(at) = frames.iter().position(|v| !v.is_finite()) {
-        let key = format!("frames[{}][{}]", at / channels, at % channels);
-        return Err(ApiError::value(&key, frames[at], "must be a finite number of volts"));
-    }
     if !(options.averaged >= 1.0 && options.averaged <= 1e6) {
         return Err(ApiError::value("averaged", options.averaged, "must be from 1 to 1e6 frames"));
     }
-    Ok((options, frames))
+    Ok((options, sent))
+}
+
+impl Sent {
+    /// The frames, V, one after the other; checks that all are complete and finite.
+    fn frames(self, options: &InferOptions, channels: usize) -> Result<Vec<f32>, ApiError> {
+        let frames: Vec<f32> = match self {
+            Self::Bytes(bytes) => {
+                let frame_bytes = 4 * channels;
+                if bytes.len() % frame_bytes != 0 {
+                    let limit = format!(
+                        "must be a multiple of {frame_bytes} bytes: frames of {channels} f32"
+                    );
+                    return Err(ApiError::value("body", bytes.len(), &limit));
+                }
+                bytes.as_chunks().0.iter().map(|b| f32::from_le_bytes(*b)).collect()
+            }
+            Self::Lists(frames) => {
+                let wrong = frames.iter().position(|frame| frame.len() != channels);
+                if let Some(index) = wrong {
+                    let key = format!("frames[{index}]");
+                    let limit =
+                        format!("must have {channels} voltages, one per channel of the sensor");
+                    return Err(ApiError::value(&key, frames[index].len(), &limit));
+                }
+                frames.concat()
+            }
+        };
+        let count = frames.len() / channels;
+        if count == 0 || count > FRAMES_MAX {
+            let limit = format!("must be from 1 to {FRAMES_MAX}");
+            return Err(ApiError::value("frames", count, &limit));
+        }
+        if options.method.is_fit() && count > EXACT_MAX {
+            let limit = format!("must be from 1 to {EXACT_MAX} for a method that fits contacts");
+            return Err(ApiError::value("frames", count, &limit));
+        }
+        if options.map && count > MAPS_MAX {
+            let limit = format!("must be from 1 to {MAPS_MAX} if maps are requested");
+            return Err(ApiError::value("frames", count, &limit));
+        }
+        if let Some(at) = frames.iter().position(|v| !v.is_finite()) {
+            let key = format!("frames[{}][{}]", at / channels, at % channels);
+            return Err(ApiError::value(&key, frames[at], "must be a finite number of volts"));
+        }
+        Ok(frames)
+    }
 }
 
 /// Options of a live stream of contacts.

@@ -90,6 +90,23 @@ impl Model {
         Slot::of(self.manifest.model.task).ok_or_else(|| self.of_other_task(wanted))
     }
 
+    /// Checks that the model is for a sensor.
+    ///
+    /// # Errors
+    /// `InferError::OtherSensor` if it is not.
+    pub fn is_for(&self, sensor: &str, channels: usize) -> Result<(), InferError> {
+        let facts = &self.manifest.model;
+        if facts.sensor == sensor && facts.channels == channels {
+            return Ok(());
+        }
+        Err(InferError::OtherSensor {
+            id: self.manifest.id.to_string(),
+            sensor: facts.sensor.clone(),
+            channels: facts.channels,
+            here: format!("{sensor} with {channels}"),
+        })
+    }
+
     /// The error for a model whose task is not the one needed.
     pub fn of_other_task(&self, wanted: &'static str) -> InferError {
         let (id, task) = (self.manifest.id.clone(), self.manifest.model.task.as_str());

@@ -18,7 +18,7 @@ use super::methods::Method;
 use super::methods::exact::ExactSkin;
 use super::methods::exact::skins::{Skins, StoredCalibration};
 use super::pipeline::Pipeline;
-use super::registry::{Model, Registry};
+use super::registry::Registry;
 use super::slot::Slot;
 use crate::ids::{CalibrationId, PromotedId};
 use crate::store::{NewPromotion, PromotionRow, Store};
@@ -37,6 +37,9 @@ struct Inner {
     sensor_text: String,
     skins: Skins,
     current: RwLock<Arc<Pipeline>>,
+    /// The skin that was prepared last, also for a request that names its calibration: its preparation takes
+    /// most of a minute.
+    named: tokio::sync::Mutex<Option<Arc<ExactSkin>>>,
     /// The slots whose promotion before a restart was restored.
     restored: watch::Sender<Vec<Slot>>,
     /// Held during a change: one change at a time.
@@ -52,11 +55,12 @@ impl Serving {
         sensor_text: String,
         data: &Path,
     ) -> Self {
-        let (current, changing) = (RwLock::default(), tokio::sync::Mutex::default());
+        let (current, named, changing) =
+            (RwLock::default(), tokio::sync::Mutex::default(), tokio::sync::Mutex::default());
         let skins = Skins::new(store.clone(), sensor.clone(), data);
         let restored = watch::Sender::new(Vec::new());
         let inner =
-            Inner { store, models, sensor, sensor_text, skins, current, restored, changing };
+            Inner { store, models, sensor, sensor_text, skins, current, named, restored, changing };
         Self { inner: Arc::new(inner) }
     }
 
@@ -228,33 +232,16 @@ impl Serving {
             }
             Some(PromotedId::Model(id)) => {
                 let model = self.inner.models.load(id.as_str()).await?;
-                self.fits(&model)?;
+                let sensor = &self.inner.sensor;
+                model.is_for(&sensor.file.name, sensor.channels())?;
                 current.with(model)?
             }
         };
         Ok(Arc::new(next))
     }
 
-    /// Checks that a model is for this sensor.
-    ///
-    /// # Errors
-    /// `InferError::OtherSensor` if it is not.
-    pub fn fits(&self, model: &Model) -> Result<(), InferError> {
-        let (facts, sensor) = (&model.manifest.model, &self.inner.sensor);
-        let channels = sensor.channels();
-        if facts.sensor == sensor.file.name && facts.channels == channels {
-            return Ok(());
-        }
-        Err(InferError::OtherSensor {
-            id: model.manifest.id.to_string(),
-            sensor: facts.sensor.clone(),
-            channels: facts.channels,
-            here: format!("{} with {channels}", sensor.file.name),
-        })
-    }
-
-    /// Returns the skin of a stored calibration, or the nominal one; the serving one, if it has
-    /// that calibration.
+    /// Returns the skin of a stored calibration, or the nominal one; the serving one or the last one that
+    /// a caller named, if it has that calibration. One is prepared at a time.
     ///
     /// # Errors
     /// `InferError` if there is no such calibration or the skin cannot be prepared.
@@ -267,7 +254,14 @@ impl Serving {
         {
             return Ok(serves.clone());
         }
-        self.inner.skins.ready(calibration).await.map(Arc::new)
+        let mut named = self.inner.named.lock().await;
+        let last = named.as_ref().filter(|_| calibration.is_some());
+        if let Some(last) = last.filter(|skin| skin.calibration() == calibration) {
+            return Ok(last.clone());
+        }
+        let skin = Arc::new(self.inner.skins.ready(calibration).await?);
+        *named = Some(skin.clone());
+        Ok(skin)
     }
 
     /// Returns the model of a stored calibration, or the nominal one.

@@ -283,6 +283,13 @@ async fn what_cannot_be_is_named_and_changes_nothing() {
     let (status, body) = lab.post("/api/v1/infer", request).await;
     assert_eq!(status, 409, "{body}");
     assert!(body["detail"].as_str().unwrap().contains("has no use for it"), "{body}");
+    let request = json!({ "method": "fast", "model": "cal-0", "frames": [frame] });
+    let (status, body) = lab.post("/api/v1/infer", request).await;
+    let words = "model = cal-0: must be a net";
+    assert!(status == 422 && body["detail"].as_str().unwrap().contains(words), "{body}");
+    let request = json!({ "method": "exact", "model": "cal-0", "frames": [frame] });
+    let (status, body) = lab.post("/api/v1/infer", request).await;
+    assert_eq!(status, 404, "{body}");
     let file = parquet(vec![
         ("voltages_v", frames(4, vec![Some(0.1); 4])),
         ("contacts", lists(&[(10.0, 20.0, Some(3.0))], [1])),
@@ -345,5 +352,21 @@ async fn touches_without_forces_are_learned_and_scored_and_no_force_is_made_up()
     assert!(all["exact_rate"]["mean"].as_f64().unwrap() > 0.5, "{all:#}");
     assert!(all["closest_mm"]["mean"].as_f64().unwrap() < 40.0, "{all:#}");
     assert!(all.get("force_percent").is_none_or(Value::is_null), "{all:#}");
+
+    // It answers frames of its sensor by its id; it cannot serve, since the stream is that of the rig's sensor.
+    let ask = async |length: usize| {
+        let frames = json!([vec![0.01; length]]);
+        lab.post("/api/v1/infer", json!({ "method": "paper", "model": net, "frames": frames }))
+            .await
+    };
+    let (status, answers) = ask(channels).await;
+    assert_eq!((status, &answers[0]["model"]), (200, &json!(net)), "{answers}");
+    assert!(answers[0]["contacts"].is_array(), "{answers}");
+    let (status, refused) = ask(784).await;
+    let words = "frames[0] = 784: must have 16 voltages";
+    assert!(status == 422 && refused["detail"].as_str().unwrap().contains(words), "{refused}");
+    let (status, refused) = lab.post("/api/v1/serving", json!({ "what": net })).await;
+    let words = "is for sensor mat with 16 channels";
+    assert!(status == 409 && refused["detail"].as_str().unwrap().contains(words), "{refused}");
     lab.close().await;
 }

@@ -165,6 +165,15 @@ impl Method {
         Self::ALL.into_iter().filter(|method| method.serves())
     }
 
+    /// The method by which a model of a slot answers if no method is named.
+    pub fn of(slot: Slot) -> Self {
+        match slot {
+            Slot::Transfer | Slot::Map => Self::Paper,
+            Slot::Points => Self::Fast,
+            Slot::Skin => Self::Exact,
+        }
+    }
+
     /// The method of this name.
     pub fn named(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|method| method.name() == name)
