@@ -44,13 +44,15 @@ pub fn fit(
     let recipe = &plan.recipe;
     let noise_sd_v = plan.noise_sd_v.as_deref();
     let noise = NoiseSource::new(recipe.seed, recipe.noise, noise_sd_v, train.input_len());
-    let statistics = Statistics::measure(train, None, &noise, recipe.seed)?;
+    let input = recipe.net.input();
+    let statistics = Statistics::measure(train, input.measured(), &noise, recipe.seed)?;
     let constant = statistics.constant_channels();
     if constant > 0 {
         observer.warn(constant_channels(constant, train.input_len()));
     }
     let network = recipe.first(&statistics, train.target_len());
-    let data = Data { statistics: &statistics, noise: &noise };
+    let limit = input.limit().unwrap_or(f32::INFINITY);
+    let data = Data { statistics: &statistics, noise: &noise, limit };
     let trials = match form {
         ClosedForm::Ridge => 1,
         ClosedForm::KernelRidge { .. } => GAMMAS.len() as u32 + 1,
@@ -83,7 +85,7 @@ fn placed(network: &Network, middle: Vec<Layer>) -> Network {
     Network { layers, ..network.clone() }
 }
 
-/// Rows of standardised numbers: frames `[rows, channels]`, targets `[rows, numbers]`.
+/// Rows of scaled numbers: frames `[rows, channels]`, targets `[rows, numbers]`.
 struct Rows {
     frames: Mat<f64>,
     targets: Mat<f64>,
@@ -92,10 +94,12 @@ struct Rows {
 struct Data<'a> {
     statistics: &'a Statistics,
     noise: &'a NoiseSource,
+    /// Largest absolute value of a scaled channel.
+    limit: f32,
 }
 
 impl Data<'_> {
-    /// Reads samples, standardised.
+    /// Reads samples, scaled as by the first layers of the net.
     fn read(&self, from: &dyn Samples, numbers: &[u64]) -> Result<Rows, TrainError> {
         let (channels, target) = (from.input_len(), from.target_len());
         let mut rows = Rows {
@@ -113,7 +117,8 @@ impl Data<'_> {
                 let frame = &mut x[nth * channels..][..channels];
                 self.noise.add(0, number, frame);
                 for (i, &v) in frame.iter().enumerate() {
-                    rows.frames[(row, i)] = f64::from((v - of.mean[i]) / of.sd[i]);
+                    let scaled = (v - of.mean[i]) / of.sd[i];
+                    rows.frames[(row, i)] = f64::from(scaled.clamp(-self.limit, self.limit));
                 }
                 for (i, &v) in y[nth * target..][..target].iter().enumerate() {
                     rows.targets[(row, i)] = f64::from((v - of.target_mean[i]) / of.target_sd[i]);

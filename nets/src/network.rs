@@ -93,6 +93,11 @@ pub enum Layer {
         /// Standard deviation, per number, > 0.
         sd: Vec<f32>,
     },
+    /// `min(max(x, -limit), limit)`, for each number.
+    Clip {
+        /// Largest absolute value, > 0.
+        limit: f32,
+    },
     /// `exp(-gamma |x - c|^2)` for each centre c.
     Kernel {
         /// Length of x.
@@ -170,6 +175,7 @@ impl Network {
                 | Layer::Gelu
                 | Layer::Image { .. }
                 | Layer::PixelShuffle { .. }
+                | Layer::Clip { .. }
                 | Layer::UnitNorm { .. } => {}
             }
         }

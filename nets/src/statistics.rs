@@ -20,13 +20,39 @@ const SAMPLES_AT_ONCE: usize = 64;
 const CONSTANT: f64 = 1e-4;
 /// Standard deviation of a constant channel: its standardised value is zero.
 const NEVER_V: f32 = 1e30;
+/// One of this number of values of a channel is an extreme, at each end.
+const EXTREME_IN: usize = 100;
+/// Largest number of values of frames in memory from which extremes are found, 256 MB.
+const HELD_MAX: usize = 1 << 26;
+
+/// What is measured of frames.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Measured {
+    /// Mean and standard deviation of each channel.
+    Moments,
+    /// The same, and this number of principal components.
+    Components(usize),
+    /// Median of each channel, and standard deviation without its lowest and highest hundredth.
+    WithoutExtremes,
+}
+
+impl Measured {
+    /// Number of principal components, if they are measured.
+    fn components(self) -> Option<usize> {
+        match self {
+            Self::Components(components) => Some(components),
+            Self::Moments | Self::WithoutExtremes => None,
+        }
+    }
+}
 
 /// Statistics of the training data.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Statistics {
-    /// Mean of each input channel.
+    /// Mean of each input channel, or its median.
     pub mean: Vec<f32>,
-    /// Standard deviation of each input channel; huge where a channel is constant, so that it is ignored.
+    /// Standard deviation of each input channel, or that without its extremes; huge where a channel is
+    /// constant, so that it is ignored.
     pub sd: Vec<f32>,
     /// Mean of each number of a target.
     pub target_mean: Vec<f32>,
@@ -72,19 +98,36 @@ impl Moments {
         if sd > 0.0 { sd } else { 1.0 }
     }
 
-    /// Standard deviations of channels; those of constant ones are [`NEVER_V`].
-    fn sds_of_channels(&self) -> Vec<f32> {
-        let sds: Vec<f64> = (0..self.sum.len()).map(|i| self.spread(i)).collect();
-        let least = CONSTANT * median(sds.iter().copied()).unwrap_or(0.0);
-        let of = |&sd: &f64| if sd > least { sd as f32 } else { NEVER_V };
-        sds.iter().map(of).collect()
+    fn spreads(&self) -> Vec<f64> {
+        (0..self.sum.len()).map(|i| self.spread(i)).collect()
     }
+}
+
+/// Standard deviations of channels as divisors; those of constant ones are [`NEVER_V`].
+fn divisors(sds: &[f64]) -> Vec<f32> {
+    let least = CONSTANT * median(sds.iter().copied()).unwrap_or(0.0);
+    sds.iter().map(|&sd| if sd > least { sd as f32 } else { NEVER_V }).collect()
+}
+
+/// Median of each channel of frames, `[rows][channels]`, and its standard deviation without its lowest and
+/// highest values: one in [`EXTREME_IN`] each, at least one if there are three.
+fn without_extremes(frames: &[f32], channels: usize) -> (Vec<f32>, Vec<f64>) {
+    let rows = frames.len() / channels;
+    let cut = rows.div_ceil(EXTREME_IN).min(rows.saturating_sub(1) / 2);
+    let of_channel = |channel: usize| {
+        let mut values: Vec<f32> = frames.iter().skip(channel).step_by(channels).copied().collect();
+        values.sort_unstable_by(f32::total_cmp);
+        let mut kept = Moments::new(1);
+        values[cut..rows - cut].iter().for_each(|&v| kept.add([f64::from(v)].into_iter()));
+        (values[rows / 2], kept.spread(0))
+    };
+    (0..channels).map(of_channel).unzip()
 }
 
 impl Statistics {
     /// Placeholder without data: determines the shape of networks, and nothing else.
-    pub fn unknown(components: Option<usize>, channels: usize, target: usize) -> Self {
-        let whitening = components.map(|components| {
+    pub fn unknown(measured: Measured, channels: usize, target: usize) -> Self {
+        let whitening = measured.components().map(|components| {
             let width = components.min(channels) + 1;
             (vec![0.0; width * (channels + 1)], vec![0.0; width])
         });
@@ -95,18 +138,22 @@ impl Statistics {
     }
 
     /// Measures up to [`MEASURED_MAX`] samples with the noise of the first epoch: components that
-    /// contain only noise must have the variance of that noise. Principal components are measured
-    /// only if their number is stated.
+    /// contain only noise must have the variance of that noise.
     ///
     /// # Errors
     /// `SamplesError` if a sample cannot be read, or the frames have no principal components.
     pub fn measure(
         from: &dyn Samples,
-        components: Option<usize>,
+        measured: Measured,
         noise: &NoiseSource,
         seed: u64,
     ) -> Result<Self, SamplesError> {
         let (channels, targets) = (from.input_len(), from.target_len());
+        let (components, mut held) = (measured.components(), Vec::new());
+        let most = match measured {
+            Measured::WithoutExtremes => MEASURED_MAX.min((HELD_MAX / channels).max(CHUNK) as u64),
+            Measured::Moments | Measured::Components(_) => MEASURED_MAX,
+        };
         let mut of_inputs = Moments::new(channels);
         let mut of_logs = Moments::new(1);
         let mut of_targets = Moments::new(1);
@@ -114,7 +161,7 @@ impl Statistics {
         let rows = components.map_or(0, |_| channels);
         let mut products = Mat::<f64>::zeros(rows, rows);
         let mut unit_sum = vec![0.0; channels];
-        let picked = pick(from, seed);
+        let picked = pick(from, most, seed);
         let (mut x, mut y) =
             (vec![0.0; SAMPLES_AT_ONCE * channels], vec![0.0; SAMPLES_AT_ONCE * targets]);
         for numbers in picked.chunks(SAMPLES_AT_ONCE) {
@@ -123,6 +170,9 @@ impl Statistics {
             let mut units = Mat::<f64>::zeros(channels, numbers.len());
             for (row, frame) in x.chunks_exact_mut(channels).enumerate() {
                 noise.add(0, numbers[row], frame);
+                if measured == Measured::WithoutExtremes {
+                    held.extend_from_slice(frame);
+                }
                 of_inputs.add(frame.iter().map(|&v| f64::from(v)));
                 let norm = norm(frame);
                 of_logs.add([norm.ln()].into_iter());
@@ -143,12 +193,16 @@ impl Statistics {
         let size = (of_targets.square[0] / of_targets.count).sqrt();
         let mut statistics = Self {
             mean: each(channels, &|i| of_inputs.mean(i)),
-            sd: of_inputs.sds_of_channels(),
+            sd: divisors(&of_inputs.spreads()),
             target_mean: each(targets, &|i| of_each_target.mean(i)),
             target_sd: each(targets, &|i| of_each_target.sd(i)),
             target_size: if size > 0.0 { size as f32 } else { 1.0 },
             whitening: (Vec::new(), Vec::new()),
         };
+        if measured == Measured::WithoutExtremes {
+            let (medians, sds) = without_extremes(&held, channels);
+            (statistics.mean, statistics.sd) = (medians, divisors(&sds));
+        }
         if let Some(components) = components {
             let count = of_inputs.count;
             let mean: Vec<f64> = unit_sum.iter().map(|s| s / count).collect();
@@ -182,14 +236,13 @@ fn norm(frame: &[f32]) -> f64 {
     square.sqrt().max(f64::from(NORM_FLOOR_V))
 }
 
-/// Numbers of the samples to measure: all if there are few, else drawn with replacement.
-fn pick(from: &dyn Samples, seed: u64) -> Vec<u64> {
-    if from.len() <= MEASURED_MAX {
+/// Numbers of the samples to measure: all if there are at most `most`, else drawn with replacement.
+fn pick(from: &dyn Samples, most: u64, seed: u64) -> Vec<u64> {
+    if from.len() <= most {
         return (0..from.len()).collect();
     }
     let mut chance = generator(seed, Purpose::Statistics, 0, 0);
-    let mut picked: Vec<u64> =
-        (0..MEASURED_MAX).map(|_| chance.random_range(0..from.len())).collect();
+    let mut picked: Vec<u64> = (0..most).map(|_| chance.random_range(0..from.len())).collect();
     picked.sort_unstable(); // Rows of a file are read in their order.
     picked
 }

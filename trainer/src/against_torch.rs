@@ -54,8 +54,7 @@ struct Begun {
 
 fn begin(case: &Case) -> Begun {
     let recipe = Recipe::from_toml(&case.recipe).unwrap();
-    let statistics =
-        Statistics::unknown(recipe.net.input().components(), case.channels, case.target);
+    let statistics = Statistics::unknown(recipe.net.input().measured(), case.channels, case.target);
     let mut network = recipe.first(&statistics, case.target);
     assert_eq!(network.numbers().len(), case.numbers.len(), "{}", case.recipe);
     network.set_numbers(&case.numbers);

@@ -175,6 +175,7 @@ impl Model {
                 let scaled = if *scale == 1.0 { x } else { x.mul_scalar(*scale) };
                 if *shift == 0.0 { scaled } else { scaled.add_scalar(*shift) }
             }
+            Layer::Clip { limit } => x.clamp(-*limit, *limit),
             Layer::Kernel { gamma, .. } => {
                 let square = (x.clone() * x.clone()).sum_dim(1);
                 let apart = square + c[1].clone() - x.matmul(c[0].clone()).mul_scalar(2.0);
@@ -343,6 +344,7 @@ fn matrices(layer: &Layer) -> [Vec<Matrix>; 2] {
         | Layer::Gelu
         | Layer::Image { .. }
         | Layer::Scale { .. }
+        | Layer::Clip { .. }
         | Layer::PixelShuffle { .. }
         | Layer::UnitNorm { .. } => [vec![], vec![]],
     }

@@ -119,14 +119,14 @@ impl<'a> Training<'a> {
         };
         let noise =
             NoiseSource::new(recipe.seed, recipe.noise, plan.noise_sd_v.as_deref(), channels);
-        let components = recipe.net.input().components();
-        let unknown = Statistics::unknown(components, channels, target);
+        let measured = recipe.net.input().measured();
+        let unknown = Statistics::unknown(measured, channels, target);
         let state = checkpoint.map(|bytes| checkpoint::read(bytes, &subject)).transpose()?;
         let mut network = match (&state, &plan.start) {
             (None, None) => {
-                let statistics = Statistics::measure(train, components, &noise, recipe.seed)?;
+                let statistics = Statistics::measure(train, measured, &noise, recipe.seed)?;
                 let constant = statistics.constant_channels();
-                if constant > 0 && recipe.net.input() == Input::Standardised {
+                if constant > 0 && recipe.net.input().scales_channels() {
                     observer.warn(constant_channels(constant, channels));
                 }
                 recipe.first(&statistics, target)

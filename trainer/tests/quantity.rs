@@ -172,6 +172,33 @@ fn a_channel_that_is_constant_in_training_is_ignored_and_named() {
     }
 }
 
+/// One frame in 75 has a channel of a thousand times the others' size. Standardised, all other frames are
+/// alike.
+#[test]
+fn faults_in_few_rows_do_not_spoil_a_robust_input() {
+    let (mut learn, choose, other) = (rows(900, 1, even), rows(200, 2, even), rows(200, 3, even));
+    for channel in 0..CHANNELS {
+        learn.inputs[75 * channel][channel] = 30.0;
+    }
+    let errors = ["standardised", "robust"].map(|input| {
+        let net = format!("[net]\nkind = 'kernel-ridge'\nanswers = 'force'\ninput = '{input}'\n");
+        error(&trained(&net, &learn, &choose, &mut Watch::default()), &other)
+    });
+    assert!(errors[1] < 0.5 * errors[0], "{errors:?} N");
+    // Without faults the law is the same, and a fault changes an answer by a bounded amount.
+    let net = "[net]\nkind = 'ridge'\nanswers = 'position'\ninput = 'robust'\n";
+    let (learn, other) = (rows(200, 1, linear), rows(50, 2, linear));
+    let fitted = trained(net, &learn, &other, &mut Watch::default());
+    assert!(error(&fitted, &other) < 0.03, "{} mm", error(&fitted, &other));
+    let mut frame = other.inputs[0].clone();
+    frame[0] = 1e6;
+    let compute = Compute::Cpu { threads: 1 };
+    let found = answer(&fitted.network, &frame, compute).unwrap();
+    assert!(found.iter().all(|mm| mm.abs() < 1e3), "{found:?}");
+    let refused = Recipe::from_toml(&format!("seed = 1\n{}", net.replace("robust", "unit")));
+    assert!(refused.unwrap_err().to_string().contains("net.input"));
+}
+
 #[test]
 fn a_fit_in_closed_form_can_be_stopped() {
     let (learn, other) = (rows(100, 1, even), rows(50, 2, even));

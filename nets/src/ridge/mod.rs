@@ -1,6 +1,6 @@
 //! Ridge regression and kernel ridge regression from measured voltages to a quantity: fitted in closed
-//! form, and what every net must be compared with. Channels are standardised; the penalty, and the width
-//! of the kernel, are those of the least error on the validation rows.
+//! form, and what every net must be compared with. Channels are standardised, or robust; the penalty, and the
+//! width of the kernel, are those of the least error on the validation rows.
 //! PURE. Uses: the shared parts. Never: data, a fit (`closed_form` computes it).
 //!
 //! Source: C. Saunders, A. Gammerman, V. Vovk, Ridge Regression Learning Algorithm in Dual Variables,
@@ -26,6 +26,8 @@ const HALF: f32 = 0.5;
 pub struct Ridge {
     /// Quantity that it answers.
     pub answers: Quantity,
+    /// Normalisation of frames: standardised or robust.
+    pub input: Input,
 }
 
 /// Parameters of a kernel ridge regression with the kernel `exp(-gamma |x - c|^2)`.
@@ -34,6 +36,8 @@ pub struct Ridge {
 pub struct KernelRidge {
     /// Quantity that it answers.
     pub answers: Quantity,
+    /// Normalisation of frames: standardised or robust.
+    pub input: Input,
     /// Largest number of training rows that are centres of the kernel, taken evenly. Time grows with its
     /// cube.
     pub centres: usize,
@@ -41,24 +45,30 @@ pub struct KernelRidge {
 
 impl Default for Ridge {
     fn default() -> Self {
-        Self { answers: Quantity::Force }
+        Self { answers: Quantity::Force, input: Input::Standardised }
     }
 }
 
 impl Default for KernelRidge {
     fn default() -> Self {
-        Self { answers: Quantity::Force, centres: 4000 }
+        Self { answers: Quantity::Force, input: Input::Standardised, centres: 4000 }
     }
 }
 
-/// The layers around a regression: `middle` maps standardised frames to standardised targets.
+/// Checks that a normalisation scales each channel by itself, as the fit assumes.
+fn check_input(input: Input) -> Result<(), RecipeError> {
+    let limit = "standardised or robust";
+    require(input.scales_channels(), "net.input", format!("{input:?}"), limit)
+}
+
+/// The layers around a regression: `middle` maps scaled frames to standardised targets.
 fn network(
-    answers: Quantity,
+    (answers, input): (Quantity, Input),
     statistics: &Statistics,
     target: usize,
     middle: impl IntoIterator<Item = Layer>,
 ) -> Network {
-    let mut layers = Input::Standardised.layers(statistics);
+    let mut layers = input.layers(statistics);
     layers.extend(middle);
     // A pattern's answer is above zero where a place is pressed.
     let shift = if answers == Quantity::Pattern { -HALF } else { 0.0 };
@@ -73,7 +83,7 @@ fn dense(inputs: usize, outputs: usize) -> Layer {
 
 impl Architecture for Ridge {
     fn input(&self) -> Input {
-        Input::Standardised
+        self.input
     }
 
     fn answer(&self) -> Answer {
@@ -81,7 +91,7 @@ impl Architecture for Ridge {
     }
 
     fn check(&self) -> Result<(), RecipeError> {
-        Ok(())
+        check_input(self.input)
     }
 
     fn loss(&self, _: f32) -> Loss {
@@ -90,7 +100,7 @@ impl Architecture for Ridge {
 
     fn first(&self, statistics: &Statistics, target: usize, _: &mut Initial) -> Network {
         let channels = statistics.mean.len();
-        network(self.answers, statistics, target, [dense(channels, target)])
+        network((self.answers, self.input), statistics, target, [dense(channels, target)])
     }
 
     fn closed_form(&self) -> Option<ClosedForm> {
@@ -100,7 +110,7 @@ impl Architecture for Ridge {
 
 impl Architecture for KernelRidge {
     fn input(&self) -> Input {
-        Input::Standardised
+        self.input
     }
 
     fn answer(&self) -> Answer {
@@ -108,6 +118,7 @@ impl Architecture for KernelRidge {
     }
 
     fn check(&self) -> Result<(), RecipeError> {
+        check_input(self.input)?;
         let limit = "10..20000: the kernel's matrix has its square";
         require((10..=20_000).contains(&self.centres), "net.centres", self.centres, limit)
     }
@@ -120,7 +131,7 @@ impl Architecture for KernelRidge {
     fn first(&self, statistics: &Statistics, target: usize, _: &mut Initial) -> Network {
         let channels = statistics.mean.len();
         let kernel = Layer::Kernel { inputs: channels, centres: Vec::new(), gamma: 1.0 };
-        network(self.answers, statistics, target, [kernel, dense(0, target)])
+        network((self.answers, self.input), statistics, target, [kernel, dense(0, target)])
     }
 
     fn closed_form(&self) -> Option<ClosedForm> {

@@ -66,6 +66,7 @@ pub fn kinds(draw: &mut Draw) -> Vec<(&'static str, Network)> {
             ),
         ),
         ("kernel", plain(&[5], vec![near(draw)])),
+        ("clip", plain(&[12], vec![Layer::Clip { limit: 0.04 }])),
     ]
 }
 
@@ -84,8 +85,9 @@ pub fn kind_index(layer: &Layer) -> usize {
         Layer::Scale { .. } => 9,
         Layer::UnitNorm { .. } => 10,
         Layer::Kernel { .. } => 11,
+        Layer::Clip { .. } => 12,
     }
 }
 
 /// Kinds of layers that there are.
-pub const KINDS: usize = 12;
+pub const KINDS: usize = 13;

@@ -199,6 +199,12 @@ impl Writer {
                 self.part("Sub", "centred", &[&mean_name]);
                 self.step("Div", &[&sd], []);
             }
+            Layer::Clip { limit } => {
+                let low = self.tensor("low", &[], &[-*limit])?;
+                let high = self.tensor("high", &[], &[*limit])?;
+                self.part("Max", "not_below", &[&low]);
+                self.step("Min", &[&high], []);
+            }
             Layer::Kernel { inputs, centres, gamma } => self.kernel(*inputs, centres, *gamma)?,
             Layer::Scale { scale, shift } => {
                 let scale = self.tensor("scale", &[], &[*scale])?;
@@ -431,6 +437,7 @@ fn kind(layer: &Layer) -> &'static str {
         Layer::Conv { .. } => "conv",
         Layer::PixelShuffle { .. } => "pixel_shuffle",
         Layer::Standardise { .. } => "standardise",
+        Layer::Clip { .. } => "clip",
         Layer::Kernel { .. } => "kernel",
         Layer::Scale { .. } => "scale",
         Layer::UnitNorm { .. } => "unit_norm",
