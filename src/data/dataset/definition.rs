@@ -148,8 +148,8 @@ pub struct Definition {
     /// Only runs with this label; required if the selected runs have different labels.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub label: Option<Label>,
-    /// Deadband, N: in Real-Hex, contacts below this force are removed from labels and counts.
-    /// Absent: the deadband of each run's experiment (5 N by default).
+    /// Deadband, N: in Real-Hex and imported runs, contacts below this force are removed from labels and
+    /// counts. Absent: the deadband of each run's experiment (5 N by default), 0 for an imported run.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub deadband_n: Option<f64>,
     /// Treatment of trials with a flag.

@@ -15,14 +15,20 @@ use crate::store::{Condition, RunKind, RunRow, TrialRow, tips_as_contacts};
 /// Why a row is excluded whose file states no part.
 pub const NO_PART: &str = "no imported part";
 
-/// Applies the deadband of a definition, if it has one, to contacts and contact count of a Real-Hex
-/// trial.
+/// Applies the deadband of a definition, if it has one, to contacts and contact count of a Real-Hex or an
+/// imported trial; imported contacts without a force remain. Placed weights are known and remain.
 pub fn label(trial: &mut TrialRow, definition: &Definition, run: &RunRow) {
     let Some(deadband_n) = definition.deadband_n else { return };
-    if trial.kind == RunKind::RealHex {
-        trial.contacts = tips_as_contacts(&trial.arms, deadband_n, run.tip_diameter_mm);
-        trial.contact_count = trial.contacts.len() as u8;
+    match trial.kind {
+        RunKind::RealHex => {
+            trial.contacts = tips_as_contacts(&trial.arms, deadband_n, run.tip_diameter_mm);
+        }
+        RunKind::Imported => {
+            trial.contacts.retain(|c| c.force_n.is_none_or(|force_n| force_n >= deadband_n));
+        }
+        RunKind::RealRandom => return,
     }
+    trial.contact_count = trial.contacts.len() as u8;
 }
 
 /// A trial of the first pass.

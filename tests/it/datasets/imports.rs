@@ -124,6 +124,16 @@ async fn another_skins_trials_are_a_run_like_any_other() {
         "runs": ["pad-study"] } });
     let (status, own) = lab.post("/api/v1/datasets", own).await;
     assert_eq!((status, &own["rows"]), (200, &2.into()), "{own}");
+    // A deadband removes the contact of 2.5 N, and keeps the one whose force is not known.
+    let heavy = serde_json::json!({ "definition": { "name": "pad-heavy", "task": "real",
+        "runs": ["pad-study"], "deadband_n": 3.0, "untouched": "keep" } });
+    let (status, heavy) = lab.post("/api/v1/datasets", heavy).await;
+    assert_eq!((status, &heavy["rows"]), (200, &3.into()), "{heavy}");
+    let path = "/api/v1/datasets/pad-heavy/rows?columns=contact_count,contacts,max_force_n";
+    let rows = lab.get(path).await["items"].clone();
+    let found = |row: usize| (rows[row]["contact_count"].clone(), rows[row]["contacts"].clone());
+    assert_eq!(found(0), (0.into(), serde_json::json!([])), "{rows}");
+    assert_eq!((&found(1).0, &rows[0]["max_force_n"]), (&1.into(), &2.5.into()), "{rows}");
     lab.close().await;
 }
 
