@@ -172,6 +172,10 @@ fn show(summary: &Summary) {
     if !summary.splits.is_empty() {
         line("split", &counts(&summary.splits, ""));
     }
+    if !summary.tags.is_empty() {
+        let trials = counted(summary.tags.values().sum(), "trial", "trials");
+        line("tags", &format_args!("{} of {trials}", summary.tags.len()));
+    }
 }
 
 /// A number rounded to four digits.

@@ -31,7 +31,7 @@ use super::inputs::Inputs;
 use super::schema::{self, BATCH_ROWS};
 use super::shards::ShardFolder;
 use super::split::{Group, Part, divide, place};
-use super::survey::{NO_PART, Survey, Surveyed, label};
+use super::survey::{NO_PART, NO_TAG, Survey, Surveyed, label};
 use crate::ids::{DatasetId, TrialId};
 use crate::new_file;
 use crate::store::{DatasetRow, RunRow, Store, TrialQuery};
@@ -79,11 +79,22 @@ pub async fn build(
     let definition = &inputs.definition;
     let columns = schema::of_dataset(definition, channels);
     let (mut surveyed, rows_of_run) = survey(store, &inputs).await?;
-    let without = surveyed.excluded.get(NO_PART).copied().unwrap_or_default();
-    if without > 0 && without == rows_of_run.values().sum::<u64>() {
-        let why = "split.by is imported, and no trial of its runs has a part: the imported file needs a \
-                   column split with train, validation or test";
-        return Err(DatasetError::Empty { name: definition.name.clone(), why: why.into() });
+    let rows: u64 = rows_of_run.values().sum();
+    let none_has = [
+        (
+            NO_PART,
+            "split.by is imported, and no trial of its runs has a part: the imported file needs a column \
+             split with train, validation or test",
+        ),
+        (
+            NO_TAG,
+            "split.by is tag, and no trial of its runs has one: the imported file needs a column tag",
+        ),
+    ];
+    if let Some((_, why)) =
+        none_has.iter().find(|(lacks, _)| rows > 0 && surveyed.excluded.get(*lacks) == Some(&rows))
+    {
+        return Err(DatasetError::Empty { name: definition.name.clone(), why: (*why).into() });
     }
     let shards = divide_shards(&inputs, &mut surveyed)?;
     let shard_rows: u64 = shards.iter().map(|shards| shards.folder.trials()).sum();
@@ -196,7 +207,7 @@ fn divide_shards(
             })
             .collect();
         let parts = match split.by {
-            SplitBy::None | SplitBy::Imported => vec![None; groups.len()],
+            SplitBy::None | SplitBy::Imported | SplitBy::Tag => vec![None; groups.len()],
             SplitBy::Configuration | SplitBy::Trial | SplitBy::Run => {
                 divide(&groups, split).into_iter().map(Some).collect()
             }

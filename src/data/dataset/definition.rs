@@ -84,6 +84,9 @@ pub enum SplitBy {
     Trial,
     /// The part that the imported file states (`imported_split`). Rows without one are excluded.
     Imported,
+    /// All trials with the same tag of their imported files (`imported_tag`), across runs. Rows without one
+    /// are excluded.
+    Tag,
     /// The runs of `test_runs` are the test part; the configurations of the others are divided into
     /// train and validation (leave-one-batch-out).
     Run,
@@ -254,8 +257,10 @@ impl Definition {
         let limit = "must be absent: only split.by = \"run\" uses it";
         let unused = by != SplitBy::Run && !tests.is_empty();
         checks.require(!unused, "split.test_runs", tests.join(", "), limit);
-        let limit = "must be absent with split.by = \"imported\": Sim-Random has no imported parts";
-        let both = by == SplitBy::Imported && !self.sim_random.is_empty();
+        let limit =
+            "must be absent with split.by = \"imported\" or \"tag\": Sim-Random has neither";
+        let of_file = matches!(by, SplitBy::Imported | SplitBy::Tag);
+        let both = of_file && !self.sim_random.is_empty();
         checks.require(!both, "sim_random", self.sim_random.join(", "), limit);
         let takes_simulations = self.task == Task::S2sRecon;
         let limit = "must be empty: only the task s2s-recon uses Sim-Random";

@@ -97,18 +97,20 @@ pub fn contact_element() -> Field {
 /// The columns of a dataset: those that apply to its task and split.
 pub fn of_dataset(definition: &Definition, channels: i32) -> SchemaRef {
     let task = definition.task;
-    let has =
-        |field: &Field| match Column::find(field.name()).map(|column| (column.of, column.name)) {
-            Some((Of::Measured(_), _)) => task.has_measured(),
-            Some((Of::Simulated(_), _)) | Some((_, "sim_model" | "rmse_v" | "fvu")) => {
-                task.has_simulated()
-            }
-            // Elsewhere it is the split, or of no use; equal datasets keep their ids.
-            Some((_, "imported_split")) => task == Task::Trials,
-            Some((Of::Part, _)) => definition.split.by != SplitBy::None,
-            Some((Of::Drawn, _)) => task == Task::S2sRecon,
-            _ => true,
-        };
+    let has = |field: &Field| match Column::find(field.name())
+        .map(|column| (column.of, column.name))
+    {
+        Some((Of::Measured(_), _)) => task.has_measured(),
+        Some((Of::Simulated(_), _)) | Some((_, "sim_model" | "rmse_v" | "fvu")) => {
+            task.has_simulated()
+        }
+        // Elsewhere it is the split, or of no use; equal datasets keep their ids.
+        Some((_, "imported_split")) => task == Task::Trials,
+        Some((_, "imported_tag")) => task == Task::Trials || definition.split.by == SplitBy::Tag,
+        Some((Of::Part, _)) => definition.split.by != SplitBy::None,
+        Some((Of::Drawn, _)) => task == Task::S2sRecon,
+        _ => true,
+    };
     let fields: Vec<Field> =
         all(channels).fields().iter().map(|f| f.as_ref().clone()).filter(has).collect();
     Arc::new(Schema::new(fields))

@@ -14,6 +14,8 @@ use crate::store::{Condition, RunKind, RunRow, TrialRow, tips_as_contacts};
 
 /// Why a row is excluded whose file states no part.
 pub const NO_PART: &str = "no imported part";
+/// Why a row is excluded whose file states no tag.
+pub const NO_TAG: &str = "no imported tag";
 
 /// Applies the deadband of a definition, if it has one, to contacts and contact count of a Real-Hex or an
 /// imported trial; imported contacts without a force remain. Placed weights are known and remain.
@@ -92,8 +94,13 @@ impl<'a> Survey<'a> {
         for (at, Row { trial, .. }) in rows.iter().enumerate() {
             let failed = masks.iter().position(|mask| !mask.value(at));
             let fixed = self.fixed_part(trial);
-            let part_lacks = self.definition.split.by == SplitBy::Imported && fixed.is_none();
-            let why = part_lacks.then(|| NO_PART.to_owned()).or_else(|| self.why_excluded(trial));
+            let has_tag = trial.imported_tag.is_some();
+            let lacks = match self.definition.split.by {
+                SplitBy::Imported if fixed.is_none() => Some(NO_PART),
+                SplitBy::Tag if !has_tag => Some(NO_TAG),
+                _ => None,
+            };
+            let why = lacks.map(str::to_owned).or_else(|| self.why_excluded(trial));
             let why = why.or_else(|| {
                 failed.map(|condition| format!("not {}", self.definition.conditions[condition]))
             });
@@ -101,6 +108,7 @@ impl<'a> Survey<'a> {
             let is_drawn = match self.definition.split.by {
                 SplitBy::Configuration | SplitBy::Trial => true,
                 SplitBy::Run => fixed.is_none(),
+                SplitBy::Tag => has_tag,
                 SplitBy::Imported | SplitBy::None => false,
             };
             let group = is_drawn.then(|| self.group(trial));
@@ -198,10 +206,14 @@ impl<'a> Survey<'a> {
 }
 
 /// Key of the group of a trial. For a split by configuration or run it is the pressed positions,
-/// independent of run and depth; for a split by trial it is unique.
+/// independent of run and depth; for a split by trial it is unique; for a split by tag it is the tag.
 fn group_key(trial: &TrialRow, by: SplitBy) -> String {
-    if by == SplitBy::Trial {
-        return format!("{} {} {}", trial.run, trial.configuration, trial.depth_index);
+    match (by, &trial.imported_tag) {
+        (SplitBy::Trial, _) => {
+            return format!("{} {} {}", trial.run, trial.configuration, trial.depth_index);
+        }
+        (SplitBy::Tag, Some(tag)) => return tag.clone(),
+        _ => {}
     }
     let tips = trial.arms.iter().map(|a| (a.x_mm, a.y_mm));
     let placed = trial.contacts.iter().filter_map(|c| Some((c.x_mm?, c.y_mm?)));

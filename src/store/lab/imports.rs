@@ -27,6 +27,9 @@ pub const IMPORTED_MODEL: &str = "imported";
 /// Largest number of contacts of an imported trial.
 pub const IMPORTED_CONTACTS_MAX: usize = 64;
 
+/// Largest number of characters of the tag of an imported trial.
+pub const TAG_MAX_CHARS: usize = 100;
+
 const STORING_IMPORT: &str = "storing an import";
 
 /// A trial measured elsewhere. Unknown values are absent.
@@ -58,6 +61,8 @@ pub struct ImportedTrial {
     pub frame_count: u32,
     /// Part that the file states: `train`, `validation` or `test`.
     pub split: Option<String>,
+    /// Tag that the file states, 1 to [`TAG_MAX_CHARS`] characters.
+    pub tag: Option<String>,
 }
 
 /// State of an import until it is complete: lists of runs show no removed run, and a database that earlier
@@ -218,13 +223,14 @@ async fn insert(
         frame_count: trial.frame_count,
         times: [at.as_deref().map(Into::into), None],
         imported_split: trial.split.as_deref(),
+        imported_tag: trial.tag.as_deref(),
     };
     let id: i64 = sqlx::query_scalar(
         "INSERT INTO trials (run, configuration, depth_index, attempt, tips, depth_mm, flags,
              contact_count, max_force_n, frame_count, started_at, measured_at, saturated_channels,
              stuck_channels, missing_channels, injection_sum_v, dropped_packets, crc32,
-             imported_split)
-         VALUES (?1, ?2, ?3, 1, ?4, ?5, ?6, ?7, ?8, ?17, ?9, NULL, ?10, ?11, ?12, ?13, ?14, ?15, ?16)
+             imported_split, imported_tag)
+         VALUES (?1, ?2, ?3, 1, ?4, ?5, ?6, ?7, ?8, ?17, ?9, NULL, ?10, ?11, ?12, ?13, ?14, ?15, ?16, ?18)
          RETURNING id",
     )
     .bind(scan_id)
@@ -244,6 +250,7 @@ async fn insert(
     .bind(numbers.crc32())
     .bind(&trial.split)
     .bind(trial.frame_count)
+    .bind(&trial.tag)
     .fetch_one(&mut *connection)
     .await
     .during(STORING_IMPORT)?;

@@ -155,6 +155,7 @@ fn trial_row(
         started_at: started.map(|(at, _)| at),
         measured_at: measured.map(|(at, _)| at),
         imported_split: c.get("imported_split")?,
+        imported_tag: c.get("imported_tag")?,
         voltages_v: match c.has("voltages_v") {
             true => checksum::volts(c, "voltages_v", "volts_crc32", of)?,
             false => None,

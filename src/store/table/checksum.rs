@@ -105,6 +105,7 @@ pub(crate) struct Numbers<'a> {
     /// Start and measurement, as they are stored.
     pub times: [Option<Cow<'a, str>>; 2],
     pub imported_split: Option<&'a str>,
+    pub imported_tag: Option<&'a str>,
 }
 
 impl<'a> Numbers<'a> {
@@ -133,6 +134,7 @@ impl<'a> Numbers<'a> {
             frame_count: record.frames.len() as u32,
             times: [record.started_at, record.measured_at].map(|at| Some(time_text(at).into())),
             imported_split: None,
+            imported_tag: None,
         }
     }
 
@@ -161,6 +163,7 @@ impl<'a> Numbers<'a> {
             frame_count: row.frame_count,
             times: times.map(|at| at.map(Cow::Borrowed)),
             imported_split: row.imported_split.as_deref(),
+            imported_tag: row.imported_tag.as_deref(),
         }
     }
 
@@ -204,9 +207,11 @@ impl<'a> Numbers<'a> {
         // The overshoot is as old as the checksums.
         sum.if_present(self.scalars.columns().filter(|(name, _)| *name != "overshoot_n"));
         // Older rows have none, and their checksum is that of before the column.
-        if self.imported_split.is_some() {
-            sum.text(Some("imported_split"));
-            sum.text(self.imported_split);
+        let imported =
+            [("imported_split", self.imported_split), ("imported_tag", self.imported_tag)];
+        for (name, text) in imported.into_iter().filter(|(_, text)| text.is_some()) {
+            sum.text(Some(name));
+            sum.text(text);
         }
         sum.crc32()
     }
@@ -286,10 +291,13 @@ mod tests {
             frame_count: 2,
             times: [Some("2026-11-20T18:00:00.123Z".into()), None],
             imported_split: None,
+            imported_tag: None,
         };
         assert_eq!(numbers.crc32(), 0x10e258d5);
         let split = Numbers { imported_split: Some("test"), ..numbers };
         assert_ne!(split.crc32(), 0x10e258d5);
+        let tagged = Numbers { imported_split: None, imported_tag: Some("test"), ..split };
+        assert!(![0x10e258d5, split.crc32()].contains(&tagged.crc32()));
     }
 
     /// Returns scalars of a row from before any other scalar.

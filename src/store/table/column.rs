@@ -111,7 +111,7 @@ const fn c(
 
 /// All columns, in the order of every table.
 #[rustfmt::skip]
-pub static TABLE: [Column; 35] = [
+pub static TABLE: [Column; 36] = [
     c("trial_id", "", Of::Id(|t| t.trial_id.0), "t.id", "number of the stored trial"),
     c("run", "", Of::Text(|t| Some(t.run.to_string())), "r.uid", "id of its run"),
     c("scan_id", "", Of::Id(|t| t.scan_id), "t.run", "number of its run"),
@@ -146,6 +146,7 @@ pub static TABLE: [Column; 35] = [
     c("started_at", "", Of::Time(|t| t.started_at), "t.started_at", "start of its motion"),
     c("measured_at", "", Of::Time(|t| t.measured_at), "t.measured_at", "time of its last frame"),
     c("imported_split", "", Of::Text(|t| t.imported_split.clone()), "t.imported_split", "part that the imported file states: `train`, `validation` or `test`"),
+    c("imported_tag", "", Of::Text(|t| t.imported_tag.clone()), "t.imported_tag", "tag that the imported file states, such as a tip or a place"),
     c("split", "", Of::Part, "", "part of the dataset: `train`, `validation` or `test`"),
 ];
 

@@ -104,6 +104,9 @@ pub struct TrialRow {
     /// Part that the imported file states: `train`, `validation` or `test`; absent if it states none.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub imported_split: Option<String>,
+    /// Tag that the imported file states, such as a tip or a place; absent if it states none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub imported_tag: Option<String>,
     /// Mean of its frames, V, injection-major; absent if not requested.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub voltages_v: Option<Vec<f32>>,

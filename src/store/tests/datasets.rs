@@ -35,6 +35,7 @@ fn elsewhere(configuration: u32) -> ImportedTrial {
         fit: Some((0.07, None)),
         frame_count: 3 * configuration,
         split: (configuration > 0).then(|| "test".to_owned()),
+        tag: (configuration > 0).then(|| "tip B".to_owned()),
         ..ImportedTrial::default()
     }
 }
@@ -71,6 +72,7 @@ async fn an_import_is_a_run_whose_trials_lack_what_was_not_known() {
     assert_eq!(trial.max_force_n, Some(3.5));
     assert_eq!((trial.settle_ms, trial.started_at, trial.frame_count), (None, None, 12));
     assert_eq!((&trials[0].imported_split, trial.imported_split.as_deref()), (&None, Some("test")));
+    assert_eq!((&trials[0].imported_tag, trial.imported_tag.as_deref()), (&None, Some("tip B")));
     assert!(trial.voltages_v.as_ref().unwrap()[1].is_nan());
     assert_eq!(trial.sim_voltages_v, Some(vec![0.4, 0.0, -0.2]));
     assert_eq!((trial.sim_model.as_deref(), trial.rmse_v), (Some("sim-1"), Some(0.07)));

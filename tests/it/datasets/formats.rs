@@ -71,6 +71,10 @@ async fn every_format_gives_the_same_trials() {
                     (&found[2]["imported_split"], found[4].get("imported_split")),
                     (&"test".into(), None)
                 );
+                assert_eq!(
+                    (&found[2]["imported_tag"], found[3].get("imported_tag")),
+                    (&"tip B".into(), None)
+                );
                 assert_eq!(found[2]["frame_count"], 8);
                 wanted = Some(found);
             }
@@ -166,6 +170,37 @@ async fn a_split_of_the_file_and_a_split_by_run_are_obeyed() {
     let (status, refused) = split(&lab, "all", &["two"], by("two")).await;
     let detail = refused["detail"].as_str().unwrap();
     assert!(status == 400 && detail.contains("must leave at least one"), "{status} {refused}");
+    // Equal tags are in the same part, rows without a tag are excluded, and tags are conditions.
+    let mut tagged = "v0,v1,v2,v3,v4,v5,x_mm,y_mm,tag\n".to_owned();
+    for n in 0..50 {
+        let tag = if n % 10 == 9 { String::new() } else { format!("tip {}", n % 10) };
+        tagged += &format!("{n},1,2,3,4,5,{n},{n},{tag}\n");
+    }
+    std::fs::write(files.join("tagged.csv"), tagged).unwrap();
+    let output = import(&lab, &files, "tagged.csv", &[]).await;
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let (status, made) =
+        split(&lab, "by-tag", &["tagged"], serde_json::json!({ "by": "tag" })).await;
+    assert_eq!(
+        (status, &made["report"]["left_out"]),
+        (200, &serde_json::json!({ "no imported tag": 5 })),
+        "{made}"
+    );
+    let path = "/api/v1/datasets/by-tag/rows?columns=imported_tag,split&limit=100";
+    let page = lab.get(path).await;
+    let mut part_of = std::collections::BTreeMap::new();
+    for row in page["items"].as_array().unwrap() {
+        let part = part_of.entry(row["imported_tag"].to_string()).or_insert(row["split"].clone());
+        assert_eq!(*part, row["split"], "{row}");
+    }
+    let parts: std::collections::BTreeSet<_> = part_of.values().map(Value::to_string).collect();
+    assert_eq!((part_of.len(), parts.len()), (9, 3), "{part_of:?}");
+    let path = "/api/v1/datasets/by-tag/rows?imported_tag=tip%203&limit=100";
+    assert_eq!(lab.get(path).await["items"].as_array().unwrap().len(), 5);
+    let (status, refused) =
+        split(&lab, "no-tags", &["one"], serde_json::json!({ "by": "tag" })).await;
+    let detail = refused["detail"].as_str().unwrap();
+    assert!(status != 200 && detail.contains("needs a column tag"), "{status} {refused}");
     // A part that is none is refused with its row.
     std::fs::write(files.join("bad.csv"), table(2, "training")).unwrap();
     let output = import(&lab, &files, "bad.csv", &[]).await;

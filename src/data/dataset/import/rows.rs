@@ -15,15 +15,16 @@ use super::coordinates::Coordinates;
 use super::sensor::ImportedSensor;
 use crate::dataset::schema::{FRAME_COUNT, SPLIT, VOLTAGES_V};
 use crate::dataset::split::Part;
+use crate::plain::violated;
 use crate::problem::Problem;
 use crate::record::{Flag, FrameQuality};
 use crate::simulate::compare::difference;
 use crate::simulate::schema::{CONTACTS, SIM_VOLTAGES_V};
-use crate::store::{Contact, IMPORTED_CONTACTS_MAX, ImportedTrial};
+use crate::store::{Contact, IMPORTED_CONTACTS_MAX, ImportedTrial, TAG_MAX_CHARS};
 use crate::syntax::PROBLEMS_MAX;
 
 /// Columns that are read.
-const READ: [&str; 11] = [
+const READ: [&str; 12] = [
     VOLTAGES_V,
     SIM_VOLTAGES_V,
     CONTACTS,
@@ -35,7 +36,10 @@ const READ: [&str; 11] = [
     "started_at",
     FRAME_COUNT,
     SPLIT,
+    TAG,
 ];
+/// Column of the text by which rows are selected and split, such as a tip or a place.
+const TAG: &str = "tag";
 /// Fields of a contact, in their order in an array.
 pub(super) const CONTACT_FIELDS: [&str; 4] = ["x_mm", "y_mm", "force_n", "diameter_mm"];
 /// Largest valid force of a contact, N.
@@ -176,9 +180,17 @@ impl<'a> Reader<'a> {
             let ms = times.as_primitive::<TimestampMillisecondType>().value(at);
             Timestamp::from_millisecond(ms).ok()
         });
-        let split = columns.split.as_ref().filter(|parts| !parts.is_null(at));
-        let split = split.map(|parts| parts.as_string::<i32>().value(at).trim().to_owned());
-        let split = split.filter(|part| !part.is_empty());
+        let text = |column: &Option<ArrayRef>| {
+            let texts = column.as_ref().filter(|texts| !texts.is_null(at))?;
+            let text = texts.as_string::<i32>().value(at).trim();
+            (!text.is_empty()).then(|| text.to_owned())
+        };
+        let (split, tag) = (text(&columns.split), text(&columns.tag));
+        if let Some(tag) = &tag
+            && let Some(limit) = violated(tag, TAG_MAX_CHARS)
+        {
+            self.wrong(TAG, format!("{} characters", tag.chars().count()), limit);
+        }
         if let Some(part) = split.as_ref().filter(|part| Part::named(part).is_none()) {
             self.wrong(SPLIT, part, "must be train, validation or test, or null");
         }
@@ -207,6 +219,7 @@ impl<'a> Reader<'a> {
             started_at,
             frame_count: frame_count.unwrap_or(0),
             split,
+            tag,
             voltages_v,
         })
     }
@@ -330,6 +343,7 @@ struct Columns {
     started_at: Option<ArrayRef>,
     frame_count: Option<ArrayRef>,
     split: Option<ArrayRef>,
+    tag: Option<ArrayRef>,
 }
 
 impl Columns {
@@ -364,6 +378,7 @@ impl Columns {
             started_at: column("started_at", time, "times")?,
             frame_count: column(FRAME_COUNT, DataType::Int64, "whole numbers")?,
             split: column(SPLIT, DataType::Utf8, "words")?,
+            tag: column(TAG, DataType::Utf8, "words")?,
         })
     }
 }

@@ -34,6 +34,8 @@ pub struct Summary {
     pub contacts_without_force: u64,
     /// Number of trials by the part that the file states.
     pub splits: BTreeMap<String, u64>,
+    /// Number of trials by the tag that the file states.
+    pub tags: BTreeMap<String, u64>,
 }
 
 /// Extends a range by a value.
@@ -65,6 +67,9 @@ impl Summary {
         if let Some(part) = &trial.split {
             *self.splits.entry(part.clone()).or_default() += 1;
         }
+        if let Some(tag) = &trial.tag {
+            *self.tags.entry(tag.clone()).or_default() += 1;
+        }
     }
 }
 
@@ -84,6 +89,7 @@ mod tests {
         trial.contacts = vec![force, place];
         trial.voltages_v = vec![1.5, 0.0];
         trial.split = Some("test".into());
+        trial.tag = Some("A3".into());
         summary.add(&trial);
         assert_eq!((summary.rows, summary.channels, summary.missing_voltages), (2, 2, 1));
         assert_eq!(summary.voltages_v, Some([-2.0, 1.5]));
@@ -91,5 +97,6 @@ mod tests {
         assert_eq!(summary.contacts_without_force, 1);
         assert_eq!(summary.contact_counts, BTreeMap::from([(0, 1), (2, 1)]));
         assert_eq!(summary.splits, BTreeMap::from([("test".to_owned(), 1)]));
+        assert_eq!(summary.tags, BTreeMap::from([("A3".to_owned(), 1)]));
     }
 }

@@ -53,7 +53,7 @@ ARROW = {
 }
 SIMULATED = ["sim_voltages_v", "sim_model", "rmse_v", "fvu"]
 DRAWN = ["seed", "index"]
-IMPORTED = ["imported_split"]
+IMPORTED = ["imported_split", "imported_tag"]
 WITHOUT = {  # Columns that a dataset has no use for.
     "run-1": [*DRAWN, "split"], "real": [*DRAWN, *SIMULATED, *IMPORTED],
     "real-untouched": [*DRAWN, *SIMULATED, *IMPORTED], "r2s-transfer": [*DRAWN, *IMPORTED],

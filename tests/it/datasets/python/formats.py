@@ -25,12 +25,14 @@ configuration = np.array([4, 4, 7, 8, 9], dtype=np.int32)
 depth_index = np.array([0, 1, 0, 0, 0], dtype=np.int64)
 frame_count = np.array([8, 8, 8, 1, 0], dtype=np.uint32)
 split = np.array(["train", "train", "test", "validation", ""])
+tag = np.array(["tip A", "tip A", "tip B", "", "tip B"])
 
 arrays = {"voltages_v": volts, "contacts_xy_mm": xy, "force_n": force, "depth_mm": depth,
-          "configuration": configuration, "depth_index": depth_index, "weather": np.arange(5), "frame_count": frame_count, "split": split}
+          "configuration": configuration, "depth_index": depth_index, "weather": np.arange(5), "frame_count": frame_count, "split": split,
+          "tag": tag}
 np.savez_compressed(out / "trials.npz", **{**arrays, "voltages_v": np.asfortranarray(volts)})
 scipy.io.savemat(out / "trials.mat", arrays, do_compression=False, oned_as="column")
-arrays["split"] = split.astype(object)  # a cell array
+arrays["split"], arrays["tag"] = split.astype(object), tag.astype(object)  # cell arrays
 scipy.io.savemat(out / "packed.mat", arrays, do_compression=True, oned_as="row")
 
 
@@ -44,7 +46,7 @@ def contacts(row: int) -> list[dict]:
 
 
 scalars = {"depth_mm": depth, "configuration": configuration, "depth_index": depth_index, "weather": np.arange(5), "frame_count": frame_count,
-           "split": [part or None for part in split]}
+           "split": [part or None for part in split], "tag": [text or None for text in tag]}
 pd.DataFrame({"voltages_v": [list(row) for row in volts], "contacts": [contacts(row) for row in range(5)],
               **scalars}).to_parquet(out / "trials.parquet")
 cells = {f"v{n}": volts[:, n] for n in range(6)}

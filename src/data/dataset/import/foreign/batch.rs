@@ -28,7 +28,7 @@ pub(super) enum Scalar {
 }
 
 /// Columns with one value per trial.
-pub(super) const SCALARS: [(&str, Scalar); 8] = [
+pub(super) const SCALARS: [(&str, Scalar); 9] = [
     ("configuration", Scalar::Number),
     ("depth_index", Scalar::Number),
     ("depth_mm", Scalar::Number),
@@ -37,6 +37,7 @@ pub(super) const SCALARS: [(&str, Scalar); 8] = [
     ("started_at", Scalar::Time),
     ("frame_count", Scalar::Number),
     ("split", Scalar::Text),
+    ("tag", Scalar::Text),
 ];
 
 /// Frames of `channels` voltages, V, one after the other; NaN for a missing channel. With `may_lack` a frame
