@@ -6,6 +6,7 @@ use std::time::Duration;
 
 use clap::Args;
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
+use serde::Deserialize;
 use serde_json::Value;
 
 use super::client::Client;
@@ -14,12 +15,15 @@ use super::files::read_input;
 use super::next::Next;
 use super::output::{note, say, say_json};
 use super::{At, embed};
-use crate::api::{FrameAnswer, InferOptions, InferRequest, LiveAnswer, ModelOut, QuantityRequest};
+use crate::api::{
+    FrameAnswer, InferOptions, InferRequest, LiveAnswer, LiveQuantities, ModelOut, QuantityRequest,
+};
 use crate::ids::CalibrationId;
 use crate::infer::answer::FoundContact;
 use crate::infer::methods::Method;
 use crate::infer::quantity::QuantityAnswer;
 use crate::infer::slot::Slot;
+use crate::learn::task::NetTask;
 use crate::problem::Problem;
 
 /// Number of frames per request.
@@ -61,6 +65,9 @@ pub struct LiveArgs {
     /// Include the force map (shown with --json): the net's own, or the contacts drawn as Map 1.
     #[arg(long)]
     map: bool,
+    /// Show what the promoted nets of a position, pattern, count or force answer, not contacts.
+    #[arg(long, conflicts_with_all = ["method", "map"])]
+    quantities: bool,
     /// End after this number of frames.
     #[arg(long, value_name = "N")]
     frames: Option<u64>,
@@ -129,10 +136,11 @@ pub async fn infer(args: InferArgs) -> Result<(), CliError> {
 /// The method by which a model or a calibration answers; `None` if it answers a quantity.
 async fn method_of(client: &Client, model: &str) -> Result<Option<Method>, CliError> {
     if model.parse::<CalibrationId>().is_ok() {
-        return Ok(Some(Method::of(Slot::Skin)));
+        return Ok(Method::of(Slot::Skin));
     }
     let found: ModelOut = client.get(&format!("/api/v1/models/{model}")).await?;
-    Ok(found.slot.map(Method::of))
+    let task = NetTask::deserialize(Value::from(found.task)).ok();
+    Ok(task.and_then(|task| Method::of(Slot::of(task))))
 }
 
 /// Shows the answers of a net that estimates a quantity of a whole frame.
@@ -172,7 +180,8 @@ fn quantity_words(answer: &QuantityAnswer) -> String {
     });
     let count = count.map(|count| super::output::counted(count.into(), "contact", "contacts"));
     let force = force_n.map(|force_n| format!("{force_n:.1} N"));
-    let mut words = [position, pressed, count, force].into_iter().flatten().collect::<String>();
+    let known: Vec<String> = [position, pressed, count, force].into_iter().flatten().collect();
+    let mut words = known.join(", ");
     for outside in outside {
         words += &format!("\n  outside the trained range: {outside}");
     }
@@ -236,6 +245,21 @@ fn contact_words(contact: &FoundContact) -> String {
     words
 }
 
+/// Formats a live message for people; `None` if it is an error.
+fn shown(text: &str, quantities: bool) -> Option<String> {
+    let (sequence, words) = match quantities {
+        true => {
+            let live: LiveQuantities = serde_json::from_str(text).ok()?;
+            (live.sequence, quantity_words(&live.answer))
+        }
+        false => {
+            let live: LiveAnswer = serde_json::from_str(text).ok()?;
+            (live.sequence, words(&live.answer))
+        }
+    };
+    Some(format!("frame {sequence}: {words}"))
+}
+
 /// Runs `palpate live`.
 ///
 /// # Errors
@@ -243,7 +267,10 @@ fn contact_words(contact: &FoundContact) -> String {
 pub async fn live(args: LiveArgs) -> Result<(), CliError> {
     let client = embed::server(&args.at).await?;
     let method = args.method.map_or(String::new(), |method| format!("&method={}", method.name()));
-    let path = format!("/api/v1/live?map={}{method}", args.map);
+    let path = match args.quantities {
+        true => "/api/v1/live/quantities".to_owned(),
+        false => format!("/api/v1/live?map={}{method}", args.map),
+    };
     let status: Value = client.get("/api/v1/status").await?;
     if status["rig"]["state"] == "disconnected" {
         note("no frames while the rig is not connected: palpate rig connect");
@@ -251,12 +278,9 @@ pub async fn live(args: LiveArgs) -> Result<(), CliError> {
     let mut seen = 0;
     client
         .messages(&path, |text| {
-            if args.at.json {
-                say(text);
-            } else if let Ok(live) = serde_json::from_str::<LiveAnswer>(text) {
-                say(format_args!("frame {}: {}", live.sequence, words(&live.answer)));
-            } else {
-                say(text);
+            match shown(text, args.quantities).filter(|_| !args.at.json) {
+                Some(words) => say(words),
+                None => say(text),
             }
             seen += 1;
             args.frames.is_none_or(|frames| seen < frames)

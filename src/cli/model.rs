@@ -36,7 +36,7 @@ enum What {
     /// Make a model (by id or name), or a calibration (by id), serve from the next frame on.
     ///
     /// It is loaded and warmed first: no frame is dropped. Its slot follows from its task:
-    /// transfer, map, points; a calibration is the skin of the exact method.
+    /// transfer, map, points, position, pattern, count, force; a calibration is the skin of the exact method.
     Promote(Promote),
     /// Restore the previous promotion of a slot.
     RollBack(RollBack),
@@ -74,7 +74,7 @@ struct Promote {
 
 #[derive(Debug, Args)]
 struct RollBack {
-    /// Slot: transfer, map, points or skin.
+    /// Slot: transfer, map, points, skin, position, pattern, count or force.
     #[arg(value_parser = slot)]
     slot: Slot,
     /// Reason, for the log of actions.

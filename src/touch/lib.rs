@@ -15,7 +15,7 @@
 //!   and figures, and starts nothing.
 //! - `jobs` runs trainings and evaluations, one at a time, as tasks of the store that survive a restart.
 //!
-//! `service::api` requests jobs, promotes models and serves live contacts; `service::placement` compares the
+//! `service::api` requests jobs, promotes models and serves live answers; `service::placement` compares the
 //! contacts of a frame with the requested weights; `studies` compute the paper's tables with `evaluate`. The
 //! training itself is in `trainer`, which uses `learn` and files and never opens the store.
 

@@ -58,6 +58,8 @@ async fn a_ticket_opens_one_websocket_and_nothing_else() {
     // No model serves: the ticket is good, the request is not.
     let live = ticket(&lab, &viewer).await;
     assert_eq!(open(&lab, "/api/v1/live", &live).await.err(), Some(409));
+    let live = ticket(&lab, &viewer).await;
+    assert_eq!(open(&lab, "/api/v1/live/quantities", &live).await.err(), Some(409));
     // Elsewhere a ticket stands for nobody: what counts is the key, or none.
     let unused = ticket(&lab, &viewer).await;
     let to = lab.url(&format!("/api/v1/tickets?ticket={unused}"));

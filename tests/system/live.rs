@@ -9,7 +9,7 @@ use tokio::time::sleep;
 use tokio_tungstenite::connect_async;
 use tokio_tungstenite::tungstenite::Message;
 
-use super::bench::{Lab, http, rig_args};
+use super::bench::{Lab, SENSOR, http, rig_args};
 
 /// As fast as the wall: the readout sends thirty frames a second.
 const SPEED: f64 = 1.0;
@@ -118,6 +118,67 @@ async fn what_cannot_be_changes_nothing(lab: &Lab) {
     assert_eq!(lab.get(SERVING).await, before);
 }
 
+/// Imports a few frames of the rig's sensor, and makes a dataset `few` of them.
+async fn few_trials(lab: &Lab) {
+    let voltages: Vec<String> = (0..CHANNELS).map(|channel| format!("v{channel}")).collect();
+    let mut table = format!("{},x_mm,y_mm,force_n\n", voltages.join(","));
+    for trial in 0..20 {
+        let force_n = 5.0 + trial as f64;
+        let volts = |channel: usize| 1e-3 * force_n * (0.1 * (channel * trial) as f64).cos();
+        let volts: Vec<String> = (0..CHANNELS).map(|c| format!("{:.6}", volts(c))).collect();
+        table += &format!("{},{},250,{force_n}\n", volts.join(","), 100 + 10 * trial);
+    }
+    let part = |text: &str, name: &'static str| {
+        reqwest::multipart::Part::text(text.to_owned()).file_name(name)
+    };
+    let form = reqwest::multipart::Form::new()
+        .part("file", part(&table, "few.csv"))
+        .part("sensor", part(SENSOR, "ert-28.toml"))
+        .text("name", "few-trials")
+        .text("label", "virtual");
+    let url = format!("{}/api/v1/imports", lab.service.url());
+    let made = http().post(url).multipart(form).send().await.unwrap();
+    assert_eq!(made.status(), 201, "{}", made.text().await.unwrap());
+    let definition = json!({ "name": "few", "task": "real", "runs": ["few-trials"],
+        "split": { "by": "trial" } });
+    lab.posted("/api/v1/datasets", json!({ "definition": definition })).await;
+}
+
+/// Two nets of quantities are promoted and answer the stream together; without them it is refused.
+async fn quantities_are_followed(lab: &Lab) {
+    few_trials(lab).await;
+    let mut ids = Vec::new();
+    for quantity in ["force", "position"] {
+        let recipe = format!(
+            "name = 'few-{quantity}'\ndataset = 'few'\n[training]\nseed = 1\n[training.net]\n\
+             kind = 'ridge'\nanswers = '{quantity}'\n"
+        );
+        let job = lab.posted("/api/v1/trainings", json!({ "recipe": recipe })).await;
+        ids.push(trained(lab, job["id"].as_str().unwrap()).await);
+        let promoted = lab.posted(SERVING, json!({ "what": ids.last() })).await;
+        assert_eq!(promoted["slot"], quantity, "{promoted}");
+    }
+    let url = lab.service.url().replacen("http", "ws", 1) + "/api/v1/live/quantities";
+    let (mut socket, _) = connect_async(&url).await.unwrap();
+    let mut answers = Vec::<Value>::new();
+    while answers.len() < 3 {
+        if let Message::Text(text) = socket.next().await.expect("the service continues").unwrap() {
+            answers.push(serde_json::from_str(&text).unwrap());
+        }
+    }
+    for answer in &answers {
+        assert!(answer["force_n"].is_number(), "{answer}");
+        assert_eq!(answer["position_mm"].as_array().map(Vec::len), Some(2), "{answer}");
+        assert_eq!(answer["model"], ids.join("+"), "{answer}");
+        assert!(answer.get("contacts").is_none() && answer.get("count").is_none(), "{answer}");
+    }
+    for slot in ["force", "position"] {
+        let back = lab.posted(ROLL_BACK, json!({ "slot": slot })).await;
+        assert!(back["what"].is_null(), "{back}");
+    }
+    assert!(connect_async(&url).await.is_err(), "no net of a quantity serves");
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn models_change_between_two_live_frames_and_what_is_refused_changes_none() {
     let lab = Lab::open("live", rig_args("virtual", SPEED)).await;
@@ -145,5 +206,6 @@ async fn models_change_between_two_live_frames_and_what_is_refused_changes_none(
     let answers = lab.posted(INFER, infer_request(CHANNELS, json!(0.0))).await;
     assert_eq!(answers.as_array().unwrap().len(), 1, "{answers}");
     assert_eq!(answers[0]["model"], one, "{answers}");
+    quantities_are_followed(&lab).await;
     lab.close().await;
 }

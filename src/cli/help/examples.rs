@@ -169,7 +169,14 @@ pub const EXAMPLES: &[(&str, &[&str])] = &[
             "palpate infer --model cal-0192 frames.jsonl",
         ],
     ),
-    ("live", &["palpate live --method fast", "palpate live --frames 100 --json"]),
+    (
+        "live",
+        &[
+            "palpate live --method fast",
+            "palpate live --frames 100 --json",
+            "palpate live --quantities",
+        ],
+    ),
     ("evaluate", &["palpate evaluate simulation --run 3"]),
     ("evaluate simulation", &["palpate evaluate simulation --run 3 --out figures --also png"]),
     ("evaluate method", &["palpate evaluate method fast --dataset real --part test"]),

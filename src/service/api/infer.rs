@@ -33,6 +33,7 @@ use crate::infer::methods::{Frames, Method};
 use crate::infer::pipeline::{Followed, Pipeline};
 use crate::infer::registry::Model;
 use crate::infer::slot::Slot;
+use crate::rig::traits::Frame;
 
 /// Options of an inference.
 #[derive(Debug, Clone, Serialize, Deserialize, ToSchema, IntoParams)]
@@ -156,7 +157,7 @@ impl Named {
         let mut nets = Vec::new();
         for name in options.transfer.iter().chain(net) {
             let model = app.models.load(name).await?;
-            if !slots.contains(&model.slot()?) {
+            if !slots.contains(&model.slot()) {
                 return Err(model.of_other_task("the method has no use for it").into());
             }
             nets.push(model);
@@ -327,7 +328,16 @@ pub async fn live(
     serving.ready(method)?;
     let (places, maps) = (client.app.turns.live.clone(), ForceMaps::if_wanted(options.map));
     client.open(&places, (LIVE_CLIENTS, "live contacts"), move |app, socket| {
-        follow(app, socket, method, maps)
+        let (clock, mut tracked) = (Clock::new(1.0), Tracked::default());
+        follow(app, socket, move |pipeline, frame| {
+            let volts = frame.voltages_v();
+            let Followed { reading, model } =
+                pipeline.follow(method, &volts, maps, &mut tracked)?;
+            let latency_us = (clock.now() - frame.received).as_micros() as u64;
+            let answer = FrameAnswer { reading, model, method, latency_us };
+            let (sequence, device_time_us) = (frame.sequence, frame.device_time_us);
+            Ok(LiveAnswer { sequence, device_time_us, answer })
+        })
     })
 }
 
@@ -336,7 +346,8 @@ pub async fn live(
 pub struct Turns {
     answers: Arc<Semaphore>,
     fits: Arc<Semaphore>,
-    live: Arc<Semaphore>,
+    /// Clients of live contacts and quantities.
+    pub(super) live: Arc<Semaphore>,
     /// Clients of live frames.
     pub(super) frames: Arc<Semaphore>,
     /// Clients of the live status.
@@ -377,31 +388,27 @@ impl Default for Turns {
     }
 }
 
-async fn follow(app: App, mut socket: WebSocket, method: Method, maps: ForceMaps) {
+/// Sends what `answer` makes of the newest frame, as JSON, one after the other, until the client leaves.
+pub(super) async fn follow<T: Serialize + Send + 'static>(
+    app: App,
+    mut socket: WebSocket,
+    mut answer: impl FnMut(&Pipeline, &Frame) -> Result<T, InferError> + Send + 'static,
+) {
     let mut frames = app.campaign.watch_frames();
     let mut ending = app.facts.ending.clone();
-    let clock = Clock::new(1.0);
-    let mut tracked = Tracked::default();
     while let Some(frame) = next_frame(&mut frames, &mut ending, &mut socket).await {
-        let next = Instant::now() + FRAME_INTERVAL;
+        let (next, sequence) = (Instant::now() + FRAME_INTERVAL, frame.sequence);
         let pipeline = app.serving.current();
-        let mut memory = std::mem::take(&mut tracked);
-        let volts = frame.voltages_v();
         let work = move || {
-            let answered = pipeline.follow(method, &volts, maps, &mut memory);
-            (answered, memory)
+            let answered = answer(&pipeline, &frame);
+            (answered, answer)
         };
-        let Ok((answered, memory)) = tokio::task::spawn_blocking(work).await else { return };
-        tracked = memory;
+        let Ok((answered, again)) = tokio::task::spawn_blocking(work).await else { return };
+        answer = again;
         let text = match answered {
-            Ok(Followed { reading, model }) => {
-                let latency_us = (clock.now() - frame.received).as_micros() as u64;
-                let answer = FrameAnswer { reading, model, method, latency_us };
-                let (sequence, device_time_us) = (frame.sequence, frame.device_time_us);
-                serde_json::to_string(&LiveAnswer { sequence, device_time_us, answer })
-            }
+            Ok(answered) => serde_json::to_string(&answered),
             Err(error) => serde_json::to_string(&serde_json::json!({
-                "sequence": frame.sequence, "error": error.to_string(),
+                "sequence": sequence, "error": error.to_string(),
             })),
         };
         let Ok(text) = text else { return };

@@ -109,7 +109,7 @@ pub use options::{ServeError, ServeOptions};
 pub use pages::Page;
 pub use people::CreatedKey;
 pub use placement::{FeltOut, LastPlacement, PlacementOut, Stage};
-pub use quantities::QuantityRequest;
+pub use quantities::{LiveQuantities, QuantityRequest};
 pub use routes::{Access, Lock, Needs};
 pub use runs::Summary;
 pub use service::Service;

@@ -37,7 +37,7 @@ pub struct ModelOut {
     pub name: String,
     /// Task: `transfer`, `recon`, `end-to-end`, `points`, or the quantity of a whole frame.
     pub task: String,
-    /// Slot in which it can serve; null if models of its task do not serve.
+    /// Slot in which it can serve; null if it is for another sensor than the rig's.
     pub slot: Option<Slot>,
     /// Manifest: label, sensor, datasets, recipe, calibration, code, trained range.
     #[schema(value_type = Object)]
@@ -358,9 +358,9 @@ fn is_score(task: &str, report: &Value) -> bool {
     let scored = Scored::deserialize(&report["scored"]).ok();
     let trained_on = report["held_out"] == false
         || matches!(report["part"].as_str(), Some("train" | "validation"));
-    let rates = |(scored, task): (Scored, NetTask)| match Slot::of(task) {
-        Some(slot) => scored.rates(slot),
-        None => scored == Scored::Quantity,
+    let rates = |(scored, task): (Scored, NetTask)| match task.quantity() {
+        Some(_) => scored == Scored::Quantity,
+        None => scored.rates(Slot::of(task)),
     };
     let is_for = scored.zip(task).is_some_and(rates);
     is_for && !trained_on && report["examples"].is_null()
@@ -372,13 +372,19 @@ async fn out(app: &App, row: ModelRow) -> Result<ModelOut, ApiError> {
     let promoted = Some(PromotedId::Model(row.id.clone()));
     let reports = app.store.evaluations_of(&row.id).await?.into_iter().filter_map(|job| job.result);
     let scores = reports.filter(|report| is_score(&row.task, report));
+    let facts = manifest.get("model");
+    let fact = |key: &str| facts.and_then(|facts| facts.get(key));
+    let rig = app.serving.sensor();
+    let is_for_rig = fact("sensor").and_then(toml::Value::as_str) == Some(rig.file.name.as_str())
+        && fact("channels").and_then(toml::Value::as_integer) == Some(rig.channels() as i64);
+    let slot = NetTask::deserialize(json!(row.task)).ok().map(Slot::of);
     Ok(ModelOut {
         serves: serves.iter().any(|(_, what)| *what == promoted),
-        manifest: serde_json::to_value(manifest.get("model")).unwrap_or_default(),
+        manifest: serde_json::to_value(facts).unwrap_or_default(),
         scores: scores.collect(),
         id: row.id,
         name: row.name,
-        slot: NetTask::deserialize(json!(row.task)).ok().and_then(Slot::of),
+        slot: slot.filter(|_| is_for_rig),
         task: row.task,
         created_at: row.created_at,
     })

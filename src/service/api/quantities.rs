@@ -1,16 +1,22 @@
-//! Answers of a net that estimates a quantity of a whole frame. It need not be for the rig's sensor.
-//! Uses: `infer::quantity`. Never: what serves.
+//! Quantities of whole frames: of a request, by any net, which need not be for the rig's sensor; and live, by
+//! the nets that serve.
+//! Uses: `infer::{quantity, pipeline}`. Never: contacts.
 
 use axum::Json;
 use axum::extract::State;
+use axum::response::Response;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 use super::App;
-use super::limits::FRAMES_MAX;
+use super::infer::follow;
+use super::limits::{FRAMES_MAX, LIVE_CLIENTS};
 use super::problem::{ApiError, Body, Path, ProblemBody};
+use super::socket::LiveClient;
+use crate::clock::Clock;
 use crate::dataset::background::background;
 use crate::infer::error::InferError;
+use crate::infer::pipeline::AnsweredQuantities;
 use crate::infer::quantity::QuantityAnswer;
 
 /// Request for answers of a net.
@@ -51,6 +57,48 @@ pub async fn quantities(
         model.quantities(&request.frames.concat())
     };
     Ok(Json(background(work).await.map_err(|_| InferError::Worker)??))
+}
+
+/// Quantities of a live frame.
+#[derive(Debug, Serialize, Deserialize, ToSchema)]
+pub struct LiveQuantities {
+    /// Frame counter of the device.
+    pub sequence: u32,
+    /// Device time of the first sample, microseconds.
+    pub device_time_us: u64,
+    /// Answers of the serving nets.
+    #[serde(flatten)]
+    pub answer: QuantityAnswer,
+    /// Ids of the nets, joined by `+`.
+    pub model: String,
+    /// Latency from the arrival of the frame's last byte, microseconds.
+    pub latency_us: u64,
+}
+
+/// Streams the quantities of the rig's live frames as JSON messages over a WebSocket.
+///
+/// All promoted nets of a position, pattern, count or force answer. At most 33 messages per second. A slow
+/// client misses frames; nothing waits for it.
+#[utoipa::path(get, operation_id = "live_quantities",
+    path = "/api/v1/live/quantities", tag = "infer",
+    params(("ticket" = Option<String>, Query,
+        description = "a ticket of `POST /api/v1/tickets`: a browser's WebSocket sends no header with a key")),
+    responses((status = 101, description = "WebSocket whose messages are LiveQuantities",
+            body = LiveQuantities),
+        (status = 409, body = ProblemBody, description = "no net of a quantity serves"),
+        (status = 503, body = ProblemBody, description = "too many live clients are connected")))]
+pub async fn live(client: LiveClient) -> Result<Response, ApiError> {
+    client.app.serving.once_restored(None).await.has_quantities()?;
+    let places = client.app.turns.live.clone();
+    client.open(&places, (LIVE_CLIENTS, "live contacts and quantities"), |app, socket| {
+        let clock = Clock::new(1.0);
+        follow(app, socket, move |pipeline, frame| {
+            let AnsweredQuantities { answer, model } = pipeline.quantities(&frame.voltages_v())?;
+            let latency_us = (clock.now() - frame.received).as_micros() as u64;
+            let (sequence, device_time_us) = (frame.sequence, frame.device_time_us);
+            Ok(LiveQuantities { sequence, device_time_us, answer, model, latency_us })
+        })
+    })
 }
 
 /// Checks that all frames are complete and finite.

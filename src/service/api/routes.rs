@@ -200,6 +200,7 @@ pub fn table() -> Vec<Operation> {
         (READS.body(FRAMES_MAX_BYTES), routes!(infer::infer)),
         (READS.body(FRAMES_MAX_BYTES), routes!(quantities::quantities)),
         (SOCKET, routes!(infer::live)),
+        (SOCKET, routes!(quantities::live)),
         (READS, routes!(events::events)),
         (SOCKET, routes!(live::frames)),
         (READS, routes!(samples::last_minutes)),

@@ -9,14 +9,18 @@ use super::maps::{ForceMaps, draw};
 use super::methods::exact::{ExactSkin, Tracked};
 use super::methods::fast::PointPipeline;
 use super::methods::{Frames, Method, Models, ReadyMethod};
+use super::quantity::QuantityAnswer;
 use super::registry::Model;
 use super::slot::Slot;
 use crate::learn::task::Reads;
 
-/// The models of all methods; a method without its models returns an error that names them.
+/// The models of all methods, and the nets of quantities; a method without its models returns an error that
+/// names them.
 #[derive(Debug, Clone, Default)]
 pub struct Pipeline {
     models: Models,
+    /// At most one net for each quantity.
+    quantities: Vec<Arc<Model>>,
 }
 
 /// Answers, and the models that determined them.
@@ -26,6 +30,15 @@ pub struct Answered {
     pub readings: Vec<Reading>,
     /// Id of the model, or ids joined with `+`; for `exact` that of the calibration, and that of
     /// the Point-Net with its proposals.
+    pub model: String,
+}
+
+/// Quantities of one frame of a stream, and the nets that determined them.
+#[derive(Debug, Clone, PartialEq)]
+pub struct AnsweredQuantities {
+    /// The answers of all nets.
+    pub answer: QuantityAnswer,
+    /// Ids of the nets, joined with `+`.
     pub model: String,
 }
 
@@ -44,10 +57,15 @@ impl Pipeline {
     /// # Errors
     /// `InferError::OtherTask` if the net does not fit its slot.
     pub fn with(mut self, model: Arc<Model>) -> Result<Self, InferError> {
-        match model.slot()? {
+        let slot = model.slot();
+        match slot {
             Slot::Transfer => self.models.transfer = Some(model),
             Slot::Points => self.models.points = Some(PointPipeline::new(model)?),
             Slot::Map | Slot::Skin => self.models.map = Some(model),
+            Slot::Position | Slot::Pattern | Slot::Count | Slot::Force => {
+                self = self.without(slot);
+                self.quantities.push(model);
+            }
         }
         Ok(self)
     }
@@ -70,6 +88,9 @@ impl Pipeline {
             Slot::Map => self.models.map = None,
             Slot::Points => self.models.points = None,
             Slot::Skin => self.models.skin = None,
+            Slot::Position | Slot::Pattern | Slot::Count | Slot::Force => {
+                self.quantities.retain(|net| net.slot() != slot);
+            }
         }
         self
     }
@@ -116,6 +137,35 @@ impl Pipeline {
             draw(&mut readings, ready.size_mm())?;
         }
         Ok(Answered { readings, model: ready.id() })
+    }
+
+    /// Whether nets of quantities serve.
+    ///
+    /// # Errors
+    /// `InferError::NotServed` if none does.
+    pub fn has_quantities(&self) -> Result<(), InferError> {
+        match self.quantities.is_empty() {
+            true => Err(InferError::NotServed {
+                method: "quantities",
+                needs: "net of a position, pattern, count or force",
+            }),
+            false => Ok(()),
+        }
+    }
+
+    /// Answers the next frame of a stream (V) by all nets of quantities.
+    ///
+    /// # Errors
+    /// `InferError::NotServed` if none serves; `Plan` if the frame is incomplete or not finite.
+    pub fn quantities(&self, frame: &[f32]) -> Result<AnsweredQuantities, InferError> {
+        self.has_quantities()?;
+        let mut all = QuantityAnswer::default();
+        for net in &self.quantities {
+            let answers = net.quantities(frame)?;
+            all = answers.into_iter().fold(all, QuantityAnswer::and);
+        }
+        let ids: Vec<&str> = self.quantities.iter().map(|net| net.manifest.id.as_str()).collect();
+        Ok(AnsweredQuantities { answer: all, model: ids.join("+") })
     }
 
     /// Answers the next frame of a stream (V).

@@ -28,6 +28,19 @@ pub struct QuantityAnswer {
     pub outside: Vec<String>,
 }
 
+impl QuantityAnswer {
+    /// The answers of two nets of different quantities to one frame.
+    pub fn and(self, other: Self) -> Self {
+        Self {
+            position_mm: self.position_mm.or(other.position_mm),
+            pressed_mm: self.pressed_mm.or(other.pressed_mm),
+            count: self.count.or(other.count),
+            force_n: self.force_n.or(other.force_n),
+            outside: [self.outside, other.outside].concat(),
+        }
+    }
+}
+
 impl Model {
     /// The quantity that the net answers.
     ///

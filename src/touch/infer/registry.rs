@@ -81,13 +81,8 @@ impl Model {
     }
 
     /// The slot in which the model serves.
-    ///
-    /// # Errors
-    /// `InferError::OtherTask` if models of its task do not serve.
-    pub fn slot(&self) -> Result<Slot, InferError> {
-        let wanted =
-            "such models answer requests by their id and do not serve (`palpate infer --model`)";
-        Slot::of(self.manifest.model.task).ok_or_else(|| self.of_other_task(wanted))
+    pub fn slot(&self) -> Slot {
+        Slot::of(self.manifest.model.task)
     }
 
     /// Checks that the model is for a sensor.

@@ -184,7 +184,7 @@ impl Serving {
         } else {
             let model = self.inner.models.load(id_or_name).await?;
             let id = model.manifest.id.clone();
-            (model.slot()?, PromotedId::Model(id))
+            (model.slot(), PromotedId::Model(id))
         };
         // It serves once the promotion is stored, not before.
         let next = self.with(slot, Some(&what)).await?;

@@ -1,6 +1,7 @@
 //! The slots for promotions: each holds a net or a skin that serves.
 //! PURE. Uses: `learn::task`. Never: what is in a slot.
 
+use nets::quantity::Quantity;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
@@ -18,11 +19,28 @@ pub enum Slot {
     Points,
     /// The calibrated skin of `exact`.
     Skin,
+    /// The net that answers the position of the one contact.
+    Position,
+    /// The net that answers which of the known places are pressed.
+    Pattern,
+    /// The net that answers the number of contacts.
+    Count,
+    /// The net that answers the sum of all forces.
+    Force,
 }
 
 impl Slot {
     /// All slots, in the order in which they are listed.
-    pub const ALL: [Self; 4] = [Self::Transfer, Self::Map, Self::Points, Self::Skin];
+    pub const ALL: [Self; 8] = [
+        Self::Transfer,
+        Self::Map,
+        Self::Points,
+        Self::Skin,
+        Self::Position,
+        Self::Pattern,
+        Self::Count,
+        Self::Force,
+    ];
 
     /// Name in commands, requests and the store.
     pub fn name(self) -> &'static str {
@@ -31,6 +49,10 @@ impl Slot {
             Self::Map => "map",
             Self::Points => "points",
             Self::Skin => "skin",
+            Self::Position => "position",
+            Self::Pattern => "pattern",
+            Self::Count => "count",
+            Self::Force => "force",
         }
     }
 
@@ -41,6 +63,10 @@ impl Slot {
             Self::Map => "net with force maps",
             Self::Points => "Point-Net",
             Self::Skin => "calibrated skin",
+            Self::Position => "net of the position",
+            Self::Pattern => "net of the pattern",
+            Self::Count => "net of the count",
+            Self::Force => "net of the force",
         }
     }
 
@@ -51,16 +77,28 @@ impl Slot {
             Self::Map => "voltages to a force map",
             Self::Points => "candidates of contacts, from which a fit also starts",
             Self::Skin => "the model of this skin, calibrated to a run",
+            Self::Position => "position of one contact, from a whole frame",
+            Self::Pattern => "which known places are pressed, from a whole frame",
+            Self::Count => "number of contacts, from a whole frame",
+            Self::Force => "sum of all forces, from a whole frame",
         }
     }
 
-    /// The slot of models with a task; `None`: models of the task do not serve.
-    pub fn of(task: NetTask) -> Option<Self> {
+    /// The slot of models with a task.
+    pub fn of(task: NetTask) -> Self {
         match task.answers() {
-            Answers::Frame => Some(Self::Transfer),
-            Answers::Map => Some(Self::Map),
-            Answers::Points => Some(Self::Points),
-            Answers::Quantity(_) => None,
+            Answers::Frame => Self::Transfer,
+            Answers::Map => Self::Map,
+            Answers::Points => Self::Points,
+            Answers::Quantity(Quantity::Position) => Self::Position,
+            Answers::Quantity(Quantity::Pattern) => Self::Pattern,
+            Answers::Quantity(Quantity::Count) => Self::Count,
+            Answers::Quantity(Quantity::Force) => Self::Force,
         }
+    }
+
+    /// Whether its nets answer a quantity of a whole frame: no method uses them.
+    pub fn is_quantity(self) -> bool {
+        matches!(self, Self::Position | Self::Pattern | Self::Count | Self::Force)
     }
 }

@@ -35,6 +35,7 @@ const COMMANDS: &[(&str, &str)] = &[
     ("list_runs", "runs"),
     ("list_trials", "trials"),
     ("live_contacts", "live"),
+    ("live_quantities", "live --quantities"),
     ("live_status", "status --watch"),
     ("liveness", "status"),
     ("lock", "lock"),

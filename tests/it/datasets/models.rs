@@ -368,5 +368,6 @@ async fn touches_without_forces_are_learned_and_scored_and_no_force_is_made_up()
     let (status, refused) = lab.post("/api/v1/serving", json!({ "what": net })).await;
     let words = "is for sensor mat with 16 channels";
     assert!(status == 409 && refused["detail"].as_str().unwrap().contains(words), "{refused}");
+    assert!(model["slot"].is_null(), "{}", model["slot"]);
     lab.close().await;
 }

@@ -165,12 +165,13 @@ impl Method {
         Self::ALL.into_iter().filter(|method| method.serves())
     }
 
-    /// The method by which a model of a slot answers if no method is named.
-    pub fn of(slot: Slot) -> Self {
+    /// The method by which a model of a slot answers if no method is named; `None` for quantities.
+    pub fn of(slot: Slot) -> Option<Self> {
         match slot {
-            Slot::Transfer | Slot::Map => Self::Paper,
-            Slot::Points => Self::Fast,
-            Slot::Skin => Self::Exact,
+            Slot::Transfer | Slot::Map => Some(Self::Paper),
+            Slot::Points => Some(Self::Fast),
+            Slot::Skin => Some(Self::Exact),
+            Slot::Position | Slot::Pattern | Slot::Count | Slot::Force => None,
         }
     }
 
