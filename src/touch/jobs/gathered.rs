@@ -69,10 +69,11 @@ impl Gathered {
     }
 }
 
-/// Reads the first raw frame of each row's trial, V.
+/// Reads the first raw frame of each row's trial, V; a mean of one frame is that frame.
 ///
 /// # Errors
-/// `JobError::Learn` if a row has no raw frames in the store; `Store` if the store fails.
+/// `JobError::Learn` if a row has no raw frames in the store and is the mean of several; `Store` if the store
+/// fails.
 pub async fn first_frames(store: &Store, gathered: &Gathered) -> Result<Vec<Vec<f32>>, JobError> {
     let mut firsts = Vec::with_capacity(gathered.rows.len());
     for &row in &gathered.rows {
@@ -81,12 +82,22 @@ pub async fn first_frames(store: &Store, gathered: &Gathered) -> Result<Vec<Vec<
             Some(id) => store.frames(TrialId(id)).await?,
             None => Vec::new(),
         };
-        let Some(first) = frames.first() else {
-            let limit = "first: row has no raw frames in the store; use mean";
-            return Err(LearnError::value("evaluation", "frames", row, limit).into());
-        };
-        let volts = first.volts_per_count;
-        firsts.push(first.counts.iter().map(|&count| f32::from(count) * volts).collect());
+        let examples = &gathered.examples;
+        firsts.push(match frames.first() {
+            Some(first) => {
+                let volts = first.volts_per_count;
+                first.counts.iter().map(|&count| f32::from(count) * volts).collect()
+            }
+            None if examples.frame_count(row) == 1 => {
+                let mut frame = vec![0.0; examples.channels];
+                examples.frame(row, 0, &mut frame)?;
+                frame
+            }
+            None => {
+                let limit = "first: row has no raw frames in the store; use mean";
+                return Err(LearnError::value("evaluation", "frames", row, limit).into());
+            }
+        });
     }
     Ok(firsts)
 }

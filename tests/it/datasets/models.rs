@@ -325,9 +325,12 @@ async fn touches_without_forces_are_learned_and_scored_and_no_force_is_made_up()
     let touches = (0..trials)
         .map(place)
         .map(|place| (40.0 + 80.0 * (place % 4) as f64, 40.0 + 80.0 * (place / 4) as f64, None));
+    let ones: arrow_array::ArrayRef =
+        std::sync::Arc::new(arrow_array::Int64Array::from(vec![1; trials]));
     let file = parquet(vec![
         ("voltages_v", frames(channels as i32, volts.collect())),
         ("contacts", lists(&touches.collect::<Vec<_>>(), vec![1; trials])),
+        ("frame_count", ones),
     ]);
     let sensor = "name = \"mat\"\nchannels = 16\nwidth_mm = 320\nheight_mm = 320\n";
     let (status, made) = import(&lab, file, sensor).await;
@@ -352,6 +355,11 @@ async fn touches_without_forces_are_learned_and_scored_and_no_force_is_made_up()
     assert!(all["exact_rate"]["mean"].as_f64().unwrap() > 0.5, "{all:#}");
     assert!(all["closest_mm"]["mean"].as_f64().unwrap() < 40.0, "{all:#}");
     assert!(all.get("force_percent").is_none_or(Value::is_null), "{all:#}");
+    // The mean of one frame is that frame: no raw frames are needed.
+    let first = json!({ "scored": "paper", "dataset": "mat", "part": "test", "map": net,
+        "frames": "first" });
+    let first = lab.scored(first).await;
+    assert_eq!(first["contacts"]["all"]["exact_rate"]["mean"], all["exact_rate"]["mean"]);
 
     // It answers frames of its sensor by its id; it cannot serve, since the stream is that of the rig's sensor.
     let ask = async |length: usize| {

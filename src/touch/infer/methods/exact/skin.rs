@@ -66,7 +66,7 @@ impl ExactSkin {
         unknown.then(|| {
             let of_run = match &self.run {
                 Some(run) => format!("the run {run}, to which it was calibrated,"),
-                None => "a Real-Hex run on this sensor".to_owned(),
+                None => "a Real-Hex or imported run on this sensor".to_owned(),
             };
             format!(
                 "the errors of its model are unknown: the database has fewer than {LEAST_KNOWN} trials of \

@@ -21,7 +21,7 @@ use crate::new_file;
 use crate::problem::Problem;
 use crate::simulate::model::load_or_build;
 use crate::state::StoredState;
-use crate::store::{Condition, MAX_PAGE, RunKind, RunRow, Store, TrialQuery, TrialRow};
+use crate::store::{Condition, Label, MAX_PAGE, RunKind, RunRow, Store, TrialQuery, TrialRow};
 
 /// Number of newest runs that are searched for the one with the known trials.
 const RUNS_LOOKED_AT: u32 = 1000;
@@ -92,19 +92,23 @@ impl Skins {
     }
 
     /// Trials of the run that a skin was calibrated to, or else of the newest Real-Hex run on this
-    /// sensor: taken evenly from the untouched ones, and from those with few contacts above its deadband,
+    /// sensor, or else of the newest imported run on it: taken evenly from the untouched ones, and from those with few contacts above its deadband,
     /// of configurations to which no skin is fitted. Empty if the store does not have that run.
     async fn known_trials(&self, sensor: &CalibratedSensor) -> Result<KnownTrials, InferError> {
         let of_skin = sensor.skin().map(|skin| skin.evidence.run.clone());
         let runs = self.store.runs(RUNS_LOOKED_AT, None).await?.runs;
-        let fits = |run: &&RunRow| match &of_skin {
-            Some(uid) => run.uid.to_string() == *uid,
-            None => {
-                let same = Sensor::from_toml(&run.sensor).is_ok_and(|s| s.file == sensor.file);
-                run.kind == RunKind::RealHex && run.state == StoredState::Ended && same
-            }
+        let is_on_sensor = |run: &RunRow, kind: RunKind| {
+            let is_measured = run.label != Label::Simulated;
+            let same = || Sensor::from_toml(&run.sensor).is_ok_and(|s| s.file == sensor.file);
+            run.kind == kind && run.state == StoredState::Ended && is_measured && same()
         };
-        let Some(run) = runs.iter().find(fits) else { return Ok(KnownTrials::default()) };
+        let newest = |kind| runs.iter().find(|run| is_on_sensor(run, kind));
+        let run = match &of_skin {
+            Some(uid) => runs.iter().find(|run| run.uid.to_string() == *uid),
+            None => newest(RunKind::RealHex).or_else(|| newest(RunKind::Imported)),
+        };
+        let Some(run) = run else { return Ok(KnownTrials::default()) };
+        let channels = sensor.channels();
         let force_noise_n = run.rig.as_deref().and_then(force_noise_n).unwrap_or(0.0);
         let light = [
             format!("max_force_n__gte={}", run.deadband_n),
@@ -120,14 +124,18 @@ impl Skins {
                 _ => contacts.iter().map(|c| [c.x_mm, c.y_mm]).collect(),
             };
             skin::is_held_out(&tips_mm).then_some(())?;
-            let frame_v = trial.voltages_v.clone()?;
+            let frame_v = complete(trial.voltages_v.clone(), channels)?;
             let (frames, untouched) = (frames(trial), skins.of(trial.trial_id));
             Some(KnownTrial { contacts, frame_v, frames, untouched })
         };
         let pressed = all.iter().filter_map(pressed).take(KNOWN_TRIALS).collect();
-        let untouched = [format!("max_force_n__lt={UNTOUCHED_N}")];
-        let untouched = self.evenly(run, &untouched, UNTOUCHED_TRIALS).await?;
-        let at = |trial: Option<&TrialRow>| trial.and_then(|trial| trial.measured_at);
+        // Without a load cell there is no force where nothing touches.
+        let untouched = match run.kind {
+            RunKind::RealHex => format!("max_force_n__lt={UNTOUCHED_N}"),
+            RunKind::RealRandom | RunKind::Imported => "contact_count=0".to_owned(),
+        };
+        let untouched = self.evenly(run, &[untouched], UNTOUCHED_TRIALS).await?;
+        let at = |trial: Option<&TrialRow>| trial.and_then(|t| t.measured_at.or(t.started_at));
         let wall_s = match (at(untouched.first()), at(untouched.last())) {
             (Some(first), Some(last)) => last.as_second().saturating_sub(first.as_second()) as f64,
             _ => 0.0,
@@ -137,7 +145,7 @@ impl Skins {
         let averaged = untouched.iter().map(frames).sum::<f64>() / untouched.len().max(1) as f64;
         let (mut frames_v, mut tared_v) = (Vec::new(), Vec::new());
         for trial in untouched {
-            let Some(frame_v) = trial.voltages_v else { continue };
+            let Some(frame_v) = complete(trial.voltages_v, channels) else { continue };
             frames_v.push(frame_v);
             tared_v.push(skins.of(trial.trial_id).map_or_else(Vec::new, |skin| skin.voltages_v));
         }
@@ -237,6 +245,11 @@ fn ids(trials: &[TrialRow]) -> Vec<TrialId> {
     trials.iter().map(|trial| trial.trial_id).collect()
 }
 
+/// The frame, if it has all channels: one that was measured elsewhere may lack some.
+fn complete(frame_v: Option<Vec<f32>>, channels: usize) -> Option<Vec<f32>> {
+    frame_v.filter(|v| v.len() == channels && v.iter().all(|v| v.is_finite()))
+}
+
 fn frames(trial: &TrialRow) -> f64 {
     f64::from(trial.frame_count.max(1))
 }
@@ -293,9 +306,79 @@ mod tests {
     use sim_core::responses::UnitResponses;
 
     use super::*;
+    use crate::clock::Clock;
+    use crate::ids::RunUid;
     use crate::infer::maps::ForceMaps;
     use crate::infer::methods::ReadyMethod;
     use crate::infer::methods::exact::ExactPipeline;
+    use crate::store::{ImportedTrial, NewRun};
+
+    const SENSOR: &str = include_str!("../../../../../experiments/sensors/ert-28.toml");
+
+    /// Position of an imported trial, mm.
+    fn place(trial: u32) -> [f64; 2] {
+        [100.0 + f64::from(trial), 400.0 - f64::from(trial)]
+    }
+
+    /// One of four is untouched, and one of these lacks a channel.
+    fn elsewhere(trial: u32, channels: usize) -> ImportedTrial {
+        let [x_mm, y_mm] = place(trial).map(Some);
+        let contact = crate::store::Contact { x_mm, y_mm, force_n: Some(9.0), diameter_mm: None };
+        let mut voltages_v = vec![1e-3; channels];
+        if trial == 4 {
+            voltages_v[3] = f32::NAN;
+        }
+        ImportedTrial {
+            configuration: trial,
+            contacts: if trial.is_multiple_of(4) { Vec::new() } else { vec![contact] },
+            voltages_v,
+            frame_count: 8,
+            ..ImportedTrial::default()
+        }
+    }
+
+    #[tokio::test]
+    async fn an_imported_run_on_the_sensor_has_known_trials() {
+        let folder = std::env::temp_dir().join(format!("palpate-known-{}", std::process::id()));
+        std::fs::create_dir_all(&folder).unwrap();
+        let sensor = Sensor::from_toml(SENSOR).unwrap();
+        let store = Store::open(&folder.join("palpate.db"), Clock::new(1.0)).await.unwrap();
+        let skins = Skins::new(store.clone(), sensor.clone(), &folder);
+        let none = skins.known_trials(&sensor.clone().into()).await.unwrap();
+        assert!(none.pressed.is_empty() && none.untouched.frames_v.is_empty());
+        let new = NewRun {
+            uid: RunUid::new(),
+            experiment: "elsewhere".into(),
+            kind: RunKind::Imported,
+            definition: "{}".into(),
+            seed: None,
+            rig: None,
+            sensor: SENSOR.into(),
+            calibration_id: None,
+            plan: None,
+            label: Label::Measured,
+            version: "0.1.0".into(),
+            git_commit: None,
+            deadband_n: 0.0,
+            tip_diameter_mm: None,
+            trials_planned: 200,
+            auto_resume: false,
+            not_before: None,
+            submitted_by: "test".into(),
+        };
+        let run = store.begin_import(new).await.unwrap();
+        let trials = (0..200).map(|n| elsewhere(n, sensor.channels())).collect();
+        store.import_trials(run.uid, None, trials).await.unwrap();
+        store.end_import(run.uid).await.unwrap();
+        let known = skins.known_trials(&sensor.into()).await.unwrap();
+        let is_known = |n: &u32| !n.is_multiple_of(4) && skin::is_held_out(&[place(*n)]);
+        let wanted = (0..200).filter(is_known).count();
+        assert!(wanted > 0 && known.pressed.len() == wanted, "{} {wanted}", known.pressed.len());
+        assert!(known.pressed.iter().all(|trial| trial.frames == 8.0));
+        assert_eq!(known.untouched.frames_v.len(), 49, "one lacks a channel");
+        store.close().await;
+        std::fs::remove_dir_all(&folder).unwrap();
+    }
 
     /// Single touches of a model with noise, 10 % stronger than their label.
     fn trials(model: &ForwardModel, count: usize) -> Vec<KnownTrial> {
@@ -317,9 +400,7 @@ mod tests {
 
     #[test]
     fn a_skin_from_the_cache_answers_as_the_one_that_was_learnt() {
-        let sensor =
-            Sensor::from_toml(include_str!("../../../../../experiments/sensors/ert-28.toml"))
-                .unwrap();
+        let sensor = Sensor::from_toml(SENSOR).unwrap();
         let responses = Arc::new(UnitResponses::solve(&sensor).unwrap());
         let model = ForwardModel::new(&sensor, responses).unwrap();
         let cache = std::env::temp_dir().join(format!("palpate-skins-{}", std::process::id()));
