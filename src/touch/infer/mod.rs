@@ -15,6 +15,6 @@ pub mod maps;
 pub mod slot;
 pub mod methods;
 pub mod untouched;
-pub mod pipeline;
 pub mod quantity;
+pub mod pipeline;
 pub mod serving;

@@ -37,8 +37,8 @@ struct Inner {
     sensor_text: String,
     skins: Skins,
     current: RwLock<Arc<Pipeline>>,
-    /// The skin that was prepared last, also for a request that names its calibration: its preparation takes
-    /// most of a minute.
+    /// The skin of the calibration that was named last, also by a request: its preparation takes most of a
+    /// minute.
     named: tokio::sync::Mutex<Option<Arc<ExactSkin>>>,
     /// The slots whose promotion before a restart was restored.
     restored: watch::Sender<Vec<Slot>>,
@@ -255,12 +255,14 @@ impl Serving {
             return Ok(serves.clone());
         }
         let mut named = self.inner.named.lock().await;
-        let last = named.as_ref().filter(|_| calibration.is_some());
-        if let Some(last) = last.filter(|skin| skin.calibration() == calibration) {
-            return Ok(last.clone());
+        // The nominal skin has the errors of the newest run, which may be another one now.
+        let is_named =
+            |skin: &&Arc<ExactSkin>| calibration.is_some() && skin.calibration() == calibration;
+        if let Some(skin) = named.as_ref().filter(is_named) {
+            return Ok(skin.clone());
         }
         let skin = Arc::new(self.inner.skins.ready(calibration).await?);
-        *named = Some(skin.clone());
+        *named = Some(skin.clone()).filter(|_| calibration.is_some());
         Ok(skin)
     }
 
