@@ -20,6 +20,7 @@ use super::own_server::OwnServer;
 use super::{At, embed, job_losses};
 use crate::api::{JobOut, ModelOut};
 use crate::carried::{self, RECIPES};
+use crate::dataset::force_map::ForceMapSpec;
 use crate::evaluate::losses::{best, read};
 use crate::file_kind::FileKind;
 use crate::learn::recipe::map_channels;
@@ -144,13 +145,13 @@ impl Changes {
             }
         }
         // The side of the maps follows from their pixels.
-        let pixel_mm = self.map.as_ref().and_then(|map| map.split('x').next()?.parse::<f64>().ok());
+        let spec = self.map.as_ref().and_then(|map| map.parse::<ForceMapSpec>().ok());
         let mut net = training.get_mut("net").and_then(|net| net.as_table_mut());
         if let (Some(answers), Some(net)) = (self.answers, &mut net) {
             net.insert("answers".into(), answers.name().into());
         }
-        if let (Some(pixel_mm), Some(net)) = (pixel_mm, net) {
-            let side = (crate::dataset::force_map::SIDE_MM / pixel_mm).round() as i64;
+        if let (Some(spec), Some(net)) = (spec, net) {
+            let side = spec.pixels() as i64;
             net.insert("side".into(), side.into());
             if let Some(channels) = map_channels(side).filter(|_| !net.contains_key("channels")) {
                 net.insert("channels".into(), channels.to_vec().into());

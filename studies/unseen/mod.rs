@@ -200,7 +200,7 @@ fn maps(scale: Scale) -> Vec<ForceMapSpec> {
         return TABLE_IV_MAPS.to_vec();
     }
     let of_pixel =
-        |pixel_mm| DIAMETERS_MM.map(|diameter_mm| ForceMapSpec { pixel_mm, diameter_mm });
+        |pixel_mm| DIAMETERS_MM.map(|diameter_mm| ForceMapSpec::of_paper(pixel_mm, diameter_mm));
     [scale.fine_mm(), COARSE_MM].into_iter().flat_map(of_pixel).collect()
 }
 

@@ -41,10 +41,13 @@ export function touchMap({ signal, label, query }) {
   function inks() { return { text: colour('--ink'), ground: colour('--panel'), line: colour('--ink'), unsure: colour('--warn') } }
   const shade = force => palette[Math.max(0, Math.min(254, Math.round(254 * force / end)))]
 
+  // Side of the square that the map covers, mm.
+  const extent = shape => answer?.force_map_mm ?? shape.force_map_mm
+
   // The net's own map: one pixel each, row 0 at the lowest y; drawn once more only when it is new.
   function paint(map) {
     if (!view.shape) return
-    const { tip_diameter_mm: tip, force_map_mm: whole } = view.shape
+    const tip = view.shape.tip_diameter_mm, whole = extent(view.shape)
     const n = Math.round(Math.sqrt(map.length))
     if (n !== side) {
       side = n
@@ -70,7 +73,7 @@ export function touchMap({ signal, label, query }) {
     if (!answer) return
     const unsure = answer.outside?.length > 0
     if (answer.force_map_n) {
-      const whole = shape.force_map_mm, left = shape.width_mm / 2 - whole / 2, top = shape.height_mm / 2 + whole / 2
+      const whole = extent(shape), left = shape.width_mm / 2 - whole / 2, top = shape.height_mm / 2 + whole / 2
       pen.save()
       pen.beginPath()
       pen.rect(view.x(0), view.y(shape.height_mm), shape.width_mm * view.scale, shape.height_mm * view.scale)

@@ -56,10 +56,10 @@ def _word(value: Value) -> str:
 
 
 def map_side(map: str) -> int:
-    """Pixels along a side of a force map, which covers 640 x 640 mm.
+    """Pixels along a side of a force map, which covers 640 x 640 mm if no side is stated.
 
-    >>> map_side("4x20")
-    160
+    >>> map_side("4x20"), map_side("2.5x10x100")
+    (160, 40)
     """
-    pixel_mm, _, _ = map.partition("x")
-    return round(640.0 / float(pixel_mm))
+    pixel_mm, *_, side_mm = [*map.split("x"), "640"][:3]
+    return round(float(side_mm) / float(pixel_mm))

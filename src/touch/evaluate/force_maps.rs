@@ -5,7 +5,7 @@ use plotters::prelude::*;
 use plotters::style::colors::colormaps::ViridisRGB;
 
 use super::figures::{FigureError, page};
-use crate::dataset::force_map::{ForceMap, ForceMapSpec, MapContact, SIDE_MM};
+use crate::dataset::force_map::{ForceMap, ForceMapSpec, MapContact};
 use crate::figure::style::{COLOURS, SMALL, TEXT, TINY, dash, legend, mesh, plain, whole};
 use crate::figure::{Heading, PageSize};
 use crate::store::Contact;
@@ -64,7 +64,7 @@ pub fn pictures(
         |area| {
             for (map, area) in maps.iter().zip(area.split_evenly((rows, columns))) {
                 let largest = map.map.iter().copied().fold(1e-6, f32::max);
-                let half = SIDE_MM / 2.0;
+                let half = map.spec.side_mm / 2.0;
                 let mut chart = ChartBuilder::on(&area)
                     .caption(format!("{}, to {} N per pixel", map.name, short(largest)), SMALL)
                     .margin(8)

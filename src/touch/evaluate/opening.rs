@@ -9,7 +9,6 @@ use plotters::style::text_anchor::{HPos, Pos, VPos};
 use super::charts::segments;
 use super::figures::{FigureError, page};
 use super::force_maps::Picture;
-use crate::dataset::force_map::SIDE_MM;
 use crate::dataset::read::PAPER_SKIN;
 use crate::figure::style::{COLOURS, INK, SMALL, TEXT, TINY, mesh, plain};
 use crate::figure::{Area, Heading, PageSize};
@@ -133,11 +132,11 @@ fn cell(
     chart.draw_series([Rectangle::new(corners, RGBColor(250, 250, 248).filled())])?;
     if let Some(map) = answer.and_then(|answer| answer.map.as_ref()) {
         let largest = map.map.iter().copied().fold(1e-6, f32::max);
-        let (pixels, mm) = (map.spec.pixels(), map.spec.pixel_mm);
+        let (pixels, mm, side) = (map.spec.pixels(), map.spec.pixel_mm, map.spec.side_mm);
         let seen = map.map.iter().enumerate().filter(|(_, n)| **n > FAINT * largest);
         chart.draw_series(seen.filter_map(|(at, newtons)| {
-            let x = (at % pixels) as f64 * mm - 0.5 * (SIDE_MM - width);
-            let y = (at / pixels) as f64 * mm - 0.5 * (SIDE_MM - height);
+            let x = (at % pixels) as f64 * mm - 0.5 * (side - width);
+            let y = (at / pixels) as f64 * mm - 0.5 * (side - height);
             let inside = x > -mm && y > -mm && x < width && y < height;
             let ends = [(x.max(0.0), y.max(0.0)), ((x + mm).min(width), (y + mm).min(height))];
             let shade = COLOURS[2].mix(0.75 * f64::from((newtons / largest).sqrt()));

@@ -53,6 +53,9 @@ pub struct Reading {
     /// `fast` and `exact`, drawn as the paper's Map 1 (160 x 160 pixels of 4 mm, discs of 20 mm).
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub force_map_n: Option<Vec<f32>>,
+    /// Side of the square that the map covers, mm, whose centre is that of the skin; present with the map.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub force_map_mm: Option<f64>,
     /// Properties of the frame outside the trained range of the model, as text.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub outside: Vec<String>,

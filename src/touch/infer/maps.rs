@@ -24,8 +24,8 @@ impl ForceMaps {
         if wanted { Self::With } else { Self::Without }
     }
 
-    /// The map of a frame, if readings contain maps.
-    pub fn keep(self, map: impl FnOnce() -> Vec<f32>) -> Option<Vec<f32>> {
+    /// The map of a frame, or its side, if readings contain maps.
+    pub fn keep<T>(self, map: impl FnOnce() -> T) -> Option<T> {
         (self == Self::With).then(map)
     }
 }
@@ -46,6 +46,7 @@ pub fn draw(readings: &mut [Reading], skin_mm: [f64; 2]) -> Result<(), InferErro
         let mut map = vec![0.0; draws.pixels() * draws.pixels()];
         draws.render(&pressed.collect::<Vec<_>>(), &mut map)?;
         reading.force_map_n = Some(map);
+        reading.force_map_mm = Some(MAP_1.side_mm);
     }
     Ok(())
 }

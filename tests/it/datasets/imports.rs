@@ -113,6 +113,11 @@ async fn another_skins_trials_are_a_run_like_any_other() {
     let rows = lab.get(&path).await["items"].clone();
     assert_eq!(rows[0]["voltages_v"].as_array().unwrap().len(), 4);
     assert!(rows[0]["force_map_n"].is_array() && rows[1].get("force_map_n").is_none());
+    // A map of the extent of the pad has 40 x 40 pixels.
+    let path = format!("/api/v1/datasets/run-{run}/rows?map=2.5x10x100&columns=trial_id&limit=1");
+    let rows = lab.get(&path).await["items"].clone();
+    let map: Vec<f64> = serde_json::from_value(rows[0]["force_map_n"].clone()).unwrap();
+    assert!(map.len() == 1600 && (map.iter().sum::<f64>() - 2.5).abs() < 1e-4, "{rows}");
     // It joins datasets only when it is named, and never those of another label unasked.
     assert_eq!(lab.make("real").await["report"]["channels"], 784);
     let both = serde_json::json!({ "definition": { "name": "both", "task": "real",

@@ -26,77 +26,100 @@ use std::str::FromStr;
 
 use serde::{Deserialize, Serialize};
 
-/// Side of the square that every map covers, mm; its centre is the centre of the skin.
+/// Side of the square that a map covers in the paper, mm; its centre is the centre of the skin.
 pub const SIDE_MM: f64 = 640.0;
-/// Smallest and largest side of a pixel, mm.
-pub const PIXEL_MM: (f64, f64) = (2.0, 160.0);
-/// Largest map diameter, mm.
-pub const DIAMETER_MAX_MM: f64 = 320.0;
+/// Smallest and largest side of a square, mm.
+const SIDES_MM: (f64, f64) = (10.0, 6400.0);
+/// Smallest and largest side of a pixel on a square of [`SIDE_MM`], mm. Limits of another square are in
+/// proportion.
+const PIXEL_MM: (f64, f64) = (2.0, 160.0);
+/// Largest map diameter on a square of [`SIDE_MM`], mm.
+const DIAMETER_MAX_MM: f64 = 320.0;
 
-/// Pixel and map diameter of a force map; written `4x20` (pixel x diameter, mm).
+/// Pixel, map diameter and side of a force map; written `4x20` (pixel x diameter, mm) on a square of
+/// [`SIDE_MM`], and `2.5x10x100` (pixel x diameter x side) on another one.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 pub struct ForceMapSpec {
-    /// Side of a pixel, mm: a whole number of pixels fits [`SIDE_MM`].
+    /// Side of a pixel, mm: a whole number of pixels fits the side of the square.
     pub pixel_mm: f64,
     /// Map diameter, mm: diameter of the disc over which the force of each contact is distributed.
     pub diameter_mm: f64,
+    /// Side of the square, mm.
+    pub side_mm: f64,
 }
 
 /// The twelve maps of Table IV, in its order.
 pub const TABLE_IV_MAPS: [ForceMapSpec; 12] = [
-    spec(4.0, 20.0),
-    spec(4.0, 28.0),
-    spec(4.0, 32.0),
-    spec(4.0, 44.0),
-    spec(4.0, 52.0),
-    spec(4.0, 60.0),
-    spec(10.0, 10.0),
-    spec(10.0, 30.0),
-    spec(10.0, 50.0),
-    spec(10.0, 70.0),
-    spec(20.0, 20.0),
-    spec(20.0, 60.0),
+    ForceMapSpec::of_paper(4.0, 20.0),
+    ForceMapSpec::of_paper(4.0, 28.0),
+    ForceMapSpec::of_paper(4.0, 32.0),
+    ForceMapSpec::of_paper(4.0, 44.0),
+    ForceMapSpec::of_paper(4.0, 52.0),
+    ForceMapSpec::of_paper(4.0, 60.0),
+    ForceMapSpec::of_paper(10.0, 10.0),
+    ForceMapSpec::of_paper(10.0, 30.0),
+    ForceMapSpec::of_paper(10.0, 50.0),
+    ForceMapSpec::of_paper(10.0, 70.0),
+    ForceMapSpec::of_paper(20.0, 20.0),
+    ForceMapSpec::of_paper(20.0, 60.0),
 ];
-
-const fn spec(pixel_mm: f64, diameter_mm: f64) -> ForceMapSpec {
-    ForceMapSpec { pixel_mm, diameter_mm }
-}
 
 /// Why a force map cannot be rendered, with the limit.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum ForceMapError {
-    /// The text is not two numbers with an `x` between them.
-    #[error("force map `{text}`: must be pixel x diameter in mm, as in 4x20")]
+    /// The text is not two or three numbers with an `x` between them.
+    #[error(
+        "force map `{text}`: must be pixel x diameter in mm, as in 4x20, or with a side, as in 2.5x10x100"
+    )]
     Syntax {
         /// The invalid text.
         text: String,
     },
+    /// The square is too small or too large.
+    #[error("side {side_mm} mm: must be from {} to {} mm", SIDES_MM.0, SIDES_MM.1)]
+    Side {
+        /// Requested side of the square, mm.
+        side_mm: f64,
+    },
     /// The pixel is too small or too large.
-    #[error("pixel {pixel_mm} mm: must be from {} to {} mm", PIXEL_MM.0, PIXEL_MM.1)]
+    #[error("pixel {pixel_mm} mm: must be from {least_mm} to {most_mm} mm")]
     PixelRange {
         /// Requested side of a pixel, mm.
         pixel_mm: f64,
+        /// Smallest side of a pixel of the square, mm.
+        least_mm: f64,
+        /// Largest side of a pixel of the square, mm.
+        most_mm: f64,
     },
     /// The pixels do not fill the square.
-    #[error("pixel {pixel_mm} mm: must divide {SIDE_MM} mm, as 4, 10 and 20 do")]
+    #[error("pixel {pixel_mm} mm: must divide {side_mm} mm, the side of the map")]
     PixelDivides {
         /// Requested side of a pixel, mm.
         pixel_mm: f64,
+        /// Side of the square, mm.
+        side_mm: f64,
     },
     /// The map diameter is not positive, or too large.
-    #[error("diameter {diameter_mm} mm: must be above 0 and at most {DIAMETER_MAX_MM} mm")]
+    #[error("diameter {diameter_mm} mm: must be above 0 and at most {most_mm} mm")]
     Diameter {
         /// Requested map diameter, mm.
         diameter_mm: f64,
+        /// Largest map diameter of the square, mm.
+        most_mm: f64,
     },
     /// The skin is larger than the square.
-    #[error("skin of {width_mm} x {height_mm} mm: sides must be above 0 and at most {SIDE_MM} mm")]
+    #[error(
+        "skin of {width_mm} x {height_mm} mm: sides must be above 0 and at most {side_mm} mm, the side of \
+         the map"
+    )]
     Skin {
         /// Extent along x, mm.
         width_mm: f64,
         /// Extent along y, mm.
         height_mm: f64,
+        /// Side of the square, mm.
+        side_mm: f64,
     },
     /// The disc of a contact is outside the square, or its position or force is not finite.
     #[error("contact of {force_n} N at ({x_mm}, {y_mm}) mm: its disc must touch the map's square")]
@@ -111,27 +134,42 @@ pub enum ForceMapError {
 }
 
 impl ForceMapSpec {
-    /// Returns the specification if its pixel and map diameter are valid.
+    /// A map on the paper's square, mm.
+    pub const fn of_paper(pixel_mm: f64, diameter_mm: f64) -> Self {
+        Self { pixel_mm, diameter_mm, side_mm: SIDE_MM }
+    }
+
+    /// Returns the specification if its side, pixel and map diameter are valid.
     ///
     /// # Errors
-    /// `ForceMapError::PixelRange`, `PixelDivides` or `Diameter` for a value outside its limits.
+    /// `ForceMapError::Side`, `PixelRange`, `PixelDivides` or `Diameter` for a value outside its limits.
     pub fn checked(self) -> Result<Self, ForceMapError> {
-        let Self { pixel_mm, diameter_mm } = self;
-        if !(PIXEL_MM.0..=PIXEL_MM.1).contains(&pixel_mm) {
-            return Err(ForceMapError::PixelRange { pixel_mm });
+        let Self { pixel_mm, diameter_mm, side_mm } = self;
+        if !(SIDES_MM.0..=SIDES_MM.1).contains(&side_mm) {
+            return Err(ForceMapError::Side { side_mm });
         }
-        if ((SIDE_MM / pixel_mm).round() * pixel_mm - SIDE_MM).abs() > 1e-9 {
-            return Err(ForceMapError::PixelDivides { pixel_mm });
+        let (least_mm, most_mm) = (PIXEL_MM.0 * self.scale(), PIXEL_MM.1 * self.scale());
+        if !(least_mm..=most_mm).contains(&pixel_mm) {
+            return Err(ForceMapError::PixelRange { pixel_mm, least_mm, most_mm });
         }
-        if !(diameter_mm > 0.0 && diameter_mm <= DIAMETER_MAX_MM) {
-            return Err(ForceMapError::Diameter { diameter_mm });
+        if ((side_mm / pixel_mm).round() * pixel_mm - side_mm).abs() > 1e-9 {
+            return Err(ForceMapError::PixelDivides { pixel_mm, side_mm });
+        }
+        let most_mm = DIAMETER_MAX_MM * self.scale();
+        if !(diameter_mm > 0.0 && diameter_mm <= most_mm) {
+            return Err(ForceMapError::Diameter { diameter_mm, most_mm });
         }
         Ok(self)
     }
 
     /// Number of pixels along a side of the map.
     pub fn pixels(&self) -> usize {
-        (SIDE_MM / self.pixel_mm).round() as usize
+        (self.side_mm / self.pixel_mm).round() as usize
+    }
+
+    /// Side of the square in sides of the paper's.
+    fn scale(&self) -> f64 {
+        self.side_mm / SIDE_MM
     }
 }
 
@@ -139,18 +177,22 @@ impl FromStr for ForceMapSpec {
     type Err = ForceMapError;
 
     fn from_str(text: &str) -> Result<Self, ForceMapError> {
-        let numbers = text.split_once('x').and_then(|(pixel, diameter)| {
-            Some((pixel.trim().parse().ok()?, diameter.trim().parse().ok()?))
-        });
-        let (pixel_mm, diameter_mm) =
-            numbers.ok_or_else(|| ForceMapError::Syntax { text: text.to_owned() })?;
-        Self { pixel_mm, diameter_mm }.checked()
+        let numbers: Option<Vec<f64>> = text.split('x').map(|n| n.trim().parse().ok()).collect();
+        let spec = match numbers.as_deref() {
+            Some([pixel_mm, diameter_mm]) => Self::of_paper(*pixel_mm, *diameter_mm),
+            Some([pixel_mm, diameter_mm, side_mm]) => {
+                Self { side_mm: *side_mm, ..Self::of_paper(*pixel_mm, *diameter_mm) }
+            }
+            _ => return Err(ForceMapError::Syntax { text: text.to_owned() }),
+        };
+        spec.checked()
     }
 }
 
 impl fmt::Display for ForceMapSpec {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}x{}", self.pixel_mm, self.diameter_mm)
+        write!(f, "{}x{}", self.pixel_mm, self.diameter_mm)?;
+        if self.side_mm == SIDE_MM { Ok(()) } else { write!(f, "x{}", self.side_mm) }
     }
 }
 
@@ -196,12 +238,13 @@ impl ForceMap {
     /// [`ForceMapSpec::checked`].
     pub fn new(spec: ForceMapSpec, skin_mm: [f64; 2]) -> Result<Self, ForceMapError> {
         let spec = spec.checked()?;
-        let fits = |extent_mm: f64| extent_mm > 0.0 && extent_mm <= SIDE_MM;
+        let side_mm = spec.side_mm;
+        let fits = |extent_mm: f64| extent_mm > 0.0 && extent_mm <= side_mm;
         let [width_mm, height_mm] = skin_mm;
         if !skin_mm.into_iter().all(fits) {
-            return Err(ForceMapError::Skin { width_mm, height_mm });
+            return Err(ForceMapError::Skin { width_mm, height_mm, side_mm });
         }
-        let corner = |extent_mm: f64| (extent_mm - SIDE_MM) / 2.0;
+        let corner = |extent_mm: f64| (extent_mm - side_mm) / 2.0;
         Ok(Self { spec, origin_mm: skin_mm.map(corner) })
     }
 

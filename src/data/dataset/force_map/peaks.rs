@@ -9,6 +9,7 @@
 //!    plateaus of several pixels.
 //! 4. The force of a peak is the sum of the pixels whose centres are within 32 mm of its position.
 //!    Peaks below the threshold are then dropped.
+//!    On a square of another side than 640 mm, all 32 mm are in proportion: a twentieth of the side.
 //! 5. The diameter of a peak is that of the circle with the area of the region, connected by edges,
 //!    at or above half of its largest pixel (full width at half maximum).
 //!
@@ -51,7 +52,9 @@ impl ForceMap {
     /// # Panics
     /// If `map` is not `pixels x pixels` long.
     pub fn peaks(&self, map: &[f32], threshold_n: f64) -> Vec<Peak> {
-        let field = Field::new(map, self.pixels(), self.spec.pixel_mm);
+        // In millimetres of the paper's square.
+        let scale = self.spec.scale();
+        let field = Field::new(map, self.pixels(), self.spec.pixel_mm / scale);
         let mut plateaus = field.plateaus();
         plateaus.sort_by(|a, b| b.largest.total_cmp(&a.largest).then(a.first.cmp(&b.first)));
         let mut places: Vec<[f64; 2]> = Vec::new();
@@ -67,10 +70,10 @@ impl ForceMap {
                 let half = plateau.largest / 2.0;
                 let marks = Marks { marks: &mut visits, mark: number };
                 let half = field.joined(plateau.first, |value| value >= half, marks);
-                let area_mm2 = half.len() as f64 * field.pixel_mm * field.pixel_mm;
+                let area_mm2 = half.len() as f64 * self.spec.pixel_mm * self.spec.pixel_mm;
                 peaks.push(Peak {
-                    x_mm: self.origin_mm[0] + plateau.place_mm[0],
-                    y_mm: self.origin_mm[1] + plateau.place_mm[1],
+                    x_mm: self.origin_mm[0] + scale * plateau.place_mm[0],
+                    y_mm: self.origin_mm[1] + scale * plateau.place_mm[1],
                     force_n,
                     diameter_mm: 2.0 * (area_mm2 / PI).sqrt(),
                 });
@@ -271,7 +274,7 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
-    use crate::dataset::force_map::MapContact;
+    use crate::dataset::force_map::{ForceMapSpec, MapContact};
 
     const PIXELS: usize = 160;
 
@@ -348,6 +351,25 @@ mod tests {
         let everywhere = map.peaks(&[0.5; PIXELS * PIXELS], 5.0);
         assert_eq!(everywhere.len(), 1);
         assert_eq!((everywhere[0].x_mm, everywhere[0].y_mm), (270.0, 280.0));
+    }
+
+    #[test]
+    fn a_map_of_another_side_is_the_papers_in_proportion() {
+        // 100 mm in place of 640: a neighbourhood has 5 mm.
+        let spec: ForceMapSpec = "0.625x5x100".parse().unwrap();
+        let map = ForceMap::new(spec, 100.0, 80.0).unwrap();
+        let pixels = drawn(&map, &[(20.0, 20.0, 6.0), (26.0, 20.0, 7.0), (90.0, 70.0, 8.0)]);
+        let mut peaks = map.peaks(&pixels, 5.0);
+        peaks.sort_by(|a, b| a.x_mm.total_cmp(&b.x_mm));
+        for (peak, [x_mm, y_mm, force_n]) in
+            peaks.iter().zip([[20.0, 20.0, 6.0], [26.0, 20.0, 7.0], [90.0, 70.0, 8.0]])
+        {
+            let apart = (peak.x_mm - x_mm).hypot(peak.y_mm - y_mm);
+            assert!(apart < 0.7 && (peak.diameter_mm - 5.0).abs() < 1.0, "{peak:?}");
+            // Neighbours 6 mm apart share the rims of their circles of 5 mm.
+            assert!(peak.force_n > force_n - 0.1 && peak.force_n < force_n + 4.0, "{peak:?}");
+        }
+        assert_eq!(peaks.len(), 3);
     }
 
     #[test]

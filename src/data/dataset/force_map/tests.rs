@@ -74,7 +74,7 @@ proptest! {
     fn only_pixels_that_the_disc_overlaps_are_touched(
         (x, y) in (60.0..480.0_f64, 60.0..500.0_f64), diameter in 1.0..120.0_f64,
     ) {
-        let spec = ForceMapSpec { pixel_mm: 10.0, diameter_mm: diameter };
+        let spec = ForceMapSpec::of_paper(10.0, diameter);
         let map = ForceMap::new(spec, SKIN_MM).unwrap();
         let pixels = drawn(&map, &[(x, y, 1.0)]);
         for (i, &newtons) in pixels.iter().enumerate() {
@@ -146,8 +146,9 @@ fn a_specification_is_read_back_as_it_is_written() {
     for (spec, written) in TABLE_IV_MAPS.iter().zip(["4x20", "4x28", "4x32", "4x44"]) {
         assert_eq!(spec.to_string(), written);
     }
-    for spec in TABLE_IV_MAPS.into_iter().chain([ForceMapSpec { pixel_mm: 6.4, diameter_mm: 12.5 }])
-    {
+    let of_pad = ForceMapSpec { side_mm: 100.0, ..ForceMapSpec::of_paper(2.5, 10.0) };
+    assert_eq!((of_pad.to_string().as_str(), of_pad.pixels()), ("2.5x10x100", 40));
+    for spec in TABLE_IV_MAPS.into_iter().chain([ForceMapSpec::of_paper(6.4, 12.5), of_pad]) {
         assert_eq!(spec.to_string().parse(), Ok(spec));
         let json = serde_json::to_string(&spec).unwrap();
         assert_eq!(serde_json::from_str::<ForceMapSpec>(&json).unwrap(), spec);
@@ -167,6 +168,11 @@ fn a_refused_specification_names_its_limit() {
         ("4x0", "above 0 and at most 320 mm"),
         ("4x321", "above 0 and at most 320 mm"),
         ("4xNaN", "above 0 and at most 320 mm"),
+        ("4x20x100x1", "pixel x diameter in mm"),
+        ("4x20x5", "side 5 mm: must be from 10 to 6400 mm"),
+        ("3x20x100", "must divide 100 mm"),
+        ("26x20x100", "from 0.3125 to 25 mm"),
+        ("2.5x51x100", "above 0 and at most 50 mm"),
     ] {
         let error = text.parse::<ForceMapSpec>().unwrap_err().to_string();
         assert!(error.contains(limit), "{text}: {error}");

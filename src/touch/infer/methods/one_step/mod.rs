@@ -77,6 +77,7 @@ impl ReadyMethod for OneStepPipeline {
             readings.push(Reading {
                 contacts: contacts(&self.draws, &map, self.threshold_n),
                 force_map_n: maps.keep(|| map),
+                force_map_mm: maps.keep(|| MAP_1.side_mm),
                 ..Reading::default()
             });
         }

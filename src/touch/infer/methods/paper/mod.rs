@@ -94,6 +94,7 @@ impl MapPipeline {
             readings.push(Reading {
                 contacts,
                 force_map_n: kept.keep(|| map.to_vec()),
+                force_map_mm: kept.keep(|| self.spec.side_mm),
                 outside: outside.map(|out| out.to_string()).collect(),
                 ..Reading::default()
             });
