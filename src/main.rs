@@ -141,7 +141,8 @@ fn parsed() -> Result<(CommandLine, cli::Output), ExitCode> {
     let matches = cli::help::complete(CommandLine::command()).try_get_matches();
     let read = matches.and_then(|matches| {
         let line = CommandLine::from_arg_matches(&matches)?;
-        Ok((line, cli::Output::of(wants_json(&matches))))
+        let json = wants_json(&matches);
+        Ok((line, if json { cli::Output::Json } else { cli::Output::Text }))
     });
     read.map_err(|error| {
         let is_help = !error.use_stderr()

@@ -151,7 +151,9 @@ impl Statistics {
         let (channels, targets) = (from.input_len(), from.target_len());
         let (components, mut held) = (measured.components(), Vec::new());
         let most = match measured {
-            Measured::WithoutExtremes => MEASURED_MAX.min((HELD_MAX / channels).max(SAMPLES_AT_ONCE) as u64),
+            Measured::WithoutExtremes => {
+                MEASURED_MAX.min((HELD_MAX / channels).max(SAMPLES_AT_ONCE) as u64)
+            }
             Measured::Moments | Measured::Components(_) => MEASURED_MAX,
         };
         let mut of_inputs = Moments::new(channels);

@@ -18,7 +18,6 @@ use crate::digest::{Hashing, ID_DIGITS};
 use crate::ids::DatasetId;
 use crate::new_file::{Finished, NewFile};
 
-
 /// Counts of the written rows.
 #[derive(Debug, Default)]
 pub(super) struct Tally {

@@ -194,7 +194,7 @@ impl From<Scored> for ScoredWord {
 impl From<Slot> for SlotWord {
     fn from(slot: Slot) -> Self {
         let uses = Method::served().filter(|method| method.slots().contains(&slot));
-        let takes = NetTask::ALL.into_iter().filter(|task| Slot::of(*task) == Some(slot));
+        let takes = NetTask::ALL.into_iter().filter(|task| Slot::of(*task) == slot);
         Self {
             name: slot,
             title: slot.title(),

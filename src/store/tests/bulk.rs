@@ -10,7 +10,7 @@ use tokio::time::{sleep, timeout};
 
 use super::Folder;
 use crate::StoreError;
-use crate::core::bulk::{Bulk, BULK_CONNECTIONS, Statement};
+use crate::core::bulk::{BULK_CONNECTIONS, Bulk, Statement};
 
 const COUNTING: &str = "counting numbers";
 

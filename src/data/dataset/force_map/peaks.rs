@@ -357,7 +357,7 @@ mod tests {
     fn a_map_of_another_side_is_the_papers_in_proportion() {
         // 100 mm in place of 640: a neighbourhood has 5 mm.
         let spec: ForceMapSpec = "0.625x5x100".parse().unwrap();
-        let map = ForceMap::new(spec, 100.0, 80.0).unwrap();
+        let map = ForceMap::new(spec, [100.0, 80.0]).unwrap();
         let pixels = drawn(&map, &[(20.0, 20.0, 6.0), (26.0, 20.0, 7.0), (90.0, 70.0, 8.0)]);
         let mut peaks = map.peaks(&pixels, 5.0);
         peaks.sort_by(|a, b| a.x_mm.total_cmp(&b.x_mm));
