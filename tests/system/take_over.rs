@@ -42,7 +42,7 @@ async fn a_manual_run_is_taken_up_after_a_restart_without_a_motion() {
     assert_eq!(status["rig"]["state"], "disarmed", "{status:#}");
     assert!((x_mm(&lab).await - 100.0).abs() < 0.1, "x has moved");
     let is_told = |page: &Value| page["items"].as_array().is_some_and(|items| !items.is_empty());
-    lab.eventually("the event", "/api/v1/events?kind=went_on", is_told).await;
+    lab.eventually("the event", "/api/v1/events?kind=resumed", is_told).await;
     lab.close().await;
 }
 
@@ -53,7 +53,7 @@ async fn a_run_is_not_driven_again_by_itself_after_a_person_has_operated_the_rig
     rig(&lab, json!({ "action": "connect" })).await;
     let is_left = |row: &Value| row["state"] == "interrupted";
     lab.eventually("the run is left alone", &format!("/api/v1/runs/{run}"), is_left).await;
-    let page = lab.get("/api/v1/events?kind=not_gone_on").await;
+    let page = lab.get("/api/v1/events?kind=not_resumed").await;
     let why = |event: &Value| event["data"]["why"].as_str().unwrap_or_default().to_owned();
     let told = |event: &Value| why(event).contains("a person has operated the rig");
     assert!(page["items"].as_array().unwrap().iter().any(told), "{page:#}");

@@ -7,7 +7,7 @@ import { fold } from './fold.js'
 import { capital } from './format.js'
 import { keepForm } from './formstate.js'
 import { recipes } from './recipes.js'
-import { slotOf } from './serves.js'
+import { isOfQuantity, slotOf, slotOfTask } from './serves.js'
 import { put, raw } from './toml.js'
 import { vocabulary } from './vocabulary.js'
 
@@ -198,9 +198,13 @@ export function evaluationForm({ said, onstart, signal }) {
       'mean',
       () => {}
     )
-  // A request names the model of each slot, or the net of a quantity, which has no slot.
+  // A request names the model of each slot of a method, or the net of a quantity.
   const models = Object.fromEntries(['transfer', 'map', 'points', 'net'].map(key => [key, select([], '', () => {})]))
   const usesOf = method => (method.name === 'quantity' ? ['net'] : method.uses)
+  const keyOf = ({ task }) => {
+    const slot = slotOfTask(task)
+    return slot && isOfQuantity(slot) ? 'net' : slot?.name
+  }
   const number = props => el('input', { type: 'number', min: 1, ...props })
   const limit = number({ step: 1, placeholder: 'all' }),
     sd = number({ step: 'any', placeholder: 'any' })
@@ -220,7 +224,7 @@ export function evaluationForm({ said, onstart, signal }) {
     say(about, `${capital(method.about)}.`)
     for (const [key, node] of Object.entries(models)) {
       fields[key].hidden = !usesOf(method).includes(key)
-      const fit = known.models.filter(model => (key === 'net' ? !model.slot : model.slot === key)).map(model => [model.id, `${model.name} · ${model.id}`])
+      const fit = known.models.filter(model => keyOf(model) === key).map(model => [model.id, `${model.name} · ${model.id}`])
       const mustName = key === 'net' || method.must_name.includes(key)
       choices(node, fit, mustName ? (fit.length ? null : 'none is trained yet') : 'none')
     }

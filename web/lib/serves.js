@@ -7,6 +7,12 @@ import { vocabulary } from './vocabulary.js'
 /** A slot by its name. */
 export const slotOf = name => vocabulary.slots.find(slot => slot.name === name)
 
+/** The slot of the nets with a task, whatever their sensor. */
+export const slotOfTask = task => vocabulary.slots.find(slot => slot.tasks.includes(task))
+
+/** Whether a slot is for nets that answer a quantity of a whole frame: no method uses them. */
+export const isOfQuantity = slot => !slot.methods.length
+
 /** Slots that a method needs and that are empty; `serving` is the body of GET /serving. */
 export const lacks = (method, serving) => method.needs.filter(slot => !serving?.serves.find(one => one.slot === slot)?.what)
 

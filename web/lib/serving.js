@@ -10,10 +10,10 @@ import { lockWords } from './lock.js'
 import { slotOf } from './serves.js'
 import { table } from './table.js'
 
-/** paper: measured to simulated voltages */
+/** paper: measured to simulated voltages; without a method: position of one contact, from a whole frame */
 function useOf(name) {
   const { methods, about } = slotOf(name)
-  return `${methods.join(', ')}: ${about}`
+  return [methods.join(', '), about].filter(Boolean).join(': ')
 }
 
 /** Makes the panel; `name(id)` gives a model's name. `promote(what, slot)` asks first. */

@@ -227,11 +227,15 @@ mod tests {
         assert_eq!(methods, ["paper", "fast", "exact"]);
         let needs: Vec<&[Slot]> = words.methods.iter().map(|method| &*method.needs).collect();
         assert_eq!(needs, [&[Slot::Map][..], &[Slot::Points], &[Slot::Skin]]);
-        let [transfer, map, points, skin] = &words.slots[..] else { panic!("four slots") };
+        let [transfer, map, points, skin, quantities @ ..] = &words.slots[..] else {
+            panic!("at least four slots")
+        };
         assert_eq!((&*transfer.methods, &*transfer.tasks), (&["paper"][..], &["transfer"][..]));
         assert_eq!(map.tasks, ["recon", "end-to-end"]);
         assert_eq!(points.methods, ["fast", "exact"]);
         assert!(skin.tasks.is_empty());
+        let named = |slot: &SlotWord| slot.methods.is_empty() && slot.tasks == [slot.name.name()];
+        assert!(quantities.len() == 4 && quantities.iter().all(named));
         let fast = words.scored.iter().find(|scored| scored.name == "fast").unwrap();
         assert_eq!((&*fast.must_name, fast.dataset), (&[Slot::Points][..], Some("real-unseen")));
         assert_eq!((words.maps.len(), words.maps[0].name.as_str()), (12, "4x20"));
