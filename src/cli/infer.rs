@@ -123,11 +123,22 @@ pub async fn infer(args: InferArgs) -> Result<(), CliError> {
                 }
             }
         }
-        let method = method.name();
-        Next::of(&args.at)
-            .suggest("palpate model serving", "what answers, and what limits it")
-            .suggest(format_args!("palpate live --method {method}"), "answers on the rig's skin")
-            .say();
+        let (next, method) = (Next::of(&args.at), method.name());
+        let next = match &args.model {
+            None => {
+                next.suggest("palpate model serving", "what answers, and what limits it").suggest(
+                    format_args!("palpate live --method {method}"),
+                    "answers on the rig's skin",
+                )
+            }
+            Some(id) if is_skin(id) => {
+                next.suggest(format_args!("palpate model promote {id}"), "makes it serve")
+            }
+            Some(model) => {
+                next.suggest(format_args!("palpate model show {model}"), "its facts and recipe")
+            }
+        };
+        next.say();
         Ok(())
     })
     .await

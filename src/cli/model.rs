@@ -175,9 +175,12 @@ async fn answer(client: Client, what: What) -> Result<(), CliError> {
             let serves: ServesOut = client.post("/api/v1/serving", &request).await?;
             tell(&serves, at.json);
             let slot = serves.slot.name();
-            Next::of(&at)
-                .suggest("palpate live", "contacts on the rig's skin")
-                .suggest(format_args!("palpate model roll-back {slot}"), "restores the one before")
+            let next = Next::of(&at);
+            let next = match serves.slot.is_quantity() {
+                true => next.suggest("palpate live --quantities", "its answers on the rig's skin"),
+                false => next.suggest("palpate live", "contacts on the rig's skin"),
+            };
+            next.suggest(format_args!("palpate model roll-back {slot}"), "restores the one before")
                 .say();
         }
         What::RollBack(RollBack { slot, why, at }) => {
@@ -229,7 +232,10 @@ async fn answer(client: Client, what: What) -> Result<(), CliError> {
             } else {
                 say(line(&model));
             }
-            promotion(&add.at, &model.id).say();
+            // A model of another sensor than the rig's cannot serve.
+            if model.slot.is_some() {
+                promotion(&add.at, &model.id).say();
+            }
         }
         What::AddCalibration(add) => {
             let text = read_input(&add.file)?;

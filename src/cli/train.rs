@@ -270,13 +270,15 @@ async fn report(client: &Client, done: &JobOut, at: &At) -> Result<(), CliError>
     }
     let ModelOut { id, task, .. } = &model;
     next = next.suggest(format_args!("palpate model show {id}"), "its facts and recipe");
-    if model.slot.is_some() {
-        next = next.suggest(format_args!("palpate model promote {id}"), "makes it serve");
-    } else if let Some(dataset) = &done.dataset {
+    let is_of_quantity = Quantity::ALL.iter().any(|quantity| quantity.name() == task.as_str());
+    if let Some(dataset) = done.dataset.as_ref().filter(|_| is_of_quantity) {
         next = next.suggest(
             format_args!("palpate evaluate quantity {task} --dataset {dataset} --net {id}"),
             "scores it, with ridge regressions",
         );
+    }
+    if model.slot.is_some() {
+        next = next.suggest(format_args!("palpate model promote {id}"), "makes it serve");
     }
     next.say();
     Ok(())

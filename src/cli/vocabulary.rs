@@ -27,11 +27,11 @@ pub struct VocabularyArgs {
 pub async fn vocabulary(args: VocabularyArgs) -> Result<(), CliError> {
     let output = args.at.output();
     let words = read(&args.at, "/api/v1/vocabulary").await?;
-    if output == Output::Json {
-        say_json(args.list.as_ref().map_or(&words, |list| &words[list.as_str()]));
-        return Ok(());
+    let found = args.list.as_ref().map_or(Some(&words), |list| words.get(list));
+    match found.filter(|_| output == Output::Json) {
+        Some(found) => say_json(found),
+        None => say(table(&words, args.list.as_deref())?),
     }
-    say(table(&words, args.list.as_deref())?);
     Ok(())
 }
 

@@ -66,8 +66,8 @@ fn random(target_len: usize) -> Random {
 /// Minimised loss and all gradients of the first batch on a device.
 fn learned(recipe: &Recipe, samples: &Random, device: &Device) -> (f64, Vec<Vec<f32>>) {
     let noise = NoiseSource::new(1, Noise::default(), None, CHANNELS);
-    let components = recipe.net.input().components();
-    let statistics = Statistics::measure(samples, components, &noise, 1).unwrap();
+    let measured = recipe.net.input().measured();
+    let statistics = Statistics::measure(samples, measured, &noise, 1).unwrap();
     let network = recipe.first(&statistics, samples.target_len);
     let loss = recipe.net.architecture().loss(network.target_size());
     let mut model = Model::new(network, Input::LAYERS, device);
