@@ -1,4 +1,4 @@
-// What serves: the slots of the methods, promotion and roll-back, and the record of both.
+// What serves: the slots of the methods and of quantities, promotion and roll-back, and the record of both.
 
 import { ask, once } from './api.js'
 import { actor, confirm, named, only } from './actions.js'
@@ -7,7 +7,7 @@ import { fold } from './fold.js'
 import { capital, moment } from './format.js'
 import { who } from './live.js'
 import { lockWords } from './lock.js'
-import { slotOf } from './serves.js'
+import { isOfQuantity, slotOf } from './serves.js'
 import { table } from './table.js'
 
 /** paper: measured to simulated voltages; without a method: position of one contact, from a whole frame */
@@ -67,7 +67,7 @@ export function servingPanel({ signal, said, name, onchange }) {
       [
         `Slot: ${slotOf(slot).title} (${useOf(slot)}).`,
         now ? `It replaces ${name(now)} (${now}), which roll back restores.` : 'The slot is empty now.',
-        'Live contacts and /infer use it from the next frame on. It is loaded and warmed up first: no frame is dropped.',
+        `${isOfQuantity(slotOf(slot)) ? 'Live quantities use' : 'Live contacts and /infer use'} it from the next frame on. It is loaded and warmed up first: no frame is dropped.`,
       ],
       'Promote'
     )
