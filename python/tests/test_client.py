@@ -128,7 +128,9 @@ def test_runs_events_and_datasets_are_tables(lab: Palpate[pl.DataFrame], service
     assert lab.run(1)["uid"] == runs.filter(scan_id=1)["uid"][0] == run["uid"]
     events = lab.events(run=1, kind=["state", "ended"])
     assert set(events["kind"]) == {"state", "ended"} and json.loads(events["data"][-1])
-    assert set(lab.events(run=1, kind="ended")["seq"]) < set(events["seq"])
+    end = lab.events(run=1, kind="ended")
+    assert set(end["seq"]) < set(events["seq"]) and set(end["importance"]) == {"notable"}
+    assert end["words"][-1].startswith("run ended, ")
     last = events["seq"][-1]
     assert lab.events(run=1, since=last - 1)["seq"][0] == last
     none = lab.events(kind="no-such-kind")

@@ -26,7 +26,9 @@ RUNS: dict[str, type] = {
     "exit_status": str, "reason": str, "trials_planned": int, "deadband_n": float, "seed": int,
     "created_at": datetime, "started_at": datetime, "ended_at": datetime, "submitted_by": str,
 }  # fmt: skip
-EVENTS: dict[str, type] = {"seq": int, "run": str, "at": datetime, "kind": str, "data": str}
+EVENTS: dict[str, type] = {
+    "seq": int, "run": str, "at": datetime, "kind": str, "importance": str, "words": str, "data": str,
+}  # fmt: skip
 DATASETS: dict[str, type] = {
     "name": str, "id": str, "rows": int, "bytes": int, "sha256": str, "created_at": datetime,
 }  # fmt: skip

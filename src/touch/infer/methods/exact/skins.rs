@@ -92,8 +92,9 @@ impl Skins {
     }
 
     /// Trials of the run that a skin was calibrated to, or else of the newest Real-Hex run on this
-    /// sensor, or else of the newest imported run on it: taken evenly from the untouched ones, and from those with few contacts above its deadband,
-    /// of configurations to which no skin is fitted. Empty if the store does not have that run.
+    /// sensor, or else of the newest imported run on it: taken evenly from the untouched ones, and from those with few
+    /// contacts above its deadband, of configurations to which no skin is fitted. Empty if the store does not have
+    /// that run.
     async fn known_trials(&self, sensor: &CalibratedSensor) -> Result<KnownTrials, InferError> {
         let of_skin = sensor.skin().map(|skin| skin.evidence.run.clone());
         let runs = self.store.runs(RUNS_LOOKED_AT, None).await?.runs;
