@@ -3,10 +3,13 @@
 //! Uses: tokio, `rig::traits`. Never: states, storage. It is not a certified emergency stop: that
 //! is hardware which removes power. This stop only decelerates the axes.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 use std::time::Duration;
 
+use futures::future::BoxFuture;
+use futures::stream::FuturesUnordered;
+use futures::{FutureExt, StreamExt};
 use parking_lot::{Mutex, MutexGuard};
 use serde::{Deserialize, Serialize};
 use tokio::sync::watch;
@@ -127,13 +130,27 @@ impl StopSwitch {
         let mut served = None;
         // A release and the next press may both come before this task runs again: the number differs.
         let is_new = |press: &Option<u64>, served| press.is_some() && *press != served;
-        while let Ok(press) =
-            latched.wait_for(|press| is_new(press, served)).await.map(|press| *press)
-        {
-            served = press;
-            self.expect(&bench);
-            let stops = bench.axes().map(|axis| self.stop_until_acknowledged(axis.as_ref()));
-            futures::future::join_all(stops).await;
+        let mut stops: FuturesUnordered<BoxFuture<'_, &'static str>> = FuturesUnordered::new();
+        let mut unstopped: BTreeSet<&'static str> = BTreeSet::new();
+        loop {
+            let pressed =
+                async { latched.wait_for(|press| is_new(press, served)).await.map(|press| *press) };
+            tokio::select! {
+                biased;
+                Some(axis) = stops.next() => {
+                    unstopped.remove(axis);
+                }
+                pressed = pressed => {
+                    let Ok(press) = pressed else { return };
+                    served = press;
+                    self.expect(&bench);
+                    for axis in bench.axes() {
+                        if unstopped.insert(axis.name()) {
+                            stops.push(self.stop_until_acknowledged(axis.as_ref()).boxed());
+                        }
+                    }
+                }
+            }
         }
     }
 
@@ -149,9 +166,11 @@ impl StopSwitch {
         }
     }
 
-    async fn stop_until_acknowledged(&self, axis: &dyn Axis) {
+    /// Returns the name of the axis once it has acknowledged a stop that was sent after the last press.
+    async fn stop_until_acknowledged(&self, axis: &dyn Axis) -> &'static str {
         let mut logged = None;
         while let Some(press) = self.pressed() {
+            let presses = self.presses();
             let outcome = axis.stop().await;
             let stop = AxisStop {
                 axis: axis.name().into(),
@@ -166,7 +185,8 @@ impl StopSwitch {
                 }
             }
             match outcome {
-                Ok(()) => return,
+                Ok(()) if self.presses() == presses => break,
+                Ok(()) => continue,
                 // The stop is sent every 50 ms: a cause is logged once.
                 Err(error) => {
                     let words = error.to_string();
@@ -178,6 +198,7 @@ impl StopSwitch {
             }
             tokio::time::sleep(RESEND_PAUSE).await;
         }
+        axis.name()
     }
 
     fn state(&self) -> MutexGuard<'_, State> {
@@ -187,6 +208,8 @@ impl StopSwitch {
 
 #[cfg(test)]
 mod tests {
+    use std::sync::atomic::Ordering;
+
     use super::*;
     use crate::campaign::bench::stand_in::StandIns;
 
@@ -214,6 +237,26 @@ mod tests {
         stop.press("second");
         assert_eq!(acknowledged(&stop, &axes, 8).await, first_ms);
         assert_eq!(stop.pressed().unwrap().why, "first");
+        serving.abort();
+    }
+
+    #[tokio::test]
+    async fn a_further_press_stops_the_others_again_while_one_axis_is_silent() {
+        let (stop, axes) = (StopSwitch::default(), StandIns::default());
+        axes.x.replies.store(false, Ordering::SeqCst);
+        let serving = tokio::spawn(stop.clone().serve(axes.bench()));
+        for stops in [3, 6] {
+            stop.press("silent");
+            let sent = async {
+                while axes.stops() < stops {
+                    tokio::time::sleep(Duration::from_millis(1)).await;
+                }
+            };
+            tokio::time::timeout(Duration::from_secs(10), sent).await.expect("the stops are sent");
+            assert_eq!(stop.pressed().unwrap().acknowledged_ms(), None);
+        }
+        axes.x.replies.store(true, Ordering::SeqCst);
+        acknowledged(&stop, &axes, 7).await;
         serving.abort();
     }
 
