@@ -144,6 +144,9 @@ pub async fn check(
         body?.map(|Json(request)| request).unwrap_or_default();
     act.stated(who.as_deref(), why.as_deref());
     act.named(if enable { "rig_check_enable" } else { "rig_check" });
+    if enable {
+        app.conductor.note_operation();
+    }
     let report = checked(&app, enable).await?;
     let report = serde_json::to_value(report)
         .map_err(|e| ApiError::new(StatusCode::INTERNAL_SERVER_ERROR, e.to_string()))?;
