@@ -48,7 +48,7 @@ pub struct Vocabulary {
 /// A name and what it means.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, ToSchema)]
 pub struct Word {
-    /// The name.
+    /// Name in requests and answers.
     pub name: &'static str,
     /// What it means, in one line.
     pub about: &'static str,

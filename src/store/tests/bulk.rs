@@ -60,7 +60,7 @@ async fn a_column_that_is_missing_or_of_another_type_is_an_error() {
     for (text, named) in [
         ("SELECT n FROM numbers", "Invalid column name: word"),
         ("SELECT word FROM numbers", "name: word"),
-        ("SELECT n AS word FROM nothing", "no such table: nothing"),
+        ("SELECT n AS word FROM absent", "no such table: absent"),
     ] {
         let read = move |connection: &Connection| {
             Statement::new(text).rows(connection, COUNTING, |c| c.get::<i64>("word"))
