@@ -1,71 +1,31 @@
-//! The files of `experiments/` that the program carries: one list for each folder.
+//! The files of `experiments/` that the program carries: one list for each folder, which `build.rs` writes.
 //! Uses: nothing. Never: the meaning of a file.
 
-/// A list of files of a folder of `experiments/`: of each its name without `.toml`, and its text.
+/// The list of a folder, which the build writes: of each file its name without `.toml`, and its text, in
+/// the order of the names.
 macro_rules! carried {
-    ($folder:literal: $($name:literal),* $(,)?) => {
-        &[$((
-            $name,
-            include_str!(concat!("../../experiments/", $folder, "/", $name, ".toml")),
-        )),*]
+    ($list:literal) => {
+        include!(concat!(env!("OUT_DIR"), "/", $list, ".rs"))
     };
 }
 
 /// The experiments; each is in the folder itself and names a sensor as `sensors/NAME.toml`.
-pub const EXPERIMENTS: &[(&str, &str)] = carried![
-    ".":
-    "quickstart",
-    "real-hex",
-    "real-hex-1",
-    "real-hex-2",
-    "real-hex-3",
-    "real-hex-4",
-    "real-hex-5",
-    "real-hex-6",
-    "real-random",
-    "touch-real-hex",
-    "touch-real-random",
-];
+pub const EXPERIMENTS: &[(&str, &str)] = carried!("experiments");
 
 /// Rig files in the program: name and text.
-pub const RIGS: &[(&str, &str)] = carried![
-    "rigs":
-    "virtual",
-    "iai-modbus-tcp",
-    "leadshine-rtu",
-    "oriental-az-rtu",
-    "skin-only",
-];
+pub const RIGS: &[(&str, &str)] = carried!("rigs");
 
 /// The differences of virtual skins from the model.
-pub const GAPS: &[(&str, &str)] = carried!["gaps": "gap-a", "gap-b", "gap-c", "gap-d"];
+pub const GAPS: &[(&str, &str)] = carried!("gaps");
 
 /// Sensor files in the program: name and text.
-pub const SENSORS: &[(&str, &str)] = carried!["sensors": "ert-28"];
+pub const SENSORS: &[(&str, &str)] = carried!("sensors");
 
 /// The definitions of datasets.
-pub const DATASETS: &[(&str, &str)] = carried![
-    "datasets":
-    "real",
-    "real-untouched",
-    "r2s-transfer",
-    "r2s-transfer-by-trial",
-    "s2s-recon",
-    "real-unseen",
-];
+pub const DATASETS: &[(&str, &str)] = carried!("datasets");
 
 /// The recipes of trainings.
-pub const RECIPES: &[(&str, &str)] = carried![
-    "recipes":
-    "transfer-net",
-    "transfer-net-published",
-    "recon-net",
-    "end-to-end",
-    "point-net",
-    "mlp",
-    "ridge",
-    "kernel-ridge",
-];
+pub const RECIPES: &[(&str, &str)] = carried!("recipes");
 
 /// All files, by their folder in `experiments/`.
 pub const FOLDERS: [(&str, &[(&str, &str)]); 6] = [
@@ -100,25 +60,7 @@ pub fn names(files: &'static [(&'static str, &'static str)]) -> impl Iterator<It
 
 #[cfg(test)]
 mod tests {
-    use std::collections::BTreeSet;
-    use std::path::Path;
-
     use super::*;
-
-    #[test]
-    fn every_file_of_a_folder_is_in_its_list() {
-        for (folder, files) in FOLDERS {
-            let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../experiments").join(folder);
-            let found = std::fs::read_dir(path).unwrap().map(|entry| entry.unwrap().path());
-            let found: BTreeSet<String> = found
-                .filter(|file| file.extension().is_some_and(|extension| extension == "toml"))
-                .map(|file| file.file_stem().unwrap().to_string_lossy().into())
-                .collect();
-            let listed: BTreeSet<String> = names(files).map(str::to_owned).collect();
-            assert_eq!(found, listed, "{folder}");
-            assert_eq!(listed.len(), files.len(), "{folder}: a name is listed twice");
-        }
-    }
 
     #[test]
     fn every_experiment_says_what_it_is_and_names_a_sensor_that_is_carried() {

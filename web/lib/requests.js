@@ -27,6 +27,7 @@ function choices(node, list, without) {
   node.value = isThere ? wanted : (all[0]?.[0] ?? '')
 }
 
+const USUAL_RECIPE = 'transfer-net'
 const DRAFT = 'palpate-draft-training'
 
 /**
@@ -36,7 +37,7 @@ const DRAFT = 'palpate-draft-training'
 export function trainingForm({ said, onstart, signal }) {
   const about = el('p', { className: 'soft' }),
     text = el('textarea', { id: 'tr-text', rows: 14, spellcheck: false })
-  const recipe = select([], '', () => {
+  const recipe = select([USUAL_RECIPE], USUAL_RECIPE, () => {
       begin()
       written()
     }),
@@ -78,7 +79,7 @@ export function trainingForm({ said, onstart, signal }) {
     for (const node of [epochs, rows, seed, name]) node.value = plainOf(text.value, node)
   }
   function begin() {
-    if (!chosen()) recipe.value = carried[0].name // That of an old address.
+    if (!chosen()) recipe.value = USUAL_RECIPE // That of an old address.
     for (const node of [dataset, map]) delete node.dataset.chosen
     const { text: begun, about: words, maps } = chosen()
     text.value = begun
@@ -157,7 +158,7 @@ export function trainingForm({ said, onstart, signal }) {
       )
       begin()
       const kept = keep('sessionStorage', DRAFT)
-      const usual = node => (node === recipe ? carried[0].name : plainOf(chosen().text, node) || (node === map ? (chosen().maps[0]?.map ?? '') : ''))
+      const usual = node => (node === recipe ? USUAL_RECIPE : plainOf(chosen().text, node) || (node === map ? (chosen().maps[0]?.map ?? '') : ''))
       write = keepForm(all, { usual, changed: node => (node === recipe ? begin() : change()), signal })
       // What was written into the text belongs to the fields that it had.
       const draft = kept && JSON.parse(kept)

@@ -71,7 +71,7 @@ mod tests {
         let recipes: Vec<CarriedRecipe> = RECIPES.iter().map(carried).collect();
         let with_maps = recipes.iter().filter(|recipe| recipe.maps.len() == TABLE_IV_MAPS.len());
         let names: Vec<&str> = with_maps.map(|recipe| recipe.name.as_str()).collect();
-        assert_eq!(names, ["recon-net", "end-to-end"]);
+        assert_eq!(names, ["end-to-end", "recon-net"]);
         for recipe in recipes {
             assert!(recipe.about.ends_with('.'), "{}", recipe.name);
             Recipe::from_toml(&recipe.name, &recipe.text).unwrap();

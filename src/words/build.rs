@@ -1,0 +1,34 @@
+//! Lists the files of `experiments/` that the program carries, folder by folder, in the order of their names.
+//! Uses: std alone. Never: the meaning of a file.
+
+use std::ffi::{OsStr, OsString};
+use std::path::{Path, PathBuf};
+use std::{env, fs, io};
+
+fn main() -> io::Result<()> {
+    println!("cargo::rerun-if-changed=../../experiments");
+    let root = fs::canonicalize("../../experiments")?;
+    list("experiments", &root)?;
+    for folder in ["rigs", "gaps", "sensors", "datasets", "recipes"] {
+        list(folder, &root.join(folder))?;
+    }
+    Ok(())
+}
+
+/// Writes the list of a folder as Rust: of each file its name without `.toml`, and its text.
+fn list(name: &str, folder: &Path) -> io::Result<()> {
+    let mut files = Vec::new();
+    for entry in fs::read_dir(folder)? {
+        let path = entry?.path();
+        if path.extension() == Some(OsStr::new("toml"))
+            && let Some(stem) = path.file_stem()
+        {
+            files.push((stem.to_owned(), path));
+        }
+    }
+    files.sort();
+    let row = |(stem, path): (OsString, PathBuf)| format!("({stem:?}, include_str!({path:?})),\n");
+    let rows: String = files.into_iter().map(row).collect();
+    let out = env::var("OUT_DIR").map_err(io::Error::other)?;
+    fs::write(Path::new(&out).join(format!("{name}.rs")), format!("&[{rows}]"))
+}
