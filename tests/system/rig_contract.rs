@@ -1,8 +1,8 @@
 //! One contract for every driver, kept against the virtual rig, which shares no codec with it:
 //! be looked at without a write, take control, home, move there, stop short, be refused beyond the
 //! limits, weigh, take frames, come back after an alarm and a power loss. Each rig file's own devices
-//! and wires are served: Modbus TCP, or RTU on pseudo-terminals. Every test that starts a rig takes its
-//! turn.
+//! and wires are served: Modbus TCP, or RTU on pseudo-terminals; each input module that the virtual
+//! rig's file does not name is put into it. Every test that starts a rig takes its turn.
 
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
@@ -11,6 +11,7 @@ use std::time::{Duration, Instant};
 
 use palpate::api::LockFile;
 use palpate::clock::Clock;
+use palpate::rig::MODULES;
 use palpate::rig::check::{Scope, check, run_on};
 use palpate::rig::config::{Guard, RigConfig};
 use palpate::rig::error::RigError;
@@ -27,10 +28,6 @@ use super::bench::{file, rig_args, tell, turn};
 const SPEED: f64 = 20.0;
 /// The longest that a motion or a homing of the virtual rig takes, wall time.
 const LIMIT: Duration = Duration::from_secs(20);
-
-async fn rig(name: &str, latch: &StopLatch) -> (VirtualRig, RigConfig, OpenBench, Clock) {
-    rig_of(name, file(&format!("rigs/{name}.toml")), latch).await
-}
 
 async fn rig_of(
     name: &str,
@@ -61,10 +58,10 @@ async fn until(axis: &Arc<dyn Axis>, what: &str, done: impl Fn(&AxisStatus) -> b
     ended.unwrap_or_else(|_| panic!("{}: {what} does not end", axis.name()))
 }
 
-async fn keeps_the_contract(name: &str) {
+async fn keeps_the_contract(name: &str, file: PathBuf) {
     let _turn = turn().await;
     let latch = StopLatch::new();
-    let (rig, config, open, clock) = rig(name, &latch).await;
+    let (rig, config, open, clock) = rig_of(name, file, &latch).await;
     let seen = check(&config, &open, &clock, Scope::Look).await;
     assert!(seen.is_sound() && !seen.enabled, "{seen}");
     let truth = tell(&rig, json!({ "cmd": "status" })).await;
@@ -174,7 +171,20 @@ async fn the_devices_of_every_rig_file_keep_the_contract() {
     assert!(names.iter().any(|name| name == "virtual"), "{names:?}");
     for name in names {
         println!("{name}");
-        keeps_the_contract(&name).await;
+        keeps_the_contract(&name, file(&format!("rigs/{name}.toml"))).await;
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn every_input_module_keeps_the_contract_with_the_axes_of_the_virtual_rig() {
+    let text = std::fs::read_to_string(file("rigs/virtual.toml")).unwrap();
+    let named = RigConfig::from_toml("virtual.toml", &text).unwrap().cells.device.as_str();
+    for name in MODULES.iter().map(|module| module.as_str()).filter(|name| *name != named) {
+        println!("{name}");
+        let changed = text.replacen(&format!("\"{named}\""), &format!("\"{name}\""), 1);
+        let path = Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("{name}.toml"));
+        std::fs::write(&path, changed).unwrap();
+        keeps_the_contract(name, path).await;
     }
 }
 
@@ -210,7 +220,7 @@ async fn a_drive_with_a_watchdog_stops_when_the_service_falls_silent() {
 async fn a_check_ends_with_stops_when_the_emergency_stop_is_latched() {
     let _turn = turn().await;
     let latch = StopLatch::new();
-    let (rig, config, _open, _clock) = rig("virtual", &latch).await;
+    let (rig, config, _open, _clock) = rig_of("virtual", file("rigs/virtual.toml"), &latch).await;
     let setup = config.into();
     let pressed = async {
         tokio::time::sleep(Duration::from_millis(400)).await;
