@@ -178,13 +178,12 @@ export function trainingForm({ said, onstart, signal }) {
   }
 }
 
-const USUAL_METHOD = 'voltages'
-
 /** Form of an evaluation. `knows({ datasets, models })` fills its choices. Its values are in the address. */
 export function evaluationForm({ said, onstart, signal }) {
   const about = el('p', { className: 'soft' })
   const methodOf = name => vocabulary.scored.find(one => one.name === name)
-  const scored = select(vocabulary.scored.map(one => one.name), USUAL_METHOD, () => {
+  const usualMethod = vocabulary.scored[0].name
+  const scored = select(vocabulary.scored.map(one => one.name), usualMethod, () => {
       delete dataset.dataset.chosen // Each method has the dataset that the paper scores it on.
       show()
       write(dataset)
@@ -199,13 +198,12 @@ export function evaluationForm({ said, onstart, signal }) {
       'mean',
       () => {}
     )
-  // A request names the model of each slot of a method, or the net of a quantity.
-  const models = Object.fromEntries(['transfer', 'map', 'points', 'net'].map(key => [key, select([], '', () => {})]))
-  const usesOf = method => (method.name === 'quantity' ? ['net'] : method.uses)
-  const keyOf = ({ task }) => {
-    const slot = slotOfTask(task)
-    return slot && isOfQuantity(slot) ? 'net' : slot?.name
-  }
+  // The keys of a request that name nets; a skin that is not named is the serving one.
+  const isOfNets = one => one.slots.every(slot => slotOf(slot).tasks.length)
+  const keysOf = method => method.models.filter(isOfNets)
+  const slotsOf = new Map(vocabulary.scored.flatMap(keysOf).map(one => [one.key, one.slots]))
+  const titleOf = (key, slots) => capital(slots.length === 1 ? slotOf(slots[0]).title : key)
+  const models = Object.fromEntries([...slotsOf.keys()].map(key => [key, select([], '', () => {})]))
   const number = props => el('input', { type: 'number', min: 1, ...props })
   const limit = number({ step: 1, placeholder: 'all' }),
     sd = number({ step: 'any', placeholder: 'any' })
@@ -213,33 +211,34 @@ export function evaluationForm({ said, onstart, signal }) {
     scored: field('What is scored', scored, 'ev-scored'),
     dataset: field('Dataset', dataset, 'ev-dataset'),
     part: field('Part', part, 'ev-part'),
-    ...Object.fromEntries(Object.entries(models).map(([key, node]) => [key, field(capital(slotOf(key)?.title ?? 'net of a quantity'), node, `ev-${key}`)])),
+    ...Object.fromEntries(Object.entries(models).map(([key, node]) => [key, field(titleOf(key, slotsOf.get(key)), node, `ev-${key}`)])),
     limit: field('Rows, taken evenly', limit, 'ev-limit'),
     frames: field('Frames', frames, 'ev-frames'),
     sd: field('Only contacts known to, mm', sd, 'ev-sd'),
   }
   let known = { datasets: [], models: [] }
   function show() {
-    if (!methodOf(scored.value)) scored.value = USUAL_METHOD
+    if (!methodOf(scored.value)) scored.value = usualMethod
     const method = methodOf(scored.value)
     say(about, `${capital(method.about)}.`)
     for (const [key, node] of Object.entries(models)) {
-      fields[key].hidden = !usesOf(method).includes(key)
-      const fit = known.models.filter(model => keyOf(model) === key).map(model => [model.id, `${model.name} · ${model.id}`])
-      const mustName = key === 'net' || method.must_name.includes(key)
-      choices(node, fit, mustName ? (fit.length ? null : 'none is trained yet') : 'none')
+      const used = keysOf(method).find(one => one.key === key)
+      fields[key].hidden = !used
+      const fit = known.models.filter(model => slotsOf.get(key).includes(slotOfTask(model.task)?.name)).map(model => [model.id, `${model.name} · ${model.id}`])
+      choices(node, fit, used?.required ? (fit.length ? null : 'none is trained yet') : 'none')
     }
-    fields.sd.hidden = scored.value !== 'exact'
+    fields.sd.hidden = !method.states_sd
     if (!dataset.dataset.chosen && [...dataset.options].some(option => option.value === method.dataset)) dataset.value = method.dataset
   }
   const start = actor(
     'Evaluate',
     said,
     async () => {
+      const method = methodOf(scored.value)
       const named = Object.fromEntries(
-        Object.entries(models)
-          .filter(([key, { value }]) => usesOf(methodOf(scored.value)).includes(key) && value)
-          .map(([key, { value }]) => [key, value])
+        keysOf(method)
+          .map(({ key }) => [key, models[key].value])
+          .filter(([, value]) => value)
       )
       const job = await once('/evaluations', {
         scored: scored.value,
@@ -248,7 +247,7 @@ export function evaluationForm({ said, onstart, signal }) {
         ...named,
         ...(part.value && { part: part.value }),
         ...(limit.value && { limit: Number(limit.value) }),
-        ...(scored.value === 'exact' && sd.value && { place_sd_mm: Number(sd.value) }),
+        ...(method.states_sd && sd.value && { place_sd_mm: Number(sd.value) }),
       })
       onstart(job)
       return job

@@ -46,9 +46,12 @@ export function servingPart() {
   }
 }
 
+// The methods that need models of a net, or none.
+const methodsBy = wanted => vocabulary.methods.filter(method => method.needs.some(slot => slotOf(slot).tasks.length) === wanted).map(method => method.name).join(', ')
+
 const howTo = () => panel('No model serves yet', { className: 'welcome' },
   el('p', {}, 'The frames come, but nothing says yet what touches the skin. There are two ways to get it:'),
   el('ol', { className: 'steps' },
     el('li', {}, 'Fit the model to this skin from a stored run with ', el('code', {}, 'palpate calibrate skin --run 1 --out skin.toml'),
-      ', then add and promote the file. The method exact then works, and knows its uncertainty.'),
-    el('li', {}, 'Train a net on a dataset and promote it: ', link('/nets', 'the nets'), '. The methods fast and paper then work.')))
+      `, then add and promote the file. Methods that then work: ${methodsBy(false)}.`),
+    el('li', {}, 'Train a net on a dataset and promote it: ', link('/nets', 'the nets'), `. Methods that then work: ${methodsBy(true)}.`)))

@@ -70,7 +70,7 @@ export async function show(root, { query, signal, set }) {
     if (!wanted) return
     cut = new AbortController()
     const until = AbortSignal.any([signal, cut.signal])
-    socket('/live', { signal: until, raw: true, rest: true, query: { method: wanted, map: wanted === 'paper' || null }, onmessage(text) {
+    socket('/live', { signal: until, raw: true, rest: true, query: { method: wanted, map: method.uses.includes('map') || null }, onmessage(text) {
       if (until.aborted) return
       newest = text
       arrived += 1
@@ -128,7 +128,7 @@ export async function show(root, { query, signal, set }) {
       ['Latency', rates.latency], ['Answers', rates.answers], ['Drawn', rates.drawn],
     ])
     lists.hidden = !answer
-    const list = answer?.method === 'fast' ? proposed : placed
+    const list = answer?.contacts.some(contact => contact.presence != null) ? proposed : placed
     if (lists.firstChild !== list.node) fill(lists, list.node)
     const contacts = [...answer?.contacts ?? []].sort((a, b) => a.number - b.number)
     const text = JSON.stringify([list === proposed, contacts])

@@ -76,10 +76,23 @@ pub struct ScoredWord {
     pub about: &'static str,
     /// Slots that it uses.
     pub uses: Vec<Slot>,
-    /// Slots whose model a request must name.
-    pub must_name: Vec<Slot>,
+    /// Keys of a request that name its models.
+    pub models: Vec<ModelKey>,
+    /// Whether it states the standard deviation of each contact, which `place_sd_mm` of a request limits.
+    pub states_sd: bool,
     /// Name of the dataset on which the paper scores it; null if it does not.
     pub dataset: Option<&'static str>,
+}
+
+/// A key of a request for an evaluation that names a model.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, ToSchema)]
+pub struct ModelKey {
+    /// Name of the key.
+    pub key: &'static str,
+    /// Slots of the models that it can name.
+    pub slots: Vec<Slot>,
+    /// Whether a request must have it.
+    pub required: bool,
 }
 
 /// A slot for promotions.
@@ -185,9 +198,26 @@ impl From<Scored> for ScoredWord {
             name: scored.name(),
             about: scored.about(),
             uses: scored.slots().to_vec(),
-            must_name: scored.named_slots().to_vec(),
+            models: ModelKey::of(scored),
+            states_sd: scored.is_fit(),
             dataset: scored.usual_dataset(),
         }
+    }
+}
+
+impl ModelKey {
+    /// The keys of what is scored: one for each slot that it uses, or `net`.
+    fn of(scored: Scored) -> Vec<Self> {
+        if scored == Scored::Quantity {
+            let slots = Slot::ALL.into_iter().filter(|slot| slot.is_quantity()).collect();
+            return vec![Self { key: "net", slots, required: true }];
+        }
+        let of_slot = |slot: &Slot| Self {
+            key: slot.name(),
+            slots: vec![*slot],
+            required: scored.named_slots().contains(slot),
+        };
+        scored.slots().iter().map(of_slot).collect()
     }
 }
 
@@ -237,7 +267,13 @@ mod tests {
         let named = |slot: &SlotWord| slot.methods.is_empty() && slot.tasks == [slot.name.name()];
         assert!(quantities.len() == 4 && quantities.iter().all(named));
         let fast = words.scored.iter().find(|scored| scored.name == "fast").unwrap();
-        assert_eq!((&*fast.must_name, fast.dataset), (&[Slot::Points][..], Some("real-unseen")));
+        let points = ModelKey { key: "points", slots: vec![Slot::Points], required: true };
+        assert_eq!((&*fast.models, fast.dataset), (&[points][..], Some("real-unseen")));
+        let exact = words.scored.iter().find(|scored| scored.name == "exact").unwrap();
+        assert!(exact.states_sd && !fast.states_sd);
+        assert!(exact.models.iter().all(|model| !model.required), "the serving skin is used");
+        let quantity = words.scored.iter().find(|scored| scored.name == "quantity").unwrap();
+        assert_eq!((quantity.models[0].key, quantity.models[0].slots.len()), ("net", 4));
         assert_eq!((words.maps.len(), words.maps[0].name.as_str()), (12, "4x20"));
         let flags: Vec<&str> = words.flags.iter().map(|flag| flag.name).collect();
         assert!(flags.contains(&"still_cell") && flags.len() == Flag::ALL.len());

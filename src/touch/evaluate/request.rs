@@ -96,7 +96,8 @@ impl Scored {
         }
     }
 
-    fn is_fit(self) -> bool {
+    /// Whether it fits contacts and states the standard deviation of each.
+    pub fn is_fit(self) -> bool {
         matches!(self, Self::Method(method) if method.is_fit())
     }
 }
