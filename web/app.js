@@ -6,7 +6,6 @@ import { actOnRig, actor, modal, outcome, sureHome } from './lib/actions.js'
 import { button, el, fill, link, note, say } from './lib/dom.js'
 import { capital, clock, momentBand, percent, plain, span, steadyCountOf } from './lib/format.js'
 import { steadyEnds } from './lib/eta.js'
-import { kindOf } from './lib/kinds.js'
 import { live, start } from './lib/live.js'
 import { READ_KEYS } from './lib/readkeys.js'
 import { readVocabulary } from './lib/vocabulary.js'
@@ -207,7 +206,7 @@ function needs(rig, run) {
   // After a trip the position of the axes is not known, whether a run waits for it or not.
   wasTripped = rig.trip != null || wasTripped && rig.state === 'disarmed'
   const mustHome = rig.state === 'disarmed' && rig.has_stage !== false && (wasTripped || run?.paused_why === 'trip')
-    && !(run && kindOf(run.uid) === 'real-random')
+    && !run?.is_manual
   if (run?.state === 'panicked') words.push('The tips could not be raised: check the rig.')
   else if (rig.safe_end?.tips === 'not_raised') words.push(`The tips are NOT raised: ${rig.safe_end.why}`)
   if (rig.trip) {

@@ -2,7 +2,6 @@
 
 import { Refused, once, person, send } from './api.js'
 import { button, el, fill, note, say } from './dom.js'
-import { kindOf } from './kinds.js'
 import { live, who } from './live.js'
 import { lockWords, locked } from './lock.js'
 
@@ -102,13 +101,19 @@ export const actOnRun = (run, action, more = {}) => send(`/runs/${run}/actions`,
 /** An action on the rig. Homing is not repeated after a failed connection: the axes must not move long after the press. */
 export const actOnRig = (action, more = {}) => (action === 'home' ? send : once)('/rig/actions', { action, who: who(), ...more }, { wait: action === 'home' ? 4000 : 15_000 })
 
+/** Why the rig or its run would refuse an action now, in the service's words; '' if they would not. */
+export const refusal = ({ rig_actions }, action) => {
+  const found = rig_actions.find(one => one.action === action)
+  return found ? found.refused ?? '' : 'this rig has no such action'
+}
+
 /** Asks before the axes of a real rig are homed; closes if they may no longer be. */
 export const sureHome = () => live.status?.rig.label === 'virtual' || confirm('Home the axes?', 'They move. Keep hands and tools away from the rig.', 'Home',
-  ({ rig }) => !['tripped', 'disconnected'].includes(rig.state))
+  status => !refusal(status, 'home'))
 
 /** Whether a paused run can resume on this rig: with a stage it must be homed, except for weights that a person places. */
 function mayResume(run, rig) {
-  if (rig.state === 'disarmed') return rig.has_stage === false || kindOf(run.uid) === 'real-random'
+  if (rig.state === 'disarmed') return rig.has_stage === false || run.is_manual
   return !['tripped', 'disconnected'].includes(rig.state)
 }
 

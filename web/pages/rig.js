@@ -3,11 +3,11 @@
 
 import { hold } from '../lib/address.js'
 import { once, get } from '../lib/api.js'
-import { actOnRig, actor, outcome, sureHome } from '../lib/actions.js'
+import { actOnRig, actor, outcome, refusal, sureHome } from '../lib/actions.js'
 import { chain, lastWord, stopWords, stoppingWords, streamWords, wireWords } from '../lib/chain.js'
 import { copyButton } from '../lib/copybutton.js'
 import { el, facts, fill, panel, say, select, sleep } from '../lib/dom.js'
-import { count, fixed, moment, plain } from '../lib/format.js'
+import { capital, count, fixed, moment, plain } from '../lib/format.js'
 import { forceBars } from '../lib/forces.js'
 import { jog, stepsOf } from '../lib/jog.js'
 import { live, who } from '../lib/live.js'
@@ -22,28 +22,12 @@ const ACTIONS = [['connect', 'Connect', 'Opens the wires and asks every device w
   ['tare', 'Tare', 'Takes the present output of the cells as zero: nothing may touch the tips.'],
   ['reset', 'Reset', 'Acknowledges the trip after its cause is cleared. Nothing moves.'], ['disconnect', 'Disconnect', 'Closes the wires.']]
 
-const STAGE = ['home', 'tare', 'tips', 'jog']
-
-/** Why an action of the rig cannot be done now, as words; '' if it can. */
-function forbidden(action, { rig, run }, fresh) {
+/** Why this caller cannot do an action of the rig now, as words; '' if it can. */
+function forbidden(action, status, fresh) {
   if (!fresh) return 'No connection.'
   if (!live.may('operator')) return 'It needs the role operator.'
-  if (lockWords()) return lockWords()
-  const { state } = rig, is = plain(state)
-  if (rig.has_stage === false && STAGE.includes(action)) return 'This rig is a skin and its readout alone: there is no stage.'
-  // A run that tripped waits for exactly these two.
-  const mends = action === 'reset' || action === 'home' && run?.paused_why === 'trip'
-  if (run && !mends) return `Run ${run.scan_id} holds the rig: end it, or wait for its end.`
-  const needs = { connect: ['disconnected'], home: ['disarmed', 'homed'], jog: ['homed'], reset: ['tripped'], check: ['disconnected'],
-    disconnect: ['disarmed', 'homed', 'tripped'], tare: ['disarmed', 'homed', 'tripped'], tips: ['disarmed', 'homed', 'tripped'] }[action]
-  if (needs.includes(state)) return ''
-  if (action === 'reset') return 'Nothing to reset: the rig is not tripped.'
-  if (action === 'connect') return 'The wires are open already.'
-  if (action === 'check') return 'The check opens the wires itself: disconnect first.'
-  if (state === 'disconnected') return 'Connect first.'
-  if (state === 'tripped') return 'The rig is tripped: clear the cause, then reset.'
-  if (state === 'disarmed') return 'Home first: the position of the axes is not known.'
-  return `Not while the rig is ${is}.`
+  const words = refusal(status, action)
+  return lockWords() || words && `${capital(words)}.`
 }
 
 /** Shows the page. */
@@ -98,9 +82,9 @@ export async function show(root, { query, signal, set }) {
   // What would be refused is not offered: a viewer sees the state alone.
   const viewer = el('p', { className: 'soft' }, 'You see what the rig does. To act you need the key of an operator.')
   const showRole = () => {
-    const still = live.status?.rig.has_stage === false
-    for (const node of [acts, pad.node, tips, checks]) node.hidden = !live.may('operator') || still && (node === pad.node || node === tips)
-    for (const row of rows) row.node.hidden = still && STAGE.includes(row.action)
+    const has = action => live.status?.rig_actions.some(one => one.action === action) ?? true
+    for (const [node, action] of [[acts], [pad.node, 'jog'], [tips, 'tips'], [checks]]) node.hidden = !live.may('operator') || Boolean(action) && !has(action)
+    for (const row of rows) row.node.hidden = !has(row.action)
     viewer.hidden = live.may('operator')
   }
   const tips = panel('Tips', {}, el('div', { className: 'row' }, el('label', { className: 'inline', htmlFor: 'rig-tips' }, 'Mounted on arms 1 to'),

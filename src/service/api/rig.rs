@@ -1,5 +1,5 @@
 //! Manual actions on the rig: connect, home, jog, tare, reset, check.
-//! Uses: `campaign::shown::command`, `rig::check`. Never: motion except through the campaign.
+//! Uses: `campaign::shown::{command, rig_action}`, `rig::check`. Never: motion except through the campaign.
 
 use axum::Json;
 use axum::extract::State;
@@ -13,8 +13,15 @@ use super::audit::Act;
 use super::problem::{ApiError, Body, ProblemBody};
 use crate::campaign::bench::rig_state::RigState;
 use crate::campaign::shown::command::Request;
+use crate::campaign::shown::rig_action::RigAction;
+use crate::campaign::shown::status::Status;
 use crate::rig::check::{self, CheckReport, Scope};
 use crate::rig::error::RigError;
+
+/// Refusal of a connection by a service without a rig.
+const DESK: &str = "this service was started for data, without the rig: use `palpate serve`";
+/// Refusal of a check of an open rig.
+const CONNECTED: &str = "the rig is connected: disconnect it before a check";
 
 /// Request for an action on the rig.
 #[derive(Debug, Clone, Deserialize, ToSchema)]
@@ -33,38 +40,29 @@ pub struct RigActionRequest {
     pub why: Option<String>,
 }
 
-/// Manual action on the rig.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum RigAction {
-    /// Open the wires.
-    Connect,
-    /// Close the wires.
-    Disconnect,
-    /// Home all axes, z first.
-    Home,
-    /// Move one axis.
-    Jog,
-    /// Measure the output of the load cells without load; in a manual run, the frame of the untouched skin.
-    Tare,
-    /// Enter the number of mounted tips.
-    Tips,
-    /// Acknowledge a trip.
-    Reset,
+/// Whether an action on the rig is possible now.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, ToSchema)]
+pub struct RigActionStatus {
+    /// Name of the action, as in a request; `check` is a check of the rig.
+    pub action: &'static str,
+    /// Why the rig or its run would refuse it, as text; null if they would not. While the rig moves outside a
+    /// run, every action is refused.
+    pub refused: Option<String>,
 }
 
-impl RigAction {
-    fn name(self) -> &'static str {
-        match self {
-            RigAction::Connect => "connect",
-            RigAction::Disconnect => "disconnect",
-            RigAction::Home => "home",
-            RigAction::Jog => "jog",
-            RigAction::Tare => "tare",
-            RigAction::Tips => "tips",
-            RigAction::Reset => "reset",
-        }
-    }
+/// The actions that this rig has, each with the reason why it would be refused now.
+pub(super) fn actions(status: &Status, desk: bool) -> Vec<RigActionStatus> {
+    let actions = RigAction::ALL.into_iter();
+    let actions = actions.filter(|action| status.rig.has_stage || !action.needs_stage());
+    let actions = actions.map(|action| {
+        let at_a_desk = (desk && action == RigAction::Connect).then(|| DESK.to_owned());
+        let refused = at_a_desk.or_else(|| action.refused(status));
+        RigActionStatus { action: action.as_str(), refused }
+    });
+    let is_connected = status.rig.state != RigState::Disconnected;
+    let check =
+        RigActionStatus { action: "check", refused: is_connected.then(|| CONNECTED.to_owned()) };
+    actions.chain([check]).collect()
 }
 
 /// Options of a check of the rig.
@@ -94,11 +92,10 @@ pub async fn act(
     Body(asked): Body<RigActionRequest>,
 ) -> Result<StatusCode, ApiError> {
     act.stated(asked.who.as_deref(), asked.why.as_deref());
-    act.named(asked.action.name());
+    act.named(asked.action.as_str());
     let request = match asked.action {
         RigAction::Connect if app.facts.desk => {
-            let words = "this service was started for data, without the rig: use `palpate serve`";
-            return Err(ApiError::new(StatusCode::CONFLICT, words));
+            return Err(ApiError::new(StatusCode::CONFLICT, DESK));
         }
         RigAction::Connect => Request::Connect,
         RigAction::Disconnect => Request::Disconnect,
@@ -159,7 +156,7 @@ async fn checked(app: &App, enable: bool) -> Result<CheckReport, ApiError> {
     let Some(_wires) = wires.take() else {
         let is_connected = app.campaign.status().rig.state != RigState::Disconnected;
         return Err(conflict(if is_connected {
-            "the rig is connected: disconnect it before a check"
+            CONNECTED
         } else {
             "another check is active, or the rig is connecting: wait for its end"
         }));

@@ -12,6 +12,7 @@ use utoipa::ToSchema;
 use super::App;
 use super::people::LockOut;
 use super::problem::ApiError;
+use super::rig::{self, RigActionStatus};
 use super::suspenders::{Readings, Suspender};
 use crate::campaign::shown::status::Status;
 use crate::conductor::room;
@@ -25,6 +26,9 @@ pub struct ServiceStatus {
     /// Status of rig and run.
     #[serde(flatten)]
     pub campaign: Status,
+    /// Actions that this rig has, each with the reason why it would be refused now. The role of a key and the
+    /// operator lock may refuse more.
+    pub rig_actions: Vec<RigActionStatus>,
     /// Version and process of the service.
     pub service: ServiceInfo,
     /// The operator lock; absent if it is free.
@@ -163,6 +167,7 @@ impl App {
         let of_run = campaign.run.as_ref().map_or(0, |run| run.needed_bytes);
         let needed_bytes = of_run + stored.queue_bytes;
         ServiceStatus {
+            rig_actions: rig::actions(&campaign, self.facts.desk),
             campaign,
             service,
             lock: stored.lock.map(LockOut::from),

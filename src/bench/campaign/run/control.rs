@@ -278,7 +278,7 @@ impl Control {
 
     fn take_up_while_moving(&mut self, envelope: Envelope) -> Option<RunAction> {
         let Envelope { request, answer, .. } = envelope;
-        self.operated |= request.is_of_rig();
+        self.operated |= request.rig_action().is_some();
         let idle = self.run == RunState::Idle;
         let outcome = match self.run_request(&request) {
             // Homing or jogging outside a run also ends when the service ends, or by an abort.

@@ -14,6 +14,7 @@ use tracing::Span;
 use crate::campaign::bench::estop::StopSwitch;
 use crate::campaign::run::job::Job;
 use crate::campaign::shown::placement::Confirmation;
+use crate::campaign::shown::rig_action::RigAction;
 use crate::campaign::shown::samples::{ForceSample, Samples};
 use crate::campaign::shown::status::{Done, Status};
 use crate::record::Untouched;
@@ -84,16 +85,16 @@ pub enum Request {
 }
 
 impl Request {
-    /// Whether it concerns the rig, not a run: a person operates the rig.
-    pub fn is_of_rig(&self) -> bool {
+    /// The action on the rig that it requests: a person operates the rig. None for a request to a run.
+    pub fn rig_action(&self) -> Option<RigAction> {
         match self {
-            Self::Connect
-            | Self::Disconnect
-            | Self::Home
-            | Self::Jog { .. }
-            | Self::Tare
-            | Self::Reset
-            | Self::Mounted { .. } => true,
+            Self::Connect => Some(RigAction::Connect),
+            Self::Disconnect => Some(RigAction::Disconnect),
+            Self::Home => Some(RigAction::Home),
+            Self::Jog { .. } => Some(RigAction::Jog),
+            Self::Tare => Some(RigAction::Tare),
+            Self::Reset => Some(RigAction::Reset),
+            Self::Mounted { .. } => Some(RigAction::Tips),
             Self::Start(_)
             | Self::PauseAtCheckpoint
             | Self::PauseNow
@@ -103,7 +104,7 @@ impl Request {
             | Self::Abort
             | Self::Confirm { .. }
             | Self::Repeat { .. }
-            | Self::Shutdown => false,
+            | Self::Shutdown => None,
         }
     }
 }

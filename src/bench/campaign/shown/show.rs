@@ -19,6 +19,7 @@ use crate::journal::Progress;
 use crate::rig::link::{Line, LineCounts};
 use crate::rig::setup::RigSetup;
 use crate::rig::traits::{Frame, SkinReader};
+use crate::schedule::plan::Kind;
 use crate::state::StoredState;
 
 /// Shortest time between two frames of the live view, wall: less than one frame period of a rig at
@@ -59,6 +60,7 @@ pub fn started(job: &Job) -> RunStatus {
         uid: job.run,
         scan_id: job.scan_id,
         experiment: job.plan.experiment.clone(),
+        is_manual: job.plan.kind == Kind::RealRandom,
         state: StoredState::Idle,
         requested_state: None,
         paused_why: None,

@@ -127,6 +127,8 @@ pub struct RunStatus {
     pub scan_id: i64,
     /// Name of the experiment.
     pub experiment: String,
+    /// Whether a person places its weights; the run then moves nothing.
+    pub is_manual: bool,
     /// State that the run has reached.
     pub state: StoredState,
     /// State that was requested; null once it is reached.

@@ -10,7 +10,7 @@ use tokio::sync::OwnedMutexGuard;
 
 use super::{Answer, Connection, Engine, Owed, no_stage, no_wires, trip_of};
 use crate::campaign::bench::interlock::{self, Trip, TripKind};
-use crate::campaign::bench::rig_state::{RigEvent, RigState};
+use crate::campaign::bench::rig_state::RigEvent;
 use crate::campaign::bench::stage::{AxisName, Stage};
 use crate::campaign::bench::tare;
 use crate::campaign::bench::travel::Target;
@@ -36,8 +36,10 @@ impl Engine {
     /// Accepts a request that concerns only the rig.
     pub(super) async fn rig_request(&mut self, envelope: Envelope) {
         let Envelope { request, answer, asked_in: _, presses } = envelope;
-        if let Err(refusal) = self.allowed(&request) {
-            let _ = answer.send(Err(refusal));
+        let (state, has_stage) = (self.control.rig(), self.config.bench().is_some());
+        let action = request.rig_action();
+        if let Some(words) = action.and_then(|action| action.refused_by_rig(state, has_stage)) {
+            let _ = answer.send(Err(Refusal::State(words)));
             return;
         }
         // Opening the wires answers with its result; motions answer when accepted.
@@ -63,44 +65,13 @@ impl Engine {
             },
             Request::Tare => self.tare().await,
             Request::Mounted { tips, who } => self.mounted(tips, &who).await,
-            // Of a run. Which requests these are, `Request::is_of_rig` states.
+            // Of a run. Which requests these are, `Request::rig_action` states.
             _ => {
                 let words = format!("{} is not possible: no run is active", name(&request));
                 Err(Refusal::State(words))
             }
         };
         let _ = answer.send(outcome);
-    }
-
-    fn allowed(&self, request: &Request) -> Result<(), Refusal> {
-        let rig = self.control.rig();
-        let ok = match request {
-            Request::Connect => rig == RigState::Disconnected,
-            Request::Home => matches!(rig, RigState::Disarmed | RigState::Homed),
-            Request::Jog { .. } => rig == RigState::Homed,
-            Request::Tare | Request::Mounted { .. } => rig != RigState::Disconnected,
-            Request::Reset => rig == RigState::Tripped,
-            Request::Disconnect => rig != RigState::Armed,
-            // Refused by `rig_request`.
-            _ => true,
-        };
-        let words = || match request {
-            Request::Reset => format!("the rig is {}, not tripped: nothing to reset", rig.as_str()),
-            request => format!(
-                "{} is not possible while the rig is {}: {}",
-                name(request),
-                rig.as_str(),
-                rig.next()
-            ),
-        };
-        let needs_stage = matches!(
-            request,
-            Request::Home | Request::Jog { .. } | Request::Tare | Request::Mounted { .. }
-        );
-        if needs_stage && self.config.bench().is_none() {
-            return Err(no_stage());
-        }
-        if ok { Ok(()) } else { Err(Refusal::State(words())) }
     }
 
     /// Closes the wires, unless a stop or a raise is still pending.

@@ -31,6 +31,7 @@ use crate::campaign::run::run_state::{PausedWhy, RunState};
 use crate::campaign::safe_end::{self, Height};
 use crate::campaign::shown::command::{Envelope, Handle, Refusal, Request, channel};
 use crate::campaign::shown::placement::Confirmation;
+use crate::campaign::shown::rig_action::{NO_STAGE, NO_WIRES};
 use crate::campaign::shown::show;
 use crate::campaign::spans::run_span;
 use crate::clock::Clock;
@@ -377,9 +378,9 @@ fn backoff(job: &Job, resumes: u32) -> Duration {
 }
 
 fn no_stage() -> Refusal {
-    Refusal::State("the rig is a skin alone: it has no stage and no cells".into())
+    Refusal::State(NO_STAGE.into())
 }
 
 fn no_wires() -> Refusal {
-    Refusal::State("the rig is disconnected".into())
+    Refusal::State(NO_WIRES.into())
 }

@@ -27,7 +27,6 @@ impl Engine {
         attempts: &mut Attempts,
         passing: Option<&mut u32>,
     ) -> Next {
-        self.control.phase(Phase::Wait);
         let waits_for = {
             let status = self.control.inbox.status.borrow();
             status.run.as_ref().and_then(|run| run.waiting_for.clone())
@@ -40,12 +39,14 @@ impl Engine {
             if self.control.leaving() {
                 return Next::Leave;
             }
+            // Again after each raise: what the rig refuses follows from the phase.
+            self.control.phase(Phase::Wait);
             let waited = tokio::select! {
                 envelope = self.control.inbox.next() => match envelope {
                     Some(envelope) => {
                         // The request may close the wires: no window keeps them.
                         window.set(next_window(None));
-                        if envelope.request.is_of_rig() {
+                        if envelope.request.rig_action().is_some() {
                             self.end_automatic(&mut automatic, Some(BY_HAND.into()));
                         }
                         let waited = self.waiting_request(job, envelope, attempts.last).await;
@@ -115,7 +116,6 @@ impl Engine {
             }
         }
         let action = self.control.run_event(RunEvent::Raised).ok()?;
-        self.control.phase(Phase::Wait);
         match action {
             RunAction::End(status) => Some(Waited::Ended(status)),
             RunAction::Continue | RunAction::Raise | RunAction::Wait => None,
@@ -166,6 +166,14 @@ impl Engine {
         let why = self.control.run().why();
         let needs_person = matches!(why, Some(PausedWhy::TipChange | PausedWhy::ManualTrial));
         let Envelope { request, answer, asked_in, presses } = envelope;
+        let refused = request.rig_action().and_then(|action| {
+            let status = self.control.inbox.status.borrow();
+            action.refused(&status)
+        });
+        if let Some(words) = refused {
+            let _ = answer.send(Err(Refusal::State(words)));
+            return None;
+        }
         match request {
             Request::Resume if !needs_person => {
                 let resumed = self.resume(job, Some(&answer)).await;
@@ -247,17 +255,6 @@ impl Engine {
             }
             Request::Tare if job.plan.kind == Kind::RealRandom => {
                 self.tare_skin(answer);
-                None
-            }
-            // Tips that are entered now would let the next run press at once, on weights.
-            Request::Home | Request::Jog { .. } | Request::Mounted { .. }
-                if job.plan.kind == Kind::RealRandom =>
-            {
-                let words = format!(
-                    "{} is not possible during a manual run: hands may be on the skin; end the run first",
-                    name(&request)
-                );
-                let _ = answer.send(Err(Refusal::State(words)));
                 None
             }
             Request::Connect
