@@ -1,5 +1,5 @@
 // Live: what is touching the skin? Contacts of the live frames at up to 30 per second, how sure they are, which
-// model answers; a recording of the raw frames. Its address: method, scale, zoom-total.
+// model answers; quantities by promoted nets; a recording of the raw frames. Its address: method, scale, zoom-total.
 
 import { get, socket } from '../lib/api.js'
 import { changing } from '../lib/changing.js'
@@ -8,6 +8,7 @@ import { el, fill, panel, say, select, sleep } from '../lib/dom.js'
 import { counted, fixed } from '../lib/format.js'
 import { round125 } from '../lib/frame.js'
 import { live } from '../lib/live.js'
+import { quantityPart } from '../lib/quantities.js'
 import { recorder } from '../lib/recording.js'
 import { bestMethod, lacks, needWords, servingPart } from '../lib/serves.js'
 import { sensor } from '../lib/skin.js'
@@ -41,7 +42,7 @@ export async function show(root, { query, signal, set }) {
   const scales = select(SCALES, state.scale ?? '', value => set({ scale: value }), { 'aria-label': 'Force at the end of the colours' })
   const methods = select([['', 'Best that serves'], ...vocabulary.methods.map(one => [one.name, one.name])], state.method ?? '', value => set({ method: value }),
     { 'aria-label': 'Method' })
-  const sure = el('p', { className: 'answer sure' }), numbers = el('div'), serves = servingPart()
+  const sure = el('p', { className: 'answer sure' }), numbers = el('div'), serves = servingPart(), quantities = quantityPart({ signal })
   const columns = [
     { head: 'Contact', cell: c => String(c.number) }, { head: 'x', unit: 'mm', cell: c => spread(c.x_mm, c.x_sd_mm) },
     { head: 'y', unit: 'mm', cell: c => spread(c.y_mm, c.y_sd_mm) }, { head: 'Force', unit: 'N', cell: c => spread(c.force_n, c.force_sd_n) },
@@ -55,7 +56,7 @@ export async function show(root, { query, signal, set }) {
   const colours = el('label', { className: 'inline' }, 'Colours up to', scales)
   const picture = el('section', { className: 'live' }, el('div', { className: 'row tight' }, colours), map.node)
   const touched = el('section', { className: 'live touched' }, total.node)
-  const beside = el('div', { className: 'column' }, now, touched, serves.node, recorder({ signal }))
+  const beside = el('div', { className: 'column' }, now, touched, quantities.node, serves.node, recorder({ signal }))
   const page = el('div', { className: 'columns live-columns' }, picture, beside)
   fill(root, serves.none, page)
 
@@ -134,6 +135,7 @@ export async function show(root, { query, signal, set }) {
     const text = JSON.stringify([list === proposed, contacts])
     if (text !== listed) { listed = text; list.show(contacts) }
     if (trace.at.length > 5) total.set([trace.at, trace.total])
+    quantities.tell()
   }
   const missing = method => method ? { tone: 'warn', words: `${method.name} ${needWords(method, serving)} that serves.` }
     : { tone: 'soft', words: 'No model is active: contacts cannot be estimated.' }
@@ -152,6 +154,7 @@ export async function show(root, { query, signal, set }) {
           serving = await get('/serving', {}, { signal })
           tellServing()
           listen()
+          quantities.follow(serving)
         } catch (error) { if (!signal.aborted) serves.failed(error) }
       }
       await sleep(SERVING_MS, signal)

@@ -1,0 +1,62 @@
+// Quantities of the live frames: what the promoted nets of a position, pattern, count or force answer. The page Live
+// shows them while such a net serves.
+
+import { socket } from './api.js'
+import { changing } from './changing.js'
+import { el, panel, say } from './dom.js'
+import { count, fixed } from './format.js'
+import { vocabulary } from './vocabulary.js'
+
+const STALE_MS = 2000
+
+const place = ([x, y]) => `${fixed(x, 1)}, ${fixed(y, 1, 'mm')}`
+const places = found => found.map(place).join('; ') || 'none'
+
+/** How sure the answers are, as words. */
+function sureWords(answer, old) {
+  if (!answer) return 'No answer yet: frames come while the rig is connected.'
+  if (answer.error) return `The nets failed: ${answer.error}`
+  if (old) return 'Outdated: no answer for some seconds.'
+  return answer.outside?.length ? `Unsure: ${answer.outside.join('; ')}.` : ''
+}
+
+/** Makes the panel. `follow(serving)` opens the stream while a net of a quantity serves; `tell()` shows the newest answer. */
+export function quantityPart({ signal }) {
+  const numbers = el('div'), sure = el('p', { className: 'soft' })
+  const node = panel('Quantities', { className: 'live', hidden: true }, numbers, sure)
+  // No method uses these nets: they answer the frame itself.
+  const isQuantity = slot => slot.tasks.length > 0 && slot.methods.length === 0
+  const slots = vocabulary.slots.filter(isQuantity).map(slot => slot.name)
+  let cut = null, newest = null, at = 0
+
+  function follow({ serves }) {
+    const isServed = serves.some(one => one.what && slots.includes(one.slot))
+    if (isServed === Boolean(cut)) return
+    node.hidden = !isServed
+    cut?.abort()
+    cut = isServed ? new AbortController() : null
+    newest = null
+    if (!cut) return
+    const until = AbortSignal.any([signal, cut.signal])
+    socket('/live/quantities', { signal: until, raw: true, rest: true, onmessage(text) {
+      if (until.aborted) return
+      newest = text
+      at = Date.now()
+    } })
+  }
+
+  function tell() {
+    if (node.hidden) return
+    const answer = newest && JSON.parse(newest), old = answer && Date.now() - at > STALE_MS
+    numbers.classList.toggle('old', Boolean(old))
+    say(sure, sureWords(answer, old))
+    if (!answer || answer.error) return
+    changing(numbers, [
+      answer.position_mm && ['Position', place(answer.position_mm)],
+      answer.pressed_mm && ['Pressed places', places(answer.pressed_mm)],
+      answer.count != null && ['Number', count(answer.count)],
+      answer.force_n != null && ['Sum of forces', fixed(answer.force_n, 1, 'N')],
+    ])
+  }
+  return { node, follow, tell }
+}
