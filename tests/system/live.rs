@@ -144,8 +144,8 @@ async fn few_trials(lab: &Lab) {
     lab.posted("/api/v1/datasets", json!({ "definition": definition })).await;
 }
 
-/// Two nets of quantities are promoted and answer the stream together; without them it is refused.
-async fn quantities_are_followed(lab: &Lab) {
+/// Trains and promotes a net of the force and one of the position; returns their ids.
+pub async fn quantity_nets(lab: &Lab) -> Vec<String> {
     few_trials(lab).await;
     let mut ids = Vec::new();
     for quantity in ["force", "position"] {
@@ -158,6 +158,12 @@ async fn quantities_are_followed(lab: &Lab) {
         let promoted = lab.posted(SERVING, json!({ "what": ids.last() })).await;
         assert_eq!(promoted["slot"], quantity, "{promoted}");
     }
+    ids
+}
+
+/// Two nets of quantities answer the stream together; without them it is refused.
+async fn quantities_are_followed(lab: &Lab) {
+    let ids = quantity_nets(lab).await;
     let url = lab.service.url().replacen("http", "ws", 1) + "/api/v1/live/quantities";
     let (mut socket, _) = connect_async(&url).await.unwrap();
     let mut answers = Vec::<Value>::new();

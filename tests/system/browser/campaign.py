@@ -8,6 +8,13 @@ from person import (RUN_MS, URL, api, button, confirmed, downloaded, in_dialog, 
                     tabbed, until)
 from views import watched
 
+# A request that fails, and a stop before it is sent again.
+STOPPED_ONCE = """import('/web/lib/api.js').then(({ once }) => {
+  globalThis.palpateOnce = once('/rig/actions', { action: 'connect', who: 'Ada' }).catch(error => error.message)
+  setTimeout(() => document.getElementById('stop').click(), 200)
+})"""
+RESENT_MS = 1500
+
 SMALL = """name = 'small'
 seed = 5
 sensor = 'sensors/ert-28.toml'
@@ -66,6 +73,34 @@ def first_evening(page, _browser):
     expect(page.get_by_role("link", name="Open this trial")).to_be_visible(timeout=LIMIT_MS)
     page.get_by_role("link", name="Open this trial").click()
     expect(page).to_have_url(re.compile("/trials[?]trial="), timeout=LIMIT_MS)
+    fit_by_keys(page)
+
+
+def fit_by_keys(page):
+    """Box plots are read by keys; a curve that a key hides is hidden by the address, too."""
+    page.goto(f"{URL}/model?fit=1")
+    boxes = page.locator("canvas.boxes").first
+    expect(boxes).to_have_attribute("aria-label", re.compile("median"), timeout=LIMIT_MS)
+    at = boxes.locator("xpath=following-sibling::p")
+    boxes.focus()
+    page.keyboard.press("End")
+    expect(at).to_have_text(re.compile("median"))
+    assert boxes.get_attribute("aria-label").endswith(at.text_content()), at.text_content()
+    page.keyboard.press("Home")
+    expect(at).to_have_text(re.compile("^I: median"))
+    chart = page.get_by_role("application", name=re.compile("^Mean FVU by largest force"))
+    curve = chart.locator(".u-series").nth(1)
+    expect(curve).to_be_visible(timeout=LIMIT_MS)
+    chart.focus()
+    page.keyboard.press("1")
+    hidden = re.compile("[?&]hide-mean-fvu=1(&|$)")
+    expect(page).to_have_url(hidden)
+    page.reload()
+    expect(curve).to_have_class(re.compile("u-off"), timeout=LIMIT_MS)
+    chart.focus()
+    page.keyboard.press("1")
+    expect(page).not_to_have_url(hidden)
+    expect(curve).not_to_have_class(re.compile("u-off"))
 
 
 def operate(page, _browser):
@@ -164,3 +199,20 @@ def keyboard(page, _browser):
     page.keyboard.press("Space")
     expect(page.locator("dialog[open]")).to_have_count(0)
     until("the second stop", lambda: rig()["state"] == "tripped")
+    not_sent_again(page)
+
+
+def not_sent_again(page):
+    """What a person requested before a stop, and what failed, is not sent after it."""
+    sent = []
+
+    def fail(route):
+        sent.append(route.request.url)
+        route.abort()
+
+    page.route("**/api/v1/rig/actions", fail)
+    page.evaluate(STOPPED_ONCE)
+    assert "the stop ended" in page.evaluate("palpateOnce")
+    page.wait_for_timeout(RESENT_MS)
+    assert len(sent) == 1, sent
+    page.unroute("**/api/v1/rig/actions")

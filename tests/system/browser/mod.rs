@@ -169,6 +169,7 @@ async fn a_model_is_promoted_and_followed_live() {
     let lab = Lab::open("browser-touch", rig_args("virtual", 1.0)).await;
     lab.home().await;
     super::live::small_net(&lab).await;
+    super::live::quantity_nets(&lab).await;
     plays(&lab, tools, "touch").await;
     lab.close().await;
 }

@@ -1,4 +1,4 @@
-"""Scenario of nets: one is promoted by the page, what touches the skin is followed live, and frames are recorded."""
+"""Scenario of nets: one is promoted by the page, contacts and quantities are followed live, and frames are recorded."""
 
 import json
 import re
@@ -18,13 +18,15 @@ def touch(page, _browser):
     pressed(page, re.compile("^Promote"))
     in_dialog(page, "Promote")
     named(page)
-    until("the promotion", lambda: any(one.get("what") for one in api("/serving")["serves"]))
+    until("the promotion", lambda: any(one["slot"] == "points" and one.get("what") for one in api("/serving")["serves"]))
     hands({"cmd": "place", "weights": [{"x_mm": 270.0, "y_mm": 280.0, "force_n": 9.81}]})
     page.goto(f"{URL}/live?method=fast")
     # Answers come and are drawn; a net that was trained for seconds may detect nothing.
     for name in ("Answers", "Drawn"):
         expect(fact(page, name)).to_have_text(re.compile(r"^[1-9]\d* per s"))
     expect(fact(page, "Contacts")).to_have_text(re.compile(r"^[0-6]$"))
+    expect(fact(page, "Sum of forces")).to_have_text(re.compile(r"\d\sN$"))
+    expect(fact(page, "Position")).to_have_text(re.compile(r"\d\smm$"))
     record(page)
     assert not errors, errors
 

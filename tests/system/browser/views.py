@@ -64,6 +64,11 @@ def with_status(change):
 def tripped(status):
     """A force was beyond its limit."""
     status["rig"].update(state="tripped", trip={"kind": "force", "detail": "cell 3 reads 91.4 N, limit 88.0 N"})
+    for one in status["rig_actions"]:
+        if one["action"] in ("home", "jog"):
+            one["refused"] = f"{one['action']} is not possible while the rig is tripped: check and reset it first"
+        elif one["action"] in ("tare", "tips", "reset", "disconnect"):
+            one["refused"] = None
     if status["run"]:
         status["run"].update(state="paused", paused_why="trip", requested_state=None)
 
