@@ -7,7 +7,7 @@ import { fold } from './fold.js'
 import { capital } from './format.js'
 import { keepForm } from './formstate.js'
 import { recipes } from './recipes.js'
-import { isOfQuantity, slotOf, slotOfTask } from './serves.js'
+import { slotOf, slotOfTask } from './serves.js'
 import { put, raw } from './toml.js'
 import { vocabulary } from './vocabulary.js'
 
