@@ -32,6 +32,7 @@ use super::schema::{self, BATCH_ROWS};
 use super::shards::ShardFolder;
 use super::split::{Group, Part, divide, place};
 use super::survey::{NO_PART, NO_TAG, Survey, Surveyed, label};
+use crate::carried::{self, SENSORS};
 use crate::ids::{DatasetId, TrialId};
 use crate::new_file;
 use crate::store::{DatasetRow, RunRow, Store, TrialQuery};
@@ -100,7 +101,7 @@ pub async fn build(
     let shard_rows: u64 = shards.iter().map(|shards| shards.folder.trials()).sum();
     progress.total.store(surveyed.kept.len() as u64 + shard_rows, Ordering::Relaxed);
     let lineage = lineage(store, &inputs, &rows_of_run, &shards).await?;
-    let footer = footer(definition, &inputs, &lineage)?;
+    let footer = footer(definition, &inputs, &shards, &lineage)?;
 
     let mut start = None;
     if let (Some(begun), Some((run, _))) = (begun, inputs.runs.first()) {
@@ -329,10 +330,12 @@ async fn lineage(
     }))
 }
 
-/// Key-value metadata of the Parquet file: definition, lineage and sensor file.
+/// Key-value metadata of the Parquet file: definition, lineage and sensor file. Shards state only the name of
+/// their sensor: without a run its file is the carried one.
 fn footer(
     definition: &Definition,
     inputs: &Inputs,
+    shards: &[SplitShards],
     lineage: &Value,
 ) -> Result<HashMap<String, String>, DatasetError> {
     let definition = serde_json::to_string(definition).map_err(DatasetError::Json)?;
@@ -340,8 +343,10 @@ fn footer(
         ("palpate.definition".to_owned(), definition),
         ("palpate.lineage".to_owned(), lineage.to_string()),
     ]);
-    if let Some((run, _)) = inputs.runs.first() {
-        footer.insert(schema::SENSOR_KEY.into(), run.sensor.clone());
+    let of_run = inputs.runs.first().map(|(run, _)| run.sensor.as_str());
+    let of_shards = || carried::text(SENSORS, &shards.first()?.folder.manifest.definition.sensor);
+    if let Some(sensor) = of_run.or_else(of_shards) {
+        footer.insert(schema::SENSOR_KEY.into(), sensor.into());
     }
     Ok(footer)
 }

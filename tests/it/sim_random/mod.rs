@@ -281,3 +281,13 @@ fn assert_frame_is_the_models(trial: &Value) {
         assert!(off < 2e-6, "{stored_v} V, exactly {exact_v} V");
     }
 }
+
+#[test]
+fn a_net_learns_from_simulations_alone() {
+    let data = folder("alone");
+    made(&data.join("sim-random/free"), &[]);
+    let mut train = Command::new(PALPATE);
+    train.args(["train", "recon-net", "--map", "20x60", "--epochs", "1", "--data"]).arg(&data);
+    let output = train.stdin(Stdio::null()).output().unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+}
