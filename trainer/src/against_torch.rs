@@ -1,7 +1,7 @@
 //! Tests: answers, losses, gradients and first steps of Adam equal PyTorch's, for the same weights
-//! and samples. `tests/make_torch.py` wrote those to `tests/torch.json`. Built for a GPU, they run there.
+//! and samples. `tests/make_torch.py` wrote those to `tests/torch.json`.
 
-use burn::tensor::{Tensor, TensorData};
+use burn::tensor::{Device, Tensor, TensorData};
 use nets::input::Input;
 use nets::loss::Loss;
 use nets::recipe::Recipe;
@@ -9,7 +9,6 @@ use nets::statistics::Statistics;
 use serde::Deserialize;
 
 use crate::adam::{Adam, Update};
-use crate::device;
 use crate::loss::value;
 use crate::model::Model;
 
@@ -58,7 +57,7 @@ fn begin(case: &Case) -> Begun {
     let mut network = recipe.first(&statistics, case.target);
     assert_eq!(network.numbers().len(), case.numbers.len(), "{}", case.recipe);
     network.set_numbers(&case.numbers);
-    let device = device::of(device::own()).unwrap();
+    let device = Device::flex();
     let loss = recipe.net.architecture().loss(network.target_size());
     let model = Model::new(network, Input::LAYERS, &device);
     let samples = [(&case.inputs, case.channels), (&case.targets, case.target)].map(|(x, len)| {
@@ -104,7 +103,7 @@ fn gradients_are_those_of_pytorch() {
 /// Numbers after all steps of the case.
 fn after(case: &Case, update: Update) -> Vec<f32> {
     let mut begun = begin(case);
-    let device = device::of(device::own()).unwrap();
+    let device = Device::flex();
     let optimiser = begun.recipe.optimiser;
     let mut adam = Adam::new(optimiser, begun.model.shapes(), &device, update);
     for wanted in &case.losses {
