@@ -5,6 +5,7 @@ import { socket } from './api.js'
 import { changing } from './changing.js'
 import { el, panel, say } from './dom.js'
 import { count, fixed } from './format.js'
+import { isOfQuantity } from './serves.js'
 import { vocabulary } from './vocabulary.js'
 
 const STALE_MS = 2000
@@ -24,9 +25,7 @@ function sureWords(answer, old) {
 export function quantityPart({ signal }) {
   const numbers = el('div'), sure = el('p', { className: 'soft' })
   const node = panel('Quantities', { className: 'live', hidden: true }, numbers, sure)
-  // No method uses these nets: they answer the frame itself.
-  const isQuantity = slot => slot.tasks.length > 0 && slot.methods.length === 0
-  const slots = vocabulary.slots.filter(isQuantity).map(slot => slot.name)
+  const slots = vocabulary.slots.filter(isOfQuantity).map(slot => slot.name)
   let cut = null, newest = null, at = 0
 
   function follow({ serves }) {
@@ -48,7 +47,8 @@ export function quantityPart({ signal }) {
   function tell() {
     if (node.hidden) return
     const answer = newest && JSON.parse(newest), old = answer && Date.now() - at > STALE_MS
-    numbers.classList.toggle('old', Boolean(old))
+    // After an error, and until the next answer, the numbers are those of an earlier frame.
+    numbers.classList.toggle('old', Boolean(!answer || answer.error || old))
     say(sure, sureWords(answer, old))
     if (!answer || answer.error) return
     changing(numbers, [
