@@ -20,8 +20,10 @@ fn list(name: &str, folder: &Path) -> io::Result<()> {
     let mut files = Vec::new();
     for entry in fs::read_dir(folder)? {
         let path = entry?.path();
+        // An editor's lock file has a name that begins with a dot.
         if path.extension() == Some(OsStr::new("toml"))
             && let Some(stem) = path.file_stem()
+            && !stem.as_encoded_bytes().starts_with(b".")
         {
             files.push((stem.to_owned(), path));
         }

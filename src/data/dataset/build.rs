@@ -32,7 +32,6 @@ use super::schema::{self, BATCH_ROWS};
 use super::shards::ShardFolder;
 use super::split::{Group, Part, divide, place};
 use super::survey::{NO_PART, NO_TAG, Survey, Surveyed, label};
-use crate::carried::{self, SENSORS};
 use crate::ids::{DatasetId, TrialId};
 use crate::new_file;
 use crate::store::{DatasetRow, RunRow, Store, TrialQuery};
@@ -330,8 +329,7 @@ async fn lineage(
     }))
 }
 
-/// Key-value metadata of the Parquet file: definition, lineage and sensor file. Shards state only the name of
-/// their sensor: without a run its file is the carried one.
+/// Key-value metadata of the Parquet file: definition, lineage and sensor file, of the first run or shards.
 fn footer(
     definition: &Definition,
     inputs: &Inputs,
@@ -343,10 +341,10 @@ fn footer(
         ("palpate.definition".to_owned(), definition),
         ("palpate.lineage".to_owned(), lineage.to_string()),
     ]);
-    let of_run = inputs.runs.first().map(|(run, _)| run.sensor.as_str());
-    let of_shards = || carried::text(SENSORS, &shards.first()?.folder.manifest.definition.sensor);
+    let of_run = inputs.runs.first().map(|(run, _)| run.sensor.clone());
+    let of_shards = || toml::to_string(shards.first()?.folder.manifest.sensor_file.as_ref()?).ok();
     if let Some(sensor) = of_run.or_else(of_shards) {
-        footer.insert(schema::SENSOR_KEY.into(), sensor.into());
+        footer.insert(schema::SENSOR_KEY.into(), sensor);
     }
     Ok(footer)
 }

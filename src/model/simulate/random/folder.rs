@@ -80,7 +80,8 @@ impl Folder {
                 if let Some(file) = self.names()?.into_iter().find(|n| n.ends_with(".parquet")) {
                     return Err(RandomError::Foreign { folder: self.path.clone(), file });
                 }
-                let new = Manifest { definition: definition.clone(), shards: Vec::new() };
+                let definition = definition.clone();
+                let new = Manifest { definition, sensor_file: None, shards: Vec::new() };
                 self.write_manifest(&new)?;
                 return Ok(new);
             }

@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use sim_core::batch::Kernel;
 use sim_core::forward::ForwardModel;
+use sim_core::sensor::SensorFile;
 
 use super::draw::{DRAW_VERSION, Draws};
 use crate::ids::CalibrationId;
@@ -179,6 +180,9 @@ pub struct ShardRow {
 pub struct Manifest {
     /// Definition of the bytes.
     pub definition: Definition,
+    /// The sensor, for datasets; absent in a folder of an earlier version that was not continued since.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub sensor_file: Option<SensorFile>,
     /// The completed shards, in order.
     pub shards: Vec<ShardRow>,
 }

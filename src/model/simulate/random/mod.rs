@@ -83,6 +83,10 @@ pub fn generate(
 ) -> Result<Outcome, RandomError> {
     let folder = Folder::take(folder)?;
     let mut manifest = folder.manifest(definition)?;
+    if manifest.sensor_file.is_none() {
+        manifest.sensor_file = Some(sensor.file.clone());
+        folder.write_manifest(&manifest)?;
+    }
     let missing = missing(definition, &manifest, &folder, means.look, tell)?;
     let columns_failed =
         |source| RandomError::Encode { file: "the shards' columns".into(), source };
