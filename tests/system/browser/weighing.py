@@ -91,7 +91,7 @@ def wrong_weight(page, _browser):
     confirmed(page)
     asked(0)
     assert api("/trials")["items"] == []
-    hands({"cmd": "place", "weights": contacts})
+    # The weights are still on their points: placed again, they would be judged while they swing.
     expect(verdict).to_have_class(re.compile(r"\b(good|warn)\b"), timeout=RUN_MS)
     expect(done).to_be_enabled(timeout=LIMIT_MS)
     assert confirmation(page).status == 202
