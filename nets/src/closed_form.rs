@@ -3,7 +3,7 @@
 //! Uses: faer, `recipe`, `progress`. Never: test rows; more than a bounded number of rows in memory.
 
 use faer::prelude::Solve;
-use faer::{Mat, Side};
+use faer::{Mat, Scale, Side};
 
 use crate::architecture::ClosedForm;
 use crate::checkpoint::EpochLoss;
@@ -214,12 +214,16 @@ fn ridge(
     log: &mut Log<'_>,
 ) -> Result<Option<Vec<Layer>>, TrainError> {
     let channels = train.input_len();
-    let judges = data.read(validation, &evenly(validation, JUDGES_MAX.min(HELD_MAX / channels)))?;
-    let of_judges = |weights: &Mat<f64>| mean_square(&(&judges.frames * weights), &judges.targets);
+    let mut judges =
+        data.read(validation, &evenly(validation, JUDGES_MAX.min(HELD_MAX / channels)))?;
     let few = train.len() < channels as u64;
-    let solution = if few {
+    // Scaled channels have a mean: that of clipped ones, or that of rows which were not measured.
+    let (mean, solution) = if few {
         // Fewer rows than channels: in dual variables.
-        let rows = data.read(train, &evenly(train, HELD_MAX / channels))?;
+        let mut rows = data.read(train, &evenly(train, HELD_MAX / channels))?;
+        let mean = sums(&rows.frames) * Scale(1.0 / rows.frames.nrows() as f64);
+        centre(&mut rows.frames, &mean);
+        centre(&mut judges.frames, &mean);
         let products = &rows.frames * rows.frames.transpose();
         let across = &judges.frames * rows.frames.transpose();
         let solution = solve(
@@ -228,18 +232,29 @@ fn ridge(
             |dual| mean_square(&(&products * dual), &rows.targets),
             |dual| mean_square(&(&across * dual), &judges.targets),
         )?;
-        Solution { weights: rows.frames.transpose() * &solution.weights, ..solution }
+        (mean, Solution { weights: rows.frames.transpose() * &solution.weights, ..solution })
     } else {
         let mut products = Mat::<f64>::zeros(channels, channels);
         let mut right = Mat::<f64>::zeros(channels, train.target_len());
         let mut square = 0.0;
+        let mut mean = Mat::<f64>::zeros(1, channels);
+        let mut of_targets = Mat::<f64>::zeros(1, train.target_len());
         let numbers: Vec<u64> = (0..train.len()).collect();
         for numbers in numbers.chunks(4 * CLOSED_FORM_ROWS) {
             let rows = data.read(train, numbers)?;
             products += rows.frames.transpose() * &rows.frames;
             right += rows.frames.transpose() * &rows.targets;
             square += rows.targets.squared_norm_l2();
+            mean += sums(&rows.frames);
+            of_targets += sums(&rows.targets);
         }
+        let count = train.len() as f64;
+        mean *= Scale(1.0 / count);
+        products -= mean.transpose() * &mean * Scale(count);
+        right -= mean.transpose() * &of_targets;
+        centre(&mut judges.frames, &mean);
+        let of_judges =
+            |weights: &Mat<f64>| mean_square(&(&judges.frames * weights), &judges.targets);
         let values = (train.len() as usize * train.target_len()) as f64;
         // |X W - Y|^2 without the rows.
         let of_train = |weights: &Mat<f64>| {
@@ -250,10 +265,21 @@ fn ridge(
                 .sum();
             ((square + sum) / values).max(0.0)
         };
-        solve(&products, &right, of_train, of_judges)?
+        (mean, solve(&products, &right, of_train, of_judges)?)
     };
     let goes_on = log.step(solution.train, solution.validation);
-    Ok(goes_on.then(|| vec![dense(&solution.weights)]))
+    let bias = &mean * &solution.weights * Scale(-1.0);
+    Ok(goes_on.then(|| vec![dense(&solution.weights, &bias)]))
+}
+
+/// Sum of all rows, `[1, columns]`.
+fn sums(rows: &Mat<f64>) -> Mat<f64> {
+    Mat::from_fn(1, rows.ncols(), |_, j| (0..rows.nrows()).map(|i| rows[(i, j)]).sum())
+}
+
+/// Subtracts a row, `[1, columns]`, from all rows.
+fn centre(rows: &mut Mat<f64>, mean: &Mat<f64>) {
+    *rows = Mat::from_fn(rows.nrows(), rows.ncols(), |i, j| rows[(i, j)] - mean[(0, j)]);
 }
 
 fn kernel_ridge(
@@ -317,7 +343,8 @@ fn kernel_ridge(
     let numbers = (0..frames.nrows()).flat_map(|i| (0..channels).map(move |j| (i, j)));
     let centres = numbers.map(|at| frames[at] as f32).collect();
     let layer = Layer::Kernel { inputs: channels, centres, gamma: gamma as f32 };
-    Ok(Some(vec![layer, dense(&best.weights)]))
+    let none = Mat::zeros(1, best.weights.ncols());
+    Ok(Some(vec![layer, dense(&best.weights, &none)]))
 }
 
 /// Mean square of what answers lose when the net is computed in 32 bits: wide kernels with a small penalty
@@ -341,13 +368,13 @@ fn kernel(distances: &Mat<f64>, gamma: f64) -> Mat<f64> {
 }
 
 /// A dense layer without bias: standardised targets have a mean of zero.
-fn dense(weights: &Mat<f64>) -> Layer {
+fn dense(weights: &Mat<f64>, bias: &Mat<f64>) -> Layer {
     let (inputs, outputs) = (weights.nrows(), weights.ncols());
     let numbers = (0..outputs).flat_map(|j| (0..inputs).map(move |i| (i, j)));
     Layer::Dense {
         inputs,
         outputs,
         weight: numbers.map(|at| weights[at] as f32).collect(),
-        bias: vec![0.0; outputs],
+        bias: (0..outputs).map(|j| bias[(0, j)] as f32).collect(),
     }
 }
