@@ -20,7 +20,12 @@ const TRIALS: usize = 24;
 pub(super) const SPEED: f64 = 20.0;
 
 pub(super) async fn started(name: &str) -> (Lab, String) {
-    let lab = Lab::open(name, rig_args("virtual", SPEED)).await;
+    started_at(name, SPEED).await
+}
+
+/// As [`started`], with the process seconds in a wall second.
+async fn started_at(name: &str, speed: f64) -> (Lab, String) {
+    let lab = Lab::open(name, rig_args("virtual", speed)).await;
     lab.home().await;
     let run = lab.queue(SMALL).await;
     lab.start(&run).await;
@@ -309,11 +314,12 @@ async fn a_stopped_run_whose_rig_homes_when_the_service_ends_does_not_go_on_by_i
 
 #[tokio::test(flavor = "multi_thread")]
 async fn an_e_stop_while_the_service_ends_is_known_to_the_next_process() {
-    let (lab, run) = started("ending").await;
+    // Slow enough that the raise of the tips outlasts the delay of the request.
+    let (lab, run) = started_at("ending", 3.0).await;
     lab.stored(2).await;
     let address = format!("{}/api/v1/estop", lab.service.url());
     let stop = tokio::spawn(async move {
-        // The tips are raised by then, or about to be; the door is open until they are.
+        // The tips are being raised by then; the door is open until they are up.
         tokio::time::sleep(Duration::from_millis(10)).await;
         http().post(address).json(&json!({ "why": "smoke" })).send().await.unwrap().status()
     });
