@@ -1,5 +1,5 @@
 //! `palpate dataset`: lists, shows, makes and exports datasets.
-//! Uses: `client`, `import`. Never: rows in this process (the service reads and writes them).
+//! Uses: `client`, `import`, `federate`. Never: rows in this process (the service reads and writes them).
 
 use std::path::PathBuf;
 use std::time::Duration;
@@ -10,6 +10,7 @@ use serde_json::{Value, json};
 use super::client::Client;
 use super::error::CliError;
 use super::export::{self, ExportArgs};
+use super::federate::{FederateArgs, federate};
 use super::files::read_as;
 use super::import::{ImportArgs, import};
 use super::next::Next;
@@ -56,6 +57,13 @@ enum What {
     /// 2 if a value cannot be used: each problem names row, column, value and limit, and nothing is
     /// stored.
     Import(ImportArgs),
+    /// Fetch the datasets of several rigs, and join them in a folder.
+    ///
+    /// Each rig has its own service. All are asked at once; one that does not answer within 5 s is
+    /// shown, and what was fetched of it before is used. A dataset is fetched once, and its sha256
+    /// is checked. The folder has a table for each rig and label, with an id for each trial, and a
+    /// manifest. Exit code 1 if a rig did not answer, 2 if the sensors of the rigs differ.
+    Federate(FederateArgs),
 }
 
 #[derive(Debug, Args)]
@@ -139,6 +147,7 @@ pub async fn dataset(args: DatasetArgs) -> Result<(), CliError> {
             embed::with_server(&at, work).await
         }
         What::Import(args) => import(args).await,
+        What::Federate(args) => federate(args).await,
     }
 }
 

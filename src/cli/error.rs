@@ -12,6 +12,7 @@ use super::picture::PictureError;
 use crate::api::{LockFileError, ServeError};
 use crate::calibrate::CalibrateError;
 use crate::calibrate::skin::SkinError;
+use crate::dataset::error::DatasetError;
 use crate::evaluate::figures::FigureError;
 use crate::journal::error_chain;
 use crate::plain::system_words;
@@ -142,6 +143,14 @@ pub enum CliError {
     /// Sim-Random's shards could not be made.
     #[error(transparent)]
     SimRandom(#[from] RandomError),
+    /// Services of rigs did not answer with their datasets.
+    #[error("{} of {all} rigs did not answer with a dataset: {}", missed.len(), missed.join(", "))]
+    Missed {
+        /// Names of the rigs.
+        missed: Vec<String>,
+        /// Number of all rigs.
+        all: usize,
+    },
     /// The rig is tripped.
     #[error("the rig is tripped: {detail}; check the rig, then run `palpate rig reset`")]
     Tripped {
@@ -201,6 +210,15 @@ impl CliError {
     /// Error for one option or argument.
     pub fn argument(key: &str, value: impl std::fmt::Display, limit: impl Into<String>) -> Self {
         Self::Problems(vec![Problem::new("command line", key, value, limit)])
+    }
+
+    /// Error of an operation on files of datasets in this process.
+    pub fn of_dataset(operation: String, error: DatasetError) -> Self {
+        match error {
+            DatasetError::Problems(problems) => Self::Problems(problems),
+            DatasetError::File { path, source, .. } => Self::File { path, source },
+            error => Self::Refused { operation, status: 400, detail: error.to_string() },
+        }
     }
 
     /// Exit code: 2 for bad input, 1 for everything else.

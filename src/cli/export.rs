@@ -1,21 +1,18 @@
 //! `palpate dataset export` and `dataset exports`: a dataset as a file, and the list of such files.
-//! Uses: `client`, `new_file`. Never: rows in this process (the service writes them).
+//! Uses: `client`, `download`. Never: rows in this process (the service writes them).
 
-use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use clap::Args;
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
-use futures::StreamExt;
 use jiff::Timestamp;
-use reqwest::Method;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
 use super::At;
 use super::client::Client;
-use super::dataset::DATASET_WAIT;
+use super::download::download;
 use super::error::CliError;
 use super::next::Next;
 use super::output::{Output, bytes, counted, say, say_json};
@@ -25,12 +22,9 @@ use super::table::{Align, Table, or_dash};
 use crate::dataset::export::ExportRequest;
 use crate::dataset::format::Format;
 use crate::ids::DatasetId;
-use crate::new_file::NewFile;
 
 /// Interval of polling an export's progress.
 const EXPORT_POLL: Duration = Duration::from_millis(200);
-/// Number of attempts of a download whose connection breaks.
-const TRIES: u32 = 5;
 
 /// Options of `dataset export`.
 #[derive(Debug, Args)]
@@ -149,45 +143,17 @@ async fn follow(client: &Client, asked: ExportView) -> Result<ExportView, CliErr
     }
 }
 
-/// Downloads the file of an export, and resumes if a connection breaks.
+/// Downloads the file of an export.
 async fn fetch(client: &Client, done: &ExportView, out: &Path) -> Result<(), CliError> {
-    let failed = |source| CliError::File { path: out.into(), source };
-    let mut file = NewFile::create_for(out).map_err(failed)?;
     let url = done.url.clone().unwrap_or_else(|| format!("/api/v1/exports/{}/file", done.id));
-    let (mut have, mut tries) = (0_u64, 0);
-    let wanted = done.bytes.unwrap_or_default();
-    let bar = progress_bar("bytes");
-    let mut lines = LogLines::instead_of(&bar);
-    bar.set_length(wanted);
-    while have < wanted {
-        let range = format!("bytes={have}-");
-        let answer = client.patient(DATASET_WAIT).send_ranged(Method::GET, &url, &range).await?;
-        let mut pieces = answer.bytes_stream();
-        while let Some(piece) = pieces.next().await {
-            match piece {
-                Ok(piece) => {
-                    file.write_all(&piece).map_err(failed)?;
-                    have += piece.len() as u64;
-                    bar.set_position(have);
-                    lines.say(|| format!("{have} of {wanted} bytes downloaded"));
-                }
-                Err(_) if tries < TRIES => {
-                    tries += 1;
-                    break;
-                }
-                Err(source) => {
-                    return Err(CliError::Http { operation: format!("GET {url}"), source });
-                }
-            }
-        }
-    }
-    bar.finish_and_clear();
+    let file = download(client, &url, done.bytes.unwrap_or_default(), out).await?;
     let found = file.sha256();
     if Some(&found) != done.sha256.as_ref() {
         let detail = format!("the downloaded file has the sha256 {found}");
         return Err(CliError::Refused { operation: format!("GET {url}"), status: 500, detail });
     }
     let name = out.file_name().unwrap_or_default().to_string_lossy();
+    let failed = |source| CliError::File { path: out.into(), source };
     file.finish(&name).map(drop).map_err(failed)
 }
 

@@ -91,15 +91,8 @@ async fn understood(
     let reading =
         tokio::task::spawn_blocking(move || preview(&path, &file, &sensor_file, &sensor, map));
     let read = shown_wait("reading the file", reading).await;
-    match read.unwrap_or(Err(DatasetError::Worker)) {
-        Ok(summary) => Ok(summary),
-        Err(DatasetError::Problems(problems)) => Err(CliError::Problems(problems)),
-        Err(DatasetError::File { path, source, .. }) => Err(CliError::File { path, source }),
-        Err(error) => {
-            let operation = format!("reading {}", args.file.display());
-            Err(CliError::Refused { operation, status: 400, detail: error.to_string() })
-        }
-    }
+    read.unwrap_or(Err(DatasetError::Worker))
+        .map_err(|error| CliError::of_dataset(format!("reading {}", args.file.display()), error))
 }
 
 async fn store(

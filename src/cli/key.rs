@@ -25,7 +25,10 @@ pub fn key() -> Result<Option<String>, CliError> {
 }
 
 /// The key in a file: its first line.
-fn key_of(path: &Path) -> Result<String, CliError> {
+///
+/// # Errors
+/// `CliError::File` or `Problems` if the file cannot be read or has no key.
+pub fn key_of(path: &Path) -> Result<String, CliError> {
     let text = std::fs::read_to_string(path);
     let text = text.map_err(|source| CliError::File { path: path.into(), source })?;
     warn_if_others_may_read(path);

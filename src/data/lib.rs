@@ -9,7 +9,7 @@
 //! ```
 //! - `dataset` selects, labels and splits trials as a definition states, and writes them to a file. The id is
 //!   a hash of the content: a dataset never changes under its name. It also imports foreign files, renders
-//!   force maps, exports, and removes old datasets.
+//!   force maps, exports, joins the datasets of several rigs, and removes old datasets.
 //! - `query` answers a statement over stored trials and datasets with the process `palpate-query`, within
 //!   bounds of time, memory and rows.
 //!

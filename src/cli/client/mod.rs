@@ -381,12 +381,17 @@ impl Client {
 
 /// Rejects what is not the URL of a service.
 fn check_url(url: &str) -> Result<(), CliError> {
-    let limit = match reqwest::Url::parse(url) {
-        Ok(read) if matches!(read.scheme(), "http" | "https") && read.has_host() => return Ok(()),
-        _ if url.contains("://") => "must be like http://127.0.0.1:8080".into(),
-        _ => format!("must start with http:// or https://, as http://{url}"),
-    };
-    Err(CliError::argument("--url or PALPATE_URL", url, limit))
+    let limit = url_limit(url).map(|limit| CliError::argument("--url or PALPATE_URL", url, limit));
+    limit.map_or(Ok(()), Err)
+}
+
+/// What the URL of a service must be, if this is none.
+pub fn url_limit(url: &str) -> Option<String> {
+    match reqwest::Url::parse(url) {
+        Ok(read) if matches!(read.scheme(), "http" | "https") && read.has_host() => None,
+        _ if url.contains("://") => Some("must be like http://127.0.0.1:8080".into()),
+        _ => Some(format!("must start with http:// or https://, as http://{url}")),
+    }
 }
 
 /// Converts a problem body to an error: values outside their limits are bad input.

@@ -138,6 +138,13 @@ pub const EXAMPLES: &[(&str, &[&str])] = &[
         ],
     ),
     (
+        "dataset federate",
+        &[
+            "palpate dataset federate a=http://rig-a:8080 b=http://rig-b:8080",
+            "palpate dataset federate --rigs lab.toml --dataset real-unseen --out unseen",
+        ],
+    ),
+    (
         "train",
         &[
             "palpate train transfer-net",

@@ -6,6 +6,7 @@
 //!
 //! ```text
 //! definition -> build: survey, batch, shards -> file DATA/datasets/ds-..  -> read, select -> format
+//! files of several services -> federate -> tables of all rigs, each an import
 //! ```
 
 pub mod error;
@@ -31,6 +32,7 @@ pub mod begun;
 pub mod build;
 pub mod export;
 pub mod import;
+pub mod federate;
 pub mod package;
 pub mod prune;
 pub mod catalog;

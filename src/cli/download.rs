@@ -1,0 +1,75 @@
+//! Downloads a file of a service; a connection that breaks is resumed.
+//! Uses: `client`, `new_file`, `progress`. Never: a wait without a deadline, a name for a file that its caller has not
+//! checked.
+
+use std::io::Write;
+use std::path::Path;
+use std::time::Duration;
+
+use futures::StreamExt;
+use reqwest::Method;
+use tokio::time::timeout;
+
+use super::client::Client;
+use super::dataset::DATASET_WAIT;
+use super::error::CliError;
+use super::progress::{LogLines, progress_bar};
+use crate::new_file::NewFile;
+
+/// Number of attempts of a download whose connection breaks.
+const TRIES: u32 = 5;
+/// Longest wait for the next part of a file.
+const STALLED: Duration = Duration::from_secs(30);
+
+/// Downloads a file of `wanted` bytes. The result is unfinished, in the folder of `out`: the caller compares its
+/// sha256 and finishes it. It is no longer than `wanted` and a part; shorter if the file is.
+///
+/// # Errors
+/// As [`Client::send`]; `CliError::Late` if no part arrives within 30 s, `Http` if the connection breaks too often,
+/// `File` if the file cannot be written.
+pub async fn download(
+    client: &Client,
+    url: &str,
+    wanted: u64,
+    out: &Path,
+) -> Result<NewFile, CliError> {
+    let failed = |source| CliError::File { path: out.into(), source };
+    let mut file = NewFile::create_for(out).map_err(failed)?;
+    let (mut have, mut tries) = (0_u64, 0);
+    let bar = progress_bar("bytes");
+    let mut lines = LogLines::instead_of(&bar);
+    bar.set_length(wanted);
+    let client = client.patient(DATASET_WAIT);
+    'file: while have < wanted {
+        let range = format!("bytes={have}-");
+        let answer = in_time(client.send_ranged(Method::GET, url, &range)).await??;
+        let mut pieces = answer.bytes_stream();
+        while have < wanted {
+            match in_time(pieces.next()).await? {
+                Some(Ok(piece)) => {
+                    file.write_all(&piece).map_err(failed)?;
+                    have += piece.len() as u64;
+                    bar.set_position(have);
+                    lines.say(|| format!("{have} of {wanted} bytes downloaded"));
+                }
+                None => break 'file,
+                Some(Err(_)) if tries < TRIES => {
+                    tries += 1;
+                    break;
+                }
+                Some(Err(source)) => {
+                    return Err(CliError::Http { operation: format!("GET {url}"), source });
+                }
+            }
+        }
+    }
+    bar.finish_and_clear();
+    Ok(file)
+}
+
+async fn in_time<T>(work: impl Future<Output = T>) -> Result<T, CliError> {
+    timeout(STALLED, work).await.map_err(|_| CliError::Late {
+        what: "the arrival of the next part of the file".into(),
+        after_s: STALLED.as_secs(),
+    })
+}
