@@ -3,6 +3,7 @@
 
 mod ahead;
 mod exports;
+mod federate;
 pub mod filled;
 mod formats;
 mod imports;

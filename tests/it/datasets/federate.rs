@@ -1,0 +1,353 @@
+//! The datasets of several rigs in one folder, through the command: ids, bytes, rigs that are down or differ, keys.
+//! Without pandas and pyarrow the part that reads with them says that it was left out; with
+//! `PALPATE_REQUIRE_TOOLS=1` it fails instead.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::time::{Duration, Instant};
+
+use arrow_array::cast::AsArray;
+use arrow_array::types::UInt32Type;
+use palpate::dataset::format::Rows;
+use palpate::dataset::read::DatasetRows;
+use palpate::dataset::select::Wanted;
+use palpate::digest::sha256_hex;
+use palpate::ids::TrialKey;
+use palpate::journal::{ExitStatus, Journal};
+use palpate::store::{NewRun, RunKind};
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+use serde_json::{Value, json};
+use tokio::net::TcpListener;
+
+use super::filled::{Filled, folder, new_run, press, store};
+use crate::support::{self, PALPATE, SENSOR, sensor};
+
+/// Rows of `real` in a filled folder.
+const REAL: u64 = 235;
+/// Longest duration of a call with a rig that never answers: not that of a connection or a download.
+const LIMIT: Duration = Duration::from_secs(60);
+
+/// What a call has printed.
+struct Called {
+    code: i32,
+    answer: Value,
+    errors: String,
+}
+
+impl Called {
+    /// A field of each rig.
+    fn each(&self, key: &str) -> Vec<String> {
+        let rigs = self.answer["rigs"].as_array().unwrap_or_else(|| panic!("{}", self.errors));
+        rigs.iter().map(|rig| rig[key].as_str().unwrap_or("-").to_owned()).collect()
+    }
+}
+
+/// Runs a command of `palpate` without the environment of the tests.
+async fn typed(words: &[&str]) -> std::process::Output {
+    let mut command = Command::new(PALPATE);
+    for name in ["URL", "CA", "KEY", "KEY_FILE", "DATA"] {
+        command.env_remove(format!("PALPATE_{name}"));
+    }
+    command.args(words);
+    tokio::task::spawn_blocking(move || command.output().unwrap()).await.unwrap()
+}
+
+/// Joins datasets in a folder.
+async fn federate(out: &Path, words: &[&str]) -> Called {
+    let out = out.display().to_string();
+    let words = [&["dataset", "federate", "--json", "--out", &out][..], words].concat();
+    let output = typed(&words).await;
+    Called {
+        code: output.status.code().unwrap(),
+        answer: serde_json::from_slice(&output.stdout).unwrap_or_default(),
+        errors: String::from_utf8(output.stderr).unwrap(),
+    }
+}
+
+/// A service with the dataset `real`.
+async fn rig(name: &str) -> Filled {
+    let rig = Filled::open(name).await;
+    assert_eq!(rig.make("real").await["rows"], REAL);
+    rig
+}
+
+/// Adds three trials of another run to a folder.
+async fn add_run(data: &Path, run: NewRun) {
+    let store = store(data).await;
+    let points: Vec<[f64; 2]> = sensor().points().iter().map(|p| [p.x_mm, p.y_mm]).collect();
+    let mut chance = ChaCha8Rng::seed_from_u64(9);
+    let run = store.create_run(run).await.unwrap().uid;
+    for depth_index in 4..7 {
+        let key = TrialKey { configuration: 0, depth_index };
+        store.trial(run, &press(key, 2, &points, &mut chance)).await.unwrap();
+    }
+    store.end_run(run, ExitStatus::Success, "made up", jiff::Timestamp::now()).await.unwrap();
+    store.close().await;
+}
+
+/// sha256 of each file of a folder and of those below.
+fn files(folder: &Path) -> BTreeMap<PathBuf, String> {
+    let mut found = BTreeMap::new();
+    for entry in std::fs::read_dir(folder).unwrap() {
+        let path = entry.unwrap().path();
+        if path.is_dir() {
+            found.extend(files(&path));
+        } else {
+            found.insert(path.clone(), sha256_hex(std::fs::read(&path).unwrap()));
+        }
+    }
+    found
+}
+
+fn table(out: &Path, rig: &str) -> PathBuf {
+    out.join(format!("trials/{rig}.virtual.parquet"))
+}
+
+/// The values of columns of texts and of counts, row by row.
+fn rows(file: &Path, texts: [&str; 2], count: &str) -> Vec<(String, String, u32)> {
+    let columns = texts.iter().copied().chain([count]).map(str::to_owned).collect();
+    let rows = DatasetRows::open(file, &Wanted { columns, ..Wanted::default() }).unwrap();
+    let mut found = Vec::new();
+    for batch in rows.batches(None).unwrap() {
+        let batch = batch.unwrap();
+        let text = |column: usize, row: usize| {
+            batch.column(column).as_string::<i32>().value(row).to_owned()
+        };
+        let counts = batch.column(2).as_primitive::<UInt32Type>();
+        found.extend((0..batch.num_rows()).map(|at| (text(0, at), text(1, at), counts.value(at))));
+    }
+    found
+}
+
+/// Changes a byte of the rows of a Parquet file.
+fn damage(path: &Path) {
+    let mut bytes = std::fs::read(path).unwrap();
+    bytes[100] ^= 1;
+    std::fs::write(path, bytes).unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn two_rigs_become_tables_whose_ids_no_two_rows_share() {
+    let (a, b) = (rig("federate-a").await, rig("federate-b").await);
+    let out = folder("federate-lab").join("lab");
+    let words = [format!("a={}", a.url("")), format!("b={}", b.url(""))];
+    let first = federate(&out, &[&words[0], &words[1]]).await;
+    assert_eq!((first.code, first.each("state").concat().as_str()), (0, "fetchedfetched"));
+    assert_eq!(first.answer["rows"], 2 * REAL);
+    let mut ids = BTreeSet::new();
+    for name in ["a", "b"] {
+        for (rig, id, _) in rows(&table(&out, name), ["rig", "trial"], "configuration") {
+            assert!(rig == name && id.starts_with(&format!("{name}/")), "{rig} {id}");
+            ids.insert(id);
+        }
+    }
+    assert_eq!(ids.len() as u64, 2 * REAL);
+    let manifest = std::fs::read(out.join("manifest.json")).unwrap();
+    let manifest: Value = serde_json::from_slice(&manifest).unwrap();
+    let of_a = &manifest["rigs"][0];
+    assert_eq!((&of_a["rig"], &of_a["url"]), (&json!("a"), &json!(a.url(""))));
+    assert_eq!(of_a["dataset"], a.get("/api/v1/datasets/real").await["id"]);
+    assert_eq!(of_a["lineage"]["runs"][0]["trials"], 330);
+    assert_eq!(of_a["sensor_sha256"], sha256_hex(SENSOR));
+    let kept = std::fs::read(table(&out, "a")).unwrap();
+    assert_eq!(of_a["files"][0]["sha256"], sha256_hex(kept));
+
+    // Again, in another order: nothing is fetched, and every byte is the same.
+    let before = files(&out);
+    let again = federate(&out, &[&words[1], &words[0]]).await;
+    assert_eq!((again.code, again.each("state")), (0, vec!["unchanged".to_owned(); 2]));
+    assert_eq!(again.each("fetched_at"), first.each("fetched_at"));
+    assert!(files(&out) == before);
+    if let Some(python) = support::python("pandas, pyarrow") {
+        let script = "import pandas, sys; trials = pandas.read_parquet(sys.argv[1])\n\
+                      print(len(trials), trials.trial.nunique(), *sorted(set(trials.rig)))";
+        let tables = out.join("trials");
+        let reading = Command::new(python).args(["-c", script]).arg(tables).output().unwrap();
+        let printed = String::from_utf8(reading.stdout).unwrap();
+        assert_eq!(printed.trim(), format!("{0} {0} a b", 2 * REAL));
+    }
+
+    // Trials were stored at one of them: its dataset is fetched, and its runs keep their configurations apart.
+    let data = a.end().await;
+    add_run(&data, new_run(RunKind::RealHex, "second")).await;
+    let a = Filled::serve(data).await;
+    let at_a = format!("a={}", a.url(""));
+    let stale = federate(&out, &[&at_a, &words[1]]).await;
+    assert_eq!(stale.each("state"), ["unchanged", "unchanged"]);
+    assert_eq!(stale.each("note"), ["trials were stored since it was made", "-"]);
+    a.make("real").await;
+    let newer = federate(&out, &[&at_a, &words[1]]).await;
+    assert_eq!((newer.code, newer.each("state").concat().as_str()), (0, "fetchedunchanged"));
+    assert_eq!(newer.answer["rows"], 2 * REAL + 3);
+    let of_a = rows(&table(&out, "a"), ["run", "trial"], "configuration");
+    let (run, id, configuration) = of_a.last().unwrap();
+    assert_eq!((id, *configuration), (&format!("a/{run}/0/6"), 30));
+    let fetched = std::fs::read_dir(out.join("fetched/a")).unwrap().count();
+    assert_eq!(fetched, 3, "the earlier dataset is removed");
+
+    // Each table is an import; a dataset of them may leave a rig out.
+    let desk = Filled::serve(folder("federate-desk")).await;
+    for name in ["a", "b"] {
+        let (file, url) = (table(&out, name).display().to_string(), desk.url(""));
+        let sensor = out.join(format!("fetched/{name}/sensor.toml")).display().to_string();
+        let words = ["dataset", "import", &file, "--sensor", &sensor, "--label", "virtual"];
+        let imported = typed(&[&words[..], &["--name", name, "--url", &url]].concat()).await;
+        assert!(imported.status.success(), "{}", String::from_utf8_lossy(&imported.stderr));
+    }
+    let split = json!({ "by": "run", "test_runs": ["b"] });
+    let definition = json!({ "name": "lab", "task": "real", "runs": ["a", "b"], "split": split });
+    let (status, made) = desk.post("/api/v1/datasets", json!({ "definition": definition })).await;
+    assert_eq!((status, &made["rows"]), (200, &json!(2 * REAL + 3)), "{made}");
+    assert_eq!(made["report"]["parts"]["test"], REAL);
+    for lab in [a, b, desk] {
+        lab.close().await;
+    }
+    std::fs::remove_dir_all(out.parent().unwrap()).unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_rig_that_is_down_is_shown_and_not_waited_for() {
+    let (a, b) = (rig("federate-up").await, rig("federate-down").await);
+    let out = folder("federate-missed").join("lab");
+    let (at_a, at_b) = (format!("a={}", a.url("")), format!("b={}", b.url("")));
+    let first = federate(&out, &[&at_a, &at_b]).await;
+    assert_eq!(first.code, 0, "{}", first.errors);
+    let before = files(&out);
+    b.close().await;
+    // Connections to one are refused; the other accepts them and never answers.
+    let silent = TcpListener::bind("127.0.0.1:0").await.unwrap();
+    let at_c = format!("c=http://{}", silent.local_addr().unwrap());
+    let words = [at_a.as_str(), "b=http://127.0.0.1:1", &at_c];
+    let start = Instant::now();
+    let called = federate(&out, &words).await;
+    assert!(start.elapsed() < LIMIT, "{:?}", start.elapsed());
+    assert_eq!(
+        (called.code, called.each("state").join(" ").as_str()),
+        (1, "unchanged kept absent")
+    );
+    assert_eq!(called.answer["rows"], 2 * REAL);
+    assert_eq!(called.each("fetched_at")[..2], first.each("fetched_at"));
+    let notes = called.each("note");
+    assert_eq!(notes[1], "no service answers at http://127.0.0.1:1");
+    assert!(notes[2].contains("did not answer in time"), "{}", notes[2]);
+    let missed = "2 of 3 rigs did not answer with a dataset: b, c";
+    assert!(called.errors.contains(missed), "{}", called.errors);
+    assert!(files(&out) == before);
+    // For people: the date of what is used, and what to type next.
+    let place = out.display().to_string();
+    let shown = typed(&[&["dataset", "federate", "--out", &place][..], &words[..2]].concat()).await;
+    let (text, errors) = (shown.stdout, String::from_utf8(shown.stderr).unwrap());
+    let text = String::from_utf8(text).unwrap();
+    let line = text.lines().find(|line| line.starts_with("b ")).unwrap();
+    let fetched_at: jiff::Timestamp = first.each("fetched_at")[1].parse().unwrap();
+    let date = fetched_at.to_zoned(jiff::tz::TimeZone::system()).strftime("%Y-%m-%d %H:%M");
+    assert!(line.contains(&date.to_string()) && line.contains("kept"), "{text}");
+    assert!(errors.contains("the same command later"), "{errors}");
+    // Without any dataset there is nothing to join.
+    let nothing = federate(&out.with_file_name("none"), &words[1..2]).await;
+    assert_eq!((nothing.code, &nothing.answer["rows"]), (1, &Value::Null));
+    assert!(!out.with_file_name("none").exists());
+    a.close().await;
+    std::fs::remove_dir_all(out.parent().unwrap()).unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_dataset_whose_bytes_are_not_those_of_its_sha256_is_refused_by_name() {
+    let (a, b) = (rig("federate-whole").await, rig("federate-damaged").await);
+    let out = folder("federate-bytes").join("lab");
+    let words = [format!("a={}", a.url("")), format!("b={}", b.url(""))];
+    let words = [words[0].as_str(), &words[1]];
+    let first = federate(&out, &words).await;
+    assert_eq!(first.code, 0, "{}", first.errors);
+    let before = files(&out.join("trials"));
+    let id = first.each("dataset")[1].clone();
+    let kept = out.join(format!("fetched/b/{id}.parquet"));
+    damage(&kept);
+    let refused = federate(&out, &words).await;
+    assert_eq!(refused.code, 2);
+    for word in ["rig b: sha256 of ", &id, "and it is fetched again"] {
+        assert!(refused.errors.contains(word), "{word}: {}", refused.errors);
+    }
+    assert!(!refused.errors.contains("rig a"), "{}", refused.errors);
+    std::fs::remove_file(&kept).unwrap();
+    let again = federate(&out, &words).await;
+    assert_eq!((again.code, again.each("state").concat().as_str()), (0, "unchangedfetched"));
+    // What the service sends is not what it states.
+    damage(&b.data.join(format!("datasets/{id}.parquet")));
+    std::fs::remove_file(&kept).unwrap();
+    let refused = federate(&out, &words).await;
+    assert_eq!(refused.code, 2);
+    assert!(refused.errors.contains("is not the one that it states"), "{}", refused.errors);
+    assert!(!kept.exists() && files(&out.join("trials")) == before);
+    for lab in [a, b] {
+        lab.close().await;
+    }
+    std::fs::remove_dir_all(out.parent().unwrap()).unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn rigs_that_differ_are_refused_with_the_field_that_differs() {
+    let a = rig("federate-short").await;
+    let data = folder("federate-tall");
+    let taller = SENSOR.replace("height_mm = 560.0", "height_mm = 570.0");
+    let run = NewRun { sensor: taller, ..new_run(RunKind::RealHex, "tall") };
+    add_run(&data, run).await;
+    let tall = Filled::serve(data).await;
+    tall.make("real").await;
+    let out = folder("federate-differ").join("lab");
+    let (at_a, at_tall) = (format!("a={}", a.url("")), format!("tall={}", tall.url("")));
+    let refused = federate(&out, &[&at_a, &at_tall]).await;
+    assert_eq!(refused.code, 2);
+    let words = "rigs a and tall: sensor.height_mm = 560.0 and 570.0";
+    assert!(refused.errors.contains(words), "{}", refused.errors);
+    assert!(refused.errors.contains("--apart"), "{}", refused.errors);
+    assert!(!out.join("manifest.json").exists() && files(&out.join("trials")).is_empty());
+    let apart = federate(&out, &[&at_a, &at_tall, "--apart"]).await;
+    assert_eq!((apart.code, &apart.answer["rows"]), (0, &json!(REAL + 3)), "{}", apart.errors);
+    // One service under two names would give its trials twice; --apart does not allow it.
+    let again = format!("b={}", a.url(""));
+    let refused = federate(&out, &[&at_a, &again, "--apart"]).await;
+    assert_eq!(refused.code, 2);
+    assert!(refused.errors.contains("rigs a and b: run = "), "{}", refused.errors);
+    // The folder belongs to one dataset.
+    let refused = federate(&out, &[&at_a, "--dataset", "real-unseen"]).await;
+    assert_eq!(refused.code, 2);
+    assert!(refused.errors.contains("has the dataset real already"), "{}", refused.errors);
+    for lab in [a, tall] {
+        lab.close().await;
+    }
+    std::fs::remove_dir_all(out.parent().unwrap()).unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn each_service_gets_its_own_key_from_a_file() {
+    let open = rig("federate-key").await;
+    let reader = json!({ "name": "reader", "role": "viewer" });
+    let (status, made) = open.post("/api/v1/keys", reader).await;
+    assert_eq!(status, 201, "{made}");
+    let lab = Filled::serve_as(open.end().await, |options| {
+        (options.local_admin, options.require_key) = (false, true);
+    })
+    .await;
+    let files = folder("federate-keys");
+    let out = files.join("lab");
+    let url = lab.url("");
+    let without = federate(&out, &[&format!("a={url}")]).await;
+    assert_eq!(without.code, 1);
+    assert!(without.each("note")[0].contains("key_file"), "{}", without.answer);
+    std::fs::write(files.join("a.key"), format!("{}\n", made["secret"].as_str().unwrap())).unwrap();
+    let rigs = files.join("rigs.toml");
+    std::fs::write(&rigs, format!("[a]\nurl = \"{url}\"\nkey_file = \"a.key\"\n")).unwrap();
+    let rigs = rigs.display().to_string();
+    let with = federate(&out, &["--rigs", &rigs]).await;
+    assert_eq!(
+        (with.code, with.each("state").concat().as_str()),
+        (0, "fetched"),
+        "{}",
+        with.errors
+    );
+    lab.close().await;
+    std::fs::remove_dir_all(files).unwrap();
+}
