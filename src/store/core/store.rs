@@ -91,7 +91,9 @@ impl Store {
             .journal_mode(SqliteJournalMode::Wal)
             .synchronous(SqliteSynchronous::Full)
             // A long read makes the log grow; afterwards SQLite truncates it to this size.
-            .pragma("journal_size_limit", LOG_BYTES.to_string());
+            .pragma("journal_size_limit", LOG_BYTES.to_string())
+            // A trigger makes SQLite keep the pages that its statement changes: not in a temporary file.
+            .pragma("temp_store", "MEMORY");
         let is_new = matches!(path.symlink_metadata(), Err(e) if e.kind() == ErrorKind::NotFound);
         // The log is next to the target of a symbolic link.
         let mut log = path.canonicalize().unwrap_or_else(|_| path.to_owned()).into_os_string();

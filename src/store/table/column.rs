@@ -93,6 +93,16 @@ impl Column {
         !matches!(self.of, Of::Drawn | Of::Part)
     }
 
+    /// Whether `trial_blocks` states between which values it is: directly, by the run or by the id.
+    pub(crate) fn is_bounded(&self) -> bool {
+        !self.sql.is_empty() && !self.sql.starts_with("m.")
+    }
+
+    /// Whether `trial_blocks` has its least and its largest value.
+    pub(crate) fn has_bounds(&self) -> bool {
+        self.is_bounded() && !self.sql.starts_with("r.") && self.name != "trial_id"
+    }
+
     /// Whether it holds frames of voltages.
     pub fn is_frame(&self) -> bool {
         matches!(self.of, Of::Measured(_) | Of::Simulated(_))

@@ -113,6 +113,42 @@ impl Condition {
         }
         query.push(if several { ")" } else { "" });
     }
+
+    /// Whether it states the ids of the trials.
+    pub(crate) fn lists_ids(&self) -> bool {
+        let of_id = |part: &Part| part.comparison == Comparison::Equal && part.is_of_id();
+        self.0.len() == 1 && self.0.iter().all(of_id)
+    }
+
+    /// Whether the bounds of a block can exclude it; those of ids alone are the block.
+    pub(crate) fn is_bounded(&self) -> bool {
+        self.0.iter().all(|part| part.column.is_bounded()) && !self.0.iter().all(Part::is_of_id)
+    }
+
+    /// Appends ` AND` and what a block meets if it may hold a trial that meets the condition; nothing if
+    /// the bounds of a block cannot exclude it.
+    pub(crate) fn push_onto_blocks(&self, query: &mut Statement) {
+        if !self.0.iter().all(|part| part.column.is_bounded()) {
+            return;
+        }
+        query.push(" AND (");
+        for (n, part) in self.0.iter().enumerate() {
+            query.push(if n == 0 { "" } else { " OR " });
+            part.push_onto_blocks(query);
+        }
+        query.push(")");
+    }
+}
+
+impl Operand {
+    /// Appends the value.
+    fn push_onto(&self, query: &mut Statement) {
+        match self {
+            Self::Number(number) => query.bind(*number),
+            Self::Time(time) => query.bind(time_text(*time)),
+            Self::Word(word) => query.bind(word.clone()),
+        };
+    }
 }
 
 impl Part {
@@ -203,13 +239,49 @@ impl Part {
         query.push(if several { " IN (" } else { self.operator() });
         for (n, operand) in self.operands.iter().enumerate() {
             query.push(if n == 0 { "" } else { ", " });
-            match operand {
-                Operand::Number(number) => query.bind(*number),
-                Operand::Time(time) => query.bind(time_text(*time)),
-                Operand::Word(word) => query.bind(word.clone()),
-            };
+            operand.push_onto(query);
         }
         query.push(if several { ")" } else { "" });
+    }
+
+    fn is_of_id(&self) -> bool {
+        self.column.name == "trial_id"
+    }
+
+    /// Appends what a block meets if one of its trials may meet the comparison.
+    fn push_onto_blocks(&self, query: &mut Statement) {
+        if self.column.sql.starts_with("r.") {
+            query.push(
+                "EXISTS (SELECT 1 FROM runs r
+                 WHERE r.scan_id BETWEEN b.scan_id_least AND b.scan_id_most AND ",
+            );
+            self.push_onto(query, false);
+            query.push(")");
+            return;
+        }
+        let name = self.column.name;
+        let (least, most) = if self.is_of_id() {
+            ("b.block << 10".to_owned(), "(b.block << 10) + 1023".to_owned())
+        } else {
+            (format!("b.{name}_least"), format!("b.{name}_most"))
+        };
+        for (n, operand) in self.operands.iter().enumerate() {
+            query.push(if n == 0 { "" } else { " OR " });
+            match self.comparison {
+                Comparison::Equal => {
+                    query.push(&least).push(" <= ");
+                    operand.push_onto(query);
+                    query.push(" AND ").push(&most).push(" >= ");
+                }
+                Comparison::Greater | Comparison::GreaterOrEqual => {
+                    query.push(&most).push(self.operator());
+                }
+                Comparison::Less | Comparison::LessOrEqual => {
+                    query.push(&least).push(self.operator());
+                }
+            }
+            operand.push_onto(query);
+        }
     }
 }
 

@@ -18,6 +18,12 @@ pub(crate) const SELECT: &str = "SELECT t.*, r.uid, r.experiment, r.kind, r.labe
          AND w.model = (SELECT max(model) FROM twins n WHERE n.trial = t.id)
      LEFT JOIN twin_models m ON m.id = w.model";
 
+/// The trials, block by block: of a block whose bounds exclude a condition none is read.
+const OF_BLOCKS: &str = "SELECT t.id FROM trial_blocks b CROSS JOIN trials t
+     ON t.id BETWEEN b.block << 10 AND (b.block << 10) + 1023";
+/// A block has the ids whose other bits are equal: 1024.
+const BLOCK_BITS: u32 = 10;
+
 /// Joins of the tables that conditions may need in addition to `trials`.
 const JOIN_RUN: &str = " CROSS JOIN runs r ON r.scan_id = t.run";
 const JOIN_TWIN: &str = " LEFT JOIN twins w ON w.trial = t.id
@@ -71,7 +77,9 @@ pub struct TrialQuery {
 impl TrialQuery {
     /// Returns the statement for the ids of these trials; `scan_id` is the number of `run`.
     pub(crate) fn ids(&self, scan_id: Option<i64>) -> Statement {
-        let mut query = Statement::new("SELECT t.id FROM trials t");
+        let by_blocks = self.is_by_blocks();
+        let mut query =
+            Statement::new(if by_blocks { OF_BLOCKS } else { "SELECT t.id FROM trials t" });
         let needs = |table: &str| {
             let mut columns = self.filters.iter().flat_map(Condition::columns);
             columns.any(|column| column.sql.starts_with(table))
@@ -87,6 +95,9 @@ impl TrialQuery {
             query.push(JOIN_MODEL);
         }
         query.push(" WHERE TRUE");
+        if by_blocks {
+            self.push_blocks(scan_id, &mut query);
+        }
         if let Some(scan_id) = scan_id {
             query.push(" AND t.run = ").bind(scan_id);
         }
@@ -110,11 +121,42 @@ impl TrialQuery {
             query.push(" AND EXISTS (SELECT 1 FROM json_each(t.flags) WHERE value = ");
             query.bind(word).push(")");
         }
-        query.push(match self.order {
-            Order::OldestFirst => " ORDER BY t.id LIMIT ",
-            Order::NewestFirst => " ORDER BY t.id DESC LIMIT ",
+        query.push(match (by_blocks, self.order) {
+            (false, Order::OldestFirst) => " ORDER BY t.id LIMIT ",
+            (false, Order::NewestFirst) => " ORDER BY t.id DESC LIMIT ",
+            (true, Order::OldestFirst) => " ORDER BY b.block, t.id LIMIT ",
+            (true, Order::NewestFirst) => " ORDER BY b.block DESC, t.id DESC LIMIT ",
         });
         query.bind(i64::from(self.limit.min(MAX_PAGE + 1)));
         query
+    }
+
+    /// Whether the bounds of blocks can exclude trials. Ids are found without them.
+    fn is_by_blocks(&self) -> bool {
+        let known = self.filters.iter().any(Condition::lists_ids);
+        let bounded = self.filters.iter().any(Condition::is_bounded);
+        !known && (bounded || self.flagged.is_some() || !self.flags.is_empty())
+    }
+
+    /// Appends what a block meets if it may hold a trial of the page.
+    fn push_blocks(&self, scan_id: Option<i64>, query: &mut Statement) {
+        if let Some(scan_id) = scan_id {
+            query.push(" AND b.scan_id_least <= ").bind(scan_id);
+            query.push(" AND b.scan_id_most >= ").bind(scan_id);
+        }
+        if let Some(after) = self.after {
+            let side = match self.order {
+                Order::OldestFirst => " AND b.block >= ",
+                Order::NewestFirst => " AND b.block <= ",
+            };
+            query.push(side).bind(after.0 >> BLOCK_BITS);
+        }
+        for filter in &self.filters {
+            filter.push_onto_blocks(query);
+        }
+        // Flags are a JSON array of words: every other array is less than the empty one.
+        let is_flagged = self.flagged == Some(true) || !self.flags.is_empty();
+        query.push(if is_flagged { " AND b.flags_least < '[]'" } else { "" });
+        query.push(if self.flagged == Some(false) { " AND b.flags_most >= '[]'" } else { "" });
     }
 }

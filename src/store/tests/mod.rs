@@ -1,6 +1,7 @@
 //! The store, function by function, on real files.
 //! Uses: `store`. Never: a file outside its own temporary folder.
 
+mod blocks;
 mod bulk;
 mod columns;
 mod damage;

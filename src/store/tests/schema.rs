@@ -134,6 +134,23 @@ fn its_futures_may_move_between_threads() {
     let _ = methods;
 }
 
+/// Conditions and the examination take the bounds of a column by its name.
+#[tokio::test]
+async fn blocks_bound_every_column_that_conditions_compare() {
+    let folder = Folder::new();
+    let store = open(&folder.file()).await;
+    let sql = "SELECT name FROM pragma_table_info('trial_blocks')";
+    let mut names: Vec<String> =
+        sqlx::query_scalar(sql).fetch_all(&store.inner.readers).await.unwrap();
+    names.sort();
+    let bounded = TABLE.iter().filter(|column| column.has_bounds()).map(|column| column.name);
+    let bounds = |name: &str| [format!("{name}_least"), format!("{name}_most")];
+    let mut expected: Vec<String> = bounded.chain(["flags"]).flat_map(bounds).collect();
+    expected.push("block".into());
+    expected.sort();
+    assert_eq!(names, expected);
+}
+
 /// Other programs read the database by views whose columns are those of the API.
 #[tokio::test]
 async fn the_views_have_the_columns_of_the_api() {

@@ -6,7 +6,7 @@ use crate::ids::{TrialId, TrialKey};
 use crate::journal::Journal;
 use crate::{NewTwinModel, RunKind, Store, Twin, TwinModelId, TwinOutcome};
 
-async fn model(store: &Store, hash: &str) -> TwinModelId {
+pub(super) async fn model(store: &Store, hash: &str) -> TwinModelId {
     let new = NewTwinModel {
         hash: hash.into(),
         sensor_sha256: "s".into(),
@@ -17,7 +17,7 @@ async fn model(store: &Store, hash: &str) -> TwinModelId {
     store.twin_model(new).await.unwrap()
 }
 
-fn frame(trial: TrialId, fvu: f64) -> Twin {
+pub(super) fn frame(trial: TrialId, fvu: f64) -> Twin {
     let voltages_v = vec![0.25; 784];
     Twin { trial, outcome: TwinOutcome::Frame { voltages_v, rmse_v: 0.01, fvu: Some(fvu) } }
 }
