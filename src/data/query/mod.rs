@@ -4,7 +4,8 @@
 //!
 //! ```text
 //! statement -> engine (a process): which tables?   -> tables: their Parquet files
-//!                                                      ended run:  its dataset, if it is current
+//!                                                      ended run:  its dataset, if it is current; without
+//!                                                                  its frames, unless they are asked for
 //!                                                      other runs: pieces of up to 1000 trials, kept
 //!              engine: evaluates                   <-
 //!           -> rows: batches, as they arrive
@@ -20,6 +21,7 @@ use tokio::time::timeout;
 mod engine;
 mod error;
 pub mod groups;
+mod narrow;
 mod pieces;
 mod records;
 mod rows;

@@ -1,5 +1,5 @@
 //! The tables of a statement: their names, and the files with their rows.
-//! Uses: `dataset::catalog`, `pieces`, `records`. Never: a table that a statement does not read.
+//! Uses: `dataset::catalog`, `pieces`, `narrow`, `records`. Never: a table that a statement does not read.
 
 use std::collections::{BTreeSet, HashMap};
 use std::path::{Path, PathBuf};
@@ -8,13 +8,14 @@ use jiff::Timestamp;
 use parking_lot::Mutex;
 
 use super::error::QueryError;
-use super::pieces;
 use super::records::{self, Scratch};
+use super::{narrow, pieces};
 use crate::dataset::build::data_file;
 use crate::dataset::catalog::Catalog;
 use crate::dataset::error::DatasetError;
 use crate::ids::RunUid;
 use crate::near::did_you_mean;
+use crate::new_file::sweep;
 use crate::query_lines::{Form, Table};
 use crate::state::StoredState;
 use crate::store::{RunRow, Store};
@@ -51,6 +52,8 @@ pub struct Tables {
     store: Store,
     datasets: Catalog,
     folder: PathBuf,
+    /// Folder of the columns of datasets without their frames; it outlives this process.
+    columns: PathBuf,
     /// Datasets of runs that were current when they were looked up.
     current: Mutex<HashMap<RunUid, Current>>,
 }
@@ -68,7 +71,11 @@ impl Tables {
     pub fn new(store: Store, datasets: Catalog, data: &Path) -> Self {
         let folder = data.join("query");
         pieces::clear(&folder);
-        Self { store, datasets, folder, current: Mutex::default() }
+        let columns = data.join("columns");
+        if let Err(error) = sweep(&columns) {
+            tracing::warn!(%error, folder = %columns.display(), "unfinished files stay");
+        }
+        Self { store, datasets, folder, columns, current: Mutex::default() }
     }
 
     /// Returns the tables with these names, and the files that are removed after the query.
@@ -99,10 +106,15 @@ impl Tables {
                 scratch.push(file);
                 vec![path]
             } else {
+                // One list for all tables: during a query further trials may be stored.
                 if trials.is_none() {
                     trials = Some(self.trials(&runs).await?);
                 }
-                trials.clone().unwrap_or_default()
+                let files = trials.clone().unwrap_or_default();
+                match known.form {
+                    Form::Trials | Form::Contacts => self.without_frames(files).await,
+                    _ => files,
+                }
             };
             tables.push(Table { name: name.clone(), form: known.form, files });
         }
@@ -123,6 +135,20 @@ impl Tables {
             files.push(pieces::empty(&self.folder)?);
         }
         Ok(files)
+    }
+
+    /// Files with the same trials; those of datasets have no frames, and few row groups.
+    async fn without_frames(&self, mut files: Vec<PathBuf>) -> Vec<PathBuf> {
+        let datasets = self.datasets.datasets();
+        narrow::trim(&self.columns, &datasets);
+        for file in files.iter_mut().filter(|file| file.starts_with(&datasets)) {
+            match narrow::of_dataset(&self.columns, file).await {
+                Ok(narrow) => *file = narrow,
+                // A full disk: the dataset's file has the same rows.
+                Err(error) => tracing::warn!(%error, "the columns of a dataset were not written"),
+            }
+        }
+        files
     }
 
     /// The file of a run's dataset, if it holds the trials and twins that are stored now. Counting them

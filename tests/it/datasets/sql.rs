@@ -126,6 +126,25 @@ async fn trials_of_a_run_that_goes_on_are_there_and_datasets_are_tables() {
         let sql = format!("SELECT count(*) AS n FROM \"{name}\"");
         assert_eq!(number(&lab, &sql).await, made["rows"]);
     }
+    // The dataset of a run is read without its frames, from a file with the same rows.
+    let file = format!("{}.parquet", lab.make("run-1").await["id"].as_str().unwrap());
+    let sums =
+        "sum(max_force_n + depth_mm + trial_id) AS s, count(fvu) AS n, max(measured_at) AS t";
+    let by_columns = ask(&lab, &format!("SELECT {sums} FROM trials WHERE scan_id = 1")).await;
+    let by_dataset = ask(&lab, &format!("SELECT {sums} FROM \"run-1\"")).await;
+    let sum = |rows: &Value| rows[0]["s"].as_f64().unwrap();
+    // It depends on the order of the rows by rounding.
+    assert!((sum(&by_columns) / sum(&by_dataset) - 1.0).abs() < 1e-9, "{by_columns} {by_dataset}");
+    assert_eq!(
+        (&by_columns[0]["n"], &by_columns[0]["t"]),
+        (&by_dataset[0]["n"], &by_dataset[0]["t"])
+    );
+    let contacts = "SELECT count(*) AS n FROM contacts WHERE scan_id = 1";
+    assert_eq!(number(&lab, contacts).await, json!(30 * 8 * 2));
+    let bytes = |folder: &str| std::fs::metadata(lab.data.join(folder).join(&file)).unwrap().len();
+    assert!(bytes("columns") * 5 < bytes("datasets"));
+    let frames = "SELECT count(*) AS n FROM trials t JOIN frames f USING (trial_id)";
+    assert_eq!(number(&lab, frames).await, number(&lab, "SELECT count(*) AS n FROM trials").await);
     let joined =
         "SELECT count(*) AS n FROM real r JOIN trials t USING (trial_id) WHERE t.fvu = 0.5";
     assert_eq!(number(&lab, joined).await, json!(232));
