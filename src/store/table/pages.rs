@@ -15,6 +15,10 @@ use crate::record::FrameRecord;
 
 const READING: &str = "reading trials";
 
+/// The lengths of the frames of some trials, whose ids follow.
+const LENGTHS_OF: &str = "SELECT DISTINCT length(v.voltages_v) / 4 AS channels
+     FROM trial_voltages v WHERE v.trial IN (";
+
 impl Store {
     /// Returns a page of trials, in the order of the query. Set `after` to its last id for the next page.
     ///
@@ -119,16 +123,30 @@ impl Store {
     /// # Errors
     /// `Read` if the read fails.
     pub async fn frame_lengths(&self, ids: &[TrialId]) -> Result<Vec<u32>, StoreError> {
-        let wanted: Vec<i64> = ids.iter().map(|id| id.0).collect();
-        let mut lengths = Statement::new(
-            "SELECT DISTINCT length(v.voltages_v) / 4 AS channels FROM (
-                 SELECT min(t.id) AS id FROM trials t
+        let (Some(&first), Some(&last)) = (ids.iter().min(), ids.iter().max()) else {
+            return Ok(Vec::new());
+        };
+        let ids: Vec<i64> = ids.iter().map(|id| id.0).collect();
+        let read = move |c: &Connection| {
+            // Runs are few: mostly those from the first to the last trial have one length.
+            let mut between = Statement::new(LENGTHS_OF);
+            between.push("SELECT (SELECT t.id FROM trials t WHERE t.run = r.scan_id AND t.id >= ");
+            between
+                .bind(first.0)
+                .push(" ORDER BY t.id LIMIT 1) AS id FROM runs r) AND v.trial <= ");
+            between.bind(last.0).push(" ORDER BY 1");
+            let lengths = between.rows(c, READING, |c| c.whole("channels"))?;
+            if lengths.len() <= 1 {
+                return Ok(lengths);
+            }
+            let mut exact = Statement::new(LENGTHS_OF);
+            exact.push(
+                "SELECT min(t.id) AS id FROM trials t
                  WHERE t.id IN (SELECT value FROM json_each(",
-        );
-        lengths.bind(format!("{wanted:?}"));
-        lengths.push(")) GROUP BY t.run) first CROSS JOIN trial_voltages v ON v.trial = first.id");
-        lengths.push(" ORDER BY 1");
-        let read = move |c: &Connection| lengths.rows(c, READING, |c| c.whole("channels"));
+            );
+            exact.bind(format!("{ids:?}")).push(")) GROUP BY t.run) ORDER BY 1");
+            exact.rows(c, READING, |c| c.whole("channels"))
+        };
         self.inner.bulk.read(READING, read).await
     }
 

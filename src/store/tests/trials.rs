@@ -316,6 +316,29 @@ async fn pages_follow_an_index_without_sorting() {
 }
 
 #[tokio::test]
+async fn the_lengths_of_frames_are_those_of_the_given_trials() {
+    let folder = Folder::new();
+    let (store, run) = with_run(&folder, RunKind::RealHex).await;
+    let other = store.create_run(new_run(RunKind::RealHex)).await.unwrap().uid;
+    let mut ids = Vec::new();
+    for n in 0..3 {
+        let mut trial = hex_trial(n, 0, &[9.0]);
+        ids.push(store.trial(run, &trial).await.unwrap());
+        trial.frames[0].counts.truncate(100);
+        ids.push(store.trial(other, &trial).await.unwrap());
+    }
+    let lengths = async |at: &[usize]| {
+        let ids: Vec<TrialId> = at.iter().map(|&at| ids[at]).collect();
+        store.frame_lengths(&ids).await.unwrap()
+    };
+    assert_eq!(lengths(&[]).await, []);
+    assert_eq!(lengths(&[0]).await, [784]);
+    assert_eq!(lengths(&[5]).await, [100]);
+    assert_eq!(lengths(&[4, 0]).await, [784], "the other run has trials between them");
+    assert_eq!(lengths(&[3, 2, 1]).await, [100, 784]);
+}
+
+#[tokio::test]
 async fn a_trial_has_the_untouched_skin_that_was_measured_last_before_it() {
     let folder = Folder::new();
     let (store, run) = with_run(&folder, RunKind::RealHex).await;
