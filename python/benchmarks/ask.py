@@ -1,14 +1,15 @@
 """Ten questions that a lab asks, side by side: Palpate over HTTP, DuckDB, polars, Datasette.
 
-    python benchmarks/ask.py [--url URL] [--dataset run-1] [--data FOLDER] [--repeat 5] [--json FILE]
+    python benchmarks/ask.py [--url URL] [--runs 1] [--data FOLDER] [--datasette] [--repeat 5] [--json FILE]
 
-DuckDB and polars read the Parquet file of the dataset, which is fetched first; Palpate reads its own
-tables over HTTP; Datasette (with --data, the service's folder) serves a copy of ``palpate.db``. The
-dataset must hold every stored trial, as ``run-1`` of a folder with one run does.
+DuckDB and polars read the Parquet files of the datasets ``run-1`` to ``run-N`` (--runs), which are fetched
+first, or read in the service's folder if --data names it; Palpate reads its own tables over HTTP; Datasette
+(with --datasette and --data) reads the service's database. The service must store no other trials. With
+several runs the questions 3, 4 and 6, which return or read whole rows, are about run 1.
 
 Each question runs in a separate process: once to warm up, then ``--repeat`` times. Prints for each
 the median time, the peak memory of the client process, the number of rows, the characters that the user
-types, and whether the rows are those of Palpate.
+types, and whether the rows are those of Palpate. ``tests/figures/questions.py`` does all of this at two sizes.
 """
 
 from __future__ import annotations
@@ -20,7 +21,6 @@ import json
 import math
 import resource
 import socket
-import sqlite3
 import statistics
 import subprocess
 import sys
@@ -44,9 +44,10 @@ class Question:
     duckdb: str
     polars: str
     datasette: str | None
+    one_run: bool = False
 
 
-# FILE and DATASET stand for the Parquet file and the name of the dataset.
+# FILE stands for the Parquet files. AND_RUN and WHERE_RUN select run 1 if there are several.
 QUESTIONS = (
     Question(
         "How many trials have each number of contacts (Table I)?",
@@ -71,21 +72,23 @@ QUESTIONS = (
     ),
     Question(
         "Which trials have 3 contacts or more and more than 10 N? All columns without frames.",
-        "SELECT * FROM trials WHERE contact_count >= 3 AND max_force_n > 10 ORDER BY trial_id",
+        "SELECT * FROM trials WHERE contact_count >= 3 AND max_force_n > 10 AND_RUN ORDER BY trial_id",
         "SELECT * EXCLUDE (voltages_v, sim_voltages_v) FROM 'FILE'\n"
         "WHERE contact_count >= 3 AND max_force_n > 10 ORDER BY trial_id",
         """pl.scan_parquet("FILE").drop("voltages_v", "sim_voltages_v").filter(
     pl.col("contact_count") >= 3, pl.col("max_force_n") > 10).sort("trial_id").collect()""",
         "SELECT trials.id AS trial_id, * FROM trials JOIN twins ON twins.trial = trials.id\n"
-        "WHERE contact_count >= 3 AND max_force_n > 10 ORDER BY trials.id",
+        "WHERE contact_count >= 3 AND max_force_n > 10 AND_RUN ORDER BY trials.id",
+        one_run=True,
     ),
     Question(
         "The same trials with both frames.",
-        'SELECT * FROM "DATASET" WHERE contact_count >= 3 AND max_force_n > 10 ORDER BY trial_id',
+        'SELECT * FROM "run-1" WHERE contact_count >= 3 AND max_force_n > 10 ORDER BY trial_id',
         "SELECT * FROM 'FILE' WHERE contact_count >= 3 AND max_force_n > 10 ORDER BY trial_id",
         """pl.scan_parquet("FILE").filter(
     pl.col("contact_count") >= 3, pl.col("max_force_n") > 10).sort("trial_id").collect()""",
         None,
+        one_run=True,
     ),
     Question(
         "How is the FVU of the trials with contact distributed (bins of 0.05)?",
@@ -102,7 +105,7 @@ QUESTIONS = (
     Question(
         "What fraction of the variance does the model leave unexplained, by injection and electrode pair?",
         "SELECT injection, pair, AVG(POWER(voltage_v - sim_voltage_v, 2)) / VARIANCE(voltage_v) AS fvu\n"
-        "FROM voltages GROUP BY injection, pair ORDER BY injection, pair",
+        "FROM voltages WHERE_RUN GROUP BY injection, pair ORDER BY injection, pair",
         "SELECT n // 28 AS injection, n % 28 AS pair, AVG((v - s) ** 2) / VAR_SAMP(v) AS fvu\n"
         "FROM (SELECT UNNEST(voltages_v)::DOUBLE AS v, UNNEST(sim_voltages_v)::DOUBLE AS s,\n"
         "      UNNEST(RANGE(784)) AS n FROM 'FILE')\n"
@@ -113,18 +116,20 @@ QUESTIONS = (
     injection=pl.col("n") // 28, pair=pl.col("n") % 28).agg(
     fvu=((pl.col("v") - pl.col("s")) ** 2).mean() / pl.var("v")).sort("injection", "pair").collect()""",
         None,
+        one_run=True,
     ),
     Question(
         "Which ten trials with contact does the model fit worst?",
         "SELECT trial_id, configuration, depth_mm, fvu FROM trials WHERE contact_count > 0\n"
-        "ORDER BY fvu DESC LIMIT 10",
+        "ORDER BY fvu DESC, trial_id LIMIT 10",
         "SELECT trial_id, configuration, depth_mm, fvu FROM 'FILE' WHERE contact_count > 0\n"
-        "ORDER BY fvu DESC LIMIT 10",
+        "ORDER BY fvu DESC, trial_id LIMIT 10",
         """pl.scan_parquet("FILE").filter(pl.col("contact_count") > 0).select(
-    "trial_id", "configuration", "depth_mm", "fvu").top_k(10, by="fvu").collect()""",
+    "trial_id", "configuration", "depth_mm", "fvu").sort(
+    "fvu", "trial_id", descending=[True, False]).head(10).collect()""",
         "SELECT trials.id AS trial_id, configuration, depth_mm, fvu\n"
         "FROM trials JOIN twins ON twins.trial = trials.id WHERE contact_count > 0\n"
-        "ORDER BY fvu DESC LIMIT 10",
+        "ORDER BY fvu DESC, trial_id LIMIT 10",
     ),
     Question(
         "How many contacts, with which mean force, are in each square of 100 mm of the skin?",
@@ -172,10 +177,13 @@ QUESTIONS = (
 )
 
 
-def typed(question: Question, engine: str, dataset: str, file: str) -> str | None:
-    """What the user types."""
+def typed(question: Question, engine: str, file: str, several: bool) -> str | None:
+    """What the user types: of several runs a question about one names it."""
     text: str | None = getattr(question, engine)
-    return text and text.replace("FILE", file).replace("DATASET", dataset)
+    run = "trials.run = 1" if engine == "datasette" else "scan_id = 1"
+    for word in ("AND", "WHERE"):
+        text = text and text.replace(f" {word}_RUN", f" {word} {run}" if several else "")
+    return text and text.replace("FILE", file)
 
 
 def measure(engine: str, text: str, place: str, repeat: int) -> dict[str, Any]:
@@ -242,16 +250,13 @@ def _rounded(value: Any) -> Any:
     return f"{float(value):.4g}" if math.isfinite(value) else str(value)
 
 
-def datasette_of(data: Path, folder: Path) -> tuple[subprocess.Popen[bytes], str]:
-    """Datasette on a copy of the database; its address."""
-    copy = folder / "palpate.db"
-    with sqlite3.connect(f"file:{data / 'palpate.db'}?mode=ro", uri=True) as source, sqlite3.connect(copy) as to:
-        source.backup(to)
+def datasette_of(database: Path) -> tuple[subprocess.Popen[bytes], str]:
+    """Datasette on the database, which it opens read-only; its address."""
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
     process = subprocess.Popen(
-        [sys.executable, "-m", "datasette", "serve", str(copy), "--port", str(port),
+        [sys.executable, "-m", "datasette", "serve", str(database), "--port", str(port),
          "--setting", "sql_time_limit_ms", "60000", "--setting", "max_returned_rows", "1000000"],
         stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
     )  # fmt: skip
@@ -259,18 +264,37 @@ def datasette_of(data: Path, folder: Path) -> tuple[subprocess.Popen[bytes], str
     for _ in range(300):
         try:
             urllib.request.urlopen(f"{url}/-/versions.json").close()
-            break
+            return process, url
         except OSError:
+            if process.poll() is not None:
+                break
             time.sleep(0.1)
-    return process, url
+    process.kill()
+    raise SystemExit(f"datasette does not serve {database}: is it installed?")
+
+
+def files_of(url: str, runs: int, data: Path | None, folder: Path) -> int:
+    """Puts the Parquet files of the runs into the folder; returns their rows."""
+    from palpate import Palpate
+
+    (folder / "fetched").mkdir()
+    rows = 0
+    for run in range(1, runs + 1):
+        dataset = Palpate(url).dataset(f"run-{run}")
+        near = data and (data / "datasets" / f"{dataset.id}.parquet").resolve()
+        file = near if near and near.is_file() else dataset.file(folder / "fetched")
+        (folder / f"run-{run}.parquet").symlink_to(file)
+        rows += len(dataset)
+    return rows
 
 
 def main() -> None:
     """Asks all questions of all engines and prints a table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("--url", default="http://127.0.0.1:8080")
-    parser.add_argument("--dataset", default="run-1")
+    parser.add_argument("--runs", type=int, default=1)
     parser.add_argument("--data", type=Path)
+    parser.add_argument("--datasette", action="store_true")
     parser.add_argument("--repeat", type=int, default=5)
     parser.add_argument("--json", type=Path)
     parser.add_argument("--only", type=int, help="number of one question")
@@ -280,18 +304,16 @@ def main() -> None:
         engine, place, text = args.child
         print(json.dumps(measure(engine, text, place, args.repeat)))
         return
-    from palpate import Palpate
-
+    if args.datasette and not args.data:
+        parser.error("--datasette needs --data, the folder of the service")
     with tempfile.TemporaryDirectory() as kept:
         folder = Path(kept)
         began = time.perf_counter()
-        dataset = Palpate(args.url).dataset(args.dataset)
-        file = dataset.file(folder)
-        fetched_ms = 1000 * (time.perf_counter() - began)
-        print(f"{args.dataset}: {len(dataset)} rows, {file.stat().st_size} bytes, fetched in {fetched_ms:.0f} ms\n")
-        server, place = datasette_of(args.data, folder) if args.data else (None, "")
+        rows = files_of(args.url, args.runs, args.data, folder)
+        print(f"{rows:,} trials of {args.runs} runs, files there after {time.perf_counter() - began:.1f} s\n")
+        server, place = datasette_of(args.data / "palpate.db") if args.datasette else (None, "")
         try:
-            results = table_of(args, str(file), place)
+            results = table_of(args, folder, place)
         finally:
             if server:
                 server.terminate()
@@ -300,19 +322,20 @@ def main() -> None:
         args.json.write_text(json.dumps(results, indent=1) + "\n")
 
 
-def table_of(args: argparse.Namespace, file: str, datasette: str) -> list[dict[str, Any]]:
+def table_of(args: argparse.Namespace, folder: Path, datasette: str) -> list[dict[str, Any]]:
     """Asks the questions, and prints a line for each."""
     engines = [engine for engine in ENGINES if engine != "datasette" or datasette]
     places = {"palpate": args.url, "datasette": datasette}
     print("| | question | rows |" + "".join(f" {e}: ms | MiB | characters |" for e in engines))
     print("|---" * (3 + 3 * len(engines)) + "|")
-    results = []
+    results, several = [], args.runs > 1
     for number, question in enumerate(QUESTIONS, 1):
         if args.only not in (None, number):
             continue
         line, first = "", None
+        file = str(folder / ("run-1.parquet" if question.one_run or not several else "run-*.parquet"))
         for engine in engines:
-            text = typed(question, engine, args.dataset, file)
+            text = typed(question, engine, file, several)
             found = {"number": number, "question": question.words, "engine": engine}
             if text is None:
                 found["error"] = "frames are BLOBs"

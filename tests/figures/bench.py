@@ -26,22 +26,25 @@ def until(what, done, seconds, pause=0.2):
 
 
 class Bench:
-    """`palpate serve` on a data folder, with a virtual rig and an operator that mounts tips."""
+    """`palpate serve` on a data folder, with a virtual rig and an operator that mounts tips.
 
-    def __init__(self, palpate, data, speed=20.0):
+    `serve`: further options of the service.
+    """
+
+    def __init__(self, palpate, data, speed=20.0, serve=()):
         self.palpate, self.data = pathlib.Path(palpate).resolve(), pathlib.Path(data)
         self.data.mkdir(parents=True, exist_ok=True)
         (self.data / "server.json").unlink(missing_ok=True)
         self.log = open(self.data / "figures.log", "a")
         self.processes = []
         try:
-            self.open(speed)
+            self.open(speed, serve)
         except BaseException:
             for process in self.processes:
                 process.terminate()
             raise
 
-    def open(self, speed):
+    def open(self, speed, serve):
         """Starts the rig, the service on it, and the operator."""
         rig = self.data / "served.toml"
         ready = self.start("virtual-rig", "--ephemeral", "--speed", speed, "--out-rig", rig, "--data", self.data,
@@ -49,7 +52,8 @@ class Bench:
         if not ready:
             raise SystemExit(f"the virtual rig did not start: see {self.log.name}")
         self.control = json.loads(ready)["control"]
-        self.service = self.start("serve", "--data", self.data, "--rig", rig, "--bind", "127.0.0.1:0", "--local-admin")
+        self.service = self.start("serve", "--data", self.data, "--rig", rig, "--bind", "127.0.0.1:0", "--local-admin",
+                                  *serve)
         self.url = until("the service", self.address, START_S)
         self.start("virtual-operator", "--url", self.url, "--control", self.control, "--speed", speed, "--with-parent")
 
