@@ -46,7 +46,7 @@ PAGES = [
 
 
 def filled(folder, copies, profile):
-    """The data folder with so many copies of the first run; filled if it is missing."""
+    """The data folder with this number of copies of the first run; filled if it is missing."""
     data = folder / f"copies-{copies}"
     if not (data / "palpate.db").exists():
         began = time.monotonic()
