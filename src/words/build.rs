@@ -7,16 +7,17 @@ use std::{env, fs, io};
 
 fn main() -> io::Result<()> {
     println!("cargo::rerun-if-changed=../../experiments");
-    let root = fs::canonicalize("../../experiments")?;
-    list("experiments", &root)?;
+    list("experiments", Path::new(""))?;
     for folder in ["rigs", "gaps", "sensors", "datasets", "recipes"] {
-        list(folder, &root.join(folder))?;
+        list(folder, Path::new(folder))?;
     }
     Ok(())
 }
 
-/// Writes the list of a folder as Rust: of each file its name without `.toml`, and its text.
+/// Writes the list of a folder as Rust: of each file its name without `.toml`, and its text. The paths
+/// are relative to the package, since another checkout may build with the same target folder.
 fn list(name: &str, folder: &Path) -> io::Result<()> {
+    let folder = Path::new("../../experiments").join(folder);
     let mut files = Vec::new();
     for entry in fs::read_dir(folder)? {
         let path = entry?.path();
@@ -29,7 +30,10 @@ fn list(name: &str, folder: &Path) -> io::Result<()> {
         }
     }
     files.sort();
-    let row = |(stem, path): (OsString, PathBuf)| format!("({stem:?}, include_str!({path:?})),\n");
+    let row = |(stem, path): (OsString, PathBuf)| {
+        let path = Path::new("/").join(path);
+        format!("({stem:?}, include_str!(concat!(env!(\"CARGO_MANIFEST_DIR\"), {path:?}))),\n")
+    };
     let rows: String = files.into_iter().map(row).collect();
     let out = env::var("OUT_DIR").map_err(io::Error::other)?;
     fs::write(Path::new(&out).join(format!("{name}.rs")), format!("&[{rows}]"))
