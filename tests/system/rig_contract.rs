@@ -11,10 +11,10 @@ use std::time::{Duration, Instant};
 
 use palpate::api::LockFile;
 use palpate::clock::Clock;
-use palpate::rig::MODULES;
 use palpate::rig::check::{Scope, check, run_on};
 use palpate::rig::config::{Guard, RigConfig};
 use palpate::rig::error::RigError;
+use palpate::rig::input_modules::MODULES;
 use palpate::rig::link::StopLatch;
 use palpate::rig::registry::{OpenBench, open};
 use palpate::rig::setup::RigSetup;

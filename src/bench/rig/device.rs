@@ -1,5 +1,5 @@
 //! A supported device: its name in rig files, what a rig file may set in it, and its driver. The
-//! folder of a device describes its own; `rig/mod.rs` lists all of them.
+//! folder of a device describes its own; `drives` and `input_modules` list all of them.
 //! Uses: `axis`, `station`, `link`, `traits`. Never: the name of a device, requests, ports.
 
 use std::fmt;
@@ -11,10 +11,11 @@ use serde::ser::{Serialize, Serializer};
 use super::axis::{Drive, ModbusAxis};
 use super::cells::CellsConfig;
 use super::config::AxisProfile;
+use super::drives::DRIVES;
+use super::input_modules::MODULES;
 use super::link::MotionGate;
 use super::station::Station;
 use super::traits::{Axis, LoadCells};
-use super::{DRIVES, MODULES};
 use crate::clock::Clock;
 
 /// What the driver of an axis is built from.

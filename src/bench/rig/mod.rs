@@ -1,5 +1,5 @@
-//! The bench: capabilities in units, and the drivers that implement them. One device, one folder;
-//! [`DRIVES`] and [`MODULES`] are the only lists of the devices.
+//! The bench: capabilities in units, and the drivers that implement them. One device, one folder, in
+//! `drives` or `input_modules`.
 //! Uses: `clock`, `problem`. Never: campaigns, trials, storage, HTTP.
 
 pub mod cells;
@@ -19,22 +19,10 @@ pub mod words;
 
 pub mod axis;
 pub mod device;
-pub mod iai;
-pub mod leadshine_em2rs;
-pub mod oriental_az;
-
-pub mod adam_6017;
-pub mod waveshare_8ch;
+pub mod drives;
+pub mod input_modules;
 
 pub mod ert_stream;
 
 pub mod check;
 pub mod registry;
-
-use device::{AxisDevice, CellsDevice};
-
-/// Drives that a rig file can name.
-pub const DRIVES: &[AxisDevice] = &[iai::DRIVE, oriental_az::DRIVE, leadshine_em2rs::DRIVE];
-
-/// Supported analog input modules.
-pub const MODULES: &[CellsDevice] = &[adam_6017::MODULE, waveshare_8ch::MODULE];

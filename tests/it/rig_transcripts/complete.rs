@@ -3,8 +3,8 @@
 
 use std::path::Path;
 
-use palpate::rig::MODULES;
 use palpate::rig::config::RigConfig;
+use palpate::rig::input_modules::MODULES;
 use palpate::rig::setup::RigSetup;
 
 use super::play::files;
@@ -29,8 +29,8 @@ struct Checkout {
 
 impl Checkout {
     fn read() -> Self {
-        let drives = virtual_rig::device::DRIVES.iter().map(|device| device.name);
-        let modules = virtual_rig::device::MODULES.iter().map(|device| device.name);
+        let drives = virtual_rig::device::drives::DRIVES.iter().map(|device| device.name);
+        let modules = virtual_rig::device::input_modules::MODULES.iter().map(|device| device.name);
         Self {
             transcripts: files("tests/transcripts", "txt"),
             rigs: rigs().iter().flat_map(|(_, config)| named_drives(config)).collect(),
@@ -49,8 +49,10 @@ impl Checkout {
         let is_module = MODULES.iter().any(|module| module.as_str() == device);
         let named = is_module || self.rigs.iter().any(|name| name == device);
         let heading = format!("`device = \"{device}\"`");
-        let folder = text(&format!("src/bench/rig/{device}/mod.rs"));
-        let cites = folder.is_some_and(|text| text.contains(&format!("`{REFERENCES}`, \"")));
+        let kind = if is_module { "input_modules" } else { "drives" };
+        let folder = format!("src/bench/rig/{kind}/{device}");
+        let head = text(&format!("{folder}/mod.rs"));
+        let cites = head.is_some_and(|text| text.contains(&format!("`{REFERENCES}`, \"")));
         let found = [
             (
                 self.transcripts.iter().any(|t| own(&t)),
@@ -65,8 +67,11 @@ impl Checkout {
                 self.references.contains(&heading),
                 format!("no section of {REFERENCES} that states {heading}"),
             ),
-            (cites, format!("no src/bench/rig/{device}/mod.rs that cites its references")),
-            (self.twins.contains(&device), "no register map in virtual-rig/src/device".into()),
+            (cites, format!("no {folder}/mod.rs that cites its references")),
+            (
+                self.twins.contains(&device),
+                format!("no register map in virtual-rig/src/device/{kind}"),
+            ),
         ];
         found.into_iter().filter(|(has, _)| !has).map(|(_, what)| what).collect()
     }
@@ -113,7 +118,7 @@ fn a_driver_that_lacks_something_is_found() {
     let mut checkout = Checkout::read();
     assert_eq!(checkout.lacks("no_such_device").len(), 6);
     checkout.twins.retain(|name| *name != "iai");
-    assert_eq!(checkout.lacks("iai"), ["no register map in virtual-rig/src/device"]);
+    assert_eq!(checkout.lacks("iai"), ["no register map in virtual-rig/src/device/drives"]);
     checkout.rigs.retain(|name| name != "leadshine_em2rs");
     let lacks = checkout.lacks("leadshine_em2rs");
     assert_eq!(lacks, ["no rig file in experiments/rigs that names it"]);

@@ -16,12 +16,13 @@ use std::time::Duration;
 use palpate::clock::Clock;
 use palpate::rig::config::{AxisDevice, AxisProfile, CellsConfig, CellsDevice, ErtConfig, Guard};
 use palpate::rig::device::AxisParts;
+use palpate::rig::drives::{iai, oriental_az};
 use palpate::rig::error::RigError;
 use palpate::rig::ert_stream::ErtStream;
+use palpate::rig::input_modules::adam_6017;
 use palpate::rig::link::{Framing, Line, MotionGate, StopLatch};
 use palpate::rig::station::Station;
 use palpate::rig::traits::{Axis, AxisStatus, SkinReader};
-use palpate::rig::{adam_6017, iai, oriental_az};
 use tokio::io::AsyncWriteExt;
 
 use play::{LIMIT, RATE, Step, line, read};

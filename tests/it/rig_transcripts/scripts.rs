@@ -17,11 +17,12 @@ use std::time::Duration;
 
 use palpate::clock::Clock;
 use palpate::rig::config::Guard;
+use palpate::rig::drives::DRIVES;
 use palpate::rig::error::RigError;
+use palpate::rig::input_modules::MODULES;
 use palpate::rig::link::Framing;
 use palpate::rig::station::Station;
 use palpate::rig::traits::{Axis, AxisStatus, LoadCells};
-use palpate::rig::{DRIVES, MODULES};
 
 use super::play::{RATE, files, line, steps};
 use super::{axis, cells, within};

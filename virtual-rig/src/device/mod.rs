@@ -1,27 +1,20 @@
 //! The devices of the rig as register maps, written from their documents
 //! (`docs/references.md`, "Devices").
 //! A map converts requests to actions of a drive or an input module; it has no access to wires.
-//! Each map describes its device (`DRIVE` or `MODULE`); the lists here name every one.
+//! Each map describes its device (`DRIVE` or `MODULE`); `drives` and `input_modules` list them.
 //! PURE. Uses: `drive`, `modbus`. Never: sockets, clocks, faults.
 
-pub mod adam_6017;
-pub mod em2rs;
-pub mod iai;
-pub mod oriental_az;
-pub mod waveshare_8ch;
+pub mod drives;
+pub mod input_modules;
 
 use std::fmt;
 
 use serde::de::{Deserialize, Deserializer, Error};
 
+use self::drives::DRIVES;
+use self::input_modules::MODULES;
 use crate::drive::{Drive, Servo};
 use crate::modbus::{Exception, Reply, Request};
-
-/// Register maps of drives, the only list of them.
-pub const DRIVES: &[AxisDevice] = &[iai::DRIVE, oriental_az::DRIVE, em2rs::DRIVE];
-
-/// Register maps of analog input modules, the only list of them.
-pub const MODULES: &[CellsDevice] = &[adam_6017::MODULE, waveshare_8ch::MODULE];
 
 /// Number of inputs of an analog module.
 pub const INPUTS: usize = 8;

@@ -3,7 +3,7 @@
 //! first. The value read back from the trigger register is (unverified). PURE.
 //! Never: clocks, wires; jog, velocity paths, chained paths and saved parameters are omitted.
 
-use super::{AxisDevice, AxisMap, counts, high, long, low, read_each};
+use crate::device::{AxisDevice, AxisMap, counts, high, long, low, read_each};
 use crate::drive::{Alarm, Drive, Servo};
 use crate::kinematics::Pace;
 use crate::modbus::{Exception, Reply, Request};

@@ -5,7 +5,7 @@
 //! alarm that a driver may raise in addition is omitted. PURE.
 //! Never: clocks, wires; stored data operation, push and wrap motion are omitted.
 
-use super::{AxisDevice, AxisMap, counts, high, long, low, read_each};
+use crate::device::{AxisDevice, AxisMap, counts, high, long, low, read_each};
 use crate::drive::{Alarm, Drive, Servo};
 use crate::kinematics::Pace;
 use crate::modbus::{Exception, Reply, Request};

@@ -2,7 +2,7 @@
 //! Registers from `docs/references.md`, "ADAM-6017": 0 to 7 the values (0 to 65535 over the range),
 //! 200 + channel the range codes, 210 the model. PURE. Never: the meaning of the inputs.
 
-use super::{CellsDevice, CellsMap, INPUTS, read_each};
+use crate::device::{CellsDevice, CellsMap, INPUTS, read_each};
 use crate::modbus::{Exception, Reply, Request};
 
 /// Range codes: 0 to 5 V, 0 to 10 V, +-5 V, +-10 V.

@@ -4,7 +4,7 @@
 //! (unverified). PURE.
 //! Never: clocks, wires; push motion, position tables and PIO patterns are omitted.
 
-use super::{AxisDevice, AxisMap, counts, high, long, low, read_each};
+use crate::device::{AxisDevice, AxisMap, counts, high, long, low, read_each};
 use crate::drive::{Alarm, Drive, Servo};
 use crate::kinematics::Pace;
 use crate::modbus::{Exception, Reply, Request};

@@ -3,7 +3,7 @@
 //! FC16 0x1000 + channel the mode (0 is 0 to 5 V, 1 is 1 to 5 V, 2 and 3 currents, 4 raw counts);
 //! 0x4000 address; 0x8000 version. PURE. Never: the meaning of the inputs.
 
-use super::{CellsDevice, CellsMap, INPUTS, read_each};
+use crate::device::{CellsDevice, CellsMap, INPUTS, read_each};
 use crate::modbus::{Exception, Reply, Request};
 
 const MODE_BASE: u16 = 0x1000;
