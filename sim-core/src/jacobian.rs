@@ -137,7 +137,11 @@ impl NodeSlopes {
             Field::LnB => self.per_ln_b,
             Field::LnC => self.per_ln_c,
             Field::LnCompliance => self.per_ln_compliance,
-            _ => 0.0,
+            Field::LnSheetConductance
+            | Field::LeadOhm
+            | Field::ContactOhm
+            | Field::ElectrodeX
+            | Field::ElectrodeY => 0.0,
         }
     }
 }
@@ -299,7 +303,11 @@ impl Linearised<'_> {
                         let change_s = moved * slopes[index as usize].of(mode.field);
                         direction.to_top(potentials, index as usize, change_s);
                     }
-                    _ => {
+                    Field::LnSheetConductance
+                    | Field::LeadOhm
+                    | Field::ContactOhm
+                    | Field::ElectrodeX
+                    | Field::ElectrodeY => {
                         let parts = circuit_parts(model, mode.field, index as usize);
                         for r in parts.resistors.into_iter().flatten() {
                             let (a, b) = (r.a as usize, r.b as usize);
@@ -405,10 +413,11 @@ fn circuit_parts(model: &ForwardModel, field: Field, index: usize) -> CircuitPar
         Field::LeadOhm => parts.lead_ohm = 1.0,
         // In series with the electrode's lead, and without current otherwise.
         Field::ContactOhm if ideal => parts.lead_ohm = 1.0,
-        Field::ContactOhm | Field::ElectrodeX | Field::ElectrodeY if !ideal => {
+        Field::ElectrodeX | Field::ElectrodeY if ideal => {}
+        Field::ContactOhm | Field::ElectrodeX | Field::ElectrodeY => {
             parts.resistors = electrode_slopes(model, field, index);
         }
-        _ => {}
+        Field::LnA | Field::LnB | Field::LnC | Field::LnCompliance | Field::LnSheetConductance => {}
     }
     parts
 }

@@ -307,7 +307,7 @@ async fn follow(
             () = tokio::time::sleep(JOB_POLL) => None,
             line = asking.answer() => match Choice::of(&line) {
                 Some(choice @ (Choice::Detach | Choice::Stop | Choice::Continue)) => Some(choice),
-                _ => {
+                Some(Choice::Pause | Choice::Resume) | None => {
                     screen.note(QUESTION_ON_TRAINING);
                     asking.open();
                     None
@@ -325,7 +325,7 @@ async fn follow(
                             asking.open();
                             None
                         }
-                        _ => Some(Choice::Stop),
+                        Interrupt::Stop | Interrupt::Abort | Interrupt::Leave => Some(Choice::Stop),
                     }
                 }
             },
@@ -341,7 +341,7 @@ async fn follow(
                 client.post::<Value>(&path, &Value::Null).await?;
             }
             Some(Choice::Continue) => interrupts = 0,
-            _ => {}
+            Some(Choice::Pause | Choice::Resume) | None => {}
         }
         now = client.get(&format!("/api/v1/jobs/{}", now.id)).await?;
     }

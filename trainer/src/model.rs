@@ -151,7 +151,7 @@ impl Model {
                 let size = norm(&frames, floor);
                 let [frames, size] = match pass {
                     Pass::Learn => [frames.autodiff(), size.autodiff()],
-                    _ => [frames, size],
+                    Pass::Judge | Pass::Answer => [frames, size],
                 };
                 frames + answer * size
             }
@@ -383,6 +383,14 @@ fn set_matrices(layer: &mut Layer, trained: &[Vec<f32>], kept: &[Vec<f32>]) {
             mean.clone_from(&kept[0]);
             variance.clone_from(&kept[1]);
         }
-        _ => {}
+        Layer::Relu
+        | Layer::Gelu
+        | Layer::Image { .. }
+        | Layer::PixelShuffle { .. }
+        | Layer::Standardise { .. }
+        | Layer::Clip { .. }
+        | Layer::Kernel { .. }
+        | Layer::Scale { .. }
+        | Layer::UnitNorm { .. } => {}
     }
 }

@@ -26,7 +26,7 @@ use crate::api::Page;
 use crate::calibrate::CalibrateError;
 use crate::calibrate::skin::{CalibratedSkin, Candidate, Choice, Source, calibrate, choose};
 use crate::calibrate::skin_plot;
-use crate::dataset::pressed::contacts;
+use crate::dataset::pressed::{contacts, tips_mm};
 use crate::problem::Problem;
 use crate::rig::setup::RigSetup;
 use crate::simulate::model::{ModelUnavailable, unit_responses};
@@ -139,11 +139,7 @@ async fn candidates(client: &Client, run: &RunRow) -> Result<Vec<Candidate>, Cli
         let page: Page<TrialRow> = client.get(&format!("{path}{cursor}")).await?;
         for trial in &page.items {
             let Some(contacts) = contacts(trial, run.kind, force_noise_n) else { continue };
-            let arms = trial.arms.iter().map(|arm| [arm.x_mm, arm.y_mm]);
-            let tips_mm = match run.kind {
-                RunKind::RealHex => arms.collect(),
-                _ => contacts.iter().map(|c| [c.x_mm, c.y_mm]).collect(),
-            };
+            let tips_mm = tips_mm(trial, run.kind, &contacts);
             candidates.push(Candidate { trial: trial.trial_id.0, tips_mm, contacts });
         }
         let Some(next) = page.next else { return Ok(candidates) };

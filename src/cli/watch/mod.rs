@@ -190,7 +190,8 @@ fn answer(asked: Asked, night: &mut Night, client: &Client, at: &At, news: &Send
     let (run, scan_id, client) = (run.uid, run.scan_id, client.clone());
     let (action, more) = match asked {
         Asked::Pause => ("pause", json!({ "when": "checkpoint" })),
-        _ => ("resume", json!({})),
+        Asked::Resume => ("resume", json!({})),
+        Asked::Quit | Asked::Estop | Asked::Nothing => return,
     };
     night.outcome = Some(format!("{action} requested"));
     tokio::spawn(async move {

@@ -241,7 +241,9 @@ impl Night {
         let Some(run) = &status.run else {
             return match rig.state {
                 RigState::Disconnected => (Level::Fine, "nothing; the rig is not connected".into()),
-                _ => (Level::Fine, "nothing".into()),
+                RigState::Disarmed | RigState::Homed | RigState::Armed | RigState::Tripped => {
+                    (Level::Fine, "nothing".into())
+                }
             };
         };
         if run.state == StoredState::Panicked {

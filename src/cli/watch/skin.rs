@@ -174,7 +174,7 @@ fn legend_of(marks: &[Mark], width: u16, theme: Theme) -> Vec<Line<'static>> {
         }
         let words = match mark {
             Mark::Now | Mark::Next => format!(" {word}  "),
-            _ => format!(" {n} {word}  "),
+            Mark::Done | Mark::Failed | Mark::Skipped | Mark::Later => format!(" {n} {word}  "),
         };
         let entry = [symbol(mark, theme), Span::raw(words)];
         let needed: usize = entry.iter().map(Span::width).sum();

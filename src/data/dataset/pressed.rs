@@ -25,6 +25,17 @@ pub fn contacts(trial: &TrialRow, kind: RunKind, force_noise_n: f64) -> Option<V
     }
 }
 
+/// Returns where the tips of a trial are, mm: in Real-Hex each attached tip, with a force or without,
+/// otherwise the trial's `contacts`, which [`contacts`] returns.
+pub fn tips_mm(trial: &TrialRow, kind: RunKind, contacts: &[Contact]) -> Vec<[f64; 2]> {
+    match kind {
+        RunKind::RealHex => trial.arms.iter().map(|arm| [arm.x_mm, arm.y_mm]).collect(),
+        RunKind::RealRandom | RunKind::Imported => {
+            contacts.iter().map(|c| [c.x_mm, c.y_mm]).collect()
+        }
+    }
+}
+
 /// Returns the process seconds per wall second from the text of a rig file: 1 if it states none.
 pub fn clock_rate(rig: &str) -> f64 {
     #[derive(Deserialize)]

@@ -98,7 +98,12 @@ impl<'a> Survey<'a> {
             let lacks = match self.definition.split.by {
                 SplitBy::Imported if fixed.is_none() => Some(NO_PART),
                 SplitBy::Tag if !has_tag => Some(NO_TAG),
-                _ => None,
+                SplitBy::Imported
+                | SplitBy::Tag
+                | SplitBy::Configuration
+                | SplitBy::Trial
+                | SplitBy::Run
+                | SplitBy::None => None,
             };
             let why = lacks.map(str::to_owned).or_else(|| self.why_excluded(trial));
             let why = why.or_else(|| {
@@ -125,7 +130,7 @@ impl<'a> Survey<'a> {
             SplitBy::Run => split
                 .tests(&trial.run.to_string(), trial.scan_id, &trial.experiment)
                 .then_some(Part::Test),
-            _ => None,
+            SplitBy::Configuration | SplitBy::Trial | SplitBy::Tag | SplitBy::None => None,
         }
     }
 
@@ -213,7 +218,8 @@ fn group_key(trial: &TrialRow, by: SplitBy) -> String {
             return format!("{} {} {}", trial.run, trial.configuration, trial.depth_index);
         }
         (SplitBy::Tag, Some(tag)) => return tag.clone(),
-        _ => {}
+        (SplitBy::Tag, None)
+        | (SplitBy::Configuration | SplitBy::Imported | SplitBy::Run | SplitBy::None, _) => {}
     }
     let tips = trial.arms.iter().map(|a| (a.x_mm, a.y_mm));
     let placed = trial.contacts.iter().filter_map(|c| Some((c.x_mm?, c.y_mm?)));

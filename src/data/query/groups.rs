@@ -202,7 +202,11 @@ fn aggregate(text: &str) -> Result<Aggregate, String> {
     };
     let column = match function {
         Function::Count | Function::Min | Function::Max => comparable(column)?,
-        _ => number(column)?,
+        Function::Mean
+        | Function::Sum
+        | Function::Median
+        | Function::Std
+        | Function::Quantile(_) => number(column)?,
     };
     Ok(Aggregate { function, column: Some(column) })
 }

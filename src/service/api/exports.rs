@@ -141,7 +141,7 @@ pub async fn file(
                 format!("export {export} failed: {why}"),
             ));
         }
-        _ => {
+        TaskState::Waiting | TaskState::Running | TaskState::Stopped => {
             let words = format!("export {export} is not done: see /api/v1/exports/{export}");
             return Err(ApiError::new(StatusCode::CONFLICT, words));
         }

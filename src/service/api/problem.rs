@@ -203,7 +203,13 @@ impl From<DatasetError> for ApiError {
             | DatasetError::Imported(_) => StatusCode::CONFLICT,
             DatasetError::Shards(ShardsError::None(_)) => StatusCode::NOT_FOUND,
             DatasetError::DiskFull { .. } => StatusCode::INSUFFICIENT_STORAGE,
-            _ => StatusCode::INTERNAL_SERVER_ERROR,
+            DatasetError::Shards(_)
+            | DatasetError::File { .. }
+            | DatasetError::Format(_)
+            | DatasetError::Arrow(_)
+            | DatasetError::Parquet(_)
+            | DatasetError::Json(_)
+            | DatasetError::Worker => StatusCode::INTERNAL_SERVER_ERROR,
         };
         if status == StatusCode::INTERNAL_SERVER_ERROR {
             tracing::error!(error = error_chain(&error), "an operation on datasets failed");
@@ -224,7 +230,7 @@ impl From<QueryError> for ApiError {
             // A program that is not installed is no fault of this one.
             QueryError::Program(_) => Self::new(StatusCode::SERVICE_UNAVAILABLE, words),
             QueryError::Dataset(error) => error.into(),
-            _ => {
+            QueryError::Talk(_) | QueryError::Ended(_) => {
                 tracing::error!(error = error_chain(&error), "a query failed");
                 Self::new(StatusCode::INTERNAL_SERVER_ERROR, words)
             }
@@ -251,7 +257,15 @@ impl From<InferError> for ApiError {
             {
                 StatusCode::NOT_FOUND
             }
-            _ => StatusCode::INTERNAL_SERVER_ERROR,
+            InferError::Fitter(_)
+            | InferError::Errors(_)
+            | InferError::Steady(_)
+            | InferError::OneStep(_)
+            | InferError::Skin(_)
+            | InferError::Map(_)
+            | InferError::File { .. }
+            | InferError::Json { .. }
+            | InferError::Worker => StatusCode::INTERNAL_SERVER_ERROR,
         };
         if status == StatusCode::INTERNAL_SERVER_ERROR {
             tracing::error!(error = error_chain(&error), "an inference failed");
@@ -268,7 +282,11 @@ impl From<JobError> for ApiError {
             JobError::Infer(error) => error.into(),
             JobError::Dataset(error) => error.into(),
             JobError::Full(_) => Self::new(StatusCode::TOO_MANY_REQUESTS, error.to_string()),
-            _ => {
+            JobError::InVain(_)
+            | JobError::Learn(_)
+            | JobError::Trainer(_)
+            | JobError::Json(_)
+            | JobError::Worker => {
                 tracing::error!(error = error_chain(&error), "an operation on jobs failed");
                 Self::new(StatusCode::INTERNAL_SERVER_ERROR, error.to_string())
             }
@@ -284,7 +302,19 @@ impl From<StoreError> for ApiError {
             StoreError::RunEnded(_) | StoreError::NotQueued(_) | StoreError::LockHeld { .. } => {
                 StatusCode::CONFLICT
             }
-            _ => StatusCode::INTERNAL_SERVER_ERROR,
+            StoreError::Open { .. }
+            | StoreError::Lost { .. }
+            | StoreError::DamagedLog { .. }
+            | StoreError::Migrate { .. }
+            | StoreError::StartWriter(_)
+            | StoreError::Sql { .. }
+            | StoreError::Read { .. }
+            | StoreError::NotStored { .. }
+            | StoreError::Late { .. }
+            | StoreError::Closed { .. }
+            | StoreError::Unreadable { .. }
+            | StoreError::Damaged { .. }
+            | StoreError::FreeSpace(_) => StatusCode::INTERNAL_SERVER_ERROR,
         };
         if status == StatusCode::INTERNAL_SERVER_ERROR {
             tracing::error!(error = error_chain(&error), "the store failed");

@@ -133,7 +133,15 @@ fn driven(run: &RunStatus) -> Option<u32> {
         StoredState::Running | StoredState::Pausing | StoredState::Stopping => {
             run.trial.map(|key| key.configuration)
         }
-        _ => None,
+        StoredState::Queued
+        | StoredState::Idle
+        | StoredState::Paused
+        | StoredState::Aborting
+        | StoredState::Suspending
+        | StoredState::Panicked
+        | StoredState::Interrupted
+        | StoredState::Ended
+        | StoredState::Removed => None,
     }
 }
 

@@ -265,7 +265,9 @@ impl From<SkinError> for ApiError {
             SkinError::Sensor(_) | SkinError::Calibration(_) => {
                 Self::new(StatusCode::CONFLICT, format!("there is no model of this skin: {error}"))
             }
-            _ => Self::new(StatusCode::INTERNAL_SERVER_ERROR, error.to_string()),
+            SkinError::Model(_) | SkinError::Untouched(_) | SkinError::Worker => {
+                Self::new(StatusCode::INTERNAL_SERVER_ERROR, error.to_string())
+            }
         }
     }
 }

@@ -154,7 +154,16 @@ impl RunRow {
             StoredState::Ended => {
                 self.kind != RunKind::Imported && self.exit_status != Some(ExitStatus::Success)
             }
-            _ => false,
+            StoredState::Queued
+            | StoredState::Idle
+            | StoredState::Running
+            | StoredState::Pausing
+            | StoredState::Paused
+            | StoredState::Stopping
+            | StoredState::Aborting
+            | StoredState::Suspending
+            | StoredState::Panicked
+            | StoredState::Removed => false,
         }
     }
 

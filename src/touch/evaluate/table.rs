@@ -53,7 +53,7 @@ pub fn score_row(method: &str, score: &Score, beside: Beside) -> Vec<String> {
         // The standard deviation of a yes/no value follows from its mean.
         match (beside, &score.exact_rate) {
             (Beside::Spread, Some(rate)) => figure(100.0 * rate.mean, 0),
-            _ => cell(&score.exact_rate, 100.0),
+            (Beside::Spread, None) | (Beside::Interval, _) => cell(&score.exact_rate, 100.0),
         },
         cell(&score.ghosts_per_trial, 1.0),
     ]
@@ -158,7 +158,7 @@ fn mean_cell(mean: &Mean, scale: f64, beside: Beside) -> String {
         (Beside::Interval, _, Some((low, high))) => {
             format!("{} [{}, {}]", figure(mean.mean), figure(low), figure(high))
         }
-        _ => figure(mean.mean),
+        (Beside::Spread, None, _) | (Beside::Interval, _, None) => figure(mean.mean),
     }
 }
 

@@ -58,7 +58,9 @@ pub(super) async fn run(
         (OffsetsRead::Untouched, true) => {
             UntouchedSkins::before(&jobs.inner.store, &gathered.trials()).await?
         }
-        _ => UntouchedSkins::default(),
+        (OffsetsRead::Untouched, false) | (OffsetsRead::Calibration, _) => {
+            UntouchedSkins::default()
+        }
     };
     let held_out = held_out(jobs, &reader, &dataset, request.part.as_deref()).await?;
     let (watch, clock) = (watch.clone(), jobs.inner.clock.clone());

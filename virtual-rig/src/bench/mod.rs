@@ -368,7 +368,11 @@ impl Bench {
             Some(WireFault::NoReply { executed: false })
             | Some(WireFault::Disconnect { executed: false }) => Vec::new(),
             Some(WireFault::Exception(code)) => answer(pdu, &Err(Exception::Scripted(code))),
-            _ => self.carry_out(&target, pdu, arrival.unix_s),
+            None
+            | Some(WireFault::NoReply { executed: true })
+            | Some(WireFault::Disconnect { executed: true })
+            | Some(WireFault::Late { .. })
+            | Some(WireFault::Garbled(_)) => self.carry_out(&target, pdu, arrival.unix_s),
         };
         self.counters.exceptions += u64::from(answer.first().is_some_and(|f| f & 0x80 != 0));
         Served { answer: Some(answer), fault }

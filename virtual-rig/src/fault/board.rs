@@ -123,7 +123,21 @@ impl Board {
                 Kind::Disconnect { executed } => WireFault::Disconnect { executed },
                 Kind::LateReply { delay_ms } => WireFault::Late { delay_ms },
                 Kind::GarbledReply { part } => WireFault::Garbled(part),
-                _ => continue,
+                Kind::StuckAxis { .. }
+                | Kind::Alarm { .. }
+                | Kind::PowerLoss
+                | Kind::StaleRegisters
+                | Kind::DeadCell { .. }
+                | Kind::SaturatedCell { .. }
+                | Kind::FrozenCell { .. }
+                | Kind::DriftingCell { .. }
+                | Kind::ForeignLoad { .. }
+                | Kind::MissingTip { .. }
+                | Kind::UncoupledCell { .. }
+                | Kind::DropBytes { .. }
+                | Kind::FlipBytes { .. }
+                | Kind::DoubleBytes { .. }
+                | Kind::StallStream => continue,
             };
             if meant {
                 *struck += 1;

@@ -256,9 +256,13 @@ pub fn step(state: RunState, event: RunEvent) -> Result<(RunState, RunAction), I
 /// Reason of a halted run that is halted again: what a person requested, or what waits for one, does not become
 /// a reason after which the run resumes automatically.
 fn lasting(before: PausedWhy, next: PausedWhy) -> PausedWhy {
+    use PausedWhy as W;
     match (before, next) {
-        (PausedWhy::Operator, _) | (_, PausedWhy::Restart) => before,
-        _ => next,
+        (W::Operator, _) | (_, W::Restart) => before,
+        (
+            W::TipChange | W::ManualTrial | W::Suspender | W::Trip | W::Restart,
+            W::Operator | W::TipChange | W::ManualTrial | W::Suspender | W::Trip,
+        ) => next,
     }
 }
 

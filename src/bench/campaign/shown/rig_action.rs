@@ -94,7 +94,9 @@ impl RigAction {
         (!is_allowed).then(|| match self {
             Self::Reset => format!("the rig is {rig}, not tripped: nothing to reset"),
             Self::Connect => format!("the rig is {rig}: its wires are open already"),
-            _ => format!("{name} is not possible while the rig is {rig}: {}", state.next()),
+            Self::Disconnect | Self::Home | Self::Jog | Self::Tare | Self::Tips => {
+                format!("{name} is not possible while the rig is {rig}: {}", state.next())
+            }
         })
     }
 

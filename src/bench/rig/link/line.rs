@@ -439,29 +439,33 @@ impl Wire {
                     _ => Next::GiveUp,
                 }
             }
-            LineError::NoReply { .. }
-            | LineError::Disconnected { .. }
-            | LineError::Garbled { .. } => {
-                match error {
-                    LineError::NoReply { .. } => count(&self.counters.timeouts),
-                    LineError::Garbled { .. } => count(&self.counters.garbled),
-                    _ => {}
-                }
-                job.failures += 1;
-                if job.failures >= self.policy.attempts || matches!(job.kind, Kind::Motion(_)) {
-                    Next::GiveUp
-                } else if job.failures == 1 {
-                    Next::Again
-                } else {
-                    Next::AgainAfter(RETRY_STEP * (job.failures - 1))
-                }
+            LineError::NoReply { .. } => {
+                count(&self.counters.timeouts);
+                self.after_failure(job)
             }
+            LineError::Garbled { .. } => {
+                count(&self.counters.garbled);
+                self.after_failure(job)
+            }
+            LineError::Disconnected { .. } => self.after_failure(job),
             LineError::Latched | LineError::Withdrawn | LineError::Closed => Next::GiveUp,
         };
         if !matches!(next, Next::GiveUp) {
             count(&self.counters.retries);
         }
         next
+    }
+
+    /// What follows a request without a sound reply. A motion is never repeated.
+    fn after_failure(&self, job: &mut Job) -> Next {
+        job.failures += 1;
+        if job.failures >= self.policy.attempts || matches!(job.kind, Kind::Motion(_)) {
+            Next::GiveUp
+        } else if job.failures == 1 {
+            Next::Again
+        } else {
+            Next::AgainAfter(RETRY_STEP * (job.failures - 1))
+        }
     }
 }
 

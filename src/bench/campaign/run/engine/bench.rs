@@ -65,8 +65,17 @@ impl Engine {
             },
             Request::Tare => self.tare().await,
             Request::Mounted { tips, who } => self.mounted(tips, &who).await,
-            // Of a run. Which requests these are, `Request::rig_action` states.
-            _ => {
+            // Of a run.
+            Request::Start(_)
+            | Request::PauseAtCheckpoint
+            | Request::PauseNow
+            | Request::Suspend(_)
+            | Request::Resume
+            | Request::Stop
+            | Request::Abort
+            | Request::Confirm { .. }
+            | Request::Repeat { .. }
+            | Request::Shutdown => {
                 let words = format!("{} is not possible: no run is active", name(&request));
                 Err(Refusal::State(words))
             }

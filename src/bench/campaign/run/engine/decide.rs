@@ -211,7 +211,9 @@ fn requested_end(
             (ExitStatus::Success, "stopped after its last trial".into())
         }
         ExitStatus::Stopped => (status, format!("stopped at {stored} of {planned} trials")),
-        _ => (status, format!("aborted at {stored} of {planned} trials")),
+        ExitStatus::Success | ExitStatus::Abort | ExitStatus::Fail => {
+            (status, format!("aborted at {stored} of {planned} trials"))
+        }
     }
 }
 

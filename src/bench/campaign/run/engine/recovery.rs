@@ -88,7 +88,19 @@ impl Engine {
                 resume.is_down = true;
                 return None;
             }
-            _ => return None,
+            RunState::Idle
+            | RunState::Running
+            | RunState::Pausing(_)
+            | RunState::Paused(
+                PausedWhy::Operator
+                | PausedWhy::TipChange
+                | PausedWhy::ManualTrial
+                | PausedWhy::Suspender
+                | PausedWhy::Restart,
+            )
+            | RunState::Stopping
+            | RunState::Aborting
+            | RunState::Panicked => return None,
         }
         let now = Instant::now();
         if std::mem::take(&mut resume.is_down) {

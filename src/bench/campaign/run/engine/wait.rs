@@ -208,7 +208,7 @@ impl Engine {
                 }
                 let waited = match outcome {
                     Ok(RunAction::End(status)) => Some(Waited::Ended(status)),
-                    _ => None,
+                    Ok(RunAction::Continue | RunAction::Raise | RunAction::Wait) | Err(_) => None,
                 };
                 let _ = answer.send(outcome.map(|_| ()));
                 waited
@@ -222,7 +222,10 @@ impl Engine {
             Request::Reset if self.control.run() == RunState::Panicked => {
                 let reset = match self.control.rig() {
                     RigState::Tripped => self.reset(presses, Some(&answer)).await,
-                    _ => Ok(()),
+                    RigState::Disconnected
+                    | RigState::Disarmed
+                    | RigState::Homed
+                    | RigState::Armed => Ok(()),
                 };
                 if reset.is_ok() {
                     let _ = self.control.run_event(RunEvent::Reset);

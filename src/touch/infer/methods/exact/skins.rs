@@ -12,7 +12,7 @@ use tracing::Span;
 
 use super::{ExactSkin, KnownTrial, KnownTrials, SkinErrors, Untouched};
 use crate::calibrate::skin;
-use crate::dataset::pressed::{clock_rate, contacts, force_noise_n};
+use crate::dataset::pressed::{clock_rate, contacts, force_noise_n, tips_mm};
 use crate::digest::Hashing;
 use crate::ids::{CalibrationId, TrialId};
 use crate::infer::error::InferError;
@@ -120,11 +120,7 @@ impl Skins {
         let skins = UntouchedSkins::before(&self.store, &ids(&all)).await?;
         let pressed = |trial: &TrialRow| {
             let contacts = contacts(trial, run.kind, force_noise_n)?;
-            let tips_mm: Vec<[f64; 2]> = match run.kind {
-                RunKind::RealHex => trial.arms.iter().map(|arm| [arm.x_mm, arm.y_mm]).collect(),
-                _ => contacts.iter().map(|c| [c.x_mm, c.y_mm]).collect(),
-            };
-            skin::is_held_out(&tips_mm).then_some(())?;
+            skin::is_held_out(&tips_mm(trial, run.kind, &contacts)).then_some(())?;
             let frame_v = complete(trial.voltages_v.clone(), channels)?;
             let (frames, untouched) = (frames(trial), skins.of(trial.trial_id));
             Some(KnownTrial { contacts, frame_v, frames, untouched })
