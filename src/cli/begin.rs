@@ -17,6 +17,7 @@ use super::rig::until_rig;
 use super::view::{PreflightView, StatusView};
 use crate::campaign::bench::rig_state::RigState;
 use crate::campaign::bench::travel::HOMING_WAIT;
+use crate::conductor::Started;
 use crate::journal::ExitStatus;
 use crate::state::StoredState;
 use crate::store::RunRow;
@@ -161,7 +162,7 @@ pub async fn arm_and_start(client: &Client, run: &RunRow) -> Result<Begun, CliEr
     let since = last_event(client, run).await?;
     let armed = client.arm(run.uid).await?;
     let taken = client.start(run.uid, &armed.code).await?;
-    let waiting = taken.started.as_deref() == Some("waiting");
+    let waiting = taken.started == Some(Started::Waiting);
     Ok(Begun { since, waiting, preflight: armed.preflight })
 }
 

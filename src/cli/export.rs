@@ -22,6 +22,7 @@ use super::table::{Align, Table, or_dash};
 use crate::dataset::export::ExportRequest;
 use crate::dataset::format::Format;
 use crate::ids::DatasetId;
+use crate::store::TaskState;
 
 /// Interval of polling an export's progress.
 const EXPORT_POLL: Duration = Duration::from_millis(200);
@@ -64,7 +65,7 @@ fn formats() -> impl TypedValueParser<Value = Format> {
 #[derive(Debug, Clone, Serialize, Deserialize)]
 struct ExportView {
     id: String,
-    state: String,
+    state: TaskState,
     rows_done: u64,
     rows_total: u64,
     dataset: Option<DatasetId>,
@@ -125,19 +126,19 @@ async fn follow(client: &Client, asked: ExportView) -> Result<ExportView, CliErr
         // The dataset is made before its rows are counted.
         bar.set_message(if now.rows_total == 0 { "(making the dataset)" } else { "" });
         lines.say(|| format!("{} of {} rows exported", now.rows_done, now.rows_total));
-        match now.state.as_str() {
-            "done" => {
+        match now.state {
+            TaskState::Done => {
                 bar.finish_and_clear();
                 now.rows_total = rows;
                 return Ok(now);
             }
-            "failed" | "stopped" => {
+            TaskState::Failed | TaskState::Stopped => {
                 bar.abandon();
                 let operation = format!("export {}", now.id);
                 let detail = now.error.unwrap_or_default();
                 return Err(CliError::Refused { operation, status: 409, detail });
             }
-            _ => tokio::time::sleep(EXPORT_POLL).await,
+            TaskState::Waiting | TaskState::Running => tokio::time::sleep(EXPORT_POLL).await,
         }
         now = client.get(&format!("/api/v1/exports/{}", now.id)).await?;
     }

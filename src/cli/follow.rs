@@ -394,10 +394,10 @@ fn progress_line(run: &RunView, status: &StatusView) -> serde_json::Value {
 }
 
 fn progress_words(run: &RunView, status: &StatusView) -> String {
-    let mut parts = vec![match (&run.waiting_for, run.state.as_str()) {
+    let mut parts = vec![match (&run.waiting_for, run.state) {
         (Some(words), _) => format!("waits: {words}"),
-        (None, "running") => phase_word(run.phase).into(),
-        (None, state) => state.into(),
+        (None, StoredState::Running) => phase_word(run.phase).into(),
+        (None, state) => state.as_str().into(),
     }];
     if let Some(asked) = &run.requested_state {
         parts.push(format!("-> {asked}"));

@@ -18,6 +18,7 @@ use super::{At, embed};
 use crate::api::{
     FrameAnswer, InferOptions, InferRequest, LiveAnswer, LiveQuantities, ModelOut, QuantityRequest,
 };
+use crate::campaign::bench::rig_state::RigState;
 use crate::ids::CalibrationId;
 use crate::infer::answer::FoundContact;
 use crate::infer::methods::Method;
@@ -282,8 +283,7 @@ pub async fn live(args: LiveArgs) -> Result<(), CliError> {
         true => "/api/v1/live/quantities".to_owned(),
         false => format!("/api/v1/live?map={}{method}", args.map),
     };
-    let status: Value = client.get("/api/v1/status").await?;
-    if status["rig"]["state"] == "disconnected" {
+    if client.status().await?.rig.state == RigState::Disconnected {
         note("no frames while the rig is not connected: palpate rig connect");
     }
     let mut seen = 0;

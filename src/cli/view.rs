@@ -11,6 +11,7 @@ use crate::campaign::bench::rig_state::RigState;
 use crate::campaign::bench::stopping::StoppingDistance;
 use crate::campaign::shown::safe_end::SafeEnd;
 use crate::campaign::shown::status::{Eta, Phase};
+use crate::conductor::Started;
 use crate::event::{self, Importance};
 use crate::ids::{RunUid, TrialKey};
 use crate::record::Pose;
@@ -168,8 +169,8 @@ pub struct PreflightView {
 /// `POST /api/v1/runs/{run}/actions` with `start`.
 #[derive(Debug, Clone, Deserialize)]
 pub struct TakenUpView {
-    /// `running` or `waiting`.
-    pub started: Option<String>,
+    /// Whether it is active or waits.
+    pub started: Option<Started>,
 }
 
 /// An event of the service, as `GET /api/v1/events` returns it.

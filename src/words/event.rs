@@ -1,12 +1,13 @@
 //! Events: their kinds, how much each one matters to a person, and its sentence. The history of a run, its report,
 //! the page and the terminal use this one definition.
-//! PURE. Uses: `plain`. Never: an event without a sentence, the place where an event is written.
+//! PURE. Uses: `plain`, `state`. Never: an event without a sentence, the place where an event is written.
 
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use utoipa::ToSchema;
 
 use crate::plain::{counted, duration};
+use crate::state::{PausedWhy, StoredState};
 
 /// Longest words of an event without a sentence, characters.
 const DETAIL: usize = 160;
@@ -89,12 +90,26 @@ pub fn importance(kind: &str, data: &Value) -> Importance {
 }
 
 fn importance_of_state(data: &Value) -> Importance {
-    match (data["state"].as_str(), data["why"].as_str()) {
-        (Some("panicked"), _) => Importance::Act,
-        // The event `wanted` reports these.
-        (_, Some("tip_change" | "manual_trial")) => Importance::Routine,
-        (Some("paused" | "interrupted"), _) => Importance::Notable,
-        _ => Importance::Routine,
+    let why = PausedWhy::deserialize(&data["why"]).ok();
+    // The event `wanted` reports these.
+    let is_wanted = matches!(why, Some(PausedWhy::TipChange | PausedWhy::ManualTrial));
+    match StoredState::deserialize(&data["state"]).ok() {
+        Some(StoredState::Panicked) => Importance::Act,
+        Some(StoredState::Paused | StoredState::Interrupted) if !is_wanted => Importance::Notable,
+        Some(
+            StoredState::Queued
+            | StoredState::Idle
+            | StoredState::Running
+            | StoredState::Pausing
+            | StoredState::Paused
+            | StoredState::Stopping
+            | StoredState::Aborting
+            | StoredState::Suspending
+            | StoredState::Interrupted
+            | StoredState::Ended
+            | StoredState::Removed,
+        )
+        | None => Importance::Routine,
     }
 }
 

@@ -74,6 +74,15 @@ pub fn duration(seconds: f64) -> String {
     }
 }
 
+/// Formats a size: `0.21 GB`, `3.4 MB`, `12 kB`.
+pub fn bytes(count: f64) -> String {
+    match count {
+        1e8.. => format!("{:.2} GB", count / 1e9),
+        1e6.. => format!("{:.1} MB", count / 1e6),
+        _ => format!("{:.0} kB", count / 1e3),
+    }
+}
+
 /// Formats a count with its noun: `1 retry`, `3 retries`.
 pub fn counted(count: u64, one: &str, many: &str) -> String {
     format!("{count} {}", if count == 1 { one } else { many })
@@ -93,11 +102,13 @@ mod tests {
     }
 
     #[test]
-    fn durations_and_counts_read_well() {
+    fn durations_sizes_and_counts_read_well() {
         assert_eq!(duration(4.21), "4.2 s");
         assert_eq!(duration(59.9), "1 min 0 s");
         assert_eq!(duration(725.0), "12 min 5 s");
         assert_eq!(duration(90_720.0), "25 h 12 min");
+        assert_eq!(bytes(12_345.0), "12 kB");
+        assert_eq!(bytes(2.1e8), "0.21 GB");
         assert_eq!(counted(1, "retry", "retries"), "1 retry");
         assert_eq!(counted(0, "retry", "retries"), "0 retries");
     }

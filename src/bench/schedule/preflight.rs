@@ -1,5 +1,5 @@
 //! Summary of a plan for a person before arming, and for scripts with `--json`.
-//! PURE. Uses: `plan`, `estimate`, `problem`. Never: the rig, files.
+//! PURE. Uses: `plan`, `estimate`, `problem`, `plain`. Never: the rig, files.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
@@ -10,6 +10,7 @@ use utoipa::ToSchema;
 use super::estimate::{Bench, Estimate, Estimates, Parts, estimate, fixed_bytes};
 use super::order::Place;
 use super::plan::{Kind, Plan, PlannedConfiguration, Step};
+use crate::plain::{bytes, duration};
 use crate::problem::Problem;
 
 /// Preflight of a plan on a bench.
@@ -180,7 +181,7 @@ impl fmt::Display for Preflight {
             let name = setting
                 .tips
                 .map_or("manual".into(), |t| format!("{t} tip{}", if t == 1 { "" } else { "s" }));
-            let (time, disk) = (duration(setting.duration_s), bytes(setting.disk_bytes));
+            let (time, disk) = (duration(setting.duration_s), bytes(setting.disk_bytes as f64));
             writeln!(f, "    {name:<18} {time:>12} {:>8} trials {disk:>10}", setting.trials)?;
         }
         if let Some(ratio) = self.travel_ratio {
@@ -188,8 +189,8 @@ impl fmt::Display for Preflight {
             let shown = format!("{planned:.1} m, {ratio:.3} of the {drawn:.1} m in drawn order");
             line(f, "lateral travel", shown)?;
         }
-        let fixed = bytes(self.disk_fixed_bytes);
-        line(f, "disk", format!("{}, {fixed} of it cache and log", bytes(self.disk_bytes)))?;
+        let fixed = bytes(self.disk_fixed_bytes as f64);
+        line(f, "disk", format!("{}, {fixed} of it cache and log", bytes(self.disk_bytes as f64)))?;
         if let Some(words) = &self.if_silent {
             line(f, "if the service stops", words.clone())?;
         }
@@ -198,28 +199,5 @@ impl fmt::Display for Preflight {
         }
         line(f, "problems", self.problems.len().to_string())?;
         self.problems.iter().try_for_each(|problem| writeln!(f, "    {problem}"))
-    }
-}
-
-/// Formats a duration: `25 h 12 min`, `12 min 5 s`, `4.2 s`.
-fn duration(seconds: f64) -> String {
-    let whole = seconds.round() as u64;
-    match whole {
-        0..60 => format!("{seconds:.1} s"),
-        60..3600 => format!("{} min {} s", whole / 60, whole % 60),
-        _ => {
-            let minutes = (seconds / 60.0).round() as u64;
-            format!("{} h {} min", minutes / 60, minutes % 60)
-        }
-    }
-}
-
-/// Formats a size: `0.21 GB`, `3.4 MB`, `12 kB`.
-fn bytes(count: u64) -> String {
-    let count = count as f64;
-    match count {
-        1e8.. => format!("{:.2} GB", count / 1e9),
-        1e6.. => format!("{:.1} MB", count / 1e6),
-        _ => format!("{:.0} kB", count / 1e3),
     }
 }
