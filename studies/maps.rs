@@ -8,7 +8,7 @@ use crate::dataset::force_map::{ForceMapSpec, TABLE_IV_MAPS};
 use crate::evaluate::charts::{Heat, heats};
 use crate::evaluate::published::table_iv as published_table_iv;
 use crate::evaluate::score::{Mean, Score};
-use crate::evaluate::table::{Beside, SCORE_COLUMNS, markdown, published_row, score_row};
+use crate::evaluate::table::{SCORE_COLUMNS, Uncertainty, markdown, published_row, score_row};
 use crate::figure::Heading;
 use crate::infer::methods::Method;
 use crate::lab::{Lab, StudyError};
@@ -32,8 +32,8 @@ pub async fn table_iv<L: Lab>(lab: &L, budget: &Budget) -> Result<Sheet, L::Erro
         let report = lab.score(&request).await?;
         let name = format!("Map {number}, {spec}");
         if let (Some(found), Some(perfect)) = (&report.contacts, &report.perfect) {
-            rows.push(score_row(&name, &found.all, Beside::Spread));
-            rows.push(score_row("  perfect map", &perfect.all, Beside::Spread));
+            rows.push(score_row(&name, &found.all, Uncertainty::Spread));
+            rows.push(score_row("  perfect map", &perfect.all, Uncertainty::Spread));
             scores.push((spec, found.all.clone()));
         }
         rows.extend(published_table_iv(spec).map(|paper| published_row("  paper", &paper)));

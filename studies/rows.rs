@@ -2,16 +2,20 @@
 //! PURE. Uses: `evaluate::table`. Never: a number that is not in the report.
 
 use crate::evaluate::request::EvaluationReport;
-use crate::evaluate::table::{Beside, score_row};
+use crate::evaluate::table::{Uncertainty, score_row};
 use crate::ids::{CalibrationId, ModelId};
 
 /// Rows of a method: over all frames, then by the number of contacts. Columns:
 /// `evaluate::table::SCORE_COLUMNS`, means with 95 % intervals.
 pub fn by_contacts(name: &str, report: &EvaluationReport) -> Vec<Vec<String>> {
     let Some(scores) = &report.contacts else { return Vec::new() };
-    let mut rows = vec![score_row(name, &scores.all, Beside::Interval)];
+    let mut rows = vec![score_row(name, &scores.all, Uncertainty::Interval)];
     for count in &scores.by_contacts {
-        rows.push(score_row(&format!("  of {}", count.contacts), &count.score, Beside::Interval));
+        rows.push(score_row(
+            &format!("  of {}", count.contacts),
+            &count.score,
+            Uncertainty::Interval,
+        ));
     }
     rows
 }
@@ -21,7 +25,7 @@ pub fn perfect(report: &EvaluationReport) -> Option<Vec<String>> {
     let scores = report.perfect.as_ref()?;
     let map = report.map.as_deref().unwrap_or_default();
     let name = format!("perfect map {map}, {} N rule", report.threshold_n);
-    Some(score_row(&name, &scores.all, Beside::Interval))
+    Some(score_row(&name, &scores.all, Uncertainty::Interval))
 }
 
 /// Rows of the perfect maps of these reports, equal ones once.

@@ -1,5 +1,5 @@
 //! The clock: wall time for wires and watchdogs, process time for motion, settling and frames.
-//! The only place that reads the time.
+//! The only place that converts between the two.
 //! Never: sleeping past a stop (callers select on their own stop signals).
 //!
 //! A rig may run faster than wall time: `clock_rate` in its file is the number of process seconds

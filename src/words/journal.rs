@@ -177,7 +177,7 @@ pub trait Journal: Send + Sync {
     async fn mounted(&self, mounting: &Mounting, at: Timestamp) -> Result<(), JournalError>;
     /// Reads the last entry of mounted tips; none if there is none.
     async fn last_mounted(&self) -> Result<Option<Mounting>, JournalError>;
-    /// Returns who took the operator lock after a time, with the note; none if nobody did.
+    /// Returns who took the operator lock after a time, with the note; none if it was not taken.
     async fn lock_since(&self, at: Timestamp) -> Result<Option<String>, JournalError>;
     /// Returns the free disk space, bytes.
     async fn free_bytes(&self) -> Result<u64, JournalError>;

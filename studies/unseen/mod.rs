@@ -8,7 +8,7 @@ use crate::budget::{Budget, END_TO_END, R2S, RECON_NET, Scale, up_to};
 use crate::dataset::force_map::{ForceMapSpec, TABLE_IV_MAPS};
 use crate::evaluate::published::REAL_UNSEEN;
 use crate::evaluate::request::{EvaluationReport, EvaluationRequest, FramesRead};
-use crate::evaluate::table::{Beside, SCORE_COLUMNS, markdown, published_row, score_row};
+use crate::evaluate::table::{SCORE_COLUMNS, Uncertainty, markdown, published_row, score_row};
 use crate::factorial::{COARSE_MM, DIAMETERS_MM};
 use crate::figure::Heading;
 use crate::ids::{CalibrationId, ModelId};
@@ -262,7 +262,7 @@ fn nets(pipeline: &[Named], end_to_end: &[Named]) -> String {
     let rows_of = |group: &'static str, scores: &[Named]| -> Vec<Vec<String>> {
         let row = |(name, report): &Named| {
             let name = format!("{group} {name}");
-            Some(score_row(&name, &report.contacts.as_ref()?.all, Beside::Interval))
+            Some(score_row(&name, &report.contacts.as_ref()?.all, Uncertainty::Interval))
         };
         scores.iter().filter_map(row).collect()
     };

@@ -27,7 +27,7 @@ const SMALLEST_P: f64 = 1e-4;
 
 /// Addition to a mean.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Beside {
+pub enum Uncertainty {
     /// The standard deviation of the values, as in the paper: `-22 ± 23`.
     Spread,
     /// The 95 % interval of the mean: `-22 [-24, -20]`.
@@ -35,9 +35,9 @@ pub enum Beside {
 }
 
 /// A score as a row under [`SCORE_COLUMNS`].
-pub fn score_row(method: &str, score: &Score, beside: Beside) -> Vec<String> {
+pub fn score_row(method: &str, score: &Score, shown: Uncertainty) -> Vec<String> {
     let cell = |mean: &Option<Mean>, scale: f64| match mean {
-        Some(mean) => mean_cell(mean, scale, beside),
+        Some(mean) => mean_cell(mean, scale, shown),
         None => EMPTY_CELL.into(),
     };
     let force_median = score.force_median_percent;
@@ -51,9 +51,11 @@ pub fn score_row(method: &str, score: &Score, beside: Beside) -> Vec<String> {
         force_median.map_or(EMPTY_CELL.into(), |median| figure(median, decimals(median))),
         cell(&score.diameter_percent, 1.0),
         // The standard deviation of a yes/no value follows from its mean.
-        match (beside, &score.exact_rate) {
-            (Beside::Spread, Some(rate)) => figure(100.0 * rate.mean, 0),
-            (Beside::Spread, None) | (Beside::Interval, _) => cell(&score.exact_rate, 100.0),
+        match (shown, &score.exact_rate) {
+            (Uncertainty::Spread, Some(rate)) => figure(100.0 * rate.mean, 0),
+            (Uncertainty::Spread, None) | (Uncertainty::Interval, _) => {
+                cell(&score.exact_rate, 100.0)
+            }
         },
         cell(&score.ghosts_per_trial, 1.0),
     ]
@@ -149,16 +151,16 @@ fn line<'a>(cells: impl Iterator<Item = &'a str>, widths: &[usize]) -> String {
     format!("| {} |\n", cells.collect::<Vec<String>>().join(" | "))
 }
 
-fn mean_cell(mean: &Mean, scale: f64, beside: Beside) -> String {
+fn mean_cell(mean: &Mean, scale: f64, shown: Uncertainty) -> String {
     let digits = decimals(scale * mean.mean);
     let figure = |value: f64| figure(scale * value, digits);
     let ends = mean.low_95.zip(mean.high_95);
-    match (beside, mean.sd, ends) {
-        (Beside::Spread, Some(sd), _) => format!("{} ± {}", figure(mean.mean), figure(sd)),
-        (Beside::Interval, _, Some((low, high))) => {
+    match (shown, mean.sd, ends) {
+        (Uncertainty::Spread, Some(sd), _) => format!("{} ± {}", figure(mean.mean), figure(sd)),
+        (Uncertainty::Interval, _, Some((low, high))) => {
             format!("{} [{}, {}]", figure(mean.mean), figure(low), figure(high))
         }
-        (Beside::Spread, None, _) | (Beside::Interval, _, None) => figure(mean.mean),
+        (Uncertainty::Spread, None, _) | (Uncertainty::Interval, _, None) => figure(mean.mean),
     }
 }
 
@@ -198,8 +200,8 @@ mod tests {
             ..Score::default()
         };
         let rows = [
-            score_row("ours", &score, Beside::Spread),
-            score_row("ours, interval", &score, Beside::Interval),
+            score_row("ours", &score, Uncertainty::Spread),
+            score_row("ours, interval", &score, Uncertainty::Interval),
             published_row("paper, Map 1", &TABLE_IV[0]),
             published_row("paper, V-D", &REAL_UNSEEN),
         ];
@@ -214,7 +216,7 @@ mod tests {
 ";
         assert_eq!(table, expected);
         let silent = Score { closest_mm: mean(50.0, 9.0, 2.0), contacts: 12, ..Score::default() };
-        assert_eq!(score_row("ours", &silent, Beside::Interval)[4], "50 [48, 52] of 75 %");
+        assert_eq!(score_row("ours", &silent, Uncertainty::Interval)[4], "50 [48, 52] of 75 %");
         assert_eq!(rows[0][4..], ["-", "-", "10", "-", "71", "0.0 ± 0.2"]);
         assert_eq!(rows[1][8..], ["71 [67, 75]", "0.0 [0.0, 0.0]"]);
         assert_eq!(rows[2][7], "-31 ± 12");

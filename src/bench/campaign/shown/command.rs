@@ -140,8 +140,8 @@ pub struct Envelope {
 }
 
 impl Envelope {
-    /// Whether nobody waits for the answer any more to a request that would move the rig or permit it: the
-    /// caller was told that it failed. What stops or ends is carried out in any case.
+    /// Whether the caller of a request that would move the rig, or permit it, no longer waits for the answer: to
+    /// the caller it has failed. What stops or ends is carried out in any case.
     fn is_abandoned(&self) -> bool {
         self.answer.is_closed()
             && match self.request {
@@ -171,7 +171,7 @@ impl Envelope {
 pub struct Wires(Arc<Mutex<()>>);
 
 impl Wires {
-    /// Takes the wires; `None` while somebody else has them open.
+    /// Takes the wires; `None` while another part has them open.
     pub fn take(&self) -> Option<OwnedMutexGuard<()>> {
         Arc::clone(&self.0).try_lock_owned().ok()
     }
@@ -235,7 +235,7 @@ pub fn channel(estop: StopSwitch, status: Status) -> (Handle, Inbox) {
 }
 
 impl Inbox {
-    /// Waits for the next request that somebody waits for; `None` once every handle is dropped.
+    /// Waits for the next request that is not abandoned; `None` once every handle is dropped.
     pub async fn next(&mut self) -> Option<Envelope> {
         loop {
             let envelope = self.requests.recv().await?;
@@ -245,7 +245,7 @@ impl Inbox {
         }
     }
 
-    /// The next request that has already arrived and that somebody waits for.
+    /// The next request that has already arrived and is not abandoned.
     pub fn pending(&mut self) -> Option<Envelope> {
         while let Ok(envelope) = self.requests.try_recv() {
             if !envelope.is_abandoned() {

@@ -41,7 +41,7 @@ impl Engine {
         match halt {
             Halt::Asked => self.note_suspension(),
             Halt::Checkpoint => {}
-            // Nobody is called to tips that may be down.
+            // No person is called to tips that may be down.
             Halt::Needs(Wanted::Tips { tips }) if !self.tips_are_raised() => {
                 let detail = format!("the tips are not raised for their change to {tips} tips");
                 self.control.latch(&Trip { kind: TripKind::Position, detail: detail.clone() });

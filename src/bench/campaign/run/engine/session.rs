@@ -37,7 +37,7 @@ impl Engine {
     ///
     /// # Errors
     /// No wires are open, a device does not reply, no press is slow enough for the margin, the
-    /// state does not allow arming, or nobody waits for the answer any more.
+    /// state does not allow arming, or its client no longer waits for the answer.
     pub(super) async fn arm(&mut self, job: &Job, answer: &Answer) -> Result<(), Refusal> {
         if self.connection.is_none() {
             return Err(no_wires());
