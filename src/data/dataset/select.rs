@@ -132,11 +132,6 @@ impl Selection {
         &self.schema
     }
 
-    /// The requested values of a frame.
-    pub fn slice_of<'f>(&self, frame: &'f [f32]) -> &'f [f32] {
-        self.slice.and_then(|(first, end)| frame.get(first..end)).unwrap_or(frame)
-    }
-
     /// True if the result is the whole table, unchanged.
     pub fn is_whole(&self) -> bool {
         self.filters.is_empty()

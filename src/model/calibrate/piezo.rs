@@ -77,11 +77,6 @@ impl PiezoFit {
             measurement_ohm: around(t * sd.hypot(self.regression.residual_sd)),
         }
     }
-
-    /// Measured over fitted resistance, as natural logarithms, in the order of the rows.
-    pub fn residuals_ln(&self) -> &[f64] {
-        &self.regression.residuals
-    }
 }
 
 /// Reads a compression test and fits Eq. 1 to it. If the test does not determine c, the value of

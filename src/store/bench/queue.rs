@@ -50,21 +50,6 @@ impl Store {
         run_row::read_all(&rows, OPERATION)
     }
 
-    /// Returns the next run of the queue, which stays queued until its state changes; `None` if the
-    /// queue is empty.
-    ///
-    /// # Errors
-    /// `Sql` or `Unreadable` if the read fails.
-    pub async fn next_queued(&self) -> Result<Option<RunRow>, StoreError> {
-        const OPERATION: &str = "reading the queue";
-        sqlx::query("SELECT * FROM runs WHERE state = 'queued' ORDER BY queue_position LIMIT 1")
-            .fetch_optional(&self.inner.readers)
-            .await
-            .during(OPERATION)?
-            .map(|row| RunRow::read(&row, OPERATION))
-            .transpose()
-    }
-
     /// Moves a run to a position, from 1; a larger position than the last means the end. Returns the
     /// queue.
     ///

@@ -147,7 +147,7 @@ async fn the_queue_is_in_the_order_that_was_asked_for() {
     assert_eq!(order(store.move_item(d, 1).await.unwrap()), [d, a, b, c]);
     assert_eq!(order(store.move_item(d, 99).await.unwrap()), [a, b, c, d]);
     assert_eq!(order(store.move_item(a, 3).await.unwrap()), [b, c, a, d]);
-    assert_eq!(store.next_queued().await.unwrap().unwrap().uid, b);
+    assert_eq!(store.queue().await.unwrap()[0].uid, b);
     let removed = store.remove(c).await.unwrap();
     assert_eq!((removed.state, removed.queue_position), (StoredState::Removed, None));
     assert_eq!(order(store.queue().await.unwrap()), [b, a, d]);
@@ -155,7 +155,7 @@ async fn the_queue_is_in_the_order_that_was_asked_for() {
     assert!(matches!(store.move_item(c, 1).await, Err(StoreError::NotQueued(_))));
     assert!(store.run_state(c, StateChange::to(StoredState::Running), now()).await.is_err());
     store.run_state(b, StateChange::to(StoredState::Running), now()).await.unwrap();
-    assert_eq!(store.next_queued().await.unwrap().unwrap().uid, a);
+    assert_eq!(store.queue().await.unwrap()[0].uid, a);
 }
 
 #[tokio::test]

@@ -29,12 +29,6 @@ pub enum ErrorModelError {
         /// Its standard deviation, V.
         sd_v: f64,
     },
-    /// The relative error is not a finite number >= 0.
-    #[error("error model: relative error {value} is not a finite number >= 0")]
-    Relative {
-        /// The relative error, as a share of the signal.
-        value: f64,
-    },
     /// The frames of a pair have the wrong length, or a value is not finite.
     #[error("error model: pair {pair} is not two frames of {channels} finite voltages")]
     Pair {
@@ -101,18 +95,6 @@ impl ErrorModel {
             return Err(ErrorModelError::Noise { channel, sd_v: channel_sd_v[channel] });
         }
         Ok(Self { channel_sd_v, modes: Vec::new(), floor: 0.0 })
-    }
-
-    /// Adds a relative error that is the same on all channels, as a share of the signal.
-    ///
-    /// # Errors
-    /// `ErrorModelError::Relative` if `share` is not a finite number >= 0.
-    pub fn with_relative(mut self, share: f64) -> Result<Self, ErrorModelError> {
-        if !(share >= 0.0 && share.is_finite()) {
-            return Err(ErrorModelError::Relative { value: share });
-        }
-        self.floor = share;
-        Ok(self)
     }
 
     /// Adds a relative error estimated from pairs that the model was not fitted to: the `rank`
