@@ -1,6 +1,6 @@
 //! Palpate: presses a tactile robot skin with a rig, trains models on the measured trials, and
-//! estimates position and force of contacts. The modules below are listed in the order in which data flows through them; each chapter
-//! is a crate, and crates only use those before them.
+//! estimates position and force of contacts. The chapters below are listed in the order in which data flows
+//! through them; each is a crate, except `cli`, and uses only those before it.
 
 pub use palpate_words::{
     carried, chance, clock, commit, digest, event, file_kind, ids, journal, locate, near, new_file,

@@ -9,8 +9,8 @@
 //!                                      +--> contacts, force map --> evaluate --> scores, figures
 //! ```
 //! - `learn` makes samples of rows and an order of a recipe, and defines the file of a model.
-//! - `infer` answers a frame with the serving models: methods `paper`, `fast` and `exact`, and quantities of
-//!   a whole frame.
+//! - `infer` answers a frame with the serving models: contacts by the methods in `infer/methods`, and
+//!   quantities of a whole frame.
 //! - `evaluate` compares answers with true contacts and the model with measured frames; it returns numbers
 //!   and figures, and starts nothing.
 //! - `jobs` runs trainings and evaluations, one at a time, as tasks of the store that survive a restart.

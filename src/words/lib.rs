@@ -1,6 +1,7 @@
 //! The shared types: time, random numbers, keys, records of a run, rejected values, new files, plain text;
-//! and the files that the program carries.
-//! Uses: no other chapter. Never: devices, the database, HTTP; files, except in `new_file`.
+//! the files that the program carries, and the programs that it starts as processes.
+//! Uses: no other chapter. Never: devices, the database, HTTP; files, except in `new_file`; processes, except
+//! in `program`.
 
 pub mod carried;
 pub mod chance;

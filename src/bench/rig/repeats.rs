@@ -1,6 +1,6 @@
 //! Counts for how long each input of a module has returned the same raw value, which detects a
 //! module that hangs while its connection stays open.
-//! PURE (times are passed in). Uses: `config` (arms). Never: consequences (the campaign trips),
+//! PURE (times are passed in). Uses: `record` (arms). Never: consequences (the campaign trips),
 //! volts.
 //!
 //! A noisy input that is converted again rarely returns the same value many times in succession.

@@ -1,5 +1,5 @@
 //! The rolling fit of a run: detects a drift of the skin, or of one electrode, from the model.
-//! PURE. Uses: `compare`, `schedule` (the limits). Never: an action (the caller takes it).
+//! PURE. Uses: sim-core's median, `schedule` (the limits). Never: an action (the caller takes it).
 
 use std::collections::VecDeque;
 

@@ -1,5 +1,5 @@
 //! Agreement of voltages with simulated ones, by the number of contacts (paper, Table III).
-//! PURE. Uses: `simulate::compare` (RMSE, FVU), sim-core's quantiles. Never: nets.
+//! PURE. Uses: sim-core's quantiles. Never: nets.
 
 use serde::{Deserialize, Serialize};
 use sim_core::stats::{quantile, sorted};

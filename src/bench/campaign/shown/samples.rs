@@ -1,5 +1,5 @@
 //! Every sample of the load cells, published for their followers.
-//! Uses: tokio's broadcast channel, `rig::config`. Never: a wait for a follower; one that is too slow
+//! Uses: tokio's broadcast channel, `record`. Never: a wait for a follower; one that is too slow
 //! misses samples.
 
 use tokio::sync::broadcast;

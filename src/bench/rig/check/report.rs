@@ -80,7 +80,7 @@ pub struct CellsFound {
 }
 
 /// Findings for the voltage stream; values that were not measured are absent.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize)]
 pub struct StreamFound {
     /// Last line of text from the device.
     pub status_line: Option<String>,

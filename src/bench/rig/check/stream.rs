@@ -32,19 +32,7 @@ pub(super) async fn check(
     clock: &Clock,
     problems: &mut Vec<String>,
 ) -> StreamFound {
-    let mut found = StreamFound {
-        status_line: None,
-        frames: 0,
-        frame_rate_hz: None,
-        device_rate: None,
-        missed: 0,
-        garbled: 0,
-        frame_sd_v: None,
-        noise_sd_v: None,
-        signal_to_noise: None,
-        injection_sum_v: None,
-        saturated_channels: None,
-    };
+    let mut found = StreamFound::default();
     let frames = collect(config, frame_age, stream, clock).await;
     let counters = stream.counters();
     found.status_line = stream.status_line();
@@ -203,19 +191,7 @@ mod tests {
     }
 
     fn judge(frames: &[Arc<Frame>]) -> (StreamFound, Vec<String>) {
-        let mut found = StreamFound {
-            status_line: None,
-            frames: frames.len(),
-            frame_rate_hz: None,
-            device_rate: None,
-            missed: 0,
-            garbled: 0,
-            frame_sd_v: None,
-            noise_sd_v: None,
-            signal_to_noise: None,
-            injection_sum_v: None,
-            saturated_channels: None,
-        };
+        let mut found = StreamFound { frames: frames.len(), ..StreamFound::default() };
         let mut problems = Vec::new();
         signal(frames, &mut found, &mut problems);
         (found, problems)
