@@ -14,8 +14,8 @@ use super::audit::Act;
 use super::pages::{Page, PageParams, PageRequest};
 use super::problem::{ApiError, Body, Path, ProblemBody};
 use super::send::{self, Created, Download};
+use crate::dataset::error::DatasetError;
 use crate::dataset::export::{ExportRequest, ExportResult};
-use crate::dataset::format::Format;
 use crate::ids::{DatasetId, TaskId};
 use crate::store::{TaskKind, TaskRow, TaskState};
 
@@ -150,11 +150,11 @@ pub async fn file(
         let words = format!("the file of export {export} was removed: request the export again");
         return Err(ApiError::new(StatusCode::GONE, words));
     };
-    let format = row.request["format"].as_str().and_then(|name| name.parse().ok());
-    let format: Format = format.unwrap_or(Format::Parquet);
-    let name = format!("{export}.{}", format.extension());
+    let asked: ExportRequest =
+        serde_json::from_value(row.request.clone()).map_err(DatasetError::Json)?;
+    let name = format!("{export}.{}", asked.format.extension());
     let download = Download { name: &name, immutable: true };
-    send::file(request, &export_file, format, download).await
+    send::file(request, &export_file, asked.format, download).await
 }
 
 async fn find(app: &App, export: &str) -> Result<TaskRow, ApiError> {

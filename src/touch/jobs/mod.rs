@@ -9,7 +9,7 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use serde_json::{Value, json};
+use serde_json::Value;
 
 use crate::clock::Clock;
 use crate::dataset::catalog::Catalog;
@@ -21,6 +21,7 @@ use crate::journal::error_chain;
 use crate::learn::order::{CHECKPOINT, LOSSES};
 use crate::store::{Store, TaskEnd, TaskKind, TaskQueue, TaskRow, TaskState};
 use starts::{STARTS_MAX, Starts};
+use training::TrainingRequest;
 
 mod error;
 mod evaluation;
@@ -75,7 +76,9 @@ impl Jobs {
     /// `JobError` if the recipe is invalid, the queue is full, or the store fails.
     pub async fn train(&self, recipe: &str, asked_by: &str) -> Result<TaskRow, JobError> {
         training::check(recipe)?;
-        self.ask(TaskKind::Training, json!({ "recipe": recipe }), asked_by).await
+        let request = TrainingRequest { recipe: recipe.to_owned() };
+        let request = serde_json::to_value(request).map_err(JobError::Json)?;
+        self.ask(TaskKind::Training, request, asked_by).await
     }
 
     /// Stores a request for an evaluation, after a check of its values.

@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
 
+use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
 use super::error::JobError;
@@ -32,6 +33,13 @@ use crate::store::{DatasetRow, Label, TaskRow};
 const SKIN_FILE: &str = "skin";
 /// Name of the file with the id of the Transfer-Net whose residuals are the noise.
 const NOISE: &str = "noise";
+
+/// Request of a training, as it is stored.
+#[derive(Debug, Serialize, Deserialize)]
+pub struct TrainingRequest {
+    /// Text of the recipe.
+    pub recipe: String,
+}
 
 /// Checks a recipe.
 ///
@@ -87,8 +95,9 @@ async fn prepare(
     watch: &Watch,
     folder: &Path,
 ) -> Result<(Recipe, Order), JobError> {
-    let text = job.request["recipe"].as_str().unwrap_or_default();
-    let mut recipe = Recipe::from_toml("recipe", text)?;
+    let request: TrainingRequest =
+        serde_json::from_value(job.request.clone()).map_err(JobError::Json)?;
+    let mut recipe = Recipe::from_toml("recipe", &request.recipe)?;
     let noise_sd_v = match &recipe.noise_of {
         Some(name) => {
             // After a restart: the model of the first start, not the current one of that name.
