@@ -16,16 +16,8 @@ use super::problem::{ApiError, Body, Path, ProblemBody};
 use super::send::Created;
 use crate::evaluate::request::EvaluationRequest;
 use crate::ids::{DatasetId, TaskId};
-use crate::jobs::Progress;
+use crate::jobs::{Progress, TrainingRequest};
 use crate::store::{TaskKind, TaskRow, TaskState};
-
-/// Request for a training.
-#[derive(Debug, Deserialize, Serialize, ToSchema)]
-#[serde(deny_unknown_fields)]
-pub struct TrainingRequest {
-    /// Text of the recipe file (TOML).
-    pub recipe: String,
-}
 
 /// A training or an evaluation.
 #[derive(Debug, Serialize, Deserialize, ToSchema)]
@@ -92,7 +84,7 @@ pub async fn train(
     act: Act,
     Body(request): Body<TrainingRequest>,
 ) -> Result<Created<JobOut>, ApiError> {
-    let row = app.jobs.train(&request.recipe, &act.name()).await?;
+    let row = app.jobs.train(&request, &act.name()).await?;
     act.about(&row.id.to_string());
     Ok(Created::later(format!("/api/v1/jobs/{}", row.id), out(&app, row)))
 }

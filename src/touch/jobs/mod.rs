@@ -21,7 +21,6 @@ use crate::journal::error_chain;
 use crate::learn::order::{CHECKPOINT, LOSSES};
 use crate::store::{Store, TaskEnd, TaskKind, TaskQueue, TaskRow, TaskState};
 use starts::{STARTS_MAX, Starts};
-use training::TrainingRequest;
 
 mod error;
 mod evaluation;
@@ -34,6 +33,7 @@ mod training;
 mod watch_job;
 
 pub use error::JobError;
+pub use training::TrainingRequest;
 pub use watch_job::{Progress, Watch};
 
 /// Largest number of waiting jobs.
@@ -74,9 +74,12 @@ impl Jobs {
     ///
     /// # Errors
     /// `JobError` if the recipe is invalid, the queue is full, or the store fails.
-    pub async fn train(&self, recipe: &str, asked_by: &str) -> Result<TaskRow, JobError> {
-        training::check(recipe)?;
-        let request = TrainingRequest { recipe: recipe.to_owned() };
+    pub async fn train(
+        &self,
+        request: &TrainingRequest,
+        asked_by: &str,
+    ) -> Result<TaskRow, JobError> {
+        training::check(&request.recipe)?;
         let request = serde_json::to_value(request).map_err(JobError::Json)?;
         self.ask(TaskKind::Training, request, asked_by).await
     }

@@ -8,6 +8,7 @@ use std::time::Duration;
 
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
+use utoipa::ToSchema;
 
 use super::error::JobError;
 use super::kept;
@@ -34,10 +35,11 @@ const SKIN_FILE: &str = "skin";
 /// Name of the file with the id of the Transfer-Net whose residuals are the noise.
 const NOISE: &str = "noise";
 
-/// Request of a training, as it is stored.
-#[derive(Debug, Serialize, Deserialize)]
+/// Request for a training.
+#[derive(Debug, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
 pub struct TrainingRequest {
-    /// Text of the recipe.
+    /// Text of the recipe file (TOML).
     pub recipe: String,
 }
 
