@@ -9,7 +9,7 @@
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
-use super::LineError;
+use super::error::LineError;
 
 /// Emergency stop of the rig, latched until a person clears it. All clones share it.
 #[derive(Debug, Clone, Default)]

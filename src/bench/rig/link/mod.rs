@@ -3,6 +3,8 @@
 //! Uses: `clock`, `rig::config`, tokio-modbus, tokio-serial. Never: registers' meanings, units.
 
 mod counts;
+mod error;
+mod exchange;
 mod latch;
 mod line;
 mod pdu;
@@ -13,8 +15,10 @@ mod wire;
 mod tests;
 
 pub use counts::LineCounts;
+pub use error::LineError;
+pub use exchange::LinePolicy;
 pub use latch::{MotionGate, MotionPermit, StopLatch};
-pub use line::{Line, LineError, LinePolicy};
+pub use line::Line;
 pub use pdu::{Reply, Request};
 pub use wire::{
     Framing, Opener, Port, SerialSettings, serial_opener, tcp_opener, tcp_stream_opener,

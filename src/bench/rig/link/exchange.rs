@@ -1,0 +1,269 @@
+//! One exchange on a wire: its deadlines, and what follows a failed one, up to a limit.
+//! Uses: `clock`, `pdu`, `wire`, `latch`. Never: meanings of registers, the order of requests.
+//!
+//! After a lost or garbled reply the connection is closed and reopened, since a late reply would be
+//! taken for the answer to the next request (tokio-modbus #324; on RTU replies have no number at
+//! all). Exceptions 1 to 4 are returned immediately, 5 and 6 are repeated within a deadline, 8, 0xA
+//! and 0xB are retried once over a new connection
+//! (`docs/references.md`, "Exceptions and lost replies"). A motion whose reply was lost, or whose
+//! exception (5, 8, 0xB) leaves open whether it was received, is returned as an error, because only
+//! its driver can check that.
+
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+use std::time::Duration;
+
+use tokio::sync::oneshot;
+use tokio::time::Instant;
+use tokio_modbus::client::{Client, Context};
+use tokio_modbus::slave::{Slave, SlaveContext};
+
+use super::counts::{Counters, count};
+use super::error::LineError;
+use super::latch::MotionPermit;
+use super::pdu::{self, Reply, Request};
+use super::wire::{self, Framing, Opener};
+use crate::clock::Clock;
+
+/// Wait before the second retry; before the n-th it is n - 1 times as long.
+const RETRY_STEP: Duration = Duration::from_millis(25);
+/// Wait before the request to a busy device (exceptions 5 and 6) is repeated.
+const BUSY_BACKOFF: Duration = Duration::from_millis(10);
+
+/// Deadlines and limits of a line.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct LinePolicy {
+    /// Longest wait for a connection or a reply, wall time.
+    pub timeout: Duration,
+    /// Largest number of attempts of one request.
+    pub attempts: u32,
+    /// Silence between a reply and the next request (RTU: 3.5 characters).
+    pub silence: Duration,
+    /// Longest time that a stop waits for the reply to a request in flight before it interrupts it.
+    pub stop_grace: Duration,
+}
+
+/// Where the outcome of a request arrives.
+pub(super) type Answer = oneshot::Receiver<Result<Reply, LineError>>;
+
+/// What a request is for.
+#[derive(Debug)]
+pub(super) enum Kind {
+    Ordinary,
+    Motion(MotionPermit),
+    Urgent,
+}
+
+/// A request with what has been tried.
+#[derive(Debug)]
+pub(super) struct Job {
+    unit: u8,
+    request: Request,
+    pub(super) kind: Kind,
+    failures: u32,
+    gateway_retried: bool,
+    busy_since: Option<Instant>,
+    reply: oneshot::Sender<Result<Reply, LineError>>,
+}
+
+impl Job {
+    pub(super) fn new(unit: u8, request: Request, kind: Kind) -> (Self, Answer) {
+        let (reply, answer) = oneshot::channel();
+        let job = Self {
+            unit,
+            request,
+            kind,
+            failures: 0,
+            gateway_retried: false,
+            busy_since: None,
+            reply,
+        };
+        (job, answer)
+    }
+
+    /// Whether the stop of a motion has not come before it was sent.
+    pub(super) fn permitted(&self) -> Result<(), LineError> {
+        if let Kind::Motion(permit) = &self.kind { permit.check() } else { Ok(()) }
+    }
+
+    /// Whether its caller has stopped waiting.
+    pub(super) fn is_abandoned(&self) -> bool {
+        self.reply.is_closed()
+    }
+
+    pub(super) fn answer(self, outcome: Result<Reply, LineError>) {
+        // The caller may have stopped waiting.
+        let _ = self.reply.send(outcome);
+    }
+}
+
+/// Decision after a failed attempt.
+pub(super) enum Next {
+    GiveUp,
+    Again,
+    AgainAfter(Duration),
+}
+
+/// The connection of a wire, opened by the first exchange.
+pub(super) struct Wire {
+    framing: Framing,
+    opener: Opener,
+    policy: LinePolicy,
+    clock: Clock,
+    context: Option<Context>,
+    opened: bool,
+    silent_since: Instant,
+    counters: Arc<Counters>,
+}
+
+impl Wire {
+    pub(super) fn new(
+        framing: Framing,
+        opener: Opener,
+        policy: LinePolicy,
+        clock: Clock,
+        counters: Arc<Counters>,
+    ) -> Self {
+        let silent_since = clock.now();
+        let (context, opened) = (None, false);
+        Self { framing, opener, policy, clock, context, opened, silent_since, counters }
+    }
+
+    fn close(&mut self) {
+        self.context = None;
+    }
+
+    /// Closes the wire of an exchange that a stop interrupted.
+    pub(super) fn cut_off(&mut self) {
+        count(&self.counters.cut_off);
+        self.close();
+    }
+
+    async fn open(&mut self) -> Result<Context, LineError> {
+        let lost = |cause: String| LineError::Disconnected { cause };
+        let limit = self.policy.timeout;
+        let port = tokio::time::timeout(limit, (self.opener)())
+            .await
+            .map_err(|_| lost(format!("not open within {} ms", limit.as_millis())))?
+            .map_err(|e| lost(e.to_string()))?;
+        let context = wire::attach(port, self.framing, limit).await;
+        if self.opened {
+            count(&self.counters.reconnects);
+        }
+        self.opened = true;
+        context.map_err(|e| lost(e.to_string()))
+    }
+
+    /// Executes one exchange. After a failure other than an exception the wire is closed.
+    pub(super) async fn attempt(&mut self, job: &Job) -> Result<Reply, LineError> {
+        let mut context = match self.context.take() {
+            Some(context) => context,
+            None => self.open().await?,
+        };
+        let next = self.silent_since + self.policy.silence;
+        if !self.policy.silence.is_zero() && next > self.clock.now() {
+            tokio::time::sleep_until(next).await;
+        }
+        // The stop may have been latched while the wire was opened or silent.
+        if let Err(refused) = job.permitted() {
+            self.context = Some(context);
+            return Err(refused);
+        }
+        context.set_slave(Slave(job.unit));
+        let sent = self.clock.now();
+        let call = context.call(pdu::to_wire(&job.request));
+        let outcome = tokio::time::timeout(self.policy.timeout, call).await;
+        self.silent_since = self.clock.now();
+        let outcome = match outcome {
+            Err(_elapsed) => {
+                let timeout_ms = self.policy.timeout.as_millis() as u64;
+                return Err(LineError::NoReply { timeout_ms });
+            }
+            Ok(Err(error)) => return Err(from_wire(&error)),
+            Ok(Ok(outcome)) => outcome,
+        };
+        let round_trip = self.silent_since - sent;
+        self.counters.last_round_trip_us.store(round_trip.as_micros() as u64, Ordering::Relaxed);
+        let result = match outcome {
+            Err(exception) => Err(LineError::Exception { code: exception.into() }),
+            Ok(response) => {
+                let reply = pdu::reply_of(response);
+                if let Err(cause) = job.request.accepts(&reply) {
+                    return Err(LineError::Garbled { cause });
+                }
+                count(&self.counters.answered);
+                Ok(reply)
+            }
+        };
+        self.context = Some(context);
+        result
+    }
+
+    /// Counts a failed attempt and decides what to do next.
+    pub(super) fn after(&mut self, job: &mut Job, error: &LineError) -> Next {
+        let limit = self.policy.timeout * self.policy.attempts;
+        let next = match error {
+            LineError::Exception { code } => {
+                count(&self.counters.exceptions);
+                match code {
+                    5 | 8 | 0x0B if matches!(job.kind, Kind::Motion(_)) => Next::GiveUp,
+                    5 | 6 => {
+                        let since = *job.busy_since.get_or_insert(self.clock.now());
+                        let waited = self.clock.now().saturating_duration_since(since);
+                        let over = waited + BUSY_BACKOFF > limit;
+                        if over { Next::GiveUp } else { Next::AgainAfter(BUSY_BACKOFF) }
+                    }
+                    8 | 0x0A | 0x0B if !job.gateway_retried => {
+                        job.gateway_retried = true;
+                        self.close();
+                        Next::Again
+                    }
+                    _ => Next::GiveUp,
+                }
+            }
+            LineError::NoReply { .. } => {
+                count(&self.counters.timeouts);
+                self.after_failure(job)
+            }
+            LineError::Garbled { .. } => {
+                count(&self.counters.garbled);
+                self.after_failure(job)
+            }
+            LineError::Disconnected { .. } => self.after_failure(job),
+            LineError::Latched | LineError::Withdrawn | LineError::Closed => Next::GiveUp,
+        };
+        if !matches!(next, Next::GiveUp) {
+            count(&self.counters.retries);
+        }
+        next
+    }
+
+    /// What follows a request without a sound reply. A motion is never repeated.
+    fn after_failure(&self, job: &mut Job) -> Next {
+        job.failures += 1;
+        if job.failures >= self.policy.attempts || matches!(job.kind, Kind::Motion(_)) {
+            Next::GiveUp
+        } else if job.failures == 1 {
+            Next::Again
+        } else {
+            Next::AgainAfter(RETRY_STEP * (job.failures - 1))
+        }
+    }
+}
+
+fn from_wire(error: &tokio_modbus::Error) -> LineError {
+    use std::io::ErrorKind;
+    match error {
+        tokio_modbus::Error::Transport(e)
+            if matches!(e.kind(), ErrorKind::InvalidData | ErrorKind::InvalidInput) =>
+        {
+            LineError::Garbled { cause: e.to_string() }
+        }
+        // For a closed connection the library returns the last system error, often "success".
+        tokio_modbus::Error::Transport(e) if e.raw_os_error() == Some(0) => {
+            LineError::Disconnected { cause: "closed by the other side".into() }
+        }
+        tokio_modbus::Error::Transport(e) => LineError::Disconnected { cause: e.to_string() },
+        tokio_modbus::Error::Protocol(e) => LineError::Garbled { cause: e.to_string() },
+    }
+}
