@@ -67,6 +67,7 @@ mod run;
 mod running;
 mod sensor;
 mod serve;
+mod signals;
 mod simulate;
 mod start_time;
 mod summary;

@@ -16,10 +16,10 @@ use sim_core::calibrated::CalibratedSensor;
 
 use crate::cli::error::CliError;
 use crate::cli::files::{read_calibration, read_sensor};
-use crate::cli::follow::Signals;
 use crate::cli::next::Next;
 use crate::cli::output::{self, bytes, counted, duration, say, say_json};
 use crate::cli::progress::{LogLines, Working, progress_bar};
+use crate::cli::signals::Signals;
 use crate::cli::simulate::solved;
 use crate::cli::{At, data_or_default};
 use crate::simulate::random::draw::Draws;

@@ -30,8 +30,8 @@ use theme::Theme;
 
 use super::client::Client;
 use super::error::CliError;
-use super::follow::Signals;
 use super::log::{self, Held};
+use super::signals::Signals;
 use super::{At, ask, embed};
 use crate::ids::RunUid;
 

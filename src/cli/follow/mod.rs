@@ -1,23 +1,21 @@
-//! Follows a run to its end: a progress bar and notable events for people, one line per event for
-//! scripts, and what Ctrl-C and a closed terminal mean to the run (`leave`).
-//! Uses: `client`, indicatif. Never: decisions for the run (it is requested, and then observed).
+//! Follows a run to its end, and carries out what Ctrl-C and a closed terminal mean to the run (`leave`).
+//! Uses: `client`, `screen`. Never: decisions for the run (it is requested, and then observed).
 
-use std::io::IsTerminal;
+mod screen;
+
 use std::time::Duration;
 
-use indicatif::ProgressBar;
 use serde_json::json;
-use tokio::signal::unix::{Signal, SignalKind, signal};
 use tokio::time::{Instant, MissedTickBehavior, interval};
 
+use self::screen::Screen;
 use super::asking::Asking;
 use super::client::Client;
 use super::error::CliError;
 use super::leave::{Choice, Interrupt, QUESTION_ON_PAUSED_RUN, QUESTION_ON_RUN};
-use super::output::{counted, duration, note, say_json, shown};
-use super::progress::{PROGRESS_LINES, bar};
-use super::view::{RunView, StatusView};
-use crate::campaign::shown::status::{Eta, Phase};
+use super::output::say_json;
+use super::signals::{Asked, Signals};
+use super::view::RunView;
 use crate::ids::RunUid;
 use crate::state::StoredState;
 
@@ -27,51 +25,6 @@ const STATUS_POLL: Duration = Duration::from_millis(200);
 const SILENT_MAX: Duration = Duration::from_secs(15);
 /// Longest wait for a started run to appear in the status.
 const TAKEN_UP: Duration = Duration::from_secs(30);
-
-/// The signals that end a command.
-pub struct Signals {
-    interrupt: Signal,
-    terminate: Signal,
-    hang_up: Signal,
-}
-
-/// Signal that ends or interrupts a command.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Asked {
-    /// A person pressed Ctrl-C.
-    Interrupt,
-    /// The system requests the end of the process.
-    Terminate,
-    /// The terminal was closed.
-    HangUp,
-}
-
-impl Signals {
-    /// Starts to catch the signals.
-    ///
-    /// # Errors
-    /// `CliError::System` if a handler cannot be installed.
-    pub fn catch() -> Result<Self, CliError> {
-        let one = |kind| {
-            signal(kind)
-                .map_err(|source| CliError::System { operation: "catching signals", source })
-        };
-        Ok(Self {
-            interrupt: one(SignalKind::interrupt())?,
-            terminate: one(SignalKind::terminate())?,
-            hang_up: one(SignalKind::hangup())?,
-        })
-    }
-
-    /// Waits for the next signal.
-    pub async fn next(&mut self) -> Asked {
-        tokio::select! {
-            _ = self.interrupt.recv() => Asked::Interrupt,
-            _ = self.terminate.recv() => Asked::Terminate,
-            _ = self.hang_up.recv() => Asked::HangUp,
-        }
-    }
-}
 
 /// How following ended.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -318,131 +271,5 @@ impl Follower {
         if let Err(error) = self.client.act(self.watch.run, action, why).await {
             self.screen.note(&error.to_string());
         }
-    }
-}
-
-/// Output: standard error for people, standard output for scripts.
-struct Screen {
-    bar: ProgressBar,
-    terminal: bool,
-    json: bool,
-    /// Time of the last progress line, and what the run waited for then.
-    told: Option<(Instant, Option<String>)>,
-    stored: Option<u64>,
-}
-
-impl Screen {
-    fn new(json: bool) -> Self {
-        let terminal = std::io::stderr().is_terminal();
-        let bar = bar("{bar:24} {pos}/{len} {wide_msg}");
-        Self { bar, terminal, json, told: None, stored: None }
-    }
-
-    fn progress(&mut self, run: &RunView, status: &StatusView) {
-        self.bar.set_length(run.trials_planned);
-        self.bar.set_position(run.trials_stored + run.trials_skipped);
-        let words = shown(progress_words(run, status));
-        if !self.terminal && self.is_due(run) {
-            self.told = Some((Instant::now(), run.waiting_for.clone()));
-            note(format_args!("{}/{} {words}", run.trials_stored, run.trials_planned));
-        }
-        self.bar.set_message(words);
-        if self.json && self.stored != Some(run.trials_stored) {
-            self.stored = Some(run.trials_stored);
-            say_json(&progress_line(run, status));
-        }
-    }
-
-    /// Whether a progress line is due; the same wait is not repeated.
-    fn is_due(&self, run: &RunView) -> bool {
-        self.told.as_ref().is_none_or(|(at, waited_for)| {
-            let same_wait = run.waiting_for.is_some() && *waited_for == run.waiting_for;
-            at.elapsed() >= PROGRESS_LINES && !same_wait
-        })
-    }
-
-    fn waits_in_queue(&mut self, position: Option<u32>) {
-        let place = position.map_or_else(String::new, |p| format!(", position {p}"));
-        self.bar.set_message(format!("waits in the queue{place}"));
-    }
-
-    fn note(&self, words: &str) {
-        if self.terminal {
-            self.bar.println(shown(words));
-        } else {
-            note(words);
-        }
-    }
-
-    fn close(&self) {
-        self.bar.finish_and_clear();
-    }
-}
-
-fn progress_line(run: &RunView, status: &StatusView) -> serde_json::Value {
-    json!({
-        "event": "progress",
-        "run": run.uid,
-        "trials_planned": run.trials_planned,
-        "trials_stored": run.trials_stored,
-        "trials_skipped": run.trials_skipped,
-        "retries": run.retries,
-        "phase": run.phase,
-        "max_force_n": status.rig.max_force_n(),
-        "eta": run.eta,
-    })
-}
-
-fn progress_words(run: &RunView, status: &StatusView) -> String {
-    let mut parts = vec![match (&run.waiting_for, run.state) {
-        (Some(words), _) => format!("waits: {words}"),
-        (None, StoredState::Running) => phase_word(run.phase).into(),
-        (None, state) => state.as_str().into(),
-    }];
-    if let Some(asked) = &run.requested_state {
-        parts.push(format!("-> {asked}"));
-    }
-    parts.extend(run.eta.map(|eta| eta_words(&eta)));
-    if run.trials_skipped > 0 {
-        parts.push(format!("{} skipped", run.trials_skipped));
-    }
-    if run.retries > 0 {
-        parts.push(counted(run.retries, "retry", "retries"));
-    }
-    if let Some(force_n) = status.rig.max_force_n() {
-        parts.push(format!("max {force_n:.1} N"));
-    }
-    parts.join(" | ")
-}
-
-fn eta_words(eta: &Eta) -> String {
-    let (low, high) = (duration(eta.low_s), duration(eta.high_s));
-    format!("done in {} ({low} .. {high})", duration(eta.remaining_s))
-}
-
-fn phase_word(phase: Phase) -> &'static str {
-    match phase {
-        Phase::Next => "next",
-        Phase::TouchOff => "touch-off",
-        Phase::Travel => "travel",
-        Phase::Tare => "tare",
-        Phase::Press => "press",
-        Phase::Settle => "settle",
-        Phase::Measure => "measure",
-        Phase::Commit => "commit",
-        Phase::Raise => "raise",
-        Phase::Wait => "wait",
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn an_estimate_shows_its_band() {
-        let eta = Eta { remaining_s: 130.0, low_s: 110.0, high_s: 160.0 };
-        let shown = "done in 2 min 10 s (1 min 50 s .. 2 min 40 s)";
-        assert_eq!(eta_words(&eta), shown);
     }
 }
