@@ -1,6 +1,6 @@
 //! One contract for every driver, kept against the virtual rig, which shares no codec with it:
 //! be looked at without a write, take control, home, move there, stop short, be refused beyond the
-//! limits, weigh, take frames, come back after an alarm and a power loss. Each rig file's own devices
+//! limits, read the cells, take frames, come back after an alarm and a power loss. Each rig file's own devices
 //! and wires are served: Modbus TCP, or RTU on pseudo-terminals; each input module that the virtual
 //! rig's file does not name is put into it. Every test that starts a rig takes its turn.
 

@@ -13,7 +13,7 @@ use crate::rig::config::RigLimits;
 use crate::rig::traits::Frame;
 
 /// Force on any attached arm from which a touch counts as measured by the cells, N.
-const WEIGHED_N: f64 = 1.0;
+const MEASURED_N: f64 = 1.0;
 /// Sum of forces to which the skin must respond, N.
 const MUST_FEEL_N: f64 = 20.0;
 /// A skin whose change beyond its noise is less than this fraction of the noise does not respond.
@@ -29,7 +29,7 @@ const SILENT_CONFIGURATIONS: u32 = 3;
 
 /// Newest forces of the attached arms, and when they were compared with the skin.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct WeighedForces<'a> {
+pub struct MeasuredForces<'a> {
     /// Newest force of each attached arm, N, in the order of the arms.
     pub forces_n: &'a [f64],
     /// Time of the comparison, process s.
@@ -47,7 +47,7 @@ pub struct SkinWatch {
     sequence: u32,
     /// Number of consecutive touched frames that no cell explains, and the process time of the
     /// first, s.
-    unweighed: Option<(u32, f64)>,
+    unmeasured: Option<(u32, f64)>,
 }
 
 impl SkinWatch {
@@ -71,7 +71,7 @@ impl SkinWatch {
             .sum();
         let of_one = square / ((n - 1.0) * channels.max(1) as f64);
         let noise_v = (of_one * (1.0 + 1.0 / n)).sqrt();
-        Some(Self { untouched_v, noise_v, sequence: 0, unweighed: None })
+        Some(Self { untouched_v, noise_v, sequence: 0, unmeasured: None })
     }
 
     /// Mean voltages of the untouched skin, V, injection-major.
@@ -97,25 +97,25 @@ impl SkinWatch {
 
     /// Compares the newest frame with the newest forces. Returns a message if the skin has shown a
     /// touch that no cell measures for longer than `update_s`.
-    pub fn unweighed_touch(
+    pub fn unmeasured_touch(
         &mut self,
         frame: &Frame,
-        weighed: &WeighedForces<'_>,
+        measured: &MeasuredForces<'_>,
         limits: &RigLimits,
     ) -> Option<String> {
-        let WeighedForces { forces_n, now_s, update_s } = *weighed;
+        let MeasuredForces { forces_n, now_s, update_s } = *measured;
         if frame.sequence == self.sequence {
             return None;
         }
         self.sequence = frame.sequence;
         let (touch_v, limit_v) = (self.touch_v(frame)?, limits.skin_touch_v);
-        let explained = forces_n.iter().any(|&f| f > WEIGHED_N);
+        let explained = forces_n.iter().any(|&f| f > MEASURED_N);
         if touch_v < limit_v || explained {
-            self.unweighed = None;
+            self.unmeasured = None;
             return None;
         }
-        let (frames, since_s) = self.unweighed.map_or((1, now_s), |(n, since)| (n + 1, since));
-        self.unweighed = Some((frames, since_s));
+        let (frames, since_s) = self.unmeasured.map_or((1, now_s), |(n, since)| (n + 1, since));
+        self.unmeasured = Some((frames, since_s));
         (frames >= FELT_FRAMES && now_s - since_s > update_s).then(|| {
             let most = forces_n.iter().copied().fold(0.0, f64::max);
             format!(
@@ -252,8 +252,8 @@ mod tests {
         let (mut watch, limits) = (watch(), limits());
         let mut look = |n: u32, level, force| {
             let now_s = f64::from(n) * 0.05;
-            let weighed = WeighedForces { forces_n: &[force], now_s, update_s: 0.1 };
-            watch.unweighed_touch(&frame(n, level), &weighed, &limits)
+            let measured = MeasuredForces { forces_n: &[force], now_s, update_s: 0.1 };
+            watch.unmeasured_touch(&frame(n, level), &measured, &limits)
         };
         assert_eq!(look(4, 0, 0.0), None);
         assert_eq!(look(5, 40, 0.0), None);

@@ -11,7 +11,7 @@ use tokio::time::Instant;
 
 use crate::campaign::bench::estop::StopSwitch;
 use crate::campaign::bench::evidence::{
-    FELT_FRAMES, Held, PressedArm, SilentArms, SkinWatch, WeighedForces,
+    FELT_FRAMES, Held, MeasuredForces, PressedArm, SilentArms, SkinWatch,
 };
 use crate::campaign::bench::interlock::{self, ForceLimits, TripKind};
 use crate::campaign::bench::stopping::{POLL_S, Stopping};
@@ -215,7 +215,7 @@ impl Stage {
     /// # Errors
     /// Trips on a limit, on a wire, and if the stream returns no frame while the load is held:
     /// without frames the skin cannot cross-check the cells.
-    pub async fn weigh(&mut self) -> Result<CellVolts, Halt> {
+    pub async fn read_cells(&mut self) -> Result<CellVolts, Halt> {
         let reading = self.bench.cells.read().await?;
         self.check(&reading, None)?;
         let limit = Duration::from_millis(self.config.limits.frame_age_ms);
@@ -276,25 +276,25 @@ impl Stage {
     }
 
     /// Number of frames of a held load that suffices for the cross-check of skin and cells.
-    pub fn witness_frames(&self) -> usize {
-        (self.cells_see_s() * self.config.ert.frame_rate_hz()).ceil() as usize
+    pub fn cross_check_frames(&self) -> usize {
+        (self.detection_s() * self.config.ert.frame_rate_hz()).ceil() as usize
             + FELT_FRAMES as usize
     }
 
     /// Process time after which the cells show a load that the skin shows, s.
-    fn cells_see_s(&self) -> f64 {
+    fn detection_s(&self) -> f64 {
         self.config.cells.update_ms / 1e3 + self.stopping.blind_s(&self.config)
     }
 
     fn compare_with_skin(&mut self, forces_n: &[f64]) -> Result<(), Halt> {
-        let update_s = self.cells_see_s();
+        let update_s = self.detection_s();
         let now_s = self.clock.process_s();
         let Some((watch, frame)) = self.skin.as_mut().zip(self.bench.skin.latest()) else {
             return Ok(());
         };
         let limits = &self.config.limits;
-        let weighed = WeighedForces { forces_n, now_s, update_s };
-        match watch.unweighed_touch(&frame, &weighed, limits) {
+        let measured = MeasuredForces { forces_n, now_s, update_s };
+        match watch.unmeasured_touch(&frame, &measured, limits) {
             Some(words) => Err(Halt::trip(TripKind::Cell, words)),
             None => Ok(()),
         }
@@ -339,7 +339,7 @@ impl Stage {
                 () = self.poll_pause() => {}
             }
             control.attend()?;
-            self.weigh().await?;
+            self.read_cells().await?;
         }
     }
 

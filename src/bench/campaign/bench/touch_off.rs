@@ -114,7 +114,7 @@ async fn search(
             return Ok(true);
         }
         let skin = stage.bench.skin.clone();
-        let frames = skin.take(stage.clock.now(), stage.witness_frames());
+        let frames = skin.take(stage.clock.now(), stage.cross_check_frames());
         stage.watch_while(control, frames).await?.map_err(|e| stage.no_frames(e))?;
     }
     Ok(false)
@@ -132,7 +132,7 @@ async fn touch(
         // At travelling speed only where no surface can be: this place may be higher than the others.
         let [top_mm, _] = stage.config.skin.surface_z_mm;
         let near = (first - 2.0 * BACK_OFF_MM).min(top_mm).max(z.travel_mm[0]);
-        stage.weighed_travel(control, Target::of(AxisName::Z, near)).await?;
+        stage.checked_travel(control, Target::of(AxisName::Z, near)).await?;
     }
     let coarse = stage.stopping.press_speed_mm_s(&stage.config, stage.tips);
     let (tare_v, per_volt) = (stage.tare_v, stage.config.cells.newtons_per_volt());
@@ -153,7 +153,7 @@ async fn touch(
     }
     for _ in 0..APPROACHES {
         let felt_mm = back_off(stage, control).await?;
-        let raised = stage.weigh().await?.volts;
+        let raised = stage.read_cells().await?.volts;
         if (0..tips).any(|i| (raised[i] - tare_v[i]) * per_volt > TOUCH_N) {
             continue;
         }
@@ -182,7 +182,7 @@ async fn touch(
 async fn back_off(stage: &mut Stage, control: &mut Control) -> Result<f64, Halt> {
     let felt_mm = stage.bench.z.status().await?.position;
     let back = (felt_mm - BACK_OFF_MM).max(stage.config.axes.z.travel_mm[0]);
-    stage.weighed_travel(control, Target::of(AxisName::Z, back)).await?;
+    stage.checked_travel(control, Target::of(AxisName::Z, back)).await?;
     let (clock, wait_s) = (stage.clock.clone(), CONVERSIONS * stage.config.cells.update_ms / 1e3);
     stage.watch_while(control, async move { clock.sleep(wait_s).await }).await?;
     Ok(felt_mm)

@@ -72,7 +72,7 @@ impl Stage {
     ///
     /// # Errors
     /// As `travel`, and on every limit of a sample.
-    pub async fn weighed_travel(
+    pub async fn checked_travel(
         &mut self,
         control: &mut Control,
         target: Target,
@@ -83,7 +83,7 @@ impl Stage {
     /// Moves z, reads the cells at every poll, and stops z once `until` holds for a sample. Returns whether it did.
     ///
     /// # Errors
-    /// As `weighed_travel`.
+    /// As `checked_travel`.
     pub async fn press_until(
         &mut self,
         control: &mut Control,
@@ -98,7 +98,7 @@ impl Stage {
     /// Moves z at the press speed and reads the cells at every poll.
     ///
     /// # Errors
-    /// As `weighed_travel`.
+    /// As `checked_travel`.
     pub async fn press_to(&mut self, control: &mut Control, z_mm: f64) -> Result<(), Halt> {
         let speed_mm_s = self.stopping.press_speed_mm_s(&self.config, self.tips);
         self.press_until(control, Descent { z_mm, speed_mm_s }, |_| false).await.map(|_| ())
@@ -108,14 +108,14 @@ impl Stage {
         &mut self,
         control: &mut Control,
         targets: &[Target],
-        weighing: bool,
+        checks_forces: bool,
         mut until: impl FnMut(&Sample) -> bool,
     ) -> Result<bool, Halt> {
         if targets.iter().any(|t| t.axis != AxisName::Z) {
             self.require_clear().await?;
             self.skin = None;
         }
-        if !weighing {
+        if !checks_forces {
             self.begin_watch();
         }
         self.held_since = None;
@@ -124,7 +124,7 @@ impl Stage {
         let mut polled_s = self.clock.process_s();
         loop {
             control.attend()?;
-            let (statuses, reading) = self.poll(targets, weighing).await?;
+            let (statuses, reading) = self.poll(targets, checks_forces).await?;
             let now_s = self.clock.process_s();
             self.stopping.note_poll(now_s - polled_s);
             polled_s = now_s;
@@ -181,7 +181,7 @@ impl Stage {
                 return Ok(());
             }
             control.attend()?;
-            self.weigh().await?;
+            self.read_cells().await?;
             if self.clock.now() > deadline {
                 return Err(Halt::trip(TripKind::Position, "z did not stop"));
             }
@@ -208,10 +208,10 @@ impl Stage {
     async fn poll(
         &self,
         targets: &[Target],
-        weighing: bool,
+        checks_forces: bool,
     ) -> Result<(Vec<AxisStatus>, Option<CellVolts>), Halt> {
         let axes = try_join_all(targets.iter().map(|t| self.driven(t.axis).axis.status()));
-        if weighing {
+        if checks_forces {
             let (statuses, reading) = futures::join!(axes, self.bench.cells.read());
             Ok((statuses?, Some(reading?)))
         } else {

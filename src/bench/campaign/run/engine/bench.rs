@@ -271,7 +271,7 @@ impl Engine {
                     raise_as_planned(control, stage).await?;
                 }
                 stage.begin_watch();
-                stage.weighed_travel(control, target).await
+                stage.checked_travel(control, target).await
             })
         })
         .await;
@@ -336,8 +336,8 @@ impl Engine {
         };
         let Err(halt) = tared else { return Ok(()) };
         let trip = trip_of(&halt);
-        let weighing_failed = matches!(trip.kind, TripKind::Wire | TripKind::Device);
-        if weighing_failed && matches!(halt, Halt::Trip(_)) {
+        let reading_failed = matches!(trip.kind, TripKind::Wire | TripKind::Device);
+        if reading_failed && matches!(halt, Halt::Trip(_)) {
             self.make_safe(Some(&trip), Height::Clear).await;
         }
         Err(Refusal::State(trip.detail))
