@@ -176,9 +176,16 @@ pub async fn rig(args: RigArgs) -> Result<ExitCode, CliError> {
             measured::untouched(&client, at.output()).await?;
             return Ok(ExitCode::SUCCESS);
         }
-        _ => {}
+        RigCommand::Check { .. }
+        | RigCommand::Connect
+        | RigCommand::Disconnect
+        | RigCommand::Home
+        | RigCommand::Jog { .. }
+        | RigCommand::Tare
+        | RigCommand::Tips { .. }
+        | RigCommand::Reset => {}
     }
-    let status = by_hand(&client, command).await?;
+    let status = operate(&client, command).await?;
     if at.json {
         let status: Value = client.get("/api/v1/status").await?;
         say_json(&status["rig"]);
@@ -188,7 +195,7 @@ pub async fn rig(args: RigArgs) -> Result<ExitCode, CliError> {
     Ok(ExitCode::SUCCESS)
 }
 
-async fn by_hand(client: &Client, command: RigCommand) -> Result<StatusView, CliError> {
+async fn operate(client: &Client, command: RigCommand) -> Result<StatusView, CliError> {
     match command {
         RigCommand::Check { .. }
         | RigCommand::Limits
