@@ -18,7 +18,9 @@
 //! simulated files and use the forward model, `service` simulates the twin of each trial and returns the
 //! overlay, `studies` and `cli` draw figures and start fits and bulk simulations.
 
-use palpate_words::{chance, commit, digest, ids, new_file, problem, record, toml_words};
+use palpate_words::{
+    chance, commit, difference, digest, ids, new_file, problem, record, toml_words,
+};
 
 pub mod figure;
 pub mod calibrate;

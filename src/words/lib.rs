@@ -7,6 +7,7 @@ pub mod carried;
 pub mod chance;
 pub mod clock;
 pub mod commit;
+pub mod difference;
 pub mod digest;
 pub mod event;
 pub mod file_kind;

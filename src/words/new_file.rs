@@ -18,7 +18,7 @@
 //! disks that report a sync before they have done it.
 
 use std::fs::{self, DirBuilder, File, OpenOptions};
-use std::io::{self, Write};
+use std::io::{self, BufReader, Write};
 use std::os::unix::fs::{DirBuilderExt, OpenOptionsExt, PermissionsExt};
 use std::path::{Path, PathBuf};
 
@@ -26,6 +26,8 @@ use crate::digest::Hashing;
 
 /// Prefix of temporary names.
 const PARTIAL: &str = "_partial-";
+/// Number of bytes of a finished file that are read at a time.
+const FINISHED_READ_BYTES: usize = 1 << 20;
 
 /// An unfinished file with the hash and number of its bytes; removed if it is dropped unfinished.
 #[derive(Debug)]
@@ -45,6 +47,35 @@ pub struct Finished {
     pub bytes: u64,
     /// sha256 of its bytes, in hexadecimal digits.
     pub sha256: String,
+}
+
+/// Depth of the check of a finished file.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Look {
+    /// Checks the length only.
+    Length,
+    /// Checks the sha256 of all bytes.
+    Sha256,
+}
+
+impl Finished {
+    /// Whether the file at `path` is this one, checked as deeply as `look`; a missing file is not.
+    ///
+    /// # Errors
+    /// If an existing file cannot be read.
+    pub fn is_at(&self, path: &Path, look: Look) -> io::Result<bool> {
+        let file = match File::open(path) {
+            Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(false),
+            file => file?,
+        };
+        let length = file.metadata()?.len();
+        if length != self.bytes || look == Look::Length {
+            return Ok(length == self.bytes);
+        }
+        let mut hash = Hashing::default();
+        io::copy(&mut BufReader::with_capacity(FINISHED_READ_BYTES, file), &mut hash)?;
+        Ok(hash.finish() == self.sha256)
+    }
 }
 
 impl NewFile {

@@ -38,11 +38,12 @@ pub const STUDIES: [&str; 12] = [
 ];
 
 /// What everything may use and what uses nothing but each other.
-pub const VOCABULARY: [&str; 21] = [
+pub const VOCABULARY: [&str; 22] = [
     "carried",
     "chance",
     "clock",
     "commit",
+    "difference",
     "digest",
     "event",
     "file_kind",

@@ -13,6 +13,7 @@ use super::error::CliError;
 use super::progress::Working;
 use crate::simulate::model::{ModelUnavailable, load_or_build};
 
+pub mod request;
 mod random;
 mod trials;
 

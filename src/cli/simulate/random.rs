@@ -1,7 +1,6 @@
 //! `palpate simulate random`: Sim-Random to a folder, with progress, and Ctrl-C as a request.
 //! Uses: `simulate::random`, indicatif. Never: a decision about a byte of the shards.
 
-use std::num::NonZeroUsize;
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::Arc;
@@ -11,87 +10,36 @@ use std::time::Instant;
 use clap::Args;
 use indicatif::ProgressBar;
 use serde_json::json;
-use sim_core::batch::{BatchModel, Kernel};
-use sim_core::calibrated::CalibratedSensor;
+use sim_core::batch::BatchModel;
 
+use crate::cli::At;
 use crate::cli::error::CliError;
-use crate::cli::files::{read_calibration, read_sensor};
 use crate::cli::next::Next;
 use crate::cli::output::{self, bytes, counted, duration, say, say_json};
 use crate::cli::progress::{LogLines, Working, progress_bar};
 use crate::cli::signals::Signals;
-use crate::cli::simulate::solved;
-use crate::cli::{At, data_or_default};
-use crate::simulate::random::draw::Draws;
-use crate::simulate::random::folder::Look;
-use crate::simulate::random::manifest::{Definition, Manifest, Order};
+use crate::cli::simulate::request::{RandomRequest, SolvedRequest, threads};
+use crate::new_file::Look;
+use crate::simulate::random::manifest::Manifest;
 use crate::simulate::random::{Means, Outcome, Progress, generate};
-
-/// Largest number of threads.
-const THREADS_MAX: usize = 256;
 
 /// Options of `simulate random`.
 #[derive(Debug, Clone, Args)]
 pub struct RandomArgs {
-    /// Number of trials.
-    #[arg(long, value_name = "N", default_value_t = 200_000)]
-    trials: u64,
-    /// Seed: with the other options it determines every byte.
-    #[arg(long, value_name = "S", default_value_t = 1)]
-    seed: u64,
+    #[command(flatten)]
+    request: RandomRequest,
     /// Folder of the shards and their manifest.
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
     /// Number of threads that simulate [default: the machine's cores]; they change no byte.
     #[arg(long, value_name = "N")]
     threads: Option<usize>,
-    /// Vector instructions of the simulation [default: the fastest of this processor]; the last
-    /// digits of a frame depend on them.
-    #[arg(long, value_name = "KERNEL", value_parser = kernel)]
-    kernel: Option<Kernel>,
-    /// Sensor file: the skin's geometry and materials [default: ert-28].
-    #[arg(long, value_name = "FILE")]
-    sensor: Option<PathBuf>,
-    /// Calibration file, whose values replace those of the sensor file [default: none].
-    #[arg(long, value_name = "FILE")]
-    calibration: Option<PathBuf>,
-    /// Number of contacts of a trial, A..B, each number equally likely.
-    #[arg(long, value_name = "A..B", default_value = "1..6", value_parser = contacts)]
-    contacts: [u8; 2],
-    /// Smallest and largest force of a contact, N, uniform in between.
-    #[arg(long, value_names = ["MIN", "MAX"], num_args = 2, default_values_t = [5.0, 40.0])]
-    force_n: Vec<f64>,
-    /// Number of trials of a shard.
-    #[arg(long, value_name = "N", default_value_t = 10_000)]
-    shard_trials: u64,
     /// Read every byte of existing shards, instead of checking their length only.
     #[arg(long)]
     verify: bool,
-    /// Folder whose `cache` contains solved unit responses [env: PALPATE_DATA] [default:
-    /// palpate-data].
-    #[arg(long, value_name = "DIR")]
-    data: Option<PathBuf>,
     /// Print one line of JSON per shard, and a last one with totals, on standard output.
     #[arg(long)]
     json: bool,
-}
-
-/// Parses `A..B`, or `A` for a fixed number.
-fn contacts(text: &str) -> Result<[u8; 2], String> {
-    let (fewest, most) = text.split_once("..").unwrap_or((text, text));
-    match (fewest.parse(), most.parse()) {
-        (Ok(fewest), Ok(most)) => Ok([fewest, most]),
-        _ => Err("must be a number, or two as in 1..6".into()),
-    }
-}
-
-/// Parses the name of a kernel that this processor supports.
-fn kernel(name: &str) -> Result<Kernel, String> {
-    let here = || Kernel::ALL.into_iter().filter(|kernel| kernel.is_here());
-    here().find(|kernel| kernel.name() == name).ok_or_else(|| {
-        let names: Vec<_> = here().map(Kernel::name).collect();
-        format!("this processor has {}", names.join(", "))
-    })
 }
 
 /// Runs the command. Exit code: 0 all trials exist, 1 failed or stopped, 2 bad input.
@@ -123,26 +71,14 @@ pub async fn random(args: RandomArgs) -> Result<ExitCode, CliError> {
 }
 
 fn make(args: &RandomArgs, stop: &AtomicBool) -> Result<ExitCode, CliError> {
-    let mut sensor = CalibratedSensor::from(read_sensor(args.sensor.as_deref())?);
-    if let Some(path) = &args.calibration {
-        sensor = read_calibration(path, &sensor)?.apply(&sensor)?;
-    }
-    let [least, largest] = args.force_n[..] else {
-        return Err(CliError::argument("force-n", format!("{:?}", args.force_n), "two numbers"));
-    };
-    let draws = Draws { seed: args.seed, contacts: args.contacts, force_n: [least, largest] };
-    let order = Order::new(draws, args.trials, args.shard_trials, sensor.points().len())
-        .map_err(CliError::Problems)?;
     let threads = threads(args.threads)?;
-    let model = solved(&sensor, &data_or_default(args.data.clone()).join("cache"))?;
-    let kernel = args.kernel.unwrap_or_else(Kernel::detect);
-    let definition = Definition::new(order, &model, kernel);
+    let SolvedRequest { definition, model, kernel, .. } = args.request.solve()?;
     let frames = BatchModel::new(&model, kernel);
     let look = if args.verify { Look::Sha256 } else { Look::Length };
     let mut screen = Screen::new(args);
     let means = Means { threads, look, stop };
     let outcome =
-        generate(&definition, &sensor, &frames, &args.out, means, &mut |p| screen.tell(p));
+        generate(&definition, model.sensor(), &frames, &args.out, means, &mut |p| screen.tell(p));
     screen.bar.finish_and_clear();
     let outcome = outcome?;
     screen.end(&outcome, args);
@@ -150,15 +86,6 @@ fn make(args: &RandomArgs, stop: &AtomicBool) -> Result<ExitCode, CliError> {
         Outcome::Complete(_) => ExitCode::SUCCESS,
         Outcome::Stopped(_) => ExitCode::FAILURE,
     })
-}
-
-fn threads(asked: Option<usize>) -> Result<NonZeroUsize, CliError> {
-    match asked {
-        None => Ok(std::thread::available_parallelism().unwrap_or(NonZeroUsize::MIN)),
-        Some(n) => NonZeroUsize::new(n).filter(|n| n.get() <= THREADS_MAX).ok_or_else(|| {
-            CliError::argument("threads", n, format!("must be from 1 to {THREADS_MAX}"))
-        }),
-    }
 }
 
 /// Output: standard error for people, standard output for scripts.
@@ -178,13 +105,13 @@ struct Screen {
 impl Screen {
     fn new(args: &RandomArgs) -> Self {
         let bar = progress_bar("trials");
-        bar.set_length(args.trials);
+        bar.set_length(args.request.trials);
         Self {
             lines: LogLines::instead_of(&bar),
             bar,
             verifying: args.verify.then(|| Working::at_terminal("reading the existing shards")),
             json: args.json,
-            trials: args.trials,
+            trials: args.request.trials,
             found: 0,
             made: 0,
             stored: 0,
@@ -275,23 +202,11 @@ impl Screen {
         let (made, wall, rate) = (self.made, duration(wall_s), self.rate());
         let end = if complete { "" } else { "stopped: " };
         say(format_args!("{end}{there}; {made} made in {wall} ({rate:.0}/s)"));
-        let next = Next::of(&At { data: args.data.clone(), ..At::default() });
+        let next = Next::of(&At { data: args.request.data.clone(), ..At::default() });
         let next = match complete {
             true => next.suggest("palpate train recon-net", "learns from DATA/sim-random"),
             false => next.same_command("again", "resumes after the last complete shard"),
         };
         next.say();
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn numbers_of_contacts_are_read() {
-        assert_eq!(contacts("1..6"), Ok([1, 6]));
-        assert_eq!(contacts("3"), Ok([3, 3]));
-        assert!(contacts("1..").is_err() && contacts("-1..2").is_err() && contacts("").is_err());
     }
 }

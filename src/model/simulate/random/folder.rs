@@ -8,29 +8,20 @@
 
 use std::ffi::OsStr;
 use std::fs::{self, File, TryLockError};
-use std::io::{self, BufReader};
+use std::io;
 use std::path::{Path, PathBuf};
 
+use sim_core::sensor::SensorFile;
+
 use super::error::RandomError;
-use super::manifest::{Definition, Manifest, Shard, ShardRow, first_difference};
-use crate::digest::Hashing;
-use crate::new_file::{self, NewFile};
+use super::manifest::{Definition, Manifest, Shard, ShardRow};
+use crate::difference::first_difference;
+use crate::new_file::{self, Finished, Look, NewFile};
 
 /// Name of the manifest.
 pub const SHARDS_MANIFEST: &str = "_manifest.json";
 /// Suffix of a temporary file's name in earlier versions.
 const OLD_PARTIAL: &str = ".partial";
-/// Number of bytes read at a time.
-const SHARD_READ_BYTES: usize = 1 << 20;
-
-/// Depth of the check of completed shards.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Look {
-    /// Checks the length only.
-    Length,
-    /// Checks the sha256 of all bytes.
-    Sha256,
-}
 
 /// A folder that only this process writes to.
 #[derive(Debug)]
@@ -64,6 +55,24 @@ impl Folder {
             }
         }
         Ok(folder)
+    }
+
+    /// Takes the folder of a definition, with its manifest, which then names the sensor.
+    ///
+    /// # Errors
+    /// As [`Self::take`] and [`Self::manifest`].
+    pub fn take_for(
+        path: &Path,
+        definition: &Definition,
+        sensor: &SensorFile,
+    ) -> Result<(Self, Manifest), RandomError> {
+        let folder = Self::take(path)?;
+        let mut manifest = folder.manifest(definition)?;
+        if manifest.sensor_file.is_none() {
+            manifest.sensor_file = Some(sensor.clone());
+            folder.write_manifest(&manifest)?;
+        }
+        Ok((folder, manifest))
     }
 
     /// Returns the manifest of this definition: the existing one, or a new one, which is then
@@ -121,16 +130,8 @@ impl Folder {
     /// `RandomError::File` if an existing file cannot be read.
     pub fn holds(&self, row: &ShardRow, look: Look) -> Result<bool, RandomError> {
         let path = self.path.join(&row.file);
-        let file = match File::open(&path) {
-            Ok(file) => file,
-            Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(false),
-            Err(error) => return Err(RandomError::file("opening", path)(error)),
-        };
-        let length = file.metadata().map_err(RandomError::file("checking", &path))?.len();
-        if length != row.bytes || look == Look::Length {
-            return Ok(length == row.bytes);
-        }
-        Ok(sha256(file).map_err(RandomError::file("reading", &path))? == row.sha256)
+        let whole = Finished { bytes: row.bytes, sha256: row.sha256.clone() };
+        whole.is_at(&path, look).map_err(RandomError::file("reading", path))
     }
 
     /// Starts a shard's file under a temporary name.
@@ -168,12 +169,6 @@ impl Folder {
 
 fn text(name: &OsStr) -> String {
     name.to_string_lossy().into_owned()
-}
-
-fn sha256(file: File) -> io::Result<String> {
-    let mut hash = Hashing::default();
-    io::copy(&mut BufReader::with_capacity(SHARD_READ_BYTES, file), &mut hash)?;
-    Ok(hash.finish())
 }
 
 #[cfg(test)]

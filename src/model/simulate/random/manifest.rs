@@ -4,7 +4,6 @@
 use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
-use serde_json::Value;
 use sim_core::batch::Kernel;
 use sim_core::forward::ForwardModel;
 use sim_core::sensor::SensorFile;
@@ -61,6 +60,18 @@ pub struct Definition {
     pub libraries: BTreeMap<String, String>,
 }
 
+/// Returns the kernel of this name.
+///
+/// # Errors
+/// The names of the kernels that this processor supports, if it is none of them.
+pub fn kernel(name: &str) -> Result<Kernel, String> {
+    let here = || Kernel::ALL.into_iter().filter(|kernel| kernel.is_here());
+    here().find(|kernel| kernel.name() == name).ok_or_else(|| {
+        let names: Vec<_> = here().map(Kernel::name).collect();
+        format!("this processor has {}", names.join(", "))
+    })
+}
+
 /// A checked request of a person.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Order {
@@ -115,13 +126,20 @@ impl Definition {
         }
     }
 
+    /// Number of shards.
+    pub fn shard_count(&self) -> u64 {
+        self.trials.div_ceil(self.shard_trials)
+    }
+
+    /// The shard of this number, below [`Self::shard_count`].
+    pub fn shard(&self, number: u64) -> Shard {
+        let first = number * self.shard_trials;
+        Shard { number, first, trials: self.shard_trials.min(self.trials - first) }
+    }
+
     /// All shards, in order.
-    pub fn shards(&self) -> impl Iterator<Item = Shard> + use<> {
-        let (trials, each) = (self.trials, self.shard_trials);
-        (0..trials.div_ceil(each)).map(move |number| {
-            let first = number * each;
-            Shard { number, first, trials: each.min(trials - first) }
-        })
+    pub fn shards(&self) -> impl Iterator<Item = Shard> {
+        (0..self.shard_count()).map(|number| self.shard(number))
     }
 }
 
@@ -203,44 +221,9 @@ impl Manifest {
     }
 }
 
-/// First difference of two JSON values.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Difference {
-    /// Dotted key.
-    pub field: String,
-    /// Value of the first one; `nothing` if absent.
-    pub there: String,
-    /// Value of the other one.
-    pub here: String,
-}
-
-/// The first leaf at which two values differ, by key in alphabetical order.
-pub fn first_difference(there: &Value, here: &Value) -> Option<Difference> {
-    fn walk(path: &str, there: &Value, here: &Value) -> Option<Difference> {
-        if there == here {
-            return None;
-        }
-        if let (Value::Object(a), Value::Object(b)) = (there, here) {
-            let keys: std::collections::BTreeSet<&String> = a.keys().chain(b.keys()).collect();
-            return keys.into_iter().find_map(|key| {
-                let path = if path.is_empty() { key.clone() } else { format!("{path}.{key}") };
-                let of = |map: &serde_json::Map<String, Value>| map.get(key).cloned();
-                walk(&path, &of(a).unwrap_or(Value::Null), &of(b).unwrap_or(Value::Null))
-            });
-        }
-        let shown = |value: &Value| match value {
-            Value::Null => "nothing".to_owned(),
-            value => value.to_string(),
-        };
-        Some(Difference { field: path.into(), there: shown(there), here: shown(here) })
-    }
-    walk("", there, here)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use serde_json::json;
 
     #[test]
     fn the_crates_that_make_bytes_are_in_the_lock_file() {
@@ -253,21 +236,6 @@ mod tests {
                     version = \"1.0.0\"\n";
         assert_eq!(locked_version(lock, "b").as_deref(), Some("1.0.0"));
         assert_eq!(locked_version(lock, "c"), None);
-    }
-
-    #[test]
-    fn the_field_that_differs_is_named() {
-        let there = json!({ "draws": { "seed": 1, "contacts": [1, 6] }, "kernel": "f64" });
-        assert_eq!(first_difference(&there, &there), None);
-        let mut here = there.clone();
-        here["draws"]["seed"] = json!(2);
-        let found = first_difference(&there, &here).unwrap();
-        assert_eq!((found.field.as_str(), found.there.as_str()), ("draws.seed", "1"));
-        let mut here = there.clone();
-        here["calibration"] = json!("cal-1");
-        let found = first_difference(&there, &here).unwrap();
-        assert_eq!((found.field.as_str(), found.there.as_str()), ("calibration", "nothing"));
-        assert_eq!(found.here, "\"cal-1\"");
     }
 
     #[test]

@@ -1,34 +1,31 @@
 //! Sim-Random (paper IV-B): free trials in bulk, as Parquet shards whose bytes are determined by
 //! their definition alone.
-//! Uses: sim-core, `simulate::schema`, threads. Never: a clock, the order in which threads finish.
+//! Uses: sim-core, `simulate::schema`. Never: a clock, the order in which threads finish.
 //!
-//! `draw -> simulate -> encode` makes a row group on one thread; the calling thread appends row
-//! groups in order and makes each complete shard durable (`folder`). Row group n is made by thread
-//! n mod threads and waits in that thread's bounded queue: memory depends on the number of threads
-//! alone, and no reordering is needed.
+//! `shards` makes a shard on threads. [`generate`] makes all shards of a definition in a folder (`folder`), each
+//! durable as soon as it is complete.
 
 use std::num::NonZeroUsize;
+use std::ops::ControlFlow;
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
-use std::thread;
 
-use sim_core::batch::{BatchModel, BatchWork};
+use sim_core::batch::BatchModel;
 use sim_core::sensor::Sensor;
 
 pub mod draw;
 pub mod encode;
 pub mod error;
-pub mod folder;
 pub mod manifest;
+pub mod folder;
+pub mod shards;
 
-use encode::{Encoder, Layout, RowGroup, Trials};
 use error::RandomError;
-use folder::{Folder, Look};
+use folder::Folder;
 use manifest::{Definition, Manifest, Shard, ShardRow};
+use shards::ShardMaker;
 
-/// Number of row groups that a thread may be ahead of the file.
-const GROUPS_AHEAD: usize = 2;
+use crate::new_file::Look;
 
 /// Progress of the generation.
 #[derive(Debug, Clone, Copy)]
@@ -81,44 +78,31 @@ pub fn generate(
     means: Means<'_>,
     tell: &mut dyn FnMut(Progress<'_>),
 ) -> Result<Outcome, RandomError> {
-    let folder = Folder::take(folder)?;
-    let mut manifest = folder.manifest(definition)?;
-    if manifest.sensor_file.is_none() {
-        manifest.sensor_file = Some(sensor.file.clone());
-        folder.write_manifest(&manifest)?;
-    }
+    let (folder, mut manifest) = Folder::take_for(folder, definition, &sensor.file)?;
     let missing = missing(definition, &manifest, &folder, means.look, tell)?;
-    let columns_failed =
-        |source| RandomError::Encode { file: "the shards' columns".into(), source };
-    let layout = Layout::new(definition, sensor.channels(), sensor.file.tip_diameter_mm)
-        .map_err(columns_failed)?;
-    let encoder = layout.encoder().map_err(columns_failed)?;
-    let maker = Maker { definition, sensor, model, encoder };
-    let complete = thread::scope(|scope| -> Result<bool, RandomError> {
-        let threads = means.threads.get();
-        let queues: Vec<Receiver<Made>> = (0..threads)
-            .map(|thread| {
-                let (give, take) = sync_channel(GROUPS_AHEAD);
-                let share =
-                    missing.iter().flat_map(|s| s.row_groups()).skip(thread).step_by(threads);
-                let maker = &maker;
-                scope.spawn(move || maker.make_all(share, &give));
-                take
-            })
-            .collect();
-        let mut made = queues.iter().cycle();
-        for shard in &missing {
-            if means.stop.load(Ordering::Relaxed) {
-                return Ok(false);
+    let maker = ShardMaker::new(definition, sensor, model)?;
+    let complete =
+        maker.row_groups(&missing, means.threads, |made| -> Result<bool, RandomError> {
+            for shard in &missing {
+                if means.stop.load(Ordering::Relaxed) {
+                    return Ok(false);
+                }
+                let mut tell_made = |trials| {
+                    tell(Progress::Made(trials));
+                    ControlFlow::Continue(())
+                };
+                let (out, name) = (folder.begin()?, shard.file_name());
+                let Some(out) = maker.write(shard, out, &name, made, &mut tell_made)? else {
+                    return Ok(false);
+                };
+                let row = folder.finish(shard, out)?;
+                reproduced(manifest.row(shard), &row)?;
+                manifest.set(row.clone());
+                folder.write_manifest(&manifest)?;
+                tell(Progress::Shard(&row));
             }
-            let row = keep(shard, &folder, &layout, &mut made, tell)?;
-            reproduced(manifest.row(shard), &row)?;
-            manifest.set(row.clone());
-            folder.write_manifest(&manifest)?;
-            tell(Progress::Shard(&row));
-        }
-        Ok(true)
-    })?;
+            Ok(true)
+        })?;
     Ok(if complete { Outcome::Complete(manifest) } else { Outcome::Stopped(manifest) })
 }
 
@@ -144,26 +128,6 @@ fn missing(
     Ok(missing)
 }
 
-/// Writes a shard from the next row groups, and makes it durable.
-fn keep<'q>(
-    shard: &Shard,
-    folder: &Folder,
-    layout: &Layout,
-    made: &mut impl Iterator<Item = &'q Receiver<Made>>,
-    tell: &mut dyn FnMut(Progress<'_>),
-) -> Result<ShardRow, RandomError> {
-    let failed = |source| RandomError::Encode { file: shard.file_name(), source };
-    let mut file = layout.file(folder.begin()?).map_err(failed)?;
-    // In this order: when the shard is complete, no queue has been skipped.
-    for ((_, trials), queue) in shard.row_groups().zip(made) {
-        // A sender is only dropped early if its thread panics; the scope then panics as well.
-        let group = queue.recv().expect("a thread makes all of its row groups")?;
-        encode::append(&mut file, group).map_err(failed)?;
-        tell(Progress::Made(trials));
-    }
-    folder.finish(shard, file.into_inner().map_err(failed)?)
-}
-
 /// Checks that a repeated shard has the same bytes.
 fn reproduced(before: Option<&ShardRow>, now: &ShardRow) -> Result<(), RandomError> {
     match before {
@@ -173,59 +137,5 @@ fn reproduced(before: Option<&ShardRow>, now: &ShardRow) -> Result<(), RandomErr
             now: now.sha256.clone(),
         }),
         _ => Ok(()),
-    }
-}
-
-/// A row group, or its error.
-type Made = Result<RowGroup, RandomError>;
-
-/// Data shared by all threads.
-struct Maker<'a> {
-    definition: &'a Definition,
-    sensor: &'a Sensor,
-    model: &'a BatchModel,
-    encoder: Encoder,
-}
-
-impl Maker<'_> {
-    /// Makes row groups until all are done, one fails, or the receiver is dropped.
-    fn make_all(&self, row_groups: impl Iterator<Item = (u64, u64)>, give: &SyncSender<Made>) {
-        let mut work = BatchWork::default();
-        for (first, count) in row_groups {
-            let made = self.make(first, count, &mut work);
-            let failed = made.is_err();
-            if give.send(made).is_err() || failed {
-                return;
-            }
-        }
-    }
-
-    fn make(&self, first: u64, count: u64, work: &mut BatchWork) -> Made {
-        let trials = self.simulate(first, count, work)?;
-        self.encoder.encode(trials).map_err(|source| RandomError::Encode {
-            file: format!("trials {first} to {}", first + count - 1),
-            source,
-        })
-    }
-
-    /// Draws and simulates consecutive trials.
-    fn simulate(
-        &self,
-        first: u64,
-        count: u64,
-        work: &mut BatchWork,
-    ) -> Result<Trials, RandomError> {
-        let (mut contacts, mut ends) = (Vec::new(), Vec::with_capacity(count as usize));
-        for index in first..first + count {
-            self.definition.draws.trial(self.sensor.points(), index, &mut contacts);
-            ends.push(contacts.len());
-        }
-        let mut trials = Trials { first, contacts, ends, voltages_v: Vec::new() };
-        let mut voltages_v = vec![0.0; trials.ends.len() * self.sensor.channels()];
-        self.model
-            .voltages(&trials.each(), &mut voltages_v, work)
-            .map_err(|source| RandomError::Simulate { first, last: first + count - 1, source })?;
-        trials.voltages_v = voltages_v;
-        Ok(trials)
     }
 }
