@@ -9,7 +9,7 @@ pub use palpate_words::{
 
 pub use palpate_bench::{campaign, rig, schedule};
 pub use palpate_data::{dataset, query};
-pub use palpate_model::{calibrate, figure, overlay, simulate};
+pub use palpate_model::{calibrate, chunk, figure, overlay, simulate};
 pub use palpate_service::{api, conductor, placement, twins};
 pub use palpate_store as store;
 pub use palpate_studies as studies;

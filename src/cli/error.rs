@@ -12,6 +12,7 @@ use super::picture::PictureError;
 use crate::api::{LockFileError, ServeError};
 use crate::calibrate::CalibrateError;
 use crate::calibrate::skin::SkinError;
+use crate::chunk::error::ChunkError;
 use crate::dataset::error::DatasetError;
 use crate::evaluate::figures::FigureError;
 use crate::journal::error_chain;
@@ -151,6 +152,9 @@ pub enum CliError {
         /// Number of all rigs.
         all: usize,
     },
+    /// The folder of a work order could not be used, or chunks could not be made or gathered.
+    #[error(transparent)]
+    Chunk(#[from] ChunkError),
     /// The rig is tripped.
     #[error("the rig is tripped: {detail}; check the rig, then run `palpate rig reset`")]
     Tripped {
@@ -233,6 +237,12 @@ impl CliError {
             | CliError::NotConfirmed { .. }
             | CliError::Store(StoreError::Refused { .. })
             | CliError::SimRandom(RandomError::OtherDefinition { .. })
+            | CliError::Chunk(
+                ChunkError::NoOrder { .. }
+                | ChunkError::Order { .. }
+                | ChunkError::OtherOrder { .. }
+                | ChunkError::Index { .. },
+            )
             | CliError::Refused { status: 400 | 422, .. } => 2,
             _ => 1,
         }

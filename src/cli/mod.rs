@@ -25,6 +25,7 @@ mod browser;
 mod calibrate;
 mod care;
 mod client;
+mod cluster;
 mod dataset;
 mod download;
 mod drawn;
@@ -196,6 +197,8 @@ pub enum Command {
     Calibrate(calibrate::CalibrateArgs),
     /// Simulate frames of contacts; nothing moves.
     Simulate(simulate::SimulateArgs),
+    /// Make Sim-Random in chunks on a cluster, in a folder that its nodes share; no server is needed.
+    Cluster(cluster::ClusterArgs),
     /// Show the state of rig, run and service.
     Status(StatusArgs),
     /// Print counters and gauges of the service, in the text format of Prometheus.
@@ -309,6 +312,7 @@ async fn answer(command: Command) -> Result<ExitCode, CliError> {
         Command::Run(args) => return run::run(args).await,
         Command::Attach(args) => return attach::attach(args).await,
         Command::Simulate(args) => return simulate::simulate(args).await,
+        Command::Cluster(args) => return cluster::cluster(args).await,
         Command::Rig(args) => return rig::rig(args).await,
         Command::Serve(args) => serve::serve(args).await?,
         Command::Status(args) if args.watch => watch::watch(&args.at).await?,

@@ -10,6 +10,7 @@
 //! - `figure` is the page of every figure: SVG text with title, label and n. Later chapters draw on it, too.
 //! - `calibrate` fits Eq. 1, the moduli and the skin to measurements. Text comes in, text goes out; the files
 //!   are read and written by `cli`.
+//! - `chunk` divides bulk work into parts that any process makes, on any machine, each under a key of its contents.
 //! - `simulate` returns the frame of given contacts with the calibrated sensor, one trial or many; `random`
 //!   writes Sim-Random as a folder of Parquet files.
 //! - `overlay` draws the points of a skin as a PDF, from which a person places weights.
@@ -19,10 +20,11 @@
 //! overlay, `studies` and `cli` draw figures and start fits and bulk simulations.
 
 use palpate_words::{
-    chance, commit, difference, digest, ids, new_file, problem, record, toml_words,
+    chance, commit, difference, digest, ids, new_file, plain, problem, record, toml_words,
 };
 
 pub mod figure;
 pub mod calibrate;
+pub mod chunk;
 pub mod simulate;
 pub mod overlay;

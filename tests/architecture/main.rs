@@ -163,7 +163,8 @@ fn a_table_of_contents_out_of_order_is_found() {
         files.push(file(path, text));
         contents_out_of_order(&files)
     };
-    let flow = "pub mod figure;\npub mod calibrate;\npub mod simulate;\npub mod overlay;\n";
+    let flow = "pub mod figure;\npub mod calibrate;\npub mod chunk;\npub mod simulate;\n\
+        pub mod overlay;\n";
     none(with("src/model/lib.rs", flow));
     assert_eq!(with("src/model/lib.rs", "pub mod simulate;\npub mod calibrate;\n").len(), 1);
     assert_eq!(with("src/model/lib.rs", "pub mod simulate;\n").len(), 1);

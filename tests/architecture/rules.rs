@@ -13,7 +13,7 @@ pub const CHAPTERS: [(&str, &[&str]); 9] = [
     ("words", &VOCABULARY),
     ("bench", &["schedule", "rig", "campaign"]),
     ("store", &["store"]),
-    ("model", &["figure", "calibrate", "simulate", "overlay"]),
+    ("model", &["figure", "calibrate", "chunk", "simulate", "overlay"]),
     ("data", &["dataset", "query"]),
     ("touch", &["learn", "infer", "evaluate", "jobs"]),
     ("service", &["conductor", "twins", "placement", "api"]),

@@ -57,6 +57,31 @@ pub const EXAMPLES: &[(&str, &[&str])] = &[
         ],
     ),
     ("simulate random", &["palpate simulate random --trials 200000 --out sim-random"]),
+    (
+        "cluster",
+        &[
+            "palpate cluster sbatch random --trials 2000000 --folder sim",
+            "palpate cluster gather sim --out palpate-data/sim-random/2m",
+        ],
+    ),
+    ("cluster sbatch", &["palpate cluster sbatch random --trials 2000000 --folder sim"]),
+    (
+        "cluster sbatch random",
+        &[
+            "palpate cluster sbatch random --trials 2000000 --folder sim",
+            "palpate cluster sbatch random --folder sim --tasks 16 --partition long --time 60",
+        ],
+    ),
+    (
+        "cluster make",
+        &[
+            "palpate cluster make sim 3 17",
+            "palpate cluster make sim --task 0 --tasks 1",
+            "echo '{\"folder\":\"sim\",\"index\":3}' | palpate cluster make --lines",
+        ],
+    ),
+    ("cluster status", &["palpate cluster status sim", "palpate cluster status sim --json"]),
+    ("cluster gather", &["palpate cluster gather sim --out palpate-data/sim-random/2m"]),
     ("status", &["palpate status", "palpate status --watch", "palpate status --twins --json"]),
     ("metrics", &["palpate metrics"]),
     ("vocabulary", &["palpate vocabulary", "palpate vocabulary trips"]),

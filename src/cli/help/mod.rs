@@ -14,7 +14,7 @@ const GROUPS: &[(&str, &[&str])] = &[
     ("The morning after", &["runs", "trials", "events", "actions", "show", "report", "diff"]),
     ("Manual trials", &["placement", "confirm", "repeat", "sensor"]),
     ("Rig and people", &["rig", "lock", "key", "metrics"]),
-    ("Simulation and calibration", &["simulate", "calibrate"]),
+    ("Simulation and calibration", &["simulate", "cluster", "calibrate"]),
     ("Data", &["dataset", "query", "plot"]),
     ("Nets", &["train", "job", "model", "infer", "live", "evaluate"]),
     ("Virtual rig", &["virtual-rig", "virtual-operator"]),

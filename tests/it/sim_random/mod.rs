@@ -17,6 +17,8 @@ use sim_core::forward::{Contact, ForwardModel, Workspace};
 
 use crate::support::{self, PALPATE, Process, sensor};
 
+mod cluster;
+
 /// Folder that these tests share: the cache of the unit responses.
 fn data() -> PathBuf {
     Path::new(env!("CARGO_TARGET_TMPDIR")).join("sim-random")

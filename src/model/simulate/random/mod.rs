@@ -3,7 +3,8 @@
 //! Uses: sim-core, `simulate::schema`. Never: a clock, the order in which threads finish.
 //!
 //! `shards` makes a shard on threads. [`generate`] makes all shards of a definition in a folder (`folder`), each
-//! durable as soon as it is complete.
+//! durable as soon as it is complete; `chunks` makes any of them on any machine, and gathers them into the same
+//! folder.
 
 use std::num::NonZeroUsize;
 use std::ops::ControlFlow;
@@ -19,6 +20,7 @@ pub mod error;
 pub mod manifest;
 pub mod folder;
 pub mod shards;
+pub mod chunks;
 
 use error::RandomError;
 use folder::Folder;

@@ -1,0 +1,115 @@
+//! The kinds of chunks, and what makes and gathers those of each. For a further kind: a variant, and a line in each
+//! function; its definition and number of chunks are in a `WorkOrder` that its chapter makes.
+//! Uses: `chunk`, `simulate::random::chunks`. Never: a file of a chunk.
+
+use std::num::NonZeroUsize;
+use std::path::{Path, PathBuf};
+
+use crate::chunk::MakeChunks;
+use crate::chunk::error::{ChunkError, Gaps};
+use crate::chunk::folder::OrderFolder;
+use crate::chunk::order::{ChunkRow, ORDER_FILE};
+use crate::cli::error::CliError;
+use crate::cli::simulate::solved;
+use crate::problem::Problem;
+use crate::simulate::random::chunks::{self, RandomChunks, RandomOrder};
+use crate::simulate::random::manifest::SIM_RANDOM;
+
+/// What the chunks of a work order contain.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum ChunkKind {
+    /// A shard of Sim-Random.
+    SimRandom,
+}
+
+/// Resources that make chunks: they do not change a byte.
+#[derive(Debug, Clone)]
+pub struct ChunkMeans {
+    /// Number of threads.
+    pub threads: NonZeroUsize,
+    /// Folder whose `cache` contains solved unit responses.
+    pub data: PathBuf,
+}
+
+/// What a gathered folder contains.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Gathered {
+    /// Number of rows.
+    pub rows: u64,
+    /// Number of bytes.
+    pub bytes: u64,
+}
+
+impl ChunkKind {
+    /// The kind of a folder's work order.
+    ///
+    /// # Errors
+    /// `ChunkError::Order` if this program does not know it.
+    pub fn of(folder: &OrderFolder) -> Result<Self, CliError> {
+        match folder.order().kind.as_str() {
+            SIM_RANDOM => Ok(Self::SimRandom),
+            other => {
+                let limit = format!("this program makes {SIM_RANDOM}");
+                Err(refused(folder)(Problem::new(ORDER_FILE, "kind", other, limit)))
+            }
+        }
+    }
+
+    /// Opens what makes the chunks of a work order: files are read, models are solved.
+    ///
+    /// # Errors
+    /// `ChunkError::Order` if a value of the order is not what this program makes; `CliError::Model` if the model of the
+    /// skin is not available.
+    pub fn open(
+        self,
+        folder: &OrderFolder,
+        means: &ChunkMeans,
+    ) -> Result<Box<dyn MakeChunks>, CliError> {
+        match self {
+            Self::SimRandom => {
+                let order = RandomOrder::read(folder.order()).map_err(refused(folder))?;
+                let model = solved(&order.sensor, &means.data.join("cache"))?;
+                let made = RandomChunks::new(order, &model, means.threads);
+                Ok(Box::new(made.map_err(refused(folder))?))
+            }
+        }
+    }
+
+    /// Writes the chunks of a work order to `out`, as one process would have; `tell` receives a call for each chunk.
+    ///
+    /// # Errors
+    /// `ChunkError::Incomplete` if chunks are damaged: the others were written; `CliError::SimRandom` if a file cannot
+    /// be read or written, or `out` contains something else.
+    pub fn gather(
+        self,
+        folder: &OrderFolder,
+        rows: &[ChunkRow],
+        out: &Path,
+        tell: &mut dyn FnMut(),
+    ) -> Result<Gathered, CliError> {
+        match self {
+            Self::SimRandom => {
+                let order = RandomOrder::read(folder.order()).map_err(refused(folder))?;
+                let gathered = chunks::gather(&order, folder, rows, out, &mut |_| tell())?;
+                if !gathered.damaged.is_empty() {
+                    let damaged = gathered.damaged.into_iter();
+                    let why = "its bytes do not have the sha256 of its row";
+                    let why = |index| (index, why.to_owned());
+                    let gaps = Gaps { damaged: damaged.map(why).collect(), ..Gaps::default() };
+                    let folder = folder.path().to_owned();
+                    return Err(ChunkError::Incomplete { folder, gaps }.into());
+                }
+                let shards = gathered.manifest.shards.iter();
+                let (rows, bytes) = shards.fold((0, 0), |(rows, bytes), shard| {
+                    (rows + shard.trials, bytes + shard.bytes)
+                });
+                Ok(Gathered { rows, bytes })
+            }
+        }
+    }
+}
+
+/// Conversion of a problem of a folder's work order.
+fn refused(folder: &OrderFolder) -> impl Fn(Problem) -> CliError {
+    move |problem| ChunkError::order(folder.path(), problem).into()
+}

@@ -1,0 +1,325 @@
+//! `palpate cluster make`: makes chunks, one after the other, with Ctrl-C and SIGTERM as requests.
+//! Uses: `chunk`, `kind`, `lines`, indicatif. Never: a decision about a byte of a chunk.
+
+use std::ops::ControlFlow;
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+use clap::Args;
+use indicatif::ProgressBar;
+use serde_json::json;
+use tokio::time::{Instant, sleep_until};
+
+use super::job::chunks_of;
+use super::kind::{ChunkKind, ChunkMeans};
+use super::lines;
+use crate::chunk::MakeChunks;
+use crate::chunk::folder::{ChunkState, OrderFolder};
+use crate::chunk::order::{ChunkRow, WorkOrder};
+use crate::cli::data_or_default;
+use crate::cli::error::CliError;
+use crate::cli::signals::Signals;
+use crate::cli::next::Next;
+use crate::cli::output::{bytes, counted, duration, grouped, note, say, say_json};
+use crate::cli::progress::{LogLines, progress_bar};
+use crate::cli::simulate::request::threads;
+use crate::new_file::Look;
+
+/// Time that a chunk may still take after a request to stop; Slurm kills a task 30 s after its SIGTERM.
+const CHUNK_GRACE: Duration = Duration::from_secs(20);
+
+/// Options of `cluster make`.
+#[derive(Debug, Clone, Args)]
+pub struct MakeArgs {
+    /// Folder of the work order.
+    #[arg(value_name = "FOLDER", required_unless_present = "lines")]
+    folder: Option<PathBuf>,
+    /// Indexes of the chunks, from 0.
+    #[arg(value_name = "INDEX", required_unless_present_any = ["task", "lines"])]
+    indexes: Vec<u64>,
+    /// Make the chunks I, I + T, I + 2 T, .. of the array task I, from 0.
+    #[arg(long, value_name = "I", requires = "tasks", conflicts_with = "indexes")]
+    task: Option<u64>,
+    /// Number T of tasks of the array.
+    #[arg(long, value_name = "T", requires = "task")]
+    tasks: Option<u64>,
+    /// Make the chunk of each line of standard input, {"folder": DIR, "index": N}, and answer each line with one of
+    /// JSON: key, index, sha256, bytes, rows and wall_ms, or index and error.
+    #[arg(long, conflicts_with_all = ["folder", "task", "tasks", "json"])]
+    lines: bool,
+    /// Number of threads that make a chunk [default: the machine's cores]; they change no byte.
+    #[arg(long, value_name = "N")]
+    threads: Option<usize>,
+    /// Folder whose `cache` contains solved unit responses [env: PALPATE_DATA] [default:
+    /// palpate-data].
+    #[arg(long, value_name = "DIR")]
+    data: Option<PathBuf>,
+    /// Print one line of JSON per chunk, and a last one with totals, on standard output.
+    #[arg(long)]
+    json: bool,
+}
+
+/// What was requested of the work.
+#[derive(Debug, Default)]
+pub struct StopRequest {
+    after_chunk: AtomicBool,
+    within_chunk: AtomicBool,
+}
+
+impl StopRequest {
+    /// Whether no further chunk must be started.
+    pub fn is_after_chunk(&self) -> bool {
+        self.after_chunk.load(Ordering::Relaxed)
+    }
+
+    /// Whether the present chunk continues.
+    pub fn flow(&self) -> ControlFlow<()> {
+        match self.within_chunk.load(Ordering::Relaxed) {
+            true => ControlFlow::Break(()),
+            false => ControlFlow::Continue(()),
+        }
+    }
+}
+
+/// Runs the command. Exit code: 0 all of these chunks are done, 1 failed or stopped, 2 bad input.
+///
+/// # Errors
+/// `CliError` if an option is invalid, or the work order cannot be opened.
+pub async fn make(args: MakeArgs) -> Result<ExitCode, CliError> {
+    let mut signals = Signals::catch()?;
+    let stop = Arc::new(StopRequest::default());
+    let work = tokio::task::spawn_blocking({
+        let stop = stop.clone();
+        move || work(&args, &stop)
+    });
+    tokio::pin!(work);
+    let mut grace_until: Option<Instant> = None;
+    loop {
+        let grace = async move {
+            match grace_until {
+                Some(until) => sleep_until(until).await,
+                None => std::future::pending().await,
+            }
+        };
+        tokio::select! {
+            made = &mut work => {
+                return made.unwrap_or_else(|e| std::panic::resume_unwind(e.into_panic()));
+            }
+            () = grace => {
+                stop.within_chunk.store(true, Ordering::Relaxed);
+                grace_until = None;
+            }
+            _ = signals.next() => match stop.after_chunk.swap(true, Ordering::Relaxed) {
+                true => stop.within_chunk.store(true, Ordering::Relaxed),
+                false => {
+                    note("stopping after this chunk; Ctrl-C again stops within it");
+                    grace_until = Some(Instant::now() + CHUNK_GRACE);
+                }
+            },
+        }
+    }
+}
+
+fn work(args: &MakeArgs, stop: &StopRequest) -> Result<ExitCode, CliError> {
+    let data = data_or_default(args.data.clone());
+    let mut makers = Makers::new(ChunkMeans { threads: threads(args.threads)?, data });
+    match &args.folder {
+        Some(folder) => all(folder, args, &mut makers, stop),
+        None => lines::answer(&mut makers, stop),
+    }
+}
+
+/// What makes the chunks of the last work order; it is opened when the first chunk needs it.
+pub struct Makers {
+    means: ChunkMeans,
+    /// Id of the work order, and its maker.
+    open: Option<(String, Box<dyn MakeChunks>)>,
+}
+
+/// A chunk that is done.
+pub struct MadeChunk {
+    /// Its row.
+    pub row: ChunkRow,
+    /// Whether it was made now.
+    pub is_new: bool,
+}
+
+impl Makers {
+    fn new(means: ChunkMeans) -> Self {
+        Self { means, open: None }
+    }
+
+    /// Makes a chunk, unless it is done and whole; none if it was stopped within it.
+    ///
+    /// # Errors
+    /// `CliError` if there is no such chunk, or it cannot be made or stored.
+    pub fn make(
+        &mut self,
+        folder: &OrderFolder,
+        index: u64,
+        stop: &StopRequest,
+    ) -> Result<Option<MadeChunk>, CliError> {
+        if let ChunkState::Done(row) = folder.state(index, Look::Sha256)? {
+            return Ok(Some(MadeChunk { row, is_new: false }));
+        }
+        let id = &folder.order().id;
+        let maker = match self.open.take().filter(|(of, _)| of == id) {
+            Some((_, maker)) => maker,
+            None => ChunkKind::of(folder)?.open(folder, &self.means)?,
+        };
+        let (_, maker) = self.open.insert((id.clone(), maker));
+        let row = folder.make(index, maker.as_mut(), &mut |_| stop.flow())?;
+        Ok(row.map(|row| MadeChunk { row, is_new: true }))
+    }
+}
+
+/// Makes the chunks that the options name.
+fn all(
+    folder: &Path,
+    args: &MakeArgs,
+    makers: &mut Makers,
+    stop: &StopRequest,
+) -> Result<ExitCode, CliError> {
+    let folder = OrderFolder::open(folder)?;
+    let indexes = indexes(args, folder.order())?;
+    let _at_work = folder.at_work()?;
+    let mut screen = Screen::new(indexes.len() as u64, args.json);
+    for index in indexes {
+        if stop.is_after_chunk() {
+            break;
+        }
+        match makers.make(&folder, index, stop) {
+            Ok(Some(made)) => screen.made(&made),
+            Ok(None) => break,
+            Err(CliError::Chunk(error)) if error.is_of_one_chunk() => {
+                screen.failed(index, &error.to_string());
+            }
+            Err(error) => return Err(error),
+        }
+    }
+    Ok(screen.end(&folder))
+}
+
+/// Indexes of the chunks that the options name.
+fn indexes(args: &MakeArgs, order: &WorkOrder) -> Result<Vec<u64>, CliError> {
+    let (Some(task), Some(tasks)) = (args.task, args.tasks) else {
+        let last = order.chunks - 1;
+        return match args.indexes.iter().find(|index| **index > last) {
+            Some(index) => {
+                Err(CliError::argument("index", index, format!("must be from 0 to {last}")))
+            }
+            None => Ok(args.indexes.clone()),
+        };
+    };
+    if tasks == 0 {
+        return Err(CliError::argument("tasks", tasks, "must be at least 1"));
+    }
+    if task >= tasks {
+        return Err(CliError::argument("task", task, format!("must be from 0 to {}", tasks - 1)));
+    }
+    Ok(chunks_of(task, tasks, order.chunks).collect())
+}
+
+/// Output: standard error for people, standard output for scripts.
+struct Screen {
+    bar: ProgressBar,
+    lines: LogLines,
+    json: bool,
+    chunks: u64,
+    done: u64,
+    made: u64,
+    failed: u64,
+    rows: u64,
+    bytes: u64,
+    started: std::time::Instant,
+}
+
+impl Screen {
+    fn new(chunks: u64, json: bool) -> Self {
+        let bar = progress_bar("chunks");
+        bar.set_length(chunks);
+        let started = std::time::Instant::now();
+        let lines = LogLines::instead_of(&bar);
+        Self { lines, bar, json, chunks, done: 0, made: 0, failed: 0, rows: 0, bytes: 0, started }
+    }
+
+    fn made(&mut self, chunk: &MadeChunk) {
+        self.done += 1;
+        if chunk.is_new {
+            self.made += 1;
+            self.rows += chunk.row.rows;
+            self.bytes += chunk.row.bytes;
+        }
+        self.bar.inc(1);
+        if self.json {
+            let mut line = json!(chunk.row);
+            line["event"] = "chunk".into();
+            line["made"] = chunk.is_new.into();
+            say_json(&line);
+        }
+        let (done, chunks) = (self.done + self.failed, self.chunks);
+        self.lines.say(|| format!("{done}/{chunks} chunks"));
+    }
+
+    fn failed(&mut self, index: u64, error: &str) {
+        self.failed += 1;
+        self.bar.inc(1);
+        if self.bar.is_hidden() {
+            note(error);
+        } else {
+            self.bar.println(error);
+        }
+        if self.json {
+            say_json(&json!({ "event": "failed", "index": index, "error": error }));
+        }
+    }
+
+    /// Reports the end; returns the exit code.
+    fn end(&self, folder: &OrderFolder) -> ExitCode {
+        self.bar.finish_and_clear();
+        let wall_s = self.started.elapsed().as_secs_f64();
+        let is_complete = self.done == self.chunks;
+        let code = if is_complete { ExitCode::SUCCESS } else { ExitCode::FAILURE };
+        if self.json {
+            say_json(&json!({
+                "event": "finished",
+                "exit_status": match (is_complete, self.failed) {
+                    (true, _) => "success",
+                    (false, 0) => "abort",
+                    (false, _) => "fail",
+                },
+                "chunks": self.chunks,
+                "done": self.done,
+                "made": self.made,
+                "failed": self.failed,
+                "rows": self.rows,
+                "bytes": self.bytes,
+                "duration_s": wall_s,
+                "folder": folder.path(),
+            }));
+            return code;
+        }
+        let end = match (is_complete, self.failed) {
+            (true, _) => String::new(),
+            (false, 0) => "stopped: ".into(),
+            (false, failed) => format!("{failed} failed: "),
+        };
+        say(format_args!(
+            "{end}{} of {} done; {} made in {}: {} rows, {}",
+            self.done,
+            counted(self.chunks, "chunk", "chunks"),
+            self.made,
+            duration(wall_s),
+            grouped(self.rows),
+            bytes(self.bytes as f64),
+        ));
+        let folder = crate::cli::next::word(&folder.path().display().to_string());
+        Next::default()
+            .suggest(format_args!("palpate cluster status {folder}"), "shows what is done")
+            .say();
+        code
+    }
+}

@@ -1,0 +1,59 @@
+//! `palpate cluster`: bulk work in chunks, in a folder that several machines share.
+//! Uses: `chunk`, the kinds of chunks. Never: the service, the network, Slurm itself (it starts this program).
+
+use std::process::ExitCode;
+
+use clap::{Args, Subcommand};
+
+use super::error::CliError;
+
+mod gather;
+mod job;
+mod kind;
+mod lines;
+mod make;
+mod sbatch;
+mod status;
+
+/// Options of `cluster`.
+#[derive(Debug, Clone, Args)]
+pub struct ClusterArgs {
+    #[command(subcommand)]
+    command: ClusterCommand,
+}
+
+/// Steps of bulk work.
+#[derive(Debug, Clone, Subcommand)]
+pub enum ClusterCommand {
+    /// Write a work order and the array job that makes its chunks.
+    ///
+    /// Nothing is made or submitted. The same command on the same folder changes nothing; a folder of
+    /// another order is refused, with the first value that differs.
+    Sbatch(sbatch::SbatchArgs),
+    /// Make chunks of a work order.
+    ///
+    /// A chunk that is done and whole stays as it is. Ctrl-C and SIGTERM end the command after the
+    /// present chunk, or within it after 20 s; a second one ends it within the chunk. Exit code: 0 all
+    /// of these chunks are done, 1 failed or stopped, 2 bad input.
+    Make(make::MakeArgs),
+    /// Show what is done, failed and missing, and how to submit what is missing.
+    Status(status::StatusArgs),
+    /// Verify all chunks, and write them as one process would have.
+    ///
+    /// The folder has the same files, byte for byte, as if `palpate simulate random` had made it. Exit
+    /// code 1 if a chunk is missing or damaged: each is named.
+    Gather(gather::GatherArgs),
+}
+
+/// Runs `palpate cluster`.
+///
+/// # Errors
+/// `CliError` if an input is invalid, or a file cannot be read or written.
+pub async fn cluster(args: ClusterArgs) -> Result<ExitCode, CliError> {
+    match args.command {
+        ClusterCommand::Sbatch(args) => sbatch::sbatch(&args).map(|()| ExitCode::SUCCESS),
+        ClusterCommand::Make(args) => make::make(args).await,
+        ClusterCommand::Status(args) => status::status(&args).map(|()| ExitCode::SUCCESS),
+        ClusterCommand::Gather(args) => gather::gather(&args).map(|()| ExitCode::SUCCESS),
+    }
+}

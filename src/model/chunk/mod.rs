@@ -1,0 +1,33 @@
+//! Bulk work in chunks: parts whose bytes follow from their work order and their index alone, made by any process
+//! on any machine, each written once under a key of its contents.
+//! Uses: `difference`, `digest`, `new_file`. Never: what a chunk contains (its kind knows it), a queue, the network.
+//!
+//! A kind of chunks has a definition (a JSON value that determines every byte), a number of chunks, and a
+//! [`MakeChunks`]. Sim-Random's is `simulate::random::chunks`.
+
+use std::error::Error;
+use std::ops::ControlFlow;
+
+pub mod error;
+pub mod order;
+pub mod folder;
+
+use crate::new_file::NewFile;
+
+/// Why the bytes of a chunk could not be made.
+pub type MakeFailure = Box<dyn Error + Send + Sync>;
+
+/// What makes the chunks of one work order.
+pub trait MakeChunks: Send {
+    /// Writes the bytes of a chunk to `out`; returns it with the number of rows. While rows are written `tell`
+    /// receives their number; if it breaks off, none is returned.
+    ///
+    /// # Errors
+    /// The failure of the kind.
+    fn write(
+        &mut self,
+        index: u64,
+        out: NewFile,
+        tell: &mut dyn FnMut(u64) -> ControlFlow<()>,
+    ) -> Result<Option<(NewFile, u64)>, MakeFailure>;
+}
