@@ -1,5 +1,8 @@
-//! A virtual rig, a virtual operator and a service, in one process, each on its own sockets.
+//! A virtual rig, a virtual operator and a service, in one process, each on its own sockets; and the shares of the
+//! machine that tests take.
 
+use std::fs::DirBuilder;
+use std::os::unix::fs::DirBuilderExt;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
@@ -8,6 +11,7 @@ use palpate::cli::trust;
 use palpate::conductor::AutoResume;
 use serde_json::{Value, json};
 use sim_core::sensor::Sensor;
+use tokio::sync::{Semaphore, SemaphorePermit};
 use virtual_rig::run::{RigArgs, VirtualRig};
 use virtual_rig::{OperatorArgs, operator_main};
 
@@ -34,19 +38,48 @@ pub fn rig_args(rig: &str, speed: f64) -> RigArgs {
         out_rig: None,
         fault: None,
         control: "127.0.0.1:0".into(),
-        cache: Some(Path::new(env!("CARGO_TARGET_TMPDIR")).join("skin")),
+        cache: Some(skin_cache()),
         ready_file: None,
         with_parent: false,
     }
 }
 
-/// An accelerated rig needs the machine for itself: what is late by a wall millisecond is late by
-/// tens of process milliseconds.
-static ONE_AT_A_TIME: tokio::sync::Mutex<()> = tokio::sync::Mutex::const_new(());
+/// Folder in which the rigs keep the solved unit responses of the skin.
+fn skin_cache() -> PathBuf {
+    Path::new(env!("CARGO_TARGET_TMPDIR")).join("skin")
+}
 
-/// Waits for the machine.
-pub async fn turn() -> tokio::sync::MutexGuard<'static, ()> {
-    ONE_AT_A_TIME.lock().await
+/// Puts the unit responses that a rig has solved into the cache of a data folder: a service that finds none solves
+/// them for seconds on all cores, while the rig is to be driven.
+pub fn with_responses(data: &Path) {
+    let cache = data.join("cache");
+    DirBuilder::new().recursive(true).mode(0o700).create(&cache).unwrap();
+    // Of rigs that have started: there is none before the first one.
+    let Ok(solved) = std::fs::read_dir(skin_cache()) else { return };
+    for file in solved.map(|entry| entry.unwrap().path()) {
+        if file.extension().is_some_and(|extension| extension == "bin") {
+            std::fs::copy(&file, cache.join(file.file_name().unwrap())).unwrap();
+        }
+    }
+}
+
+/// Shares of the machine: an accelerated rig that is late by a wall millisecond is late by tens of process
+/// milliseconds, so that few rigs run at the same time. Measured on two cores, a rig at up to twenty times the wall
+/// and its service need an eighth to a third of a core.
+static MACHINE: Semaphore = Semaphore::const_new(WHOLE as usize);
+/// Share of a test that waits for a rig most of the time.
+pub const WAITS: u32 = 1;
+/// Share of a test that computes meanwhile, as a browser does, or that moves axes at full speed.
+pub const COMPUTES: u32 = 2;
+/// Share of a test that measures how soon something happens.
+pub const WHOLE: u32 = 4;
+
+/// Held shares of the machine, given back when it is dropped.
+pub type Turn = SemaphorePermit<'static>;
+
+/// Waits for shares of the machine, in the order of the requests.
+pub async fn turn(shares: u32) -> Turn {
+    MACHINE.acquire_many(shares).await.unwrap()
 }
 
 /// Sends a line to the control socket, as a hand would; what it answers.
@@ -70,24 +103,25 @@ pub struct Lab {
     /// Of the database.
     pub data: PathBuf,
     http: reqwest::Client,
-    turn: tokio::sync::MutexGuard<'static, ()>,
+    turn: Turn,
 }
 
 impl Lab {
-    /// Switches everything on.
-    pub async fn open(name: &str, args: RigArgs) -> Self {
+    /// Switches everything on, with a share of the machine.
+    pub async fn open(name: &str, args: RigArgs, share: u32) -> Self {
         let speed = args.speed.unwrap();
-        let lab = Self::open_alone(name, args).await;
+        let lab = Self::open_alone(name, args, share).await;
         lab.call_operator(speed);
         lab
     }
 
     /// Switches everything on; no operator mounts tips or places weights.
-    pub async fn open_alone(name: &str, args: RigArgs) -> Self {
-        let turn = turn().await;
+    pub async fn open_alone(name: &str, args: RigArgs, share: u32) -> Self {
+        let turn = turn(share).await;
         let rig = VirtualRig::switch_on(&args).await.unwrap();
         let data = Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("system-{name}"));
         std::fs::remove_dir_all(&data).ok();
+        with_responses(&data);
         let service = Service::start(options(&rig, &data)).await.unwrap();
         Self { rig, service, data, http: http(), turn }
     }

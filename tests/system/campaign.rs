@@ -9,7 +9,7 @@ use serde_json::{Value, json};
 use sqlx::sqlite::SqliteConnectOptions;
 use sqlx::{ConnectOptions, Connection};
 
-use super::bench::{Lab, SENSOR, http, rig_args};
+use super::bench::{Lab, SENSOR, WAITS, http, rig_args};
 
 /// Two settings of three configurations and four depths: 24 trials.
 const SMALL: &str = "name = 'small'\nseed = 5\nsensor = 's'\n[real_hex]\ntips = [1, 4]\n\
@@ -25,7 +25,7 @@ pub(super) async fn started(name: &str) -> (Lab, String) {
 
 /// As [`started`], with the process seconds in a wall second.
 async fn started_at(name: &str, speed: f64) -> (Lab, String) {
-    let lab = Lab::open(name, rig_args("virtual", speed)).await;
+    let lab = Lab::open(name, rig_args("virtual", speed), WAITS).await;
     lab.home().await;
     let run = lab.queue(SMALL).await;
     lab.start(&run).await;
@@ -318,10 +318,11 @@ async fn an_e_stop_while_the_service_ends_is_known_to_the_next_process() {
     let (lab, run) = started_at("ending", 3.0).await;
     lab.stored(2).await;
     let address = format!("{}/api/v1/estop", lab.service.url());
+    let client = http();
     let stop = tokio::spawn(async move {
         // The tips are being raised by then; the door is open until they are up.
         tokio::time::sleep(Duration::from_millis(10)).await;
-        http().post(address).json(&json!({ "why": "smoke" })).send().await.unwrap().status()
+        client.post(address).json(&json!({ "why": "smoke" })).send().await.unwrap().status()
     });
     let lab = lab.restart().await;
     assert!(stop.await.unwrap().is_success());
@@ -395,7 +396,7 @@ async fn began_in_time(lab: &Lab, run: &str) {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_run_begins_when_its_time_has_come_and_holds_up_no_other() {
-    let lab = Lab::open("early", rig_args("virtual", SPEED)).await;
+    let lab = Lab::open("early", rig_args("virtual", SPEED), WAITS).await;
     lab.home().await;
     let early = started_early(&lab, 4).await;
     let next = lab.queue(SMALL).await;
@@ -407,7 +408,7 @@ async fn a_run_begins_when_its_time_has_come_and_holds_up_no_other() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn after_a_restart_the_rig_is_brought_up_when_a_run_is_due() {
-    let lab = Lab::open("early-restart", rig_args("virtual", SPEED)).await;
+    let lab = Lab::open("early-restart", rig_args("virtual", SPEED), WAITS).await;
     lab.home().await;
     let early = started_early(&lab, 12).await;
     let lab = lab.restart().await;
@@ -439,7 +440,7 @@ async fn bad_wires_are_retried_then_trip_and_the_run_goes_on_by_itself() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn weights_are_placed_confirmed_measured_and_repeated() {
-    let lab = Lab::open("random", rig_args("virtual", SPEED)).await;
+    let lab = Lab::open("random", rig_args("virtual", SPEED), WAITS).await;
     lab.home().await;
     let definition = "name = 'weights'\nseed = 2\nsensor = 's'\n[real_random]\ncontacts = [2, 3]\n\
         trials_each = 3\nweights_n = [4.905, 9.81]\n[measure]\nframes_per_trial = 5\n";
@@ -461,7 +462,7 @@ async fn weights_are_placed_confirmed_measured_and_repeated() {
 async fn the_same_campaign_on_other_axes_and_wires_has_the_same_keys_and_targets() {
     let mut seen = Vec::new();
     for rig in ["iai-modbus-tcp", "oriental-az-rtu"] {
-        let lab = Lab::open(&format!("wires-{rig}"), rig_args(rig, 8.0)).await;
+        let lab = Lab::open(&format!("wires-{rig}"), rig_args(rig, 8.0), WAITS).await;
         lab.home().await;
         let run = lab.queue(SMALL).await;
         lab.start(&run).await;

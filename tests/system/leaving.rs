@@ -9,7 +9,7 @@ use std::process::{Child, ChildStdout, Command, Stdio};
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::{Value, json};
 
-use crate::bench::turn;
+use crate::bench::{COMPUTES, turn, with_responses};
 
 /// 66 trials with one tip.
 const EXPERIMENT: &str = "name = \"leaving\"\nseed = 1\nsensor = \"sensors/ert-28.toml\"\n\
@@ -23,7 +23,9 @@ impl Desk {
         let folder = std::env::temp_dir().join(format!("palpate-{name}-{}", std::process::id()));
         std::fs::create_dir_all(&folder).unwrap();
         std::fs::write(folder.join("e.toml"), EXPERIMENT).unwrap();
-        Self(folder)
+        let desk = Self(folder);
+        with_responses(&desk.data());
+        desk
     }
 
     fn data(&self) -> PathBuf {
@@ -103,7 +105,7 @@ fn send(process: i32, signal: Signal) {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn ctrl_c_stops_a_run_that_the_same_command_resumes() {
-    let _turn = turn().await;
+    let _turn = turn(COMPUTES).await;
     let desk = Desk::new("stopped");
     let mut run = desk.run(&[]);
     run.until_stored(5);
@@ -124,7 +126,7 @@ async fn ctrl_c_stops_a_run_that_the_same_command_resumes() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_run_outlives_the_command_and_its_terminal() {
-    let _turn = turn().await;
+    let _turn = turn(COMPUTES).await;
     let desk = Desk::new("detached");
     let (left, code) = desk.run(&["--detach"]).end();
     assert_eq!((code, &left["event"]), (0, &json!("detached")), "{left:#}");

@@ -9,7 +9,7 @@ use tokio::time::sleep;
 use tokio_tungstenite::connect_async;
 use tokio_tungstenite::tungstenite::Message;
 
-use super::bench::{Lab, SENSOR, http, rig_args};
+use super::bench::{COMPUTES, Lab, SENSOR, http, rig_args};
 
 /// As fast as the wall: the readout sends thirty frames a second.
 const SPEED: f64 = 1.0;
@@ -187,7 +187,7 @@ async fn quantities_are_followed(lab: &Lab) {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn models_change_between_two_live_frames_and_what_is_refused_changes_none() {
-    let lab = Lab::open("live", rig_args("virtual", SPEED)).await;
+    let lab = Lab::open("live", rig_args("virtual", SPEED), COMPUTES).await;
     lab.posted("/api/v1/rig/actions", json!({ "action": "connect", "who": "test" })).await;
     let jobs = [queue(&lab, "one", 1).await, queue(&lab, "two", 2).await];
     let (one, two) = (trained(&lab, &jobs[0]).await, trained(&lab, &jobs[1]).await);

@@ -5,7 +5,7 @@ use std::time::Duration;
 use reqwest::Response;
 use serde_json::json;
 
-use super::bench::{LIMIT, Lab, http, rig_args, tell};
+use super::bench::{LIMIT, Lab, WAITS, http, rig_args, tell};
 
 /// Requests a jog of x with a key.
 async fn jog(lab: &Lab, key: &str, to_mm: f64) -> Response {
@@ -32,7 +32,7 @@ async fn is_at(lab: &Lab, to_mm: f64) {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_jog_that_is_sent_twice_with_one_key_moves_once() {
-    let lab = Lab::open("once", rig_args("virtual", 20.0)).await;
+    let lab = Lab::open("once", rig_args("virtual", 20.0), WAITS).await;
     lab.home().await;
     for (key, to_mm) in [("a", 100.0), ("b", 140.0)] {
         assert_eq!(jog(&lab, key, to_mm).await.status(), 202);

@@ -11,7 +11,7 @@ use sim_core::calibration::{Calibration, Fitted, PiezoCalibration};
 use sim_core::sensor::Sensor;
 use virtual_rig::run::RigArgs;
 
-use super::bench::{Lab, SENSOR, file, http, rig_args};
+use super::bench::{Lab, SENSOR, WAITS, file, http, rig_args};
 
 /// Process seconds in a wall second.
 const SPEED: f64 = 10.0;
@@ -140,7 +140,7 @@ async fn trials(lab: &Lab, run: &str) -> BTreeMap<u64, Value> {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_wrong_placement_is_refused_placed_anyway_repeated_and_the_run_resumes() {
-    let lab = Lab::open_alone("placement", skin_alone()).await;
+    let lab = Lab::open_alone("placement", skin_alone(), WAITS).await;
     serve_exact(&lab).await;
     connect(&lab).await;
     let status = lab.get("/api/v1/status").await;
@@ -275,7 +275,7 @@ async fn a_wrong_placement_is_refused_placed_anyway_repeated_and_the_run_resumes
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_board_that_fails_or_a_stop_gives_up_no_placement() {
-    let lab = Lab::open_alone("placement-faults", skin_alone()).await;
+    let lab = Lab::open_alone("placement-faults", skin_alone(), WAITS).await;
     connect(&lab).await;
     let run = lab.queue(FOUR).await;
     lab.start(&run).await;
@@ -315,7 +315,7 @@ async fn a_board_that_fails_or_a_stop_gives_up_no_placement() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_skin_alone_presses_nothing_and_is_checked() {
-    let lab = Lab::open_alone("placement-check", skin_alone()).await;
+    let lab = Lab::open_alone("placement-check", skin_alone(), WAITS).await;
     let report = lab.posted("/api/v1/rig/check", json!({ "who": WHO })).await;
     assert_eq!(report["problems"], json!([]), "{report:#}");
     assert!(report["axes"] == json!([]) && report["cells"].is_null(), "{report:#}");
@@ -336,7 +336,7 @@ const TWO: &str = "name = 'weights'\nseed = 2\nsensor = 's'\n[real_random]\ncont
 
 #[tokio::test(flavor = "multi_thread")]
 async fn under_a_stage_nothing_moves_during_a_manual_run_nor_after_it_before_tips_are_confirmed() {
-    let lab = Lab::open_alone("placement-stage", rig_args("virtual", SPEED)).await;
+    let lab = Lab::open_alone("placement-stage", rig_args("virtual", SPEED), WAITS).await;
     lab.home().await;
     lab.tell_rig(json!({ "cmd": "mount", "tips": 1 })).await;
     let tips = json!({ "action": "tips", "tips": 1, "who": WHO });

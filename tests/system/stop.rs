@@ -15,7 +15,7 @@ use tokio::net::TcpStream;
 use tokio::time::{sleep, timeout};
 use tokio_tungstenite::connect_async;
 
-use super::bench::{LIMIT, Lab, http, rig_args};
+use super::bench::{LIMIT, Lab, WHOLE, http, rig_args};
 
 const ESTOP: &str = "/api/v1/estop";
 const RIG: &str = "/api/v1/rig/actions";
@@ -212,7 +212,7 @@ async fn a_lock_is_held_by_who_took_it(lab: &Lab) {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_stop_needs_a_valid_key_of_any_role_and_no_body() {
-    let lab = Lab::open("stop-keys", rig_args("virtual", 1.0)).await;
+    let lab = Lab::open("stop-keys", rig_args("virtual", 1.0), WHOLE).await;
     lab.posted(RIG, json!({ "action": "connect", "who": "test" })).await;
     let viewer = key(&lab, "viewer key", "viewer").await;
     any_valid_key_stops(&lab, &viewer).await;
@@ -357,7 +357,7 @@ async fn a_stop_gets_through_crowds() {
         eprintln!("SKIPPED: this process may not have 4096 files open");
         return;
     }
-    let lab = Lab::open("stop-crowds", rig_args("virtual", 20.0)).await;
+    let lab = Lab::open("stop-crowds", rig_args("virtual", 20.0), WHOLE).await;
     lab.home().await;
     let slow = tokio::spawn(a_slow_head_is_given_up(address(&lab)));
     let run = lab.queue(SMALL).await;

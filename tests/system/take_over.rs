@@ -5,7 +5,7 @@ use std::time::Duration;
 use jiff::{SignedDuration, Timestamp};
 use serde_json::{Value, json};
 
-use super::bench::{Lab, rig_args, tell};
+use super::bench::{Lab, WAITS, rig_args, tell};
 use super::campaign::{SPEED, complete, held_by_a_lock, release, started, started_early};
 
 /// An action on the rig.
@@ -21,7 +21,7 @@ async fn x_mm(lab: &Lab) -> f64 {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_manual_run_is_taken_up_after_a_restart_without_a_motion() {
-    let lab = Lab::open_alone("hands", rig_args("virtual", SPEED)).await;
+    let lab = Lab::open_alone("hands", rig_args("virtual", SPEED), WAITS).await;
     lab.home().await;
     rig(&lab, json!({ "action": "jog", "axis": "x", "to_mm": 100.0 })).await;
     lab.until("x at 100 mm", |s| s["rig"]["pose"]["x_mm"].as_f64().is_some_and(|x| x > 99.9)).await;
@@ -97,7 +97,7 @@ async fn an_abort_ends_the_homing_for_a_run_that_is_about_to_be_driven_again() {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_jog_at_the_start_time_of_a_run_does_not_drop_it() {
     // Slow enough that a jog lasts longer than a second.
-    let lab = Lab::open("jogged", rig_args("virtual", 2.0)).await;
+    let lab = Lab::open("jogged", rig_args("virtual", 2.0), WAITS).await;
     lab.home().await;
     let run = started_early(&lab, 6).await;
     let row = lab.get(&format!("/api/v1/runs/{run}")).await;

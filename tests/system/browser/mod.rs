@@ -7,7 +7,7 @@ use std::process::Command;
 
 use serde_json::{Value, json};
 
-use super::bench::{Lab, rig_args};
+use super::bench::{COMPUTES, Lab, rig_args};
 use super::placement::{serve_exact, skin_alone};
 
 const MODULES: &str = "playwright, axe_playwright_python";
@@ -61,7 +61,7 @@ async fn plays(lab: &Lab, (python, chromium): (String, String), scenario: &str) 
 
 /// A lab with a long run under way, and the run's uid.
 async fn running(name: &str, speed: f64) -> (Lab, String) {
-    let lab = Lab::open(name, rig_args("virtual", speed)).await;
+    let lab = Lab::open(name, rig_args("virtual", speed), COMPUTES).await;
     lab.home().await;
     let run = lab.queue(LONG).await;
     lab.start(&run).await;
@@ -72,7 +72,7 @@ async fn running(name: &str, speed: f64) -> (Lab, String) {
 /// A lab in which each page has something to show: a run that ended, its dataset, a net, a run that is
 /// under way and one that waits.
 async fn furnished(name: &str) -> Lab {
-    let lab = Lab::open(name, rig_args("virtual", 40.0)).await;
+    let lab = Lab::open(name, rig_args("virtual", 40.0), COMPUTES).await;
     lab.home().await;
     let run = lab.queue(SHORT).await;
     lab.start(&run).await;
@@ -89,7 +89,7 @@ async fn furnished(name: &str) -> Lab {
 #[tokio::test(flavor = "multi_thread")]
 async fn from_the_empty_folder_by_one_button_to_data_that_is_downloaded() {
     let Some(tools) = tools() else { return };
-    let lab = Lab::open("browser-first", rig_args("virtual", 40.0)).await;
+    let lab = Lab::open("browser-first", rig_args("virtual", 40.0), COMPUTES).await;
     plays(&lab, tools, "first_evening").await;
     let runs = lab.get("/api/v1/runs").await;
     assert_eq!(runs["items"][0]["exit_status"], "success", "{runs:#}");
@@ -99,7 +99,7 @@ async fn from_the_empty_folder_by_one_button_to_data_that_is_downloaded() {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_run_is_checked_started_paused_stopped_at_once_and_finished() {
     let Some(tools) = tools() else { return };
-    let lab = Lab::open("browser-operate", rig_args("virtual", 10.0)).await;
+    let lab = Lab::open("browser-operate", rig_args("virtual", 10.0), COMPUTES).await;
     plays(&lab, tools, "operate").await;
     let actions = lab.get("/api/v1/actions?limit=100").await;
     let by_her = |row: &Value| {
@@ -138,7 +138,7 @@ async fn the_stop_needs_no_mouse() {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_person_places_weights_as_the_page_says() {
     let Some(tools) = tools() else { return };
-    let lab = Lab::open_alone("browser-place", rig_args("virtual", 10.0)).await;
+    let lab = Lab::open_alone("browser-place", rig_args("virtual", 10.0), COMPUTES).await;
     plays(&lab, tools, "place").await;
     let trials = lab.get("/api/v1/trials").await;
     let by = |trial: &Value| trial["placed_by"].as_str().unwrap_or_default().to_owned();
@@ -150,7 +150,7 @@ async fn a_person_places_weights_as_the_page_says() {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_weight_on_a_wrong_point_is_named_before_it_is_stored_and_a_trial_is_repeated() {
     let Some(tools) = tools() else { return };
-    let lab = Lab::open_alone("browser-wrong", skin_alone()).await;
+    let lab = Lab::open_alone("browser-wrong", skin_alone(), COMPUTES).await;
     serve_exact(&lab).await;
     lab.posted("/api/v1/rig/actions", json!({ "action": "connect", "who": "test" })).await;
     let run = lab.queue(WEIGHTS).await;
@@ -166,7 +166,7 @@ async fn a_weight_on_a_wrong_point_is_named_before_it_is_stored_and_a_trial_is_r
 #[tokio::test(flavor = "multi_thread")]
 async fn a_model_is_promoted_and_followed_live() {
     let Some(tools) = tools() else { return };
-    let lab = Lab::open("browser-touch", rig_args("virtual", 1.0)).await;
+    let lab = Lab::open("browser-touch", rig_args("virtual", 1.0), COMPUTES).await;
     lab.home().await;
     super::live::small_net(&lab).await;
     super::live::quantity_nets(&lab).await;
@@ -203,7 +203,7 @@ async fn axe_finds_no_serious_fault_on_any_page_item_dialog_or_state() {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_page_has_no_element_for_each_trial_or_event() {
     let Some(tools) = tools() else { return };
-    let lab = Lab::open("browser-size", rig_args("virtual", 40.0)).await;
+    let lab = Lab::open("browser-size", rig_args("virtual", 40.0), COMPUTES).await;
     lab.home().await;
     plays(&lab, tools, "size").await;
     lab.close().await;

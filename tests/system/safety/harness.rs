@@ -19,7 +19,7 @@ use sim_core::sensor::Sensor;
 use virtual_rig::run::{RigArgs, VirtualRig};
 
 use super::journal::Scripted;
-use crate::bench::{self, LIMIT, rig_args};
+use crate::bench::{self, LIMIT, WAITS, rig_args};
 use palpate::state::StoredState;
 
 /// Process seconds in a wall second: each fault is over in seconds, and this computer's lateness,
@@ -46,7 +46,7 @@ pub struct Harness {
     /// Its rig file.
     pub config: RigConfig,
     thread: std::thread::JoinHandle<()>,
-    _turn: tokio::sync::MutexGuard<'static, ()>,
+    _turn: bench::Turn,
 }
 
 impl Harness {
@@ -57,7 +57,7 @@ impl Harness {
 
     /// As `homed`, on another rig.
     pub async fn homed_on(args: &RigArgs) -> Self {
-        let turn = bench::turn().await;
+        let turn = bench::turn(WAITS).await;
         let rig = VirtualRig::switch_on(args).await.unwrap();
         let config = RigConfig::from_toml("served.toml", &rig.rig_text).unwrap();
         let journal = Arc::new(Scripted::default());

@@ -33,13 +33,18 @@ async fn a_service_told_to_end_stops_a_jog_a_homing_and_a_press() {
     assert!(!x(&truth).1 && (x(&truth).0 - to_mm).abs() > 1.0, "{truth:#}");
     harness.close().await;
 
+    // Far from its zero: homing takes longer than a second.
     let harness = Harness::homed().await;
+    let to_mm = jog_x(&harness).await;
+    let arrived = |s: &Status| s.rig.pose.is_some_and(|pose| (pose.x_mm - to_mm).abs() < 0.1);
+    harness.until("the end of the jog", arrived).await;
     harness.ask(Request::Home).await.unwrap();
-    tokio::time::sleep(Duration::from_millis(30)).await;
     assert_eq!(harness.handle.status().rig.state, RigState::Disarmed, "homing is not homed");
     harness.ask(Request::Shutdown).await.unwrap();
     harness.until("a safe end", |s| s.rig.safe_end.is_some()).await;
-    for axis in harness.truth().await["axes"].as_array().unwrap() {
+    let truth = harness.truth().await;
+    assert!(x(&truth).0 > 1.0, "homing had ended before: {truth:#}");
+    for axis in truth["axes"].as_array().unwrap() {
         assert_eq!(axis["moving"], false, "{axis}");
     }
     harness.close().await;
