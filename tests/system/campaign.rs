@@ -398,7 +398,7 @@ async fn began_in_time(lab: &Lab, run: &str) {
 async fn a_run_begins_when_its_time_has_come_and_holds_up_no_other() {
     let lab = Lab::open("early", rig_args("virtual", SPEED), WAITS).await;
     lab.home().await;
-    let early = started_early(&lab, 4).await;
+    let early = started_early(&lab, 8).await;
     let next = lab.queue(SMALL).await;
     lab.start(&next).await;
     complete(&lab, &next).await;

@@ -46,7 +46,7 @@ impl Desk {
     }
 
     fn run(&self, more: &[&str]) -> Started {
-        self.palpate(&[&["run", "e.toml", "--speed", "100"], more].concat())
+        self.palpate(&[&["run", "e.toml", "--speed", "50"], more].concat())
     }
 
     /// Id of the service's process; none if it has ended.

@@ -34,8 +34,9 @@ def axe(page, browser):
         with views.shown(browser, URL, view, state, viewport=size, color_scheme=LIGHTS[0]) as (one, errors):
             found += [f"{view.name}, {state}: {error}" for error in errors]
             for light in LIGHTS:
-                one.emulate_media(color_scheme=light)
-                one.wait_for_timeout(REDRAWN_MS)
+                if light != LIGHTS[0]:  # The view has settled in this one.
+                    one.emulate_media(color_scheme=light)
+                    one.wait_for_timeout(REDRAWN_MS)
                 found += [f"{view.name}, {state}, {light}: {fault}" for fault in faults(one, view, met)]
     print(f"{len(looked_at)} views; rules of Swagger UI that were met: {sorted(met)} of {sorted(SWAGGER)}")
     assert not found, "\n".join(found)

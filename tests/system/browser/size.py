@@ -3,7 +3,7 @@
 import json
 from datetime import datetime, timedelta, timezone
 
-from person import URL, api, until
+from person import LIMIT_MS, URL, api, until
 from views import pages
 
 TRIALS, EVENTS = 198_000, 20_160  # One event each half minute of a week.
@@ -12,10 +12,12 @@ NODES_MOST = 6000
 # Rows of a page of the list of trials, and more than that are stored.
 ROWS, STORED = 50, 60
 SETTLE_MS = 3000
+# Pages that settle at the same time.
+TOGETHER = 4
 NODES = "document.querySelectorAll('*').length"
 
 
-def size(page, _browser):
+def size(page, browser):
     """Counts the elements of every page while the paper's campaign is under way, and again when it has continued."""
     run = begun("real-hex")
     assert run["trials_planned"] == TRIALS, run
@@ -24,14 +26,17 @@ def size(page, _browser):
     number = run["scan_id"]
     paths = [view.path for view in pages(page)]
     paths += [f"/{name}?run={number}" for name in ("plan", "runs", "trials")]
-    counts = {path: nodes(page, path) for path in paths}
+    counts = {}
+    for first in range(0, len(paths), TOGETHER):
+        counts |= nodes(browser, paths[first:first + TOGETHER])
     print(counts)
     assert max(counts.values()) < NODES_MOST, counts
     page.goto(f"{URL}/trials")
     page.wait_for_timeout(SETTLE_MS)
     assert page.locator(".page-trials tbody tr:not(.u-series)").count() == ROWS
     a_week_of_events(page)
-    nodes(page, "/?log=all")
+    page.goto(f"{URL}/?log=all")
+    page.wait_for_timeout(SETTLE_MS)
     # Its charts are made with their first numbers, some seconds later.
     before, after = (page.evaluate(NODES) for _ in range(2) if more_trials())
     print(f"night with {EVENTS} events: {before} elements, {after} after {STORED} more trials")
@@ -54,11 +59,19 @@ def begun(name):
     return run
 
 
-def nodes(page, path):
-    """Number of elements of a page."""
-    page.goto(URL + path)
-    page.wait_for_timeout(SETTLE_MS)
-    return page.evaluate(NODES)
+def nodes(browser, paths):
+    """Number of elements of pages that are open at the same time, each in a context with its own connections."""
+    contexts = [browser.new_context(viewport={"width": 1400, "height": 900}) for _ in paths]
+    opened = [context.new_page() for context in contexts]
+    for one, path in zip(opened, paths):
+        one.goto(URL + path, timeout=LIMIT_MS)
+    opened[-1].wait_for_timeout(SETTLE_MS)
+    # A page that is not visible does not draw.
+    assert all(one.evaluate("document.visibilityState") == "visible" for one in opened)
+    counts = {path: one.evaluate(NODES) for one, path in zip(opened, paths)}
+    for context in contexts:
+        context.close()
+    return counts
 
 
 def a_week_of_events(page):
