@@ -272,6 +272,8 @@ fn status_words(status: &StatusView, twins: &Value) -> String {
         lines.push(format!("lock     {}: {}", lock.holder, lock.note));
     }
     lines.extend(status.run.as_ref().map_or(vec!["run      none".into()], run_words));
+    lines.extend(status.asked_of_run().map(|actions| format!("may      {actions}")));
+    lines.extend(status.not_resumed().map(|why| format!("not yet  {why}")));
     let waits = status.waiting_for.as_ref().map_or(String::new(), |words| format!("; {words}"));
     lines.extend(status.care.lines(Timestamp::now()));
     lines.push(format!("queue    {}{waits}", counted(status.queue_length as u64, "run", "runs")));

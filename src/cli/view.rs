@@ -9,6 +9,7 @@ use crate::campaign::bench::estop::AxisStop;
 use crate::campaign::bench::interlock::{Trip, TripKind};
 use crate::campaign::bench::rig_state::RigState;
 use crate::campaign::bench::stopping::StoppingDistance;
+use crate::campaign::shown::run_action::ActionOnRun;
 use crate::campaign::shown::safe_end::SafeEnd;
 use crate::campaign::shown::status::{Eta, Phase};
 use crate::conductor::Started;
@@ -33,9 +34,40 @@ pub struct StatusView {
     pub queue_length: usize,
     /// What the next started run waits for, as text.
     pub waiting_for: Option<String>,
+    /// What may be asked of runs now; empty from an older service.
+    #[serde(default)]
+    pub run_actions: Vec<ActionView>,
     /// Disk, last trial, suspenders.
     #[serde(flatten)]
     pub care: CareView,
+}
+
+/// Whether an action is possible now.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+pub struct ActionView {
+    /// Name of the action, as in a request.
+    pub action: String,
+    /// Why it would be refused, as text.
+    pub refused: Option<String>,
+}
+
+impl StatusView {
+    /// What may be asked of the active run now, as text; absent without a run.
+    pub fn asked_of_run(&self) -> Option<String> {
+        self.run.as_ref()?;
+        let start = ActionOnRun::Start.as_str();
+        let possible = |one: &&ActionView| one.refused.is_none() && one.action != start;
+        let names: Vec<&str> =
+            self.run_actions.iter().filter(possible).map(|one| one.action.as_str()).collect();
+        (!names.is_empty()).then(|| names.join(", "))
+    }
+
+    /// Why a paused run would not resume now, as text.
+    pub fn not_resumed(&self) -> Option<&str> {
+        self.run.as_ref().filter(|run| run.state == StoredState::Paused)?;
+        let resume = ActionOnRun::Resume.as_str();
+        self.run_actions.iter().find(|one| one.action == resume)?.refused.as_deref()
+    }
 }
 
 /// Rig part of the status.

@@ -101,29 +101,29 @@ export const actOnRun = (run, action, more = {}) => send(`/runs/${run}/actions`,
 /** An action on the rig. Homing is not repeated after a failed connection: the axes must not move long after the press. */
 export const actOnRig = (action, more = {}) => (action === 'home' ? send : once)('/rig/actions', { action, who: who(), ...more }, { wait: action === 'home' ? 4000 : 15_000 })
 
-/** Why the rig or its run would refuse an action now, in the service's words; '' if they would not. */
+/** Why the rig or its run would refuse an action on the rig now, in the service's words; '' if they would not. */
 export const refusal = ({ rig_actions }, action) => {
   const found = rig_actions.find(one => one.action === action)
   return found ? found.refused ?? '' : 'this rig has no such action'
 }
 
+/** The same for an action on the active run; `start` is of a run that waits. */
+export const runRefusal = ({ run_actions }, action) => run_actions.find(one => one.action === action)?.refused ?? ''
+
 /** Asks before the axes of a real rig are homed; closes if they may no longer be. */
 export const sureHome = () => live.status?.rig.label === 'virtual' || confirm('Home the axes?', 'They move. Keep hands and tools away from the rig.', 'Home',
   status => !refusal(status, 'home'))
 
-/** Whether a paused run can resume on this rig: with a stage it must be homed, except for weights that a person places. */
-function mayResume(run, rig) {
-  if (rig.state === 'disarmed') return rig.has_stage === false || run.is_manual
-  return !['tripped', 'disconnected'].includes(rig.state)
-}
-
-/** The buttons of a run, for its present state: pause, resume, stop, abort, or what the person did; `without` leaves some out. */
+/**
+ * The buttons of the active run: what the service would not refuse now, except for those of `without`. A repetition is
+ * of one placement: its page has it. While the run is paused and would not resume, the reason is next to them.
+ */
 export function runButtons(said, { without = [] } = {}) {
   const node = el('div', { className: 'row' }), why = el('span', { className: 'soft small' })
   let shown = ''
   const act = (words, action, more, props) => actor(words, said, run => actOnRun(run.uid, action, more?.(run)), { seen: () => live.status.run, ...props })
   const SETS = {
-    pause: () => act('Pause', 'pause', () => ({ when: 'checkpoint' }), { role: 'viewer', title: 'Finish the trial, raise the tips, wait' }),
+    pause: () => act('Pause', 'pause', () => ({ when: 'checkpoint' }), { role: 'viewer', title: 'Finish the trial, raise the tips, wait; after a trip: do not resume automatically' }),
     resume: () => act('Resume', 'resume', null, { className: 'main' }),
     confirm: () => act('Done, continue', 'confirm', ({ wanted }) => ({ trial: wanted?.trial, tips: wanted?.tips }), { className: 'main' }),
     stop: () => act('End run', 'stop', null, { role: 'viewer', title: 'Finish the trial, raise the tips, end the run' }),
@@ -135,15 +135,13 @@ export function runButtons(said, { without = [] } = {}) {
     }, { title: 'Raise the tips now, end the run' }),
   }
   const show = ({ status, fresh }) => {
-    const { run, rig } = status ?? {}, state = run?.state
-    const waits = ['tip_change', 'manual_trial'].includes(run?.paused_why), ends = ['running', 'pausing', 'suspending', 'paused'].includes(state)
-    const wanted = run && [state === 'running' && 'pause', waits && state === 'paused' && 'confirm',
-      !waits && (state === 'pausing' || state === 'paused' && mayResume(run, rig)) && 'resume', ends && 'stop', ends && 'abort'].filter(name => name && !without.includes(name))
-    const names = (wanted || []).join()
-    if (shown !== names) { shown = names; fill(node, (wanted || []).map(name => SETS[name]())) }
-    const held = live.may('operator') && ['resume', 'confirm'].some(name => wanted?.includes(name)) ? lockWords() : ''
-    say(why, held)
-    if (node.contains(why) !== Boolean(held)) held ? node.append(why) : why.remove()
+    const run = status?.run, offered = name => !without.includes(name) && !runRefusal(status, name)
+    const wanted = run ? Object.keys(SETS).filter(offered) : [], names = wanted.join()
+    if (shown !== names) { shown = names; fill(node, wanted.map(name => SETS[name]())) }
+    const held = live.may('operator') && ['resume', 'confirm'].some(name => wanted.includes(name)) ? lockWords() : ''
+    const halted = run?.state === 'paused' && !run.wanted ? runRefusal(status, 'resume') : '', words = held || halted
+    say(why, words)
+    if (node.contains(why) !== Boolean(words)) words ? node.append(why) : why.remove()
     for (const one of node.children) one.inert = !fresh
   }
   return { node, show }

@@ -1,7 +1,7 @@
 // How a run begins: wires, homing, arming, start. The queue and the night begin runs here.
 // The service asks for two steps, arming and starting, so that a person sees the preflight between them.
 
-import { actOnRig, actOnRun, actor, confirm, named } from './actions.js'
+import { actOnRig, actOnRun, actor, confirm, named, runRefusal } from './actions.js'
 import { get, once, send } from './api.js'
 import { el, facts, say } from './dom.js'
 import { bytes, capital, count, counted, moment } from './format.js'
@@ -26,9 +26,9 @@ function until(test, seconds, what) {
 
 /** Connects and homes the rig if its state needs it; `step` is told what is being done. */
 export async function readyRig(step = () => {}) {
-  const state = () => live.status?.rig.state
+  const state = () => live.status?.rig.state, refused = live.status && runRefusal(live.status, 'start')
+  if (refused && (live.status.run || state() === 'tripped')) throw new Error(refused)
   if (live.status?.run) return // A run holds the rig: what is started now waits for its end.
-  if (state() === 'tripped') throw new Error('the rig is tripped: clear the cause, reset, then home')
   if (state() === 'disconnected') {
     step('Opening the wires')
     await actOnRig('connect')

@@ -3,7 +3,7 @@
 
 import { hold } from '../lib/address.js'
 import { all, get, person } from '../lib/api.js'
-import { actOnRig, actOnRun, actor, confirm, named, outcome, runButtons } from '../lib/actions.js'
+import { actOnRig, actOnRun, actor, confirm, named, outcome, runButtons, runRefusal } from '../lib/actions.js'
 import { button, el, fill, note, pane, say, sleep } from '../lib/dom.js'
 import { fold } from '../lib/fold.js'
 import { age, counted, countOf, span } from '../lib/format.js'
@@ -134,8 +134,9 @@ function placing(signal) {
     for (const one of [done, anyway, again]) one.classList.toggle('denied', !live.may('operator'))
     say(hint, !live.may('operator') ? 'You see what is asked. To confirm it you need the key of an operator.' : why
       || (busy ? 'The next placement appears by itself.' : `${STAGES.place} Keys: Enter, Space, Page Down.`))
-    again.disabled = !placement.last || busy || state.open || Boolean(lockWords())
-    again.title = placement.last ? `Withdraws trial ${placement.last.trial + 1} and asks for it again` : 'No trial of this run can be repeated yet'
+    const refused = live.status?.run ? runRefusal(live.status, 'repeat') : ''
+    again.disabled = !placement.last || busy || state.open || Boolean(lockWords() || refused)
+    again.title = refused || (placement.last ? `Withdraws trial ${placement.last.trial + 1} and asks for it again` : 'No trial of this run can be repeated yet')
     const { untouched_at: at } = placement
     say(zero, at ? `Untouched ${span(Math.floor(age(at)))} ago. Lift all weights for five seconds before you place the next.`
       : 'Take everything off the skin and tare it: the offsets of the readout drift.')

@@ -158,6 +158,9 @@ pub fn facts(night: &Night, status: &StatusView, now: &Now, theme: Theme) -> Vec
         let (x, y, z, r) = (p.x_mm, p.y_mm, p.z_mm, p.radius_mm);
         fact("pose", format!("x {x:.1} y {y:.1} z {z:.2} r {r:.1} mm"), Level::Fine);
     }
+    if let Some(actions) = status.asked_of_run() {
+        fact("may", actions, Level::Fine);
+    }
     lines
 }
 

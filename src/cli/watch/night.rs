@@ -253,11 +253,15 @@ impl Night {
             return (Level::Act, format!("{words}{}", self.weights()));
         }
         if run.state == StoredState::Paused && run.paused_why == Some(PausedWhy::Operator) {
-            return (Level::Look, "paused on request: r resumes".into());
+            return match status.not_resumed() {
+                Some(why) => (Level::Act, format!("paused on request: {why}")),
+                None => (Level::Look, "paused on request: r resumes".into()),
+            };
         }
         if run.state == StoredState::Paused {
             let why = run.paused_why.map_or("", PausedWhy::as_str).replace('_', " ");
-            return (Level::Act, format!("paused ({why}): remove the cause, then r"));
+            let next = status.not_resumed().unwrap_or("remove the cause, then r");
+            return (Level::Act, format!("paused ({why}): {next}"));
         }
         self.ahead().unwrap_or((Level::Fine, "nothing".into()))
     }

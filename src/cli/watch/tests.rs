@@ -236,8 +236,25 @@ fn what_a_person_must_do_first_is_named() {
         (s["run"]["state"], s["run"]["paused_why"]) = ("paused".into(), "operator".into());
     });
     assert_eq!((level, words.as_str()), (Level::Look, "paused on request: r resumes"));
+    let (level, words) = first(&|s| {
+        (s["run"]["state"], s["run"]["paused_why"]) = ("paused".into(), "operator".into());
+        s["run_actions"] = json!([{ "action": "resume", "refused": "home the rig" }]);
+    });
+    assert_eq!((level, words.as_str()), (Level::Act, "paused on request: home the rig"));
     let (level, words) = first(&|s| s["disk"]["free_bytes"] = 1_000_000_000_u64.into());
     assert!(level == Level::Look && words.contains("1.00 GB of disk are free"), "{words}");
+}
+
+#[test]
+fn what_may_be_asked_of_the_run_is_named() {
+    let mut changed = status();
+    changed["run_actions"] = json!([{ "action": "start", "refused": null },
+        { "action": "pause", "refused": null }, { "action": "resume", "refused": "it runs" },
+        { "action": "stop", "refused": null }]);
+    let mut night = Night::new("");
+    night.take(told_status(&changed), start());
+    let shown = text(&drawn(&night, &after(0), (120, 40), COLOUR));
+    assert!(shown.contains("may        pause, stop"), "{shown}");
 }
 
 #[test]

@@ -5,12 +5,13 @@ use axum::Json;
 use axum::extract::State;
 use axum::extract::rejection::JsonRejection;
 use axum::http::StatusCode;
-use serde::{Deserialize, Serialize};
+use serde::Deserialize;
 use utoipa::ToSchema;
 
 use super::App;
 use super::audit::Act;
 use super::problem::{ApiError, Body, ProblemBody};
+use super::status::ActionStatus;
 use crate::campaign::bench::rig_state::RigState;
 use crate::campaign::shown::command::Request;
 use crate::campaign::shown::rig_action::RigAction;
@@ -40,28 +41,18 @@ pub struct RigActionRequest {
     pub why: Option<String>,
 }
 
-/// Whether an action on the rig is possible now.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, ToSchema)]
-pub struct RigActionStatus {
-    /// Name of the action, as in a request; `check` is a check of the rig.
-    pub action: &'static str,
-    /// Why the rig or its run would refuse it, as text; null if they would not. While the rig moves outside a
-    /// run, every action is refused.
-    pub refused: Option<String>,
-}
-
 /// The actions that this rig has, each with the reason why it would be refused now.
-pub(super) fn actions(status: &Status, desk: bool) -> Vec<RigActionStatus> {
+pub(super) fn actions(status: &Status, desk: bool) -> Vec<ActionStatus> {
     let actions = RigAction::ALL.into_iter();
     let actions = actions.filter(|action| status.rig.has_stage || !action.needs_stage());
     let actions = actions.map(|action| {
         let at_a_desk = (desk && action == RigAction::Connect).then(|| DESK.to_owned());
         let refused = at_a_desk.or_else(|| action.refused(status));
-        RigActionStatus { action: action.as_str(), refused }
+        ActionStatus { action: action.as_str(), refused }
     });
     let is_connected = status.rig.state != RigState::Disconnected;
     let check =
-        RigActionStatus { action: "check", refused: is_connected.then(|| CONNECTED.to_owned()) };
+        ActionStatus { action: "check", refused: is_connected.then(|| CONNECTED.to_owned()) };
     actions.chain([check]).collect()
 }
 

@@ -1,5 +1,5 @@
 //! Runs: queries, arming, and all actions on them.
-//! Uses: `conductor`, `campaign::shown::command`, `store`. Never: motion.
+//! Uses: `conductor`, `campaign::shown::{command, run_action}`, `store`. Never: motion.
 
 use axum::Json;
 use axum::extract::State;
@@ -14,10 +14,12 @@ use super::limits::WHO_MAX_CHARS;
 use super::pages::{Page, PageParams, PageRequest};
 use super::placement::confirmation;
 use super::problem::{ApiError, Body, Path, ProblemBody};
+use super::status::ActionStatus;
 use crate::campaign::STOPS;
 use crate::campaign::shown::command::Request;
 use crate::campaign::shown::placement::Confirmation;
-use crate::campaign::shown::status::Done;
+use crate::campaign::shown::run_action::ActionOnRun;
+use crate::campaign::shown::status::{Done, Status};
 use crate::conductor::{Armed, Started};
 use crate::ids::RunUid;
 use crate::journal::Journal;
@@ -50,7 +52,7 @@ pub struct Summary {
 #[derive(Debug, Clone, Deserialize, ToSchema)]
 pub struct ActionRequest {
     /// Action that the run must perform.
-    pub action: Action,
+    pub action: ActionOnRun,
     /// For `pause`: `checkpoint` (after the trial, the default) or `now`.
     pub when: Option<When>,
     /// For `start`: the code that arming returned.
@@ -71,49 +73,24 @@ pub struct ActionRequest {
     pub why: Option<String>,
 }
 
-/// Action on a run.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum Action {
-    /// Start an armed run, or resume an interrupted one.
-    Start,
-    /// Pause the run.
-    Pause,
-    /// Resume a paused run.
-    Resume,
-    /// Finish the trial, raise the tips, end the run.
-    Stop,
-    /// Raise the tips now, end the run. An interrupted run ends without motion.
-    Abort,
-    /// Confirm the work that the run waits for: a tip change or a placement. A placement that the
-    /// skin contradicts is refused, unless `anyway` is true.
-    Confirm,
-    /// Repeat a manual trial while the run waits for a placement: the stored trial is withdrawn (it
-    /// is kept with the failed attempts), and the run asks for its placement again before it continues.
-    Repeat,
+/// True if the action needs the role `operator` and respects the operator lock. Stopping never
+/// does.
+fn needs_lock(action: ActionOnRun) -> bool {
+    match action {
+        ActionOnRun::Start | ActionOnRun::Resume | ActionOnRun::Confirm | ActionOnRun::Repeat => {
+            true
+        }
+        ActionOnRun::Pause | ActionOnRun::Stop | ActionOnRun::Abort => false,
+    }
 }
 
-impl Action {
-    fn name(self) -> &'static str {
-        match self {
-            Action::Start => "start",
-            Action::Pause => "pause",
-            Action::Resume => "resume",
-            Action::Stop => "stop",
-            Action::Abort => "abort",
-            Action::Confirm => "confirm",
-            Action::Repeat => "repeat",
-        }
-    }
-
-    /// True if the action needs the role `operator` and respects the operator lock. Stopping never
-    /// does.
-    fn needs_lock(self) -> bool {
-        match self {
-            Action::Start | Action::Resume | Action::Confirm | Action::Repeat => true,
-            Action::Pause | Action::Stop | Action::Abort => false,
-        }
-    }
+/// The actions on a run, each with the reason why it would be refused now.
+pub(super) fn actions(status: &Status) -> Vec<ActionStatus> {
+    let action_now = |action: ActionOnRun| ActionStatus {
+        action: action.as_str(),
+        refused: action.refused(status),
+    };
+    ActionOnRun::ALL.into_iter().map(action_now).collect()
 }
 
 /// Time at which a pause takes effect.
@@ -301,7 +278,7 @@ pub async fn act(
     Path(run): Path<String>,
     Body(asked): Body<ActionRequest>,
 ) -> Result<(StatusCode, Json<ActionAccepted>), ApiError> {
-    act.named(asked.action.name());
+    act.named(asked.action.as_str());
     act.stated(asked.who.as_deref(), asked.why.as_deref());
     let run = find(&app, &run).await?;
     act.on(run.uid);
@@ -315,21 +292,21 @@ async fn request_action(
     run: &RunRow,
     asked: ActionRequest,
 ) -> Result<Option<Started>, ApiError> {
-    if asked.action.needs_lock() {
+    if needs_lock(asked.action) {
         act.require(Role::Operator)?;
         app.unlocked(act.caller()).await?;
     }
-    if asked.action == Action::Start {
+    if asked.action == ActionOnRun::Start {
         let code = asked.code.as_deref().unwrap_or_default();
         return Ok(Some(app.conductor.start(run, code).await?));
     }
     let active = app.campaign.status().run.is_some_and(|r| r.uid == run.uid);
-    if !active && asked.action == Action::Abort && run.is_open() {
+    if !active && asked.action == ActionOnRun::Abort && run.is_open() {
         app.conductor.abort_undriven(run).await?;
         return Ok(None);
     }
     if !active {
-        let (action, scan_id, state) = (asked.action.name(), run.scan_id, run.state);
+        let (action, scan_id, state) = (asked.action.as_str(), run.scan_id, run.state);
         let mut words = format!("action {action}: run {scan_id} is {state}, not active");
         if run.is_open() && state != StoredState::Interrupted {
             words += "; it is about to be driven again after a restart: abort ends it";
@@ -337,17 +314,17 @@ async fn request_action(
         return Err(ApiError::new(StatusCode::CONFLICT, words));
     }
     let request = match asked.action {
-        Action::Pause if asked.when == Some(When::Now) => Request::PauseNow,
-        Action::Pause => Request::PauseAtCheckpoint,
-        Action::Resume | Action::Start => Request::Resume,
-        Action::Stop => Request::Stop,
-        Action::Abort => Request::Abort,
-        Action::Confirm => {
+        ActionOnRun::Pause if asked.when == Some(When::Now) => Request::PauseNow,
+        ActionOnRun::Pause => Request::PauseAtCheckpoint,
+        ActionOnRun::Resume | ActionOnRun::Start => Request::Resume,
+        ActionOnRun::Stop => Request::Stop,
+        ActionOnRun::Abort => Request::Abort,
+        ActionOnRun::Confirm => {
             let done = Done { trial: asked.trial, tips: asked.tips };
             let by = Confirmation { anyway: asked.anyway, ..Confirmation::of(act.name()) };
             confirmation(app, done, by).await?
         }
-        Action::Repeat => {
+        ActionOnRun::Repeat => {
             Request::Repeat { trial: asked.trial, why: asked.why.unwrap_or_default() }
         }
     };

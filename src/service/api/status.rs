@@ -12,8 +12,8 @@ use utoipa::ToSchema;
 use super::App;
 use super::people::LockOut;
 use super::problem::ApiError;
-use super::rig::{self, RigActionStatus};
 use super::suspenders::{Readings, Suspender};
+use super::{rig, runs};
 use crate::campaign::shown::status::Status;
 use crate::conductor::room;
 use crate::ids::RunUid;
@@ -27,8 +27,14 @@ pub struct ServiceStatus {
     #[serde(flatten)]
     pub campaign: Status,
     /// Actions that this rig has, each with the reason why it would be refused now. The role of a key and the
-    /// operator lock may refuse more.
-    pub rig_actions: Vec<RigActionStatus>,
+    /// operator lock may refuse more. While the rig moves outside a run, every action is refused. `check` is a check of
+    /// the rig.
+    pub rig_actions: Vec<ActionStatus>,
+    /// Actions on a run, each with the reason why it would be refused now. `start` is of a run that is queued,
+    /// interrupted or stopped, and of one that presses: a manual run needs open wires only. All others are of the active
+    /// run. `pause` is a pause at the checkpoint. The role of a key and the operator lock may refuse more, and while the
+    /// rig homes for a paused run, more is refused.
+    pub run_actions: Vec<ActionStatus>,
     /// Version and process of the service.
     pub service: ServiceInfo,
     /// The operator lock; absent if it is free.
@@ -45,6 +51,15 @@ pub struct ServiceStatus {
     pub last_trial_at: Option<Timestamp>,
     /// What may suspend the active run; empty without one.
     pub suspenders: Vec<Suspender>,
+}
+
+/// Whether an action is possible now.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, ToSchema)]
+pub struct ActionStatus {
+    /// Name of the action, as in a request.
+    pub action: &'static str,
+    /// Why it would be refused, as text; null if it would not.
+    pub refused: Option<String>,
 }
 
 /// Space of the disk of the data folder.
@@ -168,6 +183,7 @@ impl App {
         let needed_bytes = of_run + stored.queue_bytes;
         ServiceStatus {
             rig_actions: rig::actions(&campaign, self.facts.desk),
+            run_actions: runs::actions(&campaign),
             campaign,
             service,
             lock: stored.lock.map(LockOut::from),

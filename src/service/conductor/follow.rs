@@ -9,6 +9,7 @@ use tokio::time::Instant;
 
 use super::{Conductor, ConductorError, turn};
 use crate::campaign::shown::command::Refusal;
+use crate::campaign::shown::run_action::trip_for_person;
 use crate::campaign::shown::status::Status;
 use crate::campaign::spans::run_span;
 use crate::ids::RunUid;
@@ -46,7 +47,7 @@ impl Conductor {
             let (free, why_not) = {
                 let now = status.borrow_and_update();
                 let is_free = now.run.is_none() && now.rig.is_ready();
-                let tripped = needs_person(&now).map(|trip| format!("the rig tripped ({trip})"));
+                let tripped = trip_for_person(&now).map(|trip| format!("the rig tripped ({trip})"));
                 let ended = now.run.is_none() && std::mem::take(&mut is_attended);
                 is_attended = may_be_attended(is_attended, &now);
                 (is_free, tripped.or_else(|| ended.then(|| ENDED_HALTED.to_owned())))
@@ -172,13 +173,6 @@ impl Conductor {
     }
 }
 
-/// The trip that brings a person to the rig, if there is one: without a run any, during a run one that does not pass
-/// without a person.
-pub(super) fn needs_person(status: &Status) -> Option<&str> {
-    let trip = status.rig.trip.as_ref()?;
-    (status.run.is_none() || !trip.kind.may_pass()).then_some(trip.detail.as_str())
-}
-
 /// Whether a person may be at the rig because of the active run: it was halted, and has not moved again since.
 /// `before`: the answer for the last status. Between two statuses others may have been missed.
 fn may_be_attended(before: bool, status: &Status) -> bool {
@@ -186,24 +180,5 @@ fn may_be_attended(before: bool, status: &Status) -> bool {
         Some(StoredState::Paused | StoredState::Panicked) => true,
         Some(StoredState::Running) | None => false,
         Some(_) => before,
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::campaign::bench::interlock::{Trip, TripKind};
-    use crate::campaign::shown::show;
-    use crate::rig::setup::RigSetup;
-
-    #[test]
-    fn a_trip_without_a_run_brings_a_person_to_the_rig() {
-        let rig = include_str!("../../../experiments/rigs/virtual.toml");
-        let mut status = show::closed(&RigSetup::from_toml("virtual.toml", rig).unwrap());
-        assert_eq!(needs_person(&status), None);
-        for kind in [TripKind::Wire, TripKind::Estop] {
-            status.rig.trip = Some(Trip { kind, detail: "why".into() });
-            assert_eq!(needs_person(&status), Some("why"), "{kind:?}");
-        }
     }
 }

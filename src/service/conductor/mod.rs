@@ -17,6 +17,7 @@ use tracing::Instrument;
 use utoipa::ToSchema;
 
 use crate::campaign::shown::command::{Handle, Refusal, Request};
+use crate::campaign::shown::run_action;
 use crate::campaign::spans::run_span;
 use crate::ids::RunUid;
 use crate::journal::{ExitStatus, Journal, error_chain};
@@ -202,8 +203,7 @@ impl Conductor {
         let is_early = !turn::is_due(run, Timestamp::now());
         let status = self.inner.campaign.status();
         if is_early || status.run.is_some() {
-            if let Some(trip) = follow::needs_person(&status) {
-                let words = format!("the rig has tripped ({trip}): reset it, then start the run");
+            if let Some(words) = run_action::wait_refused(&status) {
                 return Err(ConductorError::Forbidden(words));
             }
             let _one_at_a_time = self.inner.beginning.lock().await;

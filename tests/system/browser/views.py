@@ -61,6 +61,12 @@ def with_status(change):
     return before
 
 
+def asked_of_run(status, *possible, why="the run is paused"):
+    """The active run allows these actions; it refuses all others."""
+    for one in status["run_actions"]:
+        one["refused"] = None if one["action"] in possible else f"{one['action']} is not possible: {why}"
+
+
 def tripped(status):
     """A force was beyond its limit."""
     status["rig"].update(state="tripped", trip={"kind": "force", "detail": "cell 3 reads 91.4 N, limit 88.0 N"})
@@ -71,6 +77,7 @@ def tripped(status):
             one["refused"] = None
     if status["run"]:
         status["run"].update(state="paused", paused_why="trip", requested_state=None)
+        asked_of_run(status, "pause", "stop", "abort", why="the rig is tripped: reset, home")
 
 
 def disk_full(status):
@@ -83,6 +90,7 @@ def disk_full(status):
     if status["run"]:
         status["run"].update(state="paused", paused_why="suspender", requested_state=None,
                              waiting_for="the disk has 90 MB free, the run needs 4.2 GB")
+        asked_of_run(status, "start", "resume", "stop", "abort")
 
 
 ASKED = [{"number": 1, "x_mm": 150.0, "y_mm": 190.0, "force_n": 7.358, "point": "R7 C5"},
@@ -104,6 +112,7 @@ def asks(status):
         contacts = [{key: one[key] for key in ("x_mm", "y_mm", "force_n")} for one in ASKED]
         status["run"].update(state="paused", paused_why="manual_trial", requested_state=None,
                              waiting_for="place 2 weights", wanted={"trial": PLACEMENT["trial"], "contacts": contacts})
+        asked_of_run(status, "start", "confirm", "repeat", "stop", "abort")
 
 
 def wrong_weight(page):

@@ -16,6 +16,7 @@ use crate::campaign::diary::{Diary, Note};
 use crate::campaign::run::halt::Halt;
 use crate::campaign::run::run_state::{self, PausedWhy, RunAction, RunEvent, RunState};
 use crate::campaign::shown::command::{Envelope, Inbox, Refusal, Request};
+use crate::campaign::shown::run_action::doing;
 use crate::campaign::shown::status::{Phase, RunStatus, Status};
 use crate::ids::RunUid;
 use crate::journal::{Journal, JournalError};
@@ -279,32 +280,9 @@ impl Control {
     fn take_up_while_moving(&mut self, envelope: Envelope) -> Option<RunAction> {
         let Envelope { request, answer, .. } = envelope;
         self.operated |= request.rig_action().is_some();
-        let idle = self.run == RunState::Idle;
-        let outcome = match self.run_request(&request) {
-            // Homing or jogging outside a run also ends when the service ends, or by an abort.
-            Some(event) if idle && (self.leaving || event == RunEvent::Abort) => {
-                Ok(RunAction::Raise)
-            }
-            // A paused run whose rig homes: it resumes once the rig is ready, not before.
-            Some(RunEvent::Resume) if matches!(self.run, RunState::Paused(_)) => {
-                Err(Refusal::State("resume is not possible while the rig moves".into()))
-            }
-            Some(event) => self.run_event(event),
-            None => {
-                let (what, doing) = (name(&request), self.run_words());
-                Err(match &request {
-                    _ if idle => {
-                        Refusal::Busy(format!("{what} is not possible while the rig moves"))
-                    }
-                    Request::Confirm { .. } => {
-                        Refusal::State(format!("nothing is to be confirmed: {doing}"))
-                    }
-                    _ => {
-                        let next = self.run.allowed();
-                        Refusal::State(format!("{what} is not possible while {doing}: {next}"))
-                    }
-                })
-            }
+        let outcome = match self.run {
+            RunState::Idle => self.asked_without_run(&request),
+            _ => self.asked_of_run(&request),
         };
         let action = outcome.as_ref().ok().copied();
         // The client may have disconnected; its request still holds.
@@ -312,20 +290,42 @@ impl Control {
         action
     }
 
+    /// Homing or jogging outside a run ends when the service ends, or by an abort.
+    fn asked_without_run(&mut self, request: &Request) -> Result<RunAction, Refusal> {
+        match self.run_request(request) {
+            Some(event) if self.leaving || event == RunEvent::Abort => Ok(RunAction::Raise),
+            Some(event) => self.run_event(event),
+            None => {
+                let what = name(request);
+                Err(Refusal::Busy(format!("{what} is not possible while the rig moves")))
+            }
+        }
+    }
+
+    fn asked_of_run(&mut self, request: &Request) -> Result<RunAction, Refusal> {
+        let refused = request.refused_by_run(&self.inbox.status.borrow());
+        if let Some(words) = refused {
+            return Err(Refusal::State(words));
+        }
+        let what = name(request);
+        match self.run_request(request) {
+            // A paused run whose rig homes: it resumes once the rig is ready, not before.
+            Some(RunEvent::Resume) if matches!(self.run, RunState::Paused(_)) => {
+                Err(Refusal::State(format!("{what} is not possible while the rig moves")))
+            }
+            Some(event) => self.run_event(event),
+            None => {
+                let status = self.inbox.status.borrow();
+                let doing = status.run.as_ref().map_or_else(|| "the rig moves".into(), doing);
+                let next = self.run.allowed();
+                Err(Refusal::State(format!("{what} is not possible while {doing}: {next}")))
+            }
+        }
+    }
+
     /// Whether a person tried to operate the rig while it moved, since this was last taken.
     pub fn take_operated(&mut self) -> bool {
         std::mem::take(&mut self.operated)
-    }
-
-    fn run_words(&self) -> String {
-        let phase = self.inbox.status.borrow().run.as_ref().map(|run| run.phase);
-        match (self.run, phase) {
-            (RunState::Running, Some(Phase::Settle)) => "the forces of the trial settle".into(),
-            (RunState::Running, Some(Phase::Measure | Phase::Commit)) => {
-                "the frames of the trial are taken".into()
-            }
-            _ => format!("the run is {}", self.run.as_str()),
-        }
     }
 
     /// Event of the run that a request means; none for requests to the rig.

@@ -63,6 +63,27 @@ impl RunState {
         self.stored().as_str()
     }
 
+    /// The state of which `stored` and `why` are shown; none if no run is driven in it.
+    pub fn of(stored: StoredState, why: Option<PausedWhy>) -> Option<Self> {
+        match (stored, why) {
+            (StoredState::Idle, _) => Some(RunState::Idle),
+            (StoredState::Running, _) => Some(RunState::Running),
+            (StoredState::Pausing, why) => why.map(RunState::Pausing),
+            (StoredState::Paused, why) => why.map(RunState::Paused),
+            (StoredState::Stopping, _) => Some(RunState::Stopping),
+            (StoredState::Aborting, _) => Some(RunState::Aborting),
+            (StoredState::Suspending, why) => why.map(RunState::Suspending),
+            (StoredState::Panicked, _) => Some(RunState::Panicked),
+            (
+                StoredState::Queued
+                | StoredState::Interrupted
+                | StoredState::Ended
+                | StoredState::Removed,
+                _,
+            ) => None,
+        }
+    }
+
     /// State that was requested and is not reached yet; none if the state is not a transition.
     pub fn requested(self) -> Option<StoredState> {
         match self {
@@ -153,7 +174,7 @@ impl RunEvent {
 
 impl RunState {
     /// What the state allows, for a person whose request it does not allow.
-    pub(super) fn allowed(self) -> &'static str {
+    pub(in crate::campaign) fn allowed(self) -> &'static str {
         match self {
             RunState::Idle => "queue and start a run first",
             RunState::Running => "pause, stop or abort it",
@@ -329,6 +350,15 @@ mod tests {
             table += &format!("{:10} {}\n", s.as_str(), row.join(" "));
         }
         assert_eq!(table, TABLE);
+    }
+
+    #[test]
+    fn a_state_is_known_again_from_what_is_shown_of_it() {
+        for state in states() {
+            assert_eq!(RunState::of(state.stored(), state.why()), Some(state));
+        }
+        assert_eq!(RunState::of(StoredState::Queued, None), None);
+        assert_eq!(RunState::of(StoredState::Paused, None), None);
     }
 
     #[test]

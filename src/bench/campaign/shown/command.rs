@@ -13,8 +13,10 @@ use tracing::Span;
 
 use crate::campaign::bench::estop::StopSwitch;
 use crate::campaign::run::job::Job;
+use crate::campaign::run::run_state::RunEvent;
 use crate::campaign::shown::placement::Confirmation;
 use crate::campaign::shown::rig_action::RigAction;
+use crate::campaign::shown::run_action::{self, ActionOnRun};
 use crate::campaign::shown::samples::{ForceSample, Samples};
 use crate::campaign::shown::status::{Done, Status};
 use crate::record::Untouched;
@@ -106,6 +108,34 @@ impl Request {
             | Self::Repeat { .. }
             | Self::Shutdown => None,
         }
+    }
+
+    /// Why the active run refuses it at this status, as text; `None` if it does not, and for all that is not
+    /// requested of an active run.
+    pub fn refused_by_run(&self, status: &Status) -> Option<String> {
+        let action = match self {
+            Self::PauseNow => {
+                let run = status.run.as_ref()?;
+                return run_action::pause_refused(RunEvent::PauseNow, run);
+            }
+            Self::PauseAtCheckpoint => ActionOnRun::Pause,
+            Self::Resume => ActionOnRun::Resume,
+            Self::Stop => ActionOnRun::Stop,
+            Self::Abort => ActionOnRun::Abort,
+            Self::Confirm { .. } => ActionOnRun::Confirm,
+            Self::Repeat { .. } => ActionOnRun::Repeat,
+            Self::Connect
+            | Self::Disconnect
+            | Self::Home
+            | Self::Jog { .. }
+            | Self::Tare
+            | Self::Reset
+            | Self::Mounted { .. }
+            | Self::Start(_)
+            | Self::Suspend(_)
+            | Self::Shutdown => return None,
+        };
+        action.refused(status)
     }
 }
 

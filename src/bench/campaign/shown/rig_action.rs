@@ -122,23 +122,23 @@ impl RigAction {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::*;
     use crate::campaign::shown::show;
     use crate::campaign::shown::status::RunStatus;
     use crate::ids::RunUid;
     use crate::rig::setup::RigSetup;
 
-    fn status(rig: &str, state: RigState) -> Status {
+    pub fn status(rig: &str, state: RigState) -> Status {
         let mut status = show::closed(&RigSetup::from_toml("rig.toml", rig).unwrap());
         status.rig.state = state;
         status
     }
 
-    const BENCH: &str = include_str!("../../../../experiments/rigs/virtual.toml");
-    const SKIN: &str = include_str!("../../../../experiments/rigs/skin-only.toml");
+    pub const BENCH: &str = include_str!("../../../../experiments/rigs/virtual.toml");
+    pub const SKIN: &str = include_str!("../../../../experiments/rigs/skin-only.toml");
 
-    fn waiting(why: PausedWhy) -> RunStatus {
+    pub fn waiting(why: PausedWhy) -> RunStatus {
         RunStatus {
             uid: RunUid::new(),
             scan_id: 3,

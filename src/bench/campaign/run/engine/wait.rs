@@ -10,9 +10,10 @@ use crate::campaign::bench::rig_state::RigState;
 use crate::campaign::diary::Note;
 use crate::campaign::run::control::name;
 use crate::campaign::run::job::Job;
-use crate::campaign::run::run_state::{PausedWhy, RunAction, RunEvent, RunState};
+use crate::campaign::run::run_state::{RunAction, RunEvent, RunState};
 use crate::campaign::safe_end::Height;
 use crate::campaign::shown::command::{Envelope, Refusal, Request};
+use crate::campaign::shown::run_action::NO_PLACEMENT;
 use crate::campaign::shown::status::{Done, Phase, Wanted};
 use crate::ids::TrialKey;
 use crate::journal::error_chain;
@@ -122,19 +123,6 @@ impl Engine {
         }
     }
 
-    /// Whether the run may move the rig. A manual run moves nothing.
-    fn may_move(&self, job: &Job) -> Result<(), Refusal> {
-        let rig = self.control.rig();
-        match (job.plan.kind, rig) {
-            (Kind::RealRandom, _) | (Kind::RealHex, RigState::Homed | RigState::Armed) => Ok(()),
-            (Kind::RealHex, RigState::Disconnected | RigState::Disarmed | RigState::Tripped) => {
-                let rig = rig.as_str();
-                let words = format!("resume is not possible while the rig is {rig}: reset, home");
-                Err(Refusal::State(words))
-            }
-        }
-    }
-
     /// Resumes the run; arms again if a reset has disarmed the rig. `answer`: of the request; none if it resumes
     /// automatically.
     pub(super) async fn resume(
@@ -142,7 +130,6 @@ impl Engine {
         job: &Job,
         answer: Option<&Answer>,
     ) -> Result<(), Refusal> {
-        self.may_move(job)?;
         if job.plan.kind == Kind::RealHex {
             self.arm_stage(job, answer).await?;
         }
@@ -163,25 +150,24 @@ impl Engine {
         envelope: Envelope,
         last: Last,
     ) -> Option<Waited> {
-        let why = self.control.run().why();
-        let needs_person = matches!(why, Some(PausedWhy::TipChange | PausedWhy::ManualTrial));
         let Envelope { request, answer, asked_in, presses } = envelope;
-        let refused = request.rig_action().and_then(|action| {
+        let refused = {
             let status = self.control.inbox.status.borrow();
-            action.refused(&status)
-        });
+            let by_rig = request.rig_action().and_then(|action| action.refused(&status));
+            by_rig.or_else(|| request.refused_by_run(&status))
+        };
         if let Some(words) = refused {
             let _ = answer.send(Err(Refusal::State(words)));
             return None;
         }
         match request {
-            Request::Resume if !needs_person => {
+            Request::Resume => {
                 let resumed = self.resume(job, Some(&answer)).await;
                 let waited = resumed.is_ok().then_some(Waited::Resume);
                 let _ = answer.send(resumed);
                 waited
             }
-            Request::Confirm { done, confirmation } if needs_person => {
+            Request::Confirm { done, confirmation } => {
                 let checked = self.confirmed(job, &confirmation.who, done, &answer).await;
                 let waited = checked.is_ok().then_some(Waited::Confirmed(confirmation));
                 let _ = answer.send(checked);
@@ -192,11 +178,6 @@ impl Engine {
                 let waited = repeated.is_ok().then_some(Waited::Repeat);
                 let _ = answer.send(repeated);
                 waited
-            }
-            Request::Resume => {
-                let words = "resume is not possible: confirm what the run waits for".into();
-                let _ = answer.send(Err(Refusal::State(words)));
-                None
             }
             Request::Stop | Request::Abort | Request::Suspend(_) => {
                 let event = self.control.run_request(&request)?;
@@ -234,25 +215,15 @@ impl Engine {
                 None
             }
             // The tips are up, or their raise is pending: only the reason to wait changes.
-            Request::PauseAtCheckpoint | Request::PauseNow if why == Some(PausedWhy::Trip) => {
+            Request::PauseAtCheckpoint | Request::PauseNow => {
                 let paused = self.control.run_event(RunEvent::PauseNow).map(|_| ());
                 let _ = answer.send(paused);
                 None
             }
-            Request::Start(_)
-            | Request::Confirm { .. }
-            | Request::PauseAtCheckpoint
-            | Request::PauseNow => {
-                let run = self.control.run();
+            Request::Start(_) => {
+                let (run, start) = (self.control.run(), name(&request));
                 let (state, next) = (run.as_str(), run.allowed());
-                let words = match &request {
-                    Request::Confirm { .. } => {
-                        format!("nothing is to be confirmed: the run is {state}")
-                    }
-                    other => {
-                        format!("{} is not possible while the run is {state}: {next}", name(other))
-                    }
-                };
+                let words = format!("{start} is not possible while the run is {state}: {next}");
                 let _ = answer.send(Err(Refusal::State(words)));
                 None
             }
@@ -273,7 +244,7 @@ impl Engine {
         }
     }
 
-    /// Accepts a confirmation, and resumes a run with a stage: only a rig that may move.
+    /// Accepts a confirmation, and resumes a run with a stage.
     pub(super) async fn confirmed(
         &mut self,
         job: &Job,
@@ -281,7 +252,6 @@ impl Engine {
         done: Done,
         answer: &Answer,
     ) -> Result<(), Refusal> {
-        self.may_move(job)?;
         self.check_confirmed(who, done).await?;
         match job.plan.kind {
             Kind::RealHex => self.resume(job, Some(answer)).await,
@@ -313,11 +283,8 @@ impl Engine {
         why: &str,
     ) -> Result<(), Refusal> {
         let failed = |e| Refusal::State(error_chain(&e));
-        let waiting = self.control.run().why() == Some(PausedWhy::ManualTrial);
-        let Some(awaited) = self.wanted_trial().filter(|_| waiting) else {
-            return Err(Refusal::State(
-                "repeat is not possible: the run awaits no placement".into(),
-            ));
+        let Some(awaited) = self.wanted_trial() else {
+            return Err(Refusal::State(NO_PLACEMENT.into()));
         };
         let configuration = match (trial, last) {
             (Some(trial), _) | (None, Last::Stored(trial)) => trial,
