@@ -143,8 +143,14 @@ export function waiting({ said, go, signal }) {
   }
   async function predict() {
     const ms = text => (text == null ? null : Date.parse(text))
-    const { items } = await get('/queue/times', {}, { signal, wait: 30_000 })
-    predicted = new Map(items.map(one => [one.run, { ...one, begin: ms(one.begin), end: ms(one.end), low: ms(one.low), high: ms(one.high) }]))
+    let times = null
+    try {
+      times = await get('/queue/times', {}, { signal, wait: 30_000 })
+    } catch (error) {
+      fails = `The times could not be predicted: ${error.message}.`
+      return
+    }
+    predicted = new Map(times.items.map(one => [one.run, { ...one, begin: ms(one.begin), end: ms(one.end), low: ms(one.low), high: ms(one.high) }]))
   }
 
   function stateOf(row, now) {

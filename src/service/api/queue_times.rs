@@ -14,6 +14,8 @@ use super::pages::Page;
 use super::problem::ApiError;
 use crate::conductor::ConductorError;
 use crate::ids::RunUid;
+use crate::journal::error_chain;
+use crate::schedule::preflight::Preflight;
 use crate::store::RunRow;
 
 /// Predicted times of a waiting run. They hold if each run is started before its turn, and exclude the time of persons.
@@ -25,7 +27,7 @@ pub struct QueueTime {
     pub scan_id: i64,
     /// Likely duration, wall s; null if the run cannot be planned on this rig.
     pub duration_s: Option<f64>,
-    /// Likely begin; null while the end of the active run is not known, and behind a run without a duration.
+    /// Likely begin; null while the end of the active run is not known, and for a run without a duration.
     #[schema(value_type = Option<String>, format = DateTime)]
     pub begin: Option<Timestamp>,
     /// Likely end; null as `begin`.
@@ -60,7 +62,9 @@ pub async fn times(State(app): State<App>) -> Result<Page<QueueTime>, ApiError> 
     let mut planned = Vec::with_capacity(rows.len());
     for row in rows.iter().take(ROOM_MAX) {
         let key = (row.uid, row.plan_sha256.clone());
-        planned.push(app.facts.memory.planned.get(key, plan(&app, row)).await?);
+        let found = app.facts.memory.planned.get(key, plan(&app, row)).await;
+        // A run that fails to be planned has its problem, and the others have their times.
+        planned.push(found.unwrap_or_else(|error| Arc::new(Planned::refused(&error))));
     }
     let now = Timestamp::now();
     let run = app.campaign.status().run;
@@ -94,23 +98,27 @@ pub async fn times(State(app): State<App>) -> Result<Page<QueueTime>, ApiError> 
     Ok(Page::whole(rows.iter().zip(times).enumerate().map(time).collect()))
 }
 
-/// Plans a waiting run; that it is refused is an answer, too.
-async fn plan(app: &App, row: &RunRow) -> Result<Arc<Planned>, ConductorError> {
-    let planned = match app.conductor.preflight_of(row).await {
-        Ok(preflight) => Planned {
-            durations_s: Some([
-                preflight.duration_s,
-                preflight.duration_low_s,
-                preflight.duration_high_s,
-            ]),
-            problem: preflight.problems.first().map(ToString::to_string),
-        },
-        Err(error @ ConductorError::Problems { .. }) => {
-            Planned { durations_s: None, problem: Some(error.to_string()) }
+impl Planned {
+    fn of(preflight: &Preflight) -> Self {
+        let Preflight { duration_s, duration_low_s, duration_high_s, problems, .. } = preflight;
+        Self {
+            durations_s: Some([*duration_s, *duration_low_s, *duration_high_s]),
+            problem: problems.first().map(ToString::to_string),
         }
-        Err(error) => return Err(error),
-    };
-    Ok(Arc::new(planned))
+    }
+
+    fn refused(error: &ConductorError) -> Self {
+        Self { durations_s: None, problem: Some(error_chain(error)) }
+    }
+}
+
+/// Plans a waiting run; that its files are refused is an answer, too, and is kept.
+async fn plan(app: &App, row: &RunRow) -> Result<Arc<Planned>, ConductorError> {
+    match app.conductor.preflight_of(row).await {
+        Ok(preflight) => Ok(Arc::new(Planned::of(&preflight))),
+        Err(error @ ConductorError::Problems { .. }) => Ok(Arc::new(Planned::refused(&error))),
+        Err(error) => Err(error),
+    }
 }
 
 /// A waiting run: the time until its earliest start, s, and its duration.
@@ -128,7 +136,7 @@ struct Times {
 }
 
 /// Predicts the times of waiting runs in the order of the queue; `free_s`: when the rig is free, likely, low and high.
-/// A run without a duration ends the prediction for those behind it.
+/// A run without a duration is refused at its turn, and the next one begins.
 fn predict(runs: &[Waiting], free_s: [f64; 3]) -> Vec<Option<Times>> {
     let mut times = vec![None; runs.len()];
     let mut open: Vec<usize> = (0..runs.len()).collect();
@@ -140,7 +148,7 @@ fn predict(runs: &[Waiting], free_s: [f64; 3]) -> Vec<Option<Times>> {
         let Some(place) = due.or_else(earliest) else { break };
         let run = open.remove(place);
         let Waiting { early_s, durations_s } = runs[run];
-        let Some(durations_s) = durations_s else { break };
+        let Some(durations_s) = durations_s else { continue };
         let begin_s = free_s[0].max(early_s);
         free_s = std::array::from_fn(|n| free_s[n].max(early_s) + durations_s[n]);
         times[run] = Some(Times { begin_s, end_s: free_s });
@@ -151,6 +159,7 @@ fn predict(runs: &[Waiting], free_s: [f64; 3]) -> Vec<Option<Times>> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::campaign::shown::command::Refusal;
 
     fn waiting(early_s: f64, duration_s: f64) -> Waiting {
         let durations_s = Some([duration_s, 0.5 * duration_s, 2.0 * duration_s]);
@@ -169,9 +178,13 @@ mod tests {
     }
 
     #[test]
-    fn a_run_without_a_duration_ends_the_prediction() {
-        let unknown = Waiting { early_s: 0.0, durations_s: None };
+    fn a_run_that_cannot_be_planned_has_its_problem_and_the_others_have_their_times() {
+        let refused = Planned::refused(&ConductorError::Refused(Refusal::Gone));
+        assert_eq!(refused.problem.as_deref(), Some("the rig's thread does not answer"));
+        let unknown = Waiting { early_s: 0.0, durations_s: refused.durations_s };
         let times = predict(&[waiting(0.0, 10.0), unknown, waiting(0.0, 10.0)], [0.0; 3]);
-        assert_eq!(times.iter().map(Option::is_some).collect::<Vec<_>>(), [true, false, false]);
+        let begins: Vec<Option<f64>> =
+            times.iter().map(|time| time.map(|time| time.begin_s)).collect();
+        assert_eq!(begins, [Some(0.0), None, Some(10.0)]);
     }
 }
