@@ -5,8 +5,7 @@ import { socket } from './api.js'
 import { changing } from './changing.js'
 import { el, panel, say } from './dom.js'
 import { count, fixed } from './format.js'
-import { isOfQuantity } from './serves.js'
-import { vocabulary } from './vocabulary.js'
+import { servedQuantities } from './serves.js'
 
 const STALE_MS = 2000
 
@@ -25,11 +24,10 @@ function sureWords(answer, old) {
 export function quantityPart({ signal }) {
   const numbers = el('div'), sure = el('p', { className: 'soft' })
   const node = panel('Quantities', { className: 'live', hidden: true }, numbers, sure)
-  const slots = vocabulary.slots.filter(isOfQuantity).map(slot => slot.name)
   let cut = null, newest = null, at = 0
 
-  function follow({ serves }) {
-    const isServed = serves.some(one => one.what && slots.includes(one.slot))
+  function follow(serving) {
+    const isServed = servedQuantities(serving).length > 0
     if (isServed === Boolean(cut)) return
     node.hidden = !isServed
     cut?.abort()

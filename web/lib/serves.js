@@ -16,6 +16,9 @@ export const isOfQuantity = slot => !slot.methods.length
 /** Slots that a method needs and that are empty; `serving` is the body of GET /serving. */
 export const lacks = (method, serving) => method.needs.filter(slot => !serving?.serves.find(one => one.slot === slot)?.what)
 
+/** The slots of quantities whose nets serve. */
+export const servedQuantities = serving => vocabulary.slots.filter(slot => isOfQuantity(slot) && serving?.serves.some(one => one.slot === slot.name && one.what))
+
 /** The best method that has all its models, or null. */
 export const bestMethod = serving => vocabulary.methods.findLast(method => !lacks(method, serving).length) ?? null
 
@@ -40,7 +43,7 @@ export function servingPart() {
       const models = filled.map(one => [capital(slotOf(one.slot).title), link('/nets', one.what)])
       const limits = filled.filter(one => one.limitation).map(one => el('p', { className: 'soft' }, `${capital(slotOf(one.slot).title)}: ${one.limitation}`))
       fill(list, el('ul', {}, vocabulary.methods.map(method => row(method, serving))), facts(models), limits)
-      fill(none, !bestMethod(serving) && howTo())
+      fill(none, !bestMethod(serving) && howTo(servedQuantities(serving)))
     },
     failed(error) { shown = ''; fill(list, el('p', { className: 'soft' }, `The active models cannot be read: ${error.message}`)) },
   }
@@ -49,8 +52,11 @@ export function servingPart() {
 // The methods that need models of a net, or none.
 const methodsBy = wanted => vocabulary.methods.filter(method => method.needs.some(slot => slotOf(slot).tasks.length) === wanted).map(method => method.name).join(', ')
 
-const howTo = () => panel('No model serves yet', { className: 'welcome' },
-  el('p', {}, 'The frames come, but nothing says yet what touches the skin. There are two ways to get it:'),
+/** How contacts are estimated; `quantities`: the slots of the nets that answer already, which do not. */
+const howTo = quantities => panel(quantities.length ? 'Contacts are not estimated yet' : 'No model serves yet', { className: 'welcome' },
+  el('p', {}, quantities.length ? `The ${quantities.map(slot => slot.title).join(' and the ')} ${quantities.length === 1 ? 'serves' : 'serve'}: see Quantities. `
+    + 'Where the skin is touched, and with which force, needs another model. There are two ways to get it:'
+    : 'Nothing states yet what touches the skin. There are two ways to get it:'),
   el('ol', { className: 'steps' },
     el('li', {}, 'Fit the model to this skin from a stored run with ', el('code', {}, 'palpate calibrate skin --run 1 --out skin.toml'),
       `, then add and promote the file. Methods that then work: ${methodsBy(false)}.`),

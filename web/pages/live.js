@@ -138,7 +138,7 @@ export async function show(root, { query, signal, set }) {
     quantities.tell()
   }
   const missing = method => method ? { tone: 'warn', words: `${method.name} ${needWords(method, serving)} that serves.` }
-    : { tone: 'soft', words: 'No model is active: contacts cannot be estimated.' }
+    : { tone: 'soft', words: 'No model for contacts serves: they cannot be estimated.' }
 
   function tellServing() {
     serves.show(serving)
