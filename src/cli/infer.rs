@@ -14,7 +14,7 @@ use super::error::CliError;
 use super::files::read_input;
 use super::next::Next;
 use super::output::{note, say, say_json};
-use super::{At, embed};
+use super::{At, embed, recording};
 use crate::api::{
     FrameAnswer, InferOptions, InferRequest, LiveAnswer, LiveQuantities, ModelOut, QuantityRequest,
 };
@@ -72,6 +72,10 @@ pub struct LiveArgs {
     /// End after this number of frames.
     #[arg(long, value_name = "N")]
     frames: Option<u64>,
+    /// Write the raw --frames to this file instead, by its ending: .parquet, .arrow, .arrows, .csv, .ndjson.
+    #[arg(long, value_name = "FILE", requires = "frames",
+        conflicts_with_all = ["method", "map", "quantities"])]
+    record: Option<PathBuf>,
     #[command(flatten)]
     at: At,
 }
@@ -277,7 +281,13 @@ fn shown(text: &str, quantities: bool) -> Option<String> {
 /// # Errors
 /// `CliError` if the service cannot be reached or refuses.
 pub async fn live(args: LiveArgs) -> Result<(), CliError> {
+    if let Some(out) = &args.record {
+        recording::format(out)?;
+    }
     let client = embed::server(&args.at).await?;
+    if let (Some(out), Some(frames)) = (&args.record, args.frames) {
+        return recording::record(&client, out, frames, args.at.output()).await;
+    }
     let method = args.method.map_or(String::new(), |method| format!("&method={}", method.name()));
     let path = match args.quantities {
         true => "/api/v1/live/quantities".to_owned(),

@@ -60,6 +60,7 @@ mod progress;
 mod query;
 mod queue;
 mod read_only;
+mod recording;
 mod repeat;
 mod rig;
 mod rig_limits;

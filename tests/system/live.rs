@@ -185,9 +185,37 @@ async fn quantities_are_followed(lab: &Lab) {
     assert!(connect_async(&url).await.is_err(), "no net of a quantity serves");
 }
 
+/// Frames are recorded from the request on, with their label, in the formats of rows.
+async fn frames_are_recorded(lab: &Lab) {
+    let record = async |frames: usize, format: &str| {
+        let query = format!("frames={frames}&format={format}");
+        let url = format!("{}/api/v1/frames/recording?{query}", lab.service.url());
+        http().get(url).send().await.unwrap()
+    };
+    let answer = record(40, "csv").await;
+    assert_eq!(answer.status(), 200);
+    let name = answer.headers()["content-disposition"].to_str().unwrap().to_owned();
+    assert!(name.contains("frames-virtual-") && name.ends_with(".csv\""), "{name}");
+    let text = answer.text().await.unwrap();
+    let rows: Vec<Vec<&str>> = text.lines().map(|line| line.split(',').collect()).collect();
+    assert_eq!(rows.len(), 41);
+    assert_eq!(rows[0][..4], ["at", "label", "sequence", "device_time_us"]);
+    assert!(rows.iter().all(|row| row.len() == 4 + CHANNELS));
+    assert!(rows[1..].iter().all(|row| row[1] == "virtual"));
+    let sequences: Vec<u64> = rows[1..].iter().map(|row| row[2].parse().unwrap()).collect();
+    assert!(sequences.windows(2).all(|pair| pair[0] < pair[1]), "{sequences:?}");
+    let parquet = record(5, "parquet").await.bytes().await.unwrap();
+    assert!(parquet.starts_with(b"PAR1") && parquet.ends_with(b"PAR1"), "{} bytes", parquet.len());
+    for (frames, format) in [(0, "csv"), (9001, "csv"), (5, "npz"), (5, "xlsx")] {
+        assert_eq!(record(frames, format).await.status(), 400, "{frames} {format}");
+    }
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn models_change_between_two_live_frames_and_what_is_refused_changes_none() {
     let lab = Lab::open("live", rig_args("virtual", SPEED), COMPUTES).await;
+    let url = format!("{}/api/v1/frames/recording?frames=5", lab.service.url());
+    assert_eq!(http().get(url).send().await.unwrap().status(), 409, "no frames come");
     lab.posted("/api/v1/rig/actions", json!({ "action": "connect", "who": "test" })).await;
     let jobs = [queue(&lab, "one", 1).await, queue(&lab, "two", 2).await];
     let (one, two) = (trained(&lab, &jobs[0]).await, trained(&lab, &jobs[1]).await);
@@ -213,5 +241,6 @@ async fn models_change_between_two_live_frames_and_what_is_refused_changes_none(
     assert_eq!(answers.as_array().unwrap().len(), 1, "{answers}");
     assert_eq!(answers[0]["model"], one, "{answers}");
     quantities_are_followed(&lab).await;
+    frames_are_recorded(&lab).await;
     lab.close().await;
 }

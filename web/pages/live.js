@@ -1,5 +1,5 @@
 // Live: what is touching the skin? Contacts of the live frames at up to 30 per second, how sure they are, which
-// model answers; quantities by promoted nets; a recording of the raw frames. Its address: method, scale, zoom-total.
+// model answers; quantities by promoted nets; a recording of the raw frames. Its address: method, scale, zoom-total, record-frames, record-format.
 
 import { get, socket } from '../lib/api.js'
 import { changing } from '../lib/changing.js'

@@ -207,6 +207,7 @@ pub const EXAMPLES: &[(&str, &[&str])] = &[
             "palpate live --method fast",
             "palpate live --frames 100 --json",
             "palpate live --quantities",
+            "palpate live --record frames.parquet --frames 300",
         ],
     ),
     ("evaluate", &["palpate evaluate simulation --run 3"]),

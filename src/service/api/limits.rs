@@ -46,8 +46,10 @@ pub const NET_REQUESTS: usize = 4;
 pub const FIT_REQUESTS: usize = 2;
 /// Result of a query as JSON, bytes.
 pub const QUERY_JSON_MAX_BYTES: usize = 64 << 20;
-/// Clients of the live frames.
+/// Clients of the live frames, recordings included.
 pub const FRAME_CLIENTS: usize = 64;
+/// Frames of a recording: five minutes of 30 per second.
+pub const RECORDED_FRAMES: usize = 9000;
 /// Clients of the live status.
 pub const STATUS_CLIENTS: usize = 64;
 /// Time for which the stored part of the live status is not read again.
@@ -201,7 +203,8 @@ mod tests {
             line("frames of an inference", n(FRAMES_MAX), "422"),
             line("frames of an inference by `exact`", n(EXACT_MAX), "422"),
             line("frames of an inference with maps", n(MAPS_MAX), "422"),
-            line("clients of live frames", n(FRAME_CLIENTS), "503"),
+            line("clients of live frames, recordings included", n(FRAME_CLIENTS), "503"),
+            line("frames of a recording", n(RECORDED_FRAMES), "400"),
             line("clients of the live status", n(STATUS_CLIENTS), "503"),
             line("samples of the load cells in one response", n(SAMPLES_MAX), "extremes are kept"),
             line("time for which samples of the load cells are kept", format!("{SAMPLES_MINUTES} min"), "older ones are forgotten"),

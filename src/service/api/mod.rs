@@ -73,6 +73,7 @@ mod queue_times;
 mod ranges;
 mod rates;
 mod recipes;
+mod recording;
 mod rig;
 mod rig_limits;
 mod routes;

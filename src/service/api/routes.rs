@@ -15,8 +15,8 @@ use super::limits::{
 use super::{
     App, datasets, estop, evaluation, events, experiments, exports, health, history, imports,
     infer, jobs, live, live_status, models, overlay, people, placement, progress, published,
-    quantities, queue, queue_times, rates, recipes, rig, rig_limits, runs, samples, sensor,
-    simulations, sql, status, tour, trials, twins, untouched, vocabulary, wear,
+    quantities, queue, queue_times, rates, recipes, recording, rig, rig_limits, runs, samples,
+    sensor, simulations, sql, status, tour, trials, twins, untouched, vocabulary, wear,
 };
 use crate::store::Role;
 
@@ -203,6 +203,7 @@ pub fn table() -> Vec<Operation> {
         (SOCKET, routes!(quantities::live)),
         (READS, routes!(events::events)),
         (SOCKET, routes!(live::frames)),
+        (READS, routes!(recording::record)),
         (READS, routes!(samples::last_minutes)),
         (READS, routes!(untouched::untouched)),
         (READS, routes!(wear::wear)),

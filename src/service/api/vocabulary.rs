@@ -121,6 +121,10 @@ pub struct FormatWord {
     pub extension: &'static str,
     /// What it is, in one line.
     pub about: &'static str,
+    /// Whether it is written row by row: pages, answers to queries, and recordings may be in it.
+    pub streams: bool,
+    /// Whether numbers are written as text: a cut file has whole rows up to its last line.
+    pub is_text: bool,
 }
 
 /// A force map.
@@ -242,6 +246,8 @@ impl From<Format> for FormatWord {
             title: format.title(),
             extension: format.extension(),
             about: format.about(),
+            streams: format.streams(),
+            is_text: format.is_text(),
         }
     }
 }

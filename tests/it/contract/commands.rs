@@ -51,6 +51,7 @@ const COMMANDS: &[(&str, &str)] = &[
     ("query_by_address", "query SELECT"),
     ("query_tables", "query"),
     ("readiness", "status"),
+    ("record_frames", "live --record frames.parquet --frames 300"),
     ("rig_limits", "rig limits"),
     ("rig_rates", "rig rates"),
     ("rig_samples", "rig samples"),

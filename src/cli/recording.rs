@@ -1,0 +1,83 @@
+//! `palpate live --record`: raw frames of the rig as a file, in a format of datasets.
+//! Uses: `client`, `dataset::format`, `new_file`. Never: a file that is not complete, other frames than the service's.
+
+use std::io::Write;
+use std::path::Path;
+use std::time::Duration;
+
+use futures::StreamExt;
+use reqwest::Method;
+use serde_json::{Value, json};
+
+use super::client::Client;
+use super::error::CliError;
+use super::output::{Output, bytes, note, say, say_json};
+use crate::dataset::format::Format;
+use crate::new_file::NewFile;
+
+/// Longest time of a recording: a rig may send few frames.
+const RECORDED_WITHIN: Duration = Duration::from_secs(86_400);
+
+/// Format of the file of a recording, by its ending.
+///
+/// # Errors
+/// `CliError::Problems` if it is not that of a format of rows.
+pub fn format(out: &Path) -> Result<Format, CliError> {
+    let name = out.file_name().unwrap_or_default().to_string_lossy();
+    let found = Format::of_file(&name).map(|(_, format)| format);
+    found.filter(|format| format.streams()).ok_or_else(|| {
+        let rows = Format::ALL.into_iter().filter(|format| format.streams());
+        let endings: Vec<String> = rows.map(|format| format!(".{}", format.extension())).collect();
+        let limit = format!("must end in one of {}", endings.join(", "));
+        CliError::argument("--record", out.display(), limit)
+    })
+}
+
+/// Records `frames` frames into a file.
+///
+/// # Errors
+/// `CliError` if the service cannot be reached or refuses, if the recording is cut, or if the file cannot be written.
+pub async fn record(
+    client: &Client,
+    out: &Path,
+    frames: u64,
+    output: Output,
+) -> Result<(), CliError> {
+    let path = format!("/api/v1/frames/recording?frames={frames}&format={}", format(out)?.name());
+    let answer = client.patient(RECORDED_WITHIN).send(Method::GET, &path, None::<&Value>).await?;
+    if output != Output::Json {
+        note("recording; Ctrl-C ends it without a file");
+    }
+    let failed = |source| CliError::File { path: out.into(), source };
+    let mut file = NewFile::create_for(out).map_err(failed)?;
+    let mut length = 0_u64;
+    let mut pieces = answer.bytes_stream();
+    while let Some(piece) = pieces.next().await {
+        let lost = |source| CliError::Http { operation: format!("GET {path}"), source };
+        let piece = piece.map_err(lost)?;
+        file.write_all(&piece).map_err(failed)?;
+        length += piece.len() as u64;
+    }
+    let name = out.file_name().unwrap_or_default().to_string_lossy();
+    file.finish(&name).map(drop).map_err(failed)?;
+    match output {
+        Output::Json => say_json(&json!({ "file": out, "bytes": length })),
+        Output::Text => say(format_args!("{}: {}", out.display(), bytes(length as f64))),
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_ending_names_a_format_of_rows() {
+        assert_eq!(format(Path::new("a/frames.parquet")).unwrap(), Format::Parquet);
+        assert_eq!(format(Path::new("frames.arrow")).unwrap(), Format::Feather);
+        for refused in ["frames.npz", "frames", "frames.xlsx"] {
+            let words = format(Path::new(refused)).unwrap_err().to_string();
+            assert!(words.contains(".csv") && words.contains(refused), "{words}");
+        }
+    }
+}

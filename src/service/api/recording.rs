@@ -1,0 +1,257 @@
+//! Recordings: the frames of the stream from the request on, as rows in a format of datasets.
+//! Uses: the campaign's newest frame, `dataset::format`. Never: a file of the service, a frame without its label.
+
+use std::io;
+use std::sync::Arc;
+use std::time::Duration;
+
+use arrow_array::{
+    FixedSizeListArray, Float32Array, RecordBatch, StringArray, TimestampMillisecondArray,
+    UInt32Array, UInt64Array,
+};
+use arrow_schema::{ArrowError, DataType, Field, Schema, SchemaRef, TimeUnit};
+use axum::body::Body;
+use axum::extract::State;
+use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
+use axum::response::Response;
+use jiff::Timestamp;
+use serde::Deserialize;
+use tokio::sync::OwnedSemaphorePermit;
+use tokio::sync::watch::Receiver;
+use tokio::time::timeout;
+use utoipa::IntoParams;
+
+use super::App;
+use super::limits::{FRAME_CLIENTS, RECORDED_FRAMES};
+use super::problem::{ApiError, Params, ProblemBody};
+use super::query::for_pages;
+use super::send::{self, Piece};
+use crate::campaign::bench::rig_state::RigState;
+use crate::dataset::error::DatasetError;
+use crate::dataset::format::{Format, Stream};
+use crate::dataset::schema::VOLTAGES_V;
+use crate::journal::error_chain;
+use crate::rig::traits::Frame;
+use crate::simulate::schema::{voltage_element, voltages, with_unit};
+
+/// Longest time without a frame; the recording then ends.
+const SILENT: Duration = Duration::from_secs(10);
+/// Frames of a batch: about one second of them.
+const BATCH_FRAMES: usize = 30;
+
+/// What is recorded, and how it is written.
+#[derive(Debug, Deserialize, IntoParams)]
+#[into_params(parameter_in = Query)]
+pub struct RecordingParams {
+    /// Number of frames, 1 to 9000.
+    #[param(minimum = 1, maximum = 9000)]
+    pub frames: usize,
+    /// Format of the rows: parquet, arrow, feather, csv or ndjson; absent: that of the `Accept` header, or ndjson.
+    pub format: Option<String>,
+}
+
+/// Records frames of the stream: the response has a row per frame, and ends with the last one.
+///
+/// Columns: wall time `at`, `label` (`virtual` or `measured`), `sequence` and `device_time_us` of the device, and
+/// `voltages_v`. Gaps of `sequence` are frames that were not received. The recording ends early after 10 s without a
+/// frame, and when the service ends; the service keeps nothing of it.
+#[utoipa::path(get, operation_id = "record_frames", path = "/api/v1/frames/recording", tag = "frames",
+    params(RecordingParams),
+    responses((status = 200, body = Vec<u8>, content_type = "application/octet-stream"),
+        (status = 400, body = ProblemBody, description = "`frames` is not 1 to 9000, or the format is not one of rows"),
+        (status = 409, body = ProblemBody, description = "the rig is disconnected: no frames come"),
+        (status = 503, body = ProblemBody, description = "too many clients are connected")))]
+pub async fn record(
+    State(app): State<App>,
+    headers: HeaderMap,
+    Params(asked): Params<RecordingParams>,
+) -> Result<Response, ApiError> {
+    let frames = asked.frames;
+    if !(1..=RECORDED_FRAMES).contains(&frames) {
+        let limit = format!("must be 1 to {RECORDED_FRAMES}");
+        return Err(ApiError::query("frames", frames, &limit));
+    }
+    let format = match asked.format.as_deref() {
+        None => send::accepted(&headers).unwrap_or(Format::Ndjson),
+        Some(name) => name
+            .parse::<Format>()
+            .map_err(|error| ApiError::query("format", name, &error.to_string()))?,
+    };
+    for_pages(format).map_err(ApiError::bad_query)?;
+    if app.campaign.status().rig.state == RigState::Disconnected {
+        let words = "no frames come: the rig is disconnected; connect it first";
+        return Err(ApiError::new(StatusCode::CONFLICT, words));
+    }
+    let place = app.turns.frames.clone().try_acquire_owned().map_err(|_| {
+        let words = format!("{FRAME_CLIENTS} clients of the live frames are connected, the limit");
+        ApiError::new(StatusCode::SERVICE_UNAVAILABLE, words)
+    })?;
+    let label = app.facts.rig.config.label().as_str();
+    let schema = schema(app.serving.sensor().channels() as i32);
+    let piece = Piece::default();
+    let stream = Stream::new(format, &schema, piece.clone()).map_err(DatasetError::from)?;
+    let mut source = app.campaign.watch_frames();
+    // What came before the request is not recorded.
+    source.mark_unchanged();
+    let ending = app.facts.ending.clone();
+    let recording =
+        Recording { source, ending, label, schema, stream, piece, left: frames, _place: place };
+    let pieces = futures::stream::unfold(Some(recording), |recording| async move {
+        Some(recording?.next_piece().await)
+    });
+    let mut response = send::in_format(format, Body::from_stream(pieces));
+    let at = Timestamp::now().strftime("%Y-%m-%dT%H%M%S");
+    let name = format!("attachment; filename=\"frames-{label}-{at}.{}\"", format.extension());
+    if let Ok(name) = HeaderValue::from_str(&name) {
+        response.headers_mut().insert(header::CONTENT_DISPOSITION, name);
+    }
+    Ok(response)
+}
+
+/// A frame, and the wall time at which it arrived.
+type Taken = (Timestamp, Arc<Frame>);
+
+/// A recording in progress.
+struct Recording {
+    source: Receiver<Option<Arc<Frame>>>,
+    ending: Receiver<bool>,
+    label: &'static str,
+    schema: SchemaRef,
+    stream: Stream<'static, Piece>,
+    piece: Piece,
+    /// Number of frames that are still to be recorded.
+    left: usize,
+    _place: OwnedSemaphorePermit,
+}
+
+impl Recording {
+    /// The bytes of the next batch, and the recording unless it has ended.
+    async fn next_piece(mut self) -> (io::Result<Vec<u8>>, Option<Self>) {
+        let most = self.left.min(BATCH_FRAMES);
+        let mut taken = Vec::with_capacity(most);
+        while taken.len() < most
+            && let Some(frame) = self.next_frame().await
+        {
+            taken.push(frame);
+        }
+        let has_ended = taken.len() < most || self.left == most;
+        self.left -= taken.len();
+        match self.write(&taken) {
+            Ok(()) if has_ended => {
+                let end = self.stream.finish().map(|piece| piece.take());
+                (end.map_err(io::Error::other), None)
+            }
+            Ok(()) => (Ok(self.piece.take()), Some(self)),
+            Err(error) => {
+                tracing::warn!(error = error_chain(&error), "a recording is incomplete");
+                (Err(io::Error::other(error.to_string())), None)
+            }
+        }
+    }
+
+    /// Waits for the next frame; none if none comes, or if the service ends.
+    async fn next_frame(&mut self) -> Option<Taken> {
+        loop {
+            tokio::select! {
+                changed = timeout(SILENT, self.source.changed()) => changed.ok()?.ok()?,
+                _ = self.ending.wait_for(|ends| *ends) => return None,
+            }
+            let frame = self.source.borrow_and_update().clone();
+            if let Some(frame) = frame {
+                let at = Timestamp::now();
+                return Some((at.checked_sub(frame.received.elapsed()).unwrap_or(at), frame));
+            }
+        }
+    }
+
+    fn write(&mut self, taken: &[Taken]) -> Result<(), DatasetError> {
+        if !taken.is_empty() {
+            self.stream.push(&batch(&self.schema, self.label, taken)?)?;
+        }
+        Ok(())
+    }
+}
+
+fn schema(channels: i32) -> SchemaRef {
+    let at = DataType::Timestamp(TimeUnit::Millisecond, Some("UTC".into()));
+    Arc::new(Schema::new(vec![
+        Field::new("at", at, false),
+        Field::new("label", DataType::Utf8, false),
+        Field::new("sequence", DataType::UInt32, false),
+        with_unit(Field::new("device_time_us", DataType::UInt64, false), "us"),
+        voltages(VOLTAGES_V, channels),
+    ]))
+}
+
+/// Frames as a batch of `schema`.
+///
+/// # Errors
+/// `ArrowError` if a frame has another number of channels than the sensor.
+fn batch(schema: &SchemaRef, label: &str, taken: &[Taken]) -> Result<RecordBatch, ArrowError> {
+    let frames = || taken.iter().map(|(_, frame)| frame);
+    let at = taken.iter().map(|(at, _)| at.as_millisecond());
+    let DataType::FixedSizeList(_, channels) = schema.field(schema.fields().len() - 1).data_type()
+    else {
+        return Err(ArrowError::SchemaError(format!("{VOLTAGES_V} holds no frames")));
+    };
+    let wanted = *channels as usize;
+    if let Some(other) = frames().find(|frame| frame.counts.len() != wanted) {
+        let found = other.counts.len();
+        let words = format!("a frame has {found} voltages, expected {wanted}");
+        return Err(ArrowError::InvalidArgumentError(words));
+    }
+    let volts = Float32Array::from_iter_values(frames().flat_map(|frame| frame.voltages_v()));
+    let element = Arc::new(voltage_element());
+    let rows = taken.len();
+    RecordBatch::try_new(
+        schema.clone(),
+        vec![
+            Arc::new(TimestampMillisecondArray::from_iter_values(at).with_timezone("UTC")),
+            Arc::new(StringArray::from_iter_values(std::iter::repeat_n(label, rows))),
+            Arc::new(UInt32Array::from_iter_values(frames().map(|frame| frame.sequence))),
+            Arc::new(UInt64Array::from_iter_values(frames().map(|frame| frame.device_time_us))),
+            Arc::new(FixedSizeListArray::try_new(element, *channels, Arc::new(volts), None)?),
+        ],
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use tokio::time::Instant;
+
+    use super::*;
+
+    fn taken(sequence: u32, counts: Vec<i16>) -> Taken {
+        let frame = Frame {
+            sequence,
+            device_time_us: 40 * u64::from(sequence),
+            volts_per_count: 0.5,
+            counts,
+            received: Instant::now(),
+        };
+        (Timestamp::from_millisecond(1_795_000_000_250).unwrap(), Arc::new(frame))
+    }
+
+    #[test]
+    fn a_row_has_the_label_the_counters_and_the_voltages_of_its_frame() {
+        let schema = schema(4);
+        let frames = [taken(7, vec![2, -2, 4, 0]), taken(9, vec![1, 1, 1, 1])];
+        let mut stream = Stream::new(Format::Ndjson, &schema, Vec::new()).unwrap();
+        stream.push(&batch(&schema, "virtual", &frames).unwrap()).unwrap();
+        let text = String::from_utf8(stream.finish().unwrap()).unwrap();
+        let rows: Vec<serde_json::Value> =
+            text.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+        assert_eq!(rows.len(), 2);
+        assert_eq!(rows[1]["sequence"], 9);
+        assert_eq!(rows[1]["device_time_us"], 360);
+        assert_eq!(rows[0]["label"], "virtual");
+        assert_eq!(rows[0]["voltages_v"], serde_json::json!([1.0, -1.0, 2.0, 0.0]));
+        assert!(rows[0]["at"].as_str().unwrap().starts_with("2026-11-18T11:06:40.25"), "{text}");
+    }
+
+    #[test]
+    fn a_frame_of_another_size_is_refused() {
+        let refused = batch(&schema(4), "virtual", &[taken(1, vec![1, 2, 3])]).unwrap_err();
+        assert!(refused.to_string().contains("3 voltages, expected 4"), "{refused}");
+    }
+}
