@@ -131,6 +131,7 @@ export async function socket(path, { onmessage, onstate = () => {}, query = {}, 
     while (rest && document.hidden && !signal.aborted) await sleep(500, signal)
     try {
       const ticket = hasKey() ? (await send('/tickets', undefined, { method: 'POST', signal })).ticket : null
+      if (signal.aborted) return // While the page was hidden, or the ticket came: nothing would close the socket.
       const url = new URL(withQuery(`/api/v1${path}`, { ...query, ticket }), location.href.replace(/^http/, 'ws'))
       await new Promise(resolve => {
         const open = new WebSocket(url)

@@ -100,11 +100,13 @@ export function dataView({ state, set, signal, label, onfacts = () => {} }) {
   }
   // The newest trial with a twin: twins follow their trials by some seconds.
   async function lookTrial() {
-    if (!run) return
-    const ask = more => get(`/runs/${run}/trials`, { limit: 1, sort: '-trial_id', voltages: true, ...more }, { signal })
+    const of = run
+    if (!of) return
+    const ask = more => get(`/runs/${of}/trials`, { limit: 1, sort: '-trial_id', voltages: true, ...more }, { signal })
     try {
       let { items } = await ask({ fvu__gte: 0 })
       if (!items.length) ({ items } = await ask())
+      if (of !== run) return // Another run is shown meanwhile.
       trial = items[0] ?? null
       onfacts({ trial })
     } catch { /* Asked again in some seconds; the age of what is shown is with it. */ }

@@ -21,10 +21,12 @@ const NEXT = n => [[`/runs?run=${n}`, 'Read its report'], [`/trials?run=${n}`, '
 export function ended({ said, signal }) {
   const head = el('p', { className: 'state' }), why = el('p'), list = el('div'), links = el('div'), begin = el('div'), queued = el('div')
   const node = el('div', {}, head, why, begin, list, links, queued)
+  let shown = ''
   return {
     node,
     async show(run, progress) {
-      const over = run.exit_status != null
+      const over = run.exit_status != null, isOther = () => shown !== run.uid
+      shown = run.uid
       head.textContent = capital(over ? endWord(run) : 'interrupted')
       head.className = `state ${over ? run.exit_status === 'success' ? '' : TONE[run.exit_status] ?? '' : 'warn'}`
       fill(why, `Run ${run.scan_id}, ${run.experiment}${run.ended_at ? `, ${moment(run.ended_at)}` : ''}: `,
@@ -32,13 +34,15 @@ export function ended({ said, signal }) {
       fill(begin, isResumable(run) && el('div', { className: 'row' }, beginButton('Arm and resume', run, said, { className: 'main' })))
       try {
         const summary = await get(`/runs/${run.uid}/summary`, {}, { signal }), fvu = el('span', {}, NONE)
+        if (isOther()) return
         fill(list, facts([
           ['Trials stored', `${count(summary.trials_stored)} of ${count(run.trials_planned)}`], ['Skipped', counted(summary.trials_skipped, 'trial')],
             ['Failed attempts', count(summary.retries)],
           ['Duration', span(summary.duration_s)], ['Largest force', fixed(largest(progress?.largest_force_n), 1, 'N')], ['Median FVU', fvu],
         ]))
         get(`/runs/${run.uid}/evaluation/simulation`, {}, { signal, wait: 20_000 }).then(fit => say(fvu, about(fit.median_fvu)), () => {})
-      } catch (error) { if (!signal.aborted) fill(list, el('p', { className: 'soft' }, `Its summary could not be read: ${error.message}`)) }
+      } catch (error) { if (!signal.aborted && !isOther()) fill(list, el('p', { className: 'soft' }, `Its summary could not be read: ${error.message}`)) }
+      if (isOther()) return
       const n = run.scan_id
       fill(links, el('h3', {}, 'What next'), el('p', { className: 'next-links' }, NEXT(n).map(([href, words]) => link(href, words))))
     },

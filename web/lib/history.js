@@ -79,9 +79,10 @@ export function history({ title = 'The night', state, set, signal, label, height
     if (!seq) return say(text, data?.events.length ? 'Choose a mark to read what happened.' : '')
     try {
       const { items } = await get('/events', { since: seq - 1, limit: 1 }, { signal })
+      if (seq !== state.event) return null // Another mark was chosen meanwhile.
       const found = items.find(event => event.seq === Number(seq))
       return say(text, found ? `${moment(found.at, true)}: ${found.words}` : 'This event is no longer stored.')
-    } catch (error) { return signal.aborted ? null : say(text, `The event could not be read: ${error.message}`) }
+    } catch (error) { return signal.aborted || seq !== state.event ? null : say(text, `The event could not be read: ${error.message}`) }
   }
 
   // What is drawn of another run would be read as of this one.

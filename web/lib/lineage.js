@@ -137,6 +137,7 @@ export function lineageWalk({ dataset, lineage, nets, label, signal, set }) {
     if (chosen.trial && !rows.some(row => String(row.trial_id) === chosen.trial)) {
       // A chosen one beyond this page stands first.
       const one = await get(`/datasets/${dataset.id}/rows`, { where: `trial_id=${chosen.trial}`, columns: COLUMNS, limit: 1 }, { signal }).catch(() => null)
+      if (run !== chosen.run || signal.aborted) return
       if (one?.items.length) rows = [...one.items, ...rows]
     }
     more.hidden = !next || rows.length >= 120

@@ -215,7 +215,7 @@ export function report(root, { state, set, go, said, others, signal }) {
   async function events() {
     const all = state.log === 'all'
     const page = await quiet(get('/events', { run: n, since: -EVENTS, limit: EVENTS }, { signal }))
-    if (signal.aborted) return
+    if (signal.aborted || all !== (state.log === 'all')) return
     const items = (page?.items ?? []).filter(event => all || matters(event)).reverse()
     const scrolled = list.firstChild?.scrollTop ?? 0
     renew(list, [page == null, items.map(event => event.seq)], () =>

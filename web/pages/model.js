@@ -194,15 +194,19 @@ export async function show(root, { query, signal, set }) {
       const pressed = trial.arms?.filter(arm => arm.force_n > 0).length ? trial.arms.filter(arm => arm.force_n > 0) : trial.contacts
       say(trialWords, `Trial ${trial.trial_id} of run ${trial.scan_id} (${trial.experiment}, ${trial.label}): ${counted(pressed.length, 'tip')} with a force.`)
       if (!keep) put(pressed.slice(0, most()).map(c => ({ x_mm: c.x_mm, y_mm: c.y_mm, kind: 'force_n', value: +(c.force_n ?? 0).toFixed(3) })))
-    } catch (error) { say(trialWords, `Trial ${id}: ${error.message}`) }
+    } catch (error) { if (state.trialId === id && !signal.aborted) say(trialWords, `Trial ${id}: ${error.message}`) }
   }
 
+  let newest = query
   async function update(next) {
+    newest = next
     state.view = next.view ?? 'difference'
     below.show(next.fit ?? '')
     const { run = '', trial = '' } = next, other = trial !== state.trialId, asks = run !== state.run || other
     state.run = run
     if (other) await take(trial, Boolean(next.contacts))
+    if (signal.aborted || state.trialId !== trial) return // Another trial is taken meanwhile.
+    next = newest
     const first = drawn.shape ? [{ ...NEW, x_mm: centre()[0], y_mm: centre()[1] }] : []
     const text = next.contacts ?? (trial && state.trial ? state.text || null : contactsText(first))
     if (text != null && text !== state.text) {
@@ -215,6 +219,6 @@ export async function show(root, { query, signal, set }) {
     drawFrame()
   }
   sensor(query.run).catch(() => sensor()).then(shape => { drawn.geometry(shape) },
-    error => { note(told, `The skin is not known: ${error.message}`) }).then(() => update(query))
+    error => { note(told, `The skin is not known: ${error.message}`) }).then(() => update(newest))
   return { update }
 }

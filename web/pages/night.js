@@ -151,8 +151,9 @@ export async function show(root, { query, signal, set }) {
   }
 
   // What is asked for: the run's tour once, its progress while trials are stored, its course each half minute.
-  let changes = 0
+  let changes = 0, unread = true // Whether the runs are still to be read since the last change.
   async function change() {
+    unread = true
     const mine = changes += 1, left = () => signal.aborted || mine !== changes
     run = live.status?.run ?? null
     try {
@@ -163,6 +164,7 @@ export async function show(root, { query, signal, set }) {
       return
     }
     if (left()) return
+    unread = false
     arrange()
     const of = run ?? last
     fill(nowBody, run ? active : last ? over.node : '')
@@ -220,7 +222,7 @@ export async function show(root, { query, signal, set }) {
   every(TWINS_MS, async () => { try { twins = await get('/twins', {}, { signal }); tellData() } catch { /* Old values keep their age. */ } }, signal)
   every(QUEUE_MS, async () => {
     try { queue = (await get('/queue', {}, { signal })).items } catch { return }
-    if (!mode) await change()
+    if (unread) await change()
     if (!run && last) over.next(queue[0])
     if (mode === 'welcome') hello.show(queue[0] ?? null)
   }, signal)
