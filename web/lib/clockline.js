@@ -25,14 +25,15 @@ export function clockline() {
     const from = now
     const to = Math.max(...bars.map(bar => bar.end)) + Math.max(60_000, (Math.max(...bars.map(bar => bar.end)) - now) * 0.03)
     const part = t => `${Math.max(0, Math.min(100, ((t - from) / (to - from)) * 100))}%`
-    const wide = bar => (bar.end - bar.begin) / (to - from) > 0.06
+    // Named, and a link, where a finger hits it on a phone; the table below leads to the others.
+    const wide = bar => (bar.end - bar.begin) / (to - from) > 0.08
     fill(
       track,
       bars.map((bar, i) =>
         el(
-          'a',
+          wide(bar) ? 'a' : 'span',
           {
-            href: bar.href,
+            ...(wide(bar) ? { href: bar.href } : { role: 'img' }),
             className: `clock-bar ${bar.tone ?? (i % 2 ? 'even' : 'odd')}`,
             'aria-label': `${bar.name}: ${moment(bar.begin)} to ${moment(bar.end)}`,
             title: `${bar.name}: ${moment(bar.begin)} to ${moment(bar.end)}`,

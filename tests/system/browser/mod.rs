@@ -202,6 +202,14 @@ async fn axe_finds_no_serious_fault_on_any_page_item_dialog_or_state() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn axe_finds_no_serious_fault_on_any_page_of_an_empty_service() {
+    let Some(tools) = tools() else { return };
+    let lab = Lab::open("browser-axe-empty", rig_args("virtual", 40.0)).await;
+    plays(&lab, tools, "axe_empty").await;
+    lab.close().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn a_page_has_no_element_for_each_trial_or_event() {
     let Some(tools) = tools() else { return };
     let lab = Lab::open("browser-size", rig_args("virtual", 40.0), COMPUTES).await;

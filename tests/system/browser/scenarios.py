@@ -23,7 +23,7 @@ import weighing
 
 SCENARIOS = {one.__name__: one for one in (
     campaign.first_evening, campaign.operate, campaign.abort, campaign.keyboard, weighing.place, weighing.wrong_weight,
-    touching.touch, access.viewer, connection.lost, accessibility.axe, size.size)}
+    touching.touch, access.viewer, connection.lost, accessibility.axe, accessibility.axe_empty, size.size)}
 
 
 def main():
