@@ -80,7 +80,7 @@ export function servingPanel({ signal, said, name, onchange }) {
         { head: 'Slot', left: true, cell: one => capital(slotOf(one.slot).title) },
         { head: 'Used by', left: true, cell: one => useOf(one.slot) },
         { head: 'Serves', left: true, cell: one => words(one.what) },
-        { head: 'Since', left: true, cell: one => (one.what && since(one.slot) ? `${moment(since(one.slot).at)} by ${since(one.slot).who}` : null) },
+        { head: 'Since', left: true, cell: one => (!one.what ? '' : since(one.slot) ? `${moment(since(one.slot).at)} by ${since(one.slot).who}` : null) },
         {
           head: 'Change',
           cell: one =>

@@ -122,8 +122,8 @@ export function wearMap({ onchoose, label, signal }) {
       ['Presses in all', count(points.presses.reduce((a, b) => a + b, 0))],
       ['Places', count(places)],
       ['Never pressed', count(places - used.length)],
-      ['Median of the others', count(usual)],
-      ['Most', count(top())],
+      used.length > 0 && ['Median of the others', count(usual)],
+      used.length > 0 && ['Most', count(top())],
     ])
     const rows = order.slice(0, MOST_PRESSED).filter(i => points.presses[i] > 0)
     fill(most, el('h2', {}, 'The most pressed places'), list, table({ rows, columns, empty: 'No place has been pressed yet.' }).node)

@@ -53,7 +53,9 @@ function cells(wear) {
   const unknown = wear.cells.filter(cell => cell.age_days == null).length
   const which = unknown === wear.cells.length ? 'the cells were' : `${counted(unknown, 'cell')} ${unknown === 1 ? 'was' : 'were'}`
   const words = unknown ? el('p', { className: 'soft small said' }, `The rig file does not state when ${which} calibrated (key cells.calibrated_on).`) : null
-  return panel('Load cells', {}, table({ rows: wear.cells, columns, empty: 'This rig has no load cells.' }).node, words)
+  // A table without a single date would be a wall of dashes.
+  const list = unknown > 0 && unknown === wear.cells.length ? '' : table({ rows: wear.cells, columns, empty: 'This rig has no load cells.' }).node
+  return panel('Load cells', {}, list, words)
 }
 
 function whatToDo(wear) {
