@@ -204,7 +204,7 @@ async fn axe_finds_no_serious_fault_on_any_page_item_dialog_or_state() {
 #[tokio::test(flavor = "multi_thread")]
 async fn axe_finds_no_serious_fault_on_any_page_of_an_empty_service() {
     let Some(tools) = tools() else { return };
-    let lab = Lab::open("browser-axe-empty", rig_args("virtual", 40.0)).await;
+    let lab = Lab::open("browser-axe-empty", rig_args("virtual", 40.0), COMPUTES).await;
     plays(&lab, tools, "axe_empty").await;
     lab.close().await;
 }
