@@ -1,0 +1,131 @@
+//! Makes one chunk: input from the store, bytes from the program, result into the store.
+//! Uses: `store`, `child`. Never: the queue; bytes whose key, length or hash is not what the program stated.
+
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+
+use tokio::fs;
+
+use crate::WorkerError;
+use crate::child::{MakeError, Maker};
+use crate::order::{Done, ORDER_FILE, Order, is_hash};
+use crate::queue::ChunkRef;
+use crate::store::{Store, check};
+
+/// Most orders whose definition a worker keeps.
+const ORDERS_KEPT: usize = 16;
+
+/// What one slot of a worker needs for a chunk.
+#[derive(Debug)]
+pub struct Bench {
+    store: Store,
+    maker: Maker,
+    scratch: PathBuf,
+    made_by: String,
+    orders: BTreeMap<String, Order>,
+}
+
+/// How a chunk became done.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Outcome {
+    /// It was made.
+    Made,
+    /// Its result was in the store.
+    Existed,
+}
+
+impl Bench {
+    /// A slot that works in the folder `scratch`, which no other slot uses.
+    pub fn new(store: Store, maker: Maker, scratch: PathBuf, made_by: String) -> Self {
+        Self { store, maker, scratch, made_by, orders: BTreeMap::new() }
+    }
+
+    /// Key of a chunk.
+    ///
+    /// # Errors
+    /// `MakeError` if its order is missing, damaged or shorter.
+    pub async fn key(&mut self, chunk: &ChunkRef) -> Result<String, MakeError> {
+        let order = self.order(&chunk.order).await?;
+        if chunk.index >= order.chunks {
+            let error = format!("index = {}: the order has {} chunks", chunk.index, order.chunks);
+            return Err(MakeError::Chunk(error));
+        }
+        Ok(order.key(chunk.index))
+    }
+
+    /// Makes a chunk, unless it is done.
+    ///
+    /// # Errors
+    /// `MakeError::Machine` if store, disk or program of this machine failed, `Chunk` if the chunk did.
+    pub async fn make(&mut self, chunk: &ChunkRef) -> Result<Outcome, MakeError> {
+        let key = self.key(chunk).await?;
+        if self.store.is_done(&chunk.order, &key).await.map_err(machine)? {
+            return Ok(Outcome::Existed);
+        }
+        let folder = self.scratch.join(&chunk.order);
+        let made = self.maker.make(&folder, chunk.index).await?;
+        if made.key != key || made.index != chunk.index {
+            return Err(MakeError::Chunk(format!(
+                "key {} of index {}: must be {key} of {}; worker and palpate are of different versions",
+                made.key, made.index, chunk.index
+            )));
+        }
+        let results = folder.join("results");
+        let path = results.join(format!("{key}.parquet"));
+        let bytes = fs::read(&path)
+            .await
+            .map_err(|error| MakeError::Machine(format!("{}: {error}", path.display())))?;
+        check(&bytes, &made)
+            .map_err(|what| MakeError::Machine(format!("{}: {what}", path.display())))?;
+        let done = Done { made_by: self.made_by.clone(), ..made };
+        self.store.put_result(&chunk.order, &done, bytes.into()).await.map_err(machine)?;
+        // What remains is removed with the folder of the worker.
+        drop(fs::remove_file(&path).await);
+        drop(fs::remove_file(results.join(format!("{key}.json"))).await);
+        Ok(Outcome::Made)
+    }
+
+    /// The definition of an order, which is also written for the program.
+    async fn order(&mut self, id: &str) -> Result<&Order, MakeError> {
+        if !self.orders.contains_key(id) {
+            if !is_hash(id) {
+                return Err(MakeError::Chunk(format!("order {id:?}: must be a sha256")));
+            }
+            let found = self.store.order(id).await;
+            let (order, text) = match found {
+                Ok(Some(found)) => found,
+                Ok(None) => {
+                    return Err(MakeError::Chunk(format!("{id}/{ORDER_FILE}: not in the store")));
+                }
+                Err(error @ (WorkerError::Invalid(_) | WorkerError::Failed(_))) => {
+                    return Err(MakeError::Chunk(error.to_string()));
+                }
+                Err(error) => return Err(machine(error)),
+            };
+            let folder = self.scratch.join(id);
+            let written = async {
+                fs::create_dir_all(&folder).await?;
+                fs::write(folder.join(ORDER_FILE), &text).await
+            };
+            written
+                .await
+                .map_err(|error| MakeError::Machine(format!("{}: {error}", folder.display())))?;
+            if self.orders.len() >= ORDERS_KEPT
+                && let Some((old, _)) = self.orders.pop_first()
+            {
+                drop(fs::remove_dir_all(self.scratch.join(old)).await);
+            }
+            self.orders.insert(id.to_owned(), order);
+        }
+        self.orders.get(id).ok_or_else(|| MakeError::Machine(format!("order {id}: dropped")))
+    }
+
+    /// Ends the program.
+    pub async fn end(&mut self) {
+        self.maker.end().await;
+    }
+}
+
+fn machine(error: WorkerError) -> MakeError {
+    MakeError::Machine(error.to_string())
+}

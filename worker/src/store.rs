@@ -1,0 +1,302 @@
+//! Results in a folder or a bucket, with the layout of an order folder below the id of the order.
+//! Uses: the `object_store` crate. Never: a `KEY.json` before the bytes that it names; a key in an error.
+//!
+//! ```text
+//! ORDER_ID/order.json             ORDER_ID/results/KEY.parquet
+//! ORDER_ID/failed/KEY.json        ORDER_ID/results/KEY.json      last
+//! ```
+
+use std::collections::BTreeMap;
+use std::fmt::Display;
+use std::path::Path;
+use std::sync::Arc;
+use std::time::{Duration, SystemTime};
+
+use bytes::Bytes;
+use futures::TryStreamExt;
+use object_store::aws::{AmazonS3Builder, AmazonS3ConfigKey};
+use object_store::local::LocalFileSystem;
+use object_store::path::Path as ObjectPath;
+use object_store::prefix::PrefixStore;
+use object_store::{Certificate, ClientOptions, Error, ObjectStore, ObjectStoreExt, PutPayload};
+use serde::de::DeserializeOwned;
+use url::Url;
+
+use crate::WorkerError;
+use crate::address::{Place, StoreAddress, is_loopback};
+use crate::order::{Done, Failed, ORDER_FILE, Order, is_hash, sha256};
+
+/// Longest time of one request.
+const REQUEST: Duration = Duration::from_secs(120);
+
+/// Results and definitions of orders.
+#[derive(Debug, Clone)]
+pub struct Store {
+    objects: Arc<dyn ObjectStore>,
+    /// Folder of the order; empty if the store holds one order alone.
+    is_one_order: bool,
+}
+
+/// One part of an order, by its folder.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Part {
+    /// Chunks that are done.
+    Results,
+    /// Chunks that are set aside.
+    Failed,
+}
+
+impl Part {
+    fn folder(self) -> &'static str {
+        match self {
+            Self::Results => "results",
+            Self::Failed => "failed",
+        }
+    }
+}
+
+impl Store {
+    /// Opens the store of an address.
+    ///
+    /// # Errors
+    /// `WorkerError` if the folder is missing, if the settings are incomplete, or if requests to another
+    /// machine would not be encrypted.
+    pub fn open(address: StoreAddress) -> Result<Self, WorkerError> {
+        let objects: Arc<dyn ObjectStore> = match &address.place {
+            Place::Folder(folder) => Arc::new(local(folder)?),
+            Place::Bucket(url) => bucket(url, &address)?,
+        };
+        Ok(Self { objects, is_one_order: false })
+    }
+
+    /// The folder of one order on this machine.
+    ///
+    /// # Errors
+    /// `WorkerError::File` if there is no such folder.
+    pub fn order_folder(folder: &Path) -> Result<Self, WorkerError> {
+        Ok(Self { objects: Arc::new(local(folder)?), is_one_order: true })
+    }
+
+    fn path(&self, order: &str, rest: &str) -> ObjectPath {
+        if self.is_one_order {
+            ObjectPath::from(rest)
+        } else {
+            ObjectPath::from(format!("{order}/{rest}"))
+        }
+    }
+
+    fn part(&self, order: &str, part: Part, name: &str) -> ObjectPath {
+        self.path(order, &format!("{}/{name}", part.folder()))
+    }
+
+    /// Reads the definition of an order, and returns it with its text; `None` if there is none.
+    ///
+    /// # Errors
+    /// `WorkerError` if the store does not answer, or the order is not the named one.
+    pub async fn order(&self, id: &str) -> Result<Option<(Order, Bytes)>, WorkerError> {
+        let path = self.path(id, ORDER_FILE);
+        let Some(text) = self.get(&path).await? else { return Ok(None) };
+        let order = Order::parse(&text, path.as_ref())?;
+        if !self.is_one_order && order.id != id {
+            return Err(WorkerError::Failed(format!("{path}: has the id {}", order.id)));
+        }
+        Ok(Some((order, text)))
+    }
+
+    /// Writes the definition of an order.
+    ///
+    /// # Errors
+    /// `WorkerError::Store` if the store does not take it.
+    pub async fn put_order(&self, id: &str, text: Bytes) -> Result<(), WorkerError> {
+        self.put(&self.path(id, ORDER_FILE), text).await
+    }
+
+    /// The orders of which the store has a folder.
+    ///
+    /// # Errors
+    /// `WorkerError::Store` if the store does not answer.
+    pub async fn orders(&self) -> Result<Vec<String>, WorkerError> {
+        let listed = self.objects.list_with_delimiter(None).await?;
+        let names =
+            listed.common_prefixes.iter().filter_map(|path| path.filename().map(str::to_owned));
+        Ok(names.filter(|name| is_hash(name)).collect())
+    }
+
+    /// Keys of a part of an order, with the time at which each was written.
+    ///
+    /// # Errors
+    /// `WorkerError::Store` if the store does not answer.
+    pub async fn keys(
+        &self,
+        order: &str,
+        part: Part,
+    ) -> Result<BTreeMap<String, SystemTime>, WorkerError> {
+        let folder = self.path(order, part.folder());
+        let found = self.objects.list(Some(&folder)).try_filter_map(|object| async move {
+            let key = object.location.filename().and_then(|name| name.strip_suffix(".json"));
+            Ok(key.map(|key| (key.to_owned(), object.last_modified.into())))
+        });
+        let found: Result<BTreeMap<String, SystemTime>, Error> = found.try_collect().await;
+        match found {
+            Err(Error::NotFound { .. }) => Ok(BTreeMap::new()),
+            found => Ok(found?),
+        }
+    }
+
+    /// Whether a chunk is done.
+    ///
+    /// # Errors
+    /// `WorkerError::Store` if the store does not answer.
+    pub async fn is_done(&self, order: &str, key: &str) -> Result<bool, WorkerError> {
+        match self.objects.head(&self.part(order, Part::Results, &format!("{key}.json"))).await {
+            Ok(_) => Ok(true),
+            Err(Error::NotFound { .. }) => Ok(false),
+            Err(error) => Err(error.into()),
+        }
+    }
+
+    /// What a result states of itself; `None` if the chunk is not done.
+    ///
+    /// # Errors
+    /// `WorkerError` if the store does not answer, or if it is damaged.
+    pub async fn done(&self, order: &str, key: &str) -> Result<Option<Done>, WorkerError> {
+        self.json(&self.part(order, Part::Results, &format!("{key}.json"))).await
+    }
+
+    /// Why a chunk is set aside; `None` if it is not.
+    ///
+    /// # Errors
+    /// `WorkerError` if the store does not answer, or if it is damaged.
+    pub async fn failed(&self, order: &str, key: &str) -> Result<Option<Failed>, WorkerError> {
+        self.json(&self.part(order, Part::Failed, &format!("{key}.json"))).await
+    }
+
+    /// The bytes of a result, checked by length and hash; `None` if there are none.
+    ///
+    /// # Errors
+    /// `WorkerError::Failed` if they are not those that `done` names, `Store` if the store does not answer.
+    pub async fn bytes(&self, order: &str, done: &Done) -> Result<Option<Bytes>, WorkerError> {
+        let path = self.part(order, Part::Results, &format!("{}.parquet", done.key));
+        let Some(bytes) = self.get(&path).await? else { return Ok(None) };
+        check(&bytes, done).map_err(|what| WorkerError::Failed(format!("{path}: {what}")))?;
+        Ok(Some(bytes))
+    }
+
+    /// Writes a result: its bytes, and then what it states of itself.
+    ///
+    /// # Errors
+    /// `WorkerError::Store` if the store does not take it; the chunk is then not done.
+    pub async fn put_result(
+        &self,
+        order: &str,
+        done: &Done,
+        bytes: Bytes,
+    ) -> Result<(), WorkerError> {
+        self.put(&self.part(order, Part::Results, &format!("{}.parquet", done.key)), bytes).await?;
+        self.put_json(&self.part(order, Part::Results, &format!("{}.json", done.key)), done).await
+    }
+
+    /// Sets a chunk aside.
+    ///
+    /// # Errors
+    /// `WorkerError::Store` if the store does not take it.
+    pub async fn put_failed(&self, order: &str, failed: &Failed) -> Result<(), WorkerError> {
+        self.put_json(&self.part(order, Part::Failed, &format!("{}.json", failed.key)), failed)
+            .await
+    }
+
+    /// Removes what states that a chunk is done or set aside; none may be there.
+    ///
+    /// # Errors
+    /// `WorkerError::Store` if the store refuses.
+    pub async fn remove(&self, order: &str, part: Part, key: &str) -> Result<(), WorkerError> {
+        match self.objects.delete(&self.part(order, part, &format!("{key}.json"))).await {
+            Ok(()) | Err(Error::NotFound { .. }) => Ok(()),
+            Err(error) => Err(error.into()),
+        }
+    }
+
+    async fn get(&self, path: &ObjectPath) -> Result<Option<Bytes>, WorkerError> {
+        match self.objects.get(path).await {
+            Ok(found) => Ok(Some(found.bytes().await?)),
+            Err(Error::NotFound { .. }) => Ok(None),
+            Err(error) => Err(error.into()),
+        }
+    }
+
+    async fn json<T: DeserializeOwned>(&self, path: &ObjectPath) -> Result<Option<T>, WorkerError> {
+        let Some(text) = self.get(path).await? else { return Ok(None) };
+        let damaged = |error: serde_json::Error| WorkerError::Failed(format!("{path}: {error}"));
+        serde_json::from_slice(&text).map(Some).map_err(damaged)
+    }
+
+    async fn put(&self, path: &ObjectPath, bytes: Bytes) -> Result<(), WorkerError> {
+        self.objects.put(path, PutPayload::from(bytes)).await?;
+        Ok(())
+    }
+
+    async fn put_json(
+        &self,
+        path: &ObjectPath,
+        value: &impl serde::Serialize,
+    ) -> Result<(), WorkerError> {
+        let text =
+            serde_json::to_vec(value).map_err(|error| WorkerError::Store(error.to_string()))?;
+        self.put(path, text.into()).await
+    }
+}
+
+/// Compares bytes with what a result states of them.
+///
+/// # Errors
+/// What differs.
+pub fn check(bytes: &[u8], done: &Done) -> Result<(), String> {
+    if bytes.len() as u64 != done.bytes {
+        return Err(format!("{} bytes: {} were written", bytes.len(), done.bytes));
+    }
+    let found = sha256(bytes);
+    if found != done.sha256 {
+        return Err(format!("sha256 {found}: {} was written", done.sha256));
+    }
+    Ok(())
+}
+
+fn local(folder: &Path) -> Result<LocalFileSystem, WorkerError> {
+    // A folder that is missing may be a share that is not mounted.
+    let missing = |error: &dyn Display| {
+        WorkerError::Invalid(format!("{}: {error}: make the folder first", folder.display()))
+    };
+    if !folder.is_dir() {
+        return Err(missing(&"not a folder"));
+    }
+    let store = LocalFileSystem::new_with_prefix(folder).map_err(|error| missing(&error))?;
+    Ok(store.with_fsync(true))
+}
+
+fn bucket(url: &Url, address: &StoreAddress) -> Result<Arc<dyn ObjectStore>, WorkerError> {
+    let invalid = |what: String| WorkerError::Invalid(format!("store {url}: {what}"));
+    let mut client = ClientOptions::new().with_timeout(REQUEST);
+    for certificate in
+        address.authority.iter().flat_map(|pem| Certificate::from_pem_bundle(pem)).flatten()
+    {
+        client = client.with_root_certificate(certificate);
+    }
+    let mut builder = AmazonS3Builder::new().with_client_options(client).with_url(url.as_str());
+    for (name, value) in &address.settings {
+        if let Ok(key) = name.to_ascii_lowercase().parse::<AmazonS3ConfigKey>() {
+            builder = builder.with_config(key, value);
+        }
+    }
+    let endpoint = builder.get_config_value(&AmazonS3ConfigKey::Endpoint);
+    let endpoint = endpoint
+        .map(|text| Url::parse(&text).map_err(|error| invalid(format!("AWS_ENDPOINT: {error}"))));
+    if let Some(endpoint) = endpoint.transpose()? {
+        let is_here = endpoint.host_str().is_some_and(is_loopback);
+        if endpoint.scheme() != "https" && !is_here {
+            return Err(invalid("AWS_ENDPOINT: must be https for another machine".into()));
+        }
+        builder = builder.with_allow_http(is_here);
+    }
+    let store = builder.build().map_err(|error| invalid(error.to_string()))?;
+    Ok(Arc::new(PrefixStore::new(store, ObjectPath::from(url.path()))))
+}

@@ -1,0 +1,400 @@
+//! A worker: takes chunks, makes them and acknowledges them until it is told to end.
+//! Uses: `queue`, `chunk`, `scratch`, tokio's signals. Never: a chunk acknowledged before its result is in the
+//! store; another chunk after SIGTERM.
+//!
+//! - One lease per worker, renewed by its heartbeats also while chunks are made. Each worker looks for leases
+//!   that have ended, and returns the chunks of those workers to the queue.
+//! - An attempt counts when a chunk is taken, so that a chunk that kills its workers is set aside as well.
+//! - A lost connection is replaced. A chunk that was being made is then acknowledged by this worker, or found
+//!   done by the next one.
+
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::Duration;
+
+use graphile_worker::{
+    HookRegistry, Job, JobRecovery, JobRecoveryContext, JobRecoveryResult, TaskDetails,
+};
+use serde_json::{Value, json};
+use tokio::signal::unix::{SignalKind, signal};
+use tokio::sync::{Notify, watch};
+use tokio::task::JoinSet;
+use tokio::time::{sleep, timeout};
+
+use crate::WorkerError;
+use crate::child::{MakeError, Maker, clipped};
+use crate::chunk::{Bench, Outcome};
+use crate::needs::Needs;
+use crate::order::Failed;
+use crate::queue::{ChunkRef, Queue};
+use crate::scratch::Scratch;
+use crate::store::Store;
+
+/// Connections of a worker without those of its slots: heartbeat, sweep, listener.
+pub const CONNECTIONS: u32 = 3;
+/// Interval at which an idle worker asks for a chunk; the queue also notifies it of new ones.
+const IDLE: Duration = Duration::from_secs(5);
+/// First and longest pause after a failure of queue or machine.
+const PAUSE: (Duration, Duration) = (Duration::from_millis(200), Duration::from_secs(60));
+/// Longest time for which a result is acknowledged: later the chunk is found done.
+const ACKNOWLEDGE: Duration = Duration::from_secs(300);
+
+/// What a worker is and does.
+#[derive(Debug, Clone)]
+pub struct Work {
+    /// Chunks that are made at once.
+    pub at_once: usize,
+    /// What the machine has.
+    pub has: Needs,
+    /// Time without a heartbeat after which the chunks of a worker are returned.
+    pub lease: Duration,
+    /// Longest time for one chunk.
+    pub limit: Duration,
+    /// The program that makes chunks.
+    pub program: PathBuf,
+    /// Folder in which chunks are made.
+    pub scratch: PathBuf,
+    /// Whether the worker ends when nothing waits.
+    pub until_idle: bool,
+}
+
+/// Everything that the slots of a worker share.
+struct Shared {
+    queue: Queue,
+    store: Store,
+    work: Work,
+    id: String,
+    allowed: Vec<String>,
+    ending: watch::Receiver<bool>,
+    added: Notify,
+    made: AtomicU64,
+    existed: AtomicU64,
+    failed: AtomicU64,
+}
+
+/// Works until SIGTERM or SIGINT; a second signal ends it within the present chunk.
+///
+/// # Errors
+/// `WorkerError` if the queue is not set up, refuses the role, or if the folder cannot be made.
+pub async fn work(queue: Queue, store: Store, work: Work) -> Result<(), WorkerError> {
+    let scratch = Scratch::create(&work.scratch)?;
+    let host = host();
+    let id = format!("{host}/{}/{}", std::process::id(), scratch.name());
+    let (tell, ending) = watch::channel(false);
+    let mut signals = Signals::new().map_err(WorkerError::file("signals"))?;
+    tracing::info!(
+        worker = id,
+        at_once = work.at_once,
+        gpu = work.has.gpu,
+        memory_mib = work.has.memory_mib,
+        "starts"
+    );
+    let shared = Arc::new(Shared {
+        allowed: work.has.allowed(),
+        queue,
+        store,
+        work,
+        id,
+        ending,
+        added: Notify::new(),
+        made: AtomicU64::new(0),
+        existed: AtomicU64::new(0),
+        failed: AtomicU64::new(0),
+    });
+    let mut slots = JoinSet::new();
+    for slot in 0..shared.work.at_once {
+        let maker = Maker::new(shared.work.program.clone(), shared.work.limit);
+        let folder = scratch.path().join(format!("slot-{slot}"));
+        let bench = Bench::new(shared.store.clone(), maker, folder, host.clone());
+        slots.spawn(run_slot(shared.clone(), bench));
+    }
+    let mut helpers = JoinSet::new();
+    let about = json!({ "host": host, "pid": std::process::id(), "at_once": shared.work.at_once,
+        "gpu": shared.work.has.gpu, "memory_mib": shared.work.has.memory_mib });
+    helpers.spawn(beat(shared.clone(), about));
+    helpers.spawn(sweep(shared.clone()));
+    helpers.spawn(listen(shared.clone()));
+    let mut ended = Ok(());
+    loop {
+        tokio::select! {
+            slot = slots.join_next() => match slot {
+                Some(Ok(Ok(()))) => (),
+                Some(Ok(Err(error))) => {
+                    ended = Err(error);
+                    tell.send_replace(true);
+                }
+                Some(Err(error)) => {
+                    ended = Err(WorkerError::Failed(format!("a slot of the worker ended: {error}")));
+                    tell.send_replace(true);
+                }
+                None => break,
+            },
+            () = signals.next() => {
+                if tell.send_replace(true) {
+                    tracing::warn!("ends now; its chunks are returned when its lease ends");
+                    return Err(WorkerError::Failed("ended by a second signal".into()));
+                }
+                tracing::info!("ends after its present chunks");
+            }
+        }
+    }
+    helpers.shutdown().await;
+    if let Err(error) = shared.queue.leave(&shared.id).await {
+        tracing::warn!(%error, "the lease ends by itself");
+    }
+    let count = |number: &AtomicU64| number.load(Ordering::Relaxed);
+    tracing::info!(
+        made = count(&shared.made),
+        existed = count(&shared.existed),
+        failed = count(&shared.failed),
+        "has ended"
+    );
+    ended
+}
+
+/// Takes and makes chunks until the worker ends.
+async fn run_slot(shared: Arc<Shared>, mut bench: Bench) -> Result<(), WorkerError> {
+    let mut ending = shared.ending.clone();
+    let mut tasks: Option<TaskDetails> = None;
+    let mut pause = Pause::default();
+    let mut sick = Pause::default();
+    let mut connected = false;
+    while !*ending.borrow() {
+        let taken = async {
+            let known = match tasks.take() {
+                Some(tasks) => tasks,
+                None => shared.queue.tasks().await?,
+            };
+            let job = shared.queue.take(&known, &shared.id, &shared.allowed).await?;
+            Ok((known, job))
+        };
+        let job = match taken.await {
+            Ok((known, job)) => {
+                if pause.ends() {
+                    tracing::info!("the queue answers again");
+                }
+                connected = true;
+                tasks = Some(known);
+                job
+            }
+            // A mistake of the setup is not waited for, a queue that restarts is.
+            Err(error @ WorkerError::NotSetUp(_)) if !connected => return Err(error),
+            Err(error) => {
+                pause.warn(&error, "the queue does not answer");
+                rest(pause.next(), &mut ending).await;
+                continue;
+            }
+        };
+        let Some(job) = job else {
+            if shared.work.until_idle {
+                break;
+            }
+            tokio::select! {
+                () = rest(IDLE, &mut ending) => (),
+                () = shared.added.notified() => (),
+            }
+            continue;
+        };
+        let settled = settle(&shared, &mut bench, &job).await;
+        match settled {
+            Settled::Chunk => drop(sick.ends()),
+            // A machine that fails must not take all chunks and use up their attempts.
+            Settled::Machine => rest(sick.next(), &mut ending).await,
+        }
+    }
+    bench.end().await;
+    Ok(())
+}
+
+/// Whose fault an unfinished chunk is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Settled {
+    /// The chunk is done, or it has failed by itself.
+    Chunk,
+    /// The machine failed.
+    Machine,
+}
+
+/// Makes a chunk that was taken, and tells the queue.
+async fn settle(shared: &Shared, bench: &mut Bench, job: &Job) -> Settled {
+    let chunk: Result<ChunkRef, _> = serde_json::from_value(job.payload().clone());
+    let made = match &chunk {
+        Ok(chunk) => bench.make(chunk).await,
+        Err(error) => Err(MakeError::Chunk(format!("payload: {error}"))),
+    };
+    let error = match made {
+        Ok(outcome) => {
+            let number = if outcome == Outcome::Made { &shared.made } else { &shared.existed };
+            number.fetch_add(1, Ordering::Relaxed);
+            acknowledge(|| shared.queue.complete(job, &shared.id)).await;
+            return Settled::Chunk;
+        }
+        Err(error) => error,
+    };
+    shared.failed.fetch_add(1, Ordering::Relaxed);
+    let settled =
+        if matches!(error, MakeError::Machine(_)) { Settled::Machine } else { Settled::Chunk };
+    let text = format!("{}: {}", host(), clipped(&error.to_string()));
+    tracing::warn!(chunk = job.key().as_deref().unwrap_or(""), attempt = job.attempts(), "{text}");
+    if job.attempts() >= job.max_attempts()
+        && let Ok(chunk) = &chunk
+        && let Ok(key) = bench.key(chunk).await
+    {
+        set_aside(&shared.store, chunk, key, *job.attempts(), text.clone()).await;
+    }
+    acknowledge(|| shared.queue.fail(job, &shared.id, &text)).await;
+    settled
+}
+
+/// Writes why a chunk is set aside. Without it, the queue alone has the error.
+async fn set_aside(store: &Store, chunk: &ChunkRef, key: String, attempts: i16, error: String) {
+    let attempts = u32::try_from(attempts).unwrap_or(0);
+    let failed = Failed { key, index: chunk.index, attempts, error };
+    if let Err(error) = store.put_failed(&chunk.order, &failed).await {
+        tracing::warn!(%error, "the error of a chunk is not in the store");
+    }
+}
+
+/// Repeats a request until the queue has answered.
+async fn acknowledge<F, Answer>(request: F)
+where
+    F: Fn() -> Answer,
+    Answer: Future<Output = Result<(), WorkerError>>,
+{
+    let mut pause = Pause::default();
+    let repeated = async {
+        while let Err(error) = request().await {
+            pause.warn(&error, "a chunk is not acknowledged yet");
+            sleep(pause.next()).await;
+        }
+    };
+    if timeout(ACKNOWLEDGE, repeated).await.is_err() {
+        tracing::warn!("a chunk was not acknowledged; the next worker finds its result");
+    }
+}
+
+/// Renews the lease.
+async fn beat(shared: Arc<Shared>, about: Value) {
+    loop {
+        if let Err(error) = shared.queue.heartbeat(&shared.id, &about).await {
+            tracing::debug!(%error, "a heartbeat was lost");
+        }
+        sleep(shared.work.lease / 4).await;
+    }
+}
+
+/// Returns the chunks of workers whose lease has ended.
+async fn sweep(shared: Arc<Shared>) {
+    let mut hooks = HookRegistry::new();
+    let store = shared.store.clone();
+    hooks.on(JobRecovery, move |lost| recover(store.clone(), lost));
+    let hooks = Arc::new(hooks);
+    loop {
+        sleep(shared.work.lease / 2).await;
+        match shared.queue.sweep(shared.work.lease, hooks.clone()).await {
+            Ok(0) => (),
+            Ok(chunks) => tracing::info!(chunks, "returned the chunks of ended workers"),
+            Err(error) => tracing::debug!(%error, "a sweep failed"),
+        }
+    }
+}
+
+/// Returns a chunk whose worker has ended. Its attempt counts: the chunk may be the cause.
+async fn recover(store: Store, lost: JobRecoveryContext) -> JobRecoveryResult {
+    let job = &lost.job;
+    if job.attempts() >= job.max_attempts()
+        && let Ok(chunk) = serde_json::from_value::<ChunkRef>(job.payload().clone())
+        && let Ok(Some((order, _))) = store.order(&chunk.order).await
+    {
+        let error =
+            format!("{}: the worker ended while it made this chunk", lost.previous_worker_id);
+        set_aside(&store, &chunk, order.key(chunk.index), *job.attempts(), error).await;
+    }
+    JobRecoveryResult::Reschedule { run_at: *job.run_at(), attempts: Some(*job.attempts()) }
+}
+
+/// Passes on that chunks were added.
+async fn listen(shared: Arc<Shared>) {
+    loop {
+        // Without notifications an idle worker asks at intervals.
+        drop(shared.queue.listen(|| shared.added.notify_waiters()).await);
+        sleep(IDLE).await;
+    }
+}
+
+/// Waits, at most until the worker ends.
+async fn rest(time: Duration, ending: &mut watch::Receiver<bool>) {
+    drop(timeout(time, ending.wait_for(|ending| *ending)).await);
+}
+
+/// A pause that doubles with each failure.
+#[derive(Debug, Default)]
+struct Pause {
+    failures: u32,
+}
+
+impl Pause {
+    fn next(&mut self) -> Duration {
+        let (first, longest) = PAUSE;
+        let pause = first.saturating_mul(1 << self.failures.min(10)).min(longest);
+        self.failures += 1;
+        pause
+    }
+
+    /// Ends the failures, and returns whether there were some.
+    fn ends(&mut self) -> bool {
+        std::mem::take(&mut self.failures) > 0
+    }
+
+    /// Logs the first failure, and then each tenth.
+    fn warn(&self, error: &WorkerError, what: &str) {
+        if self.failures.is_multiple_of(10) {
+            tracing::warn!(%error, failures = self.failures, "{what}");
+        }
+    }
+}
+
+/// SIGTERM and SIGINT.
+struct Signals {
+    terminate: tokio::signal::unix::Signal,
+    interrupt: tokio::signal::unix::Signal,
+}
+
+impl Signals {
+    fn new() -> std::io::Result<Self> {
+        Ok(Self {
+            terminate: signal(SignalKind::terminate())?,
+            interrupt: signal(SignalKind::interrupt())?,
+        })
+    }
+
+    async fn next(&mut self) {
+        tokio::select! {
+            _ = self.terminate.recv() => (),
+            _ = self.interrupt.recv() => (),
+        }
+    }
+}
+
+/// Name of this machine.
+fn host() -> String {
+    let name = std::fs::read_to_string("/proc/sys/kernel/hostname").unwrap_or_default();
+    let name = name.trim();
+    if name.is_empty() { "worker".to_owned() } else { name.to_owned() }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_pause_grows_to_its_longest_and_begins_again() {
+        let mut pause = Pause::default();
+        let pauses: Vec<u128> = (0..11).map(|_| pause.next().as_millis()).collect();
+        assert_eq!(pauses[..4], [200, 400, 800, 1600]);
+        assert_eq!(pauses[10], 60_000);
+        assert!(pause.ends() && !pause.ends());
+        assert_eq!(pause.next().as_millis(), 200);
+    }
+}

@@ -1,0 +1,174 @@
+//! From an order to its results: submit, work, status, fetch, cancel, needs, priority, SIGTERM.
+
+use std::fs;
+use std::time::Duration;
+
+use serde_json::json;
+
+use crate::bench::{Bench, text, until};
+
+const SOON: Duration = Duration::from_secs(30);
+
+#[test]
+fn an_order_is_made_fetched_and_equal_to_that_of_one_process() {
+    let Some(bench) = Bench::start() else { return };
+    let made = bench.order(12, json!({ "seed": 7, "scale": 0.1 }));
+    assert!(bench.ok(&["submit", made.path()]).contains("12 submitted"));
+    assert!(
+        bench.ok(&["submit", made.path()]).contains("0 submitted (0 had failed), 12 in the queue")
+    );
+    let mut worker = bench.worker(&bench.address, &["--until-idle", "--at-once", "2"]);
+    assert!(worker.ended(SOON), "{}", worker.log());
+    let status = bench.status(&made);
+    assert_eq!((&status["done"], &status["missing"]), (&json!(12), &json!(0)));
+    assert!(made.stored(&bench) == made.undisturbed());
+    // The next submission finds all done.
+    assert!(
+        bench
+            .ok(&["submit", made.path()])
+            .contains("0 submitted (0 had failed), 0 in the queue, 12 done")
+    );
+
+    let fetched = bench.folder.path().join("fetched");
+    let short = &made.order.id[..8];
+    let output = bench.ok(&["fetch", short, fetched.to_str().unwrap(), "--json"]);
+    assert!(output.contains(r#""fetched":12"#), "{output}");
+    assert!(made.results(&fetched.join("results")) == made.undisturbed());
+    // A second call fetches nothing but what was damaged here.
+    fs::write(fetched.join("results").join(format!("{}.parquet", made.order.key(3))), "damaged")
+        .unwrap();
+    let output = bench.ok(&["fetch", short, fetched.to_str().unwrap(), "--json"]);
+    assert!(output.contains(r#""fetched":1,"present":11"#), "{output}");
+    assert!(made.results(&fetched.join("results")) == made.undisturbed());
+}
+
+#[test]
+fn a_damaged_result_is_named_discarded_and_made_again() {
+    let Some(bench) = Bench::start() else { return };
+    let made = bench.order(3, json!({ "seed": 8 }));
+    bench.ok(&["submit", made.path()]);
+    assert!(bench.worker(&bench.address, &["--until-idle"]).ended(SOON));
+    let key = made.order.key(1);
+    let stored = bench.store().join(&made.order.id).join("results").join(format!("{key}.parquet"));
+    let mut bytes = fs::read(&stored).unwrap();
+    bytes[100] ^= 1;
+    fs::write(&stored, bytes).unwrap();
+    let fetched = bench.folder.path().join("fetched");
+    let fetch = ["fetch", &made.order.id, fetched.to_str().unwrap()];
+    let output = bench.try_run(&fetch);
+    assert_eq!(output.status.code(), Some(1));
+    assert!(
+        text(&output.stderr).contains(&key) && text(&output.stdout).contains("2 of 3"),
+        "{output:?}"
+    );
+    assert_eq!(
+        bench.try_run(&[&fetch[..], &["--discard-damaged"]].concat()).status.code(),
+        Some(1)
+    );
+    assert!(bench.ok(&["submit", made.path()]).contains("1 submitted"));
+    assert!(bench.worker(&bench.address, &["--until-idle"]).ended(SOON));
+    bench.ok(&fetch);
+    assert!(made.results(&fetched.join("results")) == made.undisturbed());
+}
+
+#[test]
+fn a_result_that_exists_is_acknowledged_and_not_made() {
+    let Some(bench) = Bench::start() else { return };
+    let made = bench.order(4, json!({ "seed": 9 }));
+    bench.ok(&["submit", made.path()]);
+    assert!(bench.worker(&bench.address, &["--until-idle"]).ended(SOON));
+    let results = bench.store().join(&made.order.id).join("results");
+    let written = |key: &str| fs::metadata(results.join(key)).unwrap().modified().unwrap();
+    let name = format!("{}.json", made.order.key(2));
+    let before = written(&name);
+    // The queue delivers a chunk again, as after a lost acknowledgement.
+    let payload = json!({ "order": made.order.id, "index": 2 });
+    let add = format!("SELECT palpate_queue.add_job('chunk', '{payload}')");
+    let output = bench.server.psql("owner", "queue", crate::server::PASSWORD, &add);
+    assert!(output.status.success(), "{}", text(&output.stderr));
+    let mut worker = bench.worker(&bench.address, &["--until-idle"]);
+    assert!(worker.ended(SOON));
+    assert!(worker.log().contains("made=0 existed=1"), "{}", worker.log());
+    assert_eq!(written(&name), before);
+}
+
+#[test]
+fn a_worker_takes_what_it_can_do_and_high_priority_first() {
+    let Some(bench) = Bench::start() else { return };
+    let low = bench.order(2, json!({ "seed": 1 }));
+    let high = bench.order(2, json!({ "seed": 2 }));
+    let gpu = bench.order(2, json!({ "seed": 3 }));
+    bench.ok(&["submit", low.path(), "--priority", "low"]);
+    bench.ok(&["submit", high.path(), "--priority", "high"]);
+    bench.ok(&["submit", gpu.path(), "--gpu", "--memory-mib", "3000"]);
+    for unfit in [&["--memory-mib", "4096"][..], &["--gpu", "--memory-mib", "2047"]] {
+        assert!(bench.worker(&bench.address, &[unfit, &["--until-idle"]].concat()).ended(SOON));
+        assert_eq!(bench.status(&gpu)["waiting"], json!(2));
+    }
+    let written = |made: &crate::bench::Made, index| {
+        let name = format!("{}.json", made.order.key(index));
+        fs::metadata(bench.store().join(&made.order.id).join("results").join(name))
+            .unwrap()
+            .modified()
+            .unwrap()
+    };
+    let last_high = written(&high, 0).max(written(&high, 1));
+    assert!(last_high < written(&low, 0).min(written(&low, 1)));
+    assert!(
+        bench
+            .worker(&bench.address, &["--gpu", "--memory-mib", "3072", "--until-idle"])
+            .ended(SOON)
+    );
+    assert_eq!(bench.status(&gpu)["done"], json!(2));
+}
+
+#[test]
+fn a_cancelled_order_is_made_no_more() {
+    let Some(bench) = Bench::start() else { return };
+    let made = bench.order(5, json!({ "seed": 4 }));
+    let other = bench.order(2, json!({ "seed": 5 }));
+    bench.ok(&["submit", made.path()]);
+    bench.ok(&["submit", other.path()]);
+    assert!(bench.ok(&["cancel", &made.order.id]).contains("5 chunks removed"));
+    assert!(bench.worker(&bench.address, &["--until-idle"]).ended(SOON));
+    assert_eq!(
+        (&bench.status(&made)["done"], &bench.status(&other)["done"]),
+        (&json!(0), &json!(2))
+    );
+    let output = bench.try_run(&["status", &made.order.id, "--wait"]);
+    assert_eq!(output.status.code(), Some(1), "an order that is not complete");
+}
+
+#[test]
+fn after_sigterm_the_present_chunk_is_completed_and_no_other_taken() {
+    let Some(bench) = Bench::start() else { return };
+    let made = bench.order(6, json!({ "seed": 6, "ms": 1500 }));
+    bench.ok(&["submit", made.path()]);
+    let mut worker = bench.worker(&bench.address, &[]);
+    until("a chunk is made", SOON, || bench.status(&made)["running"] == json!(1));
+    worker.terminate();
+    assert!(worker.ended(Duration::from_secs(10)), "{}", worker.log());
+    let status = bench.status(&made);
+    assert_eq!(
+        (&status["done"], &status["running"], &status["waiting"]),
+        (&json!(1), &json!(0), &json!(5))
+    );
+    let workers: serde_json::Value =
+        serde_json::from_str(&bench.ok(&["status", "--json"])).unwrap();
+    assert_eq!(workers["workers"], json!([]));
+    // A second signal does not wait for the chunk, which is returned when the lease ends.
+    let mut worker = bench.worker(&bench.address, &[]);
+    until("a chunk is made", SOON, || bench.status(&made)["running"] == json!(1));
+    worker.terminate();
+    std::thread::sleep(Duration::from_millis(200));
+    worker.terminate();
+    assert!(!worker.ended(Duration::from_millis(900)));
+    let mut next = bench.worker(&bench.address, &[]);
+    let all_done = || bench.status(&made)["done"] == json!(6);
+    until("all are done", SOON, all_done);
+    next.terminate();
+    assert!(next.ended(SOON));
+    assert!(made.stored(&bench) == made.undisturbed());
+    let scratch: Vec<_> = fs::read_dir(bench.folder.path().join("scratch")).unwrap().collect();
+    assert!(scratch.is_empty(), "{scratch:?}");
+}
