@@ -1,7 +1,7 @@
 //! A stand-in for `palpate cluster make --lines` in tests of the worker: the same lines, quick bytes.
 //! The bytes of a chunk follow from the seed of the order and the index alone; no sensor is simulated.
 //!
-//! `definition`: `seed`; `ms`, wall time of a chunk; `fails`, indices that report an error; `dies`, indices
+//! `definition`: `seed`; `ms`, wall time of a chunk unless STAND_IN_QUICK is set; `fails`, indices that report an error; `dies`, indices
 //! at which the program ends; `hangs`, indices that are never answered.
 
 use std::fs;
@@ -35,7 +35,9 @@ fn make(folder: &Path, index: u64) -> Value {
     let definition = &order_json["definition"];
     let has =
         |list: &str| definition[list].as_array().is_some_and(|list| list.contains(&json!(index)));
-    std::thread::sleep(Duration::from_millis(definition["ms"].as_u64().unwrap_or(0)));
+    if std::env::var_os("STAND_IN_QUICK").is_none() {
+        std::thread::sleep(Duration::from_millis(definition["ms"].as_u64().unwrap_or(0)));
+    }
     if has("fails") {
         return json!({ "index": index, "error": format!("index {index} fails by its definition") });
     }
