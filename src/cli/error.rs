@@ -18,6 +18,7 @@ use crate::evaluate::figures::FigureError;
 use crate::journal::error_chain;
 use crate::plain::system_words;
 use crate::problem::Problem;
+use crate::program::ProgramError;
 use crate::rig::error::RigError;
 use crate::simulate::model::ModelUnavailable;
 use crate::simulate::random::error::RandomError;
@@ -155,6 +156,9 @@ pub enum CliError {
     /// The folder of a work order could not be used, or chunks could not be made or gathered.
     #[error(transparent)]
     Chunk(#[from] ChunkError),
+    /// A program that this one starts is missing, or cannot be built.
+    #[error(transparent)]
+    Program(#[from] ProgramError),
     /// The rig is tripped.
     #[error("the rig is tripped: {detail}; check the rig, then run `palpate rig reset`")]
     Tripped {

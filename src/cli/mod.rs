@@ -81,6 +81,7 @@ mod view;
 mod virtual_bench;
 mod vocabulary;
 mod watch;
+mod worker;
 
 pub use drawn::{report, report_usage};
 pub use error::CliError;
@@ -200,6 +201,11 @@ pub enum Command {
     Simulate(simulate::SimulateArgs),
     /// Make Sim-Random in chunks on a cluster, in a folder that its nodes share; no server is needed.
     Cluster(cluster::ClusterArgs),
+    /// Make chunks of bulk work on any machine, over PostgreSQL and an object store.
+    ///
+    /// Starts the program palpate-worker, which is built when it is first needed. Addresses and
+    /// passwords come from files or the environment: palpate worker --help.
+    Worker(worker::WorkerArgs),
     /// Show the state of rig, run and service.
     Status(StatusArgs),
     /// Print counters and gauges of the service, in the text format of Prometheus.
@@ -314,6 +320,7 @@ async fn answer(command: Command) -> Result<ExitCode, CliError> {
         Command::Attach(args) => return attach::attach(args).await,
         Command::Simulate(args) => return simulate::simulate(args).await,
         Command::Cluster(args) => return cluster::cluster(args).await,
+        Command::Worker(args) => return worker::worker(args).await,
         Command::Rig(args) => return rig::rig(args).await,
         Command::Serve(args) => serve::serve(args).await?,
         Command::Status(args) if args.watch => watch::watch(&args.at).await?,

@@ -50,6 +50,7 @@ pub enum MakeError {
 #[derive(Debug)]
 pub struct Maker {
     program: PathBuf,
+    threads: usize,
     limit: Duration,
     running: Option<Running>,
 }
@@ -63,9 +64,9 @@ struct Running {
 }
 
 impl Maker {
-    /// A program that gets `limit` for a chunk.
-    pub fn new(program: PathBuf, limit: Duration) -> Self {
-        Self { program, limit, running: None }
+    /// A program with a number of threads, which gets `limit` for a chunk.
+    pub fn new(program: PathBuf, threads: usize, limit: Duration) -> Self {
+        Self { program, threads, limit, running: None }
     }
 
     /// Has the program make a chunk of the order in `folder`.
@@ -106,7 +107,7 @@ impl Maker {
     fn start(&self) -> Result<Running, MakeError> {
         let failed = |what: &str| MakeError::Machine(format!("{}: {what}", self.program.display()));
         let mut command = Command::new(&self.program);
-        command.args(["cluster", "make", "--lines"]);
+        command.args(["cluster", "make", "--lines", "--threads", &self.threads.to_string()]);
         for (name, _) in std::env::vars_os() {
             if name.to_str().is_some_and(|name| SECRET.iter().any(|start| name.starts_with(start)))
             {

@@ -2,7 +2,7 @@
 //! Uses: `store`, `child`. Never: the queue; bytes whose key, length or hash is not what the program stated.
 
 use std::collections::BTreeMap;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use tokio::fs;
 
@@ -21,7 +21,6 @@ pub struct Bench {
     store: Store,
     maker: Maker,
     scratch: PathBuf,
-    made_by: String,
     orders: BTreeMap<String, Order>,
 }
 
@@ -36,8 +35,8 @@ pub enum Outcome {
 
 impl Bench {
     /// A slot that works in the folder `scratch`, which no other slot uses.
-    pub fn new(store: Store, maker: Maker, scratch: PathBuf, made_by: String) -> Self {
-        Self { store, maker, scratch, made_by, orders: BTreeMap::new() }
+    pub fn new(store: Store, maker: Maker, scratch: PathBuf) -> Self {
+        Self { store, maker, scratch, orders: BTreeMap::new() }
     }
 
     /// Key of a chunk.
@@ -71,17 +70,21 @@ impl Bench {
             )));
         }
         let results = folder.join("results");
-        let path = results.join(format!("{key}.parquet"));
-        let bytes = fs::read(&path)
-            .await
-            .map_err(|error| MakeError::Machine(format!("{}: {error}", path.display())))?;
-        check(&bytes, &made)
+        let (row, path) =
+            (results.join(format!("{key}.json")), results.join(format!("{key}.parquet")));
+        // The row has more than the answer: host and commit.
+        let done: Done = serde_json::from_slice(&read(&row).await?)
+            .map_err(|error| MakeError::Machine(format!("{}: {error}", row.display())))?;
+        if (&done.key, &done.sha256, done.bytes) != (&made.key, &made.sha256, made.bytes) {
+            return Err(MakeError::Machine(format!("{}: differs from the answer", row.display())));
+        }
+        let bytes = read(&path).await?;
+        check(&bytes, &done)
             .map_err(|what| MakeError::Machine(format!("{}: {what}", path.display())))?;
-        let done = Done { made_by: self.made_by.clone(), ..made };
         self.store.put_result(&chunk.order, &done, bytes.into()).await.map_err(machine)?;
         // What remains is removed with the folder of the worker.
         drop(fs::remove_file(&path).await);
-        drop(fs::remove_file(results.join(format!("{key}.json"))).await);
+        drop(fs::remove_file(&row).await);
         Ok(Outcome::Made)
     }
 
@@ -124,6 +127,10 @@ impl Bench {
     pub async fn end(&mut self) {
         self.maker.end().await;
     }
+}
+
+async fn read(path: &Path) -> Result<Vec<u8>, MakeError> {
+    fs::read(path).await.map_err(|error| MakeError::Machine(format!("{}: {error}", path.display())))
 }
 
 fn machine(error: WorkerError) -> MakeError {

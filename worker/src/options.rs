@@ -2,7 +2,7 @@
 //! Uses: every other module. Never: an address or a password as an argument.
 
 use std::io::{Write, stderr, stdout};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::Duration;
 
@@ -56,7 +56,7 @@ enum Command {
     Status(StatusOptions),
     /// Remove the chunks of an order from the queue; results stay.
     Cancel {
-        /// Id of the order, or its first 8 digits or more.
+        /// Folder of the order, its id, or the first 8 digits or more.
         order: String,
     },
     /// Fetch the results of an order, each checked by its hash; then `palpate cluster gather`.
@@ -93,6 +93,9 @@ struct WorkOptions {
     /// Chunks that are made at once, each by its own program.
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=1024))]
     at_once: u16,
+    /// Threads of each program [default: the machine's cores divided by --at-once].
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=4096))]
+    threads: Option<u16>,
     /// This machine has a GPU for chunks that need one.
     #[arg(long)]
     gpu: bool,
@@ -119,7 +122,7 @@ struct WorkOptions {
 
 #[derive(Debug, Args)]
 struct StatusOptions {
-    /// Id of an order, or its first 8 digits or more [default: all orders].
+    /// Folder of an order, its id, or the first 8 digits or more [default: all orders].
     order: Option<String>,
     /// Wait until no chunk of the order waits or is being made.
     #[arg(long, requires = "order")]
@@ -131,7 +134,7 @@ struct StatusOptions {
 
 #[derive(Debug, Args)]
 struct FetchOptions {
-    /// Id of the order, or its first 8 digits or more.
+    /// Folder of the order, its id, or the first 8 digits or more.
     order: String,
     /// Folder for its results; made if needed.
     folder: PathBuf,
@@ -175,14 +178,16 @@ impl Options {
                     "order {order}: {chunks} chunks: {added} submitted ({again} had failed), {present} in the queue, {ready} done"
                 );
                 print(json, &done, &text)?;
-                next(json, &format!("palpate worker status {} --wait", short(order)));
+                next(json, &format!("palpate worker status {} --wait", of.folder.display()));
             }
             Command::Work(of) => {
                 let options = address::queue()?;
                 let meminfo = std::fs::read_to_string("/proc/meminfo").unwrap_or_default();
+                let cores = std::thread::available_parallelism().map_or(1, usize::from);
                 let memory = of.memory_mib.unwrap_or_else(|| memory_mib(&meminfo));
                 let work = Work {
                     at_once: of.at_once.into(),
+                    threads: of.threads.map_or(cores / usize::from(of.at_once), usize::from).max(1),
                     has: Needs { gpu: of.gpu, memory_mib: memory },
                     lease: Duration::from_secs(of.lease_s),
                     limit: Duration::from_secs(of.limit_s),
@@ -211,8 +216,8 @@ impl Options {
                 }
                 print(json, &found, found.to_string().trim_end())?;
                 let is_complete = found.orders.iter().all(|order| order.done >= order.chunks);
-                if let Some(order) = order.filter(|_| is_complete) {
-                    next(json, &format!("palpate worker fetch {} FOLDER", short(&order)));
+                if let Some(order) = of.order.filter(|_| is_complete) {
+                    next(json, &format!("palpate worker fetch {order} FOLDER"));
                 }
                 if of.wait && !is_complete {
                     return Ok(ExitCode::FAILURE);
@@ -257,13 +262,18 @@ impl Options {
     }
 }
 
-/// The order whose id begins with these digits.
+/// The order of a folder, or the one whose id begins with these digits.
 async fn resolve(store: &Store, start: &str) -> Result<String, WorkerError> {
     const DIGITS_MIN: usize = 8;
     if is_hash(start) {
         return Ok(start.to_owned());
     }
     let invalid = |what: &str| WorkerError::Invalid(format!("order {start}: {what}"));
+    if Path::new(start).is_dir() {
+        let found = Store::order_folder(Path::new(start))?.order("").await?;
+        let (order, _) = found.ok_or_else(|| invalid("the folder has no order.json"))?;
+        return Ok(order.id);
+    }
     if start.len() < DIGITS_MIN {
         return Err(invalid("must have 8 digits or more"));
     }
@@ -274,10 +284,6 @@ async fn resolve(store: &Store, start: &str) -> Result<String, WorkerError> {
         [] => Err(invalid("not in the store")),
         _ => Err(invalid("several orders begin with it")),
     }
-}
-
-fn short(order: &str) -> &str {
-    order.get(..12).unwrap_or(order)
 }
 
 /// Prints a result, as JSON or as text.

@@ -2,7 +2,7 @@
 //! PURE. Never: how a chunk is made; a key that another definition or version of the program has.
 
 use serde::{Deserialize, Serialize};
-use serde_json::{Value, json};
+use serde_json::{Map, Value, json};
 use sha2::{Digest, Sha256};
 
 use crate::WorkerError;
@@ -12,7 +12,7 @@ pub const ORDER_VERSION: u32 = 1;
 /// Name of the file that defines an order.
 pub const ORDER_FILE: &str = "order.json";
 /// Most chunks of an order: a larger work has larger chunks.
-pub const CHUNKS_MAX: u64 = 1_000_000;
+pub const CHUNKS_MAX: u64 = 100_000;
 
 /// A bulk work, as its `order.json` states it.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
@@ -28,7 +28,7 @@ pub struct Order {
 }
 
 /// A result, as its `KEY.json` states it.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Done {
     /// Key of the chunk.
     pub key: String,
@@ -38,13 +38,9 @@ pub struct Done {
     pub sha256: String,
     /// Length of its bytes.
     pub bytes: u64,
-    /// Rows of its table.
-    pub rows: u64,
-    /// Machine that made it.
-    #[serde(default, skip_serializing_if = "String::is_empty")]
-    pub made_by: String,
-    /// Wall time of the making, ms.
-    pub wall_ms: u64,
+    /// What else the program states of it, such as its rows, its host and its commit.
+    #[serde(flatten)]
+    pub about: Map<String, Value>,
 }
 
 /// The last error of a chunk that is set aside, as `failed/KEY.json` states it.

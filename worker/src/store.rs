@@ -10,6 +10,7 @@ use std::collections::BTreeMap;
 use std::fmt::Display;
 use std::path::Path;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, SystemTime};
 
 use bytes::Bytes;
@@ -33,7 +34,9 @@ const REQUEST: Duration = Duration::from_secs(120);
 #[derive(Debug, Clone)]
 pub struct Store {
     objects: Arc<dyn ObjectStore>,
-    /// Folder of the order; empty if the store holds one order alone.
+    /// Whether it is a folder, in which an object is written under a temporary name and then renamed.
+    is_folder: bool,
+    /// Whether it holds one order alone, without a folder for it.
     is_one_order: bool,
 }
 
@@ -66,7 +69,8 @@ impl Store {
             Place::Folder(folder) => Arc::new(local(folder)?),
             Place::Bucket(url) => bucket(url, &address)?,
         };
-        Ok(Self { objects, is_one_order: false })
+        let is_folder = matches!(address.place, Place::Folder(_));
+        Ok(Self { objects, is_folder, is_one_order: false })
     }
 
     /// The folder of one order on this machine.
@@ -74,7 +78,7 @@ impl Store {
     /// # Errors
     /// `WorkerError::File` if there is no such folder.
     pub fn order_folder(folder: &Path) -> Result<Self, WorkerError> {
-        Ok(Self { objects: Arc::new(local(folder)?), is_one_order: true })
+        Ok(Self { objects: Arc::new(local(folder)?), is_folder: true, is_one_order: true })
     }
 
     fn path(&self, order: &str, rest: &str) -> ObjectPath {
@@ -231,7 +235,16 @@ impl Store {
     }
 
     async fn put(&self, path: &ObjectPath, bytes: Bytes) -> Result<(), WorkerError> {
-        self.objects.put(path, PutPayload::from(bytes)).await?;
+        if !self.is_folder {
+            self.objects.put(path, PutPayload::from(bytes)).await?;
+            return Ok(());
+        }
+        // What a kill leaves has a name that `palpate cluster` removes, or passes over.
+        let name = path.filename().unwrap_or_default();
+        let folder = path.as_ref().strip_suffix(name).unwrap_or_default();
+        let partial = ObjectPath::from(format!("{folder}{}", partial_name()));
+        self.objects.put(&partial, PutPayload::from(bytes)).await?;
+        self.objects.rename(&partial, path).await?;
         Ok(())
     }
 
@@ -244,6 +257,14 @@ impl Store {
             serde_json::to_vec(value).map_err(|error| WorkerError::Store(error.to_string()))?;
         self.put(path, text.into()).await
     }
+}
+
+/// A name that no other process uses, on no other machine either.
+fn partial_name() -> String {
+    static COUNT: AtomicU64 = AtomicU64::new(0);
+    let since_1970 = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
+    let (process, count) = (std::process::id(), COUNT.fetch_add(1, Ordering::Relaxed));
+    format!("_partial-{:x}-{process:x}-{count:x}", since_1970.as_nanos())
 }
 
 /// Compares bytes with what a result states of them.

@@ -45,6 +45,8 @@ const ACKNOWLEDGE: Duration = Duration::from_secs(300);
 pub struct Work {
     /// Chunks that are made at once.
     pub at_once: usize,
+    /// Threads of a program.
+    pub threads: usize,
     /// What the machine has.
     pub has: Needs,
     /// Time without a heartbeat after which the chunks of a worker are returned.
@@ -104,9 +106,9 @@ pub async fn work(queue: Queue, store: Store, work: Work) -> Result<(), WorkerEr
     });
     let mut slots = JoinSet::new();
     for slot in 0..shared.work.at_once {
-        let maker = Maker::new(shared.work.program.clone(), shared.work.limit);
+        let maker = Maker::new(shared.work.program.clone(), shared.work.threads, shared.work.limit);
         let folder = scratch.path().join(format!("slot-{slot}"));
-        let bench = Bench::new(shared.store.clone(), maker, folder, host.clone());
+        let bench = Bench::new(shared.store.clone(), maker, folder);
         slots.spawn(run_slot(shared.clone(), bench));
     }
     let mut helpers = JoinSet::new();

@@ -82,6 +82,15 @@ pub const EXAMPLES: &[(&str, &[&str])] = &[
     ),
     ("cluster status", &["palpate cluster status sim", "palpate cluster status sim --json"]),
     ("cluster gather", &["palpate cluster gather sim --out palpate-data/sim-random/2m"]),
+    (
+        "worker",
+        &[
+            "palpate worker --help",
+            "palpate worker submit sim",
+            "palpate worker work --at-once 2",
+            "palpate worker status --json",
+        ],
+    ),
     ("status", &["palpate status", "palpate status --watch", "palpate status --twins --json"]),
     ("metrics", &["palpate metrics"]),
     ("vocabulary", &["palpate vocabulary", "palpate vocabulary trips"]),

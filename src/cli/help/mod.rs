@@ -14,7 +14,7 @@ const GROUPS: &[(&str, &[&str])] = &[
     ("The morning after", &["runs", "trials", "events", "actions", "show", "report", "diff"]),
     ("Manual trials", &["placement", "confirm", "repeat", "sensor"]),
     ("Rig and people", &["rig", "lock", "key", "metrics"]),
-    ("Simulation and calibration", &["simulate", "cluster", "calibrate"]),
+    ("Simulation and calibration", &["simulate", "cluster", "worker", "calibrate"]),
     ("Data", &["dataset", "query", "plot"]),
     ("Nets", &["train", "job", "model", "infer", "live", "evaluate"]),
     ("Virtual rig", &["virtual-rig", "virtual-operator"]),
@@ -30,6 +30,7 @@ Environment:
   PALPATE_LOG, PALPATE_LOG_FORMAT, PALPATE_LOG_FILE
                                    level, format and file of the log, as --log and its like
   PALPATE_TRAINER, PALPATE_QUERY   programs that a service starts for trainings and for queries
+  PALPATE_WORKER, PALPATE_PROGRAM  program of `worker`, and the palpate that it starts for chunks
   NO_COLOR                         no colours, if it is not empty";
 
 /// Exit codes of all commands, as in `docs/commands.md`.

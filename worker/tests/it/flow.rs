@@ -22,6 +22,14 @@ fn an_order_is_made_fetched_and_equal_to_that_of_one_process() {
     let status = bench.status(&made);
     assert_eq!((&status["done"], &status["missing"]), (&json!(12), &json!(0)));
     assert!(made.stored(&bench) == made.undisturbed());
+    // A row states what the program has written, not what the worker knows.
+    let row = bench
+        .store()
+        .join(&made.order.id)
+        .join("results")
+        .join(format!("{}.json", made.order.key(5)));
+    let row: serde_json::Value = serde_json::from_slice(&fs::read(row).unwrap()).unwrap();
+    assert_eq!((&row["made_by"], &row["commit"]), (&json!("stand-in"), &json!("0000000")));
     // The next submission finds all done.
     assert!(
         bench
@@ -33,6 +41,10 @@ fn an_order_is_made_fetched_and_equal_to_that_of_one_process() {
     let short = &made.order.id[..8];
     let output = bench.ok(&["fetch", short, fetched.to_str().unwrap(), "--json"]);
     assert!(output.contains(r#""fetched":12"#), "{output}");
+    // An order is also named by its folder, which may receive its results.
+    let output = bench.ok(&["fetch", made.path(), made.path()]);
+    assert!(output.contains("12 of 12 results fetched"), "{output}");
+    assert!(made.results(&made.folder.join("results")) == made.undisturbed());
     assert!(made.results(&fetched.join("results")) == made.undisturbed());
     // A second call fetches nothing but what was damaged here.
     fs::write(fetched.join("results").join(format!("{}.parquet", made.order.key(3))), "damaged")

@@ -7,4 +7,5 @@ mod flow;
 mod poison;
 mod proxy;
 mod rights;
+mod s3;
 mod server;

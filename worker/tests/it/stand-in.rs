@@ -1,8 +1,8 @@
 //! A stand-in for `palpate cluster make --lines` in tests of the worker: the same lines, quick bytes.
 //! The bytes of a chunk follow from the seed of the order and the index alone; no sensor is simulated.
 //!
-//! `definition`: `seed`; `ms`, wall time of a chunk unless STAND_IN_QUICK is set; `fails`, indices that report an error; `dies`, indices
-//! at which the program ends; `hangs`, indices that are never answered.
+//! `definition`: `seed`; `ms`, wall time of a chunk unless STAND_IN_QUICK is set; `fails`, indices that report
+//! an error; `dies`, indices at which the program ends; `hangs`, indices that are never answered.
 
 use std::fs;
 use std::io::{BufRead, stdin};
@@ -15,7 +15,7 @@ use serde_json::{Value, json};
 
 fn main() {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
-    assert_eq!(arguments, ["cluster", "make", "--lines"]);
+    assert_eq!(arguments[..3], ["cluster", "make", "--lines"]);
     let secret = std::env::vars()
         .find(|(name, _)| name.starts_with("PALPATE_QUEUE") || name.starts_with("AWS_"));
     assert_eq!(secret, None, "a secret reached the program");
@@ -60,7 +60,10 @@ fn make(folder: &Path, index: u64) -> Value {
     fs::write(results.join(format!("{key}.parquet")), &bytes).unwrap();
     let wall_ms = u64::try_from(began.elapsed().as_millis()).unwrap();
     let done = json!({ "key": key, "index": index, "sha256": hash, "bytes": bytes.len(), "rows": 1, "wall_ms": wall_ms });
-    fs::write(results.join(format!("{key}.json")), done.to_string()).unwrap();
+    let mut row = done.clone();
+    row["made_by"] = json!("stand-in");
+    row["commit"] = json!("0000000");
+    fs::write(results.join(format!("{key}.json")), row.to_string()).unwrap();
     done
 }
 
