@@ -163,6 +163,8 @@ class Page:
             return "shown"
         if reason := self.left_out(block):
             return f"left out: {reason}"
+        if "slurm" in rules:
+            self.start_slurm()
         text = blocks.filled(block, self.printed)
         time.sleep(float(rules.get("wait", "0").split()[0]))
         if block.language == "python":
@@ -224,6 +226,15 @@ class Page:
             raise Failed(f"the virtual rig did not start\n{tail(running.output())}")
         if not file:
             self.background.append(Running("", self, [*OPERATOR, json.loads(running.lines[0])["control"]]))
+
+    def start_slurm(self) -> None:
+        """Starts a Slurm of one node, which the commands of the page find by their environment."""
+        running = Running("", self, ["python3", str(ROOT / "tests/cluster/one_node.py")])
+        self.background.append(running)
+        if not running.ready():
+            raise Failed(f"Slurm did not start\n{tail(running.output())}")
+        name, _, file = running.lines[0].strip().partition("=")
+        self.environment[name] = file
 
     def end_background(self) -> None:
         """Ends what runs in the background. Until then it must run, or have ended well."""
@@ -329,11 +340,13 @@ def alone() -> None:
     if os.environ.get("FOLLOW_ALONE"):
         if os.environ["FOLLOW_ALONE"] == "1":
             subprocess.run(["ip", "link", "set", "lo", "up"], check=True)
+            # A resolver that is asked for configured addresses, as Slurm does, does not count 127.0.0.1.
+            subprocess.run(["ip", "address", "add", "127.0.0.2/8", "dev", "lo"], check=True)
             subprocess.run(["mount", "-t", "tmpfs", "-o", "mode=1777", "tmpfs", "/run/lock"], check=True)
         return
     namespaces = ["unshare", "--net", "--mount", "--pid", "--fork", "--kill-child", "--mount-proc"]
     if os.geteuid() != 0:
-        namespaces.append("--map-root-user")
+        namespaces += ["--map-current-user", "--keep-caps"]  # Slurm refuses to run as root of a user namespace
     check = ["sh", "-c", "ip link set lo up && test -d /run/lock"]
     possible = shutil.which("unshare") and subprocess.run([*namespaces, *check], capture_output=True).returncode == 0
     os.environ["FOLLOW_ALONE"] = "1" if possible else "no"
