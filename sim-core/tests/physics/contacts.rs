@@ -157,6 +157,46 @@ fn the_number_of_contacts_follows_from_the_evidence() {
 }
 
 #[test]
+fn frames_that_do_not_decide_have_several_explanations() {
+    let mut rng = ChaCha8Rng::seed_from_u64(12);
+    let mut work = FitWork::default();
+    let (mut ambiguous, mut follows, steps) = (0, 0, 20);
+    // From one place to two that are clearly apart: evidence changes sides in between.
+    for step in 0..steps {
+        let apart_mm = 20.0 + 6.0 * f64::from(step);
+        let one = Contact { x_mm: 210.0, y_mm: 290.0, force_n: 8.0 };
+        let load = [one, Contact { x_mm: one.x_mm + apart_mm, ..one }];
+        let frame_v = measured(&load, 1.0, &mut rng);
+        let observation = Observation { frame_v: &frame_v, frames: 1.0, offset_sd_v: 0.0 };
+        let fit = fitter().fit(&observation, &[], &mut work).unwrap();
+        let shares: Vec<f64> = fit.alternatives.iter().map(|e| e.probability).collect();
+        let answer = fit.probability.unwrap();
+        assert!(answer + shares.iter().sum::<f64>() <= 1.0 + 1e-9, "{answer} {shares:?}");
+        assert!(shares.len() <= 3 && shares.iter().all(|share| *share >= 0.05), "{shares:?}");
+        assert!(shares.is_sorted_by(|a, b| a >= b), "{shares:?}");
+        for other in &fit.alternatives {
+            let here =
+                |c: &FittedContact| distance_mm(&nearest(&fit, &c.contact).contact, &c.contact);
+            let moved = other.contacts.iter().any(|c| here(c) >= 8.0);
+            assert!(other.contacts.len() != fit.contacts.len() || moved, "{fit:?}");
+        }
+        ambiguous += usize::from(!fit.alternatives.is_empty());
+        let tracked = fitter().track(&observation, &fit, &mut work).unwrap();
+        if tracked.origin == Origin::Tracked {
+            follows += 1;
+            assert_eq!(tracked.probability, fit.probability);
+            assert_eq!(tracked.alternatives, fit.alternatives);
+        }
+    }
+    assert!(ambiguous > 0 && follows > 0, "{ambiguous} and {follows} of {steps} frames");
+    let clear = measured(&[press(300, 20.0)], 30.0, &mut rng);
+    let observation = Observation { frame_v: &clear, frames: 30.0, offset_sd_v: 0.0 };
+    let fit = fitter().fit(&observation, &[], &mut work).unwrap();
+    assert!(fit.probability > Some(0.5), "{fit:?}");
+    assert_eq!(fitter().refine(&observation, &[], &mut work).unwrap().probability, None);
+}
+
+#[test]
 fn a_moved_load_is_followed_and_a_new_one_is_searched() {
     let mut rng = ChaCha8Rng::seed_from_u64(6);
     let mut work = FitWork::default();

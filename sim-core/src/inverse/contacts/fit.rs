@@ -144,6 +144,15 @@ pub struct FittedContact {
     pub force_sd_n: f64,
 }
 
+/// Other contacts that explain a frame.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Explanation {
+    /// Share of the evidence, 0 to 1.
+    pub probability: f64,
+    /// The contacts, strongest first.
+    pub contacts: Vec<FittedContact>,
+}
+
 /// Origin of a fit.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Origin {
@@ -178,8 +187,11 @@ pub struct Fit {
     pub inside_chi2: f64,
     /// -2 ln evidence up to a constant of the frame: a difference of 10 is odds of 150 to 1.
     pub score: f64,
-    /// Score of the best hypothesis with another number of contacts, where one was fitted.
-    pub rival_score: Option<f64>,
+    /// Share of the evidence of these contacts among all hypotheses of the last search, 0 to 1; absent
+    /// without a search.
+    pub probability: Option<f64>,
+    /// What else explains the frame by that search, the most probable first.
+    pub alternatives: Vec<Explanation>,
     /// Start of the fit: a search, or the previous contacts.
     pub origin: Origin,
     /// State at the search that found these contacts.

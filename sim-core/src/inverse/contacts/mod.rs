@@ -4,12 +4,14 @@
 //!
 //! A frame is projected on the few directions in which the model's frames differ (`basis`). A
 //! search over a table of single contacts (`shapes`, `search`) finds hypotheses of every count; the
-//! best are finished with the exact model (`exact`, `descent`), and evidence chooses among them.
+//! best are finished with the exact model (`exact`, `descent`), and evidence chooses among them; what else
+//! is probable is part of the result (`explain`).
 
 mod basis;
 mod descent;
 pub mod error;
 mod exact;
+mod explain;
 mod fit;
 mod search;
 mod shapes;
@@ -21,8 +23,10 @@ use basis::{Basis, Projected};
 use descent::{EACH, Effort, Optimum, Predict, Prior, Problem, descend};
 pub use error::{ErrorModel, ErrorModelError, FramePair};
 use exact::ExactWork;
+use explain::{Explanations, shares};
 pub use fit::{
-    Fit, FitError, FitOptions, FittedContact, FitterError, Found, Observation, Origin, Proposal,
+    Explanation, Fit, FitError, FitOptions, FittedContact, FitterError, Found, Observation, Origin,
+    Proposal,
 };
 use search::{Hypothesis, Search, SearchWork, Sum, closest_mm, same};
 use shapes::{Place, Shapes};
@@ -120,10 +124,32 @@ impl ContactFitter {
         hypotheses.truncate(self.options.finalists);
         self.approach(&mut hypotheses, work)?;
         let best = hypotheses.first().map(|h| h.places.clone()).unwrap_or_default();
-        let rival = hypotheses.iter().find(|h| h.places.len() != best.len()).map(|h| h.score);
         let mut fit = self.report(best, observation, self.effort(), work)?;
-        (fit.origin, fit.rival_score) = (Origin::Search, rival);
+        fit.origin = Origin::Search;
+        self.explain(&hypotheses, observation, &mut fit, work)?;
         Ok(fit)
+    }
+
+    /// Adds to the fit of the first hypothesis its probability, and the next probable ones, each finished
+    /// with the exact model. The evidence is compared before that: it has the same effort for all.
+    fn explain(
+        &self,
+        hypotheses: &[Hypothesis],
+        observation: &Observation<'_>,
+        fit: &mut Fit,
+        work: &mut FitWork,
+    ) -> Result<(), ContactError> {
+        let scores: Vec<f64> = hypotheses.iter().map(|h| h.score).collect();
+        let shares = shares(&scores);
+        let mut found = Explanations::of(shares.first().copied().unwrap_or(1.0));
+        let others = hypotheses.iter().zip(&shares).skip(1);
+        for (hypothesis, &probability) in explain::probable(others) {
+            let other = self.report(hypothesis.places.clone(), observation, self.effort(), work)?;
+            fit.exact_runs += other.exact_runs;
+            found.add(&fit.contacts, Explanation { probability, contacts: other.contacts });
+        }
+        (fit.probability, fit.alternatives) = (Some(found.probability), found.alternatives);
+        Ok(())
     }
 
     /// Finds the contacts that explain a frame, starting from those of the previous fit: some steps
@@ -145,6 +171,8 @@ impl ContactFitter {
             return self.fit(observation, &proposals, work);
         }
         tracked.found = before.found;
+        (tracked.probability, tracked.alternatives) =
+            (before.probability, before.alternatives.clone());
         Ok(tracked)
     }
 
@@ -315,7 +343,8 @@ impl ContactFitter {
             inside_chi2,
             degrees_of_freedom: (self.model.sensor().channels() - parameters) as f64,
             score: optimum.score,
-            rival_score: None,
+            probability: None,
+            alternatives: Vec::new(),
             origin: Origin::Tracked,
             exact_runs: optimum.predictions,
         })
