@@ -237,6 +237,14 @@ fn words(answer: &FrameAnswer) -> String {
     for contact in &reading.contacts {
         words += &format!("\n  {}", contact_words(contact));
     }
+    if let Some(probability) = reading.probability.filter(|_| !reading.alternatives.is_empty()) {
+        words += &format!("\n  probability {:.0} %; other explanations:", 100.0 * probability);
+    }
+    for other in &reading.alternatives {
+        let contacts: Vec<String> = other.contacts.iter().map(contact_words).collect();
+        let contacts = if contacts.is_empty() { "untouched".into() } else { contacts.join("; ") };
+        words += &format!("\n    {:.0} %: {contacts}", 100.0 * other.probability);
+    }
     for note in &reading.notes {
         words += &format!("\n  note: {note}");
     }
@@ -307,4 +315,47 @@ pub async fn live(args: LiveArgs) -> Result<(), CliError> {
             args.frames.is_none_or(|frames| seen < frames)
         })
         .await
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::infer::answer::{Alternative, Reading};
+
+    #[test]
+    fn other_explanations_are_shown_with_their_probabilities() {
+        let contact = |x_mm: f64| FoundContact {
+            x_mm,
+            y_mm: 50.0,
+            force_n: Some(8.0),
+            x_sd_mm: Some(3.0),
+            y_sd_mm: Some(4.0),
+            force_sd_n: Some(0.5),
+            ..FoundContact::default()
+        };
+        let mut reading = Reading {
+            contacts: vec![contact(100.0)],
+            probability: Some(0.71),
+            ..Reading::default()
+        };
+        let shown = |reading: &Reading| {
+            let reading = reading.clone();
+            let (model, latency_us) = ("cal-1".to_owned(), 5300);
+            words(&FrameAnswer { reading, model, method: Method::Exact, latency_us })
+        };
+        let alone =
+            "1 contact by exact (cal-1), 5.3 ms\n  x 100.0 ± 3.0 mm, y 50.0 ± 4.0 mm, 8.0 ± 0.5 N";
+        assert_eq!(shown(&reading), alone);
+        let two = vec![contact(90.0), contact(120.0)];
+        reading.alternatives = vec![
+            Alternative { probability: 0.2, contacts: two },
+            Alternative { probability: 0.06, contacts: Vec::new() },
+        ];
+        let others = format!(
+            "{alone}\n  probability 71 %; other explanations:\n    20 %: {}; {}\n    6 %: untouched",
+            contact_words(&contact(90.0)),
+            contact_words(&contact(120.0))
+        );
+        assert_eq!(shown(&reading), others);
+    }
 }

@@ -82,6 +82,7 @@ export function touchMap({ signal, label, query }) {
       pen.drawImage(board, view.x(left), view.y(top), whole * view.scale, whole * view.scale)
       pen.restore()
     }
+    for (const other of answer.alternatives ?? []) outline(pen, view, shape, other)
     pen.font = '600 15px system-ui, sans-serif'
     pen.textBaseline = 'middle'
     pen.textAlign = 'left'
@@ -113,12 +114,35 @@ export function touchMap({ signal, label, query }) {
       pen.fillText(words, right ? x + r + 6 : x - r - 6, y)
     }
   }
+
+  // The contacts of another explanation: thin ellipses with its probability, without colours.
+  function outline(pen, view, shape, { probability, contacts }) {
+    pen.save()
+    pen.globalAlpha = 0.55
+    pen.lineWidth = 1
+    pen.setLineDash([2, 3])
+    pen.strokeStyle = ink.line
+    pen.fillStyle = ink.text
+    pen.font = '12px system-ui, sans-serif'
+    pen.textBaseline = 'bottom'
+    pen.textAlign = 'center'
+    const tip = shape.tip_diameter_mm / 2
+    for (const contact of contacts) {
+      const x = view.x(contact.x_mm), y = view.y(contact.y_mm)
+      const [rx, ry] = [contact.x_sd_mm, contact.y_sd_mm].map(sd => Math.max(2, (sd == null ? tip : SDS * sd) * view.scale))
+      pen.beginPath()
+      pen.ellipse(x, y, rx, ry, 0, 0, 7)
+      pen.stroke()
+      pen.fillText(fixed(100 * probability, 0, '%'), x, y - ry - 2)
+    }
+    pen.restore()
+  }
   function describe() { return answer ? `The skin with ${answer.contacts.length} contacts; the table next to it lists them.` : 'The skin; no answer yet.' }
 
   function tellLegend() {
     const tip = view.shape ? ` of ${fixed(view.shape.tip_diameter_mm, 0, 'mm')}` : ''
     fill(legend, el('span', {}, '0'), strip(i => palette[i]), el('span', {}, `${fixed(end, 0, 'N')} on one contact${tip}`),
-      el('span', {}, 'Ellipse: 2 standard deviations of the place, where the method knows them'))
+      el('span', {}, 'Ellipse: 2 standard deviations of the place, where the method knows them. Dotted: another explanation, with its probability'))
   }
   dark.addEventListener('change', () => { palette = sequential(); ink = inks(); tellLegend(); view.redraw() }, { signal })
   tellLegend()

@@ -26,8 +26,13 @@ export function sureness(answer, old) {
   if (old) return { tone: 'warn', words: 'Outdated: no answer for some seconds.' }
   if (answer.outside?.length) return { tone: 'warn', words: `Unsure: ${answer.outside.join('; ')}.` }
   const misfit = answer.misfit == null ? '' : ` The fit leaves ${fixed(answer.misfit, 1)} times the noise (limit ${answer.misfit_limit}).`
-  return { tone: 'good', words: `${answer.contacts.length ? counted(answer.contacts.length, 'contact') : 'Nothing touches the skin'}.${misfit}` }
+  const found = answer.contacts.length ? counted(answer.contacts.length, 'contact') : 'Nothing touches the skin', others = answer.alternatives ?? []
+  if (others.length) return { tone: 'warn', words: `${found}, with a probability of ${fixed(100 * answer.probability, 0, '%')}. Other explanations: ${others.map(explained).join('; ')}.${misfit}` }
+  return { tone: 'good', words: `${found}.${misfit}` }
 }
+
+/** Another explanation of a frame. */
+const explained = ({ probability, contacts }) => `${contacts.length ? counted(contacts.length, 'contact') : 'no contact'}, ${fixed(100 * probability, 0, '%')}`
 
 /** Shows the page. */
 export async function show(root, { query, signal, set }) {

@@ -44,11 +44,28 @@ impl From<&FoundContact> for Contact {
     }
 }
 
+/// Contacts that explain a frame, too.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, ToSchema)]
+pub struct Alternative {
+    /// Probability of this explanation, 0.05 to 1.
+    pub probability: f64,
+    /// Its contacts, strongest first; empty if an untouched skin explains the frame.
+    pub contacts: Vec<FoundContact>,
+}
+
 /// The answer of a method to one frame.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, ToSchema)]
 pub struct Reading {
     /// The contacts, strongest first.
     pub contacts: Vec<FoundContact>,
+    /// Probability of these contacts among the explanations of the frame that the last search found, 0 to 1;
+    /// only of `exact`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub probability: Option<f64>,
+    /// Other explanations with a probability of at least 0.05 at the last search, the most probable first, at
+    /// most three; only of `exact`.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub alternatives: Vec<Alternative>,
     /// Newtons per pixel, row by row; present if requested: the net's own map, or the contacts of
     /// `fast` and `exact`, drawn as the paper's Map 1 (160 x 160 pixels of 4 mm, discs of 20 mm).
     #[serde(default, skip_serializing_if = "Option::is_none")]

@@ -2,12 +2,14 @@
 //! Uses: `errors`, `untouched`, `zero`, sim-core's `inverse::contacts`. Never: files, threads.
 
 use sim_core::forward::ForwardModel;
-use sim_core::inverse::contacts::{ContactFitter, Fit, FitOptions, FittedContact, Observation};
+use sim_core::inverse::contacts::{
+    ContactFitter, Explanation, Fit, FitOptions, FittedContact, Observation,
+};
 
 use super::errors::{LEAST_KNOWN, SkinErrors, Stretch};
 use super::zero::Zero;
 use crate::ids::CalibrationId;
-use crate::infer::answer::{FoundContact, Reading};
+use crate::infer::answer::{Alternative, FoundContact, Reading};
 use crate::infer::error::InferError;
 use crate::infer::methods::UntouchedBefore;
 
@@ -132,8 +134,8 @@ impl ExactSkin {
         })
     }
 
-    /// Converts the fit of a mean of `frames` frames to a reading.
-    pub(super) fn reading(&self, fit: &Fit, is_tared: bool, frames: f64) -> Reading {
+    /// Contacts of a fit with standard deviations that allow for the model's error, strongest first.
+    fn found(&self, contacts: &[FittedContact]) -> Vec<FoundContact> {
         let Stretch { place, force } = self.errors.stretch;
         let contact = |found: &FittedContact| FoundContact {
             x_mm: found.contact.x_mm,
@@ -144,8 +146,17 @@ impl ExactSkin {
             force_sd_n: Some(force * found.force_sd_n),
             ..FoundContact::default()
         };
-        let mut contacts: Vec<FoundContact> = fit.contacts.iter().map(contact).collect();
+        let mut contacts: Vec<FoundContact> = contacts.iter().map(contact).collect();
         contacts.sort_by(|a, b| b.force_n.unwrap_or(0.0).total_cmp(&a.force_n.unwrap_or(0.0)));
+        contacts
+    }
+
+    /// Converts the fit of a mean of `frames` frames to a reading.
+    pub(super) fn reading(&self, fit: &Fit, is_tared: bool, frames: f64) -> Reading {
+        let alternative = |other: &Explanation| Alternative {
+            probability: other.probability,
+            contacts: self.found(&other.contacts),
+        };
         let misfit = fit.chi2 / fit.degrees_of_freedom;
         let outside = (misfit > MISFIT_EXPLAINED).then(|| {
             format!("misfit = {misfit:.1}: limit {MISFIT_EXPLAINED} for contacts on this skin")
@@ -153,7 +164,9 @@ impl ExactSkin {
         let outside = outside.into_iter().collect();
         let notes = self.drifted(is_tared, frames).into_iter().collect();
         Reading {
-            contacts,
+            contacts: self.found(&fit.contacts),
+            probability: fit.probability,
+            alternatives: fit.alternatives.iter().map(alternative).collect(),
             misfit: Some(misfit),
             misfit_limit: Some(MISFIT_EXPLAINED),
             outside,

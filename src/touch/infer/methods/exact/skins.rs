@@ -414,6 +414,7 @@ mod tests {
         let learnt = answer();
         let files = || std::fs::read_dir(&cache).unwrap().count();
         assert_eq!((files(), learnt.contacts.len()), (1, 1));
+        assert!(learnt.probability.is_some_and(|p| p > 0.0 && p <= 1.0 + 1e-9), "{learnt:?}");
         let again = answer();
         let [is, was] = [&again, &learnt].map(|reading| &reading.contacts[0]);
         // JSON may lose one digit of a number.
