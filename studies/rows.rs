@@ -1,8 +1,10 @@
-//! Rows and notes of an evaluation report, common to several tables.
-//! PURE. Uses: `evaluate::table`. Never: a number that is not in the report.
+//! Rows, small tables and notes of an evaluation report, common to several tables.
+//! PURE. Uses: `evaluate::{table, score, reliability}`. Never: a number that is not in the report.
 
+use crate::evaluate::reliability::Reliability;
 use crate::evaluate::request::EvaluationReport;
-use crate::evaluate::table::{Uncertainty, score_row};
+use crate::evaluate::score::Score;
+use crate::evaluate::table::{Uncertainty, markdown, score_row, share_cell};
 use crate::ids::{CalibrationId, ModelId};
 
 /// Rows of a method: over all frames, then by the number of contacts. Columns:
@@ -39,6 +41,52 @@ pub fn perfects<'a>(reports: impl Iterator<Item = &'a EvaluationReport>) -> Vec<
     rows
 }
 
+/// Table of the 95 % regions of methods that state standard deviations: how often they hold the true place
+/// and force, over pairs. Empty if none states them.
+pub fn coverage<'a>(reports: impl Iterator<Item = (&'a str, &'a EvaluationReport)>) -> String {
+    let mut rows: Vec<Vec<String>> = Vec::new();
+    for (name, report) in reports {
+        let Some(scores) = &report.contacts else { continue };
+        let mut row = |name: &str, score: &Score| {
+            let Some(place) = &score.place_in_95 else { return };
+            let shares = [&score.place_in_95, &score.force_in_95].map(share_cell);
+            rows.push([&[name.to_owned(), place.n.to_string()][..], &shares[..]].concat());
+        };
+        row(name, &scores.all);
+        for count in &scores.by_contacts {
+            row(&format!("  of {}", count.contacts), &count.score);
+        }
+    }
+    if rows.is_empty() {
+        return String::new();
+    }
+    let head = ["95 % regions of", "pairs", "hold place %", "hold force %"];
+    format!("{}\n", markdown(&head, &rows))
+}
+
+/// Tables of how often answers are right that state a probability; empty if none does.
+pub fn reliability<'a>(reports: impl Iterator<Item = (&'a str, &'a EvaluationReport)>) -> String {
+    reports
+        .filter_map(|(name, report)| Some(reliability_of(name, report.reliability.as_ref()?)))
+        .collect()
+}
+
+fn reliability_of(name: &str, found: &Reliability) -> String {
+    let percent = |share: f64| format!("{:.0}", 100.0 * share);
+    let mut rows: Vec<Vec<String>> = Vec::new();
+    for range in &found.ranges {
+        let ends = format!("{} to {} %", percent(range.from), percent(range.to));
+        let right = share_cell(&Some(range.right));
+        rows.push(vec![ends, range.right.n.to_string(), percent(range.stated), right]);
+    }
+    let (right, any) = (share_cell(&Some(found.right)), share_cell(&Some(found.any_right)));
+    format!(
+        "{name}, answers by their probability; right: the number, and each contact within 40 mm:\n\n{}\n\
+         Right are {right} % of the answers; these or an alternative: {any} %.\n\n",
+        markdown(&["probability", "answers", "stated %", "right %"], &rows)
+    )
+}
+
 /// Models of a report, and the restrictions of its scores, one per line.
 pub fn read_by(report: &EvaluationReport) -> String {
     let models = report.models.iter().map(ModelId::as_str);
@@ -47,4 +95,63 @@ pub fn read_by(report: &EvaluationReport) -> String {
     let by = if by.is_empty() { "the nominal model".into() } else { by.join(", ") };
     let notes = report.notes.iter().map(|note| format!("Note: {note}.\n"));
     format!("By {by}.\n{}", notes.collect::<String>())
+}
+
+#[cfg(test)]
+mod tests {
+    use serde_json::json;
+
+    use super::*;
+    use crate::evaluate::reliability::JudgedAnswer;
+    use crate::evaluate::score::Scores;
+    use crate::evaluate::touch::Touch;
+    use crate::infer::answer::FoundContact;
+    use crate::store::Contact;
+
+    /// A report of frames with a contact at 100 mm, estimated to 2 mm in each direction.
+    fn report(off_mm: &[f64], sd_mm: Option<f64>) -> EvaluationReport {
+        let truth = Contact {
+            x_mm: Some(100.0),
+            y_mm: Some(100.0),
+            force_n: Some(10.0),
+            ..Contact::default()
+        };
+        let found = |off: &f64| FoundContact {
+            x_mm: 100.0 + off,
+            y_mm: 100.0,
+            force_n: Some(10.0),
+            x_sd_mm: sd_mm,
+            y_sd_mm: sd_mm,
+            force_sd_n: sd_mm,
+            ..FoundContact::default()
+        };
+        let touches: Vec<Touch> =
+            off_mm.iter().map(|off| Touch::of_found(&[truth], &[found(off)]).unwrap()).collect();
+        let report = json!({ "scored": "exact", "dataset": "ds-1", "label": "virtual", "models": [],
+            "rows": off_mm.len(), "threshold_n": 5.0, "contacts": Scores::of(&touches, 1) });
+        serde_json::from_value(report).unwrap()
+    }
+
+    #[test]
+    fn coverage_is_a_row_of_each_method_that_states_standard_deviations() {
+        let sure = report(&[0.0, 3.0, 4.0, 9.0], Some(2.0));
+        let table = coverage([("exact", &sure), ("paper", &report(&[1.0], None))].into_iter());
+        let rows: Vec<&str> = table.lines().skip(2).filter(|line| !line.is_empty()).collect();
+        assert_eq!(rows.len(), 2, "{table}");
+        assert!(rows[0].starts_with("| exact ") && rows[1].contains("  of 1"), "{table}");
+        // 3 and 4 mm are within 4.9 mm, 9 mm is not.
+        assert!(rows[0].contains("75 [") && rows[0].contains("100 [100, 100]"), "{table}");
+        assert_eq!(coverage([("paper", &report(&[1.0], None))].into_iter()), "");
+    }
+
+    #[test]
+    fn reliability_states_what_was_right_of_what_was_stated() {
+        let mut report = report(&[0.0], Some(2.0));
+        assert_eq!(reliability([("exact", &report)].into_iter()), "");
+        let answer = |probability, right| JudgedAnswer { probability, right, any_right: true };
+        report.reliability = Reliability::of(&[answer(0.7, true), answer(0.7, false)], 1);
+        let text = reliability([("exact", &report)].into_iter());
+        assert!(text.contains("60 to 80 %") && text.contains(" 70 |"), "{text}");
+        assert!(text.contains("an alternative: 100 [100, 100] %."), "{text}");
+    }
 }

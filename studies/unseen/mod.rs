@@ -15,7 +15,7 @@ use crate::ids::{CalibrationId, ModelId};
 use crate::infer::methods::Method;
 use crate::lab::{Lab, Noise, StudyError};
 use crate::noise::LEVELS;
-use crate::rows::{by_contacts, perfects, read_by};
+use crate::rows::{by_contacts, coverage, perfects, read_by, reliability};
 use crate::sheet::{OutputFile, Sheet};
 
 #[cfg(test)]
@@ -236,8 +236,10 @@ fn sheet(budget: &Budget, scores: &Scores, columns: &[Named]) -> Result<Sheet, S
     let by_best = best_pipeline
         .map_or(String::new(), |(_, report)| format!("real-to-sim, best: {}", read_by(report)));
     let text = format!(
-        "# Fig. 12: contacts that no net has seen, mean [95 % interval]\n\n{}\n{}{by_best}{}{}\n",
+        "# Fig. 12: contacts that no net has seen, mean [95 % interval]\n\n{}\n{}{}{}{by_best}{}{}\n",
         markdown(&SCORE_COLUMNS, &table),
+        coverage(named(ours)),
+        reliability(named(ours)),
         nets(pipeline, end_to_end),
         ours.last().map_or(String::new(), |(_, exact)| format!("exact: {}\n", read_by(exact))),
         budget.caption(&label)
@@ -255,6 +257,11 @@ fn sheet(budget: &Budget, scores: &Scores, columns: &[Named]) -> Result<Sheet, S
     figures.push(OutputFile::new("fig-12a.svg", examples(&heading, columns)?));
     figures.push(OutputFile::new("fig-12.svg", talk(&heading, scores, columns)?));
     Ok(Sheet::new("fig-12", text, numbers, figures))
+}
+
+/// The reports with the names of their methods.
+fn named(scores: &[Named]) -> impl Iterator<Item = (&str, &EvaluationReport)> {
+    scores.iter().map(|(name, report)| (name.as_str(), report))
 }
 
 /// Table of all of the paper's nets, if there are any.

@@ -187,6 +187,8 @@ export function reportView(report, models) {
       ['Label', report.label],
       ['Held out', report.held_out === false ? el('span', { className: 'warn' }, 'no') : 'yes'],
       report.contacts && ['Least peak', fixed(report.threshold_n, 1, 'N')],
+      ...[['place', 'place_in_95'], ['force', 'force_in_95']].map(([of, share]) => report.contacts?.all[share] &&
+        [`95\u202f% regions hold the ${of}`, `${interval(report.contacts.all[share], 100, 0)}\u202f%`]),
       report.place_sd_mm && ['Only known to', fixed(report.place_sd_mm, 0, 'mm')],
       report.latency_ms && ['Answer after', fixed(report.latency_ms[0], 1, 'ms')],
       report.latency_ms && ['99 % after', fixed(report.latency_ms[1], 1, 'ms')],
@@ -220,6 +222,18 @@ export function reportView(report, models) {
             { head: 'Trials', cell: one => count(one.score.trials) },
             { head: 'Estimates / true', cell: one => `${count(one.score.estimates)} / ${count(one.score.contacts)}` },
             ...METRICS.map(metric => ({ ...metric, cell: one => metric.cell(one.score) })),
+          ],
+        }).node
+      : '',
+    report.reliability
+      ? table({
+          caption: `Answers by their probability. Right: the number, and each contact within 40\u202fmm; ${interval(report.reliability.right, 100, 0)}\u202f% of all, with alternatives ${interval(report.reliability.any_right, 100, 0)}\u202f%.`,
+          rows: report.reliability.ranges,
+          columns: [
+            { head: 'Probability', unit: '%', left: true, cell: one => `${fixed(one.from * 100, 0)} to ${fixed(one.to * 100, 0)}` },
+            { head: 'Answers', cell: one => count(one.right.n) },
+            { head: 'Stated', unit: '%', cell: one => fixed(one.stated * 100, 0) },
+            { head: 'Right', unit: '%', cell: one => interval(one.right, 100, 0) },
           ],
         }).node
       : '',

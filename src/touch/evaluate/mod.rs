@@ -12,6 +12,7 @@ pub mod simulation;
 pub mod matching;
 pub mod touch;
 pub mod score;
+pub mod reliability;
 pub mod perfect;
 pub mod published;
 pub mod table;

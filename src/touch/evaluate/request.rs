@@ -1,5 +1,5 @@
 //! Request and report of an evaluation.
-//! PURE. Uses: `evaluate::{score, voltages}`, `infer::{answer, methods, slot}`. Never: models, rows.
+//! PURE. Uses: `evaluate::{score, reliability, voltages}`, `infer::{answer, methods, slot}`. Never: models, rows.
 
 use std::collections::BTreeMap;
 
@@ -10,6 +10,7 @@ use utoipa::{PartialSchema, ToSchema};
 
 use super::anova::Moments;
 use super::quantities::QuantityScores;
+use super::reliability::Reliability;
 use super::score::Scores;
 use super::voltages::VoltageScores;
 use crate::ids::{CalibrationId, DatasetId, ModelId};
@@ -307,6 +308,9 @@ pub struct EvaluationReport {
     /// The map of the perfect score, pixel and diameter in mm: `4x20`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub map: Option<String>,
+    /// How often answers are right, by their stated probability; only of a method that states one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub reliability: Option<Reliability>,
     /// Scores of voltages.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub voltages: Option<VoltageScores>,

@@ -81,6 +81,13 @@ pub struct Score {
     /// estimate is one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub ghosts_per_trial: Option<Mean>,
+    /// Share of the pairs whose 95 % region of the position holds the true one, 0 to 1; only of a method
+    /// that states standard deviations.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub place_in_95: Option<Mean>,
+    /// Share of the pairs whose 95 % interval of the force holds the true one, 0 to 1; likewise.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub force_in_95: Option<Mean>,
 }
 
 /// The score of the frames with a given number of true contacts.
@@ -146,7 +153,8 @@ impl Score {
 
     /// Computes the score of frames; `seed` is that of the bootstrap.
     pub fn of(touches: &[&Touch], seed: u64) -> Self {
-        let [number, location, closest, force, diameter, exact, ghosts] = means(touches, seed);
+        let [number, location, closest, force, diameter, exact, ghosts, place_in_95, force_in_95] =
+            means(touches, seed);
         let values = |metric| touches.iter().flat_map(move |touch| touch.values(metric));
         Self {
             trials: touches.len() as u64,
@@ -161,6 +169,8 @@ impl Score {
             diameter_percent: diameter,
             exact_rate: exact,
             ghosts_per_trial: ghosts,
+            place_in_95,
+            force_in_95,
         }
     }
 }

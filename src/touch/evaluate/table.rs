@@ -74,6 +74,12 @@ fn closest(score: &Score, cell: &impl Fn(&Option<Mean>, f64) -> String) -> Strin
     }
 }
 
+/// A share as a cell, %, with its 95 % interval.
+pub fn share_cell(share: &Option<Mean>) -> String {
+    let cell = |share: &Mean| mean_cell(share, 100.0, Beside::Interval);
+    share.as_ref().map_or(EMPTY_CELL.into(), cell)
+}
+
 /// A published score as a row under [`SCORE_COLUMNS`], in the paper's digits.
 pub fn published_row(method: &str, published: &Published) -> Vec<String> {
     let cell = |printed: &Printed| match printed.sd {

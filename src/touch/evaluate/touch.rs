@@ -1,12 +1,18 @@
 //! One frame's answer compared with the truth: matched contacts and their errors.
-//! PURE. Uses: `store::Contact`, `matching`. Never: maps, averages over frames, a 0 for an unknown.
+//! PURE. Uses: `store::Contact`, the contacts of an answer, `matching`. Never: maps, averages over frames, a 0 for an unknown.
 
+use crate::infer::answer::FoundContact;
 use crate::store::Contact;
 
 use super::matching::{closest_mm, matched};
 
 /// An estimate farther than this from every true contact is a ghost, mm.
 pub const GHOST_MM: f64 = 40.0;
+/// Square of the radius of a 95 % region of a position, in standard deviations: the quantile of chi-square
+/// with two degrees of freedom.
+const PLACE_95: f64 = 5.991;
+/// Half the width of a 95 % interval of a force, in standard deviations.
+const FORCE_95: f64 = 1.96;
 
 /// Why a contact cannot be scored.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
@@ -30,6 +36,30 @@ pub struct Pair {
     pub force_percent: Option<f64>,
     /// (estimated - true) / true diameter, %; absent likewise.
     pub diameter_percent: Option<f64>,
+    /// Whether the estimate's 95 % regions hold the true value; absent if it states no standard deviations.
+    pub in_95: In95,
+}
+
+/// Whether the 95 % regions of an estimate hold the true values.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct In95 {
+    /// Ellipse of the position.
+    pub place: Option<bool>,
+    /// Interval of the force.
+    pub force: Option<bool>,
+}
+
+impl In95 {
+    fn of(truth: &Contact, found: &FoundContact) -> Self {
+        let square = |of: Option<f64>, at: f64, sd: Option<f64>| Some(((of? - at) / sd?).powi(2));
+        let x = square(truth.x_mm, found.x_mm, found.x_sd_mm);
+        let y = square(truth.y_mm, found.y_mm, found.y_sd_mm);
+        let force = found.force_n.and_then(|at| square(truth.force_n, at, found.force_sd_n));
+        Self {
+            place: x.zip(y).map(|(x, y)| x + y <= PLACE_95),
+            force: force.map(|square| square <= FORCE_95.powi(2)),
+        }
+    }
 }
 
 /// Comparison of one frame's answer with the truth.
@@ -73,11 +103,15 @@ pub enum Metric {
     Exact,
     /// Number of estimates farther than [`GHOST_MM`] from any true contact.
     Ghosts,
+    /// 1 for each pair whose 95 % region of the position holds the true one, else 0.
+    PlaceIn95,
+    /// 1 for each pair whose 95 % interval of the force holds the true one, else 0.
+    ForceIn95,
 }
 
 impl Metric {
     /// All metrics, in the order of tables.
-    pub const ALL: [Self; 7] = [
+    pub const ALL: [Self; 9] = [
         Self::Number,
         Self::Location,
         Self::Closest,
@@ -85,6 +119,8 @@ impl Metric {
         Self::Diameter,
         Self::Exact,
         Self::Ghosts,
+        Self::PlaceIn95,
+        Self::ForceIn95,
     ];
 }
 
@@ -94,6 +130,33 @@ impl Touch {
     /// # Errors
     /// `TouchError` with the first value that is not finite.
     pub fn of(truths: &[Contact], estimates: &[Contact]) -> Result<Self, TouchError> {
+        Self::compared(truths, estimates, |_, _| In95::default())
+    }
+
+    /// Compares the contacts of an answer with the true ones, and its 95 % regions if it has some.
+    ///
+    /// # Errors
+    /// As [`Self::of`].
+    pub fn of_found(truths: &[Contact], found: &[FoundContact]) -> Result<Self, TouchError> {
+        let estimates: Vec<Contact> = found.iter().map(Contact::from).collect();
+        Self::compared(truths, &estimates, |truth, estimate| {
+            In95::of(&truths[truth], &found[estimate])
+        })
+    }
+
+    /// Whether the answer is right: the right number of contacts, each within [`GHOST_MM`] of its estimate;
+    /// `None` if a position is unknown.
+    pub fn is_right(&self) -> Option<bool> {
+        let places = self.places.as_ref()?;
+        let near = places.pairs.iter().all(|pair| pair.distance_mm <= GHOST_MM);
+        Some(self.contacts == self.estimates && near)
+    }
+
+    fn compared(
+        truths: &[Contact],
+        estimates: &[Contact],
+        in_95: impl Fn(usize, usize) -> In95,
+    ) -> Result<Self, TouchError> {
         let truth_places = places_mm(truths)?;
         let estimate_places = places_mm(estimates)?;
         let places = truth_places.zip(estimate_places).map(|(true_mm, estimated_mm)| {
@@ -103,6 +166,7 @@ impl Touch {
                     distance_mm: found.distance_mm,
                     force_percent: percent(truth.force_n, estimate.force_n),
                     diameter_percent: percent(truth.diameter_mm, estimate.diameter_mm),
+                    in_95: in_95(found.truth, found.estimate),
                 }
             };
             let far = |closest: &Option<f64>| closest.is_none_or(|mm| mm > GHOST_MM);
@@ -129,8 +193,10 @@ impl Touch {
             Metric::Closest => self.places.as_ref().map_or_else(Vec::new, |p| p.closest_mm.clone()),
             Metric::Force => pairs().filter_map(|pair| pair.force_percent).collect(),
             Metric::Diameter => pairs().filter_map(|pair| pair.diameter_percent).collect(),
-            Metric::Exact => vec![f64::from(u8::from(difference == 0.0))],
+            Metric::Exact => vec![share(difference == 0.0)],
             Metric::Ghosts => self.places.iter().map(|p| f64::from(p.ghosts)).collect(),
+            Metric::PlaceIn95 => pairs().filter_map(|pair| pair.in_95.place).map(share).collect(),
+            Metric::ForceIn95 => pairs().filter_map(|pair| pair.in_95.force).map(share).collect(),
         }
     }
 
@@ -142,11 +208,19 @@ impl Touch {
                 let frame = self.values(metric);
                 frame.iter().flat_map(|v| (0..self.contacts).map(|_| *v)).collect()
             }
-            Metric::Location | Metric::Closest | Metric::Force | Metric::Diameter => {
-                self.values(metric)
-            }
+            Metric::Location
+            | Metric::Closest
+            | Metric::Force
+            | Metric::Diameter
+            | Metric::PlaceIn95
+            | Metric::ForceIn95 => self.values(metric),
         }
     }
+}
+
+/// 1 for a statement that holds, else 0.
+fn share(holds: bool) -> f64 {
+    f64::from(u8::from(holds))
 }
 
 fn percent(truth: Option<f64>, estimate: Option<f64>) -> Option<f64> {
@@ -181,8 +255,11 @@ mod tests {
         Contact { x_mm, y_mm, force_n: Some(force_n), diameter_mm: Some(diameter_mm) }
     }
 
+    /// Values of all metrics except those of 95 % regions, which need standard deviations.
     fn values(touch: &Touch) -> [Vec<f64>; 7] {
-        Metric::ALL.map(|metric| touch.values(metric))
+        assert!(touch.values(Metric::PlaceIn95).is_empty());
+        assert!(touch.values(Metric::ForceIn95).is_empty());
+        std::array::from_fn(|metric| touch.values(Metric::ALL[metric]))
     }
 
     #[test]
@@ -245,5 +322,48 @@ mod tests {
         assert_eq!((refused.index, refused.field), (1, "force_n"));
         let endless = Contact { y_mm: Some(f64::INFINITY), ..estimate };
         assert!(Touch::of(&[endless], &[]).unwrap_err().to_string().contains("y_mm is inf"));
+    }
+
+    #[test]
+    fn regions_hold_what_is_within_their_standard_deviations() {
+        let truths = [contact(0.0, 0.0, 10.0, 20.0), contact(100.0, 0.0, 20.0, 20.0)];
+        let found = |x_mm: f64, y_mm: f64, force_n: f64| FoundContact {
+            x_mm,
+            y_mm,
+            force_n: Some(force_n),
+            x_sd_mm: Some(4.0),
+            y_sd_mm: Some(2.0),
+            force_sd_n: Some(1.0),
+            ..FoundContact::default()
+        };
+        // 2.4 and 2.5 standard deviations along x; 1.9 and 2.1 of the force.
+        let answer = [found(9.6, 0.0, 11.9), found(110.0, 0.0, 17.9)];
+        let touch = Touch::of_found(&truths, &answer).unwrap();
+        assert_eq!(touch.values(Metric::PlaceIn95), [1.0, 0.0]);
+        assert_eq!(touch.values(Metric::ForceIn95), [1.0, 0.0]);
+        assert_eq!(touch.values(Metric::Location), [9.6, 10.0]);
+        let place = FoundContact { force_sd_n: None, ..answer[0] };
+        let touch = Touch::of_found(&truths, &[place]).unwrap();
+        assert_eq!(touch.values(Metric::PlaceIn95), [1.0]);
+        assert!(touch.values(Metric::ForceIn95).is_empty());
+        // 1.5 along both: 4.5 of 5.99; 1.8 along both: 6.48.
+        for (times, holds) in [(1.5, 1.0), (1.8, 0.0)] {
+            let both = found(4.0 * times, 2.0 * times, 10.0);
+            let touch = Touch::of_found(&truths[..1], &[both]).unwrap();
+            assert_eq!(touch.values(Metric::PlaceIn95), [holds], "{times}");
+        }
+    }
+
+    #[test]
+    fn an_answer_is_right_if_its_number_and_places_are() {
+        let truths = [contact(0.0, 0.0, 10.0, 20.0), contact(100.0, 0.0, 20.0, 20.0)];
+        let at = |x_mm: f64| contact(x_mm, 0.0, 10.0, 20.0);
+        let right = |estimates: &[Contact]| Touch::of(&truths, estimates).unwrap().is_right();
+        assert_eq!(right(&[at(140.0), at(10.0)]), Some(true));
+        assert_eq!(right(&[at(141.0), at(10.0)]), Some(false));
+        assert_eq!(right(&[at(50.0)]), Some(false));
+        assert_eq!(Touch::of(&[], &[]).unwrap().is_right(), Some(true));
+        let nowhere = Contact { x_mm: None, ..truths[0] };
+        assert_eq!(Touch::of(&[nowhere], &truths[..1]).unwrap().is_right(), None);
     }
 }

@@ -16,12 +16,13 @@ use crate::dataset::force_map::ForceMap;
 use crate::evaluate::anova::Moments;
 use crate::evaluate::perfect::perfect;
 use crate::evaluate::quantities::QuantityScores;
+use crate::evaluate::reliability::{JudgedAnswer, Reliability};
 use crate::evaluate::request::{EvaluationReport, EvaluationRequest, Example};
 use crate::evaluate::score::Scores;
-use crate::evaluate::touch::{Metric, Touch};
+use crate::evaluate::touch::{Metric, Touch, TouchError};
 use crate::evaluate::voltages::VoltageScores;
 use crate::ids::TrialId;
-use crate::infer::answer::FoundContact;
+use crate::infer::answer::{FoundContact, Reading};
 use crate::infer::error::InferError;
 use crate::infer::maps::ForceMaps;
 use crate::infer::methods::{Frames, ReadyMethod};
@@ -172,6 +173,7 @@ impl Scoring {
             contacts: None,
             perfect: None,
             map: None,
+            reliability: None,
             voltages: None,
             quantity: None,
             cells: None,
@@ -254,7 +256,7 @@ impl Scoring {
         report: &mut EvaluationReport,
     ) -> Result<bool, JobError> {
         let began_s = self.clock.process_s();
-        let (mut touches, mut latencies) = (Vec::new(), Vec::new());
+        let (mut touches, mut judged, mut latencies) = (Vec::new(), Vec::new(), Vec::new());
         let mut calibrated = 0;
         // One frame at a time, as on a rig: the latency is measured.
         for (at, rows) in self.gathered.rows.chunks(1).enumerate() {
@@ -270,12 +272,8 @@ impl Scoring {
             latencies.push(1e3 * (self.clock.process_s() - before_s));
             for (&row, reading) in rows.iter().zip(&readings) {
                 let sure = reading.contacts.iter().filter(|found| self.is_sure(found));
-                let found: Vec<Contact> = sure.map(Contact::from).collect();
-                let touch = Touch::of(&self.truths(row), &found);
-                touches
-                    .push(touch.map_err(|e| {
-                        LearnError::value("evaluation", "row", row, &e.to_string())
-                    })?);
+                touches.push(self.touch(row, &sure.copied().collect::<Vec<_>>())?);
+                judged.extend(self.judged(row, reading)?);
             }
             let examples = rows.iter().zip(readings).take(shown);
             report.examples.extend(
@@ -295,6 +293,7 @@ impl Scoring {
         report.latency_ms =
             quantile(&latencies, 0.5).zip(quantile(&latencies, 0.99)).map(Into::into);
         report.contacts = Some(Scores::of(&touches, self.request.seed));
+        report.reliability = Reliability::of(&judged, self.request.seed);
         report.cells = Some(cells(&touches));
         let spec = method.map();
         let skin = &self.gathered.skin;
@@ -311,6 +310,25 @@ impl Scoring {
             report.map = Some(spec.to_string());
         }
         Ok(true)
+    }
+
+    /// Compares contacts of an answer with those of its row.
+    fn touch(&self, row: u32, found: &[FoundContact]) -> Result<Touch, JobError> {
+        let touch = Touch::of_found(&self.truths(row), found);
+        let wrong = |e: TouchError| LearnError::value("evaluation", "row", row, &e.to_string());
+        Ok(touch.map_err(wrong)?)
+    }
+
+    /// Whether an answer, or one of its alternatives, is right; `None` if it states no probability, or a
+    /// position is unknown.
+    fn judged(&self, row: u32, reading: &Reading) -> Result<Option<JudgedAnswer>, JobError> {
+        let Some(probability) = reading.probability else { return Ok(None) };
+        let Some(right) = self.touch(row, &reading.contacts)?.is_right() else { return Ok(None) };
+        let mut any_right = right;
+        for other in &reading.alternatives {
+            any_right |= self.touch(row, &other.contacts)?.is_right() == Some(true);
+        }
+        Ok(Some(JudgedAnswer { probability, right, any_right }))
     }
 
     /// Whether the standard deviation of a contact's position is within the requested limit.
