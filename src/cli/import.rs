@@ -154,6 +154,9 @@ fn show(summary: &Summary) {
     };
     let volts = range(summary.voltages_v, "V");
     line("voltages", &format_args!("{} channels, {volts}{missing}", summary.channels));
+    if summary.raw_frames > 0 {
+        line("raw frames", &counted(summary.raw_frames, "frame", "frames"));
+    }
     line("contacts", &counts(&summary.contact_counts, "with "));
     line("x", &range(summary.x_mm, "mm"));
     line("y", &range(summary.y_mm, "mm"));

@@ -42,7 +42,9 @@ pub use bench::untouched::BeforeTrial;
 pub use bench::wear::{PressedPoint, StoredWear};
 pub use lab::datasets::{DatasetRow, RunExtent};
 pub use lab::history::{BinTrials, Bins, StoredHistory};
-pub use lab::imports::{IMPORTED_CONTACTS_MAX, IMPORTED_MODEL, ImportedTrial, TAG_MAX_CHARS};
+pub use lab::imports::{
+    IMPORTED_CONTACTS_MAX, IMPORTED_FRAMES_MAX, IMPORTED_MODEL, ImportedTrial, TAG_MAX_CHARS,
+};
 pub use lab::models::{ModelRow, NewPromotion, PromotionRow};
 pub use lab::progress::{ConfigurationTrials, StoredProgress};
 pub use lab::task_queue::TaskQueue;

@@ -13,6 +13,8 @@ pub const KEPT_FREE_BYTES: u64 = 2 << 30;
 const TEXT_BYTES: u64 = 64;
 /// Size of a list of variable length as text, bytes: six contacts.
 const LIST_BYTES: u64 = 600;
+/// Size of a stored raw frame in addition to its counts, bytes.
+const RAW_FRAME_BYTES: u64 = 250;
 /// Size of a stored contact, bytes: its row and the entry of the index.
 const CONTACT_BYTES: u64 = 80;
 
@@ -73,6 +75,8 @@ pub struct ImportCounts {
     pub trials: u64,
     /// Number of measured and simulated frames of all trials.
     pub frames: u64,
+    /// Number of raw frames of all trials.
+    pub raw_frames: u64,
     /// Number of voltages of a frame.
     pub channels: u64,
     /// Number of contacts of all trials.
@@ -85,6 +89,7 @@ impl ImportCounts {
         let parts = [
             self.trials.saturating_mul(TRIAL_BYTES),
             self.frames.saturating_mul(VOLTAGES_BYTES + 4 * self.channels),
+            self.raw_frames.saturating_mul(RAW_FRAME_BYTES + 2 * self.channels),
             self.contacts.saturating_mul(CONTACT_BYTES),
         ];
         parts.into_iter().fold(0, u64::saturating_add)
@@ -130,10 +135,16 @@ mod tests {
     fn an_import_takes_the_space_that_was_measured() {
         // 20,000 trials of one contact: 3500 bytes each in SQLite, 6798 with a simulated frame.
         for (frames, measured) in [(1, 3500), (2, 6798)] {
-            let bytes = ImportCounts { trials: 1, frames, channels: 784, contacts: 1 }.bytes();
+            let counts =
+                ImportCounts { trials: 1, frames, raw_frames: 0, channels: 784, contacts: 1 };
+            let bytes = counts.bytes();
             assert!((measured..measured * 5 / 4).contains(&bytes), "{frames}: {bytes}");
         }
-        let most = ImportCounts { trials: u64::MAX, frames: 1, channels: 1, contacts: 1 };
+        let most =
+            ImportCounts { trials: u64::MAX, frames: 1, raw_frames: 1, channels: 1, contacts: 1 };
         assert_eq!(most.bytes(), u64::MAX);
+        // A raw frame takes about half the space of a mean.
+        let raw = ImportCounts { trials: 0, frames: 0, raw_frames: 1, channels: 784, contacts: 0 };
+        assert_eq!(raw.bytes(), 250 + 2 * 784);
     }
 }

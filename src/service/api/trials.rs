@@ -36,7 +36,7 @@ use crate::journal::error_chain;
 use crate::problem::Problem;
 use crate::query::groups;
 use crate::store::table::Column;
-use crate::store::{Store, StoreError, TrialQuery, TrialRow};
+use crate::store::{RunKind, Store, StoreError, TrialQuery, TrialRow};
 
 /// Number of trials per piece of a page.
 const PIECE_ROWS: usize = 250;
@@ -46,10 +46,12 @@ const PIECES_AT_ONCE: usize = 3;
 /// A raw frame of a trial.
 #[derive(Debug, Serialize, ToSchema)]
 pub struct FrameOut {
-    /// Frame counter of the device.
-    pub sequence: u32,
-    /// Device time of the first sample, microseconds.
-    pub device_time_us: u64,
+    /// Frame counter of the device; absent for an imported trial.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub sequence: Option<u32>,
+    /// Device time of the first sample, microseconds; absent for an imported trial.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub device_time_us: Option<u64>,
     /// Scale of the counts, V per count.
     pub volts_per_count: f32,
     /// Raw counts, one per channel, injection-major.
@@ -347,7 +349,7 @@ pub async fn one(
 
 /// Returns the raw frames of a trial.
 ///
-/// Imported trials have none.
+/// Imported trials have those that their file states, of 16 bits: the largest voltage is 32767 counts.
 #[utoipa::path(get, operation_id = "trial_frames",
     path = "/api/v1/trials/{trial}/frames", tag = "trials",
     params(("trial" = i64, Path, description = "id of the trial")),
@@ -357,19 +359,18 @@ pub async fn frames(
     State(app): State<App>,
     Path(trial): Path<i64>,
 ) -> Result<Page<FrameOut>, ApiError> {
+    let found = app.store.trial_by_id(TrialId(trial)).await?;
+    let found = found.ok_or_else(|| ApiError::not_found(format!("no trial {trial}")))?;
     let frames = app.store.frames(TrialId(trial)).await?;
     if frames.is_empty() {
-        let words = match app.store.trial_by_id(TrialId(trial)).await? {
-            Some(_) => {
-                format!("trial {trial} has no raw frames: only its mean voltages are stored")
-            }
-            None => format!("no trial {trial}"),
-        };
-        return Err(ApiError::not_found(words));
+        return Err(ApiError::not_found(format!(
+            "trial {trial} has no raw frames: only its mean voltages are stored"
+        )));
     }
+    let of_device = found.kind != RunKind::Imported;
     let out = frames.into_iter().map(|f| FrameOut {
-        sequence: f.sequence,
-        device_time_us: f.device_time_us,
+        sequence: of_device.then_some(f.sequence),
+        device_time_us: of_device.then_some(f.device_time_us),
         volts_per_count: f.volts_per_count,
         voltages_v: f.counts.iter().map(|&c| f32::from(c) * f.volts_per_count).collect(),
         counts: f.counts,

@@ -270,7 +270,8 @@ async fn insert_placed(
     .await
 }
 
-async fn insert_frames(
+/// Inserts the raw frames of a trial.
+pub(crate) async fn insert_frames(
     connection: &mut SqliteConnection,
     trial: TrialId,
     frames: &[FrameRecord],

@@ -10,13 +10,13 @@ use sqlx::sqlite::SqliteConnection;
 
 use super::twins::{self, Twin, TwinModelId, TwinOutcome};
 use crate::bench::run_row::{self, NewRun, RunRow};
-use crate::bench::trials::insert_voltages;
+use crate::bench::trials::{insert_frames, insert_voltages};
 use crate::core::columns::time_text;
 use crate::core::facts::RunKind;
 use crate::core::{During, Store, StoreError};
 use crate::ids::{RunUid, TrialId, TrialKey};
 use crate::journal::ExitStatus;
-use crate::record::{Flag, FrameQuality, TrialScalars};
+use crate::record::{Flag, FrameQuality, FrameRecord, TrialScalars};
 use crate::state::StoredState;
 use crate::table::checksum::Numbers;
 use crate::table::trial_row::Contact;
@@ -26,6 +26,12 @@ pub const IMPORTED_MODEL: &str = "imported";
 
 /// Largest number of contacts of an imported trial.
 pub const IMPORTED_CONTACTS_MAX: usize = 64;
+
+/// Largest number of raw frames of an imported trial.
+pub const IMPORTED_FRAMES_MAX: usize = 300;
+
+/// Largest count of a stored raw frame.
+const LARGEST_COUNT: f32 = 32_767.0;
 
 /// Largest number of characters of the tag of an imported trial.
 pub const TAG_MAX_CHARS: usize = 100;
@@ -57,8 +63,11 @@ pub struct ImportedTrial {
     pub quality: FrameQuality,
     /// Wall time of the measurement; absent if unknown.
     pub started_at: Option<Timestamp>,
-    /// Number of frames that the measured frame is the mean of; 0 if unknown. Raw frames are not stored.
+    /// Number of frames that the measured frame is the mean of; 0 if unknown.
     pub frame_count: u32,
+    /// Its raw frames, V, injection-major, each with all channels: `frame_count` of them, or none. They are
+    /// stored as 16-bit counts, as those of a rig.
+    pub frames_v: Vec<Vec<f32>>,
     /// Part that the file states: `train`, `validation` or `test`.
     pub split: Option<String>,
     /// Tag that the file states, 1 to [`TAG_MAX_CHARS`] characters.
@@ -199,6 +208,16 @@ async fn insert(
     if trial.contacts.len() > IMPORTED_CONTACTS_MAX {
         return Err(refused("contacts", "must be at most 64"));
     }
+    if !trial.frames_v.is_empty() {
+        if trial.frames_v.len() != trial.frame_count as usize {
+            return Err(refused("frames_v", "must be as many as frame_count, or none"));
+        }
+        let channels = trial.voltages_v.len();
+        let is_whole = |f: &Vec<f32>| f.len() == channels && f.iter().all(|v| v.is_finite());
+        if !trial.frames_v.iter().all(is_whole) {
+            return Err(refused("frames_v", "must have a finite value for each channel"));
+        }
+    }
     let contacts = trial.contacts.len() as u8;
     let largest = trial.contacts.iter().filter_map(|c| c.force_n).reduce(f64::max);
     let flags = serde_json::to_string(&trial.flags)
@@ -255,6 +274,7 @@ async fn insert(
     .await
     .during(STORING_IMPORT)?;
     insert_voltages(connection, TrialId(id), &trial.voltages_v, STORING_IMPORT).await?;
+    insert_frames(connection, TrialId(id), &as_counts(&trial.frames_v)).await?;
     for (n, contact) in trial.contacts.iter().enumerate() {
         sqlx::query(
             "INSERT INTO placed_contacts (trial, n, x_mm, y_mm, force_n, diameter_mm)
@@ -277,4 +297,19 @@ async fn insert(
     let outcome = TwinOutcome::Frame { voltages_v: frame.clone(), rmse_v, fvu };
     let twin = Twin { trial: TrialId(id), outcome };
     twins::insert(connection, model, twin, now).await
+}
+
+/// Raw frames as counts: the largest magnitude of a trial is the largest count, so that a voltage changes by at
+/// most 1/65534 of it. Their sequence is their order; a device time is not known, and not read from an import.
+fn as_counts(frames_v: &[Vec<f32>]) -> Vec<FrameRecord> {
+    let largest_v = frames_v.iter().flatten().fold(0.0_f32, |most, v| most.max(v.abs()));
+    let volts_per_count = (largest_v / LARGEST_COUNT).max(f32::MIN_POSITIVE);
+    let count = |v: &f32| (v / volts_per_count).round() as i16;
+    let record = |(frame_v, sequence): (&Vec<f32>, u32)| FrameRecord {
+        sequence,
+        device_time_us: 0,
+        volts_per_count,
+        counts: frame_v.iter().map(count).collect(),
+    };
+    frames_v.iter().zip(0..).map(record).collect()
 }

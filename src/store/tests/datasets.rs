@@ -3,13 +3,15 @@
 
 use serde_json::json;
 use sqlx::Connection;
+use sqlx::sqlite::SqliteConnectOptions;
 
 use super::{Folder, new_run, open, random_trial, time};
 use crate::ids::{DatasetId, RunUid, TrialKey};
 use crate::journal::Journal;
 use crate::state::StoredState;
 use crate::{
-    Contact, DatasetRow, ImportedTrial, Label, NewRun, NewTwinModel, RunKind, Store, TrialQuery,
+    Contact, DatasetRow, ImportedTrial, Label, NewRun, NewTwinModel, RunKind, Soundness, Store,
+    TrialQuery,
 };
 
 fn imported() -> NewRun {
@@ -79,6 +81,46 @@ async fn an_import_is_a_run_whose_trials_lack_what_was_not_known() {
     let twice = store.import_trials(run.uid, None, vec![elsewhere(9), elsewhere(0)]).await;
     assert!(twice.is_err());
     assert_eq!(all(&store, run.uid).await.len(), 2);
+}
+
+#[tokio::test]
+async fn raw_frames_of_an_import_are_kept_as_those_of_a_rig() {
+    let folder = Folder::new();
+    let store = open(&folder.file()).await;
+    let run = store.begin_import(imported()).await.unwrap();
+    let frames_v = vec![vec![0.5, -1e-3, 0.25], vec![0.1, 2e-3, -0.4]];
+    let raw = |frame_count, frames_v: &[Vec<f32>]| ImportedTrial {
+        voltages_v: vec![0.3, 5e-4, -0.075],
+        frame_count,
+        frames_v: frames_v.to_vec(),
+        ..ImportedTrial::default()
+    };
+    store.import_trials(run.uid, None, vec![raw(2, &frames_v)]).await.unwrap();
+    let trial = all(&store, run.uid).await.remove(0);
+    assert_eq!((trial.frame_count, trial.voltages_v), (2, Some(vec![0.3, 5e-4, -0.075])));
+    let stored = store.frames(trial.trial_id).await.unwrap();
+    assert_eq!(stored.len(), 2);
+    for (frame, wanted) in stored.iter().zip(&frames_v) {
+        for (count, wanted) in frame.counts.iter().zip(wanted) {
+            let off_v = f32::from(*count) * frame.volts_per_count - wanted;
+            assert!(off_v.abs() <= 0.51 * 0.5 / 32_767.0, "{off_v} V of {wanted} V");
+        }
+    }
+    for (count, frames_v) in
+        [(3, &frames_v[..]), (1, &[vec![0.1, 0.2]][..]), (1, &[vec![0.1, f32::NAN, 0.2]][..])]
+    {
+        let trial = ImportedTrial { configuration: 7, ..raw(count, frames_v) };
+        let refused = store.import_trials(run.uid, None, vec![trial]).await.unwrap_err();
+        assert!(refused.to_string().contains("frames_v"), "{refused}");
+    }
+    store.end_import(run.uid).await.unwrap();
+    assert_eq!(store.examine(10).await.unwrap(), Soundness::Sound);
+    // One of several is missing: no mean alone.
+    let options = SqliteConnectOptions::new().filename(folder.file());
+    let mut behind = sqlx::SqliteConnection::connect_with(&options).await.unwrap();
+    let delete = sqlx::query("DELETE FROM frames WHERE trial = ?1 AND n = 1");
+    delete.bind(trial.trial_id.0).execute(&mut behind).await.unwrap();
+    assert!(matches!(store.examine(10).await.unwrap(), Soundness::Damaged(_)));
 }
 
 #[tokio::test]

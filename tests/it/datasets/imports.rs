@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use arrow_array::{ArrayRef, Float32Array, Int64Array, ListArray, RecordBatch, StructArray};
 use arrow_array::{FixedSizeListArray, Float64Array};
-use arrow_buffer::OffsetBuffer;
+use arrow_buffer::{NullBuffer, OffsetBuffer};
 use arrow_schema::{DataType, Field, Fields};
 use parquet::arrow::ArrowWriter;
 use reqwest::multipart::{Form, Part};
@@ -139,6 +139,56 @@ async fn another_skins_trials_are_a_run_like_any_other() {
     let found = |row: usize| (rows[row]["contact_count"].clone(), rows[row]["contacts"].clone());
     assert_eq!(found(0), (0.into(), serde_json::json!([])), "{rows}");
     assert_eq!((&found(1).0, &rows[0]["max_force_n"]), (&1.into(), &2.5.into()), "{rows}");
+    lab.close().await;
+}
+
+/// Raw frames of three trials: two, one, and none, whose mean is stated.
+fn raw_frames() -> ArrayRef {
+    let volts = [0.25, 0.5, -0.25, 0.0, 0.75, 0.5, -0.75, 0.5, 1.0, 1.0, 1.0, 1.0].map(Some);
+    let each = frames(4, volts.to_vec());
+    let item = Arc::new(Field::new("item", each.data_type().clone(), true));
+    let ends = OffsetBuffer::from_lengths([2, 1, 0]);
+    let there = NullBuffer::from(vec![true, true, false]);
+    Arc::new(ListArray::try_new(item, ends, each, Some(there)).unwrap())
+}
+
+#[tokio::test]
+async fn raw_frames_are_stored_and_served_as_those_of_a_rig() {
+    let lab = Filled::open("import-raw").await;
+    let mut mean = vec![Some(0.0); 12];
+    let item = Arc::new(Field::new("item", DataType::Float32, true));
+    mean[11] = Some(0.125);
+    let means = Arc::new(Float32Array::from(mean)) as ArrayRef;
+    let there = NullBuffer::from(vec![false, false, true]);
+    let means = Arc::new(FixedSizeListArray::try_new(item, 4, means, Some(there)).unwrap());
+    let columns = || vec![("frames_v", raw_frames()), ("contacts", contacts(12.5))];
+    let all = [columns(), vec![("voltages_v", means as ArrayRef)]].concat();
+    let (status, made) = import(&lab, parquet(all), PAD).await;
+    assert_eq!(status, 201, "{made}");
+    let run = made["run"]["scan_id"].as_i64().unwrap();
+    let page = lab.get(&format!("/api/v1/runs/{run}/trials?voltages=true")).await;
+    let trials = page["items"].as_array().unwrap();
+    let stated = |n: usize| (&trials[n]["frame_count"], &trials[n]["voltages_v"]);
+    assert_eq!(stated(0), (&2.into(), &serde_json::json!([0.5, 0.5, -0.5, 0.25])));
+    assert_eq!(stated(1), (&1.into(), &serde_json::json!([1.0, 1.0, 1.0, 1.0])));
+    assert_eq!(stated(2), (&0.into(), &serde_json::json!([0.0, 0.0, 0.0, 0.125])));
+    let path = |n: usize| format!("/api/v1/trials/{}/frames", trials[n]["trial_id"]);
+    let served = lab.get(&path(0)).await;
+    let served = served["items"].as_array().unwrap();
+    assert_eq!(served.len(), 2);
+    let volts: Vec<f64> = serde_json::from_value(served[1]["voltages_v"].clone()).unwrap();
+    for (volt, wanted) in volts.iter().zip([0.75, 0.5, -0.75, 0.5]) {
+        assert!((volt - wanted).abs() <= 0.75 / 65_534.0 * 1.01, "{volts:?}");
+    }
+    // A device measured them that is not known here.
+    assert!(served[0].get("sequence").is_none() && served[0].get("device_time_us").is_none());
+    assert_eq!(served[1]["counts"][0], 32_767);
+    let (status, words) = lab.refused(&path(2)).await;
+    assert!(status == 404 && words.contains("no raw frames"), "{words}");
+    // Without the mean the third trial has no frame.
+    let (status, body) = import(&lab, parquet(columns()), PAD).await;
+    let detail = body["detail"].as_str().unwrap_or_default();
+    assert!(status == 400 && detail.contains("row 2, voltages_v = null"), "{body}");
     lab.close().await;
 }
 

@@ -5,16 +5,20 @@ use std::collections::BTreeMap;
 
 use parquet::file::metadata::ParquetMetaData;
 
-use super::rows::is_read;
+use super::BATCH_TRIALS;
+use super::rows::{FRAMES_V, is_read};
 use super::sensor::ImportedSensor;
 use crate::dataset::schema::VOLTAGES_V;
 use crate::dataset::space::ImportCounts;
 use crate::problem::{Checks, Problem};
 use crate::simulate::schema::{CONTACTS, SIM_VOLTAGES_V};
-use crate::store::IMPORTED_CONTACTS_MAX;
+use crate::store::{IMPORTED_CONTACTS_MAX, IMPORTED_FRAMES_MAX};
 
 /// Largest number of trials of an import: their keys are kept in memory.
 pub const IMPORTED_TRIALS_MAX: u64 = 10_000_000;
+
+/// Number of values of a column that are read at a time.
+const VALUES_AT_ONCE: u64 = 4 << 20;
 
 /// Numbers of rows and values of a file.
 #[derive(Debug, Default)]
@@ -58,6 +62,13 @@ impl Extent {
         self.rows
     }
 
+    /// Number of rows that are read at a time: fewer of rows with many values.
+    pub fn rows_at_once(&self) -> usize {
+        let most = self.values.values().copied().max().unwrap_or_default();
+        let each = most.div_ceil(self.rows.max(1)).max(1);
+        (VALUES_AT_ONCE / each).clamp(1, BATCH_TRIALS as u64) as usize
+    }
+
     /// Returns the size of the trials in the database, bytes. `file` is the name of the file in
     /// messages.
     ///
@@ -72,6 +83,7 @@ impl Extent {
         for (column, number) in &self.values {
             let most = match column.as_str() {
                 VOLTAGES_V | SIM_VOLTAGES_V => channels,
+                FRAMES_V => channels.saturating_mul(IMPORTED_FRAMES_MAX as u64),
                 _ => IMPORTED_CONTACTS_MAX as u64,
             };
             let limit = format!("must have at most {most} values per row");
@@ -80,10 +92,11 @@ impl Extent {
         }
         checks.done()?;
         // Each row has a whole frame, which the reader checks, whatever the footer states.
-        let frames = [VOLTAGES_V, SIM_VOLTAGES_V].iter().filter(|f| self.values.contains_key(**f));
-        let frames = self.rows.saturating_mul(frames.count() as u64);
+        let simulated = u64::from(self.values.contains_key(SIM_VOLTAGES_V));
+        let frames = self.rows.saturating_mul(1 + simulated);
         let contacts = self.values.get(CONTACTS).copied().unwrap_or(0);
-        Ok(ImportCounts { trials: self.rows, frames, channels, contacts }.bytes())
+        let raw_frames = self.values.get(FRAMES_V).copied().unwrap_or(0).div_ceil(channels.max(1));
+        Ok(ImportCounts { trials: self.rows, frames, raw_frames, channels, contacts }.bytes())
     }
 }
 
@@ -106,7 +119,8 @@ mod tests {
             let extent = extent(rows, [(VOLTAGES_V, voltages), (CONTACTS, contacts)]);
             extent.needed("f", &pad()).map_err(|all| all[0].to_string())
         };
-        let counts = ImportCounts { trials: 10, frames: 10, channels: 4, contacts: 12 };
+        let counts =
+            ImportCounts { trials: 10, frames: 10, raw_frames: 0, channels: 4, contacts: 12 };
         assert_eq!(of(10, 40, 12).unwrap(), counts.bytes());
         let refused = "f: voltages_v = 41 values: must have at most 4 values per row";
         assert_eq!(of(10, 41, 12).unwrap_err(), refused);
@@ -114,5 +128,20 @@ mod tests {
         assert_eq!(of(10, 40, 641).unwrap_err(), refused);
         let refused = of(IMPORTED_TRIALS_MAX + 1, 0, 0).unwrap_err();
         assert!(refused.starts_with("f: rows = 10000001: must be at most 10000000"), "{refused}");
+    }
+
+    #[test]
+    fn raw_frames_are_counted_and_read_in_smaller_pieces() {
+        let of = |number| extent(10, [(FRAMES_V, number), (CONTACTS, 0)]);
+        let counts =
+            ImportCounts { trials: 10, frames: 10, raw_frames: 30, channels: 4, contacts: 0 };
+        assert_eq!(of(120).needed("f", &pad()).unwrap(), counts.bytes());
+        assert_eq!(of(120).rows_at_once(), BATCH_TRIALS);
+        let most = 10 * 4 * IMPORTED_FRAMES_MAX as u64;
+        let refused = of(most + 1).needed("f", &pad()).unwrap_err()[0].to_string();
+        let words = format!("must have at most {} values per row", most / 10);
+        assert!(refused.starts_with("f: frames_v = ") && refused.ends_with(&words), "{refused}");
+        assert_eq!(of(10 * VALUES_AT_ONCE / 3).rows_at_once(), 2);
+        assert_eq!(of(u64::MAX).rows_at_once(), 1);
     }
 }

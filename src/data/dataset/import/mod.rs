@@ -5,6 +5,7 @@ pub mod coordinates;
 pub mod extent;
 pub mod sensor;
 pub mod rows;
+mod columns;
 mod foreign;
 pub mod source;
 pub mod summary;

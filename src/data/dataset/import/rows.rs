@@ -1,16 +1,15 @@
 //! Rows of a foreign file as trials: known columns by their names, each value checked.
-//! PURE. Uses: arrow, `store`'s imported trial. Never: files; a default for a missing measurement.
+//! PURE. Uses: `columns`, arrow, `store`'s imported trial. Never: files; a default for a missing measurement.
 
 use std::collections::HashSet;
-use std::sync::Arc;
 
 use arrow_array::cast::AsArray;
-use arrow_array::types::{Float32Type, Float64Type, Int64Type, TimestampMillisecondType};
+use arrow_array::types::{Float32Type, Int64Type, TimestampMillisecondType};
 use arrow_array::{Array, ArrayRef, RecordBatch};
-use arrow_cast::{CastOptions, cast, cast_with_options};
-use arrow_schema::{DataType, Field, Schema, TimeUnit};
+use arrow_schema::Schema;
 use jiff::Timestamp;
 
+use super::columns::{Columns, known};
 use super::coordinates::Coordinates;
 use super::sensor::ImportedSensor;
 use crate::dataset::schema::{FRAME_COUNT, SPLIT, VOLTAGES_V};
@@ -20,12 +19,15 @@ use crate::problem::Problem;
 use crate::record::{Flag, FrameQuality};
 use crate::simulate::compare::difference;
 use crate::simulate::schema::{CONTACTS, SIM_VOLTAGES_V};
-use crate::store::{Contact, IMPORTED_CONTACTS_MAX, ImportedTrial, TAG_MAX_CHARS};
+use crate::store::{
+    Contact, IMPORTED_CONTACTS_MAX, IMPORTED_FRAMES_MAX, ImportedTrial, TAG_MAX_CHARS,
+};
 use crate::syntax::PROBLEMS_MAX;
 
 /// Columns that are read.
-const READ: [&str; 12] = [
+const READ: [&str; 13] = [
     VOLTAGES_V,
+    FRAMES_V,
     SIM_VOLTAGES_V,
     CONTACTS,
     "configuration",
@@ -38,8 +40,10 @@ const READ: [&str; 12] = [
     SPLIT,
     TAG,
 ];
+/// Column of the raw frames of a trial, V; its mean frame is computed.
+pub(super) const FRAMES_V: &str = "frames_v";
 /// Column of the text by which rows are selected and split, such as a tip or a place.
-const TAG: &str = "tag";
+pub(super) const TAG: &str = "tag";
 /// Fields of a contact, in their order in an array.
 pub(super) const CONTACT_FIELDS: [&str; 4] = ["x_mm", "y_mm", "force_n", "diameter_mm"];
 /// Largest valid force of a contact, N.
@@ -89,14 +93,20 @@ impl<'a> Reader<'a> {
     pub fn check(&self, schema: &Schema) -> Result<(), Vec<Problem>> {
         let names: Vec<&str> = schema.fields().iter().map(|f| f.name().as_str()).collect();
         let wanted = [
-            (VOLTAGES_V, "lists of voltages (CSV: columns v0, v1, ..)"),
+            (
+                VOLTAGES_V,
+                "lists of voltages (CSV: columns v0, v1, ..), or frames_v one of raw frames",
+            ),
             (
                 CONTACTS,
                 "lists of contacts, empty for an untouched skin (CSV: x_mm, y_mm, force_n; NPZ and MAT: \
                  contacts_xy_mm)",
             ),
         ];
-        let missing = wanted.into_iter().filter(|(name, _)| schema.index_of(name).is_err());
+        let lacks = |name: &str| schema.index_of(name).is_err();
+        let missing = wanted
+            .into_iter()
+            .filter(|(name, _)| lacks(name) && (*name != VOLTAGES_V || lacks(FRAMES_V)));
         let problems: Vec<Problem> = missing
             .map(|(name, words)| {
                 let limit =
@@ -133,12 +143,10 @@ impl<'a> Reader<'a> {
 
     fn trial(&mut self, columns: &Columns, at: usize) -> Option<ImportedTrial> {
         let before = self.problems.len();
-        let voltages_v = self.frame(&columns.voltages_v, VOLTAGES_V, at);
-        let sim_voltages_v = match &columns.sim_voltages_v {
-            Some(frames) if !frames.is_null(at) => {
-                Some(self.frame(&columns.sim_voltages_v, SIM_VOLTAGES_V, at)?)
-            }
-            _ => None,
+        let measured = self.measured(columns, at);
+        let sim_voltages_v = match columns.sim_voltages_v.as_ref().filter(|v| !v.is_null(at)) {
+            Some(frames) => Some(self.frame(&frames.as_list::<i64>().value(at), SIM_VOLTAGES_V)?),
+            None => None,
         };
         let contacts = self.contacts(columns, at);
         let whole = |column: &Option<ArrayRef>| -> Option<i64> {
@@ -159,9 +167,14 @@ impl<'a> Reader<'a> {
         if tips.is_err() {
             self.wrong("tips", "out of range", "must be from 0 to 255");
         }
-        let frame_count = u32::try_from(whole(&columns.frame_count).unwrap_or(0));
-        if frame_count.is_err() {
+        let stated = u32::try_from(whole(&columns.frame_count).unwrap_or(0));
+        if stated.is_err() {
             self.wrong(FRAME_COUNT, "out of range", limit);
+        }
+        let stated = stated.unwrap_or(0);
+        let raw = measured.as_ref().map_or(0, |(_, frames_v)| frames_v.len() as u32);
+        if raw > 0 && stated > 0 && raw != stated {
+            self.wrong(FRAME_COUNT, stated, format!("must be the {raw} frames of {FRAMES_V}"));
         }
         let has_key = configuration.is_ok() && depth_index.is_ok();
         let (configuration, depth_index, tips) =
@@ -197,7 +210,7 @@ impl<'a> Reader<'a> {
         if self.problems.len() > before {
             return None;
         }
-        let voltages_v = voltages_v?;
+        let (voltages_v, frames_v) = measured?;
         let missing = voltages_v.iter().filter(|v| v.is_nan()).count();
         let fit = sim_voltages_v.as_ref().map(|simulated| {
             let apart = difference(&voltages_v, simulated);
@@ -217,20 +230,67 @@ impl<'a> Reader<'a> {
                 ..FrameQuality::default()
             },
             started_at,
-            frame_count: frame_count.unwrap_or(0),
+            frame_count: stated.max(raw),
             split,
             tag,
             voltages_v,
+            frames_v,
         })
     }
 
-    fn frame(&mut self, frames: &Option<ArrayRef>, column: &str, at: usize) -> Option<Vec<f32>> {
-        let frames = frames.as_ref()?;
-        if frames.is_null(at) {
-            self.wrong(column, "null", "must be a list of voltages");
+    /// The measured frame of a trial, and its raw frames: their mean, or else the stated one without any.
+    fn measured(&mut self, columns: &Columns, at: usize) -> Option<(Vec<f32>, Vec<Vec<f32>>)> {
+        let known = |column: &Option<ArrayRef>| {
+            column.as_ref().filter(|lists| !lists.is_null(at)).map(|l| l.as_list::<i64>().value(at))
+        };
+        match (known(&columns.voltages_v), known(&columns.frames_v)) {
+            (Some(values), None) => Some((self.frame(&values, VOLTAGES_V)?, Vec::new())),
+            (None, Some(frames)) => {
+                let frames_v = self.raw_frames(&frames)?;
+                Some((mean(&frames_v), frames_v))
+            }
+            (None, None) => {
+                self.wrong(VOLTAGES_V, "null", "must be a list of voltages");
+                None
+            }
+            (Some(_), Some(_)) => {
+                let limit = format!("must be null where {FRAMES_V} has frames: it is their mean");
+                self.wrong(VOLTAGES_V, "a frame", limit);
+                None
+            }
+        }
+    }
+
+    /// The raw frames of a trial, V: complete ones, since they are stored as counts.
+    fn raw_frames(&mut self, frames: &ArrayRef) -> Option<Vec<Vec<f32>>> {
+        let frames = frames.as_list::<i64>();
+        if !(1..=IMPORTED_FRAMES_MAX).contains(&frames.len()) {
+            let limit = format!("must have 1 to {IMPORTED_FRAMES_MAX} frames, or be null");
+            self.wrong(FRAMES_V, format!("{} frames", frames.len()), limit);
             return None;
         }
-        let values = frames.as_list::<i64>().value(at);
+        let mut frames_v = Vec::with_capacity(frames.len());
+        for n in 0..frames.len() {
+            let name = format!("{FRAMES_V}[{n}]");
+            if frames.is_null(n) {
+                self.wrong(&name, "null", "must be a list of voltages");
+                return None;
+            }
+            let frame = self.frame(&frames.value(n), &name)?;
+            if let Some(channel) = frame.iter().position(|v| v.is_nan()) {
+                let limit = format!(
+                    "must have a value: state the mean as {VOLTAGES_V} instead, which may lack channels"
+                );
+                self.wrong(&format!("{name}[{channel}]"), "missing", limit);
+                return None;
+            }
+            frames_v.push(frame);
+        }
+        Some(frames_v)
+    }
+
+    /// Checks the voltages of a frame.
+    fn frame(&mut self, values: &ArrayRef, column: &str) -> Option<Vec<f32>> {
         let values = values.as_primitive::<Float32Type>();
         let wanted = self.sensor.channels;
         if values.len() != wanted {
@@ -323,130 +383,9 @@ impl<'a> Reader<'a> {
     }
 }
 
-/// A value as f64; `None` if it is null or NaN.
-fn known(column: &ArrayRef, at: usize) -> Option<f64> {
-    let column = cast(column, &DataType::Float64).ok()?;
-    let numbers = column.as_primitive::<Float64Type>();
-    (!numbers.is_null(at)).then(|| numbers.value(at)).filter(|number| !number.is_nan())
-}
-
-/// The columns of a batch, converted to the types that the reader uses.
-struct Columns {
-    voltages_v: Option<ArrayRef>,
-    sim_voltages_v: Option<ArrayRef>,
-    contacts: Option<ArrayRef>,
-    configuration: Option<ArrayRef>,
-    depth_index: Option<ArrayRef>,
-    depth_mm: Option<ArrayRef>,
-    tips: Option<ArrayRef>,
-    flags: Option<ArrayRef>,
-    started_at: Option<ArrayRef>,
-    frame_count: Option<ArrayRef>,
-    split: Option<ArrayRef>,
-    tag: Option<ArrayRef>,
-}
-
-impl Columns {
-    fn of(file: &str, batch: &RecordBatch) -> Result<Self, Problem> {
-        let list = |item: DataType| DataType::new_large_list(item, true);
-        let time = DataType::Timestamp(TimeUnit::Millisecond, Some("UTC".into()));
-        let column = |name: &str, wanted: DataType, words: &str| {
-            let Some(found) = batch.column_by_name(name) else { return Ok(None) };
-            let wrong = |value: String| {
-                Problem::new(file, name, value, format!("must be a column of {words}"))
-            };
-            if !resembles(found.data_type(), &wanted) {
-                return Err(wrong(found.data_type().to_string()));
-            }
-            if let Some(fraction) = fraction(found, &wanted) {
-                return Err(wrong(fraction.to_string()));
-            }
-            // A value that does not fit is an error, not a null.
-            let options = CastOptions { safe: false, ..CastOptions::default() };
-            let cast = cast_with_options(found, &wanted, &options);
-            cast.map(Some).map_err(|error| wrong(error.to_string()))
-        };
-        Ok(Self {
-            voltages_v: column(VOLTAGES_V, list(DataType::Float32), "lists of numbers")?,
-            sim_voltages_v: column(SIM_VOLTAGES_V, list(DataType::Float32), "lists of numbers")?,
-            contacts: contacts(file, batch)?,
-            configuration: column("configuration", DataType::Int64, "whole numbers")?,
-            depth_index: column("depth_index", DataType::Int64, "whole numbers")?,
-            depth_mm: column("depth_mm", DataType::Float64, "numbers")?,
-            tips: column("tips", DataType::Int64, "whole numbers")?,
-            flags: column("flags", list(DataType::Utf8), "lists of words")?,
-            started_at: column("started_at", time, "times")?,
-            frame_count: column(FRAME_COUNT, DataType::Int64, "whole numbers")?,
-            split: column(SPLIT, DataType::Utf8, "words")?,
-            tag: column(TAG, DataType::Utf8, "words")?,
-        })
-    }
-}
-
-/// True if a type may be converted to the wanted one: numbers are not read from text, nor lists
-/// from scalars.
-fn resembles(found: &DataType, wanted: &DataType) -> bool {
-    use DataType::{FixedSizeList, LargeList, List, Null};
-    match (found, wanted) {
-        (Null, _) => true,
-        (DataType::Dictionary(_, value), wanted) => resembles(value, wanted),
-        (List(item) | LargeList(item) | FixedSizeList(item, _), LargeList(wanted)) => {
-            resembles(item.data_type(), wanted.data_type())
-        }
-        (found, DataType::Utf8) => {
-            matches!(found, DataType::Utf8 | DataType::LargeUtf8 | DataType::Utf8View)
-        }
-        (found, DataType::Timestamp(..)) => matches!(found, DataType::Timestamp(..)),
-        (found, wanted) => found.is_numeric() && wanted.is_numeric(),
-    }
-}
-
-/// First number with a fraction in a column that must hold whole numbers. (pandas stores whole
-/// numbers with gaps as floats.)
-fn fraction(found: &ArrayRef, wanted: &DataType) -> Option<f64> {
-    if *wanted != DataType::Int64 || !found.data_type().is_floating() {
-        return None;
-    }
-    let numbers = cast(found, &DataType::Float64).ok()?;
-    numbers.as_primitive::<Float64Type>().iter().flatten().find(|number| number.fract() != 0.0)
-}
-
-/// The column of contacts: lists of structs with any of four fields of any numeric type.
-fn contacts(file: &str, batch: &RecordBatch) -> Result<Option<ArrayRef>, Problem> {
-    let Some(found) = batch.column_by_name(CONTACTS) else { return Ok(None) };
-    let item = match found.data_type() {
-        DataType::List(item) | DataType::LargeList(item) | DataType::FixedSizeList(item, _) => item,
-        _ => return Err(wrong_contacts(file, found)),
-    };
-    match item.data_type() {
-        // A file whose trials are all untouched.
-        DataType::Null => cast(found, &DataType::LargeList(Arc::new(empty_contact())))
-            .map(Some)
-            .map_err(|_| wrong_contacts(file, found)),
-        DataType::Struct(fields) => {
-            let known = |field: &Arc<Field>| {
-                let numeric =
-                    field.data_type().is_numeric() || *field.data_type() == DataType::Null;
-                CONTACT_FIELDS.contains(&field.name().as_str()) && numeric
-            };
-            if !fields.iter().all(known) {
-                return Err(wrong_contacts(file, found));
-            }
-            cast(found, &DataType::LargeList(item.clone()))
-                .map(Some)
-                .map_err(|_| wrong_contacts(file, found))
-        }
-        _ => Err(wrong_contacts(file, found)),
-    }
-}
-
-/// Element type of contacts without fields.
-fn empty_contact() -> Field {
-    Field::new("item", DataType::Struct(Vec::<Field>::new().into()), true)
-}
-
-fn wrong_contacts(file: &str, found: &ArrayRef) -> Problem {
-    let limit = "must be lists of {x_mm, y_mm, force_n, diameter_mm}, all numbers, each of which may be \
-                 null or absent";
-    Problem::new(file, CONTACTS, found.data_type(), limit)
+/// Mean of raw frames of one length, V.
+fn mean(frames_v: &[Vec<f32>]) -> Vec<f32> {
+    let channels = frames_v.first().map_or(0, Vec::len);
+    let sum = |channel: usize| frames_v.iter().map(|frame| f64::from(frame[channel])).sum::<f64>();
+    (0..channels).map(|channel| (sum(channel) / frames_v.len() as f64) as f32).collect()
 }

@@ -15,7 +15,7 @@ use parquet::errors::ParquetError;
 use super::extent::Extent;
 use super::foreign::arrays::{Arrays, Container};
 use super::foreign::csv::Csv;
-use super::{BATCH_TRIALS, rows, whole};
+use super::{rows, whole};
 use crate::dataset::error::DatasetError;
 
 /// Number of bytes by which a format is recognised.
@@ -128,7 +128,8 @@ impl Source {
                 let fields = self.schema.fields().iter().enumerate();
                 let used: Vec<usize> = fields.filter_map(used).collect();
                 let mask = ProjectionMask::roots(parquet.parquet_schema(), used);
-                let built = parquet.with_projection(mask).with_batch_size(BATCH_TRIALS).build();
+                let rows = self.extent.rows_at_once();
+                let built = parquet.with_projection(mask).with_batch_size(rows).build();
                 let batches = built.map_err(|error| unreadable(&self.file, &error))?;
                 Box::new(batches.map(|batch| batch.map_err(DatasetError::from)))
             }

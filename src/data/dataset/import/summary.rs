@@ -18,6 +18,8 @@ pub struct Summary {
     pub columns_left_out: Vec<String>,
     /// Number of voltages of a frame.
     pub channels: usize,
+    /// Number of raw frames of all trials.
+    pub raw_frames: u64,
     /// Number of voltages without a value, of all frames.
     pub missing_voltages: u64,
     /// Smallest and largest voltage, V; absent without a value.
@@ -49,6 +51,7 @@ impl Summary {
     pub fn add(&mut self, trial: &ImportedTrial) {
         self.rows += 1;
         self.channels = trial.voltages_v.len();
+        self.raw_frames += trial.frames_v.len() as u64;
         for volts in &trial.voltages_v {
             match volts.is_nan() {
                 true => self.missing_voltages += 1,
@@ -88,11 +91,12 @@ mod tests {
         let place = Contact { x_mm: Some(3.0), y_mm: Some(1.0), ..Contact::default() };
         trial.contacts = vec![force, place];
         trial.voltages_v = vec![1.5, 0.0];
+        trial.frames_v = vec![vec![1.0, 0.0], vec![2.0, 0.0]];
         trial.split = Some("test".into());
         trial.tag = Some("A3".into());
         summary.add(&trial);
         assert_eq!((summary.rows, summary.channels, summary.missing_voltages), (2, 2, 1));
-        assert_eq!(summary.voltages_v, Some([-2.0, 1.5]));
+        assert_eq!((summary.voltages_v, summary.raw_frames), (Some([-2.0, 1.5]), 2));
         assert_eq!((summary.x_mm, summary.force_n), (Some([3.0, 3.0]), Some([4.0, 4.0])));
         assert_eq!(summary.contacts_without_force, 1);
         assert_eq!(summary.contact_counts, BTreeMap::from([(0, 1), (2, 1)]));

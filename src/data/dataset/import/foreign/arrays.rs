@@ -14,9 +14,8 @@ use arrow_schema::{DataType, Field, Schema};
 use super::batch::{self, SCALARS, Scalar};
 use super::{mat, npz};
 use crate::dataset::error::DatasetError;
-use crate::dataset::import::BATCH_TRIALS;
 use crate::dataset::import::extent::Extent;
-use crate::dataset::import::rows::CONTACT_FIELDS;
+use crate::dataset::import::rows::{CONTACT_FIELDS, FRAMES_V};
 use crate::dataset::schema::VOLTAGES_V;
 use crate::problem::Problem;
 use crate::simulate::schema::{CONTACTS, SIM_VOLTAGES_V};
@@ -96,7 +95,7 @@ pub(super) enum Values {
 
 /// Whether the values of the array with this name are held as f32.
 pub(super) fn is_frame(name: &str) -> bool {
-    name == VOLTAGES_V || name == SIM_VOLTAGES_V
+    name == VOLTAGES_V || name == SIM_VOLTAGES_V || name == FRAMES_V
 }
 
 /// Collects values in the order of the rows. `by_columns`: the first dimension varies fastest in `values`.
@@ -160,22 +159,23 @@ impl Layout {
         let mut wrong = |name: &str, value: &str, limit: String| {
             problems.push(Problem::new(file, name, value, limit));
         };
-        let rows = arrays.get(VOLTAGES_V).and_then(|shape| shape.dims.first()).copied();
+        let frames = arrays.get(VOLTAGES_V).or_else(|| arrays.get(FRAMES_V));
+        let rows = frames.and_then(|shape| shape.dims.first()).copied();
         layout.rows = rows.unwrap_or_default();
         let rows = layout.rows;
         let is_list = |shape: &Shape| {
             let dims = &shape.dims;
             matches!(dims.as_slice(), [n] | [n, 1] | [1, n] if *n == rows)
         };
-        for name in [VOLTAGES_V, SIM_VOLTAGES_V] {
+        for (name, inner) in
+            [(VOLTAGES_V, "channels"), (SIM_VOLTAGES_V, "channels"), (FRAMES_V, "frames, channels")]
+        {
             let Some(shape) = arrays.get(name) else { continue };
-            let fits = shape.dims.len() == 2 && shape.dims[0] == rows && shape.dims[1] > 0;
+            let is_long = shape.dims.len() == 1 + inner.split(' ').count();
+            let fits = is_long && shape.dims[0] == rows && !shape.dims[1..].contains(&0);
             if !fits || shape.kind != Kind::Numbers {
-                wrong(
-                    name,
-                    &shape.shown(),
-                    format!("must be numbers of the shape ({rows}, channels), V"),
-                );
+                let limit = format!("must be numbers of the shape ({rows}, {inner}), V");
+                wrong(name, &shape.shown(), limit);
             }
         }
         for (name, scalar) in SCALARS {
@@ -331,7 +331,8 @@ impl Arrays {
             Container::Mat => mat::read(opened, wanted),
         };
         let arrays = arrays.map_err(|error| unreadable(&self.file, self.container, &error))?;
-        Ok(Batches { file: self.file, layout: self.layout, arrays, row: 0 })
+        let rows_at_once = self.extent().rows_at_once();
+        Ok(Batches { file: self.file, layout: self.layout, arrays, rows_at_once, row: 0 })
     }
 }
 
@@ -348,6 +349,7 @@ pub struct Batches {
     file: String,
     layout: Layout,
     arrays: BTreeMap<String, Values>,
+    rows_at_once: usize,
     row: usize,
 }
 
@@ -356,7 +358,7 @@ impl Iterator for Batches {
 
     fn next(&mut self) -> Option<Self::Item> {
         let first = self.row;
-        let end = self.layout.rows.min(first + BATCH_TRIALS);
+        let end = self.layout.rows.min(first + self.rows_at_once);
         self.row = end;
         (first < end).then(|| self.page(first, end))
     }
@@ -367,10 +369,17 @@ impl Batches {
         let mut columns: Vec<(&str, ArrayRef)> = Vec::new();
         for (name, values) in &self.arrays {
             match values {
+                Values::Singles(volts) if name == FRAMES_V => {
+                    let each = volts.len() / self.layout.rows.max(1);
+                    let frames = self.layout.read.get(name).map_or(1, |shape| shape.dims[1]);
+                    let page = &volts[first * each..end * each];
+                    columns.push((name, batch::raw_frames(page, frames, each / frames.max(1))?));
+                }
                 Values::Singles(volts) => {
                     let channels = volts.len() / self.layout.rows.max(1);
                     let page = volts[first * channels..end * channels].to_vec();
-                    let may_lack = name == SIM_VOLTAGES_V;
+                    let has_raw = self.layout.read.contains_key(FRAMES_V);
+                    let may_lack = has_raw || name == SIM_VOLTAGES_V;
                     columns.push((name, batch::frames(page, channels, may_lack)?));
                 }
                 _ => {

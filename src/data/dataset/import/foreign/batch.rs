@@ -5,8 +5,8 @@ use std::sync::Arc;
 
 use arrow_array::builder::{ListBuilder, StringBuilder};
 use arrow_array::{
-    ArrayRef, FixedSizeListArray, Float32Array, Float64Array, ListArray, StringArray, StructArray,
-    TimestampMillisecondArray,
+    Array, ArrayRef, FixedSizeListArray, Float32Array, Float64Array, ListArray, StringArray,
+    StructArray, TimestampMillisecondArray,
 };
 use arrow_buffer::{NullBuffer, OffsetBuffer};
 use arrow_schema::{ArrowError, DataType, Field, Fields};
@@ -54,6 +54,28 @@ pub(super) fn frames(
         .map_err(|_| ArrowError::InvalidArgumentError("a frame has too many values".into()))?;
     let values = Arc::new(Float32Array::from(values));
     Ok(Arc::new(FixedSizeListArray::try_new(item, length, values, nulls)?))
+}
+
+/// Raw frames of each trial, `frames` of `channels` voltages, V, one after the other; NaN for a missing
+/// channel. A frame of missing channels alone is absent, and with it, if it has no other, the list of a trial.
+pub(super) fn raw_frames(
+    values: &[f32],
+    frames: usize,
+    channels: usize,
+) -> Result<ArrayRef, ArrowError> {
+    let is_there = |frame: &&[f32]| frame.iter().any(|v| !v.is_nan());
+    let mut kept: Vec<f32> = Vec::with_capacity(values.len());
+    let mut lengths: Vec<usize> = Vec::new();
+    for trial in values.chunks((frames * channels).max(1)) {
+        let before = kept.len();
+        trial.chunks(channels.max(1)).filter(is_there).for_each(|frame| kept.extend(frame));
+        lengths.push((kept.len() - before) / channels.max(1));
+    }
+    let nulls: NullBuffer = lengths.iter().map(|length| *length > 0).collect();
+    let kept = self::frames(kept, channels, false)?;
+    let item = Arc::new(Field::new("item", kept.data_type().clone(), true));
+    let ends = OffsetBuffer::from_lengths(lengths);
+    Ok(Arc::new(ListArray::try_new(item, ends, kept, Some(nulls))?))
 }
 
 /// Contacts of each trial.

@@ -18,6 +18,7 @@ use super::line_limit::{Allowance, LINE_MAX_BYTES, LineLimit};
 use crate::dataset::error::DatasetError;
 use crate::dataset::import::BATCH_TRIALS;
 use crate::dataset::import::extent::Extent;
+use crate::dataset::import::rows::FRAMES_V;
 use crate::dataset::schema::VOLTAGES_V;
 use crate::problem::Problem;
 use crate::simulate::schema::{CONTACTS, SIM_VOLTAGES_V};
@@ -116,6 +117,10 @@ impl Layout {
         let mut scalars: BTreeMap<&str, (Scalar, usize)> = BTreeMap::new();
         for (at, name) in header.iter().enumerate() {
             let name = String::from_utf8_lossy(name).trim().to_owned();
+            if name.starts_with(FRAMES_V) {
+                let limit = "must be in a Parquet, NPZ or MAT file: a cell holds no frames";
+                problems.push(Problem::new(file, &name, "a column", limit));
+            }
             let twice = match meaning(&name) {
                 Meaning::Channel(frame, channel) => channels[frame].insert(channel, at).is_some(),
                 Meaning::Contact(number, field) => {

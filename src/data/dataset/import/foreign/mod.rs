@@ -5,6 +5,7 @@
 //! | column of `rows` | CSV | NPZ and MAT, of n trials |
 //! |---|---|---|
 //! | `voltages_v`, `sim_voltages_v` | `v0`, `v1`, ..; or `voltages_v[0]`, `voltages_v_0`, .. | (n, channels) |
+//! | `frames_v` | none | (n, frames, channels); NaN throughout for a frame that a trial lacks |
 //! | `contacts` | `x_mm`, `y_mm`, `force_n`, `diameter_mm`; `x1_mm`, `y1_mm`, `force1_n`, `x2_mm`, ..; or `contacts` as JSON | `contacts_xy_mm` (n, k, 2), or `x_mm` and `y_mm` (n) or (n, k); `force_n`, `diameter_mm` (n) or (n, k); or `contacts` (n, k, 4) |
 //! | other columns | by their names | (n) |
 //!

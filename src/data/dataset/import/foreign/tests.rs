@@ -111,6 +111,7 @@ fn an_invalid_table_is_refused_by_row_and_column() {
         (format!("{head}1,2,3\n"), "each line with as many cells as the first"),
         ("v0,v2,x_mm,y_mm\n1,2,3,4\n".into(), "v1 = absent: must be present"),
         ("v0,v0,x_mm,y_mm\n1,2,3,4\n".into(), "v0 = twice"),
+        ("v0,frames_v,x_mm,y_mm\n1,2,3,4\n".into(), "frames_v = a column: must be in a Parquet"),
         ("v0,x_mm,y_mm,x1_mm\n1,2,3,4\n".into(), "contacts = several forms"),
         ("v0,v1,x_mm,y_mm\n1,2,3,4\n".into(), "voltages_v = 2 values: must have the 3 values"),
         ("a,b\n1,2\n".into(), "voltages_v = absent"),
@@ -191,6 +192,87 @@ fn arrays_of_either_order_and_compression_are_read() {
         assert_eq!(trials[0].started_at.map(|at| at.as_millisecond()), Some(1));
         assert_eq!(trials[1].started_at, None);
     }
+}
+
+/// Three trials of a pad of 3 channels, each of up to two raw frames, row by row.
+const RAW: [f64; 18] = [
+    1.0,
+    2.0,
+    3.0,
+    3.0,
+    4.0,
+    5.0, // two frames
+    0.5,
+    0.5,
+    0.5,
+    f64::NAN,
+    f64::NAN,
+    f64::NAN, // one
+    -1.0,
+    0.0,
+    1.0,
+    -1.0,
+    2.0,
+    1.0, // two
+];
+
+/// Mean frame, raw frames and their number of each trial of [`RAW`].
+fn is_raw(trials: &[ImportedTrial]) {
+    let means: Vec<&[f32]> = trials.iter().map(|trial| &trial.voltages_v[..]).collect();
+    assert_eq!(means, [[2.0, 3.0, 4.0], [0.5, 0.5, 0.5], [-1.0, 1.0, 1.0]]);
+    let counts: Vec<u32> = trials.iter().map(|trial| trial.frame_count).collect();
+    assert_eq!(counts, [2, 1, 2]);
+    assert_eq!(trials[0].frames_v, [[1.0, 2.0, 3.0], [3.0, 4.0, 5.0]]);
+    assert_eq!(trials[1].frames_v, [[0.5, 0.5, 0.5]]);
+}
+
+#[test]
+fn raw_frames_are_an_array_of_three_dimensions() {
+    let place = || [("x_mm", npy("<f8", false, "(3,)", &doubles(&[5.0; 3])))];
+    let y = || ("y_mm", npy("<f8", false, "(3,)", &doubles(&[6.0; 3])));
+    let raw = |shape: &str| ("frames_v", npy("<f8", false, shape, &doubles(&RAW)));
+    let of = |more: Vec<(&str, Vec<u8>)>| {
+        let arrays: Vec<_> = more.into_iter().chain(place()).chain([y()]).collect();
+        npz(&arrays, CompressionMethod::Deflated)
+    };
+    let (trials, left_out) = read("raw.npz", &of(vec![raw("(3, 2, 3)")])).unwrap();
+    assert!(left_out.is_empty(), "{left_out:?}");
+    is_raw(&trials);
+    let volts = |values: &[f64]| ("voltages_v", npy("<f8", false, "(3, 3)", &doubles(values)));
+    let large = ("frames_v", npy("<f8", false, "(100000, 8, 784)", &[]));
+    for (bytes, wanted) in [
+        (
+            of(vec![raw("(3, 6)")]),
+            "frames_v = (3, 6) numbers: must be numbers of the shape (3, frames",
+        ),
+        (of(vec![raw("(3, 3, 2)")]), "row 0, frames_v[0] = 2 values: must have the 3 values"),
+        (
+            of(vec![raw("(3, 2, 3)"), volts(&[0.0; 9])]),
+            "row 0, voltages_v = a frame: must be null where frames_v has frames",
+        ),
+        (
+            of(vec![
+                raw("(3, 2, 3)"),
+                ("frame_count", npy("<f8", false, "(3,)", &doubles(&[2.0, 2.0, 2.0]))),
+            ]),
+            "row 1, frame_count = 2: must be the 1 frames of frames_v",
+        ),
+        (
+            npz(&[large], CompressionMethod::Stored),
+            "bytes = 2508800000: must be at most 1073741824",
+        ),
+    ] {
+        let found = refused("raw.npz", &bytes);
+        assert!(found.contains(wanted), "{wanted}: {found}");
+    }
+    // Where a trial has no raw frames, it may have its mean.
+    let mut some = RAW;
+    some[..12].fill(f64::NAN);
+    let means = [0.0, 0.0, 1.0, 0.0, 0.0, 2.0, f64::NAN, f64::NAN, f64::NAN];
+    let some = ("frames_v", npy("<f8", false, "(3, 2, 3)", &doubles(&some)));
+    let (trials, _) = read("some.npz", &of(vec![some, volts(&means)])).unwrap();
+    let counts: Vec<u32> = trials.iter().map(|trial| trial.frame_count).collect();
+    assert_eq!((counts, trials[1].voltages_v[2]), (vec![0, 0, 2], 2.0));
 }
 
 #[test]
@@ -287,6 +369,17 @@ fn matrices_are_read_by_columns_compressed_or_not() {
     assert_eq!(trials[0].contacts, [touch(10.0, 20.0, None)]);
     assert_eq!(trials[1].contacts, [touch(50.0, 60.0, None)]);
     assert_eq!((trials[0].depth_index, trials[1].depth_index), (3, 4));
+}
+
+#[test]
+fn raw_frames_of_a_matrix_are_read_by_columns() {
+    // MATLAB: the first dimension varies fastest.
+    let by_columns: Vec<f64> = (0..18).map(|n| RAW[n % 3 * 6 + n / 3 % 2 * 3 + n / 6]).collect();
+    let raw = matrix("frames_v", 6, &[3, 2, 3], element(9, &doubles(&by_columns)));
+    let xy = matrix("contacts_xy_mm", 6, &[3, 1, 2], element(2, &[10, 11, 12, 20, 21, 22]));
+    let (trials, _) = read("raw.mat", &mat(&[compressed(&raw), xy])).unwrap();
+    is_raw(&trials);
+    assert_eq!(trials[2].contacts, [touch(12.0, 22.0, None)]);
 }
 
 #[test]
