@@ -34,7 +34,7 @@ UNIT = r" (?:ms|s|min|h)\b(?: \d+ (?:s|min)\b)*"
 VARIABLE = re.compile(rf"(\d+(?:\.\d+)?(?:{UNIT})?|\.\.)")
 # What a placeholder ends in is taken from the last text of this form that the page has printed.
 PRINTED = {"cal-..": r"cal-[0-9a-f]{16}", "mdl-..": r"mdl-[0-9a-f]{16}", "ds-..": r"ds-[0-9a-f]{16}",
-           "job-..": r"job-[0-9a-f-]{36}", "KEY": r"palpate_[0-9a-f]{64}"}
+           "job-..": r"job-[0-9a-f-]{36}", "JOB": r"(?<=Submitted batch job )\d+", "KEY": r"palpate_[0-9a-f]{64}"}
 
 
 @dataclasses.dataclass

@@ -160,9 +160,9 @@ impl JobArgs {
         };
         let (path, text) = (self.folder.join(JOB_FILE), job.to_string());
         let is_same = fs::read_to_string(&path).is_ok_and(|there| there == text);
+        let logs = self.folder.join(JOB_LOGS);
+        fs::create_dir_all(&logs).map_err(|source| CliError::File { path: logs, source })?;
         if !is_same {
-            let logs = self.folder.join(JOB_LOGS);
-            fs::create_dir_all(&logs).map_err(|source| CliError::File { path: logs, source })?;
             new_file::write(&self.folder, JOB_FILE, &text)
                 .map_err(|source| CliError::File { path, source })?;
         }
