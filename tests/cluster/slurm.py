@@ -22,6 +22,7 @@ import os
 import pathlib
 import random
 import re
+import shutil
 import signal
 import statistics
 import subprocess
@@ -245,11 +246,13 @@ def rates(lab: Lab, trials: int) -> None:
 
 
 def report(what: str, began: float, trials: int, count: int, folder: pathlib.Path, pattern: str) -> float:
-    """Prints the rate between the first and the last result, and the time before and after; returns the rate."""
+    """Prints the rate between the first and the last result, and the time before and after; returns the rate.
+    Removes the results."""
     moments = sorted(path.stat().st_mtime for path in folder.glob(pattern))
     first, last = statistics.mean(moments[:count]), statistics.mean(moments[-count:])
     rate = trials * (len(moments) - count) / len(moments) / (last - first)
     overhead = time.time() - began - trials / rate
+    shutil.rmtree(folder)
     print(f"{what}: {rate:,.0f} trials/s, and {overhead:.1f} s for start and end", flush=True)
     return rate
 
