@@ -97,7 +97,7 @@ impl ChunkKind {
                     let why = |index| (index, why.to_owned());
                     let gaps = Gaps { damaged: damaged.map(why).collect(), ..Gaps::default() };
                     let folder = folder.path().to_owned();
-                    return Err(ChunkError::Incomplete { folder, gaps }.into());
+                    return Err(ChunkError::Incomplete { folder, gaps: Box::new(gaps) }.into());
                 }
                 let shards = gathered.manifest.shards.iter();
                 let (rows, bytes) = shards.fold((0, 0), |(rows, bytes), shard| {

@@ -94,7 +94,7 @@ pub enum ChunkError {
         /// Path of the folder.
         folder: PathBuf,
         /// What is missing, damaged or foreign.
-        gaps: Gaps,
+        gaps: Box<Gaps>,
     },
 }
 

@@ -76,7 +76,7 @@ fn closest(score: &Score, cell: &impl Fn(&Option<Mean>, f64) -> String) -> Strin
 
 /// A share as a cell, %, with its 95 % interval.
 pub fn share_cell(share: &Option<Mean>) -> String {
-    let cell = |share: &Mean| mean_cell(share, 100.0, Beside::Interval);
+    let cell = |share: &Mean| mean_cell(share, 100.0, Uncertainty::Interval);
     share.as_ref().map_or(EMPTY_CELL.into(), cell)
 }
 
