@@ -13,7 +13,7 @@ use super::progress::spinner;
 use crate::program::Known;
 
 /// The program that makes chunks.
-const WORKER: Known = Known {
+static WORKER: Known = Known {
     name: "palpate-worker",
     variable: "PALPATE_WORKER",
     folder: "worker",

@@ -18,7 +18,7 @@ use crate::program::{Known, Lines, Program};
 use crate::query_lines::{Answer, LINES_VERSION, Order, Table};
 
 /// The program of the engine.
-pub const QUERY: Known = Known {
+pub static QUERY: Known = Known {
     name: "palpate-query",
     variable: "PALPATE_QUERY",
     folder: "query",

@@ -19,12 +19,12 @@ const OF_CARGO: [&str; 5] =
 /// # Errors
 /// `ProgramError::Cargo` if cargo cannot be started; `Build` if it fails.
 pub async fn build(
-    known: &Known,
+    known: &'static Known,
     build: &Build,
     mut seen: impl FnMut(&str),
     is_stopped: impl Fn() -> bool,
 ) -> Result<bool, ProgramError> {
-    let failed = |source| ProgramError::Cargo { known: *known, source };
+    let failed = |source| ProgramError::Cargo { known, source };
     let cargo = std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
     let mut command = Command::new(cargo);
     command.args(["build", "--bin", known.name, "--profile", &build.profile]);
@@ -63,5 +63,5 @@ pub async fn build(
     if status.success() {
         return Ok(true);
     }
-    Err(ProgramError::Build { known: *known, said: last.join("\n") })
+    Err(ProgramError::Build { known, said: last.join("\n") })
 }

@@ -43,7 +43,7 @@ pub enum ProgramError {
     )]
     Missing {
         /// Program that is needed.
-        known: Known,
+        known: &'static Known,
         /// The running program.
         executable: PathBuf,
     },
@@ -51,7 +51,7 @@ pub enum ProgramError {
     #[error("building {}: cargo: {source}; run `{}`", known.about, known.command())]
     Cargo {
         /// Program that is needed.
-        known: Known,
+        known: &'static Known,
         /// Error of the operating system.
         source: io::Error,
     },
@@ -59,7 +59,7 @@ pub enum ProgramError {
     #[error("building {} with `{}` failed:\n{said}", known.about, known.command())]
     Build {
         /// Program that is needed.
-        known: Known,
+        known: &'static Known,
         /// The last lines of cargo.
         said: String,
     },
@@ -78,7 +78,7 @@ impl Known {
     /// # Errors
     /// `ProgramError` if there is none, and it cannot be built.
     pub async fn path(
-        &self,
+        &'static self,
         seen: impl FnMut(&str),
         is_stopped: impl Fn() -> bool,
     ) -> Result<Option<PathBuf>, ProgramError> {
@@ -96,8 +96,8 @@ impl Known {
     }
 
     /// The error that the program is missing.
-    pub fn missing(&self) -> ProgramError {
-        ProgramError::Missing { known: *self, executable: executable() }
+    pub fn missing(&'static self) -> ProgramError {
+        ProgramError::Missing { known: self, executable: executable() }
     }
 
     /// The command that builds it in the source.
@@ -139,14 +139,14 @@ mod tests {
 
     #[test]
     fn a_missing_program_names_what_to_do() {
-        let known = Known {
+        static KNOWN: Known = Known {
             name: "palpate-trainer",
             variable: "PALPATE_TRAINER",
             folder: "trainer",
             workspace: "",
             about: "the trainer",
         };
-        let error = ProgramError::Missing { known, executable: "/usr/bin/palpate".into() };
+        let error = ProgramError::Missing { known: &KNOWN, executable: "/usr/bin/palpate".into() };
         for words in [
             "no palpate-trainer: it is not next to /usr/bin/palpate",
             "PALPATE_TRAINER does not name it",

@@ -26,7 +26,7 @@ use crate::learn::order::{Event, STOP_LINE};
 use crate::program::{Known, Lines, ProgramError, STOP_POLL};
 
 /// The program of the trainer.
-const TRAINER: Known = Known {
+static TRAINER: Known = Known {
     name: "palpate-trainer",
     variable: "PALPATE_TRAINER",
     folder: "trainer",
