@@ -44,7 +44,7 @@ class Server:
     """A PostgreSQL server in a folder, ended with its `with` block."""
 
     def __init__(self, programs: pathlib.Path, folder: pathlib.Path) -> None:
-        """Makes the server's data and starts it; as `nobody` if this is root, whom PostgreSQL refuses."""
+        """Makes the server's data and starts it; as `nobody` if this is root, which PostgreSQL refuses."""
         self.password = secrets.token_hex(8)
         with socket.socket() as free:
             free.bind(("127.0.0.1", 0))

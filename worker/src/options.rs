@@ -255,7 +255,8 @@ impl Options {
                     )));
                 }
                 let command = if *missing == 0 { "gather" } else { "status" };
-                next(json, &format!("palpate cluster {command} {folder}"));
+                let out = if *missing == 0 { " --out DIR" } else { "" };
+                next(json, &format!("palpate cluster {command} {folder}{out}"));
             }
         }
         Ok(ExitCode::SUCCESS)
