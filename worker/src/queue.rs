@@ -30,7 +30,7 @@ pub const SCHEMA: &str = "palpate_queue";
 /// Name of the only task.
 pub const TASK: &str = "chunk";
 /// Longest wait for an answer.
-const ANSWER: Duration = Duration::from_secs(15);
+pub const ANSWER: Duration = Duration::from_secs(15);
 /// Longest wait for a connection.
 const CONNECT: Duration = Duration::from_secs(10);
 /// Chunks that one request adds.
@@ -194,6 +194,31 @@ impl Queue {
     pub async fn heartbeat(&self, worker: &str, about: &Value) -> Result<(), WorkerError> {
         let database = Database::from(self.pool());
         self.answer(ANSWER, worker_heartbeat(&database, SCHEMA, worker, Some(about.clone()))).await
+    }
+
+    /// Returns the chunks that a worker took at least `since` ago and does not have: the answer to their taking
+    /// was lost. Their attempts do not count.
+    ///
+    /// # Errors
+    /// `WorkerError` if the queue does not answer.
+    pub async fn return_unknown(
+        &self,
+        worker: &str,
+        held: &[i64],
+        since: Duration,
+    ) -> Result<usize, WorkerError> {
+        let pool = self.pool();
+        let query = sqlx::query_scalar(
+            "SELECT id FROM palpate_queue._private_jobs WHERE locked_by = $1 AND id <> ALL($2) \
+             AND locked_at < now() - make_interval(secs => $3)",
+        );
+        let query = query.bind(worker).bind(held).bind(since.as_secs_f64());
+        let unknown: Vec<i64> = self.answer(ANSWER, query.fetch_all(&pool)).await?;
+        if !unknown.is_empty() {
+            let query = sqlx::query("SELECT palpate_queue._private_return_jobs($1, $2)");
+            self.answer(ANSWER, query.bind(worker).bind(&unknown).execute(&pool)).await?;
+        }
+        Ok(unknown.len())
     }
 
     /// Ends the lease of a worker.

@@ -8,9 +8,10 @@
 //! - A lost connection is replaced. A chunk that was being made is then acknowledged by this worker, or found
 //!   done by the next one.
 
+use std::collections::BTreeSet;
 use std::path::PathBuf;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::Duration;
 
 use graphile_worker::{
@@ -27,7 +28,7 @@ use crate::child::{MakeError, Maker, clipped};
 use crate::chunk::{Bench, Outcome};
 use crate::needs::Needs;
 use crate::order::Failed;
-use crate::queue::{ChunkRef, Queue};
+use crate::queue::{ANSWER, ChunkRef, Queue};
 use crate::scratch::Scratch;
 use crate::store::Store;
 
@@ -69,10 +70,18 @@ struct Shared {
     id: String,
     allowed: Vec<String>,
     ending: watch::Receiver<bool>,
+    /// Numbers of the chunks that the slots have.
+    held: Mutex<BTreeSet<i64>>,
     added: Notify,
     made: AtomicU64,
     existed: AtomicU64,
     failed: AtomicU64,
+}
+
+impl Shared {
+    fn held(&self) -> MutexGuard<'_, BTreeSet<i64>> {
+        self.held.lock().unwrap_or_else(|poisoned| poisoned.into_inner())
+    }
 }
 
 /// Works until SIGTERM or SIGINT; a second signal ends it within the present chunk.
@@ -99,6 +108,7 @@ pub async fn work(queue: Queue, store: Store, work: Work) -> Result<(), WorkerEr
         work,
         id,
         ending,
+        held: Mutex::new(BTreeSet::new()),
         added: Notify::new(),
         made: AtomicU64::new(0),
         existed: AtomicU64::new(0),
@@ -198,7 +208,9 @@ async fn run_slot(shared: Arc<Shared>, mut bench: Bench) -> Result<(), WorkerErr
             }
             continue;
         };
+        shared.held().insert(*job.id());
         let settled = settle(&shared, &mut bench, &job).await;
+        shared.held().remove(job.id());
         match settled {
             Settled::Chunk => drop(sick.ends()),
             // A machine that fails must not take all chunks and use up their attempts.
@@ -276,11 +288,19 @@ where
     }
 }
 
-/// Renews the lease.
+/// Renews the lease, and returns chunks that the queue believes to be here: as long as the worker lives, nobody
+/// else would.
 async fn beat(shared: Arc<Shared>, about: Value) {
     loop {
-        if let Err(error) = shared.queue.heartbeat(&shared.id, &about).await {
-            tracing::debug!(%error, "a heartbeat was lost");
+        let renewed = async {
+            shared.queue.heartbeat(&shared.id, &about).await?;
+            let held: Vec<i64> = shared.held().iter().copied().collect();
+            shared.queue.return_unknown(&shared.id, &held, ANSWER * 2).await
+        };
+        match renewed.await {
+            Ok(0) => (),
+            Ok(chunks) => tracing::info!(chunks, "returned chunks whose delivery was lost"),
+            Err(error) => tracing::debug!(%error, "a heartbeat was lost"),
         }
         sleep(shared.work.lease / 4).await;
     }

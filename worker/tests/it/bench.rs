@@ -11,6 +11,9 @@ use tempfile::TempDir;
 
 use crate::server::{self, PASSWORD, Server};
 
+/// Password of the login of workers in these tests.
+pub const DESK_PASSWORD: &str = "desk-hush-2";
+
 /// Queue and store of one test.
 pub struct Bench {
     pub server: Server,
@@ -40,6 +43,14 @@ impl Bench {
         let bench = Self { server, folder, address };
         bench.ok(&["setup"]);
         Some(bench)
+    }
+
+    /// Address of the queue, at a port, for a login that has the rights of workers alone.
+    pub fn desk(&self, port: u16) -> String {
+        let login =
+            format!("CREATE ROLE desk_1 LOGIN PASSWORD '{DESK_PASSWORD}' IN ROLE palpate_worker");
+        self.server.sql(&login);
+        self.server.address("desk_1", DESK_PASSWORD, port)
     }
 
     /// The program with its addresses in the environment.

@@ -10,7 +10,6 @@ use serde_json::json;
 
 use crate::bench::{Bench, Worker, until};
 use crate::proxy::Proxy;
-use crate::server::PASSWORD;
 
 /// Wall time of a chunk, ms, and pauses between two disturbances, ms.
 const CHUNK_MS: u64 = 150;
@@ -31,7 +30,7 @@ fn bytes_are_those_of_one_undisturbed_process() {
     bench.ok(&["submit", made.path(), "--attempts", "20"]);
 
     let proxy = Proxy::start(bench.server.port);
-    let address = bench.server.address("owner", PASSWORD, proxy.port);
+    let address = bench.desk(proxy.port);
     let start = |bench: &Bench| bench.worker(&address, &[]);
     let mut workers: Vec<Worker> = (0..3).map(|_| start(&bench)).collect();
     let began = Instant::now();

@@ -6,6 +6,7 @@ use std::time::Duration;
 use serde_json::json;
 
 use crate::bench::{Bench, text, until};
+use crate::server::PASSWORD;
 
 const SOON: Duration = Duration::from_secs(30);
 
@@ -96,7 +97,7 @@ fn a_result_that_exists_is_acknowledged_and_not_made() {
     // The queue delivers a chunk again, as after a lost acknowledgement.
     let payload = json!({ "order": made.order.id, "index": 2 });
     let add = format!("SELECT palpate_queue.add_job('chunk', '{payload}')");
-    let output = bench.server.psql("owner", "queue", crate::server::PASSWORD, &add);
+    let output = bench.server.psql("owner", "queue", PASSWORD, &add);
     assert!(output.status.success(), "{}", text(&output.stderr));
     let mut worker = bench.worker(&bench.address, &["--until-idle"]);
     assert!(worker.ended(SOON));
@@ -183,4 +184,24 @@ fn after_sigterm_the_present_chunk_is_completed_and_no_other_taken() {
     assert!(made.stored(&bench) == made.undisturbed());
     let scratch: Vec<_> = fs::read_dir(bench.folder.path().join("scratch")).unwrap().collect();
     assert!(scratch.is_empty(), "{scratch:?}");
+}
+
+#[test]
+fn a_chunk_whose_delivery_was_lost_is_returned_by_its_living_worker() {
+    let Some(bench) = Bench::start() else { return };
+    let made = bench.order(1, json!({ "seed": 11 }));
+    bench.ok(&["submit", made.path(), "--gpu"]);
+    let _worker = bench.worker(&bench.desk(bench.server.port), &[]);
+    let owner =
+        |statement: &str| text(&bench.server.psql("owner", "queue", PASSWORD, statement).stdout);
+    let worker = || owner("SELECT id FROM palpate_queue._private_workers").trim().to_owned();
+    until("the worker is there", SOON, || !worker().is_empty());
+    // As if the worker had taken it a minute ago, and its answer had not arrived.
+    owner(&format!(
+        "UPDATE palpate_queue._private_jobs SET flags = NULL, attempts = 8, locked_by = '{}', \
+         locked_at = now() - interval '1 minute'",
+        worker()
+    ));
+    until("the chunk is made", SOON, || bench.status(&made)["done"] == json!(1));
+    until("it is acknowledged", SOON, || bench.status(&made)["running"] == json!(0));
 }

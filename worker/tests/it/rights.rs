@@ -7,21 +7,19 @@ use std::time::Duration;
 
 use serde_json::json;
 
-use crate::bench::{Bench, text};
+use crate::bench::{Bench, DESK_PASSWORD, text};
 use crate::server::{PASSWORD, run};
 
 const SOON: Duration = Duration::from_secs(30);
-const HUSH: &str = "desk-hush-2";
 
 #[test]
 fn a_worker_takes_and_returns_chunks_and_nothing_else() {
     let Some(bench) = Bench::start() else { return };
-    bench.server.sql(&format!("CREATE ROLE desk_1 LOGIN PASSWORD '{HUSH}' IN ROLE palpate_worker"));
     let owner = |statement: &str| bench.server.psql("owner", "queue", PASSWORD, statement);
     assert!(owner("CREATE TABLE other (x int)").status.success());
     let made = bench.order(5, json!({ "seed": 1, "fails": [2] }));
     bench.ok(&["submit", made.path(), "--attempts", "2"]);
-    let address = bench.server.address("desk_1", HUSH, bench.server.port);
+    let address = bench.desk(bench.server.port);
     let mut worker = bench.worker(&address, &[]);
     bench.try_run(&["status", &made.order.id, "--wait"]);
     worker.terminate();
@@ -53,7 +51,7 @@ fn a_worker_takes_and_returns_chunks_and_nothing_else() {
         "CREATE ROLE x",
         "COPY (SELECT 1) TO PROGRAM 'true'",
     ] {
-        let output = bench.server.psql("desk_1", "queue", HUSH, refused);
+        let output = bench.server.psql("desk_1", "queue", DESK_PASSWORD, refused);
         assert!(!output.status.success(), "{refused}");
         let error = text(&output.stderr);
         assert!(
@@ -71,7 +69,7 @@ fn a_worker_takes_and_returns_chunks_and_nothing_else() {
 fn no_password_is_shown() {
     let Some(bench) = Bench::start() else { return };
     let port = bench.server.port;
-    let wrong = bench.server.address("owner", HUSH, port);
+    let wrong = bench.server.address("owner", DESK_PASSWORD, port);
     let nowhere = wrong.replace(&port.to_string(), "1");
     for address in [
         wrong.as_str(),
@@ -84,7 +82,7 @@ fn no_password_is_shown() {
                 bench.command_at(address, command).env("PALPATE_LOG", "trace").output().unwrap();
             assert!(!output.status.success());
             let shown = text(&output.stdout) + &text(&output.stderr);
-            assert!(shown.contains("error: ") && !shown.contains(HUSH), "{shown}");
+            assert!(shown.contains("error: ") && !shown.contains(DESK_PASSWORD), "{shown}");
         }
     }
     // Nor is it among the arguments, or in the environment of the program that makes chunks: `stand-in` checks that.
