@@ -1,7 +1,7 @@
 //! Workers and PostgreSQL are killed, and connections cut and stalled, at random: every chunk's bytes equal
 //! those of one undisturbed process, none is missing, none is there twice.
 //!
-//! PALPATE_DISTURBANCES is their number (12), PALPATE_SEED their seed; 100 take about 6 minutes.
+//! PALPATE_DISTURBANCES is their number (12), PALPATE_SEED their seed; 100 take 3 to 6 minutes.
 
 use std::fs;
 use std::time::{Duration, Instant};
