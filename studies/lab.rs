@@ -24,6 +24,15 @@ pub trait Lab: Sync {
     /// If the dataset does not exist or cannot be made.
     fn split_by(&self, dataset: &str) -> impl Future<Output = Result<String, Self::Error>> + Send;
 
+    /// Returns what a study must know of a dataset that a person names. `dataset`: name or id.
+    ///
+    /// # Errors
+    /// If the dataset does not exist or cannot be made.
+    fn facts(
+        &self,
+        dataset: &str,
+    ) -> impl Future<Output = Result<DatasetFacts, Self::Error>> + Send;
+
     /// Returns the id of a net: of an earlier training with equal recipe and data, or of a new one.
     ///
     /// # Errors
@@ -74,6 +83,21 @@ pub trait Lab: Sync {
         transfer: &ModelId,
         map: &ModelId,
     ) -> impl Future<Output = Result<Reading, Self::Error>> + Send;
+}
+
+/// Facts of a dataset on which methods are scored.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct DatasetFacts {
+    /// Whether it has the parts train and test.
+    pub has_parts: bool,
+    /// Whether its rows have simulated frames.
+    pub has_simulated: bool,
+    /// Whether its frames are of the rig's sensor, which the exact model describes.
+    pub of_rig: bool,
+    /// Whether the first frames of its trials are stored.
+    pub has_first_frames: bool,
+    /// Larger side of its skin, mm.
+    pub skin_mm: f64,
 }
 
 /// A training: a recipe with changes.
@@ -130,6 +154,10 @@ pub struct Trial {
     pub label: String,
 }
 
+/// Limit of a dataset on which no method can be scored.
+pub const NO_METHOD: &str = "must be of the rig's sensor, or have a split, on whose part train the paper's nets \
+                             learn (without --ours)";
+
 /// Why a study has no result.
 #[derive(Debug, thiserror::Error)]
 pub enum StudyError {
@@ -139,6 +167,12 @@ pub enum StudyError {
     /// The scores do not fit the design of the analysis of variance.
     #[error(transparent)]
     Design(#[from] AnovaError),
+    /// No method can be scored on the dataset.
+    #[error("{dataset}: {limit}", limit = NO_METHOD)]
+    NoMethod {
+        /// Name of the dataset.
+        dataset: String,
+    },
     /// The dataset has no trial for a figure.
     #[error("{dataset}: must have {trial}")]
     NoTrial {
@@ -175,7 +209,18 @@ pub mod fake {
         pub scored: Mutex<Vec<EvaluationRequest>>,
         /// Whether reports have scores and examples, and datasets a trial.
         pub scores: bool,
+        /// Facts of every dataset, instead of those of Real-Unseen.
+        pub facts: Option<DatasetFacts>,
     }
+
+    /// Facts of Real-Unseen.
+    pub const REAL_UNSEEN_FACTS: DatasetFacts = DatasetFacts {
+        has_parts: false,
+        has_simulated: false,
+        of_rig: true,
+        has_first_frames: true,
+        skin_mm: 560.0,
+    };
 
     fn contact(x_mm: f64, force_n: f64) -> Contact {
         let diameter_mm = Some(20.0);
@@ -223,6 +268,10 @@ pub mod fake {
 
         async fn split_by(&self, _: &str) -> Result<String, StudyError> {
             Ok("configuration".into())
+        }
+
+        async fn facts(&self, _: &str) -> Result<DatasetFacts, StudyError> {
+            Ok(self.facts.unwrap_or(REAL_UNSEEN_FACTS))
         }
 
         async fn train(&self, training: &Training) -> Result<ModelId, StudyError> {

@@ -13,7 +13,7 @@ use crate::factorial::{COARSE_MM, DIAMETERS_MM};
 use crate::figure::Heading;
 use crate::ids::{CalibrationId, ModelId};
 use crate::infer::methods::Method;
-use crate::lab::{Lab, Noise, StudyError};
+use crate::lab::{DatasetFacts, Lab, Noise, StudyError, Training};
 use crate::noise::LEVELS;
 use crate::rows::{by_contacts, coverage, perfects, read_by, reliability};
 use crate::sheet::{OutputFile, Sheet};
@@ -28,6 +28,8 @@ use pictures::{errors, examples, talk};
 const PUBLISHED: &str = "transfer-net-published";
 /// Condition on the trials that are drawn.
 const TOUCHED: &str = "contact_count__gte=1";
+/// Larger side of the paper's skin, mm.
+const SKIN_MM: f64 = 560.0;
 /// Number of trials that are drawn.
 const EXAMPLES: u64 = 3;
 
@@ -59,15 +61,22 @@ struct Scores {
     published: Option<EvaluationReport>,
 }
 
-/// Scores all methods on contacts that no net was trained on, and draws some trials.
+/// Scores all methods on contacts that no net was trained on, and draws some trials. Of a dataset with a split
+/// the nets learn from the part train, and all methods are scored on the part test. Methods that need the
+/// model of the rig's skin are skipped on others, and so are the pictures, which show that skin.
 ///
 /// # Errors
-/// Error of the lab if a training or an evaluation fails; `StudyError::Figure` if a figure cannot
-/// be drawn.
+/// Error of the lab if a training or an evaluation fails; `StudyError::NoMethod` if no method can be scored on
+/// the dataset; `StudyError::Figure` if a figure cannot be drawn.
 ///
 /// Source: paper, V-D and Fig. 12.
 pub async fn fig_12<L: Lab>(lab: &L, budget: &Budget, unseen: &Unseen) -> Result<Sheet, L::Error> {
-    let study = Study { lab, budget, unseen };
+    let facts = lab.facts(&unseen.dataset).await?;
+    if !facts.of_rig && (unseen.ours || !facts.has_parts) {
+        let dataset = unseen.dataset.clone();
+        return Err(StudyError::NoMethod { dataset }.into());
+    }
+    let study = Study { lab, budget, unseen, facts };
     let ours = study.ours().await?;
     let (pipeline, end_to_end) = if unseen.ours {
         (Vec::new(), Vec::new())
@@ -82,7 +91,7 @@ pub async fn fig_12<L: Lab>(lab: &L, budget: &Budget, unseen: &Unseen) -> Result
     }
     let scores = Scores { pipeline, end_to_end, ours, published };
     let columns = study.examples(&scores).await?;
-    Ok(sheet(budget, &scores, &columns)?)
+    Ok(sheet(budget, &scores, &columns, &study.learned())?)
 }
 
 /// The arguments of the study, for its steps.
@@ -90,19 +99,57 @@ struct Study<'a, L> {
     lab: &'a L,
     budget: &'a Budget,
     unseen: &'a Unseen,
+    facts: DatasetFacts,
 }
 
 impl<L: Lab> Study<'_, L> {
-    /// Request for scores on the whole dataset; the scale does not limit its rows.
+    /// Request for scores on the dataset, or on its part test; the scale does not limit its rows.
     fn request(&self, method: Method) -> EvaluationRequest {
-        let mut request = self.budget.request(method, &self.unseen.dataset, None);
+        let part = self.facts.has_parts.then_some("test");
+        let mut request = self.budget.request(method, &self.unseen.dataset, part);
         request.limit = self.budget.scored;
         request
+    }
+
+    /// A training on the dataset's part train, if it has one, with maps of the extent of its skin.
+    fn training(&self, training: Training) -> Training {
+        if !self.facts.has_parts {
+            return training;
+        }
+        let map = training.map.map(|map| self.on_skin(map));
+        Training { dataset: Some(self.unseen.dataset.clone()), map, ..training }
+    }
+
+    /// A map of the paper on the dataset's skin: as many pixels, lengths in proportion to the skin.
+    fn on_skin(&self, map: ForceMapSpec) -> ForceMapSpec {
+        if self.facts.of_rig {
+            return map;
+        }
+        // Rounded up to hundredths, so that lengths have few digits.
+        let times = (100.0 * self.facts.skin_mm / SKIN_MM).ceil() / 100.0;
+        let length_mm = |mm: f64| (1e3 * times * mm).round() / 1e3;
+        ForceMapSpec {
+            pixel_mm: length_mm(map.pixel_mm),
+            diameter_mm: length_mm(map.diameter_mm),
+            side_mm: length_mm(map.side_mm),
+        }
+    }
+
+    /// Sentence on what the nets learned, if it is not the paper's data.
+    fn learned(&self) -> String {
+        if !self.facts.has_parts {
+            return String::new();
+        }
+        let dataset = &self.unseen.dataset;
+        format!("The nets learned from the part train of {dataset}; its part test is scored.\n")
     }
 
     async fn ours(&self) -> Result<Vec<Named>, L::Error> {
         let Unseen { points, skin, .. } = self.unseen;
         let mut scores = Vec::new();
+        if !self.facts.of_rig {
+            return Ok(scores);
+        }
         for (name, method) in
             [("one step, Tikhonov", Method::Tikhonov), ("one step, NOSER", Method::Noser)]
         {
@@ -110,7 +157,9 @@ impl<L: Lab> Study<'_, L> {
             request.skin = skin.clone();
             scores.push((name.into(), self.lab.score(&request).await?));
         }
-        for (read, frames) in [("1 frame", FramesRead::First), ("mean", FramesRead::Mean)] {
+        let reads = [("1 frame", FramesRead::First), ("mean", FramesRead::Mean)];
+        let has = |frames: FramesRead| self.facts.has_first_frames || frames == FramesRead::Mean;
+        for (read, frames) in reads.into_iter().filter(|(_, frames)| has(*frames)) {
             if points.is_some() {
                 let mut request = self.request(Method::Fast);
                 (request.points, request.frames) = (points.clone(), frames);
@@ -124,16 +173,19 @@ impl<L: Lab> Study<'_, L> {
     }
 
     async fn pipeline(&self) -> Result<Vec<Named>, L::Error> {
-        let transfer = self.lab.train(&self.budget.transfer_to_6()).await?;
         let mut scores = Vec::new();
+        if self.facts.has_parts && !self.facts.has_simulated {
+            return Ok(scores);
+        }
+        let transfer = self.lab.train(&self.training(self.budget.transfer_to_6())).await?;
         for map in maps(self.budget.scale) {
             for level in LEVELS {
                 let training = self.budget.map_net(RECON_NET, map, Noise::at(level, &transfer));
-                let net = self.lab.train(&training).await?;
+                let net = self.lab.train(&self.training(training)).await?;
                 let mut request = self.request(Method::Paper);
                 request.transfer = Some(transfer.to_string());
                 request.map = Some(net.to_string());
-                let name = format!("{map}, {:.0} %", 100.0 * level);
+                let name = format!("{}, {:.0} %", self.on_skin(map), 100.0 * level);
                 scores.push((name, self.lab.score(&request).await?));
             }
         }
@@ -144,7 +196,7 @@ impl<L: Lab> Study<'_, L> {
     async fn with_published(&self, best: &EvaluationReport) -> Result<EvaluationReport, L::Error> {
         let stem = "transfer-published-to-6";
         let training = self.budget.transfer_by(PUBLISHED, stem, R2S, &[up_to(6)]);
-        let transfer = self.lab.train(&training).await?;
+        let transfer = self.lab.train(&self.training(training)).await?;
         let mut request = self.request(Method::Paper);
         request.transfer = Some(transfer.to_string());
         request.map = best.models.last().map(ModelId::to_string);
@@ -154,16 +206,20 @@ impl<L: Lab> Study<'_, L> {
     async fn end_to_end(&self) -> Result<Vec<Named>, L::Error> {
         let mut scores = Vec::new();
         for map in maps(self.budget.scale) {
-            let net = self.lab.train(&self.budget.map_net(END_TO_END, map, None)).await?;
+            let training = self.training(self.budget.map_net(END_TO_END, map, None));
+            let net = self.lab.train(&training).await?;
             let mut request = self.request(Method::Paper);
             request.map = Some(net.to_string());
-            scores.push((map.to_string(), self.lab.score(&request).await?));
+            scores.push((self.on_skin(map).to_string(), self.lab.score(&request).await?));
         }
         Ok(scores)
     }
 
-    /// Answers of each drawn method to the first trials.
+    /// Answers of each drawn method to the first trials; none on another skin than the rig's.
     async fn examples(&self, scores: &Scores) -> Result<Vec<Named>, L::Error> {
+        if !self.facts.of_rig {
+            return Ok(Vec::new());
+        }
         let mut requests = Vec::new();
         let bests =
             [("real-to-sim", best(&scores.pipeline)), ("end-to-end", best(&scores.end_to_end))];
@@ -211,8 +267,13 @@ fn best(scores: &[Named]) -> Option<&Named> {
     costs.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, named)| named)
 }
 
-/// Shows the scores. `columns`: answers to the drawn trials.
-fn sheet(budget: &Budget, scores: &Scores, columns: &[Named]) -> Result<Sheet, StudyError> {
+/// Shows the scores. `columns`: answers to the drawn trials; `learned`: a sentence on the data of the nets.
+fn sheet(
+    budget: &Budget,
+    scores: &Scores,
+    columns: &[Named],
+    learned: &str,
+) -> Result<Sheet, StudyError> {
     let Scores { pipeline, end_to_end, ours, published } = scores;
     let best_pipeline = best(pipeline);
     let mut table = Vec::new();
@@ -231,12 +292,12 @@ fn sheet(budget: &Budget, scores: &Scores, columns: &[Named]) -> Result<Sheet, S
     }
     let all = ours.iter().chain(pipeline).chain(end_to_end).map(|(_, report)| report);
     table.extend(perfects(all));
-    let any = ours.iter().chain(pipeline).map(|(_, report)| report).next();
+    let any = ours.iter().chain(pipeline).chain(end_to_end).map(|(_, report)| report).next();
     let label = any.map(|report| report.label.clone()).unwrap_or_default();
     let by_best = best_pipeline
         .map_or(String::new(), |(_, report)| format!("real-to-sim, best: {}", read_by(report)));
     let text = format!(
-        "# Fig. 12: contacts that no net has seen, mean [95 % interval]\n\n{}\n{}{}{}{by_best}{}{}\n",
+        "# Fig. 12: contacts that no net has seen, mean [95 % interval]\n\n{}\n{}{}{}{by_best}{}{learned}{}\n",
         markdown(&SCORE_COLUMNS, &table),
         coverage(named(ours)),
         reliability(named(ours)),
@@ -254,8 +315,10 @@ fn sheet(budget: &Budget, scores: &Scores, columns: &[Named]) -> Result<Sheet, S
         .with_note(format!("Scale {}", budget.scale.name()));
     let groups = [("real-to-sim", pipeline), ("end-to-end", end_to_end), ("", ours)];
     let mut figures = errors(&heading, &groups)?;
-    figures.push(OutputFile::new("fig-12a.svg", examples(&heading, columns)?));
-    figures.push(OutputFile::new("fig-12.svg", talk(&heading, scores, columns)?));
+    if !columns.is_empty() {
+        figures.push(OutputFile::new("fig-12a.svg", examples(&heading, columns)?));
+        figures.push(OutputFile::new("fig-12.svg", talk(&heading, scores, columns)?));
+    }
     Ok(Sheet::new("fig-12", text, numbers, figures))
 }
 
@@ -284,7 +347,7 @@ fn nets(pipeline: &[Named], end_to_end: &[Named]) -> String {
 mod tests {
     use super::*;
     use crate::budget::small;
-    use crate::lab::fake::{FakeLab, result};
+    use crate::lab::fake::{FakeLab, REAL_UNSEEN_FACTS, result};
 
     fn unseen(ours: bool) -> Unseen {
         Unseen { dataset: "real-unseen".into(), points: None, skin: None, ours }
@@ -307,5 +370,58 @@ mod tests {
         assert!(lab.trained.lock().unwrap().is_empty());
         assert!(lab.scored.lock().unwrap().iter().all(|request| request.dataset == "real-unseen"));
         assert!(sheet.files.iter().any(|file| file.name == "fig-12a.svg"));
+    }
+
+    #[test]
+    fn a_dataset_of_another_skin_trains_and_tests_the_nets_that_need_no_model() {
+        let facts = DatasetFacts {
+            has_parts: true,
+            has_simulated: false,
+            of_rig: false,
+            has_first_frames: false,
+            skin_mm: 100.0,
+        };
+        let lab = FakeLab { scores: true, facts: Some(facts), ..FakeLab::default() };
+        let sheet =
+            result(fig_12(&lab, &small(), &Unseen { dataset: "pad".into(), ..unseen(false) }));
+        let sheet = sheet.unwrap();
+        let trained = lab.trained.lock().unwrap();
+        let maps: Vec<String> =
+            trained.iter().map(|training| training.map.unwrap().to_string()).collect();
+        assert_eq!(maps, ["1.8x3.6x115.2", "1.8x10.8x115.2", "3.6x3.6x115.2", "3.6x10.8x115.2"]);
+        assert!(trained.iter().all(|training| training.dataset.as_deref() == Some("pad")));
+        assert!(trained.iter().all(|training| training.map.unwrap().checked().is_ok()));
+        let scored = lab.scored.lock().unwrap();
+        let of_test = |r: &EvaluationRequest| r.part.as_deref() == Some("test") && r.map.is_some();
+        assert!(scored.len() == 4 && scored.iter().all(of_test), "{scored:?}");
+        assert!(sheet.text.contains("part train of pad") && sheet.text.contains("virtual"));
+        assert!(sheet.files.iter().any(|file| file.name == "fig-12-location.svg"));
+        assert!(
+            !sheet.files.iter().any(|file| file.name == "fig-12.svg"),
+            "it shows the rig's skin"
+        );
+        // With twins, the whole pipeline.
+        let lab = FakeLab {
+            facts: Some(DatasetFacts { has_simulated: true, ..facts }),
+            ..FakeLab::default()
+        };
+        result(fig_12(&lab, &small(), &unseen(false))).unwrap();
+        assert_eq!(lab.trained.lock().unwrap().len(), 1 + 4 * 3 + 4);
+        for (ours, has_parts) in [(true, true), (false, false)] {
+            let facts = DatasetFacts { has_parts, ..facts };
+            let lab = FakeLab { facts: Some(facts), ..FakeLab::default() };
+            let refused = result(fig_12(&lab, &small(), &unseen(ours))).unwrap_err();
+            assert!(matches!(refused, StudyError::NoMethod { .. }), "{refused}");
+        }
+    }
+
+    #[test]
+    fn means_without_raw_frames_are_scored_as_means() {
+        let facts = DatasetFacts { has_first_frames: false, ..REAL_UNSEEN_FACTS };
+        let lab = FakeLab { facts: Some(facts), ..FakeLab::default() };
+        result(fig_12(&lab, &small(), &unseen(true))).unwrap();
+        let scored = lab.scored.lock().unwrap();
+        assert!(scored.iter().all(|request| request.frames == FramesRead::Mean));
+        assert_eq!(scored.len(), 2 + 1 + 2);
     }
 }

@@ -17,14 +17,17 @@ use crate::cli::output::{note, say, say_json};
 use crate::cli::picture::Pictures;
 use crate::cli::train::{Changes, recipe_text};
 use crate::cli::{At, embed};
+use crate::dataset::import::sensor::ImportedSensor;
 use crate::digest::sha256_hex;
 use crate::evaluate::request::{EvaluationReport, EvaluationRequest};
 use crate::ids::ModelId;
 use crate::infer::answer::Reading;
 use crate::infer::methods::Method;
 use crate::learn::residuals::Residuals;
+use crate::simulate::schema::SIM_VOLTAGES_V;
+use crate::store::{RunKind, RunRow};
 use crate::studies::budget::{Budget, Scale};
-use crate::studies::lab::{Lab, StudyError, Training, Trial};
+use crate::studies::lab::{DatasetFacts, Lab, NO_METHOD, StudyError, Training, Trial};
 use crate::studies::sheet::Sheet;
 
 /// Extent of training and scoring.
@@ -136,6 +139,19 @@ impl ServiceLab {
         let client = self.client.patient(DATASET_WAIT).showing("making the dataset");
         client.post("/api/v1/datasets", &json!({ "name": name })).await
     }
+
+    /// Whether the first frame of the first trial of a dataset is stored; a mean of one frame is that frame.
+    async fn has_first_frame(&self, dataset: &str) -> Result<bool, CliError> {
+        let path = format!("/api/v1/datasets/{dataset}/rows?columns=trial_id,frame_count&limit=1");
+        let page: Value = self.client.get(&path).await?;
+        let row = &page["items"][0];
+        let frames = format!("/api/v1/trials/{}/frames", row["trial_id"]);
+        match self.client.get::<Value>(&frames).await {
+            Ok(_) => Ok(true),
+            Err(CliError::Refused { status: 404, .. }) => Ok(row["frame_count"] == 1),
+            Err(error) => Err(error),
+        }
+    }
 }
 
 impl Lab for ServiceLab {
@@ -144,6 +160,34 @@ impl Lab for ServiceLab {
     async fn split_by(&self, dataset: &str) -> Result<String, CliError> {
         let row = self.dataset(dataset).await?;
         Ok(row["definition"]["split"]["by"].as_str().unwrap_or("nothing").to_owned())
+    }
+
+    async fn facts(&self, dataset: &str) -> Result<DatasetFacts, CliError> {
+        let row = self.dataset(dataset).await?;
+        let (id, report) = (row["id"].as_str().unwrap_or_default(), &row["report"]);
+        let lineage: Value = self.client.get(&format!("/api/v1/datasets/{id}/lineage")).await?;
+        let runs = lineage["lineage"]["runs"].as_array().map_or(&[][..], Vec::as_slice);
+        let rig: Value = self.client.get("/api/v1/sensor").await?;
+        let mut columns = report["columns"].as_array().into_iter().flatten();
+        let side_mm = |of: &str| rig[of].as_f64().unwrap_or_default();
+        let mut facts = DatasetFacts {
+            has_parts: ["train", "test"].iter().all(|part| report["parts"][*part].is_u64()),
+            has_simulated: columns.any(|column| column["name"] == SIM_VOLTAGES_V),
+            of_rig: true,
+            has_first_frames: true,
+            skin_mm: side_mm("width_mm").max(side_mm("height_mm")),
+        };
+        if let Some(uid) = runs.first().and_then(|run| run["uid"].as_str()) {
+            let run: RunRow = self.client.get(&format!("/api/v1/runs/{uid}")).await?;
+            let sensor = ImportedSensor::from_toml("the sensor file of the run", &run.sensor);
+            let sensor = sensor.map_err(CliError::Problems)?;
+            facts.of_rig = rig["name"] == sensor.name && rig["channels"] == sensor.channels;
+            facts.skin_mm = sensor.width_mm.max(sensor.height_mm);
+        }
+        if runs.iter().any(|run| run["kind"] == RunKind::Imported.as_str()) {
+            facts.has_first_frames = self.has_first_frame(id).await?;
+        }
+        Ok(facts)
     }
 
     async fn train(&self, training: &Training) -> Result<ModelId, CliError> {
@@ -259,6 +303,7 @@ impl From<StudyError> for CliError {
             StudyError::Design(error) => {
                 Self::argument("factorial", "the design", error.to_string())
             }
+            StudyError::NoMethod { dataset } => Self::argument("dataset", dataset, NO_METHOD),
             StudyError::NoTrial { dataset, trial } => {
                 Self::argument(&dataset, "none", format!("must have {trial}"))
             }

@@ -154,7 +154,8 @@ struct UnseenArgs {
     /// Skip the paper's nets: score our methods only.
     #[arg(long)]
     ours: bool,
-    /// Name or id of the dataset.
+    /// Name or id of the dataset, also of imported trials. If it has a split, nets learn from its part train,
+    /// and its part test is scored.
     #[arg(long, value_name = "NAME", default_value = "real-unseen")]
     dataset: String,
     #[command(flatten)]

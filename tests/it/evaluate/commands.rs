@@ -3,11 +3,11 @@
 //! `evaluate simulation` needs real twins: `docs/how-to/watch-the-model.md` is followed.
 
 use std::path::Path;
-use std::process::Command;
+use std::process::{Command, Output};
 
 use palpate::ids::TrialKey;
 use palpate::journal::{ExitStatus, Journal};
-use palpate::store::RunKind;
+use palpate::store::{Contact, ImportedTrial, NewRun, RunKind};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use serde_json::Value;
@@ -41,17 +41,17 @@ async fn trials(data: &Path) {
     store.close().await;
 }
 
+/// Runs a command on a data folder, in it.
+fn palpate(data: &Path, arguments: &[&str]) -> Output {
+    let mut command = Command::new(PALPATE);
+    command.args(arguments).env("PALPATE_DATA", data).current_dir(data).output().unwrap()
+}
+
 /// Runs `palpate evaluate`; returns its numbers. Its files are in the folder `tables` of the data.
 fn evaluate(data: &Path, command: &str, options: &[&str]) -> Value {
-    let tables = data.join("tables");
-    let out = Command::new(PALPATE)
-        .args(["evaluate", command, "--json", "--out"])
-        .arg(&tables)
-        .args(options)
-        .env("PALPATE_DATA", data)
-        .current_dir(data)
-        .output()
-        .unwrap();
+    let tables = data.join("tables").display().to_string();
+    let out =
+        palpate(data, &[&["evaluate", command, "--json", "--out", &tables][..], options].concat());
     let (text, words) =
         (String::from_utf8_lossy(&out.stdout), String::from_utf8_lossy(&out.stderr));
     assert!(out.status.success(), "evaluate {command}: {words}{text}");
@@ -127,6 +127,9 @@ async fn every_command_trains_scores_and_writes_what_it_is_for() {
     assert!(ours.iter().all(|method| method["report"]["rows"] == 12), "all of Real-Random");
     is_svg(&data, "fig-12.svg", "virtual");
 
+    let text = std::fs::read_to_string(data.join("tables/fig-12.md")).unwrap();
+    assert!(text.contains("answers by their probability"), "{text}");
+
     let scored =
         evaluate(&data, "method", &all(&["tikhonov", "--dataset", "real", "--part", "test"]));
     assert_eq!((&scored["method"], &scored["report"]["rows"]), (&"tikhonov".into(), &20.into()));
@@ -140,4 +143,83 @@ async fn every_command_trains_scores_and_writes_what_it_is_for() {
     assert!(scores.iter().all(|rows| **rows == 20), "the same rows: {scores:?}");
     let head = ["net", "rows", "wrong by", "median", "right %", "of ridge"];
     assert_eq!(rows(&data, "quantity-count", &head), 4);
+}
+
+/// Each place of a pad has a separate channel; the file states means alone.
+async fn pad(data: &Path) {
+    const PAD: &str = "name = \"pad\"\nchannels = 16\nwidth_mm = 100\nheight_mm = 100\n";
+    let store = store(data).await;
+    let new = NewRun {
+        seed: None,
+        rig: None,
+        sensor: PAD.into(),
+        ..new_run(RunKind::Imported, "pad-trials")
+    };
+    let run = store.begin_import(new).await.unwrap().uid;
+    let trial = |n: u32| {
+        let (channel, x) = (n as usize % 16, f64::from(n % 4));
+        let mut voltages_v = vec![0.0; 16];
+        voltages_v[channel] = 0.2;
+        let at = Contact {
+            x_mm: Some(20.0 + 20.0 * x),
+            y_mm: Some(20.0 + 20.0 * f64::from(n / 4 % 4)),
+            force_n: Some(9.0),
+            diameter_mm: None,
+        };
+        let (contacts, frame_count) = (vec![at], 8);
+        let known = ImportedTrial { configuration: n, contacts, voltages_v, ..Default::default() };
+        ImportedTrial { frame_count, ..known }
+    };
+    store.import_trials(run, None, (0..80).map(trial).collect()).await.unwrap();
+    store.end_import(run).await.unwrap();
+    store.close().await;
+    let split = "name = \"pad\"\ntask = \"real\"\nruns = [\"pad-trials\"]\n\n\
+                 [split]\nby = \"trial\"\nratio = [3, 1, 1]\nseed = 1\n";
+    std::fs::write(data.join("pad.toml"), split).unwrap();
+    let made = palpate(data, &["dataset", "make", "pad.toml"]);
+    assert!(made.status.success(), "{}", String::from_utf8_lossy(&made.stderr));
+}
+
+#[tokio::test]
+async fn fig_12_is_made_of_imported_trials_of_another_skin() {
+    let data = folder("evaluate-imported");
+    pad(&data).await;
+    let options = ["--dataset", "pad", "--epochs", "1"];
+    let figure = evaluate(&data, "unseen", &options);
+    assert!(figure["ours"].as_array().unwrap().is_empty(), "{figure}");
+    let nets = figure["end_to_end"].as_array().unwrap();
+    let names: Vec<&str> = nets.iter().map(|net| net["name"].as_str().unwrap()).collect();
+    assert_eq!(names, ["1.8x3.6x115.2", "1.8x10.8x115.2", "3.6x3.6x115.2", "3.6x10.8x115.2"]);
+    let of_test = |net: &Value| net["report"]["part"] == "test" && net["report"]["rows"] == 16;
+    assert!(nets.iter().all(of_test), "{nets:?}");
+    assert!(nets.iter().all(|net| net["report"]["held_out"] == true), "{nets:?}");
+    let text = std::fs::read_to_string(data.join("tables/fig-12.md")).unwrap();
+    assert!(text.contains("end-to-end, best: ") && text.contains("part train of pad"), "{text}");
+    assert!(!data.join("tables/fig-12.svg").exists(), "it shows the rig's skin");
+    let refused = palpate(&data, &["evaluate", "unseen", "--ours", "--dataset", "pad"]);
+    let words = String::from_utf8_lossy(&refused.stderr);
+    assert!(!refused.status.success() && words.contains("the rig's sensor"), "{words}");
+}
+
+/// A command of `evaluate` without a run here is a command without a test: those that are run above, and
+/// those of other tests.
+#[test]
+fn no_command_of_evaluate_is_without_a_test() {
+    let here = ["transfer", "maps", "noise", "factorial", "unseen", "method", "quantity"];
+    // `docs/how-to/watch-the-model.md` is followed; the command line's contract runs the other.
+    let elsewhere = ["simulation", "published"];
+    let help = palpate(Path::new("."), &["evaluate", "-h"]);
+    let text = String::from_utf8_lossy(&help.stdout);
+    let commands = text.split_once("Commands:").unwrap().1.split_once("\n\n").unwrap().0;
+    // The text of a command continues on lines that are further to the right.
+    let name = |line: &str| -> Option<String> {
+        let word = line.strip_prefix("  ").filter(|rest| !rest.starts_with(' '))?;
+        word.split_whitespace().next().map(str::to_owned)
+    };
+    let mut listed: Vec<String> = commands.lines().filter_map(name).collect();
+    listed.retain(|name| name != "help");
+    let mut known = [&here[..], &elsewhere].concat();
+    known.sort_unstable();
+    listed.sort_unstable();
+    assert_eq!(listed, known, "{text}");
 }
