@@ -1,6 +1,5 @@
 //! The `palpate evaluate` commands, run as a person runs them, on few trials with made-up frames: what each
 //! trains and scores, the form of its table, and its files. The scores themselves mean nothing here.
-//! `evaluate simulation` needs real twins: `docs/how-to/watch-the-model.md` is followed.
 
 use std::path::Path;
 use std::process::{Command, Output};
@@ -201,13 +200,37 @@ async fn fig_12_is_made_of_imported_trials_of_another_skin() {
     assert!(!refused.status.success() && words.contains("the rig's sensor"), "{words}");
 }
 
-/// A command of `evaluate` without a run here is a command without a test: those that are run above, and
-/// those of other tests.
+/// The twins are real: the service of the command makes them.
+#[tokio::test]
+async fn the_fit_of_twins_and_the_papers_values_are_shown_by_their_commands() {
+    let data = folder("evaluate-simulation");
+    let store = store(&data).await;
+    let points: Vec<[f64; 2]> = sensor().points().iter().map(|p| [p.x_mm, p.y_mm]).collect();
+    let mut chance = ChaCha8Rng::seed_from_u64(7);
+    let run = store.create_run(new_run(RunKind::RealHex, "made-up-hex")).await.unwrap().uid;
+    for depth_index in 4..11 {
+        let key = TrialKey { configuration: 0, depth_index };
+        store.trial(run, &press(key, 1, &points, &mut chance)).await.unwrap();
+    }
+    store.end_run(run, ExitStatus::Success, "made up", jiff::Timestamp::now()).await.unwrap();
+    store.close().await;
+    let fit = evaluate(&data, "simulation", &["--run", "1"]);
+    assert_eq!((&fit["label"], &fit["report"]["trials"]), (&"virtual".into(), &7.into()), "{fit}");
+    let fvu = fit["report"]["median_fvu"].as_f64().unwrap();
+    assert!(fvu > 0.5, "frames and twins were drawn apart: FVU {fvu}");
+    assert!(data.join("tables/simulation.json").exists());
+    let shown = palpate(&data, &["evaluate", "published", "--json"]);
+    let values: Value = serde_json::from_slice(&shown.stdout).unwrap();
+    assert_eq!(values["table_iv"].as_array().unwrap().len(), 12, "{values}");
+}
+
+/// The tests above run every command.
 #[test]
 fn no_command_of_evaluate_is_without_a_test() {
-    let here = ["transfer", "maps", "noise", "factorial", "unseen", "method", "quantity"];
-    // `docs/how-to/watch-the-model.md` is followed; the command line's contract runs the other.
-    let elsewhere = ["simulation", "published"];
+    let mut known = ["transfer", "maps", "noise", "factorial", "unseen", "method", "quantity"]
+        .into_iter()
+        .chain(["simulation", "published"])
+        .collect::<Vec<_>>();
     let help = palpate(Path::new("."), &["evaluate", "-h"]);
     let text = String::from_utf8_lossy(&help.stdout);
     let commands = text.split_once("Commands:").unwrap().1.split_once("\n\n").unwrap().0;
@@ -218,7 +241,6 @@ fn no_command_of_evaluate_is_without_a_test() {
     };
     let mut listed: Vec<String> = commands.lines().filter_map(name).collect();
     listed.retain(|name| name != "help");
-    let mut known = [&here[..], &elsewhere].concat();
     known.sort_unstable();
     listed.sort_unstable();
     assert_eq!(listed, known, "{text}");
