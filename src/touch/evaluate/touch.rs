@@ -1,5 +1,6 @@
 //! One frame's answer compared with the truth: matched contacts and their errors.
-//! PURE. Uses: `store::Contact`, the contacts of an answer, `matching`. Never: maps, averages over frames, a 0 for an unknown.
+//! PURE. Uses: `store::Contact`, the contacts of an answer, `matching`. Never: maps, averages over frames, a 0 for
+//! an unknown.
 
 use crate::infer::answer::FoundContact;
 use crate::store::Contact;
