@@ -27,8 +27,12 @@ function until(test, seconds, what) {
 /** Connects and homes the rig if its state needs it; `step` is told what is being done. */
 export async function readyRig(step = () => {}) {
   const state = () => live.status?.rig.state, refused = live.status && runRefusal(live.status, 'start')
-  if (refused && (live.status.run || state() === 'tripped')) throw new Error(refused)
-  if (live.status?.run) return // A run holds the rig: what is started now waits for its end.
+  if (live.status?.run) {
+    if (refused) throw new Error(refused)
+    return // A run holds the rig: what is started now waits for its end.
+  }
+  // The service would begin a run of weights on a skin alone that has tripped: its cause is cleared first.
+  if (state() === 'tripped') throw new Error(refused || 'the rig is tripped: clear the cause, reset it first')
   if (state() === 'disconnected') {
     step('Opening the wires')
     await actOnRig('connect')
