@@ -62,11 +62,17 @@ impl StatusView {
         (!names.is_empty()).then(|| names.join(", "))
     }
 
-    /// Why a paused run would not resume now, as text.
+    /// Why a paused run would not continue now, as text: by a confirmation if it waits for the work of a person.
     pub fn not_resumed(&self) -> Option<&str> {
-        self.run.as_ref().filter(|run| run.state == StoredState::Paused)?;
-        let resume = ActionOnRun::Resume.as_str();
-        self.run_actions.iter().find(|one| one.action == resume)?.refused.as_deref()
+        let run = self.run.as_ref().filter(|run| run.state == StoredState::Paused)?;
+        let next = match run.paused_why {
+            Some(PausedWhy::TipChange | PausedWhy::ManualTrial) => ActionOnRun::Confirm,
+            Some(
+                PausedWhy::Operator | PausedWhy::Suspender | PausedWhy::Trip | PausedWhy::Restart,
+            )
+            | None => ActionOnRun::Resume,
+        };
+        self.run_actions.iter().find(|one| one.action == next.as_str())?.refused.as_deref()
     }
 }
 

@@ -116,7 +116,7 @@ export const sureHome = () => live.status?.rig.label === 'virtual' || confirm('H
 
 /**
  * The buttons of the active run: what the service would not refuse now, except for those of `without`. A repetition is
- * of one placement: its page has it. While the run is paused and would not resume, the reason is next to them.
+ * of one placement: its page has it. While the run is paused and would not continue, the reason is next to them.
  */
 export function runButtons(said, { without = [] } = {}) {
   const node = el('div', { className: 'row' }), why = el('span', { className: 'soft small' })
@@ -139,7 +139,9 @@ export function runButtons(said, { without = [] } = {}) {
     const wanted = run ? Object.keys(SETS).filter(offered) : [], names = wanted.join()
     if (shown !== names) { shown = names; fill(node, wanted.map(name => SETS[name]())) }
     const held = live.may('operator') && ['resume', 'confirm'].some(name => wanted.includes(name)) ? lockWords() : ''
-    const halted = run?.state === 'paused' && !run.wanted ? runRefusal(status, 'resume') : '', words = held || halted
+    // What a tip change asked for stays in the status while a trip halts the run: the reason of the pause counts.
+    const next = ['tip_change', 'manual_trial'].includes(run?.paused_why) ? 'confirm' : 'resume'
+    const halted = run?.state === 'paused' ? runRefusal(status, next) : '', words = held || halted
     say(why, words)
     if (node.contains(why) !== Boolean(words)) words ? node.append(why) : why.remove()
     for (const one of node.children) one.inert = !fresh
