@@ -241,6 +241,12 @@ fn what_a_person_must_do_first_is_named() {
         s["run_actions"] = json!([{ "action": "resume", "refused": "home the rig" }]);
     });
     assert_eq!((level, words.as_str()), (Level::Act, "paused on request: home the rig"));
+    let (level, words) = first(&|s| {
+        (s["run"]["state"], s["run"]["paused_why"]) = ("paused".into(), "tip_change".into());
+        s["run_actions"] = json!([{ "action": "resume", "refused": "confirm the tips" },
+            { "action": "confirm", "refused": "home the rig" }]);
+    });
+    assert_eq!((level, words.as_str()), (Level::Act, "paused (tip change): home the rig"));
     let (level, words) = first(&|s| s["disk"]["free_bytes"] = 1_000_000_000_u64.into());
     assert!(level == Level::Look && words.contains("1.00 GB of disk are free"), "{words}");
 }
