@@ -104,6 +104,11 @@ fn meaning(name: &str) -> Meaning {
     }
 }
 
+/// Whether a column is one of raw frames, such as `frames_v_0_12`; `frames_valid` is another one.
+fn is_of_frames(name: &str) -> bool {
+    name.strip_prefix(FRAMES_V).is_some_and(|rest| !rest.contains(char::is_alphabetic))
+}
+
 impl Layout {
     /// Reads a header. `file` is the name of the file in messages.
     ///
@@ -115,12 +120,12 @@ impl Layout {
         let mut channels = [BTreeMap::new(), BTreeMap::new()];
         let mut contacts: BTreeMap<usize, [Option<usize>; 4]> = BTreeMap::new();
         let mut scalars: BTreeMap<&str, (Scalar, usize)> = BTreeMap::new();
-        for (at, name) in header.iter().enumerate() {
-            let name = String::from_utf8_lossy(name).trim().to_owned();
-            if name.starts_with(FRAMES_V) {
-                let limit = "must be in a Parquet, NPZ or MAT file: a cell holds no frames";
-                problems.push(Problem::new(file, &name, "a column", limit));
-            }
+        let names = || header.iter().map(|name| String::from_utf8_lossy(name).trim().to_owned());
+        if let Some(name) = names().find(|name| is_of_frames(name)) {
+            let limit = "must be in a Parquet, NPZ or MAT file: a cell holds no frames";
+            problems.push(Problem::new(file, &name, "a column", limit));
+        }
+        for (at, name) in names().enumerate() {
             let twice = match meaning(&name) {
                 Meaning::Channel(frame, channel) => channels[frame].insert(channel, at).is_some(),
                 Meaning::Contact(number, field) => {

@@ -64,11 +64,11 @@ fn touch(x_mm: f64, y_mm: f64, force_n: Option<f64>) -> Contact {
 
 #[test]
 fn a_table_of_one_contact_is_read_by_the_names_of_its_columns() {
-    let text = "v0,v1,weather,v2,x_mm,y_mm,force_n,configuration,started_at,flags\r\n\
-                0.5,-1e-3,rain,NaN,12.5,20,2.5,7,2026-11-20T18:00:00Z,unsettled still_cell\r\n\
-                1,,sun,3,,,,8,,\r\n";
+    let text = "v0,v1,frames_valid,v2,x_mm,y_mm,force_n,configuration,started_at,flags\r\n\
+                0.5,-1e-3,all,NaN,12.5,20,2.5,7,2026-11-20T18:00:00Z,unsettled still_cell\r\n\
+                1,,none,3,,,,8,,\r\n";
     let (trials, left_out) = read("one.csv", text.as_bytes()).unwrap();
-    assert_eq!(left_out, ["weather"]);
+    assert_eq!(left_out, ["frames_valid"]);
     assert_eq!(trials[0].voltages_v[..2], [0.5, -1e-3]);
     assert!(trials[0].voltages_v[2].is_nan() && trials[1].voltages_v[1].is_nan());
     assert_eq!(trials[0].contacts, [touch(12.5, 20.0, Some(2.5))]);
@@ -112,6 +112,10 @@ fn an_invalid_table_is_refused_by_row_and_column() {
         ("v0,v2,x_mm,y_mm\n1,2,3,4\n".into(), "v1 = absent: must be present"),
         ("v0,v0,x_mm,y_mm\n1,2,3,4\n".into(), "v0 = twice"),
         ("v0,frames_v,x_mm,y_mm\n1,2,3,4\n".into(), "frames_v = a column: must be in a Parquet"),
+        (
+            "v0,frames_v_0_0,x_mm,y_mm\n1,2,3,4\n".into(),
+            "frames_v_0_0 = a column: must be in a Parquet",
+        ),
         ("v0,x_mm,y_mm,x1_mm\n1,2,3,4\n".into(), "contacts = several forms"),
         ("v0,v1,x_mm,y_mm\n1,2,3,4\n".into(), "voltages_v = 2 values: must have the 3 values"),
         ("a,b\n1,2\n".into(), "voltages_v = absent"),
