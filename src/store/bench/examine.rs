@@ -40,8 +40,9 @@ impl Store {
     }
 
     /// Checks the structure of the whole file and the texts of its runs, compares the newest `last` trials
-    /// and their frames with their checksums, and all trials with the bounds of their blocks. It reads the whole file, on a separate connection,
-    /// so that no other caller waits. Damage is a result, not an error.
+    /// and their frames with their checksums, and all trials with the bounds of their blocks. It reads the
+    /// whole file, on a separate connection, so that no other caller waits. Damage is a result, not an
+    /// error.
     ///
     /// # Errors
     /// `Sql` or `Read` if the file cannot be examined; `Late` after 600 s.

@@ -161,3 +161,33 @@ async fn a_bound_that_excludes_a_stored_trial_is_found() {
         assert!(finding.contains(&format!("the trials {block} ")), "{change}: {finding}");
     }
 }
+
+#[tokio::test]
+async fn the_blocks_of_an_older_file_are_bounded_when_it_is_opened() {
+    let folder = Folder::new();
+    let (store, [_, run]) = filled(&folder).await;
+    execute(
+        &store,
+        "DROP TRIGGER trials_in_blocks;
+         DROP TRIGGER twins_in_blocks;
+         DROP TABLE trial_blocks;
+         DELETE FROM _sqlx_migrations WHERE version = 21",
+    )
+    .await;
+    store.close().await;
+    let store = open(&folder.file()).await;
+    assert_eq!(store.examine(1).await.unwrap(), Soundness::Sound);
+    for (condition, expected) in
+        [("max_force_n__gt=24", vec![9, 10]), ("fvu__lt=0.02", vec![0, 1]), ("fvu__gt=0.1", vec![])]
+    {
+        let filters = that(&[condition]);
+        let query = TrialQuery { run: Some(run), filters, ..Default::default() };
+        assert_eq!(found(&store, &query).await, expected, "{condition}");
+    }
+    // Further trials widen them.
+    let trial = hex_trial(TRIALS, 0, &[300.0]);
+    store.trial(run, &trial).await.unwrap();
+    let filters = that(&["max_force_n__gt=100"]);
+    let query = TrialQuery { run: Some(run), filters, ..Default::default() };
+    assert_eq!(found(&store, &query).await, [TRIALS]);
+}
