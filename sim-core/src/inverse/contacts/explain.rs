@@ -31,30 +31,39 @@ pub(super) fn probable<'h>(
 pub(super) struct Explanations {
     /// Probability of the answer.
     pub probability: f64,
-    /// The others, the most probable first.
+    /// The others, in the order in which they were added.
     pub alternatives: Vec<Explanation>,
+    /// Share of the evidence that was counted twice.
+    twice: f64,
 }
 
 impl Explanations {
-    /// The answer alone, with its probability.
+    /// The answer alone, with its share.
     pub fn of(probability: f64) -> Self {
-        Self { probability, alternatives: Vec::new() }
+        Self { probability, alternatives: Vec::new(), twice: 0.0 }
     }
 
-    /// Adds an explanation. If its descent ended at the answer or at a known one, it is that one.
+    /// Adds an explanation with its share. If its descent ended at the answer or at a known one, it is that one,
+    /// whose evidence is counted already.
     pub fn add(&mut self, answer: &[FittedContact], other: Explanation) {
         let places = |contacts: &[FittedContact]| -> Vec<Place> {
             contacts.iter().map(|found| place_of(&found.contact)).collect()
         };
         let is_other = |known: &[FittedContact]| same(&places(known), &places(&other.contacts));
-        if is_other(answer) {
-            self.probability += other.probability;
-        } else if let Some(known) = self.alternatives.iter_mut().find(|k| is_other(&k.contacts)) {
-            known.probability += other.probability;
+        if is_other(answer) || self.alternatives.iter().any(|known| is_other(&known.contacts)) {
+            self.twice += other.probability;
         } else {
             self.alternatives.push(other);
         }
-        self.alternatives.sort_by(|a, b| b.probability.total_cmp(&a.probability));
+    }
+
+    /// Makes the shares those of the evidence that is counted once.
+    pub fn counted_once(mut self) -> Self {
+        let all = 1.0 - self.twice;
+        self.probability /= all;
+        self.alternatives.iter_mut().for_each(|other| other.probability /= all);
+        self.twice = 0.0;
+        self
     }
 }
 
@@ -87,17 +96,21 @@ mod tests {
     }
 
     #[test]
-    fn descents_that_end_at_one_place_are_one_explanation() {
+    fn descents_that_end_at_one_place_are_one_explanation_and_count_once() {
         let mut found = Explanations::of(0.4);
-        for (x_mm, probability) in [(200.0, 0.1), (103.0, 0.2), (300.0, 0.15), (202.0, 0.1)] {
+        for (x_mm, probability) in [(200.0, 0.2), (103.0, 0.15), (300.0, 0.1), (202.0, 0.05)] {
             found.add(&at(100.0), Explanation { probability, contacts: at(x_mm) });
         }
-        assert!((found.probability - 0.6).abs() < 1e-12);
-        let others: Vec<(f64, f64)> = found
-            .alternatives
-            .iter()
-            .map(|e| (e.contacts[0].contact.x_mm, e.probability))
-            .collect();
-        assert_eq!(others, [(200.0, 0.2), (300.0, 0.15)]);
+        // 0.15 of the answer and 0.05 of the explanation at 200 mm are the same evidence again.
+        let found = found.counted_once();
+        assert!((found.probability - 0.5).abs() < 1e-12);
+        let places: Vec<f64> =
+            found.alternatives.iter().map(|e| e.contacts[0].contact.x_mm).collect();
+        assert_eq!(places, [200.0, 300.0]);
+        let shares: Vec<f64> = found.alternatives.iter().map(|e| e.probability).collect();
+        assert!(
+            (shares[0] - 0.25).abs() < 1e-12 && (shares[1] - 0.125).abs() < 1e-12,
+            "{shares:?}"
+        );
     }
 }

@@ -148,6 +148,7 @@ impl ContactFitter {
             fit.exact_runs += other.exact_runs;
             found.add(&fit.contacts, Explanation { probability, contacts: other.contacts });
         }
+        let found = found.counted_once();
         (fit.probability, fit.alternatives) = (Some(found.probability), found.alternatives);
         Ok(())
     }
