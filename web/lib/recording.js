@@ -33,7 +33,7 @@ export function recorder({ signal }) {
   async function record() {
     const frames = Number(length.value), { name, title, extension, is_text } = chosen(), label = live.status?.rig.label ?? 'unknown'
     const at = new Date().toISOString().slice(0, 19).replaceAll(':', ''), heads = name === 'csv' ? 1 : 0
-    let pieces = [], size = 0, rows = 0, failure = null
+    let pieces = [], size = 0, lines = 0, rows = 0, failure = null
     const sum = () => [is_text && countOf(rows, frames), bytes(size), label].filter(Boolean).join(', ')
     cut = new AbortController()
     Object.assign(bar, { max: frames, value: 0, hidden: !is_text })
@@ -49,7 +49,8 @@ export function recorder({ signal }) {
         if (done) break
         pieces.push(value)
         size += value.length
-        if (is_text) bar.value = rows = Math.max(0, rows + ends(value) - (size === value.length ? heads : 0))
+        // The head of a table may come in several pieces.
+        if (is_text) bar.value = rows = Math.max(0, (lines += ends(value)) - heads)
         say(words, `Frames: ${sum()}.`)
       }
     } catch (error) { failure = error }
@@ -58,10 +59,11 @@ export function recorder({ signal }) {
     if (isSaved) download(`frames-${label}-${at}.${extension}`, new Blob(pieces))
     cut = null
     bar.hidden = words.hidden = true
-    const why = failure?.status ? `Not recorded: ${failure.message}.` : failure && !isStopped ? `The recording was cut: ${failure.message}.` : ''
+    const why = failure?.status ? `Not recorded: ${failure.message}.` : failure && !isStopped ? `The recording was cut: ${failure.message}.`
+      : is_text && isSaved && !failure && rows < frames ? 'The recording ended early: no more frames came.' : ''
     const what = isSaved ? `Frames saved: ${sum()}.` : failure?.status ? '' : is_text || !failure ? 'No frame came: nothing is saved.'
       : `${title} needs its end: nothing is saved.`
-    said.tell([why, what].filter(Boolean).join(' '), failure && !isStopped ? 'bad' : isSaved ? 'good' : 'warn')
+    said.tell([why, what].filter(Boolean).join(' '), failure && !isStopped ? 'bad' : isSaved && !why ? 'good' : 'warn')
     offer()
   }
 
