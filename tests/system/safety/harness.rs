@@ -19,7 +19,7 @@ use sim_core::sensor::Sensor;
 use virtual_rig::run::{RigArgs, VirtualRig};
 
 use super::journal::Scripted;
-use crate::bench::{self, LIMIT, WAITS, rig_args};
+use crate::bench::{self, LIMIT, WAITS, WHOLE, rig_args};
 use palpate::state::StoredState;
 
 /// Process seconds in a wall second: each fault is over in seconds, and this computer's lateness,
@@ -55,9 +55,18 @@ impl Harness {
         Self::homed_on(&rig_args("virtual", SPEED)).await
     }
 
+    /// As `homed`, for a test that measures how soon a rig stops, or how far it presses meanwhile.
+    pub async fn homed_alone() -> Self {
+        Self::homed_with(&rig_args("virtual", SPEED), WHOLE).await
+    }
+
     /// As `homed`, on another rig.
     pub async fn homed_on(args: &RigArgs) -> Self {
-        let turn = bench::turn(WAITS).await;
+        Self::homed_with(args, WAITS).await
+    }
+
+    async fn homed_with(args: &RigArgs, share: u32) -> Self {
+        let turn = bench::turn(share).await;
         let rig = VirtualRig::switch_on(args).await.unwrap();
         let config = RigConfig::from_toml("served.toml", &rig.rig_text).unwrap();
         let journal = Arc::new(Scripted::default());

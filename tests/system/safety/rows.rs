@@ -38,7 +38,7 @@ async fn peaks(harness: &Harness) -> (f64, f64) {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn over_force_raises_and_the_force_stays_within_limit_and_margin() {
-    let harness = Harness::homed().await;
+    let harness = Harness::homed_alone().await;
     harness.run(2, "[limits]\nforce_n = 15.0\n").await;
     let status = harness.tripped().await;
     cause(&status, TripKind::Force, "over its limit 15 N");
@@ -60,7 +60,7 @@ async fn over_force_raises_and_the_force_stays_within_limit_and_margin() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_cell_that_stands_at_its_zero_before_the_touch_off_stops_it_early() {
-    let harness = Harness::homed().await;
+    let harness = Harness::homed_alone().await;
     harness.mount(1, 1).await;
     harness.fault("frozen_cell", "cells", json!({ "arm": 1 })).await;
     harness.tell(json!({ "cmd": "clear_peaks" })).await;
@@ -103,7 +103,7 @@ async fn a_reply_that_still_shows_the_coarse_touch_gives_no_height() {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_cell_that_lost_its_tip_is_found_out_by_the_skin() {
     // Its zero is alive with noise: nothing in the cell's own voltage shows it.
-    let harness = Harness::homed().await;
+    let harness = Harness::homed_alone().await;
     harness.mount(1, 1).await;
     harness.fault("uncoupled_cell", "cells", json!({ "arm": 1 })).await;
     harness.tell(json!({ "cmd": "clear_peaks" })).await;
@@ -284,7 +284,7 @@ async fn a_store_that_fails_raises_and_the_run_goes_on_when_it_is_back() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn while_the_store_hangs_forces_are_watched_and_the_diary_is_complete_afterwards() {
-    let harness = Harness::homed().await;
+    let harness = Harness::homed_alone().await;
     harness.run(2, "").await;
     harness.stored(2).await;
     harness.journal.set(Mood::Hangs);
