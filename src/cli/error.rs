@@ -80,6 +80,15 @@ pub enum CliError {
         /// Error of the HTTP client.
         source: reqwest::Error,
     },
+    /// A recording ended before its last frame.
+    #[error(
+        "the recording was cut before its {frames} frames were there, and no file was written: the rig sent no frame \
+         for 10 s, or the service ended"
+    )]
+    Cut {
+        /// Number of requested frames.
+        frames: u64,
+    },
     /// A WebSocket failed.
     #[error("the connection to the service failed: {source}")]
     Socket {

@@ -53,8 +53,7 @@ pub async fn record(
     let mut length = 0_u64;
     let mut pieces = answer.bytes_stream();
     while let Some(piece) = pieces.next().await {
-        let lost = |source| CliError::Http { operation: format!("GET {path}"), source };
-        let piece = piece.map_err(lost)?;
+        let piece = piece.map_err(|_| CliError::Cut { frames })?;
         file.write_all(&piece).map_err(failed)?;
         length += piece.len() as u64;
     }

@@ -54,14 +54,13 @@ export function recorder({ signal }) {
         say(words, `Frames: ${sum()}.`)
       }
     } catch (error) { failure = error }
-    const isStopped = cut.signal.aborted || signal.aborted, isSaved = is_text ? rows > 0 : size > 0 && !failure
+    const isStopped = cut.signal.aborted || signal.aborted, isSaved = is_text ? rows > 0 : !failure
     if (isSaved && failure) pieces = await wholeLines(pieces)
     if (isSaved) download(`frames-${label}-${at}.${extension}`, new Blob(pieces))
     cut = null
     bar.hidden = words.hidden = true
-    const why = failure?.status ? `Not recorded: ${failure.message}.` : failure && !isStopped ? `The recording was cut: ${failure.message}.`
-      : is_text && isSaved && !failure && rows < frames ? 'The recording ended early: no more frames came.' : ''
-    const what = isSaved ? `Frames saved: ${sum()}.` : failure?.status ? '' : is_text || !failure ? 'No frame came: nothing is saved.'
+    const why = failure?.status ? `Not recorded: ${failure.message}.` : failure && !isStopped ? `The recording was cut: ${failure.message}.` : ''
+    const what = isSaved ? `Frames saved: ${sum()}.` : failure?.status ? '' : is_text ? 'No frame came: nothing is saved.'
       : `${title} needs its end: nothing is saved.`
     said.tell([why, what].filter(Boolean).join(' '), failure && !isStopped ? 'bad' : isSaved && !why ? 'good' : 'warn')
     offer()

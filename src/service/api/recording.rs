@@ -53,8 +53,8 @@ pub struct RecordingParams {
 /// Records frames of the stream: the response has a row per frame, and ends with the last one.
 ///
 /// Columns: wall time `at`, `label` (`virtual` or `measured`), `sequence` and `device_time_us` of the device, and
-/// `voltages_v`. Gaps of `sequence` are frames that were not received. The recording ends early after 10 s without a
-/// frame, and when the service ends; the service keeps nothing of it.
+/// `voltages_v`. Gaps of `sequence` are frames that were not received. After 10 s without a frame, and when the
+/// service ends, the response ends with an error; rows of a text that came before are whole. The service keeps nothing.
 #[utoipa::path(get, operation_id = "record_frames", path = "/api/v1/frames/recording", tag = "frames",
     params(RecordingParams),
     responses((status = 200, body = Vec<u8>, content_type = "application/octet-stream"),
@@ -94,8 +94,17 @@ pub async fn record(
     // What came before the request is not recorded.
     source.mark_unchanged();
     let ending = app.facts.ending.clone();
-    let recording =
-        Recording { source, ending, label, schema, stream, piece, left: frames, _place: place };
+    let recording = Recording {
+        source,
+        ending,
+        label,
+        schema,
+        stream,
+        piece,
+        left: frames,
+        is_cut: false,
+        _place: place,
+    };
     let pieces = futures::stream::unfold(Some(recording), |recording| async move {
         Some(recording?.next_piece().await)
     });
@@ -121,12 +130,19 @@ struct Recording {
     piece: Piece,
     /// Number of frames that are still to be recorded.
     left: usize,
+    /// No more frames come, although some are left.
+    is_cut: bool,
     _place: OwnedSemaphorePermit,
 }
 
 impl Recording {
-    /// The bytes of the next batch, and the recording unless it has ended.
+    /// The bytes of the next batch, and the recording unless it has ended. One that is cut ends with an error, so that
+    /// nobody takes it for complete.
     async fn next_piece(mut self) -> (io::Result<Vec<u8>>, Option<Self>) {
+        if self.is_cut {
+            let words = format!("no more frames: {} of the recording are missing", self.left);
+            return (Err(io::Error::other(words)), None);
+        }
         let most = self.left.min(BATCH_FRAMES);
         let mut taken = Vec::with_capacity(most);
         while taken.len() < most
@@ -134,10 +150,10 @@ impl Recording {
         {
             taken.push(frame);
         }
-        let has_ended = taken.len() < most || self.left == most;
+        self.is_cut = taken.len() < most;
         self.left -= taken.len();
         match self.write(&taken) {
-            Ok(()) if has_ended => {
+            Ok(()) if self.left == 0 => {
                 let end = self.stream.finish().map(|piece| piece.take());
                 (end.map_err(io::Error::other), None)
             }
@@ -253,5 +269,29 @@ mod tests {
     fn a_frame_of_another_size_is_refused() {
         let refused = batch(&schema(4), "virtual", &[taken(1, vec![1, 2, 3])]).unwrap_err();
         assert!(refused.to_string().contains("3 voltages, expected 4"), "{refused}");
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn a_recording_whose_frames_stop_ends_with_an_error() {
+        let (frames, source) = tokio::sync::watch::channel(None);
+        let (_ending, ending) = tokio::sync::watch::channel(false);
+        let (schema, piece) = (schema(1), Piece::default());
+        let recording = Recording {
+            source,
+            ending,
+            label: "virtual",
+            stream: Stream::new(Format::Ndjson, &schema, piece.clone()).unwrap(),
+            schema,
+            piece,
+            left: 3,
+            is_cut: false,
+            _place: Arc::new(tokio::sync::Semaphore::new(1)).try_acquire_owned().unwrap(),
+        };
+        frames.send_replace(Some(taken(1, vec![1]).1));
+        let (first, recording) = recording.next_piece().await;
+        assert!(String::from_utf8(first.unwrap()).unwrap().contains("\"sequence\":1"));
+        let (end, none) = recording.unwrap().next_piece().await;
+        assert_eq!(end.unwrap_err().to_string(), "no more frames: 2 of the recording are missing");
+        assert!(none.is_none());
     }
 }
