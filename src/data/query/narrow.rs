@@ -10,8 +10,9 @@ use parquet::arrow::ProjectionMask;
 use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;
 
 use crate::dataset::background::background;
-use crate::dataset::error::DatasetError;
+use crate::dataset::error::{DatasetError, Product};
 use crate::dataset::format::{Format, Stream};
+use crate::dataset::space::Space;
 use crate::new_file::NewFile;
 use crate::store::table::Column;
 
@@ -19,14 +20,18 @@ use crate::store::table::Column;
 const NARROW_ROWS: usize = 32_768;
 
 /// Returns the file of `folder` with the columns of a dataset's file except its frames; it is written if it is
-/// missing. It has the name of the dataset's file and never changes.
+/// missing. It has the name of the dataset's file and never changes. `free` is the free space of the disk, bytes.
 ///
 /// # Errors
-/// `DatasetError` if the dataset's file cannot be read, or this one not be written.
-pub async fn of_dataset(folder: &Path, dataset: &Path) -> Result<PathBuf, DatasetError> {
+/// `DatasetError` if the dataset's file cannot be read, or this one not be written without the space that is reserved
+/// for runs.
+pub async fn of_dataset(folder: &Path, dataset: &Path, free: u64) -> Result<PathBuf, DatasetError> {
     let name = dataset.file_name().unwrap_or_default().to_string_lossy().into_owned();
     let narrow = folder.join(&name);
     if !narrow.is_file() {
+        // It is smaller than the dataset's file.
+        let needed = dataset.metadata().map_err(DatasetError::file("opening", dataset))?.len();
+        Space { needed, free }.check(Product::Dataset)?;
         let (folder, dataset) = (folder.to_owned(), dataset.to_owned());
         background(move || write(&folder, &name, &dataset)).await??;
     }
@@ -76,6 +81,9 @@ mod tests {
 
     use super::*;
 
+    /// A disk with enough space.
+    const ROOM: u64 = u64::MAX / 2;
+
     /// A batch of trials from this id, with frames of two voltages.
     fn batch(first: i64, rows: i64) -> RecordBatch {
         let ids: Vec<i64> = (first..first + rows).collect();
@@ -108,7 +116,9 @@ mod tests {
         stream.finish().unwrap().finish("ds-1.parquet").unwrap();
 
         let dataset = datasets.join("ds-1.parquet");
-        let made = of_dataset(&narrow, &dataset).await.unwrap();
+        let full = of_dataset(&narrow, &dataset, 1 << 30).await.unwrap_err();
+        assert!(matches!(full, DatasetError::DiskFull { .. }), "{full}");
+        let made = of_dataset(&narrow, &dataset, ROOM).await.unwrap();
         assert_eq!(made, narrow.join("ds-1.parquet"));
         let builder = ParquetRecordBatchReaderBuilder::try_new(File::open(&made).unwrap()).unwrap();
         assert_eq!(builder.metadata().num_row_groups(), 2);
@@ -123,13 +133,13 @@ mod tests {
         }
 
         let written = std::fs::metadata(&made).unwrap().modified().unwrap();
-        of_dataset(&narrow, &dataset).await.unwrap();
+        of_dataset(&narrow, &dataset, ROOM).await.unwrap();
         trim(&narrow, &datasets);
         assert_eq!(std::fs::metadata(&made).unwrap().modified().unwrap(), written);
         std::fs::remove_file(&dataset).unwrap();
         trim(&narrow, &datasets);
         assert!(!made.exists());
-        of_dataset(&narrow, &dataset).await.unwrap_err();
+        of_dataset(&narrow, &dataset, ROOM).await.unwrap_err();
         std::fs::remove_dir_all(&folder).unwrap();
     }
 }

@@ -141,8 +141,9 @@ impl Tables {
     async fn without_frames(&self, mut files: Vec<PathBuf>) -> Vec<PathBuf> {
         let datasets = self.datasets.datasets();
         narrow::trim(&self.columns, &datasets);
+        let free = self.store.free_bytes().await.unwrap_or_default();
         for file in files.iter_mut().filter(|file| file.starts_with(&datasets)) {
-            match narrow::of_dataset(&self.columns, file).await {
+            match narrow::of_dataset(&self.columns, file, free).await {
                 Ok(narrow) => *file = narrow,
                 // A full disk: the dataset's file has the same rows.
                 Err(error) => tracing::warn!(%error, "the columns of a dataset were not written"),
