@@ -308,16 +308,19 @@ fn bucket(url: &Url, address: &StoreAddress) -> Result<Arc<dyn ObjectStore>, Wor
             builder = builder.with_config(key, value);
         }
     }
-    let endpoint = builder.get_config_value(&AmazonS3ConfigKey::Endpoint);
-    let endpoint = endpoint
-        .map(|text| Url::parse(&text).map_err(|error| invalid(format!("AWS_ENDPOINT: {error}"))));
-    if let Some(endpoint) = endpoint.transpose()? {
+    // AWS_ALLOW_HTTP does not count; of two endpoints the client chooses one.
+    let mut allow_http = false;
+    for key in [AmazonS3ConfigKey::Endpoint, AmazonS3ConfigKey::S3Endpoint] {
+        let Some(text) = builder.get_config_value(&key) else { continue };
+        let name = key.as_ref().to_ascii_uppercase();
+        let endpoint = Url::parse(&text).map_err(|error| invalid(format!("{name}: {error}")))?;
         let is_here = endpoint.host_str().is_some_and(is_loopback);
         if endpoint.scheme() != "https" && !is_here {
-            return Err(invalid("AWS_ENDPOINT: must be https for another machine".into()));
+            return Err(invalid(format!("{name}: must be https for another machine")));
         }
-        builder = builder.with_allow_http(is_here);
+        allow_http |= is_here;
     }
-    let store = builder.build().map_err(|error| invalid(error.to_string()))?;
+    let store =
+        builder.with_allow_http(allow_http).build().map_err(|error| invalid(error.to_string()))?;
     Ok(Arc::new(PrefixStore::new(store, ObjectPath::from(url.path()))))
 }
