@@ -24,6 +24,8 @@ const LINE_BYTES_MAX: u64 = 1 << 20;
 const TAIL_LINES: usize = 5;
 /// Time in which a child ends after its standard input was closed.
 const END: Duration = Duration::from_secs(10);
+/// Exit code of a program that does not know its options: that of another version.
+const REFUSED: i32 = 2;
 /// Variables that a child must not see.
 const SECRET: [&str; 4] = ["PALPATE_QUEUE", "PALPATE_STORE", "AWS_", "PG"];
 
@@ -31,7 +33,12 @@ const SECRET: [&str; 4] = ["PALPATE_QUEUE", "PALPATE_STORE", "AWS_", "PG"];
 #[derive(Debug, Deserialize)]
 #[serde(untagged)]
 enum Answer {
-    Failed { error: String },
+    Failed {
+        error: String,
+        /// Whether another machine may not have the error.
+        #[serde(default)]
+        machine: bool,
+    },
     Done(Done),
 }
 
@@ -41,7 +48,7 @@ pub enum MakeError {
     /// The program reported an error of this chunk, died while it made it, or took too long.
     #[error("{0}")]
     Chunk(String),
-    /// The program cannot be used on this machine.
+    /// Program, store or disk of this machine cannot be used; another machine may make the chunk.
     #[error("{0}")]
     Machine(String),
 }
@@ -72,7 +79,7 @@ impl Maker {
     /// Has the program make a chunk of the order in `folder`.
     ///
     /// # Errors
-    /// `MakeError::Machine` if the program cannot be started, `Chunk` otherwise.
+    /// `MakeError::Machine` if the program cannot be started, or refuses options or order; `Chunk` otherwise.
     pub async fn make(&mut self, folder: &Path, index: u64) -> Result<Done, MakeError> {
         let mut running = match self.running.take() {
             Some(running) => running,
@@ -80,7 +87,7 @@ impl Maker {
         };
         let line = match timeout(self.limit, running.ask(folder, index)).await {
             Ok(Ok(line)) => line,
-            Ok(Err(error)) => return Err(MakeError::Chunk(running.died(&error).await)),
+            Ok(Err(error)) => return Err(running.died(&error).await),
             Err(_) => {
                 drop(running.child.kill().await);
                 let seconds = self.limit.as_secs();
@@ -97,9 +104,9 @@ impl Maker {
                 self.running = Some(running);
                 Ok(done)
             }
-            Answer::Failed { error } => {
+            Answer::Failed { error, machine } => {
                 self.running = Some(running);
-                Err(MakeError::Chunk(error))
+                Err(if machine { MakeError::Machine(error) } else { MakeError::Chunk(error) })
             }
         }
     }
@@ -150,9 +157,13 @@ impl Running {
     }
 
     /// How the program ended, with its last lines.
-    async fn died(&mut self, error: &std::io::Error) -> String {
+    async fn died(&mut self, error: &std::io::Error) -> MakeError {
+        let mut refuses = false;
         let how = match timeout(END, self.child.wait()).await {
-            Ok(Ok(status)) => status.to_string(),
+            Ok(Ok(status)) => {
+                refuses = status.code() == Some(REFUSED);
+                status.to_string()
+            }
             Ok(Err(error)) => error.to_string(),
             Err(_) => {
                 drop(self.child.kill().await);
@@ -163,7 +174,9 @@ impl Running {
         tokio::time::sleep(Duration::from_millis(50)).await;
         let tail = self.tail.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
         let last: Vec<&str> = tail.iter().map(String::as_str).collect();
-        format!("the program ended while it made this chunk ({how}): {}", last.join(" | "))
+        let text =
+            format!("the program ended while it made this chunk ({how}): {}", last.join(" | "));
+        if refuses { MakeError::Machine(text) } else { MakeError::Chunk(text) }
     }
 }
 

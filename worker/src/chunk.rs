@@ -64,7 +64,7 @@ impl Bench {
         let folder = self.scratch.join(&chunk.order);
         let made = self.maker.make(&folder, chunk.index).await?;
         if made.key != key || made.index != chunk.index {
-            return Err(MakeError::Chunk(format!(
+            return Err(MakeError::Machine(format!(
                 "key {} of index {}: must be {key} of {}; worker and palpate are of different versions",
                 made.key, made.index, chunk.index
             )));
@@ -94,17 +94,12 @@ impl Bench {
             if !is_hash(id) {
                 return Err(MakeError::Chunk(format!("order {id:?}: must be a sha256")));
             }
-            let found = self.store.order(id).await;
-            let (order, text) = match found {
-                Ok(Some(found)) => found,
-                Ok(None) => {
-                    return Err(MakeError::Chunk(format!("{id}/{ORDER_FILE}: not in the store")));
-                }
-                Err(error @ (WorkerError::Invalid(_) | WorkerError::Failed(_))) => {
-                    return Err(MakeError::Chunk(error.to_string()));
-                }
-                Err(error) => return Err(machine(error)),
-            };
+            // A share that is not mounted, or the store of another machine, is an empty folder.
+            let found = self.store.order(id).await.map_err(machine)?;
+            let (order, text) = found.ok_or_else(|| {
+                let what = "not in the store: PALPATE_STORE must be the one of the other machines";
+                MakeError::Machine(format!("{id}/{ORDER_FILE}: {what}"))
+            })?;
             let folder = self.scratch.join(id);
             let written = async {
                 fs::create_dir_all(&folder).await?;

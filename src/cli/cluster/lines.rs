@@ -1,8 +1,9 @@
 //! `palpate cluster make --lines`: a chunk for each line of standard input, as a worker requests them.
 //! Uses: `make`, a thread that reads standard input. Never: a queue.
 //!
-//! One line of JSON is answered by one line of JSON, in order. The model of the last work order is kept. The command
-//! ends when standard input ends, or on a request to stop after the chunk in progress.
+//! One line of JSON is answered by one line of JSON, in order. An error that another machine may not have (another
+//! version, no kernel of the order, a folder that cannot be read) also has `"machine": true`. The model of the last work
+//! order is kept. The command ends when standard input ends, or on a request to stop after the chunk in progress.
 
 use std::io::{self, BufRead, Read};
 use std::path::PathBuf;
@@ -14,6 +15,7 @@ use serde::Deserialize;
 use serde_json::{Value, json};
 
 use super::make::{Makers, StopRequest};
+use crate::chunk::error::ChunkError;
 use crate::chunk::folder::OrderFolder;
 use crate::cli::error::CliError;
 use crate::cli::output::say_json;
@@ -74,8 +76,20 @@ fn made(line: &str, makers: &mut Makers, stop: &StopRequest) -> Value {
                 "rows": row.rows, "wall_ms": row.wall_ms })
         }
         Ok(None) => json!({ "index": index, "error": "stopped within the chunk" }),
-        Err(error) => json!({ "index": index, "error": error.to_string() }),
+        Err(error) => {
+            let mut answer = json!({ "index": index, "error": error.to_string() });
+            if !is_of_chunk(&error) {
+                answer["machine"] = true.into();
+            }
+            answer
+        }
     }
+}
+
+/// Whether an error is that of a chunk on every machine.
+fn is_of_chunk(error: &CliError) -> bool {
+    use ChunkError::{Index, Make, NotReproduced};
+    matches!(error, CliError::Chunk(Index { .. } | Make { .. } | NotReproduced { .. }))
 }
 
 /// The lines of standard input, read by a thread that ends with the process: a read cannot be interrupted.

@@ -188,6 +188,7 @@ fn lines_are_answered_by_chunks() {
     assert_eq!(answer, json!({ "index": 20, "error": "index = 20: must be from 0 to 19" }));
     let answer = ask(json!({ "folder": order.join("none"), "index": 0 }));
     assert!(answer["error"].as_str().unwrap().contains("has no order.json"), "{answer}");
+    assert_eq!(answer["machine"], true, "others may have the folder");
     let answer = ask(json!({ "index": 0 }));
     assert!(answer["error"].as_str().unwrap().contains("folder"), "{answer}");
     drop(input);

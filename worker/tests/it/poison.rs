@@ -66,16 +66,37 @@ fn a_chunk_that_takes_its_worker_with_it_is_set_aside() {
 }
 
 #[test]
-fn a_machine_without_the_program_does_not_use_up_the_attempts_of_all_chunks() {
+fn a_machine_that_cannot_make_chunks_does_not_use_up_their_attempts() {
     let Some(bench) = Bench::start() else { return };
-    let made = bench.order(30, json!({ "seed": 1 }));
-    bench.ok(&["submit", made.path()]);
-    let mut sick = bench.worker(&bench.address, &["--program", "/none/palpate"]);
-    std::thread::sleep(Duration::from_secs(3));
-    sick.terminate();
-    assert!(sick.ended(SOON));
-    assert!(sick.log().contains("/none/palpate"), "{}", sick.log());
-    let again = bench.status(&made)["again"].as_u64().unwrap();
-    assert!((1..8).contains(&again), "{again}");
-    assert_eq!(bench.status(&made)["waiting"], json!(30));
+    let refused = json!({ "seed": 1, "refuses": true });
+    // Without the program; with one that knows no such command; without the kernel; with another store.
+    let ways = [
+        (json!({ "seed": 1 }), "/none/palpate", "/none/palpate"),
+        (json!({ "seed": 2 }), "ls", "exit status: 2"),
+        (refused, "", "no kernel of the order"),
+        (json!({ "seed": 3 }), "", "not in the store"),
+    ];
+    for (definition, program, expected) in ways {
+        let made = bench.order(30, definition);
+        bench.ok(&["submit", made.path()]);
+        let stored = bench.store().join(&made.order.id).join("order.json");
+        let elsewhere = bench.folder.path().join("elsewhere.json");
+        if expected == "not in the store" {
+            fs::rename(&stored, &elsewhere).unwrap();
+        }
+        let options = if program.is_empty() { vec![] } else { vec!["--program", program] };
+        let mut sick = bench.worker(&bench.address, &options);
+        std::thread::sleep(Duration::from_secs(3));
+        sick.terminate();
+        assert!(sick.ended(SOON));
+        assert!(sick.log().contains(expected), "{}", sick.log());
+        if !stored.exists() {
+            fs::rename(&elsewhere, &stored).unwrap();
+        }
+        let status = bench.status(&made);
+        let again = status["again"].as_u64().unwrap();
+        assert!((1..8).contains(&again), "{again}");
+        assert_eq!(status["waiting"], json!(30));
+        bench.ok(&["cancel", made.path()]);
+    }
 }

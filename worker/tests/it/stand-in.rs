@@ -2,7 +2,8 @@
 //! The bytes of a chunk follow from the seed of the order and the index alone; no sensor is simulated.
 //!
 //! `definition`: `seed`; `ms`, wall time of a chunk unless STAND_IN_QUICK is set; `fails`, indices that report
-//! an error; `dies`, indices at which the program ends; `hangs`, indices that are never answered.
+//! an error; `dies`, indices at which the program ends; `hangs`, indices that are never answered; `refuses`, that this
+//! machine makes no chunk.
 
 use std::fs;
 use std::io::{BufRead, stdin};
@@ -37,6 +38,9 @@ fn make(folder: &Path, index: u64) -> Value {
         |list: &str| definition[list].as_array().is_some_and(|list| list.contains(&json!(index)));
     if std::env::var_os("STAND_IN_QUICK").is_none() {
         std::thread::sleep(Duration::from_millis(definition["ms"].as_u64().unwrap_or(0)));
+    }
+    if definition["refuses"] == true {
+        return json!({ "index": index, "error": "this machine has no kernel of the order", "machine": true });
     }
     if has("fails") {
         return json!({ "index": index, "error": format!("index {index} fails by its definition") });
