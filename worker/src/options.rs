@@ -115,7 +115,7 @@ struct WorkOptions {
     /// Folder in which chunks are made [default: the system's temporary folder].
     #[arg(long, value_name = "DIR")]
     scratch: Option<PathBuf>,
-    /// End when no chunk waits.
+    /// End when no chunk that this machine may make waits or is being made, by others either.
     #[arg(long)]
     until_idle: bool,
 }

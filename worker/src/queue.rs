@@ -169,6 +169,21 @@ impl Queue {
             .await
     }
 
+    /// Whether the queue has a chunk that a machine may make, now or later: one that waits for its next attempt, or is
+    /// made by a worker that may be lost, counts.
+    ///
+    /// # Errors
+    /// `WorkerError` if the queue does not answer.
+    pub async fn has_work(&self, allowed: &[String]) -> Result<bool, WorkerError> {
+        let pool = self.pool();
+        let query = sqlx::query_scalar(
+            "SELECT EXISTS (SELECT FROM palpate_queue._private_jobs \
+             WHERE (locked_at IS NOT NULL OR attempts < max_attempts) \
+             AND (flags IS NULL OR flags - $1::text[] = '{}'::jsonb))",
+        );
+        self.answer(ANSWER, query.bind(allowed).fetch_one(&pool)).await
+    }
+
     /// Removes a chunk that is done.
     ///
     /// # Errors

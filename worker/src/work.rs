@@ -36,6 +36,8 @@ use crate::store::Store;
 pub const CONNECTIONS: u32 = 3;
 /// Interval at which an idle worker asks for a chunk; the queue also notifies it of new ones.
 const IDLE: Duration = Duration::from_secs(5);
+/// The same for a worker that ends with the last chunk.
+const IDLE_AT_END: Duration = Duration::from_secs(1);
 /// First and longest pause after a failure of queue or machine.
 const PAUSE: (Duration, Duration) = (Duration::from_millis(200), Duration::from_secs(60));
 /// Longest time for which a result is acknowledged: later the chunk is found done.
@@ -58,7 +60,7 @@ pub struct Work {
     pub program: PathBuf,
     /// Folder in which chunks are made.
     pub scratch: PathBuf,
-    /// Whether the worker ends when nothing waits.
+    /// Whether the worker ends when no chunk is left that it may make.
     pub until_idle: bool,
 }
 
@@ -179,16 +181,19 @@ async fn run_slot(shared: Arc<Shared>, mut bench: Bench) -> Result<(), WorkerErr
                 None => shared.queue.tasks().await?,
             };
             let job = shared.queue.take(&known, &shared.id, &shared.allowed).await?;
-            Ok((known, job))
+            let is_over = job.is_none()
+                && shared.work.until_idle
+                && !shared.queue.has_work(&shared.allowed).await?;
+            Ok((known, job, is_over))
         };
-        let job = match taken.await {
-            Ok((known, job)) => {
+        let (job, is_over) = match taken.await {
+            Ok((known, job, is_over)) => {
                 if pause.ends() {
                     tracing::info!("the queue answers again");
                 }
                 connected = true;
                 tasks = Some(known);
-                job
+                (job, is_over)
             }
             // A mistake of the setup is not waited for, a queue that restarts is.
             Err(error @ WorkerError::NotSetUp(_)) if !connected => return Err(error),
@@ -199,11 +204,12 @@ async fn run_slot(shared: Arc<Shared>, mut bench: Bench) -> Result<(), WorkerErr
             }
         };
         let Some(job) = job else {
-            if shared.work.until_idle {
+            if is_over {
                 break;
             }
+            let idle = if shared.work.until_idle { IDLE_AT_END } else { IDLE };
             tokio::select! {
-                () = rest(IDLE, &mut ending) => (),
+                () = rest(idle, &mut ending) => (),
                 () = shared.added.notified() => (),
             }
             continue;

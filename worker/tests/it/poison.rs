@@ -39,7 +39,7 @@ fn a_chunk_that_fails_dies_or_hangs_is_set_aside_with_its_error() {
         assert!(failed["error"].as_str().unwrap().contains(expected), "{failed}");
     }
     assert_eq!(status["errors"].as_array().unwrap().len(), 3);
-    // Submitted again they have new attempts, also for `fetch`, which copies the errors.
+    // Submitted again they have new attempts.
     let again = bench.ok(&["submit", made.path(), "--attempts", "1"]);
     assert!(again.contains("3 submitted (3 had failed)"), "{again}");
     assert_eq!(bench.status(&made)["errors"], json!([]));
@@ -59,8 +59,10 @@ fn a_chunk_that_takes_its_worker_with_it_is_set_aside() {
         worker.process.kill().unwrap();
         worker.process.wait().unwrap();
     }
-    let _sweeper = bench.worker(&bench.address, &[]);
-    until("the chunk is set aside", SOON, || bench.status(&made)["failed"] == json!(1));
+    // A worker that ends with the last chunk waits for the lease of the lost one.
+    let mut sweeper = bench.worker(&bench.address, &["--until-idle"]);
+    assert!(sweeper.ended(SOON), "{}", sweeper.log());
+    assert_eq!(bench.status(&made)["failed"], json!(1));
     let error = bench.status(&made)["errors"][0]["error"].to_string();
     assert!(error.contains("the worker ended while it made this chunk"), "{error}");
 }
