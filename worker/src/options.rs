@@ -94,7 +94,7 @@ struct WorkOptions {
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=1024))]
     at_once: u16,
     /// Threads of each program [default: the machine's cores divided by --at-once].
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=4096))]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=256))]
     threads: Option<u16>,
     /// This machine has a GPU for chunks that need one.
     #[arg(long)]
@@ -143,6 +143,8 @@ struct FetchOptions {
     discard_damaged: bool,
 }
 
+/// Most threads that `palpate cluster make` takes.
+const THREADS_MAX: usize = 256;
 /// Interval at which `status --wait` asks.
 const WAIT_POLL: Duration = Duration::from_secs(2);
 
@@ -184,10 +186,11 @@ impl Options {
                 let options = address::queue()?;
                 let meminfo = std::fs::read_to_string("/proc/meminfo").unwrap_or_default();
                 let cores = std::thread::available_parallelism().map_or(1, usize::from);
+                let share = (cores / usize::from(of.at_once)).clamp(1, THREADS_MAX);
                 let memory = of.memory_mib.unwrap_or_else(|| memory_mib(&meminfo));
                 let work = Work {
                     at_once: of.at_once.into(),
-                    threads: of.threads.map_or(cores / usize::from(of.at_once), usize::from).max(1),
+                    threads: of.threads.map_or(share, usize::from),
                     has: Needs { gpu: of.gpu, memory_mib: memory },
                     lease: Duration::from_secs(of.lease_s),
                     limit: Duration::from_secs(of.limit_s),
