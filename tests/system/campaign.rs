@@ -9,7 +9,7 @@ use serde_json::{Value, json};
 use sqlx::sqlite::SqliteConnectOptions;
 use sqlx::{ConnectOptions, Connection};
 
-use super::bench::{Lab, SENSOR, WAITS, http, rig_args};
+use super::bench::{Lab, SENSOR, WAITS, WHOLE, http, rig_args};
 
 /// Two settings of three configurations and four depths: 24 trials.
 const SMALL: &str = "name = 'small'\nseed = 5\nsensor = 's'\n[real_hex]\ntips = [1, 4]\n\
@@ -462,7 +462,7 @@ async fn weights_are_placed_confirmed_measured_and_repeated() {
 async fn the_same_campaign_on_other_axes_and_wires_has_the_same_keys_and_targets() {
     let mut seen = Vec::new();
     for rig in ["iai-modbus-tcp", "oriental-az-rtu"] {
-        let lab = Lab::open(&format!("wires-{rig}"), rig_args(rig, 8.0), WAITS).await;
+        let lab = Lab::open(&format!("wires-{rig}"), rig_args(rig, 8.0), WHOLE).await;
         lab.home().await;
         let run = lab.queue(SMALL).await;
         lab.start(&run).await;

@@ -22,7 +22,7 @@ use palpate::rig::traits::{Axis, AxisStatus};
 use serde_json::{Value, json};
 use virtual_rig::run::{RigArgs, VirtualRig};
 
-use super::bench::{COMPUTES, file, rig_args, tell, turn};
+use super::bench::{WHOLE, file, rig_args, tell, turn};
 
 /// Process seconds in a wall second.
 const SPEED: f64 = 20.0;
@@ -59,7 +59,7 @@ async fn until(axis: &Arc<dyn Axis>, what: &str, done: impl Fn(&AxisStatus) -> b
 }
 
 async fn keeps_the_contract(name: &str, file: PathBuf) {
-    let _turn = turn(COMPUTES).await;
+    let _turn = turn(WHOLE).await;
     let latch = StopLatch::new();
     let (rig, config, open, clock) = rig_of(name, file, &latch).await;
     let seen = check(&config, &open, &clock, Scope::Look).await;
@@ -190,7 +190,7 @@ async fn every_input_module_keeps_the_contract_with_the_axes_of_the_virtual_rig(
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_drive_with_a_watchdog_stops_when_the_service_falls_silent() {
-    let _turn = turn(COMPUTES).await;
+    let _turn = turn(WHOLE).await;
     let text = std::fs::read_to_string(file("rigs/oriental-az-rtu.toml")).unwrap();
     let guard = "[axes.z]\nguard = { watchdog_ms = 500, torque_percent = 60 }";
     let guarded = Path::new(env!("CARGO_TARGET_TMPDIR")).join("guarded.toml");
@@ -218,7 +218,7 @@ async fn a_drive_with_a_watchdog_stops_when_the_service_falls_silent() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_check_ends_with_stops_when_the_emergency_stop_is_latched() {
-    let _turn = turn(COMPUTES).await;
+    let _turn = turn(WHOLE).await;
     let latch = StopLatch::new();
     let (rig, config, _open, _clock) = rig_of("virtual", file("rigs/virtual.toml"), &latch).await;
     let setup = config.into();
@@ -274,7 +274,7 @@ fn ends_when_its_parent_goes(mut child: Child) {
 
 #[tokio::test]
 async fn a_rig_whose_parent_is_gone_ends_while_it_starts_and_while_it_streams() {
-    let _turn = turn(COMPUTES).await;
+    let _turn = turn(WHOLE).await;
     let data =
         Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("orphan-{}", std::process::id()));
     let starting = child(&data);

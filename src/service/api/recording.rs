@@ -271,7 +271,7 @@ mod tests {
         assert!(refused.to_string().contains("3 voltages, expected 4"), "{refused}");
     }
 
-    #[tokio::test(start_paused = true)]
+    #[tokio::test]
     async fn a_recording_whose_frames_stop_ends_with_an_error() {
         let (frames, source) = tokio::sync::watch::channel(None);
         let (_ending, ending) = tokio::sync::watch::channel(false);
@@ -288,6 +288,7 @@ mod tests {
             _place: Arc::new(tokio::sync::Semaphore::new(1)).try_acquire_owned().unwrap(),
         };
         frames.send_replace(Some(taken(1, vec![1]).1));
+        drop(frames);
         let (first, recording) = recording.next_piece().await;
         assert!(String::from_utf8(first.unwrap()).unwrap().contains("\"sequence\":1"));
         let (end, none) = recording.unwrap().next_piece().await;
