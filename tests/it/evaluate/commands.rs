@@ -57,10 +57,14 @@ fn evaluate(data: &Path, command: &str, options: &[&str]) -> Value {
     serde_json::from_str(&text).unwrap_or_else(|error| panic!("{command}: {error}: {text}"))
 }
 
+/// The written table.
+fn table(data: &Path, name: &str) -> String {
+    std::fs::read_to_string(data.join("tables").join(format!("{name}.md"))).unwrap()
+}
+
 /// Number of rows of a table file, whose columns are `head`.
 fn rows(data: &Path, name: &str, head: &[&str]) -> usize {
-    let path = data.join("tables").join(format!("{name}.md"));
-    let text = std::fs::read_to_string(path).unwrap();
+    let text = table(data, name);
     let mut lines = text.lines().filter(|line| line.starts_with('|'));
     let cells = |line: &str| {
         line.trim_matches('|').split('|').map(|cell| cell.trim().to_owned()).collect::<Vec<_>>()
@@ -126,7 +130,7 @@ async fn every_command_trains_scores_and_writes_what_it_is_for() {
     assert!(ours.iter().all(|method| method["report"]["rows"] == 12), "all of Real-Random");
     is_svg(&data, "fig-12.svg", "virtual");
 
-    let text = std::fs::read_to_string(data.join("tables/fig-12.md")).unwrap();
+    let text = table(&data, "fig-12");
     assert!(text.contains("answers by their probability"), "{text}");
 
     let scored =
@@ -192,7 +196,7 @@ async fn fig_12_is_made_of_imported_trials_of_another_skin() {
     let of_test = |net: &Value| net["report"]["part"] == "test" && net["report"]["rows"] == 16;
     assert!(nets.iter().all(of_test), "{nets:?}");
     assert!(nets.iter().all(|net| net["report"]["held_out"] == true), "{nets:?}");
-    let text = std::fs::read_to_string(data.join("tables/fig-12.md")).unwrap();
+    let text = table(&data, "fig-12");
     assert!(text.contains("end-to-end, best: ") && text.contains("part train of pad"), "{text}");
     assert!(!data.join("tables/fig-12.svg").exists(), "it shows the rig's skin");
     let refused = palpate(&data, &["evaluate", "unseen", "--ours", "--dataset", "pad"]);
