@@ -265,21 +265,31 @@ impl Part {
         } else {
             (format!("b.{name}_least"), format!("b.{name}_most"))
         };
+        let bound = match (self.comparison, self.operands.as_slice()) {
+            (Comparison::Equal, [operand]) => {
+                query.push(&least).push(" <= ");
+                operand.push_onto(query);
+                query.push(" AND ").push(&most).push(" >= ");
+                operand.push_onto(query);
+                return;
+            }
+            // A list may have more values than an expression may have levels.
+            (Comparison::Equal, operands) => {
+                query.push("EXISTS (SELECT 1 FROM (VALUES ");
+                for (n, operand) in operands.iter().enumerate() {
+                    query.push(if n == 0 { "(" } else { "), (" });
+                    operand.push_onto(query);
+                }
+                query.push(")) WHERE column1 BETWEEN ");
+                query.push(&least).push(" AND ").push(&most).push(")");
+                return;
+            }
+            (Comparison::Greater | Comparison::GreaterOrEqual, _) => most,
+            (Comparison::Less | Comparison::LessOrEqual, _) => least,
+        };
         for (n, operand) in self.operands.iter().enumerate() {
             query.push(if n == 0 { "" } else { " OR " });
-            match self.comparison {
-                Comparison::Equal => {
-                    query.push(&least).push(" <= ");
-                    operand.push_onto(query);
-                    query.push(" AND ").push(&most).push(" >= ");
-                }
-                Comparison::Greater | Comparison::GreaterOrEqual => {
-                    query.push(&most).push(self.operator());
-                }
-                Comparison::Less | Comparison::LessOrEqual => {
-                    query.push(&least).push(self.operator());
-                }
-            }
+            query.push(&bound).push(self.operator());
             operand.push_onto(query);
         }
     }

@@ -12,7 +12,7 @@ use rand_chacha::ChaCha8Rng;
 use serde_json::Value;
 
 use crate::datasets::filled::{fill, folder, new_run, press, store, twins_but};
-use crate::support::{PALPATE, sensor};
+use crate::support::{PALPATE, VIRTUAL_RIG, sensor};
 
 /// Numbers of tips of further runs, and their configurations: some are in each part.
 const TIPS: [u8; 2] = [1, 3];
@@ -58,13 +58,13 @@ fn evaluate(data: &Path, command: &str, options: &[&str]) -> Value {
 }
 
 /// The written table.
-fn table(data: &Path, name: &str) -> String {
+fn table_text(data: &Path, name: &str) -> String {
     std::fs::read_to_string(data.join("tables").join(format!("{name}.md"))).unwrap()
 }
 
 /// Number of rows of a table file, whose columns are `head`.
 fn rows(data: &Path, name: &str, head: &[&str]) -> usize {
-    let text = table(data, name);
+    let text = table_text(data, name);
     let mut lines = text.lines().filter(|line| line.starts_with('|'));
     let cells = |line: &str| {
         line.trim_matches('|').split('|').map(|cell| cell.trim().to_owned()).collect::<Vec<_>>()
@@ -130,7 +130,7 @@ async fn every_command_trains_scores_and_writes_what_it_is_for() {
     assert!(ours.iter().all(|method| method["report"]["rows"] == 12), "all of Real-Random");
     is_svg(&data, "fig-12.svg", "virtual");
 
-    let text = table(&data, "fig-12");
+    let text = table_text(&data, "fig-12");
     assert!(text.contains("answers by their probability"), "{text}");
 
     let scored =
@@ -196,7 +196,7 @@ async fn fig_12_is_made_of_imported_trials_of_another_skin() {
     let of_test = |net: &Value| net["report"]["part"] == "test" && net["report"]["rows"] == 16;
     assert!(nets.iter().all(of_test), "{nets:?}");
     assert!(nets.iter().all(|net| net["report"]["held_out"] == true), "{nets:?}");
-    let text = table(&data, "fig-12");
+    let text = table_text(&data, "fig-12");
     assert!(text.contains("end-to-end, best: ") && text.contains("part train of pad"), "{text}");
     assert!(!data.join("tables/fig-12.svg").exists(), "it shows the rig's skin");
     let refused = palpate(&data, &["evaluate", "unseen", "--ours", "--dataset", "pad"]);
@@ -211,7 +211,10 @@ async fn the_fit_of_twins_and_the_papers_values_are_shown_by_their_commands() {
     let store = store(&data).await;
     let points: Vec<[f64; 2]> = sensor().points().iter().map(|p| [p.x_mm, p.y_mm]).collect();
     let mut chance = ChaCha8Rng::seed_from_u64(7);
-    let run = store.create_run(new_run(RunKind::RealHex, "made-up-hex")).await.unwrap().uid;
+    let mut new = new_run(RunKind::RealHex, "made-up-hex");
+    // Twins need the frames of a rig.
+    new.rig = Some(VIRTUAL_RIG.into());
+    let run = store.create_run(new).await.unwrap().uid;
     for depth_index in 4..11 {
         let key = TrialKey { configuration: 0, depth_index };
         store.trial(run, &press(key, 1, &points, &mut chance)).await.unwrap();
