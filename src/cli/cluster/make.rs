@@ -21,10 +21,10 @@ use crate::chunk::folder::{ChunkState, OrderFolder};
 use crate::chunk::order::{ChunkRow, WorkOrder};
 use crate::cli::data_or_default;
 use crate::cli::error::CliError;
-use crate::cli::signals::Signals;
 use crate::cli::next::Next;
 use crate::cli::output::{bytes, counted, duration, grouped, note, say, say_json};
 use crate::cli::progress::{LogLines, progress_bar};
+use crate::cli::signals::Signals;
 use crate::cli::simulate::request::threads;
 use crate::new_file::Look;
 

@@ -254,7 +254,9 @@ impl OrderFolder {
         }
         match gaps.is_empty() {
             true => Ok(rows),
-            false => Err(ChunkError::Incomplete { folder: self.path.clone(), gaps: Box::new(gaps) }),
+            false => {
+                Err(ChunkError::Incomplete { folder: self.path.clone(), gaps: Box::new(gaps) })
+            }
         }
     }
 
