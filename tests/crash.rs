@@ -65,6 +65,11 @@ struct Site {
 impl Site {
     /// A folder, and a virtual rig with the address of its control socket.
     async fn with_rig(name: &str) -> (Self, Process, String) {
+        Self::with_rig_at(name, SPEED).await
+    }
+
+    /// As [`Self::with_rig`], with the process seconds in a wall second.
+    async fn with_rig_at(name: &str, speed: &str) -> (Self, Process, String) {
         let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join(name);
         std::fs::remove_dir_all(&folder).ok();
         std::fs::create_dir_all(&folder).unwrap();
@@ -78,7 +83,7 @@ impl Site {
         };
         let cache = Path::new(env!("CARGO_TARGET_TMPDIR")).join("skin");
         let cache = cache.to_str().unwrap();
-        let rig = ["virtual-rig", "--ephemeral", "--speed", SPEED, "--cache", cache];
+        let rig = ["virtual-rig", "--ephemeral", "--speed", speed, "--cache", cache];
         let (served, ready) = (site.path("served.toml"), site.path("ready.json"));
         let rig = palpate(&[&rig[..], &["--out-rig", &served, "--ready-file", &ready]].concat());
         // The service reads what the rig has solved, instead of solving it again on all cores.
@@ -262,7 +267,8 @@ async fn a_service_that_was_frozen_in_a_press_trips_and_stores_nothing_of_it() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_service_told_to_end_in_a_jog_stops_the_axis_before_it_is_gone() {
-    let (site, _rig, control) = Site::with_rig("told").await;
+    // Slow enough that the end of the service comes long before that of the jog.
+    let (site, _rig, control) = Site::with_rig_at("told", "4").await;
     let mut service = site.serve().await;
     let rig = |action: Value| site.post("/api/v1/rig/actions", action);
     rig(json!({ "action": "connect" })).await;
