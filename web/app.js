@@ -9,7 +9,7 @@ import { steadyEnds } from './lib/eta.js'
 import { live, start } from './lib/live.js'
 import { READ_KEYS } from './lib/readkeys.js'
 import { readVocabulary } from './lib/vocabulary.js'
-import { TONE, WAITS } from './lib/words.js'
+import { TONE, WAITS, notStopped } from './lib/words.js'
 import { FIRST, PAGES } from './pages.js'
 
 const $ = id => document.getElementById(id)
@@ -210,8 +210,11 @@ function needs(rig, run) {
   if (run?.state === 'panicked') words.push('The tips could not be raised: check the rig.')
   else if (rig.safe_end?.tips === 'not_raised') words.push(`The tips are NOT raised: ${rig.safe_end.why}`)
   if (rig.trip) {
-    const moving = rig.estop_stops.filter(stop => stop.acknowledged_ms == null).map(stop => stop.axis)
-    const reached = rig.trip.kind !== 'estop' ? '' : rig.estop_acknowledged_ms != null ? isUnwired ? ' It was pressed while the wires were closed; every axis has acknowledged it.' : ` Every axis stopped after ${rig.estop_acknowledged_ms.toFixed(1)} ms.` : moving.length ? ` NOT ACKNOWLEDGED by ${moving.join(', ')}: the stop is sent again until it is.` : ''
+    const moving = notStopped(rig), ms = rig.estop_acknowledged_ms
+    const stands = rig.estop_stops.every(stop => stop.stood_ms != null) ? ' and stands' : ''
+    const reached = rig.trip.kind !== 'estop' ? '' : moving.length ? ` NOT STOPPED: ${moving.join(', ')}: the stop is sent again until it is.`
+      : ms == null ? '' : isUnwired ? ` It was pressed while the wires were closed; every axis has acknowledged it${stands}.`
+      : ` Every axis acknowledged it after ${ms.toFixed(1)} ms${stands}.`
     words.push(`Tripped (${plain(rig.trip.kind)}): ${rig.trip.detail}.${reached} Clear the cause, reset, then home.`)
   }
   const waits = [WAITS[run?.paused_why], run?.waiting_for].filter(Boolean).join(': ')

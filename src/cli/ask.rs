@@ -20,7 +20,7 @@ use crate::campaign::shown::safe_end::{SafeEnd, Tips};
 use crate::ids::RunUid;
 
 /// Longest wait for the axes' acknowledgement of an emergency stop.
-const ACKNOWLEDGED: Duration = Duration::from_secs(2);
+const ACKNOWLEDGED: Duration = Duration::from_secs(3);
 /// Interval of polling for the acknowledgement, and pause before a stop is sent again.
 const ACKNOWLEDGED_POLL: Duration = Duration::from_millis(50);
 /// Repetitions of a stop that was not answered.
@@ -147,8 +147,10 @@ pub struct Stopped {
     latched: Value,
     /// Time until every axis had acknowledged, ms.
     acknowledged_ms: Option<f64>,
-    /// Axes that have not acknowledged, each with its cause.
+    /// Axes that have not acknowledged, or move after it, each with its cause.
     missing: Vec<String>,
+    /// Whether every axis was read at rest.
+    stands: bool,
     /// Whether the rig has a stage, whose axes acknowledge.
     has_stage: bool,
 }
@@ -204,14 +206,15 @@ pub async fn press_estop(
     };
     let asked = Instant::now();
     let latched = answer["latched"].clone();
-    let mut stopped =
-        Stopped { latched, acknowledged_ms: None, missing: Vec::new(), has_stage: true };
-    while stopped.has_stage && stopped.acknowledged_ms.is_none() && asked.elapsed() < ACKNOWLEDGED {
+    let (missing, stands) = (Vec::new(), false);
+    let mut stopped = Stopped { latched, acknowledged_ms: None, missing, stands, has_stage: true };
+    while stopped.has_stage && !stopped.stands && asked.elapsed() < ACKNOWLEDGED {
         tokio::time::sleep(ACKNOWLEDGED_POLL).await;
         // The stop is latched, whether or not the service reports on it.
         if let Ok(status) = client.status().await {
             stopped.acknowledged_ms = status.rig.estop_acknowledged_ms;
             stopped.missing = status.rig.not_stopped();
+            stopped.stands = status.rig.stands();
             stopped.has_stage = status.rig.has_stage;
         }
     }
@@ -222,11 +225,16 @@ impl Stopped {
     /// Result for a person, with the next command.
     pub fn words(&self) -> String {
         let axes = match self.acknowledged_ms {
-            Some(ms) => format!("every axis had acknowledged after {ms:.1} ms"),
+            Some(ms) if self.stands => format!("every axis had acknowledged after {ms:.1} ms"),
+            Some(ms) if self.missing.is_empty() => {
+                format!(
+                    "every axis had acknowledged after {ms:.1} ms, and is not known to stand yet"
+                )
+            }
             None if !self.has_stage => "a skin alone has no axis to stop".into(),
             None if self.missing.is_empty() => "no acknowledgement of the axes yet".into(),
-            None => {
-                format!("NOT ACKNOWLEDGED: {}; the stop is sent again", self.missing.join(", "))
+            Some(_) | None => {
+                format!("NOT STOPPED: {}; the stop is sent again", self.missing.join(", "))
             }
         };
         format!("stopped and latched; {axes}. Check the rig, then run `palpate rig reset`.")
@@ -241,7 +249,7 @@ pub async fn estop(args: &ActArgs) -> Result<(), CliError> {
     let stopped = press_estop(&args.at, args.why.as_deref(), |words| note(words)).await?;
     if args.at.json {
         say_json(&json!({ "latched": stopped.latched, "acknowledged_ms": stopped.acknowledged_ms,
-            "not_acknowledged": stopped.missing }));
+            "not_stopped": stopped.missing, "stands": stopped.stands }));
     } else {
         say(stopped.words());
     }
@@ -255,7 +263,7 @@ fn status_words(status: &StatusView, twins: &Value) -> String {
         lines.push(format!("trip     {}", rig.trip_words()));
     }
     for axis in rig.not_stopped() {
-        lines.push(format!("stop     NOT ACKNOWLEDGED: {axis}; the stop is sent again"));
+        lines.push(format!("stop     NOT STOPPED: {axis}; the stop is sent again"));
     }
     lines.extend(rig.safe_end.as_ref().map(safe_end_words));
     if let Some(p) = rig.pose {

@@ -115,12 +115,18 @@ impl RigView {
         self.forces_n.iter().copied().flatten().reduce(f64::max)
     }
 
-    /// Axes whose stop is not acknowledged, each with its cause: they may still move.
+    /// Axes whose stop is not acknowledged, or that move after it, each with its cause.
     pub fn not_stopped(&self) -> Vec<String> {
-        let missing = self.estop_stops.iter().filter(|s| s.acknowledged_ms.is_none());
+        let is_missing = |s: &&AxisStop| s.acknowledged_ms.is_none() || s.error.is_some();
+        let missing = self.estop_stops.iter().filter(is_missing);
         missing
             .map(|s| format!("{} ({})", s.axis, s.error.as_deref().unwrap_or("no answer yet")))
             .collect()
+    }
+
+    /// Whether every axis was read at rest after the latched e-stop.
+    pub fn stands(&self) -> bool {
+        !self.estop_stops.is_empty() && self.estop_stops.iter().all(|s| s.stood_ms.is_some())
     }
 
     /// Cause of the trip, as text.

@@ -2,6 +2,7 @@
 
 import { el, fill, say } from './dom.js'
 import { NONE, about, count, counted, fixed, moment, percent, span } from './format.js'
+import { notStopped } from './words.js'
 
 const BAD = [['timeouts', 'reply did not arrive in time', 'replies did not arrive in time'], ['garbled', 'reply was damaged', 'replies were damaged'],
   ['reconnects', 'reopening', 'reopenings'], ['retries', 'repeated request', 'repeated requests']]
@@ -53,13 +54,13 @@ export function stoppingWords(stopping) {
 
 /** Latency of the last stop that every axis acknowledged. */
 export function stopWords(rig) {
-  const moving = rig.estop_stops.filter(stop => stop.acknowledged_ms == null).map(stop => stop.axis)
+  const moving = notStopped(rig)
   const last = rig.estop_stops.length ? rig.estop_stops : rig.safe_end?.stops ?? []
   const slowest = last.length && last.every(stop => stop.acknowledged_ms != null) ? Math.max(...last.map(stop => stop.acknowledged_ms)) : null
-  const words = moving.length ? `NOT ACKNOWLEDGED by ${moving.join(', ')}: use the button on the rig.` : slowest == null
+  const words = moving.length ? `NOT STOPPED: ${moving.join(', ')}: use the button on the rig.` : slowest == null
     ? 'No stop has been sent since the wires were opened.' : `Every axis acknowledged the last stop within ${fixed(slowest, 2, 'ms')}.`
-  return { tone: moving.length ? 'bad' : '', words, figures: last.map(stop => [stop.axis, stop.acknowledged_ms == null ? stop.error ?? 'no answer'
-    : fixed(stop.acknowledged_ms, 2, 'ms')]) }
+  return { tone: moving.length ? 'bad' : '', words, figures: last.map(stop => [stop.axis, stop.error ?? (stop.acknowledged_ms == null ? 'no answer'
+    : `${fixed(stop.acknowledged_ms, 2, 'ms')}${stop.stood_ms == null ? '' : ', stands'}`)]) }
 }
 
 /** Makes a chain; `show([{ name, tone, words, figures, inside }])` draws it and changes only what differs. */

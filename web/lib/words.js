@@ -19,3 +19,6 @@ export const RIG = { disconnected: 'The wires are closed.', disarmed: 'Connected
 
 /** Class that colours an event, by its importance. */
 export const LOUD = { act: 'bad', look: 'warn' }
+
+/** Axes that a latched e-stop has not stopped: without an acknowledgement, or in motion after it. */
+export const notStopped = rig => rig.estop_stops.filter(stop => stop.acknowledged_ms == null || stop.error != null).map(stop => stop.axis)

@@ -153,8 +153,8 @@ async fn stop_and_raise(
 async fn stop(axis: &dyn Axis, began: Instant) -> AxisStop {
     let outcome = axis.stop().await;
     AxisStop {
-        axis: axis.name().into(),
         acknowledged_ms: outcome.is_ok().then(|| began.elapsed().as_secs_f64() * 1e3),
         error: outcome.err().map(|e| e.to_string()),
+        ..AxisStop::of(axis.name())
     }
 }

@@ -1,5 +1,6 @@
 //! What a person, or the system, stops.
 
+use std::pin::pin;
 use std::time::{Duration, Instant};
 
 use palpate::campaign::bench::interlock::TripKind;
@@ -80,6 +81,29 @@ async fn an_e_stop_that_finds_no_wire_is_sent_the_moment_the_wire_is_back() {
     let truth = harness.truth().await;
     assert!(truth["stops"].as_u64().unwrap() >= 4, "{truth:#}");
     assert!(!x(&truth).1, "x stands, wherever it was sent ({to_mm}): {truth:#}");
+    harness.ask(Request::Reset).await.unwrap();
+    harness.home().await;
+    harness.close().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_e_stop_while_the_wires_are_opened_reaches_every_axis_and_ends_the_connection() {
+    let harness = Harness::homed().await;
+    harness.ask(Request::Disconnect).await.unwrap();
+    let before = harness.truth().await["stops"].as_u64().unwrap();
+    let mut connecting = pin!(harness.ask(Request::Connect));
+    // The request is in the queue, wherever the campaign is with it when the stop is pressed.
+    assert!(futures::poll!(&mut connecting).is_pending());
+    harness.handle.estop("test");
+    let refused = connecting.await.unwrap_err().to_string();
+    assert!(refused.contains("the stop was pressed while the wires were opened"), "{refused}");
+    assert_eq!(harness.handle.status().rig.state, RigState::Tripped);
+    let stand = |s: &Status| {
+        s.rig.estop_stops.len() == 4 && s.rig.estop_stops.iter().all(|stop| stop.stood_ms.is_some())
+    };
+    harness.until("every axis stands", stand).await;
+    assert!(harness.truth().await["stops"].as_u64().unwrap() >= before + 4);
+    // The reset takes control of the devices, which the stop has prevented.
     harness.ask(Request::Reset).await.unwrap();
     harness.home().await;
     harness.close().await;

@@ -1,5 +1,5 @@
 //! The software stop: one call, from any thread, that overtakes every queue of the wires and is
-//! repeated until each axis has acknowledged it.
+//! repeated until each axis has acknowledged it and stands.
 //! Uses: tokio, `rig::traits`. Never: states, storage. It is not a certified emergency stop: that
 //! is hardware which removes power. This stop only decelerates the axes.
 
@@ -22,6 +22,12 @@ use crate::rig::traits::{Axis, Bench};
 /// Pause before a stop that was not acknowledged is sent again. Once the wire works again, the stop
 /// is sent within this time.
 const RESEND_PAUSE: Duration = Duration::from_millis(50);
+/// Longest time from an acknowledged stop until the axis stands; then the stop is sent again.
+const STANDS_WITHIN: Duration = Duration::from_secs(2);
+/// Pause between two readings of an axis that has acknowledged its stop.
+const STAND_PAUSE: Duration = Duration::from_millis(50);
+/// Largest change of position between two readings of an axis at rest, in its unit.
+const STAND_CHANGE: f64 = 0.025;
 
 /// Result of the stop of one axis.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
@@ -31,8 +37,30 @@ pub struct AxisStop {
     /// Time from the request of the stop to the acknowledgement of the axis, wall ms; absent while
     /// it is not acknowledged.
     pub acknowledged_ms: Option<f64>,
-    /// Why it is not acknowledged; absent once it is.
+    /// Time from the request of an e-stop to the reading that found the axis at rest, wall ms; absent while it is
+    /// not known to stand, and for the stops of a safe end.
+    pub stood_ms: Option<f64>,
+    /// Why it is not acknowledged, or not known to stand; absent without a fault.
     pub error: Option<String>,
+}
+
+impl AxisStop {
+    /// The stop of an axis that has not acknowledged it yet.
+    pub fn of(axis: &str) -> Self {
+        Self { axis: axis.into(), acknowledged_ms: None, stood_ms: None, error: None }
+    }
+
+    /// The time of the first press holds, unless a further one finds the axis silent.
+    fn acknowledged(&mut self, after_ms: f64) {
+        if self.acknowledged_ms.is_none() {
+            (self.acknowledged_ms, self.error) = (Some(after_ms), None);
+        }
+    }
+
+    fn stood(&mut self, after_ms: f64) {
+        self.stood_ms.get_or_insert(after_ms);
+        self.error = None;
+    }
 }
 
 /// A latching stop button. All clones are the same button.
@@ -105,6 +133,14 @@ impl StopSwitch {
         self.state().press.clone()
     }
 
+    /// Waits for a press after the first `presses`.
+    pub async fn pressed_after(&self, presses: u64) {
+        let mut latched = self.inner.latched.subscribe();
+        let is_later = |press: &Option<u64>| press.is_some_and(|press| press > presses);
+        // The sender lives as long as this switch.
+        let _ = latched.wait_for(is_later).await.map(|_| ());
+    }
+
     /// Releases the latch if there was no press after the first `presses`, those that the caller knew of.
     /// Otherwise returns false and changes nothing.
     pub fn release(&self, presses: u64) -> bool {
@@ -146,7 +182,7 @@ impl StopSwitch {
                     self.expect(&bench);
                     for axis in bench.axes() {
                         if unstopped.insert(axis.name()) {
-                            stops.push(self.stop_until_acknowledged(axis.as_ref()).boxed());
+                            stops.push(self.stop_until_it_stands(axis.as_ref()).boxed());
                         }
                     }
                 }
@@ -160,38 +196,47 @@ impl StopSwitch {
         if let Some(press) = self.state().press.as_mut() {
             for axis in bench.axes() {
                 let axis = axis.name();
-                let stop = AxisStop { axis: axis.into(), acknowledged_ms: None, error: None };
-                press.stops.entry(axis).or_insert(stop);
+                press.stops.entry(axis).or_insert_with(|| AxisStop::of(axis));
             }
         }
     }
 
-    /// Returns the name of the axis once it has acknowledged a stop that was sent after the last press.
-    async fn stop_until_acknowledged(&self, axis: &dyn Axis) -> &'static str {
+    /// Returns the name of the axis once it has acknowledged a stop that was sent after the last press, and stands.
+    async fn stop_until_it_stands(&self, axis: &dyn Axis) -> &'static str {
         let mut logged = None;
         while let Some(press) = self.pressed() {
             let presses = self.presses();
-            let outcome = axis.stop().await;
-            let stop = AxisStop {
-                axis: axis.name().into(),
-                acknowledged_ms: outcome.is_ok().then(|| press.at.elapsed().as_secs_f64() * 1e3),
-                error: outcome.as_ref().err().map(ToString::to_string),
-            };
-            if let Some(press) = self.state().press.as_mut() {
-                let known = press.stops.entry(axis.name()).or_insert_with(|| stop.clone());
-                // The time of the first press holds, unless a further one finds the axis silent.
-                if known.acknowledged_ms.is_none() || stop.error.is_some() {
-                    *known = stop;
+            let stopped = axis.stop().await;
+            let after_ms = || press.at.elapsed().as_secs_f64() * 1e3;
+            let stood = match stopped {
+                Ok(()) => {
+                    let acknowledged_ms = after_ms();
+                    self.note(&press, axis.name(), |stop| stop.acknowledged(acknowledged_ms));
+                    tokio::select! {
+                        biased;
+                        () = self.pressed_after(presses) => continue,
+                        stood = stands(axis) => stood,
+                    }
                 }
-            }
-            match outcome {
-                Ok(()) if self.presses() == presses => break,
-                Ok(()) => continue,
-                // The stop is sent every 50 ms: a cause is logged once.
                 Err(error) => {
-                    let words = error.to_string();
+                    self.note(&press, axis.name(), |stop| stop.acknowledged_ms = None);
+                    Err(error.to_string())
+                }
+            };
+            match stood {
+                Ok(()) => {
+                    let stood_ms = after_ms();
+                    self.note(&press, axis.name(), |stop| stop.stood(stood_ms));
+                    break;
+                }
+                Err(words) => {
+                    self.note(&press, axis.name(), |stop| {
+                        (stop.stood_ms, stop.error) = (None, Some(words.clone()));
+                    });
+                    // The stop is sent every 50 ms: a cause is logged once.
                     if logged.as_ref() != Some(&words) {
-                        tracing::error!(axis = axis.name(), error = words, "stop not acknowledged");
+                        let axis = axis.name();
+                        tracing::error!(axis, error = words, "the axis is not stopped");
                     }
                     logged = Some(words);
                 }
@@ -201,8 +246,37 @@ impl StopSwitch {
         axis.name()
     }
 
+    /// Changes what is known of the stop of an axis, unless the press that it was sent for was released meanwhile.
+    fn note(&self, of: &Press, axis: &'static str, change: impl FnOnce(&mut AxisStop)) {
+        if let Some(press) = self.state().press.as_mut().filter(|press| press.at == of.at) {
+            change(press.stops.entry(axis).or_insert_with(|| AxisStop::of(axis)));
+        }
+    }
+
     fn state(&self) -> MutexGuard<'_, State> {
         self.inner.state.lock()
+    }
+}
+
+/// Reads an axis that has acknowledged its stop until it stands: two readings in a row at rest, at one place. A drive
+/// in alarm reports rest even if its axis coasts.
+async fn stands(axis: &dyn Axis) -> Result<(), String> {
+    let deadline = Instant::now() + STANDS_WITHIN;
+    let mut last: Option<f64> = None;
+    loop {
+        let now = match axis.status().await {
+            Ok(now) => now,
+            Err(error) => return Err(format!("acknowledged, and not known to stand: {error}")),
+        };
+        let is_there = last.is_some_and(|last| (now.position - last).abs() <= STAND_CHANGE);
+        if !now.moving && is_there {
+            return Ok(());
+        }
+        if Instant::now() > deadline {
+            return Err("acknowledged, and STILL MOVES".into());
+        }
+        last = Some(now.position);
+        tokio::time::sleep(STAND_PAUSE).await;
     }
 }
 
@@ -257,6 +331,37 @@ mod tests {
         }
         axes.x.replies.store(true, Ordering::SeqCst);
         acknowledged(&stop, &axes, 7).await;
+        serving.abort();
+    }
+
+    /// Waits until this holds for the stops of the latched press.
+    async fn until(stop: &StopSwitch, done: impl Fn(&[AxisStop]) -> bool) {
+        let wait = async {
+            while !stop.pressed().is_some_and(|press| done(&press.stops())) {
+                tokio::time::sleep(Duration::from_millis(1)).await;
+            }
+        };
+        tokio::time::timeout(Duration::from_secs(20), wait).await.expect("it comes to pass");
+    }
+
+    #[tokio::test]
+    async fn an_axis_that_acknowledges_and_moves_on_is_named_and_stopped_again_until_it_stands() {
+        let (stop, axes) = (StopSwitch::default(), StandIns::default());
+        axes.x.status.lock().moving = true;
+        let serving = tokio::spawn(stop.clone().serve(axes.bench()));
+        stop.press("coasts");
+        let is_named = |stop: &AxisStop| {
+            let moves = stop.error.as_ref().is_some_and(|words| words.contains("STILL MOVES"));
+            stop.axis == "x" && stop.acknowledged_ms.is_some() && stop.stood_ms.is_none() && moves
+        };
+        until(&stop, |stops| stops.iter().any(is_named)).await;
+        let stood = stop.pressed().unwrap().stops();
+        assert_eq!(stood.iter().filter(|stop| stop.stood_ms.is_some()).count(), 3, "{stood:?}");
+        assert_eq!(axes.y.stops.load(Ordering::SeqCst), 1);
+        axes.x.status.lock().moving = false;
+        let stands = |stop: &AxisStop| stop.stood_ms.is_some() && stop.error.is_none();
+        until(&stop, |stops| stops.iter().all(stands)).await;
+        assert!(axes.x.stops.load(Ordering::SeqCst) > 1, "sent again");
         serving.abort();
     }
 

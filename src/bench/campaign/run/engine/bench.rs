@@ -4,11 +4,15 @@
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
+use std::time::Duration;
 
 use serde_json::json;
 use tokio::sync::OwnedMutexGuard;
+use tokio::task::JoinSet;
+use tokio::time::Instant;
 
 use super::{Answer, Connection, Engine, Owed, no_stage, no_wires, trip_of};
+use crate::campaign::bench::estop::AxisStop;
 use crate::campaign::bench::interlock::{self, Trip, TripKind};
 use crate::campaign::bench::rig_state::RigEvent;
 use crate::campaign::bench::stage::{AxisName, Stage};
@@ -27,10 +31,14 @@ use crate::rig::error::RigError;
 use crate::rig::link::Line;
 use crate::rig::registry;
 use crate::rig::setup::RigSetup;
-use crate::rig::traits::SkinReader;
+use crate::rig::traits::{Bench, SkinReader};
 
 /// Samples of a tare on request.
 const TARE_SAMPLES: u32 = 4;
+/// Longest wait of a reset, and of closing the wires, for axes that have acknowledged an e-stop and still decelerate.
+const DECELERATION_WAIT: Duration = Duration::from_secs(3);
+/// Period of that wait.
+const DECELERATION_POLL: Duration = Duration::from_millis(10);
 
 impl Engine {
     /// Accepts a request that concerns only the rig.
@@ -44,8 +52,8 @@ impl Engine {
         }
         // Opening the wires answers with its result; motions answer when accepted.
         let outcome = match request {
-            Request::Connect => self.connect().await,
-            Request::Disconnect => self.disconnect(),
+            Request::Connect => self.connect(presses).await,
+            Request::Disconnect => self.disconnect().await,
             Request::Reset => self.reset(presses, Some(&answer)).await,
             Request::Home => match self.control.rig_event(RigEvent::Homing) {
                 Ok(()) => {
@@ -84,8 +92,8 @@ impl Engine {
     }
 
     /// Closes the wires, unless a stop or a raise is still pending.
-    fn disconnect(&mut self) -> Result<(), Refusal> {
-        if let Some(axis) = self.not_acknowledged() {
+    async fn disconnect(&mut self) -> Result<(), Refusal> {
+        if let Some(axis) = self.not_stopped().await {
             return Err(Refusal::State(format!("disconnect is not possible: {axis}")));
         }
         if self.owed != Owed::Nothing {
@@ -105,24 +113,39 @@ impl Engine {
         self.control.rig_event(RigEvent::Lost)
     }
 
-    /// First axis that has not acknowledged the e-stop, with the reason.
-    fn not_acknowledged(&self) -> Option<String> {
-        let stops = self.control.estop.pressed()?.stops();
-        if stops.is_empty() && self.stage().is_some() {
-            return Some("the stop has just been pressed".into());
+    /// First axis that the latched e-stop has not stopped, with the reason. One that has acknowledged it gets the time
+    /// to decelerate.
+    async fn not_stopped(&self) -> Option<String> {
+        let deadline = Instant::now() + DECELERATION_WAIT;
+        loop {
+            let stops = self.control.estop.pressed()?.stops();
+            if stops.is_empty() && self.stage().is_some() {
+                return Some("the stop has just been pressed".into());
+            }
+            let AxisStop { axis, acknowledged_ms, error, .. } =
+                stops.into_iter().find(|stop| stop.stood_ms.is_none())?;
+            if acknowledged_ms.is_none() {
+                let why = error.unwrap_or_else(|| "no answer yet".into());
+                return Some(format!("{axis} has not acknowledged its stop: {why}"));
+            }
+            if error.is_some() || Instant::now() > deadline {
+                let why = error.unwrap_or_else(|| "acknowledged, and not known to stand".into());
+                return Some(format!("{axis} is not stopped: {why}"));
+            }
+            tokio::time::sleep(DECELERATION_POLL).await;
         }
-        let missing = stops.into_iter().find(|s| s.acknowledged_ms.is_none())?;
-        let why = missing.error.unwrap_or_else(|| "no answer yet".into());
-        Some(format!("{} has not acknowledged its stop: {why}", missing.axis))
     }
 
     /// Opens the wires and takes control of every device. A drive in alarm is connected too, and
     /// trips the rig: a reset clears it. A last trip that was not reset latches again.
     ///
+    /// A press of the e-stop after the first `presses`, those when it was requested, reaches every axis at once and
+    /// ends it: the wires stay open for the stops, and the rig is tripped. The reset takes control of the devices.
+    ///
     /// # Errors
-    /// A wire does not open, a device does not reply or is not the one in the rig file, or the
-    /// state does not allow it.
-    pub(super) async fn connect(&mut self) -> Result<(), Refusal> {
+    /// A wire does not open, a device does not reply or is not the one in the rig file, the stop is pressed
+    /// meanwhile, or the state does not allow it.
+    pub(super) async fn connect(&mut self, presses: u64) -> Result<(), Refusal> {
         let wires = self.control.inbox.wires.take().ok_or_else(|| {
             Refusal::State("a check of the rig uses its wires: wait for its end".into())
         })?;
@@ -132,25 +155,27 @@ impl Engine {
             RigSetup::Bench(config) => config.as_ref().clone(),
             RigSetup::Skin(skin) => {
                 let skin = registry::open_skin(skin, &clock).map_err(fail)?;
-                return self.connected(skin, BTreeMap::new(), None, clock, wires);
+                let tasks = JoinSet::new();
+                return self.connected(skin, BTreeMap::new(), None, clock, wires, tasks);
             }
         };
         let open = registry::open(&config, &clock, &self.control.estop.latch()).map_err(fail)?;
-        let mut alarms = Vec::new();
-        for axis in open.bench.axes() {
-            match axis.prepare().await {
-                Ok(found) => {
-                    self.control.say("device", json!({ "device": axis.name(), "found": found }));
-                }
-                Err(error @ RigError::NotReady { .. }) => alarms.push(error.to_string()),
-                Err(error) => return Err(fail(error)),
-            }
-        }
-        let found = open.bench.cells.prepare().await.map_err(fail)?;
-        self.control.say("device", json!({ "device": "cells", "found": found }));
+        let tasks = self.serve_stops(&open.bench);
+        let estop = self.control.estop.clone();
+        let alarms = tokio::select! {
+            biased;
+            () = estop.pressed_after(presses) => None,
+            alarms = self.take_control(&open.bench) => Some(alarms.map_err(fail)?),
+        };
         let mut stage = Stage::new(open.bench.clone(), config, clock.clone());
         stage.samples = self.control.inbox.samples.clone();
-        self.connected(open.bench.skin, open.lines, Some(stage), clock, wires)?;
+        self.connected(open.bench.skin, open.lines, Some(stage), clock, wires, tasks)?;
+        let Some(alarms) = alarms else {
+            let detail = estop.pressed().map(|press| press.why).unwrap_or_default();
+            self.control.latch(&Trip { kind: TripKind::Estop, detail });
+            let words = "the stop was pressed while the wires were opened: reset, then home";
+            return Err(Refusal::State(words.into()));
+        };
         if !alarms.is_empty() {
             let detail = format!("{}; clear the cause, reset, home", alarms.join("; "));
             self.control.latch(&Trip { kind: TripKind::Device, detail });
@@ -158,7 +183,31 @@ impl Engine {
         Ok(())
     }
 
-    /// Keeps the open wires, and starts the tasks that use them.
+    /// Starts the task that stops every axis of a bench at each press of the e-stop, and now if it is latched.
+    pub(super) fn serve_stops(&self, bench: &Bench) -> JoinSet<()> {
+        let mut tasks = JoinSet::new();
+        tasks.spawn(self.control.estop.clone().serve(bench.clone()));
+        tasks
+    }
+
+    /// Takes control of every device. Returns the alarms of the drives.
+    async fn take_control(&self, bench: &Bench) -> Result<Vec<String>, RigError> {
+        let mut alarms = Vec::new();
+        for axis in bench.axes() {
+            match axis.prepare().await {
+                Ok(found) => {
+                    self.control.say("device", json!({ "device": axis.name(), "found": found }));
+                }
+                Err(error @ RigError::NotReady { .. }) => alarms.push(error.to_string()),
+                Err(error) => return Err(error),
+            }
+        }
+        let found = bench.cells.prepare().await?;
+        self.control.say("device", json!({ "device": "cells", "found": found }));
+        Ok(alarms)
+    }
+
+    /// Keeps the open wires with the tasks that use them, and forwards the frames.
     pub(super) fn connected(
         &mut self,
         skin: Arc<dyn SkinReader>,
@@ -166,19 +215,11 @@ impl Engine {
         stage: Option<Stage>,
         clock: Clock,
         wires: OwnedMutexGuard<()>,
+        mut tasks: JoinSet<()>,
     ) -> Result<(), Refusal> {
-        let bench = stage.as_ref().map(|stage| stage.bench.clone());
-        let stop = self.control.estop.clone();
-        let estop = tokio::spawn(async move {
-            // A skin alone has no axis to stop.
-            if let Some(bench) = bench {
-                stop.serve(bench).await;
-            }
-        });
-        let frames = show::forward_frames(skin.follow(), self.control.inbox.frames.clone());
-        let frames = tokio::spawn(frames);
-        self.connection =
-            Some(Connection { lines, skin, clock, stage, estop, frames, _wires: wires });
+        tasks.spawn(show::forward_frames(skin.follow(), self.control.inbox.frames.clone()));
+        let connection = Connection { lines, skin, clock, stage, _tasks: tasks, _wires: wires };
+        self.connection = Some(connection);
         self.owed = Owed::Nothing;
         let last = self.control.inbox.status.borrow().rig.trip.clone();
         self.control.rig_event(RigEvent::Connected)?;
@@ -203,14 +244,14 @@ impl Engine {
     /// are until the rig is homed.
     ///
     /// # Errors
-    /// A stop is not acknowledged, a device does not follow, the stop was pressed again, or the caller was told
+    /// An axis is not stopped, a device does not follow, the stop was pressed again, or the caller was told
     /// meanwhile that the reset failed. The rig then stays tripped.
     pub(super) async fn reset(
         &mut self,
         presses: u64,
         answer: Option<&Answer>,
     ) -> Result<(), Refusal> {
-        if let Some(axis) = self.not_acknowledged() {
+        if let Some(axis) = self.not_stopped().await {
             return Err(Refusal::State(format!("not reset: {axis}")));
         }
         let connection = self.connection.as_ref().ok_or_else(no_wires)?;

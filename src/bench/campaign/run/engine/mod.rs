@@ -14,7 +14,7 @@ use std::time::Duration;
 
 use futures::FutureExt;
 use tokio::sync::{OwnedMutexGuard, oneshot};
-use tokio::task::JoinHandle;
+use tokio::task::JoinSet;
 use tokio::time::Instant;
 use tracing::{Instrument, Span};
 
@@ -95,8 +95,8 @@ struct Connection {
     clock: Clock,
     /// The devices that move and measure forces; none for a skin alone.
     stage: Option<Stage>,
-    estop: JoinHandle<()>,
-    frames: JoinHandle<()>,
+    /// Serve the stop, and forward the frames; they end with the connection.
+    _tasks: JoinSet<()>,
     /// Released with the connection; its tasks close their ports as soon as they run again.
     _wires: OwnedMutexGuard<()>,
 }
@@ -105,13 +105,6 @@ impl Connection {
     /// Publishes the counters of the wires, without a request to any device.
     fn show_counters(&self, control: &Control) {
         show::counters(control, self.skin.as_ref(), &self.lines);
-    }
-}
-
-impl Drop for Connection {
-    fn drop(&mut self) {
-        self.estop.abort();
-        self.frames.abort();
     }
 }
 

@@ -39,8 +39,8 @@ pub(super) fn engine(axes: &StandIns) -> Engine {
     let mut engine = Engine::new(setup, Control::new(inbox, estop, diary, journal));
     let (stage, clock) = (axes.stage(), Clock::new(1.0));
     let wires = engine.control.inbox.wires.take().expect("the wires are free");
-    let skin = stage.bench.skin.clone();
-    engine.connected(skin, BTreeMap::new(), Some(stage), clock, wires).unwrap();
+    let (skin, tasks) = (stage.bench.skin.clone(), engine.serve_stops(&stage.bench));
+    engine.connected(skin, BTreeMap::new(), Some(stage), clock, wires, tasks).unwrap();
     engine
 }
 
@@ -135,6 +135,55 @@ async fn a_reset_whose_caller_was_told_that_it_failed_releases_no_stop() {
     assert_eq!(engine.control.rig(), RigState::Tripped);
     assert_eq!(engine.reset(presses, None).await, Ok(()));
     assert!(engine.control.estop.pressed().is_none());
+}
+
+#[tokio::test]
+async fn neither_a_reset_nor_closing_the_wires_is_possible_while_an_axis_moves_after_its_stop() {
+    let axes = StandIns::default();
+    let mut engine = engine(&axes);
+    axes.x.status.lock().moving = true;
+    stop(&mut engine).await;
+    let presses = engine.control.estop.presses();
+    let words = engine.reset(presses, None).await.unwrap_err().to_string();
+    assert!(words.starts_with("not reset: x is not stopped: ") && words.contains("STILL MOVES"));
+    let words = engine.disconnect().await.unwrap_err().to_string();
+    assert!(words.starts_with("disconnect is not possible: x is not stopped"), "{words}");
+    axes.x.status.lock().moving = false;
+    // It is read again every 50 ms; until then its fault stands.
+    while engine.reset(presses, None).await.is_err() {
+        tokio::time::sleep(Duration::from_millis(10)).await;
+    }
+    assert_eq!(engine.control.rig(), RigState::Disarmed);
+}
+
+#[tokio::test]
+async fn an_e_stop_while_the_wires_are_opened_leaves_them_open_for_the_stops_and_trips() {
+    let text = include_str!("../../../../../experiments/rigs/virtual.toml");
+    // Nobody listens there.
+    let text = text.replace("\"127.0.0.1:50", "\"127.0.0.1:1");
+    let setup = RigSetup::from_toml("virtual.toml", &text).expect("sound");
+    let estop = StopSwitch::default();
+    let (_handle, inbox) = channel(estop.clone(), show::closed(&setup));
+    let journal: Arc<dyn Journal> = StandIns::default().journal;
+    let (diary, _writing) = Diary::open(journal.clone());
+    let mut engine = Engine::new(setup, Control::new(inbox, estop.clone(), diary, journal));
+    // After the request for the connection.
+    estop.press("hands");
+    let words = engine.connect(0).await.unwrap_err().to_string();
+    assert!(words.contains("the stop was pressed while the wires were opened"), "{words}");
+    assert_eq!(engine.control.rig(), RigState::Tripped);
+    let trip = engine.control.inbox.status.borrow().rig.trip.clone().expect("latched");
+    assert_eq!((trip.kind, trip.detail.as_str()), (TripKind::Estop, "hands"));
+    // Each axis is tried, and none counts as stopped.
+    let tried = async {
+        while !estop.pressed().is_some_and(|press| {
+            press.stops().len() == 4 && press.stops().iter().all(|stop| stop.error.is_some())
+        }) {
+            tokio::time::sleep(Duration::from_millis(10)).await;
+        }
+    };
+    tokio::time::timeout(Duration::from_secs(20), tried).await.expect("a stop for each axis");
+    assert!(engine.reset(estop.presses(), None).await.is_err());
 }
 
 #[tokio::test]
