@@ -19,7 +19,9 @@
 
 #[cfg(test)]
 use palpate_words::carried;
-use palpate_words::{chance, clock, ids, journal, plain, priority, problem, record, state, syntax};
+use palpate_words::{
+    chance, clock, ids, journal, plain, priority, problem, record, state, suspension, syntax,
+};
 
 pub mod schedule;
 pub mod rig;

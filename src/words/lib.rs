@@ -23,5 +23,6 @@ pub mod program;
 pub mod query_lines;
 pub mod record;
 pub mod state;
+pub mod suspension;
 pub mod syntax;
 pub mod toml_words;

@@ -38,7 +38,7 @@ pub const STUDIES: [&str; 12] = [
 ];
 
 /// What everything may use and what uses nothing but each other.
-pub const VOCABULARY: [&str; 22] = [
+pub const VOCABULARY: [&str; 23] = [
     "carried",
     "chance",
     "clock",
@@ -59,6 +59,7 @@ pub const VOCABULARY: [&str; 22] = [
     "query_lines",
     "record",
     "state",
+    "suspension",
     "syntax",
     "toml_words",
 ];

@@ -43,7 +43,7 @@ pub enum TripKind {
     Device,
     /// No fresh frame or sample in time, or a module that returns the same values repeatedly.
     Stale,
-    /// The service itself failed.
+    /// The service itself failed, or the computer was suspended.
     Service,
 }
 
@@ -90,7 +90,7 @@ impl TripKind {
                 "Samples or frames were too old. Check the wires and the load of the computer, then reset and home."
             }
             TripKind::Service => {
-                "The service itself failed. Read the event log, then reset and home."
+                "The service itself failed, or its computer was suspended. Read the event log, then reset and home."
             }
         }
     }

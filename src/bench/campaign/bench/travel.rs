@@ -120,6 +120,8 @@ impl Stage {
         }
         self.held_since = None;
         let z_place = targets.iter().position(|t| t.axis == AxisName::Z);
+        // What was requested since the last poll must not be answered by one more motion.
+        control.attend()?;
         let deadline = self.start(targets).await?;
         let mut polled_s = self.clock.process_s();
         loop {
@@ -308,6 +310,7 @@ impl Stage {
 
     async fn home_axes(&self, control: &mut Control, names: &[AxisName]) -> Result<(), Halt> {
         let name_of = |n: AxisName| self.driven(n).axis.name();
+        control.attend()?;
         for &name in names {
             self.driven(name).axis.start_home().await?;
         }

@@ -22,6 +22,7 @@ use crate::ids::RunUid;
 use crate::journal::{Journal, JournalError};
 use crate::record::Untouched;
 use crate::state::StateChange;
+use crate::suspension::Suspensions;
 
 /// Longest wait for the store, for a trial or for earlier notes to be durable.
 pub const STORE_LIMIT: Duration = Duration::from_secs(30);
@@ -38,6 +39,8 @@ pub struct Control {
     pub diary: Diary,
     /// Reads what is stored.
     pub journal: Arc<dyn Journal>,
+    /// Notices that the computer was suspended.
+    pub suspensions: Suspensions,
     rig: RigState,
     run: RunState,
     current: Option<RunUid>,
@@ -55,6 +58,7 @@ impl Control {
             estop,
             diary,
             journal,
+            suspensions: Suspensions::watch(),
             rig: RigState::Disconnected,
             run: RunState::Idle,
             current: None,
@@ -239,14 +243,24 @@ impl Control {
         tokio::time::timeout(STORE_LIMIT, self.diary.flush()).await.unwrap_or(Err(silent()))
     }
 
-    /// Accepts pending requests. Called at every poll of motion, settling and waiting.
+    /// Whether the computer was suspended since this was last asked, as text. Drives then have moved to their targets
+    /// unwatched, and a person may have come to the rig.
+    pub fn was_suspended(&mut self) -> Option<String> {
+        let time = self.suspensions.newest()?;
+        Some(format!("the computer was suspended for {} s", time.as_secs()))
+    }
+
+    /// Accepts pending requests. Called before every motion, and at every poll of motion, settling and waiting.
     ///
     /// # Errors
-    /// `Halt::Trip` for an e-stop, `Halt::Asked` for a request that needs the tips up, and once the thread
+    /// `Halt::Trip` for an e-stop and after a suspension of the computer, `Halt::Asked` for a request that needs the tips up, and once the thread
     /// was asked to end: the rig must be made safe immediately.
     pub fn attend(&mut self) -> Result<(), Halt> {
         if let Some(press) = self.estop.pressed() {
             return Err(Halt::trip(TripKind::Estop, press.why));
+        }
+        if let Some(words) = self.was_suspended() {
+            return Err(Halt::trip(TripKind::Service, words));
         }
         if self.leaving {
             return Err(Halt::Asked);

@@ -362,7 +362,8 @@ impl Engine {
         Ok(Target::of(name, target))
     }
 
-    /// Tare on request. A cell outside its limits is refused; a failing wire leads to the safe end.
+    /// Tare on request. A cell outside its limits is refused; a failing wire, and a suspension of the computer, lead to
+    /// the safe end.
     async fn tare(&mut self) -> Result<(), Refusal> {
         let mounted = self.mounting.as_ref().map(|(m, _)| m.tips);
         let connection = self.connection.as_mut().ok_or_else(no_wires)?;
@@ -377,8 +378,8 @@ impl Engine {
         };
         let Err(halt) = tared else { return Ok(()) };
         let trip = trip_of(&halt);
-        let reading_failed = matches!(trip.kind, TripKind::Wire | TripKind::Device);
-        if reading_failed && matches!(halt, Halt::Trip(_)) {
+        let ends_safe = matches!(trip.kind, TripKind::Wire | TripKind::Device | TripKind::Service);
+        if ends_safe && matches!(halt, Halt::Trip(_)) {
             self.make_safe(Some(&trip), Height::Clear).await;
         }
         Err(Refusal::State(trip.detail))

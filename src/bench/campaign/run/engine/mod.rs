@@ -219,7 +219,10 @@ impl Engine {
                         self.rig_request(envelope).instrument(asked_in).await;
                     }
                 },
-                _ = tick.tick() => self.look().await,
+                _ = tick.tick() => {
+                    self.notice_suspension();
+                    self.look().await;
+                }
             }
         }
     }
@@ -251,6 +254,16 @@ impl Engine {
             (false, _) => Owed::Person,
         };
         end.is_safe()
+    }
+
+    /// Latches that the computer was suspended, unless the wires are closed. Returns it as text.
+    fn notice_suspension(&mut self) -> Option<String> {
+        let words = self.control.was_suspended()?;
+        if self.control.rig() != RigState::Disconnected {
+            let detail = words.clone();
+            self.control.latch(&Trip { kind: TripKind::Service, detail });
+        }
+        Some(words)
     }
 
     /// Checks the bench between runs: publishes its readings, latches an e-stop, and completes the

@@ -68,7 +68,7 @@ impl<'a> Automatic<'a> {
 }
 
 impl Engine {
-    /// One look at a run that is to resume automatically. `presses`: presses of the e-stop when it was decided; a later
+    /// One look at a run that waits, for example to resume automatically; a suspension of the computer ends that. `presses`: presses of the e-stop when it was decided; a later
     /// one is not cleared.
     pub(super) async fn resume_automatically(
         &mut self,
@@ -76,6 +76,9 @@ impl Engine {
         automatic: &mut Option<Automatic<'_>>,
         presses: u64,
     ) -> Option<Waited> {
+        if let Some(words) = self.notice_suspension() {
+            self.end_automatic(automatic, Some(format!("a request to resume: {words}")));
+        }
         let resume = automatic.as_mut()?;
         if self.control.estop.pressed().is_some() {
             let words = resume.waits_for.take();
@@ -283,7 +286,7 @@ async fn switched_off(bench: &Bench, was_homed: &[bool; AXES]) -> Result<Option<
 mod tests {
     use std::sync::atomic::Ordering;
 
-    use super::super::tests::{engine, job, trip};
+    use super::super::tests::{engine, job, suspensions, trip};
     use super::*;
     use crate::campaign::bench::stand_in::StandIns;
 
@@ -346,6 +349,23 @@ mod tests {
         assert!(automatic.is_none() && axes.z.starts.load(Ordering::SeqCst) == starts);
         let words = engine.control.inbox.status.borrow().run.as_ref().unwrap().waiting_for.clone();
         assert!(words.is_some_and(|words| words.contains("z is not homed any more")));
+    }
+
+    #[tokio::test]
+    async fn a_run_does_not_resume_by_itself_after_the_computer_was_suspended() {
+        let (axes, job) = (StandIns::default(), job());
+        let mut engine = engine(&axes);
+        let suspended_s = suspensions(&mut engine);
+        trip(&mut engine, &job);
+        let mut resumes = 1;
+        let mut automatic = Some(Automatic::new(&job, &mut resumes, Some("no reply".into())));
+        automatic.as_mut().unwrap().at = Instant::now();
+        suspended_s.store(3600, Ordering::SeqCst);
+        assert!(engine.resume_automatically(&job, &mut automatic, 0).await.is_none());
+        assert!(automatic.is_none() && engine.control.rig() == RigState::Tripped);
+        assert_eq!(axes.z.starts.load(Ordering::SeqCst), 0);
+        let words = engine.control.inbox.status.borrow().run.as_ref().unwrap().waiting_for.clone();
+        assert!(words.is_some_and(|words| words.contains("suspended for 3600 s")));
     }
 
     #[tokio::test]

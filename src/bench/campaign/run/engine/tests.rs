@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
-use std::sync::atomic::Ordering;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
 use sim_core::sensor::Sensor;
@@ -13,7 +13,9 @@ use super::{Answer, Engine, OWED_AGAIN, Owed};
 use crate::campaign::bench::estop::StopSwitch;
 use crate::campaign::bench::interlock::{Trip, TripKind};
 use crate::campaign::bench::rig_state::{RigEvent, RigState};
+use crate::campaign::bench::stage::AxisName;
 use crate::campaign::bench::stand_in::{StandIns, config};
+use crate::campaign::bench::travel::Target;
 use crate::campaign::diary::Diary;
 use crate::campaign::run::control::Control;
 use crate::campaign::run::job::Job;
@@ -29,6 +31,7 @@ use crate::rig::setup::RigSetup;
 use crate::rig::traits::AxisStatus;
 use crate::schedule::experiment::Experiment;
 use crate::schedule::plan::Plan;
+use crate::suspension::Suspensions;
 
 /// An engine whose wires to these axes are open; the rig is disarmed.
 pub(super) fn engine(axes: &StandIns) -> Engine {
@@ -68,6 +71,15 @@ pub(super) fn trip(engine: &mut Engine, job: &Job) {
     engine.control.latch(&Trip { kind: TripKind::Wire, detail: "no reply".into() });
     engine.control.run_event(RunEvent::Suspend(PausedWhy::Trip)).unwrap();
     engine.control.run_event(RunEvent::Raised).unwrap();
+}
+
+/// Seconds for which the computer was suspended, as the engine will read them.
+pub(super) fn suspensions(engine: &mut Engine) -> Arc<AtomicU64> {
+    let suspended_s = Arc::<AtomicU64>::default();
+    let read = suspended_s.clone();
+    engine.control.suspensions =
+        Suspensions::of(move || Duration::from_secs(read.load(Ordering::SeqCst)));
+    suspended_s
 }
 
 /// The answer of a request whose caller was told that it failed.
@@ -135,6 +147,31 @@ async fn a_reset_whose_caller_was_told_that_it_failed_releases_no_stop() {
     assert_eq!(engine.control.rig(), RigState::Tripped);
     assert_eq!(engine.reset(presses, None).await, Ok(()));
     assert!(engine.control.estop.pressed().is_none());
+}
+
+#[tokio::test]
+async fn after_a_suspension_of_the_computer_nothing_moves_before_a_person_resets() {
+    let (axes, job) = (StandIns::default(), job());
+    let mut engine = engine(&axes);
+    let suspended_s = suspensions(&mut engine);
+    engine.control.rig_event(RigEvent::Homed).unwrap();
+    suspended_s.store(60, Ordering::SeqCst);
+    let stage = engine.connection.as_mut().unwrap().stage.as_mut().unwrap();
+    let moved = stage.travel(&mut engine.control, &[Target::of(AxisName::X, 100.0)]).await;
+    let halt = moved.unwrap_err();
+    let trip = halt.as_trip().expect("a trip");
+    assert_eq!(trip.kind, TripKind::Service);
+    assert_eq!(trip.detail, "the computer was suspended for 60 s");
+    assert_eq!(axes.x.starts.load(Ordering::SeqCst), 0);
+
+    // A run that was to begin in the night.
+    suspended_s.store(36_060, Ordering::SeqCst);
+    let (waited_for, _caller) = oneshot::channel();
+    let refused = engine.arm(&job, &waited_for).await.unwrap_err().to_string();
+    assert!(refused.starts_with("the computer was suspended for 36000 s: reset"), "{refused}");
+    assert_eq!((engine.control.rig(), engine.control.run()), (RigState::Tripped, RunState::Idle));
+    engine.control.rig_event(RigEvent::Reset).unwrap();
+    assert!(engine.home().await, "it is told once");
 }
 
 #[tokio::test]
