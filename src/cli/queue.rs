@@ -126,6 +126,7 @@ struct QueueTime {
     begin: Option<Timestamp>,
     end: Option<Timestamp>,
     problem: Option<String>,
+    not_begun: Option<String>,
 }
 
 async fn list(client: &Client, json: bool) -> Result<(), CliError> {
@@ -150,11 +151,14 @@ async fn list(client: &Client, json: bool) -> Result<(), CliError> {
         ("ends", Align::Left),
     ];
     let mut table = Table::new(&heads, "the queue is empty");
-    let mut refused = Vec::new();
+    let mut notes = Vec::new();
     for run in queue.items {
         let time = times.items.iter().find(|time| time.run == run.uid);
         if let Some(problem) = time.and_then(|time| time.problem.as_ref()) {
-            refused.push(format!("run {} would be refused: {problem}", run.scan_id));
+            notes.push(format!("run {} would be refused: {problem}", run.scan_id));
+        }
+        if let Some(why) = time.and_then(|time| time.not_begun.as_ref()) {
+            notes.push(format!("run {} does not begin by itself: {why}", run.scan_id));
         }
         let at = |of: fn(&QueueTime) -> Option<Timestamp>| or_dash(time.and_then(of).map(second));
         table.push([
@@ -170,7 +174,7 @@ async fn list(client: &Client, json: bool) -> Result<(), CliError> {
         ]);
     }
     say(&table);
-    for words in refused {
+    for words in notes {
         say(words);
     }
     Ok(())

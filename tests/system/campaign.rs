@@ -12,7 +12,7 @@ use sqlx::{ConnectOptions, Connection};
 use super::bench::{Lab, SENSOR, WAITS, WHOLE, http, rig_args};
 
 /// Two settings of three configurations and four depths: 24 trials.
-const SMALL: &str = "name = 'small'\nseed = 5\nsensor = 's'\n[real_hex]\ntips = [1, 4]\n\
+pub(super) const SMALL: &str = "name = 'small'\nseed = 5\nsensor = 's'\n[real_hex]\ntips = [1, 4]\n\
      configurations = 3\ndepths = 4\ndepth_step_mm = 1.25\nblock = 3\nreference_every = 2\n\
      [measure]\nsettle_ms = 400.0\n[policy]\nauto_resume_after_s = 0.2\n";
 const TRIALS: usize = 24;

@@ -6,7 +6,7 @@ use jiff::{SignedDuration, Timestamp};
 use serde_json::{Value, json};
 
 use super::bench::{Lab, WAITS, rig_args, tell};
-use super::campaign::{SPEED, complete, held_by_a_lock, release, started, started_early};
+use super::campaign::{SMALL, SPEED, complete, held_by_a_lock, release, started, started_early};
 
 /// An action on the rig.
 async fn rig(lab: &Lab, action: Value) {
@@ -114,5 +114,45 @@ async fn a_jog_at_the_start_time_of_a_run_does_not_drop_it() {
     assert_eq!(page["items"], json!([]), "{page:#}");
     assert_eq!(lab.act(&run, json!({ "action": "abort" })).await.0, 202);
     lab.ended(&run).await;
+    lab.close().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn no_run_begins_by_itself_after_an_abort_of_a_moving_run_and_the_queue_says_why() {
+    let (lab, run) = started("aborted").await;
+    let next = lab.queue(SMALL).await;
+    lab.start(&next).await;
+    lab.stored(1).await;
+    assert_eq!(lab.act(&run, json!({ "action": "abort" })).await.0, 202);
+    lab.ended(&run).await;
+    let is_told = |page: &Value| {
+        let why = page["items"][0]["data"]["why"].as_str().unwrap_or_default();
+        why.contains("the run before it was aborted")
+    };
+    lab.eventually("the event", "/api/v1/events?kind=not_begun", is_told).await;
+    let status = lab.get("/api/v1/status").await;
+    assert_eq!((&status["run"], &status["rig"]["state"]), (&Value::Null, &json!("homed")));
+    let words = status["waiting_for"].as_str().unwrap_or_default();
+    assert!(words.contains("does not begin by itself: the run before it was aborted"), "{words}");
+    let times = lab.get("/api/v1/queue/times").await;
+    let why = times["items"][0]["not_begun"].as_str().unwrap_or_default();
+    assert!(why.ends_with("start it again"), "{times:#}");
+    lab.start(&next).await;
+    complete(&lab, &next).await;
+    assert_eq!(lab.get("/api/v1/status").await["waiting_for"], Value::Null);
+    lab.close().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_run_that_is_started_again_after_a_person_has_operated_the_rig_begins_in_time() {
+    let lab = Lab::open("handed-over", rig_args("virtual", SPEED), WAITS).await;
+    lab.home().await;
+    let run = started_early(&lab, 20).await;
+    let lab = lab.restart().await;
+    rig(&lab, json!({ "action": "connect" })).await;
+    rig(&lab, json!({ "action": "disconnect" })).await;
+    lab.start(&run).await;
+    assert_eq!(lab.get("/api/v1/status").await["rig"]["state"], "disconnected");
+    complete(&lab, &run).await;
     lab.close().await;
 }

@@ -154,10 +154,10 @@ export function waiting({ said, go, signal }) {
   }
 
   function stateOf(row, now) {
-    const problem = predicted.get(row.uid)?.problem
+    const { problem, not_begun: dropped } = predicted.get(row.uid) ?? {}
     const early = row.not_before && Date.parse(row.not_before) > now ? `not before ${moment(row.not_before)}` : ''
     const bad = problem ? `refused: ${problem}` : ''
-    const words = row.waiting_since ? 'started, waits for its turn' : 'to be started by a person'
+    const words = row.waiting_since ? 'started, waits for its turn' : dropped ? `does not begin by itself: ${dropped}` : 'to be started by a person'
     return { words: capital([bad, words, early].filter(Boolean).join(', ')), tone: bad ? 'bad' : row.waiting_since ? 'good' : 'warn' }
   }
 

@@ -41,6 +41,9 @@ pub struct QueueTime {
     pub high: Option<Timestamp>,
     /// Why the run would be refused on this rig, as text; null if it would not.
     pub problem: Option<String>,
+    /// Why the run must be started again, as text: it had been started and does not begin by itself any more; null
+    /// for others. The reason is kept until the service ends.
+    pub not_begun: Option<String>,
 }
 
 /// What the preflight of a waiting run states of its time.
@@ -94,6 +97,7 @@ pub async fn times(State(app): State<App>) -> Result<Page<QueueTime>, ApiError> 
         low: time.and_then(|time| at(time.end_s[1])),
         high: time.and_then(|time| at(time.end_s[2])),
         problem: planned.get(n).and_then(|planned| planned.problem.clone()),
+        not_begun: app.conductor.why_dropped(row.uid),
     };
     Ok(Page::whole(rows.iter().zip(times).enumerate().map(time).collect()))
 }

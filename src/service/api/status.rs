@@ -41,8 +41,8 @@ pub struct ServiceStatus {
     pub lock: Option<LockOut>,
     /// Number of runs in the queue.
     pub queue_length: usize,
-    /// What the next run that was started waits for, as text: its start time, or the active run;
-    /// absent if none waits.
+    /// What the next run that was started waits for, as text: its start time, or the active run. If none waits
+    /// any more because a person may be at the rig, which run must be started again, and why; absent otherwise.
     pub waiting_for: Option<String>,
     /// Free space of the disk of the data folder; null if it is unknown.
     pub disk: Option<DiskStatus>,

@@ -7,7 +7,7 @@ use jiff::Timestamp;
 use serde_json::json;
 use tokio::time::Instant;
 
-use super::{Conductor, ConductorError, turn};
+use super::{Conductor, ConductorError, startable, turn};
 use crate::campaign::shown::command::Refusal;
 use crate::campaign::shown::run_action::trip_for_person;
 use crate::campaign::shown::status::Status;
@@ -22,6 +22,8 @@ const BUSY_AGAIN: Duration = Duration::from_secs(5);
 /// Why waiting runs do not begin after a run that was ended while it waited.
 const ENDED_HALTED: &str =
     "the run before it was ended while it was halted, and a person may be at the rig";
+/// Why waiting runs do not begin after a run that was aborted while it moved.
+const ABORTED: &str = "the run before it was aborted, and a person may be at the rig";
 
 impl Conductor {
     /// Follows the campaign: a run that was started while another was active, or before its time,
@@ -30,7 +32,7 @@ impl Conductor {
         let mut status = self.inner.campaign.watch_status();
         // While the rig is free and no waiting run is due: when to decide again.
         let mut again: Option<Instant> = None;
-        let mut is_attended = false;
+        let mut attended: Option<&'static str> = None;
         loop {
             let until = again;
             let due = async move {
@@ -48,9 +50,9 @@ impl Conductor {
                 let now = status.borrow_and_update();
                 let is_free = now.run.is_none() && now.rig.is_ready();
                 let tripped = trip_for_person(&now).map(|trip| format!("the rig tripped ({trip})"));
-                let ended = now.run.is_none() && std::mem::take(&mut is_attended);
-                is_attended = may_be_attended(is_attended, &now);
-                (is_free, tripped.or_else(|| ended.then(|| ENDED_HALTED.to_owned())))
+                let ended = attended.filter(|_| now.run.is_none()).map(str::to_owned);
+                attended = may_be_attended(attended, &now);
+                (is_free, tripped.or(ended))
             };
             // A person may be at the rig: it must not start by itself once it is free or homed again.
             if let Some(why) = why_not {
@@ -76,7 +78,7 @@ impl Conductor {
         let lock = self.inner.store.lock().await?;
         let present = turn::Present { now, lock: lock.as_ref() };
         for run in waiting.iter().filter(|run| present.lets_begin(run)) {
-            match self.begin(run).await {
+            match self.begin(run, self.require_turn(run)).await {
                 Ok(()) => return Ok(None),
                 // Another run was started first: this one continues to wait.
                 Err(_) if self.inner.campaign.status().run.is_some() => return Ok(None),
@@ -90,6 +92,17 @@ impl Conductor {
         Ok(turn::decide_again(&waiting, present))
     }
 
+    /// Refuses a run that has lost its turn while it was planned: it was dropped, or another person has taken the
+    /// operator lock.
+    async fn require_turn(&self, run: &RunRow) -> Result<(), ConductorError> {
+        let lock = self.inner.store.lock().await?;
+        let present = turn::Present { now: Timestamp::now(), lock: lock.as_ref() };
+        if self.waiting().contains(&run.uid) && present.lets_begin(run) {
+            return Ok(());
+        }
+        Err(Refusal::Busy("its turn is over: it is decided again".into()).into())
+    }
+
     /// Runs that were started and wait, the next one first.
     pub(super) async fn still_waiting(&self) -> Result<Vec<RunRow>, StoreError> {
         if self.waiting().is_empty() {
@@ -101,7 +114,8 @@ impl Conductor {
         Ok(runs)
     }
 
-    /// What the next run that was started waits for, as text; `None` if none waits.
+    /// What the next run that was started waits for, as text; `None` if none waits. If those that waited do not begin
+    /// by themselves any more: the first of them, with the reason.
     ///
     /// # Errors
     /// `StoreError` if the store fails.
@@ -109,7 +123,32 @@ impl Conductor {
         let is_busy = self.inner.campaign.status().run.is_some();
         let lock = self.inner.store.lock().await?;
         let present = turn::Present { now: Timestamp::now(), lock: lock.as_ref() };
-        Ok(turn::waits_for(&self.still_waiting().await?, is_busy, present))
+        match turn::waits_for(&self.still_waiting().await?, is_busy, present) {
+            Some(words) => Ok(Some(words)),
+            None => self.first_dropped().await,
+        }
+    }
+
+    /// The first run that does not begin by itself any more although a person had started it, with the reason, as text.
+    async fn first_dropped(&self) -> Result<Option<String>, StoreError> {
+        let dropped = self.dropped().clone();
+        for (uid, why) in dropped {
+            let row = self.inner.store.run(uid).await?;
+            let Some(run) = row.filter(|run| startable(run).is_ok()) else {
+                self.dropped().remove(&uid);
+                continue;
+            };
+            let (scan_id, experiment) = (run.scan_id, run.experiment);
+            return Ok(Some(format!(
+                "run {scan_id} ({experiment}) does not begin by itself: {why}"
+            )));
+        }
+        Ok(None)
+    }
+
+    /// Why a run does not begin by itself any more although a person had started it, as text.
+    pub fn why_dropped(&self, run: RunUid) -> Option<String> {
+        self.dropped().get(&run).cloned()
     }
 
     /// Lets started runs wait for their turn.
@@ -126,6 +165,7 @@ impl Conductor {
             return;
         }
         let why = format!("{why}: start it again");
+        self.dropped().extend(dropped.iter().map(|run| (*run, why.clone())));
         let stored = match self.inner.store.waiting_runs().await {
             Ok(stored) => stored,
             Err(error) => {
@@ -167,18 +207,20 @@ impl Conductor {
         run_span(run.uid, run.scan_id)
             .in_scope(|| tracing::warn!(why, "a waiting run does not begin"));
         self.waiting().remove(&run.uid);
+        self.dropped().insert(run.uid, why.into());
         self.inner.store.clear_waiting(run.uid).await?;
         self.say(run, "not_begun", json!({ "why": why })).await;
         Ok(())
     }
 }
 
-/// Whether a person may be at the rig because of the active run: it was halted, and has not moved again since.
+/// Why a person may be at the rig because of the active run: it was halted or is aborted, and has not moved again since.
 /// `before`: the answer for the last status. Between two statuses others may have been missed.
-fn may_be_attended(before: bool, status: &Status) -> bool {
+fn may_be_attended(before: Option<&'static str>, status: &Status) -> Option<&'static str> {
     match status.run.as_ref().map(|run| run.state) {
-        Some(StoredState::Paused | StoredState::Panicked) => true,
-        Some(StoredState::Running) | None => false,
+        Some(StoredState::Paused | StoredState::Panicked) => Some(ENDED_HALTED),
+        Some(StoredState::Aborting) => before.or(Some(ABORTED)),
+        Some(StoredState::Running) | None => None,
         Some(_) => before,
     }
 }

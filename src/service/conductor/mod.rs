@@ -4,7 +4,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
 use jiff::Timestamp;
@@ -25,6 +25,7 @@ use crate::rig::setup::RigSetup;
 use crate::schedule::preflight::Preflight;
 use crate::state::StoredState;
 use crate::store::{RunRow, Soundness, Store};
+use crate::suspension::Suspensions;
 
 mod error;
 mod follow;
@@ -71,14 +72,20 @@ struct Inner {
     /// Runs that begin when the rig is free. The store marks them as well, for the process after a
     /// crash; in this process only the runs in this set begin.
     waiting: Mutex<BTreeSet<RunUid>>,
+    /// Runs that were started, waited and do not begin by themselves any more, with the reason.
+    dropped: Mutex<BTreeMap<RunUid, String>>,
     /// Notified when a run is added to `waiting`.
     look: Notify,
     /// Held while a run begins, or ends without having been driven.
     beginning: tokio::sync::Mutex<()>,
     /// The run for which the rig is brought up after a start of the service; none once it was aborted.
     brought_up: Mutex<Option<RunUid>>,
-    /// Whether a person has operated the rig since the start of the service.
-    is_operated: AtomicBool,
+    /// How many times a person has operated the rig, or may have come to it, since the start of the service.
+    operations: AtomicU64,
+    /// `operations` when each run was last started in this process.
+    handed_over: Mutex<BTreeMap<RunUid, u64>>,
+    /// Notices that the computer was suspended.
+    suspensions: Mutex<Suspensions>,
 }
 
 /// The first of the two steps of starting a run.
@@ -146,17 +153,35 @@ impl Conductor {
             calibration,
             armings,
             waiting,
+            dropped: Mutex::default(),
             look,
             beginning,
             brought_up,
-            is_operated: AtomicBool::new(false),
+            operations: AtomicU64::default(),
+            handed_over: Mutex::default(),
+            suspensions: Mutex::new(Suspensions::watch()),
         };
         Self { inner: Arc::new(inner) }
     }
 
-    /// A person operates the rig: no run is driven again by itself after the start of the service.
+    /// A person operates the rig: no run that was started before is driven again by itself after the start of the
+    /// service.
     pub fn note_operation(&self) {
-        self.inner.is_operated.store(true, Ordering::Relaxed);
+        self.inner.operations.fetch_add(1, Ordering::SeqCst);
+    }
+
+    /// How many times a person has operated the rig. While the computer is suspended a person may do so as well.
+    fn operations(&self) -> u64 {
+        if self.inner.suspensions.lock().newest().is_some() {
+            self.note_operation();
+        }
+        self.inner.operations.load(Ordering::SeqCst)
+    }
+
+    /// Whether a person has operated the rig, and has not started this run since.
+    fn is_operated_since_start(&self, run: RunUid) -> bool {
+        let at_start = self.inner.handed_over.lock().get(&run).copied().unwrap_or_default();
+        self.operations() > at_start
     }
 
     /// Returns the preflight of a submission, without queueing it.
@@ -209,11 +234,14 @@ impl Conductor {
             let _one_at_a_time = self.inner.beginning.lock().await;
             self.require_sound_store()?;
             self.unedited(run).await?;
+            let operations = self.operations();
             self.inner.store.set_waiting(run.uid).await?;
+            self.inner.handed_over.lock().insert(run.uid, operations);
+            self.dropped().remove(&run.uid);
             self.let_wait([run.uid]);
             return Ok(Started::Waiting);
         }
-        self.begin(run).await?;
+        self.begin(run, async { Ok(()) }).await?;
         Ok(Started::Running)
     }
 
@@ -233,6 +261,7 @@ impl Conductor {
         self.end_bringing_up(run.uid);
         self.armings().remove(&run.uid);
         self.waiting().remove(&run.uid);
+        self.dropped().remove(&run.uid);
         let stored: u64 = self.inner.store.contact_counts(run.uid).await?.iter().sum();
         let reason = format!("aborted at {stored} of {} trials, not driven", run.trials_planned);
         let status = ExitStatus::Abort;
@@ -300,16 +329,23 @@ impl Conductor {
         }
     }
 
-    async fn begin(&self, run: &RunRow) -> Result<(), ConductorError> {
+    /// Begins a run on the rig, unless `refused`: awaited last, since planning takes a while.
+    async fn begin(
+        &self,
+        run: &RunRow,
+        refused: impl Future<Output = Result<(), ConductorError>> + Send,
+    ) -> Result<(), ConductorError> {
         let beginning = async {
             let _one_at_a_time = self.inner.beginning.lock().await;
             self.require_sound_store()?;
             // It may have been aborted while the rig was homed.
             let run = &self.unended(run).await?;
             let job = self.prepare_stored(run).await?.job(run);
+            refused.await?;
             self.inner.campaign.ask(Request::Start(Arc::new(job))).await?;
             self.armings().remove(&run.uid);
             self.waiting().remove(&run.uid);
+            self.dropped().remove(&run.uid);
             Ok(())
         };
         beginning.instrument(run_span(run.uid, run.scan_id)).await
@@ -346,6 +382,10 @@ impl Conductor {
 
     fn waiting(&self) -> parking_lot::MutexGuard<'_, BTreeSet<RunUid>> {
         self.inner.waiting.lock()
+    }
+
+    fn dropped(&self) -> parking_lot::MutexGuard<'_, BTreeMap<RunUid, String>> {
+        self.inner.dropped.lock()
     }
 
     fn armings(&self) -> parking_lot::MutexGuard<'_, BTreeMap<RunUid, Arming>> {

@@ -54,6 +54,7 @@ impl Conductor {
         let row = self.inner.store.replace_queued(new).await?;
         self.armings().remove(&run.uid);
         self.waiting().remove(&run.uid);
+        self.dropped().remove(&run.uid);
         if earlier.waiting_since.is_some() {
             let why = "it was edited after it was started: arm and start it again";
             self.say(&row, "not_begun", json!({ "why": why })).await;

@@ -1,7 +1,7 @@
 //! After a start of the service: drives what the earlier process drove, as `restart` decides.
 //! Uses: `conductor::restart`, `campaign` (its handle), `store`. Never: motion, HTTP.
 
-use std::sync::atomic::Ordering;
+use std::collections::BTreeSet;
 use std::time::Duration;
 
 use jiff::Timestamp;
@@ -83,14 +83,20 @@ impl Conductor {
         outcome.map(|_| ())
     }
 
-    /// Waits until one of the waiting runs is due, for which the rig must be brought up. `None` if none
-    /// waits any more, or if a person has brought the rig up: then the run begins as any other.
+    /// Waits until one of these runs, which waited for the earlier process, is due, so that the rig must be brought up.
+    /// `None` if none of them waits any more, or if a person has brought the rig up: then the run begins as any other.
     async fn first_due(&self, waiting: Vec<RunRow>) -> Result<Option<RunRow>, ConductorError> {
-        self.let_wait(waiting.iter().map(|run| run.uid));
+        let taken_over: BTreeSet<RunUid> = waiting.iter().map(|run| run.uid).collect();
+        self.let_wait(taken_over.iter().copied());
         loop {
             let (waiting, lock) = (self.still_waiting().await?, self.inner.store.lock().await?);
             let present = turn::Present { now: Timestamp::now(), lock: lock.as_ref() };
-            if let Some(due) = waiting.iter().find(|run| present.lets_begin(run)) {
+            // For a run that was started in this process the rig is not brought up: a person homes it.
+            let mut first = waiting.iter().filter(|run| taken_over.contains(&run.uid)).peekable();
+            if first.peek().is_none() {
+                return Ok(None);
+            }
+            if let Some(due) = first.find(|run| present.lets_begin(run)) {
                 let status = self.inner.campaign.status();
                 let is_up = status.run.is_some() || status.rig.is_ready();
                 if is_up {
@@ -158,8 +164,7 @@ impl Conductor {
         self.unended(run).await?;
         self.require_unattended(run, since).await?;
         self.bring_up(run).await?;
-        self.require_unattended(run, since).await?;
-        self.begin(run).await
+        self.begin(run, self.require_unattended(run, since)).await
     }
 
     /// Ends the homing for a run that is not driven any more.
@@ -171,16 +176,16 @@ impl Conductor {
         *self.inner.brought_up.lock() == Some(run)
     }
 
-    /// Refuses a run if a person may be at the rig: one has operated it since the start of the service, or has taken
-    /// the operator lock.
+    /// Refuses a run if a person may be at the rig: one has operated it since the start of the service and has not
+    /// started the run again, the computer was suspended since, or one has taken the operator lock.
     async fn require_unattended(
         &self,
         run: &RunRow,
         since: Option<Timestamp>,
     ) -> Result<(), ConductorError> {
-        if self.inner.is_operated.load(Ordering::Relaxed) {
-            let words =
-                "a person has operated the rig since the start of the service: start the run";
+        if self.is_operated_since_start(run.uid) {
+            let words = "a person has operated the rig since the start of the service, or its computer was \
+                         suspended: start the run";
             return Err(ConductorError::Forbidden(words.into()));
         }
         self.require_no_lock(run, since).await
