@@ -39,7 +39,7 @@ impl Suspensions {
     }
 }
 
-/// Time that the computer has been suspended since it was started: the clock that goes on meanwhile, less the one that
+/// Time that the computer has been suspended since it was started: the clock that runs meanwhile, less the one that
 /// does not. It is read in this order, so that a thread that is held up between the two readings finds too little, never
 /// too much.
 #[cfg(target_os = "linux")]
