@@ -111,7 +111,8 @@ impl Stage {
         checks_forces: bool,
         mut until: impl FnMut(&Sample) -> bool,
     ) -> Result<bool, Halt> {
-        if targets.iter().any(|t| t.axis != AxisName::Z) {
+        let is_lateral = targets.iter().any(|t| t.axis != AxisName::Z);
+        if is_lateral {
             self.require_clear().await?;
             self.skin = None;
         }
@@ -149,6 +150,11 @@ impl Stage {
             }
             if self.clock.now() > deadline {
                 return Err(self.did_not_arrive(targets, &statuses));
+            }
+            if is_lateral {
+                self.require_z_up().await?;
+                // No press is polled like this: the stopping distance does not depend on it.
+                polled_s = self.clock.process_s();
             }
             self.poll_pause().await;
         }
@@ -253,6 +259,24 @@ impl Stage {
         Halt::trip(TripKind::Position, format!("did not arrive in time: {}", words.join(", ")))
     }
 
+    /// Checks during a lateral motion that z has stayed up: a drive may lose its power, and a brake slip.
+    async fn require_z_up(&self) -> Result<(), Halt> {
+        let z = self.bench.z.status().await?;
+        require_zero(self.bench.z.as_ref(), &z)?;
+        if let Some(alarm) = z.alarm {
+            let detail = format!("z reports alarm {alarm:#x} during a lateral motion");
+            return Err(Halt::trip(TripKind::Device, detail));
+        }
+        let clear = self.clear_z_mm();
+        if z.position > clear + self.driven(AxisName::Z).tolerance {
+            let at = z.position;
+            let detail =
+                format!("z sank to {at:.3} mm during a lateral motion, clear at {clear:.3}");
+            return Err(Halt::trip(TripKind::Position, detail));
+        }
+        Ok(())
+    }
+
     async fn require_clear(&self) -> Result<(), Halt> {
         let z = self.bench.z.status().await?;
         require_zero(self.bench.z.as_ref(), &z)?;
@@ -338,6 +362,9 @@ impl Stage {
                     .collect();
                 let detail = format!("homing did not end within {HOMING_S} s: {left:?}");
                 return Err(Halt::trip(TripKind::Position, detail));
+            }
+            if !names.contains(&AxisName::Z) {
+                self.require_z_up().await?;
             }
             self.poll_pause().await;
         }

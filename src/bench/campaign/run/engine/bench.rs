@@ -170,9 +170,10 @@ impl Engine {
         let mut stage = Stage::new(open.bench.clone(), config, clock.clone());
         stage.samples = self.control.inbox.samples.clone();
         self.connected(open.bench.skin, open.lines, Some(stage), clock, wires, tasks)?;
+        if let Some(press) = estop.pressed() {
+            self.control.latch(&Trip { kind: TripKind::Estop, detail: press.why });
+        }
         let Some(alarms) = alarms else {
-            let detail = estop.pressed().map(|press| press.why).unwrap_or_default();
-            self.control.latch(&Trip { kind: TripKind::Estop, detail });
             let words = "the stop was pressed while the wires were opened: reset, then home";
             return Err(Refusal::State(words.into()));
         };

@@ -7,7 +7,7 @@ use tokio::time::Instant;
 use tracing::Instrument;
 
 use super::skin::EmptySkin;
-use super::{Answer, Attempts, Engine, Last, Next, no_stage, no_wires, trip_of};
+use super::{Answer, Attempts, Engine, Last, Next, Owed, no_stage, no_wires, trip_of};
 use crate::campaign::bench::evidence::SilentArms;
 use crate::campaign::bench::interlock::{self, ForceLimits, TripKind};
 use crate::campaign::bench::rig_state::{RigEvent, RigState};
@@ -69,6 +69,10 @@ impl Engine {
     ) -> Result<(), Refusal> {
         let connection = self.connection.as_mut().ok_or_else(no_wires)?;
         let stage = connection.stage.as_mut().ok_or_else(no_stage)?;
+        if self.owed != Owed::Nothing {
+            let words = "the last safe end is not complete: an axis has not acknowledged its stop";
+            return Err(Refusal::Busy(words.into()));
+        }
         if self.control.rig() == RigState::Homed {
             let timed = stage.time_polls().await;
             timed.map_err(|halt| Refusal::State(trip_of(&halt).detail))?;

@@ -256,6 +256,44 @@ async fn no_axis_homes_sideways_before_z_is_measured_clear() {
 }
 
 #[tokio::test]
+async fn a_lateral_motion_ends_when_z_sinks() {
+    let axes = StandIns::default();
+    let mut engine = engine(&axes);
+    // It moves until it is stopped.
+    *axes.x.after_start.lock() = Some(AxisStatus { moving: true, ..axes.x.present() });
+    let stage = engine.connection.as_mut().unwrap().stage.as_mut().unwrap();
+    let target = [Target::of(AxisName::X, 100.0)];
+    let travel = stage.travel(&mut engine.control, &target);
+    let sinks = async {
+        tokio::time::sleep(Duration::from_millis(30)).await;
+        axes.z.status.lock().position = 60.0;
+    };
+    let (moved, ()) = tokio::join!(travel, sinks);
+    let halt = moved.unwrap_err();
+    let trip = halt.as_trip().expect("a trip");
+    assert_eq!(trip.kind, TripKind::Position);
+    assert!(trip.detail.starts_with("z sank to 60.000 mm"), "{}", trip.detail);
+    assert_eq!(axes.x.starts.load(Ordering::SeqCst), 1);
+}
+
+#[tokio::test]
+async fn no_run_is_armed_while_an_axis_owes_the_acknowledgement_of_its_stop() {
+    let (axes, job) = (StandIns::default(), job());
+    let mut engine = engine(&axes);
+    engine.control.rig_event(RigEvent::Homed).unwrap();
+    axes.x.replies.store(false, Ordering::SeqCst);
+    assert!(engine.make_safe(None, Height::Clear).await, "the tips are up");
+    let (waited_for, _caller) = oneshot::channel();
+    let refused = engine.arm(&job, &waited_for).await;
+    assert!(matches!(refused, Err(Refusal::Busy(_))), "{refused:?}");
+    assert_eq!(engine.control.rig(), RigState::Homed);
+    axes.x.replies.store(true, Ordering::SeqCst);
+    tokio::time::sleep(OWED_AGAIN + Duration::from_millis(50)).await;
+    engine.look().await;
+    assert_eq!(engine.arm(&job, &waited_for).await, Ok(()));
+}
+
+#[tokio::test]
 async fn a_drive_in_alarm_that_keeps_its_zero_is_not_homed() {
     let axes = StandIns::default();
     let mut engine = engine(&axes);
