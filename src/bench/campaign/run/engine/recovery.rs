@@ -68,8 +68,8 @@ impl<'a> Automatic<'a> {
 }
 
 impl Engine {
-    /// One look at a run that waits, for example to resume automatically; a suspension of the computer ends that. `presses`: presses of the e-stop when it was decided; a later
-    /// one is not cleared.
+    /// One look at a run that waits, and may be about to resume automatically; a suspension of the computer ends that.
+    /// `presses`: presses of the e-stop when it was decided; a later one is not cleared.
     pub(super) async fn resume_automatically(
         &mut self,
         job: &Job,

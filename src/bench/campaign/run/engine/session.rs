@@ -36,8 +36,8 @@ impl Engine {
     /// stopping distance must stay within the margin of the force limit.
     ///
     /// # Errors
-    /// No wires are open, the computer was suspended, a device does not reply, no press is slow enough for the margin, the
-    /// state does not allow arming, or its client no longer waits for the answer.
+    /// No wires are open, the computer was suspended, a stop is not acknowledged, a device does not reply, no press is
+    /// slow enough for the margin, the state does not allow arming, or its client no longer waits for the answer.
     pub(super) async fn arm(&mut self, job: &Job, answer: &Answer) -> Result<(), Refusal> {
         if self.connection.is_none() {
             return Err(no_wires());
