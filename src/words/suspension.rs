@@ -1,5 +1,5 @@
-//! Notices that the computer was suspended: the clock of all deadlines and ages stands still meanwhile, so that a sample
-//! from before looks fresh.
+//! Notices that the computer was suspended: the clock of all deadlines and ages stands still meanwhile, so that a
+//! sample from before looks fresh.
 //! Uses: the clocks of the system. Never: a wait.
 
 use std::time::Duration;
@@ -40,8 +40,8 @@ impl Suspensions {
 }
 
 /// Time that the computer has been suspended since it was started: the clock that runs meanwhile, less the one that
-/// does not. It is read in this order, so that a thread that is held up between the two readings finds too little, never
-/// too much.
+/// does not. It is read in this order, so that a thread that is held up between the two readings finds too little,
+/// never too much.
 #[cfg(target_os = "linux")]
 fn suspended() -> Duration {
     use rustix::time::{ClockId, clock_gettime};

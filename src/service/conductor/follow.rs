@@ -214,8 +214,8 @@ impl Conductor {
     }
 }
 
-/// Why a person may be at the rig because of the active run: it was halted or is aborted, and has not moved again since.
-/// `before`: the answer for the last status. Between two statuses others may have been missed.
+/// Why a person may be at the rig because of the active run: it was halted or is aborted, and has not moved again
+/// since. `before`: the answer for the last status. Between two statuses others may have been missed.
 fn may_be_attended(before: Option<&'static str>, status: &Status) -> Option<&'static str> {
     match status.run.as_ref().map(|run| run.state) {
         Some(StoredState::Paused | StoredState::Panicked) => Some(ENDED_HALTED),

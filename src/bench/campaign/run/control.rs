@@ -253,8 +253,8 @@ impl Control {
     /// Accepts pending requests. Called before every motion, and at every poll of motion, settling and waiting.
     ///
     /// # Errors
-    /// `Halt::Trip` for an e-stop and after a suspension of the computer, `Halt::Asked` for a request that needs the tips up, and once the thread
-    /// was asked to end: the rig must be made safe immediately.
+    /// `Halt::Trip` for an e-stop and after a suspension of the computer, `Halt::Asked` for a request that needs the
+    /// tips up, and once the thread was asked to end: the rig must be made safe immediately.
     pub fn attend(&mut self) -> Result<(), Halt> {
         if let Some(press) = self.estop.pressed() {
             return Err(Halt::trip(TripKind::Estop, press.why));
