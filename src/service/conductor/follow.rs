@@ -224,3 +224,120 @@ fn may_be_attended(before: Option<&'static str>, status: &Status) -> Option<&'st
         Some(_) => before,
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use std::path::PathBuf;
+    use std::sync::Arc;
+    use std::sync::atomic::{AtomicU64, Ordering};
+
+    use jiff::SignedDuration;
+
+    use super::super::{RigFile, Started, Submission, Terms};
+    use super::*;
+    use crate::campaign::bench::estop::StopSwitch;
+    use crate::campaign::shown::command::{Inbox, channel};
+    use crate::campaign::shown::show;
+    use crate::clock::Clock;
+    use crate::rig::setup::RigSetup;
+    use crate::store::Store;
+    use crate::suspension::Suspensions;
+
+    /// A conductor with an empty database and a disconnected rig, which answers nothing.
+    async fn conductor(name: &str) -> (Conductor, Inbox, PathBuf) {
+        let name = format!("palpate-follow-{name}-{}", std::process::id());
+        let folder = std::env::temp_dir().join(name);
+        std::fs::create_dir_all(&folder).unwrap();
+        let store = Store::open(&folder.join("palpate.db"), Clock::new(1.0)).await.unwrap();
+        let text = include_str!("../../../experiments/rigs/virtual.toml");
+        let config = RigSetup::from_toml("virtual.toml", text).unwrap();
+        let (handle, inbox) = channel(StopSwitch::default(), show::closed(&config));
+        let rig = RigFile { file: "virtual.toml".into(), text: text.into(), config };
+        (Conductor::new(store, handle, rig, None), inbox, folder)
+    }
+
+    async fn queued(conductor: &Conductor, not_before: Option<Timestamp>) -> RunRow {
+        let definition = "name = 'small'\nseed = 3\nsensor = 's'\n[real_hex]\ntips = [1]\n\
+                          configurations = 2\ndepths = 2\n";
+        let sensor = include_str!("../../../experiments/sensors/ert-28.toml");
+        let submission = Submission {
+            file: "small.toml".into(),
+            definition: definition.into(),
+            sensor: Some(sensor.into()),
+        };
+        let terms = Terms { auto_resume: None, not_before };
+        conductor.enqueue(submission, "ada".into(), terms).await.unwrap()
+    }
+
+    /// A person arms and starts a run whose time has not come.
+    async fn start(conductor: &Conductor, run: &RunRow) {
+        let code = conductor.arm(run).await.unwrap().code;
+        assert_eq!(conductor.start(run, &code).await.unwrap(), Started::Waiting);
+    }
+
+    fn in_an_hour() -> Option<Timestamp> {
+        Some(Timestamp::now() + SignedDuration::from_hours(1))
+    }
+
+    #[tokio::test]
+    async fn a_run_that_was_dropped_says_why_until_it_is_started_again() {
+        let (conductor, _inbox, folder) = conductor("dropped").await;
+        let run = queued(&conductor, in_an_hour()).await;
+        let words = async || conductor.waiting_for().await.unwrap().unwrap();
+        start(&conductor, &run).await;
+        assert!(words().await.contains("starts at"));
+        conductor.drop_all_waiting(ABORTED).await;
+        let why = format!("{ABORTED}: start it again");
+        assert_eq!(words().await, format!("run 1 (small) does not begin by itself: {why}"));
+        assert_eq!(conductor.why_dropped(run.uid), Some(why));
+        start(&conductor, &run).await;
+        assert!(words().await.contains("starts at"));
+        assert_eq!(conductor.why_dropped(run.uid), None);
+        std::fs::remove_dir_all(folder).unwrap();
+    }
+
+    #[tokio::test]
+    async fn a_run_whose_turn_is_lost_while_it_is_planned_does_not_begin() {
+        let (conductor, _inbox, folder) = conductor("turn").await;
+        let [first, second] = [queued(&conductor, None).await, queued(&conductor, None).await];
+        let store = &conductor.inner.store;
+        for run in [&first, &second] {
+            store.set_waiting(run.uid).await.unwrap();
+            conductor.let_wait([run.uid]);
+            let now = conductor.present(run).await.unwrap();
+            conductor.require_turn(&now).await.unwrap();
+        }
+        let is_lost = async |run: &RunRow| {
+            let now = conductor.present(run).await.unwrap();
+            let refused = conductor.require_turn(&now).await;
+            matches!(refused, Err(ConductorError::Refused(Refusal::Busy(_))))
+        };
+        conductor.drop_waiting(&first, ABORTED).await.unwrap();
+        assert!(is_lost(&first).await && !is_lost(&second).await);
+        tokio::time::sleep(Duration::from_millis(20)).await;
+        store.set_lock("bob", "hands in the rig").await.unwrap();
+        assert!(is_lost(&second).await);
+        std::fs::remove_dir_all(folder).unwrap();
+    }
+
+    #[tokio::test]
+    async fn an_operation_of_the_rig_and_a_suspension_count_until_the_run_is_started_again() {
+        let (conductor, _inbox, folder) = conductor("operated").await;
+        let run = queued(&conductor, in_an_hour()).await;
+        let suspended_s = Arc::<AtomicU64>::default();
+        let read = suspended_s.clone();
+        *conductor.inner.suspensions.lock() =
+            Suspensions::of(move || Duration::from_secs(read.load(Ordering::SeqCst)));
+        let is_operated = || conductor.is_operated_since_start(run.uid);
+        assert!(!is_operated());
+        conductor.note_operation();
+        assert!(is_operated() && is_operated(), "it lasts");
+        start(&conductor, &run).await;
+        assert!(!is_operated());
+        suspended_s.store(3600, Ordering::SeqCst);
+        assert!(is_operated());
+        start(&conductor, &run).await;
+        assert!(!is_operated());
+        std::fs::remove_dir_all(folder).unwrap();
+    }
+}
