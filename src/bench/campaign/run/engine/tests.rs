@@ -212,10 +212,12 @@ async fn an_e_stop_while_the_wires_are_opened_leaves_them_open_for_the_stops_and
     let trip = engine.control.inbox.status.borrow().rig.trip.clone().expect("latched");
     assert_eq!((trip.kind, trip.detail.as_str()), (TripKind::Estop, "hands"));
     // Each axis is tried, and none counts as stopped.
+    let is_tried = || {
+        let stops = estop.pressed().map_or_else(Vec::new, |press| press.stops());
+        stops.len() == 4 && stops.iter().all(|stop| stop.error.is_some())
+    };
     let tried = async {
-        while !estop.pressed().is_some_and(|press| {
-            press.stops().len() == 4 && press.stops().iter().all(|stop| stop.error.is_some())
-        }) {
+        while !is_tried() {
             tokio::time::sleep(Duration::from_millis(10)).await;
         }
     };
