@@ -214,16 +214,6 @@ impl OneStep {
         Ok(Reconstruction { forces_n, penalty: share, residual_v: residual_v2.sqrt() })
     }
 
-    /// Generalised cross-validation at a penalty (a share of the largest squared singular value):
-    /// `|J f - v|^2 / trace(I - A)^2`, A the map from the frame to its fit.
-    ///
-    /// # Errors
-    /// `Length` or `NotFinite` if the frame is invalid.
-    pub fn gcv(&self, frame_v: &[f64], share: f64) -> Result<f64, LinearError> {
-        let along = self.along(frame_v)?;
-        Ok(self.gcv_of(&along, share * self.values[0].powi(2)))
-    }
-
     fn along(&self, frame_v: &[f64]) -> Result<Along, LinearError> {
         let needed = self.about_v.len();
         if frame_v.len() != needed {
@@ -250,7 +240,9 @@ impl OneStep {
         terms.fold((along.outside_v2, 0.0), |sum, term| (sum.0 + term.0, sum.1 + term.1))
     }
 
-    fn gcv_of(&self, along: &Along, penalty_v2: f64) -> f64 {
+    /// Generalised cross-validation at a penalty: `|J f - v|^2 / trace(I - A)^2`, V^2, A the map from the frame
+    /// to its fit.
+    fn gcv(&self, along: &Along, penalty_v2: f64) -> f64 {
         let kept: f64 =
             self.values.iter().map(|value| value * value / (value * value + penalty_v2)).sum();
         let free = self.about_v.len() as f64 - kept;
@@ -265,7 +257,7 @@ impl OneStep {
 
     fn least_gcv(&self, along: &Along) -> f64 {
         let largest = self.values[0].powi(2);
-        let scored = Self::shares().map(|share| (share, self.gcv_of(along, share * largest)));
+        let scored = Self::shares().map(|share| (share, self.gcv(along, share * largest)));
         scored.min_by(|a, b| a.1.total_cmp(&b.1)).map_or(1.0, |best| best.0)
     }
 

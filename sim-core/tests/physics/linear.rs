@@ -63,17 +63,28 @@ fn largest_v2() -> f64 {
 }
 
 #[test]
-fn forces_and_cross_validation_are_those_of_dense_algebra() {
+fn forces_are_those_of_dense_algebra() {
     let frame_v = measured(&load(), 1);
     for share in [1e-2, 1e-4] {
-        let (forces, gcv) = dense(&frame_v, share * largest_v2());
+        let (forces, _) = dense(&frame_v, share * largest_v2());
         let found = one_step().solve(&frame_v, Penalty::Share(share)).unwrap();
         let largest = forces.iter().fold(0.0f64, |l, f| l.max(f.abs()));
         for (a, b) in found.forces_n.iter().zip(&forces) {
             assert!((a - b).abs() < 1e-6 * largest, "{a} {b}");
         }
-        let own = one_step().gcv(&frame_v, share).unwrap();
-        assert!((own / gcv - 1.0).abs() < 1e-6, "{own} {gcv}");
+    }
+}
+
+#[test]
+fn cross_validation_chooses_the_penalty_that_is_least_by_dense_algebra() {
+    let (frame_v, largest_v2) = (measured(&load(), 1), largest_v2());
+    let gcv = |share: f64| dense(&frame_v, share * largest_v2).1;
+    let share = one_step().solve(&frame_v, Penalty::Gcv).unwrap().penalty;
+    let least = gcv(share);
+    // Penalties are compared in steps of a tenth of a power of ten.
+    for powers in [-1.0, -0.1, 0.1, 1.0] {
+        let other = gcv(share * 10f64.powf(powers));
+        assert!(least <= other * (1.0 + 1e-9), "{share}: {least}, 10^{powers} times it: {other}");
     }
 }
 

@@ -114,21 +114,6 @@ impl Store {
             .collect()
     }
 
-    /// Returns the number of failed attempts and discarded trials of a run.
-    ///
-    /// # Errors
-    /// `NoSuchRun` if the run is not stored; `Sql` if the read fails.
-    pub async fn attempt_count(&self, run: RunUid) -> Result<u64, StoreError> {
-        const OPERATION: &str = "counting attempts";
-        let scan_id = self.facts(run, OPERATION).await?.scan_id;
-        let count: i64 = sqlx::query_scalar("SELECT count(*) FROM attempts WHERE run = ?1")
-            .bind(scan_id)
-            .fetch_one(&self.inner.readers)
-            .await
-            .during(OPERATION)?;
-        Ok(count.unsigned_abs())
-    }
-
     /// Returns at most `limit` failed attempts and discarded trials of a run, newest first.
     ///
     /// # Errors

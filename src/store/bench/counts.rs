@@ -4,7 +4,6 @@
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-use crate::core::facts::RunKind;
 use crate::core::{During, Store, StoreError};
 use crate::ids::{RunUid, TrialKey};
 use crate::journal::Progress;
@@ -64,36 +63,6 @@ impl Store {
              WHERE run = ?1 GROUP BY contact_count",
         )
         .bind(scan_id)
-        .fetch_all(&self.inner.readers)
-        .await
-        .during(OPERATION)?;
-        Ok(by_count(rows))
-    }
-
-    /// Returns the same numbers with another deadband, N, from the raw forces.
-    ///
-    /// # Errors
-    /// `NoSuchRun` if the run is not stored; `Sql` if the read fails.
-    pub async fn contact_counts_at(
-        &self,
-        run: RunUid,
-        deadband_n: f64,
-    ) -> Result<[u64; 7], StoreError> {
-        const OPERATION: &str = "counting contacts";
-        let facts = self.facts(run, OPERATION).await?;
-        if facts.kind == RunKind::RealRandom {
-            // The deadband does not apply to nominal contacts.
-            return self.contact_counts(run).await;
-        }
-        let rows = sqlx::query_as(
-            "SELECT contacts, count(*) FROM (
-                 SELECT count(CASE WHEN p.force_n >= ?2 THEN 1 END) AS contacts
-                 FROM trials t LEFT JOIN trial_tips p ON p.trial = t.id
-                 WHERE t.run = ?1 GROUP BY t.id)
-             GROUP BY contacts",
-        )
-        .bind(facts.scan_id)
-        .bind(deadband_n)
         .fetch_all(&self.inner.readers)
         .await
         .during(OPERATION)?;

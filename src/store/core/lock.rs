@@ -1,4 +1,4 @@
-//! The operator lock, which prevents starting and editing but never stopping, and the settings.
+//! The operator lock, which prevents starting and editing but never stopping.
 //! Uses: `core::writer`. Never: the rig lock, the file with which one process holds the rig.
 
 use jiff::Timestamp;
@@ -106,43 +106,6 @@ impl Store {
     pub async fn lock(&self) -> Result<Option<LockRow>, StoreError> {
         const OPERATION: &str = "reading the operator lock";
         held(&mut *self.read(OPERATION).await?, OPERATION).await
-    }
-
-    /// Returns the value of a setting; `None` if it was never stored.
-    ///
-    /// # Errors
-    /// `Sql` if the read fails.
-    pub async fn setting(&self, name: &str) -> Result<Option<String>, StoreError> {
-        sqlx::query_scalar("SELECT value FROM settings WHERE name = ?1")
-            .bind(name)
-            .fetch_optional(&self.inner.readers)
-            .await
-            .during("reading a setting")
-    }
-
-    /// Stores the value of a setting.
-    ///
-    /// # Errors
-    /// `Sql`, `Late` or `Closed` if the write fails.
-    pub async fn set_setting(&self, name: &str, value: &str) -> Result<(), StoreError> {
-        const OPERATION: &str = "storing a setting";
-        let (name, value, now) = (name.to_owned(), value.to_owned(), self.now_text());
-        self.inner
-            .writer
-            .run(OPERATION, async move |connection| {
-                sqlx::query(
-                    "INSERT INTO settings (name, value, updated_at) VALUES (?1, ?2, ?3)
-                     ON CONFLICT (name) DO UPDATE SET value = ?2, updated_at = ?3",
-                )
-                .bind(name)
-                .bind(value)
-                .bind(now)
-                .execute(connection)
-                .await
-                .during(OPERATION)?;
-                Ok(())
-            })
-            .await
     }
 }
 

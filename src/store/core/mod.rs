@@ -17,7 +17,7 @@ mod migrations;
 pub(crate) mod store;
 /// Facts of a run that never change, cached in memory.
 pub(crate) mod facts;
-/// The operator lock, and the settings.
+/// The operator lock.
 pub(crate) mod lock;
 /// API keys, stored as hashes.
 pub(crate) mod keys;

@@ -432,7 +432,7 @@ async fn a_lost_database_is_not_begun_anew() {
     std::fs::remove_file(folder.0.join("palpate.sqlite-wal")).unwrap();
     // A process that was killed while it created a new database.
     std::fs::write(folder.0.join("palpate.sqlite.new"), "half").unwrap();
-    open(&folder.file()).await.set_setting("kept", "yes").await.unwrap();
+    open(&folder.file()).await.set_lock("Ada", "kept").await.unwrap();
     assert!(!folder.0.join("palpate.sqlite.new").exists());
 }
 

@@ -67,26 +67,26 @@ async fn the_writer_is_durable_and_the_file_is_laid_out_as_stated() {
 async fn a_reader_cannot_write() {
     let folder = Folder::new();
     let store = open(&folder.file()).await;
-    let tried = sqlx::query("INSERT INTO settings VALUES ('a', 'b', 'c')")
+    let tried = sqlx::query("INSERT INTO operator_lock VALUES (1, 'a', 'b', 'c')")
         .execute(&store.inner.readers)
         .await;
     let error = tried.unwrap_err().to_string();
     assert!(error.contains("readonly"), "{error}");
-    assert_eq!(store.setting("a").await.unwrap(), None);
-    store.set_setting("a", "b").await.unwrap();
-    assert_eq!(store.setting("a").await.unwrap().as_deref(), Some("b"));
+    assert_eq!(store.lock().await.unwrap(), None);
+    let taken = store.set_lock("Ada", "").await.unwrap();
+    assert_eq!(store.lock().await.unwrap(), Some(taken));
 }
 
 #[tokio::test]
 async fn it_opens_again_and_refuses_to_be_used_when_closed() {
     let folder = Folder::new();
     let store = open(&folder.file()).await;
-    store.set_setting("kept", "yes").await.unwrap();
+    let kept = store.set_lock("Ada", "kept").await.unwrap();
     store.close().await;
-    assert!(store.set_setting("kept", "no").await.is_err());
-    assert!(store.setting("kept").await.is_err());
+    assert!(store.set_lock("Ada", "lost").await.is_err());
+    assert!(store.lock().await.is_err());
     let again = open(&folder.file()).await;
-    assert_eq!(again.setting("kept").await.unwrap().as_deref(), Some("yes"));
+    assert_eq!(again.lock().await.unwrap(), Some(kept));
     again.integrity_check().await.unwrap();
     assert!(again.free_bytes().await.unwrap() > 0);
 }
