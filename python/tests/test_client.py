@@ -122,6 +122,7 @@ def test_runs_events_and_datasets_are_tables(lab: Palpate[pl.DataFrame], service
     assert runs["experiment"].to_list() == ["pad-study", "quickstart"]
     assert runs.schema["started_at"] == pl.Datetime("ms", "UTC")
     run = raw(service, "/api/v1/runs/1")
+    assert runs.filter(scan_id=1)["is_resumable"].to_list() == [run["is_resumable"]]
     ended = runs.filter(scan_id=1)["ended_at"][0]
     shown = run["ended_at"].removesuffix("Z").split(".")[0]
     assert ended.replace(microsecond=0) == datetime.fromisoformat(shown).replace(tzinfo=timezone.utc)

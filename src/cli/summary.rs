@@ -90,7 +90,7 @@ impl Closing {
             scan_id: run.scan_id,
             experiment: run.experiment.clone(),
             label: run.label,
-            resumable: run.exit_status.is_none() || run.is_resumable(),
+            resumable: run.exit_status.is_none() || run.is_resumable,
             clock_rate,
             contact_counts: summary.contact_counts,
             twins: None,

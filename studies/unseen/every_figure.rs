@@ -35,6 +35,7 @@ fn run() -> RunRow {
         "tip_diameter_mm": 20.0, "trials_planned": 40, "auto_resume": true, "not_before": null,
         "plan_sha256": null, "state": "ended", "requested_state": null, "paused_why": null,
         "exit_status": "success", "reason": null, "queue_position": null, "waiting_since": null,
+        "is_resumable": false,
         "created_at": "2026-11-23T10:00:00Z", "started_at": null, "ended_at": null,
         "submitted_by": "Ada",
     });

@@ -13,7 +13,7 @@ import { history } from './history.js'
 import { live } from './live.js'
 import { matters } from './log.js'
 import { medianChart, medians, partWords } from './medians.js'
-import { isActive, isResumable, largest, perHour, runSentence, runTone } from './runwords.js'
+import { isActive, largest, perHour, runSentence, runTone } from './runwords.js'
 import { save } from './save.js'
 import { sensor } from './skin.js'
 import { table } from './table.js'
@@ -158,8 +158,8 @@ export function report(root, { state, set, go, said, others, signal }) {
       ['Version', run.version],
       run.git_commit && ['Commit', run.git_commit.slice(0, 8)],
     ])
-    renew(doors, [isResumable(run), run.state, isActive(run)], () => [
-      isResumable(run) && [beginButton('Resume', run, said, { after: read, className: 'main' }), run.state === 'interrupted' && abort(run)],
+    renew(doors, [run.is_resumable, run.state, isActive(run)], () => [
+      run.is_resumable && [beginButton('Resume', run, said, { after: read, className: 'main' }), run.state === 'interrupted' && abort(run)],
       isActive(run) && link('/', 'Watch it'),
       link(`/trials?run=${run.scan_id}`, 'Its trials'),
       run.plan_sha256 && link(`/plan?run=${run.scan_id}`, 'Its plan'),

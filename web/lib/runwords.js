@@ -34,10 +34,6 @@ export const STATES = [
 /** Whether a run holds the rig. */
 export const isActive = run => !['queued', 'removed', 'ended', 'interrupted'].includes(run.state)
 
-/** Whether nothing drives a run and its plan has trials left. */
-export const isResumable = run =>
-  run.state === 'interrupted' || (run.state === 'ended' && run.kind !== 'imported' && run.exit_status !== 'success')
-
 /** Whether a run is in the selection of the address { label, kind, state }. */
 export const isWanted = (run, { label, kind, state }) =>
   (!label || run.label === label) && (!kind || run.kind === kind) && (CHOICES[state || 'begun'] ?? CHOICES.all)(run)
@@ -53,7 +49,7 @@ export const runTone = run =>
 export function runSentence(run) {
   if (run.state === 'ended')
     return `It ${ENDS[run.exit_status] ?? 'ended'}${run.ended_at ? ` ${moment(run.ended_at)}` : ''}${run.reason ? `: ${run.reason}` : ''}.${
-      isResumable(run) ? ' Its trials are stored, and it can be resumed.' : ''}`
+      run.is_resumable ? ' Its trials are stored, and it can be resumed.' : ''}`
   if (run.state === 'interrupted') return 'It was interrupted: its trials are stored. Resume it to take those that are missing, or abort it.'
   if (run.state === 'queued') return run.waiting_since ? 'It is started and waits for its turn.' : 'It is queued: it begins when a person arms and starts it.'
   if (run.state === 'removed') return 'It was removed from the queue before it began.'

@@ -9,7 +9,7 @@ import { el, fill, link, pane, panel, select } from '../lib/dom.js'
 import { forcesPanel } from '../lib/expected.js'
 import { fold } from '../lib/fold.js'
 import { capital, counted, fixed, moment, plain, span } from '../lib/format.js'
-import { endWord, isResumable } from '../lib/runwords.js'
+import { endWord } from '../lib/runwords.js'
 import { live } from '../lib/live.js'
 import { NEEDS_OPERATOR, partsBar, planFacts, problemList, settingsTable } from '../lib/preflight.js'
 import { rigLabel, submittedTour } from '../lib/submitted.js'
@@ -114,7 +114,7 @@ export async function show(root, { query, signal, go, set }) {
     if (isOver()) return
     tour = drawn
     geometry = shape
-    const waits = run.state === 'queued' || isResumable(run)
+    const waits = run.state === 'queued' || run.is_resumable
     const may = answer.p && !answer.p.problems.length
     const after = started => {
       if (!started) return undefined
@@ -151,7 +151,7 @@ export async function show(root, { query, signal, go, set }) {
       return `Queued by ${run.submitted_by}, ${moment(run.created_at)}, in place ${run.queue_position}${early}. ${next}`
     }
     if (run.state === 'interrupted') return 'Interrupted: what is stored stays. Resume continues with the trials that are missing.'
-    if (isResumable(run)) return `${capital(run.reason ?? endWord(run))}. What is stored stays. Resume continues with the trials that are missing.`
+    if (run.is_resumable) return `${capital(run.reason ?? endWord(run))}. What is stored stays. Resume continues with the trials that are missing.`
     if (run.state === 'ended')
       return `Ended ${moment(run.ended_at)}: ${run.exit_status}, ${run.reason}. This is what it was planned to do; durations are those of the present rig.`
     return `${capital(plain(run.state))}. This is what it does; durations are for the whole plan.`

@@ -8,7 +8,7 @@ import { button, el, fill, link, note, panel, select } from '../lib/dom.js'
 import { NONE, age, count, counted, moment, span } from '../lib/format.js'
 import { live } from '../lib/live.js'
 import { report } from '../lib/report.js'
-import { STATES, endWord, isResumable, isWanted, runTone } from '../lib/runwords.js'
+import { STATES, endWord, isWanted, runTone } from '../lib/runwords.js'
 import { table } from '../lib/table.js'
 
 const PAGE = 50
@@ -42,7 +42,7 @@ export async function show(root, { query, signal, go, set }) {
     return cells.get(key)
   }
   const end = run =>
-    isResumable(run)
+    run.is_resumable
       ? el('span', { className: 'row tight' }, el('span', { className: runTone(run) }, run.reason ?? 'interrupted'), resume(run))
       : el('span', { className: runTone(run) }, endWord(run), run.reason && run.exit_status !== 'success' ? `: ${run.reason}` : '')
   function resume(run) {

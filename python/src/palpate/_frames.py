@@ -23,7 +23,7 @@ MAP = "force_map_n"
 # Columns of the lists of runs, events and datasets; the JSON of the service has more about each.
 RUNS: dict[str, type] = {
     "scan_id": int, "uid": str, "experiment": str, "kind": str, "label": str, "state": str,
-    "exit_status": str, "reason": str, "trials_planned": int, "deadband_n": float, "seed": int,
+    "exit_status": str, "reason": str, "is_resumable": bool, "trials_planned": int, "deadband_n": float, "seed": int,
     "created_at": datetime, "started_at": datetime, "ended_at": datetime, "submitted_by": str,
 }  # fmt: skip
 EVENTS: dict[str, type] = {
@@ -73,7 +73,10 @@ class Polars:
     def of_items(self, items: Sequence[dict[str, Any]], kinds: dict[str, type]) -> pl.DataFrame:
         """See ``Frames``."""
         polars = needed("polars")
-        of_type = {int: polars.Int64, float: polars.Float64, str: polars.String, datetime: polars.Datetime("ms", "UTC")}
+        of_type = {
+            int: polars.Int64, float: polars.Float64, str: polars.String, bool: polars.Boolean,
+            datetime: polars.Datetime("ms", "UTC"),
+        }  # fmt: skip
         schema = {name: of_type[kind] for name, kind in kinds.items()}
         table: pl.DataFrame = polars.DataFrame(_values(items, kinds), schema=schema)
         return table
@@ -108,7 +111,7 @@ class Arrow:
         pyarrow = needed("pyarrow")
         of_type = {
             int: pyarrow.int64(), float: pyarrow.float64(), str: pyarrow.string(),
-            datetime: pyarrow.timestamp("ms", "UTC"),
+            bool: pyarrow.bool_(), datetime: pyarrow.timestamp("ms", "UTC"),
         }  # fmt: skip
         schema = pyarrow.schema([(name, of_type[kind]) for name, kind in kinds.items()])
         return pyarrow.table(_values(items, kinds), schema=schema)

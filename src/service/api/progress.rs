@@ -61,7 +61,7 @@ pub async fn of_run(
     let active = app.campaign.status().run.filter(|active| active.uid == run.uid);
     let now = Now {
         trials_planned: run.trials_planned,
-        is_over: (run.exit_status.is_some() && !run.is_resumable())
+        is_over: (run.exit_status.is_some() && !run.is_resumable)
             || run.state == StoredState::Removed,
         driven: active.as_ref().and_then(driven),
         at: Timestamp::now(),

@@ -126,7 +126,7 @@ async fn of_run(app: &App, run: &RunRow) -> Result<Arc<StoredWear>, StoreError> 
         return Ok(known);
     }
     let wear = Arc::new(app.store.wear(run.uid).await?);
-    if run.exit_status.is_some() && !run.is_resumable() {
+    if run.exit_status.is_some() && !run.is_resumable {
         ended.lock().insert(run.uid, wear.clone());
     }
     Ok(wear)

@@ -396,7 +396,7 @@ impl Conductor {
 fn startable(run: &RunRow) -> Result<(), ConductorError> {
     match run.state {
         StoredState::Queued => Ok(()),
-        _ if run.is_resumable() => Ok(()),
+        _ if run.is_resumable => Ok(()),
         StoredState::Ended => Err(ConductorError::Forbidden(format!(
             "run {} has ended: nothing of it remains to be measured",
             run.scan_id

@@ -108,6 +108,7 @@ pub(super) mod tests {
             reason: None,
             queue_position: None,
             waiting_since: None,
+            is_resumable: false,
             created_at: jiff::Timestamp::UNIX_EPOCH,
             started_at: None,
             ended_at: None,

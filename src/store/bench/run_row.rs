@@ -118,6 +118,9 @@ pub struct RunRow {
     /// Wall time since which it is started and waits for the active run to end; absent otherwise.
     #[schema(value_type = Option<String>, format = DateTime)]
     pub waiting_since: Option<Timestamp>,
+    /// Whether it can be resumed: nothing drives it and its plan has trials left, since it was interrupted or
+    /// ended short of its plan.
+    pub is_resumable: bool,
     /// Wall time at which it was submitted.
     #[schema(value_type = String, format = DateTime)]
     pub created_at: Timestamp,
@@ -146,34 +149,15 @@ impl RunRow {
         !matches!(self.state, StoredState::Queued | StoredState::Ended | StoredState::Removed)
     }
 
-    /// Whether nothing drives it and its plan has trials left, so that it can be driven on: it was
-    /// interrupted, or ended short of its plan.
-    pub fn is_resumable(&self) -> bool {
-        match self.state {
-            StoredState::Interrupted => true,
-            StoredState::Ended => {
-                self.kind != RunKind::Imported && self.exit_status != Some(ExitStatus::Success)
-            }
-            StoredState::Queued
-            | StoredState::Idle
-            | StoredState::Running
-            | StoredState::Pausing
-            | StoredState::Paused
-            | StoredState::Stopping
-            | StoredState::Aborting
-            | StoredState::Suspending
-            | StoredState::Panicked
-            | StoredState::Removed => false,
-        }
-    }
-
     pub(crate) fn read(row: &SqliteRow, operation: &'static str) -> Result<Self, StoreError> {
         let c = Columns::of(row, operation);
+        let (kind, state) = (c.word("kind")?, c.word("state")?);
+        let exit_status = c.word_or_none("exit_status")?;
         Ok(Self {
             uid: c.uid("uid")?,
             scan_id: c.get("scan_id")?,
             experiment: c.get("experiment")?,
-            kind: c.word("kind")?,
+            kind,
             definition: c.get("definition")?,
             definition_sha256: c.get("definition_sha256")?,
             seed: c.whole_or_none("seed")?,
@@ -191,18 +175,37 @@ impl RunRow {
             auto_resume: c.get("auto_resume")?,
             not_before: c.time_or_none("not_before")?,
             plan_sha256: c.get("plan_sha256")?,
-            state: c.word("state")?,
+            state,
             requested_state: c.word_or_none("requested_state")?,
             paused_why: c.word_or_none("paused_why")?,
-            exit_status: c.word_or_none("exit_status")?,
+            exit_status,
             reason: c.get("reason")?,
             queue_position: c.whole_or_none("queue_position")?,
             waiting_since: c.time_or_none("waiting_since")?,
+            is_resumable: is_resumable(kind, state, exit_status),
             created_at: c.time("created_at")?,
             started_at: c.time_or_none("started_at")?,
             ended_at: c.time_or_none("ended_at")?,
             submitted_by: c.get("submitted_by")?,
         })
+    }
+}
+
+/// Whether nothing drives a run and its plan has trials left.
+fn is_resumable(kind: RunKind, state: StoredState, exit_status: Option<ExitStatus>) -> bool {
+    match state {
+        StoredState::Interrupted => true,
+        StoredState::Ended => kind != RunKind::Imported && exit_status != Some(ExitStatus::Success),
+        StoredState::Queued
+        | StoredState::Idle
+        | StoredState::Running
+        | StoredState::Pausing
+        | StoredState::Paused
+        | StoredState::Stopping
+        | StoredState::Aborting
+        | StoredState::Suspending
+        | StoredState::Panicked
+        | StoredState::Removed => false,
     }
 }
 

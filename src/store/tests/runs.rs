@@ -114,12 +114,12 @@ async fn a_run_that_ended_short_of_its_plan_can_be_driven_again() {
         store.run_state(run, running, now()).await.unwrap();
         store.end_run(run, status, "requested", now()).await.unwrap();
         let ended = store.run(run).await.unwrap().unwrap();
-        assert_eq!(ended.is_resumable(), status != ExitStatus::Success);
+        assert_eq!(ended.is_resumable, status != ExitStatus::Success);
         let pausing = StateChange::to(StoredState::Pausing);
         assert!(store.run_state(run, pausing, now()).await.is_err(), "a late change");
-        assert_eq!(store.run_state(run, running, now()).await.is_ok(), ended.is_resumable());
+        assert_eq!(store.run_state(run, running, now()).await.is_ok(), ended.is_resumable);
         let open = store.run(run).await.unwrap().unwrap();
-        if ended.is_resumable() {
+        if ended.is_resumable {
             assert_eq!((open.exit_status, open.reason, open.ended_at), (None, None, None));
             assert_eq!(open.started_at, ended.started_at);
             store.end_run(run, ExitStatus::Success, "every trial", now()).await.unwrap();

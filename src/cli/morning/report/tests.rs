@@ -24,8 +24,8 @@ fn summary(change: impl FnOnce(&mut Value)) -> Summary {
         "deadband_n": 5.0, "tip_diameter_mm": 20.0, "trials_planned": 40, "auto_resume": true,
         "not_before": null, "plan_sha256": null, "state": "ended", "requested_state": null,
         "paused_why": null, "exit_status": "success", "reason": "every planned trial is stored",
-        "queue_position": null, "waiting_since": null, "created_at": time(0), "started_at": time(0),
-        "ended_at": time(60), "submitted_by": "Ada",
+        "queue_position": null, "waiting_since": null, "is_resumable": false, "created_at": time(0),
+        "started_at": time(0), "ended_at": time(60), "submitted_by": "Ada",
     });
     let mut summary = json!({
         "trials_stored": 40, "trials_skipped": 0, "retries": 0,
