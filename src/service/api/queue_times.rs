@@ -27,7 +27,7 @@ pub struct QueueTime {
     pub scan_id: i64,
     /// Likely duration, wall s; null if the run cannot be planned on this rig.
     pub duration_s: Option<f64>,
-    /// Likely begin; null while the end of the active run is not known, and for a run without a duration.
+    /// Likely begin; null while the end of the active run is not known, and for a run that would be refused.
     #[schema(value_type = Option<String>, format = DateTime)]
     pub begin: Option<Timestamp>,
     /// Likely end; null as `begin`.
@@ -80,7 +80,7 @@ pub async fn times(State(app): State<App>) -> Result<Page<QueueTime>, ApiError> 
         .zip(&planned)
         .map(|(row, planned)| Waiting {
             early_s: row.not_before.map_or(0.0, |at| at.duration_since(now).as_secs_f64()),
-            durations_s: planned.durations_s,
+            durations_s: planned.taken_s(),
         })
         .collect();
     let mut times = free_s.map_or_else(Vec::new, |free_s| predict(&waiting, free_s));
@@ -111,6 +111,11 @@ impl Planned {
         }
     }
 
+    /// Duration for which it will have the rig: none if it would be refused.
+    fn taken_s(&self) -> Option<[f64; 3]> {
+        self.durations_s.filter(|_| self.problem.is_none())
+    }
+
     fn refused(error: &ConductorError) -> Self {
         Self { durations_s: None, problem: Some(error_chain(error)) }
     }
@@ -125,7 +130,7 @@ async fn plan(app: &App, row: &RunRow) -> Result<Arc<Planned>, ConductorError> {
     }
 }
 
-/// A waiting run: the time until its earliest start, s, and its duration.
+/// A waiting run: the time until its earliest start, s, and its duration; absent if it would be refused.
 #[derive(Debug, Clone, Copy)]
 struct Waiting {
     early_s: f64,
@@ -140,7 +145,7 @@ struct Times {
 }
 
 /// Predicts the times of waiting runs in the order of the queue; `free_s`: when the rig is free, likely, low and high.
-/// A run without a duration is refused at its turn, and the next one begins.
+/// A run that would be refused is passed over, and the next one begins.
 fn predict(runs: &[Waiting], free_s: [f64; 3]) -> Vec<Option<Times>> {
     let mut times = vec![None; runs.len()];
     let mut open: Vec<usize> = (0..runs.len()).collect();
@@ -185,10 +190,14 @@ mod tests {
     fn a_run_that_cannot_be_planned_has_its_problem_and_the_others_have_their_times() {
         let refused = Planned::refused(&ConductorError::Refused(Refusal::Gone));
         assert_eq!(refused.problem.as_deref(), Some("the rig's thread does not answer"));
-        let unknown = Waiting { early_s: 0.0, durations_s: refused.durations_s };
-        let times = predict(&[waiting(0.0, 10.0), unknown, waiting(0.0, 10.0)], [0.0; 3]);
-        let begins: Vec<Option<f64>> =
-            times.iter().map(|time| time.map(|time| time.begin_s)).collect();
-        assert_eq!(begins, [Some(0.0), None, Some(10.0)]);
+        let outside =
+            Planned { durations_s: Some([5.0; 3]), problem: Some("x beyond its travel".into()) };
+        for planned in [refused, outside] {
+            let refused = Waiting { early_s: 0.0, durations_s: planned.taken_s() };
+            let times = predict(&[waiting(0.0, 10.0), refused, waiting(0.0, 10.0)], [0.0; 3]);
+            let begins: Vec<Option<f64>> =
+                times.iter().map(|time| time.map(|time| time.begin_s)).collect();
+            assert_eq!(begins, [Some(0.0), None, Some(10.0)]);
+        }
     }
 }
