@@ -58,6 +58,15 @@ pub struct Sample {
     pub volts: [f64; ARMS],
 }
 
+/// Devices that are read at every poll of a motion.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Polled {
+    /// The moving axes.
+    Axes,
+    /// The moving axes and the load cells, whose forces are checked.
+    AxesAndCells,
+}
+
 impl Stage {
     /// Moves axes together through the air and supervises them until they arrive.
     ///
@@ -65,7 +74,7 @@ impl Stage {
     /// Halts on a position outside the travel, an alarm, a late arrival, z not clear, a wire fault
     /// or a request.
     pub async fn travel(&mut self, control: &mut Control, targets: &[Target]) -> Result<(), Halt> {
-        self.watched_travel(control, targets, false, |_| false).await.map(|_| ())
+        self.watched_travel(control, targets, Polled::Axes, |_| false).await.map(|_| ())
     }
 
     /// Like `travel`, but reads and checks the cells at every poll.
@@ -77,7 +86,7 @@ impl Stage {
         control: &mut Control,
         target: Target,
     ) -> Result<(), Halt> {
-        self.watched_travel(control, &[target], true, |_| false).await.map(|_| ())
+        self.watched_travel(control, &[target], Polled::AxesAndCells, |_| false).await.map(|_| ())
     }
 
     /// Moves z, reads the cells at every poll, and stops z once `until` holds for a sample. Returns whether it did.
@@ -92,7 +101,7 @@ impl Stage {
     ) -> Result<bool, Halt> {
         let Descent { z_mm, speed_mm_s } = descent;
         let target = Target { axis: AxisName::Z, position: z_mm, speed: Some(speed_mm_s) };
-        self.watched_travel(control, &[target], true, until).await
+        self.watched_travel(control, &[target], Polled::AxesAndCells, until).await
     }
 
     /// Moves z at the press speed and reads the cells at every poll.
@@ -108,7 +117,7 @@ impl Stage {
         &mut self,
         control: &mut Control,
         targets: &[Target],
-        checks_forces: bool,
+        polled: Polled,
         mut until: impl FnMut(&Sample) -> bool,
     ) -> Result<bool, Halt> {
         let is_lateral = targets.iter().any(|t| t.axis != AxisName::Z);
@@ -116,7 +125,7 @@ impl Stage {
             self.require_clear().await?;
             self.skin = None;
         }
-        if !checks_forces {
+        if polled == Polled::Axes {
             self.begin_watch();
         }
         self.held_since = None;
@@ -127,7 +136,7 @@ impl Stage {
         let mut polled_s = self.clock.process_s();
         loop {
             control.attend()?;
-            let (statuses, reading) = self.poll(targets, checks_forces).await?;
+            let (statuses, reading) = self.poll(targets, polled).await?;
             let now_s = self.clock.process_s();
             self.stopping.note_poll(now_s - polled_s);
             polled_s = now_s;
@@ -216,14 +225,15 @@ impl Stage {
     async fn poll(
         &self,
         targets: &[Target],
-        checks_forces: bool,
+        polled: Polled,
     ) -> Result<(Vec<AxisStatus>, Option<CellVolts>), Halt> {
         let axes = try_join_all(targets.iter().map(|t| self.driven(t.axis).axis.status()));
-        if checks_forces {
-            let (statuses, reading) = futures::join!(axes, self.bench.cells.read());
-            Ok((statuses?, Some(reading?)))
-        } else {
-            Ok((axes.await?, None))
+        match polled {
+            Polled::Axes => Ok((axes.await?, None)),
+            Polled::AxesAndCells => {
+                let (statuses, reading) = futures::join!(axes, self.bench.cells.read());
+                Ok((statuses?, Some(reading?)))
+            }
         }
     }
 
@@ -238,7 +248,7 @@ impl Stage {
         for _ in 0..ROUNDS {
             let began_s = self.clock.process_s();
             self.poll_pause().await;
-            let (statuses, reading) = self.poll(&z, true).await?;
+            let (statuses, reading) = self.poll(&z, Polled::AxesAndCells).await?;
             if let Some(reading) = reading {
                 self.publish(&reading, statuses.first().map(|z| z.position));
             }
