@@ -7,7 +7,7 @@ use utoipa::ToSchema;
 
 use crate::campaign::bench::rig_state::RigState;
 use crate::campaign::run::run_state::PausedWhy;
-use crate::campaign::shown::status::{Phase, Status};
+use crate::campaign::shown::status::{Phase, RigStatus, Status};
 use crate::state::StoredState;
 
 /// Refusal of a rig without a stage.
@@ -62,7 +62,7 @@ impl RigAction {
     /// status does not show, it is refused, too.
     pub fn refused(self, Status { rig, run, .. }: &Status) -> Option<String> {
         match run {
-            None => self.refused_by_rig(rig.state, rig.has_stage),
+            None => self.refused_by_rig(rig),
             Some(run) if run.phase != Phase::Wait => Some(format!(
                 "{} is not possible while run {} is {}: pause or end it first",
                 self.as_str(),
@@ -70,18 +70,17 @@ impl RigAction {
                 run.state
             )),
             Some(run) if run.state == StoredState::Panicked && self == Self::Reset => None,
-            Some(run) if run.is_manual => {
-                self.refused_by_manual_run(rig.state, rig.has_stage, run.paused_why)
-            }
-            Some(_) => self.refused_by_rig(rig.state, rig.has_stage),
+            Some(run) if run.is_manual => self.refused_by_manual_run(rig, run.paused_why),
+            Some(_) => self.refused_by_rig(rig),
         }
     }
 
     /// Why the rig refuses it in this state, as text; `None` if it does not.
-    pub fn refused_by_rig(self, state: RigState, has_stage: bool) -> Option<String> {
-        if self.needs_stage() && !has_stage {
+    pub fn refused_by_rig(self, rig: &RigStatus) -> Option<String> {
+        if self.needs_stage() && !rig.has_stage {
             return Some(NO_STAGE.into());
         }
+        let state = rig.state;
         let is_allowed = match self {
             Self::Connect => state == RigState::Disconnected,
             Self::Home => matches!(state, RigState::Disarmed | RigState::Homed),
@@ -102,21 +101,16 @@ impl RigAction {
 
     /// Why a manual run that waits, or its rig, refuses it, as text; `None` if they do not. A hand may be on the
     /// skin, and tips that are entered now would let the next run press at once, on weights.
-    pub fn refused_by_manual_run(
-        self,
-        state: RigState,
-        has_stage: bool,
-        why: Option<PausedWhy>,
-    ) -> Option<String> {
+    fn refused_by_manual_run(self, rig: &RigStatus, why: Option<PausedWhy>) -> Option<String> {
         match self {
             Self::Home | Self::Jog | Self::Tips => Some(format!(
                 "{} is not possible during a manual run: hands may be on the skin; end the run first",
                 self.as_str()
             )),
-            Self::Tare if state == RigState::Disconnected => Some(NO_WIRES.into()),
+            Self::Tare if rig.state == RigState::Disconnected => Some(NO_WIRES.into()),
             Self::Tare => (why != Some(PausedWhy::ManualTrial))
                 .then(|| "tare is not possible: the run awaits no placement".into()),
-            Self::Connect | Self::Disconnect | Self::Reset => self.refused_by_rig(state, has_stage),
+            Self::Connect | Self::Disconnect | Self::Reset => self.refused_by_rig(rig),
         }
     }
 }

@@ -44,9 +44,11 @@ impl Engine {
     /// Accepts a request that concerns only the rig.
     pub(super) async fn rig_request(&mut self, envelope: Envelope) {
         let Envelope { request, answer, asked_in: _, presses } = envelope;
-        let (state, has_stage) = (self.control.rig(), self.config.bench().is_some());
-        let action = request.rig_action();
-        if let Some(words) = action.and_then(|action| action.refused_by_rig(state, has_stage)) {
+        let refused = {
+            let status = self.control.inbox.status.borrow();
+            request.rig_action().and_then(|action| action.refused_by_rig(&status.rig))
+        };
+        if let Some(words) = refused {
             let _ = answer.send(Err(Refusal::State(words)));
             return;
         }
