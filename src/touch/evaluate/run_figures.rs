@@ -2,12 +2,16 @@
 //! PURE. Uses: plotters, `figure`, `evaluate::{figures, charts}` (page, lines). Never: files, a number
 //! that was not measured.
 
+use std::error::Error;
+use std::ops::Range;
+
+use plotters::coord::types::RangedCoordf64;
 use plotters::prelude::*;
 
 use super::charts::Line;
 use super::figures::{FigureError, page};
 use crate::figure::style::{COLOURS, SMALL, TEXT, TINY, dash, legend, mesh, plain, whole};
-use crate::figure::{Heading, PageSize};
+use crate::figure::{Area, Heading, PageSize};
 
 /// Size of a figure of a run.
 const RUN_SIZE: PageSize = PageSize { width_px: 900, height_px: 500 };
@@ -15,6 +19,10 @@ const RUN_SIZE: PageSize = PageSize { width_px: 900, height_px: 500 };
 const HISTOGRAM_BINS: usize = 40;
 /// Largest number of contacts of a trial.
 const CONTACTS_SHOWN: usize = 7;
+
+/// A chart whose axes are numbers.
+type NumberChart<'a, 'b> =
+    ChartContext<'a, SVGBackend<'b>, Cartesian2d<RangedCoordf64, RangedCoordf64>>;
 
 /// A named curve with a band.
 #[derive(Debug, Clone, PartialEq)]
@@ -36,6 +44,31 @@ pub struct Contacts {
     pub published: Option<(String, [f64; CONTACTS_SHOWN])>,
 }
 
+/// A chart of numbers with named axes.
+fn numbers<'a, 'b>(
+    area: &'a Area<'b>,
+    [x, y]: [&str; 2],
+    [across, up]: [Range<f64>; 2],
+) -> Result<NumberChart<'a, 'b>, Box<dyn Error>> {
+    let mut chart = ChartBuilder::on(area)
+        .margin(18)
+        .x_label_area_size(50)
+        .y_label_area_size(78)
+        .build_cartesian_2d(across, up)?;
+    chart
+        .configure_mesh()
+        .x_label_formatter(&plain)
+        .y_label_formatter(&plain)
+        .x_desc(x)
+        .y_desc(y)
+        .light_line_style(TRANSPARENT)
+        .bold_line_style(mesh())
+        .label_style(SMALL)
+        .axis_desc_style(TEXT)
+        .draw()?;
+    Ok(chart)
+}
+
 /// Draws curves with their bands: x from zero, y from zero or the lowest value.
 ///
 /// # Errors
@@ -46,22 +79,7 @@ pub fn bands(heading: &Heading, x: &str, y: &str, bands: &[Band]) -> Result<Stri
     let (low, high) =
         all().fold((0.0, 1e-6), |(low, high): (f64, f64), at| (low.min(at[1]), high.max(at[3])));
     page("bands", RUN_SIZE, heading, |area| {
-        let mut chart = ChartBuilder::on(area)
-            .margin(18)
-            .x_label_area_size(50)
-            .y_label_area_size(70)
-            .build_cartesian_2d(0.0..right, low..1.06 * high)?;
-        chart
-            .configure_mesh()
-            .x_label_formatter(&plain)
-            .y_label_formatter(&plain)
-            .x_desc(x)
-            .y_desc(y)
-            .light_line_style(TRANSPARENT)
-            .bold_line_style(mesh())
-            .label_style(SMALL)
-            .axis_desc_style(TEXT)
-            .draw()?;
+        let mut chart = numbers(area, [x, y], [0.0..right, low..1.06 * high])?;
         for (band, colour) in bands.iter().zip(COLOURS.iter().cycle().skip(1)) {
             let colour = *colour;
             let lower = band.places.iter().map(|at| (at[0], at[1]));
@@ -205,22 +223,7 @@ pub fn over_time(
     // Several lines have a legend above them.
     let above = if lines.len() > 1 { 0.3 * (high - low) } else { 0.0 };
     page("over time", RUN_SIZE, heading, |area| {
-        let mut chart = ChartBuilder::on(area)
-            .margin(18)
-            .x_label_area_size(50)
-            .y_label_area_size(78)
-            .build_cartesian_2d(0.0..right, low - room..high + room + above)?;
-        chart
-            .configure_mesh()
-            .x_label_formatter(&plain)
-            .y_label_formatter(&plain)
-            .x_desc(x)
-            .y_desc(y)
-            .light_line_style(TRANSPARENT)
-            .bold_line_style(mesh())
-            .label_style(SMALL)
-            .axis_desc_style(TEXT)
-            .draw()?;
+        let mut chart = numbers(area, [x, y], [0.0..right, low - room..high + room + above])?;
         for (line, colour) in lines.iter().zip(COLOURS.iter().cycle().skip(1)) {
             let colour = *colour;
             let places = line.places.iter().copied();
