@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
 use super::At;
-use super::client::Client;
+use super::client::{Client, text_of};
 use super::download::download;
 use super::error::CliError;
 use super::next::Next;
@@ -180,17 +180,16 @@ pub async fn list(client: &Client, output: Output) -> Result<(), CliError> {
     ];
     let mut table = Table::new(&heads, "there are no exports: palpate dataset export NAME");
     for export in &exports {
-        let text = |value: &Value| value.as_str().unwrap_or_default().to_owned();
         let requested = export["created_at"].as_str().and_then(|at| at.parse::<Timestamp>().ok());
         table.push([
-            text(&export["id"]),
-            text(&export["state"]),
-            text(&export["request"]["dataset"]),
-            text(&export["request"]["format"]),
+            text_of(&export["id"]),
+            text_of(&export["state"]),
+            text_of(&export["request"]["dataset"]),
+            text_of(&export["request"]["format"]),
             or_dash(export["bytes"].as_f64().map(bytes)),
             or_dash(requested.map(local)),
-            text(&export["asked_by"]),
-            text(&export["error"]),
+            text_of(&export["asked_by"]),
+            text_of(&export["error"]),
         ]);
     }
     say(&table);

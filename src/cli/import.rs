@@ -9,7 +9,7 @@ use std::time::Duration;
 use clap::Args;
 use serde_json::{Value, json};
 
-use super::client::{Client, TextPart};
+use super::client::{Client, TextPart, text_of};
 use super::error::CliError;
 use super::files::read_input;
 use super::next::Next;
@@ -124,11 +124,10 @@ async fn store(
         say_json(&made);
         return Ok(());
     }
-    let text = |value: &Value| value.as_str().unwrap_or_default().to_owned();
     let run = &made["run"];
     let trials = counted(made["trials"].as_u64().unwrap_or_default(), "trial", "trials");
-    say(format_args!("run {}: {trials} ({})", run["scan_id"], text(&run["label"])));
-    let (run, dataset) = (&run["scan_id"], text(&made["dataset"]));
+    say(format_args!("run {}: {trials} ({})", run["scan_id"], text_of(&run["label"])));
+    let (run, dataset) = (&run["scan_id"], text_of(&made["dataset"]));
     Next::of(&args.at)
         .suggest(format_args!("palpate dataset show {dataset}"), "its parts and columns")
         .suggest(format_args!("palpate trials {run}"), "its trials")

@@ -5,7 +5,7 @@ use std::path::Path;
 
 use serde_json::Value;
 
-use super::client::Client;
+use super::client::{Client, text_of};
 use super::error::CliError;
 use super::job::recipe_name;
 use super::output::say;
@@ -51,7 +51,7 @@ pub async fn draw(client: &Client, name: &str, file: &Path) -> Result<(), CliErr
         Some(dataset) => {
             let path = format!("/api/v1/datasets/{dataset}/rows?columns=label&limit=1");
             let page: Value = client.get(&path).await?;
-            page["items"][0]["label"].as_str().unwrap_or_default().to_owned()
+            text_of(&page["items"][0]["label"])
         }
         None => String::new(),
     };

@@ -7,7 +7,7 @@ use serde::Deserialize;
 use serde_json::Value;
 use tokio::time::Instant;
 
-use super::client::Client;
+use super::client::{Client, text_of};
 use super::error::CliError;
 use super::output::{counted, say, say_json};
 use super::progress::{LogLines, progress_bar};
@@ -54,7 +54,7 @@ pub async fn status(at: &At) -> Result<(), CliError> {
     let heads: Vec<_> = [("run", Align::Left)].into_iter().chain(heads).collect();
     let mut table = Table::new(&heads, "no run has trials");
     for run in twins["runs"].as_array().into_iter().flatten() {
-        let uid = run["run"].as_str().unwrap_or_default().to_owned();
+        let uid = text_of(&run["run"]);
         table.push([uid].into_iter().chain(numbers.map(|number| run[number].to_string())));
     }
     say(&table);

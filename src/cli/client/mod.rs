@@ -394,19 +394,23 @@ pub fn url_limit(url: &str) -> Option<String> {
     }
 }
 
+/// The text of a field of an answer; empty if the field is absent or no text.
+pub fn text_of(field: &Value) -> String {
+    field.as_str().unwrap_or_default().to_owned()
+}
+
 /// Converts a problem body to an error: values outside their limits are bad input.
 fn refusal(operation: String, status: u16, body: &Value) -> CliError {
     tracing::debug!(operation, status, "the service refused a request");
-    let text = |value: &Value| value.as_str().unwrap_or_default().to_owned();
     let problems: Vec<Problem> = body["errors"]
         .as_array()
         .into_iter()
         .flatten()
         .map(|e| Problem {
-            file: text(&e["file"]),
-            key: text(&e["key"]),
-            value: text(&e["value"]),
-            limit: text(&e["limit"]),
+            file: text_of(&e["file"]),
+            key: text_of(&e["key"]),
+            value: text_of(&e["value"]),
+            limit: text_of(&e["limit"]),
             // The service may have read another text: a recipe with changes.
             at: None,
         })

@@ -8,7 +8,7 @@ use serde_json::{Value, json};
 
 use super::write_all;
 use crate::api::{FrameAnswer, InferOptions, InferRequest, JobOut, ModelOut};
-use crate::cli::client::Client;
+use crate::cli::client::{Client, text_of};
 use crate::cli::dataset::DATASET_WAIT;
 use crate::cli::error::CliError;
 use crate::cli::job::wait_for;
@@ -197,7 +197,7 @@ impl Lab for ServiceLab {
         let dataset = toml::from_str::<toml::Table>(&text).ok();
         let dataset = dataset.and_then(|recipe| recipe.get("dataset")?.as_str().map(str::to_owned));
         let dataset = match dataset {
-            Some(name) => self.dataset(&name).await?["id"].as_str().unwrap_or_default().to_owned(),
+            Some(name) => text_of(&self.dataset(&name).await?["id"]),
             None => String::new(),
         };
         // The name contains recipe and data: an equal request finds the model.
@@ -252,7 +252,7 @@ impl Lab for ServiceLab {
         Ok(Some(Trial {
             frame_v,
             contacts: serde_json::from_value(row["contacts"].clone()).unwrap_or_default(),
-            label: row["label"].as_str().unwrap_or_default().to_owned(),
+            label: text_of(&row["label"]),
         }))
     }
 
