@@ -18,6 +18,8 @@ fn main() -> ExitCode {
         .with_env_filter(filter)
         .with_writer(stderr)
         .with_ansi(stderr().is_terminal())
+        // The report of a failed write would go to the closed terminal, too, and panic.
+        .log_internal_errors(false)
         .init();
     // A second provider could only have been installed before.
     drop(rustls::crypto::ring::default_provider().install_default());

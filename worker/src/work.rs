@@ -1,6 +1,6 @@
 //! A worker: takes chunks, makes them and acknowledges them until it is told to end.
 //! Uses: `queue`, `chunk`, `scratch`, tokio's signals. Never: a chunk acknowledged before its result is in the
-//! store; another chunk after SIGTERM.
+//! store; another chunk after SIGTERM or after its terminal was closed.
 //!
 //! - One lease per worker, renewed by its heartbeats also while chunks are made. Each worker looks for leases
 //!   that have ended, and returns the chunks of those workers to the queue.
@@ -18,7 +18,7 @@ use graphile_worker::{
     HookRegistry, Job, JobRecovery, JobRecoveryContext, JobRecoveryResult, TaskDetails,
 };
 use serde_json::{Value, json};
-use tokio::signal::unix::{SignalKind, signal};
+use tokio::signal::unix::{Signal, SignalKind, signal};
 use tokio::sync::{Notify, watch};
 use tokio::task::JoinSet;
 use tokio::time::{sleep, timeout};
@@ -86,7 +86,7 @@ impl Shared {
     }
 }
 
-/// Works until SIGTERM or SIGINT; a second signal ends it within the present chunk.
+/// Works until SIGTERM, SIGINT or SIGHUP; a second SIGTERM or SIGINT ends it within the present chunk.
 ///
 /// # Errors
 /// `WorkerError` if the queue is not set up, refuses the role, or if the folder cannot be made.
@@ -144,8 +144,9 @@ pub async fn work(queue: Queue, store: Store, work: Work) -> Result<(), WorkerEr
                 }
                 None => break,
             },
-            () = signals.next() => {
-                if tell.send_replace(true) {
+            kind = signals.next() => {
+                // The shell and the kernel may both report that the terminal was closed.
+                if tell.send_replace(true) && kind != SignalKind::hangup() {
                     tracing::warn!("ends now; its chunks are returned when its lease ends");
                     return Err(WorkerError::Failed("ended by a second signal".into()));
                 }
@@ -383,26 +384,52 @@ impl Pause {
     }
 }
 
-/// SIGTERM and SIGINT.
+/// SIGTERM, SIGINT, and SIGHUP unless the worker was started to ignore it, as by `nohup`.
 struct Signals {
-    terminate: tokio::signal::unix::Signal,
-    interrupt: tokio::signal::unix::Signal,
+    terminate: Signal,
+    interrupt: Signal,
+    hang_up: Option<Signal>,
 }
 
 impl Signals {
     fn new() -> std::io::Result<Self> {
+        let own = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+        let hang_up = match ignores_hang_up(&own) {
+            true => None,
+            false => Some(signal(SignalKind::hangup())?),
+        };
         Ok(Self {
             terminate: signal(SignalKind::terminate())?,
             interrupt: signal(SignalKind::interrupt())?,
+            hang_up,
         })
     }
 
-    async fn next(&mut self) {
+    /// Waits for the next signal.
+    async fn next(&mut self) -> SignalKind {
+        let Self { terminate, interrupt, hang_up } = self;
+        let hung_up = async {
+            match hang_up {
+                Some(signal) => {
+                    signal.recv().await;
+                }
+                None => std::future::pending().await,
+            }
+        };
         tokio::select! {
-            _ = self.terminate.recv() => (),
-            _ = self.interrupt.recv() => (),
+            _ = terminate.recv() => SignalKind::terminate(),
+            _ = interrupt.recv() => SignalKind::interrupt(),
+            () = hung_up => SignalKind::hangup(),
         }
     }
+}
+
+/// Whether a process ignores SIGHUP; `status`: its `/proc/PID/status`.
+fn ignores_hang_up(status: &str) -> bool {
+    let ignored = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
+    let mask = ignored.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok());
+    // SIGHUP is signal 1, the lowest bit.
+    mask.is_some_and(|mask| mask & 1 == 1)
 }
 
 /// Name of this machine.
@@ -415,6 +442,14 @@ fn host() -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_process_under_nohup_ignores_that_its_terminal_is_closed() {
+        let status = |mask: &str| format!("SigBlk:\t0000000000000001\nSigIgn:\t{mask}\n");
+        assert!(ignores_hang_up(&status("0000000000001001")));
+        assert!(!ignores_hang_up(&status("0000000000001000")));
+        assert!(!ignores_hang_up(""));
+    }
 
     #[test]
     fn a_pause_grows_to_its_longest_and_begins_again() {

@@ -60,7 +60,9 @@ impl Bench {
 
     /// The program with another address of the queue.
     pub fn command_at(&self, address: &str, arguments: &[&str]) -> Command {
-        let mut command = Command::new(env!("CARGO_BIN_EXE_palpate-worker"));
+        // The tests themselves may run under nohup.
+        let mut command = Command::new("env");
+        command.args(["--default-signal=HUP", env!("CARGO_BIN_EXE_palpate-worker")]);
         command.env("PALPATE_QUEUE", address).env("PALPATE_STORE", self.store());
         command.env("PALPATE_PROGRAM", stand_in()).env_remove("PALPATE_LOG").args(arguments);
         command
@@ -169,7 +171,16 @@ impl Made {
 impl Worker {
     /// Sends SIGTERM.
     pub fn terminate(&self) {
-        server::run(Command::new("kill").arg(self.process.id().to_string()));
+        self.signal("TERM");
+    }
+
+    /// Sends SIGHUP.
+    pub fn hang_up(&self) {
+        self.signal("HUP");
+    }
+
+    fn signal(&self, name: &str) {
+        server::run(Command::new("kill").args(["-s", name, &self.process.id().to_string()]));
     }
 
     /// Waits for its end, and returns whether it succeeded.

@@ -169,6 +169,14 @@ fn after_sigterm_the_present_chunk_is_completed_and_no_other_taken() {
     let workers: serde_json::Value =
         serde_json::from_str(&bench.ok(&["status", "--json"])).unwrap();
     assert_eq!(workers["workers"], json!([]));
+    // A closed terminal is a request to end, also if shell and kernel both report it.
+    let mut worker = bench.worker(&bench.address, &[]);
+    until("a chunk is made", SOON, || bench.status(&made)["running"] == json!(1));
+    worker.hang_up();
+    std::thread::sleep(Duration::from_millis(200));
+    worker.hang_up();
+    assert!(worker.ended(Duration::from_secs(10)), "{}", worker.log());
+    assert_eq!(bench.status(&made)["done"], json!(2));
     // A second signal does not wait for the chunk, which is returned when the lease ends.
     let mut worker = bench.worker(&bench.address, &[]);
     until("a chunk is made", SOON, || bench.status(&made)["running"] == json!(1));
