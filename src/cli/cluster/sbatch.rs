@@ -193,6 +193,10 @@ impl JobArgs {
         let submit = format!("sbatch {folder}/{JOB_FILE}");
         Next::default()
             .line(submit, "submits the array job")
+            .suggest(
+                format_args!("palpate worker submit {folder}"),
+                "lets workers over PostgreSQL make its chunks instead",
+            )
             .suggest(format_args!("palpate cluster status {folder}"), "shows what is done")
             .say();
         Ok(())
