@@ -3,7 +3,7 @@
 
 use super::fit::{Explanation, FittedContact};
 use super::place_of;
-use super::search::{Hypothesis, same};
+use super::search::{Hypothesis, closest_mm, same};
 use super::shapes::Place;
 
 /// Smallest share of the evidence of a reported explanation.
@@ -33,25 +33,31 @@ pub(super) struct Explanations {
     pub probability: f64,
     /// The others, in the order in which they were added.
     pub alternatives: Vec<Explanation>,
-    /// Share of the evidence that was counted twice.
-    twice: f64,
+    /// Smallest distance of two contacts of an explanation, mm.
+    least_distance_mm: f64,
+    /// Share of the evidence that does not count: of explanations that are known already or collapsed.
+    excluded: f64,
 }
 
 impl Explanations {
     /// The answer alone, with its share.
-    pub fn of(probability: f64) -> Self {
-        Self { probability, alternatives: Vec::new(), twice: 0.0 }
+    pub fn of(probability: f64, least_distance_mm: f64) -> Self {
+        Self { probability, alternatives: Vec::new(), least_distance_mm, excluded: 0.0 }
     }
 
     /// Adds an explanation with its share. If its descent ended at the answer or at a known one, it is that one,
-    /// whose evidence is counted already.
+    /// whose evidence is counted already; if it ended with two contacts at one place, it is none.
     pub fn add(&mut self, answer: &[FittedContact], other: Explanation) {
         let places = |contacts: &[FittedContact]| -> Vec<Place> {
             contacts.iter().map(|found| place_of(&found.contact)).collect()
         };
-        let is_other = |known: &[FittedContact]| same(&places(known), &places(&other.contacts));
-        if is_other(answer) || self.alternatives.iter().any(|known| is_other(&known.contacts)) {
-            self.twice += other.probability;
+        let ended = places(&other.contacts);
+        let is_other = |known: &[FittedContact]| same(&places(known), &ended);
+        if closest_mm(&ended) < self.least_distance_mm
+            || is_other(answer)
+            || self.alternatives.iter().any(|known| is_other(&known.contacts))
+        {
+            self.excluded += other.probability;
         } else {
             self.alternatives.push(other);
         }
@@ -59,10 +65,10 @@ impl Explanations {
 
     /// Makes the shares those of the evidence that is counted once.
     pub fn counted_once(mut self) -> Self {
-        let all = 1.0 - self.twice;
+        let all = 1.0 - self.excluded;
         self.probability /= all;
         self.alternatives.iter_mut().for_each(|other| other.probability /= all);
-        self.twice = 0.0;
+        self.excluded = 0.0;
         self
     }
 }
@@ -97,7 +103,7 @@ mod tests {
 
     #[test]
     fn descents_that_end_at_one_place_are_one_explanation_and_count_once() {
-        let mut found = Explanations::of(0.4);
+        let mut found = Explanations::of(0.4, 20.0);
         for (x_mm, probability) in [(200.0, 0.2), (103.0, 0.15), (300.0, 0.1), (202.0, 0.05)] {
             found.add(&at(100.0), Explanation { probability, contacts: at(x_mm) });
         }
@@ -112,5 +118,18 @@ mod tests {
             (shares[0] - 0.25).abs() < 1e-12 && (shares[1] - 0.125).abs() < 1e-12,
             "{shares:?}"
         );
+    }
+
+    #[test]
+    fn contacts_that_collapse_are_no_explanation() {
+        let mut found = Explanations::of(0.6, 20.0);
+        let close = [at(200.0), at(215.0)].concat();
+        found.add(&at(100.0), Explanation { probability: 0.2, contacts: close });
+        let apart = [at(200.0), at(225.0)].concat();
+        found.add(&at(100.0), Explanation { probability: 0.2, contacts: apart.clone() });
+        let found = found.counted_once();
+        assert!((found.probability - 0.75).abs() < 1e-12);
+        assert_eq!(found.alternatives.len(), 1);
+        assert_eq!(found.alternatives[0].contacts, apart);
     }
 }

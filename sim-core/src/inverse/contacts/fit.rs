@@ -188,7 +188,7 @@ pub struct Fit {
     /// -2 ln evidence up to a constant of the frame: a difference of 10 is odds of 150 to 1.
     pub score: f64,
     /// Share of the evidence of these contacts among all hypotheses of the last search, 0 to 1; absent
-    /// without a search.
+    /// without a search, and if the contacts of all its hypotheses collapsed.
     pub probability: Option<f64>,
     /// What else explains the frame by that search, the most probable first.
     pub alternatives: Vec<Explanation>,

@@ -131,7 +131,8 @@ impl ContactFitter {
     }
 
     /// Adds to the fit of the first hypothesis its probability, and the next probable ones, each finished
-    /// with the exact model. The evidence is compared before that: it has the same effort for all.
+    /// with the exact model. The evidence is compared before that: it has the same effort for all. Without a
+    /// hypothesis, since the contacts of each collapsed, nothing states how probable the answer is.
     fn explain(
         &self,
         hypotheses: &[Hypothesis],
@@ -141,7 +142,8 @@ impl ContactFitter {
     ) -> Result<(), ContactError> {
         let scores: Vec<f64> = hypotheses.iter().map(|h| h.score).collect();
         let shares = shares(&scores);
-        let mut found = Explanations::of(shares.first().copied().unwrap_or(1.0));
+        let Some(&best) = shares.first() else { return Ok(()) };
+        let mut found = Explanations::of(best, self.options.least_distance_mm);
         let others = hypotheses.iter().zip(&shares).skip(1);
         for (hypothesis, &probability) in explain::probable(others) {
             let other = self.report(hypothesis.places.clone(), observation, self.effort(), work)?;
