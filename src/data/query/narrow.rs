@@ -1,6 +1,7 @@
 //! The columns of a dataset without its frames, in a second file with few row groups: a question about millions
 //! of trials reads their values, not the footers of thousands of row groups (`docs/decisions/0015`).
-//! Uses: arrow, parquet, `dataset::format`. Never: all rows at once, a file of a dataset that is no longer there.
+//! Uses: arrow, parquet, `dataset::format`. Never: all rows at once, a file of a dataset that is no longer there, a
+//! sync to the disk during a run.
 
 use std::fs::File;
 use std::path::{Path, PathBuf};
@@ -19,6 +20,12 @@ use crate::store::table::Column;
 /// Rows of a row group: 20 MB in memory.
 const NARROW_ROWS: usize = 32_768;
 
+/// Returns the file of `folder` with the columns of a dataset's file except its frames; `None` if it is not written.
+pub fn known(folder: &Path, dataset: &Path) -> Option<PathBuf> {
+    let narrow = folder.join(dataset.file_name()?);
+    narrow.is_file().then_some(narrow)
+}
+
 /// Returns the file of `folder` with the columns of a dataset's file except its frames; it is written if it is
 /// missing. It has the name of the dataset's file and never changes. `free` is the free space of the disk, bytes.
 ///
@@ -26,15 +33,16 @@ const NARROW_ROWS: usize = 32_768;
 /// `DatasetError` if the dataset's file cannot be read, or this one not be written without the space that is reserved
 /// for runs.
 pub async fn of_dataset(folder: &Path, dataset: &Path, free: u64) -> Result<PathBuf, DatasetError> {
+    if let Some(narrow) = known(folder, dataset) {
+        return Ok(narrow);
+    }
+    // It is smaller than the dataset's file.
+    let needed = dataset.metadata().map_err(DatasetError::file("opening", dataset))?.len();
+    Space { needed, free }.check(Product::Dataset)?;
     let name = dataset.file_name().unwrap_or_default().to_string_lossy().into_owned();
     let narrow = folder.join(&name);
-    if !narrow.is_file() {
-        // It is smaller than the dataset's file.
-        let needed = dataset.metadata().map_err(DatasetError::file("opening", dataset))?.len();
-        Space { needed, free }.check(Product::Dataset)?;
-        let (folder, dataset) = (folder.to_owned(), dataset.to_owned());
-        background(move || write(&folder, &name, &dataset)).await??;
-    }
+    let (folder, dataset) = (folder.to_owned(), dataset.to_owned());
+    background(move || write(&folder, &name, &dataset)).await??;
     Ok(narrow)
 }
 
@@ -116,10 +124,12 @@ mod tests {
         stream.finish().unwrap().finish("ds-1.parquet").unwrap();
 
         let dataset = datasets.join("ds-1.parquet");
+        assert_eq!(known(&narrow, &dataset), None);
         let full = of_dataset(&narrow, &dataset, 1 << 30).await.unwrap_err();
         assert!(matches!(full, DatasetError::DiskFull { .. }), "{full}");
         let made = of_dataset(&narrow, &dataset, ROOM).await.unwrap();
         assert_eq!(made, narrow.join("ds-1.parquet"));
+        assert_eq!(known(&narrow, &dataset).as_ref(), Some(&made));
         let builder = ParquetRecordBatchReaderBuilder::try_new(File::open(&made).unwrap()).unwrap();
         assert_eq!(builder.metadata().num_row_groups(), 2);
         let names: Vec<&String> = builder.schema().fields().iter().map(|f| f.name()).collect();

@@ -112,7 +112,7 @@ impl Tables {
                 }
                 let files = trials.clone().unwrap_or_default();
                 match known.form {
-                    Form::Trials | Form::Contacts => self.without_frames(files).await,
+                    Form::Trials | Form::Contacts => self.without_frames(files, &runs).await,
                     _ => files,
                 }
             };
@@ -138,14 +138,22 @@ impl Tables {
     }
 
     /// Files with the same trials; those of datasets have no frames, and few row groups.
-    async fn without_frames(&self, mut files: Vec<PathBuf>) -> Vec<PathBuf> {
+    async fn without_frames(&self, mut files: Vec<PathBuf>, runs: &[RunRow]) -> Vec<PathBuf> {
         let datasets = self.datasets.datasets();
         narrow::trim(&self.columns, &datasets);
         let free = self.store.free_bytes().await.unwrap_or_default();
+        // A new file is synced to the disk, and a trial's commit would wait for it. The dataset's file has the same rows.
+        let may_write = !runs.iter().any(RunRow::is_driven);
         for file in files.iter_mut().filter(|file| file.starts_with(&datasets)) {
+            if !may_write {
+                if let Some(narrow) = narrow::known(&self.columns, file) {
+                    *file = narrow;
+                }
+                continue;
+            }
             match narrow::of_dataset(&self.columns, file, free).await {
                 Ok(narrow) => *file = narrow,
-                // A full disk: the dataset's file has the same rows.
+                // A full disk.
                 Err(error) => tracing::warn!(%error, "the columns of a dataset were not written"),
             }
         }

@@ -24,7 +24,6 @@ use crate::conductor::{Armed, Started};
 use crate::ids::RunUid;
 use crate::journal::Journal;
 use crate::schedule::preflight::Preflight;
-use crate::state::StoredState;
 use crate::store::{Role, RunRow, SettingCount, SkipRow};
 
 /// Results of a run.
@@ -308,7 +307,7 @@ async fn request_action(
     if !active {
         let (action, scan_id, state) = (asked.action.as_str(), run.scan_id, run.state);
         let mut words = format!("action {action}: run {scan_id} is {state}, not active");
-        if run.is_open() && state != StoredState::Interrupted {
+        if run.is_driven() {
             words += "; it is about to be driven again after a restart: abort ends it";
         }
         return Err(ApiError::new(StatusCode::CONFLICT, words));

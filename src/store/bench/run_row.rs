@@ -149,6 +149,11 @@ impl RunRow {
         !matches!(self.state, StoredState::Queued | StoredState::Ended | StoredState::Removed)
     }
 
+    /// Whether it is driven, now or again after a restart: trials of it may be stored at any time.
+    pub fn is_driven(&self) -> bool {
+        self.is_open() && self.state != StoredState::Interrupted
+    }
+
     pub(crate) fn read(row: &SqliteRow, operation: &'static str) -> Result<Self, StoreError> {
         let c = Columns::of(row, operation);
         let (kind, state) = (c.word("kind")?, c.word("state")?);
