@@ -341,6 +341,11 @@ async fn the_lengths_of_frames_are_those_of_the_given_trials() {
     assert_eq!(lengths(&[5]).await, [100]);
     assert_eq!(lengths(&[4, 0]).await, [784], "the other run has trials between them");
     assert_eq!(lengths(&[3, 2, 1]).await, [100, 784]);
+    // A page that was found before a trial of it was discarded.
+    store.discard(other, TrialKey { configuration: 1, depth_index: 0 }, "late").await.unwrap();
+    assert!(lengths(&[3]).await.is_empty());
+    assert_eq!(lengths(&[2, 3]).await, [784]);
+    assert_eq!(lengths(&[3, 2, 1]).await, [100, 784]);
 }
 
 #[tokio::test]
