@@ -19,7 +19,7 @@ use tokio::time::Instant;
 
 use crate::campaign::bench::estop::AxisStop;
 use crate::campaign::bench::interlock::{Trip, TripKind};
-use crate::campaign::bench::stage::{Raised, Stage};
+use crate::campaign::bench::stage::{Height, Raised, Stage};
 use crate::campaign::run::control::Control;
 use crate::campaign::run::halt::Halt;
 use crate::campaign::shown::safe_end::{SafeEnd, Tips};
@@ -30,15 +30,6 @@ use crate::rig::traits::Axis;
 const RAISE_TRIES: u32 = 3;
 /// Pause between two attempts.
 const RAISE_AGAIN: Duration = Duration::from_millis(200);
-
-/// Height to which the tips are raised.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Height {
-    /// Clear of the skin, as for travelling.
-    Clear,
-    /// Top of the travel: room for a person's hands.
-    Top,
-}
 
 /// Makes the rig safe, then publishes the result. `trip` latches the rig. Without one (pause now,
 /// abort, shutdown) the state of the rig does not change, unless the tips cannot be raised: that

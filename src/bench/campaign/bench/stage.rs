@@ -18,7 +18,6 @@ use crate::campaign::bench::stopping::{POLL_S, Stopping};
 use crate::campaign::bench::stuck::StuckChannels;
 use crate::campaign::run::control::Control;
 use crate::campaign::run::halt::Halt;
-use crate::campaign::safe_end::Height;
 use crate::campaign::shown::samples::{ForceSample, Samples};
 use crate::clock::Clock;
 use crate::record::{ARMS, Pose, TouchOffRecord};
@@ -43,6 +42,15 @@ pub enum AxisName {
     Z,
     /// Rotary actuator of the slots, which sets the radius.
     Radial,
+}
+
+/// Height to which the tips are raised.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Height {
+    /// Clear of the skin, as for travelling.
+    Clear,
+    /// Top of the travel: room for a person's hands.
+    Top,
 }
 
 /// The bench, its limits and its last readings.

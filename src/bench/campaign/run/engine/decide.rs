@@ -6,11 +6,11 @@ use serde_json::json;
 
 use super::{Attempts, Engine, Next, Owed};
 use crate::campaign::bench::interlock::{Trip, TripKind};
+use crate::campaign::bench::stage::Height;
 use crate::campaign::diary::Note;
 use crate::campaign::run::halt::Halt;
 use crate::campaign::run::job::Job;
 use crate::campaign::run::run_state::{PausedWhy, RunAction, RunEvent, RunState};
-use crate::campaign::safe_end::Height;
 use crate::campaign::shown::safe_end::Tips;
 use crate::campaign::shown::status::Wanted;
 use crate::journal::{ExitStatus, error_chain};

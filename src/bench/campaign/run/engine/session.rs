@@ -11,6 +11,7 @@ use super::{Answer, Attempts, Engine, Last, Next, Owed, no_stage, no_wires, trip
 use crate::campaign::bench::evidence::SilentArms;
 use crate::campaign::bench::interlock::{self, ForceLimits, TripKind};
 use crate::campaign::bench::rig_state::{RigEvent, RigState};
+use crate::campaign::bench::stage::Height;
 use crate::campaign::bench::touch_off;
 use crate::campaign::diary::Note;
 use crate::campaign::run::eta::Pace;
@@ -18,7 +19,7 @@ use crate::campaign::run::halt::Halt;
 use crate::campaign::run::job::Job;
 use crate::campaign::run::resume;
 use crate::campaign::run::run_state::RunEvent;
-use crate::campaign::safe_end::{Height, raise_as_planned};
+use crate::campaign::safe_end::raise_as_planned;
 use crate::campaign::shown::command::{Refusal, Request};
 use crate::campaign::shown::show;
 use crate::campaign::shown::status::{Phase, Wanted};
