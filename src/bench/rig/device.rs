@@ -1,18 +1,17 @@
 //! A supported device: its name in rig files, what a rig file may set in it, and its driver. The
-//! folder of a device describes its own; `drives` and `input_modules` list all of them.
+//! folder of a device describes its own; `drives` and `input_modules` list all of them, and find the one that a rig
+//! file names.
 //! Uses: `axis`, `station`, `link`, `traits`. Never: the name of a device, requests, ports.
 
 use std::fmt;
 use std::sync::Arc;
 
-use serde::de::{Deserialize, Deserializer, Error};
+use serde::de::Error;
 use serde::ser::{Serialize, Serializer};
 
 use super::axis::{Drive, ModbusAxis};
 use super::cells::CellsConfig;
 use super::config::AxisProfile;
-use super::drives::DRIVES;
-use super::input_modules::MODULES;
 use super::link::MotionGate;
 use super::station::Station;
 use super::traits::{Axis, LoadCells};
@@ -114,7 +113,7 @@ impl CellsDevice {
 }
 
 /// The device with a name, of a list.
-fn by_name<T: Copy, E: Error>(
+pub(super) fn by_name<T: Copy, E: Error>(
     found: &str,
     devices: &[T],
     name: fn(T) -> &'static str,
@@ -124,18 +123,6 @@ fn by_name<T: Copy, E: Error>(
         let names = names.join(", ");
         E::custom(format!("unknown device `{found}`, expected one of {names}"))
     })
-}
-
-impl<'de> Deserialize<'de> for AxisDevice {
-    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        by_name(&String::deserialize(deserializer)?, DRIVES, Self::as_str)
-    }
-}
-
-impl<'de> Deserialize<'de> for CellsDevice {
-    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        by_name(&String::deserialize(deserializer)?, MODULES, Self::as_str)
-    }
 }
 
 impl Serialize for AxisDevice {
@@ -180,8 +167,9 @@ impl fmt::Debug for CellsDevice {
 
 #[cfg(test)]
 mod tests {
-    use super::*;
     use crate::rig::config::RigConfig;
+    use crate::rig::drives::DRIVES;
+    use crate::rig::input_modules::MODULES;
 
     const FILE: &str = include_str!("../../../experiments/rigs/virtual.toml");
 
