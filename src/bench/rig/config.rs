@@ -1,6 +1,6 @@
 //! The rig file: which device is connected to which wire at which address, how far and how fast it
 //! may move, and the limits that trip it. It is parsed and checked here; nothing is opened.
-//! PURE. Uses: `problem`, `cells`, `device`, `guard`, `limits`. Never: ports, files (the text is passed in).
+//! PURE. Uses: `problem`, `wires`, `axes`, `cells`, `limits`. Never: ports, files (the text is passed in).
 //!
 //! Machine coordinates: x and y increase along the stage, z increases downward from the raised home
 //! position 0. The slot converts the angle of the rotary actuator to a radius.
@@ -9,10 +9,12 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
+pub use super::axes::{AxesConfig, AxisProfile, LinearAxis, RotaryAxis};
 pub use super::cells::CellsConfig;
 pub use super::device::{AxisDevice, CellsDevice};
 pub use super::guard::Guard;
 pub use super::limits::RigLimits;
+pub use super::wires::{ErtConfig, LineConfig, Parity};
 use crate::problem::{Checks, Problem};
 use crate::record::Label;
 use crate::syntax::parse_toml;
@@ -59,177 +61,6 @@ impl From<RigLabel> for Label {
         match label {
             RigLabel::Measured => Self::Measured,
             RigLabel::Virtual => Self::Virtual,
-        }
-    }
-}
-
-/// Connection of one Modbus wire.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(tag = "kind", rename_all = "kebab-case", deny_unknown_fields)]
-pub enum LineConfig {
-    /// Modbus TCP connection.
-    ModbusTcp {
-        /// `host:port`.
-        address: String,
-        /// Longest wait for one reply, wall ms.
-        #[serde(default = "default_timeout_ms")]
-        timeout_ms: u64,
-        /// Consecutive failed attempts of a request after which the rig trips, 1 to 10.
-        #[serde(default = "default_retries")]
-        retries: u32,
-    },
-    /// Modbus RTU on a serial port, shared by several addresses.
-    ModbusRtu {
-        /// Path of the serial device.
-        path: String,
-        /// Baud rate, bits per second.
-        baud: u32,
-        /// Parity: `none`, `even` or `odd`.
-        #[serde(default)]
-        parity: Parity,
-        /// Silence between a reply and the next request, wall us. Absent: the standard value of 3.5
-        /// characters, or 1750 us above 19200 baud.
-        #[serde(default, skip_serializing_if = "Option::is_none")]
-        silence_us: Option<u64>,
-        /// Longest wait for one reply, wall ms.
-        #[serde(default = "default_timeout_ms")]
-        timeout_ms: u64,
-        /// Consecutive failed attempts of a request after which the rig trips, 1 to 10.
-        #[serde(default = "default_retries")]
-        retries: u32,
-    },
-}
-
-/// Parity of a serial line.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Parity {
-    /// No parity, 8N1.
-    #[default]
-    None,
-    /// Even parity, 8E1.
-    Even,
-    /// Odd parity, 8O1.
-    Odd,
-}
-
-/// The four actuators of the paper's rig (II-B).
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct AxesConfig {
-    /// Stage axis along the width of the skin.
-    pub x: LinearAxis,
-    /// Stage axis along the height of the skin.
-    pub y: LinearAxis,
-    /// Stage axis toward the skin, positive downward.
-    pub z: LinearAxis,
-    /// Rotary actuator that spreads the six arms.
-    pub radial: RotaryAxis,
-}
-
-/// Settings of a linear axis.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct LinearAxis {
-    /// Register map of the drive.
-    pub device: AxisDevice,
-    /// Name of the wire.
-    pub line: String,
-    /// Modbus address of the drive.
-    pub unit: u8,
-    /// Device counts per millimetre.
-    pub counts_per_mm: f64,
-    /// Soft limits of commanded and measured positions, mm.
-    pub travel_mm: [f64; 2],
-    /// Travelling speed, mm/s.
-    pub speed_mm_s: f64,
-    /// Acceleration and deceleration, mm/s^2.
-    pub acceleration_mm_s2: f64,
-    /// Distance from the target that counts as arrived, mm.
-    pub tolerance_mm: f64,
-    /// Guards of the drive; absent: none.
-    #[serde(default, skip_serializing_if = "Guard::is_none")]
-    pub guard: Guard,
-}
-
-/// Settings of the rotary axis.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct RotaryAxis {
-    /// Register map of the drive.
-    pub device: AxisDevice,
-    /// Name of the wire.
-    pub line: String,
-    /// Modbus address of the drive.
-    pub unit: u8,
-    /// Device counts per degree.
-    pub counts_per_deg: f64,
-    /// Soft limits of commanded and measured positions, degrees.
-    pub travel_deg: [f64; 2],
-    /// Travelling speed, degrees/s.
-    pub speed_deg_s: f64,
-    /// Acceleration and deceleration, degrees/s^2.
-    pub acceleration_deg_s2: f64,
-    /// Distance from the target that counts as arrived, degrees.
-    pub tolerance_deg: f64,
-    /// Guards of the drive; absent: none.
-    #[serde(default, skip_serializing_if = "Guard::is_none")]
-    pub guard: Guard,
-}
-
-/// Settings of an axis in its own unit (mm or degrees), for its driver.
-#[derive(Debug, Clone, PartialEq)]
-pub struct AxisProfile {
-    /// Register map of the drive.
-    pub device: AxisDevice,
-    /// Name of the wire.
-    pub line: String,
-    /// Modbus address of the drive.
-    pub address: u8,
-    /// Device counts per unit.
-    pub counts_per_unit: f64,
-    /// Soft limits, units.
-    pub travel: [f64; 2],
-    /// Travelling speed, units/s.
-    pub speed: f64,
-    /// Acceleration, units/s^2.
-    pub acceleration: f64,
-    /// Distance from the target that counts as arrived, units.
-    pub tolerance: f64,
-    /// Guards of the drive.
-    pub guard: Guard,
-}
-
-impl LinearAxis {
-    /// Settings in the axis's unit, millimetres.
-    pub fn profile(&self) -> AxisProfile {
-        AxisProfile {
-            device: self.device,
-            line: self.line.clone(),
-            address: self.unit,
-            counts_per_unit: self.counts_per_mm,
-            travel: self.travel_mm,
-            speed: self.speed_mm_s,
-            acceleration: self.acceleration_mm_s2,
-            tolerance: self.tolerance_mm,
-            guard: self.guard,
-        }
-    }
-}
-
-impl RotaryAxis {
-    /// Settings in the axis's unit, degrees.
-    pub fn profile(&self) -> AxisProfile {
-        AxisProfile {
-            device: self.device,
-            line: self.line.clone(),
-            address: self.unit,
-            counts_per_unit: self.counts_per_deg,
-            travel: self.travel_deg,
-            speed: self.speed_deg_s,
-            acceleration: self.acceleration_deg_s2,
-            tolerance: self.tolerance_deg,
-            guard: self.guard,
         }
     }
 }
@@ -281,58 +112,6 @@ pub struct SkinPlacement {
     pub clearance_mm: f64,
 }
 
-/// Connection of the voltage stream.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(tag = "kind", rename_all = "kebab-case", deny_unknown_fields)]
-pub enum ErtConfig {
-    /// TCP connection to a serial server.
-    Tcp {
-        /// `host:port`.
-        address: String,
-        /// Number of electrodes; packets with another number are rejected.
-        electrodes: u16,
-        /// Frames per process second.
-        frame_rate_hz: f64,
-    },
-    /// Serial port.
-    Serial {
-        /// Path of the serial device.
-        path: String,
-        /// Baud rate, bits per second.
-        baud: u32,
-        /// Number of electrodes; packets with another number are rejected.
-        electrodes: u16,
-        /// Frames per process second.
-        frame_rate_hz: f64,
-    },
-}
-
-impl ErtConfig {
-    /// Number of electrodes; packets with another number are rejected.
-    pub fn electrodes(&self) -> u16 {
-        match self {
-            ErtConfig::Tcp { electrodes, .. } | ErtConfig::Serial { electrodes, .. } => *electrodes,
-        }
-    }
-
-    /// Frames per process second.
-    pub fn frame_rate_hz(&self) -> f64 {
-        match self {
-            ErtConfig::Tcp { frame_rate_hz, .. } | ErtConfig::Serial { frame_rate_hz, .. } => {
-                *frame_rate_hz
-            }
-        }
-    }
-
-    /// Checks rate and electrodes.
-    pub(super) fn check(&self, c: &mut Checks<'_>) {
-        c.within("ert.frame_rate_hz", self.frame_rate_hz(), 0.1..=1000.0);
-        let electrodes = self.electrodes();
-        let ok = (2..=64).contains(&electrodes);
-        c.require(ok, "ert.electrodes", electrodes, "must be 2 to 64");
-    }
-}
-
 impl RigConfig {
     /// Parses and checks the text of a rig file. `file` is its name in the problems.
     ///
@@ -352,51 +131,13 @@ impl RigConfig {
         speed.min(self.axes.z.speed_mm_s)
     }
 
-    fn check_lines(&self, c: &mut Checks<'_>) {
-        for (name, line) in &self.lines {
-            let key = |k: &str| format!("lines.{name}.{k}");
-            let (timeout_ms, retries) = match line {
-                LineConfig::ModbusTcp { timeout_ms, retries, .. } => (*timeout_ms, *retries),
-                LineConfig::ModbusRtu { baud, timeout_ms, retries, .. } => {
-                    let ok = (1200..=4_000_000).contains(baud);
-                    c.require(ok, &key("baud"), baud, "must be from 1200 to 4000000");
-                    (*timeout_ms, *retries)
-                }
-            };
-            let ok = (5..=10_000).contains(&timeout_ms);
-            c.require(ok, &key("timeout_ms"), timeout_ms, "must be from 5 to 10000");
-            c.require((1..=10).contains(&retries), &key("retries"), retries, "must be 1 to 10");
-        }
-    }
-
     fn check(&self, file: &str) -> Result<(), Vec<Problem>> {
         let mut c = Checks::of(file);
         c.within("clock_rate", self.clock_rate, 0.01..=2000.0);
-        self.check_lines(&mut c);
-        let profiles = [
-            ("x", "mm", self.axes.x.profile()),
-            ("y", "mm", self.axes.y.profile()),
-            ("z", "mm", self.axes.z.profile()),
-            ("radial", "deg", self.axes.radial.profile()),
-        ];
-        for (name, unit, p) in &profiles {
-            let key = |k: &str| format!("axes.{name}.{}", k.replace('*', unit));
-            let known = self.lines.contains_key(&p.line);
-            c.require(known, &key("line"), &p.line, "must be one of [lines]");
-            let unit_ok = (1..=247).contains(&p.address);
-            c.require(unit_ok, &key("unit"), p.address, "must be 1 to 247");
-            c.within(&key("counts_per_*"), p.counts_per_unit, 1e-3..=1e7);
-            c.within(&key("speed_*_s"), p.speed, 1e-3..=5000.0);
-            c.within(&key("acceleration_*_s2"), p.acceleration, 1e-3..=1e5);
-            c.within(&key("tolerance_*"), p.tolerance, 1e-4..=5.0);
-            let ordered = p.travel[0].is_finite() && p.travel[0] < p.travel[1];
-            let shown = format!("[{}, {}]", p.travel[0], p.travel[1]);
-            c.require(ordered, &key("travel_*"), &shown, "must be [lower, upper]");
-            let counts = p.travel.map(|t| (t * p.counts_per_unit).abs());
-            let fits = counts.iter().all(|&n| n < f64::from(i32::MAX));
-            c.require(fits, &key("travel_*"), shown, "must fit 32 bits of counts_per_*");
-            p.guard.check(p.device, key, &mut c);
+        for (name, line) in &self.lines {
+            line.check(name, &mut c);
         }
+        self.axes.check(&self.lines, &mut c);
         let known = self.lines.contains_key(&self.cells.line);
         c.require(known, "cells.line", &self.cells.line, "must be one of [lines]");
         self.cells.check(&mut c);
@@ -444,12 +185,4 @@ pub(super) fn one() -> f64 {
 
 fn default_search_below_mm() -> f64 {
     4.0
-}
-
-fn default_timeout_ms() -> u64 {
-    300
-}
-
-fn default_retries() -> u32 {
-    3
 }

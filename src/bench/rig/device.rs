@@ -9,9 +9,9 @@ use std::sync::Arc;
 use serde::de::Error;
 use serde::ser::{Serialize, Serializer};
 
+use super::axes::AxisProfile;
 use super::axis::{Drive, ModbusAxis};
 use super::cells::CellsConfig;
-use super::config::AxisProfile;
 use super::link::MotionGate;
 use super::station::Station;
 use super::traits::{Axis, LoadCells};

@@ -5,6 +5,8 @@
 pub mod cells;
 pub mod guard;
 pub mod limits;
+pub mod wires;
+pub mod axes;
 pub mod config;
 pub mod setup;
 pub mod reach;
