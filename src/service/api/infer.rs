@@ -1,39 +1,27 @@
-//! Estimates contacts from frames: of a request, and live from the stream of the rig.
-//! Uses: `infer::serving`, the campaign's newest frame. Never: a queue of frames, a delay of the
-//! rig.
+//! Estimates contacts from the frames of a request.
+//! Uses: `infer::serving`. Never: the frames of the rig (`live_contacts`).
 
 use std::sync::Arc;
 
-use axum::extract::ws::WebSocket;
 use axum::extract::{FromRequest, Request, State};
-use axum::http::{StatusCode, header};
-use axum::response::Response;
+use axum::http::header;
 use axum::{Json, extract::Query};
 use serde::{Deserialize, Serialize};
-use tokio::sync::{OwnedSemaphorePermit, Semaphore};
-use tokio::time::{Instant, sleep_until, timeout};
 use utoipa::{IntoParams, ToSchema};
 
 use super::App;
-use super::limits::{
-    EXACT_MAX, FIT_REQUESTS, FRAME_CLIENTS, FRAMES_MAX, LIVE_CLIENTS, MAPS_MAX, NET_REQUESTS,
-    PREFLIGHTS, SIMULATIONS, STATUS_CLIENTS, TURN_WAIT,
-};
-use super::live::{FRAME_INTERVAL, next_frame};
-use super::problem::{ApiError, Params, ProblemBody};
-use super::socket::{LiveClient, is_sent};
+use super::limits::{EXACT_MAX, FRAMES_MAX, MAPS_MAX};
+use super::problem::{ApiError, ProblemBody};
 use crate::clock::Clock;
 use crate::dataset::background::background;
 use crate::ids::CalibrationId;
 use crate::infer::answer::Reading;
 use crate::infer::error::InferError;
 use crate::infer::maps::ForceMaps;
-use crate::infer::methods::exact::Tracked;
 use crate::infer::methods::{Frames, Method};
-use crate::infer::pipeline::{Followed, Pipeline};
+use crate::infer::pipeline::Pipeline;
 use crate::infer::registry::Model;
 use crate::infer::slot::Slot;
-use crate::rig::traits::Frame;
 
 /// Options of an inference.
 #[derive(Debug, Clone, Serialize, Deserialize, ToSchema, IntoParams)]
@@ -112,7 +100,7 @@ pub async fn infer(
     let named = Named::load(&app, &options).await?;
     let frames = sent.frames(&options, named.sensor(&app).1)?;
     let turn = match options.method.is_fit() {
-        true => Turns::turn(&app.turns.fits).await?,
+        true => app.turns.fit().await?,
         false => app.turns.answer().await?,
     };
     let pipeline = named.pipeline(&app, &options).await?;
@@ -272,149 +260,5 @@ impl Sent {
             return Err(ApiError::value(&key, frames[at], "must be a finite number of volts"));
         }
         Ok(frames)
-    }
-}
-
-/// Options of a live stream of contacts.
-#[derive(Debug, Clone, Deserialize, IntoParams)]
-#[into_params(parameter_in = Query)]
-#[serde(deny_unknown_fields)]
-pub struct LiveParams {
-    /// Method; absent: the best one for which models serve.
-    #[param(inline)]
-    pub method: Option<Method>,
-    /// Include the force map: the output of the net, or for `fast` and `exact` the contacts
-    /// rendered as Map 1 (4x20).
-    #[serde(default)]
-    pub map: bool,
-    /// A ticket of `POST /api/v1/tickets`: a browser's WebSocket sends no header with a key.
-    #[expect(dead_code, reason = "auth reads it")]
-    ticket: Option<String>,
-}
-
-/// Contacts of a live frame.
-#[derive(Debug, Serialize, Deserialize, ToSchema)]
-pub struct LiveAnswer {
-    /// Frame counter of the device.
-    pub sequence: u32,
-    /// Device time of the first sample, microseconds.
-    pub device_time_us: u64,
-    /// Contacts of the frame.
-    #[serde(flatten)]
-    pub answer: FrameAnswer,
-}
-
-/// Streams the contacts of the rig's live frames as JSON messages over a WebSocket.
-///
-/// At most 33 messages per second. A slow client misses frames; nothing waits for it.
-#[utoipa::path(get, operation_id = "live_contacts",
-    path = "/api/v1/live", tag = "infer", params(LiveParams),
-    responses((status = 101, description = "WebSocket whose messages are LiveAnswer", body = LiveAnswer),
-        (status = 409, body = ProblemBody, description = "no model serves for the method"),
-        (status = 503, body = ProblemBody, description = "too many live clients are connected")))]
-pub async fn live(
-    Params(options): Params<LiveParams>,
-    client: LiveClient,
-) -> Result<Response, ApiError> {
-    let serving = client.app.serving.once_restored(options.method).await;
-    let method = match options.method {
-        Some(method) => method,
-        None => serving.best().ok_or_else(|| {
-            let words = "no model serves: train or add a model, then promote it";
-            ApiError::new(StatusCode::CONFLICT, words)
-        })?,
-    };
-    // Checked now, so that the error is a status instead of a message for each frame.
-    serving.ready(method)?;
-    let (places, maps) = (client.app.turns.live.clone(), ForceMaps::if_wanted(options.map));
-    client.open(&places, (LIVE_CLIENTS, "live contacts"), move |app, socket| {
-        let (clock, mut tracked) = (Clock::new(1.0), Tracked::default());
-        follow(app, socket, move |pipeline, frame| {
-            let volts = frame.voltages_v();
-            let Followed { reading, model } =
-                pipeline.follow(method, &volts, maps, &mut tracked)?;
-            let latency_us = (clock.now() - frame.received).as_micros() as u64;
-            let answer = FrameAnswer { reading, model, method, latency_us };
-            let (sequence, device_time_us) = (frame.sequence, frame.device_time_us);
-            Ok(LiveAnswer { sequence, device_time_us, answer })
-        })
-    })
-}
-
-/// Limits of concurrent inferences and simulations, so that enough processor time remains for the campaign.
-#[derive(Clone)]
-pub struct Turns {
-    answers: Arc<Semaphore>,
-    fits: Arc<Semaphore>,
-    /// Clients of live contacts and quantities.
-    pub(super) live: Arc<Semaphore>,
-    /// Clients of live frames.
-    pub(super) frames: Arc<Semaphore>,
-    /// Clients of the live status.
-    pub(super) status: Arc<Semaphore>,
-    /// Preflights and tours of submissions.
-    pub(super) preflights: Arc<Semaphore>,
-    /// Simulations of contacts.
-    pub(super) simulations: Arc<Semaphore>,
-}
-
-impl Turns {
-    /// Waits for the turn of an answer by a net.
-    pub(super) async fn answer(&self) -> Result<OwnedSemaphorePermit, ApiError> {
-        Self::turn(&self.answers).await
-    }
-
-    async fn turn(of: &Arc<Semaphore>) -> Result<OwnedSemaphorePermit, ApiError> {
-        let Ok(Ok(turn)) = timeout(TURN_WAIT, of.clone().acquire_owned()).await else {
-            let words = "too many requests: none could be started within 10 s; retry";
-            return Err(ApiError::new(StatusCode::SERVICE_UNAVAILABLE, words));
-        };
-        Ok(turn)
-    }
-}
-
-impl Default for Turns {
-    fn default() -> Self {
-        let of = |count| Arc::new(Semaphore::new(count));
-        Self {
-            answers: of(NET_REQUESTS),
-            fits: of(FIT_REQUESTS),
-            live: of(LIVE_CLIENTS),
-            frames: of(FRAME_CLIENTS),
-            status: of(STATUS_CLIENTS),
-            preflights: of(PREFLIGHTS),
-            simulations: of(SIMULATIONS),
-        }
-    }
-}
-
-/// Sends what `answer` makes of the newest frame, as JSON, one after the other, until the client leaves.
-pub(super) async fn follow<T: Serialize + Send + 'static>(
-    app: App,
-    mut socket: WebSocket,
-    mut answer: impl FnMut(&Pipeline, &Frame) -> Result<T, InferError> + Send + 'static,
-) {
-    let mut frames = app.campaign.watch_frames();
-    let mut ending = app.facts.ending.clone();
-    while let Some(frame) = next_frame(&mut frames, &mut ending, &mut socket).await {
-        let (next, sequence) = (Instant::now() + FRAME_INTERVAL, frame.sequence);
-        let pipeline = app.serving.current();
-        let work = move || {
-            let answered = answer(&pipeline, &frame);
-            (answered, answer)
-        };
-        let Ok((answered, again)) = tokio::task::spawn_blocking(work).await else { return };
-        answer = again;
-        let text = match answered {
-            Ok(answered) => serde_json::to_string(&answered),
-            Err(error) => serde_json::to_string(&serde_json::json!({
-                "sequence": sequence, "error": error.to_string(),
-            })),
-        };
-        let Ok(text) = text else { return };
-        if !is_sent(&mut socket, text.into()).await {
-            return;
-        }
-        sleep_until(next).await;
     }
 }

@@ -9,8 +9,8 @@ use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 use super::App;
-use super::infer::follow;
 use super::limits::{FRAMES_MAX, LIVE_CLIENTS};
+use super::live_contacts::follow;
 use super::problem::{ApiError, Body, Path, ProblemBody};
 use super::socket::LiveClient;
 use crate::clock::Clock;

@@ -14,9 +14,9 @@ use super::limits::{
 };
 use super::{
     App, datasets, estop, evaluation, events, experiments, exports, health, history, imports,
-    infer, jobs, live, live_status, models, overlay, people, placement, progress, published,
-    quantities, queue, queue_times, rates, recipes, recording, rig, rig_limits, runs, samples,
-    sensor, simulations, sql, status, tour, trials, twins, untouched, vocabulary, wear,
+    infer, jobs, live, live_contacts, live_status, models, overlay, people, placement, progress,
+    published, quantities, queue, queue_times, rates, recipes, recording, rig, rig_limits, runs,
+    samples, sensor, simulations, sql, status, tour, trials, twins, untouched, vocabulary, wear,
 };
 use crate::store::Role;
 
@@ -199,7 +199,7 @@ pub fn table() -> Vec<Operation> {
         (acts("roll back").once().of(Edited::Serving), routes!(models::roll_back)),
         (READS.body(FRAMES_MAX_BYTES), routes!(infer::infer)),
         (READS.body(FRAMES_MAX_BYTES), routes!(quantities::quantities)),
-        (SOCKET, routes!(infer::live)),
+        (SOCKET, routes!(live_contacts::live)),
         (SOCKET, routes!(quantities::live)),
         (READS, routes!(events::events)),
         (SOCKET, routes!(live::frames)),

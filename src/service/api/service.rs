@@ -11,12 +11,12 @@ use tokio::runtime;
 use tokio::sync::{Semaphore, watch};
 use tokio::task::JoinHandle;
 
-use super::infer::Turns;
 use super::lock_file::LockFile;
 use super::memory::Memory;
 use super::options::{ServeError, ServeOptions};
 use super::routes::{self, AllNeeds};
 use super::tls::Tls;
+use super::turns::Turns;
 use super::{
     App, Facts, auth, data_folder, door, edited, finished, guard, limits, live_status, once, rates,
     router, samples,

@@ -1,0 +1,121 @@
+//! Contacts of the rig's live frames, and how live clients follow the newest frame.
+//! Uses: `infer::serving`, the campaign's newest frame. Never: a queue of frames, a delay of the
+//! rig.
+
+use axum::extract::ws::WebSocket;
+use axum::http::StatusCode;
+use axum::response::Response;
+use serde::{Deserialize, Serialize};
+use tokio::time::{Instant, sleep_until};
+use utoipa::{IntoParams, ToSchema};
+
+use super::App;
+use super::infer::FrameAnswer;
+use super::limits::LIVE_CLIENTS;
+use super::live::{FRAME_INTERVAL, next_frame};
+use super::problem::{ApiError, Params, ProblemBody};
+use super::socket::{LiveClient, is_sent};
+use crate::clock::Clock;
+use crate::infer::error::InferError;
+use crate::infer::maps::ForceMaps;
+use crate::infer::methods::Method;
+use crate::infer::methods::exact::Tracked;
+use crate::infer::pipeline::{Followed, Pipeline};
+use crate::rig::traits::Frame;
+
+/// Options of a live stream of contacts.
+#[derive(Debug, Clone, Deserialize, IntoParams)]
+#[into_params(parameter_in = Query)]
+#[serde(deny_unknown_fields)]
+pub struct LiveParams {
+    /// Method; absent: the best one for which models serve.
+    #[param(inline)]
+    pub method: Option<Method>,
+    /// Include the force map: the output of the net, or for `fast` and `exact` the contacts
+    /// rendered as Map 1 (4x20).
+    #[serde(default)]
+    pub map: bool,
+    /// A ticket of `POST /api/v1/tickets`: a browser's WebSocket sends no header with a key.
+    #[expect(dead_code, reason = "auth reads it")]
+    ticket: Option<String>,
+}
+
+/// Contacts of a live frame.
+#[derive(Debug, Serialize, Deserialize, ToSchema)]
+pub struct LiveAnswer {
+    /// Frame counter of the device.
+    pub sequence: u32,
+    /// Device time of the first sample, microseconds.
+    pub device_time_us: u64,
+    /// Contacts of the frame.
+    #[serde(flatten)]
+    pub answer: FrameAnswer,
+}
+
+/// Streams the contacts of the rig's live frames as JSON messages over a WebSocket.
+///
+/// At most 33 messages per second. A slow client misses frames; nothing waits for it.
+#[utoipa::path(get, operation_id = "live_contacts",
+    path = "/api/v1/live", tag = "infer", params(LiveParams),
+    responses((status = 101, description = "WebSocket whose messages are LiveAnswer", body = LiveAnswer),
+        (status = 409, body = ProblemBody, description = "no model serves for the method"),
+        (status = 503, body = ProblemBody, description = "too many live clients are connected")))]
+pub async fn live(
+    Params(options): Params<LiveParams>,
+    client: LiveClient,
+) -> Result<Response, ApiError> {
+    let serving = client.app.serving.once_restored(options.method).await;
+    let method = match options.method {
+        Some(method) => method,
+        None => serving.best().ok_or_else(|| {
+            let words = "no model serves: train or add a model, then promote it";
+            ApiError::new(StatusCode::CONFLICT, words)
+        })?,
+    };
+    // Checked now, so that the error is a status instead of a message for each frame.
+    serving.ready(method)?;
+    let (places, maps) = (client.app.turns.live.clone(), ForceMaps::if_wanted(options.map));
+    client.open(&places, (LIVE_CLIENTS, "live contacts"), move |app, socket| {
+        let (clock, mut tracked) = (Clock::new(1.0), Tracked::default());
+        follow(app, socket, move |pipeline, frame| {
+            let volts = frame.voltages_v();
+            let Followed { reading, model } =
+                pipeline.follow(method, &volts, maps, &mut tracked)?;
+            let latency_us = (clock.now() - frame.received).as_micros() as u64;
+            let answer = FrameAnswer { reading, model, method, latency_us };
+            let (sequence, device_time_us) = (frame.sequence, frame.device_time_us);
+            Ok(LiveAnswer { sequence, device_time_us, answer })
+        })
+    })
+}
+
+/// Sends what `answer` makes of the newest frame, as JSON, one after the other, until the client leaves.
+pub(super) async fn follow<T: Serialize + Send + 'static>(
+    app: App,
+    mut socket: WebSocket,
+    mut answer: impl FnMut(&Pipeline, &Frame) -> Result<T, InferError> + Send + 'static,
+) {
+    let mut frames = app.campaign.watch_frames();
+    let mut ending = app.facts.ending.clone();
+    while let Some(frame) = next_frame(&mut frames, &mut ending, &mut socket).await {
+        let (next, sequence) = (Instant::now() + FRAME_INTERVAL, frame.sequence);
+        let pipeline = app.serving.current();
+        let work = move || {
+            let answered = answer(&pipeline, &frame);
+            (answered, answer)
+        };
+        let Ok((answered, again)) = tokio::task::spawn_blocking(work).await else { return };
+        answer = again;
+        let text = match answered {
+            Ok(answered) => serde_json::to_string(&answered),
+            Err(error) => serde_json::to_string(&serde_json::json!({
+                "sequence": sequence, "error": error.to_string(),
+            })),
+        };
+        let Ok(text) = text else { return };
+        if !is_sent(&mut socket, text.into()).await {
+            return;
+        }
+        sleep_until(next).await;
+    }
+}

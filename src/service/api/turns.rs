@@ -1,0 +1,66 @@
+//! How many inferences, simulations and live clients there may be at once.
+//! Uses: tokio's semaphores, `limits`. Never: a wait without a deadline.
+
+use std::sync::Arc;
+
+use axum::http::StatusCode;
+use tokio::sync::{OwnedSemaphorePermit, Semaphore};
+use tokio::time::timeout;
+
+use super::limits::{
+    FIT_REQUESTS, FRAME_CLIENTS, LIVE_CLIENTS, NET_REQUESTS, PREFLIGHTS, SIMULATIONS,
+    STATUS_CLIENTS, TURN_WAIT,
+};
+use super::problem::ApiError;
+
+/// Limits of concurrent inferences and simulations, so that enough processor time remains for the campaign.
+#[derive(Clone)]
+pub struct Turns {
+    answers: Arc<Semaphore>,
+    fits: Arc<Semaphore>,
+    /// Clients of live contacts and quantities.
+    pub(super) live: Arc<Semaphore>,
+    /// Clients of live frames.
+    pub(super) frames: Arc<Semaphore>,
+    /// Clients of the live status.
+    pub(super) status: Arc<Semaphore>,
+    /// Preflights and tours of submissions.
+    pub(super) preflights: Arc<Semaphore>,
+    /// Simulations of contacts.
+    pub(super) simulations: Arc<Semaphore>,
+}
+
+impl Turns {
+    /// Waits for the turn of an answer by a net.
+    pub(super) async fn answer(&self) -> Result<OwnedSemaphorePermit, ApiError> {
+        Self::turn(&self.answers).await
+    }
+
+    /// Waits for the turn of an answer by a fit.
+    pub(super) async fn fit(&self) -> Result<OwnedSemaphorePermit, ApiError> {
+        Self::turn(&self.fits).await
+    }
+
+    async fn turn(of: &Arc<Semaphore>) -> Result<OwnedSemaphorePermit, ApiError> {
+        let Ok(Ok(turn)) = timeout(TURN_WAIT, of.clone().acquire_owned()).await else {
+            let words = "too many requests: none could be started within 10 s; retry";
+            return Err(ApiError::new(StatusCode::SERVICE_UNAVAILABLE, words));
+        };
+        Ok(turn)
+    }
+}
+
+impl Default for Turns {
+    fn default() -> Self {
+        let of = |count| Arc::new(Semaphore::new(count));
+        Self {
+            answers: of(NET_REQUESTS),
+            fits: of(FIT_REQUESTS),
+            live: of(LIVE_CLIENTS),
+            frames: of(FRAME_CLIENTS),
+            status: of(STATUS_CLIENTS),
+            preflights: of(PREFLIGHTS),
+            simulations: of(SIMULATIONS),
+        }
+    }
+}
