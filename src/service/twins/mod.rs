@@ -6,6 +6,7 @@
 //! workers and stored in one transaction; then the priority is determined again.
 
 pub mod drift;
+mod make;
 pub mod skins;
 
 use std::collections::{HashMap, HashSet};
@@ -16,21 +17,20 @@ use std::time::{Duration, Instant};
 use parking_lot::Mutex;
 use serde::Serialize;
 use sim_core::calibration::Calibration;
-use sim_core::forward::{ForwardModel, Workspace};
+use sim_core::forward::ForwardModel;
 use sim_core::sensor::Sensor;
-use tracing::{Instrument, Span};
+use tracing::Instrument;
 use utoipa::ToSchema;
 
 use self::drift::{DriftWatch, Level, Pairing, RollingFit};
+use self::make::{Recipe, twins_of};
 use self::skins::{SkinCalibration, SkinError, Source, WarmSkins};
 use crate::campaign::shown::command::{Handle, Request};
-use crate::campaign::spans::{run_span, trial_span};
-use crate::dataset::pressed::contacts;
-use crate::ids::{CalibrationId, RunUid, TrialId, TrialKey};
+use crate::campaign::spans::run_span;
+use crate::ids::{CalibrationId, RunUid, TrialId};
 use crate::journal::error_chain;
 use crate::rig::setup::RigSetup;
 use crate::schedule::experiment::Experiment;
-use crate::simulate::compare::difference;
 use crate::store::{
     IMPORTED_MODEL, NewTwinModel, RunKind, RunRow, Store, StoreError, TrialRow, Twin, TwinCount,
     TwinModelId, TwinOutcome,
@@ -76,15 +76,6 @@ struct Inner {
     workers: usize,
     status: Mutex<PoolStatus>,
     models: Mutex<HashMap<RunUid, TwinModelId>>,
-}
-
-/// Model and settings for the twins of a run.
-#[derive(Clone)]
-struct Recipe {
-    model: Arc<ForwardModel>,
-    id: TwinModelId,
-    kind: RunKind,
-    force_noise_n: f64,
 }
 
 /// Why the twins of a run cannot be made.
@@ -228,7 +219,8 @@ impl TwinPool {
             let making = async {
                 let began = Instant::now();
                 let trials = Arc::new(trials);
-                let twins = compute(&recipe, &trials, self.inner.workers).await?;
+                let made = twins_of(&recipe, &trials, self.inner.workers).await;
+                let twins = made.map_err(|_| PoolError::Worker)?;
                 store.insert_twins(recipe.id, twins.clone()).await?;
                 progress.passed.insert(run, last);
                 self.count_made(twins.len(), began.elapsed());
@@ -357,62 +349,6 @@ impl TwinPool {
 
     fn models(&self) -> parking_lot::MutexGuard<'_, HashMap<RunUid, TwinModelId>> {
         self.inner.models.lock()
-    }
-}
-
-/// The twins of a page, in its order; the workers share the work.
-async fn compute(
-    recipe: &Recipe,
-    trials: &Arc<Vec<TrialRow>>,
-    workers: usize,
-) -> Result<Vec<Twin>, PoolError> {
-    let share = trials.len().div_ceil(workers).max(1);
-    let tasks: Vec<_> = (0..trials.len())
-        .step_by(share)
-        .map(|first| {
-            let (recipe, trials) = (recipe.clone(), trials.clone());
-            let span = Span::current();
-            tokio::task::spawn_blocking(move || {
-                let _inside = span.entered();
-                let mut work = Workspace::default();
-                let end = (first + share).min(trials.len());
-                trials[first..end].iter().map(|t| twin(&recipe, t, &mut work)).collect::<Vec<_>>()
-            })
-        })
-        .collect();
-    let mut twins = Vec::with_capacity(trials.len());
-    for task in tasks {
-        twins.extend(task.await.map_err(|_| PoolError::Worker)?);
-    }
-    Ok(twins)
-}
-
-/// Simulates the twin of a trial from its measured contacts and forces.
-fn twin(recipe: &Recipe, trial: &TrialRow, work: &mut Workspace) -> Twin {
-    let outcome = simulated(recipe, trial, work);
-    if let TwinOutcome::Failure(why) = &outcome {
-        let (configuration, depth_index) = (trial.configuration, trial.depth_index);
-        trial_span(TrialKey { configuration, depth_index })
-            .in_scope(|| tracing::debug!(why, "a trial has no twin"));
-    }
-    Twin { trial: trial.trial_id, outcome }
-}
-
-fn simulated(recipe: &Recipe, trial: &TrialRow, work: &mut Workspace) -> TwinOutcome {
-    let Some(contacts) = contacts(trial, recipe.kind, recipe.force_noise_n) else {
-        return TwinOutcome::Failure("a contact has no position or no force".into());
-    };
-    match (recipe.model.voltages(&contacts, work), &trial.voltages_v) {
-        (Err(error), _) => TwinOutcome::Failure(error.to_string()),
-        (Ok(_), None) => TwinOutcome::Failure("the trial has no voltages".into()),
-        (Ok(frame), Some(measured)) if frame.len() != measured.len() => TwinOutcome::Failure(
-            format!("the trial has {} voltages, the model {}", measured.len(), frame.len()),
-        ),
-        (Ok(frame), Some(measured)) => {
-            let voltages_v: Vec<f32> = frame.iter().map(|v| *v as f32).collect();
-            let apart = difference(measured, &voltages_v);
-            TwinOutcome::Frame { rmse_v: apart.rmse_v, fvu: apart.fvu, voltages_v }
-        }
     }
 }
 

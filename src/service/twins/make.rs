@@ -1,0 +1,86 @@
+//! The twins of a page of trials, simulated from their measured contacts and forces.
+//! Uses: sim-core, `dataset::pressed`, `simulate::compare`. Never: the store, which trials are pending.
+
+use std::sync::Arc;
+
+use sim_core::forward::{ForwardModel, Workspace};
+use tokio::task::JoinError;
+use tracing::Span;
+
+use crate::campaign::spans::trial_span;
+use crate::dataset::pressed::contacts;
+use crate::ids::TrialKey;
+use crate::simulate::compare::difference;
+use crate::store::{RunKind, TrialRow, Twin, TwinModelId, TwinOutcome};
+
+/// Model and settings for the twins of a run.
+#[derive(Clone)]
+pub(super) struct Recipe {
+    /// Model of the skin.
+    pub model: Arc<ForwardModel>,
+    /// Id of the model in the store.
+    pub id: TwinModelId,
+    /// Origin of the trials.
+    pub kind: RunKind,
+    /// Force up to which the output of a cell counts as noise, N.
+    pub force_noise_n: f64,
+}
+
+/// The twins of a page, in its order; the workers share the work.
+///
+/// # Errors
+/// `JoinError` if a worker panicked.
+pub(super) async fn twins_of(
+    recipe: &Recipe,
+    trials: &Arc<Vec<TrialRow>>,
+    workers: usize,
+) -> Result<Vec<Twin>, JoinError> {
+    let share = trials.len().div_ceil(workers).max(1);
+    let tasks: Vec<_> = (0..trials.len())
+        .step_by(share)
+        .map(|first| {
+            let (recipe, trials) = (recipe.clone(), trials.clone());
+            let span = Span::current();
+            tokio::task::spawn_blocking(move || {
+                let _inside = span.entered();
+                let mut work = Workspace::default();
+                let end = (first + share).min(trials.len());
+                trials[first..end].iter().map(|t| twin(&recipe, t, &mut work)).collect::<Vec<_>>()
+            })
+        })
+        .collect();
+    let mut twins = Vec::with_capacity(trials.len());
+    for task in tasks {
+        twins.extend(task.await?);
+    }
+    Ok(twins)
+}
+
+/// Simulates the twin of a trial from its measured contacts and forces.
+fn twin(recipe: &Recipe, trial: &TrialRow, work: &mut Workspace) -> Twin {
+    let outcome = simulated(recipe, trial, work);
+    if let TwinOutcome::Failure(why) = &outcome {
+        let (configuration, depth_index) = (trial.configuration, trial.depth_index);
+        trial_span(TrialKey { configuration, depth_index })
+            .in_scope(|| tracing::debug!(why, "a trial has no twin"));
+    }
+    Twin { trial: trial.trial_id, outcome }
+}
+
+fn simulated(recipe: &Recipe, trial: &TrialRow, work: &mut Workspace) -> TwinOutcome {
+    let Some(contacts) = contacts(trial, recipe.kind, recipe.force_noise_n) else {
+        return TwinOutcome::Failure("a contact has no position or no force".into());
+    };
+    match (recipe.model.voltages(&contacts, work), &trial.voltages_v) {
+        (Err(error), _) => TwinOutcome::Failure(error.to_string()),
+        (Ok(_), None) => TwinOutcome::Failure("the trial has no voltages".into()),
+        (Ok(frame), Some(measured)) if frame.len() != measured.len() => TwinOutcome::Failure(
+            format!("the trial has {} voltages, the model {}", measured.len(), frame.len()),
+        ),
+        (Ok(frame), Some(measured)) => {
+            let voltages_v: Vec<f32> = frame.iter().map(|v| *v as f32).collect();
+            let apart = difference(measured, &voltages_v);
+            TwinOutcome::Frame { rmse_v: apart.rmse_v, fvu: apart.fvu, voltages_v }
+        }
+    }
+}
