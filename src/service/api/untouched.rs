@@ -8,7 +8,7 @@ use axum::extract::State;
 
 use super::App;
 use super::problem::{ApiError, ProblemBody};
-use crate::infer::methods::exact::skins::UNTOUCHED_N;
+use crate::infer::methods::exact::UNTOUCHED_N;
 use crate::record::Untouched;
 use crate::store::{RunKind, StoreError, TrialRow};
 

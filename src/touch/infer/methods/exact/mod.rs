@@ -2,6 +2,7 @@
 //! Uses: `skin`, sim-core's `inverse::contacts`, `fast` (proposals). Never: files (`skins` has them).
 
 mod errors;
+mod known;
 mod skin;
 pub mod skins;
 mod untouched;
@@ -14,6 +15,7 @@ use sim_core::inverse::contacts::{
 };
 
 pub use self::errors::{KnownTrial, KnownTrials, SkinErrors};
+pub use self::known::UNTOUCHED_N;
 pub use self::skin::ExactSkin;
 pub use self::untouched::{Untouched, scatter_v};
 use self::zero::Zero;
