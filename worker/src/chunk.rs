@@ -69,9 +69,10 @@ impl Bench {
                 made.key, made.index, chunk.index
             )));
         }
+        let order = self.order(&chunk.order).await?.clone();
         let results = folder.join("results");
         let (row, path) =
-            (results.join(format!("{key}.json")), results.join(format!("{key}.parquet")));
+            (results.join(format!("{key}.json")), results.join(order.bytes_name(&key)));
         // The row has more than the answer: host and commit.
         let done: Done = serde_json::from_slice(&read(&row).await?)
             .map_err(|error| MakeError::Machine(format!("{}: {error}", row.display())))?;
@@ -81,7 +82,7 @@ impl Bench {
         let bytes = read(&path).await?;
         check(&bytes, &done)
             .map_err(|what| MakeError::Machine(format!("{}: {what}", path.display())))?;
-        self.store.put_result(&chunk.order, &done, bytes.into()).await.map_err(machine)?;
+        self.store.put_result(&order, &done, bytes.into()).await.map_err(machine)?;
         // What remains is removed with the folder of the worker.
         drop(fs::remove_file(&path).await);
         drop(fs::remove_file(&row).await);

@@ -94,7 +94,7 @@ async fn one(
     let key = order.key(index);
     // A result that this folder has, but that is damaged, is fetched again.
     if let Ok(Some(done)) = here.done(&order.id, &key).await
-        && let Ok(Some(_)) = here.bytes(&order.id, &done).await
+        && let Ok(Some(_)) = here.bytes(order, &done).await
     {
         return Ok(ChunkResult::Present);
     }
@@ -106,13 +106,16 @@ async fn one(
                 order.id
             )));
         }
-        let bytes = store.bytes(&order.id, &done).await?;
-        let gone = || WorkerError::Failed(format!("{}/results/{key}.parquet: missing", order.id));
+        let bytes = store.bytes(order, &done).await?;
+        let gone = || {
+            let name = order.bytes_name(&key);
+            WorkerError::Failed(format!("{}/results/{name}: missing", order.id))
+        };
         Ok(Some((done, bytes.ok_or_else(gone)?)))
     };
     match found.await {
         Ok(Some((done, bytes))) => {
-            here.put_result(&order.id, &done, bytes).await?;
+            here.put_result(order, &done, bytes).await?;
             Ok(ChunkResult::Fetched(done.bytes))
         }
         Ok(None) => {

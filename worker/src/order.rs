@@ -14,6 +14,11 @@ pub const ORDER_FILE: &str = "order.json";
 /// Most chunks of an order: a larger work has larger chunks.
 pub const CHUNKS_MAX: u64 = 100_000;
 
+/// Endings of the files with the bytes of chunks, by kind, as the program names them.
+const ENDINGS: [(&str, &str); 1] = [("trainings", "net")];
+/// Ending for all other kinds.
+const COMMON_ENDING: &str = "parquet";
+
 /// A bulk work, as its `order.json` states it.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 pub struct Order {
@@ -95,6 +100,13 @@ impl Order {
         })))
     }
 
+    /// Name of the file with the bytes of a chunk.
+    pub fn bytes_name(&self, key: &str) -> String {
+        let ending = ENDINGS.iter().find(|(kind, _)| *kind == self.kind);
+        let ending = ending.map_or(COMMON_ENDING, |(_, ending)| ending);
+        format!("{key}.{ending}")
+    }
+
     /// Whether another order has the same definition.
     pub fn is_same(&self, other: &Self) -> bool {
         self.id == other.id && self.chunks == other.chunks
@@ -135,6 +147,9 @@ mod tests {
         let order = Order::parse(text(&id).as_bytes(), "order.json").unwrap();
         assert_eq!(order.key(2), sha256(format!(r#"{head},"index":2,"kind":"k"}}"#).as_bytes()));
         assert!(is_hash(&order.key(0)) && order.key(0) != order.key(1));
+        assert_eq!(order.bytes_name("a"), "a.parquet");
+        let nets = Order { kind: "trainings".into(), ..order };
+        assert_eq!(nets.bytes_name("a"), "a.net");
     }
 
     #[test]

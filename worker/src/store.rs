@@ -2,7 +2,7 @@
 //! Uses: the `object_store` crate. Never: a `KEY.json` before the bytes that it names; a key in an error.
 //!
 //! ```text
-//! ORDER_ID/order.json             ORDER_ID/results/KEY.parquet
+//! ORDER_ID/order.json             ORDER_ID/results/KEY.parquet   (the ending depends on the kind)
 //! ORDER_ID/failed/KEY.json        ORDER_ID/results/KEY.json      last
 //! ```
 
@@ -179,8 +179,8 @@ impl Store {
     ///
     /// # Errors
     /// `WorkerError::Failed` if they are not those that `done` names, `Store` if the store does not answer.
-    pub async fn bytes(&self, order: &str, done: &Done) -> Result<Option<Bytes>, WorkerError> {
-        let path = self.part(order, Part::Results, &format!("{}.parquet", done.key));
+    pub async fn bytes(&self, order: &Order, done: &Done) -> Result<Option<Bytes>, WorkerError> {
+        let path = self.part(&order.id, Part::Results, &order.bytes_name(&done.key));
         let Some(bytes) = self.get(&path).await? else { return Ok(None) };
         check(&bytes, done).map_err(|what| WorkerError::Failed(format!("{path}: {what}")))?;
         Ok(Some(bytes))
@@ -192,12 +192,13 @@ impl Store {
     /// `WorkerError::Store` if the store does not take it; the chunk is then not done.
     pub async fn put_result(
         &self,
-        order: &str,
+        order: &Order,
         done: &Done,
         bytes: Bytes,
     ) -> Result<(), WorkerError> {
-        self.put(&self.part(order, Part::Results, &format!("{}.parquet", done.key)), bytes).await?;
-        self.put_json(&self.part(order, Part::Results, &format!("{}.json", done.key)), done).await
+        let part = |name: &str| self.part(&order.id, Part::Results, name);
+        self.put(&part(&order.bytes_name(&done.key)), bytes).await?;
+        self.put_json(&part(&format!("{}.json", done.key)), done).await
     }
 
     /// Sets a chunk aside.

@@ -18,6 +18,10 @@ pub const CHUNK_CODE: &str = concat!(env!("CARGO_PKG_VERSION"), ", chunk 1");
 pub const CHUNKS_MAX: u64 = 100_000;
 /// Version of the form of a work order.
 const ORDER_FORM: u32 = 1;
+/// Endings of the files with the bytes of chunks, by kind.
+const ENDINGS: [(&str, &str); 1] = [("trainings", "net")];
+/// Ending for all other kinds.
+const COMMON_ENDING: &str = "parquet";
 
 /// Bulk work, divided into chunks.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -105,6 +109,13 @@ impl WorkOrder {
     /// Start of the id, for people.
     pub fn short_id(&self) -> &str {
         self.id.get(..ID_DIGITS).unwrap_or(&self.id)
+    }
+
+    /// Name of the file with the bytes of a chunk.
+    pub fn bytes_name(&self, key: &str) -> String {
+        let ending = ENDINGS.iter().find(|(kind, _)| *kind == self.kind);
+        let ending = ending.map_or(COMMON_ENDING, |(_, ending)| ending);
+        format!("{key}.{ending}")
     }
 
     /// Key of a chunk: sha256 of kind, code, definition and index.
@@ -220,6 +231,9 @@ mod tests {
         let same = WorkOrder { chunks: 9, inputs: BTreeMap::new(), ..order.clone() };
         assert_eq!(key, same.key(0));
         assert_eq!(order.short_id().len(), ID_DIGITS);
+        assert_eq!(order.bytes_name("a"), "a.parquet");
+        let nets = WorkOrder { kind: "trainings".into(), ..order };
+        assert_eq!(nets.bytes_name("a"), "a.net");
     }
 
     #[test]

@@ -4,7 +4,7 @@
 //!
 //! ```text
 //! order.json            the work order
-//! results/KEY.parquet   the bytes of a chunk
+//! results/KEY.parquet   the bytes of a chunk (its ending depends on the kind)
 //! results/KEY.json      its row (`ChunkRow`), written when the bytes are durable: a chunk without it is not done
 //! failed/KEY.json       its last failure (`FailedChunk`)
 //! _lock                 locked, shared, by the processes that make chunks
@@ -130,7 +130,7 @@ impl OrderFolder {
 
     /// Path of the bytes of a chunk.
     pub fn result(&self, key: &str) -> PathBuf {
-        self.path.join(RESULTS).join(bytes_name(key))
+        self.path.join(RESULTS).join(self.order.bytes_name(key))
     }
 
     /// Registers this process as one that makes chunks. If there is no other one, what killed processes left
@@ -183,7 +183,7 @@ impl OrderFolder {
             return Err(ChunkError::Index { index, last });
         }
         let key = self.order.key(index);
-        let (row_name, bytes_name) = (json_name(&key), bytes_name(&key));
+        let (row_name, bytes_name) = (json_name(&key), self.order.bytes_name(&key));
         let row: ChunkRow = match self.read(RESULTS, &row_name)? {
             Some(Ok(row)) => row,
             Some(Err(why)) => {
@@ -273,15 +273,15 @@ impl OrderFolder {
             Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(Vec::new()),
             entries => entries.map_err(failed())?,
         };
-        let keys: BTreeSet<String> =
-            (0..self.order.chunks).map(|index| self.order.key(index)).collect();
+        let keys = (0..self.order.chunks).map(|index| self.order.key(index));
+        let names: BTreeSet<String> =
+            keys.flat_map(|key| [self.order.bytes_name(&key), json_name(&key)]).collect();
         let mut foreign = Vec::new();
         for entry in entries {
             let name = entry.map_err(failed())?.file_name().to_string_lossy().into_owned();
             // Unfinished files, and those that NFS keeps for a process that has them open.
             let is_hidden = name.starts_with(['_', '.']);
-            let key = name.strip_suffix(".parquet").or_else(|| name.strip_suffix(".json"));
-            if !is_hidden && !key.is_some_and(|key| keys.contains(key)) {
+            if !is_hidden && !names.contains(&name) {
                 foreign.push(format!("{RESULTS}/{name}"));
             }
         }
@@ -311,7 +311,7 @@ impl OrderFolder {
             let path = results.join(json_name(key));
             return Err(ChunkError::NotReproduced { index, path, before, now });
         }
-        let finished = out.finish(&bytes_name(key));
+        let finished = out.finish(&self.order.bytes_name(key));
         let finished = finished.map_err(ChunkError::file("writing", self.result(key)))?;
         let row = ChunkRow {
             key: key.to_owned(),
@@ -372,11 +372,6 @@ impl OrderFolder {
         let stored = text.and_then(|text| new_file::write(&folder, name, text));
         stored.map(|_| ()).map_err(ChunkError::file("writing", folder.join(name)))
     }
-}
-
-/// Name of the file with the bytes of a chunk.
-fn bytes_name(key: &str) -> String {
-    format!("{key}.parquet")
 }
 
 /// Name of the file with the row or the failure of a chunk.
