@@ -11,8 +11,13 @@ use crate::evaluate::score::{Mean, Score};
 use crate::evaluate::table::{SCORE_COLUMNS, Uncertainty, markdown, published_row, score_row};
 use crate::figure::Heading;
 use crate::infer::methods::Method;
-use crate::lab::{Lab, StudyError};
+use crate::lab::{Lab, StudyError, Training};
 use crate::sheet::{OutputFile, Sheet};
+
+/// Trainings of the nets of the twelve maps, in the order of the table.
+pub fn trainings(budget: &Budget) -> Vec<Training> {
+    TABLE_IV_MAPS.map(|spec| budget.map_net(RECON_NET, spec, None)).into()
+}
 
 /// Trains and scores the nets of the twelve maps on the test part of `s2s-recon`.
 ///
@@ -25,8 +30,8 @@ pub async fn table_iv<L: Lab>(lab: &L, budget: &Budget) -> Result<Sheet, L::Erro
     let (mut rows, mut numbers, mut scores) = (Vec::new(), Vec::new(), Vec::new());
     let mut scored = 0;
     let mut label = String::new();
-    for (number, spec) in (1..).zip(TABLE_IV_MAPS) {
-        let model = lab.train(&budget.map_net(RECON_NET, spec, None)).await?;
+    for (number, (spec, training)) in (1..).zip(TABLE_IV_MAPS.into_iter().zip(trainings(budget))) {
+        let model = lab.train(&training).await?;
         let mut request = budget.request(Method::Paper, "s2s-recon", Some("test"));
         request.map = Some(model.to_string());
         let report = lab.score(&request).await?;

@@ -10,11 +10,20 @@ use crate::evaluate::request::{EvaluationReport, Scored};
 use crate::evaluate::table::markdown;
 use crate::evaluate::voltages::VoltageScores;
 use crate::figure::Heading;
-use crate::lab::{Lab, StudyError};
+use crate::lab::{Lab, StudyError, Training};
 use crate::sheet::{OutputFile, Sheet};
 
 /// Columns: RMSE (V) / FVU (%) on the rows of the training, then on test trials of 1 to 6 contacts.
 const HEAD: [&str; 8] = ["trained on", "train", "I", "II", "III", "IV", "V", "VI"];
+
+/// Trainings of the nets on 1, 1 to 2, .. 1 to 6 contacts of a dataset, in the order of the table.
+pub fn trainings(budget: &Budget, dataset: &str) -> Vec<Training> {
+    let of = |published: &Rung| {
+        let most = published.trained_to;
+        budget.transfer(&format!("transfer-to-{most}"), dataset, &[up_to(most)])
+    };
+    TABLE_III.iter().map(of).collect()
+}
 
 /// Trains Transfer-Nets on 1, 1 to 2, .. 1 to 6 contacts, and compares their voltages with
 /// simulated ones for each number of contacts; also the measured voltages without a net.
@@ -34,16 +43,14 @@ pub async fn table_iii<L: Lab>(lab: &L, budget: &Budget, dataset: &str) -> Resul
     if let Some(scores) = &plain.voltages {
         rows.push(row("no net", None, scores));
     }
-    for published in &TABLE_III {
+    for (published, training) in TABLE_III.iter().zip(trainings(budget, dataset)) {
         let most = published.trained_to;
-        let conditions = vec![up_to(most)];
-        let training = budget.transfer(&format!("transfer-to-{most}"), dataset, &conditions);
         let model = lab.train(&training).await?;
         let mut request = budget.request(Scored::Voltages, dataset, Some("test"));
         request.transfer = Some(model.to_string());
         let test = lab.score(&request).await?;
         request.part = Some("train".into());
-        request.conditions = conditions;
+        request.conditions = training.conditions;
         let train = lab.score(&request).await?;
         if let (Some(test), Some(train)) = (&test.voltages, &train.voltages) {
             rows.push(row(&format!("1 to {most}"), Some(train), test));

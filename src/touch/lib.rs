@@ -13,14 +13,15 @@
 //!   quantities of a whole frame.
 //! - `evaluate` compares answers with true contacts and the model with measured frames; it returns numbers
 //!   and figures, and starts nothing.
-//! - `jobs` runs trainings and evaluations, one at a time, as tasks of the store that survive a restart.
+//! - `jobs` runs trainings and evaluations, one at a time, as tasks of the store that survive a restart; and
+//!   trainings as chunks, which need no store.
 //!
 //! `service::api` requests jobs, promotes models and serves live answers; `service::placement` compares the
 //! contacts of a frame with the requested weights; `studies` compute the paper's tables with `evaluate`. The
 //! training itself is in `trainer`, which uses `learn` and files and never opens the store.
 
 use palpate_data::dataset;
-use palpate_model::{calibrate, figure, simulate};
+use palpate_model::{calibrate, chunk, figure, simulate};
 use palpate_store as store;
 use palpate_words::{
     chance, clock, commit, digest, ids, journal, new_file, problem, program, record, state, syntax,

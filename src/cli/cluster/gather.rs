@@ -18,7 +18,7 @@ pub struct GatherArgs {
     /// Folder of the work order.
     #[arg(value_name = "FOLDER")]
     folder: PathBuf,
-    /// Folder to write: that of `palpate simulate random`.
+    /// Folder to write: that of `palpate simulate random`, or a folder for each net.
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
     /// Print JSON on standard output, for scripts.

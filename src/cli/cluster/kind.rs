@@ -1,6 +1,6 @@
 //! The kinds of chunks, and what makes and gathers those of each. For a further kind: a variant, and a line in each
 //! function; its definition and number of chunks are in a `WorkOrder` that its chapter makes.
-//! Uses: `chunk`, `simulate::random::chunks`. Never: a file of a chunk.
+//! Uses: `chunk`, `simulate::random::chunks`, `jobs::chunks`. Never: a file of a chunk.
 
 use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
@@ -11,6 +11,7 @@ use crate::chunk::folder::OrderFolder;
 use crate::chunk::order::{ChunkRow, ORDER_FILE};
 use crate::cli::error::CliError;
 use crate::cli::simulate::solved;
+use crate::jobs::chunks::{self as trainings, TRAININGS, TrainingChunks, TrainingsOrder};
 use crate::problem::Problem;
 use crate::simulate::random::chunks::{self, RandomChunks, RandomOrder};
 use crate::simulate::random::manifest::SIM_RANDOM;
@@ -20,21 +21,23 @@ use crate::simulate::random::manifest::SIM_RANDOM;
 pub enum ChunkKind {
     /// A shard of Sim-Random.
     SimRandom,
+    /// A net of a table.
+    Trainings,
 }
 
 /// Resources that make chunks: they do not change a byte.
 #[derive(Debug, Clone)]
 pub struct ChunkMeans {
-    /// Number of threads.
+    /// Number of threads, unless the work order states it.
     pub threads: NonZeroUsize,
-    /// Folder whose `cache` contains solved unit responses.
+    /// Folder whose `cache` contains solved unit responses, and whose `datasets` contains files of datasets.
     pub data: PathBuf,
 }
 
 /// What a gathered folder contains.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Gathered {
-    /// Number of rows.
+    /// Number of rows; a net is one.
     pub rows: u64,
     /// Number of bytes.
     pub bytes: u64,
@@ -48,8 +51,9 @@ impl ChunkKind {
     pub fn of(folder: &OrderFolder) -> Result<Self, CliError> {
         match folder.order().kind.as_str() {
             SIM_RANDOM => Ok(Self::SimRandom),
+            TRAININGS => Ok(Self::Trainings),
             other => {
-                let limit = format!("this program makes {SIM_RANDOM}");
+                let limit = format!("this program makes {SIM_RANDOM} and {TRAININGS}");
                 Err(refused(folder)(Problem::new(ORDER_FILE, "kind", other, limit)))
             }
         }
@@ -72,14 +76,19 @@ impl ChunkKind {
                 let made = RandomChunks::new(order, &model, means.threads);
                 Ok(Box::new(made.map_err(refused(folder))?))
             }
+            Self::Trainings => {
+                let order = TrainingsOrder::read(folder.order()).map_err(refused(folder))?;
+                let made = TrainingChunks::new(order, folder.path(), &means.data);
+                Ok(Box::new(made.map_err(refused(folder))?))
+            }
         }
     }
 
     /// Writes the chunks of a work order to `out`, as one process would have; `tell` receives a call for each chunk.
     ///
     /// # Errors
-    /// `ChunkError::Incomplete` if chunks are damaged: the others were written; `CliError::SimRandom` if a file cannot
-    /// be read or written, or `out` contains something else.
+    /// `ChunkError::Incomplete` if chunks are damaged: the others were written; another `ChunkError` or
+    /// `CliError::SimRandom` if a file cannot be read or written, or `out` contains something else.
     pub fn gather(
         self,
         folder: &OrderFolder,
@@ -91,22 +100,32 @@ impl ChunkKind {
             Self::SimRandom => {
                 let order = RandomOrder::read(folder.order()).map_err(refused(folder))?;
                 let gathered = chunks::gather(&order, folder, rows, out, &mut |_| tell())?;
-                if !gathered.damaged.is_empty() {
-                    let damaged = gathered.damaged.into_iter();
-                    let why = "its bytes do not have the sha256 of its row";
-                    let why = |index| (index, why.to_owned());
-                    let gaps = Gaps { damaged: damaged.map(why).collect(), ..Gaps::default() };
-                    let folder = folder.path().to_owned();
-                    return Err(ChunkError::Incomplete { folder, gaps: Box::new(gaps) }.into());
-                }
+                all_whole(folder, gathered.damaged)?;
                 let shards = gathered.manifest.shards.iter();
                 let (rows, bytes) = shards.fold((0, 0), |(rows, bytes), shard| {
                     (rows + shard.trials, bytes + shard.bytes)
                 });
                 Ok(Gathered { rows, bytes })
             }
+            Self::Trainings => {
+                let order = TrainingsOrder::read(folder.order()).map_err(refused(folder))?;
+                let gathered = trainings::gather(&order, folder, rows, out, tell)?;
+                all_whole(folder, gathered.damaged)?;
+                Ok(Gathered { rows: gathered.nets, bytes: gathered.bytes })
+            }
         }
     }
+}
+
+/// The error of a folder with damaged chunks, if there are any.
+fn all_whole(folder: &OrderFolder, damaged: Vec<u64>) -> Result<(), ChunkError> {
+    if damaged.is_empty() {
+        return Ok(());
+    }
+    let why = |index| (index, "its bytes do not have the sha256 of its row".to_owned());
+    let damaged = damaged.into_iter().map(why).collect();
+    let gaps = Box::new(Gaps { damaged, ..Gaps::default() });
+    Err(ChunkError::Incomplete { folder: folder.path().to_owned(), gaps })
 }
 
 /// Conversion of a problem of a folder's work order.

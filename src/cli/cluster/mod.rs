@@ -1,5 +1,6 @@
 //! `palpate cluster`: bulk work in chunks, in a folder that several machines share.
-//! Uses: `chunk`, the kinds of chunks. Never: the service, the network, Slurm itself (it starts this program).
+//! Uses: `chunk`, the kinds of chunks. Never: Slurm itself (it starts this program); the service and the network, except
+//! for what a work order of a table needs (`table`).
 
 use std::process::ExitCode;
 
@@ -14,6 +15,7 @@ mod lines;
 mod make;
 mod sbatch;
 mod status;
+mod table;
 
 /// Options of `cluster`.
 #[derive(Debug, Clone, Args)]
@@ -40,8 +42,9 @@ pub enum ClusterCommand {
     Status(status::StatusArgs),
     /// Verify all chunks, and write them as one process would have.
     ///
-    /// The folder has the same files, byte for byte, as if `palpate simulate random` had made it. Exit
-    /// code 1 if a chunk is missing or damaged: each is named.
+    /// The folder of Sim-Random has the same files, byte for byte, as if `palpate simulate random` had
+    /// made it; that of trainings has a folder for each net, for `palpate evaluate .. --trained`. Exit code
+    /// 1 if a chunk is missing or damaged: each is named.
     Gather(gather::GatherArgs),
 }
 
@@ -51,7 +54,7 @@ pub enum ClusterCommand {
 /// `CliError` if an input is invalid, or a file cannot be read or written.
 pub async fn cluster(args: ClusterArgs) -> Result<ExitCode, CliError> {
     match args.command {
-        ClusterCommand::Sbatch(args) => sbatch::sbatch(&args).map(|()| ExitCode::SUCCESS),
+        ClusterCommand::Sbatch(args) => sbatch::sbatch(&args).await.map(|()| ExitCode::SUCCESS),
         ClusterCommand::Make(args) => make::make(args).await,
         ClusterCommand::Status(args) => status::status(&args).map(|()| ExitCode::SUCCESS),
         ClusterCommand::Gather(args) => gather::gather(&args).map(|()| ExitCode::SUCCESS),

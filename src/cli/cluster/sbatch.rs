@@ -1,5 +1,5 @@
 //! `palpate cluster sbatch`: a work order and its array job, as files.
-//! Uses: `chunk`, `job`, `kind`. Never: Slurm, a chunk.
+//! Uses: `chunk`, `job`, `table`. Never: Slurm, a chunk.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -8,6 +8,7 @@ use clap::{Args, Subcommand};
 use serde_json::json;
 
 use super::job::{JOB_FILE, JOB_LOGS, Job, is_plain, is_time};
+use super::table::TableRequest;
 use crate::chunk::folder::OrderFolder;
 use crate::cli::data_or_default;
 use crate::cli::error::CliError;
@@ -38,6 +39,12 @@ pub enum SbatchCommand {
     /// The options that determine bytes are those of `palpate simulate random`, and the gathered folder has
     /// the same bytes.
     Random(SbatchRandomArgs),
+    /// Order the trainings of a table of the paper; a chunk is a net.
+    ///
+    /// The options that determine bytes are those of `palpate evaluate`, the number of processors
+    /// (--cpus), the kind of processor, and the commit of the program. `palpate evaluate .. --trained` makes
+    /// the table of the gathered nets.
+    Table(SbatchTableArgs),
 }
 
 /// Options of `cluster sbatch random`.
@@ -45,6 +52,15 @@ pub enum SbatchCommand {
 pub struct SbatchRandomArgs {
     #[command(flatten)]
     request: RandomRequest,
+    #[command(flatten)]
+    job: JobArgs,
+}
+
+/// Options of `cluster sbatch table`.
+#[derive(Debug, Clone, Args)]
+pub struct SbatchTableArgs {
+    #[command(flatten)]
+    request: TableRequest,
     #[command(flatten)]
     job: JobArgs,
 }
@@ -58,7 +74,7 @@ pub struct JobArgs {
     /// Largest number of tasks of the array; task i of T makes the chunks i, i + T, ..
     #[arg(long, value_name = "T", default_value_t = 64)]
     tasks: u64,
-    /// Processors of a task, and threads that simulate in it.
+    /// Processors of a task, and threads that simulate or train in it.
     #[arg(long, value_name = "N", default_value_t = 1)]
     cpus: usize,
     /// Memory of a task, MiB [default: that of the partition].
@@ -82,7 +98,7 @@ pub struct JobArgs {
 ///
 /// # Errors
 /// `CliError` if an option is invalid, the folder contains another order, or a file cannot be written.
-pub fn sbatch(args: &SbatchArgs) -> Result<(), CliError> {
+pub async fn sbatch(args: &SbatchArgs) -> Result<(), CliError> {
     match &args.command {
         SbatchCommand::Random(SbatchRandomArgs { request, job }) => {
             let places = job.places(request.data.clone())?;
@@ -92,7 +108,15 @@ pub fn sbatch(args: &SbatchArgs) -> Result<(), CliError> {
                 .map_err(|problem| CliError::Problems(vec![problem]))?;
             let rows = definition.trials;
             let (folder, is_new) = OrderFolder::write(&job.folder, order)?;
-            job.finish(&folder, &places, is_new, &format!("{} trials", grouped(rows)))
+            let contents = format!("{} trials", grouped(rows));
+            job.finish(&folder, &places, is_new, &contents, &[])
+        }
+        SbatchCommand::Table(SbatchTableArgs { request, job }) => {
+            let places = job.places(request.data.clone())?;
+            let order = request.order(job.cpus, job.json).await?;
+            let contents = format!("{} nets", order.chunks);
+            let (folder, is_new) = OrderFolder::write(&job.folder, order)?;
+            job.finish(&folder, &places, is_new, &contents, request.resources())
         }
     }
 }
@@ -139,13 +163,14 @@ impl JobArgs {
         Ok(Places { palpate, folder, data })
     }
 
-    /// Writes the job of an order, and reports both.
+    /// Writes the job of an order, and reports both. `resources`: further options of `sbatch` that its kind needs.
     fn finish(
         &self,
         folder: &OrderFolder,
         places: &Places,
         is_new: bool,
         contents: &str,
+        resources: &[&str],
     ) -> Result<(), CliError> {
         let order = folder.order();
         let job = Job {
@@ -156,7 +181,7 @@ impl JobArgs {
             chunks: order.chunks,
             tasks: self.tasks.min(order.chunks),
             cpus: self.cpus,
-            options: self.options(),
+            options: self.options(resources),
         };
         let (path, text) = (self.folder.join(JOB_FILE), job.to_string());
         let is_same = fs::read_to_string(&path).is_ok_and(|there| there == text);
@@ -203,7 +228,7 @@ impl JobArgs {
     }
 
     /// Further options of `sbatch`.
-    fn options(&self) -> Vec<String> {
+    fn options(&self, resources: &[&str]) -> Vec<String> {
         let memory = self.memory_mib.map(|mib| format!("{mib}M"));
         let named = [
             ("mem", &memory),
@@ -212,7 +237,8 @@ impl JobArgs {
             ("time", &self.time),
         ];
         let given = named.into_iter().filter_map(|(name, value)| Some((name, value.as_ref()?)));
-        given.map(|(name, value)| format!("{name}={value}")).collect()
+        let given = given.map(|(name, value)| format!("{name}={value}"));
+        given.chain(resources.iter().map(|&option| option.to_owned())).collect()
     }
 }
 

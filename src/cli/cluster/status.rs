@@ -115,7 +115,7 @@ pub fn status(args: &StatusArgs) -> Result<(), CliError> {
     let next = Next::default();
     let next = match (counts.open.is_empty(), array) {
         (true, _) => next.suggest(
-            format_args!("palpate cluster gather {place} --out sim-random"),
+            format_args!("palpate cluster gather {place} --out {}", folder.order().kind),
             "verifies all chunks, and writes them as one process would have",
         ),
         (false, Some(array)) => next.line(

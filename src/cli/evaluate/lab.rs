@@ -1,5 +1,5 @@
 //! The service as the lab of a study: trainings and evaluations are its jobs.
-//! Uses: `client`, `cli::train`, `studies::lab`. Never: two trainings of one recipe on one dataset.
+//! Uses: `client`, `cli::train`, `jobs::chunks`, `studies::lab`. Never: two trainings of one recipe on one dataset.
 
 use std::path::PathBuf;
 
@@ -8,9 +8,10 @@ use serde_json::{Value, json};
 
 use super::write_all;
 use crate::api::{FrameAnswer, InferOptions, InferRequest, JobOut, ModelOut};
-use crate::cli::client::{Client, text_of};
+use crate::cli::client::{Client, TextPart, text_of};
 use crate::cli::dataset::DATASET_WAIT;
 use crate::cli::error::CliError;
+use crate::cli::files::read_input;
 use crate::cli::job::wait_for;
 use crate::cli::next::Next;
 use crate::cli::output::{note, say, say_json};
@@ -23,12 +24,17 @@ use crate::evaluate::request::{EvaluationReport, EvaluationRequest};
 use crate::ids::ModelId;
 use crate::infer::answer::Reading;
 use crate::infer::methods::Method;
+use crate::infer::registry::SENSOR_FILE;
+use crate::jobs::chunks::{DatasetFile, NetOrder};
+use crate::learn::model_file::Manifest;
+use crate::learn::order::{MANIFEST, ONNX, RESIDUALS};
 use crate::learn::residuals::Residuals;
 use crate::simulate::schema::SIM_VOLTAGES_V;
 use crate::store::{RunKind, RunRow};
 use crate::studies::budget::{Budget, Scale};
 use crate::studies::lab::{DatasetFacts, Lab, NO_METHOD, StudyError, Training, Trial};
 use crate::studies::sheet::Sheet;
+use crate::syntax::parse_toml;
 
 /// Extent of training and scoring.
 #[derive(Debug, Clone, Copy, ValueEnum)]
@@ -41,9 +47,9 @@ pub enum ScaleName {
     Full,
 }
 
-/// Options of a table.
+/// Options that determine the extent of a table.
 #[derive(Debug, Clone, Args)]
-pub struct LabArgs {
+pub struct ExtentArgs {
     /// Extent of training and scoring.
     #[arg(long, value_enum, default_value = "small")]
     scale: ScaleName,
@@ -62,6 +68,17 @@ pub struct LabArgs {
     /// The Transfer-Net's recipe: transfer-net (residual form), transfer-net-published, or a file.
     #[arg(long, value_name = "RECIPE", default_value = "transfer-net")]
     transfer: String,
+}
+
+/// Options of a table.
+#[derive(Debug, Clone, Args)]
+pub struct LabArgs {
+    #[command(flatten)]
+    extent: ExtentArgs,
+    /// Folder of nets that `palpate cluster gather` has written: those of the table are added to the service, the
+    /// others are trained.
+    #[arg(long, value_name = "DIR")]
+    trained: Option<PathBuf>,
     /// Folder for numbers, tables and figures.
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
@@ -71,8 +88,9 @@ pub struct LabArgs {
     at: At,
 }
 
-impl LabArgs {
-    fn budget(&self) -> Budget {
+impl ExtentArgs {
+    /// The budget of these options.
+    pub fn budget(&self) -> Budget {
         Budget {
             scale: match self.scale {
                 ScaleName::Small => Scale::Small,
@@ -102,8 +120,8 @@ where
 {
     let at = args.at.clone();
     embed::with_server(&at, move |client| async move {
-        let lab = ServiceLab { client, quiet: args.at.json };
-        let sheet = study(lab, args.budget()).await?;
+        let lab = ServiceLab::new(client, args.at.json, args.trained.clone());
+        let sheet = study(lab, args.extent.budget()).await?;
         if let Some(folder) = &args.out {
             write_all(folder, &sheet.files, &args.pictures).await?;
         }
@@ -131,9 +149,83 @@ pub struct ServiceLab {
     client: Client,
     /// Without messages for people.
     quiet: bool,
+    /// Folder of gathered nets.
+    trained: Option<PathBuf>,
+}
+
+/// A training with all names resolved.
+struct ResolvedTraining {
+    /// Name of the model: it contains recipe and data, so that an equal request finds the model.
+    name: String,
+    /// Text of the recipe, with this name.
+    recipe: String,
+    /// Description of the dataset; null without one.
+    dataset: Value,
 }
 
 impl ServiceLab {
+    /// A lab at a service. `quiet`: without messages for people; `trained`: folder of gathered nets.
+    pub fn new(client: Client, quiet: bool, trained: Option<PathBuf>) -> Self {
+        Self { client, quiet, trained }
+    }
+
+    /// The net of a training, for a work order.
+    ///
+    /// # Errors
+    /// `CliError` if the recipe is invalid or names no dataset, or the dataset cannot be made.
+    pub async fn net_order(&self, training: &Training) -> Result<NetOrder, CliError> {
+        let ResolvedTraining { recipe, dataset, .. } = self.resolve(training).await?;
+        let limit = "must name a dataset: nets on simulations are not made in chunks";
+        let file: DatasetFile = serde_json::from_value(dataset)
+            .map_err(|_| CliError::argument("recipe", &training.recipe, limit))?;
+        let path = format!("/api/v1/datasets/{}/lineage", file.id);
+        let lineage: Value = self.client.get(&path).await?;
+        NetOrder::new(&recipe, file, &lineage["lineage"]).map_err(CliError::Problems)
+    }
+
+    /// Resolves the names of a training; makes its dataset if needed.
+    async fn resolve(&self, training: &Training) -> Result<ResolvedTraining, CliError> {
+        let stem = &training.stem;
+        let changes = changes(training, stem);
+        let text = recipe_text(&training.recipe, &changes)?;
+        let named = toml::from_str::<toml::Table>(&text).ok();
+        let named = named.and_then(|recipe| recipe.get("dataset")?.as_str().map(str::to_owned));
+        let dataset = match named {
+            Some(name) => self.dataset(&name).await?,
+            None => Value::Null,
+        };
+        let id = dataset["id"].as_str().unwrap_or_default();
+        let digest = sha256_hex(format!("{text}{id}"));
+        let name = format!("{stem}-{}", &digest[..8]);
+        let changes = Changes { name: Some(name.clone()), ..changes };
+        let recipe = recipe_text(&training.recipe, &changes)?;
+        Ok(ResolvedTraining { name, recipe, dataset })
+    }
+
+    /// Adds a gathered net to the service; none if there is none of this name.
+    async fn add_gathered(&self, name: &str) -> Result<Option<ModelOut>, CliError> {
+        let folder = self.trained.as_ref().map(|all| all.join(name));
+        let Some(folder) = folder.filter(|folder| folder.is_dir()) else { return Ok(None) };
+        let path = folder.join(MANIFEST);
+        let manifest: Manifest = parse_toml(&path.display().to_string(), &read_input(&path)?)
+            .map_err(CliError::Problems)?;
+        let mut texts = vec![
+            TextPart::value("sensor", read_input(&folder.join(SENSOR_FILE))?),
+            TextPart::value("facts", manifest.model.to_toml()),
+            TextPart::value("name", name.into()),
+            TextPart::value("id", manifest.id.to_string()),
+        ];
+        let residuals = folder.join(RESIDUALS);
+        if residuals.exists() {
+            texts.push(TextPart::value("residuals", read_input(&residuals)?));
+        }
+        if !self.quiet {
+            note(format_args!("adding {name}"));
+        }
+        let added = self.client.upload("/api/v1/models", &folder.join(ONNX), texts).await?;
+        Ok(Some(added))
+    }
+
     /// Description of a dataset, which is made if needed.
     async fn dataset(&self, name: &str) -> Result<Value, CliError> {
         let client = self.client.patient(DATASET_WAIT).showing("making the dataset");
@@ -191,23 +283,15 @@ impl Lab for ServiceLab {
     }
 
     async fn train(&self, training: &Training) -> Result<ModelId, CliError> {
-        let Training { recipe, stem, .. } = training;
-        let changes = changes(training, stem);
-        let text = recipe_text(recipe, &changes)?;
-        let dataset = toml::from_str::<toml::Table>(&text).ok();
-        let dataset = dataset.and_then(|recipe| recipe.get("dataset")?.as_str().map(str::to_owned));
-        let dataset = match dataset {
-            Some(name) => text_of(&self.dataset(&name).await?["id"]),
-            None => String::new(),
-        };
-        // The name contains recipe and data: an equal request finds the model.
-        let digest = sha256_hex(format!("{text}{dataset}"));
-        let name = format!("{stem}-{}", &digest[..8]);
+        let stem = &training.stem;
+        let ResolvedTraining { name, recipe, .. } = self.resolve(training).await?;
         let models: Vec<ModelOut> = self.client.all("/api/v1/models?").await?;
         if let Some(model) = models.into_iter().find(|model| model.name == name) {
             return Ok(model.id);
         }
-        let recipe = recipe_text(recipe, &Changes { name: Some(name), ..changes })?;
+        if let Some(model) = self.add_gathered(&name).await? {
+            return Ok(model.id);
+        }
         if !self.quiet {
             note(format_args!("training {stem}"));
         }

@@ -28,7 +28,7 @@ use crate::studies::transfer::table_iii;
 use crate::studies::unseen::{Unseen, fig_12};
 use lab::{LabArgs, with_lab};
 
-mod lab;
+pub mod lab;
 mod simulation;
 
 /// Options of `evaluate`.

@@ -21,7 +21,7 @@ use crate::evaluate::request::Scored;
 use crate::ids::{CalibrationId, ModelId, PromotedId};
 use crate::infer::registry::{NewModel, facts};
 use crate::infer::slot::Slot;
-use crate::learn::model_file::{ModelFacts, manifest_for_foreign};
+use crate::learn::model_file::{Manifest, ModelFacts, manifest_for_foreign, manifest_with_id};
 use crate::learn::residuals::Residuals;
 use crate::learn::task::NetTask;
 use crate::problem::Problem;
@@ -206,6 +206,11 @@ pub struct ModelForm {
     facts: String,
     /// Name of the model.
     name: String,
+    /// Id in the manifest of a net that a trainer of Palpate has made; it must be that of file and facts. Absent for a
+    /// net of another program.
+    id: Option<String>,
+    /// Residuals of a Transfer-Net that a trainer of Palpate has made (JSON), as a model's residuals are returned.
+    residuals: Option<String>,
 }
 
 /// Adds a model trained elsewhere.
@@ -233,6 +238,8 @@ struct Parts {
     sensor: Option<String>,
     facts: Option<String>,
     name: Option<String>,
+    id: Option<String>,
+    residuals: Option<String>,
 }
 
 async fn receive(mut form: Form) -> Result<Parts, ApiError> {
@@ -247,9 +254,11 @@ async fn receive(mut form: Form) -> Result<Parts, ApiError> {
                 ApiError::check_text("name", &name, WHO_MAX_CHARS)?;
                 parts.name = Some(name);
             }
+            "id" => parts.id = Some(part.text().await?),
+            "residuals" => parts.residuals = Some(part.text().await?),
             other => {
                 let name = cut(other, WHO_MAX_CHARS);
-                let limit = "must be file, sensor, facts or name";
+                let limit = "must be file, sensor, facts, name, id or residuals";
                 return Err(ApiError::value("part", name, limit));
             }
         }
@@ -268,12 +277,29 @@ async fn store(app: &App, parts: Parts) -> Result<ModelRow, ApiError> {
     let (_, sensor_facts) = facts("sensor", &sensor).map_err(ApiError::problems)?;
     let stated: ModelFacts = parse_toml("facts", &stated).map_err(ApiError::problems)?;
     let onnx = given(parts.file, "file")?;
-    let manifest = manifest_for_foreign(&onnx, stated, &sensor_facts)
-        .map_err(crate::infer::error::InferError::from)?;
-    let new = NewModel { name, manifest, onnx, sensor, losses: None, residuals: None };
+    let manifest = match parts.id {
+        None => manifest_for_foreign(&onnx, stated, &sensor_facts),
+        Some(id) => manifest_with_id(&onnx, stated, &sensor_facts, ModelId::unchecked(id)),
+    };
+    let manifest = manifest.map_err(crate::infer::error::InferError::from)?;
+    let residuals = parts.residuals.map(|text| residuals_of(&manifest, &text)).transpose()?;
+    let new = NewModel { name, manifest, onnx, sensor, losses: None, residuals };
     // The model must run on one frame before it is stored.
     new.try_out().await?;
     Ok(app.models.add(new).await?)
+}
+
+/// Reads the residuals of a Transfer-Net.
+fn residuals_of(manifest: &Manifest, text: &str) -> Result<Residuals, ApiError> {
+    let refused =
+        |limit: &str| ApiError::problems(vec![Problem::new("form", "residuals", "..", limit)]);
+    let residuals: Residuals =
+        serde_json::from_str(text).map_err(|error| refused(&error.to_string()))?;
+    let (facts, lengths) = (&manifest.model, [residuals.mean_v.len(), residuals.sd_v.len()]);
+    if facts.task != NetTask::Transfer || lengths != [facts.channels; 2] {
+        return Err(refused("must be of a Transfer-Net, with a mean and a deviation per channel"));
+    }
+    Ok(residuals)
 }
 
 /// Adds a calibration of this rig's sensor (text of its file), so that it can be promoted.

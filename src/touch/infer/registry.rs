@@ -25,7 +25,8 @@ use crate::new_file::{self, sweep};
 use crate::problem::Problem;
 use crate::store::{ModelRow, Store};
 
-const SENSOR_FILE: &str = "sensor.toml";
+/// Name of a model's sensor file.
+pub const SENSOR_FILE: &str = "sensor.toml";
 /// Number of models that stay loaded in addition to those in use.
 const LOADED_MAX: usize = 8;
 
@@ -57,6 +58,14 @@ impl NewModel {
             Plan::load(&onnx, facts.channels, &facts.output_shape).map(|_| ())
         });
         trying.await.map_err(|_| InferError::Worker)?.map_err(InferError::from)
+    }
+
+    /// Writes the files of the model into a folder, which is created if needed; the manifest last.
+    ///
+    /// # Errors
+    /// `InferError::File` if a file cannot be written; `Json` if the residuals are not finite.
+    pub fn save(&self, folder: &Path) -> Result<(), InferError> {
+        write(folder, self)
     }
 }
 
@@ -173,7 +182,7 @@ impl Registry {
             created_at: self.inner.clock.timestamp(),
         };
         let folder = self.folder(&row.id);
-        let writing = tokio::task::spawn_blocking(move || write(&folder, &new));
+        let writing = tokio::task::spawn_blocking(move || new.save(&folder));
         writing.await.map_err(|_| InferError::Worker)??;
         self.inner.store.insert_model(row.clone()).await?;
         self.find(row.id.as_str()).await

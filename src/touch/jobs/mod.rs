@@ -4,7 +4,7 @@
 //!
 //! A job is a task of the store: it resumes after a restart, a training from its last checkpoint. It
 //! runs at low priority, so that it does not slow acquisition: an evaluation on a thread, a training in
-//! a separate process (`trainer`).
+//! a separate process (`trainer`). Trainings that other machines make are in `chunks`: they need no store.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -22,6 +22,7 @@ use crate::learn::order::{CHECKPOINT, LOSSES};
 use crate::store::{Store, TaskEnd, TaskKind, TaskQueue, TaskRow, TaskState};
 use starts::{STARTS_MAX, Starts};
 
+pub mod chunks;
 mod error;
 mod evaluation;
 mod gathered;

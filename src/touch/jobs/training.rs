@@ -154,18 +154,37 @@ async fn prepare(
     Ok((recipe, order))
 }
 
-/// Lineage that the model inherits from its dataset, and where the rows are.
-fn of_dataset(dataset: DatasetRow, recipe: &Recipe, file: PathBuf, scratch: PathBuf) -> Source {
-    let lineage = &dataset.lineage;
+/// What a model inherits from the lineage of its dataset.
+pub(super) struct Inherited {
+    /// Label of the model.
+    pub(super) label: Label,
+    /// Calibration of the dataset's twins.
+    pub(super) calibration: Option<CalibrationId>,
+    /// Hash of the model that simulated them.
+    pub(super) simulation: Option<String>,
+}
+
+/// What the model of a recipe inherits from the lineage of its dataset.
+pub(super) fn inherited(lineage: &Value, recipe: &Recipe) -> Inherited {
     let label = serde_json::from_value(lineage["runs"][0]["label"].clone()).ok();
     // A net that reads no measured frames is of simulations.
     let label = label.filter(|_| recipe.task().columns().contains(&MEASURED));
     let model = &lineage["models"][0];
     let text = |value: &Value| value.as_str().map(str::to_owned);
-    Source::Dataset {
+    Inherited {
         label: label.unwrap_or(Label::Simulated),
         calibration: text(&model["calibration"]).map(CalibrationId::unchecked),
         simulation: text(&model["model"]),
+    }
+}
+
+/// Lineage that the model inherits from its dataset, and where the rows are.
+fn of_dataset(dataset: DatasetRow, recipe: &Recipe, file: PathBuf, scratch: PathBuf) -> Source {
+    let Inherited { label, calibration, simulation } = inherited(&dataset.lineage, recipe);
+    Source::Dataset {
+        label,
+        calibration,
+        simulation,
         id: dataset.id,
         file: absolute(&file),
         rows: dataset.rows,
@@ -174,7 +193,7 @@ fn of_dataset(dataset: DatasetRow, recipe: &Recipe, file: PathBuf, scratch: Path
 }
 
 /// The trainer need not run in this process's folder.
-fn absolute(path: &Path) -> PathBuf {
+pub(super) fn absolute(path: &Path) -> PathBuf {
     std::path::absolute(path).unwrap_or_else(|_| path.to_owned())
 }
 
@@ -200,7 +219,10 @@ fn show(event: Event, watch: &Watch, starts: &Starts) {
 }
 
 /// Reads the trainer's result, and checks that it is the one of the order.
-fn result(folder: &Path, order: &Order, name: String) -> Result<NewModel, JobError> {
+///
+/// # Errors
+/// `JobError` if a file is missing or invalid, or of another order.
+pub(super) fn result(folder: &Path, order: &Order, name: String) -> Result<NewModel, JobError> {
     let path = |name: &str| folder.join(name);
     let read = |name: &str| {
         fs::read_to_string(path(name)).map_err(LearnError::file("reading", &path(name)))
@@ -239,7 +261,7 @@ fn write(folder: &Path, name: &str, bytes: &[u8]) -> Result<(), LearnError> {
 }
 
 /// Program and commit that train a model.
-fn code() -> String {
+pub(super) fn code() -> String {
     let commit = crate::commit::known().unwrap_or("unknown");
     format!("palpate {} {commit}", env!("CARGO_PKG_VERSION"))
 }

@@ -244,6 +244,11 @@ impl ModelFacts {
         checks.done()
     }
 
+    /// Returns the facts as TOML, as a form states them.
+    pub fn to_toml(&self) -> String {
+        toml::to_string(self).expect("strings, numbers, lists and tables are TOML")
+    }
+
     /// The model's id: `mdl-` and the start of a sha256 over these facts and a file without its
     /// seal.
     fn id(&self, file: &[u8]) -> ModelId {
@@ -344,6 +349,24 @@ pub fn manifest_for_foreign(
     model.check("model", sensor).map_err(ModelError::Facts)?;
     model.check_shapes(&OnnxFile::read(file)?)?;
     Ok(Manifest { id: model.id(file), model, scores: toml::Table::new() })
+}
+
+/// Builds the manifest of a net that a trainer of Palpate has made on another machine. Its id must be that of its facts and
+/// its file.
+///
+/// # Errors
+/// `ModelError::Changed` if it is not; others if the file cannot be served, or the facts do not match the sensor or the
+/// file.
+pub fn manifest_with_id(
+    file: &[u8],
+    model: ModelFacts,
+    sensor: &SensorFacts,
+    id: ModelId,
+) -> Result<Manifest, ModelError> {
+    model.check("model", sensor).map_err(ModelError::Facts)?;
+    let manifest = Manifest { id, model, scores: toml::Table::new() };
+    manifest.check_file(file)?;
+    Ok(manifest)
 }
 
 /// Builds the manifest of a net trained here, and its ONNX file, which contains the id.

@@ -56,6 +56,19 @@ fn a_manifest_survives_its_file() {
 }
 
 #[test]
+fn a_net_of_another_machine_keeps_its_id() {
+    let (manifest, file) = model_of(&network(), facts(), &sensor()).unwrap();
+    let stated: ModelFacts = toml::from_str(&facts().to_toml()).unwrap();
+    assert_eq!(stated, facts());
+    let of = |facts, id: &str| manifest_with_id(&file, facts, &sensor(), ModelId::unchecked(id));
+    assert_eq!(of(stated, manifest.id.as_str()).unwrap(), manifest);
+    let other = of(facts(), "mdl-0123456789abcdef");
+    assert!(matches!(other, Err(ModelError::Changed { .. })), "{other:?}");
+    let changed = of(ModelFacts { label: Label::Measured, ..facts() }, manifest.id.as_str());
+    assert!(matches!(changed, Err(ModelError::Changed { .. })), "{changed:?}");
+}
+
+#[test]
 fn an_id_covers_facts_and_weights_and_not_scores() {
     let (manifest, file) = model_of(&network(), facts(), &sensor()).unwrap();
     assert_eq!(manifest.id.as_str().len(), "mdl-".len() + ID_DIGITS);

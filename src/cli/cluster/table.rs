@@ -1,0 +1,85 @@
+//! `palpate cluster sbatch table`: the trainings of a table of the paper, as a work order.
+//! Uses: `evaluate::lab` (a service resolves datasets), `jobs::chunks`, `studies`. Never: a training.
+
+use std::path::PathBuf;
+
+use clap::{Args, ValueEnum};
+use nets::compute::Compute;
+
+use crate::chunk::order::WorkOrder;
+use crate::cli::error::CliError;
+use crate::cli::evaluate::lab::{ExtentArgs, ServiceLab};
+use crate::cli::{At, embed};
+use crate::jobs::chunks::work_order;
+use crate::studies::budget::R2S;
+use crate::studies::{maps, transfer};
+
+/// Options of a job that trains on a GPU.
+const GPU_RESOURCES: [&str; 1] = ["gres=gpu:1"];
+
+/// Tables whose nets do not need one another.
+#[derive(Debug, Clone, Copy, ValueEnum)]
+pub enum TableName {
+    /// Table IV: Recon-Nets of twelve force maps.
+    Maps,
+    /// Table III: Transfer-Nets by the number of contacts in training.
+    Transfer,
+}
+
+/// Options that determine the nets of a table.
+#[derive(Debug, Clone, Args)]
+pub struct TableRequest {
+    /// Table whose nets are trained, as `palpate evaluate` names it.
+    #[arg(value_enum, value_name = "TABLE")]
+    table: TableName,
+    /// The dataset of the table transfer, as of `palpate evaluate transfer`.
+    #[arg(long, value_name = "NAME", default_value = R2S)]
+    dataset: String,
+    #[command(flatten)]
+    extent: ExtentArgs,
+    /// Train on the first NVIDIA GPU of a task, for which the trainer was built.
+    #[arg(long)]
+    gpu: bool,
+    /// URL of the service whose datasets are used [env: PALPATE_URL] [default: http://127.0.0.1:8080].
+    #[arg(long, value_name = "URL")]
+    url: Option<String>,
+    /// Certificate of an https service or of its authority, PEM [env: PALPATE_CA] [default: the
+    /// authorities of the system].
+    #[arg(long, value_name = "FILE")]
+    ca: Option<PathBuf>,
+    /// Data folder of the service, which all nodes share [env: PALPATE_DATA] [default: palpate-data].
+    #[arg(long, value_name = "DIR")]
+    pub data: Option<PathBuf>,
+}
+
+impl TableRequest {
+    /// The work order; datasets are made if needed. `threads`: those of each training on a processor; `json`: without
+    /// messages for people.
+    ///
+    /// # Errors
+    /// `CliError` if the service cannot be reached or started, or a recipe or a dataset is invalid.
+    pub async fn order(&self, threads: usize, json: bool) -> Result<WorkOrder, CliError> {
+        let (url, ca, data) = (self.url.clone(), self.ca.clone(), self.data.clone());
+        let at = At { url, ca, data, json };
+        let budget = self.extent.budget();
+        let trainings = match self.table {
+            TableName::Maps => maps::trainings(&budget),
+            TableName::Transfer => transfer::trainings(&budget, &self.dataset),
+        };
+        let nets = embed::with_server(&at, move |client| async move {
+            let lab = ServiceLab::new(client, json, None);
+            let mut nets = Vec::new();
+            for training in &trainings {
+                nets.push(lab.net_order(training).await?);
+            }
+            Ok(nets)
+        });
+        let compute = if self.gpu { Compute::Cuda(0) } else { Compute::Cpu { threads } };
+        Ok(work_order(nets.await?, compute))
+    }
+
+    /// Options of the job that the trainings need.
+    pub fn resources(&self) -> &'static [&'static str] {
+        if self.gpu { &GPU_RESOURCES } else { &[] }
+    }
+}
