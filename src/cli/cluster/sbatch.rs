@@ -41,9 +41,9 @@ pub enum SbatchCommand {
     Random(SbatchRandomArgs),
     /// Order the trainings of a table of the paper; a chunk is a net.
     ///
-    /// The options that determine bytes are those of `palpate evaluate`, the number of processors
-    /// (--cpus), the kind of processor, and the commit of the program. `palpate evaluate .. --trained` makes
-    /// the table of the gathered nets.
+    /// The options that determine bytes are those of `palpate evaluate`; the vector instructions of this
+    /// processor and the commit of the program determine them, too. A net trains on one thread.
+    /// `palpate evaluate .. --trained` makes the table of the gathered nets.
     Table(SbatchTableArgs),
 }
 
@@ -74,7 +74,7 @@ pub struct JobArgs {
     /// Largest number of tasks of the array; task i of T makes the chunks i, i + T, ..
     #[arg(long, value_name = "T", default_value_t = 64)]
     tasks: u64,
-    /// Processors of a task, and threads that simulate or train in it.
+    /// Processors of a task, and threads that simulate in it; a net trains on one.
     #[arg(long, value_name = "N", default_value_t = 1)]
     cpus: usize,
     /// Memory of a task, MiB [default: that of the partition].
@@ -113,7 +113,7 @@ pub async fn sbatch(args: &SbatchArgs) -> Result<(), CliError> {
         }
         SbatchCommand::Table(SbatchTableArgs { request, job }) => {
             let places = job.places(request.data.clone())?;
-            let order = request.order(job.cpus, job.json).await?;
+            let order = request.order(job.json).await?;
             let contents = format!("{} nets", order.chunks);
             let (folder, is_new) = OrderFolder::write(&job.folder, order)?;
             job.finish(&folder, &places, is_new, &contents, request.resources())

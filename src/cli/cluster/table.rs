@@ -10,7 +10,7 @@ use crate::chunk::order::WorkOrder;
 use crate::cli::error::CliError;
 use crate::cli::evaluate::lab::{ExtentArgs, ServiceLab};
 use crate::cli::{At, embed};
-use crate::jobs::chunks::work_order;
+use crate::jobs::chunks::{ONE_THREAD, work_order};
 use crate::studies::budget::R2S;
 use crate::studies::{maps, transfer};
 
@@ -53,12 +53,11 @@ pub struct TableRequest {
 }
 
 impl TableRequest {
-    /// The work order; datasets are made if needed. `threads`: those of each training on a processor; `json`: without
-    /// messages for people.
+    /// The work order; datasets are made if needed. `json`: without messages for people.
     ///
     /// # Errors
     /// `CliError` if the service cannot be reached or started, or a recipe or a dataset is invalid.
-    pub async fn order(&self, threads: usize, json: bool) -> Result<WorkOrder, CliError> {
+    pub async fn order(&self, json: bool) -> Result<WorkOrder, CliError> {
         let (url, ca, data) = (self.url.clone(), self.ca.clone(), self.data.clone());
         let at = At { url, ca, data, json };
         let budget = self.extent.budget();
@@ -74,7 +73,7 @@ impl TableRequest {
             }
             Ok(nets)
         });
-        let compute = if self.gpu { Compute::Cuda(0) } else { Compute::Cpu { threads } };
+        let compute = if self.gpu { Compute::Cuda(0) } else { ONE_THREAD };
         Ok(work_order(nets.await?, compute))
     }
 

@@ -73,6 +73,13 @@ pub const EXAMPLES: &[(&str, &[&str])] = &[
         ],
     ),
     (
+        "cluster sbatch table",
+        &[
+            "palpate cluster sbatch table maps --scale small --folder nets",
+            "palpate cluster sbatch table transfer --scale medium --folder nets --time 2:00:00",
+        ],
+    ),
+    (
         "cluster make",
         &[
             "palpate cluster make sim 3 17",

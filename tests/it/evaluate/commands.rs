@@ -19,7 +19,7 @@ const TIPS: [u8; 2] = [1, 3];
 const CONFIGURATIONS: u32 = 15;
 
 /// The trials of `fill`, and runs of one and of three tips.
-async fn trials(data: &Path) {
+pub(super) async fn trials(data: &Path) {
     fill(data).await;
     let store = store(data).await;
     let points: Vec<[f64; 2]> = sensor().points().iter().map(|p| [p.x_mm, p.y_mm]).collect();
@@ -41,13 +41,13 @@ async fn trials(data: &Path) {
 }
 
 /// Runs a command on a data folder, in it.
-fn palpate(data: &Path, arguments: &[&str]) -> Output {
+pub(super) fn palpate(data: &Path, arguments: &[&str]) -> Output {
     let mut command = Command::new(PALPATE);
     command.args(arguments).env("PALPATE_DATA", data).current_dir(data).output().unwrap()
 }
 
 /// Runs `palpate evaluate`; returns its numbers. Its files are in the folder `tables` of the data.
-fn evaluate(data: &Path, command: &str, options: &[&str]) -> Value {
+pub(super) fn evaluate(data: &Path, command: &str, options: &[&str]) -> Value {
     let tables = data.join("tables").display().to_string();
     let out =
         palpate(data, &[&["evaluate", command, "--json", "--out", &tables][..], options].concat());
@@ -58,7 +58,7 @@ fn evaluate(data: &Path, command: &str, options: &[&str]) -> Value {
 }
 
 /// The written table.
-fn table_text(data: &Path, name: &str) -> String {
+pub(super) fn table_text(data: &Path, name: &str) -> String {
     std::fs::read_to_string(data.join("tables").join(format!("{name}.md"))).unwrap()
 }
 

@@ -17,6 +17,7 @@ use serde_json::{Value, json};
 
 use crate::support;
 
+mod chunks;
 mod commands;
 mod skins;
 

@@ -41,6 +41,8 @@ use crate::store::Label;
 
 /// Kind of the chunks.
 pub const TRAININGS: &str = "trainings";
+/// Device of a training on a processor: with more threads the order of sums, and so the bytes, differ each time.
+pub const ONE_THREAD: Compute = Compute::Cpu { threads: 1 };
 /// Folder of unfinished trainings, in that of their work order.
 const WORK: &str = "work";
 
@@ -93,7 +95,7 @@ impl NetOrder {
 pub struct TrainingsDefinition {
     /// Program and commit that train, which every manifest states.
     pub code: String,
-    /// Device of each training; of a processor with the number of threads.
+    /// Device of each training: [`ONE_THREAD`], or a GPU, whose bytes need not be the same twice.
     pub compute: Compute,
     /// Vector instructions of the processor: the last digits of a net depend on them.
     pub kernel: String,
@@ -130,6 +132,11 @@ impl TrainingsOrder {
         if order.chunks != needed {
             let limit = format!("its definition has {needed}");
             return Err(Problem::new(ORDER_FILE, "chunks", order.chunks, limit));
+        }
+        if definition.compute.is_host() && definition.compute != ONE_THREAD {
+            let found = format!("{:?}", definition.compute);
+            let limit = "must have one thread: with more, the bytes differ each time";
+            return Err(Problem::new(ORDER_FILE, "definition.compute", found, limit));
         }
         let (mut recipes, mut names) = (Vec::new(), BTreeSet::new());
         for (index, net) in definition.nets.iter().enumerate() {

@@ -25,7 +25,7 @@ fn net(recipe: &str) -> NetOrder {
 }
 
 fn order(nets: Vec<NetOrder>) -> WorkOrder {
-    let order = work_order(nets, Compute::Cpu { threads: 1 });
+    let order = work_order(nets, ONE_THREAD);
     WorkOrder::from_json(&order.to_json().unwrap()).unwrap()
 }
 
@@ -63,6 +63,8 @@ fn a_net_that_chunks_cannot_make_is_refused_by_key() {
     assert_eq!(key(vec![broken]), "definition.nets.0.recipe");
     let noisy = RECIPE.replacen("dataset", "noise_of = \"mdl-1\"\ndataset", 1);
     assert_eq!(key(vec![net(&noisy)]), "definition.nets.0.recipe.noise_of");
+    let threads = work_order(vec![net(RECIPE)], Compute::Cpu { threads: 2 });
+    assert_eq!(TrainingsOrder::read(&threads).unwrap_err().key, "definition.compute");
     let more = WorkOrder { chunks: 2, ..order(vec![net(RECIPE)]) };
     assert_eq!(TrainingsOrder::read(&more).unwrap_err().key, "chunks");
 }
@@ -87,4 +89,16 @@ fn another_program_another_processor_and_another_dataset_are_refused() {
     elsewhere.definition.kernel = "none".into();
     assert_eq!(new(elsewhere).err().unwrap().key, "definition.kernel");
     fs::remove_dir_all(data).unwrap();
+}
+
+#[test]
+fn one_process_trains_a_net() {
+    let path = std::env::temp_dir().join(format!("palpate-net-{}.lock", std::process::id()));
+    let first = lock(&path).unwrap();
+    assert!(first.is_some());
+    let second = lock(&path).unwrap_err().to_string();
+    assert_eq!(second, "another process trains this net");
+    drop(first);
+    assert!(lock(&path).unwrap().is_some());
+    fs::remove_file(path).unwrap();
 }

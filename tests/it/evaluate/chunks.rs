@@ -1,0 +1,131 @@
+//! Table IV of nets that were trained in chunks: two processes next to each other make the bytes and the table of one.
+//! The nets learn almost nothing.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output, Stdio};
+
+use serde_json::{Value, json};
+
+use super::commands::{evaluate, palpate, table_text, trials};
+use crate::datasets::filled::folder;
+use crate::support::{PALPATE, Process};
+
+/// Few passes over few rows.
+const TINY: [&str; 4] = ["--epochs", "1", "--rows", "40"];
+
+/// Output of a command that must succeed.
+fn done(output: &Output) -> String {
+    let words = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{words}");
+    String::from_utf8(output.stdout.clone()).unwrap()
+}
+
+/// Orders the nets of Table IV in a folder of the data.
+fn ordered(data: &Path, name: &str) -> Value {
+    let options = ["cluster", "sbatch", "table", "maps", "--json", "--folder", name];
+    let text = done(&palpate(data, &[&options[..], &TINY[..]].concat()));
+    serde_json::from_str(text.lines().last().unwrap()).unwrap()
+}
+
+/// Starts a task of an array.
+fn task(data: &Path, name: &str, task: &str, tasks: &str) -> Process {
+    let mut command = Command::new(PALPATE);
+    command.args(["cluster", "make", name, "--json", "--task", task, "--tasks", tasks]);
+    command.env("PALPATE_DATA", data).current_dir(data);
+    command.stdin(Stdio::null()).stdout(Stdio::null());
+    Process(command.spawn().unwrap())
+}
+
+/// The chunks of a folder: name and bytes.
+fn nets(folder: &Path) -> BTreeMap<String, Vec<u8>> {
+    let paths = fs::read_dir(folder.join("results")).unwrap().map(|entry| entry.unwrap().path());
+    let nets = paths.filter(|path| path.extension().is_some_and(|ending| ending == "net"));
+    let name = |path: &PathBuf| path.file_name().unwrap().to_str().unwrap().to_owned();
+    nets.map(|path| (name(&path), fs::read(path).unwrap())).collect()
+}
+
+/// The ids in the manifests of gathered nets.
+fn ids(folder: &Path) -> BTreeSet<String> {
+    let folders = fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path());
+    let manifest = |folder: PathBuf| fs::read_to_string(folder.join("manifest.toml")).unwrap();
+    let manifests = folders.map(|folder| manifest(folder).parse::<toml::Table>().unwrap());
+    manifests.map(|manifest| manifest["id"].as_str().unwrap().to_owned()).collect()
+}
+
+/// The numbers of Table IV on gathered nets, without times.
+fn table(data: &Path, gathered: &str) -> Value {
+    let options = [&TINY[..], &["--scored", "20", "--trained", gathered][..]].concat();
+    let mut table = evaluate(data, "maps", &options);
+    for map in table["maps"].as_array_mut().unwrap() {
+        let report = map["report"].as_object_mut().unwrap();
+        assert!(report.remove("latency_ms").is_some());
+    }
+    table
+}
+
+#[tokio::test]
+async fn a_table_of_two_processes_is_that_of_one() {
+    let data = folder("evaluate-chunks");
+    trials(&data).await;
+    let order = ordered(&data, "one");
+    assert_eq!((&order["kind"], &order["chunks"]), (&json!("trainings"), &json!(12)));
+    let same = ordered(&data, "two");
+    assert_eq!(same["order"], order["order"], "the same work");
+    assert_eq!(ordered(&data, "one")["changed"], false);
+
+    // One process, which is killed within a net and starts again.
+    let mut killed = task(&data, "one", "0", "1");
+    let work = data.join("one/work");
+    while !work.join("1").is_dir() {
+        assert!(killed.0.try_wait().unwrap().is_none(), "it made two nets or failed");
+        tokio::time::sleep(std::time::Duration::from_millis(1)).await;
+    }
+    drop(killed);
+    assert!(task(&data, "one", "0", "1").0.wait().unwrap().success());
+    // Two next to each other.
+    let both = ["0", "1"].map(|number| task(&data, "two", number, "2"));
+    for mut process in both {
+        assert!(process.0.wait().unwrap().success());
+    }
+    let (one, two) = (nets(&data.join("one")), nets(&data.join("two")));
+    assert_eq!(one.len(), 12);
+    assert!(one == two, "other bytes: {:?} and {:?}", one.keys(), two.keys());
+    let left = fs::read_dir(&work).unwrap().map(|entry| entry.unwrap().path());
+    assert!(left.into_iter().all(|path| path.is_file()), "a training is left");
+
+    // A net with other bytes is found, and made again.
+    let (name, bytes) = one.first_key_value().unwrap();
+    let path = data.join("one/results").join(name);
+    let mut damaged = bytes.clone();
+    damaged[bytes.len() / 2] ^= 1;
+    fs::write(&path, damaged).unwrap();
+    let refused = palpate(&data, &["cluster", "gather", "one", "--out", "nets-one"]);
+    assert_eq!(refused.status.code(), Some(1));
+    let words = String::from_utf8_lossy(&refused.stderr).into_owned();
+    assert!(words.contains("is damaged"), "{words}");
+    assert!(task(&data, "one", "0", "1").0.wait().unwrap().success());
+    assert!(nets(&data.join("one")) == one, "other bytes the second time");
+
+    // Each table in a data folder of its own, so that each adds its own nets.
+    let copy = folder("evaluate-chunks-copy");
+    let status = Command::new("cp").arg("-r").arg(data.join(".")).arg(&copy).status().unwrap();
+    assert!(status.success());
+    let mut tables = Vec::new();
+    for (place, name) in [(&data, "one"), (&copy, "two")] {
+        let out = format!("nets-{name}");
+        done(&palpate(place, &["cluster", "gather", name, "--out", &out]));
+        let table = table(place, &out);
+        let models = table["maps"].as_array().unwrap().iter();
+        let models: BTreeSet<String> =
+            models.map(|map| map["model"].as_str().unwrap().to_owned()).collect();
+        assert_eq!(models, ids(&place.join(&out)), "the models of the table are the gathered nets");
+        let jobs = done(&palpate(place, &["job", "list", "--json"]));
+        let jobs = jobs.lines().map(|line| serde_json::from_str::<Value>(line).unwrap());
+        let kinds: BTreeSet<String> = jobs.map(|job| job["kind"].to_string()).collect();
+        assert_eq!(kinds, BTreeSet::from(["\"evaluation\"".to_owned()]), "nothing was trained");
+        tables.push((table, table_text(place, "table-iv")));
+    }
+    assert_eq!(tables[0], tables[1]);
+}
