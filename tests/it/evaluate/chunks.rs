@@ -108,7 +108,7 @@ async fn a_table_of_two_processes_is_that_of_one() {
     assert!(task(&data, "one", "0", "1").0.wait().unwrap().success());
     assert!(nets(&data.join("one")) == one, "other bytes the second time");
 
-    // Each table in a data folder of its own, so that each adds its own nets.
+    // Each table in a separate data folder, so that each adds its own nets.
     let copy = folder("evaluate-chunks-copy");
     let status = Command::new("cp").arg("-r").arg(data.join(".")).arg(&copy).status().unwrap();
     assert!(status.success());
