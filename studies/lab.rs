@@ -127,6 +127,15 @@ pub struct Training {
     pub seed: i64,
 }
 
+/// A net of a table.
+#[derive(Debug, Clone, PartialEq)]
+pub struct TableNet {
+    /// Its training.
+    pub training: Training,
+    /// The requests for its scores, on parts of its dataset; they do not name the net.
+    pub scores: Vec<EvaluationRequest>,
+}
+
 /// Noise in training: the residuals of a Transfer-Net, times a factor (paper, V-C1).
 #[derive(Debug, Clone, PartialEq)]
 pub struct Noise {

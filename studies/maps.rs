@@ -11,12 +11,17 @@ use crate::evaluate::score::{Mean, Score};
 use crate::evaluate::table::{SCORE_COLUMNS, Uncertainty, markdown, published_row, score_row};
 use crate::figure::Heading;
 use crate::infer::methods::Method;
-use crate::lab::{Lab, StudyError, Training};
+use crate::lab::{Lab, StudyError, TableNet};
 use crate::sheet::{OutputFile, Sheet};
 
-/// Trainings of the nets of the twelve maps, in the order of the table.
-pub fn trainings(budget: &Budget) -> Vec<Training> {
-    TABLE_IV_MAPS.map(|spec| budget.map_net(RECON_NET, spec, None)).into()
+/// The nets of the twelve maps, in the order of the table.
+pub fn table_iv_nets(budget: &Budget) -> Vec<TableNet> {
+    let scores = vec![budget.request(Method::Paper, "s2s-recon", Some("test"))];
+    let net = |spec| {
+        let training = budget.map_net(RECON_NET, spec, None);
+        TableNet { training, scores: scores.clone() }
+    };
+    TABLE_IV_MAPS.map(net).into()
 }
 
 /// Trains and scores the nets of the twelve maps on the test part of `s2s-recon`.
@@ -30,11 +35,10 @@ pub async fn table_iv<L: Lab>(lab: &L, budget: &Budget) -> Result<Sheet, L::Erro
     let (mut rows, mut numbers, mut scores) = (Vec::new(), Vec::new(), Vec::new());
     let mut scored = 0;
     let mut label = String::new();
-    for (number, (spec, training)) in (1..).zip(TABLE_IV_MAPS.into_iter().zip(trainings(budget))) {
+    let nets = TABLE_IV_MAPS.into_iter().zip(table_iv_nets(budget));
+    for (number, (spec, TableNet { training, scores: requests })) in (1..).zip(nets) {
         let model = lab.train(&training).await?;
-        let mut request = budget.request(Method::Paper, "s2s-recon", Some("test"));
-        request.map = Some(model.to_string());
-        let report = lab.score(&request).await?;
+        let report = lab.score(&requests[0].of_net(&model)).await?;
         let name = format!("Map {number}, {spec}");
         if let (Some(found), Some(perfect)) = (&report.contacts, &report.perfect) {
             rows.push(score_row(&name, &found.all, Uncertainty::Spread));

@@ -6,21 +6,26 @@ use serde_json::json;
 use crate::budget::{Budget, R2S, up_to};
 use crate::evaluate::charts::{Line, Panel, panels};
 use crate::evaluate::published::{Rung, TABLE_III, Transfer};
-use crate::evaluate::request::{EvaluationReport, Scored};
+use crate::evaluate::request::{EvaluationReport, EvaluationRequest, Scored};
 use crate::evaluate::table::markdown;
 use crate::evaluate::voltages::VoltageScores;
 use crate::figure::Heading;
-use crate::lab::{Lab, StudyError, Training};
+use crate::lab::{Lab, StudyError, TableNet};
 use crate::sheet::{OutputFile, Sheet};
 
 /// Columns: RMSE (V) / FVU (%) on the rows of the training, then on test trials of 1 to 6 contacts.
 const HEAD: [&str; 8] = ["trained on", "train", "I", "II", "III", "IV", "V", "VI"];
 
-/// Trainings of the nets on 1, 1 to 2, .. 1 to 6 contacts of a dataset, in the order of the table.
-pub fn trainings(budget: &Budget, dataset: &str) -> Vec<Training> {
+/// The nets on 1, 1 to 2, .. 1 to 6 contacts of a dataset, in the order of the table; scored on the parts test and
+/// train.
+pub fn table_iii_nets(budget: &Budget, dataset: &str) -> Vec<TableNet> {
     let of = |published: &Rung| {
         let most = published.trained_to;
-        budget.transfer(&format!("transfer-to-{most}"), dataset, &[up_to(most)])
+        let conditions = vec![up_to(most)];
+        let training = budget.transfer(&format!("transfer-to-{most}"), dataset, &conditions);
+        let test = budget.request(Scored::Voltages, dataset, Some("test"));
+        let train = EvaluationRequest { part: Some("train".into()), conditions, ..test.clone() };
+        TableNet { training, scores: vec![test, train] }
     };
     TABLE_III.iter().map(of).collect()
 }
@@ -43,15 +48,11 @@ pub async fn table_iii<L: Lab>(lab: &L, budget: &Budget, dataset: &str) -> Resul
     if let Some(scores) = &plain.voltages {
         rows.push(row("no net", None, scores));
     }
-    for (published, training) in TABLE_III.iter().zip(trainings(budget, dataset)) {
+    for (published, net) in TABLE_III.iter().zip(table_iii_nets(budget, dataset)) {
         let most = published.trained_to;
-        let model = lab.train(&training).await?;
-        let mut request = budget.request(Scored::Voltages, dataset, Some("test"));
-        request.transfer = Some(model.to_string());
-        let test = lab.score(&request).await?;
-        request.part = Some("train".into());
-        request.conditions = training.conditions;
-        let train = lab.score(&request).await?;
+        let model = lab.train(&net.training).await?;
+        let test = lab.score(&net.scores[0].of_net(&model)).await?;
+        let train = lab.score(&net.scores[1].of_net(&model)).await?;
         if let (Some(test), Some(train)) = (&test.voltages, &train.voltages) {
             rows.push(row(&format!("1 to {most}"), Some(train), test));
             curves.push(panel(published, test, plain.voltages.as_ref()));

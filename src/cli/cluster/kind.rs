@@ -21,7 +21,7 @@ use crate::simulate::random::manifest::SIM_RANDOM;
 pub enum ChunkKind {
     /// A shard of Sim-Random.
     SimRandom,
-    /// A net of a table.
+    /// A net of a table, with its scores.
     Trainings,
 }
 

@@ -39,7 +39,7 @@ pub enum SbatchCommand {
     /// The options that determine bytes are those of `palpate simulate random`, and the gathered folder has
     /// the same bytes.
     Random(SbatchRandomArgs),
-    /// Order the trainings of a table of the paper; a chunk is a net.
+    /// Order the trainings of a table of the paper; a chunk is a net with its scores.
     ///
     /// The options that determine bytes are those of `palpate evaluate`; the vector instructions of this
     /// processor and the commit of the program determine them, too. A net trains on one thread.

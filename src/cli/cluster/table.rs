@@ -1,4 +1,4 @@
-//! `palpate cluster sbatch table`: the trainings of a table of the paper, as a work order.
+//! `palpate cluster sbatch table`: the trainings and evaluations of a table of the paper, as a work order.
 //! Uses: `evaluate::lab` (a service resolves datasets), `jobs::chunks`, `studies`. Never: a training.
 
 use std::path::PathBuf;
@@ -12,7 +12,8 @@ use crate::cli::evaluate::lab::{ExtentArgs, ServiceLab};
 use crate::cli::{At, embed};
 use crate::jobs::chunks::{ONE_THREAD, work_order};
 use crate::studies::budget::R2S;
-use crate::studies::{maps, transfer};
+use crate::studies::maps::table_iv_nets;
+use crate::studies::transfer::table_iii_nets;
 
 /// Options of a job that trains on a GPU.
 const GPU_RESOURCES: [&str; 1] = ["gres=gpu:1"];
@@ -61,15 +62,15 @@ impl TableRequest {
         let (url, ca, data) = (self.url.clone(), self.ca.clone(), self.data.clone());
         let at = At { url, ca, data, json };
         let budget = self.extent.budget();
-        let trainings = match self.table {
-            TableName::Maps => maps::trainings(&budget),
-            TableName::Transfer => transfer::trainings(&budget, &self.dataset),
+        let table = match self.table {
+            TableName::Maps => table_iv_nets(&budget),
+            TableName::Transfer => table_iii_nets(&budget, &self.dataset),
         };
         let nets = embed::with_server(&at, move |client| async move {
             let lab = ServiceLab::new(client, json, None);
             let mut nets = Vec::new();
-            for training in &trainings {
-                nets.push(lab.net_order(training).await?);
+            for net in &table {
+                nets.push(lab.net_order(net).await?);
             }
             Ok(nets)
         });

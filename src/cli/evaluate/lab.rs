@@ -1,9 +1,10 @@
 //! The service as the lab of a study: trainings and evaluations are its jobs.
 //! Uses: `client`, `cli::train`, `jobs::chunks`, `studies::lab`. Never: two trainings of one recipe on one dataset.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::{Args, ValueEnum};
+use parking_lot::Mutex;
 use serde_json::{Value, json};
 
 use super::write_all;
@@ -25,14 +26,15 @@ use crate::ids::ModelId;
 use crate::infer::answer::Reading;
 use crate::infer::methods::Method;
 use crate::infer::registry::SENSOR_FILE;
-use crate::jobs::chunks::{DatasetFile, NetOrder};
+use crate::jobs::chunks::{DatasetFile, NetOrder, NetScore, SCORES_FILE};
 use crate::learn::model_file::Manifest;
 use crate::learn::order::{MANIFEST, ONNX, RESIDUALS};
 use crate::learn::residuals::Residuals;
+use crate::problem::Problem;
 use crate::simulate::schema::SIM_VOLTAGES_V;
 use crate::store::{RunKind, RunRow};
 use crate::studies::budget::{Budget, Scale};
-use crate::studies::lab::{DatasetFacts, Lab, NO_METHOD, StudyError, Training, Trial};
+use crate::studies::lab::{DatasetFacts, Lab, NO_METHOD, StudyError, TableNet, Training, Trial};
 use crate::studies::sheet::Sheet;
 use crate::syntax::parse_toml;
 
@@ -75,8 +77,8 @@ pub struct ExtentArgs {
 pub struct LabArgs {
     #[command(flatten)]
     extent: ExtentArgs,
-    /// Folder of nets that `palpate cluster gather` has written: those of the table are added to the service, the
-    /// others are trained.
+    /// Folder of nets that `palpate cluster gather` has written: those of the table are added to the service, with
+    /// the scores that they have there; the others are trained.
     #[arg(long, value_name = "DIR")]
     trained: Option<PathBuf>,
     /// Folder for numbers, tables and figures.
@@ -151,6 +153,8 @@ pub struct ServiceLab {
     quiet: bool,
     /// Folder of gathered nets.
     trained: Option<PathBuf>,
+    /// Scores of the gathered nets of this study.
+    scores: Mutex<Vec<NetScore>>,
 }
 
 /// A training with all names resolved.
@@ -166,21 +170,23 @@ struct ResolvedTraining {
 impl ServiceLab {
     /// A lab at a service. `quiet`: without messages for people; `trained`: folder of gathered nets.
     pub fn new(client: Client, quiet: bool, trained: Option<PathBuf>) -> Self {
-        Self { client, quiet, trained }
+        Self { client, quiet, trained, scores: Mutex::default() }
     }
 
-    /// The net of a training, for a work order.
+    /// A net of a table, for a work order.
     ///
     /// # Errors
     /// `CliError` if the recipe is invalid or names no dataset, or the dataset cannot be made.
-    pub async fn net_order(&self, training: &Training) -> Result<NetOrder, CliError> {
+    pub async fn net_order(&self, net: &TableNet) -> Result<NetOrder, CliError> {
+        let TableNet { training, scores } = net;
         let ResolvedTraining { recipe, dataset, .. } = self.resolve(training).await?;
         let limit = "must name a dataset: nets on simulations are not made in chunks";
         let file: DatasetFile = serde_json::from_value(dataset)
             .map_err(|_| CliError::argument("recipe", &training.recipe, limit))?;
         let path = format!("/api/v1/datasets/{}/lineage", file.id);
         let lineage: Value = self.client.get(&path).await?;
-        NetOrder::new(&recipe, file, &lineage["lineage"]).map_err(CliError::Problems)
+        let net = NetOrder::new(&recipe, file, &lineage["lineage"], scores.clone());
+        net.map_err(CliError::Problems)
     }
 
     /// Resolves the names of a training; makes its dataset if needed.
@@ -202,10 +208,25 @@ impl ServiceLab {
         Ok(ResolvedTraining { name, recipe, dataset })
     }
 
-    /// Adds a gathered net to the service; none if there is none of this name.
-    async fn add_gathered(&self, name: &str) -> Result<Option<ModelOut>, CliError> {
-        let folder = self.trained.as_ref().map(|all| all.join(name));
-        let Some(folder) = folder.filter(|folder| folder.is_dir()) else { return Ok(None) };
+    /// Folder of a gathered net, if there is one of this name.
+    fn gathered(&self, name: &str) -> Option<PathBuf> {
+        let folder = self.trained.as_ref()?.join(name);
+        folder.is_dir().then_some(folder)
+    }
+
+    /// Takes the scores of a gathered net.
+    fn take_scores(&self, folder: &Path) -> Result<(), CliError> {
+        let path = folder.join(SCORES_FILE);
+        let scores: Vec<NetScore> = serde_json::from_str(&read_input(&path)?).map_err(|error| {
+            let file = path.display().to_string();
+            CliError::Problems(vec![Problem::whole(&file, error.to_string())])
+        })?;
+        self.scores.lock().extend(scores);
+        Ok(())
+    }
+
+    /// Adds a gathered net to the service.
+    async fn add_gathered(&self, name: &str, folder: &Path) -> Result<ModelOut, CliError> {
         let path = folder.join(MANIFEST);
         let manifest: Manifest = parse_toml(&path.display().to_string(), &read_input(&path)?)
             .map_err(CliError::Problems)?;
@@ -222,8 +243,7 @@ impl ServiceLab {
         if !self.quiet {
             note(format_args!("adding {name}"));
         }
-        let added = self.client.upload("/api/v1/models", &folder.join(ONNX), texts).await?;
-        Ok(Some(added))
+        self.client.upload("/api/v1/models", &folder.join(ONNX), texts).await
     }
 
     /// Description of a dataset, which is made if needed.
@@ -285,12 +305,16 @@ impl Lab for ServiceLab {
     async fn train(&self, training: &Training) -> Result<ModelId, CliError> {
         let stem = &training.stem;
         let ResolvedTraining { name, recipe, .. } = self.resolve(training).await?;
+        let gathered = self.gathered(&name);
+        if let Some(folder) = &gathered {
+            self.take_scores(folder)?;
+        }
         let models: Vec<ModelOut> = self.client.all("/api/v1/models?").await?;
         if let Some(model) = models.into_iter().find(|model| model.name == name) {
             return Ok(model.id);
         }
-        if let Some(model) = self.add_gathered(&name).await? {
-            return Ok(model.id);
+        if let Some(folder) = &gathered {
+            return Ok(self.add_gathered(&name, folder).await?.id);
         }
         if !self.quiet {
             note(format_args!("training {stem}"));
@@ -304,6 +328,10 @@ impl Lab for ServiceLab {
     }
 
     async fn score(&self, request: &EvaluationRequest) -> Result<EvaluationReport, CliError> {
+        let known = self.scores.lock().iter().find(|score| score.request == *request).cloned();
+        if let Some(NetScore { report, .. }) = known {
+            return Ok(report);
+        }
         let asked: JobOut = self.client.post("/api/v1/evaluations", request).await?;
         let id = asked.id;
         let done = wait_for(&self.client, asked).await?;

@@ -222,6 +222,16 @@ pub struct EvaluationRequest {
 pub const EXAMPLES_MAX: u64 = 16;
 
 impl EvaluationRequest {
+    /// The same request for a net, in place of the Transfer-Net, the net of a quantity or the net with force maps.
+    pub fn of_net(&self, net: &ModelId) -> Self {
+        let (id, request) = (Some(net.to_string()), self.clone());
+        match self.scored {
+            Scored::Voltages => Self { transfer: id, ..request },
+            Scored::Quantity => Self { net: id, ..request },
+            Scored::Method(_) => Self { map: id, ..request },
+        }
+    }
+
     /// Checks the values of the request.
     ///
     /// # Errors

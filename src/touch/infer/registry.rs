@@ -18,7 +18,7 @@ use super::slot::Slot;
 use crate::clock::Clock;
 use crate::dataset::import::sensor::ImportedSensor;
 use crate::ids::ModelId;
-use crate::learn::model_file::{Manifest, SensorFacts};
+use crate::learn::model_file::{Manifest, ModelFacts, SensorFacts};
 use crate::learn::order::{LOSSES, MANIFEST, ONNX, RESIDUALS};
 use crate::learn::residuals::Residuals;
 use crate::new_file::{self, sweep};
@@ -58,6 +58,22 @@ impl NewModel {
             Plan::load(&onnx, facts.channels, &facts.output_shape).map(|_| ())
         });
         trying.await.map_err(|_| InferError::Worker)?.map_err(InferError::from)
+    }
+
+    /// Returns the model as a loaded one.
+    ///
+    /// # Errors
+    /// `InferError::Problems` if its sensor file is invalid; `Plan` if it cannot be run.
+    pub fn load(&self) -> Result<Model, InferError> {
+        let (skin, _) = facts(SENSOR_FILE, &self.sensor).map_err(InferError::Problems)?;
+        let ModelFacts { channels, output_shape, .. } = &self.manifest.model;
+        Ok(Model {
+            name: self.name.clone(),
+            manifest: self.manifest.clone(),
+            skin,
+            points_mm: points_mm(&self.sensor),
+            plan: Plan::load(&self.onnx, *channels, output_shape)?,
+        })
     }
 
     /// Writes the files of the model into a folder, which is created if needed; the manifest last.

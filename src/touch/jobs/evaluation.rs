@@ -68,7 +68,8 @@ pub(super) async fn run(
     let rig_sensor = (sensor.file.name.clone(), sensor.channels());
     let scoring = Scoring {
         request,
-        dataset,
+        dataset: dataset.id,
+        lineage: dataset.lineage,
         held_out,
         gathered,
         raw,

@@ -6,6 +6,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use nets::quantity::Quantity;
+use serde_json::Value;
 use sim_core::stats::{quantile, sorted};
 
 use super::Watch;
@@ -21,7 +22,7 @@ use crate::evaluate::request::{EvaluationReport, EvaluationRequest, Example};
 use crate::evaluate::score::Scores;
 use crate::evaluate::touch::{Metric, Touch, TouchError};
 use crate::evaluate::voltages::VoltageScores;
-use crate::ids::TrialId;
+use crate::ids::{DatasetId, TrialId};
 use crate::infer::answer::{FoundContact, Reading};
 use crate::infer::error::InferError;
 use crate::infer::maps::ForceMaps;
@@ -33,7 +34,7 @@ use crate::learn::examples::{MEASURED, SIMULATED};
 use crate::learn::targets::Targets;
 use crate::learn::task::Reads;
 use crate::simulate::compare::difference;
-use crate::store::{Contact, DatasetRow};
+use crate::store::Contact;
 
 /// Number of frames that a Transfer-Net reads at a time.
 const TRANSFERRED_AT_ONCE: usize = 8;
@@ -82,7 +83,10 @@ impl Reader {
 /// Inputs of the scoring.
 pub(super) struct Scoring {
     pub(super) request: EvaluationRequest,
-    pub(super) dataset: DatasetRow,
+    /// Dataset of the rows.
+    pub(super) dataset: DatasetId,
+    /// Its lineage, as JSON.
+    pub(super) lineage: Value,
     /// Whether none of the rows can have been used to train a net.
     pub(super) held_out: bool,
     pub(super) gathered: Gathered,
@@ -142,7 +146,7 @@ impl Scoring {
     /// Restrictions on the validity of the scores.
     fn notes(&self) -> Vec<String> {
         let run = self.reader.method().and_then(|method| method.skin()?.run);
-        let runs = self.dataset.lineage["runs"].as_array().into_iter().flatten();
+        let runs = self.lineage["runs"].as_array().into_iter().flatten();
         let seen = run.filter(|run| runs.into_iter().any(|r| r["uid"].as_str() == Some(run)));
         let seen = seen.map(|run| {
             format!("the skin was calibrated to trials of run {run}, which are in the dataset")
@@ -156,10 +160,10 @@ impl Scoring {
         let models = self.reader.nets().iter().map(|net| net.manifest.id.clone()).collect();
         let skin = self.reader.method().and_then(|method| method.skin());
         let calibration = skin.and_then(|skin| skin.calibration.cloned());
-        let label = self.dataset.lineage["runs"][0]["label"].as_str();
+        let label = self.lineage["runs"][0]["label"].as_str();
         EvaluationReport {
             scored: self.request.scored,
-            dataset: self.dataset.id.clone(),
+            dataset: self.dataset.clone(),
             part: self.request.part.clone(),
             held_out: self.held_out,
             conditions: self.request.conditions.clone(),
@@ -244,7 +248,7 @@ impl Scoring {
         report.quantity = QuantityScores::of(&targets, &rows, self.request.seed);
         if report.quantity.is_none() {
             let limit = format!("must have rows with a {}", quantity.name());
-            return Err(LearnError::value("evaluation", "dataset", &self.dataset.id, &limit).into());
+            return Err(LearnError::value("evaluation", "dataset", &self.dataset, &limit).into());
         }
         Ok(true)
     }
@@ -303,7 +307,7 @@ impl Scoring {
             self.gathered.rows.iter().map(|&row| self.truths(row)).collect();
         let truths = truths.iter().map(Vec::as_slice);
         let perfect = perfect(&draws, truths, self.request.threshold_n).map_err(|error| {
-            LearnError::value("evaluation", "dataset", &self.dataset.id, &error.to_string())
+            LearnError::value("evaluation", "dataset", &self.dataset, &error.to_string())
         })?;
         if !perfect.is_empty() {
             report.perfect = Some(Scores::of(&perfect, self.request.seed));

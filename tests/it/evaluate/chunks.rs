@@ -1,4 +1,5 @@
-//! Table IV of nets that were trained in chunks: two processes next to each other make the bytes and the table of one.
+//! Table IV of nets that were trained and scored in chunks: two processes next to each other make the bytes and the table
+//! of one, and the service the same scores.
 //! The nets learn almost nothing.
 
 use std::collections::{BTreeMap, BTreeSet};
@@ -12,8 +13,8 @@ use super::commands::{evaluate, palpate, table_text, trials};
 use crate::datasets::filled::folder;
 use crate::support::{PALPATE, Process};
 
-/// Few passes over few rows.
-const TINY: [&str; 4] = ["--epochs", "1", "--rows", "40"];
+/// Few passes over few rows, and few scored ones.
+const TINY: [&str; 6] = ["--epochs", "1", "--rows", "40", "--scored", "20"];
 
 /// Output of a command that must succeed.
 fn done(output: &Output) -> String {
@@ -54,15 +55,15 @@ fn ids(folder: &Path) -> BTreeSet<String> {
     manifests.map(|manifest| manifest["id"].as_str().unwrap().to_owned()).collect()
 }
 
-/// The numbers of Table IV on gathered nets, without times.
-fn table(data: &Path, gathered: &str) -> Value {
-    let options = [&TINY[..], &["--scored", "20", "--trained", gathered][..]].concat();
-    let mut table = evaluate(data, "maps", &options);
+/// The numbers of Table IV without times, and the number of reports that state one.
+fn table(data: &Path, options: &[&str]) -> (Value, usize) {
+    let mut table = evaluate(data, "maps", &[&TINY[..], options].concat());
+    let mut times = 0;
     for map in table["maps"].as_array_mut().unwrap() {
-        let report = map["report"].as_object_mut().unwrap();
-        assert!(report.remove("latency_ms").is_some());
+        let latency = map["report"].as_object_mut().unwrap().remove("latency_ms");
+        times += usize::from(latency.is_some_and(|latency| !latency.is_null()));
     }
-    table
+    (table, times)
 }
 
 #[tokio::test]
@@ -92,8 +93,8 @@ async fn a_table_of_two_processes_is_that_of_one() {
     let (one, two) = (nets(&data.join("one")), nets(&data.join("two")));
     assert_eq!(one.len(), 12);
     assert!(one == two, "other bytes: {:?} and {:?}", one.keys(), two.keys());
-    let left = fs::read_dir(&work).unwrap().map(|entry| entry.unwrap().path());
-    assert!(left.into_iter().all(|path| path.is_file()), "a training is left");
+    let mut left = fs::read_dir(&work).unwrap().map(|entry| entry.unwrap().path());
+    assert!(left.all(|path| path.is_file()), "a training is left");
 
     // A net with other bytes is found, and made again.
     let (name, bytes) = one.first_key_value().unwrap();
@@ -116,16 +117,20 @@ async fn a_table_of_two_processes_is_that_of_one() {
     for (place, name) in [(&data, "one"), (&copy, "two")] {
         let out = format!("nets-{name}");
         done(&palpate(place, &["cluster", "gather", name, "--out", &out]));
-        let table = table(place, &out);
+        let (table, times) = table(place, &["--trained", &out]);
+        assert_eq!(times, 0, "scores of chunks state no latencies");
         let models = table["maps"].as_array().unwrap().iter();
         let models: BTreeSet<String> =
             models.map(|map| map["model"].as_str().unwrap().to_owned()).collect();
         assert_eq!(models, ids(&place.join(&out)), "the models of the table are the gathered nets");
         let jobs = done(&palpate(place, &["job", "list", "--json"]));
-        let jobs = jobs.lines().map(|line| serde_json::from_str::<Value>(line).unwrap());
-        let kinds: BTreeSet<String> = jobs.map(|job| job["kind"].to_string()).collect();
-        assert_eq!(kinds, BTreeSet::from(["\"evaluation\"".to_owned()]), "nothing was trained");
+        assert_eq!(jobs, "", "the service trained or scored a net");
         tables.push((table, table_text(place, "table-iv")));
     }
     assert_eq!(tables[0], tables[1]);
+
+    // The service scores the same nets to the same table.
+    let (_, times) = table(&copy, &[]);
+    assert_eq!(times, 12, "these are scores of the service");
+    assert_eq!(table_text(&copy, "table-iv"), tables[1].1);
 }

@@ -1,4 +1,5 @@
-//! Trainings in chunks: each chunk is one net, made by the trainer's process from a recipe and the file of a dataset.
+//! Trainings in chunks: each chunk is one net, made by the trainer's process from a recipe and the file of a dataset, with
+//! its scores on parts of the dataset.
 //! Uses: `chunk`, `learn`, the trainer's process. Never: the store, a dataset whose bytes are not those of the order,
 //! two processes that train one net in one folder.
 //!
@@ -6,7 +7,7 @@
 //! FOLDER/work/INDEX        folder of the trainer, as of a job: order, checkpoint, losses; removed when the net is made
 //! FOLDER/work/INDEX.lock   locked by the process that makes the chunk
 //! ```
-//! Another start of a chunk resumes from its checkpoint, which does not change a byte.
+//! Another start of a chunk resumes from its checkpoint, or scores its net, which does not change a byte.
 
 use std::cell::Cell;
 use std::collections::{BTreeMap, BTreeSet};
@@ -21,9 +22,12 @@ use serde_json::Value;
 use sim_core::batch::Kernel;
 
 mod net_file;
+mod scores;
 
-use self::net_file::write_net;
-pub use self::net_file::{GatheredNets, gather};
+pub use self::net_file::{GatheredNets, SCORES_FILE, gather};
+use self::net_file::{ScoredNet, write_net};
+pub use self::scores::NetScore;
+use self::scores::net_scores;
 use super::trainer::{self, Ended, TrainerError};
 use super::training::{self, Inherited};
 use super::{JobError, Watch};
@@ -31,6 +35,7 @@ use crate::chunk::order::{ORDER_FILE, WorkOrder};
 use crate::chunk::{MakeChunks, MakeFailure};
 use crate::dataset::build::data_file;
 use crate::dataset::read::sensor_text;
+use crate::evaluate::request::EvaluationRequest;
 use crate::ids::{CalibrationId, DatasetId};
 use crate::learn::order::{CHECKPOINT, Event, ORDER, ORDER_VERSION, Order, Source};
 use crate::learn::recipe::Recipe;
@@ -73,6 +78,8 @@ pub struct NetOrder {
     pub calibration: Option<CalibrationId>,
     /// Hash of the model that simulated them.
     pub simulation: Option<String>,
+    /// Evaluations of the net on parts of the dataset; they do not name the net.
+    pub evaluations: Vec<EvaluationRequest>,
 }
 
 impl NetOrder {
@@ -80,12 +87,17 @@ impl NetOrder {
     ///
     /// # Errors
     /// All problems of the recipe.
-    pub fn new(recipe: &str, dataset: DatasetFile, lineage: &Value) -> Result<Self, Vec<Problem>> {
+    pub fn new(
+        recipe: &str,
+        dataset: DatasetFile,
+        lineage: &Value,
+        evaluations: Vec<EvaluationRequest>,
+    ) -> Result<Self, Vec<Problem>> {
         let recipe = Recipe::from_toml("recipe", recipe)?;
         let Inherited { label, calibration, simulation } = training::inherited(lineage, &recipe);
         // As the service writes it: a recipe was read from TOML.
         let recipe = toml::to_string(&recipe).unwrap_or_default();
-        Ok(Self { recipe, dataset, label, calibration, simulation })
+        Ok(Self { recipe, dataset, label, calibration, simulation, evaluations })
     }
 }
 
@@ -167,6 +179,12 @@ impl TrainingsOrder {
                 let limit = "must be absent: nets with noise need a Transfer-Net first";
                 return refused("recipe.noise_of", noise_of, limit);
             }
+            let named = recipe.dataset.as_deref();
+            let mut evaluations = net.evaluations.iter();
+            if let Some(other) = evaluations.find(|of| Some(of.dataset.as_str()) != named) {
+                let limit = "must be the dataset of the net";
+                return refused("evaluations.dataset", &other.dataset, limit);
+            }
             recipes.push(recipe);
         }
         Ok(Self { definition, recipes })
@@ -222,10 +240,15 @@ impl TrainingChunks {
         Ok(Self { work: folder.join(WORK), data: data.to_owned(), order })
     }
 
+    /// The file of a net's dataset.
+    fn data_file(&self, net: &NetOrder) -> PathBuf {
+        data_file(&self.data.join("datasets"), &net.dataset.id)
+    }
+
     /// The order of the trainer for a net.
     fn trainers_order(&self, net: &NetOrder) -> Result<Order, MakeFailure> {
-        let NetOrder { recipe, dataset, label, calibration, simulation } = net.clone();
-        let file = data_file(&self.data.join("datasets"), &dataset.id);
+        let NetOrder { recipe, dataset, label, calibration, simulation, .. } = net.clone();
+        let file = self.data_file(net);
         Ok(Order {
             version: ORDER_VERSION.into(),
             recipe,
@@ -259,20 +282,21 @@ impl MakeChunks for TrainingChunks {
         fs::create_dir_all(&folder)?;
         let _lock = lock(&self.work.join(format!("{index}.lock")))?;
         let order = self.trainers_order(net)?;
-        new_file::write(&folder, ORDER, serde_json::to_vec(&order)?)?;
-        // The runtime is this call's: a chunk is made on a blocking thread, or without any runtime.
-        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
-        let ended = runtime.block_on(train(&folder, tell));
-        if ended.as_ref().is_err_and(is_repeatable_from_start) {
-            // A damaged checkpoint must not fail every attempt.
-            fs::remove_file(folder.join(CHECKPOINT)).ok();
-        }
-        if ended.map_err(|error| error.to_string())? == Ended::Stopped {
-            return Ok(None);
-        }
-        let made = training::result(&folder, &order, recipe.name.clone());
-        let model = made.map_err(|error: JobError| error.to_string())?;
-        write_net(&model, &mut out)?;
+        let made = || training::result(&folder, &order, recipe.name.clone());
+        // The net of an earlier start, which ended before its scores.
+        let model = match made() {
+            Ok(model) => model,
+            Err(_) => {
+                if trained(&folder, &order, tell)? == Ended::Stopped {
+                    return Ok(None);
+                }
+                made().map_err(|error: JobError| error.to_string())?
+            }
+        };
+        let (file, scratch) = (self.data_file(net), self.data.join("cache"));
+        let scores = net_scores(net, &model, [&file, &scratch], tell);
+        let Some(scores) = scores.map_err(|error| error.to_string())? else { return Ok(None) };
+        write_net(&ScoredNet { model, scores }, &mut out)?;
         fs::remove_dir_all(&folder)?;
         Ok(Some((out, 1)))
     }
@@ -289,6 +313,23 @@ fn lock(path: &Path) -> Result<Option<File>, MakeFailure> {
             Ok(None)
         }
     }
+}
+
+/// Writes the trainer's order into a folder, and runs the trainer.
+fn trained(
+    folder: &Path,
+    order: &Order,
+    tell: &mut dyn FnMut(u64) -> ControlFlow<()>,
+) -> Result<Ended, MakeFailure> {
+    new_file::write(folder, ORDER, serde_json::to_vec(order)?)?;
+    // The runtime is this call's: a chunk is made on a blocking thread, or without any runtime.
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
+    let ended = runtime.block_on(train(folder, tell));
+    if ended.as_ref().is_err_and(is_repeatable_from_start) {
+        // A damaged checkpoint must not fail every attempt.
+        fs::remove_file(folder.join(CHECKPOINT)).ok();
+    }
+    Ok(ended.map_err(|error| error.to_string())?)
 }
 
 /// Whether the next attempt must not resume from the checkpoint. A trainer that was killed may.

@@ -8,7 +8,7 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
-use super::TrainingsOrder;
+use super::{NetScore, TrainingsOrder};
 use crate::chunk::MakeFailure;
 use crate::chunk::error::ChunkError;
 use crate::chunk::folder::OrderFolder;
@@ -19,6 +19,19 @@ use crate::jobs::JobError;
 use crate::learn::model_file::Manifest;
 use crate::learn::order::MANIFEST;
 use crate::learn::residuals::Residuals;
+use crate::new_file;
+
+/// Name of the file with the scores of a gathered net: a list of [`NetScore`], JSON.
+pub const SCORES_FILE: &str = "scores.json";
+
+/// A net of a chunk.
+#[derive(Debug, Clone)]
+pub(super) struct ScoredNet {
+    /// The net.
+    pub(super) model: NewModel,
+    /// Its scores.
+    pub(super) scores: Vec<NetScore>,
+}
 
 /// The first line of a chunk.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -32,18 +45,22 @@ struct NetHead {
     sensor: String,
     /// Residuals; only of a Transfer-Net.
     residuals: Option<Residuals>,
+    /// Scores of the net.
+    scores: Vec<NetScore>,
 }
 
 /// Writes the bytes of a chunk.
 ///
 /// # Errors
 /// If they cannot be written.
-pub(super) fn write_net(model: &NewModel, out: &mut impl Write) -> io::Result<()> {
+pub(super) fn write_net(net: &ScoredNet, out: &mut impl Write) -> io::Result<()> {
+    let ScoredNet { model, scores } = net;
     let head = NetHead {
         name: model.name.clone(),
         manifest: model.manifest.to_toml(),
         sensor: model.sensor.clone(),
         residuals: model.residuals.clone(),
+        scores: scores.clone(),
     };
     out.write_all(&serde_json::to_vec(&head)?)?;
     out.write_all(b"\n")?;
@@ -51,15 +68,17 @@ pub(super) fn write_net(model: &NewModel, out: &mut impl Write) -> io::Result<()
 }
 
 /// Reads the bytes of a chunk.
-fn read_net(bytes: &[u8]) -> Result<NewModel, MakeFailure> {
+fn read_net(bytes: &[u8]) -> Result<ScoredNet, MakeFailure> {
     let end = bytes.iter().position(|byte| *byte == b'\n').ok_or("its bytes have no first line")?;
-    let NetHead { name, manifest, sensor, residuals } = serde_json::from_slice(&bytes[..end])?;
+    let head: NetHead = serde_json::from_slice(&bytes[..end])?;
+    let NetHead { name, manifest, sensor, residuals, scores } = head;
     let onnx = bytes[end + 1..].to_vec();
     let text = |error: JobError| error.to_string();
     let (_, facts) = registry::facts("sensor", &sensor).map_err(|p| text(p.into()))?;
     let manifest = Manifest::from_toml(MANIFEST, &manifest, &facts).map_err(|p| text(p.into()))?;
     manifest.check_file(&onnx).map_err(|error| error.to_string())?;
-    Ok(NewModel { name, manifest, onnx, sensor, losses: None, residuals })
+    let model = NewModel { name, manifest, onnx, sensor, losses: None, residuals };
+    Ok(ScoredNet { model, scores })
 }
 
 /// What was gathered.
@@ -73,8 +92,8 @@ pub struct GatheredNets {
     pub damaged: Vec<u64>,
 }
 
-/// Writes each net of a work order to a folder of its name in `out`: ONNX file, manifest, sensor file, residuals. `rows`
-/// are all rows of the order; `tell` receives a call for each net.
+/// Writes each net of a work order to a folder of its name in `out`: scores, ONNX file, manifest, sensor file, residuals.
+/// `rows` are all rows of the order; `tell` receives a call for each net.
 ///
 /// # Errors
 /// `ChunkError::File` if a chunk cannot be read; `Make` if it is not the net of its order, or cannot be written.
@@ -94,13 +113,17 @@ pub fn gather(
             gathered.damaged.push(row.index);
             continue;
         }
-        let model = read_net(&bytes).map_err(failed)?;
+        let ScoredNet { model, scores } = read_net(&bytes).map_err(failed)?;
         if model.name != recipe.name {
             let found = &model.name;
             return Err(failed(format!("is {found}, the order has {}", recipe.name).into()));
         }
-        let saved = model.save(&out.join(&model.name));
-        saved.map_err(|error| failed(error.to_string().into()))?;
+        let folder = out.join(&model.name);
+        let scores = serde_json::to_vec(&scores).map_err(|error| failed(error.into()))?;
+        new_file::write(&folder, SCORES_FILE, scores)
+            .map_err(ChunkError::file("writing", folder.join(SCORES_FILE)))?;
+        // The manifest last.
+        model.save(&folder).map_err(|error| failed(error.to_string().into()))?;
         gathered.nets += 1;
         gathered.bytes += row.bytes;
         tell();
@@ -118,7 +141,7 @@ mod tests {
             ("{}", "no first line"),
             ("{\"name\":\"a\"}\nonnx", "missing field"),
             (
-                "{\"name\":\"a\",\"manifest\":\"\",\"sensor\":\"\",\"residuals\":null}\nonnx",
+                "{\"name\":\"a\",\"manifest\":\"\",\"sensor\":\"\",\"residuals\":null,\"scores\":[]}\nonnx",
                 "sensor",
             ),
         ] {

@@ -18,10 +18,15 @@ fn dataset() -> DatasetFile {
     }
 }
 
+fn evaluation(dataset: &str) -> EvaluationRequest {
+    let request = json!({ "scored": "voltages", "dataset": dataset, "part": "test" });
+    serde_json::from_value(request).unwrap()
+}
+
 fn net(recipe: &str) -> NetOrder {
     let lineage = json!({ "runs": [{ "label": "virtual" }],
         "models": [{ "calibration": "cal-1", "model": "sim-0" }] });
-    NetOrder::new(recipe, dataset(), &lineage).unwrap()
+    NetOrder::new(recipe, dataset(), &lineage, vec![evaluation("r2s-transfer")]).unwrap()
 }
 
 fn order(nets: Vec<NetOrder>) -> WorkOrder {
@@ -63,6 +68,9 @@ fn a_net_that_chunks_cannot_make_is_refused_by_key() {
     assert_eq!(key(vec![broken]), "definition.nets.0.recipe");
     let noisy = RECIPE.replacen("dataset", "noise_of = \"mdl-1\"\ndataset", 1);
     assert_eq!(key(vec![net(&noisy)]), "definition.nets.0.recipe.noise_of");
+    let mut apart = net(RECIPE);
+    apart.evaluations.push(evaluation("real-unseen"));
+    assert_eq!(key(vec![apart]), "definition.nets.0.evaluations.dataset");
     let threads = work_order(vec![net(RECIPE)], Compute::Cpu { threads: 2 });
     assert_eq!(TrainingsOrder::read(&threads).unwrap_err().key, "definition.compute");
     let more = WorkOrder { chunks: 2, ..order(vec![net(RECIPE)]) };
