@@ -35,7 +35,7 @@ use crate::chunk::order::{ORDER_FILE, WorkOrder};
 use crate::chunk::{MakeChunks, MakeFailure};
 use crate::dataset::build::data_file;
 use crate::dataset::read::sensor_text;
-use crate::evaluate::request::EvaluationRequest;
+use crate::evaluate::request::{EvaluationRequest, FramesRead};
 use crate::ids::{CalibrationId, DatasetId};
 use crate::learn::order::{CHECKPOINT, Event, ORDER, ORDER_VERSION, Order, Source};
 use crate::learn::recipe::Recipe;
@@ -184,6 +184,10 @@ impl TrainingsOrder {
             if let Some(other) = evaluations.find(|of| Some(of.dataset.as_str()) != named) {
                 let limit = "must be the dataset of the net";
                 return refused("evaluations.dataset", &other.dataset, limit);
+            }
+            if net.evaluations.iter().any(|of| of.frames != FramesRead::Mean) {
+                let limit = "must be mean: first frames are in the store of a service";
+                return refused("evaluations.frames", "first", limit);
             }
             recipes.push(recipe);
         }

@@ -71,6 +71,9 @@ fn a_net_that_chunks_cannot_make_is_refused_by_key() {
     let mut apart = net(RECIPE);
     apart.evaluations.push(evaluation("real-unseen"));
     assert_eq!(key(vec![apart]), "definition.nets.0.evaluations.dataset");
+    let mut first = net(RECIPE);
+    first.evaluations[0].frames = FramesRead::First;
+    assert_eq!(key(vec![first]), "definition.nets.0.evaluations.frames");
     let threads = work_order(vec![net(RECIPE)], Compute::Cpu { threads: 2 });
     assert_eq!(TrainingsOrder::read(&threads).unwrap_err().key, "definition.compute");
     let more = WorkOrder { chunks: 2, ..order(vec![net(RECIPE)]) };
