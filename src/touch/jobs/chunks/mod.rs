@@ -1,5 +1,5 @@
-//! Trainings in chunks: each chunk is one net, made by the trainer's process from a recipe and the file of a dataset, with
-//! its scores on parts of the dataset.
+//! Trainings in chunks: each chunk is one net, made by the trainer's process from a recipe and the file of a
+//! dataset, with its scores on parts of the dataset.
 //! Uses: `chunk`, `learn`, the trainer's process. Never: the store, a dataset whose bytes are not those of the order,
 //! two processes that train one net in one folder.
 //!
@@ -64,7 +64,7 @@ pub struct DatasetFile {
     pub sha256: String,
 }
 
-/// A net of a work order: everything that determines its bytes, except its seed and its layers, which are in the recipe.
+/// A net of a work order. Its seed and its layers are in the recipe.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct NetOrder {

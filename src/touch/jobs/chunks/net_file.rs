@@ -1,6 +1,6 @@
 //! The bytes of a chunk, a line of JSON and then an ONNX file; and the folders of gathered nets.
-//! Uses: `chunk`, `learn::model_file`, `infer::registry`. Never: a net whose files are not those of its manifest; losses,
-//! which state times.
+//! Uses: `chunk`, `learn::model_file`, `infer::registry`. Never: a net whose files are not those of its manifest;
+//! losses, which state times.
 
 use std::fs;
 use std::io::{self, Write};
@@ -92,8 +92,8 @@ pub struct GatheredNets {
     pub damaged: Vec<u64>,
 }
 
-/// Writes each net of a work order to a folder of its name in `out`: scores, ONNX file, manifest, sensor file, residuals.
-/// `rows` are all rows of the order; `tell` receives a call for each net.
+/// Writes each net of a work order to a folder of its name in `out`: scores, ONNX file, manifest, sensor file,
+/// residuals. `rows` are all rows of the order; `tell` receives a call for each net.
 ///
 /// # Errors
 /// `ChunkError::File` if a chunk cannot be read; `Make` if it is not the net of its order, or cannot be written.
