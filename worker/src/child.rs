@@ -51,6 +51,10 @@ pub enum MakeError {
     /// Program, store or disk of this machine cannot be used; another machine may make the chunk.
     #[error("{0}")]
     Machine(String),
+    /// The program of this machine refuses the order, or the store does not have it. If every machine does, the
+    /// order is the cause.
+    #[error("{0}")]
+    Refused(String),
 }
 
 /// The program, started when a chunk needs it and again after it has ended.
@@ -79,7 +83,8 @@ impl Maker {
     /// Has the program make a chunk of the order in `folder`.
     ///
     /// # Errors
-    /// `MakeError::Machine` if the program cannot be started, or refuses options or order; `Chunk` otherwise.
+    /// `MakeError::Machine` if the program cannot be started, or refuses its options; `Refused` if it refuses the
+    /// order; `Chunk` otherwise.
     pub async fn make(&mut self, folder: &Path, index: u64) -> Result<Done, MakeError> {
         let mut running = match self.running.take() {
             Some(running) => running,
@@ -106,7 +111,7 @@ impl Maker {
             }
             Answer::Failed { error, machine } => {
                 self.running = Some(running);
-                Err(if machine { MakeError::Machine(error) } else { MakeError::Chunk(error) })
+                Err(if machine { MakeError::Refused(error) } else { MakeError::Chunk(error) })
             }
         }
     }

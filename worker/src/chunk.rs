@@ -55,7 +55,8 @@ impl Bench {
     /// Makes a chunk, unless it is done.
     ///
     /// # Errors
-    /// `MakeError::Machine` if store, disk or program of this machine failed, `Chunk` if the chunk did.
+    /// `MakeError::Machine` if store, disk or program of this machine failed, `Refused` if it cannot make the order,
+    /// `Chunk` if the chunk failed.
     pub async fn make(&mut self, chunk: &ChunkRef) -> Result<Outcome, MakeError> {
         let key = self.key(chunk).await?;
         if self.store.is_done(&chunk.order, &key).await.map_err(machine)? {
@@ -96,10 +97,13 @@ impl Bench {
                 return Err(MakeError::Chunk(format!("order {id:?}: must be a sha256")));
             }
             // A share that is not mounted, or the store of another machine, is an empty folder.
-            let found = self.store.order(id).await.map_err(machine)?;
+            let found = self.store.order(id).await.map_err(|error| match error {
+                WorkerError::Store(_) => machine(error),
+                other => MakeError::Refused(other.to_string()),
+            })?;
             let (order, text) = found.ok_or_else(|| {
                 let what = "not in the store: PALPATE_STORE must be the one of the other machines";
-                MakeError::Machine(format!("{id}/{ORDER_FILE}: {what}"))
+                MakeError::Refused(format!("{id}/{ORDER_FILE}: {what}"))
             })?;
             let folder = self.scratch.join(id);
             let written = async {

@@ -18,6 +18,7 @@ pub mod fetch;
 pub mod needs;
 pub mod options;
 pub mod order;
+pub mod pause;
 pub mod queue;
 pub mod scratch;
 pub mod setup;

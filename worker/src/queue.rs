@@ -27,8 +27,6 @@ use crate::needs::Needs;
 
 /// Schema of the queue's tables.
 pub const SCHEMA: &str = "palpate_queue";
-/// Name of the only task.
-pub const TASK: &str = "chunk";
 /// Longest wait for an answer.
 pub const ANSWER: Duration = Duration::from_secs(15);
 /// Longest wait for a connection.
@@ -43,6 +41,13 @@ pub struct ChunkRef {
     pub order: String,
     /// Its place in the order.
     pub index: u64,
+    /// Number of times that a machine refused it.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub refused: u32,
+}
+
+fn is_zero(number: &u32) -> bool {
+    *number == 0
 }
 
 impl ChunkRef {
@@ -61,8 +66,10 @@ pub struct Backlog {
     pub waiting: u64,
     /// Chunks that a worker makes.
     pub running: u64,
-    /// Waiting chunks that have failed before.
+    /// Waiting chunks that a machine could not make.
     pub again: u64,
+    /// Error of one of these.
+    pub again_error: Option<String>,
     /// Chunks that are set aside.
     pub failed: u64,
 }
@@ -136,36 +143,37 @@ impl Queue {
             .await
     }
 
-    /// The number by which the queue knows chunks.
+    /// The orders that the queue knows, without some of them. Each is a task of the queue.
     ///
     /// # Errors
-    /// `WorkerError::NotSetUp` if it does not know them, `Queue` if it does not answer.
-    pub async fn tasks(&self) -> Result<TaskDetails, WorkerError> {
+    /// `WorkerError::NotSetUp` if the queue has no tables, `Queue` if it does not answer.
+    pub async fn orders(&self, without: &[String]) -> Result<TaskDetails, WorkerError> {
         let pool = self.pool();
-        let query =
-            sqlx::query_scalar("SELECT id FROM palpate_queue._private_tasks WHERE identifier = $1");
-        let id: Option<i32> = self.answer(ANSWER, query.bind(TASK).fetch_optional(&pool)).await?;
-        let Some(id) = id else {
-            return Err(WorkerError::NotSetUp("it does not know chunks".into()));
-        };
-        let mut tasks = TaskDetails::new();
-        tasks.insert(id, TASK.to_owned());
-        Ok(tasks)
+        let query = sqlx::query_as(
+            "SELECT id, identifier FROM palpate_queue._private_tasks WHERE identifier <> ALL($1)",
+        );
+        let rows: Vec<(i32, String)> =
+            self.answer(ANSWER, query.bind(without).fetch_all(&pool)).await?;
+        let mut orders = TaskDetails::new();
+        for (id, order) in rows {
+            orders.insert(id, order);
+        }
+        Ok(orders)
     }
 
-    /// Takes the next chunk that a machine may make.
+    /// Takes the next chunk of some orders that a machine may make.
     ///
     /// # Errors
     /// `WorkerError` if the queue does not answer.
     pub async fn take(
         &self,
-        tasks: &TaskDetails,
+        orders: &TaskDetails,
         worker: &str,
         allowed: &[String],
     ) -> Result<Option<Job>, WorkerError> {
         let database = Database::from(self.pool());
         let filter = JobFlagFilter::new(&[], &[]).with_allowlist(allowed);
-        self.answer(ANSWER, get_job_with_filter(&database, tasks, SCHEMA, worker, filter, None))
+        self.answer(ANSWER, get_job_with_filter(&database, orders, SCHEMA, worker, filter, None))
             .await
     }
 
@@ -202,6 +210,47 @@ impl Queue {
         self.answer(ANSWER, fail_job(&database, job, SCHEMA, worker, error, None)).await
     }
 
+    /// Returns a chunk that a machine could not make, with its error. Its attempt does not count. It becomes the
+    /// first of its order: a machine that makes the order takes it next.
+    ///
+    /// # Errors
+    /// `WorkerError` if the queue does not answer.
+    pub async fn give_back(
+        &self,
+        job: &Job,
+        worker: &str,
+        chunk: &ChunkRef,
+        error: &str,
+    ) -> Result<(), WorkerError> {
+        let payload =
+            serde_json::to_string(chunk).map_err(|error| WorkerError::Queue(error.to_string()))?;
+        let pool = self.pool();
+        let query = sqlx::query(
+            "UPDATE palpate_queue._private_jobs \
+             SET payload = $3::text::json, last_error = $4, updated_at = now(), \
+               run_at = created_at - interval '1 hour' \
+             WHERE id = $1 AND locked_by = $2",
+        );
+        let query = query.bind(*job.id()).bind(worker).bind(payload).bind(error);
+        self.answer(ANSWER, query.execute(&pool)).await?;
+        self.return_jobs(&[*job.id()], worker).await
+    }
+
+    /// Sets the waiting chunks of an order aside, with one error.
+    ///
+    /// # Errors
+    /// `WorkerError` if the queue does not answer.
+    pub async fn set_aside(&self, order: &str, error: &str) -> Result<(), WorkerError> {
+        let pool = self.pool();
+        let query = sqlx::query(
+            "UPDATE palpate_queue._private_jobs \
+             SET attempts = max_attempts, last_error = $2, updated_at = now() \
+             WHERE key LIKE $1 || '/%' AND locked_at IS NULL AND attempts < max_attempts",
+        );
+        let query = query.bind(order).bind(error);
+        self.answer(ANSWER, query.execute(&pool)).await.map(drop)
+    }
+
     /// Renews the lease of a worker.
     ///
     /// # Errors
@@ -230,10 +279,16 @@ impl Queue {
         let query = query.bind(worker).bind(held).bind(since.as_secs_f64());
         let unknown: Vec<i64> = self.answer(ANSWER, query.fetch_all(&pool)).await?;
         if !unknown.is_empty() {
-            let query = sqlx::query("SELECT palpate_queue._private_return_jobs($1, $2)");
-            self.answer(ANSWER, query.bind(worker).bind(&unknown).execute(&pool)).await?;
+            self.return_jobs(&unknown, worker).await?;
         }
         Ok(unknown.len())
+    }
+
+    /// Returns chunks that a worker has taken. Their attempts do not count.
+    async fn return_jobs(&self, jobs: &[i64], worker: &str) -> Result<(), WorkerError> {
+        let pool = self.pool();
+        let query = sqlx::query("SELECT palpate_queue._private_return_jobs($1, $2)");
+        self.answer(ANSWER, query.bind(worker).bind(jobs).execute(&pool)).await.map(drop)
     }
 
     /// Ends the lease of a worker.
@@ -354,20 +409,22 @@ impl Queue {
             "SELECT split_part(key, '/', 1), \
                count(*) FILTER (WHERE locked_at IS NULL AND attempts < max_attempts), \
                count(*) FILTER (WHERE locked_at IS NOT NULL), \
-               count(*) FILTER (WHERE locked_at IS NULL AND attempts BETWEEN 1 AND max_attempts - 1), \
+               count(*) FILTER (WHERE locked_at IS NULL AND attempts < max_attempts AND last_error IS NOT NULL), \
+               max(last_error) FILTER (WHERE locked_at IS NULL AND attempts < max_attempts), \
                count(*) FILTER (WHERE locked_at IS NULL AND attempts >= max_attempts) \
              FROM palpate_queue._private_jobs WHERE key IS NOT NULL GROUP BY 1 ORDER BY 1",
         );
-        let rows: Vec<(String, i64, i64, i64, i64)> =
+        let rows: Vec<(String, i64, i64, i64, Option<String>, i64)> =
             self.answer(ANSWER, query.fetch_all(&pool)).await?;
         let number = |count: i64| u64::try_from(count).unwrap_or(0);
         Ok(rows
             .into_iter()
-            .map(|(order, waiting, running, again, failed)| Backlog {
+            .map(|(order, waiting, running, again, again_error, failed)| Backlog {
                 order,
                 waiting: number(waiting),
                 running: number(running),
                 again: number(again),
+                again_error,
                 failed: number(failed),
             })
             .collect())
@@ -387,7 +444,7 @@ fn spec(
         flags: Some(needs.flags()),
         ..JobSpec::default()
     };
-    Ok(RawJobSpec { identifier: TASK.to_owned(), payload: serde_json::to_value(chunk)?, spec })
+    Ok(RawJobSpec { identifier: chunk.order.clone(), payload: serde_json::to_value(chunk)?, spec })
 }
 
 fn pool(options: &PgConnectOptions, connections: u32) -> PgPool {

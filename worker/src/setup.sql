@@ -21,8 +21,7 @@ REVOKE ALL ON SCHEMA palpate_queue FROM PUBLIC;
 REVOKE ALL ON ALL TABLES IN SCHEMA palpate_queue FROM PUBLIC, palpate_worker;
 GRANT USAGE ON SCHEMA palpate_queue TO palpate_worker;
 
--- The number of the task; one row.
-INSERT INTO palpate_queue._private_tasks (identifier) VALUES ('chunk') ON CONFLICT DO NOTHING;
+-- The orders; each is a task of the queue.
 GRANT SELECT ON palpate_queue._private_tasks TO palpate_worker;
 
 -- Take, return, acknowledge. Not: INSERT, key, priority, max_attempts, flags.

@@ -157,7 +157,8 @@ impl Display for Status {
             )?;
         }
         for order in &self.orders {
-            let Backlog { order: id, waiting, running, again, failed } = &order.backlog;
+            let Backlog { order: id, waiting, running, again, again_error, failed } =
+                &order.backlog;
             let (done, chunks, missing) = (order.done, order.chunks, order.missing);
             write!(
                 f,
@@ -168,6 +169,9 @@ impl Display for Status {
                 write!(f, "; {rate:.1} per minute, {to_go} s to go")?;
             }
             writeln!(f)?;
+            if let Some(error) = again_error {
+                writeln!(f, "  again: {error}")?;
+            }
             for failed in &order.errors {
                 writeln!(
                     f,

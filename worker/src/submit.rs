@@ -83,7 +83,7 @@ pub async fn submit(
                 store.remove(&order.id, Part::Failed, &key).await?;
                 submitted.again += 1;
             }
-            chunks.push(ChunkRef { order: order.id.clone(), index });
+            chunks.push(ChunkRef { order: order.id.clone(), index, refused: 0 });
         }
     }
     queue.add(&chunks, priority, attempts, needs).await?;

@@ -1,10 +1,12 @@
 //! A worker: takes chunks, makes them and acknowledges them until it is told to end.
-//! Uses: `queue`, `chunk`, `scratch`, tokio's signals. Never: a chunk acknowledged before its result is in the
+//! Uses: `queue`, `chunk`, `pause`, `scratch`, tokio's signals. Never: a chunk acknowledged before its result is in the
 //! store; another chunk after SIGTERM or after its terminal was closed.
 //!
 //! - One lease per worker, renewed by its heartbeats also while chunks are made. Each worker looks for leases
 //!   that have ended, and returns the chunks of those workers to the queue.
-//! - An attempt counts when a chunk is taken, so that a chunk that kills its workers is set aside as well.
+//! - An attempt counts when a chunk is taken, so that a chunk that kills its workers is set aside as well. If the
+//!   machine fails, it does not count: the machine leaves the order for a while. An order that machines refuse
+//!   again and again is set aside as a whole.
 //! - A lost connection is replaced. A chunk that was being made is then acknowledged by this worker, or found
 //!   done by the next one.
 
@@ -12,11 +14,9 @@ use std::collections::BTreeSet;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
-use graphile_worker::{
-    HookRegistry, Job, JobRecovery, JobRecoveryContext, JobRecoveryResult, TaskDetails,
-};
+use graphile_worker::{HookRegistry, Job, JobRecovery, JobRecoveryContext, JobRecoveryResult};
 use serde_json::{Value, json};
 use tokio::signal::unix::{Signal, SignalKind, signal};
 use tokio::sync::{Notify, watch};
@@ -28,6 +28,7 @@ use crate::child::{MakeError, Maker, clipped};
 use crate::chunk::{Bench, Outcome};
 use crate::needs::Needs;
 use crate::order::Failed;
+use crate::pause::{LeftOrders, Pause};
 use crate::queue::{ANSWER, ChunkRef, Queue};
 use crate::scratch::Scratch;
 use crate::store::Store;
@@ -38,8 +39,9 @@ pub const CONNECTIONS: u32 = 3;
 const IDLE: Duration = Duration::from_secs(5);
 /// The same for a worker that ends with the last chunk.
 const IDLE_AT_END: Duration = Duration::from_secs(1);
-/// First and longest pause after a failure of queue or machine.
-const PAUSE: (Duration, Duration) = (Duration::from_millis(200), Duration::from_secs(60));
+/// Refusals of one chunk, the first of its order for every machine, after which the order is set aside. With pauses
+/// of a minute one machine takes three and a half days for them, ten machines take a night.
+const REFUSALS_MAX: u32 = 5000;
 /// Longest time for which a result is acknowledged: later the chunk is found done.
 const ACKNOWLEDGE: Duration = Duration::from_secs(300);
 
@@ -74,6 +76,7 @@ struct Shared {
     ending: watch::Receiver<bool>,
     /// Numbers of the chunks that the slots have.
     held: Mutex<BTreeSet<i64>>,
+    left: Mutex<LeftOrders>,
     added: Notify,
     made: AtomicU64,
     existed: AtomicU64,
@@ -83,6 +86,10 @@ struct Shared {
 impl Shared {
     fn held(&self) -> MutexGuard<'_, BTreeSet<i64>> {
         self.held.lock().unwrap_or_else(|poisoned| poisoned.into_inner())
+    }
+
+    fn left(&self) -> MutexGuard<'_, LeftOrders> {
+        self.left.lock().unwrap_or_else(|poisoned| poisoned.into_inner())
     }
 }
 
@@ -110,7 +117,8 @@ pub async fn work(queue: Queue, store: Store, work: Work) -> Result<(), WorkerEr
         work,
         id,
         ending,
-        held: Mutex::new(BTreeSet::new()),
+        held: Mutex::default(),
+        left: Mutex::default(),
         added: Notify::new(),
         made: AtomicU64::new(0),
         existed: AtomicU64::new(0),
@@ -171,30 +179,25 @@ pub async fn work(queue: Queue, store: Store, work: Work) -> Result<(), WorkerEr
 /// Takes and makes chunks until the worker ends.
 async fn run_slot(shared: Arc<Shared>, mut bench: Bench) -> Result<(), WorkerError> {
     let mut ending = shared.ending.clone();
-    let mut tasks: Option<TaskDetails> = None;
     let mut pause = Pause::default();
-    let mut sick = Pause::default();
     let mut connected = false;
     while !*ending.borrow() {
+        let left = shared.left().now(Instant::now());
         let taken = async {
-            let known = match tasks.take() {
-                Some(tasks) => tasks,
-                None => shared.queue.tasks().await?,
-            };
-            let job = shared.queue.take(&known, &shared.id, &shared.allowed).await?;
+            let orders = shared.queue.orders(&left).await?;
+            let job = shared.queue.take(&orders, &shared.id, &shared.allowed).await?;
             let is_over = job.is_none()
                 && shared.work.until_idle
                 && !shared.queue.has_work(&shared.allowed).await?;
-            Ok((known, job, is_over))
+            Ok((job, is_over))
         };
         let (job, is_over) = match taken.await {
-            Ok((known, job, is_over)) => {
+            Ok(taken) => {
                 if pause.ends() {
                     tracing::info!("the queue answers again");
                 }
                 connected = true;
-                tasks = Some(known);
-                (job, is_over)
+                taken
             }
             // A mistake of the setup is not waited for, a queue that restarts is.
             Err(error @ WorkerError::NotSetUp(_)) if !connected => return Err(error),
@@ -209,6 +212,8 @@ async fn run_slot(shared: Arc<Shared>, mut bench: Bench) -> Result<(), WorkerErr
                 break;
             }
             let idle = if shared.work.until_idle { IDLE_AT_END } else { IDLE };
+            let back = shared.left().first_end(Instant::now());
+            let idle = back.map_or(idle, |back| back.min(idle));
             tokio::select! {
                 () = rest(idle, &mut ending) => (),
                 () = shared.added.notified() => (),
@@ -216,29 +221,15 @@ async fn run_slot(shared: Arc<Shared>, mut bench: Bench) -> Result<(), WorkerErr
             continue;
         };
         shared.held().insert(*job.id());
-        let settled = settle(&shared, &mut bench, &job).await;
+        settle(&shared, &mut bench, &job).await;
         shared.held().remove(job.id());
-        match settled {
-            Settled::Chunk => drop(sick.ends()),
-            // A machine that fails must not take all chunks and use up their attempts.
-            Settled::Machine => rest(sick.next(), &mut ending).await,
-        }
     }
     bench.end().await;
     Ok(())
 }
 
-/// Whose fault an unfinished chunk is.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Settled {
-    /// The chunk is done, or it has failed by itself.
-    Chunk,
-    /// The machine failed.
-    Machine,
-}
-
 /// Makes a chunk that was taken, and tells the queue.
-async fn settle(shared: &Shared, bench: &mut Bench, job: &Job) -> Settled {
+async fn settle(shared: &Shared, bench: &mut Bench, job: &Job) {
     let chunk: Result<ChunkRef, _> = serde_json::from_value(job.payload().clone());
     let made = match &chunk {
         Ok(chunk) => bench.make(chunk).await,
@@ -246,26 +237,52 @@ async fn settle(shared: &Shared, bench: &mut Bench, job: &Job) -> Settled {
     };
     let error = match made {
         Ok(outcome) => {
-            let number = if outcome == Outcome::Made { &shared.made } else { &shared.existed };
+            let is_made = outcome == Outcome::Made;
+            let number = if is_made { &shared.made } else { &shared.existed };
             number.fetch_add(1, Ordering::Relaxed);
+            if is_made && let Ok(chunk) = &chunk {
+                shared.left().returns(&chunk.order);
+            }
             acknowledge(|| shared.queue.complete(job, &shared.id)).await;
-            return Settled::Chunk;
+            return;
         }
         Err(error) => error,
     };
     shared.failed.fetch_add(1, Ordering::Relaxed);
-    let settled =
-        if matches!(error, MakeError::Machine(_)) { Settled::Machine } else { Settled::Chunk };
     let text = format!("{}: {}", host(), clipped(&error.to_string()));
     tracing::warn!(chunk = job.key().as_deref().unwrap_or(""), attempt = job.attempts(), "{text}");
-    if job.attempts() >= job.max_attempts()
-        && let Ok(chunk) = &chunk
-        && let Ok(key) = bench.key(chunk).await
-    {
-        set_aside(&shared.store, chunk, key, *job.attempts(), text.clone()).await;
+    match (error, chunk) {
+        (MakeError::Machine(_), Ok(chunk)) => give_back(shared, bench, job, chunk, &text).await,
+        (MakeError::Refused(_), Ok(mut chunk)) => {
+            chunk.refused = chunk.refused.saturating_add(1);
+            give_back(shared, bench, job, chunk, &text).await;
+        }
+        (_, chunk) => {
+            if job.attempts() >= job.max_attempts()
+                && let Ok(chunk) = &chunk
+                && let Ok(key) = bench.key(chunk).await
+            {
+                set_aside(&shared.store, chunk, key, *job.attempts(), text.clone()).await;
+            }
+            acknowledge(|| shared.queue.fail(job, &shared.id, &text)).await;
+        }
     }
-    acknowledge(|| shared.queue.fail(job, &shared.id, &text)).await;
-    settled
+}
+
+/// Returns a chunk that this machine could not make, and leaves its order for a while. After too many refusals the
+/// order is set aside: no machine has made its first chunk.
+async fn give_back(shared: &Shared, bench: &mut Bench, job: &Job, chunk: ChunkRef, text: &str) {
+    shared.left().leave(&chunk.order, Instant::now());
+    acknowledge(|| shared.queue.give_back(job, &shared.id, &chunk, text)).await;
+    if chunk.refused < REFUSALS_MAX {
+        return;
+    }
+    let text = format!("refused {} times by machines, last by {text}", chunk.refused);
+    tracing::warn!(order = chunk.order, "the order is set aside: {text}");
+    if let Ok(key) = bench.key(&chunk).await {
+        set_aside(&shared.store, &chunk, key, *job.attempts(), text.clone()).await;
+    }
+    acknowledge(|| shared.queue.set_aside(&chunk.order, &text)).await;
 }
 
 /// Writes why a chunk is set aside. Without it, the queue alone has the error.
@@ -357,33 +374,6 @@ async fn rest(time: Duration, ending: &mut watch::Receiver<bool>) {
     drop(timeout(time, ending.wait_for(|ending| *ending)).await);
 }
 
-/// A pause that doubles with each failure.
-#[derive(Debug, Default)]
-struct Pause {
-    failures: u32,
-}
-
-impl Pause {
-    fn next(&mut self) -> Duration {
-        let (first, longest) = PAUSE;
-        let pause = first.saturating_mul(1 << self.failures.min(10)).min(longest);
-        self.failures += 1;
-        pause
-    }
-
-    /// Ends the failures, and returns whether there were some.
-    fn ends(&mut self) -> bool {
-        std::mem::take(&mut self.failures) > 0
-    }
-
-    /// Logs the first failure, and then each tenth.
-    fn warn(&self, error: &WorkerError, what: &str) {
-        if self.failures.is_multiple_of(10) {
-            tracing::warn!(%error, failures = self.failures, "{what}");
-        }
-    }
-}
-
 /// SIGTERM, SIGINT, and SIGHUP unless the worker was started to ignore it, as by `nohup`.
 struct Signals {
     terminate: Signal,
@@ -449,15 +439,5 @@ mod tests {
         assert!(ignores_hang_up(&status("0000000000001001")));
         assert!(!ignores_hang_up(&status("0000000000001000")));
         assert!(!ignores_hang_up(""));
-    }
-
-    #[test]
-    fn a_pause_grows_to_its_longest_and_begins_again() {
-        let mut pause = Pause::default();
-        let pauses: Vec<u128> = (0..11).map(|_| pause.next().as_millis()).collect();
-        assert_eq!(pauses[..4], [200, 400, 800, 1600]);
-        assert_eq!(pauses[10], 60_000);
-        assert!(pause.ends() && !pause.ends());
-        assert_eq!(pause.next().as_millis(), 200);
     }
 }

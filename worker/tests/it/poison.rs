@@ -53,9 +53,7 @@ fn a_chunk_that_takes_its_worker_with_it_is_set_aside() {
     for attempt in ["1", "2"] {
         let mut worker = bench.worker(&bench.address, &[]);
         let taken = "SELECT attempts FROM palpate_queue._private_jobs WHERE locked_by IS NOT NULL";
-        until("the chunk is made", SOON, || {
-            text(&bench.server.psql("owner", "queue", PASSWORD, taken).stdout).trim() == attempt
-        });
+        until("the chunk is made", SOON, || asked(&bench, taken) == attempt);
         worker.process.kill().unwrap();
         worker.process.wait().unwrap();
     }
@@ -95,10 +93,52 @@ fn a_machine_that_cannot_make_chunks_does_not_use_up_their_attempts() {
         if !stored.exists() {
             fs::rename(&elsewhere, &stored).unwrap();
         }
+        // It was tried several times, each time with the same chunk, and no attempt counts.
+        assert!(sick.log().matches(expected).count() > 1, "{}", sick.log());
         let status = bench.status(&made);
-        let again = status["again"].as_u64().unwrap();
-        assert!((1..8).contains(&again), "{again}");
-        assert_eq!(status["waiting"], json!(30));
+        assert_eq!((&status["waiting"], &status["again"]), (&json!(30), &json!(1)));
+        assert!(status["again_error"].as_str().unwrap().contains(expected), "{status}");
+        assert_eq!(asked(&bench, "SELECT max(attempts) FROM palpate_queue._private_jobs"), "0");
         bench.ok(&["cancel", made.path()]);
     }
+}
+
+#[test]
+fn an_order_that_machines_refuse_blocks_no_other_and_is_set_aside_in_the_end() {
+    let Some(bench) = Bench::start() else { return };
+    let refused = bench.order(30, json!({ "seed": 1, "refuses": true }));
+    let made = bench.order(8, json!({ "seed": 2 }));
+    bench.ok(&["submit", refused.path(), "--priority", "high"]);
+    bench.ok(&["submit", made.path(), "--priority", "low"]);
+    let mut worker = bench.worker(&bench.address, &[]);
+    until("the other order is made", SOON, || bench.status(&made)["done"] == json!(8));
+    worker.terminate();
+    assert!(worker.ended(SOON));
+    assert_eq!(bench.status(&refused)["waiting"], json!(30));
+    // As after some days.
+    asked(
+        &bench,
+        "UPDATE palpate_queue._private_jobs SET payload = jsonb_set(payload::jsonb, '{refused}', '4999')::json",
+    );
+    let mut last = bench.worker(&bench.address, &["--until-idle"]);
+    assert!(last.ended(SOON), "{}", last.log());
+    let status = bench.status(&refused);
+    assert_eq!(
+        (&status["waiting"], &status["failed"], &status["missing"]),
+        (&json!(0), &json!(30), &json!(0))
+    );
+    let error = status["errors"][0]["error"].as_str().unwrap();
+    assert!(
+        error.contains("refused 5000 times") && error.contains("no kernel of the order"),
+        "{error}"
+    );
+    let again = bench.ok(&["submit", refused.path()]);
+    assert!(again.contains("30 submitted (1 had failed)"), "{again}");
+}
+
+/// What the owner of the queue reads.
+fn asked(bench: &Bench, statement: &str) -> String {
+    let output = bench.server.psql("owner", "queue", PASSWORD, statement);
+    assert!(output.status.success(), "{}", text(&output.stderr));
+    text(&output.stdout).trim().to_owned()
 }

@@ -36,7 +36,7 @@ fn a_worker_takes_and_returns_chunks_and_nothing_else() {
     assert_eq!(setup.status.code(), Some(1));
     for refused in [
         "INSERT INTO palpate_queue._private_jobs (task_id) VALUES (1)",
-        "SELECT palpate_queue.add_job('chunk', '{}')",
+        "SELECT palpate_queue.add_job('order', '{}')",
         "UPDATE palpate_queue._private_jobs SET priority = -1000",
         "UPDATE palpate_queue._private_jobs SET max_attempts = 1000",
         "UPDATE palpate_queue._private_jobs SET key = NULL",
