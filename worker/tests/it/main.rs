@@ -9,3 +9,4 @@ mod proxy;
 mod rights;
 mod s3;
 mod server;
+mod thousand;
