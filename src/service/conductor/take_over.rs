@@ -92,11 +92,12 @@ impl Conductor {
             let (waiting, lock) = (self.still_waiting().await?, self.inner.store.lock().await?);
             let present = turn::Present { now: Timestamp::now(), lock: lock.as_ref() };
             // For a run that was started in this process the rig is not brought up: a person homes it.
-            let mut first = waiting.iter().filter(|run| taken_over.contains(&run.uid)).peekable();
-            if first.peek().is_none() {
+            let first: Vec<&RunRow> =
+                waiting.iter().filter(|run| taken_over.contains(&run.uid)).collect();
+            if first.is_empty() {
                 return Ok(None);
             }
-            if let Some(due) = first.find(|run| present.lets_begin(run)) {
+            if let Some(due) = first.into_iter().find(|run| present.lets_begin(run)) {
                 let status = self.inner.campaign.status();
                 let is_up = status.run.is_some() || status.rig.is_ready();
                 if is_up {
