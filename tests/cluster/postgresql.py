@@ -41,7 +41,7 @@ def programs() -> pathlib.Path | None:
 
 
 class Server:
-    """A PostgreSQL server in a folder, ended with its `with` block."""
+    """A PostgreSQL server in a folder, ended with its `with` block; `long.py` also kills and starts it."""
 
     def __init__(self, programs: pathlib.Path, folder: pathlib.Path) -> None:
         """Makes the server's data and starts it; as `nobody` if this is root, which PostgreSQL refuses."""
@@ -59,13 +59,15 @@ class Server:
                 shutil.chown(path, "nobody")
         subprocess.run([*user, programs / "initdb", "-D", data, "-U", "postgres", "--auth=scram-sha-256", "--no-sync",
                         f"--pwfile={password}"], cwd=folder, check=True, stdout=subprocess.DEVNULL)
-        self.process = subprocess.Popen(
-            [*user, programs / "postgres", "-D", data, "-p", str(self.port), "-c", "listen_addresses=127.0.0.1",
-             "-c", f"unix_socket_directories={folder}"], cwd=folder, stderr=subprocess.DEVNULL)
+        self.folder, self.process = folder, None
+        self.command = [*user, programs / "postgres", "-D", data, "-p", str(self.port), "-c",
+                        "listen_addresses=127.0.0.1", "-c", f"unix_socket_directories={folder}"]
 
     def __enter__(self) -> "Server":
         until = time.monotonic() + START_S
         while time.monotonic() < until:
+            if self.process is None or self.process.poll() is not None:  # not while the killed one's processes end
+                self.process = subprocess.Popen(self.command, cwd=self.folder, stderr=subprocess.DEVNULL)
             try:
                 socket.create_connection(("127.0.0.1", self.port), 1).close()
                 return self
