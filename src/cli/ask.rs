@@ -14,7 +14,7 @@ use super::error::CliError;
 use super::key::key;
 use super::output::{Output, counted, duration, note, say, say_json};
 use super::view::{RunView, StatusView};
-use super::{At, embed};
+use super::{At, embed, workers};
 use crate::campaign::bench::stopping::StoppingDistance;
 use crate::campaign::shown::safe_end::{SafeEnd, Tips};
 use crate::ids::RunUid;
@@ -70,7 +70,8 @@ pub async fn status(at: &At) -> Result<(), CliError> {
         return Ok(());
     }
     let twins: Value = client.get("/api/v1/twins").await?;
-    say(status_words(&client.status().await?, &twins));
+    let workers = workers::line(&client).await;
+    say(status_words(&client.status().await?, &twins, workers));
     Ok(())
 }
 
@@ -256,7 +257,7 @@ pub async fn estop(args: &ActArgs) -> Result<(), CliError> {
     Ok(())
 }
 
-fn status_words(status: &StatusView, twins: &Value) -> String {
+fn status_words(status: &StatusView, twins: &Value, workers: Option<String>) -> String {
     let rig = &status.rig;
     let mut lines = vec![format!("rig      {} ({}): {}", rig.name, rig.label, rig.state.as_str())];
     if rig.trip.is_some() {
@@ -286,6 +287,7 @@ fn status_words(status: &StatusView, twins: &Value) -> String {
     lines.extend(status.care.lines(Timestamp::now()));
     lines.push(format!("queue    {}{waits}", counted(status.queue_length as u64, "run", "runs")));
     lines.extend(twin_words(twins));
+    lines.extend(workers);
     lines.push(format!("service  {}, {}", status.service.version, status.service.database));
     lines.join("\n")
 }

@@ -82,6 +82,7 @@ mod virtual_bench;
 mod vocabulary;
 mod watch;
 mod worker;
+mod workers;
 
 pub use drawn::{report, report_usage};
 pub use error::CliError;
@@ -159,6 +160,9 @@ pub struct StatusArgs {
     /// Show the simulated twins: made and pending by run, and the fit of the last trials.
     #[arg(long, conflicts_with = "watch")]
     pub twins: bool,
+    /// Show the workers of bulk work and their queue: orders, rates, time to go, failed chunks.
+    #[arg(long, conflicts_with_all = ["watch", "twins"])]
+    pub workers: bool,
     /// Service of the rig.
     #[command(flatten)]
     pub at: At,
@@ -325,6 +329,7 @@ async fn answer(command: Command) -> Result<ExitCode, CliError> {
         Command::Serve(args) => serve::serve(args).await?,
         Command::Status(args) if args.watch => watch::watch(&args.at).await?,
         Command::Status(args) if args.twins => twins::status(&args.at).await?,
+        Command::Status(args) if args.workers => workers::status(&args.at).await?,
         Command::Metrics(at) => ask::metrics(&at).await?,
         Command::Status(args) => ask::status(&args.at).await?,
         Command::Vocabulary(args) => vocabulary::vocabulary(args).await?,

@@ -10,16 +10,8 @@ use clap::Args;
 use super::error::CliError;
 use super::output::Output;
 use super::progress::spinner;
-use crate::program::Known;
+use crate::api::WORKER;
 
-/// The program that makes chunks.
-static WORKER: Known = Known {
-    name: "palpate-worker",
-    variable: "PALPATE_WORKER",
-    folder: "worker",
-    workspace: "worker",
-    about: "the worker",
-};
 /// Variable by which the worker finds this program, which makes the bytes of a chunk.
 const MAKER: &str = "PALPATE_PROGRAM";
 

@@ -11,7 +11,7 @@ use palpate_touch::{evaluate, infer, jobs, learn};
 use palpate_words::query_lines;
 use palpate_words::{
     carried, clock, commit, digest, event, ids, journal, new_file, plain, priority, problem,
-    record, state, suspension, syntax,
+    program, record, state, suspension, syntax,
 };
 
 pub mod conductor;

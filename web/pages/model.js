@@ -1,5 +1,6 @@
 // The model: how does the skin behave? Contacts are placed on a drawn skin with the mouse; the model answers
-// with voltages, dent and forces. A stored trial can be laid over it, and Fig. 7 of the paper is below.
+// with voltages, dent and forces. A stored trial can be laid over it, and Fig. 7 of the paper is below,
+// and what makes simulations in bulk: twins, and workers on other machines.
 
 import { get, send } from '../lib/api.js'
 import { asked, contactList, contactsText, most, parseContacts, within } from '../lib/presslist.js'
@@ -10,6 +11,7 @@ import { about, counted, fixed } from '../lib/format.js'
 import { frame, minus } from '../lib/frame.js'
 import { sensor, skin, tips } from '../lib/skin.js'
 import { twins } from '../lib/twinpool.js'
+import { workers } from '../lib/workers.js'
 
 const REST_MS = 150, SLOW_MS = 600
 const SLOW = 'Computing: the first answer for a skin builds its model, which takes some seconds …'
@@ -47,7 +49,7 @@ export async function show(root, { query, signal, set }) {
       panel('Contacts', {}, list.node, el('div', { className: 'row' }, button('Add a contact', () => drawn.shape ? add(apart()) : note(told, 'The skin is not known yet.')),
         button('Remove all', () => state.contacts.length ? put([]) : note(told, 'There is no contact to remove.'), { className: 'plain' })),
         trialForm, trialWords),
-      pane(voltages.node, picker))), scatterPane, below.node, twins(signal))
+      pane(voltages.node, picker))), scatterPane, below.node, twins(signal), workers(signal))
 
   const centre = () => [drawn.shape.width_mm / 2, drawn.shape.height_mm / 2]
   // A place 60 mm from every contact, as near the centre as there is one on a grid of 30 mm.

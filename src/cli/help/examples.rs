@@ -98,7 +98,15 @@ pub const EXAMPLES: &[(&str, &[&str])] = &[
             "palpate worker status --json",
         ],
     ),
-    ("status", &["palpate status", "palpate status --watch", "palpate status --twins --json"]),
+    (
+        "status",
+        &[
+            "palpate status",
+            "palpate status --watch",
+            "palpate status --twins --json",
+            "palpate status --workers",
+        ],
+    ),
     ("metrics", &["palpate metrics"]),
     ("vocabulary", &["palpate vocabulary", "palpate vocabulary trips"]),
     ("queue", &["palpate queue", "palpate queue add real-hex-1 --at 22:00"]),

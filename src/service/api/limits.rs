@@ -74,6 +74,8 @@ pub const PROGRESS_KEPT: Duration = Duration::from_secs(2);
 pub const HISTORY_KEPT: Duration = Duration::from_secs(5);
 /// Time for which the wear, and the stored frame of the untouched skin, are not read again.
 pub const WEAR_KEPT: Duration = Duration::from_secs(60);
+/// Time for which the state of workers and their queue is kept in memory.
+pub const WORKERS_KEPT: Duration = Duration::from_secs(5);
 /// Largest message of a WebSocket from a client, bytes.
 pub const MESSAGE_MAX_BYTES: usize = 4096;
 /// Tickets of one key for WebSockets that wait to be used.

@@ -11,7 +11,7 @@ use super::history::History;
 use super::kept::Kept;
 use super::limits::{
     HISTORY_KEPT, KEPT_RUNS, PROGRESS_KEPT, ROOM_MAX, STORED_PART_KEPT, TOUR_KEPT, TOURS_MAX,
-    WEAR_KEPT,
+    WEAR_KEPT, WORKERS_KEPT,
 };
 use super::live_status::Messages;
 use super::queue_times::Planned;
@@ -21,6 +21,7 @@ use super::status::StoredPart;
 use super::suspenders::Beyond;
 use super::tour::KeptTour;
 use super::wear::{EndedWear, Wear};
+use super::workers::WorkersOut;
 use crate::ids::RunUid;
 use crate::record::Untouched;
 use crate::schedule::experiment::TwinLimits;
@@ -47,6 +48,8 @@ pub struct Memory {
     pub(super) untouched: Kept<(), Option<Arc<Untouched>>>,
     /// Wear of skin, axes and cells.
     pub(super) wear: Kept<(), Arc<Wear>>,
+    /// State of workers and their queue, or why there is none.
+    pub(super) workers: Kept<(), Result<Arc<WorkersOut>, String>>,
     /// The wear by runs that have ended.
     pub(super) ended_wear: EndedWear,
     /// Since when values are beyond their thresholds.
@@ -71,6 +74,7 @@ impl Default for Memory {
             stored_part: Kept::new(STORED_PART_KEPT, 1),
             untouched: Kept::new(WEAR_KEPT, 1),
             wear: Kept::new(WEAR_KEPT, 1),
+            workers: Kept::new(WORKERS_KEPT, 1),
             ended_wear: EndedWear::default(),
             beyond: Beyond::default(),
             live_status: Messages::default(),

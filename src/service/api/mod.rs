@@ -2,6 +2,7 @@
 //! Uses: everything before it. Never: motion, SQL, a read that a motion waits for.
 
 use std::net::SocketAddr;
+use std::path::PathBuf;
 use std::sync::Arc;
 
 use axum::http::Method;
@@ -101,6 +102,7 @@ mod untouched;
 mod vocabulary;
 mod wear;
 mod work;
+mod workers;
 
 pub use edited::Edited;
 pub use infer::{FrameAnswer, InferOptions, InferRequest};
@@ -119,6 +121,7 @@ pub use runs::Summary;
 pub use service::Service;
 pub use tls::{Tls, TlsCause, TlsError, warn_if_others_may_read};
 pub use turns::Turns;
+pub use workers::WORKER;
 
 use memory::Memory;
 use routes::AllNeeds;
@@ -155,6 +158,7 @@ pub struct App {
 
 struct Facts {
     bind: SocketAddr,
+    data: PathBuf,
     started_at: Timestamp,
     rig: RigFile,
     ending: watch::Receiver<bool>,

@@ -17,6 +17,7 @@ use super::{
     infer, jobs, live, live_contacts, live_status, models, overlay, people, placement, progress,
     published, quantities, queue, queue_times, rates, recipes, recording, rig, rig_limits, runs,
     samples, sensor, simulations, sql, status, tour, trials, twins, untouched, vocabulary, wear,
+    workers,
 };
 use crate::store::Role;
 
@@ -159,6 +160,9 @@ pub fn table() -> Vec<Operation> {
         (READS, routes!(trials::bench_records)),
         (READS, routes!(twins::all)),
         (READS, routes!(twins::of_run)),
+        (READS, routes!(workers::all)),
+        (acts("submit an order").lock(Lock::Ignored), routes!(workers::submit)),
+        (acts("cancel an order").lock(Lock::Ignored), routes!(workers::cancel)),
         (READS, routes!(evaluation::simulation)),
         (READS, routes!(datasets::list)),
         (acts("make a dataset").body(BODY_MAX_BYTES).once(), routes!(datasets::make)),

@@ -102,6 +102,7 @@ impl Service {
         let (ending, ended) = watch::channel(false);
         let facts = Facts {
             bind: address,
+            data: options.data.clone(),
             started_at: Timestamp::now(),
             rig,
             ending: ended,

@@ -73,6 +73,7 @@ const COMMANDS: &[(&str, &str)] = &[
     ("untouched_frame", "rig untouched"),
     ("vocabulary", "vocabulary"),
     ("wear", "rig wear"),
+    ("workers", "status --workers"),
 ];
 
 /// GET operations without a command.

@@ -1,0 +1,146 @@
+//! What workers of bulk work and their queue do, as the service reads it.
+//! Uses: `client`. Never: queue or store, which `palpate-worker` alone knows.
+
+use std::time::Duration;
+
+use serde_json::Value;
+use tokio::time::timeout;
+
+use super::client::Client;
+use super::error::CliError;
+use super::output::{counted, duration, say, say_json};
+use super::table::{Align, Table};
+use super::{At, embed};
+
+/// Path of the state.
+const WORKERS: &str = "/api/v1/workers";
+/// Longest time for which `status` waits for a queue.
+const STATUS_WAIT: Duration = Duration::from_secs(2);
+/// Digits of an order's id that are shown, enough for `palpate worker`.
+const ID_SHOWN: usize = 12;
+
+/// Runs `palpate status --workers`.
+///
+/// # Errors
+/// `CliError` if the service cannot be reached, or its queue does not answer.
+pub async fn status(at: &At) -> Result<(), CliError> {
+    let found: Value = embed::server(at).await?.get(WORKERS).await?;
+    if at.json {
+        say_json(&found);
+        return Ok(());
+    }
+    if found["configured"] != true {
+        say("the service knows no queue: start it with PALPATE_QUEUE_FILE and PALPATE_STORE");
+        return Ok(());
+    }
+    let heads = [("worker", Align::Left), ("heard", Align::Right)];
+    let mut workers = Table::new(&heads, "no worker");
+    for worker in rows(&found, "workers") {
+        let lost = if worker["lost"] == true { " (lost)" } else { "" };
+        let heard = duration(worker["heard_s"].as_f64().unwrap_or_default());
+        workers.push([text(worker, "worker"), format!("{heard} ago{lost}")]);
+    }
+    say(&workers);
+    let numbers = ["chunks", "done", "running", "waiting", "again", "failed", "missing"];
+    let heads = numbers.map(|number| (number, Align::Right));
+    let heads: Vec<_> = [("order", Align::Left), ("folder", Align::Left)]
+        .into_iter()
+        .chain(heads)
+        .chain([("per min", Align::Right), ("to go", Align::Right)])
+        .collect();
+    let mut orders = Table::new(&heads, "no order");
+    for order in rows(&found, "orders") {
+        let id: String = text(order, "order").chars().take(ID_SHOWN).collect();
+        let rate = order["per_minute"].as_f64().map_or("-".into(), |rate| format!("{rate:.1}"));
+        let to_go = order["to_go_s"].as_f64().map_or("-".into(), duration);
+        let counts = numbers.map(|number| order[number].to_string());
+        let cells = [id, text(order, "folder")].into_iter().chain(counts).chain([rate, to_go]);
+        orders.push(cells);
+    }
+    say(&orders);
+    for order in rows(&found, "orders") {
+        if let Some(error) = order["again_error"].as_str() {
+            say(format_args!("again: {error}"));
+        }
+        for failed in rows(order, "errors") {
+            let (index, attempts) = (&failed["index"], &failed["attempts"]);
+            say(format_args!("chunk {index}: {attempts} attempts: {}", text(failed, "error")));
+        }
+    }
+    Ok(())
+}
+
+/// The line of `palpate status`; `None` if the service knows no queue.
+pub async fn line(client: &Client) -> Option<String> {
+    let words = match timeout(STATUS_WAIT, client.get::<Value>(WORKERS)).await {
+        Ok(Ok(found)) => words(&found)?,
+        Ok(Err(error)) => error.to_string(),
+        Err(_) => "the queue has not answered yet".into(),
+    };
+    Some(format!("workers  {words}"))
+}
+
+fn words(found: &Value) -> Option<String> {
+    if found["configured"] != true {
+        return None;
+    }
+    let workers = rows(found, "workers");
+    let lost = workers.iter().filter(|worker| worker["lost"] == true).count();
+    let mut words = counted((workers.len() - lost) as u64, "worker", "workers");
+    if lost > 0 {
+        words += &format!(" ({lost} lost)");
+    }
+    let is_open = |order: &&Value| order["done"].as_u64() < order["chunks"].as_u64();
+    let open: Vec<&Value> = rows(found, "orders").iter().filter(is_open).collect();
+    let sum = |key: &str| open.iter().filter_map(|order| order[key].as_f64()).sum::<f64>();
+    if open.is_empty() {
+        return Some(words + "; nothing to do");
+    }
+    words += &format!("; {} of {} chunks done", sum("done"), sum("chunks"));
+    if sum("per_minute") > 0.0 {
+        words += &format!(", {:.1} per minute", sum("per_minute"));
+    }
+    if let Some(to_go) = open.iter().filter_map(|order| order["to_go_s"].as_f64()).reduce(f64::max)
+    {
+        words += &format!(", {} to go", duration(to_go));
+    }
+    for (key, what) in [("again", "could not be made by a machine"), ("failed", "failed")] {
+        if sum(key) > 0.0 {
+            words += &format!("; {} {what}", sum(key));
+        }
+    }
+    Some(words)
+}
+
+fn rows<'a>(of: &'a Value, key: &str) -> &'a [Value] {
+    of[key].as_array().map_or(&[], Vec::as_slice)
+}
+
+fn text(of: &Value, key: &str) -> String {
+    of[key].as_str().unwrap_or_default().to_owned()
+}
+
+#[cfg(test)]
+mod tests {
+    use serde_json::json;
+
+    use super::*;
+
+    #[test]
+    fn the_line_counts_open_orders_and_names_what_needs_a_person() {
+        assert_eq!(words(&json!({ "configured": false })), None);
+        let mut found = json!({ "configured": true, "orders": [], "workers": [
+            { "worker": "a", "lost": false }, { "worker": "b", "lost": true }] });
+        assert_eq!(words(&found).unwrap(), "1 worker (1 lost); nothing to do");
+        found["orders"] = json!([
+            { "chunks": 9, "done": 9, "again": 0, "failed": 0, "per_minute": 2.0, "to_go_s": 0 },
+            { "chunks": 200, "done": 120, "again": 1, "failed": 2, "per_minute": 12.34, "to_go_s": 375 },
+            { "chunks": 10, "done": 0, "again": 0, "failed": 0, "per_minute": null, "to_go_s": null },
+        ]);
+        assert_eq!(
+            words(&found).unwrap(),
+            "1 worker (1 lost); 120 of 210 chunks done, 12.3 per minute, 6 min 15 s to go; \
+             1 could not be made by a machine; 2 failed"
+        );
+    }
+}
