@@ -67,6 +67,11 @@ pub async fn status(at: &At) -> Result<(), CliError> {
             say(format_args!("chunk {index}: {attempts} attempts: {}", text(failed, "error")));
         }
     }
+    let gather = &found["gather"];
+    if let Some(state) = gather["state"].as_str() {
+        let why = gather["error"].as_str().map_or(String::new(), |why| format!(": {why}"));
+        say(format_args!("gathering of {}: {state}{why}", text(gather, "folder")));
+    }
     Ok(())
 }
 

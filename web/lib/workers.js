@@ -9,7 +9,7 @@ const PERIOD_MS = 10_000
 
 /** Makes the panel of workers; it asks every ten seconds until `signal` aborts, and is hidden without a queue. */
 export function workers(signal) {
-  const error = el('p', { className: 'bad' }), failures = el('p', { className: 'warn' })
+  const error = el('p', { className: 'bad' }), gathered = el('p', { className: 'soft' }), failures = el('p', { className: 'warn' })
   const machines = table({ empty: 'No worker: palpate worker work', columns: [{ head: 'Worker', cell: row => row.worker },
     { head: 'Heard', cell: row => `${span(row.heard_s)} ago${row.lost ? ', lost' : ''}` }] })
   const orders = table({ empty: 'No order: palpate cluster sbatch, then palpate worker submit',
@@ -19,13 +19,15 @@ export function workers(signal) {
       { head: 'Not submitted', cell: row => count(row.missing) },
       { head: 'Rate', unit: '1/min', cell: row => row.per_minute == null ? NONE : fixed(row.per_minute, 1) },
       { head: 'To go', cell: row => row.done >= row.chunks ? 'done' : row.to_go_s == null ? NONE : span(row.to_go_s) }] })
-  const node = panel('Workers: bulk simulation on other machines', { className: 'live', hidden: true }, machines.node, orders.node, failures, error)
+  const node = panel('Workers: bulk simulation on other machines', { className: 'live', hidden: true }, machines.node, orders.node, failures, gathered, error)
   async function ask() {
     const found = await get('/workers', {}, { signal })
     node.hidden = !found.configured
     say(error, '')
     machines.show(found.workers)
     orders.show(found.orders)
+    const { gather } = found
+    say(gathered, gather ? `Gathering of ${gather.folder}: ${gather.error ?? gather.state}` : '')
     say(failures, found.orders.flatMap(order => [order.again_error && `A machine could not make a chunk: ${order.again_error}`,
       ...order.errors.map(one => `Chunk ${one.index}, ${count(one.attempts)} attempts: ${one.error}`)]).filter(Boolean).join('. '))
   }

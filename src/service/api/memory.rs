@@ -6,7 +6,9 @@
 use std::sync::Arc;
 
 use jiff::Timestamp;
+use parking_lot::Mutex;
 
+use super::gather::GatherOut;
 use super::history::History;
 use super::kept::Kept;
 use super::limits::{
@@ -50,6 +52,8 @@ pub struct Memory {
     pub(super) wear: Kept<(), Arc<Wear>>,
     /// State of workers and their queue, or why there is none.
     pub(super) workers: Kept<(), Result<Arc<WorkersOut>, String>>,
+    /// The last order that was gathered.
+    pub(super) gather: Mutex<Option<GatherOut>>,
     /// The wear by runs that have ended.
     pub(super) ended_wear: EndedWear,
     /// Since when values are beyond their thresholds.
@@ -75,6 +79,7 @@ impl Default for Memory {
             untouched: Kept::new(WEAR_KEPT, 1),
             wear: Kept::new(WEAR_KEPT, 1),
             workers: Kept::new(WORKERS_KEPT, 1),
+            gather: Mutex::default(),
             ended_wear: EndedWear::default(),
             beyond: Beyond::default(),
             live_status: Messages::default(),

@@ -42,6 +42,7 @@ mod experiments;
 mod exports;
 mod finished;
 mod form;
+mod gather;
 mod guard;
 mod health;
 mod history;

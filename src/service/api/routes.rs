@@ -13,10 +13,11 @@ use super::limits::{
     ACTION_BODY_MAX_BYTES, BODY_MAX_BYTES, FRAMES_MAX_BYTES, IMPORT_MAX_BYTES, MODEL_MAX_BYTES,
 };
 use super::{
-    App, datasets, estop, evaluation, events, experiments, exports, health, history, imports,
-    infer, jobs, live, live_contacts, live_status, models, overlay, people, placement, progress,
-    published, quantities, queue, queue_times, rates, recipes, recording, rig, rig_limits, runs,
-    samples, sensor, simulations, sql, status, tour, trials, twins, untouched, vocabulary, wear,
+    App, datasets, estop, evaluation, events, experiments, exports, gather, health, history,
+    imports, infer, jobs, live, live_contacts, live_status, models, overlay, people, placement,
+    progress, published, quantities, queue, queue_times, rates, recipes, recording, rig, rig_limits,
+    runs, samples, sensor, simulations, sql, status, tour, trials, twins, untouched, vocabulary,
+    wear,
     workers,
 };
 use crate::store::Role;
@@ -162,6 +163,7 @@ pub fn table() -> Vec<Operation> {
         (READS, routes!(twins::of_run)),
         (READS, routes!(workers::all)),
         (acts("submit an order").lock(Lock::Ignored), routes!(workers::submit)),
+        (acts("gather an order").lock(Lock::Ignored), routes!(gather::gather)),
         (acts("cancel an order").lock(Lock::Ignored), routes!(workers::cancel)),
         (READS, routes!(evaluation::simulation)),
         (READS, routes!(datasets::list)),

@@ -1,4 +1,5 @@
-//! Bulk work on other machines: what workers and their queue do, and submitting or cancelling an order.
+//! Bulk work on other machines: what workers and their queue do, and submitting or cancelling an order; `gather`
+//! brings its results here.
 //! Uses: `palpate-worker` as a process, which alone knows queue and store. Never: an address or a key, a wait for
 //! a queue that does not answer.
 
@@ -22,6 +23,7 @@ use utoipa::ToSchema;
 
 use super::App;
 use super::audit::Act;
+use super::gather::GatherOut;
 use super::problem::{ApiError, Path, ProblemBody};
 use crate::program::{Known, Program};
 
@@ -55,6 +57,9 @@ pub struct WorkersOut {
     pub workers: Vec<WorkerOut>,
     /// The orders of the store.
     pub orders: Vec<WorkOrderOut>,
+    /// The last order that was gathered since the start of the service; null if there is none.
+    #[serde(default)]
+    pub gather: Option<GatherOut>,
 }
 
 /// A worker.
@@ -148,7 +153,9 @@ pub async fn all(State(app): State<App>) -> Result<Json<WorkersOut>, ApiError> {
     let read = async { Ok::<_, Infallible>(state(&app.facts.data).await.map(Arc::new)) };
     // An error is kept, too: a queue that does not answer is not asked by each reader.
     let Ok(state) = app.facts.memory.workers.get((), read).await;
-    state.map(|state| Json(WorkersOut::clone(&state))).map_err(unavailable)
+    let gather = app.facts.memory.gather.lock().clone();
+    let with_gather = |state: Arc<WorkersOut>| WorkersOut { gather, ..WorkersOut::clone(&state) };
+    state.map(with_gather).map(Json).map_err(unavailable)
 }
 
 /// Submits the order of a folder, `cluster/FOLDER` of the data folder, to the queue.
@@ -167,8 +174,7 @@ pub async fn submit(
     Path(folder): Path<String>,
 ) -> Result<Json<SubmittedOut>, ApiError> {
     act.about(&folder);
-    let missing = || ApiError::not_found(format!("{ORDERS}/{folder}: no folder with an order"));
-    let path = order_folder(&app.facts.data, &folder).ok_or_else(missing)?;
+    let path = order_path(&app, &folder)?;
     change([OsStr::new("submit"), path.as_os_str()]).await
 }
 
@@ -191,21 +197,38 @@ pub async fn cancel(act: Act, Path(order): Path<String>) -> Result<Json<Cancelle
     change([OsStr::new("cancel"), OsStr::new(&order)]).await
 }
 
+/// Path of a folder with an order.
+///
+/// # Errors
+/// 404 if no folder of this name has an order, 409 if the service knows no queue.
+pub fn order_path(app: &App, folder: &str) -> Result<PathBuf, ApiError> {
+    let missing = || ApiError::not_found(format!("{ORDERS}/{folder}: no folder with an order"));
+    let path = order_folder(&app.facts.data, folder).ok_or_else(missing)?;
+    check_configured()?;
+    Ok(path)
+}
+
+fn check_configured() -> Result<(), ApiError> {
+    if is_configured() {
+        return Ok(());
+    }
+    let names = ADDRESSES.map(|names| names[1]).join(" and ");
+    let words = format!("the service knows no queue: start it with {names}");
+    Err(ApiError::new(StatusCode::CONFLICT, words))
+}
+
 /// Has the worker change the queue.
 async fn change<T: DeserializeOwned>(words: [&OsStr; 2]) -> Result<Json<T>, ApiError> {
-    let refused = |why: String| ApiError::new(StatusCode::CONFLICT, why);
-    if !is_configured() {
-        let names = ADDRESSES.map(|names| names[1]).join(" and ");
-        return Err(refused(format!("the service knows no queue: start it with {names}")));
-    }
+    check_configured()?;
     let text = ask(&words, CHANGE_WITHIN).await.map_err(|error| match error {
-        Unanswered::Invalid(why) => refused(why),
+        Unanswered::Invalid(why) => ApiError::new(StatusCode::CONFLICT, why),
         Unanswered::Failed(why) => unavailable(why),
     })?;
     serde_json::from_slice(&text).map(Json).map_err(|error| unavailable(error.to_string()))
 }
 
-fn unavailable(why: String) -> ApiError {
+/// The error that something outside of this service is missing (503).
+pub fn unavailable(why: String) -> ApiError {
     ApiError::new(StatusCode::SERVICE_UNAVAILABLE, why)
 }
 
@@ -278,17 +301,23 @@ enum Unanswered {
 /// Exit code of the worker for an invalid input.
 const INVALID_INPUT: i32 = 2;
 
+/// Path of the worker.
+///
+/// # Errors
+/// Why it is missing; it is not built here, which takes minutes.
+pub fn program() -> Result<PathBuf, String> {
+    match WORKER.find() {
+        Program::Ready(program) => Ok(program),
+        Program::Source(_) => {
+            Err("the worker is not built yet: run `palpate worker status` once".into())
+        }
+        Program::Missing => Err(WORKER.missing().to_string()),
+    }
+}
+
 /// What the worker prints as JSON.
 async fn ask(words: &[&OsStr], within: Duration) -> Result<Vec<u8>, Unanswered> {
-    let program = match WORKER.find() {
-        Program::Ready(program) => program,
-        Program::Source(_) => {
-            let words = "the worker is not built yet: run `palpate worker status` once";
-            return Err(Unanswered::Failed(words.into()));
-        }
-        Program::Missing => return Err(Unanswered::Failed(WORKER.missing().to_string())),
-    };
-    let mut command = Command::new(program);
+    let mut command = Command::new(program().map_err(Unanswered::Failed)?);
     command.args(words).arg("--json").stdin(Stdio::null());
     // Ctrl-C in a terminal is for the service.
     command.process_group(0).kill_on_drop(true);
