@@ -15,10 +15,9 @@ use super::limits::{
 use super::{
     App, datasets, estop, evaluation, events, experiments, exports, gather, health, history,
     imports, infer, jobs, live, live_contacts, live_status, models, overlay, people, placement,
-    progress, published, quantities, queue, queue_times, rates, recipes, recording, rig, rig_limits,
-    runs, samples, sensor, simulations, sql, status, tour, trials, twins, untouched, vocabulary,
-    wear,
-    workers,
+    progress, published, quantities, queue, queue_times, rates, recipes, recording, rig,
+    rig_limits, runs, samples, sensor, simulations, sql, status, tour, trials, twins, untouched,
+    vocabulary, wear, workers,
 };
 use crate::store::Role;
 
