@@ -4,13 +4,12 @@
 use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
-use nets::compute::Compute;
 
 use crate::chunk::order::WorkOrder;
 use crate::cli::error::CliError;
 use crate::cli::evaluate::lab::{ExtentArgs, ServiceLab};
 use crate::cli::{At, embed};
-use crate::jobs::chunks::{ONE_THREAD, work_order};
+use crate::jobs::chunks::{FIRST_GPU, ONE_THREAD, work_order};
 use crate::studies::budget::R2S;
 use crate::studies::maps::table_iv_nets;
 use crate::studies::transfer::table_iii_nets;
@@ -74,7 +73,7 @@ impl TableRequest {
             }
             Ok(nets)
         });
-        let compute = if self.gpu { Compute::Cuda(0) } else { ONE_THREAD };
+        let compute = if self.gpu { FIRST_GPU } else { ONE_THREAD };
         Ok(work_order(nets.await?, compute))
     }
 

@@ -235,7 +235,7 @@ pub fn unavailable(why: String) -> ApiError {
 /// Whether the service was started with the addresses of a queue and a store.
 fn is_configured() -> bool {
     let is_set = |name: &&str| std::env::var_os(name).is_some_and(|value| !value.is_empty());
-    ADDRESSES.iter().all(|names| names.iter().any(|name| is_set(name)))
+    ADDRESSES.iter().all(|names| names.iter().any(is_set))
 }
 
 /// State of workers and queue, as the worker states it, with the folders of this service.

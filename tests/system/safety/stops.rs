@@ -1,6 +1,5 @@
 //! What a person, or the system, stops.
 
-use std::pin::pin;
 use std::time::{Duration, Instant};
 
 use palpate::campaign::bench::interlock::TripKind;
@@ -91,7 +90,7 @@ async fn an_e_stop_while_the_wires_are_opened_reaches_every_axis_and_ends_the_co
     let harness = Harness::homed().await;
     harness.ask(Request::Disconnect).await.unwrap();
     let before = harness.truth().await["stops"].as_u64().unwrap();
-    let mut connecting = pin!(harness.ask(Request::Connect));
+    let mut connecting = Box::pin(harness.ask(Request::Connect));
     // The request is in the queue, wherever the campaign is with it when the stop is pressed.
     assert!(futures::poll!(&mut connecting).is_pending());
     harness.handle.estop("test");

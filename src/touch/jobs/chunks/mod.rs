@@ -48,6 +48,9 @@ use crate::store::Label;
 pub const TRAININGS: &str = "trainings";
 /// Device of a training on a processor: with more threads the order of sums, and so the bytes, differ each time.
 pub const ONE_THREAD: Compute = Compute::Cpu { threads: 1 };
+
+/// The first GPU of a machine; bytes need not be the same twice.
+pub const FIRST_GPU: Compute = Compute::Cuda(0);
 /// Folder of unfinished trainings, in that of their work order.
 const WORK: &str = "work";
 

@@ -94,7 +94,7 @@ impl Engine {
     }
 
     /// Closes the wires, unless a stop or a raise is still pending.
-    async fn disconnect(&mut self) -> Result<(), Refusal> {
+    pub(super) async fn disconnect(&mut self) -> Result<(), Refusal> {
         if let Some(axis) = self.not_stopped().await {
             return Err(Refusal::State(format!("disconnect is not possible: {axis}")));
         }
