@@ -17,7 +17,7 @@ pub struct Pause {
 
 impl Pause {
     /// The pause after one more failure.
-    pub fn next(&mut self) -> Duration {
+    pub fn next_pause(&mut self) -> Duration {
         let (first, longest) = PAUSE;
         let pause = first.saturating_mul(1 << self.failures.min(10)).min(longest);
         self.failures += 1;
@@ -47,7 +47,7 @@ impl LeftOrders {
     pub fn leave(&mut self, order: &str, now: Instant) {
         let (pause, until) =
             self.0.entry(order.to_owned()).or_insert_with(|| (Pause::default(), now));
-        *until = now + pause.next();
+        *until = now + pause.next_pause();
     }
 
     /// Ends the pauses of an order: this machine has made one of its chunks.
@@ -78,11 +78,11 @@ mod tests {
     #[test]
     fn a_pause_grows_to_its_longest_and_begins_again() {
         let mut pause = Pause::default();
-        let pauses: Vec<u128> = (0..11).map(|_| pause.next().as_millis()).collect();
+        let pauses: Vec<u128> = (0..11).map(|_| pause.next_pause().as_millis()).collect();
         assert_eq!(pauses[..4], [200, 400, 800, 1600]);
         assert_eq!(pauses[10], 60_000);
         assert!(pause.ends() && !pause.ends());
-        assert_eq!(pause.next().as_millis(), 200);
+        assert_eq!(pause.next_pause().as_millis(), 200);
     }
 
     #[test]

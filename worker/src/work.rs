@@ -203,7 +203,7 @@ async fn run_slot(shared: Arc<Shared>, mut bench: Bench) -> Result<(), WorkerErr
             Err(error @ WorkerError::NotSetUp(_)) if !connected => return Err(error),
             Err(error) => {
                 pause.warn(&error, "the queue does not answer");
-                rest(pause.next(), &mut ending).await;
+                rest(pause.next_pause(), &mut ending).await;
                 continue;
             }
         };
@@ -304,7 +304,7 @@ where
     let repeated = async {
         while let Err(error) = request().await {
             pause.warn(&error, "a chunk is not acknowledged yet");
-            sleep(pause.next()).await;
+            sleep(pause.next_pause()).await;
         }
     };
     if timeout(ACKNOWLEDGE, repeated).await.is_err() {
