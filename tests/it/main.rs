@@ -7,6 +7,7 @@
 //! the current folder, and counts nothing of the process.
 
 mod attacks;
+mod web_words;
 mod calibration;
 mod contract;
 mod datasets;
