@@ -27,10 +27,4 @@ impl Isotropic {
         }
         d
     }
-
-    /// Modulus under uniaxial strain (no lateral motion), MPa.
-    pub fn confined_modulus_mpa(self) -> f64 {
-        let Self { youngs_mpa, poisson } = self;
-        youngs_mpa * (1.0 - poisson) / ((1.0 + poisson) * (1.0 - 2.0 * poisson))
-    }
 }

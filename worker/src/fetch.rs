@@ -30,6 +30,15 @@ pub struct Fetched {
     pub damaged: Vec<String>,
 }
 
+/// What becomes of a damaged result of the store.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Damaged {
+    /// It remains.
+    Kept,
+    /// It is removed, so that `submit` has it made again.
+    Discarded,
+}
+
 /// What became of one chunk.
 enum ChunkResult {
     Fetched(u64),
@@ -40,15 +49,13 @@ enum ChunkResult {
 
 /// Fetches what is done, and why chunks are set aside. What the folder has is checked and kept.
 ///
-/// `discard`: a damaged result of the store is removed, so that `submit` has it made again.
-///
 /// # Errors
 /// `WorkerError` if the folder has another order, if it cannot be written, or if the store does not answer.
 pub async fn fetch(
     store: &Store,
     id: &str,
     folder: &Path,
-    discard: bool,
+    damaged: Damaged,
 ) -> Result<Fetched, WorkerError> {
     let missing = || WorkerError::Invalid(format!("order {id}: not in the store"));
     let (order, text) = store.order(id).await?.ok_or_else(missing)?;
@@ -66,7 +73,7 @@ pub async fn fetch(
         None => here.put_order(id, text).await?,
     }
     let chunks =
-        stream::iter(0..order.chunks).map(|index| one(store, &here, &order, index, discard));
+        stream::iter(0..order.chunks).map(|index| one(store, &here, &order, index, damaged));
     let results: Vec<ChunkResult> = chunks.buffer_unordered(AT_ONCE).try_collect().await?;
     let mut fetched = Fetched { chunks: order.chunks, ..Fetched::default() };
     for result in results {
@@ -89,7 +96,7 @@ async fn one(
     here: &Store,
     order: &Order,
     index: u64,
-    discard: bool,
+    damaged: Damaged,
 ) -> Result<ChunkResult, WorkerError> {
     let key = order.key(index);
     // A result that this folder has, but that is damaged, is fetched again.
@@ -125,7 +132,7 @@ async fn one(
             Ok(ChunkResult::Missing)
         }
         Err(WorkerError::Failed(what)) => {
-            if discard {
+            if damaged == Damaged::Discarded {
                 store.remove(&order.id, Part::Results, &key).await?;
             }
             Ok(ChunkResult::Damaged(what))

@@ -237,7 +237,11 @@ impl Options {
             Command::Fetch(of) => {
                 let store = store()?;
                 let order = resolve(&store, &of.order).await?;
-                let done = fetch::fetch(&store, &order, &of.folder, of.discard_damaged).await?;
+                let damaged = match of.discard_damaged {
+                    true => fetch::Damaged::Discarded,
+                    false => fetch::Damaged::Kept,
+                };
+                let done = fetch::fetch(&store, &order, &of.folder, damaged).await?;
                 let fetch::Fetched { chunks, fetched, present, missing, bytes, damaged } = &done;
                 let text = format!(
                     "order {order}: {fetched} of {chunks} results fetched ({bytes} bytes), {present} were here, \

@@ -2,7 +2,6 @@
 
 use sim_core::assemble;
 use sim_core::boundary::FixedBottom;
-use sim_core::material::Isotropic;
 use sim_core::mesh::Mesh;
 use sim_core::responses::{ResponsesError, UnitResponses};
 use sim_core::solve::Factor;
@@ -104,8 +103,10 @@ fn confined_compression_follows_the_closed_form() {
         [(&layers.bottom, 1.0), (&layers.foam, foam_scale), (&layers.top, 1.0)]
             .iter()
             .map(|(l, s)| {
-                let material = Isotropic { youngs_mpa: l.youngs_mpa, poisson: l.poisson };
-                l.thickness_mm / (s * material.confined_modulus_mpa())
+                // The modulus without lateral motion.
+                let (youngs_mpa, nu) = (l.youngs_mpa, l.poisson);
+                let confined_mpa = youngs_mpa * (1.0 - nu) / ((1.0 + nu) * (1.0 - 2.0 * nu));
+                l.thickness_mm / (s * confined_mpa)
             })
             .sum()
     };

@@ -13,7 +13,7 @@ use crate::chunk::folder::OrderFolder;
 use crate::cli::data_or_default;
 use crate::cli::error::CliError;
 use crate::cli::next::Next;
-use crate::cli::output::{counted, grouped, say, say_json};
+use crate::cli::output::{Output, counted, grouped, say, say_json};
 use crate::cli::simulate::request::{RandomRequest, SolvedRequest, THREADS_MAX};
 use crate::new_file;
 use crate::problem::Checks;
@@ -113,7 +113,8 @@ pub async fn sbatch(args: &SbatchArgs) -> Result<(), CliError> {
         }
         SbatchCommand::Table(SbatchTableArgs { request, job }) => {
             let places = job.places(request.data.clone())?;
-            let order = request.order(job.json).await?;
+            let output = if job.json { Output::Json } else { Output::Text };
+            let order = request.order(output).await?;
             let contents = format!("{} nets", order.chunks);
             let (folder, is_new) = OrderFolder::write(&job.folder, order)?;
             job.finish(&folder, &places, is_new, &contents, request.resources())

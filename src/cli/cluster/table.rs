@@ -8,6 +8,7 @@ use clap::{Args, ValueEnum};
 use crate::chunk::order::WorkOrder;
 use crate::cli::error::CliError;
 use crate::cli::evaluate::lab::{ExtentArgs, ServiceLab};
+use crate::cli::output::Output;
 use crate::cli::{At, embed};
 use crate::jobs::chunks::{FIRST_GPU, ONE_THREAD, work_order};
 use crate::studies::budget::R2S;
@@ -53,20 +54,20 @@ pub struct TableRequest {
 }
 
 impl TableRequest {
-    /// The work order; datasets are made if needed. `json`: without messages for people.
+    /// The work order; datasets are made if needed.
     ///
     /// # Errors
     /// `CliError` if the service cannot be reached or started, or a recipe or a dataset is invalid.
-    pub async fn order(&self, json: bool) -> Result<WorkOrder, CliError> {
+    pub async fn order(&self, output: Output) -> Result<WorkOrder, CliError> {
         let (url, ca, data) = (self.url.clone(), self.ca.clone(), self.data.clone());
-        let at = At { url, ca, data, json };
+        let at = At { url, ca, data, json: output == Output::Json };
         let budget = self.extent.budget();
         let table = match self.table {
             TableName::Maps => table_iv_nets(&budget),
             TableName::Transfer => table_iii_nets(&budget, &self.dataset),
         };
         let nets = embed::with_server(&at, move |client| async move {
-            let lab = ServiceLab::new(client, json, None);
+            let lab = ServiceLab::new(client, output, None);
             let mut nets = Vec::new();
             for net in &table {
                 nets.push(lab.net_order(net).await?);

@@ -15,7 +15,7 @@ use crate::cli::error::CliError;
 use crate::cli::files::read_input;
 use crate::cli::job::wait_for;
 use crate::cli::next::Next;
-use crate::cli::output::{note, say, say_json};
+use crate::cli::output::{Output, note, say, say_json};
 use crate::cli::picture::Pictures;
 use crate::cli::train::{Changes, recipe_text};
 use crate::cli::{At, embed};
@@ -122,7 +122,7 @@ where
 {
     let at = args.at.clone();
     embed::with_server(&at, move |client| async move {
-        let lab = ServiceLab::new(client, args.at.json, args.trained.clone());
+        let lab = ServiceLab::new(client, args.at.output(), args.trained.clone());
         let sheet = study(lab, args.extent.budget()).await?;
         if let Some(folder) = &args.out {
             write_all(folder, &sheet.files, &args.pictures).await?;
@@ -149,8 +149,7 @@ where
 /// A service as a lab.
 pub struct ServiceLab {
     client: Client,
-    /// Without messages for people.
-    quiet: bool,
+    output: Output,
     /// Folder of gathered nets.
     trained: Option<PathBuf>,
     /// Scores of the gathered nets of this study.
@@ -168,9 +167,9 @@ struct ResolvedTraining {
 }
 
 impl ServiceLab {
-    /// A lab at a service. `quiet`: without messages for people; `trained`: folder of gathered nets.
-    pub fn new(client: Client, quiet: bool, trained: Option<PathBuf>) -> Self {
-        Self { client, quiet, trained, scores: Mutex::default() }
+    /// A lab at a service; `trained`: folder of gathered nets.
+    pub fn new(client: Client, output: Output, trained: Option<PathBuf>) -> Self {
+        Self { client, output, trained, scores: Mutex::default() }
     }
 
     /// A net of a table, for a work order.
@@ -240,7 +239,7 @@ impl ServiceLab {
         if residuals.exists() {
             texts.push(TextPart::value("residuals", read_input(&residuals)?));
         }
-        if !self.quiet {
+        if self.output == Output::Text {
             note(format_args!("adding {name}"));
         }
         self.client.upload("/api/v1/models", &folder.join(ONNX), texts).await
@@ -316,7 +315,7 @@ impl Lab for ServiceLab {
         if let Some(folder) = &gathered {
             return Ok(self.add_gathered(&name, folder).await?.id);
         }
-        if !self.quiet {
+        if self.output == Output::Text {
             note(format_args!("training {stem}"));
         }
         let asked: JobOut =
