@@ -192,7 +192,7 @@ pub enum StudyError {
     },
 }
 
-/// A lab for tests: it records what is requested; its reports have no scores, unless it is told to
+/// A lab for tests: it records what is requested; its reports have no scores, unless it is requested to
 /// score.
 #[cfg(test)]
 pub mod fake {

@@ -1,5 +1,5 @@
 //! The service's process killed, frozen and told to end. `kill -9` at random instants of a running
-//! campaign: after resuming, every planned trial is stored once (`PALPATE_KILLS` says how often,
+//! campaign: after resuming, every planned trial is stored once (`PALPATE_KILLS` states how often,
 //! default 4). SIGSTOP in a press: the missing samples trip. SIGTERM in a jog: the axis stops. A database
 //! that is locked for a minute, a full disk: trips and e-stops do not wait for them. Processes, sockets
 //! and files as a lab has them. A separate binary, because the tests measure how soon real processes

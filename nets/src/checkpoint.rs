@@ -1,4 +1,4 @@
-//! A training between two steps, as bytes: a resumed training gives the same result.
+//! A training between two steps, as bytes: a resumed training has the same result.
 //! PURE. Uses: toml for the head. Never: files.
 //!
 //! `palpate-nets`, a version, the length of the head (both u32, little-endian), the head as TOML,

@@ -46,7 +46,7 @@ const INSTEAD: [(&str, &str); 18] = [
     ("width_bucket", "floor(x / 2) * 2"),
 ];
 
-/// Columns that a person looks for in another table, and the tables that have them.
+/// Columns that a person searches in another table, and the tables that have them.
 const ELSEWHERE: [(&str, &str); 9] = [
     ("diameter_mm", "contacts"),
     ("force_n", "contacts"),

@@ -107,7 +107,7 @@ impl BenchArgs {
         self.speed.unwrap_or(DEFAULT_SPEED)
     }
 
-    /// The options as they stand on a command line.
+    /// The options as words of a command line.
     pub fn arguments(&self) -> Vec<OsString> {
         let value = |name: &str, value: Option<OsString>| {
             value.map(|value| [OsString::from(name), value]).into_iter().flatten()

@@ -113,7 +113,7 @@ impl Closing {
         self
     }
 
-    /// The next commands.
+    /// Commands that show or resume the run, as suggestions.
     pub fn next_commands(&self) -> Next {
         let run = self.finished.scan_id;
         let (url, is_default) = (self.follow_url.clone(), self.data == DEFAULT_DATA);

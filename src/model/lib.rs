@@ -15,7 +15,7 @@
 //!   writes Sim-Random as a folder of Parquet files.
 //! - `overlay` draws the points of a skin as a PDF, from which a person places weights.
 //!
-//! The physics is in sim-core; this chapter gives it data and names the results. `data` and `touch` read the
+//! The physics is in sim-core; this chapter supplies its data and names the results. `data` and `touch` read the
 //! simulated files and use the forward model, `service` simulates the twin of each trial and returns the
 //! overlay, `studies` and `cli` draw figures and start fits and bulk simulations.
 

@@ -26,7 +26,7 @@ pub enum Importance {
     Act,
 }
 
-/// A kind of events.
+/// A kind of events, with what its events mean to a person.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct EventKind {
     /// Name of the kind, as stored.

@@ -1,4 +1,4 @@
-//! Notices that the computer was suspended: the clock of all deadlines and ages stands still meanwhile, so that a
+//! Notices that the computer was suspended: the clock of all deadlines and ages is stopped meanwhile, so that a
 //! sample from before looks fresh.
 //! Uses: the clocks of the system. Never: a wait.
 

@@ -1,4 +1,4 @@
-"""Speed of answers beside onnxruntime's, in one run (onnxruntime, numpy).
+"""Speed of answers compared with onnxruntime's, in one run (onnxruntime, numpy).
 
     cargo build --example infer_speed
     python3 tests/figures/infer.py PATH/TO/infer_speed [ROUNDS [SECONDS [NAME ..]]]

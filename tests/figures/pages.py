@@ -5,7 +5,7 @@
     python3 tests/figures/pages.py URL [PAGE..]               # the pages of a service that is there
 
 With PALPATE: fills FOLDER (a temporary one, if absent) with 198,000 trials and a week of events (`week.py`; the example
-is looked for next to PALPATE), starts a service and a virtual rig at the speed of the wall, promotes a small net, puts
+is searched next to PALPATE), starts a service and a virtual rig at the speed of the wall, promotes a small net, puts
 three weights on the skin, and opens every page. Then it starts the paper's campaign and opens the night again. Last, on
 another folder and at speed 20, the gaps between trials are measured while 20 dashboards are followed in every second
 minute (`latency.py`).

@@ -8,7 +8,7 @@
 `estop`: from the request's first byte to the moment at which the last axis's stop was read at the
 virtual rig (its control socket at CONTROL tells), x moving at each. With --load 200 reads per second continue;
 with --pid the service's process may write no file any more (a full disk: RLIMIT_FSIZE, `prlimit`); with
---lock somebody else holds the database's write lock.
+--lock another process holds the database's write lock.
 `compare`: as `estop`, with the store idle, refusing writes and locked in turn.
 `trips`: a force limit that each press exceeds; from the sample to z's acknowledged stop, as the service
 measures it, and the largest force that the rig truly saw.

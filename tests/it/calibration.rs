@@ -1,5 +1,5 @@
-//! The measurements in `examples/calibration/`: they are what their comments say (`UPDATE=1` writes
-//! them again), and calibrating with them gives back what they were made from. None was measured.
+//! The measurements in `examples/calibration/`: they are what their comments state (`UPDATE=1` writes
+//! them again), and calibrating with them returns what they were made from. None was measured.
 
 use std::fmt::Write;
 use std::path::PathBuf;

@@ -1,5 +1,5 @@
 //! The experiment files that ship: each parses, plans and can be done on the virtual rig's bench.
-//! And what a file says that cannot: one error that names file, key, value and limit.
+//! And what a file with an invalid value causes: one error that names file, key, value and limit.
 
 use std::path::PathBuf;
 use std::time::{Duration, Instant};

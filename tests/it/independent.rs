@@ -1,5 +1,5 @@
 //! A driver against a Modbus server that we did not write (pymodbus). Without Python and pymodbus
-//! the test says that it was left out; with `PALPATE_REQUIRE_TOOLS=1` it fails instead.
+//! the test reports that it was skipped; with `PALPATE_REQUIRE_TOOLS=1` it fails instead.
 
 use std::io::{BufRead, BufReader};
 use std::process::{Command, Stdio};

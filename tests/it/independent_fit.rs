@@ -1,4 +1,4 @@
-//! The fit of Eq. 1 and Student's t against scipy. Without Python and scipy the test says that it was
+//! The fit of Eq. 1 and Student's t against scipy. Without Python and scipy the test reports that it was
 //! left out; with `PALPATE_REQUIRE_TOOLS=1` it fails instead.
 
 use std::process::Command;

@@ -1,5 +1,5 @@
 //! Between the service and its clients: TLS, keys that are required, and a proxy as the manual sets it up.
-//! Without nginx the test of the proxy says that it was skipped; with `PALPATE_REQUIRE_TOOLS=1` it fails.
+//! Without nginx the test of the proxy reports that it was skipped; with `PALPATE_REQUIRE_TOOLS=1` it fails.
 
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
@@ -94,7 +94,7 @@ async fn a_service_with_tls_answers_those_who_trust_its_certificate() {
     let status = lab.url("/api/v1/status");
     assert!(status.starts_with("https://127.0.0.1:"), "{status}");
     assert_eq!(client.get(&status).send().await.unwrap().status(), 200);
-    // One that trusts nobody, and one that trusts another certificate.
+    // One that trusts no certificate, and one that trusts another certificate.
     let other = Folder::new("tls-other");
     let other = trusting(&self_signed(&other).certificate);
     for wrong in [&http(), &other] {

@@ -62,7 +62,7 @@ async fn a_repeated_request_does_nothing_and_gets_the_first_response() {
     }
     assert_eq!(lab.queued().await, 1);
     assert_eq!(lab.logged(9).await, [json!(["queue", true, null])], "a repetition is no action");
-    // The key stands for one request of one caller.
+    // The key identifies one request of one caller.
     let (status, .., refused) = parts(lab.keyed(QUEUE, "night-7", &submission("eve")).await).await;
     assert_eq!(status, 422, "{refused}");
     let made = lab.post("/api/v1/keys", json!({ "name": "eve", "role": "operator" })).await.1;

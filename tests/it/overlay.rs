@@ -1,5 +1,5 @@
 //! The overlay for placing weights, read by another program: the size of its pages, and the names on them.
-//! Without poppler's tools the test says that it was left out, or fails with `PALPATE_REQUIRE_TOOLS=1`.
+//! Without poppler's tools the test reports that it was skipped, or fails with `PALPATE_REQUIRE_TOOLS=1`.
 
 use std::process::Command;
 

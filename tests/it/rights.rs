@@ -77,7 +77,7 @@ fn address(path: &str) -> String {
     parts.join("/")
 }
 
-/// What the table says of a request: the status that refuses it, or none.
+/// What the table states of a request: the status that refuses it, or none.
 fn refusal(needs: &Needs, caller: &Caller, locked: bool) -> Option<u16> {
     let Some(role) = caller.role else {
         return (needs.access != Access::Open).then_some(401);

@@ -149,7 +149,7 @@ fn start(path: &Path, limit: &str) -> Child {
         .unwrap()
 }
 
-/// What a child said until its end: ids by place, and the place that failed.
+/// What a child printed until its end: ids by place, and the place that failed.
 fn listen(child: &mut Child) -> (BTreeMap<u32, i64>, Option<u32>) {
     let mut acknowledged = BTreeMap::new();
     let mut failed = None;

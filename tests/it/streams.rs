@@ -60,7 +60,7 @@ async fn a_ticket_opens_one_websocket_and_nothing_else() {
     assert_eq!(open(&lab, "/api/v1/live", &live).await.err(), Some(409));
     let live = ticket(&lab, &viewer).await;
     assert_eq!(open(&lab, "/api/v1/live/quantities", &live).await.err(), Some(409));
-    // Elsewhere a ticket stands for nobody: what counts is the key, or none.
+    // Elsewhere a ticket has no effect: what counts is the key, or none.
     let unused = ticket(&lab, &viewer).await;
     let to = lab.url(&format!("/api/v1/tickets?ticket={unused}"));
     let answer = lab.http.post(to).bearer_auth("palpate_00").send().await.unwrap();

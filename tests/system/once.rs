@@ -15,7 +15,7 @@ async fn jog(lab: &Lab, key: &str, to_mm: f64) -> Response {
     request.send().await.unwrap()
 }
 
-/// Waits until x stands still at a place, in truth.
+/// Waits until x is at rest at a place, in truth.
 async fn is_at(lab: &Lab, to_mm: f64) {
     let start = std::time::Instant::now();
     loop {

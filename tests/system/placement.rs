@@ -21,7 +21,7 @@ const WHO: &str = "ada";
 const FOUR: &str = "name = 'weights'\nseed = 2\nsensor = 's'\n[real_random]\ncontacts = [2]\n\
     trials_each = 4\nweights_n = [4.905, 9.81]\n[measure]\nframes_per_trial = 5\n";
 
-/// A skin that is as its nominal model says, except for noise: what a calibrated one is to its model.
+/// A skin that is as its nominal model predicts, except for noise: what a calibrated one is to its model.
 fn gap_free() -> PathBuf {
     static WRITTEN: LazyLock<PathBuf> = LazyLock::new(write_gap_free);
     WRITTEN.clone()
@@ -266,7 +266,7 @@ async fn a_wrong_placement_is_refused_placed_anyway_repeated_and_the_run_resumes
     let trials: Vec<u64> = placed.iter().map(|(trial, _)| *trial).collect();
     assert_eq!(trials, [0, 1, 1, 0, 2, 3]);
     assert_eq!((&placed[0].1, &placed[1].1), (&json!("right"), &json!("wrong")), "{placed:?}");
-    // Those that nobody waited for may be within their standard deviations.
+    // Those that were not waited for may be within their standard deviations.
     let fits = |(_, kind): &(u64, Value)| *kind == "right" || *kind == "unsure";
     assert!(placed[2..].iter().all(fits), "{placed:?}");
     assert_eq!(lab.post("/api/v1/placement", json!({})).await.0, 405);

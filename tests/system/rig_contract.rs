@@ -101,7 +101,7 @@ async fn home(axis: &Arc<dyn Axis>) {
     until(axis, "homing", |s| s.homed && !s.moving).await;
 }
 
-/// After an alarm and after a loss of power: reset, prepare, home, and it goes where it is told.
+/// After an alarm and after a loss of power: reset, prepare, home, and it moves to its target.
 async fn comes_back(rig: &VirtualRig, x: &Arc<dyn Axis>) {
     for kind in ["alarm", "power_loss"] {
         tell(rig, json!({ "cmd": "fault", "kind": kind, "device": "x", "count": 1 })).await;
@@ -130,7 +130,7 @@ async fn moves_and_stops(axis: &Arc<dyn Axis>, latch: &StopLatch) {
         let there = until(axis, "move", |s| !s.moving).await;
         assert!((there.position - target).abs() < 0.06, "{name}: {there:?}, not {target}");
     }
-    // A stop on the way holds, and the next move goes where it is told.
+    // A stop on the way holds, and the next move reaches its target.
     axis.start_move(0.9 * max, 0.1 * max).await.unwrap();
     until(axis, "way", |s| s.position > 0.15 * max).await;
     axis.stop().await.unwrap();

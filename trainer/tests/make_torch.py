@@ -167,7 +167,7 @@ def main():
              points),
         case("kind = 'recon-net'\nside = 8\nchannels = [4, 3]\nbatch_norm = true\ninput.whitened.components = 4\n",
              recon(whitened(4), 5, unbiased, True), 64, forces(64), mse(unit), rectified=True,
-             epsilon=1e-3),  # The dense bias has no gradient but rounding, which must stay small beside it.
+             epsilon=1e-3),  # The dense bias has no gradient but rounding, which must stay small compared with it.
         case("kind = 'recon-net'\nside = 8\nchannels = [4, 3]\ninput.whitened.components = 4\n",
              recon(whitened(4), 5, overlapping, False), 64, forces(64), mse(unit), rectified=True),
         case("kind = 'end-to-end'\nside = 8\nchannels = [4, 3]\nupsampling = 'apart'\ninput = 'standardised'\n",

@@ -151,7 +151,7 @@ fn a_perceptron_learns_each_quantity() {
     assert!(right.count() > 370, "of 400");
 }
 
-/// A channel that is constant in training once gave a loss of 1e21 when it moved.
+/// A channel that is constant in training once caused a loss of 1e21 when it moved.
 #[test]
 fn a_channel_that_is_constant_in_training_is_ignored_and_named() {
     let mut learn = rows(200, 1, linear);

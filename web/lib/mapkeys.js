@@ -8,7 +8,7 @@ const FINE_MM = 1
 // y grows upwards on the skin.
 const WAYS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] }
 
-/** The nearest place in a direction: sideways counts double, and at most 45 degrees beside it. */
+/** The nearest place in a direction: sideways counts double, and at most 45 degrees from it. */
 function towards(places, [x, y], [right, up]) {
   let best = null
   let least = Infinity

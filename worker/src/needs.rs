@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 /// What a chunk needs, or a machine has.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Needs {
-    /// A GPU.
+    /// Whether a GPU is needed, or present.
     #[serde(default)]
     pub gpu: bool,
     /// Memory, MiB.

@@ -39,7 +39,7 @@ impl Scratch {
         name.unwrap_or_default().trim_start_matches(PREFIX).to_owned()
     }
 
-    /// Its path.
+    /// Path of the folder, which is removed with this value.
     pub fn path(&self) -> PathBuf {
         self.folder.path().to_owned()
     }

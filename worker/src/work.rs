@@ -1,4 +1,4 @@
-//! A worker: takes chunks, makes them and acknowledges them until it is told to end.
+//! A worker: takes chunks, makes them and acknowledges them until it is requested to end.
 //! Uses: `queue`, `chunk`, `pause`, `scratch`, tokio's signals. Never: a chunk acknowledged before its result is in the
 //! store; another chunk after SIGTERM or after its terminal was closed.
 //!
@@ -228,7 +228,7 @@ async fn run_slot(shared: Arc<Shared>, mut bench: Bench) -> Result<(), WorkerErr
     Ok(())
 }
 
-/// Makes a chunk that was taken, and tells the queue.
+/// Makes a chunk that was taken, and reports it to the queue.
 async fn settle(shared: &Shared, bench: &mut Bench, job: &Job) {
     let chunk: Result<ChunkRef, _> = serde_json::from_value(job.payload().clone());
     let made = match &chunk {
@@ -312,7 +312,7 @@ where
     }
 }
 
-/// Renews the lease, and returns chunks that the queue believes to be here: as long as the worker lives, nobody
+/// Renews the lease, and returns chunks that the queue believes to be here: as long as the worker runs, nobody
 /// else would.
 async fn beat(shared: Arc<Shared>, about: Value) {
     loop {

@@ -66,7 +66,7 @@ impl Trials {
         Ok(lists.cast(&DataType::Array(Box::new(DataType::Float32), self.channels))?.into())
     }
 
-    /// The rows.
+    /// All trials, as the service writes them to Parquet.
     pub fn rows(&self) -> DataFrame {
         self.try_rows().expect("rows of trials")
     }
@@ -189,7 +189,7 @@ impl Drop for Folder {
     }
 }
 
-/// A table.
+/// A table that a statement can name, over files of one form.
 pub fn table(name: &str, form: Form, files: &[PathBuf]) -> Table {
     Table { name: name.into(), form, files: files.to_vec() }
 }
@@ -211,7 +211,7 @@ pub fn tables(files: &[PathBuf], dataset: &str) -> Vec<Table> {
 pub enum Outcome {
     /// It sent rows.
     Rows(DataFrame),
-    /// It refused.
+    /// It refused the statement, with these words.
     Refused(String),
     /// It ended without an answer.
     Ended(ExitStatus, String),
@@ -220,7 +220,7 @@ pub enum Outcome {
 }
 
 impl Outcome {
-    /// The rows.
+    /// The rows that it sent; panics on any other outcome.
     pub fn rows(self) -> DataFrame {
         match self {
             Self::Rows(rows) => rows,
@@ -228,7 +228,7 @@ impl Outcome {
         }
     }
 
-    /// The refusal.
+    /// The words with which it refused; panics on any other outcome.
     pub fn refused(self) -> String {
         match self {
             Self::Refused(words) => words,

@@ -17,7 +17,7 @@ const PATIENCE: Duration = Duration::from_secs(60);
 const ENDLESS: &str =
     "SELECT sum(a.fvu * b.fvu * c.fvu * d.fvu) FROM trials a, trials b, trials c, trials d";
 
-/// Starts a statement over 1000 trials, and gives it its tables.
+/// Starts a statement over 1000 trials, with its tables.
 fn started(sql: &str) -> (Engine, Folder) {
     let folder = Folder::new(&format!("process-{}", sql.len()));
     let path = folder.file("a.parquet");

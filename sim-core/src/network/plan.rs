@@ -91,7 +91,7 @@ pub(super) fn packed_entry(side: usize, row: usize, column: usize) -> usize {
     packed(side) - packed(side - column) + row - column - 1
 }
 
-/// The plan of a reduction.
+/// Fronts of a network in the order of their elimination, and where each number of a load goes.
 #[derive(Debug)]
 pub struct ReductionPlan {
     pub(super) fronts: Vec<Front>,

@@ -141,7 +141,7 @@ pub struct Makers {
 
 /// A chunk that is done.
 pub struct MadeChunk {
-    /// Its row.
+    /// Row of its result in the folder.
     pub row: ChunkRow,
     /// Whether it was made now.
     pub is_new: bool,

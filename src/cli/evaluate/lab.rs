@@ -146,7 +146,7 @@ where
     .await
 }
 
-/// A service as a lab.
+/// A lab whose trainings and evaluations are jobs of a service.
 pub struct ServiceLab {
     client: Client,
     output: Output,

@@ -96,7 +96,7 @@ fn is_of_name(c: char) -> bool {
     c.is_ascii_alphanumeric() || "-_.".contains(c)
 }
 
-/// Checks name and address of a rig. `table`: what stands before a key in problems.
+/// Checks name and address of a rig. `table`: prefix of a key in problems.
 fn check(file: &str, table: &str, name: &str, url: &str) -> Result<(), CliError> {
     let refused = |key: &str, value: &str, limit: String| {
         CliError::Problems(vec![Problem::new(file, key, value, limit)])

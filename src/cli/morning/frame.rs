@@ -124,7 +124,7 @@ fn shade(value: f64) -> char {
 
 /// Blue for negative, white for zero, red for positive values; -1 to 1.
 fn colour(value: f64, ink: Ink) -> Color {
-    // Colours of the palette from blue over white to red, by hand: its cube is too coarse to compute.
+    // Colours of the palette from blue over white to red, chosen manually: its cube is too coarse to compute.
     const PALETTE: [u8; 9] = [21, 27, 75, 153, 231, 223, 216, 203, 196];
     const BLUE: [f64; 3] = [33.0, 102.0, 172.0];
     const RED: [f64; 3] = [178.0, 24.0, 43.0];

@@ -1,5 +1,5 @@
 //! `palpate status --watch`: the night on the whole terminal, and the keys that a person needs.
-//! Uses: `read` (what is asked), `night` (what is known), `draw` (how it looks), `ask` (the stop), the
+//! Uses: `read` (what is asked), `night` (what is known), `draw` (its picture), `ask` (the stop), the
 //! terminal. Never: a service in this process, a wait of the keys for an answer of the service.
 
 use std::io::{self, IsTerminal};

@@ -1,12 +1,13 @@
 //! Records of the bench: runs with their trials, the queue, events and actions.
 //! Uses: `core`, `table`. Never: `lab`; a decision of the campaign or the conductor.
 
-/// The row of a run.
+/// Columns of a run, inserted and read.
 pub(crate) mod run_row;
 /// Storing, listing and reading runs.
 mod runs;
-/// The state and the end of a run.
+/// Plans of runs, with their sha256.
 mod plans;
+/// The state and the end of a run.
 mod run_state;
 /// Queued runs, and started runs that wait for their turn.
 mod queue;

@@ -19,7 +19,7 @@ pub struct Bins {
     pub count: u32,
 }
 
-/// The trials of a bin.
+/// Counts and extremes of the trials that were stored within a bin.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct BinTrials {
     /// Index of the bin.

@@ -1,4 +1,4 @@
-//! Exports: progress, pieces, restarts, and files that are what their tags say.
+//! Exports: progress, pieces, restarts, and files that match their tags.
 
 use palpate::digest::sha256_hex;
 use reqwest::StatusCode;

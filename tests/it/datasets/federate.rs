@@ -1,5 +1,5 @@
 //! The datasets of several rigs in one folder, through the command: ids, bytes, rigs that are down or differ, keys.
-//! Without pandas and pyarrow the part that reads with them says that it was left out; with
+//! Without pandas and pyarrow the part that reads with them reports that it was skipped; with
 //! `PALPATE_REQUIRE_TOOLS=1` it fails instead.
 
 use std::collections::{BTreeMap, BTreeSet};

@@ -171,7 +171,7 @@ pub async fn fill(data: &Path) {
     store.close().await;
 }
 
-/// A rig that nobody else has the lock of.
+/// A rig whose lock no other process has.
 pub fn rig() -> String {
     static NEXT: AtomicU32 = AtomicU32::new(0);
     let (process, n) = (std::process::id(), NEXT.fetch_add(1, Ordering::Relaxed));

@@ -1,5 +1,5 @@
 //! The same trials in every format that imports read, through the command, row by row. Without numpy, pandas
-//! and scipy the test says that it was left out; with `PALPATE_REQUIRE_TOOLS=1` it fails instead.
+//! and scipy the test reports that it was skipped; with `PALPATE_REQUIRE_TOOLS=1` it fails instead.
 
 use std::path::PathBuf;
 use std::process::{Command, Output};
@@ -131,7 +131,7 @@ async fn a_split_of_the_file_and_a_split_by_run_are_obeyed() {
         let output = import(&lab, &files, &format!("{name}.csv"), &[]).await;
         assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     }
-    // Equal positions are in different parts, because the file says so.
+    // Equal positions are in different parts, as the file states.
     let (status, made) =
         split(&lab, "imported", &["some"], serde_json::json!({ "by": "imported" })).await;
     assert_eq!(

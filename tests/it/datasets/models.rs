@@ -38,7 +38,7 @@ impl Filled {
         }
     }
 
-    /// The id of the model that a recipe gives.
+    /// The id of the model that a recipe produces.
     async fn trained(&self, recipe: &str) -> String {
         let (status, job) = self.post("/api/v1/trainings", json!({ "recipe": recipe })).await;
         assert_eq!(status, 202, "{job}");
@@ -105,7 +105,7 @@ async fn nets_are_trained_scored_promoted_and_asked() {
     assert_eq!(examples.len(), 2);
     assert_eq!(examples[1]["reading"]["force_map_n"].as_array().unwrap().len(), 32 * 32);
     assert!(examples[1]["truth"][0]["force_n"].as_f64().unwrap() > 0.0, "{}", examples[1]["truth"]);
-    // Neither a few that are shown nor rows that were learned from tell how good a model is.
+    // Neither a few that are shown nor rows that were learned from show how good a model is.
     let learned = json!({ "scored": "paper", "dataset": "real", "part": "train", "map": maps });
     lab.scored(learned).await;
     assert_eq!(lab.get("/api/v1/models/maps").await["scores"], json!([report]));

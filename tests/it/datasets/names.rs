@@ -1,4 +1,4 @@
-//! What a name gives, when it gives something else, and what an id keeps.
+//! What a name refers to, when it refers to something else, and what an id keeps.
 
 use std::collections::BTreeMap;
 
@@ -107,12 +107,12 @@ async fn an_id_is_its_contents_and_a_name_follows_them() {
     assert_eq!(lab.refused(&format!("/api/v1/datasets/{id}")).await.0, 404);
     assert_eq!(lab.make("r2s-transfer").await["id"], first["id"]);
     assert_eq!(std::fs::read(&file).unwrap(), bytes);
-    // Another deadband gives other labels: another dataset.
+    // Another deadband produces other labels: another dataset.
     let relabelled = json!({ "definition": { "name": "softer", "task": "r2s-transfer",
         "deadband_n": 6.0 } });
     let (_, relabelled) = lab.post("/api/v1/datasets", relabelled).await;
     assert_ne!(relabelled["id"], first["id"]);
-    // Twins of a newer model: the name gives another dataset, the id still the old one.
+    // Twins of a newer model: the name refers to another dataset, the id still the old one.
     let data = lab.end().await;
     let store = filled::store(&data).await;
     let run = store.run_by_scan_id(1).await.unwrap().unwrap().uid;

@@ -1,5 +1,5 @@
 //! The tools of a notebook against a service: pandas, polars, DuckDB, pyarrow and numpy, value by value
-//! compared with the database. Without them the test says that it was left out; with
+//! compared with the database. Without them the test reports that it was skipped; with
 //! `PALPATE_REQUIRE_TOOLS=1` it fails instead.
 
 use std::collections::BTreeMap;
@@ -43,7 +43,7 @@ enum Expected {
 }
 
 /// Files as pyarrow and pandas write them: those that can be used are, in all their types; each of
-/// the others is refused in words that say why.
+/// the others is refused with the reason.
 #[tokio::test(flavor = "multi_thread")]
 async fn files_written_from_python_are_taken_or_refused() {
     let Some(python) = support::python(MODULES) else { return };

@@ -1,5 +1,5 @@
 //! Questions in SQL to a service with the real query engine: what the tables hold, live trials, formats,
-//! groups, refusals. Without the engine the tests say that they were left out, or fail with
+//! groups, refusals. Without the engine the tests report that they were skipped, or fail with
 //! `PALPATE_REQUIRE_TOOLS=1`.
 
 use palpate::dataset::format::Format;

@@ -1,6 +1,6 @@
 //! The metrics against tools that we did not write: peaks, matching, means, RMSE, FVU and the
 //! analysis of variance, recomputed by scipy, scikit-learn and numpy from the same random inputs.
-//! Without them the test says that it was left out, or fails with `PALPATE_REQUIRE_TOOLS=1`.
+//! Without them the test reports that it was skipped, or fails with `PALPATE_REQUIRE_TOOLS=1`.
 
 use std::io::Write;
 use std::process::{Command, Output, Stdio};

@@ -25,7 +25,7 @@ const MISTAKES: usize = 80;
 struct Lab {
     folder: Folder,
     url: String,
-    /// Texts that differ between runs, and what stands for them in a table.
+    /// Texts that differ between runs, and what replaces them in a table.
     masks: Vec<(String, &'static str)>,
 }
 
@@ -207,7 +207,7 @@ fn the_tables_hold_all_mistakes_once() {
     for (n, title) in titles.iter().enumerate() {
         assert!(!titles[..n].contains(title), "{title} is there twice");
     }
-    // Names of the program's own types, and requests that nobody typed.
+    // Names of the program's own types, and requests that no person typed.
     for word in [
         "/api/v1",
         "u32",

@@ -15,7 +15,7 @@ const DAMAGED: usize = 2;
 /// What drivers are written from.
 const REFERENCES: &str = "docs/references.md";
 
-/// The parts of the checkout in which a driver is looked for.
+/// The parts of the checkout in which a driver is searched.
 struct Checkout {
     /// Transcripts: name and text.
     transcripts: Vec<(String, String)>,

@@ -68,7 +68,7 @@ pub fn read(name: &str) -> VecDeque<Step> {
     steps(name, &std::fs::read_to_string(path).unwrap())
 }
 
-/// The device's side: plays its part and says at the end that nothing was left over.
+/// The device's side: plays its part and reports exchanges that remain at the end.
 async fn play(mut steps: VecDeque<Step>, mut wires: mpsc::Receiver<DuplexStream>) {
     let mut wire = wires.recv().await.expect("the driver opens its wire");
     while let Some(step) = steps.pop_front() {

@@ -1,4 +1,4 @@
-//! The campaign's thread on the virtual rig's wires, with a journal that does as it is told. What the
+//! The campaign's thread on the virtual rig's wires, with a journal that obeys the test. What the
 //! rig truly did is asked at its control socket; what the service knows is its status.
 
 use std::sync::Arc;

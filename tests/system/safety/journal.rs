@@ -24,7 +24,7 @@ pub enum Mood {
     Hangs,
     /// It refuses everything, as a full disk or a locked database does.
     Fails,
-    /// It panics.
+    /// It panics, as a fault in the store's code would.
     Panics,
 }
 
@@ -35,7 +35,7 @@ pub struct Taken {
     pub order: Vec<String>,
     /// Events: kind, data, when they happened.
     pub events: Vec<(String, Value, Timestamp)>,
-    /// Trials.
+    /// Trials that it stored.
     pub trials: Vec<TrialRecord>,
     /// Failed attempts.
     pub attempts: Vec<AttemptRecord>,

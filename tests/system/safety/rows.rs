@@ -324,7 +324,7 @@ async fn a_stream_that_stalls_while_a_commit_is_pending_trips() {
 async fn a_panic_in_contact_raises_the_tips_and_the_thread_goes_on_serving() {
     let harness = Harness::homed().await;
     harness.mount(2, 2).await;
-    // A plan that lies about its places: the touch-off fails on it, tips down.
+    // A plan with wrong places: the touch-off fails on it, tips down.
     let job = harness.job(&experiment(2, ""), |job| {
         for step in &mut job.plan.steps {
             if let palpate::schedule::plan::Step::TouchOff { places, .. } = step {

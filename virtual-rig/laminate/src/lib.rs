@@ -61,7 +61,7 @@ pub enum Stroke {
 /// A tip or a weight that presses.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Touch {
-    /// Index of the arm, or the number of arms for a weight placed by hand.
+    /// Index of the arm, or the number of arms for a weight placed manually.
     pub arm: usize,
     /// Centre of the touch, skin coordinates, mm.
     pub at_mm: [f64; 2],

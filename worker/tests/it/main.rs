@@ -1,5 +1,5 @@
 //! Tests of the whole program on a PostgreSQL that they start; without `postgres` they fail if
-//! PALPATE_REQUIRE_TOOLS is set, and say that they were skipped otherwise.
+//! PALPATE_REQUIRE_TOOLS is set, and report that they were skipped otherwise.
 
 mod bench;
 mod crash;

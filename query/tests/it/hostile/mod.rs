@@ -1,4 +1,4 @@
-//! Statements that nobody should send: each is refused, answered, or ended, and changes nothing.
+//! Statements that no person should send: each is refused, answered, or ended, and changes nothing.
 //! Uses: `common`, the built program; the statements of `forbidden`, `large` and `odd`. Never: a file or an
 //! address outside of the test.
 

@@ -153,7 +153,7 @@ impl TrialErrors {
     }
 }
 
-/// Options of a fit.
+/// Prior, weights and limits of a fit of a skin.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SkinFitOptions {
     /// Prior of the parameters.

@@ -1,4 +1,4 @@
-//! Stand-ins for unit tests: axes, cells and a skin that do as they are told, without wires or time, and a journal
+//! Stand-ins for unit tests: axes, cells and a skin that obey the test, without wires or time, and a journal
 //! that takes everything.
 //! Uses: `rig::traits`, `journal`. Never: in a program.
 

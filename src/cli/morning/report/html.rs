@@ -299,7 +299,7 @@ fn table(
     page.push_str("</tbody></table>\n");
 }
 
-/// A text as it may stand in HTML.
+/// A text escaped for HTML.
 fn escaped(text: &str) -> String {
     let mut safe = String::with_capacity(text.len());
     for letter in text.chars() {

@@ -48,7 +48,7 @@ pub struct OrderFolder {
     order: WorkOrder,
 }
 
-/// State of a chunk.
+/// State of a chunk, as the files of the folder show it.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum ChunkState {
     /// It is done, and its file is whole as far as it was checked.

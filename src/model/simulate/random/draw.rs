@@ -21,7 +21,7 @@ use crate::chance::Chance;
 use crate::problem::Checks;
 use crate::record::CONTACTS_MAX;
 
-/// Version of these draws: increased by a change that gives other contacts for a seed.
+/// Version of these draws: increased by a change that draws other contacts for a seed.
 pub const DRAW_VERSION: u32 = 1;
 
 /// Largest load of a trial, N; the model is checked up to it.

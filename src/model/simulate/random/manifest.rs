@@ -14,7 +14,7 @@ use crate::problem::{Checks, Problem};
 
 /// Name of the experiment.
 pub const SIM_RANDOM: &str = "sim-random";
-/// Version of the shards' columns and settings: increased by a change that gives other bytes.
+/// Version of the shards' columns and settings: increased by a change that produces other bytes.
 const SHARDS_VERSION: u32 = 1;
 /// Number of trials of a row group, the unit of work of a thread.
 pub const ROW_GROUP_TRIALS: u64 = 1000;

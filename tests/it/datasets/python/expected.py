@@ -74,7 +74,7 @@ def real_hex(trials: list[dict]) -> list[dict]:
 
 
 def sim_random() -> list[dict]:
-    """The rows of the shards beside the database."""
+    """The rows of the shards next to the database."""
     rows = []
     for manifest in sorted(DATABASE.parent.glob("sim-random/*/_manifest.json")):
         for shard in json.loads(manifest.read_text())["shards"]:

@@ -1,4 +1,4 @@
-"""Writes the files of this folder, which stand for a model that somebody trained in PyTorch.
+"""Writes the files of this folder, which stand for a model that a person trained in PyTorch.
 
     python3 tests/it/onnx/pytorch/make.py FOLDER        (torch 2.15, onnxscript)
 
