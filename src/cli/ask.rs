@@ -259,7 +259,8 @@ pub async fn estop(args: &ActArgs) -> Result<(), CliError> {
 
 fn status_words(status: &StatusView, twins: &Value, workers: Option<String>) -> String {
     let rig = &status.rig;
-    let mut lines = vec![format!("rig      {} ({}): {}", rig.name, rig.label, rig.state.as_str())];
+    let (label, state) = (rig.label.as_str(), rig.state.as_str());
+    let mut lines = vec![format!("rig      {} ({label}): {state}", rig.name)];
     if rig.trip.is_some() {
         lines.push(format!("trip     {}", rig.trip_words()));
     }

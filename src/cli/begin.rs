@@ -19,6 +19,7 @@ use crate::campaign::bench::rig_state::RigState;
 use crate::campaign::bench::travel::HOMING_WAIT;
 use crate::conductor::Started;
 use crate::journal::ExitStatus;
+use crate::record::Label;
 use crate::state::StoredState;
 use crate::store::RunRow;
 
@@ -119,14 +120,15 @@ pub async fn bring_up(client: &Client, motion: MotionArgs) -> Result<StatusView,
 
 /// Asks for the confirmation that a real rig may move.
 async fn confirm_motion(motion: MotionArgs, status: &StatusView) -> Result<(), CliError> {
-    if motion.yes || status.rig.label == "virtual" {
+    if motion.yes || status.rig.label == Label::Virtual {
         return Ok(());
     }
     let rig = status.rig.name.clone();
     if !std::io::stdin().is_terminal() {
         return Err(CliError::NotConfirmed { rig });
     }
-    output::ask(format_args!("rig {rig} ({}) will move. Is it clear? [y/N] ", status.rig.label));
+    let label = status.rig.label.as_str();
+    output::ask(format_args!("rig {rig} ({label}) will move. Is it clear? [y/N] "));
     // A separate thread, so that Ctrl-C is handled meanwhile.
     let answer = tokio::task::spawn_blocking(entered_line);
     match answer.await {

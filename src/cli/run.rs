@@ -224,9 +224,8 @@ impl Order {
         let rig = run.rig.as_deref().and_then(|text| RigSetup::from_toml("", text).ok());
         run.definition_sha256 == self.files.definition_sha256()
             && run.sensor_sha256 == self.files.sensor_sha256()
-            && rig.is_some_and(|rig| {
-                rig.name() == status.rig.name && rig.label().as_str() == status.rig.label
-            })
+            && rig
+                .is_some_and(|rig| rig.name() == status.rig.name && rig.label() == status.rig.label)
     }
 }
 
@@ -264,7 +263,7 @@ fn preflight_words(run: &RunRow, preflight: &PreflightView, status: &StatusView)
         run.scan_id,
         run.experiment,
         status.rig.name,
-        status.rig.label,
+        status.rig.label.as_str(),
         preflight.trials,
         duration(preflight.duration_s),
         bytes(preflight.disk_bytes as f64),

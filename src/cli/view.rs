@@ -15,7 +15,7 @@ use crate::campaign::shown::status::{Eta, Phase};
 use crate::conductor::Started;
 use crate::event::{self, Importance};
 use crate::ids::{RunUid, TrialKey};
-use crate::record::Pose;
+use crate::record::{Label, Pose};
 use crate::state::{PausedWhy, StoredState};
 use crate::store::LockRow;
 
@@ -82,7 +82,7 @@ pub struct RigView {
     /// Name from the rig file.
     pub name: String,
     /// `measured` or `virtual`.
-    pub label: String,
+    pub label: Label,
     /// Whether the rig has a stage and load cells.
     pub has_stage: bool,
     /// State of the rig.

@@ -82,7 +82,7 @@ async fn fit_run(client: Client, args: SkinArgs) -> Result<(), CliError> {
     let choice = choose(&candidates, args.trials, least_n);
     let trials = frames(&client, &run, &candidates, &choice, sensor.channels()).await?;
     let cache = args.at.data().join("cache");
-    let source = Source { run: run.uid.to_string(), label: run.label.as_str().into() };
+    let source = Source { run: run.uid, label: run.label };
     let (threads, on) = (threads(args.threads), sensor.clone());
     let work = move || fit(&on, &cache, trials, source, threads);
     let fitted = tokio::task::spawn_blocking(work)

@@ -13,6 +13,7 @@ use crate::campaign::shown::status::{Eta, Phase};
 use crate::cli::output::{bytes, counted, duration, grouped};
 use crate::cli::rig_rates::RatesView;
 use crate::cli::view::{RunView, StatusView};
+use crate::record::Label;
 use crate::state::StoredState;
 
 /// Width of the names of the facts.
@@ -44,11 +45,10 @@ impl Now {
 pub fn header(night: &Night, theme: Theme) -> Line<'static> {
     let Some(status) = &night.status else { return Line::from(format!(" {}", night.url)) };
     let mut spans = vec![Span::raw(format!(" {} ", one_line(&status.rig.name)))];
-    let label = format!("[{}]  ", status.rig.label);
-    let virtual_rig = status.rig.label == "virtual";
-    spans.push(match virtual_rig {
-        true => Span::styled(label, theme.virtual_rig().add_modifier(Modifier::BOLD)),
-        false => Span::raw(label),
+    let label = format!("[{}]  ", status.rig.label.as_str());
+    spans.push(match status.rig.label {
+        Label::Virtual => Span::styled(label, theme.virtual_rig().add_modifier(Modifier::BOLD)),
+        Label::Measured | Label::Simulated => Span::raw(label),
     });
     if let Some(run) = &status.run {
         let state = run.state.as_str().to_uppercase();

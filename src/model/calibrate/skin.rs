@@ -15,6 +15,8 @@ use sim_core::sensor::Sensor;
 use sim_core::skin::{SkinCalibration, SkinEvidence, rounded};
 
 use crate::digest::Hashing;
+use crate::ids::RunUid;
+use crate::record::Label;
 
 /// One configuration of this many is held out.
 pub const HELD_OUT_IN: u64 = 5;
@@ -120,12 +122,12 @@ fn scrambled(bytes: impl IntoIterator<Item = u8>) -> u64 {
 }
 
 /// Origin of the trials.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Source {
     /// Uid of the run.
-    pub run: String,
+    pub run: RunUid,
     /// Label of the rig.
-    pub label: String,
+    pub label: Label,
 }
 
 /// A fitted skin with the numbers behind its accuracy.
@@ -153,7 +155,7 @@ pub enum SkinError {
     )]
     TooFew {
         /// Uid of the run.
-        run: String,
+        run: RunUid,
         /// Number of trials to fit.
         fitted: usize,
         /// Number of held-out trials.
@@ -189,8 +191,8 @@ pub fn calibrate(
     let SkinFit { fields, electrodes, offsets_mv, parameters, costs, doubted } = fit;
     let of = |fvus: &[f64]| skin::summary(fvus).expect("there are held-out trials");
     let evidence = SkinEvidence {
-        run: source.run,
-        label: source.label,
+        run: source.run.to_string(),
+        label: source.label.as_str().into(),
         data_sha256: data_sha256(fitted.iter().chain(held_out)),
         model: start.model_hash().into(),
         trials: fitted.len(),
@@ -322,13 +324,12 @@ mod tests {
         let sensor =
             Sensor::from_toml(include_str!("../../../experiments/sensors/ert-28.toml")).unwrap();
         let responses = Arc::new(UnitResponses::solve(&sensor).unwrap());
-        let source = Source { run: "7".into(), label: "virtual".into() };
+        let run = RunUid::default();
+        let source = Source { run, label: Label::Virtual };
         let options = SkinFitOptions::for_trials(0, 1);
         let error = calibrate(&sensor, &responses, [&[], &[]], source, &options, &mut |_| {});
         let words = error.unwrap_err().to_string();
-        assert!(
-            words.starts_with("run 7: 0 trials to fit and 0 of other configurations"),
-            "{words}"
-        );
+        let expected = format!("run {run}: 0 trials to fit and 0 of other configurations");
+        assert!(words.starts_with(&expected), "{words}");
     }
 }

@@ -31,7 +31,7 @@ pub fn closed(config: &RigSetup) -> Status {
     Status {
         rig: RigStatus {
             name: config.name().into(),
-            label: config.label().as_str().into(),
+            label: config.label(),
             has_stage: config.bench().is_some(),
             state: RigState::Disconnected,
             trip: None,

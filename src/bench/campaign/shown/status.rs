@@ -11,7 +11,7 @@ use crate::campaign::bench::stopping::StoppingDistance;
 use crate::campaign::run::run_state::PausedWhy;
 use crate::campaign::shown::safe_end::SafeEnd;
 use crate::ids::{RunUid, TrialKey};
-use crate::record::{PlacedContact, Pose, TouchOffRecord};
+use crate::record::{Label, PlacedContact, Pose, TouchOffRecord};
 use crate::schedule::visits::StepOfTour;
 use crate::state::StoredState;
 
@@ -32,7 +32,7 @@ pub struct RigStatus {
     /// Name from the rig file.
     pub name: String,
     /// Label of all data of this rig: `measured` or `virtual`.
-    pub label: String,
+    pub label: Label,
     /// Whether the rig has a stage and load cells; false for a skin and its board alone: nothing is
     /// homed, and weights are placed by a person.
     pub has_stage: bool,
