@@ -5,6 +5,7 @@
 //! A process, because a statement may need any amount of time and memory: it is killed alone.
 //!
 //! ```text
+//! error       why a statement is refused
 //! statement   one SELECT over named tables, or a refusal
 //! aggregates  which of its parts are one value for many rows
 //! rewrite     its form for polars
@@ -17,6 +18,7 @@
 
 pub mod aggregates;
 pub mod confine;
+pub mod error;
 pub mod evaluate;
 pub mod rewrite;
 pub mod statement;

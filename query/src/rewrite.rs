@@ -18,7 +18,7 @@ use sqlparser::ast::{
 };
 
 use crate::aggregates::parts;
-use crate::statement::StatementError;
+use crate::error::StatementError;
 
 /// Longest name that a column of the result gets from its expression, characters.
 const COLUMN_NAME_MAX: usize = 64;
@@ -160,57 +160,6 @@ pub fn name_columns(statement: &mut Statement) {
         });
         if let Some(alias) = same {
             by.expr = Expr::Identifier(Ident::with_quote('"', &alias.value));
-        }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use crate::statement::{StatementError, read};
-
-    fn rewritten(sql: &str) -> String {
-        read(sql).unwrap().sql
-    }
-
-    #[test]
-    fn a_plain_statement_stays_as_it_is() {
-        for sql in [
-            "SELECT tips, t.fvu, label AS l FROM trials AS t WHERE tips IN (SELECT tips FROM twins)",
-            "SELECT tips, count(*) AS n FROM trials GROUP BY tips ORDER BY n",
-            "SELECT columns('a') FROM trials",
-        ] {
-            assert_eq!(rewritten(sql), sql);
-        }
-    }
-
-    #[test]
-    fn columns_of_the_result_have_the_names_of_their_expressions() {
-        assert_eq!(
-            rewritten("SELECT tips, avg(fvu), 'a\"b' FROM trials GROUP BY tips ORDER BY avg(fvu)"),
-            "SELECT tips, avg(fvu) AS \"avg(fvu)\", 'a\"b' AS \"'a\"\"b'\" FROM trials GROUP BY tips \
-             ORDER BY \"avg(fvu)\""
-        );
-        let inner = "SELECT m FROM (SELECT avg(fvu) FROM trials) AS a (m)";
-        assert_eq!(rewritten(inner), inner);
-    }
-
-    #[test]
-    fn a_value_of_a_subquery_is_joined() {
-        assert_eq!(
-            rewritten(
-                "SELECT * FROM a WHERE x > (SELECT max(x) FROM b WHERE y = (SELECT min(y) FROM c))"
-            ),
-            "SELECT * EXCLUDE (value_1) FROM a CROSS JOIN (SELECT max(x) AS value_1 FROM b CROSS JOIN \
-             (SELECT min(y) AS value_2 FROM c) AS value_2 WHERE y = value_2) AS value_1 WHERE x > value_1"
-        );
-        for sql in [
-            "SELECT * FROM a WHERE x > (SELECT x FROM b)",
-            "SELECT * FROM a WHERE x > (SELECT max(x) FROM b GROUP BY y)",
-            "SELECT * FROM a WHERE x > (SELECT max(x) FROM b LIMIT 0)",
-            "SELECT * FROM a WHERE x > (SELECT max(x), min(x) FROM b)",
-            "SELECT * FROM a WHERE x > (SELECT max(x) FROM b UNION SELECT 1)",
-        ] {
-            assert_eq!(read(sql), Err(StatementError::Subquery), "{sql}");
         }
     }
 }

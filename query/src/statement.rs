@@ -13,61 +13,8 @@ use sqlparser::dialect::GenericDialect;
 use sqlparser::parser::{Parser, ParserError, ParserOptions};
 
 use crate::aggregates::{Parts, parts};
+use crate::error::{DEPTH_MAX, StatementError};
 use crate::rewrite;
-
-/// Deepest nesting of expressions; polars recurses on threads with small stacks. A chain
-/// `a OR b OR ..` is nested, too.
-const DEPTH_MAX: usize = 250;
-
-/// Why a statement is not evaluated.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-pub enum StatementError {
-    /// It is too long.
-    #[error("sql: has {0} bytes; must have at most {SQL_MAX_BYTES}")]
-    Long(usize),
-    /// It is not SQL.
-    #[error("sql: {0}")]
-    Syntax(String),
-    /// There is none, or there are several.
-    #[error("sql: has {0} statements; must be one SELECT statement")]
-    Count(usize),
-    /// It is of another kind.
-    #[error("sql: {0} is not possible; must be one SELECT statement (nothing can be written)")]
-    Kind(String),
-    /// It reads from something that is not a table.
-    #[error("sql: {0} cannot be read; FROM takes tables, subqueries and UNNEST")]
-    Source(String),
-    /// Expressions in expressions.
-    #[error("sql: is nested more than {DEPTH_MAX} times: use IN (..) for many values")]
-    Deep,
-    /// Polars would confuse two tables.
-    #[error(
-        "sql: {0} names two tables here: choose another name for the one that the statement defines"
-    )]
-    Names(String),
-    /// An aggregate decides on single rows.
-    #[error("sql: {0} in WHERE: a condition on an aggregate follows GROUP BY, in HAVING")]
-    Where(String),
-    /// HAVING has no groups.
-    #[error("sql: HAVING needs GROUP BY")]
-    Having,
-    /// A value for each row next to one for all.
-    #[error(
-        "sql: {column} is next to {aggregate}, which is one value: add GROUP BY, with each column"
-    )]
-    Group {
-        /// Without an aggregate.
-        column: String,
-        /// The aggregate expression, as SQL.
-        aggregate: String,
-    },
-    /// A comparison with a subquery that may have any number of rows.
-    #[error(
-        "sql: a comparison takes a subquery of one aggregate, such as \
-         (SELECT max(fvu) FROM trials); for several rows use IN, or JOIN"
-    )]
-    Subquery,
-}
 
 /// A statement that may be evaluated.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -390,6 +337,52 @@ mod tests {
             "SELECT count(*) FILTER (WHERE tips = 1) FROM a WHERE b IN (SELECT max(b) FROM c)",
         ] {
             assert!(super::read(sql).is_ok(), "{sql}: {:?}", super::read(sql));
+        }
+    }
+
+    fn rewritten(sql: &str) -> String {
+        read(sql).unwrap().sql
+    }
+
+    #[test]
+    fn a_plain_statement_stays_as_it_is() {
+        for sql in [
+            "SELECT tips, t.fvu, label AS l FROM trials AS t WHERE tips IN (SELECT tips FROM twins)",
+            "SELECT tips, count(*) AS n FROM trials GROUP BY tips ORDER BY n",
+            "SELECT columns('a') FROM trials",
+        ] {
+            assert_eq!(rewritten(sql), sql);
+        }
+    }
+
+    #[test]
+    fn columns_of_the_result_have_the_names_of_their_expressions() {
+        assert_eq!(
+            rewritten("SELECT tips, avg(fvu), 'a\"b' FROM trials GROUP BY tips ORDER BY avg(fvu)"),
+            "SELECT tips, avg(fvu) AS \"avg(fvu)\", 'a\"b' AS \"'a\"\"b'\" FROM trials GROUP BY tips \
+             ORDER BY \"avg(fvu)\""
+        );
+        let inner = "SELECT m FROM (SELECT avg(fvu) FROM trials) AS a (m)";
+        assert_eq!(rewritten(inner), inner);
+    }
+
+    #[test]
+    fn a_value_of_a_subquery_is_joined() {
+        assert_eq!(
+            rewritten(
+                "SELECT * FROM a WHERE x > (SELECT max(x) FROM b WHERE y = (SELECT min(y) FROM c))"
+            ),
+            "SELECT * EXCLUDE (value_1) FROM a CROSS JOIN (SELECT max(x) AS value_1 FROM b CROSS JOIN \
+             (SELECT min(y) AS value_2 FROM c) AS value_2 WHERE y = value_2) AS value_1 WHERE x > value_1"
+        );
+        for sql in [
+            "SELECT * FROM a WHERE x > (SELECT x FROM b)",
+            "SELECT * FROM a WHERE x > (SELECT max(x) FROM b GROUP BY y)",
+            "SELECT * FROM a WHERE x > (SELECT max(x) FROM b LIMIT 0)",
+            "SELECT * FROM a WHERE x > (SELECT max(x), min(x) FROM b)",
+            "SELECT * FROM a WHERE x > (SELECT max(x) FROM b UNION SELECT 1)",
+        ] {
+            assert_eq!(read(sql), Err(StatementError::Subquery), "{sql}");
         }
     }
 }

@@ -39,7 +39,7 @@ fn imports_look_back_along_the_flow() {
 }
 
 #[test]
-fn modules_of_nets_and_physics_do_not_import_in_circles() {
+fn modules_of_a_crate_do_not_import_in_circles() {
     none(import_circles(&checkout()));
 }
 
