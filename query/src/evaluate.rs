@@ -10,7 +10,7 @@ use polars::prelude::{CompatLevel, Engine, IpcStreamWriter, SerWriter};
 use polars::sql::SQLContext;
 
 use crate::statement::Statement;
-use crate::{tables, words};
+use crate::{polars_errors, tables};
 
 /// Why a statement has no result.
 #[derive(Debug, thiserror::Error)]
@@ -32,7 +32,12 @@ impl EvaluateError {
             let names = schema.map(|schema| schema.iter_names().map(ToString::to_string).collect());
             (table.name.clone(), names.unwrap_or_default())
         });
-        words::of_error(error, &columns.collect::<Vec<_>>(), &statement.typed, memory_max_bytes)
+        polars_errors::of_error(
+            error,
+            &columns.collect::<Vec<_>>(),
+            &statement.typed,
+            memory_max_bytes,
+        )
     }
 }
 

@@ -5,23 +5,23 @@
 //! A process, because a statement may need any amount of time and memory: it is killed alone.
 //!
 //! ```text
-//! error       why a statement is refused
-//! statement   one SELECT over named tables, or a refusal
-//! aggregates  which of its parts are one value for many rows
-//! rewrite     its form for polars
-//! tables      how the rows of a table follow from its files
-//! evaluate    the rows of the result
-//! confine     low priority, bounded memory, no other files
-//! words       errors of polars for a person
-//! talk        the lines to and from the service
+//! error          why a statement is refused
+//! statement      one SELECT over named tables, or a refusal
+//! aggregates     which of its parts are one value for many rows
+//! rewrite        its form for polars
+//! tables         how the rows of a table follow from its files
+//! evaluate       the rows of the result
+//! confine        low priority, bounded memory, no other files
+//! polars_errors  errors of polars for a person
+//! talk           the lines to and from the service
 //! ```
 
 pub mod aggregates;
 pub mod confine;
 pub mod error;
 pub mod evaluate;
+pub mod polars_errors;
 pub mod rewrite;
 pub mod statement;
 pub mod tables;
 pub mod talk;
-pub mod words;

@@ -11,7 +11,7 @@ use std::time::Duration;
 use palpate_words::query_lines::{Answer, LINES_VERSION, Order, Table};
 use polars::frame::DataFrame;
 
-use crate::{confine, evaluate, statement, words};
+use crate::{confine, evaluate, polars_errors, statement};
 
 /// Stack of a thread that parses or evaluates: both recurse.
 const STACK_BYTES: usize = 256 << 20;
@@ -96,7 +96,7 @@ fn on_deep_stack<T: Send + 'static>(
         let text = cause.downcast_ref::<String>().map(String::as_str);
         text.or_else(|| cause.downcast_ref::<&str>().copied())
     });
-    Err(words::of_panic(said.unwrap_or_default(), memory_max_bytes))
+    Err(polars_errors::of_panic(said.unwrap_or_default(), memory_max_bytes))
 }
 
 fn line<T: serde::de::DeserializeOwned>() -> Result<T, String> {

@@ -239,6 +239,13 @@ impl EventView {
         event::importance(&self.kind, &self.data)
     }
 
+    /// The event as text without its kind, for a column next to that of the kinds.
+    pub fn sentence(&self) -> String {
+        let words = event::words(&self.kind, &self.data);
+        let prefix = format!("{}: ", event::shown_kind(&self.kind));
+        words.strip_prefix(&prefix).map_or(words.clone(), str::to_owned)
+    }
+
     /// Text for a person who follows the run; `None` for events that the progress shows.
     pub fn words(&self) -> Option<String> {
         let matters = self.importance() >= Importance::Notable;
@@ -288,6 +295,16 @@ mod tests {
         assert_eq!(words("not_resumed", unreached).unwrap(), "not resumed: no answer");
         let twins = json!({ "level": "warn", "words": "median FVU 0.35, limit 0.30" });
         assert_eq!(words("twins", twins).unwrap(), "twins: median FVU 0.35, limit 0.30");
+    }
+
+    #[test]
+    fn a_sentence_leaves_its_kind_to_another_column() {
+        let said = |kind, data| event(kind, data).sentence();
+        assert_eq!(said("wanted", json!({ "words": "mount 1 tip" })), "mount 1 tip");
+        assert_eq!(said("not_resumed", json!({ "why": "no answer" })), "no answer");
+        let trip = json!({ "kind": "force", "detail": "arm 2: 81.0 N over 80.0 N" });
+        assert_eq!(said("trip", trip), "trip (force): arm 2: 81.0 N over 80.0 N");
+        assert_eq!(said("state", json!({ "n": 1 })), "n 1", "an unknown form");
     }
 
     #[test]

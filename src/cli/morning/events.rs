@@ -1,5 +1,5 @@
 //! `palpate events`: what happened, as a list or as it happens.
-//! Uses: `client`, `words`, `stream`. Never: a change, an event that was not stored.
+//! Uses: `client`, `view`, `stream`. Never: a change, an event that was not stored.
 
 use std::collections::VecDeque;
 use std::time::Duration;
@@ -10,7 +10,6 @@ use serde_json::json;
 
 use super::stream::Collect;
 use super::when::{Since, second};
-use super::words::words;
 use super::{EventsArgs, find};
 use crate::api::Page;
 use crate::cli::client::Client;
@@ -111,7 +110,7 @@ async fn list(client: &Client, args: &EventsArgs) -> Result<(), CliError> {
     let empty = if filtered { "no event fits" } else { "there are no events" };
     let mut table = Table::new(&heads, empty);
     for event in &kept {
-        table.push([time(event), event.kind.clone(), words(event)]);
+        table.push([time(event), event.kind.clone(), event.sentence()]);
     }
     say(&table);
     if Some(kept.len()) == limit && args.limit.is_none() {
@@ -178,7 +177,7 @@ fn print(event: &EventView, json: bool) {
     if json {
         return say_json(event);
     }
-    let words = words(event).replace('\n', " ");
+    let words = event.sentence().replace('\n', " ");
     say(format_args!("{}  {:<KIND$}  {words}", time(event), event.kind));
 }
 

@@ -21,7 +21,6 @@ mod show_trial;
 mod stream;
 mod trials;
 mod when;
-mod words;
 
 pub use actions::actions;
 pub use answers::{TrialFacts, all_trials};

@@ -7,7 +7,6 @@ use serde_json::Value;
 use sim_core::sensor::Sensor;
 
 use super::super::answers::{TrialFacts, TwinsOf, all_trials, fit_of};
-use super::super::words::words;
 use crate::api::{Page, Summary};
 use crate::cli::client::Client;
 use crate::cli::error::CliError;
@@ -157,7 +156,7 @@ async fn events(client: &Client, run: &RunRow) -> Result<Vec<Told>, CliError> {
             if event.importance() < Importance::Notable {
                 continue;
             }
-            told.push(Told { at, kind: event.kind.clone(), words: words(event) });
+            told.push(Told { at, kind: event.kind.clone(), words: event.sentence() });
         }
         if page.next.is_none() {
             return Ok(told);
