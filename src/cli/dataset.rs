@@ -2,12 +2,12 @@
 //! Uses: `client`, `import`, `federate`. Never: rows in this process (the service reads and writes them).
 
 use std::path::PathBuf;
-use std::time::Duration;
 
 use clap::{Args, Subcommand};
 use serde_json::{Value, json};
 
 use super::client::Client;
+use super::download::DATASET_WAIT;
 use super::error::CliError;
 use super::export::{self, ExportArgs};
 use super::federate::{FederateArgs, federate};
@@ -19,9 +19,6 @@ use super::start_time::local;
 use super::table::{Align, Table, or_dash};
 use super::{At, embed};
 use crate::file_kind::FileKind;
-
-/// Longest wait until a dataset is made.
-pub const DATASET_WAIT: Duration = Duration::from_secs(3600);
 
 /// Options of `dataset`.
 #[derive(Debug, Args)]

@@ -11,11 +11,12 @@ use reqwest::Method;
 use tokio::time::timeout;
 
 use super::client::Client;
-use super::dataset::DATASET_WAIT;
 use super::error::CliError;
 use super::progress::{LogLines, progress_bar};
 use crate::new_file::NewFile;
 
+/// Longest wait until a dataset is made.
+pub const DATASET_WAIT: Duration = Duration::from_secs(3600);
 /// Number of attempts of a download whose connection breaks.
 const TRIES: u32 = 5;
 /// Longest wait for the next part of a file.

@@ -8,7 +8,6 @@ use std::process::ExitCode;
 
 use sim_core::calibration::CalibrationError;
 
-use super::picture::PictureError;
 use crate::api::{LockFileError, ServeError};
 use crate::calibrate::CalibrateError;
 use crate::calibrate::skin::SkinError;
@@ -23,6 +22,29 @@ use crate::rig::error::RigError;
 use crate::simulate::model::ModelUnavailable;
 use crate::simulate::random::error::RandomError;
 use crate::store::StoreError;
+
+/// A figure could not be written as PNG or PDF.
+#[derive(Debug, thiserror::Error)]
+pub enum PictureError {
+    /// No program converts.
+    #[error(
+        "{path}: was not written: PNG and PDF need rsvg-convert or Chromium, and none of them is in \
+         PATH; install `librsvg2-bin` or `chromium`, or name a file that ends in .svg",
+        path = path.display()
+    )]
+    NoConverter {
+        /// The requested file.
+        path: PathBuf,
+    },
+    /// The program failed.
+    #[error("{path}: was not written: {why}; name a file that ends in .svg", path = path.display())]
+    Failed {
+        /// The requested file.
+        path: PathBuf,
+        /// Cause, as text.
+        why: String,
+    },
+}
 
 /// Why a command failed.
 #[derive(Debug, thiserror::Error)]

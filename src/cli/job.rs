@@ -203,7 +203,7 @@ fn table(jobs: &[JobOut]) -> Table {
 }
 
 fn cells(job: &JobOut) -> [String; 5] {
-    let name = recipe_name(job).unwrap_or_else(|| {
+    let name = job_losses::recipe_name(job).unwrap_or_else(|| {
         format!("{} on {}", job.request["scored"], job.request["dataset"]).replace('"', "")
     });
     let more = job.error.clone().or_else(|| {
@@ -212,14 +212,6 @@ fn cells(job: &JobOut) -> [String; 5] {
     });
     let requested = local(job.created_at);
     [job.id.to_string(), job.state.to_string(), requested, name, more.unwrap_or_default()]
-}
-
-/// Name in the recipe of a training; `None` for an evaluation.
-pub fn recipe_name(job: &JobOut) -> Option<String> {
-    let recipe = job.request["recipe"].as_str()?;
-    let recipe = toml::from_str::<toml::Table>(recipe).ok();
-    let name = recipe.and_then(|recipe| recipe.get("name")?.as_str().map(str::to_owned));
-    Some(name.unwrap_or_default())
 }
 
 /// Prints one line on a job, or its JSON.

@@ -7,12 +7,19 @@ use serde_json::Value;
 
 use super::client::{Client, text_of};
 use super::error::CliError;
-use super::job::recipe_name;
 use super::output::say;
 use super::picture;
 use crate::api::JobOut;
 use crate::evaluate::losses::{best, curve, read};
 use crate::figure::Heading;
+
+/// Name in the recipe of a training; `None` for an evaluation.
+pub fn recipe_name(job: &JobOut) -> Option<String> {
+    let recipe = job.request["recipe"].as_str()?;
+    let recipe = toml::from_str::<toml::Table>(recipe).ok();
+    let name = recipe.and_then(|recipe| recipe.get("name")?.as_str().map(str::to_owned));
+    Some(name.unwrap_or_default())
+}
 
 /// Returns the losses of a training, a JSON object per line: of a running one, or of the model of an
 /// ended one.

@@ -1,13 +1,13 @@
 //! Figures written as SVG, PNG or PDF: the ending of the name decides.
 //! Uses: rsvg-convert or a browser of this machine, as processes. Never: a figure (others draw it).
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::Stdio;
 
 use clap::{Args, ValueEnum};
 use tokio::process::Command;
 
-use super::error::CliError;
+use super::error::{CliError, PictureError};
 use super::files;
 use super::print::{self, PrintError};
 use super::progress::shown_wait;
@@ -30,29 +30,6 @@ pub enum Format {
     Png,
     /// A page of the size of the figure.
     Pdf,
-}
-
-/// A figure could not be written as PNG or PDF.
-#[derive(Debug, thiserror::Error)]
-pub enum PictureError {
-    /// No program converts.
-    #[error(
-        "{path}: was not written: PNG and PDF need rsvg-convert or Chromium, and none of them is in \
-         PATH; install `librsvg2-bin` or `chromium`, or name a file that ends in .svg",
-        path = path.display()
-    )]
-    NoConverter {
-        /// The requested file.
-        path: PathBuf,
-    },
-    /// The program failed.
-    #[error("{path}: was not written: {why}; name a file that ends in .svg", path = path.display())]
-    Failed {
-        /// The requested file.
-        path: PathBuf,
-        /// Cause, as text.
-        why: String,
-    },
 }
 
 impl Pictures {

@@ -10,7 +10,7 @@ use serde_json::{Value, json};
 use super::write_all;
 use crate::api::{FrameAnswer, InferOptions, InferRequest, JobOut, ModelOut};
 use crate::cli::client::{Client, TextPart, text_of};
-use crate::cli::dataset::DATASET_WAIT;
+use crate::cli::download::DATASET_WAIT;
 use crate::cli::error::CliError;
 use crate::cli::files::read_input;
 use crate::cli::job::wait_for;
