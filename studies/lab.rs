@@ -9,7 +9,7 @@ use crate::ids::ModelId;
 use crate::infer::answer::Reading;
 use crate::learn::residuals::Residuals;
 use crate::learn::targets::Quantity;
-use crate::store::Contact;
+use crate::store::{Contact, Label};
 
 /// Where nets are trained and methods are scored. A lab reports the progress of its work; a study
 /// does not.
@@ -159,8 +159,8 @@ pub struct Trial {
     pub frame_v: Vec<f32>,
     /// True contacts: skin coordinates, mm; forces, N.
     pub contacts: Vec<Contact>,
-    /// Origin of the row: `measured`, `virtual` or `simulated`.
-    pub label: String,
+    /// Origin of the row.
+    pub label: Label,
 }
 
 /// Limit of a dataset on which no method can be scored.
@@ -303,7 +303,7 @@ pub mod fake {
 
         async fn first_trial(&self, _: &str, _: &[String]) -> Result<Option<Trial>, StudyError> {
             let contacts = vec![contact(200.0, 16.0)];
-            let trial = Trial { frame_v: vec![0.0; 784], contacts, label: "virtual".into() };
+            let trial = Trial { frame_v: vec![0.0; 784], contacts, label: Label::Virtual };
             Ok(self.scores.then_some(trial))
         }
 

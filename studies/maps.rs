@@ -34,7 +34,7 @@ pub fn table_iv_nets(budget: &Budget) -> Vec<TableNet> {
 pub async fn table_iv<L: Lab>(lab: &L, budget: &Budget) -> Result<Sheet, L::Error> {
     let (mut rows, mut numbers, mut scores) = (Vec::new(), Vec::new(), Vec::new());
     let mut scored = 0;
-    let mut label = String::new();
+    let mut label = "";
     let nets = TABLE_IV_MAPS.into_iter().zip(table_iv_nets(budget));
     for (number, (spec, TableNet { training, scores: requests })) in (1..).zip(nets) {
         let model = lab.train(&training).await?;
@@ -48,7 +48,7 @@ pub async fn table_iv<L: Lab>(lab: &L, budget: &Budget) -> Result<Sheet, L::Erro
         rows.extend(published_table_iv(spec).map(|paper| published_row("  paper", &paper)));
         numbers.push(json!({ "map": spec.to_string(), "model": model, "report": report }));
         scored = report.rows;
-        label = report.label;
+        label = report.label.as_str();
     }
     let text = format!(
         "# Table IV: Recon-Net on simulated voltages, mean ± standard deviation\n\n{}\n{}\n",
@@ -56,7 +56,7 @@ pub async fn table_iv<L: Lab>(lab: &L, budget: &Budget) -> Result<Sheet, L::Erro
         budget.caption(&format!("simulated; twins of {label} trials"))
     );
     let title = "Fig. 9: errors of a Recon-Net by the pixel and the diameter of its force map";
-    let heading = Heading::new(title, scored, "trials for each map", &label).with_note(format!(
+    let heading = Heading::new(title, scored, "trials for each map", label).with_note(format!(
         "Scale {}; frames: simulated twins of these trials",
         budget.scale.name()
     ));

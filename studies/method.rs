@@ -22,7 +22,7 @@ pub async fn scores<L: Lab>(lab: &L, request: &EvaluationRequest) -> Result<Shee
     let text = format!(
         "# {name} on {} ({}), mean [95 % interval]\n\n{}\n{}{}{}{}{}",
         request.dataset,
-        report.label,
+        report.label.as_str(),
         markdown(&SCORE_COLUMNS, &rows),
         coverage([(name, &report)].into_iter()),
         reliability([(name, &report)].into_iter()),

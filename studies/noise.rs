@@ -57,15 +57,15 @@ pub async fn fig_10<L: Lab>(lab: &L, budget: &Budget) -> Result<Sheet, L::Error>
         sd(f32::min, f32::MAX),
         sd(f32::max, 0.0),
         markdown(&["noise", "contacts found", "forces, N"], &rows),
-        budget.caption(&label)
+        budget.caption(label.as_str())
     );
     let title = "Fig. 10A: transfer error of each reading";
-    let heading = Heading::new(title, left.trials, "validation trials", &label)
+    let heading = Heading::new(title, left.trials, "validation trials", label.as_str())
         .with_note(format!("{transfer}, scale {}", budget.scale.name()));
     let fig_10a = residuals(&heading, &left.mean_v, &left.sd_v).map_err(StudyError::from)?;
     let title =
         "Fig. 10B: a trial of three contacts, and the maps of nets at three levels of noise";
-    let heading = Heading::new(title, 1, "trials", &label)
+    let heading = Heading::new(title, 1, "trials", label.as_str())
         .with_note(format!("Map {spec}, scale {}", budget.scale.name()));
     let fig_10b = pictures(&heading, &shown, shown.len()).map_err(StudyError::from)?;
     let numbers = json!({ "figure": "10", "scale": budget.scale.name(), "label": label,

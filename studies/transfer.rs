@@ -67,7 +67,7 @@ pub async fn table_iii<L: Lab>(lab: &L, budget: &Budget, dataset: &str) -> Resul
     let text = format!(
         "# Table III: mean RMSE (V) / mean FVU (%) by the number of contacts\n\n{}\n{}\n",
         markdown(&HEAD, &rows),
-        budget.caption(&format!("{}, {dataset}, split by {split_by}", plain.label))
+        budget.caption(&format!("{}, {dataset}, split by {split_by}", plain.label.as_str()))
     );
     // Each split has its table: by configuration, and by trial as in the paper.
     let name = if dataset == R2S { "table-iii".into() } else { format!("table-iii-{dataset}") };
@@ -84,7 +84,7 @@ fn heading(budget: &Budget, plain: &EvaluationReport) -> Heading {
     let title =
         "Table III: voltages of Transfer-Nets, by the numbers of contacts in their training";
     let rows = plain.voltages.as_ref().map_or(0, |scores| scores.all.trials);
-    Heading::new(title, rows, "test trials", &plain.label).with_note(format!(
+    Heading::new(title, rows, "test trials", plain.label.as_str()).with_note(format!(
         "Shaded: numbers of contacts in the training; lines end at numbers without a test trial. Scale {}, seed {}",
         budget.scale.name(),
         budget.seed

@@ -293,7 +293,7 @@ fn sheet(
     let all = ours.iter().chain(pipeline).chain(end_to_end).map(|(_, report)| report);
     table.extend(perfects(all));
     let any = ours.iter().chain(pipeline).chain(end_to_end).map(|(_, report)| report).next();
-    let label = any.map(|report| report.label.clone()).unwrap_or_default();
+    let label = any.map_or("", |report| report.label.as_str());
     let by_best = best_pipeline
         .map_or(String::new(), |(_, report)| format!("real-to-sim, best: {}", read_by(report)));
     let text = format!(
@@ -303,7 +303,7 @@ fn sheet(
         reliability(named(ours)),
         nets(pipeline, end_to_end),
         ours.last().map_or(String::new(), |(_, exact)| format!("exact: {}\n", read_by(exact))),
-        budget.caption(&label)
+        budget.caption(label)
     );
     let listed = |scores: &[Named]| -> Vec<_> {
         scores.iter().map(|(name, report)| json!({ "name": name, "report": report })).collect()
@@ -311,7 +311,7 @@ fn sheet(
     let numbers = json!({ "figure": "12", "scale": budget.scale.name(), "label": label,
         "real_to_sim": listed(pipeline), "end_to_end": listed(end_to_end), "ours": listed(ours),
         "best": best_pipeline.map(|(name, _)| name), "best_with_published_transfer": published });
-    let heading = Heading::new("", any.map_or(0, |report| report.rows), "trials", &label)
+    let heading = Heading::new("", any.map_or(0, |report| report.rows), "trials", label)
         .with_note(format!("Scale {}", budget.scale.name()));
     let groups = [("real-to-sim", pipeline), ("end-to-end", end_to_end), ("", ours)];
     let mut figures = errors(&heading, &groups)?;

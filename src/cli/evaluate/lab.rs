@@ -9,7 +9,7 @@ use serde_json::{Value, json};
 
 use super::write_all;
 use crate::api::{FrameAnswer, InferOptions, InferRequest, JobOut, ModelOut};
-use crate::cli::client::{Client, TextPart, text_of};
+use crate::cli::client::{Client, TextPart};
 use crate::cli::download::DATASET_WAIT;
 use crate::cli::error::CliError;
 use crate::cli::files::read_input;
@@ -357,13 +357,15 @@ impl Lab for ServiceLab {
         );
         let page: Value = self.client.get(&path).await?;
         let row = &page["items"][0];
-        let Ok(frame_v) = serde_json::from_value(row["voltages_v"].clone()) else {
-            return Ok(None);
-        };
+        let read = (
+            serde_json::from_value(row["voltages_v"].clone()),
+            serde_json::from_value(row["label"].clone()),
+        );
+        let (Ok(frame_v), Ok(label)) = read else { return Ok(None) };
         Ok(Some(Trial {
             frame_v,
             contacts: serde_json::from_value(row["contacts"].clone()).unwrap_or_default(),
-            label: text_of(&row["label"]),
+            label,
         }))
     }
 

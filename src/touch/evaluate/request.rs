@@ -18,7 +18,7 @@ use crate::infer::answer::Reading;
 use crate::infer::methods::{Method, names};
 use crate::infer::slot::Slot;
 use crate::problem::{Checks, Problem};
-use crate::store::Contact;
+use crate::store::{Contact, Label};
 
 /// Default of the least force of a peak: that of the paper (V-B2), N.
 fn threshold_n() -> f64 {
@@ -296,7 +296,7 @@ pub struct EvaluationReport {
     pub frames: FramesRead,
     /// `measured` or `virtual`, as the dataset's rows are labelled; `simulated` if no measured
     /// frame was read.
-    pub label: String,
+    pub label: Label,
     /// Ids of the models of the method.
     pub models: Vec<ModelId>,
     /// Id of the calibration of the exact model.

@@ -34,7 +34,7 @@ use crate::learn::examples::{MEASURED, SIMULATED};
 use crate::learn::targets::Targets;
 use crate::learn::task::Reads;
 use crate::simulate::compare::difference;
-use crate::store::Contact;
+use crate::store::{Contact, Label};
 
 /// Number of frames that a Transfer-Net reads at a time.
 const TRANSFERRED_AT_ONCE: usize = 8;
@@ -160,7 +160,7 @@ impl Scoring {
         let models = self.reader.nets().iter().map(|net| net.manifest.id.clone()).collect();
         let skin = self.reader.method().and_then(|method| method.skin());
         let calibration = skin.and_then(|skin| skin.calibration.cloned());
-        let label = self.lineage["runs"][0]["label"].as_str();
+        let label = serde_json::from_value(self.lineage["runs"][0]["label"].clone()).ok();
         EvaluationReport {
             scored: self.request.scored,
             dataset: self.dataset.clone(),
@@ -168,7 +168,7 @@ impl Scoring {
             held_out: self.held_out,
             conditions: self.request.conditions.clone(),
             frames: self.request.frames,
-            label: label.filter(|_| self.measured).unwrap_or("simulated").into(),
+            label: label.filter(|_| self.measured).unwrap_or(Label::Simulated),
             models,
             calibration,
             rows: self.gathered.rows.len() as u64,
