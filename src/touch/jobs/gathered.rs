@@ -11,7 +11,7 @@ use crate::ids::TrialId;
 use crate::infer::registry;
 use crate::learn::error::LearnError;
 use crate::learn::examples::Examples;
-use crate::learn::model_file::SensorFacts;
+use crate::learn::task::SensorFacts;
 use crate::store::Store;
 
 /// Rows to score, with their sensor.

@@ -6,7 +6,6 @@ use nets::quantity::Quantity;
 use serde::{Deserialize, Serialize};
 
 use super::examples::{MEASURED, SIMULATED};
-use super::model_file::SensorFacts;
 use crate::dataset::force_map::ForceMapSpec;
 
 /// Task of a net (paper, section V).
@@ -51,6 +50,17 @@ pub enum Answers {
     Points,
     /// Few numbers for a whole frame.
     Quantity(Quantity),
+}
+
+/// Facts of a sensor that a model must match.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct SensorFacts {
+    /// Name of the sensor.
+    pub name: String,
+    /// Number of values in a frame.
+    pub channels: usize,
+    /// Number of points of its lattice; 0 without a lattice.
+    pub points: usize,
 }
 
 impl From<Quantity> for NetTask {

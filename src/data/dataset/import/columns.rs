@@ -9,10 +9,16 @@ use arrow_array::{Array, ArrayRef, RecordBatch};
 use arrow_cast::{CastOptions, cast, cast_with_options};
 use arrow_schema::{DataType, Field, TimeUnit};
 
-use super::rows::{CONTACT_FIELDS, FRAMES_V, TAG};
 use crate::dataset::schema::{FRAME_COUNT, SPLIT, VOLTAGES_V};
 use crate::problem::Problem;
 use crate::simulate::schema::{CONTACTS, SIM_VOLTAGES_V};
+
+/// Column of the raw frames of a trial, V; its mean frame is computed.
+pub(super) const FRAMES_V: &str = "frames_v";
+/// Column of the text by which rows are selected and split, such as a tip or a place.
+pub(super) const TAG: &str = "tag";
+/// Fields of a contact, in their order in an array.
+pub(super) const CONTACT_FIELDS: [&str; 4] = ["x_mm", "y_mm", "force_n", "diameter_mm"];
 
 /// A value as f64; `None` if it is null or NaN.
 pub(super) fn known(column: &ArrayRef, at: usize) -> Option<f64> {

@@ -6,7 +6,8 @@ use std::collections::BTreeMap;
 use parquet::file::metadata::ParquetMetaData;
 
 use super::BATCH_TRIALS;
-use super::rows::{FRAMES_V, is_read};
+use super::columns::FRAMES_V;
+use super::rows::is_read;
 use super::sensor::ImportedSensor;
 use crate::dataset::schema::VOLTAGES_V;
 use crate::dataset::space::ImportCounts;

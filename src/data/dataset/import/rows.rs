@@ -9,7 +9,7 @@ use arrow_array::{Array, ArrayRef, RecordBatch};
 use arrow_schema::Schema;
 use jiff::Timestamp;
 
-use super::columns::{Columns, known};
+use super::columns::{Columns, FRAMES_V, TAG, known};
 use super::coordinates::Coordinates;
 use super::sensor::ImportedSensor;
 use crate::dataset::schema::{FRAME_COUNT, SPLIT, VOLTAGES_V};
@@ -40,12 +40,6 @@ const READ: [&str; 13] = [
     SPLIT,
     TAG,
 ];
-/// Column of the raw frames of a trial, V; its mean frame is computed.
-pub(super) const FRAMES_V: &str = "frames_v";
-/// Column of the text by which rows are selected and split, such as a tip or a place.
-pub(super) const TAG: &str = "tag";
-/// Fields of a contact, in their order in an array.
-pub(super) const CONTACT_FIELDS: [&str; 4] = ["x_mm", "y_mm", "force_n", "diameter_mm"];
 /// Largest valid force of a contact, N.
 const IMPORTED_FORCE_MAX_N: f64 = 100_000.0;
 /// Largest plausible magnitude of a voltage, V: beyond it the unit is another one, such as mV or counts.

@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 
 use super::onnx::write::{Description, WriteError, to_onnx};
 use super::onnx::{OnnxError, OnnxFile, Port, sealed, unsealed};
-use super::task::NetTask;
+use super::task::{NetTask, SensorFacts};
 use crate::dataset::force_map::ForceMapSpec;
 use crate::digest::{Hashing, ID_DIGITS};
 use crate::ids::{CalibrationId, DatasetId, ModelId};
@@ -21,17 +21,6 @@ use crate::syntax::parse_toml;
 
 /// Largest number of values of an answer, and of channels of a sensor: bounds the memory.
 const NUMBERS_MAX: usize = 1 << 20;
-
-/// Facts of a sensor that a model must match.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct SensorFacts {
-    /// Name of the sensor.
-    pub name: String,
-    /// Number of values in a frame.
-    pub channels: usize,
-    /// Number of points of its lattice; 0 without a lattice.
-    pub points: usize,
-}
 
 /// Range of contacts and frames that a model was trained on; unknown values are absent.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
