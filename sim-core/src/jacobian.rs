@@ -14,7 +14,7 @@ use crate::fields::NodeFields;
 use crate::forward::{Contact, ContactError, ForwardModel, Workspace};
 use crate::mesh::Mesh;
 use crate::network::adjoint::{Direction, Potentials, Pull};
-use crate::network::back::KronFactor;
+use crate::network::kron::KronFactor;
 use crate::network::{Resistor, sheet};
 use crate::piezo::NodeLaw;
 use crate::tip::Share;

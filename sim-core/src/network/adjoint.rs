@@ -11,8 +11,7 @@
 //! of terms of the same magnitude.
 
 use super::TILE;
-use super::back::KronFactor;
-use super::kron::{KronReduction, four};
+use super::kron::{KronFactor, KronReduction, four};
 use super::lane::{Lane32, LaneJob, Portable};
 #[cfg(target_arch = "x86_64")]
 use super::lane_x86;

@@ -5,18 +5,7 @@
 //! `a_kj / d`; the fronts are processed in reverse order.
 
 use super::TILE;
-use super::kron::{KronReduction, four};
-
-/// Factor stored by [`KronReduction::factor`]: the pivots' columns of all fronts, one after the
-/// other, each with `1 / sqrt(d)` on its diagonal.
-#[derive(Debug, Default)]
-pub struct KronFactor {
-    pub(super) columns: Vec<f64>,
-    /// Potentials in one front, row-major.
-    front: Vec<f64>,
-    /// Potentials in the order of removal, row-major.
-    ordered: Vec<f64>,
-}
+use super::kron::{KronFactor, KronReduction, four};
 
 impl KronReduction {
     /// Computes the potentials at all nodes (row-major, indexed by the network's nodes, `width`

@@ -12,7 +12,6 @@
 
 use std::sync::Arc;
 
-use super::back::KronFactor;
 use super::{Resistor, SheetNetwork, TILE};
 use crate::order::{Part, dissect};
 
@@ -52,6 +51,17 @@ pub struct KronReduction {
     /// Node at each position of the order, the kept ones last.
     pub(super) order: Vec<u32>,
     pub(super) kept: usize,
+}
+
+/// Factor stored by [`KronReduction::factor`]: the pivots' columns of all fronts, one after the
+/// other, each with `1 / sqrt(d)` on its diagonal.
+#[derive(Debug, Default)]
+pub struct KronFactor {
+    pub(super) columns: Vec<f64>,
+    /// Memory of `back`: potentials in one front, row-major.
+    pub(super) front: Vec<f64>,
+    /// Memory of `back`: potentials in the order of removal, row-major.
+    pub(super) ordered: Vec<f64>,
 }
 
 /// Memory of a reduction; may be reused.

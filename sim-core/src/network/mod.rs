@@ -7,7 +7,7 @@
 //! converts the result to the impedances Z and the voltages.
 
 pub mod adjoint;
-pub mod back;
+mod back;
 pub mod kron;
 pub(crate) mod lane;
 #[cfg(target_arch = "x86_64")]
