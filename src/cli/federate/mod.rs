@@ -24,7 +24,7 @@ use super::start_time::local;
 use super::table::{Align, Table, or_dash};
 use crate::dataset::error::DatasetError;
 use crate::dataset::federate::{
-    FETCHED, Federation, Fetched, LabelFile, MANIFEST, RigPart, TRIALS, join, prepare,
+    FETCHED, Federation, Fetched, LabelFile, MANIFEST, RigPart, TRIALS, Tables, join, prepare,
 };
 use crate::ids::DatasetId;
 use rigs::{Rig, rigs};
@@ -114,9 +114,10 @@ pub async fn federate(args: FederateArgs) -> Result<(), CliError> {
         parts.push(Part { rig, url, fetched, outcome });
     }
     let used: Vec<Fetched> = parts.iter().filter_map(|part| part.fetched.clone()).collect();
+    let tables = if args.apart { Tables::Apart } else { Tables::Joint };
     let joined = match used.is_empty() {
         true => None,
-        false => Some(join_in(&folder, name, used, args.apart).await?),
+        false => Some(join_in(&folder, name, used, tables).await?),
     };
     match args.json {
         true => say_json(&answer(&folder, &parts, joined.as_ref())),
@@ -244,10 +245,10 @@ async fn join_in(
     folder: &Path,
     name: &str,
     used: Vec<Fetched>,
-    apart: bool,
+    tables: Tables,
 ) -> Result<Federation, CliError> {
     let (folder, name) = (folder.to_owned(), name.to_owned());
-    let joining = tokio::task::spawn_blocking(move || join(&folder, &name, &used, apart));
+    let joining = tokio::task::spawn_blocking(move || join(&folder, &name, &used, tables));
     let joined = shown_wait("joining the datasets", joining).await;
     joined.unwrap_or(Err(DatasetError::Worker)).map_err(of_files)
 }

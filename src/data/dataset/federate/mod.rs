@@ -89,6 +89,15 @@ pub struct RigPart {
     pub files: Vec<LabelFile>,
 }
 
+/// Whether the tables of several rigs can be read as one.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Tables {
+    /// They can: sensors, columns and definitions must agree.
+    Joint,
+    /// Each is read alone: sensors, columns and definitions may differ.
+    Apart,
+}
+
 /// The manifest of the datasets of several rigs.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Federation {
@@ -203,7 +212,7 @@ pub fn prepare(folder: &Path, rig: &str) -> Result<(), DatasetError> {
 }
 
 /// Writes the tables and the manifest of fetched datasets, in the order of their rigs. The tables of other rigs
-/// are removed. With `apart` sensors, columns and definitions may differ. Blocks for the whole duration.
+/// are removed. Blocks for the whole duration.
 ///
 /// # Errors
 /// `DatasetError::Problems` if a file does not have its sha256, rigs differ, or a run is of two rigs: nothing is
@@ -212,7 +221,7 @@ pub fn join(
     folder: &Path,
     dataset: &str,
     rigs: &[Fetched],
-    apart: bool,
+    tables: Tables,
 ) -> Result<Federation, DatasetError> {
     let mut damaged = Vec::new();
     for fetched in rigs {
@@ -222,11 +231,12 @@ pub fn join(
     let open = |fetched| Opened::open(folder, fetched);
     let opened = rigs.iter().map(open).collect::<Result<Vec<_>, _>>()?;
     refuse(repeated(&opened))?;
-    if !apart {
+    if tables == Tables::Joint {
         refuse(differences(&opened))?;
     }
     let parts = opened.iter().map(|opened| opened.write(folder)).collect::<Result<Vec<_>, _>>()?;
     let rows = parts.iter().flat_map(|part| &part.files).map(|file| file.rows).sum();
+    let apart = tables == Tables::Apart;
     let federation = Federation { dataset: dataset.to_owned(), apart, rows, rigs: parts };
     let text = serde_json::to_string_pretty(&federation).map_err(DatasetError::Json)?;
     write(folder, MANIFEST, &(text + "\n"))?;
