@@ -6,6 +6,7 @@ use std::time::Duration;
 
 use clap::Args;
 use jiff::Timestamp;
+use reqwest::Method;
 use serde_json::{Value, json};
 use tokio::time::Instant;
 
@@ -72,6 +73,20 @@ pub async fn status(at: &At) -> Result<(), CliError> {
     let twins: Value = client.get("/api/v1/twins").await?;
     let workers = workers::line(&client).await;
     say(status_words(&client.status().await?, &twins, workers));
+    Ok(())
+}
+
+/// Runs `palpate status --ready`.
+///
+/// # Errors
+/// `CliError::Refused` with the cause if the service cannot store trials; others if it cannot be reached.
+pub async fn ready(at: &At) -> Result<(), CliError> {
+    let client = embed::server(at).await?;
+    client.send(Method::GET, "/health/ready", None::<&Value>).await?;
+    match at.output() {
+        Output::Json => say_json(&json!({ "ready": true })),
+        Output::Text => say(format_args!("ready: {} can store trials", client.url())),
+    }
     Ok(())
 }
 

@@ -163,6 +163,9 @@ pub struct StatusArgs {
     /// Show the workers of bulk work and their queue: orders, rates, time to go, failed chunks.
     #[arg(long, conflicts_with_all = ["watch", "twins"])]
     pub workers: bool,
+    /// Check that the service can store trials; if not, the exit code is 1.
+    #[arg(long, conflicts_with_all = ["watch", "twins", "workers"])]
+    pub ready: bool,
     /// Service of the rig.
     #[command(flatten)]
     pub at: At,
@@ -194,7 +197,7 @@ pub enum Command {
     Plan(plan::PlanArgs),
     /// Write the carried experiments, rigs, sensors and recipes into a folder, to edit them.
     ///
-    /// Files that are there stay as they are.
+    /// Files that are there stay as they are. With --list or --schema nothing is written.
     Init(init::InitArgs),
     /// Fit the model to measurements of a skin, and write a calibration file.
     ///
@@ -330,6 +333,7 @@ async fn answer(command: Command) -> Result<ExitCode, CliError> {
         Command::Status(args) if args.watch => watch::watch(&args.at).await?,
         Command::Status(args) if args.twins => twins::status(&args.at).await?,
         Command::Status(args) if args.workers => workers::status(&args.at).await?,
+        Command::Status(args) if args.ready => ask::ready(&args.at).await?,
         Command::Metrics(at) => ask::metrics(&at).await?,
         Command::Status(args) => ask::status(&args.at).await?,
         Command::Vocabulary(args) => vocabulary::vocabulary(args).await?,

@@ -133,6 +133,27 @@ async fn a_run_and_a_trial_are_drawn_as_plain_text_without_a_terminal() {
     assert_eq!(told(&url, &["show", &id])["voltages_v"].as_array().unwrap().len(), 784);
     let (code, why) = refused(&url, &["show", "t99999"]);
     assert!(code == 2 && why.contains("no trial has this name"), "{code}: {why}");
+
+    let lines = |what: &str, part: &str| -> Vec<Value> {
+        let text = said(&url, &["show", what, "--raw", part]);
+        text.lines().map(|line| serde_json::from_str(line).unwrap()).collect()
+    };
+    for part in ["attempts", "tares", "touch-offs", "references"] {
+        let stored = lab.get(&format!("/api/v1/runs/1/records/{part}?limit=1000")).await;
+        let at = |records: &[Value]| -> Vec<Value> {
+            records.iter().map(|record| record["at"].clone()).collect()
+        };
+        assert_eq!(at(&lines("1", part)), at(stored["items"].as_array().unwrap()), "{part}");
+    }
+    assert!(!lines("1", "tares").is_empty());
+    let frames = lab.get(&format!("/api/v1/trials/{}/frames", trial["trial_id"])).await;
+    let printed = lines(&key, "frames");
+    assert_eq!(Some(printed.len()), frames["items"].as_array().map(Vec::len));
+    assert_eq!(printed[0]["counts"], frames["items"][0]["counts"]);
+    for (what, part) in [("1", "frames"), (id.as_str(), "plan")] {
+        let (code, why) = refused(&url, &["show", what, "--raw", part]);
+        assert!(code == 2 && why.contains("must be a "), "{code}: {why}");
+    }
     let queued = said(&url, &["show", "3"]);
     assert!(queued.contains("queued") && queued.contains("0 of"), "{queued}");
     lab.end().await;

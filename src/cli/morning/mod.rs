@@ -14,6 +14,7 @@ mod events;
 mod find;
 mod frame;
 mod history;
+mod raw;
 mod report;
 mod runs;
 mod show;
@@ -123,6 +124,9 @@ pub struct ShowArgs {
     /// Show the run over time: trials, failed attempts, forces, FVU, states.
     #[arg(long)]
     pub history: bool,
+    /// Print a stored part as JSON, for scripts, one line per record.
+    #[arg(long, value_name = "PART", value_enum, conflicts_with = "history")]
+    pub raw: Option<raw::Part>,
     /// Service, or data folder.
     #[command(flatten)]
     pub at: At,

@@ -10,7 +10,7 @@ use super::answers::{
     stored_words,
 };
 use super::chart::{AtDepth, by_depth, forces, picture, width};
-use super::{ShowArgs, find, history, show_trial};
+use super::{ShowArgs, find, history, raw, show_trial};
 use crate::api::Summary;
 use crate::cli::client::Client;
 use crate::cli::embed;
@@ -42,6 +42,9 @@ const BAR: usize = 30;
 pub async fn show(args: ShowArgs) -> Result<(), CliError> {
     let at = args.at.clone();
     embed::reading(&at, move |client| async move {
+        if let Some(part) = args.raw {
+            return raw::show(&client, &args.what, part).await;
+        }
         match show_trial::named(&args.what) {
             _ if args.history => history::show(&client, &args.what, args.at.output()).await,
             Some(trial) => show_trial::show(&client, &trial, args.at.output()).await,

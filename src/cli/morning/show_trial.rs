@@ -48,25 +48,7 @@ pub fn named(text: &str) -> Option<TrialName> {
 /// # Errors
 /// `CliError` if there is no such trial, or a request fails.
 pub async fn show(client: &Client, name: &TrialName, output: Output) -> Result<(), CliError> {
-    let query = match name {
-        TrialName::Id(id) => format!("/api/v1/trials?trial_id={id}"),
-        TrialName::Key { run, configuration, depth_index } => {
-            let run = find::run(client, run).await?.uid;
-            let key = format!("configuration={configuration}&depth_index={depth_index}");
-            format!("/api/v1/runs/{run}/trials?{key}")
-        }
-    };
-    let page: Page<TrialRow> = client.get(&format!("{query}&voltages=true&limit=1")).await?;
-    let Some(trial) = page.items.into_iter().next() else {
-        let limit = "no trial has this name: palpate trials lists them";
-        let shown = match name {
-            TrialName::Id(id) => format!("t{id}"),
-            TrialName::Key { run, configuration, depth_index } => {
-                format!("{run}/{configuration}/{depth_index}")
-            }
-        };
-        return Err(CliError::argument("TRIAL", shown, limit));
-    };
+    let trial = stored(client, name, true).await?;
     if output == Output::Json {
         say_json(&trial);
         return Ok(());
@@ -83,6 +65,37 @@ pub async fn show(client: &Client, name: &TrialName, output: Output) -> Result<(
         say_drawn(&printed(&draw(&pictures, ink, width())));
     }
     Ok(())
+}
+
+/// Returns the stored trial that a person named, with its mean frame and the simulated one if requested.
+///
+/// # Errors
+/// `CliError::Problems` if there is no such trial; others as [`Client::send`].
+pub async fn stored(
+    client: &Client,
+    name: &TrialName,
+    with_voltages: bool,
+) -> Result<TrialRow, CliError> {
+    let query = match name {
+        TrialName::Id(id) => format!("/api/v1/trials?trial_id={id}"),
+        TrialName::Key { run, configuration, depth_index } => {
+            let run = find::run(client, run).await?.uid;
+            let key = format!("configuration={configuration}&depth_index={depth_index}");
+            format!("/api/v1/runs/{run}/trials?{key}")
+        }
+    };
+    let path = format!("{query}&voltages={with_voltages}&limit=1");
+    let page: Page<TrialRow> = client.get(&path).await?;
+    page.items.into_iter().next().ok_or_else(|| {
+        let limit = "no trial has this name: palpate trials lists them";
+        let shown = match name {
+            TrialName::Id(id) => format!("t{id}"),
+            TrialName::Key { run, configuration, depth_index } => {
+                format!("{run}/{configuration}/{depth_index}")
+            }
+        };
+        CliError::argument("TRIAL", shown, limit)
+    })
 }
 
 fn is_true_colour() -> bool {
