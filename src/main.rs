@@ -198,6 +198,8 @@ fn ended(outcome: Result<(), impl Display>) -> ExitCode {
 
 #[cfg(test)]
 mod tests {
+    use std::collections::{BTreeMap, BTreeSet};
+
     use super::*;
 
     fn command_line() -> clap::Command {
@@ -302,6 +304,39 @@ mod tests {
             }
         }
         assert!(count > 20, "{count} commands");
+    }
+
+    #[test]
+    fn every_operation_of_the_api_has_a_command_that_can_be_typed() {
+        let manual = include_str!("../docs/api-commands.md").lines();
+        let rows = manual.filter_map(|line| line.strip_prefix("| `")?.split_once("` | "));
+        let rows: BTreeMap<&str, &str> = rows.collect();
+        let (mut operations, mut path) = (BTreeSet::new(), "");
+        for line in include_str!("../openapi.yaml").lines() {
+            let key = line.trim_start().trim_end_matches(':');
+            match line.len() - line.trim_start().len() {
+                2 if key.starts_with('/') => path = key,
+                4 if ["get", "put", "post", "delete"].contains(&key) => {
+                    operations.insert(format!("{} {path}", key.to_uppercase()));
+                }
+                _ => {}
+            }
+        }
+        assert!(operations.len() > 90, "{} operations", operations.len());
+        for operation in &operations {
+            let row = rows.get(operation.as_str());
+            let row = row.unwrap_or_else(|| panic!("docs/api-commands.md lacks {operation}"));
+            match row.strip_prefix('`').and_then(|row| row.split('`').next()) {
+                None => assert!(row.starts_with("none: "), "{operation}: a command, or why none"),
+                Some(command) => {
+                    let read = command_line().try_get_matches_from(arguments(command));
+                    let error = read.err().map(|error| error.to_string());
+                    assert_eq!(error, None, "{operation}: {command}");
+                }
+            }
+        }
+        let removed = rows.keys().find(|row| !operations.contains(**row));
+        assert_eq!(removed, None, "docs/api-commands.md has what openapi.yaml has not");
     }
 
     #[test]
