@@ -1,16 +1,25 @@
 //! Passes its commit to the program; every run stores it. Without git it is not known, and absent.
 //! Uses: git, where there is one. Never: a failure of the build.
 
+use std::path::Path;
 use std::process::Command;
 
 fn main() {
-    println!("cargo::rerun-if-changed=.git/logs/HEAD");
-    let said =
-        Command::new("git").args(["describe", "--always", "--dirty", "--abbrev=40"]).output();
-    if let Ok(said) = said
-        && said.status.success()
-        && let Ok(commit) = String::from_utf8(said.stdout)
-    {
-        println!("cargo::rustc-env=PALPATE_COMMIT={}", commit.trim());
+    // In a linked worktree the log is elsewhere. A path that does not exist would build everything each time.
+    let log = said(&["rev-parse", "--git-path", "logs/HEAD"]).filter(|log| exists(log));
+    println!("cargo::rerun-if-changed={}", log.as_deref().unwrap_or("build.rs"));
+    if let Some(commit) = said(&["describe", "--always", "--dirty", "--abbrev=40"]) {
+        println!("cargo::rustc-env=PALPATE_COMMIT={commit}");
     }
+}
+
+fn exists(path: &str) -> bool {
+    Path::new(path).exists()
+}
+
+/// What git prints; `None` if there is no git, or it refuses.
+fn said(arguments: &[&str]) -> Option<String> {
+    let output = Command::new("git").args(arguments).output().ok()?;
+    let text = String::from_utf8(output.stdout).ok().filter(|_| output.status.success())?;
+    Some(text.trim().to_owned())
 }
