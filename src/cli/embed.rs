@@ -11,6 +11,7 @@ use super::client::{Client, Found};
 use super::error::CliError;
 use super::files::{RigFiles, read_sensor_text};
 use super::key::key;
+use super::progress::shown_wait;
 use super::read_only::View;
 use super::running::Running;
 use super::trust::Certificates;
@@ -185,7 +186,7 @@ where
     F: Future<Output = Result<T, CliError>> + Send + 'static,
     T: Send + 'static,
 {
-    let service = Service::start(options).await?;
+    let service = shown_wait("opening the data folder", Service::start(options)).await?;
     let client = match Client::new(&service.url(), None, None) {
         Ok(client) => client,
         Err(error) => {

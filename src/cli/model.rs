@@ -226,6 +226,7 @@ async fn answer(client: Client, what: What) -> Result<(), CliError> {
                 TextPart::value("facts", read_input(&add.facts)?),
                 TextPart::value("name", add.name.clone()),
             ];
+            let client = client.showing("checking the model");
             let model: ModelOut = client.upload("/api/v1/models", &add.file, texts).await?;
             if add.at.json {
                 say_json(&model);

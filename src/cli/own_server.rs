@@ -9,7 +9,6 @@ use std::path::{Path, PathBuf};
 use std::process::Stdio;
 use std::time::Duration;
 
-use indicatif::ProgressBar;
 use rustix::process::{Pid, Signal, kill_process};
 use tokio::process::{Child, Command};
 use tokio::time::{Instant, sleep, timeout};
@@ -18,7 +17,7 @@ use super::bench_args::BenchArgs;
 use super::client::{Client, Found};
 use super::error::CliError;
 use super::output::Output;
-use super::progress::{shown_wait, spinner};
+use super::progress::{Working, shown_wait};
 use super::running::Running;
 use crate::new_file;
 
@@ -55,7 +54,8 @@ impl OwnServer {
         let mut arguments = bench.arguments();
         arguments.extend(["--sensor".into(), sensor.into()]);
         let words = "starting the service (a new skin's responses are solved once)";
-        Self::start(&arguments, data, spinner(output, words)).await
+        let shown = (output == Output::Text).then(|| Working::on(words));
+        Self::start(&arguments, data, shown).await
     }
 
     /// Starts a service without a rig, and waits until it answers.
@@ -64,7 +64,7 @@ impl OwnServer {
     /// As [`Self::start`].
     pub async fn at_desk(data: &Path) -> Result<Self, CliError> {
         let arguments: [OsString; 1] = ["--desk".into()];
-        let start = Self::start(&arguments, data, ProgressBar::hidden());
+        let start = Self::start(&arguments, data, None);
         shown_wait("starting the service", start).await
     }
 
@@ -76,7 +76,7 @@ impl OwnServer {
     async fn start(
         arguments: &[OsString],
         data: &Path,
-        spinner: ProgressBar,
+        shown: Option<Working>,
     ) -> Result<Self, CliError> {
         new_file::make_folder(data)
             .map_err(|source| CliError::File { path: data.into(), source })?;
@@ -94,7 +94,7 @@ impl OwnServer {
         let child = command.spawn().map_err(|error| ended(&error.to_string(), &log))?;
         let child = Starting(Some(child));
         let ready = answering(child, data, &log, begin).await;
-        spinner.finish_and_clear();
+        drop(shown);
         let (client, child) = ready?;
         Ok(Self { client, child, log })
     }

@@ -2,11 +2,12 @@
 //! Uses: indicatif. Never: standard output.
 
 use std::io::IsTerminal;
+use std::sync::mpsc::{self, RecvTimeoutError, Sender};
 use std::time::{Duration, Instant};
 
 use indicatif::{ProgressBar, ProgressStyle};
 
-use super::output::{Output, note};
+use super::output::note;
 
 /// Interval of progress lines without a terminal.
 pub const PROGRESS_LINES: Duration = Duration::from_secs(10);
@@ -27,76 +28,101 @@ pub fn bar(template: &str) -> ProgressBar {
     ProgressBar::new(0).with_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()))
 }
 
-/// A sign of life on standard error while something works, with the time since it began; hidden for JSON, or if
-/// that is not a terminal.
-pub fn spinner(output: Output, words: &str) -> ProgressBar {
-    if output == Output::Json {
-        return ProgressBar::hidden();
-    }
-    let style = ProgressStyle::with_template("{spinner} {msg}, {elapsed}");
-    let style = style.unwrap_or_else(|_| ProgressStyle::default_spinner());
-    let spinner = ProgressBar::new_spinner().with_style(style).with_message(words.to_owned());
-    spinner.enable_steady_tick(Duration::from_millis(100));
-    spinner
-}
-
 /// Time after which a wait is shown.
 const UNSHOWN_WAIT: Duration = Duration::from_millis(1500);
 
 /// Waits for `work`; what takes longer than a moment is named on standard error, on a terminal with the time
-/// since it began.
+/// since it began, elsewhere again at intervals.
 pub async fn shown_wait<T>(words: &str, work: impl Future<Output = T>) -> T {
     let mut work = std::pin::pin!(work);
+    let begin = Instant::now();
     tokio::select! {
         done = &mut work => return done,
         () = tokio::time::sleep(UNSHOWN_WAIT) => {}
     }
-    let shown = Working::on(words);
+    let shown = match std::io::stderr().is_terminal() {
+        true => Working::at_terminal(words),
+        false => {
+            note(format_args!("{words} .."));
+            Working::in_lines(words, begin, PROGRESS_LINES)
+        }
+    };
     let done = work.await;
     drop(shown);
     done
 }
 
-/// A sign of life while something works; it disappears when it is dropped.
-pub struct Working(ProgressBar);
+/// A sign of life while something works; it ends when it is dropped.
+pub struct Working {
+    /// Hidden without a terminal.
+    bar: ProgressBar,
+    /// Ends the thread that prints lines; absent on a terminal.
+    _lines: Option<Sender<()>>,
+}
 
 impl Working {
-    /// Names the work: a line without a terminal.
+    /// Names the work: on a terminal at once, with the time since it began; elsewhere by a line once it takes longer
+    /// than a moment, and again at intervals.
     pub fn on(words: &str) -> Self {
-        if !std::io::stderr().is_terminal() {
-            note(format_args!("{words} .."));
-            return Self(ProgressBar::hidden());
+        match std::io::stderr().is_terminal() {
+            true => Self::at_terminal(words),
+            false => Self::in_lines(words, Instant::now(), UNSHOWN_WAIT),
         }
-        Self::at_terminal(words)
     }
 
     /// Names the work on a terminal, and nowhere else.
     pub fn at_terminal(words: &str) -> Self {
-        Self(spinner(Output::Text, words))
+        let style = ProgressStyle::with_template("{spinner} {msg}, {elapsed}");
+        let style = style.unwrap_or_else(|_| ProgressStyle::default_spinner());
+        let bar = ProgressBar::new_spinner().with_style(style).with_message(words.to_owned());
+        bar.enable_steady_tick(Duration::from_millis(100));
+        Self { bar, _lines: None }
+    }
+
+    /// Prints a line with the time since `begin` after `wait`, and then at intervals.
+    fn in_lines(words: &str, begin: Instant, mut wait: Duration) -> Self {
+        let (lines, ended) = mpsc::channel();
+        let words = words.to_owned();
+        std::thread::spawn(move || {
+            while ended.recv_timeout(wait) == Err(RecvTimeoutError::Timeout) {
+                note(format_args!("{words} .. {} s", begin.elapsed().as_secs()));
+                wait = PROGRESS_LINES;
+            }
+        });
+        Self { bar: ProgressBar::hidden(), _lines: Some(lines) }
+    }
+
+    /// Names what is done now, on a terminal.
+    pub fn step(&self, words: &str) {
+        self.bar.set_message(words.to_owned());
     }
 }
 
 impl Drop for Working {
     fn drop(&mut self) {
-        self.0.finish_and_clear();
+        self.bar.finish_and_clear();
     }
 }
 
-/// Prints the progress of long work on standard error at intervals, if no bar is visible.
-pub struct LogLines(Option<Instant>);
+/// Prints the progress of long work on standard error, if no bar is visible: once it takes longer than a moment,
+/// then at intervals.
+pub struct LogLines {
+    /// Time of the next line; absent if a bar is visible.
+    next: Option<Instant>,
+}
 
 impl LogLines {
     /// Log lines for the work of this bar.
     pub fn instead_of(bar: &ProgressBar) -> Self {
-        Self(bar.is_hidden().then(Instant::now))
+        Self { next: bar.is_hidden().then(|| Instant::now() + UNSHOWN_WAIT) }
     }
 
-    /// Prints a line, if the last one is old enough.
+    /// Prints a line, if it is time for one.
     pub fn say(&mut self, words: impl FnOnce() -> String) {
-        if let Some(last) = &mut self.0
-            && last.elapsed() >= PROGRESS_LINES
+        if let Some(next) = &mut self.next
+            && Instant::now() >= *next
         {
-            *last = Instant::now();
+            *next = Instant::now() + PROGRESS_LINES;
             note(words());
         }
     }

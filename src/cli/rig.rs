@@ -250,7 +250,7 @@ pub async fn until_rig(
     wanted: impl Fn(&StatusView) -> bool,
 ) -> Result<StatusView, CliError> {
     let asked = Instant::now();
-    let _shown = Working::at_terminal(&format!("rig: {what}"));
+    let _shown = Working::on(&format!("rig: {what}"));
     loop {
         let status = client.status().await?;
         if status.rig.state == RigState::Tripped && status.rig.trip.is_some() {

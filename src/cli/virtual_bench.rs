@@ -16,7 +16,7 @@ use super::error::CliError;
 use super::files::{RigFiles, write};
 use super::key::KEY_VARIABLE;
 use super::output::Output;
-use super::progress::spinner;
+use super::progress::Working;
 use crate::api::LockFile;
 use crate::new_file;
 use crate::rig::config::RigLabel;
@@ -90,9 +90,10 @@ impl VirtualBench {
         let mut child = start("virtual rig", &mut command, &log, Stdio::piped())?;
         let stdout = child.stdout.take().ok_or_else(|| failed("virtual rig", "no pipe", &log))?;
         let mut stdout = BufReader::new(stdout);
-        let spinner = spinner(options.output, "virtual rig: solving the skin's responses (once)");
+        let solving = || Working::on("virtual rig: solving the skin's responses (once)");
+        let shown = (options.output == Output::Text).then(solving);
         let ready = ready_line(&mut stdout, &log).await;
-        spinner.finish_and_clear();
+        drop(shown);
         // A child cannot write why it ended on a full disk.
         let control = ready.map_err(|error| disk_full(&folder).unwrap_or(error))?.control;
         let text = std::fs::read_to_string(&served)

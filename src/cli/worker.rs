@@ -8,8 +8,7 @@ use std::process::{Command, ExitCode};
 use clap::Args;
 
 use super::error::CliError;
-use super::output::Output;
-use super::progress::spinner;
+use super::progress::Working;
 use crate::api::WORKER;
 
 /// Variable by which the worker finds this program, which makes the bytes of a chunk.
@@ -29,9 +28,9 @@ pub struct WorkerArgs {
 /// # Errors
 /// `CliError` if there is no such program, and it cannot be built or started.
 pub async fn worker(args: WorkerArgs) -> Result<ExitCode, CliError> {
-    let shown = spinner(Output::Text, "building the worker: once, some minutes");
-    let found = WORKER.path(|line| shown.set_message(line.to_owned()), || false).await;
-    shown.finish_and_clear();
+    let shown = Working::on("building the worker: once, some minutes");
+    let found = WORKER.path(|line| shown.step(line), || false).await;
+    drop(shown);
     // A path is absent only if a build was stopped, which nothing requests here.
     let program = found?.ok_or_else(|| WORKER.missing())?;
     let mut command = Command::new(&program);

@@ -37,7 +37,7 @@ pub enum SimulateCommand {
     Random(random::RandomArgs),
 }
 
-/// The model of a skin, with a sign of life on a terminal: a skin that is not in the cache is solved first.
+/// The model of a skin, with a sign of life: a skin that is not in the cache is solved first.
 ///
 /// # Errors
 /// As [`load_or_build`].
@@ -49,9 +49,9 @@ pub fn solved(
     load_or_build(sensor, cache)
 }
 
-/// A sign of life on a terminal while the responses of a skin are read or solved.
+/// A sign of life while the responses of a skin are read or solved.
 pub fn solving() -> Working {
-    Working::at_terminal("the skin's responses (solved once, then cached)")
+    Working::on("the skin's responses (solved once, then cached)")
 }
 
 /// Runs `palpate simulate`.

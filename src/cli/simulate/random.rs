@@ -109,7 +109,7 @@ impl Screen {
         Self {
             lines: LogLines::instead_of(&bar),
             bar,
-            verifying: args.verify.then(|| Working::at_terminal("reading the existing shards")),
+            verifying: args.verify.then(|| Working::on("reading the existing shards")),
             json: args.json,
             trials: args.request.trials,
             found: 0,
