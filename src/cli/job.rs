@@ -16,9 +16,12 @@ use super::start_time::local;
 use super::table::{Align, Table};
 use super::{At, embed, job_losses};
 use crate::api::JobOut;
+use crate::ids::TaskId;
 use crate::jobs::Progress;
 use crate::store::TaskState;
 
+/// Shortest start of an id, characters.
+const START_MIN: usize = 4;
 /// Interval of polling a job's progress.
 pub const JOB_POLL: Duration = Duration::from_millis(250);
 
@@ -132,7 +135,7 @@ enum JobWhat {
 
 #[derive(Debug, Args)]
 struct OneJob {
-    /// Id of the job.
+    /// Job: its number in `job list`, `last`, or its id, of which the start is enough if it is unique.
     job: String,
     #[command(flatten)]
     at: At,
@@ -169,19 +172,21 @@ pub async fn job(args: JobArgs) -> Result<(), CliError> {
                 }
             }
             JobWhat::Show(one) => {
-                let job: JobOut = client.get(&format!("/api/v1/jobs/{}", one.job)).await?;
+                let id = named(&client, &one.job).await?;
+                let job: JobOut = client.get(&format!("/api/v1/jobs/{id}")).await?;
                 say_json(&job);
             }
             JobWhat::Stop(one) => {
-                let path = format!("/api/v1/jobs/{}/stop", one.job);
+                let path = format!("/api/v1/jobs/{}/stop", named(&client, &one.job).await?);
                 let job: JobOut = client.post(&path, &Value::Null).await?;
                 shown(&job, one.at.output());
             }
             JobWhat::Losses(JobLosses { plot: None, one }) => {
-                say(job_losses::losses(&client, &one.job).await?.trim_end());
+                let id = named(&client, &one.job).await?;
+                say(job_losses::losses(&client, &id).await?.trim_end());
             }
             JobWhat::Losses(JobLosses { plot: Some(file), one }) => {
-                job_losses::draw(&client, &one.job, &file).await?;
+                job_losses::draw(&client, &named(&client, &one.job).await?, &file).await?;
             }
         }
         Ok(())
@@ -189,8 +194,43 @@ pub async fn job(args: JobArgs) -> Result<(), CliError> {
     .await
 }
 
+/// Returns the id of the job that a person named; what names none as it is, for the service to refuse.
+async fn named(client: &Client, text: &str) -> Result<String, CliError> {
+    if matches!(text.parse(), Ok(TaskId::Job(_))) {
+        return Ok(text.to_owned());
+    }
+    let jobs: Vec<JobOut> = client.all("/api/v1/jobs?").await?;
+    let ids: Vec<String> = jobs.iter().map(|job| job.id.to_string()).collect();
+    match meant(&ids, text)[..] {
+        [] => Ok(text.to_owned()),
+        [id] => Ok(id.to_owned()),
+        [..] => {
+            let limit = "several jobs begin like this: palpate job list shows their numbers";
+            Err(CliError::argument("JOB", text, limit))
+        }
+    }
+}
+
+/// The ids that a text may mean, of those of all jobs, the newest first: by number, from 1 for the oldest, `last`, or
+/// the start of the id.
+fn meant<'a>(newest_first: &'a [String], text: &str) -> Vec<&'a str> {
+    let place = match text.parse::<usize>() {
+        Ok(number) if number > 0 => newest_first.len().checked_sub(number),
+        _ => (text == "last").then_some(0),
+    };
+    if let Some(id) = place.and_then(|place| newest_first.get(place)) {
+        return vec![id.as_str()];
+    }
+    let is_meant = |id: &&str| {
+        let uuid = id.strip_prefix("job-").unwrap_or(id);
+        text.len() >= START_MIN && (id.starts_with(text) || uuid.starts_with(text))
+    };
+    newest_first.iter().map(String::as_str).filter(is_meant).collect()
+}
+
 fn table(jobs: &[JobOut]) -> Table {
     let heads = [
+        ("number", Align::Right),
         ("job", Align::Left),
         ("state", Align::Left),
         ("requested", Align::Left),
@@ -198,7 +238,10 @@ fn table(jobs: &[JobOut]) -> Table {
         ("", Align::Left),
     ];
     let mut table = Table::new(&heads, "there are no jobs: palpate train RECIPE");
-    jobs.iter().for_each(|job| table.push(cells(job)));
+    for (place, job) in jobs.iter().enumerate() {
+        let number = (jobs.len() - place).to_string();
+        table.push([number].into_iter().chain(cells(job)));
+    }
     table
 }
 
@@ -221,4 +264,28 @@ pub fn shown(job: &JobOut, output: Output) {
     }
     let cells = cells(job).into_iter().filter(|cell| !cell.is_empty());
     say(cells.collect::<Vec<_>>().join("  "));
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_job_is_named_by_its_number_last_or_the_start_of_its_id() {
+        let ids = ["job-0192ab", "job-0192aa", "job-0191ff"].map(str::to_owned);
+        for (text, wanted) in [
+            ("1", &["job-0191ff"][..]),
+            ("3", &["job-0192ab"]),
+            ("last", &["job-0192ab"]),
+            ("0191", &["job-0191ff"]),
+            ("job-0192aa", &["job-0192aa"]),
+            ("0192", &["job-0192ab", "job-0192aa"]),
+            ("4", &[]),
+            ("0", &[]),
+            ("019", &[]),
+        ] {
+            assert_eq!(meant(&ids, text), wanted, "{text}");
+        }
+        assert!(meant(&[], "last").is_empty());
+    }
 }

@@ -9,8 +9,6 @@ use serde_json::json;
 use super::datasets::filled::Filled;
 use super::support::{self, Folder};
 
-mod commands;
-
 const DESCRIPTION: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/openapi.yaml");
 
 async fn admin_key(lab: &Filled) -> String {
