@@ -13,6 +13,7 @@ use tokio::time::Instant;
 use super::client::Client;
 use super::error::CliError;
 use super::key::key;
+use super::morning::find_run;
 use super::output::{Output, counted, duration, note, say, say_json};
 use super::view::{RunView, StatusView};
 use super::{At, embed, workers};
@@ -52,7 +53,7 @@ pub struct PauseArgs {
 /// Options of `abort`.
 #[derive(Debug, Clone, Args)]
 pub struct AbortArgs {
-    /// Number or uid of the run; without it the active one.
+    /// Run: number, start of the id, or `last`; without it the active one.
     pub run: Option<String>,
     /// Options of every request.
     #[command(flatten)]
@@ -153,7 +154,7 @@ pub async fn pause(args: &PauseArgs) -> Result<(), CliError> {
 pub async fn abort(args: &AbortArgs) -> Result<(), CliError> {
     let Some(run) = &args.run else { return act(&args.act, "abort", json!({})).await };
     let client = embed::server(&args.act.at).await?;
-    let run = client.run(run).await?;
+    let run = find_run(&client, run).await?;
     request(&client, (run.uid, run.scan_id), &args.act, "abort", json!({})).await
 }
 

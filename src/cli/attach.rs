@@ -11,6 +11,7 @@ use super::begin::last_event;
 use super::client::Client;
 use super::error::CliError;
 use super::follow::{Follower, Left, Watch};
+use super::morning::find_run;
 use super::next::Next;
 use super::output::{Output, say, say_json};
 use super::signals::Signals;
@@ -26,7 +27,7 @@ const TWINS_STALLED: Duration = Duration::from_secs(30);
 /// Options of `attach`.
 #[derive(Debug, Clone, Args)]
 pub struct AttachArgs {
-    /// Number or uid of the run; without it the active one.
+    /// Run: number, start of the id, or `last`; without it the active one.
     pub run: Option<String>,
     /// Abort when the run has waited for a person for this duration, s [default: wait].
     #[arg(long, value_name = "SECONDS")]
@@ -43,7 +44,7 @@ pub struct AttachArgs {
 pub async fn attach(args: AttachArgs) -> Result<ExitCode, CliError> {
     let client = embed::server(&args.at).await?;
     let run = match &args.run {
-        Some(run) => client.run(run).await?,
+        Some(run) => find_run(&client, run).await?,
         None => {
             let active = client.status().await?.run.ok_or(CliError::Idle)?;
             client.run(active.uid).await?

@@ -11,6 +11,7 @@ use super::ask::{ActArgs, request};
 use super::client::Client;
 use super::embed;
 use super::error::CliError;
+use super::morning::find_run;
 use super::next::Next;
 use super::output::{self, say};
 use super::rig::until_rig;
@@ -37,8 +38,8 @@ pub struct MotionArgs {
 /// Options of `resume`.
 #[derive(Debug, Clone, Args)]
 pub struct ResumeArgs {
-    /// Number or uid of a run that was stopped or interrupted; without it the paused run, or else the last
-    /// one that can be resumed.
+    /// A run that was stopped or interrupted: number, start of the id, or `last`; without it the paused run, or
+    /// else the last one that can be resumed.
     pub run: Option<String>,
     /// Confirmation of the motion.
     #[command(flatten)]
@@ -57,7 +58,7 @@ pub async fn resume(args: &ResumeArgs) -> Result<(), CliError> {
     let client = embed::server(&args.act.at).await?;
     let active = client.status().await?.run;
     let named = match &args.run {
-        Some(run) => Some(client.run(run).await?),
+        Some(run) => Some(find_run(&client, run).await?),
         None if active.is_some() => None,
         None => Some(client.find_run(goes_on).await?.ok_or(CliError::NothingToResume)?),
     };

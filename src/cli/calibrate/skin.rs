@@ -17,6 +17,7 @@ use sim_core::sensor::Sensor;
 use super::super::client::Client;
 use super::super::error::CliError;
 use super::super::files::{calibration_problem, parse_calibration, write};
+use super::super::morning::find_run;
 use super::super::output::{counted, say, say_json};
 use super::super::picture;
 use super::super::progress::{LogLines, progress_bar};
@@ -42,7 +43,7 @@ const FIT_THREADS_MAX: usize = 8;
 /// Options of `calibrate skin`.
 #[derive(Debug, Clone, Args)]
 pub struct SkinArgs {
-    /// Id of the run: uid or scan_id.
+    /// Run: number, start of the id, or `last`.
     #[arg(long, value_name = "RUN")]
     run: String,
     /// Largest number of trials to fit; a quarter of that number is held out in addition.
@@ -75,7 +76,7 @@ pub async fn skin(args: SkinArgs) -> Result<ExitCode, CliError> {
 }
 
 async fn fit_run(client: Client, args: SkinArgs) -> Result<(), CliError> {
-    let run = client.run(&args.run).await?;
+    let run = find_run(&client, &args.run).await?;
     let (sensor, earlier) = start(&run, &args)?;
     let candidates = candidates(&client.showing("reading the trials"), &run).await?;
     let least_n = if run.kind == RunKind::RealHex { run.deadband_n } else { 0.0 };

@@ -10,7 +10,7 @@ use serde_json::{Value, json};
 use super::write_all;
 use crate::cli::client::Client;
 use crate::cli::error::CliError;
-use crate::cli::morning::{TrialFacts, all_trials};
+use crate::cli::morning::{TrialFacts, all_trials, find_run};
 use crate::cli::next::Next;
 use crate::cli::output::{counted, say, say_json};
 use crate::cli::picture::Pictures;
@@ -27,7 +27,7 @@ const STALLED: Duration = Duration::from_secs(120);
 /// Options of `evaluate simulation`.
 #[derive(Debug, Args)]
 pub struct SimulationArgs {
-    /// Id of the run: uid or scan_id [default: the run of the newest trial].
+    /// Run: number, start of the id, or `last` [default: the run of the newest trial].
     #[arg(long, value_name = "RUN")]
     run: Option<String>,
     /// Folder for numbers, tables and figures.
@@ -49,7 +49,7 @@ pub async fn simulation(args: SimulationArgs) -> Result<(), CliError> {
 }
 
 async fn report(client: Client, args: SimulationArgs) -> Result<(), CliError> {
-    let run = client.run(run_of(&client, args.run).await?).await?;
+    let run = find_run(&client, &run_of(&client, args.run).await?).await?;
     let count = wait_for_twins(&client, run.uid, STALLED).await?;
     let path = format!("/api/v1/runs/{}/evaluation/simulation", run.uid);
     let report: SimulationReport = client.showing("scoring the twins").get(&path).await?;

@@ -206,10 +206,7 @@ pub const EXAMPLES: &[(&str, &[&str])] = &[
     ("job list", &["palpate job list"]),
     ("job show", &["palpate job show last", "palpate job show 3"]),
     ("job stop", &["palpate job stop last"]),
-    (
-        "job losses",
-        &["palpate job losses last", "palpate job losses 3 --plot losses.svg"],
-    ),
+    ("job losses", &["palpate job losses last", "palpate job losses 3 --plot losses.svg"]),
     ("model", &["palpate model list", "palpate model promote transfer-net"]),
     ("model list", &["palpate model list"]),
     ("model show", &["palpate model show transfer-net"]),
