@@ -70,8 +70,8 @@ impl Working {
         }
     }
 
-    /// Names the work on a terminal, and nowhere else.
-    pub fn at_terminal(words: &str) -> Self {
+    /// A spinner with the time since it began.
+    fn at_terminal(words: &str) -> Self {
         let style = ProgressStyle::with_template("{spinner} {msg}, {elapsed}");
         let style = style.unwrap_or_else(|_| ProgressStyle::default_spinner());
         let bar = ProgressBar::new_spinner().with_style(style).with_message(words.to_owned());

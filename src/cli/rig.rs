@@ -281,7 +281,7 @@ async fn check_file(
         signals.next().await;
         pressed.latch();
     });
-    let shown = Working::at_terminal(CHECKING);
+    let shown = Working::on(CHECKING);
     let report = check::run_on(&rig.config, &latch, scope).await;
     drop(shown);
     stop.abort();
@@ -298,7 +298,7 @@ async fn check_file(
 async fn check_server(at: &At, enable: bool) -> Result<ExitCode, CliError> {
     let client = embed::server(at).await?;
     let asked = json!({ "enable": enable, "who": client.who() });
-    let shown = Working::at_terminal(CHECKING);
+    let shown = Working::on(CHECKING);
     let report: Value = client.post("/api/v1/rig/check", &asked).await?;
     drop(shown);
     if at.json {

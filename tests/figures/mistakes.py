@@ -1,7 +1,7 @@
 """Answers of an earlier program to the mistakes of tests/it/mistakes, next to those of today.
 
     git worktree add ../before def6f5f && cd ../before
-    cargo build --no-default-features --bin palpate     # the version that the review tried: some 20 minutes
+    cargo build --no-default-features --bin palpate     # the version that the review tried: about 20 minutes
     cd - && python3 tests/figures/mistakes.py ../before PALPATE_OF_BEFORE FULL.txt > TABLE.md
 
 Runs each line of files.txt and commands.txt in a folder with the experiments of the earlier checkout, writes whole
