@@ -83,12 +83,14 @@ impl Working {
     fn in_lines(words: &str, begin: Instant, mut wait: Duration) -> Self {
         let (lines, ended) = mpsc::channel();
         let words = words.to_owned();
-        std::thread::spawn(move || {
+        let print = move || {
             while ended.recv_timeout(wait) == Err(RecvTimeoutError::Timeout) {
                 note(format_args!("{words} .. {} s", begin.elapsed().as_secs()));
                 wait = PROGRESS_LINES;
             }
-        });
+        };
+        // Without a thread the work is done all the same.
+        drop(std::thread::Builder::new().name("progress".into()).spawn(print));
         Self { bar: ProgressBar::hidden(), _lines: Some(lines) }
     }
 
