@@ -7,7 +7,7 @@ use std::fmt;
 use std::sync::Arc;
 
 use async_trait::async_trait;
-use tokio::sync::watch;
+use tokio::sync::broadcast;
 use tokio::time::Instant;
 
 use super::config::Guard;
@@ -199,8 +199,8 @@ pub struct StreamCounters {
 pub trait SkinReader: Send + Sync {
     /// Newest frame, for the age check; none before the first.
     fn latest(&self) -> Option<Arc<Frame>>;
-    /// Subscribes to the newest frame, for a live view.
-    fn follow(&self) -> watch::Receiver<Option<Arc<Frame>>>;
+    /// Subscribes to all frames from now on, for live views; a slow receiver loses frames.
+    fn follow(&self) -> broadcast::Receiver<Arc<Frame>>;
     /// Returns the counters.
     fn counters(&self) -> StreamCounters;
     /// Takes `count` complete frames whose first sample was taken after `not_before`. Buffered

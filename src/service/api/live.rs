@@ -1,5 +1,6 @@
-//! Live frames over a WebSocket: always the newest, as fast as the client receives them.
-//! Uses: the campaign's newest frame. Never: a queue (a slow client misses frames).
+//! Live frames over a WebSocket, and which frames a live client is sent: each in its order, or the newest ones if the
+//! client is slower than the stream.
+//! Uses: the campaign's frames. Never: a wait of the rig (a slow client misses frames).
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -7,7 +8,8 @@ use std::time::Duration;
 use axum::extract::ws::{Message, WebSocket};
 use axum::response::Response;
 use serde::Serialize;
-use tokio::sync::watch::Receiver;
+use tokio::sync::broadcast::error::{RecvError, TryRecvError};
+use tokio::sync::{broadcast, watch};
 use tokio::time::{Instant, sleep_until};
 use utoipa::ToSchema;
 
@@ -18,9 +20,11 @@ use super::socket::{LiveClient, is_sent};
 use crate::campaign::bench::stuck::StuckChannels;
 use crate::rig::traits::Frame;
 
-/// Shortest time between two frames to one client. Less than the 33.3 ms of a board's frame, so that a
+/// Shortest mean time between two frames to one client. Less than the 33.3 ms of a board's frame, so that a
 /// client that keeps up misses none of 30 per second.
-pub(super) const FRAME_INTERVAL: Duration = Duration::from_millis(30);
+const FRAME_INTERVAL: Duration = Duration::from_millis(30);
+/// Frames by which a client may be late and miss none: 0.13 s of a board, more than a busy machine delays a thread.
+const FRAMES_LATE: u32 = 4;
 /// Number of equal counts after which a channel is shown as stuck: 2 s. In trials fewer suffice, because
 /// the skin is pressed in between; here it may be at rest, and a quiet channel repeats a count by chance.
 pub(super) const STUCK_FRAMES: u32 = 60;
@@ -54,38 +58,93 @@ pub async fn frames(client: LiveClient) -> Result<Response, ApiError> {
 }
 
 async fn send(app: App, mut socket: WebSocket) {
-    let mut frames = app.campaign.watch_frames();
-    let mut ending = app.facts.ending.clone();
+    let mut frames = LiveFrames::of(&app);
     let mut channels = StuckChannels::default();
-    while let Some(frame) = next_frame(&mut frames, &mut ending, &mut socket).await {
-        let next = Instant::now() + FRAME_INTERVAL;
+    while let Some(frame) = frames.next(&mut socket).await {
         let Ok(text) = serde_json::to_string(&shown(&frame, &mut channels)) else { return };
         if !is_sent(&mut socket, text.into()).await {
             return;
         }
-        sleep_until(next).await;
     }
 }
 
-/// Waits for the next frame of the stream. It is absent if the client closes the socket, or if the campaign or the
-/// service ends.
-pub(super) async fn next_frame(
-    frames: &mut Receiver<Option<Arc<Frame>>>,
-    ending: &mut Receiver<bool>,
-    socket: &mut WebSocket,
-) -> Option<Arc<Frame>> {
-    loop {
-        tokio::select! {
-            changed = frames.changed() => changed.ok()?,
-            _ = ending.wait_for(|e| *e) => return None,
-            message = socket.recv() => match message {
-                Some(Ok(Message::Close(_)) | Err(_)) | None => return None,
-                Some(Ok(_)) => continue,
-            },
+/// The frames of the stream for one client.
+pub(super) struct LiveFrames {
+    frames: InTurn,
+    ending: watch::Receiver<bool>,
+    /// When the next frame may be taken.
+    due: Instant,
+}
+
+impl LiveFrames {
+    /// The frames from now on.
+    pub(super) fn of(app: &App) -> Self {
+        let frames = InTurn { each: app.campaign.follow_frames(), hurried: 0 };
+        Self { frames, ending: app.facts.ending.clone(), due: Instant::now() }
+    }
+
+    /// Waits for the next frame. It is absent if the client closes the socket, or if the campaign or the service ends.
+    pub(super) async fn next(&mut self, socket: &mut WebSocket) -> Option<Arc<Frame>> {
+        sleep_until(self.due).await;
+        let frame = loop {
+            tokio::select! {
+                frame = self.frames.next() => break frame?,
+                _ = self.ending.wait_for(|e| *e) => return None,
+                message = socket.recv() => match message {
+                    Some(Ok(Message::Close(_)) | Err(_)) | None => return None,
+                    Some(Ok(_)) => {}
+                },
+            }
+        };
+        self.due = due_after(self.due, Instant::now());
+        Some(frame)
+    }
+}
+
+/// When the frame after one that is taken `now`, and was due, is due: the mean time between two is `FRAME_INTERVAL`,
+/// and what was delayed may follow without a rest.
+fn due_after(due: Instant, now: Instant) -> Instant {
+    let earliest = now.checked_sub(FRAMES_LATE * FRAME_INTERVAL).unwrap_or(due);
+    due.max(earliest) + FRAME_INTERVAL
+}
+
+/// Each frame in its order while its taker keeps up, else the newest ones.
+struct InTurn {
+    each: broadcast::Receiver<Arc<Frame>>,
+    /// Frames that had already arrived when they were taken, one after the other.
+    hurried: u32,
+}
+
+impl InTurn {
+    /// Waits for the next frame; `None` if none comes any more. It may be cancelled.
+    async fn next(&mut self) -> Option<Arc<Frame>> {
+        if let Some(mut frame) = self.arrived() {
+            self.hurried = self.hurried.saturating_add(1);
+            if self.hurried > FRAMES_LATE {
+                frame = std::iter::from_fn(|| self.arrived()).last().unwrap_or(frame);
+            }
+            return Some(frame);
         }
-        let frame = frames.borrow_and_update().clone();
-        if frame.is_some() {
-            return frame;
+        loop {
+            match self.each.recv().await {
+                Ok(frame) => {
+                    self.hurried = 0;
+                    return Some(frame);
+                }
+                Err(RecvError::Lagged(_)) => {}
+                Err(RecvError::Closed) => return None,
+            }
+        }
+    }
+
+    /// The oldest frame that has arrived and is not taken.
+    fn arrived(&mut self) -> Option<Arc<Frame>> {
+        loop {
+            match self.each.try_recv() {
+                Ok(frame) => return Some(frame),
+                Err(TryRecvError::Lagged(_)) => {}
+                Err(TryRecvError::Empty | TryRecvError::Closed) => return None,
+            }
         }
     }
 }
@@ -99,5 +158,58 @@ fn shown(frame: &Frame, channels: &mut StuckChannels) -> LiveFrame {
         device_time_us: frame.device_time_us,
         largest_injection_sum_v: frame.largest_injection_sum_v(),
         voltages_v: frame.voltages_v(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn frame(sequence: u32) -> Arc<Frame> {
+        let (device_time_us, volts_per_count, counts) = (0, 1e-3, vec![0; 4]);
+        let received = Instant::now();
+        Arc::new(Frame { sequence, device_time_us, volts_per_count, counts, received })
+    }
+
+    #[tokio::test]
+    async fn a_delayed_client_misses_no_frame_and_a_slow_one_is_sent_the_newest() {
+        let (stream, each) = broadcast::channel(64);
+        let mut frames = InTurn { each, hurried: 0 };
+        let send = |sequences: std::ops::Range<u32>| {
+            for sequence in sequences {
+                stream.send(frame(sequence)).unwrap();
+            }
+        };
+        send(0..FRAMES_LATE + 10);
+        for wanted in 0..FRAMES_LATE {
+            assert_eq!(frames.next().await.unwrap().sequence, wanted);
+        }
+        assert_eq!(frames.next().await.unwrap().sequence, FRAMES_LATE + 9);
+        // Still slower than the stream: only the newest.
+        send(20..23);
+        assert_eq!(frames.next().await.unwrap().sequence, 22);
+        // A frame that is awaited: it keeps up again.
+        let (awaited, ()) = tokio::join!(frames.next(), async { send(23..24) });
+        assert_eq!(awaited.unwrap().sequence, 23);
+        send(24..26);
+        assert_eq!(frames.next().await.unwrap().sequence, 24);
+        assert_eq!(frames.next().await.unwrap().sequence, 25);
+        drop(stream);
+        assert!(frames.next().await.is_none());
+    }
+
+    #[test]
+    fn a_delay_is_made_up_without_a_rest_and_the_mean_rate_has_a_limit() {
+        let start = Instant::now();
+        // The rest of a client that was never late is an interval.
+        assert_eq!(due_after(start, start), start + FRAME_INTERVAL);
+        // One that took no frame for a minute may take a few at once, no more.
+        let now = start + Duration::from_secs(60);
+        let (mut due, mut taken) = (start, 0);
+        while due <= now {
+            due = due_after(due, now);
+            taken += 1;
+        }
+        assert_eq!(taken, FRAMES_LATE + 1);
     }
 }

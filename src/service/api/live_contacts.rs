@@ -1,18 +1,16 @@
-//! Contacts of the rig's live frames, and how live clients follow the newest frame.
-//! Uses: `infer::serving`, the campaign's newest frame. Never: a queue of frames, a delay of the
-//! rig.
+//! Contacts of the rig's live frames, and how live clients follow what serves.
+//! Uses: `infer::serving`, the frames of `live`. Never: a delay of the rig.
 
 use axum::extract::ws::WebSocket;
 use axum::http::StatusCode;
 use axum::response::Response;
 use serde::{Deserialize, Serialize};
-use tokio::time::{Instant, sleep_until};
 use utoipa::{IntoParams, ToSchema};
 
 use super::App;
 use super::infer::FrameAnswer;
 use super::limits::LIVE_CLIENTS;
-use super::live::{FRAME_INTERVAL, next_frame};
+use super::live::LiveFrames;
 use super::problem::{ApiError, Params, ProblemBody};
 use super::socket::{LiveClient, is_sent};
 use crate::clock::Clock;
@@ -54,7 +52,8 @@ pub struct LiveAnswer {
 
 /// Streams the contacts of the rig's live frames as JSON messages over a WebSocket.
 ///
-/// At most 33 messages per second. A slow client misses frames; nothing waits for it.
+/// At most 33 messages per second on average. A client that is late by at most four frames misses none, a slow one
+/// misses frames; nothing waits for it.
 #[utoipa::path(get, operation_id = "live_contacts",
     path = "/api/v1/live", tag = "infer", params(LiveParams),
     responses((status = 101, description = "WebSocket whose messages are LiveAnswer", body = LiveAnswer),
@@ -89,16 +88,15 @@ pub async fn live(
     })
 }
 
-/// Sends what `answer` makes of the newest frame, as JSON, one after the other, until the client leaves.
+/// Sends what `answer` makes of the frames, as JSON, one after the other, until the client leaves.
 pub(super) async fn follow<T: Serialize + Send + 'static>(
     app: App,
     mut socket: WebSocket,
     mut answer: impl FnMut(&Pipeline, &Frame) -> Result<T, InferError> + Send + 'static,
 ) {
-    let mut frames = app.campaign.watch_frames();
-    let mut ending = app.facts.ending.clone();
-    while let Some(frame) = next_frame(&mut frames, &mut ending, &mut socket).await {
-        let (next, sequence) = (Instant::now() + FRAME_INTERVAL, frame.sequence);
+    let mut frames = LiveFrames::of(&app);
+    while let Some(frame) = frames.next(&mut socket).await {
+        let sequence = frame.sequence;
         let pipeline = app.serving.current();
         let work = move || {
             let answered = answer(&pipeline, &frame);
@@ -116,6 +114,5 @@ pub(super) async fn follow<T: Serialize + Send + 'static>(
         if !is_sent(&mut socket, text.into()).await {
             return;
         }
-        sleep_until(next).await;
     }
 }

@@ -77,8 +77,8 @@ pub struct LiveQuantities {
 
 /// Streams the quantities of the rig's live frames as JSON messages over a WebSocket.
 ///
-/// All promoted nets of a position, pattern, count or force answer. At most 33 messages per second. A slow
-/// client misses frames; nothing waits for it.
+/// All promoted nets of a position, pattern, count or force answer. At most 33 messages per second on average. A
+/// client that is late by at most four frames misses none, a slow one misses frames; nothing waits for it.
 #[utoipa::path(get, operation_id = "live_quantities",
     path = "/api/v1/live/quantities", tag = "infer",
     params(("ticket" = Option<String>, Query,

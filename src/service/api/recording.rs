@@ -1,5 +1,5 @@
 //! Recordings: the frames of the stream from the request on, as rows in a format of datasets.
-//! Uses: the campaign's newest frame, `dataset::format`. Never: a file of the service, a frame without its label.
+//! Uses: the campaign's frames, `dataset::format`. Never: a file of the service, a frame without its label.
 
 use std::io;
 use std::sync::Arc;
@@ -17,7 +17,8 @@ use axum::response::Response;
 use jiff::Timestamp;
 use serde::Deserialize;
 use tokio::sync::OwnedSemaphorePermit;
-use tokio::sync::watch::Receiver;
+use tokio::sync::broadcast::error::RecvError;
+use tokio::sync::{broadcast, watch};
 use tokio::time::timeout;
 use utoipa::IntoParams;
 
@@ -90,9 +91,7 @@ pub async fn record(
     let schema = schema(app.serving.sensor().channels() as i32);
     let piece = Piece::default();
     let stream = Stream::new(format, &schema, piece.clone()).map_err(DatasetError::from)?;
-    let mut source = app.campaign.watch_frames();
-    // What came before the request is not recorded.
-    source.mark_unchanged();
+    let source = app.campaign.follow_frames();
     let ending = app.facts.ending.clone();
     let recording = Recording {
         source,
@@ -122,8 +121,8 @@ type Taken = (Timestamp, Arc<Frame>);
 
 /// A recording in progress.
 struct Recording {
-    source: Receiver<Option<Arc<Frame>>>,
-    ending: Receiver<bool>,
+    source: broadcast::Receiver<Arc<Frame>>,
+    ending: watch::Receiver<bool>,
     label: &'static str,
     schema: SchemaRef,
     stream: Stream<'static, Piece>,
@@ -168,14 +167,18 @@ impl Recording {
     /// Waits for the next frame; none if none comes, or if the service ends.
     async fn next_frame(&mut self) -> Option<Taken> {
         loop {
-            tokio::select! {
-                changed = timeout(SILENT, self.source.changed()) => changed.ok()?.ok()?,
+            let frame = tokio::select! {
+                frame = timeout(SILENT, self.source.recv()) => frame.ok()?,
                 _ = self.ending.wait_for(|ends| *ends) => return None,
-            }
-            let frame = self.source.borrow_and_update().clone();
-            if let Some(frame) = frame {
-                let at = Timestamp::now();
-                return Some((at.checked_sub(frame.received.elapsed()).unwrap_or(at), frame));
+            };
+            match frame {
+                Ok(frame) => {
+                    let at = Timestamp::now();
+                    return Some((at.checked_sub(frame.received.elapsed()).unwrap_or(at), frame));
+                }
+                // Its gap is found in the sequences.
+                Err(RecvError::Lagged(_)) => {}
+                Err(RecvError::Closed) => return None,
             }
         }
     }
@@ -273,8 +276,8 @@ mod tests {
 
     #[tokio::test]
     async fn a_recording_whose_frames_stop_ends_with_an_error() {
-        let (frames, source) = tokio::sync::watch::channel(None);
-        let (_ending, ending) = tokio::sync::watch::channel(false);
+        let (frames, source) = broadcast::channel(1);
+        let (_ending, ending) = watch::channel(false);
         let (schema, piece) = (schema(1), Piece::default());
         let recording = Recording {
             source,
@@ -287,7 +290,7 @@ mod tests {
             is_cut: false,
             _place: Arc::new(tokio::sync::Semaphore::new(1)).try_acquire_owned().unwrap(),
         };
-        frames.send_replace(Some(taken(1, vec![1]).1));
+        frames.send(taken(1, vec![1]).1).unwrap();
         drop(frames);
         let (first, recording) = recording.next_piece().await;
         assert!(String::from_utf8(first.unwrap()).unwrap().contains("\"sequence\":1"));

@@ -9,7 +9,7 @@ use async_trait::async_trait;
 use jiff::Timestamp;
 use parking_lot::Mutex;
 use serde_json::Value;
-use tokio::sync::watch;
+use tokio::sync::broadcast;
 use tokio::time::Instant;
 
 use crate::campaign::bench::stage::Stage;
@@ -168,8 +168,8 @@ impl SkinReader for Skin {
         None
     }
 
-    fn follow(&self) -> watch::Receiver<Option<Arc<Frame>>> {
-        watch::channel(None).1
+    fn follow(&self) -> broadcast::Receiver<Arc<Frame>> {
+        broadcast::channel(1).1
     }
 
     fn counters(&self) -> StreamCounters {

@@ -14,6 +14,7 @@ use tracing::Span;
 use crate::campaign::bench::estop::StopSwitch;
 use crate::campaign::run::job::Job;
 use crate::campaign::run::run_state::RunEvent;
+use crate::campaign::shown::frames::{FrameFeed, FrameViews, frames};
 use crate::campaign::shown::placement::Confirmation;
 use crate::campaign::shown::rig_action::RigAction;
 use crate::campaign::shown::run_action::{self, ActionOnRun};
@@ -212,7 +213,7 @@ impl Wires {
 pub struct Handle {
     requests: mpsc::Sender<Envelope>,
     status: watch::Receiver<Status>,
-    frames: watch::Receiver<Option<Arc<Frame>>>,
+    frames: FrameViews,
     samples: Samples,
     untouched: watch::Receiver<Option<Arc<Untouched>>>,
     estop: StopSwitch,
@@ -226,8 +227,8 @@ pub struct Inbox {
     pub requests: mpsc::Receiver<Envelope>,
     /// Channel for the status.
     pub status: watch::Sender<Status>,
-    /// Channel for the newest frame.
-    pub frames: watch::Sender<Option<Arc<Frame>>>,
+    /// Channel for the frames.
+    pub frames: FrameFeed,
     /// Channel for every sample of the load cells.
     pub samples: Samples,
     /// Channel for the untouched skin.
@@ -240,7 +241,7 @@ pub struct Inbox {
 pub fn channel(estop: StopSwitch, status: Status) -> (Handle, Inbox) {
     let (requests_tx, requests) = mpsc::channel(REQUESTS_WAITING);
     let (status_tx, status) = watch::channel(status);
-    let (frames_tx, frames) = watch::channel(None);
+    let (frames_tx, frames) = frames();
     let (untouched_tx, untouched) = watch::channel(None);
     let samples = Samples::default();
     let wires = Wires::default();
@@ -331,7 +332,12 @@ impl Handle {
 
     /// Subscribes to the newest frame; slow readers miss frames.
     pub fn watch_frames(&self) -> watch::Receiver<Option<Arc<Frame>>> {
-        self.frames.clone()
+        self.frames.newest()
+    }
+
+    /// Follows each frame from now on; slow readers miss frames.
+    pub fn follow_frames(&self) -> broadcast::Receiver<Arc<Frame>> {
+        self.frames.follow()
     }
 
     /// Follows every sample of the load cells; slow readers miss samples.

@@ -9,5 +9,6 @@ pub mod status;
 pub mod rig_action;
 pub mod run_action;
 pub mod samples;
+pub mod frames;
 pub mod show;
 pub mod command;

@@ -5,13 +5,15 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Duration;
 
-use tokio::sync::watch;
+use tokio::sync::broadcast;
+use tokio::sync::broadcast::error::RecvError;
 
 use crate::campaign::bench::rig_state::RigState;
 use crate::campaign::bench::stage::Stage;
 use crate::campaign::run::control::Control;
 use crate::campaign::run::eta::Pace;
 use crate::campaign::run::job::Job;
+use crate::campaign::shown::frames::FrameFeed;
 use crate::campaign::shown::status::{
     Phase, RigStatus, RunStatus, Status, StreamStatus, WireStatus,
 };
@@ -22,7 +24,7 @@ use crate::rig::traits::{Frame, SkinReader};
 use crate::schedule::plan::Kind;
 use crate::state::StoredState;
 
-/// Shortest time between two frames of the live view, wall: less than one frame period of a rig at
+/// Shortest time between two turns of the live views, wall: less than one frame period of a rig at
 /// speed 1.
 const FRAME_REST: Duration = Duration::from_millis(10);
 
@@ -157,14 +159,19 @@ fn wire(name: &str, counts: LineCounts) -> WireStatus {
     }
 }
 
-/// Forwards each new frame to the live view immediately; on a fast rig only some of them.
-pub async fn forward_frames(
-    mut newest: watch::Receiver<Option<Arc<Frame>>>,
-    frames: watch::Sender<Option<Arc<Frame>>>,
-) {
-    while newest.changed().await.is_ok() {
-        let frame = newest.borrow_and_update().clone();
-        frames.send_replace(frame);
+/// Forwards each new frame to the live views immediately; those of a fast rig, and those that a busy machine received
+/// together, in one turn.
+pub async fn forward_frames(mut stream: broadcast::Receiver<Arc<Frame>>, views: FrameFeed) {
+    loop {
+        let mut together = match stream.recv().await {
+            Ok(frame) => vec![frame],
+            Err(RecvError::Lagged(_)) => Vec::new(),
+            Err(RecvError::Closed) => return,
+        };
+        while let Ok(frame) = stream.try_recv() {
+            together.push(frame);
+        }
+        views.publish(together);
         tokio::time::sleep(FRAME_REST).await;
     }
 }

@@ -167,8 +167,8 @@ impl SkinReader for ErtStream {
         self.newest.borrow().clone()
     }
 
-    fn follow(&self) -> watch::Receiver<Option<Arc<Frame>>> {
-        self.newest.clone()
+    fn follow(&self) -> broadcast::Receiver<Arc<Frame>> {
+        self.subscribe()
     }
 
     fn counters(&self) -> StreamCounters {
