@@ -5,9 +5,10 @@ import { get, socket } from '../lib/api.js'
 import { changing } from '../lib/changing.js'
 import { chart } from '../lib/chart.js'
 import { el, fill, panel, say, select, sleep } from '../lib/dom.js'
-import { counted, fixed } from '../lib/format.js'
+import { count, countOf, counted, fixed } from '../lib/format.js'
 import { round125 } from '../lib/frame.js'
 import { live } from '../lib/live.js'
+import { missingOf } from '../lib/missing.js'
 import { quantityPart } from '../lib/quantities.js'
 import { recorder } from '../lib/recording.js'
 import { bestMethod, lacks, needWords, servingPart } from '../lib/serves.js'
@@ -39,7 +40,8 @@ export async function show(root, { query, signal, set }) {
   let state = query, serving = null, cut = null, open = '' // The socket and its method.
   let newest = null, answer = null, at = 0, asked = false // The newest message, and what was drawn of it.
   let listed = '', arrived = 0, drawings = 0, told = { arrived: 0, drawings: 0 }, since = performance.now(), rates = {}
-  const latencies = [], trace = { at: [], total: [], from: 0 }
+  let heard = null // Frame counter of the newest drawn answer, and how many had arrived with it.
+  const latencies = [], lost = missingOf(), trace = { at: [], total: [], from: 0 }
   const label = () => live.status?.rig.label
   const chosen = () => vocabulary.methods.find(one => one.name === state.method) ?? bestMethod(serving)
 
@@ -71,7 +73,8 @@ export async function show(root, { query, signal, set }) {
     if (wanted === open) return
     open = wanted
     cut?.abort()
-    answer = newest = null
+    answer = newest = heard = null
+    lost.clear()
     map.show(null)
     if (!wanted) return
     cut = new AbortController()
@@ -92,6 +95,7 @@ export async function show(root, { query, signal, set }) {
     const read = JSON.parse(newest)
     newest = null
     at = Date.now()
+    heard = { sequence: read.sequence, arrived }
     if (read.error) { answer = { ...read, contacts: [] } } else {
       numbered(read.contacts, answer?.contacts ?? [])
       answer = read
@@ -124,6 +128,7 @@ export async function show(root, { query, signal, set }) {
       const per = name => { const now = { arrived, drawings }[name]; return `${fixed((now - told[name]) / seconds, 0)} per s` }
       rates = { latency: latency == null || old ? '–' : fixed(latency / 1e3, 1, 'ms'), answers: per('arrived'), drawn: per('drawings') }
       told = { arrived, drawings }
+      if (heard && !old) lost.add({ ...heard, missed: live.status?.rig.stream.missed ?? 0 })
       Object.assign(page.dataset, { arrived, drawn: drawings }) // For those who count them.
       since = performance.now()
     }
@@ -132,6 +137,8 @@ export async function show(root, { query, signal, set }) {
       ['Contacts', answer ? String(answer.contacts.length) : '–'], ['Total force', fixed(sum, 1, 'N')],
       answer?.averaged != null && ['Averaged', counted(Math.round(answer.averaged), 'frame')],
       ['Latency', rates.latency], ['Answers', rates.answers], ['Drawn', rates.drawn],
+      // A rig that is faster than the clock sends more than anyone can look at.
+      live.status?.rig.clock_rate <= 1 && ['Missing, last minute', missingWords(lost.last())],
     ])
     lists.hidden = !answer
     const list = answer?.contacts.some(contact => contact.presence != null) ? proposed : placed
@@ -182,6 +189,13 @@ export async function show(root, { query, signal, set }) {
       tell()
     },
   }
+}
+
+/** How many frames are missing in the answers, and how many of them the service did not receive. */
+function missingWords(last) {
+  if (!last) return '–'
+  if (!last.missing) return 'none'
+  return `${countOf(last.missing, last.frames)} frames${last.unreceived ? `, ${count(last.unreceived)} not received from the rig` : ''}`
 }
 
 /** A value with its standard deviation, where there is one. */

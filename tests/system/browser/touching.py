@@ -24,6 +24,8 @@ def touch(page, _browser):
     # Answers come and are drawn; a net that was trained for seconds may detect nothing.
     for name in ("Answers", "Drawn"):
         expect(fact(page, name)).to_have_text(re.compile(r"^[1-9]\d* per s"))
+    # Two readings are a second apart.
+    expect(fact(page, "Missing, last minute")).to_have_text(re.compile(r"^(none|[\d,]+ of [\d,]+ frames)"))
     expect(fact(page, "Contacts")).to_have_text(re.compile(r"^[0-6]$"))
     expect(fact(page, "Sum of forces")).to_have_text(re.compile(r"\d\sN$"))
     expect(fact(page, "Position")).to_have_text(re.compile(r"\d\smm$"))
