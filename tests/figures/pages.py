@@ -46,13 +46,13 @@ PAINT_LIMIT_MS, MEMORY_LIMIT_MB, CLICK_LIMIT_MS, LOST_LIMIT_MS = 1000, 150, 100,
 FRAMES_LIMIT_PER_S = 29.5
 # By which dashboards may lengthen the gap between two trials, p99, ms: two quiet minutes differ as much.
 GAP_LIMIT_MS = 1.0
-# What a person clicks on each page: name, selector, and the value of a choice. A click whose element is
-# absent is not shown: the data decide.
+# What a person clicks on each page: name, selector, and the value of a choice, or the place as shares of the element.
+# A click whose element is absent is not shown: the data decide.
 CLICKS = {
     "night": [("colour by force", "select[aria-label='What the colours show']", "force"),
               ("all events", "select[aria-label='Which events']", "all"),
               ("predicted end", "select[aria-label='Second chart']", "end"),
-              ("a place of the skin", "canvas.skin", None)],
+              ("a place of the skin", "canvas.skin", (0.5, 0.5))],
     "plan": [("plan of the first choice", "main select", 1)],
     "runs": [("filter", "#state", 1), ("all", "#state", 0), ("open a run", "main tbody a", None),
              ("colour by FVU", "#colouring", "fvu"), ("all runs", "section.back a", None)],
@@ -60,7 +60,8 @@ CLICKS = {
                ("previous trial", "button:text-is('← Previous')", None), ("next trial", "button:text-is('Next →')", None),
                ("close it", "button:text-is('Close')", None)],
     "data": [("open a dataset", "main tbody a", None)],
-    "model": [("a contact on the skin", "canvas.skin", None)],
+    # Not in the middle, where there is a contact.
+    "model": [("another contact on the skin", "canvas.skin", (0.3, 0.3)), ("a contact that is there", "canvas.skin", (0.3, 0.3))],
     "nets": [("open a net", "main tbody a", None)],
     "live": [("scale of the colours", "select[aria-label='Force at the end of the colours']", "20")],
     "wear": [("first choice", "main select", 1)],
@@ -70,9 +71,12 @@ ITEMS = ["runs?run=1", "plan?run=1", "trials?trial=1000", "model?run=1"]
 # In the page: from an input to the first painted change of the document, and to the last answer of the service.
 WATCH = """
 globalThis.palpateClick = () => {
-  const all = { subtree: true, childList: true, attributes: true, characterData: true }
+  const all = { subtree: true, childList: true, attributes: true, attributeOldValue: true, characterData: true }
   let begun = 0, painted = 0, seen = null
-  const paint = () => { if (!painted) requestAnimationFrame(() => setTimeout(() => { painted ||= performance.now() })) }
+  // The bar follows the clock of the service; an attribute that is set to what it was changes nothing.
+  const isAnswer = ({ type, target, attributeName, oldValue }) => !(target.closest ? target : target.parentElement)?.closest('.bar')
+    && (type !== 'attributes' || target.getAttribute(attributeName) !== oldValue)
+  const paint = records => { if (!painted && records.some(isAnswer)) requestAnimationFrame(() => setTimeout(() => { painted ||= performance.now() })) }
   const begin = event => { if (!begun) { begun = event.timeStamp; seen = new MutationObserver(paint); seen.observe(document.body, all) } }
   for (const kind of ['click', 'change']) addEventListener(kind, begin, { capture: true, once: true })
   performance.clearResourceTimings()
@@ -89,6 +93,8 @@ globalThis.palpateClick = () => {
 PAINT = "performance.getEntriesByName('first-contentful-paint')[0]?.startTime ?? -1"
 COUNTS = """Object.fromEntries(['arrived', 'drawn'].map(key =>
   [key, Number(document.querySelector('[data-drawn]')?.dataset[key] ?? -1)]))"""
+# Frames that the service did not receive from the board.
+MISSED = "fetch('/api/v1/status').then(answer => answer.json()).then(({ rig }) => rig.stream.missed)"
 NODES = "document.querySelectorAll('*').length"
 SETTLE_MS, ANSWER_MS, LIVE_S, MAIN_THREAD_S = 4000, 2500, 20, 10
 
@@ -170,13 +176,19 @@ class Watched:
         return (self.metrics()["TaskDuration"] - before) * 60 / MAIN_THREAD_S
 
     def click(self, selector, value):
-        """What a click took: milliseconds to the picture and to the last answer, or None without its element."""
+        """What a click took: milliseconds to the picture and to the last answer, or None without its element.
+
+        On a page whose values follow the rig, one of these may be the first change after the click.
+        """
         one = self.page.locator(selector).first
         if not one.count() or not one.is_visible() or not one.is_enabled():
             return None
         self.page.evaluate(f"{WATCH}; globalThis.palpateEnd = palpateClick()")
         if value is None:
             one.click()
+        elif isinstance(value, tuple):
+            box = one.bounding_box()
+            one.click(position={"x": value[0] * box["width"], "y": value[1] * box["height"]})
         else:
             options = one.locator("option")
             if isinstance(value, int) and options.count() <= value:
@@ -206,13 +218,15 @@ def live_frames(costs, name, watched):
         print("  live: no model serves", flush=True)
         return
     watched.sequences.clear()
+    missed = watched.page.evaluate(MISSED)
     watched.page.wait_for_timeout(1e3 * LIVE_S)
     heard, after = list(watched.sequences), watched.page.evaluate(COUNTS)
+    missed = watched.page.evaluate(MISSED) - missed
     skipped = sum(next_ - one - 1 for one, next_ in zip(heard, heard[1:]) if next_ and one)
     arrived, drawn = (after[key] - before[key] for key in ("arrived", "drawn"))
     costs.live[name] = {"per_s": len(heard) / LIVE_S, "skipped": skipped, "undrawn": arrived - drawn}
     print(f"  live: the wire carried {len(heard) / LIVE_S:.1f} messages per second, {skipped} frames of the board are "
-          f"missing in them; of {arrived:.0f} that arrived {arrived - drawn:.0f} were not drawn", flush=True)
+          f"missing in them, the service did not receive {missed}; of {arrived:.0f} that arrived {arrived - drawn:.0f} were not drawn", flush=True)
 
 
 def one_page(playwright, costs, url, name, called=None):

@@ -41,7 +41,7 @@ export function within(contact, shape) {
 
 /**
  * Makes the list of contacts with inputs. `change(i, contact | null)` is called with what a person entered;
- * `show(contacts, answer)` draws them, with the load that the model found.
+ * `show(contacts, answer)` draws them, with the load that the model found; `focus(i)` goes to the load of one.
  */
 export function contactList(change) {
   const node = el('div', { className: 'table' })
@@ -81,5 +81,6 @@ export function contactList(change) {
       found.textContent = !other ? '' : contact.kind === 'force_n' ? fixed(other.depth_mm, 2, 'mm') : fixed(other.force_n, 1, 'N')
     })
   }
-  return { node, show }
+  const focus = i => rows[i]?.value.focus({ preventScroll: true })
+  return { node, show, focus }
 }

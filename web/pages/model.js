@@ -21,7 +21,7 @@ const TRIAL_VIEWS = [['measured', 'Measured, trial'], ['residual', 'Measured min
 
 /** Shows the page. */
 export async function show(root, { query, signal, set }) {
-  const state = { contacts: [], text: '', answer: null, trial: null, trialId: '', run: '', view: 'difference', held: null, moved: false }
+  const state = { contacts: [], text: '', answer: null, trial: null, trialId: '', run: '', view: 'difference', held: -1, on: -1, moved: false }
   const bend = dent(signal)
   const drawn = skin({ title: 'Skin under the model', points: true, signal, label: () => 'simulated', describe, draw, onpick: pick, ondrag: drag,
     onhover: hover,
@@ -84,18 +84,26 @@ export async function show(root, { query, signal, set }) {
   const under = ([x, y]) => state.contacts.findIndex(c => Math.hypot(c.x_mm - x, c.y_mm - y) < Math.max(12, drawn.shape.tip_diameter_mm * 0.7))
   function drag(kind, mm, event) {
     if (kind === 'down') {
-      state.held = under(mm)
-      state.moved = state.held >= 0
+      state.held = state.on = under(mm)
+      state.moved = false
       if (state.held >= 0) drawn.canvas.setPointerCapture(event.pointerId)
-    } else if (kind === 'move' && state.held >= 0 && event.buttons) put(state.contacts.map((c, i) => i === state.held ? { ...c, x_mm: mm[0], y_mm: mm[1] } : c))
-    else if (kind === 'up') state.held = -1
+    } else if (kind === 'move' && state.held >= 0 && event.buttons) {
+      state.moved = true
+      put(state.contacts.map((c, i) => i === state.held ? { ...c, x_mm: mm[0], y_mm: mm[1] } : c))
+    } else if (kind === 'up') state.held = -1
   }
-  function pick(mm) {
+  function pick(mm, event) {
     const { width_mm: w, height_mm: h } = drawn.shape
-    const had = state.contacts.length
-    if (!state.moved && mm[0] >= 0 && mm[1] >= 0 && mm[0] <= w && mm[1] <= h) add(mm)
-    state.moved = false
+    const had = state.contacts.length, on = event ? state.on : -1 // A key has no press before it.
+    state.on = -1
+    if (on >= 0) return state.moved || choose(on)
+    if (mm[0] >= 0 && mm[1] >= 0 && mm[0] <= w && mm[1] <= h) add(mm)
     return state.contacts.length > had ? `Contact ${had + 1} is pressed here.` : told.textContent
+  }
+  /** A press on a contact: its load has the focus, so that it can be typed. */
+  function choose(i) {
+    note(told, `Contact ${i + 1}: drag moves it; its load is in the list.`)
+    list.focus(i)
   }
   function hover(mm) {
     const grid = state.answer?.dent_mm

@@ -6,7 +6,7 @@ from playwright.sync_api import expect
 
 from person import (RUN_MS, URL, api, button, confirmed, downloaded, in_dialog, LIMIT_MS, named, pressed, said, state,
                     tabbed, until)
-from views import watched
+from views import halted, watched, with_status
 
 # A request that fails, and a stop before it is sent again.
 STOPPED_ONCE = """import('/web/lib/api.js').then(({ once }) => {
@@ -74,6 +74,22 @@ def first_evening(page, _browser):
     page.get_by_role("link", name="Open this trial").click()
     expect(page).to_have_url(re.compile("/trials[?]trial="), timeout=LIMIT_MS)
     fit_by_keys(page)
+    contacts_by_mouse(page)
+
+
+def contacts_by_mouse(page):
+    """A click on the skin presses a contact; one on a contact goes to its load."""
+    page.goto(f"{URL}/model?contacts=270,280,20n")
+    rows = page.locator(".press-list tbody tr")
+    expect(rows).to_have_count(1, timeout=LIMIT_MS)
+    skin = page.locator("canvas.skin").first
+    box = skin.bounding_box()
+    place = {"x": 0.3 * box["width"], "y": 0.3 * box["height"]}
+    skin.click(position=place)
+    expect(rows).to_have_count(2)
+    skin.click(position=place)
+    expect(page.get_by_label("Contact 2: load")).to_be_focused()
+    expect(rows).to_have_count(2)
 
 
 def fit_by_keys(page):
@@ -200,6 +216,17 @@ def keyboard(page, _browser):
     expect(page.locator("dialog[open]")).to_have_count(0)
     until("the second stop", lambda: rig()["state"] == "tripped")
     not_sent_again(page)
+    halted_on_every_page(page)
+
+
+def halted_on_every_page(page):
+    """An axis that is not stopped, and a run that does not begin by itself, are named above each page."""
+    with_status(halted)(page)
+    for path in ("/", "/data", "/settings"):
+        page.goto(URL + path)
+        needs = page.locator("#needs")
+        expect(needs).to_contain_text("NOT STOPPED: y (no reply within 200 ms)", timeout=LIMIT_MS)
+        expect(needs).to_contain_text("Run 3 (real-random) does not begin by itself")
 
 
 def not_sent_again(page):
