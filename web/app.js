@@ -9,7 +9,7 @@ import { steadyEnds } from './lib/eta.js'
 import { live, start } from './lib/live.js'
 import { READ_KEYS } from './lib/readkeys.js'
 import { readVocabulary } from './lib/vocabulary.js'
-import { TONE, WAITS, notStopped } from './lib/words.js'
+import { TONE, WAITS, notStopped, stands } from './lib/words.js'
 import { FIRST, PAGES } from './pages.js'
 
 const $ = id => document.getElementById(id)
@@ -169,14 +169,17 @@ function reopen(form) {
 
 // The top bar: the state on every page.
 const said = outcome()
-const repair = el('div', { className: 'row' })
+const needed = el('p'), repair = el('div', { className: 'row' })
+fill($('needs'), needed, repair, said.node)
+let repairs = false // A button of it was pressed: the focus, which was on that button, stays here when another replaces it.
+repair.addEventListener('click', ({ target }) => { repairs ||= Boolean(target.closest('button')) })
 function etaWords(run, at) {
   if (!run?.eta || run.trials_stored + run.trials_skipped >= run.trials_planned) return ''
   if (!['running', 'pausing'].includes(run.state)) return `about ${span(run.eta.remaining_s)} to go`
   return `done about ${momentBand(...steadyEnds(run, at), run.eta.high_s < 900)}`
 }
 live.on('status', ({ status, at }) => {
-  const { rig, run, lock } = status
+  const { rig, run } = status
   stopState(status)
   $('virtual').hidden = rig.label !== 'virtual'
   const word = run ? plain(run.state) : plain(rig.state)
@@ -188,7 +191,7 @@ live.on('status', ({ status, at }) => {
   $('bar-count').title = run ? percent(run.trials_stored, run.trials_planned) : ''
   say($('bar-eta'), etaWords(run, at))
   entitle()
-  needs(rig, run, lock)
+  needs(status)
 })
 
 /** The title of the tab: what the rig does, but never an old state as if it were the present one. */
@@ -201,7 +204,7 @@ function entitle() {
 
 let wasTripped = false
 /** The one thing that a person must do, above everything else. */
-function needs(rig, run) {
+function needs({ rig, run, not_begun }) {
   const words = [], isUnwired = pressedUnwired(rig)
   // After a trip the position of the axes is not known, whether a run waits for it or not.
   wasTripped = rig.trip != null || wasTripped && rig.state === 'disarmed'
@@ -211,27 +214,34 @@ function needs(rig, run) {
   else if (rig.safe_end?.tips === 'not_raised') words.push(`The tips are NOT raised: ${rig.safe_end.why}`)
   if (rig.trip) {
     const moving = notStopped(rig), ms = rig.estop_acknowledged_ms
-    const stands = rig.estop_stops.every(stop => stop.stood_ms != null) ? ' and stands' : ''
-    const reached = rig.trip.kind !== 'estop' ? '' : moving.length ? ` NOT STOPPED: ${moving.join(', ')}: the stop is sent again until it is.`
-      : ms == null ? '' : isUnwired ? ` It was pressed while the wires were closed; every axis has acknowledged it${stands}.`
-      : ` Every axis acknowledged it after ${ms.toFixed(1)} ms${stands}.`
+    const rests = stands(rig) ? ' and stands' : ''
+    const reached = rig.trip.kind !== 'estop' ? '' : moving.length ? ` NOT STOPPED: ${moving.join(', ')}. The stop is sent again until it is. Use the button on the rig.`
+      : ms == null ? '' : isUnwired ? ` It was pressed while the wires were closed; every axis has acknowledged it${rests}.`
+      : ` Every axis acknowledged it after ${ms.toFixed(1)} ms${rests}.`
     words.push(`Tripped (${plain(rig.trip.kind)}): ${rig.trip.detail}.${reached} Clear the cause, reset, then home.`)
   }
   const waits = [WAITS[run?.paused_why], run?.waiting_for].filter(Boolean).join(': ')
   if (['tip_change', 'manual_trial'].includes(run?.paused_why)) words.push(capital(waits) + '.')
   else if (run?.paused_why && run.paused_why !== 'operator') words.push(`The run waits: ${waits}.`)
   if (mustHome) words.push('Home the axes: keep hands and tools away.')
+  if (not_begun) words.push(`${capital(not_begun)}.`)
   const box = $('needs'), text = words.join(' ')
-  const buttons = rig.trip ? 'reset' : mustHome ? 'home' : run?.paused_why === 'manual_trial' ? 'place' : ''
-  if (box.dataset.text !== text + buttons) {
-    box.dataset.text = text + buttons
-    if (box.dataset.buttons !== buttons) said.tell('') // What came of another button would be read as of this one.
+  const buttons = rig.trip ? 'reset' : mustHome ? 'home' : run?.paused_why === 'manual_trial' ? 'place' : not_begun ? 'queue' : ''
+  const isOther = (box.dataset.buttons ?? '') !== buttons, tone = `notice ${rig.trip || run?.state === 'panicked' ? 'bad' : 'warn'}`
+  if (box.dataset.text !== text) box.dataset.text = text
+  if (box.className !== tone) box.className = tone
+  say(needed, text)
+  if (isOther) {
     box.dataset.buttons = buttons
-    box.className = `notice ${rig.trip || run?.state === 'panicked' ? 'bad' : 'warn'}`
-    fill(repair, buttons === 'reset' && actor('Reset', said, () => actOnRig('reset')), buttons === 'home' && actor('Home', said, () => actOnRig('home'), { sure: sureHome }), buttons === 'place' && link('/place', 'Go to the weights'))
-    fill(box, el('p', {}, text), repair, said.node)
+    said.tell('') // What came of another button would be read as of this one.
+    fill(repair, buttons === 'reset' && actor('Reset', said, () => actOnRig('reset')), buttons === 'home' && actor('Home', said, () => actOnRig('home'), { sure: sureHome }), buttons === 'place' && link('/place', 'Go to the weights'),
+      buttons === 'queue' && link('/queue', 'Go to the queue'))
   }
-  box.hidden = !text
+  if (box.hidden === Boolean(text)) box.hidden = !text
+  if (!repairs || !isOther) return
+  repairs = false
+  // Not on the next button: a key that is held must not press it.
+  if (document.activeElement === document.body) (text ? box : $('main')).focus({ preventScroll: true })
 }
 
 live.on('fresh', ({ fresh, why, at, status }) => {

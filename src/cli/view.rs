@@ -34,6 +34,8 @@ pub struct StatusView {
     pub queue_length: usize,
     /// What the next started run waits for, as text.
     pub waiting_for: Option<String>,
+    /// Which run a person must start again, and why, as text; absent from an older service.
+    pub not_begun: Option<String>,
     /// What may be asked of runs now; empty from an older service.
     #[serde(default)]
     pub run_actions: Vec<ActionView>,

@@ -7,8 +7,8 @@ With PALPATE it starts two services in a temporary folder: an empty one, and one
 a net that serves, a campaign with three tips under way, and one that is queued. With a URL it shows that service.
 
 Pages, opened items (a trial, a dataset, a net, a report, a lineage ..), dialogs, forms and the description of the API
-in the state `busy`: the service as it is. The pages also `empty` (another service), `lost` (no connection), `tripped`
-and `disk` (nearly full): for the last three the browser changes what the page receives, or its connection is cut, so
+in the state `busy`: the service as it is. The pages also `empty` (another service), `lost` (no connection), `tripped`,
+`halted` (an e-stop that an axis has not acknowledged) and `disk` (nearly full): for the last four the browser changes what the page receives, or its connection is cut, so
 that nothing happens to the rig. Each as a desk (1400 x 900, the whole page) and a phone (390 x 844), light and dark;
 the busy pages also as a wall screen (1920 x 1080). `tests/system/browser/views.py` lists what there is.
 

@@ -134,12 +134,14 @@ async fn no_run_begins_by_itself_after_an_abort_of_a_moving_run_and_the_queue_sa
     assert_eq!((&status["run"], &status["rig"]["state"]), (&Value::Null, &json!("homed")));
     let words = status["waiting_for"].as_str().unwrap_or_default();
     assert!(words.contains("does not begin by itself: the run before it was aborted"), "{words}");
+    assert_eq!(status["not_begun"], status["waiting_for"]);
     let times = lab.get("/api/v1/queue/times").await;
     let why = times["items"][0]["not_begun"].as_str().unwrap_or_default();
     assert!(why.ends_with("start it again"), "{times:#}");
     lab.start(&next).await;
     complete(&lab, &next).await;
-    assert_eq!(lab.get("/api/v1/status").await["waiting_for"], Value::Null);
+    let status = lab.get("/api/v1/status").await;
+    assert_eq!((&status["waiting_for"], &status["not_begun"]), (&Value::Null, &Value::Null));
     lab.close().await;
 }
 

@@ -57,7 +57,7 @@ export function stopWords(rig) {
   const moving = notStopped(rig)
   const last = rig.estop_stops.length ? rig.estop_stops : rig.safe_end?.stops ?? []
   const slowest = last.length && last.every(stop => stop.acknowledged_ms != null) ? Math.max(...last.map(stop => stop.acknowledged_ms)) : null
-  const words = moving.length ? `NOT STOPPED: ${moving.join(', ')}: use the button on the rig.` : slowest == null
+  const words = moving.length ? `NOT STOPPED: ${moving.join(', ')}. Use the button on the rig.` : slowest == null
     ? 'No stop has been sent since the wires were opened.' : `Every axis acknowledged the last stop within ${fixed(slowest, 2, 'ms')}.`
   return { tone: moving.length ? 'bad' : '', words, figures: last.map(stop => [stop.axis, stop.error ?? (stop.acknowledged_ms == null ? 'no answer'
     : `${fixed(stop.acknowledged_ms, 2, 'ms')}${stop.stood_ms == null ? '' : ', stands'}`)]) }

@@ -1,13 +1,15 @@
 // The three answers of the night, from what the service reports: is it safe, is it on time, are the data good?
 // Pure: facts in, { tone, words } out. `tone` is good, warn, bad, or '' where there is nothing to judge.
 
-import { count, counted, fixed, momentBand, plain, span, bytes } from './format.js'
-import { WAITS } from './words.js'
+import { capital, count, counted, fixed, momentBand, plain, span, bytes } from './format.js'
+import { WAITS, notStopped } from './words.js'
 
 const STALE_MS = 3000, SLOW_S = 300
 
 /** Is it safe? */
 export function safe({ rig, run }) {
+  const moving = notStopped(rig)
+  if (moving.length) return { tone: 'bad', words: `NOT STOPPED: ${moving.join(', ')}. Use the button on the rig.` }
   if (rig.safe_end?.tips === 'not_raised') return { tone: 'bad', words: `The tips are not raised: ${rig.safe_end.why}.` }
   if (run?.state === 'panicked') return { tone: 'bad', words: 'The tips could not be raised. Check the rig.' }
   if (rig.trip) return { tone: 'bad', words: `Stopped by a fault (${plain(rig.trip.kind)}): ${rig.trip.detail}.` }
@@ -19,7 +21,8 @@ export function safe({ rig, run }) {
 }
 
 /** Is it on time? `ends` are the likely, early and late end, ms; `history` may be null, `next` is the first run of the queue. */
-export function onTime({ run }, ends, history, next) {
+export function onTime({ run, not_begun }, ends, history, next) {
+  if (!run && not_begun) return { tone: 'warn', words: `No run is active. ${capital(not_begun)}.` }
   if (!run && !next) return { tone: '', words: 'No run is active, and none is queued.' }
   if (!run) return { tone: '', words: `No run is active. Next: ${next.experiment}, ${counted(next.trials_planned, 'trial')}.` }
   if (run.state === 'paused' && run.paused_why) return { tone: 'warn', words: `It waits: ${WAITS[run.paused_why] ?? plain(run.paused_why)}.` }

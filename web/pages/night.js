@@ -108,12 +108,13 @@ export async function show(root, { query, signal, set }) {
     beginning.hidden = status.rig.state === 'disconnected' // Nothing comes yet.
   }
 
-  function tellStrip({ run, disk, last_trial_at, lock, queue_length, rig }) {
+  function tellStrip({ run, disk, last_trial_at, lock, queue_length, waiting_for, not_begun, rig }) {
+    const next = waiting_for && waiting_for !== not_begun ? `: ${waiting_for}` : ''
     const trialAt = last_trial_at ?? seen.trial?.measured_at
     changing(strip, [
       ['Last trial stored', trialAt ? `${span(age(trialAt))} ago` : 'none yet'],
       ['Disk', disk ? `${bytes(disk.free_bytes)} free, ${bytes(disk.needed_bytes)} needed` : 'not reported'],
-      ['Queue', queue_length ? counted(queue_length, 'run') : 'empty'],
+      ['Queue', queue_length ? counted(queue_length, 'run') + next : 'empty'],
       ['Operator lock', lock ? `${lock.holder}, since ${moment(lock.since)}: ${lock.note}` : 'free'],
       !run && ['Rig', RIG[rig.state] ?? `${capital(plain(rig.state))}.`],
     ])

@@ -153,7 +153,9 @@ pub fn facts(night: &Night, status: &StatusView, now: &Now, theme: Theme) -> Vec
     if let Some(run) = status.run.as_ref().filter(|run| run.retries > 0) {
         fact("retries", grouped(run.retries), Level::Fine);
     }
-    fact("queue", counted(status.queue_length as u64, "run", "runs"), Level::Fine);
+    let waits = status.waiting_for.as_deref().map(|words| format!("; {}", one_line(words)));
+    let queued = counted(status.queue_length as u64, "run", "runs");
+    fact("queue", format!("{queued}{}", waits.unwrap_or_default()), Level::Fine);
     if let Some(p) = status.rig.pose {
         let (x, y, z, r) = (p.x_mm, p.y_mm, p.z_mm, p.radius_mm);
         fact("pose", format!("x {x:.1} y {y:.1} z {z:.2} r {r:.1} mm"), Level::Fine);

@@ -238,7 +238,11 @@ impl Night {
             let next = if status.run.is_some() { format!("{next}, r") } else { next.into() };
             return (Level::Act, format!("tripped: {cause}: {next}"));
         }
+        let not_begun = status.not_begun.as_deref().map(one_line);
         let Some(run) = &status.run else {
+            if let Some(words) = not_begun {
+                return (Level::Act, words);
+            }
             return match rig.state {
                 RigState::Disconnected => (Level::Fine, "nothing; the rig is not connected".into()),
                 RigState::Disarmed | RigState::Homed | RigState::Armed | RigState::Tripped => {
@@ -263,7 +267,8 @@ impl Night {
             let next = status.not_resumed().unwrap_or("remove the cause, then r");
             return (Level::Act, format!("paused ({why}): {next}"));
         }
-        self.ahead().unwrap_or((Level::Fine, "nothing".into()))
+        let later = || not_begun.map(|words| (Level::Look, words));
+        self.ahead().or_else(later).unwrap_or((Level::Fine, "nothing".into()))
     }
 
     /// What will stop the run unless a person acts.

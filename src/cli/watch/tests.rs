@@ -249,6 +249,22 @@ fn what_a_person_must_do_first_is_named() {
     assert_eq!((level, words.as_str()), (Level::Act, "paused (tip change): home the rig"));
     let (level, words) = first(&|s| s["disk"]["free_bytes"] = 1_000_000_000_u64.into());
     assert!(level == Level::Look && words.contains("1.00 GB of disk are free"), "{words}");
+    // A run that a person must start again: now if none is active, otherwise before the active one ends.
+    let dropped = "run 13 (short) does not begin by itself: the rig tripped: start it again";
+    let (level, words) = first(&|s| s["not_begun"] = dropped.into());
+    assert_eq!((level, words.as_str()), (Level::Look, dropped));
+    let (level, words) = first(&|s| (s["not_begun"], s["run"]) = (dropped.into(), Value::Null));
+    assert_eq!((level, words.as_str()), (Level::Act, dropped));
+}
+
+#[test]
+fn what_the_queue_waits_for_is_named() {
+    let mut changed = status();
+    changed["waiting_for"] = "run 13 (short) starts at 2026-03-01T22:00:00Z or later".into();
+    let mut night = Night::new("");
+    night.take(told_status(&changed), start());
+    let shown = text(&drawn(&night, &after(0), (120, 40), COLOUR));
+    assert!(shown.contains("queue      2 runs; run 13 (short) starts at"), "{shown}");
 }
 
 #[test]

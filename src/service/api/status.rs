@@ -44,6 +44,9 @@ pub struct ServiceStatus {
     /// What the next run that was started waits for, as text: its start time, or the active run. If none waits
     /// any more because a person may be at the rig, which run must be started again, and why; absent otherwise.
     pub waiting_for: Option<String>,
+    /// Which run does not begin by itself although a person had started it, and why, as text: a person must start it
+    /// again, or remove it. Absent if there is none.
+    pub not_begun: Option<String>,
     /// Free space of the disk of the data folder; null if it is unknown.
     pub disk: Option<DiskStatus>,
     /// Time of measurement of the newest durable trial of the active run; null without one.
@@ -77,6 +80,7 @@ pub(super) struct StoredPart {
     lock: Option<LockRow>,
     queue_length: usize,
     waiting_for: Option<String>,
+    not_begun: Option<String>,
     /// Space that the queued runs need, bytes.
     queue_bytes: u64,
     last_trial_at: Option<Timestamp>,
@@ -137,6 +141,7 @@ impl App {
             lock: self.store.lock().await?,
             queue_length: queue.len(),
             waiting_for: self.conductor.waiting_for().await?,
+            not_begun: self.conductor.not_begun().await?,
             queue_bytes,
             last_trial_at,
             limits,
@@ -189,6 +194,7 @@ impl App {
             lock: stored.lock.map(LockOut::from),
             queue_length: stored.queue_length,
             waiting_for: stored.waiting_for,
+            not_begun: stored.not_begun,
             disk: free_bytes.map(|free_bytes| DiskStatus { free_bytes, needed_bytes }),
             last_trial_at: stored.last_trial_at,
             suspenders,

@@ -125,12 +125,15 @@ impl Conductor {
         let present = turn::Present { now: Timestamp::now(), lock: lock.as_ref() };
         match turn::waits_for(&self.still_waiting().await?, is_busy, present) {
             Some(words) => Ok(Some(words)),
-            None => self.first_dropped().await,
+            None => self.not_begun().await,
         }
     }
 
     /// The first run that does not begin by itself any more although a person had started it, with the reason, as text.
-    async fn first_dropped(&self) -> Result<Option<String>, StoreError> {
+    ///
+    /// # Errors
+    /// `StoreError` if the store fails.
+    pub async fn not_begun(&self) -> Result<Option<String>, StoreError> {
         let dropped = self.dropped().clone();
         for (uid, why) in dropped {
             let row = self.inner.store.run(uid).await?;
@@ -290,7 +293,9 @@ mod tests {
         let why = format!("{ABORTED}: start it again");
         assert_eq!(words().await, format!("run 1 (small) does not begin by itself: {why}"));
         assert_eq!(conductor.why_dropped(run.uid), Some(why));
+        assert_eq!(conductor.not_begun().await.unwrap(), Some(words().await));
         start(&conductor, &run).await;
+        assert_eq!(conductor.not_begun().await.unwrap(), None);
         assert!(words().await.contains("starts at"));
         assert_eq!(conductor.why_dropped(run.uid), None);
         std::fs::remove_dir_all(folder).unwrap();

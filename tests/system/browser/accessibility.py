@@ -26,7 +26,7 @@ IN_SWAGGER = "selector => document.querySelector(selector)?.closest('.swagger-ui
 
 
 def axe(page, browser):
-    """Every page as it is, what is opened on it, dialogs and forms; the pages tripped, with a full disk, and lost."""
+    """Every page as it is, what is opened on it, dialogs and forms; the pages tripped, halted, with a full disk, and lost."""
     page.goto(URL)
     pages = views.pages(page)
     items = [*views.opened(api), *views.DOCS, *views.DIALOGS, *views.FORMS]

@@ -80,6 +80,19 @@ def tripped(status):
         asked_of_run(status, "pause", "stop", "abort", why="the rig is tripped: reset, home")
 
 
+def halted(status):
+    """An e-stop is latched, an axis is not stopped, and what was queued does not begin by itself."""
+    stop = {"acknowledged_ms": 3.1, "stood_ms": 162.0, "error": None}
+    silent = {"acknowledged_ms": None, "stood_ms": None, "error": "no reply within 200 ms"}
+    status["rig"].update(
+        state="tripped", trip={"kind": "estop", "detail": "pressed on the page by Ada"}, estop_acknowledged_ms=None,
+        estop_stops=[{"axis": axis, **(silent if axis == "y" else stop)} for axis in ("x", "y", "z", "radial")])
+    for one in status["rig_actions"]:
+        one["refused"] = "an axis has not acknowledged its stop: y"
+    words = "run 3 (real-random) does not begin by itself: the rig tripped (estop): start it again"
+    status.update(run=None, suspenders=[], last_trial_at=None, waiting_for=words, not_begun=words)
+
+
 def disk_full(status):
     """The disk has no room for the remaining trials, and the run is suspended."""
     free, needed = 90_000_000, 4_200_000_000
@@ -212,7 +225,7 @@ def opened(get):
 # --- How it is shown ----------------------------------------------------------------------------------
 
 # States in which the browser is told something else; `lost` cuts the connection of a page that was shown.
-BROKEN = {"tripped": with_status(tripped), "disk": with_status(disk_full), "lost": nothing}
+BROKEN = {"tripped": with_status(tripped), "halted": with_status(halted), "disk": with_status(disk_full), "lost": nothing}
 
 
 @contextmanager
