@@ -88,7 +88,10 @@ pub fn wear_words(wear: &Value) -> String {
     let text = |value: &Value| value.as_str().unwrap_or("-").to_owned();
     let trials = counted(wear["trials"].as_u64().unwrap_or_default(), "trial", "trials");
     let runs = counted(wear["runs"].as_u64().unwrap_or_default(), "run", "runs");
-    let mut lines = vec![format!("trials   {trials} in {runs}, since {}", text(&wear["since"]))];
+    let hours =
+        wear["run_h"].as_f64().map_or_else(String::new, |hours| format!(" of {hours:.1} h"));
+    let mut lines =
+        vec![format!("trials   {trials} in {runs}{hours}, since {}", text(&wear["since"]))];
     let numbers = |key: &str| {
         let list = wear["points"][key].as_array().cloned().unwrap_or_default();
         list.iter().filter_map(Value::as_f64).collect::<Vec<f64>>()
@@ -154,13 +157,14 @@ mod tests {
     #[test]
     fn the_wear_names_the_busiest_place() {
         let wear = json!({
-            "since": null, "trials": 22, "runs": 1, "checked_at": null,
+            "since": null, "trials": 22, "runs": 1, "run_h": 3.3, "checked_at": null,
             "points": { "x_mm": [17.32, 34.64], "y_mm": [55.0, 55.0], "presses": [1, 3] },
             "axes": [{ "axis": "x", "travel_m": 12.34 }, { "axis": "z", "travel_m": 0.5 }],
             "cells": [{ "arm": 1, "calibrated_on": null, "age_days": null },
                 { "arm": 2, "calibrated_on": "2026-05-04", "age_days": 30 }],
         });
         let words = wear_words(&wear);
+        assert!(words.contains("22 trials in 1 run of 3.3 h, since -"), "{words}");
         assert!(words.contains("4 presses on 2 places, most at x 34.6, y 55.0 mm: 3"), "{words}");
         assert!(words.contains("at least x 12.3 m, z 0.5 m"), "{words}");
         assert!(words.contains("1 unknown, 2 30 d ago"), "{words}");

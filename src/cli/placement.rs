@@ -72,7 +72,7 @@ pub async fn placement(at: &At) -> Result<(), CliError> {
 }
 
 fn words(placement: &PlacementOut) -> String {
-    let PlacementOut { scan_id, experiment, trial, of, done, .. } = placement;
+    let PlacementOut { scan_id, experiment, trial, of, done, repeated, .. } = placement;
     let stage = match placement.stage {
         Stage::Place => "place these weights, then run `palpate confirm`",
         Stage::Settling => "the skin settles",
@@ -80,7 +80,9 @@ fn words(placement: &PlacementOut) -> String {
         Stage::Stored => "stored",
     };
     let mut lines = vec![
-        format!("run      {scan_id}, {experiment}: {done} of {of} placements stored"),
+        format!(
+            "run      {scan_id}, {experiment}: {done} of {of} placements stored, {repeated} repeated"
+        ),
         format!("trial    {trial}: {stage}"),
     ];
     for contact in &placement.contacts {

@@ -222,7 +222,8 @@ async fn a_wrong_placement_is_refused_placed_anyway_repeated_and_the_run_resumes
     let page = asked(&lab, 0).await;
     place(&lab, &page, false).await;
     assert_eq!(lab.act(&run, confirm(0)).await.0, 202);
-    asked(&lab, 2).await;
+    let page = asked(&lab, 2).await;
+    assert_eq!(page["repeated"], 2, "{page:#}");
     let stored = trials(&lab, &run).await;
     assert_eq!(stored.keys().copied().collect::<Vec<_>>(), [0, 1]);
     for trial in stored.values() {

@@ -2,11 +2,11 @@
 // skin feels of it. Confirmed by a key or a foot switch; a press confirms the shown placement alone. Its address: weight.
 
 import { hold } from '../lib/address.js'
-import { all, get, person } from '../lib/api.js'
+import { get, person } from '../lib/api.js'
 import { actOnRig, actOnRun, actor, confirm, named, outcome, runButtons, runRefusal } from '../lib/actions.js'
 import { button, el, fill, note, pane, say, sleep } from '../lib/dom.js'
 import { fold } from '../lib/fold.js'
-import { age, counted, countOf, span } from '../lib/format.js'
+import { age, count, counted, countOf, span } from '../lib/format.js'
 import { live, who } from '../lib/live.js'
 import { lockWords } from '../lib/lock.js'
 import { manual } from '../lib/manual.js'
@@ -62,7 +62,7 @@ async function watch(take, signal) {
 
 /** The placement at work: skin, instruction, and the one button. */
 function placing(signal) {
-  const said = outcome(), state = { placement: null, open: false, sent: null, sentAt: 0, unrestSince: 0, chosen: null, refused: '', repeats: null }
+  const said = outcome(), state = { placement: null, open: false, sent: null, sentAt: 0, unrestSince: 0, chosen: null, refused: '' }
   const view = skin({ title: 'Skin', tall: true, signal, label: () => live.status?.rig.label ?? '', describe, draw: (pen, scale, shape) => state.placement
     && drawPlacement(pen, scale, shape, state.placement, now()) })
   const head = el('span', { className: 'big' }), resting = el('span', { className: 'soft' }), bar = el('progress'), weights = el('ol', { className: 'weights' })
@@ -91,7 +91,7 @@ function placing(signal) {
 
   function take(placement) {
     const other = placement.trial !== state.placement?.trial || placement.run !== state.placement?.run
-    if (placement.run !== state.placement?.run) begin(placement)
+    if (placement.run !== state.placement?.run) sensor(placement.run).catch(() => sensor()).then(view.geometry, () => {})
     // The weight of the address is that of the placement at which the page was opened.
     if (other) Object.assign(state, { chosen: state.placement ? null : state.chosen, refused: '' })
     if (!placement.contacts.some(({ number }) => number === state.chosen)) state.chosen = null
@@ -108,19 +108,12 @@ function placing(signal) {
     draw()
   }
 
-  /** What is known of a run as a whole: the skin and the number of repetitions. */
-  function begin(placement) {
-    sensor(placement.run).catch(() => sensor()).then(view.geometry, () => {})
-    state.repeats = null
-    all('/actions', { run: placement.run }, { most: 2000,
-      signal }).then(items => { state.repeats = items.filter(one => one.action === 'repeat' && one.accepted).length; draw() }, () => {})
-  }
 
   function draw() {
     const { placement } = state
     if (!placement || signal.aborted) return
     const why = lockWords() || notYet(placement, { ...state, fresh: live.fresh }), busy = placement.stage !== 'place'
-    say(head, `Trial ${countOf(placement.done + 1, placement.of)}${state.repeats ? `, ${state.repeats} repeated` : ''}`)
+    say(head, `Trial ${countOf(placement.done + 1, placement.of)}${placement.repeated ? `, ${count(placement.repeated)} repeated` : ''}`)
     say(resting, rest(placement))
     Object.assign(bar, { max: placement.of, value: placement.done, ariaLabel: `${placement.done} of ${placement.of} trials stored` })
     drawWeights(placement)
@@ -197,9 +190,7 @@ function placing(signal) {
     if (!await named() || !await confirm(`Repeat trial ${last.trial + 1}?`, 'Its stored measurement is withdrawn, and the same weights are asked again.',
       'Repeat it')) return
     const why = `repeated on the page by ${person.name || who()}`
-    if (await said.run('Repeat', async () => { await actOnRun(run, 'repeat', { trial: last.trial, why });
-      return true })) state.repeats = (state.repeats ?? 0) + 1
-    draw()
+    await said.run('Repeat', () => actOnRun(run, 'repeat', { trial: last.trial, why }))
   }
 
   // A foot switch is a keyboard: no button may keep the focus after a click, or it would get the press.

@@ -3,7 +3,7 @@
 
 import { all, get } from '../lib/api.js'
 import { button, el, facts, fill, link, panel } from '../lib/dom.js'
-import { NONE, age, count, counted, fixed, moment } from '../lib/format.js'
+import { age, count, counted, fixed, moment } from '../lib/format.js'
 import { live } from '../lib/live.js'
 import { references } from '../lib/references.js'
 import { sensor } from '../lib/skin.js'
@@ -12,26 +12,19 @@ import { wearMap } from '../lib/wearmap.js'
 
 const RUNS_MOST = 100
 
-/** Hours of runs that ended, from begin to end. */
-function hoursOf(runs) {
-  const ended = runs.filter(run => run.started_at && run.ended_at && run.kind !== 'imported')
-  return ended.reduce((sum, run) => sum + (Date.parse(run.ended_at) - Date.parse(run.started_at)) / 3.6e6, 0)
-}
-
-function summary(wear, runs) {
-  const hours = runs && hoursOf(runs)
+function summary(wear) {
+  const hours = wear.run_h
   const checked = wear.checked_at
   const list = facts([
     ['Trials', count(wear.trials)],
     ['Runs', count(wear.runs)],
     wear.since && ['Since', moment(wear.since)],
-    ['Hours of runs', runs ? fixed(hours, hours < 10 ? 2 : 0, 'h') : NONE],
+    ['Hours of runs', fixed(hours, hours < 10 ? 2 : 0, 'h')],
     ['Last check', checked ? moment(checked) : 'none stored'],
     checked && ['Days since', count(Math.floor(age(checked) / 86_400))],
   ])
   // One configuration presses a place once, deeper with each of its trials.
-  const which = runs?.length === RUNS_MOST ? `the newest ${RUNS_MOST} runs` : 'all ended runs'
-  const words = `Presses count configurations on this skin; reference presses are not in them. Hours are from begin to end of ${which}, with their waits.`
+  const words = 'Presses count configurations on this skin; reference presses are not in them. Hours are from begin to end of its ended runs, with their waits.'
   return [list, el('p', { className: 'soft' }, words)]
 }
 
@@ -100,12 +93,10 @@ export async function show(root, { query, signal, set }) {
       middle.hidden = false
       map.show(wear.points, shape)
       mark(query)
-      fill(top, summary(wear, null))
+      fill(top, summary(wear))
       fill(rest, axes(wear), cells(wear), whatToDo(wear))
       const runs = await all('/runs', {}, { most: RUNS_MOST, signal }).catch(() => [])
-      if (signal.aborted) return
-      fill(top, summary(wear, runs))
-      await drift.show(runs)
+      if (!signal.aborted) await drift.show(runs)
     } catch (error) {
       if (signal.aborted) return
       const words = el('p', { className: 'bad' }, `The wear of this rig could not be read: ${error.message}.`)

@@ -12,6 +12,7 @@ use super::App;
 use super::problem::{ApiError, ProblemBody};
 use crate::campaign::shown::command::Request;
 use crate::campaign::shown::placement::{Confirmation, VerdictKind};
+use crate::campaign::shown::run_action::ActionOnRun;
 use crate::campaign::shown::status::{Done, Phase, RunStatus};
 use crate::ids::{RunUid, TrialId};
 use crate::infer::answer::FoundContact;
@@ -35,6 +36,8 @@ pub struct PlacementOut {
     pub of: u64,
     /// Number of stored placements.
     pub done: u64,
+    /// Number of times that a person repeated a placement of this run.
+    pub repeated: u64,
     /// Weights to be placed.
     pub contacts: Vec<AskedContact>,
     /// What happens now.
@@ -131,6 +134,7 @@ pub async fn placement(State(app): State<App>) -> Result<Json<PlacementOut>, Api
         trial: judged.trial,
         of: run.trials_planned,
         done: run.trials_stored,
+        repeated: app.store.accepted_on(run.uid, ActionOnRun::Repeat.as_str()).await?,
         contacts: judged.asked,
         stage,
         at_rest: judged.at_rest,

@@ -34,6 +34,8 @@ pub struct Wear {
     pub trials: u64,
     /// Number of runs with stored trials.
     pub runs: usize,
+    /// Time of the runs that have ended, from begin to end with all waits, h.
+    pub run_h: f64,
     /// Places on which tips or weights pressed.
     pub points: WornPoints,
     /// Travel of each axis.
@@ -96,15 +98,18 @@ pub async fn wear(State(app): State<App>) -> Result<Json<Arc<Wear>>, ApiError> {
 }
 
 async fn read(app: &App) -> Result<Wear, StoreError> {
-    let mut by_run = Vec::new();
+    let (mut by_run, mut run_h) = (Vec::new(), 0.0);
     for run in app.store.all_runs().await?.iter().rev().filter(|run| is_of_this_skin(app, run)) {
         by_run.push(of_run(app, run).await?);
+        if let (Some(begin), Some(end)) = (run.started_at, run.ended_at) {
+            run_h += end.duration_since(begin).as_secs_f64() / 3600.0;
+        }
     }
     let today = Timestamp::now().to_zoned(TimeZone::UTC).date();
     let bench = app.facts.rig.config.bench();
     let cells = bench.map_or_else(Vec::new, |bench| cells(bench.cells.calibrated_on, today));
     let checked_at = app.store.last_accepted(&CHECKS).await?;
-    Ok(sum(&by_run, cells, checked_at))
+    Ok(Wear { run_h, checked_at, ..sum(&by_run, cells) })
 }
 
 /// Whether a run pressed the skin under the rig.
@@ -142,8 +147,8 @@ fn cells(calibrated_on: Option<[Date; ARMS]>, today: Date) -> Vec<CellAge> {
     (0..ARMS).map(age).collect()
 }
 
-/// Adds the wear by several runs.
-fn sum(by_run: &[Arc<StoredWear>], cells: Vec<CellAge>, checked_at: Option<Timestamp>) -> Wear {
+/// Adds the wear by several runs; their time and the last check are not in it.
+fn sum(by_run: &[Arc<StoredWear>], cells: Vec<CellAge>) -> Wear {
     let hundredths = |mm: f64| (mm * 100.0).round() as i64;
     let mut places: BTreeMap<(i64, i64), u64> = BTreeMap::new();
     let mut travel_mm = [0.0; AXES.len()];
@@ -167,10 +172,11 @@ fn sum(by_run: &[Arc<StoredWear>], cells: Vec<CellAge>, checked_at: Option<Times
         since: by_run.iter().filter_map(|wear| wear.since).min(),
         trials: by_run.iter().map(|wear| wear.trials).sum(),
         runs: by_run.iter().filter(|wear| wear.trials > 0).count(),
+        run_h: 0.0,
         points,
         axes: AXES.into_iter().zip(travel_mm).map(axis).collect(),
         cells,
-        checked_at,
+        checked_at: None,
     }
 }
 
@@ -189,7 +195,7 @@ mod tests {
         let none = Arc::new(StoredWear::default());
         let first = run(at(100), vec![point(17.320508, 2), point(34.64, 1)]);
         let second = run(at(50), vec![point(17.32, 5)]);
-        let wear = sum(&[first, second, none], Vec::new(), None);
+        let wear = sum(&[first, second, none], Vec::new());
         assert_eq!((wear.since, wear.trials, wear.runs), (at(50), 6, 2));
         assert_eq!(wear.points.x_mm, [17.32, 34.64]);
         assert_eq!(wear.points.presses, [7, 1]);

@@ -160,4 +160,22 @@ impl Store {
         .during(OPERATION)?;
         row.map(|row| Columns::of(&row, OPERATION).time("at")).transpose()
     }
+
+    /// Returns the number of accepted actions on a run with this name.
+    ///
+    /// # Errors
+    /// `NoSuchRun` if the run is not stored; `Sql` if the read fails.
+    pub async fn accepted_on(&self, run: RunUid, action: &str) -> Result<u64, StoreError> {
+        const OPERATION: &str = "counting actions on a run";
+        let scan_id = self.facts(run, OPERATION).await?.scan_id;
+        let number: i64 = sqlx::query_scalar(
+            "SELECT count(*) FROM actions WHERE run = ?1 AND accepted = 1 AND action = ?2",
+        )
+        .bind(scan_id)
+        .bind(action)
+        .fetch_one(&self.inner.readers)
+        .await
+        .during(OPERATION)?;
+        Ok(number.unsigned_abs())
+    }
 }

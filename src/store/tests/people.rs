@@ -193,6 +193,8 @@ async fn actions_are_logged_newest_first() {
     assert_eq!(all[0].detail.as_deref(), Some("run is not paused"));
     assert_eq!(store.actions(Some(run), 10, None).await.unwrap(), all[1..]);
     assert_eq!(store.actions(None, 10, Some(2)).await.unwrap(), all[1..]);
+    assert_eq!(store.accepted_on(run, "pause").await.unwrap(), 1);
+    assert_eq!(store.accepted_on(run, "resume").await.unwrap(), 0);
 }
 
 #[tokio::test]

@@ -110,7 +110,7 @@ ASKED = [{"number": 1, "x_mm": 150.0, "y_mm": 190.0, "force_n": 7.358, "point": 
          {"number": 2, "x_mm": 380.0, "y_mm": 400.0, "force_n": 4.905, "point": "R16 C14"}]
 FELT = [{"x_mm": 153.0, "y_mm": 186.0, "force_n": 7.1}, {"x_mm": 290.0, "y_mm": 300.0, "force_n": 5.2}]
 PLACEMENT = {
-    "run": "1", "scan_id": 1, "experiment": "real-random", "trial": 41, "of": 150, "done": 41, "contacts": ASKED,
+    "run": "1", "scan_id": 1, "experiment": "real-random", "trial": 41, "of": 150, "done": 41, "repeated": 2, "contacts": ASKED,
     "stage": "place", "at_rest": True, "felt": {"method": "exact", "model": "cal-0", "contacts": FELT},
     "verdict": {"kind": "wrong", "words": ["weight 2 (0.50 kg), asked at R16 C14, is felt 135 mm away, near R12 C11"],
                 "matches": [{"asked": 1, "felt": 0, "distance_mm": 5.0, "force_n": 7.1},
