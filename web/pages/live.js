@@ -18,6 +18,8 @@ import { numbered, touchMap } from '../lib/touchmap.js'
 import { vocabulary } from '../lib/vocabulary.js'
 
 const SCALES = [['5', '5 N'], ['20', '20 N'], ['', '50 N'], ['100', '100 N']]
+// Answers that may wait for their drawing; the service sends at most that many together.
+const LATE = 5
 const TELL_MS = 250, TRACE_MS = 100, TRACED = 600, SERVING_MS = 10_000, STALE_MS = 2000
 
 /** How sure an answer is: { tone, words }. */
@@ -38,7 +40,7 @@ const explained = ({ probability, contacts }) => `${contacts.length ? counted(co
 /** Shows the page. */
 export async function show(root, { query, signal, set }) {
   let state = query, serving = null, cut = null, open = '' // The socket and its method.
-  let newest = null, answer = null, at = 0, asked = false // The newest message, and what was drawn of it.
+  let waiting = [], answer = null, at = 0, asked = false // Messages that are not drawn yet, and what was drawn.
   let listed = '', arrived = 0, drawings = 0, told = { arrived: 0, drawings: 0 }, since = performance.now(), rates = {}
   let heard = null // Frame counter of the newest drawn answer, and how many had arrived with it.
   const latencies = [], lost = missingOf(), trace = { at: [], total: [], from: 0 }
@@ -73,7 +75,8 @@ export async function show(root, { query, signal, set }) {
     if (wanted === open) return
     open = wanted
     cut?.abort()
-    answer = newest = heard = null
+    answer = heard = null
+    waiting = []
     lost.clear()
     map.show(null)
     if (!wanted) return
@@ -81,21 +84,24 @@ export async function show(root, { query, signal, set }) {
     const until = AbortSignal.any([signal, cut.signal])
     socket('/live', { signal: until, raw: true, rest: true, query: { method: wanted, map: method.uses.includes('map') || null }, onmessage(text) {
       if (until.aborted) return
-      newest = text
+      waiting.push(text)
+      if (waiting.length > LATE) waiting = [text]
       arrived += 1
-      if (!asked) { asked = true; requestAnimationFrame(frame) }
+      ask()
     } })
   }
 
-  // One drawing per picture of the screen, of the newest answer; what is not drawn is not even read.
+  // One drawing per picture of the screen: answers that arrive together are drawn one after the other. What comes too
+  // late to be drawn is not even read.
+  function ask() { if (!asked) { asked = true; requestAnimationFrame(frame) } }
   function frame() {
     asked = false
-    if (signal.aborted || !newest) return
+    if (signal.aborted || !waiting.length) return
     drawings += 1
-    const read = JSON.parse(newest)
-    newest = null
+    const read = JSON.parse(waiting.shift())
+    if (waiting.length) ask()
     at = Date.now()
-    heard = { sequence: read.sequence, arrived }
+    heard = { sequence: read.sequence, arrived: arrived - waiting.length }
     if (read.error) { answer = { ...read, contacts: [] } } else {
       numbered(read.contacts, answer?.contacts ?? [])
       answer = read
