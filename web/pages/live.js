@@ -99,7 +99,6 @@ export async function show(root, { query, signal, set }) {
     if (signal.aborted || !waiting.length) return
     drawings += 1
     const read = JSON.parse(waiting.shift())
-    if (waiting.length) ask()
     at = Date.now()
     heard = { sequence: read.sequence, arrived: arrived - waiting.length }
     if (read.error) { answer = { ...read, contacts: [] } } else {
@@ -110,6 +109,7 @@ export async function show(root, { query, signal, set }) {
       keep(read)
     }
     map.show(answer)
+    if (waiting.length) ask() // After the map has asked for its picture, so that this one is drawn before the next.
   }
 
   function keep({ contacts }) {
