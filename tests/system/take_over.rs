@@ -135,6 +135,13 @@ async fn no_run_begins_by_itself_after_an_abort_of_a_moving_run_and_the_queue_sa
     let words = status["waiting_for"].as_str().unwrap_or_default();
     assert!(words.contains("does not begin by itself: the run before it was aborted"), "{words}");
     assert_eq!(status["not_begun"], status["waiting_for"]);
+    // The newest of its kind, whatever was reported after it.
+    let newest = lab.get("/api/v1/events?kind=not_begun&since=-1").await;
+    assert_eq!(newest["items"].as_array().map(Vec::len), Some(1), "{newest:#}");
+    let first = lab.get("/api/v1/events?since=0&limit=1").await["items"][0].clone();
+    let kind = first["kind"].as_str().unwrap();
+    let of_kind = lab.get(&format!("/api/v1/events?kind={kind}&since=-1000")).await;
+    assert_eq!(of_kind["items"][0], first, "{of_kind:#}");
     let times = lab.get("/api/v1/queue/times").await;
     let why = times["items"][0]["not_begun"].as_str().unwrap_or_default();
     assert!(why.ends_with("start it again"), "{times:#}");

@@ -1,26 +1,29 @@
 // The event log: newest first, important events marked, followed live.
 
-import { follow } from './api.js'
+import { follow, get } from './api.js'
 import { el, onBeat, panel, say, select } from './dom.js'
 import { clock, moment } from './format.js'
+import { vocabulary } from './vocabulary.js'
 import { LOUD } from './words.js'
 
 const KEPT = 400, SHOWN = 80
 /** Whether a person must not miss an event. */
 export const matters = event => event.importance !== 'routine'
+/** Kinds of which some events matter, as a parameter of a request. */
+export const kindsThatMatter = () => vocabulary.events.filter(matters).map(({ name }) => name).join()
 
 const tone = event => LOUD[event.importance] ?? ''
 
 /** Makes the log. `state.log` is 'all' or absent (only important ones). */
 export function eventLog({ state, set, signal, since = -200 }) {
-  let made = new Map()
+  let made = new Map(), important = [] // Those that matter, further back than the newest of all.
   const kept = [], list = el('ol', { className: 'events scroll', tabIndex: 0, 'aria-label': 'Events, newest first' }), line = el('p',
     { className: 'soft small' })
   const choice = select([['', 'Only important ones'], ['all', 'All events']], state.log ?? '', value => set({ log: value }), { 'aria-label': 'Which events' })
   const row = event => el('li', { className: tone(event) }, el('time', { dateTime: event.at, title: moment(event.at, true) },
     Date.now() - Date.parse(event.at) < 64_800e3 ? clock(event.at) : moment(event.at)), el('span', {}, event.words))
   const draw = onBeat(() => {
-    const wanted = state.log === 'all' ? kept : kept.filter(matters), last = wanted.slice(-SHOWN).reverse()
+    const wanted = state.log === 'all' ? kept : important, last = wanted.slice(-SHOWN).reverse()
     // A row is made once: events come every second, and a list of new rows each time is garbage.
     const rows = last.map(event => made.get(event) ?? row(event))
     made = new Map(last.map((event, i) => [event, rows[i]]))
@@ -33,9 +36,16 @@ export function eventLog({ state, set, signal, since = -200 }) {
     signal, onevent(event) {
       kept.push(event)
       if (kept.length > KEPT) kept.splice(0, kept.length - KEPT)
+      if (matters(event) && event.seq > (important.at(-1)?.seq ?? 0)) important = [...important.slice(1 - KEPT), event]
       draw()
     },
   })
+  // In a night there are far more routine events than are followed: what matters may have been hours ago.
+  get('/events', { kind: kindsThatMatter(), since: -KEPT, limit: KEPT }, { signal }).then(({ items }) => {
+    const known = new Set(important.map(({ seq }) => seq))
+    important = [...items.filter(event => matters(event) && !known.has(event.seq)), ...important].sort((a, b) => a.seq - b.seq).slice(-KEPT)
+    draw()
+  }, () => {})
   draw()
   return {
     node: panel('Events', { className: 'live log', aside: choice }, list, line),

@@ -11,7 +11,7 @@ import { fold } from './fold.js'
 import { about, age, count, countOf, counted, fixed, moment, percent, plain, span } from './format.js'
 import { history } from './history.js'
 import { live } from './live.js'
-import { matters } from './log.js'
+import { kindsThatMatter, matters } from './log.js'
 import { medianChart, medians, partWords } from './medians.js'
 import { isActive, largest, perHour, runSentence, runTone } from './runwords.js'
 import { save } from './save.js'
@@ -214,7 +214,7 @@ export function report(root, { state, set, go, said, others, signal }) {
   fill(log, el('h2', {}, el('span', {}, 'Events'), choice), list)
   async function events() {
     const all = state.log === 'all'
-    const page = await quiet(get('/events', { run: n, since: -EVENTS, limit: EVENTS }, { signal }))
+    const page = await quiet(get('/events', { run: n, kind: all ? null : kindsThatMatter(), since: -EVENTS, limit: EVENTS }, { signal }))
     if (signal.aborted || all !== (state.log === 'all')) return
     const items = (page?.items ?? []).filter(event => all || matters(event)).reverse()
     const scrolled = list.firstChild?.scrollTop ?? 0
@@ -227,7 +227,7 @@ export function report(root, { state, set, go, said, others, signal }) {
               el('li', { className: LOUD[event.importance] ?? '' }, el('time', { dateTime: event.at }, moment(event.at, true)), el('span', {}, event.words)),
             ),
           )
-        : el('p', { className: 'soft' }, page ? 'No important event among the newest.' : 'The events could not be read.'),
+        : el('p', { className: 'soft' }, page ? all ? 'No events.' : 'No important events.' : 'The events could not be read.'),
     )
     if (list.firstChild) list.firstChild.scrollTop = scrolled
   }

@@ -16,6 +16,8 @@ import { checkReport } from '../lib/rigcheck.js'
 import { meaning } from '../lib/vocabulary.js'
 import { RIG, TONE } from '../lib/words.js'
 
+// What the devices of a rig say when its wires are opened, and more.
+const DEVICES_TOLD = 50
 const CHECK_MS = 120_000, RATES_MS = 2000, SURE_S = 8
 const ACTIONS = [['connect', 'Connect', 'Opens the wires and asks every device who it is.'],
   ['home', 'Home', 'Homes each axis, z first. The axes move.'],
@@ -162,7 +164,7 @@ export async function show(root, { query, signal, set }) {
     const closed = rig.state === 'disconnected', moves = rig.has_stage !== false
     const wires = rig.wires.map(wire => ({ name: `Wire ${wire.name}`, ...wireWords(wire, rateOf(state.rates?.wires.find(one => one.name === wire.name))) }))
     const axis = (name, key, unit = 'mm') => ({ name: key === 'radius' ? 'Arms (radial axis)' : `Axis ${name}`, words: closed ? 'Closed.'
-      : lastWord(state.found[name]) || 'Its report at connection is older than the shown events.',
+      : lastWord(state.found[name]) || 'It has not reported yet.',
       figures: rig.pose ? [['Position', fixed(rig.pose[`${key}_mm`], 2, unit)], ['Known', ['homed', 'armed'].includes(rig.state) ? 'homed' : 'not homed']]
         : [] })
     const dead = rig.forces_n.slice(0, rig.tips ?? 0).flatMap((force, i) => force == null ? [i + 1] : [])
@@ -215,8 +217,8 @@ export async function show(root, { query, signal, set }) {
   }
   followRates()
   // What each device said when the wires were opened last.
-  const listen = () => get('/events', { since: -1000 }, { signal }).then(({ items }) => {
-    for (const event of items) if (event.kind === 'device') state.found[event.data.device] = event
+  const listen = () => get('/events', { kind: 'device', since: -DEVICES_TOLD }, { signal }).then(({ items }) => {
+    for (const event of items) state.found[event.data.device] = event
     draw(live)
   }, () => {})
   listen()

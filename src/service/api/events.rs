@@ -60,8 +60,8 @@ impl From<journal::Event> for Event {
 #[derive(Debug, Deserialize, IntoParams)]
 #[into_params(parameter_in = Query)]
 pub struct EventParams {
-    /// Only events after this number; a negative number counts from the end. Absent: all events in
-    /// pages, only new events of a live stream.
+    /// Only events after this number; a negative number counts from the end of the selected events. Absent: all events
+    /// in pages, only new events of a live stream.
     pub since: Option<i64>,
     /// Only events of this run: uid or scan_id.
     pub run: Option<String>,
@@ -102,7 +102,7 @@ pub async fn events(
     if live {
         let last = text(header::HeaderName::from_static("last-event-id"));
         let since = match last.and_then(|id| id.parse().ok()).or(params.since) {
-            Some(since) => resolved(&app, since).await?,
+            Some(since) => resolved(&app, since, run, &kinds).await?,
             None => app.store.last_event_seq().await?,
         };
         let keep_alive = KeepAlive::new().interval(Duration::from_secs(15));
@@ -110,16 +110,24 @@ pub async fn events(
     }
     let since = match asked.after()? {
         Some(last) => last,
-        None => resolved(&app, params.since.unwrap_or(0)).await?,
+        None => resolved(&app, params.since.unwrap_or(0), run, &kinds).await?,
     };
     let events = app.store.events_since(since, asked.limit + 1, run, &kinds).await?;
     let events: Vec<Event> = events.into_iter().map(Event::from).collect();
     Ok(asked.first(events, |event| event.seq).into_response())
 }
 
-/// Resolves a negative number, which counts from the end: -30 selects the last 30 events.
-async fn resolved(app: &App, since: i64) -> Result<i64, ApiError> {
-    Ok(if since < 0 { (app.store.last_event_seq().await? + since).max(0) } else { since })
+/// Resolves a negative number, which counts from the end: -30 selects the last 30 events of this run and these kinds.
+async fn resolved(
+    app: &App,
+    since: i64,
+    run: Option<RunUid>,
+    kinds: &[String],
+) -> Result<i64, ApiError> {
+    if since >= 0 {
+        return Ok(since);
+    }
+    Ok(app.store.seq_before_newest(since.unsigned_abs(), run, kinds).await?)
 }
 
 /// Polls the table until the service ends or the store fails.

@@ -119,6 +119,44 @@ impl Store {
             .collect()
     }
 
+    /// Returns the number after which the `newest` last events of a selection begin, as `events_since` selects them: one
+    /// run or all, these kinds or, without `kinds`, all. 0 if there are not that many.
+    ///
+    /// # Errors
+    /// `NoSuchRun` if a given run is not stored; `Sql` if the read fails.
+    pub async fn seq_before_newest(
+        &self,
+        newest: u64,
+        run: Option<RunUid>,
+        kinds: &[String],
+    ) -> Result<i64, StoreError> {
+        const OPERATION: &str = "finding the newest events";
+        let kinds = (!kinds.is_empty()).then(|| serde_json::json!(kinds).to_string());
+        let (scan_id, statement) = match run {
+            Some(run) => (
+                Some(self.facts(run, OPERATION).await?.scan_id),
+                "SELECT seq FROM events
+                 WHERE run = ?1 AND (?2 IS NULL OR kind IN (SELECT value FROM json_each(?2)))
+                 ORDER BY seq DESC LIMIT 1 OFFSET ?3",
+            ),
+            None => (
+                None,
+                "SELECT seq FROM events
+                 WHERE ?1 IS NULL AND (?2 IS NULL OR kind IN (SELECT value FROM json_each(?2)))
+                 ORDER BY seq DESC LIMIT 1 OFFSET ?3",
+            ),
+        };
+        let skipped = i64::try_from(newest.saturating_sub(1)).unwrap_or(i64::MAX);
+        let first: Option<i64> = sqlx::query_scalar(statement)
+            .bind(scan_id)
+            .bind(kinds)
+            .bind(skipped)
+            .fetch_optional(&self.inner.readers)
+            .await
+            .during(OPERATION)?;
+        Ok(first.map_or(0, |seq| seq - 1))
+    }
+
     /// Returns the number of the last event; 0 before the first.
     ///
     /// # Errors

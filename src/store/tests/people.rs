@@ -51,6 +51,17 @@ async fn events_are_selected_by_kind_before_they_are_counted() {
     assert_eq!(of(None, 9, &["trip", "keys"]).await, [2, 3, 4]);
     assert_eq!(of(Some(run), 9, &["trip"]).await, [2]);
     assert!(of(None, 9, &["tri'p", "%"]).await.is_empty());
+    // The newest of a selection, however many others came since.
+    let before = async |newest, run, kinds: &[&str]| -> i64 {
+        let kinds: Vec<String> = kinds.iter().map(|kind| (*kind).to_owned()).collect();
+        store.seq_before_newest(newest, run, &kinds).await.unwrap()
+    };
+    assert_eq!(before(1, None, &["trip"]).await, 2);
+    assert_eq!(before(2, None, &["trip"]).await, 1);
+    assert_eq!(before(3, None, &["trip"]).await, 0);
+    assert_eq!(before(1, Some(run), &[]).await, 1);
+    assert_eq!(before(1, Some(run), &["state"]).await, 0);
+    assert_eq!(before(2, None, &[]).await, 2);
 }
 
 #[tokio::test]
