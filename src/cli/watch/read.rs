@@ -15,6 +15,7 @@ use crate::api::Page;
 use crate::cli::client::Client;
 use crate::cli::error::CliError;
 use crate::cli::view::{EventView, StatusView};
+use crate::event::notable_kinds;
 use crate::ids::RunUid;
 
 /// Interval of polling the status.
@@ -172,8 +173,10 @@ impl Rest {
 
     async fn events(&mut self) -> Result<bool, CliError> {
         let since = self.since.unwrap_or(-EARLIER_EVENTS);
-        let page: Page<EventView> =
-            self.client.get(&format!("/api/v1/events?since={since}")).await?;
+        // Only kinds of which the screen shows some: what matters may be hours older than the newest event.
+        let kinds = notable_kinds().chain(["state"]).collect::<Vec<_>>().join(",");
+        let path = format!("/api/v1/events?since={since}&kind={kinds}");
+        let page: Page<EventView> = self.client.get(&path).await?;
         let Some(last) = page.items.last() else { return Ok(true) };
         self.since = Some(last.seq);
         Ok(self.news.send(News::Events(page.items)).await.is_ok())
