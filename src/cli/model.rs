@@ -194,7 +194,12 @@ async fn answer(client: Client, what: What) -> Result<(), CliError> {
             if at.json {
                 say_json(&serving);
             } else {
-                serving.serves.iter().for_each(|serves| tell(serves, false));
+                for serves in &serving.serves {
+                    tell(serves, false);
+                    if let Some(restores) = &serves.restores {
+                        say(format_args!("          roll-back restores {}", restores.as_str()));
+                    }
+                }
             }
         }
         What::Onnx(Onnx { model, out, at }) => {

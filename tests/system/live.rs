@@ -223,7 +223,8 @@ async fn models_change_between_two_live_frames_and_what_is_refused_changes_none(
     lab.posted(SERVING, json!({ "what": "one" })).await;
     let changes = async {
         sleep(Duration::from_secs(1)).await;
-        lab.posted(SERVING, json!({ "what": "two" })).await;
+        let second = lab.posted(SERVING, json!({ "what": "two" })).await;
+        assert_eq!(second["restores"], one, "{second}");
         sleep(Duration::from_millis(1500)).await;
         let back = lab.posted(ROLL_BACK, json!({ "slot": "points" })).await;
         assert_eq!(back["what"], one);

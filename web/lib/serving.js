@@ -37,22 +37,14 @@ export function servingPanel({ signal, said, name, onchange }) {
     onchange()
   }
   const since = slot => history.find(one => one.slot === slot)
-  function before(slot) {
-    const now = serves.find(one => one.slot === slot)?.what,
-      mine = history.filter(one => one.slot === slot)
-    return mine.slice(1).find(one => one.what && one.what !== now)?.what ?? null
-  }
   async function rollBack(slot) {
     if (lockWords()) return void said.tell(lockWords(), 'warn')
-    const now = serves.find(one => one.slot === slot)?.what,
-      to = before(slot)
+    const { what: now, restores: to } = serves.find(one => one.slot === slot)
     const sure = await confirm(
       `Roll back ${slotOf(slot).title}?`,
       [
         `Serves now: ${name(now)} (${now}).`,
-        to
-          ? `The service restores what served before it, most likely ${name(to)} (${to}).`
-          : 'Nothing is known to have served before it: the slot may become empty.',
+        to ? `${name(to)} (${to}) serves again.` : 'Nothing served before it: the slot becomes empty.',
         'It is loaded before it serves: no frame is dropped.',
       ],
       'Roll back'

@@ -91,6 +91,10 @@ pub struct ServesOut {
     /// What limits its answers; absent if nothing is known to.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub limitation: Option<String>,
+    /// Id that a roll-back restores; absent if the slot would be empty, or if there is nothing to roll back.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schema(value_type = Option<String>)]
+    pub restores: Option<PromotedId>,
 }
 
 /// Serving models and calibrations, with the history of promotions.
@@ -321,8 +325,10 @@ pub async fn add_calibration(
 #[utoipa::path(get, path = "/api/v1/serving", tag = "models",
     responses((status = 200, body = ServingOut)))]
 pub async fn serving(State(app): State<App>) -> Result<Json<ServingOut>, ApiError> {
-    let serves = app.serving.promoted().await?;
-    let serves = serves.into_iter().map(|(slot, what)| serves_out(&app, slot, what)).collect();
+    let mut serves = Vec::new();
+    for (slot, what) in app.serving.promoted().await? {
+        serves.push(serves_out(&app, slot, what).await?);
+    }
     let history = app.serving.history().await?.into_iter().map(|row| PromotionOut {
         slot: row.slot,
         what: row.what,
@@ -352,7 +358,7 @@ pub async fn promote(
     act.stated(who, why);
     act.about(&request.what);
     let (slot, what) = app.serving.promote(&request.what, &act.name(), why).await?;
-    Ok(Json(serves_out(&app, slot, Some(what))))
+    Ok(Json(serves_out(&app, slot, Some(what)).await?))
 }
 
 /// Restores the previous model or calibration of a slot.
@@ -369,12 +375,17 @@ pub async fn roll_back(
     let (who, why, slot) = (request.who.as_deref(), request.why.as_deref(), request.slot);
     act.stated(who, why);
     let what = app.serving.roll_back(slot, &act.name(), why).await?;
-    Ok(Json(serves_out(&app, slot, what)))
+    Ok(Json(serves_out(&app, slot, what).await?))
 }
 
-fn serves_out(app: &App, slot: Slot, what: Option<PromotedId>) -> ServesOut {
+async fn serves_out(
+    app: &App,
+    slot: Slot,
+    what: Option<PromotedId>,
+) -> Result<ServesOut, ApiError> {
     let skin = (slot == Slot::Skin).then(|| app.serving.current().skin().cloned()).flatten();
-    ServesOut { slot, what, limitation: skin.and_then(|skin| skin.limitation()) }
+    let limitation = skin.and_then(|skin| skin.limitation());
+    Ok(ServesOut { slot, what, limitation, restores: app.serving.restores(slot).await? })
 }
 
 /// True if a report is a score of a model of this task: by a method that uses the task, on rows

@@ -206,16 +206,28 @@ impl Serving {
         why: Option<&str>,
     ) -> Result<Option<PromotedId>, InferError> {
         let _one_at_a_time = self.inner.changing.lock().await;
-        let rows = self.inner.store.promotions().await?;
-        let of_slot = rows.into_iter().filter(|row| row.slot == slot.name());
-        let served: Vec<_> = of_slot.map(|row| (row.what, row.rolled_back)).collect();
-        let earlier = earlier(&served).ok_or(InferError::NoEarlier(slot.name()))?;
+        let earlier = self.earlier(slot).await?.ok_or(InferError::NoEarlier(slot.name()))?;
         let next = self.with(slot, earlier.as_ref()).await?;
         let new =
             NewPromotion { slot: slot.name(), what: earlier.as_ref(), rolled_back: true, who, why };
         self.inner.store.promote(new).await?;
         *self.inner.current.write() = next;
         Ok(earlier)
+    }
+
+    /// What a roll-back of a slot restores; `None` if it leaves the slot empty, or if there is nothing to roll back.
+    ///
+    /// # Errors
+    /// `InferError::Store` if the store fails.
+    pub async fn restores(&self, slot: Slot) -> Result<Option<PromotedId>, InferError> {
+        Ok(self.earlier(slot).await?.flatten())
+    }
+
+    async fn earlier(&self, slot: Slot) -> Result<Option<Option<PromotedId>>, InferError> {
+        let rows = self.inner.store.promotions().await?;
+        let of_slot = rows.into_iter().filter(|row| row.slot == slot.name());
+        let served: Vec<_> = of_slot.map(|row| (row.what, row.rolled_back)).collect();
+        Ok(earlier(&served))
     }
 
     /// What serves with a model or a skin in a slot, or with the slot empty.
