@@ -20,6 +20,7 @@ import { vocabulary } from '../lib/vocabulary.js'
 const SCALES = [['5', '5 N'], ['20', '20 N'], ['', '50 N'], ['100', '100 N']]
 // Answers that may wait for their drawing; the service sends at most that many together.
 const LATE = 5
+const FRAME_US = 33_333 // Of a board.
 const TELL_MS = 250, TRACE_MS = 100, TRACED = 600, SERVING_MS = 10_000, STALE_MS = 2000
 
 /** How sure an answer is: { tone, words }. */
@@ -132,7 +133,7 @@ export async function show(root, { query, signal, set }) {
     if (seconds >= 1) {
       const sorted = [...latencies].sort((a, b) => a - b), latency = sorted[sorted.length >> 1]
       const per = name => { const now = { arrived, drawings }[name]; return `${fixed((now - told[name]) / seconds, 0)} per s` }
-      rates = { latency: latency == null || old ? '–' : fixed(latency / 1e3, 1, 'ms'), answers: per('arrived'), drawn: per('drawings') }
+      rates = { isSlow: latency > FRAME_US, latency: latency == null || old ? '–' : fixed(latency / 1e3, 1, 'ms'), answers: per('arrived'), drawn: per('drawings') }
       told = { arrived, drawings }
       if (heard && !old) lost.add({ ...heard, missed: live.status?.rig.stream.missed ?? 0 })
       Object.assign(page.dataset, { arrived, drawn: drawings }) // For those who count them.
@@ -144,7 +145,7 @@ export async function show(root, { query, signal, set }) {
       answer?.averaged != null && ['Averaged', counted(Math.round(answer.averaged), 'frame')],
       ['Latency', rates.latency], ['Answers', rates.answers], ['Drawn', rates.drawn],
       // A rig that is faster than the clock sends more than anyone can look at.
-      live.status?.rig.clock_rate <= 1 && ['Missing, last minute', missingWords(lost.last())],
+      live.status?.rig.clock_rate <= 1 && ['Missing, last minute', missingWords(lost.last(), rates.isSlow)],
     ])
     lists.hidden = !answer
     const list = answer?.contacts.some(contact => contact.presence != null) ? proposed : placed
@@ -197,11 +198,12 @@ export async function show(root, { query, signal, set }) {
   }
 }
 
-/** How many frames are missing in the answers, and how many of them the service did not receive. */
-function missingWords(last) {
+/** How many frames are missing in the answers, and why: the method is slow, or the service did not receive them. */
+function missingWords(last, isSlow) {
   if (!last) return '–'
   if (!last.missing) return 'none'
-  return `${countOf(last.missing, last.frames)} frames${last.unreceived ? `, ${count(last.unreceived)} not received from the rig` : ''}`
+  const why = [isSlow && 'an answer takes longer than a frame', last.unreceived && `${count(last.unreceived)} not received from the rig`]
+  return [`${countOf(last.missing, last.frames)} frames`, ...why].filter(Boolean).join(', ')
 }
 
 /** A value with its standard deviation, where there is one. */
