@@ -303,6 +303,8 @@ fn status_words(status: &StatusView, twins: &Value, workers: Option<String>) -> 
     let waits = status.waiting_for.as_ref().map_or(String::new(), |words| format!("; {words}"));
     lines.extend(status.care.lines(Timestamp::now()));
     lines.push(format!("queue    {}{waits}", counted(status.queue_length as u64, "run", "runs")));
+    let unsaid = status.not_begun.as_ref().filter(|_| status.not_begun != status.waiting_for);
+    lines.extend(unsaid.map(|words| format!("         {words}")));
     lines.extend(twin_words(twins));
     lines.extend(workers);
     lines.push(format!("service  {}, {}", status.service.version, status.service.database));
