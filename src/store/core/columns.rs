@@ -44,11 +44,11 @@ enum Source<'r> {
 }
 
 /// The names of the columns of a statement. Each row is read in the same order, so that the column that is
-/// read after another is found where it was found before.
+/// read after another is found where it was found before, mostly without comparing letters.
 pub(crate) struct Names {
     names: Vec<String>,
-    /// For each column the place of the one that was read after it.
-    followers: Vec<Cell<usize>>,
+    /// For each column the one that was read after it: its name as the reader states it, and its place.
+    followers: Vec<Cell<(&'static str, usize)>>,
     /// Place of the column that was read last.
     last: Cell<usize>,
 }
@@ -57,21 +57,26 @@ impl Names {
     /// The names of the columns of this statement.
     pub(crate) fn of(statement: &rusqlite::Statement<'_>) -> Self {
         let names: Vec<String> = statement.column_names().into_iter().map(str::to_owned).collect();
-        let followers = (1..=names.len()).map(Cell::new).collect();
+        let followers = (1..=names.len()).map(|place| Cell::new(("", place))).collect();
         Self { names, followers, last: Cell::new(0) }
     }
 
-    fn position(&self, column: &str) -> Option<usize> {
+    fn position(&self, column: &'static str) -> Option<usize> {
         let last = self.last.get();
         let follower = self.followers.get(last)?;
+        let (name, place) = follower.get();
+        if std::ptr::eq(name, column) {
+            self.last.set(place);
+            return Some(place);
+        }
         let is_there = |place: &usize| self.names.get(*place).is_some_and(|name| name == column);
-        let place = [follower.get(), last].into_iter().find(is_there).or_else(|| {
-            let found = self.names.iter().position(|name| name == column)?;
-            follower.set(found);
-            Some(found)
-        })?;
-        self.last.set(place);
-        Some(place)
+        let found = [place, last].into_iter().find(is_there);
+        let found = found.or_else(|| self.names.iter().position(|name| name == column))?;
+        if found != last {
+            follower.set((column, found));
+        }
+        self.last.set(found);
+        Some(found)
     }
 }
 
@@ -130,7 +135,7 @@ impl<'r> Columns<'r> {
     }
 
     /// Whether the query selected this column.
-    pub(crate) fn has(&self, column: &str) -> bool {
+    pub(crate) fn has(&self, column: &'static str) -> bool {
         match self.row {
             Source::Copied(row) => row.try_column(column).is_ok(),
             Source::Lent(_, names) => names.position(column).is_some(),

@@ -11,8 +11,8 @@ use super::trial_row::{Contact, TrialRow, tips_as_contacts};
 use crate::core::StoreError;
 use crate::core::bulk::Statement;
 use crate::core::columns::Columns;
-use crate::core::facts::RunKind;
-use crate::ids::TrialId;
+use crate::core::facts::{Label, RunKind};
+use crate::ids::{RunUid, TrialId};
 use crate::record::{ARMS, ArmReading, FrameQuality, Pose, TrialScalars};
 
 /// Returns the reading of an attached tip from its columns.
@@ -51,10 +51,56 @@ pub(crate) fn rows_of_ids(
     let mut query = Statement::new(select);
     query.push(" WHERE t.id IN (SELECT value FROM json_each(").bind(wanted);
     query.push(")) ORDER BY t.id");
+    // The run of the trial before; a page is mostly of one.
+    let mut last: Option<OfRun> = None;
     query.rows(connection, operation, |c| {
-        let trial = c.get("id")?;
-        trial_row(c, TrialId(trial), tips.take(trial), placed.take(trial))
+        let (trial, scan_id): (i64, i64) = (c.get("id")?, c.get("run")?);
+        let run = match last.take().filter(|run| run.scan_id == scan_id) {
+            Some(run) => run,
+            None => OfRun::read(connection, scan_id, operation)?,
+        };
+        let row = trial_row(c, TrialId(trial), &run, tips.take(trial), placed.take(trial));
+        last = Some(run);
+        row
     })
+}
+
+/// What the trials of a run have from it.
+struct OfRun {
+    scan_id: i64,
+    uid: RunUid,
+    experiment: String,
+    kind: RunKind,
+    label: Label,
+    deadband_n: f64,
+    tip_diameter_mm: Option<f64>,
+}
+
+impl OfRun {
+    fn read(
+        connection: &Connection,
+        scan_id: i64,
+        operation: &'static str,
+    ) -> Result<Self, StoreError> {
+        let mut query = Statement::new(
+            "SELECT uid, experiment, kind, label, deadband_n, tip_diameter_mm FROM runs
+             WHERE scan_id = ",
+        );
+        query.bind(scan_id);
+        let mut found = query.rows(connection, operation, |c| {
+            Ok(Self {
+                scan_id,
+                uid: c.uid("uid")?,
+                experiment: c.get("experiment")?,
+                kind: c.word("kind")?,
+                label: c.word("label")?,
+                deadband_n: c.get("deadband_n")?,
+                tip_diameter_mm: c.get("tip_diameter_mm")?,
+            })
+        })?;
+        let missing = || StoreError::damaged(format!("run {scan_id} has trials and no row"));
+        found.pop().ok_or_else(missing)
+    }
 }
 
 /// Rows of a child table in ascending order of their trials.
@@ -83,21 +129,19 @@ impl<T> Belonging<T> {
     }
 }
 
-/// Returns a trial from its columns; `placed` are its placed contacts as they are stored.
+/// Returns a trial of `run` from its columns; `placed` are its placed contacts as they are stored.
 fn trial_row(
     c: &Columns<'_>,
     trial_id: TrialId,
+    run: &OfRun,
     arms: Vec<ArmReading>,
     placed: Vec<Contact>,
 ) -> Result<TrialRow, StoreError> {
-    let (deadband_n, diameter_mm): (f64, Option<f64>) =
-        (c.get("deadband_n")?, c.get("tip_diameter_mm")?);
-    let kind = c.word::<RunKind>("kind")?;
-    let contacts = match kind {
-        RunKind::RealHex => tips_as_contacts(&arms, deadband_n, diameter_mm),
+    let contacts = match run.kind {
+        RunKind::RealHex => tips_as_contacts(&arms, run.deadband_n, run.tip_diameter_mm),
         RunKind::RealRandom | RunKind::Imported => placed
             .iter()
-            .map(|p| Contact { diameter_mm: p.diameter_mm.or(diameter_mm), ..*p })
+            .map(|p| Contact { diameter_mm: p.diameter_mm.or(run.tip_diameter_mm), ..*p })
             .collect(),
     };
     let mut forces_n = [None; ARMS];
@@ -110,11 +154,11 @@ fn trial_row(
     let of = || format!("trial {}", trial_id.0);
     let row = TrialRow {
         trial_id,
-        run: c.uid("uid")?,
-        scan_id: c.get("run")?,
-        experiment: c.get("experiment")?,
-        kind,
-        label: c.word("label")?,
+        run: run.uid,
+        scan_id: run.scan_id,
+        experiment: run.experiment.clone(),
+        kind: run.kind,
+        label: run.label,
         configuration: c.whole("configuration")?,
         depth_index: c.whole("depth_index")?,
         attempt: c.whole("attempt")?,

@@ -15,8 +15,8 @@ pub struct Column {
     pub unit: &'static str,
     /// Type of the values, and the field of a stored trial that holds them.
     pub of: Of,
-    /// SQL expression over the tables of `query::SELECT`; empty if stored trials cannot be filtered by
-    /// it.
+    /// SQL expression over the tables of `TrialQuery::ids`; empty if stored trials cannot be filtered
+    /// by it.
     pub(crate) sql: &'static str,
     /// Meaning, for the description of the API and the manual.
     pub about: &'static str,

@@ -9,12 +9,9 @@ use crate::record::Flag;
 /// Largest number of trials of a page.
 pub const MAX_PAGE: u32 = 10_000;
 
-/// Columns of a row, with the fit of its newest twin. `CROSS JOIN` makes SQLite read the trials in their
-/// order.
-pub(crate) const SELECT: &str = "SELECT t.*, r.uid, r.experiment, r.kind, r.label, r.deadband_n,
-         r.tip_diameter_mm, w.rmse_v, w.fvu, m.hash AS sim_model
-     FROM trials t CROSS JOIN runs r ON r.scan_id = t.run
-     LEFT JOIN twins w ON w.trial = t.id
+/// Columns of a row, with the fit of its newest twin.
+pub(crate) const SELECT: &str = "SELECT t.*, w.rmse_v, w.fvu, m.hash AS sim_model
+     FROM trials t LEFT JOIN twins w ON w.trial = t.id
          AND w.model = (SELECT max(model) FROM twins n WHERE n.trial = t.id)
      LEFT JOIN twin_models m ON m.id = w.model";
 
@@ -30,13 +27,12 @@ const JOIN_TWIN: &str = " LEFT JOIN twins w ON w.trial = t.id
          AND w.model = (SELECT max(model) FROM twins n WHERE n.trial = t.id)";
 const JOIN_MODEL: &str = " LEFT JOIN twin_models m ON m.id = w.model";
 
-/// Columns of a row, with the mean voltages and the frame of its newest twin.
+/// Columns of a row, with the mean voltages and the frame of its newest twin. `CROSS JOIN` makes SQLite read
+/// the trials in their order.
 pub(crate) const SELECT_WITH_VOLTAGES: &str =
-    "SELECT t.*, r.uid, r.experiment, r.kind, r.label, r.deadband_n,
-         r.tip_diameter_mm, w.rmse_v, w.fvu, m.hash AS sim_model, v.voltages_v,
+    "SELECT t.*, w.rmse_v, w.fvu, m.hash AS sim_model, v.voltages_v,
          v.crc32 AS volts_crc32, s.voltages_v AS sim_voltages_v, s.crc32 AS sim_volts_crc32
-     FROM trials t CROSS JOIN runs r ON r.scan_id = t.run
-     CROSS JOIN trial_voltages v ON v.trial = t.id
+     FROM trials t CROSS JOIN trial_voltages v ON v.trial = t.id
      LEFT JOIN twins w ON w.trial = t.id
          AND w.model = (SELECT max(model) FROM twins n WHERE n.trial = t.id)
      LEFT JOIN twin_models m ON m.id = w.model
