@@ -5,6 +5,7 @@
 use std::collections::HashSet;
 use std::time::Duration;
 
+use tokio::time::{sleep, timeout};
 use tracing::Instrument;
 
 use super::App;
@@ -16,16 +17,29 @@ use crate::store::RunKind;
 
 /// Interval of checking for runs that have ended, and for trials of the active run.
 const FINISHED_POLL: Duration = Duration::from_secs(5);
+/// Interval of checking whether the active run has ended; then also of checking for its last twins.
+const END_POLL: Duration = Duration::from_millis(500);
+/// Number of such checks for its last twins.
+const END_POLLS: u32 = 20;
 /// Number of runs that are checked, newest first.
 const CHECKED_RUNS: u32 = 20;
 
 /// Writes the trials of the active run ahead, and makes the dataset of every run that has ended and has its
 /// twins: while a run is active, only that of a run whose file was begun.
 pub async fn keep(app: App) {
-    let (mut done, mut given_up) = (HashSet::new(), HashSet::new());
+    let (mut done, mut given_up, mut soon) = (HashSet::new(), HashSet::new(), 0_u32);
     loop {
-        tokio::time::sleep(FINISHED_POLL).await;
+        let before = app.campaign.status().run.map(|run| run.uid);
+        let changed = async {
+            while app.campaign.status().run.map(|run| run.uid) == before {
+                sleep(END_POLL).await;
+            }
+        };
+        // The next check is due after this time without a change, too.
+        let _ = timeout(if soon > 0 { END_POLL } else { FINISHED_POLL }, changed).await;
         let active = app.campaign.status().run.map(|run| (run.uid, run.scan_id));
+        let has_ended = before.is_some() && active.map(|(run, _)| run) != before;
+        soon = if has_ended { END_POLLS } else { soon.saturating_sub(1) };
         if let Some((run, scan_id)) = active
             && !given_up.contains(&run)
         {
@@ -48,7 +62,8 @@ pub async fn keep(app: App) {
             }
         };
         for run in runs.iter().filter(|run| run.state == StoredState::Ended) {
-            if active.is_some() && begun != Some(run.scan_id) {
+            let this = (run.uid, run.ended_at);
+            if done.contains(&this) || active.is_some() && begun != Some(run.scan_id) {
                 continue;
             }
             // An import may be of a skin without a model: its twins are not awaited.
@@ -57,10 +72,11 @@ pub async fn keep(app: App) {
                 Ok(count) => gets_twins && count.pending() > 0,
                 Err(_) => true,
             };
-            // A stopped run may have been resumed meanwhile.
-            if twins_wait || !done.insert((run.uid, run.ended_at)) {
+            if twins_wait {
                 continue;
             }
+            // With the time of its end: a stopped run may be resumed.
+            done.insert(this);
             let making = async {
                 let made = app.datasets.make(&Definition::of_run(run.scan_id)).await;
                 if let Err(error) = made {
