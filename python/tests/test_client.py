@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import json
 import os
+import urllib.error
 import urllib.request
 from collections import Counter
 from datetime import datetime, timezone
 from typing import Any
+from urllib.parse import urlencode
 
 import pandas as pd
 import polars as pl
@@ -161,6 +163,13 @@ def test_a_refused_question_reaches_the_user_with_the_words_of_the_service(
     assert unknown.value.errors[0]["key"] == "force__gt"
     with pytest.raises(PalpateError, match=r"no run 999 \(HTTP 404\)"):
         lab.run(999)
+
+
+def test_a_refused_question_reaches_readers_of_an_address_with_its_words(service: Service) -> None:
+    question = urlencode({"sql": "SELECT force FROM trials", "format": "parquet"})
+    with pytest.raises(urllib.error.HTTPError, match="HTTP Error 400: .*no column force in trials") as refused:
+        pd.read_parquet(f"{service.url}/api/v1/query?{question}")
+    refused.value.close()
 
 
 def test_environment_names_service_and_key(

@@ -21,6 +21,8 @@ pub const FORCE_MAP_N: &str = "force_map_n";
 /// Column of the part of the split.
 pub const SPLIT: &str = "split";
 
+/// Metadata key of the column of force maps: rows and columns of pixels, as a JSON array.
+const SHAPE: &str = "shape";
 /// Metadata key of a file that holds the text of its sensor file.
 pub const SENSOR_KEY: &str = "palpate.sensor";
 
@@ -36,9 +38,13 @@ fn list(name: &str, items: i32, unit: &str) -> Field {
     base::with_unit(Field::new(name, DataType::FixedSizeList(Arc::new(element), items), true), unit)
 }
 
-/// The column of force maps of `pixels` pixels, N per pixel, row-major.
+/// The column of force maps of `pixels` pixels, a square number, N per pixel, row-major, with their shape.
 pub fn force_map(pixels: i32) -> Field {
-    list(FORCE_MAP_N, pixels, "N")
+    let side = pixels.isqrt();
+    let flat = list(FORCE_MAP_N, pixels, "N");
+    let mut metadata = flat.metadata().clone();
+    metadata.insert(SHAPE.into(), format!("[{side}, {side}]"));
+    flat.with_metadata(metadata)
 }
 
 /// All columns of the trials table, for frames of `channels` voltages.
@@ -141,4 +147,16 @@ pub fn comparable(schema: &Schema) -> Vec<&str> {
 /// True if the column with this name holds scalar values.
 pub fn is_comparable(name: &str) -> bool {
     Column::find(name).is_some_and(|column| column.kind() != Kind::List)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_force_map_states_its_shape_and_its_unit() {
+        let map = force_map(25_600);
+        assert_eq!(map.metadata()[SHAPE], "[160, 160]");
+        assert_eq!(map.metadata()[base::UNIT], "N");
+    }
 }

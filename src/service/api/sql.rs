@@ -7,6 +7,7 @@ use axum::body::Body;
 use axum::extract::State;
 use axum::http::HeaderMap;
 use axum::response::{IntoResponse, Response};
+use hyper::ext::ReasonPhrase;
 use serde::{Deserialize, Serialize};
 use serde_json::value::RawValue;
 use utoipa::{IntoParams, ToSchema};
@@ -22,6 +23,9 @@ use crate::dataset::format::{Format, Stream};
 use crate::dataset::schema::type_words;
 use crate::journal::error_chain;
 use crate::query::{QueryError, ResultRows, TABLES};
+
+/// Longest description of a refusal in a status line: it repeats the start of the statement.
+const REASON_CHARS: usize = 2 * REPEATED_CHARS;
 
 /// A statement, and the format of its rows.
 #[derive(Debug, Clone, Deserialize, ToSchema, IntoParams)]
@@ -91,7 +95,7 @@ pub async fn ask(
 
 /// Answers a SELECT statement in the address, as `pandas.read_parquet(url)` needs it.
 ///
-/// As the POST of this path.
+/// As the POST of this path; the status line of a refusal holds its description.
 #[utoipa::path(get, operation_id = "query_by_address", path = "/api/v1/query", tag = "datasets",
     params(QueryRequest),
     responses((status = 200, body = QueryOut),
@@ -103,8 +107,22 @@ pub async fn asked(
     State(app): State<App>,
     headers: HeaderMap,
     Params(request): Params<QueryRequest>,
-) -> Result<Response, ApiError> {
-    answer(&app, &headers, request).await
+) -> Response {
+    match answer(&app, &headers, request).await {
+        Ok(response) => response,
+        Err(error) => with_reason(error),
+    }
+}
+
+/// A refusal whose status line holds its description: `pandas.read_parquet(url)` shows nothing else of it.
+fn with_reason(error: ApiError) -> Response {
+    let plain = |c: char| if c.is_ascii_graphic() || c == ' ' { c } else { '?' };
+    let reason: String = error.detail().chars().take(REASON_CHARS).map(plain).collect();
+    let mut response = error.into_response();
+    if let Ok(reason) = ReasonPhrase::try_from(reason) {
+        response.extensions_mut().insert(reason);
+    }
+    response
 }
 
 /// Lists the tables of statements: those of every data folder, then the datasets.
