@@ -42,8 +42,7 @@ fn list(name: &str, items: i32, unit: &str) -> Field {
 pub fn force_map(pixels: i32) -> Field {
     let side = pixels.isqrt();
     let flat = list(FORCE_MAP_N, pixels, "N");
-    let mut metadata = flat.metadata().clone();
-    metadata.insert(SHAPE.into(), format!("[{side}, {side}]"));
+    let metadata = flat.metadata().clone().with(SHAPE, format!("[{side}, {side}]"));
     flat.with_metadata(metadata)
 }
 
