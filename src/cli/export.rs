@@ -175,12 +175,14 @@ pub async fn list(client: &Client, output: Output) -> Result<(), CliError> {
         ("format", Align::Left),
         ("size", Align::Right),
         ("requested", Align::Left),
+        ("last used", Align::Left),
         ("by", Align::Left),
         ("", Align::Left),
     ];
     let mut table = Table::new(&heads, "there are no exports: palpate dataset export NAME");
     for export in &exports {
-        let requested = export["created_at"].as_str().and_then(|at| at.parse::<Timestamp>().ok());
+        let [requested, used] = ["created_at", "last_used_at"]
+            .map(|key| export[key].as_str().and_then(|at| at.parse::<Timestamp>().ok()));
         table.push([
             text_of(&export["id"]),
             text_of(&export["state"]),
@@ -188,6 +190,7 @@ pub async fn list(client: &Client, output: Output) -> Result<(), CliError> {
             text_of(&export["request"]["format"]),
             or_dash(export["bytes"].as_f64().map(bytes)),
             or_dash(requested.map(local)),
+            or_dash(used.map(local)),
             text_of(&export["asked_by"]),
             text_of(&export["error"]),
         ]);

@@ -35,4 +35,5 @@ pub mod import;
 pub mod federate;
 pub mod package;
 pub mod prune;
+pub mod used;
 pub mod catalog;

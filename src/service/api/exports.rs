@@ -16,6 +16,7 @@ use super::problem::{ApiError, Body, Path, ProblemBody};
 use super::send::{self, Created, Download};
 use crate::dataset::error::DatasetError;
 use crate::dataset::export::{ExportRequest, ExportResult};
+use crate::dataset::used;
 use crate::ids::{DatasetId, TaskId};
 use crate::store::{TaskKind, TaskRow, TaskState};
 
@@ -50,16 +51,20 @@ pub struct ExportOut {
     /// Time of completion or failure; absent before it.
     #[schema(value_type = Option<String>, format = DateTime)]
     pub finished_at: Option<jiff::Timestamp>,
+    /// Wall time at which the file was last read; absent without a file, or if it is unknown.
+    #[schema(value_type = Option<String>, format = DateTime)]
+    pub last_used_at: Option<jiff::Timestamp>,
     /// Address of the file; absent before completion, and after removal of the file.
     pub url: Option<String>,
 }
 
 fn out(app: &App, row: TaskRow) -> ExportOut {
     let done = app.datasets.export_progress(row.id);
-    let url = app.datasets.export_file(&row).map(|_| format!("/api/v1/exports/{}/file", row.id));
+    let file = app.datasets.export_file(&row);
     let result = ExportResult::of(&row);
     ExportOut {
-        url,
+        last_used_at: file.as_ref().and_then(|file| used::last_used_at(&file.path)),
+        url: file.map(|_| format!("/api/v1/exports/{}/file", row.id)),
         rows_done: done.rows_done,
         rows_total: done.rows_total,
         id: row.id,
@@ -154,6 +159,7 @@ pub async fn file(
         serde_json::from_value(row.request.clone()).map_err(DatasetError::Json)?;
     let name = format!("{export}.{}", asked.format.extension());
     let download = Download { name: &name, immutable: true };
+    used::note(&export_file.path);
     send::file(request, &export_file, asked.format, download).await
 }
 

@@ -1,5 +1,6 @@
 //! Exports: progress, pieces, restarts, and files that match their tags.
 
+use jiff::Timestamp;
 use palpate::digest::sha256_hex;
 use reqwest::StatusCode;
 use reqwest::header::{ETAG, IF_MATCH, IF_NONE_MATCH, IF_RANGE, RANGE};
@@ -12,9 +13,12 @@ async fn exported(lab: &Filled, request: Value) -> (Value, Vec<u8>) {
     assert_eq!(status, 202, "{asked}");
     let row = lab.over(asked["id"].as_str().unwrap()).await;
     assert_eq!(row["state"], "done", "{row}");
+    let before = Timestamp::now();
     let file = lab.answer(row["url"].as_str().unwrap()).await.bytes().await.unwrap().to_vec();
     assert_eq!(row["sha256"], sha256_hex(&file).as_str());
     assert_eq!(row["bytes"], file.len());
+    let used = lab.over(asked["id"].as_str().unwrap()).await["last_used_at"].clone();
+    assert!(used.as_str().unwrap().parse::<Timestamp>().unwrap() >= before, "{used}");
     (row, file)
 }
 

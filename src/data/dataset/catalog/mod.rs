@@ -7,10 +7,8 @@
 
 mod exports;
 
-use std::fs::FileTimes;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::time::SystemTime;
 
 use arrow_schema::Schema;
 use jiff::Timestamp;
@@ -28,6 +26,7 @@ use crate::dataset::read::DatasetRows;
 use crate::dataset::schema::{self, BATCH_ROWS};
 use crate::dataset::select::Wanted;
 use crate::dataset::space::{self, Space};
+use crate::dataset::used;
 use crate::ids::{DatasetId, RunUid};
 use crate::new_file::sweep;
 use crate::problem::Problem;
@@ -321,10 +320,7 @@ impl Catalog {
     /// the file cannot be read.
     pub fn rows(&self, id: &DatasetId, wanted: &Wanted) -> Result<DatasetRows, DatasetError> {
         let path = data_file(&self.datasets(), id);
-        // The file system may not note reads.
-        if let Ok(file) = std::fs::File::open(&path) {
-            let _ = file.set_times(FileTimes::new().set_accessed(SystemTime::now()));
-        }
+        used::note(&path);
         DatasetRows::open(&path, wanted)
     }
 
@@ -369,8 +365,7 @@ impl Catalog {
 
     /// Wall time at which the rows of a dataset were last read; `None` if it is unknown.
     pub fn last_used_at(&self, id: &DatasetId) -> Option<Timestamp> {
-        let used = data_file(&self.datasets(), id).metadata().ok()?.accessed().ok()?;
-        Timestamp::try_from(used).ok()
+        used::last_used_at(&data_file(&self.datasets(), id))
     }
 
     /// Returns the card of a dataset, Markdown.
