@@ -208,7 +208,7 @@ pub async fn one(
     Ok(Json(DatasetOut { is_current, last_used_at, ..row.into() }))
 }
 
-/// Returns the lineage of a dataset: runs, models, calibrations, shards and code.
+/// Returns the lineage of a dataset: runs, models, calibrations, shards, code and files.
 #[utoipa::path(get, operation_id = "dataset_lineage",
     path = "/api/v1/datasets/{dataset}/lineage", tag = "datasets",
     params(("dataset" = String, Path, description = "id or name")),
@@ -220,9 +220,11 @@ pub async fn lineage(
     Path(dataset): Path<String>,
 ) -> Result<Json<Value>, ApiError> {
     let row = app.datasets.find(&dataset).await?;
+    let url = format!("/api/v1/data/{}.parquet", row.id);
     Ok(Json(serde_json::json!({
         "dataset": row.id, "sha256": row.sha256, "definition": row.definition,
         "lineage": row.lineage,
+        "files": [{ "url": url, "bytes": row.bytes, "sha256": row.sha256 }],
     })))
 }
 

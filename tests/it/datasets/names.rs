@@ -137,7 +137,10 @@ async fn an_id_is_its_contents_and_a_name_follows_them() {
     let address = format!("/api/v1/data/{}.parquet", newer["id"].as_str().unwrap());
     assert_eq!(file.headers()["content-location"], address.as_str());
     assert_eq!(lab.get(&format!("/api/v1/datasets/{id}")).await["sha256"], first["sha256"]);
-    let lineage = lab.get(&format!("/api/v1/datasets/{id}/lineage")).await["lineage"].clone();
+    let origin = lab.get(&format!("/api/v1/datasets/{id}/lineage")).await;
+    assert_eq!(origin["files"][0]["sha256"], first["sha256"]);
+    assert_eq!(origin["files"][0]["url"], format!("/api/v1/data/{id}.parquet").as_str());
+    let lineage = &origin["lineage"];
     assert_eq!(lineage["models"][0]["model"], "sim-0000000000000001");
     assert_eq!(lineage["models"][0]["calibration"], "cal-1");
     assert_eq!(lineage["runs"][0]["scan_id"], 1);
