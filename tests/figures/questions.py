@@ -128,7 +128,7 @@ def measured(bench, data, runs, arguments, datasette):
     began = time.monotonic()
     for run in range(1, runs + 1):
         bench.api("/datasets", {"name": f"run-{run}"}, seconds=BUILD_S)
-    print(f"\n{runs} datasets made or found in {time.monotonic() - began:.0f} s", flush=True)
+    print(f"\n{runs} datasets made or found in {time.monotonic() - began:.1f} s", flush=True)
     command = [sys.executable, ASK, "--url", bench.url, "--runs", str(runs), "--data", data]
     command += ["--datasette"] if datasette else []
     environment = {**os.environ, "PYTHONPATH": str(ROOT / "python" / "src"), "NO_PROXY": "*"}
