@@ -5,6 +5,7 @@ use std::io;
 use std::process::{Command, ExitStatus, Stdio};
 
 use super::output::note;
+use crate::program::withhold;
 
 /// Program that opens an address with the browser of the desktop.
 const OPENER: &str = if cfg!(target_os = "macos") { "open" } else { "xdg-open" };
@@ -15,6 +16,7 @@ pub fn open(url: &str) {
     let url = url.to_owned();
     let opening = move || {
         let mut opener = Command::new(OPENER);
+        withhold(&mut opener);
         opener.arg(&url).stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null());
         if let Some(words) = failure(&url, opener.status()) {
             note(words);

@@ -19,6 +19,7 @@ use super::output::Output;
 use super::progress::Working;
 use crate::api::LockFile;
 use crate::new_file;
+use crate::program::withhold;
 use crate::rig::config::RigLabel;
 
 /// Longest wait for the rig: its first start solves the skin's unit responses.
@@ -112,10 +113,9 @@ impl VirtualBench {
         command.args(["--url", url, "--control", &self.control, "--with-parent"]);
         command.arg("--speed").arg(self.speed.to_string());
         // A key is sent only where it is needed, and the service in this process needs no proxy.
-        match key {
-            Some(key) => command.env(KEY_VARIABLE, key),
-            None => command.env_remove(KEY_VARIABLE),
-        };
+        if let Some(key) = key {
+            command.env(KEY_VARIABLE, key);
+        }
         command.env("NO_PROXY", "*");
         let log = self.folder.join("operator.log");
         self.operator = Some(start("virtual operator", &mut command, &log, Stdio::null())?);
@@ -157,6 +157,7 @@ fn this_program(subcommand: &str) -> Result<Command, CliError> {
         .map_err(|source| CliError::System { operation: "finding this program", source })?;
     let mut command = Command::new(program);
     command.arg(subcommand);
+    withhold(command.as_std_mut());
     Ok(command)
 }
 

@@ -14,7 +14,7 @@ use tokio::process::{Child, ChildStdin, ChildStdout, Command};
 use tokio::task::JoinHandle;
 
 use super::error::QueryError;
-use crate::program::{Known, Lines, Program};
+use crate::program::{Known, Lines, Program, withhold};
 use crate::query_lines::{Answer, LINES_VERSION, Order, Table};
 
 /// The program of the engine.
@@ -98,6 +98,7 @@ impl Engine {
         rows_max: u64,
     ) -> Result<(Self, Vec<String>), QueryError> {
         let mut command = Command::new(program);
+        withhold(command.as_std_mut());
         command.env("POLARS_MAX_THREADS", ENGINE_THREADS.to_string());
         command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped());
         // Ctrl-C in a terminal is for the service.

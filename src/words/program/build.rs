@@ -7,7 +7,7 @@ use tokio::process::Command;
 
 use super::find::Build;
 use super::lines::{Lines, push_last};
-use super::{Known, ProgramError, STOP_POLL};
+use super::{Known, ProgramError, STOP_POLL, withhold};
 
 /// Variables that cargo sets for the program that it runs, and that would change a build.
 const OF_CARGO: [&str; 5] =
@@ -34,6 +34,8 @@ pub async fn build(
     for name in names.filter(|name| name.to_str().is_some_and(foreign)) {
         command.env_remove(name);
     }
+    // Dependencies have programs that are run during a build.
+    withhold(command.as_std_mut());
     command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::piped());
     // Cargo builds what is missing, whenever it was ended.
     command.process_group(0).kill_on_drop(true);

@@ -1,7 +1,7 @@
 //! A program of this source tree that the service starts as a process: found, or built when first needed.
 //! Uses: std's and tokio's processes. Never: what the program does.
 //!
-//! `find` is pure; `build` runs cargo; `lines` reads the output of a process.
+//! `find` is pure; `build` runs cargo; `lines` reads the output of a process; `secrets` are what it does not inherit.
 
 use std::io;
 use std::path::{Path, PathBuf};
@@ -10,9 +10,11 @@ use std::time::Duration;
 mod build;
 mod find;
 mod lines;
+mod secrets;
 
 pub use find::{Build, Program};
 pub use lines::Lines;
+pub use secrets::withhold;
 
 /// Interval at which a stop is noticed while a program is built or works.
 pub const STOP_POLL: Duration = Duration::from_millis(100);

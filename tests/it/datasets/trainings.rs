@@ -16,6 +16,9 @@ const LIMIT: Duration = Duration::from_secs(120);
 /// Longest time from the end of a service to that of its trainer, which ends after one batch.
 const ORPHAN_MAX: Duration = Duration::from_secs(10);
 
+/// What a service has for `palpate-worker` alone.
+const SECRETS: [&str; 3] = ["PALPATE_QUEUE", "PALPATE_STORE_FILE", "AWS_SECRET_ACCESS_KEY"];
+
 /// Waits until a value is there.
 async fn eventually<T>(what: &str, limit: Duration, mut look: impl AsyncFnMut() -> Option<T>) -> T {
     let start = Instant::now();
@@ -37,6 +40,12 @@ fn trainer(job: &str) -> Option<i32> {
         let line = String::from_utf8_lossy(&line).into_owned();
         line.contains("palpate-trainer\0") && line.contains(job)
     })
+}
+
+/// The environment with which a process was started.
+fn environment(process: i32) -> String {
+    let variables = std::fs::read(format!("/proc/{process}/environ")).unwrap();
+    String::from_utf8_lossy(&variables).into_owned()
 }
 
 fn kill(process: i32) {
@@ -135,6 +144,9 @@ async fn a_killed_service_leaves_a_checkpoint_and_no_trainer() {
     let mut serve = Command::new(PALPATE);
     serve.args(["serve", "--bind", "127.0.0.1:0", "--data"]).arg(&data);
     serve.arg("--rig").arg(&rig_file);
+    for name in SECRETS {
+        serve.env(name, "hush");
+    }
     let mut served = Process(serve.stdout(Stdio::piped()).spawn().unwrap());
     let mut line = String::new();
     BufReader::new(served.0.stdout.take().unwrap()).read_line(&mut line).unwrap();
@@ -150,7 +162,11 @@ async fn a_killed_service_leaves_a_checkpoint_and_no_trainer() {
         job["progress"]["epoch"].as_u64().filter(|&epoch| epoch >= 3)
     };
     eventually("the job learns", LIMIT, learns).await;
-    assert!(trainer(&id).is_some());
+    let environment = environment(trainer(&id).unwrap());
+    for name in SECRETS {
+        assert!(!environment.contains(name), "{name}");
+    }
+    assert!(environment.contains("PATH="));
     let checkpoint = data.join("jobs").join(&id).join("checkpoint.bin");
     assert!(!checkpoint.exists());
     served.0.kill().unwrap();

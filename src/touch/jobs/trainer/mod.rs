@@ -1,5 +1,5 @@
 //! The trainer's process: found or built, started on a job's folder, followed to its end.
-//! Uses: `learn::order`, processes. Never: what is trained (`training`).
+//! Uses: `learn::order`, processes. Never: what is trained (`training`); a secret in the trainer's environment.
 //!
 //! ```text
 //! service                      palpate-trainer FOLDER
@@ -23,7 +23,7 @@ use self::end::Exit;
 pub use self::end::{Ended, TrainerEnd};
 use crate::jobs::Watch;
 use crate::learn::order::{Event, STOP_LINE};
-use crate::program::{Known, Lines, ProgramError, STOP_POLL};
+use crate::program::{Known, Lines, ProgramError, STOP_POLL, withhold};
 
 /// The program of the trainer.
 static TRAINER: Known = Known {
@@ -85,6 +85,7 @@ pub async fn run(
 ) -> Result<Ended, TrainerError> {
     let mut command = Command::new(program);
     command.arg(folder).stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped());
+    withhold(command.as_std_mut());
     // Ctrl-C in a terminal is for the service, which then stops its trainer in order.
     command.process_group(0);
     let failed = |source| TrainerError::Start { program: program.into(), source };
