@@ -67,10 +67,16 @@ pub async fn status(at: &At) -> Result<(), CliError> {
             say(format_args!("chunk {index}: {attempts} attempts: {}", text(failed, "error")));
         }
     }
+    let unsubmitted = rows(&found, "unsubmitted").iter().filter_map(Value::as_str);
+    let unsubmitted: Vec<&str> = unsubmitted.collect();
+    if !unsubmitted.is_empty() {
+        say(format_args!("not submitted: {}", unsubmitted.join(", ")));
+    }
     let gather = &found["gather"];
     if let Some(state) = gather["state"].as_str() {
         let why = gather["error"].as_str().map_or(String::new(), |why| format!(": {why}"));
-        say(format_args!("gathering of {}: {state}{why}", text(gather, "folder")));
+        let (folder, into) = (text(gather, "folder"), text(gather, "into"));
+        say(format_args!("gathering of {folder} into {into}: {state}{why}"));
     }
     Ok(())
 }

@@ -4,7 +4,7 @@
 
 use palpate_bench::{campaign, rig, schedule};
 use palpate_data::{dataset, query};
-use palpate_model::{overlay, simulate};
+use palpate_model::{chunk, overlay, simulate};
 use palpate_store as store;
 use palpate_touch::{evaluate, infer, jobs, learn};
 #[cfg(test)]

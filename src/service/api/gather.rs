@@ -1,40 +1,45 @@
 //! Gathers the results of an order: fetched from the store into its folder, and written as one process would have.
 //! Uses: `palpate-worker` and this program as processes, at low priority. Never: space that is kept free for runs,
-//! two orders at once, a result that was not compared with its sha256.
+//! two orders at once, a result that was not compared with its sha256, a process that continues after the service.
 
 use std::fs::{self, File};
 use std::io;
-use std::os::unix::process::CommandExt;
-use std::path::Path as FilePath;
-use std::process::{Command, Stdio};
+use std::path::{Path as FilePath, PathBuf};
+use std::pin::{Pin, pin};
+use std::process::Stdio;
 use std::time::Duration;
 
 use axum::Json;
 use axum::extract::State;
 use axum::http::StatusCode;
 use serde::{Deserialize, Serialize};
+use tokio::process::{Child, Command};
 use tokio::runtime::Handle;
+use tokio::sync::watch;
+use tokio::time::interval;
 use utoipa::ToSchema;
 
 use super::App;
 use super::audit::Act;
 use super::problem::{ApiError, Path, ProblemBody};
-use super::workers::{order_path, program, unavailable};
+use super::workers::{kind_of, order_path, program, unavailable};
 use crate::dataset::background::background;
 use crate::dataset::space::KEPT_FREE_BYTES;
+use crate::program::withhold;
+use crate::store::Store;
 
-/// Interval of checking the processes and the free space.
+/// Interval of checking the free space.
 const GATHER_POLL: Duration = Duration::from_secs(1);
 /// Output of the processes, in the folder of the order.
 const GATHER_LOG: &str = "gather.log";
-/// Folder of the data folder from which trainings read Sim-Random.
-const SIM_RANDOM: &str = "sim-random";
 
 /// The last order that was gathered.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 pub struct GatherOut {
-    /// Name of its folder in `cluster/` of the data folder; its rows are in `sim-random/`, under the same name.
+    /// Name of its folder in `cluster/` of the data folder.
     pub folder: String,
+    /// Folder of the data folder for its results: the kind of the order, and the same name.
+    pub into: String,
     /// State of the work.
     pub state: GatherState,
     /// Why it failed; null otherwise.
@@ -47,16 +52,61 @@ pub struct GatherOut {
 pub enum GatherState {
     /// Results are fetched or written.
     Running,
-    /// All rows are in `sim-random/`.
+    /// All results are in the folder.
     Done,
     /// It ended with an error; what was fetched stays, and is not fetched again.
     Failed,
 }
 
-/// Gathers the results of an order into `sim-random/FOLDER` of the data folder.
+/// Why an order is not gathered.
+#[derive(Debug, thiserror::Error)]
+enum GatherError {
+    /// The space that is reserved for runs is not free.
+    #[error(
+        "{free} bytes of the disk are free, {} are reserved for runs: free some, then gather again",
+        KEPT_FREE_BYTES
+    )]
+    DiskFull {
+        /// Free space, bytes.
+        free: u64,
+    },
+    /// Another order is gathered. Holds its folder.
+    #[error("{0} is being gathered: wait for its end")]
+    Busy(String),
+    /// A process could not be started, or its output not be written.
+    #[error("{}: {source}", path.display())]
+    File {
+        /// The program, or the file of its output.
+        path: PathBuf,
+        /// Error of the operating system.
+        source: io::Error,
+    },
+    /// A process ended with an error.
+    #[error("{0}")]
+    Process(String),
+    /// The service ends.
+    #[error("the service ended: gather again; what was fetched stays")]
+    ServiceEnded,
+}
+
+impl From<GatherError> for ApiError {
+    fn from(error: GatherError) -> Self {
+        let status = match error {
+            GatherError::DiskFull { .. } => StatusCode::INSUFFICIENT_STORAGE,
+            GatherError::Busy(_) => StatusCode::CONFLICT,
+            GatherError::File { .. } | GatherError::Process(_) | GatherError::ServiceEnded => {
+                StatusCode::SERVICE_UNAVAILABLE
+            }
+        };
+        Self::new(status, error.to_string())
+    }
+}
+
+/// Gathers the results of an order into `KIND/FOLDER` of the data folder: Sim-Random into `sim-random/FOLDER`, from
+/// which trainings read.
 ///
 /// `GET /api/v1/workers` shows the progress as `gather`. A repeated request continues. If less than 2 GiB of the disk
-/// are free it ends, so that runs can store their trials.
+/// are free it ends, so that runs can store their trials; it also ends with the service.
 #[utoipa::path(post, operation_id = "gather_order",
     path = "/api/v1/workers/folders/{folder}/gather", tag = "simulation",
     params(("folder" = String, Path, description = "name of the folder")),
@@ -64,7 +114,7 @@ pub enum GatherState {
         (status = 404, body = ProblemBody, description = "no folder of this name has an order"),
         (status = 409, body = ProblemBody, description = "the service knows no queue, or gathers another order"),
         (status = 503, body = ProblemBody, description = "the worker is missing"),
-        (status = 507, body = ProblemBody, description = "the disk has no room")))]
+        (status = 507, body = ProblemBody, description = "less than 2 GiB of the disk are free")))]
 pub async fn gather(
     State(app): State<App>,
     act: Act,
@@ -72,40 +122,36 @@ pub async fn gather(
 ) -> Result<(StatusCode, Json<GatherOut>), ApiError> {
     act.about(&folder);
     let order = order_path(&app, &folder)?;
+    let into = format!("{}/{folder}", kind_of(&order)?);
     let worker = program().map_err(unavailable)?;
-    app.datasets.check_upload(0).await?;
+    let free = app.store.free_bytes().await?;
+    if free < KEPT_FREE_BYTES {
+        return Err(GatherError::DiskFull { free }.into());
+    }
     let own = std::env::current_exe().map_err(|error| unavailable(error.to_string()))?;
     let mut fetch = Command::new(worker);
     fetch.arg("fetch").args([&order, &order]);
     let mut write = Command::new(own);
-    write.args(["cluster", "gather"]).arg(&order).arg("--out");
-    write.arg(app.facts.data.join(SIM_RANDOM).join(&folder));
-    let started = GatherOut { folder, state: GatherState::Running, error: None };
+    write.args(["cluster", "gather"]).arg(&order).arg("--out").arg(app.facts.data.join(&into));
+    withhold(write.as_std_mut());
+    let started = GatherOut { folder, into, state: GatherState::Running, error: None };
     {
         let mut last = app.facts.memory.gather.lock();
         if let Some(other) = last.as_ref().filter(|last| last.state == GatherState::Running) {
-            let words = format!("{} is being gathered: wait for its end", other.folder);
-            return Err(ApiError::new(StatusCode::CONFLICT, words));
+            return Err(GatherError::Busy(other.folder.clone()).into());
         }
         *last = Some(started.clone());
     }
     let mut ended = started.clone();
     tokio::spawn(async move {
-        let (store, runtime) = (app.store.clone(), Handle::current());
-        let work = move || {
-            let log = order.join(GATHER_LOG);
-            // Unknown free space is no reason to end: runs check it, too.
-            let is_full =
-                || runtime.block_on(store.free_bytes()).is_ok_and(|free| free < KEPT_FREE_BYTES);
-            [fetch, write].into_iter().try_for_each(|command| run(command, &log, &is_full))
-        };
-        let done = background(work).await.unwrap_or_else(|error| Err(error.to_string()));
-        match done {
+        let log = order.join(GATHER_LOG);
+        let early = must_end(&app.store, app.facts.ending.clone());
+        match gathered([fetch, write], &log, early).await {
             Ok(()) => ended.state = GatherState::Done,
             Err(why) => {
                 tracing::warn!(folder = ended.folder, "an order was not gathered: {why}");
                 ended.state = GatherState::Failed;
-                ended.error = Some(why);
+                ended.error = Some(why.to_string());
             }
         }
         *app.facts.memory.gather.lock() = Some(ended);
@@ -113,56 +159,126 @@ pub async fn gather(
     Ok((StatusCode::ACCEPTED, Json(started)))
 }
 
-/// Runs a process to its end, or until the disk is full.
-fn run(mut command: Command, log: &FilePath, is_full: &dyn Fn() -> bool) -> Result<(), String> {
-    let failed = |error: io::Error| format!("{}: {error}", log.display());
-    let output = File::create(log).map_err(failed)?;
-    command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(output);
-    // Ctrl-C in a terminal is for the service.
-    let mut child = command
-        .process_group(0)
-        .spawn()
-        .map_err(|error| format!("{}: {error}", command.get_program().display()))?;
+/// Waits until the work must end: space that is reserved for runs is not free, or the service ends.
+async fn must_end(store: &Store, mut ending: watch::Receiver<bool>) -> GatherError {
+    let mut poll = interval(GATHER_POLL);
     loop {
-        if let Some(status) = child.try_wait().map_err(failed)? {
-            if status.success() {
-                return Ok(());
-            }
-            let said = fs::read_to_string(log).unwrap_or_default();
-            let error = said.lines().rev().find_map(|line| line.strip_prefix("error: "));
-            return Err(error.map_or_else(|| format!("{}: {status}", log.display()), str::to_owned));
+        tokio::select! {
+            _ = ending.wait_for(|ends| *ends) => return GatherError::ServiceEnded,
+            _ = poll.tick() => {}
         }
-        if is_full() {
-            // It may have ended by itself.
-            let _ = child.kill();
-            let _ = child.wait();
-            let kept = KEPT_FREE_BYTES >> 30;
-            return Err(format!(
-                "less than {kept} GiB of the disk are free, which runs need: free some"
-            ));
+        // Unknown free space is no reason to end: runs check it, too.
+        if let Ok(free) = store.free_bytes().await
+            && free < KEPT_FREE_BYTES
+        {
+            return GatherError::DiskFull { free };
         }
-        std::thread::sleep(GATHER_POLL);
     }
+}
+
+/// Runs processes one after the other, each to its end, or all until `early`.
+async fn gathered(
+    commands: [Command; 2],
+    log: &FilePath,
+    early: impl Future<Output = GatherError>,
+) -> Result<(), GatherError> {
+    let mut early = pin!(early);
+    for command in commands {
+        run(command, log, early.as_mut()).await?;
+    }
+    Ok(())
+}
+
+async fn run(
+    command: Command,
+    log: &FilePath,
+    early: Pin<&mut impl Future<Output = GatherError>>,
+) -> Result<(), GatherError> {
+    let mut child = start(command, log).await?;
+    let status = tokio::select! {
+        status = child.wait() => status,
+        why = early => {
+            // It may have ended by itself.
+            let _ = child.kill().await;
+            return Err(why);
+        }
+    };
+    let status = status.map_err(|source| GatherError::File { path: log.to_owned(), source })?;
+    if status.success() {
+        return Ok(());
+    }
+    let said = fs::read_to_string(log).unwrap_or_default();
+    let error = said.lines().rev().find_map(|line| line.strip_prefix("error: "));
+    let words = || format!("{}: {status}", log.display());
+    Err(GatherError::Process(error.map_or_else(words, str::to_owned)))
+}
+
+/// Starts a process at low priority.
+async fn start(mut command: Command, log: &FilePath) -> Result<Child, GatherError> {
+    let output =
+        File::create(log).map_err(|source| GatherError::File { path: log.to_owned(), source })?;
+    command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(output);
+    // Ctrl-C in a terminal is for the service, which then ends it.
+    command.process_group(0).kill_on_drop(true);
+    let runtime = Handle::current();
+    let started = background(move || {
+        let _inside = runtime.enter();
+        let path = PathBuf::from(command.as_std().get_program());
+        command.spawn().map_err(|source| GatherError::File { path, source })
+    });
+    started.await.map_err(|error| GatherError::Process(error.to_string()))?
 }
 
 #[cfg(test)]
 mod tests {
-    use super::*;
+    use std::future::{pending, ready};
 
-    #[test]
-    fn a_process_ends_with_its_error_or_with_the_space_on_the_disk() {
+    use super::*;
+    use crate::clock::Clock;
+
+    #[tokio::test]
+    async fn processes_end_with_the_first_error_with_the_disk_and_with_the_service() {
         let log = std::env::temp_dir().join(format!("palpate-gather-{}", std::process::id()));
-        let shell = |script: &str, is_full: bool| {
+        let shell = |script: &str| {
             let mut command = Command::new("sh");
             command.args(["-c", script]);
-            run(command, &log, &move || is_full)
+            command
         };
-        assert_eq!(shell("exit 0", false), Ok(()));
+        let both = |scripts: [&str; 2]| gathered(scripts.map(shell), &log, pending());
+        both(["exit 0", "exit 0"]).await.unwrap();
         let failed =
-            shell("echo progress >&2; echo 'error: chunk 3 is missing' >&2; exit 1", false);
-        assert_eq!(failed, Err("chunk 3 is missing".into()));
-        assert!(shell("exit 7", false).unwrap_err().contains("exit status: 7"));
-        assert!(shell("exec sleep 60", true).unwrap_err().contains("2 GiB"));
+            both(["echo progress >&2; echo 'error: chunk 3 is missing' >&2; exit 1", "exit 0"]);
+        assert_eq!(failed.await.unwrap_err().to_string(), "chunk 3 is missing");
+        let second = both(["exit 0", "exit 7"]).await.unwrap_err().to_string();
+        assert!(second.contains("exit status: 7"), "{second}");
+        let missing = gathered([Command::new("/none/worker"), shell("exit 0")], &log, pending());
+        assert!(missing.await.unwrap_err().to_string().starts_with("/none/worker: "));
+        let full = GatherError::DiskFull { free: 7 };
+        for (why, expected) in [(full, "7 bytes"), (GatherError::ServiceEnded, "the service ended")]
+        {
+            let begun = std::time::Instant::now();
+            let ended = gathered(["exec sleep 60", "exit 0"].map(shell), &log, ready(why)).await;
+            assert!(ended.unwrap_err().to_string().starts_with(expected));
+            assert!(begun.elapsed() < Duration::from_secs(30));
+        }
         fs::remove_file(log).unwrap();
+    }
+
+    #[tokio::test]
+    async fn the_end_of_the_service_ends_the_work() {
+        let folder =
+            std::env::temp_dir().join(format!("palpate-gather-end-{}", std::process::id()));
+        fs::create_dir_all(&folder).unwrap();
+        let store = Store::open(&folder.join("palpate.db"), Clock::new(1.0)).await.unwrap();
+        let (tell, ending) = watch::channel(false);
+        let mut early = pin!(must_end(&store, ending));
+        let shortly = Duration::from_millis(100);
+        // Unless this disk is full.
+        let before = tokio::time::timeout(shortly, early.as_mut()).await;
+        assert!(before.is_err(), "{before:?}");
+        tell.send_replace(true);
+        assert!(matches!(early.await, GatherError::ServiceEnded));
+        store.close().await;
+        fs::remove_dir_all(folder).unwrap();
     }
 }

@@ -52,6 +52,11 @@ impl<K: PartialEq, V: Clone> Kept<K, V> {
         entries.push(Entry { key, value: value.clone(), until });
         Ok(value)
     }
+
+    /// Forgets the value of a key, which has changed.
+    pub async fn forget(&self, key: &K) {
+        self.entries.lock().await.retain(|entry| entry.key != *key);
+    }
 }
 
 #[cfg(test)]
@@ -70,6 +75,8 @@ mod tests {
         assert_eq!(read(&kept, 1, 11).await, 10);
         assert_eq!((read(&kept, 2, 20).await, read(&kept, 3, 30).await), (20, 30));
         assert_eq!((read(&kept, 2, 21).await, read(&kept, 1, 12).await), (20, 12));
+        kept.forget(&1).await;
+        assert_eq!((read(&kept, 3, 31).await, read(&kept, 1, 13).await), (30, 13));
         let fleeting = Kept::new(Duration::ZERO, 2);
         assert_eq!(read(&fleeting, 1, 10).await, 10);
         tokio::time::sleep(Duration::from_millis(50)).await;

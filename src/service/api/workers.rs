@@ -25,6 +25,7 @@ use super::App;
 use super::audit::Act;
 use super::gather::GatherOut;
 use super::problem::{ApiError, Path, ProblemBody};
+use crate::chunk::order::ORDER_FILE;
 use crate::program::{Known, Program};
 
 /// The program that makes chunks of bulk work over PostgreSQL.
@@ -57,6 +58,9 @@ pub struct WorkersOut {
     pub workers: Vec<WorkerOut>,
     /// The orders of the store.
     pub orders: Vec<WorkOrderOut>,
+    /// Names of the folders in `cluster/` of the data folder whose order the store does not have.
+    #[serde(default)]
+    pub unsubmitted: Vec<String>,
     /// The last order that was gathered since the start of the service; null if there is none.
     #[serde(default)]
     pub gather: Option<GatherOut>,
@@ -175,7 +179,7 @@ pub async fn submit(
 ) -> Result<Json<SubmittedOut>, ApiError> {
     act.about(&folder);
     let path = order_path(&app, &folder)?;
-    change([OsStr::new("submit"), path.as_os_str()]).await
+    change(&app, [OsStr::new("submit"), path.as_os_str()]).await
 }
 
 /// Removes the chunks of an order from the queue. Results stay.
@@ -189,12 +193,16 @@ pub async fn submit(
         (status = 409, body = ProblemBody, description = "the service knows no queue, or the worker refuses"),
         (status = 503, body = ProblemBody,
             description = "the worker is missing, or its queue or store does not answer")))]
-pub async fn cancel(act: Act, Path(order): Path<String>) -> Result<Json<CancelledOut>, ApiError> {
+pub async fn cancel(
+    State(app): State<App>,
+    act: Act,
+    Path(order): Path<String>,
+) -> Result<Json<CancelledOut>, ApiError> {
     act.about(&order);
     if !is_id(&order) {
         return Err(ApiError::not_found(format!("order {order}: must be an id")));
     }
-    change([OsStr::new("cancel"), OsStr::new(&order)]).await
+    change(&app, [OsStr::new("cancel"), OsStr::new(&order)]).await
 }
 
 /// Path of a folder with an order.
@@ -208,6 +216,16 @@ pub fn order_path(app: &App, folder: &str) -> Result<PathBuf, ApiError> {
     Ok(path)
 }
 
+/// Kind of the order in a folder.
+///
+/// # Errors
+/// 409 if the order cannot be read.
+pub fn kind_of(folder: &FilePath) -> Result<String, ApiError> {
+    let kind = order_in(folder).map(|order| order.kind).filter(|kind| is_name(kind));
+    let invalid = || format!("{}: cannot be read", folder.join(ORDER_FILE).display());
+    kind.ok_or_else(|| ApiError::new(StatusCode::CONFLICT, invalid()))
+}
+
 fn check_configured() -> Result<(), ApiError> {
     if is_configured() {
         return Ok(());
@@ -218,9 +236,12 @@ fn check_configured() -> Result<(), ApiError> {
 }
 
 /// Has the worker change the queue.
-async fn change<T: DeserializeOwned>(words: [&OsStr; 2]) -> Result<Json<T>, ApiError> {
+async fn change<T: DeserializeOwned>(app: &App, words: [&OsStr; 2]) -> Result<Json<T>, ApiError> {
     check_configured()?;
-    let text = ask(&words, CHANGE_WITHIN).await.map_err(|error| match error {
+    let asked = ask(&words, CHANGE_WITHIN).await;
+    // Whatever became of it, the next reader sees the present state.
+    app.facts.memory.workers.forget(&()).await;
+    let text = asked.map_err(|error| match error {
         Unanswered::Invalid(why) => ApiError::new(StatusCode::CONFLICT, why),
         Unanswered::Failed(why) => unavailable(why),
     })?;
@@ -255,32 +276,46 @@ async fn state(data: &FilePath) -> Result<WorkersOut, String> {
     for order in &mut found.orders {
         order.folder = folders.remove(&order.order);
     }
+    found.unsubmitted = folders.into_values().collect();
+    found.unsubmitted.sort();
     Ok(found)
+}
+
+/// What the service reads of an order.
+#[derive(Deserialize)]
+struct OrderFile {
+    id: String,
+    kind: String,
+}
+
+/// The order in a folder; `None` if there is none that can be read.
+fn order_in(folder: &FilePath) -> Option<OrderFile> {
+    let text = fs::read(folder.join(ORDER_FILE)).ok()?;
+    serde_json::from_slice(&text).ok()
 }
 
 /// Names of the folders with an order, by the id of the order.
 fn folders(orders: &FilePath) -> BTreeMap<String, String> {
-    #[derive(Deserialize)]
-    struct Order {
-        id: String,
-    }
     let named = |entry: fs::DirEntry| {
-        let text = fs::read(entry.path().join("order.json")).ok()?;
-        let order: Order = serde_json::from_slice(&text).ok()?;
-        Some((order.id, entry.file_name().into_string().ok()?))
+        let name = entry.file_name().into_string().ok().filter(|name| is_name(name))?;
+        Some((order_in(&entry.path())?.id, name))
     };
     fs::read_dir(orders).into_iter().flatten().flatten().filter_map(named).collect()
 }
 
 /// Path of a folder with an order; `None` if the name is none of a folder, or has no order.
 fn order_folder(data: &FilePath, name: &str) -> Option<PathBuf> {
+    let path = data.join(ORDERS).join(name);
+    (is_name(name) && path.join(ORDER_FILE).is_file()).then_some(path)
+}
+
+/// Whether a text may be the name of a folder.
+fn is_name(text: &str) -> bool {
     const NAME_MAX_CHARS: usize = 100;
     let is_of_name = |c: char| c.is_ascii_alphanumeric() || matches!(c, '-' | '_' | '.');
-    let is_name = name.starts_with(|c: char| c.is_ascii_alphanumeric())
-        && name.len() <= NAME_MAX_CHARS
-        && name.chars().all(is_of_name);
-    let path = data.join(ORDERS).join(name);
-    (is_name && path.join("order.json").is_file()).then_some(path)
+    text.starts_with(|c: char| c.is_ascii_alphanumeric())
+        && text.len() <= NAME_MAX_CHARS
+        && text.chars().all(is_of_name)
 }
 
 /// Whether a text is the id of an order, or its beginning.
@@ -355,7 +390,7 @@ mod tests {
         let folder = data.join(ORDERS).join("sim-1");
         fs::create_dir_all(&folder).unwrap();
         assert_eq!(order_folder(&data, "sim-1"), None);
-        fs::write(folder.join("order.json"), r#"{"id": "ab", "kind": "sim-random"}"#).unwrap();
+        fs::write(folder.join(ORDER_FILE), r#"{"id": "ab", "kind": "sim-random"}"#).unwrap();
         assert_eq!(order_folder(&data, "sim-1"), Some(folder));
         for other in ["", ".", "..", "../cluster/sim-1", "-sim", "sim 1", "none", &"s".repeat(101)]
         {
@@ -363,6 +398,14 @@ mod tests {
         }
         let found = folders(&data.join(ORDERS));
         assert_eq!(found.get("ab").map(String::as_str), Some("sim-1"));
+        let kind = |text: &str| {
+            fs::write(data.join(ORDERS).join("sim-1").join(ORDER_FILE), text).unwrap();
+            kind_of(&data.join(ORDERS).join("sim-1"))
+        };
+        assert_eq!(kind(r#"{"id": "ab", "kind": "trainings"}"#).unwrap(), "trainings");
+        for refused in [r#"{"id": "ab", "kind": "../models"}"#, r#"{"id": "ab"}"#, "{"] {
+            assert_eq!(kind(refused).unwrap_err().status(), StatusCode::CONFLICT);
+        }
         fs::remove_dir_all(data).unwrap();
     }
 
