@@ -210,6 +210,14 @@ async fn axe_finds_no_serious_fault_on_any_page_of_an_empty_service() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn orders_of_bulk_work_are_cancelled_gathered_and_submitted() {
+    let Some(tools) = tools() else { return };
+    let lab = Lab::open("browser-bulk", rig_args("virtual", 40.0), COMPUTES).await;
+    plays(&lab, tools, "bulk").await;
+    lab.close().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn a_page_has_no_element_for_each_trial_or_event() {
     let Some(tools) = tools() else { return };
     let lab = Lab::open("browser-size", rig_args("virtual", 40.0), COMPUTES).await;

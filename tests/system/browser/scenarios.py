@@ -14,6 +14,7 @@ from playwright.sync_api import expect, sync_playwright
 
 import access
 import accessibility
+import bulk
 import campaign
 import connection
 import person
@@ -23,7 +24,7 @@ import weighing
 
 SCENARIOS = {one.__name__: one for one in (
     campaign.first_evening, campaign.operate, campaign.abort, campaign.keyboard, weighing.place, weighing.wrong_weight,
-    touching.touch, access.viewer, connection.lost, accessibility.axe, accessibility.axe_empty, size.size)}
+    touching.touch, access.viewer, connection.lost, accessibility.axe, accessibility.axe_empty, size.size, bulk.bulk)}
 
 
 def main():
