@@ -1,4 +1,5 @@
-"""Follows docs/how-to/cluster-postgresql.md word for word, with a PostgreSQL that it starts (standard library only).
+"""Follows docs/how-to/cluster-postgresql.md word for word, with a PostgreSQL that it starts (standard library only); then a
+service does over HTTP what the page says of it (`service.py`).
 
     python3 tests/cluster/postgresql.py PALPATE
 
@@ -6,7 +7,7 @@ PALPATE is the binary; palpate-worker is next to it, or PALPATE_WORKER names it.
 shell, in order, in an empty home. `sudo -u postgres` acts as the administrator of the started server, and PGPORT is its
 port; everything else is as it is written. The last line of the page compares the result with that of one process.
 
-Exit status: 0, or 1 with the first wrong line. Without PostgreSQL it says that it was skipped, and fails if
+Exit status: 0, or 1 with the first wrong line or statement. Without PostgreSQL it says that it was skipped, and fails if
 PALPATE_REQUIRE_TOOLS is set. Never: a server that outlives it, a file outside of its temporary folder.
 """
 
@@ -21,6 +22,8 @@ import subprocess
 import sys
 import tempfile
 import time
+
+import service
 
 PAGE = pathlib.Path(__file__).resolve().parents[2] / "docs/how-to/cluster-postgresql.md"
 BLOCK = re.compile(r"^```sh\n(.*?)^```$", re.M | re.S)
@@ -85,8 +88,8 @@ class Server:
             self.process.wait()
 
 
-def follow(palpate: pathlib.Path, server: Server, folder: pathlib.Path) -> int:
-    """Runs the blocks of the page, and returns their exit status."""
+def environment(palpate: pathlib.Path, server: Server, folder: pathlib.Path) -> tuple[pathlib.Path, dict[str, str]]:
+    """An empty home, and the environment of its shell."""
     home, commands = folder / "home", folder / "bin"
     for made in (home, commands):
         made.mkdir()
@@ -94,13 +97,17 @@ def follow(palpate: pathlib.Path, server: Server, folder: pathlib.Path) -> int:
     (commands / "sudo").chmod(0o755)
     (commands / "palpate").symlink_to(palpate)
     worker = os.environ.get("PALPATE_WORKER", str(palpate.with_name("palpate-worker")))
-    environment = {"HOME": str(home), "PATH": f"{commands}:{os.environ['PATH']}", "PALPATE_WORKER": worker,
-                   "PGPORT": str(server.port), "LANG": "C.UTF-8", "TMPDIR": str(folder)}
+    return home, {"HOME": str(home), "PATH": f"{commands}:{os.environ['PATH']}", "PALPATE_WORKER": worker,
+                  "PGPORT": str(server.port), "LANG": "C.UTF-8", "TMPDIR": str(folder)}
+
+
+def follow(home: pathlib.Path, variables: dict[str, str]) -> int:
+    """Runs the blocks of the page, and returns their exit status."""
     blocks = BLOCK.findall(PAGE.read_text())
     if len(blocks) < 8:
         sys.exit(f"{PAGE}: {len(blocks)} blocks, 8 or more expected")
     script = SCRIPT.format("".join(blocks))
-    return subprocess.run(["bash", "-c", script], cwd=home, env=environment, timeout=PAGE_S).returncode
+    return subprocess.run(["bash", "-c", script], cwd=home, env=variables, timeout=PAGE_S).returncode
 
 
 def main(arguments: list[str]) -> int:
@@ -117,9 +124,19 @@ def main(arguments: list[str]) -> int:
         folder = pathlib.Path(name)
         folder.chmod(0o755)
         with Server(found, folder / "server") as server:
-            status = follow(palpate, server, folder)
-    print(f"{PAGE.name}: {'followed' if status == 0 else 'FAILED'} in {time.monotonic() - began:.0f} s")
-    return 0 if status == 0 else 1
+            home, variables = environment(palpate, server, folder)
+            status = follow(home, variables)
+            print(f"{PAGE.name}: {'followed' if status == 0 else 'FAILED'} in {time.monotonic() - began:.0f} s")
+            if status:
+                return 1
+            began = time.monotonic()
+            try:
+                service.check(palpate, home, variables)
+            except service.Wrong as wrong:
+                print(wrong)
+                return 1
+    print(f"service with a queue: as stated in {time.monotonic() - began:.0f} s")
+    return 0
 
 
 if __name__ == "__main__":
