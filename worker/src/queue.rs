@@ -14,6 +14,7 @@ use graphile_worker::sql::complete_job::complete_job;
 use graphile_worker::sql::fail_job::single::fail_job;
 use graphile_worker::sql::get_job::get_job_with_filter;
 use graphile_worker::sql::worker_heartbeat::registration::{worker_deregister, worker_heartbeat};
+use graphile_worker::worker_utils::types::CleanupTask;
 use graphile_worker::{
     ActiveWorkerRow, Database, DbError, HookRegistry, Job, JobFlagFilter, JobSpec, RawJobSpec,
     SweepStaleWorkersOptions, TaskDetails, WorkerRecoveryConfig, WorkerUtils,
@@ -397,6 +398,14 @@ impl Queue {
         let query =
             sqlx::query("DELETE FROM palpate_queue._private_jobs WHERE key LIKE $1 || '/%'");
         Ok(self.answer(ANSWER, query.bind(order).execute(&pool)).await?.rows_affected())
+    }
+
+    /// Forgets the orders that have no chunk in the queue: each take reads all that it knows.
+    ///
+    /// # Errors
+    /// `WorkerError` if the queue does not answer, or others add chunks for longer than a second.
+    pub async fn forget_orders(&self) -> Result<(), WorkerError> {
+        self.answer(ANSWER, self.utils().cleanup(&[CleanupTask::GcTaskIdentifiers])).await
     }
 
     /// What the queue holds of each order.

@@ -298,10 +298,16 @@ fn local(folder: &Path) -> Result<LocalFileSystem, WorkerError> {
 fn bucket(url: &Url, address: &StoreAddress) -> Result<Arc<dyn ObjectStore>, WorkerError> {
     let invalid = |what: String| WorkerError::Invalid(format!("store {url}: {what}"));
     let mut client = ClientOptions::new().with_timeout(REQUEST);
-    for certificate in
-        address.authority.iter().flat_map(|pem| Certificate::from_pem_bundle(pem)).flatten()
-    {
-        client = client.with_root_certificate(certificate);
+    if let Some(pem) = &address.authority {
+        // One that is not read would be missed only when the store does not answer.
+        let certificates = Certificate::from_pem_bundle(pem)
+            .map_err(|error| invalid(format!("PALPATE_STORE_CA: {error}")))?;
+        if certificates.is_empty() {
+            return Err(invalid("PALPATE_STORE_CA: no certificate: must be PEM".into()));
+        }
+        for certificate in certificates {
+            client = client.with_root_certificate(certificate);
+        }
     }
     let mut builder = AmazonS3Builder::new().with_client_options(client).with_url(url.as_str());
     for (name, value) in &address.settings {

@@ -88,5 +88,8 @@ pub async fn submit(
     }
     queue.add(&chunks, priority, attempts, needs).await?;
     submitted.added = chunks.len() as u64;
+    if let Err(error) = queue.forget_orders().await {
+        tracing::debug!(%error, "the next submission forgets orders that have ended");
+    }
     Ok(submitted)
 }

@@ -142,7 +142,12 @@ fn a_cancelled_order_is_made_no_more() {
     let other = bench.order(2, json!({ "seed": 5 }));
     bench.ok(&["submit", made.path()]);
     bench.ok(&["submit", other.path()]);
+    let orders = || {
+        let count = "SELECT count(*) FROM palpate_queue._private_tasks";
+        text(&bench.server.psql("owner", "queue", PASSWORD, count).stdout).trim().to_owned()
+    };
     assert!(bench.ok(&["cancel", &made.order.id]).contains("5 chunks removed"));
+    assert_eq!(orders(), "2");
     assert!(bench.worker(&bench.address, &["--until-idle"]).ended(SOON));
     assert_eq!(
         (&bench.status(&made)["done"], &bench.status(&other)["done"]),
@@ -150,6 +155,11 @@ fn a_cancelled_order_is_made_no_more() {
     );
     let output = bench.try_run(&["status", &made.order.id, "--wait"]);
     assert_eq!(output.status.code(), Some(1), "an order that is not complete");
+    // A submission forgets the orders of which nothing is left to make.
+    bench.ok(&["submit", made.path()]);
+    assert_eq!(orders(), "1");
+    assert!(bench.worker(&bench.address, &["--until-idle"]).ended(SOON));
+    assert_eq!(bench.status(&made)["done"], json!(5));
 }
 
 #[test]
