@@ -153,10 +153,10 @@ def submitted(lab: Lab, service: Service) -> None:
     holds("the queue is read", status == 200 and found["configured"] and not found["workers"], found)
     holds("the page's order is done", [(one["chunks"], one["done"]) for one in found["orders"]] == [(3, 3)], found)
     holds("the other one is offered", found["unsubmitted"] == ["bulk"], found)
-    status, found = service.ask("/workers/orders/none", "POST")
+    status, found = service.ask("/workers/folders/none", "POST")
     holds("a folder without an order is refused", status == 404, found)
     for counts in ((CHUNKS, 0), (0, CHUNKS)):
-        status, found = service.ask("/workers/orders/bulk", "POST")
+        status, found = service.ask("/workers/folders/bulk", "POST")
         holds("each chunk is submitted once", status == 200 and (found["added"], found["present"]) == counts, found)
     order = service.order()
     holds("the next answer shows them", order.get("waiting") == CHUNKS, order)
@@ -164,7 +164,7 @@ def submitted(lab: Lab, service: Service) -> None:
     holds("an order is cancelled", status == 200 and found["removed"] == CHUNKS, found)
     order = service.order()
     holds("its chunks are missing then", (order["waiting"], order["missing"]) == (0, CHUNKS), order)
-    service.ask("/workers/orders/bulk", "POST")
+    service.ask("/workers/folders/bulk", "POST")
     service.order()  # `status` waits 2 s for what the service then has in memory
     line = lab.run("status")
     holds("`palpate status` has a line", f"0 workers; 0 of {CHUNKS} chunks done" in line, line)
@@ -183,7 +183,7 @@ def made(lab: Lab, service: Service) -> None:
 
 def gathered(lab: Lab, service: Service) -> None:
     """The results are those of one process."""
-    status, found = service.ask("/workers/orders/bulk/gather", "POST")
+    status, found = service.ask("/workers/folders/bulk/gather", "POST")
     holds("gathering begins", status == 202 and found["into"] == "sim-random/bulk", found)
     found = service.until("it ends", lambda found: found["gather"]["state"] != "running")
     holds("it succeeds", found["gather"]["state"] == "done", found["gather"])

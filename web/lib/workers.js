@@ -14,7 +14,7 @@ const PERIOD_MS = 10_000, CHANGE_MS = 120_000
 export function workers(signal) {
   const said = outcome(), error = el('p', { className: 'bad' }), gathered = el('p', {}), failures = el('p', { className: 'warn' }),
     offered = el('div', { className: 'row soft' })
-  const nameOf = row => row.folder ?? row.order.slice(0, 12), folderOf = name => `/workers/orders/${encodeURIComponent(name)}`
+  const nameOf = row => row.folder ?? row.order.slice(0, 12), folderOf = name => `/workers/folders/${encodeURIComponent(name)}`
   const machines = table({ empty: 'No worker: palpate worker work', columns: [{ head: 'Worker', cell: row => row.worker },
     { head: 'Heard', cell: row => `${span(row.heard_s)} ago${row.lost ? ', lost' : ''}` }] })
   const orders = table({ empty: 'No order: palpate cluster sbatch, then submit it', columns: [{ head: 'Order', cell: nameOf, left: true },
@@ -42,7 +42,7 @@ export function workers(signal) {
     return el('div', { className: 'row tight' },
       row.folder && more > 0 && submitting(name),
       row.folder && row.done >= row.chunks && acting('Gather', name, () => send(`${folderOf(name)}/gather`)),
-      open > 0 && acting('Cancel', name, () => send(folderOf(row.order), {}, { method: 'DELETE', wait: CHANGE_MS }), { of: row.order,
+      open > 0 && acting('Cancel', name, () => send(`/workers/orders/${row.order}`, {}, { method: 'DELETE', wait: CHANGE_MS }), { of: row.order,
         className: 'danger', sure: () => confirm(`Cancel ${name}?`, 'Its chunks leave the queue; one that is being made is completed. Results stay, and the order can be submitted again.',
           'Cancel the order') }))
   }

@@ -21,7 +21,7 @@ def bulk(page, browser):
 
     def answer(route):
         if route.request.method != "GET":
-            sent.append((route.request.method, route.request.url.split("/orders/")[1]))
+            sent.append((route.request.method, route.request.url.split("/workers/")[1]))
             route.fulfill(json={})
             return
         gather = {"folder": "complete", "into": "sim-random/complete", "state": "done", "error": None}
@@ -56,7 +56,7 @@ def bulk(page, browser):
     said(page, "Gathering of complete into sim-random/complete: done.")
     panel.get_by_role("button", name="Submit later").click()
     said(page, "Submit later: done.")
-    assert sent == [("DELETE", OPEN), ("POST", "complete/gather"), ("POST", "later")], sent
+    assert sent == [("DELETE", f"orders/{OPEN}"), ("POST", "folders/complete/gather"), ("POST", "folders/later")], sent
     assert panel.get_by_role("button", name="Gather").count() == 1, "the results of an order from elsewhere have no folder"
     other = a_viewer(browser)
     panel = shown(other)
