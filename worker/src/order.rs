@@ -107,6 +107,12 @@ impl Order {
         format!("{key}.{ending}")
     }
 
+    /// Whether its definition states that its chunks are computed on a GPU.
+    pub fn needs_gpu(&self) -> bool {
+        let compute = &self.definition["compute"];
+        compute.get("cuda").is_some() || compute == "wgpu"
+    }
+
     /// Whether another order has the same definition.
     pub fn is_same(&self, other: &Self) -> bool {
         self.id == other.id && self.chunks == other.chunks
@@ -150,6 +156,16 @@ mod tests {
         assert_eq!(order.bytes_name("a"), "a.parquet");
         let nets = Order { kind: "trainings".into(), ..order };
         assert_eq!(nets.bytes_name("a"), "a.net");
+        let on = |compute: Value| {
+            let definition = json!({ "compute": compute });
+            Order { definition, ..nets.clone() }.needs_gpu()
+        };
+        assert!(
+            on(json!({ "cuda": 0 }))
+                && on(json!("wgpu"))
+                && !on(json!({ "cpu": { "threads": 1 } }))
+        );
+        assert!(!nets.needs_gpu());
     }
 
     #[test]

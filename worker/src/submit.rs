@@ -86,6 +86,7 @@ pub async fn submit(
             chunks.push(ChunkRef { order: order.id.clone(), index, refused: 0 });
         }
     }
+    let needs = Needs { gpu: needs.gpu || order.needs_gpu(), ..needs };
     queue.add(&chunks, priority, attempts, needs).await?;
     submitted.added = chunks.len() as u64;
     if let Err(error) = queue.forget_orders().await {

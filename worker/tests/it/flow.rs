@@ -110,10 +110,11 @@ fn a_worker_takes_what_it_can_do_and_high_priority_first() {
     let Some(bench) = Bench::start() else { return };
     let low = bench.order(2, json!({ "seed": 1 }));
     let high = bench.order(2, json!({ "seed": 2 }));
-    let gpu = bench.order(2, json!({ "seed": 3 }));
+    let gpu = bench.order(2, json!({ "seed": 3, "compute": { "cuda": 0 } }));
     bench.ok(&["submit", low.path(), "--priority", "low"]);
     bench.ok(&["submit", high.path(), "--priority", "high"]);
-    bench.ok(&["submit", gpu.path(), "--gpu", "--memory-mib", "3000"]);
+    // An order that computes on a GPU needs no `--gpu`.
+    bench.ok(&["submit", gpu.path(), "--memory-mib", "3000"]);
     for unfit in [&["--memory-mib", "4096"][..], &["--gpu", "--memory-mib", "2047"]] {
         assert!(bench.worker(&bench.address, &[unfit, &["--until-idle"]].concat()).ended(SOON));
         assert_eq!(bench.status(&gpu)["waiting"], json!(2));
