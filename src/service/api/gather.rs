@@ -32,13 +32,17 @@ use crate::store::Store;
 const GATHER_POLL: Duration = Duration::from_secs(1);
 /// Output of the processes, in the folder of the order.
 const GATHER_LOG: &str = "gather.log";
+/// Kind of an order whose results belong into the database, and not into a folder.
+const OF_A_RUN: &str = "twins";
+/// Place of such results, for people.
+const DATABASE: &str = "the database";
 
 /// The last order that was gathered.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 pub struct GatherOut {
     /// Name of its folder in `cluster/` of the data folder.
     pub folder: String,
-    /// Folder of the data folder for its results: the kind of the order, and the same name.
+    /// Folder of the data folder for its results: the kind of the order, and the same name; `the database` for twins.
     pub into: String,
     /// State of the work.
     pub state: GatherState,
@@ -103,7 +107,7 @@ impl From<GatherError> for ApiError {
 }
 
 /// Gathers the results of an order into `KIND/FOLDER` of the data folder: Sim-Random into `sim-random/FOLDER`, from
-/// which trainings read.
+/// which trainings read. Twins of a run are stored in the database.
 ///
 /// `GET /api/v1/workers` shows the progress as `gather`. A repeated request continues. If less than 2 GiB of the disk
 /// are free it ends, so that runs can store their trials; it also ends with the service.
@@ -122,7 +126,7 @@ pub async fn gather(
 ) -> Result<(StatusCode, Json<GatherOut>), ApiError> {
     act.about(&folder);
     let order = order_path(&app, &folder)?;
-    let into = format!("{}/{folder}", kind_of(&order)?);
+    let kind = kind_of(&order)?;
     let worker = program().map_err(unavailable)?;
     let free = app.store.free_bytes().await?;
     if free < KEPT_FREE_BYTES {
@@ -132,8 +136,17 @@ pub async fn gather(
     let mut fetch = Command::new(worker);
     fetch.arg("fetch").args([&order, &order]);
     let mut write = Command::new(own);
-    write.args(["cluster", "gather"]).arg(&order).arg("--out").arg(app.facts.data.join(&into));
+    write.args(["cluster", "gather"]).arg(&order);
     withhold(write.as_std_mut());
+    let into = if kind == OF_A_RUN {
+        // It stores them through the service of this folder.
+        write.arg("--data").arg(&app.facts.data).env_remove("PALPATE_URL");
+        DATABASE.to_owned()
+    } else {
+        let into = format!("{kind}/{folder}");
+        write.arg("--out").arg(app.facts.data.join(&into));
+        into
+    };
     let started = GatherOut { folder, into, state: GatherState::Running, error: None };
     {
         let mut last = app.facts.memory.gather.lock();
