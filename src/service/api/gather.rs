@@ -106,9 +106,9 @@ impl From<GatherError> for ApiError {
     }
 }
 
-/// Gathers the results of an order into `KIND/FOLDER` of the data folder: Sim-Random into `sim-random/FOLDER`, from
-/// which trainings read. Twins of a run are stored in the database.
+/// Gathers the results of an order into `KIND/FOLDER` of the data folder.
 ///
+/// Trainings read Sim-Random from there, `sim-random/FOLDER`. Twins of a run are stored in the database.
 /// `GET /api/v1/workers` shows the progress as `gather`. A repeated request continues. If less than 2 GiB of the disk
 /// are free it ends, so that runs can store their trials; it also ends with the service.
 #[utoipa::path(post, operation_id = "gather_order",
