@@ -16,7 +16,7 @@ use serde::{Deserialize, Serialize};
 use tokio::process::{Child, Command};
 use tokio::runtime::Handle;
 use tokio::sync::watch;
-use tokio::time::interval;
+use tokio::time::{interval, sleep, timeout};
 use utoipa::ToSchema;
 
 use super::App;
@@ -30,6 +30,8 @@ use crate::store::Store;
 
 /// Interval of checking the free space.
 const GATHER_POLL: Duration = Duration::from_secs(1);
+/// Interval of checking whether the work has ended with the service, and longest wait for that.
+const GATHER_END: (Duration, Duration) = (Duration::from_millis(20), Duration::from_secs(5));
 /// Output of the processes, in the folder of the order.
 const GATHER_LOG: &str = "gather.log";
 /// Kind of an order whose results belong into the database, and not into a folder.
@@ -170,6 +172,23 @@ pub async fn gather(
         *app.facts.memory.gather.lock() = Some(ended);
     });
     Ok((StatusCode::ACCEPTED, Json(started)))
+}
+
+/// Waits until nothing is gathered. The end of the service must have begun: it ends the work.
+pub async fn ended(app: &App) {
+    let (poll, longest) = GATHER_END;
+    let is_running = || {
+        let last = app.facts.memory.gather.lock();
+        last.as_ref().is_some_and(|last| last.state == GatherState::Running)
+    };
+    let ended = async {
+        while is_running() {
+            sleep(poll).await;
+        }
+    };
+    if timeout(longest, ended).await.is_err() {
+        tracing::error!("the gathering of an order did not end in time");
+    }
 }
 
 /// Waits until the work must end: space that is reserved for runs is not free, or the service ends.

@@ -18,8 +18,8 @@ use super::routes::{self, AllNeeds};
 use super::tls::Tls;
 use super::turns::Turns;
 use super::{
-    App, Facts, auth, data_folder, door, edited, finished, guard, limits, live_status, once, rates,
-    router, samples,
+    App, Facts, auth, data_folder, door, edited, finished, gather, guard, limits, live_status,
+    once, rates, router, samples,
 };
 use crate::campaign::run::engine;
 use crate::campaign::shown::command::Request;
@@ -226,6 +226,7 @@ impl Service {
         if self.app.campaign.stop_switch().pressed().is_some() {
             self.app.conductor.keep_stopped().await;
         }
+        gather::ended(&self.app).await;
         self.app.store.close().await;
     }
 }
