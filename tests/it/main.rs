@@ -35,3 +35,4 @@ mod simulate;
 mod store_durability;
 mod streams;
 mod support;
+mod workers;

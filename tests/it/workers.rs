@@ -1,0 +1,100 @@
+//! A service with the addresses of a queue, and a script in place of `palpate-worker`: what it answers, and that what
+//! it gathers ends with it.
+
+use std::fs;
+use std::io::{BufRead, BufReader};
+use std::os::unix::fs::PermissionsExt;
+use std::path::Path;
+use std::process::{Command, Stdio};
+use std::time::{Duration, Instant};
+
+use reqwest::Method;
+use serde_json::{Value, json};
+
+use crate::support::{Folder, PALPATE, Process, http};
+
+/// Longest wait for anything.
+const LIMIT: Duration = Duration::from_secs(60);
+/// Answers `status`; `fetch` lasts, and leaves the id of its process in FILE; everything else is invalid.
+const SCRIPT: &str = r#"#!/bin/sh
+case "$1" in
+status) echo '{"workers": [], "orders": []}' ;;
+fetch) echo $$ > FILE.part; mv FILE.part FILE; exec sleep 600 ;;
+*) echo 'error: order ab: not in the store' >&2; exit 2 ;;
+esac
+"#;
+
+/// Waits until a value is there.
+fn until<T>(what: &str, mut look: impl FnMut() -> Option<T>) -> T {
+    let began = Instant::now();
+    loop {
+        if let Some(found) = look() {
+            return found;
+        }
+        assert!(began.elapsed() < LIMIT, "{what}");
+        std::thread::sleep(Duration::from_millis(10));
+    }
+}
+
+#[tokio::test]
+async fn a_service_submits_cancels_and_gathers_and_its_gather_ends_with_it() {
+    let folder = Folder::new("workers");
+    let (data, script, process) =
+        (folder.join("data"), folder.join("worker"), folder.join("process"));
+    fs::write(&script, SCRIPT.replace("FILE", process.to_str().unwrap())).unwrap();
+    fs::set_permissions(&script, fs::Permissions::from_mode(0o755)).unwrap();
+    let order = data.join("cluster").join("bulk");
+    fs::create_dir_all(&order).unwrap();
+    let text = json!({ "id": "ab".repeat(32), "kind": "sim-random" }).to_string();
+    fs::write(order.join("order.json"), text).unwrap();
+    let mut serve = Command::new(PALPATE);
+    serve.args(["serve", "--desk", "--twin-workers", "0", "--bind", "127.0.0.1:0", "--data"]);
+    serve.arg(&data).env("PALPATE_WORKER", &script).env("PALPATE_STORE", folder.join("store"));
+    serve.env("PALPATE_QUEUE", "postgres://owner:hush@localhost/queue");
+    let mut served = Process(serve.stdout(Stdio::piped()).spawn().unwrap());
+    let mut output = BufReader::new(served.0.stdout.take().unwrap());
+    let mut line = String::new();
+    output.read_line(&mut line).unwrap();
+    let url = line.split_whitespace().find(|word| word.starts_with("http://")).unwrap();
+    let url = url.trim_end_matches(',');
+    let client = http();
+    let ask = async |method: Method, path: &str| -> (u16, Value) {
+        let answer = client.request(method, format!("{url}/api/v1/workers{path}")).send().await;
+        let answer = answer.unwrap();
+        (answer.status().as_u16(), answer.json().await.unwrap())
+    };
+
+    let (status, found) = ask(Method::GET, "").await;
+    assert_eq!((status, &found["configured"]), (200, &json!(true)), "{found}");
+    assert_eq!((&found["unsubmitted"], &found["gather"]), (&json!(["bulk"]), &Value::Null));
+    for (method, path, expected, words) in [
+        (Method::POST, "/folders/bulk", 409, "order ab: not in the store"),
+        (Method::POST, "/folders/none", 404, "cluster/none"),
+        (Method::POST, "/folders/none/gather", 404, "cluster/none"),
+        (Method::DELETE, "/orders/abababab", 409, "order ab: not in the store"),
+        (Method::DELETE, "/orders/none", 404, "must be an id"),
+    ] {
+        let (status, problem) = ask(method, path).await;
+        assert_eq!(status, expected, "{path}: {problem}");
+        assert!(problem["detail"].as_str().unwrap().contains(words), "{path}: {problem}");
+    }
+
+    let (status, begun) = ask(Method::POST, "/folders/bulk/gather").await;
+    let expected = json!({
+        "folder": "bulk", "into": "sim-random/bulk", "state": "running", "error": null
+    });
+    assert_eq!((status, &begun), (202, &expected));
+    let (status, problem) = ask(Method::POST, "/folders/bulk/gather").await;
+    assert_eq!(status, 409);
+    assert!(problem["detail"].as_str().unwrap().contains("bulk is being gathered"), "{problem}");
+    let (_, found) = ask(Method::GET, "").await;
+    assert_eq!(found["gather"], expected);
+    let fetching = until("the script fetches", || fs::read_to_string(&process).ok());
+    let fetching = Path::new("/proc").join(fetching.trim());
+    assert!(fetching.exists());
+    let id = served.0.id().to_string();
+    assert!(Command::new("kill").args(["-TERM", &id]).status().unwrap().success());
+    let ended = until("the service ends", || served.0.try_wait().unwrap());
+    assert!(ended.success(), "{ended}");
+    assert!(!fetching.exists(), "what it gathered continues");
+}
