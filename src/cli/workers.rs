@@ -8,7 +8,7 @@ use tokio::time::timeout;
 
 use super::client::Client;
 use super::error::CliError;
-use super::output::{counted, duration, say, say_json};
+use super::output::{bytes, counted, duration, say, say_json};
 use super::table::{Align, Table};
 use super::{At, embed};
 
@@ -16,6 +16,8 @@ use super::{At, embed};
 const WORKERS: &str = "/api/v1/workers";
 /// Longest time for which `status` waits for a queue.
 const STATUS_WAIT: Duration = Duration::from_secs(2);
+/// Bytes of one MiB.
+const MIB: f64 = 1_048_576.0;
 /// Digits of an order's id that are shown, enough for `palpate worker`.
 const ID_SHOWN: usize = 12;
 
@@ -33,12 +35,21 @@ pub async fn status(at: &At) -> Result<(), CliError> {
         say("the service knows no queue: start it with PALPATE_QUEUE_FILE and PALPATE_STORE");
         return Ok(());
     }
-    let heads = [("worker", Align::Left), ("heard", Align::Right)];
+    let numbers = ["heard", "at once", "memory", "GPU"].map(|head| (head, Align::Right));
+    let heads: Vec<_> = [("worker", Align::Left)].into_iter().chain(numbers).collect();
     let mut workers = Table::new(&heads, "no worker");
     for worker in rows(&found, "workers") {
         let lost = if worker["lost"] == true { " (lost)" } else { "" };
         let heard = duration(worker["heard_s"].as_f64().unwrap_or_default());
-        workers.push([text(worker, "worker"), format!("{heard} ago{lost}")]);
+        let about = &worker["about"];
+        let stated = |value: Option<String>| value.unwrap_or_else(|| "-".into());
+        workers.push([
+            text(worker, "worker"),
+            format!("{heard} ago{lost}"),
+            stated(about["at_once"].as_u64().map(|number| number.to_string())),
+            stated(about["memory_mib"].as_f64().map(|mib| bytes(mib * MIB))),
+            stated(about["gpu"].as_bool().map(|gpu| if gpu { "yes" } else { "no" }.to_owned())),
+        ]);
     }
     say(&workers);
     let numbers = ["chunks", "done", "running", "waiting", "again", "failed", "missing"];

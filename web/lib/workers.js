@@ -4,11 +4,12 @@
 import { get, send } from './api.js'
 import { actor, confirm, outcome } from './actions.js'
 import { el, fill, panel, say, sleep } from './dom.js'
-import { count, countOf, counted, fixed, moment, NONE, plain, span } from './format.js'
+import { bytes, count, countOf, counted, fixed, moment, NONE, plain, span } from './format.js'
 import { table } from './table.js'
 import { TONE } from './words.js'
 
 const PERIOD_MS = 10_000, CHANGE_MS = 120_000
+const CANCELLED = 'Its chunks leave the queue; one that is being made is completed. Results stay, and the order can be submitted again.'
 
 /** Makes the panel of workers; it asks every ten seconds until `signal` aborts, and is hidden without a queue. */
 export function workers(signal) {
@@ -16,7 +17,9 @@ export function workers(signal) {
     offered = el('div', { className: 'row soft' })
   const nameOf = row => row.folder ?? row.order.slice(0, 12), folderOf = name => `/workers/folders/${encodeURIComponent(name)}`
   const machines = table({ empty: 'No worker: palpate worker work', columns: [{ head: 'Worker', cell: row => row.worker },
-    { head: 'Heard', cell: row => `${span(row.heard_s)} ago${row.lost ? ', lost' : ''}` }] })
+    { head: 'Heard', cell: row => `${span(row.heard_s)} ago${row.lost ? ', lost' : ''}` }, { head: 'Chunks at once', cell: row => count(row.about?.at_once) },
+    { head: 'Memory', cell: row => row.about?.memory_mib == null ? NONE : bytes(row.about.memory_mib * 2 ** 20) },
+    { head: 'GPU', cell: row => row.about?.gpu == null ? NONE : row.about.gpu ? 'yes' : 'no' }] })
   const orders = table({ empty: 'No order: palpate cluster sbatch, then submit it', columns: [{ head: 'Order', cell: nameOf, left: true },
     { head: 'Done', cell: row => el('div', {}, el('progress', { max: row.chunks, value: row.done, 'aria-label': `Chunks done of ${nameOf(row)}` }),
       countOf(row.done, row.chunks)) },
@@ -43,8 +46,7 @@ export function workers(signal) {
       row.folder && more > 0 && submitting(name),
       row.folder && row.done >= row.chunks && acting('Gather', name, () => send(`${folderOf(name)}/gather`)),
       open > 0 && acting('Cancel', name, () => send(`/workers/orders/${row.order}`, {}, { method: 'DELETE', wait: CHANGE_MS }), { of: row.order,
-        className: 'danger', sure: () => confirm(`Cancel ${name}?`, 'Its chunks leave the queue; one that is being made is completed. Results stay, and the order can be submitted again.',
-          'Cancel the order') }))
+        className: 'danger', sure: () => confirm(`Cancel ${name}?`, CANCELLED, 'Cancel the order') }))
   }
 
   async function ask() {

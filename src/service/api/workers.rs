@@ -75,6 +75,20 @@ pub struct WorkerOut {
     pub heard_s: i64,
     /// Whether its lease has ended.
     pub lost: bool,
+    /// What it states of its machine; null if it states nothing.
+    #[serde(default)]
+    pub about: Option<WorkerMachineOut>,
+}
+
+/// What a worker states of its machine.
+#[derive(Debug, Clone, Serialize, Deserialize, ToSchema)]
+pub struct WorkerMachineOut {
+    /// Number of chunks that it makes at once.
+    pub at_once: Option<u64>,
+    /// Memory for chunks that need a certain one, MiB.
+    pub memory_mib: Option<u64>,
+    /// Whether it takes chunks that need a GPU.
+    pub gpu: Option<bool>,
 }
 
 /// A work order.
@@ -439,13 +453,16 @@ mod tests {
 
     #[test]
     fn the_state_is_read_as_the_worker_prints_it() {
-        let text = r#"{"workers": [{"worker": "desk/1/a", "heard_s": 3, "lost": false, "about": {"pid": 1}}],
+        let text = r#"{"workers": [{"worker": "desk/1/a", "heard_s": 3, "lost": false,
+              "about": {"pid": 1, "at_once": 2, "gpu": false}}],
             "orders": [{"chunks": 9, "done": 2, "order": "ab", "waiting": 5, "running": 1, "again": 1,
               "again_error": "desk: no kernel", "failed": 1, "missing": 0, "per_minute": 1.5, "to_go_s": 240,
               "errors": [{"key": "cd", "index": 4, "attempts": 8, "error": "e"}]}]}"#;
         let found: WorkersOut = serde_json::from_str(text).unwrap();
         assert!(!found.configured);
         assert_eq!((found.workers[0].heard_s, found.orders[0].to_go_s), (3, Some(240)));
+        let about = found.workers[0].about.as_ref().unwrap();
+        assert_eq!((about.at_once, about.gpu, about.memory_mib), (Some(2), Some(false), None));
         assert_eq!(found.orders[0].errors[0].attempts, 8);
     }
 }

@@ -5,6 +5,7 @@ from playwright.sync_api import expect
 import views
 from person import URL, a_viewer, in_dialog, said, seen_as
 
+MACHINE = {"at_once": 2, "memory_mib": 16384, "gpu": True}
 OPEN, COMPLETE, ELSEWHERE = "ab" * 32, "cd" * 32, "ef" * 32
 
 
@@ -26,7 +27,7 @@ def bulk(page, browser):
             return
         gather = {"folder": "complete", "into": "sim-random/complete", "state": "done", "error": None}
         route.fulfill(json={
-            "configured": True, "workers": [{"worker": "desk/1/a", "heard_s": 3, "lost": False}],
+            "configured": True, "workers": [{"worker": "desk/1/a", "heard_s": 3, "lost": False, "about": MACHINE}],
             "orders": [order(OPEN, "open", 120, waiting=78, running=2, per_minute=12.34, to_go_s=375), order(COMPLETE, "complete", 200),
                        order(ELSEWHERE, None, 200)],
             "unsubmitted": ["later"], "gather": gather if len(sent) > 1 else None})
@@ -40,7 +41,7 @@ def bulk(page, browser):
 
     views.named(page)
     panel = shown(page)
-    expect(panel).to_contain_text("desk/1/a")
+    expect(panel.get_by_role("row", name="desk/1/a")).to_contain_text("yes")
     expect(panel).to_contain_text("12.3")
     bar = panel.get_by_role("progressbar", name="Chunks done of open")
     assert abs(bar.evaluate("bar => bar.position") - 0.6) < 1e-6
