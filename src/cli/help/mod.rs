@@ -31,6 +31,8 @@ Environment:
                                    level, format and file of the log, as --log and its like
   PALPATE_TRAINER, PALPATE_QUERY   programs that a service starts for trainings and for queries
   PALPATE_WORKER, PALPATE_PROGRAM  program of `worker`, and the palpate that it starts for chunks
+  PALPATE_QUEUE, PALPATE_QUEUE_FILE, PALPATE_STORE, PALPATE_STORE_FILE
+                                   queue and store of bulk work, for `serve` and `worker`
   NO_COLOR                         no colours, if it is not empty";
 
 /// Exit codes of all commands, as in `docs/commands.md`.
