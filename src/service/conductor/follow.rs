@@ -1,6 +1,7 @@
 //! The runs that were started and wait: which of them begins when the rig is free and its time has come.
 //! Uses: `conductor::turn` (the decision), `campaign` (its handle), `store`. Never: motion, HTTP.
 
+use std::sync::atomic::Ordering;
 use std::time::Duration;
 
 use jiff::Timestamp;
@@ -9,21 +10,14 @@ use tokio::time::Instant;
 
 use super::{Conductor, ConductorError, startable, turn};
 use crate::campaign::shown::command::Refusal;
-use crate::campaign::shown::run_action::trip_for_person;
-use crate::campaign::shown::status::Status;
+use crate::campaign::shown::run_action;
 use crate::campaign::spans::run_span;
 use crate::ids::RunUid;
 use crate::journal::error_chain;
-use crate::state::StoredState;
 use crate::store::{RunRow, StoreError};
 
 /// Pause before a run that the rig did not take up is offered again.
 const BUSY_AGAIN: Duration = Duration::from_secs(5);
-/// Why waiting runs do not begin after a run that was ended while it waited.
-const ENDED_HALTED: &str =
-    "the run before it was ended while it was halted, and a person may be at the rig";
-/// Why waiting runs do not begin after a run that was aborted while it moved.
-const ABORTED: &str = "the run before it was aborted, and a person may be at the rig";
 
 impl Conductor {
     /// Follows the campaign: a run that was started while another was active, or before its time,
@@ -32,7 +26,6 @@ impl Conductor {
         let mut status = self.inner.campaign.watch_status();
         // While the rig is free and no waiting run is due: when to decide again.
         let mut again: Option<Instant> = None;
-        let mut attended: Option<&'static str> = None;
         loop {
             let until = again;
             let due = async move {
@@ -46,18 +39,18 @@ impl Conductor {
                 () = self.inner.look.notified() => again = None,
                 () = due => again = None,
             }
-            let (free, why_not) = {
+            let (free, tripped, attended) = {
                 let now = status.borrow_and_update();
                 let is_free = now.run.is_none() && now.rig.is_ready();
-                let tripped = trip_for_person(&now).map(|trip| format!("the rig tripped ({trip})"));
-                let ended = attended.filter(|_| now.run.is_none()).map(str::to_owned);
-                attended = may_be_attended(attended, &now);
-                (is_free, tripped.or(ended))
+                (is_free, run_action::tripped(&now), now.attended.clone())
             };
-            // A person may be at the rig: it must not start by itself once it is free or homed again.
-            if let Some(why) = why_not {
+            // A person may be at the rig: it must not start by itself once it is free or homed again. While the rig is
+            // tripped, each look drops what was started in that moment.
+            let is_followed = self.inner.signs.load(Ordering::SeqCst) == attended.signs;
+            if let Some(why) = tripped.or((!is_followed).then_some(attended.why)) {
                 self.drop_all_waiting(&why).await;
             }
+            self.inner.signs.store(attended.signs, Ordering::SeqCst);
             if !free {
                 again = None;
             } else if again.is_none() {
@@ -217,22 +210,11 @@ impl Conductor {
     }
 }
 
-/// Why a person may be at the rig because of the active run: it was halted or is aborted, and has not moved again
-/// since. `before`: the answer for the last status. Between two statuses others may have been missed.
-fn may_be_attended(before: Option<&'static str>, status: &Status) -> Option<&'static str> {
-    match status.run.as_ref().map(|run| run.state) {
-        Some(StoredState::Paused | StoredState::Panicked) => Some(ENDED_HALTED),
-        Some(StoredState::Aborting) => before.or(Some(ABORTED)),
-        Some(StoredState::Running) | None => None,
-        Some(_) => before,
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use std::path::PathBuf;
     use std::sync::Arc;
-    use std::sync::atomic::{AtomicU64, Ordering};
+    use std::sync::atomic::AtomicU64;
 
     use jiff::SignedDuration;
 
@@ -245,6 +227,9 @@ mod tests {
     use crate::rig::setup::RigSetup;
     use crate::store::Store;
     use crate::suspension::Suspensions;
+
+    /// Why a run is dropped.
+    const BEFORE_ABORTED: &str = "the run before it was aborted";
 
     /// A conductor with an empty database and a disconnected rig, which answers nothing.
     async fn conductor(name: &str) -> (Conductor, Inbox, PathBuf) {
@@ -289,8 +274,8 @@ mod tests {
         let words = async || conductor.waiting_for().await.unwrap().unwrap();
         start(&conductor, &run).await;
         assert!(words().await.contains("starts at"));
-        conductor.drop_all_waiting(ABORTED).await;
-        let why = format!("{ABORTED}: start it again");
+        conductor.drop_all_waiting(BEFORE_ABORTED).await;
+        let why = format!("{BEFORE_ABORTED}: start it again");
         assert_eq!(words().await, format!("run 1 (small) does not begin by itself: {why}"));
         assert_eq!(conductor.why_dropped(run.uid), Some(why));
         assert_eq!(conductor.not_begun().await.unwrap(), Some(words().await));
@@ -298,6 +283,42 @@ mod tests {
         assert_eq!(conductor.not_begun().await.unwrap(), None);
         assert!(words().await.contains("starts at"));
         assert_eq!(conductor.why_dropped(run.uid), None);
+        std::fs::remove_dir_all(folder).unwrap();
+    }
+
+    #[tokio::test]
+    async fn a_sign_of_a_person_drops_what_waits_although_the_status_has_changed_since() {
+        let (conductor, inbox, folder) = conductor("sign").await;
+        let run = queued(&conductor, in_an_hour()).await;
+        start(&conductor, &run).await;
+        // A run was aborted and is gone, before the queue looks.
+        inbox.status.send_modify(|status| status.attended.note(BEFORE_ABORTED));
+        inbox.status.send_modify(|status| status.version += 1);
+        let following = tokio::spawn(conductor.clone().follow());
+        let dropped = async {
+            while !conductor.inner.store.waiting_runs().await.unwrap().is_empty() {
+                tokio::time::sleep(Duration::from_millis(5)).await;
+            }
+        };
+        tokio::time::timeout(Duration::from_secs(20), dropped).await.expect("it is dropped");
+        assert_eq!(
+            conductor.why_dropped(run.uid),
+            Some(format!("{BEFORE_ABORTED}: start it again"))
+        );
+        // One sign counts once.
+        start(&conductor, &run).await;
+        inbox.status.send_modify(|status| status.version += 1);
+        tokio::time::sleep(Duration::from_millis(100)).await;
+        assert_eq!(conductor.why_dropped(run.uid), None);
+        inbox.status.send_modify(|status| status.attended.note("a trip"));
+        let dropped = async {
+            while conductor.why_dropped(run.uid).is_none() {
+                tokio::time::sleep(Duration::from_millis(5)).await;
+            }
+        };
+        tokio::time::timeout(Duration::from_secs(20), dropped).await.expect("it is dropped again");
+        following.abort();
+        let _ = following.await;
         std::fs::remove_dir_all(folder).unwrap();
     }
 
@@ -317,7 +338,7 @@ mod tests {
             let refused = conductor.require_turn(&now).await;
             matches!(refused, Err(ConductorError::Refused(Refusal::Busy(_))))
         };
-        conductor.drop_waiting(&first, ABORTED).await.unwrap();
+        conductor.drop_waiting(&first, BEFORE_ABORTED).await.unwrap();
         assert!(is_lost(&first).await && !is_lost(&second).await);
         tokio::time::sleep(Duration::from_millis(20)).await;
         store.set_lock("bob", "hands in the rig").await.unwrap();

@@ -2,6 +2,7 @@
 //! Uses: `conductor::restart`, `campaign` (its handle), `store`. Never: motion, HTTP.
 
 use std::collections::BTreeSet;
+use std::sync::atomic::Ordering;
 use std::time::Duration;
 
 use jiff::Timestamp;
@@ -38,6 +39,7 @@ impl Conductor {
     /// `ConductorError` if the store fails, or the run cannot resume.
     pub async fn resume_after_restart(&self, resume: AutoResume) -> Result<(), ConductorError> {
         let store = &self.inner.store;
+        let signs = self.inner.signs.load(Ordering::SeqCst);
         let (open, waiting) = (store.open_runs().await?, store.waiting_runs().await?);
         let TakenOver { driven, waiting, dropped } = TakenOver::of(open, waiting, resume);
         store.interrupt_open_runs(driven.as_ref().map(|run| run.uid)).await?;
@@ -49,10 +51,10 @@ impl Conductor {
             Some(run) => store.last_trial_at(run.uid).await?.or(run.started_at),
             None => None,
         };
-        let first = match driven {
-            Some(run) => run,
+        let (first, signs) = match driven {
+            Some(run) => (run, signs),
             None => match self.first_due(waiting).await? {
-                Some(run) => run,
+                Some(due) => due,
                 None => return Ok(()),
             },
         };
@@ -63,7 +65,9 @@ impl Conductor {
             store.interrupt_open_runs(None).await?;
         }
         let mut waiting = store.waiting_runs().await?;
-        waiting.retain(|run| !(begun && run.uid == first.uid));
+        // What was dropped meanwhile stays dropped, even if the store does not know it yet.
+        waiting
+            .retain(|run| !(begun && run.uid == first.uid) && self.why_dropped(run.uid).is_none());
         let tripped = self.inner.campaign.status().rig.state == RigState::Tripped;
         let why_not = match &outcome {
             _ if tripped => Some("the rig tripped during the start"),
@@ -72,20 +76,27 @@ impl Conductor {
             }
             Ok(_) | Err(_) => None,
         };
-        match why_not {
-            None => self.let_wait(waiting.iter().map(|run| run.uid)),
-            Some(why) => {
-                for run in &waiting {
-                    self.drop_waiting(run, why).await?;
-                }
+        if why_not.is_none() {
+            self.let_wait(waiting.iter().map(|run| run.uid));
+        }
+        // Read after it: a sign of a person that came before was followed without them.
+        let attended = self.inner.campaign.status().attended;
+        let sign = (attended.signs != signs).then_some(attended.why.as_str());
+        if let Some(why) = why_not.or(sign) {
+            for run in &waiting {
+                self.drop_waiting(run, why).await?;
             }
         }
         outcome.map(|_| ())
     }
 
     /// Waits until one of these runs, which waited for the earlier process, is due, so that the rig must be brought up.
+    /// Then none of them waits, and the signs of a person that were followed before are returned with it.
     /// `None` if none of them waits any more, or if a person has brought the rig up: then the run begins as any other.
-    async fn first_due(&self, waiting: Vec<RunRow>) -> Result<Option<RunRow>, ConductorError> {
+    async fn first_due(
+        &self,
+        waiting: Vec<RunRow>,
+    ) -> Result<Option<(RunRow, u64)>, ConductorError> {
         let taken_over: BTreeSet<RunUid> = waiting.iter().map(|run| run.uid).collect();
         self.let_wait(taken_over.iter().copied());
         loop {
@@ -103,15 +114,28 @@ impl Conductor {
                 if is_up {
                     return Ok(None);
                 }
+                let signs = self.inner.signs.load(Ordering::SeqCst);
                 // None of them begins by itself as soon as the rig is up.
-                self.waiting().retain(|uid| waiting.iter().all(|run| run.uid != *uid));
-                return Ok(Some(due.clone()));
+                if self.take_from_waiting(due.uid, &waiting) {
+                    return Ok(Some((due.clone(), signs)));
+                }
+                continue;
             }
             match turn::decide_again(&waiting, present) {
                 Some(pause) => tokio::time::sleep(pause).await,
                 None => return Ok(None),
             }
         }
+    }
+
+    /// Takes runs from those that wait, unless the first of them was dropped meanwhile.
+    fn take_from_waiting(&self, first: RunUid, runs: &[RunRow]) -> bool {
+        let mut waiting = self.waiting();
+        let waits = waiting.contains(&first);
+        if waits {
+            waiting.retain(|uid| runs.iter().all(|run| run.uid != *uid));
+        }
+        waits
     }
 
     /// Drives a run again; returns `false` if the rig could not be reached. `since`: the last time at which the

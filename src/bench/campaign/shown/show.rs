@@ -15,7 +15,7 @@ use crate::campaign::run::eta::Pace;
 use crate::campaign::run::job::Job;
 use crate::campaign::shown::frames::FrameFeed;
 use crate::campaign::shown::status::{
-    Phase, RigStatus, RunStatus, Status, StreamStatus, WireStatus,
+    Attended, Phase, RigStatus, RunStatus, Status, StreamStatus, WireStatus,
 };
 use crate::journal::Progress;
 use crate::rig::link::{Line, LineCounts};
@@ -53,6 +53,7 @@ pub fn closed(config: &RigSetup) -> Status {
         },
         run: None,
         version: 0,
+        attended: Attended::default(),
     }
 }
 

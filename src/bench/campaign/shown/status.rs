@@ -24,6 +24,27 @@ pub struct Status {
     pub run: Option<RunStatus>,
     /// Number that increases with every change.
     pub version: u64,
+    /// Signs that a person may have come to the rig; for the queue, not for clients.
+    #[serde(skip)]
+    pub attended: Attended,
+}
+
+/// Signs that a person may have come to the rig: a trip that waits for a person, an abort, the end of a halted run.
+/// After each no waiting run begins by itself. They are counted, so that a reader who misses a status misses no sign.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Attended {
+    /// Number of signs since the start of the service.
+    pub signs: u64,
+    /// The last one, as text.
+    pub why: String,
+}
+
+impl Attended {
+    /// Adds a sign.
+    pub fn note(&mut self, why: impl Into<String>) {
+        self.signs += 1;
+        self.why = why.into();
+    }
 }
 
 /// Status of the rig.

@@ -17,6 +17,12 @@ use crate::journal::{ExitStatus, error_chain};
 use crate::record::AttemptRecord;
 use crate::schedule::plan::Kind;
 
+/// Why no waiting run begins after a run that was aborted while it moved.
+const ABORTED: &str = "the run before it was aborted, and a person may be at the rig";
+/// Why no waiting run begins after a run that ended before a pause that was requested of it.
+const ENDED_PAUSING: &str =
+    "a pause of the run before it was requested as it ended, and a person may be at the rig";
+
 impl Engine {
     /// Decides what follows a halt, once the rig is safe. Only the state that a trip leads to is noted before, in
     /// memory: a process that dies meanwhile must not have left a run that resumes automatically.
@@ -80,10 +86,25 @@ impl Engine {
             RunAction::Wait
         };
         match action {
-            RunAction::End(status) => self.ended_by_request(status),
+            RunAction::End(status) => {
+                if status == ExitStatus::Abort {
+                    self.control.attended(ABORTED);
+                }
+                self.ended_by_request(status)
+            }
             RunAction::Continue | RunAction::Raise => Next::Again,
             RunAction::Wait => self.wait(job, attempts, passing.then_some(auto_resumes)).await,
         }
+    }
+
+    /// Ends a run without a request: its plan is complete, or it gave up. The next run begins, unless a person has
+    /// requested a pause meanwhile, and may be on the way to the rig.
+    pub(super) fn end_unasked(&mut self) {
+        if matches!(self.control.run(), RunState::Pausing(_)) {
+            self.control.attended(ENDED_PAUSING);
+        }
+        // Ending is allowed in every state of an active run.
+        let _ = self.control.run_event(RunEvent::Ended);
     }
 
     /// The end of a run that a person stopped or aborted.
@@ -174,7 +195,7 @@ impl Engine {
         attempts.skipped += 1;
         attempts.of_configuration = 1;
         if attempts.skipped > job.plan.policy.max_skipped {
-            let _ = self.control.run_event(RunEvent::Ended);
+            self.end_unasked();
             let words = format!("gave up after {} skipped: {reason}", attempts.skipped);
             return Next::End(ExitStatus::Fail, words);
         }

@@ -18,9 +18,9 @@ use crate::campaign::run::eta::Pace;
 use crate::campaign::run::halt::Halt;
 use crate::campaign::run::job::Job;
 use crate::campaign::run::resume;
-use crate::campaign::run::run_state::RunEvent;
 use crate::campaign::safe_end::raise_as_planned;
 use crate::campaign::shown::command::{Refusal, Request};
+use crate::campaign::shown::run_action;
 use crate::campaign::shown::show;
 use crate::campaign::shown::status::{Phase, Wanted};
 use crate::campaign::spans::{configuration_span, trial_span};
@@ -114,7 +114,13 @@ impl Engine {
             tracing::error!(error, "the end of the run is not stored yet");
         }
         self.control.forget_run();
-        self.control.show(|status| status.run = None);
+        self.control.show(|status| {
+            status.run = None;
+            // Also one that may pass: nothing resumes any more.
+            if let Some(why) = run_action::tripped(status) {
+                status.attended.note(why);
+            }
+        });
     }
 
     fn show_stopping(&mut self) {
@@ -142,8 +148,7 @@ impl Engine {
                 Ok(None) => continue,
                 Ok(Some(words)) => {
                     self.leave_contact(job, None, Height::Clear).await;
-                    // Ending is allowed in every state of an active run.
-                    let _ = self.control.run_event(RunEvent::Ended);
+                    self.end_unasked();
                     return Some((ExitStatus::Success, words));
                 }
                 Err(halt) => halt,
