@@ -213,7 +213,7 @@ function needs({ rig, run, not_begun }) {
   if (run?.state === 'panicked') words.push('The tips could not be raised: check the rig.')
   else if (rig.safe_end?.tips === 'not_raised') words.push(`The tips are NOT raised: ${rig.safe_end.why}`)
   if (rig.trip) {
-    const moving = notStopped(rig), ms = rig.estop_acknowledged_ms
+    const moving = notStopped(rig.estop_stops), ms = rig.estop_acknowledged_ms
     const rests = stands(rig) ? ' and stands' : ''
     const reached = rig.trip.kind !== 'estop' ? '' : moving.length ? ` NOT STOPPED: ${moving.join(', ')}. The stop is sent again until it is. Use the button on the rig.`
       : ms == null ? '' : isUnwired ? ` It was pressed while the wires were closed; every axis has acknowledged it${rests}.`

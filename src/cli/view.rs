@@ -119,8 +119,7 @@ impl RigView {
 
     /// Axes whose stop is not acknowledged, or that move after it, each with its cause.
     pub fn not_stopped(&self) -> Vec<String> {
-        let is_missing = |s: &&AxisStop| s.acknowledged_ms.is_none() || s.error.is_some();
-        let missing = self.estop_stops.iter().filter(is_missing);
+        let missing = self.estop_stops.iter().filter(|s| !s.is_done());
         missing
             .map(|s| format!("{} ({})", s.axis, s.error.as_deref().unwrap_or("no answer yet")))
             .collect()

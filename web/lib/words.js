@@ -20,8 +20,8 @@ export const RIG = { disconnected: 'The wires are closed.', disarmed: 'Connected
 /** Class that colours an event, by its importance. */
 export const LOUD = { act: 'bad', look: 'warn' }
 
-/** Axes that a latched e-stop has not stopped, each with its cause: without an acknowledgement, or in motion after it. */
-export const notStopped = rig => rig.estop_stops.filter(stop => stop.acknowledged_ms == null || stop.error != null)
+/** Axes that these stops have not stopped, each with its cause: without an acknowledgement, or in motion after it. */
+export const notStopped = stops => stops.filter(stop => stop.acknowledged_ms == null || stop.error != null)
   .map(stop => `${stop.axis} (${stop.error ?? 'no answer yet'})`)
 
 /** Whether every axis was read at rest after the latched e-stop. */

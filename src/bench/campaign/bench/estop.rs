@@ -37,8 +37,8 @@ pub struct AxisStop {
     /// Time from the request of the stop to the acknowledgement of the axis, wall ms; absent while
     /// it is not acknowledged.
     pub acknowledged_ms: Option<f64>,
-    /// Time from the request of an e-stop to the reading that found the axis at rest, wall ms; absent while it is
-    /// not known to stand, and for the stops of a safe end.
+    /// Time from the request of the stop to the reading that found the axis at rest, wall ms; absent while it is
+    /// not known to stand. In a safe end under an e-stop it is absent: the stops of the e-stop are read.
     pub stood_ms: Option<f64>,
     /// Why it is not acknowledged, or not known to stand; absent without a fault.
     pub error: Option<String>,
@@ -57,9 +57,14 @@ impl AxisStop {
         }
     }
 
-    fn stood(&mut self, after_ms: f64) {
+    pub(in crate::campaign) fn stood(&mut self, after_ms: f64) {
         self.stood_ms.get_or_insert(after_ms);
         self.error = None;
+    }
+
+    /// Whether the axis has acknowledged the stop and was not found moving after it.
+    pub fn is_done(&self) -> bool {
+        self.acknowledged_ms.is_some() && self.error.is_none()
     }
 }
 
@@ -260,7 +265,7 @@ impl StopSwitch {
 
 /// Reads an axis that has acknowledged its stop until it stands: two readings in a row at rest, at one place. A drive
 /// in alarm reports rest even if its axis coasts.
-async fn stands(axis: &dyn Axis) -> Result<(), String> {
+pub(in crate::campaign) async fn stands(axis: &dyn Axis) -> Result<(), String> {
     let deadline = Instant::now() + STANDS_WITHIN;
     let mut last: Option<f64> = None;
     loop {

@@ -85,8 +85,8 @@ pub struct RigStatus {
     /// Time from the press of an e-stop to the acknowledgement of the last axis, ms; null while one
     /// is missing.
     pub estop_acknowledged_ms: Option<f64>,
-    /// Stop of each axis while an e-stop is latched. A stop that is not acknowledged is sent again
-    /// until it is.
+    /// Stop of each axis while an e-stop is latched. The stop is sent again until the axis has acknowledged it
+    /// and stands.
     pub estop_stops: Vec<AxisStop>,
     /// Result of the last safe end; null before the first one, and while one follows a good result.
     pub safe_end: Option<SafeEnd>,

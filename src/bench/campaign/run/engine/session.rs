@@ -37,7 +37,7 @@ impl Engine {
     /// stopping distance must stay within the margin of the force limit.
     ///
     /// # Errors
-    /// No wires are open, the computer was suspended, a stop is not acknowledged, a device does not reply, no press is
+    /// No wires are open, the computer was suspended, an axis is not stopped, a device does not reply, no press is
     /// slow enough for the margin, the state does not allow arming, or its client no longer waits for the answer.
     pub(super) async fn arm(&mut self, job: &Job, answer: &Answer) -> Result<(), Refusal> {
         if self.connection.is_none() {
@@ -71,7 +71,7 @@ impl Engine {
         let connection = self.connection.as_mut().ok_or_else(no_wires)?;
         let stage = connection.stage.as_mut().ok_or_else(no_stage)?;
         if self.owed != Owed::Nothing {
-            let words = "the last safe end is not complete: an axis has not acknowledged its stop";
+            let words = "the last safe end is not complete: an axis has not acknowledged its stop, or moves after it";
             return Err(Refusal::Busy(words.into()));
         }
         if self.control.rig() == RigState::Homed {

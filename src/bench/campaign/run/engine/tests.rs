@@ -306,6 +306,29 @@ async fn no_run_is_armed_while_an_axis_owes_the_acknowledgement_of_its_stop() {
 }
 
 #[tokio::test]
+async fn a_safe_end_is_not_complete_while_an_axis_moves_after_its_stop() {
+    let (axes, job) = (StandIns::default(), job());
+    let mut engine = engine(&axes);
+    engine.control.rig_event(RigEvent::Homed).unwrap();
+    axes.y.status.lock().moving = true;
+    assert!(engine.make_safe(None, Height::Clear).await, "the tips are up");
+    let end = engine.control.inbox.status.borrow().rig.safe_end.clone().unwrap();
+    let moving: Vec<&str> =
+        end.stops.iter().filter(|stop| !stop.is_done()).map(|stop| stop.axis.as_str()).collect();
+    assert_eq!(moving, ["y"], "{end:?}");
+    assert_eq!(end.stops.iter().filter(|stop| stop.stood_ms.is_some()).count(), 3, "{end:?}");
+    let (waited_for, _caller) = oneshot::channel();
+    let refused = engine.arm(&job, &waited_for).await;
+    assert!(matches!(refused, Err(Refusal::Busy(_))), "{refused:?}");
+    let stops = axes.y.stops.load(Ordering::SeqCst);
+    axes.y.status.lock().moving = false;
+    tokio::time::sleep(OWED_AGAIN + Duration::from_millis(50)).await;
+    engine.look().await;
+    assert!(axes.y.stops.load(Ordering::SeqCst) > stops, "sent again");
+    assert_eq!(engine.arm(&job, &waited_for).await, Ok(()));
+}
+
+#[tokio::test]
 async fn an_end_brings_a_person_to_the_rig_unless_the_run_was_stopped_as_it_moved_or_gave_up() {
     let job = job();
     let policy = &job.plan.policy;
