@@ -289,6 +289,28 @@ async fn a_lateral_motion_ends_when_z_sinks() {
 }
 
 #[tokio::test]
+async fn a_lateral_motion_continues_while_z_jitters_at_rest() {
+    let axes = StandIns::default();
+    let mut engine = engine(&axes);
+    let stage = engine.connection.as_mut().unwrap().stage.as_mut().unwrap();
+    // As far down as a raise leaves it.
+    let at_rest = stage.clear_z_mm() + stage.config.axes.z.tolerance_mm;
+    axes.z.status.lock().position = at_rest;
+    let moving = AxisStatus { moving: true, ..axes.x.present() };
+    *axes.x.after_start.lock() = Some(moving);
+    let target = [Target::of(AxisName::X, 100.0)];
+    let travel = stage.travel(&mut engine.control, &target);
+    let jitters = async {
+        tokio::time::sleep(Duration::from_millis(30)).await;
+        axes.z.status.lock().position = at_rest + 0.02;
+        tokio::time::sleep(Duration::from_millis(60)).await;
+        *axes.x.status.lock() = AxisStatus { position: 100.0, moving: false, ..moving };
+    };
+    let (moved, ()) = tokio::join!(travel, jitters);
+    assert!(moved.is_ok(), "{moved:?}");
+}
+
+#[tokio::test]
 async fn no_run_is_armed_while_an_axis_owes_the_acknowledgement_of_its_stop() {
     let (axes, job) = (StandIns::default(), job());
     let mut engine = engine(&axes);
