@@ -182,19 +182,28 @@ impl Conductor {
         }
     }
 
-    /// Called at the end of the service while an e-stop is latched, which the next process would not know: it must
-    /// drive no run by itself.
+    /// Called at the end of the service, after that of the campaign: what the next process would not know. While an
+    /// e-stop is latched it must drive no run by itself; after a sign of a person that was not followed any more, such as
+    /// an abort, no waiting run begins.
     pub async fn keep_stopped(&self) {
+        let attended = self.inner.campaign.status().attended;
+        let is_stopped = self.inner.campaign.stop_switch().pressed().is_some();
+        let why = match is_stopped {
+            true => "the e-stop was latched when the service ended: start it again".to_owned(),
+            false if self.inner.signs.load(Ordering::SeqCst) == attended.signs => return,
+            false => format!("{}: start it again", attended.why),
+        };
         let kept = async {
-            self.inner.store.interrupt_open_runs(None).await?;
+            if is_stopped {
+                self.inner.store.interrupt_open_runs(None).await?;
+            }
             for run in self.inner.store.waiting_runs().await? {
-                let why = "the e-stop was latched when the service ended: start it again";
-                self.drop_waiting(&run, why).await?;
+                self.drop_waiting(&run, &why).await?;
             }
             Ok::<(), ConductorError>(())
         };
         if let Err(error) = kept.await {
-            tracing::error!(error = error_chain(&error), "a stopped run may resume automatically");
+            tracing::error!(error = error_chain(&error), "a run may begin or resume automatically");
         }
     }
 
@@ -218,13 +227,15 @@ mod tests {
 
     use jiff::SignedDuration;
 
-    use super::super::{RigFile, Started, Submission, Terms};
+    use super::super::{AutoResume, RigFile, Started, Submission, Terms};
     use super::*;
     use crate::campaign::bench::estop::StopSwitch;
     use crate::campaign::shown::command::{Inbox, channel};
     use crate::campaign::shown::show;
     use crate::clock::Clock;
+    use crate::journal::Journal;
     use crate::rig::setup::RigSetup;
+    use crate::state::{StateChange, StoredState};
     use crate::store::Store;
     use crate::suspension::Suspensions;
 
@@ -319,6 +330,38 @@ mod tests {
         tokio::time::timeout(Duration::from_secs(20), dropped).await.expect("it is dropped again");
         following.abort();
         let _ = following.await;
+        std::fs::remove_dir_all(folder).unwrap();
+    }
+
+    #[tokio::test]
+    async fn an_abort_shortly_before_the_end_of_the_service_is_kept_for_the_next_one() {
+        let (conductor, inbox, folder) = conductor("ending").await;
+        let run = queued(&conductor, in_an_hour()).await;
+        start(&conductor, &run).await;
+        let waits = async || conductor.inner.store.waiting_runs().await.unwrap().len();
+        conductor.keep_stopped().await;
+        assert_eq!(waits().await, 1, "without a sign");
+        inbox.status.send_modify(|status| status.attended.note(BEFORE_ABORTED));
+        conductor.keep_stopped().await;
+        assert_eq!(waits().await, 0);
+        start(&conductor, &run).await;
+        conductor.inner.campaign.estop("hands");
+        conductor.keep_stopped().await;
+        assert_eq!(waits().await, 0);
+        std::fs::remove_dir_all(folder).unwrap();
+    }
+
+    #[tokio::test]
+    async fn a_run_that_a_person_has_started_is_not_taken_over() {
+        let (conductor, inbox, folder) = conductor("taken").await;
+        let run = queued(&conductor, None).await;
+        let job = conductor.prepare_stored(&run).await.unwrap().job(&run);
+        let running = StateChange::to(StoredState::Running);
+        conductor.inner.store.run_state(run.uid, running, Timestamp::now()).await.unwrap();
+        inbox.status.send_modify(|status| status.run = Some(show::started(&job)));
+        let taken = conductor.resume_after_restart(AutoResume::Allowed);
+        tokio::time::timeout(Duration::from_secs(20), taken).await.expect("at once").unwrap();
+        assert_eq!(conductor.present(&run).await.unwrap().state, StoredState::Running);
         std::fs::remove_dir_all(folder).unwrap();
     }
 

@@ -26,6 +26,15 @@ const HOMING_POLL: Duration = Duration::from_millis(50);
 const RESTART_TRIES: u32 = 8;
 const RESTART_PAUSE: Duration = Duration::from_secs(1);
 
+/// What must not have changed since a run was taken over: then a person may be at the rig.
+#[derive(Debug, Clone, Copy)]
+struct Unattended {
+    /// The last time at which the run did something; none if it was not driven.
+    since: Option<Timestamp>,
+    /// Signs of a person that were followed.
+    signs: u64,
+}
+
 impl Conductor {
     /// Called after a start of the service: resumes the run that was driven when the process ended,
     /// and then the runs that were started behind it, if their arming and `resume` allow it. Marks
@@ -40,9 +49,13 @@ impl Conductor {
     pub async fn resume_after_restart(&self, resume: AutoResume) -> Result<(), ConductorError> {
         let store = &self.inner.store;
         let signs = self.inner.signs.load(Ordering::SeqCst);
-        let (open, waiting) = (store.open_runs().await?, store.waiting_runs().await?);
+        let (mut open, waiting) = (store.open_runs().await?, store.waiting_runs().await?);
+        // A person may have started a run in this process already: no earlier one is driven again.
+        let active = self.active();
+        open.retain(|run| Some(run.uid) != active);
         let TakenOver { driven, waiting, dropped } = TakenOver::of(open, waiting, resume);
-        store.interrupt_open_runs(driven.as_ref().map(|run| run.uid)).await?;
+        let driven = driven.filter(|_| active.is_none());
+        store.interrupt_open_runs(driven.as_ref().map(|run| run.uid).or(active)).await?;
         for (run, why) in &dropped {
             self.drop_waiting(run, why).await?;
         }
@@ -58,11 +71,12 @@ impl Conductor {
                 None => return Ok(()),
             },
         };
+        let before = Unattended { since, signs };
         let outcome =
-            self.drive_again(&first, since).instrument(run_span(first.uid, first.scan_id)).await;
+            self.drive_again(&first, before).instrument(run_span(first.uid, first.scan_id)).await;
         let begun = matches!(outcome, Ok(true));
         if was_driven && !begun {
-            store.interrupt_open_runs(None).await?;
+            store.interrupt_open_runs(self.active()).await?;
         }
         let mut waiting = store.waiting_runs().await?;
         // What was dropped meanwhile stays dropped, even if the store does not know it yet.
@@ -138,13 +152,9 @@ impl Conductor {
         waits
     }
 
-    /// Drives a run again; returns `false` if the rig could not be reached. `since`: the last time at which the
-    /// run did something; nothing moves if a person has taken the operator lock after it.
-    async fn drive_again(
-        &self,
-        run: &RunRow,
-        since: Option<Timestamp>,
-    ) -> Result<bool, ConductorError> {
+    /// Drives a run again; returns `false` if the rig could not be reached. Nothing moves if a person may have come to
+    /// the rig since `before`.
+    async fn drive_again(&self, run: &RunRow, before: Unattended) -> Result<bool, ConductorError> {
         // Before the wires are opened: nothing moves for a run that is refused.
         self.require_sound_store()?;
         if let Err(error) = self.prepare_stored(run).await {
@@ -154,7 +164,7 @@ impl Conductor {
         }
         let mut pause = RESTART_PAUSE;
         for attempt in 1..=RESTART_TRIES {
-            let Err(error) = self.try_to_drive(run, since).await else {
+            let Err(error) = self.try_to_drive(run, before).await else {
                 tracing::info!(attempt, "the run is driven again");
                 self.say(run, "resumed", json!({ "attempt": attempt })).await;
                 return Ok(true);
@@ -180,16 +190,17 @@ impl Conductor {
 
     /// Brings the rig up and begins a run, unless the run was ended, a lock was taken or a person has operated the
     /// rig, also while it homed.
-    async fn try_to_drive(
-        &self,
-        run: &RunRow,
-        since: Option<Timestamp>,
-    ) -> Result<(), ConductorError> {
+    async fn try_to_drive(&self, run: &RunRow, before: Unattended) -> Result<(), ConductorError> {
         *self.inner.brought_up.lock() = Some(run.uid);
         self.unended(run).await?;
-        self.require_unattended(run, since).await?;
+        self.require_unattended(run, before).await?;
         self.bring_up(run).await?;
-        self.begin(run, self.require_unattended(run, since)).await
+        self.begin(run, self.require_unattended(run, before)).await
+    }
+
+    /// The run that this process drives.
+    fn active(&self) -> Option<RunUid> {
+        self.inner.campaign.status().run.map(|run| run.uid)
     }
 
     /// Ends the homing for a run that is not driven any more.
@@ -202,16 +213,21 @@ impl Conductor {
     }
 
     /// Refuses a run if a person may be at the rig: one has operated it since the start of the service and has not
-    /// started the run again, the computer was suspended since, or one has taken the operator lock.
+    /// started the run again, the computer was suspended since, there was a sign of a person, such as an abort of another
+    /// run, or one has taken the operator lock.
     async fn require_unattended(
         &self,
         run: &RunRow,
-        since: Option<Timestamp>,
+        Unattended { since, signs }: Unattended,
     ) -> Result<(), ConductorError> {
         if self.is_operated_since_start(run.uid) {
             let words = "a person has operated the rig since the start of the service, or its computer was \
                          suspended: start the run";
             return Err(ConductorError::Forbidden(words.into()));
+        }
+        let attended = self.inner.campaign.status().attended;
+        if attended.signs != signs {
+            return Err(ConductorError::Forbidden(format!("{}: start the run", attended.why)));
         }
         self.require_no_lock(run, since).await
     }
