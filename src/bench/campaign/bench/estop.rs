@@ -183,6 +183,9 @@ impl StopSwitch {
                 }
                 pressed = pressed => {
                     let Ok(press) = pressed else { return };
+                    if served.is_none() {
+                        self.forget_stops();
+                    }
                     served = press;
                     self.expect(&bench);
                     for axis in bench.axes() {
@@ -192,6 +195,13 @@ impl StopSwitch {
                     }
                 }
             }
+        }
+    }
+
+    /// Nothing is known of axes that were stopped over other wires, which were closed.
+    fn forget_stops(&self) {
+        if let Some(press) = self.state().press.as_mut() {
+            press.stops.clear();
         }
     }
 
@@ -367,6 +377,23 @@ mod tests {
         let stands = |stop: &AxisStop| stop.stood_ms.is_some() && stop.error.is_none();
         until(&stop, |stops| stops.iter().all(stands)).await;
         assert!(axes.x.stops.load(Ordering::SeqCst) > 1, "sent again");
+        serving.abort();
+    }
+
+    #[tokio::test]
+    async fn over_new_wires_no_axis_counts_as_stopped_before_it_has_acknowledged_there() {
+        let (stop, axes) = (StopSwitch::default(), StandIns::default());
+        let serving = tokio::spawn(stop.clone().serve(axes.bench()));
+        stop.press("hands");
+        until(&stop, |stops| stops.len() == 4 && stops.iter().all(|stop| stop.stood_ms.is_some()))
+            .await;
+        serving.abort();
+        let _ = serving.await;
+        axes.x.replies.store(false, Ordering::SeqCst);
+        let serving = tokio::spawn(stop.clone().serve(axes.bench()));
+        let is_silent = |stop: &AxisStop| stop.axis == "x" && stop.stood_ms.is_none();
+        until(&stop, |stops| stops.iter().any(is_silent)).await;
+        assert_eq!(stop.pressed().unwrap().acknowledged_ms(), None);
         serving.abort();
     }
 

@@ -268,6 +268,31 @@ async fn no_axis_homes_sideways_before_z_is_measured_clear() {
 }
 
 #[tokio::test]
+async fn no_axis_moves_sideways_unless_z_is_homed_at_rest_and_clear() {
+    let axes = StandIns::default();
+    let mut engine = engine(&axes);
+    let clear = axes.z.present();
+    let down = AxisStatus { position: 60.0, ..clear };
+    let (rises, unhomed) =
+        (AxisStatus { moving: true, ..clear }, AxisStatus { homed: false, ..clear });
+    for name in [AxisName::X, AxisName::Y, AxisName::Radial] {
+        for z in [down, rises, unhomed] {
+            *axes.z.status.lock() = z;
+            let stage = engine.connection.as_mut().unwrap().stage.as_mut().unwrap();
+            let moved = stage.travel(&mut engine.control, &[Target::of(name, 10.0)]).await;
+            let halt = moved.unwrap_err();
+            assert_eq!(halt.as_trip().map(|trip| trip.kind), Some(TripKind::Position), "{halt:?}");
+        }
+    }
+    let starts = [&axes.x, &axes.y, &axes.radial].map(|axis| axis.starts.load(Ordering::SeqCst));
+    assert_eq!(starts, [0; 3]);
+    *axes.z.status.lock() = clear;
+    let stage = engine.connection.as_mut().unwrap().stage.as_mut().unwrap();
+    let target = [Target::of(AxisName::X, 10.0)];
+    assert!(stage.travel(&mut engine.control, &target).await.is_ok());
+}
+
+#[tokio::test]
 async fn a_lateral_motion_ends_when_z_sinks() {
     let axes = StandIns::default();
     let mut engine = engine(&axes);
