@@ -47,9 +47,10 @@ impl Engine {
         match halt {
             Halt::Asked => self.note_suspension(),
             Halt::Checkpoint => {}
-            // No person is called to tips that may be down.
-            Halt::Needs(Wanted::Tips { tips }) if !self.tips_are_raised() => {
-                let detail = format!("the tips are not raised for their change to {tips} tips");
+            // No person is called to tips that may be down, nor to an axis that may move.
+            Halt::Needs(Wanted::Tips { tips }) if !self.lets_hands_in() => {
+                let detail =
+                    format!("the tips are not raised and at rest for their change to {tips} tips");
                 self.control.latch(&Trip { kind: TripKind::Position, detail: detail.clone() });
                 self.suspend_for(PausedWhy::Trip, detail);
             }
@@ -140,10 +141,11 @@ impl Engine {
         safe
     }
 
-    /// Whether the last safe end has raised the tips.
-    fn tips_are_raised(&self) -> bool {
+    /// Whether the last safe end has raised the tips and stopped each axis.
+    fn lets_hands_in(&self) -> bool {
         let status = self.control.inbox.status.borrow();
-        status.rig.safe_end.as_ref().is_some_and(|end| end.tips == Tips::Raised)
+        let end = status.rig.safe_end.as_ref();
+        end.is_some_and(|end| end.tips == Tips::Raised && end.is_stopped())
     }
 
     fn note_suspension(&mut self) {

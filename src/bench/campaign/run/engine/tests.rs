@@ -23,7 +23,7 @@ use crate::campaign::run::job::Job;
 use crate::campaign::run::run_state::{PausedWhy, RunEvent, RunState};
 use crate::campaign::shown::command::{Handle, Refusal, Request, channel};
 use crate::campaign::shown::show;
-use crate::campaign::shown::status::{Done, Wanted};
+use crate::campaign::shown::status::{Done, Status, Wanted};
 use crate::clock::Clock;
 use crate::ids::RunUid;
 use crate::journal::{ExitStatus, Journal};
@@ -373,6 +373,27 @@ async fn a_safe_end_is_not_complete_while_an_axis_moves_after_its_stop() {
     engine.look().await;
     assert!(axes.y.stops.load(Ordering::SeqCst) > stops, "sent again");
     assert_eq!(engine.arm(&job, &waited_for).await, Ok(()));
+}
+
+#[tokio::test]
+async fn hands_are_called_to_raised_tips_only_once_each_axis_stands() {
+    let job = job();
+    for (is_moving, state) in
+        [(false, RunState::Paused(PausedWhy::TipChange)), (true, RunState::Paused(PausedWhy::Trip))]
+    {
+        let axes = StandIns::default();
+        let mut engine = engine(&axes);
+        engine.control.show(|status| status.run = Some(show::started(&job)));
+        engine.control.begin(job.run).unwrap();
+        axes.radial.status.lock().moving = is_moving;
+        let (wanted, mut attempts) = (Halt::Needs(Wanted::Tips { tips: 1 }), Attempts::default());
+        // Without a handle there is no request to wait for.
+        let next = engine.decide(&job, wanted, &mut attempts, &mut 0).await;
+        assert!(matches!(next, Next::Leave));
+        assert_eq!(engine.control.run(), state, "{is_moving}");
+        let is_called = |status: &Status| status.run.as_ref().is_some_and(|r| r.wanted.is_some());
+        assert_eq!(is_called(&engine.control.inbox.status.borrow()), !is_moving);
+    }
 }
 
 #[tokio::test]
