@@ -172,7 +172,10 @@ impl Conductor {
                 return;
             }
         };
-        for run in stored.iter().filter(|run| dropped.contains(&run.uid)) {
+        // One that a person has started again meanwhile waits.
+        let stays =
+            |run: &&RunRow| dropped.contains(&run.uid) && self.why_dropped(run.uid).is_some();
+        for run in stored.iter().filter(stays) {
             if let Err(error) = self.drop_waiting(run, &why).await {
                 tracing::warn!(
                     error = error_chain(&error),
@@ -183,22 +186,26 @@ impl Conductor {
     }
 
     /// Called at the end of the service, after that of the campaign: what the next process would not know. While an
-    /// e-stop is latched it must drive no run by itself; after a sign of a person that was not followed any more, such as
-    /// an abort, no waiting run begins.
+    /// e-stop is latched it must drive no run by itself. No waiting run begins after a sign of a person that was not
+    /// followed any more, such as an abort, and none that was dropped in memory only.
     pub async fn keep_stopped(&self) {
         let attended = self.inner.campaign.status().attended;
         let is_stopped = self.inner.campaign.stop_switch().pressed().is_some();
-        let why = match is_stopped {
-            true => "the e-stop was latched when the service ended: start it again".to_owned(),
-            false if self.inner.signs.load(Ordering::SeqCst) == attended.signs => return,
-            false => format!("{}: start it again", attended.why),
+        let is_followed = self.inner.signs.load(Ordering::SeqCst) == attended.signs;
+        let of_all = match is_stopped {
+            true => {
+                Some("the e-stop was latched when the service ended: start it again".to_owned())
+            }
+            false => (!is_followed).then(|| format!("{}: start it again", attended.why)),
         };
         let kept = async {
             if is_stopped {
                 self.inner.store.interrupt_open_runs(None).await?;
             }
             for run in self.inner.store.waiting_runs().await? {
-                self.drop_waiting(&run, &why).await?;
+                if let Some(why) = of_all.clone().or_else(|| self.why_dropped(run.uid)) {
+                    self.drop_waiting(&run, &why).await?;
+                }
             }
             Ok::<(), ConductorError>(())
         };
@@ -342,6 +349,14 @@ mod tests {
         conductor.keep_stopped().await;
         assert_eq!(waits().await, 1, "without a sign");
         inbox.status.send_modify(|status| status.attended.note(BEFORE_ABORTED));
+        conductor.keep_stopped().await;
+        assert_eq!(waits().await, 0);
+        start(&conductor, &run).await;
+        // The sign is followed, and the store did not take what follows from it.
+        conductor.inner.signs.store(1, Ordering::SeqCst);
+        conductor.keep_stopped().await;
+        assert_eq!(waits().await, 1);
+        conductor.dropped().insert(run.uid, BEFORE_ABORTED.into());
         conductor.keep_stopped().await;
         assert_eq!(waits().await, 0);
         start(&conductor, &run).await;
