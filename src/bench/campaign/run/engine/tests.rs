@@ -416,8 +416,8 @@ async fn an_end_brings_a_person_to_the_rig_unless_the_run_was_stopped_as_it_move
             engine.control.run_event(event).unwrap();
         }
         // The last attempt that the policy allows.
-        let mut attempts = Attempts::default();
-        (attempts.of_configuration, attempts.skipped) = (policy.retries + 1, policy.max_skipped);
+        let (of_configuration, skipped) = (policy.retries + 1, policy.max_skipped);
+        let mut attempts = Attempts { of_configuration, skipped, ..Attempts::default() };
         let next = engine.decide(&job, halt, &mut attempts, &mut 0).await;
         assert!(matches!(next, Next::End(status, _) if status == end), "{request:?}");
         assert_eq!(signs(&engine), u64::from(is_sign), "{request:?}");
