@@ -210,13 +210,14 @@ function needs({ rig, run, not_begun }) {
   wasTripped = rig.trip != null || wasTripped && rig.state === 'disarmed'
   const mustHome = rig.state === 'disarmed' && rig.has_stage !== false && (wasTripped || run?.paused_why === 'trip')
     && !run?.is_manual
+  const moving = notStopped(rig)
+  if (moving.length) words.push(`NOT STOPPED: ${moving.join(', ')}. The stop is sent again until it is. Use the button on the rig.`)
   if (run?.state === 'panicked') words.push('The tips could not be raised: check the rig.')
   else if (rig.safe_end?.tips === 'not_raised') words.push(`The tips are NOT raised: ${rig.safe_end.why}`)
   if (rig.trip) {
-    const moving = notStopped(rig.estop_stops), ms = rig.estop_acknowledged_ms
-    const rests = stands(rig) ? ' and stands' : ''
-    const reached = rig.trip.kind !== 'estop' ? '' : moving.length ? ` NOT STOPPED: ${moving.join(', ')}. The stop is sent again until it is. Use the button on the rig.`
-      : ms == null ? '' : isUnwired ? ` It was pressed while the wires were closed; every axis has acknowledged it${rests}.`
+    const ms = rig.estop_acknowledged_ms, rests = stands(rig) ? ' and stands' : ''
+    const reached = rig.trip.kind !== 'estop' || moving.length || ms == null ? ''
+      : isUnwired ? ` It was pressed while the wires were closed; every axis has acknowledged it${rests}.`
       : ` Every axis acknowledged it after ${ms.toFixed(1)} ms${rests}.`
     words.push(`Tripped (${plain(rig.trip.kind)}): ${rig.trip.detail}.${reached} Clear the cause, reset, then home.`)
   }
@@ -227,7 +228,7 @@ function needs({ rig, run, not_begun }) {
   if (not_begun) words.push(`${capital(not_begun)}.`)
   const box = $('needs'), text = words.join(' ')
   const buttons = rig.trip ? 'reset' : mustHome ? 'home' : run?.paused_why === 'manual_trial' ? 'place' : not_begun ? 'queue' : ''
-  const isOther = (box.dataset.buttons ?? '') !== buttons, tone = `notice ${rig.trip || run?.state === 'panicked' ? 'bad' : 'warn'}`
+  const isOther = (box.dataset.buttons ?? '') !== buttons, tone = `notice ${rig.trip || moving.length || run?.state === 'panicked' ? 'bad' : 'warn'}`
   if (box.dataset.text !== text) box.dataset.text = text
   if (box.className !== tone) box.className = tone
   say(needed, text)

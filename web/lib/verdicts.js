@@ -8,7 +8,7 @@ const STALE_MS = 3000, SLOW_S = 300
 
 /** Is it safe? */
 export function safe({ rig, run }) {
-  const moving = notStopped(rig.estop_stops)
+  const moving = notStopped(rig)
   if (moving.length) return { tone: 'bad', words: `NOT STOPPED: ${moving.join(', ')}. Use the button on the rig.` }
   if (rig.safe_end?.tips === 'not_raised') return { tone: 'bad', words: `The tips are not raised: ${rig.safe_end.why}.` }
   if (run?.state === 'panicked') return { tone: 'bad', words: 'The tips could not be raised. Check the rig.' }

@@ -20,8 +20,11 @@ export const RIG = { disconnected: 'The wires are closed.', disarmed: 'Connected
 /** Class that colours an event, by its importance. */
 export const LOUD = { act: 'bad', look: 'warn' }
 
-/** Axes that these stops have not stopped, each with its cause: without an acknowledgement, or in motion after it. */
-export const notStopped = stops => stops.filter(stop => stop.acknowledged_ms == null || stop.error != null)
+/** The last stops of the axes: of the latched e-stop, otherwise of the last safe end. */
+export const lastStops = rig => rig.estop_stops.length ? rig.estop_stops : rig.safe_end?.stops ?? []
+
+/** Axes that the last stops have not stopped, each with its cause: without an acknowledgement, or in motion after it. */
+export const notStopped = rig => lastStops(rig).filter(stop => stop.acknowledged_ms == null || stop.error != null)
   .map(stop => `${stop.axis} (${stop.error ?? 'no answer yet'})`)
 
 /** Whether every axis was read at rest after the latched e-stop. */

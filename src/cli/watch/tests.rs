@@ -226,6 +226,14 @@ fn what_a_person_must_do_first_is_named() {
     let next = "tripped: arm 2: 81.0 N over 80.0 N: check the rig, then palpate rig reset";
     assert!(level == Level::Act && words.starts_with(next), "{words}");
     let (level, words) = first(&|s| {
+        let moves = "acknowledged, and STILL MOVES";
+        let stops = json!([{ "axis": "x", "acknowledged_ms": 1.0, "error": moves },
+            { "axis": "z", "acknowledged_ms": 1.0, "stood_ms": 60.0 }]);
+        s["rig"]["safe_end"] = json!({ "stops": stops, "tips": "raised", "took_ms": 2060.0 });
+    });
+    let wanted = "NOT STOPPED: x (acknowledged, and STILL MOVES): use the hardware emergency stop";
+    assert_eq!((level, words.as_str()), (Level::Act, wanted));
+    let (level, words) = first(&|s| {
         s["run"]["waiting_for"] = "place 1 weights".into();
         s["run"]["wanted"] =
             json!({ "trial": 3, "contacts": [{ "x_mm": 1.0, "y_mm": 2.0, "force_n": 4.905 }] });

@@ -23,6 +23,7 @@ use crate::campaign::run::control::{Control, name};
 use crate::campaign::run::halt::Halt;
 use crate::campaign::safe_end::raise_as_planned;
 use crate::campaign::shown::command::{Envelope, Refusal, Request};
+use crate::campaign::shown::safe_end::Tips;
 use crate::campaign::shown::show;
 use crate::clock::Clock;
 use crate::journal::Mounting;
@@ -309,6 +310,10 @@ impl Engine {
             self.guarded(|stage, control| Box::pin(async move { stage.home(control).await })).await;
         if homed {
             self.owed = Owed::Nothing;
+            // Its warning is over: each axis is at rest at its zero, z was raised first.
+            self.control.show(|status| {
+                status.rig.safe_end.take_if(|end| end.tips != Tips::Raised || !end.is_stopped());
+            });
         }
         homed && self.control.rig_event(RigEvent::Homed).is_ok()
     }
