@@ -277,6 +277,7 @@ impl Engine {
         let Some(connection) = self.connection.as_ref() else { return };
         if let Owed::Wires(tried, height) = self.owed
             && tried.elapsed() > OWED_AGAIN
+            && self.control.estop.pressed().is_none()
             && let Some(stage) = &connection.stage
             && stage.pose().await.is_ok()
         {
