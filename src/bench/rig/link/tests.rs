@@ -278,7 +278,7 @@ async fn several_silent_drives_do_not_keep_a_request_to_another_device_waiting()
     tokio::time::sleep(TIMEOUT / 2).await;
     let read = tokio::time::timeout(5 * LONG, rig.line.ask(3, read())).await;
     assert_eq!(read, Ok(Ok(Reply::Words(vec![3]))));
-    stopping.map(|task| task.abort());
+    stopping.iter().for_each(tokio::task::JoinHandle::abort);
 }
 
 #[tokio::test]
