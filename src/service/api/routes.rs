@@ -160,6 +160,8 @@ pub fn table() -> Vec<Operation> {
         (READS, routes!(trials::bench_records)),
         (READS, routes!(twins::all)),
         (READS, routes!(twins::of_run)),
+        (READS, routes!(twins::inputs)),
+        (acts("store twins").body(FRAMES_MAX_BYTES), routes!(twins::store)),
         (READS, routes!(workers::all)),
         (acts("submit an order").lock(Lock::Ignored), routes!(workers::submit)),
         (acts("gather an order").lock(Lock::Ignored), routes!(gather::gather)),

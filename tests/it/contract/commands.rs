@@ -69,6 +69,7 @@ const COMMANDS: &[(&str, &str)] = &[
     ("status", "status"),
     ("trial", "show t812"),
     ("trial_groups", "query SELECT"),
+    ("twin_inputs", "cluster sbatch twins 3 --folder twins"),
     ("twins", "status --twins"),
     ("untouched_frame", "rig untouched"),
     ("vocabulary", "vocabulary"),
