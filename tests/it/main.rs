@@ -34,3 +34,4 @@ mod simulate;
 mod store_durability;
 mod streams;
 mod support;
+mod twin_chunks;

@@ -1,6 +1,6 @@
 //! The kinds of chunks, and what makes and gathers those of each. For a further kind: a variant, and a line in each
 //! function; its definition and number of chunks are in a `WorkOrder` that its chapter makes.
-//! Uses: `chunk`, `simulate::random::chunks`, `jobs::chunks`. Never: a file of a chunk.
+//! Uses: `chunk`, `simulate::{random, twins}::chunks`, `jobs::chunks`. Never: a file of a chunk.
 
 use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
@@ -15,6 +15,7 @@ use crate::jobs::chunks::{self as trainings, TRAININGS, TrainingChunks, Training
 use crate::problem::Problem;
 use crate::simulate::random::chunks::{self, RandomChunks, RandomOrder};
 use crate::simulate::random::manifest::SIM_RANDOM;
+use crate::simulate::twins::chunks::{TWINS, TwinChunks, TwinsOrder};
 
 /// What the chunks of a work order contain.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -23,6 +24,8 @@ pub enum ChunkKind {
     SimRandom,
     /// A net of a table, with its scores.
     Trainings,
+    /// Twins of consecutive trials of a run.
+    Twins,
 }
 
 /// Resources that make chunks: they do not change a byte.
@@ -52,8 +55,9 @@ impl ChunkKind {
         match folder.order().kind.as_str() {
             SIM_RANDOM => Ok(Self::SimRandom),
             TRAININGS => Ok(Self::Trainings),
+            TWINS => Ok(Self::Twins),
             other => {
-                let limit = format!("this program makes {SIM_RANDOM} and {TRAININGS}");
+                let limit = format!("this program makes {SIM_RANDOM}, {TRAININGS} and {TWINS}");
                 Err(refused(folder)(Problem::new(ORDER_FILE, "kind", other, limit)))
             }
         }
@@ -81,6 +85,12 @@ impl ChunkKind {
                 let made = TrainingChunks::new(order, folder.path(), &means.data);
                 Ok(Box::new(made.map_err(refused(folder))?))
             }
+            Self::Twins => {
+                let order = twins_order(folder)?;
+                let model = solved(&order.sensor, &means.data.join("cache"))?;
+                let made = TwinChunks::new(order, model, means.threads);
+                Ok(Box::new(made.map_err(refused(folder))?))
+            }
         }
     }
 
@@ -88,7 +98,8 @@ impl ChunkKind {
     ///
     /// # Errors
     /// `ChunkError::Incomplete` if chunks are damaged: the others were written; another `ChunkError` or
-    /// `CliError::SimRandom` if a file cannot be read or written, or `out` contains something else.
+    /// `CliError::SimRandom` if a file cannot be read or written, or `out` contains something else; `Problems` for
+    /// twins, which a service stores.
     pub fn gather(
         self,
         folder: &OrderFolder,
@@ -113,12 +124,27 @@ impl ChunkKind {
                 all_whole(folder, gathered.damaged)?;
                 Ok(Gathered { rows: gathered.nets, bytes: gathered.bytes })
             }
+            Self::Twins => {
+                let limit = "must be absent: the service with the run stores its twins";
+                Err(CliError::argument("out", out.display(), limit))
+            }
         }
     }
 }
 
-/// The error of a folder with damaged chunks, if there are any.
-fn all_whole(folder: &OrderFolder, damaged: Vec<u64>) -> Result<(), ChunkError> {
+/// Reads a work order of twins.
+///
+/// # Errors
+/// `ChunkError::Order` with the first value that is wrong.
+pub fn twins_order(folder: &OrderFolder) -> Result<TwinsOrder, CliError> {
+    TwinsOrder::read(folder.order()).map_err(refused(folder))
+}
+
+/// Checks that no chunk of a folder is damaged.
+///
+/// # Errors
+/// `ChunkError::Incomplete` if there are any.
+pub fn all_whole(folder: &OrderFolder, damaged: Vec<u64>) -> Result<(), ChunkError> {
     if damaged.is_empty() {
         return Ok(());
     }

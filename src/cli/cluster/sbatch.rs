@@ -1,5 +1,5 @@
 //! `palpate cluster sbatch`: a work order and its array job, as files.
-//! Uses: `chunk`, `job`, `table`. Never: Slurm, a chunk.
+//! Uses: `chunk`, `job`, `table`, `twins`. Never: Slurm, a chunk.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -9,6 +9,7 @@ use serde_json::json;
 
 use super::job::{JOB_FILE, JOB_LOGS, Job, is_plain, is_time};
 use super::table::TableRequest;
+use super::twins::TwinsRequest;
 use crate::chunk::folder::OrderFolder;
 use crate::cli::data_or_default;
 use crate::cli::error::CliError;
@@ -45,6 +46,11 @@ pub enum SbatchCommand {
     /// processor and the commit of the program determine them, too. A net trains on one thread.
     /// `palpate evaluate .. --trained` makes the table of the gathered nets.
     Table(SbatchTableArgs),
+    /// Order the twins of a run; a chunk has the frames of consecutive trials.
+    ///
+    /// The order contains the skin and the contacts of all trials that are stored, so that nodes need
+    /// neither the database nor the rig. `palpate cluster gather` has the service store the twins.
+    Twins(SbatchTwinsArgs),
 }
 
 /// Options of `cluster sbatch random`.
@@ -61,6 +67,15 @@ pub struct SbatchRandomArgs {
 pub struct SbatchTableArgs {
     #[command(flatten)]
     request: TableRequest,
+    #[command(flatten)]
+    job: JobArgs,
+}
+
+/// Options of `cluster sbatch twins`.
+#[derive(Debug, Clone, Args)]
+pub struct SbatchTwinsArgs {
+    #[command(flatten)]
+    request: TwinsRequest,
     #[command(flatten)]
     job: JobArgs,
 }
@@ -117,6 +132,13 @@ pub async fn sbatch(args: &SbatchArgs) -> Result<(), CliError> {
             let contents = format!("{} nets", order.chunks);
             let (folder, is_new) = OrderFolder::write(&job.folder, order)?;
             job.finish(&folder, &places, is_new, &contents, request.resources())
+        }
+        SbatchCommand::Twins(SbatchTwinsArgs { request, job }) => {
+            let places = job.places(request.data.clone())?;
+            let (order, trials) = request.order(job.json).await?;
+            let contents = format!("{} twins", grouped(trials));
+            let (folder, is_new) = OrderFolder::write(&job.folder, order)?;
+            job.finish(&folder, &places, is_new, &contents, &[])
         }
     }
 }
