@@ -11,6 +11,7 @@ use palpate::simulate::model::load_or_build;
 use palpate::store::{NewTwinModel, RunKind, TrialQuery, Twin, TwinOutcome};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
+use reqwest::multipart::{Form, Part};
 use serde_json::{Value, json};
 
 use crate::datasets::filled::{Filled, folder, new_run, press, store};
@@ -66,6 +67,24 @@ fn last_line(output: &Output) -> Value {
 
 async fn gather(lab: &Filled, order: &str) -> Output {
     palpate(&["cluster", "gather", order, "--json", "--url", &lab.url("")]).await
+}
+
+/// Sends a file of twins to a run: the status and the words of the refusal.
+async fn refused(lab: &Filled, run: &str, file: Vec<u8>) -> (u16, String) {
+    let form = Form::new().part("file", Part::bytes(file).file_name("chunk"));
+    let url = lab.url(&format!("/api/v1/runs/{run}/twins"));
+    let answer = lab.http.post(url).multipart(form).send().await.unwrap();
+    let status = answer.status().as_u16();
+    let body: Value = answer.json().await.unwrap();
+    (status, body["detail"].as_str().unwrap_or_default().to_owned())
+}
+
+/// The bytes of any chunk of an order.
+fn any_chunk(order: &str) -> Vec<u8> {
+    let results = std::fs::read_dir(Path::new(order).join("results")).unwrap();
+    let mut paths = results.map(|entry| entry.unwrap().path());
+    let chunk = paths.find(|path| path.extension().is_some_and(|ending| ending == "parquet"));
+    std::fs::read(chunk.unwrap()).unwrap()
 }
 
 /// A trial with its twin, as it is stored.
@@ -135,9 +154,9 @@ async fn twins_of_two_processes_are_those_of_the_service() {
         assert_eq!((&count["twins"], &count["pending"]), (&json!(TRIALS - 1), &json!(0)));
         assert_eq!(count["failures"], 1);
     }
-    let refused = palpate(&["cluster", "gather", order, "--out", "twins", "--url", &url]).await;
-    let words = String::from_utf8_lossy(&refused.stderr).into_owned();
-    assert!(refused.status.code() == Some(2) && words.contains("must be absent"), "{words}");
+    let gathered = palpate(&["cluster", "gather", order, "--out", "twins", "--url", &url]).await;
+    let words = String::from_utf8_lossy(&gathered.stderr).into_owned();
+    assert!(gathered.status.code() == Some(2) && words.contains("must be absent"), "{words}");
     let data = lab.end().await;
     let of_chunks = with_twins(&data).await;
     let frames = of_chunks.iter().filter(|trial| trial.frame.is_some()).count();
@@ -155,7 +174,9 @@ async fn twins_of_two_processes_are_those_of_the_service() {
     lab.end().await;
     assert_eq!(with_twins(&of_service).await, of_chunks);
 
-    // Another twin of trial 17, in the second chunk, stays, and nothing of this chunk is stored.
+    // Another twin of trial 17, in the second chunk, stays, and nothing of this chunk is stored. The second run has
+    // other trials.
+    pressed(&of_other).await;
     let store = store(&of_other).await;
     let model = NewTwinModel {
         hash: of_chunks[0].model.clone().unwrap(),
@@ -169,9 +190,21 @@ async fn twins_of_two_processes_are_those_of_the_service() {
     store.insert_twins(model, vec![Twin { trial: TrialId(17), outcome }]).await.unwrap();
     store.close().await;
     let lab = Filled::serve(of_other.clone()).await;
-    let refused = gather(&lab, order).await;
-    let words = String::from_utf8_lossy(&refused.stderr).into_owned();
-    assert!(!refused.status.success(), "{words}");
+    let inputs = lab.get("/api/v1/runs/2/twins/inputs?limit=10").await;
+    assert_eq!((&inputs["trials"], &inputs["next"]), (&json!(10), &json!(TRIALS + 10)));
+    let inputs = lab.get(&format!("/api/v1/runs/2/twins/inputs?after={}", TRIALS + 40)).await;
+    assert_eq!((&inputs["trials"], &inputs["next"]), (&json!(4), &Value::Null));
+    let (status, words) = lab.refused("/api/v1/runs/2/twins/inputs?limit=0").await;
+    assert!(status == 400 && words.contains("must be from 1 to 10000"), "{status} {words}");
+    let (status, words) = refused(&lab, "2", any_chunk(order)).await;
+    assert!(status == 422 && words.contains("is of run"), "{status} {words}");
+    let (status, words) = refused(&lab, "1", b"no Parquet".to_vec()).await;
+    assert!(status == 422 && words.contains("cannot be read"), "{status} {words}");
+    assert_eq!(lab.get("/api/v1/runs/2/twins").await["pending"], TRIALS);
+
+    let gathered = gather(&lab, order).await;
+    let words = String::from_utf8_lossy(&gathered.stderr).into_owned();
+    assert!(!gathered.status.success(), "{words}");
     assert!(words.contains("chunk 1: trial 17: its stored twin differs"), "{words}");
     assert_eq!(lab.get("/api/v1/runs/1/twins").await["twins"], 11);
     lab.end().await;

@@ -84,7 +84,7 @@ pub struct InputsParams {
     pub after: Option<i64>,
     /// Largest number of trials, 1 to 10,000; 1000 if absent.
     #[serde(default = "thousand")]
-    #[param(minimum = 1, maximum = 10_000, default = 1000)]
+    #[param(minimum = 1, maximum = 10000, default = 1000)]
     pub limit: u32,
 }
 

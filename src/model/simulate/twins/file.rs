@@ -98,7 +98,7 @@ impl TwinsFile {
     /// # Errors
     /// What is wrong with it, as text.
     pub fn read<R: ChunkReader + 'static>(input: R, channels: usize) -> Result<Self, String> {
-        let words = |error: ParquetError| format!("is no file of twins: {error}");
+        let words = |error: ParquetError| format!("cannot be read: {error}");
         let builder = ParquetRecordBatchReaderBuilder::try_new(input).map_err(words)?;
         let fields = builder.schema().fields();
         let is_frame = |field: &Field| match field.data_type() {
@@ -114,9 +114,9 @@ impl TwinsFile {
         let mut footer =
             builder.metadata().file_metadata().key_value_metadata().into_iter().flatten();
         let head = footer.find(|entry| entry.key == TWINS_HEAD);
-        let head = head.and_then(|entry| entry.value.as_deref()).ok_or("has no palpate.twins")?;
+        let head = head.and_then(|entry| entry.value.as_deref()).ok_or("has no entry palpate.twins")?;
         let head: TwinsHead =
-            serde_json::from_str(head).map_err(|error| format!("palpate.twins: {error}"))?;
+            serde_json::from_str(head).map_err(|error| format!("has an invalid entry palpate.twins: {error}"))?;
         let mut rows: Vec<TwinRow> = Vec::new();
         for batch in builder.with_batch_size(READ_TWINS).build().map_err(words)? {
             let batch = batch.map_err(|error| words(error.into()))?;
@@ -129,7 +129,7 @@ impl TwinsFile {
             for at in 0..batch.num_rows() {
                 let trial = TrialId(trials.value(at));
                 if rows.last().is_some_and(|before| before.trial >= trial) {
-                    return Err(format!("trial {}: must follow those with smaller ids", trial.0));
+                    return Err(format!("has trial {} after a larger id, or twice", trial.0));
                 }
                 let frame_v = match frames.is_valid(at) {
                     true => Some(floats(&frames.value(at)).ok_or("has other values")?),
@@ -188,12 +188,12 @@ mod tests {
 
         let twice = TwinsFile { rows: vec![row(3, None), row(3, None)], ..file.clone() };
         let refused = TwinsFile::read(written(&twice), 4).unwrap_err();
-        assert!(refused.starts_with("trial 3: must follow"), "{refused}");
+        assert!(refused.starts_with("has trial 3 after"), "{refused}");
         let short = TwinsFile { rows: vec![row(3, Some(vec![1.0]))], ..file };
         assert!(short.write(4, Vec::new()).is_err());
         fs::write(&path, "no Parquet").unwrap();
         let refused = TwinsFile::read(File::open(&path).unwrap(), 4).unwrap_err();
-        assert!(refused.starts_with("is no file of twins"), "{refused}");
+        assert!(refused.starts_with("cannot be read"), "{refused}");
         fs::remove_file(path).unwrap();
     }
 }
