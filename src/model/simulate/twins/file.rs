@@ -114,9 +114,10 @@ impl TwinsFile {
         let mut footer =
             builder.metadata().file_metadata().key_value_metadata().into_iter().flatten();
         let head = footer.find(|entry| entry.key == TWINS_HEAD);
-        let head = head.and_then(|entry| entry.value.as_deref()).ok_or("has no entry palpate.twins")?;
-        let head: TwinsHead =
-            serde_json::from_str(head).map_err(|error| format!("has an invalid entry palpate.twins: {error}"))?;
+        let head =
+            head.and_then(|entry| entry.value.as_deref()).ok_or("has no entry palpate.twins")?;
+        let head: TwinsHead = serde_json::from_str(head)
+            .map_err(|error| format!("has an invalid entry palpate.twins: {error}"))?;
         let mut rows: Vec<TwinRow> = Vec::new();
         for batch in builder.with_batch_size(READ_TWINS).build().map_err(words)? {
             let batch = batch.map_err(|error| words(error.into()))?;
