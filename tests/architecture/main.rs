@@ -5,6 +5,7 @@
 //! Each rule (`rules`, `names`, `docs`, `prose`) is seen to find something in made-up files that break it.
 
 mod docs;
+mod flow;
 mod names;
 mod prose;
 mod rules;
@@ -13,13 +14,14 @@ mod source;
 use std::path::Path;
 
 use docs::{empty_comments, silent_errors};
+use flow::CHAPTERS;
 use names::ambiguous_constants;
 use prose::{PHRASES, forbidden_phrases};
 use rules::{
-    CHAPTERS, LONGEST, REFERENCES, broken_links, contents_out_of_order, dead_citations,
-    entangled_stand_in, faceless_folders, folder, forward_imports, headless_or_long,
-    import_circles, impure_physics, impure_where_pure, machine_paths, outgoing_studies,
-    shelves_out_of_order, training_outside_the_trainer,
+    LONGEST, REFERENCES, broken_links, contents_out_of_order, dead_citations, entangled_stand_in,
+    faceless_folders, folder, forward_imports, headless_or_long, import_circles, impure_physics,
+    impure_where_pure, machine_paths, outgoing_studies, shelves_out_of_order,
+    training_outside_the_trainer,
 };
 use source::{File, checkout};
 

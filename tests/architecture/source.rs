@@ -4,7 +4,7 @@
 use std::fs;
 use std::path::Path;
 
-use super::rules::ARROWS;
+use super::flow::ARROWS;
 
 /// Never looked into, in addition to what `.gitignore` names at the root: history, output, data.
 pub const SKIPPED: [&str; 3] = [".git", "target", "palpate-data"];

@@ -58,7 +58,7 @@ pub enum GatherState {
 /// `GET /api/v1/workers` shows the progress as `gather`. A repeated request continues. If less than 2 GiB of the disk
 /// are free it ends, so that runs can store their trials.
 #[utoipa::path(post, operation_id = "gather_order",
-    path = "/api/v1/workers/orders/{folder}/gather", tag = "simulation",
+    path = "/api/v1/workers/folders/{folder}/gather", tag = "simulation",
     params(("folder" = String, Path, description = "name of the folder")),
     responses((status = 202, body = GatherOut),
         (status = 404, body = ProblemBody, description = "no folder of this name has an order"),

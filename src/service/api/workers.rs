@@ -161,7 +161,7 @@ pub async fn all(State(app): State<App>) -> Result<Json<WorkersOut>, ApiError> {
 /// Submits the order of a folder, `cluster/FOLDER` of the data folder, to the queue.
 ///
 /// `palpate cluster sbatch` writes such a folder. A repeated submission adds what the queue lacks.
-#[utoipa::path(post, operation_id = "submit_order", path = "/api/v1/workers/orders/{folder}",
+#[utoipa::path(post, operation_id = "submit_order", path = "/api/v1/workers/folders/{folder}",
     tag = "simulation", params(("folder" = String, Path, description = "name of the folder")),
     responses((status = 200, body = SubmittedOut),
         (status = 404, body = ProblemBody, description = "no folder of this name has an order"),

@@ -78,8 +78,8 @@ async fn a_table_of_two_processes_is_that_of_one() {
 
     // One process, which is killed within a net and starts again.
     let mut killed = task(&data, "one", "0", "1");
-    let work = data.join("one/work");
-    while !work.join("1").is_dir() {
+    let unfinished = data.join("one/unfinished");
+    while !unfinished.join("1").is_dir() {
         assert!(killed.0.try_wait().unwrap().is_none(), "it made two nets or failed");
         tokio::time::sleep(std::time::Duration::from_millis(1)).await;
     }
@@ -93,7 +93,7 @@ async fn a_table_of_two_processes_is_that_of_one() {
     let (one, two) = (nets(&data.join("one")), nets(&data.join("two")));
     assert_eq!(one.len(), 12);
     assert!(one == two, "other bytes: {:?} and {:?}", one.keys(), two.keys());
-    let mut left = fs::read_dir(&work).unwrap().map(|entry| entry.unwrap().path());
+    let mut left = fs::read_dir(&unfinished).unwrap().map(|entry| entry.unwrap().path());
     assert!(left.all(|path| path.is_file()), "a training is left");
 
     // A net with other bytes is found, and made again.

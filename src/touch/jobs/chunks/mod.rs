@@ -4,8 +4,8 @@
 //! two processes that train one net in one folder.
 //!
 //! ```text
-//! FOLDER/work/INDEX        folder of the trainer, as of a job: order, checkpoint, losses; removed when the net is made
-//! FOLDER/work/INDEX.lock   locked by the process that makes the chunk
+//! FOLDER/unfinished/INDEX       folder of the trainer, as of a job: order, checkpoint, losses; removed with the net made
+//! FOLDER/unfinished/INDEX.lock  locked by the process that makes the chunk
 //! ```
 //! Another start of a chunk resumes from its checkpoint, or scores its net, which does not change a byte.
 
@@ -51,8 +51,9 @@ pub const ONE_THREAD: Compute = Compute::Cpu { threads: 1 };
 
 /// The first GPU of a machine; bytes need not be the same twice.
 pub const FIRST_GPU: Compute = Compute::Cuda(0);
+
 /// Folder of unfinished trainings, in that of their work order.
-const WORK: &str = "work";
+const UNFINISHED: &str = "unfinished";
 
 /// The file of a dataset.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -244,7 +245,7 @@ impl TrainingChunks {
             let key = format!("definition.nets.{index}.dataset.id");
             return Err(Problem::new(ORDER_FILE, &key, &dataset.id, limit));
         }
-        Ok(Self { work: folder.join(WORK), data: data.to_owned(), order })
+        Ok(Self { work: folder.join(UNFINISHED), data: data.to_owned(), order })
     }
 
     /// The file of a net's dataset.
