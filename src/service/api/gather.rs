@@ -27,7 +27,7 @@ use crate::dataset::space::KEPT_FREE_BYTES;
 const GATHER_POLL: Duration = Duration::from_secs(1);
 /// Output of the processes, in the folder of the order.
 const GATHER_LOG: &str = "gather.log";
-/// Folder of the data folder from which trainings read Sim-Random.
+/// Folder of the data folder from which trainings read Sim-Random; also the kind of its orders.
 const SIM_RANDOM: &str = "sim-random";
 
 /// The last order that was gathered.
@@ -62,7 +62,8 @@ pub enum GatherState {
     params(("folder" = String, Path, description = "name of the folder")),
     responses((status = 202, body = GatherOut),
         (status = 404, body = ProblemBody, description = "no folder of this name has an order"),
-        (status = 409, body = ProblemBody, description = "the service knows no queue, or gathers another order"),
+        (status = 409, body = ProblemBody,
+            description = "the service knows no queue, gathers another order, or the order is not of Sim-Random"),
         (status = 503, body = ProblemBody, description = "the worker is missing"),
         (status = 507, body = ProblemBody, description = "the disk has no room")))]
 pub async fn gather(
@@ -72,6 +73,14 @@ pub async fn gather(
 ) -> Result<(StatusCode, Json<GatherOut>), ApiError> {
     act.about(&folder);
     let order = order_path(&app, &folder)?;
+    let path = order.clone();
+    let kind = background(move || kind_of(&path)).await?;
+    if kind.as_deref() != Some(SIM_RANDOM) {
+        let kind = kind.unwrap_or_else(|| "unknown".into());
+        let words =
+            format!("the order has the kind {kind}: gather it with `palpate cluster gather`");
+        return Err(ApiError::new(StatusCode::CONFLICT, words));
+    }
     let worker = program().map_err(unavailable)?;
     app.datasets.check_upload(0).await?;
     let own = std::env::current_exe().map_err(|error| unavailable(error.to_string()))?;
@@ -113,6 +122,16 @@ pub async fn gather(
     Ok((StatusCode::ACCEPTED, Json(started)))
 }
 
+/// Kind of an order's chunks; `None` if its file cannot be read.
+fn kind_of(order: &FilePath) -> Option<String> {
+    #[derive(Deserialize)]
+    struct OrderKind {
+        kind: String,
+    }
+    let text = fs::read(order.join("order.json")).ok()?;
+    serde_json::from_slice(&text).map(|OrderKind { kind }| kind).ok()
+}
+
 /// Runs a process to its end, or until the disk is full.
 fn run(mut command: Command, log: &FilePath, is_full: &dyn Fn() -> bool) -> Result<(), String> {
     let failed = |error: io::Error| format!("{}: {error}", log.display());
@@ -148,6 +167,16 @@ fn run(mut command: Command, log: &FilePath, is_full: &dyn Fn() -> bool) -> Resu
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_kind_of_an_order_is_read_from_its_file() {
+        let folder = std::env::temp_dir().join(format!("palpate-kind-{}", std::process::id()));
+        fs::create_dir_all(&folder).unwrap();
+        assert_eq!(kind_of(&folder), None);
+        fs::write(folder.join("order.json"), r#"{"id": "ab", "kind": "twins"}"#).unwrap();
+        assert_eq!(kind_of(&folder).as_deref(), Some("twins"));
+        fs::remove_dir_all(folder).unwrap();
+    }
 
     #[test]
     fn a_process_ends_with_its_error_or_with_the_space_on_the_disk() {
