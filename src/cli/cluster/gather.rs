@@ -1,13 +1,14 @@
 //! `palpate cluster gather`: verified chunks as the folder that one process would have written, or in the database of
 //! their run.
-//! Uses: `chunk`, `kind`, `twins`, indicatif. Never: a chunk that does not have the sha256 of its row.
+//! Uses: `chunk`, `kind`, `twins`, `evaluation`, indicatif. Never: a chunk that does not have the sha256 of its row.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::Args;
 use indicatif::ProgressBar;
 use serde_json::json;
 
+use super::evaluation;
 use super::kind::{ChunkKind, all_whole, twins_order};
 use super::twins::{self, Stored};
 use crate::chunk::folder::OrderFolder;
@@ -24,8 +25,8 @@ pub struct GatherArgs {
     /// Folder of the work order.
     #[arg(value_name = "FOLDER")]
     folder: PathBuf,
-    /// Folder to write: that of `palpate simulate random`, or a folder for each net. Twins need none: the
-    /// service with their run stores them.
+    /// Folder to write: that of `palpate simulate random`, a folder for each net, or the readings and scores
+    /// of an evaluation. Twins need none: the service with their run stores them.
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
     #[command(flatten)]
@@ -73,6 +74,7 @@ pub async fn gather(args: &GatherArgs) -> Result<(), CliError> {
     let rows = folder.rows()?;
     match (kind, &args.out) {
         (ChunkKind::Twins, None) => store(folder, rows, &args.at).await,
+        (ChunkKind::Readings, Some(out)) => score(&folder, &rows, out, &args.at).await,
         (_, Some(out)) => {
             let mut verified = Verified::of(folder.order().chunks);
             let gathered = kind.gather(&folder, &rows, out, &mut || verified.one());
@@ -98,7 +100,7 @@ pub async fn gather(args: &GatherArgs) -> Result<(), CliError> {
             ));
             Ok(())
         }
-        (ChunkKind::SimRandom | ChunkKind::Trainings, None) => {
+        (ChunkKind::SimRandom | ChunkKind::Trainings | ChunkKind::Readings, None) => {
             Err(CliError::argument("out", "absent", "must be given: the folder to write"))
         }
     }
@@ -130,6 +132,41 @@ async fn store(folder: OrderFolder, rows: Vec<ChunkRow>, at: &At) -> Result<(), 
     ));
     Next::of(at)
         .suggest(format_args!("palpate evaluate simulation --run {run}"), "shows how well they fit")
+        .say();
+    Ok(())
+}
+
+/// Has the readings of a work order scored.
+async fn score(
+    folder: &OrderFolder,
+    rows: &[ChunkRow],
+    out: &Path,
+    at: &At,
+) -> Result<(), CliError> {
+    let verified = Verified::of(folder.order().chunks);
+    let frames = evaluation::score(folder, rows, out, at, verified).await?;
+    if at.json {
+        say_json(&json!({
+            "order": folder.order().id,
+            "kind": folder.order().kind,
+            "chunks": folder.order().chunks,
+            "rows": frames,
+            "folder": out,
+        }));
+        return Ok(());
+    }
+    say(format_args!(
+        "{} readings of {} chunks, each with its sha256, and their scores, in {}",
+        grouped(frames),
+        folder.order().chunks,
+        out.display(),
+    ));
+    let out = out.display();
+    Next::of(at)
+        .line(
+            format_args!("palpate evaluate method exact --trained {out}"),
+            "shows the scores, with the options of the order",
+        )
         .say();
     Ok(())
 }

@@ -12,6 +12,7 @@ use crate::chunk::order::{ChunkRow, ORDER_FILE};
 use crate::cli::error::CliError;
 use crate::cli::simulate::solved;
 use crate::jobs::chunks::{self as trainings, TRAININGS, TrainingChunks, TrainingsOrder};
+use crate::jobs::readings::chunks::{READINGS, ReadingChunks, ReadingsOrder};
 use crate::problem::Problem;
 use crate::simulate::random::chunks::{self, RandomChunks, RandomOrder};
 use crate::simulate::random::manifest::SIM_RANDOM;
@@ -26,6 +27,8 @@ pub enum ChunkKind {
     Trainings,
     /// Twins of consecutive trials of a run.
     Twins,
+    /// Answers of `exact` to frames of an evaluation.
+    Readings,
 }
 
 /// Resources that make chunks: they do not change a byte.
@@ -56,8 +59,10 @@ impl ChunkKind {
             SIM_RANDOM => Ok(Self::SimRandom),
             TRAININGS => Ok(Self::Trainings),
             TWINS => Ok(Self::Twins),
+            READINGS => Ok(Self::Readings),
             other => {
-                let limit = format!("this program makes {SIM_RANDOM}, {TRAININGS} and {TWINS}");
+                let limit =
+                    format!("this program makes {SIM_RANDOM}, {TRAININGS}, {TWINS} and {READINGS}");
                 Err(refused(folder)(Problem::new(ORDER_FILE, "kind", other, limit)))
             }
         }
@@ -91,6 +96,12 @@ impl ChunkKind {
                 let made = TwinChunks::new(order, model, means.threads);
                 Ok(Box::new(made.map_err(refused(folder))?))
             }
+            Self::Readings => {
+                let order = readings_order(folder)?;
+                let model = solved(&order.sensor, &means.data.join("cache"))?;
+                let made = ReadingChunks::new(order, &model, means.threads);
+                Ok(Box::new(made.map_err(refused(folder))?))
+            }
         }
     }
 
@@ -99,7 +110,7 @@ impl ChunkKind {
     /// # Errors
     /// `ChunkError::Incomplete` if chunks are damaged: the others were written; another `ChunkError` or
     /// `CliError::SimRandom` if a file cannot be read or written, or `out` contains something else; `Problems` for
-    /// twins, which a service stores.
+    /// twins and readings, which a service takes.
     pub fn gather(
         self,
         folder: &OrderFolder,
@@ -124,8 +135,8 @@ impl ChunkKind {
                 all_whole(folder, gathered.damaged)?;
                 Ok(Gathered { rows: gathered.nets, bytes: gathered.bytes })
             }
-            Self::Twins => {
-                let limit = "must be absent: the service with the run stores its twins";
+            Self::Twins | Self::Readings => {
+                let limit = "must be absent: the service takes these chunks";
                 Err(CliError::argument("out", out.display(), limit))
             }
         }
@@ -138,6 +149,14 @@ impl ChunkKind {
 /// `ChunkError::Order` with the first value that is wrong.
 pub fn twins_order(folder: &OrderFolder) -> Result<TwinsOrder, CliError> {
     TwinsOrder::read(folder.order()).map_err(refused(folder))
+}
+
+/// Reads a work order of readings.
+///
+/// # Errors
+/// `ChunkError::Order` with the first value that is wrong.
+pub fn readings_order(folder: &OrderFolder) -> Result<ReadingsOrder, CliError> {
+    ReadingsOrder::read(folder.order()).map_err(refused(folder))
 }
 
 /// Checks that no chunk of a folder is damaged.

@@ -1,6 +1,7 @@
 //! `palpate cluster`: bulk work in chunks, in a folder that several machines share.
 //! Uses: `chunk`, the kinds of chunks. Never: Slurm itself (it starts this program); the service and the network, except
-//! for what a work order of a table needs (`table`), and for the trials and the twins of a run (`twins`).
+//! for what a work order of a table needs (`table`), for the trials and the twins of a run (`twins`), and for the frames
+//! and the scores of an evaluation (`evaluation`).
 
 use std::process::ExitCode;
 
@@ -8,6 +9,7 @@ use clap::{Args, Subcommand};
 
 use super::error::CliError;
 
+mod evaluation;
 mod gather;
 mod job;
 mod kind;

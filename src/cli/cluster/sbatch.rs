@@ -1,5 +1,5 @@
 //! `palpate cluster sbatch`: a work order and its array job, as files.
-//! Uses: `chunk`, `job`, `table`, `twins`. Never: Slurm, a chunk.
+//! Uses: `chunk`, `job`, `table`, `twins`, `evaluation`. Never: Slurm, a chunk.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 use clap::{Args, Subcommand};
 use serde_json::json;
 
+use super::evaluation::ReadingsRequest;
 use super::job::{JOB_FILE, JOB_LOGS, Job, is_plain, is_time};
 use super::table::TableRequest;
 use super::twins::TwinsRequest;
@@ -51,6 +52,12 @@ pub enum SbatchCommand {
     /// The order contains the skin and the contacts of all trials that are stored, so that nodes need
     /// neither the database nor the rig. `palpate cluster gather` has the service store the twins.
     Twins(SbatchTwinsArgs),
+    /// Order the answers of exact to the frames of an evaluation; a chunk has those to some frames.
+    ///
+    /// The options are those of `palpate evaluate method`. The order contains the frames, the skin and the
+    /// errors of its model. `palpate cluster gather` has the service score the answers, and
+    /// `palpate evaluate method exact --trained` shows the scores.
+    Evaluation(Box<SbatchEvaluationArgs>),
 }
 
 /// Options of `cluster sbatch random`.
@@ -76,6 +83,15 @@ pub struct SbatchTableArgs {
 pub struct SbatchTwinsArgs {
     #[command(flatten)]
     request: TwinsRequest,
+    #[command(flatten)]
+    job: JobArgs,
+}
+
+/// Options of `cluster sbatch evaluation`.
+#[derive(Debug, Clone, Args)]
+pub struct SbatchEvaluationArgs {
+    #[command(flatten)]
+    request: ReadingsRequest,
     #[command(flatten)]
     job: JobArgs,
 }
@@ -137,6 +153,14 @@ pub async fn sbatch(args: &SbatchArgs) -> Result<(), CliError> {
             let places = job.places(request.data.clone())?;
             let (order, trials) = request.order(job.json).await?;
             let contents = format!("{} twins", grouped(trials));
+            let (folder, is_new) = OrderFolder::write(&job.folder, order)?;
+            job.finish(&folder, &places, is_new, &contents, &[])
+        }
+        SbatchCommand::Evaluation(args) => {
+            let SbatchEvaluationArgs { request, job } = args.as_ref();
+            let places = job.places(request.data.clone())?;
+            let (order, frames) = request.order(job.json).await?;
+            let contents = format!("{} frames", grouped(frames));
             let (folder, is_new) = OrderFolder::write(&job.folder, order)?;
             job.finish(&folder, &places, is_new, &contents, &[])
         }

@@ -87,6 +87,10 @@ pub const EXAMPLES: &[(&str, &[&str])] = &[
         ],
     ),
     (
+        "cluster sbatch evaluation",
+        &["palpate cluster sbatch evaluation exact --dataset real-unseen --folder readings"],
+    ),
+    (
         "cluster make",
         &[
             "palpate cluster make sim 3 17",
