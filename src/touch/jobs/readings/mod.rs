@@ -160,8 +160,15 @@ impl Jobs {
         let skin = serving.skin(calibration.as_ref()).await?;
         let exact = ExactPipeline { skin: skin.clone(), points: None };
         let reader = Reader::Contacts(Box::new(exact));
-        let scoring =
-            evaluation::scoring(self, request.clone(), reader, dataset, &Arc::default()).await?;
+        let watch = Arc::default();
+        let scoring = evaluation::scoring(self, request.clone(), reader, dataset, &watch);
+        let scoring = scoring.await.map_err(|error| match error {
+            // No row meets the conditions, for example: a fault of the request, not of this program.
+            JobError::Learn(error) => {
+                JobError::Problems(vec![Problem::whole("request", error.to_string())])
+            }
+            other => other,
+        })?;
         let rows = scoring.gathered.rows.len() as u64;
         if rows > ORDERED_FRAMES_MAX {
             let limit = format!("at most {ORDERED_FRAMES_MAX} rows: set a limit");
