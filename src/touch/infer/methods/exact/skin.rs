@@ -97,6 +97,11 @@ impl ExactSkin {
         self.calibration.as_ref().map_or(self.simulation.as_str(), CalibrationId::as_str)
     }
 
+    /// Simulation id of its model.
+    pub fn simulation(&self) -> &str {
+        &self.simulation
+    }
+
     /// Number of voltages in a frame.
     pub fn channels(&self) -> usize {
         self.offset_v.len()
