@@ -9,6 +9,7 @@ use super::FitOptions;
 use super::basis::{PAD, Projected, dot};
 use super::descent::{DescentWork, EACH, Effort, Predict, Prior, Problem, descend};
 use super::shapes::{Place, Shapes};
+use super::whitener::Whitener;
 use crate::forward::{ContactError, ForwardModel};
 
 /// Number of hypotheses of each count that are extended.
@@ -40,17 +41,18 @@ pub(super) struct Hypothesis {
 pub(super) struct SearchWork {
     descent: DescentWork,
     residual: Vec<f64>,
-    shape: Vec<f64>,
     tangents: Vec<f64>,
     gains: Vec<(f64, f64)>,
-    roots: Vec<f64>,
+    /// Frame of each site, whitened.
+    sites: Vec<f64>,
 }
 
-/// The table as a model: frames of contacts are sums.
+/// The table as a model: frames of contacts are sums, which are whitened.
 pub(super) struct Sum<'a> {
     pub model: &'a ForwardModel,
     pub shapes: &'a Shapes,
-    /// Difference of the exact model from the sum, at the load of the last comparison.
+    pub whitener: &'a Whitener,
+    /// Difference of the exact model from the sum, at the load of the last comparison, whitened.
     pub lacks: &'a [f64],
 }
 
@@ -62,11 +64,14 @@ impl Predict for Sum<'_> {
         slopes: &mut Vec<f64>,
     ) -> Result<(), ContactError> {
         z.clear();
-        z.extend_from_slice(self.lacks);
+        z.resize(self.lacks.len(), 0.0);
         slopes.resize(z.len() * EACH * places.len(), 0.0);
         for (place, slopes) in places.iter().zip(slopes.chunks_exact_mut(EACH * z.len())) {
             self.shapes.add(self.model, *place, z, slopes);
         }
+        self.whitener.apply(z);
+        self.whitener.apply(slopes);
+        z.iter_mut().zip(self.lacks).for_each(|(z, lacks)| *z += lacks);
         Ok(())
     }
 }
@@ -91,6 +96,12 @@ impl Search<'_> {
         starts: &[Vec<Place>],
         work: &mut SearchWork,
     ) -> Result<Vec<Hypothesis>, ContactError> {
+        work.sites.clear();
+        for site in 0..self.shapes.sites_mm().len() {
+            let row = self.shapes.of_site(site, SITE_N.ln());
+            work.sites.extend(row.iter().map(|s| f64::from(*s)));
+        }
+        self.frame.whitener.apply(&mut work.sites);
         let mut levels: Vec<Vec<Hypothesis>> = vec![Vec::new(); self.options.most_contacts + 1];
         self.judge(Vec::new(), &mut levels, work)?;
         for start in starts {
@@ -132,7 +143,7 @@ impl Search<'_> {
         work: &mut SearchWork,
     ) -> Result<(), ContactError> {
         let Some(level) = levels.get_mut(places.len()) else { return Ok(()) };
-        let mut sum = Sum { model: self.model, shapes: self.shapes, lacks: self.none };
+        let mut sum = self.sum();
         let problem = self.problem();
         let optimum = descend(&problem, &mut sum, &mut places, EFFORT, &mut work.descent)?;
         if closest_mm(&places) < self.options.least_distance_mm || !optimum.score.is_finite() {
@@ -151,7 +162,12 @@ impl Search<'_> {
     }
 
     fn problem(&self) -> Problem<'_> {
-        Problem { z: &self.frame.z, weights: &self.frame.weights, prior: self.prior }
+        Problem { z: &self.frame.z, prior: self.prior }
+    }
+
+    fn sum(&self) -> Sum<'_> {
+        let Self { model, shapes, frame, none, .. } = *self;
+        Sum { model, shapes, whitener: &frame.whitener, lacks: none }
     }
 
     /// The hypotheses with one further contact, at the sites with the largest gain.
@@ -186,26 +202,21 @@ impl Search<'_> {
     /// other contacts adapting, and its strength.
     fn gains(&self, places: &[Place], work: &mut SearchWork) -> Result<(), ContactError> {
         let mut places = places.to_vec();
-        let mut sum = Sum { model: self.model, shapes: self.shapes, lacks: self.none };
+        let mut sum = self.sum();
         let stay = Effort { iterations: 1, tolerance: 0.0 };
         descend(&self.problem(), &mut sum, &mut places, stay, &mut work.descent)?;
-        let weights = &self.frame.weights;
-        work.roots.clear();
-        work.roots.extend(weights.iter().map(|w| w.sqrt()));
-        work.descent.whitened_residual(weights, &mut work.residual);
-        tangents(work.descent.slopes(), &work.roots, &mut work.tangents);
+        work.residual.clear();
+        work.residual.extend_from_slice(work.descent.residual());
+        let width = work.residual.len();
+        tangents(work.descent.slopes(), width, &mut work.tangents);
         project_out(&mut work.residual, &work.tangents);
         work.gains.clear();
-        let width = work.roots.len();
-        for site in 0..self.shapes.sites_mm().len() {
-            let row = self.shapes.of_site(site, SITE_N.ln());
-            work.shape.clear();
-            work.shape.extend(row.iter().zip(&work.roots).map(|(s, root)| f64::from(*s) * root));
-            let whole = dot(&work.shape, &work.shape);
+        for shape in work.sites.chunks_exact(width) {
+            let whole = dot(shape, shape);
             let imitated: f64 =
-                work.tangents.chunks_exact(width).map(|t| dot(t, &work.shape).powi(2)).sum();
+                work.tangents.chunks_exact(width).map(|t| dot(t, shape).powi(2)).sum();
             let own = (whole - imitated).max(1e-3 * whole);
-            let along = dot(&work.shape, &work.residual);
+            let along = dot(shape, &work.residual);
             let gain = if along > 0.0 { along * along / own } else { 0.0 };
             work.gains.push((gain, along / own));
         }
@@ -213,13 +224,12 @@ impl Search<'_> {
     }
 }
 
-/// An orthonormal basis of the slopes, times the square roots of the weights.
-fn tangents(slopes: &[f64], roots: &[f64], out: &mut Vec<f64>) {
-    let width = roots.len();
+/// An orthonormal basis of the slopes.
+fn tangents(slopes: &[f64], width: usize, out: &mut Vec<f64>) {
     out.clear();
     for slope in slopes.chunks_exact(width) {
         let start = out.len();
-        out.extend(slope.iter().zip(roots).map(|(s, root)| s * root));
+        out.extend_from_slice(slope);
         let (before, own) = out.split_at_mut(start);
         let whole = dot(own, own);
         for tangent in before.chunks_exact(width) {

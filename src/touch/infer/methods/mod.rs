@@ -15,7 +15,7 @@ use utoipa::openapi::RefOr;
 use utoipa::openapi::schema::{ObjectBuilder, Schema, Type};
 use utoipa::{PartialSchema, ToSchema};
 
-use self::exact::{ExactPipeline, ExactSkin, Tracked};
+use self::exact::{ExactPipeline, ExactSkin, Scatter, Tracked};
 use self::fast::PointPipeline;
 use self::one_step::OneStepPipeline;
 use self::paper::MapPipeline;
@@ -292,9 +292,8 @@ pub struct UntouchedBefore {
     pub frames: f64,
     /// Process time from it to the frames, h, >= 0.
     pub hours: f64,
-    /// Standard deviation of the offset of a pair of electrodes between two such frames of its run, V;
-    /// `None` if the run has too few.
-    pub scatter_v: Option<f64>,
+    /// What the offsets differ by between two such frames of its run; `None` if the run has too few.
+    pub scatter: Option<Scatter>,
 }
 
 impl UntouchedBefore {

@@ -3,6 +3,7 @@
 
 mod errors;
 mod known;
+mod scatter;
 mod skin;
 pub mod skins;
 mod untouched;
@@ -16,8 +17,10 @@ use sim_core::inverse::contacts::{
 
 pub use self::errors::{KnownTrial, KnownTrials, SkinErrors};
 pub use self::known::UNTOUCHED_N;
+pub use self::scatter::Scatter;
 pub use self::skin::ExactSkin;
-pub use self::untouched::{Untouched, scatter_v};
+use self::skin::Zeroed;
+pub use self::untouched::Untouched;
 use self::zero::Zero;
 use super::fast::{PROPOSED, PointPipeline};
 use super::{Frames, ReadyMethod, UsedSkin};
@@ -67,7 +70,7 @@ impl ReadyMethod for ExactPipeline {
             let observation = self.skin.observation(&frame_v, averaged, untouched);
             let proposals = self.proposals(&frame_v)?;
             let fit = self.skin.fitter.fit(&observation, &proposals, &mut work)?;
-            readings.push(self.skin.reading(&fit, frames.untouched.is_some(), averaged));
+            readings.push(self.skin.reading(&fit, Zeroed::of(frames.untouched), averaged));
         }
         Ok(readings)
     }
@@ -93,8 +96,13 @@ impl ReadyMethod for ExactPipeline {
             }
         };
         let mean = steady.push(&tracked.frame_v)?;
-        let offset_sd_v = self.skin.errors.drift.sd_v(tracked.zero.left());
-        let observation = Observation { frame_v: mean.mean_v, frames: mean.frames, offset_sd_v };
+        let drift = &self.skin.errors.drift;
+        let observation = Observation {
+            frame_v: mean.mean_v,
+            frames: mean.frames,
+            offset_sd_v: drift.sd_v(tracked.zero.left()),
+            offset_spectrum: &drift.spectrum,
+        };
         let before = tracked.last.take().filter(|_| !mean.changed);
         let fit = match before {
             Some(last) => self.skin.fitter.track(&observation, &last, &mut tracked.work)?,
@@ -108,7 +116,8 @@ impl ReadyMethod for ExactPipeline {
             let most_v = ZERO_SD * drift.sd_v(None).max(*noise_sd_v);
             tracked.zero.learn(&tracked.frame_v, mean.frames, most_v);
         }
-        let mut reading = self.skin.reading(&fit, tracked.zero.left().is_some(), mean.frames);
+        let zeroed = if tracked.zero.left().is_some() { Zeroed::Live } else { Zeroed::Never };
+        let mut reading = self.skin.reading(&fit, zeroed, mean.frames);
         reading.averaged = Some(mean.frames);
         reading.searched = Some(fit.origin == Origin::Search);
         tracked.last = Some(fit);

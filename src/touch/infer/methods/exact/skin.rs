@@ -6,7 +6,7 @@ use sim_core::inverse::contacts::{
     ContactFitter, Explanation, Fit, FitOptions, FittedContact, Observation,
 };
 
-use super::errors::{LEAST_KNOWN, SkinErrors, Stretch};
+use super::errors::{LEAST_KNOWN, SkinErrors, Stretch, grown};
 use super::zero::Zero;
 use crate::ids::CalibrationId;
 use crate::infer::answer::{Alternative, FoundContact, Reading};
@@ -17,6 +17,32 @@ use crate::infer::methods::UntouchedBefore;
 const DRIFT_MATTERS: f64 = 2.0;
 /// A fit whose residual exceeds this multiple of the assumed noise does not explain the frame.
 const MISFIT_EXPLAINED: f64 = 3.0;
+
+/// When the untouched skin of a reading was measured.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) enum Zeroed {
+    /// Not since the calibration.
+    Never,
+    /// Before the frames.
+    Before {
+        /// Process time before them, h.
+        hours: f64,
+        /// Share of the drift of a day in this time.
+        share_of_day: f64,
+    },
+    /// In the stream of frames itself.
+    Live,
+}
+
+impl Zeroed {
+    /// Of frames that are read with this untouched skin.
+    pub(super) fn of(untouched: Option<&UntouchedBefore>) -> Self {
+        untouched.map_or(Self::Never, |skin| Self::Before {
+            hours: skin.hours,
+            share_of_day: skin.share_of_day(),
+        })
+    }
+}
 
 /// A skin for fits of contacts. Its preparation takes most of a minute.
 pub struct ExactSkin {
@@ -124,14 +150,30 @@ impl ExactSkin {
     }
 
     /// Warns of offsets that may have drifted by more than the noise of a mean of `frames` frames.
-    fn drifted(&self, is_tared: bool, frames: f64) -> Option<String> {
-        let drift_v = self.errors.drift.sd_v(None);
+    fn drifted(&self, zeroed: Zeroed, frames: f64) -> Option<String> {
+        let drift = &self.errors.drift;
         let pairs = self.channels().isqrt() as f64;
-        let matters = drift_v > DRIFT_MATTERS * self.errors.noise_sd_v / (pairs * frames).sqrt();
-        (matters && !is_tared).then(|| {
-            let drift_mv = 1e3 * drift_v;
-            format!("offsets of the calibration, which drift by {drift_mv:.2} mV a day: tare the empty skin")
-        })
+        let limit_v = DRIFT_MATTERS * self.errors.noise_sd_v / (pairs * frames).sqrt();
+        let of_day_v = drift.day_sd_v.unwrap_or(0.0);
+        match zeroed {
+            Zeroed::Never => (of_day_v > limit_v).then(|| {
+                let drift_mv = 1e3 * of_day_v;
+                format!("offsets of the calibration, which drift by {drift_mv:.2} mV a day: tare the empty skin")
+            }),
+            Zeroed::Before { hours, share_of_day } => {
+                let since_v = share_of_day * of_day_v;
+                // A new zero would not be better by more than its scatter.
+                let matters = since_v > limit_v && since_v > drift.sd_v(Some(0.0));
+                matters.then(|| {
+                    let drift_mv = 1e3 * since_v;
+                    format!(
+                        "the untouched skin was measured {hours:.1} h before, since when offsets drift by \
+                         {drift_mv:.2} mV: tare the empty skin"
+                    )
+                })
+            }
+            Zeroed::Live => None,
+        }
     }
 
     /// Contacts of a fit with standard deviations that allow for the model's error, strongest first.
@@ -141,9 +183,9 @@ impl ExactSkin {
             x_mm: found.contact.x_mm,
             y_mm: found.contact.y_mm,
             force_n: Some(found.contact.force_n),
-            x_sd_mm: Some(place * found.x_sd_mm),
-            y_sd_mm: Some(place * found.y_sd_mm),
-            force_sd_n: Some(force * found.force_sd_n),
+            x_sd_mm: Some(found.x_sd_mm * grown(found.by_model[0], place)),
+            y_sd_mm: Some(found.y_sd_mm * grown(found.by_model[1], place)),
+            force_sd_n: Some(found.force_sd_n * grown(found.by_model[2], force)),
             ..FoundContact::default()
         };
         let mut contacts: Vec<FoundContact> = contacts.iter().map(contact).collect();
@@ -152,7 +194,7 @@ impl ExactSkin {
     }
 
     /// Converts the fit of a mean of `frames` frames to a reading.
-    pub(super) fn reading(&self, fit: &Fit, is_tared: bool, frames: f64) -> Reading {
+    pub(super) fn reading(&self, fit: &Fit, zeroed: Zeroed, frames: f64) -> Reading {
         let alternative = |other: &Explanation| Alternative {
             probability: other.probability,
             contacts: self.found(&other.contacts),
@@ -162,7 +204,7 @@ impl ExactSkin {
             format!("misfit = {misfit:.1}: limit {MISFIT_EXPLAINED} for contacts on this skin")
         });
         let outside = outside.into_iter().collect();
-        let notes = self.drifted(is_tared, frames).into_iter().collect();
+        let notes = self.drifted(zeroed, frames).into_iter().collect();
         Reading {
             contacts: self.found(&fit.contacts),
             probability: fit.probability,
@@ -199,13 +241,14 @@ impl ExactSkin {
 
     /// A mean of `frames` frames without offsets, V, as the fit reads it.
     pub(super) fn observation<'a>(
-        &self,
+        &'a self,
         frame_v: &'a [f64],
         frames: f64,
-        untouched: Option<&UntouchedBefore>,
+        untouched: Option<&'a UntouchedBefore>,
     ) -> Observation<'a> {
         let offset_sd_v = self.offset_sd_v(untouched);
-        Observation { frame_v, frames, offset_sd_v }
+        let offset_spectrum = self.errors.drift.spectrum_after(untouched);
+        Observation { frame_v, frames, offset_sd_v, offset_spectrum }
     }
 }
 
