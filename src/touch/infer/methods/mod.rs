@@ -297,10 +297,15 @@ pub struct UntouchedBefore {
 }
 
 impl UntouchedBefore {
-    /// Share of the drift of a day that its age has: that of a random walk.
+    /// Share of the drift of a day that its age has.
     pub fn share_of_day(&self) -> f64 {
-        (self.hours / 24.0).sqrt()
+        share_of_day(self.hours)
     }
+}
+
+/// Share of the drift of a day in a number of hours, >= 0: that of a random walk.
+pub fn share_of_day(hours: f64) -> f64 {
+    (hours / 24.0).sqrt()
 }
 
 /// A method with its models, ready to read frames.

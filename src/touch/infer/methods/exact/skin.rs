@@ -11,38 +11,12 @@ use super::zero::Zero;
 use crate::ids::CalibrationId;
 use crate::infer::answer::{Alternative, FoundContact, Reading};
 use crate::infer::error::InferError;
-use crate::infer::methods::UntouchedBefore;
+use crate::infer::methods::{UntouchedBefore, share_of_day};
 
 /// Drift in a day, in standard deviations of the noise of a pair, from which offsets must be measured again.
 const DRIFT_MATTERS: f64 = 2.0;
 /// A fit whose residual exceeds this multiple of the assumed noise does not explain the frame.
 const MISFIT_EXPLAINED: f64 = 3.0;
-
-/// When the untouched skin of a reading was measured.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) enum Zeroed {
-    /// Not since the calibration.
-    Never,
-    /// Before the frames.
-    Before {
-        /// Process time before them, h.
-        hours: f64,
-        /// Share of the drift of a day in this time.
-        share_of_day: f64,
-    },
-    /// In the stream of frames itself.
-    Live,
-}
-
-impl Zeroed {
-    /// Of frames that are read with this untouched skin.
-    pub(super) fn of(untouched: Option<&UntouchedBefore>) -> Self {
-        untouched.map_or(Self::Never, |skin| Self::Before {
-            hours: skin.hours,
-            share_of_day: skin.share_of_day(),
-        })
-    }
-}
 
 /// A skin for fits of contacts. Its preparation takes most of a minute.
 pub struct ExactSkin {
@@ -149,31 +123,28 @@ impl ExactSkin {
         self.errors.drift.after_v(untouched).max(untouched.map_or(0.0, noise_v))
     }
 
-    /// Warns of offsets that may have drifted by more than the noise of a mean of `frames` frames.
-    fn drifted(&self, zeroed: Zeroed, frames: f64) -> Option<String> {
+    /// Warns of offsets that may have drifted by more than the noise of a mean of `frames` frames. `zero_hours`: process
+    /// time since the untouched skin was measured, h, if it was.
+    fn drifted(&self, zero_hours: Option<f64>, frames: f64) -> Option<String> {
         let drift = &self.errors.drift;
         let pairs = self.channels().isqrt() as f64;
         let limit_v = DRIFT_MATTERS * self.errors.noise_sd_v / (pairs * frames).sqrt();
         let of_day_v = drift.day_sd_v.unwrap_or(0.0);
-        match zeroed {
-            Zeroed::Never => (of_day_v > limit_v).then(|| {
+        let Some(hours) = zero_hours else {
+            return (of_day_v > limit_v).then(|| {
                 let drift_mv = 1e3 * of_day_v;
                 format!("offsets of the calibration, which drift by {drift_mv:.2} mV a day: tare the empty skin")
-            }),
-            Zeroed::Before { hours, share_of_day } => {
-                let since_v = share_of_day * of_day_v;
-                // A new zero would not be better by more than its scatter.
-                let matters = since_v > limit_v && since_v > drift.sd_v(Some(0.0));
-                matters.then(|| {
-                    let drift_mv = 1e3 * since_v;
-                    format!(
-                        "the untouched skin was measured {hours:.1} h before, since when offsets drift by \
-                         {drift_mv:.2} mV: tare the empty skin"
-                    )
-                })
-            }
-            Zeroed::Live => None,
-        }
+            });
+        };
+        let since_v = share_of_day(hours) * of_day_v;
+        // A new zero would not be better by more than its scatter.
+        (since_v > limit_v.max(drift.sd_v(Some(0.0)))).then(|| {
+            let drift_mv = 1e3 * since_v;
+            format!(
+                "the untouched skin was measured {hours:.1} h before, since when offsets drift by \
+                 {drift_mv:.2} mV: tare the empty skin"
+            )
+        })
     }
 
     /// Contacts of a fit with standard deviations that allow for the model's error, strongest first.
@@ -193,8 +164,9 @@ impl ExactSkin {
         contacts
     }
 
-    /// Converts the fit of a mean of `frames` frames to a reading.
-    pub(super) fn reading(&self, fit: &Fit, zeroed: Zeroed, frames: f64) -> Reading {
+    /// Converts the fit of a mean of `frames` frames to a reading. `zero_hours`: process time since the untouched
+    /// skin was measured, h, if it was.
+    pub(super) fn reading(&self, fit: &Fit, zero_hours: Option<f64>, frames: f64) -> Reading {
         let alternative = |other: &Explanation| Alternative {
             probability: other.probability,
             contacts: self.found(&other.contacts),
@@ -204,7 +176,7 @@ impl ExactSkin {
             format!("misfit = {misfit:.1}: limit {MISFIT_EXPLAINED} for contacts on this skin")
         });
         let outside = outside.into_iter().collect();
-        let notes = self.drifted(zeroed, frames).into_iter().collect();
+        let notes = self.drifted(zero_hours, frames).into_iter().collect();
         Reading {
             contacts: self.found(&fit.contacts),
             probability: fit.probability,
