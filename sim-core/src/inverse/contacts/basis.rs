@@ -6,7 +6,7 @@
 //! (`docs/references.md`, "Feasibility study"). In units of each channel's noise an orthonormal
 //! basis keeps white noise white; the basis is turned so that the model's relative error is
 //! uncorrelated too. The drift of the offsets is correlated between the numbers, so that a measured frame is
-//! whitened by the covariance of its own error (`whitener`).
+//! whitened by the covariance of its error (`whitener`).
 
 use faer::{Mat, Side};
 

@@ -73,7 +73,7 @@ mod tests {
 
     const PAIRS: usize = 28;
 
-    /// Frames with offsets of 1 mV: each of its own, or differences of the buffers of neighbours.
+    /// Frames with offsets of 1 mV: independent ones, or differences of the buffers of neighbours.
     fn frames(count: usize, of_buffers: bool) -> Vec<Vec<f32>> {
         let mut rng = ChaCha8Rng::seed_from_u64(3);
         let mut one = || {
