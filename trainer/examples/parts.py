@@ -34,7 +34,7 @@ def group(library, function):
     return next((name for name, pattern in GROUPS if re.search(pattern.lower(), words)), "everything else")
 
 
-def profile(command, seconds_of):
+def profile(command, rate_of):
     """Rate that a command prints as a number, and its samples by (library, function), as shares."""
     with tempfile.TemporaryDirectory() as folder:
         data = f"{folder}/perf.data"
@@ -50,7 +50,7 @@ def profile(command, seconds_of):
         if not line.startswith("#") and len(fields) == 3:
             key = fields[1], re.sub(r"^\[.\] ", "", fields[2])
             shares[key] = shares.get(key, 0.0) + float(fields[0].rstrip("%")) / 100
-    return seconds_of(ran.stdout), shares
+    return rate_of(ran.stdout), shares
 
 
 def grouped(shares):
