@@ -20,7 +20,7 @@ use crate::simulate::model::load_or_build;
 use crate::store::Store;
 
 /// Version of the estimation of errors: part of the cache's key.
-const ERRORS_VERSION: &str = "4";
+const ERRORS_VERSION: &str = "5";
 
 /// The file of a stored calibration.
 #[derive(Debug, Clone)]
