@@ -11,7 +11,7 @@ use super::kind::{all_whole, readings_order};
 use crate::chunk::folder::OrderFolder;
 use crate::chunk::order::{ChunkRow, WorkOrder};
 use crate::cli::client::TextPart;
-use crate::cli::dataset::DATASET_WAIT;
+use crate::cli::download::DATASET_WAIT;
 use crate::cli::error::CliError;
 use crate::cli::evaluate::MethodRequest;
 use crate::cli::evaluate::lab::ExtentArgs;

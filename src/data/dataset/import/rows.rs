@@ -9,7 +9,7 @@ use arrow_array::{Array, ArrayRef, RecordBatch};
 use arrow_schema::Schema;
 use jiff::Timestamp;
 
-use super::columns::{Columns, FRAMES_V, TAG, known};
+use super::columns::{CONTACT_FIELDS, Columns, FRAMES_V, TAG, known};
 use super::coordinates::Coordinates;
 use super::sensor::ImportedSensor;
 use crate::dataset::schema::{FRAME_COUNT, SPLIT, VOLTAGES_V};

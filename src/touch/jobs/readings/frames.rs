@@ -1,10 +1,11 @@
 //! The frames of an evaluation as text: voltages, and what is known of them.
 //! PURE. Uses: `infer::methods`. Never: a number that is read otherwise than it was written.
 
+use crate::infer::methods::exact::Scatter;
 use crate::infer::methods::{Frames, UntouchedBefore};
 
-/// Stands for an unknown number.
-const UNKNOWN_NUMBER: &str = "-";
+/// Stands for an unknown scatter.
+const UNKNOWN: &str = "-";
 
 /// A frame that is read by a method.
 #[derive(Debug, Clone, PartialEq)]
@@ -19,15 +20,16 @@ pub struct FrameInput {
 
 impl FrameInput {
     /// Frames as text, a line each: the number of averaged frames and the voltages, separated by commas; and if the
-    /// untouched skin was measured, the number of its frames, its age (h), its scatter (V, or `-`) and its voltages.
+    /// untouched skin was measured, the number of its frames, its age (h), its scatter (its standard
+    /// deviation, V, and spectrum; or `-`) and its voltages.
     pub fn lines(inputs: &[Self]) -> String {
         let voltages =
             |frame_v: &[f32]| frame_v.iter().map(ToString::to_string).collect::<Vec<_>>().join(",");
         let mut text = String::new();
         for Self { voltages_v, averaged, untouched } in inputs {
             text += &format!("{averaged} {}", voltages(voltages_v));
-            if let Some(UntouchedBefore { voltages_v, frames, hours, scatter_v }) = untouched {
-                let scatter = scatter_v.map_or(UNKNOWN_NUMBER.into(), |v| v.to_string());
+            if let Some(UntouchedBefore { voltages_v, frames, hours, scatter }) = untouched {
+                let scatter = scatter.as_ref().map_or_else(|| UNKNOWN.to_owned(), scatter_text);
                 text += &format!(" {frames} {hours} {scatter} {}", voltages(voltages_v));
             }
             text.push('\n');
@@ -60,9 +62,9 @@ impl FrameInput {
                 voltages_v: voltages(untouched_v)?,
                 frames: frames.parse::<f64>().ok()?,
                 hours: hours.parse::<f64>().ok()?,
-                scatter_v: match *scatter {
-                    UNKNOWN_NUMBER => None,
-                    number => Some(number.parse::<f64>().ok()?),
+                scatter: match *scatter {
+                    UNKNOWN => None,
+                    numbers => Some(scatter_of(numbers)?),
                 },
             }),
             _ => return None,
@@ -77,6 +79,18 @@ impl FrameInput {
     }
 }
 
+/// A scatter as text with commas: its standard deviation, then its spectrum.
+fn scatter_text(Scatter { sd_v, spectrum }: &Scatter) -> String {
+    spectrum.iter().fold(sd_v.to_string(), |text, variance| format!("{text},{variance}"))
+}
+
+/// A scatter from the text of [`scatter_text`].
+fn scatter_of(text: &str) -> Option<Scatter> {
+    let mut numbers = text.split(',').map(|number| number.parse::<f64>().ok());
+    let sd_v = numbers.next()??;
+    Some(Scatter { sd_v, spectrum: numbers.collect::<Option<_>>()? })
+}
+
 /// Voltages from a text with commas.
 fn voltages(text: &str) -> Option<Vec<f32>> {
     text.split(',').map(|number| number.parse::<f32>().ok()).collect()
@@ -89,15 +103,18 @@ mod tests {
     #[test]
     fn frames_are_read_to_the_last_bit_and_other_lines_refused() {
         let alone = FrameInput { voltages_v: vec![0.1, -2.5e-7], averaged: 30.0, untouched: None };
-        let untouched = |scatter_v| UntouchedBefore {
+        let untouched = |scatter| UntouchedBefore {
             voltages_v: vec![f32::MIN_POSITIVE, 1.0 / 3.0],
             frames: 8.0,
             hours: 0.1 + 0.2,
-            scatter_v,
+            scatter,
         };
-        let known = FrameInput { untouched: Some(untouched(Some(1e-4))), ..alone.clone() };
+        let scatter = |spectrum| Some(Scatter { sd_v: 1e-4, spectrum });
+        let known =
+            FrameInput { untouched: Some(untouched(scatter(vec![0.1, 1.9]))), ..alone.clone() };
+        let flat = FrameInput { untouched: Some(untouched(scatter(Vec::new()))), ..alone.clone() };
         let unknown = FrameInput { untouched: Some(untouched(None)), ..alone.clone() };
-        let inputs = vec![alone, known, unknown];
+        let inputs = vec![alone, known, flat, unknown];
         let text = FrameInput::lines(&inputs);
         assert_eq!(text.lines().next(), Some("30 0.1,-0.00000025"));
         assert_eq!(FrameInput::read(&text).unwrap(), inputs);
