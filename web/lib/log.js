@@ -16,7 +16,7 @@ const tone = event => LOUD[event.importance] ?? ''
 
 /** Makes the log. `state.log` is 'all' or absent (only important ones). */
 export function eventLog({ state, set, signal, since = -200 }) {
-  let made = new Map(), important = [] // Those that matter, further back than the newest of all.
+  let made = new Map(), important = [], lacks = '' // Those that matter, further back than the newest of all; and whether these are not known.
   const kept = [], list = el('ol', { className: 'events scroll', tabIndex: 0, 'aria-label': 'Events, newest first' }), line = el('p',
     { className: 'soft small' })
   const choice = select([['', 'Only important ones'], ['all', 'All events']], state.log ?? '', value => set({ log: value }), { 'aria-label': 'Which events' })
@@ -29,7 +29,8 @@ export function eventLog({ state, set, signal, since = -200 }) {
     made = new Map(last.map((event, i) => [event, rows[i]]))
     rows.forEach((node, i) => { if (list.children[i] !== node) list.insertBefore(node, list.children[i] ?? null) })
     while (list.children.length > rows.length) list.lastChild.remove()
-    if (last.length) say(line, wanted.length > SHOWN ? `The newest ${SHOWN} events.` : '')
+    if (lacks && state.log !== 'all') say(line, lacks)
+    else if (last.length) say(line, wanted.length > SHOWN ? `The newest ${SHOWN} events.` : '')
     else say(line, kept.length ? 'No important events. Select “All events” to see every one.' : 'No events yet.')
   })
   follow(since, {
@@ -45,7 +46,10 @@ export function eventLog({ state, set, signal, since = -200 }) {
     const known = new Set(important.map(({ seq }) => seq))
     important = [...items.filter(event => matters(event) && !known.has(event.seq)), ...important].sort((a, b) => a.seq - b.seq).slice(-KEPT)
     draw()
-  }, () => {})
+  }, error => {
+    lacks = `Important events further back could not be read: ${error.message}.`
+    draw()
+  })
   draw()
   return {
     node: panel('Events', { className: 'live log', aside: choice }, list, line),

@@ -45,7 +45,7 @@ export function workers(signal) {
     return el('div', { className: 'row tight' },
       row.folder && more > 0 && submitting(name),
       row.folder && row.done >= row.chunks && acting('Gather', name, () => send(`${folderOf(name)}/gather`)),
-      open > 0 && acting('Cancel', name, () => send(`/workers/orders/${row.order}`, {}, { method: 'DELETE', wait: CHANGE_MS }), { of: row.order,
+      open > 0 && acting('Cancel', name, () => send(`/workers/orders/${encodeURIComponent(row.order)}`, {}, { method: 'DELETE', wait: CHANGE_MS }), { of: row.order,
         className: 'danger', sure: () => confirm(`Cancel ${name}?`, CANCELLED, 'Cancel the order') }))
   }
 

@@ -108,7 +108,6 @@ function placing(signal) {
     draw()
   }
 
-
   function draw() {
     const { placement } = state
     if (!placement || signal.aborted) return
