@@ -215,7 +215,8 @@ async fn named(client: &Client, text: &str) -> Result<String, CliError> {
 /// the start of the id.
 fn meant<'a>(newest_first: &'a [String], text: &str) -> Vec<&'a str> {
     let place = match text.parse::<usize>() {
-        Ok(number) if number > 0 => newest_first.len().checked_sub(number),
+        // No number begins with 0, but each id does.
+        Ok(number) if !text.starts_with('0') => newest_first.len().checked_sub(number),
         _ => (text == "last").then_some(0),
     };
     if let Some(id) = place.and_then(|place| newest_first.get(place)) {
@@ -282,6 +283,7 @@ mod tests {
             ("0192", &["job-0192ab", "job-0192aa"]),
             ("4", &[]),
             ("0", &[]),
+            ("01", &[]),
             ("019", &[]),
         ] {
             assert_eq!(meant(&ids, text), wanted, "{text}");
