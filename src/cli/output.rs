@@ -15,7 +15,7 @@ pub use crate::plain::{bytes, counted, duration};
 pub enum Output {
     /// Text for people, with progress on a terminal.
     Text,
-    /// JSON for scripts, without progress.
+    /// JSON for scripts; standard error may name long work.
     Json,
 }
 

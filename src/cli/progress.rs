@@ -81,7 +81,7 @@ impl Working {
 
     /// Prints a line with the time since `begin` after `wait`, and then at intervals.
     fn in_lines(words: &str, begin: Instant, mut wait: Duration) -> Self {
-        let (lines, ended) = mpsc::channel();
+        let (lines, ended) = mpsc::channel::<()>();
         let words = words.to_owned();
         let print = move || {
             while ended.recv_timeout(wait) == Err(RecvTimeoutError::Timeout) {
