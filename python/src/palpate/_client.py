@@ -123,7 +123,8 @@ class Palpate(Generic[F]):
     ) -> F:
         """The events, oldest first: of a run, of these kinds, after the one of this number.
 
-        A negative number counts from the end of the selected events. Their data is a text of JSON, their words are a sentence.
+        A negative number counts from the end of the selected events. Their data is a text of JSON, their words
+        are a sentence.
         """
         kinds = kind if kind is None or isinstance(kind, str) else ",".join(kind)
         return self._frames.of_items(self._items("/events", run=run, kind=kinds, since=since), EVENTS)
