@@ -11,6 +11,7 @@ use crate::chunk::folder::{ChunkState, OrderFolder};
 use crate::chunk::order::{ChunkRow, WorkOrder};
 use crate::cli::client::Client;
 use crate::cli::error::CliError;
+use crate::cli::morning::find_run;
 use crate::cli::{At, embed};
 use crate::ids::RunUid;
 use crate::new_file::Look;
@@ -23,7 +24,7 @@ const ORDERED_TRIALS_MAX: u64 = 1_000_000;
 /// Options that determine the chunks of a run's twins.
 #[derive(Debug, Clone, Args)]
 pub struct TwinsRequest {
-    /// Id of the run: uid or scan_id.
+    /// Run: number, start of the id, or `last`.
     #[arg(value_name = "RUN")]
     run: String,
     /// Number of trials of a chunk.
@@ -66,7 +67,7 @@ async fn ordered(
     run: String,
     chunk_trials: u64,
 ) -> Result<(WorkOrder, u64), CliError> {
-    let uid = client.run(&run).await?.uid;
+    let uid = find_run(&client, &run).await?.uid;
     // The skin is solved for the first answer.
     let client = client.showing("the contacts of the run");
     let (mut skin, mut contacts, mut trials) = (None, Vec::new(), 0);
