@@ -23,6 +23,3 @@ export const LOUD = { act: 'bad', look: 'warn' }
 /** Axes that a latched e-stop has not stopped, each with its cause: without an acknowledgement, or in motion after it. */
 export const notStopped = rig => rig.estop_stops.filter(stop => stop.acknowledged_ms == null || stop.error != null)
   .map(stop => `${stop.axis} (${stop.error ?? 'no answer yet'})`)
-
-/** Whether every axis was read at rest after the latched e-stop. */
-export const stands = rig => rig.estop_stops.length > 0 && rig.estop_stops.every(stop => stop.stood_ms != null)

@@ -9,17 +9,18 @@ import { el, fill, panel, pane, say, select, sleep } from '../lib/dom.js'
 import { ended } from '../lib/ended.js'
 import { steadyEnds } from '../lib/eta.js'
 import { forceBars, forceChart } from '../lib/forces.js'
-import { age, bytes, capital, count, countOf, counted, fixed, moment, percent, plain, span, steadyCountOf } from '../lib/format.js'
+import { age, bytes, capital, count, countOf, counted, fixed, moment, momentBand, percent, plain, span, steadyCountOf } from '../lib/format.js'
 import { history } from '../lib/history.js'
 import { live } from '../lib/live.js'
 import { eventLog } from '../lib/log.js'
 import { sensor } from '../lib/skin.js'
 import { COLOURINGS, tourMap } from '../lib/tourmap.js'
-import { backlog, good, onTime, safe } from '../lib/verdicts.js'
+import { backlog } from '../lib/twinpool.js'
 import { watching } from '../lib/watching.js'
 import { welcome } from '../lib/welcome.js'
 import { PHASES, RIG, TONE, WAITS } from '../lib/words.js'
 
+const QUESTIONS = [['safe', 'Is it safe?'], ['on_time', 'Is it on time?'], ['data', 'Are the data good?']]
 const MINUTES = [['1', '1 min'], ['', '2 min'], ['5', '5 min'], ['15', '15 min']]
 const TWINS_MS = 5000, QUEUE_MS = 10_000, HISTORY_MS = 30_000, PROGRESS_MS = 3000, LONG_TOUR = 5000
 
@@ -40,6 +41,11 @@ function stateWords(run) {
   return SAYS[run.state] ?? ''
 }
 
+/** The end of a run that goes on, as a person's clock shows it. */
+function endWords(run, at) {
+  return run?.eta && ['running', 'pausing'].includes(run.state) ? `Done about ${momentBand(...steadyEnds(run, at), run.eta.high_s < 900)}. ` : ''
+}
+
 /** Calls `work` every `ms` while the page is seen. */
 async function every(ms, work, signal) {
   while (!signal.aborted) {
@@ -50,12 +56,12 @@ async function every(ms, work, signal) {
 
 /** Shows the page. */
 export async function show(root, { query, signal, set }) {
-  let state = query, run = null, last = null, tour = null, progress = null, shape = null, twins = null, queue = [], seen = {}, course = null, mode = ''
+  let state = query, run = null, last = null, tour = null, progress = null, shape = null, twins = null, queue = [], seen = {}, mode = ''
   const label = () => (run ?? last)?.label ?? live.status?.rig.label
   const said = outcome()
 
   // Parts.
-  const answers = ['Is it safe?', 'Is it on time?', 'Are the data good?'].map(title => ({ title, node: el('p', { className: 'answer' }) }))
+  const answers = QUESTIONS.map(([question, title]) => ({ question, title, node: el('p', { className: 'answer' }) }))
   const strip = el('div'), verdicts = el('section', { className: 'verdicts live', 'aria-label': 'The night in three answers' },
     answers.map(({ title, node }) => el('div', {}, el('h2', {}, title), node)), strip)
   const map = tourMap({
@@ -97,9 +103,11 @@ export async function show(root, { query, signal, set }) {
   // What follows the status: at most ten times per second, text only where it differs.
   function tell({ status, at, fresh }) {
     if (status.run?.uid !== run?.uid || (!status.run && run)) change()
-    const ends = status.run?.eta && steadyEnds(status.run, at)
-    const verdict = [safe(status), onTime(status, ends, course, queue[0]), good(status, twins, seen)]
-    answers.forEach(({ node }, i) => { say(node, verdict[i].words); node.className = `answer ${verdict[i].tone}` })
+    for (const { question, node } of answers) {
+      const { rating, words } = status.glance.find(one => one.question === question)
+      say(node, question === 'on_time' ? endWords(status.run, at) + words : words)
+      node.className = `answer ${rating}`
+    }
     tellStrip(status)
     watch.show(status.suspenders)
     if (status.run) tellRun(status.run, fresh)
@@ -172,7 +180,7 @@ export async function show(root, { query, signal, set }) {
     nowPart.classList.toggle('over', !run)
     say(nowPart.querySelector('h2 > span'), run ? 'Now' : 'The last run')
     if (!of) return void hello.show(queue[0] ?? null)
-    tour = progress = course = null
+    tour = progress = null
     data.run(of.uid)
     readCourse() // That of a long run takes minutes: nothing waits for it.
     await Promise.allSettled([readTour(of), readShape(of)])
@@ -214,7 +222,6 @@ export async function show(root, { query, signal, set }) {
     reading = key
     await nightPart.show(of, { endedAt: !run && last?.ended_at ? Date.parse(last.ended_at) : null, eta_s: live.status?.run?.eta?.remaining_s ?? null })
     if (reading === key) reading = ''
-    course = nightPart.data()
   }
 
   map.colouring(state.colour ?? 'progress')

@@ -68,7 +68,7 @@ pub struct RigStatus {
     pub state: RigState,
     /// Cause of the latched trip; null if the rig is not tripped.
     pub trip: Option<Trip>,
-    /// Time of the last trip; null once the axes were homed after it, or the wires closed.
+    /// Time of the latched or last trip; null once the axes were homed after it, or the wires closed.
     #[schema(value_type = Option<String>, format = DateTime)]
     pub tripped_at: Option<Timestamp>,
     /// Process seconds per wall second.
