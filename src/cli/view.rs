@@ -1,5 +1,5 @@
 //! The parts of the service's answers that the command line reads.
-//! Uses: serde, the vocabulary of `campaign`. Never: fields that are not shown or used.
+//! Uses: serde, the vocabulary of `campaign`, needs and glances of `api`. Never: fields that are not shown or used.
 
 use serde::{Deserialize, Serialize};
 use serde_json::Value;

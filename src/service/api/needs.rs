@@ -219,10 +219,8 @@ fn of_run(run: &RunStatus, status: &Status, is_of_rig: bool) -> Option<Need> {
     let importance = if is_pause && refused.is_none() { Importance::Look } else { Importance::Act };
     let detail = run.waiting_for.as_ref().map_or_else(String::new, |words| format!(": {words}"));
     let cause = format!("{}{detail}{}", waits_for(why), weights(run));
-    let mut words = match kind {
-        NeedKind::Resume => sentence(&format!("the run waits: {cause}")),
-        _ => sentence(&cause),
-    };
+    let head = if kind == NeedKind::Resume { "the run waits: " } else { "" };
+    let mut words = sentence(&format!("{head}{cause}"));
     if let Some(refused) = refused {
         words += &format!(" Not yet: {refused}.");
     }
@@ -246,7 +244,7 @@ fn ahead(around: Around<'_>) -> Vec<Need> {
     if let Some((free, needed)) = around.space.filter(|(free, needed)| free < needed) {
         let (free, needed) = (bytes(free as f64), bytes(needed as f64));
         let words = format!("{free} of disk are free, {needed} are needed: remove files.");
-        let since = around.suspenders.iter().find(disk).and_then(|disk| disk.since);
+        let since = around.suspenders.iter().find(disk).and_then(|one| one.since);
         needs.push(look(NeedKind::Room, words, since));
     }
     let beyond = around.suspenders.iter().filter(|one| one.since.is_some() && !disk(one));
