@@ -7,6 +7,7 @@ use serde::Deserialize;
 use serde::de::DeserializeOwned;
 use serde_json::Value;
 
+use crate::api::ForcesOfTips;
 use crate::ids::RunUid;
 
 /// Fields of `GET /api/v1/status` in addition to those of `StatusView`.
@@ -119,6 +120,8 @@ pub struct TourProgress {
     pub current: Option<usize>,
     /// Index of the next one.
     pub next: Option<usize>,
+    /// The largest forces, for each number of tips.
+    pub forces_by_tips: Vec<ForcesOfTips>,
 }
 
 /// `GET /api/v1/runs/{run}/history`: the run over time, in bins of equal length.

@@ -120,6 +120,7 @@ pub use options::{ServeError, ServeOptions};
 pub use pages::Page;
 pub use people::CreatedKey;
 pub use placement::{FeltOut, LastPlacement, PlacementOut, Stage};
+pub use progress::ForcesOfTips;
 pub use quantities::{LiveQuantities, QuantityRequest};
 pub use routes::{Access, Lock, Needs};
 pub use runs::Summary;
