@@ -4,7 +4,7 @@ import { address, go, params, set, shown } from './lib/address.js'
 import { Stopped, door, estop, giveKey, hasKey } from './lib/api.js'
 import { actOnRig, actor, modal, outcome, sureHome } from './lib/actions.js'
 import { button, el, fill, link, note, say } from './lib/dom.js'
-import { clock, momentBand, percent, plain, span, steadyCountOf } from './lib/format.js'
+import { clock, moment, momentBand, percent, plain, span, steadyCountOf } from './lib/format.js'
 import { steadyEnds } from './lib/eta.js'
 import { live, start } from './lib/live.js'
 import { READ_KEYS } from './lib/readkeys.js'
@@ -198,10 +198,15 @@ const DOES = {
 }
 const DANGERS = ['not_stopped', 'tips_not_raised', 'reset']
 
+/** A need with its time, if the one before it has another. */
+function sinceThen({ words, since }, i, all) {
+  return since && since !== all[i - 1]?.since ? `${words} Since ${moment(since)}.` : words
+}
+
 /** What a person must do, above everything else: the service decides what, and in which order. */
 function needs(all) {
   const shown = all.filter(need => need.importance === 'act'), does = shown.find(need => DOES[need.kind])
-  const box = $('needs'), text = shown.map(need => need.words).join(' '), first = shown[0]?.kind ?? '', buttons = does?.kind ?? ''
+  const box = $('needs'), text = shown.map(sinceThen).join(' '), first = shown[0]?.kind ?? '', buttons = does?.kind ?? ''
   const isOther = (box.dataset.buttons ?? '') !== buttons, tone = `notice ${shown.some(need => DANGERS.includes(need.kind)) ? 'bad' : 'warn'}`
   if (box.dataset.first !== first) box.dataset.first = first
   if (box.className !== tone) box.className = tone

@@ -5,6 +5,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 use super::care::CareView;
+use super::start_time::local;
 use crate::api::{Glance, Need, Question};
 use crate::campaign::bench::estop::AxisStop;
 use crate::campaign::bench::interlock::{Trip, TripKind};
@@ -71,7 +72,10 @@ impl StatusView {
 
     /// Lines of `palpate status`: what a person must do, each with its command, and the night at a glance.
     pub fn answers(&self) -> Vec<String> {
-        let needs = self.needs.iter().map(|need| format!("needs    {}", need_words(need)));
+        let needs = self.needs.iter().map(|need| {
+            let since = need.since.map(|at| format!("since {}: ", local(at)));
+            format!("needs    {}{}", since.unwrap_or_default(), need_words(need))
+        });
         let glances = self
             .glance
             .iter()
