@@ -127,9 +127,11 @@ fn on_time(status: &Status, around: Around<'_>, facts: Facts<'_>) -> (Rating, St
     if run.eta.is_none() {
         return (Rating::Unknown, "The end is not known yet.".into());
     }
-    let Some((late_s, predicted_s)) = facts.late else {
-        return (Rating::Good, "It goes on.".into());
-    };
+    facts.late.map_or_else(|| (Rating::Good, "It goes on.".into()), lateness)
+}
+
+/// How late a run is that goes on: by how much, and what was predicted at its start, s.
+fn lateness((late_s, predicted_s): (f64, f64)) -> (Rating, String) {
     if late_s.abs() < AS_PREDICTED_S {
         return (Rating::Good, "As predicted at its start.".into());
     }
@@ -237,6 +239,18 @@ mod tests {
         let dropped = "No run is active. Run 3 does not begin by itself.";
         let found = words(Some("run 3 does not begin by itself"), None);
         assert_eq!(found, (Rating::Warn, dropped.to_owned()));
+    }
+
+    #[test]
+    fn a_run_is_late_beyond_a_tenth_of_what_was_predicted() {
+        let words = |late_s, predicted_s| lateness((late_s, predicted_s));
+        let good = |words: &str| (Rating::Good, words.to_owned());
+        assert_eq!(words(-59.0, 600.0), good("As predicted at its start."));
+        assert_eq!(words(299.0, 600.0), good("5 min later than predicted at its start."));
+        assert_eq!(words(-8000.0, 36e3), good("2 h 13 min earlier than predicted at its start."));
+        assert_eq!(words(3500.0, 36e3), good("58 min later than predicted at its start."));
+        assert_eq!(words(301.0, 600.0).0, Rating::Warn);
+        assert_eq!(words(3700.0, 36e3).0, Rating::Warn);
     }
 
     #[test]
