@@ -18,7 +18,7 @@ import { COLOURINGS, tourMap } from '../lib/tourmap.js'
 import { backlog } from '../lib/twinpool.js'
 import { watching } from '../lib/watching.js'
 import { welcome } from '../lib/welcome.js'
-import { PHASES, RIG, TONE, WAITS } from '../lib/words.js'
+import { PHASES, RIG, TONE } from '../lib/words.js'
 
 const QUESTIONS = [['safe', 'Is it safe?'], ['on_time', 'Is it on time?'], ['data', 'Are the data good?']]
 const MINUTES = [['1', '1 min'], ['', '2 min'], ['5', '5 min'], ['15', '15 min']]
@@ -30,14 +30,12 @@ const SAYS = {
   aborting: 'The tips are raised now; then it ends.', suspending: 'It was suspended: the tips are raised.',
     panicked: 'The tips could not be raised. Check the rig, then reset.',
 }
-const RESUMES = { operator: 'Resume continues with the next trial.', suspender: 'Resume continues if the cause is gone.',
-  trip: 'Clear the cause, reset, home, then resume.' }
+const WAITS = ['tips', 'weights', 'resume'] // Needs of a run.
 
 /** What a run does, as one sentence. */
-function stateWords(run) {
+function stateWords(run, needs) {
   if (run.state === 'running') return `It is ${PHASES[run.phase] ?? plain(run.phase)}.`
-  if (run.state === 'paused') return [run.paused_why && `It waits: ${WAITS[run.paused_why] ?? plain(run.paused_why)}.`,
-    run.waiting_for && `${capital(run.waiting_for)}.`, RESUMES[run.paused_why]].filter(Boolean).join(' ')
+  if (run.state === 'paused') return needs.find(need => WAITS.includes(need.kind))?.words ?? ''
   return SAYS[run.state] ?? ''
 }
 
@@ -110,7 +108,7 @@ export async function show(root, { query, signal, set }) {
     }
     tellStrip(status)
     watch.show(status.suspenders)
-    if (status.run) tellRun(status.run, fresh)
+    if (status.run) tellRun(status.run, status.needs, fresh)
     buttons.show(live)
     if (mode === 'welcome') hello.show(queue[0] ?? null)
     beginning.hidden = status.rig.state === 'disconnected' // Nothing comes yet.
@@ -128,11 +126,11 @@ export async function show(root, { query, signal, set }) {
     ])
   }
 
-  function tellRun(now, fresh) {
+  function tellRun(now, needs, fresh) {
     const requested = { paused: ', pause requested', idle: ', end requested' }[now.requested_state] ?? ''
     say(headline, `${plain(now.state)}${requested}`)
     headline.className = `state ${TONE[now.state] ?? ''}`
-    say(why, stateWords(now))
+    say(why, stateWords(now, needs))
     const index = now.current_step?.index ?? progress?.current, of = now.current_step?.of ?? tour?.steps.configuration.length
     const depth = now.trial && tour?.depths_mm[now.trial.depth_index]
     const thing = tour?.kind === 'real-random' ? 'Placement' : 'Configuration'
