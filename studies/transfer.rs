@@ -16,18 +16,24 @@ use crate::sheet::{OutputFile, Sheet};
 /// Columns: RMSE (V) / FVU (%) on the rows of the training, then on test trials of 1 to 6 contacts.
 const HEAD: [&str; 8] = ["trained on", "train", "I", "II", "III", "IV", "V", "VI"];
 
-/// The nets on 1, 1 to 2, .. 1 to 6 contacts of a dataset, in the order of the table; scored on the parts test and
-/// train.
+/// The regressions that the nets are compared with: recipe and name.
+const REGRESSIONS: [(&str, &str); 2] =
+    [("transfer-ridge", "ridge"), ("transfer-kernel-ridge", "kernel ridge")];
+
+/// The nets on 1, 1 to 2, .. 1 to 6 contacts of a dataset, in the order of the table, then the regressions on the rows
+/// of the last; scored on the parts test and train.
 pub fn table_iii_nets(budget: &Budget, dataset: &str) -> Vec<TableNet> {
-    let of = |published: &Rung| {
-        let most = published.trained_to;
+    let of = |recipe: &str, stem: &str, most: u32| {
         let conditions = vec![up_to(most)];
-        let training = budget.transfer(&format!("transfer-to-{most}"), dataset, &conditions);
+        let training =
+            budget.transfer_by(recipe, &format!("{stem}-to-{most}"), dataset, &conditions);
         let test = budget.request(Scored::Voltages, dataset, Some("test"));
         let train = EvaluationRequest { part: Some("train".into()), conditions, ..test.clone() };
         TableNet { training, scores: vec![test, train] }
     };
-    TABLE_III.iter().map(of).collect()
+    let nets = TABLE_III.iter().map(|rung| of(&budget.transfer, "transfer", rung.trained_to));
+    let most = TABLE_III[TABLE_III.len() - 1].trained_to;
+    nets.chain(REGRESSIONS.map(|(recipe, _)| of(recipe, recipe, most))).collect()
 }
 
 /// Trains Transfer-Nets on 1, 1 to 2, .. 1 to 6 contacts, and compares their voltages with
@@ -48,7 +54,10 @@ pub async fn table_iii<L: Lab>(lab: &L, budget: &Budget, dataset: &str) -> Resul
     if let Some(scores) = &plain.voltages {
         rows.push(row("no net", None, scores));
     }
-    for (published, net) in TABLE_III.iter().zip(table_iii_nets(budget, dataset)) {
+    let mut nets = table_iii_nets(budget, dataset);
+    let regressions = nets.split_off(TABLE_III.len());
+    let mut last = None;
+    for (published, net) in TABLE_III.iter().zip(nets) {
         let most = published.trained_to;
         let model = lab.train(&net.training).await?;
         let test = lab.score(&net.scores[0].of_net(&model)).await?;
@@ -63,9 +72,22 @@ pub async fn table_iii<L: Lab>(lab: &L, budget: &Budget, dataset: &str) -> Resul
         rows.push(paper);
         numbers.push(json!({ "trained_to": most, "model": model, "test": test.voltages,
             "train": train.voltages }));
+        last = test.voltages;
+    }
+    let (mut verdicts, mut compared) = (String::new(), Vec::new());
+    for ((_, name), net) in REGRESSIONS.into_iter().zip(regressions) {
+        let model = lab.train(&net.training).await?;
+        let test = lab.score(&net.scores[0].of_net(&model)).await?;
+        let train = lab.score(&net.scores[1].of_net(&model)).await?;
+        if let (Some(test), Some(train)) = (&test.voltages, &train.voltages) {
+            rows.push(row(&format!("{name}, 1 to 6"), Some(train), test));
+            verdicts += &last.as_ref().map_or(String::new(), |net| verdict(net, name, test));
+        }
+        compared.push(json!({ "name": name, "model": model, "test": test.voltages,
+            "train": train.voltages }));
     }
     let text = format!(
-        "# Table III: mean RMSE (V) / mean FVU (%) by the number of contacts\n\n{}\n{}\n",
+        "# Table III: mean RMSE (V) / mean FVU (%) by the number of contacts\n\n{}\n{verdicts}{}\n",
         markdown(&HEAD, &rows),
         budget.caption(&format!("{}, {dataset}, split by {split_by}", plain.label.as_str()))
     );
@@ -75,9 +97,17 @@ pub async fn table_iii<L: Lab>(lab: &L, budget: &Budget, dataset: &str) -> Resul
         panels(&heading(budget, &plain), "contacts of a test trial", "mean FVU (%)", &curves)
             .map_err(StudyError::from)?;
     let numbers = json!({ "table": "III", "scale": budget.scale.name(), "label": plain.label,
-        "dataset": plain.dataset, "no_net": plain.voltages, "rungs": numbers });
+        "dataset": plain.dataset, "no_net": plain.voltages, "rungs": numbers,
+        "regressions": compared });
     let figures = vec![OutputFile::new(format!("{name}.svg"), figure)];
     Ok(Sheet::new(&name, text, numbers, figures))
+}
+
+/// States whether the last net beats a regression on all test trials.
+fn verdict(net: &VoltageScores, name: &str, regression: &VoltageScores) -> String {
+    let [net, other] = [net, regression].map(|scores| 100.0 * scores.all.fvu);
+    let words = if net < other { "beats" } else { "does NOT beat" };
+    format!("The Transfer-Net of 1 to 6 contacts {words} {name}: FVU {net:.1} and {other:.1} %.\n")
 }
 
 fn heading(budget: &Budget, plain: &EvaluationReport) -> Heading {
@@ -128,24 +158,46 @@ fn row(name: &str, train: Option<&VoltageScores>, test: &VoltageScores) -> Vec<S
 mod tests {
     use super::*;
     use crate::budget::small;
+    use crate::lab::Training;
     use crate::lab::fake::{FakeLab, result};
 
     #[test]
-    fn six_nets_are_trained_and_scored_on_test_and_training_rows() {
+    fn six_nets_and_two_regressions_are_trained_and_scored_on_test_and_training_rows() {
         let lab = FakeLab::default();
         let sheet = result(table_iii(&lab, &small(), R2S)).unwrap();
         let trained = lab.trained.lock().unwrap();
         let conditions: Vec<&str> = trained.iter().map(|t| t.conditions[0].as_str()).collect();
-        assert_eq!(conditions.len(), 6);
+        assert_eq!(conditions.len(), 8);
         assert_eq!(
             (conditions[0], conditions[5]),
             ("contact_count__lte=1", "contact_count__lte=6")
         );
+        let recipes: Vec<&str> = trained[5..].iter().map(|t| t.recipe.as_str()).collect();
+        assert_eq!(recipes[1..], ["transfer-ridge", "transfer-kernel-ridge"]);
+        // The rows of the last net.
+        let same = |t: &Training| (t.dataset.clone(), t.conditions.clone(), t.rows, t.seed);
+        assert!(trained[6..].iter().all(|t| same(t) == same(&trained[5])), "{trained:?}");
+        assert_eq!(sheet.numbers["regressions"].as_array().unwrap().len(), 2);
         let scored = lab.scored.lock().unwrap();
-        assert_eq!(scored.len(), 13);
+        assert_eq!(scored.len(), 17);
         assert_eq!((&scored[0].transfer, scored[12].transfer.as_deref()), (&None, Some("mdl-6")));
         assert_eq!(scored[12].part.as_deref(), Some("train"));
         let names: Vec<&str> = sheet.files.iter().map(|file| file.name.as_str()).collect();
         assert_eq!(names[1..], ["table-iii.json", "table-iii.svg"]);
+    }
+
+    #[test]
+    fn a_net_that_does_not_beat_a_regression_says_so() {
+        let of = |fvu| VoltageScores::of(&[(1, 0.01, Some(fvu)), (2, 0.01, Some(fvu))]).unwrap();
+        let text = verdict(&of(0.1), "ridge", &of(0.2));
+        assert!(text.contains("beats ridge: FVU 10.0 and 20.0 %"), "{text}");
+        let text = verdict(&of(0.2), "kernel ridge", &of(0.2));
+        assert!(text.contains("does NOT beat kernel ridge"), "{text}");
+        let lab = FakeLab { scores: true, ..FakeLab::default() };
+        let text = result(table_iii(&lab, &small(), R2S)).unwrap().text;
+        assert!(
+            text.contains("| kernel ridge, 1 to 6 |") && text.contains("NOT beat ridge"),
+            "{text}"
+        );
     }
 }

@@ -25,9 +25,9 @@ pub enum Net {
     PointNet(PointNet),
     /// Measured voltages to a quantity.
     Mlp(Mlp),
-    /// Measured voltages to a quantity, linear.
+    /// Measured voltages to a quantity or to simulated ones, linear.
     Ridge(Ridge),
-    /// Measured voltages to a quantity, by their likeness to training rows.
+    /// Measured voltages to a quantity or to simulated ones, by their likeness to training rows.
     KernelRidge(KernelRidge),
 }
 

@@ -311,7 +311,7 @@ fn safe_end_words(end: &SafeEnd) -> String {
         Tips::NotRaised(why) => format!("TIPS NOT RAISED: {why}"),
     };
     let missing: Vec<&str> =
-        end.stops.iter().filter(|s| s.acknowledged_ms.is_none()).map(|s| s.axis.as_str()).collect();
+        end.stops.iter().filter(|s| !s.is_done()).map(|s| s.axis.as_str()).collect();
     let axes = match missing.is_empty() {
         true => "every axis stopped".into(),
         false => format!("NOT STOPPED: {}", missing.join(", ")),

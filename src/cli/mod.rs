@@ -206,7 +206,7 @@ pub enum Command {
     Calibrate(calibrate::CalibrateArgs),
     /// Simulate frames of contacts; nothing moves.
     Simulate(simulate::SimulateArgs),
-    /// Make Sim-Random in chunks on a cluster, in a folder that its nodes share; no server is needed.
+    /// Make Sim-Random, twins and nets in chunks on a cluster, in a folder that its nodes share.
     Cluster(cluster::ClusterArgs),
     /// Make chunks of bulk work on any machine, over PostgreSQL and an object store.
     ///

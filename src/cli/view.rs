@@ -138,10 +138,12 @@ impl RigView {
         self.forces_n.iter().copied().flatten().reduce(f64::max)
     }
 
-    /// Axes whose stop is not acknowledged, or that move after it, each with its cause.
+    /// Axes whose last stop is not acknowledged, or that move after it, each with its cause: of the latched e-stop,
+    /// otherwise of the last safe end.
     pub fn not_stopped(&self) -> Vec<String> {
-        let is_missing = |s: &&AxisStop| s.acknowledged_ms.is_none() || s.error.is_some();
-        let missing = self.estop_stops.iter().filter(is_missing);
+        let of_safe_end = self.safe_end.iter().flat_map(|end| &end.stops);
+        let of_safe_end = of_safe_end.filter(|_| self.estop_stops.is_empty());
+        let missing = self.estop_stops.iter().chain(of_safe_end).filter(|s| !s.is_done());
         missing
             .map(|s| format!("{} ({})", s.axis, s.error.as_deref().unwrap_or("no answer yet")))
             .collect()

@@ -12,7 +12,7 @@
 //!   are read and written by `cli`.
 //! - `chunk` divides bulk work into parts that any process makes, on any machine, each under a key of its contents.
 //! - `simulate` returns the frame of given contacts with the calibrated sensor, one trial or many; `random`
-//!   writes Sim-Random as a folder of Parquet files.
+//!   writes Sim-Random as a folder of Parquet files, `twins` makes the twins of stored trials.
 //! - `overlay` draws the points of a skin as a PDF, from which a person places weights.
 //!
 //! The physics is in sim-core; this chapter supplies its data and names the results. `data` and `touch` read the

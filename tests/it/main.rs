@@ -35,4 +35,5 @@ mod simulate;
 mod store_durability;
 mod streams;
 mod support;
+mod twin_chunks;
 mod workers;

@@ -121,4 +121,5 @@ def main():
               f"  ours/torch {m['ours'] / m['torch']:.2f}  ours/fused {m['ours'] / m['fused']:.2f}", flush=True)
 
 
-main()
+if __name__ == "__main__":
+    main()

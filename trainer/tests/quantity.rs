@@ -1,4 +1,4 @@
-//! Nets that answer a quantity: regressions in closed form, and perceptrons.
+//! Regressions in closed form, of a quantity or of a frame, and perceptrons.
 
 use nets::compute::Compute;
 use nets::error::SamplesError;
@@ -122,6 +122,21 @@ fn kernel_ridge_regression_finds_what_is_not_linear_and_ridge_does_not() {
         error(&trained, &other)
     });
     assert!(errors[0] > 0.4 * constant && errors[1] < 0.2 * errors[0], "{errors:?} N");
+}
+
+#[test]
+fn regressions_answer_frames() {
+    let mixed = |frame: &[f32]| -> Vec<f32> {
+        (0..CHANNELS).map(|c| 2.0 * frame[c] + frame[(c + 1) % CHANNELS]).collect()
+    };
+    let (learn, other) = (rows(300, 1, mixed), rows(50, 2, mixed));
+    let spread_v = 0.03 * (5.0f64 / 3.0).sqrt();
+    for (kind, most) in [("ridge", 1e-3), ("kernel-ridge", 0.2)] {
+        let net = format!("[net]\nkind = '{kind}'\nanswers = 'frame'\n");
+        let trained = trained(&net, &learn, &other, &mut Watch::default());
+        assert_eq!(trained.network.output, [CHANNELS]);
+        assert!(error(&trained, &other) < most * spread_v, "{kind}: {} V", error(&trained, &other));
+    }
 }
 
 #[test]

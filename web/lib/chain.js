@@ -2,7 +2,7 @@
 
 import { el, fill, say } from './dom.js'
 import { NONE, about, count, counted, fixed, moment, percent, span } from './format.js'
-import { notStopped } from './words.js'
+import { lastStops, notStopped } from './words.js'
 
 const BAD = [['timeouts', 'reply did not arrive in time', 'replies did not arrive in time'], ['garbled', 'reply was damaged', 'replies were damaged'],
   ['reconnects', 'reopening', 'reopenings'], ['retries', 'repeated request', 'repeated requests']]
@@ -52,10 +52,9 @@ export function stoppingWords(stopping) {
       ['Measured', measured_ms == null ? 'never yet' : `${measured} in ${counted(stops, 'stop')}`]] }
 }
 
-/** Latency of the last stop that every axis acknowledged. */
+/** The last stop: which axes it has not stopped, or how soon each acknowledged it. */
 export function stopWords(rig) {
-  const moving = notStopped(rig)
-  const last = rig.estop_stops.length ? rig.estop_stops : rig.safe_end?.stops ?? []
+  const last = lastStops(rig), moving = notStopped(rig)
   const slowest = last.length && last.every(stop => stop.acknowledged_ms != null) ? Math.max(...last.map(stop => stop.acknowledged_ms)) : null
   const words = moving.length ? `NOT STOPPED: ${moving.join(', ')}. Use the button on the rig.` : slowest == null
     ? 'No stop has been sent since the wires were opened.' : `Every axis acknowledged the last stop within ${fixed(slowest, 2, 'ms')}.`

@@ -20,6 +20,9 @@ export const RIG = { disconnected: 'The wires are closed.', disarmed: 'Connected
 /** Class that colours an event, by its importance. */
 export const LOUD = { act: 'bad', look: 'warn' }
 
-/** Axes that a latched e-stop has not stopped, each with its cause: without an acknowledgement, or in motion after it. */
-export const notStopped = rig => rig.estop_stops.filter(stop => stop.acknowledged_ms == null || stop.error != null)
+/** The last stops of the axes: of the latched e-stop, otherwise of the last safe end. */
+export const lastStops = rig => rig.estop_stops.length ? rig.estop_stops : rig.safe_end?.stops ?? []
+
+/** Axes that the last stops have not stopped, each with its cause: without an acknowledgement, or in motion after it. */
+export const notStopped = rig => lastStops(rig).filter(stop => stop.acknowledged_ms == null || stop.error != null)
   .map(stop => `${stop.axis} (${stop.error ?? 'no answer yet'})`)

@@ -15,7 +15,7 @@ pub const ORDER_FILE: &str = "order.json";
 pub const CHUNKS_MAX: u64 = 100_000;
 
 /// Endings of the files with the bytes of chunks, by kind, as the program names them.
-const ENDINGS: [(&str, &str); 1] = [("trainings", "net")];
+const ENDINGS: [(&str, &str); 2] = [("readings", "jsonl"), ("trainings", "net")];
 /// Ending for all other kinds.
 const COMMON_ENDING: &str = "parquet";
 

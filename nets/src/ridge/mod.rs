@@ -1,5 +1,5 @@
-//! Ridge regression and kernel ridge regression from measured voltages to a quantity: fitted in closed
-//! form, and what every net must be compared with. Channels are standardised, or robust; the penalty, and the
+//! Ridge regression and kernel ridge regression from measured voltages to a quantity or to simulated ones: fitted in
+//! closed form, and what every net must be compared with. Channels are standardised, or robust; the penalty, and the
 //! width of the kernel, are those of the least error on the validation rows.
 //! PURE. Uses: the shared parts. Never: data, a fit (`closed_form` computes it).
 //!
@@ -20,12 +20,41 @@ use crate::statistics::Statistics;
 /// Threshold of a pattern's targets, 0 and 1.
 const HALF: f32 = 0.5;
 
+/// What a regression answers.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Regressed {
+    /// Position of the one contact.
+    Position,
+    /// Which of the known places are pressed.
+    Pattern,
+    /// Number of contacts.
+    Count,
+    /// Sum of the contacts' forces.
+    Force,
+    /// The simulated frame, as a Transfer-Net.
+    Frame,
+}
+
+impl Regressed {
+    fn answer(self) -> Answer {
+        let quantity = match self {
+            Self::Frame => return Answer::Frame,
+            Self::Position => Quantity::Position,
+            Self::Pattern => Quantity::Pattern,
+            Self::Count => Quantity::Count,
+            Self::Force => Quantity::Force,
+        };
+        Answer::Quantity(quantity)
+    }
+}
+
 /// Parameters of a ridge regression.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Ridge {
-    /// Quantity that it answers.
-    pub answers: Quantity,
+    /// What it answers: a quantity, or a frame.
+    pub answers: Regressed,
     /// Normalisation of frames: standardised or robust.
     pub input: Input,
 }
@@ -34,8 +63,8 @@ pub struct Ridge {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct KernelRidge {
-    /// Quantity that it answers.
-    pub answers: Quantity,
+    /// What it answers: a quantity, or a frame.
+    pub answers: Regressed,
     /// Normalisation of frames: standardised or robust.
     pub input: Input,
     /// Largest number of training rows that are centres of the kernel, taken evenly. Time grows with its
@@ -45,13 +74,13 @@ pub struct KernelRidge {
 
 impl Default for Ridge {
     fn default() -> Self {
-        Self { answers: Quantity::Force, input: Input::Standardised }
+        Self { answers: Regressed::Force, input: Input::Standardised }
     }
 }
 
 impl Default for KernelRidge {
     fn default() -> Self {
-        Self { answers: Quantity::Force, input: Input::Standardised, centres: 4000 }
+        Self { answers: Regressed::Force, input: Input::Standardised, centres: 4000 }
     }
 }
 
@@ -63,7 +92,7 @@ fn check_input(input: Input) -> Result<(), RecipeError> {
 
 /// The layers around a regression: `middle` maps scaled frames to standardised targets.
 fn network(
-    (answers, input): (Quantity, Input),
+    (answers, input): (Regressed, Input),
     statistics: &Statistics,
     target: usize,
     middle: impl IntoIterator<Item = Layer>,
@@ -71,7 +100,7 @@ fn network(
     let mut layers = input.layers(statistics);
     layers.extend(middle);
     // A pattern's answer is above zero where a place is pressed.
-    let shift = if answers == Quantity::Pattern { -HALF } else { 0.0 };
+    let shift = if answers == Regressed::Pattern { -HALF } else { 0.0 };
     layers.push(statistics.in_units_of_targets(shift));
     let inputs = statistics.mean.len();
     Network { inputs, output: vec![target], layers, form: Form::Plain }
@@ -87,7 +116,7 @@ impl Architecture for Ridge {
     }
 
     fn answer(&self) -> Answer {
-        Answer::Quantity(self.answers)
+        self.answers.answer()
     }
 
     fn check(&self) -> Result<(), RecipeError> {
@@ -114,7 +143,7 @@ impl Architecture for KernelRidge {
     }
 
     fn answer(&self) -> Answer {
-        Answer::Quantity(self.answers)
+        self.answers.answer()
     }
 
     fn check(&self) -> Result<(), RecipeError> {

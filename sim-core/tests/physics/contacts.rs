@@ -67,7 +67,8 @@ fn known_contacts_come_back_from_a_rough_start_and_from_none() {
     let options = FitOptions { tolerance: 1e-6, iterations: 60, ..FitOptions::default() };
     let fitter = ContactFitter::new(model(), &error, options).unwrap();
     let frame_v = frame(&three());
-    let observation = Observation { frame_v: &frame_v, frames: 1.0, offset_sd_v: 0.0 };
+    let observation =
+        Observation { frame_v: &frame_v, frames: 1.0, offset_sd_v: 0.0, offset_spectrum: &[] };
     let mut work = FitWork::default();
     let rough = three().map(|c| Contact {
         x_mm: c.x_mm + 9.0,
@@ -97,7 +98,12 @@ fn standard_deviations_are_those_of_repeated_frames() {
         let frame_v = measured(&load, 30.0, &mut rng);
         let fit = fitter()
             .refine(
-                &Observation { frame_v: &frame_v, frames: 30.0, offset_sd_v: 0.0 },
+                &Observation {
+                    frame_v: &frame_v,
+                    frames: 30.0,
+                    offset_sd_v: 0.0,
+                    offset_spectrum: &[],
+                },
                 &load,
                 &mut work,
             )
@@ -125,7 +131,7 @@ fn an_untouched_skin_has_no_contacts() {
         for _ in 0..10 {
             let frame_v = measured(&[], frames, &mut rng);
             let fit = fitter().fit(
-                &Observation { frame_v: &frame_v, frames, offset_sd_v: 0.0 },
+                &Observation { frame_v: &frame_v, frames, offset_sd_v: 0.0, offset_spectrum: &[] },
                 &[],
                 &mut work,
             );
@@ -143,7 +149,8 @@ fn the_number_of_contacts_follows_from_the_evidence() {
     let loads = [vec![press(300, 8.0)], pair.to_vec(), three().to_vec()];
     for load in loads {
         let frame_v = measured(&load, 30.0, &mut rng);
-        let observation = Observation { frame_v: &frame_v, frames: 30.0, offset_sd_v: 0.0 };
+        let observation =
+            Observation { frame_v: &frame_v, frames: 30.0, offset_sd_v: 0.0, offset_spectrum: &[] };
         let fit = fitter().fit(&observation, &[], &mut work).unwrap();
         assert_eq!(fit.contacts.len(), load.len(), "{load:?} {fit:?}");
         for truth in &load {
@@ -167,7 +174,8 @@ fn frames_that_do_not_decide_have_several_explanations() {
         let one = Contact { x_mm: 210.0, y_mm: 290.0, force_n: 8.0 };
         let load = [one, Contact { x_mm: one.x_mm + apart_mm, ..one }];
         let frame_v = measured(&load, 1.0, &mut rng);
-        let observation = Observation { frame_v: &frame_v, frames: 1.0, offset_sd_v: 0.0 };
+        let observation =
+            Observation { frame_v: &frame_v, frames: 1.0, offset_sd_v: 0.0, offset_spectrum: &[] };
         let fit = fitter().fit(&observation, &[], &mut work).unwrap();
         let shares: Vec<f64> = fit.alternatives.iter().map(|e| e.probability).collect();
         let answer = fit.probability.unwrap();
@@ -190,7 +198,8 @@ fn frames_that_do_not_decide_have_several_explanations() {
     }
     assert!(ambiguous > 0 && follows > 0, "{ambiguous} and {follows} of {steps} frames");
     let clear = measured(&[press(300, 20.0)], 30.0, &mut rng);
-    let observation = Observation { frame_v: &clear, frames: 30.0, offset_sd_v: 0.0 };
+    let observation =
+        Observation { frame_v: &clear, frames: 30.0, offset_sd_v: 0.0, offset_spectrum: &[] };
     let fit = fitter().fit(&observation, &[], &mut work).unwrap();
     assert!(fit.probability > Some(0.5), "{fit:?}");
     assert_eq!(fitter().refine(&observation, &[], &mut work).unwrap().probability, None);
@@ -202,7 +211,8 @@ fn a_moved_load_is_followed_and_a_new_one_is_searched() {
     let mut work = FitWork::default();
     let fit_of = |load: &[Contact], before: Option<&Fit>, rng: &mut _, work: &mut _| {
         let frame_v = measured(load, 30.0, rng);
-        let observation = Observation { frame_v: &frame_v, frames: 30.0, offset_sd_v: 0.0 };
+        let observation =
+            Observation { frame_v: &frame_v, frames: 30.0, offset_sd_v: 0.0, offset_spectrum: &[] };
         match before {
             None => fitter().fit(&observation, &[], work).unwrap(),
             Some(before) => fitter().track(&observation, before, work).unwrap(),
@@ -233,7 +243,12 @@ fn a_still_load_is_looked_at_again_as_its_frames_add_up() {
     for n in 1..=30 {
         let frame_v = measured(&load, 1.0, &mut rng);
         mean_v.iter_mut().zip(&frame_v).for_each(|(m, v)| *m += (v - *m) / f64::from(n));
-        let observation = Observation { frame_v: &mean_v, frames: f64::from(n), offset_sd_v: 0.0 };
+        let observation = Observation {
+            frame_v: &mean_v,
+            frames: f64::from(n),
+            offset_sd_v: 0.0,
+            offset_spectrum: &[],
+        };
         let fit = match fits.last() {
             None => fitter().fit(&observation, &[], &mut work).unwrap(),
             Some(before) => fitter().track(&observation, before, &mut work).unwrap(),
@@ -246,7 +261,8 @@ fn a_still_load_is_looked_at_again_as_its_frames_add_up() {
     // Contacts too weak for one frame are found, and no search runs at every frame.
     assert_eq!((fits[0].contacts.len(), fits[29].contacts.len()), (3, 4), "{:?}", fits[29]);
     assert!(searches.len() <= 4 && searches.contains(&25), "{searches:?}");
-    let observation = Observation { frame_v: &mean_v, frames: 30.0, offset_sd_v: 0.0 };
+    let observation =
+        Observation { frame_v: &mean_v, frames: 30.0, offset_sd_v: 0.0, offset_spectrum: &[] };
     let searched = fitter().fit(&observation, &[], &mut work).unwrap();
     for (tracked, found) in fits[29].contacts.iter().zip(&searched.contacts) {
         assert!(distance_mm(&tracked.contact, &found.contact) < 0.2 * found.x_sd_mm);
@@ -257,7 +273,11 @@ fn a_still_load_is_looked_at_again_as_its_frames_add_up() {
 fn bad_frames_and_settings_are_refused_by_name() {
     let mut work = FitWork::default();
     let mut fit = |frame_v: &[f64], frames: f64| {
-        fitter().fit(&Observation { frame_v, frames, offset_sd_v: 0.0 }, &[], &mut work)
+        fitter().fit(
+            &Observation { frame_v, frames, offset_sd_v: 0.0, offset_spectrum: &[] },
+            &[],
+            &mut work,
+        )
     };
     let mut frame_v = frame(&three());
     let short = fit(&frame_v[1..], 1.0);
@@ -267,7 +287,8 @@ fn bad_frames_and_settings_are_refused_by_name() {
     assert_eq!(fit(&frame_v, 1.0), Err(FitError::NotFinite { channel: 77 }));
     let off = Contact { x_mm: -1.0, y_mm: 100.0, force_n: 5.0 };
     let sound = frame(&[]);
-    let observation = Observation { frame_v: &sound, frames: 1.0, offset_sd_v: 0.0 };
+    let observation =
+        Observation { frame_v: &sound, frames: 1.0, offset_sd_v: 0.0, offset_spectrum: &[] };
     let proposals = [Proposal { contact: off, weight: 1.0 }];
     let refused = fitter().fit(&observation, &proposals, &mut work);
     assert!(matches!(refused, Err(FitError::Contact(_))), "{refused:?}");
@@ -288,9 +309,15 @@ fn offsets_move_light_contacts_and_standard_deviations_state_it() {
     let load = [press(330, 8.0)];
     let mut rng = ChaCha8Rng::seed_from_u64(11);
     let mut work = FitWork::default();
-    let (draws, drift_v) = (30, 3e-4);
-    // Mean squared error of a position, in variances: offsets unknown to the fit, and known.
-    let mut squares = [0.0; 2];
+    let (draws, drift_v, none) = (30, 3e-4, Vec::new());
+    // Differences of neighbours have little of the waves around the electrodes that turn slowly.
+    let of_buffers: Vec<f64> = (0..=14)
+        .map(|turns| 1.0 - (std::f64::consts::TAU * f64::from(turns) / 28.0).cos())
+        .collect();
+    let known = [(0.0, &none), (drift_v, &none), (drift_v, &of_buffers)];
+    // Mean squared error of a position, in variances and in mm^2: offsets unknown to the fit, those of which
+    // only the size is known, and those that are known to be differences of buffers.
+    let (mut squares, mut squares_mm2) = ([0.0; 3], [0.0; 3]);
     for _ in 0..draws {
         let buffers_v: Vec<f64> =
             (0..28).map(|_| drift_v / 2f64.sqrt() * normal(&mut rng)).collect();
@@ -298,20 +325,70 @@ fn offsets_move_light_contacts_and_standard_deviations_state_it() {
         for (i, v) in frame_v.iter_mut().enumerate() {
             *v += buffers_v[i % 28] - buffers_v[(i + 1) % 28];
         }
-        for (square, offset_sd_v) in squares.iter_mut().zip([0.0, drift_v]) {
-            let observation = Observation { frame_v: &frame_v, frames: 30.0, offset_sd_v };
+        for (case, (offset_sd_v, offset_spectrum)) in known.into_iter().enumerate() {
+            let observation =
+                Observation { frame_v: &frame_v, frames: 30.0, offset_sd_v, offset_spectrum };
             let fit = fitter().refine(&observation, &load, &mut work).unwrap();
             let found = nearest(&fit, &load[0]);
-            *square += ((found.contact.x_mm - load[0].x_mm) / found.x_sd_mm).powi(2) / 2.0;
-            *square += ((found.contact.y_mm - load[0].y_mm) / found.y_sd_mm).powi(2) / 2.0;
+            squares[case] += ((found.contact.x_mm - load[0].x_mm) / found.x_sd_mm).powi(2) / 2.0;
+            squares[case] += ((found.contact.y_mm - load[0].y_mm) / found.y_sd_mm).powi(2) / 2.0;
+            squares_mm2[case] += distance_mm(&found.contact, &load[0]).powi(2);
+            assert!(found.by_model.iter().all(|share| *share < 1e-9), "noise alone: {found:?}");
         }
     }
-    let [unknown, known] = squares.map(|square| square / f64::from(draws));
-    println!("offsets of {drift_v} V: {unknown:.1} variances if unknown, {known:.2} if known");
-    assert!(unknown > 4.0 && (0.2..2.5).contains(&known), "{unknown} {known}");
-    let observation = Observation { frame_v: &frame(&load), frames: 1.0, offset_sd_v: -1.0 };
-    let refused = fitter().fit(&observation, &[], &mut work);
+    let [unknown, size, buffers] = squares.map(|square| square / f64::from(draws));
+    let rms_mm = squares_mm2.map(|square| (square / f64::from(draws)).sqrt());
+    println!(
+        "offsets of {drift_v} V: {unknown:.1} variances if unknown, {size:.2} if their size is known,"
+    );
+    println!("{buffers:.2} if they are known as differences of buffers; {rms_mm:.1?} mm");
+    assert!(unknown > 4.0, "{unknown}");
+    assert!((0.2..2.5).contains(&size) && (0.2..2.5).contains(&buffers), "{size} {buffers}");
+    assert!(rms_mm[2] < 0.8 * rms_mm[1], "{rms_mm:?}");
+    let frame_v = &frame(&load);
+    let refuse = |offset_sd_v, offset_spectrum: &[f64]| {
+        let observation = Observation { frame_v, frames: 1.0, offset_sd_v, offset_spectrum };
+        fitter().fit(&observation, &[], &mut FitWork::default())
+    };
+    let refused = refuse(-1.0, &[]);
     assert!(matches!(refused, Err(FitError::Offset { .. })));
+    let wrong = Err(FitError::Spectrum { found: 2, needed: 15 });
+    assert_eq!(refuse(drift_v, &[1.0, 1.0]), wrong);
+    assert!(matches!(refuse(drift_v, &[f64::NAN; 15]), Err(FitError::Spectrum { .. })));
+}
+
+#[test]
+fn the_search_finds_what_a_descent_from_the_truth_finds() {
+    let mut rng = ChaCha8Rng::seed_from_u64(13);
+    let mut work = FitWork::default();
+    let (frames, mut missed) = (30, 0);
+    for index in 0..frames {
+        let mut load: Vec<Contact> = Vec::new();
+        while load.len() < 2 + index % 3 {
+            let mut at = |low: f64, high: f64| low + (high - low) * rng.random::<f64>();
+            let (x_mm, y_mm) = (at(40.0, 500.0), at(40.0, 520.0));
+            let next = Contact { x_mm, y_mm, force_n: at(5.0, 10.0) };
+            if load.iter().all(|known| distance_mm(known, &next) > 60.0) {
+                load.push(next);
+            }
+        }
+        let frame_v = measured(&load, 30.0, &mut rng);
+        let observation = Observation {
+            frame_v: &frame_v,
+            frames: 30.0,
+            offset_sd_v: 1e-4,
+            offset_spectrum: &[],
+        };
+        let searched = fitter().fit(&observation, &[], &mut work).unwrap();
+        let from_truth = fitter().refine(&observation, &load, &mut work).unwrap();
+        let apart = |a: &FittedContact, b: &FittedContact| distance_mm(&a.contact, &b.contact);
+        let found = &from_truth.contacts;
+        let collapsed =
+            (1..found.len()).any(|i| (0..i).any(|j| apart(&found[i], &found[j]) < 20.0));
+        missed += usize::from(!collapsed && searched.score > from_truth.score + 1.0);
+    }
+    println!("a better optimum was missed in {missed} of {frames} frames");
+    assert!(missed <= frames / 6, "{missed} of {frames} frames");
 }
 
 #[test]

@@ -7,6 +7,7 @@
 //! ```text
 //! latch (memory) -> stop x, y, radial  |  stop z -> raise z      each axis independently
 //!                          \           /
+//!                     read each until it stands
 //!                        publish and record the result
 //! ```
 //! After an e-stop nothing moves until a person releases it, and the tips stay where they are.
@@ -17,7 +18,7 @@ use futures::future::join_all;
 use serde_json::json;
 use tokio::time::Instant;
 
-use crate::campaign::bench::estop::AxisStop;
+use crate::campaign::bench::estop::{AxisStop, stands};
 use crate::campaign::bench::interlock::{Trip, TripKind};
 use crate::campaign::bench::stage::{Height, Raised, Stage};
 use crate::campaign::run::control::Control;
@@ -43,7 +44,7 @@ pub async fn make_safe(
     // A good result of an earlier safe end no longer applies. The warning of a bad one stays until a
     // better result replaces it.
     control.show(|status| {
-        status.rig.safe_end.take_if(|end| end.is_safe() && end.is_acknowledged());
+        status.rig.safe_end.take_if(|end| end.is_safe() && end.is_stopped());
     });
     if let Some(trip) = trip {
         control.latch(trip);
@@ -63,6 +64,12 @@ pub async fn make_safe(
     let travelled_mm =
         sampled.and_then(|s| s.z_mm).zip(deepest_mm).map(|(from, to)| (to - from).max(0.0));
     stops.push(z_stop);
+    // An e-stop reads the axes by itself, and stops them again.
+    if control.estop.pressed().is_none() {
+        let axes = [&bench.x, &bench.y, &bench.radial, &bench.z];
+        let reads = axes.into_iter().zip(&mut stops);
+        join_all(reads.map(|(axis, stop)| read_until_it_stands(axis.as_ref(), stop, began))).await;
+    }
     let end = SafeEnd {
         stops,
         tips,
@@ -147,5 +154,16 @@ async fn stop(axis: &dyn Axis, began: Instant) -> AxisStop {
         acknowledged_ms: outcome.is_ok().then(|| began.elapsed().as_secs_f64() * 1e3),
         error: outcome.err().map(|e| e.to_string()),
         ..AxisStop::of(axis.name())
+    }
+}
+
+/// Reads an axis that has acknowledged its stop: one that moves after it is not stopped.
+async fn read_until_it_stands(axis: &dyn Axis, stop: &mut AxisStop, began: Instant) {
+    if stop.acknowledged_ms.is_none() {
+        return;
+    }
+    match stands(axis).await {
+        Ok(()) => stop.stood(began.elapsed().as_secs_f64() * 1e3),
+        Err(words) => stop.error = Some(words),
     }
 }

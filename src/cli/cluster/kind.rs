@@ -1,6 +1,6 @@
 //! The kinds of chunks, and what makes and gathers those of each. For a further kind: a variant, and a line in each
 //! function; its definition and number of chunks are in a `WorkOrder` that its chapter makes.
-//! Uses: `chunk`, `simulate::random::chunks`, `jobs::chunks`. Never: a file of a chunk.
+//! Uses: `chunk`, `simulate::{random, twins}::chunks`, `jobs::chunks`. Never: a file of a chunk.
 
 use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
@@ -12,9 +12,11 @@ use crate::chunk::order::{ChunkRow, ORDER_FILE};
 use crate::cli::error::CliError;
 use crate::cli::simulate::solved;
 use crate::jobs::chunks::{self as trainings, TRAININGS, TrainingChunks, TrainingsOrder};
+use crate::jobs::readings::chunks::{READINGS, ReadingChunks, ReadingsOrder};
 use crate::problem::Problem;
 use crate::simulate::random::chunks::{self, RandomChunks, RandomOrder};
 use crate::simulate::random::manifest::SIM_RANDOM;
+use crate::simulate::twins::chunks::{TWINS, TwinChunks, TwinsOrder};
 
 /// What the chunks of a work order contain.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -23,6 +25,10 @@ pub enum ChunkKind {
     SimRandom,
     /// A net of a table, with its scores.
     Trainings,
+    /// Twins of consecutive trials of a run.
+    Twins,
+    /// Answers of `exact` to frames of an evaluation.
+    Readings,
 }
 
 /// Resources that make chunks: they do not change a byte.
@@ -52,8 +58,11 @@ impl ChunkKind {
         match folder.order().kind.as_str() {
             SIM_RANDOM => Ok(Self::SimRandom),
             TRAININGS => Ok(Self::Trainings),
+            TWINS => Ok(Self::Twins),
+            READINGS => Ok(Self::Readings),
             other => {
-                let limit = format!("this program makes {SIM_RANDOM} and {TRAININGS}");
+                let limit =
+                    format!("this program makes {SIM_RANDOM}, {TRAININGS}, {TWINS} and {READINGS}");
                 Err(refused(folder)(Problem::new(ORDER_FILE, "kind", other, limit)))
             }
         }
@@ -81,6 +90,18 @@ impl ChunkKind {
                 let made = TrainingChunks::new(order, folder.path(), &means.data);
                 Ok(Box::new(made.map_err(refused(folder))?))
             }
+            Self::Twins => {
+                let order = twins_order(folder)?;
+                let model = solved(&order.sensor, &means.data.join("cache"))?;
+                let made = TwinChunks::new(order, model, means.threads);
+                Ok(Box::new(made.map_err(refused(folder))?))
+            }
+            Self::Readings => {
+                let order = readings_order(folder)?;
+                let model = solved(&order.sensor, &means.data.join("cache"))?;
+                let made = ReadingChunks::new(order, &model, means.threads);
+                Ok(Box::new(made.map_err(refused(folder))?))
+            }
         }
     }
 
@@ -88,7 +109,8 @@ impl ChunkKind {
     ///
     /// # Errors
     /// `ChunkError::Incomplete` if chunks are damaged: the others were written; another `ChunkError` or
-    /// `CliError::SimRandom` if a file cannot be read or written, or `out` contains something else.
+    /// `CliError::SimRandom` if a file cannot be read or written, or `out` contains something else; `Problems` for
+    /// twins and readings, which a service takes.
     pub fn gather(
         self,
         folder: &OrderFolder,
@@ -113,12 +135,35 @@ impl ChunkKind {
                 all_whole(folder, gathered.damaged)?;
                 Ok(Gathered { rows: gathered.nets, bytes: gathered.bytes })
             }
+            Self::Twins | Self::Readings => {
+                let limit = "must be absent: the service takes these chunks";
+                Err(CliError::argument("out", out.display(), limit))
+            }
         }
     }
 }
 
-/// The error of a folder with damaged chunks, if there are any.
-fn all_whole(folder: &OrderFolder, damaged: Vec<u64>) -> Result<(), ChunkError> {
+/// Reads a work order of twins.
+///
+/// # Errors
+/// `ChunkError::Order` with the first value that is wrong.
+pub fn twins_order(folder: &OrderFolder) -> Result<TwinsOrder, CliError> {
+    TwinsOrder::read(folder.order()).map_err(refused(folder))
+}
+
+/// Reads a work order of readings.
+///
+/// # Errors
+/// `ChunkError::Order` with the first value that is wrong.
+pub fn readings_order(folder: &OrderFolder) -> Result<ReadingsOrder, CliError> {
+    ReadingsOrder::read(folder.order()).map_err(refused(folder))
+}
+
+/// Checks that no chunk of a folder is damaged.
+///
+/// # Errors
+/// `ChunkError::Incomplete` if there are any.
+pub fn all_whole(folder: &OrderFolder, damaged: Vec<u64>) -> Result<(), ChunkError> {
     if damaged.is_empty() {
         return Ok(());
     }

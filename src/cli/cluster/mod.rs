@@ -1,6 +1,7 @@
 //! `palpate cluster`: bulk work in chunks, in a folder that several machines share.
 //! Uses: `chunk`, the kinds of chunks. Never: Slurm itself (it starts this program); the service and the network, except
-//! for what a work order of a table needs (`table`).
+//! for what a work order of a table needs (`table`), for the trials and the twins of a run (`twins`), and for the frames
+//! and the scores of an evaluation (`evaluation`).
 
 use std::process::ExitCode;
 
@@ -8,6 +9,7 @@ use clap::{Args, Subcommand};
 
 use super::error::CliError;
 
+mod evaluation;
 mod gather;
 mod job;
 mod kind;
@@ -16,6 +18,7 @@ mod make;
 mod sbatch;
 mod status;
 mod table;
+mod twins;
 
 /// Options of `cluster`.
 #[derive(Debug, Clone, Args)]
@@ -43,8 +46,9 @@ pub enum ClusterCommand {
     /// Verify all chunks, and write them as one process would have.
     ///
     /// The folder of Sim-Random has the same files, byte for byte, as if `palpate simulate random` had
-    /// made it; that of trainings has a folder for each net, for `palpate evaluate .. --trained`. Exit code
-    /// 1 if a chunk is missing or damaged: each is named.
+    /// made it; that of trainings has a folder for each net, for `palpate evaluate .. --trained`. Twins are
+    /// sent to the service with their run, which compares and stores them. Exit code 1 if a chunk is missing
+    /// or damaged: each is named.
     Gather(gather::GatherArgs),
 }
 
@@ -57,6 +61,6 @@ pub async fn cluster(args: ClusterArgs) -> Result<ExitCode, CliError> {
         ClusterCommand::Sbatch(args) => sbatch::sbatch(&args).await.map(|()| ExitCode::SUCCESS),
         ClusterCommand::Make(args) => make::make(args).await,
         ClusterCommand::Status(args) => status::status(&args).map(|()| ExitCode::SUCCESS),
-        ClusterCommand::Gather(args) => gather::gather(&args).map(|()| ExitCode::SUCCESS),
+        ClusterCommand::Gather(args) => gather::gather(&args).await.map(|()| ExitCode::SUCCESS),
     }
 }

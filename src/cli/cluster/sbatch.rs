@@ -1,5 +1,5 @@
 //! `palpate cluster sbatch`: a work order and its array job, as files.
-//! Uses: `chunk`, `job`, `table`. Never: Slurm, a chunk.
+//! Uses: `chunk`, `job`, `table`, `twins`, `evaluation`. Never: Slurm, a chunk.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -7,8 +7,10 @@ use std::path::{Path, PathBuf};
 use clap::{Args, Subcommand};
 use serde_json::json;
 
+use super::evaluation::ReadingsRequest;
 use super::job::{JOB_FILE, JOB_LOGS, Job, is_plain, is_time};
 use super::table::TableRequest;
+use super::twins::TwinsRequest;
 use crate::chunk::folder::OrderFolder;
 use crate::cli::data_or_default;
 use crate::cli::error::CliError;
@@ -45,6 +47,17 @@ pub enum SbatchCommand {
     /// processor and the commit of the program determine them, too. A net trains on one thread.
     /// `palpate evaluate .. --trained` makes the table of the gathered nets.
     Table(SbatchTableArgs),
+    /// Order the twins of a run; a chunk has the frames of consecutive trials.
+    ///
+    /// The order contains the skin and the contacts of all trials that are stored, so that nodes need
+    /// neither the database nor the rig. `palpate cluster gather` has the service store the twins.
+    Twins(SbatchTwinsArgs),
+    /// Order the answers of exact to the frames of an evaluation; a chunk has those to some frames.
+    ///
+    /// The options are those of `palpate evaluate method`. The order contains the frames, the skin and the
+    /// errors of its model. `palpate cluster gather` has the service score the answers, and
+    /// `palpate evaluate method exact --trained` shows the scores.
+    Evaluation(Box<SbatchEvaluationArgs>),
 }
 
 /// Options of `cluster sbatch random`.
@@ -61,6 +74,24 @@ pub struct SbatchRandomArgs {
 pub struct SbatchTableArgs {
     #[command(flatten)]
     request: TableRequest,
+    #[command(flatten)]
+    job: JobArgs,
+}
+
+/// Options of `cluster sbatch twins`.
+#[derive(Debug, Clone, Args)]
+pub struct SbatchTwinsArgs {
+    #[command(flatten)]
+    request: TwinsRequest,
+    #[command(flatten)]
+    job: JobArgs,
+}
+
+/// Options of `cluster sbatch evaluation`.
+#[derive(Debug, Clone, Args)]
+pub struct SbatchEvaluationArgs {
+    #[command(flatten)]
+    request: ReadingsRequest,
     #[command(flatten)]
     job: JobArgs,
 }
@@ -118,6 +149,21 @@ pub async fn sbatch(args: &SbatchArgs) -> Result<(), CliError> {
             let contents = format!("{} nets", order.chunks);
             let (folder, is_new) = OrderFolder::write(&job.folder, order)?;
             job.finish(&folder, &places, is_new, &contents, request.resources())
+        }
+        SbatchCommand::Twins(SbatchTwinsArgs { request, job }) => {
+            let places = job.places(request.data.clone())?;
+            let (order, trials) = request.order(job.json).await?;
+            let contents = format!("{} twins", grouped(trials));
+            let (folder, is_new) = OrderFolder::write(&job.folder, order)?;
+            job.finish(&folder, &places, is_new, &contents, &[])
+        }
+        SbatchCommand::Evaluation(args) => {
+            let SbatchEvaluationArgs { request, job } = args.as_ref();
+            let places = job.places(request.data.clone())?;
+            let (order, frames) = request.order(job.json).await?;
+            let contents = format!("{} frames", grouped(frames));
+            let (folder, is_new) = OrderFolder::write(&job.folder, order)?;
+            job.finish(&folder, &places, is_new, &contents, &[])
         }
     }
 }

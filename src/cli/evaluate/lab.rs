@@ -77,8 +77,8 @@ pub struct ExtentArgs {
 pub struct LabArgs {
     #[command(flatten)]
     extent: ExtentArgs,
-    /// Folder of nets that `palpate cluster gather` has written: those of the table are added to the service, with
-    /// the scores that they have there; the others are trained.
+    /// Folder that `palpate cluster gather` has written. Of nets: those of the table are added to the service, with
+    /// the scores that they have there; the others are trained. Of an evaluation: its scores are shown.
     #[arg(long, value_name = "DIR")]
     trained: Option<PathBuf>,
     /// Folder for numbers, tables and figures.
@@ -123,6 +123,7 @@ where
     let at = args.at.clone();
     embed::with_server(&at, move |client| async move {
         let lab = ServiceLab::new(client, args.at.output(), args.trained.clone());
+        lab.take_evaluation()?;
         let sheet = study(lab, args.extent.budget()).await?;
         if let Some(folder) = &args.out {
             write_all(folder, &sheet.files, &args.pictures).await?;
@@ -211,6 +212,14 @@ impl ServiceLab {
     fn gathered(&self, name: &str) -> Option<PathBuf> {
         let folder = self.trained.as_ref()?.join(name);
         folder.is_dir().then_some(folder)
+    }
+
+    /// Takes the scores of a gathered evaluation, if the folder has them.
+    fn take_evaluation(&self) -> Result<(), CliError> {
+        match &self.trained {
+            Some(folder) if folder.join(SCORES_FILE).exists() => self.take_scores(folder),
+            Some(_) | None => Ok(()),
+        }
     }
 
     /// Takes the scores of a gathered net.

@@ -70,6 +70,15 @@ enum What {
 /// Options of `evaluate method`.
 #[derive(Debug, Clone, Args)]
 struct MethodArgs {
+    #[command(flatten)]
+    method: MethodRequest,
+    #[command(flatten)]
+    lab: LabArgs,
+}
+
+/// Options that determine the scores of a method, except for their extent.
+#[derive(Debug, Clone, Args)]
+pub struct MethodRequest {
     /// Method from a frame to contacts.
     #[arg(value_name = "METHOD", value_parser = methods(Method::ALL.into_iter()))]
     method: Method,
@@ -106,8 +115,6 @@ struct MethodArgs {
     /// Skip contacts of exact whose position has a larger standard deviation than this, mm.
     #[arg(long, value_name = "MM")]
     place_sd_mm: Option<f64>,
-    #[command(flatten)]
-    lab: LabArgs,
 }
 
 /// Options of `evaluate quantity`.
@@ -203,13 +210,13 @@ pub async fn evaluate(args: EvaluateArgs) -> Result<(), CliError> {
 }
 
 async fn method(args: MethodArgs) -> Result<(), CliError> {
-    let study = args.lab.clone();
-    with_lab(study, |lab, budget| async move { scores(&lab, &args.request(&budget)).await }).await
+    let MethodArgs { method, lab } = args;
+    with_lab(lab, |lab, budget| async move { scores(&lab, &method.request(&budget)).await }).await
 }
 
-impl MethodArgs {
+impl MethodRequest {
     /// The request for scores; the scale does not limit its rows.
-    fn request(self, budget: &Budget) -> EvaluationRequest {
+    pub fn request(self, budget: &Budget) -> EvaluationRequest {
         EvaluationRequest {
             limit: budget.scored,
             conditions: self.conditions,

@@ -80,6 +80,17 @@ pub const EXAMPLES: &[(&str, &[&str])] = &[
         ],
     ),
     (
+        "cluster sbatch twins",
+        &[
+            "palpate cluster sbatch twins 3 --folder twins",
+            "palpate cluster sbatch twins 3 --chunk-trials 5000 --folder twins --tasks 8",
+        ],
+    ),
+    (
+        "cluster sbatch evaluation",
+        &["palpate cluster sbatch evaluation exact --dataset real-unseen --folder readings"],
+    ),
+    (
         "cluster make",
         &[
             "palpate cluster make sim 3 17",
@@ -88,7 +99,13 @@ pub const EXAMPLES: &[(&str, &[&str])] = &[
         ],
     ),
     ("cluster status", &["palpate cluster status sim", "palpate cluster status sim --json"]),
-    ("cluster gather", &["palpate cluster gather sim --out palpate-data/sim-random/2m"]),
+    (
+        "cluster gather",
+        &[
+            "palpate cluster gather sim --out palpate-data/sim-random/2m",
+            "palpate cluster gather twins --url http://127.0.0.1:8080",
+        ],
+    ),
     (
         "worker",
         &[

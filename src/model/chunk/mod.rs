@@ -3,7 +3,7 @@
 //! Uses: `difference`, `digest`, `new_file`. Never: what a chunk contains (its kind knows it), a queue, the network.
 //!
 //! A kind of chunks has a definition (a JSON value that determines every byte), a number of chunks, and a
-//! [`MakeChunks`]. Sim-Random's is `simulate::random::chunks`.
+//! [`MakeChunks`]. Sim-Random's is `simulate::random::chunks`, that of twins `simulate::twins::chunks`.
 
 use std::error::Error;
 use std::ops::ControlFlow;

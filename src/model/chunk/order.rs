@@ -19,7 +19,7 @@ pub const CHUNKS_MAX: u64 = 100_000;
 /// Version of the form of a work order.
 const ORDER_FORM: u32 = 1;
 /// Endings of the files with the bytes of chunks, by kind.
-const ENDINGS: [(&str, &str); 1] = [("trainings", "net")];
+const ENDINGS: [(&str, &str); 2] = [("readings", "jsonl"), ("trainings", "net")];
 /// Ending for all other kinds.
 const COMMON_ENDING: &str = "parquet";
 
@@ -234,6 +234,8 @@ mod tests {
         assert_eq!(order.bytes_name("a"), "a.parquet");
         let nets = WorkOrder { kind: "trainings".into(), ..order };
         assert_eq!(nets.bytes_name("a"), "a.net");
+        let readings = WorkOrder { kind: "readings".into(), ..nets };
+        assert_eq!(readings.bytes_name("a"), "a.jsonl");
     }
 
     #[test]

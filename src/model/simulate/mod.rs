@@ -1,4 +1,4 @@
-//! Simulated frames: one trial, free trials in bulk.
+//! Simulated frames: one trial, the twins of stored trials, free trials in bulk.
 //! Uses: sim-core. Never: the rig, the database, HTTP.
 
 pub mod contacts;
@@ -10,3 +10,4 @@ pub mod export;
 pub mod compare;
 pub mod schema;
 pub mod random;
+pub mod twins;

@@ -23,6 +23,10 @@ pub fn body(operation: &str) -> Option<Value> {
         "evaluate" => {
             json!({ "scored": "exact", "dataset": "real", "where": ["contact_count__lte=2"], "limit": 20 })
         }
+        // It prepares a skin at once: a dataset that is not there.
+        "evaluation_inputs" => {
+            json!({ "scored": "exact", "dataset": "ds-0123456789abcdef", "limit": 20 })
+        }
         "make_dataset" => json!({ "name": "real" }),
         "move_run" => json!({ "position": 1, "who": "Ada" }),
         "preflight_submission" => submission(),

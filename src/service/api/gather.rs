@@ -118,7 +118,8 @@ impl From<GatherError> for ApiError {
     params(("folder" = String, Path, description = "name of the folder")),
     responses((status = 202, body = GatherOut),
         (status = 404, body = ProblemBody, description = "no folder of this name has an order"),
-        (status = 409, body = ProblemBody, description = "the service knows no queue, or gathers another order"),
+        (status = 409, body = ProblemBody,
+            description = "the service knows no queue, gathers another order, or the order cannot be read"),
         (status = 503, body = ProblemBody, description = "the worker is missing"),
         (status = 507, body = ProblemBody, description = "less than 2 GiB of the disk are free")))]
 pub async fn gather(
@@ -140,9 +141,9 @@ pub async fn gather(
     let mut write = Command::new(own);
     write.args(["cluster", "gather"]).arg(&order);
     withhold(write.as_std_mut());
+    // Twins and the scores of readings need the service of this folder.
+    write.arg("--data").arg(&app.facts.data).env_remove("PALPATE_URL");
     let into = if kind == OF_A_RUN {
-        // It stores them through the service of this folder.
-        write.arg("--data").arg(&app.facts.data).env_remove("PALPATE_URL");
         DATABASE.to_owned()
     } else {
         let into = format!("{kind}/{folder}");

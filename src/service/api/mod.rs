@@ -77,6 +77,7 @@ mod queue;
 mod queue_times;
 mod ranges;
 mod rates;
+mod readings;
 mod recipes;
 mod recording;
 mod rig;

@@ -123,10 +123,12 @@ pub(super) fn needs(status: &Status, around: Around<'_>) -> Vec<Need> {
     needs
 }
 
-/// Axes that a latched e-stop has not stopped, each with its cause: without an acknowledgement, or in motion after it.
+/// Axes whose last stop is not acknowledged, or that move after it, each with its cause: of the latched e-stop, otherwise
+/// of the last safe end.
 pub(super) fn not_stopped(rig: &RigStatus) -> Option<String> {
-    let stops = rig.estop_stops.iter();
-    let moving = stops.filter(|stop| stop.acknowledged_ms.is_none() || stop.error.is_some());
+    let of_safe_end = rig.safe_end.iter().flat_map(|end| &end.stops);
+    let of_safe_end = of_safe_end.filter(|_| rig.estop_stops.is_empty());
+    let moving = rig.estop_stops.iter().chain(of_safe_end).filter(|stop| !stop.is_done());
     let words = |stop: &AxisStop| {
         format!("{} ({})", stop.axis, stop.error.as_deref().unwrap_or("no answer yet"))
     };
@@ -260,6 +262,7 @@ fn ahead(around: Around<'_>) -> Vec<Need> {
 mod tests {
     use super::*;
     use crate::campaign::bench::interlock::{Trip, TripKind};
+    use crate::campaign::shown::safe_end::SafeEnd;
     use crate::campaign::shown::show;
     use crate::ids::RunUid;
     use crate::rig::setup::RigSetup;
@@ -350,6 +353,22 @@ mod tests {
         assert!(of(&status)[0].2.contains("Every axis acknowledged the stop. Clear"));
         status.rig.estop_stops[0].stood_ms = Some(160.0);
         assert!(of(&status)[0].2.contains("Every axis acknowledged the stop and stands. Clear"));
+        // Without a trip: an axis that moved after the last safe end.
+        let moves = AxisStop {
+            acknowledged_ms: Some(1.0),
+            error: Some("moves".into()),
+            ..AxisStop::of("x")
+        };
+        status.rig.estop_stops.clear();
+        (status.rig.trip, status.rig.state) = (None, RigState::Homed);
+        status.rig.safe_end = Some(SafeEnd {
+            stops: vec![moves],
+            tips: Tips::Raised,
+            sample_to_stop_ms: None,
+            travelled_mm: None,
+            took_ms: 2060.0,
+        });
+        assert!(of(&status)[0].2.starts_with("NOT STOPPED: x (moves)."));
     }
 
     #[test]

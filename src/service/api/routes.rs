@@ -15,7 +15,7 @@ use super::limits::{
 use super::{
     App, datasets, estop, evaluation, events, experiments, exports, gather, health, history,
     imports, infer, jobs, live, live_contacts, live_status, models, overlay, people, placement,
-    progress, published, quantities, queue, queue_times, rates, recipes, recording, rig,
+    progress, published, quantities, queue, queue_times, rates, readings, recipes, recording, rig,
     rig_limits, runs, samples, sensor, simulations, sql, status, tour, trials, twins, untouched,
     vocabulary, wear, workers,
 };
@@ -160,6 +160,8 @@ pub fn table() -> Vec<Operation> {
         (READS, routes!(trials::bench_records)),
         (READS, routes!(twins::all)),
         (READS, routes!(twins::of_run)),
+        (READS, routes!(twins::inputs)),
+        (acts("store twins").body(FRAMES_MAX_BYTES), routes!(twins::store)),
         (READS, routes!(workers::all)),
         (acts("submit an order").lock(Lock::Ignored), routes!(workers::submit)),
         (acts("gather an order").lock(Lock::Ignored), routes!(gather::gather)),
@@ -188,6 +190,8 @@ pub fn table() -> Vec<Operation> {
         (READS, routes!(published::published)),
         (acts("train").body(BODY_MAX_BYTES).once(), routes!(jobs::train)),
         (acts("evaluate").once(), routes!(jobs::evaluate)),
+        (acts("order an evaluation"), routes!(readings::inputs)),
+        (acts("score readings").body(FRAMES_MAX_BYTES), routes!(readings::score)),
         (READS, routes!(jobs::list)),
         (READS, routes!(jobs::one)),
         (READS, routes!(jobs::losses)),

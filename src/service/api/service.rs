@@ -223,9 +223,7 @@ impl Service {
         if !matches!(door.await, Ok(Ok(()))) {
             tracing::error!("the door's thread panicked");
         }
-        if self.app.campaign.stop_switch().pressed().is_some() {
-            self.app.conductor.keep_stopped().await;
-        }
+        self.app.conductor.keep_stopped().await;
         gather::ended(&self.app).await;
         self.app.store.close().await;
     }

@@ -1,17 +1,24 @@
-//! Simulated twins: status of the pool, and progress for each run.
-//! Uses: `twins`, `store`. Never: a computation.
+//! Simulated twins: status of the pool, progress for each run, and twins that other machines make.
+//! Uses: `twins`, `store`. Never: a computation, a stored twin that changes.
 
 use axum::Json;
 use axum::extract::State;
-use serde::Serialize;
-use utoipa::ToSchema;
+use axum::http::StatusCode;
+use serde::{Deserialize, Serialize};
+use utoipa::{IntoParams, ToSchema};
 
 use super::App;
-use super::problem::{ApiError, Path, ProblemBody};
+use super::audit::{Act, cut};
+use super::form::Form;
+use super::limits::{FRAMES_MAX_BYTES, WHO_MAX_CHARS};
+use super::problem::{ApiError, Params, Path, ProblemBody};
 use super::runs::find;
-use crate::ids::RunUid;
+use crate::ids::{RunUid, TrialId};
+use crate::problem::Problem;
+use crate::simulate::twins::chunks::CHUNK_TRIALS_MAX;
 use crate::store::TwinCount;
-use crate::twins::PoolStatus;
+use crate::twins::elsewhere::{StoredTwins, TwinInputs};
+use crate::twins::{PoolError, PoolStatus};
 
 /// Number of runs that are counted, newest first: counting 33,000 trials takes about 20 ms.
 const COUNTED_RUNS: usize = 10;
@@ -67,4 +74,108 @@ pub async fn of_run(
 ) -> Result<Json<RunTwins>, ApiError> {
     let run = find(&app, &run).await?.uid;
     RunTwins::of(&app, run).await.map(Json)
+}
+
+/// Selection of trials.
+#[derive(Debug, Deserialize, IntoParams)]
+#[into_params(parameter_in = Query)]
+pub struct InputsParams {
+    /// Only trials with a larger id; absent: from the first one on.
+    pub after: Option<i64>,
+    /// Largest number of trials, 1 to 10,000; 1000 if absent.
+    #[serde(default = "thousand")]
+    #[param(minimum = 1, maximum = 10000, default = 1000)]
+    pub limit: u32,
+}
+
+fn thousand() -> u32 {
+    1000
+}
+
+/// Returns what the twins of a run are computed from: the skin, and the contacts of its trials.
+///
+/// The trials are those that are stored, with a twin or without, in the order of storing.
+#[utoipa::path(get, operation_id = "twin_inputs",
+    path = "/api/v1/runs/{run}/twins/inputs", tag = "simulation",
+    params(("run" = String, Path, description = "uid or scan_id"), InputsParams),
+    responses((status = 200, body = TwinInputs),
+        (status = 400, body = ProblemBody, description = "a parameter is invalid"),
+        (status = 404, body = ProblemBody, description = "no run has this uid or scan_id"),
+        (status = 409, body = ProblemBody, description = "the run has no model of its skin")))]
+pub async fn inputs(
+    State(app): State<App>,
+    Path(run): Path<String>,
+    Params(InputsParams { after, limit }): Params<InputsParams>,
+) -> Result<Json<TwinInputs>, ApiError> {
+    if !(1..=CHUNK_TRIALS_MAX).contains(&u64::from(limit)) {
+        let words = format!("must be from 1 to {CHUNK_TRIALS_MAX}");
+        return Err(ApiError::query("limit", limit, &words));
+    }
+    let run = find(&app, &run).await?.uid;
+    let after = TrialId(after.unwrap_or_default());
+    Ok(Json(app.twins.inputs(run, after, limit).await?))
+}
+
+/// Form of twins that were made elsewhere.
+#[derive(Debug, ToSchema)]
+#[expect(dead_code, reason = "describes the request for openapi.yaml")]
+pub struct TwinsForm {
+    /// A chunk of `palpate cluster sbatch twins`, at most 64 MiB.
+    #[schema(value_type = String, format = Binary)]
+    file: Vec<u8>,
+}
+
+/// Stores twins of a run that were made elsewhere, each once.
+///
+/// The file must be of the model that the service uses for the run, and of the contacts of its trials. A stored twin
+/// stays; if one differs, none is stored.
+#[utoipa::path(post, operation_id = "store_twins",
+    path = "/api/v1/runs/{run}/twins", tag = "simulation",
+    params(("run" = String, Path, description = "uid or scan_id")),
+    request_body(content = TwinsForm, content_type = "multipart/form-data"),
+    responses((status = 200, body = StoredTwins),
+        (status = 400, body = ProblemBody, description = "the form is invalid"),
+        (status = 404, body = ProblemBody, description = "no run has this uid or scan_id"),
+        (status = 409, body = ProblemBody,
+            description = "a stored twin differs, the run has no model of its skin, or another person holds the \
+                           operator lock"),
+        (status = 422, body = ProblemBody,
+            description = "the file contains no twins of this run, its model and its contacts"),
+        (status = 507, body = ProblemBody, description = "the disk has no room")))]
+pub async fn store(
+    State(app): State<App>,
+    act: Act,
+    Path(run): Path<String>,
+    mut form: Form,
+) -> Result<Json<StoredTwins>, ApiError> {
+    let run = find(&app, &run).await?.uid;
+    act.on(run);
+    app.datasets.check_upload(0).await?;
+    let mut file = None;
+    while let Some(part) = form.next().await? {
+        if part.name != "file" {
+            let name = cut(&part.name, WHO_MAX_CHARS);
+            let problem = Problem::new("form", &name, "..", "unknown part: must be file");
+            return Err(ApiError::bad_query(vec![problem]));
+        }
+        file = Some(part.bytes(FRAMES_MAX_BYTES).await?);
+    }
+    let missing = || Problem::new("form", "file", "absent", "must be given");
+    let file = file.ok_or_else(|| ApiError::bad_query(vec![missing()]))?;
+    app.still_allowed(&act).await?;
+    Ok(Json(app.twins.store_made(run, file.into()).await?))
+}
+
+impl From<PoolError> for ApiError {
+    fn from(error: PoolError) -> Self {
+        let status = match error {
+            PoolError::Store(error) => return error.into(),
+            PoolError::File { .. } | PoolError::Foreign(_) | PoolError::OtherTwin(_) => {
+                StatusCode::CONFLICT
+            }
+            PoolError::Made(_) => StatusCode::UNPROCESSABLE_ENTITY,
+            PoolError::Worker => StatusCode::INTERNAL_SERVER_ERROR,
+        };
+        Self::new(status, error.to_string())
+    }
 }

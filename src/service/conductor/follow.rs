@@ -1,6 +1,7 @@
 //! The runs that were started and wait: which of them begins when the rig is free and its time has come.
 //! Uses: `conductor::turn` (the decision), `campaign` (its handle), `store`. Never: motion, HTTP.
 
+use std::sync::atomic::Ordering;
 use std::time::Duration;
 
 use jiff::Timestamp;
@@ -9,21 +10,14 @@ use tokio::time::Instant;
 
 use super::{Conductor, ConductorError, startable, turn};
 use crate::campaign::shown::command::Refusal;
-use crate::campaign::shown::run_action::trip_for_person;
-use crate::campaign::shown::status::Status;
+use crate::campaign::shown::run_action;
 use crate::campaign::spans::run_span;
 use crate::ids::RunUid;
 use crate::journal::error_chain;
-use crate::state::StoredState;
 use crate::store::{RunRow, StoreError};
 
 /// Pause before a run that the rig did not take up is offered again.
 const BUSY_AGAIN: Duration = Duration::from_secs(5);
-/// Why waiting runs do not begin after a run that was ended while it waited.
-const ENDED_HALTED: &str =
-    "the run before it was ended while it was halted, and a person may be at the rig";
-/// Why waiting runs do not begin after a run that was aborted while it moved.
-const ABORTED: &str = "the run before it was aborted, and a person may be at the rig";
 
 impl Conductor {
     /// Follows the campaign: a run that was started while another was active, or before its time,
@@ -32,7 +26,6 @@ impl Conductor {
         let mut status = self.inner.campaign.watch_status();
         // While the rig is free and no waiting run is due: when to decide again.
         let mut again: Option<Instant> = None;
-        let mut attended: Option<&'static str> = None;
         loop {
             let until = again;
             let due = async move {
@@ -46,18 +39,18 @@ impl Conductor {
                 () = self.inner.look.notified() => again = None,
                 () = due => again = None,
             }
-            let (free, why_not) = {
+            let (free, tripped, attended) = {
                 let now = status.borrow_and_update();
                 let is_free = now.run.is_none() && now.rig.is_ready();
-                let tripped = trip_for_person(&now).map(|trip| format!("the rig tripped ({trip})"));
-                let ended = attended.filter(|_| now.run.is_none()).map(str::to_owned);
-                attended = may_be_attended(attended, &now);
-                (is_free, tripped.or(ended))
+                (is_free, run_action::tripped(&now), now.attended.clone())
             };
-            // A person may be at the rig: it must not start by itself once it is free or homed again.
-            if let Some(why) = why_not {
+            // A person may be at the rig: it must not start by itself once it is free or homed again. While the rig is
+            // tripped, each look drops what was started in that moment.
+            let is_followed = self.inner.signs.load(Ordering::SeqCst) == attended.signs;
+            if let Some(why) = tripped.or((!is_followed).then_some(attended.why)) {
                 self.drop_all_waiting(&why).await;
             }
+            self.inner.signs.store(attended.signs, Ordering::SeqCst);
             if !free {
                 again = None;
             } else if again.is_none() {
@@ -179,7 +172,10 @@ impl Conductor {
                 return;
             }
         };
-        for run in stored.iter().filter(|run| dropped.contains(&run.uid)) {
+        // One that a person has started again meanwhile waits.
+        let stays =
+            |run: &&RunRow| dropped.contains(&run.uid) && self.why_dropped(run.uid).is_some();
+        for run in stored.iter().filter(stays) {
             if let Err(error) = self.drop_waiting(run, &why).await {
                 tracing::warn!(
                     error = error_chain(&error),
@@ -189,19 +185,32 @@ impl Conductor {
         }
     }
 
-    /// Called at the end of the service while an e-stop is latched, which the next process would not know: it must
-    /// drive no run by itself.
+    /// Called at the end of the service, after that of the campaign: what the next process would not know. While an
+    /// e-stop is latched it must drive no run by itself. No waiting run begins after a sign of a person that was not
+    /// followed any more, such as an abort, and none that was dropped in memory only.
     pub async fn keep_stopped(&self) {
+        let attended = self.inner.campaign.status().attended;
+        let is_stopped = self.inner.campaign.stop_switch().pressed().is_some();
+        let is_followed = self.inner.signs.load(Ordering::SeqCst) == attended.signs;
+        let of_all = match is_stopped {
+            true => {
+                Some("the e-stop was latched when the service ended: start it again".to_owned())
+            }
+            false => (!is_followed).then(|| format!("{}: start it again", attended.why)),
+        };
         let kept = async {
-            self.inner.store.interrupt_open_runs(None).await?;
+            if is_stopped {
+                self.inner.store.interrupt_open_runs(None).await?;
+            }
             for run in self.inner.store.waiting_runs().await? {
-                let why = "the e-stop was latched when the service ended: start it again";
-                self.drop_waiting(&run, why).await?;
+                if let Some(why) = of_all.clone().or_else(|| self.why_dropped(run.uid)) {
+                    self.drop_waiting(&run, &why).await?;
+                }
             }
             Ok::<(), ConductorError>(())
         };
         if let Err(error) = kept.await {
-            tracing::error!(error = error_chain(&error), "a stopped run may resume automatically");
+            tracing::error!(error = error_chain(&error), "a run may begin or resume automatically");
         }
     }
 
@@ -217,34 +226,28 @@ impl Conductor {
     }
 }
 
-/// Why a person may be at the rig because of the active run: it was halted or is aborted, and has not moved again
-/// since. `before`: the answer for the last status. Between two statuses others may have been missed.
-fn may_be_attended(before: Option<&'static str>, status: &Status) -> Option<&'static str> {
-    match status.run.as_ref().map(|run| run.state) {
-        Some(StoredState::Paused | StoredState::Panicked) => Some(ENDED_HALTED),
-        Some(StoredState::Aborting) => before.or(Some(ABORTED)),
-        Some(StoredState::Running) | None => None,
-        Some(_) => before,
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use std::path::PathBuf;
     use std::sync::Arc;
-    use std::sync::atomic::{AtomicU64, Ordering};
+    use std::sync::atomic::AtomicU64;
 
     use jiff::SignedDuration;
 
-    use super::super::{RigFile, Started, Submission, Terms};
+    use super::super::{AutoResume, RigFile, Started, Submission, Terms};
     use super::*;
     use crate::campaign::bench::estop::StopSwitch;
     use crate::campaign::shown::command::{Inbox, channel};
     use crate::campaign::shown::show;
     use crate::clock::Clock;
+    use crate::journal::Journal;
     use crate::rig::setup::RigSetup;
+    use crate::state::{StateChange, StoredState};
     use crate::store::Store;
     use crate::suspension::Suspensions;
+
+    /// Why a run is dropped.
+    const BEFORE_ABORTED: &str = "the run before it was aborted";
 
     /// A conductor with an empty database and a disconnected rig, which answers nothing.
     async fn conductor(name: &str) -> (Conductor, Inbox, PathBuf) {
@@ -289,8 +292,8 @@ mod tests {
         let words = async || conductor.waiting_for().await.unwrap().unwrap();
         start(&conductor, &run).await;
         assert!(words().await.contains("starts at"));
-        conductor.drop_all_waiting(ABORTED).await;
-        let why = format!("{ABORTED}: start it again");
+        conductor.drop_all_waiting(BEFORE_ABORTED).await;
+        let why = format!("{BEFORE_ABORTED}: start it again");
         assert_eq!(words().await, format!("run 1 (small) does not begin by itself: {why}"));
         assert_eq!(conductor.why_dropped(run.uid), Some(why));
         assert_eq!(conductor.not_begun().await.unwrap(), Some(words().await));
@@ -298,6 +301,82 @@ mod tests {
         assert_eq!(conductor.not_begun().await.unwrap(), None);
         assert!(words().await.contains("starts at"));
         assert_eq!(conductor.why_dropped(run.uid), None);
+        std::fs::remove_dir_all(folder).unwrap();
+    }
+
+    #[tokio::test]
+    async fn a_sign_of_a_person_drops_what_waits_although_the_status_has_changed_since() {
+        let (conductor, inbox, folder) = conductor("sign").await;
+        let run = queued(&conductor, in_an_hour()).await;
+        start(&conductor, &run).await;
+        // A run was aborted and is gone, before the queue looks.
+        inbox.status.send_modify(|status| status.attended.note(BEFORE_ABORTED));
+        inbox.status.send_modify(|status| status.version += 1);
+        let following = tokio::spawn(conductor.clone().follow());
+        let dropped = async {
+            while !conductor.inner.store.waiting_runs().await.unwrap().is_empty() {
+                tokio::time::sleep(Duration::from_millis(5)).await;
+            }
+        };
+        tokio::time::timeout(Duration::from_secs(20), dropped).await.expect("it is dropped");
+        assert_eq!(
+            conductor.why_dropped(run.uid),
+            Some(format!("{BEFORE_ABORTED}: start it again"))
+        );
+        // One sign counts once.
+        start(&conductor, &run).await;
+        inbox.status.send_modify(|status| status.version += 1);
+        tokio::time::sleep(Duration::from_millis(100)).await;
+        assert_eq!(conductor.why_dropped(run.uid), None);
+        inbox.status.send_modify(|status| status.attended.note("a trip"));
+        let dropped = async {
+            while conductor.why_dropped(run.uid).is_none() {
+                tokio::time::sleep(Duration::from_millis(5)).await;
+            }
+        };
+        tokio::time::timeout(Duration::from_secs(20), dropped).await.expect("it is dropped again");
+        following.abort();
+        let _ = following.await;
+        std::fs::remove_dir_all(folder).unwrap();
+    }
+
+    #[tokio::test]
+    async fn an_abort_shortly_before_the_end_of_the_service_is_kept_for_the_next_one() {
+        let (conductor, inbox, folder) = conductor("ending").await;
+        let run = queued(&conductor, in_an_hour()).await;
+        start(&conductor, &run).await;
+        let waits = async || conductor.inner.store.waiting_runs().await.unwrap().len();
+        conductor.keep_stopped().await;
+        assert_eq!(waits().await, 1, "without a sign");
+        inbox.status.send_modify(|status| status.attended.note(BEFORE_ABORTED));
+        conductor.keep_stopped().await;
+        assert_eq!(waits().await, 0);
+        start(&conductor, &run).await;
+        // The sign is followed, and the store did not take what follows from it.
+        conductor.inner.signs.store(1, Ordering::SeqCst);
+        conductor.keep_stopped().await;
+        assert_eq!(waits().await, 1);
+        conductor.dropped().insert(run.uid, BEFORE_ABORTED.into());
+        conductor.keep_stopped().await;
+        assert_eq!(waits().await, 0);
+        start(&conductor, &run).await;
+        conductor.inner.campaign.estop("hands");
+        conductor.keep_stopped().await;
+        assert_eq!(waits().await, 0);
+        std::fs::remove_dir_all(folder).unwrap();
+    }
+
+    #[tokio::test]
+    async fn a_run_that_a_person_has_started_is_not_taken_over() {
+        let (conductor, inbox, folder) = conductor("taken").await;
+        let run = queued(&conductor, None).await;
+        let job = conductor.prepare_stored(&run).await.unwrap().job(&run);
+        let running = StateChange::to(StoredState::Running);
+        conductor.inner.store.run_state(run.uid, running, Timestamp::now()).await.unwrap();
+        inbox.status.send_modify(|status| status.run = Some(show::started(&job)));
+        let taken = conductor.resume_after_restart(AutoResume::Allowed);
+        tokio::time::timeout(Duration::from_secs(20), taken).await.expect("at once").unwrap();
+        assert_eq!(conductor.present(&run).await.unwrap().state, StoredState::Running);
         std::fs::remove_dir_all(folder).unwrap();
     }
 
@@ -317,7 +396,7 @@ mod tests {
             let refused = conductor.require_turn(&now).await;
             matches!(refused, Err(ConductorError::Refused(Refusal::Busy(_))))
         };
-        conductor.drop_waiting(&first, ABORTED).await.unwrap();
+        conductor.drop_waiting(&first, BEFORE_ABORTED).await.unwrap();
         assert!(is_lost(&first).await && !is_lost(&second).await);
         tokio::time::sleep(Duration::from_millis(20)).await;
         store.set_lock("bob", "hands in the rig").await.unwrap();

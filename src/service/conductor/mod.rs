@@ -86,6 +86,8 @@ struct Inner {
     handed_over: Mutex<BTreeMap<RunUid, u64>>,
     /// Notices that the computer was suspended.
     suspensions: Mutex<Suspensions>,
+    /// Signs of a person that were followed: what waited then is dropped.
+    signs: AtomicU64,
 }
 
 /// The first of the two steps of starting a run.
@@ -160,6 +162,7 @@ impl Conductor {
             operations: AtomicU64::default(),
             handed_over: Mutex::default(),
             suspensions: Mutex::new(Suspensions::watch()),
+            signs: AtomicU64::default(),
         };
         Self { inner: Arc::new(inner) }
     }

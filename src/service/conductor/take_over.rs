@@ -2,6 +2,7 @@
 //! Uses: `conductor::restart`, `campaign` (its handle), `store`. Never: motion, HTTP.
 
 use std::collections::BTreeSet;
+use std::sync::atomic::Ordering;
 use std::time::Duration;
 
 use jiff::Timestamp;
@@ -25,6 +26,15 @@ const HOMING_POLL: Duration = Duration::from_millis(50);
 const RESTART_TRIES: u32 = 8;
 const RESTART_PAUSE: Duration = Duration::from_secs(1);
 
+/// What must not have changed since a run was taken over: then a person may be at the rig.
+#[derive(Debug, Clone, Copy)]
+struct Unattended {
+    /// The last time at which the run did something; none if it was not driven.
+    since: Option<Timestamp>,
+    /// Signs of a person that were followed.
+    signs: u64,
+}
+
 impl Conductor {
     /// Called after a start of the service: resumes the run that was driven when the process ended,
     /// and then the runs that were started behind it, if their arming and `resume` allow it. Marks
@@ -38,9 +48,14 @@ impl Conductor {
     /// `ConductorError` if the store fails, or the run cannot resume.
     pub async fn resume_after_restart(&self, resume: AutoResume) -> Result<(), ConductorError> {
         let store = &self.inner.store;
-        let (open, waiting) = (store.open_runs().await?, store.waiting_runs().await?);
+        let signs = self.inner.signs.load(Ordering::SeqCst);
+        let (mut open, waiting) = (store.open_runs().await?, store.waiting_runs().await?);
+        // A person may have started a run in this process already: no earlier one is driven again.
+        let active = self.active();
+        open.retain(|run| Some(run.uid) != active);
         let TakenOver { driven, waiting, dropped } = TakenOver::of(open, waiting, resume);
-        store.interrupt_open_runs(driven.as_ref().map(|run| run.uid)).await?;
+        let driven = driven.filter(|_| active.is_none());
+        store.interrupt_open_runs(driven.as_ref().map(|run| run.uid).or(active)).await?;
         for (run, why) in &dropped {
             self.drop_waiting(run, why).await?;
         }
@@ -49,21 +64,24 @@ impl Conductor {
             Some(run) => store.last_trial_at(run.uid).await?.or(run.started_at),
             None => None,
         };
-        let first = match driven {
-            Some(run) => run,
+        let (first, signs) = match driven {
+            Some(run) => (run, signs),
             None => match self.first_due(waiting).await? {
-                Some(run) => run,
+                Some(due) => due,
                 None => return Ok(()),
             },
         };
+        let before = Unattended { since, signs };
         let outcome =
-            self.drive_again(&first, since).instrument(run_span(first.uid, first.scan_id)).await;
+            self.drive_again(&first, before).instrument(run_span(first.uid, first.scan_id)).await;
         let begun = matches!(outcome, Ok(true));
         if was_driven && !begun {
-            store.interrupt_open_runs(None).await?;
+            store.interrupt_open_runs(self.active()).await?;
         }
         let mut waiting = store.waiting_runs().await?;
-        waiting.retain(|run| !(begun && run.uid == first.uid));
+        // What was dropped meanwhile stays dropped, even if the store does not know it yet.
+        waiting
+            .retain(|run| !(begun && run.uid == first.uid) && self.why_dropped(run.uid).is_none());
         let tripped = self.inner.campaign.status().rig.state == RigState::Tripped;
         let why_not = match &outcome {
             _ if tripped => Some("the rig tripped during the start"),
@@ -72,20 +90,27 @@ impl Conductor {
             }
             Ok(_) | Err(_) => None,
         };
-        match why_not {
-            None => self.let_wait(waiting.iter().map(|run| run.uid)),
-            Some(why) => {
-                for run in &waiting {
-                    self.drop_waiting(run, why).await?;
-                }
+        if why_not.is_none() {
+            self.let_wait(waiting.iter().map(|run| run.uid));
+        }
+        // Read after it: a sign of a person that came before was followed without them.
+        let attended = self.inner.campaign.status().attended;
+        let sign = (attended.signs != signs).then_some(attended.why.as_str());
+        if let Some(why) = why_not.or(sign) {
+            for run in &waiting {
+                self.drop_waiting(run, why).await?;
             }
         }
         outcome.map(|_| ())
     }
 
     /// Waits until one of these runs, which waited for the earlier process, is due, so that the rig must be brought up.
+    /// Then none of them waits, and the signs of a person that were followed before are returned with it.
     /// `None` if none of them waits any more, or if a person has brought the rig up: then the run begins as any other.
-    async fn first_due(&self, waiting: Vec<RunRow>) -> Result<Option<RunRow>, ConductorError> {
+    async fn first_due(
+        &self,
+        waiting: Vec<RunRow>,
+    ) -> Result<Option<(RunRow, u64)>, ConductorError> {
         let taken_over: BTreeSet<RunUid> = waiting.iter().map(|run| run.uid).collect();
         self.let_wait(taken_over.iter().copied());
         loop {
@@ -103,9 +128,12 @@ impl Conductor {
                 if is_up {
                     return Ok(None);
                 }
+                let signs = self.inner.signs.load(Ordering::SeqCst);
                 // None of them begins by itself as soon as the rig is up.
-                self.waiting().retain(|uid| waiting.iter().all(|run| run.uid != *uid));
-                return Ok(Some(due.clone()));
+                if self.take_from_waiting(due.uid, &waiting) {
+                    return Ok(Some((due.clone(), signs)));
+                }
+                continue;
             }
             match turn::decide_again(&waiting, present) {
                 Some(pause) => tokio::time::sleep(pause).await,
@@ -114,13 +142,19 @@ impl Conductor {
         }
     }
 
-    /// Drives a run again; returns `false` if the rig could not be reached. `since`: the last time at which the
-    /// run did something; nothing moves if a person has taken the operator lock after it.
-    async fn drive_again(
-        &self,
-        run: &RunRow,
-        since: Option<Timestamp>,
-    ) -> Result<bool, ConductorError> {
+    /// Takes runs from those that wait, unless the first of them was dropped meanwhile.
+    fn take_from_waiting(&self, first: RunUid, runs: &[RunRow]) -> bool {
+        let mut waiting = self.waiting();
+        let waits = waiting.contains(&first);
+        if waits {
+            waiting.retain(|uid| runs.iter().all(|run| run.uid != *uid));
+        }
+        waits
+    }
+
+    /// Drives a run again; returns `false` if the rig could not be reached. Nothing moves if a person may have come to
+    /// the rig since `before`.
+    async fn drive_again(&self, run: &RunRow, before: Unattended) -> Result<bool, ConductorError> {
         // Before the wires are opened: nothing moves for a run that is refused.
         self.require_sound_store()?;
         if let Err(error) = self.prepare_stored(run).await {
@@ -130,7 +164,7 @@ impl Conductor {
         }
         let mut pause = RESTART_PAUSE;
         for attempt in 1..=RESTART_TRIES {
-            let Err(error) = self.try_to_drive(run, since).await else {
+            let Err(error) = self.try_to_drive(run, before).await else {
                 tracing::info!(attempt, "the run is driven again");
                 self.say(run, "resumed", json!({ "attempt": attempt })).await;
                 return Ok(true);
@@ -156,16 +190,17 @@ impl Conductor {
 
     /// Brings the rig up and begins a run, unless the run was ended, a lock was taken or a person has operated the
     /// rig, also while it homed.
-    async fn try_to_drive(
-        &self,
-        run: &RunRow,
-        since: Option<Timestamp>,
-    ) -> Result<(), ConductorError> {
+    async fn try_to_drive(&self, run: &RunRow, before: Unattended) -> Result<(), ConductorError> {
         *self.inner.brought_up.lock() = Some(run.uid);
         self.unended(run).await?;
-        self.require_unattended(run, since).await?;
+        self.require_unattended(run, before).await?;
         self.bring_up(run).await?;
-        self.begin(run, self.require_unattended(run, since)).await
+        self.begin(run, self.require_unattended(run, before)).await
+    }
+
+    /// The run that this process drives.
+    fn active(&self) -> Option<RunUid> {
+        self.inner.campaign.status().run.map(|run| run.uid)
     }
 
     /// Ends the homing for a run that is not driven any more.
@@ -178,16 +213,21 @@ impl Conductor {
     }
 
     /// Refuses a run if a person may be at the rig: one has operated it since the start of the service and has not
-    /// started the run again, the computer was suspended since, or one has taken the operator lock.
+    /// started the run again, the computer was suspended since, there was a sign of a person, such as an abort of another
+    /// run, or one has taken the operator lock.
     async fn require_unattended(
         &self,
         run: &RunRow,
-        since: Option<Timestamp>,
+        Unattended { since, signs }: Unattended,
     ) -> Result<(), ConductorError> {
         if self.is_operated_since_start(run.uid) {
             let words = "a person has operated the rig since the start of the service, or its computer was \
                          suspended: start the run";
             return Err(ConductorError::Forbidden(words.into()));
+        }
+        let attended = self.inner.campaign.status().attended;
+        if attended.signs != signs {
+            return Err(ConductorError::Forbidden(format!("{}: start the run", attended.why)));
         }
         self.require_no_lock(run, since).await
     }

@@ -1,5 +1,5 @@
 //! The twins of a page of trials, simulated from their measured contacts and forces.
-//! Uses: sim-core, `dataset::pressed`, `simulate::compare`. Never: the store, which trials are pending.
+//! Uses: `simulate::{twins, compare}`, `dataset::pressed`. Never: the store, which trials are pending.
 
 use std::sync::Arc;
 
@@ -11,6 +11,7 @@ use crate::campaign::spans::trial_span;
 use crate::dataset::pressed::contacts;
 use crate::ids::TrialKey;
 use crate::simulate::compare::difference;
+use crate::simulate::twins::{TwinFailure, TwinInput, twin_frame};
 use crate::store::{RunKind, TrialRow, Twin, TwinModelId, TwinOutcome};
 
 /// Model and settings for the twins of a run.
@@ -24,6 +25,14 @@ pub(super) struct Recipe {
     pub kind: RunKind,
     /// Force up to which the output of a cell counts as noise, N.
     pub force_noise_n: f64,
+}
+
+impl Recipe {
+    /// What the twin of a trial is computed from.
+    pub(super) fn input(&self, trial: &TrialRow) -> TwinInput {
+        let contacts = contacts(trial, self.kind, self.force_noise_n);
+        TwinInput { trial: trial.trial_id, contacts }
+    }
 }
 
 /// The twins of a page, in its order; the workers share the work.
@@ -68,18 +77,25 @@ fn twin(recipe: &Recipe, trial: &TrialRow, work: &mut Workspace) -> Twin {
 }
 
 fn simulated(recipe: &Recipe, trial: &TrialRow, work: &mut Workspace) -> TwinOutcome {
-    let Some(contacts) = contacts(trial, recipe.kind, recipe.force_noise_n) else {
-        return TwinOutcome::Failure("a contact has no position or no force".into());
-    };
-    match (recipe.model.voltages(&contacts, work), &trial.voltages_v) {
-        (Err(error), _) => TwinOutcome::Failure(error.to_string()),
+    let contacts = recipe.input(trial).contacts;
+    let frame_v = twin_frame(&recipe.model, contacts.as_deref(), work);
+    outcome(frame_v, trial.voltages_v.as_deref())
+}
+
+/// The twin with this frame, compared with the measured one.
+pub(super) fn outcome(
+    simulated: Result<Vec<f32>, TwinFailure>,
+    measured_v: Option<&[f32]>,
+) -> TwinOutcome {
+    match (simulated, measured_v) {
+        (Err(failure), _) => TwinOutcome::Failure(failure.to_string()),
         (Ok(_), None) => TwinOutcome::Failure("the trial has no voltages".into()),
-        (Ok(frame), Some(measured)) if frame.len() != measured.len() => TwinOutcome::Failure(
-            format!("the trial has {} voltages, the model {}", measured.len(), frame.len()),
-        ),
-        (Ok(frame), Some(measured)) => {
-            let voltages_v: Vec<f32> = frame.iter().map(|v| *v as f32).collect();
-            let apart = difference(measured, &voltages_v);
+        (Ok(frame_v), Some(measured_v)) if frame_v.len() != measured_v.len() => {
+            let [trial, model] = [measured_v.len(), frame_v.len()];
+            TwinOutcome::Failure(format!("the trial has {trial} voltages, the model {model}"))
+        }
+        (Ok(voltages_v), Some(measured_v)) => {
+            let apart = difference(measured_v, &voltages_v);
             TwinOutcome::Frame { rmse_v: apart.rmse_v, fvu: apart.fvu, voltages_v }
         }
     }

@@ -3,9 +3,11 @@
 //! a delay of the campaign; pending trials are queried from the store.
 //!
 //! The active run has priority, then the newest one. One page of trials is read, simulated by the
-//! workers and stored in one transaction; then the priority is determined again.
+//! workers and stored in one transaction; then the priority is determined again. `elsewhere` lets other machines
+//! make twins, and stores them after a check.
 
 pub mod drift;
+pub mod elsewhere;
 mod make;
 pub mod skins;
 
@@ -78,15 +80,35 @@ struct Inner {
     models: Mutex<HashMap<RunUid, TwinModelId>>,
 }
 
-/// Why the twins of a run cannot be made.
+/// Why the twins of a run cannot be made or stored.
 #[derive(Debug, thiserror::Error)]
-enum PoolError {
+pub enum PoolError {
+    /// The store failed.
     #[error(transparent)]
     Store(#[from] StoreError),
+    /// A file of the run or its calibration is invalid.
     #[error("run {run}: its {file} file cannot be used: {why}")]
-    File { run: i64, file: &'static str, why: String },
+    File {
+        /// Number of the run.
+        run: i64,
+        /// Which file it is.
+        file: &'static str,
+        /// Cause, as text.
+        why: String,
+    },
+    /// The run, by its number, was measured on another kind of skin, or simulated.
     #[error("run {0}: there is no model of its skin")]
     Foreign(i64),
+    /// Twins that were made elsewhere are not those of this run; the text is the cause.
+    #[error("the file of twins {0}")]
+    Made(String),
+    /// The stored twin of the trial with this id differs from one that was made elsewhere.
+    #[error(
+        "trial {0}: its stored twin differs from that of the file, and stays; make the chunk again on a machine like \
+         that of the service"
+    )]
+    OtherTwin(i64),
+    /// A worker panicked.
     #[error("a worker panicked")]
     Worker,
 }
@@ -240,7 +262,29 @@ impl TwinPool {
         if let Some(recipe) = progress.recipes.get(&run) {
             return Ok(recipe.clone());
         }
+        let recipe = self.stored_recipe(run).await?;
+        progress.recipes.insert(run, recipe.clone());
+        Ok(recipe)
+    }
+
+    /// The recipe of a run, whose model is stored.
+    async fn stored_recipe(&self, run: RunUid) -> Result<Recipe, PoolError> {
         let row = self.row(run).await?;
+        let recipe = self.unstored_recipe(&row).await?;
+        let new = NewTwinModel {
+            hash: recipe.model.model_hash().to_owned(),
+            sensor_sha256: row.sensor_sha256.clone(),
+            calibration_id: recipe.model.sensor().calibration().map(CalibrationId::unchecked),
+            version: env!("CARGO_PKG_VERSION").into(),
+            git_commit: crate::commit::known().map(Into::into),
+        };
+        let id = self.inner.store.twin_model(new).await?;
+        self.models().insert(run, id);
+        Ok(Recipe { id, ..recipe })
+    }
+
+    /// The recipe of a run, whose model has no number.
+    async fn unstored_recipe(&self, row: &RunRow) -> Result<Recipe, PoolError> {
         let unusable = |file, why: String| PoolError::File { run: row.scan_id, file, why };
         let force_noise_n = match &row.rig {
             Some(rig) => RigSetup::from_toml("rig", rig)
@@ -253,22 +297,11 @@ impl TwinPool {
             // Contacts of an import are used as they are.
             None => 0.0,
         };
-        if row.kind == RunKind::Imported && self.is_foreign(&row).await? {
+        if row.kind == RunKind::Imported && self.is_foreign(row).await? {
             return Err(PoolError::Foreign(row.scan_id));
         }
-        let model = self.skin(&row).await?;
-        let new = NewTwinModel {
-            hash: model.model_hash().to_owned(),
-            sensor_sha256: row.sensor_sha256.clone(),
-            calibration_id: model.sensor().calibration().map(CalibrationId::unchecked),
-            version: env!("CARGO_PKG_VERSION").into(),
-            git_commit: crate::commit::known().map(Into::into),
-        };
-        let id = self.inner.store.twin_model(new).await?;
-        let recipe = Recipe { model, id, kind: row.kind, force_noise_n };
-        progress.recipes.insert(run, recipe.clone());
-        self.models().insert(run, id);
-        Ok(recipe)
+        let model = self.skin(row).await?;
+        Ok(Recipe { model, id: TwinModelId::NONE, kind: row.kind, force_noise_n })
     }
 
     /// Whether an import is of another kind of skin, or contains simulated frames.

@@ -218,6 +218,48 @@ impl Store {
         Ok(())
     }
 
+    /// Returns the stored twins of these trials by this model, in ascending order of the trials.
+    ///
+    /// # Errors
+    /// `Damaged` if a frame differs from its checksum; `Sql` or `Unreadable` if the read fails.
+    pub async fn twins_of(
+        &self,
+        model: TwinModelId,
+        trials: &[TrialId],
+    ) -> Result<Vec<Twin>, StoreError> {
+        const OPERATION: &str = "reading twins";
+        let trials: Vec<i64> = trials.iter().map(|trial| trial.0).collect();
+        let rows = sqlx::query(
+            "SELECT w.trial, w.rmse_v, w.fvu, w.failure, s.voltages_v, s.crc32
+             FROM twins w LEFT JOIN twin_voltages s ON s.trial = w.trial AND s.model = w.model
+             WHERE w.model = ?1 AND w.trial IN (SELECT value FROM json_each(?2)) ORDER BY w.trial",
+        )
+        .bind(model.0)
+        .bind(format!("{trials:?}"))
+        .fetch_all(&self.inner.readers)
+        .await
+        .during(OPERATION)?;
+        rows.iter()
+            .map(|row| {
+                let c = Columns::of(row, OPERATION);
+                let trial = TrialId(c.get("trial")?);
+                let of = || format!("the twin of trial {}", trial.0);
+                let outcome = match checksum::volts(&c, "voltages_v", "crc32", of)? {
+                    Some(voltages_v) => TwinOutcome::Frame {
+                        voltages_v,
+                        rmse_v: c.get("rmse_v")?,
+                        fvu: c.get("fvu")?,
+                    },
+                    None => {
+                        let failure: Option<String> = c.get("failure")?;
+                        TwinOutcome::Failure(failure.unwrap_or_default())
+                    }
+                };
+                Ok(Twin { trial, outcome })
+            })
+            .collect()
+    }
+
     /// Returns the progress of the twins of a run with this model.
     ///
     /// # Errors

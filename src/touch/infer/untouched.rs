@@ -6,7 +6,7 @@ use std::collections::HashMap;
 use std::collections::hash_map::Entry;
 
 use super::methods::UntouchedBefore;
-use super::methods::exact::scatter_v;
+use super::methods::exact::Scatter;
 use crate::dataset::pressed::clock_rate;
 use crate::ids::{RunUid, TrialId};
 use crate::record::Untouched;
@@ -23,12 +23,12 @@ pub struct UntouchedSkins {
 }
 
 /// What is known of the untouched skin in a run.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone)]
 pub struct Tared {
     /// Process seconds per wall second.
     clock_rate: f64,
-    /// Standard deviation of an offset between two frames of the untouched skin, V.
-    scatter_v: Option<f64>,
+    /// What the offsets differ by between two frames of the untouched skin.
+    scatter: Option<Scatter>,
 }
 
 impl Tared {
@@ -41,17 +41,17 @@ impl Tared {
         let frames = store.untouched_frames(run, SCATTER_OF).await?;
         let frames: Vec<&[f32]> = frames.iter().map(|skin| skin.voltages_v.as_slice()).collect();
         let clock_rate = rig.as_deref().map_or(1.0, clock_rate);
-        Ok(Self { clock_rate, scatter_v: scatter_v(&frames) })
+        Ok(Self { clock_rate, scatter: Scatter::of(&frames) })
     }
 
     /// The untouched skin before frames that are `wall_s` younger.
-    pub fn before(self, skin: &Untouched, wall_s: f64) -> UntouchedBefore {
+    pub fn before(&self, skin: &Untouched, wall_s: f64) -> UntouchedBefore {
         let hours = (self.clock_rate * wall_s / 3600.0).max(0.0);
         UntouchedBefore {
             voltages_v: skin.voltages_v.clone(),
             frames: skin.frames.max(1) as f64,
             hours,
-            scatter_v: self.scatter_v,
+            scatter: self.scatter.clone(),
         }
     }
 }

@@ -37,6 +37,22 @@ pub(super) async fn run(
     let name = job.dataset.as_ref().map_or(request.dataset.as_str(), DatasetId::as_str);
     let dataset = jobs.inner.datasets.resolve(name).await?;
     jobs.inner.store.begin_task(job.id, Some(&dataset.id)).await?;
+    let scoring = scoring(jobs, request, reader, dataset, watch).await?;
+    let report = background(move || scoring.run()).await??;
+    report.map(|report| serde_json::to_value(report).map_err(JobError::Json)).transpose()
+}
+
+/// Gathers the rows of a request from its dataset, for a reader.
+///
+/// # Errors
+/// `JobError` if no row meets the conditions, or the dataset or the store cannot be read.
+pub(super) async fn scoring(
+    jobs: &Jobs,
+    request: EvaluationRequest,
+    reader: Reader,
+    dataset: DatasetRow,
+    watch: &Arc<Watch>,
+) -> Result<Scoring, JobError> {
     let file = data_file(&jobs.inner.datasets.datasets(), &dataset.id);
     watch.phase("gathering frames", dataset.rows);
     let scratch = jobs.inner.data.join("cache");
@@ -66,7 +82,7 @@ pub(super) async fn run(
     let (watch, clock) = (watch.clone(), jobs.inner.clock.clone());
     let sensor = jobs.inner.serving.sensor();
     let rig_sensor = (sensor.file.name.clone(), sensor.channels());
-    let scoring = Scoring {
+    Ok(Scoring {
         request,
         dataset: dataset.id,
         lineage: dataset.lineage,
@@ -79,9 +95,7 @@ pub(super) async fn run(
         rig_sensor,
         watch,
         clock,
-    };
-    let report = background(move || scoring.run()).await??;
-    report.map(|report| serde_json::to_value(report).map_err(JobError::Json)).transpose()
+    })
 }
 
 async fn reader(jobs: &Jobs, request: &EvaluationRequest) -> Result<Reader, JobError> {
@@ -139,7 +153,10 @@ async fn held_out(
 }
 
 /// Id of the calibration of the exact model: the named one, or else the serving one.
-async fn skin(jobs: &Jobs, request: &EvaluationRequest) -> Result<Option<CalibrationId>, JobError> {
+pub(super) async fn skin(
+    jobs: &Jobs,
+    request: &EvaluationRequest,
+) -> Result<Option<CalibrationId>, JobError> {
     match &request.skin {
         Some(skin) => Ok(Some(skin.clone())),
         None => Ok(jobs.inner.serving.promoted_skin().await?),

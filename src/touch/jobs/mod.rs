@@ -4,7 +4,8 @@
 //!
 //! A job is a task of the store: it resumes after a restart, a training from its last checkpoint. It
 //! runs at low priority, so that it does not slow acquisition: an evaluation on a thread, a training in
-//! a separate process (`trainer`). Trainings that other machines make are in `chunks`: they need no store.
+//! a separate process (`trainer`). Trainings that other machines make are in `chunks`, answers to the frames of
+//! an evaluation in `readings`: they need no store.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -27,6 +28,7 @@ mod error;
 mod evaluation;
 mod gathered;
 mod kept;
+pub mod readings;
 mod scoring;
 mod starts;
 mod trainer;

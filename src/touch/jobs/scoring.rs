@@ -12,6 +12,7 @@ use sim_core::stats::{quantile, sorted};
 use super::Watch;
 use super::error::JobError;
 use super::gathered::Gathered;
+use super::readings::frames::FrameInput;
 use crate::clock::Clock;
 use crate::dataset::force_map::ForceMap;
 use crate::evaluate::anova::Moments;
@@ -347,6 +348,23 @@ impl Scoring {
         let tip_mm = self.gathered.skin.tip_diameter_mm;
         let known = |c: &Contact| Contact { diameter_mm: c.diameter_mm.or(tip_mm), ..*c };
         self.gathered.examples.contacts(row).iter().map(known).collect()
+    }
+
+    /// The frames of all rows, with what is known of them.
+    ///
+    /// # Errors
+    /// `JobError::Learn` if a row cannot be read.
+    pub(super) fn inputs(&self) -> Result<Vec<FrameInput>, JobError> {
+        let mut inputs = Vec::with_capacity(self.gathered.rows.len());
+        for (at, &row) in self.gathered.rows.iter().enumerate() {
+            let trial = self.gathered.examples.trial_id(row);
+            inputs.push(FrameInput {
+                voltages_v: self.frames(at, &[row])?,
+                averaged: self.averaged(row),
+                untouched: trial.and_then(|trial| self.untouched.of(TrialId(trial))),
+            });
+        }
+        Ok(inputs)
     }
 
     /// Frames of rows, V, one after the other.

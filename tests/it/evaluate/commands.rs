@@ -96,8 +96,14 @@ async fn every_command_trains_scores_and_writes_what_it_is_for() {
     let fvu = table["no_net"]["all"]["fvu"].as_f64().unwrap();
     assert!(fvu > 0.5, "frames and twins were drawn apart: FVU {fvu}");
     let head = ["trained on", "train", "I", "II", "III", "IV", "V", "VI"];
-    // Measured voltages, and a row each of ours and of the paper's for six nets.
-    assert_eq!(rows(&data, "table-iii", &head), 13);
+    // Measured voltages, a row each of ours and of the paper's for six nets, and two regressions.
+    assert_eq!(rows(&data, "table-iii", &head), 15);
+    let regressions = table["regressions"].as_array().unwrap();
+    let names: Vec<&str> = regressions.iter().map(|r| r["name"].as_str().unwrap()).collect();
+    assert_eq!(names, ["ridge", "kernel ridge"]);
+    // The same rows of the part test as the nets.
+    let trials = |scores: &Value| scores["test"]["all"]["trials"].as_u64().unwrap();
+    assert!(regressions.iter().all(|r| trials(r) == trials(&rungs[5])), "{regressions:?}");
     is_svg(&data, "table-iii.svg", "virtual");
 
     let table = evaluate(&data, "maps", &tiny);

@@ -19,6 +19,7 @@ use crate::support;
 
 mod chunks;
 mod commands;
+mod readings;
 mod skins;
 
 /// Uniform from `low` to `high`.

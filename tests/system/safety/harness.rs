@@ -183,7 +183,7 @@ impl Harness {
         let status = self.handle.status();
         let end = status.rig.safe_end.clone().expect("a safe end");
         assert_eq!(end.tips, Tips::Raised, "{end:#?}");
-        assert!(end.is_acknowledged(), "{end:#?}");
+        assert!(end.is_stopped() && end.stops.iter().all(|s| s.stood_ms.is_some()), "{end:#?}");
         let mut truth = self.truth().await;
         // An axis that has reached its target settles for some wall milliseconds more.
         let settled = Instant::now() + Duration::from_millis(200);

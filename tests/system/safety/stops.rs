@@ -86,6 +86,28 @@ async fn an_e_stop_that_finds_no_wire_is_sent_the_moment_the_wire_is_back() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn a_drive_that_does_not_reply_to_an_e_stop_is_named_and_requests_are_answered_meanwhile() {
+    let harness = Harness::homed().await;
+    let for_s = 8.0 * super::harness::SPEED;
+    harness.fault("no_reply", "x", json!({ "for_s": for_s })).await;
+    let pressed = Instant::now();
+    harness.handle.estop("test");
+    let is_named =
+        |s: &Status| s.rig.estop_stops.iter().any(|stop| stop.axis == "x" && stop.error.is_some());
+    harness.until("x is named", is_named).await;
+    let refused = harness.ask(Request::Reset).await.unwrap_err().to_string();
+    assert!(refused.contains("x has not acknowledged its stop"), "{refused}");
+    assert!(pressed.elapsed() < Duration::from_secs(7), "{:?}", pressed.elapsed());
+    let stand = |s: &Status| {
+        s.rig.estop_stops.len() == 4 && s.rig.estop_stops.iter().all(|stop| stop.stood_ms.is_some())
+    };
+    harness.until("every axis stands", stand).await;
+    harness.ask(Request::Reset).await.unwrap();
+    harness.home().await;
+    harness.close().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn an_e_stop_while_the_wires_are_opened_reaches_every_axis_and_ends_the_connection() {
     let harness = Harness::homed().await;
     harness.ask(Request::Disconnect).await.unwrap();

@@ -9,7 +9,7 @@
 //! information criterion (3 ln 784 = 20; earlier 2 ln 784 = 13,
 //! `docs/references.md`, "Feasibility study"), but follows from the case instead of being chosen.
 
-use super::basis::dot;
+use super::basis::{Projected, dot};
 use super::shapes::Place;
 use crate::forward::ContactError;
 
@@ -67,7 +67,7 @@ impl Prior {
     }
 }
 
-/// Predicts projected frames.
+/// Predicts projected frames, whitened as the measured one.
 pub(super) trait Predict {
     /// Writes the frame of contacts, and its slopes by x, y and ln F of each (each of the frame's
     /// length).
@@ -79,11 +79,10 @@ pub(super) trait Predict {
     ) -> Result<(), ContactError>;
 }
 
-/// The fitted frame with its weights and prior.
+/// The fitted frame, whitened, and the prior.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Problem<'a> {
     pub z: &'a [f64],
-    pub weights: &'a [f64],
     pub prior: &'a Prior,
 }
 
@@ -98,7 +97,7 @@ pub(super) struct Effort {
 /// Result of a descent.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Optimum {
-    /// Weighted sum of squares.
+    /// Sum of squares of the whitened residual.
     pub misfit: f64,
     /// -2 ln evidence, up to a constant of the frame.
     pub score: f64,
@@ -106,6 +105,15 @@ pub(super) struct Optimum {
     pub predictions: usize,
     /// Whether the descent converged.
     pub converged: bool,
+}
+
+/// Uncertainty of a contact.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct Spread {
+    /// Variances of x, y and ln F.
+    pub variance: Place,
+    /// Share of each that the model's error has, 0 to 1.
+    pub by_model: Place,
 }
 
 /// Memory of descents; may be reused.
@@ -117,7 +125,7 @@ pub(super) struct DescentWork {
     trial_slopes: Vec<f64>,
     trial: Vec<Place>,
     residual: Vec<f64>,
-    weighted: Vec<f64>,
+    damped: Vec<f64>,
     normal: Vec<f64>,
     factor: Vec<f64>,
     gradient: Vec<f64>,
@@ -125,10 +133,9 @@ pub(super) struct DescentWork {
 }
 
 impl DescentWork {
-    /// Residual at the last optimum, times the square root of its weights.
-    pub fn whitened_residual(&self, weights: &[f64], out: &mut Vec<f64>) {
-        out.clear();
-        out.extend(self.residual.iter().zip(weights).map(|(r, w)| r * w.sqrt()));
+    /// Residual at the last optimum.
+    pub fn residual(&self) -> &[f64] {
+        &self.residual
     }
 
     /// Slopes at the last optimum.
@@ -136,21 +143,33 @@ impl DescentWork {
         &self.slopes
     }
 
-    /// Variances of x, y and ln F of each contact at the last optimum.
-    pub fn variances(&mut self, count: usize) -> Vec<Place> {
-        let size = EACH * count;
-        let mut variances = vec![[0.0; EACH]; count];
+    /// Uncertainty of each contact at the last optimum of a frame.
+    pub fn spreads(&mut self, count: usize, frame: &Projected) -> Vec<Spread> {
+        let (size, width) = (EACH * count, frame.z.len());
+        let mut spreads = vec![Spread::default(); count];
         if !cholesky(&self.normal, size, &mut self.factor) {
-            return variances;
+            return spreads;
         }
-        let mut unit = vec![0.0; size];
+        let (mut column, mut gain, mut of_numbers) = (Vec::new(), Vec::new(), Vec::new());
         for i in 0..size {
-            unit.fill(0.0);
-            unit[i] = 1.0;
-            solve(&self.factor, size, &mut unit);
-            variances[i / EACH][i % EACH] = unit[i];
+            column.clear();
+            column.resize(size, 0.0);
+            column[i] = 1.0;
+            solve(&self.factor, size, &mut column);
+            // What the parameter changes by with each number of the frame.
+            gain.clear();
+            gain.resize(width, 0.0);
+            for (slope, weight) in self.slopes.chunks_exact(width).zip(&column) {
+                gain.iter_mut().zip(slope).for_each(|(g, s)| *g += weight * s);
+            }
+            frame.whitener.transposed(&gain, &mut of_numbers);
+            let by_model: f64 =
+                of_numbers.iter().zip(&frame.by_model).map(|(g, v2)| g * g * v2).sum();
+            let spread = &mut spreads[i / EACH];
+            spread.variance[i % EACH] = column[i];
+            spread.by_model[i % EACH] = (by_model / column[i]).clamp(0.0, 1.0);
         }
-        variances
+        spreads
     }
 }
 
@@ -204,8 +223,7 @@ fn of_forces(prior: &Prior, places: &[Place]) -> f64 {
 }
 
 fn misfit_of(problem: &Problem<'_>, z: &[f64]) -> f64 {
-    let terms = problem.z.iter().zip(z).zip(problem.weights);
-    terms.map(|((measured, z), w)| w * (measured - z).powi(2)).sum()
+    problem.z.iter().zip(z).map(|(measured, z)| (measured - z).powi(2)).sum()
 }
 
 impl DescentWork {
@@ -218,17 +236,13 @@ impl DescentWork {
     /// Normal equations with the prior, at the current slopes and residual.
     fn assemble(&mut self, problem: &Problem<'_>, places: &[Place]) {
         let (size, width) = (EACH * places.len(), problem.z.len());
-        self.weighted.clear();
-        for column in self.slopes.chunks_exact(width) {
-            self.weighted.extend(column.iter().zip(problem.weights).map(|(s, w)| s * w));
-        }
         self.normal.clear();
         self.normal.resize(size * size, 0.0);
         self.gradient.clear();
-        for (i, weighted) in self.weighted.chunks_exact(width).enumerate() {
-            self.gradient.push(dot(weighted, &self.residual));
+        for (i, slope) in self.slopes.chunks_exact(width).enumerate() {
+            self.gradient.push(dot(slope, &self.residual));
             for (j, column) in self.slopes.chunks_exact(width).enumerate().take(i + 1) {
-                self.normal[i * size + j] = dot(weighted, column);
+                self.normal[i * size + j] = dot(slope, column);
             }
         }
         let precision = problem.prior.precision();
@@ -247,7 +261,7 @@ impl DescentWork {
     /// Writes the places after a damped step, and returns the predicted decrease of the cost.
     fn take_step(&mut self, prior: &Prior, places: &[Place], damping: f64) -> f64 {
         let size = EACH * places.len();
-        let mut damped = std::mem::take(&mut self.weighted);
+        let mut damped = std::mem::take(&mut self.damped);
         damped.clear();
         damped.extend_from_slice(&self.normal);
         self.step.clear();
@@ -268,7 +282,7 @@ impl DescentWork {
             }
         }
         let solvable = cholesky(&damped, size, &mut self.factor);
-        self.weighted = damped;
+        self.damped = damped;
         if !solvable {
             return 0.0;
         }

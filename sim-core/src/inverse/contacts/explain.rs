@@ -80,7 +80,8 @@ mod tests {
 
     fn at(x_mm: f64) -> Vec<FittedContact> {
         let contact = Contact { x_mm, y_mm: 100.0, force_n: 9.0 };
-        vec![FittedContact { contact, x_sd_mm: 2.0, y_sd_mm: 2.0, force_sd_n: 0.5 }]
+        let (x_sd_mm, y_sd_mm, force_sd_n, by_model) = (2.0, 2.0, 0.5, [0.5; 3]);
+        vec![FittedContact { contact, x_sd_mm, y_sd_mm, force_sd_n, by_model }]
     }
 
     #[test]

@@ -2,7 +2,8 @@
 //! Uses: `forward`, `jacobian`, `batch`, an error model. Never: threads, clock, chance, nets (their
 //! proposals are passed in).
 //!
-//! A frame is projected on the few directions in which the model's frames differ (`basis`). A
+//! A frame is projected on the few directions in which the model's frames differ (`basis`), and whitened by the
+//! covariance of its error (`whitener`). A
 //! search over a table of single contacts (`shapes`, `search`) finds hypotheses of every count; the
 //! best are finished with the exact model (`exact`, `descent`), and evidence chooses among them; what else
 //! is probable is part of the result (`explain`).
@@ -16,11 +17,12 @@ mod fit;
 mod search;
 mod shapes;
 pub mod steady;
+mod whitener;
 
 use crate::batch::{BatchError, BatchModel, BatchWork, Kernel};
 use crate::forward::{Contact, ContactError, ForwardModel, Workspace};
 use basis::{Basis, Projected};
-use descent::{EACH, Effort, Optimum, Predict, Prior, Problem, descend};
+use descent::{EACH, Effort, Optimum, Predict, Prior, Problem, Spread, descend};
 pub use error::{ErrorModel, ErrorModelError, FramePair};
 use exact::ExactWork;
 use explain::{Explanations, shares};
@@ -218,7 +220,7 @@ impl ContactFitter {
     }
 
     fn measure(&self, observation: &Observation<'_>, work: &mut FitWork) -> Result<(), FitError> {
-        let Observation { frame_v, frames, offset_sd_v } = *observation;
+        let Observation { frame_v, frames, offset_sd_v, offset_spectrum } = *observation;
         let needed = self.model.sensor().channels();
         if frame_v.len() != needed {
             return Err(FitError::Length { found: frame_v.len(), needed });
@@ -231,6 +233,11 @@ impl ContactFitter {
         }
         if !(offset_sd_v >= 0.0 && offset_sd_v.is_finite()) {
             return Err(FitError::Offset { offset_sd_v });
+        }
+        let (found, needed) = (offset_spectrum.len(), self.basis.pairs() / 2 + 1);
+        let sound = offset_spectrum.iter().all(|share| *share >= 0.0 && share.is_finite());
+        if !(sound && (found == 0 || found == needed)) {
+            return Err(FitError::Spectrum { found, needed });
         }
         self.basis.measure(observation, &mut work.scratch, &mut work.frame);
         Ok(())
@@ -277,12 +284,14 @@ impl ContactFitter {
                 work.frame_v.clear();
                 work.frame_v.extend(frame.iter().map(|&v| f64::from(v)));
                 self.basis.project_frame(&work.frame_v, &mut work.scratch, &mut lacks);
-                let mut table = Sum { model: &self.model, shapes: &self.shapes, lacks: &self.none };
+                let whitener = &work.frame.whitener;
+                whitener.apply(&mut lacks);
+                let (model, shapes) = (&self.model, &self.shapes);
+                let mut table = Sum { model, shapes, whitener, lacks: &self.none };
                 table.predict(&hypothesis.places, &mut sum, &mut slopes)?;
                 lacks.iter_mut().zip(&sum).for_each(|(lacks, sum)| *lacks -= sum);
                 table.lacks = &lacks;
-                let problem =
-                    Problem { z: &work.frame.z, weights: &work.frame.weights, prior: &self.prior };
+                let problem = Problem { z: &work.frame.z, prior: &self.prior };
                 let places = &mut hypothesis.places;
                 let descent = work.exact.descent();
                 hypothesis.score =
@@ -309,9 +318,9 @@ impl ContactFitter {
         effort: Effort,
         work: &mut FitWork,
     ) -> Result<Optimum, ContactError> {
-        let (mut model, descent) = work.exact.model(&self.model, &self.basis);
-        let problem =
-            Problem { z: &work.frame.z, weights: &work.frame.weights, prior: &self.prior };
+        let Projected { z, whitener, .. } = &work.frame;
+        let (mut model, descent) = work.exact.model(&self.model, &self.basis, whitener);
+        let problem = Problem { z, prior: &self.prior };
         descend(&problem, &mut model, places, effort, descent)
     }
 
@@ -324,14 +333,15 @@ impl ContactFitter {
         work: &mut FitWork,
     ) -> Result<Fit, ContactError> {
         let optimum = self.finish(&mut places, effort, work)?;
-        let variances = work.exact.descent().variances(places.len());
+        let spreads = work.exact.descent().spreads(places.len(), &work.frame);
         let mut contacts: Vec<FittedContact> = places
             .iter()
-            .zip(variances)
-            .map(|(&place, variance)| {
+            .zip(spreads)
+            .map(|(&place, Spread { variance, by_model })| {
                 let contact = shapes::contact(place);
                 let [x_sd_mm, y_sd_mm, ln_sd] = variance.map(f64::sqrt);
-                FittedContact { contact, x_sd_mm, y_sd_mm, force_sd_n: contact.force_n * ln_sd }
+                let force_sd_n = contact.force_n * ln_sd;
+                FittedContact { contact, x_sd_mm, y_sd_mm, force_sd_n, by_model }
             })
             .collect();
         contacts.sort_by(|a, b| b.contact.force_n.total_cmp(&a.contact.force_n));

@@ -37,8 +37,8 @@ pub struct AxisStop {
     /// Time from the request of the stop to the acknowledgement of the axis, wall ms; absent while
     /// it is not acknowledged.
     pub acknowledged_ms: Option<f64>,
-    /// Time from the request of an e-stop to the reading that found the axis at rest, wall ms; absent while it is
-    /// not known to stand, and for the stops of a safe end.
+    /// Time from the request of the stop to the reading that found the axis at rest, wall ms; absent while it is
+    /// not known to stand. In a safe end under an e-stop it is absent: the stops of the e-stop are read.
     pub stood_ms: Option<f64>,
     /// Why it is not acknowledged, or not known to stand; absent without a fault.
     pub error: Option<String>,
@@ -57,9 +57,14 @@ impl AxisStop {
         }
     }
 
-    fn stood(&mut self, after_ms: f64) {
+    pub(in crate::campaign) fn stood(&mut self, after_ms: f64) {
         self.stood_ms.get_or_insert(after_ms);
         self.error = None;
+    }
+
+    /// Whether the axis has acknowledged the stop and was not found moving after it.
+    pub fn is_done(&self) -> bool {
+        self.acknowledged_ms.is_some() && self.error.is_none()
     }
 }
 
@@ -178,6 +183,9 @@ impl StopSwitch {
                 }
                 pressed = pressed => {
                     let Ok(press) = pressed else { return };
+                    if served.is_none() {
+                        self.forget_stops();
+                    }
                     served = press;
                     self.expect(&bench);
                     for axis in bench.axes() {
@@ -187,6 +195,13 @@ impl StopSwitch {
                     }
                 }
             }
+        }
+    }
+
+    /// Nothing is known of axes that were stopped over other wires, which were closed.
+    fn forget_stops(&self) {
+        if let Some(press) = self.state().press.as_mut() {
+            press.stops.clear();
         }
     }
 
@@ -260,7 +275,7 @@ impl StopSwitch {
 
 /// Reads an axis that has acknowledged its stop until it stands: two readings in a row at rest, at one place. A drive
 /// in alarm reports rest even if its axis coasts.
-async fn stands(axis: &dyn Axis) -> Result<(), String> {
+pub(in crate::campaign) async fn stands(axis: &dyn Axis) -> Result<(), String> {
     let deadline = Instant::now() + STANDS_WITHIN;
     let mut last: Option<f64> = None;
     loop {
@@ -362,6 +377,23 @@ mod tests {
         let stands = |stop: &AxisStop| stop.stood_ms.is_some() && stop.error.is_none();
         until(&stop, |stops| stops.iter().all(stands)).await;
         assert!(axes.x.stops.load(Ordering::SeqCst) > 1, "sent again");
+        serving.abort();
+    }
+
+    #[tokio::test]
+    async fn over_new_wires_no_axis_counts_as_stopped_before_it_has_acknowledged_there() {
+        let (stop, axes) = (StopSwitch::default(), StandIns::default());
+        let serving = tokio::spawn(stop.clone().serve(axes.bench()));
+        stop.press("hands");
+        until(&stop, |stops| stops.len() == 4 && stops.iter().all(|stop| stop.stood_ms.is_some()))
+            .await;
+        serving.abort();
+        let _ = serving.await;
+        axes.x.replies.store(false, Ordering::SeqCst);
+        let serving = tokio::spawn(stop.clone().serve(axes.bench()));
+        let is_silent = |stop: &AxisStop| stop.axis == "x" && stop.stood_ms.is_none();
+        until(&stop, |stops| stops.iter().any(is_silent)).await;
+        assert_eq!(stop.pressed().unwrap().acknowledged_ms(), None);
         serving.abort();
     }
 

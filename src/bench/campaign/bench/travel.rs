@@ -19,6 +19,9 @@ use crate::schedule::configuration::Stand;
 
 /// Longest homing of one axis, process s.
 const HOMING_S: f64 = 180.0;
+/// Distance that z may sink during a lateral motion, beyond its tolerance, mm: more than an encoder jitters at rest, and
+/// less than the smallest clearance of a rig file (0.5 mm).
+const SINKS_MM: f64 = 0.2;
 /// Longest wait of those who request homing until all axes are homed, wall time.
 pub const HOMING_WAIT: Duration = Duration::from_secs(300);
 
@@ -278,7 +281,7 @@ impl Stage {
             return Err(Halt::trip(TripKind::Device, detail));
         }
         let clear = self.clear_z_mm();
-        if z.position > clear + self.driven(AxisName::Z).tolerance {
+        if z.position > clear + self.driven(AxisName::Z).tolerance + SINKS_MM {
             let at = z.position;
             let detail =
                 format!("z sank to {at:.3} mm during a lateral motion, clear at {clear:.3}");

@@ -27,6 +27,8 @@ use crate::suspension::Suspensions;
 
 /// Longest wait for the store, for a trial or for earlier notes to be durable.
 pub const STORE_LIMIT: Duration = Duration::from_secs(30);
+/// Why no waiting run begins after an abort of a motion outside a run.
+const MOTION_ABORTED: &str = "a motion of the rig was aborted, and a person may be at it";
 /// Period at which requests are checked while waiting for the store at rest.
 const REQUESTS_POLL: Duration = Duration::from_millis(20);
 
@@ -99,6 +101,11 @@ impl Control {
         self.show_run(|run| run.phase = phase);
     }
 
+    /// Publishes a sign that a person may be at the rig, with the reason: no waiting run begins by itself.
+    pub fn attended(&self, why: &str) {
+        self.show(|status| status.attended.note(why));
+    }
+
     /// Applies an event to the state of the rig and publishes the new state.
     ///
     /// # Errors
@@ -126,10 +133,14 @@ impl Control {
         // A trip is allowed in every state with open wires; without wires there is nothing to
         // latch.
         let _ = self.rig_event(RigEvent::Trip);
-        if first {
-            let shown = trip.clone();
-            self.show(|status| status.rig.trip = Some(shown));
-        }
+        self.show(|status| {
+            if first {
+                status.rig.trip = Some(trip.clone());
+            }
+            if status.run.is_none() || !trip.kind.may_pass() {
+                status.attended.note(format!("the rig tripped ({})", trip.detail));
+            }
+        });
         self.say("trip", json!(trip));
     }
 
@@ -305,7 +316,12 @@ impl Control {
     /// Homing or jogging outside a run ends when the service ends, or by an abort.
     fn asked_without_run(&mut self, request: &Request) -> Result<RunAction, Refusal> {
         match self.run_request(request) {
-            Some(event) if self.leaving || event == RunEvent::Abort => Ok(RunAction::Raise),
+            Some(event) if self.leaving || event == RunEvent::Abort => {
+                if event == RunEvent::Abort {
+                    self.attended(MOTION_ABORTED);
+                }
+                Ok(RunAction::Raise)
+            }
             Some(event) => self.run_event(event),
             None => {
                 let what = name(request);

@@ -88,9 +88,14 @@ impl ActionOnRun {
 
 /// The trip that brings a person to the rig, if there is one: without a run any, during a run one that does not pass
 /// without a person.
-pub fn trip_for_person(status: &Status) -> Option<&str> {
+fn trip_for_person(status: &Status) -> Option<&str> {
     let trip = status.rig.trip.as_ref()?;
     (status.run.is_none() || !trip.kind.may_pass()).then_some(trip.detail.as_str())
+}
+
+/// The trip that brings a person to the rig, as text for the queue.
+pub fn tripped(status: &Status) -> Option<String> {
+    trip_for_person(status).map(|trip| format!("the rig tripped ({trip})"))
 }
 
 /// Why a run is not accepted to wait for its turn, as text; `None` if it is.

@@ -49,8 +49,8 @@ impl SafeEnd {
         }
     }
 
-    /// Whether each axis acknowledged its stop.
-    pub fn is_acknowledged(&self) -> bool {
-        self.stops.iter().all(|s| s.acknowledged_ms.is_some())
+    /// Whether each axis acknowledged its stop, and none was found moving after it.
+    pub fn is_stopped(&self) -> bool {
+        self.stops.iter().all(AxisStop::is_done)
     }
 }

@@ -15,7 +15,7 @@ use crate::campaign::run::eta::Pace;
 use crate::campaign::run::job::Job;
 use crate::campaign::shown::frames::FrameFeed;
 use crate::campaign::shown::status::{
-    Phase, RigStatus, RunStatus, Status, StreamStatus, WireStatus,
+    Attended, Phase, RigStatus, RunStatus, Status, StreamStatus, WireStatus,
 };
 use crate::journal::Progress;
 use crate::rig::link::{Line, LineCounts};
@@ -54,6 +54,7 @@ pub fn closed(config: &RigSetup) -> Status {
         },
         run: None,
         version: 0,
+        attended: Attended::default(),
     }
 }
 
@@ -105,11 +106,26 @@ pub fn progress(control: &Control, job: &Job, progress: &Progress, pace: &Pace) 
     });
 }
 
-/// Publishes the readings of the bench, between runs.
+/// Publishes the stops of a latched e-stop, and the readings of the bench, between runs. Until each axis has
+/// acknowledged, nothing is read: the stop of a silent one is sent again and again, and delays each reply.
 pub async fn bench(control: &Control, stage: &Stage) {
+    if let Some(press) = control.estop.pressed() {
+        let acknowledged_ms = press.acknowledged_ms();
+        control.show(|status| {
+            let rig = &mut status.rig;
+            rig.estop_acknowledged_ms = acknowledged_ms;
+            rig.estop_stops = press.stops();
+            if acknowledged_ms.is_none() {
+                (rig.pose, rig.live_cells) = (None, None);
+                rig.forces_n.clear();
+            }
+        });
+        if acknowledged_ms.is_none() {
+            return;
+        }
+    }
     let pose = stage.pose().await.ok();
     let reading = stage.bench.cells.read().await.ok();
-    let press = control.estop.pressed();
     if let Some(reading) = &reading {
         stage.publish(reading, pose.map(|pose| pose.z_mm));
     }
@@ -125,10 +141,6 @@ pub async fn bench(control: &Control, stage: &Stage) {
         rig.pose = pose;
         rig.live_cells = live.as_ref().map(|l| l.iter().filter(|f| f.is_some()).count() as u8);
         rig.forces_n = live.unwrap_or_default();
-        if let Some(press) = press {
-            rig.estop_acknowledged_ms = press.acknowledged_ms();
-            rig.estop_stops = press.stops();
-        }
     });
 }
 

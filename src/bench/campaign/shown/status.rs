@@ -25,6 +25,27 @@ pub struct Status {
     pub run: Option<RunStatus>,
     /// Number that increases with every change.
     pub version: u64,
+    /// Signs that a person may have come to the rig; for the queue, not for clients.
+    #[serde(skip)]
+    pub attended: Attended,
+}
+
+/// Signs that a person may have come to the rig: a trip that waits for a person, an abort, the end of a halted run.
+/// After each no waiting run begins by itself. They are counted, so that a reader who misses a status misses no sign.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Attended {
+    /// Number of signs since the start of the service.
+    pub signs: u64,
+    /// The last one, as text.
+    pub why: String,
+}
+
+impl Attended {
+    /// Adds a sign.
+    pub fn note(&mut self, why: impl Into<String>) {
+        self.signs += 1;
+        self.why = why.into();
+    }
 }
 
 impl Status {
@@ -95,8 +116,8 @@ pub struct RigStatus {
     /// Time from the press of an e-stop to the acknowledgement of the last axis, ms; null while one
     /// is missing.
     pub estop_acknowledged_ms: Option<f64>,
-    /// Stop of each axis while an e-stop is latched. A stop that is not acknowledged is sent again
-    /// until it is.
+    /// Stop of each axis while an e-stop is latched. The stop is sent again until the axis has acknowledged it
+    /// and stands.
     pub estop_stops: Vec<AxisStop>,
     /// Result of the last safe end; null before the first one, and while one follows a good result.
     pub safe_end: Option<SafeEnd>,

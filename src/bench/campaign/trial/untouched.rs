@@ -2,6 +2,7 @@
 //! untouched ones by no more than their noise. A person tares the skin once; it is followed from there.
 //! Uses: `trial::rest`, `rig::traits`. Never: motion, a frame of a placement.
 
+use std::collections::VecDeque;
 use std::sync::Arc;
 
 use jiff::Timestamp;
@@ -14,6 +15,10 @@ use crate::rig::traits::SkinReader;
 /// Frames per window, one second at 30 frames per second: the mean of 10 frames does not show a weight of 5 N
 /// on every skin.
 pub const WINDOW_FRAMES: usize = 30;
+
+/// Largest number of successive untouched windows in a mean: over 10 s the noise of seconds averages out, and offsets
+/// hardly drift.
+const MEAN_WINDOWS: usize = 10;
 
 /// A mean of [`WINDOW_FRAMES`] frames, and the wall time of the last one.
 #[derive(Debug, Clone)]
@@ -35,11 +40,24 @@ impl Seen {
     }
 }
 
+/// Mean of the newest untouched windows, without a touch between them.
+#[derive(Debug, Clone)]
+pub struct UntouchedMean {
+    /// Mean voltages, V.
+    pub mean_v: Vec<f64>,
+    /// Number of frames.
+    pub frames: usize,
+    /// Wall time of the last one.
+    pub at: Timestamp,
+}
+
 /// Follows the untouched skin.
 #[derive(Debug, Clone)]
 pub struct UntouchedSkin {
     /// The newest untouched window.
     last: Seen,
+    /// Means of the newest untouched windows since the last touch, V, that of `last` at the end.
+    recent_v: VecDeque<Vec<f64>>,
     is_reported: bool,
     was_touched: bool,
     /// The window before, touched or not.
@@ -52,12 +70,13 @@ impl UntouchedSkin {
     /// Begins with a window in which, a person states, nothing touches the skin.
     pub fn tared(last: Seen) -> Self {
         let before = Some(last.window.clone());
-        Self { last, is_reported: true, was_touched: false, before, pending: None }
+        let recent_v = VecDeque::from([last.window.mean_v.clone()]);
+        Self { last, recent_v, is_reported: true, was_touched: false, before, pending: None }
     }
 
-    /// Adds the next window. Returns an untouched one to store: the first one after a touch, and the newest
-    /// one when the next touch begins.
-    pub fn push(&mut self, seen: Seen) -> Option<Seen> {
+    /// Adds the next window. Returns what to store: the first untouched window after a touch, and the mean of the
+    /// newest ones when the next touch begins.
+    pub fn push(&mut self, seen: Seen) -> Option<UntouchedMean> {
         let rests = self.before.as_ref().is_some_and(|before| seen.window.rests_after(before));
         let is_untouched = rests && seen.window.rests_after(&self.last.window);
         self.before = Some(seen.window.clone());
@@ -66,14 +85,32 @@ impl UntouchedSkin {
         }
         self.last = self.pending.replace(seen)?;
         self.is_reported = std::mem::take(&mut self.was_touched);
-        self.is_reported.then(|| self.last.clone())
+        if self.is_reported {
+            self.recent_v.clear();
+        }
+        if self.recent_v.len() == MEAN_WINDOWS {
+            self.recent_v.pop_front();
+        }
+        self.recent_v.push_back(self.last.window.mean_v.clone());
+        self.is_reported.then(|| self.mean())
     }
 
-    /// Something touches the skin. Returns the newest window before it, unless it was returned already.
-    pub fn touched(&mut self) -> Option<Seen> {
+    /// Something touches the skin. Returns the mean of the newest windows before it, unless the last one was
+    /// returned already.
+    pub fn touched(&mut self) -> Option<UntouchedMean> {
         (self.pending, self.was_touched) = (None, true);
         let is_reported = std::mem::replace(&mut self.is_reported, true);
-        (!is_reported).then(|| self.last.clone())
+        (!is_reported).then(|| self.mean())
+    }
+
+    /// Mean of the newest untouched windows since the last touch.
+    pub fn mean(&self) -> UntouchedMean {
+        let windows = self.recent_v.len();
+        let mut mean_v = vec![0.0; self.last.window.mean_v.len()];
+        for window_v in &self.recent_v {
+            mean_v.iter_mut().zip(window_v).for_each(|(mean, v)| *mean += v / windows as f64);
+        }
+        UntouchedMean { mean_v, frames: windows * WINDOW_FRAMES, at: self.last.at }
     }
 }
 
@@ -119,6 +156,27 @@ mod tests {
         // A confirmation states that weights are on the skin.
         assert_eq!(skin.touched().map(|found| found.at.as_second()), Some(16));
         assert!(skin.touched().is_none());
+    }
+
+    #[test]
+    fn the_mean_before_a_touch_is_of_the_newest_windows_since_the_last_one() {
+        let mut skin = UntouchedSkin::tared(seen(0.0, 0));
+        assert_eq!(skin.mean().frames, WINDOW_FRAMES);
+        assert!((1..4).all(|at_s| skin.push(seen(0.0, at_s)).is_none()));
+        // Of 0 to 2 s: nothing confirms the window at 3 s.
+        let few = skin.push(seen(9.0, 4)).unwrap();
+        assert_eq!((few.frames, few.at.as_second()), (3 * WINDOW_FRAMES, 2));
+        // The loads of these windows are 0 or a count: within the noise of one another.
+        let load = |at_s: i64| if at_s % 2 == 0 { 1.0 } else { 0.0 };
+        let mut skin = UntouchedSkin::tared(seen(load(0), 0));
+        assert!((1..20).all(|at_s| skin.push(seen(load(at_s), at_s)).is_none()));
+        let many = skin.push(seen(9.0, 20)).unwrap();
+        assert_eq!((many.frames, many.at.as_second()), (MEAN_WINDOWS * WINDOW_FRAMES, 18));
+        let windows_v = [0.0, 1.0].map(|load| seen(load, 0).window.mean_v);
+        let half_v = (windows_v[0][0] + windows_v[1][0]) / 2.0;
+        assert!((many.mean_v[0] - half_v).abs() < 1e-9, "{} for {half_v} V", many.mean_v[0]);
+        let first = (21..30).find_map(|at_s| skin.push(seen(0.0, at_s))).unwrap();
+        assert_eq!(first.frames, WINDOW_FRAMES);
     }
 
     #[test]

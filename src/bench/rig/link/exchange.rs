@@ -61,6 +61,8 @@ pub(super) struct Job {
     request: Request,
     pub(super) kind: Kind,
     failures: u32,
+    /// Attempts that a stop has cut off.
+    pub(super) cut_offs: u32,
     gateway_retried: bool,
     busy_since: Option<Instant>,
     reply: oneshot::Sender<Result<Reply, LineError>>,
@@ -74,6 +76,7 @@ impl Job {
             request,
             kind,
             failures: 0,
+            cut_offs: 0,
             gateway_retried: false,
             busy_since: None,
             reply,

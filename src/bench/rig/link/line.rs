@@ -20,6 +20,9 @@ use crate::clock::Clock;
 const LINE_REQUESTS_WAITING: usize = 64;
 /// Capacity of the queue of stops.
 const URGENT_QUEUE: usize = 16;
+/// Attempts of a request that stops may cut off. The stop of a silent device is sent again and again: without a limit
+/// a request to it would never end, nor those behind it.
+const CUT_OFFS_MAX: u32 = 3;
 
 /// Handle of a wire. Dropping it ends the owner.
 #[derive(Debug)]
@@ -130,18 +133,25 @@ struct Owner {
 impl Owner {
     async fn run(mut self) {
         loop {
+            self.serve_stops().await;
+            if !self.stops.is_empty() {
+                if let Ok(job) = self.ordinary.try_recv() {
+                    self.serve(job).await;
+                }
+                continue;
+            }
             tokio::select! {
                 biased;
                 Some(stop) = self.urgent.recv() => self.stops.push_back(stop),
                 Some(job) = self.ordinary.recv() => self.serve(job).await,
                 else => return,
             }
-            self.serve_stops().await;
         }
     }
 
     /// Sends the waiting stops in turn, so that one silent device does not prevent the others from
-    /// stopping.
+    /// stopping. Returns when none waits, or when one was given up: the stops of several silent devices, which are sent
+    /// again and again, must not keep a request to another device waiting. Others may still wait then.
     async fn serve_stops(&mut self) {
         loop {
             while let Ok(stop) = self.urgent.try_recv() {
@@ -151,7 +161,7 @@ impl Owner {
             match self.wire.attempt(&stop).await {
                 Ok(reply) => stop.answer(Ok(reply)),
                 Err(error) => match self.wire.after(&mut stop, &error) {
-                    Next::GiveUp => stop.answer(Err(error)),
+                    Next::GiveUp => return stop.answer(Err(error)),
                     Next::Again => self.stops.push_back(stop),
                     Next::AgainAfter(wait) => {
                         if self.stops.is_empty() && self.urgent.is_empty() {
@@ -174,15 +184,20 @@ impl Owner {
                 return job.answer(Err(refused));
             }
             let grace = self.stop_grace;
+            let stop_waits = !self.stops.is_empty() || !self.urgent.is_empty();
+            // While the e-stop is latched it has no permit: these stops are sent a few times only.
+            if stop_waits && matches!(job.kind, Kind::Motion(_)) {
+                continue;
+            }
             let outcome = tokio::select! {
                 biased;
                 outcome = self.wire.attempt(&job) => outcome,
-                () = rung(&self.bell, &self.urgent, grace) => {
+                () = rung(&self.bell, &self.urgent, stop_waits, grace) => {
                     self.wire.cut_off();
-                    if matches!(job.kind, Kind::Motion(_)) {
+                    job.cut_offs += 1;
+                    if matches!(job.kind, Kind::Motion(_)) || job.cut_offs >= CUT_OFFS_MAX {
                         let timeout_ms = grace.as_millis() as u64;
-                        job.answer(Err(LineError::NoReply { timeout_ms }));
-                        return self.serve_stops().await;
+                        return job.answer(Err(LineError::NoReply { timeout_ms }));
                     }
                     continue;
                 }
@@ -194,7 +209,7 @@ impl Owner {
                     Next::Again => {}
                     Next::AgainAfter(wait) => tokio::select! {
                         () = tokio::time::sleep(wait) => {}
-                        () = rung(&self.bell, &self.urgent, Duration::ZERO) => {}
+                        () = rung(&self.bell, &self.urgent, stop_waits, Duration::ZERO) => {}
                     },
                 },
             }
@@ -202,12 +217,14 @@ impl Owner {
     }
 }
 
-/// Waits until a stop has been waiting for `grace`.
-async fn rung(bell: &Notify, urgent: &mpsc::Receiver<Job>, grace: Duration) {
-    loop {
-        bell.notified().await;
-        if !urgent.is_empty() {
-            break;
+/// Waits until a stop has been waiting for `grace`. `stop_waits`: whether one waits already.
+async fn rung(bell: &Notify, urgent: &mpsc::Receiver<Job>, stop_waits: bool, grace: Duration) {
+    if !stop_waits {
+        loop {
+            bell.notified().await;
+            if !urgent.is_empty() {
+                break;
+            }
         }
     }
     if !grace.is_zero() {

@@ -251,6 +251,36 @@ async fn one_silent_drive_does_not_keep_the_others_from_stopping() {
     assert_eq!(rig.seen().iter().filter(|(unit, ..)| *unit == 1).count(), 3);
 }
 
+/// Sends the stop of a device again and again, as while an e-stop is latched.
+fn stop_again(line: &Arc<Line>, unit: u8) -> tokio::task::JoinHandle<()> {
+    let line = Arc::clone(line);
+    tokio::spawn(async move {
+        loop {
+            let _ = line.ask_urgent(unit, coil(9)).await;
+            tokio::time::sleep(GRACE / 2).await;
+        }
+    })
+}
+
+#[tokio::test]
+async fn a_request_to_a_silent_device_ends_although_its_stop_is_sent_again() {
+    let rig = rig(|_, _| Act::Silence);
+    let stopping = stop_again(&rig.line, 1);
+    let read = tokio::time::timeout(5 * LONG, rig.line.ask(1, read())).await;
+    assert!(matches!(read, Ok(Err(LineError::NoReply { .. }))), "{read:?}");
+    stopping.abort();
+}
+
+#[tokio::test]
+async fn several_silent_drives_do_not_keep_a_request_to_another_device_waiting() {
+    let rig = rig(|_, (unit, ..)| if unit == 3 { Act::Words(vec![3]) } else { Act::Silence });
+    let stopping = [1, 2].map(|unit| stop_again(&rig.line, unit));
+    tokio::time::sleep(TIMEOUT / 2).await;
+    let read = tokio::time::timeout(5 * LONG, rig.line.ask(3, read())).await;
+    assert_eq!(read, Ok(Ok(Reply::Words(vec![3]))));
+    stopping.iter().for_each(tokio::task::JoinHandle::abort);
+}
+
 #[tokio::test]
 async fn a_latched_rig_sends_no_motion_but_reads_and_stops() {
     let mut rig = rig(|_, (_, f, _)| if f == 3 { Act::Words(vec![1]) } else { Act::Echo });

@@ -119,10 +119,7 @@ impl Definition {
             calibration: model.sensor().calibration().map(CalibrationId::unchecked),
             kernel: kernel.name().into(),
             palpate: env!("CARGO_PKG_VERSION").into(),
-            libraries: BYTE_MAKERS
-                .iter()
-                .filter_map(|name| Some(((*name).to_owned(), locked_version(LOCK, name)?)))
-                .collect(),
+            libraries: byte_makers(),
         }
     }
 
@@ -141,6 +138,12 @@ impl Definition {
     pub fn shards(&self) -> impl Iterator<Item = Shard> {
         (0..self.shard_count()).map(|number| self.shard(number))
     }
+}
+
+/// Versions of the libraries that produce the bytes of a Parquet file, by name.
+pub fn byte_makers() -> BTreeMap<String, String> {
+    let version = |name: &&str| Some(((*name).to_owned(), locked_version(LOCK, name)?));
+    BYTE_MAKERS.iter().filter_map(version).collect()
 }
 
 /// The version of a crate in a lock file's text.

@@ -15,7 +15,7 @@ use utoipa::openapi::RefOr;
 use utoipa::openapi::schema::{ObjectBuilder, Schema, Type};
 use utoipa::{PartialSchema, ToSchema};
 
-use self::exact::{ExactPipeline, ExactSkin, Tracked};
+use self::exact::{ExactPipeline, ExactSkin, Scatter, Tracked};
 use self::fast::PointPipeline;
 use self::one_step::OneStepPipeline;
 use self::paper::MapPipeline;
@@ -292,16 +292,20 @@ pub struct UntouchedBefore {
     pub frames: f64,
     /// Process time from it to the frames, h, >= 0.
     pub hours: f64,
-    /// Standard deviation of the offset of a pair of electrodes between two such frames of its run, V;
-    /// `None` if the run has too few.
-    pub scatter_v: Option<f64>,
+    /// What the offsets differ by between two such frames of its run; `None` if the run has too few.
+    pub scatter: Option<Scatter>,
 }
 
 impl UntouchedBefore {
-    /// Share of the drift of a day that its age has: that of a random walk.
+    /// Share of the drift of a day that its age has.
     pub fn share_of_day(&self) -> f64 {
-        (self.hours / 24.0).sqrt()
+        share_of_day(self.hours)
     }
+}
+
+/// Share of the drift of a day in a number of hours, >= 0: that of a random walk.
+pub fn share_of_day(hours: f64) -> f64 {
+    (hours / 24.0).sqrt()
 }
 
 /// A method with its models, ready to read frames.

@@ -1,7 +1,8 @@
 """Two kinds of skins that are not Palpate's, as sheets of resistors, and what scikit-learn makes of them.
 
-`skins.py make FOLDER ROWS`: trials of a pad (192 channels, one contact) and of a sheet (3,000 channels,
-up to three of nine places pressed), as Parquet files with their sensor files and datasets' definitions.
+`skins.py make FOLDER ROWS [NOISE]`: trials of a pad (192 channels, one contact) and of a sheet (3,000 channels,
+up to three of nine places pressed), as Parquet files with their sensor files and datasets' definitions. NOISE: share of
+the channels' standard deviation, 0.003 by default.
 `skins.py compare DATA_FILE pad|sheet`: errors of ridge and kernel ridge regression on the part test of a
 dataset's file, with penalties and widths chosen on its part validation, as JSON.
 """
@@ -67,14 +68,14 @@ def pairs_of_sheet(chance):
     return [(drive, read) for drive in drives for read in reads]
 
 
-def frames(all_contacts, at, pairs, chance):
+def frames(all_contacts, at, pairs, chance, share):
     (i, j), (m, n) = (np.array(side).T for side in zip(*pairs))
     volts = []
     for contacts in all_contacts:
         z = impedances(contacts, at)
         volts.append(z[m, i] - z[m, j] - z[n, i] + z[n, j])
     volts = np.array(volts)
-    noise = 0.003 * np.std(volts, axis=0).mean()
+    noise = share * np.std(volts, axis=0).mean()
     return (volts + noise * chance.normal(size=volts.shape)).astype(np.float32)
 
 
@@ -95,16 +96,16 @@ def write(folder, name, volts, all_contacts):
     )
 
 
-def make(folder, rows):
+def make(folder, rows, noise=0.003):
     chance = np.random.default_rng(7)
     touch = lambda: (*chance.uniform(15.0, SIZE_MM - 15.0, 2), chance.uniform(1.0, 10.0))
     contacts = [[touch()] for _ in range(rows)]
-    write(folder, "pad", frames(contacts, boundary(16), pairs_of_pad(), chance), contacts)
+    write(folder, "pad", frames(contacts, boundary(16), pairs_of_pad(), chance, noise), contacts)
     contacts = []
     for _ in range(rows):
         pressed = chance.choice(len(PLACES_MM), chance.integers(0, 4), replace=False)
         contacts.append([(*PLACES_MM[k], chance.uniform(1.0, 10.0)) for k in pressed])
-    write(folder, "sheet", frames(contacts, boundary(32), pairs_of_sheet(chance), chance), contacts)
+    write(folder, "sheet", frames(contacts, boundary(32), pairs_of_sheet(chance), chance, noise), contacts)
 
 
 def targets(kind, rows):
@@ -152,6 +153,6 @@ def compare(path, kind):
 
 if __name__ == "__main__":
     if sys.argv[1] == "make":
-        make(Path(sys.argv[2]), int(sys.argv[3]))
+        make(Path(sys.argv[2]), int(sys.argv[3]), *map(float, sys.argv[4:]))
     else:
         compare(*sys.argv[2:])

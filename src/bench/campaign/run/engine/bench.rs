@@ -23,6 +23,7 @@ use crate::campaign::run::control::{Control, name};
 use crate::campaign::run::halt::Halt;
 use crate::campaign::safe_end::raise_as_planned;
 use crate::campaign::shown::command::{Envelope, Refusal, Request};
+use crate::campaign::shown::safe_end::Tips;
 use crate::campaign::shown::show;
 use crate::clock::Clock;
 use crate::journal::Mounting;
@@ -35,7 +36,7 @@ use crate::rig::traits::{Bench, SkinReader};
 
 /// Samples of a tare on request.
 const TARE_SAMPLES: u32 = 4;
-/// Longest wait of a reset, and of closing the wires, for axes that have acknowledged an e-stop and still decelerate.
+/// Longest wait of a reset, and of closing the wires, for axes that an e-stop is about to stop.
 const DECELERATION_WAIT: Duration = Duration::from_secs(3);
 /// Period of that wait.
 const DECELERATION_POLL: Duration = Duration::from_millis(10);
@@ -111,28 +112,37 @@ impl Engine {
             status.rig.live_cells = closed.live_cells;
             status.rig.stream = closed.stream;
             status.rig.wires = closed.wires;
+            // A further press of a latched e-stop reaches no axis now.
+            status.rig.estop_acknowledged_ms = None;
+            status.rig.estop_stops.clear();
         });
         self.control.rig_event(RigEvent::Lost)
     }
 
-    /// First axis that the latched e-stop has not stopped, with the reason. One that has acknowledged it gets the time
-    /// to decelerate.
+    /// First axis that the latched e-stop has not stopped, with the reason. One without a fault gets the time to
+    /// acknowledge it and to decelerate.
     async fn not_stopped(&self) -> Option<String> {
         let deadline = Instant::now() + DECELERATION_WAIT;
         loop {
             let stops = self.control.estop.pressed()?.stops();
-            if stops.is_empty() && self.stage().is_some() {
-                return Some("the stop has just been pressed".into());
-            }
-            let AxisStop { axis, acknowledged_ms, error, .. } =
-                stops.into_iter().find(|stop| stop.stood_ms.is_none())?;
-            if acknowledged_ms.is_none() {
-                let why = error.unwrap_or_else(|| "no answer yet".into());
-                return Some(format!("{axis} has not acknowledged its stop: {why}"));
-            }
-            if error.is_some() || Instant::now() > deadline {
-                let why = error.unwrap_or_else(|| "acknowledged, and not known to stand".into());
-                return Some(format!("{axis} is not stopped: {why}"));
+            let failed = stops.iter().find(|stop| stop.error.is_some());
+            let moving = failed.or_else(|| stops.iter().find(|stop| stop.stood_ms.is_none()));
+            let words = match moving {
+                None if stops.is_empty() && self.stage().is_some() => {
+                    "the stop has just been pressed".into()
+                }
+                None => return None,
+                Some(AxisStop { axis, acknowledged_ms: None, error, .. }) => {
+                    let why = error.as_deref().unwrap_or("no answer yet");
+                    format!("{axis} has not acknowledged its stop: {why}")
+                }
+                Some(AxisStop { axis, error, .. }) => {
+                    let why = error.as_deref().unwrap_or("acknowledged, and not known to stand");
+                    format!("{axis} is not stopped: {why}")
+                }
+            };
+            if failed.is_some() || Instant::now() > deadline {
+                return Some(words);
             }
             tokio::time::sleep(DECELERATION_POLL).await;
         }
@@ -300,6 +310,10 @@ impl Engine {
             self.guarded(|stage, control| Box::pin(async move { stage.home(control).await })).await;
         if homed {
             self.owed = Owed::Nothing;
+            // Its warning is over: each axis is at rest at its zero, z was raised first.
+            self.control.show(|status| {
+                status.rig.safe_end.take_if(|end| end.tips != Tips::Raised || !end.is_stopped());
+            });
         }
         homed && self.control.rig_event(RigEvent::Homed).is_ok()
     }

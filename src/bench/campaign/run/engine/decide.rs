@@ -17,6 +17,12 @@ use crate::journal::{ExitStatus, error_chain};
 use crate::record::AttemptRecord;
 use crate::schedule::plan::Kind;
 
+/// Why no waiting run begins after a run that was aborted while it moved.
+const ABORTED: &str = "the run before it was aborted, and a person may be at the rig";
+/// Why no waiting run begins after a run that ended before a pause that was requested of it.
+const ENDED_PAUSING: &str =
+    "a pause of the run before it was requested as it ended, and a person may be at the rig";
+
 impl Engine {
     /// Decides what follows a halt, once the rig is safe. Only the state that a trip leads to is noted before, in
     /// memory: a process that dies meanwhile must not have left a run that resumes automatically.
@@ -41,9 +47,10 @@ impl Engine {
         match halt {
             Halt::Asked => self.note_suspension(),
             Halt::Checkpoint => {}
-            // No person is called to tips that may be down.
-            Halt::Needs(Wanted::Tips { tips }) if !self.tips_are_raised() => {
-                let detail = format!("the tips are not raised for their change to {tips} tips");
+            // No person is called to tips that may be down, nor to an axis that may move.
+            Halt::Needs(Wanted::Tips { tips }) if !self.lets_hands_in() => {
+                let detail =
+                    format!("the tips are not raised and at rest for their change to {tips} tips");
                 self.control.latch(&Trip { kind: TripKind::Position, detail: detail.clone() });
                 self.suspend_for(PausedWhy::Trip, detail);
             }
@@ -80,10 +87,25 @@ impl Engine {
             RunAction::Wait
         };
         match action {
-            RunAction::End(status) => self.ended_by_request(status),
+            RunAction::End(status) => {
+                if status == ExitStatus::Abort {
+                    self.control.attended(ABORTED);
+                }
+                self.ended_by_request(status)
+            }
             RunAction::Continue | RunAction::Raise => Next::Again,
             RunAction::Wait => self.wait(job, attempts, passing.then_some(auto_resumes)).await,
         }
+    }
+
+    /// Ends a run without a request: its plan is complete, or it gave up. The next run begins, unless a person has
+    /// requested a pause meanwhile, and may be on the way to the rig.
+    pub(super) fn end_unasked(&mut self) {
+        if matches!(self.control.run(), RunState::Pausing(_)) {
+            self.control.attended(ENDED_PAUSING);
+        }
+        // Ending is allowed in every state of an active run.
+        let _ = self.control.run_event(RunEvent::Ended);
     }
 
     /// The end of a run that a person stopped or aborted.
@@ -119,10 +141,11 @@ impl Engine {
         safe
     }
 
-    /// Whether the last safe end has raised the tips.
-    fn tips_are_raised(&self) -> bool {
+    /// Whether the last safe end has raised the tips and stopped each axis.
+    fn lets_hands_in(&self) -> bool {
         let status = self.control.inbox.status.borrow();
-        status.rig.safe_end.as_ref().is_some_and(|end| end.tips == Tips::Raised)
+        let end = status.rig.safe_end.as_ref();
+        end.is_some_and(|end| end.tips == Tips::Raised && end.is_stopped())
     }
 
     fn note_suspension(&mut self) {
@@ -174,7 +197,7 @@ impl Engine {
         attempts.skipped += 1;
         attempts.of_configuration = 1;
         if attempts.skipped > job.plan.policy.max_skipped {
-            let _ = self.control.run_event(RunEvent::Ended);
+            self.end_unasked();
             let words = format!("gave up after {} skipped: {reason}", attempts.skipped);
             return Next::End(ExitStatus::Fail, words);
         }

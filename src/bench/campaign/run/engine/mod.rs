@@ -130,8 +130,8 @@ struct Engine {
 enum Owed {
     /// The safe end is complete.
     Nothing,
-    /// The wires to an axis failed, or failed during the raise to this height, at this time: repeated
-    /// once they work.
+    /// An axis did not acknowledge its stop or moved after it, or the wires failed during the raise to this height, at
+    /// this time: repeated once the wires work.
     Wires(Instant, Height),
     /// The wires work and the tips are still down: a person must inspect the rig.
     Person,
@@ -247,7 +247,7 @@ impl Engine {
             return true;
         };
         let end = safe_end::make_safe(&mut self.control, stage, trip, height).await;
-        self.owed = match (end.is_safe(), end.is_acknowledged()) {
+        self.owed = match (end.is_safe(), end.is_stopped()) {
             (true, true) => Owed::Nothing,
             (true, false) => Owed::Wires(Instant::now(), height),
             (false, _) if stage.pose().await.is_err() => Owed::Wires(Instant::now(), height),
@@ -277,6 +277,7 @@ impl Engine {
         let Some(connection) = self.connection.as_ref() else { return };
         if let Owed::Wires(tried, height) = self.owed
             && tried.elapsed() > OWED_AGAIN
+            && self.control.estop.pressed().is_none()
             && let Some(stage) = &connection.stage
             && stage.pose().await.is_ok()
         {

@@ -18,9 +18,9 @@ use crate::campaign::run::eta::Pace;
 use crate::campaign::run::halt::Halt;
 use crate::campaign::run::job::Job;
 use crate::campaign::run::resume;
-use crate::campaign::run::run_state::RunEvent;
 use crate::campaign::safe_end::raise_as_planned;
 use crate::campaign::shown::command::{Refusal, Request};
+use crate::campaign::shown::run_action;
 use crate::campaign::shown::show;
 use crate::campaign::shown::status::{Phase, Wanted};
 use crate::campaign::spans::{configuration_span, trial_span};
@@ -37,7 +37,7 @@ impl Engine {
     /// stopping distance must stay within the margin of the force limit.
     ///
     /// # Errors
-    /// No wires are open, the computer was suspended, a stop is not acknowledged, a device does not reply, no press is
+    /// No wires are open, the computer was suspended, an axis is not stopped, a device does not reply, no press is
     /// slow enough for the margin, the state does not allow arming, or its client no longer waits for the answer.
     pub(super) async fn arm(&mut self, job: &Job, answer: &Answer) -> Result<(), Refusal> {
         if self.connection.is_none() {
@@ -71,7 +71,7 @@ impl Engine {
         let connection = self.connection.as_mut().ok_or_else(no_wires)?;
         let stage = connection.stage.as_mut().ok_or_else(no_stage)?;
         if self.owed != Owed::Nothing {
-            let words = "the last safe end is not complete: an axis has not acknowledged its stop";
+            let words = "the last safe end is not complete: an axis has not acknowledged its stop, or moves after it";
             return Err(Refusal::Busy(words.into()));
         }
         if self.control.rig() == RigState::Homed {
@@ -114,7 +114,13 @@ impl Engine {
             tracing::error!(error, "the end of the run is not stored yet");
         }
         self.control.forget_run();
-        self.control.show(|status| status.run = None);
+        self.control.show(|status| {
+            status.run = None;
+            // Also one that may pass: nothing resumes any more.
+            if let Some(why) = run_action::tripped(status) {
+                status.attended.note(why);
+            }
+        });
     }
 
     fn show_stopping(&mut self) {
@@ -142,8 +148,7 @@ impl Engine {
                 Ok(None) => continue,
                 Ok(Some(words)) => {
                     self.leave_contact(job, None, Height::Clear).await;
-                    // Ending is allowed in every state of an active run.
-                    let _ = self.control.run_event(RunEvent::Ended);
+                    self.end_unasked();
                     return Some((ExitStatus::Success, words));
                 }
                 Err(halt) => halt,

@@ -8,7 +8,7 @@ use super::{Answer, Engine};
 use crate::campaign::run::run_state::PausedWhy;
 use crate::campaign::shown::command::Refusal;
 use crate::campaign::trial::rest::Window;
-use crate::campaign::trial::untouched::{Seen, UntouchedSkin, WINDOW_FRAMES};
+use crate::campaign::trial::untouched::{Seen, UntouchedMean, UntouchedSkin};
 use crate::clock::Clock;
 use crate::record::Untouched;
 use crate::rig::error::RigError;
@@ -63,8 +63,9 @@ impl Engine {
         match (std::mem::take(&mut self.empty_skin), seen) {
             (EmptySkin::Tared { answer, before, windows }, Ok(seen)) => {
                 if before.is_some_and(|before| seen.window.rests_after(&before)) {
-                    self.record_untouched(&seen);
-                    self.empty_skin = EmptySkin::Followed(UntouchedSkin::tared(seen));
+                    let skin = UntouchedSkin::tared(seen);
+                    self.record_untouched(&skin.mean());
+                    self.empty_skin = EmptySkin::Followed(skin);
                     let _ = answer.send(Ok(()));
                 } else if windows < TARE_WINDOWS {
                     let (before, windows) = (Some(seen.window), windows + 1);
@@ -105,11 +106,11 @@ impl Engine {
         }
     }
 
-    fn record_untouched(&self, seen: &Seen) {
+    fn record_untouched(&self, mean: &UntouchedMean) {
         self.control.untouched(Untouched {
-            voltages_v: seen.window.mean_v.iter().map(|v| *v as f32).collect(),
-            at: seen.at,
-            frames: WINDOW_FRAMES,
+            voltages_v: mean.mean_v.iter().map(|v| *v as f32).collect(),
+            at: mean.at,
+            frames: mean.frames,
             run: self.control.run_uid(),
         });
     }

@@ -9,7 +9,7 @@ use sim_core::sensor::Sensor;
 use tokio::sync::oneshot;
 use tokio::time::Instant;
 
-use super::{Answer, Engine, OWED_AGAIN, Owed};
+use super::{Answer, Attempts, Engine, Next, OWED_AGAIN, Owed};
 use crate::campaign::bench::estop::StopSwitch;
 use crate::campaign::bench::interlock::{Trip, TripKind};
 use crate::campaign::bench::rig_state::{RigEvent, RigState};
@@ -18,14 +18,15 @@ use crate::campaign::bench::stand_in::{StandIns, config};
 use crate::campaign::bench::travel::Target;
 use crate::campaign::diary::Diary;
 use crate::campaign::run::control::Control;
+use crate::campaign::run::halt::Halt;
 use crate::campaign::run::job::Job;
 use crate::campaign::run::run_state::{PausedWhy, RunEvent, RunState};
-use crate::campaign::shown::command::{Refusal, channel};
+use crate::campaign::shown::command::{Handle, Refusal, Request, channel};
 use crate::campaign::shown::show;
-use crate::campaign::shown::status::{Done, Wanted};
+use crate::campaign::shown::status::{Done, Status, Wanted};
 use crate::clock::Clock;
 use crate::ids::RunUid;
-use crate::journal::Journal;
+use crate::journal::{ExitStatus, Journal};
 use crate::rig::setup::RigSetup;
 use crate::rig::traits::AxisStatus;
 use crate::schedule::experiment::Experiment;
@@ -34,8 +35,13 @@ use crate::suspension::Suspensions;
 
 /// An engine whose wires to these axes are open; the rig is disarmed.
 pub(super) fn engine(axes: &StandIns) -> Engine {
+    with_handle(axes).0
+}
+
+/// As `engine`, with the handle for requests.
+fn with_handle(axes: &StandIns) -> (Engine, Handle) {
     let (setup, estop) = (RigSetup::from(config()), StopSwitch::default());
-    let (_handle, inbox) = channel(estop.clone(), show::closed(&setup));
+    let (handle, inbox) = channel(estop.clone(), show::closed(&setup));
     let journal: Arc<dyn Journal> = axes.journal.clone();
     let (diary, _writing) = Diary::open(journal.clone());
     let mut engine = Engine::new(setup, Control::new(inbox, estop, diary, journal));
@@ -43,7 +49,7 @@ pub(super) fn engine(axes: &StandIns) -> Engine {
     let wires = engine.control.inbox.wires.take().expect("the wires are free");
     let (skin, tasks) = (stage.bench.skin.clone(), engine.serve_stops(&stage.bench));
     engine.connected(skin, BTreeMap::new(), Some(stage), clock, wires, tasks).unwrap();
-    engine
+    (engine, handle)
 }
 
 /// A run of one tip.
@@ -79,6 +85,11 @@ pub(super) fn suspensions(engine: &mut Engine) -> Arc<AtomicU64> {
     engine.control.suspensions =
         Suspensions::of(move || Duration::from_secs(read.load(Ordering::SeqCst)));
     suspended_s
+}
+
+/// Signs of a person so far, for the queue.
+fn signs(engine: &Engine) -> u64 {
+    engine.control.inbox.status.borrow().attended.signs
 }
 
 /// The answer of a request whose caller was told that it failed.
@@ -257,6 +268,31 @@ async fn no_axis_homes_sideways_before_z_is_measured_clear() {
 }
 
 #[tokio::test]
+async fn no_axis_moves_sideways_unless_z_is_homed_at_rest_and_clear() {
+    let axes = StandIns::default();
+    let mut engine = engine(&axes);
+    let clear = axes.z.present();
+    let down = AxisStatus { position: 60.0, ..clear };
+    let (rises, unhomed) =
+        (AxisStatus { moving: true, ..clear }, AxisStatus { homed: false, ..clear });
+    for name in [AxisName::X, AxisName::Y, AxisName::Radial] {
+        for z in [down, rises, unhomed] {
+            *axes.z.status.lock() = z;
+            let stage = engine.connection.as_mut().unwrap().stage.as_mut().unwrap();
+            let moved = stage.travel(&mut engine.control, &[Target::of(name, 10.0)]).await;
+            let halt = moved.unwrap_err();
+            assert_eq!(halt.as_trip().map(|trip| trip.kind), Some(TripKind::Position), "{halt:?}");
+        }
+    }
+    let starts = [&axes.x, &axes.y, &axes.radial].map(|axis| axis.starts.load(Ordering::SeqCst));
+    assert_eq!(starts, [0; 3]);
+    *axes.z.status.lock() = clear;
+    let stage = engine.connection.as_mut().unwrap().stage.as_mut().unwrap();
+    let target = [Target::of(AxisName::X, 10.0)];
+    assert!(stage.travel(&mut engine.control, &target).await.is_ok());
+}
+
+#[tokio::test]
 async fn a_lateral_motion_ends_when_z_sinks() {
     let axes = StandIns::default();
     let mut engine = engine(&axes);
@@ -278,6 +314,28 @@ async fn a_lateral_motion_ends_when_z_sinks() {
 }
 
 #[tokio::test]
+async fn a_lateral_motion_continues_while_z_jitters_at_rest() {
+    let axes = StandIns::default();
+    let mut engine = engine(&axes);
+    let stage = engine.connection.as_mut().unwrap().stage.as_mut().unwrap();
+    // As far down as a raise leaves it.
+    let at_rest = stage.clear_z_mm() + stage.config.axes.z.tolerance_mm;
+    axes.z.status.lock().position = at_rest;
+    let moving = AxisStatus { moving: true, ..axes.x.present() };
+    *axes.x.after_start.lock() = Some(moving);
+    let target = [Target::of(AxisName::X, 100.0)];
+    let travel = stage.travel(&mut engine.control, &target);
+    let jitters = async {
+        tokio::time::sleep(Duration::from_millis(30)).await;
+        axes.z.status.lock().position = at_rest + 0.02;
+        tokio::time::sleep(Duration::from_millis(60)).await;
+        *axes.x.status.lock() = AxisStatus { position: 100.0, moving: false, ..moving };
+    };
+    let (moved, ()) = tokio::join!(travel, jitters);
+    assert!(moved.is_ok(), "{moved:?}");
+}
+
+#[tokio::test]
 async fn no_run_is_armed_while_an_axis_owes_the_acknowledgement_of_its_stop() {
     let (axes, job) = (StandIns::default(), job());
     let mut engine = engine(&axes);
@@ -292,6 +350,106 @@ async fn no_run_is_armed_while_an_axis_owes_the_acknowledgement_of_its_stop() {
     tokio::time::sleep(OWED_AGAIN + Duration::from_millis(50)).await;
     engine.look().await;
     assert_eq!(engine.arm(&job, &waited_for).await, Ok(()));
+}
+
+#[tokio::test]
+async fn a_safe_end_is_not_complete_while_an_axis_moves_after_its_stop() {
+    let (axes, job) = (StandIns::default(), job());
+    let mut engine = engine(&axes);
+    engine.control.rig_event(RigEvent::Homed).unwrap();
+    axes.y.status.lock().moving = true;
+    assert!(engine.make_safe(None, Height::Clear).await, "the tips are up");
+    let end = engine.control.inbox.status.borrow().rig.safe_end.clone().unwrap();
+    let moving: Vec<&str> =
+        end.stops.iter().filter(|stop| !stop.is_done()).map(|stop| stop.axis.as_str()).collect();
+    assert_eq!(moving, ["y"], "{end:?}");
+    assert_eq!(end.stops.iter().filter(|stop| stop.stood_ms.is_some()).count(), 3, "{end:?}");
+    let (waited_for, _caller) = oneshot::channel();
+    let refused = engine.arm(&job, &waited_for).await;
+    assert!(matches!(refused, Err(Refusal::Busy(_))), "{refused:?}");
+    let stops = axes.y.stops.load(Ordering::SeqCst);
+    axes.y.status.lock().moving = false;
+    tokio::time::sleep(OWED_AGAIN + Duration::from_millis(50)).await;
+    engine.look().await;
+    assert!(axes.y.stops.load(Ordering::SeqCst) > stops, "sent again");
+    assert_eq!(engine.arm(&job, &waited_for).await, Ok(()));
+}
+
+#[tokio::test]
+async fn hands_are_called_to_raised_tips_only_once_each_axis_stands() {
+    let job = job();
+    for (is_moving, state) in
+        [(false, RunState::Paused(PausedWhy::TipChange)), (true, RunState::Paused(PausedWhy::Trip))]
+    {
+        let axes = StandIns::default();
+        let mut engine = engine(&axes);
+        engine.control.show(|status| status.run = Some(show::started(&job)));
+        engine.control.begin(job.run).unwrap();
+        axes.radial.status.lock().moving = is_moving;
+        let (wanted, mut attempts) = (Halt::Needs(Wanted::Tips { tips: 1 }), Attempts::default());
+        // Without a handle there is no request to wait for.
+        let next = engine.decide(&job, wanted, &mut attempts, &mut 0).await;
+        assert!(matches!(next, Next::Leave));
+        assert_eq!(engine.control.run(), state, "{is_moving}");
+        let is_called = |status: &Status| status.run.as_ref().is_some_and(|r| r.wanted.is_some());
+        assert_eq!(is_called(&engine.control.inbox.status.borrow()), !is_moving);
+    }
+}
+
+#[tokio::test]
+async fn an_end_brings_a_person_to_the_rig_unless_the_run_was_stopped_as_it_moved_or_gave_up() {
+    let job = job();
+    let policy = &job.plan.policy;
+    // The request before the halt, the halt, the end, and whether the queue waits for a person.
+    let failed = || Halt::Failed("no frames".into());
+    for (request, halt, end, is_sign) in [
+        (None, failed(), ExitStatus::Fail, false),
+        (Some(RunEvent::PauseAtCheckpoint), failed(), ExitStatus::Fail, true),
+        (Some(RunEvent::Stop), Halt::Checkpoint, ExitStatus::Stopped, false),
+        (Some(RunEvent::Abort), Halt::Asked, ExitStatus::Abort, true),
+    ] {
+        let axes = StandIns::default();
+        let mut engine = engine(&axes);
+        engine.control.show(|status| status.run = Some(show::started(&job)));
+        engine.control.begin(job.run).unwrap();
+        if let Some(event) = request {
+            engine.control.run_event(event).unwrap();
+        }
+        // The last attempt that the policy allows.
+        let (of_configuration, skipped) = (policy.retries + 1, policy.max_skipped);
+        let mut attempts = Attempts { of_configuration, skipped, ..Attempts::default() };
+        let next = engine.decide(&job, halt, &mut attempts, &mut 0).await;
+        assert!(matches!(next, Next::End(status, _) if status == end), "{request:?}");
+        assert_eq!(signs(&engine), u64::from(is_sign), "{request:?}");
+    }
+}
+
+#[tokio::test]
+async fn an_abort_of_a_jog_and_each_trip_for_a_person_hold_the_queue() {
+    let (axes, job) = (StandIns::default(), job());
+    let (mut engine, handle) = with_handle(&axes);
+    // It moves until it is stopped.
+    *axes.x.after_start.lock() = Some(AxisStatus { moving: true, ..axes.x.present() });
+    let stage = engine.connection.as_mut().unwrap().stage.as_mut().unwrap();
+    let target = [Target::of(AxisName::X, 100.0)];
+    let travel = stage.travel(&mut engine.control, &target);
+    let abort = async {
+        tokio::time::sleep(Duration::from_millis(30)).await;
+        handle.ask(Request::Abort).await
+    };
+    let (moved, aborted) = tokio::join!(travel, abort);
+    assert!(matches!(moved, Err(Halt::Asked)) && aborted.is_ok());
+    assert_eq!(signs(&engine), 1);
+    // A lost wire may pass while a run is active; what comes to it may not.
+    trip(&mut engine, &job);
+    assert_eq!(signs(&engine), 1);
+    let detail = "the computer was suspended".to_owned();
+    engine.control.latch(&Trip { kind: TripKind::Service, detail });
+    assert_eq!(signs(&engine), 2);
+    engine.control.forget_run();
+    engine.control.show(|status| status.run = None);
+    engine.control.latch(&Trip { kind: TripKind::Wire, detail: "no reply".into() });
+    assert_eq!(signs(&engine), 3);
 }
 
 #[tokio::test]

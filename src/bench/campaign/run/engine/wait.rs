@@ -19,6 +19,10 @@ use crate::ids::TrialKey;
 use crate::journal::error_chain;
 use crate::schedule::plan::Kind;
 
+/// Why no waiting run begins after a run that was ended while it waited.
+const ENDED_HALTED: &str =
+    "the run before it was ended while it was halted, and a person may be at the rig";
+
 impl Engine {
     /// Waits for a person, or for the policy's automatic resume (`passing`: automatic resumes of the
     /// run, this one included).
@@ -95,7 +99,10 @@ impl Engine {
                     return Next::Again;
                 }
                 Some(Waited::Left) => return Next::Leave,
-                Some(Waited::Ended(status)) => return self.ended_by_request(status),
+                Some(Waited::Ended(status)) => {
+                    self.control.attended(ENDED_HALTED);
+                    return self.ended_by_request(status);
+                }
             }
         }
     }

@@ -32,10 +32,14 @@ const SKIN_THREADS_MAX: usize = 8;
 const STRETCHED_BY: usize = 200;
 /// Smallest force of a contact used for these factors, N: the paper's deadband.
 const CLEAR_N: f64 = 5.0;
-/// Quantile at which the factors are determined: users rely on the limits of the errors.
+/// Quantile at which the factors are determined: users rely on the limits of the errors, regions of 95 %.
 /// `TOLD_BY_SD` is this quantile of |x|, for a normal x of standard deviation 1.
-const TOLD_BY: f64 = 0.9;
-const TOLD_BY_SD: f64 = 1.645;
+const TOLD_BY: f64 = 0.95;
+const TOLD_BY_SD: f64 = 1.96;
+/// Largest factor, and number of halvings of its range. In frames whose noise hides the model's error any factor
+/// fits.
+const STRETCH_MOST: f64 = 5.0;
+const STRETCH_HALVINGS: usize = 20;
 
 /// A measured trial whose contacts are known.
 #[derive(Debug, Clone)]
@@ -67,8 +71,8 @@ pub struct SkinErrors {
     /// What the offsets of the readout differ by from those that are subtracted.
     pub(super) drift: Drift,
     pub(super) model: ErrorModel,
-    /// Factors on the standard deviations of positions and forces: contacts imitate a part of the
-    /// model's error, which the fit cannot detect.
+    /// Factors on the part of the standard deviations that the model's error has: contacts imitate a part of
+    /// it, which the fit cannot detect. Noise and offsets are measured; averaging lowers their part alone.
     pub(super) stretch: Stretch,
     /// Number of known trials from which the model's error was estimated; 0 if it was not.
     pub(super) learnt_from: usize,
@@ -81,13 +85,27 @@ impl SkinErrors {
     }
 }
 
-/// Ratio of the errors of known contacts to the stated standard deviations.
+/// Factors on the standard deviations by the model's error, from the errors of known contacts.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub(super) struct Stretch {
-    /// Ratio of the errors of positions.
+    /// Factor of positions.
     pub place: f64,
-    /// Ratio of the errors of forces.
+    /// Factor of forces.
     pub force: f64,
+}
+
+/// Error of a known contact.
+#[derive(Debug, Clone, Copy)]
+struct Missed {
+    /// Size, in stated standard deviations.
+    in_sd: f64,
+    /// Share of the stated variance by the model's error.
+    by_model: f64,
+}
+
+/// Growth of a standard deviation if the part that the model's error has in its square is stretched by a factor.
+pub(super) fn grown(by_model: f64, factor: f64) -> f64 {
+    (1.0 + (factor * factor - 1.0) * by_model).sqrt()
 }
 
 impl ExactSkin {
@@ -110,7 +128,13 @@ impl ExactSkin {
         let stretch = Stretch { place: 1.0, force: 1.0 };
         let skin = Self::with(
             model,
-            SkinErrors { noise_sd_v, drift, model: white.clone(), stretch, learnt_from: 0 },
+            SkinErrors {
+                noise_sd_v,
+                drift: drift.clone(),
+                model: white.clone(),
+                stretch,
+                learnt_from: 0,
+            },
         )?;
         if !enough {
             return Ok(skin);
@@ -128,8 +152,7 @@ impl ExactSkin {
         Ok(skin)
     }
 
-    /// Ratio of the distance of fits from known contacts to the standard deviations that they
-    /// state.
+    /// Factors with which the limits of the fits of known contacts hold the true ones.
     fn stretch(&self, known: &[KnownTrial]) -> Result<Stretch, InferError> {
         let some: Vec<&KnownTrial> =
             known.iter().step_by(known.len().div_ceil(STRETCHED_BY)).collect();
@@ -141,13 +164,15 @@ impl ExactSkin {
             // Contacts of a fit are in another order; a search would not report the lightest.
             let clear = trial.contacts.iter().filter(|truth| truth.force_n >= CLEAR_N);
             for (truth, found) in clear.filter_map(|truth| Some((truth, nearest(&fit, truth)?))) {
-                let is = found.contact;
-                places.push(((is.x_mm - truth.x_mm) / found.x_sd_mm).abs());
-                places.push(((is.y_mm - truth.y_mm) / found.y_sd_mm).abs());
-                forces.push(((is.force_n - truth.force_n) / found.force_sd_n).abs());
+                let (is, [x, y, force]) = (found.contact, found.by_model);
+                let missed =
+                    |error: f64, sd: f64, by_model| Missed { in_sd: error.abs() / sd, by_model };
+                places.push(missed(is.x_mm - truth.x_mm, found.x_sd_mm, x));
+                places.push(missed(is.y_mm - truth.y_mm, found.y_sd_mm, y));
+                forces.push(missed(is.force_n - truth.force_n, found.force_sd_n, force));
             }
         }
-        Ok(Stretch { place: stretched(places), force: stretched(forces) })
+        Ok(Stretch { place: stretched(&places), force: stretched(&forces) })
     }
 
     /// Frames of known trials without offsets, V, and their fits started at the true contacts; on
@@ -226,8 +251,56 @@ fn nearest<'a>(fit: &'a Fit, truth: &Contact) -> Option<&'a FittedContact> {
     fit.contacts.iter().min_by(|a, b| square_mm2(a).total_cmp(&square_mm2(b)))
 }
 
-/// The factor that makes the 90 % quantile of these that of a normal; at least 1.
-fn stretched(mut in_sd: Vec<f64>) -> f64 {
-    in_sd.retain(|z| z.is_finite());
-    upper_quantile(&sorted(in_sd), TOLD_BY).map_or(1.0, |edge| (edge / TOLD_BY_SD).max(1.0))
+/// The smallest factor on the part by the model's error, from 1 to [`STRETCH_MOST`], with which 95 % of these are
+/// within the limits of a normal.
+fn stretched(missed: &[Missed]) -> f64 {
+    let holds = |factor: f64| {
+        let in_sd = missed.iter().map(|m| m.in_sd / grown(m.by_model, factor));
+        let in_sd = sorted(in_sd.filter(|z| z.is_finite()));
+        upper_quantile(&in_sd, TOLD_BY).is_none_or(|edge| edge <= TOLD_BY_SD)
+    };
+    if holds(1.0) {
+        return 1.0;
+    }
+    let (mut low, mut high) = (1.0, STRETCH_MOST);
+    for _ in 0..STRETCH_HALVINGS {
+        let factor = 0.5 * (low + high);
+        if holds(factor) { high = factor } else { low = factor }
+    }
+    high
+}
+
+#[cfg(test)]
+mod tests {
+    use rand::{RngExt, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
+
+    use super::*;
+
+    /// Errors of fits that know their noise, and whose model is wrong by `factor` times what they assume.
+    fn missed(factor: f64, share: impl Fn(f64) -> f64) -> Vec<Missed> {
+        let mut rng = ChaCha8Rng::seed_from_u64(2);
+        let mut one = || {
+            let by_model = share(rng.random_range(0.0..1.0));
+            let normal = (0..12).map(|_| rng.random_range(-0.5..0.5)).sum::<f64>();
+            Missed { in_sd: (normal * grown(by_model, factor)).abs(), by_model }
+        };
+        (0..4000).map(|_| one()).collect()
+    }
+
+    #[test]
+    fn the_factor_is_that_of_the_models_error_for_any_noise() {
+        for (low, high) in [(0.3, 0.7), (0.8, 1.0)] {
+            let factor = stretched(&missed(2.0, |u| low + (high - low) * u));
+            assert!((factor - 2.0).abs() < 0.2, "{factor} with shares of {low} to {high}");
+        }
+        assert!(stretched(&missed(1.0, |u| u)) < 1.15);
+        assert_eq!(stretched(&missed(0.5, |u| u)), 1.0, "limits that hold are not narrowed");
+        assert_eq!(stretched(&[]), 1.0);
+        // No factor on a part that is absent helps.
+        let noise = missed(1.0, |_| 0.0);
+        let twice: Vec<Missed> =
+            noise.iter().map(|m| Missed { in_sd: 2.0 * m.in_sd, ..*m }).collect();
+        assert_eq!(stretched(&twice), STRETCH_MOST);
+    }
 }

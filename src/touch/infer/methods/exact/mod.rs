@@ -3,6 +3,7 @@
 
 mod errors;
 mod known;
+mod scatter;
 mod skin;
 pub mod skins;
 mod untouched;
@@ -16,8 +17,9 @@ use sim_core::inverse::contacts::{
 
 pub use self::errors::{KnownTrial, KnownTrials, SkinErrors};
 pub use self::known::UNTOUCHED_N;
+pub use self::scatter::Scatter;
 pub use self::skin::ExactSkin;
-pub use self::untouched::{Untouched, scatter_v};
+pub use self::untouched::Untouched;
 use self::zero::Zero;
 use super::fast::{PROPOSED, PointPipeline};
 use super::{Frames, ReadyMethod, UsedSkin};
@@ -67,13 +69,14 @@ impl ReadyMethod for ExactPipeline {
             let observation = self.skin.observation(&frame_v, averaged, untouched);
             let proposals = self.proposals(&frame_v)?;
             let fit = self.skin.fitter.fit(&observation, &proposals, &mut work)?;
-            readings.push(self.skin.reading(&fit, frames.untouched.is_some(), averaged));
+            let zero_hours = frames.untouched.map(|skin| skin.hours);
+            readings.push(self.skin.reading(&fit, zero_hours, averaged));
         }
         Ok(readings)
     }
 
     /// Fits the mean of the frames since the last change of the load, starting from the last fit if
-    /// it is still valid. While nothing is found, the zero follows the offsets.
+    /// it is still valid. While nothing is found, the zero follows the offsets; it ages while something is.
     fn follow(
         &self,
         frame: &[f32],
@@ -85,6 +88,7 @@ impl ReadyMethod for ExactPipeline {
         }
         self.skin.take_calibrated(frame, &mut tracked.frame_v);
         tracked.zero.take_off(&mut tracked.frame_v);
+        tracked.zero.pass();
         let steady = match &mut tracked.steady {
             Some(steady) => steady,
             none => {
@@ -93,8 +97,13 @@ impl ReadyMethod for ExactPipeline {
             }
         };
         let mean = steady.push(&tracked.frame_v)?;
-        let offset_sd_v = self.skin.errors.drift.sd_v(tracked.zero.left());
-        let observation = Observation { frame_v: mean.mean_v, frames: mean.frames, offset_sd_v };
+        let drift = &self.skin.errors.drift;
+        let observation = Observation {
+            frame_v: mean.mean_v,
+            frames: mean.frames,
+            offset_sd_v: drift.sd_v(tracked.zero.share_of_day()),
+            offset_spectrum: &drift.spectrum,
+        };
         let before = tracked.last.take().filter(|_| !mean.changed);
         let fit = match before {
             Some(last) => self.skin.fitter.track(&observation, &last, &mut tracked.work)?,
@@ -108,7 +117,8 @@ impl ReadyMethod for ExactPipeline {
             let most_v = ZERO_SD * drift.sd_v(None).max(*noise_sd_v);
             tracked.zero.learn(&tracked.frame_v, mean.frames, most_v);
         }
-        let mut reading = self.skin.reading(&fit, tracked.zero.left().is_some(), mean.frames);
+        let zero_hours = tracked.zero.share_of_day().map(|_| tracked.zero.hours());
+        let mut reading = self.skin.reading(&fit, zero_hours, mean.frames);
         reading.averaged = Some(mean.frames);
         reading.searched = Some(fit.origin == Origin::Search);
         tracked.last = Some(fit);

@@ -6,12 +6,12 @@ use sim_core::inverse::contacts::{
     ContactFitter, Explanation, Fit, FitOptions, FittedContact, Observation,
 };
 
-use super::errors::{LEAST_KNOWN, SkinErrors, Stretch};
+use super::errors::{LEAST_KNOWN, SkinErrors, Stretch, grown};
 use super::zero::Zero;
 use crate::ids::CalibrationId;
 use crate::infer::answer::{Alternative, FoundContact, Reading};
 use crate::infer::error::InferError;
-use crate::infer::methods::UntouchedBefore;
+use crate::infer::methods::{UntouchedBefore, share_of_day};
 
 /// Drift in a day, in standard deviations of the noise of a pair, from which offsets must be measured again.
 const DRIFT_MATTERS: f64 = 2.0;
@@ -97,6 +97,11 @@ impl ExactSkin {
         self.calibration.as_ref().map_or(self.simulation.as_str(), CalibrationId::as_str)
     }
 
+    /// Simulation id of its model.
+    pub fn simulation(&self) -> &str {
+        &self.simulation
+    }
+
     /// Number of voltages in a frame.
     pub fn channels(&self) -> usize {
         self.offset_v.len()
@@ -123,14 +128,27 @@ impl ExactSkin {
         self.errors.drift.after_v(untouched).max(untouched.map_or(0.0, noise_v))
     }
 
-    /// Warns of offsets that may have drifted by more than the noise of a mean of `frames` frames.
-    fn drifted(&self, is_tared: bool, frames: f64) -> Option<String> {
-        let drift_v = self.errors.drift.sd_v(None);
+    /// Warns of offsets that may have drifted by more than the noise of a mean of `frames` frames. `zero_hours`: process
+    /// time since the untouched skin was measured, h, if it was.
+    fn drifted(&self, zero_hours: Option<f64>, frames: f64) -> Option<String> {
+        let drift = &self.errors.drift;
         let pairs = self.channels().isqrt() as f64;
-        let matters = drift_v > DRIFT_MATTERS * self.errors.noise_sd_v / (pairs * frames).sqrt();
-        (matters && !is_tared).then(|| {
-            let drift_mv = 1e3 * drift_v;
-            format!("offsets of the calibration, which drift by {drift_mv:.2} mV a day: tare the empty skin")
+        let limit_v = DRIFT_MATTERS * self.errors.noise_sd_v / (pairs * frames).sqrt();
+        let of_day_v = drift.day_sd_v.unwrap_or(0.0);
+        let Some(hours) = zero_hours else {
+            return (of_day_v > limit_v).then(|| {
+                let drift_mv = 1e3 * of_day_v;
+                format!("offsets of the calibration, which drift by {drift_mv:.2} mV a day: tare the empty skin")
+            });
+        };
+        let since_v = share_of_day(hours) * of_day_v;
+        // A new zero would not be better by more than its scatter.
+        (since_v > limit_v.max(drift.sd_v(Some(0.0)))).then(|| {
+            let drift_mv = 1e3 * since_v;
+            format!(
+                "the untouched skin was measured {hours:.1} h before, since when offsets drift by \
+                 {drift_mv:.2} mV: tare the empty skin"
+            )
         })
     }
 
@@ -141,9 +159,9 @@ impl ExactSkin {
             x_mm: found.contact.x_mm,
             y_mm: found.contact.y_mm,
             force_n: Some(found.contact.force_n),
-            x_sd_mm: Some(place * found.x_sd_mm),
-            y_sd_mm: Some(place * found.y_sd_mm),
-            force_sd_n: Some(force * found.force_sd_n),
+            x_sd_mm: Some(found.x_sd_mm * grown(found.by_model[0], place)),
+            y_sd_mm: Some(found.y_sd_mm * grown(found.by_model[1], place)),
+            force_sd_n: Some(found.force_sd_n * grown(found.by_model[2], force)),
             ..FoundContact::default()
         };
         let mut contacts: Vec<FoundContact> = contacts.iter().map(contact).collect();
@@ -151,8 +169,9 @@ impl ExactSkin {
         contacts
     }
 
-    /// Converts the fit of a mean of `frames` frames to a reading.
-    pub(super) fn reading(&self, fit: &Fit, is_tared: bool, frames: f64) -> Reading {
+    /// Converts the fit of a mean of `frames` frames to a reading. `zero_hours`: process time since the untouched
+    /// skin was measured, h, if it was.
+    pub(super) fn reading(&self, fit: &Fit, zero_hours: Option<f64>, frames: f64) -> Reading {
         let alternative = |other: &Explanation| Alternative {
             probability: other.probability,
             contacts: self.found(&other.contacts),
@@ -162,7 +181,7 @@ impl ExactSkin {
             format!("misfit = {misfit:.1}: limit {MISFIT_EXPLAINED} for contacts on this skin")
         });
         let outside = outside.into_iter().collect();
-        let notes = self.drifted(is_tared, frames).into_iter().collect();
+        let notes = self.drifted(zero_hours, frames).into_iter().collect();
         Reading {
             contacts: self.found(&fit.contacts),
             probability: fit.probability,
@@ -199,13 +218,14 @@ impl ExactSkin {
 
     /// A mean of `frames` frames without offsets, V, as the fit reads it.
     pub(super) fn observation<'a>(
-        &self,
+        &'a self,
         frame_v: &'a [f64],
         frames: f64,
-        untouched: Option<&UntouchedBefore>,
+        untouched: Option<&'a UntouchedBefore>,
     ) -> Observation<'a> {
         let offset_sd_v = self.offset_sd_v(untouched);
-        Observation { frame_v, frames, offset_sd_v }
+        let offset_spectrum = self.errors.drift.spectrum_after(untouched);
+        Observation { frame_v, frames, offset_sd_v, offset_spectrum }
     }
 }
 

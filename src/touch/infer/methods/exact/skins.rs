@@ -20,7 +20,7 @@ use crate::simulate::model::load_or_build;
 use crate::store::Store;
 
 /// Version of the estimation of errors: part of the cache's key.
-const ERRORS_VERSION: &str = "4";
+const ERRORS_VERSION: &str = "5";
 
 /// The file of a stored calibration.
 #[derive(Debug, Clone)]
@@ -37,9 +37,15 @@ impl StoredCalibration {
     /// # Errors
     /// `InferError::File` if the file cannot be read; `Calibration` if it is invalid.
     pub fn read(&self) -> Result<Calibration, InferError> {
-        let text = std::fs::read_to_string(&self.0);
-        let text = text.map_err(InferError::file("reading", &self.0))?;
-        Ok(Calibration::from_toml(&text)?)
+        Ok(Calibration::from_toml(&self.text()?)?)
+    }
+
+    /// Returns its text.
+    ///
+    /// # Errors
+    /// `InferError::File` if the file cannot be read.
+    pub fn text(&self) -> Result<String, InferError> {
+        std::fs::read_to_string(&self.0).map_err(InferError::file("reading", &self.0))
     }
 }
 

@@ -9,6 +9,8 @@
 
 use sim_core::stats::pair_sums;
 
+use super::super::share_of_day;
+
 /// Number of untouched frames over which the zero follows, 10 s at 30 frames per second: slowly enough that
 /// the noise averages out, quickly enough for drifts over minutes.
 const FOLLOWS: f64 = 300.0;
@@ -16,21 +18,42 @@ const FOLLOWS: f64 = 300.0;
 /// a light touch.
 const SURE_FRAMES: f64 = 15.0;
 
+/// Frames of a stream in an hour, at 30 frames per second.
+const FRAMES_PER_HOUR: f64 = 108_000.0;
+
 /// Offsets of the pairs of electrodes, relative to those of the calibration.
 #[derive(Debug, Clone, Default)]
 pub struct Zero {
     offset_v: Vec<f64>,
     frames: f64,
+    /// Number of frames since the last one from which it learned.
+    idle_frames: f64,
 }
 
 impl Zero {
     /// The zero of a frame of the untouched skin from which the offsets of the calibration are subtracted, V.
     pub fn of(untouched_v: &[f64]) -> Self {
-        Self { offset_v: of_pairs(untouched_v), frames: f64::INFINITY }
+        Self { offset_v: of_pairs(untouched_v), frames: f64::INFINITY, idle_frames: 0.0 }
+    }
+
+    /// Process time since the last frame from which it learned, h.
+    pub fn hours(&self) -> f64 {
+        self.idle_frames / FRAMES_PER_HOUR
+    }
+
+    /// Share of the drift of a day that it may have: what is left of the first offset, and its age; none before an
+    /// untouched frame.
+    pub fn share_of_day(&self) -> Option<f64> {
+        self.left().map(|left| left.hypot(share_of_day(self.hours())))
+    }
+
+    /// Notes that a frame of the stream passed.
+    pub fn pass(&mut self) {
+        self.idle_frames += 1.0;
     }
 
     /// Share of the first offset that is left; none before an untouched frame.
-    pub fn left(&self) -> Option<f64> {
+    fn left(&self) -> Option<f64> {
         (self.frames > 0.0).then(|| SURE_FRAMES / (self.frames + SURE_FRAMES))
     }
 
@@ -48,6 +71,7 @@ impl Zero {
         if averaged < SURE_FRAMES {
             return;
         }
+        self.idle_frames = 0.0;
         let left_v = of_pairs(frame_v);
         self.offset_v.resize(left_v.len(), 0.0);
         self.frames = (self.frames + 1.0).min(FOLLOWS);
@@ -94,6 +118,23 @@ mod tests {
             zero.learn(&left(&zero, frame(5e-3)), 30.0, 2e-3);
         }
         assert!((left(&zero, frame(5e-3))[0] - 3e-3).abs() < 1e-9, "it is bounded");
+    }
+
+    #[test]
+    fn a_zero_that_does_not_learn_ages() {
+        let mut zero = Zero::default();
+        zero.pass();
+        assert_eq!(zero.share_of_day(), None);
+        (0..300).for_each(|_| zero.learn(&frame(0.0), 30.0, 2e-3));
+        assert!(zero.hours() == 0.0 && zero.share_of_day().unwrap() < 0.05);
+        // Something rests on the skin for six hours: half of the drift of a day.
+        (0..6 * 108_000).for_each(|_| zero.pass());
+        let share = zero.share_of_day().unwrap();
+        assert!((zero.hours() - 6.0).abs() < 1e-9 && (share - 0.5).abs() < 0.01, "{share}");
+        zero.learn(&frame(0.0), 1.0, 2e-3);
+        assert!(zero.hours() > 5.9, "one frame may hide a light touch");
+        zero.learn(&frame(0.0), 30.0, 2e-3);
+        assert_eq!(zero.hours(), 0.0);
     }
 
     #[test]

@@ -1,0 +1,111 @@
+//! An evaluation of `exact` as a work order, and the scores of its readings.
+//! Uses: `client` (a service states the frames and scores the readings), `jobs::readings`. Never: a fit, a score.
+
+use std::path::{Path, PathBuf};
+
+use clap::Args;
+use serde_json::json;
+
+use super::gather::Verified;
+use super::kind::{all_whole, readings_order};
+use crate::chunk::folder::OrderFolder;
+use crate::chunk::order::{ChunkRow, WorkOrder};
+use crate::cli::client::TextPart;
+use crate::cli::dataset::DATASET_WAIT;
+use crate::cli::error::CliError;
+use crate::cli::evaluate::MethodRequest;
+use crate::cli::evaluate::lab::ExtentArgs;
+use crate::cli::{At, embed};
+use crate::evaluate::request::EvaluationReport;
+use crate::jobs::chunks::{NetScore, SCORES_FILE};
+use crate::jobs::readings::ReadingInputs;
+use crate::jobs::readings::chunks::{gather, work_order};
+use crate::new_file;
+
+/// Name of the file with the readings of all frames, a line of JSON each.
+const READINGS_FILE: &str = "readings.jsonl";
+
+/// Options that determine the readings of an evaluation.
+#[derive(Debug, Clone, Args)]
+pub struct ReadingsRequest {
+    #[command(flatten)]
+    method: MethodRequest,
+    #[command(flatten)]
+    extent: ExtentArgs,
+    /// Number of frames of a chunk; a fit takes about 0.05 s.
+    #[arg(long, value_name = "N", default_value_t = 50)]
+    chunk_rows: u32,
+    /// URL of the service whose dataset and skin are used [env: PALPATE_URL] [default:
+    /// http://127.0.0.1:8080].
+    #[arg(long, value_name = "URL")]
+    url: Option<String>,
+    /// Certificate of an https service or of its authority, PEM [env: PALPATE_CA] [default: the
+    /// authorities of the system].
+    #[arg(long, value_name = "FILE")]
+    ca: Option<PathBuf>,
+    /// Folder of the database for a service that this command starts, and folder whose `cache` contains
+    /// solved unit responses on the nodes [env: PALPATE_DATA] [default: palpate-data].
+    #[arg(long, value_name = "DIR")]
+    pub data: Option<PathBuf>,
+}
+
+impl ReadingsRequest {
+    /// The work order, and the number of its frames.
+    ///
+    /// # Errors
+    /// `CliError` if an option is invalid, the service cannot be reached or started, or the evaluation cannot be
+    /// prepared.
+    pub async fn order(&self, json: bool) -> Result<(WorkOrder, u64), CliError> {
+        let (url, ca, data) = (self.url.clone(), self.ca.clone(), self.data.clone());
+        let at = At { url, ca, data, json };
+        let request = self.method.clone().request(&self.extent.budget());
+        let path = format!("/api/v1/evaluations/inputs?chunk_rows={}", self.chunk_rows);
+        embed::with_server(&at, move |client| async move {
+            let client = client.patient(DATASET_WAIT);
+            let client = client.showing("preparing the skin and the frames");
+            let inputs: ReadingInputs = client.post(&path, &request).await?;
+            let rows = inputs.rows;
+            Ok((work_order(request, inputs), rows))
+        })
+        .await
+    }
+}
+
+/// Writes the readings of a folder's work order, which has these rows, to `out`, and their scores by the service, as
+/// `palpate evaluate method --trained` takes them. Returns the number of readings.
+///
+/// # Errors
+/// `ChunkError::Incomplete` if a chunk is damaged; another `CliError` if a file cannot be read or written, or the
+/// service refuses the readings.
+pub async fn score(
+    folder: &OrderFolder,
+    rows: &[ChunkRow],
+    out: &Path,
+    at: &At,
+    mut verified: Verified,
+) -> Result<u64, CliError> {
+    let order = readings_order(folder)?;
+    let gathered = gather(folder, rows, &mut || verified.one());
+    drop(verified);
+    let gathered = gathered?;
+    all_whole(folder, gathered.damaged)?;
+    let file = out.join(READINGS_FILE);
+    new_file::write(out, READINGS_FILE, &gathered.lines)
+        .map_err(|source| CliError::File { path: file.clone(), source })?;
+    let request = order.definition.request.clone();
+    let texts = vec![
+        TextPart::value("request", json!(request).to_string()),
+        TextPart::value("model", order.definition.model.clone()),
+        TextPart::value("frames_sha256", order.frames_sha256()),
+    ];
+    let report: EvaluationReport = embed::with_server(at, move |client| async move {
+        let client = client.patient(DATASET_WAIT);
+        let client = client.showing("scoring the readings");
+        client.upload("/api/v1/evaluations/readings", &file, texts).await
+    })
+    .await?;
+    let scores = json!(vec![NetScore { request, report }]).to_string();
+    new_file::write(out, SCORES_FILE, scores)
+        .map_err(|source| CliError::File { path: out.join(SCORES_FILE), source })?;
+    Ok(rows.iter().map(|row| row.rows).sum())
+}

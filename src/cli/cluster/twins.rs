@@ -1,0 +1,153 @@
+//! The twins of a run as a work order, and their way into the run's database.
+//! Uses: `client` (a service states the contacts and stores the twins), `simulate::twins::chunks`. Never: a frame that
+//! is computed or compared here.
+
+use std::path::PathBuf;
+
+use clap::Args;
+
+use super::gather::Verified;
+use crate::chunk::folder::{ChunkState, OrderFolder};
+use crate::chunk::order::{ChunkRow, WorkOrder};
+use crate::cli::client::Client;
+use crate::cli::error::CliError;
+use crate::cli::{At, embed};
+use crate::ids::RunUid;
+use crate::new_file::Look;
+use crate::simulate::twins::chunks::{CHUNK_TRIALS_MAX, TwinSkin, work_order};
+use crate::twins::elsewhere::{StoredTwins, TwinInputs};
+
+/// Largest number of trials of an order, whose file contains the contacts of all.
+const ORDERED_TRIALS_MAX: u64 = 1_000_000;
+
+/// Options that determine the chunks of a run's twins.
+#[derive(Debug, Clone, Args)]
+pub struct TwinsRequest {
+    /// Id of the run: uid or scan_id.
+    #[arg(value_name = "RUN")]
+    run: String,
+    /// Number of trials of a chunk.
+    #[arg(long, value_name = "N", default_value_t = 1000)]
+    chunk_trials: u64,
+    /// URL of the service with the run, which must have the calibration that it stores twins with [env:
+    /// PALPATE_URL] [default: http://127.0.0.1:8080].
+    #[arg(long, value_name = "URL")]
+    url: Option<String>,
+    /// Certificate of an https service or of its authority, PEM [env: PALPATE_CA] [default: the
+    /// authorities of the system].
+    #[arg(long, value_name = "FILE")]
+    ca: Option<PathBuf>,
+    /// Folder of the database for a service that this command starts, and folder whose `cache` contains
+    /// solved unit responses on the nodes [env: PALPATE_DATA] [default: palpate-data].
+    #[arg(long, value_name = "DIR")]
+    pub data: Option<PathBuf>,
+}
+
+impl TwinsRequest {
+    /// The work order of the run's stored trials, and their number.
+    ///
+    /// # Errors
+    /// `CliError` if an option is invalid, the service cannot be reached or started, or the run has no trials or no
+    /// model.
+    pub async fn order(&self, json: bool) -> Result<(WorkOrder, u64), CliError> {
+        if !(1..=CHUNK_TRIALS_MAX).contains(&self.chunk_trials) {
+            let limit = format!("must be from 1 to {CHUNK_TRIALS_MAX}");
+            return Err(CliError::argument("chunk-trials", self.chunk_trials, limit));
+        }
+        let (url, ca, data) = (self.url.clone(), self.ca.clone(), self.data.clone());
+        let at = At { url, ca, data, json };
+        let (run, chunk_trials) = (self.run.clone(), self.chunk_trials);
+        embed::reading(&at, move |client| ordered(client, run, chunk_trials)).await
+    }
+}
+
+async fn ordered(
+    client: Client,
+    run: String,
+    chunk_trials: u64,
+) -> Result<(WorkOrder, u64), CliError> {
+    let uid = client.run(&run).await?.uid;
+    // The skin is solved for the first answer.
+    let client = client.showing("the contacts of the run");
+    let (mut skin, mut contacts, mut trials) = (None, Vec::new(), 0);
+    let mut after = 0;
+    loop {
+        let path = format!("/api/v1/runs/{uid}/twins/inputs?after={after}&limit={chunk_trials}");
+        let inputs: TwinInputs = client.get(&path).await?;
+        if inputs.trials > 0 {
+            trials += inputs.trials;
+            contacts.push(inputs.contacts);
+        }
+        if trials > ORDERED_TRIALS_MAX {
+            let limit = format!("has more than {ORDERED_TRIALS_MAX} trials, the most of an order");
+            return Err(CliError::argument("run", &run, limit));
+        }
+        skin.get_or_insert(TwinSkin {
+            run: inputs.run,
+            model: inputs.simulation,
+            kernel: inputs.kernel,
+            sensor: inputs.sensor,
+            calibration: inputs.calibration,
+        });
+        let Some(next) = inputs.next else { break };
+        after = next.0;
+    }
+    match skin.filter(|_| trials > 0) {
+        Some(skin) => Ok((work_order(skin, contacts), trials)),
+        None => Err(CliError::argument("run", &run, "must have trials")),
+    }
+}
+
+/// What a service has stored of the chunks of an order.
+#[derive(Debug, Clone, Default)]
+pub struct Stored {
+    /// Number of twins that are stored now.
+    pub stored: u64,
+    /// Number of twins that were stored before, and are the same.
+    pub present: u64,
+    /// Indexes of the chunks whose bytes do not have the sha256 of their row, ascending.
+    pub damaged: Vec<u64>,
+}
+
+/// Sends the chunks of an order of a run's twins, which have these rows, to the service with the run.
+///
+/// # Errors
+/// `CliError` if a chunk cannot be read, the service cannot be reached or started, or it refuses a chunk: those before
+/// it are stored.
+pub async fn store(
+    run: RunUid,
+    folder: OrderFolder,
+    rows: Vec<ChunkRow>,
+    at: &At,
+    mut verified: Verified,
+) -> Result<Stored, CliError> {
+    embed::with_server(at, move |client| async move {
+        let path = format!("/api/v1/runs/{run}/twins");
+        let mut stored = Stored::default();
+        for row in rows {
+            let ChunkState::Done(row) = folder.state(row.index, Look::Sha256)? else {
+                stored.damaged.push(row.index);
+                continue;
+            };
+            let file = folder.result(&row.key);
+            let answer = client.upload(&path, &file, []).await;
+            let made: StoredTwins = answer.map_err(|error| of_chunk(row.index, error))?;
+            stored.stored += made.stored;
+            stored.present += made.present;
+            verified.one();
+        }
+        Ok(stored)
+    })
+    .await
+}
+
+/// A refusal, with the chunk that it concerns.
+fn of_chunk(index: u64, error: CliError) -> CliError {
+    match error {
+        CliError::Refused { operation, status, detail } => {
+            let detail = format!("chunk {index}: {detail}");
+            CliError::Refused { operation, status, detail }
+        }
+        other => other,
+    }
+}

@@ -1,0 +1,373 @@
+//! Twins of a run in chunks: the frames of consecutive trials, from contacts that the work order contains.
+//! Uses: `chunk`, `file`, sim-core, threads. Never: a store, a rig, an order in which chunks are made.
+
+use std::collections::BTreeMap;
+use std::num::NonZeroUsize;
+use std::ops::ControlFlow;
+use std::thread;
+
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
+use sim_core::batch::Kernel;
+use sim_core::calibrated::CalibratedSensor;
+use sim_core::calibration::Calibration;
+use sim_core::forward::{ForwardModel, Workspace};
+use sim_core::sensor::Sensor;
+
+use super::file::{TwinRow, TwinsFile, TwinsHead};
+use super::{TwinInput, twin_frame};
+use crate::chunk::order::{ORDER_FILE, WorkOrder};
+use crate::chunk::{MakeChunks, MakeFailure};
+use crate::difference::first_difference;
+use crate::digest::sha256_hex;
+use crate::ids::RunUid;
+use crate::new_file::NewFile;
+use crate::problem::Problem;
+use crate::simulate::random::manifest::byte_makers;
+
+/// Kind of the chunks.
+pub const TWINS: &str = "twins";
+/// Largest number of trials of a chunk.
+pub const CHUNK_TRIALS_MAX: u64 = 10_000;
+/// Version of the columns and settings of a chunk: increased by a change that gives other bytes.
+const TWINS_VERSION: u32 = 1;
+/// Input of a work order: text of the sensor file.
+const TWINS_SENSOR: &str = "sensor_file";
+/// Input of a work order: text of the calibration file.
+const TWINS_CALIBRATION: &str = "calibration";
+/// Number of trials that a thread simulates between two looks at a request to stop.
+const TOLD_TRIALS: usize = 64;
+
+/// Everything that determines the bytes of all chunks.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TwinsDefinition {
+    /// Version of columns and settings.
+    pub format_version: u32,
+    /// Run of the trials.
+    pub run: RunUid,
+    /// Simulation id of the model of its skin.
+    pub model: String,
+    /// Vector instructions of the service's processor: the last digits of a frame depend on them.
+    pub kernel: String,
+    /// Versions of the libraries that produce bytes.
+    pub libraries: BTreeMap<String, String>,
+    /// sha256 of the contacts of each chunk, as [`TwinInput::lines`] writes them.
+    pub contacts: Vec<String>,
+}
+
+/// The skin of a run, as the service that stored it simulates it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct TwinSkin {
+    /// The run.
+    pub run: RunUid,
+    /// Simulation id of its model.
+    pub model: String,
+    /// Vector instructions of the service's processor.
+    pub kernel: String,
+    /// Text of the sensor file.
+    pub sensor: String,
+    /// Text of the calibration file; `None` for the nominal model.
+    pub calibration: Option<String>,
+}
+
+/// Returns the work order of the twins of a run. `contacts`: those of each chunk, as [`TwinInput::lines`] writes them.
+pub fn work_order(skin: TwinSkin, contacts: Vec<String>) -> WorkOrder {
+    let TwinSkin { run, model, kernel, sensor, calibration } = skin;
+    let definition = TwinsDefinition {
+        format_version: TWINS_VERSION,
+        run,
+        model,
+        kernel,
+        libraries: byte_makers(),
+        contacts: contacts.iter().map(sha256_hex).collect(),
+    };
+    let chunks = contacts.len() as u64;
+    let mut inputs = BTreeMap::from([(TWINS_SENSOR.to_owned(), sensor)]);
+    inputs.extend(calibration.map(|text| (TWINS_CALIBRATION.to_owned(), text)));
+    inputs.extend((0..).zip(contacts).map(|(index, text)| (contacts_input(index), text)));
+    WorkOrder::new(TWINS, value_of(&definition), inputs, chunks)
+}
+
+/// Name of the input with the contacts of a chunk.
+fn contacts_input(index: u64) -> String {
+    format!("contacts-{index:05}")
+}
+
+fn value_of(definition: &TwinsDefinition) -> Value {
+    serde_json::to_value(definition).expect("a definition is JSON")
+}
+
+/// What a work order of twins states.
+#[derive(Debug, Clone)]
+pub struct TwinsOrder {
+    /// Definition of the chunks.
+    pub definition: TwinsDefinition,
+    /// The skin, calibrated if the service has a calibration of it.
+    pub sensor: CalibratedSensor,
+    /// Texts of the order, by name.
+    inputs: BTreeMap<String, String>,
+}
+
+impl TwinsOrder {
+    /// Reads a work order.
+    ///
+    /// # Errors
+    /// The first value that is wrong, by its key in the work order.
+    pub fn read(order: &WorkOrder) -> Result<Self, Problem> {
+        let invalid = |key: &str, why: String| Problem::new(ORDER_FILE, key, "..", why);
+        let definition: TwinsDefinition = serde_json::from_value(order.definition.clone())
+            .map_err(|error| invalid("definition", error.to_string()))?;
+        let needed = definition.contacts.len() as u64;
+        if order.chunks != needed {
+            let limit = format!("its definition has {needed}");
+            return Err(Problem::new(ORDER_FILE, "chunks", order.chunks, limit));
+        }
+        let text = order.inputs.get(TWINS_SENSOR).map_or("", String::as_str);
+        let sensor = Sensor::from_toml(text)
+            .map_err(|error| invalid("inputs.sensor_file", error.to_string()))?;
+        let sensor = match order.inputs.get(TWINS_CALIBRATION) {
+            None => sensor.into(),
+            Some(text) => Calibration::from_toml(text)
+                .and_then(|calibration| calibration.apply(&sensor))
+                .map_err(|error| invalid("inputs.calibration", error.to_string()))?,
+        };
+        Ok(Self { definition, sensor, inputs: order.inputs.clone() })
+    }
+
+    /// The inputs of a chunk, which must have the sha256 of the definition.
+    fn chunk(&self, index: u64) -> Result<(Vec<TwinInput>, &str), String> {
+        let name = contacts_input(index);
+        let text = self.inputs.get(&name).map_or("", String::as_str);
+        let stated = usize::try_from(index).ok().and_then(|at| self.definition.contacts.get(at));
+        let stated = stated.ok_or_else(|| format!("{name}: the order has no such chunk"))?;
+        if sha256_hex(text) != *stated {
+            return Err(format!("{name}: has other contacts than the definition; order again"));
+        }
+        let inputs = TwinInput::read(text).map_err(|error| format!("{name} {error}"))?;
+        Ok((inputs, stated))
+    }
+}
+
+/// Makes the twins of a work order, each chunk on all of its threads.
+pub struct TwinChunks {
+    order: TwinsOrder,
+    model: ForwardModel,
+    threads: NonZeroUsize,
+}
+
+impl TwinChunks {
+    /// Maker of an order's chunks with the model of its sensor.
+    ///
+    /// # Errors
+    /// The first value of the definition that this program, model or processor does not have.
+    pub fn new(
+        order: TwinsOrder,
+        model: ForwardModel,
+        threads: NonZeroUsize,
+    ) -> Result<Self, Problem> {
+        let here = TwinsDefinition {
+            format_version: TWINS_VERSION,
+            model: model.model_hash().to_owned(),
+            kernel: Kernel::detect().name().to_owned(),
+            libraries: byte_makers(),
+            ..order.definition.clone()
+        };
+        if let Some(found) = first_difference(&value_of(&order.definition), &value_of(&here)) {
+            let key = format!("definition.{}", found.field);
+            let limit = match found.field.as_str() {
+                "kernel" => format!(
+                    "this processor computes with {}; make the twins on machines like that of the service",
+                    found.here
+                ),
+                _ => format!("this program makes {}", found.here),
+            };
+            return Err(Problem::new(ORDER_FILE, &key, found.there, limit));
+        }
+        Ok(Self { order, model, threads })
+    }
+
+    /// The twins of some inputs, in their order.
+    fn rows(&self, inputs: &[TwinInput]) -> Vec<TwinRow> {
+        let share = inputs.len().div_ceil(self.threads.get()).max(1);
+        thread::scope(|scope| {
+            let shares: Vec<_> = inputs
+                .chunks(share)
+                .map(|inputs| {
+                    scope.spawn(move || {
+                        let mut work = Workspace::default();
+                        inputs.iter().map(|input| self.row(input, &mut work)).collect::<Vec<_>>()
+                    })
+                })
+                .collect();
+            let rows = shares.into_iter().flat_map(|share| {
+                share.join().expect("a thread makes all of its twins, unless it panics")
+            });
+            rows.collect()
+        })
+    }
+
+    fn row(&self, input: &TwinInput, work: &mut Workspace) -> TwinRow {
+        let frame_v = twin_frame(&self.model, input.contacts.as_deref(), work).ok();
+        TwinRow { trial: input.trial, frame_v }
+    }
+}
+
+impl MakeChunks for TwinChunks {
+    fn write(
+        &mut self,
+        index: u64,
+        out: NewFile,
+        tell: &mut dyn FnMut(u64) -> ControlFlow<()>,
+    ) -> Result<Option<(NewFile, u64)>, MakeFailure> {
+        let (inputs, contacts_sha256) = self.order.chunk(index)?;
+        let TwinsDefinition { run, model, .. } = &self.order.definition;
+        let head = TwinsHead {
+            run: *run,
+            model: model.clone(),
+            contacts_sha256: contacts_sha256.to_owned(),
+        };
+        let mut rows = Vec::with_capacity(inputs.len());
+        for inputs in inputs.chunks(TOLD_TRIALS * self.threads.get()) {
+            rows.extend(self.rows(inputs));
+            if tell(inputs.len() as u64).is_break() {
+                return Ok(None);
+            }
+        }
+        let count = rows.len() as u64;
+        let file = TwinsFile { head, rows };
+        Ok(Some((file.write(self.order.sensor.channels(), out)?, count)))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::fs::{self, File};
+    use std::path::Path;
+    use std::sync::{Arc, LazyLock};
+
+    use sim_core::forward::Contact;
+    use sim_core::responses::UnitResponses;
+
+    use super::*;
+    use crate::chunk::folder::OrderFolder;
+    use crate::ids::TrialId;
+
+    const SENSOR: &str = include_str!("../../../../experiments/sensors/ert-28.toml");
+
+    /// Model of the paper's sensor.
+    static MODEL: LazyLock<ForwardModel> = LazyLock::new(|| {
+        let sensor = Sensor::from_toml(SENSOR).unwrap();
+        let responses = Arc::new(UnitResponses::solve(&sensor).unwrap());
+        ForwardModel::new(&sensor, responses).unwrap()
+    });
+
+    fn skin() -> TwinSkin {
+        TwinSkin {
+            run: RunUid::new(),
+            model: MODEL.model_hash().into(),
+            kernel: Kernel::detect().name().into(),
+            sensor: SENSOR.into(),
+            calibration: None,
+        }
+    }
+
+    /// Trials with up to three contacts; of each fifth one they are unknown, and a contact of each seventh one is off
+    /// the skin.
+    fn inputs(first: i64, count: i64) -> Vec<TwinInput> {
+        let contact = |trial: i64, n: i64| Contact {
+            x_mm: if trial % 7 == 6 { -5.0 } else { 40.0 + (trial * 37 + n * 101) as f64 % 450.0 },
+            y_mm: 60.0 + (trial * 53 + n * 17) as f64 % 430.0,
+            force_n: 1.7 * n as f64 + 0.1,
+        };
+        let contacts = |trial: i64| (0..trial % 4).map(|n| contact(trial, n)).collect();
+        let input = |trial: i64| TwinInput {
+            trial: TrialId(trial),
+            contacts: (trial % 5 != 4).then(|| contacts(trial)),
+        };
+        (first..first + count).map(input).collect()
+    }
+
+    fn ordered(skin: TwinSkin) -> WorkOrder {
+        work_order(skin, vec![TwinInput::lines(inputs(0, 70)), TwinInput::lines(inputs(70, 9))])
+    }
+
+    /// Makes both chunks in a folder; returns their bytes.
+    fn made(folder: &Path, order: &WorkOrder, threads: usize) -> [Vec<u8>; 2] {
+        fs::remove_dir_all(folder).ok();
+        let (folder, _) = OrderFolder::write(folder, order.clone()).unwrap();
+        let read = TwinsOrder::read(folder.order()).unwrap();
+        let threads = NonZeroUsize::new(threads).unwrap();
+        let mut maker = TwinChunks::new(read, MODEL.clone(), threads).unwrap();
+        [0, 1].map(|index| {
+            let row = folder.make(index, &mut maker, &mut |_| ControlFlow::Continue(()));
+            fs::read(folder.result(&row.unwrap().unwrap().key)).unwrap()
+        })
+    }
+
+    #[test]
+    fn chunks_of_any_number_of_threads_are_the_twins_of_their_contacts() {
+        let folder =
+            std::env::temp_dir().join(format!("palpate-twin-chunks-{}", std::process::id()));
+        let order = ordered(skin());
+        let one = made(&folder, &order, 1);
+        assert!(one == made(&folder, &order, 3), "other bytes with three threads");
+        let path = folder.join("chunk");
+        let mut work = Workspace::default();
+        let mut failures = 0;
+        for (bytes, inputs) in one.iter().zip([inputs(0, 70), inputs(70, 9)]) {
+            fs::write(&path, bytes).unwrap();
+            let file = TwinsFile::read(File::open(&path).unwrap(), 784).unwrap();
+            assert_eq!(file.head.contacts_sha256, sha256_hex(TwinInput::lines(inputs.clone())));
+            assert_eq!(file.rows.len(), inputs.len());
+            for (row, input) in file.rows.iter().zip(inputs) {
+                let alone = twin_frame(&MODEL, input.contacts.as_deref(), &mut work);
+                failures += usize::from(alone.is_err());
+                assert_eq!((row.trial, &row.frame_v), (input.trial, &alone.ok()));
+            }
+        }
+        assert!((20..40).contains(&failures), "{failures}");
+        fs::remove_dir_all(folder).unwrap();
+    }
+
+    #[test]
+    fn a_chunk_of_other_contacts_is_not_made() {
+        let folder =
+            std::env::temp_dir().join(format!("palpate-twin-other-{}", std::process::id()));
+        let mut order = ordered(skin());
+        let contacts = order.inputs.get_mut("contacts-00001").unwrap();
+        *contacts = contacts.replace("70", "71");
+        let (folder, _) = OrderFolder::write(&folder, order).unwrap();
+        let read = TwinsOrder::read(folder.order()).unwrap();
+        let mut maker = TwinChunks::new(read, MODEL.clone(), NonZeroUsize::MIN).unwrap();
+        let made = folder.make(1, &mut maker, &mut |_| ControlFlow::Continue(()));
+        let error = made.unwrap_err().to_string();
+        assert!(error.contains("contacts-00001: has other contacts"), "{error}");
+        let stopped = folder.make(0, &mut maker, &mut |_| ControlFlow::Break(())).unwrap();
+        assert_eq!(stopped, None);
+        fs::remove_dir_all(folder.path()).unwrap();
+    }
+
+    #[test]
+    fn an_order_that_cannot_be_made_here_is_refused_by_key() {
+        let key = |order: WorkOrder| TwinsOrder::read(&order).unwrap_err().key;
+        let order = ordered(skin());
+        assert_eq!((order.kind.as_str(), order.chunks), (TWINS, 2));
+        assert_eq!(key(WorkOrder { chunks: 3, ..order.clone() }), "chunks");
+        assert_eq!(key(WorkOrder { definition: 1.into(), ..order.clone() }), "definition");
+        let none = WorkOrder { inputs: BTreeMap::new(), ..order.clone() };
+        assert_eq!(key(none), "inputs.sensor_file");
+        let mut inputs = order.inputs.clone();
+        inputs.insert(TWINS_CALIBRATION.into(), "id = 1".into());
+        assert_eq!(key(WorkOrder { inputs, ..order }), "inputs.calibration");
+        let here = |skin: TwinSkin| {
+            let read = TwinsOrder::read(&ordered(skin)).unwrap();
+            TwinChunks::new(read, MODEL.clone(), NonZeroUsize::MIN).err().map(|problem| problem.key)
+        };
+        assert_eq!(here(skin()), None);
+        let other = TwinSkin { model: "sim-0".into(), ..skin() };
+        assert_eq!(here(other).as_deref(), Some("definition.model"));
+        let other = TwinSkin { kernel: "none".into(), ..skin() };
+        assert_eq!(here(other).as_deref(), Some("definition.kernel"));
+    }
+}

@@ -1,0 +1,127 @@
+//! Evaluations of `exact` of which other machines read the frames: what they need, and the scores of their answers.
+//! Uses: `jobs::readings`. Never: a score of answers to other frames.
+
+use axum::Json;
+use axum::extract::State;
+use serde::Deserialize;
+use utoipa::{IntoParams, ToSchema};
+
+use super::App;
+use super::audit::{Act, cut};
+use super::form::Form;
+use super::limits::{FRAMES_MAX_BYTES, WHO_MAX_CHARS};
+use super::problem::{ApiError, Body, Params, ProblemBody};
+use crate::evaluate::request::{EvaluationReport, EvaluationRequest};
+use crate::infer::answer::Reading;
+use crate::jobs::readings::{ORDERED_FRAMES_MAX, ReadingInputs};
+use crate::problem::Problem;
+
+/// Size of a chunk.
+#[derive(Debug, Deserialize, IntoParams)]
+#[into_params(parameter_in = Query)]
+pub struct ChunkParams {
+    /// Number of frames of a chunk, 1 to 5000; 50 if absent.
+    #[serde(default = "fifty")]
+    #[param(minimum = 1, maximum = 5000, default = 50)]
+    pub chunk_rows: u32,
+}
+
+fn fifty() -> u32 {
+    50
+}
+
+/// Returns what other machines need to read the frames of an evaluation of `exact`: skin, errors of its model, frames.
+///
+/// The dataset is made if needed. To prepare a skin takes up to most of a minute.
+#[utoipa::path(post, operation_id = "evaluation_inputs", path = "/api/v1/evaluations/inputs", tag = "jobs",
+    params(ChunkParams), request_body = EvaluationRequest,
+    responses((status = 200, body = ReadingInputs),
+        (status = 400, body = ProblemBody, description = "a parameter is invalid, or the dataset cannot be made"),
+        (status = 404, body = ProblemBody, description = "the dataset or the calibration does not exist"),
+        (status = 409, body = ProblemBody,
+            description = "the dataset is of another sensor, or another person holds the operator lock"),
+        (status = 422, body = ProblemBody,
+            description = "the request is invalid, not of `exact` without nets, or has more than 5000 rows"),
+        (status = 507, body = ProblemBody, description = "the disk has no room for the dataset")))]
+pub async fn inputs(
+    State(app): State<App>,
+    act: Act,
+    Params(ChunkParams { chunk_rows }): Params<ChunkParams>,
+    Body(request): Body<EvaluationRequest>,
+) -> Result<Json<ReadingInputs>, ApiError> {
+    if !(1..=ORDERED_FRAMES_MAX).contains(&u64::from(chunk_rows)) {
+        let words = format!("must be from 1 to {ORDERED_FRAMES_MAX}");
+        return Err(ApiError::query("chunk_rows", chunk_rows, &words));
+    }
+    act.about(&request.dataset);
+    Ok(Json(app.jobs.reading_inputs(&request, chunk_rows as usize).await?))
+}
+
+/// Form of readings.
+#[derive(Debug, ToSchema)]
+#[expect(dead_code, reason = "describes the request for openapi.yaml")]
+pub struct ReadingsForm {
+    /// Readings of all frames, in their order, a JSON object per line; at most 64 MiB.
+    #[schema(value_type = String, format = Binary)]
+    file: Vec<u8>,
+    /// The EvaluationRequest, JSON.
+    request: String,
+    /// Simulation id of the skin's model.
+    model: String,
+    /// sha256 of the frames of all chunks, one after the other, as text.
+    frames_sha256: String,
+}
+
+/// Scores readings of the frames of an evaluation of `exact` that other machines have made.
+///
+/// They must be of the model and of the frames that the service would use. The report states no latencies.
+#[utoipa::path(post, operation_id = "score_readings", path = "/api/v1/evaluations/readings", tag = "jobs",
+    request_body(content = ReadingsForm, content_type = "multipart/form-data"),
+    responses((status = 200, body = Object, description = "the EvaluationReport"),
+        (status = 400, body = ProblemBody, description = "the form is invalid, or the dataset cannot be made"),
+        (status = 404, body = ProblemBody, description = "the dataset or the calibration does not exist"),
+        (status = 409, body = ProblemBody,
+            description = "the dataset is of another sensor, or another person holds the operator lock"),
+        (status = 422, body = ProblemBody,
+            description = "the request is invalid, or the readings are of another model or of other frames"),
+        (status = 507, body = ProblemBody, description = "the disk has no room for the dataset")))]
+pub async fn score(
+    State(app): State<App>,
+    act: Act,
+    mut form: Form,
+) -> Result<Json<EvaluationReport>, ApiError> {
+    let (mut file, mut request, mut model, mut frames_sha256) = (None, None, None, None);
+    while let Some(part) = form.next().await? {
+        match part.name.as_str() {
+            "file" => file = Some(part.bytes(FRAMES_MAX_BYTES).await?),
+            "request" => request = Some(part.text().await?),
+            "model" => model = Some(part.text().await?),
+            "frames_sha256" => frames_sha256 = Some(part.text().await?),
+            other => {
+                let name = cut(other, WHO_MAX_CHARS);
+                let limit = "unknown part: must be file, request, model or frames_sha256";
+                return Err(invalid(&name, "..", limit));
+            }
+        }
+    }
+    app.still_allowed(&act).await?;
+    let missing = |part: &'static str| move || invalid(part, "absent", "must be given");
+    let file = file.ok_or_else(missing("file"))?;
+    let request = request.ok_or_else(missing("request"))?;
+    let model = model.ok_or_else(missing("model"))?;
+    let frames_sha256 = frames_sha256.ok_or_else(missing("frames_sha256"))?;
+    let request: EvaluationRequest = serde_json::from_str(&request)
+        .map_err(|error| invalid("request", "..", &error.to_string()))?;
+    act.about(&request.dataset);
+    let mut readings: Vec<Reading> = Vec::new();
+    for line in file.split(|byte| *byte == b'\n').filter(|line| !line.is_empty()) {
+        let reading = serde_json::from_slice(line);
+        readings.push(reading.map_err(|error| invalid("file", "..", &error.to_string()))?);
+    }
+    Ok(Json(app.jobs.score_readings(&request, &model, &frames_sha256, readings).await?))
+}
+
+/// An invalid part of the form (400).
+fn invalid(part: &str, value: &str, limit: &str) -> ApiError {
+    ApiError::bad_query(vec![Problem::new("form", part, value, limit)])
+}

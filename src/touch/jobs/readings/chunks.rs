@@ -1,0 +1,290 @@
+//! Answers of `exact` in chunks: the readings of some frames of an evaluation, which the work order contains.
+//! Uses: `chunk`, `frames`, the fits of `exact`, threads. Never: the store, a dataset, a score.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::num::NonZeroUsize;
+use std::ops::ControlFlow;
+use std::sync::Arc;
+use std::thread;
+
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
+use sim_core::batch::Kernel;
+use sim_core::calibrated::CalibratedSensor;
+use sim_core::calibration::Calibration;
+use sim_core::forward::ForwardModel;
+use sim_core::sensor::Sensor;
+
+use super::ReadingInputs;
+use super::frames::FrameInput;
+use crate::chunk::error::ChunkError;
+use crate::chunk::folder::OrderFolder;
+use crate::chunk::order::{ChunkRow, ORDER_FILE, WorkOrder};
+use crate::chunk::{MakeChunks, MakeFailure};
+use crate::difference::first_difference;
+use crate::digest::sha256_hex;
+use crate::evaluate::request::EvaluationRequest;
+use crate::ids::DatasetId;
+use crate::infer::answer::Reading;
+use crate::infer::maps::ForceMaps;
+use crate::infer::methods::ReadyMethod;
+use crate::infer::methods::exact::{ExactPipeline, ExactSkin, SkinErrors};
+use crate::new_file::NewFile;
+use crate::problem::Problem;
+
+/// Kind of the chunks.
+pub const READINGS: &str = "readings";
+/// Version of the lines of a chunk, and of the fits: increased by a change that gives other bytes.
+const READINGS_VERSION: u32 = 1;
+/// Inputs of a work order: texts of the sensor file, of the calibration file and of the errors of the skin (JSON).
+const READINGS_SENSOR: &str = "sensor_file";
+const READINGS_CALIBRATION: &str = "calibration";
+const READINGS_ERRORS: &str = "errors";
+/// Number of frames that a thread reads between two looks at a request to stop.
+const READ_BETWEEN: usize = 4;
+
+/// Everything that determines the bytes of all chunks.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ReadingsDefinition {
+    /// Version of lines and fits.
+    pub format_version: u32,
+    /// The evaluation.
+    pub request: EvaluationRequest,
+    /// Its dataset.
+    pub dataset: DatasetId,
+    /// Simulation id of the skin's model.
+    pub model: String,
+    /// Vector instructions of the service's processor: the last digits of a fit depend on them.
+    pub kernel: String,
+    /// sha256 of the errors of the skin's model.
+    pub errors: String,
+    /// sha256 of the frames of each chunk, as [`FrameInput::lines`] writes them.
+    pub frames: Vec<String>,
+}
+
+/// Returns the work order of an evaluation.
+pub fn work_order(request: EvaluationRequest, inputs: ReadingInputs) -> WorkOrder {
+    let ReadingInputs { dataset, simulation, kernel, sensor, calibration, errors, frames, .. } =
+        inputs;
+    let definition = ReadingsDefinition {
+        format_version: READINGS_VERSION,
+        request,
+        dataset,
+        model: simulation,
+        kernel,
+        errors: sha256_hex(&errors),
+        frames: frames.iter().map(sha256_hex).collect(),
+    };
+    let chunks = frames.len() as u64;
+    let mut texts = BTreeMap::from([
+        (READINGS_SENSOR.to_owned(), sensor),
+        (READINGS_ERRORS.to_owned(), errors),
+    ]);
+    texts.extend(calibration.map(|text| (READINGS_CALIBRATION.to_owned(), text)));
+    texts.extend((0..).zip(frames).map(|(index, text)| (frames_input(index), text)));
+    WorkOrder::new(READINGS, value_of(&definition), texts, chunks)
+}
+
+/// Name of the input with the frames of a chunk.
+fn frames_input(index: u64) -> String {
+    format!("frames-{index:05}")
+}
+
+fn value_of(definition: &ReadingsDefinition) -> Value {
+    serde_json::to_value(definition).expect("a definition is JSON")
+}
+
+/// What a work order of readings states.
+#[derive(Debug, Clone)]
+pub struct ReadingsOrder {
+    /// Definition of the chunks.
+    pub definition: ReadingsDefinition,
+    /// The skin, calibrated if the evaluation uses a calibration.
+    pub sensor: CalibratedSensor,
+    errors: SkinErrors,
+    /// Texts of the order, by name.
+    inputs: BTreeMap<String, String>,
+}
+
+impl ReadingsOrder {
+    /// Reads a work order.
+    ///
+    /// # Errors
+    /// The first value that is wrong, by its key in the work order.
+    pub fn read(order: &WorkOrder) -> Result<Self, Problem> {
+        let invalid = |key: &str, why: String| Problem::new(ORDER_FILE, key, "..", why);
+        let definition: ReadingsDefinition = serde_json::from_value(order.definition.clone())
+            .map_err(|error| invalid("definition", error.to_string()))?;
+        let needed = definition.frames.len() as u64;
+        if order.chunks != needed {
+            let limit = format!("its definition has {needed}");
+            return Err(Problem::new(ORDER_FILE, "chunks", order.chunks, limit));
+        }
+        let text = |name: &str| order.inputs.get(name).map_or("", String::as_str);
+        let sensor = Sensor::from_toml(text(READINGS_SENSOR))
+            .map_err(|error| invalid("inputs.sensor_file", error.to_string()))?;
+        let sensor = match order.inputs.get(READINGS_CALIBRATION) {
+            None => sensor.into(),
+            Some(text) => Calibration::from_toml(text)
+                .and_then(|calibration| calibration.apply(&sensor))
+                .map_err(|error| invalid("inputs.calibration", error.to_string()))?,
+        };
+        let errors = text(READINGS_ERRORS);
+        if sha256_hex(errors) != definition.errors {
+            return Err(invalid("inputs.errors", "must be those of the definition".into()));
+        }
+        let errors: SkinErrors = serde_json::from_str(errors)
+            .map_err(|error| invalid("inputs.errors", error.to_string()))?;
+        let channels = sensor.channels();
+        if errors.channels() != channels {
+            return Err(invalid("inputs.errors", format!("must have {channels} channels")));
+        }
+        Ok(Self { definition, sensor, errors, inputs: order.inputs.clone() })
+    }
+
+    /// The frames of a chunk, which must have the sha256 of the definition.
+    fn chunk(&self, index: u64) -> Result<Vec<FrameInput>, String> {
+        let name = frames_input(index);
+        let text = self.text(index);
+        let stated = usize::try_from(index).ok().and_then(|at| self.definition.frames.get(at));
+        if stated.is_none_or(|stated| sha256_hex(text) != *stated) {
+            return Err(format!("{name}: has other frames than the definition; order again"));
+        }
+        let inputs = FrameInput::read(text).map_err(|error| format!("{name} {error}"))?;
+        let channels = self.sensor.channels();
+        match inputs.iter().all(|input| input.voltages_v.len() == channels) {
+            true => Ok(inputs),
+            false => Err(format!("{name}: must have {channels} voltages per frame")),
+        }
+    }
+
+    fn text(&self, index: u64) -> &str {
+        self.inputs.get(&frames_input(index)).map_or("", String::as_str)
+    }
+
+    /// sha256 of the frames of all chunks, one after the other.
+    pub fn frames_sha256(&self) -> String {
+        let texts = (0..self.definition.frames.len() as u64).map(|index| self.text(index));
+        sha256_hex(texts.collect::<String>())
+    }
+}
+
+/// Makes the readings of a work order, each chunk on all of its threads.
+pub struct ReadingChunks {
+    order: ReadingsOrder,
+    method: ExactPipeline,
+    threads: NonZeroUsize,
+}
+
+impl ReadingChunks {
+    /// Maker of an order's chunks with the model of its sensor. The fit is prepared, which takes seconds.
+    ///
+    /// # Errors
+    /// The first value of the definition that this program, model or processor does not have.
+    pub fn new(
+        order: ReadingsOrder,
+        model: &ForwardModel,
+        threads: NonZeroUsize,
+    ) -> Result<Self, Problem> {
+        let here = ReadingsDefinition {
+            format_version: READINGS_VERSION,
+            model: model.model_hash().to_owned(),
+            kernel: Kernel::detect().name().to_owned(),
+            ..order.definition.clone()
+        };
+        if let Some(found) = first_difference(&value_of(&order.definition), &value_of(&here)) {
+            let key = format!("definition.{}", found.field);
+            let limit = format!(
+                "here it is {}; read the frames on machines like that of the service",
+                found.here
+            );
+            return Err(Problem::new(ORDER_FILE, &key, found.there, limit));
+        }
+        let skin = ExactSkin::with(model, order.errors.clone())
+            .map_err(|error| Problem::new(ORDER_FILE, "inputs.errors", "..", error.to_string()))?;
+        Ok(Self { method: ExactPipeline { skin: Arc::new(skin), points: None }, order, threads })
+    }
+
+    /// The readings of some frames, in their order.
+    fn readings(&self, inputs: &[FrameInput]) -> Result<Vec<Reading>, String> {
+        let share = inputs.len().div_ceil(self.threads.get()).max(1);
+        thread::scope(|scope| {
+            let shares: Vec<_> = inputs
+                .chunks(share)
+                .map(|inputs| {
+                    scope.spawn(move || -> Result<Vec<Reading>, String> {
+                        let mut readings = Vec::new();
+                        for input in inputs {
+                            let read = self.method.read(&input.frames(), ForceMaps::Without);
+                            readings.extend(read.map_err(|error| error.to_string())?);
+                        }
+                        Ok(readings)
+                    })
+                })
+                .collect();
+            let mut readings = Vec::new();
+            for share in shares {
+                let panicked = |_| Err("a thread that reads frames panicked".to_owned());
+                readings.extend(share.join().unwrap_or_else(panicked)?);
+            }
+            Ok(readings)
+        })
+    }
+}
+
+impl MakeChunks for ReadingChunks {
+    fn write(
+        &mut self,
+        index: u64,
+        mut out: NewFile,
+        tell: &mut dyn FnMut(u64) -> ControlFlow<()>,
+    ) -> Result<Option<(NewFile, u64)>, MakeFailure> {
+        use std::io::Write;
+        let inputs = self.order.chunk(index)?;
+        for inputs in inputs.chunks(READ_BETWEEN * self.threads.get()) {
+            for reading in self.readings(inputs)? {
+                let mut line = serde_json::to_vec(&reading)?;
+                line.push(b'\n');
+                out.write_all(&line)?;
+            }
+            if tell(inputs.len() as u64).is_break() {
+                return Ok(None);
+            }
+        }
+        Ok(Some((out, inputs.len() as u64)))
+    }
+}
+
+/// What was gathered.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct GatheredReadings {
+    /// The readings of all frames, a line of JSON each.
+    pub lines: Vec<u8>,
+    /// Indexes of the chunks whose bytes do not have the sha256 of their row, ascending.
+    pub damaged: Vec<u64>,
+}
+
+/// Reads the chunks of a work order, which have these rows; `tell` receives a call for each chunk.
+///
+/// # Errors
+/// `ChunkError::File` if a chunk cannot be read.
+pub fn gather(
+    chunks: &OrderFolder,
+    rows: &[ChunkRow],
+    tell: &mut dyn FnMut(),
+) -> Result<GatheredReadings, ChunkError> {
+    let mut gathered = GatheredReadings::default();
+    for row in rows {
+        let path = chunks.result(&row.key);
+        let bytes = fs::read(&path).map_err(ChunkError::file("reading", path))?;
+        if sha256_hex(&bytes) == row.sha256 {
+            gathered.lines.extend(bytes);
+            tell();
+        } else {
+            gathered.damaged.push(row.index);
+        }
+    }
+    Ok(gathered)
+}

@@ -1,0 +1,113 @@
+//! Answers of `exact` to the frames of an evaluation, in chunks: two processes next to each other give the bytes of one,
+//! and the scores are those of the service. The frames are made up.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::Path;
+use std::process::{Command, Stdio};
+
+use serde_json::{Value, json};
+
+use super::commands::{evaluate, palpate, trials};
+use crate::datasets::filled::folder;
+use crate::support::{PALPATE, Process};
+
+/// The evaluation.
+const OPTIONS: [&str; 7] = ["exact", "--dataset", "real", "--part", "test", "--scored", "12"];
+
+/// The last line of a command that must succeed.
+fn done(data: &Path, arguments: &[&str]) -> Value {
+    let output = palpate(data, arguments);
+    let words = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{arguments:?}: {words}");
+    let text = String::from_utf8(output.stdout.clone()).unwrap();
+    serde_json::from_str(text.lines().last().unwrap()).unwrap()
+}
+
+/// Starts a task of an array, on a node with the cache alone.
+fn task(node: &Path, order: &Path, task: &str, tasks: &str) -> Process {
+    let mut command = Command::new(PALPATE);
+    command.args(["cluster", "make", "--json", "--task", task, "--tasks", tasks]).arg(order);
+    command.arg("--data").arg(node).stdin(Stdio::null()).stdout(Stdio::null());
+    Process(command.spawn().unwrap())
+}
+
+/// The chunks of an order: name and bytes.
+fn readings(order: &Path) -> BTreeMap<String, Vec<u8>> {
+    let paths = fs::read_dir(order.join("results")).unwrap().map(|entry| entry.unwrap().path());
+    let chunks = paths.filter(|path| path.extension().is_some_and(|ending| ending == "jsonl"));
+    let named = chunks.map(|path| {
+        let name = path.file_name().unwrap().to_str().unwrap().to_owned();
+        (name, fs::read(path).unwrap())
+    });
+    named.collect()
+}
+
+/// Whether two values are equal; numbers up to what a text of them loses.
+fn is_close(one: &Value, two: &Value) -> bool {
+    match (one, two) {
+        (Value::Number(one), Value::Number(two)) => {
+            let (one, two) = (one.as_f64().unwrap(), two.as_f64().unwrap());
+            (one - two).abs() <= 1e-6 * one.abs().max(1.0)
+        }
+        (Value::Array(one), Value::Array(two)) => {
+            one.len() == two.len() && one.iter().zip(two).all(|(one, two)| is_close(one, two))
+        }
+        (Value::Object(one), Value::Object(two)) => {
+            one.len() == two.len()
+                && one.iter().all(|(key, one)| two.get(key).is_some_and(|two| is_close(one, two)))
+        }
+        _ => one == two,
+    }
+}
+
+#[tokio::test]
+async fn answers_of_two_processes_are_scored_as_those_of_the_service() {
+    let data = folder("evaluate-readings");
+    trials(&data).await;
+    let order =
+        ["cluster", "sbatch", "evaluation", "--json", "--chunk-rows", "5", "--folder", "one"];
+    let ordered = done(&data, &[&order[..], &OPTIONS[..]].concat());
+    assert_eq!((&ordered["kind"], &ordered["chunks"]), (&json!("readings"), &json!(3)));
+    let [one, two] = ["one", "two"].map(|name| data.join(name));
+    fs::create_dir(&two).unwrap();
+    fs::copy(one.join("order.json"), two.join("order.json")).unwrap();
+    let node = folder("evaluate-readings-node");
+    let copied = Command::new("cp").arg("-r").arg(data.join("cache")).arg(&node).status().unwrap();
+    assert!(copied.success());
+
+    assert!(task(&node, &one, "0", "1").0.wait().unwrap().success());
+    for mut process in ["0", "1"].map(|number| task(&node, &two, number, "2")) {
+        assert!(process.0.wait().unwrap().success());
+    }
+    let chunks = readings(&one);
+    assert_eq!(chunks.len(), 3);
+    assert!(chunks == readings(&two), "other bytes");
+    let lines = chunks.values().map(|bytes| bytes.iter().filter(|byte| **byte == b'\n').count());
+    assert_eq!(lines.sum::<usize>(), 12);
+    assert!(!node.join("palpate.db").exists(), "a node needs no database");
+
+    assert_eq!(done(&data, &["cluster", "gather", "one", "--out", "scored", "--json"])["rows"], 12);
+    let trained = ["--trained", "scored"];
+    let of_chunks = evaluate(&data, "method", &[&OPTIONS[..], &trained[..]].concat());
+    let mut of_service = evaluate(&data, "method", &OPTIONS);
+    let latency = of_service["report"].as_object_mut().unwrap().remove("latency_ms");
+    assert!(latency.is_some(), "the service has read the frames: {of_service}");
+    assert_eq!(of_chunks["report"]["rows"], 12);
+    assert!(is_close(&of_chunks, &of_service), "{of_chunks}\n{of_service}");
+
+    // Missing chunks are no evaluation.
+    let order =
+        ["cluster", "sbatch", "evaluation", "--json", "--chunk-rows", "6", "--folder", "three"];
+    done(&data, &[&order[..], &OPTIONS[..]].concat());
+    let refused = palpate(&data, &["cluster", "gather", "three", "--out", "scored-three"]);
+    assert_eq!(refused.status.code(), Some(1));
+    assert!(!data.join("scored-three").exists());
+
+    // A method whose frames are read at once is refused.
+    let fast =
+        ["cluster", "sbatch", "evaluation", "tikhonov", "--dataset", "real", "--folder", "four"];
+    let refused = palpate(&data, &fast);
+    let words = String::from_utf8_lossy(&refused.stderr).into_owned();
+    assert!(refused.status.code() == Some(2) && words.contains("must be exact"), "{words}");
+}

@@ -1,0 +1,217 @@
+//! Twins of a run in chunks, as real processes make them without its database: byte for byte those of the service,
+//! each stored once, and refused if another one is stored.
+
+use std::path::Path;
+use std::process::{Command, Output, Stdio};
+use std::time::{Duration, Instant};
+
+use palpate::ids::{TrialId, TrialKey};
+use palpate::journal::{ExitStatus, Journal};
+use palpate::simulate::model::load_or_build;
+use palpate::store::{NewTwinModel, RunKind, TrialQuery, Twin, TwinOutcome};
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+use reqwest::multipart::{Form, Part};
+use serde_json::{Value, json};
+
+use crate::datasets::filled::{Filled, folder, new_run, press, store};
+use crate::support::{PALPATE, VIRTUAL_RIG, sensor};
+
+/// Number of trials of the run, and of a chunk.
+const TRIALS: u32 = 44;
+const CHUNK_TRIALS: &str = "10";
+/// Longest wait for the twins of the service.
+const TWINS_WITHIN: Duration = Duration::from_secs(120);
+
+/// A run of 44 trials without twins; a contact of one is off the skin.
+async fn pressed(data: &Path) {
+    let store = store(data).await;
+    let points: Vec<[f64; 2]> = sensor().points().iter().map(|p| [p.x_mm, p.y_mm]).collect();
+    let mut chance = ChaCha8Rng::seed_from_u64(19);
+    let mut new = new_run(RunKind::RealHex, "made-up-hex");
+    // Twins need the noise of a rig's forces.
+    new.rig = Some(VIRTUAL_RIG.into());
+    let run = store.create_run(new).await.unwrap().uid;
+    for configuration in 0..TRIALS / 11 {
+        for depth_index in 0..11 {
+            let key = TrialKey { configuration, depth_index };
+            let mut trial = press(key, 3, &points, &mut chance);
+            if (configuration, depth_index) == (2, 9) {
+                trial.arms[1].x_mm = -5.0;
+            }
+            store.trial(run, &trial).await.unwrap();
+        }
+    }
+    store.end_run(run, ExitStatus::Success, "made up", jiff::Timestamp::now()).await.unwrap();
+    store.close().await;
+}
+
+fn copy(from: &Path, to: &Path) {
+    let status = Command::new("cp").arg("-r").arg(from).arg(to).status().unwrap();
+    assert!(status.success());
+}
+
+async fn palpate(arguments: &[&str]) -> Output {
+    let mut command = Command::new(PALPATE);
+    command.args(arguments).stdin(Stdio::null());
+    tokio::task::spawn_blocking(move || command.output()).await.unwrap().unwrap()
+}
+
+/// The last line of a command that must succeed.
+fn last_line(output: &Output) -> Value {
+    let words = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{words}");
+    let text = String::from_utf8(output.stdout.clone()).unwrap();
+    serde_json::from_str(text.lines().last().unwrap()).unwrap()
+}
+
+async fn gather(lab: &Filled, order: &str) -> Output {
+    palpate(&["cluster", "gather", order, "--json", "--url", &lab.url("")]).await
+}
+
+/// Sends a file of twins to a run: the status and the words of the refusal.
+async fn refused(lab: &Filled, run: &str, file: Vec<u8>) -> (u16, String) {
+    let form = Form::new().part("file", Part::bytes(file).file_name("chunk"));
+    let url = lab.url(&format!("/api/v1/runs/{run}/twins"));
+    let answer = lab.http.post(url).multipart(form).send().await.unwrap();
+    let status = answer.status().as_u16();
+    let body: Value = answer.json().await.unwrap();
+    (status, body["detail"].as_str().unwrap_or_default().to_owned())
+}
+
+/// The bytes of any chunk of an order.
+fn any_chunk(order: &str) -> Vec<u8> {
+    let results = std::fs::read_dir(Path::new(order).join("results")).unwrap();
+    let mut paths = results.map(|entry| entry.unwrap().path());
+    let chunk = paths.find(|path| path.extension().is_some_and(|ending| ending == "parquet"));
+    std::fs::read(chunk.unwrap()).unwrap()
+}
+
+/// A trial with its twin, as it is stored.
+#[derive(Debug, PartialEq)]
+struct WithTwin {
+    trial: TrialId,
+    frame: Option<Vec<u32>>,
+    rmse_v: Option<f64>,
+    fvu: Option<f64>,
+    model: Option<String>,
+}
+
+async fn with_twins(data: &Path) -> Vec<WithTwin> {
+    let store = store(data).await;
+    let query = TrialQuery { limit: 1000, with_voltages: true, ..TrialQuery::default() };
+    let trials = store.trials(&query).await.unwrap();
+    store.close().await;
+    let bits = |frame_v: Vec<f32>| frame_v.into_iter().map(f32::to_bits).collect();
+    let with_twin = |trial: palpate::store::TrialRow| WithTwin {
+        trial: trial.trial_id,
+        frame: trial.sim_voltages_v.map(bits),
+        rmse_v: trial.rmse_v,
+        fvu: trial.fvu,
+        model: trial.sim_model,
+    };
+    trials.into_iter().map(with_twin).collect()
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn twins_of_two_processes_are_those_of_the_service() {
+    let data = folder("twin-chunks");
+    pressed(&data).await;
+    load_or_build(sensor(), &data.join("cache")).unwrap();
+    let others = folder("twin-chunks-others");
+    let [of_service, of_other] = ["of-service", "of-other"].map(|name| others.join(name));
+    copy(&data, &of_service);
+    copy(&data, &of_other);
+    // A node has the cache alone.
+    let node = folder("twin-chunks-node");
+    copy(&data.join("cache"), &node);
+    let [order, node] = [others.join("order"), node].map(|path| path.display().to_string());
+    let (order, node) = (order.as_str(), node.as_str());
+
+    // This service makes no twins.
+    let lab = Filled::serve(data).await;
+    let url = lab.url("");
+    let options = ["cluster", "sbatch", "twins", "1", "--json", "--folder", order];
+    let place = ["--url", url.as_str(), "--data", node, "--chunk-trials", CHUNK_TRIALS];
+    let ordering = [&options[..], &place[..]].concat();
+    let ordered = last_line(&palpate(&ordering).await);
+    assert_eq!((&ordered["kind"], &ordered["chunks"]), (&json!("twins"), &json!(5)));
+    assert_eq!(last_line(&palpate(&ordering).await)["changed"], false);
+
+    let task = async |number: &'static str| {
+        let options = ["cluster", "make", order, "--json", "--data", node];
+        palpate(&[&options[..], &["--task", number, "--tasks", "2"]].concat()).await
+    };
+    let (one, two) = tokio::join!(task("0"), task("1"));
+    assert_eq!((&last_line(&one)["made"], &last_line(&two)["made"]), (&json!(3), &json!(2)));
+    assert!(!Path::new(node).join("palpate.db").exists(), "a node needs no database");
+
+    // All are stored, once.
+    for (stored, present) in [(TRIALS, 0), (0, TRIALS)] {
+        let gathered = last_line(&gather(&lab, order).await);
+        assert_eq!((&gathered["stored"], &gathered["present"]), (&json!(stored), &json!(present)));
+        let count = lab.get("/api/v1/runs/1/twins").await;
+        assert_eq!((&count["twins"], &count["pending"]), (&json!(TRIALS - 1), &json!(0)));
+        assert_eq!(count["failures"], 1);
+    }
+    let gathered = palpate(&["cluster", "gather", order, "--out", "twins", "--url", &url]).await;
+    let words = String::from_utf8_lossy(&gathered.stderr).into_owned();
+    assert!(gathered.status.code() == Some(2) && words.contains("must be absent"), "{words}");
+    let data = lab.end().await;
+    let of_chunks = with_twins(&data).await;
+    let frames = of_chunks.iter().filter(|trial| trial.frame.is_some()).count();
+    assert_eq!(frames, TRIALS as usize - 1);
+
+    // The service makes the same twins, and takes the chunks as what it has.
+    let lab = Filled::serve_as(of_service.clone(), |options| options.twin_workers = 1).await;
+    let start = Instant::now();
+    while lab.get("/api/v1/runs/1/twins").await["pending"] != 0 {
+        assert!(start.elapsed() < TWINS_WITHIN);
+        tokio::time::sleep(Duration::from_millis(50)).await;
+    }
+    let gathered = last_line(&gather(&lab, order).await);
+    assert_eq!((&gathered["stored"], &gathered["present"]), (&json!(0), &json!(TRIALS)));
+    lab.end().await;
+    assert_eq!(with_twins(&of_service).await, of_chunks);
+
+    // Another twin of trial 17, in the second chunk, stays, and nothing of this chunk is stored. The second run has
+    // other trials.
+    pressed(&of_other).await;
+    let store = store(&of_other).await;
+    let model = NewTwinModel {
+        hash: of_chunks[0].model.clone().unwrap(),
+        sensor_sha256: "s".into(),
+        calibration_id: None,
+        version: "0.1.0".into(),
+        git_commit: None,
+    };
+    let model = store.twin_model(model).await.unwrap();
+    let outcome = TwinOutcome::Frame { voltages_v: vec![0.25; 784], rmse_v: 1.0, fvu: None };
+    store.insert_twins(model, vec![Twin { trial: TrialId(17), outcome }]).await.unwrap();
+    store.close().await;
+    let lab = Filled::serve(of_other.clone()).await;
+    let inputs = lab.get("/api/v1/runs/2/twins/inputs?limit=10").await;
+    assert_eq!((&inputs["trials"], &inputs["next"]), (&json!(10), &json!(TRIALS + 10)));
+    let inputs = lab.get(&format!("/api/v1/runs/2/twins/inputs?after={}", TRIALS + 40)).await;
+    assert_eq!((&inputs["trials"], &inputs["next"]), (&json!(4), &Value::Null));
+    let (status, words) = lab.refused("/api/v1/runs/2/twins/inputs?limit=0").await;
+    assert!(status == 400 && words.contains("must be from 1 to 10000"), "{status} {words}");
+    let (status, words) = refused(&lab, "2", any_chunk(order)).await;
+    assert!(status == 422 && words.contains("is of run"), "{status} {words}");
+    let (status, words) = refused(&lab, "1", b"no Parquet".to_vec()).await;
+    assert!(status == 422 && words.contains("cannot be read"), "{status} {words}");
+    assert_eq!(lab.get("/api/v1/runs/2/twins").await["pending"], TRIALS);
+
+    let gathered = gather(&lab, order).await;
+    let words = String::from_utf8_lossy(&gathered.stderr).into_owned();
+    assert!(!gathered.status.success(), "{words}");
+    assert!(words.contains("chunk 1: trial 17: its stored twin differs"), "{words}");
+    assert_eq!(lab.get("/api/v1/runs/1/twins").await["twins"], 11);
+    lab.end().await;
+    let trials = with_twins(&of_other).await;
+    let frame = trials[16].frame.as_ref().unwrap();
+    assert!(frame.iter().all(|bits| *bits == 0.25_f32.to_bits()), "the stored twin was replaced");
+    for folder in [data, others, node.into()] {
+        std::fs::remove_dir_all(folder).unwrap();
+    }
+}
