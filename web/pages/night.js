@@ -39,7 +39,7 @@ function stateWords(run, needs) {
   return SAYS[run.state] ?? ''
 }
 
-/** The end of a run that goes on, as a person's clock shows it. */
+/** The end of a run that continues, as a person's clock shows it. */
 function endWords(run, at) {
   return run?.eta && ['running', 'pausing'].includes(run.state) ? `Done about ${momentBand(...steadyEnds(run, at), run.eta.high_s < 900)}. ` : ''
 }

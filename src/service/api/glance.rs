@@ -127,10 +127,10 @@ fn on_time(status: &Status, around: Around<'_>, facts: Facts<'_>) -> (Rating, St
     if run.eta.is_none() {
         return (Rating::Unknown, "The end is not known yet.".into());
     }
-    facts.late.map_or_else(|| (Rating::Good, "It goes on.".into()), lateness)
+    facts.late.map_or_else(|| (Rating::Good, "It continues.".into()), lateness)
 }
 
-/// How late a run is that goes on: by how much, and what was predicted at its start, s.
+/// How late an active run is: by how much, and what was predicted at its start, s.
 fn lateness((late_s, predicted_s): (f64, f64)) -> (Rating, String) {
     if late_s.abs() < AS_PREDICTED_S {
         return (Rating::Good, "As predicted at its start.".into());

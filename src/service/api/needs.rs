@@ -74,7 +74,7 @@ impl NeedKind {
 pub struct Need {
     /// What it is of.
     pub kind: NeedKind,
-    /// `act`: nothing goes on, or nothing is safe, before it is done. `look`: a person should look.
+    /// `act`: nothing continues, or nothing is safe, before it is done. `look`: a person should look.
     pub importance: Importance,
     /// The need as sentences, with its cause.
     pub words: String,
