@@ -1,15 +1,15 @@
 // The shell: top bar with the stop, links, the key, and the page of the address. Knows no data.
 
 import { address, go, params, set, shown } from './lib/address.js'
-import { Stopped, door, estop, giveKey, hasKey, keep } from './lib/api.js'
+import { Stopped, door, estop, giveKey, hasKey } from './lib/api.js'
 import { actOnRig, actor, modal, outcome, sureHome } from './lib/actions.js'
 import { button, el, fill, link, note, say } from './lib/dom.js'
-import { capital, clock, momentBand, percent, plain, span, steadyCountOf } from './lib/format.js'
+import { clock, moment, momentBand, percent, plain, span, steadyCountOf } from './lib/format.js'
 import { steadyEnds } from './lib/eta.js'
 import { live, start } from './lib/live.js'
 import { READ_KEYS } from './lib/readkeys.js'
 import { readVocabulary } from './lib/vocabulary.js'
-import { TONE, WAITS, notStopped, stands } from './lib/words.js'
+import { TONE } from './lib/words.js'
 import { FIRST, PAGES } from './pages.js'
 
 const $ = id => document.getElementById(id)
@@ -136,17 +136,6 @@ function stopState({ rig, service }) {
   if (press.latched && tripped && !press.tripped) { press.tripped = true; stopSaid(press.words) }
 }
 
-// A press while the wires are closed is acknowledged only when they are opened: that time is not one of the axes.
-const UNWIRED = 'palpate-unwired' // Kept in the tab: a reload shows the same.
-let closedAt = 0, unwired = keep('sessionStorage', UNWIRED) === 'yes'
-function pressedUnwired(rig) {
-  if (rig.state === 'disconnected') closedAt = Date.now()
-  const is = rig.trip != null && (unwired || rig.estop_acknowledged_ms != null && Date.now() - rig.estop_acknowledged_ms < closedAt)
-  if (is !== unwired) keep('sessionStorage', UNWIRED, is ? 'yes' : '')
-  unwired = is
-  return is
-}
-
 // The key: a form in place of the page, until one is given.
 door.addEventListener('locked', ({ detail }) => {
   if ($('key-form')) return
@@ -191,7 +180,7 @@ live.on('status', ({ status, at }) => {
   $('bar-count').title = run ? percent(run.trials_stored, run.trials_planned) : ''
   say($('bar-eta'), etaWords(run, at))
   entitle()
-  needs(status)
+  needs(status.needs)
 })
 
 /** The title of the tab: what the rig does, but never an old state as if it were the present one. */
@@ -202,41 +191,30 @@ function entitle() {
   if (document.title !== title) document.title = title
 }
 
-let wasTripped = false
-/** The one thing that a person must do, above everything else. */
-function needs({ rig, run, not_begun }) {
-  const words = [], isUnwired = pressedUnwired(rig)
-  // After a trip the position of the axes is not known, whether a run waits for it or not.
-  wasTripped = rig.trip != null || wasTripped && rig.state === 'disarmed'
-  const mustHome = rig.state === 'disarmed' && rig.has_stage !== false && (wasTripped || run?.paused_why === 'trip')
-    && !run?.is_manual
-  const moving = notStopped(rig)
-  if (moving.length) words.push(`NOT STOPPED: ${moving.join(', ')}. The stop is sent again until it is. Use the button on the rig.`)
-  if (run?.state === 'panicked') words.push('The tips could not be raised: check the rig.')
-  else if (rig.safe_end?.tips === 'not_raised') words.push(`The tips are NOT raised: ${rig.safe_end.why}`)
-  if (rig.trip) {
-    const ms = rig.estop_acknowledged_ms, rests = stands(rig) ? ' and stands' : ''
-    const reached = rig.trip.kind !== 'estop' || moving.length || ms == null ? ''
-      : isUnwired ? ` It was pressed while the wires were closed; every axis has acknowledged it${rests}.`
-      : ` Every axis acknowledged it after ${ms.toFixed(1)} ms${rests}.`
-    words.push(`Tripped (${plain(rig.trip.kind)}): ${rig.trip.detail}.${reached} Clear the cause, reset, then home.`)
-  }
-  const waits = [WAITS[run?.paused_why], run?.waiting_for].filter(Boolean).join(': ')
-  if (['tip_change', 'manual_trial'].includes(run?.paused_why)) words.push(capital(waits) + '.')
-  else if (run?.paused_why && run.paused_why !== 'operator') words.push(`The run waits: ${waits}.`)
-  if (mustHome) words.push('Home the axes: keep hands and tools away.')
-  if (not_begun) words.push(`${capital(not_begun)}.`)
-  const box = $('needs'), text = words.join(' ')
-  const buttons = rig.trip ? 'reset' : mustHome ? 'home' : run?.paused_why === 'manual_trial' ? 'place' : not_begun ? 'queue' : ''
-  const isOther = (box.dataset.buttons ?? '') !== buttons, tone = `notice ${rig.trip || moving.length || run?.state === 'panicked' ? 'bad' : 'warn'}`
-  if (box.dataset.text !== text) box.dataset.text = text
+// What the button of a need does, where a page can do it.
+const DOES = {
+  reset: () => actor('Reset', said, () => actOnRig('reset')), home: () => actor('Home', said, () => actOnRig('home'), { sure: sureHome }),
+  weights: ({ page }) => link(`/${page}`, 'Go to the weights'), start: ({ page }) => link(`/${page}`, 'Go to the queue'),
+}
+const DANGERS = ['not_stopped', 'tips_not_raised', 'reset']
+
+/** A need with its time, if the one before it has another. */
+function sinceThen({ words, since }, i, all) {
+  return since && since !== all[i - 1]?.since ? `${words} Since ${moment(since)}.` : words
+}
+
+/** What a person must do, above everything else: the service decides what, and in which order. */
+function needs(all) {
+  const shown = all.filter(need => need.importance === 'act'), does = shown.find(need => DOES[need.kind])
+  const box = $('needs'), text = shown.map(sinceThen).join(' '), first = shown[0]?.kind ?? '', buttons = does?.kind ?? ''
+  const isOther = (box.dataset.buttons ?? '') !== buttons, tone = `notice ${shown.some(need => DANGERS.includes(need.kind)) ? 'bad' : 'warn'}`
+  if (box.dataset.first !== first) box.dataset.first = first
   if (box.className !== tone) box.className = tone
   say(needed, text)
   if (isOther) {
     box.dataset.buttons = buttons
     said.tell('') // What came of another button would be read as of this one.
-    fill(repair, buttons === 'reset' && actor('Reset', said, () => actOnRig('reset')), buttons === 'home' && actor('Home', said, () => actOnRig('home'), { sure: sureHome }), buttons === 'place' && link('/place', 'Go to the weights'),
-      buttons === 'queue' && link('/queue', 'Go to the queue'))
+    fill(repair, does && DOES[buttons](does))
   }
   if (box.hidden === Boolean(text)) box.hidden = !text
   if (!repairs || !isOther) return

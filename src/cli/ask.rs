@@ -276,13 +276,8 @@ pub async fn estop(args: &ActArgs) -> Result<(), CliError> {
 fn status_words(status: &StatusView, twins: &Value, workers: Option<String>) -> String {
     let rig = &status.rig;
     let (label, state) = (rig.label.as_str(), rig.state.as_str());
-    let mut lines = vec![format!("rig      {} ({label}): {state}", rig.name)];
-    if rig.trip.is_some() {
-        lines.push(format!("trip     {}", rig.trip_words()));
-    }
-    for axis in rig.not_stopped() {
-        lines.push(format!("stop     NOT STOPPED: {axis}; the stop is sent again"));
-    }
+    let mut lines = status.answers();
+    lines.push(format!("rig      {} ({label}): {state}", rig.name));
     lines.extend(rig.safe_end.as_ref().map(safe_end_words));
     if let Some(p) = rig.pose {
         let (x, y, z, r) = (p.x_mm, p.y_mm, p.z_mm, p.radius_mm);
@@ -299,12 +294,9 @@ fn status_words(status: &StatusView, twins: &Value, workers: Option<String>) -> 
     }
     lines.extend(status.run.as_ref().map_or(vec!["run      none".into()], run_words));
     lines.extend(status.asked_of_run().map(|actions| format!("may      {actions}")));
-    lines.extend(status.not_resumed().map(|why| format!("not yet  {why}")));
     let waits = status.waiting_for.as_ref().map_or(String::new(), |words| format!("; {words}"));
     lines.extend(status.care.lines(Timestamp::now()));
     lines.push(format!("queue    {}{waits}", counted(status.queue_length as u64, "run", "runs")));
-    let unsaid = status.not_begun.as_ref().filter(|_| status.not_begun != status.waiting_for);
-    lines.extend(unsaid.map(|words| format!("         {words}")));
     lines.extend(twin_words(twins));
     lines.extend(workers);
     lines.push(format!("service  {}, {}", status.service.version, status.service.database));

@@ -1,10 +1,12 @@
 //! The parts of the service's answers that the command line reads.
-//! Uses: serde, the vocabulary of `campaign`. Never: fields that are not shown or used.
+//! Uses: serde, the vocabulary of `campaign`, needs and glances of `api`. Never: fields that are not shown or used.
 
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 use super::care::CareView;
+use super::start_time::local;
+use crate::api::{Glance, Need, Question};
 use crate::campaign::bench::estop::AxisStop;
 use crate::campaign::bench::interlock::{Trip, TripKind};
 use crate::campaign::bench::rig_state::RigState;
@@ -34,11 +36,15 @@ pub struct StatusView {
     pub queue_length: usize,
     /// What the next started run waits for, as text.
     pub waiting_for: Option<String>,
-    /// Which run a person must start again, and why, as text; absent from an older service.
-    pub not_begun: Option<String>,
     /// What may be asked of runs now; empty from an older service.
     #[serde(default)]
     pub run_actions: Vec<ActionView>,
+    /// What a person must do, the most urgent first; empty from an older service.
+    #[serde(default)]
+    pub needs: Vec<Need>,
+    /// The night at a glance; empty from an older service.
+    #[serde(default)]
+    pub glance: Vec<Glance>,
     /// Disk, last trial, suspenders.
     #[serde(flatten)]
     pub care: CareView,
@@ -64,18 +70,33 @@ impl StatusView {
         (!names.is_empty()).then(|| names.join(", "))
     }
 
-    /// Why a paused run would not continue now, as text: by a confirmation if it waits for the work of a person.
-    pub fn not_resumed(&self) -> Option<&str> {
-        let run = self.run.as_ref().filter(|run| run.state == StoredState::Paused)?;
-        let next = match run.paused_why {
-            Some(PausedWhy::TipChange | PausedWhy::ManualTrial) => ActionOnRun::Confirm,
-            Some(
-                PausedWhy::Operator | PausedWhy::Suspender | PausedWhy::Trip | PausedWhy::Restart,
-            )
-            | None => ActionOnRun::Resume,
-        };
-        self.run_actions.iter().find(|one| one.action == next.as_str())?.refused.as_deref()
+    /// Lines of `palpate status`: what a person must do, each with its command, and the night at a glance.
+    pub fn answers(&self) -> Vec<String> {
+        let needs = self.needs.iter().map(|need| {
+            let since = need.since.map(|at| format!("since {}: ", local(at)));
+            format!("needs    {}{}", since.unwrap_or_default(), need_words(need))
+        });
+        let glances = self
+            .glance
+            .iter()
+            .map(|glance| format!("{:<8} {}", question_words(glance.question), glance.words));
+        needs.chain(glances).collect()
     }
+}
+
+/// A question of the glance, as the name of a line.
+pub fn question_words(question: Question) -> &'static str {
+    match question {
+        Question::Safe => "safe",
+        Question::OnTime => "on time",
+        Question::Data => "data",
+    }
+}
+
+/// A need with its command, as text.
+pub fn need_words(need: &Need) -> String {
+    let next = need.command.as_ref().map(|command| format!(" Next: {command}"));
+    format!("{}{}", need.words, next.unwrap_or_default())
 }
 
 /// Rig part of the status.

@@ -284,6 +284,15 @@ async fn the_live_status_beats_at_least_once_per_second() {
     assert!(number(&status["disk"]["free_bytes"]) > number(&status["disk"]["needed_bytes"]));
     assert!(number(&status["disk"]["needed_bytes"]) > 0.0, "a run is queued");
     assert_eq!(status["last_trial_at"], Value::Null);
+    assert_eq!(status["needs"], json!([]));
+    assert_eq!(
+        status["glance"][0],
+        json!({ "question": "safe", "rating": "unknown",
+            "words": "Nothing moves: the wires are closed." })
+    );
+    let on_time = status["glance"][1]["words"].as_str().unwrap_or_default();
+    assert!(on_time.starts_with("No run is active. Next: "), "{on_time}");
+    assert_eq!(status["glance"][2]["question"], "data");
     let samples = lab.get("/api/v1/rig/samples?minutes=30").await;
     assert_eq!(samples, json!({ "at_ms": [], "z_mm": [], "forces_n": [] }));
     assert_eq!(lab.refused("/api/v1/rig/samples?minutes=31").await.0, 400);

@@ -4,24 +4,18 @@ import { get } from './api.js'
 import { el, facts, fill, link, panel } from './dom.js'
 import { count, counted, fixed } from './format.js'
 import { live } from './live.js'
-import { largest, median } from './runwords.js'
 import { table } from './table.js'
 
 const RUNS = 20
 
-/** The newest run before `run` that pressed the same skin, with its forces: { run, settings: [{ tips, configurations, median, most }] }, or null. */
+/** The newest run before `run` that pressed the same skin, with its forces: { run, settings: [{ tips, configurations, median_n, largest_n }] }, or null. */
 async function earlier(run, signal) {
   const { items } = await get('/runs', { limit: RUNS }, { signal })
   const alike = one => one.kind === 'real-hex' && one.started_at && one.uid !== run?.uid && (!run || one.sensor_sha256 === run.sensor_sha256)
   const found = items.find(alike)
   if (!found) return null
   const [tour, progress] = await Promise.all(['tour', 'progress'].map(part => get(`/runs/${found.scan_id}/${part}`, {}, { signal, wait: 20_000 })))
-  const forces = new Map()
-  tour.steps.tips.forEach((tips, i) => {
-    const force = progress.largest_force_n[i]
-    if (force != null) forces.set(tips, [...(forces.get(tips) ?? []), force])
-  })
-  const settings = [...forces].sort(([a], [b]) => a - b).map(([tips, all]) => ({ tips, configurations: all.length, median: median(all), most: largest(all) }))
+  const settings = progress.forces_by_tips
   return settings.length ? { run: found, deepest_mm: tour.depths_mm.at(-1), settings } : null
 }
 
@@ -34,8 +28,8 @@ function seen({ run, deepest_mm, settings }) {
   const columns = [
     { head: 'Setting', left: true, cell: one => counted(one.tips, 'tip') },
     { head: 'Configurations', cell: one => count(one.configurations) },
-    { head: 'Median', cell: one => fixed(one.median, 1, 'N') },
-    { head: 'Largest', cell: one => fixed(one.most, 1, 'N') },
+    { head: 'Median', cell: one => fixed(one.median_n, 1, 'N') },
+    { head: 'Largest', cell: one => fixed(one.largest_n, 1, 'N') },
   ]
   return [el('p', { className: 'soft' }, words), table({ rows: settings, columns }).node]
 }

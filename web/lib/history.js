@@ -124,8 +124,6 @@ export function history({ title = 'The night', state, set, signal, label, height
   place()
   return {
     node,
-    /** Body of the newest history, or null. */
-    data: () => data,
     async show(next, more = {}) {
       const mine = asked += 1
       if (run && run.uid !== next.uid) clear()

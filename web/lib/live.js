@@ -4,12 +4,11 @@
 import { Stopped, ask, door, get, person, socket } from './api.js'
 import { onBeat, sleep } from './dom.js'
 import { KEPT_MINUTES, addSamples, fillSamples, lastAt } from './samples.js'
-import { notStopped, stands } from './words.js'
 
 const OLD_MS = 2600, CALLER_MS = 3000, TELL_MS = 240
 
 // A change of these is told at once; other values four times per second, since faster cannot be read.
-const urgent = ({ rig, run, lock, not_begun }) => [rig.state, rig.trip?.detail, notStopped(rig), stands(rig), not_begun, rig.stopping, rig.estop_acknowledged_ms, rig.safe_end?.tips, run?.uid, run?.state, run?.requested_state, run?.paused_why, run?.waiting_for, lock?.holder].join()
+const urgent = ({ rig, run, lock, needs }) => [rig.state, rig.trip?.detail, needs.map(need => need.words), rig.stopping, rig.estop_acknowledged_ms, rig.safe_end?.tips, run?.uid, run?.state, run?.requested_state, run?.paused_why, run?.waiting_for, lock?.holder].join()
 
 /** The newest status; dispatches `status`, `samples`, `fresh` and `caller`. */
 class Live extends EventTarget {

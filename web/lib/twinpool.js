@@ -11,6 +11,15 @@ const PERIOD_MS = 5000
 const LEVELS = { ok: 'The model fits the skin.', warn: 'The fit is worse than it should be: look at the pairs.',
   suspend: 'The error of the fit is above the limit that suspends the run: check skin and wires.' }
 
+/** Backlog of the twins, as text. */
+export function backlog(twins, run) {
+  if (!twins) return null
+  const of = twins.runs.find(r => r.run === run) ?? null
+  if (!of) return null
+  const rate = of.pending > 20 && twins.pool.per_s ? ` at ${fixed(twins.pool.per_s, 0)} per s` : ''
+  return `${count(of.pending)} to do${rate}${of.failures ? `, ${count(of.failures)} failed` : ''}`
+}
+
 /** Makes the panel of the twins; it asks every five seconds until `signal` aborts. */
 export function twins(signal) {
   const numbers = el('div'), verdict = el('p'), error = el('p', { className: 'bad' })

@@ -1,10 +1,17 @@
 // What may suspend a run: each monitor with its value, its threshold, and since when it is beyond.
 
 import { el, fill, say } from './dom.js'
-import { capital, moment } from './format.js'
-import { watched, watchedValue } from './verdicts.js'
+import { bytes, capital, fixed, moment, span } from './format.js'
 
 const HEADS = ['Watches', 'Value', 'Threshold', 'Beyond since']
+
+/** A value of a suspender with its unit. */
+function watchedValue(value, unit) {
+  if (value == null) return 'not measured'
+  if (unit === 'bytes') return bytes(value)
+  if (unit === 'ms' && value >= 1000) return span(value / 1e3)
+  return fixed(value, unit === '1' ? 3 : Math.abs(value) < 10 ? 1 : 0, unit === '1' ? '' : unit)
+}
 
 /** Makes the table; `show(rows)` takes `suspenders` of the status, undefined while they are not reported. */
 export function watching() {
@@ -17,7 +24,7 @@ export function watching() {
     if (line.className !== tone) line.className = tone
     return line
   }
-  const row = one => tell(el('tr', {}, el('th', { scope: 'row' }, capital(watched(one.name))), el('td'), el('td'), el('td')), one)
+  const row = one => tell(el('tr', {}, el('th', { scope: 'row' }, capital(one.title)), el('td'), el('td'), el('td')), one)
   return {
     node,
     show(rows) {

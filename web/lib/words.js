@@ -26,6 +26,3 @@ export const lastStops = rig => rig.estop_stops.length ? rig.estop_stops : rig.s
 /** Axes that the last stops have not stopped, each with its cause: without an acknowledgement, or in motion after it. */
 export const notStopped = rig => lastStops(rig).filter(stop => stop.acknowledged_ms == null || stop.error != null)
   .map(stop => `${stop.axis} (${stop.error ?? 'no answer yet'})`)
-
-/** Whether every axis was read at rest after the latched e-stop. */
-export const stands = rig => rig.estop_stops.length > 0 && rig.estop_stops.every(stop => stop.stood_ms != null)

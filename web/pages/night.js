@@ -9,17 +9,18 @@ import { el, fill, panel, pane, say, select, sleep } from '../lib/dom.js'
 import { ended } from '../lib/ended.js'
 import { steadyEnds } from '../lib/eta.js'
 import { forceBars, forceChart } from '../lib/forces.js'
-import { age, bytes, capital, count, countOf, counted, fixed, moment, percent, plain, span, steadyCountOf } from '../lib/format.js'
+import { age, bytes, capital, count, countOf, counted, fixed, moment, momentBand, percent, plain, span, steadyCountOf } from '../lib/format.js'
 import { history } from '../lib/history.js'
 import { live } from '../lib/live.js'
 import { eventLog } from '../lib/log.js'
 import { sensor } from '../lib/skin.js'
 import { COLOURINGS, tourMap } from '../lib/tourmap.js'
-import { backlog, good, onTime, safe } from '../lib/verdicts.js'
+import { backlog } from '../lib/twinpool.js'
 import { watching } from '../lib/watching.js'
 import { welcome } from '../lib/welcome.js'
-import { PHASES, RIG, TONE, WAITS } from '../lib/words.js'
+import { PHASES, RIG, TONE } from '../lib/words.js'
 
+const QUESTIONS = [['safe', 'Is it safe?'], ['on_time', 'Is it on time?'], ['data', 'Are the data good?']]
 const MINUTES = [['1', '1 min'], ['', '2 min'], ['5', '5 min'], ['15', '15 min']]
 const TWINS_MS = 5000, QUEUE_MS = 10_000, HISTORY_MS = 30_000, PROGRESS_MS = 3000, LONG_TOUR = 5000
 
@@ -29,15 +30,18 @@ const SAYS = {
   aborting: 'The tips are raised now; then it ends.', suspending: 'It was suspended: the tips are raised.',
     panicked: 'The tips could not be raised. Check the rig, then reset.',
 }
-const RESUMES = { operator: 'Resume continues with the next trial.', suspender: 'Resume continues if the cause is gone.',
-  trip: 'Clear the cause, reset, home, then resume.' }
+const WAITS = ['tips', 'weights', 'resume'] // Needs of a run.
 
 /** What a run does, as one sentence. */
-function stateWords(run) {
+function stateWords(run, needs) {
   if (run.state === 'running') return `It is ${PHASES[run.phase] ?? plain(run.phase)}.`
-  if (run.state === 'paused') return [run.paused_why && `It waits: ${WAITS[run.paused_why] ?? plain(run.paused_why)}.`,
-    run.waiting_for && `${capital(run.waiting_for)}.`, RESUMES[run.paused_why]].filter(Boolean).join(' ')
+  if (run.state === 'paused') return needs.find(need => WAITS.includes(need.kind))?.words ?? ''
   return SAYS[run.state] ?? ''
+}
+
+/** The end of a run that continues, as a person's clock shows it. */
+function endWords(run, at) {
+  return run?.eta && ['running', 'pausing'].includes(run.state) ? `Done about ${momentBand(...steadyEnds(run, at), run.eta.high_s < 900)}. ` : ''
 }
 
 /** Calls `work` every `ms` while the page is seen. */
@@ -50,12 +54,12 @@ async function every(ms, work, signal) {
 
 /** Shows the page. */
 export async function show(root, { query, signal, set }) {
-  let state = query, run = null, last = null, tour = null, progress = null, shape = null, twins = null, queue = [], seen = {}, course = null, mode = ''
+  let state = query, run = null, last = null, tour = null, progress = null, shape = null, twins = null, queue = [], seen = {}, mode = ''
   const label = () => (run ?? last)?.label ?? live.status?.rig.label
   const said = outcome()
 
   // Parts.
-  const answers = ['Is it safe?', 'Is it on time?', 'Are the data good?'].map(title => ({ title, node: el('p', { className: 'answer' }) }))
+  const answers = QUESTIONS.map(([question, title]) => ({ question, title, node: el('p', { className: 'answer' }) }))
   const strip = el('div'), verdicts = el('section', { className: 'verdicts live', 'aria-label': 'The night in three answers' },
     answers.map(({ title, node }) => el('div', {}, el('h2', {}, title), node)), strip)
   const map = tourMap({
@@ -97,12 +101,14 @@ export async function show(root, { query, signal, set }) {
   // What follows the status: at most ten times per second, text only where it differs.
   function tell({ status, at, fresh }) {
     if (status.run?.uid !== run?.uid || (!status.run && run)) change()
-    const ends = status.run?.eta && steadyEnds(status.run, at)
-    const verdict = [safe(status), onTime(status, ends, course, queue[0]), good(status, twins, seen)]
-    answers.forEach(({ node }, i) => { say(node, verdict[i].words); node.className = `answer ${verdict[i].tone}` })
+    for (const { question, node } of answers) {
+      const { rating, words } = status.glance.find(one => one.question === question)
+      say(node, question === 'on_time' ? endWords(status.run, at) + words : words)
+      node.className = `answer ${rating}`
+    }
     tellStrip(status)
     watch.show(status.suspenders)
-    if (status.run) tellRun(status.run, fresh)
+    if (status.run) tellRun(status.run, status.needs, fresh)
     buttons.show(live)
     if (mode === 'welcome') hello.show(queue[0] ?? null)
     beginning.hidden = status.rig.state === 'disconnected' // Nothing comes yet.
@@ -120,11 +126,11 @@ export async function show(root, { query, signal, set }) {
     ])
   }
 
-  function tellRun(now, fresh) {
+  function tellRun(now, needs, fresh) {
     const requested = { paused: ', pause requested', idle: ', end requested' }[now.requested_state] ?? ''
     say(headline, `${plain(now.state)}${requested}`)
     headline.className = `state ${TONE[now.state] ?? ''}`
-    say(why, stateWords(now))
+    say(why, stateWords(now, needs))
     const index = now.current_step?.index ?? progress?.current, of = now.current_step?.of ?? tour?.steps.configuration.length
     const depth = now.trial && tour?.depths_mm[now.trial.depth_index]
     const thing = tour?.kind === 'real-random' ? 'Placement' : 'Configuration'
@@ -172,7 +178,7 @@ export async function show(root, { query, signal, set }) {
     nowPart.classList.toggle('over', !run)
     say(nowPart.querySelector('h2 > span'), run ? 'Now' : 'The last run')
     if (!of) return void hello.show(queue[0] ?? null)
-    tour = progress = course = null
+    tour = progress = null
     data.run(of.uid)
     readCourse() // That of a long run takes minutes: nothing waits for it.
     await Promise.allSettled([readTour(of), readShape(of)])
@@ -214,7 +220,6 @@ export async function show(root, { query, signal, set }) {
     reading = key
     await nightPart.show(of, { endedAt: !run && last?.ended_at ? Date.parse(last.ended_at) : null, eta_s: live.status?.run?.eta?.remaining_s ?? null })
     if (reading === key) reading = ''
-    course = nightPart.data()
   }
 
   map.colouring(state.colour ?? 'progress')

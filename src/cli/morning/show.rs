@@ -120,7 +120,7 @@ fn with_commands(drawn: &Drawn, next: Next) -> Next {
 }
 
 fn facts(drawn: &Drawn) -> String {
-    let Drawn { summary, twins, median_fvu, .. } = drawn;
+    let Drawn { summary, twins, median_fvu, night, .. } = drawn;
     let run = &summary.run;
     let mut lines = vec![format!(
         "run {}, {} ({}, {}): {}",
@@ -158,6 +158,13 @@ fn facts(drawn: &Drawn) -> String {
         .collect();
     if !settings.is_empty() {
         line("settings", settings.join(", "));
+    }
+    for of in night.progress.iter().flat_map(|progress| &progress.forces_by_tips) {
+        let tips = counted(of.tips.into(), "tip", "tips");
+        let configurations = counted(of.configurations.into(), "configuration", "configurations");
+        let (median_n, largest_n) = (of.median_n, of.largest_n);
+        let words = format!("{tips}, largest in each of {configurations}:");
+        line("force", format!("{words} median {median_n:.1} N, at most {largest_n:.1} N"));
     }
     let fit =
         median_fvu.map_or_else(String::new, |fvu| format!(", median FVU {fvu:.3} of contacts"));

@@ -7,6 +7,7 @@ use serde::Deserialize;
 use serde::de::DeserializeOwned;
 use serde_json::Value;
 
+use crate::api::ForcesOfTips;
 use crate::ids::RunUid;
 
 /// Fields of `GET /api/v1/status` in addition to those of `StatusView`.
@@ -20,8 +21,6 @@ pub struct More {
     pub suspenders: Vec<Suspender>,
     /// Position of the active run in its tour.
     pub step: Option<Step>,
-    /// What a person must do before the run resumes.
-    pub wanted: Option<Wanted>,
     /// Limit of the force on one cell, N; absent without cells.
     pub force_limit_n: Option<f64>,
 }
@@ -60,27 +59,6 @@ pub struct Step {
     pub index: usize,
     /// Number of steps.
     pub of: usize,
-}
-
-/// What a person must do.
-#[derive(Debug, Clone, Default, PartialEq, Deserialize)]
-#[serde(default)]
-pub struct Wanted {
-    /// Number of tips to mount.
-    pub tips: Option<u8>,
-    /// Weights to place.
-    pub contacts: Vec<Weight>,
-}
-
-/// A weight and its place.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Deserialize)]
-pub struct Weight {
-    /// Position along the width of the skin, mm.
-    pub x_mm: f64,
-    /// Position along its height, mm.
-    pub y_mm: f64,
-    /// Force of the weight, N.
-    pub force_n: f64,
 }
 
 /// `GET /api/v1/sensor`: the skin.
@@ -142,6 +120,8 @@ pub struct TourProgress {
     pub current: Option<usize>,
     /// Index of the next one.
     pub next: Option<usize>,
+    /// The largest forces, for each number of tips.
+    pub forces_by_tips: Vec<ForcesOfTips>,
 }
 
 /// `GET /api/v1/runs/{run}/history`: the run over time, in bins of equal length.
@@ -220,7 +200,6 @@ impl More {
             last_trial_at: read(&status["last_trial_at"]),
             suspenders: read(&status["suspenders"]).unwrap_or_default(),
             step: read(&status["run"]["current_step"]),
-            wanted: read(&status["run"]["wanted"]),
             force_limit_n: read(&status["rig"]["force_limit_n"]),
         }
     }
@@ -243,14 +222,13 @@ mod tests {
             "disk": { "free_bytes": 5e9, "needed_bytes": null },
             "last_trial_at": "yesterday",
             "suspenders": [{ "name": "twins", "value": 0.2, "threshold": 0.5, "unit": "FVU" }],
-            "run": { "current_step": { "index": 3, "of": 9 }, "wanted": { "tips": 4 } },
+            "run": { "current_step": { "index": 3, "of": 9 } },
         }));
         assert_eq!(more.disk.unwrap().free_bytes, Some(5e9));
         assert_eq!(more.disk.unwrap().needed_bytes, None);
         assert_eq!(more.last_trial_at, None);
         assert_eq!(more.suspenders[0].threshold, Some(0.5));
         assert_eq!(more.step, Some(Step { index: 3, of: 9 }));
-        assert_eq!(more.wanted.unwrap().tips, Some(4));
     }
 
     #[test]

@@ -9,10 +9,11 @@ use ratatui::text::{Line, Span};
 use super::answers::Suspender;
 use super::night::{Level, Night, Told, one_line};
 use super::theme::Theme;
+use crate::api::Rating;
 use crate::campaign::shown::status::{Eta, Phase};
 use crate::cli::output::{bytes, counted, duration, grouped};
 use crate::cli::rig_rates::RatesView;
-use crate::cli::view::{RunView, StatusView};
+use crate::cli::view::{RunView, StatusView, question_words};
 use crate::record::Label;
 use crate::state::StoredState;
 
@@ -109,6 +110,14 @@ pub fn facts(night: &Night, status: &StatusView, now: &Now, theme: Theme) -> Vec
         let name = Span::styled(format!("{name:<NAME_COLUMNS$}"), theme.aside());
         lines.push(Line::from(vec![name, Span::styled(words, theme.level(level))]));
     };
+    for glance in &status.glance {
+        let level = match glance.rating {
+            Rating::Unknown | Rating::Good => continue,
+            Rating::Warn => Level::Look,
+            Rating::Bad => Level::Act,
+        };
+        fact(question_words(glance.question), one_line(&glance.words), level);
+    }
     if let Some(run) = &status.run {
         fact("now", phase(night, run), Level::Fine);
         if let Some(at) = night.more.last_trial_at {

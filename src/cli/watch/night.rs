@@ -5,16 +5,12 @@ use std::collections::VecDeque;
 
 use jiff::{SignedDuration, Timestamp};
 
-use super::answers::{Course, More, Skin, Tour, TourProgress, Twins, Weight};
-use crate::campaign::bench::rig_state::RigState;
-use crate::campaign::shown::safe_end::Tips;
-use crate::cli::output::bytes;
+use super::answers::{Course, More, Skin, Tour, TourProgress, Twins};
 use crate::cli::rig_rates::RatesView;
-use crate::cli::view::{EventView, RunView, StatusView};
+use crate::cli::view::{EventView, RunView, StatusView, need_words};
 use crate::event::Importance;
 use crate::ids::RunUid;
 use crate::plain::escaped;
-use crate::state::{PausedWhy, StoredState};
 
 /// Time without an answer after which the connection counts as lost.
 const LOST: SignedDuration = SignedDuration::from_millis(2000);
@@ -220,91 +216,29 @@ impl Night {
         marks
     }
 
-    /// The one thing that a person must do first, with its cause.
+    /// The one thing that a person must do first, with its cause and its command.
     pub fn first(&self) -> (Level, String) {
         let Some(status) = &self.status else { return (Level::Fine, "-".into()) };
-        let rig = &status.rig;
-        let missing = rig.not_stopped();
-        if !missing.is_empty() {
-            let axes = missing.join(", ");
-            return (Level::Act, format!("NOT STOPPED: {axes}: use the hardware emergency stop"));
-        }
-        if let Some(Tips::NotRaised(why)) = rig.safe_end.as_ref().map(|end| &end.tips) {
-            return (Level::Act, format!("TIPS NOT RAISED: {why}: inspect the rig"));
-        }
-        if rig.state == RigState::Tripped {
-            let cause = rig.trip_words();
-            let next = "check the rig, then palpate rig reset, palpate rig home";
-            let next = if status.run.is_some() { format!("{next}, r") } else { next.into() };
-            return (Level::Act, format!("tripped: {cause}: {next}"));
-        }
-        let not_begun = status.not_begun.as_deref().map(one_line);
-        let Some(run) = &status.run else {
-            if let Some(words) = not_begun {
-                return (Level::Act, words);
-            }
-            return match rig.state {
-                RigState::Disconnected => (Level::Fine, "nothing; the rig is not connected".into()),
-                RigState::Disarmed | RigState::Homed | RigState::Armed | RigState::Tripped => {
-                    (Level::Fine, "nothing".into())
-                }
-            };
-        };
-        if run.state == StoredState::Panicked {
-            return (Level::Act, "the tips could not be raised: inspect the rig".into());
-        }
-        if let Some(words) = &run.waiting_for {
-            return (Level::Act, format!("{words}{}", self.weights()));
-        }
-        if run.state == StoredState::Paused && run.paused_why == Some(PausedWhy::Operator) {
-            return match status.not_resumed() {
-                Some(why) => (Level::Act, format!("paused on request: {why}")),
-                None => (Level::Look, "paused on request: r resumes".into()),
-            };
-        }
-        if run.state == StoredState::Paused {
-            let why = run.paused_why.map_or("", PausedWhy::as_str).replace('_', " ");
-            let next = status.not_resumed().unwrap_or("remove the cause, then r");
-            return (Level::Act, format!("paused ({why}): {next}"));
-        }
-        let later = || not_begun.map(|words| (Level::Look, words));
-        self.ahead().or_else(later).unwrap_or((Level::Fine, "nothing".into()))
+        let Some(need) = status.needs.first() else { return (Level::Fine, "nothing".into()) };
+        (Level::of(need.importance), one_line(&need_words(need)))
     }
+}
 
-    /// What will stop the run unless a person acts.
-    fn ahead(&self) -> Option<(Level, String)> {
-        if let Some(disk) = self.more.disk
-            && let (Some(free), Some(needed)) = (disk.free_bytes, disk.needed_bytes)
-            && free < needed
-        {
-            let (free, needed) = (bytes(free), bytes(needed));
-            let words = format!("{free} of disk are free, {needed} are needed: remove files");
-            return Some((Level::Look, words));
+impl Level {
+    /// The level of what matters so much.
+    fn of(importance: Importance) -> Self {
+        match importance {
+            Importance::Act => Self::Act,
+            Importance::Look => Self::Look,
+            Importance::Notable | Importance::Routine => Self::Fine,
         }
-        let beyond = self.more.suspenders.iter().find(|suspender| suspender.since.is_some())?;
-        let then = if beyond.suspends { "it will suspend the run" } else { "it only warns" };
-        Some((Level::Look, format!("{} is beyond its limit: {then}", beyond.name)))
-    }
-
-    /// Weights that a person must place, as text.
-    fn weights(&self) -> String {
-        let weights = self.more.wanted.iter().flat_map(|wanted| &wanted.contacts);
-        let words = weights.map(|Weight { x_mm, y_mm, force_n }| {
-            format!("; {force_n:.3} N at x {x_mm:.1}, y {y_mm:.1} mm")
-        });
-        words.collect()
     }
 }
 
 /// An event that a person may want to know, as one line.
 fn told(event: &EventView) -> Option<Told> {
     let words = one_line(&event.words()?);
-    let level = match event.importance() {
-        Importance::Act => Level::Act,
-        Importance::Look => Level::Look,
-        Importance::Notable | Importance::Routine => Level::Fine,
-    };
-    Some(Told { at: event.at.parse().ok(), words, level })
+    Some(Told { at: event.at.parse().ok(), words, level: Level::of(event.importance()) })
 }
 
 /// A text of others on one line, without control characters.

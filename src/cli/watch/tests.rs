@@ -219,50 +219,30 @@ fn what_a_person_must_do_first_is_named() {
         night.first()
     };
     assert_eq!(first(&|_| {}), (Level::Fine, "nothing".into()));
-    let (level, words) = first(&|s| {
-        s["rig"]["state"] = "tripped".into();
-        s["rig"]["trip"] = json!({ "kind": "force", "detail": "arm 2: 81.0 N over 80.0 N" });
-    });
-    let next = "tripped: arm 2: 81.0 N over 80.0 N: check the rig, then palpate rig reset";
-    assert!(level == Level::Act && words.starts_with(next), "{words}");
-    let (level, words) = first(&|s| {
-        let moves = "acknowledged, and STILL MOVES";
-        let stops = json!([{ "axis": "x", "acknowledged_ms": 1.0, "error": moves },
-            { "axis": "z", "acknowledged_ms": 1.0, "stood_ms": 60.0 }]);
-        s["rig"]["safe_end"] = json!({ "stops": stops, "tips": "raised", "took_ms": 2060.0 });
-    });
-    let wanted = "NOT STOPPED: x (acknowledged, and STILL MOVES): use the hardware emergency stop";
-    assert_eq!((level, words.as_str()), (Level::Act, wanted));
-    let (level, words) = first(&|s| {
-        s["run"]["waiting_for"] = "place 1 weights".into();
-        s["run"]["wanted"] =
-            json!({ "trial": 3, "contacts": [{ "x_mm": 1.0, "y_mm": 2.0, "force_n": 4.905 }] });
-    });
-    assert_eq!(words, "place 1 weights; 4.905 N at x 1.0, y 2.0 mm");
-    assert_eq!(level, Level::Act);
-    let (level, words) = first(&|s| {
-        (s["run"]["state"], s["run"]["paused_why"]) = ("paused".into(), "operator".into());
-    });
-    assert_eq!((level, words.as_str()), (Level::Look, "paused on request: r resumes"));
-    let (level, words) = first(&|s| {
-        (s["run"]["state"], s["run"]["paused_why"]) = ("paused".into(), "operator".into());
-        s["run_actions"] = json!([{ "action": "resume", "refused": "home the rig" }]);
-    });
-    assert_eq!((level, words.as_str()), (Level::Act, "paused on request: home the rig"));
-    let (level, words) = first(&|s| {
-        (s["run"]["state"], s["run"]["paused_why"]) = ("paused".into(), "tip_change".into());
-        s["run_actions"] = json!([{ "action": "resume", "refused": "confirm the tips" },
-            { "action": "confirm", "refused": "home the rig" }]);
-    });
-    assert_eq!((level, words.as_str()), (Level::Act, "paused (tip change): home the rig"));
-    let (level, words) = first(&|s| s["disk"]["free_bytes"] = 1_000_000_000_u64.into());
-    assert!(level == Level::Look && words.contains("1.00 GB of disk are free"), "{words}");
-    // A run that a person must start again: now if none is active, otherwise before the active one ends.
-    let dropped = "run 13 (short) does not begin by itself: the rig tripped: start it again";
-    let (level, words) = first(&|s| s["not_begun"] = dropped.into());
-    assert_eq!((level, words.as_str()), (Level::Look, dropped));
-    let (level, words) = first(&|s| (s["not_begun"], s["run"]) = (dropped.into(), Value::Null));
-    assert_eq!((level, words.as_str()), (Level::Act, dropped));
+    let need = |importance: &str, command: Value| {
+        json!({ "kind": "reset", "importance": importance, "words": "Tripped\u{1b}[31m.\nReset.",
+            "command": command, "page": "rig", "since": null })
+    };
+    let found = first(&|s| s["needs"] = json!([need("act", "palpate rig reset".into())]));
+    let words = "Tripped\\u{1b}[31m. Reset. Next: palpate rig reset".to_owned();
+    assert_eq!(found, (Level::Act, words));
+    let found = first(&|s| s["needs"] = json!([need("look", Value::Null)]));
+    assert_eq!(found, (Level::Look, "Tripped\\u{1b}[31m. Reset.".into()));
+}
+
+#[test]
+fn a_doubt_of_the_night_is_named_before_all_numbers() {
+    let mut changed = status();
+    changed["glance"] = json!([
+        { "question": "safe", "rating": "good", "words": "No fault." },
+        { "question": "on_time", "rating": "warn", "words": "It waits: the rig tripped." },
+        { "question": "data", "rating": "bad", "words": "FVU 0.900 over 9 trials." }]);
+    let mut night = Night::new("");
+    night.take(told_status(&changed), start());
+    let shown = text(&drawn(&night, &after(0), (120, 40), COLOUR));
+    assert!(shown.contains("on time    It waits: the rig tripped."), "{shown}");
+    assert!(shown.contains("data       FVU 0.900 over 9 trials."), "{shown}");
+    assert!(!shown.contains("No fault."), "{shown}");
 }
 
 #[test]

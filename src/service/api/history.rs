@@ -16,9 +16,10 @@ use super::runs::find;
 use super::spans::{StateSpan, restarts, spans};
 use crate::conductor::estimates::ESTIMATE;
 use crate::event::{Importance, importance, notable_kinds};
+use crate::ids::RunUid;
 use crate::journal::Event;
 use crate::state::StoredState;
-use crate::store::{Bins, RunRow, StoreError, StoredHistory};
+use crate::store::{Bins, RunRow, Store, StoreError, StoredHistory};
 
 /// Most bins of a history.
 const BINS_MAX: u32 = 1000;
@@ -217,6 +218,19 @@ fn arranged(stored: &StoredHistory, bins: usize) -> PerBin {
         fvu[*bin as usize] = Some(*median);
     }
     (trials, failed, forces, fvu)
+}
+
+/// Returns the start of a run, and its duration as it was predicted then, s; absent before either.
+///
+/// # Errors
+/// Errors of the store.
+pub(super) async fn predicted(
+    store: &Store,
+    run: RunUid,
+) -> Result<Option<(Timestamp, f64)>, StoreError> {
+    let from = store.run(run).await?.and_then(|run| run.started_at);
+    let estimates = store.events_of_kinds(run, &[ESTIMATE], ESTIMATES_MAX).await?;
+    Ok(from.zip(estimates.first().and_then(predicted_s)))
 }
 
 /// The prediction at the start, from the first estimate of a run: it was made before the first trial.

@@ -38,6 +38,8 @@ pub struct Memory {
     pub(super) progress: Kept<RunUid, Arc<StoredProgress>>,
     /// Histories by run, number of bins, and whether the run has ended.
     pub(super) histories: Kept<(RunUid, u32, Option<Timestamp>), Arc<History>>,
+    /// Start of runs, and their durations as they were predicted then, s.
+    pub(super) predicted: Kept<RunUid, Option<(Timestamp, f64)>>,
     /// Limits of the fit of runs.
     pub(super) limits: Kept<RunUid, Option<Arc<TwinLimits>>>,
     /// Disk space of queued runs by definition and number of trials, bytes.
@@ -72,6 +74,7 @@ impl Default for Memory {
             tours: Kept::new(TOUR_KEPT, TOURS_MAX),
             progress: Kept::new(PROGRESS_KEPT, KEPT_RUNS),
             histories: Kept::new(HISTORY_KEPT, KEPT_RUNS),
+            predicted: Kept::new(HISTORY_KEPT, 1),
             limits: Kept::new(TOUR_KEPT, KEPT_RUNS),
             room: Kept::new(TOUR_KEPT, ROOM_MAX),
             planned: Kept::new(TOUR_KEPT, ROOM_MAX),

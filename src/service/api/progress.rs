@@ -1,13 +1,14 @@
 //! Progress of a run along its tour: what is stored, what failed, where it is and where it goes next.
 //! Uses: `tour`, `store`, `campaign::shown::status`. Never: a wait of the campaign.
 
-use std::collections::HashMap;
+use std::collections::{BTreeMap, HashMap};
 use std::sync::Arc;
 
 use axum::Json;
 use axum::extract::State;
 use jiff::Timestamp;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
+use sim_core::stats::median;
 use utoipa::ToSchema;
 
 use super::App;
@@ -37,11 +38,26 @@ pub struct RunProgress {
     pub next: Option<usize>,
     /// Largest force of the trials of each configuration, N, rounded to 1 mN; null if none was measured.
     pub largest_force_n: Vec<Option<f64>>,
+    /// The largest forces, for each number of tips.
+    pub forces_by_tips: Vec<ForcesOfTips>,
     /// Median FVU of the twins of each configuration, rounded to 0.0001; null without twins.
     pub fvu: Vec<Option<f64>>,
     /// Time of this progress; the stored part of it may be 2 s older, or more on a slow disk.
     #[schema(value_type = String, format = DateTime)]
     pub at: Timestamp,
+}
+
+/// Largest forces of the configurations with one number of tips.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct ForcesOfTips {
+    /// Number of tips.
+    pub tips: u8,
+    /// Number of configurations whose force was measured.
+    pub configurations: u32,
+    /// Median of their largest forces, N.
+    pub median_n: f64,
+    /// The largest one, N.
+    pub largest_n: f64,
 }
 
 /// Returns the progress of a run along its tour.
@@ -94,6 +110,7 @@ fn progress(tour: &Tour, stored: &StoredProgress, now: Now) -> RunProgress {
         current: None,
         next: None,
         largest_force_n: vec![None; order.len()],
+        forces_by_tips: Vec::new(),
         fvu: vec![None; order.len()],
         at: now.at,
     };
@@ -105,6 +122,7 @@ fn progress(tour: &Tour, stored: &StoredProgress, now: Now) -> RunProgress {
             shown.largest_force_n[i] = c.largest_force_n.map(|f| rounded(f, 1e3));
         }
     }
+    shown.forces_by_tips = by_tips(&tour.steps.tips, &shown.largest_force_n);
     for (configuration, failed) in &stored.attempts_failed {
         if let Some(i) = of(configuration) {
             shown.attempts_failed[i] = count(*failed);
@@ -125,6 +143,25 @@ fn progress(tour: &Tour, stored: &StoredProgress, now: Now) -> RunProgress {
         shown.next = (0..order.len()).find(is_open);
     }
     shown
+}
+
+/// The largest forces of the configurations, for each number of tips.
+fn by_tips(tips: &[u8], largest_n: &[Option<f64>]) -> Vec<ForcesOfTips> {
+    let mut forces: BTreeMap<u8, Vec<f64>> = BTreeMap::new();
+    for (tips, force_n) in tips.iter().zip(largest_n) {
+        if let Some(force_n) = force_n {
+            forces.entry(*tips).or_default().push(*force_n);
+        }
+    }
+    let of = |(tips, forces): (u8, Vec<f64>)| {
+        Some(ForcesOfTips {
+            tips,
+            configurations: forces.len() as u32,
+            median_n: median(forces.iter().copied())?,
+            largest_n: forces.iter().copied().reduce(f64::max)?,
+        })
+    };
+    forces.into_iter().filter_map(of).collect()
 }
 
 /// Configuration that a run is driving; none while it waits.
@@ -189,6 +226,18 @@ mod tests {
     }
 
     #[test]
+    fn forces_are_grouped_by_the_number_of_tips() {
+        let found = by_tips(&[3, 1, 1, 3, 2], &[Some(9.0), Some(4.0), Some(1.0), None, None]);
+        let of = |tips, configurations, median_n, largest_n| ForcesOfTips {
+            tips,
+            configurations,
+            median_n,
+            largest_n,
+        };
+        assert_eq!(found, [of(1, 2, 2.5, 4.0), of(3, 1, 9.0, 9.0)]);
+    }
+
+    #[test]
     fn lists_are_in_the_order_of_the_tour() {
         let at = Timestamp::UNIX_EPOCH;
         let now = Now { trials_planned: 8, is_over: false, driven: Some(0), at };
@@ -197,6 +246,8 @@ mod tests {
         assert_eq!(shown.attempts_failed, [0, 3, 0, 0]);
         assert_eq!(shown.skipped, [2]);
         assert_eq!(shown.largest_force_n, [Some(1.235), Some(1.235), None, None]);
+        let forces = ForcesOfTips { tips: 1, configurations: 2, median_n: 1.235, largest_n: 1.235 };
+        assert_eq!(shown.forces_by_tips, [forces]);
         assert_eq!(shown.fvu, [Some(0.1235), None, None, None]);
         assert_eq!((shown.current, shown.next, shown.trials_stored), (Some(1), Some(3), 3));
         // A run that waits resumes at the incomplete configuration.

@@ -116,6 +116,11 @@ impl Counters {
         }
     }
 
+    /// Number of channels that are stuck or saturated.
+    pub(super) fn broken_channels(&self) -> usize {
+        self.channels.lock().iter().map(Vec::len).sum()
+    }
+
     fn rates(&self) -> RigRates {
         let [stuck, saturated] = self.channels.lock().clone();
         let kept = self.reads.lock();

@@ -10,6 +10,9 @@ use serde::Serialize;
 use utoipa::ToSchema;
 
 use super::App;
+use super::glance::{Facts, Glance, glances};
+use super::history::predicted;
+use super::needs::{Around, Need, needs};
 use super::people::LockOut;
 use super::problem::ApiError;
 use super::suspenders::{Readings, Suspender};
@@ -54,6 +57,10 @@ pub struct ServiceStatus {
     pub last_trial_at: Option<Timestamp>,
     /// What may suspend the active run; empty without one.
     pub suspenders: Vec<Suspender>,
+    /// What a person must do, the most urgent first; empty if nothing.
+    pub needs: Vec<Need>,
+    /// The night at a glance: is it safe, is it on time, are the data good?
+    pub glance: Vec<Glance>,
 }
 
 /// Whether an action is possible now.
@@ -86,6 +93,10 @@ pub(super) struct StoredPart {
     last_trial_at: Option<Timestamp>,
     /// Limits of the fit of the active run; absent without one.
     limits: Option<Arc<TwinLimits>>,
+    /// Name and number of trials of the first run of the queue.
+    next: Option<(String, u64)>,
+    /// Start of the active run, and its duration as it was predicted then, s.
+    predicted: Option<(Timestamp, f64)>,
 }
 
 /// Version and process of the service.
@@ -126,9 +137,13 @@ impl App {
         let queue = self.store.queue().await?;
         let channels = self.serving.sensor().channels() as u64;
         let active = self.campaign.status().run.map(|run| run.uid);
-        let (last_trial_at, limits) = match active {
-            Some(run) => (self.store.last_trial_at(run).await?, self.limits_of(run).await?),
-            None => (None, None),
+        let (last_trial_at, limits, predicted) = match active {
+            Some(run) => (
+                self.store.last_trial_at(run).await?,
+                self.limits_of(run).await?,
+                self.facts.memory.predicted.get(run, predicted(&self.store, run)).await?,
+            ),
+            None => (None, None, None),
         };
         let mut queue_bytes = 0;
         for run in &queue {
@@ -145,6 +160,8 @@ impl App {
             queue_bytes,
             last_trial_at,
             limits,
+            next: queue.first().map(|run| (run.experiment.clone(), run.trials_planned)),
+            predicted,
         })
     }
 
@@ -186,7 +203,24 @@ impl App {
         let suspenders = self.facts.memory.beyond.suspenders(readings.as_ref(), Timestamp::now());
         let of_run = campaign.run.as_ref().map_or(0, |run| run.needed_bytes);
         let needed_bytes = of_run + stored.queue_bytes;
+        let around = Around {
+            not_begun: stored.not_begun.as_deref(),
+            space: free_bytes.map(|free_bytes| (free_bytes, needed_bytes)),
+            suspenders: &suspenders,
+        };
+        let facts = Facts {
+            next: stored.next.as_ref().map(|(name, trials)| (name.as_str(), *trials)),
+            late: campaign.run.as_ref().and_then(|run| {
+                let (from, predicted_s) = stored.predicted?;
+                let elapsed_s = Timestamp::now().duration_since(from).as_secs_f64();
+                Some((elapsed_s + run.eta?.remaining_s - predicted_s, predicted_s))
+            }),
+            fit: twins.rolling.as_ref(),
+            broken_channels: self.facts.memory.counters.broken_channels(),
+        };
         ServiceStatus {
+            needs: needs(&campaign, around),
+            glance: glances(&campaign, around, facts),
             rig_actions: rig::actions(&campaign, self.facts.desk),
             run_actions: runs::actions(&campaign),
             campaign,

@@ -20,6 +20,8 @@ pub struct Suspender {
     /// `twin_fvu` (median FVU of the last trials), `electrode_pairs` (FVU of the worst pair of
     /// electrodes).
     pub name: String,
+    /// Name for people.
+    pub title: String,
     /// Present value; null while it is unknown.
     pub value: Option<f64>,
     /// Threshold. `disk` is beyond it below, all others above.
@@ -53,6 +55,7 @@ pub(super) struct Readings<'a> {
 /// A value with its threshold.
 struct Row {
     name: &'static str,
+    title: &'static str,
     value: Option<f64>,
     threshold: f64,
     unit: &'static str,
@@ -62,12 +65,13 @@ struct Row {
 
 impl Readings<'_> {
     fn rows(&self) -> Vec<Row> {
-        let above = |name, value: Option<f64>, threshold, unit, suspends| {
+        let above = |(name, title), value: Option<f64>, threshold, unit, suspends| {
             let is_beyond = value.is_some_and(|value| value > threshold);
-            Row { name, value, threshold, unit, suspends, is_beyond }
+            Row { name, title, value, threshold, unit, suspends, is_beyond }
         };
         let disk = Row {
             name: "disk",
+            title: "free disk",
             value: self.free_bytes.map(|bytes| bytes as f64),
             threshold: self.needed_bytes as f64,
             unit: "bytes",
@@ -75,14 +79,17 @@ impl Readings<'_> {
             is_beyond: self.free_bytes.is_some_and(|free| free < self.needed_bytes),
         };
         let limit_ms = self.frame_age_limit_ms as f64;
-        let mut rows = vec![disk, above("frame_age", self.frame_age_ms, limit_ms, "ms", false)];
+        let frame_age = ("frame_age", "age of the newest frame");
+        let mut rows = vec![disk, above(frame_age, self.frame_age_ms, limit_ms, "ms", false)];
         if let Some(limits) = self.limits {
             let fit = self.fit.filter(|fit| fit.trials > 0);
             let (fvu, threshold) =
                 (fit.map(|fit| fit.median_fvu), limits.suspend_fvu.unwrap_or(limits.warn_fvu));
             let worst = fit.and_then(|fit| fit.worst_pairs.first()).map(|pair| pair.fvu);
-            rows.push(above("twin_fvu", fvu, threshold, "1", limits.suspend_fvu.is_some()));
-            rows.push(above("electrode_pairs", worst, limits.pair_warn_fvu, "1", false));
+            let twins = ("twin_fvu", "fit of the twins (FVU)");
+            rows.push(above(twins, fvu, threshold, "1", limits.suspend_fvu.is_some()));
+            let pairs = ("electrode_pairs", "worst electrode pair (FVU)");
+            rows.push(above(pairs, worst, limits.pair_warn_fvu, "1", false));
         }
         rows
     }
@@ -104,6 +111,7 @@ impl Beyond {
         beyond.retain(|name, _| rows.iter().any(|row| row.name == *name && row.is_beyond));
         let suspender = |row: Row| Suspender {
             name: row.name.into(),
+            title: row.title.into(),
             value: row.value,
             threshold: row.threshold,
             unit: row.unit.into(),

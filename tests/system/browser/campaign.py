@@ -145,7 +145,7 @@ def operate(page, _browser):
     page.wait_for_timeout(1000)
     page.get_by_role("button", name="Stop", exact=True).click()
     expect(page.locator("body")).to_contain_text("Emergency stop latched", timeout=2000)
-    said(page, re.compile("Every axis acknowledged it after"))
+    said(page, re.compile("Every axis acknowledged the stop"))
     pressed(page, "Reset")
     until("the reset", lambda: rig()["state"] != "tripped")
     pressed(page, "Home")

@@ -67,6 +67,16 @@ def asked_of_run(status, *possible, why="the run is paused"):
         one["refused"] = None if one["action"] in possible else f"{one['action']} is not possible: {why}"
 
 
+def needs(status, *found, safe=None, data=None):
+    """A person must do this: kind, words and page of each; what the glance says of safety and data."""
+    status["needs"] = [{"kind": kind, "importance": "act", "words": words, "command": None, "page": page, "since": None}
+                       for kind, words, page in found]
+    for one in status["glance"]:
+        bad = {"safe": safe, "data": data}.get(one["question"])
+        if bad:
+            one.update(rating="bad", words=bad)
+
+
 def tripped(status):
     """A force was beyond its limit."""
     status["rig"].update(state="tripped", trip={"kind": "force", "detail": "cell 3 reads 91.4 N, limit 88.0 N"})
@@ -78,6 +88,9 @@ def tripped(status):
     if status["run"]:
         status["run"].update(state="paused", paused_why="trip", requested_state=None)
         asked_of_run(status, "pause", "stop", "abort", why="the rig is tripped: reset, home")
+    trip = "cell 3 reads 91.4 N, limit 88.0 N."
+    needs(status, ("reset", f"Tripped (force): {trip} Clear the cause, reset, then home.", "rig"),
+          safe=f"Stopped by a fault (force): {trip}")
 
 
 def halted(status):
@@ -91,6 +104,10 @@ def halted(status):
         one["refused"] = "an axis has not acknowledged its stop: y"
     words = "run 3 (real-random) does not begin by itself: the rig tripped (estop): start it again"
     status.update(run=None, suspenders=[], last_trial_at=None, waiting_for=words, not_begun=words)
+    moving = "NOT STOPPED: y (no reply within 200 ms)."
+    needs(status, ("not_stopped", f"{moving} The stop is sent again until it is. Use the button on the rig.", "rig"),
+          ("reset", "Tripped (estop): pressed on the page by Ada. Clear the cause, reset, then home.", "rig"),
+          ("start", f"R{words[1:]}.", "queue"), safe=f"{moving} Use the button on the rig.")
 
 
 def disk_full(status):
@@ -104,6 +121,8 @@ def disk_full(status):
         status["run"].update(state="paused", paused_why="suspender", requested_state=None,
                              waiting_for="the disk has 90 MB free, the run needs 4.2 GB")
         asked_of_run(status, "start", "resume", "stop", "abort")
+        waits = "The run waits: something that watches the run suspended it: the disk has 90 MB free, the run needs 4.2 GB."
+        needs(status, ("resume", waits, "night"), data="Beyond its limit: free disk. The disk is short of 4.11 GB.")
 
 
 ASKED = [{"number": 1, "x_mm": 150.0, "y_mm": 190.0, "force_n": 7.358, "point": "R7 C5"},
@@ -126,6 +145,7 @@ def asks(status):
         status["run"].update(state="paused", paused_why="manual_trial", requested_state=None,
                              waiting_for="place 2 weights", wanted={"trial": PLACEMENT["trial"], "contacts": contacts})
         asked_of_run(status, "start", "confirm", "repeat", "stop", "abort")
+        needs(status, ("weights", "Weights must be placed: place 2 weights.", "place"))
 
 
 def wrong_weight(page):

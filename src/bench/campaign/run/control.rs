@@ -7,6 +7,7 @@ use std::sync::Arc;
 
 use std::time::Duration;
 
+use jiff::Timestamp;
 use serde_json::json;
 
 use crate::campaign::bench::estop::StopSwitch;
@@ -83,10 +84,7 @@ impl Control {
 
     /// Changes the published status.
     pub fn show(&self, change: impl FnOnce(&mut Status)) {
-        self.inbox.status.send_modify(|status| {
-            change(status);
-            status.version += 1;
-        });
+        self.inbox.status.send_modify(|status| status.change(Timestamp::now(), change));
     }
 
     /// Changes the published status of the run, if there is one.

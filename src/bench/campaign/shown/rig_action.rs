@@ -141,6 +141,7 @@ pub(super) mod tests {
             state: StoredState::Paused,
             requested_state: None,
             paused_why: Some(why),
+            waits_since: None,
             waiting_for: None,
             wanted: None,
             phase: Phase::Wait,

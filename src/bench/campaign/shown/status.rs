@@ -1,6 +1,7 @@
 //! Published status of a campaign: rig, run, forces, stream, remaining time.
 //! PURE. Uses: `campaign::{run::run_state, bench::rig_state, record}`. Never: HTTP.
 
+use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
@@ -47,6 +48,33 @@ impl Attended {
     }
 }
 
+impl Status {
+    /// Applies a change, and keeps when the rig tripped and since when the run waits.
+    pub fn change(&mut self, now: Timestamp, change: impl FnOnce(&mut Self)) {
+        let (had_trip, waited) = (self.rig.trip.is_some(), self.waits());
+        change(self);
+        self.version += 1;
+        let rig = &mut self.rig;
+        match (&rig.trip, rig.state) {
+            (Some(_), _) if !had_trip => rig.tripped_at = Some(now),
+            (None, RigState::Disconnected | RigState::Homed | RigState::Armed) => {
+                rig.tripped_at = None;
+            }
+            (None, RigState::Disarmed | RigState::Tripped) | (Some(_), _) => {}
+        }
+        let waits = self.waits();
+        if let Some(run) = self.run.as_mut().filter(|_| waits != waited) {
+            run.waits_since = waits.map(|_| now);
+        }
+    }
+
+    /// The run that waits, or is about to, and why.
+    fn waits(&self) -> Option<(RunUid, PausedWhy)> {
+        let run = self.run.as_ref()?;
+        Some((run.uid, run.paused_why?))
+    }
+}
+
 /// Status of the rig.
 #[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
 pub struct RigStatus {
@@ -61,6 +89,9 @@ pub struct RigStatus {
     pub state: RigState,
     /// Cause of the latched trip; null if the rig is not tripped.
     pub trip: Option<Trip>,
+    /// Time of the latched or last trip; null once the axes were homed after it, or the wires closed.
+    #[schema(value_type = Option<String>, format = DateTime)]
+    pub tripped_at: Option<Timestamp>,
     /// Process seconds per wall second.
     pub clock_rate: f64,
     /// Measured pose; null while the wires are closed.
@@ -156,6 +187,9 @@ pub struct RunStatus {
     pub requested_state: Option<StoredState>,
     /// Reason why the run waits or is about to wait; null otherwise.
     pub paused_why: Option<PausedWhy>,
+    /// Time since which it waits, or is about to, for this reason; null if it does not.
+    #[schema(value_type = Option<String>, format = DateTime)]
+    pub waits_since: Option<Timestamp>,
     /// What the run waits for, as text; null if it does not wait.
     pub waiting_for: Option<String>,
     /// What a person must do; null if nothing.
