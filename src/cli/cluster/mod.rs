@@ -15,6 +15,7 @@ mod job;
 mod kind;
 mod lines;
 mod make;
+mod makers;
 mod sbatch;
 mod status;
 mod table;

@@ -31,9 +31,8 @@ use crate::infer::methods::{Frames, ReadyMethod};
 use crate::infer::registry::Model;
 use crate::infer::untouched::UntouchedSkins;
 use crate::learn::error::LearnError;
-use crate::learn::examples::{MEASURED, SIMULATED};
 use crate::learn::targets::Targets;
-use crate::learn::task::Reads;
+use crate::learn::task::{MEASURED, Reads, SIMULATED};
 use crate::simulate::compare::difference;
 use crate::store::{Contact, Label};
 

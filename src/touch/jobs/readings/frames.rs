@@ -1,7 +1,8 @@
 //! The frames of an evaluation as text: voltages, and what is known of them.
 //! PURE. Uses: `infer::methods`. Never: a number that is read otherwise than it was written.
 
-use crate::infer::methods::{Frames, UntouchedBefore};
+use crate::infer::methods::Frames;
+use crate::infer::untouched_frame::UntouchedBefore;
 
 /// Stands for an unknown number.
 const UNKNOWN_NUMBER: &str = "-";
