@@ -20,6 +20,7 @@ mod sbatch;
 mod status;
 mod table;
 mod twins;
+mod verified;
 
 /// Options of `cluster`.
 #[derive(Debug, Clone, Args)]
