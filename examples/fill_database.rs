@@ -20,7 +20,7 @@ use palpate::clock::Clock;
 use palpate::ids::{RunUid, TrialKey};
 use palpate::journal::{ExitStatus, Journal};
 use palpate::record::{ArmReading, FrameQuality, FrameRecord, Pose, TrialRecord, TrialScalars};
-use palpate::simulate::compare::difference;
+use palpate::simulate::compare::Compared;
 use palpate::simulate::model::load_or_build;
 use palpate::store::{Label, NewRun, NewTwinModel, RunKind, Store, Twin, TwinOutcome};
 use rand::{RngExt, SeedableRng};
@@ -270,7 +270,8 @@ async fn main() -> Result<(), Failure> {
         for (press, simulated) in presses.iter().zip(frames.chunks(batch.frame_len())) {
             let counts = measured(simulated, electrodes, &mut rng);
             let trial = record(stored, press, counts, electrodes);
-            let apart = difference(&trial.mean_voltages_v(), simulated);
+            let measured_v = &trial.mean_voltages_v();
+            let apart = Compared { measured_v, simulated_v: simulated }.difference();
             let outcome = TwinOutcome::Frame {
                 voltages_v: simulated.to_vec(),
                 rmse_v: apart.rmse_v,

@@ -223,12 +223,13 @@ pub fn small() -> Budget {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::dataset::force_map::SIDE_MM;
     use crate::ids::ModelId;
     use crate::infer::methods::Method;
 
     #[test]
     fn a_net_is_named_by_recipe_map_noise_and_scale() {
-        let map = ForceMapSpec::of_paper(10.0, 20.0);
+        let map = ForceMapSpec { pixel_mm: 10.0, diameter_mm: 20.0, side_mm: SIDE_MM };
         let noise = Noise::at(0.1, &ModelId::unchecked("mdl-1"));
         assert_eq!(small().map_net(RECON_NET, map, noise).stem, "recon-net-10x20-10-small");
         assert_eq!(small().map_net(END_TO_END, map, None).stem, "end-to-end-10x20-0-small");

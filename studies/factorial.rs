@@ -7,7 +7,7 @@ use std::collections::BTreeMap;
 use serde_json::json;
 
 use crate::budget::{Budget, RECON_NET};
-use crate::dataset::force_map::ForceMapSpec;
+use crate::dataset::force_map::{ForceMapSpec, SIDE_MM};
 use crate::evaluate::anova::{Anova, Factor, Factorial, MarginalMean, Moments};
 use crate::evaluate::charts::{Bar, bars};
 use crate::evaluate::published::{FIG_11, Held, Marginal};
@@ -71,7 +71,7 @@ pub async fn fig_11<L: Lab>(lab: &L, budget: &Budget) -> Result<Sheet, L::Error>
     for (p, pixel_mm) in pixels_mm(budget).into_iter().enumerate() {
         for (d, diameter_mm) in DIAMETERS_MM.into_iter().enumerate() {
             for (n, level) in LEVELS.into_iter().enumerate() {
-                let map = ForceMapSpec::of_paper(pixel_mm, diameter_mm);
+                let map = ForceMapSpec { pixel_mm, diameter_mm, side_mm: SIDE_MM };
                 let training = budget.map_net(RECON_NET, map, Noise::at(level, &transfer));
                 let model = lab.train(&training).await?;
                 let mut request = budget.request(Method::Paper, "real", Some("test"));

@@ -4,7 +4,7 @@
 use serde_json::json;
 
 use crate::budget::{Budget, R2S, RECON_NET};
-use crate::dataset::force_map::ForceMapSpec;
+use crate::dataset::force_map::{ForceMapSpec, SIDE_MM};
 use crate::evaluate::force_maps::{Picture, pictures, residuals};
 use crate::evaluate::table::markdown;
 use crate::figure::Heading;
@@ -33,7 +33,8 @@ pub async fn fig_10<L: Lab>(lab: &L, budget: &Budget) -> Result<Sheet, L::Error>
     let transfer = lab.train(&budget.transfer_to_6()).await?;
     let left = lab.residuals(&transfer).await?;
     let Trial { frame_v, contacts: truth, label } = triple(lab).await?;
-    let spec = ForceMapSpec::of_paper(budget.scale.fine_mm(), DIAMETER_MM);
+    let pixel_mm = budget.scale.fine_mm();
+    let spec = ForceMapSpec { pixel_mm, diameter_mm: DIAMETER_MM, side_mm: SIDE_MM };
     let mut shown = vec![Picture::of_contacts("true", spec, &truth).map_err(StudyError::from)?];
     let mut rows = Vec::new();
     for level in LEVELS {
@@ -62,7 +63,7 @@ pub async fn fig_10<L: Lab>(lab: &L, budget: &Budget) -> Result<Sheet, L::Error>
     let title = "Fig. 10A: transfer error of each reading";
     let heading = Heading::new(title, left.trials, "validation trials", label.as_str())
         .with_note(format!("{transfer}, scale {}", budget.scale.name()));
-    let fig_10a = residuals(&heading, &left.mean_v, &left.sd_v).map_err(StudyError::from)?;
+    let fig_10a = residuals(&heading, &left).map_err(StudyError::from)?;
     let title =
         "Fig. 10B: a trial of three contacts, and the maps of nets at three levels of noise";
     let heading = Heading::new(title, 1, "trials", label.as_str())

@@ -12,8 +12,8 @@ use tokio::time::Instant;
 
 use super::client::Client;
 use super::error::CliError;
+use super::find::find_run;
 use super::key::key;
-use super::morning::find_run;
 use super::output::{Output, counted, duration, note, say, say_json};
 use super::view::{RunView, StatusView};
 use super::{At, embed, workers};

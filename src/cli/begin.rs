@@ -11,7 +11,7 @@ use super::ask::{ActArgs, request};
 use super::client::Client;
 use super::embed;
 use super::error::CliError;
-use super::morning::find_run;
+use super::find::find_run;
 use super::next::Next;
 use super::output::{self, say};
 use super::rig::until_rig;

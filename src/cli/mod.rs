@@ -35,6 +35,7 @@ mod evaluate;
 mod export;
 mod federate;
 mod files;
+mod find;
 mod follow;
 pub mod help;
 pub mod import;

@@ -52,4 +52,4 @@ pub use lab::tasks::{TaskEnd, TaskKind, TaskRow, TaskState};
 pub use lab::twins::{Fit, NewTwinModel, Twin, TwinCount, TwinModelId, TwinOutcome};
 pub use table::condition::{Comparison, Condition, Operand, Part};
 pub use table::query::{MAX_PAGE, Order, TrialQuery};
-pub use table::trial_row::{Contact, TrialRow, tips_as_contacts};
+pub use table::trial_row::{Contact, TipsAsContacts, TrialRow};

@@ -5,7 +5,7 @@
 use serde_json::json;
 
 use crate::budget::{Budget, END_TO_END, R2S, RECON_NET, Scale, up_to};
-use crate::dataset::force_map::{ForceMapSpec, TABLE_IV_MAPS};
+use crate::dataset::force_map::{ForceMapSpec, SIDE_MM, TABLE_IV_MAPS};
 use crate::evaluate::published::REAL_UNSEEN;
 use crate::evaluate::request::{EvaluationReport, EvaluationRequest, FramesRead};
 use crate::evaluate::table::{SCORE_COLUMNS, Uncertainty, markdown, published_row, score_row};
@@ -255,8 +255,9 @@ fn maps(scale: Scale) -> Vec<ForceMapSpec> {
     if scale == Scale::Full {
         return TABLE_IV_MAPS.to_vec();
     }
-    let of_pixel =
-        |pixel_mm| DIAMETERS_MM.map(|diameter_mm| ForceMapSpec::of_paper(pixel_mm, diameter_mm));
+    let of_pixel = |pixel_mm| {
+        DIAMETERS_MM.map(|diameter_mm| ForceMapSpec { pixel_mm, diameter_mm, side_mm: SIDE_MM })
+    };
     [scale.fine_mm(), COARSE_MM].into_iter().flat_map(of_pixel).collect()
 }
 

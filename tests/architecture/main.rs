@@ -4,6 +4,7 @@
 //!
 //! Each rule (`rules`, `names`, `docs`, `prose`) is seen to find something in made-up files that break it.
 
+mod circles;
 mod docs;
 mod flow;
 mod names;
@@ -13,15 +14,15 @@ mod source;
 
 use std::path::Path;
 
+use circles::import_circles;
 use docs::{empty_comments, silent_errors};
 use flow::CHAPTERS;
 use names::ambiguous_constants;
 use prose::{PHRASES, forbidden_phrases};
 use rules::{
     LONGEST, REFERENCES, broken_links, contents_out_of_order, dead_citations, entangled_stand_in,
-    faceless_folders, folder, forward_imports, headless_or_long, import_circles, impure_physics,
-    impure_where_pure, machine_paths, outgoing_studies, shelves_out_of_order,
-    training_outside_the_trainer,
+    faceless_folders, folder, forward_imports, headless_or_long, impure_physics, impure_where_pure,
+    machine_paths, outgoing_studies, shelves_out_of_order, training_outside_the_trainer,
 };
 use source::{File, checkout};
 
@@ -39,7 +40,7 @@ fn imports_look_back_along_the_flow() {
 }
 
 #[test]
-fn modules_of_a_crate_do_not_import_in_circles() {
+fn files_and_modules_of_a_crate_do_not_import_in_circles() {
     none(import_circles(&checkout()));
 }
 
@@ -188,7 +189,9 @@ fn a_circle_of_imports_is_found() {
             file(&format!("{root}/b/mod.rs"), "pub mod inner; use crate::b::inner;"),
             file(&format!("{root}/b/inner.rs"), &format!("use {above};")),
         ];
-        assert_eq!(import_circles(&circle), [format!("{root}/: a -> d -> b -> a")]);
+        let of_modules = format!("{root}/: a -> d -> b -> a");
+        let of_files = format!("{root}/: a -> d -> b -> b/inner -> a");
+        assert_eq!(import_circles(&circle), [of_modules, of_files]);
         none(import_circles(&circle[..4]));
     }
     let two = [
@@ -197,6 +200,24 @@ fn a_circle_of_imports_is_found() {
         file("nets/src/c.rs", "use crate::b;"),
     ];
     assert_eq!(import_circles(&two), ["nets/src/: a -> b -> a", "nets/src/: b -> c -> b"]);
+    let through_the_door = |test: &str| {
+        [
+            file("src/touch/infer/mod.rs", "pub use methods::Method; pub mod methods;"),
+            file("src/touch/infer/methods/mod.rs", "mod exact;\npub use exact::{Skin, self};"),
+            file("src/touch/infer/methods/exact.rs", "use super::Method; use crate::infer::old;"),
+            file(
+                "src/touch/infer/old.rs",
+                &format!("{test}use super::{{slot, methods::{{Skin}}}};"),
+            ),
+        ]
+    };
+    let found = import_circles(&through_the_door(""));
+    let circle = "infer/methods -> infer/methods/exact -> infer/old -> infer/methods";
+    assert_eq!(found, [format!("src/touch/: {circle}")]);
+    none(import_circles(&through_the_door("#[cfg(test)]\npub(super) mod tests {\n")));
+    let command = |text| [file("src/cli/ask.rs", text), file("src/cli/run.rs", "use super::ask;")];
+    assert_eq!(import_circles(&command("use crate::cli::run;")), ["src/cli/: ask -> run -> ask"]);
+    none(import_circles(&command("use crate::run; use super::super::run::Run;")));
 }
 
 #[test]

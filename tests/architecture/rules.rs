@@ -1,7 +1,7 @@
 //! The rules: each is a function from files to findings in words.
 //! PURE. Uses: `source`. Never: the disk.
 
-use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use std::collections::BTreeSet;
 use std::path::Path;
 
 use super::flow::{ARROWS, CHAPTERS, SHELVES, VOCABULARY};
@@ -32,18 +32,6 @@ pub const LONGEST: usize = 500;
 
 /// What the sources rely on and did not derive; cited by path and heading.
 pub const REFERENCES: &str = "docs/references.md";
-
-/// Crates whose modules must not import in circles. In the other chapters of `src/` they follow the flow.
-pub const WITHOUT_CIRCLES: [&str; 8] = [
-    "nets/src/",
-    "query/src/",
-    "sim-core/src/",
-    "src/words/",
-    "trainer/src/",
-    "virtual-rig/laminate/src/",
-    "virtual-rig/src/",
-    "worker/src/",
-];
 
 /// Crates and modules that do something, or wait for something.
 pub const EFFECTS: [&str; 7] =
@@ -169,64 +157,6 @@ pub fn outgoing_studies(files: &[File]) -> Vec<String> {
         }
     }
     findings
-}
-
-/// Modules of a crate (the files and folders next to its `lib.rs`) do not import in circles: a module
-/// can be read with those that it imports, and nothing that it imports needs it.
-pub fn import_circles(files: &[File]) -> Vec<String> {
-    let mut findings = Vec::new();
-    for root in WITHOUT_CIRCLES {
-        let imports = imports_within(root, files);
-        for start in imports.keys() {
-            let circle = circle_from(start, &imports);
-            findings.extend(circle.map(|circle| format!("{root}: {}", circle.join(" -> "))));
-        }
-    }
-    findings
-}
-
-/// The modules of a crate, each with the other modules that its files name.
-fn imports_within(root: &str, files: &[File]) -> BTreeMap<String, BTreeSet<String>> {
-    let mut imports: BTreeMap<String, BTreeSet<String>> = BTreeMap::new();
-    for file in files.iter().filter(|f| f.is_rust()) {
-        let Some(inside) = file.path.strip_prefix(root).filter(|i| *i != "lib.rs") else {
-            continue;
-        };
-        let inside = inside.trim_end_matches(".rs").trim_end_matches("/mod");
-        let module = inside.split('/').next().unwrap_or(inside);
-        let bare = code(&file.text, false);
-        let up = vec!["super"; inside.split('/').count()].join("::");
-        let named = below(&bare, "crate").into_iter().chain(below(&bare, &up));
-        imports.entry(module.to_owned()).or_default().extend(named.map(|(_, name)| name));
-    }
-    let modules: BTreeSet<String> = imports.keys().cloned().collect();
-    for (module, named) in &mut imports {
-        named.retain(|name| modules.contains(name) && name != module);
-    }
-    imports
-}
-
-/// The shortest way along imports from a module back to itself, through modules later in the
-/// alphabet: a circle is found at the first of its modules.
-fn circle_from<'a>(
-    start: &'a str,
-    imports: &'a BTreeMap<String, BTreeSet<String>>,
-) -> Option<Vec<&'a str>> {
-    let mut seen = BTreeSet::new();
-    let mut ways = VecDeque::from([vec![start]]);
-    while let Some(way) = ways.pop_front() {
-        let last = *way.last()?;
-        for next in imports.get(last)? {
-            let further = [&way[..], &[next.as_str()]].concat();
-            if next == start {
-                return Some(further);
-            }
-            if next.as_str() > start && seen.insert(next) {
-                ways.push_back(further);
-            }
-        }
-    }
-    None
 }
 
 /// Only the trainer's process learns: nothing else is built with the training library, and no program but

@@ -164,17 +164,37 @@ pub fn below(code: &str, root: &str) -> Vec<(usize, String)> {
 pub fn names(code: &str) -> Vec<String> {
     let word = |text: &str| text.trim_start().chars().take_while(|&c| is_name(c)).collect();
     let Some(group) = code.trim_start().strip_prefix('{') else { return vec![word(code)] };
+    let mut found: Vec<String> = pieces(group).into_iter().map(word).collect();
+    found.retain(|name| !name.is_empty());
+    found
+}
+
+/// The paths that code begins with: `a::{b, c::D}` begins with two.
+pub fn paths(code: &str) -> Vec<Vec<&str>> {
+    let code = code.trim_start();
+    if let Some(group) = code.strip_prefix('{') {
+        return pieces(group).into_iter().flat_map(paths).collect();
+    }
+    let (name, rest) = code.split_at(code.find(|c: char| !is_name(c)).unwrap_or(code.len()));
+    let further = match rest.trim_start().strip_prefix("::") {
+        Some(rest) if !name.is_empty() => paths(rest),
+        _ => vec![Vec::new()],
+    };
+    further.into_iter().map(|path| [&[name][..], &path[..]].concat()).collect()
+}
+
+/// The pieces of a group, without those of the groups in it; the group is open.
+fn pieces(group: &str) -> Vec<&str> {
     let (mut depth, mut start, mut found) = (1, 0, Vec::new());
     for (at, c) in group.char_indices() {
         depth += i32::from(c == '{') - i32::from(c == '}');
         if depth == 0 || depth == 1 && c == ',' {
-            found.push(word(&group[start..at]));
+            found.push(&group[start..at]);
             start = at + 1;
         }
         if depth == 0 {
             break;
         }
     }
-    found.retain(|name: &String| !name.is_empty());
     found
 }

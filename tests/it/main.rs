@@ -27,6 +27,7 @@ mod offline;
 mod old_data;
 mod once;
 mod overlay;
+mod pages;
 mod requests;
 mod rights;
 mod rig_transcripts;

@@ -15,7 +15,8 @@ use foam::{BLOCK_NODES, Foam};
 use loads::PointRows;
 
 use crate::forward::{Contact, ContactError, ForwardModel, Workspace};
-use crate::network::lane::{Lane32, LaneJob, LaneWork};
+use crate::network::lane::{Lane32, LaneJob};
+use crate::network::lane_work::LaneWork;
 use crate::network::plan::ReductionPlan;
 use crate::network::readout::ReadoutWork;
 use crate::network::reduce::reduce;
@@ -207,7 +208,7 @@ impl LaneJob for Reduce<'_> {
     #[inline(always)]
     fn run<L: Lane32>(self) {
         let BatchWork { to_top_s, lanes, reduced, .. } = self.work;
-        let block = reduce(self.plan, to_top_s, L::own(lanes));
+        let block = reduce(self.plan, to_top_s, lanes.of::<L>());
         reduced.resize(block.len() * L::LANES, 0.0);
         for (lanes, numbers) in block.iter().zip(reduced.chunks_exact_mut(L::LANES)) {
             lanes.store(numbers);

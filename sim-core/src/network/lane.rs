@@ -5,8 +5,6 @@
 //! The kernels of this crate are written once over [`Lane`]. `f64` is a vector of one; [`Portable`]
 //! is an array that the compiler may map to any vectors; `lane_x86` has AVX2 and AVX-512.
 
-use super::reduce::ReduceWork;
-
 /// Numbers of several loads, one per lane.
 pub(crate) trait Lane: Copy + Send + Sync + 'static {
     /// Type of one load's number.
@@ -54,9 +52,6 @@ pub(crate) trait Lane32: Lane<Number = f32> {
 
     /// 2^n of `self = ROUND + n`, n = 0, 1, .. 127.
     fn power_of_two(self) -> Self;
-
-    /// The memory that belongs to these lanes.
-    fn own(work: &mut LaneWork) -> &mut ReduceWork<Self>;
 }
 
 /// Adding this rounds an f32 (below 2^22) to a whole number, which is then in its lowest bits.
@@ -73,16 +68,6 @@ pub(crate) trait LaneJob {
     /// Runs the job. Implementations are `#[inline(always)]`, as is everything that they call in
     /// lanes: only then does the compiler use the processor's features in them.
     fn run<L: Lane32>(self) -> Self::Output;
-}
-
-/// Memory for each kind of lanes; only the kinds in use are filled.
-#[derive(Default)]
-pub(crate) struct LaneWork {
-    portable: ReduceWork<Portable>,
-    #[cfg(target_arch = "x86_64")]
-    pub(super) avx2: ReduceWork<super::lane_x86::F32x8>,
-    #[cfg(target_arch = "x86_64")]
-    pub(super) avx512: ReduceWork<super::lane_x86::F32x16>,
 }
 
 impl Lane for f64 {
@@ -211,9 +196,5 @@ impl Lane32 for Portable {
     #[inline(always)]
     fn power_of_two(self) -> Self {
         self.zip(self, |a, _| f32::from_bits((a.to_bits() << 23).wrapping_add(1f32.to_bits())))
-    }
-
-    fn own(work: &mut LaneWork) -> &mut ReduceWork<Self> {
-        &mut work.portable
     }
 }

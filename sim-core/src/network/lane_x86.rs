@@ -2,16 +2,15 @@
 //! Uses: std's intrinsics. Never: a value of a lane type on a processor without its instructions.
 //!
 //! Soundness: an intrinsic may only run on a processor that supports it. No other file names the
-//! two types except `lane`, as owners of memory, which holds no value of them until a job runs; a
-//! job runs in them only through [`on_avx512`] and [`on_avx2`], which check the processor first.
+//! two types; a job runs in them only through [`on_avx512`] and [`on_avx2`], which check the processor
+//! first.
 //! The other uses of `unsafe` here are two loads and two stores, of references to arrays.
 #![expect(unsafe_code, reason = "vector instructions; every one of this crate is in this file")]
 #![allow(clippy::wildcard_imports, reason = "thirty-two intrinsics, recognised by their names")]
 
 use std::arch::x86_64::*;
 
-use super::lane::{LEAST_SUM_S, Lane, Lane32, LaneJob, LaneWork};
-use super::reduce::ReduceWork;
+use super::lane::{LEAST_SUM_S, Lane, Lane32, LaneJob};
 
 /// Whether the processor supports AVX-512 (foundation) and FMA.
 pub(crate) fn has_avx512() -> bool {
@@ -133,10 +132,6 @@ impl Lane32 for F32x16 {
             Self(_mm512_castsi512_ps(_mm512_add_epi32(exponent, one)))
         }
     }
-
-    fn own(work: &mut LaneWork) -> &mut ReduceWork<Self> {
-        &mut work.avx512
-    }
 }
 
 /// Eight f32 in an AVX register.
@@ -226,9 +221,5 @@ impl Lane32 for F32x8 {
             let one = _mm256_set1_epi32(1f32.to_bits() as i32);
             Self(_mm256_castsi256_ps(_mm256_add_epi32(exponent, one)))
         }
-    }
-
-    fn own(work: &mut LaneWork) -> &mut ReduceWork<Self> {
-        &mut work.avx2
     }
 }

@@ -10,6 +10,7 @@ pub mod adjoint;
 mod back;
 pub mod kron;
 pub(crate) mod lane;
+pub(crate) mod lane_work;
 #[cfg(target_arch = "x86_64")]
 pub(crate) mod lane_x86;
 pub mod plan;

@@ -1,5 +1,5 @@
 //! The axes of a rig file: the drive of each, how far and how fast it may move, and its guards.
-//! PURE. Uses: `problem`, `device`, `guard`, `wires`. Never: registers, ports, files.
+//! PURE. Uses: `problem`, `device`, `guard`, `profile`, `wires`. Never: registers, ports, files.
 
 use std::collections::BTreeMap;
 
@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use super::device::AxisDevice;
 use super::guard::Guard;
+use super::profile::AxisProfile;
 use super::wires::LineConfig;
 use crate::problem::Checks;
 
@@ -28,12 +29,12 @@ impl AxesConfig {
     /// Checks the values of the axes, and that `lines` has their wires.
     pub(super) fn check(&self, lines: &BTreeMap<String, LineConfig>, c: &mut Checks<'_>) {
         let profiles = [
-            ("x", "mm", self.x.profile()),
-            ("y", "mm", self.y.profile()),
-            ("z", "mm", self.z.profile()),
-            ("radial", "deg", self.radial.profile()),
+            ("x", "mm", self.x.device, self.x.profile()),
+            ("y", "mm", self.y.device, self.y.profile()),
+            ("z", "mm", self.z.device, self.z.profile()),
+            ("radial", "deg", self.radial.device, self.radial.profile()),
         ];
-        for (name, unit, p) in &profiles {
+        for (name, unit, device, p) in &profiles {
             let key = |k: &str| format!("axes.{name}.{}", k.replace('*', unit));
             let known = lines.contains_key(&p.line);
             c.require(known, &key("line"), &p.line, "must be one of [lines]");
@@ -49,7 +50,7 @@ impl AxesConfig {
             let counts = p.travel.map(|t| (t * p.counts_per_unit).abs());
             let fits = counts.iter().all(|&n| n < f64::from(i32::MAX));
             c.require(fits, &key("travel_*"), shown, "must fit 32 bits of counts_per_*");
-            p.guard.check(p.device, key, c);
+            device.check_guard(&p.guard, key, c);
         }
     }
 }
@@ -104,34 +105,10 @@ pub struct RotaryAxis {
     pub guard: Guard,
 }
 
-/// Settings of an axis in its own unit (mm or degrees), for its driver.
-#[derive(Debug, Clone, PartialEq)]
-pub struct AxisProfile {
-    /// Register map of the drive.
-    pub device: AxisDevice,
-    /// Name of the wire.
-    pub line: String,
-    /// Modbus address of the drive.
-    pub address: u8,
-    /// Device counts per unit.
-    pub counts_per_unit: f64,
-    /// Soft limits, units.
-    pub travel: [f64; 2],
-    /// Travelling speed, units/s.
-    pub speed: f64,
-    /// Acceleration, units/s^2.
-    pub acceleration: f64,
-    /// Distance from the target that counts as arrived, units.
-    pub tolerance: f64,
-    /// Guards of the drive.
-    pub guard: Guard,
-}
-
 impl LinearAxis {
     /// Settings in the axis's unit, millimetres.
     pub fn profile(&self) -> AxisProfile {
         AxisProfile {
-            device: self.device,
             line: self.line.clone(),
             address: self.unit,
             counts_per_unit: self.counts_per_mm,
@@ -148,7 +125,6 @@ impl RotaryAxis {
     /// Settings in the axis's unit, degrees.
     pub fn profile(&self) -> AxisProfile {
         AxisProfile {
-            device: self.device,
             line: self.line.clone(),
             address: self.unit,
             counts_per_unit: self.counts_per_deg,

@@ -1,17 +1,20 @@
 //! An axis on a register map, as far as all drives have it in common: soft limits, the permit that
 //! a stop withdraws, a status check before a motion is sent again, and the detection of motion.
-//! Uses: `station`, `motion`, `link`. Never: register addresses (those are each device's `codec`).
+//! Uses: `device`, `profile`, `station`, `motion`, `link`. Never: register addresses (those are each device's `codec`).
 
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use async_trait::async_trait;
 use parking_lot::{Mutex, MutexGuard};
 use tokio::time::Instant;
 
-use super::config::{AxisProfile, Guard};
+use super::device::AxisParts;
 use super::error::{RigError, Severity};
+use super::guard::Guard;
 use super::link::{MotionGate, MotionPermit, Request};
 use super::motion::{AxisMotion, Command, Going, MotionWatch, Seen};
+use super::profile::AxisProfile;
 use super::station::Station;
 use super::traits::{Axis, AxisStatus, Found};
 use crate::clock::Clock;
@@ -121,6 +124,14 @@ pub struct ModbusAxis<D> {
     /// Whether a stop may be in effect, which must be released before the next motion. True at
     /// start, since an earlier service may have stopped the axis.
     held: AtomicBool,
+}
+
+impl AxisParts {
+    /// The axis on a drive.
+    pub fn on<D: Drive>(self, drive: D) -> Arc<dyn Axis> {
+        let Self { name, station, profile, gate, clock } = self;
+        Arc::new(ModbusAxis::new(name, drive, station, profile, gate, clock))
+    }
 }
 
 impl<D: Drive> ModbusAxis<D> {

@@ -1,11 +1,13 @@
 //! The load cells of a rig file: conversion of an output to a force, and the outputs that no
 //! working cell returns. One set of thresholds, for the rig check and for the interlocks of a run.
-//! PURE. Uses: `problem`, `device`. Never: ports, times, consequences of a finding (the caller decides).
+//! PURE. Uses: `problem`, `device`, `station`. Never: ports, times, consequences of a finding (the caller decides).
 
 use jiff::civil::Date;
 use serde::{Deserialize, Serialize};
 
-use super::device::CellsDevice;
+use super::device::{CellsDevice, CellsParts};
+use super::station::Station;
+use crate::clock::Clock;
 use crate::problem::Checks;
 use crate::record::ARMS;
 
@@ -67,6 +69,17 @@ impl CellsConfig {
     /// Whether an output, V, is saturated: the true force may be larger.
     pub fn is_saturated(&self, volts: f64) -> bool {
         volts >= self.saturated_v()
+    }
+
+    /// What the driver of the cells is built from, with their module at a station.
+    pub fn parts(&self, station: Station, clock: Clock) -> CellsParts {
+        CellsParts {
+            station,
+            channels: self.channels,
+            update_ms: self.update_ms,
+            full_output_v: self.saturated_v(),
+            clock,
+        }
     }
 
     /// Update periods over which a value may repeat; 0: unlimited.

@@ -9,11 +9,12 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
-pub use super::axes::{AxesConfig, AxisProfile, LinearAxis, RotaryAxis};
+pub use super::axes::{AxesConfig, LinearAxis, RotaryAxis};
 pub use super::cells::CellsConfig;
 pub use super::device::{AxisDevice, CellsDevice};
 pub use super::guard::Guard;
 pub use super::limits::RigLimits;
+pub use super::profile::AxisProfile;
 pub use super::wires::{ErtConfig, LineConfig, Parity};
 use crate::problem::{Checks, Problem};
 use crate::record::Label;

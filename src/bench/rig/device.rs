@@ -1,7 +1,7 @@
 //! A supported device: its name in rig files, what a rig file may set in it, and its driver. The
 //! folder of a device describes its own; `drives` and `input_modules` list all of them, and find the one that a rig
 //! file names.
-//! Uses: `axis`, `station`, `link`, `traits`. Never: the name of a device, requests, ports.
+//! Uses: `problem`, `guard`, `profile`, `station`, `link`, `traits`. Never: the name of a device, requests, ports.
 
 use std::fmt;
 use std::sync::Arc;
@@ -9,13 +9,14 @@ use std::sync::Arc;
 use serde::de::Error;
 use serde::ser::{Serialize, Serializer};
 
-use super::axes::AxisProfile;
-use super::axis::{Drive, ModbusAxis};
-use super::cells::CellsConfig;
+use super::guard::Guard;
 use super::link::MotionGate;
+use super::profile::AxisProfile;
 use super::station::Station;
 use super::traits::{Axis, LoadCells};
 use crate::clock::Clock;
+use crate::problem::Checks;
+use crate::record::ARMS;
 
 /// What the driver of an axis is built from.
 #[derive(Debug)]
@@ -30,14 +31,6 @@ pub struct AxisParts {
     pub gate: MotionGate,
     /// Clock of the rig.
     pub clock: Clock,
-}
-
-impl AxisParts {
-    /// The axis on a drive.
-    pub fn on<D: Drive>(self, drive: D) -> Arc<dyn Axis> {
-        let Self { name, station, profile, gate, clock } = self;
-        Arc::new(ModbusAxis::new(name, drive, station, profile, gate, clock))
-    }
 }
 
 /// A supported drive.
@@ -69,10 +62,48 @@ impl AxisDevice {
         self.has_guards
     }
 
+    /// Checks the values of a guard, and that the drive supports them. `key` builds a dotted key.
+    pub(super) fn check_guard(
+        self,
+        guard: &Guard,
+        key: impl Fn(&str) -> String,
+        c: &mut Checks<'_>,
+    ) {
+        let lacks = |what: &str| {
+            format!("{} has no {what} that can be set over its wire: remove it", self.as_str())
+        };
+        let has = self.has_guards();
+        if let Some(ms) = guard.watchdog_ms {
+            let key = key("guard.watchdog_ms");
+            c.require(has, &key, ms, &lacks("communication watchdog"));
+            c.require((100..=10_000).contains(&ms), &key, ms, "must be from 100 to 10000");
+        }
+        if let Some(percent) = guard.torque_percent {
+            let key = key("guard.torque_percent");
+            c.require(has, &key, percent, &lacks("torque limit"));
+            c.require((5..=100).contains(&percent), &key, percent, "must be from 5 to 100");
+        }
+    }
+
     /// Creates the driver of an axis; sends nothing.
     pub fn open(self, parts: AxisParts) -> Arc<dyn Axis> {
         (self.open)(parts)
     }
+}
+
+/// What the driver of the load cells is built from.
+#[derive(Debug)]
+pub struct CellsParts {
+    /// Their module, at its address on a wire.
+    pub station: Station,
+    /// Input channels of arms 1 to 6.
+    pub channels: [u8; ARMS],
+    /// Actual update period of the module, process ms.
+    pub update_ms: f64,
+    /// Full output of a cell, V.
+    pub full_output_v: f64,
+    /// Clock of the rig.
+    pub clock: Clock,
 }
 
 /// A supported analog input module.
@@ -80,7 +111,7 @@ impl AxisDevice {
 pub struct CellsDevice {
     name: &'static str,
     repeats_max: u32,
-    open: fn(Station, &CellsConfig, Clock) -> Arc<dyn LoadCells>,
+    open: fn(CellsParts) -> Arc<dyn LoadCells>,
 }
 
 impl CellsDevice {
@@ -89,7 +120,7 @@ impl CellsDevice {
     pub const fn new(
         name: &'static str,
         repeats_max: u32,
-        open: fn(Station, &CellsConfig, Clock) -> Arc<dyn LoadCells>,
+        open: fn(CellsParts) -> Arc<dyn LoadCells>,
     ) -> Self {
         Self { name, repeats_max, open }
     }
@@ -106,9 +137,9 @@ impl CellsDevice {
         self.repeats_max
     }
 
-    /// Creates the driver of the module at a station; sends nothing.
-    pub fn open(self, station: Station, cells: &CellsConfig, clock: Clock) -> Arc<dyn LoadCells> {
-        (self.open)(station, cells, clock)
+    /// Creates the driver of the load cells; sends nothing.
+    pub fn open(self, parts: CellsParts) -> Arc<dyn LoadCells> {
+        (self.open)(parts)
     }
 }
 

@@ -1,14 +1,11 @@
 //! Guards: values in a rig file that a drive enforces without the service, against silence or
 //! excessive torque. Which drives have them is stated in their folders.
-//! PURE. Uses: `problem`, `device`. Never: registers (those are each device's `codec`), consequences
-//! for a run.
+//! PURE. Uses: serde. Never: registers (those are each device's `codec`), their limits (`device`),
+//! consequences for a run.
 
 use std::fmt;
 
 use serde::{Deserialize, Serialize};
-
-use super::device::AxisDevice;
-use crate::problem::Checks;
 
 /// Guards of one drive. An absent value is left as it is set in the drive.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -27,29 +24,6 @@ impl Guard {
     /// Whether no guard is requested.
     pub fn is_none(&self) -> bool {
         *self == Self::default()
-    }
-
-    /// Checks the values, and that the drive supports them. `key` builds a dotted key.
-    pub(super) fn check(
-        &self,
-        device: AxisDevice,
-        key: impl Fn(&str) -> String,
-        c: &mut Checks<'_>,
-    ) {
-        let lacks = |what: &str| {
-            format!("{} has no {what} that can be set over its wire: remove it", device.as_str())
-        };
-        let has = device.has_guards();
-        if let Some(ms) = self.watchdog_ms {
-            let key = key("guard.watchdog_ms");
-            c.require(has, &key, ms, &lacks("communication watchdog"));
-            c.require((100..=10_000).contains(&ms), &key, ms, "must be from 100 to 10000");
-        }
-        if let Some(percent) = self.torque_percent {
-            let key = key("guard.torque_percent");
-            c.require(has, &key, percent, &lacks("torque limit"));
-            c.require((5..=100).contains(&percent), &key, percent, "must be from 5 to 100");
-        }
     }
 }
 

@@ -4,6 +4,7 @@
 
 pub mod cells;
 pub mod guard;
+pub mod profile;
 pub mod limits;
 pub mod wires;
 pub mod axes;

@@ -6,7 +6,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Duration;
 
-use super::config::{AxisProfile, LineConfig, RigConfig};
+use super::config::{AxisDevice, AxisProfile, LineConfig, RigConfig};
 use super::device::AxisParts;
 use super::error::RigError;
 use super::ert_stream::ErtStream;
@@ -15,7 +15,7 @@ use super::link::{
 };
 use super::setup::SkinConfig;
 use super::station::Station;
-use super::traits::{Axis, Bench, SkinReader};
+use super::traits::{Bench, SkinReader};
 use crate::clock::Clock;
 
 /// Longest time that a stop waits for the reply to a request in flight on TCP.
@@ -54,20 +54,22 @@ pub fn open(config: &RigConfig, clock: &Clock, latch: &StopLatch) -> Result<Open
         .iter()
         .map(|(name, line)| (name.clone(), Arc::new(open_line(name, line, clock))))
         .collect();
-    let axis = |name: &'static str, profile: AxisProfile| {
-        let line = find(&lines, &profile.line, name)?;
-        Ok(open_axis(name, line, profile, latch, clock))
+    let axis = |name: &'static str, device: AxisDevice, profile: AxisProfile| {
+        let station = Station::new(find(&lines, &profile.line, name)?, profile.address, name);
+        let (gate, clock) = (MotionGate::new(latch.clone()), clock.clone());
+        Ok(device.open(AxisParts { name, station, profile, gate, clock }))
     };
+    let axes = &config.axes;
     let frame_age = Duration::from_millis(config.limits.frame_age_ms);
     let stream = Arc::new(ErtStream::open(&config.ert, frame_age, clock.clone())?);
     let cells_line = find(&lines, &config.cells.line, "cells")?;
     let station = Station::new(cells_line, config.cells.unit, "cells");
-    let cells = config.cells.device.open(station, &config.cells, clock.clone());
+    let cells = config.cells.device.open(config.cells.parts(station, clock.clone()));
     let bench = Bench {
-        x: axis("x", config.axes.x.profile())?,
-        y: axis("y", config.axes.y.profile())?,
-        z: axis("z", config.axes.z.profile())?,
-        radial: axis("radial", config.axes.radial.profile())?,
+        x: axis("x", axes.x.device, axes.x.profile())?,
+        y: axis("y", axes.y.device, axes.y.profile())?,
+        z: axis("z", axes.z.device, axes.z.profile())?,
+        radial: axis("radial", axes.radial.device, axes.radial.profile())?,
         cells,
         skin: Arc::clone(&stream) as Arc<dyn SkinReader>,
     };
@@ -94,18 +96,6 @@ fn find(
         found: format!("line {name}"),
         needed: "one of [lines]".into(),
     })
-}
-
-fn open_axis(
-    name: &'static str,
-    line: Arc<Line>,
-    profile: AxisProfile,
-    latch: &StopLatch,
-    clock: &Clock,
-) -> Arc<dyn Axis> {
-    let station = Station::new(line, profile.address, name);
-    let (gate, clock) = (MotionGate::new(latch.clone()), clock.clone());
-    profile.device.open(AxisParts { name, station, profile, gate, clock })
 }
 
 fn open_line(name: &str, config: &LineConfig, clock: &Clock) -> Line {

@@ -1,5 +1,5 @@
 //! Capabilities of a bench, in its own units: move, spread, read forces, measure frames.
-//! Uses: `rig::error`, `rig::config`. Never: registers, ports, retries (the drivers have those).
+//! Uses: `rig::error`, `rig::guard`. Never: registers, ports, retries (the drivers have those).
 //!
 //! Methods take `&self`, so that a stop can be sent while a motion is supervised.
 
@@ -10,8 +10,8 @@ use async_trait::async_trait;
 use tokio::sync::broadcast;
 use tokio::time::Instant;
 
-use super::config::Guard;
 use super::error::RigError;
+use super::guard::Guard;
 use crate::record::ARMS;
 
 /// State of an axis in one reading.

@@ -10,7 +10,7 @@ use serde::de::Error;
 use serde::{Deserialize, Deserializer, Serialize};
 use utoipa::ToSchema;
 
-use super::schema::{counts, radii, weights};
+use super::list_schema::{counts, radii, weights};
 use crate::plain::violated;
 use crate::problem::{Checks, Problem};
 use crate::syntax::parse_toml;

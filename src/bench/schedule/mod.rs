@@ -1,8 +1,9 @@
 //! From an experiment file to a plan in which everything is decided before the run.
 //! PURE: no async, files, clock or unseeded chance. Uses: `problem`, sim-core's sensor.
 
-pub mod schema;
+mod list_schema;
 pub mod experiment;
+pub mod schema;
 pub mod configuration;
 pub mod order;
 pub mod manual;

@@ -1,10 +1,9 @@
-//! The schema of an experiment file. That of single values follows from their fields; lists are here.
+//! The schema of an experiment file. It follows from the fields; that of lists is in `list_schema`.
 //! PURE. Uses: utoipa, `experiment`. Never: a limit that the parser does not enforce.
 
 use super::experiment::Experiment;
 use serde_json::{Value, json};
 use utoipa::PartialSchema;
-use utoipa::openapi::schema::{Array, ArrayBuilder, Object, ObjectBuilder, SchemaType, Type};
 
 /// JSON schema of an experiment file (draft 2020-12), whose tables are objects with properties.
 ///
@@ -32,45 +31,4 @@ pub fn of_experiments() -> Result<Value, serde_json::Error> {
     }
     schema["$schema"] = "https://json-schema.org/draft/2020-12/schema".into();
     Ok(schema)
-}
-
-/// Different numbers of tips or contacts.
-pub(super) fn counts() -> Array {
-    ArrayBuilder::new()
-        .items(whole().minimum(Some(1)).maximum(Some(6)).build())
-        .min_items(Some(1))
-        .max_items(Some(6))
-        .unique_items(true)
-        .description(Some("Different counts from 1 to 6, in the order in which they are done."))
-        .build()
-}
-
-/// Smallest and largest radius.
-pub(super) fn radii() -> Array {
-    ArrayBuilder::new()
-        .items(whole().minimum(Some(2)).maximum(Some(15)).build())
-        .min_items(Some(2))
-        .max_items(Some(2))
-        .default(Some(json!([2, 12])))
-        .description(Some(
-            "Smallest and largest radius, in pitches of the point lattice: [lower, upper].",
-        ))
-        .build()
-}
-
-/// Forces of weights, N.
-pub(super) fn weights() -> Array {
-    let positive = ObjectBuilder::new()
-        .schema_type(SchemaType::Type(Type::Number))
-        .exclusive_minimum(Some(0.0))
-        .build();
-    ArrayBuilder::new()
-        .items::<Object>(positive)
-        .min_items(Some(1))
-        .description(Some("Forces of the weights, N."))
-        .build()
-}
-
-fn whole() -> ObjectBuilder {
-    ObjectBuilder::new().schema_type(SchemaType::Type(Type::Integer))
 }

@@ -17,7 +17,7 @@ use sim_core::sensor::Sensor;
 use super::super::client::Client;
 use super::super::error::CliError;
 use super::super::files::{calibration_problem, parse_calibration, write};
-use super::super::morning::find_run;
+use super::super::find::find_run;
 use super::super::output::{counted, say, say_json};
 use super::super::picture;
 use super::super::progress::{LogLines, progress_bar};

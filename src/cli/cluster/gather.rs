@@ -1,23 +1,22 @@
 //! `palpate cluster gather`: verified chunks as the folder that one process would have written, or in the database of
 //! their run.
-//! Uses: `chunk`, `kind`, `twins`, `evaluation`, indicatif. Never: a chunk that does not have the sha256 of its row.
+//! Uses: `chunk`, `kind`, `twins`, `evaluation`, `verified`. Never: a chunk that does not have the sha256 of its row.
 
 use std::path::{Path, PathBuf};
 
 use clap::Args;
-use indicatif::ProgressBar;
 use serde_json::json;
 
 use super::evaluation;
 use super::kind::{ChunkKind, all_whole, twins_order};
 use super::twins::{self, Stored};
+use super::verified::Verified;
 use crate::chunk::folder::OrderFolder;
 use crate::chunk::order::ChunkRow;
 use crate::cli::At;
 use crate::cli::error::CliError;
 use crate::cli::next::Next;
 use crate::cli::output::{bytes, grouped, say, say_json};
-use crate::cli::progress::{LogLines, progress_bar};
 
 /// Options of `cluster gather`.
 #[derive(Debug, Clone, Args)]
@@ -31,36 +30,6 @@ pub struct GatherArgs {
     out: Option<PathBuf>,
     #[command(flatten)]
     at: At,
-}
-
-/// Number of verified chunks, on a bar or as lines.
-pub struct Verified {
-    bar: ProgressBar,
-    lines: LogLines,
-    verified: u64,
-    chunks: u64,
-}
-
-impl Verified {
-    fn of(chunks: u64) -> Self {
-        let bar = progress_bar("chunks");
-        bar.set_length(chunks);
-        Self { lines: LogLines::instead_of(&bar), bar, verified: 0, chunks }
-    }
-
-    /// Counts a chunk.
-    pub fn one(&mut self) {
-        self.verified += 1;
-        self.bar.inc(1);
-        let (verified, chunks) = (self.verified, self.chunks);
-        self.lines.say(|| format!("{verified}/{chunks} chunks"));
-    }
-}
-
-impl Drop for Verified {
-    fn drop(&mut self) {
-        self.bar.finish_and_clear();
-    }
 }
 
 /// Verifies and gathers the chunks of a work order.

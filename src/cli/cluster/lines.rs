@@ -1,5 +1,5 @@
 //! `palpate cluster make --lines`: a chunk for each line of standard input, as a worker requests them.
-//! Uses: `make`, a thread that reads standard input. Never: a queue.
+//! Uses: `makers`, a thread that reads standard input. Never: a queue.
 //!
 //! One line of JSON is answered by one line of JSON, in order. An error that another machine may not have (another
 //! version, no kernel of the order, a folder that cannot be read) also has `"machine": true`. The model of the last work
@@ -14,7 +14,7 @@ use std::time::Duration;
 use serde::Deserialize;
 use serde_json::{Value, json};
 
-use super::make::{Makers, StopRequest};
+use super::makers::{Makers, StopRequest};
 use crate::chunk::error::ChunkError;
 use crate::chunk::folder::OrderFolder;
 use crate::cli::error::CliError;

@@ -1,11 +1,10 @@
 //! `palpate cluster make`: makes chunks, one after the other, with Ctrl-C and SIGTERM as requests.
-//! Uses: `chunk`, `kind`, `lines`, indicatif. Never: a decision about a byte of a chunk.
+//! Uses: `makers`, `kind`, `lines`, indicatif. Never: a decision about a byte of a chunk.
 
-use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::Ordering;
 use std::time::Duration;
 
 use clap::Args;
@@ -14,11 +13,11 @@ use serde_json::json;
 use tokio::time::{Instant, sleep_until};
 
 use super::job::chunks_of;
-use super::kind::{ChunkKind, ChunkMeans};
+use super::kind::ChunkMeans;
 use super::lines;
-use crate::chunk::MakeChunks;
-use crate::chunk::folder::{ChunkState, OrderFolder};
-use crate::chunk::order::{ChunkRow, WorkOrder};
+use super::makers::{MadeChunk, Makers, StopRequest};
+use crate::chunk::folder::OrderFolder;
+use crate::chunk::order::WorkOrder;
 use crate::cli::data_or_default;
 use crate::cli::error::CliError;
 use crate::cli::next::Next;
@@ -26,7 +25,6 @@ use crate::cli::output::{bytes, counted, duration, grouped, note, say, say_json}
 use crate::cli::progress::{LogLines, progress_bar};
 use crate::cli::signals::Signals;
 use crate::cli::simulate::request::threads;
-use crate::new_file::Look;
 
 /// Time that a chunk may still take after a request to stop; Slurm kills a task 30 s after its SIGTERM.
 const CHUNK_GRACE: Duration = Duration::from_secs(20);
@@ -60,28 +58,6 @@ pub struct MakeArgs {
     /// Print one line of JSON per chunk, and a last one with totals, on standard output.
     #[arg(long)]
     json: bool,
-}
-
-/// What was requested of the work.
-#[derive(Debug, Default)]
-pub struct StopRequest {
-    after_chunk: AtomicBool,
-    within_chunk: AtomicBool,
-}
-
-impl StopRequest {
-    /// Whether no further chunk must be started.
-    pub fn is_after_chunk(&self) -> bool {
-        self.after_chunk.load(Ordering::Relaxed)
-    }
-
-    /// Whether the present chunk continues.
-    pub fn flow(&self) -> ControlFlow<()> {
-        match self.within_chunk.load(Ordering::Relaxed) {
-            true => ControlFlow::Break(()),
-            false => ControlFlow::Continue(()),
-        }
-    }
 }
 
 /// Runs the command. Exit code: 0 all of these chunks are done, 1 failed or stopped, 2 bad input.
@@ -129,50 +105,6 @@ fn work(args: &MakeArgs, stop: &StopRequest) -> Result<ExitCode, CliError> {
     match &args.folder {
         Some(folder) => all(folder, args, &mut makers, stop),
         None => lines::answer(&mut makers, stop),
-    }
-}
-
-/// What makes the chunks of the last work order; it is opened when the first chunk needs it.
-pub struct Makers {
-    means: ChunkMeans,
-    /// Id of the work order, and its maker.
-    open: Option<(String, Box<dyn MakeChunks>)>,
-}
-
-/// A chunk that is done.
-pub struct MadeChunk {
-    /// Row of its result in the folder.
-    pub row: ChunkRow,
-    /// Whether it was made now.
-    pub is_new: bool,
-}
-
-impl Makers {
-    fn new(means: ChunkMeans) -> Self {
-        Self { means, open: None }
-    }
-
-    /// Makes a chunk, unless it is done and whole; none if it was stopped within it.
-    ///
-    /// # Errors
-    /// `CliError` if there is no such chunk, or it cannot be made or stored.
-    pub fn make(
-        &mut self,
-        folder: &OrderFolder,
-        index: u64,
-        stop: &StopRequest,
-    ) -> Result<Option<MadeChunk>, CliError> {
-        if let ChunkState::Done(row) = folder.state(index, Look::Sha256)? {
-            return Ok(Some(MadeChunk { row, is_new: false }));
-        }
-        let id = &folder.order().id;
-        let maker = match self.open.take().filter(|(of, _)| of == id) {
-            Some((_, maker)) => maker,
-            None => ChunkKind::of(folder)?.open(folder, &self.means)?,
-        };
-        let (_, maker) = self.open.insert((id.clone(), maker));
-        let row = folder.make(index, maker.as_mut(), &mut |_| stop.flow())?;
-        Ok(row.map(|row| MadeChunk { row, is_new: true }))
     }
 }
 

@@ -15,10 +15,12 @@ mod job;
 mod kind;
 mod lines;
 mod make;
+mod makers;
 mod sbatch;
 mod status;
 mod table;
 mod twins;
+mod verified;
 
 /// Options of `cluster`.
 #[derive(Debug, Clone, Args)]

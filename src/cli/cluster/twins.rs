@@ -6,7 +6,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 
-use super::gather::Verified;
+use super::verified::Verified;
 use crate::chunk::folder::{ChunkState, OrderFolder};
 use crate::chunk::order::{ChunkRow, WorkOrder};
 use crate::cli::client::Client;
@@ -15,7 +15,8 @@ use crate::cli::morning::find_run;
 use crate::cli::{At, embed};
 use crate::ids::RunUid;
 use crate::new_file::Look;
-use crate::simulate::twins::chunks::{CHUNK_TRIALS_MAX, TwinSkin, work_order};
+use crate::simulate::twins::chunks::{TwinSkin, work_order};
+use crate::simulate::twins::file::CHUNK_TRIALS_MAX;
 use crate::twins::elsewhere::{StoredTwins, TwinInputs};
 
 /// Largest number of trials of an order, whose file contains the contacts of all.

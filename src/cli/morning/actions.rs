@@ -5,12 +5,13 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use serde_json::json;
 
+use super::ActionsArgs;
 use super::answers::if_there;
 use super::when::second;
-use super::{ActionsArgs, find};
 use crate::cli::client::Client;
 use crate::cli::embed;
 use crate::cli::error::CliError;
+use crate::cli::find::find_run;
 use crate::cli::output::{say, say_json};
 use crate::cli::table::{Align, Table, or_dash};
 use crate::store::{ActionRow, RunRow};
@@ -26,7 +27,7 @@ pub async fn actions(args: ActionsArgs) -> Result<(), CliError> {
 
 async fn list(client: &Client, args: &ActionsArgs) -> Result<(), CliError> {
     let of_run = match &args.run {
-        Some(run) => format!("run={}", find::run(client, run).await?.uid),
+        Some(run) => format!("run={}", find_run(client, run).await?.uid),
         None => String::new(),
     };
     let path = format!("/api/v1/actions?{of_run}");

@@ -7,17 +7,18 @@ use serde::Serialize;
 use serde_json::json;
 use sim_core::stats::fvu;
 
+use super::DiffArgs;
 use super::answers::{
     TrialFacts, TwinsOf, all_trials, fit_of, if_there, state_words, stored_words,
 };
 use super::compare::{
     Change, Difference, Pair, by_depth, by_place, changes, difference, pairs, sampled,
 };
-use super::{DiffArgs, find};
 use crate::api::{Page, Summary};
 use crate::cli::client::Client;
 use crate::cli::embed;
 use crate::cli::error::CliError;
+use crate::cli::find::find_run;
 use crate::cli::output::{grouped, say, say_json};
 use crate::cli::table::{Align, Table, or_dash};
 use crate::cli::watch::answers::Tour;
@@ -39,7 +40,7 @@ struct Side {
 
 impl Side {
     async fn read(client: &Client, what: &str) -> Result<Self, CliError> {
-        let run = find::run(client, what).await?;
+        let run = find_run(client, what).await?;
         let path = format!("/api/v1/runs/{}", run.uid);
         let summary = client.summary(run.uid).await?;
         let (twins, fit) = fit_of(client, run.uid).await?;

@@ -8,13 +8,14 @@ use futures::StreamExt;
 use jiff::Timestamp;
 use serde_json::json;
 
+use super::EventsArgs;
 use super::stream::Collect;
 use super::when::{Since, second};
-use super::{EventsArgs, find};
 use crate::api::Page;
 use crate::cli::client::Client;
 use crate::cli::embed;
 use crate::cli::error::CliError;
+use crate::cli::find::find_run;
 use crate::cli::output::{note, say, say_json};
 use crate::cli::table::{Align, Table};
 use crate::cli::view::EventView;
@@ -53,7 +54,7 @@ impl EventsArgs {
 async fn selection(client: &Client, args: &EventsArgs) -> Result<String, CliError> {
     let mut query = String::new();
     if let Some(run) = &args.run {
-        query += &format!("&run={}", find::run(client, run).await?.uid);
+        query += &format!("&run={}", find_run(client, run).await?.uid);
     }
     if !args.kind.is_empty() {
         let is_kind = |c: char| c.is_ascii_alphanumeric() || c == '_' || c == '-';

@@ -6,11 +6,11 @@ use serde::Deserialize;
 use serde_json::Value;
 
 use super::answers::duration_words;
-use super::find;
 use super::report::Span;
 use super::when::second;
 use crate::cli::client::Client;
 use crate::cli::error::CliError;
+use crate::cli::find::find_run;
 use crate::cli::output::{Output, duration, say, say_json};
 use crate::cli::table::{Align, Table, or_dash};
 
@@ -36,7 +36,7 @@ struct History {
 /// # Errors
 /// `CliError` if there is no such run, or a request fails.
 pub async fn show(client: &Client, run: &str, output: Output) -> Result<(), CliError> {
-    let run = find::run(client, run).await?;
+    let run = find_run(client, run).await?;
     let path = format!("/api/v1/runs/{}/history", run.uid);
     if output == Output::Json {
         say_json(&client.get::<Value>(&path).await?);

@@ -11,7 +11,6 @@ mod chart;
 mod compare;
 mod diff;
 mod events;
-mod find;
 mod frame;
 mod history;
 mod raw;
@@ -27,7 +26,6 @@ pub use actions::actions;
 pub use answers::{TrialFacts, all_trials};
 pub use diff::diff;
 pub use events::events;
-pub use find::run as find_run;
 pub use report::report;
 pub use runs::runs;
 pub use show::show;
@@ -35,9 +33,6 @@ pub use trials::trials;
 pub use when::second;
 
 use super::At;
-
-/// How a run is named on the command line.
-const A_RUN: &str = "number, start of the id (4 characters or more), or `last`";
 
 /// Options of `runs`.
 #[derive(Debug, Clone, Args)]

@@ -4,10 +4,10 @@
 use clap::ValueEnum;
 use serde_json::Value;
 
-use super::find;
 use super::show_trial::{named, stored};
 use crate::cli::client::Client;
 use crate::cli::error::CliError;
+use crate::cli::find::find_run;
 use crate::cli::output::{say, say_json};
 
 /// Records per request; a longer list has several pages.
@@ -51,7 +51,7 @@ pub async fn show(client: &Client, what: &str, part: Part) -> Result<(), CliErro
         let limit = "must be a run for this part; --raw frames is the part of a trial";
         return Err(CliError::argument("RUN|TRIAL", what, limit));
     }
-    let run = find::run(&client, what).await?.uid;
+    let run = find_run(&client, what).await?.uid;
     let path = format!("/api/v1/runs/{run}/{kind}");
     if is_list {
         let records: Vec<Value> = client.all(&format!("{path}?limit={PAGE_RECORDS}")).await?;

@@ -10,11 +10,12 @@ use super::answers::{
     stored_words,
 };
 use super::chart::{AtDepth, by_depth, forces, picture, width};
-use super::{ShowArgs, find, history, raw, show_trial};
+use super::{ShowArgs, history, raw, show_trial};
 use crate::api::Summary;
 use crate::cli::client::Client;
 use crate::cli::embed;
 use crate::cli::error::CliError;
+use crate::cli::find::find_run;
 use crate::cli::next::Next;
 use crate::cli::output::{counted, grouped, say, say_drawn, say_json};
 use crate::cli::start_time::local;
@@ -64,7 +65,7 @@ struct Drawn {
 }
 
 async fn run(client: &Client, args: &ShowArgs) -> Result<(), CliError> {
-    let found = find::run(client, &args.what).await?;
+    let found = find_run(client, &args.what).await?;
     let path = format!("/api/v1/runs/{}", found.uid);
     let summary: Summary = client.summary(found.uid).await?;
     let (twins, fit) = fit_of(client, found.uid).await?;

@@ -4,12 +4,12 @@
 use std::fmt::Write;
 
 use super::chart::{bar, printed, width};
-use super::find;
 use super::frame::{Ink, Picture, draw};
 use super::when::second;
 use crate::api::Page;
 use crate::cli::client::Client;
 use crate::cli::error::CliError;
+use crate::cli::find::find_run;
 use crate::cli::output::{Output, is_coloured, say, say_drawn, say_json};
 use crate::store::TrialRow;
 
@@ -79,7 +79,7 @@ pub async fn stored(
     let query = match name {
         TrialName::Id(id) => format!("/api/v1/trials?trial_id={id}"),
         TrialName::Key { run, configuration, depth_index } => {
-            let run = find::run(client, run).await?.uid;
+            let run = find_run(client, run).await?.uid;
             let key = format!("configuration={configuration}&depth_index={depth_index}");
             format!("/api/v1/runs/{run}/trials?{key}")
         }

@@ -4,10 +4,11 @@
 use reqwest::Url;
 use serde_json::json;
 
-use super::{TrialsArgs, find};
+use super::TrialsArgs;
 use crate::cli::client::Client;
 use crate::cli::embed;
 use crate::cli::error::CliError;
+use crate::cli::find::find_run;
 use crate::cli::output::{grouped, say, say_json};
 use crate::cli::table::{Align, Table, or_dash};
 use crate::store::TrialRow;
@@ -56,7 +57,7 @@ fn encoded(pairs: &[(String, String)]) -> String {
 
 async fn list(client: &Client, args: &TrialsArgs, asked: Asked) -> Result<(), CliError> {
     let run = match &asked.run {
-        Some(run) => Some(find::run(client, run).await?),
+        Some(run) => Some(find_run(client, run).await?),
         None => None,
     };
     let list = run

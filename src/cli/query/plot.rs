@@ -10,7 +10,7 @@ use super::prepared::{NAMES, Question, Trials, number};
 use super::{Answer, ask};
 use crate::cli::client::Client;
 use crate::cli::error::CliError;
-use crate::cli::morning::find_run;
+use crate::cli::find::find_run;
 use crate::cli::output::{note, say, say_json};
 use crate::cli::{At, embed, picture};
 use crate::figure::Heading;

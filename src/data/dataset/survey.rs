@@ -10,7 +10,7 @@ use super::definition::{Choice, Definition, SplitBy};
 use super::filter::mask;
 use super::split::{Group, Part, divide, place};
 use crate::ids::TrialId;
-use crate::store::{Condition, RunKind, RunRow, TrialRow, tips_as_contacts};
+use crate::store::{Condition, RunKind, RunRow, TipsAsContacts, TrialRow};
 
 /// Why a row is excluded whose file states no part.
 pub const NO_PART: &str = "no imported part";
@@ -23,7 +23,8 @@ pub fn label(trial: &mut TrialRow, definition: &Definition, run: &RunRow) {
     let Some(deadband_n) = definition.deadband_n else { return };
     match trial.kind {
         RunKind::RealHex => {
-            trial.contacts = tips_as_contacts(&trial.arms, deadband_n, run.tip_diameter_mm);
+            let tips = TipsAsContacts { deadband_n, diameter_mm: run.tip_diameter_mm };
+            trial.contacts = tips.of(&trial.arms);
         }
         RunKind::Imported => {
             trial.contacts.retain(|c| c.force_n.is_none_or(|force_n| force_n >= deadband_n));

@@ -13,20 +13,36 @@ pub struct Difference {
     pub fvu: Option<f64>,
 }
 
-/// Compares a measured frame with a simulated one of the same length, V.
-pub fn difference(measured_v: &[f32], simulated_v: &[f32]) -> Difference {
-    assert_eq!(measured_v.len(), simulated_v.len(), "frames of one sensor have one length");
-    let count = measured_v.len().max(1) as f64;
-    let modelled_v = || simulated_v.iter().copied().map(f64::from);
-    Difference {
-        rmse_v: (squared_error(measured_v, modelled_v()) / count).sqrt(),
-        fvu: fvu(measured_v, modelled_v()),
+/// A measured frame and a simulated one of the same length.
+#[derive(Debug, Clone, Copy)]
+pub struct Compared<'a> {
+    /// Measured voltages, V.
+    pub measured_v: &'a [f32],
+    /// Simulated voltages, V.
+    pub simulated_v: &'a [f32],
+}
+
+impl Compared<'_> {
+    /// Compares the two frames.
+    pub fn difference(self) -> Difference {
+        let Self { measured_v, simulated_v } = self;
+        assert_eq!(measured_v.len(), simulated_v.len(), "frames of one sensor have one length");
+        let count = measured_v.len().max(1) as f64;
+        let modelled_v = || simulated_v.iter().copied().map(f64::from);
+        Difference {
+            rmse_v: (squared_error(measured_v, modelled_v()) / count).sqrt(),
+            fvu: fvu(measured_v, modelled_v()),
+        }
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use super::difference;
+    use super::{Compared, Difference};
+
+    fn difference(measured_v: &[f32], simulated_v: &[f32]) -> Difference {
+        Compared { measured_v, simulated_v }.difference()
+    }
 
     #[test]
     fn a_perfect_twin_leaves_nothing_and_the_mean_explains_nothing() {

@@ -15,7 +15,7 @@ use super::problem::{ApiError, Params, Path, ProblemBody};
 use super::runs::find;
 use crate::ids::{RunUid, TrialId};
 use crate::problem::Problem;
-use crate::simulate::twins::chunks::CHUNK_TRIALS_MAX;
+use crate::simulate::twins::file::CHUNK_TRIALS_MAX;
 use crate::store::TwinCount;
 use crate::twins::elsewhere::{StoredTwins, TwinInputs};
 use crate::twins::{PoolError, PoolStatus};

@@ -10,7 +10,7 @@ use tracing::Span;
 use crate::campaign::spans::trial_span;
 use crate::dataset::pressed::contacts;
 use crate::ids::TrialKey;
-use crate::simulate::compare::difference;
+use crate::simulate::compare::Compared;
 use crate::simulate::twins::{TwinFailure, TwinInput, twin_frame};
 use crate::store::{RunKind, TrialRow, Twin, TwinModelId, TwinOutcome};
 
@@ -95,7 +95,7 @@ pub(super) fn outcome(
             TwinOutcome::Failure(format!("the trial has {trial} voltages, the model {model}"))
         }
         (Ok(voltages_v), Some(measured_v)) => {
-            let apart = difference(measured_v, &voltages_v);
+            let apart = Compared { measured_v, simulated_v: &voltages_v }.difference();
             TwinOutcome::Frame { rmse_v: apart.rmse_v, fvu: apart.fvu, voltages_v }
         }
     }

@@ -1,15 +1,13 @@
-//! The facts of a run that never change, cached in memory: every insert and most queries need them.
-//! Uses: `core::{store, writer}`. Never: the state of a run, which changes.
+//! The facts of a run that never change.
+//! Uses: `core::columns`. Never: the state of a run, which changes.
 
 use serde::{Deserialize, Serialize};
 use sqlx::sqlite::SqliteConnection;
 use strum::IntoStaticStr;
 use utoipa::ToSchema;
 
-use super::columns;
+use super::columns::Columns;
 use super::error::{During, StoreError};
-use super::store::Store;
-use super::writer::Writer;
 use crate::ids::RunUid;
 pub use crate::record::Label;
 
@@ -45,7 +43,7 @@ pub(crate) struct RunFacts {
 }
 
 impl RunFacts {
-    async fn read(
+    pub(super) async fn read(
         connection: &mut SqliteConnection,
         run: RunUid,
         operation: &'static str,
@@ -56,64 +54,11 @@ impl RunFacts {
             .await
             .during(operation)?
             .ok_or(StoreError::NoSuchRun(run))?;
-        let columns = columns::Columns::of(&row, operation);
+        let columns = Columns::of(&row, operation);
         Ok(Self {
             scan_id: columns.get("scan_id")?,
             kind: columns.word("kind")?,
             deadband_n: columns.get("deadband_n")?,
         })
-    }
-}
-
-impl Store {
-    /// Returns the facts of a run, for a read.
-    ///
-    /// # Errors
-    /// `NoSuchRun` if it is not stored; `Sql` or `Unreadable` if the read fails.
-    pub(crate) async fn facts(
-        &self,
-        run: RunUid,
-        operation: &'static str,
-    ) -> Result<RunFacts, StoreError> {
-        if let Some(facts) = self.known(run) {
-            return Ok(facts);
-        }
-        let mut view = self.read(operation).await?;
-        Ok(self.keep(run, RunFacts::read(&mut view, run, operation).await?))
-    }
-
-    /// Returns the facts of a run, for a write of the campaign: it never waits for a connection that
-    /// reads.
-    ///
-    /// # Errors
-    /// As [`Store::facts`], and `Closed`.
-    pub(crate) async fn facts_to_write(
-        &self,
-        run: RunUid,
-        operation: &'static str,
-    ) -> Result<RunFacts, StoreError> {
-        self.facts_by(&self.inner.writer.patient(), run, operation).await
-    }
-
-    pub(crate) async fn facts_by(
-        &self,
-        writer: &Writer,
-        run: RunUid,
-        operation: &'static str,
-    ) -> Result<RunFacts, StoreError> {
-        if let Some(facts) = self.known(run) {
-            return Ok(facts);
-        }
-        let read = async move |c: &mut SqliteConnection| RunFacts::read(c, run, operation).await;
-        Ok(self.keep(run, writer.run(operation, read).await?))
-    }
-
-    fn known(&self, run: RunUid) -> Option<RunFacts> {
-        self.inner.runs.lock().get(&run).copied()
-    }
-
-    pub(crate) fn keep(&self, run: RunUid, facts: RunFacts) -> RunFacts {
-        self.inner.runs.lock().insert(run, facts);
-        facts
     }
 }

@@ -15,8 +15,10 @@ mod log;
 mod migrations;
 /// Opening, sharing and closing the database.
 pub(crate) mod store;
-/// Facts of a run that never change, cached in memory.
+/// Facts of a run that never change.
 pub(crate) mod facts;
+/// Those of runs that were read or written, cached in memory.
+mod known_facts;
 /// The operator lock.
 pub(crate) mod lock;
 /// API keys, stored as hashes.

@@ -7,7 +7,7 @@ use std::iter::Peekable;
 use rusqlite::Connection;
 
 use super::checksum::{self, Numbers};
-use super::trial_row::{Contact, TrialRow, tips_as_contacts};
+use super::trial_row::{Contact, TipsAsContacts, TrialRow};
 use crate::core::StoreError;
 use crate::core::bulk::Statement;
 use crate::core::columns::Columns;
@@ -138,7 +138,10 @@ fn trial_row(
     placed: Vec<Contact>,
 ) -> Result<TrialRow, StoreError> {
     let contacts = match run.kind {
-        RunKind::RealHex => tips_as_contacts(&arms, run.deadband_n, run.tip_diameter_mm),
+        RunKind::RealHex => {
+            let (deadband_n, diameter_mm) = (run.deadband_n, run.tip_diameter_mm);
+            TipsAsContacts { deadband_n, diameter_mm }.of(&arms)
+        }
         RunKind::RealRandom | RunKind::Imported => placed
             .iter()
             .map(|p| Contact { diameter_mm: p.diameter_mm.or(run.tip_diameter_mm), ..*p })

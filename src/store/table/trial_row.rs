@@ -131,18 +131,25 @@ impl TrialRow {
     }
 }
 
-/// Returns the contacts of Real-Hex: the tips with a force of at least `deadband_n`, N (paper, IV-A).
-pub fn tips_as_contacts(
-    arms: &[ArmReading],
-    deadband_n: f64,
-    diameter_mm: Option<f64>,
-) -> Vec<Contact> {
-    let pressing = arms.iter().filter(|a| a.force_n >= deadband_n);
-    let contact = |a: &ArmReading| Contact {
-        x_mm: Some(a.x_mm),
-        y_mm: Some(a.y_mm),
-        force_n: Some(a.force_n),
-        diameter_mm,
-    };
-    pressing.map(contact).collect()
+/// Which tips of Real-Hex are contacts, and their size.
+#[derive(Debug, Clone, Copy)]
+pub struct TipsAsContacts {
+    /// Least force of a contact, N (paper, IV-A).
+    pub deadband_n: f64,
+    /// Diameter of a tip, mm, if it is known.
+    pub diameter_mm: Option<f64>,
+}
+
+impl TipsAsContacts {
+    /// The contacts of a trial.
+    pub fn of(self, arms: &[ArmReading]) -> Vec<Contact> {
+        let pressing = arms.iter().filter(|a| a.force_n >= self.deadband_n);
+        let contact = |a: &ArmReading| Contact {
+            x_mm: Some(a.x_mm),
+            y_mm: Some(a.y_mm),
+            force_n: Some(a.force_n),
+            diameter_mm: self.diameter_mm,
+        };
+        pressing.map(contact).collect()
+    }
 }

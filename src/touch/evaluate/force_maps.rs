@@ -8,6 +8,7 @@ use super::figures::{FigureError, page};
 use crate::dataset::force_map::{ForceMap, ForceMapSpec, MapContact};
 use crate::figure::style::{COLOURS, SMALL, TEXT, TINY, dash, legend, mesh, plain, whole};
 use crate::figure::{Heading, PageSize};
+use crate::learn::residuals::Residuals;
 use crate::store::Contact;
 
 /// A force map with a name.
@@ -112,7 +113,8 @@ fn short(value: f32) -> String {
 ///
 /// # Errors
 /// `FigureError` if the plotting backend fails.
-pub fn residuals(heading: &Heading, mean_v: &[f32], sd_v: &[f32]) -> Result<String, FigureError> {
+pub fn residuals(heading: &Heading, of: &Residuals) -> Result<String, FigureError> {
+    let Residuals { mean_v, sd_v, .. } = of;
     let millivolts = |v: f32| 1e3 * f64::from(v);
     let largest = mean_v.iter().zip(sd_v).map(|(m, s)| millivolts(m.abs() + s));
     let most = 1.08 * largest.fold(1e-6, f64::max);

@@ -13,6 +13,8 @@ pub mod plan;
 pub mod registry;
 pub mod maps;
 pub mod slot;
+pub mod scatter;
+pub mod untouched_frame;
 pub mod methods;
 pub mod untouched;
 pub mod quantity;

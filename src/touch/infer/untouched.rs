@@ -1,12 +1,12 @@
 //! The untouched skin before stored trials, from the store.
-//! Uses: `store`, `dataset::pressed` (the clock rate of a rig), `methods::exact` (the scatter of offsets).
+//! Uses: `store`, `dataset::pressed` (the clock rate of a rig), `scatter`, `untouched_frame`.
 //! Never: a trial's frame.
 
 use std::collections::HashMap;
 use std::collections::hash_map::Entry;
 
-use super::methods::UntouchedBefore;
-use super::methods::exact::Scatter;
+use super::scatter::Scatter;
+use super::untouched_frame::UntouchedBefore;
 use crate::dataset::pressed::clock_rate;
 use crate::ids::{RunUid, TrialId};
 use crate::record::Untouched;

@@ -19,7 +19,7 @@ use crate::infer::methods::fast::PointPipeline;
 use crate::infer::slot::Slot;
 use crate::infer::untouched::UntouchedSkins;
 use crate::learn::error::LearnError;
-use crate::learn::examples::MEASURED;
+use crate::learn::task::MEASURED;
 use crate::store::{DatasetRow, TaskRow};
 
 /// Runs an evaluation; `None` if it was stopped.

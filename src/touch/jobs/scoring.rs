@@ -31,10 +31,9 @@ use crate::infer::methods::{Frames, ReadyMethod};
 use crate::infer::registry::Model;
 use crate::infer::untouched::UntouchedSkins;
 use crate::learn::error::LearnError;
-use crate::learn::examples::{MEASURED, SIMULATED};
 use crate::learn::targets::Targets;
-use crate::learn::task::Reads;
-use crate::simulate::compare::difference;
+use crate::learn::task::{MEASURED, Reads, SIMULATED};
+use crate::simulate::compare::Compared;
 use crate::store::{Contact, Label};
 
 /// Number of frames that a Transfer-Net reads at a time.
@@ -216,7 +215,8 @@ impl Scoring {
             }
             for (&row, answer) in rows.iter().zip(answers.chunks_exact(channels)) {
                 examples.frame(row, 1, &mut target)?;
-                let fit = difference(&target, answer);
+                let pair = Compared { measured_v: &target, simulated_v: answer };
+                let fit = pair.difference();
                 fits.push((examples.contacts(row).len() as u32, fit.rmse_v, fit.fvu));
             }
             if !self.goes_on(fits.len(), began_s) {

@@ -20,12 +20,12 @@ use crate::dataset::build::data_file;
 use crate::ids::{CalibrationId, DatasetId, ModelId};
 use crate::infer::registry::{self, NewModel};
 use crate::learn::error::LearnError;
-use crate::learn::examples::MEASURED;
 use crate::learn::model_file::Manifest;
 use crate::learn::order::{
     CHECKPOINT, Event, LOSSES, MANIFEST, ONNX, ORDER, ORDER_VERSION, Order, RESIDUALS, Source,
 };
 use crate::learn::recipe::Recipe;
+use crate::learn::task::MEASURED;
 use crate::new_file;
 use crate::store::{DatasetRow, Label, TaskRow};
 

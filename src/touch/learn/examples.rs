@@ -20,12 +20,12 @@ use super::error::LearnError;
 use super::model_file::TrainedRange;
 use crate::dataset::format::Rows;
 use crate::dataset::read::DatasetRows;
-use crate::dataset::schema::{FRAME_COUNT, SPLIT, VOLTAGES_V};
+use crate::dataset::schema::{FRAME_COUNT, SPLIT};
 use crate::dataset::select::Wanted;
 use crate::dataset::split::Part;
 use crate::new_file;
 use crate::problem::Problem;
-use crate::simulate::schema::{CONTACTS, SIM_VOLTAGES_V};
+use crate::simulate::schema::CONTACTS;
 use crate::store::Contact;
 
 /// Column with the number of a trial in the store.
@@ -274,8 +274,3 @@ impl LearnError {
         Self::Problems(vec![Problem::new(of, key, value, limit)])
     }
 }
-
-/// Column of measured frames.
-pub const MEASURED: &str = VOLTAGES_V;
-/// Column of simulated frames.
-pub const SIMULATED: &str = SIM_VOLTAGES_V;

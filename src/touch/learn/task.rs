@@ -5,8 +5,14 @@ use nets::architecture::{Answer as NetAnswer, Frames as NetFrames};
 use nets::quantity::Quantity;
 use serde::{Deserialize, Serialize};
 
-use super::examples::{MEASURED, SIMULATED};
 use crate::dataset::force_map::ForceMapSpec;
+use crate::dataset::schema::VOLTAGES_V;
+use crate::simulate::schema::SIM_VOLTAGES_V;
+
+/// Column of measured frames.
+pub const MEASURED: &str = VOLTAGES_V;
+/// Column of simulated frames.
+pub const SIMULATED: &str = SIM_VOLTAGES_V;
 
 /// Task of a net (paper, section V).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]

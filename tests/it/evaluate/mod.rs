@@ -11,7 +11,7 @@ use palpate::evaluate::anova::{Factor, Factorial};
 use palpate::evaluate::matching::matched;
 use palpate::evaluate::score::Scores;
 use palpate::evaluate::touch::Touch;
-use palpate::simulate::compare::difference;
+use palpate::simulate::compare::Compared;
 use palpate::store::Contact;
 use serde_json::{Value, json};
 
@@ -137,7 +137,8 @@ fn differences(chance: &mut Chance) -> Vec<Value> {
             let measured: Vec<f32> = (0..784).map(|_| 0.1 * normal(chance) as f32).collect();
             let simulated: Vec<f32> =
                 measured.iter().map(|v| 0.9 * v + 0.02 * normal(chance) as f32).collect();
-            let found = difference(&measured, &simulated);
+            let pair = Compared { measured_v: &measured, simulated_v: &simulated };
+            let found = pair.difference();
             json!({
                 "measured": measured, "simulated": simulated,
                 "rmse_v": found.rmse_v, "fvu": found.fvu,

@@ -35,7 +35,6 @@ fn axis(
     guard: Guard,
 ) -> Arc<dyn Axis> {
     let profile = AxisProfile {
-        device,
         line: "wire".into(),
         address: unit,
         counts_per_unit,
@@ -153,7 +152,8 @@ async fn adam_6017_over_tcp() {
     within(async {
         let (line, device) = line(read("adam_6017_tcp.txt"), Framing::Tcp);
         let station = Station::new(Arc::clone(&line), 1, "cells");
-        let module = adam_6017::MODULE.open(station, &cells(adam_6017::MODULE), Clock::new(RATE));
+        let module =
+            adam_6017::MODULE.open(cells(adam_6017::MODULE).parts(station, Clock::new(RATE)));
         let early = module.read().await.unwrap_err();
         assert!(matches!(early, RigError::NotReady { .. }), "ranges are not known yet: {early}");
         assert_eq!(module.prepare().await.unwrap(), "ADAM-6017, 0 to 5 V");
@@ -177,7 +177,8 @@ async fn another_module_or_another_range_is_refused() {
     within(async {
         let (line, device) = line(read("adam_6017_wrong.txt"), Framing::Tcp);
         let station = Station::new(line, 1, "cells");
-        let module = adam_6017::MODULE.open(station, &cells(adam_6017::MODULE), Clock::new(RATE));
+        let module =
+            adam_6017::MODULE.open(cells(adam_6017::MODULE).parts(station, Clock::new(RATE)));
         let model = module.prepare().await.unwrap_err().to_string();
         assert_eq!(model, "cells: model 6024, but the rig file needs an ADAM-6017 (6017)");
         let range = module.prepare().await.unwrap_err().to_string();

@@ -142,7 +142,7 @@ async fn run(name: String, text: String) {
         let module = MODULES.iter().find(|d| d.as_str() == device).expect("a supported device");
         let cells = cells(*module);
         let station = Station::new(Arc::clone(&line), number(at, open), "cells");
-        let module = module.open(station, &cells, Clock::new(RATE));
+        let module = module.open(cells.parts(station, Clock::new(RATE)));
         for call in calls {
             module_does(&module, cells.update_ms, call).await;
         }

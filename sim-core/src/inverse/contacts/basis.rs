@@ -11,6 +11,7 @@
 use faer::{Mat, Side};
 
 use super::FitterError;
+use super::dense::{PAD, dot};
 use super::error::ErrorModel;
 use super::fit::Observation;
 use super::whitener::Whitener;
@@ -31,8 +32,6 @@ const OUTSIDE: f64 = 0.5;
 /// Largest number of directions: the last ones of the heaviest frames are far below any model
 /// error.
 const MOST_DIRECTIONS: usize = 64;
-/// Rows are padded to a multiple of this length.
-pub(super) const PAD: usize = 8;
 
 /// The directions of one model's frames.
 #[derive(Debug, Clone)]
@@ -212,19 +211,6 @@ impl Basis {
             }
         }
     }
-}
-
-/// Inner product as four independent sums, which a processor adds in parallel.
-pub(super) fn dot(a: &[f64], b: &[f64]) -> f64 {
-    let ((a, a_tail), (b, b_tail)) = (a.as_chunks::<8>(), b.as_chunks::<8>());
-    let mut sums = [0.0; 8];
-    for (a, b) in a.iter().zip(b) {
-        for (sum, (a, b)) in sums.iter_mut().zip(a.iter().zip(b)) {
-            *sum += a * b;
-        }
-    }
-    let tail: f64 = a_tail.iter().zip(b_tail).map(|(a, b)| a * b).sum();
-    sums.iter().sum::<f64>() + tail
 }
 
 /// Frames of loads on points, V: the same in every call.

@@ -9,7 +9,8 @@
 //! information criterion (3 ln 784 = 20; earlier 2 ln 784 = 13,
 //! `docs/references.md`, "Feasibility study"), but follows from the case instead of being chosen.
 
-use super::basis::{Projected, dot};
+use super::basis::Projected;
+use super::dense::{cholesky, dot, solve};
 use super::shapes::Place;
 use crate::forward::ContactError;
 
@@ -301,40 +302,5 @@ impl DescentWork {
             return f64::INFINITY;
         }
         (0..size).map(|i| 2.0 * self.factor[i * size + i].ln()).sum()
-    }
-}
-
-/// Cholesky factor of a row-major lower triangle. `false` if it is not positive definite.
-pub(super) fn cholesky(lower: &[f64], size: usize, factor: &mut Vec<f64>) -> bool {
-    factor.clear();
-    factor.extend_from_slice(&lower[..size * size]);
-    for i in 0..size {
-        for j in 0..=i {
-            let (row_i, row_j) = (&factor[i * size..][..j], &factor[j * size..][..j]);
-            let sum = factor[i * size + j] - dot(row_i, row_j);
-            if i != j {
-                factor[i * size + j] = sum / factor[j * size + j];
-            } else if sum > 0.0 {
-                factor[i * size + i] = sum.sqrt();
-            } else {
-                return false;
-            }
-        }
-    }
-    true
-}
-
-/// Solves with a factor of [`cholesky`], in place.
-pub(super) fn solve(factor: &[f64], size: usize, x: &mut [f64]) {
-    for i in 0..size {
-        let sum = x[i] - dot(&factor[i * size..][..i], &x[..i]);
-        x[i] = sum / factor[i * size + i];
-    }
-    for i in (0..size).rev() {
-        x[i] /= factor[i * size + i];
-        let value = x[i];
-        for (x, f) in x[..i].iter_mut().zip(&factor[i * size..]) {
-            *x -= f * value;
-        }
     }
 }

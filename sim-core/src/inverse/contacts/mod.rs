@@ -9,6 +9,7 @@
 //! is probable is part of the result (`explain`).
 
 mod basis;
+mod dense;
 mod descent;
 pub mod error;
 mod exact;

@@ -7,7 +7,8 @@
 //! taken out in turn and placed again: growth by one contact keeps an early one that the later ones make wrong.
 
 use super::FitOptions;
-use super::basis::{PAD, Projected, dot};
+use super::basis::Projected;
+use super::dense::{PAD, dot};
 use super::descent::{DescentWork, EACH, Effort, Predict, Prior, Problem, descend};
 use super::shapes::{Place, Shapes};
 use super::whitener::Whitener;

@@ -8,7 +8,8 @@
 //! by the sum: the error is small, and known after one exact frame ([`super::search`]).
 
 use super::FitterError;
-use super::basis::{Basis, dot};
+use super::basis::Basis;
+use super::dense::dot;
 use crate::batch::{BatchModel, BatchWork};
 use crate::forward::{Contact, ForwardModel};
 

@@ -1,9 +1,8 @@
 //! Whitening of projected frames: numbers whose errors are correlated become numbers with independent errors of
 //! variance 1, so that a fit is a sum of squares.
-//! PURE. Uses: `descent`'s Cholesky factor. Never: what the errors come from.
+//! PURE. Uses: `dense`. Never: what the errors come from.
 
-use super::basis::{PAD, dot};
-use super::descent::cholesky;
+use super::dense::{PAD, cholesky, dot};
 
 /// The linear map that makes a covariance the identity.
 #[derive(Debug, Clone, Default)]

@@ -141,9 +141,20 @@ pub fn live_cells(cells: &CellsConfig, volts: &[f64; ARMS], tips: u8) -> Result<
     }
 }
 
-/// Forces of the arms after subtraction of the tare, N.
-pub fn forces_n(cells: &CellsConfig, volts: &[f64; ARMS], tare_v: &[f64; ARMS]) -> [f64; ARMS] {
-    std::array::from_fn(|i| (volts[i] - tare_v[i]) * cells.newtons_per_volt())
+/// Outputs of the cells of the arms.
+#[derive(Debug, Clone, Copy)]
+pub struct Outputs<'a> {
+    /// Present outputs, V.
+    pub volts: &'a [f64; ARMS],
+    /// Outputs without load, V.
+    pub tare_v: &'a [f64; ARMS],
+}
+
+impl Outputs<'_> {
+    /// Forces of the arms after subtraction of the tare, N.
+    pub fn forces_n(self, cells: &CellsConfig) -> [f64; ARMS] {
+        std::array::from_fn(|i| (self.volts[i] - self.tare_v[i]) * cells.newtons_per_volt())
+    }
 }
 
 /// Checks one reading of the cells.
@@ -160,7 +171,7 @@ pub fn check_cells(
 ) -> Result<(), Trip> {
     let (volts, tips) = (&reading.volts, usize::from(tips));
     let trip = |kind, detail: String| Err(Trip { kind, detail });
-    let forces = forces_n(cells, volts, tare_v);
+    let forces = Outputs { volts, tare_v }.forces_n(cells);
     for (i, (&v, &force)) in volts.iter().zip(&forces).enumerate() {
         let arm = i + 1;
         if i >= tips {

@@ -13,7 +13,7 @@ use crate::campaign::bench::estop::StopSwitch;
 use crate::campaign::bench::evidence::{
     FELT_FRAMES, Held, MeasuredForces, PressedArm, SilentArms, SkinWatch,
 };
-use crate::campaign::bench::interlock::{self, ForceLimits, TripKind};
+use crate::campaign::bench::interlock::{self, ForceLimits, Outputs, TripKind};
 use crate::campaign::bench::stopping::{POLL_S, Stopping};
 use crate::campaign::bench::stuck::StuckChannels;
 use crate::campaign::run::control::Control;
@@ -326,7 +326,7 @@ impl Stage {
 
     /// Forces of the arms after subtraction of the tare, N.
     pub fn forces_n(&self, volts: &[f64; ARMS]) -> [f64; ARMS] {
-        interlock::forces_n(&self.config.cells, volts, &self.tare_v)
+        Outputs { volts, tare_v: &self.tare_v }.forces_n(&self.config.cells)
     }
 
     /// Waits for work without motion, such as a commit or frames, and meanwhile checks forces and

@@ -1,6 +1,6 @@
 //! The wires: the only code that opens a port. A `Line` is one wire with one owner. A request
 //! carries the address of its device, and a stop has priority.
-//! Uses: `clock`, `rig::config`, tokio-modbus, tokio-serial. Never: registers' meanings, units.
+//! Uses: `clock`, `rig::wires`, tokio-modbus, tokio-serial. Never: registers' meanings, units.
 
 mod counts;
 mod error;
@@ -8,6 +8,7 @@ mod exchange;
 mod latch;
 mod line;
 mod pdu;
+mod port;
 mod swept;
 mod wire;
 
@@ -20,6 +21,5 @@ pub use exchange::LinePolicy;
 pub use latch::{MotionGate, MotionPermit, StopLatch};
 pub use line::Line;
 pub use pdu::{Reply, Request};
-pub use wire::{
-    Framing, Opener, Port, SerialSettings, serial_opener, tcp_opener, tcp_stream_opener,
-};
+pub use port::Port;
+pub use wire::{Framing, Opener, SerialSettings, serial_opener, tcp_opener, tcp_stream_opener};

@@ -11,7 +11,7 @@ use std::task::{Context, Poll, ready};
 
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 
-use super::wire::Port;
+use super::port::Port;
 
 /// A port that discards stale bytes at the first write after a read.
 #[derive(Debug)]

@@ -2,27 +2,22 @@
 //! are read and dropped.
 //! Uses: tokio, tokio-serial, tokio-modbus. Never: requests, retries.
 
-use std::fmt;
 use std::io;
 use std::pin::Pin;
 use std::time::Duration;
 
-use tokio::io::{AsyncRead, AsyncReadExt, AsyncWrite};
+use tokio::io::AsyncReadExt;
 use tokio::net::{TcpSocket, TcpStream, lookup_host};
 use tokio_modbus::client::Context;
 use tokio_serial::{SerialPort, SerialPortBuilderExt};
 
+use super::port::Port;
 use super::swept::Swept;
 use crate::plain::system_words;
-use crate::rig::config::Parity;
+use crate::rig::wires::Parity;
 
 /// Silence after which a serial line counts as drained. The rest of a late reply arrives within it.
 const DRAINED_AFTER: Duration = Duration::from_millis(5);
-
-/// A byte stream in both directions.
-pub trait Port: AsyncRead + AsyncWrite + Unpin + Send + fmt::Debug {}
-
-impl<T: AsyncRead + AsyncWrite + Unpin + Send + fmt::Debug> Port for T {}
 
 /// Future that opens a port.
 pub type Opening = Pin<Box<dyn Future<Output = io::Result<Box<dyn Port>>> + Send>>;

@@ -14,11 +14,12 @@ mod tests;
 use facts::Facts;
 pub use facts::Span;
 
-use super::{ReportArgs, find};
+use super::ReportArgs;
 use crate::cli::client::Client;
 use crate::cli::embed;
 use crate::cli::error::CliError;
 use crate::cli::files::write;
+use crate::cli::find::find_run;
 use crate::cli::output::{counted, note, say, say_json};
 use crate::cli::print;
 use crate::cli::progress::shown_wait;
@@ -34,7 +35,7 @@ pub async fn report(args: ReportArgs) -> Result<(), CliError> {
 }
 
 async fn make(client: &Client, args: &ReportArgs) -> Result<(), CliError> {
-    let run = find::run(client, &args.run).await?;
+    let run = find_run(client, &args.run).await?;
     let facts = Facts::read(client, &run).await?;
     let page = html::page(&facts, Timestamp::now())?;
     let folder = args.out.clone().unwrap_or_default();

@@ -51,18 +51,18 @@ pub struct ForceMapSpec {
 
 /// The twelve maps of Table IV, in its order.
 pub const TABLE_IV_MAPS: [ForceMapSpec; 12] = [
-    ForceMapSpec::of_paper(4.0, 20.0),
-    ForceMapSpec::of_paper(4.0, 28.0),
-    ForceMapSpec::of_paper(4.0, 32.0),
-    ForceMapSpec::of_paper(4.0, 44.0),
-    ForceMapSpec::of_paper(4.0, 52.0),
-    ForceMapSpec::of_paper(4.0, 60.0),
-    ForceMapSpec::of_paper(10.0, 10.0),
-    ForceMapSpec::of_paper(10.0, 30.0),
-    ForceMapSpec::of_paper(10.0, 50.0),
-    ForceMapSpec::of_paper(10.0, 70.0),
-    ForceMapSpec::of_paper(20.0, 20.0),
-    ForceMapSpec::of_paper(20.0, 60.0),
+    ForceMapSpec { pixel_mm: 4.0, diameter_mm: 20.0, side_mm: SIDE_MM },
+    ForceMapSpec { pixel_mm: 4.0, diameter_mm: 28.0, side_mm: SIDE_MM },
+    ForceMapSpec { pixel_mm: 4.0, diameter_mm: 32.0, side_mm: SIDE_MM },
+    ForceMapSpec { pixel_mm: 4.0, diameter_mm: 44.0, side_mm: SIDE_MM },
+    ForceMapSpec { pixel_mm: 4.0, diameter_mm: 52.0, side_mm: SIDE_MM },
+    ForceMapSpec { pixel_mm: 4.0, diameter_mm: 60.0, side_mm: SIDE_MM },
+    ForceMapSpec { pixel_mm: 10.0, diameter_mm: 10.0, side_mm: SIDE_MM },
+    ForceMapSpec { pixel_mm: 10.0, diameter_mm: 30.0, side_mm: SIDE_MM },
+    ForceMapSpec { pixel_mm: 10.0, diameter_mm: 50.0, side_mm: SIDE_MM },
+    ForceMapSpec { pixel_mm: 10.0, diameter_mm: 70.0, side_mm: SIDE_MM },
+    ForceMapSpec { pixel_mm: 20.0, diameter_mm: 20.0, side_mm: SIDE_MM },
+    ForceMapSpec { pixel_mm: 20.0, diameter_mm: 60.0, side_mm: SIDE_MM },
 ];
 
 /// Why a force map cannot be rendered, with the limit.
@@ -134,11 +134,6 @@ pub enum ForceMapError {
 }
 
 impl ForceMapSpec {
-    /// A map on the paper's square, mm.
-    pub const fn of_paper(pixel_mm: f64, diameter_mm: f64) -> Self {
-        Self { pixel_mm, diameter_mm, side_mm: SIDE_MM }
-    }
-
     /// Returns the specification if its side, pixel and map diameter are valid.
     ///
     /// # Errors
@@ -179,10 +174,8 @@ impl FromStr for ForceMapSpec {
     fn from_str(text: &str) -> Result<Self, ForceMapError> {
         let numbers: Option<Vec<f64>> = text.split('x').map(|n| n.trim().parse().ok()).collect();
         let spec = match numbers.as_deref() {
-            Some([pixel_mm, diameter_mm]) => Self::of_paper(*pixel_mm, *diameter_mm),
-            Some([pixel_mm, diameter_mm, side_mm]) => {
-                Self { side_mm: *side_mm, ..Self::of_paper(*pixel_mm, *diameter_mm) }
-            }
+            Some(&[pixel_mm, diameter_mm]) => Self { pixel_mm, diameter_mm, side_mm: SIDE_MM },
+            Some(&[pixel_mm, diameter_mm, side_mm]) => Self { pixel_mm, diameter_mm, side_mm },
             _ => return Err(ForceMapError::Syntax { text: text.to_owned() }),
         };
         spec.checked()

@@ -5,7 +5,9 @@ use std::f64::consts::PI;
 
 use proptest::prelude::*;
 
-use super::{Disc, ForceMap, ForceMapError, ForceMapSpec, MapContact, Span, TABLE_IV_MAPS};
+use super::{
+    Disc, ForceMap, ForceMapError, ForceMapSpec, MapContact, SIDE_MM, Span, TABLE_IV_MAPS,
+};
 
 const SKIN_MM: [f64; 2] = [540.0, 560.0];
 
@@ -74,7 +76,7 @@ proptest! {
     fn only_pixels_that_the_disc_overlaps_are_touched(
         (x, y) in (60.0..480.0_f64, 60.0..500.0_f64), diameter in 1.0..120.0_f64,
     ) {
-        let spec = ForceMapSpec::of_paper(10.0, diameter);
+        let spec = ForceMapSpec { pixel_mm: 10.0, diameter_mm: diameter, side_mm: SIDE_MM };
         let map = ForceMap::new(spec, SKIN_MM).unwrap();
         let pixels = drawn(&map, &[(x, y, 1.0)]);
         for (i, &newtons) in pixels.iter().enumerate() {
@@ -146,9 +148,10 @@ fn a_specification_is_read_back_as_it_is_written() {
     for (spec, written) in TABLE_IV_MAPS.iter().zip(["4x20", "4x28", "4x32", "4x44"]) {
         assert_eq!(spec.to_string(), written);
     }
-    let of_pad = ForceMapSpec { side_mm: 100.0, ..ForceMapSpec::of_paper(2.5, 10.0) };
+    let of_pad = ForceMapSpec { pixel_mm: 2.5, diameter_mm: 10.0, side_mm: 100.0 };
     assert_eq!((of_pad.to_string().as_str(), of_pad.pixels()), ("2.5x10x100", 40));
-    for spec in TABLE_IV_MAPS.into_iter().chain([ForceMapSpec::of_paper(6.4, 12.5), of_pad]) {
+    let of_paper = ForceMapSpec { pixel_mm: 6.4, diameter_mm: 12.5, side_mm: SIDE_MM };
+    for spec in TABLE_IV_MAPS.into_iter().chain([of_paper, of_pad]) {
         assert_eq!(spec.to_string().parse(), Ok(spec));
         let json = serde_json::to_string(&spec).unwrap();
         assert_eq!(serde_json::from_str::<ForceMapSpec>(&json).unwrap(), spec);

@@ -17,7 +17,7 @@ use crate::dataset::split::Part;
 use crate::plain::violated;
 use crate::problem::Problem;
 use crate::record::{Flag, FrameQuality};
-use crate::simulate::compare::difference;
+use crate::simulate::compare::Compared;
 use crate::simulate::schema::{CONTACTS, SIM_VOLTAGES_V};
 use crate::store::{
     Contact, IMPORTED_CONTACTS_MAX, IMPORTED_FRAMES_MAX, ImportedTrial, TAG_MAX_CHARS,
@@ -207,7 +207,8 @@ impl<'a> Reader<'a> {
         let (voltages_v, frames_v) = measured?;
         let missing = voltages_v.iter().filter(|v| v.is_nan()).count();
         let fit = sim_voltages_v.as_ref().map(|simulated| {
-            let apart = difference(&voltages_v, simulated);
+            let pair = Compared { measured_v: &voltages_v, simulated_v: simulated };
+            let apart = pair.difference();
             (apart.rmse_v, apart.fvu)
         });
         Some(ImportedTrial {

@@ -27,8 +27,6 @@ use crate::simulate::random::manifest::byte_makers;
 
 /// Kind of the chunks.
 pub const TWINS: &str = "twins";
-/// Largest number of trials of a chunk.
-pub const CHUNK_TRIALS_MAX: u64 = 10_000;
 /// Version of the columns and settings of a chunk: increased by a change that gives other bytes.
 const TWINS_VERSION: u32 = 1;
 /// Input of a work order: text of the sensor file.

@@ -14,10 +14,11 @@ use parquet::file::metadata::KeyValue;
 use parquet::file::reader::ChunkReader;
 use serde::{Deserialize, Serialize};
 
-use super::chunks::CHUNK_TRIALS_MAX;
 use crate::ids::{RunUid, TrialId};
 use crate::simulate::schema::{self, Packing};
 
+/// Largest number of trials of a file, which is a chunk.
+pub const CHUNK_TRIALS_MAX: u64 = 10_000;
 /// Key of the footer entry with a [`TwinsHead`], as JSON.
 const TWINS_HEAD: &str = "palpate.twins";
 /// Number of rows that are read at a time.

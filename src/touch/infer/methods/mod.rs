@@ -1,5 +1,5 @@
 //! The methods from a frame to contacts, one folder each, their list, and their common parts.
-//! Uses: `infer::{answer, maps, registry, slot}`. Never: what serves (`pipeline`), HTTP.
+//! Uses: `infer::{answer, maps, registry, slot, untouched_frame}`. Never: what serves (`pipeline`), HTTP.
 
 pub mod paper;
 pub mod fast;
@@ -15,7 +15,7 @@ use utoipa::openapi::RefOr;
 use utoipa::openapi::schema::{ObjectBuilder, Schema, Type};
 use utoipa::{PartialSchema, ToSchema};
 
-use self::exact::{ExactPipeline, ExactSkin, Scatter, Tracked};
+use self::exact::{ExactPipeline, ExactSkin, Tracked};
 use self::fast::PointPipeline;
 use self::one_step::OneStepPipeline;
 use self::paper::MapPipeline;
@@ -24,6 +24,7 @@ use super::error::InferError;
 use super::maps::{ForceMaps, MAP_1};
 use super::registry::Model;
 use super::slot::Slot;
+use super::untouched_frame::UntouchedBefore;
 use crate::dataset::force_map::ForceMapSpec;
 use crate::dataset::force_map::peaks::THRESHOLD_N;
 use crate::ids::CalibrationId;
@@ -281,31 +282,6 @@ impl<'a> Frames<'a> {
     pub fn single(voltages_v: &'a [f32]) -> Self {
         Self { voltages_v, averaged: 1.0, untouched: None }
     }
-}
-
-/// Frame of the untouched skin, measured before other frames.
-#[derive(Debug, Clone, PartialEq)]
-pub struct UntouchedBefore {
-    /// Mean voltages, V, injection-major.
-    pub voltages_v: Vec<f32>,
-    /// Number of frames that it is the mean of, >= 1.
-    pub frames: f64,
-    /// Process time from it to the frames, h, >= 0.
-    pub hours: f64,
-    /// What the offsets differ by between two such frames of its run; `None` if the run has too few.
-    pub scatter: Option<Scatter>,
-}
-
-impl UntouchedBefore {
-    /// Share of the drift of a day that its age has.
-    pub fn share_of_day(&self) -> f64 {
-        share_of_day(self.hours)
-    }
-}
-
-/// Share of the drift of a day in a number of hours, >= 0: that of a random walk.
-pub fn share_of_day(hours: f64) -> f64 {
-    (hours / 24.0).sqrt()
 }
 
 /// A method with its models, ready to read frames.

@@ -17,7 +17,7 @@ use crate::infer::untouched::UntouchedSkins;
 use crate::jobs::gathered::Gathered;
 use crate::jobs::scoring::{Reader, Scoring};
 use crate::jobs::{JobError, Watch};
-use crate::learn::examples::MEASURED;
+use crate::learn::task::MEASURED;
 use crate::program::STOP_POLL;
 
 /// An evaluation of a net.

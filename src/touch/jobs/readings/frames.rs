@@ -1,11 +1,12 @@
 //! The frames of an evaluation as text: voltages, and what is known of them.
-//! PURE. Uses: `infer::methods`. Never: a number that is read otherwise than it was written.
+//! PURE. Uses: `infer::{methods, scatter, untouched_frame}`. Never: a number that is read otherwise than it was written.
 
-use crate::infer::methods::exact::Scatter;
-use crate::infer::methods::{Frames, UntouchedBefore};
+use crate::infer::methods::Frames;
+use crate::infer::scatter::Scatter;
+use crate::infer::untouched_frame::UntouchedBefore;
 
 /// Stands for an unknown scatter.
-const UNKNOWN: &str = "-";
+const UNKNOWN_SCATTER: &str = "-";
 
 /// A frame that is read by a method.
 #[derive(Debug, Clone, PartialEq)]
@@ -20,8 +21,8 @@ pub struct FrameInput {
 
 impl FrameInput {
     /// Frames as text, a line each: the number of averaged frames and the voltages, separated by commas; and if the
-    /// untouched skin was measured, the number of its frames, its age (h), its scatter (its standard
-    /// deviation, V, and spectrum; or `-`) and its voltages.
+    /// untouched skin was measured, the number of its frames, its age (h), its scatter (standard
+    /// deviation, V, and after `;` the spectrum, or `-`) and its voltages.
     pub fn lines(inputs: &[Self]) -> String {
         let voltages =
             |frame_v: &[f32]| frame_v.iter().map(ToString::to_string).collect::<Vec<_>>().join(",");
@@ -29,7 +30,7 @@ impl FrameInput {
         for Self { voltages_v, averaged, untouched } in inputs {
             text += &format!("{averaged} {}", voltages(voltages_v));
             if let Some(UntouchedBefore { voltages_v, frames, hours, scatter }) = untouched {
-                let scatter = scatter.as_ref().map_or_else(|| UNKNOWN.to_owned(), scatter_text);
+                let scatter = scatter.as_ref().map_or(UNKNOWN_SCATTER.into(), text_of_scatter);
                 text += &format!(" {frames} {hours} {scatter} {}", voltages(voltages_v));
             }
             text.push('\n');
@@ -63,8 +64,8 @@ impl FrameInput {
                 frames: frames.parse::<f64>().ok()?,
                 hours: hours.parse::<f64>().ok()?,
                 scatter: match *scatter {
-                    UNKNOWN => None,
-                    numbers => Some(scatter_of(numbers)?),
+                    UNKNOWN_SCATTER => None,
+                    known => Some(scatter_of_text(known)?),
                 },
             }),
             _ => return None,
@@ -79,16 +80,16 @@ impl FrameInput {
     }
 }
 
-/// A scatter as text with commas: its standard deviation, then its spectrum.
-fn scatter_text(Scatter { sd_v, spectrum }: &Scatter) -> String {
-    spectrum.iter().fold(sd_v.to_string(), |text, variance| format!("{text},{variance}"))
+fn text_of_scatter(Scatter { sd_v, spectrum }: &Scatter) -> String {
+    let shares: Vec<String> = spectrum.iter().map(ToString::to_string).collect();
+    format!("{sd_v};{}", shares.join(","))
 }
 
-/// A scatter from the text of [`scatter_text`].
-fn scatter_of(text: &str) -> Option<Scatter> {
-    let mut numbers = text.split(',').map(|number| number.parse::<f64>().ok());
-    let sd_v = numbers.next()??;
-    Some(Scatter { sd_v, spectrum: numbers.collect::<Option<_>>()? })
+fn scatter_of_text(text: &str) -> Option<Scatter> {
+    let (sd_v, shares) = text.split_once(';')?;
+    let shares = shares.split(',').filter(|_| !shares.is_empty());
+    let spectrum: Option<Vec<f64>> = shares.map(|share| share.parse::<f64>().ok()).collect();
+    Some(Scatter { sd_v: sd_v.parse::<f64>().ok()?, spectrum: spectrum? })
 }
 
 /// Voltages from a text with commas.
@@ -109,16 +110,23 @@ mod tests {
             hours: 0.1 + 0.2,
             scatter,
         };
-        let scatter = |spectrum| Some(Scatter { sd_v: 1e-4, spectrum });
-        let known =
-            FrameInput { untouched: Some(untouched(scatter(vec![0.1, 1.9]))), ..alone.clone() };
-        let flat = FrameInput { untouched: Some(untouched(scatter(Vec::new()))), ..alone.clone() };
+        let of_waves = |spectrum| untouched(Some(Scatter { sd_v: 1e-4, spectrum }));
+        let known = FrameInput { untouched: Some(of_waves(vec![1.0 / 3.0, 2.0])), ..alone.clone() };
+        let without = FrameInput { untouched: Some(of_waves(Vec::new())), ..alone.clone() };
         let unknown = FrameInput { untouched: Some(untouched(None)), ..alone.clone() };
-        let inputs = vec![alone, known, flat, unknown];
+        let inputs = vec![alone, known, without, unknown];
         let text = FrameInput::lines(&inputs);
         assert_eq!(text.lines().next(), Some("30 0.1,-0.00000025"));
         assert_eq!(FrameInput::read(&text).unwrap(), inputs);
-        for line in ["", "30", "x 0.1", "30 0.1,x", "30 0.1 8 0.3", "30 0.1 8 0.3 x 0.1"] {
+        for line in [
+            "",
+            "30",
+            "x 0.1",
+            "30 0.1,x",
+            "30 0.1 8 0.3",
+            "30 0.1 8 0.3 x 0.1",
+            "30 0.1 8 0.3 1;x 0.1",
+        ] {
             let error = FrameInput::read(&format!("30 0.1\n{line}\n")).unwrap_err();
             assert!(error.starts_with("line 2: "), "{line}: {error}");
         }

@@ -15,8 +15,7 @@ use parking_lot::Mutex;
 use self::codec::Range;
 use crate::clock::Clock;
 use crate::record::ARMS;
-use crate::rig::config::CellsConfig;
-use crate::rig::device::CellsDevice;
+use crate::rig::device::{CellsDevice, CellsParts};
 use crate::rig::error::RigError;
 use crate::rig::repeats::Repeats;
 use crate::rig::station::Station;
@@ -27,9 +26,7 @@ const REPEATS_MAX: u32 = 8;
 
 /// The module as rig files name it.
 pub const MODULE: CellsDevice =
-    CellsDevice::new("adam_6017", REPEATS_MAX, |station, cells, clock| {
-        Arc::new(Adam6017::new(station, cells, clock))
-    });
+    CellsDevice::new("adam_6017", REPEATS_MAX, |parts| Arc::new(Adam6017::new(parts)));
 
 /// Change between two readings above which the module is read again, V. Modbus TCP has no checksum,
 /// so a flipped bit looks like a force; it does not recur.
@@ -56,12 +53,11 @@ struct Values {
 }
 
 impl Adam6017 {
-    /// Creates the driver of the module at a station, with the cells of a rig file.
-    pub fn new(station: Station, cells: &CellsConfig, clock: Clock) -> Self {
-        let full_output_v = 0.9 * cells.supply_v;
-        let channels = cells.channels;
+    /// Creates the driver of the module.
+    pub fn new(parts: CellsParts) -> Self {
+        let CellsParts { station, channels, update_ms, full_output_v, clock } = parts;
         let (ranges, last) = (OnceLock::new(), Mutex::new(None));
-        let repeats = Mutex::new(Repeats::new(cells.update_ms));
+        let repeats = Mutex::new(Repeats::new(update_ms));
         Self { station, channels, full_output_v, clock, ranges, last, repeats }
     }
 

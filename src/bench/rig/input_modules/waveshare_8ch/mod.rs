@@ -14,8 +14,7 @@ use parking_lot::Mutex;
 
 use crate::clock::Clock;
 use crate::record::ARMS;
-use crate::rig::config::CellsConfig;
-use crate::rig::device::CellsDevice;
+use crate::rig::device::{CellsDevice, CellsParts};
 use crate::rig::error::RigError;
 use crate::rig::repeats::Repeats;
 use crate::rig::station::Station;
@@ -27,9 +26,7 @@ const REPEATS_MAX: u32 = 40;
 
 /// The module as rig files name it.
 pub const MODULE: CellsDevice =
-    CellsDevice::new("waveshare_8ch", REPEATS_MAX, |station, cells, clock| {
-        Arc::new(Waveshare8ch::new(station, cells, clock))
-    });
+    CellsDevice::new("waveshare_8ch", REPEATS_MAX, |parts| Arc::new(Waveshare8ch::new(parts)));
 
 /// A Waveshare 8CH, version A, with a load cell on each of six channels.
 #[derive(Debug)]
@@ -42,11 +39,11 @@ pub struct Waveshare8ch {
 }
 
 impl Waveshare8ch {
-    /// Creates the driver of the module at a station, with the cells of a rig file.
-    pub fn new(station: Station, cells: &CellsConfig, clock: Clock) -> Self {
-        let full_output_v = 0.9 * cells.supply_v;
-        let repeats = Mutex::new(Repeats::new(cells.update_ms));
-        Self { station, channels: cells.channels, full_output_v, clock, repeats }
+    /// Creates the driver of the module.
+    pub fn new(parts: CellsParts) -> Self {
+        let CellsParts { station, channels, update_ms, full_output_v, clock } = parts;
+        let repeats = Mutex::new(Repeats::new(update_ms));
+        Self { station, channels, full_output_v, clock, repeats }
     }
 }
 

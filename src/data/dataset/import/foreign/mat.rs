@@ -1,11 +1,11 @@
 //! MATLAB's MAT files of version 5 to 7: headers and values of their arrays.
-//! Uses: `mat_element`, `arrays`. Never: version 7.3, which is HDF5; a matrix that is not read.
+//! Uses: `mat_element`, `array`. Never: version 7.3, which is HDF5; a matrix that is not read.
 
 use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::{self, BufReader};
 
-use super::arrays::{Kind, Shape, Values, in_order, is_frame};
+use super::array::{Kind, Shape, Values, in_order, is_frame};
 use super::invalid;
 use super::mat_element::{CELL, CHAR, Elements, Matrix, NUMBERS, character, each};
 

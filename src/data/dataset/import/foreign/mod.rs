@@ -13,6 +13,7 @@
 
 use std::io;
 
+mod array;
 pub(super) mod arrays;
 mod batch;
 pub(super) mod csv;

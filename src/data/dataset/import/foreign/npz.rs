@@ -1,5 +1,5 @@
 //! NumPy's NPZ: headers and values of its arrays.
-//! Uses: zip, `npy`, `arrays`. Never: an array that is not read.
+//! Uses: zip, `npy`, `array`. Never: an array that is not read.
 
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -7,7 +7,7 @@ use std::io::{self, BufReader, Read};
 
 use zip::ZipArchive;
 
-use super::arrays::{Kind, Shape, Values, in_order, is_frame};
+use super::array::{Kind, Shape, Values, in_order, is_frame};
 use super::invalid;
 use super::npy::{Header, Item};
 

@@ -1,9 +1,8 @@
-//! Difference of a skin's frames from those of its model, estimated from trials whose contacts are known.
-//! Uses: `skin`, sim-core's `inverse`, std threads. Never: files.
+//! The errors of a skin's model, estimated from trials whose contacts are known.
+//! Uses: `skin`, `skin_errors`, sim-core's `inverse`, std threads. Never: files.
 
 use std::thread;
 
-use serde::{Deserialize, Serialize};
 use sim_core::forward::{Contact, ForwardModel, Workspace};
 use sim_core::inverse::contacts::{
     ErrorModel, ErrorModelError, Fit, FitError, FitWork, FittedContact, FramePair,
@@ -12,9 +11,10 @@ use sim_core::inverse::skin::{MeasuredTrial, noise_v};
 use sim_core::stats::{sorted, upper_quantile};
 
 use super::skin::{ExactSkin, offset_v};
-use super::untouched::{Drift, Untouched};
+use super::skin_errors::{LEAST_KNOWN, SkinErrors, Stretch, grown};
+use super::untouched::Untouched;
 use crate::infer::error::InferError;
-use crate::infer::methods::UntouchedBefore;
+use crate::infer::untouched_frame::UntouchedBefore;
 
 /// Standard deviation of a voltage's noise if neither known trials nor the calibration state it, V.
 const NOISE_SD_V: f64 = 1.2e-3;
@@ -24,8 +24,6 @@ const NOISE_SD_V: f64 = 1.2e-3;
 const ERROR_DIRECTIONS: usize = 96;
 /// Number of known trials needed per direction.
 const KNOWN_FOR_EACH: usize = 4;
-/// Smallest number of known trials from which the model's error is estimated.
-pub(super) const LEAST_KNOWN: usize = 60;
 /// Largest number of threads that prepare a skin.
 const SKIN_THREADS_MAX: usize = 8;
 /// Number of known trials from which the factors on standard deviations are estimated.
@@ -63,37 +61,6 @@ pub struct KnownTrials {
     pub untouched: Untouched,
 }
 
-/// Difference of a skin's frames from those of its model.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct SkinErrors {
-    /// Standard deviation of a voltage's noise in one frame, V.
-    pub(super) noise_sd_v: f64,
-    /// What the offsets of the readout differ by from those that are subtracted.
-    pub(super) drift: Drift,
-    pub(super) model: ErrorModel,
-    /// Factors on the part of the standard deviations that the model's error has: contacts imitate a part of
-    /// it, which the fit cannot detect. Noise and offsets are measured; averaging lowers their part alone.
-    pub(super) stretch: Stretch,
-    /// Number of known trials from which the model's error was estimated; 0 if it was not.
-    pub(super) learnt_from: usize,
-}
-
-impl SkinErrors {
-    /// Number of voltages in a frame.
-    pub fn channels(&self) -> usize {
-        self.model.channels()
-    }
-}
-
-/// Factors on the standard deviations by the model's error, from the errors of known contacts.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub(super) struct Stretch {
-    /// Factor of positions.
-    pub place: f64,
-    /// Factor of forces.
-    pub force: f64,
-}
-
 /// Error of a known contact.
 #[derive(Debug, Clone, Copy)]
 struct Missed {
@@ -101,11 +68,6 @@ struct Missed {
     in_sd: f64,
     /// Share of the stated variance by the model's error.
     by_model: f64,
-}
-
-/// Growth of a standard deviation if the part that the model's error has in its square is stretched by a factor.
-pub(super) fn grown(by_model: f64, factor: f64) -> f64 {
-    (1.0 + (factor * factor - 1.0) * by_model).sqrt()
 }
 
 impl ExactSkin {

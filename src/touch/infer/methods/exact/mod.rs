@@ -3,8 +3,8 @@
 
 mod errors;
 mod known;
-mod scatter;
 mod skin;
+mod skin_errors;
 pub mod skins;
 mod untouched;
 mod zero;
@@ -15,10 +15,10 @@ use sim_core::inverse::contacts::{
     Fit, FitWork, Observation, Origin, Proposal, Steady, SteadySettings,
 };
 
-pub use self::errors::{KnownTrial, KnownTrials, SkinErrors};
+pub use self::errors::{KnownTrial, KnownTrials};
 pub use self::known::UNTOUCHED_N;
-pub use self::scatter::Scatter;
 pub use self::skin::ExactSkin;
+pub use self::skin_errors::SkinErrors;
 pub use self::untouched::Untouched;
 use self::zero::Zero;
 use super::fast::{PROPOSED, PointPipeline};

@@ -1,17 +1,17 @@
 //! A skin that is ready for fits: its offsets, its errors, and its readings.
-//! Uses: `errors`, `untouched`, `zero`, sim-core's `inverse::contacts`. Never: files, threads.
+//! Uses: `skin_errors`, `untouched`, `zero`, sim-core's `inverse::contacts`. Never: files, threads.
 
 use sim_core::forward::ForwardModel;
 use sim_core::inverse::contacts::{
     ContactFitter, Explanation, Fit, FitOptions, FittedContact, Observation,
 };
 
-use super::errors::{LEAST_KNOWN, SkinErrors, Stretch, grown};
+use super::skin_errors::{LEAST_KNOWN, SkinErrors, Stretch, grown};
 use super::zero::Zero;
 use crate::ids::CalibrationId;
 use crate::infer::answer::{Alternative, FoundContact, Reading};
 use crate::infer::error::InferError;
-use crate::infer::methods::{UntouchedBefore, share_of_day};
+use crate::infer::untouched_frame::{UntouchedBefore, share_of_day};
 
 /// Drift in a day, in standard deviations of the noise of a pair, from which offsets must be measured again.
 const DRIFT_MATTERS: f64 = 2.0;

@@ -1,11 +1,10 @@
 //! The noise of a readout and the drift of its offsets, from the untouched frames of a run.
-//! PURE. Uses: `scatter`, `zero`. Never: a frame with a contact.
+//! PURE. Uses: `infer::{scatter, untouched_frame}`. Never: a frame with a contact.
 
 use serde::{Deserialize, Serialize};
 
-use super::super::UntouchedBefore;
-use super::scatter::Scatter;
-use super::zero::of_pairs;
+use crate::infer::scatter::{Scatter, of_pairs};
+use crate::infer::untouched_frame::UntouchedBefore;
 
 /// Number of parts of the run between which offsets are compared.
 const OFFSET_PARTS: usize = 10;

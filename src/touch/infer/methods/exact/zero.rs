@@ -1,15 +1,14 @@
 //! What the offsets of a readout have drifted by since the skin was calibrated: from a frame of the untouched
 //! skin, or from live frames in which nothing is found.
-//! PURE. Uses: sim-core. Never: a frame with a contact.
+//! PURE. Uses: `infer::{scatter, untouched_frame}`. Never: a frame with a contact.
 //!
 //! Offsets drift in the buffers of the electrodes, so each pair of electrodes has one, the same in every
 //! injection. The place of a light contact is in the same numbers: its frame is `I (d_j - d_k)`, with the
 //! current I and, for each pair, a number d that depends on the place. A drift looks like a contact, and must be
 //! measured.
 
-use sim_core::stats::pair_sums;
-
-use super::super::share_of_day;
+use crate::infer::scatter::of_pairs;
+use crate::infer::untouched_frame::share_of_day;
 
 /// Number of untouched frames over which the zero follows, 10 s at 30 frames per second: slowly enough that
 /// the noise averages out, quickly enough for drifts over minutes.
@@ -80,13 +79,6 @@ impl Zero {
             *offset = (*offset + share * v).clamp(-most_v, most_v);
         }
     }
-}
-
-/// Mean of each pair of electrodes over the injections, V.
-pub(super) fn of_pairs(frame_v: &[f64]) -> Vec<f64> {
-    let sums = pair_sums(frame_v);
-    let injections = sums.len() as f64;
-    sums.into_iter().map(|sum| sum / injections).collect()
 }
 
 #[cfg(test)]

@@ -1,15 +1,13 @@
 //! What the offsets of a readout scatter by, from one frame of the untouched skin to the next, and in which waves
 //! around the electrodes.
-//! PURE. Uses: `zero`, sim-core's `stats`. Never: a frame with a contact.
+//! PURE. Uses: sim-core's `stats`. Never: a frame with a contact.
 //!
 //! An offset is that of a pair of electrodes. If it is the difference of the buffers of two electrodes, the
 //! offsets of neighbouring pairs have opposite parts, and waves of offsets that turn slowly around the electrodes
 //! are small; the frames of contacts have much of these. The spectrum is measured, not assumed.
 
 use serde::{Deserialize, Serialize};
-use sim_core::stats::{frequency, waves};
-
-use super::zero::of_pairs;
+use sim_core::stats::{frequency, pair_sums, waves};
 
 /// Smallest number of frames.
 const LEAST_FRAMES: usize = 5;
@@ -47,6 +45,13 @@ impl Scatter {
         let mean_v2 = sums_v2.iter().sum::<f64>() / (changes * waves.len() as f64);
         Some(Self { sd_v: mean_v2.sqrt(), spectrum: spectrum(&sums_v2, changes, mean_v2) })
     }
+}
+
+/// Mean of each pair of electrodes over the injections, V.
+pub(super) fn of_pairs(frame_v: &[f64]) -> Vec<f64> {
+    let sums = pair_sums(frame_v);
+    let injections = sums.len() as f64;
+    sums.into_iter().map(|sum| sum / injections).collect()
 }
 
 /// The relative variance of each frequency, from the sums of squares of the waves.

@@ -1,12 +1,13 @@
 //! Runs by what a person types: number, start of the id, `last`.
 //! Uses: `client`. Never: a guess between several runs.
 
-use super::A_RUN;
-use crate::cli::client::Client;
-use crate::cli::error::CliError;
+use super::client::Client;
+use super::error::CliError;
 use crate::ids::RunUid;
 use crate::store::RunRow;
 
+/// How a run is named on the command line.
+const A_RUN: &str = "number, start of the id (4 characters or more), or `last`";
 /// Shortest start of an id, characters.
 const PREFIX_MIN: usize = 4;
 /// Longest number of a run, digits: a longer text of digits is the start of an id.
@@ -41,7 +42,7 @@ fn named(text: &str) -> Option<Named<'_>> {
 ///
 /// # Errors
 /// `CliError::Problems` if the text names no run or several; others as [`Client::send`].
-pub async fn run(client: &Client, text: &str) -> Result<RunRow, CliError> {
+pub async fn find_run(client: &Client, text: &str) -> Result<RunRow, CliError> {
     let wrong = |limit: String| CliError::argument("RUN", text, limit);
     match named(text) {
         Some(Named::Whole(id)) => client.run(id).await,
