@@ -11,7 +11,7 @@ use crate::chunk::folder::{ChunkState, OrderFolder};
 use crate::chunk::order::{ChunkRow, WorkOrder};
 use crate::cli::client::Client;
 use crate::cli::error::CliError;
-use crate::cli::morning::find_run;
+use crate::cli::find::find_run;
 use crate::cli::{At, embed};
 use crate::ids::RunUid;
 use crate::new_file::Look;
