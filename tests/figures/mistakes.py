@@ -2,7 +2,7 @@
 
     git worktree add ../before def6f5f && cd ../before
     cargo build --no-default-features --bin palpate     # the version that the review tried: about 20 minutes
-    cd - && python3 tests/figures/mistakes.py ../before PALPATE_OF_BEFORE FULL.txt > TABLE.md
+    cd - && python3 tests/figures/mistakes.py ../before PALPATE_OF_BEFORE FULL.txt > table
 
 Runs each line of files.txt and commands.txt in a folder with the experiments of the earlier checkout, writes whole
 answers to FULL.txt in the form of the tables, and prints a table of first lines. service.txt needs a service whose

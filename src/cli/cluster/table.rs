@@ -41,7 +41,8 @@ pub struct TableRequest {
     /// Train on the first NVIDIA GPU of a task, for which the trainer was built.
     #[arg(long)]
     gpu: bool,
-    /// URL of the service whose datasets are used [env: PALPATE_URL] [default: http://127.0.0.1:8080].
+    /// URL of the service whose datasets are used [env: PALPATE_URL] [default: http://127.0.0.1:8080];
+    /// its key is in PALPATE_KEY, or in the file of PALPATE_KEY_FILE.
     #[arg(long, value_name = "URL")]
     url: Option<String>,
     /// Certificate of an https service or of its authority, PEM [env: PALPATE_CA] [default: the
