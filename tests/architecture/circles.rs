@@ -30,9 +30,9 @@ type Imports = BTreeMap<String, BTreeSet<String>>;
 
 /// Neither the files of a crate import in circles, nor its modules (the files and folders next to its `lib.rs`): each
 /// can be read with those that it imports, and nothing that it imports needs it. A file may use the `mod.rs` of its
-/// own folder. Tests may import everything.
+/// own folder. Tests may import everything. A crate that is not in the list is a finding, too.
 pub fn import_circles(files: &[File]) -> Vec<String> {
-    let mut findings = Vec::new();
+    let mut findings = unlisted_crates(files);
     for root in CRATES {
         let of_files = imports_of_files(root, files);
         for imports in [imports_of_modules(&of_files), of_files] {
@@ -46,6 +46,17 @@ pub fn import_circles(files: &[File]) -> Vec<String> {
         }
     }
     findings
+}
+
+/// Crates whose files no rule would read.
+fn unlisted_crates(files: &[File]) -> Vec<String> {
+    let folders = files.iter().filter_map(|file| file.path.strip_suffix("/Cargo.toml"));
+    let is_listed = |folder: &&str| {
+        let roots = [format!("{folder}/"), format!("{folder}/src/")];
+        CRATES.iter().any(|listed| roots.iter().any(|root| root == listed))
+    };
+    let unlisted = folders.filter(|folder| !is_listed(folder));
+    unlisted.map(|folder| format!("{folder}: not in CRATES of circles.rs")).collect()
 }
 
 fn imports_of_files(root: &str, files: &[File]) -> Imports {
