@@ -200,6 +200,9 @@ fn a_circle_of_imports_is_found() {
         file("nets/src/c.rs", "use crate::b;"),
     ];
     assert_eq!(import_circles(&two), ["nets/src/: a -> b -> a", "nets/src/: b -> c -> b"]);
+    none(import_circles(&[file("nets/Cargo.toml", ""), file("src/bench/Cargo.toml", "")]));
+    let unlisted = import_circles(&[file("src/other/Cargo.toml", "")]);
+    assert_eq!(unlisted, ["src/other: not in CRATES of circles.rs"]);
     let through_the_door = |test: &str| {
         [
             file("src/touch/infer/mod.rs", "pub use methods::Method; pub mod methods;"),

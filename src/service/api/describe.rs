@@ -13,8 +13,9 @@ use utoipa::openapi::{
     Content, ContentBuilder, HeaderBuilder, OpenApi, Ref, RefOr, Response, ResponseBuilder,
 };
 
+use super::access::{Access, Lock, Needs};
 use super::examples;
-use super::routes::{Access, AllNeeds, Lock, Needs};
+use super::routes::AllNeeds;
 use crate::dataset::format::Format;
 use crate::store::Role;
 

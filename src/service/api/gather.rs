@@ -21,8 +21,8 @@ use utoipa::ToSchema;
 
 use super::App;
 use super::audit::Act;
+use super::orders::{kind_of, order_path, program, unavailable};
 use super::problem::{ApiError, Path, ProblemBody};
-use super::workers::{kind_of, order_path, program, unavailable};
 use crate::dataset::background::background;
 use crate::dataset::space::KEPT_FREE_BYTES;
 use crate::program::withhold;

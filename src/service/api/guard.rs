@@ -1,12 +1,11 @@
 //! Checks before a handler runs, by the table of operations: key, role, origin, number of requests,
 //! size and pace of the body, operator lock, repetitions (`once`), entity tags (`edited`). After it:
 //! the log of actions, and the end of streams whose key is revoked.
-//! Uses: `routes`, `auth`, `audit`, `once`, `edited`, the store (the lock). Never: the e-stop, which
+//! Uses: `access`, `auth`, `audit`, `body`, `once`, `edited`, the store (the lock). Never: the e-stop, which
 //! checks its key itself and waits for nothing.
 
 use std::collections::HashMap;
 use std::sync::Arc;
-use std::time::Duration;
 
 use axum::body::{Body, HttpBody, to_bytes};
 use axum::extract::{DefaultBodyLimit, MatchedPath, Request, State};
@@ -16,21 +15,21 @@ use axum::response::{IntoResponse, Response};
 use futures::StreamExt;
 use parking_lot::Mutex;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
-use tokio::time::{Instant, timeout_at};
 use tracing::Instrument;
 
 use super::App;
+use super::access::{Access, Lock, Needs};
 use super::audit::{Act, Outcome};
 use super::auth::{self, Caller};
+use super::body::{announced_bytes, paced};
 use super::edited;
 use super::limits::{
-    BODY_MAX_BYTES, BODY_STALL, BODY_WITHIN, CALLER_REQUESTS, FIELDS_MAX, HEADERS_MAX_BYTES,
-    UPLOAD_WITHIN, URI_MAX_BYTES, WRONG_KEY_DELAY,
+    BODY_MAX_BYTES, BODY_WITHIN, CALLER_REQUESTS, FIELDS_MAX, HEADERS_MAX_BYTES, UPLOAD_WITHIN,
+    URI_MAX_BYTES, WRONG_KEY_DELAY,
 };
 use super::line::Held;
 use super::once;
 use super::problem::ApiError;
-use super::routes::{Access, Lock, Needs};
 use super::runs;
 use crate::store::{LockRow, Role};
 
@@ -222,32 +221,6 @@ fn allow(needs: Needs, caller: &Caller, headers: &HeaderMap) -> Result<(), ApiEr
     }
     Ok(())
 }
-
-/// Returns the length of the body, bytes, if the head of the request announces it.
-pub(super) fn announced_bytes(headers: &HeaderMap) -> Option<u64> {
-    headers.get(header::CONTENT_LENGTH)?.to_str().ok()?.parse().ok()
-}
-
-/// A body that fails if no byte arrives for `BODY_STALL`, or if it is not complete in time.
-fn paced(body: Body, within: Duration) -> Body {
-    if body.is_end_stream() {
-        return body;
-    }
-    let until = Instant::now() + within;
-    let pieces = futures::stream::try_unfold(body.into_data_stream(), move |mut body| async move {
-        let deadline = until.min(Instant::now() + BODY_STALL);
-        match timeout_at(deadline, body.next()).await {
-            Ok(piece) => Ok(piece.transpose()?.map(|piece| (piece, body))),
-            Err(_) => Err(axum::Error::new(TooSlow)),
-        }
-    });
-    Body::from_stream(pieces)
-}
-
-/// A body arrived too slowly.
-#[derive(Debug, thiserror::Error)]
-#[error("the body arrived too slowly: its next bytes are due within {} s", BODY_STALL.as_secs())]
-pub struct TooSlow;
 
 /// The key of a caller was revoked.
 #[derive(Debug, thiserror::Error)]

@@ -10,8 +10,8 @@ use utoipa::ToSchema;
 
 use super::App;
 use super::audit::{Act, cut};
+use super::body::announced_bytes;
 use super::form::Form;
-use super::guard::announced_bytes;
 use super::limits::WHO_MAX_CHARS;
 use super::problem::{ApiError, ProblemBody};
 use super::send::Created;

@@ -13,13 +13,13 @@ use axum::response::{IntoResponse, Response};
 use parking_lot::Mutex;
 
 use super::App;
+use super::access::Needs;
 use super::auth::Caller;
 use super::edited;
 use super::limits::{
     BODY_MAX_BYTES, ONCE_KEPT, ONCE_KEY_MAX_CHARS, ONCE_MAX, ONCE_RESPONSE_MAX_BYTES,
 };
 use super::problem::ApiError;
-use super::routes::Needs;
 use crate::digest::Hashing;
 use crate::journal::error_chain;
 use crate::store::{OnceKey, OnceResponse, OnceRow};

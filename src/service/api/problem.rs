@@ -11,7 +11,7 @@ use axum::response::{IntoResponse, Response};
 use serde::Serialize;
 use utoipa::ToSchema;
 
-use super::guard::TooSlow;
+use super::body::TooSlow;
 use crate::campaign::shown::command::Refusal;
 use crate::conductor::ConductorError;
 use crate::dataset::error::DatasetError;

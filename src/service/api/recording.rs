@@ -47,7 +47,7 @@ pub struct RecordingParams {
     /// Number of frames, 1 to 9000.
     #[param(minimum = 1, maximum = 9000)]
     pub frames: usize,
-    /// Format of the rows: parquet, arrow, feather, csv or ndjson; absent: that of the `Accept` header, or ndjson.
+    /// Format of the rows: one of the vocabulary that streams; absent: that of the `Accept` header, or ndjson.
     pub format: Option<String>,
 }
 

@@ -11,18 +11,12 @@ use utoipa::ToSchema;
 use super::App;
 use super::audit::Act;
 use super::problem::{ApiError, Body, ProblemBody};
-use super::status::ActionStatus;
+use super::refusals::{CONNECTED, DESK};
 use crate::campaign::bench::rig_state::RigState;
 use crate::campaign::shown::command::Request;
 use crate::campaign::shown::rig_action::RigAction;
-use crate::campaign::shown::status::Status;
 use crate::rig::check::{self, CheckReport, Scope};
 use crate::rig::error::RigError;
-
-/// Refusal of a connection by a service without a rig.
-const DESK: &str = "this service was started for data, without the rig: use `palpate serve`";
-/// Refusal of a check of an open rig.
-const CONNECTED: &str = "the rig is connected: disconnect it before a check";
 
 /// Request for an action on the rig.
 #[derive(Debug, Clone, Deserialize, ToSchema)]
@@ -39,21 +33,6 @@ pub struct RigActionRequest {
     pub who: Option<String>,
     /// Reason, for the log of actions.
     pub why: Option<String>,
-}
-
-/// The actions that this rig has, each with the reason why it would be refused now.
-pub(super) fn actions(status: &Status, desk: bool) -> Vec<ActionStatus> {
-    let actions = RigAction::ALL.into_iter();
-    let actions = actions.filter(|action| status.rig.has_stage || !action.needs_stage());
-    let actions = actions.map(|action| {
-        let at_a_desk = (desk && action == RigAction::Connect).then(|| DESK.to_owned());
-        let refused = at_a_desk.or_else(|| action.refused(status));
-        ActionStatus { action: action.as_str(), refused }
-    });
-    let is_connected = status.rig.state != RigState::Disconnected;
-    let check =
-        ActionStatus { action: "check", refused: is_connected.then(|| CONNECTED.to_owned()) };
-    actions.chain([check]).collect()
 }
 
 /// Options of a check of the rig.

@@ -14,12 +14,11 @@ use super::limits::WHO_MAX_CHARS;
 use super::pages::{Page, PageParams, PageRequest};
 use super::placement::confirmation;
 use super::problem::{ApiError, Body, Path, ProblemBody};
-use super::status::ActionStatus;
 use crate::campaign::STOPS;
 use crate::campaign::shown::command::Request;
 use crate::campaign::shown::placement::Confirmation;
 use crate::campaign::shown::run_action::ActionOnRun;
-use crate::campaign::shown::status::{Done, Status};
+use crate::campaign::shown::status::Done;
 use crate::conductor::{Armed, Started};
 use crate::ids::RunUid;
 use crate::journal::Journal;
@@ -81,15 +80,6 @@ fn needs_lock(action: ActionOnRun) -> bool {
         }
         ActionOnRun::Pause | ActionOnRun::Stop | ActionOnRun::Abort => false,
     }
-}
-
-/// The actions on a run, each with the reason why it would be refused now.
-pub(super) fn actions(status: &Status) -> Vec<ActionStatus> {
-    let action_now = |action: ActionOnRun| ActionStatus {
-        action: action.as_str(),
-        refused: action.refused(status),
-    };
-    ActionOnRun::ALL.into_iter().map(action_now).collect()
 }
 
 /// Time at which a pause takes effect.

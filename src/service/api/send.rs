@@ -17,10 +17,10 @@ use parking_lot::Mutex;
 use serde::Serialize;
 use serde_json::value::RawValue;
 
-use super::edited::lists;
 use super::limits::PAGE_NUMBERS_MAX;
 use super::problem::ApiError;
 use super::ranges::{self, Selected};
+use super::tags::lists;
 use crate::dataset::error::DatasetError;
 use crate::dataset::export::ExportFile;
 use crate::dataset::format::{Format, Stream};

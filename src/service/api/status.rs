@@ -15,8 +15,8 @@ use super::history::predicted;
 use super::needs::{Around, Need, needs};
 use super::people::LockOut;
 use super::problem::ApiError;
+use super::refusals::{self, ActionStatus};
 use super::suspenders::{Readings, Suspender};
-use super::{rig, runs};
 use crate::campaign::shown::status::Status;
 use crate::conductor::room;
 use crate::ids::RunUid;
@@ -61,15 +61,6 @@ pub struct ServiceStatus {
     pub needs: Vec<Need>,
     /// The night at a glance: is it safe, is it on time, are the data good?
     pub glance: Vec<Glance>,
-}
-
-/// Whether an action is possible now.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, ToSchema)]
-pub struct ActionStatus {
-    /// Name of the action, as in a request.
-    pub action: &'static str,
-    /// Why it would be refused, as text; null if it would not.
-    pub refused: Option<String>,
 }
 
 /// Space of the disk of the data folder.
@@ -221,8 +212,8 @@ impl App {
         ServiceStatus {
             needs: needs(&campaign, around),
             glance: glances(&campaign, around, facts),
-            rig_actions: rig::actions(&campaign, self.facts.desk),
-            run_actions: runs::actions(&campaign),
+            rig_actions: refusals::of_rig(&campaign, self.facts.desk),
+            run_actions: refusals::of_run(&campaign),
             campaign,
             service,
             lock: stored.lock.map(LockOut::from),

@@ -13,11 +13,11 @@ use sim_core::sensor::Sensor;
 use utoipa::ToSchema;
 
 use super::App;
-use super::edited::lists;
 use super::problem::{ApiError, Body, Path, ProblemBody};
 use super::queue::preflight_turn;
 use super::runs::find;
 use super::sensor::SensorOut;
+use super::tags::lists;
 use crate::conductor::{Submission, run_kind};
 use crate::digest::sha256_hex;
 use crate::problem::Problem;
