@@ -85,12 +85,14 @@ impl Conductor {
         Ok(turn::decide_again(&waiting, present))
     }
 
-    /// Refuses a run that has lost its turn while it was planned: it was dropped, or another person has taken the
-    /// operator lock.
+    /// Refuses a run that has lost its turn while it was planned: it was dropped, there was a sign of a person, which
+    /// drops it, or another person has taken the operator lock.
     async fn require_turn(&self, run: &RunRow) -> Result<(), ConductorError> {
         let lock = self.inner.store.lock().await?;
         let present = turn::Present { now: Timestamp::now(), lock: lock.as_ref() };
-        if self.waiting().contains(&run.uid) && present.lets_begin(run) {
+        let signs = self.inner.campaign.status().attended.signs;
+        let is_followed = self.inner.signs.load(Ordering::SeqCst) == signs;
+        if is_followed && self.waiting().contains(&run.uid) && present.lets_begin(run) {
             return Ok(());
         }
         Err(Refusal::Busy("its turn is over: it is decided again".into()).into())
@@ -382,7 +384,7 @@ mod tests {
 
     #[tokio::test]
     async fn a_run_whose_turn_is_lost_while_it_is_planned_does_not_begin() {
-        let (conductor, _inbox, folder) = conductor("turn").await;
+        let (conductor, inbox, folder) = conductor("turn").await;
         let [first, second] = [queued(&conductor, None).await, queued(&conductor, None).await];
         let store = &conductor.inner.store;
         for run in [&first, &second] {
@@ -398,6 +400,11 @@ mod tests {
         };
         conductor.drop_waiting(&first, BEFORE_ABORTED).await.unwrap();
         assert!(is_lost(&first).await && !is_lost(&second).await);
+        // The queue follows it only after this attempt.
+        inbox.status.send_modify(|status| status.attended.note(BEFORE_ABORTED));
+        assert!(is_lost(&second).await);
+        conductor.inner.signs.store(1, Ordering::SeqCst);
+        assert!(!is_lost(&second).await);
         tokio::time::sleep(Duration::from_millis(20)).await;
         store.set_lock("bob", "hands in the rig").await.unwrap();
         assert!(is_lost(&second).await);
