@@ -375,9 +375,15 @@ mod tests {
         let job = conductor.prepare_stored(&run).await.unwrap().job(&run);
         let running = StateChange::to(StoredState::Running);
         conductor.inner.store.run_state(run.uid, running, Timestamp::now()).await.unwrap();
-        inbox.status.send_modify(|status| status.run = Some(show::started(&job)));
+        let one_at_a_time = conductor.inner.beginning.lock().await;
         let taken = conductor.resume_after_restart(AutoResume::Allowed);
-        tokio::time::timeout(Duration::from_secs(20), taken).await.expect("at once").unwrap();
+        let begins = async {
+            tokio::time::sleep(Duration::from_millis(100)).await;
+            inbox.status.send_modify(|status| status.run = Some(show::started(&job)));
+            drop(one_at_a_time);
+        };
+        let both = async { tokio::join!(taken, begins).0 };
+        tokio::time::timeout(Duration::from_secs(20), both).await.expect("at once").unwrap();
         assert_eq!(conductor.present(&run).await.unwrap().state, StoredState::Running);
         std::fs::remove_dir_all(folder).unwrap();
     }

@@ -49,6 +49,8 @@ impl Conductor {
     pub async fn resume_after_restart(&self, resume: AutoResume) -> Result<(), ConductorError> {
         let store = &self.inner.store;
         let signs = self.inner.signs.load(Ordering::SeqCst);
+        // No run begins between the look at the active one and the mark of the others.
+        let one_at_a_time = self.inner.beginning.lock().await;
         let (mut open, waiting) = (store.open_runs().await?, store.waiting_runs().await?);
         // A person may have started a run in this process already: no earlier one is driven again.
         let active = self.active();
@@ -56,6 +58,7 @@ impl Conductor {
         let TakenOver { driven, waiting, dropped } = TakenOver::of(open, waiting, resume);
         let driven = driven.filter(|_| active.is_none());
         store.interrupt_open_runs(driven.as_ref().map(|run| run.uid).or(active)).await?;
+        drop(one_at_a_time);
         for (run, why) in &dropped {
             self.drop_waiting(run, why).await?;
         }
@@ -76,6 +79,7 @@ impl Conductor {
             self.drive_again(&first, before).instrument(run_span(first.uid, first.scan_id)).await;
         let begun = matches!(outcome, Ok(true));
         if was_driven && !begun {
+            let _one_at_a_time = self.inner.beginning.lock().await;
             store.interrupt_open_runs(self.active()).await?;
         }
         let mut waiting = store.waiting_runs().await?;
