@@ -265,6 +265,10 @@ mod tests {
     }
 
     async fn queued(conductor: &Conductor, not_before: Option<Timestamp>) -> RunRow {
+        queued_on(conductor, Terms { auto_resume: None, not_before }).await
+    }
+
+    async fn queued_on(conductor: &Conductor, terms: Terms) -> RunRow {
         let definition = "name = 'small'\nseed = 3\nsensor = 's'\n[real_hex]\ntips = [1]\n\
                           configurations = 2\ndepths = 2\n";
         let sensor = include_str!("../../../experiments/sensors/ert-28.toml");
@@ -273,7 +277,6 @@ mod tests {
             definition: definition.into(),
             sensor: Some(sensor.into()),
         };
-        let terms = Terms { auto_resume: None, not_before };
         conductor.enqueue(submission, "ada".into(), terms).await.unwrap()
     }
 
@@ -385,6 +388,27 @@ mod tests {
         let both = async { tokio::join!(taken, begins).0 };
         tokio::time::timeout(Duration::from_secs(20), both).await.expect("at once").unwrap();
         assert_eq!(conductor.present(&run).await.unwrap().state, StoredState::Running);
+        std::fs::remove_dir_all(folder).unwrap();
+    }
+
+    #[tokio::test]
+    async fn no_run_of_the_earlier_process_begins_after_an_abort_before_it_is_taken_over() {
+        let (conductor, inbox, folder) = conductor("earlier").await;
+        let terms =
+            |auto_resume| Terms { auto_resume: Some(auto_resume), not_before: in_an_hour() };
+        let earlier = queued_on(&conductor, terms(true)).await;
+        conductor.inner.store.set_waiting(earlier.uid).await.unwrap();
+        inbox.status.send_modify(|status| status.attended.note(BEFORE_ABORTED));
+        conductor.inner.signs.store(1, Ordering::SeqCst);
+        let later = queued_on(&conductor, terms(false)).await;
+        start(&conductor, &later).await;
+        let taken = conductor.resume_after_restart(AutoResume::Allowed);
+        tokio::time::timeout(Duration::from_secs(20), taken).await.expect("at once").unwrap();
+        let why = format!("{BEFORE_ABORTED}: start it again");
+        assert_eq!(conductor.why_dropped(earlier.uid), Some(why));
+        assert_eq!(conductor.why_dropped(later.uid), None, "a person has started it since");
+        let waiting = conductor.still_waiting().await.unwrap();
+        assert_eq!(waiting.iter().map(|run| run.uid).collect::<Vec<_>>(), [later.uid]);
         std::fs::remove_dir_all(folder).unwrap();
     }
 

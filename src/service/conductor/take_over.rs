@@ -48,10 +48,11 @@ impl Conductor {
     /// `ConductorError` if the store fails, or the run cannot resume.
     pub async fn resume_after_restart(&self, resume: AutoResume) -> Result<(), ConductorError> {
         let store = &self.inner.store;
-        let signs = self.inner.signs.load(Ordering::SeqCst);
         // No run begins between the look at the active one and the mark of the others.
         let one_at_a_time = self.inner.beginning.lock().await;
-        let (mut open, waiting) = (store.open_runs().await?, store.waiting_runs().await?);
+        let (mut open, mut waiting) = (store.open_runs().await?, store.waiting_runs().await?);
+        // What a person has started in this process waits as it is.
+        waiting.retain(|run| !self.waiting().contains(&run.uid));
         // A person may have started a run in this process already: no earlier one is driven again.
         let active = self.active();
         open.retain(|run| Some(run.uid) != active);
@@ -68,7 +69,8 @@ impl Conductor {
             None => None,
         };
         let (first, signs) = match driven {
-            Some(run) => (run, signs),
+            // A sign of a person since the start of the service counts, also one that was followed.
+            Some(run) => (run, 0),
             None => match self.first_due(waiting).await? {
                 Some(due) => due,
                 None => return Ok(()),
@@ -117,6 +119,15 @@ impl Conductor {
     ) -> Result<Option<(RunRow, u64)>, ConductorError> {
         let taken_over: BTreeSet<RunUid> = waiting.iter().map(|run| run.uid).collect();
         self.let_wait(taken_over.iter().copied());
+        // Read after it: a sign of a person that came before was followed without them.
+        let attended = self.inner.campaign.status().attended;
+        if attended.signs > 0 {
+            self.waiting().retain(|uid| !taken_over.contains(uid));
+            for run in &waiting {
+                self.drop_waiting(run, &format!("{}: start it again", attended.why)).await?;
+            }
+            return Ok(None);
+        }
         loop {
             let (waiting, lock) = (self.still_waiting().await?, self.inner.store.lock().await?);
             let present = turn::Present { now: Timestamp::now(), lock: lock.as_ref() };
