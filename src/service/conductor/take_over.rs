@@ -112,8 +112,8 @@ impl Conductor {
 
     /// Waits until one of these runs, which waited for the earlier process, is due, so that the rig must be brought up.
     /// Then none of them waits, and the signs of a person that were followed before are returned with it.
-    /// `None` if none of them waits any more, such as after a sign of a person, or if one has brought the rig up: then the
-    /// run begins as any other.
+    /// `None` if none of them waits any more, such as after a sign of a person, or if one has brought the rig up: then
+    /// the run begins as any other.
     async fn first_due(
         &self,
         waiting: Vec<RunRow>,
