@@ -85,12 +85,14 @@ impl Conductor {
         Ok(turn::decide_again(&waiting, present))
     }
 
-    /// Refuses a run that has lost its turn while it was planned: it was dropped, or another person has taken the
-    /// operator lock.
+    /// Refuses a run that has lost its turn while it was planned: it was dropped, there was a sign of a person, which
+    /// drops it, or another person has taken the operator lock.
     async fn require_turn(&self, run: &RunRow) -> Result<(), ConductorError> {
         let lock = self.inner.store.lock().await?;
         let present = turn::Present { now: Timestamp::now(), lock: lock.as_ref() };
-        if self.waiting().contains(&run.uid) && present.lets_begin(run) {
+        let signs = self.inner.campaign.status().attended.signs;
+        let is_followed = self.inner.signs.load(Ordering::SeqCst) == signs;
+        if is_followed && self.waiting().contains(&run.uid) && present.lets_begin(run) {
             return Ok(());
         }
         Err(Refusal::Busy("its turn is over: it is decided again".into()).into())
@@ -263,6 +265,10 @@ mod tests {
     }
 
     async fn queued(conductor: &Conductor, not_before: Option<Timestamp>) -> RunRow {
+        queued_on(conductor, Terms { auto_resume: None, not_before }).await
+    }
+
+    async fn queued_on(conductor: &Conductor, terms: Terms) -> RunRow {
         let definition = "name = 'small'\nseed = 3\nsensor = 's'\n[real_hex]\ntips = [1]\n\
                           configurations = 2\ndepths = 2\n";
         let sensor = include_str!("../../../experiments/sensors/ert-28.toml");
@@ -271,7 +277,6 @@ mod tests {
             definition: definition.into(),
             sensor: Some(sensor.into()),
         };
-        let terms = Terms { auto_resume: None, not_before };
         conductor.enqueue(submission, "ada".into(), terms).await.unwrap()
     }
 
@@ -373,16 +378,43 @@ mod tests {
         let job = conductor.prepare_stored(&run).await.unwrap().job(&run);
         let running = StateChange::to(StoredState::Running);
         conductor.inner.store.run_state(run.uid, running, Timestamp::now()).await.unwrap();
-        inbox.status.send_modify(|status| status.run = Some(show::started(&job)));
+        let one_at_a_time = conductor.inner.beginning.lock().await;
         let taken = conductor.resume_after_restart(AutoResume::Allowed);
-        tokio::time::timeout(Duration::from_secs(20), taken).await.expect("at once").unwrap();
+        let begins = async {
+            tokio::time::sleep(Duration::from_millis(100)).await;
+            inbox.status.send_modify(|status| status.run = Some(show::started(&job)));
+            drop(one_at_a_time);
+        };
+        let both = async { tokio::join!(taken, begins).0 };
+        tokio::time::timeout(Duration::from_secs(20), both).await.expect("at once").unwrap();
         assert_eq!(conductor.present(&run).await.unwrap().state, StoredState::Running);
         std::fs::remove_dir_all(folder).unwrap();
     }
 
     #[tokio::test]
+    async fn no_run_of_the_earlier_process_begins_after_an_abort_before_it_is_taken_over() {
+        let (conductor, inbox, folder) = conductor("earlier").await;
+        let terms =
+            |auto_resume| Terms { auto_resume: Some(auto_resume), not_before: in_an_hour() };
+        let earlier = queued_on(&conductor, terms(true)).await;
+        conductor.inner.store.set_waiting(earlier.uid).await.unwrap();
+        inbox.status.send_modify(|status| status.attended.note(BEFORE_ABORTED));
+        conductor.inner.signs.store(1, Ordering::SeqCst);
+        let later = queued_on(&conductor, terms(false)).await;
+        start(&conductor, &later).await;
+        let taken = conductor.resume_after_restart(AutoResume::Allowed);
+        tokio::time::timeout(Duration::from_secs(20), taken).await.expect("at once").unwrap();
+        let why = format!("{BEFORE_ABORTED}: start it again");
+        assert_eq!(conductor.why_dropped(earlier.uid), Some(why));
+        assert_eq!(conductor.why_dropped(later.uid), None, "a person has started it since");
+        let waiting = conductor.still_waiting().await.unwrap();
+        assert_eq!(waiting.iter().map(|run| run.uid).collect::<Vec<_>>(), [later.uid]);
+        std::fs::remove_dir_all(folder).unwrap();
+    }
+
+    #[tokio::test]
     async fn a_run_whose_turn_is_lost_while_it_is_planned_does_not_begin() {
-        let (conductor, _inbox, folder) = conductor("turn").await;
+        let (conductor, inbox, folder) = conductor("turn").await;
         let [first, second] = [queued(&conductor, None).await, queued(&conductor, None).await];
         let store = &conductor.inner.store;
         for run in [&first, &second] {
@@ -398,6 +430,11 @@ mod tests {
         };
         conductor.drop_waiting(&first, BEFORE_ABORTED).await.unwrap();
         assert!(is_lost(&first).await && !is_lost(&second).await);
+        // The queue follows it only after this attempt.
+        inbox.status.send_modify(|status| status.attended.note(BEFORE_ABORTED));
+        assert!(is_lost(&second).await);
+        conductor.inner.signs.store(1, Ordering::SeqCst);
+        assert!(!is_lost(&second).await);
         tokio::time::sleep(Duration::from_millis(20)).await;
         store.set_lock("bob", "hands in the rig").await.unwrap();
         assert!(is_lost(&second).await);

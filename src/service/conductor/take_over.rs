@@ -31,7 +31,7 @@ const RESTART_PAUSE: Duration = Duration::from_secs(1);
 struct Unattended {
     /// The last time at which the run did something; none if it was not driven.
     since: Option<Timestamp>,
-    /// Signs of a person that were followed.
+    /// Signs of a person before it.
     signs: u64,
 }
 
@@ -48,14 +48,18 @@ impl Conductor {
     /// `ConductorError` if the store fails, or the run cannot resume.
     pub async fn resume_after_restart(&self, resume: AutoResume) -> Result<(), ConductorError> {
         let store = &self.inner.store;
-        let signs = self.inner.signs.load(Ordering::SeqCst);
-        let (mut open, waiting) = (store.open_runs().await?, store.waiting_runs().await?);
+        // No run begins between the look at the active one and the mark of the others.
+        let one_at_a_time = self.inner.beginning.lock().await;
+        let (mut open, mut waiting) = (store.open_runs().await?, store.waiting_runs().await?);
+        // What a person has started in this process waits as it is.
+        waiting.retain(|run| !self.waiting().contains(&run.uid));
         // A person may have started a run in this process already: no earlier one is driven again.
         let active = self.active();
         open.retain(|run| Some(run.uid) != active);
         let TakenOver { driven, waiting, dropped } = TakenOver::of(open, waiting, resume);
         let driven = driven.filter(|_| active.is_none());
         store.interrupt_open_runs(driven.as_ref().map(|run| run.uid).or(active)).await?;
+        drop(one_at_a_time);
         for (run, why) in &dropped {
             self.drop_waiting(run, why).await?;
         }
@@ -65,7 +69,8 @@ impl Conductor {
             None => None,
         };
         let (first, signs) = match driven {
-            Some(run) => (run, signs),
+            // A sign of a person since the start of the service counts, also one that was followed.
+            Some(run) => (run, 0),
             None => match self.first_due(waiting).await? {
                 Some(due) => due,
                 None => return Ok(()),
@@ -76,6 +81,7 @@ impl Conductor {
             self.drive_again(&first, before).instrument(run_span(first.uid, first.scan_id)).await;
         let begun = matches!(outcome, Ok(true));
         if was_driven && !begun {
+            let _one_at_a_time = self.inner.beginning.lock().await;
             store.interrupt_open_runs(self.active()).await?;
         }
         let mut waiting = store.waiting_runs().await?;
@@ -106,13 +112,23 @@ impl Conductor {
 
     /// Waits until one of these runs, which waited for the earlier process, is due, so that the rig must be brought up.
     /// Then none of them waits, and the signs of a person that were followed before are returned with it.
-    /// `None` if none of them waits any more, or if a person has brought the rig up: then the run begins as any other.
+    /// `None` if none of them waits any more, such as after a sign of a person, or if one has brought the rig up: then
+    /// the run begins as any other.
     async fn first_due(
         &self,
         waiting: Vec<RunRow>,
     ) -> Result<Option<(RunRow, u64)>, ConductorError> {
         let taken_over: BTreeSet<RunUid> = waiting.iter().map(|run| run.uid).collect();
         self.let_wait(taken_over.iter().copied());
+        // Read after it: a sign of a person that came before was followed without them.
+        let attended = self.inner.campaign.status().attended;
+        if attended.signs > 0 {
+            self.waiting().retain(|uid| !taken_over.contains(uid));
+            for run in &waiting {
+                self.drop_waiting(run, &format!("{}: start it again", attended.why)).await?;
+            }
+            return Ok(None);
+        }
         loop {
             let (waiting, lock) = (self.still_waiting().await?, self.inner.store.lock().await?);
             let present = turn::Present { now: Timestamp::now(), lock: lock.as_ref() };

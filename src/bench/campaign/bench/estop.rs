@@ -205,13 +205,13 @@ impl StopSwitch {
         }
     }
 
-    /// Lists every axis as not acknowledged, so that none counts as stopped before it has
-    /// acknowledged.
+    /// Lists every axis, so that none counts as stopped before it has acknowledged, nor, after a further press, before
+    /// it was read at rest again.
     fn expect(&self, bench: &Bench) {
         if let Some(press) = self.state().press.as_mut() {
             for axis in bench.axes() {
                 let axis = axis.name();
-                press.stops.entry(axis).or_insert_with(|| AxisStop::of(axis));
+                press.stops.entry(axis).or_insert_with(|| AxisStop::of(axis)).stood_ms = None;
             }
         }
     }
@@ -377,6 +377,26 @@ mod tests {
         let stands = |stop: &AxisStop| stop.stood_ms.is_some() && stop.error.is_none();
         until(&stop, |stops| stops.iter().all(stands)).await;
         assert!(axes.x.stops.load(Ordering::SeqCst) > 1, "sent again");
+        serving.abort();
+    }
+
+    #[tokio::test]
+    async fn after_a_further_press_no_axis_counts_as_standing_before_it_was_read_again() {
+        let (stop, axes) = (StopSwitch::default(), StandIns::default());
+        let serving = tokio::spawn(stop.clone().serve(axes.bench()));
+        let stand = |stops: &[AxisStop]| {
+            stops.len() == 4 && stops.iter().all(|stop| stop.stood_ms.is_some())
+        };
+        stop.press("hands");
+        until(&stop, stand).await;
+        // It is moved at its panel.
+        axes.x.status.lock().moving = true;
+        stop.press("it moves");
+        let is_read =
+            |stop: &AxisStop| stop.axis == "x" && stop.is_done() && stop.stood_ms.is_none();
+        until(&stop, |stops| stops.iter().any(is_read)).await;
+        axes.x.status.lock().moving = false;
+        until(&stop, stand).await;
         serving.abort();
     }
 

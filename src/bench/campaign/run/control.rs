@@ -106,6 +106,12 @@ impl Control {
         self.show(|status| status.attended.note(why));
     }
 
+    /// Why a person may have come to the rig after the first `signs`, as text; none if there was no further sign.
+    pub fn attended_since(&self, signs: u64) -> Option<String> {
+        let status = self.inbox.status.borrow();
+        (status.attended.signs != signs).then(|| status.attended.why.clone())
+    }
+
     /// Applies an event to the state of the rig and publishes the new state.
     ///
     /// # Errors

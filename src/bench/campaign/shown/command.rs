@@ -146,7 +146,7 @@ pub enum Refusal {
     /// The present state forbids it.
     #[error("{0}")]
     State(String),
-    /// The rig moves outside a run; it may be possible afterwards.
+    /// The rig moves outside a run, or a person may just have come to it; it may be possible afterwards.
     #[error("{0}")]
     Busy(String),
     /// A value is outside its limits.
@@ -168,6 +168,8 @@ pub struct Envelope {
     pub asked_in: Span,
     /// Presses of the e-stop when it was made.
     pub presses: u64,
+    /// Signs of a person at the rig when it was made.
+    pub signs: u64,
 }
 
 impl Envelope {
@@ -296,8 +298,8 @@ impl Handle {
     pub async fn ask(&self, request: Request) -> Result<(), Refusal> {
         let (answer, answered) = oneshot::channel();
         let asked_in = Span::current();
-        let presses = self.estop.presses();
-        let sent = self.requests.try_send(Envelope { request, answer, asked_in, presses });
+        let (presses, signs) = (self.estop.presses(), self.status.borrow().attended.signs);
+        let sent = self.requests.try_send(Envelope { request, answer, asked_in, presses, signs });
         sent.map_err(|_| Refusal::Gone)?;
         match tokio::time::timeout(TAKE_UP, answered).await {
             Ok(Ok(answer)) => answer,

@@ -40,11 +40,14 @@ const TARE_SAMPLES: u32 = 4;
 const DECELERATION_WAIT: Duration = Duration::from_secs(3);
 /// Period of that wait.
 const DECELERATION_POLL: Duration = Duration::from_millis(10);
+/// Why no waiting run begins after a pause or an abort that came too late for the run before it.
+const CAME_LATE: &str =
+    "a pause or an abort of the run before it came as it ended, and a person may be at the rig";
 
 impl Engine {
     /// Accepts a request that concerns only the rig.
     pub(super) async fn rig_request(&mut self, envelope: Envelope) {
-        let Envelope { request, answer, asked_in: _, presses } = envelope;
+        let Envelope { request, answer, asked_in: _, presses, signs: _ } = envelope;
         let refused = {
             let status = self.control.inbox.status.borrow();
             request.rig_action().and_then(|action| action.refused_by_rig(&status.rig))
@@ -87,6 +90,13 @@ impl Engine {
             | Request::Confirm { .. }
             | Request::Repeat { .. }
             | Request::Shutdown => {
+                let halts = matches!(
+                    request,
+                    Request::PauseAtCheckpoint | Request::PauseNow | Request::Abort
+                );
+                if halts {
+                    self.control.attended(CAME_LATE);
+                }
                 let words = format!("{} is not possible: no run is active", name(&request));
                 Err(Refusal::State(words))
             }

@@ -200,7 +200,7 @@ impl Engine {
                         let _ = answer.send(Ok(()));
                         return;
                     }
-                    Some(Envelope { request: Request::Start(job), answer, asked_in, .. }) => {
+                    Some(Envelope { request: Request::Start(job), answer, asked_in, signs, .. }) => {
                         asked_in.in_scope(|| {
                             let (run, scan_id) = (job.run, job.scan_id);
                             tracing::info!(%run, scan_id, "the start of a run is requested");
@@ -208,7 +208,7 @@ impl Engine {
                         // A night does not belong to the request that started it.
                         let span = run_span(job.run, job.scan_id);
                         self.driven = span.clone();
-                        self.start(&job, answer).instrument(span).await;
+                        self.start(&job, answer, signs).instrument(span).await;
                         // A run that this thread leaves open keeps its span for the last safe end.
                         if !self.control.leaving() {
                             self.driven = Span::none();
@@ -227,8 +227,12 @@ impl Engine {
         }
     }
 
-    async fn start(&mut self, job: &Job, answer: Answer) {
-        let armed = self.arm(job, &answer).await;
+    /// Begins a run, unless a person may have come to the rig since it was requested. `signs`: those at that time.
+    async fn start(&mut self, job: &Job, answer: Answer, signs: u64) {
+        let armed = match self.control.attended_since(signs) {
+            Some(why) => Err(Refusal::Busy(format!("{why}: start it again"))),
+            None => self.arm(job, &answer).await,
+        };
         let go = armed.is_ok();
         let _ = answer.send(armed);
         if go {

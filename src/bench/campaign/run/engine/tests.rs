@@ -452,6 +452,30 @@ async fn an_abort_of_a_jog_and_each_trip_for_a_person_hold_the_queue() {
     assert_eq!(signs(&engine), 3);
 }
 
+/// The answer to requests that the engine takes up.
+async fn answered<T>(engine: &mut Engine, asked: impl Future<Output = T>) -> T {
+    let answer = tokio::select! {
+        () = engine.take_requests() => None,
+        answer = asked => Some(answer),
+    };
+    answer.expect("the engine serves")
+}
+
+#[tokio::test]
+async fn no_run_begins_if_the_run_before_it_was_aborted_as_it_ended() {
+    let (axes, job) = (StandIns::default(), Arc::new(job()));
+    let (mut engine, handle) = with_handle(&axes);
+    engine.control.rig_event(RigEvent::Homed).unwrap();
+    // The abort waited until the run had ended, and the next one was requested before it was taken up.
+    let start = || handle.ask(Request::Start(job.clone()));
+    let both = async { tokio::join!(handle.ask(Request::Abort), start()) };
+    let (aborted, started) = answered(&mut engine, both).await;
+    assert!(matches!(aborted, Err(Refusal::State(_))), "{aborted:?}");
+    assert!(matches!(started, Err(Refusal::Busy(_))), "{started:?}");
+    assert_eq!((engine.control.run(), signs(&engine)), (RunState::Idle, 1));
+    assert_eq!(answered(&mut engine, start()).await, Ok(()), "a person starts it again");
+}
+
 #[tokio::test]
 async fn a_drive_in_alarm_that_keeps_its_zero_is_not_homed() {
     let axes = StandIns::default();

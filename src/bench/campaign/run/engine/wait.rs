@@ -157,7 +157,7 @@ impl Engine {
         envelope: Envelope,
         last: Last,
     ) -> Option<Waited> {
-        let Envelope { request, answer, asked_in, presses } = envelope;
+        let Envelope { request, answer, asked_in, presses, signs } = envelope;
         let refused = {
             let status = self.control.inbox.status.borrow();
             let by_rig = request.rig_action().and_then(|action| action.refused(&status));
@@ -245,7 +245,7 @@ impl Engine {
             | Request::Tare
             | Request::Mounted { .. }
             | Request::Reset => {
-                self.rig_request(Envelope { request, answer, asked_in, presses }).await;
+                self.rig_request(Envelope { request, answer, asked_in, presses, signs }).await;
                 None
             }
         }
