@@ -4,7 +4,7 @@
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-use super::needs::{Around, cause_of, not_raised, not_stopped, sentence, waits_for};
+use super::needs::{Around, cause_of, not_raised, not_stopped, sentence};
 use crate::campaign::bench::rig_state::RigState;
 use crate::campaign::shown::status::{RunStatus, Status};
 use crate::plain::{bytes, counted};
@@ -121,7 +121,7 @@ fn on_time(status: &Status, around: Around<'_>, facts: Facts<'_>) -> (Rating, St
         return (Rating::Bad, "It has stopped.".into());
     }
     if let Some(why) = run.paused_why.filter(|_| run.state == StoredState::Paused) {
-        return (Rating::Warn, format!("It waits: {}.", waits_for(why)));
+        return (Rating::Warn, format!("It waits: {}.", why.about()));
     }
     if run.eta.is_none() {
         return (Rating::Unknown, "The end is not known yet.".into());

@@ -147,18 +147,6 @@ pub(super) fn cause_of(trip: &Trip) -> String {
     }
 }
 
-/// Why a run waits, as text.
-pub(super) fn waits_for(why: PausedWhy) -> &'static str {
-    match why {
-        PausedWhy::Operator => "a person paused it",
-        PausedWhy::TipChange => "tips must be changed",
-        PausedWhy::ManualTrial => "weights must be placed",
-        PausedWhy::Suspender => "something that watches the run suspended it",
-        PausedWhy::Trip => "the rig tripped",
-        PausedWhy::Restart => "the service was started again",
-    }
-}
-
 /// A text with a capital letter and a full stop.
 pub(super) fn sentence(words: &str) -> String {
     let mut chars = words.chars();
@@ -218,7 +206,7 @@ fn of_run(run: &RunStatus, status: &Status, is_of_rig: bool) -> Option<Need> {
     let is_pause = why == PausedWhy::Operator;
     let importance = if is_pause && refused.is_none() { Importance::Look } else { Importance::Act };
     let detail = run.waiting_for.as_ref().map_or_else(String::new, |words| format!(": {words}"));
-    let cause = format!("{}{detail}{}", waits_for(why), weights(run));
+    let cause = format!("{}{detail}{}", why.about(), weights(run));
     let head = if kind == NeedKind::Resume { "the run waits: " } else { "" };
     let mut words = sentence(&format!("{head}{cause}"));
     if let Some(refused) = refused {
