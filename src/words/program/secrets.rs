@@ -6,20 +6,20 @@ use std::ffi::OsStr;
 use std::process::Command;
 
 /// Beginnings of the names of the variables that contain or name queue and store. PG: those of PostgreSQL's own clients.
-const BULK: [&str; 4] = ["PALPATE_QUEUE", "PALPATE_STORE", "AWS_", "PG"];
+const BULK_SECRETS: [&str; 4] = ["PALPATE_QUEUE", "PALPATE_STORE", "AWS_", "PG"];
 /// Beginning of the names of the variables that contain or name an API key.
-const KEY: [&str; 1] = ["PALPATE_KEY"];
+const KEY_SECRETS: [&str; 1] = ["PALPATE_KEY"];
 
 /// Removes the secrets of this process from what another one inherits. Of all programs that a service starts only
 /// `palpate-worker` may have them.
 pub fn withhold(command: &mut Command) {
     withhold_bulk(command);
-    remove(command, &KEY);
+    remove(command, &KEY_SECRETS);
 }
 
 /// As [`withhold`], except the API key: for this program as a client of the service that starts it.
 pub fn withhold_bulk(command: &mut Command) {
-    remove(command, &BULK);
+    remove(command, &BULK_SECRETS);
 }
 
 fn remove(command: &mut Command, starts: &[&str]) {
@@ -38,7 +38,9 @@ mod tests {
 
     #[test]
     fn addresses_and_keys_are_secret_and_programs_are_not() {
-        let of = |name: &str| [&BULK[..], &KEY].map(|starts| begins(OsStr::new(name), starts));
+        let of = |name: &str| {
+            [&BULK_SECRETS[..], &KEY_SECRETS].map(|starts| begins(OsStr::new(name), starts))
+        };
         for name in [
             "PALPATE_QUEUE",
             "PALPATE_QUEUE_FILE",
