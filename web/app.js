@@ -160,8 +160,12 @@ function reopen(form) {
 const said = outcome()
 const needed = el('p'), repair = el('div', { className: 'row' })
 fill($('needs'), needed, repair, said.node)
-let repairs = false // A button of it was pressed: the focus, which was on that button, stays here when another replaces it.
-repair.addEventListener('click', ({ target }) => { repairs ||= Boolean(target.closest('button')) })
+let repairs = false // A button of it acts: the focus, which was on that button, stays here when another replaces it.
+/** Does what the button of a need is for. */
+async function mend(action) {
+  repairs = true
+  try { return await actOnRig(action) } catch (error) { repairs = false; throw error }
+}
 function etaWords(run, at) {
   if (!run?.eta || run.trials_stored + run.trials_skipped >= run.trials_planned) return ''
   if (!['running', 'pausing'].includes(run.state)) return `about ${span(run.eta.remaining_s)} to go`
@@ -193,7 +197,7 @@ function entitle() {
 
 // What the button of a need does, where a page can do it.
 const DOES = {
-  reset: () => actor('Reset', said, () => actOnRig('reset')), home: () => actor('Home', said, () => actOnRig('home'), { sure: sureHome }),
+  reset: () => actor('Reset', said, () => mend('reset')), home: () => actor('Home', said, () => mend('home'), { sure: sureHome }),
   weights: ({ page }) => link(`/${page}`, 'Go to the weights'), start: ({ page }) => link(`/${page}`, 'Go to the queue'),
 }
 const DANGERS = ['not_stopped', 'tips_not_raised', 'reset']

@@ -12,7 +12,7 @@ use crate::campaign::bench::interlock::{Trip, TripKind};
 use crate::campaign::bench::rig_state::RigState;
 use crate::campaign::bench::stopping::StoppingDistance;
 use crate::campaign::shown::run_action::ActionOnRun;
-use crate::campaign::shown::safe_end::SafeEnd;
+use crate::campaign::shown::safe_end::{self, SafeEnd};
 use crate::campaign::shown::status::{Eta, Phase};
 use crate::conductor::Started;
 use crate::event::{self, Importance};
@@ -138,15 +138,9 @@ impl RigView {
         self.forces_n.iter().copied().flatten().reduce(f64::max)
     }
 
-    /// Axes whose last stop is not acknowledged, or that move after it, each with its cause: of the latched e-stop,
-    /// otherwise of the last safe end.
+    /// Axes that the last stops have not stopped, each with its cause.
     pub fn not_stopped(&self) -> Vec<String> {
-        let of_safe_end = self.safe_end.iter().flat_map(|end| &end.stops);
-        let of_safe_end = of_safe_end.filter(|_| self.estop_stops.is_empty());
-        let missing = self.estop_stops.iter().chain(of_safe_end).filter(|s| !s.is_done());
-        missing
-            .map(|s| format!("{} ({})", s.axis, s.error.as_deref().unwrap_or("no answer yet")))
-            .collect()
+        safe_end::not_stopped(&self.estop_stops, self.safe_end.as_ref())
     }
 
     /// Whether every axis was read at rest after the latched e-stop.

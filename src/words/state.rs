@@ -75,9 +75,31 @@ pub enum PausedWhy {
 }
 
 impl PausedWhy {
+    /// All reasons.
+    pub const ALL: [Self; 6] = [
+        Self::Operator,
+        Self::TipChange,
+        Self::ManualTrial,
+        Self::Suspender,
+        Self::Trip,
+        Self::Restart,
+    ];
+
     /// Text of the reason, in the database and on every wire.
     pub fn as_str(self) -> &'static str {
         self.into()
+    }
+
+    /// Why the run waits, as a clause.
+    pub fn about(self) -> &'static str {
+        match self {
+            Self::Operator => "a person paused it",
+            Self::TipChange => "tips must be changed",
+            Self::ManualTrial => "weights must be placed",
+            Self::Suspender => "something that watches the run suspended it",
+            Self::Trip => "the rig tripped",
+            Self::Restart => "the service was started again",
+        }
     }
 }
 
@@ -112,6 +134,7 @@ mod tests {
         }
         for why in PausedWhy::iter() {
             assert_eq!(serde_json::to_value(why).unwrap(), why.as_str());
+            assert!(PausedWhy::ALL.contains(&why), "{why:?}");
         }
     }
 }

@@ -2,7 +2,6 @@
 
 import { el, fill, say } from './dom.js'
 import { NONE, about, count, counted, fixed, moment, percent, span } from './format.js'
-import { lastStops, notStopped } from './words.js'
 
 const BAD = [['timeouts', 'reply did not arrive in time', 'replies did not arrive in time'], ['garbled', 'reply was damaged', 'replies were damaged'],
   ['reconnects', 'reopening', 'reopenings'], ['retries', 'repeated request', 'repeated requests']]
@@ -52,13 +51,13 @@ export function stoppingWords(stopping) {
       ['Measured', measured_ms == null ? 'never yet' : `${measured} in ${counted(stops, 'stop')}`]] }
 }
 
-/** The last stop: which axes it has not stopped, or how soon each acknowledged it. */
-export function stopWords(rig) {
-  const last = lastStops(rig), moving = notStopped(rig)
+/** The last stop, of the latched e-stop, otherwise of the last safe end: which axes it has not stopped, or how soon each acknowledged it. */
+export function stopWords(rig, needs) {
+  const last = rig.estop_stops.length ? rig.estop_stops : rig.safe_end?.stops ?? [], moving = needs.find(need => need.kind === 'not_stopped')
   const slowest = last.length && last.every(stop => stop.acknowledged_ms != null) ? Math.max(...last.map(stop => stop.acknowledged_ms)) : null
-  const words = moving.length ? `NOT STOPPED: ${moving.join(', ')}. Use the button on the rig.` : slowest == null
+  const words = moving ? moving.words : slowest == null
     ? 'No stop has been sent since the wires were opened.' : `Every axis acknowledged the last stop within ${fixed(slowest, 2, 'ms')}.`
-  return { tone: moving.length ? 'bad' : '', words, figures: last.map(stop => [stop.axis, stop.error ?? (stop.acknowledged_ms == null ? 'no answer'
+  return { tone: moving ? 'bad' : '', words, figures: last.map(stop => [stop.axis, stop.error ?? (stop.acknowledged_ms == null ? 'no answer'
     : `${fixed(stop.acknowledged_ms, 2, 'ms')}${stop.stood_ms == null ? '' : ', stands'}`)]) }
 }
 

@@ -5,7 +5,8 @@ import { beginButton } from './begin.js'
 import { el, facts, fill, link, say } from './dom.js'
 import { NONE, about, capital, count, counted, fixed, moment, span } from './format.js'
 import { endWord, largest } from './runwords.js'
-import { TONE, WAITS } from './words.js'
+import { meaning } from './vocabulary.js'
+import { TONE } from './words.js'
 
 /** When a queued run begins. */
 function startWords({ waiting_since, not_before }) {
@@ -30,7 +31,7 @@ export function ended({ said, signal }) {
       head.textContent = capital(over ? endWord(run) : 'interrupted')
       head.className = `state ${over ? run.exit_status === 'success' ? '' : TONE[run.exit_status] ?? '' : 'warn'}`
       fill(why, `Run ${run.scan_id}, ${run.experiment}${run.ended_at ? `, ${moment(run.ended_at)}` : ''}: `,
-        over ? `${run.reason ?? run.exit_status}.` : `it waits: ${WAITS[run.paused_why] ?? 'it was interrupted'}. Its trials are stored, and it can resume.`)
+        over ? `${run.reason ?? run.exit_status}.` : `it waits: ${meaning('pauses', run.paused_why) || 'it was interrupted'}. Its trials are stored, and it can resume.`)
       fill(begin, run.is_resumable && el('div', { className: 'row' }, beginButton('Arm and resume', run, said, { className: 'main' })))
       try {
         const summary = await get(`/runs/${run.uid}/summary`, {}, { signal }), fvu = el('span', {}, NONE)

@@ -1,7 +1,7 @@
 // What runs are called in lists and reports: state, end, kind; and what is computed from their summaries. No DOM.
 
 import { count, fixed, moment, plain, span } from './format.js'
-import { WAITS } from './words.js'
+import { meaning } from './vocabulary.js'
 
 const ENDS = { success: 'finished', stopped: 'stopped', abort: 'aborted', fail: 'failed' }
 const CHOICES = {
@@ -53,7 +53,7 @@ export function runSentence(run) {
   if (run.state === 'interrupted') return 'It was interrupted: its trials are stored. Resume it to take those that are missing, or abort it.'
   if (run.state === 'queued') return run.waiting_since ? 'It is started and waits for its turn.' : 'It is queued: it begins when a person arms and starts it.'
   if (run.state === 'removed') return 'It was removed from the queue before it began.'
-  return `It is ${plain(run.state)}${run.paused_why ? `: ${WAITS[run.paused_why] ?? plain(run.paused_why)}` : ''}.`
+  return `It is ${plain(run.state)}${run.paused_why ? `: ${meaning('pauses', run.paused_why)}` : ''}.`
 }
 
 /** Trials stored in an hour, from start to end, with all waits; null before the end. */

@@ -5,10 +5,6 @@ export const TONE = { running: 'good', armed: 'good', homed: 'good', completed: 
   pausing: 'warn', paused: 'warn', stopping: 'warn', suspending: 'warn', interrupted: 'warn', waiting: 'warn', stopped: 'warn',
   aborting: 'bad', panicked: 'bad', tripped: 'bad', failed: 'bad', fail: 'bad', abort: 'bad' }
 
-/** Why a run waits. */
-export const WAITS = { operator: 'a person paused it', tip_change: 'tips must be changed', manual_trial: 'weights must be placed',
-  suspender: 'something that watches the run suspended it', trip: 'the rig tripped', restart: 'the service was started again' }
-
 /** What a phase does. */
 export const PHASES = { next: 'selecting the next step', touch_off: 'searching for the surface', travel: 'travelling', tare: 'measuring the zeros',
   press: 'pressing', settle: 'waiting until the forces settle', measure: 'taking frames', commit: 'storing', raise: 'raising the tips', wait: 'waiting' }
@@ -19,10 +15,3 @@ export const RIG = { disconnected: 'The wires are closed.', disarmed: 'Connected
 
 /** Class that colours an event, by its importance. */
 export const LOUD = { act: 'bad', look: 'warn' }
-
-/** The last stops of the axes: of the latched e-stop, otherwise of the last safe end. */
-export const lastStops = rig => rig.estop_stops.length ? rig.estop_stops : rig.safe_end?.stops ?? []
-
-/** Axes that the last stops have not stopped, each with its cause: without an acknowledgement, or in motion after it. */
-export const notStopped = rig => lastStops(rig).filter(stop => stop.acknowledged_ms == null || stop.error != null)
-  .map(stop => `${stop.axis} (${stop.error ?? 'no answer yet'})`)

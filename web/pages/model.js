@@ -14,6 +14,7 @@ import { twins } from '../lib/twinpool.js'
 import { workers } from '../lib/workers.js'
 
 const REST_MS = 150, SLOW_MS = 600
+const DRAG_PX = 4 // A hand that clicks moves less.
 const SLOW = 'Computing: the first answer for a skin builds its model, which takes some seconds …'
 const NEW = { kind: 'force_n', value: 20 }
 const VIEWS = [['difference', 'Difference from untouched'], ['frame', 'Frame'], ['untouched', 'Untouched']]
@@ -21,7 +22,7 @@ const TRIAL_VIEWS = [['measured', 'Measured, trial'], ['residual', 'Measured min
 
 /** Shows the page. */
 export async function show(root, { query, signal, set }) {
-  const state = { contacts: [], text: '', answer: null, trial: null, trialId: '', run: '', view: 'difference', held: -1, on: -1, moved: false }
+  const state = { contacts: [], text: '', answer: null, trial: null, trialId: '', run: '', view: 'difference', held: -1, on: -1, from: [0, 0], moved: false }
   const bend = dent(signal)
   const drawn = skin({ title: 'Skin under the model', points: true, signal, label: () => 'simulated', describe, draw, onpick: pick, ondrag: drag,
     onhover: hover,
@@ -85,11 +86,12 @@ export async function show(root, { query, signal, set }) {
   function drag(kind, mm, event) {
     if (kind === 'down') {
       state.held = state.on = under(mm)
+      state.from = [event.clientX, event.clientY]
       state.moved = false
       if (state.held >= 0) drawn.canvas.setPointerCapture(event.pointerId)
     } else if (kind === 'move' && state.held >= 0 && event.buttons) {
-      state.moved = true
-      put(state.contacts.map((c, i) => i === state.held ? { ...c, x_mm: mm[0], y_mm: mm[1] } : c))
+      state.moved ||= Math.hypot(event.clientX - state.from[0], event.clientY - state.from[1]) >= DRAG_PX
+      if (state.moved) put(state.contacts.map((c, i) => i === state.held ? { ...c, x_mm: mm[0], y_mm: mm[1] } : c))
     } else if (kind === 'up') state.held = -1
   }
   function pick(mm, event) {

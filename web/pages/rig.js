@@ -117,7 +117,7 @@ export async function show(root, { query, signal, set }) {
 
   function drawTrip(rig) {
     trip.hidden = !rig.trip
-    if (rig.trip) fill(trip, el('p', { className: 'bad' }, `Tripped (${plain(rig.trip.kind)}): ${rig.trip.detail}.`),
+    if (rig.trip) fill(trip, el('p', { className: 'bad' }, `Tripped (${plain(rig.trip.kind)})${rig.trip.detail && `: ${rig.trip.detail}`}.`),
       el('p', {}, meaning('trips', rig.trip.kind)))
   }
 
@@ -142,7 +142,7 @@ export async function show(root, { query, signal, set }) {
     gate(checkNow, may('check'), checkWhy)
     pad.gate()
     drawPose(rig.pose)
-    links.show(devices(rig))
+    links.show(devices(rig, status.needs))
     if (!fresh) return
     drawLimits(rig)
   }
@@ -160,7 +160,7 @@ export async function show(root, { query, signal, set }) {
   }
 
   /** The chain: wires, stream, axes, stop, cells, tips, skin. */
-  function devices(rig) {
+  function devices(rig, needs) {
     const closed = rig.state === 'disconnected', moves = rig.has_stage !== false
     const wires = rig.wires.map(wire => ({ name: `Wire ${wire.name}`, ...wireWords(wire, rateOf(state.rates?.wires.find(one => one.name === wire.name))) }))
     const axis = (name, key, unit = 'mm') => ({ name: key === 'radius' ? 'Arms (radial axis)' : `Axis ${name}`, words: closed ? 'Closed.'
@@ -177,7 +177,7 @@ export async function show(root, { query, signal, set }) {
       ? [['Surface', fixed(surface.surface_z_mm, 2, 'mm')], ['Found', `${moment(surface.at)} with ${surface.tips} tips`]]
       : [['Surface', 'not searched for yet']] }
     return [...wires, { name: 'Voltage stream', ...streamWords(rig.stream, rateOf(state.rates?.stream), rig) },
-      ...(moves ? [axis('x', 'x'), axis('y', 'y'), axis('z', 'z'), axis('radial', 'radius'), { name: 'Stop', ...stopWords(rig) },
+      ...(moves ? [axis('x', 'x'), axis('y', 'y'), axis('z', 'z'), axis('radial', 'radius'), { name: 'Stop', ...stopWords(rig, needs) },
         { name: 'Stopping distance', ...stoppingWords(rig.stopping) }, cells, tips] : [])]
   }
 

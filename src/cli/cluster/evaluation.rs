@@ -15,6 +15,7 @@ use crate::cli::download::DATASET_WAIT;
 use crate::cli::error::CliError;
 use crate::cli::evaluate::MethodRequest;
 use crate::cli::evaluate::lab::ExtentArgs;
+use crate::cli::output::Output;
 use crate::cli::{At, embed};
 use crate::evaluate::request::EvaluationReport;
 use crate::jobs::chunks::{NetScore, SCORES_FILE};
@@ -55,9 +56,9 @@ impl ReadingsRequest {
     /// # Errors
     /// `CliError` if an option is invalid, the service cannot be reached or started, or the evaluation cannot be
     /// prepared.
-    pub async fn order(&self, json: bool) -> Result<(WorkOrder, u64), CliError> {
+    pub async fn order(&self, output: Output) -> Result<(WorkOrder, u64), CliError> {
         let (url, ca, data) = (self.url.clone(), self.ca.clone(), self.data.clone());
-        let at = At { url, ca, data, json };
+        let at = At { url, ca, data, json: output == Output::Json };
         let request = self.method.clone().request(&self.extent.budget());
         let path = format!("/api/v1/evaluations/inputs?chunk_rows={}", self.chunk_rows);
         embed::with_server(&at, move |client| async move {

@@ -144,15 +144,14 @@ pub async fn sbatch(args: &SbatchArgs) -> Result<(), CliError> {
         }
         SbatchCommand::Table(SbatchTableArgs { request, job }) => {
             let places = job.places(request.data.clone())?;
-            let output = if job.json { Output::Json } else { Output::Text };
-            let order = request.order(output).await?;
+            let order = request.order(job.output()).await?;
             let contents = format!("{} nets", order.chunks);
             let (folder, is_new) = OrderFolder::write(&job.folder, order)?;
             job.finish(&folder, &places, is_new, &contents, request.resources())
         }
         SbatchCommand::Twins(SbatchTwinsArgs { request, job }) => {
             let places = job.places(request.data.clone())?;
-            let (order, trials) = request.order(job.json).await?;
+            let (order, trials) = request.order(job.output()).await?;
             let contents = format!("{} twins", grouped(trials));
             let (folder, is_new) = OrderFolder::write(&job.folder, order)?;
             job.finish(&folder, &places, is_new, &contents, &[])
@@ -160,7 +159,7 @@ pub async fn sbatch(args: &SbatchArgs) -> Result<(), CliError> {
         SbatchCommand::Evaluation(args) => {
             let SbatchEvaluationArgs { request, job } = args.as_ref();
             let places = job.places(request.data.clone())?;
-            let (order, frames) = request.order(job.json).await?;
+            let (order, frames) = request.order(job.output()).await?;
             let contents = format!("{} frames", grouped(frames));
             let (folder, is_new) = OrderFolder::write(&job.folder, order)?;
             job.finish(&folder, &places, is_new, &contents, &[])
@@ -176,6 +175,11 @@ struct Places {
 }
 
 impl JobArgs {
+    /// Form of what the command prints.
+    fn output(&self) -> Output {
+        if self.json { Output::Json } else { Output::Text }
+    }
+
     /// Checks the options, and returns the paths of the job.
     fn places(&self, data: Option<PathBuf>) -> Result<Places, CliError> {
         let mut checks = Checks::of("command line");

@@ -12,6 +12,7 @@ use crate::chunk::order::{ChunkRow, WorkOrder};
 use crate::cli::client::Client;
 use crate::cli::error::CliError;
 use crate::cli::find::find_run;
+use crate::cli::output::Output;
 use crate::cli::{At, embed};
 use crate::ids::RunUid;
 use crate::new_file::Look;
@@ -51,13 +52,13 @@ impl TwinsRequest {
     /// # Errors
     /// `CliError` if an option is invalid, the service cannot be reached or started, or the run has no trials or no
     /// model.
-    pub async fn order(&self, json: bool) -> Result<(WorkOrder, u64), CliError> {
+    pub async fn order(&self, output: Output) -> Result<(WorkOrder, u64), CliError> {
         if !(1..=CHUNK_TRIALS_MAX).contains(&self.chunk_trials) {
             let limit = format!("must be from 1 to {CHUNK_TRIALS_MAX}");
             return Err(CliError::argument("chunk-trials", self.chunk_trials, limit));
         }
         let (url, ca, data) = (self.url.clone(), self.ca.clone(), self.data.clone());
-        let at = At { url, ca, data, json };
+        let at = At { url, ca, data, json: output == Output::Json };
         let (run, chunk_trials) = (self.run.clone(), self.chunk_trials);
         embed::reading(&at, move |client| ordered(client, run, chunk_trials)).await
     }

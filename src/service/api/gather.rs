@@ -25,7 +25,7 @@ use super::orders::{kind_of, order_path, program, unavailable};
 use super::problem::{ApiError, Path, ProblemBody};
 use crate::dataset::background::background;
 use crate::dataset::space::KEPT_FREE_BYTES;
-use crate::program::withhold;
+use crate::program::withhold_bulk;
 use crate::store::Store;
 
 /// Interval of checking the free space.
@@ -140,8 +140,8 @@ pub async fn gather(
     fetch.arg("fetch").args([&order, &order]);
     let mut write = Command::new(own);
     write.args(["cluster", "gather"]).arg(&order);
-    withhold(write.as_std_mut());
-    // Twins and the scores of readings need the service of this folder.
+    // Twins and the scores of readings need the service of this folder, which may require a key.
+    withhold_bulk(write.as_std_mut());
     write.arg("--data").arg(&app.facts.data).env_remove("PALPATE_URL");
     let into = if kind == OF_A_RUN {
         DATABASE.to_owned()

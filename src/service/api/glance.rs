@@ -4,7 +4,7 @@
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-use super::needs::{Around, not_raised, not_stopped, sentence, waits_for};
+use super::needs::{Around, cause_of, not_raised, not_stopped, sentence};
 use crate::campaign::bench::rig_state::RigState;
 use crate::campaign::shown::status::{RunStatus, Status};
 use crate::plain::{bytes, counted};
@@ -88,8 +88,7 @@ fn safe(status: &Status) -> (Rating, String) {
         return (Rating::Bad, words);
     }
     if let Some(trip) = &rig.trip {
-        let kind = trip.kind.name();
-        return (Rating::Bad, format!("Stopped by a fault ({kind}): {}.", trip.detail));
+        return (Rating::Bad, format!("Stopped by a fault{}.", cause_of(trip)));
     }
     if rig.state == RigState::Disconnected {
         return (Rating::Unknown, "Nothing moves: the wires are closed.".into());
@@ -122,7 +121,7 @@ fn on_time(status: &Status, around: Around<'_>, facts: Facts<'_>) -> (Rating, St
         return (Rating::Bad, "It has stopped.".into());
     }
     if let Some(why) = run.paused_why.filter(|_| run.state == StoredState::Paused) {
-        return (Rating::Warn, format!("It waits: {}.", waits_for(why)));
+        return (Rating::Warn, format!("It waits: {}.", why.about()));
     }
     if run.eta.is_none() {
         return (Rating::Unknown, "The end is not known yet.".into());
@@ -222,6 +221,8 @@ mod tests {
         rig.rig.trip = Some(Trip { kind: TripKind::Force, detail: "arm 2: 81.0 N".into() });
         let trip = "Stopped by a fault (force): arm 2: 81.0 N.";
         assert_eq!(safe(&rig), (Rating::Bad, trip.to_owned()));
+        rig.rig.trip = Some(Trip { kind: TripKind::Estop, detail: String::new() });
+        assert_eq!(safe(&rig).1, "Stopped by a fault (estop).");
         (rig.rig.trip, rig.rig.state) = (None, RigState::Disconnected);
         assert_eq!(safe(&rig).0, Rating::Unknown);
     }

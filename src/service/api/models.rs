@@ -20,6 +20,7 @@ use super::send::Created;
 use crate::evaluate::request::Scored;
 use crate::ids::{CalibrationId, ModelId, PromotedId};
 use crate::infer::registry::{NewModel, facts};
+use crate::infer::serving::Promotions;
 use crate::infer::slot::Slot;
 use crate::learn::model_file::{Manifest, ModelFacts, manifest_for_foreign, manifest_with_id};
 use crate::learn::residuals::Residuals;
@@ -132,9 +133,10 @@ pub struct PromotionOut {
 pub async fn list(State(app): State<App>, asked: PageRequest) -> Result<Page<ModelOut>, ApiError> {
     let Page { items: rows, next } =
         asked.of_all(app.store.models().await?, |model| model.id.clone())?;
+    let promotions = app.serving.promotions().await?;
     let mut items = Vec::new();
     for row in rows {
-        items.push(out(&app, row).await?);
+        items.push(out(&app, row, &promotions).await?);
     }
     Ok(Page { items, next })
 }
@@ -148,7 +150,8 @@ pub async fn one(
     State(app): State<App>,
     Path(model): Path<String>,
 ) -> Result<Json<ModelOut>, ApiError> {
-    Ok(Json(out(&app, app.models.find(&model).await?).await?))
+    let row = app.models.find(&model).await?;
+    Ok(Json(out(&app, row, &app.serving.promotions().await?).await?))
 }
 
 /// Returns the ONNX file of a model.
@@ -232,7 +235,8 @@ pub async fn add(
     app.still_allowed(&act).await?;
     let row = store(&app, parts).await?;
     act.about(row.id.as_str());
-    Ok(Created::at(format!("/api/v1/models/{}", row.id), out(&app, row).await?))
+    let promotions = app.serving.promotions().await?;
+    Ok(Created::at(format!("/api/v1/models/{}", row.id), out(&app, row, &promotions).await?))
 }
 
 /// Parts of the form of a model.
@@ -325,11 +329,9 @@ pub async fn add_calibration(
 #[utoipa::path(get, path = "/api/v1/serving", tag = "models",
     responses((status = 200, body = ServingOut)))]
 pub async fn serving(State(app): State<App>) -> Result<Json<ServingOut>, ApiError> {
-    let mut serves = Vec::new();
-    for (slot, what) in app.serving.promoted().await? {
-        serves.push(serves_out(&app, slot, what).await?);
-    }
-    let history = app.serving.history().await?.into_iter().map(|row| PromotionOut {
+    let promotions = app.serving.promotions().await?;
+    let serves = Slot::ALL.map(|slot| serves_out(&app, slot, &promotions)).into();
+    let history = promotions.into_rows().into_iter().map(|row| PromotionOut {
         slot: row.slot,
         what: row.what,
         who: row.who,
@@ -357,8 +359,8 @@ pub async fn promote(
     let (who, why) = (request.who.as_deref(), request.why.as_deref());
     act.stated(who, why);
     act.about(&request.what);
-    let (slot, what) = app.serving.promote(&request.what, &act.name(), why).await?;
-    Ok(Json(serves_out(&app, slot, Some(what)).await?))
+    let slot = app.serving.promote(&request.what, &act.name(), why).await?;
+    Ok(Json(serves_out(&app, slot, &app.serving.promotions().await?)))
 }
 
 /// Restores the previous model or calibration of a slot.
@@ -374,18 +376,15 @@ pub async fn roll_back(
 ) -> Result<Json<ServesOut>, ApiError> {
     let (who, why, slot) = (request.who.as_deref(), request.why.as_deref(), request.slot);
     act.stated(who, why);
-    let what = app.serving.roll_back(slot, &act.name(), why).await?;
-    Ok(Json(serves_out(&app, slot, what).await?))
+    app.serving.roll_back(slot, &act.name(), why).await?;
+    Ok(Json(serves_out(&app, slot, &app.serving.promotions().await?)))
 }
 
-async fn serves_out(
-    app: &App,
-    slot: Slot,
-    what: Option<PromotedId>,
-) -> Result<ServesOut, ApiError> {
+fn serves_out(app: &App, slot: Slot, promotions: &Promotions) -> ServesOut {
     let skin = (slot == Slot::Skin).then(|| app.serving.current().skin().cloned()).flatten();
     let limitation = skin.and_then(|skin| skin.limitation());
-    Ok(ServesOut { slot, what, limitation, restores: app.serving.restores(slot).await? })
+    let (what, restores) = (promotions.serving(slot), promotions.restores(slot));
+    ServesOut { slot, what, limitation, restores }
 }
 
 /// True if a report is a score of a model of this task: by a method that uses the task, on rows
@@ -403,9 +402,8 @@ fn is_score(task: &str, report: &Value) -> bool {
     is_for && !trained_on && report["examples"].is_null()
 }
 
-async fn out(app: &App, row: ModelRow) -> Result<ModelOut, ApiError> {
+async fn out(app: &App, row: ModelRow, promotions: &Promotions) -> Result<ModelOut, ApiError> {
     let manifest: toml::Table = toml::from_str(&row.manifest).unwrap_or_default();
-    let serves = app.serving.promoted().await?;
     let promoted = Some(PromotedId::Model(row.id.clone()));
     let reports = app.store.evaluations_of(&row.id).await?.into_iter().filter_map(|job| job.result);
     let scores = reports.filter(|report| is_score(&row.task, report));
@@ -416,7 +414,7 @@ async fn out(app: &App, row: ModelRow) -> Result<ModelOut, ApiError> {
         && fact("channels").and_then(toml::Value::as_integer) == Some(rig.channels() as i64);
     let slot = NetTask::deserialize(json!(row.task)).ok().map(Slot::of);
     Ok(ModelOut {
-        serves: serves.iter().any(|(_, what)| *what == promoted),
+        serves: Slot::ALL.iter().any(|slot| promotions.serving(*slot) == promoted),
         manifest: serde_json::to_value(facts).unwrap_or_default(),
         scores: scores.collect(),
         id: row.id,

@@ -8,10 +8,10 @@ use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 use super::suspenders::Suspender;
-use crate::campaign::bench::estop::AxisStop;
+use crate::campaign::bench::interlock::Trip;
 use crate::campaign::bench::rig_state::RigState;
 use crate::campaign::shown::run_action::ActionOnRun;
-use crate::campaign::shown::safe_end::Tips;
+use crate::campaign::shown::safe_end::{self, Tips};
 use crate::campaign::shown::status::{Phase, RigStatus, RunStatus, Status, Wanted};
 use crate::event::Importance;
 use crate::plain::bytes;
@@ -123,17 +123,10 @@ pub(super) fn needs(status: &Status, around: Around<'_>) -> Vec<Need> {
     needs
 }
 
-/// Axes whose last stop is not acknowledged, or that move after it, each with its cause: of the latched e-stop, otherwise
-/// of the last safe end.
+/// Axes that the last stops have not stopped, each with its cause.
 pub(super) fn not_stopped(rig: &RigStatus) -> Option<String> {
-    let of_safe_end = rig.safe_end.iter().flat_map(|end| &end.stops);
-    let of_safe_end = of_safe_end.filter(|_| rig.estop_stops.is_empty());
-    let moving = rig.estop_stops.iter().chain(of_safe_end).filter(|stop| !stop.is_done());
-    let words = |stop: &AxisStop| {
-        format!("{} ({})", stop.axis, stop.error.as_deref().unwrap_or("no answer yet"))
-    };
-    let axes = moving.map(words).collect::<Vec<_>>().join(", ");
-    (!axes.is_empty()).then_some(axes)
+    let axes = safe_end::not_stopped(&rig.estop_stops, rig.safe_end.as_ref());
+    (!axes.is_empty()).then(|| axes.join(", "))
 }
 
 /// Why the tips are not raised, as a sentence.
@@ -145,15 +138,12 @@ pub(super) fn not_raised(status: &Status) -> Option<String> {
     is_panicked.then(|| "The tips could not be raised. Check the rig.".into())
 }
 
-/// Why a run waits, as text.
-pub(super) fn waits_for(why: PausedWhy) -> &'static str {
-    match why {
-        PausedWhy::Operator => "a person paused it",
-        PausedWhy::TipChange => "tips must be changed",
-        PausedWhy::ManualTrial => "weights must be placed",
-        PausedWhy::Suspender => "something that watches the run suspended it",
-        PausedWhy::Trip => "the rig tripped",
-        PausedWhy::Restart => "the service was started again",
+/// Kind and cause of a trip, to be appended to a word.
+pub(super) fn cause_of(trip: &Trip) -> String {
+    let kind = trip.kind.name();
+    match trip.detail.as_str() {
+        "" => format!(" ({kind})"),
+        detail => format!(" ({kind}): {detail}"),
     }
 }
 
@@ -186,12 +176,8 @@ fn of_rig(status: &Status) -> Vec<Need> {
         } else {
             " Every axis acknowledged the stop."
         };
-        let cause = match trip.detail.as_str() {
-            "" => String::new(),
-            detail => format!(": {detail}"),
-        };
-        let kind = trip.kind.name();
-        let words = format!("Tripped ({kind}){cause}.{stopped} Clear the cause, reset, then home.");
+        let cause = cause_of(trip);
+        let words = format!("Tripped{cause}.{stopped} Clear the cause, reset, then home.");
         needs.push(act(NeedKind::Reset, words));
     }
     // After a trip the position of the axes is not known, whether a run waits for it or not.
@@ -220,7 +206,7 @@ fn of_run(run: &RunStatus, status: &Status, is_of_rig: bool) -> Option<Need> {
     let is_pause = why == PausedWhy::Operator;
     let importance = if is_pause && refused.is_none() { Importance::Look } else { Importance::Act };
     let detail = run.waiting_for.as_ref().map_or_else(String::new, |words| format!(": {words}"));
-    let cause = format!("{}{detail}{}", waits_for(why), weights(run));
+    let cause = format!("{}{detail}{}", why.about(), weights(run));
     let head = if kind == NeedKind::Resume { "the run waits: " } else { "" };
     let mut words = sentence(&format!("{head}{cause}"));
     if let Some(refused) = refused {
@@ -261,7 +247,8 @@ fn ahead(around: Around<'_>) -> Vec<Need> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::campaign::bench::interlock::{Trip, TripKind};
+    use crate::campaign::bench::estop::AxisStop;
+    use crate::campaign::bench::interlock::TripKind;
     use crate::campaign::shown::safe_end::SafeEnd;
     use crate::campaign::shown::show;
     use crate::ids::RunUid;

@@ -16,6 +16,7 @@ use crate::infer::slot::Slot;
 use crate::learn::task::NetTask;
 use crate::record::Flag;
 use crate::simulate::contacts::FORCE_MAX_N;
+use crate::state::PausedWhy;
 use crate::store::Role;
 
 /// The names that requests and answers use, with what they mean.
@@ -39,6 +40,8 @@ pub struct Vocabulary {
     pub events: Vec<EventWord>,
     /// Kinds of trips, with what to do.
     pub trips: Vec<Word>,
+    /// Reasons why a run waits, as clauses.
+    pub pauses: Vec<Word>,
     /// Roles of keys; each has the rights of the previous ones.
     pub roles: Vec<Word>,
     /// Limits of a simulation.
@@ -180,6 +183,7 @@ pub async fn vocabulary() -> Json<Vocabulary> {
             .map(|kind| EventWord { name: kind.name, about: kind.about, importance: kind.most })
             .into(),
         trips: TripKind::ALL.map(|kind| Word { name: kind.name(), about: kind.about() }).into(),
+        pauses: PausedWhy::ALL.map(|why| Word { name: why.as_str(), about: why.about() }).into(),
         roles: Role::ALL.map(|role| Word { name: role.as_str(), about: role.about() }).into(),
         simulation: SimulationLimits { contacts_max: SIMULATED_CONTACTS, force_max_n: FORCE_MAX_N },
     })
@@ -284,6 +288,7 @@ mod tests {
         let flags: Vec<&str> = words.flags.iter().map(|flag| flag.name).collect();
         assert!(flags.contains(&"still_cell") && flags.len() == Flag::ALL.len());
         assert_eq!(words.trips[6].name, "stale");
+        assert_eq!((words.pauses[1].name, words.pauses.len()), ("tip_change", 6));
         assert_eq!(
             words.roles.iter().map(|role| role.name).collect::<Vec<_>>(),
             ["viewer", "operator", "admin"]

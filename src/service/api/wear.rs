@@ -109,7 +109,7 @@ async fn read(app: &App) -> Result<Wear, StoreError> {
     let bench = app.facts.rig.config.bench();
     let cells = bench.map_or_else(Vec::new, |bench| cells(bench.cells.calibrated_on, today));
     let checked_at = app.store.last_accepted(&CHECKS).await?;
-    Ok(Wear { run_h, checked_at, ..sum(&by_run, cells) })
+    Ok(sum(&by_run, run_h, cells, checked_at))
 }
 
 /// Whether a run pressed the skin under the rig.
@@ -147,8 +147,13 @@ fn cells(calibrated_on: Option<[Date; ARMS]>, today: Date) -> Vec<CellAge> {
     (0..ARMS).map(age).collect()
 }
 
-/// Adds the wear by several runs; their time and the last check are not in it.
-fn sum(by_run: &[Arc<StoredWear>], cells: Vec<CellAge>) -> Wear {
+/// Adds the wear by several runs, which took `run_h`, h.
+fn sum(
+    by_run: &[Arc<StoredWear>],
+    run_h: f64,
+    cells: Vec<CellAge>,
+    checked_at: Option<Timestamp>,
+) -> Wear {
     let hundredths = |mm: f64| (mm * 100.0).round() as i64;
     let mut places: BTreeMap<(i64, i64), u64> = BTreeMap::new();
     let mut travel_mm = [0.0; AXES.len()];
@@ -172,11 +177,11 @@ fn sum(by_run: &[Arc<StoredWear>], cells: Vec<CellAge>) -> Wear {
         since: by_run.iter().filter_map(|wear| wear.since).min(),
         trials: by_run.iter().map(|wear| wear.trials).sum(),
         runs: by_run.iter().filter(|wear| wear.trials > 0).count(),
-        run_h: 0.0,
+        run_h,
         points,
         axes: AXES.into_iter().zip(travel_mm).map(axis).collect(),
         cells,
-        checked_at: None,
+        checked_at,
     }
 }
 
@@ -195,7 +200,7 @@ mod tests {
         let none = Arc::new(StoredWear::default());
         let first = run(at(100), vec![point(17.320508, 2), point(34.64, 1)]);
         let second = run(at(50), vec![point(17.32, 5)]);
-        let wear = sum(&[first, second, none], Vec::new());
+        let wear = sum(&[first, second, none], 1.5, Vec::new(), None);
         assert_eq!((wear.since, wear.trials, wear.runs), (at(50), 6, 2));
         assert_eq!(wear.points.x_mm, [17.32, 34.64]);
         assert_eq!(wear.points.presses, [7, 1]);

@@ -9,6 +9,23 @@ use crate::core::{During, Store, StoreError};
 use crate::ids::RunUid;
 use crate::journal::Event;
 
+/// The first `?2` events after `?1` of the kinds `?3`, from those of each kind: a rare kind may be far away, and a scan
+/// by number would read all events in between.
+const OF_KINDS: &str = "SELECT e.*, r.uid FROM events e LEFT JOIN runs r ON r.scan_id = e.run
+    WHERE e.seq IN (
+        SELECT f.seq FROM (SELECT DISTINCT value AS kind FROM json_each(?3)) k
+        CROSS JOIN events f ON f.seq IN (
+            SELECT seq FROM events WHERE kind = k.kind AND seq > ?1 ORDER BY seq LIMIT ?2)
+        ORDER BY f.seq LIMIT ?2)
+    ORDER BY e.seq";
+
+/// The number of the last event but `?1 - 1` of the kinds `?2`, from the newest of each kind.
+const NEWEST_OF_KINDS: &str = "SELECT f.seq
+    FROM (SELECT DISTINCT value AS kind FROM json_each(?2)) k
+    CROSS JOIN events f ON f.seq IN (
+        SELECT seq FROM events WHERE kind = k.kind ORDER BY seq DESC LIMIT ?1)
+    ORDER BY f.seq DESC LIMIT 1 OFFSET ?1 - 1";
+
 impl Store {
     /// Appends an event with the current wall time, and returns it with its number.
     ///
@@ -95,14 +112,13 @@ impl Store {
                 .bind(kinds)
                 .bind(scan_id)
             }
+            None if kinds.is_some() => sqlx::query(OF_KINDS).bind(seq).bind(limit).bind(kinds),
             None => sqlx::query(
                 "SELECT e.*, r.uid FROM events e LEFT JOIN runs r ON r.scan_id = e.run
-                 WHERE e.seq > ?1 AND (?3 IS NULL OR e.kind IN (SELECT value FROM json_each(?3)))
-                 ORDER BY e.seq LIMIT ?2",
+                 WHERE e.seq > ?1 ORDER BY e.seq LIMIT ?2",
             )
             .bind(seq)
-            .bind(limit)
-            .bind(kinds),
+            .bind(limit),
         };
         let rows = statement.fetch_all(&self.inner.readers).await.during(OPERATION)?;
         rows.iter()
@@ -132,28 +148,27 @@ impl Store {
     ) -> Result<i64, StoreError> {
         const OPERATION: &str = "finding the newest events";
         let kinds = (!kinds.is_empty()).then(|| serde_json::json!(kinds).to_string());
-        let (scan_id, statement) = match run {
-            Some(run) => (
-                Some(self.facts(run, OPERATION).await?.scan_id),
-                "SELECT seq FROM events
-                 WHERE run = ?1 AND (?2 IS NULL OR kind IN (SELECT value FROM json_each(?2)))
-                 ORDER BY seq DESC LIMIT 1 OFFSET ?3",
-            ),
-            None => (
-                None,
-                "SELECT seq FROM events
-                 WHERE ?1 IS NULL AND (?2 IS NULL OR kind IN (SELECT value FROM json_each(?2)))
-                 ORDER BY seq DESC LIMIT 1 OFFSET ?3",
-            ),
+        let newest = i64::try_from(newest.max(1)).unwrap_or(i64::MAX);
+        let statement = match run {
+            Some(run) => {
+                let scan_id = self.facts(run, OPERATION).await?.scan_id;
+                sqlx::query_scalar(
+                    "SELECT seq FROM events
+                     WHERE run = ?3 AND (?2 IS NULL OR kind IN (SELECT value FROM json_each(?2)))
+                     ORDER BY seq DESC LIMIT 1 OFFSET ?1 - 1",
+                )
+                .bind(newest)
+                .bind(kinds)
+                .bind(scan_id)
+            }
+            None if kinds.is_some() => sqlx::query_scalar(NEWEST_OF_KINDS).bind(newest).bind(kinds),
+            None => {
+                sqlx::query_scalar("SELECT seq FROM events ORDER BY seq DESC LIMIT 1 OFFSET ?1 - 1")
+                    .bind(newest)
+            }
         };
-        let skipped = i64::try_from(newest.saturating_sub(1)).unwrap_or(i64::MAX);
-        let first: Option<i64> = sqlx::query_scalar(statement)
-            .bind(scan_id)
-            .bind(kinds)
-            .bind(skipped)
-            .fetch_optional(&self.inner.readers)
-            .await
-            .during(OPERATION)?;
+        let first: Option<i64> =
+            statement.fetch_optional(&self.inner.readers).await.during(OPERATION)?;
         Ok(first.map_or(0, |seq| seq - 1))
     }
 

@@ -49,6 +49,7 @@ async fn events_are_selected_by_kind_before_they_are_counted() {
     assert_eq!(of(None, 9, &["trip"]).await, [2, 3]);
     assert_eq!(of(None, 1, &["trip", "keys"]).await, [2]);
     assert_eq!(of(None, 9, &["trip", "keys"]).await, [2, 3, 4]);
+    assert_eq!(of(None, 9, &["keys", "trip", "keys"]).await, [2, 3, 4], "a kind named twice");
     assert_eq!(of(Some(run), 9, &["trip"]).await, [2]);
     assert!(of(None, 9, &["tri'p", "%"]).await.is_empty());
     // The newest of a selection, however many others came since.
@@ -59,6 +60,9 @@ async fn events_are_selected_by_kind_before_they_are_counted() {
     assert_eq!(before(1, None, &["trip"]).await, 2);
     assert_eq!(before(2, None, &["trip"]).await, 1);
     assert_eq!(before(3, None, &["trip"]).await, 0);
+    assert_eq!(before(2, None, &["trip", "keys", "trip"]).await, 2);
+    assert_eq!(before(3, None, &["trip", "keys", "trip"]).await, 1);
+    assert_eq!(before(u64::MAX, None, &["trip", "keys"]).await, 0);
     assert_eq!(before(1, Some(run), &[]).await, 1);
     assert_eq!(before(1, Some(run), &["state"]).await, 0);
     assert_eq!(before(2, None, &[]).await, 2);

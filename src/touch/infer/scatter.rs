@@ -17,7 +17,7 @@ const EQUAL_SQUARES: f64 = 10.0;
 /// Scatter of the offsets of the pairs of electrodes.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Scatter {
-    /// Standard deviation of an offset, V.
+    /// Standard deviation of the change of an offset from one frame to the next, V.
     pub sd_v: f64,
     /// Variance by frequency around the electrodes, relative to the mean over all waves; empty without scatter.
     pub spectrum: Vec<f64>,

@@ -23,6 +23,36 @@ use super::slot::Slot;
 use crate::ids::{CalibrationId, PromotedId};
 use crate::store::{NewPromotion, PromotionRow, Store};
 
+/// All promotions, newest first.
+#[derive(Debug, Clone)]
+pub struct Promotions(Vec<PromotionRow>);
+
+impl Promotions {
+    /// Id of the promoted model or calibration of a slot; `None` if it is empty.
+    pub fn serving(&self, slot: Slot) -> Option<PromotedId> {
+        self.of(slot).next()?.what.clone()
+    }
+
+    /// What a roll-back of a slot restores; `None` if it leaves the slot empty, or if there is nothing to roll back.
+    pub fn restores(&self, slot: Slot) -> Option<PromotedId> {
+        self.earlier(slot).flatten()
+    }
+
+    /// The promotions, newest first.
+    pub fn into_rows(self) -> Vec<PromotionRow> {
+        self.0
+    }
+
+    fn earlier(&self, slot: Slot) -> Option<Option<PromotedId>> {
+        let served: Vec<_> = self.of(slot).map(|row| (row.what.clone(), row.rolled_back)).collect();
+        earlier(&served)
+    }
+
+    fn of(&self, slot: Slot) -> impl Iterator<Item = &PromotionRow> {
+        self.0.iter().filter(move |row| row.slot == slot.name())
+    }
+}
+
 /// The current pipeline, and its changes. Clones share it.
 #[derive(Clone)]
 pub struct Serving {
@@ -80,9 +110,7 @@ impl Serving {
     /// # Errors
     /// `InferError::Store` if the store fails.
     pub async fn promoted_skin(&self) -> Result<Option<CalibrationId>, InferError> {
-        let promoted = self.promoted().await?;
-        let skin = promoted.into_iter().find(|(slot, _)| *slot == Slot::Skin);
-        Ok(skin.and_then(|(_, what)| match what? {
+        Ok(self.promotions().await?.serving(Slot::Skin).and_then(|what| match what {
             PromotedId::Calibration(id) => Some(id),
             PromotedId::Model(_) => None,
         }))
@@ -130,12 +158,12 @@ impl Serving {
 
     async fn take_up(&self) {
         let _one_at_a_time = self.inner.changing.lock().await;
-        let promoted = match self.promoted().await {
-            Ok(promoted) => promoted,
+        let promotions = match self.promotions().await {
+            Ok(promotions) => promotions,
             Err(error) => return tracing::error!(%error, "the promotions could not be read"),
         };
-        for (slot, what) in promoted {
-            if let Some(what) = what {
+        for slot in Slot::ALL {
+            if let Some(what) = promotions.serving(slot) {
                 match self.with(slot, Some(&what)).await {
                     Ok(next) => *self.inner.current.write() = next,
                     Err(error) => {
@@ -149,26 +177,15 @@ impl Serving {
         }
     }
 
-    /// Id of the promoted model or calibration of each slot.
+    /// All promotions.
     ///
     /// # Errors
     /// `InferError::Store` if the store fails.
-    pub async fn promoted(&self) -> Result<Vec<(Slot, Option<PromotedId>)>, InferError> {
-        let rows = self.inner.store.promotions().await?;
-        let newest = |slot: Slot| rows.iter().find(|row| row.slot == slot.name());
-        Ok(Slot::ALL.map(|slot| (slot, newest(slot).and_then(|row| row.what.clone()))).to_vec())
+    pub async fn promotions(&self) -> Result<Promotions, InferError> {
+        Ok(Promotions(self.inner.store.promotions().await?))
     }
 
-    /// All promotions, newest first.
-    ///
-    /// # Errors
-    /// `InferError::Store` if the store fails.
-    pub async fn history(&self) -> Result<Vec<PromotionRow>, InferError> {
-        Ok(self.inner.store.promotions().await?)
-    }
-
-    /// Loads a model or calibration, warms it, and makes it the serving one of its slot. Returns the slot
-    /// and the id.
+    /// Loads a model or calibration, warms it, and makes it the serving one of its slot, which it returns.
     ///
     /// # Errors
     /// `InferError` if it does not exist, does not fit the sensor, or cannot be stored.
@@ -177,7 +194,7 @@ impl Serving {
         id_or_name: &str,
         who: &str,
         why: Option<&str>,
-    ) -> Result<(Slot, PromotedId), InferError> {
+    ) -> Result<Slot, InferError> {
         let _one_at_a_time = self.inner.changing.lock().await;
         let (slot, what) = if let Ok(id) = id_or_name.parse() {
             (Slot::Skin, PromotedId::Calibration(id))
@@ -192,7 +209,7 @@ impl Serving {
             NewPromotion { slot: slot.name(), what: Some(&what), rolled_back: false, who, why };
         self.inner.store.promote(new).await?;
         *self.inner.current.write() = next;
-        Ok((slot, what))
+        Ok(slot)
     }
 
     /// Restores the previous promotion of a slot, which may be empty.
@@ -204,30 +221,16 @@ impl Serving {
         slot: Slot,
         who: &str,
         why: Option<&str>,
-    ) -> Result<Option<PromotedId>, InferError> {
+    ) -> Result<(), InferError> {
         let _one_at_a_time = self.inner.changing.lock().await;
-        let earlier = self.earlier(slot).await?.ok_or(InferError::NoEarlier(slot.name()))?;
+        let earlier = self.promotions().await?.earlier(slot);
+        let earlier = earlier.ok_or(InferError::NoEarlier(slot.name()))?;
         let next = self.with(slot, earlier.as_ref()).await?;
         let new =
             NewPromotion { slot: slot.name(), what: earlier.as_ref(), rolled_back: true, who, why };
         self.inner.store.promote(new).await?;
         *self.inner.current.write() = next;
-        Ok(earlier)
-    }
-
-    /// What a roll-back of a slot restores; `None` if it leaves the slot empty, or if there is nothing to roll back.
-    ///
-    /// # Errors
-    /// `InferError::Store` if the store fails.
-    pub async fn restores(&self, slot: Slot) -> Result<Option<PromotedId>, InferError> {
-        Ok(self.earlier(slot).await?.flatten())
-    }
-
-    async fn earlier(&self, slot: Slot) -> Result<Option<Option<PromotedId>>, InferError> {
-        let rows = self.inner.store.promotions().await?;
-        let of_slot = rows.into_iter().filter(|row| row.slot == slot.name());
-        let served: Vec<_> = of_slot.map(|row| (row.what, row.rolled_back)).collect();
-        Ok(earlier(&served))
+        Ok(())
     }
 
     /// What serves with a model or a skin in a slot, or with the slot empty.

@@ -14,7 +14,7 @@ mod secrets;
 
 pub use find::{Build, Program};
 pub use lines::Lines;
-pub use secrets::withhold;
+pub use secrets::{withhold, withhold_bulk};
 
 /// Interval at which a stop is noticed while a program is built or works.
 pub const STOP_POLL: Duration = Duration::from_millis(100);

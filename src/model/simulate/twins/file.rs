@@ -134,7 +134,9 @@ impl TwinsFile {
                     return Err(format!("has trial {} after a larger id, or twice", trial.0));
                 }
                 let frame_v = match frames.is_valid(at) {
-                    true => Some(floats(&frames.value(at)).ok_or("has other values")?),
+                    true => {
+                        Some(floats(&frames.value(at)).ok_or("has a voltage that is not finite")?)
+                    }
                     false => None,
                 };
                 rows.push(TwinRow { trial, frame_v });
@@ -147,10 +149,11 @@ impl TwinsFile {
     }
 }
 
-/// The numbers of an array.
+/// The numbers of an array, if all are finite: twins never change, and a comparison with another one has no result.
 fn floats(values: &ArrayRef) -> Option<Vec<f32>> {
     let values = values.as_any().downcast_ref::<Float32Array>()?;
-    Some(values.values().to_vec())
+    let is_whole = values.null_count() == 0 && values.values().iter().all(|v| v.is_finite());
+    is_whole.then(|| values.values().to_vec())
 }
 
 fn external(error: impl std::error::Error + Send + Sync + 'static) -> ParquetError {
@@ -191,6 +194,9 @@ mod tests {
         let twice = TwinsFile { rows: vec![row(3, None), row(3, None)], ..file.clone() };
         let refused = TwinsFile::read(written(&twice), 4).unwrap_err();
         assert!(refused.starts_with("has trial 3 after"), "{refused}");
+        let lost = vec![row(3, Some(vec![1.0, f32::NAN, 0.0, 0.0]))];
+        let refused = TwinsFile::read(written(&TwinsFile { rows: lost, ..file.clone() }), 4);
+        assert_eq!(refused.unwrap_err(), "has a voltage that is not finite");
         let short = TwinsFile { rows: vec![row(3, Some(vec![1.0]))], ..file };
         assert!(short.write(4, Vec::new()).is_err());
         fs::write(&path, "no Parquet").unwrap();
