@@ -23,7 +23,7 @@ use crate::campaign::run::job::Job;
 use crate::campaign::run::run_state::{PausedWhy, RunEvent, RunState};
 use crate::campaign::shown::command::{Handle, Refusal, Request, channel};
 use crate::campaign::shown::show;
-use crate::campaign::shown::status::{Done, Status, Wanted};
+use crate::campaign::shown::status::{Done, Wanted};
 use crate::clock::Clock;
 use crate::ids::RunUid;
 use crate::journal::{ExitStatus, Journal};
@@ -32,6 +32,8 @@ use crate::rig::traits::AxisStatus;
 use crate::schedule::experiment::Experiment;
 use crate::schedule::plan::Plan;
 use crate::suspension::Suspensions;
+
+mod owed;
 
 /// An engine whose wires to these axes are open; the rig is disarmed.
 pub(super) fn engine(axes: &StandIns) -> Engine {
@@ -57,7 +59,7 @@ pub(super) fn job() -> Job {
     let text = "name = 'stand-in'\nseed = 3\nsensor = 's'\n[real_hex]\ntips = [1]\n\
                 configurations = 2\ndepths = 2\n";
     let experiment = Experiment::from_toml("t.toml", text).expect("sound");
-    let sensor = include_str!("../../../../../experiments/sensors/ert-28.toml");
+    let sensor = include_str!("../../../../../../experiments/sensors/ert-28.toml");
     let sensor = Sensor::from_toml(sensor).expect("sound");
     Job {
         run: RunUid::new(),
@@ -205,7 +207,7 @@ async fn neither_a_reset_nor_closing_the_wires_is_possible_while_an_axis_moves_a
 
 #[tokio::test]
 async fn an_e_stop_while_the_wires_are_opened_leaves_them_open_for_the_stops_and_trips() {
-    let text = include_str!("../../../../../experiments/rigs/virtual.toml");
+    let text = include_str!("../../../../../../experiments/rigs/virtual.toml");
     // Nobody listens there.
     let text = text.replace("\"127.0.0.1:50", "\"127.0.0.1:1");
     let setup = RigSetup::from_toml("virtual.toml", &text).expect("sound");
@@ -333,67 +335,6 @@ async fn a_lateral_motion_continues_while_z_jitters_at_rest() {
     };
     let (moved, ()) = tokio::join!(travel, jitters);
     assert!(moved.is_ok(), "{moved:?}");
-}
-
-#[tokio::test]
-async fn no_run_is_armed_while_an_axis_owes_the_acknowledgement_of_its_stop() {
-    let (axes, job) = (StandIns::default(), job());
-    let mut engine = engine(&axes);
-    engine.control.rig_event(RigEvent::Homed).unwrap();
-    axes.x.replies.store(false, Ordering::SeqCst);
-    assert!(engine.make_safe(None, Height::Clear).await, "the tips are up");
-    let (waited_for, _caller) = oneshot::channel();
-    let refused = engine.arm(&job, &waited_for).await;
-    assert!(matches!(refused, Err(Refusal::Busy(_))), "{refused:?}");
-    assert_eq!(engine.control.rig(), RigState::Homed);
-    axes.x.replies.store(true, Ordering::SeqCst);
-    tokio::time::sleep(OWED_AGAIN + Duration::from_millis(50)).await;
-    engine.look().await;
-    assert_eq!(engine.arm(&job, &waited_for).await, Ok(()));
-}
-
-#[tokio::test]
-async fn a_safe_end_is_not_complete_while_an_axis_moves_after_its_stop() {
-    let (axes, job) = (StandIns::default(), job());
-    let mut engine = engine(&axes);
-    engine.control.rig_event(RigEvent::Homed).unwrap();
-    axes.y.status.lock().moving = true;
-    assert!(engine.make_safe(None, Height::Clear).await, "the tips are up");
-    let end = engine.control.inbox.status.borrow().rig.safe_end.clone().unwrap();
-    let moving: Vec<&str> =
-        end.stops.iter().filter(|stop| !stop.is_done()).map(|stop| stop.axis.as_str()).collect();
-    assert_eq!(moving, ["y"], "{end:?}");
-    assert_eq!(end.stops.iter().filter(|stop| stop.stood_ms.is_some()).count(), 3, "{end:?}");
-    let (waited_for, _caller) = oneshot::channel();
-    let refused = engine.arm(&job, &waited_for).await;
-    assert!(matches!(refused, Err(Refusal::Busy(_))), "{refused:?}");
-    let stops = axes.y.stops.load(Ordering::SeqCst);
-    axes.y.status.lock().moving = false;
-    tokio::time::sleep(OWED_AGAIN + Duration::from_millis(50)).await;
-    engine.look().await;
-    assert!(axes.y.stops.load(Ordering::SeqCst) > stops, "sent again");
-    assert_eq!(engine.arm(&job, &waited_for).await, Ok(()));
-}
-
-#[tokio::test]
-async fn hands_are_called_to_raised_tips_only_once_each_axis_stands() {
-    let job = job();
-    for (is_moving, state) in
-        [(false, RunState::Paused(PausedWhy::TipChange)), (true, RunState::Paused(PausedWhy::Trip))]
-    {
-        let axes = StandIns::default();
-        let mut engine = engine(&axes);
-        engine.control.show(|status| status.run = Some(show::started(&job)));
-        engine.control.begin(job.run).unwrap();
-        axes.radial.status.lock().moving = is_moving;
-        let (wanted, mut attempts) = (Halt::Needs(Wanted::Tips { tips: 1 }), Attempts::default());
-        // Without a handle there is no request to wait for.
-        let next = engine.decide(&job, wanted, &mut attempts, &mut 0).await;
-        assert!(matches!(next, Next::Leave));
-        assert_eq!(engine.control.run(), state, "{is_moving}");
-        let is_called = |status: &Status| status.run.as_ref().is_some_and(|r| r.wanted.is_some());
-        assert_eq!(is_called(&engine.control.inbox.status.borrow()), !is_moving);
-    }
 }
 
 #[tokio::test]
