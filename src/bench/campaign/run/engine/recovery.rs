@@ -7,7 +7,7 @@ use futures::future::join_all;
 use serde_json::json;
 use tokio::time::Instant;
 
-use super::{Engine, Waited, backoff};
+use super::{Engine, Owed, Waited, backoff};
 use crate::campaign::bench::rig_state::RigState;
 use crate::campaign::run::job::Job;
 use crate::campaign::run::run_state::{PausedWhy, RunEvent, RunState};
@@ -208,7 +208,8 @@ impl Engine {
     /// the skin.
     async fn recover(&mut self, job: &Job, presses: u64, homed: &mut [bool; AXES]) -> Recovery {
         self.control.say("recovering", json!({}));
-        if !self.devices_reply().await {
+        // An axis that has not acknowledged its stop, or moves after it, is not homed.
+        if self.owed != Owed::Nothing || !self.devices_reply().await {
             return Recovery::Silent;
         }
         let Some(connection) = self.connection.as_ref() else { return Recovery::Silent };

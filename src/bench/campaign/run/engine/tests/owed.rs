@@ -10,6 +10,7 @@ use super::{engine, job};
 use crate::campaign::bench::rig_state::{RigEvent, RigState};
 use crate::campaign::bench::stage::Height;
 use crate::campaign::bench::stand_in::StandIns;
+use crate::campaign::run::eta::Pace;
 use crate::campaign::run::halt::Halt;
 use crate::campaign::run::run_state::{PausedWhy, RunState};
 use crate::campaign::shown::command::Refusal;
@@ -75,6 +76,25 @@ async fn a_safe_end_is_repeated_later_each_time_and_stored_again_only_if_it_ends
     axes.y.status.lock().moving = false;
     engine.repeat_safe_end(Height::Clear).await;
     assert_eq!((stored(&engine).await, engine.owed), (2, Owed::Nothing));
+}
+
+#[tokio::test]
+async fn a_failed_attempt_is_not_repeated_before_each_axis_stands() {
+    let (axes, job) = (StandIns::default(), job());
+    let mut engine = engine(&axes);
+    engine.control.show(|status| status.run = Some(show::started(&job)));
+    engine.control.begin(job.run).unwrap();
+    axes.y.status.lock().moving = true;
+    let (failed, mut attempts) = (Halt::Failed("no frames".into()), Attempts::default());
+    assert!(matches!(engine.decide(&job, failed, &mut attempts, &mut 0).await, Next::Again));
+    let mut pace = Pace::predicted(1.0);
+    let waits = engine.advance(&job, &mut pace, &mut attempts);
+    assert!(tokio::time::timeout(OWED_AGAIN / 2, waits).await.is_err(), "it waits");
+    axes.y.status.lock().moving = false;
+    let first = engine.advance(&job, &mut pace, &mut attempts).await;
+    // The first step of the plan.
+    assert!(matches!(first, Err(Halt::Needs(Wanted::Tips { tips: 1 }))), "{first:?}");
+    assert_eq!(engine.owed, Owed::Nothing);
 }
 
 #[tokio::test]
