@@ -418,6 +418,28 @@ async fn no_run_begins_if_the_run_before_it_was_aborted_as_it_ended() {
 }
 
 #[tokio::test]
+async fn no_run_begins_if_a_pause_or_an_abort_came_after_the_end_of_the_run_before_it() {
+    let (axes, job) = (StandIns::default(), Arc::new(job()));
+    let (mut engine, handle) = with_handle(&axes);
+    engine.control.rig_event(RigEvent::Homed).unwrap();
+    let start = handle.ask(Request::Start(job.clone()));
+    let both = async { tokio::join!(handle.ask(Request::CameLate), start) };
+    let (noted, started) = answered(&mut engine, both).await;
+    assert_eq!((noted, signs(&engine)), (Ok(()), 1));
+    assert!(matches!(started, Err(Refusal::Busy(_))), "{started:?}");
+    // One that has begun before it continues; what waits for its end is dropped.
+    engine.control.show(|status| status.run = Some(show::started(&job)));
+    engine.control.begin(job.run).unwrap();
+    let moves = async {
+        tokio::task::yield_now().await;
+        engine.control.attend()
+    };
+    let (noted, moved) = tokio::join!(handle.ask(Request::CameLate), moves);
+    assert!(noted.is_ok() && moved.is_ok(), "{moved:?}");
+    assert_eq!((engine.control.run(), signs(&engine)), (RunState::Running, 2));
+}
+
+#[tokio::test]
 async fn a_drive_in_alarm_that_keeps_its_zero_is_not_homed() {
     let axes = StandIns::default();
     let mut engine = engine(&axes);
