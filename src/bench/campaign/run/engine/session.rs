@@ -52,7 +52,11 @@ impl Engine {
             return Err(no_wires());
         }
         if let Some(words) = self.notice_suspension() {
-            return Err(Refusal::State(format!("{words}: reset, home, then start the run")));
+            let next = match job.plan.kind {
+                Kind::RealHex => "reset, home",
+                Kind::RealRandom => "reset",
+            };
+            return Err(Refusal::State(format!("{words}: {next}, then start the run")));
         }
         if job.plan.kind == Kind::RealHex {
             let stage = self.stage_mut()?;

@@ -30,7 +30,7 @@ use crate::journal::{ExitStatus, Journal};
 use crate::rig::setup::RigSetup;
 use crate::rig::traits::AxisStatus;
 use crate::schedule::experiment::Experiment;
-use crate::schedule::plan::Plan;
+use crate::schedule::plan::{Kind, Plan};
 use crate::suspension::Suspensions;
 
 mod owed;
@@ -163,7 +163,7 @@ async fn a_reset_whose_caller_was_told_that_it_failed_releases_no_stop() {
 
 #[tokio::test]
 async fn after_a_suspension_of_the_computer_nothing_moves_before_a_person_resets() {
-    let (axes, job) = (StandIns::default(), job());
+    let (axes, mut job) = (StandIns::default(), job());
     let mut engine = engine(&axes);
     let suspended_s = suspensions(&mut engine);
     engine.control.rig_event(RigEvent::Homed).unwrap();
@@ -184,6 +184,12 @@ async fn after_a_suspension_of_the_computer_nothing_moves_before_a_person_resets
     assert_eq!((engine.control.rig(), engine.control.run()), (RigState::Tripped, RunState::Idle));
     engine.control.rig_event(RigEvent::Reset).unwrap();
     assert!(engine.home().await, "it is told once");
+
+    // A manual run moves nothing.
+    job.plan.kind = Kind::RealRandom;
+    suspended_s.store(36_120, Ordering::SeqCst);
+    let refused = engine.arm(&job, &waited_for).await.unwrap_err().to_string();
+    assert_eq!(refused, "the computer was suspended for 60 s: reset, then start the run");
 }
 
 #[tokio::test]
