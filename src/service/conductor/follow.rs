@@ -115,10 +115,10 @@ impl Conductor {
     /// # Errors
     /// `StoreError` if the store fails.
     pub async fn waiting_for(&self) -> Result<Option<String>, StoreError> {
-        let is_busy = self.inner.campaign.status().run.is_some();
+        let obstacle = turn::Obstacle::of(&self.inner.campaign.status());
         let lock = self.inner.store.lock().await?;
         let present = turn::Present { now: Timestamp::now(), lock: lock.as_ref() };
-        match turn::waits_for(&self.still_waiting().await?, is_busy, present) {
+        match turn::waits_for(&self.still_waiting().await?, obstacle, present) {
             Some(words) => Ok(Some(words)),
             None => self.not_begun().await,
         }
