@@ -332,6 +332,8 @@ async fn on_undriven(app: &App, run: &RunRow, action: ActionOnRun) -> Result<(),
     let mut words = format!("action {action}: run {scan_id} is {state}, not active");
     if run.is_driven() {
         words += "; it is about to be driven again after a restart: abort ends it";
+    } else if let Some(other) = app.campaign.status().run {
+        words += &format!("; run {} is active", other.scan_id);
     }
     Err(ApiError::new(StatusCode::CONFLICT, words))
 }
