@@ -1,12 +1,13 @@
 //! The parts of the service's answers that the command line reads.
-//! Uses: serde, the vocabulary of `campaign`, needs and glances of `api`. Never: fields that are not shown or used.
+//! Uses: serde, the vocabulary of `campaign`, ratings of `api`. Never: fields that are not shown or used.
 
+use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 use super::care::CareView;
 use super::start_time::local;
-use crate::api::{Glance, Need, Question};
+use crate::api::Rating;
 use crate::campaign::bench::estop::AxisStop;
 use crate::campaign::bench::interlock::{Trip, TripKind};
 use crate::campaign::bench::rig_state::RigState;
@@ -41,10 +42,10 @@ pub struct StatusView {
     pub run_actions: Vec<ActionView>,
     /// What a person must do, the most urgent first; empty from an older service.
     #[serde(default)]
-    pub needs: Vec<Need>,
+    pub needs: Vec<NeedView>,
     /// The night at a glance; empty from an older service.
     #[serde(default)]
-    pub glance: Vec<Glance>,
+    pub glance: Vec<GlanceView>,
     /// Disk, last trial, suspenders.
     #[serde(flatten)]
     pub care: CareView,
@@ -76,25 +77,48 @@ impl StatusView {
             let since = need.since.map(|at| format!("since {}: ", local(at)));
             format!("needs    {}{}", since.unwrap_or_default(), need_words(need))
         });
-        let glances = self
-            .glance
-            .iter()
-            .map(|glance| format!("{:<8} {}", question_words(glance.question), glance.words));
+        let glances =
+            self.glance.iter().map(|glance| format!("{:<8} {}", glance.title(), glance.words));
         needs.chain(glances).collect()
     }
 }
 
-/// A question of the glance, as the name of a line.
-pub fn question_words(question: Question) -> &'static str {
-    match question {
-        Question::Safe => "safe",
-        Question::OnTime => "on time",
-        Question::Data => "data",
+/// What a person must do, of any kind: a newer service may have further ones.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+pub struct NeedView {
+    /// `act` or `look`.
+    pub importance: Importance,
+    /// The need as sentences, with its cause.
+    pub words: String,
+    /// The command that does it, or that shows more.
+    pub command: Option<String>,
+    /// Time since which it is.
+    pub since: Option<Timestamp>,
+}
+
+/// An answer of the glance. A newer service may have further questions and ratings.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+pub struct GlanceView {
+    question: String,
+    rating: Value,
+    /// The reason, as sentences.
+    pub words: String,
+}
+
+impl GlanceView {
+    /// The question, as the name of a line.
+    pub fn title(&self) -> String {
+        self.question.replace('_', " ")
+    }
+
+    /// The answer; none if this version does not know it.
+    pub fn rating(&self) -> Option<Rating> {
+        Rating::deserialize(&self.rating).ok()
     }
 }
 
 /// A need with its command, as text.
-pub fn need_words(need: &Need) -> String {
+pub fn need_words(need: &NeedView) -> String {
     let next = need.command.as_ref().map(|command| format!(" Next: {command}"));
     format!("{}{}", need.words, next.unwrap_or_default())
 }
@@ -293,6 +317,21 @@ mod tests {
 
     fn event(kind: &str, data: Value) -> EventView {
         EventView { kind: kind.into(), seq: 7, run: None, at: "now".into(), data }
+    }
+
+    #[test]
+    fn needs_and_answers_of_a_newer_service_are_read() {
+        let need = json!({ "kind": "later", "importance": "act", "words": "Fill it.",
+            "command": "palpate fill", "page": "later", "since": null });
+        let need: NeedView = serde_json::from_value(need).unwrap();
+        assert_eq!(need_words(&need), "Fill it. Next: palpate fill");
+        let glance = |question: &str, rating: &str| {
+            let glance = json!({ "question": question, "rating": rating, "words": "Over it." });
+            let glance: GlanceView = serde_json::from_value(glance).unwrap();
+            (glance.title(), glance.rating())
+        };
+        assert_eq!(glance("on_time", "good"), ("on time".into(), Some(Rating::Good)));
+        assert_eq!(glance("on_budget", "dire"), ("on budget".into(), None));
     }
 
     #[test]

@@ -34,12 +34,13 @@ const RAISE_AGAIN: Duration = Duration::from_millis(200);
 
 /// Makes the rig safe, then publishes the result. `trip` latches the rig. Without one (pause now,
 /// abort, shutdown) the state of the rig does not change, unless the tips cannot be raised: that
-/// latches too.
+/// latches too. `before`: result of the attempt that this one repeats; its event is stored only if the result differs.
 pub async fn make_safe(
     control: &mut Control,
     stage: &mut Stage,
     trip: Option<&Trip>,
     height: Height,
+    before: Option<&SafeEnd>,
 ) -> SafeEnd {
     // A good result of an earlier safe end no longer applies. The warning of a bad one stays until a
     // better result replaces it.
@@ -97,7 +98,9 @@ pub async fn make_safe(
             stage.stopping.show_measured(stopping);
         }
     });
-    control.say("safe_end", json!(end));
+    if !before.is_some_and(|before| before.has_result_of(&end)) {
+        control.say("safe_end", json!(end));
+    }
     end
 }
 

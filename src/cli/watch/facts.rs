@@ -13,7 +13,7 @@ use crate::api::Rating;
 use crate::campaign::shown::status::{Eta, Phase};
 use crate::cli::output::{bytes, counted, duration, grouped};
 use crate::cli::rig_rates::RatesView;
-use crate::cli::view::{RunView, StatusView, question_words};
+use crate::cli::view::{RunView, StatusView};
 use crate::record::Label;
 use crate::state::StoredState;
 
@@ -111,12 +111,12 @@ pub fn facts(night: &Night, status: &StatusView, now: &Now, theme: Theme) -> Vec
         lines.push(Line::from(vec![name, Span::styled(words, theme.level(level))]));
     };
     for glance in &status.glance {
-        let level = match glance.rating {
-            Rating::Unknown | Rating::Good => continue,
-            Rating::Warn => Level::Look,
-            Rating::Bad => Level::Act,
+        let level = match glance.rating() {
+            Some(Rating::Unknown | Rating::Good) => continue,
+            Some(Rating::Warn) | None => Level::Look,
+            Some(Rating::Bad) => Level::Act,
         };
-        fact(question_words(glance.question), one_line(&glance.words), level);
+        fact(&one_line(&glance.title()), one_line(&glance.words), level);
     }
     if let Some(run) = &status.run {
         fact("now", phase(night, run), Level::Fine);

@@ -236,12 +236,14 @@ fn a_doubt_of_the_night_is_named_before_all_numbers() {
     changed["glance"] = json!([
         { "question": "safe", "rating": "good", "words": "No fault." },
         { "question": "on_time", "rating": "warn", "words": "It waits: the rig tripped." },
-        { "question": "data", "rating": "bad", "words": "FVU 0.900 over 9 trials." }]);
+        { "question": "data", "rating": "bad", "words": "FVU 0.900 over 9 trials." },
+        { "question": "later", "rating": "of a newer service", "words": "Further words." }]);
     let mut night = Night::new("");
     night.take(told_status(&changed), start());
     let shown = text(&drawn(&night, &after(0), (120, 40), COLOUR));
     assert!(shown.contains("on time    It waits: the rig tripped."), "{shown}");
     assert!(shown.contains("data       FVU 0.900 over 9 trials."), "{shown}");
+    assert!(shown.contains("later      Further words."), "{shown}");
     assert!(!shown.contains("No fault."), "{shown}");
 }
 

@@ -101,8 +101,11 @@ fn safe(status: &Status) -> (Rating, String) {
         let words = "No fault. This rig has no load cells and nothing that moves.";
         return (Rating::Good, words.into());
     };
-    let largest_n = rig.forces_n.iter().copied().flatten().fold(0.0, f64::max);
-    (Rating::Good, format!("No fault. Largest force now {largest_n:.1} N of {limit_n:.0} N."))
+    let Some(largest_n) = rig.forces_n.iter().copied().flatten().reduce(f64::max) else {
+        return (Rating::Unknown, "No fault is known, and no load cell is read now.".into());
+    };
+    let shown_n = largest_n.max(0.0);
+    (Rating::Good, format!("No fault. Largest force now {shown_n:.1} N of {limit_n:.0} N."))
 }
 
 /// Is it on time?
@@ -177,7 +180,7 @@ fn data(status: &Status, around: Around<'_>, facts: Facts<'_>) -> (Rating, Strin
         words.push(format!("{channels} stuck or saturated."));
     }
     if words.is_empty() {
-        words.push(unjudged(status.run.as_ref()).into());
+        return (Rating::Unknown, unjudged(status.run.as_ref()).into());
     }
     // Without a fresh frame nothing says that the data are good now.
     if rating <= Rating::Good {
@@ -215,6 +218,9 @@ mod tests {
         rig.rig.forces_n = vec![Some(12.34), None, Some(-1.0)];
         assert_eq!(safe(&rig).0, Rating::Good);
         assert!(safe(&rig).1.starts_with("No fault. Largest force now 12.3 N of "));
+        rig.rig.forces_n = vec![None; 3];
+        let unread = "No fault is known, and no load cell is read now.";
+        assert_eq!(safe(&rig), (Rating::Unknown, unread.to_owned()));
         rig.rig.stream.age_ms = Some(4200);
         let silent = "No frame for 4 s: check the readout.";
         assert_eq!(safe(&rig), (Rating::Warn, silent.to_owned()));
@@ -270,6 +276,8 @@ mod tests {
         assert_eq!(found, (Rating::Warn, words.to_owned()));
         let (rating, words) = data(&status(), around, facts);
         assert!(rating == Rating::Bad && words.starts_with("The disk is short of"), "{words}");
+        let nothing = data(&status(), Around::default(), Facts::default());
+        assert_eq!(nothing, (Rating::Unknown, "Nothing to judge yet.".into()));
         let mut silent = status();
         let fit = RollingFit { level: Level::Ok, pairs_over_limit: 0, ..fit };
         let good = Facts { fit: Some(&fit), ..Facts::default() };

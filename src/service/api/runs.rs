@@ -5,6 +5,7 @@ use axum::Json;
 use axum::extract::State;
 use axum::http::{StatusCode, header};
 use axum::response::IntoResponse;
+use jiff::{SignedDuration, Timestamp};
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
@@ -24,6 +25,9 @@ use crate::ids::RunUid;
 use crate::journal::Journal;
 use crate::schedule::preflight::Preflight;
 use crate::store::{Role, RunRow, SettingCount, SkipRow};
+
+/// Time after the end of a run within which a pause or an abort of it was meant for what moved, wall.
+const JUST_ENDED: SignedDuration = SignedDuration::from_secs(10);
 
 /// Results of a run.
 #[derive(Debug, Clone, Serialize, Deserialize, ToSchema)]
@@ -290,17 +294,8 @@ async fn request_action(
         return Ok(Some(app.conductor.start(run, code).await?));
     }
     let active = app.campaign.status().run.is_some_and(|r| r.uid == run.uid);
-    if !active && asked.action == ActionOnRun::Abort && run.is_open() {
-        app.conductor.abort_undriven(run).await?;
-        return Ok(None);
-    }
     if !active {
-        let (action, scan_id, state) = (asked.action.as_str(), run.scan_id, run.state);
-        let mut words = format!("action {action}: run {scan_id} is {state}, not active");
-        if run.is_driven() {
-            words += "; it is about to be driven again after a restart: abort ends it";
-        }
-        return Err(ApiError::new(StatusCode::CONFLICT, words));
+        return on_undriven(app, run, asked.action).await.map(|()| None);
     }
     let request = match asked.action {
         ActionOnRun::Pause if asked.when == Some(When::Now) => Request::PauseNow,
@@ -319,4 +314,49 @@ async fn request_action(
     };
     app.campaign.ask(request).await?;
     Ok(None)
+}
+
+/// An action on a run that is not driven: an abort ends an open one. A pause or an abort of one that has just ended is
+/// refused, and no waiting run begins.
+async fn on_undriven(app: &App, run: &RunRow, action: ActionOnRun) -> Result<(), ApiError> {
+    // It may have ended since it was read.
+    let run = &app.store.run(run.uid).await?.unwrap_or_else(|| run.clone());
+    if action == ActionOnRun::Abort && run.is_open() {
+        app.conductor.abort_undriven(run).await?;
+        return Ok(());
+    }
+    if comes_late(action, run.ended_at, Timestamp::now()) {
+        app.campaign.ask(Request::CameLate).await?;
+    }
+    let (action, scan_id, state) = (action.as_str(), run.scan_id, run.state);
+    let mut words = format!("action {action}: run {scan_id} is {state}, not active");
+    if run.is_driven() {
+        words += "; it is about to be driven again after a restart: abort ends it";
+    } else if let Some(other) = app.campaign.status().run {
+        words += &format!("; run {} is active", other.scan_id);
+    }
+    Err(ApiError::new(StatusCode::CONFLICT, words))
+}
+
+/// Whether an action was meant for a run that has just ended: who requested it may be at the rig.
+fn comes_late(action: ActionOnRun, ended_at: Option<Timestamp>, now: Timestamp) -> bool {
+    let halts = matches!(action, ActionOnRun::Pause | ActionOnRun::Abort);
+    halts && ended_at.is_some_and(|at| now.duration_since(at) <= JUST_ENDED)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_pause_or_an_abort_of_a_run_that_has_just_ended_comes_late() {
+        use ActionOnRun::{Abort, Pause, Resume, Stop};
+        let now = Timestamp::constant(1_795_000_000, 0);
+        let late = |action, ended_s: i64| {
+            comes_late(action, Some(now - SignedDuration::from_secs(ended_s)), now)
+        };
+        assert!(late(Abort, 0) && late(Pause, 10));
+        assert!(!late(Abort, 11) && !late(Stop, 0) && !late(Resume, 0));
+        assert!(!comes_late(Abort, None, now), "it has not ended");
+    }
 }

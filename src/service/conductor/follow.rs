@@ -18,6 +18,8 @@ use crate::store::{RunRow, StoreError};
 
 /// Pause before a run that the rig did not take up is offered again.
 const BUSY_AGAIN: Duration = Duration::from_secs(5);
+/// Pause before the store is told again of runs that were dropped while it failed.
+const STORE_AGAIN: Duration = Duration::from_secs(10);
 
 impl Conductor {
     /// Follows the campaign: a run that was started while another was active, or before its time,
@@ -26,18 +28,14 @@ impl Conductor {
         let mut status = self.inner.campaign.watch_status();
         // While the rig is free and no waiting run is due: when to decide again.
         let mut again: Option<Instant> = None;
+        // While a run that was dropped is stored as one that waits: when to store it.
+        let mut store_at: Option<Instant> = None;
         loop {
-            let until = again;
-            let due = async move {
-                match until {
-                    Some(at) => tokio::time::sleep_until(at).await,
-                    None => std::future::pending().await,
-                }
-            };
             tokio::select! {
                 changed = status.changed() => if changed.is_err() { return },
                 () = self.inner.look.notified() => again = None,
-                () = due => again = None,
+                () = until(again) => again = None,
+                () = until(store_at) => {}
             }
             let (free, tripped, attended) = {
                 let now = status.borrow_and_update();
@@ -47,10 +45,19 @@ impl Conductor {
             // A person may be at the rig: it must not start by itself once it is free or homed again. While the rig is
             // tripped, each look drops what was started in that moment.
             let is_followed = self.inner.signs.load(Ordering::SeqCst) == attended.signs;
-            if let Some(why) = tripped.or((!is_followed).then_some(attended.why)) {
-                self.drop_all_waiting(&why).await;
+            if let Some(why) = tripped.or((!is_followed).then_some(attended.why))
+                && self.drop_all_waiting(&why)
+            {
+                store_at = Some(Instant::now());
             }
             self.inner.signs.store(attended.signs, Ordering::SeqCst);
+            if store_at.is_some_and(|at| at <= Instant::now()) {
+                store_at = self.store_dropped().await.err().map(|error| {
+                    let error = error_chain(&error);
+                    tracing::warn!(error, "waiting runs are dropped in memory only");
+                    Instant::now() + STORE_AGAIN
+                });
+            }
             if !free {
                 again = None;
             } else if again.is_none() {
@@ -58,6 +65,8 @@ impl Conductor {
                     Ok(pause) => again = pause.map(|pause| Instant::now() + pause),
                     Err(error) => {
                         tracing::warn!(error = error_chain(&error), "the next run did not start");
+                        // It may have been dropped in memory only.
+                        store_at = store_at.or_else(|| Some(Instant::now() + STORE_AGAIN));
                     }
                 }
             }
@@ -115,10 +124,10 @@ impl Conductor {
     /// # Errors
     /// `StoreError` if the store fails.
     pub async fn waiting_for(&self) -> Result<Option<String>, StoreError> {
-        let is_busy = self.inner.campaign.status().run.is_some();
+        let obstacle = turn::Obstacle::of(&self.inner.campaign.status());
         let lock = self.inner.store.lock().await?;
         let present = turn::Present { now: Timestamp::now(), lock: lock.as_ref() };
-        match turn::waits_for(&self.still_waiting().await?, is_busy, present) {
+        match turn::waits_for(&self.still_waiting().await?, obstacle, present) {
             Some(words) => Ok(Some(words)),
             None => self.not_begun().await,
         }
@@ -155,36 +164,25 @@ impl Conductor {
         self.inner.look.notify_one();
     }
 
-    /// Removes all runs from those that wait, because a person may be at the rig.
-    async fn drop_all_waiting(&self, why: &str) {
-        // In memory first: none of them begins, whatever the store does.
+    /// Removes all runs from those that wait, because a person may be at the rig: in memory, so that none of them
+    /// begins, whatever the store does. Returns whether one waited.
+    fn drop_all_waiting(&self, why: &str) -> bool {
         let dropped = std::mem::take(&mut *self.waiting());
-        if dropped.is_empty() {
-            return;
-        }
         let why = format!("{why}: start it again");
         self.dropped().extend(dropped.iter().map(|run| (*run, why.clone())));
-        let stored = match self.inner.store.waiting_runs().await {
-            Ok(stored) => stored,
-            Err(error) => {
-                tracing::warn!(
-                    error = error_chain(&error),
-                    "waiting runs are dropped in memory only"
-                );
-                return;
-            }
-        };
-        // One that a person has started again meanwhile waits.
-        let stays =
-            |run: &&RunRow| dropped.contains(&run.uid) && self.why_dropped(run.uid).is_some();
-        for run in stored.iter().filter(stays) {
-            if let Err(error) = self.drop_waiting(run, &why).await {
-                tracing::warn!(
-                    error = error_chain(&error),
-                    "a waiting run is dropped in memory only"
-                );
+        !dropped.is_empty()
+    }
+
+    /// Stores which of the runs that wait were dropped, for the process after a crash.
+    async fn store_dropped(&self) -> Result<(), ConductorError> {
+        // One that a person starts again meanwhile waits.
+        let _one_at_a_time = self.inner.beginning.lock().await;
+        for run in self.inner.store.waiting_runs().await? {
+            if let Some(why) = self.why_dropped(run.uid) {
+                self.drop_waiting(&run, &why).await?;
             }
         }
+        Ok(())
     }
 
     /// Called at the end of the service, after that of the campaign: what the next process would not know. While an
@@ -225,6 +223,14 @@ impl Conductor {
         self.inner.store.clear_waiting(run.uid).await?;
         self.say(run, "not_begun", json!({ "why": why })).await;
         Ok(())
+    }
+}
+
+/// Waits until this time; for ever without one.
+async fn until(at: Option<Instant>) {
+    match at {
+        Some(at) => tokio::time::sleep_until(at).await,
+        None => std::future::pending().await,
     }
 }
 
@@ -297,7 +303,7 @@ mod tests {
         let words = async || conductor.waiting_for().await.unwrap().unwrap();
         start(&conductor, &run).await;
         assert!(words().await.contains("starts at"));
-        conductor.drop_all_waiting(BEFORE_ABORTED).await;
+        assert!(conductor.drop_all_waiting(BEFORE_ABORTED));
         let why = format!("{BEFORE_ABORTED}: start it again");
         assert_eq!(words().await, format!("run 1 (small) does not begin by itself: {why}"));
         assert_eq!(conductor.why_dropped(run.uid), Some(why));
@@ -306,6 +312,23 @@ mod tests {
         assert_eq!(conductor.not_begun().await.unwrap(), None);
         assert!(words().await.contains("starts at"));
         assert_eq!(conductor.why_dropped(run.uid), None);
+        std::fs::remove_dir_all(folder).unwrap();
+    }
+
+    #[tokio::test]
+    async fn what_was_dropped_while_the_store_failed_is_stored_later_unless_it_was_started_again() {
+        let (conductor, _inbox, folder) = conductor("stored").await;
+        let [stays, again] =
+            [queued(&conductor, in_an_hour()).await, queued(&conductor, in_an_hour()).await];
+        start(&conductor, &stays).await;
+        start(&conductor, &again).await;
+        assert!(conductor.drop_all_waiting(BEFORE_ABORTED));
+        assert!(!conductor.drop_all_waiting(BEFORE_ABORTED), "once");
+        start(&conductor, &again).await;
+        conductor.store_dropped().await.unwrap();
+        let stored = conductor.inner.store.waiting_runs().await.unwrap();
+        assert_eq!(stored.iter().map(|run| run.uid).collect::<Vec<_>>(), [again.uid]);
+        assert_eq!(conductor.still_waiting().await.unwrap().len(), 1);
         std::fs::remove_dir_all(folder).unwrap();
     }
 

@@ -1,10 +1,12 @@
 //! Decides which of the runs that were started and wait may begin, and when to decide again.
-//! PURE. Uses: `problem`, `store` (its rows). Never: the clock (the time is passed in), a request.
+//! PURE. Uses: `problem`, `campaign::shown` (the status), `store` (its rows). Never: the clock (the time is passed in),
+//! a request.
 
 use std::time::Duration;
 
 use jiff::{SignedDuration, Timestamp};
 
+use crate::campaign::shown::status::Status;
 use crate::problem::Problem;
 use crate::store::{LockRow, RunRow};
 
@@ -57,9 +59,47 @@ pub(super) fn decide_again(waiting: &[RunRow], present: Present<'_>) -> Option<D
     Some(left.min(DECIDE_AGAIN))
 }
 
-/// What the next of the waiting runs waits for, as text; `None` if none waits. `is_busy`: another
-/// run is active.
-pub(super) fn waits_for(waiting: &[RunRow], is_busy: bool, present: Present<'_>) -> Option<String> {
+/// What a run that is due waits for, apart from a lock.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Obstacle {
+    /// Another run is active.
+    ActiveRun,
+    /// An axis has not acknowledged the stop of the last safe end, or moves after it: the rig is busy.
+    SafeEnd,
+    /// The rig is not homed.
+    NotHomed,
+}
+
+impl Obstacle {
+    /// At this status.
+    pub(super) fn of(status: &Status) -> Self {
+        if status.run.is_some() {
+            Self::ActiveRun
+        } else if status.rig.safe_end.as_ref().is_some_and(|end| !end.is_stopped()) {
+            Self::SafeEnd
+        } else {
+            Self::NotHomed
+        }
+    }
+
+    /// When it is gone, as text.
+    fn when_gone(self) -> &'static str {
+        match self {
+            Self::ActiveRun => "the active run has ended",
+            Self::SafeEnd => {
+                "the last safe end is complete: an axis has not acknowledged its stop, or moves after it"
+            }
+            Self::NotHomed => "the rig is homed",
+        }
+    }
+}
+
+/// What the next of the waiting runs waits for, as text; `None` if none waits.
+pub(super) fn waits_for(
+    waiting: &[RunRow],
+    obstacle: Obstacle,
+    present: Present<'_>,
+) -> Option<String> {
     let next = waiting.iter().find(|run| present.is_due(run));
     let first = next.or_else(|| waiting.iter().min_by_key(|run| run.not_before))?;
     let run = format!("run {} ({})", first.scan_id, first.experiment);
@@ -69,8 +109,7 @@ pub(super) fn waits_for(waiting: &[RunRow], is_busy: bool, present: Present<'_>)
     }
     Some(match first.not_before.filter(|at| *at > present.now) {
         Some(at) => format!("{run} starts at {at:.0} or later"),
-        None if is_busy => format!("{run} starts when the active run has ended"),
-        None => format!("{run} starts when the rig is homed"),
+        None => format!("{run} starts when {}", obstacle.when_gone()),
     })
 }
 
@@ -94,6 +133,11 @@ pub(super) fn check(not_before: Option<Timestamp>, now: Timestamp) -> Result<(),
 mod tests {
     use super::super::restart::tests::run;
     use super::*;
+    use crate::campaign::bench::estop::AxisStop;
+    use crate::campaign::bench::rig_state::RigState;
+    use crate::campaign::shown::safe_end::{SafeEnd, Tips};
+    use crate::campaign::shown::show;
+    use crate::rig::setup::RigSetup;
     use crate::state::StoredState;
 
     const NOW_S: i64 = 1_795_000_000;
@@ -136,14 +180,35 @@ mod tests {
 
     #[test]
     fn the_status_names_the_next_run_and_its_reason() {
-        let words = |starts: &[Option<i64>], busy| waits_for(&waiting(starts), busy, FREE);
-        assert_eq!(words(&[], true), None);
+        let words = |starts: &[Option<i64>], obstacle| waits_for(&waiting(starts), obstacle, FREE);
+        assert_eq!(words(&[], Obstacle::ActiveRun), None);
         let homed = "run 1 (quickstart) starts when the rig is homed";
-        assert_eq!(words(&[Some(-1), None], false).unwrap(), homed);
+        assert_eq!(words(&[Some(-1), None], Obstacle::NotHomed).unwrap(), homed);
         let ended = "run 2 (quickstart) starts when the active run has ended";
-        assert_eq!(words(&[Some(60), None], true).unwrap(), ended);
+        assert_eq!(words(&[Some(60), None], Obstacle::ActiveRun).unwrap(), ended);
         let later = "run 2 (quickstart) starts at 2026-11-18T11:07:40Z or later";
-        assert_eq!(words(&[Some(90), Some(60)], false).unwrap(), later);
+        assert_eq!(words(&[Some(90), Some(60)], Obstacle::NotHomed).unwrap(), later);
+    }
+
+    #[test]
+    fn a_homed_rig_is_busy_until_its_safe_end_is_complete() {
+        let rig = include_str!("../../../experiments/rigs/virtual.toml");
+        let mut status = show::closed(&RigSetup::from_toml("virtual.toml", rig).unwrap());
+        status.rig.state = RigState::Homed;
+        let mut end = SafeEnd {
+            stops: vec![AxisStop::of("y")],
+            tips: Tips::Raised,
+            sample_to_stop_ms: None,
+            travelled_mm: None,
+            took_ms: 2100.0,
+        };
+        status.rig.safe_end = Some(end.clone());
+        assert_eq!(Obstacle::of(&status), Obstacle::SafeEnd);
+        let words = waits_for(&waiting(&[None]), Obstacle::of(&status), FREE).unwrap();
+        assert!(words.contains(" starts when the last safe end is complete: an axis"), "{words}");
+        end.stops[0].acknowledged_ms = Some(3.0);
+        status.rig.safe_end = Some(end);
+        assert_eq!(Obstacle::of(&status), Obstacle::NotHomed);
     }
 
     #[test]
@@ -159,7 +224,8 @@ mod tests {
         let of = |lock: LockRow| {
             let present = Present { now: at(0), lock: Some(&lock) };
             let again = decide_again(&runs, present);
-            (present.lets_begin(&runs[0]), again, waits_for(&runs, false, present).unwrap())
+            let words = waits_for(&runs, Obstacle::NotHomed, present).unwrap();
+            (present.lets_begin(&runs[0]), again, words)
         };
         let (begins, again, words) = of(lock("bob", -50));
         assert!(!begins && again == Some(DECIDE_AGAIN));

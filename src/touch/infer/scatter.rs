@@ -25,8 +25,10 @@ pub struct Scatter {
 
 impl Scatter {
     /// Of frames of the untouched skin in the order of time, V; `None` with too few frames, or of different
-    /// lengths.
+    /// lengths. A frame with a value that is not finite is skipped.
     pub fn of(frames: &[&[f32]]) -> Option<Self> {
+        let is_finite = |frame: &&[f32]| frame.iter().all(|volts| volts.is_finite());
+        let frames: Vec<&[f32]> = frames.iter().copied().filter(is_finite).collect();
         let first = frames.first().filter(|_| frames.len() >= LEAST_FRAMES)?;
         if frames.iter().any(|frame| frame.len() != first.len()) {
             return None;
@@ -109,6 +111,19 @@ mod tests {
         }
         let equal = scatter(&frames(300, false)).unwrap().spectrum;
         assert!(equal.iter().all(|share| (share - 1.0).abs() < 0.3), "{equal:?}");
+    }
+
+    #[test]
+    fn a_frame_that_is_not_finite_is_skipped() {
+        let sound = frames(20, true);
+        let mut broken = sound.clone();
+        for (at, value) in [(12, f32::NAN), (5, f32::INFINITY)] {
+            broken.insert(at, vec![1e-3; PAIRS * PAIRS]);
+            broken[at][3] = value;
+        }
+        assert_eq!(scatter(&broken), scatter(&sound));
+        assert!(scatter(&sound).is_some_and(|scatter| scatter.sd_v > 0.0));
+        assert_eq!(scatter(&broken[5..10]), None, "too few");
     }
 
     #[test]

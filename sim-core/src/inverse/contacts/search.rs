@@ -5,6 +5,7 @@
 //! the part of a contact's frame that the present contacts cannot imitate is compared with the
 //! residual. Each new hypothesis is fitted as a whole before it is ranked. At last each contact of the good ones is
 //! taken out in turn and placed again: growth by one contact keeps an early one that the later ones make wrong.
+//! A change of what it finds increases `READINGS_VERSION` of the jobs, too: machines of one version must find the same.
 
 use super::FitOptions;
 use super::basis::Projected;

@@ -233,9 +233,11 @@ impl StandIns {
     }
 }
 
-/// A journal that takes everything and keeps nothing.
+/// A journal that takes everything and keeps only the kinds of the events.
 #[derive(Debug, Default)]
 pub struct Forgetful {
+    /// Kind of each event.
+    pub events: Mutex<Vec<String>>,
     /// When a person took the operator lock.
     pub locked_at: Mutex<Option<Timestamp>>,
 }
@@ -299,6 +301,7 @@ impl Journal for Forgetful {
         data: Value,
         at: Timestamp,
     ) -> Result<Event, JournalError> {
+        self.events.lock().push(kind.into());
         Ok(Event { seq: 1, run, at, kind: kind.into(), data })
     }
 

@@ -29,6 +29,9 @@ use crate::suspension::Suspensions;
 pub const STORE_LIMIT: Duration = Duration::from_secs(30);
 /// Why no waiting run begins after an abort of a motion outside a run.
 const MOTION_ABORTED: &str = "a motion of the rig was aborted, and a person may be at it";
+/// Why no waiting run begins after a pause or an abort that came too late for the run before it.
+const CAME_LATE: &str =
+    "a pause or an abort of the run before it came as it ended, and a person may be at the rig";
 /// Period at which requests are checked while waiting for the store at rest.
 const REQUESTS_POLL: Duration = Duration::from_millis(20);
 
@@ -104,6 +107,11 @@ impl Control {
     /// Publishes a sign that a person may be at the rig, with the reason: no waiting run begins by itself.
     pub fn attended(&self, why: &str) {
         self.show(|status| status.attended.note(why));
+    }
+
+    /// Publishes that a pause or an abort came too late for its run: a sign of a person.
+    pub fn came_late(&self) {
+        self.attended(CAME_LATE);
     }
 
     /// Why a person may have come to the rig after the first `signs`, as text; none if there was no further sign.
@@ -308,6 +316,11 @@ impl Control {
 
     fn take_up_while_moving(&mut self, envelope: Envelope) -> Option<RunAction> {
         let Envelope { request, answer, .. } = envelope;
+        if matches!(request, Request::CameLate) {
+            self.came_late();
+            let _ = answer.send(Ok(()));
+            return None;
+        }
         self.operated |= request.rig_action().is_some();
         let outcome = match self.run {
             RunState::Idle => self.asked_without_run(&request),
@@ -387,7 +400,8 @@ impl Control {
             | Request::Mounted { .. }
             | Request::Start(_)
             | Request::Confirm { .. }
-            | Request::Repeat { .. } => None,
+            | Request::Repeat { .. }
+            | Request::CameLate => None,
         }
     }
 
@@ -419,6 +433,7 @@ pub fn name(request: &Request) -> &'static str {
         Request::Abort => "abort",
         Request::Confirm { .. } => "confirm",
         Request::Repeat { .. } => "repeat",
+        Request::CameLate => "a late pause or abort",
         Request::Shutdown => "shutdown",
     }
 }

@@ -83,6 +83,8 @@ pub enum Request {
         /// Reason for the repetition.
         why: String,
     },
+    /// A pause or an abort came after the run had ended: no waiting run begins by itself.
+    CameLate,
     /// End the thread of the campaign.
     Shutdown,
 }
@@ -107,6 +109,7 @@ impl Request {
             | Self::Abort
             | Self::Confirm { .. }
             | Self::Repeat { .. }
+            | Self::CameLate
             | Self::Shutdown => None,
         }
     }
@@ -134,6 +137,7 @@ impl Request {
             | Self::Mounted { .. }
             | Self::Start(_)
             | Self::Suspend(_)
+            | Self::CameLate
             | Self::Shutdown => return None,
         };
         action.refused(status)
@@ -194,6 +198,7 @@ impl Envelope {
                 | Request::Stop
                 | Request::Abort
                 | Request::Repeat { .. }
+                | Request::CameLate
                 | Request::Shutdown => false,
             }
     }

@@ -53,6 +53,15 @@ impl SafeEnd {
     pub fn is_stopped(&self) -> bool {
         self.stops.iter().all(AxisStop::is_done)
     }
+
+    /// Whether both ended alike: the tips, and which axes are stopped, with their faults. The times may differ.
+    pub(in crate::campaign) fn has_result_of(&self, other: &Self) -> bool {
+        let result = |stop: &AxisStop| {
+            let (acknowledged, stood) = (stop.acknowledged_ms.is_some(), stop.stood_ms.is_some());
+            (stop.axis.clone(), acknowledged, stood, stop.error.clone())
+        };
+        self.tips == other.tips && self.stops.iter().map(result).eq(other.stops.iter().map(result))
+    }
 }
 
 /// Axes whose last stop is not acknowledged, or that move after it, each with its cause: of the latched e-stop, otherwise

@@ -35,7 +35,8 @@ use crate::problem::Problem;
 
 /// Kind of the chunks.
 pub const READINGS: &str = "readings";
-/// Version of the lines of a chunk, and of the fits: increased by a change that gives other bytes.
+/// Version of the lines of a chunk, and of the fits: increased by a change that gives other bytes, also one of the
+/// search of `exact` (`infer::methods::exact`, sim-core's `inverse::contacts`).
 const READINGS_VERSION: u32 = 1;
 /// Inputs of a work order: texts of the sensor file, of the calibration file and of the errors of the skin (JSON).
 const READINGS_SENSOR: &str = "sensor_file";

@@ -40,9 +40,6 @@ const TARE_SAMPLES: u32 = 4;
 const DECELERATION_WAIT: Duration = Duration::from_secs(3);
 /// Period of that wait.
 const DECELERATION_POLL: Duration = Duration::from_millis(10);
-/// Why no waiting run begins after a pause or an abort that came too late for the run before it.
-const CAME_LATE: &str =
-    "a pause or an abort of the run before it came as it ended, and a person may be at the rig";
 
 impl Engine {
     /// Accepts a request that concerns only the rig.
@@ -79,6 +76,10 @@ impl Engine {
             },
             Request::Tare => self.tare().await,
             Request::Mounted { tips, who } => self.mounted(tips, &who).await,
+            Request::CameLate => {
+                self.control.came_late();
+                Ok(())
+            }
             // Of a run.
             Request::Start(_)
             | Request::PauseAtCheckpoint
@@ -95,7 +96,7 @@ impl Engine {
                     Request::PauseAtCheckpoint | Request::PauseNow | Request::Abort
                 );
                 if halts {
-                    self.control.attended(CAME_LATE);
+                    self.control.came_late();
                 }
                 let words = format!("{} is not possible: no run is active", name(&request));
                 Err(Refusal::State(words))

@@ -32,6 +32,7 @@ use crate::campaign::safe_end;
 use crate::campaign::shown::command::{Envelope, Handle, Refusal, Request, channel};
 use crate::campaign::shown::placement::Confirmation;
 use crate::campaign::shown::rig_action::{NO_STAGE, NO_WIRES};
+use crate::campaign::shown::safe_end::SafeEnd;
 use crate::campaign::shown::show;
 use crate::campaign::spans::run_span;
 use crate::clock::Clock;
@@ -53,8 +54,10 @@ mod wait;
 
 /// Period at which an idle or waiting engine checks its bench, wall.
 const IDLE_TICK: Duration = Duration::from_millis(200);
-/// Pause between two attempts at a safe end that failed because of the wires.
+/// Pause before a safe end that is not complete is repeated.
 const OWED_AGAIN: Duration = Duration::from_millis(500);
+/// Longest pause before it is repeated again, once the tips are up: no request is read meanwhile.
+const OWED_AGAIN_MAX: Duration = Duration::from_secs(30);
 /// Longest wait for the store when the thread starts and ends.
 const STORE_PATIENCE: Duration = Duration::from_secs(10);
 /// Longest wait between two automatic resumes, wall.
@@ -119,6 +122,8 @@ struct Engine {
     empty_skin: EmptySkin,
     /// Parts of the last safe end that are not complete.
     owed: Owed,
+    /// Pause before these are tried again.
+    owed_pause: Duration,
     /// Wall time and instant at which the driven run halted last.
     halted_at: (jiff::Timestamp, Instant),
     /// Span of the driven run, for the log; none outside a run.
@@ -167,6 +172,7 @@ impl Engine {
             mounting: None,
             empty_skin: EmptySkin::default(),
             owed: Owed::Nothing,
+            owed_pause: OWED_AGAIN,
             halted_at: (jiff::Timestamp::now(), Instant::now()),
             driven: Span::none(),
         }
@@ -243,6 +249,25 @@ impl Engine {
     /// Executes the safe end, with or without a run. Returns true if nothing more can be done for
     /// the tips.
     async fn make_safe(&mut self, trip: Option<&Trip>, height: Height) -> bool {
+        self.owed_pause = OWED_AGAIN;
+        self.attempt_safe_end(trip, height, None).await
+    }
+
+    /// Repeats a safe end that is not complete; its event is stored if the result differs. An axis that moves after its
+    /// stop takes seconds each time: with raised tips the next attempt is later.
+    async fn repeat_safe_end(&mut self, height: Height) {
+        let before = self.control.inbox.status.borrow().rig.safe_end.clone();
+        if self.attempt_safe_end(None, height, before.as_ref()).await {
+            self.owed_pause = OWED_AGAIN_MAX.min(2 * self.owed_pause);
+        }
+    }
+
+    async fn attempt_safe_end(
+        &mut self,
+        trip: Option<&Trip>,
+        height: Height,
+        before: Option<&SafeEnd>,
+    ) -> bool {
         let Some(stage) = self.connection.as_mut().and_then(|c| c.stage.as_mut()) else {
             // Nothing moves: a trip of a skin alone only latches.
             if let Some(trip) = trip {
@@ -250,7 +275,7 @@ impl Engine {
             }
             return true;
         };
-        let end = safe_end::make_safe(&mut self.control, stage, trip, height).await;
+        let end = safe_end::make_safe(&mut self.control, stage, trip, height, before).await;
         self.owed = match (end.is_safe(), end.is_stopped()) {
             (true, true) => Owed::Nothing,
             (true, false) => Owed::Wires(Instant::now(), height),
@@ -280,12 +305,12 @@ impl Engine {
         }
         let Some(connection) = self.connection.as_ref() else { return };
         if let Owed::Wires(tried, height) = self.owed
-            && tried.elapsed() > OWED_AGAIN
+            && tried.elapsed() > self.owed_pause
             && self.control.estop.pressed().is_none()
             && let Some(stage) = &connection.stage
             && stage.pose().await.is_ok()
         {
-            self.make_safe(None, height).await;
+            self.repeat_safe_end(height).await;
         }
         if let Some(connection) = self.connection.as_ref() {
             connection.show_counters(&self.control);

@@ -7,7 +7,7 @@ use futures::future::join_all;
 use serde_json::json;
 use tokio::time::Instant;
 
-use super::{Engine, Waited, backoff};
+use super::{Engine, Owed, Waited, backoff};
 use crate::campaign::bench::rig_state::RigState;
 use crate::campaign::run::job::Job;
 use crate::campaign::run::run_state::{PausedWhy, RunEvent, RunState};
@@ -208,7 +208,9 @@ impl Engine {
     /// the skin.
     async fn recover(&mut self, job: &Job, presses: u64, homed: &mut [bool; AXES]) -> Recovery {
         self.control.say("recovering", json!({}));
-        if !self.devices_reply().await {
+        // An axis that has not acknowledged its stop, or moves after it, is not homed.
+        let is_owed = job.plan.kind == Kind::RealHex && self.owed != Owed::Nothing;
+        if is_owed || !self.devices_reply().await {
             return Recovery::Silent;
         }
         let Some(connection) = self.connection.as_ref() else { return Recovery::Silent };
@@ -288,6 +290,7 @@ mod tests {
 
     use super::super::tests::{engine, job, suspensions, trip};
     use super::*;
+    use crate::campaign::bench::stage::Height;
     use crate::campaign::bench::stand_in::StandIns;
 
     /// One attempt of an automatic resume while a device has been silent for this time, and a person holds the operator
@@ -349,6 +352,22 @@ mod tests {
         assert!(automatic.is_none() && axes.z.starts.load(Ordering::SeqCst) == starts);
         let words = engine.control.inbox.status.borrow().run.as_ref().unwrap().waiting_for.clone();
         assert!(words.is_some_and(|words| words.contains("z is not homed any more")));
+    }
+
+    #[tokio::test]
+    async fn no_axis_is_homed_automatically_while_a_safe_end_is_not_complete() {
+        let (axes, job) = (StandIns::default(), job());
+        let mut engine = engine(&axes);
+        trip(&mut engine, &job);
+        let mut resumes = 1;
+        let mut automatic = Some(Automatic::new(&job, &mut resumes, None));
+        for owed in [Owed::Wires(Instant::now(), Height::Clear), Owed::Nothing] {
+            engine.owed = owed;
+            automatic.as_mut().unwrap().at = Instant::now();
+            let resumed = engine.resume_automatically(&job, &mut automatic, 0).await;
+            let is_homed = axes.x.starts.load(Ordering::SeqCst) > 0;
+            assert_eq!([resumed.is_some(), is_homed], [owed == Owed::Nothing; 2]);
+        }
     }
 
     #[tokio::test]

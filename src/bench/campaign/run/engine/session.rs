@@ -2,12 +2,14 @@
 //! Uses: `campaign::{trial::press, bench::touch_off, trial::manual, run::resume}`. Never:
 //! decisions after a halt (`decide`).
 
+use std::time::Duration;
+
 use serde_json::json;
 use tokio::time::Instant;
 use tracing::Instrument;
 
 use super::skin::EmptySkin;
-use super::{Answer, Attempts, Engine, Last, Next, Owed, no_stage, no_wires, trip_of};
+use super::{Answer, Attempts, Engine, IDLE_TICK, Last, Next, Owed, no_stage, no_wires, trip_of};
 use crate::campaign::bench::evidence::SilentArms;
 use crate::campaign::bench::interlock::{self, ForceLimits, TripKind};
 use crate::campaign::bench::rig_state::{RigEvent, RigState};
@@ -32,6 +34,12 @@ use crate::schedule::manual::PlannedPlacement;
 use crate::schedule::plan::{Kind, Step};
 use crate::schedule::visits::StepOfTour;
 
+/// Why nothing moves while a safe end is not complete.
+const NOT_COMPLETE: &str =
+    "the last safe end is not complete: an axis has not acknowledged its stop, or moves after it";
+/// Longest wait for it before the next attempt of a run.
+const OWED_LIMIT: Duration = Duration::from_secs(30);
+
 impl Engine {
     /// Checks that a run may start, and arms the rig for it: at the measured pace of the wires, the
     /// stopping distance must stay within the margin of the force limit.
@@ -44,7 +52,11 @@ impl Engine {
             return Err(no_wires());
         }
         if let Some(words) = self.notice_suspension() {
-            return Err(Refusal::State(format!("{words}: reset, home, then start the run")));
+            let next = match job.plan.kind {
+                Kind::RealHex => "reset, home",
+                Kind::RealRandom => "reset",
+            };
+            return Err(Refusal::State(format!("{words}: {next}, then start the run")));
         }
         if job.plan.kind == Kind::RealHex {
             let stage = self.stage_mut()?;
@@ -71,8 +83,7 @@ impl Engine {
         let connection = self.connection.as_mut().ok_or_else(no_wires)?;
         let stage = connection.stage.as_mut().ok_or_else(no_stage)?;
         if self.owed != Owed::Nothing {
-            let words = "the last safe end is not complete: an axis has not acknowledged its stop, or moves after it";
-            return Err(Refusal::Busy(words.into()));
+            return Err(Refusal::Busy(NOT_COMPLETE.into()));
         }
         if self.control.rig() == RigState::Homed {
             let timed = stage.time_polls().await;
@@ -162,13 +173,40 @@ impl Engine {
         }
     }
 
-    /// Reads what is stored and executes the remaining steps. Returns a message if none remain.
-    async fn advance(
+    /// Waits until the last safe end is complete: no axis is commanded that has not acknowledged its stop, or moves
+    /// after it.
+    ///
+    /// # Errors
+    /// As `attend`; a trip if the safe end is not complete in time, or needs a person.
+    async fn complete_safe_end(&mut self) -> Result<(), Halt> {
+        let deadline = Instant::now() + OWED_LIMIT;
+        while self.owed != Owed::Nothing {
+            self.control.attend()?;
+            if self.owed == Owed::Person || Instant::now() > deadline {
+                let replies = match self.stage() {
+                    Some(stage) => stage.pose().await.is_ok(),
+                    None => false,
+                };
+                let kind = if replies { TripKind::Device } else { TripKind::Wire };
+                return Err(Halt::trip(kind, NOT_COMPLETE));
+            }
+            tokio::time::sleep(IDLE_TICK).await;
+            self.look().await;
+        }
+        Ok(())
+    }
+
+    /// Reads what is stored and executes the remaining steps. Returns a message if none remain. After a failed attempt
+    /// it waits for the end of its safe end.
+    pub(super) async fn advance(
         &mut self,
         job: &Job,
         pace: &mut Pace,
         attempts: &mut Attempts,
     ) -> Result<Option<String>, Halt> {
+        if job.plan.kind == Kind::RealHex {
+            self.complete_safe_end().await?;
+        }
         let depths = job.plan.depths_mm.len();
         let mut progress = self.stored(job).await?;
         show::progress(&self.control, job, &progress, pace);

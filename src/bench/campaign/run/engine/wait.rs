@@ -227,6 +227,11 @@ impl Engine {
                 let _ = answer.send(paused);
                 None
             }
+            Request::CameLate => {
+                self.control.came_late();
+                let _ = answer.send(Ok(()));
+                None
+            }
             Request::Start(_) => {
                 let (run, start) = (self.control.run(), name(&request));
                 let (state, next) = (run.as_str(), run.allowed());

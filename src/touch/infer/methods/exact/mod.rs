@@ -1,5 +1,6 @@
 //! Contacts fitted to a frame through the exact model of a skin.
-//! Uses: `skin`, sim-core's `inverse::contacts`, `fast` (proposals). Never: files (`skins` has them).
+//! Uses: `skin`, sim-core's `inverse::contacts`, `fast` (proposals). Never: files (`skins` has them); other answers to
+//! a frame, here or in the search of sim-core, without a higher `READINGS_VERSION` (`jobs::readings::chunks`).
 
 mod errors;
 mod known;

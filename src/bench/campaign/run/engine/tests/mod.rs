@@ -23,15 +23,17 @@ use crate::campaign::run::job::Job;
 use crate::campaign::run::run_state::{PausedWhy, RunEvent, RunState};
 use crate::campaign::shown::command::{Handle, Refusal, Request, channel};
 use crate::campaign::shown::show;
-use crate::campaign::shown::status::{Done, Status, Wanted};
+use crate::campaign::shown::status::{Done, Wanted};
 use crate::clock::Clock;
 use crate::ids::RunUid;
 use crate::journal::{ExitStatus, Journal};
 use crate::rig::setup::RigSetup;
 use crate::rig::traits::AxisStatus;
 use crate::schedule::experiment::Experiment;
-use crate::schedule::plan::Plan;
+use crate::schedule::plan::{Kind, Plan};
 use crate::suspension::Suspensions;
+
+mod owed;
 
 /// An engine whose wires to these axes are open; the rig is disarmed.
 pub(super) fn engine(axes: &StandIns) -> Engine {
@@ -57,7 +59,7 @@ pub(super) fn job() -> Job {
     let text = "name = 'stand-in'\nseed = 3\nsensor = 's'\n[real_hex]\ntips = [1]\n\
                 configurations = 2\ndepths = 2\n";
     let experiment = Experiment::from_toml("t.toml", text).expect("sound");
-    let sensor = include_str!("../../../../../experiments/sensors/ert-28.toml");
+    let sensor = include_str!("../../../../../../experiments/sensors/ert-28.toml");
     let sensor = Sensor::from_toml(sensor).expect("sound");
     Job {
         run: RunUid::new(),
@@ -161,7 +163,7 @@ async fn a_reset_whose_caller_was_told_that_it_failed_releases_no_stop() {
 
 #[tokio::test]
 async fn after_a_suspension_of_the_computer_nothing_moves_before_a_person_resets() {
-    let (axes, job) = (StandIns::default(), job());
+    let (axes, mut job) = (StandIns::default(), job());
     let mut engine = engine(&axes);
     let suspended_s = suspensions(&mut engine);
     engine.control.rig_event(RigEvent::Homed).unwrap();
@@ -182,6 +184,12 @@ async fn after_a_suspension_of_the_computer_nothing_moves_before_a_person_resets
     assert_eq!((engine.control.rig(), engine.control.run()), (RigState::Tripped, RunState::Idle));
     engine.control.rig_event(RigEvent::Reset).unwrap();
     assert!(engine.home().await, "it is told once");
+
+    // A manual run moves nothing.
+    job.plan.kind = Kind::RealRandom;
+    suspended_s.store(36_120, Ordering::SeqCst);
+    let refused = engine.arm(&job, &waited_for).await.unwrap_err().to_string();
+    assert_eq!(refused, "the computer was suspended for 60 s: reset, then start the run");
 }
 
 #[tokio::test]
@@ -205,7 +213,7 @@ async fn neither_a_reset_nor_closing_the_wires_is_possible_while_an_axis_moves_a
 
 #[tokio::test]
 async fn an_e_stop_while_the_wires_are_opened_leaves_them_open_for_the_stops_and_trips() {
-    let text = include_str!("../../../../../experiments/rigs/virtual.toml");
+    let text = include_str!("../../../../../../experiments/rigs/virtual.toml");
     // Nobody listens there.
     let text = text.replace("\"127.0.0.1:50", "\"127.0.0.1:1");
     let setup = RigSetup::from_toml("virtual.toml", &text).expect("sound");
@@ -336,67 +344,6 @@ async fn a_lateral_motion_continues_while_z_jitters_at_rest() {
 }
 
 #[tokio::test]
-async fn no_run_is_armed_while_an_axis_owes_the_acknowledgement_of_its_stop() {
-    let (axes, job) = (StandIns::default(), job());
-    let mut engine = engine(&axes);
-    engine.control.rig_event(RigEvent::Homed).unwrap();
-    axes.x.replies.store(false, Ordering::SeqCst);
-    assert!(engine.make_safe(None, Height::Clear).await, "the tips are up");
-    let (waited_for, _caller) = oneshot::channel();
-    let refused = engine.arm(&job, &waited_for).await;
-    assert!(matches!(refused, Err(Refusal::Busy(_))), "{refused:?}");
-    assert_eq!(engine.control.rig(), RigState::Homed);
-    axes.x.replies.store(true, Ordering::SeqCst);
-    tokio::time::sleep(OWED_AGAIN + Duration::from_millis(50)).await;
-    engine.look().await;
-    assert_eq!(engine.arm(&job, &waited_for).await, Ok(()));
-}
-
-#[tokio::test]
-async fn a_safe_end_is_not_complete_while_an_axis_moves_after_its_stop() {
-    let (axes, job) = (StandIns::default(), job());
-    let mut engine = engine(&axes);
-    engine.control.rig_event(RigEvent::Homed).unwrap();
-    axes.y.status.lock().moving = true;
-    assert!(engine.make_safe(None, Height::Clear).await, "the tips are up");
-    let end = engine.control.inbox.status.borrow().rig.safe_end.clone().unwrap();
-    let moving: Vec<&str> =
-        end.stops.iter().filter(|stop| !stop.is_done()).map(|stop| stop.axis.as_str()).collect();
-    assert_eq!(moving, ["y"], "{end:?}");
-    assert_eq!(end.stops.iter().filter(|stop| stop.stood_ms.is_some()).count(), 3, "{end:?}");
-    let (waited_for, _caller) = oneshot::channel();
-    let refused = engine.arm(&job, &waited_for).await;
-    assert!(matches!(refused, Err(Refusal::Busy(_))), "{refused:?}");
-    let stops = axes.y.stops.load(Ordering::SeqCst);
-    axes.y.status.lock().moving = false;
-    tokio::time::sleep(OWED_AGAIN + Duration::from_millis(50)).await;
-    engine.look().await;
-    assert!(axes.y.stops.load(Ordering::SeqCst) > stops, "sent again");
-    assert_eq!(engine.arm(&job, &waited_for).await, Ok(()));
-}
-
-#[tokio::test]
-async fn hands_are_called_to_raised_tips_only_once_each_axis_stands() {
-    let job = job();
-    for (is_moving, state) in
-        [(false, RunState::Paused(PausedWhy::TipChange)), (true, RunState::Paused(PausedWhy::Trip))]
-    {
-        let axes = StandIns::default();
-        let mut engine = engine(&axes);
-        engine.control.show(|status| status.run = Some(show::started(&job)));
-        engine.control.begin(job.run).unwrap();
-        axes.radial.status.lock().moving = is_moving;
-        let (wanted, mut attempts) = (Halt::Needs(Wanted::Tips { tips: 1 }), Attempts::default());
-        // Without a handle there is no request to wait for.
-        let next = engine.decide(&job, wanted, &mut attempts, &mut 0).await;
-        assert!(matches!(next, Next::Leave));
-        assert_eq!(engine.control.run(), state, "{is_moving}");
-        let is_called = |status: &Status| status.run.as_ref().is_some_and(|r| r.wanted.is_some());
-        assert_eq!(is_called(&engine.control.inbox.status.borrow()), !is_moving);
-    }
-}
-
-#[tokio::test]
 async fn an_end_brings_a_person_to_the_rig_unless_the_run_was_stopped_as_it_moved_or_gave_up() {
     let job = job();
     let policy = &job.plan.policy;
@@ -474,6 +421,28 @@ async fn no_run_begins_if_the_run_before_it_was_aborted_as_it_ended() {
     assert!(matches!(started, Err(Refusal::Busy(_))), "{started:?}");
     assert_eq!((engine.control.run(), signs(&engine)), (RunState::Idle, 1));
     assert_eq!(answered(&mut engine, start()).await, Ok(()), "a person starts it again");
+}
+
+#[tokio::test]
+async fn no_run_begins_if_a_pause_or_an_abort_came_after_the_end_of_the_run_before_it() {
+    let (axes, job) = (StandIns::default(), Arc::new(job()));
+    let (mut engine, handle) = with_handle(&axes);
+    engine.control.rig_event(RigEvent::Homed).unwrap();
+    let start = handle.ask(Request::Start(job.clone()));
+    let both = async { tokio::join!(handle.ask(Request::CameLate), start) };
+    let (noted, started) = answered(&mut engine, both).await;
+    assert_eq!((noted, signs(&engine)), (Ok(()), 1));
+    assert!(matches!(started, Err(Refusal::Busy(_))), "{started:?}");
+    // One that has begun before it continues; what waits for its end is dropped.
+    engine.control.show(|status| status.run = Some(show::started(&job)));
+    engine.control.begin(job.run).unwrap();
+    let moves = async {
+        tokio::task::yield_now().await;
+        engine.control.attend()
+    };
+    let (noted, moved) = tokio::join!(handle.ask(Request::CameLate), moves);
+    assert!(noted.is_ok() && moved.is_ok(), "{moved:?}");
+    assert_eq!((engine.control.run(), signs(&engine)), (RunState::Running, 2));
 }
 
 #[tokio::test]

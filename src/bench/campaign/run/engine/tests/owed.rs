@@ -1,0 +1,119 @@
+//! What the engine does, and does not do, while a safe end is not complete.
+
+use std::sync::atomic::Ordering;
+use std::time::Duration;
+
+use tokio::sync::oneshot;
+
+use super::super::{Attempts, Engine, Next, OWED_AGAIN, Owed};
+use super::{engine, job};
+use crate::campaign::bench::rig_state::{RigEvent, RigState};
+use crate::campaign::bench::stage::Height;
+use crate::campaign::bench::stand_in::StandIns;
+use crate::campaign::run::eta::Pace;
+use crate::campaign::run::halt::Halt;
+use crate::campaign::run::run_state::{PausedWhy, RunState};
+use crate::campaign::shown::command::Refusal;
+use crate::campaign::shown::show;
+use crate::campaign::shown::status::{Status, Wanted};
+
+#[tokio::test]
+async fn no_run_is_armed_while_an_axis_owes_the_acknowledgement_of_its_stop() {
+    let (axes, job) = (StandIns::default(), job());
+    let mut engine = engine(&axes);
+    engine.control.rig_event(RigEvent::Homed).unwrap();
+    axes.x.replies.store(false, Ordering::SeqCst);
+    assert!(engine.make_safe(None, Height::Clear).await, "the tips are up");
+    let (waited_for, _caller) = oneshot::channel();
+    let refused = engine.arm(&job, &waited_for).await;
+    assert!(matches!(refused, Err(Refusal::Busy(_))), "{refused:?}");
+    assert_eq!(engine.control.rig(), RigState::Homed);
+    axes.x.replies.store(true, Ordering::SeqCst);
+    tokio::time::sleep(OWED_AGAIN + Duration::from_millis(50)).await;
+    engine.look().await;
+    assert_eq!(engine.arm(&job, &waited_for).await, Ok(()));
+}
+
+#[tokio::test]
+async fn a_safe_end_is_not_complete_while_an_axis_moves_after_its_stop() {
+    let (axes, job) = (StandIns::default(), job());
+    let mut engine = engine(&axes);
+    engine.control.rig_event(RigEvent::Homed).unwrap();
+    axes.y.status.lock().moving = true;
+    assert!(engine.make_safe(None, Height::Clear).await, "the tips are up");
+    let end = engine.control.inbox.status.borrow().rig.safe_end.clone().unwrap();
+    let moving: Vec<&str> =
+        end.stops.iter().filter(|stop| !stop.is_done()).map(|stop| stop.axis.as_str()).collect();
+    assert_eq!(moving, ["y"], "{end:?}");
+    assert_eq!(end.stops.iter().filter(|stop| stop.stood_ms.is_some()).count(), 3, "{end:?}");
+    let (waited_for, _caller) = oneshot::channel();
+    let refused = engine.arm(&job, &waited_for).await;
+    assert!(matches!(refused, Err(Refusal::Busy(_))), "{refused:?}");
+    let stops = axes.y.stops.load(Ordering::SeqCst);
+    axes.y.status.lock().moving = false;
+    tokio::time::sleep(OWED_AGAIN + Duration::from_millis(50)).await;
+    engine.look().await;
+    assert!(axes.y.stops.load(Ordering::SeqCst) > stops, "sent again");
+    assert_eq!(engine.arm(&job, &waited_for).await, Ok(()));
+}
+
+#[tokio::test]
+async fn a_safe_end_is_repeated_later_each_time_and_stored_again_only_if_it_ends_otherwise() {
+    let axes = StandIns::default();
+    let mut engine = engine(&axes);
+    axes.y.status.lock().moving = true;
+    assert!(engine.make_safe(None, Height::Clear).await, "the tips are up");
+    assert_eq!(engine.owed_pause, OWED_AGAIN);
+    let stops = axes.y.stops.load(Ordering::SeqCst);
+    engine.repeat_safe_end(Height::Clear).await;
+    assert_eq!(engine.owed_pause, 2 * OWED_AGAIN);
+    assert_eq!(axes.y.stops.load(Ordering::SeqCst), stops + 1, "sent again");
+    let stored = async |engine: &Engine| {
+        engine.control.flush().await.unwrap();
+        axes.journal.events.lock().iter().filter(|kind| *kind == "safe_end").count()
+    };
+    assert_eq!(stored(&engine).await, 1);
+    axes.y.status.lock().moving = false;
+    engine.repeat_safe_end(Height::Clear).await;
+    assert_eq!((stored(&engine).await, engine.owed), (2, Owed::Nothing));
+}
+
+#[tokio::test]
+async fn a_failed_attempt_is_not_repeated_before_each_axis_stands() {
+    let (axes, job) = (StandIns::default(), job());
+    let mut engine = engine(&axes);
+    engine.control.show(|status| status.run = Some(show::started(&job)));
+    engine.control.begin(job.run).unwrap();
+    axes.y.status.lock().moving = true;
+    let (failed, mut attempts) = (Halt::Failed("no frames".into()), Attempts::default());
+    assert!(matches!(engine.decide(&job, failed, &mut attempts, &mut 0).await, Next::Again));
+    let mut pace = Pace::predicted(1.0);
+    let waits = engine.advance(&job, &mut pace, &mut attempts);
+    assert!(tokio::time::timeout(OWED_AGAIN / 2, waits).await.is_err(), "it waits");
+    axes.y.status.lock().moving = false;
+    let first = engine.advance(&job, &mut pace, &mut attempts).await;
+    // The first step of the plan.
+    assert!(matches!(first, Err(Halt::Needs(Wanted::Tips { tips: 1 }))), "{first:?}");
+    assert_eq!(engine.owed, Owed::Nothing);
+}
+
+#[tokio::test]
+async fn hands_are_called_to_raised_tips_only_once_each_axis_stands() {
+    let job = job();
+    for (is_moving, state) in
+        [(false, RunState::Paused(PausedWhy::TipChange)), (true, RunState::Paused(PausedWhy::Trip))]
+    {
+        let axes = StandIns::default();
+        let mut engine = engine(&axes);
+        engine.control.show(|status| status.run = Some(show::started(&job)));
+        engine.control.begin(job.run).unwrap();
+        axes.radial.status.lock().moving = is_moving;
+        let (wanted, mut attempts) = (Halt::Needs(Wanted::Tips { tips: 1 }), Attempts::default());
+        // Without a handle there is no request to wait for.
+        let next = engine.decide(&job, wanted, &mut attempts, &mut 0).await;
+        assert!(matches!(next, Next::Leave));
+        assert_eq!(engine.control.run(), state, "{is_moving}");
+        let is_called = |status: &Status| status.run.as_ref().is_some_and(|r| r.wanted.is_some());
+        assert_eq!(is_called(&engine.control.inbox.status.borrow()), !is_moving);
+    }
+}
