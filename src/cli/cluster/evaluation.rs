@@ -37,7 +37,7 @@ pub struct ReadingsRequest {
     #[arg(long, value_name = "N", default_value_t = 50)]
     chunk_rows: u32,
     /// URL of the service whose dataset and skin are used [env: PALPATE_URL] [default:
-    /// http://127.0.0.1:8080].
+    /// http://127.0.0.1:8080]; its key is in PALPATE_KEY, or in the file of PALPATE_KEY_FILE.
     #[arg(long, value_name = "URL")]
     url: Option<String>,
     /// Certificate of an https service or of its authority, PEM [env: PALPATE_CA] [default: the

@@ -33,7 +33,8 @@ pub struct TwinsRequest {
     #[arg(long, value_name = "N", default_value_t = 1000)]
     chunk_trials: u64,
     /// URL of the service with the run, which must have the calibration that it stores twins with [env:
-    /// PALPATE_URL] [default: http://127.0.0.1:8080].
+    /// PALPATE_URL] [default: http://127.0.0.1:8080]; its key is in PALPATE_KEY, or in the file of
+    /// PALPATE_KEY_FILE.
     #[arg(long, value_name = "URL")]
     url: Option<String>,
     /// Certificate of an https service or of its authority, PEM [env: PALPATE_CA] [default: the
