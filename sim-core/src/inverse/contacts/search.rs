@@ -3,8 +3,7 @@
 //!
 //! A beam of hypotheses grows by one contact at a time. The position of the next one: at every site
 //! the part of a contact's frame that the present contacts cannot imitate is compared with the
-//! residual. Each new hypothesis is fitted as a whole before it is ranked. At last each contact of the good ones is
-//! taken out in turn and placed again: growth by one contact keeps an early one that the later ones make wrong.
+//! residual. Each new hypothesis is fitted as a whole before it is ranked.
 //! A change of what it finds increases `READINGS_VERSION` of the jobs, too: machines of one version must find the same.
 
 use super::FitOptions;
@@ -21,12 +20,6 @@ const BEAM: usize = 4;
 const PICKS: usize = 6;
 /// Smallest distance between those places, mm.
 const APART_MM: f64 = 30.0;
-/// Number of places tried for a contact of a good hypothesis that is placed again (200 made-up frames on a linear
-/// sheet, as in `tests/figures/bound.py`: a better optimum is missed in 12 of them without this, in 7 with it, for a
-/// fifth more fits).
-const EXCHANGES: usize = 3;
-/// A hypothesis is good if its score is worse than the best by at most this.
-const GOOD: f64 = 8.0;
 /// Force at which the shape of a site is evaluated, N.
 const SITE_N: f64 = 9.0;
 /// Range of the first estimate of the force at a site, as ln N.
@@ -124,12 +117,11 @@ impl Search<'_> {
                 break;
             }
             for parent in levels[count].iter().take(BEAM).cloned().collect::<Vec<_>>() {
-                for child in self.grown(&parent.places, PICKS, work)? {
+                for child in self.grown(&parent, work)? {
                     self.judge(child, &mut levels, work)?;
                 }
             }
         }
-        self.exchange(&mut levels, work)?;
         // Backwards: each larger hypothesis without one of its contacts.
         for count in (1..=self.options.most_contacts).rev() {
             for parent in levels[count].iter().take(1).cloned().collect::<Vec<_>>() {
@@ -143,28 +135,6 @@ impl Search<'_> {
         let mut all: Vec<Hypothesis> = levels.into_iter().flatten().collect();
         all.sort_by(|a, b| a.score.total_cmp(&b.score));
         Ok(all)
-    }
-
-    /// Adds to the best hypothesis of each count, if it is good, those with one of its contacts elsewhere.
-    fn exchange(
-        &self,
-        levels: &mut [Vec<Hypothesis>],
-        work: &mut SearchWork,
-    ) -> Result<(), ContactError> {
-        let firsts = levels.iter().filter_map(|level| level.first());
-        let best = firsts.map(|h| h.score).fold(f64::INFINITY, f64::min);
-        for count in 1..levels.len() {
-            let good = levels[count].first().filter(|h| h.score <= best + GOOD);
-            let Some(Hypothesis { places, .. }) = good.cloned() else { continue };
-            for without in 0..count {
-                let mut others = places.clone();
-                others.remove(without);
-                for child in self.grown(&others, EXCHANGES, work)? {
-                    self.judge(child, levels, work)?;
-                }
-            }
-        }
-        Ok(())
     }
 
     /// Fits a hypothesis and stores it under its count, best first.
@@ -202,19 +172,18 @@ impl Search<'_> {
         Sum { model, shapes, whitener: &frame.whitener, lacks: none }
     }
 
-    /// Contacts with one further one, at each of the `picks` sites with the largest gain.
+    /// The hypotheses with one further contact, at the sites with the largest gain.
     fn grown(
         &self,
-        parent: &[Place],
-        picks: usize,
+        parent: &Hypothesis,
         work: &mut SearchWork,
     ) -> Result<Vec<Vec<Place>>, ContactError> {
-        self.gains(parent, work)?;
-        let mut children: Vec<Vec<Place>> = Vec::with_capacity(picks);
+        self.gains(&parent.places, work)?;
+        let mut children: Vec<Vec<Place>> = Vec::with_capacity(PICKS);
         let sites = self.shapes.sites_mm();
         let far = |a: [f64; 2], b: [f64; 2]| (a[0] - b[0]).hypot(a[1] - b[1]) >= APART_MM;
-        let mut picked: Vec<[f64; 2]> = Vec::with_capacity(picks);
-        while picked.len() < picks {
+        let mut picked: Vec<[f64; 2]> = Vec::with_capacity(PICKS);
+        while picked.len() < PICKS {
             let open = work.gains.iter().enumerate().filter(|(site, (gain, _))| {
                 *gain > 0.0 && picked.iter().all(|&p| far(p, sites[*site]))
             });
@@ -224,7 +193,7 @@ impl Search<'_> {
             picked.push(sites[site]);
             let ln_force = self.shapes.ln_force_of(strength);
             let ln_force = ln_force.clamp(FIRST_LN_FORCE[0], FIRST_LN_FORCE[1]);
-            let mut child = parent.to_vec();
+            let mut child = parent.places.clone();
             child.push([sites[site][0], sites[site][1], ln_force]);
             children.push(child);
         }
