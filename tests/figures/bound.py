@@ -6,9 +6,9 @@ Needs numpy; a minute for 300 trials on one core. The sheet is uniform, with the
 contact is a current in proportion to its force, scaled so that 9.81 N make a frame of 2.6 mV (the median over the skin,
 root mean square). Trials are those of touch-real-random: 2 to 4 weights of 4.9, 7.4 and 9.8 N, 40 mm apart, means of 30
 frames with 1 mV of white noise each, and offsets that are left after the untouched frame, as differences of the buffers
-of neighbouring electrodes (mV per pair, --offsets). Contacts are searched as `exact` does, without placing contacts
-again: evidence by Laplace's approximation, the same priors. The search knows the sheet, the law, and the covariance of
-the noise (`all`) or its variances alone (`size`), and a model error in proportion to the signal (--model).
+of neighbouring electrodes (mV per pair, --offsets). Contacts are searched as `exact` does: evidence by Laplace's
+approximation, the same priors. The search knows the sheet, the law, and the covariance of the noise (`all`) or its
+variances alone (`size`), and a model error in proportion to the signal (--model).
 """
 
 import argparse
