@@ -86,7 +86,7 @@ export async function show(root, { query, signal, go, set }) {
       fold('file', 'Experiment file', { signal }, el('pre', { tabIndex: 0 }, item.text)),
     )
     const picture = made && el('section', {}, drawing({ label: rigLabel, absent: `The service has no tour of it: ${made.error?.message}.` }, query))
-    const [others, parts] = [panel('Others', {}, await choices()), await details(answer.p, null)]
+    const [others, parts] = [panel('Others', {}, await choices()), await details(answer.p)]
     if (isOver()) return undefined
     return fill(root, el('div', { className: 'columns two plan' }, el('div', { className: 'column' }, words, picture, others), parts))
   }
@@ -140,7 +140,7 @@ export async function show(root, { query, signal, go, set }) {
     const label = () => (run.label === 'virtual' ? 'virtual' : '')
     const absent = run.kind === 'imported' ? 'An imported run has no plan.' : 'The service has no tour of this run.'
     const picture = el('section', {}, drawing({ label, absent, source: `/api/v1/runs/${run.scan_id}/tour` }, query))
-    const parts = await details(answer.p, run)
+    const parts = await details(answer.p)
     if (!isOver()) fill(root, el('div', { className: 'columns two plan' }, el('div', { className: 'column' }, facing, picture), parts))
   }
 
@@ -181,9 +181,9 @@ export async function show(root, { query, signal, go, set }) {
     view.show(tour, geometry, { tips: query.tips ? Number(query.tips) : null, step })
   }
 
-  async function details(p, run) {
+  async function details(p) {
     await first('status', () => live.status)
-    const forces = forcesPanel({ p, tour, run, signal })
+    const forces = forcesPanel({ p, tour })
     if (!p) return el('div', { className: 'column' }, forces)
     const rate = live.status?.rig.clock_rate ?? 1
     const real = `The clock of this virtual rig runs ${fixed(rate, 0)} times faster: a real one takes about ${span(p.duration_s * rate)}.`

@@ -71,6 +71,7 @@ mod pages;
 mod params;
 mod people;
 mod placement;
+mod preflight;
 mod problem;
 mod progress;
 mod published;

@@ -1,10 +1,12 @@
 //! Runs: storing, listing and reading them.
 //! Uses: `core`, `run_row`. Never: a change of a state (`run_state`).
 
+use jiff::Timestamp;
 use sqlx::sqlite::SqliteConnection;
 
 use super::run_row::{self, NewRun, RunPage, RunRow};
-use crate::core::facts::RunFacts;
+use crate::core::columns::time_text;
+use crate::core::facts::{Label, RunFacts, RunKind};
 use crate::core::{During, Store, StoreError};
 use crate::ids::RunUid;
 use crate::state::StoredState;
@@ -72,6 +74,34 @@ impl Store {
         runs.truncate(limit as usize);
         let next = if more { runs.last().map(|r| r.scan_id) } else { None };
         Ok(RunPage { runs, next })
+    }
+
+    /// Returns the newest run that began before a time and pressed a skin, by the digest of its sensor file;
+    /// `None` if no such run has a stored force.
+    ///
+    /// # Errors
+    /// `Sql` or `Unreadable` if the read fails.
+    pub async fn pressed_before(
+        &self,
+        sensor_sha256: &str,
+        label: Label,
+        before: Timestamp,
+    ) -> Result<Option<RunRow>, StoreError> {
+        const OPERATION: &str = "looking for an earlier run";
+        sqlx::query(
+            "SELECT * FROM runs WHERE kind = ?1 AND sensor_sha256 = ?2 AND label = ?3 AND started_at < ?4
+                 AND EXISTS (SELECT 1 FROM trials WHERE run = scan_id AND max_force_n IS NOT NULL)
+             ORDER BY started_at DESC LIMIT 1",
+        )
+        .bind(RunKind::RealHex.as_str())
+        .bind(sensor_sha256)
+        .bind(label.as_str())
+        .bind(time_text(before))
+        .fetch_optional(&self.inner.readers)
+        .await
+        .during(OPERATION)?
+        .map(|row| RunRow::read(&row, OPERATION))
+        .transpose()
     }
 
     /// Returns all runs except the removed ones, oldest first.
