@@ -12,7 +12,7 @@ import { entries } from './toml.js'
 const nameOf = run => `Run ${run.scan_id}`
 
 /** Rows of two lists of [name, text] by name: { name, a, b, differs }. */
-export function sideBySide(one, two) {
+function sideBySide(one, two) {
   const other = new Map(two)
   const names = [...new Set([...one, ...two].map(([name]) => name))]
   const first = new Map(one)

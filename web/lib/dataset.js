@@ -2,6 +2,7 @@
 
 import { all, ask, get, hasKey, once } from './api.js'
 import { actor, outcome } from './actions.js'
+import { HEADS } from './contacts.js'
 import { el, facts, fill, link, note, panel } from './dom.js'
 import { bytes, count, counted, moment, percent, plain } from './format.js'
 import { fold } from './fold.js'
@@ -11,9 +12,6 @@ import { copyable, save } from './save.js'
 import { table } from './table.js'
 import { vocabulary } from './vocabulary.js'
 
-/** Heads of the paper's Table I, by number of contacts. */
-export const NUMBERS = ['None', 'Single', 'Double', 'Triple', 'Quadruple', 'Quintuple', 'Sextuple']
-
 /** Parts of a dataset as text. */
 export const partsWords = report =>
   ['train', 'validation', 'test']
@@ -22,7 +20,7 @@ export const partsWords = report =>
     .join(', ') || 'not split'
 
 /** Rows by number of contacts, as in Table I; columns for `table`. */
-export const contactColumns = NUMBERS.map((head, n) => ({ head, cell: item => count(item.report.contact_counts?.[n] ?? 0) }))
+export const contactColumns = ['None', ...HEADS].map((head, n) => ({ head, cell: item => count(item.report.contact_counts?.[n] ?? 0) }))
 
 function lines(item) {
   const at = `${location.origin}/api/v1/data/${item.name}.parquet`
@@ -162,7 +160,7 @@ export function datasetView({ signal, go, onmade, onexport }) {
       facts([
         ['Rows', count(item.rows)],
         ['Size', bytes(item.bytes)],
-        ['Label', el('span', { className: label === 'virtual' ? 'virtual-word' : '' }, label)],
+        ['Label', el('span', { className: label === 'virtual' ? 'virtual' : '' }, label)],
         ['Made', moment(item.created_at)],
         ['Channels', count(report.channels)],
         ['Licence', described.licenses?.[0].title ?? described.licenses?.[0].name ?? 'not stated'],

@@ -137,6 +137,14 @@ export const sleep = (ms, signal) => new Promise(resolve => {
   signal?.addEventListener('abort', end, { once: true })
 })
 
+/** Calls `work` now and again `ms` after its end, while the page is seen, until `signal` aborts; `ms` may be a function. */
+export async function every(ms, work, signal) {
+  while (!signal.aborted) {
+    if (!document.hidden) await work()
+    await sleep(typeof ms === 'function' ? ms() : ms, signal)
+  }
+}
+
 /** Gives a file to the browser. */
 export function download(name, content, type) {
   const url = URL.createObjectURL(content instanceof Blob ? content : new Blob([content], { type }))

@@ -8,11 +8,10 @@ import { bytes, count, moment, percent, plain } from './format.js'
 import { save } from './save.js'
 import { table } from './table.js'
 import { vocabulary } from './vocabulary.js'
-import { TONE } from './words.js'
+import { TONE, isUnderWay } from './words.js'
 
 /** Format of files by its name. */
 const formatOf = name => vocabulary.formats.find(format => format.name === name)
-const busy = one => ['waiting', 'running'].includes(one.state)
 
 /** Makes the panel of the exports; `choose(name)` sets the dataset of the form, whose values are in the address. */
 export function exportsPanel({ signal }) {
@@ -100,7 +99,7 @@ export function exportsPanel({ signal }) {
     await read()
     while (!signal.aborted) {
       await sleep(1500, signal)
-      if (!signal.aborted && !document.hidden && (items.some(busy) || !trouble.hidden)) await read()
+      if (!signal.aborted && !document.hidden && (items.some(isUnderWay) || !trouble.hidden)) await read()
     }
   }
   watch()

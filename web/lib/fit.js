@@ -3,6 +3,7 @@
 import { all, get } from './api.js'
 import { boxes } from './boxes.js'
 import { chart } from './chart.js'
+import { NUMERALS } from './contacts.js'
 import { el, facts, fill, pane, panel, say, select } from './dom.js'
 import { about, count, counted, fixed, percent } from './format.js'
 import { sequential } from './frame.js'
@@ -10,7 +11,6 @@ import { scaleBar } from './scalebar.js'
 import { sensor, skin } from './skin.js'
 import { paper } from './vocabulary.js'
 
-const NUMERALS = ['', 'I', 'II', 'III', 'IV', 'V', 'VI']
 /** Trials of which the voltages are compared one by one: newest with contacts. */
 const SAMPLE = 40, DOTS = 6000
 const FVU_WORDS = 'FVU is the share of the variance of the measured voltages that the simulation does not explain (Eq. 2): 0 is perfect.'

@@ -112,7 +112,7 @@ function close(out) {
 }
 
 /** Draws a limit over a chart, as a red line with its value. */
-export function limitLine(u, limit) {
+function limitLine(u, limit) {
   if (limit == null) return
   const y = u.valToPos(limit, 'y', true), { left, width, top, height } = u.bbox
   if (y < top || y > top + height) return

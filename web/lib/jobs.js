@@ -3,7 +3,7 @@
 import { get, send } from './api.js'
 import { confirm, named, only } from './actions.js'
 import { changing } from './changing.js'
-import { button, el, fill, link, note, panel, say, sleep } from './dom.js'
+import { button, el, every, fill, link, note, panel, say, sleep } from './dom.js'
 import { capital, count, counted, fixed, moment, percent, plain, span, steadyCountOf } from './format.js'
 import { live } from './live.js'
 import { losses } from './losses.js'
@@ -11,14 +11,12 @@ import { opened } from './opened.js'
 import { reportView } from './scores.js'
 import { table } from './table.js'
 import { raw } from './toml.js'
-import { TONE } from './words.js'
+import { TONE, isUnderWay } from './words.js'
 
-/** Whether a job has not ended. */
-export const busy = job => ['waiting', 'running'].includes(job.state)
 const recipeName = job => (raw(job.request.recipe ?? '', '', 'name') ?? '').replace(/"/g, '') || 'a recipe'
 
 /** What a job is, in a few words. */
-export const jobWords = job =>
+const jobWords = job =>
   job.kind === 'training'
     ? `training of ${recipeName(job)}`
     : `evaluation of ${job.request.scored} on ${job.request.dataset}${job.request.part ? `, ${job.request.part}` : ''}`
@@ -85,20 +83,14 @@ export function jobsPanel({ signal, href, current, onchange }) {
     more.hidden = !next || jobs.length >= 500
     rows.show(jobs)
     const ended = jobs
-        .filter(job => !busy(job))
+        .filter(job => !isUnderWay(job))
         .map(job => job.id)
         .join(),
       changed = before !== '' && before !== ended
     before = ended || '-'
     return onchange(jobs, changed)
   }
-  async function watch() {
-    for (let wait = 0; !signal.aborted; wait = jobs.some(busy) ? 2000 : 10_000) {
-      await sleep(wait, signal)
-      if (!signal.aborted && !document.hidden) await read()
-    }
-  }
-  watch()
+  every(() => (jobs.some(isUnderWay) ? 2000 : 10_000), () => read(), signal)
   return { node, read: () => read(), redraw: () => rows.show(jobs), all: () => jobs }
 }
 
@@ -168,7 +160,7 @@ export function jobView({ signal, said, models, onstopped }) {
         p?.train_loss != null && ['Train loss', fixed(p.train_loss, 5)],
         p?.validation_loss != null && ['Validation loss', fixed(p.validation_loss, 5)],
       ])
-      if (controls.hasChildNodes() !== busy(job)) fill(controls, busy(job) && stop)
+      if (controls.hasChildNodes() !== isUnderWay(job)) fill(controls, isUnderWay(job) && stop)
       if (job.kind === 'training' && job.state !== 'waiting' && !curves) {
         curves = losses({ path: `/jobs/${id}/losses`, key: 'job-losses', signal: mine, live: () => job.state === 'running' })
         node.append(el('section', { className: 'live' }, curves.node))
@@ -199,7 +191,7 @@ export function jobView({ signal, said, models, onstopped }) {
         job = await get(`/jobs/${id}`, {}, { signal: mine })
         if (mine.aborted) return
         draw()
-        if (!busy(job)) return
+        if (!isUnderWay(job)) return
       } catch (error) {
         if (mine.aborted) return
         if (!job) {

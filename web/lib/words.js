@@ -5,6 +5,9 @@ export const TONE = { running: 'good', armed: 'good', homed: 'good', completed: 
   pausing: 'warn', paused: 'warn', stopping: 'warn', suspending: 'warn', interrupted: 'warn', waiting: 'warn', stopped: 'warn',
   aborting: 'bad', panicked: 'bad', tripped: 'bad', failed: 'bad', fail: 'bad', abort: 'bad' }
 
+/** Whether work of the service, as a job or an export, has not ended. */
+export const isUnderWay = ({ state }) => ['waiting', 'running'].includes(state)
+
 /** What a phase does. */
 export const PHASES = { next: 'selecting the next step', touch_off: 'searching for the surface', travel: 'travelling', tare: 'measuring the zeros',
   press: 'pressing', settle: 'waiting until the forces settle', measure: 'taking frames', commit: 'storing', raise: 'raising the tips', wait: 'waiting' }

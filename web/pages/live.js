@@ -4,7 +4,7 @@
 import { get, socket } from '../lib/api.js'
 import { changing } from '../lib/changing.js'
 import { chart } from '../lib/chart.js'
-import { el, fill, panel, say, select, sleep } from '../lib/dom.js'
+import { el, every, fill, panel, say, select } from '../lib/dom.js'
 import { count, countOf, counted, fixed } from '../lib/format.js'
 import { round125 } from '../lib/frame.js'
 import { live } from '../lib/live.js'
@@ -24,7 +24,7 @@ const FRAME_US = 33_333 // Of a board.
 const TELL_MS = 250, TRACE_MS = 100, TRACED = 600, SERVING_MS = 10_000, STALE_MS = 2000
 
 /** How sure an answer is: { tone, words }. */
-export function sureness(answer, old) {
+function sureness(answer, old) {
   if (!answer) return { tone: 'soft', words: 'No answer yet: frames come while the rig is connected.' }
   if (answer.error) return { tone: 'bad', words: `The method failed: ${answer.error}` }
   if (old) return { tone: 'warn', words: 'Outdated: no answer for some seconds.' }
@@ -166,21 +166,15 @@ export async function show(root, { query, signal, set }) {
     say(methods.options[0], best ? `Best that serves (${best})` : 'Best that serves')
   }
 
-  async function look() {
-    while (!signal.aborted) {
-      if (!document.hidden) {
-        try {
-          serving = await get('/serving', {}, { signal })
-          tellServing()
-          listen()
-          quantities.follow(serving)
-        } catch (error) { if (!signal.aborted) serves.failed(error) }
-      }
-      await sleep(SERVING_MS, signal)
-    }
-  }
   map.scale(Number(state.scale) || 50)
-  look()
+  every(SERVING_MS, async () => {
+    try {
+      serving = await get('/serving', {}, { signal })
+      tellServing()
+      listen()
+      quantities.follow(serving)
+    } catch (error) { if (!signal.aborted) serves.failed(error) }
+  }, signal)
   const timer = setInterval(() => { if (!document.hidden) tell() }, TELL_MS)
   signal.addEventListener('abort', () => clearInterval(timer))
   tell()

@@ -5,7 +5,7 @@ import { outcome, runButtons } from '../lib/actions.js'
 import { get } from '../lib/api.js'
 import { changing } from '../lib/changing.js'
 import { dataView } from '../lib/dataview.js'
-import { el, fill, panel, pane, say, select, sleep } from '../lib/dom.js'
+import { el, every, fill, panel, pane, say, select } from '../lib/dom.js'
 import { ended } from '../lib/ended.js'
 import { steadyEnds } from '../lib/eta.js'
 import { forceBars, forceChart } from '../lib/forces.js'
@@ -42,14 +42,6 @@ function stateWords(run, needs) {
 /** The end of a run that continues, as a person's clock shows it. */
 function endWords(run, at) {
   return run?.eta && ['running', 'pausing'].includes(run.state) ? `Done about ${momentBand(...steadyEnds(run, at), run.eta.high_s < 900)}. ` : ''
-}
-
-/** Calls `work` every `ms` while the page is seen. */
-async function every(ms, work, signal) {
-  while (!signal.aborted) {
-    if (!document.hidden) await work()
-    await sleep(typeof ms === 'function' ? ms() : ms, signal)
-  }
 }
 
 /** Shows the page. */
