@@ -2,14 +2,14 @@
 // what is refused and why. `run=N` is a stored run, `experiment=NAME` one that the program carries.
 
 import { get, send } from '../lib/api.js'
-import { actor, outcome } from '../lib/actions.js'
+import { actor, only, outcome } from '../lib/actions.js'
 import { beginButton, queueText } from '../lib/begin.js'
 import { carried, carriedTable } from '../lib/carried.js'
 import { el, fill, link, pane, panel, select } from '../lib/dom.js'
 import { forcesPanel } from '../lib/expected.js'
 import { fold } from '../lib/fold.js'
-import { capital, counted, fixed, moment, plain, span } from '../lib/format.js'
-import { endWord } from '../lib/runwords.js'
+import { capital, counted, fixed, moment, span } from '../lib/format.js'
+import { runSentence } from '../lib/runwords.js'
 import { live } from '../lib/live.js'
 import { NEEDS_OPERATOR, partsBar, planFacts, problemList, settingsTable } from '../lib/preflight.js'
 import { rigLabel, submittedTour } from '../lib/submitted.js'
@@ -81,7 +81,7 @@ export async function show(root, { query, signal, go, set }) {
       el('p', {}, item.about),
       el('p', { className: 'soft' }, 'It is not queued. This is what it would do on this rig.'),
       verdict(answer),
-      el('div', { className: 'row' }, queue, link(`/queue?add=${encodeURIComponent(item.name)}`, 'Change it first')),
+      el('div', { className: 'row' }, queue, only('operator', link(`/queue?add=${encodeURIComponent(item.name)}`, 'Change it first'))),
       said.node,
       fold('file', 'Experiment file', { signal }, el('pre', { tabIndex: 0 }, item.text)),
     )
@@ -130,8 +130,8 @@ export async function show(root, { query, signal, go, set }) {
         'div',
         { className: 'row' },
         waits && !run.waiting_since && start,
-        run.state === 'queued' && link(`/queue?edit=${run.scan_id}`, 'Edit'),
-        link(`/queue?copy=${run.scan_id}`, 'Copy it'),
+        run.state === 'queued' && only('operator', link(`/queue?edit=${run.scan_id}`, 'Edit')),
+        run.kind !== 'imported' && only('operator', link(`/queue?copy=${run.scan_id}`, 'Copy it')),
         ENDED.includes(run.state) && link(`/runs?run=${run.scan_id}`, 'Its results'),
         link('/queue', 'The queue'),
       ),
@@ -150,11 +150,7 @@ export async function show(root, { query, signal, go, set }) {
       const next = run.waiting_since ? 'It is started and waits for its turn.' : 'It begins when a person arms and starts it.'
       return `Queued by ${run.submitted_by}, ${moment(run.created_at)}, in place ${run.queue_position}${early}. ${next}`
     }
-    if (run.state === 'interrupted') return 'Interrupted: what is stored stays. Resume continues with the trials that are missing.'
-    if (run.is_resumable) return `${capital(run.reason ?? endWord(run))}. What is stored stays. Resume continues with the trials that are missing.`
-    if (run.state === 'ended')
-      return `Ended ${moment(run.ended_at)}: ${run.exit_status}, ${run.reason}. This is what it was planned to do; durations are those of the present rig.`
-    return `${capital(plain(run.state))}. This is what it does; durations are for the whole plan.`
+    return `${runSentence(run)}${run.kind === 'imported' ? '' : ' Durations are those of the whole plan on the present rig.'}`
   }
 
   /** The tour on its skin, or `absent`; `source` is the address of a stored one. */

@@ -69,7 +69,7 @@ function whatToDo(wear) {
     {},
     el(
       'ul',
-      { className: 'todo' },
+      { className: 'listed' },
       lines.map(line => el('li', {}, line)),
     ),
     el('p', { className: 'soft' }, unknown),
