@@ -5,11 +5,11 @@ import { get, send } from '../lib/api.js'
 import { actor, only, outcome } from '../lib/actions.js'
 import { beginButton, queueText } from '../lib/begin.js'
 import { carried, carriedTable } from '../lib/carried.js'
-import { el, fill, link, pane, panel, select } from '../lib/dom.js'
+import { el, fill, link, pane, panel, say, select } from '../lib/dom.js'
 import { forcesPanel } from '../lib/expected.js'
 import { fold } from '../lib/fold.js'
 import { capital, counted, fixed, moment, span } from '../lib/format.js'
-import { runSentence } from '../lib/runwords.js'
+import { isActive, runSentence } from '../lib/runwords.js'
 import { live } from '../lib/live.js'
 import { NEEDS_OPERATOR, partsBar, planFacts, problemList, settingsTable } from '../lib/preflight.js'
 import { rigLabel, submittedTour } from '../lib/submitted.js'
@@ -31,15 +31,17 @@ export async function show(root, { query, signal, go, set }) {
   let tour = null
   let view = null
   let geometry = null
+  let current = null // The stored run that is shown.
   let checked = null
   const said = outcome()
+  const told = el('p')
 
   async function open(query) {
     state = query
     const wanted = `${query.run ?? ''} ${query.experiment ?? ''}`
     if (wanted === shown) return turn(query)
     shown = wanted
-    tour = view = null
+    tour = view = current = null
     fill(root, panel('Plan', {}, el('p', { className: 'soft' }, 'Loading …')))
     const chosen = await choose(query)
     if (signal.aborted || wanted !== shown) return undefined
@@ -106,6 +108,7 @@ export async function show(root, { query, signal, go, set }) {
   }
 
   async function planned(run, query, isOver) {
+    current = run
     const [answer, drawn, shape] = await Promise.all([
       settled(get(`/runs/${run.uid}/preflight`, {}, { signal, wait: 20_000 })),
       get(`/runs/${run.scan_id}/tour`, {}, { signal, wait: 30_000 }).catch(() => null),
@@ -116,15 +119,11 @@ export async function show(root, { query, signal, go, set }) {
     geometry = shape
     const waits = run.state === 'queued' || run.is_resumable
     const may = answer.p && !answer.p.problems.length
-    const after = started => {
-      if (!started) return undefined
-      shown = ''
-      return open(state)
-    }
+    const after = started => started && again()
     const start = beginButton(run.state === 'queued' ? 'Arm and start' : 'Resume', run, said, { after, className: 'main', disabled: !may })
     const facing = pane(
       el('h2', {}, el('span', {}, `Run ${run.scan_id}, ${run.experiment}`), run.label === 'virtual' ? el('span', { className: 'badge' }, 'virtual') : ''),
-      el('p', {}, standing(run)),
+      say(told, standing(run)),
       waits || answer.error ? verdict(answer) : null,
       el(
         'div',
@@ -194,13 +193,32 @@ export async function show(root, { query, signal, go, set }) {
     if (!signal.aborted) fill(root, panel('Plan', {}, words, link('/plan', 'The next run')))
   }
   const update = next => open(next).catch(failed)
-  // Another key may check what the present one may not, and the other way round.
-  const again = () => {
-    if (!state.experiment || checked == null || checked === live.may('operator')) return
+  function again() {
     shown = ''
-    update(state)
+    return update(state)
   }
-  live.addEventListener('caller', again, { signal })
+  // Another key may check what the present one may not, and the other way round.
+  const checks = () => state.experiment && checked != null && checked !== live.may('operator') && again()
+  live.addEventListener('caller', checks, { signal })
+  // Another person may begin, edit or remove the run that is shown: it is read again whenever the rig or the queue changes.
+  const standingOf = run => [run.state, run.waiting_since, run.not_before, run.definition_sha256].join()
+  let seen = null
+  live.on(
+    'status',
+    async ({ status }) => {
+      const now = `${status.run?.uid} ${status.run?.state} ${status.queue_length}`
+      const before = seen
+      seen = now
+      const of = current
+      if (!of || before == null || before === now) return
+      const found = await get(`/runs/${of.uid}`, {}, { signal }).catch(() => null)
+      if (!found || of !== current || standingOf(found) === standingOf(of)) return
+      if (!isActive(found) || !isActive(of)) return void again()
+      current = found
+      say(told, standing(found))
+    },
+    signal,
+  )
   await update(query)
   return { update }
 }

@@ -3,7 +3,7 @@
 
 import { all, get } from '../lib/api.js'
 import { button, el, facts, fill, link, panel } from '../lib/dom.js'
-import { age, count, counted, fixed, moment } from '../lib/format.js'
+import { age, clock, count, counted, fixed, moment } from '../lib/format.js'
 import { live } from '../lib/live.js'
 import { references } from '../lib/references.js'
 import { sensor } from '../lib/skin.js'
@@ -24,7 +24,9 @@ function summary(wear) {
     checked && ['Days since', count(Math.floor(age(checked) / 86_400))],
   ])
   // One configuration presses a place once, deeper with each of its trials.
-  const words = 'Presses count configurations on this skin; reference presses are not in them. Hours are from begin to end of its ended runs, with their waits.'
+  const words =
+    'Presses count configurations on this skin; reference presses are not in them. Hours are from begin to end of its ended runs, with their waits. ' +
+    `Read at ${clock(Date.now())}.`
   return [list, el('p', { className: 'soft' }, words)]
 }
 
