@@ -1,4 +1,4 @@
-// What states and phases are called in sentences. No DOM.
+// What states are called in sentences. No DOM.
 
 /** Tone of a state: the class that colours it. */
 export const TONE = { running: 'good', armed: 'good', homed: 'good', completed: 'good', success: 'good', serving: 'good', done: 'good',
@@ -7,10 +7,6 @@ export const TONE = { running: 'good', armed: 'good', homed: 'good', completed: 
 
 /** Whether work of the service, as a job or an export, has not ended. */
 export const isUnderWay = ({ state }) => ['waiting', 'running'].includes(state)
-
-/** What a phase does. */
-export const PHASES = { next: 'selecting the next step', touch_off: 'searching for the surface', travel: 'travelling', tare: 'measuring the zeros',
-  press: 'pressing', settle: 'waiting until the forces settle', measure: 'taking frames', commit: 'storing', raise: 'raising the tips', wait: 'waiting' }
 
 /** Sentence for each state of the rig: what it is, and what follows. */
 export const RIG = { disconnected: 'The wires are closed.', disarmed: 'Connected. Home the axes before anything moves.',

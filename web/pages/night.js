@@ -16,9 +16,10 @@ import { eventLog } from '../lib/log.js'
 import { sensor } from '../lib/skin.js'
 import { COLOURINGS, tourMap } from '../lib/tourmap.js'
 import { backlog } from '../lib/twinpool.js'
+import { meaning } from '../lib/vocabulary.js'
 import { watching } from '../lib/watching.js'
 import { welcome } from '../lib/welcome.js'
-import { PHASES, RIG, TONE } from '../lib/words.js'
+import { RIG, TONE } from '../lib/words.js'
 
 const QUESTIONS = [['safe', 'Is it safe?'], ['on_time', 'Is it on time?'], ['data', 'Are the data good?']]
 const MINUTES = [['1', '1 min'], ['', '2 min'], ['5', '5 min'], ['15', '15 min']]
@@ -34,7 +35,7 @@ const WAITS = ['tips', 'weights', 'resume'] // Needs of a run.
 
 /** What a run does, as one sentence. */
 function stateWords(run, needs) {
-  if (run.state === 'running') return `It is ${PHASES[run.phase] ?? plain(run.phase)}.`
+  if (run.state === 'running') return `It is ${meaning('phases', run.phase) || plain(run.phase)}.`
   if (run.state === 'paused') return needs.find(need => WAITS.includes(need.kind))?.words ?? ''
   return SAYS[run.state] ?? ''
 }
