@@ -6,7 +6,7 @@ export const TONE = { running: 'good', armed: 'good', homed: 'good', completed: 
   aborting: 'bad', panicked: 'bad', tripped: 'bad', failed: 'bad', fail: 'bad', abort: 'bad' }
 
 /** Whether work of the service, as a job or an export, has not ended. */
-export const isUnderWay = ({ state }) => ['waiting', 'running'].includes(state)
+export const isUnderWay = job => ['waiting', 'running'].includes(job.state)
 
 /** Sentence for each state of the rig: what it is, and what follows. */
 export const RIG = { disconnected: 'The wires are closed.', disarmed: 'Connected. Home the axes before anything moves.',
