@@ -4,7 +4,7 @@ import { get, withQuery } from '../lib/api.js'
 import { outcome } from '../lib/actions.js'
 import { beginButton } from '../lib/begin.js'
 import { compare } from '../lib/compare.js'
-import { button, el, fill, link, note, panel, select } from '../lib/dom.js'
+import { button, el, every, fill, link, note, panel, select, sleep } from '../lib/dom.js'
 import { NONE, age, count, counted, moment, span } from '../lib/format.js'
 import { live } from '../lib/live.js'
 import { report } from '../lib/report.js'
@@ -180,10 +180,7 @@ export async function show(root, { query, signal, go, set }) {
     return undefined
   }
 
-  const timer = setInterval(() => {
-    if (!document.hidden && (query.run || live.status?.run)) refresh()
-  }, EVERY_MS)
-  signal.addEventListener('abort', () => clearInterval(timer))
+  sleep(EVERY_MS, signal).then(() => every(EVERY_MS, () => (query.run || live.status?.run) && refresh(), signal))
   let seen = null
   live.on(
     'status',
