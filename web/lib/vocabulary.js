@@ -2,7 +2,7 @@
 
 import { get, readOnce } from './api.js'
 
-/** Body of `GET /vocabulary`: methods, scored, slots, tasks, formats, maps, flags, events, trips, pauses, phases, roles, limits of a simulation. */
+/** Body of `GET /vocabulary`: methods, scored, slots, tasks, formats, maps, flags, events, trips, pauses, phases, rig_states, roles, limits of a simulation. */
 export const vocabulary = {}
 /** Body of `GET /published`. */
 export const paper = {}

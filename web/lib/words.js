@@ -1,4 +1,4 @@
-// What states are called in sentences. No DOM.
+// Tones of states and events. No DOM.
 
 /** Tone of a state: the class that colours it. */
 export const TONE = { running: 'good', armed: 'good', homed: 'good', completed: 'good', success: 'good', serving: 'good', done: 'good',
@@ -7,10 +7,6 @@ export const TONE = { running: 'good', armed: 'good', homed: 'good', completed: 
 
 /** Whether work of the service, as a job or an export, has not ended. */
 export const isUnderWay = job => ['waiting', 'running'].includes(job.state)
-
-/** Sentence for each state of the rig: what it is, and what follows. */
-export const RIG = { disconnected: 'The wires are closed.', disarmed: 'Connected. Home the axes before anything moves.',
-  homed: 'Ready.', armed: 'A run may move it.', tripped: 'Stopped by a fault. Clear the cause, reset, then home.' }
 
 /** Class that colours an event, by its importance. */
 export const LOUD = { act: 'bad', look: 'warn' }

@@ -19,7 +19,7 @@ import { backlog } from '../lib/twinpool.js'
 import { meaning } from '../lib/vocabulary.js'
 import { watching } from '../lib/watching.js'
 import { welcome } from '../lib/welcome.js'
-import { RIG, TONE } from '../lib/words.js'
+import { TONE } from '../lib/words.js'
 
 const QUESTIONS = [['safe', 'Is it safe?'], ['on_time', 'Is it on time?'], ['data', 'Are the data good?']]
 const MINUTES = [['1', '1 min'], ['', '2 min'], ['5', '5 min'], ['15', '15 min']]
@@ -115,7 +115,7 @@ export async function show(root, { query, signal, set }) {
       ['Disk', disk ? `${bytes(disk.free_bytes)} free, ${bytes(disk.needed_bytes)} needed` : 'not reported'],
       ['Queue', queue_length ? counted(queue_length, 'run') + next : 'empty'],
       ['Operator lock', lock ? `${lock.holder}, since ${moment(lock.since)}: ${lock.note}` : 'free'],
-      !run && ['Rig', RIG[rig.state] ?? `${capital(plain(rig.state))}.`],
+      !run && ['Rig', meaning('rig_states', rig.state) || `${capital(plain(rig.state))}.`],
     ])
   }
 

@@ -14,7 +14,7 @@ import { live, who } from '../lib/live.js'
 import { lockWords } from '../lib/lock.js'
 import { checkReport } from '../lib/rigcheck.js'
 import { meaning } from '../lib/vocabulary.js'
-import { RIG, TONE } from '../lib/words.js'
+import { TONE } from '../lib/words.js'
 
 // What the devices of a rig say when its wires are opened, and more.
 const DEVICES_TOLD = 50
@@ -131,7 +131,7 @@ export async function show(root, { query, signal, set }) {
     say(head, run ? `${plain(rig.state)}, run ${run.scan_id}` : plain(rig.state))
     head.className = `state ${TONE[rig.state] ?? ''}`
     say(sentence, run ? `${run.experiment} is ${plain(run.state)}${run.waiting_for ? `: ${run.waiting_for}` : ''}.` : rig.has_stage === false
-      && rig.state === 'disarmed' ? 'Connected. There is nothing to home: a run may start.' : RIG[rig.state] ?? '')
+      && rig.state === 'disarmed' ? 'Connected. There is nothing to home: a run may start.' : meaning('rig_states', rig.state))
     showRole()
     drawTrip(rig)
     for (const { action, about, why, one } of rows) gate(one, may(action), null) ?? say(why, may(action) || about)
