@@ -5,6 +5,7 @@ import { confirm, named, only } from './actions.js'
 import { changing } from './changing.js'
 import { button, el, every, fill, link, note, panel, say, sleep } from './dom.js'
 import { capital, count, counted, fixed, moment, percent, plain, span, steadyCountOf } from './format.js'
+import { listing } from './listing.js'
 import { live } from './live.js'
 import { losses } from './losses.js'
 import { opened } from './opened.js'
@@ -56,31 +57,23 @@ export function jobsPanel({ signal, href, current, onchange }) {
       },
     ],
   })
-  const more = button('More', () => read(next), { hidden: true }),
+  const known = listing('/jobs', { limit: 25, signal }),
+    more = button('More', () => read(true), { hidden: true }),
     trouble = el('p', { className: 'bad', role: 'status', hidden: true }),
     node = panel('Jobs', { className: 'live' }, trouble, rows.node, el('div', { className: 'row' }, more))
-  let jobs = [],
-    next = null,
-    before = ''
-  async function read(cursor) {
-    let page
+  let before = ''
+  async function read(further) {
     try {
-      page = await get('/jobs', { limit: cursor ? 50 : 25, cursor }, { signal })
+      await known.read(further)
     } catch (error) {
       if (signal.aborted) return undefined
       note(trouble, `The jobs could not be read: ${error.message}. Trying again.`)
-      return cursor && trouble.scrollIntoView({ block: 'nearest' }) // The button is below the rows.
+      return further && trouble.scrollIntoView({ block: 'nearest' }) // The button is below the rows.
     }
     if (signal.aborted) return undefined
     note(trouble, '')
-    // The first page is read again and again: what was read beyond it stays.
-    const fresh = new Set(page.items.map(job => job.id))
-    const had = jobs.length > page.items.length || cursor
-    jobs = cursor
-      ? [...jobs, ...page.items.filter(job => !jobs.some(one => one.id === job.id))]
-      : [...page.items, ...jobs.filter(job => !fresh.has(job.id))]
-    if (cursor || !had) next = page.next
-    more.hidden = !next || jobs.length >= 500
+    const jobs = known.items
+    more.hidden = !known.next || jobs.length >= 500
     rows.show(jobs)
     const ended = jobs
         .filter(job => !isUnderWay(job))
@@ -90,8 +83,8 @@ export function jobsPanel({ signal, href, current, onchange }) {
     before = ended || '-'
     return onchange(jobs, changed)
   }
-  every(() => (jobs.some(isUnderWay) ? 2000 : 10_000), () => read(), signal)
-  return { node, read: () => read(), redraw: () => rows.show(jobs), all: () => jobs }
+  every(() => (known.items.some(isUnderWay) ? 2000 : 10_000), () => read(), signal)
+  return { node, read: () => read(), redraw: () => rows.show(known.items), all: () => known.items }
 }
 
 /** Makes the view of one job; ends what it began when another one is shown. */

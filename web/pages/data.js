@@ -7,6 +7,7 @@ import { bytes, count, counted, moment } from '../lib/format.js'
 import { contactColumns, datasetView, partsWords } from '../lib/dataset.js'
 import { exportsPanel } from '../lib/exports.js'
 import { fold } from '../lib/fold.js'
+import { listing } from '../lib/listing.js'
 import { live } from '../lib/live.js'
 import { table } from '../lib/table.js'
 
@@ -23,8 +24,8 @@ const EXAMPLE = 'name = "strong"\ntask = "real"\nwhere = ["max_force_n__gt=20"]\
 
 /** Shows the page. */
 export async function show(root, { query, signal, set, go }) {
+  const known = listing('/datasets', { limit: 50, signal })
   let items = [],
-    next = null,
     names = []
   const labels = new Map()
   const said = outcome(),
@@ -56,7 +57,7 @@ export async function show(root, { query, signal, set, go }) {
       { head: 'Made', cell: item => el('span', {}, moment(item.created_at), newest(item) ? '' : el('span', { className: 'soft' }, ' (older)')) },
     ],
   })
-  const more = button('More', () => read(next), { hidden: true }),
+  const more = button('More', () => read(true), { hidden: true }),
     offered = el('div', { className: 'offers' })
 
   // Making one: by a name, or by the text of a definition.
@@ -118,20 +119,18 @@ export async function show(root, { query, signal, set, go }) {
     view.forget()
     go(`/data?dataset=${item.name}`, { replace: query.dataset === item.name })
   }
-  async function read(cursor) {
+  async function read(further) {
     try {
-      const page = await get('/datasets', { limit: 50, cursor }, { signal })
-      items = cursor ? [...items, ...page.items] : page.items
-      next = page.next
-      names = page.definitions
+      names = (await known.read(further)).definitions
+      items = known.items
       note(trouble, '')
     } catch (error) {
       if (!signal.aborted) note(trouble, `The datasets cannot be read: ${error.message}`)
-      if (cursor) trouble.scrollIntoView({ block: 'nearest' }) // The button is below the rows.
+      if (further) trouble.scrollIntoView({ block: 'nearest' }) // The button is below the rows.
     }
     if (signal.aborted) return
-    more.hidden = !next
-    fill(told, items.length ? `${next ? 'first ' : ''}${counted(items.length, 'dataset')}, newest first` : '')
+    more.hidden = !known.next
+    fill(told, items.length ? `${known.next ? 'first ' : ''}${counted(items.length, 'dataset')}, newest first` : '')
     list.show(items)
     const line = name => {
       const there = items.some(item => item.name === name)
