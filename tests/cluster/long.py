@@ -4,7 +4,8 @@ a chunk.
     python3 tests/cluster/long.py PALPATE [--trials N] [--disturbances N] [--seed S] [--folder DIR]
 
 PALPATE is the binary; palpate-worker is next to it, or PALPATE_WORKER names it (standard library only, Linux, PostgreSQL).
-Nothing else must run: about 25 minutes on two cores, and 6 kB of disk for each trial, 12 GB by default, in `--folder`.
+Nothing else must run. 1 to 3 take about 8 minutes on two cores, and 6 kB of disk for each trial, 12 GB by default, in
+`--folder`.
 
 1. One undisturbed process makes the order.
 2. Two workers make the same order over a PostgreSQL that this starts. Each is in a network namespace without any network;
@@ -16,8 +17,9 @@ Nothing else must run: about 25 minutes on two cores, and 6 kB of disk for each 
 5. Time from one chunk to the next, of chunks with a single trial: one process, and one worker. The difference is the overhead
    of a chunk: three requests to the queue, a line to the program, the result into the store.
 
-The last lines are all results, as a table of `docs/figures.md`; `--trials 100000 --disturbances 0` is enough for 5. Exit status: 0, 1 if a statement above is wrong. Without PostgreSQL it says
-that it was skipped, and fails if PALPATE_REQUIRE_TOOLS is set.
+The last lines are all results, as a table of `docs/figures.md`; `--trials 100000 --disturbances 0` is enough for 5. Exit
+status: 0, 1 if a statement above is wrong. Without PostgreSQL it says that it was skipped, and fails if PALPATE_REQUIRE_TOOLS
+is set.
 """
 
 import argparse
