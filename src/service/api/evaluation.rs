@@ -6,7 +6,7 @@ use axum::extract::State;
 use axum::http::StatusCode;
 
 use super::App;
-use super::problem::{ApiError, Path, ProblemBody};
+use super::problem::{ApiError, Path};
 use super::runs::find;
 use crate::evaluate::simulation::{SimulationReport, report};
 
@@ -15,9 +15,7 @@ use crate::evaluate::simulation::{SimulationReport, report};
 /// Trials without a twin are excluded.
 #[utoipa::path(get, operation_id = "evaluate_simulation",
     path = "/api/v1/runs/{run}/evaluation/simulation", tag = "simulation",
-    params(("run" = String, Path, description = "uid or scan_id")),
-    responses((status = 200, body = SimulationReport),
-        (status = 404, body = ProblemBody, description = "no run has this uid or scan_id")))]
+    responses((status = 200, body = SimulationReport)))]
 pub async fn simulation(
     State(app): State<App>,
     Path(run): Path<String>,

@@ -116,8 +116,7 @@ pub struct NotableEvent {
 #[utoipa::path(get, operation_id = "run_history", path = "/api/v1/runs/{run}/history", tag = "runs",
     params(("run" = String, Path, description = "uid or scan_id"), HistoryParams),
     responses((status = 200, body = History),
-        (status = 400, body = ProblemBody, description = "`bins` is not 1 to 1000"),
-        (status = 404, body = ProblemBody, description = "no run has this uid or scan_id")))]
+        (status = 400, body = ProblemBody, description = "`bins` is not 1 to 1000")))]
 pub async fn of_run(
     State(app): State<App>,
     Path(run): Path<String>,

@@ -124,9 +124,7 @@ fn without_examples(mut result: Value) -> Value {
 
 /// Returns the state, progress and result of a job.
 #[utoipa::path(get, operation_id = "job", path = "/api/v1/jobs/{job}", tag = "jobs",
-    params(("job" = String, Path, description = "id of the job")),
-    responses((status = 200, body = JobOut),
-        (status = 404, body = ProblemBody, description = "no job has this id")))]
+    responses((status = 200, body = JobOut)))]
 pub async fn one(
     State(app): State<App>,
     Path(job): Path<String>,
@@ -138,9 +136,7 @@ pub async fn one(
 ///
 /// After its end the losses are those of its model.
 #[utoipa::path(get, operation_id = "job_losses", path = "/api/v1/jobs/{job}/losses", tag = "jobs",
-    params(("job" = String, Path, description = "id of the job")),
-    responses((status = 200, body = String, content_type = "application/x-ndjson"),
-        (status = 404, body = ProblemBody, description = "no job has this id")))]
+    responses((status = 200, body = String, content_type = "application/x-ndjson")))]
 pub async fn losses(State(app): State<App>, Path(job): Path<String>) -> Result<Response, ApiError> {
     let row = find(&app, &job).await?;
     Ok(ndjson(app.jobs.losses(row.id)))
@@ -150,9 +146,7 @@ pub async fn losses(State(app): State<App>, Path(job): Path<String>) -> Result<R
 ///
 /// A job that has ended does not change.
 #[utoipa::path(post, operation_id = "stop_job", path = "/api/v1/jobs/{job}/stop", tag = "jobs",
-    params(("job" = String, Path, description = "id of the job")),
-    responses((status = 202, body = JobOut),
-        (status = 404, body = ProblemBody, description = "no job has this id")))]
+    responses((status = 202, body = JobOut)))]
 pub async fn stop(
     State(app): State<App>,
     act: Act,

@@ -143,9 +143,7 @@ pub async fn list(State(app): State<App>, asked: PageRequest) -> Result<Page<Mod
 
 /// Returns a model.
 #[utoipa::path(get, operation_id = "model", path = "/api/v1/models/{model}", tag = "models",
-    params(("model" = String, Path, description = "id or name of the model")),
-    responses((status = 200, body = ModelOut),
-        (status = 404, body = ProblemBody, description = "no model has this id or name")))]
+    responses((status = 200, body = ModelOut)))]
 pub async fn one(
     State(app): State<App>,
     Path(model): Path<String>,
@@ -157,9 +155,7 @@ pub async fn one(
 /// Returns the ONNX file of a model.
 #[utoipa::path(get, operation_id = "model_onnx",
     path = "/api/v1/models/{model}/onnx", tag = "models",
-    params(("model" = String, Path, description = "id or name of the model")),
-    responses((status = 200, body = Vec<u8>, content_type = "application/octet-stream"),
-        (status = 404, body = ProblemBody, description = "no model has this id or name")))]
+    responses((status = 200, body = Vec<u8>, content_type = "application/octet-stream")))]
 pub async fn onnx(State(app): State<App>, Path(model): Path<String>) -> Result<Response, ApiError> {
     let row = app.models.find(&model).await?;
     let path = app.models.onnx(&row.id);
@@ -176,9 +172,7 @@ pub async fn onnx(State(app): State<App>, Path(model): Path<String>) -> Result<R
 /// The response is empty for an uploaded model.
 #[utoipa::path(get, operation_id = "model_losses",
     path = "/api/v1/models/{model}/losses", tag = "models",
-    params(("model" = String, Path, description = "id or name of the model")),
-    responses((status = 200, body = String, content_type = "application/x-ndjson"),
-        (status = 404, body = ProblemBody, description = "no model has this id or name")))]
+    responses((status = 200, body = String, content_type = "application/x-ndjson")))]
 pub async fn losses(
     State(app): State<App>,
     Path(model): Path<String>,
@@ -190,9 +184,7 @@ pub async fn losses(
 /// Returns the residuals of a Transfer-Net on trials outside its training part (paper, Fig. 10A).
 #[utoipa::path(get, operation_id = "model_residuals",
     path = "/api/v1/models/{model}/residuals", tag = "models",
-    params(("model" = String, Path, description = "id or name of the model")),
-    responses((status = 200, body = Residuals),
-        (status = 404, body = ProblemBody, description = "no model has this id or name")))]
+    responses((status = 200, body = Residuals)))]
 pub async fn residuals(
     State(app): State<App>,
     Path(model): Path<String>,
