@@ -10,8 +10,7 @@ use super::error::CliError;
 use super::morning::second;
 use super::output::{Output, counted, grouped, say, say_json};
 use super::table::{Align, Table};
-use crate::ids::RunUid;
-use crate::record::ARMS;
+use crate::record::{ARMS, Untouched};
 
 /// `GET /api/v1/rig/samples`.
 #[derive(Debug, Serialize, Deserialize)]
@@ -62,15 +61,6 @@ fn ranges(samples: &Samples) -> Table {
     table
 }
 
-/// Fields of `GET /api/v1/frames/untouched` that are read.
-#[derive(Debug, Deserialize)]
-struct UntouchedView {
-    voltages_v: Vec<f64>,
-    at: Timestamp,
-    frames: u64,
-    run: Option<RunUid>,
-}
-
 /// Prints when the frame of the untouched skin was measured, and its size; as JSON the frame.
 ///
 /// # Errors
@@ -84,14 +74,15 @@ pub async fn untouched(client: &Client, output: Output) -> Result<(), CliError> 
     Ok(())
 }
 
-fn untouched_words(frame: &UntouchedView) -> String {
-    let UntouchedView { voltages_v, at, frames, run } = frame;
+fn untouched_words(frame: &Untouched) -> String {
+    let Untouched { voltages_v, at, frames, run } = frame;
+    let voltages_v: Vec<f64> = voltages_v.iter().copied().map(f64::from).collect();
     let channels = voltages_v.len();
     let run = run.map_or_else(String::new, |run| format!(", run {run}"));
     let rms_v = (voltages_v.iter().map(|v| v * v).sum::<f64>() / channels.max(1) as f64).sqrt();
     let largest = voltages_v.iter().enumerate().max_by(|a, b| a.1.abs().total_cmp(&b.1.abs()));
     let (channel, largest_v) = largest.map_or((0, 0.0), |(channel, v)| (channel, *v));
-    let frames = counted(*frames, "frame", "frames");
+    let frames = counted(*frames as u64, "frame", "frames");
     format!(
         "untouched skin, {}{run}: mean of {frames} of {channels} channels\n  rms {:.3} mV, largest \
          {:.3} mV (channel {channel})",
@@ -122,7 +113,7 @@ mod tests {
 
     #[test]
     fn an_untouched_frame_is_summarised() {
-        let frame = UntouchedView {
+        let frame = Untouched {
             voltages_v: vec![0.003, -0.004],
             at: Timestamp::UNIX_EPOCH,
             frames: 25,

@@ -46,7 +46,7 @@ fn default_bins() -> u32 {
 }
 
 /// A run over time. Lists of numbers have one entry per bin.
-#[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, ToSchema)]
 pub struct History {
     /// Start of the run and of the first bin; null if the run has not started.
     #[schema(value_type = Option<String>, format = DateTime)]
@@ -137,7 +137,10 @@ async fn read(app: &App, run: &RunRow, bins: u32) -> Result<Arc<History>, StoreE
     let kinds: Vec<&str> = notable_kinds().collect();
     let mut notable = store.events_of_kinds(run.uid, &kinds, NOTABLE_MAX).await?;
     notable.retain(|event| importance(&event.kind, &event.data) >= Importance::Notable);
-    let Some(from) = run.started_at else { return Ok(Arc::new(History::unstarted(notable))) };
+    let events = notable.into_iter().map(NotableEvent::from).collect();
+    let Some(from) = run.started_at else {
+        return Ok(Arc::new(History { events, ..History::default() }));
+    };
     let now = Timestamp::now();
     let is_active = app.campaign.status().run.is_some_and(|active| active.uid == run.uid);
     let to = match run.ended_at {
@@ -169,27 +172,8 @@ async fn read(app: &App, run: &RunRow, bins: u32) -> Result<Arc<History>, StoreE
         predicted_s: estimates.first().and_then(predicted_s),
         elapsed_s: Some(range_s),
         predictions: thinned(&estimates).filter_map(prediction).collect(),
-        events: notable.into_iter().map(NotableEvent::from).collect(),
+        events,
     }))
-}
-
-impl History {
-    fn unstarted(notable: Vec<Event>) -> Self {
-        Self {
-            from: None,
-            to: None,
-            bin_s: None,
-            trials: Vec::new(),
-            attempts_failed: Vec::new(),
-            largest_force_n: Vec::new(),
-            fvu: Vec::new(),
-            states: Vec::new(),
-            predicted_s: None,
-            elapsed_s: None,
-            predictions: Vec::new(),
-            events: notable.into_iter().map(NotableEvent::from).collect(),
-        }
-    }
 }
 
 impl From<Event> for NotableEvent {

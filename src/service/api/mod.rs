@@ -131,6 +131,7 @@ pub use progress::ForcesOfTips;
 pub use quantities::{LiveQuantities, QuantityRequest};
 pub use runs::Summary;
 pub use service::Service;
+pub use spans::StateSpan;
 pub use tls::{Tls, TlsCause, TlsError, warn_if_others_may_read};
 pub use turns::Turns;
 
