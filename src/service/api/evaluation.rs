@@ -3,7 +3,6 @@
 
 use axum::Json;
 use axum::extract::State;
-use axum::http::StatusCode;
 
 use super::App;
 use super::problem::{ApiError, Path};
@@ -23,5 +22,5 @@ pub async fn simulation(
     let run = find(&app, &run).await?.uid;
     let fits = app.store.fits(run).await?;
     let report = tokio::task::spawn_blocking(move || report(&fits)).await;
-    report.map(Json).map_err(|e| ApiError::new(StatusCode::INTERNAL_SERVER_ERROR, e.to_string()))
+    report.map(Json).map_err(ApiError::internal)
 }

@@ -163,11 +163,7 @@ pub async fn summary(
 ) -> Result<Json<Summary>, ApiError> {
     let run = find(&app, &run).await?;
     let uid = run.uid;
-    let progress = app
-        .store
-        .progress(uid)
-        .await
-        .map_err(|e| ApiError::new(StatusCode::INTERNAL_SERVER_ERROR, e.to_string()))?;
+    let progress = app.store.progress(uid).await.map_err(ApiError::internal)?;
     let trials_stored = progress.stored.len() as u64;
     let ended = run.exit_status.is_some();
     let complete = run.trials_planned.saturating_sub(trials_stored);
