@@ -2,7 +2,6 @@
 //! Uses: `client`, `table`. Never: a request to the rig.
 
 use jiff::Timestamp;
-use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 use super::client::Client;
@@ -10,22 +9,15 @@ use super::error::CliError;
 use super::morning::second;
 use super::output::{Output, counted, grouped, say, say_json};
 use super::table::{Align, Table};
+use crate::api::SamplesOut;
 use crate::record::{ARMS, Untouched};
-
-/// `GET /api/v1/rig/samples`.
-#[derive(Debug, Serialize, Deserialize)]
-struct Samples {
-    at_ms: Vec<i64>,
-    z_mm: Vec<Option<f64>>,
-    forces_n: Vec<[Option<f64>; ARMS]>,
-}
 
 /// Prints the ranges of the samples of the last minutes; as JSON the samples.
 ///
 /// # Errors
 /// As [`Client::send`].
 pub async fn samples(client: &Client, minutes: u8, output: Output) -> Result<(), CliError> {
-    let samples: Samples = client.get(&format!("/api/v1/rig/samples?minutes={minutes}")).await?;
+    let samples: SamplesOut = client.get(&format!("/api/v1/rig/samples?minutes={minutes}")).await?;
     if output == Output::Json {
         say_json(&samples);
         return Ok(());
@@ -39,7 +31,7 @@ pub async fn samples(client: &Client, minutes: u8, output: Output) -> Result<(),
     Ok(())
 }
 
-fn ranges(samples: &Samples) -> Table {
+fn ranges(samples: &SamplesOut) -> Table {
     let heads = [
         ("", Align::Left),
         ("smallest", Align::Right),
@@ -102,12 +94,12 @@ mod tests {
         for (forces_n, newton) in forces_n.iter_mut().zip([2.0, -1.0, 0.5]) {
             forces_n[1] = Some(newton);
         }
-        let samples = Samples { at_ms: vec![0, 1, 2], z_mm: vec![None; 3], forces_n };
+        let samples = SamplesOut { at_ms: vec![0, 1, 2], z_mm: vec![None; 3], forces_n };
         let table = ranges(&samples).to_string();
         let cells = table.lines().nth(1).unwrap().split_whitespace().collect::<Vec<_>>();
         assert_eq!(table.lines().count(), 2);
         assert_eq!(cells, ["arm", "2,", "N", "-1.000", "2.000", "0.500"]);
-        let none = Samples { at_ms: vec![], z_mm: vec![], forces_n: vec![] };
+        let none = SamplesOut::default();
         assert!(ranges(&none).to_string().starts_with("there are no samples"));
     }
 
