@@ -215,7 +215,7 @@ impl<D: Drive> ModbusAxis<D> {
         match self.drive.alarm_request() {
             Some(request) => {
                 let words = self.station.read("alarm code", request).await?;
-                Ok(words.first().map(|&w| u32::from(w)))
+                Ok(Some(words.first().map_or(0, |&w| u32::from(w))))
             }
             None => Ok(Some(0)),
         }
