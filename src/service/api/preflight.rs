@@ -59,9 +59,7 @@ pub async fn of_submission(
 /// Returns the preflight of a stored run on this rig.
 #[utoipa::path(get, operation_id = "run_preflight",
     path = "/api/v1/runs/{run}/preflight", tag = "runs",
-    params(("run" = String, Path, description = "uid or scan_id")),
     responses((status = 200, body = RunPreflight),
-        (status = 404, body = ProblemBody, description = "no run has this uid or scan_id"),
         (status = 422, body = ProblemBody, description = "the run was not planned from an experiment")))]
 pub async fn of_run(
     State(app): State<App>,
