@@ -197,7 +197,7 @@ export function datasetView({ signal, go, onmade, onexport }) {
     }).node
     heads.classList.add('tall-table')
     const columns = panel('Columns', { aside: el('span', {}, counted(report.columns.length, 'column')) }, heads)
-    walk = lineageWalk({ dataset: item, lineage, nets, label: label === 'virtual' ? 'virtual' : '', signal: mine, set: go })
+    walk = lineageWalk({ dataset: item, lineage, nets, label, signal: mine, set: go })
     const graph = panel('What it was made from', { aside: el('span', {}, 'dataset, runs, trials, frame') }, walk.node)
     const about = panel(
       'Card',

@@ -39,7 +39,7 @@ export function report(root, { state, set, go, said, others, signal }) {
   let data = null
   let tour = null
   let shape = null
-  const label = () => (data?.run.label === 'virtual' ? 'virtual' : '')
+  const label = () => data?.run.label ?? ''
   const top = el('section')
   const contacts = el('section')
   const fits = el('section')

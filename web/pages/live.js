@@ -7,7 +7,7 @@ import { chart } from '../lib/chart.js'
 import { el, every, fill, panel, say, select } from '../lib/dom.js'
 import { count, countOf, counted, fixed } from '../lib/format.js'
 import { round125 } from '../lib/frame.js'
-import { live } from '../lib/live.js'
+import { live, rigLabel } from '../lib/live.js'
 import { missingOf } from '../lib/missing.js'
 import { quantityPart } from '../lib/quantities.js'
 import { recorder } from '../lib/recording.js'
@@ -45,10 +45,9 @@ export async function show(root, { query, signal, set }) {
   let listed = '', arrived = 0, drawings = 0, told = { arrived: 0, drawings: 0 }, since = performance.now(), rates = {}
   let heard = null // Frame counter of the newest drawn answer, and how many had arrived with it.
   const latencies = [], lost = missingOf(), trace = { at: [], total: [], from: 0 }
-  const label = () => live.status?.rig.label
   const chosen = () => vocabulary.methods.find(one => one.name === state.method) ?? bestMethod(serving)
 
-  const map = touchMap({ signal, label, query: '/api/v1/serving' })
+  const map = touchMap({ signal, label: rigLabel, query: '/api/v1/serving' })
   const scales = select(SCALES, state.scale ?? '', value => set({ scale: value }), { 'aria-label': 'Force at the end of the colours' })
   const methods = select([['', 'Best that serves'], ...vocabulary.methods.map(one => [one.name, one.name])], state.method ?? '', value => set({ method: value }),
     { 'aria-label': 'Method' })
@@ -60,7 +59,7 @@ export async function show(root, { query, signal, set }) {
   const presence = { head: 'Presence', unit: '%', cell: c => c.presence == null ? '–' : fixed(100 * c.presence, 0) }
   const [placed, proposed] = [columns, [...columns, presence]].map(columns => table({ caption: 'Contacts', empty: 'Nothing touches the skin.', columns }))
   const lists = el('div')
-  const total = chart({ title: 'Total force, last minute', key: 'total', y: 'Force', unit: 'N', height: 130, signal, label,
+  const total = chart({ title: 'Total force, last minute', key: 'total', y: 'Force', unit: 'N', height: 130, signal, label: rigLabel,
     series: [{ name: 'total', digits: 1, fill: true }], range: (_, high) => [0, round125(Math.max(5, high || 0))] })
   const now = panel('Now', { className: 'live touch', aside: methods }, sure, numbers, lists)
   const colours = el('label', { className: 'inline' }, 'Colours up to', scales)

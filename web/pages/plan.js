@@ -10,9 +10,9 @@ import { forcesPanel } from '../lib/expected.js'
 import { fold } from '../lib/fold.js'
 import { capital, counted, fixed, moment, span } from '../lib/format.js'
 import { isActive, runSentence } from '../lib/runwords.js'
-import { live } from '../lib/live.js'
+import { live, rigLabel } from '../lib/live.js'
 import { NEEDS_OPERATOR, partsBar, planFacts, problemList, settingsTable } from '../lib/preflight.js'
-import { rigLabel, submittedTour } from '../lib/submitted.js'
+import { submittedTour } from '../lib/submitted.js'
 import { sensor } from '../lib/skin.js'
 import { tourView } from '../lib/tour.js'
 
@@ -136,7 +136,7 @@ export async function show(root, { query, signal, go, set }) {
       ),
       said.node,
     )
-    const label = () => (run.label === 'virtual' ? 'virtual' : '')
+    const label = () => run.label
     const absent = run.kind === 'imported' ? 'An imported run has no plan.' : 'The service has no tour of this run.'
     const picture = el('section', {}, drawing({ label, absent, source: `/api/v1/runs/${run.scan_id}/tour` }, query))
     const parts = await details(answer.p)

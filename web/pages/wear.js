@@ -4,7 +4,7 @@
 import { all, get } from '../lib/api.js'
 import { button, el, facts, fill, link, panel } from '../lib/dom.js'
 import { age, clock, count, counted, fixed, moment } from '../lib/format.js'
-import { live } from '../lib/live.js'
+import { rigLabel } from '../lib/live.js'
 import { references } from '../lib/references.js'
 import { sensor } from '../lib/skin.js'
 import { table } from '../lib/table.js'
@@ -80,9 +80,8 @@ function whatToDo(wear) {
 
 /** Shows the page. */
 export async function show(root, { query, signal, set }) {
-  const label = () => (live.status?.rig.label === 'virtual' ? 'virtual' : '')
-  const map = wearMap({ onchoose: (x, y) => set({ x, y }), label, signal })
-  const drift = references({ label, signal })
+  const map = wearMap({ onchoose: (x, y) => set({ x, y }), label: rigLabel, signal })
+  const drift = references({ label: rigLabel, signal })
   const top = el('section', {}, el('p', { className: 'soft' }, 'Loading …'))
   const rest = el('div', { className: 'columns three' })
   const middle = el('div', { className: 'columns two', hidden: true }, map.map, el('div', { className: 'column' }, map.most, map.spread))
