@@ -12,7 +12,7 @@ import { about, age, count, countOf, counted, fixed, moment, percent, plain, spa
 import { history } from './history.js'
 import { live } from './live.js'
 import { eventChoice, eventRow, kindsThatMatter, matters } from './log.js'
-import { medianChart, medians, partWords } from './medians.js'
+import { medianChart, medians } from './medians.js'
 import { isActive, largest, perHour, runSentence, runTone } from './runwords.js'
 import { save } from './save.js'
 import { sensor } from './skin.js'
@@ -253,12 +253,11 @@ export function report(root, { state, set, go, said, others, signal }) {
     await events()
     const found = await quiet(medians(data.run, signal))
     if (signal.aborted) return
-    const view =
-      found && medianChart([{ name: '', ...found }], { label, signal, query: `/api/v1/runs/${n}/trials?columns=depth_mm,max_force_n,tips&format=csv` })
+    const view = found && medianChart([{ name: '', tips: found }], { label, signal, query: `/api/v1/runs/${n}/forces` })
     fill(
       forces,
       view
-        ? [view.node, el('p', { className: 'soft small' }, partWords(found))]
+        ? view.node
         : [
             el('h2', {}, 'Force over depth'),
             el('p', { className: 'soft' }, data.run.kind === 'real-random' ? 'Weights have no depth.' : 'No trial with a depth is stored.'),

@@ -43,6 +43,7 @@ mod examples;
 mod experiments;
 mod exports;
 mod finished;
+mod forces;
 mod form;
 mod gather;
 mod glance;
@@ -116,6 +117,7 @@ mod workers;
 
 pub use access::{Access, Edited, Lock, Needs};
 pub use envelope::SamplesOut;
+pub use forces::ForcesAtDepth;
 pub use glance::{Glance, Question, Rating};
 pub use infer::{FrameAnswer, InferOptions, InferRequest};
 pub use jobs::JobOut;

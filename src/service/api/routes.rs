@@ -13,11 +13,11 @@ use super::limits::{
     ACTION_BODY_MAX_BYTES, BODY_MAX_BYTES, FRAMES_MAX_BYTES, IMPORT_MAX_BYTES, MODEL_MAX_BYTES,
 };
 use super::{
-    App, datasets, estop, evaluation, events, experiments, exports, gather, health, history,
-    imports, infer, jobs, live, live_contacts, live_status, models, overlay, people, placement,
-    preflight, progress, published, quantities, queue, queue_times, rates, readings, recipes,
-    recording, rig, rig_limits, runs, samples, sensor, simulations, sql, status, tour, trials,
-    twins, untouched, vocabulary, wear, workers,
+    App, datasets, estop, evaluation, events, experiments, exports, forces, gather, health,
+    history, imports, infer, jobs, live, live_contacts, live_status, models, overlay, people,
+    placement, preflight, progress, published, quantities, queue, queue_times, rates, readings,
+    recipes, recording, rig, rig_limits, runs, samples, sensor, simulations, sql, status, tour,
+    trials, twins, untouched, vocabulary, wear, workers,
 };
 use crate::store::Role;
 
@@ -102,6 +102,7 @@ pub fn table() -> Vec<Operation> {
         (READS, routes!(runs::plan)),
         (READS, routes!(tour::of_run)),
         (READS, routes!(progress::of_run)),
+        (READS, routes!(forces::of_run)),
         (READS, routes!(history::of_run)),
         (READS, routes!(sensor::sensor)),
         (acts("arm"), routes!(runs::arm)),

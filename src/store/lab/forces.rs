@@ -1,0 +1,37 @@
+//! Depth and largest force of each trial of a run.
+//! Uses: `core`. Never: a statistic of them.
+
+use crate::core::{During, Store, StoreError};
+use crate::ids::RunUid;
+
+/// Depth and largest force of a trial.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct DepthForce {
+    /// Number of tips.
+    pub tips: u8,
+    /// Planned depth, mm.
+    pub depth_mm: f64,
+    /// Largest force, N.
+    pub force_n: f64,
+}
+
+impl Store {
+    /// Returns depth and largest force of each trial of a run that has both.
+    ///
+    /// # Errors
+    /// `NoSuchRun` if the run is not stored; `Sql` if the read fails.
+    pub async fn forces_over_depth(&self, run: RunUid) -> Result<Vec<DepthForce>, StoreError> {
+        const OPERATION: &str = "reading the forces of a run";
+        let scan_id = self.facts(run, OPERATION).await?.scan_id;
+        let rows: Vec<(u8, f64, f64)> = sqlx::query_as(
+            "SELECT tips, depth_mm, max_force_n FROM trials
+             WHERE run = ?1 AND depth_mm IS NOT NULL AND max_force_n IS NOT NULL",
+        )
+        .bind(scan_id)
+        .fetch_all(&self.inner.readers)
+        .await
+        .during(OPERATION)?;
+        let force = |(tips, depth_mm, force_n)| DepthForce { tips, depth_mm, force_n };
+        Ok(rows.into_iter().map(force).collect())
+    }
+}
