@@ -148,7 +148,8 @@ async fn a_preflight_states_what_the_run_before_it_pressed_on_the_same_skin() {
     let forces = lab.get(&path(&recorded, HALF, "/forces")).await;
     let count = |tips: Value| {
         let items = forces["items"].as_array().unwrap().iter();
-        let of_tips = items.filter(|at| at["tips"] == tips).map(|at| at["trials"].as_u64().unwrap());
+        let of_tips =
+            items.filter(|at| at["tips"] == tips).map(|at| at["trials"].as_u64().unwrap());
         of_tips.sum::<u64>() as usize
     };
     let stored = trials(&recorded, HALF).len();
