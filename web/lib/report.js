@@ -260,7 +260,7 @@ export function report(root, { state, set, go, said, others, signal }) {
         ? view.node
         : [
             el('h2', {}, 'Force over depth'),
-            el('p', { className: 'soft' }, data.run.kind === 'real-random' ? 'Weights have no depth.' : 'No trial with a depth is stored.'),
+            el('p', { className: 'soft' }, !found ? 'The forces could not be read.' : data.run.kind === 'real-random' ? 'Weights have no depth.' : 'No trial with a depth is stored.'),
           ],
     )
   }
