@@ -94,9 +94,7 @@ export function datasetView({ signal, go, onmade, onexport }) {
 
   function draw(node, item, described, lineage, nets, card, mine) {
     const said = outcome(),
-      { report } = item,
-      labels = [...new Set(lineage.runs.map(run => run.label))]
-    const label = labels.join(' and ') || 'simulated'
+      { report, label } = item
     const again = actor(
       'Make again',
       said,
@@ -140,7 +138,7 @@ export function datasetView({ signal, go, onmade, onexport }) {
       facts([
         ['Rows', count(item.rows)],
         ['Size', bytes(item.bytes)],
-        ['Label', el('span', { className: label === 'virtual' ? 'virtual' : '' }, label)],
+        ['Label', el('span', { className: label === 'virtual' ? 'virtual' : '' }, label ?? 'not known')],
         ['Made', moment(item.created_at)],
         ['Channels', count(report.channels)],
         ['Licence', described.licenses?.[0].title ?? described.licenses?.[0].name ?? 'not stated'],

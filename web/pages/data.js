@@ -1,6 +1,6 @@
 // The datasets: "What can I load?" The list as the paper's Table I, one opened above it, exports below.
 
-import { get, keep, once } from '../lib/api.js'
+import { keep, once } from '../lib/api.js'
 import { actor, only, outcome } from '../lib/actions.js'
 import { button, el, fill, note, panel } from '../lib/dom.js'
 import { bytes, count, counted, moment } from '../lib/format.js'
@@ -27,7 +27,6 @@ export async function show(root, { query, signal, set, go }) {
   const known = listing('/datasets', { limit: 50, signal })
   let items = [],
     names = []
-  const labels = new Map()
   const said = outcome(),
     files = exportsPanel({ signal }),
     told = el('span'),
@@ -49,7 +48,7 @@ export async function show(root, { query, signal, set, go }) {
     empty: () => `No dataset yet. A run gives one when it ends${live.may('operator') ? '; the definitions below make the others' : ''}.`,
     columns: [
       { head: 'Dataset', cell: item => item.name, left: true },
-      { head: 'Label', cell: item => labels.get(item.id), left: true },
+      { head: 'Label', cell: item => item.label, left: true },
       ...contactColumns,
       { head: 'Total', cell: item => count(item.rows) },
       { head: 'Parts', cell: item => partsWords(item.report), left: true },
@@ -143,17 +142,6 @@ export async function show(root, { query, signal, set, go }) {
       )
     }
     fill(offered, el('ul', {}, names.map(line)))
-    label()
-  }
-  /** The label is in the lineage alone: read for the rows on the page, one after the other. */
-  async function label() {
-    for (const item of items.slice(0, 50)) {
-      if (signal.aborted) return
-      if (labels.has(item.id)) continue
-      const found = await get(`/datasets/${item.id}/lineage`, {}, { signal }).catch(() => null)
-      if (found) labels.set(item.id, [...new Set(found.lineage.runs.map(run => run.label))].join(' and ') || 'simulated')
-    }
-    if (!signal.aborted) list.show(items)
   }
   function update(changed) {
     query = changed
