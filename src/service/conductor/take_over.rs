@@ -312,3 +312,81 @@ impl Conductor {
         tokio::time::timeout(HOMING_WAIT, homed).await.unwrap_or_else(|_| late())
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::Terms;
+    use super::super::follow::tests::{conductor, queued_on};
+    use super::*;
+    use crate::campaign::shown::command::{Envelope, Inbox};
+    use crate::journal::Journal;
+    use crate::state::{StateChange, StoredState};
+
+    /// Why a run is dropped.
+    const ABORTED: &str = "a run was aborted";
+
+    /// A run that the earlier process drove, and one that waited behind it.
+    async fn earlier(conductor: &Conductor) -> [RunRow; 2] {
+        let terms = Terms { auto_resume: Some(true), not_before: None };
+        let [driven, next] = [queued_on(conductor, terms).await, queued_on(conductor, terms).await];
+        let store = &conductor.inner.store;
+        let running = StateChange::to(StoredState::Running);
+        store.run_state(driven.uid, running, Timestamp::now()).await.unwrap();
+        store.set_waiting(next.uid).await.unwrap();
+        [driven, next]
+    }
+
+    /// A person aborts a run, and the campaign is told.
+    async fn abort(conductor: &Conductor, run: &RunRow, inbox: &mut Inbox) {
+        let told = async {
+            let Envelope { request, answer, .. } = inbox.next().await.expect("a request");
+            assert!(matches!(request, Request::CameLate), "{request:?}");
+            inbox.status.send_modify(|status| status.attended.note(ABORTED));
+            let _ = answer.send(Ok(()));
+        };
+        let (aborted, ()) = tokio::join!(conductor.abort_undriven(run), told);
+        aborted.unwrap();
+    }
+
+    #[tokio::test]
+    async fn after_an_abort_of_a_run_before_it_is_taken_over_none_behind_it_begins() {
+        let (conductor, mut inbox, folder) = conductor("aborted-before").await;
+        let [driven, next] = earlier(&conductor).await;
+        // The database is still examined.
+        abort(&conductor, &driven, &mut inbox).await;
+        let taken = tokio::select! {
+            taken = conductor.resume_after_restart(AutoResume::Allowed) => taken,
+            asked = inbox.next() => panic!("{asked:?}"),
+        };
+        taken.unwrap();
+        assert_eq!(conductor.why_dropped(next.uid), Some(format!("{ABORTED}: start it again")));
+        assert!(conductor.inner.store.waiting_runs().await.unwrap().is_empty());
+        std::fs::remove_dir_all(folder).unwrap();
+    }
+
+    #[tokio::test]
+    async fn after_an_abort_of_a_run_as_it_is_taken_over_none_behind_it_begins() {
+        let (conductor, mut inbox, folder) = conductor("aborted-as").await;
+        let [driven, next] = earlier(&conductor).await;
+        let aborts = async {
+            let Envelope { request, answer, .. } = inbox.next().await.expect("a request");
+            assert!(matches!(request, Request::Connect), "{request:?}");
+            abort(&conductor, &driven, &mut inbox).await;
+            let _ = answer.send(Ok(()));
+            // Nothing is homed for it.
+            let asked = inbox.next().await;
+            panic!("{asked:?}");
+        };
+        let taken = tokio::select! {
+            taken = conductor.resume_after_restart(AutoResume::Allowed) => taken,
+            () = aborts => Ok(()),
+        };
+        assert!(matches!(taken, Err(ConductorError::Forbidden(_))), "{taken:?}");
+        let why = "the run before it is not driven again, and a person may be at the rig";
+        assert_eq!(conductor.why_dropped(next.uid).as_deref(), Some(why));
+        let words = conductor.not_begun().await.unwrap();
+        assert!(words.is_some_and(|words| words.ends_with(why)));
+        assert!(conductor.still_waiting().await.unwrap().is_empty());
+        std::fs::remove_dir_all(folder).unwrap();
+    }
+}
