@@ -28,6 +28,9 @@ use crate::schedule::configuration::Stand;
 
 /// Shortest pause between two polls, wall s, so that an accelerated rig is not polled continuously.
 const POLL_WALL_S: f64 = 200e-6;
+/// Distance beyond its travel at which no axis can be, in its unit: the drive has lost its zero, or the homing has ended
+/// elsewhere.
+pub(super) const BEYOND: f64 = 1.0;
 /// Wall time allowed for a motion beyond its predicted duration.
 pub(super) const GRACE: Duration = Duration::from_secs(3);
 
@@ -82,7 +85,7 @@ pub struct Stage {
     /// Where every sample of the cells is published.
     pub samples: Samples,
     /// Last sample of the motion or hold that is watched.
-    last_sample: Option<LastSample>,
+    pub(super) last_sample: Option<LastSample>,
     /// Time since which z has been held at rest under watch.
     pub(super) held_since: Option<Instant>,
 }
@@ -402,6 +405,8 @@ impl Stage {
                 return Ok(Raised::NotHomed);
             }
             if !now.moving && now.position <= up + z.tolerance {
+                interlock::check_position("z", now.position, z.axis.travel(), BEYOND)
+                    .map_err(|trip| trip.detail)?;
                 return Ok(Raised::Up { deepest_mm });
             }
             if estop.pressed().is_some() {
@@ -434,5 +439,9 @@ mod tests {
         *axes.z.status.lock() = AxisStatus { position: 60.0, homed: true, ..restarted };
         let raised = stage.raise_once(Height::Clear, &stop).await;
         assert_eq!(raised, Ok(Raised::Up { deepest_mm: 60.0 }));
+        // No height is above the travel.
+        axes.z.status.lock().position = -300.0;
+        let words = stage.raise_once(Height::Clear, &stop).await.unwrap_err();
+        assert!(words.starts_with("z measured at -300.000, outside its travel"), "{words}");
     }
 }
