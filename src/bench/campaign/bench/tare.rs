@@ -11,6 +11,9 @@ use crate::rig::config::RigConfig;
 
 /// Limit of the spread of a cell's readings in the air, as a multiple of its noise.
 const TARE_NOISE_MULTIPLE: f64 = 10.0;
+/// Largest force on a cell in the air, N, in either direction, from its nominal zero: the weight of a tip, and the offset of
+/// the cell. A force limit is exceeded by as much before it trips.
+const ZERO_N: f64 = 10.0;
 /// Frames of the untouched skin: at 30 frames per second they arrive while the cells are read.
 const UNTOUCHED_FRAMES: usize = 4;
 
@@ -56,8 +59,8 @@ pub async fn tare_untouched(
 /// Connected cells on arms without a tip get zeros too, so that a load on them is detected.
 ///
 /// # Errors
-/// Trips on a disconnected cell, a drifted zero, or a load on an arm without a tip; fails the
-/// attempt if a cell is not quiet. A fault of the wire or a request halts as well.
+/// Trips on a disconnected cell, a drifted zero, or a load in the air; fails the attempt if a cell is not
+/// quiet. A fault of the wire or a request halts as well.
 pub async fn tare(
     stage: &mut Stage,
     control: &mut Control,
@@ -100,8 +103,8 @@ fn zeros(
         let arm = i + 1;
         let mean = readings.iter().map(|r| r[i]).sum::<f64>() / n;
         let live = cells.is_live(mean);
+        let load_n = (mean - cells.zero_v()) * cells.newtons_per_volt();
         if arm > usize::from(tips) {
-            let load_n = (mean - cells.zero_v()) * cells.newtons_per_volt();
             if live && load_n.abs() > FOREIGN_N {
                 let detail = format!(
                     "cell {arm} reads {load_n:.1} N in the air and no tip is entered for arm \
@@ -131,6 +134,13 @@ fn zeros(
         if last.accept == Accept::NearLast && moved_n > limit {
             let detail = format!(
                 "zero of cell {arm} moved by {moved_n:.2} N since the last tare, limit {limit} N"
+            );
+            return Err(Halt::trip(TripKind::Cell, detail));
+        }
+        if load_n.abs() > ZERO_N {
+            let detail = format!(
+                "cell {arm} reads {load_n:.1} N in the air, from the nominal zero (limit {ZERO_N} N): \
+                 check what touches its tip"
             );
             return Err(Halt::trip(TripKind::Cell, detail));
         }
@@ -176,6 +186,25 @@ mod tests {
         let detail = words(tared(Accept::NearLast, &[beyond]));
         assert!(detail.starts_with("zero of cell 2 moved by"), "{detail}");
         assert!(tared(Accept::AnyZero, &[beyond]).is_ok(), "the first tare has no predecessor");
+    }
+
+    #[test]
+    fn a_load_is_no_zero_although_no_tare_was_before_nor_if_it_has_come_slowly() {
+        for force_n in [0.9 * ZERO_N, -0.9 * ZERO_N] {
+            assert!(tared(Accept::AnyZero, &[[force_n, 0.0, 0.0, 0.0, 0.0, 0.0]]).is_ok());
+        }
+        for force_n in [1.1 * ZERO_N, -1.1 * ZERO_N] {
+            let detail = words(tared(Accept::AnyZero, &[[force_n, 0.0, 0.0, 0.0, 0.0, 0.0]]));
+            assert!(
+                detail.starts_with("cell 1 reads") && detail.contains("in the air"),
+                "{detail}"
+            );
+        }
+        // The last zeros have crept.
+        let (config, crept) = (rig(), ZERO_N / rig().cells.newtons_per_volt());
+        let last = LastTare { zeros_v: &LAST.map(|v| v + 0.95 * crept), accept: Accept::NearLast };
+        let detail = words(zeros(&config, 2, &last, &[LAST.map(|v| v + 1.05 * crept)]));
+        assert!(detail.contains("from the nominal zero (limit 10 N)"), "{detail}");
     }
 
     #[test]
