@@ -210,7 +210,7 @@ impl Conductor {
         *self.inner.brought_up.lock() = Some(run.uid);
         self.unended(run).await?;
         self.require_unattended(run, before).await?;
-        self.bring_up(run).await?;
+        self.bring_up(run, before).await?;
         self.begin(run, self.require_unattended(run, before)).await
     }
 
@@ -270,7 +270,7 @@ impl Conductor {
 
     /// Opens the wires and homes the rig, as needed. A skin alone has nothing to home, and for a manual run nothing
     /// moves: a person's hands may be on the skin. After a crash the first motion is z up, as in every homing.
-    async fn bring_up(&self, run: &RunRow) -> Result<(), Refusal> {
+    async fn bring_up(&self, run: &RunRow, before: Unattended) -> Result<(), ConductorError> {
         let campaign = &self.inner.campaign;
         if campaign.status().rig.state == RigState::Disconnected {
             campaign.ask(Request::Connect).await?;
@@ -281,6 +281,8 @@ impl Conductor {
             return Ok(());
         }
         if rig.state == RigState::Disarmed && self.is_brought_up(run.uid) {
+            // Opening the wires may have taken a while.
+            self.require_unattended(run, before).await?;
             campaign.ask(Request::Home).await?;
         }
         let homed = async {
@@ -309,7 +311,8 @@ impl Conductor {
             let limit_s = HOMING_WAIT.as_secs();
             Err(Refusal::State(format!("the rig was not homed within {limit_s} s: check its axes")))
         };
-        tokio::time::timeout(HOMING_WAIT, homed).await.unwrap_or_else(|_| late())
+        tokio::time::timeout(HOMING_WAIT, homed).await.unwrap_or_else(|_| late())?;
+        Ok(())
     }
 }
 
@@ -387,6 +390,27 @@ mod tests {
         let words = conductor.not_begun().await.unwrap();
         assert!(words.is_some_and(|words| words.ends_with(why)));
         assert!(conductor.still_waiting().await.unwrap().is_empty());
+        std::fs::remove_dir_all(folder).unwrap();
+    }
+
+    #[tokio::test]
+    async fn nothing_homes_for_a_run_after_a_lock_was_taken_while_the_wires_were_opened() {
+        let (conductor, mut inbox, folder) = conductor("locked").await;
+        earlier(&conductor).await;
+        let asked = async {
+            let Envelope { request, answer, .. } = inbox.next().await.expect("a request");
+            assert!(matches!(request, Request::Connect), "{request:?}");
+            tokio::time::sleep(Duration::from_millis(20)).await;
+            conductor.inner.store.set_lock("bob", "hands in the rig").await.unwrap();
+            inbox.status.send_modify(|status| status.rig.state = RigState::Disarmed);
+            let _ = answer.send(Ok(()));
+            tokio::time::timeout(2 * RESTART_PAUSE, inbox.next()).await
+        };
+        let asked = tokio::select! {
+            taken = conductor.resume_after_restart(AutoResume::Allowed) => panic!("{taken:?}"),
+            asked = asked => asked,
+        };
+        assert!(asked.is_err(), "{asked:?}");
         std::fs::remove_dir_all(folder).unwrap();
     }
 }
