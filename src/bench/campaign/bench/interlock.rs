@@ -213,7 +213,11 @@ pub fn check_cells(
 
 /// Checks for repeated values. The noise of a cell changes its last digit at nearly every update:
 /// an input that returns one value for too long no longer measures.
-fn check_alive(cells: &CellsConfig, reading: &CellVolts, tips: usize) -> Result<(), Trip> {
+pub(super) fn check_alive(
+    cells: &CellsConfig,
+    reading: &CellVolts,
+    tips: usize,
+) -> Result<(), Trip> {
     let still = |i: &usize| cells.is_hung(reading.repeats[*i]);
     let Some(first) = (0..tips).find(still) else { return Ok(()) };
     let live: Vec<usize> = (0..ARMS).filter(|&i| cells.is_live(reading.volts[i])).collect();

@@ -2,12 +2,13 @@
 //! Uses: `campaign::bench::stage`. Never: storage.
 
 use crate::campaign::bench::evidence::SkinWatch;
-use crate::campaign::bench::interlock::{FOREIGN_N, TripKind};
+use crate::campaign::bench::interlock::{self, FOREIGN_N, TripKind};
 use crate::campaign::bench::stage::Stage;
 use crate::campaign::run::control::Control;
 use crate::campaign::run::halt::Halt;
 use crate::record::{ARMS, Untouched};
 use crate::rig::config::RigConfig;
+use crate::rig::traits::CellVolts;
 
 /// Limit of the spread of a cell's readings in the air, as a multiple of its noise.
 const TARE_NOISE_MULTIPLE: f64 = 10.0;
@@ -68,6 +69,7 @@ pub async fn tare(
     accept: Accept,
 ) -> Result<Vec<(u8, f64)>, Halt> {
     let mut readings: Vec<[f64; ARMS]> = Vec::with_capacity(samples as usize);
+    let mut newest = None;
     for _ in 0..samples {
         // A module returns the same sample twice if it is read faster than it converts.
         stage.clock.sleep(stage.config.cells.update_ms / 1e3).await;
@@ -75,10 +77,21 @@ pub async fn tare(
         let reading = stage.bench.cells.read().await?;
         stage.publish(&reading, None);
         readings.push(reading.volts);
+        newest = Some(reading);
     }
     let last = LastTare { zeros_v: &stage.tare_v, accept };
-    stage.tare_v = zeros(&stage.config, stage.tips, &last, &readings)?;
+    let zeros = zeros(&stage.config, stage.tips, &last, &readings);
+    stage.tare_v = zeros.map_err(|halt| unless_hung(halt, stage, newest.as_ref()))?;
     Ok((1..=stage.tips).map(|arm| (arm, stage.tare_v[usize::from(arm) - 1])).collect())
+}
+
+/// Why a tare is refused: a module that hangs returns an earlier load, which is none.
+fn unless_hung(halt: Halt, stage: &Stage, newest: Option<&CellVolts>) -> Halt {
+    let (cells, tips) = (&stage.config.cells, usize::from(stage.tips));
+    match newest.map(|reading| interlock::check_alive(cells, reading, tips)) {
+        Some(Err(hung)) => hung.into(),
+        Some(Ok(())) | None => halt,
+    }
 }
 
 /// Zeros of the cells before a tare.
@@ -152,6 +165,7 @@ fn zeros(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::campaign::bench::stand_in::StandIns;
 
     const LAST: [f64; ARMS] = [0.5; ARMS];
 
@@ -205,6 +219,19 @@ mod tests {
         let last = LastTare { zeros_v: &LAST.map(|v| v + 0.95 * crept), accept: Accept::NearLast };
         let detail = words(zeros(&config, 2, &last, &[LAST.map(|v| v + 1.05 * crept)]));
         assert!(detail.contains("from the nominal zero (limit 10 N)"), "{detail}");
+    }
+
+    #[test]
+    fn a_module_that_hangs_with_an_earlier_load_is_stale_and_the_load_none() {
+        let mut stage = StandIns::default().stage();
+        stage.tips = 2;
+        let refused = |repeats| {
+            let reading = CellVolts { volts: LAST, repeats, at: tokio::time::Instant::now() };
+            unless_hung(Halt::trip(TripKind::Cell, "a load"), &stage, Some(&reading))
+        };
+        let kind = |halt: Halt| halt.as_trip().map(|trip| trip.kind);
+        assert_eq!(kind(refused([99; ARMS])), Some(TripKind::Stale));
+        assert_eq!(kind(refused([0; ARMS])), Some(TripKind::Cell));
     }
 
     #[test]
