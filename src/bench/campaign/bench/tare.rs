@@ -2,7 +2,7 @@
 //! Uses: `campaign::bench::stage`. Never: storage.
 
 use crate::campaign::bench::evidence::SkinWatch;
-use crate::campaign::bench::interlock::{self, FOREIGN_N, TripKind};
+use crate::campaign::bench::interlock::{self, FOREIGN_N, IN_AIR_N, TripKind};
 use crate::campaign::bench::stage::Stage;
 use crate::campaign::run::control::Control;
 use crate::campaign::run::halt::Halt;
@@ -12,9 +12,6 @@ use crate::rig::traits::CellVolts;
 
 /// Limit of the spread of a cell's readings in the air, as a multiple of its noise.
 const TARE_NOISE_MULTIPLE: f64 = 10.0;
-/// Largest force on a cell in the air, N, in either direction, from its nominal zero: the weight of a tip, and the offset of
-/// the cell. A force limit is exceeded by as much before it trips.
-const ZERO_N: f64 = 10.0;
 /// Frames of the untouched skin: at 30 frames per second they arrive while the cells are read.
 const UNTOUCHED_FRAMES: usize = 4;
 
@@ -150,9 +147,9 @@ fn zeros(
             );
             return Err(Halt::trip(TripKind::Cell, detail));
         }
-        if load_n.abs() > ZERO_N {
+        if load_n.abs() > IN_AIR_N {
             let detail = format!(
-                "cell {arm} reads {load_n:.1} N in the air, from the nominal zero (limit {ZERO_N} N): \
+                "cell {arm} reads {load_n:.1} N in the air, from the nominal zero (limit {IN_AIR_N} N): \
                  check what touches its tip"
             );
             return Err(Halt::trip(TripKind::Cell, detail));
@@ -204,10 +201,10 @@ mod tests {
 
     #[test]
     fn a_load_is_no_zero_although_no_tare_was_before_nor_if_it_has_come_slowly() {
-        for force_n in [0.9 * ZERO_N, -0.9 * ZERO_N] {
+        for force_n in [0.9 * IN_AIR_N, -0.9 * IN_AIR_N] {
             assert!(tared(Accept::AnyZero, &[[force_n, 0.0, 0.0, 0.0, 0.0, 0.0]]).is_ok());
         }
-        for force_n in [1.1 * ZERO_N, -1.1 * ZERO_N] {
+        for force_n in [1.1 * IN_AIR_N, -1.1 * IN_AIR_N] {
             let detail = words(tared(Accept::AnyZero, &[[force_n, 0.0, 0.0, 0.0, 0.0, 0.0]]));
             assert!(
                 detail.starts_with("cell 1 reads") && detail.contains("in the air"),
@@ -215,7 +212,7 @@ mod tests {
             );
         }
         // The last zeros have crept.
-        let (config, crept) = (rig(), ZERO_N / rig().cells.newtons_per_volt());
+        let (config, crept) = (rig(), IN_AIR_N / rig().cells.newtons_per_volt());
         let last = LastTare { zeros_v: &LAST.map(|v| v + 0.95 * crept), accept: Accept::NearLast };
         let detail = words(zeros(&config, 2, &last, &[LAST.map(|v| v + 1.05 * crept)]));
         assert!(detail.contains("from the nominal zero (limit 10 N)"), "{detail}");

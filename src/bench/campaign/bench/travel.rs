@@ -126,6 +126,7 @@ impl Stage {
         let is_lateral = targets.iter().any(|t| t.axis != AxisName::Z);
         if is_lateral {
             self.require_clear().await?;
+            self.require_unloaded(control).await?;
             self.skin = None;
         }
         if polled == Polled::Axes {
@@ -320,6 +321,24 @@ impl Stage {
             return Err(Halt::trip(TripKind::Position, detail));
         }
         Ok(())
+    }
+
+    /// Checks that the cells do not contradict that z is clear. A module that converts slowly still returns the load
+    /// before the raise, and one that hangs needs some updates to show it.
+    async fn require_unloaded(&self, control: &mut Control) -> Result<(), Halt> {
+        let cells = &self.config.cells;
+        let updates_s = f64::from(cells.repeats_max() + 2) * cells.update_ms / 1e3;
+        let deadline = self.clock.now() + self.clock.wall(updates_s);
+        loop {
+            let asked = self.clock.now();
+            let reading = self.bench.cells.read().await?;
+            match interlock::check_unloaded(cells, self.tips, &reading, &self.tare_v) {
+                Ok(()) => return Ok(()),
+                Err(trip) if asked > deadline => return Err(trip.into()),
+                Err(_) => self.poll_pause().await,
+            }
+            control.attend()?;
+        }
     }
 
     /// Moves over a stand. The radius is always approached from below, so that the backlash of the

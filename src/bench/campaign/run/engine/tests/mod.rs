@@ -304,6 +304,12 @@ async fn no_axis_moves_sideways_unless_z_is_homed_at_rest_and_clear() {
     assert!(stage.travel(&mut engine.control, &target).await.is_err());
     assert_eq!(axes.x.starts.load(Ordering::SeqCst), 0);
     axes.y.status.lock().position = 0.0;
+    // Nor while the cells contradict z.
+    stage.tips = 1;
+    axes.cells.volts.lock()[0] = 1.0;
+    assert!(stage.travel(&mut engine.control, &target).await.is_err());
+    assert_eq!(axes.x.starts.load(Ordering::SeqCst), 0);
+    axes.cells.volts.lock()[0] = 0.5;
     assert!(stage.travel(&mut engine.control, &target).await.is_ok());
 }
 
