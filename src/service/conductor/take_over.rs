@@ -326,7 +326,7 @@ mod tests {
     use crate::state::{StateChange, StoredState};
 
     /// Why a run is dropped.
-    const ABORTED: &str = "a run was aborted";
+    const RUN_ABORTED: &str = "a run was aborted";
 
     /// A run that the earlier process drove, and one that waited behind it.
     async fn earlier(conductor: &Conductor) -> [RunRow; 2] {
@@ -344,7 +344,7 @@ mod tests {
         let told = async {
             let Envelope { request, answer, .. } = inbox.next().await.expect("a request");
             assert!(matches!(request, Request::CameLate), "{request:?}");
-            inbox.status.send_modify(|status| status.attended.note(ABORTED));
+            inbox.status.send_modify(|status| status.attended.note(RUN_ABORTED));
             let _ = answer.send(Ok(()));
         };
         let (aborted, ()) = tokio::join!(conductor.abort_undriven(run), told);
@@ -362,7 +362,7 @@ mod tests {
             asked = inbox.next() => panic!("{asked:?}"),
         };
         taken.unwrap();
-        assert_eq!(conductor.why_dropped(next.uid), Some(format!("{ABORTED}: start it again")));
+        assert_eq!(conductor.why_dropped(next.uid), Some(format!("{RUN_ABORTED}: start it again")));
         assert!(conductor.inner.store.waiting_runs().await.unwrap().is_empty());
         std::fs::remove_dir_all(folder).unwrap();
     }

@@ -30,7 +30,7 @@ use crate::schedule::configuration::Stand;
 const POLL_WALL_S: f64 = 200e-6;
 /// Distance beyond its travel at which no axis can be, in its unit: the drive has lost its zero, or the homing has ended
 /// elsewhere.
-pub(super) const BEYOND: f64 = 1.0;
+pub(super) const BEYOND_TRAVEL: f64 = 1.0;
 /// Wall time allowed for a motion beyond its predicted duration.
 pub(super) const GRACE: Duration = Duration::from_secs(3);
 
@@ -405,7 +405,7 @@ impl Stage {
                 return Ok(Raised::NotHomed);
             }
             if !now.moving && now.position <= up + z.tolerance {
-                interlock::check_position("z", now.position, z.axis.travel(), BEYOND)
+                interlock::check_position("z", now.position, z.axis.travel(), BEYOND_TRAVEL)
                     .map_err(|trip| trip.detail)?;
                 return Ok(Raised::Up { deepest_mm });
             }

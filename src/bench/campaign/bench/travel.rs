@@ -10,7 +10,7 @@ use futures::future::try_join_all;
 use tokio::time::Instant;
 
 use crate::campaign::bench::interlock::{self, TripKind};
-use crate::campaign::bench::stage::{AxisName, BEYOND, GRACE, Stage};
+use crate::campaign::bench::stage::{AxisName, BEYOND_TRAVEL, GRACE, Stage};
 use crate::campaign::run::control::Control;
 use crate::campaign::run::halt::Halt;
 use crate::record::{ARMS, Pose};
@@ -243,7 +243,7 @@ impl Stage {
     async fn known_z(&self) -> Result<AxisStatus, Halt> {
         let z = self.bench.z.status().await?;
         require_zero(self.bench.z.as_ref(), &z)?;
-        self.require_within(AxisName::Z, &z, BEYOND)?;
+        self.require_within(AxisName::Z, &z, BEYOND_TRAVEL)?;
         Ok(z)
     }
 
@@ -403,7 +403,7 @@ impl Stage {
             }
             if read.iter().all(|s| s.homed && !s.moving) {
                 let mut ends = names.iter().zip(&read);
-                return ends.try_for_each(|(&n, s)| self.require_within(n, s, BEYOND));
+                return ends.try_for_each(|(&n, s)| self.require_within(n, s, BEYOND_TRAVEL));
             }
             if self.clock.now() > deadline {
                 let left: Vec<&str> = names

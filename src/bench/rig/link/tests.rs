@@ -260,7 +260,7 @@ async fn a_silent_drive_does_not_keep_the_raise_of_another_waiting() {
         tokio::spawn(async move { line.ask_urgent(2, coil(9)).await })
     };
     let gate = MotionGate::new(StopLatch::new());
-    // Nobody knows that it is silent: its first stop is waited for, and not those after it.
+    // It is not known to be silent: its first stop is waited for, and not those after it.
     let silent = stop_of_2(&rig.line);
     assert_eq!(rig.asked.recv().await, Some((2, 5, 9)));
     rig.line.ask_motion(1, coil(1), gate.permit().unwrap()).await.unwrap();
