@@ -386,10 +386,14 @@ impl Stage {
         if !from.homed {
             return Ok(Raised::NotHomed);
         }
+        require_height(from.position, top)?;
         if from.position > up + z.tolerance || from.moving {
             // Never down, even if z is already higher.
             let target = up.min(from.position).max(top);
             z.axis.start_move(target, z.speed).await.map_err(words)?;
+        } else if from.position >= top {
+            // A drive that repeats an old position is down: this raises z. It may be refused if z is up.
+            let _ = z.axis.start_move(from.position, z.speed).await;
         }
         let seconds = (from.position - up).abs() / z.speed + 1.0;
         let deadline = self.clock.now() + self.clock.wall(1.5 * seconds) + GRACE;
@@ -405,8 +409,7 @@ impl Stage {
                 return Ok(Raised::NotHomed);
             }
             if !now.moving && now.position <= up + z.tolerance {
-                interlock::check_position("z", now.position, z.axis.travel(), BEYOND_TRAVEL)
-                    .map_err(|trip| trip.detail)?;
+                require_height(now.position, top)?;
                 return Ok(Raised::Up { deepest_mm });
             }
             if estop.pressed().is_some() {
@@ -420,8 +423,18 @@ impl Stage {
     }
 }
 
+/// Checks that a position of z can be one: far above the travel the zero is lost.
+fn require_height(z_mm: f64, top_mm: f64) -> Result<(), String> {
+    if z_mm >= top_mm - BEYOND_TRAVEL {
+        return Ok(());
+    }
+    Err(format!("z measured at {z_mm:.3} mm, above its travel from {top_mm:.3} mm"))
+}
+
 #[cfg(test)]
 mod tests {
+    use std::sync::atomic::Ordering;
+
     use super::*;
     use crate::campaign::bench::stand_in::StandIns;
     use crate::rig::traits::AxisStatus;
@@ -442,6 +455,19 @@ mod tests {
         // No height is above the travel.
         axes.z.status.lock().position = -300.0;
         let words = stage.raise_once(Height::Clear, &stop).await.unwrap_err();
-        assert!(words.starts_with("z measured at -300.000, outside its travel"), "{words}");
+        assert!(words.starts_with("z measured at -300.000 mm, above its travel"), "{words}");
+    }
+
+    #[tokio::test]
+    async fn z_is_commanded_up_also_where_it_reports_to_be_up_already() {
+        let axes = StandIns::default();
+        let (stage, stop) = (axes.stage(), StopSwitch::default());
+        axes.z.status.lock().position = 10.0;
+        let is_up = Ok(Raised::Up { deepest_mm: 10.0 });
+        assert_eq!(stage.raise_once(Height::Clear, &stop).await, is_up);
+        assert_eq!((axes.z.starts.load(Ordering::SeqCst), axes.z.present().position), (1, 10.0));
+        // A drive without power refuses it.
+        axes.z.starts_fail.store(true, Ordering::SeqCst);
+        assert_eq!(stage.raise_once(Height::Clear, &stop).await, is_up);
     }
 }
