@@ -120,19 +120,16 @@ impl Store {
             .bind(seq)
             .bind(limit),
         };
-        let rows = statement.fetch_all(&self.inner.readers).await.during(OPERATION)?;
-        rows.iter()
-            .map(|row| {
-                let c = Columns::of(row, OPERATION);
-                Ok(Event {
-                    seq: c.get("seq")?,
-                    run: c.uid_or_none("uid")?,
-                    at: c.time("at")?,
-                    kind: c.get("kind")?,
-                    data: c.json("data")?,
-                })
+        let read = |c: &Columns<'_>| {
+            Ok(Event {
+                seq: c.get("seq")?,
+                run: c.uid_or_none("uid")?,
+                at: c.time("at")?,
+                kind: c.get("kind")?,
+                data: c.json("data")?,
             })
-            .collect()
+        };
+        self.rows(OPERATION, statement, read).await
     }
 
     /// Returns the number after which the `newest` last events of a selection begin, as `events_since` selects them: one

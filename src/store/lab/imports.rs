@@ -11,7 +11,7 @@ use sqlx::sqlite::SqliteConnection;
 use super::twins::{self, Twin, TwinModelId, TwinOutcome};
 use crate::bench::run_row::{self, NewRun, RunRow};
 use crate::bench::trials::{insert_frames, insert_voltages};
-use crate::core::columns::time_text;
+use crate::core::columns::{Columns, time_text};
 use crate::core::facts::RunKind;
 use crate::core::{During, Store, StoreError};
 use crate::ids::{RunUid, TrialId, TrialKey};
@@ -167,7 +167,7 @@ impl Store {
                 .fetch_one(connection)
                 .await
                 .during(STORING_IMPORT)?;
-                RunRow::read(&row, STORING_IMPORT)
+                RunRow::read(&Columns::of(&row, STORING_IMPORT))
             })
             .await
     }
@@ -178,21 +178,13 @@ impl Store {
     /// `Sql`, `Late` or `Closed` if the write fails.
     pub async fn sweep_imports(&self) -> Result<u64, StoreError> {
         const OPERATION: &str = "removing an incomplete import";
-        self.inner
-            .writer
-            .run(OPERATION, async move |connection| {
-                let gone = sqlx::query(
-                    "DELETE FROM trials WHERE run IN
-                         (SELECT scan_id FROM runs WHERE kind = ?1 AND state = ?2)",
-                )
-                .bind(RunKind::Imported.as_str())
-                .bind(INCOMPLETE.as_str())
-                .execute(connection)
-                .await
-                .during(OPERATION)?;
-                Ok(gone.rows_affected())
-            })
-            .await
+        let query = sqlx::query(
+            "DELETE FROM trials WHERE run IN
+                 (SELECT scan_id FROM runs WHERE kind = ?1 AND state = ?2)",
+        )
+        .bind(RunKind::Imported.as_str())
+        .bind(INCOMPLETE.as_str());
+        self.inner.writer.execute(OPERATION, query).await
     }
 }
 
