@@ -65,22 +65,14 @@ impl Store {
             column: "at",
             value: now.clone(),
         })?;
-        let (text, word) = (data.to_string(), kind.to_owned());
-        let seq = writer
-            .run(OPERATION, async move |connection| {
-                sqlx::query_scalar(
-                    "INSERT INTO events (run, at, kind, data) VALUES (?1, ?2, ?3, ?4)
-                     RETURNING seq",
-                )
-                .bind(scan_id)
-                .bind(now)
-                .bind(word)
-                .bind(text)
-                .fetch_one(connection)
-                .await
-                .during(OPERATION)
-            })
-            .await?;
+        let query = sqlx::query(
+            "INSERT INTO events (run, at, kind, data) VALUES (?1, ?2, ?3, ?4) RETURNING seq",
+        )
+        .bind(scan_id)
+        .bind(now)
+        .bind(kind)
+        .bind(data.to_string());
+        let seq = writer.returned(OPERATION, query, |c| c.get("seq")).await?;
         Ok(Event { seq, run, at, kind: kind.to_owned(), data })
     }
 

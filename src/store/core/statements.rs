@@ -1,4 +1,4 @@
-//! One statement alone: what it reads, row by row, or the number of rows that it changes.
+//! One statement alone: what it reads or returns, row by row, or the number of rows that it changes.
 //! Uses: `core::{store, writer, columns}`, sqlx. Never: a statement of its own.
 
 use sqlx::Sqlite;
@@ -54,6 +54,23 @@ impl Writer {
     ) -> Result<u64, StoreError> {
         self.run(operation, async move |connection| {
             Ok(query.execute(connection).await.during(operation)?.rows_affected())
+        })
+        .await
+    }
+
+    /// Carries out a statement that returns a row in a transaction; returns what `read` makes of it.
+    ///
+    /// # Errors
+    /// As [`Writer::run`], and an error of `read`.
+    pub(crate) async fn returned<T: Send + 'static>(
+        &self,
+        operation: &'static str,
+        query: Query,
+        read: fn(&Columns<'_>) -> Result<T, StoreError>,
+    ) -> Result<T, StoreError> {
+        self.run(operation, async move |connection| {
+            let row = query.fetch_one(connection).await.during(operation)?;
+            read(&Columns::of(&row, operation))
         })
         .await
     }

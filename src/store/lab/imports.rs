@@ -11,7 +11,7 @@ use sqlx::sqlite::SqliteConnection;
 use super::twins::{self, Twin, TwinModelId, TwinOutcome};
 use crate::bench::run_row::{self, NewRun, RunRow};
 use crate::bench::trials::{insert_frames, insert_voltages};
-use crate::core::columns::{Columns, time_text};
+use crate::core::columns::time_text;
 use crate::core::facts::RunKind;
 use crate::core::{During, Store, StoreError};
 use crate::ids::{RunUid, TrialId, TrialKey};
@@ -152,24 +152,14 @@ impl Store {
     /// # Errors
     /// `Sql` if the run is not an import; `Sql`, `Late` or `Closed` if the write fails.
     pub async fn end_import(&self, run: RunUid) -> Result<RunRow, StoreError> {
-        let now = self.now_text();
-        self.inner
-            .writer
-            .run(STORING_IMPORT, async move |connection| {
-                let row = sqlx::query(
-                    "UPDATE runs SET state = 'ended', exit_status = ?2, reason = 'imported',
-                         ended_at = ?3
-                     WHERE uid = ?1 AND kind = 'imported' RETURNING *",
-                )
-                .bind(run.to_string())
-                .bind(ExitStatus::Success.as_str())
-                .bind(now)
-                .fetch_one(connection)
-                .await
-                .during(STORING_IMPORT)?;
-                RunRow::read(&Columns::of(&row, STORING_IMPORT))
-            })
-            .await
+        let query = sqlx::query(
+            "UPDATE runs SET state = 'ended', exit_status = ?2, reason = 'imported', ended_at = ?3
+             WHERE uid = ?1 AND kind = 'imported' RETURNING *",
+        )
+        .bind(run.to_string())
+        .bind(ExitStatus::Success.as_str())
+        .bind(self.now_text());
+        self.inner.writer.returned(STORING_IMPORT, query, RunRow::read).await
     }
 
     /// Removes the trials of incomplete imports, and returns their number. Call it at the start.

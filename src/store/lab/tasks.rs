@@ -10,7 +10,7 @@ use strum::EnumIter;
 use utoipa::ToSchema;
 
 use crate::core::columns::Columns;
-use crate::core::{During, Store, StoreError};
+use crate::core::{Store, StoreError};
 use crate::ids::{DatasetId, ModelId, TaskId};
 
 /// Kind of a task.
@@ -155,26 +155,17 @@ impl Store {
         asked_by: &str,
     ) -> Result<TaskRow, StoreError> {
         const OPERATION: &str = "storing a task";
-        let (asked_by, now) = (asked_by.to_owned(), self.now_text());
-        self.inner
-            .writer
-            .run(OPERATION, async move |connection| {
-                let row = sqlx::query(
-                    "INSERT INTO tasks (id, kind, request, state, asked_by, created_at)
-                     VALUES (?1, ?2, ?3, ?4, ?5, ?6) RETURNING *",
-                )
-                .bind(kind.new_id().to_string())
-                .bind(kind.to_string())
-                .bind(request.to_string())
-                .bind(TaskState::Waiting.to_string())
-                .bind(asked_by)
-                .bind(now)
-                .fetch_one(connection)
-                .await
-                .during(OPERATION)?;
-                TaskRow::read(&Columns::of(&row, OPERATION))
-            })
-            .await
+        let query = sqlx::query(
+            "INSERT INTO tasks (id, kind, request, state, asked_by, created_at)
+             VALUES (?1, ?2, ?3, ?4, ?5, ?6) RETURNING *",
+        )
+        .bind(kind.new_id().to_string())
+        .bind(kind.to_string())
+        .bind(request.to_string())
+        .bind(TaskState::Waiting.to_string())
+        .bind(asked_by)
+        .bind(self.now_text());
+        self.inner.writer.returned(OPERATION, query, TaskRow::read).await
     }
 
     /// Marks a task as running, with the id of its dataset if it is known. Returns false, and changes

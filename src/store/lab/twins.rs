@@ -114,28 +114,19 @@ impl Store {
     /// `Sql`, `Late` or `Closed` if the write fails.
     pub async fn twin_model(&self, new: NewTwinModel) -> Result<TwinModelId, StoreError> {
         const OPERATION: &str = "storing a model";
-        let now = self.now_text();
-        let id = self
-            .inner
-            .writer
-            .run(OPERATION, async move |connection| {
-                sqlx::query_scalar(
-                    "INSERT INTO twin_models
-                         (hash, sensor_sha256, calibration_id, version, git_commit, created_at)
-                     VALUES (?1, ?2, ?3, ?4, ?5, ?6)
-                     ON CONFLICT (hash) DO UPDATE SET hash = excluded.hash RETURNING id",
-                )
-                .bind(new.hash)
-                .bind(new.sensor_sha256)
-                .bind(new.calibration_id.as_ref().map(CalibrationId::as_str))
-                .bind(new.version)
-                .bind(new.git_commit)
-                .bind(now)
-                .fetch_one(connection)
-                .await
-                .during(OPERATION)
-            })
-            .await?;
+        let query = sqlx::query(
+            "INSERT INTO twin_models
+                 (hash, sensor_sha256, calibration_id, version, git_commit, created_at)
+             VALUES (?1, ?2, ?3, ?4, ?5, ?6)
+             ON CONFLICT (hash) DO UPDATE SET hash = excluded.hash RETURNING id",
+        )
+        .bind(new.hash)
+        .bind(new.sensor_sha256)
+        .bind(new.calibration_id.as_ref().map(CalibrationId::as_str))
+        .bind(new.version)
+        .bind(new.git_commit)
+        .bind(self.now_text());
+        let id = self.inner.writer.returned(OPERATION, query, |c| c.get("id")).await?;
         Ok(TwinModelId(id))
     }
 
