@@ -10,8 +10,7 @@ use crate::ids::{DatasetId, RunUid, TrialKey};
 use crate::journal::Journal;
 use crate::state::StoredState;
 use crate::{
-    Contact, DatasetRow, ImportedTrial, Label, NewRun, NewTwinModel, RunKind, Soundness, Store,
-    TrialQuery,
+    Contact, DatasetRow, ImportedTrial, Label, NewRun, RunKind, Soundness, Store, TrialQuery,
 };
 
 fn imported() -> NewRun {
@@ -54,14 +53,7 @@ async fn an_import_is_a_run_whose_trials_lack_what_was_not_known() {
     let store = open(&folder.file()).await;
     let run = store.begin_import(imported()).await.unwrap();
     assert_eq!(store.run(run.uid).await.unwrap().unwrap().state, StoredState::Removed);
-    let model = NewTwinModel {
-        hash: "sim-1".into(),
-        sensor_sha256: "s".into(),
-        calibration_id: None,
-        version: "imported".into(),
-        git_commit: None,
-    };
-    let model = store.twin_model(model).await.unwrap();
+    let model = super::twins::model(&store, "sim-1").await;
     store.import_trials(run.uid, Some(model), vec![elsewhere(0), elsewhere(4)]).await.unwrap();
     let ended = store.end_import(run.uid).await.unwrap();
     assert_eq!((ended.state, ended.seed, ended.rig), (StoredState::Ended, None, None));
