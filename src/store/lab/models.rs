@@ -2,6 +2,8 @@
 //! Uses: `core::writer`. Never: the files themselves, the meaning of a manifest.
 
 use jiff::Timestamp;
+use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
 
 use crate::core::columns::{Columns, time_text};
 use crate::core::{Store, StoreError};
@@ -34,20 +36,22 @@ impl ModelRow {
     }
 }
 
-/// A promotion: what serves in a slot from a time on.
-#[derive(Debug, Clone, PartialEq)]
+/// A change of what a slot serves.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct PromotionRow {
-    /// Name of the slot: `transfer`, `map`, `points` or `skin`.
+    /// Name of the slot.
     pub slot: String,
-    /// What it put into the slot; if absent, nothing serves in the slot.
+    /// Id of the promoted model or calibration; null if the slot was emptied.
+    #[schema(value_type = Option<String>)]
     pub what: Option<PromotedId>,
-    /// Person or key that promoted it.
+    /// Name of the person or key.
     pub who: String,
-    /// Reason that the person entered; absent without one.
+    /// Reason; null if none was entered.
     pub why: Option<String>,
-    /// Wall time of the promotion.
+    /// Time of the promotion.
+    #[schema(value_type = String, format = DateTime)]
     pub at: Timestamp,
-    /// Whether it restored an earlier promotion.
+    /// True if this restored an earlier promotion.
     pub rolled_back: bool,
 }
 

@@ -70,29 +70,36 @@ impl fmt::Display for TaskState {
 }
 
 /// A stored task.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct TaskRow {
     /// Id of the task.
+    #[schema(value_type = String)]
     pub id: TaskId,
     /// Kind of the task.
     pub kind: TaskKind,
-    /// The request, as JSON.
+    /// The request: of a job `{"recipe": text}` or an EvaluationRequest.
+    #[schema(value_type = Object)]
     pub request: Value,
     /// State of the task.
     pub state: TaskState,
     /// Id of the dataset; absent until it is known.
     pub dataset: Option<DatasetId>,
-    /// The result, as JSON; absent unless it is done.
+    /// The result: `{"model": id, "name": ..}` of a training, an EvaluationReport of an evaluation. Absent until it is
+    /// done.
+    #[schema(value_type = Option<Object>)]
     pub result: Option<Value>,
     /// Cause of the failure; absent unless it failed.
     pub error: Option<String>,
-    /// Person or key that requested it.
+    /// Name of the person or key that requested it.
     pub asked_by: String,
-    /// Wall time of the request.
+    /// Time of the request.
+    #[schema(value_type = String, format = DateTime)]
     pub created_at: Timestamp,
-    /// Wall time at which it first started; absent before.
+    /// Time of the first start; absent before it.
+    #[schema(value_type = Option<String>, format = DateTime)]
     pub started_at: Option<Timestamp>,
-    /// Wall time at which it ended; absent before.
+    /// Time of the end; absent before it.
+    #[schema(value_type = Option<String>, format = DateTime)]
     pub finished_at: Option<Timestamp>,
 }
 
