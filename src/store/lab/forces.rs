@@ -1,7 +1,8 @@
 //! Depth and largest force of each trial of a run.
 //! Uses: `core`. Never: a statistic of them.
 
-use crate::core::{During, Store, StoreError};
+use crate::core::columns::Columns;
+use crate::core::{Store, StoreError};
 use crate::ids::RunUid;
 
 /// Depth and largest force of a trial.
@@ -23,15 +24,15 @@ impl Store {
     pub async fn forces_over_depth(&self, run: RunUid) -> Result<Vec<DepthForce>, StoreError> {
         const OPERATION: &str = "reading the forces of a run";
         let scan_id = self.facts(run, OPERATION).await?.scan_id;
-        let rows: Vec<(u8, f64, f64)> = sqlx::query_as(
+        let query = sqlx::query(
             "SELECT tips, depth_mm, max_force_n FROM trials
              WHERE run = ?1 AND depth_mm IS NOT NULL AND max_force_n IS NOT NULL",
         )
-        .bind(scan_id)
-        .fetch_all(&self.inner.readers)
-        .await
-        .during(OPERATION)?;
-        let force = |(tips, depth_mm, force_n)| DepthForce { tips, depth_mm, force_n };
-        Ok(rows.into_iter().map(force).collect())
+        .bind(scan_id);
+        let force = |c: &Columns<'_>| {
+            let (tips, depth_mm) = (c.whole("tips")?, c.get("depth_mm")?);
+            Ok(DepthForce { tips, depth_mm, force_n: c.get("max_force_n")? })
+        };
+        self.rows(OPERATION, query, force).await
     }
 }
