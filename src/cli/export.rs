@@ -18,7 +18,7 @@ use super::next::Next;
 use super::output::{Output, bytes, counted, say, say_json};
 use super::progress::{LogLines, progress_bar};
 use super::start_time::local;
-use super::table::{Align, Table, or_dash};
+use super::table::{Table, or_dash};
 use crate::dataset::export::ExportRequest;
 use crate::dataset::format::Format;
 use crate::ids::DatasetId;
@@ -168,18 +168,10 @@ pub async fn list(client: &Client, output: Output) -> Result<(), CliError> {
         say_json(&json!({ "items": exports }));
         return Ok(());
     }
-    let heads = [
-        ("export", Align::Left),
-        ("state", Align::Left),
-        ("dataset", Align::Left),
-        ("format", Align::Left),
-        ("size", Align::Right),
-        ("requested", Align::Left),
-        ("last used", Align::Left),
-        ("by", Align::Left),
-        ("", Align::Left),
-    ];
-    let mut table = Table::new(&heads, "there are no exports: palpate dataset export NAME");
+    let mut table = Table::new(
+        "export | state | dataset | format | size> | requested | last used | by |",
+        "there are no exports: palpate dataset export NAME",
+    );
     for export in &exports {
         let [requested, used] = ["created_at", "last_used_at"]
             .map(|key| export[key].as_str().and_then(|at| at.parse::<Timestamp>().ok()));

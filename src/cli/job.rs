@@ -13,7 +13,7 @@ use super::error::CliError;
 use super::output::{Output, duration, note, say, say_json};
 use super::progress::{LogLines, bar};
 use super::start_time::local;
-use super::table::{Align, Table};
+use super::table::Table;
 use super::{At, embed, job_losses};
 use crate::api::JobOut;
 use crate::ids::TaskId;
@@ -230,15 +230,10 @@ fn meant<'a>(newest_first: &'a [String], text: &str) -> Vec<&'a str> {
 }
 
 fn table(jobs: &[JobOut]) -> Table {
-    let heads = [
-        ("number", Align::Right),
-        ("job", Align::Left),
-        ("state", Align::Left),
-        ("requested", Align::Left),
-        ("what", Align::Left),
-        ("", Align::Left),
-    ];
-    let mut table = Table::new(&heads, "there are no jobs: palpate train RECIPE");
+    let mut table = Table::new(
+        "number> | job | state | requested | what |",
+        "there are no jobs: palpate train RECIPE",
+    );
     for (place, job) in jobs.iter().enumerate() {
         let number = (jobs.len() - place).to_string();
         table.push([number].into_iter().chain(cells(job)));

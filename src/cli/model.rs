@@ -13,7 +13,7 @@ use super::error::CliError;
 use super::files::{DEFAULT_SENSOR, read_input, write, write_bytes};
 use super::next::Next;
 use super::output::{say, say_json};
-use super::table::{Align, Table};
+use super::table::Table;
 use super::{At, embed};
 use crate::api::{ModelOut, PromotionRequest, RollBackRequest, ServesOut, ServingOut};
 use crate::evaluate::request::EvaluationReport;
@@ -278,15 +278,10 @@ fn tell(serves: &ServesOut, as_json: bool) {
 
 /// Models with their last scores.
 fn table(models: &[ModelOut]) -> Table {
-    let heads = [
-        ("model", Align::Left),
-        ("name", Align::Left),
-        ("task", Align::Left),
-        ("label", Align::Left),
-        ("", Align::Left),
-        ("last score", Align::Left),
-    ];
-    let mut table = Table::new(&heads, "there are no models: palpate train RECIPE");
+    let mut table = Table::new(
+        "model | name | task | label |  | last score",
+        "there are no models: palpate train RECIPE",
+    );
     models.iter().for_each(|model| table.push(cells(model)));
     table
 }

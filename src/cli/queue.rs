@@ -16,7 +16,7 @@ use super::morning::second;
 use super::output::{duration, say, say_json};
 use super::run::submission;
 use super::start_time::{StartTime, local};
-use super::table::{Align, Table, or_dash};
+use super::table::{Table, or_dash};
 use super::{At, embed};
 use crate::api::Page;
 use crate::ids::RunUid;
@@ -139,18 +139,10 @@ async fn list(client: &Client, json: bool) -> Result<(), CliError> {
     }
     let queue: Page<RunRow> = client.get("/api/v1/queue").await?;
     let times: Page<QueueTime> = client.get("/api/v1/queue/times").await?;
-    let heads = [
-        ("place", Align::Right),
-        ("run", Align::Right),
-        ("experiment", Align::Left),
-        ("trials", Align::Right),
-        ("submitted by", Align::Left),
-        ("starts from", Align::Left),
-        ("takes", Align::Right),
-        ("begins", Align::Left),
-        ("ends", Align::Left),
-    ];
-    let mut table = Table::new(&heads, "the queue is empty");
+    let mut table = Table::new(
+        "place> | run> | experiment | trials> | submitted by | starts from | takes> | begins | ends",
+        "the queue is empty",
+    );
     let mut notes = Vec::new();
     for run in queue.items {
         let time = times.items.iter().find(|time| time.run == run.uid);

@@ -6,7 +6,7 @@ use serde_json::Value;
 use super::client::Client;
 use super::error::CliError;
 use super::output::{Output, say, say_json};
-use super::table::{Align, Table};
+use super::table::Table;
 
 /// Limits of a bench: key of the answer, words, unit.
 const BENCH_LIMITS: [(&str, &str, &str); 12] = [
@@ -38,8 +38,7 @@ pub async fn limits(client: &Client, output: Output) -> Result<(), CliError> {
 }
 
 fn table(limits: &Value) -> Table {
-    let heads = [("limit", Align::Left), ("value", Align::Right), ("unit", Align::Left)];
-    let mut table = Table::new(&heads, "the service states no limits");
+    let mut table = Table::new("limit | value> | unit", "the service states no limits");
     table.push(["age of a frame".into(), shown(&limits["frame_age_ms"]), "ms".into()]);
     // A skin alone has no bench.
     for (key, words, unit) in BENCH_LIMITS {

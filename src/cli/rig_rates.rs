@@ -7,7 +7,7 @@ use serde_json::Value;
 use super::client::Client;
 use super::error::CliError;
 use super::output::{Output, say, say_json};
-use super::table::{Align, Table, or_dash};
+use super::table::{Table, or_dash};
 
 /// Channels that are named.
 const CHANNELS_SHOWN: usize = 4;
@@ -100,15 +100,10 @@ pub async fn rates(client: &Client, output: Output) -> Result<(), CliError> {
 }
 
 fn table(rates: &RatesView) -> Table {
-    let heads = [
-        ("wire", Align::Left),
-        ("requests/min", Align::Right),
-        ("retries", Align::Right),
-        ("timeouts", Align::Right),
-        ("garbled", Align::Right),
-        ("reopened", Align::Right),
-    ];
-    let mut table = Table::new(&heads, "no wire is open");
+    let mut table = Table::new(
+        "wire | requests/min> | retries> | timeouts> | garbled> | reopened>",
+        "no wire is open",
+    );
     for wire in &rates.wires {
         table.push([
             wire.name.clone(),

@@ -11,7 +11,7 @@ use super::client::{Client, text_of};
 use super::error::CliError;
 use super::output::{counted, say, say_json};
 use super::progress::{LogLines, progress_bar};
-use super::table::{Align, Table};
+use super::table::Table;
 use super::{At, embed};
 use crate::ids::RunUid;
 use crate::store::TwinCount;
@@ -50,9 +50,8 @@ pub async fn status(at: &At) -> Result<(), CliError> {
         say(format_args!("last failure: {why}"));
     }
     let numbers = ["trials", "twins", "failures", "pending"];
-    let heads = numbers.map(|head| (head, Align::Right));
-    let heads: Vec<_> = [("run", Align::Left)].into_iter().chain(heads).collect();
-    let mut table = Table::new(&heads, "no run has trials");
+    let mut table =
+        Table::new("run | trials> | twins> | failures> | pending>", "no run has trials");
     for run in twins["runs"].as_array().into_iter().flatten() {
         let uid = text_of(&run["run"]);
         table.push([uid].into_iter().chain(numbers.map(|number| run[number].to_string())));

@@ -13,7 +13,7 @@ use crate::cli::embed;
 use crate::cli::error::CliError;
 use crate::cli::find::find_run;
 use crate::cli::output::{say, say_json};
-use crate::cli::table::{Align, Table, or_dash};
+use crate::cli::table::{Table, or_dash};
 use crate::store::{ActionRow, RunRow};
 
 /// Runs `palpate actions`.
@@ -44,15 +44,8 @@ async fn list(client: &Client, args: &ActionsArgs) -> Result<(), CliError> {
         numbers.insert(uid, row.map(|row| row.scan_id));
     }
     let number = |action: &ActionRow| *numbers.get(&action.run?.to_string())?;
-    let heads = [
-        ("time", Align::Left),
-        ("action", Align::Left),
-        ("run", Align::Right),
-        ("who", Align::Left),
-        ("", Align::Left),
-        ("why, values", Align::Left),
-    ];
-    let mut table = Table::new(&heads, "there are no actions");
+    let mut table =
+        Table::new("time | action | run> | who | | why, values", "there are no actions");
     for action in &found {
         let words = action.why.iter().chain(&action.detail).cloned().collect::<Vec<_>>();
         table.push([

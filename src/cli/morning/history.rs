@@ -12,7 +12,7 @@ use crate::cli::client::Client;
 use crate::cli::error::CliError;
 use crate::cli::find::find_run;
 use crate::cli::output::{Output, duration, say, say_json};
-use crate::cli::table::{Align, Table, or_dash};
+use crate::cli::table::{Table, or_dash};
 
 /// Number of intervals of the table.
 const INTERVALS: usize = 24;
@@ -64,14 +64,10 @@ pub async fn show(client: &Client, run: &str, output: Output) -> Result<(), CliE
 }
 
 fn intervals(history: &History, from: Timestamp, bin_s: f64) -> Table {
-    let heads = [
-        ("from", Align::Left),
-        ("trials", Align::Right),
-        ("failed attempts", Align::Right),
-        ("largest force, N", Align::Right),
-        ("median FVU", Align::Right),
-    ];
-    let mut table = Table::new(&heads, "no interval");
+    let mut table = Table::new(
+        "from | trials> | failed attempts> | largest force, N> | median FVU>",
+        "no interval",
+    );
     for (n, trials) in history.trials.iter().enumerate() {
         let after = SignedDuration::try_from_secs_f64(n as f64 * bin_s).ok();
         let begin = after.and_then(|after| from.checked_add(after).ok());
@@ -90,8 +86,7 @@ fn intervals(history: &History, from: Timestamp, bin_s: f64) -> Table {
 }
 
 fn states(spans: &[Span]) -> Table {
-    let heads = [("state", Align::Left), ("from", Align::Left), ("to", Align::Left)];
-    let mut table = Table::new(&heads, "no change of state is stored");
+    let mut table = Table::new("state | from | to", "no change of state is stored");
     for span in spans {
         let why = span.why.map(|why| format!(" ({})", why.as_str().replace('_', " ")));
         table.push([

@@ -14,7 +14,7 @@ use crate::cli::embed;
 use crate::cli::error::CliError;
 use crate::cli::output::{say, say_json};
 use crate::cli::start_time::local;
-use crate::cli::table::{Align, Table, or_dash};
+use crate::cli::table::{Table, or_dash};
 use crate::ids::RunUid;
 use crate::journal::ExitStatus;
 use crate::state::StoredState;
@@ -104,17 +104,10 @@ async fn list(client: &Client, args: &RunsArgs) -> Result<(), CliError> {
         true => "no run fits: palpate runs without options lists all",
         false => "there are no runs: palpate run quickstart",
     };
-    let heads = [
-        ("run", Align::Right),
-        ("experiment", Align::Left),
-        ("kind", Align::Left),
-        ("state", Align::Left),
-        ("stored", Align::Right),
-        ("started", Align::Left),
-        ("duration", Align::Right),
-        ("label", Align::Left),
-    ];
-    let mut table = Table::new(&heads, empty);
+    let mut table = Table::new(
+        "run> | experiment | kind | state | stored> | started | duration> | label",
+        empty,
+    );
     lines.iter().for_each(|line| table.push(line.cells()));
     say(&table);
     if !is_all {

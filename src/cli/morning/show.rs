@@ -19,7 +19,7 @@ use crate::cli::find::find_run;
 use crate::cli::next::Next;
 use crate::cli::output::{counted, grouped, say, say_drawn, say_json};
 use crate::cli::start_time::local;
-use crate::cli::table::{Align, Table};
+use crate::cli::table::Table;
 use crate::cli::watch::answers::{Skin, Tour, TourProgress};
 use crate::cli::watch::night::Night;
 use crate::cli::watch::skin;
@@ -184,8 +184,7 @@ fn facts(drawn: &Drawn) -> String {
 /// Trials by contacts with bars; `None` without trials.
 fn counts(contact_counts: &[u64; 7]) -> Option<Table> {
     let most = contact_counts.iter().copied().max().filter(|most| *most > 0)?;
-    let heads = [("contacts", Align::Right), ("trials", Align::Right), ("", Align::Left)];
-    let mut table = Table::new(&heads, "");
+    let mut table = Table::new("contacts> | trials> |", "");
     let last = contact_counts.iter().rposition(|count| *count > 0).unwrap_or(0);
     for (contacts, count) in contact_counts.iter().enumerate().take(last + 1) {
         let bar = super::chart::bar(*count as f64 / most as f64, BAR);
