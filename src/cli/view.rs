@@ -19,6 +19,7 @@ use crate::conductor::Started;
 use crate::event::{self, Importance};
 use crate::ids::{RunUid, TrialKey};
 use crate::record::{Label, Pose};
+use crate::schedule::visits::StepOfTour;
 use crate::state::{PausedWhy, StoredState};
 use crate::store::LockRow;
 
@@ -202,6 +203,8 @@ pub struct RunView {
     pub waiting_for: Option<String>,
     /// Activity within the current trial.
     pub phase: Phase,
+    /// Current or most recent configuration or placement in the tour.
+    pub current_step: Option<StepOfTour>,
     /// The current trial.
     pub trial: Option<TrialKey>,
     /// Trials in the plan.

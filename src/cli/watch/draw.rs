@@ -45,7 +45,7 @@ pub fn draw(frame: &mut Frame, night: &Night, now: &Now, theme: Theme) {
     draw_first(frame, first, night, theme);
     skin::draw(frame, map, night, theme);
     if let Some(status) = &night.status {
-        draw_forces(frame, forces, &status.rig, night.more.force_limit_n, theme);
+        draw_forces(frame, forces, &status.rig, theme);
         let lines = facts::facts(night, status, now, theme);
         let facts = titled(frame, facts, "night", theme);
         frame.render_widget(Paragraph::new(lines), facts);
@@ -110,8 +110,8 @@ fn draw_first(frame: &mut Frame, area: Rect, night: &Night, theme: Theme) {
 }
 
 /// One bar per arm, from 0 to the limit of one cell.
-fn draw_forces(frame: &mut Frame, area: Rect, rig: &RigView, limit_n: Option<f64>, theme: Theme) {
-    let limit_n = limit_n.filter(|limit_n| *limit_n > 0.0);
+fn draw_forces(frame: &mut Frame, area: Rect, rig: &RigView, theme: Theme) {
+    let limit_n = rig.force_limit_n.filter(|limit_n| *limit_n > 0.0);
     let limit = limit_n.map_or_else(String::new, |limit_n| format!(", limit {limit_n:.0} N"));
     let area = titled(frame, area, &format!("forces{limit}"), theme);
     for (arm, row) in (0..ARMS).zip(area.rows()) {

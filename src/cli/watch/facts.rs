@@ -6,11 +6,11 @@ use jiff::{SignedDuration, Timestamp};
 use ratatui::style::Modifier;
 use ratatui::text::{Line, Span};
 
-use super::answers::Suspender;
 use super::night::{Level, Night, Told, one_line};
 use super::theme::Theme;
 use crate::api::Rating;
 use crate::campaign::shown::status::{Eta, Phase};
+use crate::cli::care::SuspenderView;
 use crate::cli::output::{bytes, counted, duration, grouped};
 use crate::cli::rig_rates::RatesView;
 use crate::cli::view::{RunView, StatusView};
@@ -119,16 +119,14 @@ pub fn facts(night: &Night, status: &StatusView, now: &Now, theme: Theme) -> Vec
         fact(&one_line(&glance.title()), one_line(&glance.words), level);
     }
     if let Some(run) = &status.run {
-        fact("now", phase(night, run), Level::Fine);
-        if let Some(at) = night.more.last_trial_at {
+        fact("now", phase(run), Level::Fine);
+        if let Some(at) = status.care.last_trial_at {
             fact("last trial", format!("{} ago", now.age(at)), Level::Fine);
         }
     }
-    if let Some(disk) = night.more.disk {
-        let words = |of: Option<f64>| of.map_or("-".into(), bytes);
-        let short = disk.free_bytes.zip(disk.needed_bytes).is_some_and(|(free, need)| free < need);
-        let (free, needed) = (words(disk.free_bytes), words(disk.needed_bytes));
-        let level = if short { Level::Act } else { Level::Fine };
+    if let Some(disk) = status.care.disk {
+        let (free, needed) = (bytes(disk.free_bytes as f64), bytes(disk.needed_bytes as f64));
+        let level = if disk.free_bytes < disk.needed_bytes { Level::Act } else { Level::Fine };
         fact("disk", format!("{free} free, {needed} needed"), level);
     }
     let rates = night.rates.as_ref();
@@ -142,7 +140,7 @@ pub fn facts(night: &Night, status: &StatusView, now: &Now, theme: Theme) -> Vec
         let (holder, note) = (one_line(&lock.holder), one_line(&lock.note));
         fact("lock", format!("{holder}: {note} ({})", now.clock(lock.since, "%H:%M")), Level::Look);
     }
-    for suspender in &night.more.suspenders {
+    for suspender in &status.care.suspenders {
         let level = match (suspender.since, suspender.suspends) {
             (None, _) => Level::Fine,
             (Some(_), false) => Level::Look,
@@ -176,7 +174,7 @@ pub fn facts(night: &Night, status: &StatusView, now: &Now, theme: Theme) -> Vec
 }
 
 /// What the run does now, and where in its tour.
-fn phase(night: &Night, run: &RunView) -> String {
+fn phase(run: &RunView) -> String {
     let words = match run.phase {
         Phase::Next => "selects the next step",
         Phase::TouchOff => "searches the surface",
@@ -189,7 +187,7 @@ fn phase(night: &Night, run: &RunView) -> String {
         Phase::Raise => "raises",
         Phase::Wait => "waits",
     };
-    match (night.more.step, run.trial) {
+    match (run.current_step, run.trial) {
         (Some(step), _) => format!("{words}, step {} of {}", step.index + 1, step.of),
         (None, Some(key)) => format!("{words}, configuration {}", key.configuration),
         (None, None) => words.into(),
@@ -263,10 +261,14 @@ fn twins(night: &Night) -> Option<(String, Level)> {
     (!parts.is_empty()).then(|| (parts.join(", "), level))
 }
 
-fn suspender_words(suspender: &Suspender, now: &Now) -> String {
-    let unit = suspender.unit.as_deref().map_or_else(String::new, |unit| format!(" {unit}"));
-    let number = |value: Option<f64>| value.map_or("-".into(), number);
-    let (value, threshold) = (number(suspender.value), number(suspender.threshold));
+fn suspender_words(suspender: &SuspenderView, now: &Now) -> String {
+    let unit = match suspender.unit.as_str() {
+        // Of a ratio.
+        "" | "1" => String::new(),
+        unit => format!(" {unit}"),
+    };
+    let value = suspender.value.map_or("-".into(), number);
+    let threshold = number(suspender.threshold);
     let since = suspender
         .since
         .map_or_else(String::new, |at| format!(", since {}", now.clock(at, "%H:%M")));

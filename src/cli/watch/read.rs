@@ -4,17 +4,15 @@
 use std::time::Duration;
 
 use jiff::Timestamp;
-use serde::Deserialize;
-use serde_json::Value;
 use tokio::sync::{mpsc, watch};
 use tokio::time::{Instant, MissedTickBehavior, interval};
 
-use super::answers::{Course, More, Skin, Tour, TourProgress};
+use super::answers::{Course, Skin, Tour, TourProgress};
 use super::night::News;
 use crate::api::Page;
 use crate::cli::client::Client;
 use crate::cli::error::CliError;
-use crate::cli::view::{EventView, StatusView};
+use crate::cli::view::EventView;
 use crate::event::notable_kinds;
 use crate::ids::RunUid;
 
@@ -45,11 +43,11 @@ pub async fn follow_status(
     loop {
         tick.tick().await;
         let asked = Timestamp::now();
-        let read = match status(&client).await {
-            Ok((status, more)) => {
+        let read = match client.status().await {
+            Ok(status) => {
                 let run = status.run.as_ref().map(|run| run.uid);
                 runs.send_if_modified(|seen| run.is_some() && std::mem::replace(seen, run) != run);
-                News::Status(asked, Box::new(status), Box::new(more))
+                News::Status(asked, Box::new(status))
             }
             Err(error) => News::NoStatus(error.to_string()),
         };
@@ -57,16 +55,6 @@ pub async fn follow_status(
             return;
         }
     }
-}
-
-async fn status(client: &Client) -> Result<(StatusView, More), CliError> {
-    let value: Value = client.get("/api/v1/status").await?;
-    let status = StatusView::deserialize(&value).map_err(|error| CliError::Refused {
-        operation: "GET /api/v1/status".into(),
-        status: 200,
-        detail: format!("this program does not understand the answer: {error}"),
-    })?;
-    Ok((status, More::of(&value)))
 }
 
 /// Reads all else until the receiver is closed: the skin and the tour once per run.

@@ -11,7 +11,7 @@ use serde::Deserialize;
 use serde_json::{Value, json};
 
 use super::Asked;
-use super::answers::{More, Tour};
+use super::answers::Tour;
 use super::draw::draw;
 use super::facts::Now;
 use super::night::{Level, Mark, News, Night};
@@ -63,7 +63,7 @@ fn status() -> Value {
 
 fn told_status(status: &Value) -> News {
     let view = StatusView::deserialize(status).unwrap();
-    News::Status(start(), Box::new(view), Box::new(More::of(status)))
+    News::Status(start(), Box::new(view))
 }
 
 /// The screen of a campaign with five configurations of which the third is pressed.
