@@ -142,12 +142,9 @@ async fn with_people(
 /// Prints the caller, as the service sees this terminal.
 async fn whoami(at: &At) -> Result<(), CliError> {
     let caller: Value = embed::server(at).await?.get("/api/v1/caller").await?;
-    if at.json {
-        say_json(&caller);
-        return Ok(());
-    }
     let name = caller["name"].as_str().unwrap_or("without a key");
-    say(format_args!("{name}, {}", caller["role"].as_str().unwrap_or_default()));
+    let role = caller["role"].as_str().unwrap_or_default();
+    at.output().say(&caller, format_args!("{name}, {role}"));
     Ok(())
 }
 

@@ -14,7 +14,7 @@ use super::federate::{FederateArgs, federate};
 use super::files::read_as;
 use super::import::{ImportArgs, import};
 use super::next::Next;
-use super::output::{Output, bytes, say, say_json};
+use super::output::{bytes, say, say_json};
 use super::start_time::local;
 use super::table::{Table, or_dash};
 use super::{At, embed};
@@ -231,17 +231,11 @@ async fn card(client: &Client, args: &CardArgs) -> Result<(), CliError> {
     let client = making(client);
     if args.datapackage {
         let package: Value = client.get(&format!("{path}/datapackage.json")).await?;
-        match args.at.output() {
-            Output::Json => say_json(&package),
-            Output::Text => say(format_args!("{package:#}")),
-        }
+        args.at.output().say(&package, format_args!("{package:#}"));
         return Ok(());
     }
     let card = client.text(&format!("{path}/card")).await?;
-    match args.at.output() {
-        Output::Json => say_json(&json!({ "card": card })),
-        Output::Text => say(card.trim_end()),
-    }
+    args.at.output().say(&json!({ "card": card }), card.trim_end());
     Ok(())
 }
 

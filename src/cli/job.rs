@@ -255,11 +255,8 @@ fn cells(job: &JobOut) -> [String; 5] {
 
 /// Prints one line on a job, or its JSON.
 pub fn shown(job: &JobOut, output: Output) {
-    if output == Output::Json {
-        return say_json(job);
-    }
     let cells = cells(job).into_iter().filter(|cell| !cell.is_empty());
-    say(cells.collect::<Vec<_>>().join("  "));
+    output.say(job, cells.collect::<Vec<_>>().join("  "));
 }
 
 #[cfg(test)]

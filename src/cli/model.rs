@@ -12,7 +12,7 @@ use super::client::{Client, TextPart};
 use super::error::CliError;
 use super::files::{DEFAULT_SENSOR, read_input, write, write_bytes};
 use super::next::Next;
-use super::output::{say, say_json};
+use super::output::{Output, say, say_json};
 use super::table::Table;
 use super::{At, embed};
 use crate::api::{ModelOut, PromotionRequest, RollBackRequest, ServesOut, ServingOut};
@@ -153,10 +153,9 @@ async fn answer(client: Client, what: What) -> Result<(), CliError> {
     match what {
         What::List(at) => {
             let models: Vec<ModelOut> = client.all("/api/v1/models?").await?;
-            if at.json {
-                models.iter().for_each(say_json);
-            } else {
-                say(table(&models));
+            match at.output() {
+                Output::Json => models.iter().for_each(say_json),
+                Output::Text => say(table(&models)),
             }
         }
         What::Show(one) => {
@@ -214,12 +213,9 @@ async fn answer(client: Client, what: What) -> Result<(), CliError> {
             manifest.push(".json");
             let manifest = PathBuf::from(manifest);
             write(&manifest, &format!("{:#}\n", json!(known)))?;
-            if at.json {
-                say_json(&json!({ "file": out, "bytes": bytes.len(), "manifest": manifest }));
-            } else {
-                let known = manifest.display();
-                say(format_args!("{}: {} bytes; {known}", out.display(), bytes.len()));
-            }
+            let written = json!({ "file": out, "bytes": bytes.len(), "manifest": manifest });
+            let (file, known) = (out.display(), manifest.display());
+            at.output().say(&written, format_args!("{file}: {} bytes; {known}", bytes.len()));
         }
         What::Add(add) => {
             let sensor = match &add.sensor {
@@ -233,11 +229,7 @@ async fn answer(client: Client, what: What) -> Result<(), CliError> {
             ];
             let client = client.showing("checking the model");
             let model: ModelOut = client.upload("/api/v1/models", &add.file, texts).await?;
-            if add.at.json {
-                say_json(&model);
-            } else {
-                say(line(&model));
-            }
+            add.at.output().say(&model, line(&model));
             // A model of another sensor than the rig's cannot serve.
             if model.slot.is_some() {
                 promotion(&add.at, &model.id).say();
@@ -246,11 +238,7 @@ async fn answer(client: Client, what: What) -> Result<(), CliError> {
         What::AddCalibration(add) => {
             let text = read_input(&add.file)?;
             let id: CalibrationId = client.post_text("/api/v1/calibrations", text).await?;
-            if add.at.json {
-                say_json(&json!({ "calibration": id }));
-            } else {
-                say(&id);
-            }
+            add.at.output().say(&json!({ "calibration": id }), &id);
             promotion(&add.at, &id).say();
         }
     }

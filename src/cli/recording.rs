@@ -11,7 +11,7 @@ use serde_json::{Value, json};
 
 use super::client::Client;
 use super::error::CliError;
-use super::output::{Output, bytes, note, say, say_json};
+use super::output::{Output, bytes, note};
 use crate::dataset::format::Format;
 use crate::new_file::NewFile;
 
@@ -59,10 +59,8 @@ pub async fn record(
     }
     let name = out.file_name().unwrap_or_default().to_string_lossy();
     file.finish(&name).map(drop).map_err(failed)?;
-    match output {
-        Output::Json => say_json(&json!({ "file": out, "bytes": length })),
-        Output::Text => say(format_args!("{}: {}", out.display(), bytes(length as f64))),
-    }
+    let words = format!("{}: {}", out.display(), bytes(length as f64));
+    output.say(&json!({ "file": out, "bytes": length }), words);
     Ok(())
 }
 

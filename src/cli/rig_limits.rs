@@ -5,7 +5,7 @@ use serde_json::Value;
 
 use super::client::Client;
 use super::error::CliError;
-use super::output::{Output, say, say_json};
+use super::output::Output;
 use super::table::Table;
 
 /// Limits of a bench: key of the answer, words, unit.
@@ -30,10 +30,7 @@ const BENCH_LIMITS: [(&str, &str, &str); 12] = [
 /// As [`Client::send`].
 pub async fn limits(client: &Client, output: Output) -> Result<(), CliError> {
     let limits: Value = client.get("/api/v1/rig/limits").await?;
-    match output {
-        Output::Json => say_json(&limits),
-        Output::Text => say(table(&limits)),
-    }
+    output.say(&limits, table(&limits));
     Ok(())
 }
 

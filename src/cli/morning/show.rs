@@ -17,7 +17,7 @@ use crate::cli::embed;
 use crate::cli::error::CliError;
 use crate::cli::find::find_run;
 use crate::cli::next::Next;
-use crate::cli::output::{counted, grouped, say, say_drawn, say_json};
+use crate::cli::output::{counted, filled, grouped, say, say_drawn, say_json};
 use crate::cli::start_time::local;
 use crate::cli::table::Table;
 use crate::cli::watch::answers::{Skin, Tour, TourProgress};
@@ -187,7 +187,7 @@ fn counts(contact_counts: &[u64; 7]) -> Option<Table> {
     let mut table = Table::new("contacts> | trials> |", "");
     let last = contact_counts.iter().rposition(|count| *count > 0).unwrap_or(0);
     for (contacts, count) in contact_counts.iter().enumerate().take(last + 1) {
-        let bar = super::chart::bar(*count as f64 / most as f64, BAR);
+        let bar = filled(*count as f64 / most as f64, BAR);
         table.push([contacts.to_string(), grouped(*count), bar]);
     }
     Some(table)

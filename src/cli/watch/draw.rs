@@ -11,6 +11,7 @@ use super::facts::{self, Now};
 use super::night::{Level, Night};
 use super::skin;
 use super::theme::Theme;
+use crate::cli::output::filled;
 use crate::cli::view::RigView;
 use crate::record::ARMS;
 
@@ -127,19 +128,11 @@ fn draw_forces(frame: &mut Frame, area: Rect, rig: &RigView, theme: Theme) {
         let style =
             if tip { theme.level(Level::Fine).add_modifier(Modifier::BOLD) } else { theme.aside() };
         frame.render_widget(Line::styled((arm + 1).to_string(), style), name);
-        frame.render_widget(Line::styled(filled(share, bar.width), theme.force(share)), bar);
+        frame.render_widget(Line::styled(filled(share, bar.width.into()), theme.force(share)), bar);
         let words = force_n.map_or("-".into(), |force_n| format!("{force_n:.1} N"));
         let style = if share >= 1.0 { theme.level(Level::Act) } else { theme.level(Level::Fine) };
         frame.render_widget(Line::styled(words, style).right_aligned(), number);
     }
-}
-
-/// A bar that fills a share of a width, to an eighth of a character. A gauge would leave a gap for its
-/// label.
-fn filled(share: f64, width: u16) -> String {
-    const BAR_PARTS: [&str; 8] = ["", "▏", "▎", "▍", "▌", "▋", "▊", "▉"];
-    let eighths = (share.clamp(0.0, 1.0) * f64::from(width) * 8.0).round() as usize;
-    "█".repeat(eighths / 8) + BAR_PARTS[eighths % 8]
 }
 
 /// The last events, the newest at the bottom.
