@@ -119,37 +119,33 @@ fn words(progress: &Progress) -> String {
 pub struct JobArgs {
     #[command(subcommand)]
     what: JobWhat,
+    #[command(flatten)]
+    at: At,
 }
 
 #[derive(Debug, Subcommand)]
 enum JobWhat {
     /// Show trainings and evaluations, the last first.
-    List(At),
+    List,
     /// Show one job and its result.
     Show(OneJob),
     /// Stop a waiting or running job.
     Stop(OneJob),
     /// Print the losses of a training, one JSON object per epoch, or draw them.
-    Losses(JobLosses),
+    Losses {
+        #[command(flatten)]
+        one: OneJob,
+        /// Draw training and validation loss over the epochs instead; the ending of the name decides:
+        /// .svg, .png or .pdf.
+        #[arg(long, value_name = "FILE.svg")]
+        plot: Option<PathBuf>,
+    },
 }
 
 #[derive(Debug, Args)]
 struct OneJob {
     /// Job: its number in `job list`, `last`, or its id, of which the start is enough if it is unique.
     job: String,
-    #[command(flatten)]
-    at: At,
-}
-
-/// Options of `job losses`.
-#[derive(Debug, Args)]
-struct JobLosses {
-    /// Draw training and validation loss over the epochs instead; the ending of the name decides:
-    /// .svg, .png or .pdf.
-    #[arg(long, value_name = "FILE.svg")]
-    plot: Option<PathBuf>,
-    #[command(flatten)]
-    one: OneJob,
 }
 
 /// Runs `palpate job`.
@@ -157,36 +153,33 @@ struct JobLosses {
 /// # Errors
 /// `CliError` if the service cannot be reached or refuses.
 pub async fn job(args: JobArgs) -> Result<(), CliError> {
-    let at = match &args.what {
-        JobWhat::List(at) => at.clone(),
-        JobWhat::Show(one) | JobWhat::Stop(one) => one.at.clone(),
-        JobWhat::Losses(losses) => losses.one.at.clone(),
-    };
+    let JobArgs { what, at } = args;
+    let output = at.output();
     embed::with_server(&at, move |client| async move {
-        match args.what {
-            JobWhat::List(at) => {
+        match what {
+            JobWhat::List => {
                 let jobs: Vec<JobOut> = client.all("/api/v1/jobs?").await?;
-                match at.json {
-                    true => jobs.iter().for_each(say_json),
-                    false => say(table(&jobs)),
+                match output {
+                    Output::Json => jobs.iter().for_each(say_json),
+                    Output::Text => say(table(&jobs)),
                 }
             }
-            JobWhat::Show(one) => {
-                let id = named(&client, &one.job).await?;
+            JobWhat::Show(OneJob { job }) => {
+                let id = named(&client, &job).await?;
                 let job: JobOut = client.get(&format!("/api/v1/jobs/{id}")).await?;
                 say_json(&job);
             }
-            JobWhat::Stop(one) => {
-                let path = format!("/api/v1/jobs/{}/stop", named(&client, &one.job).await?);
+            JobWhat::Stop(OneJob { job }) => {
+                let path = format!("/api/v1/jobs/{}/stop", named(&client, &job).await?);
                 let job: JobOut = client.post(&path, &Value::Null).await?;
-                shown(&job, one.at.output());
+                shown(&job, output);
             }
-            JobWhat::Losses(JobLosses { plot: None, one }) => {
+            JobWhat::Losses { plot, one } => {
                 let id = named(&client, &one.job).await?;
-                say(job_losses::losses(&client, &id).await?.trim_end());
-            }
-            JobWhat::Losses(JobLosses { plot: Some(file), one }) => {
-                job_losses::draw(&client, &named(&client, &one.job).await?, &file).await?;
+                match plot {
+                    Some(file) => job_losses::draw(&client, &id, &file).await?,
+                    None => say(job_losses::losses(&client, &id).await?.trim_end()),
+                }
             }
         }
         Ok(())
