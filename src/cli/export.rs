@@ -16,7 +16,7 @@ use super::download::download;
 use super::error::CliError;
 use super::next::Next;
 use super::output::{Output, bytes, counted, say, say_json};
-use super::progress::{LogLines, progress_bar};
+use super::progress::Counted;
 use super::start_time::local;
 use super::table::{Table, or_dash};
 use crate::dataset::export::ExportRequest;
@@ -116,24 +116,19 @@ pub async fn export(client: &Client, args: &ExportArgs) -> Result<(), CliError> 
 
 /// Shows the progress of an export until it has ended.
 async fn follow(client: &Client, asked: ExportView) -> Result<ExportView, CliError> {
-    let bar = progress_bar("rows");
-    let mut lines = LogLines::instead_of(&bar);
+    let mut shown = Counted::of("rows exported", 0);
     let (mut now, mut rows) = (asked, 0);
     loop {
         rows = rows.max(now.rows_total);
-        bar.set_length(now.rows_total);
-        bar.set_position(now.rows_done);
+        shown.show(now.rows_done, now.rows_total);
         // The dataset is made before its rows are counted.
-        bar.set_message(if now.rows_total == 0 { "(making the dataset)" } else { "" });
-        lines.say(|| format!("{} of {} rows exported", now.rows_done, now.rows_total));
+        shown.bar.set_message(if now.rows_total == 0 { "(making the dataset)" } else { "" });
         match now.state {
             TaskState::Done => {
-                bar.finish_and_clear();
                 now.rows_total = rows;
                 return Ok(now);
             }
             TaskState::Failed | TaskState::Stopped => {
-                bar.abandon();
                 let operation = format!("export {}", now.id);
                 let detail = now.error.unwrap_or_default();
                 return Err(CliError::Refused { operation, status: 409, detail });

@@ -10,7 +10,7 @@ use tokio::time::Instant;
 use super::client::{Client, text_of};
 use super::error::CliError;
 use super::output::{counted, say, say_json};
-use super::progress::{LogLines, progress_bar};
+use super::progress::Counted;
 use super::table::Table;
 use super::{At, embed};
 use crate::ids::RunUid;
@@ -71,23 +71,18 @@ pub async fn wait_for_twins(
     patience: Duration,
 ) -> Result<TwinCount, CliError> {
     let path = format!("/api/v1/runs/{run}/twins");
-    let bar = progress_bar("twins");
-    let mut lines = LogLines::instead_of(&bar);
+    let mut shown = Counted::of("twins", 0);
     let mut least = (u64::MAX, Instant::now());
     loop {
         let RunTwinsView { count, pending } = client.get(&path).await?;
-        bar.set_length(count.trials);
-        bar.set_position(count.trials - pending);
-        lines.say(|| format!("{} of {} twins", count.trials - pending, count.trials));
+        shown.show(count.trials - pending, count.trials);
         if pending == 0 {
-            bar.finish_and_clear();
             return Ok(count);
         }
         if pending < least.0 {
             least = (pending, Instant::now());
         }
         if least.1.elapsed() > patience {
-            bar.finish_and_clear();
             return Err(stalled(client, pending, patience).await?);
         }
         tokio::time::sleep(TWINS_POLL).await;

@@ -7,7 +7,6 @@ use clap::Args;
 use serde_json::json;
 
 use super::kind::{all_whole, readings_order};
-use super::verified::Verified;
 use crate::chunk::folder::OrderFolder;
 use crate::chunk::order::{ChunkRow, WorkOrder};
 use crate::cli::client::TextPart;
@@ -16,6 +15,7 @@ use crate::cli::error::CliError;
 use crate::cli::evaluate::MethodRequest;
 use crate::cli::evaluate::lab::ExtentArgs;
 use crate::cli::output::Output;
+use crate::cli::progress::Counted;
 use crate::cli::{At, embed};
 use crate::evaluate::request::EvaluationReport;
 use crate::jobs::chunks::{NetScore, SCORES_FILE};
@@ -83,10 +83,10 @@ pub async fn score(
     rows: &[ChunkRow],
     out: &Path,
     at: &At,
-    mut verified: Verified,
+    mut verified: Counted,
 ) -> Result<u64, CliError> {
     let order = readings_order(folder)?;
-    let gathered = gather(folder, rows, &mut || verified.one());
+    let gathered = gather(folder, rows, &mut || verified.add(1));
     drop(verified);
     let gathered = gathered?;
     all_whole(folder, gathered.damaged)?;

@@ -20,7 +20,6 @@ mod sbatch;
 mod status;
 mod table;
 mod twins;
-mod verified;
 
 /// Options of `cluster`.
 #[derive(Debug, Clone, Args)]

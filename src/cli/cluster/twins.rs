@@ -6,13 +6,13 @@ use std::path::PathBuf;
 
 use clap::Args;
 
-use super::verified::Verified;
 use crate::chunk::folder::{ChunkState, OrderFolder};
 use crate::chunk::order::{ChunkRow, WorkOrder};
 use crate::cli::client::Client;
 use crate::cli::error::CliError;
 use crate::cli::find::find_run;
 use crate::cli::output::Output;
+use crate::cli::progress::Counted;
 use crate::cli::{At, embed};
 use crate::ids::RunUid;
 use crate::new_file::Look;
@@ -123,7 +123,7 @@ pub async fn store(
     folder: OrderFolder,
     rows: Vec<ChunkRow>,
     at: &At,
-    mut verified: Verified,
+    mut verified: Counted,
 ) -> Result<Stored, CliError> {
     embed::with_server(at, move |client| async move {
         let path = format!("/api/v1/runs/{run}/twins");
@@ -138,7 +138,7 @@ pub async fn store(
             let made: StoredTwins = answer.map_err(|error| of_chunk(row.index, error))?;
             stored.stored += made.stored;
             stored.present += made.present;
-            verified.one();
+            verified.add(1);
         }
         Ok(stored)
     })

@@ -6,7 +6,6 @@ use std::collections::{BTreeMap, BTreeSet};
 use serde_json::json;
 
 use super::ActionsArgs;
-use super::answers::if_there;
 use super::when::second;
 use crate::cli::client::Client;
 use crate::cli::embed;
@@ -40,7 +39,7 @@ async fn list(client: &Client, args: &ActionsArgs) -> Result<(), CliError> {
     let mut numbers = BTreeMap::new();
     let uids = found.iter().filter_map(|action| action.run).map(|run| run.to_string());
     for uid in uids.collect::<BTreeSet<_>>() {
-        let row: Option<RunRow> = if_there(client, &format!("/api/v1/runs/{uid}")).await?;
+        let row: Option<RunRow> = client.if_there(&format!("/api/v1/runs/{uid}")).await?;
         numbers.insert(uid, row.map(|row| row.scan_id));
     }
     let number = |action: &ActionRow| *numbers.get(&action.run?.to_string())?;

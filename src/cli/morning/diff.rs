@@ -8,9 +8,7 @@ use serde_json::json;
 use sim_core::stats::fvu;
 
 use super::DiffArgs;
-use super::answers::{
-    TrialFacts, TwinsOf, all_trials, fit_of, if_there, state_words, stored_words,
-};
+use super::answers::{TrialFacts, TwinsOf, all_trials, fit_of, state_words, stored_words};
 use super::compare::{
     Change, Difference, Pair, by_depth, by_place, changes, difference, pairs, sampled,
 };
@@ -47,7 +45,7 @@ impl Side {
         Ok(Self {
             twins,
             median_fvu: fit.median_fvu,
-            tour: if_there(client, &format!("{path}/tour")).await?,
+            tour: client.if_there(&format!("{path}/tour")).await?,
             trials: all_trials(client, run.uid, summary.trials_stored).await?,
             summary,
         })

@@ -6,8 +6,7 @@ use ratatui::layout::Rect;
 use serde_json::json;
 
 use super::answers::{
-    TrialFacts, TwinsOf, all_trials, duration_words, elapsed, fit_of, if_there, state_words,
-    stored_words,
+    TrialFacts, TwinsOf, all_trials, duration_words, elapsed, fit_of, state_words, stored_words,
 };
 use super::chart::{AtDepth, by_depth, forces, picture, width};
 use super::{ShowArgs, history, raw, show_trial};
@@ -74,10 +73,10 @@ async fn run(client: &Client, args: &ShowArgs) -> Result<(), CliError> {
         say_json(&json!({ "summary": summary, "twins": twins, "median_fvu": median_fvu }));
         return Ok(());
     }
-    let skin: Option<Skin> = if_there(client, &format!("/api/v1/sensor?run={}", found.uid)).await?;
-    let tour: Option<Tour> = if_there(client, &format!("{path}/tour")).await?;
+    let skin: Option<Skin> = client.if_there(&format!("/api/v1/sensor?run={}", found.uid)).await?;
+    let tour: Option<Tour> = client.if_there(&format!("{path}/tour")).await?;
     let progress: Option<TourProgress> = match tour {
-        Some(_) => if_there(client, &format!("{path}/progress")).await?,
+        Some(_) => client.if_there(&format!("{path}/progress")).await?,
         None => None,
     };
     let trials = all_trials(client, found.uid, summary.trials_stored).await?;

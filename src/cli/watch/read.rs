@@ -111,7 +111,7 @@ impl Rest {
         if !due {
             return Ok(true);
         }
-        let rates = stated(self.client.get("/api/v1/rig/rates").await)?;
+        let rates = self.client.if_there("/api/v1/rig/rates").await?;
         if let Some(rates) = rates
             && self.news.send(News::Rates(rates)).await.is_err()
         {
@@ -124,7 +124,7 @@ impl Rest {
         let Some(run) = self.run else { return Ok(true) };
         if !self.tour {
             let tour: Option<Tour> =
-                stated(self.client.get(&format!("/api/v1/runs/{run}/tour")).await)?;
+                self.client.if_there(&format!("/api/v1/runs/{run}/tour")).await?;
             self.tour = tour.is_some();
             if self.news.send(News::Tour(run, tour)).await.is_err() {
                 return Ok(false);
@@ -132,14 +132,14 @@ impl Rest {
         }
         if !self.skin {
             let skin: Option<Skin> =
-                stated(self.client.get(&format!("/api/v1/sensor?run={run}")).await)?;
+                self.client.if_there(&format!("/api/v1/sensor?run={run}")).await?;
             self.skin = skin.is_some();
             if self.news.send(News::Skin(run, skin)).await.is_err() {
                 return Ok(false);
             }
         }
         let progress: Option<TourProgress> =
-            stated(self.client.get(&format!("/api/v1/runs/{run}/progress")).await)?;
+            self.client.if_there(&format!("/api/v1/runs/{run}/progress")).await?;
         let Some(progress) = progress else { return Ok(true) };
         if self.news.send(News::Progress(run, progress)).await.is_err() {
             return Ok(false);
@@ -154,7 +154,7 @@ impl Rest {
         }
         self.course = Some(Instant::now());
         let path = format!("/api/v1/runs/{run}/history?bins={COURSE_BINS}");
-        let course: Option<Course> = stated(self.client.get(&path).await)?;
+        let course: Option<Course> = self.client.if_there(&path).await?;
         let Some(course) = course else { return Ok(true) };
         Ok(self.news.send(News::Course(run, course)).await.is_ok())
     }
@@ -168,14 +168,5 @@ impl Rest {
         let Some(last) = page.items.last() else { return Ok(true) };
         self.since = Some(last.seq);
         Ok(self.news.send(News::Events(page.items)).await.is_ok())
-    }
-}
-
-/// An answer, or nothing if the service does not know the address.
-fn stated<T>(answer: Result<T, CliError>) -> Result<Option<T>, CliError> {
-    match answer {
-        Ok(answer) => Ok(Some(answer)),
-        Err(CliError::Refused { status: 404, .. }) => Ok(None),
-        Err(error) => Err(error),
     }
 }
