@@ -315,18 +315,18 @@ fn stopping_words(d: &StoppingDistance) -> String {
         _ => "none measured yet".into(),
     };
     format!(
-        "stopping {:.1} ms, {:.2} mm at {:.2} mm/s; +{:.1} N of {:.1} N margin on a tip, +{:.1} N of \
-         {:.1} N on {} (+{:.0} N per tip on the stiffest skin allowed); {measured} in {}",
+        "stopping {:.1} ms, {:.2} mm at {:.2} mm/s; {measured} in {}\n\
+         margin   +{:.1} N of {:.1} N on a tip, +{:.1} N of {:.1} N on {}; +{:.0} N per tip on the stiffest skin",
         d.sample_to_stop_ms,
         d.travel_mm,
         d.speed_mm_s,
+        counted(d.stops, "stop", "stops"),
         d.added_n,
         d.margin_n,
         d.added_sum_n,
         d.margin_sum_n,
         counted(d.tips.into(), "tip", "tips"),
         d.added_steepest_n,
-        counted(d.stops, "stop", "stops"),
     )
 }
 

@@ -123,8 +123,8 @@ pub fn detached(client: &Client, scan_id: i64, uid: RunUid, process: Option<u32>
         .suggest("palpate attach", "follows it")
         .suggest("palpate stop", "stops it after its trial");
     if let Some(process) = process {
-        let what = "ends the service; a run that is active can be resumed";
-        next = next.line(format_args!("kill {process}"), what);
+        next =
+            next.line(format_args!("kill {process}"), "ends the service; its run can be resumed");
     }
     next.say();
 }
