@@ -172,8 +172,7 @@ async fn with_server_that<T: Send + 'static>(
         Some(client) => work(client).await,
         None => {
             let data = at.data();
-            let view =
-                View::of(&data).map_err(|source| CliError::File { path: data.clone(), source })?;
+            let view = View::of(&data).map_err(CliError::file(&data))?;
             let folder = view.as_ref().map_or(data, |view| view.folder().to_owned());
             host(options(folder, &RigFiles::read(None)?, idle)?, work).await
         }

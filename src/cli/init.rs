@@ -56,16 +56,14 @@ pub fn init(args: &InitArgs) -> Result<(), CliError> {
     let (mut written, mut kept) = (0, 0);
     for (name, files) in FOLDERS {
         let folder = args.folder.join(name);
-        std::fs::create_dir_all(&folder)
-            .map_err(|source| CliError::File { path: folder.clone(), source })?;
+        std::fs::create_dir_all(&folder).map_err(CliError::file(&folder))?;
         for (stem, text) in files {
             let file = format!("{stem}.toml");
             if folder.join(&file).exists() {
                 kept += 1;
                 continue;
             }
-            new_file::write(&folder, &file, text)
-                .map_err(|source| CliError::File { path: folder.join(&file), source })?;
+            new_file::write(&folder, &file, text).map_err(CliError::file(&folder.join(&file)))?;
             written += 1;
         }
     }

@@ -123,7 +123,7 @@ pub async fn run(args: RunArgs) -> Result<ExitCode, CliError> {
         None => {
             sound(&order.files, &rig)?;
             // The skin on the bench is that of the experiment.
-            make_folder(&data).map_err(|source| CliError::File { path: data.clone(), source })?;
+            make_folder(&data).map_err(CliError::file(&data))?;
             let sensor = data.join("sensor.toml");
             write(&sensor, &order.files.sensor_text)?;
             let own = tokio::select! {

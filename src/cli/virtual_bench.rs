@@ -13,7 +13,7 @@ use tokio::process::{Child, ChildStdout, Command};
 use tokio::time::timeout;
 
 use super::error::CliError;
-use super::files::{RigFiles, write};
+use super::files::{self, RigFiles, write};
 use super::key::KEY_VARIABLE;
 use super::output::Output;
 use super::progress::Working;
@@ -81,8 +81,7 @@ impl VirtualBench {
     /// start; `File` if a file cannot be written.
     pub async fn switch_on(options: &BenchOptions) -> Result<Self, CliError> {
         let folder = options.data.join("virtual-rig");
-        new_file::make_folder(&folder)
-            .map_err(|source| CliError::File { path: folder.clone(), source })?;
+        new_file::make_folder(&folder).map_err(CliError::file(&folder))?;
         // The files and the log there may be those of the bench of another service.
         drop(LockFile::of_data(&options.data)?);
         let served = folder.join("served.toml");
@@ -97,8 +96,7 @@ impl VirtualBench {
         drop(shown);
         // A child cannot write why it ended on a full disk.
         let control = ready.map_err(|error| disk_full(&folder).unwrap_or(error))?.control;
-        let text = std::fs::read_to_string(&served)
-            .map_err(|source| CliError::File { path: served.clone(), source })?;
+        let text = std::fs::read_to_string(&served).map_err(CliError::file(&served))?;
         let rig = RigFiles::parse(served.display().to_string(), text)?;
         let speed = options.speed;
         Ok(Self { rig, control, speed, folder, child, _stdout: stdout, operator: None })
@@ -153,9 +151,7 @@ fn rig_command(options: &BenchOptions, folder: &Path, served: &Path) -> Result<C
 }
 
 fn this_program(subcommand: &str) -> Result<Command, CliError> {
-    let program = std::env::current_exe()
-        .map_err(|source| CliError::System { operation: "finding this program", source })?;
-    let mut command = Command::new(program);
+    let mut command = Command::new(files::this_program()?);
     command.arg(subcommand);
     withhold(command.as_std_mut());
     Ok(command)
@@ -167,7 +163,7 @@ fn start(
     log: &Path,
     stdout: Stdio,
 ) -> Result<Child, CliError> {
-    let said = File::create(log).map_err(|source| CliError::File { path: log.into(), source })?;
+    let said = File::create(log).map_err(CliError::file(log))?;
     // A separate process group: this program handles Ctrl-C, the rig must keep running.
     command.process_group(0).kill_on_drop(true);
     command.stdin(Stdio::piped()).stdout(stdout).stderr(said);

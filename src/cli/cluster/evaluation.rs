@@ -91,8 +91,7 @@ pub async fn score(
     let gathered = gathered?;
     all_whole(folder, gathered.damaged)?;
     let file = out.join(READINGS_FILE);
-    new_file::write(out, READINGS_FILE, &gathered.lines)
-        .map_err(|source| CliError::File { path: file.clone(), source })?;
+    new_file::write(out, READINGS_FILE, &gathered.lines).map_err(CliError::file(&file))?;
     let request = order.definition.request.clone();
     let texts = vec![
         TextPart::value("request", json!(request).to_string()),
@@ -106,7 +105,6 @@ pub async fn score(
     })
     .await?;
     let scores = json!(vec![NetScore { request, report }]).to_string();
-    new_file::write(out, SCORES_FILE, scores)
-        .map_err(|source| CliError::File { path: out.join(SCORES_FILE), source })?;
+    new_file::write(out, SCORES_FILE, scores).map_err(CliError::file(&out.join(SCORES_FILE)))?;
     Ok(rows.iter().map(|row| row.rows).sum())
 }

@@ -30,7 +30,6 @@ use crate::jobs::chunks::{DatasetFile, NetOrder, NetScore, SCORES_FILE};
 use crate::learn::model_file::Manifest;
 use crate::learn::order::{MANIFEST, ONNX, RESIDUALS};
 use crate::learn::residuals::Residuals;
-use crate::problem::Problem;
 use crate::simulate::schema::SIM_VOLTAGES_V;
 use crate::store::{RunKind, RunRow};
 use crate::studies::budget::{Budget, Scale};
@@ -225,10 +224,8 @@ impl ServiceLab {
     /// Takes the scores of a gathered net.
     fn take_scores(&self, folder: &Path) -> Result<(), CliError> {
         let path = folder.join(SCORES_FILE);
-        let scores: Vec<NetScore> = serde_json::from_str(&read_input(&path)?).map_err(|error| {
-            let file = path.display().to_string();
-            CliError::Problems(vec![Problem::whole(&file, error.to_string())])
-        })?;
+        let scores: Vec<NetScore> = serde_json::from_str(&read_input(&path)?)
+            .map_err(|error| CliError::in_file(&path, error.to_string()))?;
         self.scores.lock().extend(scores);
         Ok(())
     }
