@@ -144,14 +144,14 @@ pub async fn sbatch(args: &SbatchArgs) -> Result<(), CliError> {
             job.finish(&folder, &places, is_new, &contents, &[])
         }
         SbatchCommand::Table(SbatchTableArgs { request, job }) => {
-            let places = job.places(request.data.clone())?;
+            let places = job.places(request.place.data.clone())?;
             let order = request.order(job.output()).await?;
             let contents = format!("{} nets", order.chunks);
             let (folder, is_new) = OrderFolder::write(&job.folder, order)?;
             job.finish(&folder, &places, is_new, &contents, request.resources())
         }
         SbatchCommand::Twins(SbatchTwinsArgs { request, job }) => {
-            let places = job.places(request.data.clone())?;
+            let places = job.places(request.place.data.clone())?;
             let (order, trials) = request.order(job.output()).await?;
             let contents = format!("{} twins", grouped(trials));
             let (folder, is_new) = OrderFolder::write(&job.folder, order)?;
@@ -159,7 +159,7 @@ pub async fn sbatch(args: &SbatchArgs) -> Result<(), CliError> {
         }
         SbatchCommand::Evaluation(args) => {
             let SbatchEvaluationArgs { request, job } = args.as_ref();
-            let places = job.places(request.data.clone())?;
+            let places = job.places(request.place.data.clone())?;
             let (order, frames) = request.order(job.output()).await?;
             let contents = format!("{} frames", grouped(frames));
             let (folder, is_new) = OrderFolder::write(&job.folder, order)?;

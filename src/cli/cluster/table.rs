@@ -1,15 +1,14 @@
 //! `palpate cluster sbatch table`: the trainings and evaluations of a table of the paper, as a work order.
 //! Uses: `evaluate::lab` (a service resolves datasets), `jobs::chunks`, `studies`. Never: a training.
 
-use std::path::PathBuf;
-
 use clap::{Args, ValueEnum};
 
+use super::OrderPlace;
 use crate::chunk::order::WorkOrder;
+use crate::cli::embed;
 use crate::cli::error::CliError;
 use crate::cli::evaluate::lab::{ExtentArgs, ServiceLab};
 use crate::cli::output::Output;
-use crate::cli::{At, embed};
 use crate::jobs::chunks::{FIRST_GPU, ONE_THREAD, work_order};
 use crate::studies::budget::R2S;
 use crate::studies::maps::table_iv_nets;
@@ -41,17 +40,8 @@ pub struct TableRequest {
     /// Train on the first NVIDIA GPU of a task, for which the trainer was built.
     #[arg(long)]
     gpu: bool,
-    /// URL of the service whose datasets are used [env: PALPATE_URL] [default: http://127.0.0.1:8080];
-    /// its key is in PALPATE_KEY, or in the file of PALPATE_KEY_FILE.
-    #[arg(long, value_name = "URL")]
-    url: Option<String>,
-    /// Certificate of an https service or of its authority, PEM [env: PALPATE_CA] [default: the
-    /// authorities of the system].
-    #[arg(long, value_name = "FILE")]
-    ca: Option<PathBuf>,
-    /// Data folder of the service, which all nodes share [env: PALPATE_DATA] [default: palpate-data].
-    #[arg(long, value_name = "DIR")]
-    pub data: Option<PathBuf>,
+    #[command(flatten)]
+    pub place: OrderPlace,
 }
 
 impl TableRequest {
@@ -60,8 +50,7 @@ impl TableRequest {
     /// # Errors
     /// `CliError` if the service cannot be reached or started, or a recipe or a dataset is invalid.
     pub async fn order(&self, output: Output) -> Result<WorkOrder, CliError> {
-        let (url, ca, data) = (self.url.clone(), self.ca.clone(), self.data.clone());
-        let at = At { url, ca, data, json: output == Output::Json };
+        let at = self.place.at(output);
         let budget = self.extent.budget();
         let table = match self.table {
             TableName::Maps => table_iv_nets(&budget),
