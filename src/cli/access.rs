@@ -9,6 +9,8 @@ use serde_json::{Value, json};
 use super::client::{Client, who};
 use super::error::CliError;
 use super::output::{say, say_json};
+use super::start_time::local;
+use super::table::Table;
 use super::{At, embed};
 use crate::api::{CreatedKey, Offline};
 use crate::store::{KeyRow, LockRow, Role};
@@ -166,17 +168,17 @@ async fn list(people: &People, json: bool) -> Result<(), CliError> {
         say_json(&keys);
         return Ok(());
     }
-    if keys.is_empty() {
-        say("no keys");
-    }
+    let mut table =
+        Table::new("key> | name | role | state", "there are no keys: palpate key create NAME");
     for key in keys {
         let state = match (key.revoked_at, key.last_used_at) {
-            (Some(at), _) => format!("revoked {at}"),
-            (None, Some(at)) => format!("last used {at}"),
+            (Some(at), _) => format!("revoked {}", local(at)),
+            (None, Some(at)) => format!("last used {}", local(at)),
             (None, None) => "never used".into(),
         };
-        say(format_args!("{:>4}  {:<20} {:<9} {state}", key.id, key.name, word(key.role)));
+        table.push([key.id.to_string(), key.name, word(key.role), state]);
     }
+    say(table);
     Ok(())
 }
 

@@ -176,7 +176,7 @@ async fn send(client: &Client, body: &Value) -> Result<reqwest::Response, CliErr
 }
 
 /// The format of rows that the ending of a file names.
-fn by_ending(out: &Path) -> Option<Format> {
+pub fn by_ending(out: &Path) -> Option<Format> {
     let name = out.file_name()?.to_str()?.to_lowercase();
     let (_, format) = Format::of_file(&name)?;
     format.streams().then_some(format)
