@@ -13,7 +13,7 @@ use tokio::time::timeout;
 use super::client::Client;
 use super::error::CliError;
 use super::progress::Counted;
-use crate::new_file::NewFile;
+use crate::new_file::{Finished, NewFile};
 
 /// Longest wait until a dataset is made.
 pub const DATASET_WAIT: Duration = Duration::from_secs(3600);
@@ -62,6 +62,27 @@ pub async fn download(
         }
     }
     Ok(file)
+}
+
+/// Downloads a file whose length and sha256 are known to `out`.
+///
+/// # Errors
+/// As [`download`]; `Refused` if the service sends other bytes.
+pub async fn download_whole(
+    client: &Client,
+    url: &str,
+    whole: &Finished,
+    out: &Path,
+) -> Result<(), CliError> {
+    let file = download(client, url, whole.bytes, out).await?;
+    let found = file.sha256();
+    if found != whole.sha256 {
+        let detail = format!("the downloaded file has the sha256 {found}");
+        return Err(CliError::Refused { operation: format!("GET {url}"), status: 500, detail });
+    }
+    let name = out.file_name().unwrap_or_default().to_string_lossy();
+    let failed = |source| CliError::File { path: out.into(), source };
+    file.finish(&name).map(drop).map_err(failed)
 }
 
 async fn in_time<T>(work: impl Future<Output = T>) -> Result<T, CliError> {

@@ -12,7 +12,7 @@ use serde_json::{Value, json};
 
 use super::At;
 use super::client::{Client, text_of};
-use super::download::download;
+use super::download::download_whole;
 use super::error::CliError;
 use super::next::Next;
 use super::output::{Output, bytes, counted, say, say_json};
@@ -22,6 +22,7 @@ use super::table::{Table, or_dash};
 use crate::dataset::export::ExportRequest;
 use crate::dataset::format::Format;
 use crate::ids::DatasetId;
+use crate::new_file::Finished;
 use crate::store::TaskState;
 
 /// Interval of polling an export's progress.
@@ -142,15 +143,8 @@ async fn follow(client: &Client, asked: ExportView) -> Result<ExportView, CliErr
 /// Downloads the file of an export.
 async fn fetch(client: &Client, done: &ExportView, out: &Path) -> Result<(), CliError> {
     let url = done.url.clone().unwrap_or_else(|| format!("/api/v1/exports/{}/file", done.id));
-    let file = download(client, &url, done.bytes.unwrap_or_default(), out).await?;
-    let found = file.sha256();
-    if Some(&found) != done.sha256.as_ref() {
-        let detail = format!("the downloaded file has the sha256 {found}");
-        return Err(CliError::Refused { operation: format!("GET {url}"), status: 500, detail });
-    }
-    let name = out.file_name().unwrap_or_default().to_string_lossy();
-    let failed = |source| CliError::File { path: out.into(), source };
-    file.finish(&name).map(drop).map_err(failed)
+    let (bytes, sha256) = (done.bytes.unwrap_or_default(), done.sha256.clone().unwrap_or_default());
+    download_whole(client, &url, &Finished { bytes, sha256 }, out).await
 }
 
 /// Prints the exports, newest first.

@@ -1,9 +1,11 @@
-"""2,000,000 trials of Sim-Random by workers that are disturbed 100 times, against one process; their rates.
+"""2,000,000 trials of Sim-Random by workers that are disturbed 100 times, against one process; their rates; the overhead of
+a chunk.
 
     python3 tests/cluster/long.py PALPATE [--trials N] [--disturbances N] [--seed S] [--folder DIR]
 
 PALPATE is the binary; palpate-worker is next to it, or PALPATE_WORKER names it (standard library only, Linux, PostgreSQL).
-Nothing else must run: about 25 minutes on two cores, and 6 kB of disk for each trial, 12 GB by default, in `--folder`.
+Nothing else must run. 1 to 3 take about 8 minutes on two cores, and 6 kB of disk for each trial, 12 GB by default, in
+`--folder`.
 
 1. One undisturbed process makes the order.
 2. Two workers make the same order over a PostgreSQL that this starts. Each is in a network namespace without any network;
@@ -12,9 +14,12 @@ Nothing else must run: about 25 minutes on two cores, and 6 kB of disk for each 
    disturbance waits until a further share of the chunks is done, so that the order cannot end before the last one.
 3. Every chunk must be there once, with the bytes of the one process, and the queue must be empty.
 4. Rates of other orders, undisturbed: one process with 1 and 2 threads, 1 worker with 1 and 2, 2 workers with one each.
+5. Time from one chunk to the next, of chunks with a single trial: one process, and one worker. The difference is the overhead
+   of a chunk: three requests to the queue, a line to the program, the result into the store.
 
-Prints the rows of tables of `docs/figures.md`. Exit status: 0, 1 if a statement above is wrong. Without PostgreSQL it says
-that it was skipped, and fails if PALPATE_REQUIRE_TOOLS is set.
+The last lines are all results, as a table of `docs/figures.md`; `--trials 100000 --disturbances 0` is enough for 5. Exit
+status: 0, 1 if a statement above is wrong. Without PostgreSQL it says that it was skipped, and fails if PALPATE_REQUIRE_TOOLS
+is set.
 """
 
 import argparse
@@ -37,7 +42,7 @@ import time
 import postgresql
 
 TRIALS, DISTURBANCES, SEED = 2_000_000, 100, 19
-SHARD_TRIALS, RATE_TRIALS = 5_000, 400_000
+SHARD_TRIALS, RATE_TRIALS, SINGLE_TRIALS = 5_000, 400_000, 2_000
 TRIAL_BYTES = 6_000  # two copies of a trial, and files of killed workers
 LEASE_S, END_S, PROGRESS_S, EMPTY_S = 5, 400, 300, 120
 DESK = "desk"
@@ -170,11 +175,11 @@ class Lab:
         subprocess.run([self.palpate, "cluster", *words], env=environment, check=True, stdout=subprocess.DEVNULL,
                        stderr=self.log)
 
-    def order(self, name: str, trials: int, seed: int) -> tuple[pathlib.Path, dict]:
+    def order(self, name: str, trials: int, seed: int, of_chunk: int = SHARD_TRIALS) -> tuple[pathlib.Path, dict]:
         """Writes an order; returns its folder and what it states."""
         folder = self.folder / name
         self.make("sbatch", "random", "--trials", str(trials), "--seed", str(seed), "--shard-trials",
-                  str(SHARD_TRIALS), "--folder", str(folder))
+                  str(of_chunk), "--folder", str(folder))
         return folder, json.loads((folder / "order.json").read_text())
 
     def start(self, number: int, threads: int) -> subprocess.Popen:
@@ -309,6 +314,42 @@ def rates(lab: Lab, trials: int) -> list[tuple[str, float]]:
     return found
 
 
+def pace_ms(results: pathlib.Path) -> float:
+    """Mean time from one chunk to the next, ms, by the times of their rows."""
+    written = sorted(path.stat().st_mtime_ns for path in results.glob("*.json"))
+    return (written[-1] - written[0]) / (len(written) - 1) / 1e6
+
+
+def processor_ms(process: int) -> float:
+    """Processor time of a process and its children until now, ms."""
+    ticks = 0
+    for path in pathlib.Path("/proc").glob("[0-9]*/stat"):
+        with contextlib.suppress(OSError):
+            fields = path.read_text().rpartition(")")[2].split()
+            if path.parent.name == str(process):
+                ticks += sum(map(int, fields[11:15]))  # its own time, and that of ended children
+            elif fields[1] == str(process):
+                ticks += sum(map(int, fields[11:13]))
+    return 1000 * ticks / os.sysconf("SC_CLK_TCK")
+
+
+def overhead(lab: Lab) -> list[tuple[str, str]]:
+    """Times of chunks of one trial: one process and one worker, a thread each."""
+    folder, _ = lab.order("single", SINGLE_TRIALS, 200, 1)
+    lab.make("make", str(folder), "--task", "0", "--tasks", "1", "--threads", "1")
+    alone = pace_ms(folder / "results")
+    folder, order = lab.order("single-worker", SINGLE_TRIALS, 201, 1)
+    lab.ask("submit", str(folder))
+    before = processor_ms(lab.server.process.pid)
+    worker = lab.start(0, 1)
+    lab.until_done(order, order["chunks"])
+    told([worker])
+    queue = (processor_ms(lab.server.process.pid) - before) / order["chunks"]
+    made = pace_ms(lab.store / order["id"] / "results")
+    return [("a chunk of one trial, by one process and by one worker", f"{alone:.1f} ms, {made:.1f} ms"),
+            ("overhead of a chunk", f"{made - alone:.1f} ms; of it processor time of PostgreSQL: {queue:.1f} ms")]
+
+
 def measure(lab: Lab, options: argparse.Namespace) -> None:
     """Does what the head of this file states, and prints the figures."""
     alone, order = lab.order("alone", options.trials, options.seed)
@@ -320,18 +361,21 @@ def measure(lab: Lab, options: argparse.Namespace) -> None:
     seconds, counts = disturbed(lab, order, options.disturbances, random.Random(options.seed))
     total = same(lab, order, alone)
     ways = ", ".join(f"{way} {counts[way]}" for way in dict.fromkeys(WAYS))
-    print("\n| what | result |\n|---|---|")
-    what = f"{options.trials:,} trials of Sim-Random, {order['chunks']} chunks, {total / 1e9:.1f} GB"
-    print(f"| {what}, by one process | {once:.0f} s |")
-    print(f"| the same by two workers, each in a network namespace, with {options.disturbances} disturbances ({ways}) "
-          f"| {seconds:.0f} s: all bytes those of the one process, none missing, none doubled |", flush=True)
+    print(f"the same by two workers, disturbed {options.disturbances} times, in {seconds:.0f} s: bytes equal", flush=True)
     shutil.rmtree(alone)
     shutil.rmtree(lab.store / order["id"])
-    print("\n| who | trials per second |\n|---|---|")
     found = rates(lab, min(RATE_TRIALS, options.trials))
-    for who, rate in found:
-        print(f"| {who} | {rate:.0f} |")
-    print(f"| two workers, as a share of one process with 2 threads | {found[-1][1] / found[1][1]:.2f} |")
+    (_, one), (_, two), (_, worker), _, (_, workers) = found
+    what = f"{options.trials:,} trials of Sim-Random, {order['chunks']} chunks, {total / 1e9:.1f} GB"
+    rows = [
+        (f"{what}, by one process", f"{once:.0f} s"),
+        (f"the same by two workers, each in a network namespace, with {options.disturbances} disturbances ({ways})",
+         f"{seconds:.0f} s: all bytes those of the one process, none missing, none doubled"),
+        *((f"trials per second: {who}", f"{rate:.0f}") for who, rate in found),
+        ("1 worker with 1 thread, as a share of one process with 1 thread", f"{worker / one:.2f}"),
+        ("2 workers with 1 thread each, as a share of one process with 2 threads", f"{workers / two:.2f}"),
+        *overhead(lab)]
+    print("\n| what | result |\n|---|---|", *(f"| {name} | {result} |" for name, result in rows), sep="\n")
 
 
 def main() -> int:

@@ -1,5 +1,5 @@
 """Follows docs/how-to/cluster-postgresql.md word for word, with a PostgreSQL that it starts (standard library only); then a
-service does over HTTP what the page says of it (`service.py`).
+service does over HTTP what the page says of it (`service.py`), and two workers train the nets of a table (`nets.py`).
 
     python3 tests/cluster/postgresql.py PALPATE
 
@@ -23,6 +23,7 @@ import sys
 import tempfile
 import time
 
+import nets
 import service
 
 PAGE = pathlib.Path(__file__).resolve().parents[2] / "docs/how-to/cluster-postgresql.md"
@@ -129,13 +130,14 @@ def main(arguments: list[str]) -> int:
             print(f"{PAGE.name}: {'followed' if status == 0 else 'FAILED'} in {time.monotonic() - began:.0f} s")
             if status:
                 return 1
-            began = time.monotonic()
-            try:
-                service.check(palpate, home, variables)
-            except service.Wrong as wrong:
-                print(wrong)
-                return 1
-    print(f"service with a queue: as stated in {time.monotonic() - began:.0f} s")
+            for what, check in (("service with a queue", service.check), ("table of two workers", nets.check)):
+                began = time.monotonic()
+                try:
+                    check(palpate, home, variables)
+                except service.Wrong as wrong:
+                    print(f"{what}: {wrong}")
+                    return 1
+                print(f"{what}: as stated in {time.monotonic() - began:.0f} s")
     return 0
 
 

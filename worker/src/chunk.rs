@@ -1,5 +1,5 @@
-//! Makes one chunk: input from the store, bytes from the program, result into the store.
-//! Uses: `store`, `child`. Never: the queue; bytes whose key, length or hash is not what the program stated.
+//! Makes one chunk: order and inputs from the store, bytes from the program, result into the store.
+//! Uses: `store`, `inputs`, `child`. Never: the queue; bytes whose key, length or hash is not what the program stated.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -8,6 +8,7 @@ use tokio::fs;
 
 use crate::WorkerError;
 use crate::child::{MakeError, Maker};
+use crate::inputs::Inputs;
 use crate::order::{Done, ORDER_FILE, Order, is_hash};
 use crate::queue::ChunkRef;
 use crate::store::{Store, check};
@@ -19,6 +20,7 @@ const ORDERS_KEPT: usize = 16;
 #[derive(Debug)]
 pub struct Bench {
     store: Store,
+    inputs: Inputs,
     maker: Maker,
     scratch: PathBuf,
     orders: BTreeMap<String, Order>,
@@ -34,9 +36,9 @@ pub enum Outcome {
 }
 
 impl Bench {
-    /// A slot that works in the folder `scratch`, which no other slot uses.
-    pub fn new(store: Store, maker: Maker, scratch: PathBuf) -> Self {
-        Self { store, maker, scratch, orders: BTreeMap::new() }
+    /// A slot that works in the folder `scratch`, which no other slot uses. All slots share the inputs.
+    pub fn new(store: Store, inputs: Inputs, maker: Maker, scratch: PathBuf) -> Self {
+        Self { store, inputs, maker, scratch, orders: BTreeMap::new() }
     }
 
     /// Key of a chunk.
@@ -63,6 +65,8 @@ impl Bench {
             return Ok(Outcome::Existed);
         }
         let folder = self.scratch.join(&chunk.order);
+        let order = self.order(&chunk.order).await?.clone();
+        self.inputs.link(&self.store, &order.files, &folder).await.map_err(here)?;
         let made = self.maker.make(&folder, chunk.index).await?;
         if made.key != key || made.index != chunk.index {
             return Err(MakeError::Machine(format!(
@@ -70,7 +74,6 @@ impl Bench {
                 made.key, made.index, chunk.index
             )));
         }
-        let order = self.order(&chunk.order).await?.clone();
         let results = folder.join("results");
         let (row, path) =
             (results.join(format!("{key}.json")), results.join(order.bytes_name(&key)));
@@ -97,10 +100,7 @@ impl Bench {
                 return Err(MakeError::Chunk(format!("order {id:?}: must be a sha256")));
             }
             // A share that is not mounted, or the store of another machine, is an empty folder.
-            let found = self.store.order(id).await.map_err(|error| match error {
-                WorkerError::Store(_) => machine(error),
-                other => MakeError::Refused(other.to_string()),
-            })?;
+            let found = self.store.order(id).await.map_err(here)?;
             let (order, text) = found.ok_or_else(|| {
                 let what = "not in the store: PALPATE_STORE must be the one of the other machines";
                 MakeError::Refused(format!("{id}/{ORDER_FILE}: {what}"))
@@ -117,6 +117,7 @@ impl Bench {
                 && let Some((old, _)) = self.orders.pop_first()
             {
                 drop(fs::remove_dir_all(self.scratch.join(old)).await);
+                self.inputs.sweep().await;
             }
             self.orders.insert(id.to_owned(), order);
         }
@@ -131,6 +132,14 @@ impl Bench {
 
 async fn read(path: &Path) -> Result<Vec<u8>, MakeError> {
     fs::read(path).await.map_err(|error| MakeError::Machine(format!("{}: {error}", path.display())))
+}
+
+/// Why an order or its inputs are not here.
+fn here(error: WorkerError) -> MakeError {
+    match error {
+        WorkerError::Store(_) | WorkerError::File { .. } => machine(error),
+        other => MakeError::Refused(other.to_string()),
+    }
 }
 
 fn machine(error: WorkerError) -> MakeError {

@@ -15,6 +15,7 @@ pub mod child;
 pub mod chunk;
 pub mod error;
 pub mod fetch;
+pub mod inputs;
 pub mod needs;
 pub mod options;
 pub mod order;

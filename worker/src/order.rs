@@ -28,6 +28,9 @@ pub struct Order {
     pub id: String,
     code: Value,
     definition: Value,
+    /// sha256 of each file that its chunks need, in hexadecimal digits.
+    #[serde(default)]
+    pub files: Vec<String>,
     /// Number of chunks.
     pub chunks: u64,
 }
@@ -76,6 +79,9 @@ impl Order {
         }
         if !(1..=CHUNKS_MAX).contains(&order.chunks) {
             return Err(invalid(format!("chunks = {}: must be 1 to {CHUNKS_MAX}", order.chunks)));
+        }
+        if let Some(name) = order.files.iter().find(|name| !is_hash(name)) {
+            return Err(invalid(format!("files = {name:?}: must be a sha256")));
         }
         let hash = order.hash();
         if order.id != hash {
@@ -182,6 +188,8 @@ mod tests {
             refused(&text(&id).replace("\"version\":1", "\"version\":2")).contains("version = 2")
         );
         assert!(refused(&text(&id).replace("\"chunks\":3", "\"chunks\":0")).contains("chunks = 0"));
+        let outside = text(&id).replace("\"chunks\":3", "\"files\":[\"../x\"],\"chunks\":3");
+        assert!(refused(&outside).contains("files = \"../x\""));
         assert!(refused("{").contains("order.json: "));
     }
 

@@ -4,6 +4,7 @@
 //! ```text
 //! ORDER_ID/order.json             ORDER_ID/results/KEY.parquet   (the ending depends on the kind)
 //! ORDER_ID/failed/KEY.json        ORDER_ID/results/KEY.json      last
+//! inputs/SHA256                   a file that orders name, once for all of them
 //! ```
 
 use std::collections::BTreeMap;
@@ -19,14 +20,23 @@ use object_store::aws::{AmazonS3Builder, AmazonS3ConfigKey};
 use object_store::local::LocalFileSystem;
 use object_store::path::Path as ObjectPath;
 use object_store::prefix::PrefixStore;
-use object_store::{Certificate, ClientOptions, Error, ObjectStore, ObjectStoreExt, PutPayload};
+use object_store::{
+    Certificate, ClientOptions, Error, ObjectStore, ObjectStoreExt, PutPayload, WriteMultipart,
+};
 use serde::de::DeserializeOwned;
+use sha2::{Digest, Sha256};
+use tokio::fs;
+use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use url::Url;
 
 use crate::WorkerError;
 use crate::address::{Place, StoreAddress, is_loopback};
 use crate::order::{Done, Failed, ORDER_FILE, Order, is_hash, sha256};
 
+/// Folder of the files that orders name, in a store and in the folder of an order.
+pub const INPUTS: &str = "inputs";
+/// Bytes of a file that are read at a time, and the parts of it that are on the way to the store.
+const UPLOAD: (usize, usize) = (1 << 20, 4);
 /// Longest time of one request.
 const REQUEST: Duration = Duration::from_secs(120);
 
@@ -152,11 +162,64 @@ impl Store {
     /// # Errors
     /// `WorkerError::Store` if the store does not answer.
     pub async fn is_done(&self, order: &str, key: &str) -> Result<bool, WorkerError> {
-        match self.objects.head(&self.part(order, Part::Results, &format!("{key}.json"))).await {
-            Ok(_) => Ok(true),
-            Err(Error::NotFound { .. }) => Ok(false),
-            Err(error) => Err(error.into()),
+        self.has(&self.part(order, Part::Results, &format!("{key}.json"))).await
+    }
+
+    /// Writes a file that an order names by its sha256, unless the store has it.
+    ///
+    /// # Errors
+    /// `WorkerError::File` if the file cannot be read, `Invalid` if it is another one, `Store` if the store does not
+    /// take it.
+    pub async fn put_input(&self, sha256: &str, from: &Path) -> Result<(), WorkerError> {
+        let path = input(sha256);
+        if self.has(&path).await? {
+            return Ok(());
         }
+        let mut file = fs::File::open(from).await.map_err(WorkerError::file(from))?;
+        let mut upload = WriteMultipart::new(self.objects.put_multipart(&path).await?);
+        match pour(&mut file, &mut upload, from).await {
+            Ok(found) if found == sha256 => {
+                upload.finish().await?;
+                Ok(())
+            }
+            other => {
+                // What remains of it is never under its name.
+                drop(upload.abort().await);
+                let what = format!("{}: sha256 {}: order again", from.display(), other?);
+                Err(WorkerError::Invalid(what))
+            }
+        }
+    }
+
+    /// Fetches a file that an order names by its sha256.
+    ///
+    /// # Errors
+    /// `WorkerError::Failed` if the store does not have it, or has other bytes; `Store` if it does not answer; `File` if
+    /// the file cannot be written.
+    pub async fn fetch_input(&self, sha256: &str, to: &Path) -> Result<(), WorkerError> {
+        let path = input(sha256);
+        let found = match self.objects.get(&path).await {
+            Err(Error::NotFound { .. }) => {
+                let what = format!("{path}: not in the store: submit the order again");
+                return Err(WorkerError::Failed(what));
+            }
+            found => found?,
+        };
+        let partial = to.with_extension("partial");
+        let failed = || WorkerError::file(&partial);
+        let mut file = fs::File::create(&partial).await.map_err(failed())?;
+        let (mut pieces, mut hash) = (found.into_stream(), Sha256::new());
+        while let Some(piece) = pieces.try_next().await? {
+            hash.update(&piece);
+            file.write_all(&piece).await.map_err(failed())?;
+        }
+        file.flush().await.map_err(failed())?;
+        let found = hex::encode(hash.finalize());
+        if found != sha256 {
+            let what = format!("{path}: sha256 {found}: remove it, and submit the order again");
+            return Err(WorkerError::Failed(what));
+        }
+        fs::rename(&partial, to).await.map_err(WorkerError::file(to))
     }
 
     /// What a result states of itself; `None` if the chunk is not done.
@@ -221,6 +284,14 @@ impl Store {
         }
     }
 
+    async fn has(&self, path: &ObjectPath) -> Result<bool, WorkerError> {
+        match self.objects.head(path).await {
+            Ok(_) => Ok(true),
+            Err(Error::NotFound { .. }) => Ok(false),
+            Err(error) => Err(error.into()),
+        }
+    }
+
     async fn get(&self, path: &ObjectPath) -> Result<Option<Bytes>, WorkerError> {
         match self.objects.get(path).await {
             Ok(found) => Ok(Some(found.bytes().await?)),
@@ -257,6 +328,29 @@ impl Store {
         let text =
             serde_json::to_vec(value).map_err(|error| WorkerError::Store(error.to_string()))?;
         self.put(path, text.into()).await
+    }
+}
+
+/// Place of a file that orders name.
+fn input(sha256: &str) -> ObjectPath {
+    ObjectPath::from(format!("{INPUTS}/{sha256}"))
+}
+
+/// Passes a file on, and returns its sha256.
+async fn pour(
+    file: &mut fs::File,
+    upload: &mut WriteMultipart,
+    from: &Path,
+) -> Result<String, WorkerError> {
+    let (mut piece, mut hash) = (vec![0; UPLOAD.0], Sha256::new());
+    loop {
+        let count = file.read(&mut piece).await.map_err(WorkerError::file(from))?;
+        if count == 0 {
+            return Ok(hex::encode(hash.finalize()));
+        }
+        hash.update(&piece[..count]);
+        upload.wait_for_capacity(UPLOAD.1).await?;
+        upload.write(&piece[..count]);
     }
 }
 

@@ -1,4 +1,4 @@
-//! Submits an order: its definition to the store, and its missing chunks to the queue.
+//! Submits an order: its definition and its files to the store, and its missing chunks to the queue.
 //! Uses: `queue`, `store`. Never: a chunk that is done, or that the queue has.
 
 use std::collections::BTreeSet;
@@ -10,7 +10,7 @@ use crate::WorkerError;
 use crate::needs::Needs;
 use crate::order::ORDER_FILE;
 use crate::queue::{ChunkRef, Queue};
-use crate::store::{Part, Store};
+use crate::store::{INPUTS, Part, Store};
 
 /// What was submitted.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
@@ -32,8 +32,8 @@ pub struct Submitted {
 /// Submits the order of a folder. A second call adds what is missing, and chunks that were set aside.
 ///
 /// # Errors
-/// `WorkerError` if the folder has no valid order, if the store has another one under its id, or if store or
-/// queue do not answer.
+/// `WorkerError` if the folder has no valid order or lacks a file of it, if the store has another order under its id, or
+/// if store or queue do not answer.
 pub async fn submit(
     queue: &Queue,
     store: &Store,
@@ -57,6 +57,9 @@ pub async fn submit(
         }
         Some(_) => (),
         None => store.put_order(&order.id, text).await?,
+    }
+    for sha256 in &order.files {
+        store.put_input(sha256, &folder.join(INPUTS).join(sha256)).await?;
     }
     let done = store.keys(&order.id, Part::Results).await?;
     let failed = store.keys(&order.id, Part::Failed).await?;

@@ -26,12 +26,13 @@ use tokio::time::{sleep, timeout};
 use crate::WorkerError;
 use crate::child::{MakeError, Maker, clipped};
 use crate::chunk::{Bench, Outcome};
+use crate::inputs::Inputs;
 use crate::needs::Needs;
 use crate::order::Failed;
 use crate::pause::{LeftOrders, Pause};
 use crate::queue::{ANSWER, ChunkRef, Queue};
 use crate::scratch::Scratch;
-use crate::store::Store;
+use crate::store::{INPUTS, Store};
 
 /// Connections of a worker without those of its slots: heartbeat, sweep, listener.
 pub const CONNECTIONS: u32 = 3;
@@ -125,10 +126,11 @@ pub async fn work(queue: Queue, store: Store, work: Work) -> Result<(), WorkerEr
         failed: AtomicU64::new(0),
     });
     let mut slots = JoinSet::new();
+    let inputs = Inputs::new(scratch.path().join(INPUTS));
     for slot in 0..shared.work.at_once {
         let maker = Maker::new(shared.work.program.clone(), shared.work.threads, shared.work.limit);
         let folder = scratch.path().join(format!("slot-{slot}"));
-        let bench = Bench::new(shared.store.clone(), maker, folder);
+        let bench = Bench::new(shared.store.clone(), inputs.clone(), maker, folder);
         slots.spawn(run_slot(shared.clone(), bench));
     }
     let mut helpers = JoinSet::new();

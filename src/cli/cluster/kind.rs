@@ -36,7 +36,7 @@ pub enum ChunkKind {
 pub struct ChunkMeans {
     /// Number of threads, unless the work order states it.
     pub threads: NonZeroUsize,
-    /// Folder whose `cache` contains solved unit responses, and whose `datasets` contains files of datasets.
+    /// Folder whose `cache` contains solved unit responses, and the frames of a net while it trains.
     pub data: PathBuf,
 }
 
@@ -87,7 +87,7 @@ impl ChunkKind {
             }
             Self::Trainings => {
                 let order = TrainingsOrder::read(folder.order()).map_err(refused(folder))?;
-                let made = TrainingChunks::new(order, folder.path(), &means.data);
+                let made = TrainingChunks::new(order, folder.path(), means.data.join("cache"));
                 Ok(Box::new(made.map_err(refused(folder))?))
             }
             Self::Twins => {

@@ -50,8 +50,8 @@ pub struct MakeArgs {
     /// Number of threads that make a chunk [default: the machine's cores]; they change no byte.
     #[arg(long, value_name = "N")]
     threads: Option<usize>,
-    /// Folder whose `cache` contains solved unit responses, and whose `datasets` the files that nets
-    /// train on [env: PALPATE_DATA] [default: palpate-data].
+    /// Folder whose `cache` contains solved unit responses, and the frames of a net while it trains
+    /// [env: PALPATE_DATA] [default: palpate-data].
     #[arg(long, value_name = "DIR")]
     data: Option<PathBuf>,
     /// Print one line of JSON per chunk, and a last one with totals, on standard output.

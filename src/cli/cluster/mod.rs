@@ -68,7 +68,7 @@ pub struct OrderPlace {
     #[arg(long, value_name = "FILE")]
     ca: Option<PathBuf>,
     /// Data folder of a service that this command starts; on the nodes its `cache` contains solved unit
-    /// responses, its `datasets` what nets train on [env: PALPATE_DATA] [default: palpate-data].
+    /// responses, or the frames of a net while it trains [env: PALPATE_DATA] [default: palpate-data].
     #[arg(long, value_name = "DIR")]
     pub data: Option<PathBuf>,
 }

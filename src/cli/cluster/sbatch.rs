@@ -145,9 +145,8 @@ pub async fn sbatch(args: &SbatchArgs) -> Result<(), CliError> {
         }
         SbatchCommand::Table(SbatchTableArgs { request, job }) => {
             let places = job.places(request.place.data.clone())?;
-            let order = request.order(job.output()).await?;
-            let contents = format!("{} nets", order.chunks);
-            let (folder, is_new) = OrderFolder::write(&job.folder, order)?;
+            let (folder, is_new) = request.write(&job.folder, job.output()).await?;
+            let contents = format!("{} nets", folder.order().chunks);
             job.finish(&folder, &places, is_new, &contents, request.resources())
         }
         SbatchCommand::Twins(SbatchTwinsArgs { request, job }) => {

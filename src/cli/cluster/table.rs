@@ -1,15 +1,23 @@
-//! `palpate cluster sbatch table`: the trainings and evaluations of a table of the paper, as a work order.
+//! `palpate cluster sbatch table`: the trainings and evaluations of a table of the paper, as a work order with the files
+//! of their datasets.
 //! Uses: `evaluate::lab` (a service resolves datasets), `jobs::chunks`, `studies`. Never: a training.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::Path;
 
 use clap::{Args, ValueEnum};
 
 use super::OrderPlace;
-use crate::chunk::order::WorkOrder;
+use crate::chunk::folder::{OrderFolder, input_file};
+use crate::cli::client::Client;
+use crate::cli::download::download_whole;
 use crate::cli::embed;
 use crate::cli::error::CliError;
 use crate::cli::evaluate::lab::{ExtentArgs, ServiceLab};
 use crate::cli::output::Output;
-use crate::jobs::chunks::{FIRST_GPU, ONE_THREAD, work_order};
+use crate::jobs::chunks::{DatasetFile, FIRST_GPU, ONE_THREAD, work_order};
+use crate::new_file::{Finished, Look};
 use crate::studies::budget::R2S;
 use crate::studies::maps::table_iv_nets;
 use crate::studies::transfer::table_iii_nets;
@@ -45,31 +53,59 @@ pub struct TableRequest {
 }
 
 impl TableRequest {
-    /// The work order; datasets are made if needed.
+    /// Writes the work order into a folder, with the files of its datasets, which are made if needed. Returns the
+    /// folder, and whether the order is new there.
     ///
     /// # Errors
-    /// `CliError` if the service cannot be reached or started, or a recipe or a dataset is invalid.
-    pub async fn order(&self, output: Output) -> Result<WorkOrder, CliError> {
+    /// `CliError` if the service cannot be reached or started, a recipe or a dataset is invalid, the folder contains
+    /// another order, or a file cannot be downloaded or written.
+    pub async fn write(
+        &self,
+        folder: &Path,
+        output: Output,
+    ) -> Result<(OrderFolder, bool), CliError> {
         let at = self.place.at(output);
         let budget = self.extent.budget();
         let table = match self.table {
             TableName::Maps => table_iv_nets(&budget),
             TableName::Transfer => table_iii_nets(&budget, &self.dataset),
         };
-        let nets = embed::with_server(&at, move |client| async move {
-            let lab = ServiceLab::new(client, output, None);
+        let compute = if self.gpu { FIRST_GPU } else { ONE_THREAD };
+        let path = folder.to_owned();
+        embed::with_server(&at, move |client| async move {
+            let lab = ServiceLab::new(client.clone(), output, None);
             let mut nets = Vec::new();
             for net in &table {
                 nets.push(lab.net_order(net).await?);
             }
-            Ok(nets)
-        });
-        let compute = if self.gpu { FIRST_GPU } else { ONE_THREAD };
-        Ok(work_order(nets.await?, compute))
+            let datasets = nets.iter().map(|net| (net.dataset.sha256.clone(), net.dataset.clone()));
+            let datasets: BTreeMap<String, DatasetFile> = datasets.collect();
+            let written = OrderFolder::write(&path, work_order(nets, compute))?;
+            for dataset in datasets.values() {
+                copy(&client, dataset, &input_file(&path, &dataset.sha256)).await?;
+            }
+            Ok(written)
+        })
+        .await
     }
 
     /// Options of the job that the trainings need.
     pub fn resources(&self) -> &'static [&'static str] {
         if self.gpu { &GPU_RESOURCES } else { &[] }
     }
+}
+
+/// Downloads the file of a dataset, unless it is there.
+async fn copy(client: &Client, dataset: &DatasetFile, path: &Path) -> Result<(), CliError> {
+    let failed = |source| CliError::File { path: path.into(), source };
+    let whole = Finished { bytes: dataset.bytes, sha256: dataset.sha256.clone() };
+    if whole.is_at(path, Look::Sha256).map_err(failed)? {
+        return Ok(());
+    }
+    if let Some(folder) = path.parent() {
+        // As readable as the other folders of the order.
+        fs::create_dir_all(folder).map_err(failed)?;
+    }
+    let url = format!("/api/v1/data/{}.parquet", dataset.id);
+    download_whole(client, &url, &whole, path).await
 }

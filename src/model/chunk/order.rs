@@ -1,7 +1,7 @@
 //! A work order: which chunks there are, what determines their bytes, and their keys.
 //! PURE. Uses: `digest`, serde_json. Never: files, what a definition means (its kind knows it).
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
@@ -39,12 +39,16 @@ pub struct WorkOrder {
     pub definition: Value,
     /// Texts of files that the definition identifies, such as the sensor file, by name.
     pub inputs: BTreeMap<String, String>,
+    /// sha256 of the files that the definition identifies and that are too large for this text, such as datasets; they
+    /// are in the order's folder.
+    #[serde(default, skip_serializing_if = "BTreeSet::is_empty")]
+    pub files: BTreeSet<String>,
     /// Number of chunks.
     pub chunks: u64,
 }
 
 impl WorkOrder {
-    /// A work order of this program.
+    /// A work order of this program, without files.
     pub fn new(
         kind: &str,
         definition: Value,
@@ -52,8 +56,8 @@ impl WorkOrder {
         chunks: u64,
     ) -> Self {
         let (kind, code) = (kind.to_owned(), CHUNK_CODE.to_owned());
-        let unnamed =
-            Self { version: ORDER_FORM, kind, id: String::new(), code, definition, inputs, chunks };
+        let (version, id, files) = (ORDER_FORM, String::new(), BTreeSet::new());
+        let unnamed = Self { version, kind, id, code, definition, inputs, files, chunks };
         Self { id: sha256_hex(canonical(&unnamed.identity())), ..unnamed }
     }
 
@@ -228,7 +232,8 @@ mod tests {
         ] {
             assert_ne!(key, other.key(0), "{other:?}");
         }
-        let same = WorkOrder { chunks: 9, inputs: BTreeMap::new(), ..order.clone() };
+        let files = ["0".repeat(64)].into();
+        let same = WorkOrder { chunks: 9, inputs: BTreeMap::new(), files, ..order.clone() };
         assert_eq!(key, same.key(0));
         assert_eq!(order.short_id().len(), ID_DIGITS);
         assert_eq!(order.bytes_name("a"), "a.parquet");

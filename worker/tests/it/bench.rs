@@ -85,6 +85,15 @@ impl Bench {
 
     /// An order of the stand-in.
     pub fn order(&self, chunks: u64, definition: Value) -> Made {
+        self.order_on(chunks, definition, &[])
+    }
+
+    /// An order of the stand-in whose chunks depend on these files.
+    pub fn order_on(&self, chunks: u64, mut definition: Value, files: &[&[u8]]) -> Made {
+        let names: Vec<String> = files.iter().map(|file| sha256(file)).collect();
+        if !files.is_empty() {
+            definition["files"] = json!(names);
+        }
         let content = json!({ "kind": "stand-in", "code": "1", "definition": definition });
         let id = sha256(content.to_string().as_bytes());
         let folder = self.folder.path().join(format!("order-{}", &id[..8]));
@@ -92,7 +101,11 @@ impl Bench {
         order["version"] = json!(1);
         order["chunks"] = json!(chunks);
         order["id"] = json!(id);
-        fs::create_dir_all(&folder).unwrap();
+        order["files"] = json!(names);
+        fs::create_dir_all(folder.join("inputs")).unwrap();
+        for (name, file) in names.iter().zip(files) {
+            fs::write(folder.join("inputs").join(name), file).unwrap();
+        }
         fs::write(folder.join("order.json"), order.to_string()).unwrap();
         Made { order: Order::parse(order.to_string().as_bytes(), "order.json").unwrap(), folder }
     }
@@ -150,7 +163,11 @@ impl Made {
     pub fn undisturbed(&self) -> Vec<Option<Vec<u8>>> {
         use std::io::Write;
         let copy = tempfile::tempdir().unwrap();
-        fs::copy(self.folder.join("order.json"), copy.path().join("order.json")).unwrap();
+        fs::create_dir(copy.path().join("inputs")).unwrap();
+        let inputs = self.order.files.iter().map(|name| format!("inputs/{name}"));
+        for name in inputs.chain(["order.json".to_owned()]) {
+            fs::copy(self.folder.join(&name), copy.path().join(&name)).unwrap();
+        }
         let mut command = Command::new(stand_in());
         command
             .args(["cluster", "make", "--lines"])

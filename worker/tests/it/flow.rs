@@ -56,6 +56,49 @@ fn an_order_is_made_fetched_and_equal_to_that_of_one_process() {
 }
 
 #[test]
+fn files_of_an_order_are_stored_once_fetched_and_compared_with_their_hash() {
+    let Some(bench) = Bench::start() else { return };
+    // More than one part of an upload.
+    let large = vec![7_u8; 6 << 20];
+    let one = bench.order_on(3, json!({ "seed": 1 }), &[&large[..], b"small"]);
+    let other = bench.order_on(3, json!({ "seed": 2 }), &[&b"small"[..]]);
+    let name = &other.order.files[0];
+    let stored = bench.store().join("inputs").join(name);
+    let written = || fs::metadata(&stored).unwrap().modified().unwrap();
+    bench.ok(&["submit", one.path()]);
+    let before = written();
+    bench.ok(&["submit", other.path()]);
+    assert_eq!(written(), before);
+    let desk = bench.desk(bench.server.port);
+    let mut worker = bench.worker(&desk, &["--until-idle", "--at-once", "2"]);
+    assert!(worker.ended(SOON), "{}", worker.log());
+    for made in [&one, &other] {
+        assert!(made.stored(&bench) == made.undisturbed(), "{}", worker.log());
+    }
+    // A file that is damaged in the store, and then missing there, is named and not used.
+    let third = bench.order_on(1, json!({ "seed": 3 }), &[&b"small"[..]]);
+    fs::write(&stored, "other").unwrap();
+    bench.ok(&["submit", third.path()]);
+    let mut worker = bench.worker(&desk, &[]);
+    let named = |what: &str| worker.log().contains(&format!("inputs/{name}: {what}"));
+    until("the damage is named", SOON, || named("sha256 "));
+    fs::remove_file(&stored).unwrap();
+    until("the loss is named", SOON, || named("not in the store"));
+    assert!(third.stored(&bench)[0].is_none());
+    bench.ok(&["submit", third.path()]);
+    until("the chunk is made", SOON, || bench.status(&third)["done"] == json!(1));
+    worker.terminate();
+    assert!(worker.ended(SOON), "{}", worker.log());
+    assert!(third.stored(&bench) == third.undisturbed());
+    // One that is damaged in the folder of its order is not stored.
+    let fourth = bench.order_on(1, json!({ "seed": 4 }), &[&b"own"[..]]);
+    fs::write(fourth.folder.join("inputs").join(&fourth.order.files[0]), "other").unwrap();
+    let refused = bench.try_run(&["submit", fourth.path()]);
+    assert_eq!(refused.status.code(), Some(2), "{refused:?}");
+    assert!(!bench.store().join("inputs").join(&fourth.order.files[0]).exists());
+}
+
+#[test]
 fn a_damaged_result_is_named_discarded_and_made_again() {
     let Some(bench) = Bench::start() else { return };
     let made = bench.order(3, json!({ "seed": 8 }));

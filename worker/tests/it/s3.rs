@@ -178,8 +178,13 @@ fn over_https_the_policy_of_the_page_is_enough_and_permits_no_more() {
     // Who submits and fetches, as the page says.
     let mut owner = desk.clone();
     owner["Statement"].as_array_mut().unwrap().extend(
-        [("s3:PutObject", "order.json"), ("s3:GetObject", "failed/*")].map(|(action, file)| {
-            let resource = format!("arn:aws:s3:::lab-results/palpate/*/{file}");
+        [
+            ("s3:PutObject", "*/order.json"),
+            ("s3:PutObject", "inputs/*"),
+            ("s3:GetObject", "*/failed/*"),
+        ]
+        .map(|(action, file)| {
+            let resource = format!("arn:aws:s3:::lab-results/palpate/{file}");
             json!({ "Effect": "Allow", "Action": action, "Resource": resource })
         }),
     );
@@ -200,7 +205,8 @@ fn over_https_the_policy_of_the_page_is_enough_and_permits_no_more() {
         command
     };
     let ok = |user: &str, arguments: &[&str]| text(&run(&mut at(user, arguments)).stdout);
-    let made = bench.order(4, json!({ "seed": 5, "fails": [2] }));
+    let large = vec![7_u8; 6 << 20];
+    let made = bench.order_on(4, json!({ "seed": 5, "fails": [2] }), &[&large[..]]);
     assert!(ok("owner", &["submit", made.path(), "--attempts", "1"]).contains("4 submitted"));
     let worked = at("desk", &["work", "--until-idle"]).output().unwrap();
     let log = text(&worked.stderr);

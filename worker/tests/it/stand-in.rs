@@ -1,5 +1,5 @@
 //! A stand-in for `palpate cluster make --lines` in tests of the worker: the same lines, quick bytes.
-//! The bytes of a chunk follow from the seed of the order and the index alone; no sensor is simulated.
+//! The bytes of a chunk follow from the seed and the files of the order and the index alone; no sensor is simulated.
 //!
 //! `definition`: `seed`; `ms`, wall time of a chunk unless STAND_IN_QUICK is set; `fails`, indices that report
 //! an error; `dies`, indices at which the program ends; `hangs`, indices that are never answered; `refuses`, that this
@@ -57,7 +57,13 @@ fn make(folder: &Path, index: u64) -> Value {
         }
         std::process::exit(1);
     }
-    let bytes = bytes(definition["seed"].as_u64().unwrap(), index);
+    let mut seed = definition["seed"].as_u64().unwrap();
+    for name in &order.files {
+        let file = fs::read(folder.join("inputs").join(name)).unwrap();
+        assert_eq!(sha256(&file), *name);
+        seed += file.iter().map(|&byte| u64::from(byte)).sum::<u64>();
+    }
+    let bytes = bytes(seed, index);
     let (key, hash) = (order.key(index), sha256(&bytes));
     let results = folder.join("results");
     fs::create_dir_all(&results).unwrap();

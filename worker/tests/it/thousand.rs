@@ -10,8 +10,8 @@ use std::collections::BinaryHeap;
 use std::fs;
 use std::path::Path;
 
-/// Time that the queue needs for a chunk, s: at most that of one worker with chunks that take no time, which has
-/// two synced files, too.
+/// Time that the queue needs for a chunk, s: at most the overhead of a chunk that `tests/cluster/long.py` prints, which
+/// has two synced files, too.
 const QUEUE_CHUNK_S: f64 = 0.0044;
 /// Requests to the queue for a chunk: the orders, take, acknowledge.
 const REQUESTS: f64 = 3.0;

@@ -4,6 +4,7 @@
 //!
 //! ```text
 //! order.json            the work order
+//! inputs/SHA256         a file that the order names, such as a dataset
 //! results/KEY.parquet   the bytes of a chunk (its ending depends on the kind)
 //! results/KEY.json      its row (`ChunkRow`), written when the bytes are durable: a chunk without it is not done
 //! failed/KEY.json       its last failure (`FailedChunk`)
@@ -30,6 +31,8 @@ use crate::commit;
 use crate::difference::first_difference;
 use crate::new_file::{self, Finished, Look, NewFile};
 
+/// Folder of the files that an order names.
+const INPUTS: &str = "inputs";
 /// Folder of the bytes and rows of chunks.
 const RESULTS: &str = "results";
 /// Folder of the last failures.
@@ -372,6 +375,11 @@ impl OrderFolder {
         let stored = text.and_then(|text| new_file::write(&folder, name, text));
         stored.map(|_| ()).map_err(ChunkError::file("writing", folder.join(name)))
     }
+}
+
+/// Path, in the folder of a work order, of a file that the order names by its sha256.
+pub fn input_file(folder: &Path, sha256: &str) -> PathBuf {
+    folder.join(INPUTS).join(sha256)
 }
 
 /// Name of the file with the row or the failure of a chunk.

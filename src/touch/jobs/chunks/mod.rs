@@ -1,5 +1,5 @@
 //! Trainings in chunks: each chunk is one net, made by the trainer's process from a recipe and the file of a
-//! dataset, with its scores on parts of the dataset.
+//! dataset in the order's folder, with its scores on parts of the dataset.
 //! Uses: `chunk`, `learn`, the trainer's process. Never: the store, a dataset whose bytes are not those of the order,
 //! two processes that train one net in one folder.
 //!
@@ -31,9 +31,9 @@ use self::scores::net_scores;
 use super::trainer::{self, Ended, TrainerError};
 use super::training::{self, Inherited};
 use super::{JobError, Watch};
+use crate::chunk::folder::input_file;
 use crate::chunk::order::{ORDER_FILE, WorkOrder};
 use crate::chunk::{MakeChunks, MakeFailure};
-use crate::dataset::build::data_file;
 use crate::dataset::read::sensor_text;
 use crate::evaluate::request::{EvaluationRequest, FramesRead};
 use crate::ids::{CalibrationId, DatasetId};
@@ -122,10 +122,11 @@ pub struct TrainingsDefinition {
 /// Returns the work order of nets for machines like this one.
 pub fn work_order(nets: Vec<NetOrder>, compute: Compute) -> WorkOrder {
     let chunks = nets.len() as u64;
+    let files = nets.iter().map(|net| net.dataset.sha256.clone()).collect();
     let kernel = Kernel::detect().name().to_owned();
     let definition = TrainingsDefinition { code: training::code(), compute, kernel, nets };
     let definition = serde_json::to_value(definition).expect("a definition is JSON");
-    WorkOrder::new(TRAININGS, definition, BTreeMap::new(), chunks)
+    WorkOrder { files, ..WorkOrder::new(TRAININGS, definition, BTreeMap::new(), chunks) }
 }
 
 /// What a work order of trainings states.
@@ -164,11 +165,7 @@ impl TrainingsOrder {
             let refused = |of: &str, value: &str, limit: &str| {
                 Err(Problem::new(ORDER_FILE, &key(of), value, limit))
             };
-            // Folders and files have these names.
-            let id = net.dataset.id.as_str();
-            if !id.chars().all(|c| c.is_ascii_alphanumeric() || c == '-') {
-                return refused("dataset.id", id, "must be the id of a dataset, ds-..");
-            }
+            // A folder has this name.
             if recipe.name.starts_with('.') {
                 return refused("recipe.name", &recipe.name, "must not start with a full stop");
             }
@@ -202,18 +199,18 @@ impl TrainingsOrder {
 /// Makes the nets of a work order.
 pub struct TrainingChunks {
     order: TrainingsOrder,
-    /// Folder of unfinished trainings.
-    work: PathBuf,
-    /// Data folder, with the files of the datasets.
-    data: PathBuf,
+    /// Folder of the work order, with the files of the datasets.
+    folder: PathBuf,
+    /// Folder for the frames while a net trains or is scored.
+    scratch: PathBuf,
 }
 
 impl TrainingChunks {
-    /// Maker of an order's chunks in its folder. The files of the datasets are in the data folder.
+    /// Maker of an order's chunks in its folder, which has the files of the datasets.
     ///
     /// # Errors
     /// The first value of the definition that this program or machine does not have.
-    pub fn new(order: TrainingsOrder, folder: &Path, data: &Path) -> Result<Self, Problem> {
+    pub fn new(order: TrainingsOrder, folder: &Path, scratch: PathBuf) -> Result<Self, Problem> {
         let TrainingsDefinition { code, kernel, nets, .. } = &order.definition;
         let (own_code, own_kernel) = (training::code(), Kernel::detect().name());
         if *code != own_code {
@@ -231,32 +228,24 @@ impl TrainingChunks {
             if !whole.insert(dataset.sha256.clone()) {
                 continue;
             }
-            let path = data_file(&data.join("datasets"), &dataset.id);
+            let path = input_file(folder, &dataset.sha256);
             let file = Finished { bytes: dataset.bytes, sha256: dataset.sha256.clone() };
             let why = match file.is_at(&path, Look::Sha256) {
                 Ok(true) => continue,
                 Ok(false) => "is missing or has other bytes".to_owned(),
                 Err(error) => error.to_string(),
             };
-            let limit = format!(
-                "{} {why}; share the data folder of the service that wrote the order, or copy this file",
-                path.display()
-            );
+            let limit = format!("{} {why}; order again, or copy this file", path.display());
             let key = format!("definition.nets.{index}.dataset.id");
             return Err(Problem::new(ORDER_FILE, &key, &dataset.id, limit));
         }
-        Ok(Self { work: folder.join(UNFINISHED), data: data.to_owned(), order })
-    }
-
-    /// The file of a net's dataset.
-    fn data_file(&self, net: &NetOrder) -> PathBuf {
-        data_file(&self.data.join("datasets"), &net.dataset.id)
+        Ok(Self { folder: folder.to_owned(), scratch, order })
     }
 
     /// The order of the trainer for a net.
     fn trainers_order(&self, net: &NetOrder) -> Result<Order, MakeFailure> {
         let NetOrder { recipe, dataset, label, calibration, simulation, .. } = net.clone();
-        let file = self.data_file(net);
+        let file = input_file(&self.folder, &dataset.sha256);
         Ok(Order {
             version: ORDER_VERSION.into(),
             recipe,
@@ -268,7 +257,7 @@ impl TrainingChunks {
                 id: dataset.id,
                 file: training::absolute(&file),
                 rows: dataset.rows,
-                scratch: training::absolute(&self.data.join("cache")),
+                scratch: training::absolute(&self.scratch),
                 label,
                 calibration,
                 simulation,
@@ -286,9 +275,10 @@ impl MakeChunks for TrainingChunks {
     ) -> Result<Option<(NewFile, u64)>, MakeFailure> {
         let at = usize::try_from(index)?;
         let (net, recipe) = (&self.order.definition.nets[at], &self.order.recipes[at]);
-        let folder = self.work.join(index.to_string());
+        let work = self.folder.join(UNFINISHED);
+        let folder = work.join(index.to_string());
         fs::create_dir_all(&folder)?;
-        let _lock = lock(&self.work.join(format!("{index}.lock")))?;
+        let _lock = lock(&work.join(format!("{index}.lock")))?;
         let order = self.trainers_order(net)?;
         let made = || training::result(&folder, &order, recipe.name.clone());
         // The net of an earlier start, which ended before its scores.
@@ -301,8 +291,8 @@ impl MakeChunks for TrainingChunks {
                 made().map_err(|error: JobError| error.to_string())?
             }
         };
-        let (file, scratch) = (self.data_file(net), self.data.join("cache"));
-        let scores = net_scores(net, &model, [&file, &scratch], tell);
+        let file = input_file(&self.folder, &net.dataset.sha256);
+        let scores = net_scores(net, &model, [&file, &self.scratch], tell);
         let Some(scores) = scores.map_err(|error| error.to_string())? else { return Ok(None) };
         write_net(&ScoredNet { model, scores }, &mut out)?;
         fs::remove_dir_all(&folder)?;

@@ -43,6 +43,7 @@ fn an_order_states_what_determines_a_net() {
     let other = net(&RECIPE.replace("small", "other"));
     let order = order(vec![net(RECIPE), other]);
     assert_eq!((order.kind.as_str(), order.chunks), (TRAININGS, 2));
+    assert_eq!(order.files, BTreeSet::from([dataset().sha256]), "both have the same dataset");
     let definition = &order.definition;
     assert_eq!(definition["compute"], json!({ "cpu": { "threads": 1 } }));
     assert_eq!(definition["nets"][0]["label"], "virtual");
@@ -60,9 +61,6 @@ fn a_net_that_chunks_cannot_make_is_refused_by_key() {
     assert_eq!(key(vec![net(RECIPE), net(RECIPE)]), "definition.nets.1.recipe.name");
     let hidden = net(&RECIPE.replace("small", ".."));
     assert_eq!(key(vec![hidden]), "definition.nets.0.recipe.name");
-    let mut elsewhere = net(RECIPE);
-    elsewhere.dataset.id = DatasetId::unchecked("ds-../../a");
-    assert_eq!(key(vec![elsewhere]), "definition.nets.0.dataset.id");
     let mut broken = net(RECIPE);
     broken.recipe = "name = 1".into();
     assert_eq!(key(vec![broken]), "definition.nets.0.recipe");
@@ -83,16 +81,16 @@ fn a_net_that_chunks_cannot_make_is_refused_by_key() {
 #[test]
 fn another_program_another_processor_and_another_dataset_are_refused() {
     let data = std::env::temp_dir().join(format!("palpate-trainings-{}", std::process::id()));
-    let new = |order| TrainingChunks::new(order, &data, &data);
+    let new = |order| TrainingChunks::new(order, &data, data.join("cache"));
     let order = read(vec![net(RECIPE)]).unwrap();
     let missing = new(order.clone()).err().unwrap();
     assert_eq!(missing.key, "definition.nets.0.dataset.id");
-    let name = "ds-0123456789abcdef.parquet";
-    new_file::write(&data.join("datasets"), name, BYTES).unwrap();
+    let name = dataset().sha256;
+    new_file::write(&data.join("inputs"), &name, BYTES).unwrap();
     assert!(new(order.clone()).is_ok());
-    new_file::write(&data.join("datasets"), name, "NOT Parquet").unwrap();
+    new_file::write(&data.join("inputs"), &name, "NOT Parquet").unwrap();
     let other = new(order.clone()).err().unwrap();
-    assert!(other.limit.contains("has other bytes") && other.limit.contains(name), "{other}");
+    assert!(other.limit.contains("has other bytes") && other.limit.contains(&name), "{other}");
     let mut old = order.clone();
     old.definition.code = "palpate 0.0.0 a".into();
     assert_eq!(new(old).err().unwrap().key, "definition.code");
