@@ -100,7 +100,7 @@ async fn fit(client: &Client, run: RunUid) -> Option<SimulationReport> {
 /// Prints the closing summary; returns the exit code.
 pub fn closed(closing: &Closing, output: Output) -> ExitCode {
     match output {
-        Output::Json => say_json(&closing.finished),
+        Output::Json => say_json(&closing.finished()),
         Output::Text => {
             say(closing.to_string().trim_end());
             closing.next_commands().say();

@@ -20,7 +20,7 @@ use crate::event::{self, Importance};
 use crate::ids::{RunUid, TrialKey};
 use crate::record::{Label, Pose};
 use crate::schedule::visits::StepOfTour;
-use crate::state::{PausedWhy, StoredState};
+use crate::state::StoredState;
 use crate::store::LockRow;
 
 /// `GET /api/v1/status`.
@@ -197,8 +197,6 @@ pub struct RunView {
     pub state: StoredState,
     /// State that a request leads to; absent without a request.
     pub requested_state: Option<StoredState>,
-    /// Reason of a pause.
-    pub paused_why: Option<PausedWhy>,
     /// What the run waits for, as text.
     pub waiting_for: Option<String>,
     /// Activity within the current trial.
@@ -242,8 +240,6 @@ pub struct ArmedView {
 pub struct PreflightView {
     /// Number of planned trials.
     pub trials: u64,
-    /// Number of planned configurations.
-    pub configurations: u64,
     /// Predicted duration, wall s.
     pub duration_s: f64,
     /// Lower end of the predicted duration, wall s.
@@ -252,8 +248,6 @@ pub struct PreflightView {
     pub duration_high_s: f64,
     /// Predicted size of the stored data, bytes.
     pub disk_bytes: u64,
-    /// Number of times that the run waits for a person.
-    pub waits_for_person: u64,
 }
 
 /// `POST /api/v1/runs/{run}/actions` with `start`.
