@@ -63,7 +63,9 @@ impl RunArgs {
             );
             let stated = self.bench.stated().into_iter();
             let problems: Vec<Problem> = stated
-                .map(|(option, value)| Problem::new("command line", option, value, limit.clone()))
+                .map(|(option, value)| {
+                    Problem::new("command line", option, value.display(), limit.clone())
+                })
                 .collect();
             if !problems.is_empty() {
                 return Err(CliError::Problems(problems));
