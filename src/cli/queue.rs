@@ -79,34 +79,32 @@ pub enum QueueCommand {
 pub async fn queue(args: QueueArgs) -> Result<(), CliError> {
     let (json, command) = (args.at.json, args.command.unwrap_or(QueueCommand::List));
     embed::with_server(&args.at, move |client| async move {
-        match command {
-            QueueCommand::List => {}
+        let queued: Option<RunRow> = match command {
+            QueueCommand::List => None,
             QueueCommand::Add { experiment, at } => {
-                let run: RunRow =
-                    client.post("/api/v1/queue", &body(&client, &experiment, at)?).await?;
-                if json {
-                    say_json(&run);
-                    return Ok(());
-                }
+                let body = body(&client, &experiment, at)?;
+                Some(client.post("/api/v1/queue", &body).await?)
             }
             QueueCommand::Edit { run, experiment, at } => {
                 let body = body(&client, &experiment, at)?;
                 let path = format!("/api/v1/queue/{run}");
-                let run: RunRow = client.ask(Method::PUT, &path, Some(&body)).await?;
-                if json {
-                    say_json(&run);
-                    return Ok(());
-                }
+                Some(client.ask(Method::PUT, &path, Some(&body)).await?)
             }
             QueueCommand::Move { run, position } => {
                 let body = json!({ "position": position, "who": client.who() });
                 client.post::<Value>(&format!("/api/v1/queue/{run}/move"), &body).await?;
+                None
             }
             QueueCommand::Remove { run } => {
                 client.delete(&format!("/api/v1/queue/{run}")).await?;
+                None
             }
+        };
+        match queued.filter(|_| json) {
+            Some(run) => say_json(&run),
+            None => list(&client, json).await?,
         }
-        list(&client, json).await
+        Ok(())
     })
     .await
 }

@@ -1,6 +1,6 @@
 //! The virtual bench as two child processes of this program: the rig and its operator.
-//! Uses: tokio's processes, `bench_args`, `files`, `api::LockFile`. Never: the virtual rig's code (only its command line is used),
-//! a child that outlives this process: each ends when the pipe to its standard input closes.
+//! Uses: tokio's processes, `bench_args`, `files`, `api::LockFile`. Never: the virtual rig's code (only its command line
+//! is used), a child that outlives this process: each ends when the pipe to its standard input closes.
 
 use std::fs::File;
 use std::path::{Path, PathBuf};

@@ -76,7 +76,10 @@ async fn newest(
     let (mut since, from) = match args.since {
         Some(Since::Event(number)) => (number, None),
         Some(Since::Time(at)) => (0, Some(at)),
-        None => (0, None),
+        // Which ones are important is decided here.
+        None if args.important => (0, None),
+        // A negative number counts from the end.
+        None => (limit.map_or(0, |limit| -i64::try_from(limit).unwrap_or(i64::MAX)), None),
     };
     let mut kept = VecDeque::new();
     loop {
