@@ -12,6 +12,7 @@ use serde_json::{Value, json};
 use super::client::Client;
 use super::error::CliError;
 use super::files::ExperimentFiles;
+use super::find::find_run;
 use super::morning::second;
 use super::output::{duration, say, say_json};
 use super::run::submission;
@@ -49,7 +50,7 @@ pub enum QueueCommand {
     },
     /// Replace the files and the start time of a queued run, which keeps its place.
     Edit {
-        /// Uid or number of the run.
+        /// Run: number, start of the id, or `last`.
         run: String,
         /// Experiment file.
         #[arg(value_name = "EXPERIMENT.toml")]
@@ -60,14 +61,14 @@ pub enum QueueCommand {
     },
     /// Move a run to a position in the queue, from 1.
     Move {
-        /// Uid or number of the run.
+        /// Run: number, start of the id, or `last`.
         run: String,
         /// New position, from 1.
         position: u32,
     },
     /// Remove a run from the queue.
     Remove {
-        /// Uid or number of the run.
+        /// Run: number, start of the id, or `last`.
         run: String,
     },
 }
@@ -87,16 +88,16 @@ pub async fn queue(args: QueueArgs) -> Result<(), CliError> {
             }
             QueueCommand::Edit { run, experiment, at } => {
                 let body = body(&client, &experiment, at)?;
-                let path = format!("/api/v1/queue/{run}");
-                Some(client.ask(Method::PUT, &path, Some(&body)).await?)
+                Some(client.ask(Method::PUT, &path_of(&client, &run).await?, Some(&body)).await?)
             }
             QueueCommand::Move { run, position } => {
                 let body = json!({ "position": position, "who": client.who() });
-                client.post::<Value>(&format!("/api/v1/queue/{run}/move"), &body).await?;
+                let path = path_of(&client, &run).await?;
+                client.post::<Value>(&format!("{path}/move"), &body).await?;
                 None
             }
             QueueCommand::Remove { run } => {
-                client.delete(&format!("/api/v1/queue/{run}")).await?;
+                client.delete(&path_of(&client, &run).await?).await?;
                 None
             }
         };
@@ -107,6 +108,11 @@ pub async fn queue(args: QueueArgs) -> Result<(), CliError> {
         Ok(())
     })
     .await
+}
+
+/// Path of the run that a person named, in the queue.
+async fn path_of(client: &Client, run: &str) -> Result<String, CliError> {
+    Ok(format!("/api/v1/queue/{}", find_run(client, run).await?.uid))
 }
 
 /// Body of a request that queues an experiment or edits a queued one.
