@@ -21,6 +21,8 @@ use crate::rewrite;
 pub struct Statement {
     /// The tables that it reads, except those that its WITH clauses define.
     pub tables: BTreeSet<String>,
+    /// Whether it sorts its rows and returns all of them.
+    pub sorts_all: bool,
     /// The statement for polars.
     pub sql: String,
     /// The statement as a person has typed it.
@@ -49,7 +51,9 @@ pub fn read(sql: &str) -> Result<Statement, StatementError> {
         return Err(error);
     }
     rewrite::name_columns(&mut statement);
-    Ok(Statement { tables, sql: statement.to_string(), typed: sql.to_owned() })
+    let sorts_all = matches!(&statement, Ast::Query(query)
+        if query.order_by.is_some() && query.limit_clause.is_none() && query.fetch.is_none());
+    Ok(Statement { tables, sorts_all, sql: statement.to_string(), typed: sql.to_owned() })
 }
 
 fn parse(sql: &str) -> Result<Ast, StatementError> {

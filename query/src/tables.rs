@@ -3,8 +3,8 @@
 
 use palpate_words::query_lines::{Form, Table};
 use polars::prelude::{
-    DataType, ExplodeOptions, Expr, LazyFrame, PlRefPath, PolarsResult, ScanArgsParquet, Schema,
-    UnionArgs, by_name, col, concat, concat_lf_diagonal, int_ranges, lit,
+    DataType, ExplodeOptions, Expr, LazyFrame, NULL, PlRefPath, PolarsResult, ScanArgsParquet,
+    Schema, UnionArgs, by_name, col, concat_lf_diagonal, int_ranges, lit, when,
 };
 
 /// Columns of a row that name its trial.
@@ -31,7 +31,7 @@ pub fn rows(table: &Table) -> PolarsResult<LazyFrame> {
             let names = [TRIAL[0], TRIAL[1], "sim_model", "rmse_v", "fvu", SIMULATED];
             rows.filter(col("sim_model").is_not_null()).select(columns(&names))
         }
-        Form::Voltages => voltages(rows)?,
+        Form::Voltages => voltages(rows),
     })
 }
 
@@ -44,48 +44,31 @@ fn columns(names: &[&str]) -> Vec<Expr> {
 
 /// A row for each voltage, with its position in the frame, and the number of its injection and of its
 /// pair of electrodes if the frame has as many injections as pairs.
-fn voltages(rows: LazyFrame) -> PolarsResult<LazyFrame> {
+fn voltages(rows: LazyFrame) -> LazyFrame {
     let length = || col(MEASURED).list().len();
-    let position = int_ranges(lit(0), length(), lit(1), DataType::UInt32).alias("position");
-    let side = length().cast(DataType::Float64).sqrt().cast(DataType::UInt32).alias("side");
+    let side = || length().cast(DataType::Float64).sqrt().cast(DataType::UInt32);
+    let square = when((side() * side()).eq(length())).then(side()).otherwise(lit(NULL));
+    // A frame without a twin has as many nulls as voltages.
+    let nulls = col(MEASURED) * lit(NULL).cast(DataType::Float32);
+    let simulated = when(col(SIMULATED).is_null()).then(nulls).otherwise(col(SIMULATED));
     let frames = rows.select([
         col(TRIAL[0]),
         col(TRIAL[1]),
-        side,
-        length().cast(DataType::UInt32).alias("length"),
-        position,
+        square.alias("side"),
+        int_ranges(lit(0), length(), lit(1), DataType::UInt32).alias("position"),
         col(MEASURED).alias("voltage_v"),
-        col(SIMULATED).alias("sim_voltage_v"),
+        simulated.alias("sim_voltage_v"),
     ]);
-    let has_twin = || col("sim_voltage_v").is_not_null();
-    let both = by_name(["position", "voltage_v", "sim_voltage_v"], true, false);
-    let measured = by_name(["position", "voltage_v"], true, false);
-    let without = frames.clone().filter(has_twin().not()).explode(measured, NONE_IF_EMPTY);
-    let without = without
-        .with_column(lit(f32::NAN).alias("sim_voltage_v"))
-        .with_column(null("sim_voltage_v"));
-    let with = frames.filter(has_twin()).explode(both, NONE_IF_EMPTY);
-    let all = concat([with, without], UnionArgs::default())?;
-    let square = || (col("side") * col("side")).eq(col("length"));
-    let of = |value: Expr, name: &str| {
-        polars::prelude::when(square())
-            .then(value)
-            .otherwise(lit(polars::prelude::NULL))
-            .alias(name)
-    };
-    Ok(all.select([
+    let lists = by_name(["position", "voltage_v", "sim_voltage_v"], true, false);
+    frames.explode(lists, NONE_IF_EMPTY).select([
         col(TRIAL[0]),
         col(TRIAL[1]),
         col("position"),
-        of(col("position").floor_div(col("side")), "injection"),
-        of(col("position") % col("side"), "pair"),
+        col("position").floor_div(col("side")).alias("injection"),
+        (col("position") % col("side")).alias("pair"),
         col("voltage_v"),
         col("sim_voltage_v"),
-    ]))
-}
-
-fn null(name: &str) -> Expr {
-    lit(polars::prelude::NULL).cast(DataType::Float32).alias(name)
+    ])
 }
 
 /// The rows of all files. Frames of a fixed length become lists, so that skins of different numbers of

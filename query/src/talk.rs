@@ -26,7 +26,7 @@ pub fn serve() -> ExitCode {
     panic::set_hook(Box::new(|_| {}));
     let mut out = BufWriter::new(stdout().lock());
     let answered = match query(&mut out) {
-        Ok(mut rows) => send(&mut out, &mut rows),
+        Ok(rows) => send(&mut out, &rows),
         Err(words) => say(&mut out, &Answer::Refused(words)),
     };
     match answered {
@@ -111,7 +111,7 @@ fn say(out: &mut impl Write, answer: &Answer) -> io::Result<()> {
     out.flush()
 }
 
-fn send(out: &mut impl Write, rows: &mut DataFrame) -> io::Result<()> {
+fn send(out: &mut impl Write, rows: &DataFrame) -> io::Result<()> {
     say(out, &Answer::Rows(rows.height() as u64))?;
     evaluate::write(rows, &mut *out)?;
     out.flush()

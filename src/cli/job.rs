@@ -34,7 +34,7 @@ pub async fn wait_for(client: &Client, asked: JobOut) -> Result<JobOut, CliError
     let mut now = asked;
     while !screen.has_ended(&now)? {
         tokio::time::sleep(JOB_POLL).await;
-        now = client.get(&format!("/api/v1/jobs/{}", now.id)).await?;
+        now = client.get(&format!("/api/v1/jobs/{}", now.task.id)).await?;
     }
     Ok(now)
 }
@@ -73,11 +73,11 @@ impl JobScreen {
                 total => format!("{} of {total}, {}", progress.done, words(progress)),
             });
         }
-        if now.state == TaskState::Waiting {
+        if now.task.state == TaskState::Waiting {
             self.bar.set_message("waits in the queue");
-            self.lines.say(|| format!("{} waits in the queue", now.id));
+            self.lines.say(|| format!("{} waits in the queue", now.task.id));
         }
-        match now.state {
+        match now.task.state {
             TaskState::Waiting | TaskState::Running => Ok(false),
             TaskState::Done => {
                 self.bar.finish_and_clear();
@@ -85,9 +85,9 @@ impl JobScreen {
             }
             TaskState::Failed | TaskState::Stopped => {
                 self.bar.finish_and_clear();
-                let operation = now.id.to_string();
+                let operation = now.task.id.to_string();
                 let stopped = "it was stopped; the same command resumes it from its checkpoint";
-                let detail = now.error.clone().unwrap_or_else(|| stopped.into());
+                let detail = now.task.error.clone().unwrap_or_else(|| stopped.into());
                 Err(CliError::Refused { operation, status: 409, detail })
             }
         }
@@ -193,7 +193,7 @@ async fn named(client: &Client, text: &str) -> Result<String, CliError> {
         return Ok(text.to_owned());
     }
     let jobs: Vec<JobOut> = client.all("/api/v1/jobs?").await?;
-    let ids: Vec<String> = jobs.iter().map(|job| job.id.to_string()).collect();
+    let ids: Vec<String> = jobs.iter().map(|job| job.task.id.to_string()).collect();
     match meant(&ids, text)[..] {
         [] => Ok(text.to_owned()),
         [id] => Ok(id.to_owned()),
@@ -236,14 +236,15 @@ fn table(jobs: &[JobOut]) -> Table {
 
 fn cells(job: &JobOut) -> [String; 5] {
     let name = job_losses::recipe_name(job).unwrap_or_else(|| {
-        format!("{} on {}", job.request["scored"], job.request["dataset"]).replace('"', "")
+        format!("{} on {}", job.task.request["scored"], job.task.request["dataset"])
+            .replace('"', "")
     });
-    let more = job.error.clone().or_else(|| {
+    let more = job.task.error.clone().or_else(|| {
         let progress = job.progress.as_ref()?;
         Some(format!("{} {} of {}", progress.phase, progress.done, progress.total))
     });
-    let requested = local(job.created_at);
-    [job.id.to_string(), job.state.to_string(), requested, name, more.unwrap_or_default()]
+    let requested = local(job.task.created_at);
+    [job.task.id.to_string(), job.task.state.to_string(), requested, name, more.unwrap_or_default()]
 }
 
 /// Prints one line on a job, or its JSON.

@@ -15,7 +15,7 @@ use crate::figure::Heading;
 
 /// Name in the recipe of a training; `None` for an evaluation.
 pub fn recipe_name(job: &JobOut) -> Option<String> {
-    let recipe = job.request["recipe"].as_str()?;
+    let recipe = job.task.request["recipe"].as_str()?;
     let recipe = toml::from_str::<toml::Table>(recipe).ok();
     let name = recipe.and_then(|recipe| recipe.get("name")?.as_str().map(str::to_owned));
     Some(name.unwrap_or_default())
@@ -32,7 +32,7 @@ pub async fn losses(client: &Client, job: &str) -> Result<String, CliError> {
         return Ok(running);
     }
     let job: JobOut = client.get(&format!("/api/v1/jobs/{job}")).await?;
-    match job.result.as_ref().and_then(|result| result["model"].as_str()) {
+    match job.task.result.as_ref().and_then(|result| result["model"].as_str()) {
         Some(model) => client.text(&format!("/api/v1/models/{model}/losses")).await,
         None => Ok(String::new()),
     }
@@ -54,7 +54,7 @@ pub async fn draw(client: &Client, name: &str, file: &Path) -> Result<(), CliErr
         let limit = "has no losses yet: the first ones come at the end of its first epoch";
         return Err(CliError::argument("JOB", name, limit));
     }
-    let label = match &job.dataset {
+    let label = match &job.task.dataset {
         Some(dataset) => {
             let path = format!("/api/v1/datasets/{dataset}/rows?columns=label&limit=1");
             let page: Value = client.get(&path).await?;
@@ -64,8 +64,9 @@ pub async fn draw(client: &Client, name: &str, file: &Path) -> Result<(), CliErr
     };
     let title = format!("Learning curve of {net}");
     let mut heading = Heading::new(title, losses.len() as u64, "epochs", &label);
-    if let Some(dataset) = &job.dataset {
-        heading = heading.with_note(format!("{}, {}, dataset {dataset}", job.id, job.state));
+    if let Some(dataset) = &job.task.dataset {
+        heading =
+            heading.with_note(format!("{}, {}, dataset {dataset}", job.task.id, job.task.state));
     }
     picture::write(file, &curve(&heading, "mean loss (unit of the net's loss)", &losses)?).await?;
     let best = best(&losses).map_or_else(String::new, |(epoch, loss)| {

@@ -2,7 +2,6 @@
 //! Uses: `client`, `table`. Never: a request to the rig.
 
 use jiff::Timestamp;
-use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 use super::client::Client;
@@ -10,23 +9,15 @@ use super::error::CliError;
 use super::morning::second;
 use super::output::{Output, counted, grouped, say, say_json};
 use super::table::Table;
-use crate::ids::RunUid;
-use crate::record::ARMS;
-
-/// `GET /api/v1/rig/samples`.
-#[derive(Debug, Serialize, Deserialize)]
-struct Samples {
-    at_ms: Vec<i64>,
-    z_mm: Vec<Option<f64>>,
-    forces_n: Vec<[Option<f64>; ARMS]>,
-}
+use crate::api::SamplesOut;
+use crate::record::{ARMS, Untouched};
 
 /// Prints the ranges of the samples of the last minutes; as JSON the samples.
 ///
 /// # Errors
 /// As [`Client::send`].
 pub async fn samples(client: &Client, minutes: u8, output: Output) -> Result<(), CliError> {
-    let samples: Samples = client.get(&format!("/api/v1/rig/samples?minutes={minutes}")).await?;
+    let samples: SamplesOut = client.get(&format!("/api/v1/rig/samples?minutes={minutes}")).await?;
     if output == Output::Json {
         say_json(&samples);
         return Ok(());
@@ -40,7 +31,7 @@ pub async fn samples(client: &Client, minutes: u8, output: Output) -> Result<(),
     Ok(())
 }
 
-fn ranges(samples: &Samples) -> Table {
+fn ranges(samples: &SamplesOut) -> Table {
     let mut table = Table::new(
         " | smallest> | largest> | newest>",
         "there are no samples: no wire is open, or no cell is read",
@@ -59,15 +50,6 @@ fn ranges(samples: &Samples) -> Table {
     table
 }
 
-/// Fields of `GET /api/v1/frames/untouched` that are read.
-#[derive(Debug, Deserialize)]
-struct UntouchedView {
-    voltages_v: Vec<f64>,
-    at: Timestamp,
-    frames: u64,
-    run: Option<RunUid>,
-}
-
 /// Prints when the frame of the untouched skin was measured, and its size; as JSON the frame.
 ///
 /// # Errors
@@ -81,14 +63,15 @@ pub async fn untouched(client: &Client, output: Output) -> Result<(), CliError> 
     Ok(())
 }
 
-fn untouched_words(frame: &UntouchedView) -> String {
-    let UntouchedView { voltages_v, at, frames, run } = frame;
+fn untouched_words(frame: &Untouched) -> String {
+    let Untouched { voltages_v, at, frames, run } = frame;
+    let voltages_v: Vec<f64> = voltages_v.iter().copied().map(f64::from).collect();
     let channels = voltages_v.len();
     let run = run.map_or_else(String::new, |run| format!(", run {run}"));
     let rms_v = (voltages_v.iter().map(|v| v * v).sum::<f64>() / channels.max(1) as f64).sqrt();
     let largest = voltages_v.iter().enumerate().max_by(|a, b| a.1.abs().total_cmp(&b.1.abs()));
     let (channel, largest_v) = largest.map_or((0, 0.0), |(channel, v)| (channel, *v));
-    let frames = counted(*frames, "frame", "frames");
+    let frames = counted(*frames as u64, "frame", "frames");
     format!(
         "untouched skin, {}{run}: mean of {frames} of {channels} channels\n  rms {:.3} mV, largest \
          {:.3} mV (channel {channel})",
@@ -108,18 +91,18 @@ mod tests {
         for (forces_n, newton) in forces_n.iter_mut().zip([2.0, -1.0, 0.5]) {
             forces_n[1] = Some(newton);
         }
-        let samples = Samples { at_ms: vec![0, 1, 2], z_mm: vec![None; 3], forces_n };
+        let samples = SamplesOut { at_ms: vec![0, 1, 2], z_mm: vec![None; 3], forces_n };
         let table = ranges(&samples).to_string();
         let cells = table.lines().nth(1).unwrap().split_whitespace().collect::<Vec<_>>();
         assert_eq!(table.lines().count(), 2);
         assert_eq!(cells, ["arm", "2,", "N", "-1.000", "2.000", "0.500"]);
-        let none = Samples { at_ms: vec![], z_mm: vec![], forces_n: vec![] };
+        let none = SamplesOut::default();
         assert!(ranges(&none).to_string().starts_with("there are no samples"));
     }
 
     #[test]
     fn an_untouched_frame_is_summarised() {
-        let frame = UntouchedView {
+        let frame = Untouched {
             voltages_v: vec![0.003, -0.004],
             at: Timestamp::UNIX_EPOCH,
             frames: 25,

@@ -226,7 +226,7 @@ async fn train_on(
     process: Option<u32>,
     signals: &mut Signals,
 ) -> Result<Option<JobOut>, CliError> {
-    let (id, url) = (asked.id, client.url());
+    let (id, url) = (asked.task.id, client.url());
     if args.no_wait {
         shown(&asked, args.at.output());
     } else if let Some(done) = follow(client, asked, process.is_some(), signals).await? {
@@ -249,29 +249,29 @@ async fn train_on(
 
 /// Prints the model of a training, and what to do with it.
 async fn report(client: &Client, done: &JobOut, at: &At) -> Result<(), CliError> {
-    let model = done.result.as_ref().and_then(|r| r["model"].as_str()).unwrap_or_default();
+    let model = done.task.result.as_ref().and_then(|r| r["model"].as_str()).unwrap_or_default();
     let model: ModelOut = client.get(&format!("/api/v1/models/{model}")).await?;
     if at.json {
         say_json(&json!({ "job": done, "model": model }));
         return Ok(());
     }
-    let took = done.finished_at.zip(done.started_at);
+    let took = done.task.finished_at.zip(done.task.started_at);
     let took = took.map(|(end, start)| duration(end.duration_since(start).as_secs_f64()));
     say(format_args!("{} {}, trained in {}", model.id, model.name, took.unwrap_or_default()));
     let mut next = Next::of(at);
-    let losses = read(&job_losses::losses(client, &done.id.to_string()).await?);
+    let losses = read(&job_losses::losses(client, &done.task.id.to_string()).await?);
     if let Some((epoch, loss)) = best(&losses) {
         let epochs = losses.len();
         say(format_args!("best epoch {epoch} of {epochs}, validation loss {loss:.3e}"));
         next = next.suggest(
-            format_args!("palpate job losses {} --plot losses.svg", done.id),
+            format_args!("palpate job losses {} --plot losses.svg", done.task.id),
             "draws the learning curve",
         );
     }
     let ModelOut { id, task, .. } = &model;
     next = next.suggest(format_args!("palpate model show {id}"), "its facts and recipe");
     let is_of_quantity = Quantity::ALL.iter().any(|quantity| quantity.name() == task.as_str());
-    if let Some(dataset) = done.dataset.as_ref().filter(|_| is_of_quantity) {
+    if let Some(dataset) = done.task.dataset.as_ref().filter(|_| is_of_quantity) {
         next = next.suggest(
             format_args!("palpate evaluate quantity {task} --dataset {dataset} --net {id}"),
             "scores it, with ridge regressions",
@@ -337,12 +337,12 @@ async fn follow(
             }
             Some(Choice::Stop) => {
                 screen.note("stopping at a checkpoint");
-                let path = format!("/api/v1/jobs/{}/stop", now.id);
+                let path = format!("/api/v1/jobs/{}/stop", now.task.id);
                 client.post::<Value>(&path, &Value::Null).await?;
             }
             Some(Choice::Continue) => interrupts = 0,
             Some(Choice::Pause | Choice::Resume) | None => {}
         }
-        now = client.get(&format!("/api/v1/jobs/{}", now.id)).await?;
+        now = client.get(&format!("/api/v1/jobs/{}", now.task.id)).await?;
     }
 }

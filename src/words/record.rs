@@ -303,7 +303,7 @@ pub struct AttemptRecord {
 }
 
 /// The untouched skin: mean of frames that were taken while nothing touched it.
-#[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct Untouched {
     /// Mean voltages, V, injection-major.
     pub voltages_v: Vec<f32>,

@@ -2,7 +2,8 @@
 //! time limit that a busy machine exceeds. They are one binary, because each binary links every
 //! dependency again.
 //!
-//! Separate binaries: `architecture` links nothing; `system` and `crash` measure how soon a rig stops.
+//! Separate binaries: `architecture` links nothing, so that it is built and run in seconds after any change; `system`
+//! measures how soon a rig stops.
 //! A test here has its own folders (`support::Folder`) and port 0, changes neither the environment nor
 //! the current folder, and counts nothing of the process.
 

@@ -45,7 +45,7 @@ pub fn rig_args(rig: &str, speed: f64) -> RigArgs {
 }
 
 /// Folder in which the rigs keep the solved unit responses of the skin.
-fn skin_cache() -> PathBuf {
+pub fn skin_cache() -> PathBuf {
     Path::new(env!("CARGO_TARGET_TMPDIR")).join("skin")
 }
 
@@ -82,10 +82,15 @@ pub async fn turn(shares: u32) -> Turn {
     MACHINE.acquire_many(shares).await.unwrap()
 }
 
-/// Sends a line to the control socket, as a hand would; what it answers.
+/// Sends a line to the control socket of a rig, as a hand would; what it answers.
 pub async fn tell(rig: &VirtualRig, command: Value) -> Value {
+    tell_at(&rig.ready.control, command).await
+}
+
+/// As [`tell`], for the address of the socket.
+pub async fn tell_at(control: &str, command: Value) -> Value {
     use tokio::io::{AsyncBufReadExt, AsyncWriteExt, BufReader};
-    let wire = tokio::net::TcpStream::connect(&rig.ready.control).await.unwrap();
+    let wire = tokio::net::TcpStream::connect(control).await.unwrap();
     let mut wire = BufReader::new(wire);
     wire.get_mut().write_all(format!("{command}\n").as_bytes()).await.unwrap();
     let mut reply = String::new();

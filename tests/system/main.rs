@@ -8,6 +8,7 @@
 mod bench;
 mod browser;
 mod campaign;
+mod crash;
 mod leaving;
 mod live;
 mod once;

@@ -1,7 +1,7 @@
 //! One contract for every driver, kept against the virtual rig, which shares no codec with it:
 //! be looked at without a write, take control, home, move there, stop short, be refused beyond the
 //! limits, read the cells, take frames, come back after an alarm and a power loss. Each rig file's own devices
-//! and wires are served: Modbus TCP, or RTU on pseudo-terminals; each input module that the virtual
+//! and wires are served: Modbus TCP, or RTU on pseudo-terminals; each device that the virtual
 //! rig's file does not name is put into it. Every test that starts a rig takes its turn.
 
 use std::path::{Path, PathBuf};
@@ -13,6 +13,7 @@ use palpate::api::LockFile;
 use palpate::clock::Clock;
 use palpate::rig::check::{Scope, check, run_on};
 use palpate::rig::config::{Guard, RigConfig};
+use palpate::rig::drives::DRIVES;
 use palpate::rig::error::RigError;
 use palpate::rig::input_modules::MODULES;
 use palpate::rig::link::StopLatch;
@@ -28,6 +29,8 @@ use super::bench::{WHOLE, file, rig_args, tell, turn};
 const SPEED: f64 = 20.0;
 /// The longest that a motion or a homing of the virtual rig takes, wall time.
 const LIMIT: Duration = Duration::from_secs(20);
+/// Axes of a rig.
+const AXES: usize = 4;
 
 async fn rig_of(
     name: &str,
@@ -175,16 +178,30 @@ async fn the_devices_of_every_rig_file_keep_the_contract() {
     }
 }
 
+/// The other devices than `named`, again and again, beginning with the `nth`.
+fn others<'a>(all: &[&'a str], named: &str, nth: usize) -> impl Iterator<Item = &'a str> {
+    let others: Vec<&str> = all.iter().copied().filter(|name| *name != named).collect();
+    others.into_iter().cycle().skip(nth)
+}
+
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn every_input_module_keeps_the_contract_with_the_axes_of_the_virtual_rig() {
+async fn every_other_device_keeps_the_contract_in_the_virtual_rigs_file() {
     let text = std::fs::read_to_string(file("rigs/virtual.toml")).unwrap();
-    let named = RigConfig::from_toml("virtual.toml", &text).unwrap().cells.device.as_str();
-    for name in MODULES.iter().map(|module| module.as_str()).filter(|name| *name != named) {
-        println!("{name}");
-        let changed = text.replacen(&format!("\"{named}\""), &format!("\"{name}\""), 1);
-        let path = Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("{name}.toml"));
+    let named = RigConfig::from_toml("virtual.toml", &text).unwrap();
+    let drives: Vec<&str> = DRIVES.iter().map(|drive| drive.as_str()).collect();
+    let modules: Vec<&str> = MODULES.iter().map(|module| module.as_str()).collect();
+    let (drive, module) = (named.axes.x.device.as_str(), named.cells.device.as_str());
+    // Each of them drives x once, or reads the cells.
+    for nth in 0..drives.len().max(modules.len()) - 1 {
+        let mut changed = text.clone();
+        for other in others(&drives, drive, nth).take(AXES) {
+            changed = changed.replacen(&format!("\"{drive}\""), &format!("\"{other}\""), 1);
+        }
+        let cells = others(&modules, module, nth).next().unwrap();
+        changed = changed.replacen(&format!("\"{module}\""), &format!("\"{cells}\""), 1);
+        let path = Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("others-{nth}.toml"));
         std::fs::write(&path, changed).unwrap();
-        keeps_the_contract(name, path).await;
+        keeps_the_contract(&format!("others-{nth}"), path).await;
     }
 }
 

@@ -1,7 +1,7 @@
 //! The refusals of likely mistakes, whole.
 //! Uses: `common`. Never: a part of a refusal.
 
-use crate::common::{BOUNDS, Folder, Trials, ask, tables};
+use crate::common::{BOUNDS, Bounds, Folder, Trials, ask, tables};
 
 const TRIALS: &str = "there are trial_id, scan_id, label, tips, contact_count, max_force_n, sim_model, \
                       rmse_v, fvu, measured_at, contacts";
@@ -94,6 +94,11 @@ fn a_likely_mistake_is_refused_by_a_sentence_about_the_statement() {
         }
     }
     assert!(failures.is_empty(), "{}", failures.join("\n"));
+    let few = Bounds { rows_max: 39, ..BOUNDS };
+    for sql in ["SELECT trial_id FROM trials ORDER BY fvu", "SELECT trial_id FROM trials"] {
+        let found = ask(sql, &known, few).refused();
+        assert!(found.starts_with("sql: the result has more than 39 rows"), "{sql}: {found}");
+    }
 }
 
 #[test]

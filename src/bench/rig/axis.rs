@@ -1,9 +1,11 @@
 //! An axis on a register map, as far as all drives have it in common: soft limits, the permit that
-//! a stop withdraws, a status check before a motion is sent again, and the detection of motion.
-//! Uses: `device`, `profile`, `station`, `motion`, `link`. Never: register addresses (those are each device's `codec`).
+//! a stop withdraws, a status check before a motion is sent again, the detection of motion, and the
+//! steps in which a drive is taken over.
+//! Uses: `device`, `profile`, `station`, `motion`, `link`. Never: register addresses (each device knows its own).
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
 
 use async_trait::async_trait;
 use parking_lot::{Mutex, MutexGuard};
@@ -18,6 +20,11 @@ use super::profile::AxisProfile;
 use super::station::Station;
 use super::traits::{Axis, AxisStatus, Found};
 use crate::clock::Clock;
+
+/// Longest wait until a drive that was taken over has its motor on, wall time.
+const ENABLE_DEADLINE: Duration = Duration::from_secs(2);
+/// Period at which this is checked.
+const ENABLE_POLL: Duration = Duration::from_millis(10);
 
 /// An absolute motion in the counts of a device.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -56,21 +63,33 @@ pub struct DriveState {
     pub going: Going,
     /// Whether homing has been completed since power-up.
     pub homed: bool,
+    /// Whether the motor is on and a motion would be executed.
+    pub enabled: bool,
     /// Whether the drive is powered, ready and free of alarms.
     pub ready: bool,
     /// Whether an alarm is active.
     pub fault: bool,
     /// Alarm code, if the status registers contain it.
     pub alarm: Option<u32>,
+    /// Whether the emergency stop of the drive is pressed, if the drive reports it.
+    pub emergency_stop: bool,
+    /// Whether the drive accepts commands from this wire, and not from a panel or inputs; `None`:
+    /// not reported.
+    pub in_command: Option<bool>,
 }
 
-/// Register map of a drive as sequences of requests. The codec of a device implements it. A
-/// sequence is sent in order and may be repeated from its start.
+/// Register map of a drive as sequences of requests and the meaning of replies. A sequence is sent in
+/// order and may be repeated from its start.
 ///
 /// # Errors
-/// `identify` and `prepare` return `RigError` if the wire fails or the device is a wrong one;
-/// `prepare` also if the drive cannot be used in its present state.
+/// `identity` returns `RigError::WrongDevice` if the device is a wrong one.
 pub trait Drive: Send + Sync + 'static {
+    /// Requests whose replies state which device answers; none if it does not report that.
+    fn identity_requests(&self) -> Vec<Request> {
+        Vec::new()
+    }
+    /// Make of the device and its relevant settings, from these replies, one block of words per request.
+    fn identity(&self, blocks: &[Vec<u16>], station: &Station) -> Result<String, RigError>;
     /// Requests whose replies together contain the state.
     fn status_requests(&self) -> Vec<Request>;
     /// Parses the state from the replies, one block of words per request; `None` if a block is
@@ -80,6 +99,9 @@ pub trait Drive: Send + Sync + 'static {
     fn alarm_request(&self) -> Option<Request> {
         None
     }
+    /// Requests that take control and switch the motor on, without motion. Each is sent only if the
+    /// drive reports no fault after the one before.
+    fn prepare_requests(&self) -> Vec<Request>;
     /// Requests that prepare and start an absolute motion.
     fn move_requests(&self, order: &MoveOrder) -> Vec<Request>;
     /// Requests that start homing.
@@ -94,14 +116,6 @@ pub trait Drive: Send + Sync + 'static {
     fn guard_requests(&self, _guard: &Guard) -> Vec<GuardRequest> {
         Vec::new()
     }
-    /// Identifies the device; only reads.
-    fn identify(&self, station: &Station) -> impl Future<Output = Result<Found, RigError>> + Send;
-    /// Takes control without motion. Returns a description of the device.
-    fn prepare(
-        &self,
-        station: &Station,
-        clock: &Clock,
-    ) -> impl Future<Output = Result<String, RigError>> + Send;
 }
 
 /// Result of one status check of a drive.
@@ -162,14 +176,23 @@ impl<D: Drive> ModbusAxis<D> {
         self.gate.permit().map_err(|e| self.station.named(operation, e))
     }
 
+    /// Reads one block of words per request.
+    async fn blocks(
+        &self,
+        operation: &str,
+        requests: Vec<Request>,
+    ) -> Result<Vec<Vec<u16>>, RigError> {
+        let mut blocks = Vec::with_capacity(requests.len());
+        for request in requests {
+            blocks.push(self.station.read(operation, request).await?);
+        }
+        Ok(blocks)
+    }
+
     /// Reads the state of the drive once.
     async fn look(&self) -> Result<Look, RigError> {
         let asked_s = self.clock.process_s();
-        let requests = self.drive.status_requests();
-        let mut blocks = Vec::with_capacity(requests.len());
-        for request in requests {
-            blocks.push(self.station.read("status", request).await?);
-        }
+        let blocks = self.blocks("status", self.drive.status_requests()).await?;
         let at = self.clock.now();
         let state = self.drive.parse_status(&blocks);
         let state =
@@ -182,6 +205,67 @@ impl<D: Drive> ModbusAxis<D> {
             homed: state.homed,
         };
         Ok(Look { state, seen, at })
+    }
+
+    /// Alarm code of a drive with this state; 0 if the drive does not report the code.
+    async fn alarm(&self, state: DriveState) -> Result<Option<u32>, RigError> {
+        if !state.fault || state.alarm.is_some() {
+            return Ok(state.alarm);
+        }
+        match self.drive.alarm_request() {
+            Some(request) => {
+                let words = self.station.read("alarm code", request).await?;
+                Ok(Some(words.first().map_or(0, |&w| u32::from(w))))
+            }
+            None => Ok(Some(0)),
+        }
+    }
+
+    /// Reads which device answers.
+    async fn device(&self) -> Result<String, RigError> {
+        let blocks = self.blocks("identity", self.drive.identity_requests()).await?;
+        self.drive.identity(&blocks, &self.station)
+    }
+
+    /// Reads the state of the device with this name.
+    async fn found(&self, device: &str) -> Result<Found, RigError> {
+        let state = self.look().await?.state;
+        let alarm = self.alarm(state).await?;
+        let DriveState { enabled, homed, emergency_stop, in_command, .. } = state;
+        Ok(Found { device: device.to_owned(), enabled, homed, alarm, emergency_stop, in_command })
+    }
+
+    /// As [`Self::found`]; a fault of the drive is an error.
+    async fn sound(&self, device: &str) -> Result<Found, RigError> {
+        let found = self.found(device).await?;
+        let faults = found.faults();
+        if faults.is_empty() {
+            return Ok(found);
+        }
+        Err(self.station.not_ready("motion", faults.join(", ")))
+    }
+
+    /// Takes control of the drive and waits until its motor is on.
+    async fn take_over(&self) -> Result<Found, RigError> {
+        let device = self.device().await?;
+        for (sent, request) in self.drive.prepare_requests().into_iter().enumerate() {
+            if sent > 0 {
+                self.sound(&device).await?;
+            }
+            self.station.write("taking control", request).await?;
+        }
+        let deadline = self.clock.now() + ENABLE_DEADLINE;
+        loop {
+            let found = self.sound(&device).await?;
+            if found.enabled {
+                return Ok(found);
+            }
+            if self.clock.now() >= deadline {
+                let why = format!("its motor is not on after {} s", ENABLE_DEADLINE.as_secs());
+                return Err(self.station.not_ready("motion", why));
+            }
+            tokio::time::sleep(ENABLE_POLL).await;
+        }
     }
 
     async fn send(
@@ -267,14 +351,15 @@ impl<D: Drive> Axis for ModbusAxis<D> {
     }
 
     async fn identify(&self) -> Result<Found, RigError> {
-        self.drive.identify(&self.station).await
+        let device = self.device().await?;
+        self.found(&device).await
     }
 
     async fn prepare(&self) -> Result<String, RigError> {
-        let found = self.drive.prepare(&self.station, &self.clock).await?;
+        let found = self.take_over().await?;
         self.set_guards().await?;
         let guard = self.profile.guard;
-        Ok(if guard.is_none() { found } else { format!("{found}, {guard}") })
+        Ok(if guard.is_none() { found.to_string() } else { format!("{found}, {guard}") })
     }
 
     async fn start_home(&self) -> Result<(), RigError> {
@@ -306,16 +391,7 @@ impl<D: Drive> Axis for ModbusAxis<D> {
             look = self.look().await?;
         }
         let Look { state, seen, at } = look;
-        let mut alarm = state.alarm;
-        if state.fault && alarm.is_none() {
-            alarm = match self.drive.alarm_request() {
-                Some(request) => {
-                    let words = self.station.read("alarm code", request).await?;
-                    words.first().map(|&w| u32::from(w))
-                }
-                None => Some(0),
-            };
-        }
+        let alarm = self.alarm(state).await?;
         let position = seen.position;
         let moving = self.watch().observe(seen) && !state.fault;
         let (homed, ready) = (state.homed, state.ready);

@@ -1,6 +1,6 @@
 //! Guards: values in a rig file that a drive enforces without the service, against silence or
 //! excessive torque. Which drives have them is stated in their folders.
-//! PURE. Uses: serde. Never: registers (those are each device's `codec`), their limits (`device`),
+//! PURE. Uses: serde. Never: registers (each device knows its own), their limits (`device`),
 //! consequences for a run.
 
 use std::fmt;

@@ -1,5 +1,5 @@
-//! The bench: capabilities in units, and the drivers that implement them. One device, one folder, in
-//! `drives` or `input_modules`.
+//! The bench: capabilities in units, and the drivers that implement them. One device, one file in
+//! `drives` or one folder in `input_modules`.
 //! Uses: `clock`, `problem`. Never: campaigns, trials, storage, HTTP.
 
 pub mod cells;

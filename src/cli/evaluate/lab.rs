@@ -327,7 +327,7 @@ impl Lab for ServiceLab {
         let asked: JobOut =
             self.client.post("/api/v1/trainings", &json!({ "recipe": recipe })).await?;
         let done = wait_for(&self.client, asked).await?;
-        let id = done.result.as_ref().and_then(|r| r["model"].as_str()).unwrap_or_default();
+        let id = done.task.result.as_ref().and_then(|r| r["model"].as_str()).unwrap_or_default();
         let model: ModelOut = self.client.get(&format!("/api/v1/models/{id}")).await?;
         Ok(model.id)
     }
@@ -338,9 +338,9 @@ impl Lab for ServiceLab {
             return Ok(report);
         }
         let asked: JobOut = self.client.post("/api/v1/evaluations", request).await?;
-        let id = asked.id;
+        let id = asked.task.id;
         let done = wait_for(&self.client, asked).await?;
-        let report = serde_json::from_value(done.result.unwrap_or_default());
+        let report = serde_json::from_value(done.task.result.unwrap_or_default());
         report.map_err(|error| CliError::Refused {
             operation: id.to_string(),
             status: 500,

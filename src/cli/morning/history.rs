@@ -6,8 +6,8 @@ use serde::Deserialize;
 use serde_json::Value;
 
 use super::answers::duration_words;
-use super::report::Span;
 use super::when::second;
+use crate::api::StateSpan;
 use crate::cli::client::Client;
 use crate::cli::error::CliError;
 use crate::cli::find::find_run;
@@ -27,7 +27,7 @@ struct History {
     attempts_failed: Vec<u32>,
     largest_force_n: Vec<Option<f64>>,
     fvu: Vec<Option<f64>>,
-    states: Vec<Span>,
+    states: Vec<StateSpan>,
     predicted_s: Option<f64>,
 }
 
@@ -85,7 +85,7 @@ fn intervals(history: &History, from: Timestamp, bin_s: f64) -> Table {
     table
 }
 
-fn states(spans: &[Span]) -> Table {
+fn states(spans: &[StateSpan]) -> Table {
     let mut table = Table::new("state | from | to", "no change of state is stored");
     for span in spans {
         let why = span.why.map(|why| format!(" ({})", why.as_str().replace('_', " ")));

@@ -5,13 +5,14 @@ use std::collections::{BTreeMap, HashMap};
 use std::path::Path;
 
 use arrow_array::RecordBatch;
+use arrow_array::cast::AsArray;
+use arrow_array::types::UInt8Type;
 use arrow_ipc::writer::StreamWriter;
 use arrow_schema::SchemaRef;
 
 use super::batch::{self, Row};
 use super::definition::Definition;
 use super::error::DatasetError;
-use super::filter;
 use super::format::ParquetWriter;
 use super::split::Part;
 use crate::digest::{Hashing, ID_DIGITS};
@@ -90,9 +91,9 @@ impl Encoder {
         let batch = batch::of_shard(&self.columns, rows, parts)?;
         self.push(&batch)?;
         let counts = batch.column_by_name("contact_count");
+        let counts = counts.and_then(|counts| counts.as_primitive_opt::<UInt8Type>());
         for (row, part) in parts.iter().enumerate() {
-            let count = counts.and_then(|counts| filter::number(counts, row));
-            self.tally.count(*part, count.unwrap_or_default() as u8);
+            self.tally.count(*part, counts.map_or(0, |counts| counts.value(row)));
         }
         Ok(())
     }

@@ -4,11 +4,9 @@
 use std::cmp::Ordering;
 
 use arrow_array::cast::AsArray;
-use arrow_array::types::{
-    Float32Type, Float64Type, Int64Type, TimestampMillisecondType, UInt8Type, UInt32Type,
-    UInt64Type,
-};
-use arrow_array::{Array, BooleanArray, RecordBatch};
+use arrow_array::types::{Float32Type, Float64Type, TimestampMillisecondType};
+use arrow_array::{Array, ArrayRef, BooleanArray, RecordBatch};
+use arrow_cast::cast;
 use arrow_schema::{DataType, Schema};
 
 use super::schema::comparable;
@@ -31,13 +29,17 @@ pub fn fits(condition: &Condition, schema: &Schema) -> Result<(), String> {
 
 /// Returns which rows meet a condition; a comparison with a column that the batch lacks does not hold.
 pub fn mask(condition: &Condition, batch: &RecordBatch) -> BooleanArray {
-    let parts: Vec<(&Part, &dyn Array)> = condition
-        .parts()
-        .iter()
-        .filter_map(|part| Some((part, batch.column_by_name(part.column().name)?.as_ref())))
-        .collect();
-    let meets = |row: usize, (part, column): &(&Part, &dyn Array)| {
-        !column.is_null(row) && part.is_met(|operand| order(*column, row, operand))
+    let values = |part: &Part| -> Option<ArrayRef> {
+        let column = batch.column_by_name(part.column().name)?;
+        match column.data_type().is_integer() {
+            true => cast(column, &DataType::Float64).ok(),
+            false => Some(column.clone()),
+        }
+    };
+    let parts = condition.parts().iter().filter_map(|part| Some((part, values(part)?)));
+    let parts: Vec<(&Part, ArrayRef)> = parts.collect();
+    let meets = |row: usize, (part, column): &(&Part, ArrayRef)| {
+        !column.is_null(row) && part.is_met(|operand| order(column, row, operand))
     };
     let rows = 0..batch.num_rows();
     rows.map(|row| Some(parts.iter().any(|part| meets(row, part)))).collect()
@@ -49,7 +51,7 @@ fn order(column: &dyn Array, row: usize, operand: &Operand) -> Option<Ordering> 
         // A value stored as f32 is compared as f32: a stored 5.1 equals 5.1.
         Operand::Number(wanted) => match column.as_primitive_opt::<Float32Type>() {
             Some(singles) => singles.value(row).partial_cmp(&(*wanted as f32)),
-            None => number(column, row)?.partial_cmp(wanted),
+            None => column.as_primitive_opt::<Float64Type>()?.value(row).partial_cmp(wanted),
         },
         Operand::Time(wanted) => {
             let times = column.as_primitive_opt::<TimestampMillisecondType>()?;
@@ -59,17 +61,4 @@ fn order(column: &dyn Array, row: usize, operand: &Operand) -> Option<Ordering> 
             Some(column.as_string_opt::<i32>()?.value(row).cmp(wanted.as_str()))
         }
     }
-}
-
-/// A value of a numeric column; `None` for other types.
-pub(super) fn number(column: &dyn Array, row: usize) -> Option<f64> {
-    Some(match column.data_type() {
-        DataType::Float64 => column.as_primitive_opt::<Float64Type>()?.value(row),
-        DataType::Float32 => f64::from(column.as_primitive_opt::<Float32Type>()?.value(row)),
-        DataType::Int64 => column.as_primitive_opt::<Int64Type>()?.value(row) as f64,
-        DataType::UInt64 => column.as_primitive_opt::<UInt64Type>()?.value(row) as f64,
-        DataType::UInt32 => f64::from(column.as_primitive_opt::<UInt32Type>()?.value(row)),
-        DataType::UInt8 => f64::from(column.as_primitive_opt::<UInt8Type>()?.value(row)),
-        _ => return None,
-    })
 }

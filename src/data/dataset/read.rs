@@ -97,14 +97,8 @@ impl DatasetRows {
             let mask = self.selection.mask(&batch);
             let mut taken = batch.num_rows();
             if let Some(mask) = mask {
-                let selected: Vec<usize> = (0..mask.len()).filter(|&row| mask.value(row)).collect();
-                if let Some(&next) = selected.get(limit - found) {
-                    taken = next;
-                }
-                let mask = arrow_array::BooleanArray::from_iter(
-                    (0..mask.len()).map(|row| Some(row < taken && mask.value(row))),
-                );
-                batch = filter_record_batch(&batch, &mask)?;
+                taken = mask.values().set_indices().nth(limit - found).unwrap_or(taken);
+                batch = filter_record_batch(&batch.slice(0, taken), &mask.slice(0, taken))?;
             } else {
                 taken = taken.min(limit - found);
                 batch = batch.slice(0, taken);
@@ -168,16 +162,9 @@ impl DatasetRows {
         places.sort_by_key(|&at| order[at]);
         let ranges = places.iter().map(|&at| order[at] as usize..order[at] as usize + 1);
         let selection = RowSelection::from_consecutive_ranges(ranges, self.file_rows() as usize);
-        let file = File::open(&self.path).map_err(DatasetError::file("opening", &self.path))?;
-        let builder =
-            ParquetRecordBatchReaderBuilder::new_with_metadata(file, self.metadata.clone());
         let needed = self.selection.needed(None);
-        let mask = ProjectionMask::roots(builder.parquet_schema(), needed.iter().copied());
-        let reader = builder
-            .with_projection(mask)
-            .with_row_selection(selection)
-            .with_batch_size(self.batch_rows())
-            .build()?;
+        let reader =
+            self.reader(&needed, self.batch_rows())?.with_row_selection(selection).build()?;
         let schema = SchemaRef::new(self.metadata.schema().project(&needed)?);
         let batches = reader.collect::<Result<Vec<_>, _>>()?;
         let found = concat_batches(&schema, &batches)?;
@@ -190,6 +177,19 @@ impl DatasetRows {
         Ok(vec![self.selection.apply(&page, None)?])
     }
 
+    /// A reader of some of the file's columns.
+    fn reader(
+        &self,
+        columns: &[usize],
+        batch_rows: usize,
+    ) -> Result<ParquetRecordBatchReaderBuilder<File>, DatasetError> {
+        let file = File::open(&self.path).map_err(DatasetError::file("opening", &self.path))?;
+        let builder =
+            ParquetRecordBatchReaderBuilder::new_with_metadata(file, self.metadata.clone());
+        let mask = ProjectionMask::roots(builder.parquet_schema(), columns.iter().copied());
+        Ok(builder.with_projection(mask).with_batch_size(batch_rows))
+    }
+
     /// Batches of some of the file's columns from row `from`, without conditions.
     fn raw(
         &self,
@@ -197,10 +197,6 @@ impl DatasetRows {
         from: u64,
         batch_rows: usize,
     ) -> Result<parquet::arrow::arrow_reader::ParquetRecordBatchReader, DatasetError> {
-        let file = File::open(&self.path).map_err(DatasetError::file("opening", &self.path))?;
-        let builder =
-            ParquetRecordBatchReaderBuilder::new_with_metadata(file, self.metadata.clone());
-        let mask = ProjectionMask::roots(builder.parquet_schema(), columns.iter().copied());
         let mut skipped = 0;
         let groups = self.metadata.metadata().row_groups();
         let first = groups
@@ -212,11 +208,10 @@ impl DatasetRows {
                 inside
             })
             .unwrap_or(groups.len());
-        Ok(builder
-            .with_projection(mask)
+        Ok(self
+            .reader(columns, batch_rows)?
             .with_row_groups((first..groups.len()).collect())
             .with_offset((from - skipped.min(from)) as usize)
-            .with_batch_size(batch_rows)
             .build()?)
     }
 }

@@ -55,22 +55,20 @@ impl Starter {
         if let Some(line) = building.as_ref() {
             return Err(QueryError::Building(line.clone()));
         }
-        if let Program::Ready(program) = QUERY.find() {
-            return Ok(program);
+        match QUERY.find() {
+            Program::Ready(program) => return Ok(program),
+            Program::Missing => return Err(QUERY.missing().into()),
+            Program::Source(_) => *building = Some("starting".into()),
         }
-        if matches!(QUERY.find(), Program::Source(_)) {
-            *building = Some("starting".into());
-            let (shown, failed) = (self.building.clone(), self.failed.clone());
-            tokio::spawn(async move {
-                let seen = |line: &str| *shown.lock() = Some(line.to_owned());
-                if let Err(error) = QUERY.path(seen, || false).await {
-                    *failed.lock() = Some(error.to_string());
-                }
-                *shown.lock() = None;
-            });
-            return Err(QueryError::Building("starting".into()));
-        }
-        Err(QUERY.missing().into())
+        let (shown, failed) = (self.building.clone(), self.failed.clone());
+        tokio::spawn(async move {
+            let seen = |line: &str| *shown.lock() = Some(line.to_owned());
+            if let Err(error) = QUERY.path(seen, || false).await {
+                *failed.lock() = Some(error.to_string());
+            }
+            *shown.lock() = None;
+        });
+        Err(QueryError::Building("starting".into()))
     }
 }
 

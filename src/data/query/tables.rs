@@ -42,7 +42,7 @@ pub static TABLES: [TableAbout; 8] = [
     t("frames", Form::Frames, "a trial: `trial_id`, `scan_id`, its measured frame `voltages_v` and its simulated frame `sim_voltages_v`, lists"),
     t("twins", Form::Twins, "a trial with a simulated twin: `trial_id`, `scan_id`, `sim_model`, `rmse_v`, `fvu`, `sim_voltages_v`"),
     t("voltages", Form::Voltages, "a voltage of a frame: `trial_id`, `scan_id`, `position` in the frame, `injection` and `pair` of electrodes, `voltage_v`, `sim_voltage_v`"),
-    t("runs", Form::Rows, "a run: `scan_id`, `experiment`, `label`, `state`, `exit_status`, counts and times"),
+    t("runs", Form::Rows, "a run: `scan_id`, `experiment`, `label`, `state`, `exit_status`, `trials_planned`, times"),
     t("references", Form::Rows, "a load cell of a reference press: `scan_id`, `before_configuration`, `arm`, position, `force_n`, `at`"),
     t("events", Form::Rows, "an event: `seq`, `scan_id`, `at`, `kind`, `data` (JSON)"),
 ];

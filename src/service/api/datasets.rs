@@ -194,10 +194,7 @@ pub async fn make(
 
 /// Returns the dataset with an id, or the newest one of a name.
 #[utoipa::path(get, operation_id = "dataset", path = "/api/v1/datasets/{dataset}", tag = "datasets",
-    params(("dataset" = String, Path, description = "id or name")),
-    responses((status = 200, body = DatasetOut),
-        (status = 404, body = ProblemBody,
-            description = "no dataset has this id, or none of this name has been made")))]
+    responses((status = 200, body = DatasetOut)))]
 pub async fn one(
     State(app): State<App>,
     Path(dataset): Path<String>,
@@ -211,10 +208,7 @@ pub async fn one(
 /// Returns the lineage of a dataset: runs, models, calibrations, shards, code and files.
 #[utoipa::path(get, operation_id = "dataset_lineage",
     path = "/api/v1/datasets/{dataset}/lineage", tag = "datasets",
-    params(("dataset" = String, Path, description = "id or name")),
-    responses((status = 200, body = Object),
-        (status = 404, body = ProblemBody,
-            description = "no dataset has this id, or none of this name has been made")))]
+    responses((status = 200, body = Object)))]
 pub async fn lineage(
     State(app): State<App>,
     Path(dataset): Path<String>,
@@ -231,10 +225,7 @@ pub async fn lineage(
 /// Returns the card of a dataset in Markdown: content, units, quality, origin and citation.
 #[utoipa::path(get, operation_id = "dataset_card",
     path = "/api/v1/datasets/{dataset}/card", tag = "datasets",
-    params(("dataset" = String, Path, description = "id or name")),
-    responses((status = 200, body = String, content_type = "text/markdown"),
-        (status = 404, body = ProblemBody,
-            description = "no dataset has this id, or none of this name has been made")))]
+    responses((status = 200, body = String, content_type = "text/markdown")))]
 pub async fn card(
     State(app): State<App>,
     Path(dataset): Path<String>,
@@ -248,10 +239,7 @@ pub async fn card(
 /// sources, lineage, address and sha256 of the file.
 #[utoipa::path(get, operation_id = "dataset_package",
     path = "/api/v1/datasets/{dataset}/datapackage.json", tag = "datasets",
-    params(("dataset" = String, Path, description = "id or name")),
-    responses((status = 200, body = Object),
-        (status = 404, body = ProblemBody,
-            description = "no dataset has this id, or none of this name has been made")))]
+    responses((status = 200, body = Object)))]
 pub async fn package(
     State(app): State<App>,
     Path(dataset): Path<String>,
@@ -367,8 +355,6 @@ pub async fn rows(
     params(("dataset" = String, Path, description = "id or name"), RowGroupParams),
     responses((status = 200, body = Page<Object>),
         (status = 400, body = ProblemBody, description = "a parameter is unknown or invalid"),
-        (status = 404, body = ProblemBody,
-            description = "no dataset has this id, or none of this name has been made"),
         (status = 503, body = ProblemBody, description = "as of queries (with `Retry-After`)")))]
 pub async fn groups(
     State(app): State<App>,

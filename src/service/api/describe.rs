@@ -1,6 +1,6 @@
 //! Completes the description of the API by what no handler states: the security of each operation,
-//! the refusals that precede every handler, descriptions of responses, and schemas that generators
-//! of clients accept.
+//! the refusals that precede every handler, objects that an address names, descriptions of responses,
+//! and schemas that generators of clients accept.
 //! Uses: `routes`, utoipa. Never: a fact that contradicts the table of operations.
 
 use axum::http::Method;
@@ -64,6 +64,17 @@ const ALL: [Refusal; 16] = [
     BUSY,
 ];
 
+/// Objects that an address names: parameter of the path, its meaning, and why none is found. A handler states only
+/// another reason.
+const NAMED: [(&str, &str, &str); 6] = [
+    ("run", "uid or scan_id", "no run has this uid or scan_id"),
+    ("dataset", "id or name", "no dataset has this id, or none of this name has been made"),
+    ("export", "id of the export", "no export has this id"),
+    ("job", "id of the job", "no job has this id"),
+    ("model", "id or name of the model", "no model has this id or name"),
+    ("folder", "name of the folder", "no folder of this name has an order"),
+];
+
 /// Completes the description of all operations.
 pub fn complete(description: &mut OpenApi, all: &AllNeeds) {
     let components = description.components.get_or_insert_default();
@@ -110,6 +121,7 @@ fn complete_operation(operation: &mut Operation, method: &Method, needs: &Needs)
     if let Access::From(_) = needs.access {
         refusals.extend([FORBIDDEN, TOO_MANY]);
     }
+    describe_named(operation);
     let parameters =
         operation.parameters.iter().flatten().filter_map(|parameter| match parameter {
             RefOr::T(parameter) => Some(parameter),
@@ -194,6 +206,20 @@ fn complete_operation(operation: &mut Operation, method: &Method, needs: &Needs)
         text.push_str("\n\n");
     }
     text.push_str(rights);
+}
+
+/// Describes the objects that the address names, and what is answered if one does not exist.
+fn describe_named(operation: &mut Operation) {
+    for parameter in operation.parameters.iter_mut().flatten() {
+        if let RefOr::T(parameter) = parameter
+            && parameter.parameter_in == ParameterIn::Path
+            && let Some((_, meaning, missing)) = NAMED.iter().find(|of| of.0 == parameter.name)
+        {
+            parameter.description.get_or_insert_with(|| (*meaning).into());
+            let not_found = || RefOr::T(problem(missing));
+            operation.responses.responses.entry("404".into()).or_insert_with(not_found);
+        }
+    }
 }
 
 /// Adds the key of a request that is carried out once, and the refusals of its repetitions.

@@ -3,10 +3,9 @@
 
 use axum::Json;
 use axum::extract::State;
-use axum::http::StatusCode;
 
 use super::App;
-use super::problem::{ApiError, Path, ProblemBody};
+use super::problem::{ApiError, Path};
 use super::runs::find;
 use crate::evaluate::simulation::{SimulationReport, report};
 
@@ -15,9 +14,7 @@ use crate::evaluate::simulation::{SimulationReport, report};
 /// Trials without a twin are excluded.
 #[utoipa::path(get, operation_id = "evaluate_simulation",
     path = "/api/v1/runs/{run}/evaluation/simulation", tag = "simulation",
-    params(("run" = String, Path, description = "uid or scan_id")),
-    responses((status = 200, body = SimulationReport),
-        (status = 404, body = ProblemBody, description = "no run has this uid or scan_id")))]
+    responses((status = 200, body = SimulationReport)))]
 pub async fn simulation(
     State(app): State<App>,
     Path(run): Path<String>,
@@ -25,5 +22,5 @@ pub async fn simulation(
     let run = find(&app, &run).await?.uid;
     let fits = app.store.fits(run).await?;
     let report = tokio::task::spawn_blocking(move || report(&fits)).await;
-    report.map(Json).map_err(|e| ApiError::new(StatusCode::INTERNAL_SERVER_ERROR, e.to_string()))
+    report.map(Json).map_err(ApiError::internal)
 }

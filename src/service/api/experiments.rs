@@ -67,8 +67,5 @@ pub async fn list() -> Result<Page<CarriedExperiment>, ApiError> {
     path = "/api/v1/experiments/schema", tag = "queue",
     responses((status = 200, body = Object, description = "the schema of `Experiment`")))]
 pub async fn schema() -> Result<Json<Value>, ApiError> {
-    let failed = |error: serde_json::Error| {
-        ApiError::new(axum::http::StatusCode::INTERNAL_SERVER_ERROR, error.to_string())
-    };
-    Ok(Json(of_experiments().map_err(failed)?))
+    Ok(Json(of_experiments().map_err(ApiError::internal)?))
 }

@@ -110,9 +110,7 @@ pub async fn list(State(app): State<App>, asked: PageRequest) -> Result<Page<Exp
 
 /// Returns the state and progress of an export.
 #[utoipa::path(get, operation_id = "export", path = "/api/v1/exports/{export}", tag = "datasets",
-    params(("export" = String, Path, description = "id of the export")),
-    responses((status = 200, body = ExportOut),
-        (status = 404, body = ProblemBody, description = "no export has this id")))]
+    responses((status = 200, body = ExportOut)))]
 pub async fn one(
     State(app): State<App>,
     Path(export): Path<String>,
@@ -125,10 +123,8 @@ pub async fn one(
 /// The header `Range` selects a part of it; the entity tag is its sha256.
 #[utoipa::path(get, operation_id = "export_file",
     path = "/api/v1/exports/{export}/file", tag = "datasets",
-    params(("export" = String, Path, description = "id of the export")),
     responses((status = 200, body = Vec<u8>, content_type = "application/octet-stream"),
         (status = 206, body = Vec<u8>, content_type = "application/octet-stream"),
-        (status = 404, body = ProblemBody, description = "no export has this id"),
         (status = 409, body = ProblemBody, description = "the export is not done, or it failed"),
         (status = 410, body = ProblemBody, description = "the file was removed to free space")))]
 pub async fn file(

@@ -115,9 +115,7 @@ impl From<GatherError> for ApiError {
 /// are free it ends, so that runs can store their trials; it also ends with the service.
 #[utoipa::path(post, operation_id = "gather_order",
     path = "/api/v1/workers/folders/{folder}/gather", tag = "simulation",
-    params(("folder" = String, Path, description = "name of the folder")),
     responses((status = 202, body = GatherOut),
-        (status = 404, body = ProblemBody, description = "no folder of this name has an order"),
         (status = 409, body = ProblemBody,
             description = "the service knows no queue, gathers another order, or the order cannot be read"),
         (status = 503, body = ProblemBody, description = "the worker is missing"),

@@ -13,6 +13,7 @@ use utoipa::ToSchema;
 use super::App;
 use super::problem::{ApiError, ProblemBody};
 use crate::campaign::bench::rig_state::RigState;
+use crate::campaign::shown::status::WireStatus;
 use crate::store::Soundness;
 
 /// Free space below which the disk of the database counts as full, bytes. It suffices for several
@@ -81,7 +82,6 @@ pub async fn metrics(State(app): State<App>) -> impl IntoResponse {
             let _ = writeln!(text, "palpate_{name}{labels} {value}");
         }
     };
-    let plain = |v: f64| [(String::new(), v)];
     let rig = &status.rig;
     let states: Vec<(String, f64)> = [
         RigState::Disconnected,
@@ -93,48 +93,34 @@ pub async fn metrics(State(app): State<App>) -> impl IntoResponse {
     .map(|s| (format!("{{state=\"{}\"}}", s.as_str()), f64::from(u8::from(s == rig.state))))
     .to_vec();
     metric("rig_state", "gauge", "1 for the current state of the rig.", &states);
-    let s = &rig.stream;
-    metric("frames_total", "counter", "Frames accepted.", &plain(s.frames as f64));
-    metric(
-        "frames_missed_total",
-        "counter",
-        "Frames missing in the stream.",
-        &plain(s.missed as f64),
-    );
-    metric("packets_garbled_total", "counter", "Packets rejected.", &plain(s.garbled as f64));
-    let wires =
-        |get: fn(&crate::campaign::shown::status::WireStatus) -> u64| -> Vec<(String, f64)> {
-            rig.wires.iter().map(|w| (format!("{{wire=\"{}\"}}", w.name), get(w) as f64)).collect()
-        };
-    metric("wire_requests_total", "counter", "Requests answered.", &wires(|w| w.requests));
-    metric("wire_retries_total", "counter", "Requests sent again.", &wires(|w| w.retries));
-    metric(
-        "wire_timeouts_total",
-        "counter",
-        "Requests without a reply in time.",
-        &wires(|w| w.timeouts),
-    );
-    let (wrong_keys, _) = app.facts.wrong_keys.count();
-    metric(
-        "wrong_keys_total",
-        "counter",
-        "Requests without a valid key.",
-        &plain(wrong_keys as f64),
-    );
+    let plain = |v: u64| vec![(String::new(), v as f64)];
+    let wires = |get: fn(&WireStatus) -> u64| -> Vec<(String, f64)> {
+        rig.wires.iter().map(|w| (format!("{{wire=\"{}\"}}", w.name), get(w) as f64)).collect()
+    };
+    let (stream, (wrong_keys, _)) = (&rig.stream, app.facts.wrong_keys.count());
+    for (name, help, values) in [
+        ("frames_total", "Frames accepted.", plain(stream.frames)),
+        ("frames_missed_total", "Frames missing in the stream.", plain(stream.missed)),
+        ("packets_garbled_total", "Packets rejected.", plain(stream.garbled)),
+        ("wire_requests_total", "Requests answered.", wires(|w| w.requests)),
+        ("wire_retries_total", "Requests sent again.", wires(|w| w.retries)),
+        ("wire_timeouts_total", "Requests without a reply in time.", wires(|w| w.timeouts)),
+        ("wrong_keys_total", "Requests without a valid key.", plain(wrong_keys)),
+    ] {
+        metric(name, "counter", help, &values);
+    }
     if let Some(run) = &status.run {
         let uid = format!("{{run=\"{}\"}}", run.uid);
-        let of_run = |v: u64| [(uid.clone(), v as f64)];
-        metric("trials_planned", "gauge", "Trials in the plan.", &of_run(run.trials_planned));
-        metric("trials_stored", "gauge", "Trials stored.", &of_run(run.trials_stored));
-        metric(
-            "trials_skipped",
-            "gauge",
-            "Planned trials of skipped configurations.",
-            &of_run(run.trials_skipped),
-        );
-        metric("retries", "gauge", "Failed attempts.", &of_run(run.retries));
+        for (name, help, value) in [
+            ("trials_planned", "Trials in the plan.", run.trials_planned),
+            ("trials_stored", "Trials stored.", run.trials_stored),
+            ("trials_skipped", "Planned trials of skipped configurations.", run.trials_skipped),
+            ("retries", "Failed attempts.", run.retries),
+        ] {
+            metric(name, "gauge", help, &[(uid.clone(), value as f64)]);
+        }
         if let Some(eta) = run.eta {
-            let value = [(uid.clone(), eta.remaining_s)];
+            let value = [(uid, eta.remaining_s)];
             metric("remaining_seconds", "gauge", "Remaining wall time.", &value);
         }
     }

@@ -46,7 +46,7 @@ fn default_bins() -> u32 {
 }
 
 /// A run over time. Lists of numbers have one entry per bin.
-#[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, ToSchema)]
 pub struct History {
     /// Start of the run and of the first bin; null if the run has not started.
     #[schema(value_type = Option<String>, format = DateTime)]
@@ -116,8 +116,7 @@ pub struct NotableEvent {
 #[utoipa::path(get, operation_id = "run_history", path = "/api/v1/runs/{run}/history", tag = "runs",
     params(("run" = String, Path, description = "uid or scan_id"), HistoryParams),
     responses((status = 200, body = History),
-        (status = 400, body = ProblemBody, description = "`bins` is not 1 to 1000"),
-        (status = 404, body = ProblemBody, description = "no run has this uid or scan_id")))]
+        (status = 400, body = ProblemBody, description = "`bins` is not 1 to 1000")))]
 pub async fn of_run(
     State(app): State<App>,
     Path(run): Path<String>,
@@ -138,7 +137,10 @@ async fn read(app: &App, run: &RunRow, bins: u32) -> Result<Arc<History>, StoreE
     let kinds: Vec<&str> = notable_kinds().collect();
     let mut notable = store.events_of_kinds(run.uid, &kinds, NOTABLE_MAX).await?;
     notable.retain(|event| importance(&event.kind, &event.data) >= Importance::Notable);
-    let Some(from) = run.started_at else { return Ok(Arc::new(History::unstarted(notable))) };
+    let events = notable.into_iter().map(NotableEvent::from).collect();
+    let Some(from) = run.started_at else {
+        return Ok(Arc::new(History { events, ..History::default() }));
+    };
     let now = Timestamp::now();
     let is_active = app.campaign.status().run.is_some_and(|active| active.uid == run.uid);
     let to = match run.ended_at {
@@ -170,27 +172,8 @@ async fn read(app: &App, run: &RunRow, bins: u32) -> Result<Arc<History>, StoreE
         predicted_s: estimates.first().and_then(predicted_s),
         elapsed_s: Some(range_s),
         predictions: thinned(&estimates).filter_map(prediction).collect(),
-        events: notable.into_iter().map(NotableEvent::from).collect(),
+        events,
     }))
-}
-
-impl History {
-    fn unstarted(notable: Vec<Event>) -> Self {
-        Self {
-            from: None,
-            to: None,
-            bin_s: None,
-            trials: Vec::new(),
-            attempts_failed: Vec::new(),
-            largest_force_n: Vec::new(),
-            fvu: Vec::new(),
-            states: Vec::new(),
-            predicted_s: None,
-            elapsed_s: None,
-            predictions: Vec::new(),
-            events: notable.into_iter().map(NotableEvent::from).collect(),
-        }
-    }
 }
 
 impl From<Event> for NotableEvent {

@@ -15,62 +15,23 @@ use super::pages::{Page, PageParams, PageRequest};
 use super::problem::{ApiError, Body, Path, ProblemBody};
 use super::send::Created;
 use crate::evaluate::request::EvaluationRequest;
-use crate::ids::{DatasetId, TaskId};
+use crate::ids::TaskId;
 use crate::jobs::{Progress, TrainingRequest};
-use crate::store::{TaskKind, TaskRow, TaskState};
+use crate::store::{TaskKind, TaskRow};
 
 /// A training or an evaluation.
 #[derive(Debug, Serialize, Deserialize, ToSchema)]
 pub struct JobOut {
-    /// Id of the job, `job-..`.
-    #[schema(value_type = String)]
-    pub id: TaskId,
-    /// Kind of computation.
-    pub kind: TaskKind,
-    /// The request: `{"recipe": text}` or an EvaluationRequest.
-    #[schema(value_type = Object)]
-    pub request: Value,
-    /// State of the job.
-    pub state: TaskState,
+    /// The task as it is stored.
+    #[serde(flatten)]
+    pub task: TaskRow,
     /// Progress; absent unless the job is running.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub progress: Option<Progress>,
-    /// Id of the dataset; absent until it is determined.
-    pub dataset: Option<DatasetId>,
-    /// Result: `{"model": id, "name": ..}` of a training, an EvaluationReport of an evaluation.
-    /// Absent until the job is done.
-    #[schema(value_type = Option<Object>)]
-    pub result: Option<Value>,
-    /// Cause of the failure; absent unless the job failed.
-    pub error: Option<String>,
-    /// Name of the person or key that requested the job.
-    pub asked_by: String,
-    /// Time of the request.
-    #[schema(value_type = String, format = DateTime)]
-    pub created_at: jiff::Timestamp,
-    /// Time of the first start; absent before it.
-    #[schema(value_type = Option<String>, format = DateTime)]
-    pub started_at: Option<jiff::Timestamp>,
-    /// Time of the end; absent before it.
-    #[schema(value_type = Option<String>, format = DateTime)]
-    pub finished_at: Option<jiff::Timestamp>,
 }
 
-fn out(app: &App, row: TaskRow) -> JobOut {
-    JobOut {
-        progress: app.jobs.progress(row.id),
-        id: row.id,
-        kind: row.kind,
-        request: row.request,
-        state: row.state,
-        dataset: row.dataset,
-        result: row.result,
-        error: row.error,
-        asked_by: row.asked_by,
-        created_at: row.created_at,
-        started_at: row.started_at,
-        finished_at: row.finished_at,
-    }
+fn out(app: &App, task: TaskRow) -> JobOut {
+    JobOut { progress: app.jobs.progress(task.id), task }
 }
 
 /// Requests a training.
@@ -111,7 +72,7 @@ pub async fn list(State(app): State<App>, asked: PageRequest) -> Result<Page<Job
     let rows = app.store.tasks(TaskKind::JOBS, asked.limit + 1, asked.after()?).await?;
     let brief =
         |row: TaskRow| out(&app, TaskRow { result: row.result.map(without_examples), ..row });
-    Ok(asked.first(rows.into_iter().map(brief).collect(), |job| job.id))
+    Ok(asked.first(rows.into_iter().map(brief).collect(), |job| job.task.id))
 }
 
 /// A result without the maps of its examples, which are large.
@@ -124,9 +85,7 @@ fn without_examples(mut result: Value) -> Value {
 
 /// Returns the state, progress and result of a job.
 #[utoipa::path(get, operation_id = "job", path = "/api/v1/jobs/{job}", tag = "jobs",
-    params(("job" = String, Path, description = "id of the job")),
-    responses((status = 200, body = JobOut),
-        (status = 404, body = ProblemBody, description = "no job has this id")))]
+    responses((status = 200, body = JobOut)))]
 pub async fn one(
     State(app): State<App>,
     Path(job): Path<String>,
@@ -138,9 +97,7 @@ pub async fn one(
 ///
 /// After its end the losses are those of its model.
 #[utoipa::path(get, operation_id = "job_losses", path = "/api/v1/jobs/{job}/losses", tag = "jobs",
-    params(("job" = String, Path, description = "id of the job")),
-    responses((status = 200, body = String, content_type = "application/x-ndjson"),
-        (status = 404, body = ProblemBody, description = "no job has this id")))]
+    responses((status = 200, body = String, content_type = "application/x-ndjson")))]
 pub async fn losses(State(app): State<App>, Path(job): Path<String>) -> Result<Response, ApiError> {
     let row = find(&app, &job).await?;
     Ok(ndjson(app.jobs.losses(row.id)))
@@ -150,9 +107,7 @@ pub async fn losses(State(app): State<App>, Path(job): Path<String>) -> Result<R
 ///
 /// A job that has ended does not change.
 #[utoipa::path(post, operation_id = "stop_job", path = "/api/v1/jobs/{job}/stop", tag = "jobs",
-    params(("job" = String, Path, description = "id of the job")),
-    responses((status = 202, body = JobOut),
-        (status = 404, body = ProblemBody, description = "no job has this id")))]
+    responses((status = 202, body = JobOut)))]
 pub async fn stop(
     State(app): State<App>,
     act: Act,

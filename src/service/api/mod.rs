@@ -114,6 +114,7 @@ mod work;
 mod workers;
 
 pub use access::{Access, Edited, Lock, Needs};
+pub use envelope::SamplesOut;
 pub use glance::{Glance, Question, Rating};
 pub use infer::{FrameAnswer, InferOptions, InferRequest};
 pub use jobs::JobOut;
@@ -126,11 +127,12 @@ pub use options::{ServeError, ServeOptions};
 pub use orders::WORKER;
 pub use pages::Page;
 pub use people::CreatedKey;
-pub use placement::{FeltOut, LastPlacement, PlacementOut, Stage};
+pub use placement::{LastPlacement, PlacementOut, Stage};
 pub use progress::ForcesOfTips;
 pub use quantities::{LiveQuantities, QuantityRequest};
 pub use runs::Summary;
 pub use service::Service;
+pub use spans::StateSpan;
 pub use tls::{Tls, TlsCause, TlsError, warn_if_others_may_read};
 pub use turns::Turns;
 

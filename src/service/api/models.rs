@@ -26,7 +26,7 @@ use crate::learn::model_file::{Manifest, ModelFacts, manifest_for_foreign, manif
 use crate::learn::residuals::Residuals;
 use crate::learn::task::NetTask;
 use crate::problem::Problem;
-use crate::store::ModelRow;
+use crate::store::{ModelRow, PromotionRow};
 use crate::syntax::parse_toml;
 
 /// A trained model with its manifest.
@@ -104,26 +104,7 @@ pub struct ServingOut {
     /// Content of each slot.
     pub serves: Vec<ServesOut>,
     /// Promotions, newest first.
-    pub history: Vec<PromotionOut>,
-}
-
-/// A change of what a slot serves.
-#[derive(Debug, Serialize, Deserialize, ToSchema)]
-pub struct PromotionOut {
-    /// Name of the slot.
-    pub slot: String,
-    /// Id of the promoted model or calibration; null if the slot was emptied.
-    #[schema(value_type = Option<String>)]
-    pub what: Option<PromotedId>,
-    /// Name of the person or key.
-    pub who: String,
-    /// Reason; null if none was entered.
-    pub why: Option<String>,
-    /// Time of the promotion.
-    #[schema(value_type = String, format = DateTime)]
-    pub at: jiff::Timestamp,
-    /// True if this restored an earlier promotion.
-    pub rolled_back: bool,
+    pub history: Vec<PromotionRow>,
 }
 
 /// Returns a page of the models, newest first.
@@ -143,9 +124,7 @@ pub async fn list(State(app): State<App>, asked: PageRequest) -> Result<Page<Mod
 
 /// Returns a model.
 #[utoipa::path(get, operation_id = "model", path = "/api/v1/models/{model}", tag = "models",
-    params(("model" = String, Path, description = "id or name of the model")),
-    responses((status = 200, body = ModelOut),
-        (status = 404, body = ProblemBody, description = "no model has this id or name")))]
+    responses((status = 200, body = ModelOut)))]
 pub async fn one(
     State(app): State<App>,
     Path(model): Path<String>,
@@ -157,9 +136,7 @@ pub async fn one(
 /// Returns the ONNX file of a model.
 #[utoipa::path(get, operation_id = "model_onnx",
     path = "/api/v1/models/{model}/onnx", tag = "models",
-    params(("model" = String, Path, description = "id or name of the model")),
-    responses((status = 200, body = Vec<u8>, content_type = "application/octet-stream"),
-        (status = 404, body = ProblemBody, description = "no model has this id or name")))]
+    responses((status = 200, body = Vec<u8>, content_type = "application/octet-stream")))]
 pub async fn onnx(State(app): State<App>, Path(model): Path<String>) -> Result<Response, ApiError> {
     let row = app.models.find(&model).await?;
     let path = app.models.onnx(&row.id);
@@ -176,9 +153,7 @@ pub async fn onnx(State(app): State<App>, Path(model): Path<String>) -> Result<R
 /// The response is empty for an uploaded model.
 #[utoipa::path(get, operation_id = "model_losses",
     path = "/api/v1/models/{model}/losses", tag = "models",
-    params(("model" = String, Path, description = "id or name of the model")),
-    responses((status = 200, body = String, content_type = "application/x-ndjson"),
-        (status = 404, body = ProblemBody, description = "no model has this id or name")))]
+    responses((status = 200, body = String, content_type = "application/x-ndjson")))]
 pub async fn losses(
     State(app): State<App>,
     Path(model): Path<String>,
@@ -190,9 +165,7 @@ pub async fn losses(
 /// Returns the residuals of a Transfer-Net on trials outside its training part (paper, Fig. 10A).
 #[utoipa::path(get, operation_id = "model_residuals",
     path = "/api/v1/models/{model}/residuals", tag = "models",
-    params(("model" = String, Path, description = "id or name of the model")),
-    responses((status = 200, body = Residuals),
-        (status = 404, body = ProblemBody, description = "no model has this id or name")))]
+    responses((status = 200, body = Residuals)))]
 pub async fn residuals(
     State(app): State<App>,
     Path(model): Path<String>,
@@ -331,15 +304,7 @@ pub async fn add_calibration(
 pub async fn serving(State(app): State<App>) -> Result<Json<ServingOut>, ApiError> {
     let promotions = app.serving.promotions().await?;
     let serves = Slot::ALL.map(|slot| serves_out(&app, slot, &promotions)).into();
-    let history = promotions.into_rows().into_iter().map(|row| PromotionOut {
-        slot: row.slot,
-        what: row.what,
-        who: row.who,
-        why: row.why,
-        at: row.at,
-        rolled_back: row.rolled_back,
-    });
-    Ok(Json(ServingOut { serves, history: history.collect() }))
+    Ok(Json(ServingOut { serves, history: promotions.into_rows() }))
 }
 
 /// Promotes a model or a calibration.

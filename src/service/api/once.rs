@@ -193,9 +193,7 @@ async fn read(response: Response) -> Result<(Response, Option<OnceResponse>), Ap
         return Ok((response, None));
     }
     let (parts, body) = response.into_parts();
-    let body = to_bytes(body, ONCE_RESPONSE_MAX_BYTES)
-        .await
-        .map_err(|error| ApiError::new(StatusCode::INTERNAL_SERVER_ERROR, error.to_string()))?;
+    let body = to_bytes(body, ONCE_RESPONSE_MAX_BYTES).await.map_err(ApiError::internal)?;
     let text = |name| Some(parts.headers.get(name)?.to_str().ok()?.to_owned());
     let stored = OnceResponse {
         status: parts.status.as_u16(),
@@ -224,8 +222,7 @@ fn repetition(sha256: &str, first: OnceRow) -> Result<Response, ApiError> {
         return Err(ApiError::new(StatusCode::CONFLICT, words));
     };
     let mut response = Response::new(Body::from(stored.body));
-    *response.status_mut() = StatusCode::from_u16(stored.status)
-        .map_err(|error| ApiError::new(StatusCode::INTERNAL_SERVER_ERROR, error.to_string()))?;
+    *response.status_mut() = StatusCode::from_u16(stored.status).map_err(ApiError::internal)?;
     let headers =
         [(header::LOCATION, stored.location), (header::CONTENT_TYPE, stored.content_type)];
     for (name, value) in headers {

@@ -15,8 +15,6 @@ use crate::campaign::shown::placement::{Confirmation, VerdictKind};
 use crate::campaign::shown::run_action::ActionOnRun;
 use crate::campaign::shown::status::{Done, Phase, RunStatus};
 use crate::ids::{RunUid, TrialId};
-use crate::infer::answer::FoundContact;
-use crate::infer::methods::Method;
 use crate::placement::verdict::{AskedContact, Verdict};
 use crate::placement::watch::{Awaited, Felt, Judged};
 use crate::store::LastPlaced;
@@ -45,7 +43,7 @@ pub struct PlacementOut {
     /// Whether the skin is at rest; null until it was read.
     pub at_rest: Option<bool>,
     /// What the serving method feels; null before its first answer, or if no model serves.
-    pub felt: Option<FeltOut>,
+    pub felt: Option<Felt>,
     /// Comparison of what is felt with what is asked.
     pub verdict: Verdict,
     /// The placement that was stored last; null before the first.
@@ -67,23 +65,6 @@ pub enum Stage {
     Measuring,
     /// The trial is stored.
     Stored,
-}
-
-/// What a method feels.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
-pub struct FeltOut {
-    /// Method that was used.
-    pub method: Method,
-    /// Id of the model, or ids joined by `+`.
-    pub model: String,
-    /// The contacts, strongest first.
-    pub contacts: Vec<FoundContact>,
-}
-
-impl From<Felt> for FeltOut {
-    fn from(Felt { method, model, contacts }: Felt) -> Self {
-        Self { method, model, contacts }
-    }
 }
 
 /// A stored placement.
@@ -138,7 +119,7 @@ pub async fn placement(State(app): State<App>) -> Result<Json<PlacementOut>, Api
         contacts: judged.asked,
         stage,
         at_rest: judged.at_rest,
-        felt: judged.felt.map(FeltOut::from),
+        felt: judged.felt,
         verdict: judged.verdict,
         last,
         untouched_at: untouched.map(|skin| skin.at),

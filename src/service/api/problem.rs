@@ -118,6 +118,11 @@ impl ApiError {
         Self::new(StatusCode::NOT_FOUND, what)
     }
 
+    /// An error that no client can mend (500).
+    pub fn internal(error: impl std::fmt::Display) -> Self {
+        Self::new(StatusCode::INTERNAL_SERVER_ERROR, error.to_string())
+    }
+
     /// The HTTP status.
     pub fn status(&self) -> StatusCode {
         self.status

@@ -62,7 +62,6 @@ pub struct ForcesOfTips {
 
 /// Returns the progress of a run along its tour.
 #[utoipa::path(get, operation_id = "run_progress", path = "/api/v1/runs/{run}/progress", tag = "runs",
-    params(("run" = String, Path, description = "uid or scan_id")),
     responses((status = 200, body = RunProgress),
         (status = 404, body = ProblemBody,
             description = "no run has this uid or scan_id, or it has no plan")))]

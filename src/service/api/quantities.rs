@@ -32,10 +32,8 @@ pub struct QuantityRequest {
 /// The net may be of an imported sensor. Contacts and force maps come from `/api/v1/infer`.
 #[utoipa::path(post, operation_id = "model_quantities",
     path = "/api/v1/models/{model}/quantities", tag = "models",
-    params(("model" = String, Path, description = "id or name of the model")),
     request_body = QuantityRequest,
     responses((status = 200, body = Vec<QuantityAnswer>),
-        (status = 404, body = ProblemBody, description = "no model has this id or name"),
         (status = 409, body = ProblemBody, description = "the model answers no quantity"),
         (status = 422, body = ProblemBody, description = "a frame is invalid"),
         (status = 503, body = ProblemBody, description = "too many requests are in progress")))]

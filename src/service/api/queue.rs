@@ -89,7 +89,6 @@ pub async fn add(
 /// again if it was.
 #[utoipa::path(put, operation_id = "edit_run",
     path = "/api/v1/queue/{run}", tag = "queue", request_body = QueueRequest,
-    params(("run" = String, Path, description = "uid or scan_id")),
     responses((status = 200, body = RunRow),
         (status = 409, body = ProblemBody,
             description = "the run is not queued, or another person holds the operator lock"),
@@ -129,7 +128,6 @@ pub async fn remove(
 /// Moves a run in the queue.
 #[utoipa::path(post, operation_id = "move_run",
     path = "/api/v1/queue/{run}/move", tag = "queue", request_body = MoveRequest,
-    params(("run" = String, Path, description = "uid or scan_id")),
     responses((status = 200, body = Page<RunRow>),
         (status = 409, body = ProblemBody,
             description = "the run is not queued, or another person holds the operator lock")))]

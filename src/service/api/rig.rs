@@ -115,8 +115,7 @@ pub async fn check(
         app.conductor.note_operation();
     }
     let report = checked(&app, enable).await?;
-    let report = serde_json::to_value(report)
-        .map_err(|e| ApiError::new(StatusCode::INTERNAL_SERVER_ERROR, e.to_string()))?;
+    let report = serde_json::to_value(report).map_err(ApiError::internal)?;
     Ok(Json(report))
 }
 

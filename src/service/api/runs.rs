@@ -146,9 +146,7 @@ pub async fn list(State(app): State<App>, asked: PageRequest) -> Result<Page<Run
 
 /// Returns a run.
 #[utoipa::path(get, operation_id = "run", path = "/api/v1/runs/{run}", tag = "runs",
-    params(("run" = String, Path, description = "uid or scan_id")),
-    responses((status = 200, body = RunRow),
-        (status = 404, body = ProblemBody, description = "no run has this uid or scan_id")))]
+    responses((status = 200, body = RunRow)))]
 pub async fn one(
     State(app): State<App>,
     Path(run): Path<String>,
@@ -158,20 +156,14 @@ pub async fn one(
 
 /// Returns the results of a run.
 #[utoipa::path(get, operation_id = "run_summary", path = "/api/v1/runs/{run}/summary", tag = "runs",
-    params(("run" = String, Path, description = "uid or scan_id")),
-    responses((status = 200, body = Summary),
-        (status = 404, body = ProblemBody, description = "no run has this uid or scan_id")))]
+    responses((status = 200, body = Summary)))]
 pub async fn summary(
     State(app): State<App>,
     Path(run): Path<String>,
 ) -> Result<Json<Summary>, ApiError> {
     let run = find(&app, &run).await?;
     let uid = run.uid;
-    let progress = app
-        .store
-        .progress(uid)
-        .await
-        .map_err(|e| ApiError::new(StatusCode::INTERNAL_SERVER_ERROR, e.to_string()))?;
+    let progress = app.store.progress(uid).await.map_err(ApiError::internal)?;
     let trials_stored = progress.stored.len() as u64;
     let ended = run.exit_status.is_some();
     let complete = run.trials_planned.saturating_sub(trials_stored);
@@ -207,9 +199,7 @@ pub async fn summary(
 /// Returns the preflight of a stored run on this rig.
 #[utoipa::path(get, operation_id = "run_preflight",
     path = "/api/v1/runs/{run}/preflight", tag = "runs",
-    params(("run" = String, Path, description = "uid or scan_id")),
     responses((status = 200, body = Preflight),
-        (status = 404, body = ProblemBody, description = "no run has this uid or scan_id"),
         (status = 422, body = ProblemBody, description = "the run was not planned from an experiment")))]
 pub async fn preflight(
     State(app): State<App>,
@@ -221,7 +211,6 @@ pub async fn preflight(
 
 /// Returns the plan that a run was queued with: every step with every position, depth and wait.
 #[utoipa::path(get, operation_id = "run_plan", path = "/api/v1/runs/{run}/plan", tag = "runs",
-    params(("run" = String, Path, description = "uid or scan_id")),
     responses((status = 200, body = Object, description = "the plan; its sha256 is `plan_sha256` of the run"),
         (status = 404, body = ProblemBody,
             description = "no run has this uid or scan_id, or no plan was kept for it")))]
@@ -240,7 +229,6 @@ pub async fn plan(
 /// This is the first of two steps; the action `start` with the code is the second.
 #[utoipa::path(post, operation_id = "arm_run",
     path = "/api/v1/runs/{run}/arm", tag = "runs", request_body = Attribution,
-    params(("run" = String, Path, description = "uid or scan_id")),
     responses((status = 200, body = Armed),
         (status = 409, body = ProblemBody,
             description = "the state of rig or run does not allow arming, or another person holds the lock"),
@@ -261,7 +249,6 @@ pub async fn arm(
 #[utoipa::path(post, operation_id = "run_action",
     path = "/api/v1/runs/{run}/actions", tag = "runs", request_body = ActionRequest,
     description = STOPS,
-    params(("run" = String, Path, description = "uid or scan_id")),
     responses((status = 202, body = ActionAccepted),
         (status = 409, body = ProblemBody,
             description = "the state of the run does not allow the action, the skin contradicts a placement, or another person holds the lock")))]

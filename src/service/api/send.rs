@@ -85,7 +85,7 @@ pub async fn file(
         StatusCode::NOT_MODIFIED.into_response()
     } else {
         let opened = open(&export_file.path).await;
-        let (opened, size) = opened.map_err(|error| internal(&error.to_string()))?;
+        let (opened, size) = opened.map_err(ApiError::internal)?;
         // A client that has parts of another file gets the whole file. HEAD has no ranges.
         let same = text(sent, &header::IF_RANGE).is_none_or(|wanted| wanted == tag);
         let range = text(sent, &header::RANGE).filter(|_| same && request.method() == Method::GET);
@@ -227,10 +227,6 @@ pub fn values(lines: &[u8]) -> Result<Vec<Box<RawValue>>, DatasetError> {
 /// Returns a response with the media type of a format.
 pub fn in_format(format: Format, body: Body) -> Response {
     ([(header::CONTENT_TYPE, media_type(format))], body).into_response()
-}
-
-fn internal(words: &str) -> ApiError {
-    ApiError::new(StatusCode::INTERNAL_SERVER_ERROR, words)
 }
 
 /// Number of values in the frames and the map of a row.

@@ -52,52 +52,44 @@ pub(super) struct Readings<'a> {
     pub limits: Option<&'a TwinLimits>,
 }
 
-/// A value with its threshold.
-struct Row {
-    name: &'static str,
-    title: &'static str,
-    value: Option<f64>,
-    threshold: f64,
-    unit: &'static str,
-    suspends: bool,
-    is_beyond: bool,
-}
-
 impl Readings<'_> {
-    fn rows(&self) -> Vec<Row> {
-        let above = |(name, title), value: Option<f64>, threshold, unit, suspends| {
+    /// The monitors, each with whether its value is beyond its threshold.
+    fn monitors(&self) -> Vec<(Suspender, bool)> {
+        let above = |(name, title): (&str, &str),
+                     value: Option<f64>,
+                     threshold,
+                     unit: &str,
+                     suspends| {
             let is_beyond = value.is_some_and(|value| value > threshold);
-            Row { name, title, value, threshold, unit, suspends, is_beyond }
+            let (name, title, unit) = (name.into(), title.into(), unit.into());
+            (Suspender { name, title, value, threshold, unit, since: None, suspends }, is_beyond)
         };
-        let disk = Row {
-            name: "disk",
-            title: "free disk",
-            value: self.free_bytes.map(|bytes| bytes as f64),
-            threshold: self.needed_bytes as f64,
-            unit: "bytes",
-            suspends: true,
-            is_beyond: self.free_bytes.is_some_and(|free| free < self.needed_bytes),
-        };
+        let (free, needed) = (self.free_bytes, self.needed_bytes);
+        let free_bytes = free.map(|bytes| bytes as f64);
+        let (disk, _) = above(("disk", "free disk"), free_bytes, needed as f64, "bytes", true);
         let limit_ms = self.frame_age_limit_ms as f64;
         let frame_age = ("frame_age", "age of the newest frame");
-        let mut rows = vec![disk, above(frame_age, self.frame_age_ms, limit_ms, "ms", false)];
+        let mut monitors = vec![
+            (disk, free.is_some_and(|free| free < needed)),
+            above(frame_age, self.frame_age_ms, limit_ms, "ms", false),
+        ];
         if let Some(limits) = self.limits {
             let fit = self.fit.filter(|fit| fit.trials > 0);
             let (fvu, threshold) =
                 (fit.map(|fit| fit.median_fvu), limits.suspend_fvu.unwrap_or(limits.warn_fvu));
             let worst = fit.and_then(|fit| fit.worst_pairs.first()).map(|pair| pair.fvu);
             let twins = ("twin_fvu", "fit of the twins (FVU)");
-            rows.push(above(twins, fvu, threshold, "1", limits.suspend_fvu.is_some()));
+            monitors.push(above(twins, fvu, threshold, "1", limits.suspend_fvu.is_some()));
             let pairs = ("electrode_pairs", "worst electrode pair (FVU)");
-            rows.push(above(pairs, worst, limits.pair_warn_fvu, "1", false));
+            monitors.push(above(pairs, worst, limits.pair_warn_fvu, "1", false));
         }
-        rows
+        monitors
     }
 }
 
-/// Since when values are beyond their thresholds.
+/// Since when values are beyond their thresholds, by the names of the monitors.
 #[derive(Debug, Default)]
-pub struct Beyond(Mutex<BTreeMap<&'static str, Timestamp>>);
+pub struct Beyond(Mutex<BTreeMap<String, Timestamp>>);
 
 impl Beyond {
     /// Returns the monitors of the active run at `now`; none without a run.
@@ -106,19 +98,17 @@ impl Beyond {
         readings: Option<&Readings<'_>>,
         now: Timestamp,
     ) -> Vec<Suspender> {
-        let rows = readings.map_or_else(Vec::new, Readings::rows);
+        let monitors = readings.map_or_else(Vec::new, Readings::monitors);
         let mut beyond = self.0.lock();
-        beyond.retain(|name, _| rows.iter().any(|row| row.name == *name && row.is_beyond));
-        let suspender = |row: Row| Suspender {
-            name: row.name.into(),
-            title: row.title.into(),
-            value: row.value,
-            threshold: row.threshold,
-            unit: row.unit.into(),
-            since: row.is_beyond.then(|| *beyond.entry(row.name).or_insert(now)),
-            suspends: row.suspends,
+        beyond.retain(|name, _| {
+            monitors.iter().any(|(of, is_beyond)| of.name == *name && *is_beyond)
+        });
+        let dated = |(mut monitor, is_beyond): (Suspender, bool)| {
+            let since = || *beyond.entry(monitor.name.clone()).or_insert(now);
+            monitor.since = is_beyond.then(since);
+            monitor
         };
-        rows.into_iter().map(suspender).collect()
+        monitors.into_iter().map(dated).collect()
     }
 }
 

@@ -13,14 +13,13 @@ use crate::digest::sha256_hex;
 /// # Errors
 /// 500 if the body cannot be read.
 pub async fn tagged(response: Response) -> Result<(Response, Option<String>), ApiError> {
-    let failed = |words: String| ApiError::new(StatusCode::INTERNAL_SERVER_ERROR, words);
     if !response.status().is_success() {
         return Ok((response, None));
     }
     let (mut parts, body) = response.into_parts();
-    let body = to_bytes(body, usize::MAX).await.map_err(|error| failed(error.to_string()))?;
+    let body = to_bytes(body, usize::MAX).await.map_err(ApiError::internal)?;
     let tag = format!("\"{}\"", sha256_hex(&body));
-    let value = HeaderValue::from_str(&tag).map_err(|error| failed(error.to_string()))?;
+    let value = HeaderValue::from_str(&tag).map_err(ApiError::internal)?;
     parts.headers.insert(header::ETAG, value);
     parts.headers.insert(header::CACHE_CONTROL, HeaderValue::from_static("private, no-cache"));
     Ok((Response::from_parts(parts, Body::from(body)), Some(tag)))

@@ -103,10 +103,7 @@ pub async fn of_submission(
     let _turn = preflight_turn(&app).await?;
     // A plan of 198,000 trials takes about 0.3 s: not on a thread that answers requests.
     let planning = tokio::task::spawn_blocking(move || SubmittedTour::of(&submission));
-    match planning.await {
-        Ok(planned) => planned.map(Json).map_err(ApiError::problems),
-        Err(error) => Err(ApiError::new(StatusCode::INTERNAL_SERVER_ERROR, error.to_string())),
-    }
+    planning.await.map_err(ApiError::internal)?.map(Json).map_err(ApiError::problems)
 }
 
 impl Tour {

@@ -389,7 +389,6 @@ pub async fn frames(
         ("kind" = String, Path, description = "attempts, tares, touch-offs or references"), PageParams),
     responses((status = 200, body = Page<Object>),
         (status = 400, body = ProblemBody, description = "a parameter is invalid"),
-        (status = 404, body = ProblemBody, description = "no run has this uid or scan_id"),
         (status = 422, body = ProblemBody, description = "the kind is unknown")))]
 pub async fn bench_records(
     State(app): State<App>,

@@ -65,9 +65,7 @@ pub async fn all(State(app): State<App>) -> Result<Json<Twins>, ApiError> {
 /// Returns the number of twins of a run.
 #[utoipa::path(get, operation_id = "run_twins",
     path = "/api/v1/runs/{run}/twins", tag = "simulation",
-    params(("run" = String, Path, description = "uid or scan_id")),
-    responses((status = 200, body = RunTwins),
-        (status = 404, body = ProblemBody, description = "no run has this uid or scan_id")))]
+    responses((status = 200, body = RunTwins)))]
 pub async fn of_run(
     State(app): State<App>,
     Path(run): Path<String>,
@@ -100,7 +98,6 @@ fn thousand() -> u32 {
     params(("run" = String, Path, description = "uid or scan_id"), InputsParams),
     responses((status = 200, body = TwinInputs),
         (status = 400, body = ProblemBody, description = "a parameter is invalid"),
-        (status = 404, body = ProblemBody, description = "no run has this uid or scan_id"),
         (status = 409, body = ProblemBody, description = "the run has no model of its skin")))]
 pub async fn inputs(
     State(app): State<App>,
@@ -131,11 +128,9 @@ pub struct TwinsForm {
 /// stays; if one differs, none is stored.
 #[utoipa::path(post, operation_id = "store_twins",
     path = "/api/v1/runs/{run}/twins", tag = "simulation",
-    params(("run" = String, Path, description = "uid or scan_id")),
     request_body(content = TwinsForm, content_type = "multipart/form-data"),
     responses((status = 200, body = StoredTwins),
         (status = 400, body = ProblemBody, description = "the form is invalid"),
-        (status = 404, body = ProblemBody, description = "no run has this uid or scan_id"),
         (status = 409, body = ProblemBody,
             description = "a stored twin differs, the run has no model of its skin, or another person holds the \
                            operator lock"),

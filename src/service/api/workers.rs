@@ -161,9 +161,8 @@ pub async fn all(State(app): State<App>) -> Result<Json<WorkersOut>, ApiError> {
 ///
 /// `palpate cluster sbatch` writes such a folder. A repeated submission adds what the queue lacks.
 #[utoipa::path(post, operation_id = "submit_order", path = "/api/v1/workers/folders/{folder}",
-    tag = "simulation", params(("folder" = String, Path, description = "name of the folder")),
+    tag = "simulation",
     responses((status = 200, body = SubmittedOut),
-        (status = 404, body = ProblemBody, description = "no folder of this name has an order"),
         (status = 409, body = ProblemBody, description = "the service knows no queue, or the worker refuses"),
         (status = 503, body = ProblemBody,
             description = "the worker is missing, or its queue or store does not answer")))]

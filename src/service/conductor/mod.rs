@@ -38,7 +38,7 @@ mod take_over;
 mod turn;
 
 pub use error::ConductorError;
-use prepare::Prepared;
+use prepare::{Prepared, same_label};
 pub use prepare::{Submission, run_kind};
 pub use queue::Terms;
 pub use restart::AutoResume;
@@ -146,19 +146,17 @@ impl Conductor {
         rig: RigFile,
         calibration: Option<Calibration>,
     ) -> Self {
-        let (armings, waiting, look) = (Mutex::default(), Mutex::default(), Notify::new());
-        let (beginning, brought_up) = (tokio::sync::Mutex::default(), Mutex::default());
         let inner = Inner {
             store,
             campaign,
             rig,
             calibration,
-            armings,
-            waiting,
+            armings: Mutex::default(),
+            waiting: Mutex::default(),
             dropped: Mutex::default(),
-            look,
-            beginning,
-            brought_up,
+            look: Notify::new(),
+            beginning: tokio::sync::Mutex::default(),
+            brought_up: Mutex::default(),
             operations: AtomicU64::default(),
             handed_over: Mutex::default(),
             suspensions: Mutex::new(Suspensions::watch()),
@@ -365,7 +363,7 @@ impl Conductor {
     /// that an older version queued is kept now.
     async fn prepare_stored(&self, run: &RunRow) -> Result<Prepared, ConductorError> {
         let prepared = self.prepare(Submission::of(run)).await?.sound()?;
-        prepared.has_label_of(run)?;
+        same_label(run.scan_id, run.label, prepared.label)?;
         match self.inner.store.plan_of(run.uid).await? {
             Some(stored) => prepared.matches(run, &stored)?,
             None => self.inner.store.keep_plan(run.uid, prepared.plan_text.clone()).await?,

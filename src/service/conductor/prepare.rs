@@ -150,14 +150,6 @@ impl Prepared {
         }
     }
 
-    /// Checks that the rig has the label of the run: all trials of a run have one label.
-    ///
-    /// # Errors
-    /// `ConductorError::Forbidden` with both labels.
-    pub fn has_label_of(&self, run: &RunRow) -> Result<(), ConductorError> {
-        same_label(run.scan_id, run.label, self.label)
-    }
-
     /// The job that the campaign drives.
     pub fn job(self, run: &RunRow) -> Job {
         let trials = self.preflight.trials.max(1);
@@ -172,7 +164,11 @@ impl Prepared {
     }
 }
 
-fn same_label(run: i64, of_run: Label, of_rig: Label) -> Result<(), ConductorError> {
+/// Checks that the rig has the label of the run: all trials of a run have one label.
+///
+/// # Errors
+/// `ConductorError::Forbidden` with both labels.
+pub fn same_label(run: i64, of_run: Label, of_rig: Label) -> Result<(), ConductorError> {
     if of_run == of_rig {
         return Ok(());
     }

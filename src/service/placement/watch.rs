@@ -6,9 +6,11 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use jiff::Timestamp;
+use serde::{Deserialize, Serialize};
 use sim_core::sensor::Sensor;
 use tokio::sync::watch;
 use tokio::time::{Instant, timeout};
+use utoipa::ToSchema;
 
 use super::calm::{Calm, Mean};
 use super::verdict::{AskedContact, Observed, Verdict, judge};
@@ -64,12 +66,12 @@ impl Awaited {
     }
 }
 
-/// Contacts estimated from the skin during a placement.
-#[derive(Debug, Clone, PartialEq)]
+/// What a method feels.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct Felt {
     /// Method that was used.
     pub method: Method,
-    /// Id of the model.
+    /// Id of the model, or ids joined by `+`.
     pub model: String,
     /// The contacts, strongest first.
     pub contacts: Vec<FoundContact>,

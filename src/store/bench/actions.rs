@@ -67,31 +67,23 @@ impl Store {
             Some(run) => Some(self.facts(run, OPERATION).await?.scan_id),
             None => None,
         };
-        self.inner
-            .writer
-            .run(OPERATION, async move |connection| {
-                sqlx::query(
-                    "INSERT INTO actions (at, run, action, who, why, accepted, detail, key_id)
-                     SELECT ?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8 WHERE NOT EXISTS (
-                       SELECT 1 FROM actions
-                       WHERE id > (SELECT max(id) - 1000 FROM actions) AND at = ?1
-                         AND run IS ?2 AND action = ?3 AND who = ?4 AND why IS ?5
-                         AND accepted = ?6 AND detail IS ?7 AND key_id IS ?8)",
-                )
-                .bind(time_text(action.at))
-                .bind(scan_id)
-                .bind(action.action)
-                .bind(action.who)
-                .bind(action.why)
-                .bind(action.accepted)
-                .bind(action.detail)
-                .bind(action.key_id)
-                .execute(connection)
-                .await
-                .map(drop)
-                .during(OPERATION)
-            })
-            .await
+        let query = sqlx::query(
+            "INSERT INTO actions (at, run, action, who, why, accepted, detail, key_id)
+             SELECT ?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8 WHERE NOT EXISTS (
+               SELECT 1 FROM actions
+               WHERE id > (SELECT max(id) - 1000 FROM actions) AND at = ?1
+                 AND run IS ?2 AND action = ?3 AND who = ?4 AND why IS ?5
+                 AND accepted = ?6 AND detail IS ?7 AND key_id IS ?8)",
+        )
+        .bind(time_text(action.at))
+        .bind(scan_id)
+        .bind(action.action)
+        .bind(action.who)
+        .bind(action.why)
+        .bind(action.accepted)
+        .bind(action.detail)
+        .bind(action.key_id);
+        self.inner.writer.execute(OPERATION, query).await.map(drop)
     }
 
     /// Returns at most `limit` actions with numbers below `before`, newest first, of one run or of all.
@@ -124,23 +116,20 @@ impl Store {
             .bind(before)
             .bind(limit),
         };
-        let rows = statement.fetch_all(&self.inner.readers).await.during(OPERATION)?;
-        rows.iter()
-            .map(|row| {
-                let c = Columns::of(row, OPERATION);
-                Ok(ActionRow {
-                    id: c.get("id")?,
-                    at: c.time("at")?,
-                    run: c.uid_or_none("uid")?,
-                    action: c.get("action")?,
-                    who: c.get("who")?,
-                    key_id: c.get("key_id")?,
-                    why: c.get("why")?,
-                    accepted: c.get("accepted")?,
-                    detail: c.get("detail")?,
-                })
+        let read = |c: &Columns<'_>| {
+            Ok(ActionRow {
+                id: c.get("id")?,
+                at: c.time("at")?,
+                run: c.uid_or_none("uid")?,
+                action: c.get("action")?,
+                who: c.get("who")?,
+                key_id: c.get("key_id")?,
+                why: c.get("why")?,
+                accepted: c.get("accepted")?,
+                detail: c.get("detail")?,
             })
-            .collect()
+        };
+        self.rows(OPERATION, statement, read).await
     }
 
     /// Returns the time of the last accepted action with one of these names; `None` without one.
@@ -149,16 +138,13 @@ impl Store {
     /// `Sql` or `Unreadable` if the read fails.
     pub async fn last_accepted(&self, actions: &[&str]) -> Result<Option<Timestamp>, StoreError> {
         const OPERATION: &str = "reading the last action of a kind";
-        let row = sqlx::query(
+        let query = sqlx::query(
             "SELECT at FROM actions
              WHERE accepted = 1 AND action IN (SELECT value FROM json_each(?1))
              ORDER BY id DESC LIMIT 1",
         )
-        .bind(serde_json::json!(actions).to_string())
-        .fetch_optional(&self.inner.readers)
-        .await
-        .during(OPERATION)?;
-        row.map(|row| Columns::of(&row, OPERATION).time("at")).transpose()
+        .bind(serde_json::json!(actions).to_string());
+        self.row(OPERATION, query, |c| c.time("at")).await
     }
 
     /// Returns the number of accepted actions on a run with this name.

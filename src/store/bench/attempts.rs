@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 use crate::core::columns::{Columns, time_text};
-use crate::core::{During, Store, StoreError};
+use crate::core::{Store, StoreError};
 use crate::ids::{RunUid, TrialKey};
 use crate::record::AttemptRecord;
 
@@ -35,27 +35,17 @@ impl Store {
     ) -> Result<(), StoreError> {
         const OPERATION: &str = "storing an attempt";
         let scan_id = self.facts_to_write(run, OPERATION).await?.scan_id;
-        let attempt = attempt.clone();
-        self.inner
-            .writer
-            .patient()
-            .run(OPERATION, async move |connection| {
-                sqlx::query(
-                    "INSERT INTO attempts (run, configuration, depth_index, attempt, reason, at)
-                     VALUES (?1, ?2, ?3, ?4, ?5, ?6)",
-                )
-                .bind(scan_id)
-                .bind(attempt.key.configuration)
-                .bind(attempt.key.depth_index)
-                .bind(attempt.attempt)
-                .bind(attempt.reason)
-                .bind(time_text(attempt.at))
-                .execute(connection)
-                .await
-                .during(OPERATION)?;
-                Ok(())
-            })
-            .await
+        let insert = sqlx::query(
+            "INSERT INTO attempts (run, configuration, depth_index, attempt, reason, at)
+             VALUES (?1, ?2, ?3, ?4, ?5, ?6)",
+        )
+        .bind(scan_id)
+        .bind(attempt.key.configuration)
+        .bind(attempt.key.depth_index)
+        .bind(attempt.attempt)
+        .bind(&attempt.reason)
+        .bind(time_text(attempt.at));
+        self.inner.writer.patient().execute(OPERATION, insert).await.map(drop)
     }
 
     /// Stores that a configuration was given up. A stored skip is not changed.
@@ -71,26 +61,16 @@ impl Store {
     ) -> Result<(), StoreError> {
         const OPERATION: &str = "storing a skip";
         let scan_id = self.facts_to_write(run, OPERATION).await?.scan_id;
-        let (reason, at) = (reason.to_owned(), time_text(at));
-        self.inner
-            .writer
-            .patient()
-            .run(OPERATION, async move |connection| {
-                // A repetition keeps the first reason.
-                sqlx::query(
-                    "INSERT INTO skips (run, configuration, reason, at) VALUES (?1, ?2, ?3, ?4)
-                     ON CONFLICT (run, configuration) DO NOTHING",
-                )
-                .bind(scan_id)
-                .bind(configuration)
-                .bind(reason)
-                .bind(at)
-                .execute(connection)
-                .await
-                .during(OPERATION)?;
-                Ok(())
-            })
-            .await
+        // A repetition keeps the first reason.
+        let insert = sqlx::query(
+            "INSERT INTO skips (run, configuration, reason, at) VALUES (?1, ?2, ?3, ?4)
+             ON CONFLICT (run, configuration) DO NOTHING",
+        )
+        .bind(scan_id)
+        .bind(configuration)
+        .bind(reason)
+        .bind(time_text(at));
+        self.inner.writer.patient().execute(OPERATION, insert).await.map(drop)
     }
 
     /// Returns the skips of a run, in the order of its plan.
@@ -100,18 +80,12 @@ impl Store {
     pub async fn skips(&self, run: RunUid) -> Result<Vec<SkipRow>, StoreError> {
         const OPERATION: &str = "reading skips";
         let scan_id = self.facts(run, OPERATION).await?.scan_id;
-        let rows = sqlx::query("SELECT * FROM skips WHERE run = ?1 ORDER BY configuration")
-            .bind(scan_id)
-            .fetch_all(&self.inner.readers)
-            .await
-            .during(OPERATION)?;
-        rows.iter()
-            .map(|row| {
-                let c = Columns::of(row, OPERATION);
-                let configuration = c.whole("configuration")?;
-                Ok(SkipRow { configuration, reason: c.get("reason")?, at: c.time("at")? })
-            })
-            .collect()
+        let query = sqlx::query("SELECT * FROM skips WHERE run = ?1 ORDER BY configuration");
+        let read = |c: &Columns<'_>| {
+            let configuration = c.whole("configuration")?;
+            Ok(SkipRow { configuration, reason: c.get("reason")?, at: c.time("at")? })
+        };
+        self.rows(OPERATION, query.bind(scan_id), read).await
     }
 
     /// Returns at most `limit` failed attempts and discarded trials of a run, newest first.
@@ -125,27 +99,19 @@ impl Store {
     ) -> Result<Vec<AttemptRecord>, StoreError> {
         const OPERATION: &str = "reading attempts";
         let scan_id = self.facts(run, OPERATION).await?.scan_id;
-        let rows = sqlx::query(
+        let query = sqlx::query(
             "SELECT configuration, depth_index, attempt, reason, at FROM attempts
              WHERE run = ?1 ORDER BY id DESC LIMIT ?2",
-        )
-        .bind(scan_id)
-        .bind(limit)
-        .fetch_all(&self.inner.readers)
-        .await
-        .during(OPERATION)?;
-        rows.iter()
-            .map(|row| {
-                let c = Columns::of(row, OPERATION);
-                let (configuration, depth_index) =
-                    (c.whole("configuration")?, c.whole("depth_index")?);
-                Ok(AttemptRecord {
-                    key: TrialKey { configuration, depth_index },
-                    attempt: c.whole("attempt")?,
-                    reason: c.get("reason")?,
-                    at: c.time("at")?,
-                })
+        );
+        let read = |c: &Columns<'_>| {
+            let (configuration, depth_index) = (c.whole("configuration")?, c.whole("depth_index")?);
+            Ok(AttemptRecord {
+                key: TrialKey { configuration, depth_index },
+                attempt: c.whole("attempt")?,
+                reason: c.get("reason")?,
+                at: c.time("at")?,
             })
-            .collect()
+        };
+        self.rows(OPERATION, query.bind(scan_id).bind(limit), read).await
     }
 }

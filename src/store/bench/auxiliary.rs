@@ -123,7 +123,6 @@ impl Store {
     ) -> Result<(), StoreError> {
         const OPERATION: &str = "storing a touch-off";
         let scan_id = self.facts_to_write(run, OPERATION).await?.scan_id;
-        let found = found.clone();
         let json = |value: serde_json::Result<String>| {
             let limit = "must be numbers that JSON can represent";
             let field = "touches";
@@ -131,27 +130,18 @@ impl Store {
         };
         let offsets = json(serde_json::to_string(&found.tip_offset_mm))?;
         let touches = json(serde_json::to_string(&found.touches))?;
-        self.inner
-            .writer
-            .patient()
-            .run(OPERATION, async move |connection| {
-                sqlx::query(
-                    "INSERT INTO touch_offs
-                         (run, tips, surface_z_mm, tip_offsets_mm, touches_mm, at)
-                     VALUES (?1, ?2, ?3, ?4, ?5, ?6)",
-                )
-                .bind(scan_id)
-                .bind(found.tips)
-                .bind(found.surface_z_mm)
-                .bind(offsets)
-                .bind(touches)
-                .bind(time_text(found.at))
-                .execute(connection)
-                .await
-                .during(OPERATION)?;
-                Ok(())
-            })
-            .await
+        let query = sqlx::query(
+            "INSERT INTO touch_offs
+                 (run, tips, surface_z_mm, tip_offsets_mm, touches_mm, at)
+             VALUES (?1, ?2, ?3, ?4, ?5, ?6)",
+        )
+        .bind(scan_id)
+        .bind(found.tips)
+        .bind(found.surface_z_mm)
+        .bind(offsets)
+        .bind(touches)
+        .bind(time_text(found.at));
+        self.inner.writer.patient().execute(OPERATION, query).await.map(drop)
     }
 
     /// Returns the tares of a run, oldest first.
@@ -241,22 +231,17 @@ impl Store {
     pub async fn touch_offs(&self, run: RunUid) -> Result<Vec<TouchOffRecord>, StoreError> {
         const OPERATION: &str = "reading touch-offs";
         let scan_id = self.facts(run, OPERATION).await?.scan_id;
-        let rows = sqlx::query("SELECT * FROM touch_offs WHERE run = ?1 ORDER BY id")
-            .bind(scan_id)
-            .fetch_all(&self.inner.readers)
-            .await
-            .during(OPERATION)?;
-        rows.iter()
-            .map(|row| {
-                let c = Columns::of(row, OPERATION);
-                Ok(TouchOffRecord {
-                    tips: c.whole("tips")?,
-                    surface_z_mm: c.get("surface_z_mm")?,
-                    tip_offset_mm: c.json("tip_offsets_mm")?,
-                    touches: c.json("touches_mm")?,
-                    at: c.time("at")?,
-                })
+        let query =
+            sqlx::query("SELECT * FROM touch_offs WHERE run = ?1 ORDER BY id").bind(scan_id);
+        let read = |c: &Columns<'_>| {
+            Ok(TouchOffRecord {
+                tips: c.whole("tips")?,
+                surface_z_mm: c.get("surface_z_mm")?,
+                tip_offset_mm: c.json("tip_offsets_mm")?,
+                touches: c.json("touches_mm")?,
+                at: c.time("at")?,
             })
-            .collect()
+        };
+        self.rows(OPERATION, query, read).await
     }
 }

@@ -65,22 +65,14 @@ impl Store {
             column: "at",
             value: now.clone(),
         })?;
-        let (text, word) = (data.to_string(), kind.to_owned());
-        let seq = writer
-            .run(OPERATION, async move |connection| {
-                sqlx::query_scalar(
-                    "INSERT INTO events (run, at, kind, data) VALUES (?1, ?2, ?3, ?4)
-                     RETURNING seq",
-                )
-                .bind(scan_id)
-                .bind(now)
-                .bind(word)
-                .bind(text)
-                .fetch_one(connection)
-                .await
-                .during(OPERATION)
-            })
-            .await?;
+        let query = sqlx::query(
+            "INSERT INTO events (run, at, kind, data) VALUES (?1, ?2, ?3, ?4) RETURNING seq",
+        )
+        .bind(scan_id)
+        .bind(now)
+        .bind(kind)
+        .bind(data.to_string());
+        let seq = writer.returned(OPERATION, query, |c| c.get("seq")).await?;
         Ok(Event { seq, run, at, kind: kind.to_owned(), data })
     }
 
@@ -120,19 +112,16 @@ impl Store {
             .bind(seq)
             .bind(limit),
         };
-        let rows = statement.fetch_all(&self.inner.readers).await.during(OPERATION)?;
-        rows.iter()
-            .map(|row| {
-                let c = Columns::of(row, OPERATION);
-                Ok(Event {
-                    seq: c.get("seq")?,
-                    run: c.uid_or_none("uid")?,
-                    at: c.time("at")?,
-                    kind: c.get("kind")?,
-                    data: c.json("data")?,
-                })
+        let read = |c: &Columns<'_>| {
+            Ok(Event {
+                seq: c.get("seq")?,
+                run: c.uid_or_none("uid")?,
+                at: c.time("at")?,
+                kind: c.get("kind")?,
+                data: c.json("data")?,
             })
-            .collect()
+        };
+        self.rows(OPERATION, statement, read).await
     }
 
     /// Returns the number after which the `newest` last events of a selection begin, as `events_since` selects them: one

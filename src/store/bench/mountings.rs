@@ -4,7 +4,7 @@
 use jiff::Timestamp;
 
 use crate::core::columns::{Columns, time_text};
-use crate::core::{During, Store, StoreError};
+use crate::core::{Store, StoreError};
 use crate::journal::Mounting;
 
 impl Store {
@@ -18,24 +18,14 @@ impl Store {
         at: Timestamp,
     ) -> Result<(), StoreError> {
         const OPERATION: &str = "storing the number of mounted tips";
-        let (mounting, at) = (mounting.clone(), time_text(at));
-        self.inner
-            .writer
-            .patient()
-            .run(OPERATION, async move |connection| {
-                sqlx::query(
-                    "INSERT INTO mountings (tips, live_cells, who, at) VALUES (?1, ?2, ?3, ?4)",
-                )
-                .bind(mounting.tips)
-                .bind(mounting.live_cells)
-                .bind(mounting.who)
-                .bind(at)
-                .execute(connection)
-                .await
-                .during(OPERATION)?;
-                Ok(())
-            })
-            .await
+        let query = sqlx::query(
+            "INSERT INTO mountings (tips, live_cells, who, at) VALUES (?1, ?2, ?3, ?4)",
+        )
+        .bind(mounting.tips)
+        .bind(mounting.live_cells)
+        .bind(&mounting.who)
+        .bind(time_text(at));
+        self.inner.writer.patient().execute(OPERATION, query).await.map(drop)
     }
 
     /// Returns the last confirmed number of tips; `None` before the first, and after a manual run, during which
@@ -45,21 +35,17 @@ impl Store {
     /// `Sql` or `Unreadable` if the read fails.
     pub(crate) async fn read_last_mounted(&self) -> Result<Option<Mounting>, StoreError> {
         const OPERATION: &str = "reading the number of mounted tips";
-        let row = sqlx::query(
+        let query = sqlx::query(
             "SELECT * FROM (SELECT * FROM mountings ORDER BY id DESC LIMIT 1) AS last
              WHERE NOT EXISTS (
                  SELECT 1 FROM runs WHERE kind = 'real-random'
                      AND (started_at > last.at OR ended_at > last.at
                          OR (started_at IS NOT NULL AND state NOT IN ('ended', 'removed'))))",
-        )
-        .fetch_optional(&self.inner.readers)
-        .await
-        .during(OPERATION)?;
-        row.map(|row| {
-            let c = Columns::of(&row, OPERATION);
+        );
+        let read = |c: &Columns<'_>| {
             let (tips, live_cells) = (c.whole("tips")?, c.whole("live_cells")?);
             Ok(Mounting { tips, live_cells, who: c.get("who")? })
-        })
-        .transpose()
+        };
+        self.row(OPERATION, query, read).await
     }
 }

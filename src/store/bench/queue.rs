@@ -5,6 +5,7 @@
 use sqlx::sqlite::SqliteConnection;
 
 use super::run_row::{self, NewRun, RunRow};
+use crate::core::columns::Columns;
 use crate::core::{During, Store, StoreError};
 use crate::ids::RunUid;
 use crate::state::StoredState;
@@ -43,11 +44,9 @@ impl Store {
     /// `Sql` or `Unreadable` if the read fails.
     pub async fn queue(&self) -> Result<Vec<RunRow>, StoreError> {
         const OPERATION: &str = "reading the queue";
-        let rows = sqlx::query("SELECT * FROM runs WHERE state = 'queued' ORDER BY queue_position")
-            .fetch_all(&self.inner.readers)
-            .await
-            .during(OPERATION)?;
-        run_row::read_all(&rows, OPERATION)
+        let query =
+            sqlx::query("SELECT * FROM runs WHERE state = 'queued' ORDER BY queue_position");
+        self.rows(OPERATION, query, RunRow::read).await
     }
 
     /// Moves a run to a position, from 1; a larger position than the last means the end. Returns the
@@ -74,7 +73,7 @@ impl Store {
                 .fetch_all(connection)
                 .await
                 .during(OPERATION)?;
-                run_row::read_all(&rows, OPERATION)
+                rows.iter().map(|row| RunRow::read(&Columns::of(row, OPERATION))).collect()
             })
             .await
     }
@@ -103,7 +102,7 @@ impl Store {
                 .ok_or(StoreError::NotQueued(run))?;
                 let order = order(connection, OPERATION).await?;
                 number(connection, &order, OPERATION).await?;
-                RunRow::read(&row, OPERATION)
+                RunRow::read(&Columns::of(&row, OPERATION))
             })
             .await
     }
@@ -116,23 +115,17 @@ impl Store {
     /// `Sql`, `Late` or `Closed` if the write fails.
     pub async fn set_waiting(&self, run: RunUid) -> Result<(), StoreError> {
         const OPERATION: &str = "marking a run as waiting for its turn";
-        let now = self.now_text();
-        self.inner
-            .writer
-            .run(OPERATION, async move |connection| {
-                let marked = sqlx::query(
-                    "UPDATE runs SET waiting_since = coalesce(waiting_since, ?2)
-                     WHERE uid = ?1 AND (state IN ('queued', 'interrupted')
-                         OR (state = 'ended' AND exit_status <> 'success' AND kind <> 'imported'))",
-                )
-                .bind(run.to_string())
-                .bind(now)
-                .execute(connection)
-                .await
-                .during(OPERATION)?;
-                if marked.rows_affected() == 0 { Err(StoreError::NotQueued(run)) } else { Ok(()) }
-            })
-            .await
+        let query = sqlx::query(
+            "UPDATE runs SET waiting_since = coalesce(waiting_since, ?2)
+             WHERE uid = ?1 AND (state IN ('queued', 'interrupted')
+                 OR (state = 'ended' AND exit_status <> 'success' AND kind <> 'imported'))",
+        )
+        .bind(run.to_string())
+        .bind(self.now_text());
+        match self.inner.writer.execute(OPERATION, query).await? {
+            0 => Err(StoreError::NotQueued(run)),
+            _ => Ok(()),
+        }
     }
 
     /// Removes the mark of a waiting run, which must be started again.
@@ -141,17 +134,9 @@ impl Store {
     /// `Sql`, `Late` or `Closed` if the write fails.
     pub async fn clear_waiting(&self, run: RunUid) -> Result<(), StoreError> {
         const OPERATION: &str = "removing the mark of a waiting run";
-        self.inner
-            .writer
-            .run(OPERATION, async move |connection| {
-                sqlx::query("UPDATE runs SET waiting_since = NULL WHERE uid = ?1")
-                    .bind(run.to_string())
-                    .execute(connection)
-                    .await
-                    .during(OPERATION)?;
-                Ok(())
-            })
-            .await
+        let query = sqlx::query("UPDATE runs SET waiting_since = NULL WHERE uid = ?1")
+            .bind(run.to_string());
+        self.inner.writer.execute(OPERATION, query).await.map(drop)
     }
 
     /// Returns the started runs that wait for their turn, the next one first: interrupted runs, then
@@ -161,15 +146,12 @@ impl Store {
     /// `Sql` or `Unreadable` if the read fails.
     pub async fn waiting_runs(&self) -> Result<Vec<RunRow>, StoreError> {
         const OPERATION: &str = "reading the waiting runs";
-        let rows = sqlx::query(
+        let query = sqlx::query(
             "SELECT * FROM runs
              WHERE waiting_since IS NOT NULL AND state IN ('queued', 'interrupted', 'ended')
              ORDER BY coalesce(queue_position, 0), waiting_since, scan_id",
-        )
-        .fetch_all(&self.inner.readers)
-        .await
-        .during(OPERATION)?;
-        run_row::read_all(&rows, OPERATION)
+        );
+        self.rows(OPERATION, query, RunRow::read).await
     }
 }
 

@@ -3,7 +3,7 @@
 
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
-use sqlx::sqlite::{SqliteConnection, SqliteRow};
+use sqlx::sqlite::SqliteConnection;
 use utoipa::ToSchema;
 
 use super::plans;
@@ -154,8 +154,7 @@ impl RunRow {
         self.is_open() && self.state != StoredState::Interrupted
     }
 
-    pub(crate) fn read(row: &SqliteRow, operation: &'static str) -> Result<Self, StoreError> {
-        let c = Columns::of(row, operation);
+    pub(crate) fn read(c: &Columns<'_>) -> Result<Self, StoreError> {
         let (kind, state) = (c.word("kind")?, c.word("state")?);
         let exit_status = c.word_or_none("exit_status")?;
         Ok(Self {
@@ -332,13 +331,5 @@ async fn write(
         .fetch_one(connection)
         .await
         .during(operation)?;
-    RunRow::read(&row, operation)
-}
-
-/// Decodes the rows of runs.
-pub(crate) fn read_all(
-    rows: &[SqliteRow],
-    operation: &'static str,
-) -> Result<Vec<RunRow>, StoreError> {
-    rows.iter().map(|row| RunRow::read(row, operation)).collect()
+    RunRow::read(&Columns::of(&row, operation))
 }

@@ -18,23 +18,14 @@ impl Store {
     /// `Sql`, `Late` or `Closed` if the write fails.
     pub async fn interrupt_open_runs(&self, but: Option<RunUid>) -> Result<(), StoreError> {
         const OPERATION: &str = "marking interrupted runs";
-        let but = but.map(|run| run.to_string());
-        self.inner
-            .writer
-            .run(OPERATION, async move |connection| {
-                sqlx::query(
-                    "UPDATE runs
-                     SET state = 'interrupted', requested_state = NULL, paused_why = 'restart'
-                     WHERE state NOT IN ('queued', 'interrupted', 'ended', 'removed')
-                         AND uid IS NOT ?1",
-                )
-                .bind(but)
-                .execute(connection)
-                .await
-                .during(OPERATION)?;
-                Ok(())
-            })
-            .await
+        let query = sqlx::query(
+            "UPDATE runs
+             SET state = 'interrupted', requested_state = NULL, paused_why = 'restart'
+             WHERE state NOT IN ('queued', 'interrupted', 'ended', 'removed')
+                 AND uid IS NOT ?1",
+        )
+        .bind(but.map(|run| run.to_string()));
+        self.inner.writer.execute(OPERATION, query).await.map(drop)
     }
 
     /// Stores the state of a run, with the requested state and the cause of a pause. A run that ended

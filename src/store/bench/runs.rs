@@ -5,7 +5,7 @@ use sqlx::sqlite::SqliteConnection;
 
 use super::run_row::{self, NewRun, RunPage, RunRow};
 use crate::core::facts::RunFacts;
-use crate::core::{During, Store, StoreError};
+use crate::core::{Store, StoreError};
 use crate::ids::RunUid;
 use crate::state::StoredState;
 
@@ -30,13 +30,8 @@ impl Store {
     /// `Sql` or `Unreadable` if the read fails.
     pub async fn run(&self, run: RunUid) -> Result<Option<RunRow>, StoreError> {
         const OPERATION: &str = "reading a run";
-        sqlx::query("SELECT * FROM runs WHERE uid = ?1")
-            .bind(run.to_string())
-            .fetch_optional(&self.inner.readers)
-            .await
-            .during(OPERATION)?
-            .map(|row| RunRow::read(&row, OPERATION))
-            .transpose()
+        let query = sqlx::query("SELECT * FROM runs WHERE uid = ?1").bind(run.to_string());
+        self.row(OPERATION, query, RunRow::read).await
     }
 
     /// Returns a run by its number; `None` if it is not stored.
@@ -45,13 +40,8 @@ impl Store {
     /// `Sql` or `Unreadable` if the read fails.
     pub async fn run_by_scan_id(&self, scan_id: i64) -> Result<Option<RunRow>, StoreError> {
         const OPERATION: &str = "reading a run";
-        sqlx::query("SELECT * FROM runs WHERE scan_id = ?1")
-            .bind(scan_id)
-            .fetch_optional(&self.inner.readers)
-            .await
-            .during(OPERATION)?
-            .map(|row| RunRow::read(&row, OPERATION))
-            .transpose()
+        let query = sqlx::query("SELECT * FROM runs WHERE scan_id = ?1").bind(scan_id);
+        self.row(OPERATION, query, RunRow::read).await
     }
 
     /// Returns at most `limit` runs, newest first, with numbers below `before`.
@@ -60,14 +50,11 @@ impl Store {
     /// `Sql` or `Unreadable` if the read fails.
     pub async fn runs(&self, limit: u32, before: Option<i64>) -> Result<RunPage, StoreError> {
         const OPERATION: &str = "listing runs";
-        let rows =
+        let query =
             sqlx::query("SELECT * FROM runs WHERE scan_id < ?1 ORDER BY scan_id DESC LIMIT ?2")
                 .bind(before.unwrap_or(i64::MAX))
-                .bind(i64::from(limit) + 1)
-                .fetch_all(&self.inner.readers)
-                .await
-                .during(OPERATION)?;
-        let mut runs = run_row::read_all(&rows, OPERATION)?;
+                .bind(i64::from(limit) + 1);
+        let mut runs = self.rows(OPERATION, query, RunRow::read).await?;
         let more = runs.len() > limit as usize;
         runs.truncate(limit as usize);
         let next = if more { runs.last().map(|r| r.scan_id) } else { None };
@@ -80,11 +67,8 @@ impl Store {
     /// `Sql` or `Unreadable` if the read fails.
     pub async fn all_runs(&self) -> Result<Vec<RunRow>, StoreError> {
         const OPERATION: &str = "reading all runs";
-        let rows = sqlx::query("SELECT * FROM runs WHERE state <> 'removed' ORDER BY scan_id")
-            .fetch_all(&self.inner.readers)
-            .await
-            .during(OPERATION)?;
-        run_row::read_all(&rows, OPERATION)
+        let query = sqlx::query("SELECT * FROM runs WHERE state <> 'removed' ORDER BY scan_id");
+        self.rows(OPERATION, query, RunRow::read).await
     }
 
     /// Returns the runs in a state of the engine, oldest first. Before an engine starts, these are the
@@ -94,14 +78,11 @@ impl Store {
     /// `Sql` or `Unreadable` if the read fails.
     pub async fn open_runs(&self) -> Result<Vec<RunRow>, StoreError> {
         const OPERATION: &str = "reading open runs";
-        let rows = sqlx::query(
+        let query = sqlx::query(
             "SELECT * FROM runs WHERE state NOT IN ('queued', 'interrupted', 'ended', 'removed')
              ORDER BY scan_id",
-        )
-        .fetch_all(&self.inner.readers)
-        .await
-        .during(OPERATION)?;
-        run_row::read_all(&rows, OPERATION)
+        );
+        self.rows(OPERATION, query, RunRow::read).await
     }
 
     /// Caches the facts of a run that was stored, and returns its row.

@@ -9,7 +9,7 @@ use rusqlite::Connection;
 
 use crate::core::bulk::Statement;
 use crate::core::columns::{time_text, volts_blob};
-use crate::core::{During, Store, StoreError};
+use crate::core::{Store, StoreError};
 use crate::ids::{RunUid, TrialId};
 use crate::record::Untouched;
 use crate::table::checksum;
@@ -43,27 +43,17 @@ impl Store {
             return Err(StoreError::Refused { operation: OPERATION, field, limit });
         }
         let scan_id = self.facts_to_write(run, OPERATION).await?.scan_id;
-        let (volts, at) = (volts_blob(&skin.voltages_v), time_text(skin.at));
-        let frames = skin.frames as i64;
-        self.inner
-            .writer
-            .patient()
-            .run(OPERATION, async move |connection| {
-                sqlx::query(
-                    "INSERT INTO untouched_frames (run, at, frame_count, voltages_v, crc32)
-                     VALUES (?1, ?2, ?3, ?4, ?5)",
-                )
-                .bind(scan_id)
-                .bind(at)
-                .bind(frames)
-                .bind(&volts)
-                .bind(checksum::of_volts(&volts))
-                .execute(connection)
-                .await
-                .during(OPERATION)?;
-                Ok(())
-            })
-            .await
+        let volts = volts_blob(&skin.voltages_v);
+        let query = sqlx::query(
+            "INSERT INTO untouched_frames (run, at, frame_count, voltages_v, crc32)
+             VALUES (?1, ?2, ?3, ?4, ?5)",
+        )
+        .bind(scan_id)
+        .bind(time_text(skin.at))
+        .bind(skin.frames as i64)
+        .bind(&volts)
+        .bind(checksum::of_volts(&volts));
+        self.inner.writer.patient().execute(OPERATION, query).await.map(drop)
     }
 
     /// Returns, for each of these trials, the frame of the untouched skin that was measured last in its run

@@ -12,7 +12,6 @@ use std::sync::atomic::{AtomicI64, Ordering};
 use jiff::Timestamp;
 use parking_lot::{RwLock, RwLockReadGuard, RwLockWriteGuard};
 use serde::{Deserialize, Serialize};
-use sqlx::sqlite::SqliteRow;
 use strum::IntoStaticStr;
 use tokio::sync::watch;
 use tracing::Instrument;
@@ -106,8 +105,7 @@ pub struct KeyRow {
 }
 
 impl KeyRow {
-    fn read(row: &SqliteRow, operation: &'static str) -> Result<Self, StoreError> {
-        let c = Columns::of(row, operation);
+    fn read(c: &Columns<'_>) -> Result<Self, StoreError> {
         Ok(Self {
             id: c.get("id")?,
             name: c.get("name")?,
@@ -166,15 +164,9 @@ impl KeyRing {
     /// `Sql` or `Unreadable` if the read fails.
     pub async fn load(store: Store) -> Result<Self, StoreError> {
         const OPERATION: &str = "reading the valid keys";
-        let rows = sqlx::query("SELECT * FROM api_keys WHERE revoked_at IS NULL")
-            .fetch_all(&store.inner.readers)
-            .await
-            .during(OPERATION)?;
-        let entry = |row: &SqliteRow| {
-            let hash = Columns::of(row, OPERATION).get("sha256")?;
-            Ok((hash, Key::of(&KeyRow::read(row, OPERATION)?)))
-        };
-        let valid = rows.iter().map(entry).collect::<Result<_, StoreError>>()?;
+        let query = sqlx::query("SELECT * FROM api_keys WHERE revoked_at IS NULL");
+        let entry = |c: &Columns<'_>| Ok((c.get::<String>("sha256")?, Key::of(&KeyRow::read(c)?)));
+        let valid = store.rows(OPERATION, query, entry).await?.into_iter().collect();
         let (revocations, _) = watch::channel(());
         Ok(Self { store, valid: Arc::new(RwLock::new(valid)), revocations })
     }
@@ -309,45 +301,28 @@ impl Store {
                 .fetch_optional(connection)
                 .await
                 .during(OPERATION)?;
-                row.map(|row| KeyRow::read(&row, OPERATION)).transpose()?.ok_or(taken())
+                row.map(|row| KeyRow::read(&Columns::of(&row, OPERATION)))
+                    .transpose()?
+                    .ok_or(taken())
             })
             .await
     }
 
     async fn note_key_use(&self, id: i64, at: Timestamp) -> Result<(), StoreError> {
         const OPERATION: &str = "storing the use of a key";
-        let at = time_text(at);
-        self.inner
-            .writer
-            .run(OPERATION, async move |connection| {
-                sqlx::query("UPDATE api_keys SET last_used_at = ?2 WHERE id = ?1")
-                    .bind(id)
-                    .bind(at)
-                    .execute(connection)
-                    .await
-                    .during(OPERATION)?;
-                Ok(())
-            })
-            .await
+        let query = sqlx::query("UPDATE api_keys SET last_used_at = ?2 WHERE id = ?1")
+            .bind(id)
+            .bind(time_text(at));
+        self.inner.writer.execute(OPERATION, query).await.map(drop)
     }
 
     async fn revoke_key(&self, id: i64) -> Result<bool, StoreError> {
         const OPERATION: &str = "revoking a key";
-        let now = self.now_text();
-        self.inner
-            .writer
-            .run(OPERATION, async move |connection| {
-                let done = sqlx::query(
-                    "UPDATE api_keys SET revoked_at = ?2 WHERE id = ?1 AND revoked_at IS NULL",
-                )
+        let query =
+            sqlx::query("UPDATE api_keys SET revoked_at = ?2 WHERE id = ?1 AND revoked_at IS NULL")
                 .bind(id)
-                .bind(now)
-                .execute(connection)
-                .await
-                .during(OPERATION)?;
-                Ok(done.rows_affected() > 0)
-            })
-            .await
+                .bind(self.now_text());
+        Ok(self.inner.writer.execute(OPERATION, query).await? > 0)
     }
 
     /// Returns all keys, also revoked ones, oldest first.
@@ -356,10 +331,7 @@ impl Store {
     /// `Sql` or `Unreadable` if the read fails.
     pub async fn keys(&self) -> Result<Vec<KeyRow>, StoreError> {
         const OPERATION: &str = "listing keys";
-        let rows = sqlx::query("SELECT * FROM api_keys ORDER BY id")
-            .fetch_all(&self.inner.readers)
-            .await
-            .during(OPERATION)?;
-        rows.iter().map(|row| KeyRow::read(row, OPERATION)).collect()
+        let query = sqlx::query("SELECT * FROM api_keys ORDER BY id");
+        self.rows(OPERATION, query, KeyRow::read).await
     }
 }

@@ -15,6 +15,8 @@ mod log;
 mod migrations;
 /// Opening, sharing and closing the database.
 pub(crate) mod store;
+/// One statement alone: its rows, or the number of rows that it changes.
+mod statements;
 /// Facts of a run that never change.
 pub(crate) mod facts;
 /// Those of runs that were read or written, cached in memory.

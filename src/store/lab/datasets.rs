@@ -5,7 +5,6 @@ use std::collections::BTreeMap;
 
 use jiff::Timestamp;
 use serde_json::Value;
-use sqlx::sqlite::SqliteRow;
 
 use crate::core::columns::{Columns, time_text};
 use crate::core::{During, Store, StoreError};
@@ -35,8 +34,7 @@ pub struct DatasetRow {
 }
 
 impl DatasetRow {
-    fn read(row: &SqliteRow, operation: &'static str) -> Result<Self, StoreError> {
-        let c = Columns::of(row, operation);
+    fn read(c: &Columns<'_>) -> Result<Self, StoreError> {
         Ok(Self {
             id: c.id("id")?,
             name: c.get("name")?,
@@ -150,7 +148,7 @@ impl Store {
                     .fetch_one(connection)
                     .await
                     .during(OPERATION)?;
-                DatasetRow::read(&row, OPERATION)
+                DatasetRow::read(&Columns::of(&row, OPERATION))
             })
             .await
     }
@@ -195,13 +193,8 @@ impl Store {
         value: &str,
     ) -> Result<Option<DatasetRow>, StoreError> {
         const OPERATION: &str = "reading a dataset";
-        sqlx::query(sql)
-            .bind(value)
-            .fetch_optional(&self.inner.readers)
-            .await
-            .during(OPERATION)?
-            .map(|row| DatasetRow::read(&row, OPERATION))
-            .transpose()
+        let query = sqlx::query(sql).bind(value);
+        self.row(OPERATION, query, DatasetRow::read).await
     }
 
     /// Returns all datasets, newest first.
@@ -210,11 +203,8 @@ impl Store {
     /// `Sql` or `Unreadable` if the read fails.
     pub async fn datasets(&self) -> Result<Vec<DatasetRow>, StoreError> {
         const OPERATION: &str = "listing datasets";
-        let rows = sqlx::query("SELECT * FROM datasets ORDER BY created_at DESC, rowid DESC")
-            .fetch_all(&self.inner.readers)
-            .await
-            .during(OPERATION)?;
-        rows.iter().map(|row| DatasetRow::read(row, OPERATION)).collect()
+        let query = sqlx::query("SELECT * FROM datasets ORDER BY created_at DESC, rowid DESC");
+        self.rows(OPERATION, query, DatasetRow::read).await
     }
 
     /// Returns what refers to datasets: models that were made of them, and jobs and waiting exports that

@@ -132,18 +132,14 @@ impl Store {
         const OPERATION: &str = "reading events of some kinds";
         let scan_id = self.facts(run, OPERATION).await?.scan_id;
         let kinds = serde_json::json!(kinds).to_string();
-        let rows = sqlx::query(
+        let query = sqlx::query(
             "SELECT * FROM events WHERE run = ?1 AND kind IN (SELECT value FROM json_each(?2))
              ORDER BY seq DESC LIMIT ?3",
         )
         .bind(scan_id)
         .bind(kinds)
-        .bind(limit)
-        .fetch_all(&self.inner.readers)
-        .await
-        .during(OPERATION)?;
-        let event = |row| {
-            let c = Columns::of(row, OPERATION);
+        .bind(limit);
+        let event = |c: &Columns<'_>| {
             Ok(Event {
                 seq: c.get("seq")?,
                 run: Some(run),
@@ -152,7 +148,9 @@ impl Store {
                 data: c.json("data")?,
             })
         };
-        rows.iter().rev().map(event).collect()
+        let mut events = self.rows(OPERATION, query, event).await?;
+        events.reverse();
+        Ok(events)
     }
 
     /// Returns the time of measurement of the newest durable trial of a run; `None` without trials.
@@ -162,15 +160,12 @@ impl Store {
     pub async fn last_trial_at(&self, run: RunUid) -> Result<Option<Timestamp>, StoreError> {
         const OPERATION: &str = "reading the time of the last trial";
         let scan_id = self.facts(run, OPERATION).await?.scan_id;
-        let row = sqlx::query(
+        let query = sqlx::query(
             "SELECT measured_at FROM trials INDEXED BY trials_in_order
              WHERE run = ?1 ORDER BY id DESC LIMIT 1",
         )
-        .bind(scan_id)
-        .fetch_optional(&self.inner.readers)
-        .await
-        .during(OPERATION)?;
-        row.map_or(Ok(None), |row| Columns::of(&row, OPERATION).time_or_none("measured_at"))
+        .bind(scan_id);
+        Ok(self.row(OPERATION, query, |c| c.time_or_none("measured_at")).await?.flatten())
     }
 
     /// Returns the time of the last record of a run, a trial or an event, before a time; `None` without
@@ -185,16 +180,13 @@ impl Store {
     ) -> Result<Option<Timestamp>, StoreError> {
         const OPERATION: &str = "reading the time of the last record of a run";
         let scan_id = self.facts(run, OPERATION).await?.scan_id;
-        let row = sqlx::query(
+        let query = sqlx::query(
             "SELECT max(at) AS at FROM (
                  SELECT max(measured_at) AS at FROM trials WHERE run = ?1 AND measured_at < ?2
                  UNION ALL SELECT max(at) FROM events WHERE run = ?1 AND at < ?2)",
         )
         .bind(scan_id)
-        .bind(time_text(before))
-        .fetch_one(&self.inner.readers)
-        .await
-        .during(OPERATION)?;
-        Columns::of(&row, OPERATION).time_or_none("at")
+        .bind(time_text(before));
+        Ok(self.row(OPERATION, query, |c| c.time_or_none("at")).await?.flatten())
     }
 }

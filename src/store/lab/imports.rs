@@ -152,24 +152,14 @@ impl Store {
     /// # Errors
     /// `Sql` if the run is not an import; `Sql`, `Late` or `Closed` if the write fails.
     pub async fn end_import(&self, run: RunUid) -> Result<RunRow, StoreError> {
-        let now = self.now_text();
-        self.inner
-            .writer
-            .run(STORING_IMPORT, async move |connection| {
-                let row = sqlx::query(
-                    "UPDATE runs SET state = 'ended', exit_status = ?2, reason = 'imported',
-                         ended_at = ?3
-                     WHERE uid = ?1 AND kind = 'imported' RETURNING *",
-                )
-                .bind(run.to_string())
-                .bind(ExitStatus::Success.as_str())
-                .bind(now)
-                .fetch_one(connection)
-                .await
-                .during(STORING_IMPORT)?;
-                RunRow::read(&row, STORING_IMPORT)
-            })
-            .await
+        let query = sqlx::query(
+            "UPDATE runs SET state = 'ended', exit_status = ?2, reason = 'imported', ended_at = ?3
+             WHERE uid = ?1 AND kind = 'imported' RETURNING *",
+        )
+        .bind(run.to_string())
+        .bind(ExitStatus::Success.as_str())
+        .bind(self.now_text());
+        self.inner.writer.returned(STORING_IMPORT, query, RunRow::read).await
     }
 
     /// Removes the trials of incomplete imports, and returns their number. Call it at the start.
@@ -178,21 +168,13 @@ impl Store {
     /// `Sql`, `Late` or `Closed` if the write fails.
     pub async fn sweep_imports(&self) -> Result<u64, StoreError> {
         const OPERATION: &str = "removing an incomplete import";
-        self.inner
-            .writer
-            .run(OPERATION, async move |connection| {
-                let gone = sqlx::query(
-                    "DELETE FROM trials WHERE run IN
-                         (SELECT scan_id FROM runs WHERE kind = ?1 AND state = ?2)",
-                )
-                .bind(RunKind::Imported.as_str())
-                .bind(INCOMPLETE.as_str())
-                .execute(connection)
-                .await
-                .during(OPERATION)?;
-                Ok(gone.rows_affected())
-            })
-            .await
+        let query = sqlx::query(
+            "DELETE FROM trials WHERE run IN
+                 (SELECT scan_id FROM runs WHERE kind = ?1 AND state = ?2)",
+        )
+        .bind(RunKind::Imported.as_str())
+        .bind(INCOMPLETE.as_str());
+        self.inner.writer.execute(OPERATION, query).await
     }
 }
 

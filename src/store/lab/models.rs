@@ -2,10 +2,11 @@
 //! Uses: `core::writer`. Never: the files themselves, the meaning of a manifest.
 
 use jiff::Timestamp;
-use sqlx::sqlite::SqliteRow;
+use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
 
 use crate::core::columns::{Columns, time_text};
-use crate::core::{During, Store, StoreError};
+use crate::core::{Store, StoreError};
 use crate::ids::{ModelId, PromotedId};
 
 /// A stored model. Its files are in a folder that is named by its id.
@@ -24,8 +25,7 @@ pub struct ModelRow {
 }
 
 impl ModelRow {
-    fn read(row: &SqliteRow, operation: &'static str) -> Result<Self, StoreError> {
-        let c = Columns::of(row, operation);
+    fn read(c: &Columns<'_>) -> Result<Self, StoreError> {
         Ok(Self {
             id: c.id("id")?,
             name: c.get("name")?,
@@ -36,20 +36,22 @@ impl ModelRow {
     }
 }
 
-/// A promotion: what serves in a slot from a time on.
-#[derive(Debug, Clone, PartialEq)]
+/// A change of what a slot serves.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct PromotionRow {
-    /// Name of the slot: `transfer`, `map`, `points` or `skin`.
+    /// Name of the slot.
     pub slot: String,
-    /// What it put into the slot; if absent, nothing serves in the slot.
+    /// Id of the promoted model or calibration; null if the slot was emptied.
+    #[schema(value_type = Option<String>)]
     pub what: Option<PromotedId>,
-    /// Person or key that promoted it.
+    /// Name of the person or key.
     pub who: String,
-    /// Reason that the person entered; absent without one.
+    /// Reason; null if none was entered.
     pub why: Option<String>,
-    /// Wall time of the promotion.
+    /// Time of the promotion.
+    #[schema(value_type = String, format = DateTime)]
     pub at: Timestamp,
-    /// Whether it restored an earlier promotion.
+    /// True if this restored an earlier promotion.
     pub rolled_back: bool,
 }
 
@@ -69,8 +71,7 @@ pub struct NewPromotion<'a> {
 }
 
 impl PromotionRow {
-    fn read(row: &SqliteRow, operation: &'static str) -> Result<Self, StoreError> {
-        let c = Columns::of(row, operation);
+    fn read(c: &Columns<'_>) -> Result<Self, StoreError> {
         Ok(Self {
             slot: c.get("slot")?,
             what: c.id_or_none("what")?,
@@ -89,24 +90,16 @@ impl Store {
     /// `Sql`, `Late` or `Closed` if the write fails.
     pub async fn insert_model(&self, new: ModelRow) -> Result<(), StoreError> {
         const OPERATION: &str = "storing a model";
-        self.inner
-            .writer
-            .run(OPERATION, async move |connection| {
-                sqlx::query(
-                    "INSERT INTO models (id, name, task, manifest, created_at)
-                     VALUES (?1, ?2, ?3, ?4, ?5) ON CONFLICT (id) DO NOTHING",
-                )
-                .bind(new.id.as_str())
-                .bind(&new.name)
-                .bind(&new.task)
-                .bind(&new.manifest)
-                .bind(time_text(new.created_at))
-                .execute(connection)
-                .await
-                .during(OPERATION)?;
-                Ok(())
-            })
-            .await
+        let query = sqlx::query(
+            "INSERT INTO models (id, name, task, manifest, created_at)
+             VALUES (?1, ?2, ?3, ?4, ?5) ON CONFLICT (id) DO NOTHING",
+        )
+        .bind(new.id.as_str())
+        .bind(&new.name)
+        .bind(&new.task)
+        .bind(&new.manifest)
+        .bind(time_text(new.created_at));
+        self.inner.writer.execute(OPERATION, query).await.map(drop)
     }
 
     /// Returns the model with this id, or else the newest with this name; `None` if there is none.
@@ -115,16 +108,12 @@ impl Store {
     /// `Sql` or `Unreadable` if the read fails.
     pub async fn model(&self, id_or_name: &str) -> Result<Option<ModelRow>, StoreError> {
         const OPERATION: &str = "reading a model";
-        sqlx::query(
+        let query = sqlx::query(
             "SELECT * FROM models WHERE id = ?1 OR name = ?1
              ORDER BY id = ?1 DESC, created_at DESC, rowid DESC LIMIT 1",
         )
-        .bind(id_or_name)
-        .fetch_optional(&self.inner.readers)
-        .await
-        .during(OPERATION)?
-        .map(|row| ModelRow::read(&row, OPERATION))
-        .transpose()
+        .bind(id_or_name);
+        self.row(OPERATION, query, ModelRow::read).await
     }
 
     /// Returns all models, newest first.
@@ -133,11 +122,8 @@ impl Store {
     /// `Sql` or `Unreadable` if the read fails.
     pub async fn models(&self) -> Result<Vec<ModelRow>, StoreError> {
         const OPERATION: &str = "listing models";
-        let rows = sqlx::query("SELECT * FROM models ORDER BY created_at DESC, rowid DESC")
-            .fetch_all(&self.inner.readers)
-            .await
-            .during(OPERATION)?;
-        rows.iter().map(|row| ModelRow::read(row, OPERATION)).collect()
+        let query = sqlx::query("SELECT * FROM models ORDER BY created_at DESC, rowid DESC");
+        self.rows(OPERATION, query, ModelRow::read).await
     }
 
     /// Stores a promotion with the current wall time.
@@ -146,28 +132,17 @@ impl Store {
     /// `Sql`, `Late` or `Closed` if the write fails.
     pub async fn promote(&self, new: NewPromotion<'_>) -> Result<(), StoreError> {
         const OPERATION: &str = "storing a promotion";
-        let (slot, what) = (new.slot.to_owned(), new.what.map(ToString::to_string));
-        let (who, why) = (new.who.to_owned(), new.why.map(str::to_owned));
-        let (rolled_back, now) = (new.rolled_back, self.now_text());
-        self.inner
-            .writer
-            .run(OPERATION, async move |connection| {
-                sqlx::query(
-                    "INSERT INTO promotions (slot, what, who, why, at, rolled_back)
-                     VALUES (?1, ?2, ?3, ?4, ?5, ?6)",
-                )
-                .bind(slot)
-                .bind(what)
-                .bind(who)
-                .bind(why)
-                .bind(now)
-                .bind(rolled_back)
-                .execute(connection)
-                .await
-                .during(OPERATION)?;
-                Ok(())
-            })
-            .await
+        let query = sqlx::query(
+            "INSERT INTO promotions (slot, what, who, why, at, rolled_back)
+             VALUES (?1, ?2, ?3, ?4, ?5, ?6)",
+        )
+        .bind(new.slot)
+        .bind(new.what.map(ToString::to_string))
+        .bind(new.who)
+        .bind(new.why)
+        .bind(self.now_text())
+        .bind(new.rolled_back);
+        self.inner.writer.execute(OPERATION, query).await.map(drop)
     }
 
     /// Returns all promotions, newest first.
@@ -176,10 +151,7 @@ impl Store {
     /// `Sql` or `Unreadable` if the read fails.
     pub async fn promotions(&self) -> Result<Vec<PromotionRow>, StoreError> {
         const OPERATION: &str = "reading promotions";
-        let rows = sqlx::query("SELECT * FROM promotions ORDER BY id DESC")
-            .fetch_all(&self.inner.readers)
-            .await
-            .during(OPERATION)?;
-        rows.iter().map(|row| PromotionRow::read(row, OPERATION)).collect()
+        let query = sqlx::query("SELECT * FROM promotions ORDER BY id DESC");
+        self.rows(OPERATION, query, PromotionRow::read).await
     }
 }

@@ -6,12 +6,11 @@ use std::fmt;
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
-use sqlx::sqlite::SqliteRow;
 use strum::EnumIter;
 use utoipa::ToSchema;
 
 use crate::core::columns::Columns;
-use crate::core::{During, Store, StoreError};
+use crate::core::{Store, StoreError};
 use crate::ids::{DatasetId, ModelId, TaskId};
 
 /// Kind of a task.
@@ -71,35 +70,41 @@ impl fmt::Display for TaskState {
 }
 
 /// A stored task.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct TaskRow {
     /// Id of the task.
+    #[schema(value_type = String)]
     pub id: TaskId,
     /// Kind of the task.
     pub kind: TaskKind,
-    /// The request, as JSON.
+    /// The request: of a job `{"recipe": text}` or an EvaluationRequest.
+    #[schema(value_type = Object)]
     pub request: Value,
     /// State of the task.
     pub state: TaskState,
     /// Id of the dataset; absent until it is known.
     pub dataset: Option<DatasetId>,
-    /// The result, as JSON; absent unless it is done.
+    /// The result: `{"model": id, "name": ..}` of a training, an EvaluationReport of an evaluation. Absent until it is
+    /// done.
+    #[schema(value_type = Option<Object>)]
     pub result: Option<Value>,
     /// Cause of the failure; absent unless it failed.
     pub error: Option<String>,
-    /// Person or key that requested it.
+    /// Name of the person or key that requested it.
     pub asked_by: String,
-    /// Wall time of the request.
+    /// Time of the request.
+    #[schema(value_type = String, format = DateTime)]
     pub created_at: Timestamp,
-    /// Wall time at which it first started; absent before.
+    /// Time of the first start; absent before it.
+    #[schema(value_type = Option<String>, format = DateTime)]
     pub started_at: Option<Timestamp>,
-    /// Wall time at which it ended; absent before.
+    /// Time of the end; absent before it.
+    #[schema(value_type = Option<String>, format = DateTime)]
     pub finished_at: Option<Timestamp>,
 }
 
 impl TaskRow {
-    fn read(row: &SqliteRow, operation: &'static str) -> Result<Self, StoreError> {
-        let c = Columns::of(row, operation);
+    fn read(c: &Columns<'_>) -> Result<Self, StoreError> {
         let id: &str = c.get("id")?;
         let result: Option<&str> = c.get("result")?;
         Ok(Self {
@@ -157,26 +162,17 @@ impl Store {
         asked_by: &str,
     ) -> Result<TaskRow, StoreError> {
         const OPERATION: &str = "storing a task";
-        let (asked_by, now) = (asked_by.to_owned(), self.now_text());
-        self.inner
-            .writer
-            .run(OPERATION, async move |connection| {
-                let row = sqlx::query(
-                    "INSERT INTO tasks (id, kind, request, state, asked_by, created_at)
-                     VALUES (?1, ?2, ?3, ?4, ?5, ?6) RETURNING *",
-                )
-                .bind(kind.new_id().to_string())
-                .bind(kind.to_string())
-                .bind(request.to_string())
-                .bind(TaskState::Waiting.to_string())
-                .bind(asked_by)
-                .bind(now)
-                .fetch_one(connection)
-                .await
-                .during(OPERATION)?;
-                TaskRow::read(&row, OPERATION)
-            })
-            .await
+        let query = sqlx::query(
+            "INSERT INTO tasks (id, kind, request, state, asked_by, created_at)
+             VALUES (?1, ?2, ?3, ?4, ?5, ?6) RETURNING *",
+        )
+        .bind(kind.new_id().to_string())
+        .bind(kind.to_string())
+        .bind(request.to_string())
+        .bind(TaskState::Waiting.to_string())
+        .bind(asked_by)
+        .bind(self.now_text());
+        self.inner.writer.returned(OPERATION, query, TaskRow::read).await
     }
 
     /// Marks a task as running, with the id of its dataset if it is known. Returns false, and changes
@@ -190,24 +186,15 @@ impl Store {
         dataset: Option<&DatasetId>,
     ) -> Result<bool, StoreError> {
         const OPERATION: &str = "beginning a task";
-        let (dataset, now) = (dataset.cloned(), self.now_text());
-        self.inner
-            .writer
-            .run(OPERATION, async move |connection| {
-                let begun = sqlx::query(
-                    "UPDATE tasks SET state = 'running', dataset = coalesce(?2, dataset),
-                         started_at = coalesce(started_at, ?3)
-                     WHERE id = ?1 AND state IN ('waiting', 'running')",
-                )
-                .bind(id.to_string())
-                .bind(dataset.as_ref().map(DatasetId::as_str))
-                .bind(now)
-                .execute(connection)
-                .await
-                .during(OPERATION)?;
-                Ok(begun.rows_affected() > 0)
-            })
-            .await
+        let query = sqlx::query(
+            "UPDATE tasks SET state = 'running', dataset = coalesce(?2, dataset),
+                 started_at = coalesce(started_at, ?3)
+             WHERE id = ?1 AND state IN ('waiting', 'running')",
+        )
+        .bind(id.to_string())
+        .bind(dataset.map(DatasetId::as_str))
+        .bind(self.now_text());
+        Ok(self.inner.writer.execute(OPERATION, query).await? > 0)
     }
 
     /// Stores the end of a task. Returns false, and changes nothing, if it has already ended.
@@ -216,31 +203,22 @@ impl Store {
     /// `Sql`, `Late` or `Closed` if the write fails.
     pub async fn end_task(&self, id: TaskId, end: TaskEnd) -> Result<bool, StoreError> {
         const OPERATION: &str = "ending a task";
-        let now = self.now_text();
-        self.inner
-            .writer
-            .run(OPERATION, async move |connection| {
-                let state = end.state();
-                let (result, error) = match end {
-                    TaskEnd::Done(result) => (Some(result.to_string()), None),
-                    TaskEnd::Stopped => (None, None),
-                    TaskEnd::Failed(cause) => (None, Some(cause)),
-                };
-                let ended = sqlx::query(
-                    "UPDATE tasks SET state = ?2, result = ?3, error = ?4, finished_at = ?5
-                     WHERE id = ?1 AND state IN ('waiting', 'running')",
-                )
-                .bind(id.to_string())
-                .bind(state.to_string())
-                .bind(result)
-                .bind(error)
-                .bind(now)
-                .execute(connection)
-                .await
-                .during(OPERATION)?;
-                Ok(ended.rows_affected() > 0)
-            })
-            .await
+        let state = end.state();
+        let (result, error) = match end {
+            TaskEnd::Done(result) => (Some(result.to_string()), None),
+            TaskEnd::Stopped => (None, None),
+            TaskEnd::Failed(cause) => (None, Some(cause)),
+        };
+        let query = sqlx::query(
+            "UPDATE tasks SET state = ?2, result = ?3, error = ?4, finished_at = ?5
+             WHERE id = ?1 AND state IN ('waiting', 'running')",
+        )
+        .bind(id.to_string())
+        .bind(state.to_string())
+        .bind(result)
+        .bind(error)
+        .bind(self.now_text());
+        Ok(self.inner.writer.execute(OPERATION, query).await? > 0)
     }
 
     /// Returns a task; `None` if it is not stored.
@@ -249,13 +227,8 @@ impl Store {
     /// `Sql` or `Unreadable` if the read fails.
     pub async fn task(&self, id: TaskId) -> Result<Option<TaskRow>, StoreError> {
         const OPERATION: &str = "reading a task";
-        sqlx::query("SELECT * FROM tasks WHERE id = ?1")
-            .bind(id.to_string())
-            .fetch_optional(&self.inner.readers)
-            .await
-            .during(OPERATION)?
-            .map(|row| TaskRow::read(&row, OPERATION))
-            .transpose()
+        let query = sqlx::query("SELECT * FROM tasks WHERE id = ?1").bind(id.to_string());
+        self.row(OPERATION, query, TaskRow::read).await
     }
 
     /// Returns at most `limit` tasks of these kinds that were requested before the task `before`, newest
@@ -300,8 +273,7 @@ impl Store {
         const OPERATION: &str = "listing tasks";
         let before = before.map(|id| id.to_string());
         let reading = sqlx::query(sql).bind(names(kinds)).bind(limit).bind(before);
-        let rows = reading.fetch_all(&self.inner.readers).await.during(OPERATION)?;
-        rows.iter().map(|row| TaskRow::read(row, OPERATION)).collect()
+        self.rows(OPERATION, reading, TaskRow::read).await
     }
 
     /// Returns the completed evaluations that scored this model, newest first.
@@ -310,15 +282,12 @@ impl Store {
     /// `Sql` or `Unreadable` if the read fails.
     pub async fn evaluations_of(&self, model: &ModelId) -> Result<Vec<TaskRow>, StoreError> {
         const OPERATION: &str = "reading a model's evaluations";
-        let rows = sqlx::query(
+        let query = sqlx::query(
             "SELECT * FROM tasks WHERE kind = 'evaluation' AND state = 'done'
                  AND EXISTS (SELECT 1 FROM json_each(result, '$.models') WHERE value = ?1)
              ORDER BY id DESC",
         )
-        .bind(model.as_str())
-        .fetch_all(&self.inner.readers)
-        .await
-        .during(OPERATION)?;
-        rows.iter().map(|row| TaskRow::read(row, OPERATION)).collect()
+        .bind(model.as_str());
+        self.rows(OPERATION, query, TaskRow::read).await
     }
 }

@@ -114,28 +114,19 @@ impl Store {
     /// `Sql`, `Late` or `Closed` if the write fails.
     pub async fn twin_model(&self, new: NewTwinModel) -> Result<TwinModelId, StoreError> {
         const OPERATION: &str = "storing a model";
-        let now = self.now_text();
-        let id = self
-            .inner
-            .writer
-            .run(OPERATION, async move |connection| {
-                sqlx::query_scalar(
-                    "INSERT INTO twin_models
-                         (hash, sensor_sha256, calibration_id, version, git_commit, created_at)
-                     VALUES (?1, ?2, ?3, ?4, ?5, ?6)
-                     ON CONFLICT (hash) DO UPDATE SET hash = excluded.hash RETURNING id",
-                )
-                .bind(new.hash)
-                .bind(new.sensor_sha256)
-                .bind(new.calibration_id.as_ref().map(CalibrationId::as_str))
-                .bind(new.version)
-                .bind(new.git_commit)
-                .bind(now)
-                .fetch_one(connection)
-                .await
-                .during(OPERATION)
-            })
-            .await?;
+        let query = sqlx::query(
+            "INSERT INTO twin_models
+                 (hash, sensor_sha256, calibration_id, version, git_commit, created_at)
+             VALUES (?1, ?2, ?3, ?4, ?5, ?6)
+             ON CONFLICT (hash) DO UPDATE SET hash = excluded.hash RETURNING id",
+        )
+        .bind(new.hash)
+        .bind(new.sensor_sha256)
+        .bind(new.calibration_id.as_ref().map(CalibrationId::as_str))
+        .bind(new.version)
+        .bind(new.git_commit)
+        .bind(self.now_text());
+        let id = self.inner.writer.returned(OPERATION, query, |c| c.get("id")).await?;
         Ok(TwinModelId(id))
     }
 
@@ -145,13 +136,8 @@ impl Store {
     /// `Sql` or `Unreadable` if the read fails.
     pub async fn twin_model_of(&self, hash: &str) -> Result<Option<NewTwinModel>, StoreError> {
         const OPERATION: &str = "reading a model";
-        let row = sqlx::query("SELECT * FROM twin_models WHERE hash = ?1")
-            .bind(hash)
-            .fetch_optional(&self.inner.readers)
-            .await
-            .during(OPERATION)?;
-        row.map(|row| {
-            let c = Columns::of(&row, OPERATION);
+        let query = sqlx::query("SELECT * FROM twin_models WHERE hash = ?1").bind(hash);
+        let read = |c: &Columns<'_>| {
             Ok(NewTwinModel {
                 hash: c.get("hash")?,
                 sensor_sha256: c.get("sensor_sha256")?,
@@ -159,8 +145,8 @@ impl Store {
                 version: c.get("version")?,
                 git_commit: c.get("git_commit")?,
             })
-        })
-        .transpose()
+        };
+        self.row(OPERATION, query, read).await
     }
 
     /// Returns at most `limit` trials of a run without a twin of this model, with their voltages, in
@@ -229,35 +215,28 @@ impl Store {
     ) -> Result<Vec<Twin>, StoreError> {
         const OPERATION: &str = "reading twins";
         let trials: Vec<i64> = trials.iter().map(|trial| trial.0).collect();
-        let rows = sqlx::query(
+        let query = sqlx::query(
             "SELECT w.trial, w.rmse_v, w.fvu, w.failure, s.voltages_v, s.crc32
              FROM twins w LEFT JOIN twin_voltages s ON s.trial = w.trial AND s.model = w.model
              WHERE w.model = ?1 AND w.trial IN (SELECT value FROM json_each(?2)) ORDER BY w.trial",
         )
         .bind(model.0)
-        .bind(format!("{trials:?}"))
-        .fetch_all(&self.inner.readers)
-        .await
-        .during(OPERATION)?;
-        rows.iter()
-            .map(|row| {
-                let c = Columns::of(row, OPERATION);
-                let trial = TrialId(c.get("trial")?);
-                let of = || format!("the twin of trial {}", trial.0);
-                let outcome = match checksum::volts(&c, "voltages_v", "crc32", of)? {
-                    Some(voltages_v) => TwinOutcome::Frame {
-                        voltages_v,
-                        rmse_v: c.get("rmse_v")?,
-                        fvu: c.get("fvu")?,
-                    },
-                    None => {
-                        let failure: Option<String> = c.get("failure")?;
-                        TwinOutcome::Failure(failure.unwrap_or_default())
-                    }
-                };
-                Ok(Twin { trial, outcome })
-            })
-            .collect()
+        .bind(format!("{trials:?}"));
+        let read = |c: &Columns<'_>| {
+            let trial = TrialId(c.get("trial")?);
+            let of = || format!("the twin of trial {}", trial.0);
+            let outcome = match checksum::volts(c, "voltages_v", "crc32", of)? {
+                Some(voltages_v) => {
+                    TwinOutcome::Frame { voltages_v, rmse_v: c.get("rmse_v")?, fvu: c.get("fvu")? }
+                }
+                None => {
+                    let failure: Option<String> = c.get("failure")?;
+                    TwinOutcome::Failure(failure.unwrap_or_default())
+                }
+            };
+            Ok(Twin { trial, outcome })
+        };
+        self.rows(OPERATION, query, read).await
     }
 
     /// Returns the progress of the twins of a run with this model.
@@ -294,14 +273,11 @@ impl Store {
     /// `Sql` or `Unreadable` if the read fails.
     pub async fn runs_with_trials(&self) -> Result<Vec<RunUid>, StoreError> {
         const OPERATION: &str = "reading the runs with trials";
-        let rows = sqlx::query(
+        let query = sqlx::query(
             "SELECT uid FROM runs r WHERE EXISTS (SELECT 1 FROM trials t WHERE t.run = r.scan_id)
              ORDER BY scan_id DESC",
-        )
-        .fetch_all(&self.inner.readers)
-        .await
-        .during(OPERATION)?;
-        rows.iter().map(|row| Columns::of(row, OPERATION).uid("uid")).collect()
+        );
+        self.rows(OPERATION, query, |c| c.uid("uid")).await
     }
 
     /// Returns the fit of each trial of a run by the newest model with a twin of it, in the order of
@@ -312,7 +288,7 @@ impl Store {
     pub async fn fits(&self, run: RunUid) -> Result<Vec<Fit>, StoreError> {
         const OPERATION: &str = "reading the fits of a run";
         let scan_id = self.facts(run, OPERATION).await?.scan_id;
-        let rows = sqlx::query(
+        let query = sqlx::query(
             "SELECT t.id, t.tips, t.contact_count, t.max_force_n, t.flags <> '[]' AS flagged,
                     w.rmse_v, w.fvu, p.x_mm, p.y_mm
              FROM trials t
@@ -321,26 +297,21 @@ impl Store {
              LEFT JOIN trial_tips p ON p.trial = t.id AND t.tips = 1
              WHERE t.run = ?1 AND w.rmse_v IS NOT NULL ORDER BY t.id",
         )
-        .bind(scan_id)
-        .fetch_all(&self.inner.readers)
-        .await
-        .during(OPERATION)?;
-        rows.iter()
-            .map(|row| {
-                let c = Columns::of(row, OPERATION);
-                let (x_mm, y_mm): (Option<f64>, Option<f64>) = (c.get("x_mm")?, c.get("y_mm")?);
-                Ok(Fit {
-                    trial: TrialId(c.get("id")?),
-                    tips: c.whole("tips")?,
-                    contact_count: c.whole("contact_count")?,
-                    max_force_n: c.get("max_force_n")?,
-                    single_tip_mm: x_mm.zip(y_mm).map(|(x, y)| [x, y]),
-                    flagged: c.get("flagged")?,
-                    rmse_v: c.get("rmse_v")?,
-                    fvu: c.get("fvu")?,
-                })
+        .bind(scan_id);
+        let read = |c: &Columns<'_>| {
+            let (x_mm, y_mm): (Option<f64>, Option<f64>) = (c.get("x_mm")?, c.get("y_mm")?);
+            Ok(Fit {
+                trial: TrialId(c.get("id")?),
+                tips: c.whole("tips")?,
+                contact_count: c.whole("contact_count")?,
+                max_force_n: c.get("max_force_n")?,
+                single_tip_mm: x_mm.zip(y_mm).map(|(x, y)| [x, y]),
+                flagged: c.get("flagged")?,
+                rmse_v: c.get("rmse_v")?,
+                fvu: c.get("fvu")?,
             })
-            .collect()
+        };
+        self.rows(OPERATION, query, read).await
     }
 }
 

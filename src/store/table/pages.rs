@@ -156,14 +156,11 @@ impl Store {
     /// `Damaged` if it differs from its checksum; `Sql` or `Unreadable` if the read fails.
     pub async fn trial_voltages(&self, trial: TrialId) -> Result<Option<Vec<f32>>, StoreError> {
         const OPERATION: &str = "reading a trial's voltages";
-        let row = sqlx::query("SELECT voltages_v, crc32 FROM trial_voltages WHERE trial = ?1")
-            .bind(trial.0)
-            .fetch_optional(&self.inner.readers)
-            .await
-            .during(OPERATION)?;
-        let Some(row) = row else { return Ok(None) };
+        let query = sqlx::query("SELECT voltages_v, crc32 FROM trial_voltages WHERE trial = ?1")
+            .bind(trial.0);
         let of = || format!("trial {}", trial.0);
-        checksum::volts(&Columns::of(&row, OPERATION), "voltages_v", "crc32", of)
+        let read = |c: &Columns<'_>| checksum::volts(c, "voltages_v", "crc32", of);
+        Ok(self.row(OPERATION, query, read).await?.flatten())
     }
 
     /// Returns the raw frames of a trial, in the order of measurement; empty if the trial is not stored.
@@ -172,13 +169,9 @@ impl Store {
     /// `Damaged` if a frame differs from its checksum; `Sql` or `Unreadable` if the read fails.
     pub async fn frames(&self, trial: TrialId) -> Result<Vec<FrameRecord>, StoreError> {
         const OPERATION: &str = "reading a trial's frames";
-        let rows = sqlx::query("SELECT * FROM frames WHERE trial = ?1 ORDER BY n")
-            .bind(trial.0)
-            .fetch_all(&self.inner.readers)
-            .await
-            .during(OPERATION)?;
+        let query = sqlx::query("SELECT * FROM frames WHERE trial = ?1 ORDER BY n").bind(trial.0);
         let of = || format!("trial {}", trial.0);
-        rows.iter().map(|row| checksum::frame(&Columns::of(row, OPERATION), of)).collect()
+        self.rows(OPERATION, query, |c| checksum::frame(c, of)).await
     }
 
     /// Returns the query plan of SQLite for the ids of a page, one line per step.

@@ -5,13 +5,12 @@ use serde_json::json;
 use sqlx::Connection;
 use sqlx::sqlite::SqliteConnectOptions;
 
-use super::{Folder, new_run, open, random_trial, time};
+use super::{Folder, fresh, new_run, open, random_trial, time};
 use crate::ids::{DatasetId, RunUid, TrialKey};
 use crate::journal::Journal;
 use crate::state::StoredState;
 use crate::{
-    Contact, DatasetRow, ImportedTrial, Label, NewRun, NewTwinModel, RunKind, Soundness, Store,
-    TrialQuery,
+    Contact, DatasetRow, ImportedTrial, Label, NewRun, RunKind, Soundness, Store, TrialQuery,
 };
 
 fn imported() -> NewRun {
@@ -50,18 +49,10 @@ async fn all(store: &Store, run: RunUid) -> Vec<crate::TrialRow> {
 
 #[tokio::test]
 async fn an_import_is_a_run_whose_trials_lack_what_was_not_known() {
-    let folder = Folder::new();
-    let store = open(&folder.file()).await;
+    let (_folder, store) = fresh().await;
     let run = store.begin_import(imported()).await.unwrap();
     assert_eq!(store.run(run.uid).await.unwrap().unwrap().state, StoredState::Removed);
-    let model = NewTwinModel {
-        hash: "sim-1".into(),
-        sensor_sha256: "s".into(),
-        calibration_id: None,
-        version: "imported".into(),
-        git_commit: None,
-    };
-    let model = store.twin_model(model).await.unwrap();
+    let model = super::twins::model(&store, "sim-1").await;
     store.import_trials(run.uid, Some(model), vec![elsewhere(0), elsewhere(4)]).await.unwrap();
     let ended = store.end_import(run.uid).await.unwrap();
     assert_eq!((ended.state, ended.seed, ended.rig), (StoredState::Ended, None, None));
@@ -85,8 +76,7 @@ async fn an_import_is_a_run_whose_trials_lack_what_was_not_known() {
 
 #[tokio::test]
 async fn raw_frames_of_an_import_are_kept_as_those_of_a_rig() {
-    let folder = Folder::new();
-    let store = open(&folder.file()).await;
+    let (folder, store) = fresh().await;
     let run = store.begin_import(imported()).await.unwrap();
     let frames_v = vec![vec![0.5, -1e-3, 0.25], vec![0.1, 2e-3, -0.4]];
     let raw = |frame_count, frames_v: &[Vec<f32>]| ImportedTrial {
@@ -125,8 +115,7 @@ async fn raw_frames_of_an_import_are_kept_as_those_of_a_rig() {
 
 #[tokio::test]
 async fn half_an_import_is_gone_after_the_next_start() {
-    let folder = Folder::new();
-    let store = open(&folder.file()).await;
+    let (_folder, store) = fresh().await;
     let run = store.begin_import(imported()).await.unwrap();
     store.import_trials(run.uid, None, vec![elsewhere(0)]).await.unwrap();
     assert_eq!(store.sweep_imports().await.unwrap(), 1);
@@ -136,8 +125,7 @@ async fn half_an_import_is_gone_after_the_next_start() {
 
 #[tokio::test]
 async fn a_dataset_is_stored_once_and_found_by_its_inputs() {
-    let folder = Folder::new();
-    let store = open(&folder.file()).await;
+    let (_folder, store) = fresh().await;
     let row = DatasetRow {
         id: DatasetId::unchecked("ds-1"),
         name: "real".into(),

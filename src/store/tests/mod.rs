@@ -70,6 +70,13 @@ async fn open(path: &Path) -> Store {
     Store::open(path, Clock::new(1.0)).await.unwrap()
 }
 
+/// A new store, and its folder.
+async fn fresh() -> (Folder, Store) {
+    let folder = Folder::new();
+    let store = open(&folder.file()).await;
+    (folder, store)
+}
+
 fn now() -> Timestamp {
     Timestamp::now()
 }

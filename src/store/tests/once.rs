@@ -3,7 +3,7 @@
 
 use std::time::Duration;
 
-use super::{Folder, open};
+use super::{fresh, open};
 use crate::{OnceKey, OnceResponse, Store};
 
 const DAY: Duration = Duration::from_secs(86_400);
@@ -19,8 +19,7 @@ async fn is_new(store: &Store, key: &OnceKey, kept: Duration, most: u32) -> bool
 
 #[tokio::test]
 async fn a_request_begins_once_and_its_response_outlives_the_process() {
-    let folder = Folder::new();
-    let store = open(&folder.file()).await;
+    let (folder, store) = fresh().await;
     let (mine, other) = (key(None, "k"), key(Some(1), "k"));
     assert!(is_new(&store, &mine, DAY, 9).await && is_new(&store, &other, DAY, 9).await);
     let first = store.begin_once(&mine, "another", DAY, 9).await.unwrap().unwrap();
@@ -42,8 +41,7 @@ async fn a_request_begins_once_and_its_response_outlives_the_process() {
 
 #[tokio::test]
 async fn old_requests_are_removed_and_the_newest_of_each_caller_are_kept() {
-    let folder = Folder::new();
-    let store = open(&folder.file()).await;
+    let (_folder, store) = fresh().await;
     let of = |n: u32| key(None, &n.to_string());
     assert!(is_new(&store, &key(Some(1), "other"), DAY, 3).await);
     for n in 0..5 {

@@ -8,7 +8,7 @@ use parking_lot::Mutex;
 use serde_json::json;
 use sqlx::Connection;
 
-use super::{Folder, new_run, now, open, time};
+use super::{Folder, fresh, new_run, now, open, time};
 use crate::core::store::Inner;
 use crate::journal::{ExitStatus, Journal, Mounting};
 use crate::state::{StateChange, StoredState};
@@ -16,8 +16,7 @@ use crate::{KeyRing, NewAction, Role, RunKind, Store, StoreError};
 
 #[tokio::test]
 async fn events_are_numbered_without_gaps() {
-    let folder = Folder::new();
-    let store = open(&folder.file()).await;
+    let (_folder, store) = fresh().await;
     let run = store.create_run(new_run(RunKind::RealHex)).await.unwrap().uid;
     assert_eq!(store.last_event_seq().await.unwrap(), 0);
     let mut sent = Vec::new();
@@ -35,8 +34,7 @@ async fn events_are_numbered_without_gaps() {
 
 #[tokio::test]
 async fn events_are_selected_by_kind_before_they_are_counted() {
-    let folder = Folder::new();
-    let store = open(&folder.file()).await;
+    let (_folder, store) = fresh().await;
     let run = store.create_run(new_run(RunKind::RealHex)).await.unwrap().uid;
     for (of, kind) in [(Some(run), "state"), (Some(run), "trip"), (None, "trip"), (None, "keys")] {
         store.append_event(of, kind, json!({})).await.unwrap();
@@ -93,8 +91,7 @@ async fn events_of_earlier_versions_have_the_kinds_of_today() {
 
 #[tokio::test]
 async fn an_event_that_is_written_late_says_when_it_happened() {
-    let folder = Folder::new();
-    let store = open(&folder.file()).await;
+    let (_folder, store) = fresh().await;
     let at = time("2026-11-20T18:00:00.123456Z");
     let event = store.event(None, "trip", json!({}), at).await.unwrap();
     assert_eq!(event.at, time("2026-11-20T18:00:00.123Z"));
@@ -103,8 +100,7 @@ async fn an_event_that_is_written_late_says_when_it_happened() {
 
 #[tokio::test]
 async fn what_was_said_last_of_the_tips_counts() {
-    let folder = Folder::new();
-    let store = open(&folder.file()).await;
+    let (folder, store) = fresh().await;
     assert_eq!(store.last_mounted().await.unwrap(), None);
     let at = time("2026-11-20T18:00:00.5Z");
     let said = |tips, live_cells, who: &str| Mounting { tips, live_cells, who: who.into() };
@@ -120,8 +116,7 @@ async fn what_was_said_last_of_the_tips_counts() {
 
 #[tokio::test]
 async fn tips_are_not_known_after_a_manual_run() {
-    let folder = Folder::new();
-    let store = open(&folder.file()).await;
+    let (_folder, store) = fresh().await;
     let said = Mounting { tips: 4, live_cells: 4, who: "Ada".into() };
     let (before, during, after) =
         (time("2026-11-20T18:00:00Z"), time("2026-11-20T19:00:00Z"), time("2026-11-20T20:00:00Z"));
@@ -140,8 +135,7 @@ async fn tips_are_not_known_after_a_manual_run() {
 /// The records of the campaign wait for a disk that hangs; all other callers give up after 30 s.
 #[tokio::test]
 async fn a_disk_that_hangs_is_waited_for_by_the_campaign_alone() {
-    let folder = Folder::new();
-    let store = open(&folder.file()).await;
+    let (_folder, store) = fresh().await;
     let hang = || {
         let store = store.clone();
         tokio::spawn(async move {
@@ -184,8 +178,7 @@ async fn a_disk_that_hangs_is_waited_for_by_the_campaign_alone() {
 
 #[tokio::test]
 async fn actions_are_logged_newest_first() {
-    let folder = Folder::new();
-    let store = open(&folder.file()).await;
+    let (_folder, store) = fresh().await;
     let run = store.create_run(new_run(RunKind::RealHex)).await.unwrap().uid;
     let action = |name: &str, accepted: bool| NewAction {
         at: now(),
@@ -214,8 +207,7 @@ async fn actions_are_logged_newest_first() {
 
 #[tokio::test]
 async fn actions_of_two_keys_with_one_name_are_told_apart() {
-    let folder = Folder::new();
-    let store = open(&folder.file()).await;
+    let (_folder, store) = fresh().await;
     let ring = KeyRing::load(store.clone()).await.unwrap();
     let at = now();
     let mut ids = Vec::new();
@@ -234,8 +226,7 @@ async fn actions_of_two_keys_with_one_name_are_told_apart() {
 
 #[tokio::test]
 async fn a_key_opens_until_it_is_revoked_and_is_not_in_the_file() {
-    let folder = Folder::new();
-    let store = open(&folder.file()).await;
+    let (folder, store) = fresh().await;
     let ring = KeyRing::load(store.clone()).await.unwrap();
     assert!(ring.is_empty());
     let (row, secret) = ring.create("night shift", Role::Operator, [0xAB; 32]).await.unwrap();
@@ -267,8 +258,7 @@ async fn a_key_opens_until_it_is_revoked_and_is_not_in_the_file() {
 
 #[tokio::test]
 async fn a_keys_use_is_noted_in_the_background_once_a_minute() {
-    let folder = Folder::new();
-    let store = open(&folder.file()).await;
+    let (_folder, store) = fresh().await;
     let ring = KeyRing::load(store.clone()).await.unwrap();
     let (_, secret) = ring.create("night shift", Role::Operator, [0xAB; 32]).await.unwrap();
     let key = ring.find(&secret).unwrap();
@@ -297,8 +287,7 @@ fn roles_grow() {
 
 #[tokio::test]
 async fn the_lock_has_one_holder() {
-    let folder = Folder::new();
-    let store = open(&folder.file()).await;
+    let (_folder, store) = fresh().await;
     assert_eq!(store.lock().await.unwrap(), None);
     let first = store.set_lock("Ada", "changing tips").await.unwrap();
     assert_eq!(store.lock().await.unwrap(), Some(first.clone()));

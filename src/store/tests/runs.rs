@@ -1,7 +1,7 @@
 //! Runs and the queue: numbers, provenance, states, ends, order.
 //! Uses: `store`, `journal`. Never: trials (see `trials.rs`).
 
-use super::{Folder, hex_trial, new_run, now, open, time};
+use super::{fresh, hex_trial, new_run, now, open, time};
 use crate::ids::RunUid;
 use crate::journal::{ExitStatus, Journal};
 use crate::state::{PausedWhy, StateChange, StoredState};
@@ -9,8 +9,7 @@ use crate::{NewRun, RunKind, Soundness, StoreError};
 
 #[tokio::test]
 async fn a_run_keeps_its_provenance() {
-    let folder = Folder::new();
-    let store = open(&folder.file()).await;
+    let (_folder, store) = fresh().await;
     let new = new_run(RunKind::RealRandom);
     let row = store.create_run(new.clone()).await.unwrap();
     assert_eq!((row.scan_id, row.state, row.seed), (1, StoredState::Idle, Some(7)));
@@ -31,8 +30,7 @@ async fn a_run_keeps_its_provenance() {
 
 #[tokio::test]
 async fn states_advance_until_the_end_and_no_further() {
-    let folder = Folder::new();
-    let store = open(&folder.file()).await;
+    let (_folder, store) = fresh().await;
     let run = store.enqueue(new_run(RunKind::RealHex)).await.unwrap().uid;
     assert_eq!(store.run(run).await.unwrap().unwrap().queue_position, Some(1));
     let at = time("2026-11-20T18:00:00.5Z");
@@ -70,8 +68,7 @@ async fn states_advance_until_the_end_and_no_further() {
 
 #[tokio::test]
 async fn open_runs_are_interrupted_at_the_start() {
-    let folder = Folder::new();
-    let store = open(&folder.file()).await;
+    let (_folder, store) = fresh().await;
     let mut uids = Vec::new();
     use StoredState::{Ended, Paused, Queued, Running};
     for state in [Running, Paused, Ended, Queued] {
@@ -106,8 +103,7 @@ async fn open_runs_are_interrupted_at_the_start() {
 
 #[tokio::test]
 async fn a_run_that_ended_short_of_its_plan_can_be_driven_again() {
-    let folder = Folder::new();
-    let store = open(&folder.file()).await;
+    let (_folder, store) = fresh().await;
     let running = StateChange::to(StoredState::Running);
     for status in [ExitStatus::Stopped, ExitStatus::Abort, ExitStatus::Fail, ExitStatus::Success] {
         let run = store.create_run(new_run(RunKind::RealHex)).await.unwrap().uid;
@@ -131,8 +127,7 @@ async fn a_run_that_ended_short_of_its_plan_can_be_driven_again() {
 
 #[tokio::test]
 async fn the_queue_is_in_the_order_that_was_asked_for() {
-    let folder = Folder::new();
-    let store = open(&folder.file()).await;
+    let (_folder, store) = fresh().await;
     let mut uids = Vec::new();
     for _ in 0..4 {
         uids.push(store.enqueue(new_run(RunKind::RealHex)).await.unwrap().uid);
@@ -160,8 +155,7 @@ async fn the_queue_is_in_the_order_that_was_asked_for() {
 
 #[tokio::test]
 async fn an_edited_run_keeps_number_place_and_submitter_and_is_no_longer_started() {
-    let folder = Folder::new();
-    let store = open(&folder.file()).await;
+    let (_folder, store) = fresh().await;
     let planned = |plan: &str| NewRun { plan: Some(plan.into()), ..new_run(RunKind::RealHex) };
     let before = store.enqueue(planned("one")).await.unwrap();
     let other = store.enqueue(planned("two")).await.unwrap();
@@ -201,8 +195,7 @@ async fn an_edited_run_keeps_number_place_and_submitter_and_is_no_longer_started
 
 #[tokio::test]
 async fn runs_come_in_pages_newest_first() {
-    let folder = Folder::new();
-    let store = open(&folder.file()).await;
+    let (_folder, store) = fresh().await;
     for _ in 0..5 {
         store.create_run(new_run(RunKind::RealHex)).await.unwrap();
     }
@@ -221,8 +214,7 @@ async fn runs_come_in_pages_newest_first() {
 
 #[tokio::test]
 async fn a_run_that_waits_for_its_turn_does_so_through_a_crash() {
-    let folder = Folder::new();
-    let store = open(&folder.file()).await;
+    let (folder, store) = fresh().await;
     let mut uids = Vec::new();
     for _ in 0..4 {
         uids.push(store.enqueue(new_run(RunKind::RealHex)).await.unwrap().uid);
@@ -260,8 +252,7 @@ async fn a_run_that_waits_for_its_turn_does_so_through_a_crash() {
 
 #[tokio::test]
 async fn nothing_is_stored_for_a_run_that_is_not_there() {
-    let folder = Folder::new();
-    let store = open(&folder.file()).await;
+    let (_folder, store) = fresh().await;
     assert!(store.trial(RunUid::new(), &hex_trial(0, 0, &[9.0])).await.is_err());
     assert!(store.event(Some(RunUid::new()), "state", serde_json::json!({}), now()).await.is_err());
     assert!(store.events_since(0, 10, None, &[]).await.unwrap().is_empty());
@@ -269,8 +260,7 @@ async fn nothing_is_stored_for_a_run_that_is_not_there() {
 
 #[tokio::test]
 async fn a_plan_is_kept_once_and_read_with_its_digest() {
-    let folder = Folder::new();
-    let store = open(&folder.file()).await;
+    let (_folder, store) = fresh().await;
     let with_plan = |plan: &str| {
         let mut new = new_run(RunKind::RealHex);
         new.plan = Some(plan.into());

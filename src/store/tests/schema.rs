@@ -3,7 +3,7 @@
 
 use sqlx::Row;
 
-use super::{Folder, open};
+use super::{Folder, fresh, open};
 use crate::core::store::PAGE_BYTES;
 use crate::digest::sha256_hex;
 use crate::table::{Of, TABLE};
@@ -41,8 +41,7 @@ fn migrations_only_grow_and_are_all_in_the_binary() {
 
 #[tokio::test]
 async fn the_writer_is_durable_and_the_file_is_laid_out_as_stated() {
-    let folder = Folder::new();
-    let store = open(&folder.file()).await;
+    let (_folder, store) = fresh().await;
     let asked = store
         .inner
         .writer
@@ -65,8 +64,7 @@ async fn the_writer_is_durable_and_the_file_is_laid_out_as_stated() {
 
 #[tokio::test]
 async fn a_reader_cannot_write() {
-    let folder = Folder::new();
-    let store = open(&folder.file()).await;
+    let (_folder, store) = fresh().await;
     let tried = sqlx::query("INSERT INTO operator_lock VALUES (1, 'a', 'b', 'c')")
         .execute(&store.inner.readers)
         .await;
@@ -79,8 +77,7 @@ async fn a_reader_cannot_write() {
 
 #[tokio::test]
 async fn it_opens_again_and_refuses_to_be_used_when_closed() {
-    let folder = Folder::new();
-    let store = open(&folder.file()).await;
+    let (folder, store) = fresh().await;
     let kept = store.set_lock("Ada", "kept").await.unwrap();
     store.close().await;
     assert!(store.set_lock("Ada", "lost").await.is_err());
@@ -93,8 +90,7 @@ async fn it_opens_again_and_refuses_to_be_used_when_closed() {
 
 #[tokio::test]
 async fn damage_is_found() {
-    let folder = Folder::new();
-    let store = open(&folder.file()).await;
+    let (folder, store) = fresh().await;
     let root: i64 = sqlx::query_scalar("SELECT rootpage FROM sqlite_schema WHERE name = 'events'")
         .fetch_one(&store.inner.readers)
         .await
@@ -137,8 +133,7 @@ fn its_futures_may_move_between_threads() {
 /// Conditions and the examination take the bounds of a column by its name.
 #[tokio::test]
 async fn blocks_bound_every_column_that_conditions_compare() {
-    let folder = Folder::new();
-    let store = open(&folder.file()).await;
+    let (_folder, store) = fresh().await;
     let sql = "SELECT name FROM pragma_table_info('trial_blocks')";
     let mut names: Vec<String> =
         sqlx::query_scalar(sql).fetch_all(&store.inner.readers).await.unwrap();
@@ -154,8 +149,7 @@ async fn blocks_bound_every_column_that_conditions_compare() {
 /// Other programs read the database by views whose columns are those of the API.
 #[tokio::test]
 async fn the_views_have_the_columns_of_the_api() {
-    let folder = Folder::new();
-    let store = open(&folder.file()).await;
+    let (_folder, store) = fresh().await;
     let columns = async |view: &str| -> Vec<String> {
         let sql = format!("SELECT name FROM pragma_table_info('{view}')");
         let names = sqlx::query_scalar(sqlx::AssertSqlSafe(sql));

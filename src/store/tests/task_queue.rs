@@ -9,7 +9,7 @@ use parking_lot::Mutex;
 use serde_json::json;
 use tokio::task::JoinHandle;
 
-use super::{Folder, open};
+use super::{fresh, open};
 use crate::ids::TaskId;
 use crate::{Store, TaskEnd, TaskKind, TaskQueue, TaskRow, TaskState};
 
@@ -89,8 +89,7 @@ pub(super) async fn execute(store: &Store, sql: &'static str) {
 
 #[tokio::test]
 async fn tasks_run_in_the_order_of_their_requests() {
-    let folder = Folder::new();
-    let store = open(&folder.file()).await;
+    let (_folder, store) = fresh().await;
     let jobs = queue(&store, TaskKind::JOBS);
     let export = added(&queue(&store, TaskKind::EXPORTS), TaskKind::Export).await;
     let mut asked = Vec::new();
@@ -119,8 +118,7 @@ async fn tasks_run_in_the_order_of_their_requests() {
 
 #[tokio::test]
 async fn one_queue_does_not_wait_for_another() {
-    let folder = Folder::new();
-    let store = open(&folder.file()).await;
+    let (_folder, store) = fresh().await;
     let (jobs, exports) = (queue(&store, TaskKind::JOBS), queue(&store, TaskKind::EXPORTS));
     let workers = [worker(&jobs, true), worker(&exports, false)];
     let training = added(&jobs, TaskKind::Training).await;
@@ -133,8 +131,7 @@ async fn one_queue_does_not_wait_for_another() {
 
 #[tokio::test]
 async fn after_a_restart_the_running_task_continues_first() {
-    let folder = Folder::new();
-    let store = open(&folder.file()).await;
+    let (folder, store) = fresh().await;
     let jobs = queue(&store, TaskKind::JOBS);
     let first = added(&jobs, TaskKind::Training).await;
     let second = added(&jobs, TaskKind::Training).await;
@@ -156,8 +153,7 @@ async fn after_a_restart_the_running_task_continues_first() {
 
 #[tokio::test]
 async fn an_end_that_cannot_be_stored_is_stored_later_without_a_second_run() {
-    let folder = Folder::new();
-    let store = open(&folder.file()).await;
+    let (_folder, store) = fresh().await;
     let jobs = queue(&store, TaskKind::JOBS);
     execute(
         &store,
@@ -183,8 +179,7 @@ async fn an_end_that_cannot_be_stored_is_stored_later_without_a_second_run() {
 /// The end is stored although its commit reported a failure: the next attempt finds it.
 #[tokio::test]
 async fn an_end_whose_commit_failed_may_be_stored() {
-    let folder = Folder::new();
-    let store = open(&folder.file()).await;
+    let (_folder, store) = fresh().await;
     let jobs = queue(&store, TaskKind::JOBS);
     let (working, ran) = worker(&jobs, true);
     let first = added(&jobs, TaskKind::Training).await;
@@ -202,8 +197,7 @@ async fn an_end_whose_commit_failed_may_be_stored() {
 
 #[tokio::test]
 async fn a_begin_that_cannot_be_stored_is_tried_again() {
-    let folder = Folder::new();
-    let store = open(&folder.file()).await;
+    let (_folder, store) = fresh().await;
     let jobs = queue(&store, TaskKind::JOBS);
     execute(
         &store,
@@ -223,8 +217,7 @@ async fn a_begin_that_cannot_be_stored_is_tried_again() {
 
 #[tokio::test]
 async fn a_waiting_and_a_running_task_can_be_stopped() {
-    let folder = Folder::new();
-    let store = open(&folder.file()).await;
+    let (_folder, store) = fresh().await;
     let jobs = queue(&store, TaskKind::JOBS);
     let mut asked = Vec::new();
     for _ in 0..3 {
@@ -248,8 +241,7 @@ async fn a_waiting_and_a_running_task_can_be_stopped() {
 
 #[tokio::test]
 async fn a_task_that_panics_fails_and_the_next_one_runs() {
-    let folder = Folder::new();
-    let store = open(&folder.file()).await;
+    let (_folder, store) = fresh().await;
     let queue = queue(&store, TaskKind::JOBS);
     let (first, second) =
         (added(&queue, TaskKind::Training).await, added(&queue, TaskKind::Evaluation).await);

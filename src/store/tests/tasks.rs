@@ -4,7 +4,7 @@
 use serde_json::{Value, json};
 use sqlx::Connection;
 
-use super::{Folder, open, time};
+use super::{Folder, fresh, open, time};
 use crate::ids::TaskId;
 use crate::{Store, TaskEnd, TaskKind, TaskRow, TaskState};
 
@@ -22,8 +22,7 @@ fn ids(rows: &[TaskRow]) -> Vec<TaskId> {
 
 #[tokio::test]
 async fn a_task_waits_runs_and_ends() {
-    let folder = Folder::new();
-    let store = open(&folder.file()).await;
+    let (_folder, store) = fresh().await;
     for (kind, prefix) in
         [(TaskKind::Export, "ex-"), (TaskKind::Training, "job-"), (TaskKind::Evaluation, "job-")]
     {
@@ -47,8 +46,7 @@ async fn a_task_waits_runs_and_ends() {
 
 #[tokio::test]
 async fn a_task_ends_once() {
-    let folder = Folder::new();
-    let store = open(&folder.file()).await;
+    let (_folder, store) = fresh().await;
     for (end, state) in [
         (TaskEnd::Done(Value::Null), TaskState::Done),
         (TaskEnd::Stopped, TaskState::Stopped),
@@ -67,8 +65,7 @@ async fn a_task_ends_once() {
 
 #[tokio::test]
 async fn each_kind_is_listed_in_the_order_of_the_requests() {
-    let folder = Folder::new();
-    let store = open(&folder.file()).await;
+    let (_folder, store) = fresh().await;
     let mut tasks = Vec::new();
     for kind in [TaskKind::Training, TaskKind::Export, TaskKind::Evaluation, TaskKind::Export] {
         tasks.push(created(&store, kind).await.id);
@@ -89,8 +86,7 @@ async fn each_kind_is_listed_in_the_order_of_the_requests() {
 
 #[tokio::test]
 async fn the_evaluations_of_a_model_are_found() {
-    let folder = Folder::new();
-    let store = open(&folder.file()).await;
+    let (_folder, store) = fresh().await;
     let evaluation = created(&store, TaskKind::Evaluation).await.id;
     let result = json!({ "models": ["mdl-1", "mdl-2"] });
     store.end_task(evaluation, TaskEnd::Done(result.clone())).await.unwrap();

@@ -3,7 +3,7 @@
 
 use std::sync::Arc;
 
-use super::{Folder, hex_trial, new_run, now, open, random_trial, time};
+use super::{Folder, fresh, hex_trial, new_run, now, random_trial, time};
 use crate::ids::{RunUid, TrialId, TrialKey};
 use crate::journal::Journal;
 use crate::record::{
@@ -12,10 +12,10 @@ use crate::record::{
 };
 use crate::{Condition, Order, RunKind, SettingCount, Store, StoreError, TrialQuery};
 
-async fn with_run(folder: &Folder, kind: RunKind) -> (Store, RunUid) {
-    let store = open(&folder.file()).await;
+async fn with_run(kind: RunKind) -> (Folder, Store, RunUid) {
+    let (folder, store) = fresh().await;
     let run = store.create_run(new_run(kind)).await.unwrap().uid;
-    (store, run)
+    (folder, store, run)
 }
 
 fn that(condition: &str) -> Condition {
@@ -24,8 +24,7 @@ fn that(condition: &str) -> Condition {
 
 #[tokio::test]
 async fn a_trial_comes_back_bit_for_bit() {
-    let folder = Folder::new();
-    let (store, run) = with_run(&folder, RunKind::RealHex).await;
+    let (_folder, store, run) = with_run(RunKind::RealHex).await;
     let put = hex_trial(3, 7, &[0.1 + 0.2, 5.0, 4.999_999_999, -0.31, 41.7]);
     let id = store.trial(run, &put).await.unwrap();
     let got = store.trial_by_id(id).await.unwrap().unwrap();
@@ -56,8 +55,7 @@ async fn a_trial_comes_back_bit_for_bit() {
 
 #[tokio::test]
 async fn weights_under_the_deadband_stay_contacts() {
-    let folder = Folder::new();
-    let (store, run) = with_run(&folder, RunKind::RealRandom).await;
+    let (_folder, store, run) = with_run(RunKind::RealRandom).await;
     let put = random_trial(0, 3);
     let id = store.trial(run, &put).await.unwrap();
     let got = store.trial_by_id(id).await.unwrap().unwrap();
@@ -74,8 +72,7 @@ async fn weights_under_the_deadband_stay_contacts() {
 
 #[tokio::test]
 async fn a_key_is_stored_once() {
-    let folder = Folder::new();
-    let (store, run) = with_run(&folder, RunKind::RealHex).await;
+    let (_folder, store, run) = with_run(RunKind::RealHex).await;
     let first = hex_trial(0, 0, &[9.0]);
     let id = store.trial(run, &first).await.unwrap();
     let mut second = hex_trial(0, 0, &[11.0, 12.0]);
@@ -91,8 +88,7 @@ async fn a_key_is_stored_once() {
 
 #[tokio::test]
 async fn a_bad_record_is_refused_whole() {
-    let folder = Folder::new();
-    let (store, run) = with_run(&folder, RunKind::RealHex).await;
+    let (_folder, store, run) = with_run(RunKind::RealHex).await;
     let mut none = hex_trial(0, 0, &[9.0]);
     none.frames.clear();
     let mut nan = hex_trial(0, 0, &[9.0]);
@@ -112,8 +108,7 @@ async fn a_bad_record_is_refused_whole() {
 
 #[tokio::test]
 async fn a_commit_that_failed_but_was_stored_is_found() {
-    let folder = Folder::new();
-    let (store, run) = with_run(&folder, RunKind::RealHex).await;
+    let (_folder, store, run) = with_run(RunKind::RealHex).await;
     let trial = hex_trial(0, 0, &[9.0]);
     store.inner.writer.fail_after_next_commit().await.unwrap();
     let id = store.trial(run, &trial).await.unwrap();
@@ -131,8 +126,7 @@ async fn a_commit_that_failed_but_was_stored_is_found() {
 
 #[tokio::test]
 async fn a_full_disk_is_an_error_and_later_trials_are_stored() {
-    let folder = Folder::new();
-    let (store, run) = with_run(&folder, RunKind::RealHex).await;
+    let (_folder, store, run) = with_run(RunKind::RealHex).await;
     store
         .inner
         .writer
@@ -165,8 +159,7 @@ async fn a_full_disk_is_an_error_and_later_trials_are_stored() {
 
 #[tokio::test]
 async fn labels_follow_from_raw_forces_and_any_deadband() {
-    let folder = Folder::new();
-    let (store, run) = with_run(&folder, RunKind::RealHex).await;
+    let (_folder, store, run) = with_run(RunKind::RealHex).await;
     for (c, forces) in [&[1.0, 2.0][..], &[6.0, 2.0], &[6.0, 7.0], &[20.0], &[4.0, 9.0, 9.0]]
         .into_iter()
         .enumerate()
@@ -193,8 +186,7 @@ async fn labels_follow_from_raw_forces_and_any_deadband() {
 
 #[tokio::test]
 async fn a_trial_taken_back_keeps_its_record_and_frees_its_key() {
-    let folder = Folder::new();
-    let (store, run) = with_run(&folder, RunKind::RealRandom).await;
+    let (_folder, store, run) = with_run(RunKind::RealRandom).await;
     let (kept, back) = (random_trial(0, 2), random_trial(1, 4));
     store.trial(run, &kept).await.unwrap();
     let id = store.trial(run, &back).await.unwrap();
@@ -226,8 +218,7 @@ async fn a_trial_taken_back_keeps_its_record_and_frees_its_key() {
 
 #[tokio::test]
 async fn pages_meet_every_trial_once_and_filters_hold() {
-    let folder = Folder::new();
-    let (store, run) = with_run(&folder, RunKind::RealHex).await;
+    let (_folder, store, run) = with_run(RunKind::RealHex).await;
     let other = store.create_run(new_run(RunKind::RealHex)).await.unwrap().uid;
     for c in 0..15 {
         for d in 0..3 {
@@ -277,8 +268,7 @@ async fn pages_meet_every_trial_once_and_filters_hold() {
 
 #[tokio::test]
 async fn flags_and_voltages_are_brought_when_asked_for() {
-    let folder = Folder::new();
-    let (store, run) = with_run(&folder, RunKind::RealHex).await;
+    let (_folder, store, run) = with_run(RunKind::RealHex).await;
     let mut flagged = hex_trial(1, 0, &[9.0]);
     flagged.flags = vec![Flag::Unsettled, Flag::DroppedFrames];
     store.trial(run, &hex_trial(0, 0, &[9.0])).await.unwrap();
@@ -300,8 +290,7 @@ async fn flags_and_voltages_are_brought_when_asked_for() {
 
 #[tokio::test]
 async fn pages_follow_an_index_without_sorting() {
-    let folder = Folder::new();
-    let (store, run) = with_run(&folder, RunKind::RealHex).await;
+    let (_folder, store, run) = with_run(RunKind::RealHex).await;
     let after = Some(TrialId(0));
     let of_run = TrialQuery { run: Some(run), after, limit: 10, ..Default::default() };
     let steps = store.explain(&of_run).await.unwrap();
@@ -322,8 +311,7 @@ async fn pages_follow_an_index_without_sorting() {
 
 #[tokio::test]
 async fn the_lengths_of_frames_are_those_of_the_given_trials() {
-    let folder = Folder::new();
-    let (store, run) = with_run(&folder, RunKind::RealHex).await;
+    let (_folder, store, run) = with_run(RunKind::RealHex).await;
     let other = store.create_run(new_run(RunKind::RealHex)).await.unwrap().uid;
     let mut ids = Vec::new();
     for n in 0..3 {
@@ -350,8 +338,7 @@ async fn the_lengths_of_frames_are_those_of_the_given_trials() {
 
 #[tokio::test]
 async fn a_trial_has_the_untouched_skin_that_was_measured_last_before_it() {
-    let folder = Folder::new();
-    let (store, run) = with_run(&folder, RunKind::RealHex).await;
+    let (_folder, store, run) = with_run(RunKind::RealHex).await;
     let trial = |configuration| hex_trial(configuration, 0, &[10.0]);
     let started_at = trial(0).started_at;
     let skin = |before_s: i64, volts: f32| Untouched {
@@ -387,8 +374,7 @@ async fn a_trial_has_the_untouched_skin_that_was_measured_last_before_it() {
 
 #[tokio::test]
 async fn what_stands_beside_the_trials_comes_back() {
-    let folder = Folder::new();
-    let (store, run) = with_run(&folder, RunKind::RealHex).await;
+    let (_folder, store, run) = with_run(RunKind::RealHex).await;
     let at = time("2026-11-20T18:00:00.5Z");
     let like = hex_trial(2, 0, &[10.0, 11.0]);
     let tares = [3, 4].map(|configuration| TareRecord {
@@ -444,8 +430,7 @@ async fn what_stands_beside_the_trials_comes_back() {
 
 #[tokio::test]
 async fn a_caller_that_goes_away_leaves_a_whole_trial() {
-    let folder = Folder::new();
-    let (store, run) = with_run(&folder, RunKind::RealHex).await;
+    let (_folder, store, run) = with_run(RunKind::RealHex).await;
     store.trial(run, &hex_trial(0, 0, &[9.0])).await.unwrap();
     let put = hex_trial(1, 0, &[9.0, 8.0]);
     // The first poll submits the trial; then its caller no longer waits.
@@ -459,8 +444,7 @@ async fn a_caller_that_goes_away_leaves_a_whole_trial() {
 
 #[tokio::test]
 async fn a_long_read_neither_waits_nor_is_waited_for() {
-    let folder = Folder::new();
-    let (store, run) = with_run(&folder, RunKind::RealHex).await;
+    let (_folder, store, run) = with_run(RunKind::RealHex).await;
     store.trial(run, &hex_trial(0, 0, &[9.0])).await.unwrap();
     let mut view = store.read("a long read").await.unwrap();
     let count = "SELECT count(*) FROM trials";

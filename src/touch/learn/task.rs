@@ -1,7 +1,8 @@
 //! The tasks of nets: what a net reads and answers. Manifests, slots and training follow from it.
 //! PURE. Uses: the names of a dataset's columns, the layout of a map. Never: a net, a file.
 
-use nets::architecture::{Answer as NetAnswer, Frames as NetFrames};
+use nets::architecture::Answer as NetAnswer;
+pub use nets::architecture::Frames as Reads;
 use nets::quantity::Quantity;
 use serde::{Deserialize, Serialize};
 
@@ -34,15 +35,6 @@ pub enum NetTask {
     Count,
     /// Measured voltages to the sum of the contacts' forces.
     Force,
-}
-
-/// Frames that a net reads when it serves.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Reads {
-    /// Frames that the readout measured, V.
-    Measured,
-    /// Simulated ones, or measured ones through a Transfer-Net.
-    Simulated,
 }
 
 /// Answer of a net to a frame.
@@ -115,8 +107,8 @@ impl NetTask {
     pub fn of(net: &nets::net::Net) -> Self {
         match (net.answer(), net.frames()) {
             (NetAnswer::Frame, _) => Self::Transfer,
-            (NetAnswer::Map { .. }, NetFrames::Simulated) => Self::Recon,
-            (NetAnswer::Map { .. }, NetFrames::Measured) => Self::EndToEnd,
+            (NetAnswer::Map { .. }, Reads::Simulated) => Self::Recon,
+            (NetAnswer::Map { .. }, Reads::Measured) => Self::EndToEnd,
             (NetAnswer::Points, _) => Self::Points,
             (NetAnswer::Quantity(quantity), _) => quantity.into(),
         }

@@ -1,5 +1,5 @@
-//! What a driver must have, found by its name: a rig file (a drive), a transcript, its registers among the
-//! references, its own folder, a register map in the virtual rig. And every rig file parses.
+//! What a driver must have, found by its name: a transcript, its registers among the references, a file or a
+//! folder with its reference, a register map in the virtual rig. And every rig file parses.
 
 use std::path::Path;
 
@@ -19,8 +19,6 @@ const REFERENCES: &str = "docs/references.md";
 struct Checkout {
     /// Transcripts: name and text.
     transcripts: Vec<(String, String)>,
-    /// Drives that rig files name.
-    rigs: Vec<String>,
     /// The text of [`REFERENCES`].
     references: String,
     /// Register maps of the virtual rig.
@@ -33,7 +31,6 @@ impl Checkout {
         let modules = virtual_rig::device::input_modules::MODULES.iter().map(|device| device.name);
         Self {
             transcripts: files("tests/transcripts", "txt"),
-            rigs: rigs().iter().flat_map(|(_, config)| named_drives(config)).collect(),
             references: text(REFERENCES).expect("the references are there"),
             twins: drives.chain(modules).collect(),
         }
@@ -45,13 +42,12 @@ impl Checkout {
         let damaged = |text: &str| text.lines().filter(|l| l.starts_with("= ")).count();
         let damaged: usize =
             self.transcripts.iter().filter(own).map(|(_, text)| damaged(text)).sum();
-        // The contract puts each module into the virtual rig's file.
-        let is_module = MODULES.iter().any(|module| module.as_str() == device);
-        let named = is_module || self.rigs.iter().any(|name| name == device);
         let heading = format!("`device = \"{device}\"`");
-        let kind = if is_module { "input_modules" } else { "drives" };
-        let folder = format!("src/bench/rig/{kind}/{device}");
-        let head = text(&format!("{folder}/mod.rs"));
+        let (kind, own_file) = match MODULES.iter().any(|module| module.as_str() == device) {
+            true => ("input_modules", format!("src/bench/rig/input_modules/{device}/mod.rs")),
+            false => ("drives", format!("src/bench/rig/drives/{device}.rs")),
+        };
+        let head = text(&own_file);
         let cites = head.is_some_and(|text| text.contains(&format!("`{REFERENCES}`, \"")));
         let found = [
             (
@@ -62,12 +58,11 @@ impl Checkout {
                 damaged >= DAMAGED,
                 format!("{damaged} damaged frames in its transcripts, at least {DAMAGED}"),
             ),
-            (named, "no rig file in experiments/rigs that names it".into()),
             (
                 self.references.contains(&heading),
                 format!("no section of {REFERENCES} that states {heading}"),
             ),
-            (cites, format!("no {folder}/mod.rs that cites its references")),
+            (cites, format!("no {own_file} that cites its references")),
             (
                 self.twins.contains(&device),
                 format!("no register map in virtual-rig/src/device/{kind}"),
@@ -90,13 +85,6 @@ fn rigs() -> Vec<(String, RigConfig)> {
     files("experiments/rigs", "toml").into_iter().filter_map(parsed).collect()
 }
 
-/// The drives that a rig file names.
-fn named_drives(config: &RigConfig) -> [String; 4] {
-    let axes = &config.axes;
-    [axes.x.device, axes.y.device, axes.z.device, axes.radial.device]
-        .map(|device| device.as_str().to_owned())
-}
-
 #[test]
 fn every_driver_is_complete() {
     let checkout = Checkout::read();
@@ -116,13 +104,9 @@ fn every_driver_is_complete() {
 #[test]
 fn a_driver_that_lacks_something_is_found() {
     let mut checkout = Checkout::read();
-    assert_eq!(checkout.lacks("no_such_device").len(), 6);
+    assert_eq!(checkout.lacks("no_such_device").len(), 5);
     checkout.twins.retain(|name| *name != "iai");
     assert_eq!(checkout.lacks("iai"), ["no register map in virtual-rig/src/device/drives"]);
-    checkout.rigs.retain(|name| name != "leadshine_em2rs");
-    let lacks = checkout.lacks("leadshine_em2rs");
-    assert_eq!(lacks, ["no rig file in experiments/rigs that names it"]);
-    assert!(checkout.lacks("waveshare_8ch").is_empty(), "a module needs no rig file");
     for (_, text) in &mut checkout.transcripts {
         *text = text.replacen("= reopen\n", "", 1);
     }

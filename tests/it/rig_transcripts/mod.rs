@@ -135,7 +135,7 @@ async fn an_az_takes_its_guards_and_they_are_read_back() {
         assert_eq!(x.guard(), guard);
         assert_eq!(x.identify().await.unwrap().to_string(), "Oriental Motor AZ, servo on, homed");
         let found = x.prepare().await.unwrap();
-        assert_eq!(found, "Oriental Motor AZ, ready, not homed, watchdog 500 ms, torque 60 %");
+        assert_eq!(found, "Oriental Motor AZ, servo on, not homed, watchdog 500 ms, torque 60 %");
         x.start_move(10.0, 100.0).await.unwrap();
         let refused = x.prepare().await.unwrap_err();
         assert!(matches!(refused, RigError::WrongDevice { .. }), "{refused}");

@@ -232,14 +232,7 @@ async fn check_cells(
     problems: &mut Vec<String>,
 ) -> CellsFound {
     let cells = &open.bench.cells;
-    let mut found = CellsFound {
-        identity: None,
-        volts: None,
-        force_n: None,
-        noise_n: None,
-        live: None,
-        read_us: None,
-    };
+    let mut found = CellsFound::default();
     match cells.prepare().await {
         Ok(identity) => found.identity = Some(identity),
         Err(error) => {

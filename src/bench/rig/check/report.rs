@@ -63,7 +63,7 @@ pub struct AxisFound {
 }
 
 /// Findings for the load cells; values that were not measured are absent.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize)]
 pub struct CellsFound {
     /// Identity that the module reports.
     pub identity: Option<String>,

@@ -1,4 +1,4 @@
-//! The drives, one folder each; [`DRIVES`] is the only list of them.
+//! The drives, one file each; [`DRIVES`] is the only list of them.
 //! Uses: `device`. Never: requests, ports.
 
 use serde::de::{Deserialize, Deserializer};

@@ -7,14 +7,13 @@ use serde_json::Value;
 use sim_core::sensor::Sensor;
 
 use super::super::answers::{TrialFacts, TwinsOf, all_trials, fit_of};
-use crate::api::{Page, Summary};
+use crate::api::{Page, StateSpan, Summary};
 use crate::cli::client::Client;
 use crate::cli::error::CliError;
 use crate::cli::view::EventView;
 use crate::evaluate::simulation::SimulationReport;
 use crate::event::{self, Importance};
 use crate::figure::skin::Outline;
-use crate::state::{PausedWhy, StoredState};
 use crate::store::RunRow;
 
 /// Duration of a run below which its time is shown in minutes, s.
@@ -34,7 +33,7 @@ pub struct Facts {
     /// Every stored trial of the run, oldest first.
     pub trials: Vec<TrialFacts>,
     /// States over time.
-    pub states: Vec<Span>,
+    pub states: Vec<StateSpan>,
     /// Events that an operator should see.
     pub events: Vec<Told>,
     /// Outputs of the cells without load.
@@ -43,19 +42,6 @@ pub struct Facts {
     pub references: Vec<Reference>,
     /// The skin, for maps; absent if its sensor file cannot be read.
     pub outline: Option<Outline>,
-}
-
-/// A state of the run, from a time until the next.
-#[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
-pub struct Span {
-    /// State that the run had.
-    pub state: StoredState,
-    /// Reason of a wait.
-    pub why: Option<PausedWhy>,
-    /// Wall time at which the run reached it.
-    pub from: Timestamp,
-    /// Wall time at which the run left it; absent while it lasts.
-    pub to: Option<Timestamp>,
 }
 
 /// An event as text.

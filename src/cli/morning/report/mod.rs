@@ -12,7 +12,6 @@ mod plots;
 mod tests;
 
 use facts::Facts;
-pub use facts::Span;
 
 use super::ReportArgs;
 use crate::cli::client::Client;

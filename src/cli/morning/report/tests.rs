@@ -4,10 +4,10 @@ use jiff::Timestamp;
 use serde_json::{Value, json};
 
 use super::super::answers::{TrialFacts, TwinsOf};
-use super::facts::{Facts, Reference, ReferenceArm, Span, Tare, Told};
+use super::facts::{Facts, Reference, ReferenceArm, Tare, Told};
 use super::findings::{Level, findings, outliers};
 use super::html;
-use crate::api::Summary;
+use crate::api::{StateSpan, Summary};
 use crate::evaluate::simulation::report;
 use crate::state::{PausedWhy, StoredState};
 
@@ -132,7 +132,7 @@ fn trips_pauses_and_retries_have_numbers_and_times() {
     facts.events.push(Told { at: time(9), kind: "trip".into(), words: trip });
     assert!(one(&facts).contains("tripped 1 time; the last at"), "{}", one(&facts));
     facts.events.clear();
-    let pause = |why, from, to| Span {
+    let pause = |why, from, to| StateSpan {
         state: StoredState::Paused,
         why: Some(why),
         from: time(from),

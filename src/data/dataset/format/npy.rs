@@ -8,7 +8,8 @@ use arrow_array::types::{
     ArrowPrimitiveType, Float32Type, Float64Type, Int64Type, TimestampMillisecondType, UInt8Type,
     UInt16Type, UInt32Type, UInt64Type,
 };
-use arrow_array::{Array, ArrayRef};
+use arrow_array::{Array, ArrayRef, Float64Array};
+use arrow_cast::cast;
 use arrow_json::EncoderOptions;
 use arrow_json::writer::make_encoder;
 use arrow_schema::{ArrowError, DataType, Field, FieldRef, TimeUnit};
@@ -172,7 +173,7 @@ impl Layout {
     ) -> Result<(), ArrowError> {
         match self {
             Self::Numbers { .. } => numbers(values, out),
-            Self::Gaps => as_f64(values).for_each(|value| put_f64(value, out)),
+            Self::Gaps => f64s(&as_f64(values)?, out),
             Self::Booleans => {
                 out.extend(values.as_boolean().iter().map(|truth| u8::from(truth == Some(true))));
             }
@@ -192,7 +193,7 @@ impl Layout {
                 }
             }
             Self::Frames { length } => frames(values, length, out),
-            Self::Records { items, .. } => records(values, items, out),
+            Self::Records { items, .. } => records(values, items, out)?,
         }
         Ok(())
     }
@@ -201,7 +202,7 @@ impl Layout {
 fn numbers(values: &ArrayRef, out: &mut Vec<u8>) {
     match values.data_type() {
         DataType::Float32 => f32s(values, out),
-        DataType::Float64 => as_f64(values).for_each(|value| put_f64(value, out)),
+        DataType::Float64 => f64s(values.as_primitive::<Float64Type>(), out),
         DataType::UInt64 => plain::<UInt64Type, 8>(values, u64::to_le_bytes, out),
         DataType::UInt32 => plain::<UInt32Type, 4>(values, u32::to_le_bytes, out),
         DataType::UInt16 => plain::<UInt16Type, 2>(values, u16::to_le_bytes, out),
@@ -233,26 +234,13 @@ fn put_f64(value: Option<f64>, out: &mut Vec<u8>) {
     out.extend_from_slice(&value.unwrap_or(f64::NAN).to_le_bytes());
 }
 
-/// Numbers or booleans as f64; `None` if missing.
-fn as_f64(values: &dyn Array) -> Box<dyn Iterator<Item = Option<f64>> + '_> {
-    fn each<T: ArrowPrimitiveType>(
-        values: &dyn Array,
-        to_f64: impl Fn(T::Native) -> f64 + 'static,
-    ) -> Box<dyn Iterator<Item = Option<f64>> + '_> {
-        Box::new(values.as_primitive::<T>().iter().map(move |value| value.map(&to_f64)))
-    }
-    match values.data_type() {
-        DataType::Boolean => {
-            Box::new(values.as_boolean().iter().map(|truth| truth.map(|t| f64::from(u8::from(t)))))
-        }
-        DataType::UInt64 => each::<UInt64Type>(values, |value| value as f64),
-        DataType::UInt32 => each::<UInt32Type>(values, f64::from),
-        DataType::UInt16 => each::<UInt16Type>(values, f64::from),
-        DataType::UInt8 => each::<UInt8Type>(values, f64::from),
-        DataType::Float32 => each::<Float32Type>(values, f64::from),
-        DataType::Float64 => each::<Float64Type>(values, |value| value),
-        _ => each::<Int64Type>(values, |value| value as f64),
-    }
+fn f64s(values: &Float64Array, out: &mut Vec<u8>) {
+    values.iter().for_each(|value| put_f64(value, out));
+}
+
+/// Numbers or booleans as f64.
+fn as_f64(values: &ArrayRef) -> Result<Float64Array, ArrowError> {
+    Ok(cast(values, &DataType::Float64)?.as_primitive::<Float64Type>().clone())
 }
 
 fn put_text(text: &str, chars: usize, out: &mut Vec<u8>) {
@@ -289,17 +277,17 @@ fn frames(values: &ArrayRef, length: usize, out: &mut Vec<u8>) {
     }
 }
 
-fn records(values: &ArrayRef, items: usize, out: &mut Vec<u8>) {
+fn records(values: &ArrayRef, items: usize, out: &mut Vec<u8>) -> Result<(), ArrowError> {
     let lists = values.as_list::<i32>();
-    for row in 0..lists.len() {
-        let list = lists.value(row);
-        let list = list.as_struct();
-        let columns: Vec<Vec<_>> = list.columns().iter().map(|c| as_f64(c).collect()).collect();
-        for item in 0..items {
+    let records = lists.values().as_struct();
+    let columns = records.columns().iter().map(as_f64).collect::<Result<Vec<_>, _>>()?;
+    for (row, ends) in lists.offsets().windows(2).enumerate() {
+        for at in (ends[0] as usize..).take(items) {
+            let is_there = at < ends[1] as usize && lists.is_valid(row) && records.is_valid(at);
             for column in &columns {
-                let value = column.get(item).copied().flatten();
-                put_f64(value.filter(|_| list.is_valid(item) && lists.is_valid(row)), out);
+                put_f64((is_there && column.is_valid(at)).then(|| column.value(at)), out);
             }
         }
     }
+    Ok(())
 }

@@ -1,39 +1,47 @@
-//! The register map of Oriental Motor AZ drivers: requests and the meaning of replies.
-//! PURE. Uses: `link::Request`, `words`. Never: ports, waits, units other than steps.
+//! Oriental Motor AZ (AZD-KD): absolute-encoder stepping motors, driven by direct data operation.
+//! PURE. Uses: `rig::axis`, `rig::device`, `link::Request`, `words`. Never: ports, waits, units other
+//! than steps.
 //!
-//! Source: `docs/references.md`, "Oriental Motor AZ drivers"; all values are 32-bit, high word at
-//! the lower address. Bits of the output status are the default remote outputs of the drive
-//! `[unverified]`: check them against the manual and the setup of the drive before use. The
-//! register of the communication timeout is unverified too, and that it takes effect immediately
-//! and until power-off.
+//! Source: `docs/references.md`, "Oriental Motor AZ drivers". RTU, 115200 baud and even parity from
+//! the factory; all values are 32-bit, high word at the lower address. Bits of the output status are
+//! the default remote outputs of the drive `[unverified]`: check them against the manual and the
+//! setup of the drive before use. The register of the communication timeout is unverified too, and
+//! that it takes effect immediately and until power-off.
 
-use crate::rig::axis::{DriveState, GuardRequest, MoveOrder};
+use crate::rig::axis::{Drive, DriveState, GuardRequest, MoveOrder};
 use crate::rig::config::Guard;
+use crate::rig::device::AxisDevice;
+use crate::rig::error::RigError;
 use crate::rig::link::Request;
 use crate::rig::motion::Going;
+use crate::rig::station::Station;
 use crate::rig::words::{bit, from_words, to_count, to_words};
+
+/// The drive as rig files name it.
+pub const DRIVE: AxisDevice =
+    AxisDevice::new("oriental_az", |parts| parts.on(OrientalAz)).with_guards();
 
 /// Direct data operation: data number, type, position, speed, start rate, stop rate, current,
 /// trigger; sixteen registers, written as one block.
-pub const OPERATION: u16 = 0x0058;
+const OPERATION: u16 = 0x0058;
 /// Registers: current of the direct data operation, 0.1 %, which limits the torque.
-pub const CURRENT: u16 = 0x0064;
+const CURRENT: u16 = 0x0064;
 /// Registers: driver input command.
-pub const INPUT: u16 = 0x007C;
+const INPUT: u16 = 0x007C;
 /// Registers: driver output status, followed by the present alarm.
-pub const OUTPUT: u16 = 0x007E;
+const OUTPUT: u16 = 0x007E;
 /// Registers: feedback position, steps.
-pub const FEEDBACK: u16 = 0x00CC;
+const FEEDBACK: u16 = 0x00CC;
 /// Registers: communication timeout, ms; 0 disables it `[unverified]`.
-pub const TIMEOUT: u16 = 0x138A;
+const TIMEOUT: u16 = 0x138A;
 
 /// Input command bit 4, homing: by default ZHOME `[unverified]`, a return to the home that the drive
 /// already has, instead of a search for one.
-pub const IN_HOME: i32 = 1 << 4;
+const IN_HOME: i32 = 1 << 4;
 /// Input command bit 5: stop.
-pub const IN_STOP: i32 = 1 << 5;
+const IN_STOP: i32 = 1 << 5;
 /// Input command bit 7: alarm reset.
-pub const IN_ALARM_RESET: i32 = 1 << 7;
+const IN_ALARM_RESET: i32 = 1 << 7;
 
 /// Output status bits in the low word at 0x007F `[unverified]`.
 mod output {
@@ -59,18 +67,8 @@ const SPEED_MAX: i32 = 4_000_000;
 const RATE_MAX: i32 = 1_000_000_000;
 
 /// Writes the input command.
-pub fn input(bits: i32) -> Request {
+fn input(bits: i32) -> Request {
     Request::WriteRegisters { address: INPUT, words: to_words(bits).to_vec() }
-}
-
-/// Requests output status and alarm.
-pub fn read_output() -> Request {
-    Request::ReadHolding { address: OUTPUT, count: 4 }
-}
-
-/// Requests the feedback position.
-pub fn read_feedback() -> Request {
-    Request::ReadHolding { address: FEEDBACK, count: 2 }
 }
 
 /// Register value of the current for a torque limit; 100 % without one.
@@ -80,7 +78,7 @@ fn current(torque_percent: Option<u32>) -> i32 {
 
 /// Requests that write and read back the guards. The current is also part of the block of each
 /// motion; homing has its own current, which these do not limit.
-pub fn guard_requests(guard: &Guard) -> Vec<GuardRequest> {
+fn guard_requests(guard: &Guard) -> Vec<GuardRequest> {
     let request = |key, address, value: i32| {
         let words = to_words(value).to_vec();
         let write = Request::WriteRegisters { address, words: words.clone() };
@@ -92,7 +90,7 @@ pub fn guard_requests(guard: &Guard) -> Vec<GuardRequest> {
 }
 
 /// An absolute motion as direct data operation.
-pub fn move_block(order: &MoveOrder) -> Request {
+fn move_block(order: &MoveOrder) -> Request {
     let rate = to_count(order.acceleration, RATE_MAX);
     let values = [
         0,
@@ -109,18 +107,74 @@ pub fn move_block(order: &MoveOrder) -> Request {
 }
 
 /// Parses output status, alarm and feedback position; `None` if a block is short.
-pub fn parse(output: &[u16], feedback: &[u16]) -> Option<DriveState> {
+fn parse(output: &[u16], feedback: &[u16]) -> Option<DriveState> {
     let low = *output.get(1)?;
     let code = from_words(output, 2)? as u32;
     let (moving, alarm) = (bit(low, output::MOVE), bit(low, output::ALARM));
+    let ready = (bit(low, output::READY) || moving) && !alarm;
     Some(DriveState {
         counts: from_words(feedback, 0)?,
         going: if moving { Going::Moving } else { Going::Standing },
         homed: bit(low, output::HOME_END),
-        ready: (bit(low, output::READY) || moving) && !alarm,
+        enabled: ready,
+        ready,
         fault: alarm,
         alarm: alarm.then_some(code),
+        // Its outputs report neither a hardware stop nor who else is in control.
+        emergency_stop: false,
+        in_command: None,
     })
+}
+
+/// An Oriental Motor AZ driver.
+#[derive(Debug, Clone, Copy, Default)]
+struct OrientalAz;
+
+impl Drive for OrientalAz {
+    fn identity(&self, _: &[Vec<u16>], _: &Station) -> Result<String, RigError> {
+        Ok("Oriental Motor AZ".into())
+    }
+
+    fn status_requests(&self) -> Vec<Request> {
+        vec![
+            Request::ReadHolding { address: OUTPUT, count: 4 },
+            Request::ReadHolding { address: FEEDBACK, count: 2 },
+        ]
+    }
+
+    fn parse_status(&self, blocks: &[Vec<u16>]) -> Option<DriveState> {
+        parse(blocks.first()?, blocks.get(1)?)
+    }
+
+    /// The motor is excited from power-up. FREE, STOP and the other bits of the input command are
+    /// cleared; then the outputs must report READY.
+    fn prepare_requests(&self) -> Vec<Request> {
+        vec![input(0)]
+    }
+
+    fn move_requests(&self, order: &MoveOrder) -> Vec<Request> {
+        vec![move_block(order)]
+    }
+
+    fn home_requests(&self) -> Vec<Request> {
+        vec![input(0), input(IN_HOME), input(0)]
+    }
+
+    fn stop_requests(&self) -> Vec<Request> {
+        vec![input(IN_STOP), input(0)]
+    }
+
+    fn release_requests(&self) -> Vec<Request> {
+        vec![input(0)]
+    }
+
+    fn reset_requests(&self) -> Vec<Request> {
+        vec![input(IN_ALARM_RESET), input(0)]
+    }
+
+    fn guard_requests(&self, guard: &Guard) -> Vec<GuardRequest> {
+        guard_requests(guard)
+    }
 }
 
 #[cfg(test)]

@@ -2,24 +2,24 @@
 //! campaign: after resuming, every planned trial is stored once (`PALPATE_KILLS` states how often,
 //! default 4). SIGSTOP in a press: the missing samples trip. SIGTERM in a jog: the axis stops. A database
 //! that is locked for a minute, a full disk: trips and e-stops do not wait for them. Processes, sockets
-//! and files as a lab has them. A separate binary, because the tests measure how soon real processes
-//! stop a rig: no test of another kind may run at the same time.
+//! and files as a lab has them.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
-use palpate::cli::trust;
 use rand::{RngExt, SeedableRng};
 use rustix::process::{Pid, Resource, Rlimit, Signal, kill_process, prlimit};
 use serde_json::{Value, json};
 use sqlx::sqlite::{SqliteConnectOptions, SqliteConnection};
 use sqlx::{ConnectOptions, Connection};
 
+use super::bench::{
+    COMPUTES, LIMIT, SENSOR, WHOLE, http, skin_cache, tell_at, turn, with_responses,
+};
+
 const SPEED: &str = "20";
-/// Longest wait for a process to answer, and for the end.
-const LIMIT: Duration = Duration::from_secs(120);
 /// Two settings of `configurations` configurations and four depths, which resume after any number of crashes.
 fn experiment(configurations: u32) -> String {
     settling(configurations, 2000.0)
@@ -75,25 +75,18 @@ impl Site {
         std::fs::create_dir_all(&folder).unwrap();
         let port = free_port();
         let url = format!("http://127.0.0.1:{port}");
-        let site = Self {
-            folder,
-            url,
-            port,
-            http: trust::http(trust::tls("http:", None).unwrap()).unwrap(),
-        };
-        let cache = Path::new(env!("CARGO_TARGET_TMPDIR")).join("skin");
+        let site = Self { folder, url, port, http: http() };
+        let cache = skin_cache();
         let cache = cache.to_str().unwrap();
         let rig = ["virtual-rig", "--ephemeral", "--speed", speed, "--cache", cache];
         let (served, ready) = (site.path("served.toml"), site.path("ready.json"));
         let rig = palpate(&[&rig[..], &["--out-rig", &served, "--ready-file", &ready]].concat());
-        // The service reads what the rig has solved, instead of solving it again on all cores.
-        std::fs::create_dir(site.path("data")).unwrap();
-        std::os::unix::fs::symlink(cache, site.path("data/cache")).unwrap();
         let start = Instant::now();
         loop {
             let text = std::fs::read_to_string(&ready).unwrap_or_default();
             if let Ok(ready) = serde_json::from_str::<Value>(&text) {
                 let control = ready["control"].as_str().unwrap().to_owned();
+                with_responses(&site.folder.join("data"));
                 return (site, rig, control);
             }
             assert!(start.elapsed() < LIMIT, "the rig is not ready");
@@ -155,8 +148,7 @@ impl Site {
 
     /// Queues and starts; returns the run.
     async fn begin(&self, experiment: String) -> String {
-        let sensor = std::fs::read_to_string(experiments("sensors/ert-28.toml")).unwrap();
-        let body = json!({ "file": "crash.toml", "definition": experiment, "sensor": sensor,
+        let body = json!({ "file": "crash.toml", "definition": experiment, "sensor": SENSOR,
             "auto_resume": true });
         let run = self.post("/api/v1/queue", body).await["uid"].as_str().unwrap().to_owned();
         self.start(&run).await;
@@ -187,16 +179,13 @@ impl Site {
     }
 }
 
-fn experiments(name: &str) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("experiments").join(name)
-}
-
 fn free_port() -> u16 {
     std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port()
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn killed_at_random_instants_every_planned_trial_is_stored_once() {
+    let _turn = turn(COMPUTES).await;
     let kills: u32 = std::env::var("PALPATE_KILLS").map_or(4, |n| n.parse().unwrap());
     let (site, _rig, control) = Site::with_rig("crash").await;
     let mut service = site.serve().await;
@@ -245,6 +234,7 @@ fn signal(process: &Process, signal: Signal) {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_service_that_was_frozen_in_a_press_trips_and_stores_nothing_of_it() {
+    let _turn = turn(COMPUTES).await;
     let (site, _rig, control) = Site::with_rig("frozen").await;
     let service = site.serve().await;
     let _operator = site.operator(&control);
@@ -267,6 +257,7 @@ async fn a_service_that_was_frozen_in_a_press_trips_and_stores_nothing_of_it() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_service_told_to_end_in_a_jog_stops_the_axis_before_it_is_gone() {
+    let _turn = turn(WHOLE).await;
     // Slow enough that the end of the service comes long before that of the jog.
     let (site, _rig, control) = Site::with_rig_at("told", "4").await;
     let mut service = site.serve().await;
@@ -278,7 +269,7 @@ async fn a_service_told_to_end_in_a_jog_stops_the_axis_before_it_is_gone() {
     signal(&service, Signal::TERM);
     let ended = tokio::task::spawn_blocking(move || service.0.wait().unwrap()).await.unwrap();
     assert!(ended.success(), "{ended}");
-    let truth = tell(&control, json!({ "cmd": "status" })).await;
+    let truth = tell_at(&control, json!({ "cmd": "status" })).await;
     let x = &truth["axes"][0];
     assert_eq!(x["moving"], false, "{x}");
     assert!(x["position"].as_f64().unwrap() < 549.0, "stopped on its way: {x}");
@@ -299,7 +290,7 @@ async fn pressing(site: &Site) {
 async fn trips_and_stops(site: &Site, control: &str) {
     let drift = json!({ "cmd": "fault", "kind": "drifting_cell", "device": "cells", "arm": 1,
         "n_per_s": 50.0 });
-    tell(control, drift).await;
+    tell_at(control, drift).await;
     let ended = |s: &Value| !s["rig"]["trip"].is_null() && !s["rig"]["safe_end"].is_null();
     let status = site.until("/api/v1/status", ended).await;
     let end = &status["rig"]["safe_end"];
@@ -312,7 +303,7 @@ async fn trips_and_stops(site: &Site, control: &str) {
     assert!(asked.elapsed() < Duration::from_secs(1), "{:?}", asked.elapsed());
     let stopped = |s: &Value| !s["rig"]["estop_acknowledged_ms"].is_null();
     site.until("/api/v1/status", stopped).await;
-    let truth = tell(control, json!({ "cmd": "status" })).await;
+    let truth = tell_at(control, json!({ "cmd": "status" })).await;
     assert_eq!(truth["pressing"], false, "{truth:#}");
 }
 
@@ -332,6 +323,7 @@ async fn told_afterwards(site: &Site) {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_trip_and_an_e_stop_do_not_wait_for_a_database_that_is_locked_for_a_minute() {
+    let turn = turn(WHOLE).await;
     let (site, _rig, control) = Site::with_rig("locked").await;
     let _service = site.serve().await;
     let _operator = site.operator(&control);
@@ -342,6 +334,8 @@ async fn a_trip_and_an_e_stop_do_not_wait_for_a_database_that_is_locked_for_a_mi
     sqlx::raw_sql("BEGIN IMMEDIATE").execute(&mut other).await.unwrap();
     let locked = Instant::now();
     trips_and_stops(&site, &control).await;
+    // The rest is waiting.
+    drop(turn);
     tokio::time::sleep(Duration::from_secs(60).saturating_sub(locked.elapsed())).await;
     other.close().await.unwrap();
     told_afterwards(&site).await;
@@ -349,6 +343,7 @@ async fn a_trip_and_an_e_stop_do_not_wait_for_a_database_that_is_locked_for_a_mi
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_trip_and_an_e_stop_do_not_wait_for_a_full_disk() {
+    let _turn = turn(WHOLE).await;
     let (site, _rig, control) = Site::with_rig("full").await;
     let service = site.serve().await;
     let _operator = site.operator(&control);
@@ -358,14 +353,4 @@ async fn a_trip_and_an_e_stop_do_not_wait_for_a_full_disk() {
     trips_and_stops(&site, &control).await;
     prlimit(Some(pid(&service)), Resource::Fsize, files_up_to(None)).unwrap();
     told_afterwards(&site).await;
-}
-
-/// Asks the rig's control socket.
-async fn tell(control: &str, command: Value) -> Value {
-    use tokio::io::{AsyncBufReadExt, AsyncWriteExt, BufReader};
-    let mut wire = BufReader::new(tokio::net::TcpStream::connect(control).await.unwrap());
-    wire.get_mut().write_all(format!("{command}\n").as_bytes()).await.unwrap();
-    let mut reply = String::new();
-    wire.read_line(&mut reply).await.unwrap();
-    serde_json::from_str(&reply).unwrap()
 }

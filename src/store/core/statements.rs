@@ -1,0 +1,77 @@
+//! One statement alone: what it reads or returns, row by row, or the number of rows that it changes.
+//! Uses: `core::{store, writer, columns}`, sqlx. Never: a statement of its own.
+
+use sqlx::Sqlite;
+use sqlx::sqlite::SqliteArguments;
+
+use super::columns::Columns;
+use super::error::{During, StoreError};
+use super::store::Store;
+use super::writer::Writer;
+
+/// A statement with its values.
+pub(crate) type Query = sqlx::query::Query<'static, Sqlite, SqliteArguments>;
+
+impl Store {
+    /// Returns what `read` makes of each row.
+    ///
+    /// # Errors
+    /// `Sql` if the read fails; an error of `read`.
+    pub(crate) async fn rows<T>(
+        &self,
+        operation: &'static str,
+        query: Query,
+        read: impl Fn(&Columns<'_>) -> Result<T, StoreError>,
+    ) -> Result<Vec<T>, StoreError> {
+        let rows = query.fetch_all(&self.inner.readers).await.during(operation)?;
+        rows.iter().map(|row| read(&Columns::of(row, operation))).collect()
+    }
+
+    /// Returns what `read` makes of the first row; `None` without rows.
+    ///
+    /// # Errors
+    /// As [`Store::rows`].
+    pub(crate) async fn row<T>(
+        &self,
+        operation: &'static str,
+        query: Query,
+        read: impl Fn(&Columns<'_>) -> Result<T, StoreError>,
+    ) -> Result<Option<T>, StoreError> {
+        let row = query.fetch_optional(&self.inner.readers).await.during(operation)?;
+        row.map(|row| read(&Columns::of(&row, operation))).transpose()
+    }
+}
+
+impl Writer {
+    /// Carries out a statement in a transaction; returns the number of rows that it changed.
+    ///
+    /// # Errors
+    /// As [`Writer::run`].
+    pub(crate) async fn execute(
+        &self,
+        operation: &'static str,
+        query: Query,
+    ) -> Result<u64, StoreError> {
+        self.run(operation, async move |connection| {
+            Ok(query.execute(connection).await.during(operation)?.rows_affected())
+        })
+        .await
+    }
+
+    /// Carries out a statement that returns a row in a transaction; returns what `read` makes of it.
+    ///
+    /// # Errors
+    /// As [`Writer::run`], and an error of `read`.
+    pub(crate) async fn returned<T: Send + 'static>(
+        &self,
+        operation: &'static str,
+        query: Query,
+        read: fn(&Columns<'_>) -> Result<T, StoreError>,
+    ) -> Result<T, StoreError> {
+        self.run(operation, async move |connection| {
+            let row = query.fetch_one(connection).await.during(operation)?;
+            read(&Columns::of(&row, operation))
+        })
+        .await
+    }
+}
