@@ -6,7 +6,6 @@ use std::path::{Path, PathBuf};
 use clap::{Args, Subcommand};
 use jiff::Timestamp;
 use reqwest::Method;
-use serde::Deserialize;
 use serde_json::{Value, json};
 
 use super::client::Client;
@@ -19,8 +18,7 @@ use super::run::submission;
 use super::start_time::{StartTime, local};
 use super::table::{Table, or_dash};
 use super::{At, embed};
-use crate::api::Page;
-use crate::ids::RunUid;
+use crate::api::{Page, QueueTime};
 use crate::store::RunRow;
 
 /// Options of `queue`.
@@ -120,17 +118,6 @@ fn body(client: &Client, experiment: &Path, at: Option<StartTime>) -> Result<Val
     let mut body = submission(client, &ExperimentFiles::read(experiment)?);
     body["not_before"] = json!(at.map(|StartTime(at)| at));
     Ok(body)
-}
-
-/// Fields of `GET /api/v1/queue/times` that are shown.
-#[derive(Debug, Deserialize)]
-struct QueueTime {
-    run: RunUid,
-    duration_s: Option<f64>,
-    begin: Option<Timestamp>,
-    end: Option<Timestamp>,
-    problem: Option<String>,
-    not_begun: Option<String>,
 }
 
 async fn list(client: &Client, json: bool) -> Result<(), CliError> {

@@ -8,11 +8,10 @@ use ratatui::text::{Line, Span};
 
 use super::night::{Level, Night, Told, one_line};
 use super::theme::Theme;
-use crate::api::Rating;
+use crate::api::{Rating, RigRates, Suspender};
 use crate::campaign::shown::status::{Eta, Phase};
-use crate::cli::care::SuspenderView;
 use crate::cli::output::{bytes, counted, duration, grouped};
-use crate::cli::rig_rates::RatesView;
+use crate::cli::rig_rates::broken_channels;
 use crate::cli::view::{RunView, StatusView};
 use crate::record::Label;
 use crate::state::StoredState;
@@ -130,7 +129,7 @@ pub fn facts(night: &Night, status: &StatusView, now: &Now, theme: Theme) -> Vec
         fact("disk", format!("{free} free, {needed} needed"), level);
     }
     let rates = night.rates.as_ref();
-    if let Some(words) = rates.and_then(|rates| rates.stream.broken_channels()) {
+    if let Some(words) = rates.and_then(|rates| broken_channels(&rates.stream)) {
         fact("channels", words, Level::Look);
     }
     if let Some((words, level)) = twins(night) {
@@ -218,7 +217,7 @@ fn predicted(night: &Night, run: &RunView, now: &Now) -> Option<String> {
 }
 
 /// What the stream and the wires did in the last minute.
-fn rate_words(rates: &RatesView) -> Vec<(&'static str, String, Level)> {
+fn rate_words(rates: &RigRates) -> Vec<(&'static str, String, Level)> {
     let stream = &rates.stream;
     let Some(frames_per_s) = stream.frames_per_s else { return Vec::new() };
     let lost = format!("{} missed, {} garbled", stream.missed, stream.garbled);
@@ -261,7 +260,7 @@ fn twins(night: &Night) -> Option<(String, Level)> {
     (!parts.is_empty()).then(|| (parts.join(", "), level))
 }
 
-fn suspender_words(suspender: &SuspenderView, now: &Now) -> String {
+fn suspender_words(suspender: &Suspender, now: &Now) -> String {
     let unit = match suspender.unit.as_str() {
         // Of a ratio.
         "" | "1" => String::new(),

@@ -6,7 +6,7 @@ use std::collections::VecDeque;
 use jiff::{SignedDuration, Timestamp};
 
 use super::answers::{Course, Skin, Tour, TourProgress, Twins};
-use crate::cli::rig_rates::RatesView;
+use crate::api::RigRates;
 use crate::cli::view::{EventView, RunView, StatusView, need_words};
 use crate::event::Importance;
 use crate::ids::RunUid;
@@ -35,7 +35,7 @@ pub enum News {
     /// A run over time.
     Course(RunUid, Course),
     /// What stream and wires did in the last minute.
-    Rates(RatesView),
+    Rates(RigRates),
     /// The simulated twins.
     Twins(Twins),
     /// New events, in their order.
@@ -68,7 +68,7 @@ pub struct Night {
     /// The active run over time.
     pub course: Option<Course>,
     /// What stream and wires did in the last minute.
-    pub rates: Option<RatesView>,
+    pub rates: Option<RigRates>,
     /// The simulated twins.
     pub twins: Option<Twins>,
     /// The last events, the newest last.

@@ -16,6 +16,7 @@ use super::draw::draw;
 use super::facts::Now;
 use super::night::{Level, Mark, News, Night};
 use super::theme::Theme;
+use crate::api::{RigRates, StreamRates, WireRates};
 use crate::cli::view::StatusView;
 use crate::ids::RunUid;
 
@@ -56,8 +57,8 @@ fn status() -> Value {
         "queue_length": 2,
         "disk": { "free_bytes": 212_000_000_000_u64, "needed_bytes": 14_000_000_000_u64 },
         "last_trial_at": "2026-03-01T18:01:20Z",
-        "suspenders": [{ "name": "twins fvu", "value": 0.0942, "threshold": 0.5, "unit": "",
-            "since": null, "suspends": true }],
+        "suspenders": [{ "name": "twins fvu", "title": "", "value": 0.0942, "threshold": 0.5,
+            "unit": "", "since": null, "suspends": true }],
     })
 }
 
@@ -140,11 +141,21 @@ fn pace_prediction_rates_and_stuck_channels_are_shown() {
     let course = json!({ "from": "2026-03-01T08:00:00Z", "bin_s": 360.0, "predicted_s": 43_200.0,
         "trials": vec![10; 100] });
     night.take(News::Course(run(), serde_json::from_value(course).unwrap()), start());
-    let wires =
-        json!([{ "name": "cells", "requests_per_min": 1200.0, "retries": 2, "timeouts": 1 }]);
-    let rates = json!({ "over_s": 60.0, "wires": wires,
-        "stream": { "frames_per_s": 30.0, "missed": 4, "stuck": [17] } });
-    night.take(News::Rates(serde_json::from_value(rates).unwrap()), start());
+    let wire = WireRates {
+        name: "cells".into(),
+        requests_per_min: Some(1200.0),
+        retries: 2,
+        timeouts: 1,
+        ..WireRates::default()
+    };
+    let stream = StreamRates {
+        frames_per_s: Some(30.0),
+        missed: 4,
+        stuck: vec![17],
+        ..StreamRates::default()
+    };
+    let rates = RigRates { over_s: 60.0, stream, wires: vec![wire] };
+    night.take(News::Rates(rates), start());
     let shown = text(&drawn(&night, &after(0), (120, 40), COLOUR));
     for words in [
         "100 trials/h, 100 lately",
