@@ -3,7 +3,6 @@
 
 use std::time::Duration;
 
-use serde::Deserialize;
 use serde_json::Value;
 use tokio::time::Instant;
 
@@ -18,14 +17,6 @@ use crate::store::TwinCount;
 
 /// Interval of polling the twins' progress.
 const TWINS_POLL: Duration = Duration::from_millis(200);
-
-/// Fields of `GET /api/v1/runs/{run}/twins` that are read.
-#[derive(Debug, Deserialize)]
-struct RunTwinsView {
-    #[serde(flatten)]
-    count: TwinCount,
-    pending: u64,
-}
 
 /// Runs `palpate status --twins`.
 ///
@@ -74,7 +65,8 @@ pub async fn wait_for_twins(
     let mut shown = Counted::of("twins", 0);
     let mut least = (u64::MAX, Instant::now());
     loop {
-        let RunTwinsView { count, pending } = client.get(&path).await?;
+        let count: TwinCount = client.get(&path).await?;
+        let pending = count.pending();
         shown.show(count.trials - pending, count.trials);
         if pending == 0 {
             return Ok(count);

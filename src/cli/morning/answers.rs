@@ -11,7 +11,7 @@ use crate::cli::progress::Counted;
 use crate::evaluate::simulation::SimulationReport;
 use crate::ids::RunUid;
 use crate::state::StoredState;
-use crate::store::{MAX_PAGE, RunRow};
+use crate::store::{MAX_PAGE, RunRow, TwinCount};
 
 /// Columns of a trial that these commands read.
 const TRIAL_COLUMNS: &str = "trial_id,configuration,depth_index,depth_mm,tips,contact_count,max_force_n,\
@@ -60,20 +60,13 @@ pub struct TwinsOf {
     pub pending: u64,
 }
 
-/// `GET /api/v1/runs/{run}/twins`: its twins are those of the serving model only.
-#[derive(Debug, Deserialize)]
-struct TwinNumbers {
-    trials: u64,
-    failures: u64,
-}
-
 /// Returns the number of stored trials of a run.
 ///
 /// # Errors
 /// As [`Client::send`].
 pub async fn stored_of(client: &Client, run: RunUid) -> Result<u64, CliError> {
-    let numbers: TwinNumbers = client.get(&format!("/api/v1/runs/{run}/twins")).await?;
-    Ok(numbers.trials)
+    let count: TwinCount = client.get(&format!("/api/v1/runs/{run}/twins")).await?;
+    Ok(count.trials)
 }
 
 /// Returns the numbers of trials and twins of a run, and the fit of the newest twin of each trial.
@@ -82,7 +75,8 @@ pub async fn stored_of(client: &Client, run: RunUid) -> Result<u64, CliError> {
 /// As [`Client::send`].
 pub async fn fit_of(client: &Client, run: RunUid) -> Result<(TwinsOf, SimulationReport), CliError> {
     let path = format!("/api/v1/runs/{run}");
-    let TwinNumbers { trials, failures } = client.get(&format!("{path}/twins")).await?;
+    // Its twins are those of the serving model only.
+    let TwinCount { trials, failures, .. } = client.get(&format!("{path}/twins")).await?;
     let shown = client.showing("scoring the twins");
     let fit: SimulationReport = shown.get(&format!("{path}/evaluation/simulation")).await?;
     let twins = fit.trials + fit.flagged;
