@@ -15,7 +15,7 @@
 //!
 //! `service` is the only chapter that starts a run: `conductor` hands plan, bench and journal to the campaign;
 //! `api` sends requests and shows status and samples. `cli` checks experiments with `schedule` and rig files
-//! with `rig::check`, which moves nothing; all its motion is a request to `api`.
+//! with `campaign::check`, which moves nothing; all its motion is a request to `api`.
 
 #[cfg(test)]
 use palpate_words::carried;

@@ -1,5 +1,5 @@
 //! `palpate rig`: manual check, connection, homing, jog, tare, reset, limits and wear.
-//! Uses: `client`; for a check of a file `api::LockFile` and `rig::check`. Never: motion in this
+//! Uses: `client`; for a check of a file `api::LockFile` and `campaign::check`. Never: motion in this
 //! process.
 
 use std::path::PathBuf;
@@ -20,11 +20,11 @@ use super::signals::Signals;
 use super::view::StatusView;
 use super::{At, embed, measured, rig_limits, rig_rates};
 use crate::api::LockFile;
+use crate::campaign::bench::estop::StopSwitch;
 use crate::campaign::bench::rig_state::RigState;
 use crate::campaign::bench::travel::HOMING_WAIT;
+use crate::campaign::check::{self, Scope};
 use crate::record::{ARMS, Pose};
-use crate::rig::check::{self, Scope};
-use crate::rig::link::StopLatch;
 
 /// Longest wait for the wires, for a tare, and for actions without motion.
 const SOON: Duration = Duration::from_secs(60);
@@ -243,14 +243,16 @@ async fn check_file(
     let _held = LockFile::of_rig(&rig.config)?;
     let scope = if enable { Scope::Enable } else { Scope::Look };
     // No service holds this rig, so no request reaches this check: a signal is its emergency stop.
-    let (latch, mut signals) = (StopLatch::new(), Signals::catch()?);
-    let pressed = latch.clone();
+    let (estop, mut signals) = (StopSwitch::default(), Signals::catch()?);
+    let pressed = estop.clone();
     let stop = tokio::spawn(async move {
-        signals.next().await;
-        pressed.latch();
+        loop {
+            signals.next().await;
+            pressed.press("a signal");
+        }
     });
     let shown = Working::on(CHECKING);
-    let report = check::run_on(&rig.config, &latch, scope).await;
+    let report = check::run_on(&rig.config, &estop, scope).await;
     drop(shown);
     stop.abort();
     let report = report?;

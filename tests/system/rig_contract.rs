@@ -10,8 +10,9 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use palpate::api::LockFile;
+use palpate::campaign::bench::estop::StopSwitch;
+use palpate::campaign::check::{Scope, check, run_on};
 use palpate::clock::Clock;
-use palpate::rig::check::{Scope, check, run_on};
 use palpate::rig::config::{Guard, RigConfig};
 use palpate::rig::drives::DRIVES;
 use palpate::rig::error::RigError;
@@ -236,17 +237,19 @@ async fn a_drive_with_a_watchdog_stops_when_the_service_falls_silent() {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_check_ends_with_stops_when_the_emergency_stop_is_latched() {
     let _turn = turn(WHOLE).await;
-    let latch = StopLatch::new();
+    let (estop, latch) = (StopSwitch::default(), StopLatch::new());
     let (rig, config, _open, _clock) = rig_of("virtual", file("rigs/virtual.toml"), &latch).await;
     let setup = config.into();
     let pressed = async {
         tokio::time::sleep(Duration::from_millis(400)).await;
-        latch.latch();
+        estop.press("hands");
     };
-    let (checked, ()) = tokio::join!(run_on(&setup, &latch, Scope::Look), pressed);
+    let (checked, ()) = tokio::join!(run_on(&setup, &estop, Scope::Look), pressed);
     assert!(matches!(checked, Err(RigError::Latched { .. })), "{checked:?}");
+    let stops = estop.pressed().expect("it is latched").stops();
+    assert!(stops.len() == 4 && stops.iter().all(|stop| stop.stood_ms.is_some()), "{stops:?}");
     assert_eq!(tell(&rig, json!({ "cmd": "status" })).await["stops"], 4);
-    let again = run_on(&setup, &latch, Scope::Look).await;
+    let again = run_on(&setup, &estop, Scope::Look).await;
     assert!(matches!(again, Err(RigError::Latched { .. })), "{again:?}");
 }
 

@@ -6,6 +6,7 @@
 //! run: states, plan, engine -> trial: press, settle, measure -> bench: devices under guard
 //!         \________________________ safe_end ____________________/
 //! diary: records of what happened       shown: status and requests       spans: of the log
+//! check: of the devices, without motion
 //! ```
 
 /// The stops: effect on the axes, data kept, how the run resumes, who may stop. One table for
@@ -13,6 +14,7 @@
 pub const STOPS: &str = include_str!("stops.txt");
 
 pub mod bench;
+pub mod check;
 pub mod diary;
 pub mod run;
 pub mod safe_end;

@@ -98,6 +98,7 @@ impl CellsConfig {
         c.within("cells.update_ms", self.update_ms, 0.1..=10_000.0);
         c.within("cells.supply_v", self.supply_v, 1.0..=24.0);
         c.within("cells.full_scale_n", self.full_scale_n, 1.0..=5000.0);
+        c.within("cells.force_noise_n", self.force_noise_n, 0.001..=5.0);
         let channels = &self.channels;
         let distinct = (0..ARMS).all(|i| !channels[..i].contains(&channels[i]) && channels[i] < 8);
         let shown = format!("{channels:?}");

@@ -174,6 +174,11 @@ impl RigConfig {
             c.within("skin.expected_z_mm", expected, top..=bottom);
         }
         c.within("skin.clearance_mm", self.skin.clearance_mm, 0.5..=100.0);
+        // With the distance that z may sink during a lateral motion the tips still are above the skin.
+        let most = self.skin.clearance_mm / 2.0;
+        let tolerance = self.axes.z.tolerance_mm;
+        let limit = format!("must be at most {most}, half of skin.clearance_mm");
+        c.require(tolerance <= most, "axes.z.tolerance_mm", tolerance, &limit);
         self.limits.check(&mut c, self.cells.full_scale_n);
         self.ert.check(&mut c);
         c.done()
@@ -186,4 +191,38 @@ pub(super) fn one() -> f64 {
 
 fn default_search_below_mm() -> f64 {
     4.0
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_value_that_would_disable_a_check_of_a_motion_is_refused() {
+        let text = include_str!("../../../experiments/rigs/virtual.toml");
+        for (from, to, words) in [
+            (
+                "tolerance_mm = 0.02",
+                "tolerance_mm = 2.6",
+                "axes.z.tolerance_mm = 2.6: must be at most",
+            ),
+            (
+                "sample_age_ms = 1000",
+                "sample_age_ms = 60000",
+                "limits.sample_age_ms = 60000: must be",
+            ),
+            (
+                "force_noise_n = 0.1",
+                "force_noise_n = 30.0",
+                "cells.force_noise_n = 30: must be from",
+            ),
+        ] {
+            assert!(text.contains(from), "{from}");
+            let problems = RigConfig::from_toml("r.toml", &text.replacen(from, to, 1)).unwrap_err();
+            assert!(
+                problems[0].to_string().starts_with(&format!("r.toml: {words}")),
+                "{problems:?}"
+            );
+        }
+    }
 }

@@ -72,13 +72,15 @@ impl RigLimits {
         c.require(ordered, "limits.corridor_n_per_mm", shown, "must be [lower, upper], from 0");
         check_frame_age(self.frame_age_ms, c);
         let age_ms = self.sample_age_ms;
-        c.require(age_ms >= 20, "limits.sample_age_ms", age_ms, "must be at least 20");
+        let ok = (20..=5000).contains(&age_ms);
+        c.require(ok, "limits.sample_age_ms", age_ms, "must be from 20 to 5000");
     }
 }
 
 /// Checks the longest time without a frame.
 pub(super) fn check_frame_age(age_ms: u64, c: &mut Checks<'_>) {
-    c.require(age_ms >= 50, "limits.frame_age_ms", age_ms, "must be at least 50");
+    let ok = (50..=10_000).contains(&age_ms);
+    c.require(ok, "limits.frame_age_ms", age_ms, "must be from 50 to 10000");
 }
 
 /// Response of the paper's skin to about 10 N on one tip: five times drift and noise.

@@ -27,5 +27,4 @@ pub mod input_modules;
 
 pub mod ert_stream;
 
-pub mod check;
 pub mod registry;

@@ -165,7 +165,7 @@ mod tests {
     fn a_wrong_value_is_named_and_half_a_bench_is_no_skin() {
         assert_eq!(
             problem("frame_age_ms = 1000", "frame_age_ms = 1"),
-            "s.toml: limits.frame_age_ms = 1: must be at least 50"
+            "s.toml: limits.frame_age_ms = 1: must be from 50 to 10000"
         );
         assert!(problem("electrodes = 28", "electrodes = 1").contains("must be 2 to 64"));
         let half = problem("\n[ert]\n", "\n[cells]\n[ert]\n");

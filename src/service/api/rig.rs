@@ -1,5 +1,5 @@
 //! Manual actions on the rig: connect, home, jog, tare, reset, check.
-//! Uses: `campaign::shown::{command, rig_action}`, `rig::check`. Never: motion except through the campaign.
+//! Uses: `campaign::{check, shown}`. Never: motion except through the campaign.
 
 use axum::Json;
 use axum::extract::State;
@@ -13,9 +13,9 @@ use super::audit::Act;
 use super::problem::{ApiError, Body, ProblemBody};
 use super::refusals::{CONNECTED, DESK};
 use crate::campaign::bench::rig_state::RigState;
+use crate::campaign::check::{self, CheckReport, Scope};
 use crate::campaign::shown::command::Request;
 use crate::campaign::shown::rig_action::RigAction;
-use crate::rig::check::{self, CheckReport, Scope};
 use crate::rig::error::RigError;
 
 /// Request for an action on the rig.
@@ -130,9 +130,9 @@ async fn checked(app: &App, enable: bool) -> Result<CheckReport, ApiError> {
             "another check is active, or the rig is connecting: wait for its end"
         }));
     };
-    let latch = app.campaign.stop_switch().latch();
+    let estop = app.campaign.stop_switch();
     let scope = if enable { Scope::Enable } else { Scope::Look };
-    let report = check::run_on(&app.facts.rig.config, &latch, scope).await;
+    let report = check::run_on(&app.facts.rig.config, &estop, scope).await;
     report.map_err(|error| {
         let status = match error {
             RigError::Latched { .. } => StatusCode::CONFLICT,

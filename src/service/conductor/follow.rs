@@ -235,7 +235,7 @@ async fn until(at: Option<Instant>) {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use std::path::PathBuf;
     use std::sync::Arc;
     use std::sync::atomic::AtomicU64;
@@ -258,7 +258,7 @@ mod tests {
     const BEFORE_ABORTED: &str = "the run before it was aborted";
 
     /// A conductor with an empty database and a disconnected rig, which answers nothing.
-    async fn conductor(name: &str) -> (Conductor, Inbox, PathBuf) {
+    pub(in super::super) async fn conductor(name: &str) -> (Conductor, Inbox, PathBuf) {
         let name = format!("palpate-follow-{name}-{}", std::process::id());
         let folder = std::env::temp_dir().join(name);
         std::fs::create_dir_all(&folder).unwrap();
@@ -274,7 +274,7 @@ mod tests {
         queued_on(conductor, Terms { auto_resume: None, not_before }).await
     }
 
-    async fn queued_on(conductor: &Conductor, terms: Terms) -> RunRow {
+    pub(in super::super) async fn queued_on(conductor: &Conductor, terms: Terms) -> RunRow {
         let definition = "name = 'small'\nseed = 3\nsensor = 's'\n[real_hex]\ntips = [1]\n\
                           configurations = 2\ndepths = 2\n";
         let sensor = include_str!("../../../experiments/sensors/ert-28.toml");

@@ -247,7 +247,8 @@ impl Conductor {
     }
 
     /// Ends a run that is open but not driven as aborted: it was interrupted, or is about to be driven again after a
-    /// restart; if the rig homes for it, the homing ends, too. Its trials stay; it begins nothing.
+    /// restart; if the rig homes for it, the homing ends, too. Its trials stay; it begins nothing, nor does a run that
+    /// waits begin by itself, unless it was interrupted.
     ///
     /// # Errors
     /// `ConductorError::Forbidden` if the run is not open or is driven, `Store` if its end is not stored.
@@ -271,6 +272,10 @@ impl Conductor {
         self.end_bringing_up(run.uid);
         let data = json!({ "run": run.uid, "exit_status": status, "reason": reason });
         self.say(run, "ended", data).await;
+        if now.is_driven() {
+            // Also before the runs of the earlier process are taken over. If the campaign is busy, it is noted later.
+            let _ = self.inner.campaign.ask(Request::CameLate).await;
+        }
         Ok(())
     }
 

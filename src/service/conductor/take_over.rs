@@ -210,7 +210,7 @@ impl Conductor {
         *self.inner.brought_up.lock() = Some(run.uid);
         self.unended(run).await?;
         self.require_unattended(run, before).await?;
-        self.bring_up(run).await?;
+        self.bring_up(run, before).await?;
         self.begin(run, self.require_unattended(run, before)).await
     }
 
@@ -270,7 +270,7 @@ impl Conductor {
 
     /// Opens the wires and homes the rig, as needed. A skin alone has nothing to home, and for a manual run nothing
     /// moves: a person's hands may be on the skin. After a crash the first motion is z up, as in every homing.
-    async fn bring_up(&self, run: &RunRow) -> Result<(), Refusal> {
+    async fn bring_up(&self, run: &RunRow, before: Unattended) -> Result<(), ConductorError> {
         let campaign = &self.inner.campaign;
         if campaign.status().rig.state == RigState::Disconnected {
             campaign.ask(Request::Connect).await?;
@@ -281,6 +281,8 @@ impl Conductor {
             return Ok(());
         }
         if rig.state == RigState::Disarmed && self.is_brought_up(run.uid) {
+            // Opening the wires may have taken a while.
+            self.require_unattended(run, before).await?;
             campaign.ask(Request::Home).await?;
         }
         let homed = async {
@@ -309,6 +311,105 @@ impl Conductor {
             let limit_s = HOMING_WAIT.as_secs();
             Err(Refusal::State(format!("the rig was not homed within {limit_s} s: check its axes")))
         };
-        tokio::time::timeout(HOMING_WAIT, homed).await.unwrap_or_else(|_| late())
+        tokio::time::timeout(HOMING_WAIT, homed).await.unwrap_or_else(|_| late())?;
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::Terms;
+    use super::super::follow::tests::{conductor, queued_on};
+    use super::*;
+    use crate::campaign::shown::command::{Envelope, Inbox};
+    use crate::journal::Journal;
+    use crate::state::{StateChange, StoredState};
+
+    /// Why a run is dropped.
+    const RUN_ABORTED: &str = "a run was aborted";
+
+    /// A run that the earlier process drove, and one that waited behind it.
+    async fn earlier(conductor: &Conductor) -> [RunRow; 2] {
+        let terms = Terms { auto_resume: Some(true), not_before: None };
+        let [driven, next] = [queued_on(conductor, terms).await, queued_on(conductor, terms).await];
+        let store = &conductor.inner.store;
+        let running = StateChange::to(StoredState::Running);
+        store.run_state(driven.uid, running, Timestamp::now()).await.unwrap();
+        store.set_waiting(next.uid).await.unwrap();
+        [driven, next]
+    }
+
+    /// A person aborts a run, and the campaign is told.
+    async fn abort(conductor: &Conductor, run: &RunRow, inbox: &mut Inbox) {
+        let told = async {
+            let Envelope { request, answer, .. } = inbox.next().await.expect("a request");
+            assert!(matches!(request, Request::CameLate), "{request:?}");
+            inbox.status.send_modify(|status| status.attended.note(RUN_ABORTED));
+            let _ = answer.send(Ok(()));
+        };
+        let (aborted, ()) = tokio::join!(conductor.abort_undriven(run), told);
+        aborted.unwrap();
+    }
+
+    #[tokio::test]
+    async fn after_an_abort_of_a_run_before_it_is_taken_over_none_behind_it_begins() {
+        let (conductor, mut inbox, folder) = conductor("aborted-before").await;
+        let [driven, next] = earlier(&conductor).await;
+        // The database is still examined.
+        abort(&conductor, &driven, &mut inbox).await;
+        let taken = tokio::select! {
+            taken = conductor.resume_after_restart(AutoResume::Allowed) => taken,
+            asked = inbox.next() => panic!("{asked:?}"),
+        };
+        taken.unwrap();
+        assert_eq!(conductor.why_dropped(next.uid), Some(format!("{RUN_ABORTED}: start it again")));
+        assert!(conductor.inner.store.waiting_runs().await.unwrap().is_empty());
+        std::fs::remove_dir_all(folder).unwrap();
+    }
+
+    #[tokio::test]
+    async fn after_an_abort_of_a_run_as_it_is_taken_over_none_behind_it_begins() {
+        let (conductor, mut inbox, folder) = conductor("aborted-as").await;
+        let [driven, next] = earlier(&conductor).await;
+        let aborts = async {
+            let Envelope { request, answer, .. } = inbox.next().await.expect("a request");
+            assert!(matches!(request, Request::Connect), "{request:?}");
+            abort(&conductor, &driven, &mut inbox).await;
+            let _ = answer.send(Ok(()));
+            inbox.next().await
+        };
+        let taken = tokio::select! {
+            taken = conductor.resume_after_restart(AutoResume::Allowed) => taken,
+            // Nothing is homed for it.
+            asked = aborts => panic!("{asked:?}"),
+        };
+        assert!(matches!(taken, Err(ConductorError::Forbidden(_))), "{taken:?}");
+        let why = "the run before it is not driven again, and a person may be at the rig";
+        assert_eq!(conductor.why_dropped(next.uid).as_deref(), Some(why));
+        let words = conductor.not_begun().await.unwrap();
+        assert!(words.is_some_and(|words| words.ends_with(why)));
+        assert!(conductor.still_waiting().await.unwrap().is_empty());
+        std::fs::remove_dir_all(folder).unwrap();
+    }
+
+    #[tokio::test]
+    async fn nothing_homes_for_a_run_after_a_lock_was_taken_while_the_wires_were_opened() {
+        let (conductor, mut inbox, folder) = conductor("locked").await;
+        earlier(&conductor).await;
+        let asked = async {
+            let Envelope { request, answer, .. } = inbox.next().await.expect("a request");
+            assert!(matches!(request, Request::Connect), "{request:?}");
+            tokio::time::sleep(Duration::from_millis(20)).await;
+            conductor.inner.store.set_lock("bob", "hands in the rig").await.unwrap();
+            inbox.status.send_modify(|status| status.rig.state = RigState::Disarmed);
+            let _ = answer.send(Ok(()));
+            tokio::time::timeout(2 * RESTART_PAUSE, inbox.next()).await
+        };
+        let asked = tokio::select! {
+            taken = conductor.resume_after_restart(AutoResume::Allowed) => panic!("{taken:?}"),
+            asked = asked => asked,
+        };
+        assert!(asked.is_err(), "{asked:?}");
+        std::fs::remove_dir_all(folder).unwrap();
     }
 }

@@ -15,6 +15,10 @@ use crate::rig::traits::CellVolts;
 /// Force on an arm without a tip that contradicts the number of tips entered, N.
 pub const FOREIGN_N: f64 = 5.0;
 
+/// Largest force on an attached arm in the air, N: the weight of a tip, and the offset of a cell. In a zero it may have
+/// either direction, and a force limit is exceeded by as much before it trips.
+pub const IN_AIR_N: f64 = 10.0;
+
 /// What latched the rig: kind and quantity, value, limit.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct Trip {
@@ -211,9 +215,36 @@ pub fn check_cells(
     check_alive(cells, reading, tips)
 }
 
+/// Checks that no attached arm reads a load before a lateral motion.
+///
+/// # Errors
+/// `Cell` with a load, although z reports to be clear of the surface; `Stale` if the module only repeats one.
+pub fn check_unloaded(
+    cells: &CellsConfig,
+    tips: u8,
+    reading: &CellVolts,
+    tare_v: &[f64; ARMS],
+) -> Result<(), Trip> {
+    let tips = usize::from(tips);
+    let forces = Outputs { volts: &reading.volts, tare_v }.forces_n(cells);
+    let Some(loaded) = forces[..tips].iter().position(|&force| force > IN_AIR_N) else {
+        return Ok(());
+    };
+    check_alive(cells, reading, tips)?;
+    let (arm, force_n) = (loaded + 1, forces[loaded]);
+    let detail = format!(
+        "lateral motion refused: z reports to be clear, and cell {arm} reads {force_n:.1} N (limit {IN_AIR_N} N)"
+    );
+    Err(Trip { kind: TripKind::Cell, detail })
+}
+
 /// Checks for repeated values. The noise of a cell changes its last digit at nearly every update:
 /// an input that returns one value for too long no longer measures.
-fn check_alive(cells: &CellsConfig, reading: &CellVolts, tips: usize) -> Result<(), Trip> {
+pub(super) fn check_alive(
+    cells: &CellsConfig,
+    reading: &CellVolts,
+    tips: usize,
+) -> Result<(), Trip> {
     let still = |i: &usize| cells.is_hung(reading.repeats[*i]);
     let Some(first) = (0..tips).find(still) else { return Ok(()) };
     let live: Vec<usize> = (0..ARMS).filter(|&i| cells.is_live(reading.volts[i])).collect();
@@ -338,6 +369,18 @@ mod tests {
         assert_eq!(repeats([9, 4, 5, 5, 5, 5]).unwrap_err().kind, TripKind::Cell);
         assert_eq!(repeats([7, 9, 6, 8, 7, 5]).unwrap_err().kind, TripKind::Stale);
         assert_eq!(repeats([0, 0, 99, 99, 99, 99]), Ok(()), "arms without a tip");
+    }
+
+    #[test]
+    fn a_load_although_z_is_clear_refuses_a_lateral_motion_unless_the_module_hangs() {
+        let check = |force_n, repeats| {
+            let volts = at_n([0.0, force_n, 90.0, 0.0, 0.0, 0.0]);
+            let reading = CellVolts { volts, repeats, at: tokio::time::Instant::now() };
+            check_unloaded(&cells(), 2, &reading, &TARE).map_err(|trip| trip.kind)
+        };
+        assert_eq!(check(0.9 * IN_AIR_N, [0; ARMS]), Ok(()));
+        assert_eq!(check(1.1 * IN_AIR_N, [0; ARMS]), Err(TripKind::Cell));
+        assert_eq!(check(1.1 * IN_AIR_N, [99; ARMS]), Err(TripKind::Stale));
     }
 
     #[test]

@@ -28,6 +28,9 @@ use crate::schedule::configuration::Stand;
 
 /// Shortest pause between two polls, wall s, so that an accelerated rig is not polled continuously.
 const POLL_WALL_S: f64 = 200e-6;
+/// Distance beyond its travel at which no axis can be, in its unit: the drive has lost its zero, or the homing has ended
+/// elsewhere.
+pub(super) const BEYOND_TRAVEL: f64 = 1.0;
 /// Wall time allowed for a motion beyond its predicted duration.
 pub(super) const GRACE: Duration = Duration::from_secs(3);
 
@@ -82,7 +85,7 @@ pub struct Stage {
     /// Where every sample of the cells is published.
     pub samples: Samples,
     /// Last sample of the motion or hold that is watched.
-    last_sample: Option<LastSample>,
+    pub(super) last_sample: Option<LastSample>,
     /// Time since which z has been held at rest under watch.
     pub(super) held_since: Option<Instant>,
 }
@@ -383,10 +386,14 @@ impl Stage {
         if !from.homed {
             return Ok(Raised::NotHomed);
         }
+        require_height(from.position, top)?;
         if from.position > up + z.tolerance || from.moving {
             // Never down, even if z is already higher.
             let target = up.min(from.position).max(top);
             z.axis.start_move(target, z.speed).await.map_err(words)?;
+        } else if from.position >= top {
+            // A drive that repeats an old position is down: this raises z. It may be refused if z is up.
+            let _ = z.axis.start_move(from.position, z.speed).await;
         }
         let seconds = (from.position - up).abs() / z.speed + 1.0;
         let deadline = self.clock.now() + self.clock.wall(1.5 * seconds) + GRACE;
@@ -402,6 +409,7 @@ impl Stage {
                 return Ok(Raised::NotHomed);
             }
             if !now.moving && now.position <= up + z.tolerance {
+                require_height(now.position, top)?;
                 return Ok(Raised::Up { deepest_mm });
             }
             if estop.pressed().is_some() {
@@ -415,8 +423,18 @@ impl Stage {
     }
 }
 
+/// Checks that a position of z can be one: far above the travel the zero is lost.
+fn require_height(z_mm: f64, top_mm: f64) -> Result<(), String> {
+    if z_mm >= top_mm - BEYOND_TRAVEL {
+        return Ok(());
+    }
+    Err(format!("z measured at {z_mm:.3} mm, above its travel from {top_mm:.3} mm"))
+}
+
 #[cfg(test)]
 mod tests {
+    use std::sync::atomic::Ordering;
+
     use super::*;
     use crate::campaign::bench::stand_in::StandIns;
     use crate::rig::traits::AxisStatus;
@@ -434,5 +452,22 @@ mod tests {
         *axes.z.status.lock() = AxisStatus { position: 60.0, homed: true, ..restarted };
         let raised = stage.raise_once(Height::Clear, &stop).await;
         assert_eq!(raised, Ok(Raised::Up { deepest_mm: 60.0 }));
+        // No height is above the travel.
+        axes.z.status.lock().position = -300.0;
+        let words = stage.raise_once(Height::Clear, &stop).await.unwrap_err();
+        assert!(words.starts_with("z measured at -300.000 mm, above its travel"), "{words}");
+    }
+
+    #[tokio::test]
+    async fn z_is_commanded_up_also_where_it_reports_to_be_up_already() {
+        let axes = StandIns::default();
+        let (stage, stop) = (axes.stage(), StopSwitch::default());
+        axes.z.status.lock().position = 10.0;
+        let is_up = Ok(Raised::Up { deepest_mm: 10.0 });
+        assert_eq!(stage.raise_once(Height::Clear, &stop).await, is_up);
+        assert_eq!((axes.z.starts.load(Ordering::SeqCst), axes.z.present().position), (1, 10.0));
+        // A drive without power refuses it.
+        axes.z.starts_fail.store(true, Ordering::SeqCst);
+        assert_eq!(stage.raise_once(Height::Clear, &stop).await, is_up);
     }
 }

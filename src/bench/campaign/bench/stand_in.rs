@@ -145,8 +145,12 @@ impl Axis for StandIn {
     }
 }
 
-/// Cells without a load.
-struct Cells;
+/// Cells that return what the test sets.
+#[derive(Debug)]
+pub struct Cells {
+    /// Outputs of arms 1 to 6, V.
+    pub volts: Mutex<[f64; ARMS]>,
+}
 
 #[async_trait]
 impl LoadCells for Cells {
@@ -155,7 +159,7 @@ impl LoadCells for Cells {
     }
 
     async fn read(&self) -> Result<CellVolts, RigError> {
-        Ok(CellVolts { volts: [0.5; ARMS], repeats: [0; ARMS], at: Instant::now() })
+        Ok(CellVolts { volts: *self.volts.lock(), repeats: [0; ARMS], at: Instant::now() })
     }
 }
 
@@ -197,6 +201,8 @@ pub struct StandIns {
     pub z: Arc<StandIn>,
     /// Rotary actuator of the slots.
     pub radial: Arc<StandIn>,
+    /// Load cells, at first without a load.
+    pub cells: Arc<Cells>,
     /// Where the records go.
     pub journal: Arc<Forgetful>,
 }
@@ -204,7 +210,8 @@ pub struct StandIns {
 impl Default for StandIns {
     fn default() -> Self {
         let [x, y, z, radial] = ["x", "y", "z", "radial"].map(StandIn::new);
-        Self { x, y, z, radial, journal: Arc::default() }
+        let cells = Arc::new(Cells { volts: Mutex::new([0.5; ARMS]) });
+        Self { x, y, z, radial, cells, journal: Arc::default() }
     }
 }
 
@@ -216,7 +223,7 @@ impl StandIns {
             y: self.y.clone(),
             z: self.z.clone(),
             radial: self.radial.clone(),
-            cells: Arc::new(Cells),
+            cells: self.cells.clone(),
             skin: Arc::new(Skin),
         }
     }

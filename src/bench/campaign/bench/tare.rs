@@ -2,12 +2,13 @@
 //! Uses: `campaign::bench::stage`. Never: storage.
 
 use crate::campaign::bench::evidence::SkinWatch;
-use crate::campaign::bench::interlock::{FOREIGN_N, TripKind};
+use crate::campaign::bench::interlock::{self, FOREIGN_N, IN_AIR_N, TripKind};
 use crate::campaign::bench::stage::Stage;
 use crate::campaign::run::control::Control;
 use crate::campaign::run::halt::Halt;
 use crate::record::{ARMS, Untouched};
 use crate::rig::config::RigConfig;
+use crate::rig::traits::CellVolts;
 
 /// Limit of the spread of a cell's readings in the air, as a multiple of its noise.
 const TARE_NOISE_MULTIPLE: f64 = 10.0;
@@ -56,8 +57,8 @@ pub async fn tare_untouched(
 /// Connected cells on arms without a tip get zeros too, so that a load on them is detected.
 ///
 /// # Errors
-/// Trips on a disconnected cell, a drifted zero, or a load on an arm without a tip; fails the
-/// attempt if a cell is not quiet. A fault of the wire or a request halts as well.
+/// Trips on a disconnected cell, a drifted zero, or a load in the air; fails the attempt if a cell is not
+/// quiet. A fault of the wire or a request halts as well.
 pub async fn tare(
     stage: &mut Stage,
     control: &mut Control,
@@ -65,6 +66,7 @@ pub async fn tare(
     accept: Accept,
 ) -> Result<Vec<(u8, f64)>, Halt> {
     let mut readings: Vec<[f64; ARMS]> = Vec::with_capacity(samples as usize);
+    let mut newest = None;
     for _ in 0..samples {
         // A module returns the same sample twice if it is read faster than it converts.
         stage.clock.sleep(stage.config.cells.update_ms / 1e3).await;
@@ -72,10 +74,21 @@ pub async fn tare(
         let reading = stage.bench.cells.read().await?;
         stage.publish(&reading, None);
         readings.push(reading.volts);
+        newest = Some(reading);
     }
     let last = LastTare { zeros_v: &stage.tare_v, accept };
-    stage.tare_v = zeros(&stage.config, stage.tips, &last, &readings)?;
+    let zeros = zeros(&stage.config, stage.tips, &last, &readings);
+    stage.tare_v = zeros.map_err(|halt| unless_hung(halt, stage, newest.as_ref()))?;
     Ok((1..=stage.tips).map(|arm| (arm, stage.tare_v[usize::from(arm) - 1])).collect())
+}
+
+/// Why a tare is refused: a module that hangs returns an earlier load, which is none.
+fn unless_hung(halt: Halt, stage: &Stage, newest: Option<&CellVolts>) -> Halt {
+    let (cells, tips) = (&stage.config.cells, usize::from(stage.tips));
+    match newest.map(|reading| interlock::check_alive(cells, reading, tips)) {
+        Some(Err(hung)) => hung.into(),
+        Some(Ok(())) | None => halt,
+    }
 }
 
 /// Zeros of the cells before a tare.
@@ -100,8 +113,8 @@ fn zeros(
         let arm = i + 1;
         let mean = readings.iter().map(|r| r[i]).sum::<f64>() / n;
         let live = cells.is_live(mean);
+        let load_n = (mean - cells.zero_v()) * cells.newtons_per_volt();
         if arm > usize::from(tips) {
-            let load_n = (mean - cells.zero_v()) * cells.newtons_per_volt();
             if live && load_n.abs() > FOREIGN_N {
                 let detail = format!(
                     "cell {arm} reads {load_n:.1} N in the air and no tip is entered for arm \
@@ -134,6 +147,13 @@ fn zeros(
             );
             return Err(Halt::trip(TripKind::Cell, detail));
         }
+        if load_n.abs() > IN_AIR_N {
+            let detail = format!(
+                "cell {arm} reads {load_n:.1} N in the air, from the nominal zero (limit {IN_AIR_N} N): \
+                 check what touches its tip"
+            );
+            return Err(Halt::trip(TripKind::Cell, detail));
+        }
         zeros[i] = mean;
     }
     Ok(zeros)
@@ -142,6 +162,7 @@ fn zeros(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::campaign::bench::stand_in::StandIns;
 
     const LAST: [f64; ARMS] = [0.5; ARMS];
 
@@ -176,6 +197,38 @@ mod tests {
         let detail = words(tared(Accept::NearLast, &[beyond]));
         assert!(detail.starts_with("zero of cell 2 moved by"), "{detail}");
         assert!(tared(Accept::AnyZero, &[beyond]).is_ok(), "the first tare has no predecessor");
+    }
+
+    #[test]
+    fn a_load_is_no_zero_although_no_tare_was_before_nor_if_it_has_come_slowly() {
+        for force_n in [0.9 * IN_AIR_N, -0.9 * IN_AIR_N] {
+            assert!(tared(Accept::AnyZero, &[[force_n, 0.0, 0.0, 0.0, 0.0, 0.0]]).is_ok());
+        }
+        for force_n in [1.1 * IN_AIR_N, -1.1 * IN_AIR_N] {
+            let detail = words(tared(Accept::AnyZero, &[[force_n, 0.0, 0.0, 0.0, 0.0, 0.0]]));
+            assert!(
+                detail.starts_with("cell 1 reads") && detail.contains("in the air"),
+                "{detail}"
+            );
+        }
+        // The last zeros have crept.
+        let (config, crept) = (rig(), IN_AIR_N / rig().cells.newtons_per_volt());
+        let last = LastTare { zeros_v: &LAST.map(|v| v + 0.95 * crept), accept: Accept::NearLast };
+        let detail = words(zeros(&config, 2, &last, &[LAST.map(|v| v + 1.05 * crept)]));
+        assert!(detail.contains("from the nominal zero (limit 10 N)"), "{detail}");
+    }
+
+    #[test]
+    fn a_module_that_hangs_with_an_earlier_load_is_stale_and_the_load_none() {
+        let mut stage = StandIns::default().stage();
+        stage.tips = 2;
+        let refused = |repeats| {
+            let reading = CellVolts { volts: LAST, repeats, at: tokio::time::Instant::now() };
+            unless_hung(Halt::trip(TripKind::Cell, "a load"), &stage, Some(&reading))
+        };
+        let kind = |halt: Halt| halt.as_trip().map(|trip| trip.kind);
+        assert_eq!(kind(refused([99; ARMS])), Some(TripKind::Stale));
+        assert_eq!(kind(refused([0; ARMS])), Some(TripKind::Cell));
     }
 
     #[test]

@@ -10,7 +10,7 @@ use futures::future::try_join_all;
 use tokio::time::Instant;
 
 use crate::campaign::bench::interlock::{self, TripKind};
-use crate::campaign::bench::stage::{AxisName, GRACE, Stage};
+use crate::campaign::bench::stage::{AxisName, BEYOND_TRAVEL, GRACE, Stage};
 use crate::campaign::run::control::Control;
 use crate::campaign::run::halt::Halt;
 use crate::record::{ARMS, Pose};
@@ -126,10 +126,14 @@ impl Stage {
         let is_lateral = targets.iter().any(|t| t.axis != AxisName::Z);
         if is_lateral {
             self.require_clear().await?;
+            self.require_unloaded(control).await?;
             self.skin = None;
         }
         if polled == Polled::Axes {
             self.begin_watch();
+        } else if self.last_sample.is_none() {
+            // Nothing moves before the first sample, and the second must not be late.
+            self.read_cells().await?;
         }
         self.held_since = None;
         let z_place = targets.iter().position(|t| t.axis == AxisName::Z);
@@ -175,13 +179,12 @@ impl Stage {
     /// Checks one reading of a moving axis. Returns whether it has arrived.
     fn check_axis(&self, target: &Target, status: &AxisStatus) -> Result<bool, Halt> {
         let driven = self.driven(target.axis);
-        let (axis, tolerance) = (driven.axis, driven.tolerance);
-        interlock::check_position(axis.name(), status.position, axis.travel(), tolerance)?;
+        self.require_within(target.axis, status, driven.tolerance)?;
         if let Some(alarm) = status.alarm {
-            let detail = format!("{} reports alarm {alarm:#x}", axis.name());
+            let detail = format!("{} reports alarm {alarm:#x}", driven.axis.name());
             return Err(Halt::trip(TripKind::Device, detail));
         }
-        Ok(!status.moving && (status.position - target.position).abs() <= tolerance)
+        Ok(!status.moving && (status.position - target.position).abs() <= driven.tolerance)
     }
 
     /// Stops z after a sample that met the condition, and records the delay and travel of the stop.
@@ -209,20 +212,39 @@ impl Stage {
         }
     }
 
+    /// Starts the motions, once each axis has been found homed and within its travel.
     async fn start(&self, targets: &[Target]) -> Result<Instant, Halt> {
+        let (statuses, _) = self.poll(targets, Polled::Axes).await?;
         let mut longest_s = 0.0f64;
+        for (target, status) in targets.iter().zip(&statuses) {
+            let driven = self.driven(target.axis);
+            require_zero(driven.axis, status)?;
+            self.require_within(target.axis, status, driven.tolerance)?;
+            let speed = target.speed.unwrap_or(driven.speed);
+            let takes_s = (target.position - status.position).abs() / speed
+                + 2.0 * speed / driven.acceleration;
+            longest_s = longest_s.max(takes_s);
+        }
         for target in targets {
             let driven = self.driven(target.axis);
-            let speed = target.speed.unwrap_or(driven.speed);
-            let status = driven.axis.status().await?;
-            require_zero(driven.axis, &status)?;
-            let from = status.position;
-            let takes_s =
-                (target.position - from).abs() / speed + 2.0 * speed / driven.acceleration;
-            longest_s = longest_s.max(takes_s);
-            driven.axis.start_move(target.position, speed).await?;
+            driven.axis.start_move(target.position, target.speed.unwrap_or(driven.speed)).await?;
         }
         Ok(self.clock.now() + self.clock.wall(1.5 * longest_s + 0.5) + GRACE)
+    }
+
+    /// Checks that an axis is within its travel, or beyond it by no more than this, in its unit.
+    fn require_within(&self, name: AxisName, status: &AxisStatus, beyond: f64) -> Result<(), Halt> {
+        let axis = self.driven(name).axis;
+        interlock::check_position(axis.name(), status.position, axis.travel(), beyond)?;
+        Ok(())
+    }
+
+    /// Reads z, which must know its position: a lateral motion depends on it.
+    async fn known_z(&self) -> Result<AxisStatus, Halt> {
+        let z = self.bench.z.status().await?;
+        require_zero(self.bench.z.as_ref(), &z)?;
+        self.require_within(AxisName::Z, &z, BEYOND_TRAVEL)?;
+        Ok(z)
     }
 
     async fn poll(
@@ -274,8 +296,7 @@ impl Stage {
 
     /// Checks during a lateral motion that z has stayed up: a drive may lose its power, and a brake slip.
     async fn require_z_up(&self) -> Result<(), Halt> {
-        let z = self.bench.z.status().await?;
-        require_zero(self.bench.z.as_ref(), &z)?;
+        let z = self.known_z().await?;
         if let Some(alarm) = z.alarm {
             let detail = format!("z reports alarm {alarm:#x} during a lateral motion");
             return Err(Halt::trip(TripKind::Device, detail));
@@ -291,8 +312,7 @@ impl Stage {
     }
 
     async fn require_clear(&self) -> Result<(), Halt> {
-        let z = self.bench.z.status().await?;
-        require_zero(self.bench.z.as_ref(), &z)?;
+        let z = self.known_z().await?;
         let tolerance = self.driven(AxisName::Z).tolerance;
         let clear = self.clear_z_mm();
         if z.moving || z.position > clear + tolerance {
@@ -301,6 +321,24 @@ impl Stage {
             return Err(Halt::trip(TripKind::Position, detail));
         }
         Ok(())
+    }
+
+    /// Checks that the cells do not contradict that z is clear. A module that converts slowly still returns the load
+    /// before the raise, and one that hangs needs some updates to show it.
+    async fn require_unloaded(&self, control: &mut Control) -> Result<(), Halt> {
+        let cells = &self.config.cells;
+        let updates_s = f64::from(cells.repeats_max() + 2) * cells.update_ms / 1e3;
+        let deadline = self.clock.now() + self.clock.wall(updates_s);
+        loop {
+            let asked = self.clock.now();
+            let reading = self.bench.cells.read().await?;
+            match interlock::check_unloaded(cells, self.tips, &reading, &self.tare_v) {
+                Ok(()) => return Ok(()),
+                Err(trip) if asked > deadline => return Err(trip.into()),
+                Err(_) => self.poll_pause().await,
+            }
+            control.attend()?;
+        }
     }
 
     /// Moves over a stand. The radius is always approached from below, so that the backlash of the
@@ -364,7 +402,8 @@ impl Stage {
                 return Err(Halt::trip(TripKind::Device, detail));
             }
             if read.iter().all(|s| s.homed && !s.moving) {
-                return Ok(());
+                let mut ends = names.iter().zip(&read);
+                return ends.try_for_each(|(&n, s)| self.require_within(n, s, BEYOND_TRAVEL));
             }
             if self.clock.now() > deadline {
                 let left: Vec<&str> = names

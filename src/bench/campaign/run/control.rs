@@ -31,7 +31,7 @@ pub const STORE_LIMIT: Duration = Duration::from_secs(30);
 const MOTION_ABORTED: &str = "a motion of the rig was aborted, and a person may be at it";
 /// Why no waiting run begins after a pause or an abort that came too late for the run before it.
 const CAME_LATE: &str =
-    "a pause or an abort of the run before it came as it ended, and a person may be at the rig";
+    "a pause or an abort of a run that did not move was requested, and a person may be at the rig";
 /// Period at which requests are checked while waiting for the store at rest.
 const REQUESTS_POLL: Duration = Duration::from_millis(20);
 

@@ -9,6 +9,7 @@
 //! exception (5, 8, 0xB) leaves open whether it was received, is returned as an error, because only
 //! its driver can check that.
 
+use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
@@ -39,7 +40,8 @@ pub struct LinePolicy {
     pub attempts: u32,
     /// Silence between a reply and the next request (RTU: 3.5 characters).
     pub silence: Duration,
-    /// Longest time that a stop waits for the reply to a request in flight before it interrupts it.
+    /// Longest time that a stop waits for the reply to a request in flight before it interrupts it, and that the first
+    /// stop of a silent device waits for its reply.
     pub stop_grace: Duration,
 }
 
@@ -115,6 +117,8 @@ pub(super) struct Wire {
     clock: Clock,
     context: Option<Context>,
     opened: bool,
+    /// Devices that have not replied to their last request.
+    silent: BTreeSet<u8>,
     silent_since: Instant,
     counters: Arc<Counters>,
 }
@@ -128,8 +132,8 @@ impl Wire {
         counters: Arc<Counters>,
     ) -> Self {
         let silent_since = clock.now();
-        let (context, opened) = (None, false);
-        Self { framing, opener, policy, clock, context, opened, silent_since, counters }
+        let (context, opened, silent) = (None, false, BTreeSet::new());
+        Self { framing, opener, policy, clock, context, opened, silent, silent_since, counters }
     }
 
     fn close(&mut self) {
@@ -157,6 +161,15 @@ impl Wire {
         context.map_err(|e| lost(e.to_string()))
     }
 
+    /// Longest wait for the reply. The first stop of a silent device must not delay those of the others.
+    fn reply_limit(&self, job: &Job) -> Duration {
+        let is_first_stop = matches!(job.kind, Kind::Urgent) && job.failures == 0;
+        match is_first_stop && self.silent.contains(&job.unit) {
+            true => self.policy.stop_grace.min(self.policy.timeout),
+            false => self.policy.timeout,
+        }
+    }
+
     /// Executes one exchange. After a failure other than an exception the wire is closed.
     pub(super) async fn attempt(&mut self, job: &Job) -> Result<Reply, LineError> {
         let mut context = match self.context.take() {
@@ -175,16 +188,18 @@ impl Wire {
         context.set_slave(Slave(job.unit));
         let sent = self.clock.now();
         let call = context.call(pdu::to_wire(&job.request));
-        let outcome = tokio::time::timeout(self.policy.timeout, call).await;
+        let limit = self.reply_limit(job);
+        let outcome = tokio::time::timeout(limit, call).await;
         self.silent_since = self.clock.now();
         let outcome = match outcome {
             Err(_elapsed) => {
-                let timeout_ms = self.policy.timeout.as_millis() as u64;
-                return Err(LineError::NoReply { timeout_ms });
+                self.silent.insert(job.unit);
+                return Err(LineError::NoReply { timeout_ms: limit.as_millis() as u64 });
             }
             Ok(Err(error)) => return Err(from_wire(&error)),
             Ok(Ok(outcome)) => outcome,
         };
+        self.silent.remove(&job.unit);
         let round_trip = self.silent_since - sent;
         self.counters.last_round_trip_us.store(round_trip.as_micros() as u64, Ordering::Relaxed);
         let result = match outcome {

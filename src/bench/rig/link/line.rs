@@ -7,6 +7,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use tokio::sync::{Notify, mpsc};
+use tokio::time::Instant;
 
 use super::counts::{Counters, LineCounts};
 use super::error::LineError;
@@ -23,6 +24,9 @@ const URGENT_QUEUE: usize = 16;
 /// Attempts of a request that stops may cut off. The stop of a silent device is sent again and again: without a limit
 /// a request to it would never end, nor those behind it.
 const CUT_OFFS_MAX: u32 = 3;
+/// Pause before a stop without a reply is sent again while requests wait, as a multiple of `LinePolicy::stop_grace`: z
+/// is raised in it on a wire with a silent device.
+const REQUESTS_BETWEEN: u32 = 4;
 
 /// Handle of a wire. Dropping it ends the owner.
 #[derive(Debug)]
@@ -55,7 +59,8 @@ impl Line {
             stop_grace: policy.stop_grace,
             ordinary: ordinary_jobs,
             urgent: urgent_jobs,
-            stops: VecDeque::new(),
+            again: VecDeque::new(),
+            again_at: Instant::now(),
             bell: Arc::clone(&bell),
         };
         tokio::spawn(owner.run());
@@ -126,76 +131,91 @@ struct Owner {
     stop_grace: Duration,
     ordinary: mpsc::Receiver<Job>,
     urgent: mpsc::Receiver<Job>,
-    stops: VecDeque<Job>,
+    /// Stops that must be sent again.
+    again: VecDeque<Job>,
+    /// When they are due.
+    again_at: Instant,
     bell: Arc<Notify>,
 }
 
 impl Owner {
     async fn run(mut self) {
         loop {
-            self.serve_stops().await;
-            if !self.stops.is_empty() {
-                if let Ok(job) = self.ordinary.try_recv() {
-                    self.serve(job).await;
-                }
-                continue;
-            }
+            self.serve_stops(false).await;
             tokio::select! {
                 biased;
-                Some(stop) = self.urgent.recv() => self.stops.push_back(stop),
-                Some(job) = self.ordinary.recv() => self.serve(job).await,
-                else => return,
+                () = rung(&self.bell, &self.urgent, self.stop_due(), Duration::ZERO) => {}
+                job = self.ordinary.recv() => match job {
+                    Some(job) => self.serve(job).await,
+                    None if self.again.is_empty() => return,
+                    None => tokio::time::sleep_until(self.again_at).await,
+                },
             }
         }
     }
 
-    /// Sends the waiting stops in turn, so that one silent device does not prevent the others from
-    /// stopping. Returns when none waits, or when one was given up: the stops of several silent devices, which are sent
-    /// again and again, must not keep a request to another device waiting. Others may still wait then.
-    async fn serve_stops(&mut self) {
-        loop {
-            while let Ok(stop) = self.urgent.try_recv() {
-                self.stops.push_back(stop);
-            }
-            let Some(mut stop) = self.stops.pop_front() else { return };
+    /// When the next stop that was sent already is due; `None` without one.
+    fn stop_due(&self) -> Option<Instant> {
+        (!self.again.is_empty()).then_some(self.again_at)
+    }
+
+    /// Takes the next stop: first those that were not sent yet, so that one silent device does not prevent the others
+    /// from stopping.
+    fn next_stop(&mut self) -> Option<Job> {
+        let fresh = self.urgent.try_recv().ok();
+        fresh.or_else(|| self.again.pop_front_if(|_| self.again_at <= Instant::now()))
+    }
+
+    /// Sends the stops that are due. One without a reply is due later if a request waits, such as the raise of the
+    /// tips: the stops of silent devices, which are sent again and again, must not keep a request to another device
+    /// waiting. `is_asked`: whether a request that was taken already waits.
+    async fn serve_stops(&mut self, is_asked: bool) {
+        while let Some(mut stop) = self.next_stop() {
             match self.wire.attempt(&stop).await {
                 Ok(reply) => stop.answer(Ok(reply)),
-                Err(error) => match self.wire.after(&mut stop, &error) {
-                    Next::GiveUp => return stop.answer(Err(error)),
-                    Next::Again => self.stops.push_back(stop),
-                    Next::AgainAfter(wait) => {
-                        if self.stops.is_empty() && self.urgent.is_empty() {
-                            tokio::time::sleep(wait).await;
+                Err(error) => {
+                    let pause = match self.wire.after(&mut stop, &error) {
+                        Next::GiveUp => {
+                            stop.answer(Err(error));
+                            continue;
                         }
-                        self.stops.push_back(stop);
-                    }
-                },
+                        Next::Again => Duration::ZERO,
+                        Next::AgainAfter(wait) => wait,
+                    };
+                    let is_silent = matches!(error, LineError::NoReply { .. });
+                    let requests = match is_silent && (is_asked || !self.ordinary.is_empty()) {
+                        true => REQUESTS_BETWEEN * self.stop_grace,
+                        false => Duration::ZERO,
+                    };
+                    self.again.push_back(stop);
+                    self.again_at = Instant::now() + pause.max(requests);
+                }
             }
         }
     }
 
     async fn serve(&mut self, mut job: Job) {
         loop {
-            self.serve_stops().await;
+            self.serve_stops(true).await;
             if job.is_abandoned() {
                 return;
             }
             if let Err(refused) = job.permitted() {
                 return job.answer(Err(refused));
             }
-            let grace = self.stop_grace;
-            let stop_waits = !self.stops.is_empty() || !self.urgent.is_empty();
-            // While the e-stop is latched it has no permit: these stops are sent a few times only.
-            if stop_waits && matches!(job.kind, Kind::Motion(_)) {
+            let (grace, is_motion) = (self.stop_grace, matches!(job.kind, Kind::Motion(_)));
+            if is_motion && !self.urgent.is_empty() {
                 continue;
             }
+            // A motion is cut off for a new stop only: what became of it would have to be read first.
+            let stop_due = self.stop_due().filter(|_| !is_motion);
             let outcome = tokio::select! {
                 biased;
                 outcome = self.wire.attempt(&job) => outcome,
-                () = rung(&self.bell, &self.urgent, stop_waits, grace) => {
+                () = rung(&self.bell, &self.urgent, stop_due, grace) => {
                     self.wire.cut_off();
                     job.cut_offs += 1;
-                    if matches!(job.kind, Kind::Motion(_)) || job.cut_offs >= CUT_OFFS_MAX {
+                    if is_motion || job.cut_offs >= CUT_OFFS_MAX {
                         let timeout_ms = grace.as_millis() as u64;
                         return job.answer(Err(LineError::NoReply { timeout_ms }));
                     }
@@ -209,7 +229,7 @@ impl Owner {
                     Next::Again => {}
                     Next::AgainAfter(wait) => tokio::select! {
                         () = tokio::time::sleep(wait) => {}
-                        () = rung(&self.bell, &self.urgent, stop_waits, Duration::ZERO) => {}
+                        () = rung(&self.bell, &self.urgent, self.stop_due(), Duration::ZERO) => {}
                     },
                 },
             }
@@ -217,15 +237,19 @@ impl Owner {
     }
 }
 
-/// Waits until a stop has been waiting for `grace`. `stop_waits`: whether one waits already.
-async fn rung(bell: &Notify, urgent: &mpsc::Receiver<Job>, stop_waits: bool, grace: Duration) {
-    if !stop_waits {
-        loop {
+/// Waits until a stop has been waiting for `grace`: a new one, or those that are `due` again then.
+async fn rung(bell: &Notify, urgent: &mpsc::Receiver<Job>, due: Option<Instant>, grace: Duration) {
+    let new = async {
+        while urgent.is_empty() {
             bell.notified().await;
-            if !urgent.is_empty() {
-                break;
-            }
         }
+    };
+    match due {
+        Some(due) => tokio::select! {
+            () = new => {}
+            () = tokio::time::sleep_until(due) => {}
+        },
+        None => new.await,
     }
     if !grace.is_zero() {
         tokio::time::sleep(grace).await;

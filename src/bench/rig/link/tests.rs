@@ -251,6 +251,31 @@ async fn one_silent_drive_does_not_keep_the_others_from_stopping() {
     assert_eq!(rig.seen().iter().filter(|(unit, ..)| *unit == 1).count(), 3);
 }
 
+#[tokio::test]
+async fn a_silent_drive_does_not_keep_the_raise_of_another_waiting() {
+    let mut rig =
+        patient_rig(LONG / 4, |_, (unit, ..)| if unit == 2 { Act::Silence } else { Act::Echo });
+    let stop_of_2 = |line: &Arc<Line>| {
+        let line = Arc::clone(line);
+        tokio::spawn(async move { line.ask_urgent(2, coil(9)).await })
+    };
+    let gate = MotionGate::new(StopLatch::new());
+    // It is not known to be silent: its first stop is waited for, and not those after it.
+    let silent = stop_of_2(&rig.line);
+    assert_eq!(rig.asked.recv().await, Some((2, 5, 9)));
+    rig.line.ask_motion(1, coil(1), gate.permit().unwrap()).await.unwrap();
+    assert!(silent.await.unwrap().is_err());
+    assert_eq!(rig.seen(), [(1, 5, 1), (2, 5, 9), (2, 5, 9)]);
+    // From now on it is known.
+    let silent = stop_of_2(&rig.line);
+    assert_eq!(rig.asked.recv().await, Some((2, 5, 9)));
+    let asked = Instant::now();
+    rig.line.ask_motion(1, coil(1), gate.permit().unwrap()).await.unwrap();
+    assert!(asked.elapsed() < LONG / 5, "{:?}", asked.elapsed());
+    assert!(silent.await.unwrap().is_err());
+    assert_eq!(rig.seen(), [(1, 5, 1), (2, 5, 9), (2, 5, 9)]);
+}
+
 /// Sends the stop of a device again and again, as while an e-stop is latched.
 fn stop_again(line: &Arc<Line>, unit: u8) -> tokio::task::JoinHandle<()> {
     let line = Arc::clone(line);

@@ -11,7 +11,7 @@ use tokio::sync::OwnedMutexGuard;
 use tokio::task::JoinSet;
 use tokio::time::Instant;
 
-use super::{Answer, Connection, Engine, Owed, no_stage, no_wires, trip_of};
+use super::{Answer, Connection, Engine, NOT_COMPLETE, Owed, no_stage, no_wires, trip_of};
 use crate::campaign::bench::estop::AxisStop;
 use crate::campaign::bench::interlock::{self, Trip, TripKind};
 use crate::campaign::bench::rig_state::RigEvent;
@@ -58,22 +58,28 @@ impl Engine {
             Request::Connect => self.connect(presses).await,
             Request::Disconnect => self.disconnect().await,
             Request::Reset => self.reset(presses, Some(&answer)).await,
-            Request::Home => match self.control.rig_event(RigEvent::Homing) {
-                Ok(()) => {
-                    let _ = answer.send(Ok(()));
-                    self.home_axes().await;
-                    return;
+            Request::Home => {
+                let ready = self.require_complete(&answer).await;
+                match ready.and_then(|()| self.control.rig_event(RigEvent::Homing)) {
+                    Ok(()) => {
+                        let _ = answer.send(Ok(()));
+                        self.home_axes().await;
+                        return;
+                    }
+                    Err(refusal) => Err(refusal),
                 }
-                Err(refusal) => Err(refusal),
-            },
-            Request::Jog { axis, to_mm } => match self.jog_target(&axis, to_mm) {
-                Ok(target) => {
-                    let _ = answer.send(Ok(()));
-                    self.jog(target).await;
-                    return;
+            }
+            Request::Jog { axis, to_mm } => {
+                let ready = self.require_complete(&answer).await;
+                match ready.and_then(|()| self.jog_target(&axis, to_mm)) {
+                    Ok(target) => {
+                        let _ = answer.send(Ok(()));
+                        self.jog(target).await;
+                        return;
+                    }
+                    Err(refusal) => Err(refusal),
                 }
-                Err(refusal) => Err(refusal),
-            },
+            }
             Request::Tare => self.tare().await,
             Request::Mounted { tips, who } => self.mounted(tips, &who).await,
             Request::CameLate => {
@@ -309,6 +315,18 @@ impl Engine {
             status.rig.estop_stops.clear();
         });
         self.control.rig_event(RigEvent::Reset)
+    }
+
+    /// No axis is moved that has not acknowledged its stop, or moves after it: a safe end that is not complete is
+    /// repeated first.
+    async fn require_complete(&mut self, answer: &Answer) -> Result<(), Refusal> {
+        if let Owed::Wires(_, height) = self.owed {
+            self.repeat_safe_end(height).await;
+            if self.owed != Owed::Nothing {
+                return Err(Refusal::Busy(NOT_COMPLETE.into()));
+            }
+        }
+        if answer.is_closed() { Err(Refusal::Gone) } else { Ok(()) }
     }
 
     pub(super) async fn home(&mut self) -> bool {

@@ -54,6 +54,9 @@ mod wait;
 
 /// Period at which an idle or waiting engine checks its bench, wall.
 const IDLE_TICK: Duration = Duration::from_millis(200);
+/// Why nothing moves while a safe end is not complete.
+const NOT_COMPLETE: &str =
+    "the last safe end is not complete: an axis has not acknowledged its stop, or moves after it";
 /// Pause before a safe end that is not complete is repeated.
 const OWED_AGAIN: Duration = Duration::from_millis(500);
 /// Longest pause before it is repeated again, once the tips are up: no request is read meanwhile.

@@ -9,7 +9,10 @@ use tokio::time::Instant;
 use tracing::Instrument;
 
 use super::skin::EmptySkin;
-use super::{Answer, Attempts, Engine, IDLE_TICK, Last, Next, Owed, no_stage, no_wires, trip_of};
+use super::{
+    Answer, Attempts, Engine, IDLE_TICK, Last, NOT_COMPLETE, Next, Owed, no_stage, no_wires,
+    trip_of,
+};
 use crate::campaign::bench::evidence::SilentArms;
 use crate::campaign::bench::interlock::{self, ForceLimits, TripKind};
 use crate::campaign::bench::rig_state::{RigEvent, RigState};
@@ -34,9 +37,6 @@ use crate::schedule::manual::PlannedPlacement;
 use crate::schedule::plan::{Kind, Step};
 use crate::schedule::visits::StepOfTour;
 
-/// Why nothing moves while a safe end is not complete.
-const NOT_COMPLETE: &str =
-    "the last safe end is not complete: an axis has not acknowledged its stop, or moves after it";
 /// Longest wait for it before the next attempt of a run.
 const OWED_LIMIT: Duration = Duration::from_secs(30);
 

@@ -283,8 +283,10 @@ async fn no_axis_moves_sideways_unless_z_is_homed_at_rest_and_clear() {
     let down = AxisStatus { position: 60.0, ..clear };
     let (rises, unhomed) =
         (AxisStatus { moving: true, ..clear }, AxisStatus { homed: false, ..clear });
+    // Its drive has lost its zero and does not know it.
+    let beyond = AxisStatus { position: -30.0, ..clear };
     for name in [AxisName::X, AxisName::Y, AxisName::Radial] {
-        for z in [down, rises, unhomed] {
+        for z in [down, rises, unhomed, beyond] {
             *axes.z.status.lock() = z;
             let stage = engine.connection.as_mut().unwrap().stage.as_mut().unwrap();
             let moved = stage.travel(&mut engine.control, &[Target::of(name, 10.0)]).await;
@@ -296,8 +298,35 @@ async fn no_axis_moves_sideways_unless_z_is_homed_at_rest_and_clear() {
     assert_eq!(starts, [0; 3]);
     *axes.z.status.lock() = clear;
     let stage = engine.connection.as_mut().unwrap().stage.as_mut().unwrap();
-    let target = [Target::of(AxisName::X, 10.0)];
+    let target = [Target::of(AxisName::X, 10.0), Target::of(AxisName::Y, 10.0)];
+    // None is started before each is known.
+    axes.y.status.lock().position = -30.0;
+    assert!(stage.travel(&mut engine.control, &target).await.is_err());
+    assert_eq!(axes.x.starts.load(Ordering::SeqCst), 0);
+    axes.y.status.lock().position = 0.0;
+    // Nor while the cells contradict z.
+    stage.tips = 1;
+    axes.cells.volts.lock()[0] = 1.0;
+    assert!(stage.travel(&mut engine.control, &target).await.is_err());
+    assert_eq!(axes.x.starts.load(Ordering::SeqCst), 0);
+    axes.cells.volts.lock()[0] = 0.5;
     assert!(stage.travel(&mut engine.control, &target).await.is_ok());
+}
+
+#[tokio::test]
+async fn nothing_moves_under_a_load_before_its_first_sample() {
+    let axes = StandIns::default();
+    let mut engine = engine(&axes);
+    let stage = engine.connection.as_mut().unwrap().stage.as_mut().unwrap();
+    stage.tips = 1;
+    let target = Target::of(AxisName::Z, 10.0);
+    axes.cells.volts.lock()[0] = 4.0;
+    let halt = stage.checked_travel(&mut engine.control, target).await.unwrap_err();
+    assert_eq!(halt.as_trip().map(|trip| trip.kind), Some(TripKind::Force), "{halt:?}");
+    assert_eq!(axes.z.starts.load(Ordering::SeqCst), 0);
+    axes.cells.volts.lock()[0] = 0.5;
+    stage.begin_watch();
+    assert!(stage.checked_travel(&mut engine.control, target).await.is_ok());
 }
 
 #[tokio::test]
@@ -453,4 +482,14 @@ async fn a_drive_in_alarm_that_keeps_its_zero_is_not_homed() {
     assert!(!engine.home().await);
     let trip = engine.control.inbox.status.borrow().rig.trip.clone();
     assert_eq!(trip.map(|trip| trip.kind), Some(TripKind::Device));
+}
+
+#[tokio::test]
+async fn a_homing_that_ends_outside_the_travel_is_none() {
+    let axes = StandIns::default();
+    let mut engine = engine(&axes);
+    *axes.radial.after_start.lock() = Some(AxisStatus { position: -30.0, ..axes.radial.present() });
+    assert!(!engine.home().await);
+    let trip = engine.control.inbox.status.borrow().rig.trip.clone();
+    assert_eq!(trip.map(|trip| trip.kind), Some(TripKind::Position));
 }

@@ -6,14 +6,14 @@ use std::time::Duration;
 use tokio::sync::oneshot;
 
 use super::super::{Attempts, Engine, Next, OWED_AGAIN, Owed};
-use super::{engine, job};
+use super::{answered, engine, job, with_handle};
 use crate::campaign::bench::rig_state::{RigEvent, RigState};
 use crate::campaign::bench::stage::Height;
 use crate::campaign::bench::stand_in::StandIns;
 use crate::campaign::run::eta::Pace;
 use crate::campaign::run::halt::Halt;
 use crate::campaign::run::run_state::{PausedWhy, RunState};
-use crate::campaign::shown::command::Refusal;
+use crate::campaign::shown::command::{Refusal, Request};
 use crate::campaign::shown::show;
 use crate::campaign::shown::status::{Status, Wanted};
 
@@ -32,6 +32,23 @@ async fn no_run_is_armed_while_an_axis_owes_the_acknowledgement_of_its_stop() {
     tokio::time::sleep(OWED_AGAIN + Duration::from_millis(50)).await;
     engine.look().await;
     assert_eq!(engine.arm(&job, &waited_for).await, Ok(()));
+}
+
+#[tokio::test]
+async fn nothing_moves_on_request_while_an_axis_owes_the_acknowledgement_of_its_stop() {
+    let axes = StandIns::default();
+    let (mut engine, handle) = with_handle(&axes);
+    engine.control.rig_event(RigEvent::Homed).unwrap();
+    axes.x.replies.store(false, Ordering::SeqCst);
+    assert!(engine.make_safe(None, Height::Clear).await, "the tips are up");
+    let jog = || Request::Jog { axis: "y".into(), to_mm: 10.0 };
+    for request in [jog(), Request::Home] {
+        let refused = answered(&mut engine, handle.ask(request)).await;
+        assert!(matches!(refused, Err(Refusal::Busy(_))), "{refused:?}");
+    }
+    assert_eq!(axes.y.starts.load(Ordering::SeqCst), 0);
+    axes.x.replies.store(true, Ordering::SeqCst);
+    assert_eq!(answered(&mut engine, handle.ask(jog())).await, Ok(()));
 }
 
 #[tokio::test]

@@ -1,6 +1,6 @@
 //! The rig check: reads identity and state of every device of a bench and reports problems as text.
-//! Nothing moves, and nothing is written to a device unless enabling is requested.
-//! Uses: `registry`, `traits`, `config`, `clock`. Never: motion, homing, tares that are kept.
+//! Nothing moves, and nothing but a stop is written to a device unless enabling is requested.
+//! Uses: `rig`, `bench::estop`, `clock`. Never: motion, homing, tares that are kept.
 
 mod report;
 mod stream;
@@ -8,26 +8,28 @@ mod stream;
 use std::sync::Arc;
 use std::time::Duration;
 
-use futures::future::join_all;
 use sim_core::stats::{sorted, upper_quantile};
+use tokio::time::Instant;
 
 pub use self::report::{AxisFound, CellsFound, CheckReport, LineFound, StreamFound};
+use crate::campaign::bench::estop::StopSwitch;
 use crate::clock::Clock;
 use crate::record::{ARMS, Label};
 use crate::rig::config::{CellsConfig, RigConfig};
 use crate::rig::error::RigError;
 use crate::rig::ert_stream::ErtStream;
-use crate::rig::link::StopLatch;
 use crate::rig::registry::{self, OpenBench};
 use crate::rig::setup::{RigSetup, SkinConfig};
-use crate::rig::traits::{Axis, CellVolts};
+use crate::rig::traits::{Axis, Bench, CellVolts};
 
 /// Number of timed round trips per axis.
 const ROUND_TRIPS: usize = 20;
 /// Minimum number of samples of the cells; more if `repeats_max` needs more to be exceeded.
 const CELL_SAMPLES: u32 = 10;
-/// Period at which a check tests whether the emergency stop was pressed.
-const STOP_LOOK: Duration = Duration::from_millis(5);
+/// Longest wait after a press until every axis stands; then the wires are closed, since nothing was moved.
+const STANDS_LIMIT: Duration = Duration::from_secs(10);
+/// Period of that wait.
+const STANDS_POLL: Duration = Duration::from_millis(10);
 
 /// Extent of a check: what it may do to the drives.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -38,49 +40,86 @@ pub enum Scope {
     Enable,
 }
 
-/// Opens the wires of a rig, checks the bench and closes them. `latch` is the emergency stop of the
-/// rig: once it is latched, the check sends a stop to every axis and ends.
+/// Opens the wires of a rig, checks the bench and closes them. A press of `estop`, the emergency stop of the rig, ends
+/// the check: the stops are sent as in a campaign, and the wires are closed once every axis stands.
 ///
 /// # Errors
-/// `RigError::Latched` if the emergency stop is or becomes latched; other variants if a wire or
-/// reader cannot be opened. Findings of the check are part of the report.
+/// `RigError::Latched` if the emergency stop is or becomes latched, `RigError::NotReady` if an axis does not stand in time
+/// then; other variants if a wire or reader cannot be opened. Findings of the check are part of the report.
 ///
 /// # Panics
 /// Outside a tokio runtime.
 pub async fn run_on(
     rig: &RigSetup,
-    latch: &StopLatch,
+    estop: &StopSwitch,
     scope: Scope,
 ) -> Result<CheckReport, RigError> {
     let latched = || RigError::Latched { device: rig.name().into(), operation: "check".into() };
-    if latch.is_latched() {
+    let presses = estop.presses();
+    if estop.pressed().is_some() {
         return Err(latched());
     }
     let clock = Clock::new(rig.clock_rate());
-    let config = match rig {
-        RigSetup::Bench(config) => config.as_ref(),
+    let checked = match rig {
+        RigSetup::Bench(config) => {
+            let open = registry::open(config, &clock, &estop.latch())?;
+            let work = check(config, &open, &clock, scope);
+            unless_stopped(estop, presses, &open.bench, work).await?
+        }
         RigSetup::Skin(skin) => {
             let open = registry::open_skin(skin, &clock)?;
-            return tokio::select! {
+            tokio::select! {
                 biased;
-                () = pressed(latch) => Err(latched()),
-                report = check_skin(skin, &open, &clock) => Ok(report),
-            };
+                () = estop.pressed_after(presses) => None,
+                report = check_skin(skin, &open, &clock) => Some(report),
+            }
         }
     };
-    let open = registry::open(config, &clock, latch)?;
-    tokio::select! {
-        biased;
-        () = pressed(latch) => {
-            let stops = open.bench.axes().map(|axis| async move {
-                if let Err(error) = axis.stop().await {
-                    tracing::error!(axis = axis.name(), %error, "stop was not acknowledged");
-                }
-            });
-            join_all(stops).await;
-            Err(latched())
+    checked.ok_or_else(latched)
+}
+
+/// Works on an open bench until the end, or until a press of the e-stop after the first `presses`: `None` once every
+/// axis stands then.
+async fn unless_stopped<T>(
+    estop: &StopSwitch,
+    presses: u64,
+    bench: &Bench,
+    work: impl Future<Output = T>,
+) -> Result<Option<T>, RigError> {
+    let guarded = async {
+        tokio::select! {
+            biased;
+            () = estop.pressed_after(presses) => stand(estop).await.map(|()| None),
+            done = work => Ok(Some(done)),
         }
-        report = check(config, &open, &clock, scope) => Ok(report),
+    };
+    tokio::select! {
+        // Ends with its switch only, which outlasts this.
+        () = estop.clone().serve(bench.clone()) => Ok(None),
+        done = guarded => done,
+    }
+}
+
+/// Waits until every axis stands.
+async fn stand(estop: &StopSwitch) -> Result<(), RigError> {
+    let deadline = Instant::now() + STANDS_LIMIT;
+    loop {
+        let stops = estop.pressed().map_or_else(Vec::new, |press| press.stops());
+        let moving = stops.iter().find(|stop| stop.stood_ms.is_none());
+        if moving.is_none() && !stops.is_empty() {
+            return Ok(());
+        }
+        if Instant::now() > deadline {
+            let device = moving.map_or_else(|| "bench".into(), |stop| stop.axis.clone());
+            let error = moving.and_then(|stop| stop.error.as_deref());
+            let why = format!("not stopped: {}", error.unwrap_or("not known to stand"));
+            return Err(RigError::NotReady {
+                device,
+                operation: "the end of the check".into(),
+                why,
+            });
+        }
+        tokio::time::sleep(STANDS_POLL).await;
     }
 }
 
@@ -99,13 +138,6 @@ async fn check_skin(config: &SkinConfig, open: &ErtStream, clock: &Clock) -> Che
         lines: Vec::new(),
         problems,
         unchecked: Vec::new(),
-    }
-}
-
-/// Waits until the emergency stop is latched.
-async fn pressed(latch: &StopLatch) {
-    while !latch.is_latched() {
-        tokio::time::sleep(STOP_LOOK).await;
     }
 }
 
@@ -308,7 +340,36 @@ fn mean_and_sd(values: impl Iterator<Item = f64> + Clone) -> (f64, f64) {
 
 #[cfg(test)]
 mod tests {
+    use std::sync::atomic::Ordering;
+
     use super::*;
+    use crate::campaign::bench::stand_in::StandIns;
+
+    #[tokio::test]
+    async fn a_check_that_is_stopped_ends_once_each_axis_has_acknowledged_and_stands() {
+        let (estop, axes) = (StopSwitch::default(), StandIns::default());
+        axes.x.replies.store(false, Ordering::SeqCst);
+        axes.z.status.lock().moving = true;
+        let bench = axes.bench();
+        // A check that does not end by itself.
+        let checks = unless_stopped(&estop, 0, &bench, std::future::pending::<()>());
+        let mut checks = std::pin::pin!(checks);
+        let mut within =
+            async |ms| tokio::time::timeout(Duration::from_millis(ms), checks.as_mut()).await.ok();
+        assert_eq!(within(50).await, None);
+        assert_eq!(axes.stops(), 0);
+        estop.press("hands");
+        // Sent again to the one that is silent.
+        assert_eq!(within(300).await, None);
+        assert!(axes.stops() >= 3 && axes.x.stops.load(Ordering::SeqCst) == 0);
+        axes.x.replies.store(true, Ordering::SeqCst);
+        assert_eq!(within(300).await, None, "z moves");
+        assert!(axes.x.stops.load(Ordering::SeqCst) > 0);
+        axes.z.status.lock().moving = false;
+        assert_eq!(within(10_000).await, Some(Ok(None)));
+        let done = unless_stopped(&StopSwitch::default(), 0, &bench, std::future::ready(7));
+        assert_eq!(done.await, Ok(Some(7)));
+    }
 
     fn judged(volts: f64, repeats: u32) -> Vec<String> {
         let text = include_str!("../../../../experiments/rigs/virtual.toml");
