@@ -2,10 +2,9 @@
 //! may be absent.
 //! PURE. Uses: serde. Never: an error for a field that is absent.
 
-use jiff::Timestamp;
 use serde::Deserialize;
 
-use crate::api::ForcesOfTips;
+use crate::api::{ForcesOfTips, History};
 use crate::ids::RunUid;
 
 /// `GET /api/v1/sensor`: the skin.
@@ -71,29 +70,13 @@ pub struct TourProgress {
     pub forces_by_tips: Vec<ForcesOfTips>,
 }
 
-/// `GET /api/v1/runs/{run}/history`: the run over time, in bins of equal length.
-#[derive(Debug, Clone, Default, PartialEq, Deserialize)]
-#[serde(default)]
-pub struct Course {
-    /// Start of the run.
-    pub from: Option<Timestamp>,
-    /// Length of a bin, s.
-    pub bin_s: Option<f64>,
-    /// Number of trials in each bin.
-    pub trials: Vec<u32>,
-    /// Duration as it was predicted at the start, wall s.
-    pub predicted_s: Option<f64>,
-}
-
-impl Course {
-    /// Trials per hour over the last bins, or over all of them.
-    pub fn per_hour(&self, last: Option<usize>) -> Option<f64> {
-        let skipped = last.map_or(0, |last| self.trials.len().saturating_sub(last));
-        let bins = &self.trials[skipped..];
-        let over_s = bins.len() as f64 * self.bin_s?;
-        let trials: u32 = bins.iter().sum();
-        (over_s > 0.0).then(|| 3600.0 * f64::from(trials) / over_s)
-    }
+/// Trials per hour over the last bins of a run, or over all of them.
+pub fn per_hour(course: &History, last: Option<usize>) -> Option<f64> {
+    let skipped = last.map_or(0, |last| course.trials.len().saturating_sub(last));
+    let bins = &course.trials[skipped..];
+    let over_s = bins.len() as f64 * course.bin_s?;
+    let trials: u32 = bins.iter().sum();
+    (over_s > 0.0).then(|| 3600.0 * f64::from(trials) / over_s)
 }
 
 /// `GET /api/v1/twins`: the simulated twins.
@@ -146,10 +129,10 @@ mod tests {
 
     #[test]
     fn the_pace_of_a_run_is_that_of_all_bins_or_of_the_last_ones() {
-        let course = Course { bin_s: Some(60.0), trials: vec![10, 0, 5], ..Course::default() };
-        assert_eq!((course.per_hour(None), course.per_hour(Some(1))), (Some(300.0), Some(300.0)));
-        assert_eq!(course.per_hour(Some(2)), Some(150.0));
-        assert_eq!(Course::default().per_hour(None), None);
+        let run = History { bin_s: Some(60.0), trials: vec![10, 0, 5], ..History::default() };
+        assert_eq!([None, Some(1)].map(|last| per_hour(&run, last)), [Some(300.0), Some(300.0)]);
+        assert_eq!(per_hour(&run, Some(2)), Some(150.0));
+        assert_eq!(per_hour(&History::default(), None), None);
     }
 
     #[test]

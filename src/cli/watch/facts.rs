@@ -6,6 +6,7 @@ use jiff::{SignedDuration, Timestamp};
 use ratatui::style::Modifier;
 use ratatui::text::{Line, Span};
 
+use super::answers::per_hour;
 use super::night::{Level, Night, Told, one_line};
 use super::theme::Theme;
 use crate::api::{Rating, RigRates, Suspender};
@@ -196,8 +197,8 @@ fn phase(run: &RunView) -> String {
 /// Trials per hour, of the whole run and of its last tenth.
 fn pace(night: &Night) -> Option<String> {
     let course = night.course.as_ref()?;
-    let lately = course.per_hour(Some(course.trials.len().div_ceil(10)))?;
-    Some(format!("{:.0} trials/h, {lately:.0} lately", course.per_hour(None)?))
+    let lately = per_hour(course, Some(course.trials.len().div_ceil(10)))?;
+    Some(format!("{:.0} trials/h, {lately:.0} lately", per_hour(course, None)?))
 }
 
 /// The end as it was predicted at the start, and how much later or earlier it is expected now.

@@ -5,8 +5,8 @@ use std::collections::VecDeque;
 
 use jiff::{SignedDuration, Timestamp};
 
-use super::answers::{Course, Skin, Tour, TourProgress, Twins};
-use crate::api::RigRates;
+use super::answers::{Skin, Tour, TourProgress, Twins};
+use crate::api::{History, RigRates};
 use crate::cli::view::{EventView, RunView, StatusView, need_words};
 use crate::event::Importance;
 use crate::ids::RunUid;
@@ -33,7 +33,7 @@ pub enum News {
     /// The progress of a run along its tour.
     Progress(RunUid, TourProgress),
     /// A run over time.
-    Course(RunUid, Course),
+    Course(RunUid, History),
     /// What stream and wires did in the last minute.
     Rates(RigRates),
     /// The simulated twins.
@@ -66,7 +66,7 @@ pub struct Night {
     /// When the progress was read.
     pub progress_at: Option<Timestamp>,
     /// The active run over time.
-    pub course: Option<Course>,
+    pub course: Option<History>,
     /// What stream and wires did in the last minute.
     pub rates: Option<RigRates>,
     /// The simulated twins.

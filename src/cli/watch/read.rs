@@ -7,9 +7,9 @@ use jiff::Timestamp;
 use tokio::sync::{mpsc, watch};
 use tokio::time::{Instant, MissedTickBehavior, interval};
 
-use super::answers::{Course, Skin, Tour, TourProgress};
+use super::answers::{Skin, Tour, TourProgress};
 use super::night::News;
-use crate::api::Page;
+use crate::api::{History, Page};
 use crate::cli::client::Client;
 use crate::cli::error::CliError;
 use crate::cli::view::EventView;
@@ -154,7 +154,7 @@ impl Rest {
         }
         self.course = Some(Instant::now());
         let path = format!("/api/v1/runs/{run}/history?bins={COURSE_BINS}");
-        let course: Option<Course> = self.client.if_there(&path).await?;
+        let course: Option<History> = self.client.if_there(&path).await?;
         let Some(course) = course else { return Ok(true) };
         Ok(self.news.send(News::Course(run, course)).await.is_ok())
     }

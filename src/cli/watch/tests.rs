@@ -16,7 +16,7 @@ use super::draw::draw;
 use super::facts::Now;
 use super::night::{Level, Mark, News, Night};
 use super::theme::Theme;
-use crate::api::{RigRates, StreamRates, WireRates};
+use crate::api::{History, RigRates, StreamRates, WireRates};
 use crate::cli::view::StatusView;
 use crate::ids::RunUid;
 
@@ -138,9 +138,14 @@ fn all_facts_of_the_night_are_on_usual_terminals() {
 #[test]
 fn pace_prediction_rates_and_stuck_channels_are_shown() {
     let mut night = night();
-    let course = json!({ "from": "2026-03-01T08:00:00Z", "bin_s": 360.0, "predicted_s": 43_200.0,
-        "trials": vec![10; 100] });
-    night.take(News::Course(run(), serde_json::from_value(course).unwrap()), start());
+    let course = History {
+        from: "2026-03-01T08:00:00Z".parse().ok(),
+        bin_s: Some(360.0),
+        predicted_s: Some(43_200.0),
+        trials: vec![10; 100],
+        ..History::default()
+    };
+    night.take(News::Course(run(), course), start());
     let wire = WireRates {
         name: "cells".into(),
         requests_per_min: Some(1200.0),

@@ -117,6 +117,7 @@ pub use access::{Access, Edited, Lock, Needs};
 pub use envelope::SamplesOut;
 pub use exports::ExportOut;
 pub use glance::{Glance, Question, Rating};
+pub use history::History;
 pub use infer::{FrameAnswer, InferOptions, InferRequest};
 pub use jobs::JobOut;
 pub use live_contacts::LiveAnswer;
