@@ -42,7 +42,7 @@ pub async fn wait_for(client: &Client, asked: JobOut) -> Result<JobOut, CliError
 /// Progress of a job, on standard error.
 pub struct JobScreen {
     /// The bar; hidden without a terminal.
-    pub bar: ProgressBar,
+    bar: ProgressBar,
     lines: LogLines,
 }
 
@@ -79,18 +79,20 @@ impl JobScreen {
         }
         match now.task.state {
             TaskState::Waiting | TaskState::Running => Ok(false),
-            TaskState::Done => {
-                self.bar.finish_and_clear();
-                Ok(true)
-            }
+            TaskState::Done => Ok(true),
             TaskState::Failed | TaskState::Stopped => {
-                self.bar.finish_and_clear();
                 let operation = now.task.id.to_string();
                 let stopped = "it was stopped; the same command resumes it from its checkpoint";
                 let detail = now.task.error.clone().unwrap_or_else(|| stopped.into());
                 Err(CliError::Refused { operation, status: 409, detail })
             }
         }
+    }
+}
+
+impl Drop for JobScreen {
+    fn drop(&mut self) {
+        self.bar.finish_and_clear();
     }
 }
 

@@ -66,8 +66,10 @@ impl Screen {
             note(words);
         }
     }
+}
 
-    pub(super) fn close(&self) {
+impl Drop for Screen {
+    fn drop(&mut self) {
         self.bar.finish_and_clear();
     }
 }
