@@ -236,7 +236,7 @@ mod tests {
         walk(&root, "", &mut |path, command| {
             let help = command.clone().render_long_help().to_string();
             let (_, examples) = help.split_once("Examples:\n").unwrap_or_else(|| {
-                panic!("palpate {path}: no example; add it to src/cli/help/examples.rs")
+                panic!("palpate {path}: no example; add it to src/cli/help/examples.txt")
             });
             let lines = examples.lines().map(str::trim).take_while(|line| !line.is_empty());
             let lines: Vec<&str> = lines.collect();

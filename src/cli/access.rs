@@ -2,13 +2,16 @@
 //! Uses: `client`; without a service `api::Offline`. Never: a key's text except in the answer that creates
 //! it; the rig.
 
-use clap::{Args, Subcommand, ValueEnum};
+use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
+use clap::{Args, Subcommand};
 use reqwest::Method;
 use serde_json::{Value, json};
 
 use super::client::{Client, who};
 use super::error::CliError;
 use super::output::{say, say_json};
+use super::start_time::local;
+use super::table::Table;
 use super::{At, embed};
 use crate::api::{CreatedKey, Offline};
 use crate::store::{KeyRow, LockRow, Role};
@@ -46,8 +49,8 @@ pub enum KeyCommand {
         /// Name of the holder or purpose.
         name: String,
         /// Rights of the holder.
-        #[arg(long, value_enum, default_value_t = RoleName::Operator)]
-        role: RoleName,
+        #[arg(long, default_value = Role::Operator.as_str(), value_parser = roles())]
+        role: Role,
     },
     /// Show the keys, without their texts.
     List,
@@ -60,25 +63,12 @@ pub enum KeyCommand {
     },
 }
 
-/// Rights of a key; each role includes the ones before it.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub enum RoleName {
-    /// Read, and stop.
-    Viewer,
-    /// Start runs and move the rig.
-    Operator,
-    /// Manage keys, release another person's lock.
-    Admin,
-}
-
-impl From<RoleName> for Role {
-    fn from(name: RoleName) -> Self {
-        match name {
-            RoleName::Viewer => Self::Viewer,
-            RoleName::Operator => Self::Operator,
-            RoleName::Admin => Self::Admin,
-        }
-    }
+/// Parser of the name of a role; the help lists the roles.
+fn roles() -> impl TypedValueParser<Value = Role> {
+    let of = |role: Role| PossibleValue::new(role.as_str()).help(role.about());
+    let named = |name: String| Role::ALL.into_iter().find(|role| role.as_str() == name);
+    PossibleValuesParser::new(Role::ALL.map(of))
+        .try_map(move |name| named(name).ok_or("must be the name of a role"))
 }
 
 /// Runs `palpate lock`.
@@ -142,23 +132,20 @@ async fn with_people(
 /// Prints the caller, as the service sees this terminal.
 async fn whoami(at: &At) -> Result<(), CliError> {
     let caller: Value = embed::server(at).await?.get("/api/v1/caller").await?;
-    if at.json {
-        say_json(&caller);
-        return Ok(());
-    }
     let name = caller["name"].as_str().unwrap_or("without a key");
-    say(format_args!("{name}, {}", caller["role"].as_str().unwrap_or_default()));
+    let role = caller["role"].as_str().unwrap_or_default();
+    at.output().say(&caller, format_args!("{name}, {role}"));
     Ok(())
 }
 
-async fn create(people: &People, name: &str, role: RoleName, json: bool) -> Result<(), CliError> {
-    let made = people.create_key(name, role.into()).await?;
+async fn create(people: &People, name: &str, role: Role, json: bool) -> Result<(), CliError> {
+    let made = people.create_key(name, role).await?;
     if json {
         say_json(&made);
         return Ok(());
     }
     let key = &made.key;
-    say(format_args!("key {}, {name}, {}; it is shown this once:", key.id, word(key.role)));
+    say(format_args!("key {}, {name}, {}; it is shown this once:", key.id, key.role.as_str()));
     say(&made.secret);
     Ok(())
 }
@@ -169,22 +156,18 @@ async fn list(people: &People, json: bool) -> Result<(), CliError> {
         say_json(&keys);
         return Ok(());
     }
-    if keys.is_empty() {
-        say("no keys");
-    }
+    let mut table =
+        Table::new("key> | name | role | state", "there are no keys: palpate key create NAME");
     for key in keys {
         let state = match (key.revoked_at, key.last_used_at) {
-            (Some(at), _) => format!("revoked {at}"),
-            (None, Some(at)) => format!("last used {at}"),
+            (Some(at), _) => format!("revoked {}", local(at)),
+            (None, Some(at)) => format!("last used {}", local(at)),
             (None, None) => "never used".into(),
         };
-        say(format_args!("{:>4}  {:<20} {:<9} {state}", key.id, key.name, word(key.role)));
+        table.push([key.id.to_string(), key.name, key.role.as_str().into(), state]);
     }
+    say(table);
     Ok(())
-}
-
-fn word(role: Role) -> String {
-    format!("{role:?}").to_lowercase()
 }
 
 /// Keys and lock: of a running service, or of a data folder that no service uses.

@@ -14,7 +14,7 @@ use super::client::Client;
 use super::error::CliError;
 use super::find::find_run;
 use super::key::key;
-use super::output::{Output, counted, duration, note, say, say_json};
+use super::output::{counted, duration, note, say, say_json};
 use super::view::{RunView, StatusView};
 use super::{At, embed, workers};
 use crate::campaign::bench::stopping::StoppingDistance;
@@ -84,10 +84,8 @@ pub async fn status(at: &At) -> Result<(), CliError> {
 pub async fn ready(at: &At) -> Result<(), CliError> {
     let client = embed::server(at).await?;
     client.send(Method::GET, "/health/ready", None::<&Value>).await?;
-    match at.output() {
-        Output::Json => say_json(&json!({ "ready": true })),
-        Output::Text => say(format_args!("ready: {} can store trials", client.url())),
-    }
+    let words = format!("ready: {} can store trials", client.url());
+    at.output().say(&json!({ "ready": true }), words);
     Ok(())
 }
 
@@ -97,10 +95,7 @@ pub async fn ready(at: &At) -> Result<(), CliError> {
 /// `CliError` if the service cannot be reached.
 pub async fn metrics(at: &At) -> Result<(), CliError> {
     let text = embed::server(at).await?.text("/metrics").await?;
-    match at.output() {
-        Output::Json => say_json(&json!({ "metrics": text })),
-        Output::Text => say(text.trim_end()),
-    }
+    at.output().say(&json!({ "metrics": text }), text.trim_end());
     Ok(())
 }
 
@@ -130,11 +125,8 @@ pub async fn request(
         more["why"] = why.clone().into();
     }
     client.act(uid, action, more).await?;
-    if args.at.json {
-        say_json(&json!({ "run": uid, "action": action, "taken_up": true }));
-    } else {
-        say(format_args!("run {scan_id}: {action} accepted"));
-    }
+    let taken_up = json!({ "run": uid, "action": action, "taken_up": true });
+    args.at.output().say(&taken_up, format_args!("run {scan_id}: {action} accepted"));
     Ok(())
 }
 
@@ -264,12 +256,9 @@ impl Stopped {
 /// As [`press_estop`].
 pub async fn estop(args: &ActArgs) -> Result<(), CliError> {
     let stopped = press_estop(&args.at, args.why.as_deref(), |words| note(words)).await?;
-    if args.at.json {
-        say_json(&json!({ "latched": stopped.latched, "acknowledged_ms": stopped.acknowledged_ms,
-            "not_stopped": stopped.missing, "stands": stopped.stands }));
-    } else {
-        say(stopped.words());
-    }
+    let answer = json!({ "latched": stopped.latched, "acknowledged_ms": stopped.acknowledged_ms,
+        "not_stopped": stopped.missing, "stands": stopped.stands });
+    args.at.output().say(&answer, stopped.words());
     Ok(())
 }
 
@@ -326,18 +315,18 @@ fn stopping_words(d: &StoppingDistance) -> String {
         _ => "none measured yet".into(),
     };
     format!(
-        "stopping {:.1} ms, {:.2} mm at {:.2} mm/s; +{:.1} N of {:.1} N margin on a tip, +{:.1} N of \
-         {:.1} N on {} (+{:.0} N per tip on the stiffest skin allowed); {measured} in {}",
+        "stopping {:.1} ms, {:.2} mm at {:.2} mm/s; {measured} in {}\n\
+         margin   +{:.1} N of {:.1} N on a tip, +{:.1} N of {:.1} N on {}; +{:.0} N per tip on the stiffest skin",
         d.sample_to_stop_ms,
         d.travel_mm,
         d.speed_mm_s,
+        counted(d.stops, "stop", "stops"),
         d.added_n,
         d.margin_n,
         d.added_sum_n,
         d.margin_sum_n,
         counted(d.tips.into(), "tip", "tips"),
         d.added_steepest_n,
-        counted(d.stops, "stop", "stops"),
     )
 }
 

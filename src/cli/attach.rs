@@ -100,7 +100,7 @@ async fn fit(client: &Client, run: RunUid) -> Option<SimulationReport> {
 /// Prints the closing summary; returns the exit code.
 pub fn closed(closing: &Closing, output: Output) -> ExitCode {
     match output {
-        Output::Json => say_json(&closing.finished),
+        Output::Json => say_json(&closing.finished()),
         Output::Text => {
             say(closing.to_string().trim_end());
             closing.next_commands().say();
@@ -123,8 +123,8 @@ pub fn detached(client: &Client, scan_id: i64, uid: RunUid, process: Option<u32>
         .suggest("palpate attach", "follows it")
         .suggest("palpate stop", "stops it after its trial");
     if let Some(process) = process {
-        let what = "ends the service; a run that is active can be resumed";
-        next = next.line(format_args!("kill {process}"), what);
+        next =
+            next.line(format_args!("kill {process}"), "ends the service; its run can be resumed");
     }
     next.say();
 }

@@ -174,10 +174,7 @@ pub async fn arm_and_start(client: &Client, run: &RunRow) -> Result<Begun, CliEr
 /// # Errors
 /// `CliError` if the service cannot be reached.
 pub async fn last_event(client: &Client, run: &RunRow) -> Result<i64, CliError> {
-    let mut since = 0;
-    loop {
-        let page = client.events(run.uid, since).await?;
-        let Some(last) = page.items.last() else { return Ok(since) };
-        since = last.seq;
-    }
+    // A negative number counts from the end.
+    let newest = client.events(run.uid, -1).await?;
+    Ok(newest.items.last().map_or(0, |last| last.seq))
 }

@@ -1,5 +1,5 @@
 //! Options that choose the bench of a service which a command starts: a rig file, or a virtual bench.
-//! Uses: `files`, `virtual_bench` (its options). Never: a process, motion.
+//! Uses: `files`. Never: a process, motion.
 
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
@@ -7,15 +7,16 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 
 use super::error::{CliError, io_words};
-use super::files::{DEFAULT_GAP, DEFAULT_SKIN_SEED, RigFiles, read_or_carried};
-use super::output::Output;
-use super::virtual_bench::BenchOptions;
+use super::files::{DEFAULT_GAP, read_or_carried};
 use crate::carried::GAPS;
 use crate::file_kind::FileKind;
 use crate::problem::Problem;
 
 /// Default speed of the virtual rig.
 const DEFAULT_SPEED: f64 = 20.0;
+
+/// The option without a value.
+const VIRTUAL: &str = "--virtual";
 
 /// Options of `run` and `serve` on their bench.
 #[derive(Debug, Clone, Default, PartialEq, Args)]
@@ -45,15 +46,15 @@ pub struct BenchArgs {
 
 impl BenchArgs {
     /// The options that choose a bench and were stated, each with its value; empty without one.
-    pub fn stated(&self) -> Vec<(&'static str, String)> {
-        let path = |path: &Option<PathBuf>| path.as_ref().map(|path| path.display().to_string());
+    pub fn stated(&self) -> Vec<(&'static str, OsString)> {
+        let path = |path: &Option<PathBuf>| path.clone().map(PathBuf::into_os_string);
         let all = [
             ("--rig", path(&self.rig)),
-            ("--virtual", self.on_virtual.then(|| "given".into())),
-            ("--speed", self.speed.map(|speed| speed.to_string())),
+            (VIRTUAL, self.on_virtual.then(|| "given".into())),
+            ("--speed", self.speed.map(|speed| speed.to_string().into())),
             ("--gap", path(&self.gap)),
-            ("--skin-seed", self.skin_seed.map(|seed| seed.to_string())),
-            ("--skin-age-days", self.skin_age_days.map(|days| days.to_string())),
+            ("--skin-seed", self.skin_seed.map(|seed| seed.to_string().into())),
+            ("--skin-age-days", self.skin_age_days.map(|days| days.to_string().into())),
             ("--fault", path(&self.fault)),
         ];
         all.into_iter().filter_map(|(option, value)| Some((option, value?))).collect()
@@ -73,8 +74,9 @@ impl BenchArgs {
         if !self.is_virtual() && stated.len() > 1 {
             let limit = "must not be combined with --rig, except with --virtual";
             let wrong = stated.iter().filter(|(option, _)| *option != "--rig");
-            let problems =
-                wrong.map(|(option, value)| Problem::new("command line", option, value, limit));
+            let problems = wrong.map(|(option, value)| {
+                Problem::new("command line", option, value.display(), limit)
+            });
             return Err(CliError::Problems(problems.collect()));
         }
         let speed = self.speed();
@@ -97,7 +99,7 @@ impl BenchArgs {
     ///
     /// # Errors
     /// `CliError::Problems` if the file cannot be read.
-    fn gap_text(&self) -> Result<String, CliError> {
+    pub fn gap_text(&self) -> Result<String, CliError> {
         let named = self.gap.as_deref().unwrap_or(Path::new(DEFAULT_GAP));
         read_or_carried(FileKind::Gap, named, GAPS)
     }
@@ -109,42 +111,10 @@ impl BenchArgs {
 
     /// The options as words of a command line.
     pub fn arguments(&self) -> Vec<OsString> {
-        let value = |name: &str, value: Option<OsString>| {
-            value.map(|value| [OsString::from(name), value]).into_iter().flatten()
-        };
-        let path = |path: &Option<PathBuf>| path.clone().map(PathBuf::into_os_string);
-        value("--rig", path(&self.rig))
-            .chain(self.on_virtual.then(|| OsString::from("--virtual")))
-            .chain(value("--speed", self.speed.map(|n| n.to_string().into())))
-            .chain(value("--gap", path(&self.gap)))
-            .chain(value("--skin-seed", self.skin_seed.map(|n| n.to_string().into())))
-            .chain(value("--skin-age-days", self.skin_age_days.map(|n| n.to_string().into())))
-            .chain(value("--fault", path(&self.fault)))
-            .collect()
-    }
-
-    /// Options of the virtual bench that simulates `rig`, with a skin of this sensor file.
-    ///
-    /// # Errors
-    /// As [`Self::check`].
-    pub fn bench(
-        &self,
-        data: &Path,
-        rig: RigFiles,
-        sensor_text: String,
-        output: Output,
-    ) -> Result<BenchOptions, CliError> {
-        Ok(BenchOptions {
-            data: data.into(),
-            rig,
-            sensor_text,
-            gap_text: self.gap_text()?,
-            seed: self.skin_seed.unwrap_or(DEFAULT_SKIN_SEED),
-            age_days: self.skin_age_days.unwrap_or(0.0),
-            speed: self.speed(),
-            fault: self.fault.clone(),
-            output,
-        })
+        let words = self.stated().into_iter().flat_map(|(option, value)| {
+            [OsString::from(option)].into_iter().chain((option != VIRTUAL).then_some(value))
+        });
+        words.collect()
     }
 }
 

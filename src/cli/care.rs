@@ -6,43 +6,18 @@ use serde::Deserialize;
 use serde_json::Value;
 
 use super::output::{bytes, counted, duration};
+use crate::api::{DiskStatus, Suspender};
 
 /// What the status reports in addition to rig and run. Absent in the answer of an older service.
 #[derive(Debug, Clone, Default, PartialEq, Deserialize)]
 #[serde(default)]
 pub struct CareView {
     /// Space of the disk of the data folder.
-    pub disk: Option<DiskView>,
+    pub disk: Option<DiskStatus>,
     /// Time of the newest durable trial of the active run.
     pub last_trial_at: Option<Timestamp>,
     /// What may suspend the active run.
-    pub suspenders: Vec<SuspenderView>,
-}
-
-/// Space of a disk.
-#[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
-pub struct DiskView {
-    /// Free space, bytes.
-    pub free_bytes: u64,
-    /// Space that the active run and the queue still need, bytes.
-    pub needed_bytes: u64,
-}
-
-/// A monitor that may suspend the run.
-#[derive(Debug, Clone, PartialEq, Deserialize)]
-pub struct SuspenderView {
-    /// Name of the monitor.
-    pub name: String,
-    /// Latest value, in its unit; absent before the first one.
-    pub value: Option<f64>,
-    /// Value beyond which the run is suspended, in the same unit.
-    pub threshold: f64,
-    /// Unit of value and threshold.
-    pub unit: String,
-    /// Time since which the value is beyond the threshold.
-    pub since: Option<Timestamp>,
-    /// Whether the run is suspended beyond the threshold.
-    pub suspends: bool,
+    pub suspenders: Vec<Suspender>,
 }
 
 impl CareView {
@@ -53,7 +28,7 @@ impl CareView {
         if let Some(at) = self.last_trial_at {
             lines.push(format!("stored   the last trial {} ago", ago(at)));
         }
-        if let Some(DiskView { free_bytes, needed_bytes }) = self.disk {
+        if let Some(DiskStatus { free_bytes, needed_bytes }) = self.disk {
             let mark = if free_bytes < needed_bytes { "TOO LITTLE: " } else { "" };
             let (free, needed) = (bytes(free_bytes as f64), bytes(needed_bytes as f64));
             lines.push(format!("disk     {mark}{free} free, run and queue need {needed}"));
@@ -65,22 +40,21 @@ impl CareView {
                 let effect = if suspender.suspends { "suspends the run" } else { "warning" };
                 format!(", BEYOND IT for {} ({effect})", ago(at))
             });
-            lines.push(format!("{head} {}{since}", suspender.words()));
+            lines.push(format!("{head} {}{since}", suspender_words(suspender)));
         }
         lines
     }
 }
 
-impl SuspenderView {
-    fn words(&self) -> String {
-        let shown = |value: f64| match self.unit.as_str() {
-            "bytes" => bytes(value),
-            "1" => format!("{value:.2}"),
-            unit => format!("{value:.0} {unit}"),
-        };
-        let value = self.value.map_or_else(|| "unknown".into(), shown);
-        format!("{} {value}, limit {}", self.name.replace('_', " "), shown(self.threshold))
-    }
+fn suspender_words(suspender: &Suspender) -> String {
+    let shown = |value: f64| match suspender.unit.as_str() {
+        "bytes" => bytes(value),
+        "1" => format!("{value:.2}"),
+        unit => format!("{value:.0} {unit}"),
+    };
+    let value = suspender.value.map_or_else(|| "unknown".into(), shown);
+    let (name, threshold) = (suspender.name.replace('_', " "), shown(suspender.threshold));
+    format!("{name} {value}, limit {threshold}")
 }
 
 /// Text of `palpate rig wear`.
@@ -133,11 +107,11 @@ mod tests {
             "disk": { "free_bytes": 2_000_000_000_u64, "needed_bytes": 3_000_000_000_u64 },
             "last_trial_at": "2026-11-23T00:00:00Z",
             "suspenders": [
-                { "name": "disk", "value": 2e9, "threshold": 3e9, "unit": "bytes",
+                { "name": "disk", "title": "", "value": 2e9, "threshold": 3e9, "unit": "bytes",
                     "since": "2026-11-23T00:00:00Z", "suspends": true },
-                { "name": "frame_age", "value": 12.4, "threshold": 2000.0, "unit": "ms",
+                { "name": "frame_age", "title": "", "value": 12.4, "threshold": 2000.0, "unit": "ms",
                     "since": null, "suspends": true },
-                { "name": "twin_fvu", "value": 0.4, "threshold": 0.3, "unit": "1",
+                { "name": "twin_fvu", "title": "", "value": 0.4, "threshold": 0.3, "unit": "1",
                     "since": "2026-11-22T23:59:00Z", "suspends": false },
             ],
         });

@@ -14,9 +14,9 @@ use super::federate::{FederateArgs, federate};
 use super::files::read_as;
 use super::import::{ImportArgs, import};
 use super::next::Next;
-use super::output::{Output, bytes, say, say_json};
+use super::output::{bytes, say, say_json};
 use super::start_time::local;
-use super::table::{Align, Table, or_dash};
+use super::table::{Table, or_dash};
 use super::{At, embed};
 use crate::file_kind::FileKind;
 
@@ -155,14 +155,7 @@ async fn list(client: &Client, json: bool) -> Result<(), CliError> {
         say_json(&json!({ "items": made, "definitions": found["definitions"] }));
         return Ok(());
     }
-    let heads = [
-        ("dataset", Align::Left),
-        ("name", Align::Left),
-        ("rows", Align::Right),
-        ("size", Align::Right),
-        ("made", Align::Left),
-    ];
-    let mut table = Table::new(&heads, "there are no datasets");
+    let mut table = Table::new("dataset | name | rows> | size> | made", "there are no datasets");
     for row in &made {
         let made_at = text(&row["created_at"]);
         table.push([
@@ -191,14 +184,7 @@ async fn prune(client: &Client, args: &PruneArgs) -> Result<(), CliError> {
         say_json(&pruned);
         return Ok(());
     }
-    let heads = [
-        ("dataset", Align::Left),
-        ("name", Align::Left),
-        ("size", Align::Right),
-        ("last used", Align::Left),
-        ("", Align::Left),
-    ];
-    let mut table = Table::new(&heads, "there are no datasets");
+    let mut table = Table::new("dataset | name | size> | last used |", "there are no datasets");
     for row in pruned["datasets"].as_array().into_iter().flatten() {
         let used = row["last_used_at"].as_str().and_then(|at| at.parse().ok());
         let gone = if args.dry_run { "would be removed" } else { "removed" };
@@ -245,17 +231,11 @@ async fn card(client: &Client, args: &CardArgs) -> Result<(), CliError> {
     let client = making(client);
     if args.datapackage {
         let package: Value = client.get(&format!("{path}/datapackage.json")).await?;
-        match args.at.output() {
-            Output::Json => say_json(&package),
-            Output::Text => say(format_args!("{package:#}")),
-        }
+        args.at.output().say(&package, format_args!("{package:#}"));
         return Ok(());
     }
     let card = client.text(&format!("{path}/card")).await?;
-    match args.at.output() {
-        Output::Json => say_json(&json!({ "card": card })),
-        Output::Text => say(card.trim_end()),
-    }
+    args.at.output().say(&json!({ "card": card }), card.trim_end());
     Ok(())
 }
 

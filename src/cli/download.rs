@@ -12,7 +12,7 @@ use tokio::time::timeout;
 
 use super::client::Client;
 use super::error::CliError;
-use super::progress::{LogLines, progress_bar};
+use super::progress::Counted;
 use crate::new_file::{Finished, NewFile};
 
 /// Longest wait until a dataset is made.
@@ -37,9 +37,7 @@ pub async fn download(
     let failed = |source| CliError::File { path: out.into(), source };
     let mut file = NewFile::create_for(out).map_err(failed)?;
     let (mut have, mut tries) = (0_u64, 0);
-    let bar = progress_bar("bytes");
-    let mut lines = LogLines::instead_of(&bar);
-    bar.set_length(wanted);
+    let mut shown = Counted::of("bytes downloaded", wanted);
     let client = client.patient(DATASET_WAIT);
     'file: while have < wanted {
         let range = format!("bytes={have}-");
@@ -50,8 +48,7 @@ pub async fn download(
                 Some(Ok(piece)) => {
                     file.write_all(&piece).map_err(failed)?;
                     have += piece.len() as u64;
-                    bar.set_position(have);
-                    lines.say(|| format!("{have} of {wanted} bytes downloaded"));
+                    shown.show(have, wanted);
                 }
                 None => break 'file,
                 Some(Err(_)) if tries < TRIES => {
@@ -64,7 +61,6 @@ pub async fn download(
             }
         }
     }
-    bar.finish_and_clear();
     Ok(file)
 }
 

@@ -4,6 +4,7 @@
 
 use std::net::{Ipv4Addr, SocketAddr};
 use std::path::{Path, PathBuf};
+use std::pin::Pin;
 
 use tokio::sync::oneshot;
 
@@ -140,7 +141,7 @@ where
     F: Future<Output = Result<T, CliError>> + Send + 'static,
     T: Send + 'static,
 {
-    with_server_that(false, at, work).await
+    with_server_that(false, at, Box::new(|client| Box::pin(work(client)))).await
 }
 
 /// As [`with_server`], for work that only reads: a service that is started for it makes nothing by itself, so
@@ -153,24 +154,25 @@ where
     F: Future<Output = Result<T, CliError>> + Send + 'static,
     T: Send + 'static,
 {
-    with_server_that(true, at, work).await
+    with_server_that(true, at, Box::new(|client| Box::pin(work(client)))).await
 }
 
-async fn with_server_that<T, F>(
+/// The work of a command at a service. Boxed: what starts a service for it is compiled once for each `T`.
+type Work<'a, T> = Box<dyn FnOnce(Client) -> Answering<T> + 'a>;
+
+/// Work in progress.
+type Answering<T> = Pin<Box<dyn Future<Output = Result<T, CliError>> + Send>>;
+
+async fn with_server_that<T: Send + 'static>(
     idle: bool,
     at: &At,
-    work: impl FnOnce(Client) -> F,
-) -> Result<T, CliError>
-where
-    F: Future<Output = Result<T, CliError>> + Send + 'static,
-    T: Send + 'static,
-{
+    work: Work<'_, T>,
+) -> Result<T, CliError> {
     match find(at).await? {
         Some(client) => work(client).await,
         None => {
             let data = at.data();
-            let view =
-                View::of(&data).map_err(|source| CliError::File { path: data.clone(), source })?;
+            let view = View::of(&data).map_err(CliError::file(&data))?;
             let folder = view.as_ref().map_or(data, |view| view.folder().to_owned());
             host(options(folder, &RigFiles::read(None)?, idle)?, work).await
         }
@@ -181,11 +183,7 @@ where
 ///
 /// # Errors
 /// `CliError::Serve` if the service cannot start, or the error of `work`.
-async fn host<T, F>(options: ServeOptions, work: impl FnOnce(Client) -> F) -> Result<T, CliError>
-where
-    F: Future<Output = Result<T, CliError>> + Send + 'static,
-    T: Send + 'static,
-{
+async fn host<T: Send + 'static>(options: ServeOptions, work: Work<'_, T>) -> Result<T, CliError> {
     let service = shown_wait("opening the data folder", Service::start(options)).await?;
     let client = match Client::new(&service.url(), None, None) {
         Ok(client) => client,

@@ -3,7 +3,7 @@
 //! a request in a message: a person asked for a command (`PALPATE_LOG=debug` shows the requests).
 
 use std::io::{self, ErrorKind};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use sim_core::calibration::CalibrationError;
@@ -249,6 +249,16 @@ impl CliError {
     /// Error for one option or argument.
     pub fn argument(key: &str, value: impl std::fmt::Display, limit: impl Into<String>) -> Self {
         Self::Problems(vec![Problem::new("command line", key, value, limit)])
+    }
+
+    /// Error for a file as a whole.
+    pub fn in_file(path: &Path, limit: impl Into<String>) -> Self {
+        Self::Problems(vec![Problem::whole(&path.display().to_string(), limit)])
+    }
+
+    /// Conversion of an error of the operating system at a file.
+    pub fn file(path: &Path) -> impl FnOnce(io::Error) -> Self {
+        move |source| Self::File { path: path.into(), source }
     }
 
     /// Error of an operation on files of datasets in this process.

@@ -6,9 +6,7 @@ use std::time::Duration;
 
 use clap::Args;
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
-use jiff::Timestamp;
-use serde::{Deserialize, Serialize};
-use serde_json::{Value, json};
+use serde_json::json;
 
 use super::At;
 use super::client::{Client, text_of};
@@ -16,9 +14,10 @@ use super::download::download_whole;
 use super::error::CliError;
 use super::next::Next;
 use super::output::{Output, bytes, counted, say, say_json};
-use super::progress::{LogLines, progress_bar};
+use super::progress::Counted;
 use super::start_time::local;
-use super::table::{Align, Table, or_dash};
+use super::table::{Table, or_dash};
+use crate::api::ExportOut;
 use crate::dataset::export::ExportRequest;
 use crate::dataset::format::Format;
 use crate::ids::DatasetId;
@@ -62,20 +61,6 @@ fn formats() -> impl TypedValueParser<Value = Format> {
     PossibleValuesParser::new(Format::ALL.map(of)).try_map(|name| name.parse::<Format>())
 }
 
-/// Fields of an export that are read.
-#[derive(Debug, Clone, Serialize, Deserialize)]
-struct ExportView {
-    id: String,
-    state: TaskState,
-    rows_done: u64,
-    rows_total: u64,
-    dataset: Option<DatasetId>,
-    bytes: Option<u64>,
-    sha256: Option<String>,
-    error: Option<String>,
-    url: Option<String>,
-}
-
 /// Runs `palpate dataset export`.
 ///
 /// # Errors
@@ -89,7 +74,7 @@ pub async fn export(client: &Client, args: &ExportArgs) -> Result<(), CliError> 
         map: args.map.clone(),
         slice: args.slice.clone(),
     };
-    let asked: ExportView = client.post("/api/v1/exports", &request).await?;
+    let asked: ExportOut = client.post("/api/v1/exports", &request).await?;
     let done = follow(client, asked).await?;
     let out = args
         .out
@@ -116,25 +101,20 @@ pub async fn export(client: &Client, args: &ExportArgs) -> Result<(), CliError> 
 }
 
 /// Shows the progress of an export until it has ended.
-async fn follow(client: &Client, asked: ExportView) -> Result<ExportView, CliError> {
-    let bar = progress_bar("rows");
-    let mut lines = LogLines::instead_of(&bar);
+async fn follow(client: &Client, asked: ExportOut) -> Result<ExportOut, CliError> {
+    let mut shown = Counted::of("rows exported", 0);
     let (mut now, mut rows) = (asked, 0);
     loop {
         rows = rows.max(now.rows_total);
-        bar.set_length(now.rows_total);
-        bar.set_position(now.rows_done);
+        shown.show(now.rows_done, now.rows_total);
         // The dataset is made before its rows are counted.
-        bar.set_message(if now.rows_total == 0 { "(making the dataset)" } else { "" });
-        lines.say(|| format!("{} of {} rows exported", now.rows_done, now.rows_total));
+        shown.bar.set_message(if now.rows_total == 0 { "(making the dataset)" } else { "" });
         match now.state {
             TaskState::Done => {
-                bar.finish_and_clear();
                 now.rows_total = rows;
                 return Ok(now);
             }
             TaskState::Failed | TaskState::Stopped => {
-                bar.abandon();
                 let operation = format!("export {}", now.id);
                 let detail = now.error.unwrap_or_default();
                 return Err(CliError::Refused { operation, status: 409, detail });
@@ -146,7 +126,7 @@ async fn follow(client: &Client, asked: ExportView) -> Result<ExportView, CliErr
 }
 
 /// Downloads the file of an export.
-async fn fetch(client: &Client, done: &ExportView, out: &Path) -> Result<(), CliError> {
+async fn fetch(client: &Client, done: &ExportOut, out: &Path) -> Result<(), CliError> {
     let url = done.url.clone().unwrap_or_else(|| format!("/api/v1/exports/{}/file", done.id));
     let (bytes, sha256) = (done.bytes.unwrap_or_default(), done.sha256.clone().unwrap_or_default());
     download_whole(client, &url, &Finished { bytes, sha256 }, out).await
@@ -157,36 +137,26 @@ async fn fetch(client: &Client, done: &ExportView, out: &Path) -> Result<(), Cli
 /// # Errors
 /// As [`Client::send`].
 pub async fn list(client: &Client, output: Output) -> Result<(), CliError> {
-    let exports: Vec<Value> = client.all("/api/v1/exports?").await?;
+    let exports: Vec<ExportOut> = client.all("/api/v1/exports?").await?;
     if output == Output::Json {
         say_json(&json!({ "items": exports }));
         return Ok(());
     }
-    let heads = [
-        ("export", Align::Left),
-        ("state", Align::Left),
-        ("dataset", Align::Left),
-        ("format", Align::Left),
-        ("size", Align::Right),
-        ("requested", Align::Left),
-        ("last used", Align::Left),
-        ("by", Align::Left),
-        ("", Align::Left),
-    ];
-    let mut table = Table::new(&heads, "there are no exports: palpate dataset export NAME");
+    let mut table = Table::new(
+        "export | state | dataset | format | size> | requested | last used | by |",
+        "there are no exports: palpate dataset export NAME",
+    );
     for export in &exports {
-        let [requested, used] = ["created_at", "last_used_at"]
-            .map(|key| export[key].as_str().and_then(|at| at.parse::<Timestamp>().ok()));
         table.push([
-            text_of(&export["id"]),
-            text_of(&export["state"]),
-            text_of(&export["request"]["dataset"]),
-            text_of(&export["request"]["format"]),
-            or_dash(export["bytes"].as_f64().map(bytes)),
-            or_dash(requested.map(local)),
-            or_dash(used.map(local)),
-            text_of(&export["asked_by"]),
-            text_of(&export["error"]),
+            export.id.to_string(),
+            export.state.to_string(),
+            text_of(&export.request["dataset"]),
+            text_of(&export.request["format"]),
+            or_dash(export.bytes.map(|length| bytes(length as f64))),
+            local(export.created_at),
+            or_dash(export.last_used_at.map(local)),
+            export.asked_by.clone(),
+            export.error.clone().unwrap_or_default(),
         ]);
     }
     say(&table);

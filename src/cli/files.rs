@@ -148,6 +148,15 @@ pub fn write_bytes(path: &Path, bytes: &[u8]) -> Result<(), CliError> {
     std::fs::write(path, bytes).map_err(failed)
 }
 
+/// Returns the path of this program.
+///
+/// # Errors
+/// `CliError::System` if the system does not state it.
+pub fn this_program() -> Result<PathBuf, CliError> {
+    std::env::current_exe()
+        .map_err(|source| CliError::System { operation: "finding this program", source })
+}
+
 /// Reads a file named on the command line.
 ///
 /// # Errors
@@ -155,7 +164,7 @@ pub fn write_bytes(path: &Path, bytes: &[u8]) -> Result<(), CliError> {
 pub fn read_input(path: &Path) -> Result<String, CliError> {
     std::fs::read_to_string(path).map_err(|error| {
         let words = format!("{}{}", io_words(&error), similar(path, &error));
-        CliError::Problems(vec![Problem::whole(&path.display().to_string(), words)])
+        CliError::in_file(path, words)
     })
 }
 
@@ -190,7 +199,7 @@ pub fn read_or_carried(
                 names.join(", "),
                 did_you_mean(name, names.iter().copied())
             );
-            Err(CliError::Problems(vec![Problem::whole(name, words)]))
+            Err(CliError::in_file(path, words))
         }
     }
 }
@@ -211,9 +220,7 @@ fn carried_name(
 pub fn read_as(kind: FileKind, path: &Path) -> Result<String, CliError> {
     let text = read_input(path)?;
     match kind.instead_of(&text) {
-        Some(words) => {
-            Err(CliError::Problems(vec![Problem::whole(&path.display().to_string(), words)]))
-        }
+        Some(words) => Err(CliError::in_file(path, words)),
         None => Ok(text),
     }
 }

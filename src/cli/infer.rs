@@ -13,7 +13,7 @@ use super::client::Client;
 use super::error::CliError;
 use super::files::read_input;
 use super::next::Next;
-use super::output::{note, say, say_json};
+use super::output::{note, say};
 use super::{At, embed, recording};
 use crate::api::{
     FrameAnswer, InferOptions, InferRequest, LiveAnswer, LiveQuantities, ModelOut, QuantityRequest,
@@ -121,11 +121,7 @@ pub async fn infer(args: InferArgs) -> Result<(), CliError> {
             let client = client.showing("estimating contacts");
             let answers: Vec<FrameAnswer> = client.post("/api/v1/infer", &request).await?;
             for answer in answers {
-                if args.at.json {
-                    say_json(&answer);
-                } else {
-                    say(words(&answer));
-                }
+                args.at.output().say(&answer, words(&answer));
             }
         }
         let (next, method) = (Next::of(&args.at), method.name());
@@ -172,11 +168,7 @@ async fn quantities(
         let client = client.showing("estimating");
         let answers: Vec<QuantityAnswer> = client.post(&path, &request).await?;
         for answer in answers {
-            if at.json {
-                say_json(&answer);
-            } else {
-                say(quantity_words(&answer));
-            }
+            at.output().say(&answer, quantity_words(&answer));
         }
     }
     Next::of(at).suggest(format_args!("palpate model show {model}"), "its facts and recipe").say();

@@ -10,7 +10,7 @@ use serde_json::{Value, json};
 use super::error::CliError;
 use super::next::{Next, word};
 use super::output::{counted, grouped, say, say_json};
-use super::table::{Align, Table, or_dash};
+use super::table::{Table, or_dash};
 use crate::carried::{FOLDERS, about};
 use crate::new_file;
 use crate::schedule::experiment::Experiment;
@@ -56,16 +56,14 @@ pub fn init(args: &InitArgs) -> Result<(), CliError> {
     let (mut written, mut kept) = (0, 0);
     for (name, files) in FOLDERS {
         let folder = args.folder.join(name);
-        std::fs::create_dir_all(&folder)
-            .map_err(|source| CliError::File { path: folder.clone(), source })?;
+        std::fs::create_dir_all(&folder).map_err(CliError::file(&folder))?;
         for (stem, text) in files {
             let file = format!("{stem}.toml");
             if folder.join(&file).exists() {
                 kept += 1;
                 continue;
             }
-            new_file::write(&folder, &file, text)
-                .map_err(|source| CliError::File { path: folder.join(&file), source })?;
+            new_file::write(&folder, &file, text).map_err(CliError::file(&folder.join(&file)))?;
             written += 1;
         }
     }
@@ -115,13 +113,7 @@ fn carried() -> impl Iterator<Item = Carried> {
 }
 
 fn list(files: impl Iterator<Item = Carried>) -> Table {
-    let heads = [
-        ("folder", Align::Left),
-        ("name", Align::Left),
-        ("trials", Align::Right),
-        ("what it is", Align::Left),
-    ];
-    let mut table = Table::new(&heads, "nothing is carried");
+    let mut table = Table::new("folder | name | trials> | what it is", "nothing is carried");
     for Carried { folder, name, text, trials } in files {
         let folder = if folder.is_empty() { "experiments" } else { folder };
         table.push([folder.into(), name.into(), or_dash(trials.map(grouped)), about(text)]);

@@ -13,7 +13,7 @@ use super::error::CliError;
 use super::output::{Output, duration, note, say, say_json};
 use super::progress::{LogLines, bar};
 use super::start_time::local;
-use super::table::{Align, Table};
+use super::table::Table;
 use super::{At, embed, job_losses};
 use crate::api::JobOut;
 use crate::ids::TaskId;
@@ -42,7 +42,7 @@ pub async fn wait_for(client: &Client, asked: JobOut) -> Result<JobOut, CliError
 /// Progress of a job, on standard error.
 pub struct JobScreen {
     /// The bar; hidden without a terminal.
-    pub bar: ProgressBar,
+    bar: ProgressBar,
     lines: LogLines,
 }
 
@@ -79,18 +79,20 @@ impl JobScreen {
         }
         match now.task.state {
             TaskState::Waiting | TaskState::Running => Ok(false),
-            TaskState::Done => {
-                self.bar.finish_and_clear();
-                Ok(true)
-            }
+            TaskState::Done => Ok(true),
             TaskState::Failed | TaskState::Stopped => {
-                self.bar.finish_and_clear();
                 let operation = now.task.id.to_string();
                 let stopped = "it was stopped; the same command resumes it from its checkpoint";
                 let detail = now.task.error.clone().unwrap_or_else(|| stopped.into());
                 Err(CliError::Refused { operation, status: 409, detail })
             }
         }
+    }
+}
+
+impl Drop for JobScreen {
+    fn drop(&mut self) {
+        self.bar.finish_and_clear();
     }
 }
 
@@ -119,37 +121,33 @@ fn words(progress: &Progress) -> String {
 pub struct JobArgs {
     #[command(subcommand)]
     what: JobWhat,
+    #[command(flatten)]
+    at: At,
 }
 
 #[derive(Debug, Subcommand)]
 enum JobWhat {
     /// Show trainings and evaluations, the last first.
-    List(At),
+    List,
     /// Show one job and its result.
     Show(OneJob),
     /// Stop a waiting or running job.
     Stop(OneJob),
     /// Print the losses of a training, one JSON object per epoch, or draw them.
-    Losses(JobLosses),
+    Losses {
+        #[command(flatten)]
+        one: OneJob,
+        /// Draw training and validation loss over the epochs instead; the ending of the name decides:
+        /// .svg, .png or .pdf.
+        #[arg(long, value_name = "FILE.svg")]
+        plot: Option<PathBuf>,
+    },
 }
 
 #[derive(Debug, Args)]
 struct OneJob {
     /// Job: its number in `job list`, `last`, or its id, of which the start is enough if it is unique.
     job: String,
-    #[command(flatten)]
-    at: At,
-}
-
-/// Options of `job losses`.
-#[derive(Debug, Args)]
-struct JobLosses {
-    /// Draw training and validation loss over the epochs instead; the ending of the name decides:
-    /// .svg, .png or .pdf.
-    #[arg(long, value_name = "FILE.svg")]
-    plot: Option<PathBuf>,
-    #[command(flatten)]
-    one: OneJob,
 }
 
 /// Runs `palpate job`.
@@ -157,36 +155,33 @@ struct JobLosses {
 /// # Errors
 /// `CliError` if the service cannot be reached or refuses.
 pub async fn job(args: JobArgs) -> Result<(), CliError> {
-    let at = match &args.what {
-        JobWhat::List(at) => at.clone(),
-        JobWhat::Show(one) | JobWhat::Stop(one) => one.at.clone(),
-        JobWhat::Losses(losses) => losses.one.at.clone(),
-    };
+    let JobArgs { what, at } = args;
+    let output = at.output();
     embed::with_server(&at, move |client| async move {
-        match args.what {
-            JobWhat::List(at) => {
+        match what {
+            JobWhat::List => {
                 let jobs: Vec<JobOut> = client.all("/api/v1/jobs?").await?;
-                match at.json {
-                    true => jobs.iter().for_each(say_json),
-                    false => say(table(&jobs)),
+                match output {
+                    Output::Json => jobs.iter().for_each(say_json),
+                    Output::Text => say(table(&jobs)),
                 }
             }
-            JobWhat::Show(one) => {
-                let id = named(&client, &one.job).await?;
+            JobWhat::Show(OneJob { job }) => {
+                let id = named(&client, &job).await?;
                 let job: JobOut = client.get(&format!("/api/v1/jobs/{id}")).await?;
                 say_json(&job);
             }
-            JobWhat::Stop(one) => {
-                let path = format!("/api/v1/jobs/{}/stop", named(&client, &one.job).await?);
+            JobWhat::Stop(OneJob { job }) => {
+                let path = format!("/api/v1/jobs/{}/stop", named(&client, &job).await?);
                 let job: JobOut = client.post(&path, &Value::Null).await?;
-                shown(&job, one.at.output());
+                shown(&job, output);
             }
-            JobWhat::Losses(JobLosses { plot: None, one }) => {
+            JobWhat::Losses { plot, one } => {
                 let id = named(&client, &one.job).await?;
-                say(job_losses::losses(&client, &id).await?.trim_end());
-            }
-            JobWhat::Losses(JobLosses { plot: Some(file), one }) => {
-                job_losses::draw(&client, &named(&client, &one.job).await?, &file).await?;
+                match plot {
+                    Some(file) => job_losses::draw(&client, &id, &file).await?,
+                    None => say(job_losses::losses(&client, &id).await?.trim_end()),
+                }
             }
         }
         Ok(())
@@ -230,15 +225,10 @@ fn meant<'a>(newest_first: &'a [String], text: &str) -> Vec<&'a str> {
 }
 
 fn table(jobs: &[JobOut]) -> Table {
-    let heads = [
-        ("number", Align::Right),
-        ("job", Align::Left),
-        ("state", Align::Left),
-        ("requested", Align::Left),
-        ("what", Align::Left),
-        ("", Align::Left),
-    ];
-    let mut table = Table::new(&heads, "there are no jobs: palpate train RECIPE");
+    let mut table = Table::new(
+        "number> | job | state | requested | what |",
+        "there are no jobs: palpate train RECIPE",
+    );
     for (place, job) in jobs.iter().enumerate() {
         let number = (jobs.len() - place).to_string();
         table.push([number].into_iter().chain(cells(job)));
@@ -261,11 +251,8 @@ fn cells(job: &JobOut) -> [String; 5] {
 
 /// Prints one line on a job, or its JSON.
 pub fn shown(job: &JobOut, output: Output) {
-    if output == Output::Json {
-        return say_json(job);
-    }
     let cells = cells(job).into_iter().filter(|cell| !cell.is_empty());
-    say(cells.collect::<Vec<_>>().join("  "));
+    output.say(job, cells.collect::<Vec<_>>().join("  "));
 }
 
 #[cfg(test)]

@@ -5,7 +5,6 @@ use std::path::Path;
 
 use super::error::CliError;
 use crate::api::warn_if_others_may_read;
-use crate::problem::Problem;
 
 /// Environment variable with the API key.
 pub const KEY_VARIABLE: &str = "PALPATE_KEY";
@@ -30,13 +29,13 @@ pub fn key() -> Result<Option<String>, CliError> {
 /// `CliError::File` or `Problems` if the file cannot be read or has no key.
 pub fn key_of(path: &Path) -> Result<String, CliError> {
     let text = std::fs::read_to_string(path);
-    let text = text.map_err(|source| CliError::File { path: path.into(), source })?;
+    let text = text.map_err(CliError::file(path))?;
     warn_if_others_may_read(path);
     match text.lines().next().map(str::trim) {
         Some(key) if !key.is_empty() => Ok(key.into()),
         _ => {
             let words = "must have the key in its first line";
-            Err(CliError::Problems(vec![Problem::whole(&path.display().to_string(), words)]))
+            Err(CliError::in_file(path, words))
         }
     }
 }

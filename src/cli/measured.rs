@@ -8,7 +8,7 @@ use super::client::Client;
 use super::error::CliError;
 use super::morning::second;
 use super::output::{Output, counted, grouped, say, say_json};
-use super::table::{Align, Table};
+use super::table::Table;
 use crate::api::SamplesOut;
 use crate::record::{ARMS, Untouched};
 
@@ -32,13 +32,10 @@ pub async fn samples(client: &Client, minutes: u8, output: Output) -> Result<(),
 }
 
 fn ranges(samples: &SamplesOut) -> Table {
-    let heads = [
-        ("", Align::Left),
-        ("smallest", Align::Right),
-        ("largest", Align::Right),
-        ("newest", Align::Right),
-    ];
-    let mut table = Table::new(&heads, "there are no samples: no wire is open, or no cell is read");
+    let mut table = Table::new(
+        " | smallest> | largest> | newest>",
+        "there are no samples: no wire is open, or no cell is read",
+    );
     let mut row = |name: String, values: &mut dyn Iterator<Item = f64>| {
         let Some(first) = values.next() else { return };
         let of = |[low, high, _]: [f64; 3], v: f64| [low.min(v), high.max(v), v];

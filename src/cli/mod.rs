@@ -395,8 +395,7 @@ pub fn virtual_rig_files(
         Some(path) => Ok(path),
         None => {
             let path = folder.join(OsStr::new(name));
-            new_file::make_folder(folder)
-                .map_err(|source| CliError::File { path: folder.into(), source })?;
+            new_file::make_folder(folder).map_err(CliError::file(folder))?;
             files::write(&path, text).map(|()| path)
         }
     };

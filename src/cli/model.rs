@@ -12,8 +12,8 @@ use super::client::{Client, TextPart};
 use super::error::CliError;
 use super::files::{DEFAULT_SENSOR, read_input, write, write_bytes};
 use super::next::Next;
-use super::output::{say, say_json};
-use super::table::{Align, Table};
+use super::output::{Output, say, say_json};
+use super::table::Table;
 use super::{At, embed};
 use crate::api::{ModelOut, PromotionRequest, RollBackRequest, ServesOut, ServingOut};
 use crate::evaluate::request::EvaluationReport;
@@ -25,101 +25,73 @@ use crate::infer::slot::Slot;
 pub struct ModelArgs {
     #[command(subcommand)]
     what: What,
+    #[command(flatten)]
+    at: At,
 }
 
 #[derive(Debug, Subcommand)]
 enum What {
     /// Show the models, newest first, with their scores, and which serve.
-    List(At),
+    List,
     /// Show the facts of a model.
-    Show(One),
+    Show {
+        /// Id or name of the model.
+        model: String,
+    },
     /// Make a model (by id or name), or a calibration (by id), serve from the next frame on.
     ///
     /// It is loaded and warmed first: no frame is dropped. Its slot follows from its task:
     /// transfer, map, points, position, pattern, count, force; a calibration is the skin of the exact method.
-    Promote(Promote),
+    Promote {
+        /// Id or name of a model, or id of a calibration.
+        what: String,
+        /// Reason, for the log of actions.
+        #[arg(long, value_name = "WORDS")]
+        why: Option<String>,
+    },
     /// Restore the previous promotion of a slot.
-    RollBack(RollBack),
+    RollBack {
+        /// Slot: transfer, map, points, skin, position, pattern, count or force.
+        #[arg(value_parser = slot)]
+        slot: Slot,
+        /// Reason, for the log of actions.
+        #[arg(long, value_name = "WORDS")]
+        why: Option<String>,
+    },
     /// Show the serving models, and earlier promotions.
-    Serving(At),
+    Serving,
     /// Write a model's ONNX file, and its manifest and scores to FILE.json.
-    Onnx(Onnx),
+    Onnx {
+        /// Id or name of the model.
+        model: String,
+        /// Path of the ONNX file to write.
+        #[arg(long, value_name = "FILE")]
+        out: PathBuf,
+    },
     /// Add a model trained elsewhere: an ONNX file and its facts.
     ///
     /// FACTS is TOML with task, label, sensor, channels, output_shape and code, and for nets with
     /// force maps force_map, as in a manifest's table `model`.
-    Add(Add),
+    Add {
+        /// ONNX file of the model.
+        #[arg(value_name = "ONNX")]
+        file: PathBuf,
+        /// File with its facts, TOML.
+        #[arg(long, value_name = "FILE")]
+        facts: PathBuf,
+        /// Name of the model.
+        #[arg(long, value_name = "NAME")]
+        name: String,
+        /// Its sensor file [default: ert-28].
+        #[arg(long, value_name = "FILE")]
+        sensor: Option<PathBuf>,
+    },
     /// Store a calibration file in the service, so that it can be promoted.
-    AddCalibration(AddCalibration),
-}
-
-#[derive(Debug, Args)]
-struct One {
-    /// Id or name of the model.
-    model: String,
-    #[command(flatten)]
-    at: At,
-}
-
-#[derive(Debug, Args)]
-struct Promote {
-    /// Id or name of a model, or id of a calibration.
-    what: String,
-    /// Reason, for the log of actions.
-    #[arg(long, value_name = "WORDS")]
-    why: Option<String>,
-    #[command(flatten)]
-    at: At,
-}
-
-#[derive(Debug, Args)]
-struct RollBack {
-    /// Slot: transfer, map, points, skin, position, pattern, count or force.
-    #[arg(value_parser = slot)]
-    slot: Slot,
-    /// Reason, for the log of actions.
-    #[arg(long, value_name = "WORDS")]
-    why: Option<String>,
-    #[command(flatten)]
-    at: At,
-}
-
-#[derive(Debug, Args)]
-struct Onnx {
-    /// Id or name of the model.
-    model: String,
-    /// Path of the ONNX file to write.
-    #[arg(long, value_name = "FILE")]
-    out: PathBuf,
-    #[command(flatten)]
-    at: At,
-}
-
-#[derive(Debug, Args)]
-struct Add {
-    /// ONNX file of the model.
-    #[arg(value_name = "ONNX")]
-    file: PathBuf,
-    /// File with its facts, TOML.
-    #[arg(long, value_name = "FILE")]
-    facts: PathBuf,
-    /// Name of the model.
-    #[arg(long, value_name = "NAME")]
-    name: String,
-    /// Its sensor file [default: ert-28].
-    #[arg(long, value_name = "FILE")]
-    sensor: Option<PathBuf>,
-    #[command(flatten)]
-    at: At,
-}
-
-#[derive(Debug, Args)]
-struct AddCalibration {
-    /// Calibration file to store.
-    #[arg(value_name = "FILE")]
-    file: PathBuf,
-    #[command(flatten)]
-    at: At,
+    AddCalibration {
+        /// Calibration file to store.
+        #[arg(value_name = "FILE")]
+        file: PathBuf,
+    },
 }
 
 fn slot(name: &str) -> Result<Slot, String> {
@@ -136,44 +108,29 @@ const PROMOTING: Duration = Duration::from_secs(900);
 /// # Errors
 /// `CliError` if the service cannot be reached or started, refuses, or a file cannot be used.
 pub async fn model(args: ModelArgs) -> Result<(), CliError> {
-    let at = match &args.what {
-        What::List(at) | What::Serving(at) => at,
-        What::Show(one) => &one.at,
-        What::Promote(promote) => &promote.at,
-        What::RollBack(back) => &back.at,
-        What::Onnx(onnx) => &onnx.at,
-        What::Add(add) => &add.at,
-        What::AddCalibration(add) => &add.at,
-    };
-    let at = at.clone();
-    embed::with_server(&at, move |client| answer(client, args.what)).await
+    let ModelArgs { what, at } = args;
+    embed::with_server(&at.clone(), move |client| answer(client, what, at)).await
 }
 
-async fn answer(client: Client, what: What) -> Result<(), CliError> {
+async fn answer(client: Client, what: What, at: At) -> Result<(), CliError> {
     match what {
-        What::List(at) => {
+        What::List => {
             let models: Vec<ModelOut> = client.all("/api/v1/models?").await?;
-            if at.json {
-                models.iter().for_each(say_json);
-            } else {
-                say(table(&models));
+            match at.output() {
+                Output::Json => models.iter().for_each(say_json),
+                Output::Text => say(table(&models)),
             }
         }
-        What::Show(one) => {
-            let model: ModelOut = client.get(&format!("/api/v1/models/{}", one.model)).await?;
-            if one.at.json {
-                say_json(&model);
-            } else {
-                say(line(&model));
-                let manifest = toml::to_string_pretty(&model.manifest).unwrap_or_default();
-                say(manifest.trim_end());
-            }
+        What::Show { model } => {
+            let model: ModelOut = client.get(&format!("/api/v1/models/{model}")).await?;
+            let manifest = toml::to_string_pretty(&model.manifest).unwrap_or_default();
+            at.output().say(&model, format_args!("{}\n{}", line(&model), manifest.trim_end()));
         }
-        What::Promote(Promote { what, why, at }) => {
+        What::Promote { what, why } => {
             let request = PromotionRequest { what, why, who: Some(client.who().into()) };
             let client = client.patient(PROMOTING).showing("loading and warming up");
             let serves: ServesOut = client.post("/api/v1/serving", &request).await?;
-            tell(&serves, at.json);
+            at.output().say(&serves, words(&serves));
             let slot = serves.slot.name();
             let next = Next::of(&at);
             let next = match serves.slot.is_quantity() {
@@ -183,26 +140,26 @@ async fn answer(client: Client, what: What) -> Result<(), CliError> {
             next.suggest(format_args!("palpate model roll-back {slot}"), "restores the one before")
                 .say();
         }
-        What::RollBack(RollBack { slot, why, at }) => {
+        What::RollBack { slot, why } => {
             let request = RollBackRequest { slot, why, who: Some(client.who().into()) };
             let client = client.patient(PROMOTING).showing("loading and warming up");
             let serves: ServesOut = client.post("/api/v1/serving/roll-back", &request).await?;
-            tell(&serves, at.json);
+            at.output().say(&serves, words(&serves));
         }
-        What::Serving(at) => {
+        What::Serving => {
             let serving: ServingOut = client.get("/api/v1/serving").await?;
             if at.json {
                 say_json(&serving);
             } else {
                 for serves in &serving.serves {
-                    tell(serves, false);
+                    say(words(serves));
                     if let Some(restores) = &serves.restores {
                         say(format_args!("          roll-back restores {}", restores.as_str()));
                     }
                 }
             }
         }
-        What::Onnx(Onnx { model, out, at }) => {
+        What::Onnx { model, out } => {
             let path = format!("/api/v1/models/{model}/onnx");
             let answer = client.send(reqwest::Method::GET, &path, None::<&Value>).await?;
             let operation = format!("GET {path}");
@@ -214,44 +171,33 @@ async fn answer(client: Client, what: What) -> Result<(), CliError> {
             manifest.push(".json");
             let manifest = PathBuf::from(manifest);
             write(&manifest, &format!("{:#}\n", json!(known)))?;
-            if at.json {
-                say_json(&json!({ "file": out, "bytes": bytes.len(), "manifest": manifest }));
-            } else {
-                let known = manifest.display();
-                say(format_args!("{}: {} bytes; {known}", out.display(), bytes.len()));
-            }
+            let written = json!({ "file": out, "bytes": bytes.len(), "manifest": manifest });
+            let (file, known) = (out.display(), manifest.display());
+            at.output().say(&written, format_args!("{file}: {} bytes; {known}", bytes.len()));
         }
-        What::Add(add) => {
-            let sensor = match &add.sensor {
-                Some(path) => read_input(path)?,
+        What::Add { file, facts, name, sensor } => {
+            let sensor = match sensor {
+                Some(path) => read_input(&path)?,
                 None => DEFAULT_SENSOR.to_owned(),
             };
             let texts = [
                 TextPart::value("sensor", sensor),
-                TextPart::value("facts", read_input(&add.facts)?),
-                TextPart::value("name", add.name.clone()),
+                TextPart::value("facts", read_input(&facts)?),
+                TextPart::value("name", name),
             ];
             let client = client.showing("checking the model");
-            let model: ModelOut = client.upload("/api/v1/models", &add.file, texts).await?;
-            if add.at.json {
-                say_json(&model);
-            } else {
-                say(line(&model));
-            }
+            let model: ModelOut = client.upload("/api/v1/models", &file, texts).await?;
+            at.output().say(&model, line(&model));
             // A model of another sensor than the rig's cannot serve.
             if model.slot.is_some() {
-                promotion(&add.at, &model.id).say();
+                promotion(&at, &model.id).say();
             }
         }
-        What::AddCalibration(add) => {
-            let text = read_input(&add.file)?;
+        What::AddCalibration { file } => {
+            let text = read_input(&file)?;
             let id: CalibrationId = client.post_text("/api/v1/calibrations", text).await?;
-            if add.at.json {
-                say_json(&json!({ "calibration": id }));
-            } else {
-                say(&id);
-            }
-            promotion(&add.at, &id).say();
+            at.output().say(&json!({ "calibration": id }), &id);
+            promotion(&at, &id).say();
         }
     }
     Ok(())
@@ -262,31 +208,18 @@ fn promotion(at: &At, id: impl Display) -> Next {
     Next::of(at).suggest(format_args!("palpate model promote {id}"), "makes it serve")
 }
 
-fn tell(serves: &ServesOut, as_json: bool) {
-    if as_json {
-        return say_json(serves);
-    }
-    say(format_args!(
-        "{:<9} {}",
-        serves.slot.name(),
-        serves.what.as_ref().map_or("nothing", PromotedId::as_str)
-    ));
-    if let Some(limitation) = &serves.limitation {
-        say(format_args!("          note: {limitation}"));
-    }
+fn words(serves: &ServesOut) -> String {
+    let what = serves.what.as_ref().map_or("nothing", PromotedId::as_str);
+    let note = serves.limitation.as_ref().map(|words| format!("\n          note: {words}"));
+    format!("{:<9} {what}{}", serves.slot.name(), note.unwrap_or_default())
 }
 
 /// Models with their last scores.
 fn table(models: &[ModelOut]) -> Table {
-    let heads = [
-        ("model", Align::Left),
-        ("name", Align::Left),
-        ("task", Align::Left),
-        ("label", Align::Left),
-        ("", Align::Left),
-        ("last score", Align::Left),
-    ];
-    let mut table = Table::new(&heads, "there are no models: palpate train RECIPE");
+    let mut table = Table::new(
+        "model | name | task | label |  | last score",
+        "there are no models: palpate train RECIPE",
+    );
     models.iter().for_each(|model| table.push(cells(model)));
     table
 }

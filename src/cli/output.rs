@@ -1,10 +1,11 @@
 //! Output lines for people and for scripts, and numbers with units. All text for people passes through
 //! here: names and notes that other people entered must not control the terminal.
-//! Uses: `plain`. Never: HTTP, decisions. A closed standard output is not an error.
+//! Uses: `plain`, indicatif. Never: HTTP, decisions. A closed standard output is not an error.
 
 use std::fmt::Display;
 use std::io::{self, IsTerminal, Write};
 
+use indicatif::HumanCount;
 use serde::Serialize;
 
 use crate::plain::escaped_lines;
@@ -17,6 +18,16 @@ pub enum Output {
     Text,
     /// JSON for scripts; standard error may name long work.
     Json,
+}
+
+impl Output {
+    /// Prints a value for scripts, or what it means for people.
+    pub fn say(self, value: &impl Serialize, words: impl Display) {
+        match self {
+            Self::Json => say_json(value),
+            Self::Text => say(words),
+        }
+    }
 }
 
 /// Prints one or several lines on standard output.
@@ -67,6 +78,13 @@ pub fn shown(text: impl Display) -> String {
     escaped_lines(&text.to_string()).into()
 }
 
+/// A bar of `share` of `width` characters, in eighths of a character.
+pub fn filled(share: f64, width: usize) -> String {
+    const EIGHTHS: [&str; 8] = ["", "▏", "▎", "▍", "▌", "▋", "▊", "▉"];
+    let eighths = (share.clamp(0.0, 1.0) * width as f64 * 8.0).round() as usize;
+    format!("{}{}", "█".repeat(eighths / 8), EIGHTHS[eighths % 8])
+}
+
 /// Prints one JSON object as a line on standard output.
 pub fn say_json(value: &impl Serialize) {
     match serde_json::to_string(value) {
@@ -80,15 +98,7 @@ pub fn say_json(value: &impl Serialize) {
 
 /// Formats a count with separated thousands: `33,000`.
 pub fn grouped(count: u64) -> String {
-    let digits = count.to_string();
-    let mut words = String::new();
-    for (place, digit) in digits.chars().enumerate() {
-        if place > 0 && (digits.len() - place).is_multiple_of(3) {
-            words.push(',');
-        }
-        words.push(digit);
-    }
-    words
+    HumanCount(count).to_string()
 }
 
 #[cfg(test)]
@@ -99,6 +109,14 @@ mod tests {
     fn a_name_cannot_control_the_terminal() {
         let name = "night\u{1b}[31m\u{0}";
         assert_eq!(shown(format_args!("run 3, {name}\n")), "run 3, night\\u{1b}[31m\\u{0}\n");
+    }
+
+    #[test]
+    fn a_bar_has_its_share_of_the_width() {
+        assert_eq!(filled(0.5, 4), "██");
+        assert_eq!(filled(0.0, 4), "");
+        assert_eq!(filled(7.0, 2), "██");
+        assert_eq!(filled(1.0 / 8.0, 1), "▏");
     }
 
     #[test]

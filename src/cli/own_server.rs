@@ -16,6 +16,7 @@ use tokio::time::{Instant, sleep, timeout};
 use super::bench_args::BenchArgs;
 use super::client::{Client, Found};
 use super::error::CliError;
+use super::files::this_program;
 use super::output::Output;
 use super::progress::{Working, shown_wait};
 use super::running::Running;
@@ -78,16 +79,13 @@ impl OwnServer {
         data: &Path,
         shown: Option<Working>,
     ) -> Result<Self, CliError> {
-        new_file::make_folder(data)
-            .map_err(|source| CliError::File { path: data.into(), source })?;
+        new_file::make_folder(data).map_err(CliError::file(data))?;
         let log = data.join(LOG);
         let failed = |source| CliError::File { path: log.clone(), source };
         let mut out = OpenOptions::new().create(true).append(true).open(&log).map_err(failed)?;
         let begin = out.seek(SeekFrom::End(0)).map_err(failed)?;
         let errors = out.try_clone().map_err(failed)?;
-        let program = std::env::current_exe()
-            .map_err(|source| CliError::System { operation: "finding this program", source })?;
-        let mut command = Command::new(program);
+        let mut command = Command::new(this_program()?);
         command.args(["serve", "--own-session", "--bind", "127.0.0.1:0", "--no-resume", "--data"]);
         command.arg(data).args(arguments);
         command.stdin(Stdio::null()).stdout(out).stderr(errors);

@@ -6,7 +6,6 @@ use serde_json::json;
 
 use super::ask::{ActArgs, act};
 use super::error::CliError;
-use super::output::{say, say_json};
 use super::{At, embed};
 use crate::api::{PlacementOut, Stage};
 
@@ -63,11 +62,7 @@ pub async fn repeat(args: &RepeatArgs) -> Result<(), CliError> {
 pub async fn placement(at: &At) -> Result<(), CliError> {
     let client = embed::server(at).await?;
     let placement: PlacementOut = client.get("/api/v1/placement").await?;
-    if at.json {
-        say_json(&placement);
-    } else {
-        say(words(&placement));
-    }
+    at.output().say(&placement, words(&placement));
     Ok(())
 }
 

@@ -19,6 +19,42 @@ pub fn progress_bar(unit: &str) -> ProgressBar {
     ))
 }
 
+/// Progress of counted work: a bar on a terminal, elsewhere lines. It ends when it is dropped.
+pub struct Counted {
+    /// Hidden without a terminal.
+    pub bar: ProgressBar,
+    lines: LogLines,
+    unit: &'static str,
+}
+
+impl Counted {
+    /// None of `total` units is done.
+    pub fn of(unit: &'static str, total: u64) -> Self {
+        let bar = progress_bar(unit);
+        bar.set_length(total);
+        Self { lines: LogLines::instead_of(&bar), bar, unit }
+    }
+
+    /// Shows that `done` of `total` units are done.
+    pub fn show(&mut self, done: u64, total: u64) {
+        self.bar.set_length(total);
+        self.bar.set_position(done);
+        let unit = self.unit;
+        self.lines.say(|| format!("{done} of {total} {unit}"));
+    }
+
+    /// Shows that further units are done.
+    pub fn add(&mut self, units: u64) {
+        self.show(self.bar.position() + units, self.bar.length().unwrap_or_default());
+    }
+}
+
+impl Drop for Counted {
+    fn drop(&mut self) {
+        self.bar.finish_and_clear();
+    }
+}
+
 /// A bar of this template on standard error; hidden if that is not a terminal.
 pub fn bar(template: &str) -> ProgressBar {
     if !std::io::stderr().is_terminal() {

@@ -6,20 +6,19 @@ use std::path::{Path, PathBuf};
 use clap::{Args, Subcommand};
 use jiff::Timestamp;
 use reqwest::Method;
-use serde::Deserialize;
 use serde_json::{Value, json};
 
 use super::client::Client;
 use super::error::CliError;
 use super::files::ExperimentFiles;
+use super::find::find_run;
 use super::morning::second;
 use super::output::{duration, say, say_json};
 use super::run::submission;
 use super::start_time::{StartTime, local};
-use super::table::{Align, Table, or_dash};
+use super::table::{Table, or_dash};
 use super::{At, embed};
-use crate::api::Page;
-use crate::ids::RunUid;
+use crate::api::{Page, QueueTime};
 use crate::store::RunRow;
 
 /// Options of `queue`.
@@ -49,7 +48,7 @@ pub enum QueueCommand {
     },
     /// Replace the files and the start time of a queued run, which keeps its place.
     Edit {
-        /// Uid or number of the run.
+        /// Run: number, start of the id, or `last`.
         run: String,
         /// Experiment file.
         #[arg(value_name = "EXPERIMENT.toml")]
@@ -60,14 +59,14 @@ pub enum QueueCommand {
     },
     /// Move a run to a position in the queue, from 1.
     Move {
-        /// Uid or number of the run.
+        /// Run: number, start of the id, or `last`.
         run: String,
         /// New position, from 1.
         position: u32,
     },
     /// Remove a run from the queue.
     Remove {
-        /// Uid or number of the run.
+        /// Run: number, start of the id, or `last`.
         run: String,
     },
 }
@@ -79,36 +78,39 @@ pub enum QueueCommand {
 pub async fn queue(args: QueueArgs) -> Result<(), CliError> {
     let (json, command) = (args.at.json, args.command.unwrap_or(QueueCommand::List));
     embed::with_server(&args.at, move |client| async move {
-        match command {
-            QueueCommand::List => {}
+        let queued: Option<RunRow> = match command {
+            QueueCommand::List => None,
             QueueCommand::Add { experiment, at } => {
-                let run: RunRow =
-                    client.post("/api/v1/queue", &body(&client, &experiment, at)?).await?;
-                if json {
-                    say_json(&run);
-                    return Ok(());
-                }
+                let body = body(&client, &experiment, at)?;
+                Some(client.post("/api/v1/queue", &body).await?)
             }
             QueueCommand::Edit { run, experiment, at } => {
                 let body = body(&client, &experiment, at)?;
-                let path = format!("/api/v1/queue/{run}");
-                let run: RunRow = client.ask(Method::PUT, &path, Some(&body)).await?;
-                if json {
-                    say_json(&run);
-                    return Ok(());
-                }
+                Some(client.ask(Method::PUT, &path_of(&client, &run).await?, Some(&body)).await?)
             }
             QueueCommand::Move { run, position } => {
                 let body = json!({ "position": position, "who": client.who() });
-                client.post::<Value>(&format!("/api/v1/queue/{run}/move"), &body).await?;
+                let path = path_of(&client, &run).await?;
+                client.post::<Value>(&format!("{path}/move"), &body).await?;
+                None
             }
             QueueCommand::Remove { run } => {
-                client.delete(&format!("/api/v1/queue/{run}")).await?;
+                client.delete(&path_of(&client, &run).await?).await?;
+                None
             }
+        };
+        match queued.filter(|_| json) {
+            Some(run) => say_json(&run),
+            None => list(&client, json).await?,
         }
-        list(&client, json).await
+        Ok(())
     })
     .await
+}
+
+/// Path of the run that a person named, in the queue.
+async fn path_of(client: &Client, run: &str) -> Result<String, CliError> {
+    Ok(format!("/api/v1/queue/{}", find_run(client, run).await?.uid))
 }
 
 /// Body of a request that queues an experiment or edits a queued one.
@@ -116,17 +118,6 @@ fn body(client: &Client, experiment: &Path, at: Option<StartTime>) -> Result<Val
     let mut body = submission(client, &ExperimentFiles::read(experiment)?);
     body["not_before"] = json!(at.map(|StartTime(at)| at));
     Ok(body)
-}
-
-/// Fields of `GET /api/v1/queue/times` that are shown.
-#[derive(Debug, Deserialize)]
-struct QueueTime {
-    run: RunUid,
-    duration_s: Option<f64>,
-    begin: Option<Timestamp>,
-    end: Option<Timestamp>,
-    problem: Option<String>,
-    not_begun: Option<String>,
 }
 
 async fn list(client: &Client, json: bool) -> Result<(), CliError> {
@@ -139,18 +130,10 @@ async fn list(client: &Client, json: bool) -> Result<(), CliError> {
     }
     let queue: Page<RunRow> = client.get("/api/v1/queue").await?;
     let times: Page<QueueTime> = client.get("/api/v1/queue/times").await?;
-    let heads = [
-        ("place", Align::Right),
-        ("run", Align::Right),
-        ("experiment", Align::Left),
-        ("trials", Align::Right),
-        ("submitted by", Align::Left),
-        ("starts from", Align::Left),
-        ("takes", Align::Right),
-        ("begins", Align::Left),
-        ("ends", Align::Left),
-    ];
-    let mut table = Table::new(&heads, "the queue is empty");
+    let mut table = Table::new(
+        "place> | run> | experiment | trials> | submitted by | starts from | takes> | begins | ends",
+        "the queue is empty",
+    );
     let mut notes = Vec::new();
     for run in queue.items {
         let time = times.items.iter().find(|time| time.run == run.uid);

@@ -11,7 +11,8 @@ use serde_json::{Value, json};
 
 use super::client::Client;
 use super::error::CliError;
-use super::output::{Output, bytes, note, say, say_json};
+use super::output::{Output, bytes, note};
+use super::query::by_ending;
 use crate::dataset::format::Format;
 use crate::new_file::NewFile;
 
@@ -23,9 +24,7 @@ const RECORDED_WITHIN: Duration = Duration::from_secs(86_400);
 /// # Errors
 /// `CliError::Problems` if it is not that of a format of rows.
 pub fn format(out: &Path) -> Result<Format, CliError> {
-    let name = out.file_name().unwrap_or_default().to_string_lossy();
-    let found = Format::of_file(&name).map(|(_, format)| format);
-    found.filter(|format| format.streams()).ok_or_else(|| {
+    by_ending(out).ok_or_else(|| {
         let rows = Format::ALL.into_iter().filter(|format| format.streams());
         let endings: Vec<String> = rows.map(|format| format!(".{}", format.extension())).collect();
         let limit = format!("must end in one of {}", endings.join(", "));
@@ -59,10 +58,8 @@ pub async fn record(
     }
     let name = out.file_name().unwrap_or_default().to_string_lossy();
     file.finish(&name).map(drop).map_err(failed)?;
-    match output {
-        Output::Json => say_json(&json!({ "file": out, "bytes": length })),
-        Output::Text => say(format_args!("{}: {}", out.display(), bytes(length as f64))),
-    }
+    let words = format!("{}: {}", out.display(), bytes(length as f64));
+    output.say(&json!({ "file": out, "bytes": length }), words);
     Ok(())
 }
 

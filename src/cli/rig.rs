@@ -150,71 +150,34 @@ pub async fn rig(args: RigArgs) -> Result<ExitCode, CliError> {
             None => check_server(&at, enable).await,
         };
     }
-    let client = embed::server(&at).await?;
-    match command {
-        RigCommand::Wear => {
-            let wear: Value = client.get("/api/v1/wear").await?;
-            match at.output() {
-                Output::Json => say_json(&wear),
-                Output::Text => say(wear_words(&wear)),
-            }
-            return Ok(ExitCode::SUCCESS);
-        }
-        RigCommand::Limits => {
-            rig_limits::limits(&client, at.output()).await?;
-            return Ok(ExitCode::SUCCESS);
-        }
-        RigCommand::Rates => {
-            rig_rates::rates(&client, at.output()).await?;
-            return Ok(ExitCode::SUCCESS);
-        }
-        RigCommand::Samples { minutes } => {
-            measured::samples(&client, minutes, at.output()).await?;
-            return Ok(ExitCode::SUCCESS);
-        }
-        RigCommand::Untouched => {
-            measured::untouched(&client, at.output()).await?;
-            return Ok(ExitCode::SUCCESS);
-        }
-        RigCommand::Check { .. }
-        | RigCommand::Connect
-        | RigCommand::Disconnect
-        | RigCommand::Home
-        | RigCommand::Jog { .. }
-        | RigCommand::Tare
-        | RigCommand::Tips { .. }
-        | RigCommand::Reset => {}
-    }
-    let status = operate(&client, command).await?;
-    if at.json {
-        let status: Value = client.get("/api/v1/status").await?;
-        say_json(&status["rig"]);
-    } else {
-        say(rig_words(&status));
-    }
+    operate(&embed::server(&at).await?, command, at.output()).await?;
     Ok(ExitCode::SUCCESS)
 }
 
-async fn operate(client: &Client, command: RigCommand) -> Result<StatusView, CliError> {
-    match command {
-        RigCommand::Check { .. }
-        | RigCommand::Limits
-        | RigCommand::Rates
-        | RigCommand::Samples { .. }
-        | RigCommand::Untouched
-        | RigCommand::Wear => client.status().await,
+async fn operate(client: &Client, command: RigCommand, output: Output) -> Result<(), CliError> {
+    let status = match command {
+        RigCommand::Wear => {
+            let wear: Value = client.get("/api/v1/wear").await?;
+            output.say(&wear, wear_words(&wear));
+            return Ok(());
+        }
+        RigCommand::Limits => return rig_limits::limits(client, output).await,
+        RigCommand::Rates => return rig_rates::rates(client, output).await,
+        RigCommand::Samples { minutes } => return measured::samples(client, minutes, output).await,
+        RigCommand::Untouched => return measured::untouched(client, output).await,
+        RigCommand::Check { .. } => client.status().await?,
         RigCommand::Connect => {
             client.act_on_rig("connect", json!({})).await?;
-            until_rig(client, "connecting", SOON, |s| s.rig.state != RigState::Disconnected).await
+            until_rig(client, "connecting", SOON, |s| s.rig.state != RigState::Disconnected).await?
         }
         RigCommand::Disconnect => {
             client.act_on_rig("disconnect", json!({})).await?;
             until_rig(client, "closing the wires", SOON, |s| s.rig.state == RigState::Disconnected)
-                .await
+                .await?
         }
         RigCommand::Home => {
             client.act_on_rig("home", json!({})).await?;
-            until_rig(client, "homing", HOMING_WAIT, |s| s.rig.state == RigState::Homed).await
+            until_rig(client, "homing", HOMING_WAIT, |s| s.rig.state == RigState::Homed).await?
         }
         RigCommand::Jog { axis, to_mm } => {
             let more = json!({ "axis": axis.as_str(), "to_mm": to_mm });
@@ -222,21 +185,26 @@ async fn operate(client: &Client, command: RigCommand) -> Result<StatusView, Cli
             let there = |s: &StatusView| {
                 s.rig.pose.is_some_and(|p| (axis.of(&p) - to_mm).abs() < ARRIVED_MM)
             };
-            until_rig(client, "the jog's arrival", JOGGING, there).await
+            until_rig(client, "the jog's arrival", JOGGING, there).await?
         }
         RigCommand::Tare => {
             client.act_on_rig("tare", json!({})).await?;
-            client.status().await
+            client.status().await?
         }
         RigCommand::Tips { tips } => {
             client.act_on_rig("tips", json!({ "tips": tips })).await?;
-            client.status().await
+            client.status().await?
         }
         RigCommand::Reset => {
             client.act_on_rig("reset", json!({})).await?;
-            until_rig(client, "the reset", SOON, |s| s.rig.trip.is_none()).await
+            until_rig(client, "the reset", SOON, |s| s.rig.trip.is_none()).await?
         }
+    };
+    match output {
+        Output::Json => say_json(&client.get::<Value>("/api/v1/status").await?["rig"]),
+        Output::Text => say(rig_words(&status)),
     }
+    Ok(())
 }
 
 /// Polls the rig until `wanted` accepts its status.

@@ -5,8 +5,8 @@ use serde_json::Value;
 
 use super::client::Client;
 use super::error::CliError;
-use super::output::{Output, say, say_json};
-use super::table::{Align, Table};
+use super::output::Output;
+use super::table::Table;
 
 /// Limits of a bench: key of the answer, words, unit.
 const BENCH_LIMITS: [(&str, &str, &str); 12] = [
@@ -30,16 +30,12 @@ const BENCH_LIMITS: [(&str, &str, &str); 12] = [
 /// As [`Client::send`].
 pub async fn limits(client: &Client, output: Output) -> Result<(), CliError> {
     let limits: Value = client.get("/api/v1/rig/limits").await?;
-    match output {
-        Output::Json => say_json(&limits),
-        Output::Text => say(table(&limits)),
-    }
+    output.say(&limits, table(&limits));
     Ok(())
 }
 
 fn table(limits: &Value) -> Table {
-    let heads = [("limit", Align::Left), ("value", Align::Right), ("unit", Align::Left)];
-    let mut table = Table::new(&heads, "the service states no limits");
+    let mut table = Table::new("limit | value> | unit", "the service states no limits");
     table.push(["age of a frame".into(), shown(&limits["frame_age_ms"]), "ms".into()]);
     // A skin alone has no bench.
     for (key, words, unit) in BENCH_LIMITS {

@@ -1,77 +1,29 @@
 //! `palpate rig rates`: what the voltage stream and the wires did in the last minute.
 //! Uses: `client`, `table`. Never: a request to the rig.
 
-use serde::Deserialize;
 use serde_json::Value;
 
 use super::client::Client;
 use super::error::CliError;
 use super::output::{Output, say, say_json};
-use super::table::{Align, Table, or_dash};
+use super::table::{Table, or_dash};
+use crate::api::{RigRates, StreamRates};
 
 /// Channels that are named.
 const CHANNELS_SHOWN: usize = 4;
 
-/// `GET /api/v1/rig/rates`.
-#[derive(Debug, Clone, Default, PartialEq, Deserialize)]
-#[serde(default)]
-pub struct RatesView {
-    /// Length of the time, wall s; 0 until the counters were read twice.
-    pub over_s: f64,
-    /// The voltage stream.
-    pub stream: StreamRates,
-    /// Each wire.
-    pub wires: Vec<WireRates>,
-}
-
-/// What the voltage stream did.
-#[derive(Debug, Clone, Default, PartialEq, Deserialize)]
-#[serde(default)]
-pub struct StreamRates {
-    /// Valid frames per second; absent until the counters were read twice.
-    pub frames_per_s: Option<f64>,
-    /// Number of missing frames.
-    pub missed: u64,
-    /// Number of rejected packets.
-    pub garbled: u64,
-    /// Indices of the channels that are stuck.
-    pub stuck: Vec<usize>,
-    /// Indices of the channels at the end of the converter's range.
-    pub saturated: Vec<usize>,
-}
-
-impl StreamRates {
-    /// Channels that are stuck or saturated, as text; `None` if there are none.
-    pub fn broken_channels(&self) -> Option<String> {
-        let of = |channels: &[usize], what: &str| {
-            let first: Vec<String> =
-                channels.iter().take(CHANNELS_SHOWN).map(usize::to_string).collect();
-            let more = if channels.len() > CHANNELS_SHOWN { ", .." } else { "" };
-            let words = format!("{} {what} ({}{more})", channels.len(), first.join(", "));
-            (!channels.is_empty()).then_some(words)
-        };
-        let parts = [of(&self.stuck, "stuck"), of(&self.saturated, "saturated")];
-        let parts: Vec<String> = parts.into_iter().flatten().collect();
-        (!parts.is_empty()).then(|| parts.join(", "))
-    }
-}
-
-/// What a wire did.
-#[derive(Debug, Clone, Default, PartialEq, Deserialize)]
-#[serde(default)]
-pub struct WireRates {
-    /// Name of the wire.
-    pub name: String,
-    /// Requests per minute; absent until the counters were read twice.
-    pub requests_per_min: Option<f64>,
-    /// Number of repeated requests.
-    pub retries: u64,
-    /// Number of replies that did not arrive in time.
-    pub timeouts: u64,
-    /// Number of invalid replies.
-    pub garbled: u64,
-    /// Number of times the wire was reopened.
-    pub reconnects: u64,
+/// Channels that are stuck or saturated, as text; `None` if there are none.
+pub fn broken_channels(stream: &StreamRates) -> Option<String> {
+    let of = |channels: &[usize], what: &str| {
+        let first: Vec<String> =
+            channels.iter().take(CHANNELS_SHOWN).map(usize::to_string).collect();
+        let more = if channels.len() > CHANNELS_SHOWN { ", .." } else { "" };
+        let words = format!("{} {what} ({}{more})", channels.len(), first.join(", "));
+        (!channels.is_empty()).then_some(words)
+    };
+    let parts = [of(&stream.stuck, "stuck"), of(&stream.saturated, "saturated")];
+    let parts: Vec<String> = parts.into_iter().flatten().collect();
+    (!parts.is_empty()).then(|| parts.join(", "))
 }
 
 /// Prints the rates of the last minute; as JSON the answer of the service.
@@ -84,31 +36,26 @@ pub async fn rates(client: &Client, output: Output) -> Result<(), CliError> {
         say_json(&client.get::<Value>(PATH).await?);
         return Ok(());
     }
-    let rates: RatesView = client.get(PATH).await?;
-    let RatesView { over_s, stream, .. } = &rates;
+    let rates: RigRates = client.get(PATH).await?;
+    let RigRates { over_s, stream, .. } = &rates;
     say(format_args!(
         "the last {over_s:.0} s: {} frames/s, {} missed, {} packets garbled",
         or_dash(stream.frames_per_s.map(|rate| format!("{rate:.1}"))),
         stream.missed,
         stream.garbled
     ));
-    if let Some(words) = stream.broken_channels() {
+    if let Some(words) = broken_channels(stream) {
         say(format_args!("channels: {words}"));
     }
     say(table(&rates));
     Ok(())
 }
 
-fn table(rates: &RatesView) -> Table {
-    let heads = [
-        ("wire", Align::Left),
-        ("requests/min", Align::Right),
-        ("retries", Align::Right),
-        ("timeouts", Align::Right),
-        ("garbled", Align::Right),
-        ("reopened", Align::Right),
-    ];
-    let mut table = Table::new(&heads, "no wire is open");
+fn table(rates: &RigRates) -> Table {
+    let mut table = Table::new(
+        "wire | requests/min> | retries> | timeouts> | garbled> | reopened>",
+        "no wire is open",
+    );
     for wire in &rates.wires {
         table.push([
             wire.name.clone(),
@@ -125,16 +72,17 @@ fn table(rates: &RatesView) -> Table {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::api::WireRates;
 
     #[test]
     fn a_rate_that_is_not_known_yet_is_a_dash() {
         let wire = WireRates { name: "cells".into(), timeouts: 3, ..WireRates::default() };
-        let rates = RatesView { wires: vec![wire], ..RatesView::default() };
+        let rates = RigRates { wires: vec![wire], ..RigRates::default() };
         let shown = table(&rates).to_string();
         let cells: Vec<&str> = shown.lines().nth(1).unwrap().split_whitespace().collect();
         assert_eq!(cells, ["cells", "-", "0", "3", "0", "0"]);
-        assert_eq!(rates.stream.broken_channels(), None);
+        assert_eq!(broken_channels(&rates.stream), None);
         let stuck = StreamRates { stuck: (7..12).collect(), ..StreamRates::default() };
-        assert_eq!(stuck.broken_channels().unwrap(), "5 stuck (7, 8, 9, 10, ..)");
+        assert_eq!(broken_channels(&stuck).unwrap(), "5 stuck (7, 8, 9, 10, ..)");
     }
 }

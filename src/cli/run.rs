@@ -63,7 +63,9 @@ impl RunArgs {
             );
             let stated = self.bench.stated().into_iter();
             let problems: Vec<Problem> = stated
-                .map(|(option, value)| Problem::new("command line", option, value, limit.clone()))
+                .map(|(option, value)| {
+                    Problem::new("command line", option, value.display(), limit.clone())
+                })
                 .collect();
             if !problems.is_empty() {
                 return Err(CliError::Problems(problems));
@@ -123,7 +125,7 @@ pub async fn run(args: RunArgs) -> Result<ExitCode, CliError> {
         None => {
             sound(&order.files, &rig)?;
             // The skin on the bench is that of the experiment.
-            make_folder(&data).map_err(|source| CliError::File { path: data.clone(), source })?;
+            make_folder(&data).map_err(CliError::file(&data))?;
             let sensor = data.join("sensor.toml");
             write(&sensor, &order.files.sensor_text)?;
             let own = tokio::select! {

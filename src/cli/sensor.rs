@@ -9,7 +9,6 @@ use serde_json::json;
 use super::At;
 use super::error::CliError;
 use super::files::{read_sensor, write_bytes};
-use super::output::{say, say_json};
 use crate::overlay::{self, Paper};
 
 /// Options of `sensor`.
@@ -59,11 +58,9 @@ pub fn sensor(args: &SensorArgs) -> Result<(), CliError> {
     };
     let pdf = overlay::pdf(&sensor, paper);
     write_bytes(out, &pdf)?;
-    if args.at.json {
-        say_json(&json!({ "file": out, "bytes": pdf.len() }));
-    } else {
-        let out = out.display();
-        say(format_args!("{out} is written: print it at 100 %, and check its ruler of 100 mm"));
-    }
+    let written = json!({ "file": out, "bytes": pdf.len() });
+    let out = out.display();
+    let words = format_args!("{out} is written: print it at 100 %, and check its ruler of 100 mm");
+    args.at.output().say(&written, words);
     Ok(())
 }

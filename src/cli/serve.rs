@@ -13,7 +13,7 @@ use super::embed::TWIN_WORKERS;
 use super::error::CliError;
 use super::files::{RigFiles, parse_calibration, read_sensor_text};
 use super::key::key;
-use super::output::{Output, note, say};
+use super::output::{note, say};
 use super::running::Running;
 use super::signals::Signals;
 use super::virtual_bench::VirtualBench;
@@ -87,9 +87,8 @@ pub async fn serve(args: ServeArgs) -> Result<(), CliError> {
     }
     let (_, sensor_text) = read_sensor_text(args.sensor.as_deref())?;
     let data = data_or_default(args.data.clone());
-    let options = args.bench.bench(&data, rig, sensor_text, Output::Text)?;
     let mut bench = tokio::select! {
-        bench = VirtualBench::switch_on(&options) => bench?,
+        bench = VirtualBench::switch_on(&args.bench, &data, &rig, &sensor_text) => bench?,
         _ = signals.next() => return Ok(()),
     };
     let served = serve_rig(&args, bench.rig.clone(), Some(&mut bench), &mut signals).await;

@@ -4,7 +4,7 @@
 
 use std::fmt;
 
-use serde::Serialize;
+use serde_json::{Value, json};
 
 use super::next::Next;
 use super::output::{counted, duration};
@@ -12,60 +12,24 @@ use super::{At, DEFAULT_DATA};
 use crate::api::Summary;
 use crate::evaluate::published::{REAL_HEX, REAL_RANDOM};
 use crate::evaluate::simulation::SimulationReport;
-use crate::ids::RunUid;
 use crate::journal::ExitStatus;
-use crate::store::{Label, RunKind};
+use crate::store::RunKind;
 
 /// Presses for it: six settings of 33,000 (paper IV-A). The rest had no contact over 5 N.
 const REAL_HEX_PRESSED: u64 = 198_000;
 
-/// The last line of `palpate run --json`. Scripts rely on these names: they must not change.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Finished {
-    /// Always `finished`.
-    pub event: &'static str,
-    /// Id of the run.
-    pub run: RunUid,
-    /// `success`, `stopped`, `abort` or `fail`; `stopped` also for a run that is open.
-    pub exit_status: ExitStatus,
-    /// Reason of the end.
-    pub reason: String,
-    /// Trials in its plan.
-    pub trials_planned: u64,
-    /// Number of trials of the run that are stored.
-    pub trials_stored: u64,
-    /// Trials of skipped configurations.
-    pub trials_skipped: u64,
-    /// Number of failed attempts.
-    pub retries: u64,
-    /// From its first start to its end, wall s; absent while it is open.
-    pub duration_s: Option<f64>,
-    /// Path of the database file.
-    pub database: String,
-    /// Number for people.
-    pub scan_id: i64,
-    /// Name of the experiment.
-    pub experiment: String,
-    /// `measured` or `virtual`.
-    pub label: Label,
-    /// Whether it can be resumed.
-    pub resumable: bool,
-    /// Process seconds per wall second.
-    pub clock_rate: f64,
-    /// Stored trials with 0 to 6 contacts.
-    pub contact_counts: [u64; 7],
-    /// Trials with a simulated twin, if known.
-    pub twins: Option<u64>,
-    /// Median fraction of variance that the twins leave unexplained, trials with contacts.
-    pub median_fvu: Option<f64>,
-}
-
 /// How a followed run ended, for scripts and for people.
 #[derive(Debug, Clone)]
 pub struct Closing {
-    /// Last line for scripts.
-    pub finished: Finished,
     summary: Summary,
+    /// Reason of the end.
+    reason: String,
+    /// Path of the database file.
+    database: String,
+    /// Process seconds per wall second.
+    clock_rate: f64,
+    /// Fit of the simulated twins, if known.
+    fit: Option<SimulationReport>,
     data: String,
     follow_url: Option<String>,
 }
@@ -73,37 +37,58 @@ pub struct Closing {
 impl Closing {
     /// Summary of a run. `why_left` is the reason if it was left open.
     pub fn of(summary: Summary, database: String, clock_rate: f64, why_left: Option<&str>) -> Self {
-        let run = &summary.run;
-        let exit_status = run.exit_status.unwrap_or(ExitStatus::Stopped);
-        let reason = run.reason.clone().or(why_left.map(Into::into)).unwrap_or_default();
-        let finished = Finished {
-            event: "finished",
-            run: run.uid,
-            exit_status,
-            reason,
-            trials_planned: run.trials_planned,
-            trials_stored: summary.trials_stored,
-            trials_skipped: summary.trials_skipped,
-            retries: summary.retries,
-            duration_s: summary.duration_s,
-            database,
-            scan_id: run.scan_id,
-            experiment: run.experiment.clone(),
-            label: run.label,
-            resumable: run.exit_status.is_none() || run.is_resumable,
-            clock_rate,
-            contact_counts: summary.contact_counts,
-            twins: None,
-            median_fvu: None,
-        };
-        Self { finished, summary, data: String::new(), follow_url: None }
+        let reason = summary.run.reason.clone().or(why_left.map(Into::into)).unwrap_or_default();
+        let (fit, data, follow_url) = (None, String::new(), None);
+        Self { summary, reason, database, clock_rate, fit, data, follow_url }
     }
 
     /// Adds the fit of the simulated twins.
-    pub fn with_fit(mut self, fit: Option<SimulationReport>) -> Self {
-        self.finished.twins = fit.as_ref().map(|fit| fit.trials + fit.flagged);
-        self.finished.median_fvu = fit.and_then(|fit| fit.median_fvu);
-        self
+    pub fn with_fit(self, fit: Option<SimulationReport>) -> Self {
+        Self { fit, ..self }
+    }
+
+    /// How the run ended; `Stopped` also if it is open.
+    fn exit_status(&self) -> ExitStatus {
+        self.summary.run.exit_status.unwrap_or(ExitStatus::Stopped)
+    }
+
+    fn is_resumable(&self) -> bool {
+        self.summary.run.exit_status.is_none() || self.summary.run.is_resumable
+    }
+
+    /// Number of trials with a simulated twin, if known.
+    fn twins(&self) -> Option<u64> {
+        self.fit.as_ref().map(|fit| fit.trials + fit.flagged)
+    }
+
+    /// Median fraction of variance that the twins leave unexplained, trials with contacts.
+    fn median_fvu(&self) -> Option<f64> {
+        self.fit.as_ref()?.median_fvu
+    }
+
+    /// The last line of `palpate run --json`. Scripts rely on these names: they must not change.
+    pub fn finished(&self) -> Value {
+        let Summary { run, .. } = &self.summary;
+        json!({
+            "event": "finished",
+            "run": run.uid,
+            "scan_id": run.scan_id,
+            "experiment": run.experiment,
+            "label": run.label,
+            "exit_status": self.exit_status(),
+            "reason": self.reason,
+            "resumable": self.is_resumable(),
+            "trials_planned": run.trials_planned,
+            "trials_stored": self.summary.trials_stored,
+            "trials_skipped": self.summary.trials_skipped,
+            "retries": self.summary.retries,
+            "contact_counts": self.summary.contact_counts,
+            "duration_s": self.summary.duration_s,
+            "clock_rate": self.clock_rate,
+            "database": self.database,
+            "twins": self.twins(),
+            "median_fvu": self.median_fvu(),
+        })
     }
 
     /// Adds the next commands: with the data folder, or the service that has the run.
@@ -115,11 +100,11 @@ impl Closing {
 
     /// Commands that show or resume the run, as suggestions.
     pub fn next_commands(&self) -> Next {
-        let run = self.finished.scan_id;
+        let run = self.summary.run.scan_id;
         let (url, is_default) = (self.follow_url.clone(), self.data == DEFAULT_DATA);
         let data = (url.is_none() && !is_default).then(|| self.data.clone().into());
         let mut next = Next::of(&At { url, data, ..At::default() });
-        if self.finished.resumable {
+        if self.is_resumable() {
             next = next.same_command("again", "resumes where it stopped");
         }
         next = next
@@ -133,43 +118,45 @@ impl Closing {
 
     /// Whether the run ended as a success.
     pub fn is_success(&self) -> bool {
-        self.finished.exit_status == ExitStatus::Success
+        self.exit_status() == ExitStatus::Success
     }
 }
 
 impl fmt::Display for Closing {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let done = &self.finished;
-        let (status, label) = (done.exit_status.as_str(), self.label());
-        let (scan_id, name) = (done.scan_id, &done.experiment);
+        let Summary { run, .. } = &self.summary;
+        let (scan_id, name, label) = (run.scan_id, &run.experiment, run.label.as_str());
         // The reason of a requested end begins with its status.
-        let ended = match done.exit_status {
-            ExitStatus::Success | ExitStatus::Fail => format!("{status}, {}", done.reason),
-            ExitStatus::Stopped | ExitStatus::Abort => done.reason.clone(),
+        let ended = match self.exit_status() {
+            status @ (ExitStatus::Success | ExitStatus::Fail) => {
+                format!("{}, {}", status.as_str(), self.reason)
+            }
+            ExitStatus::Stopped | ExitStatus::Abort => self.reason.clone(),
         };
         writeln!(f, "run {scan_id}, {name} ({label}): {ended}")?;
         let line = |f: &mut fmt::Formatter<'_>, name: &str, value: String| {
             writeln!(f, "  {name:<12} {value}")
         };
-        let skipped = counted(done.trials_skipped, "skipped", "skipped");
-        let retries = counted(done.retries, "retry", "retries");
-        let stored = format!("{} of {} stored", done.trials_stored, done.trials_planned);
-        line(f, "trials", format!("{stored}, {skipped}, {retries}"))?;
-        if let Some(wall_s) = done.duration_s {
-            let process = match done.clock_rate {
+        let skipped = counted(self.summary.trials_skipped, "skipped", "skipped");
+        let retries = counted(self.summary.retries, "retry", "retries");
+        let stored = self.summary.trials_stored;
+        let planned = run.trials_planned;
+        line(f, "trials", format!("{stored} of {planned} stored, {skipped}, {retries}"))?;
+        if let Some(wall_s) = self.summary.duration_s {
+            let process = match self.clock_rate {
                 1.0 => String::new(),
                 rate => format!(", {} of process time at speed {rate}", duration(wall_s * rate)),
             };
             line(f, "start to end", format!("{}{process}", duration(wall_s)))?;
         }
-        if let Some(twins) = done.twins {
-            let fit = done.median_fvu.map_or_else(String::new, |fvu| {
+        if let Some(twins) = self.twins() {
+            let fit = self.median_fvu().map_or_else(String::new, |fvu| {
                 format!(", median FVU {fvu:.3} of trials with contact")
             });
-            line(f, "twins", format!("{twins} of {} simulated{fit}", done.trials_stored))?;
+            line(f, "twins", format!("{twins} of {stored} simulated{fit}"))?;
         }
-        line(f, "database", done.database.clone())?;
-        line(f, "run", done.run.to_string())?;
+        line(f, "database", self.database.clone())?;
+        line(f, "run", run.uid.to_string())?;
         for skip in &self.summary.skips {
             line(f, "skipped", format!("configuration {}: {}", skip.configuration, skip.reason))?;
         }
@@ -178,25 +165,20 @@ impl fmt::Display for Closing {
 }
 
 impl Closing {
-    fn label(&self) -> &'static str {
-        self.finished.label.as_str()
-    }
-
     /// Table of trials by contacts, with the paper's scaled to the same number of trials.
     fn table(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let stored: u64 = self.finished.contact_counts.iter().sum();
+        let Summary { run, contact_counts, .. } = &self.summary;
+        let stored: u64 = contact_counts.iter().sum();
         if stored == 0 {
             return Ok(());
         }
-        let kind = self.summary.run.kind;
-        let Some((name, paper)) = table_one(kind, stored) else { return Ok(()) };
-        let column = format!("run {} ({})", self.finished.scan_id, self.label());
+        let Some((name, paper)) = table_one(run.kind, stored) else { return Ok(()) };
+        let column = format!("run {} ({})", run.scan_id, run.label.as_str());
         writeln!(f, "\n  contacts {column:>18} {:>26}", format!("{name}, Table I, scaled"))?;
-        for (contacts, (here, paper)) in self.finished.contact_counts.iter().zip(paper).enumerate()
-        {
+        for (contacts, (here, paper)) in contact_counts.iter().zip(paper).enumerate() {
             writeln!(f, "  {contacts:>8} {here:>18} {paper:>26.1}")?;
         }
-        if kind == RunKind::RealHex {
+        if run.kind == RunKind::RealHex {
             let tips: Vec<String> =
                 self.summary.settings.iter().map(|s| s.tips.to_string()).collect();
             writeln!(
@@ -204,7 +186,7 @@ impl Closing {
                 "  Table I sums six settings of 33000 presses (1 to 6 tips), scaled here to \
                  {stored} trials;\n  this run has tips {}; contacts under {} N are not counted.",
                 tips.join(", "),
-                self.summary.run.deadband_n
+                run.deadband_n
             )?;
         }
         Ok(())

@@ -20,12 +20,10 @@ pub enum Align {
     Right,
 }
 
-/// A head of a column with the side of its cells; the unit belongs to the head.
-pub type Head<'a> = (&'a str, Align);
-
 /// A table for people.
 #[derive(Debug, Clone)]
 pub struct Table {
+    /// Name and side of each column; the unit belongs to the name.
     heads: Vec<(String, Align)>,
     rows: Vec<Vec<String>>,
     empty: &'static str,
@@ -33,9 +31,18 @@ pub struct Table {
 }
 
 impl Table {
-    /// A table without rows; `empty` is shown as long as it has none.
-    pub fn new(heads: &[Head], empty: &'static str) -> Self {
-        let heads = heads.iter().map(|(head, align)| ((*head).to_owned(), *align)).collect();
+    /// A table without rows. `heads`: the names of the columns with `|` in between; a column of numbers has `>` after its
+    /// name. `empty` is shown as long as the table has no row.
+    pub fn new(heads: &str, empty: &'static str) -> Self {
+        let column = |head: &str| match head.trim().strip_suffix('>') {
+            Some(name) => (name.to_owned(), Align::Right),
+            None => (head.trim().to_owned(), Align::Left),
+        };
+        Self::of_columns(heads.split('|').map(column).collect(), empty)
+    }
+
+    /// As [`Table::new`], for names that may contain any character.
+    pub fn of_columns(heads: Vec<(String, Align)>, empty: &'static str) -> Self {
         Self { heads, rows: Vec::new(), empty, width: terminal_width() }
     }
 
@@ -116,8 +123,7 @@ mod tests {
     use super::*;
 
     fn table(width: Option<usize>) -> Table {
-        let heads = [("run", Align::Right), ("name", Align::Left), ("label", Align::Left)];
-        Table { width, ..Table::new(&heads, "there are no runs") }
+        Table { width, ..Table::new("run> | name | label", "there are no runs") }
     }
 
     #[test]

@@ -331,10 +331,7 @@ async fn follow(
             },
         };
         match choice {
-            Some(Choice::Detach) => {
-                screen.bar.finish_and_clear();
-                return Ok(None);
-            }
+            Some(Choice::Detach) => return Ok(None),
             Some(Choice::Stop) => {
                 screen.note("stopping at a checkpoint");
                 let path = format!("/api/v1/jobs/{}/stop", now.task.id);

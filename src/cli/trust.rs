@@ -32,7 +32,7 @@ impl Certificates {
     /// `CliError::File` if it cannot be read.
     pub fn read(path: &Path) -> Result<Self, CliError> {
         let pem = std::fs::read(path);
-        let pem = pem.map_err(|source| CliError::File { path: path.into(), source })?;
+        let pem = pem.map_err(CliError::file(path))?;
         Ok(Self { name: path.display().to_string(), pem })
     }
 

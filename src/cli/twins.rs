@@ -3,29 +3,20 @@
 
 use std::time::Duration;
 
-use serde::Deserialize;
 use serde_json::Value;
 use tokio::time::Instant;
 
 use super::client::{Client, text_of};
 use super::error::CliError;
 use super::output::{counted, say, say_json};
-use super::progress::{LogLines, progress_bar};
-use super::table::{Align, Table};
+use super::progress::Counted;
+use super::table::Table;
 use super::{At, embed};
 use crate::ids::RunUid;
 use crate::store::TwinCount;
 
 /// Interval of polling the twins' progress.
 const TWINS_POLL: Duration = Duration::from_millis(200);
-
-/// Fields of `GET /api/v1/runs/{run}/twins` that are read.
-#[derive(Debug, Deserialize)]
-struct RunTwinsView {
-    #[serde(flatten)]
-    count: TwinCount,
-    pending: u64,
-}
 
 /// Runs `palpate status --twins`.
 ///
@@ -50,9 +41,8 @@ pub async fn status(at: &At) -> Result<(), CliError> {
         say(format_args!("last failure: {why}"));
     }
     let numbers = ["trials", "twins", "failures", "pending"];
-    let heads = numbers.map(|head| (head, Align::Right));
-    let heads: Vec<_> = [("run", Align::Left)].into_iter().chain(heads).collect();
-    let mut table = Table::new(&heads, "no run has trials");
+    let mut table =
+        Table::new("run | trials> | twins> | failures> | pending>", "no run has trials");
     for run in twins["runs"].as_array().into_iter().flatten() {
         let uid = text_of(&run["run"]);
         table.push([uid].into_iter().chain(numbers.map(|number| run[number].to_string())));
@@ -72,23 +62,19 @@ pub async fn wait_for_twins(
     patience: Duration,
 ) -> Result<TwinCount, CliError> {
     let path = format!("/api/v1/runs/{run}/twins");
-    let bar = progress_bar("twins");
-    let mut lines = LogLines::instead_of(&bar);
+    let mut shown = Counted::of("twins", 0);
     let mut least = (u64::MAX, Instant::now());
     loop {
-        let RunTwinsView { count, pending } = client.get(&path).await?;
-        bar.set_length(count.trials);
-        bar.set_position(count.trials - pending);
-        lines.say(|| format!("{} of {} twins", count.trials - pending, count.trials));
+        let count: TwinCount = client.get(&path).await?;
+        let pending = count.pending();
+        shown.show(count.trials - pending, count.trials);
         if pending == 0 {
-            bar.finish_and_clear();
             return Ok(count);
         }
         if pending < least.0 {
             least = (pending, Instant::now());
         }
         if least.1.elapsed() > patience {
-            bar.finish_and_clear();
             return Err(stalled(client, pending, patience).await?);
         }
         tokio::time::sleep(TWINS_POLL).await;

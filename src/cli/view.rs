@@ -19,7 +19,8 @@ use crate::conductor::Started;
 use crate::event::{self, Importance};
 use crate::ids::{RunUid, TrialKey};
 use crate::record::{Label, Pose};
-use crate::state::{PausedWhy, StoredState};
+use crate::schedule::visits::StepOfTour;
+use crate::state::StoredState;
 use crate::store::LockRow;
 
 /// `GET /api/v1/status`.
@@ -196,12 +197,12 @@ pub struct RunView {
     pub state: StoredState,
     /// State that a request leads to; absent without a request.
     pub requested_state: Option<StoredState>,
-    /// Reason of a pause.
-    pub paused_why: Option<PausedWhy>,
     /// What the run waits for, as text.
     pub waiting_for: Option<String>,
     /// Activity within the current trial.
     pub phase: Phase,
+    /// Current or most recent configuration or placement in the tour.
+    pub current_step: Option<StepOfTour>,
     /// The current trial.
     pub trial: Option<TrialKey>,
     /// Trials in the plan.
@@ -239,8 +240,6 @@ pub struct ArmedView {
 pub struct PreflightView {
     /// Number of planned trials.
     pub trials: u64,
-    /// Number of planned configurations.
-    pub configurations: u64,
     /// Predicted duration, wall s.
     pub duration_s: f64,
     /// Lower end of the predicted duration, wall s.
@@ -249,8 +248,6 @@ pub struct PreflightView {
     pub duration_high_s: f64,
     /// Predicted size of the stored data, bytes.
     pub disk_bytes: u64,
-    /// Number of times that the run waits for a person.
-    pub waits_for_person: u64,
 }
 
 /// `POST /api/v1/runs/{run}/actions` with `start`.

@@ -1,6 +1,6 @@
 //! The virtual bench as two child processes of this program: the rig and its operator.
-//! Uses: tokio's processes, `files`, `api::LockFile`. Never: the virtual rig's code (only its command line is used),
-//! a child that outlives this process: each ends when the pipe to its standard input closes.
+//! Uses: tokio's processes, `bench_args`, `files`, `api::LockFile`. Never: the virtual rig's code (only its command line
+//! is used), a child that outlives this process: each ends when the pipe to its standard input closes.
 
 use std::fs::File;
 use std::path::{Path, PathBuf};
@@ -12,10 +12,10 @@ use tokio::io::{AsyncBufReadExt, BufReader};
 use tokio::process::{Child, ChildStdout, Command};
 use tokio::time::timeout;
 
+use super::bench_args::BenchArgs;
 use super::error::CliError;
-use super::files::{RigFiles, write};
+use super::files::{self, DEFAULT_SKIN_SEED, RigFiles, write};
 use super::key::KEY_VARIABLE;
-use super::output::Output;
 use super::progress::Working;
 use crate::api::LockFile;
 use crate::new_file;
@@ -30,29 +30,6 @@ const CHILD_END_WAIT: Duration = Duration::from_secs(3);
 const NO_SPACE_BYTES: u64 = 4 << 20;
 /// Number of lines of a child's log that are shown when it fails.
 const LOG_LINES: usize = 8;
-
-/// Options of the virtual bench.
-#[derive(Debug, Clone)]
-pub struct BenchOptions {
-    /// Folder of the files, logs and caches.
-    pub data: PathBuf,
-    /// Rig file to simulate; its wires get free ports.
-    pub rig: RigFiles,
-    /// The skin's sensor file.
-    pub sensor_text: String,
-    /// The differences of the skin from the model.
-    pub gap_text: String,
-    /// Seed of the skin.
-    pub seed: u64,
-    /// Days since the readout of the skin was first switched on.
-    pub age_days: f64,
-    /// Process seconds per wall second.
-    pub speed: f64,
-    /// Script of faults.
-    pub fault: Option<PathBuf>,
-    /// Form of the output: only text has progress.
-    pub output: Output,
-}
 
 /// A running virtual rig.
 pub struct VirtualBench {
@@ -74,33 +51,37 @@ struct Ready {
 }
 
 impl VirtualBench {
-    /// Writes the rig's files, starts it, and waits until it listens.
+    /// Writes the files of a bench that simulates `rig`, with a skin of this sensor file, starts it, and waits until it
+    /// listens.
     ///
     /// # Errors
     /// `CliError::Locked` if another process uses the data folder; `Child` or `Late` if it does not
     /// start; `File` if a file cannot be written.
-    pub async fn switch_on(options: &BenchOptions) -> Result<Self, CliError> {
-        let folder = options.data.join("virtual-rig");
-        new_file::make_folder(&folder)
-            .map_err(|source| CliError::File { path: folder.clone(), source })?;
+    pub async fn switch_on(
+        args: &BenchArgs,
+        data: &Path,
+        rig: &RigFiles,
+        sensor_text: &str,
+    ) -> Result<Self, CliError> {
+        let folder = data.join("virtual-rig");
+        new_file::make_folder(&folder).map_err(CliError::file(&folder))?;
         // The files and the log there may be those of the bench of another service.
-        drop(LockFile::of_data(&options.data)?);
+        drop(LockFile::of_data(data)?);
         let served = folder.join("served.toml");
-        let mut command = rig_command(options, &folder, &served)?;
+        write_files(args, &folder, rig, sensor_text)?;
+        let mut command = rig_command(args, &folder, &served, &data.join("cache"))?;
         let log = folder.join("rig.log");
         let mut child = start("virtual rig", &mut command, &log, Stdio::piped())?;
         let stdout = child.stdout.take().ok_or_else(|| failed("virtual rig", "no pipe", &log))?;
         let mut stdout = BufReader::new(stdout);
-        let solving = || Working::on("virtual rig: solving the skin's responses (once)");
-        let shown = (options.output == Output::Text).then(solving);
+        let shown = Working::on("virtual rig: solving the skin's responses (once)");
         let ready = ready_line(&mut stdout, &log).await;
         drop(shown);
         // A child cannot write why it ended on a full disk.
         let control = ready.map_err(|error| disk_full(&folder).unwrap_or(error))?.control;
-        let text = std::fs::read_to_string(&served)
-            .map_err(|source| CliError::File { path: served.clone(), source })?;
+        let text = std::fs::read_to_string(&served).map_err(CliError::file(&served))?;
         let rig = RigFiles::parse(served.display().to_string(), text)?;
-        let speed = options.speed;
+        let speed = args.speed();
         Ok(Self { rig, control, speed, folder, child, _stdout: stdout, operator: None })
     }
 
@@ -131,31 +112,45 @@ impl VirtualBench {
     }
 }
 
-fn rig_command(options: &BenchOptions, folder: &Path, served: &Path) -> Result<Command, CliError> {
-    let [rig, gap, sensor] = ["rig.toml", "gap.toml", "sensor.toml"].map(|name| folder.join(name));
+/// Names of the files of rig, differences of the skin, and skin.
+const BENCH_FILES: [&str; 3] = ["rig.toml", "gap.toml", "sensor.toml"];
+
+fn write_files(
+    args: &BenchArgs,
+    folder: &Path,
+    rig: &RigFiles,
+    sensor_text: &str,
+) -> Result<(), CliError> {
     // Data of a virtual rig must not be labelled as measured.
-    let mut config = options.rig.config.clone();
+    let mut config = rig.config.clone();
     config.set_label(RigLabel::Virtual);
-    write(&rig, &toml::to_string(&config)?)?;
-    write(&gap, &options.gap_text)?;
-    write(&sensor, &options.sensor_text)?;
+    let texts = [toml::to_string(&config)?, args.gap_text()?, sensor_text.to_owned()];
+    BENCH_FILES.iter().zip(texts).try_for_each(|(name, text)| write(&folder.join(name), &text))
+}
+
+fn rig_command(
+    args: &BenchArgs,
+    folder: &Path,
+    served: &Path,
+    cache: &Path,
+) -> Result<Command, CliError> {
     let mut command = this_program("virtual-rig")?;
-    command.arg("--rig").arg(rig).arg("--gap").arg(gap).arg("--sensor").arg(sensor);
-    command.arg("--seed").arg(options.seed.to_string());
-    command.arg("--age-days").arg(options.age_days.to_string());
-    command.arg("--speed").arg(options.speed.to_string());
+    for (option, name) in ["--rig", "--gap", "--sensor"].into_iter().zip(BENCH_FILES) {
+        command.arg(option).arg(folder.join(name));
+    }
+    command.arg("--seed").arg(args.skin_seed.unwrap_or(DEFAULT_SKIN_SEED).to_string());
+    command.arg("--age-days").arg(args.skin_age_days.unwrap_or(0.0).to_string());
+    command.arg("--speed").arg(args.speed().to_string());
     command.arg("--ephemeral").arg("--out-rig").arg(served);
-    command.arg("--cache").arg(options.data.join("cache")).arg("--with-parent");
-    if let Some(fault) = &options.fault {
+    command.arg("--cache").arg(cache).arg("--with-parent");
+    if let Some(fault) = &args.fault {
         command.arg("--fault").arg(fault);
     }
     Ok(command)
 }
 
 fn this_program(subcommand: &str) -> Result<Command, CliError> {
-    let program = std::env::current_exe()
-        .map_err(|source| CliError::System { operation: "finding this program", source })?;
-    let mut command = Command::new(program);
+    let mut command = Command::new(files::this_program()?);
     command.arg(subcommand);
     withhold(command.as_std_mut());
     Ok(command)
@@ -167,7 +162,7 @@ fn start(
     log: &Path,
     stdout: Stdio,
 ) -> Result<Child, CliError> {
-    let said = File::create(log).map_err(|source| CliError::File { path: log.into(), source })?;
+    let said = File::create(log).map_err(CliError::file(log))?;
     // A separate process group: this program handles Ctrl-C, the rig must keep running.
     command.process_group(0).kill_on_drop(true);
     command.stdin(Stdio::piped()).stdout(stdout).stderr(said);

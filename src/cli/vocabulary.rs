@@ -7,7 +7,7 @@ use serde_json::Value;
 
 use super::error::CliError;
 use super::output::{Output, say, say_json};
-use super::table::{Align, Table, or_dash};
+use super::table::{Table, or_dash};
 use super::{At, embed};
 
 /// Options of `vocabulary`.
@@ -68,8 +68,7 @@ fn table(words: &Value, list: Option<&str>) -> Result<Table, CliError> {
         let limit = format!("must be one of {}", names.join(", "));
         return Err(CliError::argument("LIST", wanted, limit));
     }
-    let heads = [("list", Align::Left), ("name", Align::Left), ("meaning", Align::Left)];
-    let mut table = Table::new(&heads, "the service states no names");
+    let mut table = Table::new("list | name | meaning", "the service states no names");
     for (name, items) in lists.iter().filter(|(name, _)| list.is_none_or(|list| *name == list)) {
         for item in *items {
             table.push([(*name).clone(), text(&item["name"]), meaning(item)]);
@@ -91,9 +90,8 @@ fn text(value: &Value) -> String {
 }
 
 fn transfer(values: &Value) -> Table {
-    let mut heads = vec![("trained on", Align::Left)];
-    heads.extend(["1", "2", "3", "4", "5", "6"].map(|contacts| (contacts, Align::Right)));
-    let mut table = Table::new(&heads, "the service states no values");
+    let heads = "trained on | 1> | 2> | 3> | 4> | 5> | 6>";
+    let mut table = Table::new(heads, "the service states no values");
     for rung in values["table_iii"].as_array().into_iter().flatten() {
         let cells = rung["test"].as_array().into_iter().flatten();
         let cells = cells.map(|cell| format!("{} / {}", cell["rmse_v"], cell["fvu_percent"]));
@@ -103,14 +101,10 @@ fn transfer(values: &Value) -> Table {
 }
 
 fn maps(values: &Value) -> Table {
-    let heads = [
-        ("map", Align::Left),
-        ("number error, %", Align::Right),
-        ("location error, mm", Align::Right),
-        ("force error, %", Align::Right),
-        ("diameter error, %", Align::Right),
-    ];
-    let mut table = Table::new(&heads, "the service states no values");
+    let mut table = Table::new(
+        "map | number error, %> | location error, mm> | force error, %> | diameter error, %>",
+        "the service states no values",
+    );
     let mut row = |name: String, score: &Value| {
         let spread = |key: &str| {
             let mean = score[key]["mean"].as_f64();

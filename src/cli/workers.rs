@@ -9,7 +9,7 @@ use tokio::time::timeout;
 use super::client::Client;
 use super::error::CliError;
 use super::output::{bytes, counted, duration, say, say_json};
-use super::table::{Align, Table};
+use super::table::Table;
 use super::{At, embed};
 
 /// Path of the state.
@@ -35,9 +35,7 @@ pub async fn status(at: &At) -> Result<(), CliError> {
         say("the service knows no queue: start it with PALPATE_QUEUE_FILE and PALPATE_STORE");
         return Ok(());
     }
-    let numbers = ["heard", "at once", "memory", "GPU"].map(|head| (head, Align::Right));
-    let heads: Vec<_> = [("worker", Align::Left)].into_iter().chain(numbers).collect();
-    let mut workers = Table::new(&heads, "no worker");
+    let mut workers = Table::new("worker | heard> | at once> | memory> | GPU>", "no worker");
     for worker in rows(&found, "workers") {
         let lost = if worker["lost"] == true { " (lost)" } else { "" };
         let heard = duration(worker["heard_s"].as_f64().unwrap_or_default());
@@ -53,12 +51,7 @@ pub async fn status(at: &At) -> Result<(), CliError> {
     }
     say(&workers);
     let numbers = ["chunks", "done", "running", "waiting", "again", "failed", "missing"];
-    let heads = numbers.map(|number| (number, Align::Right));
-    let heads: Vec<_> = [("order", Align::Left), ("folder", Align::Left)]
-        .into_iter()
-        .chain(heads)
-        .chain([("per min", Align::Right), ("to go", Align::Right)])
-        .collect();
+    let heads = format!("order | folder | {}> | per min> | to go>", numbers.join("> | "));
     let mut orders = Table::new(&heads, "no order");
     for order in rows(&found, "orders") {
         let id: String = text(order, "order").chars().take(ID_SHOWN).collect();

@@ -1,8 +1,9 @@
-"""Pictures and transcripts of terminal sessions: python3 tests/figures/terminal.py PALPATE OUT [SCENE ..]
+"""Pictures and transcripts of terminal sessions: python3 tests/figures/terminal.py PALPATE OUT [--check] [SCENE ..]
 
 Each scene runs commands of PALPATE in a terminal of 100 columns, in an empty folder, with the virtual rig, and presses
 the keys that a person would press. OUT gets SCENE.svg, the start of what was printed as a picture, and SCENE.txt, all
-of it, as in `docs/transcripts/`. Needs pexpect, pyte and rich.
+of it, as in `docs/transcripts/`. With --check it prints the lines whose form is not that of the transcript there, and
+exits with 1 if there are any. Needs pexpect, pyte and rich.
 """
 
 import pathlib
@@ -19,6 +20,7 @@ from rich.text import Text
 
 COLUMNS, LINES, KEPT = 100, 200, 52
 PROMPT = "$ "
+TRANSCRIPTS = pathlib.Path(__file__).resolve().parents[2] / "docs/transcripts"
 COLOURS = {"default": None, "brown": "yellow"}
 
 
@@ -129,13 +131,34 @@ def kill(folder: str, signal: int):
         pass
 
 
+def forms(lines: list[str]) -> dict[str, str]:
+    """The lines of a transcript by their form: without numbers, names of runs, progress and drawings."""
+    found = {}
+    for line in lines:
+        if not re.search("[█░│┤\u2801-\u28ff]", line):
+            form = re.sub("[0-9a-f]{8}(-[0-9a-f]+){4}", "UID", line)
+            form = re.sub(r"\d[\d.,:-]*", "0", form)
+            form = re.sub(r"0 (ms|s|min|h)( 0 (s|min))?\b", "TIME", form)
+            found[" ".join(form.split())] = line
+    return found
+
+
+def differences(name: str, lines: list[str]) -> list[str]:
+    """Lines whose form only the transcript has, with `-`, and those whose form only this session has, with `+`."""
+    kept = TRANSCRIPTS / f"{name}.txt"
+    old, new = forms(kept.read_text().splitlines()), forms(lines)
+    gone = [f"- {line}" for form, line in old.items() if form not in new]
+    return gone + [f"+ {line}" for form, line in new.items() if form not in old]
+
+
 def main():
     """Plays the scenes."""
     palpate, out = str(pathlib.Path(sys.argv[1]).resolve()), pathlib.Path(sys.argv[2])
     out.mkdir(parents=True, exist_ok=True)
+    wanted, is_old = [name for name in sys.argv[3:] if name != "--check"], False
     for scene in SCENES:
         name = scene.__name__.replace("_", "-")
-        if sys.argv[3:] and name not in sys.argv[3:]:
+        if wanted and name not in wanted:
             continue
         with tempfile.TemporaryDirectory() as folder:
             terminal = Terminal(palpate, folder)
@@ -151,6 +174,10 @@ def main():
         picture = re.sub(r"@font-face \{.*?\}", "", picture, flags=re.DOTALL).replace("Fira Code", "DejaVu Sans Mono")
         (out / f"{name}.svg").write_text(picture)
         print(f"{out / name}.svg: {len(lines)} lines")
+        found = differences(name, [line.plain for line in lines]) if "--check" in sys.argv else []
+        is_old = is_old or bool(found)
+        print(*found, sep="\n", end="\n" if found else "")
+    sys.exit(int(is_old))
 
 
 if __name__ == "__main__":

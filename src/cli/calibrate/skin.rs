@@ -20,7 +20,7 @@ use super::super::files::{calibration_problem, parse_calibration, write};
 use super::super::find::find_run;
 use super::super::output::{counted, say, say_json};
 use super::super::picture;
-use super::super::progress::{LogLines, progress_bar};
+use super::super::progress::{Counted, LogLines, progress_bar};
 use super::super::simulate::solving;
 use super::super::{At, embed};
 use crate::api::Page;
@@ -156,8 +156,8 @@ async fn frames(
     choice: &Choice,
     channels: usize,
 ) -> Result<[Vec<MeasuredTrial>; 2], CliError> {
-    let bar = progress_bar("trials");
-    bar.set_length((choice.fitted.len() + choice.held_out.len()) as u64);
+    let count = choice.fitted.len() + choice.held_out.len();
+    let mut shown = Counted::of("trials read", count as u64);
     let mut sides = [Vec::new(), Vec::new()];
     for (side, chosen) in sides.iter_mut().zip([&choice.fitted, &choice.held_out]) {
         for some in chosen.chunks(FIT_PAGE_TRIALS) {
@@ -178,10 +178,9 @@ async fn frames(
                     side.push(MeasuredTrial { contacts, frame_v });
                 }
             }
-            bar.inc(some.len() as u64);
+            shown.add(some.len() as u64);
         }
     }
-    bar.finish_and_clear();
     Ok(sides)
 }
 

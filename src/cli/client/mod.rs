@@ -181,8 +181,7 @@ impl Client {
         body: Option<&impl Serialize>,
     ) -> Result<T, CliError> {
         let operation = format!("{method} {path}");
-        let answer = self.send(method, path, body).await?;
-        answer.json().await.map_err(|source| CliError::Http { operation, source })
+        read(operation, self.send(method, path, body).await?).await
     }
 
     /// Sends a request.
@@ -245,9 +244,8 @@ impl Client {
         texts: impl IntoIterator<Item = TextPart>,
     ) -> Result<T, CliError> {
         let operation = format!("POST {path}");
-        let read = |source| CliError::File { path: file.into(), source };
-        let opened = tokio::fs::File::open(file).await.map_err(read)?;
-        let length = opened.metadata().await.map_err(read)?.len();
+        let opened = tokio::fs::File::open(file).await.map_err(CliError::file(file))?;
+        let length = opened.metadata().await.map_err(CliError::file(file))?.len();
         let pieces = tokio_util::io::ReaderStream::new(opened);
         let body = reqwest::Body::wrap_stream(pieces);
         let name = file.display().to_string();
@@ -265,7 +263,7 @@ impl Client {
         }
         let request = self.http.post(format!("{}{path}", self.url)).multipart(form);
         let answer = self.carry_out(operation.clone(), request).await?;
-        answer.json().await.map_err(|source| CliError::Http { operation, source })
+        read(operation, answer).await
     }
 
     /// Sends a POST request with a text and reads the answer.
@@ -281,7 +279,7 @@ impl Client {
         let request = self.http.post(format!("{}{path}", self.url)).body(text);
         let request = request.header(reqwest::header::CONTENT_TYPE, "text/plain; charset=utf-8");
         let answer = self.carry_out(operation.clone(), request).await?;
-        answer.json().await.map_err(|source| CliError::Http { operation, source })
+        read(operation, answer).await
     }
 
     /// Reads the messages of a WebSocket until `take` returns `false`, or the stream ends.
@@ -377,6 +375,11 @@ impl Client {
         more["who"] = self.who.clone().into();
         more
     }
+}
+
+/// Reads the answer to a request.
+async fn read<T: DeserializeOwned>(operation: String, answer: Response) -> Result<T, CliError> {
+    answer.json().await.map_err(|source| CliError::Http { operation, source })
 }
 
 /// Rejects what is not the URL of a service.

@@ -96,6 +96,18 @@ impl Client {
         text.map_err(|source| CliError::Http { operation: format!("GET {path}"), source })
     }
 
+    /// Returns an answer that the service may lack: 404 is `None`.
+    ///
+    /// # Errors
+    /// As [`Self::send`], except 404.
+    pub async fn if_there<T: DeserializeOwned>(&self, path: &str) -> Result<Option<T>, CliError> {
+        match self.get(path).await {
+            Ok(found) => Ok(Some(found)),
+            Err(CliError::Refused { status: 404, .. }) => Ok(None),
+            Err(error) => Err(error),
+        }
+    }
+
     /// Returns the newest of all runs that `fits` accepts.
     ///
     /// # Errors

@@ -1,13 +1,13 @@
 //! An evaluation of `exact` as a work order, and the scores of its readings.
 //! Uses: `client` (a service states the frames and scores the readings), `jobs::readings`. Never: a fit, a score.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use clap::Args;
 use serde_json::json;
 
+use super::OrderPlace;
 use super::kind::{all_whole, readings_order};
-use super::verified::Verified;
 use crate::chunk::folder::OrderFolder;
 use crate::chunk::order::{ChunkRow, WorkOrder};
 use crate::cli::client::TextPart;
@@ -16,6 +16,7 @@ use crate::cli::error::CliError;
 use crate::cli::evaluate::MethodRequest;
 use crate::cli::evaluate::lab::ExtentArgs;
 use crate::cli::output::Output;
+use crate::cli::progress::Counted;
 use crate::cli::{At, embed};
 use crate::evaluate::request::EvaluationReport;
 use crate::jobs::chunks::{NetScore, SCORES_FILE};
@@ -36,18 +37,8 @@ pub struct ReadingsRequest {
     /// Number of frames of a chunk; a fit takes about 0.05 s.
     #[arg(long, value_name = "N", default_value_t = 50)]
     chunk_rows: u32,
-    /// URL of the service whose dataset and skin are used [env: PALPATE_URL] [default:
-    /// http://127.0.0.1:8080]; its key is in PALPATE_KEY, or in the file of PALPATE_KEY_FILE.
-    #[arg(long, value_name = "URL")]
-    url: Option<String>,
-    /// Certificate of an https service or of its authority, PEM [env: PALPATE_CA] [default: the
-    /// authorities of the system].
-    #[arg(long, value_name = "FILE")]
-    ca: Option<PathBuf>,
-    /// Folder of the database for a service that this command starts, and folder whose `cache` contains
-    /// solved unit responses on the nodes [env: PALPATE_DATA] [default: palpate-data].
-    #[arg(long, value_name = "DIR")]
-    pub data: Option<PathBuf>,
+    #[command(flatten)]
+    pub place: OrderPlace,
 }
 
 impl ReadingsRequest {
@@ -57,8 +48,7 @@ impl ReadingsRequest {
     /// `CliError` if an option is invalid, the service cannot be reached or started, or the evaluation cannot be
     /// prepared.
     pub async fn order(&self, output: Output) -> Result<(WorkOrder, u64), CliError> {
-        let (url, ca, data) = (self.url.clone(), self.ca.clone(), self.data.clone());
-        let at = At { url, ca, data, json: output == Output::Json };
+        let at = self.place.at(output);
         let request = self.method.clone().request(&self.extent.budget());
         let path = format!("/api/v1/evaluations/inputs?chunk_rows={}", self.chunk_rows);
         embed::with_server(&at, move |client| async move {
@@ -83,16 +73,15 @@ pub async fn score(
     rows: &[ChunkRow],
     out: &Path,
     at: &At,
-    mut verified: Verified,
+    mut verified: Counted,
 ) -> Result<u64, CliError> {
     let order = readings_order(folder)?;
-    let gathered = gather(folder, rows, &mut || verified.one());
+    let gathered = gather(folder, rows, &mut || verified.add(1));
     drop(verified);
     let gathered = gathered?;
     all_whole(folder, gathered.damaged)?;
     let file = out.join(READINGS_FILE);
-    new_file::write(out, READINGS_FILE, &gathered.lines)
-        .map_err(|source| CliError::File { path: file.clone(), source })?;
+    new_file::write(out, READINGS_FILE, &gathered.lines).map_err(CliError::file(&file))?;
     let request = order.definition.request.clone();
     let texts = vec![
         TextPart::value("request", json!(request).to_string()),
@@ -106,7 +95,6 @@ pub async fn score(
     })
     .await?;
     let scores = json!(vec![NetScore { request, report }]).to_string();
-    new_file::write(out, SCORES_FILE, scores)
-        .map_err(|source| CliError::File { path: out.join(SCORES_FILE), source })?;
+    new_file::write(out, SCORES_FILE, scores).map_err(CliError::file(&out.join(SCORES_FILE)))?;
     Ok(rows.iter().map(|row| row.rows).sum())
 }

@@ -1,22 +1,22 @@
 //! `palpate cluster gather`: verified chunks as the folder that one process would have written, or in the database of
 //! their run.
-//! Uses: `chunk`, `kind`, `twins`, `evaluation`, `verified`. Never: a chunk that does not have the sha256 of its row.
+//! Uses: `chunk`, `kind`, `twins`, `evaluation`. Never: a chunk that does not have the sha256 of its row.
 
 use std::path::{Path, PathBuf};
 
 use clap::Args;
-use serde_json::json;
+use serde_json::{Value, json};
 
 use super::evaluation;
-use super::kind::{ChunkKind, all_whole, twins_order};
+use super::kind::{ChunkKind, Gathered, all_whole, twins_order};
 use super::twins::{self, Stored};
-use super::verified::Verified;
 use crate::chunk::folder::OrderFolder;
 use crate::chunk::order::ChunkRow;
 use crate::cli::At;
 use crate::cli::error::CliError;
 use crate::cli::next::Next;
-use crate::cli::output::{bytes, grouped, say, say_json};
+use crate::cli::output::{bytes, grouped};
+use crate::cli::progress::Counted;
 
 /// Options of `cluster gather`.
 #[derive(Debug, Clone, Args)]
@@ -45,28 +45,19 @@ pub async fn gather(args: &GatherArgs) -> Result<(), CliError> {
         (ChunkKind::Twins, None) => store(folder, rows, &args.at).await,
         (ChunkKind::Readings, Some(out)) => score(&folder, &rows, out, &args.at).await,
         (_, Some(out)) => {
-            let mut verified = Verified::of(folder.order().chunks);
-            let gathered = kind.gather(&folder, &rows, out, &mut || verified.one());
+            let mut verified = verified(&folder);
+            let gathered = kind.gather(&folder, &rows, out, &mut || verified.add(1));
             drop(verified);
-            let gathered = gathered?;
-            if args.at.json {
-                say_json(&json!({
-                    "order": folder.order().id,
-                    "kind": folder.order().kind,
-                    "chunks": folder.order().chunks,
-                    "rows": gathered.rows,
-                    "bytes": gathered.bytes,
-                    "folder": out,
-                }));
-                return Ok(());
-            }
-            say(format_args!(
+            let Gathered { rows, bytes: length } = gathered?;
+            let more = json!({ "rows": rows, "bytes": length, "folder": out });
+            let words = format!(
                 "{} rows of {} chunks, each with its sha256, {}, in {}",
-                grouped(gathered.rows),
+                grouped(rows),
                 folder.order().chunks,
-                bytes(gathered.bytes as f64),
+                bytes(length as f64),
                 out.display(),
-            ));
+            );
+            args.at.output().say(&answer(&folder, more), words);
             Ok(())
         }
         (ChunkKind::SimRandom | ChunkKind::Trainings | ChunkKind::Readings, None) => {
@@ -75,30 +66,34 @@ pub async fn gather(args: &GatherArgs) -> Result<(), CliError> {
     }
 }
 
+/// Progress of the verification of chunks.
+fn verified(folder: &OrderFolder) -> Counted {
+    Counted::of("chunks verified", folder.order().chunks)
+}
+
+/// The answer for scripts: the work order, and what became of it.
+fn answer(folder: &OrderFolder, mut more: Value) -> Value {
+    let order = folder.order();
+    more["order"] = json!(order.id);
+    more["kind"] = json!(order.kind);
+    more["chunks"] = json!(order.chunks);
+    more
+}
+
 /// Stores the twins of a work order.
 async fn store(folder: OrderFolder, rows: Vec<ChunkRow>, at: &At) -> Result<(), CliError> {
     let run = twins_order(&folder)?.definition.run;
-    let verified = Verified::of(folder.order().chunks);
-    let done = twins::store(run, folder.clone(), rows, at, verified).await?;
+    let done = twins::store(run, folder.clone(), rows, at, verified(&folder)).await?;
     let Stored { stored, present, damaged } = done;
     all_whole(&folder, damaged)?;
-    if at.json {
-        say_json(&json!({
-            "order": folder.order().id,
-            "kind": folder.order().kind,
-            "chunks": folder.order().chunks,
-            "run": run,
-            "stored": stored,
-            "present": present,
-        }));
-        return Ok(());
-    }
-    say(format_args!(
+    let more = json!({ "run": run, "stored": stored, "present": present });
+    let words = format!(
         "{} twins of {} chunks, each with its sha256, are stored in run {run}; {} of them were there before",
         grouped(stored + present),
         folder.order().chunks,
         grouped(present),
-    ));
+    );
+    at.output().say(&answer(&folder, more), words);
     Next::of(at)
         .suggest(format_args!("palpate evaluate simulation --run {run}"), "shows how well they fit")
         .say();
@@ -112,24 +107,15 @@ async fn score(
     out: &Path,
     at: &At,
 ) -> Result<(), CliError> {
-    let verified = Verified::of(folder.order().chunks);
-    let frames = evaluation::score(folder, rows, out, at, verified).await?;
-    if at.json {
-        say_json(&json!({
-            "order": folder.order().id,
-            "kind": folder.order().kind,
-            "chunks": folder.order().chunks,
-            "rows": frames,
-            "folder": out,
-        }));
-        return Ok(());
-    }
-    say(format_args!(
+    let frames = evaluation::score(folder, rows, out, at, verified(folder)).await?;
+    let words = format!(
         "{} readings of {} chunks, each with its sha256, and their scores, in {}",
         grouped(frames),
         folder.order().chunks,
         out.display(),
-    ));
+    );
+    let more = json!({ "rows": frames, "folder": out });
+    at.output().say(&answer(folder, more), words);
     let out = out.display();
     Next::of(at)
         .line(

@@ -1,5 +1,5 @@
 //! `palpate cluster make`: makes chunks, one after the other, with Ctrl-C and SIGTERM as requests.
-//! Uses: `makers`, `kind`, `lines`, indicatif. Never: a decision about a byte of a chunk.
+//! Uses: `makers`, `kind`, `lines`. Never: a decision about a byte of a chunk.
 
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -8,7 +8,6 @@ use std::sync::atomic::Ordering;
 use std::time::Duration;
 
 use clap::Args;
-use indicatif::ProgressBar;
 use serde_json::json;
 use tokio::time::{Instant, sleep_until};
 
@@ -22,7 +21,7 @@ use crate::cli::data_or_default;
 use crate::cli::error::CliError;
 use crate::cli::next::Next;
 use crate::cli::output::{bytes, counted, duration, grouped, note, say, say_json};
-use crate::cli::progress::{LogLines, progress_bar};
+use crate::cli::progress::Counted;
 use crate::cli::signals::Signals;
 use crate::cli::simulate::request::threads;
 
@@ -157,8 +156,7 @@ fn indexes(args: &MakeArgs, order: &WorkOrder) -> Result<Vec<u64>, CliError> {
 
 /// Output: standard error for people, standard output for scripts.
 struct Screen {
-    bar: ProgressBar,
-    lines: LogLines,
+    shown: Counted,
     json: bool,
     chunks: u64,
     done: u64,
@@ -171,11 +169,8 @@ struct Screen {
 
 impl Screen {
     fn new(chunks: u64, json: bool) -> Self {
-        let bar = progress_bar("chunks");
-        bar.set_length(chunks);
-        let started = std::time::Instant::now();
-        let lines = LogLines::instead_of(&bar);
-        Self { lines, bar, json, chunks, done: 0, made: 0, failed: 0, rows: 0, bytes: 0, started }
+        let (shown, started) = (Counted::of("chunks", chunks), std::time::Instant::now());
+        Self { shown, json, chunks, done: 0, made: 0, failed: 0, rows: 0, bytes: 0, started }
     }
 
     fn made(&mut self, chunk: &MadeChunk) {
@@ -185,24 +180,21 @@ impl Screen {
             self.rows += chunk.row.rows;
             self.bytes += chunk.row.bytes;
         }
-        self.bar.inc(1);
+        self.shown.add(1);
         if self.json {
             let mut line = json!(chunk.row);
             line["event"] = "chunk".into();
             line["made"] = chunk.is_new.into();
             say_json(&line);
         }
-        let (done, chunks) = (self.done + self.failed, self.chunks);
-        self.lines.say(|| format!("{done}/{chunks} chunks"));
     }
 
     fn failed(&mut self, index: u64, error: &str) {
         self.failed += 1;
-        self.bar.inc(1);
-        if self.bar.is_hidden() {
-            note(error);
-        } else {
-            self.bar.println(error);
+        self.shown.add(1);
+        match self.shown.bar.is_hidden() {
+            true => note(error),
+            false => self.shown.bar.println(error),
         }
         if self.json {
             say_json(&json!({ "event": "failed", "index": index, "error": error }));
@@ -211,7 +203,7 @@ impl Screen {
 
     /// Reports the end; returns the exit code.
     fn end(&self, folder: &OrderFolder) -> ExitCode {
-        self.bar.finish_and_clear();
+        self.shown.bar.finish_and_clear();
         let wall_s = self.started.elapsed().as_secs_f64();
         let is_complete = self.done == self.chunks;
         let code = if is_complete { ExitCode::SUCCESS } else { ExitCode::FAILURE };

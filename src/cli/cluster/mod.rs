@@ -3,11 +3,14 @@
 //! for what a work order of a table needs (`table`), for the trials and the twins of a run (`twins`), and for the frames
 //! and the scores of an evaluation (`evaluation`).
 
+use std::path::PathBuf;
 use std::process::ExitCode;
 
 use clap::{Args, Subcommand};
 
+use super::At;
 use super::error::CliError;
+use super::output::Output;
 
 mod evaluation;
 mod gather;
@@ -20,7 +23,6 @@ mod sbatch;
 mod status;
 mod table;
 mod twins;
-mod verified;
 
 /// Options of `cluster`.
 #[derive(Debug, Clone, Args)]
@@ -52,6 +54,31 @@ pub enum ClusterCommand {
     /// sent to the service with their run, which compares and stores them. Exit code 1 if a chunk is missing
     /// or damaged: each is named.
     Gather(gather::GatherArgs),
+}
+
+/// The service that prepares a work order, and the data folder of the nodes.
+#[derive(Debug, Clone, Args)]
+pub struct OrderPlace {
+    /// URL of the service whose runs, datasets and calibrations are used [env: PALPATE_URL] [default:
+    /// http://127.0.0.1:8080]; its key is in PALPATE_KEY, or in the file of PALPATE_KEY_FILE.
+    #[arg(long, value_name = "URL")]
+    url: Option<String>,
+    /// Certificate of an https service or of its authority, PEM [env: PALPATE_CA] [default: the
+    /// authorities of the system].
+    #[arg(long, value_name = "FILE")]
+    ca: Option<PathBuf>,
+    /// Data folder of a service that this command starts; on the nodes its `cache` contains solved unit
+    /// responses, or the frames of a net while it trains [env: PALPATE_DATA] [default: palpate-data].
+    #[arg(long, value_name = "DIR")]
+    pub data: Option<PathBuf>,
+}
+
+impl OrderPlace {
+    /// The service of these options, and the form of the output.
+    pub fn at(&self, output: Output) -> At {
+        let Self { url, ca, data } = self.clone();
+        At { url, ca, data, json: output == Output::Json }
+    }
 }
 
 /// Runs `palpate cluster`.

@@ -14,6 +14,7 @@ use super::twins::TwinsRequest;
 use crate::chunk::folder::OrderFolder;
 use crate::cli::data_or_default;
 use crate::cli::error::CliError;
+use crate::cli::files::this_program;
 use crate::cli::next::Next;
 use crate::cli::output::{Output, counted, grouped, say, say_json};
 use crate::cli::simulate::request::{RandomRequest, SolvedRequest, THREADS_MAX};
@@ -143,13 +144,13 @@ pub async fn sbatch(args: &SbatchArgs) -> Result<(), CliError> {
             job.finish(&folder, &places, is_new, &contents, &[])
         }
         SbatchCommand::Table(SbatchTableArgs { request, job }) => {
-            let places = job.places(request.data.clone())?;
+            let places = job.places(request.place.data.clone())?;
             let (folder, is_new) = request.write(&job.folder, job.output()).await?;
             let contents = format!("{} nets", folder.order().chunks);
             job.finish(&folder, &places, is_new, &contents, request.resources())
         }
         SbatchCommand::Twins(SbatchTwinsArgs { request, job }) => {
-            let places = job.places(request.data.clone())?;
+            let places = job.places(request.place.data.clone())?;
             let (order, trials) = request.order(job.output()).await?;
             let contents = format!("{} twins", grouped(trials));
             let (folder, is_new) = OrderFolder::write(&job.folder, order)?;
@@ -157,7 +158,7 @@ pub async fn sbatch(args: &SbatchArgs) -> Result<(), CliError> {
         }
         SbatchCommand::Evaluation(args) => {
             let SbatchEvaluationArgs { request, job } = args.as_ref();
-            let places = job.places(request.data.clone())?;
+            let places = job.places(request.place.data.clone())?;
             let (order, frames) = request.order(job.output()).await?;
             let contents = format!("{} frames", grouped(frames));
             let (folder, is_new) = OrderFolder::write(&job.folder, order)?;
@@ -201,11 +202,9 @@ impl JobArgs {
             let limit = "must be minutes, H:MM:SS, D-HH or D-HH:MM:SS";
             checks.require(is_time(time), "time", time, limit);
         }
-        let palpate = std::env::current_exe()
-            .map_err(|source| CliError::System { operation: "finding this program", source })?;
         let folder = absolute(&self.folder)?;
         let data = absolute(&data_or_default(data))?;
-        let palpate = palpate.display().to_string();
+        let palpate = this_program()?.display().to_string();
         for (key, path) in [("folder", &folder), ("data", &data), ("path of palpate", &palpate)] {
             checks.require(is_plain(path), key, path, words);
         }
@@ -236,7 +235,7 @@ impl JobArgs {
         let (path, text) = (self.folder.join(JOB_FILE), job.to_string());
         let is_same = fs::read_to_string(&path).is_ok_and(|there| there == text);
         let logs = self.folder.join(JOB_LOGS);
-        fs::create_dir_all(&logs).map_err(|source| CliError::File { path: logs, source })?;
+        fs::create_dir_all(&logs).map_err(CliError::file(&logs))?;
         if !is_same {
             new_file::write(&self.folder, JOB_FILE, &text)
                 .map_err(|source| CliError::File { path, source })?;
@@ -293,7 +292,6 @@ impl JobArgs {
 }
 
 fn absolute(path: &Path) -> Result<String, CliError> {
-    let absolute = std::path::absolute(path)
-        .map_err(|source| CliError::File { path: path.to_owned(), source })?;
+    let absolute = std::path::absolute(path).map_err(CliError::file(path))?;
     Ok(absolute.display().to_string())
 }

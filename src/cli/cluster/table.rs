@@ -4,17 +4,18 @@
 
 use std::collections::BTreeMap;
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use clap::{Args, ValueEnum};
 
+use super::OrderPlace;
 use crate::chunk::folder::{OrderFolder, input_file};
 use crate::cli::client::Client;
 use crate::cli::download::download_whole;
+use crate::cli::embed;
 use crate::cli::error::CliError;
 use crate::cli::evaluate::lab::{ExtentArgs, ServiceLab};
 use crate::cli::output::Output;
-use crate::cli::{At, embed};
 use crate::jobs::chunks::{DatasetFile, FIRST_GPU, ONE_THREAD, work_order};
 use crate::new_file::{Finished, Look};
 use crate::studies::budget::R2S;
@@ -47,18 +48,8 @@ pub struct TableRequest {
     /// Train on the first NVIDIA GPU of a task, for which the trainer was built.
     #[arg(long)]
     gpu: bool,
-    /// URL of the service whose datasets are used [env: PALPATE_URL] [default: http://127.0.0.1:8080];
-    /// its key is in PALPATE_KEY, or in the file of PALPATE_KEY_FILE.
-    #[arg(long, value_name = "URL")]
-    url: Option<String>,
-    /// Certificate of an https service or of its authority, PEM [env: PALPATE_CA] [default: the
-    /// authorities of the system].
-    #[arg(long, value_name = "FILE")]
-    ca: Option<PathBuf>,
-    /// Data folder of the service, if this command starts it; on a node, its `cache` contains the frames
-    /// of a net while it trains [env: PALPATE_DATA] [default: palpate-data].
-    #[arg(long, value_name = "DIR")]
-    pub data: Option<PathBuf>,
+    #[command(flatten)]
+    pub place: OrderPlace,
 }
 
 impl TableRequest {
@@ -73,8 +64,7 @@ impl TableRequest {
         folder: &Path,
         output: Output,
     ) -> Result<(OrderFolder, bool), CliError> {
-        let (url, ca, data) = (self.url.clone(), self.ca.clone(), self.data.clone());
-        let at = At { url, ca, data, json: output == Output::Json };
+        let at = self.place.at(output);
         let budget = self.extent.budget();
         let table = match self.table {
             TableName::Maps => table_iv_nets(&budget),

@@ -2,17 +2,16 @@
 //! Uses: `client` (a service states the contacts and stores the twins), `simulate::twins::chunks`. Never: a frame that
 //! is computed or compared here.
 
-use std::path::PathBuf;
-
 use clap::Args;
 
-use super::verified::Verified;
+use super::OrderPlace;
 use crate::chunk::folder::{ChunkState, OrderFolder};
 use crate::chunk::order::{ChunkRow, WorkOrder};
 use crate::cli::client::Client;
 use crate::cli::error::CliError;
 use crate::cli::find::find_run;
 use crate::cli::output::Output;
+use crate::cli::progress::Counted;
 use crate::cli::{At, embed};
 use crate::ids::RunUid;
 use crate::new_file::Look;
@@ -32,19 +31,8 @@ pub struct TwinsRequest {
     /// Number of trials of a chunk.
     #[arg(long, value_name = "N", default_value_t = 1000)]
     chunk_trials: u64,
-    /// URL of the service with the run, which must have the calibration that it stores twins with [env:
-    /// PALPATE_URL] [default: http://127.0.0.1:8080]; its key is in PALPATE_KEY, or in the file of
-    /// PALPATE_KEY_FILE.
-    #[arg(long, value_name = "URL")]
-    url: Option<String>,
-    /// Certificate of an https service or of its authority, PEM [env: PALPATE_CA] [default: the
-    /// authorities of the system].
-    #[arg(long, value_name = "FILE")]
-    ca: Option<PathBuf>,
-    /// Folder of the database for a service that this command starts, and folder whose `cache` contains
-    /// solved unit responses on the nodes [env: PALPATE_DATA] [default: palpate-data].
-    #[arg(long, value_name = "DIR")]
-    pub data: Option<PathBuf>,
+    #[command(flatten)]
+    pub place: OrderPlace,
 }
 
 impl TwinsRequest {
@@ -58,8 +46,7 @@ impl TwinsRequest {
             let limit = format!("must be from 1 to {CHUNK_TRIALS_MAX}");
             return Err(CliError::argument("chunk-trials", self.chunk_trials, limit));
         }
-        let (url, ca, data) = (self.url.clone(), self.ca.clone(), self.data.clone());
-        let at = At { url, ca, data, json: output == Output::Json };
+        let at = self.place.at(output);
         let (run, chunk_trials) = (self.run.clone(), self.chunk_trials);
         embed::reading(&at, move |client| ordered(client, run, chunk_trials)).await
     }
@@ -123,7 +110,7 @@ pub async fn store(
     folder: OrderFolder,
     rows: Vec<ChunkRow>,
     at: &At,
-    mut verified: Verified,
+    mut verified: Counted,
 ) -> Result<Stored, CliError> {
     embed::with_server(at, move |client| async move {
         let path = format!("/api/v1/runs/{run}/twins");
@@ -138,7 +125,7 @@ pub async fn store(
             let made: StoredTwins = answer.map_err(|error| of_chunk(row.index, error))?;
             stored.stored += made.stored;
             stored.present += made.present;
-            verified.one();
+            verified.add(1);
         }
         Ok(stored)
     })

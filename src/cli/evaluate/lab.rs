@@ -30,7 +30,6 @@ use crate::jobs::chunks::{DatasetFile, NetOrder, NetScore, SCORES_FILE};
 use crate::learn::model_file::Manifest;
 use crate::learn::order::{MANIFEST, ONNX, RESIDUALS};
 use crate::learn::residuals::Residuals;
-use crate::problem::Problem;
 use crate::simulate::schema::SIM_VOLTAGES_V;
 use crate::store::{RunKind, RunRow};
 use crate::studies::budget::{Budget, Scale};
@@ -125,26 +124,28 @@ where
         let lab = ServiceLab::new(client, args.at.output(), args.trained.clone());
         lab.take_evaluation()?;
         let sheet = study(lab, args.extent.budget()).await?;
-        if let Some(folder) = &args.out {
-            write_all(folder, &sheet.files, &args.pictures).await?;
-        }
-        if args.at.json {
-            say_json(&sheet.numbers);
-        } else {
-            say(sheet.text.trim_end());
-            if let Some(folder) = &args.out {
-                say(format_args!("\nnumbers, table and figures in {}", folder.display()));
-            }
-            let next = match args.out {
-                Some(_) => Next::of(&args.at),
-                None => Next::of(&args.at)
-                    .same_command("with --out DIR", "writes numbers, table and figures"),
-            };
-            next.suggest("palpate model list", "the nets, with their last scores").say();
-        }
-        Ok(())
+        show(&sheet, &args).await
     })
     .await
+}
+
+/// Writes and prints the result of a study.
+async fn show(sheet: &Sheet, args: &LabArgs) -> Result<(), CliError> {
+    if let Some(folder) = &args.out {
+        write_all(folder, &sheet.files, &args.pictures).await?;
+    }
+    if args.at.json {
+        say_json(&sheet.numbers);
+        return Ok(());
+    }
+    say(sheet.text.trim_end());
+    let mut next = Next::of(&args.at);
+    match &args.out {
+        Some(folder) => say(format_args!("\nnumbers, table and figures in {}", folder.display())),
+        None => next = next.same_command("with --out DIR", "writes numbers, table and figures"),
+    }
+    next.suggest("palpate model list", "the nets, with their last scores").say();
+    Ok(())
 }
 
 /// A lab whose trainings and evaluations are jobs of a service.
@@ -225,10 +226,8 @@ impl ServiceLab {
     /// Takes the scores of a gathered net.
     fn take_scores(&self, folder: &Path) -> Result<(), CliError> {
         let path = folder.join(SCORES_FILE);
-        let scores: Vec<NetScore> = serde_json::from_str(&read_input(&path)?).map_err(|error| {
-            let file = path.display().to_string();
-            CliError::Problems(vec![Problem::whole(&file, error.to_string())])
-        })?;
+        let scores: Vec<NetScore> = serde_json::from_str(&read_input(&path)?)
+            .map_err(|error| CliError::in_file(&path, error.to_string()))?;
         self.scores.lock().extend(scores);
         Ok(())
     }

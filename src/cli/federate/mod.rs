@@ -21,7 +21,7 @@ use super::next::{Next, word};
 use super::output::{counted, grouped, say, say_json};
 use super::progress::shown_wait;
 use super::start_time::local;
-use super::table::{Align, Table, or_dash};
+use super::table::{Table, or_dash};
 use crate::dataset::error::DatasetError;
 use crate::dataset::federate::{
     FETCHED, Federation, Fetched, LabelFile, MANIFEST, RigPart, TRIALS, Tables, join, prepare,
@@ -301,15 +301,7 @@ fn answer(folder: &Path, parts: &[Part], joined: Option<&Federation>) -> Value {
 
 /// Prints the rigs and the result for people.
 fn show(folder: &Path, parts: &[Part], joined: Option<&Federation>) {
-    let heads = [
-        ("rig", Align::Left),
-        ("dataset", Align::Left),
-        ("rows", Align::Right),
-        ("fetched", Align::Left),
-        ("state", Align::Left),
-        ("", Align::Left),
-    ];
-    let mut table = Table::new(&heads, "there are no rigs");
+    let mut table = Table::new("rig | dataset | rows> | fetched | state |", "there are no rigs");
     for part in parts {
         let fetched = part.fetched.as_ref();
         table.push([

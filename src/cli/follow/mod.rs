@@ -99,32 +99,19 @@ impl Follower {
         tick.set_missed_tick_behavior(MissedTickBehavior::Skip);
         let mut heard = Instant::now();
         loop {
-            tokio::select! {
-                _ = tick.tick() => {}
-                asked = signals.next() => {
-                    if let Some(left) = self.asked(asked).await {
-                        self.screen.close();
-                        return Ok(left);
-                    }
-                }
-                line = self.asking.answer() => {
-                    if let Some(left) = self.chosen(&line).await {
-                        self.screen.close();
-                        return Ok(left);
-                    }
-                }
+            let left = tokio::select! {
+                _ = tick.tick() => None,
+                asked = signals.next() => self.asked(asked).await,
+                line = self.asking.answer() => self.chosen(&line).await,
+            };
+            if let Some(left) = left {
+                return Ok(left);
             }
             match self.look().await {
                 Ok(None) => heard = Instant::now(),
-                Ok(Some(left)) => {
-                    self.screen.close();
-                    return Ok(left);
-                }
+                Ok(Some(left)) => return Ok(left),
                 Err(error @ CliError::Late { .. }) => return Err(error),
-                Err(error) if heard.elapsed() > SILENT_MAX => {
-                    self.screen.close();
-                    return Err(error);
-                }
+                Err(error) if heard.elapsed() > SILENT_MAX => return Err(error),
                 Err(error) => tracing::warn!(%error, "the service did not answer"),
             }
         }

@@ -8,7 +8,7 @@ use indicatif::ProgressBar;
 use serde_json::json;
 use tokio::time::Instant;
 
-use crate::campaign::shown::status::{Eta, Phase};
+use crate::campaign::shown::status::Eta;
 use crate::cli::output::{counted, duration, note, say_json, shown};
 use crate::cli::progress::{PROGRESS_LINES, bar};
 use crate::cli::view::{RunView, StatusView};
@@ -66,8 +66,10 @@ impl Screen {
             note(words);
         }
     }
+}
 
-    pub(super) fn close(&self) {
+impl Drop for Screen {
+    fn drop(&mut self) {
         self.bar.finish_and_clear();
     }
 }
@@ -89,7 +91,7 @@ fn progress_line(run: &RunView, status: &StatusView) -> serde_json::Value {
 fn progress_words(run: &RunView, status: &StatusView) -> String {
     let mut parts = vec![match (&run.waiting_for, run.state) {
         (Some(words), _) => format!("waits: {words}"),
-        (None, StoredState::Running) => phase_word(run.phase).into(),
+        (None, StoredState::Running) => run.phase.as_str().replace('_', "-"),
         (None, state) => state.as_str().into(),
     }];
     if let Some(asked) = &run.requested_state {
@@ -111,21 +113,6 @@ fn progress_words(run: &RunView, status: &StatusView) -> String {
 fn eta_words(eta: &Eta) -> String {
     let (low, high) = (duration(eta.low_s), duration(eta.high_s));
     format!("done in {} ({low} .. {high})", duration(eta.remaining_s))
-}
-
-fn phase_word(phase: Phase) -> &'static str {
-    match phase {
-        Phase::Next => "next",
-        Phase::TouchOff => "touch-off",
-        Phase::Travel => "travel",
-        Phase::Tare => "tare",
-        Phase::Press => "press",
-        Phase::Settle => "settle",
-        Phase::Measure => "measure",
-        Phase::Commit => "commit",
-        Phase::Raise => "raise",
-        Phase::Wait => "wait",
-    }
 }
 
 #[cfg(test)]

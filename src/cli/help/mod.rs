@@ -1,11 +1,12 @@
 //! The help of all commands: groups, examples, exit codes, and lines that fit a terminal.
-//! Uses: clap, `examples`. Never: what a command does; the options (their doc comments state them).
+//! Uses: clap, `examples.txt`. Never: what a command does; the options (their doc comments state them).
 
 use clap::{Arg, Command};
 
-mod examples;
-
-use examples::EXAMPLES;
+/// Examples, one per line, as they are typed: each is shown by the command that it calls. A test parses each.
+const EXAMPLES: &str = include_str!("examples.txt");
+/// Number of examples of a command that has only those of its subcommands.
+const GROUP_EXAMPLES: usize = 4;
 
 /// Commands of the root by what they are for; a test demands each command once.
 const GROUPS: &[(&str, &[&str])] = &[
@@ -89,7 +90,8 @@ fn heading(name: &str) -> String {
 fn tidy(command: Command, path: &str) -> Command {
     let after = command.get_after_help().map(ToString::to_string).unwrap_or_default();
     let mut text = after.trim_end().to_owned();
-    if let Some((_, lines)) = EXAMPLES.iter().find(|(of, _)| *of == path) {
+    let lines = examples(&command, path);
+    if !lines.is_empty() {
         if !text.is_empty() {
             text += "\n\n";
         }
@@ -120,6 +122,24 @@ fn tidy(command: Command, path: &str) -> Command {
         let path = format!("{path} {}", inner.get_name());
         tidy(inner, path.trim_start())
     })
+}
+
+/// The examples that call a command, or else the first ones of its subcommands. `path`: its words after `palpate`.
+fn examples(command: &Command, path: &str) -> Vec<&'static str> {
+    let below = EXAMPLES.lines().filter_map(|line| {
+        // What is piped into the command is in front of it.
+        let typed = line.rsplit(" | ").next()?.strip_prefix("palpate")?.trim_start();
+        let rest = typed.strip_prefix(path)?;
+        let is_below = path.is_empty() || rest.is_empty() || rest.starts_with(' ');
+        is_below.then_some((line, rest.split_whitespace().next().unwrap_or_default()))
+    });
+    let below: Vec<(&str, &str)> = below.collect();
+    let own = below.iter().filter(|(_, next)| command.find_subcommand(next).is_none());
+    let own: Vec<&str> = own.map(|(line, _)| *line).collect();
+    match own.is_empty() {
+        true => below.into_iter().take(GROUP_EXAMPLES).map(|(line, _)| line).collect(),
+        false => own,
+    }
 }
 
 /// What clap writes behind a help: default and values.

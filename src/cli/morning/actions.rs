@@ -6,14 +6,13 @@ use std::collections::{BTreeMap, BTreeSet};
 use serde_json::json;
 
 use super::ActionsArgs;
-use super::answers::if_there;
 use super::when::second;
 use crate::cli::client::Client;
 use crate::cli::embed;
 use crate::cli::error::CliError;
 use crate::cli::find::find_run;
 use crate::cli::output::{say, say_json};
-use crate::cli::table::{Align, Table, or_dash};
+use crate::cli::table::{Table, or_dash};
 use crate::store::{ActionRow, RunRow};
 
 /// Runs `palpate actions`.
@@ -40,19 +39,12 @@ async fn list(client: &Client, args: &ActionsArgs) -> Result<(), CliError> {
     let mut numbers = BTreeMap::new();
     let uids = found.iter().filter_map(|action| action.run).map(|run| run.to_string());
     for uid in uids.collect::<BTreeSet<_>>() {
-        let row: Option<RunRow> = if_there(client, &format!("/api/v1/runs/{uid}")).await?;
+        let row: Option<RunRow> = client.if_there(&format!("/api/v1/runs/{uid}")).await?;
         numbers.insert(uid, row.map(|row| row.scan_id));
     }
     let number = |action: &ActionRow| *numbers.get(&action.run?.to_string())?;
-    let heads = [
-        ("time", Align::Left),
-        ("action", Align::Left),
-        ("run", Align::Right),
-        ("who", Align::Left),
-        ("", Align::Left),
-        ("why, values", Align::Left),
-    ];
-    let mut table = Table::new(&heads, "there are no actions");
+    let mut table =
+        Table::new("time | action | run> | who | | why, values", "there are no actions");
     for action in &found {
         let words = action.why.iter().chain(&action.detail).cloned().collect::<Vec<_>>();
         table.push([

@@ -3,16 +3,15 @@
 
 use jiff::{SignedDuration, Timestamp};
 use serde::{Deserialize, Serialize};
-use serde_json::Value;
 
 use crate::cli::client::Client;
 use crate::cli::error::CliError;
 use crate::cli::output::{duration, grouped};
-use crate::cli::progress::{LogLines, progress_bar};
+use crate::cli::progress::Counted;
 use crate::evaluate::simulation::SimulationReport;
 use crate::ids::RunUid;
 use crate::state::StoredState;
-use crate::store::{MAX_PAGE, RunRow};
+use crate::store::{MAX_PAGE, RunRow, TwinCount};
 
 /// Columns of a trial that these commands read.
 const TRIAL_COLUMNS: &str = "trial_id,configuration,depth_index,depth_mm,tips,contact_count,max_force_n,\
@@ -61,20 +60,13 @@ pub struct TwinsOf {
     pub pending: u64,
 }
 
-/// `GET /api/v1/runs/{run}/twins`: its twins are those of the serving model only.
-#[derive(Debug, Deserialize)]
-struct Counted {
-    trials: u64,
-    failures: u64,
-}
-
 /// Returns the number of stored trials of a run.
 ///
 /// # Errors
 /// As [`Client::send`].
 pub async fn stored_of(client: &Client, run: RunUid) -> Result<u64, CliError> {
-    let counted: Counted = client.get(&format!("/api/v1/runs/{run}/twins")).await?;
-    Ok(counted.trials)
+    let count: TwinCount = client.get(&format!("/api/v1/runs/{run}/twins")).await?;
+    Ok(count.trials)
 }
 
 /// Returns the numbers of trials and twins of a run, and the fit of the newest twin of each trial.
@@ -83,27 +75,13 @@ pub async fn stored_of(client: &Client, run: RunUid) -> Result<u64, CliError> {
 /// As [`Client::send`].
 pub async fn fit_of(client: &Client, run: RunUid) -> Result<(TwinsOf, SimulationReport), CliError> {
     let path = format!("/api/v1/runs/{run}");
-    let Counted { trials, failures } = client.get(&format!("{path}/twins")).await?;
+    // Its twins are those of the serving model only.
+    let TwinCount { trials, failures, .. } = client.get(&format!("{path}/twins")).await?;
     let shown = client.showing("scoring the twins");
     let fit: SimulationReport = shown.get(&format!("{path}/evaluation/simulation")).await?;
     let twins = fit.trials + fit.flagged;
     let pending = trials.saturating_sub(twins + failures);
     Ok((TwinsOf { trials, twins, failures, pending }, fit))
-}
-
-/// Returns an answer that a run may lack: 404 is `None`.
-///
-/// # Errors
-/// As [`Client::send`], except 404.
-pub async fn if_there<T: serde::de::DeserializeOwned>(
-    client: &Client,
-    path: &str,
-) -> Result<Option<T>, CliError> {
-    match client.get(path).await {
-        Ok(found) => Ok(Some(found)),
-        Err(CliError::Refused { status: 404, .. }) => Ok(None),
-        Err(error) => Err(error),
-    }
 }
 
 /// Returns all trials of a run, in the order of storing, of which there are about `expected`.
@@ -115,36 +93,27 @@ pub async fn all_trials(
     run: RunUid,
     expected: u64,
 ) -> Result<Vec<TrialFacts>, CliError> {
-    let bar = progress_bar("trials read");
-    let mut lines = LogLines::instead_of(&bar);
-    bar.set_length(expected);
+    let mut shown = Counted::of("trials read", expected);
     let (mut all, mut last) = (Vec::new(), 0);
     loop {
         let path = format!(
             "/api/v1/runs/{run}/trials?format=ndjson&columns={TRIAL_COLUMNS}&trial_id__gt={last}&limit={MAX_PAGE}"
         );
-        let answer = client.send(reqwest::Method::GET, &path, None::<&Value>).await?;
-        let operation = format!("GET /api/v1/runs/{run}/trials");
-        let text = answer.text().await;
-        let text =
-            text.map_err(|source| CliError::Http { operation: operation.clone(), source })?;
+        let text = client.text(&path).await?;
         let before = all.len();
         for line in text.lines().filter(|line| !line.is_empty()) {
             let trial: TrialFacts = serde_json::from_str(line).map_err(|error| {
                 let detail = format!("a trial cannot be read: {error}");
-                CliError::Refused { operation: operation.clone(), status: 200, detail }
+                CliError::Refused { operation: format!("GET {path}"), status: 200, detail }
             })?;
             all.push(trial);
         }
-        bar.set_position(all.len() as u64);
-        lines.say(|| format!("{} of {expected} trials read", all.len()));
+        shown.show(all.len() as u64, expected);
         match all.last() {
             Some(trial) if all.len() - before == MAX_PAGE as usize => last = trial.trial_id,
-            _ => break,
+            _ => return Ok(all),
         }
     }
-    bar.finish_and_clear();
-    Ok(all)
 }
 
 /// How a run ended, or its state with the reason of a wait.

@@ -188,13 +188,6 @@ pub fn forces(frame: &mut Frame, area: Rect, curve: &[AtDepth]) {
     frame.render_widget(chart, area);
 }
 
-/// A bar of `share` of `width` characters, in eighths of a character.
-pub fn bar(share: f64, width: usize) -> String {
-    const EIGHTHS: [&str; 8] = ["", "▏", "▎", "▍", "▌", "▋", "▊", "▉"];
-    let eighths = (share.clamp(0.0, 1.0) * width as f64 * 8.0).round() as usize;
-    format!("{}{}", "█".repeat(eighths / 8), EIGHTHS[eighths % 8])
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -220,14 +213,6 @@ mod tests {
         );
         assert_eq!((curve[1].q1_n, curve[1].median_n, curve[1].q3_n), (2.5, 3.0, 3.5));
         assert!(by_depth(std::iter::empty()).is_empty());
-    }
-
-    #[test]
-    fn a_bar_has_its_share_of_the_width() {
-        assert_eq!(bar(0.5, 4), "██");
-        assert_eq!(bar(0.0, 4), "");
-        assert_eq!(bar(7.0, 2), "██");
-        assert_eq!(bar(1.0 / 8.0, 1), "▏");
     }
 
     #[test]

@@ -8,9 +8,7 @@ use serde_json::json;
 use sim_core::stats::fvu;
 
 use super::DiffArgs;
-use super::answers::{
-    TrialFacts, TwinsOf, all_trials, fit_of, if_there, state_words, stored_words,
-};
+use super::answers::{TrialFacts, TwinsOf, all_trials, fit_of, state_words, stored_words};
 use super::compare::{
     Change, Difference, Pair, by_depth, by_place, changes, difference, pairs, sampled,
 };
@@ -20,7 +18,7 @@ use crate::cli::embed;
 use crate::cli::error::CliError;
 use crate::cli::find::find_run;
 use crate::cli::output::{grouped, say, say_json};
-use crate::cli::table::{Align, Table, or_dash};
+use crate::cli::table::{Table, or_dash};
 use crate::cli::watch::answers::Tour;
 use crate::store::{RunRow, TrialRow};
 
@@ -47,7 +45,7 @@ impl Side {
         Ok(Self {
             twins,
             median_fvu: fit.median_fvu,
-            tour: if_there(client, &format!("{path}/tour")).await?,
+            tour: client.if_there(&format!("{path}/tour")).await?,
             trials: all_trials(client, run.uid, summary.trials_stored).await?,
             summary,
         })
@@ -146,9 +144,8 @@ fn facts<'a>(before: &'a Side, after: &'a Side) -> impl Iterator<Item = Change> 
 }
 
 fn side_by_side(before: &Side, after: &Side) -> Table {
-    let [one, two] = [before, after].map(|side| format!("run {}", side.run().scan_id));
-    let heads = [("", Align::Left), (&*one, Align::Left), (&*two, Align::Left), ("", Align::Left)];
-    let mut table = Table::new(&heads, "");
+    let [a, b] = [before, after].map(|side| side.run().scan_id);
+    let mut table = Table::new(&format!("| run {a} | run {b} |"), "");
     for change in facts(before, after) {
         let differs = if change.before == change.after { "" } else { "differs" };
         let value = |side: Option<String>| side.unwrap_or_default();
@@ -161,9 +158,7 @@ fn file_words(name: &str, changes: &[Change], a: i64, b: i64) -> String {
     if changes.is_empty() {
         return format!("{name} file: the same");
     }
-    let [a, b] = [a, b].map(|number| format!("run {number}"));
-    let heads = [("key", Align::Left), (&*a, Align::Left), (&*b, Align::Left)];
-    let mut table = Table::new(&heads, "");
+    let mut table = Table::new(&format!("key | run {a} | run {b}"), "");
     for change in changes {
         let value = |value: &Option<String>| value.clone().unwrap_or_else(|| "-".into());
         table.push([change.key.clone(), value(&change.before), value(&change.after)]);
@@ -191,13 +186,10 @@ fn forces_words(before: &Side, after: &Side, paired: &[Pair]) -> String {
         true => labels[0].to_owned(),
         false => format!("{} and {}", labels[0], labels[1]),
     };
-    let heads = [
-        ("depth, mm", Align::Right),
-        ("n", Align::Right),
-        ("median, N", Align::Right),
-        ("95 % interval, N", Align::Right),
-    ];
-    let mut table = Table::new(&heads, "no force was measured in both runs");
+    let mut table = Table::new(
+        "depth, mm> | n> | median, N> | 95 % interval, N>",
+        "no force was measured in both runs",
+    );
     for at in by_depth(paired) {
         let [n, median, ends] = interval(&at.difference_n);
         table.push([format!("{:.2}", at.depth_mm), n, median, ends]);

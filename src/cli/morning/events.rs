@@ -17,7 +17,7 @@ use crate::cli::embed;
 use crate::cli::error::CliError;
 use crate::cli::find::find_run;
 use crate::cli::output::{note, say, say_json};
-use crate::cli::table::{Align, Table};
+use crate::cli::table::Table;
 use crate::cli::view::EventView;
 use crate::event::Importance;
 
@@ -76,7 +76,10 @@ async fn newest(
     let (mut since, from) = match args.since {
         Some(Since::Event(number)) => (number, None),
         Some(Since::Time(at)) => (0, Some(at)),
-        None => (0, None),
+        // Which ones are important is decided here.
+        None if args.important => (0, None),
+        // A negative number counts from the end.
+        None => (limit.map_or(0, |limit| -i64::try_from(limit).unwrap_or(i64::MAX)), None),
     };
     let mut kept = VecDeque::new();
     loop {
@@ -106,10 +109,9 @@ async fn list(client: &Client, args: &EventsArgs) -> Result<(), CliError> {
         say_json(&json!({ "items": kept }));
         return Ok(());
     }
-    let heads = [("time", Align::Left), ("kind", Align::Left), ("event", Align::Left)];
     let filtered = !args.kind.is_empty() || args.since.is_some() || args.important;
     let empty = if filtered { "no event fits" } else { "there are no events" };
-    let mut table = Table::new(&heads, empty);
+    let mut table = Table::new("time | kind | event", empty);
     for event in &kept {
         table.push([time(event), event.kind.clone(), event.sentence()]);
     }

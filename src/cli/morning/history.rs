@@ -2,34 +2,19 @@
 //! Uses: `client`, `table`. Never: a change.
 
 use jiff::{SignedDuration, Timestamp};
-use serde::Deserialize;
 use serde_json::Value;
 
 use super::answers::duration_words;
 use super::when::second;
-use crate::api::StateSpan;
+use crate::api::{History, StateSpan};
 use crate::cli::client::Client;
 use crate::cli::error::CliError;
 use crate::cli::find::find_run;
 use crate::cli::output::{Output, duration, say, say_json};
-use crate::cli::table::{Align, Table, or_dash};
+use crate::cli::table::{Table, or_dash};
 
 /// Number of intervals of the table.
 const INTERVALS: usize = 24;
-
-/// Fields of `GET /api/v1/runs/{run}/history` that are read; lists of numbers have one entry per interval.
-#[derive(Debug, Deserialize)]
-struct History {
-    from: Option<Timestamp>,
-    to: Option<Timestamp>,
-    bin_s: Option<f64>,
-    trials: Vec<u32>,
-    attempts_failed: Vec<u32>,
-    largest_force_n: Vec<Option<f64>>,
-    fvu: Vec<Option<f64>>,
-    states: Vec<StateSpan>,
-    predicted_s: Option<f64>,
-}
 
 /// Shows the history of a run.
 ///
@@ -64,14 +49,10 @@ pub async fn show(client: &Client, run: &str, output: Output) -> Result<(), CliE
 }
 
 fn intervals(history: &History, from: Timestamp, bin_s: f64) -> Table {
-    let heads = [
-        ("from", Align::Left),
-        ("trials", Align::Right),
-        ("failed attempts", Align::Right),
-        ("largest force, N", Align::Right),
-        ("median FVU", Align::Right),
-    ];
-    let mut table = Table::new(&heads, "no interval");
+    let mut table = Table::new(
+        "from | trials> | failed attempts> | largest force, N> | median FVU>",
+        "no interval",
+    );
     for (n, trials) in history.trials.iter().enumerate() {
         let after = SignedDuration::try_from_secs_f64(n as f64 * bin_s).ok();
         let begin = after.and_then(|after| from.checked_add(after).ok());
@@ -90,8 +71,7 @@ fn intervals(history: &History, from: Timestamp, bin_s: f64) -> Table {
 }
 
 fn states(spans: &[StateSpan]) -> Table {
-    let heads = [("state", Align::Left), ("from", Align::Left), ("to", Align::Left)];
-    let mut table = Table::new(&heads, "no change of state is stored");
+    let mut table = Table::new("state | from | to", "no change of state is stored");
     for span in spans {
         let why = span.why.map(|why| format!(" ({})", why.as_str().replace('_', " ")));
         table.push([
@@ -106,20 +86,23 @@ fn states(spans: &[StateSpan]) -> Table {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::state::StoredState;
 
     #[test]
     fn an_interval_without_a_measured_value_has_a_dash() {
-        let history: History = serde_json::from_value(serde_json::json!({
-            "from": "2026-11-24T22:00:00Z", "to": "2026-11-24T22:02:00Z", "bin_s": 60.0,
-            "trials": [4, 0], "attempts_failed": [0, 2], "largest_force_n": [9.54, null],
-            "fvu": [null, null], "states": [{ "state": "running", "why": null,
-            "from": "2026-11-24T22:00:00Z", "to": null }], "predicted_s": null,
-        }))
-        .unwrap();
-        let table = intervals(&history, history.from.unwrap(), 60.0).to_string();
+        let history = History {
+            trials: vec![4, 0],
+            attempts_failed: vec![0, 2],
+            largest_force_n: vec![Some(9.54), None],
+            fvu: vec![None, None],
+            ..History::default()
+        };
+        let from = "2026-11-24T22:00:00Z".parse().unwrap();
+        let table = intervals(&history, from, 60.0).to_string();
         let ends: Vec<Vec<&str>> =
             table.lines().skip(1).map(|line| line.split_whitespace().skip(2).collect()).collect();
         assert_eq!(ends, [["4", "0", "9.5", "-"], ["0", "2", "-", "-"]]);
-        assert!(states(&history.states).to_string().ends_with('-'));
+        let lasts = StateSpan { state: StoredState::Running, why: None, from, to: None };
+        assert!(states(&[lasts]).to_string().ends_with('-'));
     }
 }

@@ -2,9 +2,8 @@
 //! Uses: `client`, `table`. Never: the files of a run (`show` and the API have them).
 
 use futures::{StreamExt, TryStreamExt};
-use jiff::Timestamp;
-use serde::Serialize;
-use serde_json::json;
+use jiff::{SignedDuration, Timestamp};
+use serde_json::{Value, json};
 
 use super::RunsArgs;
 use super::answers::{duration_words, elapsed, state_words, stored_of, stored_words};
@@ -14,70 +13,48 @@ use crate::cli::embed;
 use crate::cli::error::CliError;
 use crate::cli::output::{say, say_json};
 use crate::cli::start_time::local;
-use crate::cli::table::{Align, Table, or_dash};
-use crate::ids::RunUid;
-use crate::journal::ExitStatus;
-use crate::state::StoredState;
-use crate::store::{Label, RunKind, RunRow};
+use crate::cli::table::{Table, or_dash};
+use crate::store::RunRow;
 
 /// Number of concurrent requests.
 const REQUESTS: usize = 4;
 
-/// A line of the list.
-#[derive(Debug, Clone, Serialize)]
+/// A line of the list: a run with its number of stored trials, and its wall time.
 struct RunLine {
-    scan_id: i64,
-    run: RunUid,
-    experiment: String,
-    kind: RunKind,
-    label: Label,
-    state: StoredState,
-    exit_status: Option<ExitStatus>,
-    reason: Option<String>,
+    run: RunRow,
     trials_stored: u64,
-    trials_planned: u64,
-    created_at: Timestamp,
-    started_at: Option<Timestamp>,
-    ended_at: Option<Timestamp>,
-    duration_s: Option<f64>,
-    #[serde(skip)]
-    words: String,
+    took: Option<SignedDuration>,
 }
 
 impl RunLine {
     async fn of(client: &Client, run: RunRow) -> Result<Self, CliError> {
         let trials_stored = stored_of(client, run.uid).await?;
-        let elapsed = elapsed(&run, Timestamp::now());
-        Ok(Self {
-            words: state_words(&run),
-            scan_id: run.scan_id,
-            run: run.uid,
-            experiment: run.experiment,
-            kind: run.kind,
-            label: run.label,
-            state: run.state,
-            exit_status: run.exit_status,
-            reason: run.reason,
-            trials_stored,
-            trials_planned: run.trials_planned,
-            created_at: run.created_at,
-            started_at: run.started_at,
-            ended_at: run.ended_at,
-            duration_s: elapsed.map(|of| of.as_secs_f64()),
+        Ok(Self { took: elapsed(&run, Timestamp::now()), run, trials_stored })
+    }
+
+    fn value(&self) -> Value {
+        let Self { run, trials_stored, took } = self;
+        json!({
+            "scan_id": run.scan_id, "run": run.uid, "experiment": run.experiment, "kind": run.kind,
+            "label": run.label, "state": run.state, "exit_status": run.exit_status,
+            "reason": run.reason, "trials_stored": trials_stored,
+            "trials_planned": run.trials_planned, "created_at": run.created_at,
+            "started_at": run.started_at, "ended_at": run.ended_at,
+            "duration_s": took.map(|took| took.as_secs_f64()),
         })
     }
 
     fn cells(&self) -> [String; 8] {
-        let took = self.duration_s.and_then(|s| jiff::SignedDuration::try_from_secs_f64(s).ok());
+        let Self { run, trials_stored, took } = self;
         [
-            self.scan_id.to_string(),
-            self.experiment.clone(),
-            self.kind.as_str().into(),
-            self.words.clone(),
-            stored_words(self.trials_stored, self.trials_planned),
-            or_dash(self.started_at.map(local)),
+            run.scan_id.to_string(),
+            run.experiment.clone(),
+            run.kind.as_str().into(),
+            state_words(run),
+            stored_words(*trials_stored, run.trials_planned),
+            or_dash(run.started_at.map(local)),
             or_dash(took.map(duration_words)),
-            self.label.as_str().into(),
+            run.label.as_str().into(),
         ]
     }
 }
@@ -96,7 +73,8 @@ async fn list(client: &Client, args: &RunsArgs) -> Result<(), CliError> {
     let lines = futures::stream::iter(rows.into_iter().map(|run| RunLine::of(client, run)));
     let lines: Vec<RunLine> = lines.buffered(REQUESTS).try_collect().await?;
     if args.at.json {
-        say_json(&json!({ "items": lines, "all": is_all }));
+        let items: Vec<Value> = lines.iter().map(RunLine::value).collect();
+        say_json(&json!({ "items": items, "all": is_all }));
         return Ok(());
     }
     let filtered = !args.state.is_empty() || args.experiment.is_some();
@@ -104,17 +82,10 @@ async fn list(client: &Client, args: &RunsArgs) -> Result<(), CliError> {
         true => "no run fits: palpate runs without options lists all",
         false => "there are no runs: palpate run quickstart",
     };
-    let heads = [
-        ("run", Align::Right),
-        ("experiment", Align::Left),
-        ("kind", Align::Left),
-        ("state", Align::Left),
-        ("stored", Align::Right),
-        ("started", Align::Left),
-        ("duration", Align::Right),
-        ("label", Align::Left),
-    ];
-    let mut table = Table::new(&heads, empty);
+    let mut table = Table::new(
+        "run> | experiment | kind | state | stored> | started | duration> | label",
+        empty,
+    );
     lines.iter().for_each(|line| table.push(line.cells()));
     say(&table);
     if !is_all {

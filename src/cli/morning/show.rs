@@ -6,9 +6,7 @@ use ratatui::layout::Rect;
 use serde::Deserialize;
 use serde_json::json;
 
-use super::answers::{
-    TwinsOf, duration_words, elapsed, fit_of, if_there, state_words, stored_words,
-};
+use super::answers::{TwinsOf, duration_words, elapsed, fit_of, state_words, stored_words};
 use super::chart::{AtDepth, forces, picture, width};
 use super::{ShowArgs, history, raw, show_trial};
 use crate::api::{ForcesAtDepth, Summary};
@@ -17,9 +15,9 @@ use crate::cli::embed;
 use crate::cli::error::CliError;
 use crate::cli::find::find_run;
 use crate::cli::next::Next;
-use crate::cli::output::{counted, grouped, say, say_drawn, say_json};
+use crate::cli::output::{counted, filled, grouped, say, say_drawn, say_json};
 use crate::cli::start_time::local;
-use crate::cli::table::{Align, Table};
+use crate::cli::table::Table;
 use crate::cli::watch::answers::{Skin, Tour, TourProgress};
 use crate::cli::watch::night::Night;
 use crate::cli::watch::skin;
@@ -83,10 +81,10 @@ async fn run(client: &Client, args: &ShowArgs) -> Result<(), CliError> {
         say_json(&json!({ "summary": summary, "twins": twins, "median_fvu": median_fvu }));
         return Ok(());
     }
-    let skin: Option<Skin> = if_there(client, &format!("/api/v1/sensor?run={}", found.uid)).await?;
-    let tour: Option<Tour> = if_there(client, &format!("{path}/tour")).await?;
+    let skin: Option<Skin> = client.if_there(&format!("/api/v1/sensor?run={}", found.uid)).await?;
+    let tour: Option<Tour> = client.if_there(&format!("{path}/tour")).await?;
     let progress: Option<TourProgress> = match tour {
-        Some(_) => if_there(client, &format!("{path}/progress")).await?,
+        Some(_) => client.if_there(&format!("{path}/progress")).await?,
         None => None,
     };
     let forces: Vec<ForcesAtDepth> = client.all(&format!("{path}/forces?")).await?;
@@ -195,11 +193,10 @@ fn facts(drawn: &Drawn) -> String {
 /// Trials by contacts with bars; `None` without trials.
 fn counts(contact_counts: &[u64; 7]) -> Option<Table> {
     let most = contact_counts.iter().copied().max().filter(|most| *most > 0)?;
-    let heads = [("contacts", Align::Right), ("trials", Align::Right), ("", Align::Left)];
-    let mut table = Table::new(&heads, "");
+    let mut table = Table::new("contacts> | trials> |", "");
     let last = contact_counts.iter().rposition(|count| *count > 0).unwrap_or(0);
     for (contacts, count) in contact_counts.iter().enumerate().take(last + 1) {
-        let bar = super::chart::bar(*count as f64 / most as f64, BAR);
+        let bar = filled(*count as f64 / most as f64, BAR);
         table.push([contacts.to_string(), grouped(*count), bar]);
     }
     Some(table)

@@ -3,14 +3,14 @@
 
 use std::fmt::Write;
 
-use super::chart::{bar, printed, width};
+use super::chart::{printed, width};
 use super::frame::{Ink, Picture, draw};
 use super::when::second;
 use crate::api::Page;
 use crate::cli::client::Client;
 use crate::cli::error::CliError;
 use crate::cli::find::find_run;
-use crate::cli::output::{Output, is_coloured, say, say_drawn, say_json};
+use crate::cli::output::{Output, filled, is_coloured, say, say_drawn, say_json};
 use crate::store::TrialRow;
 
 /// Width of the bar of a force, characters.
@@ -170,7 +170,7 @@ fn forces(trial: &TrialRow) -> String {
     let most = trial.arms.iter().map(|arm| arm.force_n).fold(1.0, f64::max);
     let mut text = String::new();
     for arm in &trial.arms {
-        let bar = bar(arm.force_n / most, BAR);
+        let bar = filled(arm.force_n / most, BAR);
         let (x, y) = (arm.x_mm, arm.y_mm);
         let _ = write!(
             text,

@@ -10,7 +10,7 @@ use crate::cli::embed;
 use crate::cli::error::CliError;
 use crate::cli::find::find_run;
 use crate::cli::output::{grouped, say, say_json};
-use crate::cli::table::{Align, Table, or_dash};
+use crate::cli::table::{Table, or_dash};
 use crate::store::TrialRow;
 
 /// What was asked for: at most one run, and conditions.
@@ -95,20 +95,10 @@ async fn list(client: &Client, args: &TrialsArgs, asked: Asked) -> Result<(), Cl
 }
 
 fn table(trials: &[TrialRow], with_run: bool) -> Table {
-    let mut heads = vec![("trial", Align::Right)];
-    if with_run {
-        heads.push(("run", Align::Right));
-    }
-    heads.extend([
-        ("configuration", Align::Right),
-        ("depth, mm", Align::Right),
-        ("tips", Align::Right),
-        ("contacts", Align::Right),
-        ("largest, N", Align::Right),
-        ("FVU", Align::Right),
-        ("measured", Align::Left),
-        ("flags", Align::Left),
-    ]);
+    let run = if with_run { "run> | " } else { "" };
+    let heads = format!(
+        "trial> | {run}configuration> | depth, mm> | tips> | contacts> | largest, N> | FVU> | measured | flags"
+    );
     let mut table = Table::new(&heads, "no trial fits");
     for trial in trials {
         let flags: Vec<&str> = trial.flags.iter().map(|flag| flag.as_str()).collect();

@@ -134,7 +134,7 @@ async fn tables(client: &Client, as_json: bool) -> Result<(), CliError> {
     let text = |table: &Map<String, Value>, key: &str| {
         table.get(key).and_then(Value::as_str).unwrap_or_default().replace('`', "")
     };
-    let mut shown = Table::new(&[("table", Align::Left), ("a row is", Align::Left)], "no tables");
+    let mut shown = Table::new("table | a row is", "no tables");
     for table in &tables {
         let about = text(table, "about");
         shown.push([text(table, "name"), about.trim_start_matches("a row: ").to_owned()]);
@@ -176,7 +176,7 @@ async fn send(client: &Client, body: &Value) -> Result<reqwest::Response, CliErr
 }
 
 /// The format of rows that the ending of a file names.
-fn by_ending(out: &Path) -> Option<Format> {
+pub fn by_ending(out: &Path) -> Option<Format> {
     let name = out.file_name()?.to_str()?.to_lowercase();
     let (_, format) = Format::of_file(&name)?;
     format.streams().then_some(format)
@@ -224,8 +224,8 @@ fn show(answer: &Answer, limit: usize) {
         true if !kind.contains(['[', ' ']) => Align::Right,
         _ => Align::Left,
     };
-    let heads: Vec<_> = answer.columns.iter().map(|c| (c.name.as_str(), align(&c.kind))).collect();
-    let mut table = Table::new(&heads, "no row");
+    let heads = answer.columns.iter().map(|column| (column.name.clone(), align(&column.kind)));
+    let mut table = Table::of_columns(heads.collect(), "no row");
     for row in answer.rows.iter().take(limit) {
         table.push(answer.columns.iter().map(|column| cell(row.get(&column.name))));
     }

@@ -4,14 +4,14 @@
 use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
-use serde_json::Value;
+use serde_json::{Value, json};
 
 use super::prepared::{NAMES, Question, Trials, number};
 use super::{Answer, ask};
 use crate::cli::client::Client;
 use crate::cli::error::CliError;
 use crate::cli::find::find_run;
-use crate::cli::output::{note, say, say_json};
+use crate::cli::output::note;
 use crate::cli::{At, embed, picture};
 use crate::figure::Heading;
 use crate::figure::series::{Chart, Marks, Places, Series};
@@ -105,13 +105,8 @@ async fn draw(client: &Client, args: PlotArgs) -> Result<(), CliError> {
         .draw(&heading)
         .map_err(|limit| CliError::argument("the answer", &args.what, limit))?;
     picture::write(&args.out, &svg).await?;
-    if args.at.json {
-        say_json(
-            &serde_json::json!({ "sql": question.sql, "rows": answer.count, "file": args.out }),
-        );
-    } else {
-        say(args.out.display());
-    }
+    let drawn = json!({ "sql": question.sql, "rows": answer.count, "file": args.out });
+    args.at.output().say(&drawn, args.out.display());
     Ok(())
 }
 
@@ -224,7 +219,6 @@ fn chart(question: &Question, marks: Marks, answer: &Answer) -> Result<Chart, St
 #[cfg(test)]
 mod tests {
     use super::*;
-    use serde_json::json;
 
     fn answer(columns: &[(&str, &str)], rows: Value) -> Answer {
         let columns: Vec<Value> =

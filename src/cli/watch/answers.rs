@@ -1,65 +1,11 @@
 //! Answers of the service that only the screen reads. An older service lacks some of them: every field
 //! may be absent.
-//! PURE. Uses: serde. Never: an error for a field that is absent or has another form.
+//! PURE. Uses: serde. Never: an error for a field that is absent.
 
-use jiff::Timestamp;
 use serde::Deserialize;
-use serde::de::DeserializeOwned;
-use serde_json::Value;
 
-use crate::api::ForcesOfTips;
+use crate::api::{ForcesOfTips, History};
 use crate::ids::RunUid;
-
-/// Fields of `GET /api/v1/status` in addition to those of `StatusView`.
-#[derive(Debug, Clone, Default, PartialEq)]
-pub struct More {
-    /// Free disk space and need.
-    pub disk: Option<Disk>,
-    /// Time of the newest durable trial of the active run.
-    pub last_trial_at: Option<Timestamp>,
-    /// Everything that may suspend the run.
-    pub suspenders: Vec<Suspender>,
-    /// Position of the active run in its tour.
-    pub step: Option<Step>,
-    /// Limit of the force on one cell, N; absent without cells.
-    pub force_limit_n: Option<f64>,
-}
-
-/// Free disk space and need.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Deserialize)]
-pub struct Disk {
-    /// Free space, bytes.
-    pub free_bytes: Option<f64>,
-    /// Space that the active run and the queue still need, bytes.
-    pub needed_bytes: Option<f64>,
-}
-
-/// A monitor that may suspend the run.
-#[derive(Debug, Clone, Default, PartialEq, Deserialize)]
-#[serde(default)]
-pub struct Suspender {
-    /// Name for people.
-    pub name: String,
-    /// Latest value; absent before the first one.
-    pub value: Option<f64>,
-    /// Value beyond which it acts.
-    pub threshold: Option<f64>,
-    /// Unit of value and threshold; absent without one.
-    pub unit: Option<String>,
-    /// Time since which the value is beyond the threshold.
-    pub since: Option<Timestamp>,
-    /// Whether it suspends the run, or only warns.
-    pub suspends: bool,
-}
-
-/// Position in the tour.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize)]
-pub struct Step {
-    /// Index of the current step, from 0.
-    pub index: usize,
-    /// Number of steps.
-    pub of: usize,
-}
 
 /// `GET /api/v1/sensor`: the skin.
 #[derive(Debug, Clone, Default, PartialEq, Deserialize)]
@@ -124,29 +70,13 @@ pub struct TourProgress {
     pub forces_by_tips: Vec<ForcesOfTips>,
 }
 
-/// `GET /api/v1/runs/{run}/history`: the run over time, in bins of equal length.
-#[derive(Debug, Clone, Default, PartialEq, Deserialize)]
-#[serde(default)]
-pub struct Course {
-    /// Start of the run.
-    pub from: Option<Timestamp>,
-    /// Length of a bin, s.
-    pub bin_s: Option<f64>,
-    /// Number of trials in each bin.
-    pub trials: Vec<u32>,
-    /// Duration as it was predicted at the start, wall s.
-    pub predicted_s: Option<f64>,
-}
-
-impl Course {
-    /// Trials per hour over the last bins, or over all of them.
-    pub fn per_hour(&self, last: Option<usize>) -> Option<f64> {
-        let skipped = last.map_or(0, |last| self.trials.len().saturating_sub(last));
-        let bins = &self.trials[skipped..];
-        let over_s = bins.len() as f64 * self.bin_s?;
-        let trials: u32 = bins.iter().sum();
-        (over_s > 0.0).then(|| 3600.0 * f64::from(trials) / over_s)
-    }
+/// Trials per hour over the last bins of a run, or over all of them.
+pub fn per_hour(course: &History, last: Option<usize>) -> Option<f64> {
+    let skipped = last.map_or(0, |last| course.trials.len().saturating_sub(last));
+    let bins = &course.trials[skipped..];
+    let over_s = bins.len() as f64 * course.bin_s?;
+    let trials: u32 = bins.iter().sum();
+    (over_s > 0.0).then(|| 3600.0 * f64::from(trials) / over_s)
 }
 
 /// `GET /api/v1/twins`: the simulated twins.
@@ -192,51 +122,17 @@ pub struct RunTwins {
     pub pending: u64,
 }
 
-impl More {
-    /// Reads the fields that are there, each for itself.
-    pub fn of(status: &Value) -> Self {
-        Self {
-            disk: read(&status["disk"]),
-            last_trial_at: read(&status["last_trial_at"]),
-            suspenders: read(&status["suspenders"]).unwrap_or_default(),
-            step: read(&status["run"]["current_step"]),
-            force_limit_n: read(&status["rig"]["force_limit_n"]),
-        }
-    }
-}
-
-/// A field, if it is there in the expected form.
-fn read<T: DeserializeOwned>(value: &Value) -> Option<T> {
-    T::deserialize(value).ok()
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use serde_json::json;
 
     #[test]
-    fn fields_that_are_absent_or_have_another_form_cost_only_themselves() {
-        assert_eq!(More::of(&json!({})), More::default());
-        let more = More::of(&json!({
-            "disk": { "free_bytes": 5e9, "needed_bytes": null },
-            "last_trial_at": "yesterday",
-            "suspenders": [{ "name": "twins", "value": 0.2, "threshold": 0.5, "unit": "FVU" }],
-            "run": { "current_step": { "index": 3, "of": 9 } },
-        }));
-        assert_eq!(more.disk.unwrap().free_bytes, Some(5e9));
-        assert_eq!(more.disk.unwrap().needed_bytes, None);
-        assert_eq!(more.last_trial_at, None);
-        assert_eq!(more.suspenders[0].threshold, Some(0.5));
-        assert_eq!(more.step, Some(Step { index: 3, of: 9 }));
-    }
-
-    #[test]
     fn the_pace_of_a_run_is_that_of_all_bins_or_of_the_last_ones() {
-        let course = Course { bin_s: Some(60.0), trials: vec![10, 0, 5], ..Course::default() };
-        assert_eq!((course.per_hour(None), course.per_hour(Some(1))), (Some(300.0), Some(300.0)));
-        assert_eq!(course.per_hour(Some(2)), Some(150.0));
-        assert_eq!(Course::default().per_hour(None), None);
+        let run = History { bin_s: Some(60.0), trials: vec![10, 0, 5], ..History::default() };
+        assert_eq!([None, Some(1)].map(|last| per_hour(&run, last)), [Some(300.0), Some(300.0)]);
+        assert_eq!(per_hour(&run, Some(2)), Some(150.0));
+        assert_eq!(per_hour(&History::default(), None), None);
     }
 
     #[test]

@@ -11,6 +11,7 @@ use super::facts::{self, Now};
 use super::night::{Level, Night};
 use super::skin;
 use super::theme::Theme;
+use crate::cli::output::filled;
 use crate::cli::view::RigView;
 use crate::record::ARMS;
 
@@ -45,7 +46,7 @@ pub fn draw(frame: &mut Frame, night: &Night, now: &Now, theme: Theme) {
     draw_first(frame, first, night, theme);
     skin::draw(frame, map, night, theme);
     if let Some(status) = &night.status {
-        draw_forces(frame, forces, &status.rig, night.more.force_limit_n, theme);
+        draw_forces(frame, forces, &status.rig, theme);
         let lines = facts::facts(night, status, now, theme);
         let facts = titled(frame, facts, "night", theme);
         frame.render_widget(Paragraph::new(lines), facts);
@@ -110,8 +111,8 @@ fn draw_first(frame: &mut Frame, area: Rect, night: &Night, theme: Theme) {
 }
 
 /// One bar per arm, from 0 to the limit of one cell.
-fn draw_forces(frame: &mut Frame, area: Rect, rig: &RigView, limit_n: Option<f64>, theme: Theme) {
-    let limit_n = limit_n.filter(|limit_n| *limit_n > 0.0);
+fn draw_forces(frame: &mut Frame, area: Rect, rig: &RigView, theme: Theme) {
+    let limit_n = rig.force_limit_n.filter(|limit_n| *limit_n > 0.0);
     let limit = limit_n.map_or_else(String::new, |limit_n| format!(", limit {limit_n:.0} N"));
     let area = titled(frame, area, &format!("forces{limit}"), theme);
     for (arm, row) in (0..ARMS).zip(area.rows()) {
@@ -127,19 +128,11 @@ fn draw_forces(frame: &mut Frame, area: Rect, rig: &RigView, limit_n: Option<f64
         let style =
             if tip { theme.level(Level::Fine).add_modifier(Modifier::BOLD) } else { theme.aside() };
         frame.render_widget(Line::styled((arm + 1).to_string(), style), name);
-        frame.render_widget(Line::styled(filled(share, bar.width), theme.force(share)), bar);
+        frame.render_widget(Line::styled(filled(share, bar.width.into()), theme.force(share)), bar);
         let words = force_n.map_or("-".into(), |force_n| format!("{force_n:.1} N"));
         let style = if share >= 1.0 { theme.level(Level::Act) } else { theme.level(Level::Fine) };
         frame.render_widget(Line::styled(words, style).right_aligned(), number);
     }
-}
-
-/// A bar that fills a share of a width, to an eighth of a character. A gauge would leave a gap for its
-/// label.
-fn filled(share: f64, width: u16) -> String {
-    const BAR_PARTS: [&str; 8] = ["", "▏", "▎", "▍", "▌", "▋", "▊", "▉"];
-    let eighths = (share.clamp(0.0, 1.0) * f64::from(width) * 8.0).round() as usize;
-    "█".repeat(eighths / 8) + BAR_PARTS[eighths % 8]
 }
 
 /// The last events, the newest at the bottom.

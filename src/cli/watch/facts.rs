@@ -6,13 +6,13 @@ use jiff::{SignedDuration, Timestamp};
 use ratatui::style::Modifier;
 use ratatui::text::{Line, Span};
 
-use super::answers::Suspender;
+use super::answers::per_hour;
 use super::night::{Level, Night, Told, one_line};
 use super::theme::Theme;
-use crate::api::Rating;
+use crate::api::{Rating, RigRates, Suspender};
 use crate::campaign::shown::status::Eta;
 use crate::cli::output::{bytes, counted, duration, grouped};
-use crate::cli::rig_rates::RatesView;
+use crate::cli::rig_rates::broken_channels;
 use crate::cli::view::{RunView, StatusView};
 use crate::record::Label;
 use crate::state::StoredState;
@@ -119,20 +119,18 @@ pub fn facts(night: &Night, status: &StatusView, now: &Now, theme: Theme) -> Vec
         fact(&one_line(&glance.title()), one_line(&glance.words), level);
     }
     if let Some(run) = &status.run {
-        fact("now", phase(night, run), Level::Fine);
-        if let Some(at) = night.more.last_trial_at {
+        fact("now", phase(run), Level::Fine);
+        if let Some(at) = status.care.last_trial_at {
             fact("last trial", format!("{} ago", now.age(at)), Level::Fine);
         }
     }
-    if let Some(disk) = night.more.disk {
-        let words = |of: Option<f64>| of.map_or("-".into(), bytes);
-        let short = disk.free_bytes.zip(disk.needed_bytes).is_some_and(|(free, need)| free < need);
-        let (free, needed) = (words(disk.free_bytes), words(disk.needed_bytes));
-        let level = if short { Level::Act } else { Level::Fine };
+    if let Some(disk) = status.care.disk {
+        let (free, needed) = (bytes(disk.free_bytes as f64), bytes(disk.needed_bytes as f64));
+        let level = if disk.free_bytes < disk.needed_bytes { Level::Act } else { Level::Fine };
         fact("disk", format!("{free} free, {needed} needed"), level);
     }
     let rates = night.rates.as_ref();
-    if let Some(words) = rates.and_then(|rates| rates.stream.broken_channels()) {
+    if let Some(words) = rates.and_then(|rates| broken_channels(&rates.stream)) {
         fact("channels", words, Level::Look);
     }
     if let Some((words, level)) = twins(night) {
@@ -142,7 +140,7 @@ pub fn facts(night: &Night, status: &StatusView, now: &Now, theme: Theme) -> Vec
         let (holder, note) = (one_line(&lock.holder), one_line(&lock.note));
         fact("lock", format!("{holder}: {note} ({})", now.clock(lock.since, "%H:%M")), Level::Look);
     }
-    for suspender in &night.more.suspenders {
+    for suspender in &status.care.suspenders {
         let level = match (suspender.since, suspender.suspends) {
             (None, _) => Level::Fine,
             (Some(_), false) => Level::Look,
@@ -176,9 +174,9 @@ pub fn facts(night: &Night, status: &StatusView, now: &Now, theme: Theme) -> Vec
 }
 
 /// Where the run is in its tour, and what it does there.
-fn phase(night: &Night, run: &RunView) -> String {
+fn phase(run: &RunView) -> String {
     let words = run.phase.about();
-    match (night.more.step, run.trial) {
+    match (run.current_step, run.trial) {
         (Some(step), _) => format!("step {} of {}, {words}", step.index + 1, step.of),
         (None, Some(key)) => format!("configuration {}, {words}", key.configuration),
         (None, None) => words.into(),
@@ -188,8 +186,8 @@ fn phase(night: &Night, run: &RunView) -> String {
 /// Trials per hour, of the whole run and of its last tenth.
 fn pace(night: &Night) -> Option<String> {
     let course = night.course.as_ref()?;
-    let lately = course.per_hour(Some(course.trials.len().div_ceil(10)))?;
-    Some(format!("{:.0} trials/h, {lately:.0} lately", course.per_hour(None)?))
+    let lately = per_hour(course, Some(course.trials.len().div_ceil(10)))?;
+    Some(format!("{:.0} trials/h, {lately:.0} lately", per_hour(course, None)?))
 }
 
 /// The end as it was predicted at the start, and how much later or earlier it is expected now.
@@ -209,7 +207,7 @@ fn predicted(night: &Night, run: &RunView, now: &Now) -> Option<String> {
 }
 
 /// What the stream and the wires did in the last minute.
-fn rate_words(rates: &RatesView) -> Vec<(&'static str, String, Level)> {
+fn rate_words(rates: &RigRates) -> Vec<(&'static str, String, Level)> {
     let stream = &rates.stream;
     let Some(frames_per_s) = stream.frames_per_s else { return Vec::new() };
     let lost = format!("{} missed, {} garbled", stream.missed, stream.garbled);
@@ -253,9 +251,13 @@ fn twins(night: &Night) -> Option<(String, Level)> {
 }
 
 fn suspender_words(suspender: &Suspender, now: &Now) -> String {
-    let unit = suspender.unit.as_deref().map_or_else(String::new, |unit| format!(" {unit}"));
-    let number = |value: Option<f64>| value.map_or("-".into(), number);
-    let (value, threshold) = (number(suspender.value), number(suspender.threshold));
+    let unit = match suspender.unit.as_str() {
+        // Of a ratio.
+        "" | "1" => String::new(),
+        unit => format!(" {unit}"),
+    };
+    let value = suspender.value.map_or("-".into(), number);
+    let threshold = number(suspender.threshold);
     let since = suspender
         .since
         .map_or_else(String::new, |at| format!(", since {}", now.clock(at, "%H:%M")));

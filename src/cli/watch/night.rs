@@ -5,8 +5,8 @@ use std::collections::VecDeque;
 
 use jiff::{SignedDuration, Timestamp};
 
-use super::answers::{Course, More, Skin, Tour, TourProgress, Twins};
-use crate::cli::rig_rates::RatesView;
+use super::answers::{Skin, Tour, TourProgress, Twins};
+use crate::api::{History, RigRates};
 use crate::cli::view::{EventView, RunView, StatusView, need_words};
 use crate::event::Importance;
 use crate::ids::RunUid;
@@ -23,7 +23,7 @@ const EVENTS_KEPT: usize = 60;
 #[derive(Debug)]
 pub enum News {
     /// The status, and when it was asked for.
-    Status(Timestamp, Box<StatusView>, Box<More>),
+    Status(Timestamp, Box<StatusView>),
     /// The service did not answer; the cause.
     NoStatus(String),
     /// The skin of a run; absent if the service does not state it.
@@ -33,9 +33,9 @@ pub enum News {
     /// The progress of a run along its tour.
     Progress(RunUid, TourProgress),
     /// A run over time.
-    Course(RunUid, Course),
+    Course(RunUid, History),
     /// What stream and wires did in the last minute.
-    Rates(RatesView),
+    Rates(RigRates),
     /// The simulated twins.
     Twins(Twins),
     /// New events, in their order.
@@ -51,8 +51,6 @@ pub struct Night {
     pub url: String,
     /// Newest status of the service; absent before the first one.
     pub status: Option<StatusView>,
-    /// Its fields that an older service lacks.
-    pub more: More,
     /// When the last status was asked for.
     pub heard_at: Option<Timestamp>,
     /// Why the last request for the status failed.
@@ -68,9 +66,9 @@ pub struct Night {
     /// When the progress was read.
     pub progress_at: Option<Timestamp>,
     /// The active run over time.
-    pub course: Option<Course>,
+    pub course: Option<History>,
     /// What stream and wires did in the last minute.
-    pub rates: Option<RatesView>,
+    pub rates: Option<RigRates>,
     /// The simulated twins.
     pub twins: Option<Twins>,
     /// The last events, the newest last.
@@ -127,10 +125,9 @@ impl Night {
     /// Takes what was read at `now`.
     pub fn take(&mut self, news: News, now: Timestamp) {
         match news {
-            News::Status(asked, status, more) => {
+            News::Status(asked, status) => {
                 self.show_run(status.run.as_ref().map(|run| run.uid));
-                (self.status, self.more) = (Some(*status), *more);
-                (self.heard_at, self.trouble) = (Some(asked), None);
+                (self.status, self.heard_at, self.trouble) = (Some(*status), Some(asked), None);
             }
             News::NoStatus(why) => self.trouble = Some(one_line(&why)),
             News::Skin(run, skin) if self.run == Some(run) => self.skin = skin,
@@ -179,8 +176,7 @@ impl Night {
 
     /// Index of the current configuration in the tour.
     pub fn current(&self) -> Option<usize> {
-        self.active()?;
-        let of_status = self.more.step.map(|step| step.index);
+        let of_status = self.active()?.current_step.map(|step| step.index);
         of_status.or_else(|| self.progress.as_ref()?.current)
     }
 

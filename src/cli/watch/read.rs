@@ -4,17 +4,15 @@
 use std::time::Duration;
 
 use jiff::Timestamp;
-use serde::Deserialize;
-use serde_json::Value;
 use tokio::sync::{mpsc, watch};
 use tokio::time::{Instant, MissedTickBehavior, interval};
 
-use super::answers::{Course, More, Skin, Tour, TourProgress};
+use super::answers::{Skin, Tour, TourProgress};
 use super::night::News;
-use crate::api::Page;
+use crate::api::{History, Page};
 use crate::cli::client::Client;
 use crate::cli::error::CliError;
-use crate::cli::view::{EventView, StatusView};
+use crate::cli::view::EventView;
 use crate::event::notable_kinds;
 use crate::ids::RunUid;
 
@@ -45,11 +43,11 @@ pub async fn follow_status(
     loop {
         tick.tick().await;
         let asked = Timestamp::now();
-        let read = match status(&client).await {
-            Ok((status, more)) => {
+        let read = match client.status().await {
+            Ok(status) => {
                 let run = status.run.as_ref().map(|run| run.uid);
                 runs.send_if_modified(|seen| run.is_some() && std::mem::replace(seen, run) != run);
-                News::Status(asked, Box::new(status), Box::new(more))
+                News::Status(asked, Box::new(status))
             }
             Err(error) => News::NoStatus(error.to_string()),
         };
@@ -57,16 +55,6 @@ pub async fn follow_status(
             return;
         }
     }
-}
-
-async fn status(client: &Client) -> Result<(StatusView, More), CliError> {
-    let value: Value = client.get("/api/v1/status").await?;
-    let status = StatusView::deserialize(&value).map_err(|error| CliError::Refused {
-        operation: "GET /api/v1/status".into(),
-        status: 200,
-        detail: format!("this program does not understand the answer: {error}"),
-    })?;
-    Ok((status, More::of(&value)))
 }
 
 /// Reads all else until the receiver is closed: the skin and the tour once per run.
@@ -81,7 +69,7 @@ pub async fn follow_rest(
     let mut tick = interval(EVENTS_POLL);
     tick.set_missed_tick_behavior(MissedTickBehavior::Delay);
     let mut polled: Option<Instant> = None;
-    loop {
+    while !rest.news.is_closed() {
         tick.tick().await;
         let run = *runs.borrow();
         let changed = run != rest.run;
@@ -93,10 +81,8 @@ pub async fn follow_rest(
             polled = Some(Instant::now());
         }
         // What fails is read again; that the service is away, the status reports.
-        match rest.read(due).await {
-            Ok(true) => {}
-            Ok(false) => return,
-            Err(error) => tracing::debug!(%error, "not all of the screen could be read"),
+        if let Err(error) = rest.read(due).await {
+            tracing::debug!(%error, "not all of the screen could be read");
         }
     }
 }
@@ -115,79 +101,61 @@ struct Rest {
 }
 
 impl Rest {
-    /// Reads the events, and if it is `due` all else. Returns `false` if the receiver is closed.
-    async fn read(&mut self, due: bool) -> Result<bool, CliError> {
-        if !self.events().await? {
-            return Ok(false);
-        }
+    /// Reads the events, and if it is `due` all else.
+    async fn read(&mut self, due: bool) -> Result<(), CliError> {
+        self.events().await?;
         if !due {
-            return Ok(true);
+            return Ok(());
         }
-        let rates = stated(self.client.get("/api/v1/rig/rates").await)?;
-        if let Some(rates) = rates
-            && self.news.send(News::Rates(rates)).await.is_err()
-        {
-            return Ok(false);
+        if let Some(rates) = self.client.if_there("/api/v1/rig/rates").await? {
+            self.tell(News::Rates(rates)).await;
         }
         let twins = self.client.get("/api/v1/twins").await?;
-        if self.news.send(News::Twins(twins)).await.is_err() {
-            return Ok(false);
-        }
-        let Some(run) = self.run else { return Ok(true) };
+        self.tell(News::Twins(twins)).await;
+        let Some(run) = self.run else { return Ok(()) };
+        let path = format!("/api/v1/runs/{run}");
         if !self.tour {
-            let tour: Option<Tour> =
-                stated(self.client.get(&format!("/api/v1/runs/{run}/tour")).await)?;
+            let tour: Option<Tour> = self.client.if_there(&format!("{path}/tour")).await?;
             self.tour = tour.is_some();
-            if self.news.send(News::Tour(run, tour)).await.is_err() {
-                return Ok(false);
-            }
+            self.tell(News::Tour(run, tour)).await;
         }
         if !self.skin {
             let skin: Option<Skin> =
-                stated(self.client.get(&format!("/api/v1/sensor?run={run}")).await)?;
+                self.client.if_there(&format!("/api/v1/sensor?run={run}")).await?;
             self.skin = skin.is_some();
-            if self.news.send(News::Skin(run, skin)).await.is_err() {
-                return Ok(false);
-            }
+            self.tell(News::Skin(run, skin)).await;
         }
         let progress: Option<TourProgress> =
-            stated(self.client.get(&format!("/api/v1/runs/{run}/progress")).await)?;
-        let Some(progress) = progress else { return Ok(true) };
-        if self.news.send(News::Progress(run, progress)).await.is_err() {
-            return Ok(false);
-        }
-        self.course(run).await
-    }
-
-    /// Reads the course of a run, if it is due.
-    async fn course(&mut self, run: RunUid) -> Result<bool, CliError> {
+            self.client.if_there(&format!("{path}/progress")).await?;
+        let Some(progress) = progress else { return Ok(()) };
+        self.tell(News::Progress(run, progress)).await;
         if self.course.is_some_and(|at| at.elapsed() < COURSE) {
-            return Ok(true);
+            return Ok(());
         }
         self.course = Some(Instant::now());
-        let path = format!("/api/v1/runs/{run}/history?bins={COURSE_BINS}");
-        let course: Option<Course> = stated(self.client.get(&path).await)?;
-        let Some(course) = course else { return Ok(true) };
-        Ok(self.news.send(News::Course(run, course)).await.is_ok())
+        let course: Option<History> =
+            self.client.if_there(&format!("{path}/history?bins={COURSE_BINS}")).await?;
+        if let Some(course) = course {
+            self.tell(News::Course(run, course)).await;
+        }
+        Ok(())
     }
 
-    async fn events(&mut self) -> Result<bool, CliError> {
+    async fn events(&mut self) -> Result<(), CliError> {
         let since = self.since.unwrap_or(-EARLIER_EVENTS);
         // Only kinds of which the screen shows some: what matters may be hours older than the newest event.
         let kinds = notable_kinds().chain(["state"]).collect::<Vec<_>>().join(",");
         let path = format!("/api/v1/events?since={since}&kind={kinds}");
         let page: Page<EventView> = self.client.get(&path).await?;
-        let Some(last) = page.items.last() else { return Ok(true) };
-        self.since = Some(last.seq);
-        Ok(self.news.send(News::Events(page.items)).await.is_ok())
+        if let Some(last) = page.items.last() {
+            self.since = Some(last.seq);
+            self.tell(News::Events(page.items)).await;
+        }
+        Ok(())
     }
-}
 
-/// An answer, or nothing if the service does not know the address.
-fn stated<T>(answer: Result<T, CliError>) -> Result<Option<T>, CliError> {
-    match answer {
-        Ok(answer) => Ok(Some(answer)),
-        Err(CliError::Refused { status: 404, .. }) => Ok(None),
-        Err(error) => Err(error),
+    /// Tells the screen; one that has ended ends the reading.
+    async fn tell(&self, news: News) {
+        let _ = self.news.send(news).await;
     }
 }

@@ -11,11 +11,12 @@ use serde::Deserialize;
 use serde_json::{Value, json};
 
 use super::Asked;
-use super::answers::{More, Tour};
+use super::answers::Tour;
 use super::draw::draw;
 use super::facts::Now;
 use super::night::{Level, Mark, News, Night};
 use super::theme::Theme;
+use crate::api::{History, RigRates, StreamRates, WireRates};
 use crate::cli::view::StatusView;
 use crate::ids::RunUid;
 
@@ -56,14 +57,14 @@ fn status() -> Value {
         "queue_length": 2,
         "disk": { "free_bytes": 212_000_000_000_u64, "needed_bytes": 14_000_000_000_u64 },
         "last_trial_at": "2026-03-01T18:01:20Z",
-        "suspenders": [{ "name": "twins fvu", "value": 0.0942, "threshold": 0.5, "unit": "",
-            "since": null, "suspends": true }],
+        "suspenders": [{ "name": "twins fvu", "title": "", "value": 0.0942, "threshold": 0.5,
+            "unit": "", "since": null, "suspends": true }],
     })
 }
 
 fn told_status(status: &Value) -> News {
     let view = StatusView::deserialize(status).unwrap();
-    News::Status(start(), Box::new(view), Box::new(More::of(status)))
+    News::Status(start(), Box::new(view))
 }
 
 /// The screen of a campaign with five configurations of which the third is pressed.
@@ -137,14 +138,29 @@ fn all_facts_of_the_night_are_on_usual_terminals() {
 #[test]
 fn pace_prediction_rates_and_stuck_channels_are_shown() {
     let mut night = night();
-    let course = json!({ "from": "2026-03-01T08:00:00Z", "bin_s": 360.0, "predicted_s": 43_200.0,
-        "trials": vec![10; 100] });
-    night.take(News::Course(run(), serde_json::from_value(course).unwrap()), start());
-    let wires =
-        json!([{ "name": "cells", "requests_per_min": 1200.0, "retries": 2, "timeouts": 1 }]);
-    let rates = json!({ "over_s": 60.0, "wires": wires,
-        "stream": { "frames_per_s": 30.0, "missed": 4, "stuck": [17] } });
-    night.take(News::Rates(serde_json::from_value(rates).unwrap()), start());
+    let course = History {
+        from: "2026-03-01T08:00:00Z".parse().ok(),
+        bin_s: Some(360.0),
+        predicted_s: Some(43_200.0),
+        trials: vec![10; 100],
+        ..History::default()
+    };
+    night.take(News::Course(run(), course), start());
+    let wire = WireRates {
+        name: "cells".into(),
+        requests_per_min: Some(1200.0),
+        retries: 2,
+        timeouts: 1,
+        ..WireRates::default()
+    };
+    let stream = StreamRates {
+        frames_per_s: Some(30.0),
+        missed: 4,
+        stuck: vec![17],
+        ..StreamRates::default()
+    };
+    let rates = RigRates { over_s: 60.0, stream, wires: vec![wire] };
+    night.take(News::Rates(rates), start());
     let shown = text(&drawn(&night, &after(0), (120, 40), COLOUR));
     for words in [
         "100 trials/h, 100 lately",

@@ -5,7 +5,7 @@ use axum::Json;
 use axum::extract::{Request, State};
 use axum::http::StatusCode;
 use axum::response::Response;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use utoipa::ToSchema;
 
@@ -21,7 +21,7 @@ use crate::ids::{DatasetId, TaskId};
 use crate::store::{TaskKind, TaskRow, TaskState};
 
 /// An export: what was requested, and its progress.
-#[derive(Debug, Serialize, ToSchema)]
+#[derive(Debug, Serialize, Deserialize, ToSchema)]
 pub struct ExportOut {
     /// Id of the export, `ex-..`.
     #[schema(value_type = String)]

@@ -46,7 +46,7 @@ fn default_bins() -> u32 {
 }
 
 /// A run over time. Lists of numbers have one entry per bin.
-#[derive(Debug, Clone, Default, PartialEq, Serialize, ToSchema)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct History {
     /// Start of the run and of the first bin; null if the run has not started.
     #[schema(value_type = Option<String>, format = DateTime)]
@@ -81,7 +81,7 @@ pub struct History {
 }
 
 /// An estimate of the end of a run.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct Prediction {
     /// Time of the estimate.
     #[schema(value_type = String, format = DateTime)]
@@ -98,7 +98,7 @@ pub struct Prediction {
 }
 
 /// An event that is at least notable; `GET /events` has its details.
-#[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct NotableEvent {
     /// Number of the event.
     pub seq: i64,

@@ -117,8 +117,10 @@ mod workers;
 
 pub use access::{Access, Edited, Lock, Needs};
 pub use envelope::SamplesOut;
+pub use exports::ExportOut;
 pub use forces::ForcesAtDepth;
 pub use glance::{Glance, Question, Rating};
+pub use history::History;
 pub use infer::{FrameAnswer, InferOptions, InferRequest};
 pub use jobs::JobOut;
 pub use live_contacts::LiveAnswer;
@@ -133,9 +135,13 @@ pub use people::CreatedKey;
 pub use placement::{LastPlacement, PlacementOut, Stage};
 pub use progress::ForcesOfTips;
 pub use quantities::{LiveQuantities, QuantityRequest};
+pub use queue_times::QueueTime;
+pub use rates::{RigRates, StreamRates, WireRates};
 pub use runs::Summary;
 pub use service::Service;
 pub use spans::StateSpan;
+pub use status::DiskStatus;
+pub use suspenders::Suspender;
 pub use tls::{Tls, TlsCause, TlsError, warn_if_others_may_read};
 pub use turns::Turns;
 

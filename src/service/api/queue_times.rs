@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use axum::extract::State;
 use jiff::{SignedDuration, Timestamp};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 use super::App;
@@ -19,7 +19,7 @@ use crate::schedule::preflight::Preflight;
 use crate::store::RunRow;
 
 /// Predicted times of a waiting run. They hold if each run is started before its turn, and exclude the time of persons.
-#[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct QueueTime {
     /// Id of the run.
     pub run: RunUid,

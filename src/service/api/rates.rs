@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 use axum::Json;
 use axum::extract::State;
 use parking_lot::Mutex;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 use super::App;
@@ -23,7 +23,7 @@ const FRAME_LOOKS: u32 = 10;
 const WINDOW: Duration = Duration::from_secs(60);
 
 /// What the stream and the wires did in the last minute, or since the wires were opened.
-#[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct RigRates {
     /// Length of the time, wall s; 0 until the counters were read twice.
     pub over_s: f64,
@@ -34,7 +34,7 @@ pub struct RigRates {
 }
 
 /// What the voltage stream did.
-#[derive(Debug, Clone, Default, PartialEq, Serialize, ToSchema)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct StreamRates {
     /// Valid frames per second; null until the counters were read twice.
     pub frames_per_s: Option<f64>,
@@ -51,7 +51,7 @@ pub struct StreamRates {
 }
 
 /// What a wire did.
-#[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct WireRates {
     /// Name of the wire in the rig file.
     pub name: String,
@@ -125,7 +125,7 @@ impl Counters {
         let [stuck, saturated] = self.channels.lock().clone();
         let kept = self.reads.lock();
         let (Some(first), Some(last)) = (kept.front(), kept.back()) else {
-            return RigRates { over_s: 0.0, stream: StreamRates::default(), wires: Vec::new() };
+            return RigRates::default();
         };
         let over_s = last.at.duration_since(first.at).as_secs_f64();
         let rate = |count: u64, per_s: f64| (over_s > 0.0).then(|| count as f64 / over_s * per_s);

@@ -3,11 +3,10 @@
 
 use jiff::Timestamp;
 use serde::Deserialize;
-use serde_json::Value;
 use sim_core::sensor::Sensor;
 
 use super::super::answers::{TrialFacts, TwinsOf, all_trials, fit_of};
-use crate::api::{Page, StateSpan, Summary};
+use crate::api::{History, Page, StateSpan, Summary};
 use crate::cli::client::Client;
 use crate::cli::error::CliError;
 use crate::cli::view::EventView;
@@ -93,7 +92,7 @@ impl Facts {
         let uid = run.uid;
         let path = format!("/api/v1/runs/{uid}");
         let summary = client.summary(uid).await?;
-        let history: Value = client.get(&format!("{path}/history?bins=1")).await?;
+        let history: History = client.get(&format!("{path}/history?bins=1")).await?;
         let records = |kind: &str| format!("{path}/records/{kind}?limit={PAGE_RECORDS}");
         let outline = Sensor::from_toml(&run.sensor).ok().map(|sensor| Outline::of(&sensor));
         let (twins, fit) = fit_of(client, uid).await?;
@@ -101,7 +100,7 @@ impl Facts {
             twins,
             fit,
             trials: all_trials(client, uid, summary.trials_stored).await?,
-            states: serde_json::from_value(history["states"].clone()).unwrap_or_default(),
+            states: history.states,
             events: events(client, run).await?,
             tares: client.all(&records("tares")).await?,
             references: client.all(&records("references")).await?,
