@@ -41,6 +41,7 @@ pub use bench::run_row::{NewRun, RunPage, RunRow};
 pub use bench::untouched::BeforeTrial;
 pub use bench::wear::{PressedPoint, StoredWear};
 pub use lab::datasets::{DatasetRow, RunExtent};
+pub use lab::forces::DepthForce;
 pub use lab::history::{BinTrials, Bins, StoredHistory};
 pub use lab::imports::{
     IMPORTED_CONTACTS_MAX, IMPORTED_FRAMES_MAX, IMPORTED_MODEL, ImportedTrial, TAG_MAX_CHARS,

@@ -1,5 +1,6 @@
-"""Latency figures of a running service (standard library only).
+"""Latency figures of a service (standard library only).
 
+    python3 tests/figures/latency.py PALPATE dashboards [SECONDS]  gaps between trials, with and without 20 dashboards
     python3 tests/figures/latency.py URL gaps RUN [SECONDS [OF]]  (RUN: its number) gaps between trials, with and without load
     python3 tests/figures/latency.py URL estop COUNT [moving] e-stop request to the last acknowledgement
     python3 tests/figures/latency.py URL load SECONDS         200 read requests a second against the API
@@ -10,6 +11,9 @@ SECONDS, each second minute is under load. Without SECONDS: a run as it was. Wit
 name such as `run-1`, the load is exports of it, one after the other, instead of reads; with `dashboards` it is
 20 pages of the night: live status, live frames, events, and what a page reads again and again; with `analysts` ten
 people who ask one question after the other, in SQL, as groups, or for 10,000 trials with their frames.
+`dashboards`: starts a service, a virtual rig at speed 20 and a long run in a temporary folder, opens 20 dashboards in
+every second minute for SECONDS (480), and prints both p99 with their numbers; ends with 1 if either side has fewer than
+1000 gaps or dashboards lengthen the p99 by more than 1 ms.
 `estop moving`: x is on its way at each stop (a rig that may move, homed before each).
 """
 
@@ -17,6 +21,7 @@ import json
 import socket
 import statistics
 import sys
+import tempfile
 import threading
 import time
 import urllib.error
@@ -24,8 +29,15 @@ import urllib.request
 from datetime import datetime
 from urllib.parse import urlsplit
 
+sys.dont_write_bytecode = True
+from bench import Bench  # noqa: E402
+
 READS = ["/api/v1/status", "/api/v1/trials?limit=20&sort=-trial_id", "/api/v1/events?since=-50", "/metrics"]
 PERIOD_S = 60.0
+# With dashboards: the run, its speed, the fewest gaps of a side, and by how much they may lengthen the p99, ms: two quiet
+# minutes differ as much.
+LONG = """name = 'long'\nseed = 6\nsensor = 'sensors/ert-28.toml'\n[real_hex]\ntips = [1]\nconfigurations = 3000\n"""
+SPEED, GAPS_LEAST, GAP_LIMIT_MS, GAPS_S = 20.0, 1000, 1.0, 480.0
 QUESTIONS = [
     "SELECT contact_count, COUNT(*) AS n FROM trials GROUP BY contact_count",
     "SELECT depth_mm, MEDIAN(max_force_n) AS force_n FROM trials WHERE tips = 1 GROUP BY depth_mm",
@@ -53,8 +65,30 @@ def spread(name: str, values: list[float], unit: str) -> None:
     if not values:
         print(f"{name}: none")
         return
-    at = lambda q: values[min(len(values) - 1, int(q * len(values)))]
+    at = lambda q: share(values, q)
     print(f"{name}: n {len(values)}, p50 {at(0.5):.3f}, p99 {at(0.99):.3f}, max {values[-1]:.3f} {unit}")
+
+
+def share(values: list[float], q: float) -> float:
+    """The value below which a share of the values is."""
+    return sorted(values)[min(len(values) - 1, int(q * len(values)))]
+
+
+def with_dashboards(palpate: str, folder: str, seconds: float) -> tuple[str, bool]:
+    """Gaps between the trials of a run, without and with 20 dashboards, as words; whether enough were counted and the p99
+    stays."""
+    with Bench(palpate, folder, SPEED) as bench:
+        bench.home()
+        run = bench.queue(LONG)
+        bench.begin(run)
+        found = measured(bench.url, str(run["scan_id"]), seconds, "dashboards")
+    sides = [found[name][0] for name in ("idle", "under load")]
+    counts = [len(side) for side in sides]
+    if min(counts) < GAPS_LEAST:
+        return f"{counts[0]} and {counts[1]} gaps: at least {GAPS_LEAST} each are needed, measure longer", False
+    without, with_them = (share(side, 0.99) for side in sides)
+    words = f"{without:.1f} and {with_them:.1f} ms ({counts[0]} and {counts[1]} gaps)"
+    return words, with_them <= without + GAP_LIMIT_MS
 
 
 def gaps(url: str, run: str, seconds: float, of: str) -> None:
@@ -135,7 +169,11 @@ def exports(url: str, seconds: float, of: str) -> None:
 
 
 def dashboards(url: str, seconds: float, run: str, count: int = 20) -> None:
-    """As many pages as `count`: two WebSockets each, whose messages are read, the stream of events, and the repeated requests."""
+    """As many pages of the night as `count`: two WebSockets each, whose messages are read, the stream of events, what is
+    read once, and the repeated requests, all of them each 3 s, as the page repeats the most frequent one."""
+    once = ["/vocabulary", "/published", "/status", "/runs?limit=20", f"/runs/{run}/tour", f"/sensor?run={run}", "/rig/samples?minutes=15"]
+    again = [f"/runs/{run}/progress", "/twins", "/queue", "/frames/untouched", f"/runs/{run}/history?bins=120",
+             f"/runs/{run}/trials?limit=1&sort=-trial_id&voltages=true&fvu__gte=0"]
     end, received, events = time.monotonic() + seconds, [], []
 
     def follow(path: str) -> None:
@@ -157,10 +195,13 @@ def dashboards(url: str, seconds: float, run: str, count: int = 20) -> None:
                     events.append(len(line))
 
     def ask() -> None:
+        paths = [*once, *again]
         while time.monotonic() < end:
-            for path in (f"/api/v1/runs/{run}/progress", "/api/v1/twins", f"/api/v1/runs/{run}/history?bins=120"):
-                call(url, path)
-            time.sleep(max(0.0, min(5.0, end - time.monotonic())))
+            begun = time.monotonic()
+            for path in paths:
+                call(url, f"/api/v1{path}")
+            paths = again
+            time.sleep(max(0.0, min(begun + 3.0, end) - time.monotonic()))
 
     work = [(follow, "/api/v1/status/live"), (follow, "/api/v1/frames/live"), (listen,), (ask,)] * count
     threads = [threading.Thread(target=one[0], args=one[1:]) for one in work]
@@ -220,7 +261,12 @@ def estop(url: str, count: int, moving: bool) -> None:
 
 
 def main() -> None:
-    url, what, value, more, of = [*sys.argv[1:6], "", ""][:5]
+    url, what, value, more, of = [*sys.argv[1:6], "", "", ""][:5]
+    if what == "dashboards":
+        with tempfile.TemporaryDirectory(prefix="palpate-figures-") as folder:
+            words, is_met = with_dashboards(url, folder, float(value or GAPS_S))
+        print(f"last frame to next motion, p99, without and with 20 dashboards: {words}")
+        sys.exit(not is_met)
     {"gaps": lambda: gaps(url, value, float(more or 0), of), "load": lambda: load(url, float(value)),
      "estop": lambda: estop(url, int(value), more == "moving")}[what]()
 

@@ -132,6 +132,32 @@ async fn the_tour_leads_over_the_stored_trials_and_the_progress_counts_them() {
 }
 
 #[tokio::test]
+async fn a_preflight_states_what_the_run_before_it_pressed_on_the_same_skin() {
+    let recorded = recorded();
+    let (_folder, lab) = serve("earlier", &recorded).await;
+    let earlier =
+        async |run: usize| lab.get(&path(&recorded, run, "/preflight")).await["earlier"].clone();
+    let progress = lab.get(&path(&recorded, HALF, "/progress")).await;
+    let found = earlier(NEXT).await;
+    assert_eq!(found["scan_id"], recorded["runs"][HALF]["scan_id"], "{found}");
+    assert_eq!(found["forces_by_tips"], progress["forces_by_tips"]);
+    assert_eq!(found["forces_by_tips"][0]["configurations"], 2, "{found}");
+    assert_eq!(earlier(HALF).await["scan_id"], recorded["runs"][WHOLE]["scan_id"]);
+    assert_eq!(earlier(WHOLE).await, Value::Null, "it was the first");
+    // Over depth each trial counts once, and once for its number of tips.
+    let forces = lab.get(&path(&recorded, HALF, "/forces")).await;
+    let count = |tips: Value| {
+        let items = forces["items"].as_array().unwrap().iter();
+        let of_tips =
+            items.filter(|at| at["tips"] == tips).map(|at| at["trials"].as_u64().unwrap());
+        of_tips.sum::<u64>() as usize
+    };
+    let stored = trials(&recorded, HALF).len();
+    assert_eq!((count(Value::Null), count(json!(1))), (stored, stored), "{forces}");
+    lab.end().await;
+}
+
+#[tokio::test]
 async fn a_tour_is_sent_once() {
     let recorded = recorded();
     let (_folder, lab) = serve("tag", &recorded).await;

@@ -117,6 +117,16 @@ export async function all(path, query = {}, { most = 1000, ...options } = {}) {
   }
 }
 
+/** Makes a function that reads once: later calls get the same promise, unless it has failed. */
+export function readOnce(read) {
+  let asked = null
+  return () => {
+    asked ??= read()
+    asked.catch(() => { asked = null })
+    return asked
+  }
+}
+
 export function withQuery(path, query) {
   const pairs = Object.entries(query).filter(([, value]) => value != null && value !== '')
   return pairs.length ? `${path}?${new URLSearchParams(pairs)}` : path

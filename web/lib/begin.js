@@ -2,7 +2,8 @@
 // The service asks for two steps, arming and starting, so that a person sees the preflight between them.
 
 import { actOnRig, actOnRun, actor, confirm, named, runRefusal } from './actions.js'
-import { get, once, send } from './api.js'
+import { once, send } from './api.js'
+import { carried } from './carried.js'
 import { el, facts, say } from './dom.js'
 import { bytes, capital, count, counted, moment } from './format.js'
 import { live, who } from './live.js'
@@ -25,7 +26,7 @@ function until(test, seconds, what) {
 }
 
 /** Connects and homes the rig if its state needs it; `step` is told what is being done. */
-export async function readyRig(step = () => {}) {
+async function readyRig(step = () => {}) {
   const state = () => live.status?.rig.state, refused = live.status && runRefusal(live.status, 'start')
   if (live.status?.run) {
     if (refused) throw new Error(refused)
@@ -54,7 +55,7 @@ function mayReady({ rig, run }, title) {
 }
 
 /** What a preflight says, for the person who starts the run. */
-export function preflightWords(preflight) {
+function preflightWords(preflight) {
   const { trials, duration_s, duration_low_s, duration_high_s, waits_for_person, disk_bytes } = preflight
   return [
     facts([['Trials', count(trials)], ['Duration', band(duration_s, duration_low_s, duration_high_s)], ['Disk', bytes(disk_bytes)]]),
@@ -124,7 +125,7 @@ export const queueText = (file, definition, more = {}) => once('/queue', { file,
 
 /** Queues an experiment that the program carries, by name; returns the run. */
 export async function queueCarried(name) {
-  const { items } = await get('/experiments'), found = items.find(item => item.name === name)
+  const found = (await carried()).find(item => item.name === name)
   if (!found) throw new Error(`the program carries no experiment ${name}`)
   return queueText(found.file, found.text)
 }

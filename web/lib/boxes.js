@@ -1,9 +1,9 @@
 // Box plots side by side: median, quartiles, whiskers, and the share of values beyond them.
 
+import { cellKeys } from './cellkeys.js'
 import { colour, el, onLook, say, soon } from './dom.js'
 import { about, count, percent } from './format.js'
 import { picture } from './picture.js'
-import { readByKeys } from './boxkeys.js'
 
 /**
  * Makes a box plot. `set([{ name, trials, low, q1, median, q3, high, outliers }])`. `paper`: a published
@@ -76,14 +76,14 @@ export function boxes({ title, unit = '', factor = 1, paper, query, label, signa
   onLook(canvas, draw, signal)
   const data = () => ({ heads: ['group', 'trials', 'low', 'q1', 'median', 'q3', 'high', 'share beyond'],
     rows: items.map(item => [item.name, item.trials, item.low, item.q1, item.median, item.q3, item.high, percent(item.outliers, 1)]) })
-  const keys = readByKeys(canvas, { count: () => items.length, show(i) {
-    marked = i
+  const mark = i => {
+    marked = i < items.length ? i : null
     draw()
-    say(at, i == null ? '' : words(items[i]))
-    return at.textContent
-  } })
+    return say(at, marked == null ? '' : words(items[marked])).textContent
+  }
+  cellKeys(canvas, { kind: 'box plot', keys: 'On a box plot', size: () => [items.length, 1], show: cell => mark(cell?.[0]) })
   const node = picture({ title, query, label, data, canvas: () => canvas }, holder)
-  return { node, set(next) { items = next; keys.refresh(); draw() } }
+  return { node, set(next) { items = next; mark(marked) } }
 }
 
 /** A round number at least as large, that four parts divide well. */

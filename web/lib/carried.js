@@ -1,20 +1,12 @@
 // The experiments that the program carries: the list that the queue and the plan offer.
 
-import { get } from './api.js'
+import { get, readOnce } from './api.js'
 import { el, link } from './dom.js'
 import { count } from './format.js'
 import { table } from './table.js'
 
-let asked = null
-
 /** Experiments that the program carries; asked for once. */
-export function carried() {
-  asked ??= get('/experiments').then(page => page.items)
-  asked.catch(() => {
-    asked = null
-  })
-  return asked
-}
+export const carried = readOnce(() => get('/experiments').then(page => page.items))
 
 /** A table of them; `href(item)` is where a choice leads. */
 export async function carriedTable(href) {

@@ -1,18 +1,21 @@
-// The cells of a picture by keyboard: arrows go from cell to cell. Knows columns and rows, not what they hold.
+// The cells of a picture, or the boxes of a plot, by keyboard: arrows go from one to the next. Knows columns and rows, not
+// what they hold.
 
 import { keysHint, speak } from './speak.js'
 import { keysOf } from './readkeys.js'
 
+const UPRIGHT = ['ArrowUp', 'ArrowDown', 'PageUp', 'PageDown'] // Of no use in one row.
+
 /**
  * Makes a canvas readable by keys. `size()` returns [columns, rows]; `show(cell)` marks the cell [column, row], or none
- * with null, and returns its words.
+ * with null, and returns its words. `kind` is what the picture is, `keys` the title of its keys in the list of all.
  */
-export function cellKeys(canvas, { size, show }) {
+export function cellKeys(canvas, { size, show, kind = 'picture of cells', keys = 'On a frame' }) {
   let cell = null
   canvas.tabIndex = 0
   canvas.setAttribute('role', 'application')
-  canvas.setAttribute('aria-roledescription', 'picture of cells')
-  canvas.setAttribute('aria-describedby', keysHint('keys-cells', keysOf('On a frame')))
+  canvas.setAttribute('aria-roledescription', kind)
+  canvas.setAttribute('aria-describedby', keysHint(keys.toLowerCase().replaceAll(' ', '-'), keysOf(keys)))
   const MOVES = {
     ArrowLeft: ([column, row]) => [column - 1, row],
     ArrowRight: ([column, row]) => [column + 1, row],
@@ -24,12 +27,13 @@ export function cellKeys(canvas, { size, show }) {
     PageDown: ([column]) => [column, Infinity],
   }
   const go = to => {
+    if (!size()[0]) return speak('Nothing is drawn.')
     cell = to.map((at, axis) => Math.max(0, Math.min(size()[axis] - 1, at)))
-    speak(show(cell))
+    return speak(show(cell))
   }
   canvas.addEventListener('keydown', event => {
     const move = MOVES[event.key]
-    if (!move || event.ctrlKey || event.metaKey || event.altKey) return
+    if (!move || event.ctrlKey || event.metaKey || event.altKey || (size()[1] === 1 && UPRIGHT.includes(event.key))) return
     event.preventDefault()
     event.stopPropagation() // The page has keys too, as the next trial.
     go(cell ? move(cell) : [0, 0])

@@ -3,7 +3,7 @@
 import { contactsTable, fitTable } from './contacts.js'
 import { el, fill, link, panel } from './dom.js'
 import { counted } from './format.js'
-import { medianChart, medians, partWords } from './medians.js'
+import { medianChart, medians } from './medians.js'
 import { facing } from './report.js'
 import { runRows } from './runwords.js'
 import { table } from './table.js'
@@ -12,7 +12,7 @@ import { entries } from './toml.js'
 const nameOf = run => `Run ${run.scan_id}`
 
 /** Rows of two lists of [name, text] by name: { name, a, b, differs }. */
-export function sideBySide(one, two) {
+function sideBySide(one, two) {
   const other = new Map(two)
   const names = [...new Set([...one, ...two].map(([name]) => name))]
   const first = new Map(one)
@@ -79,16 +79,16 @@ export async function compare(root, { run: first, with: second, back, signal }) 
     ),
     panel('Contacts', {}, contactsTable([a, b].map(({ run, summary }) => ({ name: nameOf(run), kind: run.kind, counts: summary.contact_counts })))),
   )
-  const found = await Promise.all([a, b].map(({ run }) => medians(run, signal).catch(() => ({ tips: new Map(), trials: 0, more: false }))))
+  const found = await Promise.all([a, b].map(({ run }) => medians(run, signal).catch(() => new Map())))
   if (signal.aborted) return
   const view = medianChart(
-    found.map((one, i) => ({ name: nameOf([a, b][i].run), tips: one.tips, dash: i ? [6, 4] : undefined })),
+    found.map((tips, i) => ({ name: nameOf([a, b][i].run), tips, dash: i ? [6, 4] : undefined })),
     { label: () => (virtual ? 'virtual' : ''), signal },
   )
   fill(
     forces,
     view
-      ? [view.node, el('p', { className: 'soft small' }, [`${nameOf(b.run)} is dashed.`, ...new Set(found.map(partWords))].join(' '))]
+      ? [view.node, el('p', { className: 'soft small' }, `${nameOf(b.run)} is dashed.`)]
       : el('p', { className: 'soft' }, 'Neither run has trials with a depth.'),
   )
 }

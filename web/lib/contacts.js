@@ -5,7 +5,10 @@ import { count, fixed } from './format.js'
 import { table } from './table.js'
 import { paper as printed } from './vocabulary.js'
 
-const HEADS = ['Single', 'Double', 'Triple', 'Quadruple', 'Quintuple', 'Sextuple']
+/** Heads of the paper's Table I, for 1 to 6 contacts. */
+export const HEADS = ['Single', 'Double', 'Triple', 'Quadruple', 'Quintuple', 'Sextuple']
+/** 1 to 6 contacts as the paper's tables and figures number them. */
+export const NUMERALS = ['none', 'I', 'II', 'III', 'IV', 'V', 'VI']
 const sum = values => values.reduce((a, b) => a + b, 0)
 
 /** The table: `rows` [{ name, kind, counts (0 to 6 contacts) }]; the paper's row for each kind is added. */

@@ -2,17 +2,16 @@
 
 import { all, ask, get, hasKey, once } from './api.js'
 import { actor, outcome } from './actions.js'
+import { HEADS } from './contacts.js'
 import { el, facts, fill, link, note, panel } from './dom.js'
 import { bytes, count, counted, moment, percent, plain } from './format.js'
 import { fold } from './fold.js'
 import { lineageWalk } from './lineage.js'
 import { markdown } from './markdown.js'
+import { opened } from './opened.js'
 import { copyable, save } from './save.js'
 import { table } from './table.js'
 import { vocabulary } from './vocabulary.js'
-
-/** Heads of the paper's Table I, by number of contacts. */
-export const NUMBERS = ['None', 'Single', 'Double', 'Triple', 'Quadruple', 'Quintuple', 'Sextuple']
 
 /** Parts of a dataset as text. */
 export const partsWords = report =>
@@ -22,7 +21,7 @@ export const partsWords = report =>
     .join(', ') || 'not split'
 
 /** Rows by number of contacts, as in Table I; columns for `table`. */
-export const contactColumns = NUMBERS.map((head, n) => ({ head, cell: item => count(item.report.contact_counts?.[n] ?? 0) }))
+export const contactColumns = ['None', ...HEADS].map((head, n) => ({ head, cell: item => count(item.report.contact_counts?.[n] ?? 0) }))
 
 function lines(item) {
   const at = `${location.origin}/api/v1/data/${item.name}.parquet`
@@ -66,59 +65,36 @@ function definitionWords({ definition: d }) {
 
 /** Makes the view of one dataset; `onmade(item)` after it was made again. */
 export function datasetView({ signal, go, onmade, onexport }) {
-  const node = el('div', { className: 'dataset' })
-  let ending = new AbortController()
-  signal.addEventListener('abort', () => ending.abort())
-  let name = null,
+  let state = {},
     walk = null
-  async function show(query) {
-    const wanted = query.dataset
-    if (wanted === name) {
-      walk?.show(query)
-      return
-    }
-    name = wanted
-    ending.abort() // What the one before drew on and listened to.
-    ending = new AbortController()
+  const view = opened({ className: 'dataset', signal, draw: read })
+
+  async function read(node, wanted, mine) {
     walk = null
-    node.hidden = !wanted
-    if (!wanted) {
-      fill(node)
-      return
-    }
     fill(node, el('section', {}, el('p', { className: 'soft' }, `Reading ${wanted} …`)))
     const path = `/datasets/${encodeURIComponent(wanted)}`
     try {
       const [item, described, lineage, nets] = await Promise.all([
-        get(path, {}, { signal }),
-        get(`${path}/datapackage.json`, {}, { signal }),
-        get(`${path}/lineage`, {}, { signal }),
-        all('/models', {}, { most: 200, signal }).catch(() => []),
+        get(path, {}, { signal: mine }),
+        get(`${path}/datapackage.json`, {}, { signal: mine }),
+        get(`${path}/lineage`, {}, { signal: mine }),
+        all('/models', {}, { most: 200, signal: mine }).catch(() => []),
       ])
-      const card = await ask(`/api/v1${path}/card`, { accept: 'text/markdown', signal }).then(
+      const card = await ask(`/api/v1${path}/card`, { accept: 'text/markdown', signal: mine }).then(
         answer => answer.text(),
         error => `The card cannot be read: ${error.message}`
       )
-      if (name !== wanted || signal.aborted) return
-      draw(
-        item,
-        described,
-        lineage.lineage,
-        nets.filter(net => net.manifest.datasets?.includes(item.id)),
-        card,
-        query
-      )
+      const learned = nets.filter(net => net.manifest.datasets?.includes(item.id))
+      if (!mine.aborted) draw(node, item, described, lineage.lineage, learned, card, mine)
     } catch (error) {
-      if (name === wanted && !signal.aborted)
+      if (!mine.aborted)
         fill(node, el('section', {}, el('h2', { className: 'big' }, wanted), el('p', { className: 'bad' }, error.message), link('/data', 'All datasets')))
     }
   }
 
-  function draw(item, described, lineage, nets, card, query) {
+  function draw(node, item, described, lineage, nets, card, mine) {
     const said = outcome(),
-      { report } = item,
-      labels = [...new Set(lineage.runs.map(run => run.label))]
-    const label = labels.join(' and ') || 'simulated'
+      { report, label } = item
     const again = actor(
       'Make again',
       said,
@@ -162,7 +138,7 @@ export function datasetView({ signal, go, onmade, onexport }) {
       facts([
         ['Rows', count(item.rows)],
         ['Size', bytes(item.bytes)],
-        ['Label', el('span', { className: label === 'virtual' ? 'virtual-word' : '' }, label)],
+        ['Label', el('span', { className: label === 'virtual' ? 'virtual' : '' }, label ?? 'not known')],
         ['Made', moment(item.created_at)],
         ['Channels', count(report.channels)],
         ['Licence', described.licenses?.[0].title ?? described.licenses?.[0].name ?? 'not stated'],
@@ -219,7 +195,7 @@ export function datasetView({ signal, go, onmade, onexport }) {
     }).node
     heads.classList.add('tall-table')
     const columns = panel('Columns', { aside: el('span', {}, counted(report.columns.length, 'column')) }, heads)
-    walk = lineageWalk({ dataset: item, lineage, nets, label: label === 'virtual' ? 'virtual' : '', signal: ending.signal, set: go })
+    walk = lineageWalk({ dataset: item, lineage, nets, label, signal: mine, set: go })
     const graph = panel('What it was made from', { aside: el('span', {}, 'dataset, runs, trials, frame') }, walk.node)
     const about = panel(
       'Card',
@@ -231,17 +207,20 @@ export function datasetView({ signal, go, onmade, onexport }) {
           save('Save as Data Package', `/api/v1/datasets/${item.id}/datapackage.json`, 'datapackage.json')
         ),
       },
-      fold('card', 'Read the card', { className: 'card', signal: ending.signal }, markdown(card))
+      fold('card', 'Read the card', { className: 'card', signal: mine }, markdown(card))
     )
     fill(node, head, counts, el('div', { className: 'columns two' }, files, columns), graph, about)
-    walk.show(query)
+    walk.show(state)
   }
   return {
-    node,
-    show,
-    forget() {
-      name = null
+    node: view.node,
+    show(query) {
+      state = query
+      if (!query.dataset) walk = null
+      view.show(query.dataset)
+      walk?.show(query)
     },
+    forget: view.forget,
   }
 }
 

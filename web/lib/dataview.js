@@ -2,7 +2,7 @@
 // same colours with the same end, so that two glances can be compared.
 
 import { Refused, get, socket } from './api.js'
-import { el, fill, note, onBeat, say, select, sleep } from './dom.js'
+import { el, every, fill, note, onBeat, say, select } from './dom.js'
 import { age, clock, counted, fixed, moment, span } from './format.js'
 import { frame, minus } from './frame.js'
 import { live } from './live.js'
@@ -84,13 +84,8 @@ export function dataView({ state, set, signal, label, onfacts = () => {} }) {
   }
 
   async function look() {
-    while (!signal.aborted) {
-      if (!document.hidden) {
-        await Promise.all([lookUntouched(), lookTrial()])
-        if (!signal.aborted) { drawTwin(); if (!isLive() || !parsed) draw() }
-      }
-      await sleep(LOOK_MS, signal)
-    }
+    await Promise.all([lookUntouched(), lookTrial()])
+    if (!signal.aborted) { drawTwin(); if (!isLive() || !parsed) draw() }
   }
   async function lookUntouched() {
     try { untouched = await get('/frames/untouched', {}, { signal }); why = '' } catch (error) {
@@ -122,7 +117,7 @@ export function dataView({ state, set, signal, label, onfacts = () => {} }) {
     else if (wasOld && isLive()) tellLive()
   }, 1000)
   signal.addEventListener('abort', () => clearInterval(watch))
-  look()
+  every(LOOK_MS, look, signal)
   draw()
   return {
     node: el('div', {}, lost, el('div', { className: 'pair frames' }, el('div', {}, left.node, frameWords), twin)),

@@ -137,6 +137,30 @@ export const sleep = (ms, signal) => new Promise(resolve => {
   signal?.addEventListener('abort', end, { once: true })
 })
 
+/** Resolves once the page is seen, or `signal` aborts. */
+const seen = signal => new Promise(resolve => {
+  const over = new AbortController()
+  const look = () => {
+    if (document.hidden && !signal.aborted) return
+    over.abort()
+    resolve()
+  }
+  document.addEventListener('visibilitychange', look, { signal: over.signal })
+  signal.addEventListener('abort', look, { signal: over.signal })
+  look()
+})
+
+/**
+ * Calls `work` now and again `ms` after its end, until `signal` aborts; `ms` may be a function. While the page is hidden
+ * it rests; once it is seen again, what is old is read at once.
+ */
+export async function every(ms, work, signal) {
+  for (; !signal.aborted; await sleep(typeof ms === 'function' ? ms() : ms, signal)) {
+    await seen(signal)
+    if (!signal.aborted) await work()
+  }
+}
+
 /** Gives a file to the browser. */
 export function download(name, content, type) {
   const url = URL.createObjectURL(content instanceof Blob ? content : new Blob([content], { type }))

@@ -1,7 +1,7 @@
 // The editor of an experiment: its text, a form for its keys, what the service finds wrong, and what it will take.
 // Nothing is queued before a person asks for it.
 
-import { Refused, get, keep, once, send } from './api.js'
+import { Refused, get, keep, once, readOnce, send } from './api.js'
 import { actor, confirm, outcome } from './actions.js'
 import { button, el, fill, sleep } from './dom.js'
 import { fields } from './fields.js'
@@ -11,16 +11,8 @@ import { tourPart } from './submitted.js'
 import { raw } from './toml.js'
 
 const REST_MS = 400
-let schemaAsked = null
-
-/** JSON schema of an experiment file, asked for once; null where the service has none. */
-export function schema() {
-  schemaAsked ??= get('/experiments/schema').catch(() => {
-    schemaAsked = null
-    return null
-  })
-  return schemaAsked
-}
+/** JSON schema of an experiment file. */
+const schema = readOnce(() => get('/experiments/schema'))
 
 /** Whether a draft differs from the text that it began with. */
 export const isEdited = ({ text, of }) => of != null && text !== of
@@ -182,12 +174,15 @@ export function editor({ draft, reread, ondone, onclose, signal }) {
   )
   again.hidden = draft.text == null || draft.text === state.text
   form.show(state.text)
-  schema().then(known => {
-    if (known && !signal.aborted) {
+  // Without it the form has no limits and no meanings; the text is checked all the same.
+  schema().then(
+    known => {
+      if (signal.aborted) return
       form.setSchema(known)
       check()
-    }
-  })
+    },
+    () => {},
+  )
   live.addEventListener('caller', check, { signal })
   check()
   return { node }

@@ -1,18 +1,18 @@
 // Exports: a dataset in a format, written by the service, with progress. Polled while one is under way.
 
-import { get, once } from './api.js'
+import { once } from './api.js'
 import { actor, outcome } from './actions.js'
 import { button, el, note, panel, select, sleep } from './dom.js'
 import { keepForm } from './formstate.js'
 import { bytes, count, moment, percent, plain } from './format.js'
+import { listing } from './listing.js'
 import { save } from './save.js'
 import { table } from './table.js'
 import { vocabulary } from './vocabulary.js'
-import { TONE } from './words.js'
+import { TONE, isUnderWay } from './words.js'
 
 /** Format of files by its name. */
 const formatOf = name => vocabulary.formats.find(format => format.name === name)
-const busy = one => ['waiting', 'running'].includes(one.state)
 
 /** Makes the panel of the exports; `choose(name)` sets the dataset of the form, whose values are in the address. */
 export function exportsPanel({ signal }) {
@@ -76,31 +76,27 @@ export function exportsPanel({ signal }) {
       { head: 'Save', cell: one => one.url && save('Save', one.url, `${one.dataset ?? one.request.dataset}.${formatOf(one.request.format)?.extension ?? one.request.format}`) },
     ],
   })
-  let items = [],
-    next = null
-  const more = button('More', () => read(next), { hidden: true }),
+  const known = listing('/exports', { limit: 20, signal }),
+    more = button('More', () => read(true), { hidden: true }),
     trouble = el('p', { className: 'bad', role: 'status', hidden: true })
-  async function read(cursor) {
-    let page
+  async function read(further) {
     try {
-      page = await get('/exports', { limit: 20, cursor }, { signal })
+      await known.read(further)
     } catch (error) {
       if (signal.aborted) return undefined
       note(trouble, `The exports could not be read: ${error.message}. Trying again.`)
-      return cursor && trouble.scrollIntoView({ block: 'nearest' }) // The button is below the rows.
+      return further && trouble.scrollIntoView({ block: 'nearest' }) // The button is below the rows.
     }
     if (signal.aborted) return undefined
     note(trouble, '')
-    items = cursor ? [...items, ...page.items] : page.items
-    next = page.next
-    more.hidden = !next || items.length >= 200
-    return rows.show(items)
+    more.hidden = !known.next || known.items.length >= 200
+    return rows.show(known.items)
   }
   async function watch() {
     await read()
     while (!signal.aborted) {
       await sleep(1500, signal)
-      if (!signal.aborted && !document.hidden && (items.some(busy) || !trouble.hidden)) await read()
+      if (!signal.aborted && !document.hidden && (known.items.some(isUnderWay) || !trouble.hidden)) await read()
     }
   }
   watch()

@@ -3,14 +3,14 @@
 import { all, get } from './api.js'
 import { boxes } from './boxes.js'
 import { chart } from './chart.js'
+import { NUMERALS } from './contacts.js'
 import { el, facts, fill, pane, panel, say, select } from './dom.js'
 import { about, count, counted, fixed, percent } from './format.js'
 import { sequential } from './frame.js'
 import { scaleBar } from './scalebar.js'
-import { sensor, skin } from './skin.js'
+import { nearest, sensor, skin } from './skin.js'
 import { paper } from './vocabulary.js'
 
-const NUMERALS = ['', 'I', 'II', 'III', 'IV', 'V', 'VI']
 /** Trials of which the voltages are compared one by one: newest with contacts. */
 const SAMPLE = 40, DOTS = 6000
 const FVU_WORDS = 'FVU is the share of the variance of the measured voltages that the simulation does not explain (Eq. 2): 0 is perfect.'
@@ -135,14 +135,13 @@ function byForce(report, key, { title, unit = '', factor = 1, range, label, quer
 }
 
 function heat(run, report, { label, query, signal }) {
-  const TOP = 0.5, nearest = mm => mm && report.by_point.reduce((best, p) => { const d = Math.hypot(p.x_mm - mm[0], p.y_mm - mm[1]);
-    return d < (best?.d ?? 20) ? { d, p } : best }, null)?.p
+  const TOP = 0.5, spots = () => report.by_point.map(p => [p.x_mm, p.y_mm])
   const view = skin({ title: `Mean FVU by place, one tip above the deadband (Fig. 7D)`, label, query, signal,
     describe: () => `Skin with the mean FVU at ${counted(report.by_point.length, 'place')}`,
     data: () => ({ heads: ['x_mm', 'y_mm', 'trials', 'mean_fvu'], rows: report.by_point.map(p => [p.x_mm, p.y_mm, p.trials, p.mean_fvu]) }),
-    spots: () => report.by_point.map(p => [p.x_mm, p.y_mm]),
+    spots,
     onhover(mm) {
-      const p = nearest(mm)
+      const p = mm && report.by_point[nearest(spots(), mm, 20)]
       return p ? `x ${fixed(p.x_mm, 0)}, y ${fixed(p.y_mm, 0, 'mm')}: mean FVU ${fixed(p.mean_fvu, 3)} of ${counted(p.trials, 'trial')}` : ''
     },
     draw(pen, scale, shape) {

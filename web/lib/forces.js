@@ -19,12 +19,13 @@ export function forceBars({ signal }) {
   })
   const note = el('p', { className: 'soft small' })
   const node = el('div', {}, el('ul', { className: 'bars' }, rows.map(row => row.node)), note)
-  let said = 0
+  let said = 0, later = 0
   const draw = onBeat(() => {
     const { rig } = live.status ?? {}
     if (!rig) return
     const words = Date.now() - said > SAY_MS
     if (words) said = Date.now()
+    else later ||= setTimeout(() => { later = 0; draw() }, SAY_MS) // The last number is that of the bar.
     const limit = rig.force_limit_n, last = samples.length - 1
     const closed = rig.state === 'disconnected', recent = !closed && last >= 0 && Date.now() - samples.at_ms[last] < 5000
     // The status keeps what was read last: with closed wires nothing is measured.
@@ -112,7 +113,7 @@ function close(out) {
 }
 
 /** Draws a limit over a chart, as a red line with its value. */
-export function limitLine(u, limit) {
+function limitLine(u, limit) {
   if (limit == null) return
   const y = u.valToPos(limit, 'y', true), { left, width, top, height } = u.bbox
   if (y < top || y > top + height) return

@@ -10,7 +10,7 @@ const BEND = 0.15
 const FULL = Math.asinh(1 / BEND), bend = u => Math.asinh(u / BEND) / FULL, unbend = t => Math.sinh(t * Math.asinh(1 / BEND)) * BEND
 
 /** 255 colours: blue below zero, orange above; zero is the page's own ground. */
-export function diverging() {
+function diverging() {
   const stops = dark.matches ? [[150, 205, 255], [45, 110, 190], [28, 31, 35], [190, 85, 25], [255, 205, 140]]
     : [[8, 48, 107], [88, 150, 205], [247, 247, 244], [230, 140, 70], [125, 40, 5]]
   return shades(stops)
@@ -58,7 +58,7 @@ export function round125(top) {
  * Width and height of the picture of `n` values: channels by injections. 784 are 28 by 28; another square number is a
  * square as well. Others are one row of channels, since their number alone does not state the injections.
  */
-export function sizeOf(n) {
+function sizeOf(n) {
   const side = Math.round(Math.sqrt(n))
   return side * side === n ? [side, side] : [n, 1]
 }

@@ -14,7 +14,7 @@ const ms = text => text == null ? null : Date.parse(text)
 const seconds = text => ms(text) / 1e3
 
 /** How the predicted end compares with the actual one, or with the newest estimate: a sentence, '' without any. */
-export function predictionWords({ predicted_s, elapsed_s, predictions = [], from }, endedAt, eta_s) {
+function predictionWords({ predicted_s, elapsed_s, predictions = [], from }, endedAt, eta_s) {
   if (predicted_s == null || !from) return ''
   const planned = ms(from) + 1e3 * predicted_s, end = endedAt ?? (eta_s == null ? null : Date.now() + 1e3 * eta_s)
   const words = [`Predicted when it was armed: ${span(predicted_s)}, until ${moment(planned)}.`]

@@ -3,22 +3,21 @@
 import { get, send } from './api.js'
 import { confirm, named, only } from './actions.js'
 import { changing } from './changing.js'
-import { button, el, fill, link, note, panel, say, sleep } from './dom.js'
+import { button, el, every, fill, link, note, panel, say, sleep } from './dom.js'
 import { capital, count, counted, fixed, moment, percent, plain, span, steadyCountOf } from './format.js'
+import { listing } from './listing.js'
 import { live } from './live.js'
 import { losses } from './losses.js'
 import { opened } from './opened.js'
 import { reportView } from './scores.js'
 import { table } from './table.js'
 import { raw } from './toml.js'
-import { TONE } from './words.js'
+import { TONE, isUnderWay } from './words.js'
 
-/** Whether a job has not ended. */
-export const busy = job => ['waiting', 'running'].includes(job.state)
 const recipeName = job => (raw(job.request.recipe ?? '', '', 'name') ?? '').replace(/"/g, '') || 'a recipe'
 
 /** What a job is, in a few words. */
-export const jobWords = job =>
+const jobWords = job =>
   job.kind === 'training'
     ? `training of ${recipeName(job)}`
     : `evaluation of ${job.request.scored} on ${job.request.dataset}${job.request.part ? `, ${job.request.part}` : ''}`
@@ -58,48 +57,34 @@ export function jobsPanel({ signal, href, current, onchange }) {
       },
     ],
   })
-  const more = button('More', () => read(next), { hidden: true }),
+  const known = listing('/jobs', { limit: 25, signal }),
+    more = button('More', () => read(true), { hidden: true }),
     trouble = el('p', { className: 'bad', role: 'status', hidden: true }),
     node = panel('Jobs', { className: 'live' }, trouble, rows.node, el('div', { className: 'row' }, more))
-  let jobs = [],
-    next = null,
-    before = ''
-  async function read(cursor) {
-    let page
+  let before = ''
+  async function read(further) {
     try {
-      page = await get('/jobs', { limit: cursor ? 50 : 25, cursor }, { signal })
+      await known.read(further)
     } catch (error) {
       if (signal.aborted) return undefined
       note(trouble, `The jobs could not be read: ${error.message}. Trying again.`)
-      return cursor && trouble.scrollIntoView({ block: 'nearest' }) // The button is below the rows.
+      return further && trouble.scrollIntoView({ block: 'nearest' }) // The button is below the rows.
     }
     if (signal.aborted) return undefined
     note(trouble, '')
-    // The first page is read again and again: what was read beyond it stays.
-    const fresh = new Set(page.items.map(job => job.id))
-    const had = jobs.length > page.items.length || cursor
-    jobs = cursor
-      ? [...jobs, ...page.items.filter(job => !jobs.some(one => one.id === job.id))]
-      : [...page.items, ...jobs.filter(job => !fresh.has(job.id))]
-    if (cursor || !had) next = page.next
-    more.hidden = !next || jobs.length >= 500
+    const jobs = known.items
+    more.hidden = !known.next || jobs.length >= 500
     rows.show(jobs)
     const ended = jobs
-        .filter(job => !busy(job))
+        .filter(job => !isUnderWay(job))
         .map(job => job.id)
         .join(),
       changed = before !== '' && before !== ended
     before = ended || '-'
     return onchange(jobs, changed)
   }
-  async function watch() {
-    for (let wait = 0; !signal.aborted; wait = jobs.some(busy) ? 2000 : 10_000) {
-      await sleep(wait, signal)
-      if (!signal.aborted && !document.hidden) await read()
-    }
-  }
-  watch()
-  return { node, read: () => read(), redraw: () => rows.show(jobs), all: () => jobs }
+  every(() => (known.items.some(isUnderWay) ? 2000 : 10_000), () => read(), signal)
+  return { node, read: () => read(), redraw: () => rows.show(known.items), all: () => known.items }
 }
 
 /** Makes the view of one job; ends what it began when another one is shown. */
@@ -168,7 +153,7 @@ export function jobView({ signal, said, models, onstopped }) {
         p?.train_loss != null && ['Train loss', fixed(p.train_loss, 5)],
         p?.validation_loss != null && ['Validation loss', fixed(p.validation_loss, 5)],
       ])
-      if (controls.hasChildNodes() !== busy(job)) fill(controls, busy(job) && stop)
+      if (controls.hasChildNodes() !== isUnderWay(job)) fill(controls, isUnderWay(job) && stop)
       if (job.kind === 'training' && job.state !== 'waiting' && !curves) {
         curves = losses({ path: `/jobs/${id}/losses`, key: 'job-losses', signal: mine, live: () => job.state === 'running' })
         node.append(el('section', { className: 'live' }, curves.node))
@@ -199,7 +184,7 @@ export function jobView({ signal, said, models, onstopped }) {
         job = await get(`/jobs/${id}`, {}, { signal: mine })
         if (mine.aborted) return
         draw()
-        if (!busy(job)) return
+        if (!isUnderWay(job)) return
       } catch (error) {
         if (mine.aborted) return
         if (!job) {

@@ -132,5 +132,8 @@ export function start() {
   begin()
 }
 
+/** Label of what this rig measures, for its pictures; '' while it is not known. */
+export const rigLabel = () => live.status?.rig.label ?? ''
+
 /** Name for the log of actions; a remembered one, else that of the key. */
 export const who = () => person.name || live.caller?.name || ''

@@ -12,20 +12,24 @@ export const matters = event => event.importance !== 'routine'
 /** Kinds of which some events matter, as a parameter of a request. */
 export const kindsThatMatter = () => vocabulary.events.filter(matters).map(({ name }) => name).join()
 
-const tone = event => LOUD[event.importance] ?? ''
+/** An event as a row of a list: its time, with the day if it is long ago, and its words. */
+export const eventRow = event => el('li', { className: LOUD[event.importance] ?? '' }, el('time', { dateTime: event.at, title: moment(event.at, true) },
+  Date.now() - Date.parse(event.at) < 64_800e3 ? clock(event.at) : moment(event.at)), el('span', {}, event.words))
+
+/** The choice between important events and all; `state.log` is 'all' or absent. */
+export const eventChoice = (state, set) => select([['', 'Only important ones'], ['all', 'All events']], state.log ?? '', log => set({ log: log || null }),
+  { 'aria-label': 'Which events' })
 
 /** Makes the log. `state.log` is 'all' or absent (only important ones). */
 export function eventLog({ state, set, signal, since = -200 }) {
   let made = new Map(), important = [], lacks = '' // Those that matter, further back than the newest of all; and whether these are not known.
   const kept = [], list = el('ol', { className: 'events scroll', tabIndex: 0, 'aria-label': 'Events, newest first' }), line = el('p',
     { className: 'soft small' })
-  const choice = select([['', 'Only important ones'], ['all', 'All events']], state.log ?? '', value => set({ log: value }), { 'aria-label': 'Which events' })
-  const row = event => el('li', { className: tone(event) }, el('time', { dateTime: event.at, title: moment(event.at, true) },
-    Date.now() - Date.parse(event.at) < 64_800e3 ? clock(event.at) : moment(event.at)), el('span', {}, event.words))
+  const choice = eventChoice(state, set)
   const draw = onBeat(() => {
     const wanted = state.log === 'all' ? kept : important, last = wanted.slice(-SHOWN).reverse()
     // A row is made once: events come every second, and a list of new rows each time is garbage.
-    const rows = last.map(event => made.get(event) ?? row(event))
+    const rows = last.map(event => made.get(event) ?? eventRow(event))
     made = new Map(last.map((event, i) => [event, rows[i]]))
     rows.forEach((node, i) => { if (list.children[i] !== node) list.insertBefore(node, list.children[i] ?? null) })
     while (list.children.length > rows.length) list.lastChild.remove()

@@ -1,11 +1,13 @@
 // Manual trials before they begin: what they are, the overlay to print, and the experiment to queue.
 
-import { all, get } from './api.js'
+import { all } from './api.js'
 import { actor } from './actions.js'
 import { beginButton, queueText } from './begin.js'
+import { carried } from './carried.js'
 import { el, fill, link, panel, say } from './dom.js'
-import { count, fixed, moment } from './format.js'
+import { count, moment } from './format.js'
 import { overlay } from './overlay.js'
+import { kilograms } from './placing.js'
 import { table } from './table.js'
 
 const STEPS = [
@@ -16,18 +18,16 @@ const STEPS = [
   'The skin feels what was placed. A weight on the wrong point is reported before it is stored. You may stop at any time: the run continues where it stopped.',
 ]
 
-const G = 9.81 // m/s²
-const kilograms = force_n => fixed(force_n / G, 2, 'kg')
 const isManual = item => item.kind === 'real-random'
 
 /** Makes the page for when no weights are asked; `load()` reads the queue again. */
 export function manual(said, { signal }) {
-  const queued = el('div'), carried = el('div'), reason = el('p', { className: 'state' }), follows = el('p', { className: 'soft' })
+  const queued = el('div'), offered = el('div'), reason = el('p', { className: 'state' }), follows = el('p', { className: 'soft' })
   const node = el('div', { className: 'page' },
     el('section', { className: 'live', 'aria-label': 'Now' }, reason, follows),
     el('div', { className: 'columns two' },
       panel('How manual trials go', {}, el('ol', { className: 'steps' }, STEPS.map(words => el('li', {}, words)))),
-      el('div', { className: 'column' }, panel('Begin', {}, queued, carried, said.node), panel('Overlay to print', {},
+      el('div', { className: 'column' }, panel('Begin', {}, queued, offered, said.node), panel('Overlay to print', {},
         el('p', {}, 'All points of the skin with their labels, its outline and its electrodes, at true scale.'), overlay(),
           el('p', { className: 'soft small' }, 'Print at 100 %, without "fit to page", and measure the ruler before you cut.')))))
 
@@ -36,8 +36,8 @@ export function manual(said, { signal }) {
     fill(queued, waiting.map(run => el('div', { className: 'row' },
       el('span', {}, `Run ${run.scan_id}, ${run.experiment}: ${count(run.trials_planned)} trials, queued ${moment(run.created_at)}.`),
       beginButton('Arm and start', run, said, { className: 'main' }))))
-    const items = await get('/experiments', {}, { signal }).then(page => page.items.filter(isManual), error => error)
-    if (!Array.isArray(items)) return fill(carried, el('p', { className: 'soft' },
+    const items = await carried().then(found => found.filter(isManual), error => error)
+    if (!Array.isArray(items)) return fill(offered, el('p', { className: 'soft' },
       `The carried experiments could not be read (${items.message}). A file can be queued on `, link('/queue', 'the queue'), '.'))
     const put = item => queueText(item.file, item.text).then(load)
     const rows = table({
@@ -47,7 +47,7 @@ export function manual(said, { signal }) {
         { head: 'Queue', cell: item => actor('Queue it', said, () => put(item),
           { what: `${item.name} queued`, className: `nowrap${waiting.length || item !== items[0] ? '' : ' main'}` }) }],
     })
-    return fill(carried, rows.node)
+    return fill(offered, rows.node)
   }
   /** Says why no weights are asked. */
   const tell = run => {

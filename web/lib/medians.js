@@ -1,29 +1,20 @@
 // Force over depth: the median of the largest force at each depth, for each number of tips.
 
+import { get } from './api.js'
 import { chart } from './chart.js'
 import { counted } from './format.js'
-import { median } from './runwords.js'
-import { columnsOf } from './spread.js'
 
-const MOST = 6000
-
-/** Medians of the first trials of a run: { tips: Map(n -> Map(depth -> N)), trials, more }. */
+/** Medians of a run: Map(number of tips -> Map(depth -> N)). */
 export async function medians(run, signal) {
-  const { rows, more } = await columnsOf(`/runs/${run.uid}/trials`, {}, ['depth_mm', 'max_force_n', 'tips'], { most: MOST, signal })
-  const groups = new Map()
-  for (const { tips, depth_mm, max_force_n } of rows) {
-    if (depth_mm == null || max_force_n == null) continue
-    if (!groups.has(tips)) groups.set(tips, new Map())
-    const depths = groups.get(tips)
-    if (!depths.has(depth_mm)) depths.set(depth_mm, [])
-    depths.get(depth_mm).push(max_force_n)
+  const { items } = await get(`/runs/${run.uid}/forces`, {}, { signal, wait: 20_000 })
+  const tips = new Map()
+  for (const at of items) {
+    if (at.tips == null) continue // Of all trials.
+    if (!tips.has(at.tips)) tips.set(at.tips, new Map())
+    tips.get(at.tips).set(at.depth_mm, at.median_n)
   }
-  const one = depths => new Map([...depths].sort(([a], [b]) => a - b).map(([depth, forces]) => [depth, median(forces)]))
-  return { tips: new Map([...groups].sort(([a], [b]) => a - b).map(([n, depths]) => [n, one(depths)])), trials: rows.length, more }
+  return tips
 }
-
-/** What was not read, as words. */
-export const partWords = ({ trials, more }) => (more ? `Medians of the first ${counted(trials, 'trial')}.` : '')
 
 /** A chart of the medians of one or two runs: [{ name, tips, dash? }]; null without any. */
 export function medianChart(runs, { label, query, signal }) {

@@ -27,7 +27,7 @@ export function netView({ signal, models, promote }) {
 
   function draw(node, model, mine) {
     const { manifest } = model,
-      label = () => (manifest.label === 'virtual' ? 'virtual' : ''),
+      label = () => manifest.label,
       learned = manifest.trained_on ?? {}
     const size = el('span', {}, '…'),
       promoting = model.slot && only('operator', button('Promote', () => promote(model.id, model.slot), { className: 'main' }))

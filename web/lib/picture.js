@@ -18,9 +18,21 @@ export function picture({ title, name, label, data, canvas, query, props = {} },
     canvas && button('Picture (PNG)', () => labelled(canvas(), [title, label?.()].filter(Boolean).join(' · ')).toBlob(blob => download(`${file()}.png`, blob))),
     query && shows('Request behind it', query, () => `${file()}.${/format=csv/.test(typeof query === 'function' ? query() : query) ? 'csv' : 'json'}`),
   ].filter(Boolean)
-  const menu = items.length ? el('details', { className: 'menu' }, el('summary', { 'aria-label': `${title}: save` }, '⋯'), el('div', {}, items)) : null
+  const menu = items.length ? el('details', { className: 'menu', name: 'picture-menu' }, el('summary', { 'aria-label': `${title}: save` }, '⋯'), el('div', {}, items)) : null
   return el('figure', { className: 'picture', ...props }, el('figcaption', {}, el('span', {}, title), menu), ...inside)
 }
+
+// One menu is open at a time; it is over with a press elsewhere, with Escape, and once a button of it was pressed.
+document.addEventListener('click', ({ target }) => {
+  const menu = document.querySelector('.menu[open]')
+  if (menu && (!menu.contains(target) || target.closest('button'))) menu.open = false
+})
+document.addEventListener('keydown', ({ key, target }) => {
+  const menu = key === 'Escape' && target.closest?.('.menu[open]')
+  if (!menu) return
+  menu.open = false
+  menu.querySelector('summary').focus()
+})
 
 /** The picture with its title and label written above it: a figure says by itself what was virtual. */
 function labelled(from, words) {

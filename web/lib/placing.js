@@ -3,9 +3,9 @@
 import { capital, fixed, plain } from './format.js'
 import { tips } from './skin.js'
 
-const G = 9.81
+const G = 9.81 // m/s²
 /** Time after which a skin that was not read at rest no longer forbids "Done", ms. */
-export const UNREST_MS = 5000
+const UNREST_MS = 5000
 
 /** 0.75 kg */
 export const kilograms = force => fixed(force / G, 2, 'kg')

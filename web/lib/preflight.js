@@ -26,7 +26,7 @@ const COLOURS = ['--c1', '--c2', '--c3', '--c4', '--c5', '--c6']
 export const band = (likely, low, high) => `${span(likely)} (${span(low)} to ${span(high)})`
 
 /** Metres from millimetres, with a unit that fits. */
-export const metres = mm => (mm >= 1e6 ? fixed(mm / 1e6, 2, 'km') : mm >= 1000 ? about(mm / 1000, 'm') : fixed(mm, 0, 'mm'))
+const metres = mm => (mm >= 1e6 ? fixed(mm / 1e6, 2, 'km') : mm >= 1000 ? about(mm / 1000, 'm') : fixed(mm, 0, 'mm'))
 
 /** Facts of a preflight. */
 export function planFacts(p, more = []) {

@@ -1,7 +1,7 @@
 // The report of one run: what was stored, how it went, how well the twins fit, what was skipped and why.
 
 import { get } from './api.js'
-import { actOnRun, confirm, named } from './actions.js'
+import { actOnRun, confirm, named, only } from './actions.js'
 import { beginButton } from './begin.js'
 import { changing } from './changing.js'
 import { chart } from './chart.js'
@@ -11,14 +11,13 @@ import { fold } from './fold.js'
 import { about, age, count, countOf, counted, fixed, moment, percent, plain, span } from './format.js'
 import { history } from './history.js'
 import { live } from './live.js'
-import { kindsThatMatter, matters } from './log.js'
-import { medianChart, medians, partWords } from './medians.js'
+import { eventChoice, eventRow, kindsThatMatter, matters } from './log.js'
+import { medianChart, medians } from './medians.js'
 import { isActive, largest, perHour, runSentence, runTone } from './runwords.js'
 import { save } from './save.js'
 import { sensor } from './skin.js'
 import { table } from './table.js'
 import { COLOURINGS, tourMap } from './tourmap.js'
-import { LOUD } from './words.js'
 
 const EVENTS = 200
 const quiet = promise => promise.catch(() => null)
@@ -40,7 +39,7 @@ export function report(root, { state, set, go, said, others, signal }) {
   let data = null
   let tour = null
   let shape = null
-  const label = () => (data?.run.label === 'virtual' ? 'virtual' : '')
+  const label = () => data?.run.label ?? ''
   const top = el('section')
   const contacts = el('section')
   const fits = el('section')
@@ -197,19 +196,11 @@ export function report(root, { state, set, go, said, others, signal }) {
     ])
     renew(text, run.definition, () => [
       fold('experiment', 'Experiment file', { signal }, el('pre', { tabIndex: 0 }, run.definition)),
-      run.state !== 'removed' && run.kind !== 'imported' ? el('p', { className: 'said' }, link(`/queue?copy=${run.scan_id}`, 'Queue a copy of it')) : null,
+      run.state !== 'removed' && run.kind !== 'imported' ? only('operator', el('p', { className: 'said' }, link(`/queue?copy=${run.scan_id}`, 'Queue a copy of it'))) : null,
     ])
   }
 
-  const choice = select(
-    [
-      ['', 'Only important ones'],
-      ['all', 'All events'],
-    ],
-    state.log ?? '',
-    log => set({ log: log || null }),
-    { 'aria-label': 'Which events' },
-  )
+  const choice = eventChoice(state, set)
   const list = el('div')
   fill(log, el('h2', {}, el('span', {}, 'Events'), choice), list)
   async function events() {
@@ -220,13 +211,7 @@ export function report(root, { state, set, go, said, others, signal }) {
     const scrolled = list.firstChild?.scrollTop ?? 0
     renew(list, [page == null, items.map(event => event.seq)], () =>
       items.length
-        ? el(
-            'ol',
-            { className: 'events scroll', tabIndex: 0, ariaLabel: 'Events of the run, newest first' },
-            items.map(event =>
-              el('li', { className: LOUD[event.importance] ?? '' }, el('time', { dateTime: event.at }, moment(event.at, true)), el('span', {}, event.words)),
-            ),
-          )
+        ? el('ol', { className: 'events scroll', tabIndex: 0, ariaLabel: 'Events of the run, newest first' }, items.map(eventRow))
         : el('p', { className: 'soft' }, page ? all ? 'No events.' : 'No important events.' : 'The events could not be read.'),
     )
     if (list.firstChild) list.firstChild.scrollTop = scrolled
@@ -268,15 +253,14 @@ export function report(root, { state, set, go, said, others, signal }) {
     await events()
     const found = await quiet(medians(data.run, signal))
     if (signal.aborted) return
-    const view =
-      found && medianChart([{ name: '', ...found }], { label, signal, query: `/api/v1/runs/${n}/trials?columns=depth_mm,max_force_n,tips&format=csv` })
+    const view = found && medianChart([{ name: '', tips: found }], { label, signal, query: `/api/v1/runs/${n}/forces` })
     fill(
       forces,
       view
-        ? [view.node, el('p', { className: 'soft small' }, partWords(found))]
+        ? view.node
         : [
             el('h2', {}, 'Force over depth'),
-            el('p', { className: 'soft' }, data.run.kind === 'real-random' ? 'Weights have no depth.' : 'No trial with a depth is stored.'),
+            el('p', { className: 'soft' }, !found ? 'The forces could not be read.' : data.run.kind === 'real-random' ? 'Weights have no depth.' : 'No trial with a depth is stored.'),
           ],
     )
   }

@@ -1,12 +1,11 @@
 // The two forms of the nets: start a training, start an evaluation. What is sent can be read before.
 
-import { keep, once } from './api.js'
+import { get, keep, once, readOnce } from './api.js'
 import { actor } from './actions.js'
 import { el, panel, say, select, set } from './dom.js'
 import { fold } from './fold.js'
 import { capital } from './format.js'
 import { keepForm } from './formstate.js'
-import { recipes } from './recipes.js'
 import { slotOf, slotOfTask } from './serves.js'
 import { put, raw } from './toml.js'
 import { vocabulary } from './vocabulary.js'
@@ -26,6 +25,9 @@ function choices(node, list, without) {
   const isThere = all.some(([of]) => of === wanted) && (wanted || chosen != null)
   node.value = isThere ? wanted : (all[0]?.[0] ?? '')
 }
+
+/** Recipes that the program carries, with their texts, and the keys that follow from each force map. */
+const recipes = readOnce(() => get('/recipes').then(page => page.items))
 
 const USUAL_RECIPE = 'transfer-net'
 const DRAFT = 'palpate-draft-training'

@@ -11,7 +11,7 @@ const us = v => about(v, 'µs')
 export function checkReport(report) {
   const { problems, unchecked = [], axes, cells, stream, lines = [] } = report
   const counters = Object.keys(lines[0]?.counts ?? {}).filter(key => typeof lines[0].counts[key] === 'number')
-  const list = (words, tone) => el('ul', { className: `${tone} marked` }, words.map(text => el('li', {}, text)))
+  const list = (words, tone) => el('ul', { className: `${tone} listed` }, words.map(text => el('li', {}, text)))
   const part = (title, ...inside) => el('div', {}, el('h3', {}, title), inside)
   return el('div', { className: 'report' },
     el('p', { className: problems.length ? 'bad big' : 'good big' }, problems.length

@@ -1,12 +1,12 @@
 // Scores of evaluations as the paper's tables: voltages (Table III), contacts (Table IV). Side by side, and one by contacts.
 
+import { NUMERALS } from './contacts.js'
 import { el, facts, link } from './dom.js'
 import { NONE, capital, count, counted, fixed, percent } from './format.js'
 import { table } from './table.js'
 import { raw } from './toml.js'
 import { paper } from './vocabulary.js'
 
-const ROMAN = ['none', 'I', 'II', 'III', 'IV', 'V', 'VI']
 const spread = (mean, digits, unit = '') =>
   mean ? `${fixed(mean.mean, digits)}${mean.sd == null ? '' : ` ± ${fixed(mean.sd, digits)}`}${unit && `\u202f${unit}`}` : NONE
 const share = mean => (mean ? `${fixed(mean.mean * 100, 0)}` : NONE)
@@ -92,7 +92,7 @@ export function voltageTable(reports, models, { href, current } = {}) {
     rows: [...reports, voltagesOfPaper()],
     columns: [
       ...what(models, href).filter(column => column.head !== 'Nets'),
-      ...[1, 2, 3, 4, 5, 6].map(n => ({ head: ROMAN[n], cell: one => fit(one.voltages.by_contacts.find(score => score.contacts === n)) })),
+      ...[1, 2, 3, 4, 5, 6].map(n => ({ head: NUMERALS[n], cell: one => fit(one.voltages.by_contacts.find(score => score.contacts === n)) })),
       { head: 'All', cell: one => fit(one.voltages.all) },
     ],
   }).node
@@ -204,7 +204,7 @@ export function reportView(report, models) {
       ? table({
           rows: volts,
           columns: [
-            { head: 'Contacts', left: true, cell: one => ROMAN[one.contacts] ?? one.contacts },
+            { head: 'Contacts', left: true, cell: one => NUMERALS[one.contacts] ?? one.contacts },
             { head: 'Trials', cell: one => count(one.trials) },
             { head: 'RMSE', unit: 'mV', cell: one => fixed(one.rmse_v * 1e3, 2) },
             { head: 'FVU', unit: '%', cell: one => fixed(one.fvu * 100, 1) },

@@ -15,7 +15,7 @@ export function conditions(query) {
 }
 
 /** A condition as text: `fvu__gte`, 0.5 -> "FVU ≥ 0.5". */
-export function condition(key, value) {
+function condition(key, value) {
   const [column, compare = 'eq'] = key.split('__')
   return key === 'where' ? value : `${plain(column)} ${COMPARES[compare] ?? compare} ${value}`
 }

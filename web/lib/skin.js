@@ -125,6 +125,16 @@ export function skin({ title = 'Skin', draw = () => {}, onpick, onhover, ondrag,
   return { node, canvas, redraw, geometry(next) { shape = next; canvas.style.aspectRatio = `${next.width_mm + 20} / ${next.height_mm + 30}`; redraw() }, get shape() { return shape } }
 }
 
+/** Index of the place [x, y] that is nearest to a position, at most `within` mm from it; -1 without one. */
+export function nearest(places, [x, y], within = Infinity) {
+  let best = -1, least = within ** 2
+  places.forEach(([px, py], i) => {
+    const d = (px - x) ** 2 + (py - y) ** 2
+    if (d < least) { least = d; best = i }
+  })
+  return best
+}
+
 /** Draws tips to scale. */
 export function tips(pen, view, contacts, diameter, { fill, stroke, width = 1.5 } = {}) {
   for (const [x, y] of contacts) {

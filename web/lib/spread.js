@@ -6,7 +6,7 @@ import { el, note, pane } from './dom.js'
 import { counted } from './format.js'
 
 /** Largest number of rows that are drawn. */
-export const MOST = 2000
+const MOST = 2000
 const COUNTS = [0, 1, 2, 3, 4, 5, 6],
   COLOUR = n => (n === 0 ? '--grey' : `--c${n}`)
 // Room for half a bar at both ends.

@@ -2,11 +2,8 @@
 
 import { send } from './api.js'
 import { el, fill } from './dom.js'
-import { live } from './live.js'
+import { rigLabel } from './live.js'
 import { tourView } from './tour.js'
-
-/** Label of a picture of what the rig would do. */
-export const rigLabel = () => (live.status?.rig.label === 'virtual' ? 'virtual' : '')
 
 /** Asks for the tour, with its sensor, of a submission { file, definition, sensor }. */
 export const submittedTour = (submission, signal) => send('/tour', submission, { signal })

@@ -5,11 +5,11 @@
 import { colour, dark, el, fill } from './dom.js'
 import { count, fixed } from './format.js'
 import { round125, sequential, strip } from './frame.js'
-import { skin, tips } from './skin.js'
+import { nearest, skin, tips } from './skin.js'
 
 /** What the colours may show. */
 export const COLOURINGS = [['progress', 'Progress'], ['force', 'Largest force'], ['fvu', 'Fit of the twins (FVU)']]
-const DOT_MM = 7.6
+const DOT_MM = 7.6, NEAR_MM = 12
 
 /** Places that a tour presses, with the indices of the configurations that press each: { x, y, of }. */
 export function places(steps) {
@@ -90,14 +90,9 @@ export function tourMap({ signal, label, query, href, onselect = () => {}, force
   }
 
   // The configuration at a place: the newest done there, else the next one that goes there.
-  function near([x, y]) {
-    let best = null, least = 12 ** 2
-    for (const spot of spots) {
-      const d = (spot.x - x) ** 2 + (spot.y - y) ** 2
-      if (d < least) { least = d; best = spot }
-    }
-    if (!best) return null
-    return best.of.findLast(i => total(i) > 0) ?? best.of[0]
+  function near(mm) {
+    const { of } = spots[nearest(spots.map(({ x, y }) => [x, y]), mm, NEAR_MM)] ?? {}
+    return of ? of.findLast(i => total(i) > 0) ?? of[0] : null
   }
 
   function words(i) {

@@ -29,7 +29,7 @@ export function trialView({ signal, href, onscale }) {
   let row = null,
     context = {},
     diameter = 0 // Known with the geometry, before anything is drawn.
-  const label = () => (row?.label === 'virtual' ? 'virtual' : '')
+  const label = () => row?.label ?? ''
   const picture = (title, name) => frame({ title, name, signal, label, query: () => `/api/v1/trials/${row.trial_id}` })
   const shown = {
     measured: picture('Measured frame', 'measured'),

@@ -2,7 +2,7 @@
 
 import { get } from './api.js'
 import { changing } from './changing.js'
-import { el, link, panel, say, sleep } from './dom.js'
+import { el, every, link, panel, say } from './dom.js'
 import { about, count, fixed, plain } from './format.js'
 import { table } from './table.js'
 import { TONE } from './words.js'
@@ -44,12 +44,8 @@ export function twins(signal) {
     say(error, pool.last_error ? `Last failure: ${pool.last_error}` : '')
     runs.show(rows.slice(0, 20).map(row => ({ ...row, name: names.get(row.run) })))
   }
-  async function follow() {
-    for (; !signal.aborted; await sleep(PERIOD_MS, signal)) {
-      if (document.hidden) continue
-      try { await ask() } catch (problem) { if (!signal.aborted) say(error, `No answer: ${problem.message}`) }
-    }
-  }
-  follow()
+  every(PERIOD_MS, async () => {
+    try { await ask() } catch (problem) { if (!signal.aborted) say(error, `No answer: ${problem.message}`) }
+  }, signal)
   return node
 }

@@ -5,7 +5,7 @@ import { button, dark, el, facts, fill, pane } from './dom.js'
 import { NONE, count, counted, fixed } from './format.js'
 import { round125, sequential, strip } from './frame.js'
 import { median } from './runwords.js'
-import { skin } from './skin.js'
+import { nearest, skin } from './skin.js'
 import { table } from './table.js'
 
 const MOST_PRESSED = 8
@@ -61,18 +61,7 @@ export function wearMap({ onchoose, label, signal }) {
     const [x, y, n] = at(i)
     return `x ${fixed(x, 0)}, y ${fixed(y, 0, 'mm')}: ${counted(n, 'press', 'presses')}, place ${order.indexOf(i) + 1} of ${count(places)}`
   }
-  function near([x, y]) {
-    let best = null
-    let least = NEAR_MM ** 2
-    for (const i of order) {
-      const d = (points.x_mm[i] - x) ** 2 + (points.y_mm[i] - y) ** 2
-      if (d < least) {
-        least = d
-        best = i
-      }
-    }
-    return best
-  }
+  const near = mm => order[nearest(order.map(at), mm, NEAR_MM)] ?? null
   const pick = i => (i == null ? onchoose(null, null) : onchoose(Math.round(at(i)[0]), Math.round(at(i)[1])))
   function find(i) {
     pick(i)

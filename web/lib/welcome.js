@@ -2,10 +2,10 @@
 
 import { actor } from './actions.js'
 import { beginRun, queueCarried } from './begin.js'
+import { carried } from './carried.js'
 import { el, fill, link, panel } from './dom.js'
 import { counted } from './format.js'
 import { live } from './live.js'
-import { get } from './api.js'
 
 const QUICKSTART = 'quickstart'
 
@@ -45,7 +45,7 @@ export function welcome({ said }) {
         !live.may('operator') && el('p', { className: 'soft' }, 'Starting needs a key with the role operator: see ', link('/settings', 'the settings'), '.'))
       tell(queued)
       if (trials == null) {
-        trials = await get('/experiments').then(({ items }) => items.find(item => item.name === QUICKSTART)?.trials ?? null, () => null)
+        trials = await carried().then(items => items.find(item => item.name === QUICKSTART)?.trials ?? null, () => null)
         tell(queued)
       }
     },

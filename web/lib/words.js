@@ -1,17 +1,12 @@
-// What states and phases are called in sentences. No DOM.
+// Tones of states and events. No DOM.
 
 /** Tone of a state: the class that colours it. */
 export const TONE = { running: 'good', armed: 'good', homed: 'good', completed: 'good', success: 'good', serving: 'good', done: 'good',
   pausing: 'warn', paused: 'warn', stopping: 'warn', suspending: 'warn', interrupted: 'warn', waiting: 'warn', stopped: 'warn',
   aborting: 'bad', panicked: 'bad', tripped: 'bad', failed: 'bad', fail: 'bad', abort: 'bad' }
 
-/** What a phase does. */
-export const PHASES = { next: 'selecting the next step', touch_off: 'searching for the surface', travel: 'travelling', tare: 'measuring the zeros',
-  press: 'pressing', settle: 'waiting until the forces settle', measure: 'taking frames', commit: 'storing', raise: 'raising the tips', wait: 'waiting' }
-
-/** Sentence for each state of the rig: what it is, and what follows. */
-export const RIG = { disconnected: 'The wires are closed.', disarmed: 'Connected. Home the axes before anything moves.',
-  homed: 'Ready.', armed: 'A run may move it.', tripped: 'Stopped by a fault. Clear the cause, reset, then home.' }
+/** Whether work of the service, as a job or an export, has not ended. */
+export const isUnderWay = job => ['waiting', 'running'].includes(job.state)
 
 /** Class that colours an event, by its importance. */
 export const LOUD = { act: 'bad', look: 'warn' }

@@ -3,7 +3,7 @@
 
 import { get, send } from './api.js'
 import { actor, confirm, outcome } from './actions.js'
-import { el, fill, panel, say, sleep } from './dom.js'
+import { el, every, fill, panel, say } from './dom.js'
 import { bytes, count, countOf, counted, fixed, moment, NONE, plain, span } from './format.js'
 import { table } from './table.js'
 import { TONE } from './words.js'
@@ -72,9 +72,6 @@ export function workers(signal) {
       say(error, `No answer: ${problem.message}`)
     }
   }
-  async function follow() {
-    for (; !signal.aborted; await sleep(PERIOD_MS, signal)) if (!document.hidden) await read()
-  }
-  follow()
+  every(PERIOD_MS, read, signal)
   return node
 }

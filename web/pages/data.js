@@ -1,12 +1,13 @@
 // The datasets: "What can I load?" The list as the paper's Table I, one opened above it, exports below.
 
-import { get, keep, once } from '../lib/api.js'
+import { keep, once } from '../lib/api.js'
 import { actor, only, outcome } from '../lib/actions.js'
 import { button, el, fill, note, panel } from '../lib/dom.js'
 import { bytes, count, counted, moment } from '../lib/format.js'
 import { contactColumns, datasetView, partsWords } from '../lib/dataset.js'
 import { exportsPanel } from '../lib/exports.js'
 import { fold } from '../lib/fold.js'
+import { listing } from '../lib/listing.js'
 import { live } from '../lib/live.js'
 import { table } from '../lib/table.js'
 
@@ -23,10 +24,9 @@ const EXAMPLE = 'name = "strong"\ntask = "real"\nwhere = ["max_force_n__gt=20"]\
 
 /** Shows the page. */
 export async function show(root, { query, signal, set, go }) {
+  const known = listing('/datasets', { limit: 50, signal })
   let items = [],
-    next = null,
     names = []
-  const labels = new Map()
   const said = outcome(),
     files = exportsPanel({ signal }),
     told = el('span'),
@@ -48,7 +48,7 @@ export async function show(root, { query, signal, set, go }) {
     empty: () => `No dataset yet. A run gives one when it ends${live.may('operator') ? '; the definitions below make the others' : ''}.`,
     columns: [
       { head: 'Dataset', cell: item => item.name, left: true },
-      { head: 'Label', cell: item => labels.get(item.id), left: true },
+      { head: 'Label', cell: item => item.label, left: true },
       ...contactColumns,
       { head: 'Total', cell: item => count(item.rows) },
       { head: 'Parts', cell: item => partsWords(item.report), left: true },
@@ -56,7 +56,7 @@ export async function show(root, { query, signal, set, go }) {
       { head: 'Made', cell: item => el('span', {}, moment(item.created_at), newest(item) ? '' : el('span', { className: 'soft' }, ' (older)')) },
     ],
   })
-  const more = button('More', () => read(next), { hidden: true }),
+  const more = button('More', () => read(true), { hidden: true }),
     offered = el('div', { className: 'offers' })
 
   // Making one: by a name, or by the text of a definition.
@@ -118,20 +118,18 @@ export async function show(root, { query, signal, set, go }) {
     view.forget()
     go(`/data?dataset=${item.name}`, { replace: query.dataset === item.name })
   }
-  async function read(cursor) {
+  async function read(further) {
     try {
-      const page = await get('/datasets', { limit: 50, cursor }, { signal })
-      items = cursor ? [...items, ...page.items] : page.items
-      next = page.next
-      names = page.definitions
+      names = (await known.read(further)).definitions
+      items = known.items
       note(trouble, '')
     } catch (error) {
       if (!signal.aborted) note(trouble, `The datasets cannot be read: ${error.message}`)
-      if (cursor) trouble.scrollIntoView({ block: 'nearest' }) // The button is below the rows.
+      if (further) trouble.scrollIntoView({ block: 'nearest' }) // The button is below the rows.
     }
     if (signal.aborted) return
-    more.hidden = !next
-    fill(told, items.length ? `${next ? 'first ' : ''}${counted(items.length, 'dataset')}, newest first` : '')
+    more.hidden = !known.next
+    fill(told, items.length ? `${known.next ? 'first ' : ''}${counted(items.length, 'dataset')}, newest first` : '')
     list.show(items)
     const line = name => {
       const there = items.some(item => item.name === name)
@@ -144,17 +142,6 @@ export async function show(root, { query, signal, set, go }) {
       )
     }
     fill(offered, el('ul', {}, names.map(line)))
-    label()
-  }
-  /** The label is in the lineage alone: read for the rows on the page, one after the other. */
-  async function label() {
-    for (const item of items.slice(0, 50)) {
-      if (signal.aborted) return
-      if (labels.has(item.id)) continue
-      const found = await get(`/datasets/${item.id}/lineage`, {}, { signal }).catch(() => null)
-      if (found) labels.set(item.id, [...new Set(found.lineage.runs.map(run => run.label))].join(' and ') || 'simulated')
-    }
-    if (!signal.aborted) list.show(items)
   }
   function update(changed) {
     query = changed

@@ -4,10 +4,10 @@
 import { get, socket } from '../lib/api.js'
 import { changing } from '../lib/changing.js'
 import { chart } from '../lib/chart.js'
-import { el, fill, panel, say, select, sleep } from '../lib/dom.js'
+import { el, every, fill, panel, say, select } from '../lib/dom.js'
 import { count, countOf, counted, fixed } from '../lib/format.js'
 import { round125 } from '../lib/frame.js'
-import { live } from '../lib/live.js'
+import { live, rigLabel } from '../lib/live.js'
 import { missingOf } from '../lib/missing.js'
 import { quantityPart } from '../lib/quantities.js'
 import { recorder } from '../lib/recording.js'
@@ -24,7 +24,7 @@ const FRAME_US = 33_333 // Of a board.
 const TELL_MS = 250, TRACE_MS = 100, TRACED = 600, SERVING_MS = 10_000, STALE_MS = 2000
 
 /** How sure an answer is: { tone, words }. */
-export function sureness(answer, old) {
+function sureness(answer, old) {
   if (!answer) return { tone: 'soft', words: 'No answer yet: frames come while the rig is connected.' }
   if (answer.error) return { tone: 'bad', words: `The method failed: ${answer.error}` }
   if (old) return { tone: 'warn', words: 'Outdated: no answer for some seconds.' }
@@ -45,10 +45,9 @@ export async function show(root, { query, signal, set }) {
   let listed = '', arrived = 0, drawings = 0, told = { arrived: 0, drawings: 0 }, since = performance.now(), rates = {}
   let heard = null // Frame counter of the newest drawn answer, and how many had arrived with it.
   const latencies = [], lost = missingOf(), trace = { at: [], total: [], from: 0 }
-  const label = () => live.status?.rig.label
   const chosen = () => vocabulary.methods.find(one => one.name === state.method) ?? bestMethod(serving)
 
-  const map = touchMap({ signal, label, query: '/api/v1/serving' })
+  const map = touchMap({ signal, label: rigLabel, query: '/api/v1/serving' })
   const scales = select(SCALES, state.scale ?? '', value => set({ scale: value }), { 'aria-label': 'Force at the end of the colours' })
   const methods = select([['', 'Best that serves'], ...vocabulary.methods.map(one => [one.name, one.name])], state.method ?? '', value => set({ method: value }),
     { 'aria-label': 'Method' })
@@ -60,7 +59,7 @@ export async function show(root, { query, signal, set }) {
   const presence = { head: 'Presence', unit: '%', cell: c => c.presence == null ? '–' : fixed(100 * c.presence, 0) }
   const [placed, proposed] = [columns, [...columns, presence]].map(columns => table({ caption: 'Contacts', empty: 'Nothing touches the skin.', columns }))
   const lists = el('div')
-  const total = chart({ title: 'Total force, last minute', key: 'total', y: 'Force', unit: 'N', height: 130, signal, label,
+  const total = chart({ title: 'Total force, last minute', key: 'total', y: 'Force', unit: 'N', height: 130, signal, label: rigLabel,
     series: [{ name: 'total', digits: 1, fill: true }], range: (_, high) => [0, round125(Math.max(5, high || 0))] })
   const now = panel('Now', { className: 'live touch', aside: methods }, sure, numbers, lists)
   const colours = el('label', { className: 'inline' }, 'Colours up to', scales)
@@ -166,21 +165,15 @@ export async function show(root, { query, signal, set }) {
     say(methods.options[0], best ? `Best that serves (${best})` : 'Best that serves')
   }
 
-  async function look() {
-    while (!signal.aborted) {
-      if (!document.hidden) {
-        try {
-          serving = await get('/serving', {}, { signal })
-          tellServing()
-          listen()
-          quantities.follow(serving)
-        } catch (error) { if (!signal.aborted) serves.failed(error) }
-      }
-      await sleep(SERVING_MS, signal)
-    }
-  }
   map.scale(Number(state.scale) || 50)
-  look()
+  every(SERVING_MS, async () => {
+    try {
+      serving = await get('/serving', {}, { signal })
+      tellServing()
+      listen()
+      quantities.follow(serving)
+    } catch (error) { if (!signal.aborted) serves.failed(error) }
+  }, signal)
   const timer = setInterval(() => { if (!document.hidden) tell() }, TELL_MS)
   signal.addEventListener('abort', () => clearInterval(timer))
   tell()

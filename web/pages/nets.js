@@ -5,6 +5,7 @@ import { only, outcome } from '../lib/actions.js'
 import { button, el, fill, panel } from '../lib/dom.js'
 import { counted, fixed, moment } from '../lib/format.js'
 import { jobView, jobsPanel } from '../lib/jobs.js'
+import { listing } from '../lib/listing.js'
 import { live } from '../lib/live.js'
 import { netView } from '../lib/net.js'
 import { evaluationForm, trainingForm } from '../lib/requests.js'
@@ -15,8 +16,8 @@ import { meaning } from '../lib/vocabulary.js'
 
 /** Shows the page. */
 export async function show(root, { query, signal, go }) {
+  const known = listing('/models', { limit: 50, signal })
   let models = [],
-    next = null,
     datasets = []
   const said = outcome(),
     asked = outcome(),
@@ -61,7 +62,7 @@ export async function show(root, { query, signal, go }) {
       },
     ],
   })
-  const more = button('More', () => readModels(next), { hidden: true }),
+  const more = button('More', () => readModels(true), { hidden: true }),
     told = el('span')
   const modelsPanel = panel('Models', { aside: told }, list.node, el('div', { className: 'row' }, more))
 
@@ -108,17 +109,16 @@ export async function show(root, { query, signal, go }) {
   // Both are refused to a viewer.
   const forms = only('operator', el('div', { className: 'columns two' }, training.node, evaluation.node))
 
-  async function readModels(cursor) {
+  async function readModels(further) {
     try {
-      const page = await get('/models', { limit: 50, cursor }, { signal })
-      models = cursor ? [...models, ...page.items] : page.items
-      next = page.next
+      await known.read(further)
+      models = known.items
     } catch (error) {
       if (!signal.aborted) said.tell(`The models cannot be read: ${error.message}`, 'bad')
     }
     if (signal.aborted) return
-    more.hidden = !next
-    fill(told, models.length ? `${next ? 'first ' : ''}${counted(models.length, 'model')}, newest first` : '')
+    more.hidden = !known.next
+    fill(told, models.length ? `${known.next ? 'first ' : ''}${counted(models.length, 'model')}, newest first` : '')
     list.show(models)
     serving.draw()
     drawScores(jobs.all())

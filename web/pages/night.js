@@ -5,7 +5,7 @@ import { outcome, runButtons } from '../lib/actions.js'
 import { get } from '../lib/api.js'
 import { changing } from '../lib/changing.js'
 import { dataView } from '../lib/dataview.js'
-import { el, fill, panel, pane, say, select, sleep } from '../lib/dom.js'
+import { el, every, fill, panel, pane, say, select } from '../lib/dom.js'
 import { ended } from '../lib/ended.js'
 import { steadyEnds } from '../lib/eta.js'
 import { forceBars, forceChart } from '../lib/forces.js'
@@ -16,9 +16,10 @@ import { eventLog } from '../lib/log.js'
 import { sensor } from '../lib/skin.js'
 import { COLOURINGS, tourMap } from '../lib/tourmap.js'
 import { backlog } from '../lib/twinpool.js'
+import { meaning } from '../lib/vocabulary.js'
 import { watching } from '../lib/watching.js'
 import { welcome } from '../lib/welcome.js'
-import { PHASES, RIG, TONE } from '../lib/words.js'
+import { TONE } from '../lib/words.js'
 
 const QUESTIONS = [['safe', 'Is it safe?'], ['on_time', 'Is it on time?'], ['data', 'Are the data good?']]
 const MINUTES = [['1', '1 min'], ['', '2 min'], ['5', '5 min'], ['15', '15 min']]
@@ -34,7 +35,7 @@ const WAITS = ['tips', 'weights', 'resume'] // Needs of a run.
 
 /** What a run does, as one sentence. */
 function stateWords(run, needs) {
-  if (run.state === 'running') return `It is ${PHASES[run.phase] ?? plain(run.phase)}.`
+  if (run.state === 'running') return `It is ${meaning('phases', run.phase) || plain(run.phase)}.`
   if (run.state === 'paused') return needs.find(need => WAITS.includes(need.kind))?.words ?? ''
   return SAYS[run.state] ?? ''
 }
@@ -42,14 +43,6 @@ function stateWords(run, needs) {
 /** The end of a run that continues, as a person's clock shows it. */
 function endWords(run, at) {
   return run?.eta && ['running', 'pausing'].includes(run.state) ? `Done about ${momentBand(...steadyEnds(run, at), run.eta.high_s < 900)}. ` : ''
-}
-
-/** Calls `work` every `ms` while the page is seen. */
-async function every(ms, work, signal) {
-  while (!signal.aborted) {
-    if (!document.hidden) await work()
-    await sleep(typeof ms === 'function' ? ms() : ms, signal)
-  }
 }
 
 /** Shows the page. */
@@ -122,7 +115,7 @@ export async function show(root, { query, signal, set }) {
       ['Disk', disk ? `${bytes(disk.free_bytes)} free, ${bytes(disk.needed_bytes)} needed` : 'not reported'],
       ['Queue', queue_length ? counted(queue_length, 'run') + next : 'empty'],
       ['Operator lock', lock ? `${lock.holder}, since ${moment(lock.since)}: ${lock.note}` : 'free'],
-      !run && ['Rig', RIG[rig.state] ?? `${capital(plain(rig.state))}.`],
+      !run && ['Rig', meaning('rig_states', rig.state) || `${capital(plain(rig.state))}.`],
     ])
   }
 

@@ -7,7 +7,7 @@ import { actOnRig, actOnRun, actor, confirm, named, outcome, runButtons, runRefu
 import { button, el, fill, note, pane, say, sleep } from '../lib/dom.js'
 import { fold } from '../lib/fold.js'
 import { age, count, counted, countOf, span } from '../lib/format.js'
-import { live, who } from '../lib/live.js'
+import { live, rigLabel, who } from '../lib/live.js'
 import { lockWords } from '../lib/lock.js'
 import { manual } from '../lib/manual.js'
 import { overlay } from '../lib/overlay.js'
@@ -63,7 +63,7 @@ async function watch(take, signal) {
 /** The placement at work: skin, instruction, and the one button. */
 function placing(signal) {
   const said = outcome(), state = { placement: null, open: false, sent: null, sentAt: 0, unrestSince: 0, chosen: null, refused: '' }
-  const view = skin({ title: 'Skin', tall: true, signal, label: () => live.status?.rig.label ?? '', describe, draw: (pen, scale, shape) => state.placement
+  const view = skin({ title: 'Skin', tall: true, signal, label: rigLabel, describe, draw: (pen, scale, shape) => state.placement
     && drawPlacement(pen, scale, shape, state.placement, now()) })
   const head = el('span', { className: 'big' }), resting = el('span', { className: 'soft' }), bar = el('progress'), weights = el('ol', { className: 'weights' })
   const words = el('p', { className: 'verdict', role: 'status' }), refusal = el('p', { className: 'verdict bad', role: 'alert', hidden: true }),

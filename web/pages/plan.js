@@ -2,17 +2,17 @@
 // what is refused and why. `run=N` is a stored run, `experiment=NAME` one that the program carries.
 
 import { get, send } from '../lib/api.js'
-import { actor, outcome } from '../lib/actions.js'
+import { actor, only, outcome } from '../lib/actions.js'
 import { beginButton, queueText } from '../lib/begin.js'
 import { carried, carriedTable } from '../lib/carried.js'
-import { el, fill, link, pane, panel, select } from '../lib/dom.js'
+import { el, fill, link, pane, panel, say, select } from '../lib/dom.js'
 import { forcesPanel } from '../lib/expected.js'
 import { fold } from '../lib/fold.js'
-import { capital, counted, fixed, moment, plain, span } from '../lib/format.js'
-import { endWord } from '../lib/runwords.js'
-import { live } from '../lib/live.js'
+import { capital, counted, fixed, moment, span } from '../lib/format.js'
+import { isActive, runSentence } from '../lib/runwords.js'
+import { live, rigLabel } from '../lib/live.js'
 import { NEEDS_OPERATOR, partsBar, planFacts, problemList, settingsTable } from '../lib/preflight.js'
-import { rigLabel, submittedTour } from '../lib/submitted.js'
+import { submittedTour } from '../lib/submitted.js'
 import { sensor } from '../lib/skin.js'
 import { tourView } from '../lib/tour.js'
 
@@ -31,15 +31,17 @@ export async function show(root, { query, signal, go, set }) {
   let tour = null
   let view = null
   let geometry = null
+  let current = null // The stored run that is shown.
   let checked = null
   const said = outcome()
+  const told = el('p')
 
   async function open(query) {
     state = query
     const wanted = `${query.run ?? ''} ${query.experiment ?? ''}`
     if (wanted === shown) return turn(query)
     shown = wanted
-    tour = view = null
+    tour = view = current = null
     fill(root, panel('Plan', {}, el('p', { className: 'soft' }, 'Loading …')))
     const chosen = await choose(query)
     if (signal.aborted || wanted !== shown) return undefined
@@ -81,12 +83,12 @@ export async function show(root, { query, signal, go, set }) {
       el('p', {}, item.about),
       el('p', { className: 'soft' }, 'It is not queued. This is what it would do on this rig.'),
       verdict(answer),
-      el('div', { className: 'row' }, queue, link(`/queue?add=${encodeURIComponent(item.name)}`, 'Change it first')),
+      el('div', { className: 'row' }, queue, only('operator', link(`/queue?add=${encodeURIComponent(item.name)}`, 'Change it first'))),
       said.node,
       fold('file', 'Experiment file', { signal }, el('pre', { tabIndex: 0 }, item.text)),
     )
     const picture = made && el('section', {}, drawing({ label: rigLabel, absent: `The service has no tour of it: ${made.error?.message}.` }, query))
-    const [others, parts] = [panel('Others', {}, await choices()), await details(answer.p, null)]
+    const [others, parts] = [panel('Others', {}, await choices()), await details(answer.p)]
     if (isOver()) return undefined
     return fill(root, el('div', { className: 'columns two plan' }, el('div', { className: 'column' }, words, picture, others), parts))
   }
@@ -106,6 +108,7 @@ export async function show(root, { query, signal, go, set }) {
   }
 
   async function planned(run, query, isOver) {
+    current = run
     const [answer, drawn, shape] = await Promise.all([
       settled(get(`/runs/${run.uid}/preflight`, {}, { signal, wait: 20_000 })),
       get(`/runs/${run.scan_id}/tour`, {}, { signal, wait: 30_000 }).catch(() => null),
@@ -116,31 +119,27 @@ export async function show(root, { query, signal, go, set }) {
     geometry = shape
     const waits = run.state === 'queued' || run.is_resumable
     const may = answer.p && !answer.p.problems.length
-    const after = started => {
-      if (!started) return undefined
-      shown = ''
-      return open(state)
-    }
+    const after = started => started && again()
     const start = beginButton(run.state === 'queued' ? 'Arm and start' : 'Resume', run, said, { after, className: 'main', disabled: !may })
     const facing = pane(
       el('h2', {}, el('span', {}, `Run ${run.scan_id}, ${run.experiment}`), run.label === 'virtual' ? el('span', { className: 'badge' }, 'virtual') : ''),
-      el('p', {}, standing(run)),
+      say(told, standing(run)),
       waits || answer.error ? verdict(answer) : null,
       el(
         'div',
         { className: 'row' },
         waits && !run.waiting_since && start,
-        run.state === 'queued' && link(`/queue?edit=${run.scan_id}`, 'Edit'),
-        link(`/queue?copy=${run.scan_id}`, 'Copy it'),
+        run.state === 'queued' && only('operator', link(`/queue?edit=${run.scan_id}`, 'Edit')),
+        run.kind !== 'imported' && only('operator', link(`/queue?copy=${run.scan_id}`, 'Copy it')),
         ENDED.includes(run.state) && link(`/runs?run=${run.scan_id}`, 'Its results'),
         link('/queue', 'The queue'),
       ),
       said.node,
     )
-    const label = () => (run.label === 'virtual' ? 'virtual' : '')
+    const label = () => run.label
     const absent = run.kind === 'imported' ? 'An imported run has no plan.' : 'The service has no tour of this run.'
     const picture = el('section', {}, drawing({ label, absent, source: `/api/v1/runs/${run.scan_id}/tour` }, query))
-    const parts = await details(answer.p, run)
+    const parts = await details(answer.p)
     if (!isOver()) fill(root, el('div', { className: 'columns two plan' }, el('div', { className: 'column' }, facing, picture), parts))
   }
 
@@ -150,11 +149,7 @@ export async function show(root, { query, signal, go, set }) {
       const next = run.waiting_since ? 'It is started and waits for its turn.' : 'It begins when a person arms and starts it.'
       return `Queued by ${run.submitted_by}, ${moment(run.created_at)}, in place ${run.queue_position}${early}. ${next}`
     }
-    if (run.state === 'interrupted') return 'Interrupted: what is stored stays. Resume continues with the trials that are missing.'
-    if (run.is_resumable) return `${capital(run.reason ?? endWord(run))}. What is stored stays. Resume continues with the trials that are missing.`
-    if (run.state === 'ended')
-      return `Ended ${moment(run.ended_at)}: ${run.exit_status}, ${run.reason}. This is what it was planned to do; durations are those of the present rig.`
-    return `${capital(plain(run.state))}. This is what it does; durations are for the whole plan.`
+    return `${runSentence(run)}${run.kind === 'imported' ? '' : ' Durations are those of the whole plan on the present rig.'}`
   }
 
   /** The tour on its skin, or `absent`; `source` is the address of a stored one. */
@@ -181,9 +176,9 @@ export async function show(root, { query, signal, go, set }) {
     view.show(tour, geometry, { tips: query.tips ? Number(query.tips) : null, step })
   }
 
-  async function details(p, run) {
+  async function details(p) {
     await first('status', () => live.status)
-    const forces = forcesPanel({ p, tour, run, signal })
+    const forces = forcesPanel({ p, tour })
     if (!p) return el('div', { className: 'column' }, forces)
     const rate = live.status?.rig.clock_rate ?? 1
     const real = `The clock of this virtual rig runs ${fixed(rate, 0)} times faster: a real one takes about ${span(p.duration_s * rate)}.`
@@ -198,13 +193,32 @@ export async function show(root, { query, signal, go, set }) {
     if (!signal.aborted) fill(root, panel('Plan', {}, words, link('/plan', 'The next run')))
   }
   const update = next => open(next).catch(failed)
-  // Another key may check what the present one may not, and the other way round.
-  const again = () => {
-    if (!state.experiment || checked == null || checked === live.may('operator')) return
+  function again() {
     shown = ''
-    update(state)
+    return update(state)
   }
-  live.addEventListener('caller', again, { signal })
+  // Another key may check what the present one may not, and the other way round.
+  const checks = () => state.experiment && checked != null && checked !== live.may('operator') && again()
+  live.addEventListener('caller', checks, { signal })
+  // Another person may begin, edit or remove the run that is shown: it is read again whenever the rig or the queue changes.
+  const standingOf = run => [run.state, run.waiting_since, run.not_before, run.definition_sha256].join()
+  let seen = null
+  live.on(
+    'status',
+    async ({ status }) => {
+      const now = `${status.run?.uid} ${status.run?.state} ${status.queue_length}`
+      const before = seen
+      seen = now
+      const of = current
+      if (!of || before == null || before === now) return
+      const found = await get(`/runs/${of.uid}`, {}, { signal }).catch(() => null)
+      if (!found || of !== current || standingOf(found) === standingOf(of)) return
+      if (!isActive(found) || !isActive(of)) return void again()
+      current = found
+      say(told, standing(found))
+    },
+    signal,
+  )
   await update(query)
   return { update }
 }

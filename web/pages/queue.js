@@ -4,7 +4,7 @@
 import { ask, get, keep } from '../lib/api.js'
 import { confirm, only, outcome } from '../lib/actions.js'
 import { carried, carriedTable } from '../lib/carried.js'
-import { button, el, fill, link, panel } from '../lib/dom.js'
+import { button, el, every, fill, link, panel } from '../lib/dom.js'
 import { editor, isEdited } from '../lib/editor.js'
 import { readExperiment, takeDrops } from '../lib/filedrop.js'
 import { capital, plain } from '../lib/format.js'
@@ -90,9 +90,7 @@ export async function show(root, { query, signal, go }) {
     }
   }
 
-  // A page that is hidden asks for nothing.
-  const timer = setInterval(() => document.hidden || list.refresh(), EVERY_MS)
-  signal.addEventListener('abort', () => clearInterval(timer))
+  every(EVERY_MS, list.refresh, signal)
   let seen = ''
   const changed = ({ status }) => {
     const now = `${status.queue_length} ${status.run?.uid} ${status.run?.state}`

@@ -6,7 +6,7 @@ import { once, get } from '../lib/api.js'
 import { actOnRig, actor, outcome, refusal, sureHome } from '../lib/actions.js'
 import { chain, lastWord, stopWords, stoppingWords, streamWords, wireWords } from '../lib/chain.js'
 import { copyButton } from '../lib/copybutton.js'
-import { el, facts, fill, panel, say, select, sleep } from '../lib/dom.js'
+import { el, every, facts, fill, panel, say, select } from '../lib/dom.js'
 import { capital, count, fixed, moment, plain } from '../lib/format.js'
 import { forceBars } from '../lib/forces.js'
 import { jog, stepsOf } from '../lib/jog.js'
@@ -14,7 +14,7 @@ import { live, who } from '../lib/live.js'
 import { lockWords } from '../lib/lock.js'
 import { checkReport } from '../lib/rigcheck.js'
 import { meaning } from '../lib/vocabulary.js'
-import { RIG, TONE } from '../lib/words.js'
+import { TONE } from '../lib/words.js'
 
 // What the devices of a rig say when its wires are opened, and more.
 const DEVICES_TOLD = 50
@@ -131,7 +131,7 @@ export async function show(root, { query, signal, set }) {
     say(head, run ? `${plain(rig.state)}, run ${run.scan_id}` : plain(rig.state))
     head.className = `state ${TONE[rig.state] ?? ''}`
     say(sentence, run ? `${run.experiment} is ${plain(run.state)}${run.waiting_for ? `: ${run.waiting_for}` : ''}.` : rig.has_stage === false
-      && rig.state === 'disarmed' ? 'Connected. There is nothing to home: a run may start.' : RIG[rig.state] ?? '')
+      && rig.state === 'disarmed' ? 'Connected. There is nothing to home: a run may start.' : meaning('rig_states', rig.state))
     showRole()
     drawTrip(rig)
     for (const { action, about, why, one } of rows) gate(one, may(action), null) ?? say(why, may(action) || about)
@@ -206,16 +206,11 @@ export async function show(root, { query, signal, set }) {
     const isQuiet = !change || Object.values(change).every(value => typeof value !== 'number' || value === 0)
     return over_s === 0 || over_s < SURE_S && isQuiet ? null : { over_s, ...change }
   }
-  async function followRates() {
-    while (!signal.aborted) {
-      if (!document.hidden && live.status?.rig.state !== 'disconnected') {
-        state.rates = await get('/rig/rates', {}, { signal }).catch(() => state.rates)
-        if (!signal.aborted) draw(live)
-      }
-      await sleep(RATES_MS, signal)
-    }
-  }
-  followRates()
+  every(RATES_MS, async () => {
+    if (live.status?.rig.state === 'disconnected') return
+    state.rates = await get('/rig/rates', {}, { signal }).catch(() => state.rates)
+    if (!signal.aborted) draw(live)
+  }, signal)
   // What each device said when the wires were opened last.
   const listen = () => get('/events', { kind: 'device', since: -DEVICES_TOLD }, { signal }).then(({ items }) => {
     for (const event of items) state.found[event.data.device] = event

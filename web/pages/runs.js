@@ -4,8 +4,9 @@ import { get, withQuery } from '../lib/api.js'
 import { outcome } from '../lib/actions.js'
 import { beginButton } from '../lib/begin.js'
 import { compare } from '../lib/compare.js'
-import { button, el, fill, link, note, panel, select } from '../lib/dom.js'
+import { button, el, every, fill, link, note, panel, select, sleep } from '../lib/dom.js'
 import { NONE, age, count, counted, moment, span } from '../lib/format.js'
+import { listing } from '../lib/listing.js'
 import { live } from '../lib/live.js'
 import { report } from '../lib/report.js'
 import { STATES, endWord, isWanted, runTone } from '../lib/runwords.js'
@@ -23,8 +24,7 @@ export async function show(root, { query, signal, go, set }) {
   const summaries = new Map()
   const list = el('div', { className: 'list' })
   const body = el('div', { className: 'list' })
-  let runs = []
-  let next = null
+  const known = listing('/runs', { limit: PAGE, key: run => run.uid, signal })
   let opened = ''
   let view = null
   let leaving = new AbortController()
@@ -91,7 +91,7 @@ export async function show(root, { query, signal, go, set }) {
   const more = button(
     'More',
     async () => {
-      await read(next)
+      await read(true)
       if (!trouble.hidden) trouble.scrollIntoView({ block: 'nearest' }) // The button is below the rows.
       return draw()
     },
@@ -100,15 +100,9 @@ export async function show(root, { query, signal, go, set }) {
   list.append(panel('History', { className: 'live' }, filters, trouble, told, rows.node, el('div', { className: 'row' }, more)))
   const kept = () => Object.fromEntries(['state', 'kind', 'label'].filter(key => query[key]).map(key => [key, query[key]]))
 
-  async function read(cursor) {
+  async function read(further) {
     try {
-      const page = await get('/runs', { limit: PAGE, cursor }, { signal })
-      // The first page is read again and again: what was read beyond it stays.
-      const fresh = new Set(page.items.map(run => run.uid))
-      const old = runs.filter(run => !fresh.has(run.uid))
-      const had = runs.length > page.items.length
-      runs = cursor ? [...old, ...page.items] : [...page.items, ...old]
-      if (cursor || !had) next = page.next ?? null
+      await known.read(further)
       note(trouble, '')
     } catch (error) {
       if (!signal.aborted) note(trouble, `The runs could not be read: ${error.message}`)
@@ -116,7 +110,9 @@ export async function show(root, { query, signal, go, set }) {
   }
   async function draw() {
     // Pages are read until the selection shows something; the rest comes by the button.
-    for (let pages = 1; next && pages < PAGES_MOST && !runs.some(run => isWanted(run, query)) && !signal.aborted; pages += 1) await read(next)
+    const isFound = () => known.items.some(run => isWanted(run, query))
+    for (let pages = 1; known.next && pages < PAGES_MOST && !isFound() && !signal.aborted; pages += 1) await read(true)
+    const { items: runs, next } = known
     const wanted = runs.filter(run => isWanted(run, query))
     for (const id of ['state', 'kind', 'label']) filters.querySelector(`#${id}`).value = query[id] ?? ''
     more.hidden = !next
@@ -170,7 +166,7 @@ export async function show(root, { query, signal, go, set }) {
       else {
         const inside = el('div', { className: 'list' })
         fill(body, el('section', { className: 'back' }, link(back, 'All runs')), inside)
-        view = report(inside, { state: query, set, go, said, others: () => runs, signal: until })
+        view = report(inside, { state: query, set, go, said, others: () => known.items, signal: until })
         await view.open()
       }
     } catch (error) {
@@ -180,10 +176,7 @@ export async function show(root, { query, signal, go, set }) {
     return undefined
   }
 
-  const timer = setInterval(() => {
-    if (!document.hidden && (query.run || live.status?.run)) refresh()
-  }, EVERY_MS)
-  signal.addEventListener('abort', () => clearInterval(timer))
+  sleep(EVERY_MS, signal).then(() => every(EVERY_MS, () => (query.run || live.status?.run) && refresh(), signal))
   let seen = null
   live.on(
     'status',

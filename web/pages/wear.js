@@ -3,8 +3,8 @@
 
 import { all, get } from '../lib/api.js'
 import { button, el, facts, fill, link, panel } from '../lib/dom.js'
-import { age, count, counted, fixed, moment } from '../lib/format.js'
-import { live } from '../lib/live.js'
+import { age, clock, count, counted, fixed, moment } from '../lib/format.js'
+import { rigLabel } from '../lib/live.js'
 import { references } from '../lib/references.js'
 import { sensor } from '../lib/skin.js'
 import { table } from '../lib/table.js'
@@ -24,7 +24,9 @@ function summary(wear) {
     checked && ['Days since', count(Math.floor(age(checked) / 86_400))],
   ])
   // One configuration presses a place once, deeper with each of its trials.
-  const words = 'Presses count configurations on this skin; reference presses are not in them. Hours are from begin to end of its ended runs, with their waits.'
+  const words =
+    'Presses count configurations on this skin; reference presses are not in them. Hours are from begin to end of its ended runs, with their waits. ' +
+    `Read at ${clock(Date.now())}.`
   return [list, el('p', { className: 'soft' }, words)]
 }
 
@@ -69,7 +71,7 @@ function whatToDo(wear) {
     {},
     el(
       'ul',
-      { className: 'todo' },
+      { className: 'listed' },
       lines.map(line => el('li', {}, line)),
     ),
     el('p', { className: 'soft' }, unknown),
@@ -78,9 +80,8 @@ function whatToDo(wear) {
 
 /** Shows the page. */
 export async function show(root, { query, signal, set }) {
-  const label = () => (live.status?.rig.label === 'virtual' ? 'virtual' : '')
-  const map = wearMap({ onchoose: (x, y) => set({ x, y }), label, signal })
-  const drift = references({ label, signal })
+  const map = wearMap({ onchoose: (x, y) => set({ x, y }), label: rigLabel, signal })
+  const drift = references({ label: rigLabel, signal })
   const top = el('section', {}, el('p', { className: 'soft' }, 'Loading …'))
   const rest = el('div', { className: 'columns three' })
   const middle = el('div', { className: 'columns two', hidden: true }, map.map, el('div', { className: 'column' }, map.most, map.spread))

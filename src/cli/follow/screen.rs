@@ -91,9 +91,7 @@ fn progress_line(run: &RunView, status: &StatusView) -> serde_json::Value {
 fn progress_words(run: &RunView, status: &StatusView) -> String {
     let mut parts = vec![match (&run.waiting_for, run.state) {
         (Some(words), _) => format!("waits: {words}"),
-        (None, StoredState::Running) => {
-            json!(run.phase).as_str().unwrap_or_default().replace('_', "-")
-        }
+        (None, StoredState::Running) => run.phase.as_str().replace('_', "-"),
         (None, state) => state.as_str().into(),
     }];
     if let Some(asked) = &run.requested_state {

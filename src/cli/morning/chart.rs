@@ -12,6 +12,7 @@ use ratatui::widgets::{Axis, Chart, Dataset, GraphType};
 use ratatui::{Frame, Terminal, TerminalOptions, Viewport};
 use sim_core::stats::{quantile, sorted};
 
+use crate::api::ForcesAtDepth;
 use crate::cli::error::CliError;
 use crate::cli::output::{is_coloured, terminal_width};
 
@@ -126,6 +127,13 @@ pub struct AtDepth {
     pub q3_n: f64,
     /// Number of values.
     pub n: usize,
+}
+
+impl From<ForcesAtDepth> for AtDepth {
+    fn from(at: ForcesAtDepth) -> Self {
+        let ForcesAtDepth { tips: _, depth_mm, trials, q1_n, median_n, q3_n } = at;
+        Self { depth_mm, q1_n, median_n, q3_n, n: trials as usize }
+    }
 }
 
 /// Quartiles of forces by depth, in ascending order of depth. `values`: depth, mm, and force, N.

@@ -3,14 +3,13 @@
 
 use jiff::Timestamp;
 use ratatui::layout::Rect;
+use serde::Deserialize;
 use serde_json::json;
 
-use super::answers::{
-    TrialFacts, TwinsOf, all_trials, duration_words, elapsed, fit_of, state_words, stored_words,
-};
-use super::chart::{AtDepth, by_depth, forces, picture, width};
+use super::answers::{TwinsOf, duration_words, elapsed, fit_of, state_words, stored_words};
+use super::chart::{AtDepth, forces, picture, width};
 use super::{ShowArgs, history, raw, show_trial};
-use crate::api::Summary;
+use crate::api::{ForcesAtDepth, Summary};
 use crate::cli::client::Client;
 use crate::cli::embed;
 use crate::cli::error::CliError;
@@ -59,8 +58,17 @@ struct Drawn {
     summary: Summary,
     twins: TwinsOf,
     median_fvu: Option<f64>,
-    trials: Vec<TrialFacts>,
+    /// Largest forces of all trials over depth.
+    curve: Vec<AtDepth>,
+    worst: Option<WorstFit>,
     night: Night,
+}
+
+/// The trial with contacts whose twin fits worst.
+#[derive(Debug, Deserialize)]
+struct WorstFit {
+    trial_id: i64,
+    fvu: f64,
 }
 
 async fn run(client: &Client, args: &ShowArgs) -> Result<(), CliError> {
@@ -79,9 +87,14 @@ async fn run(client: &Client, args: &ShowArgs) -> Result<(), CliError> {
         Some(_) => client.if_there(&format!("{path}/progress")).await?,
         None => None,
     };
-    let trials = all_trials(client, found.uid, summary.trials_stored).await?;
+    let forces: Vec<ForcesAtDepth> = client.all(&format!("{path}/forces?")).await?;
+    let of_all = forces.into_iter().filter(|at| at.tips.is_none());
+    let curve = of_all.map(AtDepth::from).collect();
+    let worst_first = format!("{path}/trials?contact_count__gt=0&fvu__gte=0&sort=-fvu");
+    let (worst, _) = client.first(&worst_first, 1).await?;
+    let worst = worst.into_iter().next();
     let night = Night { run: Some(found.uid), skin, tour, progress, ..Night::new(client.url()) };
-    let drawn = Drawn { summary, twins, median_fvu, trials, night };
+    let drawn = Drawn { summary, twins, median_fvu, curve, worst, night };
     draw(&drawn)?;
     with_commands(&drawn, Next::of(&args.at)).say();
     Ok(())
@@ -93,8 +106,7 @@ fn draw(drawn: &Drawn) -> Result<(), CliError> {
     if let Some(contacts) = contacts {
         say(format_args!("\n{contacts}"));
     }
-    let curve = by_depth(drawn.trials.iter().filter_map(|t| Some((t.depth_mm?, t.max_force_n?))));
-    let picture = pictures(&drawn.night, &curve)?;
+    let picture = pictures(&drawn.night, &drawn.curve)?;
     if !picture.is_empty() {
         say("");
         say_drawn(&picture);
@@ -108,12 +120,10 @@ fn with_commands(drawn: &Drawn, next: Next) -> Next {
     let next = next
         .suggest(format_args!("palpate report {run}"), "all of it as HTML and PDF")
         .suggest(format_args!("palpate trials {run}"), "its trials");
-    let worst = drawn.trials.iter().filter(|trial| trial.contact_count > 0);
-    let worst = worst.filter_map(|t| Some((t.fvu?, t.trial_id))).max_by(|a, b| a.0.total_cmp(&b.0));
-    match worst {
+    match &drawn.worst {
         None => next,
-        Some((fvu, trial)) => next.suggest(
-            format_args!("palpate show t{trial}"),
+        Some(WorstFit { trial_id, fvu }) => next.suggest(
+            format_args!("palpate show t{trial_id}"),
             format_args!("the trial with the largest FVU, {fvu:.2}"),
         ),
     }
@@ -237,7 +247,8 @@ mod tests {
     fn a_map_and_a_chart_are_drawn_without_a_service() {
         let tour = Tour { depths_mm: vec![0.0, 1.0], ..Tour::default() };
         let night = Night { tour: Some(tour), ..Night::new("") };
-        let curve = by_depth([(0.0, 0.0), (1.0, 5.0)].into_iter());
+        let at = |depth_mm, n| AtDepth { depth_mm, q1_n: 0.0, median_n: 2.5, q3_n: 5.0, n };
+        let curve = [at(0.0, 1), at(1.0, 1)];
         let drawn = pictures(&night, &curve).unwrap();
         assert!(drawn.contains("skin") && drawn.contains("quartiles (n = 2)"), "{drawn}");
         assert_eq!(pictures(&Night::new(""), &[]).unwrap(), "");

@@ -10,7 +10,7 @@ use super::answers::per_hour;
 use super::night::{Level, Night, Told, one_line};
 use super::theme::Theme;
 use crate::api::{Rating, RigRates, Suspender};
-use crate::campaign::shown::status::{Eta, Phase};
+use crate::campaign::shown::status::Eta;
 use crate::cli::output::{bytes, counted, duration, grouped};
 use crate::cli::rig_rates::broken_channels;
 use crate::cli::view::{RunView, StatusView};
@@ -173,23 +173,12 @@ pub fn facts(night: &Night, status: &StatusView, now: &Now, theme: Theme) -> Vec
     lines
 }
 
-/// What the run does now, and where in its tour.
+/// Where the run is in its tour, and what it does there.
 fn phase(run: &RunView) -> String {
-    let words = match run.phase {
-        Phase::Next => "selects the next step",
-        Phase::TouchOff => "searches the surface",
-        Phase::Travel => "travels",
-        Phase::Tare => "tares",
-        Phase::Press => "presses",
-        Phase::Settle => "settles",
-        Phase::Measure => "measures",
-        Phase::Commit => "stores",
-        Phase::Raise => "raises",
-        Phase::Wait => "waits",
-    };
+    let words = run.phase.about();
     match (run.current_step, run.trial) {
-        (Some(step), _) => format!("{words}, step {} of {}", step.index + 1, step.of),
-        (None, Some(key)) => format!("{words}, configuration {}", key.configuration),
+        (Some(step), _) => format!("step {} of {}, {words}", step.index + 1, step.of),
+        (None, Some(key)) => format!("configuration {}, {words}", key.configuration),
         (None, None) => words.into(),
     }
 }

@@ -117,7 +117,7 @@ fn all_facts_of_the_night_are_on_usual_terminals() {
             "needs you:  nothing",
             "12.3 N",
             "limit 80 N",
-            "presses, step 3 of 5",
+            "step 3 of 5, pressing",
             "last trial 2.0 s ago",
             "212.00 GB free, 14.00 GB needed",
             "11 pending, rolling FVU 0.094",

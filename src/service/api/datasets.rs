@@ -24,7 +24,7 @@ use crate::dataset::package;
 use crate::dataset::prune::Pruned;
 use crate::ids::DatasetId;
 use crate::query::groups::conditions;
-use crate::store::DatasetRow;
+use crate::store::{DatasetRow, Label};
 
 /// A dataset: its definition, size, checksum and counts.
 #[derive(Debug, Serialize, ToSchema)]
@@ -36,6 +36,8 @@ pub struct DatasetOut {
     /// Definition that selected, labelled and split the trials.
     #[schema(value_type = Definition)]
     pub definition: Value,
+    /// Origin of its rows: the label of its runs, `simulated` without any; null if it cannot be read.
+    pub label: Option<Label>,
     /// Number of rows.
     pub rows: u64,
     /// Length of the Parquet file, bytes.
@@ -67,6 +69,7 @@ impl From<DatasetRow> for DatasetOut {
             url: format!("/api/v1/data/{}.parquet", row.id),
             id: row.id,
             name: row.name,
+            label: label_of(&row.lineage),
             definition: row.definition,
             rows: row.rows,
             bytes: row.bytes,
@@ -76,6 +79,14 @@ impl From<DatasetRow> for DatasetOut {
             last_used_at: None,
             is_current: None,
         }
+    }
+}
+
+/// Label of the rows with a lineage: all runs of a dataset have the same one.
+fn label_of(lineage: &Value) -> Option<Label> {
+    match lineage["runs"].get(0) {
+        None => Some(Label::Simulated),
+        Some(run) => Label::deserialize(&run["label"]).ok(),
     }
 }
 

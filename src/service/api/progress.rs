@@ -17,7 +17,7 @@ use super::runs::find;
 use super::tour::Tour;
 use crate::campaign::shown::status::RunStatus;
 use crate::state::StoredState;
-use crate::store::StoredProgress;
+use crate::store::{RunRow, StoredProgress};
 
 /// Progress of a run. Lists have one entry for each configuration of the tour, in its order.
 #[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
@@ -71,6 +71,14 @@ pub async fn of_run(
 ) -> Result<Json<RunProgress>, ApiError> {
     let run = find(&app, &run).await?;
     let kept = app.tour(&run).await?;
+    Ok(Json(along(&app, &run, &kept.tour).await?))
+}
+
+/// The progress of a run along its tour.
+///
+/// # Errors
+/// Those of the store.
+pub(super) async fn along(app: &App, run: &RunRow, tour: &Tour) -> Result<RunProgress, ApiError> {
     let reading = async { app.store.progress_by_configuration(run.uid).await.map(Arc::new) };
     let stored = app.facts.memory.progress.get(run.uid, reading).await?;
     let active = app.campaign.status().run.filter(|active| active.uid == run.uid);
@@ -81,7 +89,7 @@ pub async fn of_run(
         driven: active.as_ref().and_then(driven),
         at: Timestamp::now(),
     };
-    Ok(Json(progress(&kept.tour, &stored, now)))
+    Ok(progress(tour, &stored, now))
 }
 
 /// State of a run.

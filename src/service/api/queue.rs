@@ -1,24 +1,19 @@
-//! The queue of runs, and the preflight of a submission.
+//! The queue of runs.
 //! Uses: `conductor`, `store`. Never: starting a run (`runs` does).
 
 use axum::Json;
 use axum::extract::State;
-use axum::http::StatusCode;
 use jiff::Timestamp;
 use serde::Deserialize;
-use tokio::sync::SemaphorePermit;
-use tokio::time::timeout;
 use utoipa::{IntoParams, ToSchema};
 
 use super::App;
 use super::audit::Act;
-use super::limits::TURN_WAIT;
 use super::pages::Page;
 use super::problem::{ApiError, Body, Params, Path, ProblemBody};
 use super::runs::find;
 use super::send::Created;
 use crate::conductor::{Submission, Terms};
-use crate::schedule::preflight::Preflight;
 use crate::store::RunRow;
 
 /// Request to queue a run, or to replace a queued one.
@@ -141,29 +136,4 @@ pub async fn shift(
     let run = find(&app, &run).await?.uid;
     act.on(run);
     Ok(Page::whole(app.store.move_item(run, shift.position).await?))
-}
-
-/// Returns the preflight of a submission on this rig, without queuing it.
-#[utoipa::path(post, operation_id = "preflight_submission",
-    path = "/api/v1/preflight", tag = "queue", request_body = Submission,
-    responses((status = 200, body = Preflight),
-        (status = 422, body = ProblemBody, description = "a file of the submission is invalid")))]
-pub async fn preflight(
-    State(app): State<App>,
-    Body(submission): Body<Submission>,
-) -> Result<Json<Preflight>, ApiError> {
-    let _turn = preflight_turn(&app).await?;
-    Ok(Json(app.conductor.preflight(submission).await?))
-}
-
-/// Waits for the turn of a preflight: planning takes processor time that a campaign may need.
-///
-/// # Errors
-/// 503 if it does not come in time.
-pub(super) async fn preflight_turn(app: &App) -> Result<SemaphorePermit<'_>, ApiError> {
-    let Ok(Ok(turn)) = timeout(TURN_WAIT, app.turns.preflights.acquire()).await else {
-        let words = "too many preflights: none could be started within 10 s; retry";
-        return Err(ApiError::new(StatusCode::SERVICE_UNAVAILABLE, words));
-    };
-    Ok(turn)
 }

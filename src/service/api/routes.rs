@@ -13,11 +13,11 @@ use super::limits::{
     ACTION_BODY_MAX_BYTES, BODY_MAX_BYTES, FRAMES_MAX_BYTES, IMPORT_MAX_BYTES, MODEL_MAX_BYTES,
 };
 use super::{
-    App, datasets, estop, evaluation, events, experiments, exports, gather, health, history,
-    imports, infer, jobs, live, live_contacts, live_status, models, overlay, people, placement,
-    progress, published, quantities, queue, queue_times, rates, readings, recipes, recording, rig,
-    rig_limits, runs, samples, sensor, simulations, sql, status, tour, trials, twins, untouched,
-    vocabulary, wear, workers,
+    App, datasets, estop, evaluation, events, experiments, exports, forces, gather, health,
+    history, imports, infer, jobs, live, live_contacts, live_status, models, overlay, people,
+    placement, preflight, progress, published, quantities, queue, queue_times, rates, readings,
+    recipes, recording, rig, rig_limits, runs, samples, sensor, simulations, sql, status, tour,
+    trials, twins, untouched, vocabulary, wear, workers,
 };
 use crate::store::Role;
 
@@ -90,7 +90,7 @@ pub fn table() -> Vec<Operation> {
         (acts("remove").of(Edited::Queue), routes!(queue::remove)),
         (acts("move").of(Edited::Queue), routes!(queue::shift)),
         (READS, routes!(queue_times::times)),
-        (READS.role(Role::Operator), routes!(queue::preflight)),
+        (READS.role(Role::Operator), routes!(preflight::of_submission)),
         (READS.role(Role::Operator), routes!(tour::of_submission)),
         (READS, routes!(experiments::list)),
         (READS, routes!(experiments::schema)),
@@ -98,10 +98,11 @@ pub fn table() -> Vec<Operation> {
         (READS, routes!(runs::list)),
         (READS, routes!(runs::one)),
         (READS, routes!(runs::summary)),
-        (READS, routes!(runs::preflight)),
+        (READS, routes!(preflight::of_run)),
         (READS, routes!(runs::plan)),
         (READS, routes!(tour::of_run)),
         (READS, routes!(progress::of_run)),
+        (READS, routes!(forces::of_run)),
         (READS, routes!(history::of_run)),
         (READS, routes!(sensor::sensor)),
         (acts("arm"), routes!(runs::arm)),

@@ -23,7 +23,6 @@ use crate::campaign::shown::status::Done;
 use crate::conductor::{Armed, Started};
 use crate::ids::RunUid;
 use crate::journal::Journal;
-use crate::schedule::preflight::Preflight;
 use crate::store::{Role, RunRow, SettingCount, SkipRow};
 
 /// Time after the end of a run within which a pause or an abort of it was meant for what moved, wall.
@@ -194,19 +193,6 @@ pub async fn summary(
         duration_s,
         run,
     }))
-}
-
-/// Returns the preflight of a stored run on this rig.
-#[utoipa::path(get, operation_id = "run_preflight",
-    path = "/api/v1/runs/{run}/preflight", tag = "runs",
-    responses((status = 200, body = Preflight),
-        (status = 422, body = ProblemBody, description = "the run was not planned from an experiment")))]
-pub async fn preflight(
-    State(app): State<App>,
-    Path(run): Path<String>,
-) -> Result<Json<Preflight>, ApiError> {
-    let run = find(&app, &run).await?;
-    Ok(Json(app.conductor.preflight_of(&run).await?))
 }
 
 /// Returns the plan that a run was queued with: every step with every position, depth and wait.

@@ -7,12 +7,11 @@ use axum::http::StatusCode;
 use serde::{Deserialize, Serialize};
 use sim_core::forward::Workspace;
 use sim_core::sensor::Sensor;
-use tokio::time::timeout;
 use tracing::Instrument;
 use utoipa::ToSchema;
 
 use super::App;
-use super::limits::{SIMULATED_CONTACTS, TURN_WAIT};
+use super::limits::SIMULATED_CONTACTS;
 use super::problem::{ApiError, Body, ProblemBody};
 use super::runs::find;
 use crate::clock::Clock;
@@ -119,11 +118,7 @@ pub async fn simulate(
     Limits::of(&skin.sensor, SIMULATED_CONTACTS)
         .check(BODY, &contacts)
         .map_err(ApiError::problems)?;
-    let Ok(Ok(turn)) = timeout(TURN_WAIT, app.turns.simulations.clone().acquire_owned()).await
-    else {
-        let words = "too many simulations: none could be started within 10 s; retry";
-        return Err(ApiError::new(StatusCode::SERVICE_UNAVAILABLE, words));
-    };
+    let turn = app.turns.simulation().await?;
     let model = skin.calibration.as_ref().map_or("sensor file".into(), |of| of.id.to_string());
     let (skins, clock) = (app.twins.skins().clone(), Clock::new(1.0));
     let foam_mm = skin.sensor.file.layers.foam.thickness_mm;

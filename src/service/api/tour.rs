@@ -14,7 +14,6 @@ use utoipa::ToSchema;
 
 use super::App;
 use super::problem::{ApiError, Body, Path, ProblemBody};
-use super::queue::preflight_turn;
 use super::runs::find;
 use super::sensor::SensorOut;
 use super::tags::lists;
@@ -100,7 +99,7 @@ pub async fn of_submission(
     State(app): State<App>,
     Body(submission): Body<Submission>,
 ) -> Result<Json<SubmittedTour>, ApiError> {
-    let _turn = preflight_turn(&app).await?;
+    let _turn = app.turns.preflight().await?;
     // A plan of 198,000 trials takes about 0.3 s: not on a thread that answers requests.
     let planning = tokio::task::spawn_blocking(move || SubmittedTour::of(&submission));
     planning.await.map_err(ApiError::internal)?.map(Json).map_err(ApiError::problems)

@@ -24,10 +24,8 @@ pub struct Turns {
     pub(super) frames: Arc<Semaphore>,
     /// Clients of the live status.
     pub(super) status: Arc<Semaphore>,
-    /// Preflights and tours of submissions.
-    pub(super) preflights: Arc<Semaphore>,
-    /// Simulations of contacts.
-    pub(super) simulations: Arc<Semaphore>,
+    preflights: Arc<Semaphore>,
+    simulations: Arc<Semaphore>,
 }
 
 impl Turns {
@@ -39,6 +37,16 @@ impl Turns {
     /// Waits for the turn of an answer by a fit.
     pub(super) async fn fit(&self) -> Result<OwnedSemaphorePermit, ApiError> {
         Self::turn(&self.fits).await
+    }
+
+    /// Waits for the turn of a preflight or a tour: planning takes processor time that a campaign may need.
+    pub(super) async fn preflight(&self) -> Result<OwnedSemaphorePermit, ApiError> {
+        Self::turn(&self.preflights).await
+    }
+
+    /// Waits for the turn of a simulation.
+    pub(super) async fn simulation(&self) -> Result<OwnedSemaphorePermit, ApiError> {
+        Self::turn(&self.simulations).await
     }
 
     async fn turn(of: &Arc<Semaphore>) -> Result<OwnedSemaphorePermit, ApiError> {

@@ -7,6 +7,8 @@ use utoipa::ToSchema;
 
 use super::limits::SIMULATED_CONTACTS;
 use crate::campaign::bench::interlock::TripKind;
+use crate::campaign::bench::rig_state::RigState;
+use crate::campaign::shown::status::Phase;
 use crate::dataset::force_map::TABLE_IV_MAPS;
 use crate::dataset::format::Format;
 use crate::evaluate::request::Scored;
@@ -42,6 +44,10 @@ pub struct Vocabulary {
     pub trips: Vec<Word>,
     /// Reasons why a run waits, as clauses.
     pub pauses: Vec<Word>,
+    /// Activities of a run.
+    pub phases: Vec<Word>,
+    /// States of the rig, as sentences.
+    pub rig_states: Vec<Word>,
     /// Roles of keys; each has the rights of the previous ones.
     pub roles: Vec<Word>,
     /// Limits of a simulation.
@@ -184,6 +190,10 @@ pub async fn vocabulary() -> Json<Vocabulary> {
             .into(),
         trips: TripKind::ALL.map(|kind| Word { name: kind.name(), about: kind.about() }).into(),
         pauses: PausedWhy::ALL.map(|why| Word { name: why.as_str(), about: why.about() }).into(),
+        phases: Phase::ALL.map(|at| Word { name: at.as_str(), about: at.about() }).into(),
+        rig_states: RigState::ALL
+            .map(|state| Word { name: state.as_str(), about: state.about() })
+            .into(),
         roles: Role::ALL.map(|role| Word { name: role.as_str(), about: role.about() }).into(),
         simulation: SimulationLimits { contacts_max: SIMULATED_CONTACTS, force_max_n: FORCE_MAX_N },
     })
@@ -289,6 +299,9 @@ mod tests {
         assert!(flags.contains(&"still_cell") && flags.len() == Flag::ALL.len());
         assert_eq!(words.trips[6].name, "stale");
         assert_eq!((words.pauses[1].name, words.pauses.len()), ("tip_change", 6));
+        assert_eq!((words.rig_states[1].name, words.rig_states.len()), ("disarmed", 5));
+        let named = words.phases.iter().map(|phase| serde_json::json!(phase.name));
+        assert!(named.eq(Phase::ALL.map(|phase| serde_json::json!(phase))));
         assert_eq!(
             words.roles.iter().map(|role| role.name).collect::<Vec<_>>(),
             ["viewer", "operator", "admin"]

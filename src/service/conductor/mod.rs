@@ -185,20 +185,12 @@ impl Conductor {
         self.operations() > at_start
     }
 
-    /// Returns the preflight of a submission, without queueing it.
-    ///
-    /// # Errors
-    /// `ConductorError::Problems` if a file is invalid.
-    pub async fn preflight(&self, submission: Submission) -> Result<Preflight, ConductorError> {
-        Ok(self.prepare(submission).await?.preflight)
-    }
-
     /// Returns the preflight of a stored run on this rig.
     ///
     /// # Errors
     /// `ConductorError::Problems` if a file is invalid.
     pub async fn preflight_of(&self, run: &RunRow) -> Result<Preflight, ConductorError> {
-        self.preflight(Submission::of(run)).await
+        Ok(self.prepare(Submission::of(run)).await?.preflight)
     }
 
     /// First step of a start: checks the run and returns a code.
@@ -376,7 +368,11 @@ impl Conductor {
         Ok(prepared)
     }
 
-    async fn prepare(&self, submission: Submission) -> Result<Prepared, ConductorError> {
+    /// Plans a submission and checks it for this rig, without queueing it.
+    ///
+    /// # Errors
+    /// `ConductorError::Problems` if a file is invalid.
+    pub(crate) async fn prepare(&self, submission: Submission) -> Result<Prepared, ConductorError> {
         let rig = self.inner.rig.clone();
         // A plan of 198,000 trials takes about 0.3 s: not on a thread that answers requests.
         let prepared = tokio::task::spawn_blocking(move || Prepared::of(&submission, &rig)).await;

@@ -1,10 +1,12 @@
 //! Runs: storing, listing and reading them.
 //! Uses: `core`, `run_row`. Never: a change of a state (`run_state`).
 
+use jiff::Timestamp;
 use sqlx::sqlite::SqliteConnection;
 
 use super::run_row::{self, NewRun, RunPage, RunRow};
-use crate::core::facts::RunFacts;
+use crate::core::columns::time_text;
+use crate::core::facts::{Label, RunFacts, RunKind};
 use crate::core::{Store, StoreError};
 use crate::ids::RunUid;
 use crate::state::StoredState;
@@ -59,6 +61,30 @@ impl Store {
         runs.truncate(limit as usize);
         let next = if more { runs.last().map(|r| r.scan_id) } else { None };
         Ok(RunPage { runs, next })
+    }
+
+    /// Returns the newest run that began before a time and pressed a skin, by the digest of its sensor file;
+    /// `None` if no such run has a stored force.
+    ///
+    /// # Errors
+    /// `Sql` or `Unreadable` if the read fails.
+    pub async fn pressed_before(
+        &self,
+        sensor_sha256: &str,
+        label: Label,
+        before: Timestamp,
+    ) -> Result<Option<RunRow>, StoreError> {
+        const OPERATION: &str = "looking for an earlier run";
+        let query = sqlx::query(
+            "SELECT * FROM runs WHERE kind = ?1 AND sensor_sha256 = ?2 AND label = ?3 AND started_at < ?4
+                 AND EXISTS (SELECT 1 FROM trials WHERE run = scan_id AND max_force_n IS NOT NULL)
+             ORDER BY started_at DESC LIMIT 1",
+        )
+        .bind(RunKind::RealHex.as_str())
+        .bind(sensor_sha256.to_owned())
+        .bind(label.as_str())
+        .bind(time_text(before));
+        self.row(OPERATION, query, RunRow::read).await
     }
 
     /// Returns all runs except the removed ones, oldest first.

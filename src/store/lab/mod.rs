@@ -5,6 +5,8 @@
 pub(crate) mod twins;
 /// Progress of a run by configuration.
 pub(crate) mod progress;
+/// Forces of a run over depth.
+pub(crate) mod forces;
 /// A run over time.
 pub(crate) mod history;
 /// Facts of datasets; their rows are files.

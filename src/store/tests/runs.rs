@@ -5,7 +5,7 @@ use super::{fresh, hex_trial, new_run, now, open, time};
 use crate::ids::RunUid;
 use crate::journal::{ExitStatus, Journal};
 use crate::state::{PausedWhy, StateChange, StoredState};
-use crate::{NewRun, RunKind, Soundness, StoreError};
+use crate::{Label, NewRun, RunKind, Soundness, StoreError};
 
 #[tokio::test]
 async fn a_run_keeps_its_provenance() {
@@ -99,6 +99,36 @@ async fn open_runs_are_interrupted_at_the_start() {
     let left = store.run(uids[1]).await.unwrap().unwrap();
     assert_eq!((left.state, left.requested_state), (StoredState::Interrupted, None));
     store.run_state(uids[0], StateChange::to(StoredState::Running), now()).await.unwrap();
+}
+
+#[tokio::test]
+async fn the_newest_run_that_pressed_the_skin_before_a_time_is_found() {
+    let (_folder, store) = fresh().await;
+    let mut pressed = Vec::new();
+    for (sensor, at, forces_n) in [
+        ("sensor", "2026-11-20T18:00:00Z", Some([7.0])),
+        ("sensor", "2026-11-21T18:00:00Z", Some([9.0])),
+        ("sensor", "2026-11-22T18:00:00Z", None),
+        ("another", "2026-11-23T18:00:00Z", Some([8.0])),
+    ] {
+        let new = NewRun { sensor: sensor.into(), ..new_run(RunKind::RealHex) };
+        let run = store.create_run(new).await.unwrap();
+        let running = StateChange::to(StoredState::Running);
+        store.run_state(run.uid, running, time(at)).await.unwrap();
+        if let Some(forces_n) = forces_n {
+            store.trial(run.uid, &hex_trial(0, 0, &forces_n)).await.unwrap();
+        }
+        pressed.push(run);
+    }
+    let skin = pressed[0].sensor_sha256.as_str();
+    let found = async |label: Label, before: &str| {
+        let found = store.pressed_before(skin, label, time(before)).await.unwrap();
+        found.map(|run| run.scan_id)
+    };
+    assert_eq!(found(Label::Virtual, "2026-11-24T00:00:00Z").await, Some(pressed[1].scan_id));
+    assert_eq!(found(Label::Virtual, "2026-11-21T18:00:00Z").await, Some(pressed[0].scan_id));
+    assert_eq!(found(Label::Virtual, "2026-11-20T18:00:00Z").await, None);
+    assert_eq!(found(Label::Measured, "2026-11-24T00:00:00Z").await, None);
 }
 
 #[tokio::test]

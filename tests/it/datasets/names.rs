@@ -129,6 +129,7 @@ async fn an_id_is_its_contents_and_a_name_follows_them() {
     assert_ne!(newer["id"], first["id"]);
     let found = lab.get("/api/v1/datasets/r2s-transfer").await;
     assert_eq!((&found["id"], &found["is_current"]), (&newer["id"], &json!(true)));
+    assert_eq!(found["label"], "virtual", "as its runs");
     // Pages stay with the dataset that they began in.
     let second = format!("{rows}&cursor={}", page["next"].as_str().unwrap());
     assert_eq!(lab.get(&second).await["dataset"], first["id"]);

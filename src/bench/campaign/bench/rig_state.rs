@@ -33,9 +33,24 @@ pub enum RigState {
 }
 
 impl RigState {
+    /// All states.
+    pub const ALL: [Self; 5] =
+        [Self::Disconnected, Self::Disarmed, Self::Homed, Self::Armed, Self::Tripped];
+
     /// Name of the state, as in the API and the database.
     pub fn as_str(self) -> &'static str {
         self.into()
+    }
+
+    /// What the state is, and what follows, as sentences.
+    pub fn about(self) -> &'static str {
+        match self {
+            Self::Disconnected => "The wires are closed.",
+            Self::Disarmed => "Connected. Home the axes before anything moves.",
+            Self::Homed => "Ready.",
+            Self::Armed => "A run may move it.",
+            Self::Tripped => "Stopped by a fault. Clear the cause, reset, then home.",
+        }
     }
 }
 

@@ -3,6 +3,7 @@
 
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
+use strum::IntoStaticStr;
 use utoipa::ToSchema;
 
 use crate::campaign::bench::estop::AxisStop;
@@ -255,8 +256,9 @@ impl Done {
 }
 
 /// Activity of a run.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema, IntoStaticStr)]
 #[serde(rename_all = "snake_case")]
+#[strum(serialize_all = "snake_case")]
 pub enum Phase {
     /// Selecting the next step.
     Next,
@@ -278,6 +280,43 @@ pub enum Phase {
     Raise,
     /// Waiting for a person or a policy.
     Wait,
+}
+
+impl Phase {
+    /// All activities.
+    pub const ALL: [Self; 10] = [
+        Self::Next,
+        Self::TouchOff,
+        Self::Travel,
+        Self::Tare,
+        Self::Press,
+        Self::Settle,
+        Self::Measure,
+        Self::Commit,
+        Self::Raise,
+        Self::Wait,
+    ];
+
+    /// Name of the activity on every wire.
+    pub fn as_str(self) -> &'static str {
+        self.into()
+    }
+
+    /// What the run is doing, in words.
+    pub fn about(self) -> &'static str {
+        match self {
+            Self::Next => "selecting the next step",
+            Self::TouchOff => "searching for the surface",
+            Self::Travel => "travelling",
+            Self::Tare => "measuring the zeros",
+            Self::Press => "pressing",
+            Self::Settle => "waiting until the forces settle",
+            Self::Measure => "taking frames",
+            Self::Commit => "storing",
+            Self::Raise => "raising the tips",
+            Self::Wait => "waiting",
+        }
+    }
 }
 
 /// Remaining time, wall s.

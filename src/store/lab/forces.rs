@@ -1,0 +1,38 @@
+//! Depth and largest force of each trial of a run.
+//! Uses: `core`. Never: a statistic of them.
+
+use crate::core::columns::Columns;
+use crate::core::{Store, StoreError};
+use crate::ids::RunUid;
+
+/// Depth and largest force of a trial.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct DepthForce {
+    /// Number of tips.
+    pub tips: u8,
+    /// Planned depth, mm.
+    pub depth_mm: f64,
+    /// Largest force, N.
+    pub force_n: f64,
+}
+
+impl Store {
+    /// Returns depth and largest force of each trial of a run that has both.
+    ///
+    /// # Errors
+    /// `NoSuchRun` if the run is not stored; `Sql` if the read fails.
+    pub async fn forces_over_depth(&self, run: RunUid) -> Result<Vec<DepthForce>, StoreError> {
+        const OPERATION: &str = "reading the forces of a run";
+        let scan_id = self.facts(run, OPERATION).await?.scan_id;
+        let query = sqlx::query(
+            "SELECT tips, depth_mm, max_force_n FROM trials
+             WHERE run = ?1 AND depth_mm IS NOT NULL AND max_force_n IS NOT NULL",
+        )
+        .bind(scan_id);
+        let force = |c: &Columns<'_>| {
+            let (tips, depth_mm) = (c.whole("tips")?, c.get("depth_mm")?);
+            Ok(DepthForce { tips, depth_mm, force_n: c.get("max_force_n")? })
+        };
+        self.rows(OPERATION, query, force).await
+    }
+}
