@@ -324,9 +324,7 @@ async fn rigs_that_differ_are_refused_with_the_field_that_differs() {
 #[tokio::test(flavor = "multi_thread")]
 async fn each_service_gets_its_own_key_from_a_file() {
     let open = rig("federate-key").await;
-    let reader = json!({ "name": "reader", "role": "viewer" });
-    let (status, made) = open.post("/api/v1/keys", reader).await;
-    assert_eq!(status, 201, "{made}");
+    let (_, secret) = open.key("reader", "viewer").await;
     let lab = Filled::serve_as(open.end().await, |options| {
         (options.local_admin, options.require_key) = (false, true);
     })
@@ -337,7 +335,7 @@ async fn each_service_gets_its_own_key_from_a_file() {
     let without = federate(&out, &[&format!("a={url}")]).await;
     assert_eq!(without.code, 1);
     assert!(without.each("note")[0].contains("key_file"), "{}", without.answer);
-    std::fs::write(files.join("a.key"), format!("{}\n", made["secret"].as_str().unwrap())).unwrap();
+    std::fs::write(files.join("a.key"), format!("{secret}\n")).unwrap();
     let rigs = files.join("rigs.toml");
     std::fs::write(&rigs, format!("[a]\nurl = \"{url}\"\nkey_file = \"a.key\"\n")).unwrap();
     let rigs = rigs.display().to_string();

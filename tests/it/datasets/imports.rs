@@ -122,9 +122,7 @@ async fn another_skins_trials_are_a_run_like_any_other() {
     assert_eq!(lab.make("real").await["report"]["channels"], 784);
     let both = serde_json::json!({ "definition": { "name": "both", "task": "real",
         "runs": ["1", run.to_string()] } });
-    let (status, body) = lab.post("/api/v1/datasets", both).await;
-    assert_eq!(status, 409);
-    assert!(body["detail"].as_str().unwrap().contains("run 1 is virtual"), "{body}");
+    lab.refuses("/api/v1/datasets", both, 409, "run 1 is virtual").await;
     let own = serde_json::json!({ "definition": { "name": "pad", "task": "real",
         "runs": ["pad-study"] } });
     let (status, own) = lab.post("/api/v1/datasets", own).await;

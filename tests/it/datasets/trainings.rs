@@ -62,8 +62,7 @@ fn nice(process: i32) -> i32 {
 
 impl Filled {
     async fn asked(&self, recipe: &str) -> (Value, String) {
-        let (status, job) = self.post("/api/v1/trainings", json!({ "recipe": recipe })).await;
-        assert_eq!(status, 202, "{job}");
+        let job = self.posted("/api/v1/trainings", json!({ "recipe": recipe }), 202).await;
         let id = job["id"].as_str().unwrap().to_owned();
         (job, id)
     }
