@@ -10,7 +10,7 @@ use tokio::time::timeout;
 
 use crate::datasets::filled::Filled;
 use crate::old_data::{HALF, WHOLE, copy, open, recorded};
-use crate::support::{Folder, PALPATE, Process};
+use crate::support::{self, Folder, Process};
 
 /// Longest wait for anything.
 const LIMIT: Duration = Duration::from_secs(30);
@@ -28,11 +28,8 @@ async fn serve(name: &str) -> (Folder, Filled) {
 }
 
 fn command(url: &str, arguments: &[&str]) -> Command {
-    let mut command = Command::new(PALPATE);
-    for name in ["URL", "CA", "KEY", "KEY_FILE", "DATA"] {
-        command.env_remove(format!("PALPATE_{name}"));
-    }
-    command.args(arguments).args(["--url", url]).env("TZ", "UTC");
+    let mut command = support::command(arguments);
+    command.args(["--url", url]).env("TZ", "UTC");
     command
 }
 

@@ -20,7 +20,7 @@ use tokio_tungstenite::tungstenite::client::IntoClientRequest;
 use tokio_tungstenite::{Connector, connect_async_tls_with_config};
 
 use super::datasets::filled::{Filled, folder, rig};
-use super::support::{Folder, PALPATE, Process, http};
+use super::support::{self, Folder, PALPATE, Process, http};
 
 const LIMIT: Duration = Duration::from_secs(20);
 const MANUAL: &str = include_str!("../../docs/how-to/network.md");
@@ -167,11 +167,7 @@ async fn who_never_completes_the_handshake_does_not_keep_a_stop_out() {
 
 /// Runs a command with these variables and no other ones of Palpate.
 fn command(arguments: &[&str], variables: &[(&str, &str)]) -> Output {
-    let mut command = Command::new(PALPATE);
-    for name in ["URL", "CA", "KEY", "KEY_FILE", "DATA"] {
-        command.env_remove(format!("PALPATE_{name}"));
-    }
-    command.args(arguments).envs(variables.iter().copied()).output().unwrap()
+    support::command(arguments).envs(variables.iter().copied()).output().unwrap()
 }
 
 fn text(bytes: &[u8]) -> String {

@@ -4,7 +4,6 @@
 use std::path::Path;
 use std::process::Command;
 
-
 use super::datasets::filled::Filled;
 use super::support::{self, Folder};
 

@@ -22,7 +22,7 @@ use serde_json::{Value, json};
 use tokio::net::TcpListener;
 
 use super::filled::{Filled, folder, new_run, press, store};
-use crate::support::{self, PALPATE, SENSOR, sensor};
+use crate::support::{self, SENSOR, command, finished, sensor};
 
 /// Rows of `real` in a filled folder.
 const REAL: u64 = 235;
@@ -46,12 +46,7 @@ impl Called {
 
 /// Runs a command of `palpate` without the environment of the tests.
 async fn typed(words: &[&str]) -> std::process::Output {
-    let mut command = Command::new(PALPATE);
-    for name in ["URL", "CA", "KEY", "KEY_FILE", "DATA"] {
-        command.env_remove(format!("PALPATE_{name}"));
-    }
-    command.args(words);
-    tokio::task::spawn_blocking(move || command.output().unwrap()).await.unwrap()
+    finished(command(words)).await
 }
 
 /// Joins datasets in a folder.

@@ -16,7 +16,7 @@ async fn import(lab: &Filled, files: &PathBuf, file: &str, more: &[&str]) -> Out
     let mut command = Command::new(PALPATE);
     command.current_dir(files).args(["dataset", "import", file, "--sensor", "pad.toml"]);
     command.args(more).args(["--url", &lab.url("")]);
-    tokio::task::spawn_blocking(move || command.output().unwrap()).await.unwrap()
+    support::finished(command).await
 }
 
 /// Writes the files of a script of `python/`; `None` without its modules.
@@ -27,8 +27,7 @@ async fn written(script: &str, name: &str) -> Option<PathBuf> {
     command.env("PYTHONDONTWRITEBYTECODE", "1");
     command.arg(format!("{}/tests/it/datasets/python/{script}", env!("CARGO_MANIFEST_DIR")));
     command.arg(&files);
-    let output = tokio::task::spawn_blocking(move || command.output().unwrap()).await.unwrap();
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    support::succeeded(&support::finished(command).await);
     Some(files)
 }
 
