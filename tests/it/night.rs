@@ -141,8 +141,7 @@ async fn a_tour_is_sent_once() {
     let again = lab.http.get(lab.url(&address)).header("if-none-match", &tag).send().await.unwrap();
     assert_eq!((again.status().as_u16(), &again.headers()["etag"]), (304, &tag));
     assert!(again.bytes().await.unwrap().is_empty());
-    let (status, words) = lab.refused("/api/v1/runs/99/tour").await;
-    assert_eq!(status, 404, "{words}");
+    lab.refuses_get("/api/v1/runs/99/tour", 404, "").await;
     lab.end().await;
 }
 
@@ -202,9 +201,7 @@ async fn the_history_has_every_trial_and_the_states_from_start_to_end() {
     let next = lab.get(&path(&recorded, NEXT, "/history")).await;
     assert_eq!((&next["from"], &next["trials"]), (&Value::Null, &json!([])));
     for bins in [0, 1001] {
-        let (status, words) =
-            lab.refused(&path(&recorded, WHOLE, &format!("/history?bins={bins}"))).await;
-        assert_eq!(status, 400, "{words}");
+        lab.refuses_get(&path(&recorded, WHOLE, &format!("/history?bins={bins}")), 400, "").await;
     }
     lab.end().await;
 }

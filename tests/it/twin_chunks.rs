@@ -178,8 +178,7 @@ async fn twins_of_two_processes_are_those_of_the_service() {
     assert_eq!((&inputs["trials"], &inputs["next"]), (&json!(10), &json!(TRIALS + 10)));
     let inputs = lab.get(&format!("/api/v1/runs/2/twins/inputs?after={}", TRIALS + 40)).await;
     assert_eq!((&inputs["trials"], &inputs["next"]), (&json!(4), &Value::Null));
-    let (status, words) = lab.refused("/api/v1/runs/2/twins/inputs?limit=0").await;
-    assert!(status == 400 && words.contains("must be from 1 to 10000"), "{status} {words}");
+    lab.refuses_get("/api/v1/runs/2/twins/inputs?limit=0", 400, "must be from 1 to 10000").await;
     let (status, words) = refused(&lab, "2", any_chunk(order)).await;
     assert!(status == 422 && words.contains("is of run"), "{status} {words}");
     let (status, words) = refused(&lab, "1", b"no Parquet".to_vec()).await;

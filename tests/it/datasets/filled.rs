@@ -281,6 +281,12 @@ impl Filled {
         (status, body["detail"].as_str().unwrap_or_default().to_owned())
     }
 
+    /// A GET that must be refused with this status and these words.
+    pub async fn refuses_get(&self, path: &str, expected: u16, words: &str) {
+        let (status, found) = self.refused(path).await;
+        assert!(status == expected && found.contains(words), "{path:.200}: {status} {found:.300}");
+    }
+
     /// A POST: its status and its body.
     pub async fn post(&self, path: &str, body: Value) -> (u16, Value) {
         let answer = self.http.post(self.url(path)).json(&body).send().await.unwrap();

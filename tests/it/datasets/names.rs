@@ -185,8 +185,7 @@ async fn a_run_that_ended_gets_its_file_by_itself() {
 #[tokio::test]
 async fn what_cannot_be_made_is_explained() {
     let lab = Filled::open("refusals").await;
-    let (status, words) = lab.refused("/api/v1/datasets/real").await;
-    assert!(status == 404 && words.contains("palpate dataset make real"), "{words}");
+    lab.refuses_get("/api/v1/datasets/real", 404, "palpate dataset make real").await;
     let (status, words) = lab.refused("/api/v1/datasets/reel").await;
     assert_eq!(status, 404);
     assert!(words.contains("r2s-transfer") && words.contains("run-N"), "{words}");
