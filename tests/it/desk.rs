@@ -242,7 +242,6 @@ async fn a_run_that_is_started_before_its_time_waits_and_an_edit_ends_that() {
     lab.close().await;
 }
 
-/// Frame of contacts by the command.
 fn by_command(data: &Path, contacts: &Value) -> Vec<f64> {
     let mut process = Command::new(PALPATE)
         .args(["simulate", "--contacts", "-"])

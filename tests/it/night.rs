@@ -36,7 +36,6 @@ fn path(recorded: &Value, run: usize, rest: &str) -> String {
     format!("/api/v1/runs/{}{rest}", recorded["runs"][run]["uid"].as_str().unwrap())
 }
 
-/// Recorded trials of a run.
 fn trials(recorded: &Value, run: usize) -> Vec<&Value> {
     let uid = &recorded["runs"][run]["uid"];
     recorded["trials"].as_array().unwrap().iter().filter(|t| t["run"] == *uid).collect()

@@ -36,7 +36,6 @@ pub fn recorded() -> Value {
     serde_json::from_str(include_str!("fixtures/expected.json")).unwrap()
 }
 
-/// A copy of the folder for one test.
 pub fn copy(name: &str) -> Folder {
     let copy = Folder::new(&format!("old-data-{name}"));
     unpack(Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/it/fixtures/data")), &copy);

@@ -80,7 +80,6 @@ fn own_folder(name: &str) -> Folder {
     Folder::new(&format!("durability-{name}"))
 }
 
-/// The database in a folder.
 fn file(folder: &Folder) -> PathBuf {
     folder.join("palpate.sqlite")
 }

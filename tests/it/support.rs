@@ -8,7 +8,6 @@ use palpate::cli::trust;
 use serde_json::Value;
 use sim_core::sensor::Sensor;
 
-/// The program.
 pub const PALPATE: &str = env!("CARGO_BIN_EXE_palpate");
 
 /// Text of the sensor file of 28 electrodes.
@@ -102,7 +101,6 @@ pub fn not_done(output: &Output, code: i32, words: &str) {
     assert!(output.status.code() == Some(code) && said.contains(words), "{words}: {said}");
 }
 
-/// Copies a folder with all that is in it.
 pub fn copy_folder(from: &Path, to: &Path) {
     assert!(Command::new("cp").arg("-r").arg(from).arg(to).status().unwrap().success());
 }

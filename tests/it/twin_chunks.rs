@@ -64,7 +64,6 @@ async fn refused(lab: &Filled, run: &str, file: Vec<u8>) -> (u16, String) {
     (status, body["detail"].as_str().unwrap_or_default().to_owned())
 }
 
-/// The bytes of any chunk of an order.
 fn any_chunk(order: &str) -> Vec<u8> {
     let results = std::fs::read_dir(Path::new(order).join("results")).unwrap();
     let mut paths = results.map(|entry| entry.unwrap().path());

@@ -100,7 +100,6 @@ pub struct Lab {
     pub rig: VirtualRig,
     /// Answers.
     pub service: Service,
-    /// Of the database.
     pub data: PathBuf,
     http: reqwest::Client,
     turn: Turn,
@@ -186,7 +185,6 @@ impl Lab {
         }
     }
 
-    /// Connects and homes.
     pub async fn home(&self) {
         self.posted("/api/v1/rig/actions", json!({ "action": "connect", "who": "test" })).await;
         self.posted("/api/v1/rig/actions", json!({ "action": "home", "who": "test" })).await;
@@ -243,7 +241,6 @@ impl Lab {
         self.eventually("the event", &format!("/api/v1/events?kind={kind}"), is_told).await;
     }
 
-    /// An action on a run.
     pub async fn act(&self, run: &str, action: Value) -> (u16, Value) {
         self.post(&format!("/api/v1/runs/{run}/actions"), action).await
     }

@@ -8,7 +8,6 @@ use serde_json::{Value, json};
 use super::bench::{Lab, WAITS, rig_args, tell};
 use super::campaign::{SMALL, SPEED, complete, held_by_a_lock, release, started, started_early};
 
-/// An action on the rig.
 async fn rig(lab: &Lab, action: Value) {
     lab.posted("/api/v1/rig/actions", action).await;
 }

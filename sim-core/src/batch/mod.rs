@@ -47,7 +47,6 @@ pub struct BatchModel {
     points: PointRows,
 }
 
-/// Load of one trial.
 #[derive(Default)]
 struct TrialLoad {
     /// Nominal compression, before the clamp.

@@ -13,7 +13,6 @@ use crate::figure::{Area, Heading, PageSize, figure};
 
 const FIT_SIZE: PageSize = PageSize { width_px: 860, height_px: 520 };
 const FIT: RGBColor = COLOURS[1];
-/// Number of steps of a curve.
 const CURVE_STEPS: u32 = 200;
 /// Label of the measurements: a table of a test bench.
 const LABEL: &str = "measured";

@@ -20,7 +20,6 @@ pub const CHUNKS_MAX: u64 = 100_000;
 const ORDER_FORM: u32 = 1;
 /// Endings of the files with the bytes of chunks, by kind.
 const ENDINGS: [(&str, &str); 2] = [("readings", "jsonl"), ("trainings", "net")];
-/// Ending for all other kinds.
 const COMMON_ENDING: &str = "parquet";
 
 /// Bulk work, divided into chunks.

@@ -47,7 +47,6 @@ impl Quantity {
     }
 }
 
-/// Size of a figure of the report.
 const REPORT_SIZE: PageSize = PageSize { width_px: 960, height_px: 600 };
 /// Bins with fewer trials are not drawn: their mean is not significant.
 const BIN_TRIALS_MIN: u64 = 5;

@@ -13,9 +13,7 @@ use super::figures::{FigureError, page};
 use crate::figure::style::{COLOURS, SMALL, TEXT, TINY, dash, legend, mesh, plain, whole};
 use crate::figure::{Area, Heading, PageSize};
 
-/// Size of a figure of a run.
 const RUN_SIZE: PageSize = PageSize { width_px: 900, height_px: 500 };
-/// Bins of a histogram.
 const HISTOGRAM_BINS: usize = 40;
 /// Largest number of contacts of a trial.
 const CONTACTS_SHOWN: usize = 7;

@@ -39,7 +39,6 @@ use crate::store::{Contact, Label};
 /// Number of frames that a Transfer-Net reads at a time.
 const TRANSFERRED_AT_ONCE: usize = 8;
 
-/// Reader of the frames.
 pub(super) enum Reader {
     /// A Transfer-Net, or none: the frames themselves.
     Voltages(Option<Arc<Model>>),
@@ -58,7 +57,6 @@ impl Reader {
         }
     }
 
-    /// Nets that are used.
     pub(super) fn nets(&self) -> Vec<&Model> {
         match self {
             Self::Voltages(transfer) => transfer.iter().map(Arc::as_ref).collect(),
@@ -80,10 +78,8 @@ impl Reader {
     }
 }
 
-/// Inputs of the scoring.
 pub(super) struct Scoring {
     pub(super) request: EvaluationRequest,
-    /// Dataset of the rows.
     pub(super) dataset: DatasetId,
     /// Its lineage, as JSON.
     pub(super) lineage: Value,
@@ -91,7 +87,6 @@ pub(super) struct Scoring {
     pub(super) held_out: bool,
     pub(super) gathered: Gathered,
     pub(super) raw: Option<Vec<Vec<f32>>>,
-    /// The untouched skin before the rows.
     pub(super) untouched: UntouchedSkins,
     pub(super) reader: Reader,
     /// Whether measured frames are read.

@@ -313,7 +313,6 @@ impl Filled {
         (made["key"]["id"].as_i64().unwrap(), made["secret"].as_str().unwrap().to_owned())
     }
 
-    /// Waits until an export is over.
     pub async fn over(&self, export: &str) -> Value {
         let start = Instant::now();
         loop {

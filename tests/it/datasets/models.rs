@@ -25,7 +25,6 @@ const RECON_NET: &str = "name = \"maps\"\ndataset = \"real\"\nmap = \"20x60\"\n[
     input = \"unit\"\n";
 
 impl Filled {
-    /// Waits until a job is over.
     async fn job(&self, job: &Value) -> Value {
         let (start, id) = (Instant::now(), job["id"].as_str().unwrap());
         loop {

@@ -42,7 +42,6 @@ fn trainer(job: &str) -> Option<i32> {
     })
 }
 
-/// The environment with which a process was started.
 fn environment(process: i32) -> String {
     let variables = std::fs::read(format!("/proc/{process}/environ")).unwrap();
     String::from_utf8_lossy(&variables).into_owned()

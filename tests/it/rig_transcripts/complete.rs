@@ -39,7 +39,6 @@ impl Checkout {
         }
     }
 
-    /// What a device lacks.
     fn lacks(&self, device: &str) -> Vec<String> {
         let own = |(name, _): &&(String, String)| device_of(name) == Some(device);
         let damaged = |text: &str| text.lines().filter(|l| l.starts_with("= ")).count();
@@ -90,7 +89,6 @@ fn rigs() -> Vec<(String, RigConfig)> {
     files("experiments/rigs", "toml").into_iter().filter_map(parsed).collect()
 }
 
-/// The drives that a rig file names.
 fn named_drives(config: &RigConfig) -> [String; 4] {
     let axes = &config.axes;
     [axes.x.device, axes.y.device, axes.z.device, axes.radial.device]

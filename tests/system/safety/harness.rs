@@ -40,11 +40,8 @@ pub fn experiment(tips: u8, more: &str) -> String {
 pub struct Harness {
     /// Switched on.
     pub rig: VirtualRig,
-    /// The campaign.
     pub handle: Handle,
-    /// What it writes to.
     pub journal: Arc<Scripted>,
-    /// Its rig file.
     pub config: RigConfig,
     thread: std::thread::JoinHandle<()>,
     _turn: bench::Turn,
@@ -149,7 +146,6 @@ impl Harness {
         self.stored(1).await;
     }
 
-    /// Starts a job.
     pub async fn start(&self, job: Job) {
         self.ask(Request::Start(Arc::new(job))).await.unwrap();
     }

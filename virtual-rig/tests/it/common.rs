@@ -106,7 +106,6 @@ pub async fn over_the_skin(iai: &mut Iai, control: &mut Control) -> f64 {
     surface_z_mm
 }
 
-/// A client of the module of the cells.
 pub async fn cells_client(rig: &VirtualRig) -> Context {
     let mut cells = tcp_client(rig, "cells").await;
     tokio_modbus::slave::SlaveContext::set_slave(&mut cells, Slave(1));
@@ -118,7 +117,6 @@ pub async fn reader(rig: &VirtualRig) -> StreamReader<TcpStream> {
     StreamReader::new(TcpStream::connect(&rig.ready.ert).await.unwrap())
 }
 
-/// A client on a TCP line.
 pub async fn tcp_client(rig: &VirtualRig, line: &str) -> Context {
     tcp::connect(rig.ready.lines[line].parse().unwrap()).await.unwrap()
 }

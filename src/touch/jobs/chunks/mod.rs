@@ -132,7 +132,6 @@ pub fn work_order(nets: Vec<NetOrder>, compute: Compute) -> WorkOrder {
 #[derive(Debug, Clone)]
 pub struct TrainingsOrder {
     definition: TrainingsDefinition,
-    /// Recipes of the nets.
     recipes: Vec<Recipe>,
 }
 
@@ -253,7 +252,6 @@ impl TrainingChunks {
         data_file(&self.data.join("datasets"), &net.dataset.id)
     }
 
-    /// The order of the trainer for a net.
     fn trainers_order(&self, net: &NetOrder) -> Result<Order, MakeFailure> {
         let NetOrder { recipe, dataset, label, calibration, simulation, .. } = net.clone();
         let file = self.data_file(net);

@@ -25,7 +25,6 @@ use crate::jobs::Watch;
 use crate::learn::order::{Event, STOP_LINE};
 use crate::program::{Known, Lines, ProgramError, STOP_POLL, withhold};
 
-/// The program of the trainer.
 static TRAINER: Known = Known {
     name: "palpate-trainer",
     variable: "PALPATE_TRAINER",
