@@ -117,24 +117,20 @@ impl Scoring {
     /// Checks that the models are for the sensor of the rows.
     fn check_sensor(&self) -> Result<(), InferError> {
         let here = &self.gathered.sensor;
-        let nets = self.reader.nets().into_iter().map(|net| {
-            let facts = &net.manifest.model;
-            (net.manifest.id.to_string(), facts.sensor.clone(), facts.channels)
-        });
-        let skin = self.reader.method().and_then(|method| method.skin());
-        let of_rig =
-            skin.map(|skin| (skin.id.to_owned(), self.rig_sensor.0.clone(), self.rig_sensor.1));
-        let same = |(_, sensor, channels): &(String, String, usize)| {
-            *sensor == here.name && *channels == here.channels
-        };
-        match nets.chain(of_rig).find(|model| !same(model)) {
-            None => Ok(()),
-            Some((id, sensor, channels)) => Err(InferError::OtherSensor {
-                id,
-                sensor,
-                channels,
-                here: format!("{} with {}", here.name, here.channels),
-            }),
+        for net in self.reader.nets() {
+            net.is_for(&here.name, here.channels)?;
+        }
+        let (sensor, channels) = &self.rig_sensor;
+        match self.reader.method().and_then(|method| method.skin()) {
+            Some(skin) if *sensor != here.name || *channels != here.channels => {
+                Err(InferError::OtherSensor {
+                    id: skin.id.to_owned(),
+                    sensor: sensor.clone(),
+                    channels: *channels,
+                    here: format!("{} with {}", here.name, here.channels),
+                })
+            }
+            _ => Ok(()),
         }
     }
 
