@@ -42,6 +42,18 @@ pub fn copy(name: &str) -> Folder {
     copy
 }
 
+/// A service on a copy of the folder, after it has marked the killed run.
+pub async fn served(name: &str) -> (Folder, Filled) {
+    let folder = copy(name);
+    let lab = Filled::serve(folder.to_path_buf()).await;
+    let start = Instant::now();
+    while lab.get("/api/v1/runs/2").await["state"] != "interrupted" {
+        assert!(start.elapsed() < LIMIT, "the killed run is not marked");
+        tokio::time::sleep(Duration::from_millis(20)).await;
+    }
+    (folder, lab)
+}
+
 /// Decompresses the files of a folder.
 fn unpack(from: &Path, to: &Path) {
     std::fs::create_dir_all(to).unwrap();
@@ -221,20 +233,12 @@ async fn todays_plan_of_a_killed_run_is_the_one_that_its_trials_followed() {
 
 #[tokio::test]
 async fn a_service_offers_the_killed_run_and_serves_what_was_made() {
-    let (folder, recorded) = (copy("service"), recorded());
-    let lab = Filled::serve(folder.to_path_buf()).await;
+    let recorded = recorded();
+    let (_folder, lab) = served("service").await;
     let path =
         |run: usize| format!("/api/v1/runs/{}", recorded["runs"][run]["uid"].as_str().unwrap());
-    let start = Instant::now();
-    let half = loop {
-        let half = lab.get(&path(HALF)).await;
-        if half["state"] == "interrupted" {
-            break half;
-        }
-        assert!(start.elapsed() < LIMIT, "{half:#}");
-        tokio::time::sleep(Duration::from_millis(20)).await;
-    };
-    assert_eq!(half["paused_why"], "restart");
+    let half = lab.get(&path(HALF)).await;
+    assert_eq!((&half["state"], &half["paused_why"]), (&json!("interrupted"), &json!("restart")));
     // Arming is the first step of a resume; it needs no rig.
     for (run, wanted) in [(WHOLE, 409), (HALF, 200), (NEXT, 200)] {
         let (status, armed) =

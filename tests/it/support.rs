@@ -84,6 +84,14 @@ pub async fn finished(mut command: Command) -> Output {
     tokio::task::spawn_blocking(move || command.output()).await.unwrap().unwrap()
 }
 
+/// What a Python script of this folder prints; it must succeed.
+pub async fn printed(python: String, script: &str, arguments: &[&Path]) -> String {
+    let mut command = Command::new(python);
+    command.env("PYTHONDONTWRITEBYTECODE", "1");
+    command.arg(format!("{}/tests/it/{script}", env!("CARGO_MANIFEST_DIR"))).args(arguments);
+    succeeded(&finished(command).await)
+}
+
 /// Standard output of a command that must succeed.
 pub fn succeeded(output: &Output) -> String {
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));

@@ -23,11 +23,7 @@ async fn import(lab: &Filled, files: &PathBuf, file: &str, more: &[&str]) -> Out
 async fn written(script: &str, name: &str) -> Option<PathBuf> {
     let python = support::python("pandas, numpy, scipy, pyarrow")?;
     let files = folder(name);
-    let mut command = Command::new(python);
-    command.env("PYTHONDONTWRITEBYTECODE", "1");
-    command.arg(format!("{}/tests/it/datasets/python/{script}", env!("CARGO_MANIFEST_DIR")));
-    command.arg(&files);
-    support::succeeded(&support::finished(command).await);
+    support::printed(python, &format!("datasets/python/{script}"), &[&files]).await;
     Some(files)
 }
 
