@@ -41,9 +41,12 @@ pub enum Target {
 /// Samples in memory: few, and read again after every epoch.
 #[derive(Debug)]
 pub struct Fixed {
-    lens: [usize; 2],
-    inputs: Vec<f32>,
-    targets: Vec<f32>,
+    /// Lengths of an input and of a target.
+    pub lens: [usize; 2],
+    /// The inputs, one after the other.
+    pub inputs: Vec<f32>,
+    /// The targets, one after the other.
+    pub targets: Vec<f32>,
 }
 
 impl Fixed {
