@@ -20,6 +20,8 @@ pub mod frames;
 pub mod plot;
 pub mod skin;
 pub mod skin_plot;
+#[cfg(test)]
+pub mod paper;
 
 /// Why measurements do not yield a calibration.
 #[derive(Debug, thiserror::Error)]

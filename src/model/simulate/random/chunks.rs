@@ -170,12 +170,11 @@ mod tests {
     use std::collections::BTreeMap;
 
     use super::*;
+    use crate::calibrate::paper::SENSOR;
     use crate::chunk::order::value_of;
     use crate::chunk::skin::CALIBRATION_INPUT;
     use crate::simulate::random::draw::Draws;
     use crate::simulate::random::manifest::Shard;
-
-    const SENSOR: &str = include_str!("../../../../experiments/sensors/ert-28.toml");
 
     fn definition() -> Definition {
         Definition {

@@ -197,25 +197,14 @@ impl MakeChunks for TwinChunks {
 mod tests {
     use std::fs::{self, File};
     use std::path::Path;
-    use std::sync::{Arc, LazyLock};
 
     use sim_core::forward::Contact;
-    use sim_core::responses::UnitResponses;
-    use sim_core::sensor::Sensor;
 
     use super::*;
+    use crate::calibrate::paper::{MODEL, SENSOR};
     use crate::chunk::folder::OrderFolder;
     use crate::chunk::skin::CALIBRATION_INPUT;
     use crate::ids::TrialId;
-
-    const SENSOR: &str = include_str!("../../../../experiments/sensors/ert-28.toml");
-
-    /// Model of the paper's sensor.
-    static MODEL: LazyLock<ForwardModel> = LazyLock::new(|| {
-        let sensor = Sensor::from_toml(SENSOR).unwrap();
-        let responses = Arc::new(UnitResponses::solve(&sensor).unwrap());
-        ForwardModel::new(&sensor, responses).unwrap()
-    });
 
     fn skin() -> TwinSkin {
         TwinSkin {
