@@ -54,7 +54,6 @@ const MOTION: Duration = Duration::from_millis(900);
 
 #[derive(Parser)]
 struct Arguments {
-    /// The data folder.
     #[arg(long)]
     data: PathBuf,
     /// Trials; as many as the paper's Real-Hex has with contact.

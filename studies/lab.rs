@@ -169,6 +169,7 @@ pub const NO_METHOD: &str = "must be of the rig's sensor, or have a split, on wh
 
 /// Why a study has no result.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs, reason = "the message names the fields")]
 pub enum StudyError {
     /// A figure could not be drawn.
     #[error(transparent)]
@@ -178,18 +179,10 @@ pub enum StudyError {
     Design(#[from] AnovaError),
     /// No method can be scored on the dataset.
     #[error("{dataset}: {limit}", limit = NO_METHOD)]
-    NoMethod {
-        /// Name of the dataset.
-        dataset: String,
-    },
+    NoMethod { dataset: String },
     /// The dataset has no trial for a figure.
     #[error("{dataset}: must have {trial}")]
-    NoTrial {
-        /// Name of the dataset.
-        dataset: String,
-        /// Description of the trial.
-        trial: String,
-    },
+    NoTrial { dataset: String, trial: String },
 }
 
 /// A lab for tests: it records what is requested; its reports have no scores, unless it is requested to

@@ -3,20 +3,14 @@
 
 /// Why a recipe is invalid: the field, its value, its limit.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[allow(missing_docs, reason = "the message names the fields")]
 pub enum RecipeError {
     /// The text is not TOML, or does not have these fields.
     #[error("recipe: {0}")]
     Text(#[from] toml::de::Error),
     /// A value is outside its limits.
     #[error("recipe: {field} is {found}, must be {limit}")]
-    Value {
-        /// Dotted path of the field.
-        field: &'static str,
-        /// Value of the field, as text.
-        found: String,
-        /// Limit that the value must keep, as text.
-        limit: &'static str,
-    },
+    Value { field: &'static str, found: String, limit: &'static str },
 }
 
 /// Returns an error for a value unless a condition holds.
@@ -35,13 +29,11 @@ pub fn require(
 
 /// Why samples could not be read.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[allow(missing_docs, reason = "the message names the fields")]
 pub enum SamplesError {
     /// The source failed.
     #[error("samples: {message}")]
-    Source {
-        /// Message of the source.
-        message: String,
-    },
+    Source { message: String },
     /// A value is not finite.
     #[error("sample {sample}: {side} number {number} is not finite")]
     NotFinite {

@@ -48,7 +48,6 @@ impl Deref for CalibratedSensor {
 }
 
 impl From<Sensor> for CalibratedSensor {
-    /// The sensor with the values of its file.
     fn from(sensor: Sensor) -> Self {
         Self { sensor, calibration: None, skin: None }
     }

@@ -19,6 +19,7 @@ const CACHE_MAGIC: &[u8; 8] = b"palp-ur2";
 
 /// Why unit responses are not available.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs, reason = "the message names the fields")]
 pub enum ResponsesError {
     /// The mesh does not fit the sensor.
     #[error(transparent)]
@@ -31,12 +32,7 @@ pub enum ResponsesError {
     Damaged(Damage),
     /// A cache belongs to another sensor, mesh or element.
     #[error("reading cached unit responses: key {found}, this sensor needs {needed}")]
-    OtherKey {
-        /// Key in the cache.
-        found: String,
-        /// Key of the sensor.
-        needed: String,
-    },
+    OtherKey { found: String, needed: String },
 }
 
 /// Damage of a cache's bytes.

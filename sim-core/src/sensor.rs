@@ -9,20 +9,14 @@ use serde::{Deserialize, Serialize};
 
 /// Why a sensor file is invalid.
 #[derive(Debug, thiserror::Error, PartialEq)]
+#[allow(missing_docs, reason = "the message names the fields")]
 pub enum SensorError {
     /// The text is not TOML, or has a key or a type that a sensor file does not have.
     #[error("{0}")]
     Syntax(String),
     /// A value is outside its limits.
     #[error("{key} = {value}: {limit}")]
-    Value {
-        /// Dotted key in the file.
-        key: String,
-        /// The value found, as text.
-        value: String,
-        /// Allowed values.
-        limit: String,
-    },
+    Value { key: String, value: String, limit: String },
 }
 
 /// Contents of the sensor file.

@@ -26,31 +26,17 @@ pub struct LoadedCircuit<'a> {
 
 /// Why a netlist cannot be written.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
+#[allow(missing_docs, reason = "the message names the fields")]
 pub enum SpiceError {
     /// There is no electrode with this index.
     #[error("netlist: sink = {sink}: must be from 0 to {last}")]
-    Sink {
-        /// The requested electrode.
-        sink: usize,
-        /// Index of the last electrode.
-        last: usize,
-    },
+    Sink { sink: usize, last: usize },
     /// The number of the foam's conductances is not that of the network's nodes.
     #[error("netlist: {found} foam conductances for {needed} nodes")]
-    Nodes {
-        /// Number of conductances passed in.
-        found: usize,
-        /// Number of nodes of the network.
-        needed: usize,
-    },
+    Nodes { found: usize, needed: usize },
     /// A foam conductance is negative or not finite.
     #[error("netlist: foam conductance at node {node} = {conductance_s} S: must be a number >= 0")]
-    Conductance {
-        /// Node of the network.
-        node: usize,
-        /// Value of the conductance, S.
-        conductance_s: f64,
-    },
+    Conductance { node: usize, conductance_s: f64 },
 }
 
 /// The netlist of a loaded skin with electrode `sink` at 0 V and the source at the top layer.

@@ -8,7 +8,7 @@
 //! slope is that of one of the two triangles.
 //!
 //! Linear shares blur the dent, and the foam's law is steep: in a triangle's middle a 40 N tip
-//! would draw a quarter less current than on a node (`examples/between_points.rs`). The blur is the
+//! would draw a quarter less current than on a node (`tests/physics/tip.rs`). The blur is the
 //! shares' second moment, `h2 q` with `q = w1 w2 + w2 w3 + w3 w1` and h the lattice's side.
 //! [`Spreading::Sharp`] removes it: every node's share `w` becomes `w (1 + q)` on itself and
 //! `-w q / 6` on each of its six neighbours, the lattice's Laplacian. Force and moment are

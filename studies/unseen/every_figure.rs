@@ -78,7 +78,6 @@ fn figures() -> Vec<(String, String)> {
     figures.map(|file| (file.name, file.text)).collect()
 }
 
-/// Texts that are drawn.
 fn texts(svg: &str) -> Vec<&str> {
     let all = svg.split("<text").skip(1);
     all.filter_map(|text| Some(text.split_once('>')?.1.split_once('<')?.0.trim())).collect()

@@ -56,8 +56,7 @@ async fn what_would_take_much_is_refused_with_its_bound() {
         (format!("/api/v1/trials?tips__in={values}"), 414, "bytes"),
         ("/api/v1/actions?limit=2147483648".into(), 400, "from 1 to 1000"),
     ] {
-        let (found, text) = lab.refused(&path).await;
-        assert!(found == status && text.contains(words), "{:.80}: {found} {text:.300}", path);
+        lab.refuses_get(&path, status, words).await;
     }
     let frames = json!({ "frames": vec![vec![0; 784]; 2001], "method": "fast" });
     let (status, words) = refused(&lab, Method::POST, "/api/v1/infer", frames).await;
@@ -130,15 +129,13 @@ async fn what_is_refused_is_not_kept() {
 async fn nobody_becomes_somebody_else() {
     let lab = Filled::open("attacks-who").await;
     let new = json!({ "name": "eve", "role": "viewer" });
-    let (status, made) = lab.post("/api/v1/keys", new.clone()).await;
-    assert_eq!(status, 201, "{made}");
-    let secret = made["secret"].as_str().unwrap();
+    let (_, secret) = lab.key("eve", "viewer").await;
     let keys = lab.url("/api/v1/keys");
     for (authorization, wanted) in [
         (format!("bearer {secret}"), 403),
         (format!("BEARER {secret}"), 403),
         (format!("Basic {secret}"), 401),
-        (secret.to_owned(), 401),
+        (secret.clone(), 401),
         (String::new(), 401),
     ] {
         let asked = lab.http.post(&keys).header("authorization", &authorization).json(&new);
@@ -149,10 +146,9 @@ async fn nobody_becomes_somebody_else() {
         (options.local_admin, options.require_key) = (false, true);
     })
     .await;
-    let (status, _) = lab.refused(&format!("/api/v1/status?key={secret}")).await;
-    assert_eq!(status, 401);
+    lab.refuses_get(&format!("/api/v1/status?key={secret}"), 401, "").await;
     // A page of another site may not even read.
-    let foreign = lab.http.get(lab.url("/api/v1/datasets/real")).bearer_auth(secret);
+    let foreign = lab.http.get(lab.url("/api/v1/datasets/real")).bearer_auth(&secret);
     let foreign = foreign.header("sec-fetch-site", "cross-site").send().await.unwrap();
     assert_eq!(foreign.status(), 403);
     lab.close().await;

@@ -44,9 +44,7 @@ impl Filled {
     }
 
     async fn queue(&self, body: Value) -> Value {
-        let (status, run) = self.post(QUEUE, body).await;
-        assert_eq!(status, 201, "{run}");
-        run
+        self.posted(QUEUE, body, 201).await
     }
 
     async fn queue_tag(&self) -> String {
@@ -56,8 +54,7 @@ impl Filled {
     /// Arms a run and starts it; returns the code and the response.
     async fn started(&self, run: &Value) -> (Value, (u16, Value)) {
         let run = run.as_str().unwrap();
-        let (status, armed) = self.post(&format!("/api/v1/runs/{run}/arm"), json!({})).await;
-        assert_eq!(status, 200, "{armed}");
+        let armed = self.posted(&format!("/api/v1/runs/{run}/arm"), json!({}), 200).await;
         let code = armed["code"].clone();
         (code.clone(), self.start(run, &code).await)
     }
@@ -245,7 +242,6 @@ async fn a_run_that_is_started_before_its_time_waits_and_an_edit_ends_that() {
     lab.close().await;
 }
 
-/// Frame of contacts by the command.
 fn by_command(data: &Path, contacts: &Value) -> Vec<f64> {
     let mut process = Command::new(PALPATE)
         .args(["simulate", "--contacts", "-"])
@@ -269,8 +265,7 @@ async fn simulations_are_those_of_the_command() {
     let by_force = json!([
         { "x_mm": 265.5, "y_mm": 280.0, "force_n": 20.0 }, { "x_mm": 100.0, "y_mm": 90.0, "force_n": 7.5 },
     ]);
-    let (status, answer) = lab.post(SIMULATIONS, json!({ "contacts": by_force })).await;
-    assert_eq!(status, 200, "{answer}");
+    let answer = lab.posted(SIMULATIONS, json!({ "contacts": by_force }), 200).await;
     assert_eq!(numbers(&answer["voltages_v"]), by_command(&lab.data, &by_force));
     assert_eq!(numbers(&answer["untouched_v"]), by_command(&lab.data, &json!([])));
     assert_eq!(
@@ -291,8 +286,7 @@ async fn simulations_are_those_of_the_command() {
         .iter()
         .map(|c| json!({ "x_mm": c["x_mm"], "y_mm": c["y_mm"], "depth_mm": c["depth_mm"] }));
     let by_depth = json!({ "contacts": depths.collect::<Vec<_>>(), "run": null });
-    let (status, again) = lab.post(SIMULATIONS, by_depth).await;
-    assert_eq!(status, 200, "{again}");
+    let again = lab.posted(SIMULATIONS, by_depth, 200).await;
     for (one, other) in [(0, 20.0), (1, 7.5)] {
         let force_n = again["contacts"][one]["force_n"].as_f64().unwrap();
         assert!((force_n - other).abs() < 1e-4, "{force_n} N for {other} N");
@@ -312,11 +306,8 @@ async fn simulations_are_those_of_the_command() {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_contact_beyond_its_limits_is_refused_with_field_and_limit() {
     let lab = Filled::serve(folder("desk-limits")).await;
-    let refused = async |contacts: Value| {
-        let (status, body) = lab.post(SIMULATIONS, json!({ "contacts": contacts })).await;
-        assert_eq!(status, 422, "{body}");
-        body
-    };
+    let refused =
+        async |contacts: Value| lab.posted(SIMULATIONS, json!({ "contacts": contacts }), 422).await;
     let good = json!({ "x_mm": 270.0, "y_mm": 280.0, "force_n": 20.0 });
     let changed = |key: &str, value: Value| {
         let mut contact = good.clone();
@@ -357,7 +348,6 @@ async fn a_contact_beyond_its_limits_is_refused_with_field_and_limit() {
             lab.http.post(lab.url(SIMULATIONS)).header("content-type", "application/json");
         assert_eq!(request.body(body).send().await.unwrap().status(), 400, "{body}");
     }
-    let (status, _) = lab.post(SIMULATIONS, json!({ "contacts": [], "run": "999999" })).await;
-    assert_eq!(status, 404);
+    lab.posted(SIMULATIONS, json!({ "contacts": [], "run": "999999" }), 404).await;
     lab.close().await;
 }

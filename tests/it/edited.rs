@@ -31,8 +31,7 @@ impl Filled {
 
     async fn enqueued(&self) -> String {
         let run = json!({ "file": "q.toml", "definition": QUICKSTART, "sensor": SENSOR });
-        let (status, run) = self.post(QUEUE, run).await;
-        assert_eq!(status, 201, "{run}");
+        let run = self.posted(QUEUE, run, 201).await;
         run["uid"].as_str().unwrap().to_owned()
     }
 }
@@ -93,8 +92,7 @@ async fn the_second_of_two_editors_is_refused() {
     assert_eq!(removed.status(), 200);
     let any = lab.with(Method::POST, &last, ("if-match", "*"), json!({ "position": 2 })).await;
     assert_eq!(any.status(), 200);
-    let (status, _) = lab.post(&last, json!({ "position": 1 })).await;
-    assert_eq!(status, 200);
+    lab.posted(&last, json!({ "position": 1 }), 200).await;
     lab.close().await;
 }
 
@@ -113,8 +111,7 @@ async fn of_many_editors_who_saw_the_same_one_changes_it() {
     }
     let free = lab.with(Method::DELETE, LOCK, ("if-match", "\"0\""), Value::Null).await;
     assert_eq!(free.status(), 412);
-    let (status, _) = lab.post(SERVING, json!({ "what": "none-such" })).await;
-    assert_eq!(status, 409, "the lock is held");
+    lab.posted(SERVING, json!({ "what": "none-such" }), 409).await;
     let tag = lab.tag(LOCK).await;
     let free = lab.with(Method::DELETE, LOCK, ("if-match", &tag), Value::Null).await;
     assert_eq!(free.status(), 204);

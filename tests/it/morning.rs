@@ -3,36 +3,20 @@
 
 use std::io::{BufRead, BufReader};
 use std::process::{Command, Output, Stdio};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use serde_json::{Value, json};
 use tokio::time::timeout;
 
-use crate::datasets::filled::Filled;
-use crate::old_data::{HALF, WHOLE, copy, open, recorded};
-use crate::support::{Folder, PALPATE, Process};
+use crate::old_data::{HALF, WHOLE, open, recorded, served};
+use crate::support::{self, Process};
 
 /// Longest wait for anything.
 const LIMIT: Duration = Duration::from_secs(30);
 
-/// A service on a copy of the folder, after it has marked the killed run.
-async fn serve(name: &str) -> (Folder, Filled) {
-    let folder = copy(&format!("morning-{name}"));
-    let lab = Filled::serve(folder.to_path_buf()).await;
-    let start = Instant::now();
-    while lab.get("/api/v1/runs/2").await["state"] != "interrupted" {
-        assert!(start.elapsed() < LIMIT, "the killed run is not marked");
-        tokio::time::sleep(Duration::from_millis(20)).await;
-    }
-    (folder, lab)
-}
-
 fn command(url: &str, arguments: &[&str]) -> Command {
-    let mut command = Command::new(PALPATE);
-    for name in ["URL", "CA", "KEY", "KEY_FILE", "DATA"] {
-        command.env_remove(format!("PALPATE_{name}"));
-    }
-    command.args(arguments).args(["--url", url]).env("TZ", "UTC");
+    let mut command = support::command(arguments);
+    command.args(["--url", url]).env("TZ", "UTC");
     command
 }
 
@@ -58,7 +42,7 @@ fn refused(url: &str, arguments: &[&str]) -> (i32, String) {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn runs_are_listed_newest_first_and_found_by_number_start_of_the_id_and_last() {
-    let (_folder, lab) = serve("runs").await;
+    let (_folder, lab) = served("morning-runs").await;
     let url = lab.url("");
     let list = said(&url, &["runs"]);
     let lines: Vec<&str> = list.lines().collect();
@@ -89,7 +73,7 @@ async fn runs_are_listed_newest_first_and_found_by_number_start_of_the_id_and_la
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn trials_are_listed_by_the_conditions_of_the_api() {
-    let (_folder, lab) = serve("trials").await;
+    let (_folder, lab) = served("morning-trials").await;
     let url = lab.url("");
     let list = said(&url, &["trials", "1", "--limit", "3"]);
     assert!(list.lines().next().unwrap().contains("largest, N"), "{list}");
@@ -111,7 +95,7 @@ async fn trials_are_listed_by_the_conditions_of_the_api() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_run_and_a_trial_are_drawn_as_plain_text_without_a_terminal() {
-    let (_folder, lab) = serve("show").await;
+    let (_folder, lab) = served("morning-show").await;
     let url = lab.url("");
     let run = said(&url, &["show", "1"]);
     for part in
@@ -161,7 +145,7 @@ async fn a_run_and_a_trial_are_drawn_as_plain_text_without_a_terminal() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn events_are_selected_by_kind_and_followed_as_they_happen() {
-    let (folder, lab) = serve("events").await;
+    let (folder, lab) = served("morning-events").await;
     let url = lab.url("");
     let all = told(&url, &["events", "1", "--limit", "1000"])["items"].as_array().unwrap().clone();
     let kinds: Vec<&str> = all.iter().filter_map(|event| event["event"].as_str()).collect();
@@ -194,7 +178,7 @@ async fn events_are_selected_by_kind_and_followed_as_they_happen() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_report_is_one_file_that_loads_nothing_and_a_missing_browser_is_a_sentence() {
-    let (folder, lab) = serve("report").await;
+    let (folder, lab) = served("morning-report").await;
     let url = lab.url("");
     let out = folder.path("reports");
     let told = told(&url, &["report", "1", "--out", &out, "--no-pdf"]);
@@ -215,7 +199,7 @@ async fn a_report_is_one_file_that_loads_nothing_and_a_missing_browser_is_a_sent
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn two_runs_are_compared_at_the_same_place_and_depth() {
-    let (_folder, lab) = serve("diff").await;
+    let (_folder, lab) = served("morning-diff").await;
     let url = lab.url("");
     let same = told(&url, &["diff", "1", "1"]);
     let pairs = same["forces"]["pairs"].as_u64().unwrap();

@@ -20,7 +20,7 @@ use tokio_tungstenite::tungstenite::client::IntoClientRequest;
 use tokio_tungstenite::{Connector, connect_async_tls_with_config};
 
 use super::datasets::filled::{Filled, folder, rig};
-use super::support::{Folder, PALPATE, Process, http};
+use super::support::{self, Folder, PALPATE, Process, http};
 
 const LIMIT: Duration = Duration::from_secs(20);
 const MANUAL: &str = include_str!("../../docs/how-to/network.md");
@@ -77,12 +77,6 @@ async fn socket(url: &str, file: Option<&Path>, headers: &[(&'static str, &str)]
         Err(tokio_tungstenite::tungstenite::Error::Http(answer)) => answer.status().as_u16(),
         Err(other) => panic!("{other}"),
     }
-}
-
-async fn key(lab: &Filled, name: &str, role: &str) -> String {
-    let (status, made) = lab.post("/api/v1/keys", json!({ "name": name, "role": role })).await;
-    assert_eq!(status, 201, "{made}");
-    made["secret"].as_str().unwrap().into()
 }
 
 // ---------------------------------------------------------------- TLS
@@ -173,11 +167,7 @@ async fn who_never_completes_the_handshake_does_not_keep_a_stop_out() {
 
 /// Runs a command with these variables and no other ones of Palpate.
 fn command(arguments: &[&str], variables: &[(&str, &str)]) -> Output {
-    let mut command = Command::new(PALPATE);
-    for name in ["URL", "CA", "KEY", "KEY_FILE", "DATA"] {
-        command.env_remove(format!("PALPATE_{name}"));
-    }
-    command.args(arguments).envs(variables.iter().copied()).output().unwrap()
+    support::command(arguments).envs(variables.iter().copied()).output().unwrap()
 }
 
 fn text(bytes: &[u8]) -> String {
@@ -229,13 +219,12 @@ fn commands_on_the_same_machine_find_a_service_with_tls() {
 #[tokio::test(flavor = "multi_thread")]
 async fn keys_may_be_required_on_loopback_but_never_for_a_stop() {
     let lab = Filled::serve(folder("require-key")).await;
-    let secret = key(&lab, "ada", "operator").await;
+    let (_, secret) = lab.key("ada", "operator").await;
     let lab = Filled::serve_as(lab.end().await, |options| {
         (options.local_admin, options.require_key) = (false, true);
     })
     .await;
-    let (status, words) = lab.refused("/api/v1/status").await;
-    assert!(status == 401 && words.contains("--require-key"), "{status} {words}");
+    lab.refuses_get("/api/v1/status", 401, "--require-key").await;
     let asked = lab.http.get(lab.url("/api/v1/status")).bearer_auth(&secret).send();
     assert_eq!(asked.await.unwrap().status(), 200);
     let (status, stopped) = lab.post("/api/v1/estop", Value::Null).await;
@@ -256,7 +245,7 @@ async fn keys_may_be_required_on_loopback_but_never_for_a_stop() {
 #[tokio::test(flavor = "multi_thread")]
 async fn who_comes_through_a_proxy_is_nobody_on_this_machine() {
     let lab = Filled::serve(folder("forwarded")).await;
-    let secret = key(&lab, "ada", "operator").await;
+    let (_, secret) = lab.key("ada", "operator").await;
     let (status, live) = (lab.url("/api/v1/status"), lab.url("/api/v1/frames/live"));
     for header in ["x-forwarded-for", "forwarded"] {
         let asked = lab.http.get(&status).header(header, "for=10.0.0.7");
@@ -282,7 +271,7 @@ async fn who_comes_through_a_proxy_is_nobody_on_this_machine() {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_stop_on_this_machine_needs_no_key_wherever_the_service_listens() {
     let lab = Filled::serve(folder("everywhere")).await;
-    key(&lab, "ada", "operator").await;
+    lab.key("ada", "operator").await;
     let data = lab.end().await;
     let lab = Filled::serve_as(data, |options| options.bind = "0.0.0.0:0".parse().unwrap()).await;
     let port = lab.url("").rsplit(':').next().unwrap().to_owned();
@@ -358,7 +347,7 @@ fn behind(name: &str, files: &Folder, service: &str, tls: &Tls) -> (Process, Str
 async fn the_manuals_nginx_passes_everything_on() {
     let Some(program) = nginx() else { return };
     let lab = Filled::open("proxied").await;
-    let admin = key(&lab, "ada", "admin").await;
+    let (_, admin) = lab.key("ada", "admin").await;
     let files = Folder::new("nginx");
     let tls = self_signed(&files);
     let (_process, url) = behind(program, &files, &lab.url(""), &tls);

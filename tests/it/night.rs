@@ -14,29 +14,16 @@ use tokio_tungstenite::connect_async;
 use tokio_tungstenite::tungstenite::Message;
 
 use crate::datasets::filled::Filled;
-use crate::old_data::{HALF, NEXT, WHOLE, copy, open, recorded};
+use crate::old_data::{HALF, NEXT, WHOLE, copy, open, recorded, served};
 use crate::support::sensor;
 
-/// Longest wait for the state of a run after the start of the service, and for a message.
+/// Longest wait for a message.
 const LIMIT: Duration = Duration::from_secs(30);
-
-/// A service on a copy of the folder, after it has marked the killed run.
-async fn serve(name: &str, recorded: &Value) -> (crate::support::Folder, Filled) {
-    let folder = copy(&format!("night-{name}"));
-    let lab = Filled::serve(folder.to_path_buf()).await;
-    let start = Instant::now();
-    while lab.get(&path(recorded, HALF, "")).await["state"] != "interrupted" {
-        assert!(start.elapsed() < LIMIT, "the killed run is not marked");
-        tokio::time::sleep(Duration::from_millis(20)).await;
-    }
-    (folder, lab)
-}
 
 fn path(recorded: &Value, run: usize, rest: &str) -> String {
     format!("/api/v1/runs/{}{rest}", recorded["runs"][run]["uid"].as_str().unwrap())
 }
 
-/// Recorded trials of a run.
 fn trials(recorded: &Value, run: usize) -> Vec<&Value> {
     let uid = &recorded["runs"][run]["uid"];
     recorded["trials"].as_array().unwrap().iter().filter(|t| t["run"] == *uid).collect()
@@ -60,7 +47,7 @@ fn is_near(found: Option<f64>, wanted: Option<f64>, within: f64) -> bool {
 #[tokio::test]
 async fn the_sensor_is_that_of_its_file() {
     let recorded = recorded();
-    let (_folder, lab) = serve("sensor", &recorded).await;
+    let (_folder, lab) = served("night-sensor").await;
     let (skin, found) = (sensor(), lab.get("/api/v1/sensor").await);
     let size = |key: &str| number(&found[key]);
     assert_eq!((size("width_mm"), size("height_mm")), (skin.file.width_mm, skin.file.height_mm));
@@ -85,7 +72,7 @@ async fn the_sensor_is_that_of_its_file() {
 #[tokio::test]
 async fn the_tour_leads_over_the_stored_trials_and_the_progress_counts_them() {
     let recorded = recorded();
-    let (_folder, lab) = serve("tour", &recorded).await;
+    let (_folder, lab) = served("night-tour").await;
     for run in [WHOLE, HALF, NEXT] {
         let tour = lab.get(&path(&recorded, run, "/tour")).await;
         let progress = lab.get(&path(&recorded, run, "/progress")).await;
@@ -160,22 +147,21 @@ async fn a_preflight_states_what_the_run_before_it_pressed_on_the_same_skin() {
 #[tokio::test]
 async fn a_tour_is_sent_once() {
     let recorded = recorded();
-    let (_folder, lab) = serve("tag", &recorded).await;
+    let (_folder, lab) = served("night-tag").await;
     let address = path(&recorded, WHOLE, "/tour");
     let first = lab.answer(&address).await;
     let tag = first.headers()["etag"].clone();
     let again = lab.http.get(lab.url(&address)).header("if-none-match", &tag).send().await.unwrap();
     assert_eq!((again.status().as_u16(), &again.headers()["etag"]), (304, &tag));
     assert!(again.bytes().await.unwrap().is_empty());
-    let (status, words) = lab.refused("/api/v1/runs/99/tour").await;
-    assert_eq!(status, 404, "{words}");
+    lab.refuses_get("/api/v1/runs/99/tour", 404, "").await;
     lab.end().await;
 }
 
 #[tokio::test]
 async fn the_history_has_every_trial_and_the_states_from_start_to_end() {
     let recorded = recorded();
-    let (_folder, lab) = serve("history", &recorded).await;
+    let (_folder, lab) = served("night-history").await;
     for bins in [1, 7, 120] {
         let history = lab.get(&path(&recorded, WHOLE, &format!("/history?bins={bins}"))).await;
         let stored = trials(&recorded, WHOLE);
@@ -228,9 +214,7 @@ async fn the_history_has_every_trial_and_the_states_from_start_to_end() {
     let next = lab.get(&path(&recorded, NEXT, "/history")).await;
     assert_eq!((&next["from"], &next["trials"]), (&Value::Null, &json!([])));
     for bins in [0, 1001] {
-        let (status, words) =
-            lab.refused(&path(&recorded, WHOLE, &format!("/history?bins={bins}"))).await;
-        assert_eq!(status, 400, "{words}");
+        lab.refuses_get(&path(&recorded, WHOLE, &format!("/history?bins={bins}")), 400, "").await;
     }
     lab.end().await;
 }
@@ -244,7 +228,7 @@ fn time(value: &Value) -> f64 {
 #[tokio::test]
 async fn the_wear_follows_from_the_stored_poses_and_tips() {
     let recorded = recorded();
-    let (_folder, lab) = serve("wear", &recorded).await;
+    let (_folder, lab) = served("night-wear").await;
     let wear = lab.get("/api/v1/wear").await;
     let all = recorded["trials"].as_array().unwrap();
     assert_eq!((&wear["trials"], &wear["runs"]), (&json!(all.len()), &json!(2)));
@@ -287,7 +271,7 @@ async fn the_wear_follows_from_the_stored_poses_and_tips() {
 #[tokio::test(flavor = "multi_thread")]
 async fn the_live_status_beats_at_least_once_per_second() {
     let recorded = recorded();
-    let (_folder, lab) = serve("socket", &recorded).await;
+    let (_folder, lab) = served("night-socket").await;
     let address = lab.url("/api/v1/status/live").replacen("http", "ws", 1);
     let (mut socket, _) = connect_async(address).await.unwrap();
     let mut beats = Vec::new();

@@ -36,11 +36,22 @@ pub fn recorded() -> Value {
     serde_json::from_str(include_str!("fixtures/expected.json")).unwrap()
 }
 
-/// A copy of the folder for one test.
 pub fn copy(name: &str) -> Folder {
     let copy = Folder::new(&format!("old-data-{name}"));
     unpack(Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/it/fixtures/data")), &copy);
     copy
+}
+
+/// A service on a copy of the folder, after it has marked the killed run.
+pub async fn served(name: &str) -> (Folder, Filled) {
+    let folder = copy(name);
+    let lab = Filled::serve(folder.to_path_buf()).await;
+    let start = Instant::now();
+    while lab.get("/api/v1/runs/2").await["state"] != "interrupted" {
+        assert!(start.elapsed() < LIMIT, "the killed run is not marked");
+        tokio::time::sleep(Duration::from_millis(20)).await;
+    }
+    (folder, lab)
 }
 
 /// Decompresses the files of a folder.
@@ -222,20 +233,12 @@ async fn todays_plan_of_a_killed_run_is_the_one_that_its_trials_followed() {
 
 #[tokio::test]
 async fn a_service_offers_the_killed_run_and_serves_what_was_made() {
-    let (folder, recorded) = (copy("service"), recorded());
-    let lab = Filled::serve(folder.to_path_buf()).await;
+    let recorded = recorded();
+    let (_folder, lab) = served("service").await;
     let path =
         |run: usize| format!("/api/v1/runs/{}", recorded["runs"][run]["uid"].as_str().unwrap());
-    let start = Instant::now();
-    let half = loop {
-        let half = lab.get(&path(HALF)).await;
-        if half["state"] == "interrupted" {
-            break half;
-        }
-        assert!(start.elapsed() < LIMIT, "{half:#}");
-        tokio::time::sleep(Duration::from_millis(20)).await;
-    };
-    assert_eq!(half["paused_why"], "restart");
+    let half = lab.get(&path(HALF)).await;
+    assert_eq!((&half["state"], &half["paused_why"]), (&json!("interrupted"), &json!("restart")));
     // Arming is the first step of a resume; it needs no rig.
     for (run, wanted) in [(WHOLE, 409), (HALF, 200), (NEXT, 200)] {
         let (status, armed) =

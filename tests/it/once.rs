@@ -65,12 +65,12 @@ async fn a_repeated_request_does_nothing_and_gets_the_first_response() {
     // The key identifies one request of one caller.
     let (status, .., refused) = parts(lab.keyed(QUEUE, "night-7", &submission("eve")).await).await;
     assert_eq!(status, 422, "{refused}");
-    let made = lab.post("/api/v1/keys", json!({ "name": "eve", "role": "operator" })).await.1;
-    let request = lab.http.post(lab.url(QUEUE)).bearer_auth(made["secret"].as_str().unwrap());
+    let (id, eve) = lab.key("eve", "operator").await;
+    let request = lab.http.post(lab.url(QUEUE)).bearer_auth(eve);
     let request = request.header("idempotency-key", "night-7").json(&submission("ada"));
     assert_eq!(parts(request.send().await.unwrap()).await.0, 201);
     assert_eq!(lab.queued().await, 2);
-    assert_eq!(lab.logged(1).await, [json!(["queue", true, made["key"]["id"]])]);
+    assert_eq!(lab.logged(1).await, [json!(["queue", true, id])]);
     // What is refused for its key changes nothing either.
     for key in ["", "two words", "\"open", &"x".repeat(129)] {
         assert_eq!(lab.keyed(QUEUE, key, &submission("ada")).await.status(), 400, "{key}");

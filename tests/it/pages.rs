@@ -4,7 +4,6 @@
 use std::fs;
 use std::path::Path;
 
-/// Head of the table in the document.
 const TABLE_HEAD: &str = "| page | question | what is there |\n|---|---|---|\n";
 
 /// A text of a row of `web/pages.js`, which begins with the name of the page.

@@ -54,14 +54,13 @@ async fn callers(lab: &Filled, admin: &Caller) -> Vec<Caller> {
         ("admin", Some(Role::Admin), "admin"),
         ("revoked", None, "admin"),
     ] {
-        let (status, made) = lab.post("/api/v1/keys", json!({ "name": name, "role": word })).await;
-        assert_eq!(status, 201, "{made}");
+        let (id, key) = lab.key(name, word).await;
         if role.is_none() {
-            let path = format!("/api/v1/keys/{}", made["key"]["id"]);
+            let path = format!("/api/v1/keys/{id}");
             let answer = lab.send(admin, &Method::DELETE, &path, &Value::Null).await;
             assert_eq!(answer.status, 204);
         }
-        all.push(Caller { name, key: made["secret"].as_str().map(Into::into), role });
+        all.push(Caller { name, key: Some(key), role });
     }
     all.push(Caller { name: "a wrong key", key: Some("palpate_00".into()), role: None });
     all.push(Caller { name: "no key", key: None, role: Some(Role::Operator) });
@@ -94,8 +93,8 @@ async fn every_operation_admits_and_logs_what_the_table_says() {
     let lab = Filled::open("rights").await;
     let local = Caller { name: "setting up", key: None, role: Some(Role::Admin) };
     let callers = callers(&lab, &local).await;
-    let other = lab.post("/api/v1/keys", json!({ "name": "eve", "role": "operator" })).await.1;
-    let other = Caller { name: "eve", key: other["secret"].as_str().map(Into::into), role: None };
+    let (_, other) = lab.key("eve", "operator").await;
+    let other = Caller { name: "eve", key: Some(other), role: None };
     // As it is started by default.
     let lab = Filled::serve_with(lab.end().await, false).await;
     let table = operations();
@@ -163,8 +162,8 @@ async fn newest_action(lab: &Filled) -> i64 {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_lock_without_a_key_holds_for_everybody_and_nobody_signs_as_another() {
     let lab = Filled::open("rights-lock").await;
-    let made = lab.post("/api/v1/keys", json!({ "name": "alice", "role": "operator" })).await.1;
-    let alice = Caller { name: "alice", key: made["secret"].as_str().map(Into::into), role: None };
+    let (_, alice) = lab.key("alice", "operator").await;
+    let alice = Caller { name: "alice", key: Some(alice), role: None };
     let local = Caller { name: "no key", key: None, role: None };
     let put = |holder: &str| json!({ "holder": holder, "note": "tips are being changed" });
     let tare = |who: &str| json!({ "action": "tare", "who": who });

@@ -12,10 +12,11 @@ use palpate::clock::Clock;
 use palpate::ids::{RunUid, TrialId, TrialKey};
 use palpate::journal::Journal;
 use palpate::record::{ArmReading, FrameQuality, FrameRecord, TrialRecord, TrialScalars};
-use palpate::store::{Label, MAX_PAGE, NewRun, RunKind, Store, StoreError, TrialQuery, TrialRow};
+use palpate::store::{MAX_PAGE, NewRun, RunKind, Store, StoreError, TrialQuery, TrialRow};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
+use crate::datasets::filled::new_run;
 use crate::support::Folder;
 
 /// Names the database to the process that is killed.
@@ -79,7 +80,6 @@ fn own_folder(name: &str) -> Folder {
     Folder::new(&format!("durability-{name}"))
 }
 
-/// The database in a folder.
 fn file(folder: &Folder) -> PathBuf {
     folder.join("palpate.sqlite")
 }
@@ -90,26 +90,8 @@ async fn open(path: &Path) -> Store {
 
 async fn open_with_run(path: &Path) -> Store {
     let store = open(path).await;
-    let new = NewRun {
-        uid: run_uid(),
-        experiment: "durability".into(),
-        kind: RunKind::RealHex,
-        definition: String::new(),
-        seed: Some(1),
-        rig: Some(String::new()),
-        sensor: String::new(),
-        calibration_id: None,
-        plan: None,
-        label: Label::Virtual,
-        version: "0".into(),
-        git_commit: None,
-        deadband_n: 5.0,
-        tip_diameter_mm: None,
-        trials_planned: 0,
-        auto_resume: true,
-        not_before: None,
-        submitted_by: "test".into(),
-    };
+    let new = new_run(RunKind::RealHex, "durability");
+    let new = NewRun { uid: run_uid(), sensor: String::new(), auto_resume: true, ..new };
     if store.run(run_uid()).await.unwrap().is_none() {
         store.create_run(new).await.unwrap();
     }

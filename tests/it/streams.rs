@@ -15,13 +15,6 @@ use super::datasets::filled::Filled;
 
 const LIMIT: Duration = Duration::from_secs(20);
 
-/// Number and text of a new key.
-async fn key(lab: &Filled, name: &str, role: &str) -> (i64, String) {
-    let (status, made) = lab.post("/api/v1/keys", json!({ "name": name, "role": role })).await;
-    assert_eq!(status, 201, "{made}");
-    (made["key"]["id"].as_i64().unwrap(), made["secret"].as_str().unwrap().into())
-}
-
 async fn revoke(lab: &Filled, id: i64) {
     let answer = lab.http.delete(lab.url(&format!("/api/v1/keys/{id}"))).send().await.unwrap();
     assert_eq!(answer.status(), 204);
@@ -50,7 +43,7 @@ async fn open(
 #[tokio::test(flavor = "multi_thread")]
 async fn a_ticket_opens_one_websocket_and_nothing_else() {
     let lab = Filled::open("tickets").await;
-    let (id, viewer) = key(&lab, "viewer", "viewer").await;
+    let (id, viewer) = lab.key("viewer", "viewer").await;
     let once = ticket(&lab, &viewer).await;
     let mut socket = open(&lab, "/api/v1/frames/live", &once).await.ok().unwrap();
     assert_eq!(open(&lab, "/api/v1/frames/live", &once).await.err(), Some(401), "used");
@@ -81,7 +74,7 @@ async fn a_ticket_opens_one_websocket_and_nothing_else() {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_stream_of_events_ends_with_its_key() {
     let lab = Filled::open("revoked-stream").await;
-    let (id, viewer) = key(&lab, "viewer", "viewer").await;
+    let (id, viewer) = lab.key("viewer", "viewer").await;
     let request = lab.http.get(lab.url("/api/v1/events?since=-3")).bearer_auth(&viewer);
     let answer = request.header("accept", "text/event-stream").send().await.unwrap();
     let mut events = answer.bytes_stream();
@@ -97,7 +90,7 @@ async fn a_stream_of_events_ends_with_its_key() {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_lock_that_is_taken_while_a_body_arrives_counts() {
     let lab = Filled::open("late-body").await;
-    let (_, eve) = key(&lab, "eve", "operator").await;
+    let (_, eve) = lab.key("eve", "operator").await;
     let body = r#"{"action":"tare","who":"bob","why":"a slow client"}"#;
     let mut wire = TcpStream::connect(lab.url("").trim_start_matches("http://")).await.unwrap();
     let head = format!(
@@ -130,12 +123,8 @@ async fn a_caller_with_too_many_requests_may_still_end_a_run() {
         let request = lab.http.get(lab.url("/api/v1/events")).header("accept", "text/event-stream");
         streams.push(request.send().await.unwrap());
     }
-    let (status, detail) = lab.refused("/api/v1/status").await;
-    assert_eq!(status, 429, "{detail}");
-    assert!(detail.contains("128 requests of local are in progress"), "{detail}");
-    let (status, refused) = lab.post("/api/v1/runs/1/actions", json!({ "action": "abort" })).await;
-    assert_eq!(status, 409, "{refused}");
-    assert!(refused["detail"].as_str().unwrap().contains("not active"), "{refused}");
+    lab.refuses_get("/api/v1/status", 429, "128 requests of local are in progress").await;
+    lab.refuses("/api/v1/runs/1/actions", json!({ "action": "abort" }), 409, "not active").await;
     drop(streams);
     let start = Instant::now();
     while lab.answer("/api/v1/status").await.status() != 200 {

@@ -1,14 +1,13 @@
-//! What several tests need: the sensor, a folder, a process that ends with its test, Python.
-//! Never: an assertion about Palpate.
+//! What several tests need: the sensor, a folder, commands, a process that ends with its test, Python.
 
 use std::ops::Deref;
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Stdio};
+use std::process::{Child, Command, Output, Stdio};
 
 use palpate::cli::trust;
+use serde_json::Value;
 use sim_core::sensor::Sensor;
 
-/// The program.
 pub const PALPATE: &str = env!("CARGO_BIN_EXE_palpate");
 
 /// Text of the sensor file of 28 electrodes.
@@ -68,6 +67,50 @@ impl Drop for Process {
         self.0.kill().ok();
         self.0.wait().ok();
     }
+}
+
+/// A command of the program, without the environment of the tests.
+pub fn command(arguments: &[&str]) -> Command {
+    let mut command = Command::new(PALPATE);
+    for name in ["URL", "CA", "KEY", "KEY_FILE", "DATA"] {
+        command.env_remove(format!("PALPATE_{name}"));
+    }
+    command.args(arguments).stdin(Stdio::null());
+    command
+}
+
+/// Runs a command to its end, while the test's own service answers it.
+pub async fn finished(mut command: Command) -> Output {
+    tokio::task::spawn_blocking(move || command.output()).await.unwrap().unwrap()
+}
+
+/// What a Python script of this folder prints; it must succeed.
+pub async fn printed(python: String, script: &str, arguments: &[&Path]) -> String {
+    let mut command = Command::new(python);
+    command.env("PYTHONDONTWRITEBYTECODE", "1");
+    command.arg(format!("{}/tests/it/{script}", env!("CARGO_MANIFEST_DIR"))).args(arguments);
+    succeeded(&finished(command).await)
+}
+
+/// Standard output of a command that must succeed.
+pub fn succeeded(output: &Output) -> String {
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    String::from_utf8(output.stdout.clone()).unwrap()
+}
+
+/// The last line of a command that must succeed, JSON.
+pub fn done(output: &Output) -> Value {
+    serde_json::from_str(succeeded(output).lines().last().unwrap()).unwrap()
+}
+
+/// A command that must be refused with this exit code, in these words.
+pub fn not_done(output: &Output, code: i32, words: &str) {
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.code() == Some(code) && said.contains(words), "{words}: {said}");
+}
+
+pub fn copy_folder(from: &Path, to: &Path) {
+    assert!(Command::new("cp").arg("-r").arg(from).arg(to).status().unwrap().success());
 }
 
 /// A Python that can import these modules (`PALPATE_PYTHON`, otherwise `python3`). Without one the test

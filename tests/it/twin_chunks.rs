@@ -2,7 +2,7 @@
 //! each stored once, and refused if another one is stored.
 
 use std::path::Path;
-use std::process::{Command, Output, Stdio};
+use std::process::Output;
 use std::time::{Duration, Instant};
 
 use palpate::ids::{TrialId, TrialKey};
@@ -15,7 +15,7 @@ use reqwest::multipart::{Form, Part};
 use serde_json::{Value, json};
 
 use crate::datasets::filled::{Filled, folder, new_run, press, store};
-use crate::support::{PALPATE, VIRTUAL_RIG, sensor};
+use crate::support::{VIRTUAL_RIG, command, copy_folder, done, finished, not_done, sensor};
 
 /// Number of trials of the run, and of a chunk.
 const TRIALS: u32 = 44;
@@ -46,23 +46,8 @@ async fn pressed(data: &Path) {
     store.close().await;
 }
 
-fn copy(from: &Path, to: &Path) {
-    let status = Command::new("cp").arg("-r").arg(from).arg(to).status().unwrap();
-    assert!(status.success());
-}
-
 async fn palpate(arguments: &[&str]) -> Output {
-    let mut command = Command::new(PALPATE);
-    command.args(arguments).stdin(Stdio::null());
-    tokio::task::spawn_blocking(move || command.output()).await.unwrap().unwrap()
-}
-
-/// The last line of a command that must succeed.
-fn last_line(output: &Output) -> Value {
-    let words = String::from_utf8_lossy(&output.stderr);
-    assert!(output.status.success(), "{words}");
-    let text = String::from_utf8(output.stdout.clone()).unwrap();
-    serde_json::from_str(text.lines().last().unwrap()).unwrap()
+    finished(command(arguments)).await
 }
 
 async fn gather(lab: &Filled, order: &str) -> Output {
@@ -79,7 +64,6 @@ async fn refused(lab: &Filled, run: &str, file: Vec<u8>) -> (u16, String) {
     (status, body["detail"].as_str().unwrap_or_default().to_owned())
 }
 
-/// The bytes of any chunk of an order.
 fn any_chunk(order: &str) -> Vec<u8> {
     let results = std::fs::read_dir(Path::new(order).join("results")).unwrap();
     let mut paths = results.map(|entry| entry.unwrap().path());
@@ -120,11 +104,11 @@ async fn twins_of_two_processes_are_those_of_the_service() {
     load_or_build(sensor(), &data.join("cache")).unwrap();
     let others = folder("twin-chunks-others");
     let [of_service, of_other] = ["of-service", "of-other"].map(|name| others.join(name));
-    copy(&data, &of_service);
-    copy(&data, &of_other);
+    copy_folder(&data, &of_service);
+    copy_folder(&data, &of_other);
     // A node has the cache alone.
     let node = folder("twin-chunks-node");
-    copy(&data.join("cache"), &node);
+    copy_folder(&data.join("cache"), &node);
     let [order, node] = [others.join("order"), node].map(|path| path.display().to_string());
     let (order, node) = (order.as_str(), node.as_str());
 
@@ -134,29 +118,28 @@ async fn twins_of_two_processes_are_those_of_the_service() {
     let options = ["cluster", "sbatch", "twins", "1", "--json", "--folder", order];
     let place = ["--url", url.as_str(), "--data", node, "--chunk-trials", CHUNK_TRIALS];
     let ordering = [&options[..], &place[..]].concat();
-    let ordered = last_line(&palpate(&ordering).await);
+    let ordered = done(&palpate(&ordering).await);
     assert_eq!((&ordered["kind"], &ordered["chunks"]), (&json!("twins"), &json!(5)));
-    assert_eq!(last_line(&palpate(&ordering).await)["changed"], false);
+    assert_eq!(done(&palpate(&ordering).await)["changed"], false);
 
     let task = async |number: &'static str| {
         let options = ["cluster", "make", order, "--json", "--data", node];
         palpate(&[&options[..], &["--task", number, "--tasks", "2"]].concat()).await
     };
     let (one, two) = tokio::join!(task("0"), task("1"));
-    assert_eq!((&last_line(&one)["made"], &last_line(&two)["made"]), (&json!(3), &json!(2)));
+    assert_eq!((&done(&one)["made"], &done(&two)["made"]), (&json!(3), &json!(2)));
     assert!(!Path::new(node).join("palpate.db").exists(), "a node needs no database");
 
     // All are stored, once.
     for (stored, present) in [(TRIALS, 0), (0, TRIALS)] {
-        let gathered = last_line(&gather(&lab, order).await);
+        let gathered = done(&gather(&lab, order).await);
         assert_eq!((&gathered["stored"], &gathered["present"]), (&json!(stored), &json!(present)));
         let count = lab.get("/api/v1/runs/1/twins").await;
         assert_eq!((&count["twins"], &count["pending"]), (&json!(TRIALS - 1), &json!(0)));
         assert_eq!(count["failures"], 1);
     }
     let gathered = palpate(&["cluster", "gather", order, "--out", "twins", "--url", &url]).await;
-    let words = String::from_utf8_lossy(&gathered.stderr).into_owned();
-    assert!(gathered.status.code() == Some(2) && words.contains("must be absent"), "{words}");
+    not_done(&gathered, 2, "must be absent");
     let data = lab.end().await;
     let of_chunks = with_twins(&data).await;
     let frames = of_chunks.iter().filter(|trial| trial.frame.is_some()).count();
@@ -169,7 +152,7 @@ async fn twins_of_two_processes_are_those_of_the_service() {
         assert!(start.elapsed() < TWINS_WITHIN);
         tokio::time::sleep(Duration::from_millis(50)).await;
     }
-    let gathered = last_line(&gather(&lab, order).await);
+    let gathered = done(&gather(&lab, order).await);
     assert_eq!((&gathered["stored"], &gathered["present"]), (&json!(0), &json!(TRIALS)));
     lab.end().await;
     assert_eq!(with_twins(&of_service).await, of_chunks);
@@ -194,8 +177,7 @@ async fn twins_of_two_processes_are_those_of_the_service() {
     assert_eq!((&inputs["trials"], &inputs["next"]), (&json!(10), &json!(TRIALS + 10)));
     let inputs = lab.get(&format!("/api/v1/runs/2/twins/inputs?after={}", TRIALS + 40)).await;
     assert_eq!((&inputs["trials"], &inputs["next"]), (&json!(4), &Value::Null));
-    let (status, words) = lab.refused("/api/v1/runs/2/twins/inputs?limit=0").await;
-    assert!(status == 400 && words.contains("must be from 1 to 10000"), "{status} {words}");
+    lab.refuses_get("/api/v1/runs/2/twins/inputs?limit=0", 400, "must be from 1 to 10000").await;
     let (status, words) = refused(&lab, "2", any_chunk(order)).await;
     assert!(status == 422 && words.contains("is of run"), "{status} {words}");
     let (status, words) = refused(&lab, "1", b"no Parquet".to_vec()).await;

@@ -75,7 +75,6 @@ fn compared(script: &str) -> Vec<Compared<'_>> {
     found
 }
 
-/// Own scripts below a folder.
 fn scripts(folder: &Path) -> Vec<PathBuf> {
     let entries = fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path());
     entries

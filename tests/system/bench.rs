@@ -105,7 +105,6 @@ pub struct Lab {
     pub rig: VirtualRig,
     /// Answers.
     pub service: Service,
-    /// Of the database.
     pub data: PathBuf,
     http: reqwest::Client,
     turn: Turn,
@@ -191,7 +190,6 @@ impl Lab {
         }
     }
 
-    /// Connects and homes.
     pub async fn home(&self) {
         self.posted("/api/v1/rig/actions", json!({ "action": "connect", "who": "test" })).await;
         self.posted("/api/v1/rig/actions", json!({ "action": "home", "who": "test" })).await;
@@ -214,7 +212,40 @@ impl Lab {
         self.posted(&format!("/api/v1/runs/{run}/actions"), body).await;
     }
 
-    /// An action on a run.
+    /// Queues an experiment, arms it and starts it; returns the run's uid.
+    pub async fn begin(&self, definition: &str) -> String {
+        let run = self.queue(definition).await;
+        self.start(&run).await;
+        run
+    }
+
+    /// An action on a run that must be accepted.
+    pub async fn accepts(&self, run: &str, action: Value) {
+        let (status, answer) = self.act(run, action).await;
+        assert_eq!(status, 202, "{answer:#}");
+    }
+
+    /// No run is active, and the rig is in this state.
+    pub async fn rests(&self, rig: &str) {
+        let status = self.get("/api/v1/status").await;
+        assert_eq!((&status["run"], &status["rig"]["state"]), (&Value::Null, &json!(rig)));
+    }
+
+    /// Waits until a run is interrupted; returns its row.
+    pub async fn interrupted(&self, run: &str) -> Value {
+        let is_left = |row: &Value| row["state"] == "interrupted";
+        self.eventually("the run is left alone", &format!("/api/v1/runs/{run}"), is_left).await
+    }
+
+    /// Waits until the newest event of this kind states this reason.
+    pub async fn told(&self, kind: &str, words: &str) {
+        let is_told = |page: &Value| {
+            let why = page["items"][0]["data"]["why"].as_str().unwrap_or_default();
+            why.contains(words)
+        };
+        self.eventually("the event", &format!("/api/v1/events?kind={kind}"), is_told).await;
+    }
+
     pub async fn act(&self, run: &str, action: Value) -> (u16, Value) {
         self.post(&format!("/api/v1/runs/{run}/actions"), action).await
     }

@@ -27,8 +27,7 @@ pub(super) async fn started(name: &str) -> (Lab, String) {
 async fn started_at(name: &str, speed: f64) -> (Lab, String) {
     let lab = Lab::open(name, rig_args("virtual", speed), WAITS).await;
     lab.home().await;
-    let run = lab.queue(SMALL).await;
-    lab.start(&run).await;
+    let run = lab.begin(SMALL).await;
     (lab, run)
 }
 
@@ -128,7 +127,7 @@ async fn a_run_pauses_and_goes_on_and_what_its_state_forbids_is_refused() {
 async fn stop_and_abort_end_a_run_short_of_its_plan_and_it_resumes_with_what_is_missing() {
     let (lab, run) = started("stop").await;
     lab.stored(2).await;
-    assert_eq!(lab.act(&run, json!({ "action": "stop" })).await.0, 202);
+    lab.accepts(&run, json!({ "action": "stop" })).await;
     let summary = lab.ended(&run).await;
     assert_eq!(summary["run"]["exit_status"], "stopped");
     let stored = summary["trials_stored"].as_u64().unwrap();
@@ -139,7 +138,7 @@ async fn stop_and_abort_end_a_run_short_of_its_plan_and_it_resumes_with_what_is_
 
     lab.start(&run).await;
     lab.stored(stored + 1).await;
-    assert_eq!(lab.act(&run, json!({ "action": "abort" })).await.0, 202);
+    lab.accepts(&run, json!({ "action": "abort" })).await;
     let row = lab.ended(&run).await["run"].clone();
     assert_eq!(row["exit_status"], "abort");
     assert!(row["reason"].as_str().unwrap().starts_with("aborted at "), "{row:#}");
@@ -158,20 +157,14 @@ async fn stop_and_abort_end_a_run_short_of_its_plan_and_it_resumes_with_what_is_
 #[tokio::test(flavor = "multi_thread")]
 async fn no_run_begins_by_itself_after_one_that_was_ended_while_it_was_halted() {
     let (lab, run) = started("halted").await;
-    let next = lab.queue(SMALL).await;
-    lab.start(&next).await;
+    let next = lab.begin(SMALL).await;
     lab.stored(2).await;
-    assert_eq!(lab.act(&run, json!({ "action": "pause", "when": "now" })).await.0, 202);
+    lab.accepts(&run, json!({ "action": "pause", "when": "now" })).await;
     lab.until("a pause", |s| s["run"]["state"] == "paused").await;
-    assert_eq!(lab.act(&run, json!({ "action": "abort" })).await.0, 202);
+    lab.accepts(&run, json!({ "action": "abort" })).await;
     lab.ended(&run).await;
-    let is_dropped = |page: &Value| {
-        let why = page["items"][0]["data"]["why"].as_str().unwrap_or_default();
-        why.contains("ended while it was halted")
-    };
-    lab.eventually("the event", "/api/v1/events?kind=not_begun", is_dropped).await;
-    let status = lab.get("/api/v1/status").await;
-    assert_eq!((&status["run"], &status["rig"]["state"]), (&Value::Null, &json!("homed")));
+    lab.told("not_begun", "ended while it was halted").await;
+    lab.rests("homed").await;
     lab.start(&next).await;
     complete(&lab, &next).await;
     lab.close().await;
@@ -212,8 +205,7 @@ async fn a_run_that_this_version_would_plan_differently_does_not_resume() {
     assert_eq!(kept["steps"][0]["step"], "tip-change", "{kept:#}");
     plan_of_another_version(&lab, &run).await;
     let lab = lab.restart().await;
-    let stays = |row: &Value| row["state"] == "interrupted";
-    let row = lab.eventually("the refusal", &format!("/api/v1/runs/{run}"), stays).await;
+    let row = lab.interrupted(&run).await;
     let stored = lab.keys(&run).await;
     let (status, refused) = lab.post(&format!("/api/v1/runs/{run}/arm"), json!({})).await;
     let detail = refused["detail"].as_str().unwrap();
@@ -225,8 +217,7 @@ async fn a_run_that_this_version_would_plan_differently_does_not_resume() {
     assert_eq!(lab.keys(&run).await, stored);
     // Nothing was switched on for it, and it can be ended.
     assert_eq!(lab.get("/api/v1/status").await["rig"]["state"], "disconnected");
-    let (status, answer) = lab.act(&run, json!({ "action": "abort" })).await;
-    assert_eq!(status, 202, "{answer:#}");
+    lab.accepts(&run, json!({ "action": "abort" })).await;
     let ended = lab.get(&format!("/api/v1/runs/{run}")).await;
     assert_eq!((&ended["state"], &ended["exit_status"]), (&json!("ended"), &json!("abort")));
     let (status, _) = lab.act(&run, json!({ "action": "abort" })).await;
@@ -250,11 +241,7 @@ pub(super) async fn held_by_a_lock(name: &str) -> (Lab, String) {
         .unwrap();
     database.close().await.unwrap();
     let lab = lab.restart().await;
-    let is_held = |page: &Value| {
-        let why = page["items"][0]["data"]["why"].as_str().unwrap_or_default();
-        why.contains("has taken the operator lock: hands")
-    };
-    lab.eventually("the lock holds it", "/api/v1/events?kind=not_resumed", is_held).await;
+    lab.told("not_resumed", "has taken the operator lock: hands").await;
     assert_eq!(lab.get("/api/v1/status").await["rig"]["state"], "disconnected");
     (lab, run)
 }
@@ -282,15 +269,13 @@ async fn a_run_that_is_about_to_be_driven_again_can_be_aborted() {
     let (status, refused) = lab.act(&run, json!({ "action": "pause" })).await;
     assert_eq!(status, 409, "{refused:#}");
     assert!(refused["detail"].as_str().unwrap().contains("abort ends it"), "{refused:#}");
-    let (status, answer) = lab.act(&run, json!({ "action": "abort" })).await;
-    assert_eq!(status, 202, "{answer:#}");
+    lab.accepts(&run, json!({ "action": "abort" })).await;
     release(&lab).await;
     // Longer than until the next attempt.
     tokio::time::sleep(Duration::from_secs(8)).await;
     let row = lab.get(&format!("/api/v1/runs/{run}")).await;
     assert_eq!((&row["state"], &row["exit_status"]), (&json!("ended"), &json!("abort")));
-    let status = lab.get("/api/v1/status").await;
-    assert_eq!((&status["run"], &status["rig"]["state"]), (&Value::Null, &json!("disconnected")));
+    lab.rests("disconnected").await;
     lab.close().await;
 }
 
@@ -305,10 +290,8 @@ async fn a_stopped_run_whose_rig_homes_when_the_service_ends_does_not_go_on_by_i
     lab.posted("/api/v1/rig/actions", act("reset")).await;
     lab.posted("/api/v1/rig/actions", act("home")).await;
     let lab = lab.restart().await;
-    let is_left = |row: &Value| row["state"] == "interrupted";
-    lab.eventually("the run is left alone", &format!("/api/v1/runs/{run}"), is_left).await;
-    let status = lab.get("/api/v1/status").await;
-    assert_eq!((&status["run"], &status["rig"]["state"]), (&Value::Null, &json!("disconnected")));
+    lab.interrupted(&run).await;
+    lab.rests("disconnected").await;
     lab.close().await;
 }
 
@@ -326,10 +309,8 @@ async fn an_e_stop_while_the_service_ends_is_known_to_the_next_process() {
     });
     let lab = lab.restart().await;
     assert!(stop.await.unwrap().is_success());
-    let is_left = |row: &Value| row["state"] == "interrupted";
-    lab.eventually("the run is left alone", &format!("/api/v1/runs/{run}"), is_left).await;
-    let status = lab.get("/api/v1/status").await;
-    assert_eq!((&status["run"], &status["rig"]["state"]), (&Value::Null, &json!("disconnected")));
+    lab.interrupted(&run).await;
+    lab.rests("disconnected").await;
     lab.close().await;
 }
 
@@ -365,8 +346,7 @@ async fn plan_of_another_version(lab: &Lab, run: &str) {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_run_that_waits_for_its_turn_keeps_it_through_a_restart() {
     let (lab, first) = started("turns").await;
-    let second = lab.queue(SMALL).await;
-    lab.start(&second).await;
+    let second = lab.begin(SMALL).await;
     let row = lab.get(&format!("/api/v1/runs/{second}")).await;
     assert!(row["waiting_since"].is_string() && row["state"] == "queued", "{row:#}");
     lab.stored(5).await;
@@ -399,8 +379,7 @@ async fn a_run_begins_when_its_time_has_come_and_holds_up_no_other() {
     let lab = Lab::open("early", rig_args("virtual", SPEED), WAITS).await;
     lab.home().await;
     let early = started_early(&lab, 8).await;
-    let next = lab.queue(SMALL).await;
-    lab.start(&next).await;
+    let next = lab.begin(SMALL).await;
     complete(&lab, &next).await;
     began_in_time(&lab, &early).await;
     lab.close().await;
@@ -444,8 +423,7 @@ async fn weights_are_placed_confirmed_measured_and_repeated() {
     lab.home().await;
     let definition = "name = 'weights'\nseed = 2\nsensor = 's'\n[real_random]\ncontacts = [2, 3]\n\
         trials_each = 3\nweights_n = [4.905, 9.81]\n[measure]\nframes_per_trial = 5\n";
-    let run = lab.queue(definition).await;
-    lab.start(&run).await;
+    let run = lab.begin(definition).await;
     let summary = lab.ended(&run).await;
     assert_eq!(summary["run"]["exit_status"], "success", "{summary:#}\n{:#}", lab.events().await);
     assert_eq!(summary["contact_counts"], json!([0, 0, 3, 3, 0, 0, 0]));
@@ -464,8 +442,7 @@ async fn the_same_campaign_on_other_axes_and_wires_has_the_same_keys_and_targets
     for rig in ["iai-modbus-tcp", "oriental-az-rtu"] {
         let lab = Lab::open(&format!("wires-{rig}"), rig_args(rig, 8.0), WHOLE).await;
         lab.home().await;
-        let run = lab.queue(SMALL).await;
-        lab.start(&run).await;
+        let run = lab.begin(SMALL).await;
         complete(&lab, &run).await;
         let page = lab.get(&format!("/api/v1/runs/{run}/trials?limit=100")).await;
         let place = |t: &Value| {

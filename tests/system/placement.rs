@@ -148,8 +148,7 @@ async fn a_wrong_placement_is_refused_placed_anyway_repeated_and_the_run_resumes
     assert!(status["rig"]["force_limit_n"].is_null() && status["rig"]["pose"].is_null());
     let home = json!({ "action": "home", "who": WHO });
     assert_eq!(lab.post("/api/v1/rig/actions", home).await.0, 409, "there is nothing to home");
-    let run = lab.queue(FOUR).await;
-    lab.start(&run).await;
+    let run = lab.begin(FOUR).await;
 
     // The empty skin is tared once.
     let page = asked(&lab, 0).await;
@@ -182,7 +181,7 @@ async fn a_wrong_placement_is_refused_placed_anyway_repeated_and_the_run_resumes
     let right = |page: &Value| page["verdict"]["kind"] == "right" && page["at_rest"] == true;
     let page = lab.eventually("a right placement", "/api/v1/placement", right).await;
     assert!(page["verdict"]["matches"][0]["distance_mm"].as_f64().unwrap() < 10.0, "{page:#}");
-    assert_eq!(lab.act(&run, confirm(0)).await.0, 202);
+    lab.accepts(&run, confirm(0)).await;
     let page = asked(&lab, 1).await;
     assert_eq!(page["last"]["trial"], 0, "{page:#}");
     assert_eq!(page["last"]["verdict"], "right", "{page:#}");
@@ -201,7 +200,7 @@ async fn a_wrong_placement_is_refused_placed_anyway_repeated_and_the_run_resumes
     place(&lab, &page, true).await;
     let mut anyway = confirm(1);
     anyway["anyway"] = true.into();
-    assert_eq!(lab.act(&run, anyway).await.0, 202);
+    lab.accepts(&run, anyway).await;
     asked(&lab, 2).await;
     let stored = trials(&lab, &run).await;
     assert_eq!((&stored[&0]["flags"], &stored[&1]["flags"]), (&json!([]), &json!(["doubted"])));
@@ -209,19 +208,19 @@ async fn a_wrong_placement_is_refused_placed_anyway_repeated_and_the_run_resumes
 
     // Repeated, once, although it is asked for twice; then an earlier one by its number.
     let repeat = json!({ "action": "repeat", "who": WHO, "why": "wrong point" });
-    assert_eq!(lab.act(&run, repeat.clone()).await.0, 202);
+    lab.accepts(&run, repeat.clone()).await;
     let page = asked(&lab, 1).await;
     assert_eq!(lab.act(&run, repeat).await.0, 409);
     place(&lab, &page, false).await;
-    assert_eq!(lab.act(&run, confirm(1)).await.0, 202);
+    lab.accepts(&run, confirm(1)).await;
     asked(&lab, 2).await;
     let unknown = json!({ "action": "repeat", "trial": 3, "who": WHO });
     assert_eq!(lab.act(&run, unknown).await.0, 409, "it is not stored");
     let named = json!({ "action": "repeat", "trial": 0, "who": WHO });
-    assert_eq!(lab.act(&run, named).await.0, 202);
+    lab.accepts(&run, named).await;
     let page = asked(&lab, 0).await;
     place(&lab, &page, false).await;
-    assert_eq!(lab.act(&run, confirm(0)).await.0, 202);
+    lab.accepts(&run, confirm(0)).await;
     let page = asked(&lab, 2).await;
     assert_eq!(page["repeated"], 2, "{page:#}");
     let stored = trials(&lab, &run).await;
@@ -278,8 +277,7 @@ async fn a_wrong_placement_is_refused_placed_anyway_repeated_and_the_run_resumes
 async fn a_board_that_fails_or_a_stop_gives_up_no_placement() {
     let lab = Lab::open_alone("placement-faults", skin_alone(), WAITS).await;
     connect(&lab).await;
-    let run = lab.queue(FOUR).await;
-    lab.start(&run).await;
+    let run = lab.begin(FOUR).await;
     let page = asked(&lab, 0).await;
     assert_eq!(page["verdict"]["kind"], "unknown", "no model serves: {page:#}");
     assert!(page["felt"].is_null());
@@ -287,7 +285,7 @@ async fn a_board_that_fails_or_a_stop_gives_up_no_placement() {
     // Without frames the trial is not measured, and the person is asked again.
     lab.tell_rig(json!({ "cmd": "fault", "kind": "stall_stream", "device": "ert" })).await;
     tokio::time::sleep(Duration::from_millis(300)).await;
-    assert_eq!(lab.act(&run, confirm(0)).await.0, 202);
+    lab.accepts(&run, confirm(0)).await;
     let again = |s: &Value| {
         let words = s["run"]["waiting_for"].as_str().unwrap_or_default();
         words.starts_with("trial 0 was not measured")
@@ -296,7 +294,7 @@ async fn a_board_that_fails_or_a_stop_gives_up_no_placement() {
     lab.tell_rig(json!({ "cmd": "mend" })).await;
     let fresh = |s: &Value| s["rig"]["stream"]["age_ms"].as_u64().is_some_and(|age| age < 200);
     lab.until("frames", fresh).await;
-    assert_eq!(lab.act(&run, confirm(0)).await.0, 202);
+    lab.accepts(&run, confirm(0)).await;
     asked(&lab, 1).await;
     // A stop latches, and after the reset the run asks for the same placement.
     lab.posted("/estop", json!({ "why": "test" })).await;
@@ -305,7 +303,7 @@ async fn a_board_that_fails_or_a_stop_gives_up_no_placement() {
     lab.until("the reset", |s| s["rig"]["state"] == "disarmed").await;
     for trial in 1..4 {
         asked(&lab, trial).await;
-        assert_eq!(lab.act(&run, confirm(trial)).await.0, 202);
+        lab.accepts(&run, confirm(trial)).await;
     }
     let summary = lab.ended(&run).await;
     assert_eq!(summary["run"]["exit_status"], "success", "{summary:#}");
@@ -343,8 +341,7 @@ async fn under_a_stage_nothing_moves_during_a_manual_run_nor_after_it_before_tip
     let tips = json!({ "action": "tips", "tips": 1, "who": WHO });
     lab.eventually("the cell", "/api/v1/status", |s| s["rig"]["live_cells"] == 1).await;
     lab.posted("/api/v1/rig/actions", tips).await;
-    let run = lab.queue(TWO).await;
-    lab.start(&run).await;
+    let run = lab.begin(TWO).await;
     let page = asked(&lab, 0).await;
     for action in [
         json!({ "action": "home" }),
@@ -361,7 +358,7 @@ async fn under_a_stage_nothing_moves_during_a_manual_run_nor_after_it_before_tip
 
     // A stop during the measurement: the placement is asked for again.
     place(&lab, &page, false).await;
-    assert_eq!(lab.act(&run, confirm(0)).await.0, 202);
+    lab.accepts(&run, confirm(0)).await;
     lab.until("the wait for rest", |s| s["run"]["phase"] == "settle").await;
     lab.posted("/api/v1/estop", json!({ "why": "test" })).await;
     lab.until("the stop", |s| s["rig"]["state"] == "tripped" && s["run"]["state"] == "paused")
@@ -376,10 +373,10 @@ async fn under_a_stage_nothing_moves_during_a_manual_run_nor_after_it_before_tip
         depths = 2\nblock = 1\nreference_every = 0\n";
     let next = lab.queue(next).await;
     place(&lab, &page, false).await;
-    assert_eq!(lab.act(&run, confirm(0)).await.0, 202);
+    lab.accepts(&run, confirm(0)).await;
     let page = asked(&lab, 1).await;
     place(&lab, &page, false).await;
-    assert_eq!(lab.act(&run, confirm(1)).await.0, 202);
+    lab.accepts(&run, confirm(1)).await;
     lab.ended(&run).await;
     lab.posted("/api/v1/rig/actions", json!({ "action": "home", "who": WHO })).await;
     lab.until("homed", |s| s["rig"]["state"] == "homed").await;

@@ -360,8 +360,7 @@ async fn a_stop_gets_through_crowds() {
     let lab = Lab::open("stop-crowds", rig_args("virtual", 20.0), WHOLE).await;
     lab.home().await;
     let slow = tokio::spawn(a_slow_head_is_given_up(address(&lab)));
-    let run = lab.queue(SMALL).await;
-    lab.start(&run).await;
+    let run = lab.begin(SMALL).await;
     lab.ended(&run).await;
     slow.await.unwrap();
     let viewer = key(&lab, "viewer key", "viewer").await;

@@ -8,7 +8,6 @@ use serde_json::{Value, json};
 use super::bench::{Lab, WAITS, rig_args, tell};
 use super::campaign::{SMALL, SPEED, complete, held_by_a_lock, release, started, started_early};
 
-/// An action on the rig.
 async fn rig(lab: &Lab, action: Value) {
     lab.posted("/api/v1/rig/actions", action).await;
 }
@@ -28,13 +27,11 @@ async fn a_manual_run_is_taken_up_after_a_restart_without_a_motion() {
     let definition = "name = 'weights'\nseed = 2\nsensor = 's'\n[real_random]\ncontacts = [2]\n\
         trials_each = 3\nweights_n = [4.905]\n[measure]\nsettle_ms = 60000.0\n\
         settle_max_ms = 120000.0\n";
-    let run = lab.queue(definition).await;
-    lab.start(&run).await;
+    let run = lab.begin(definition).await;
     let waits = |s: &Value| s["run"]["paused_why"] == "manual_trial";
     lab.until("a placement", waits).await;
     let confirm = json!({ "action": "confirm", "trial": 0, "anyway": true });
-    let (status, answer) = lab.act(&run, confirm).await;
-    assert_eq!(status, 202, "{answer:#}");
+    lab.accepts(&run, confirm).await;
     // The placement is measured for three seconds, with hands and weights at the skin.
     lab.until("the measurement", |s| s["run"]["phase"] == "settle").await;
     let lab = lab.restart_alone().await;
@@ -51,8 +48,7 @@ async fn a_run_is_not_driven_again_by_itself_after_a_person_has_operated_the_rig
     let (lab, run) = held_by_a_lock("operated").await;
     release(&lab).await;
     rig(&lab, json!({ "action": "connect" })).await;
-    let is_left = |row: &Value| row["state"] == "interrupted";
-    lab.eventually("the run is left alone", &format!("/api/v1/runs/{run}"), is_left).await;
+    lab.interrupted(&run).await;
     let page = lab.get("/api/v1/events?kind=not_resumed").await;
     let why = |event: &Value| event["data"]["why"].as_str().unwrap_or_default().to_owned();
     let told = |event: &Value| why(event).contains("a person has operated the rig");
@@ -61,8 +57,7 @@ async fn a_run_is_not_driven_again_by_itself_after_a_person_has_operated_the_rig
     rig(&lab, json!({ "action": "home" })).await;
     lab.until("homed", |s| s["rig"]["state"] == "homed").await;
     tokio::time::sleep(Duration::from_secs(3)).await;
-    let status = lab.get("/api/v1/status").await;
-    assert_eq!((&status["run"], &status["rig"]["state"]), (&Value::Null, &json!("homed")));
+    lab.rests("homed").await;
     lab.start(&run).await;
     complete(&lab, &run).await;
     lab.close().await;
@@ -78,8 +73,7 @@ async fn an_abort_ends_the_homing_for_a_run_that_is_about_to_be_driven_again() {
     let lab = lab.restart().await;
     lab.until("a homing", |s| s["rig"]["state"] == "disarmed").await;
     tokio::time::sleep(Duration::from_millis(500)).await;
-    let (status, answer) = lab.act(&run, json!({ "action": "abort" })).await;
-    assert_eq!(status, 202, "{answer:#}");
+    lab.accepts(&run, json!({ "action": "abort" })).await;
     let status = lab.until("a safe end", |s| !s["rig"]["safe_end"].is_null()).await;
     assert_eq!(
         (&status["rig"]["state"], &status["rig"]["trip"]),
@@ -89,8 +83,7 @@ async fn an_abort_ends_the_homing_for_a_run_that_is_about_to_be_driven_again() {
     tokio::time::sleep(Duration::from_secs(3)).await;
     let row = lab.get(&format!("/api/v1/runs/{run}")).await;
     assert_eq!((&row["state"], &row["exit_status"]), (&json!("ended"), &json!("abort")));
-    let status = lab.get("/api/v1/status").await;
-    assert_eq!((&status["run"], &status["rig"]["state"]), (&Value::Null, &json!("disarmed")));
+    lab.rests("disarmed").await;
     lab.close().await;
 }
 
@@ -112,7 +105,7 @@ async fn a_jog_at_the_start_time_of_a_run_does_not_drop_it() {
     assert!(late > SignedDuration::from_secs(3), "the rig was not busy: {late}");
     let page = lab.get("/api/v1/events?kind=not_begun").await;
     assert_eq!(page["items"], json!([]), "{page:#}");
-    assert_eq!(lab.act(&run, json!({ "action": "abort" })).await.0, 202);
+    lab.accepts(&run, json!({ "action": "abort" })).await;
     lab.ended(&run).await;
     lab.close().await;
 }
@@ -120,16 +113,11 @@ async fn a_jog_at_the_start_time_of_a_run_does_not_drop_it() {
 #[tokio::test(flavor = "multi_thread")]
 async fn no_run_begins_by_itself_after_an_abort_of_a_moving_run_and_the_queue_says_why() {
     let (lab, run) = started("aborted").await;
-    let next = lab.queue(SMALL).await;
-    lab.start(&next).await;
+    let next = lab.begin(SMALL).await;
     lab.stored(1).await;
-    assert_eq!(lab.act(&run, json!({ "action": "abort" })).await.0, 202);
+    lab.accepts(&run, json!({ "action": "abort" })).await;
     lab.ended(&run).await;
-    let is_told = |page: &Value| {
-        let why = page["items"][0]["data"]["why"].as_str().unwrap_or_default();
-        why.contains("the run before it was aborted")
-    };
-    lab.eventually("the event", "/api/v1/events?kind=not_begun", is_told).await;
+    lab.told("not_begun", "the run before it was aborted").await;
     let status = lab.get("/api/v1/status").await;
     assert_eq!((&status["run"], &status["rig"]["state"]), (&Value::Null, &json!("homed")));
     let words = status["waiting_for"].as_str().unwrap_or_default();

@@ -2,7 +2,6 @@
 //! equal those of the processor.
 
 use burn::tensor::{Device, Tensor, TensorData};
-use nets::error::SamplesError;
 use nets::input::Input;
 use nets::noise::{Noise, NoiseSource};
 use nets::recipe::Recipe;
@@ -14,6 +13,7 @@ use rand_chacha::ChaCha12Rng;
 use crate::device;
 use crate::loss::value;
 use crate::model::Model;
+use crate::rows::Fixed;
 
 const CHANNELS: usize = 784;
 const POINTS: usize = 804;
@@ -24,58 +24,27 @@ const BATCH: usize = 64;
 const APART_MAX: f64 = if cfg!(feature = "cuda") { 0.1 } else { 1e-4 };
 
 /// Random frames of about 30 mV, and targets of which one in a hundred is 9 N.
-struct Random {
-    inputs: Vec<f32>,
-    targets: Vec<f32>,
-    target_len: usize,
-}
-
-impl Samples for Random {
-    fn len(&self) -> u64 {
-        ROWS as u64
-    }
-
-    fn input_len(&self) -> usize {
-        CHANNELS
-    }
-
-    fn target_len(&self) -> usize {
-        self.target_len
-    }
-
-    fn read(&self, samples: &[u64], x: &mut [f32], y: &mut [f32]) -> Result<(), SamplesError> {
-        for (nth, &row) in samples.iter().enumerate() {
-            let row = row as usize;
-            x[nth * CHANNELS..][..CHANNELS]
-                .copy_from_slice(&self.inputs[row * CHANNELS..][..CHANNELS]);
-            y[nth * self.target_len..][..self.target_len]
-                .copy_from_slice(&self.targets[row * self.target_len..][..self.target_len]);
-        }
-        Ok(())
-    }
-}
-
-fn random(target_len: usize) -> Random {
+fn random(target_len: usize) -> Fixed {
     let mut chance = ChaCha12Rng::seed_from_u64(3);
     let inputs = (0..ROWS * CHANNELS).map(|_| chance.random_range(-0.05..0.05f32)).collect();
     let mut target = || if chance.random_range(0..100) == 0 { 9.0 } else { 0.0 };
     let targets = (0..ROWS * target_len).map(|_| target()).collect();
-    Random { inputs, targets, target_len }
+    Fixed { lens: [CHANNELS, target_len], inputs, targets }
 }
 
 /// Minimised loss and all gradients of the first batch on a device.
-fn learned(recipe: &Recipe, samples: &Random, device: &Device) -> (f64, Vec<Vec<f32>>) {
+fn learned(recipe: &Recipe, samples: &Fixed, device: &Device) -> (f64, Vec<Vec<f32>>) {
     let noise = NoiseSource::new(1, Noise::default(), None, CHANNELS);
     let measured = recipe.net.input().measured();
     let statistics = Statistics::measure(samples, measured, &noise, 1).unwrap();
-    let network = recipe.first(&statistics, samples.target_len);
+    let network = recipe.first(&statistics, samples.target_len());
     let loss = recipe.net.architecture().loss(network.target_size());
     let mut model = Model::new(network, Input::LAYERS, device);
     let put = |numbers: &[f32], len: usize| {
         let data = TensorData::new(numbers[..BATCH * len].to_vec(), [BATCH, len]);
         Tensor::<2>::from_data(data, device)
     };
-    let targets = put(&samples.targets, samples.target_len).autodiff();
+    let targets = put(&samples.targets, samples.target_len()).autodiff();
     let loss = value(loss, model.learn(put(&samples.inputs, CHANNELS)), targets);
     let minimised: f32 = loss.clone().into_scalar();
     let gradients = model.gradients(&mut loss.backward()).into_iter();

@@ -66,7 +66,6 @@ fn begin(case: &Case) -> Begun {
     Begun { recipe, model, loss, samples }
 }
 
-/// The loss and its gradients.
 fn gradients(begun: &mut Begun) -> (f64, Vec<Tensor<2>>) {
     let [inputs, targets] = begun.samples.clone();
     let loss = value(begun.loss, begun.model.learn(inputs), targets.autodiff());

@@ -95,7 +95,6 @@ struct Work<'a> {
     compute: Compute,
 }
 
-/// Lineage of the model.
 struct Lineage {
     label: Label,
     dataset: Option<DatasetId>,
@@ -106,7 +105,6 @@ struct Lineage {
 /// The rows of a dataset, on which a net trains.
 struct DatasetRows<'a> {
     id: &'a DatasetId,
-    /// Its data file.
     file: &'a Path,
     /// Number of rows.
     count: u64,

@@ -9,7 +9,6 @@ use nets::net::Net;
 use nets::network::{Layer, Network};
 use nets::points::streamed::Streamed;
 use nets::progress::{Observer, Plan, Trained};
-use nets::samples::Samples;
 use sim_core::batch::{BatchModel, Kernel};
 use sim_core::forward::ForwardModel;
 
@@ -24,7 +23,7 @@ use crate::learn::recipe::Recipe;
 use crate::learn::residuals::Residuals;
 use crate::learn::targets::Targets;
 use crate::learn::task::Answers;
-use crate::rows::{Fixed, FramePairs, FramesAndMaps, FramesAndTargets};
+use crate::rows::{Fixed, RowSamples, Target};
 use crate::train;
 
 /// Largest number of rows on which the residuals of a Transfer-Net are measured.
@@ -115,7 +114,7 @@ pub fn train(
     let [learn, choose] =
         [learn, choose].map(|rows| samples(recipe, given, rows, targets.as_ref()));
     let (learn, choose) = (learn?, choose?);
-    let trained = train::train(&plan, &*learn, &*choose, checkpoint, observer)?;
+    let trained = train::train(&plan, &learn, &choose, checkpoint, observer)?;
     let residuals = match recipe.task().answers() {
         Answers::Frame => Some(residuals(&trained.network, given)?),
         Answers::Map | Answers::Points | Answers::Quantity(_) => None,
@@ -184,14 +183,12 @@ fn samples<'a>(
     given: &Given<'a>,
     rows: Vec<u32>,
     targets: Option<&Targets>,
-) -> Result<Box<dyn Samples + 'a>, LearnError> {
+) -> Result<RowSamples<'a>, LearnError> {
     let examples = given.examples;
-    if let Some(targets) = targets {
-        return Ok(Box::new(FramesAndTargets { examples, rows, targets: targets.clone() }));
-    }
-    match (recipe.training.net.answer(), recipe.map) {
-        (Answer::Frame, _) => Ok(Box::new(FramePairs { examples, rows })),
-        (Answer::Map { side }, Some(map)) => {
+    let target = match (targets, recipe.training.net.answer(), recipe.map) {
+        (Some(targets), ..) => Target::Quantity(targets.clone()),
+        (None, Answer::Frame, _) => Target::Frame,
+        (None, Answer::Map { side }, Some(map)) => {
             let draws = ForceMap::new(map, [given.skin.width_mm, given.skin.height_mm]);
             let draws = draws
                 .map_err(|error| LearnError::value("recipe", "map", map, &error.to_string()))?;
@@ -201,16 +198,15 @@ fn samples<'a>(
             }
             // If no contact has a force, the map contains positions only.
             let contacts = || rows.iter().flat_map(|&row| examples.contacts(row));
-            let unknown = contacts().all(|c| c.force_n.is_none()).then_some(1.0);
-            Ok(Box::new(FramesAndMaps { examples, rows, draws, force_of_unknown_n: unknown }))
+            let force_of_unknown_n = contacts().all(|c| c.force_n.is_none()).then_some(1.0);
+            Target::Map { draws, force_of_unknown_n }
         }
-        _ => Err(LearnError::value(
-            "recipe",
-            "training.net",
-            recipe.task().as_str(),
-            "does not use a dataset",
-        )),
-    }
+        _ => {
+            let limit = "does not use a dataset";
+            return Err(LearnError::value("recipe", "training.net", recipe.task().as_str(), limit));
+        }
+    };
+    Ok(RowSamples { examples, rows, target })
 }
 
 /// Measures the residuals of a Transfer-Net on the validation rows.

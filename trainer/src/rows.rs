@@ -10,47 +10,43 @@ use crate::learn::examples::Examples;
 use crate::learn::targets::Targets;
 use crate::store::Contact;
 
-/// Frames to frames (Transfer-Net): of each row the first gathered column, and the second.
+/// Rows of a dataset as samples: of each row the first gathered column, and its target.
 #[derive(Debug)]
-pub struct FramePairs<'a> {
-    /// Source of the frames.
-    pub examples: &'a Examples,
-    /// Indices of the rows.
-    pub rows: Vec<u32>,
-}
-
-/// Frames to force maps (Recon-Net, end-to-end): of each row the first gathered column, and its
-/// contacts as a map.
-#[derive(Debug)]
-pub struct FramesAndMaps<'a> {
-    /// Source of the frames.
-    pub examples: &'a Examples,
-    /// Indices of the rows.
-    pub rows: Vec<u32>,
-    /// Renderer of the maps.
-    pub draws: ForceMap,
-    /// Force of a contact without a stated force, N: 1 if no contact has one, so that a map
-    /// contains positions only.
-    pub force_of_unknown_n: Option<f64>,
-}
-
-/// Frames to a quantity: of each row the first gathered column, and the quantity of its contacts.
-#[derive(Debug)]
-pub struct FramesAndTargets<'a> {
+pub struct RowSamples<'a> {
     /// Source of the frames.
     pub examples: &'a Examples,
     /// Indices of the rows, each with a target.
     pub rows: Vec<u32>,
-    /// Quantity that the net estimates, with the known places.
-    pub targets: Targets,
+    /// Target of a row.
+    pub target: Target,
+}
+
+/// What a net answers of a row.
+#[derive(Debug)]
+pub enum Target {
+    /// The second gathered column (Transfer-Net).
+    Frame,
+    /// Its contacts as a map (Recon-Net, end-to-end).
+    Map {
+        /// Renderer of the maps.
+        draws: ForceMap,
+        /// Force of a contact without a stated force, N: 1 if no contact has one, so that a map
+        /// contains positions only.
+        force_of_unknown_n: Option<f64>,
+    },
+    /// A quantity of its contacts, with the known places.
+    Quantity(Targets),
 }
 
 /// Samples in memory: few, and read again after every epoch.
 #[derive(Debug)]
 pub struct Fixed {
-    lens: [usize; 2],
-    inputs: Vec<f32>,
-    targets: Vec<f32>,
+    /// Lengths of an input and of a target.
+    pub lens: [usize; 2],
+    /// The inputs, one after the other.
+    pub inputs: Vec<f32>,
+    /// The targets, one after the other.
+    pub targets: Vec<f32>,
 }
 
 impl Fixed {
@@ -109,7 +105,7 @@ impl Samples for Fixed {
 ///
 /// # Errors
 /// A text if a contact has no position or no force; the caller adds the row.
-pub fn drawn(
+fn drawn(
     contacts: &[Contact],
     force_of_unknown_n: Option<f64>,
 ) -> Result<Vec<MapContact>, &'static str> {
@@ -126,38 +122,31 @@ fn failed(row: u32, error: impl std::fmt::Display) -> SamplesError {
     SamplesError::Source { message: format!("row {row}: {error}") }
 }
 
-impl Samples for FramePairs<'_> {
-    fn len(&self) -> u64 {
-        self.rows.len() as u64
-    }
-
-    fn input_len(&self) -> usize {
-        self.examples.channels
-    }
-
-    fn target_len(&self) -> usize {
-        self.examples.channels
-    }
-
-    fn read(
-        &self,
-        samples: &[u64],
-        inputs: &mut [f32],
-        targets: &mut [f32],
-    ) -> Result<(), SamplesError> {
-        let channels = self.examples.channels;
-        let frames = inputs.chunks_exact_mut(channels).zip(targets.chunks_exact_mut(channels));
-        for (&sample, (input, target)) in samples.iter().zip(frames) {
-            let row = self.rows[sample as usize];
-            let failed = |error: LearnError| failed(row, error);
-            self.examples.frame(row, 0, input).map_err(failed)?;
-            self.examples.frame(row, 1, target).map_err(failed)?;
+impl RowSamples<'_> {
+    /// Writes the target of a row into `out`.
+    fn write_target(&self, row: u32, out: &mut [f32]) -> Result<(), SamplesError> {
+        let contacts = self.examples.contacts(row);
+        match &self.target {
+            Target::Frame => {
+                self.examples.frame(row, 1, out).map_err(|error| failed(row, error))?;
+            }
+            Target::Map { draws, force_of_unknown_n } => {
+                out.fill(0.0);
+                let contacts = drawn(contacts, *force_of_unknown_n);
+                let contacts = contacts.map_err(|error| failed(row, error))?;
+                draws.render(&contacts, out).map_err(|error| failed(row, error))?;
+            }
+            Target::Quantity(targets) => {
+                let of_row = targets.of_row(contacts);
+                let of_row = of_row.ok_or_else(|| failed(row, "contacts without this quantity"))?;
+                out.copy_from_slice(&of_row);
+            }
         }
         Ok(())
     }
 }
 
-impl Samples for FramesAndMaps<'_> {
+impl Samples for RowSamples<'_> {
     fn len(&self) -> u64 {
         self.rows.len() as u64
     }
@@ -167,40 +156,11 @@ impl Samples for FramesAndMaps<'_> {
     }
 
     fn target_len(&self) -> usize {
-        self.draws.pixels() * self.draws.pixels()
-    }
-
-    fn read(
-        &self,
-        samples: &[u64],
-        inputs: &mut [f32],
-        targets: &mut [f32],
-    ) -> Result<(), SamplesError> {
-        targets.fill(0.0);
-        let frames = inputs.chunks_exact_mut(self.examples.channels);
-        let frames = frames.zip(targets.chunks_exact_mut(self.target_len()));
-        for (&sample, (input, map)) in samples.iter().zip(frames) {
-            let row = self.rows[sample as usize];
-            self.examples.frame(row, 0, input).map_err(|error| failed(row, error))?;
-            let contacts = drawn(self.examples.contacts(row), self.force_of_unknown_n);
-            let contacts = contacts.map_err(|error| failed(row, error))?;
-            self.draws.render(&contacts, map).map_err(|error| failed(row, error))?;
+        match &self.target {
+            Target::Frame => self.examples.channels,
+            Target::Map { draws, .. } => draws.pixels() * draws.pixels(),
+            Target::Quantity(targets) => targets.len(),
         }
-        Ok(())
-    }
-}
-
-impl Samples for FramesAndTargets<'_> {
-    fn len(&self) -> u64 {
-        self.rows.len() as u64
-    }
-
-    fn input_len(&self) -> usize {
-        self.examples.channels
-    }
-
-    fn target_len(&self) -> usize {
-        self.targets.len()
     }
 
     fn read(
@@ -210,13 +170,11 @@ impl Samples for FramesAndTargets<'_> {
         targets: &mut [f32],
     ) -> Result<(), SamplesError> {
         let frames = inputs.chunks_exact_mut(self.examples.channels);
-        let frames = frames.zip(targets.chunks_exact_mut(self.targets.len()));
+        let frames = frames.zip(targets.chunks_exact_mut(self.target_len()));
         for (&sample, (input, target)) in samples.iter().zip(frames) {
             let row = self.rows[sample as usize];
             self.examples.frame(row, 0, input).map_err(|error| failed(row, error))?;
-            let of_row = self.targets.of_row(self.examples.contacts(row));
-            let of_row = of_row.ok_or_else(|| failed(row, "contacts without this quantity"))?;
-            target.copy_from_slice(&of_row);
+            self.write_target(row, target)?;
         }
         Ok(())
     }

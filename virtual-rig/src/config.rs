@@ -13,18 +13,14 @@ pub const ARMS: usize = 6;
 
 /// Error in a rig file, as far as the virtual rig reads it.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs, reason = "the message names the fields")]
 pub enum ConfigError {
     /// The text is not TOML or lacks a key.
     #[error("rig file: {0}")]
     Syntax(#[from] toml::de::Error),
     /// A device names a wire that the file does not have.
     #[error("{device}.line = {line}: must be one of [lines]")]
-    UnknownLine {
-        /// Key of the device, as in the rig file.
-        device: String,
-        /// Name of the wire that it refers to.
-        line: String,
-    },
+    UnknownLine { device: String, line: String },
     /// Two devices have the same address on one wire.
     #[error("{first} and {second} share unit {unit} on line {line}")]
     SharedUnit {
@@ -39,14 +35,7 @@ pub enum ConfigError {
     },
     /// A value is outside its limits.
     #[error("{key} = {value}: {limit}")]
-    Value {
-        /// Dotted key.
-        key: String,
-        /// Value that was found.
-        value: String,
-        /// Allowed values.
-        limit: &'static str,
-    },
+    Value { key: String, value: String, limit: &'static str },
 }
 
 /// Sections that only a bench has.

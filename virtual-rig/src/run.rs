@@ -80,69 +80,35 @@ pub struct RigArgs {
 
 /// Reason why the rig cannot be started.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs, reason = "the message names the fields")]
 pub enum RunError {
     /// A file could not be read or written.
     #[error("{path}: {source}", path = path.display())]
-    File {
-        /// Path of the file.
-        path: PathBuf,
-        /// Cause reported by the operating system.
-        source: io::Error,
-    },
+    File { path: PathBuf, source: io::Error },
     /// The rig file is not valid.
     #[error("{path}: {source}", path = path.display())]
-    Rig {
-        /// Path of the rig file.
-        path: PathBuf,
-        /// Error in the rig file.
-        source: ConfigError,
-    },
+    Rig { path: PathBuf, source: ConfigError },
     /// The sensor file is not valid.
     #[error("{path}: {source}", path = path.display())]
-    Sensor {
-        /// Path of the sensor file.
-        path: PathBuf,
-        /// Error in the sensor file.
-        source: SensorError,
-    },
+    Sensor { path: PathBuf, source: SensorError },
     /// The gap file is not valid.
     #[error("{path}: {source}", path = path.display())]
-    Gap {
-        /// Path of the gap file.
-        path: PathBuf,
-        /// Error in the gap file.
-        source: GapError,
-    },
+    Gap { path: PathBuf, source: GapError },
     /// The skin could not be built.
     #[error("skin: {0}")]
     Skin(#[from] SkinError),
     /// The fault script is not valid.
     #[error("{path}: {source}", path = path.display())]
-    Fault {
-        /// Path of the fault script.
-        path: PathBuf,
-        /// Error in the fault script.
-        source: FaultError,
-    },
+    Fault { path: PathBuf, source: FaultError },
     /// The readout of the rig and the sensor have different numbers of electrodes.
     #[error("ert.electrodes = {rig}: the sensor has {sensor}")]
-    Electrodes {
-        /// Number of electrodes in the rig file.
-        rig: u16,
-        /// Number of electrodes of the sensor.
-        sensor: usize,
-    },
+    Electrodes { rig: u16, sensor: usize },
     /// The speed is not a positive number.
     #[error("--speed {0}: must be a positive number")]
     Speed(f64),
     /// A TCP wire could not be opened.
     #[error("listening at {address}: {source}")]
-    Listen {
-        /// Address that was requested.
-        address: String,
-        /// Cause reported by the operating system.
-        source: io::Error,
-    },
+    Listen { address: String, source: io::Error },
     /// A pseudo-terminal could not be opened.
     #[error("pseudo-terminal: {0}")]
     Pty(#[from] tokio_serial::Error),

@@ -26,25 +26,14 @@ const READ_OUT: usize = 8;
 
 /// Why the frames of a batch cannot be computed.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
+#[allow(missing_docs, reason = "the message names the fields")]
 pub enum BatchError {
     /// A contact of a trial is rejected by the model.
     #[error("trial {trial}: {source}")]
-    Trial {
-        /// Index of the trial.
-        trial: usize,
-        /// Error of its contact.
-        source: ContactError,
-    },
+    Trial { trial: usize, source: ContactError },
     /// The length of the output is not one frame per trial.
     #[error("batch: {trials} trials need room for {needed} voltages, there is room for {found}")]
-    Output {
-        /// Number of trials.
-        trials: usize,
-        /// Number of voltages of these trials.
-        needed: usize,
-        /// Length of the output, voltages.
-        found: usize,
-    },
+    Output { trials: usize, needed: usize, found: usize },
 }
 
 /// The forward model of one skin, for many trials. `Send + Sync`; each thread needs its own
@@ -58,7 +47,6 @@ pub struct BatchModel {
     points: PointRows,
 }
 
-/// Load of one trial.
 #[derive(Default)]
 struct TrialLoad {
     /// Nominal compression, before the clamp.

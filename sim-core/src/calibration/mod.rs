@@ -22,20 +22,14 @@ use crate::skin::{SkinCalibration, SkinValueError};
 
 /// Why a calibration is invalid or cannot be applied.
 #[derive(Debug, thiserror::Error, PartialEq)]
+#[allow(missing_docs, reason = "the message names the fields")]
 pub enum CalibrationError {
     /// The text is not TOML, or has a key or a type that a calibration does not have.
     #[error("{0}")]
     Syntax(String),
     /// A value is outside its limits.
     #[error("{key} = {value}: {limit}")]
-    Value {
-        /// Dotted key in the file.
-        key: String,
-        /// The value found, as text.
-        value: String,
-        /// Allowed values.
-        limit: String,
-    },
+    Value { key: String, value: String, limit: String },
     /// The id is not that of the content: the file was edited or damaged.
     #[error("id = {found}: the content's id is {needed}; calibrate again, do not edit")]
     Id {
@@ -46,12 +40,7 @@ pub enum CalibrationError {
     },
     /// The calibration was made for another sensor.
     #[error("sensor = {found}: the calibration is of another sensor than {needed}")]
-    OtherSensor {
-        /// Name of the sensor in the calibration.
-        found: String,
-        /// Name of the sensor it is applied to.
-        needed: String,
-    },
+    OtherSensor { found: String, needed: String },
     /// The moduli were fitted on another mesh: point loads make them depend on it.
     #[error("foam.mesh = {found}: the moduli are of another mesh than {needed}")]
     OtherMesh {

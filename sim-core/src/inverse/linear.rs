@@ -20,6 +20,7 @@ const DECADES: f64 = 12.0;
 
 /// Why a reconstruction is impossible.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
+#[allow(missing_docs, reason = "the message names the fields")]
 pub enum LinearError {
     /// The model rejects the load.
     #[error("linear model: {0}")]
@@ -34,24 +35,13 @@ pub enum LinearError {
     Flat,
     /// The frame has the wrong length.
     #[error("linear reconstruction: a frame of {found} voltages, {needed} needed")]
-    Length {
-        /// Number of voltages found.
-        found: usize,
-        /// Number of voltages needed.
-        needed: usize,
-    },
+    Length { found: usize, needed: usize },
     /// A voltage is not finite.
     #[error("linear reconstruction: voltage {channel} is not a finite number")]
-    NotFinite {
-        /// Index of its channel.
-        channel: usize,
-    },
+    NotFinite { channel: usize },
     /// The penalty is not a finite number > 0.
     #[error("linear reconstruction: penalty = {penalty} is not a finite number > 0")]
-    Penalty {
-        /// Value of the penalty, a share of the largest squared singular value.
-        penalty: f64,
-    },
+    Penalty { penalty: f64 },
 }
 
 /// The norm that is penalised.

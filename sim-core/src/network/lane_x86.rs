@@ -44,182 +44,106 @@ pub(crate) fn on_avx2<J: LaneJob>(job: J) -> J::Output {
     unsafe { run(job) }
 }
 
+/// Implements the operations of lanes for a register of f32, by its intrinsics.
+macro_rules! lanes {
+    (
+        $lanes:ident, $count:literal in $columns:literal columns,
+        $splat:ident, $load:ident, $store:ident, $add:ident, $mul:ident, $mul_add:ident, $sqrt:ident,
+        $div:ident, $min:ident, $max:ident,
+        $shift_left:ident, $bits:ident, $of_bits:ident, $splat_bits:ident, $add_bits:ident $(,)?
+    ) => {
+        impl Lane for $lanes {
+            type Number = f32;
+            const LANES: usize = $count;
+            const COLUMNS_AT_ONCE: usize = $columns;
+
+            #[inline(always)]
+            fn splat(value: f64) -> Self {
+                // SAFETY: see the head of this file.
+                unsafe { Self($splat(value as f32)) }
+            }
+
+            #[inline(always)]
+            fn load(numbers: &[f32]) -> Self {
+                let numbers: &[f32; $count] =
+                    numbers.first_chunk().expect("a whole vector is loaded");
+                // SAFETY: see the head of this file; the pointer is to a whole vector.
+                unsafe { Self($load(numbers.as_ptr())) }
+            }
+
+            #[inline(always)]
+            fn store(self, numbers: &mut [f32]) {
+                let numbers: &mut [f32; $count] =
+                    numbers.first_chunk_mut().expect("a whole vector is stored");
+                // SAFETY: see the head of this file; the pointer is to a whole vector.
+                unsafe { $store(numbers.as_mut_ptr(), self.0) }
+            }
+
+            lanes!(pairs: add $add, mul $mul);
+
+            #[inline(always)]
+            fn mul_add(self, factor: Self, addend: Self) -> Self {
+                // SAFETY: see the head of this file.
+                unsafe { Self($mul_add(self.0, factor.0, addend.0)) }
+            }
+
+            #[inline(always)]
+            fn reciprocal(self) -> Self {
+                Self::splat(1.0).div(self.max(Self::splat(LEAST_SUM_S)))
+            }
+
+            #[inline(always)]
+            fn sqrt(self) -> Self {
+                // SAFETY: see the head of this file.
+                unsafe { Self($sqrt(self.0)) }
+            }
+        }
+
+        impl Lane32 for $lanes {
+            lanes!(pairs: div $div, min $min, max $max);
+
+            #[inline(always)]
+            fn power_of_two(self) -> Self {
+                // SAFETY: see the head of this file.
+                unsafe {
+                    let exponent = $shift_left::<23>($bits(self.0));
+                    let one = $splat_bits(1f32.to_bits() as i32);
+                    Self($of_bits($add_bits(exponent, one)))
+                }
+            }
+        }
+    };
+    (pairs: $($operation:ident $intrinsic:ident),+) => {
+        $(
+            #[inline(always)]
+            fn $operation(self, other: Self) -> Self {
+                // SAFETY: see the head of this file.
+                unsafe { Self($intrinsic(self.0, other.0)) }
+            }
+        )+
+    };
+}
+
 /// Sixteen f32 in an AVX-512 register.
 #[derive(Clone, Copy)]
 #[repr(transparent)]
 pub(crate) struct F32x16(__m512);
-
-impl Lane for F32x16 {
-    type Number = f32;
-    const LANES: usize = 16;
-    const COLUMNS_AT_ONCE: usize = 4;
-
-    #[inline(always)]
-    fn splat(value: f64) -> Self {
-        // SAFETY: see the head of this file.
-        unsafe { Self(_mm512_set1_ps(value as f32)) }
-    }
-
-    #[inline(always)]
-    fn load(numbers: &[f32]) -> Self {
-        let numbers: &[f32; 16] = numbers.first_chunk().expect("a whole vector is loaded");
-        // SAFETY: see the head of this file; the pointer is to 16 numbers.
-        unsafe { Self(_mm512_loadu_ps(numbers.as_ptr())) }
-    }
-
-    #[inline(always)]
-    fn store(self, numbers: &mut [f32]) {
-        let numbers: &mut [f32; 16] = numbers.first_chunk_mut().expect("a whole vector is stored");
-        // SAFETY: see the head of this file; the pointer is to 16 numbers.
-        unsafe { _mm512_storeu_ps(numbers.as_mut_ptr(), self.0) }
-    }
-
-    #[inline(always)]
-    fn add(self, other: Self) -> Self {
-        // SAFETY: see the head of this file.
-        unsafe { Self(_mm512_add_ps(self.0, other.0)) }
-    }
-
-    #[inline(always)]
-    fn mul(self, other: Self) -> Self {
-        // SAFETY: see the head of this file.
-        unsafe { Self(_mm512_mul_ps(self.0, other.0)) }
-    }
-
-    #[inline(always)]
-    fn mul_add(self, factor: Self, addend: Self) -> Self {
-        // SAFETY: see the head of this file.
-        unsafe { Self(_mm512_fmadd_ps(self.0, factor.0, addend.0)) }
-    }
-
-    #[inline(always)]
-    fn reciprocal(self) -> Self {
-        Self::splat(1.0).div(self.max(Self::splat(LEAST_SUM_S)))
-    }
-
-    #[inline(always)]
-    fn sqrt(self) -> Self {
-        // SAFETY: see the head of this file.
-        unsafe { Self(_mm512_sqrt_ps(self.0)) }
-    }
-}
-
-impl Lane32 for F32x16 {
-    #[inline(always)]
-    fn div(self, other: Self) -> Self {
-        // SAFETY: see the head of this file.
-        unsafe { Self(_mm512_div_ps(self.0, other.0)) }
-    }
-
-    #[inline(always)]
-    fn min(self, other: Self) -> Self {
-        // SAFETY: see the head of this file.
-        unsafe { Self(_mm512_min_ps(self.0, other.0)) }
-    }
-
-    #[inline(always)]
-    fn max(self, other: Self) -> Self {
-        // SAFETY: see the head of this file.
-        unsafe { Self(_mm512_max_ps(self.0, other.0)) }
-    }
-
-    #[inline(always)]
-    fn power_of_two(self) -> Self {
-        // SAFETY: see the head of this file.
-        unsafe {
-            let exponent = _mm512_slli_epi32::<23>(_mm512_castps_si512(self.0));
-            let one = _mm512_set1_epi32(1f32.to_bits() as i32);
-            Self(_mm512_castsi512_ps(_mm512_add_epi32(exponent, one)))
-        }
-    }
-}
 
 /// Eight f32 in an AVX register.
 #[derive(Clone, Copy)]
 #[repr(transparent)]
 pub(crate) struct F32x8(__m256);
 
-impl Lane for F32x8 {
-    type Number = f32;
-    const LANES: usize = 8;
-    const COLUMNS_AT_ONCE: usize = 2;
-
-    #[inline(always)]
-    fn splat(value: f64) -> Self {
-        // SAFETY: see the head of this file.
-        unsafe { Self(_mm256_set1_ps(value as f32)) }
-    }
-
-    #[inline(always)]
-    fn load(numbers: &[f32]) -> Self {
-        let numbers: &[f32; 8] = numbers.first_chunk().expect("a whole vector is loaded");
-        // SAFETY: see the head of this file; the pointer is to 8 numbers.
-        unsafe { Self(_mm256_loadu_ps(numbers.as_ptr())) }
-    }
-
-    #[inline(always)]
-    fn store(self, numbers: &mut [f32]) {
-        let numbers: &mut [f32; 8] = numbers.first_chunk_mut().expect("a whole vector is stored");
-        // SAFETY: see the head of this file; the pointer is to 8 numbers.
-        unsafe { _mm256_storeu_ps(numbers.as_mut_ptr(), self.0) }
-    }
-
-    #[inline(always)]
-    fn add(self, other: Self) -> Self {
-        // SAFETY: see the head of this file.
-        unsafe { Self(_mm256_add_ps(self.0, other.0)) }
-    }
-
-    #[inline(always)]
-    fn mul(self, other: Self) -> Self {
-        // SAFETY: see the head of this file.
-        unsafe { Self(_mm256_mul_ps(self.0, other.0)) }
-    }
-
-    #[inline(always)]
-    fn mul_add(self, factor: Self, addend: Self) -> Self {
-        // SAFETY: see the head of this file.
-        unsafe { Self(_mm256_fmadd_ps(self.0, factor.0, addend.0)) }
-    }
-
-    #[inline(always)]
-    fn reciprocal(self) -> Self {
-        Self::splat(1.0).div(self.max(Self::splat(LEAST_SUM_S)))
-    }
-
-    #[inline(always)]
-    fn sqrt(self) -> Self {
-        // SAFETY: see the head of this file.
-        unsafe { Self(_mm256_sqrt_ps(self.0)) }
-    }
+lanes! {
+    F32x16, 16 in 4 columns,
+    _mm512_set1_ps, _mm512_loadu_ps, _mm512_storeu_ps, _mm512_add_ps, _mm512_mul_ps, _mm512_fmadd_ps, _mm512_sqrt_ps,
+    _mm512_div_ps, _mm512_min_ps, _mm512_max_ps,
+    _mm512_slli_epi32, _mm512_castps_si512, _mm512_castsi512_ps, _mm512_set1_epi32, _mm512_add_epi32,
 }
 
-impl Lane32 for F32x8 {
-    #[inline(always)]
-    fn div(self, other: Self) -> Self {
-        // SAFETY: see the head of this file.
-        unsafe { Self(_mm256_div_ps(self.0, other.0)) }
-    }
-
-    #[inline(always)]
-    fn min(self, other: Self) -> Self {
-        // SAFETY: see the head of this file.
-        unsafe { Self(_mm256_min_ps(self.0, other.0)) }
-    }
-
-    #[inline(always)]
-    fn max(self, other: Self) -> Self {
-        // SAFETY: see the head of this file.
-        unsafe { Self(_mm256_max_ps(self.0, other.0)) }
-    }
-
-    #[inline(always)]
-    fn power_of_two(self) -> Self {
-        // SAFETY: see the head of this file.
-        unsafe {
-            let exponent = _mm256_slli_epi32::<23>(_mm256_castps_si256(self.0));
-            let one = _mm256_set1_epi32(1f32.to_bits() as i32);
-            Self(_mm256_castsi256_ps(_mm256_add_epi32(exponent, one)))
-        }
-    }
+lanes! {
+    F32x8, 8 in 2 columns,
+    _mm256_set1_ps, _mm256_loadu_ps, _mm256_storeu_ps, _mm256_add_ps, _mm256_mul_ps, _mm256_fmadd_ps, _mm256_sqrt_ps,
+    _mm256_div_ps, _mm256_min_ps, _mm256_max_ps,
+    _mm256_slli_epi32, _mm256_castps_si256, _mm256_castsi256_ps, _mm256_set1_epi32, _mm256_add_epi32,
 }

@@ -123,7 +123,6 @@ fn assemble<L: Lane>(front: &Front, panel: &mut [Rows<L>], to_top: &[L::Number],
     }
 }
 
-/// Adds each value to its target.
 #[inline(always)]
 fn add<L: Lane>(targets: &mut [L], places: &[u32], values: &[L]) {
     for (&place, &value) in places.iter().zip(values) {

@@ -41,6 +41,11 @@ fn measured(contacts: &[Contact], frames: f64, rng: &mut ChaCha8Rng) -> Vec<f64>
     frame(contacts).iter().map(|v| v + NOISE_V / frames.sqrt() * normal(rng)).collect()
 }
 
+/// The mean of some frames, without unknown offsets.
+fn observed(frame_v: &[f64], frames: f64) -> Observation<'_> {
+    Observation { frame_v, frames, offset_sd_v: 0.0, offset_spectrum: &[] }
+}
+
 fn distance_mm(a: &Contact, b: &Contact) -> f64 {
     (a.x_mm - b.x_mm).hypot(a.y_mm - b.y_mm)
 }
@@ -67,8 +72,7 @@ fn known_contacts_come_back_from_a_rough_start_and_from_none() {
     let options = FitOptions { tolerance: 1e-6, iterations: 60, ..FitOptions::default() };
     let fitter = ContactFitter::new(model(), &error, options).unwrap();
     let frame_v = frame(&three());
-    let observation =
-        Observation { frame_v: &frame_v, frames: 1.0, offset_sd_v: 0.0, offset_spectrum: &[] };
+    let observation = observed(&frame_v, 1.0);
     let mut work = FitWork::default();
     let rough = three().map(|c| Contact {
         x_mm: c.x_mm + 9.0,
@@ -96,18 +100,7 @@ fn standard_deviations_are_those_of_repeated_frames() {
     let draws = 60;
     for _ in 0..draws {
         let frame_v = measured(&load, 30.0, &mut rng);
-        let fit = fitter()
-            .refine(
-                &Observation {
-                    frame_v: &frame_v,
-                    frames: 30.0,
-                    offset_sd_v: 0.0,
-                    offset_spectrum: &[],
-                },
-                &load,
-                &mut work,
-            )
-            .unwrap();
+        let fit = fitter().refine(&observed(&frame_v, 30.0), &load, &mut work).unwrap();
         for truth in &load {
             let c = nearest(&fit, truth);
             squares[0] += ((c.contact.x_mm - truth.x_mm) / c.x_sd_mm).powi(2);
@@ -130,11 +123,7 @@ fn an_untouched_skin_has_no_contacts() {
     for frames in [1.0, 30.0] {
         for _ in 0..10 {
             let frame_v = measured(&[], frames, &mut rng);
-            let fit = fitter().fit(
-                &Observation { frame_v: &frame_v, frames, offset_sd_v: 0.0, offset_spectrum: &[] },
-                &[],
-                &mut work,
-            );
+            let fit = fitter().fit(&observed(&frame_v, frames), &[], &mut work);
             assert_eq!(fit.unwrap().contacts, []);
         }
     }
@@ -149,8 +138,7 @@ fn the_number_of_contacts_follows_from_the_evidence() {
     let loads = [vec![press(300, 8.0)], pair.to_vec(), three().to_vec()];
     for load in loads {
         let frame_v = measured(&load, 30.0, &mut rng);
-        let observation =
-            Observation { frame_v: &frame_v, frames: 30.0, offset_sd_v: 0.0, offset_spectrum: &[] };
+        let observation = observed(&frame_v, 30.0);
         let fit = fitter().fit(&observation, &[], &mut work).unwrap();
         assert_eq!(fit.contacts.len(), load.len(), "{load:?} {fit:?}");
         for truth in &load {
@@ -174,8 +162,7 @@ fn frames_that_do_not_decide_have_several_explanations() {
         let one = Contact { x_mm: 210.0, y_mm: 290.0, force_n: 8.0 };
         let load = [one, Contact { x_mm: one.x_mm + apart_mm, ..one }];
         let frame_v = measured(&load, 1.0, &mut rng);
-        let observation =
-            Observation { frame_v: &frame_v, frames: 1.0, offset_sd_v: 0.0, offset_spectrum: &[] };
+        let observation = observed(&frame_v, 1.0);
         let fit = fitter().fit(&observation, &[], &mut work).unwrap();
         let shares: Vec<f64> = fit.alternatives.iter().map(|e| e.probability).collect();
         let answer = fit.probability.unwrap();
@@ -198,8 +185,7 @@ fn frames_that_do_not_decide_have_several_explanations() {
     }
     assert!(ambiguous > 0 && follows > 0, "{ambiguous} and {follows} of {steps} frames");
     let clear = measured(&[press(300, 20.0)], 30.0, &mut rng);
-    let observation =
-        Observation { frame_v: &clear, frames: 30.0, offset_sd_v: 0.0, offset_spectrum: &[] };
+    let observation = observed(&clear, 30.0);
     let fit = fitter().fit(&observation, &[], &mut work).unwrap();
     assert!(fit.probability > Some(0.5), "{fit:?}");
     assert_eq!(fitter().refine(&observation, &[], &mut work).unwrap().probability, None);
@@ -211,8 +197,7 @@ fn a_moved_load_is_followed_and_a_new_one_is_searched() {
     let mut work = FitWork::default();
     let fit_of = |load: &[Contact], before: Option<&Fit>, rng: &mut _, work: &mut _| {
         let frame_v = measured(load, 30.0, rng);
-        let observation =
-            Observation { frame_v: &frame_v, frames: 30.0, offset_sd_v: 0.0, offset_spectrum: &[] };
+        let observation = observed(&frame_v, 30.0);
         match before {
             None => fitter().fit(&observation, &[], work).unwrap(),
             Some(before) => fitter().track(&observation, before, work).unwrap(),
@@ -243,12 +228,7 @@ fn a_still_load_is_looked_at_again_as_its_frames_add_up() {
     for n in 1..=30 {
         let frame_v = measured(&load, 1.0, &mut rng);
         mean_v.iter_mut().zip(&frame_v).for_each(|(m, v)| *m += (v - *m) / f64::from(n));
-        let observation = Observation {
-            frame_v: &mean_v,
-            frames: f64::from(n),
-            offset_sd_v: 0.0,
-            offset_spectrum: &[],
-        };
+        let observation = observed(&mean_v, f64::from(n));
         let fit = match fits.last() {
             None => fitter().fit(&observation, &[], &mut work).unwrap(),
             Some(before) => fitter().track(&observation, before, &mut work).unwrap(),
@@ -261,8 +241,7 @@ fn a_still_load_is_looked_at_again_as_its_frames_add_up() {
     // Contacts too weak for one frame are found, and no search runs at every frame.
     assert_eq!((fits[0].contacts.len(), fits[29].contacts.len()), (3, 4), "{:?}", fits[29]);
     assert!(searches.len() <= 4 && searches.contains(&25), "{searches:?}");
-    let observation =
-        Observation { frame_v: &mean_v, frames: 30.0, offset_sd_v: 0.0, offset_spectrum: &[] };
+    let observation = observed(&mean_v, 30.0);
     let searched = fitter().fit(&observation, &[], &mut work).unwrap();
     for (tracked, found) in fits[29].contacts.iter().zip(&searched.contacts) {
         assert!(distance_mm(&tracked.contact, &found.contact) < 0.2 * found.x_sd_mm);
@@ -272,13 +251,8 @@ fn a_still_load_is_looked_at_again_as_its_frames_add_up() {
 #[test]
 fn bad_frames_and_settings_are_refused_by_name() {
     let mut work = FitWork::default();
-    let mut fit = |frame_v: &[f64], frames: f64| {
-        fitter().fit(
-            &Observation { frame_v, frames, offset_sd_v: 0.0, offset_spectrum: &[] },
-            &[],
-            &mut work,
-        )
-    };
+    let mut fit =
+        |frame_v: &[f64], frames: f64| fitter().fit(&observed(frame_v, frames), &[], &mut work);
     let mut frame_v = frame(&three());
     let short = fit(&frame_v[1..], 1.0);
     assert_eq!(short, Err(FitError::Length { found: CHANNELS - 1, needed: CHANNELS }));
@@ -287,8 +261,7 @@ fn bad_frames_and_settings_are_refused_by_name() {
     assert_eq!(fit(&frame_v, 1.0), Err(FitError::NotFinite { channel: 77 }));
     let off = Contact { x_mm: -1.0, y_mm: 100.0, force_n: 5.0 };
     let sound = frame(&[]);
-    let observation =
-        Observation { frame_v: &sound, frames: 1.0, offset_sd_v: 0.0, offset_spectrum: &[] };
+    let observation = observed(&sound, 1.0);
     let proposals = [Proposal { contact: off, weight: 1.0 }];
     let refused = fitter().fit(&observation, &proposals, &mut work);
     assert!(matches!(refused, Err(FitError::Contact(_))), "{refused:?}");

@@ -45,7 +45,6 @@ fn model() -> &'static ForwardModel {
     MODEL.get_or_init(|| ForwardModel::new(sensor(), responses()).expect("the model can be built"))
 }
 
-/// A contact on a point.
 fn press(point: usize, force_n: f64) -> Contact {
     let p = sensor().points()[point];
     Contact { x_mm: p.x_mm, y_mm: p.y_mm, force_n }

@@ -20,9 +20,12 @@ pub mod frames;
 pub mod plot;
 pub mod skin;
 pub mod skin_plot;
+#[cfg(test)]
+pub mod paper;
 
 /// Why measurements do not yield a calibration.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs, reason = "the message names the fields")]
 pub enum CalibrateError {
     /// A measured value is invalid, or the measurements do not determine the model.
     #[error("{}", .0.iter().map(Problem::to_string).collect::<Vec<_>>().join("\n"))]
@@ -38,12 +41,7 @@ pub enum CalibrateError {
         "the fit is not better than its start and is not stored: median FVU of held-out trials \
          {before:.3} before, {after:.3} after; use more trials (--trials) at more positions"
     )]
-    NoBetter {
-        /// Median FVU of the initial model.
-        before: f64,
-        /// Median FVU of the fitted model.
-        after: f64,
-    },
+    NoBetter { before: f64, after: f64 },
     /// The plot could not be drawn.
     #[error("drawing the plot: {0}")]
     Plot(String),

@@ -8,12 +8,11 @@ use plotters::prelude::*;
 use super::CalibrateError;
 use super::foam::{FittedRow, FoamFit};
 use super::piezo::PiezoFit;
-use crate::figure::style::{COLOURS, INK, SMALL, TEXT, decade, legend, mesh, plain};
+use crate::figure::style::{AxesStyle, COLOURS, INK, decade, legend, plain};
 use crate::figure::{Area, Heading, PageSize, figure};
 
 const FIT_SIZE: PageSize = PageSize { width_px: 860, height_px: 520 };
 const FIT: RGBColor = COLOURS[1];
-/// Number of steps of a curve.
 const CURVE_STEPS: u32 = 200;
 /// Label of the measurements: a table of a test bench.
 const LABEL: &str = "measured";
@@ -54,10 +53,7 @@ fn draw_piezo(area: &Area<'_>, fit: &PiezoFit) -> Result<(), Box<dyn Error>> {
         .y_desc("resistance (ohm)")
         .x_label_formatter(&plain)
         .y_label_formatter(&decade)
-        .light_line_style(TRANSPARENT)
-        .bold_line_style(mesh())
-        .label_style(SMALL)
-        .axis_desc_style(TEXT)
+        .styled()
         .draw()?;
     let ring = |ends: &dyn Fn(usize) -> [f64; 2]| -> Vec<(f64, f64)> {
         let upper = bands.iter().enumerate().map(|(n, (x, _))| (*x, ends(n)[1]));
@@ -126,10 +122,7 @@ fn draw_foam(area: &Area<'_>, fit: &FoamFit) -> Result<(), Box<dyn Error>> {
         .y_desc("displacement (mm)")
         .x_label_formatter(&plain)
         .y_label_formatter(&plain)
-        .light_line_style(TRANSPARENT)
-        .bold_line_style(mesh())
-        .label_style(SMALL)
-        .axis_desc_style(TEXT)
+        .styled()
         .draw()?;
     for (n, (name, rows)) in series(fit).into_iter().enumerate() {
         let colour = COLOURS[1 + n % (COLOURS.len() - 1)];

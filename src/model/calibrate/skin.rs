@@ -147,20 +147,14 @@ pub struct CalibratedSkin {
 
 /// Why a run does not yield a calibrated skin.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs, reason = "the message names the fields")]
 pub enum SkinError {
     /// There are too few trials with contacts.
     #[error(
         "run {run}: {fitted} trials to fit and {held_out} of other configurations to hold out; a \
          skin needs at least {LEAST_TRIALS} and 1"
     )]
-    TooFew {
-        /// Uid of the run.
-        run: RunUid,
-        /// Number of trials to fit.
-        fitted: usize,
-        /// Number of held-out trials.
-        held_out: usize,
-    },
+    TooFew { run: RunUid, fitted: usize, held_out: usize },
     /// The fit failed.
     #[error(transparent)]
     Fit(#[from] SkinFitError),
@@ -230,6 +224,7 @@ pub fn digest_trial(digest: &mut Hashing, contacts: &[Contact], frame_v: &[f32])
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::calibrate::paper::{self, MODEL};
 
     /// Tips at random positions of a small lattice, some of them barely touching.
     fn candidates(count: i64) -> Vec<Candidate> {
@@ -321,13 +316,11 @@ mod tests {
 
     #[test]
     fn too_few_trials_are_refused_in_words() {
-        let sensor =
-            Sensor::from_toml(include_str!("../../../experiments/sensors/ert-28.toml")).unwrap();
-        let responses = Arc::new(UnitResponses::solve(&sensor).unwrap());
+        let (sensor, responses) = (paper::sensor(), MODEL.responses());
         let run = RunUid::default();
         let source = Source { run, label: Label::Virtual };
         let options = SkinFitOptions::for_trials(0, 1);
-        let error = calibrate(&sensor, &responses, [&[], &[]], source, &options, &mut |_| {});
+        let error = calibrate(&sensor, responses, [&[], &[]], source, &options, &mut |_| {});
         let words = error.unwrap_err().to_string();
         let expected = format!("run {run}: 0 trials to fit and 0 of other configurations");
         assert!(words.starts_with(&expected), "{words}");

@@ -12,7 +12,7 @@ use sim_core::stats::sorted;
 use super::CalibrateError;
 use super::skin::CalibratedSkin;
 use crate::figure::skin::Outline;
-use crate::figure::style::{COLOURS, INK, SMALL, diverging, legend, mesh, plain, whole};
+use crate::figure::style::{AxesStyle, COLOURS, INK, SMALL, diverging, legend, plain, whole};
 use crate::figure::{Area, Heading, PageSize, figure};
 
 /// Width of the skin in a panel, px.
@@ -111,9 +111,7 @@ fn distributions(area: &Area<'_>, fitted: &CalibratedSkin) -> Result<(), Box<dyn
         .y_desc("share of trials below (%)")
         .x_label_formatter(&plain)
         .y_label_formatter(&whole)
-        .light_line_style(TRANSPARENT)
-        .bold_line_style(mesh())
-        .label_style(SMALL)
+        .styled()
         .axis_desc_style(SMALL)
         .draw()?;
     for (name, fvus, colour) in [("before", &before, BEFORE), ("after", &after, AFTER)] {

@@ -12,90 +12,43 @@ use crate::problem::Problem;
 
 /// Why the folder of a work order could not be written or read, or a chunk could not be made.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs, reason = "the message names the fields")]
 pub enum ChunkError {
     /// The folder contains no work order.
     #[error(
         "{folder}: has no order.json; name a folder that `palpate cluster sbatch` has written",
         folder = folder.display()
     )]
-    NoOrder {
-        /// Path of the folder.
-        folder: PathBuf,
-    },
+    NoOrder { folder: PathBuf },
     /// The work order is invalid, or this program does not make its chunks.
     #[error("{folder}: {problem}", folder = folder.display())]
-    Order {
-        /// Path of the folder.
-        folder: PathBuf,
-        /// The value that was rejected.
-        problem: Box<Problem>,
-    },
+    Order { folder: PathBuf, problem: Box<Problem> },
     /// The folder contains another work order.
     #[error(
         "{folder} contains another work order: {field} = {there}, requested {here}; name another \
          folder, or use the same options",
         folder = folder.display()
     )]
-    OtherOrder {
-        /// Path of the folder.
-        folder: PathBuf,
-        /// Dotted key of the work order.
-        field: String,
-        /// Value in the folder.
-        there: String,
-        /// Requested value.
-        here: String,
-    },
+    OtherOrder { folder: PathBuf, field: String, there: String, here: String },
     /// The work order has no chunk of this index.
     #[error("index = {index}: must be from 0 to {last}")]
-    Index {
-        /// Requested index.
-        index: u64,
-        /// Index of the last chunk.
-        last: u64,
-    },
+    Index { index: u64, last: u64 },
     /// A file or folder could not be read or written.
     #[error("{operation} {path}: {}", system_words(source), path = path.display())]
-    File {
-        /// The failed operation.
-        operation: &'static str,
-        /// Path of the file or folder.
-        path: PathBuf,
-        /// Error of the operating system.
-        source: io::Error,
-    },
+    File { operation: &'static str, path: PathBuf, source: io::Error },
     /// The bytes of a chunk could not be made.
     #[error("chunk {index}: {source}")]
-    Make {
-        /// Index of the chunk.
-        index: u64,
-        /// Error of its kind.
-        source: MakeFailure,
-    },
+    Make { index: u64, source: MakeFailure },
     /// A repeated chunk has other bytes than before.
     #[error(
         "chunk {index} was repeated and has sha256 {now}, but {path} states {before}: the same order must \
          give the same bytes; if that file is wrong, remove it",
         path = path.display()
     )]
-    NotReproduced {
-        /// Index of the chunk.
-        index: u64,
-        /// Path of the row that was there.
-        path: PathBuf,
-        /// sha256 in this row.
-        before: String,
-        /// sha256 of the repeated chunk.
-        now: String,
-    },
+    NotReproduced { index: u64, path: PathBuf, before: String, now: String },
     /// Chunks are missing or damaged, or files are of no chunk.
     #[error("{folder} is not complete\n{gaps}\n{}", gaps.remedy(folder), folder = folder.display())]
-    Incomplete {
-        /// Path of the folder.
-        folder: PathBuf,
-        /// What is missing, damaged or foreign.
-        gaps: Box<Gaps>,
-    },
+    Incomplete { folder: PathBuf, gaps: Box<Gaps> },
 }
 
 impl ChunkError {

@@ -10,6 +10,7 @@ use std::ops::ControlFlow;
 
 pub mod error;
 pub mod order;
+pub mod skin;
 pub mod folder;
 
 use crate::new_file::NewFile;

@@ -1,11 +1,14 @@
 //! A work order: which chunks there are, what determines their bytes, and their keys.
-//! PURE. Uses: `digest`, serde_json. Never: files, what a definition means (its kind knows it).
+//! PURE. Uses: `difference`, `digest`, serde_json. Never: files, what a definition means (its kind knows it).
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::fmt::Display;
 
+use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
+use crate::difference::{Difference, first_difference};
 use crate::digest::{ID_DIGITS, sha256_hex};
 use crate::problem::Problem;
 
@@ -20,7 +23,6 @@ pub const CHUNKS_MAX: u64 = 100_000;
 const ORDER_FORM: u32 = 1;
 /// Endings of the files with the bytes of chunks, by kind.
 const ENDINGS: [(&str, &str); 2] = [("readings", "jsonl"), ("trainings", "net")];
-/// Ending for all other kinds.
 const COMMON_ENDING: &str = "parquet";
 
 /// Bulk work, divided into chunks.
@@ -47,15 +49,71 @@ pub struct WorkOrder {
     pub chunks: u64,
 }
 
+/// A definition as JSON.
+pub fn value_of(definition: &impl Serialize) -> Value {
+    serde_json::to_value(definition).expect("a definition is JSON")
+}
+
+/// A problem with a value of a work order that is too long to show.
+pub fn invalid(key: &str, why: impl Display) -> Problem {
+    Problem::new(ORDER_FILE, key, "..", why.to_string())
+}
+
+/// Checks that this machine would order the same; `limit` says what is possible here.
+///
+/// # Errors
+/// The first value of the definition that differs.
+pub fn check_here<D: Serialize>(
+    ordered: &D,
+    here: &D,
+    limit: impl FnOnce(&Difference) -> String,
+) -> Result<(), Problem> {
+    first_difference(&value_of(ordered), &value_of(here)).map_or(Ok(()), |found| {
+        let (key, limit) = (format!("definition.{}", found.field), limit(&found));
+        Err(Problem::new(ORDER_FILE, &key, found.there, limit))
+    })
+}
+
+/// Inputs that contain a text for each chunk.
+pub fn chunk_inputs(what: &str, texts: Vec<String>) -> impl Iterator<Item = (String, String)> {
+    (0..).zip(texts).map(move |(index, text)| (chunk_input(what, index), text))
+}
+
+/// Name of the input of a chunk.
+pub fn chunk_input(what: &str, index: u64) -> String {
+    format!("{what}-{index:05}")
+}
+
+/// The input of a chunk, and its sha256, which must be that in the definition.
+///
+/// # Errors
+/// As text: an input that is not in the definition, or that cannot be read.
+pub fn read_input<'a, T>(
+    (what, index): (&str, u64),
+    inputs: &BTreeMap<String, String>,
+    stated: &'a [String],
+    read: impl FnOnce(&str) -> Result<T, String>,
+) -> Result<(T, &'a str), String> {
+    let name = chunk_input(what, index);
+    let text = inputs.get(&name).map_or("", String::as_str);
+    let stated = usize::try_from(index).ok().and_then(|at| stated.get(at));
+    let stated = stated.ok_or_else(|| format!("{name}: the order has no such chunk"))?;
+    if sha256_hex(text) != *stated {
+        return Err(format!("{name}: has other {what} than the definition; order again"));
+    }
+    Ok((read(text).map_err(|error| format!("{name} {error}"))?, stated))
+}
+
 impl WorkOrder {
     /// A work order of this program, without files.
     pub fn new(
         kind: &str,
-        definition: Value,
+        definition: &impl Serialize,
         inputs: BTreeMap<String, String>,
         chunks: u64,
     ) -> Self {
         let (kind, code) = (kind.to_owned(), CHUNK_CODE.to_owned());
+        let definition = value_of(definition);
         let (version, id, files) = (ORDER_FORM, String::new(), BTreeSet::new());
         let unnamed = Self { version, kind, id, code, definition, inputs, files, chunks };
         Self { id: sha256_hex(canonical(&unnamed.identity())), ..unnamed }
@@ -93,6 +151,27 @@ impl WorkOrder {
             return Err(problem("chunks", &order.chunks, limit));
         }
         Ok(order)
+    }
+
+    /// The definition, as its kind reads it.
+    ///
+    /// # Errors
+    /// If it is of another form.
+    pub fn read_definition<D: DeserializeOwned>(&self) -> Result<D, Problem> {
+        serde_json::from_value(self.definition.clone())
+            .map_err(|error| invalid("definition", error))
+    }
+
+    /// Checks that the number of chunks is that of the definition.
+    ///
+    /// # Errors
+    /// If it is another.
+    pub fn check_chunks(&self, needed: u64) -> Result<(), Problem> {
+        if self.chunks == needed {
+            return Ok(());
+        }
+        let limit = format!("its definition has {needed}");
+        Err(Problem::new(ORDER_FILE, "chunks", self.chunks, limit))
     }
 
     /// Returns the text of its file.
@@ -204,7 +283,7 @@ mod tests {
 
     fn order() -> WorkOrder {
         let inputs = [("sensor_file".to_owned(), "name = 1".to_owned())].into();
-        WorkOrder::new("numbers", json!({ "b": 1, "a": [1.5, "x"] }), inputs, 3)
+        WorkOrder::new("numbers", &json!({ "b": 1, "a": [1.5, "x"] }), inputs, 3)
     }
 
     #[test]

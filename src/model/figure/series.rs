@@ -5,7 +5,7 @@ use std::error::Error;
 
 use plotters::prelude::*;
 
-use super::style::{COLOURS, SMALL, TEXT, dash, legend, mesh, plain};
+use super::style::{AxesStyle, COLOURS, dash, legend, plain};
 use super::{Area, Heading, PageSize, figure};
 
 /// Size of a drawing of series.
@@ -137,10 +137,7 @@ impl Chart {
             .y_label_formatter(&plain)
             .x_desc(&self.x_name)
             .y_desc(&self.y_name)
-            .light_line_style(TRANSPARENT)
-            .bold_line_style(mesh())
-            .label_style(SMALL)
-            .axis_desc_style(TEXT);
+            .styled();
         if self.marks == Marks::Bars {
             frame.disable_x_mesh();
         }

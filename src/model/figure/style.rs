@@ -3,6 +3,7 @@
 
 use std::error::Error;
 
+use plotters::chart::MeshStyle;
 use plotters::coord::CoordTranslate;
 use plotters::prelude::*;
 
@@ -30,9 +31,19 @@ pub const COLOURS: [RGBColor; 7] = [
 const DIVERGING: [RGBColor; 3] =
     [RGBColor(33, 102, 172), RGBColor(247, 247, 247), RGBColor(178, 24, 43)];
 
-/// Colour of the lines of a mesh.
-pub fn mesh() -> RGBAColor {
-    BLACK.mix(0.10)
+/// Lines and texts of the axes of every figure.
+pub trait AxesStyle {
+    /// Sets them; what is set afterwards differs from other figures.
+    fn styled(&mut self) -> &mut Self;
+}
+
+impl<X: Ranged, Y: Ranged, DB: DrawingBackend> AxesStyle for MeshStyle<'_, '_, X, Y, DB> {
+    fn styled(&mut self) -> &mut Self {
+        self.light_line_style(TRANSPARENT)
+            .bold_line_style(BLACK.mix(0.10))
+            .label_style(SMALL)
+            .axis_desc_style(TEXT)
+    }
 }
 
 /// A whole number.

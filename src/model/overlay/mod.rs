@@ -77,10 +77,6 @@ mod tests {
 
     use super::*;
 
-    fn paper() -> Sensor {
-        Sensor::from_toml(include_str!("../../../experiments/sensors/ert-28.toml")).unwrap()
-    }
-
     /// How often each text is shown.
     fn shown(pdf: &[u8]) -> BTreeMap<String, usize> {
         let mut counts = BTreeMap::new();
@@ -95,7 +91,7 @@ mod tests {
 
     #[test]
     fn every_point_is_on_the_sheet_once_and_on_at_least_one_tile() {
-        let sensor = paper();
+        let sensor = crate::calibrate::paper::sensor();
         let tiles = pdf(&sensor, Paper::A4);
         let (on_sheet, on_tiles) = (shown(&pdf(&sensor, Paper::Sheet)), shown(&tiles));
         let points = sensor.points().iter().map(Point::label);

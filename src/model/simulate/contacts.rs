@@ -221,8 +221,7 @@ mod tests {
     use super::*;
 
     fn limits() -> Limits {
-        let text = include_str!("../../../experiments/sensors/ert-28.toml");
-        Limits::of(&Sensor::from_toml(text).unwrap(), 6)
+        Limits::of(&crate::calibrate::paper::sensor(), 6)
     }
 
     fn complaint(text: &str) -> String {

@@ -52,24 +52,17 @@ pub fn dent(model: &ForwardModel, compression_mm: &[f64]) -> Dent {
 
 #[cfg(test)]
 mod tests {
-    use std::sync::Arc;
-
     use sim_core::forward::{Contact, Workspace};
-    use sim_core::responses::UnitResponses;
-    use sim_core::sensor::Sensor;
 
     use super::*;
+    use crate::calibrate::paper::MODEL;
 
     #[test]
     fn the_deepest_place_is_under_the_tip_and_the_values_are_those_of_the_nodes() {
-        let text = include_str!("../../../experiments/sensors/ert-28.toml");
-        let sensor = Sensor::from_toml(text).unwrap();
-        let responses = Arc::new(UnitResponses::solve(&sensor).unwrap());
-        let model = ForwardModel::new(&sensor, responses).unwrap();
         let mut work = Workspace::default();
         let tip = Contact { x_mm: 120.0, y_mm: 430.0, force_n: 20.0 };
-        model.voltages(&[tip], &mut work).unwrap();
-        let grid = dent(&model, work.compression_mm());
+        MODEL.voltages(&[tip], &mut work).unwrap();
+        let grid = dent(&MODEL, work.compression_mm());
         assert_eq!((grid.columns, grid.rows, grid.x0_mm, grid.y0_mm), (109, 113, 0.0, 0.0));
         assert_eq!(grid.values_mm.len(), 109 * 113);
         let (deepest, mm) =

@@ -170,29 +170,23 @@ fn compression_mm(model: &ForwardModel, node: usize, nominal_mm: f64) -> f64 {
 
 #[cfg(test)]
 mod tests {
-    use std::sync::{Arc, LazyLock};
+    use std::sync::LazyLock;
 
     use sim_core::fields::{DisplacementLut, NodeFields};
-    use sim_core::mesh::Mesh;
-    use sim_core::responses::UnitResponses;
-    use sim_core::sensor::Sensor;
 
     use super::*;
+    use crate::calibrate::paper::{self, MODEL};
 
     /// A skin of the paper's sensor that is softer in places, with a foam that stiffens.
     static SKIN: LazyLock<ForwardModel> = LazyLock::new(|| {
-        let text = include_str!("../../../experiments/sensors/ert-28.toml");
-        let sensor = Sensor::from_toml(text).unwrap();
-        let responses = Arc::new(UnitResponses::solve(&sensor).unwrap());
-        let nominal = ForwardModel::new(&sensor, responses.clone()).unwrap();
-        let mesh = Mesh::new(&sensor).unwrap();
-        let mut fields = NodeFields::nominal(&mesh);
+        let mut fields = NodeFields::nominal(MODEL.mesh());
         for (node, ln) in fields.ln_compliance.iter_mut().enumerate() {
             *ln = 0.2 * (node as f64 / 50.0).sin();
         }
         let law = |i: i32| 4.5 * (1.0 - (-f64::from(i) * 0.1 / 4.0).exp());
         fields.displacement = Some(DisplacementLut::new(0.1, (0..100).map(law).collect()).unwrap());
-        ForwardModel::with(&sensor, responses, fields, nominal.circuit().clone()).unwrap()
+        let (responses, circuit) = (MODEL.responses().clone(), MODEL.circuit().clone());
+        ForwardModel::with(&paper::sensor(), responses, fields, circuit).unwrap()
     });
 
     fn by(x_mm: f64, y_mm: f64, load: Load) -> RequestedContact {

@@ -8,7 +8,7 @@ use plotters::prelude::*;
 use plotters::style::colors::colormaps::ViridisRGB;
 
 use super::figures::{FigureError, page};
-use crate::figure::style::{COLOURS, INK, SMALL, TEXT, TINY, mesh, plain, whole};
+use crate::figure::style::{AxesStyle, COLOURS, INK, SMALL, TEXT, TINY, plain, whole};
 use crate::figure::{Area, Heading, PageSize};
 
 /// A named line of points.
@@ -122,8 +122,7 @@ fn draw_panel(
         .y_label_formatter(&plain)
         .x_desc(x)
         .y_desc(y)
-        .light_line_style(TRANSPARENT)
-        .bold_line_style(mesh())
+        .styled()
         .label_style(TINY)
         .axis_desc_style(SMALL)
         .draw()?;
@@ -232,10 +231,7 @@ pub fn bars(heading: &Heading, x: &str, bars: &[Bar]) -> Result<String, FigureEr
                 }
                 _ => String::new(),
             })
-            .light_line_style(TRANSPARENT)
-            .bold_line_style(mesh())
-            .label_style(SMALL)
-            .axis_desc_style(TEXT)
+            .styled()
             .draw()?;
         let zero = [(0.0, SegmentValue::Exact(0)), (0.0, SegmentValue::Last)];
         chart.draw_series([PathElement::new(zero, INK.mix(0.4))])?;

@@ -6,7 +6,7 @@ use plotters::prelude::*;
 use plotters::style::colors::colormaps::ViridisRGB;
 
 use crate::figure::skin::{Outline, colour_bar};
-use crate::figure::style::{COLOURS, INK, SMALL, TEXT, TINY, legend, mesh, plain, whole};
+use crate::figure::style::{AxesStyle, COLOURS, INK, TINY, legend, plain, whole};
 use crate::figure::{Area, Heading, PageSize};
 use crate::record::CONTACTS_MAX;
 
@@ -47,7 +47,6 @@ impl Quantity {
     }
 }
 
-/// Size of a figure of the report.
 const REPORT_SIZE: PageSize = PageSize { width_px: 960, height_px: 600 };
 /// Bins with fewer trials are not drawn: their mean is not significant.
 const BIN_TRIALS_MIN: u64 = 5;
@@ -143,10 +142,7 @@ pub fn by_force(
             .x_label_formatter(&|_| String::new())
             .y_label_formatter(&plain)
             .y_desc(format!("mean {}", quantity.axis()))
-            .light_line_style(TRANSPARENT)
-            .bold_line_style(mesh())
-            .label_style(SMALL)
-            .axis_desc_style(TEXT)
+            .styled()
             .draw()?;
         for (contacts, bins) in &lines {
             let colour = COLOURS[usize::from(*contacts)];
@@ -207,10 +203,7 @@ fn counts(
         .y_label_formatter(&whole)
         .x_desc("largest force of a trial (N)")
         .y_desc("trials")
-        .light_line_style(TRANSPARENT)
-        .bold_line_style(mesh())
-        .label_style(SMALL)
-        .axis_desc_style(TEXT)
+        .styled()
         .draw()?;
     chart.draw_series(bars)?;
     Ok(())
@@ -260,10 +253,7 @@ pub fn boxes(
             .y_label_formatter(&plain)
             .x_desc("contacts of a trial")
             .y_desc(quantity.axis())
-            .light_line_style(TRANSPARENT)
-            .bold_line_style(mesh())
-            .label_style(SMALL)
-            .axis_desc_style(TEXT)
+            .styled()
             .draw()?;
         for (contacts, trials, b, scale) in boxes {
             let x = f64::from(contacts);

@@ -6,7 +6,7 @@ use plotters::style::colors::colormaps::ViridisRGB;
 
 use super::figures::{FigureError, page};
 use crate::dataset::force_map::{ForceMap, ForceMapSpec, MapContact};
-use crate::figure::style::{COLOURS, SMALL, TEXT, TINY, dash, legend, mesh, plain, whole};
+use crate::figure::style::{AxesStyle, COLOURS, SMALL, TINY, dash, legend, plain, whole};
 use crate::figure::{Heading, PageSize};
 use crate::learn::residuals::Residuals;
 use crate::store::Contact;
@@ -130,10 +130,7 @@ pub fn residuals(heading: &Heading, of: &Residuals) -> Result<String, FigureErro
             .y_label_formatter(&plain)
             .x_desc("reading (28 for each injection)")
             .y_desc("transfer error (mV)")
-            .light_line_style(TRANSPARENT)
-            .bold_line_style(mesh())
-            .label_style(SMALL)
-            .axis_desc_style(TEXT)
+            .styled()
             .draw()?;
         let spread = mean_v.iter().zip(sd_v).enumerate().map(|(at, (mean, sd))| {
             let x = at as f64 + 0.5;

@@ -7,7 +7,7 @@ use serde::Deserialize;
 use super::charts::{empty, upwards};
 use super::figures::{FigureError, page};
 use crate::figure::series::MARKED_POINTS;
-use crate::figure::style::{COLOURS, INK, SMALL, TEXT, dash, decade, legend, mesh, whole};
+use crate::figure::style::{AxesStyle, COLOURS, INK, dash, decade, legend, whole};
 use crate::figure::{Heading, PageSize};
 
 /// Losses of an epoch, as a training stores them.
@@ -71,10 +71,7 @@ pub fn curve(heading: &Heading, unit: &str, losses: &[EpochLoss]) -> Result<Stri
             .y_label_formatter(&decade)
             .x_desc("epoch")
             .y_desc(unit)
-            .light_line_style(TRANSPARENT)
-            .bold_line_style(mesh())
-            .label_style(SMALL)
-            .axis_desc_style(TEXT)
+            .styled()
             .draw()?;
         for (name, pick, colour) in picks {
             let places = places(pick);

@@ -10,7 +10,7 @@ use super::charts::segments;
 use super::figures::{FigureError, page};
 use super::force_maps::Picture;
 use crate::dataset::read::PAPER_SKIN;
-use crate::figure::style::{COLOURS, INK, SMALL, TEXT, TINY, mesh, plain};
+use crate::figure::style::{AxesStyle, COLOURS, INK, SMALL, TEXT, TINY, plain};
 use crate::figure::{Area, Heading, PageSize};
 use crate::store::Contact;
 
@@ -232,11 +232,8 @@ fn errors(area: &Area<'_>, ranks: &[Rank]) -> Result<(), Box<dyn std::error::Err
             }
             _ => String::new(),
         })
-        .light_line_style(TRANSPARENT)
-        .bold_line_style(mesh())
         .axis_style(INK.mix(0.4))
-        .label_style(SMALL)
-        .axis_desc_style(TEXT)
+        .styled()
         .draw()?;
     for (at, rank) in ranks.iter().enumerate() {
         let colour = match rank.role {

@@ -12,22 +12,19 @@ use super::touch::{Touch, TouchError};
 
 /// Why the perfect map of a frame cannot be scored.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[allow(missing_docs, reason = "the message names the fields")]
 pub enum PerfectError {
     /// A contact is outside the map.
     #[error("drawing frame {frame}")]
     Draw {
-        /// Index of the frame.
         frame: usize,
-        /// Error of the map.
         #[source]
         why: ForceMapError,
     },
     /// A value of a contact is not finite.
     #[error("scoring frame {frame}")]
     Score {
-        /// Index of the frame.
         frame: usize,
-        /// Error of the comparison.
         #[source]
         why: TouchError,
     },

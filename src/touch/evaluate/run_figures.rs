@@ -10,12 +10,10 @@ use plotters::prelude::*;
 
 use super::charts::Line;
 use super::figures::{FigureError, page};
-use crate::figure::style::{COLOURS, SMALL, TEXT, TINY, dash, legend, mesh, plain, whole};
+use crate::figure::style::{AxesStyle, COLOURS, TINY, dash, legend, plain, whole};
 use crate::figure::{Area, Heading, PageSize};
 
-/// Size of a figure of a run.
 const RUN_SIZE: PageSize = PageSize { width_px: 900, height_px: 500 };
-/// Bins of a histogram.
 const HISTOGRAM_BINS: usize = 40;
 /// Largest number of contacts of a trial.
 const CONTACTS_SHOWN: usize = 7;
@@ -61,10 +59,7 @@ fn numbers<'a, 'b>(
         .y_label_formatter(&plain)
         .x_desc(x)
         .y_desc(y)
-        .light_line_style(TRANSPARENT)
-        .bold_line_style(mesh())
-        .label_style(SMALL)
-        .axis_desc_style(TEXT)
+        .styled()
         .draw()?;
     Ok(chart)
 }
@@ -120,10 +115,7 @@ pub fn contacts(heading: &Heading, contacts: &Contacts) -> Result<String, Figure
             .y_label_formatter(&whole)
             .x_desc("contacts")
             .y_desc("trials")
-            .light_line_style(TRANSPARENT)
-            .bold_line_style(mesh())
-            .label_style(SMALL)
-            .axis_desc_style(TEXT)
+            .styled()
             .draw()?;
         let shown = [(contacts.name.as_str(), here)].into_iter();
         let shown = shown.chain(published.map(|(name, all)| (name.as_str(), *all)));
@@ -180,10 +172,7 @@ pub fn histogram(
             .y_label_formatter(&whole)
             .x_desc(format!("{x} (the last bin holds all above)"))
             .y_desc("trials")
-            .light_line_style(TRANSPARENT)
-            .bold_line_style(mesh())
-            .label_style(SMALL)
-            .axis_desc_style(TEXT)
+            .styled()
             .draw()?;
         chart.draw_series(counts.iter().enumerate().filter(|(_, count)| **count > 0).map(
             |(bin, count)| {

@@ -14,6 +14,7 @@ use crate::store::StoreError;
 
 /// Why a model or an answer is not available.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs, reason = "the message names the fields")]
 pub enum InferError {
     /// Values of the request are invalid.
     #[error("{}", .0.iter().map(ToString::to_string).collect::<Vec<_>>().join("; "))]
@@ -26,34 +27,13 @@ pub enum InferError {
     NoSkin(CalibrationId),
     /// No model is promoted to a slot that the method needs.
     #[error("method = {method}: no {needs} is promoted: run `palpate model promote ID`")]
-    NotServed {
-        /// Name of the requested method.
-        method: &'static str,
-        /// The kind of model that is missing.
-        needs: &'static str,
-    },
+    NotServed { method: &'static str, needs: &'static str },
     /// The task of a model is not the one needed.
     #[error("model {id} is of task {task}: {wanted}")]
-    OtherTask {
-        /// Id of the model.
-        id: ModelId,
-        /// Task of the model.
-        task: &'static str,
-        /// The task that is needed.
-        wanted: &'static str,
-    },
+    OtherTask { id: ModelId, task: &'static str, wanted: &'static str },
     /// The model is for another sensor.
     #[error("model {id} is for sensor {sensor} with {channels} channels, this is {here}")]
-    OtherSensor {
-        /// Id of the model, or text for the exact model of a skin.
-        id: String,
-        /// Name of its sensor.
-        sensor: String,
-        /// Number of its channels.
-        channels: usize,
-        /// The sensor it is used with, as text.
-        here: String,
-    },
+    OtherSensor { id: String, sensor: String, channels: usize, here: String },
     /// The slot has no earlier content.
     #[error("slot {0}: there is no earlier promotion")]
     NoEarlier(&'static str),
@@ -92,22 +72,10 @@ pub enum InferError {
     Store(#[from] StoreError),
     /// A file could not be read or written.
     #[error("{operation} {}: {source}", path.display())]
-    File {
-        /// The failed operation.
-        operation: &'static str,
-        /// Path of the file.
-        path: PathBuf,
-        /// Error of the operating system.
-        source: io::Error,
-    },
+    File { operation: &'static str, path: PathBuf, source: io::Error },
     /// The content of a file is not the expected JSON.
     #[error("{}: {source}", path.display())]
-    Json {
-        /// Path of the file.
-        path: PathBuf,
-        /// Error of the parser.
-        source: serde_json::Error,
-    },
+    Json { path: PathBuf, source: serde_json::Error },
     /// A thread ended before its result.
     #[error("a worker thread ended before its result")]
     Worker,

@@ -30,16 +30,14 @@ const TENSOR_NUMBERS_MAX: usize = 1 << 26;
 
 /// Why a file cannot become a plan, or frames cannot be answered.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[allow(missing_docs, reason = "the message names the fields")]
 pub enum PlanError {
     /// The file is rejected before it is loaded.
     #[error(transparent)]
     Onnx(#[from] OnnxError),
     /// The engine does not support an operation.
     #[error("operator {operator}: not supported by the engine")]
-    Operator {
-        /// Name of the operator.
-        operator: String,
-    },
+    Operator { operator: String },
     /// The net is for frames of another shape.
     #[error(
         "input `{name}` takes {found:?}, must take any number of frames of {channels} channels"
@@ -54,48 +52,19 @@ pub enum PlanError {
     },
     /// The answers have another shape.
     #[error("output `{name}` is {found} for {batch} frames, must be {wanted:?} for each")]
-    Output {
-        /// Name of the tensor.
-        name: String,
-        /// Shape of the output.
-        found: String,
-        /// Number of frames in the input.
-        batch: usize,
-        /// Expected shape of one answer.
-        wanted: Vec<usize>,
-    },
+    Output { name: String, found: String, batch: usize, wanted: Vec<usize> },
     /// The graph needs more memory than allowed.
     #[error("operation `{operation}` has {numbers} numbers: at most {TENSOR_NUMBERS_MAX}")]
-    TooLarge {
-        /// Name of the operation.
-        operation: String,
-        /// Number of values of its result.
-        numbers: String,
-    },
+    TooLarge { operation: String, numbers: String },
     /// The engine returned an error.
     #[error("{stage}: {cause}")]
-    Refused {
-        /// Stage of the preparation or inference.
-        stage: &'static str,
-        /// Error of tract.
-        cause: String,
-    },
+    Refused { stage: &'static str, cause: String },
     /// The engine panicked.
     #[error("{stage}: the engine panicked: {cause}")]
-    Panicked {
-        /// Stage of the preparation or inference.
-        stage: &'static str,
-        /// Message of the panic.
-        cause: String,
-    },
+    Panicked { stage: &'static str, cause: String },
     /// The length of the input is not a multiple of a frame's.
     #[error("{numbers} numbers: must be frames of {channels} channels")]
-    Frames {
-        /// Length of the input.
-        numbers: usize,
-        /// Number of channels of the sensor.
-        channels: usize,
-    },
+    Frames { numbers: usize, channels: usize },
     /// A value of a frame is not finite.
     #[error("frame {frame}, channel {channel}: not a finite number")]
     NotFinite {

@@ -62,7 +62,6 @@ pub struct Serving {
 struct Inner {
     store: Store,
     models: Registry,
-    /// Sensor of this rig.
     sensor: Sensor,
     sensor_text: String,
     skins: Skins,

@@ -39,7 +39,6 @@ use crate::store::{Contact, Label};
 /// Number of frames that a Transfer-Net reads at a time.
 const TRANSFERRED_AT_ONCE: usize = 8;
 
-/// Reader of the frames.
 pub(super) enum Reader {
     /// A Transfer-Net, or none: the frames themselves.
     Voltages(Option<Arc<Model>>),
@@ -58,7 +57,6 @@ impl Reader {
         }
     }
 
-    /// Nets that are used.
     pub(super) fn nets(&self) -> Vec<&Model> {
         match self {
             Self::Voltages(transfer) => transfer.iter().map(Arc::as_ref).collect(),
@@ -80,10 +78,8 @@ impl Reader {
     }
 }
 
-/// Inputs of the scoring.
 pub(super) struct Scoring {
     pub(super) request: EvaluationRequest,
-    /// Dataset of the rows.
     pub(super) dataset: DatasetId,
     /// Its lineage, as JSON.
     pub(super) lineage: Value,
@@ -91,7 +87,6 @@ pub(super) struct Scoring {
     pub(super) held_out: bool,
     pub(super) gathered: Gathered,
     pub(super) raw: Option<Vec<Vec<f32>>>,
-    /// The untouched skin before the rows.
     pub(super) untouched: UntouchedSkins,
     pub(super) reader: Reader,
     /// Whether measured frames are read.
@@ -122,24 +117,20 @@ impl Scoring {
     /// Checks that the models are for the sensor of the rows.
     fn check_sensor(&self) -> Result<(), InferError> {
         let here = &self.gathered.sensor;
-        let nets = self.reader.nets().into_iter().map(|net| {
-            let facts = &net.manifest.model;
-            (net.manifest.id.to_string(), facts.sensor.clone(), facts.channels)
-        });
-        let skin = self.reader.method().and_then(|method| method.skin());
-        let of_rig =
-            skin.map(|skin| (skin.id.to_owned(), self.rig_sensor.0.clone(), self.rig_sensor.1));
-        let same = |(_, sensor, channels): &(String, String, usize)| {
-            *sensor == here.name && *channels == here.channels
-        };
-        match nets.chain(of_rig).find(|model| !same(model)) {
-            None => Ok(()),
-            Some((id, sensor, channels)) => Err(InferError::OtherSensor {
-                id,
-                sensor,
-                channels,
-                here: format!("{} with {}", here.name, here.channels),
-            }),
+        for net in self.reader.nets() {
+            net.is_for(&here.name, here.channels)?;
+        }
+        let (sensor, channels) = &self.rig_sensor;
+        match self.reader.method().and_then(|method| method.skin()) {
+            Some(skin) if *sensor != here.name || *channels != here.channels => {
+                Err(InferError::OtherSensor {
+                    id: skin.id.to_owned(),
+                    sensor: sensor.clone(),
+                    channels: *channels,
+                    here: format!("{} with {}", here.name, here.channels),
+                })
+            }
+            _ => Ok(()),
         }
     }
 

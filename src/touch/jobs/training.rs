@@ -156,7 +156,6 @@ async fn prepare(
 
 /// What a model inherits from the lineage of its dataset.
 pub(super) struct Inherited {
-    /// Label of the model.
     pub(super) label: Label,
     /// Calibration of the dataset's twins.
     pub(super) calibration: Option<CalibrationId>,

@@ -11,6 +11,7 @@ use crate::store::StoreError;
 
 /// Why a training or a model failed.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs, reason = "the message names the fields")]
 pub enum LearnError {
     /// Values of the request are invalid.
     #[error("{}", .0.iter().map(ToString::to_string).collect::<Vec<_>>().join("; "))]
@@ -32,14 +33,7 @@ pub enum LearnError {
     Model(#[from] super::model_file::ModelError),
     /// A file could not be read or written.
     #[error("{operation} {}: {source}", path.display())]
-    File {
-        /// The failed operation.
-        operation: &'static str,
-        /// Path of the file.
-        path: PathBuf,
-        /// Error of the operating system.
-        source: io::Error,
-    },
+    File { operation: &'static str, path: PathBuf, source: io::Error },
 }
 
 impl LearnError {

@@ -83,6 +83,7 @@ pub enum Source {
 
 /// Why an order is rejected.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs, reason = "the message names the fields")]
 pub enum OrderError {
     /// The text is not an order.
     #[error("{ORDER}: {0}")]
@@ -92,10 +93,7 @@ pub enum OrderError {
         "{ORDER}: version = {found}: this trainer is of version {ORDER_VERSION}; install service and \
          trainer of the same version"
     )]
-    Version {
-        /// Version of the order.
-        found: String,
-    },
+    Version { found: String },
 }
 
 impl Order {

@@ -4,19 +4,10 @@
 use std::path::Path;
 use std::process::Command;
 
-use serde_json::json;
-
 use super::datasets::filled::Filled;
 use super::support::{self, Folder};
 
 const DESCRIPTION: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/openapi.yaml");
-
-async fn admin_key(lab: &Filled) -> String {
-    let (status, made) =
-        lab.post("/api/v1/keys", json!({ "name": "contract", "role": "admin" })).await;
-    assert_eq!(status, 201, "{made}");
-    made["secret"].as_str().unwrap().into()
-}
 
 /// Runs a command to its end; its output is shown if it fails.
 async fn succeeds(mut command: Command) -> String {
@@ -38,7 +29,7 @@ async fn a_generated_python_client_makes_real_calls() {
     command.arg(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/it/contract/client.py")).args([
         DESCRIPTION,
         &lab.url(""),
-        &admin_key(&lab).await,
+        &lab.key("contract", "admin").await.1,
         &folder.path(""),
     ]);
     let said = succeeds(command).await;
@@ -80,7 +71,11 @@ async fn a_typed_typescript_client_makes_real_calls() {
     ]);
     succeeds(compile).await;
     let mut run = Command::new("node");
-    run.current_dir(folder.path("")).args(["client.js", &lab.url(""), &admin_key(&lab).await]);
+    run.current_dir(folder.path("")).args([
+        "client.js",
+        &lab.url(""),
+        &lab.key("contract", "admin").await.1,
+    ]);
     assert!(succeeds(run).await.contains("6 calls"));
     lab.close().await;
 }
@@ -127,12 +122,7 @@ async fn every_answer_is_one_that_the_description_states() {
     for role in ["viewer", "operator", "admin", "keyless"] {
         let header = match role {
             "keyless" => "X-No-Key: 1".to_owned(),
-            _ => {
-                let new = json!({ "name": role, "role": role });
-                let (status, made) = lab.post("/api/v1/keys", new).await;
-                assert_eq!(status, 201, "{made}");
-                format!("Authorization: Bearer {}", made["secret"].as_str().unwrap())
-            }
+            _ => format!("Authorization: Bearer {}", lab.key(role, role).await.1),
         };
         let folder = Folder::new(&format!("contract-fuzz-{role}"));
         let mut command = Command::new(Path::new(&python).with_file_name("schemathesis"));

@@ -9,8 +9,7 @@ use serde_json::{Value, json};
 use super::filled::Filled;
 
 async fn exported(lab: &Filled, request: Value) -> (Value, Vec<u8>) {
-    let (status, asked) = lab.post("/api/v1/exports", request).await;
-    assert_eq!(status, 202, "{asked}");
+    let asked = lab.posted("/api/v1/exports", request, 202).await;
     let row = lab.over(asked["id"].as_str().unwrap()).await;
     assert_eq!(row["state"], "done", "{row}");
     let before = Timestamp::now();

@@ -22,7 +22,7 @@ use serde_json::{Value, json};
 use tokio::net::TcpListener;
 
 use super::filled::{Filled, folder, new_run, press, store};
-use crate::support::{self, PALPATE, SENSOR, sensor};
+use crate::support::{self, SENSOR, command, finished, sensor};
 
 /// Rows of `real` in a filled folder.
 const REAL: u64 = 235;
@@ -46,12 +46,7 @@ impl Called {
 
 /// Runs a command of `palpate` without the environment of the tests.
 async fn typed(words: &[&str]) -> std::process::Output {
-    let mut command = Command::new(PALPATE);
-    for name in ["URL", "CA", "KEY", "KEY_FILE", "DATA"] {
-        command.env_remove(format!("PALPATE_{name}"));
-    }
-    command.args(words);
-    tokio::task::spawn_blocking(move || command.output().unwrap()).await.unwrap()
+    finished(command(words)).await
 }
 
 /// Joins datasets in a folder.
@@ -324,9 +319,7 @@ async fn rigs_that_differ_are_refused_with_the_field_that_differs() {
 #[tokio::test(flavor = "multi_thread")]
 async fn each_service_gets_its_own_key_from_a_file() {
     let open = rig("federate-key").await;
-    let reader = json!({ "name": "reader", "role": "viewer" });
-    let (status, made) = open.post("/api/v1/keys", reader).await;
-    assert_eq!(status, 201, "{made}");
+    let (_, secret) = open.key("reader", "viewer").await;
     let lab = Filled::serve_as(open.end().await, |options| {
         (options.local_admin, options.require_key) = (false, true);
     })
@@ -337,7 +330,7 @@ async fn each_service_gets_its_own_key_from_a_file() {
     let without = federate(&out, &[&format!("a={url}")]).await;
     assert_eq!(without.code, 1);
     assert!(without.each("note")[0].contains("key_file"), "{}", without.answer);
-    std::fs::write(files.join("a.key"), format!("{}\n", made["secret"].as_str().unwrap())).unwrap();
+    std::fs::write(files.join("a.key"), format!("{secret}\n")).unwrap();
     let rigs = files.join("rigs.toml");
     std::fs::write(&rigs, format!("[a]\nurl = \"{url}\"\nkey_file = \"a.key\"\n")).unwrap();
     let rigs = rigs.display().to_string();

@@ -261,9 +261,7 @@ impl Filled {
 
     /// Makes a dataset of the trials stored now, by its name.
     pub async fn make(&self, name: &str) -> Value {
-        let (status, made) = self.post("/api/v1/datasets", json!({ "name": name })).await;
-        assert_eq!(status, 200, "{made}");
-        made
+        self.posted("/api/v1/datasets", json!({ "name": name }), 200).await
     }
 
     /// A GET that must succeed.
@@ -283,6 +281,12 @@ impl Filled {
         (status, body["detail"].as_str().unwrap_or_default().to_owned())
     }
 
+    /// A GET that must be refused with this status and these words.
+    pub async fn refuses_get(&self, path: &str, expected: u16, words: &str) {
+        let (status, found) = self.refused(path).await;
+        assert!(status == expected && found.contains(words), "{path:.200}: {status} {found:.300}");
+    }
+
     /// A POST: its status and its body.
     pub async fn post(&self, path: &str, body: Value) -> (u16, Value) {
         let answer = self.http.post(self.url(path)).json(&body).send().await.unwrap();
@@ -290,7 +294,25 @@ impl Filled {
         (status, answer.json().await.unwrap_or(Value::Null))
     }
 
-    /// Waits until an export is over.
+    /// A POST that must have this status: its body.
+    pub async fn posted(&self, path: &str, body: Value, expected: u16) -> Value {
+        let (status, answer) = self.post(path, body.clone()).await;
+        assert_eq!(status, expected, "{path} {body}: {answer}");
+        answer
+    }
+
+    /// A POST that must be refused with this status and these words.
+    pub async fn refuses(&self, path: &str, body: Value, expected: u16, words: &str) {
+        let problem = self.posted(path, body, expected).await;
+        assert!(problem["detail"].as_str().unwrap().contains(words), "{words}: {problem}");
+    }
+
+    /// Makes a key: its number, and its secret.
+    pub async fn key(&self, name: &str, role: &str) -> (i64, String) {
+        let made = self.posted("/api/v1/keys", json!({ "name": name, "role": role }), 201).await;
+        (made["key"]["id"].as_i64().unwrap(), made["secret"].as_str().unwrap().to_owned())
+    }
+
     pub async fn over(&self, export: &str) -> Value {
         let start = Instant::now();
         loop {

@@ -16,19 +16,14 @@ async fn import(lab: &Filled, files: &PathBuf, file: &str, more: &[&str]) -> Out
     let mut command = Command::new(PALPATE);
     command.current_dir(files).args(["dataset", "import", file, "--sensor", "pad.toml"]);
     command.args(more).args(["--url", &lab.url("")]);
-    tokio::task::spawn_blocking(move || command.output().unwrap()).await.unwrap()
+    support::finished(command).await
 }
 
 /// Writes the files of a script of `python/`; `None` without its modules.
 async fn written(script: &str, name: &str) -> Option<PathBuf> {
     let python = support::python("pandas, numpy, scipy, pyarrow")?;
     let files = folder(name);
-    let mut command = Command::new(python);
-    command.env("PYTHONDONTWRITEBYTECODE", "1");
-    command.arg(format!("{}/tests/it/datasets/python/{script}", env!("CARGO_MANIFEST_DIR")));
-    command.arg(&files);
-    let output = tokio::task::spawn_blocking(move || command.output().unwrap()).await.unwrap();
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    support::printed(python, &format!("datasets/python/{script}"), &[&files]).await;
     Some(files)
 }
 

@@ -104,9 +104,7 @@ async fn another_skins_trials_are_a_run_like_any_other() {
     assert_eq!(trials[1]["missing_channels"], 1);
     assert_eq!(trials[2]["contact_count"], 0);
     let imported = trials[0]["trial_id"].as_i64().unwrap();
-    let (status, words) = lab.refused(&format!("/api/v1/trials/{imported}/frames")).await;
-    assert_eq!(status, 404);
-    assert!(words.contains("no raw frames"), "{words}");
+    lab.refuses_get(&format!("/api/v1/trials/{imported}/frames"), 404, "no raw frames").await;
     // Without a force there is no map, not a map of zeros.
     let path = format!("/api/v1/datasets/run-{run}/rows?map=10x10&columns=trial_id,voltages_v");
     lab.make(&format!("run-{run}")).await;
@@ -122,9 +120,7 @@ async fn another_skins_trials_are_a_run_like_any_other() {
     assert_eq!(lab.make("real").await["report"]["channels"], 784);
     let both = serde_json::json!({ "definition": { "name": "both", "task": "real",
         "runs": ["1", run.to_string()] } });
-    let (status, body) = lab.post("/api/v1/datasets", both).await;
-    assert_eq!(status, 409);
-    assert!(body["detail"].as_str().unwrap().contains("run 1 is virtual"), "{body}");
+    lab.refuses("/api/v1/datasets", both, 409, "run 1 is virtual").await;
     let own = serde_json::json!({ "definition": { "name": "pad", "task": "real",
         "runs": ["pad-study"] } });
     let (status, own) = lab.post("/api/v1/datasets", own).await;
@@ -183,8 +179,7 @@ async fn raw_frames_are_stored_and_served_as_those_of_a_rig() {
     // A device measured them that is not known here.
     assert!(served[0].get("sequence").is_none() && served[0].get("device_time_us").is_none());
     assert_eq!(served[1]["counts"][0], 32_767);
-    let (status, words) = lab.refused(&path(2)).await;
-    assert!(status == 404 && words.contains("no raw frames"), "{words}");
+    lab.refuses_get(&path(2), 404, "no raw frames").await;
     // Without the mean the third trial has no frame.
     let (status, body) = import(&lab, parquet(columns()), PAD).await;
     let detail = body["detail"].as_str().unwrap_or_default();

@@ -25,7 +25,6 @@ const RECON_NET: &str = "name = \"maps\"\ndataset = \"real\"\nmap = \"20x60\"\n[
     input = \"unit\"\n";
 
 impl Filled {
-    /// Waits until a job is over.
     async fn job(&self, job: &Value) -> Value {
         let (start, id) = (Instant::now(), job["id"].as_str().unwrap());
         loop {
@@ -40,16 +39,14 @@ impl Filled {
 
     /// The id of the model that a recipe produces.
     async fn trained(&self, recipe: &str) -> String {
-        let (status, job) = self.post("/api/v1/trainings", json!({ "recipe": recipe })).await;
-        assert_eq!(status, 202, "{job}");
+        let job = self.posted("/api/v1/trainings", json!({ "recipe": recipe }), 202).await;
         let done = self.job(&job).await;
         assert_eq!(done["state"], "done", "{done}");
         done["result"]["model"].as_str().unwrap().to_owned()
     }
 
     async fn scored(&self, request: Value) -> Value {
-        let (status, job) = self.post("/api/v1/evaluations", request).await;
-        assert_eq!(status, 202, "{job}");
+        let job = self.posted("/api/v1/evaluations", request, 202).await;
         let done = self.job(&job).await;
         assert_eq!(done["state"], "done", "{done}");
         done["result"].clone()
@@ -112,16 +109,13 @@ async fn nets_are_trained_scored_promoted_and_asked() {
 
     let frame = lab.a_frame().await;
     let request = json!({ "method": "paper", "frames": [frame, frame], "map": true });
-    let (status, refused) = lab.post("/api/v1/infer", request.clone()).await;
-    assert_eq!(status, 409, "{refused}");
-    let (status, _) = lab.post("/api/v1/serving", json!({ "what": "maps" })).await;
-    assert_eq!(status, 200);
+    lab.posted("/api/v1/infer", request.clone(), 409).await;
+    lab.posted("/api/v1/serving", json!({ "what": "maps" }), 200).await;
     let mut both = request.clone();
     both["transfer"] = json!(transfer);
     let (status, refused) = lab.post("/api/v1/infer", both).await;
     assert_eq!((status, &refused["errors"][0]["key"]), (422, &json!("transfer")), "{refused}");
-    let (status, answers) = lab.post("/api/v1/infer", request).await;
-    assert_eq!(status, 200, "{answers}");
+    let answers = lab.posted("/api/v1/infer", request, 200).await;
     assert_eq!(answers.as_array().unwrap().len(), 2);
     assert_eq!((&answers[0]["model"], &answers[0]["method"]), (&json!(maps), &json!("paper")));
     assert_eq!(answers[0]["force_map_n"].as_array().unwrap().len(), 32 * 32);
@@ -147,8 +141,7 @@ async fn nets_are_trained_scored_promoted_and_asked() {
     assert_eq!(serving["serves"][1], json!({ "slot": "map", "what": maps }));
     let (status, back) = lab.post("/api/v1/serving/roll-back", json!({ "slot": "map" })).await;
     assert_eq!((status, &back["what"]), (200, &Value::Null));
-    let (status, _) = lab.post("/api/v1/serving/roll-back", json!({ "slot": "points" })).await;
-    assert_eq!(status, 409);
+    lab.posted("/api/v1/serving/roll-back", json!({ "slot": "points" }), 409).await;
     lab.close().await;
 }
 
@@ -217,18 +210,10 @@ async fn what_cannot_be_is_named_and_changes_nothing() {
         assert_eq!(failed["state"], "failed");
         assert!(failed["error"].as_str().unwrap().contains(words), "{words}: {failed}");
     }
-    let (status, body) = lab
-        .post(
-            "/api/v1/evaluations",
-            json!({ "scored": "paper", "dataset": "real", "part": "some" }),
-        )
-        .await;
-    assert_eq!(status, 422);
-    assert!(body["detail"].as_str().unwrap().contains("part = some"), "{body}");
+    let unknown = json!({ "scored": "paper", "dataset": "real", "part": "some" });
+    lab.refuses("/api/v1/evaluations", unknown, 422, "part = some").await;
     let unused = json!({ "scored": "tikhonov", "dataset": "real", "points": "any" });
-    let (status, body) = lab.post("/api/v1/evaluations", unused).await;
-    assert_eq!(status, 422);
-    assert!(body["detail"].as_str().unwrap().contains("points = named"), "{body}");
+    lab.refuses("/api/v1/evaluations", unused, 422, "points = named").await;
 
     let frame = vec![0.0; 784];
     for (frames, words) in [
@@ -236,10 +221,8 @@ async fn what_cannot_be_is_named_and_changes_nothing() {
         (json!([]), "frames = 0"),
         (json!([frame, vec![1e39; 784]]), "frames"),
     ] {
-        let (status, body) =
-            lab.post("/api/v1/infer", json!({ "method": "fast", "frames": frames })).await;
-        assert_eq!(status, 422, "{body}");
-        assert!(body["detail"].as_str().unwrap().contains(words), "{words}: {body}");
+        let request = json!({ "method": "fast", "frames": frames });
+        lab.refuses("/api/v1/infer", request, 422, words).await;
     }
     let nan: Vec<u8> = [f32::NAN; 784].iter().flat_map(|v| v.to_le_bytes()).collect();
     for (bytes, words) in [(nan.clone(), "frames[0][0] = NaN"), (nan[..13].to_vec(), "body = 13")] {
@@ -280,16 +263,13 @@ async fn what_cannot_be_is_named_and_changes_nothing() {
     assert_eq!(lab.get("/api/v1/models").await["items"].as_array().unwrap().len(), 1);
 
     let request = json!({ "method": "fast", "model": id, "frames": [frame] });
-    let (status, body) = lab.post("/api/v1/infer", request).await;
-    assert_eq!(status, 409, "{body}");
-    assert!(body["detail"].as_str().unwrap().contains("has no use for it"), "{body}");
+    lab.refuses("/api/v1/infer", request, 409, "has no use for it").await;
     let request = json!({ "method": "fast", "model": "cal-0", "frames": [frame] });
     let (status, body) = lab.post("/api/v1/infer", request).await;
     let words = "model = cal-0: must be a net";
     assert!(status == 422 && body["detail"].as_str().unwrap().contains(words), "{body}");
     let request = json!({ "method": "exact", "model": "cal-0", "frames": [frame] });
-    let (status, body) = lab.post("/api/v1/infer", request).await;
-    assert_eq!(status, 404, "{body}");
+    lab.posted("/api/v1/infer", request, 404).await;
     let file = parquet(vec![
         ("voltages_v", frames(4, vec![Some(0.1); 4])),
         ("contacts", lists(&[(10.0, 20.0, Some(3.0))], [1])),
@@ -308,8 +288,7 @@ async fn what_cannot_be_is_named_and_changes_nothing() {
     }
     let (status, added) = add(onnx.to_vec(), facts.to_owned()).await;
     assert_eq!(status, 201, "{added}");
-    let (status, _) = lab.post("/api/v1/serving", json!({ "what": "mine" })).await;
-    assert_eq!(status, 200);
+    lab.posted("/api/v1/serving", json!({ "what": "mine" }), 200).await;
     lab.close().await;
 }
 

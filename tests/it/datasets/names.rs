@@ -75,8 +75,7 @@ async fn equal_places_never_straddle_a_split_and_datasets_divide_alike() {
     // By trial, as in the paper's tables, and in every number of contacts alike.
     let by_trial = json!({ "definition": { "name": "by-trial", "task": "real",
         "deadband_n": 10.0, "split": { "by": "trial", "stratify": true } } });
-    let (status, made) = lab.post("/api/v1/datasets", by_trial).await;
-    assert_eq!(status, 200, "{made}");
+    let made = lab.posted("/api/v1/datasets", by_trial, 200).await;
     let by_trial = rows(&lab, made["id"].as_str().unwrap(), "split,contact_count").await;
     for contacts in 1..=2 {
         let of = |part: &str| {
@@ -187,8 +186,7 @@ async fn a_run_that_ended_gets_its_file_by_itself() {
 #[tokio::test]
 async fn what_cannot_be_made_is_explained() {
     let lab = Filled::open("refusals").await;
-    let (status, words) = lab.refused("/api/v1/datasets/real").await;
-    assert!(status == 404 && words.contains("palpate dataset make real"), "{words}");
+    lab.refuses_get("/api/v1/datasets/real", 404, "palpate dataset make real").await;
     let (status, words) = lab.refused("/api/v1/datasets/reel").await;
     assert_eq!(status, 404);
     assert!(words.contains("r2s-transfer") && words.contains("run-N"), "{words}");
@@ -212,8 +210,7 @@ async fn what_cannot_be_made_is_explained() {
     }
     let toml =
         json!({ "file": "d.toml", "toml": "name = \"x\"\ntask = \"real\"\nflagged = \"maybe\"\n" });
-    let (status, body) = lab.post("/api/v1/datasets", toml).await;
-    assert_eq!(status, 400);
+    let body = lab.posted("/api/v1/datasets", toml, 400).await;
     let detail = body["detail"].as_str().unwrap();
     assert!(detail.contains("d.toml: flagged") && detail.contains("leave-out"), "{detail}");
     lab.close().await;

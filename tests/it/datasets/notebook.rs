@@ -3,7 +3,7 @@
 //! `PALPATE_REQUIRE_TOOLS=1` it fails instead.
 
 use std::collections::BTreeMap;
-use std::process::Command;
+use std::path::Path;
 
 use serde_json::Value;
 
@@ -18,20 +18,9 @@ const MODULES: &str = "pandas, polars, duckdb, pyarrow, numpy";
 async fn every_tool_reads_what_the_database_holds() {
     let Some(python) = support::python(MODULES) else { return };
     let lab = Filled::open("notebook").await;
-    let script = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/it/datasets/python/check.py");
     let (url, database) = (lab.service.url(), lab.data.join("palpate.db"));
-    let output = tokio::task::spawn_blocking(move || {
-        Command::new(python)
-            .env("PYTHONDONTWRITEBYTECODE", "1")
-            .arg(script)
-            .arg(url)
-            .arg(database)
-            .output()
-            .unwrap()
-    });
-    let output = output.await.unwrap();
-    println!("{}", String::from_utf8_lossy(&output.stdout));
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let arguments = [Path::new(&url), &database];
+    println!("{}", support::printed(python, "datasets/python/check.py", &arguments).await);
     lab.close().await;
 }
 
@@ -48,14 +37,7 @@ enum Expected {
 async fn files_written_from_python_are_taken_or_refused() {
     let Some(python) = support::python(MODULES) else { return };
     let files = folder("written-from-python");
-    let script = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/it/datasets/python/import.py");
-    let output = Command::new(python)
-        .env("PYTHONDONTWRITEBYTECODE", "1")
-        .arg(script)
-        .arg(&files)
-        .output()
-        .unwrap();
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    support::printed(python, "datasets/python/import.py", &[&files]).await;
     let read = |name: &str| std::fs::read(files.join(name)).unwrap();
     let expected: BTreeMap<String, Expected> =
         serde_json::from_slice(&read("expected.json")).unwrap();

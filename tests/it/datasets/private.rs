@@ -24,9 +24,8 @@ async fn other_users_can_read_nothing_that_the_service_writes() {
     std::fs::set_permissions(&data, Permissions::from_mode(0o755)).unwrap();
     fill(&data).await;
     let lab = Filled::serve(data.clone()).await;
-    let (status, asked) =
-        lab.post("/api/v1/exports", json!({ "dataset": "real", "format": "csv" })).await;
-    assert_eq!(status, 202, "{asked}");
+    let asked =
+        lab.posted("/api/v1/exports", json!({ "dataset": "real", "format": "csv" }), 202).await;
     assert_eq!(lab.over(asked["id"].as_str().unwrap()).await["state"], "done");
     let mut found = vec![data];
     below(&found[0].clone(), &mut found);

@@ -26,8 +26,7 @@ async fn lab(name: &str) -> Option<Filled> {
 }
 
 async fn ask(lab: &Filled, sql: &str) -> Value {
-    let (status, answer) = lab.post("/api/v1/query", json!({ "sql": sql })).await;
-    assert_eq!(status, 200, "{sql}: {answer}");
+    let answer = lab.posted("/api/v1/query", json!({ "sql": sql }), 200).await;
     answer["rows"].clone()
 }
 
@@ -119,10 +118,8 @@ async fn trials_of_a_run_that_goes_on_are_there_and_datasets_are_tables() {
     store.close().await;
     assert!(before.is_i64());
 
-    let (status, answer) =
-        lab.post("/api/v1/query", json!({ "sql": "SELECT count(*) AS n FROM \"real\"" })).await;
-    assert_eq!(status, 400);
-    assert!(answer["detail"].as_str().unwrap().contains("dataset make real"), "{answer}");
+    let unmade = json!({ "sql": "SELECT count(*) AS n FROM \"real\"" });
+    lab.refuses("/api/v1/query", unmade, 400, "dataset make real").await;
     let made = lab.make("real").await;
     for name in ["real", made["id"].as_str().unwrap()] {
         let sql = format!("SELECT count(*) AS n FROM \"{name}\"");
@@ -250,8 +247,7 @@ async fn a_refusal_names_what_is_wrong() {
         ("SELECT CAST(9223372036854775807 AS TIMESTAMP) AS t FROM runs", "is no time"),
         ("SELECT a.trial_id FROM voltages a CROSS JOIN voltages b", "rows"),
     ] {
-        let (status, answer) = lab.post("/api/v1/query", json!({ "sql": sql })).await;
-        assert_eq!(status, 400, "{sql}: {answer}");
+        let answer = lab.posted("/api/v1/query", json!({ "sql": sql }), 400).await;
         let key = if word == "is no time" { "" } else { "sql" };
         assert_eq!(answer["errors"][0]["key"], key, "{sql}");
         assert!(answer["detail"].as_str().unwrap().contains(word), "{sql}: {answer}");
@@ -263,14 +259,10 @@ async fn a_refusal_names_what_is_wrong() {
         ("group_by=tips&sort=fvu", "tips, count"),
         ("columns=fvu", "must be absent"),
     ] {
-        let (status, words) = lab.refused(&format!("/api/v1/trials/groups?{query}")).await;
-        assert_eq!(status, 400, "{query}: {words}");
-        assert!(words.contains(word), "{query}: {words}");
+        lab.refuses_get(&format!("/api/v1/trials/groups?{query}"), 400, word).await;
     }
-    let (status, words) = lab.refused("/api/v1/trials?group_by=tips").await;
-    assert!(status == 400 && words.contains("/api/v1/trials/groups"), "{words}");
-    let (status, words) = lab.refused("/api/v1/trials?sort=contacts").await;
-    assert!(status == 400 && words.contains("max_force_n"), "{words}");
+    lab.refuses_get("/api/v1/trials?group_by=tips", 400, "/api/v1/trials/groups").await;
+    lab.refuses_get("/api/v1/trials?sort=contacts", 400, "max_force_n").await;
     // The service is steady.
     assert_eq!(number(&lab, "SELECT count(*) AS n FROM trials").await, json!(342));
     lab.close().await;

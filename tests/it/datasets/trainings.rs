@@ -42,7 +42,6 @@ fn trainer(job: &str) -> Option<i32> {
     })
 }
 
-/// The environment with which a process was started.
 fn environment(process: i32) -> String {
     let variables = std::fs::read(format!("/proc/{process}/environ")).unwrap();
     String::from_utf8_lossy(&variables).into_owned()
@@ -62,8 +61,7 @@ fn nice(process: i32) -> i32 {
 
 impl Filled {
     async fn asked(&self, recipe: &str) -> (Value, String) {
-        let (status, job) = self.post("/api/v1/trainings", json!({ "recipe": recipe })).await;
-        assert_eq!(status, 202, "{job}");
+        let job = self.posted("/api/v1/trainings", json!({ "recipe": recipe }), 202).await;
         let id = job["id"].as_str().unwrap().to_owned();
         (job, id)
     }

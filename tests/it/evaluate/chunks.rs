@@ -5,29 +5,21 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output, Stdio};
+use std::process::{Command, Stdio};
 
 use serde_json::{Value, json};
 
 use super::commands::{evaluate, palpate, table_text, trials};
 use crate::datasets::filled::folder;
-use crate::support::{PALPATE, Process};
+use crate::support::{PALPATE, Process, copy_folder, done, not_done, succeeded};
 
 /// Few passes over few rows, and few scored ones.
 const TINY: [&str; 6] = ["--epochs", "1", "--rows", "40", "--scored", "20"];
 
-/// Output of a command that must succeed.
-fn done(output: &Output) -> String {
-    let words = String::from_utf8_lossy(&output.stderr);
-    assert!(output.status.success(), "{words}");
-    String::from_utf8(output.stdout.clone()).unwrap()
-}
-
 /// Orders the nets of Table IV in a folder of the data.
 fn ordered(data: &Path, name: &str) -> Value {
     let options = ["cluster", "sbatch", "table", "maps", "--json", "--folder", name];
-    let text = done(&palpate(data, &[&options[..], &TINY[..]].concat()));
-    serde_json::from_str(text.lines().last().unwrap()).unwrap()
+    done(&palpate(data, &[&options[..], &TINY[..]].concat()))
 }
 
 /// Starts a task of an array.
@@ -103,27 +95,24 @@ async fn a_table_of_two_processes_is_that_of_one() {
     damaged[bytes.len() / 2] ^= 1;
     fs::write(&path, damaged).unwrap();
     let refused = palpate(&data, &["cluster", "gather", "one", "--out", "nets-one"]);
-    assert_eq!(refused.status.code(), Some(1));
-    let words = String::from_utf8_lossy(&refused.stderr).into_owned();
-    assert!(words.contains("is damaged"), "{words}");
+    not_done(&refused, 1, "is damaged");
     assert!(task(&data, "one", "0", "1").0.wait().unwrap().success());
     assert!(nets(&data.join("one")) == one, "other bytes the second time");
 
     // Each table in a separate data folder, so that each adds its own nets.
     let copy = folder("evaluate-chunks-copy");
-    let status = Command::new("cp").arg("-r").arg(data.join(".")).arg(&copy).status().unwrap();
-    assert!(status.success());
+    copy_folder(&data.join("."), &copy);
     let mut tables = Vec::new();
     for (place, name) in [(&data, "one"), (&copy, "two")] {
         let out = format!("nets-{name}");
-        done(&palpate(place, &["cluster", "gather", name, "--out", &out]));
+        succeeded(&palpate(place, &["cluster", "gather", name, "--out", &out]));
         let (table, times) = table(place, &["--trained", &out]);
         assert_eq!(times, 0, "scores of chunks state no latencies");
         let models = table["maps"].as_array().unwrap().iter();
         let models: BTreeSet<String> =
             models.map(|map| map["model"].as_str().unwrap().to_owned()).collect();
         assert_eq!(models, ids(&place.join(&out)), "the models of the table are the gathered nets");
-        let jobs = done(&palpate(place, &["job", "list", "--json"]));
+        let jobs = succeeded(&palpate(place, &["job", "list", "--json"]));
         assert_eq!(jobs, "", "the service trained or scored a net");
         tables.push((table, table_text(place, "table-iv")));
     }

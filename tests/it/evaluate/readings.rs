@@ -10,18 +10,14 @@ use serde_json::{Value, json};
 
 use super::commands::{evaluate, palpate, trials};
 use crate::datasets::filled::folder;
-use crate::support::{PALPATE, Process};
+use crate::support::{self, PALPATE, Process};
 
 /// The evaluation.
 const OPTIONS: [&str; 7] = ["exact", "--dataset", "real", "--part", "test", "--scored", "12"];
 
 /// The last line of a command that must succeed.
 fn done(data: &Path, arguments: &[&str]) -> Value {
-    let output = palpate(data, arguments);
-    let words = String::from_utf8_lossy(&output.stderr);
-    assert!(output.status.success(), "{arguments:?}: {words}");
-    let text = String::from_utf8(output.stdout.clone()).unwrap();
-    serde_json::from_str(text.lines().last().unwrap()).unwrap()
+    support::done(&palpate(data, arguments))
 }
 
 /// Starts a task of an array, on a node with the cache alone.
@@ -73,8 +69,7 @@ async fn answers_of_two_processes_are_scored_as_those_of_the_service() {
     fs::create_dir(&two).unwrap();
     fs::copy(one.join("order.json"), two.join("order.json")).unwrap();
     let node = folder("evaluate-readings-node");
-    let copied = Command::new("cp").arg("-r").arg(data.join("cache")).arg(&node).status().unwrap();
-    assert!(copied.success());
+    support::copy_folder(&data.join("cache"), &node);
 
     assert!(task(&node, &one, "0", "1").0.wait().unwrap().success());
     for mut process in ["0", "1"].map(|number| task(&node, &two, number, "2")) {
@@ -107,7 +102,5 @@ async fn answers_of_two_processes_are_scored_as_those_of_the_service() {
     // A method whose frames are read at once is refused.
     let fast =
         ["cluster", "sbatch", "evaluation", "tikhonov", "--dataset", "real", "--folder", "four"];
-    let refused = palpate(&data, &fast);
-    let words = String::from_utf8_lossy(&refused.stderr).into_owned();
-    assert!(refused.status.code() == Some(2) && words.contains("must be exact"), "{words}");
+    support::not_done(&palpate(&data, &fast), 2, "must be exact");
 }

@@ -12,7 +12,7 @@ use std::path::Path;
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
-use crate::support::{Folder, PALPATE, Process};
+use crate::support::{Folder, PALPATE, Process, copy_folder};
 
 /// Longest wait for the service, and for a state of a run.
 const LIMIT: Duration = Duration::from_secs(120);
@@ -32,7 +32,7 @@ struct Lab {
 impl Lab {
     fn new(name: &str, url: &str) -> Self {
         let folder = Folder::new(&format!("mistakes-{name}"));
-        copy(&Path::new(env!("CARGO_MANIFEST_DIR")).join("experiments"), &folder);
+        copy_folder(Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/experiments/.")), &folder);
         let masks = vec![(folder.display().to_string(), "HERE")];
         Self { folder, url: url.into(), masks }
     }
@@ -119,18 +119,6 @@ impl Lab {
             }
         }
         (found, count)
-    }
-}
-
-fn copy(from: &Path, to: &Path) {
-    for entry in std::fs::read_dir(from).unwrap().flatten() {
-        let target = to.join(entry.file_name());
-        if entry.path().is_dir() {
-            std::fs::create_dir_all(&target).unwrap();
-            copy(&entry.path(), &target);
-        } else {
-            std::fs::copy(entry.path(), target).unwrap();
-        }
     }
 }
 

@@ -39,7 +39,6 @@ impl Draw {
         self.numbers(count, -bound, bound)
     }
 
-    /// A dense layer.
     pub fn dense(&mut self, inputs: usize, outputs: usize) -> Layer {
         let weight = self.weights(inputs * outputs, inputs);
         Layer::Dense { inputs, outputs, weight, bias: self.numbers(outputs, -0.1, 0.1) }

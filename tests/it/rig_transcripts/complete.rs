@@ -36,7 +36,6 @@ impl Checkout {
         }
     }
 
-    /// What a device lacks.
     fn lacks(&self, device: &str) -> Vec<String> {
         let own = |(name, _): &&(String, String)| device_of(name) == Some(device);
         let damaged = |text: &str| text.lines().filter(|l| l.starts_with("= ")).count();

@@ -11,7 +11,7 @@ use rand::{RngExt, SeedableRng};
 use serde_json::{Value, json};
 
 use super::{data, files, folder, made as simulated};
-use crate::support::{PALPATE, Process};
+use crate::support::{PALPATE, Process, done, not_done, succeeded};
 
 /// Options of 6,000 trials in 20 chunks.
 static TRIALS: [&str; 4] = ["--trials", "6000", "--shard-trials", "300"];
@@ -21,8 +21,7 @@ static MANY_TRIALS: [&str; 4] = ["--trials", "24000", "--shard-trials", "300"];
 /// An order of trials in an empty folder.
 fn ordered(name: &str, options: &[&str]) -> PathBuf {
     let folder = folder(name);
-    let output = ordering(&folder, options);
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    succeeded(&ordering(&folder, options));
     folder
 }
 
@@ -41,9 +40,7 @@ fn making(folder: &Path, options: &[&str]) -> Command {
 
 /// Makes chunks; returns the last line, which has the totals.
 fn make(folder: &Path, options: &[&str]) -> Value {
-    let output = making(folder, options).output().unwrap();
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    super::last_line(&output)
+    done(&making(folder, options).output().unwrap())
 }
 
 fn status(folder: &Path) -> Value {
@@ -220,13 +217,7 @@ fn orders_and_options_that_are_wrong_are_refused() {
     let order = ordered("chunks-refused", &TRIALS);
     let text = |name: &str| fs::read_to_string(order.join(name)).unwrap();
     let (before, job) = (text("order.json"), text("job.sh"));
-    let same = ordering(&order, &TRIALS);
-    assert_eq!(super::last_line(&same)["changed"], false);
-    let refused = |options: &[&str]| {
-        let output = ordering(&order, options);
-        assert_eq!(output.status.code(), Some(2), "{options:?}");
-        String::from_utf8(output.stderr).unwrap()
-    };
+    assert_eq!(done(&ordering(&order, &TRIALS))["changed"], false);
     for (options, words) in [
         (&["--seed", "2"][..], "definition.draws.seed = 1, requested 2"),
         (&["--contacts", "1..7"], "contacts = 1..7: must be A..B"),
@@ -239,14 +230,13 @@ fn orders_and_options_that_are_wrong_are_refused() {
         (&["--shard-trials", "0"], "shard-trials = 0: must be from 1 to"),
     ] {
         let base: &[&str] = if options[0] == "--shard-trials" { &TRIALS[..2] } else { &TRIALS };
-        let said = refused(&[base, options].concat());
-        assert!(said.contains(words), "{said}");
+        not_done(&ordering(&order, &[base, options].concat()), 2, words);
     }
     assert_eq!((text("order.json"), text("job.sh")), (before.clone(), job));
 
     // Other options of the job alone.
     let other = ordering(&order, &[&TRIALS[..], &["--tasks", "4", "--time", "30"]].concat());
-    assert_eq!(super::last_line(&other)["tasks"], 4);
+    assert_eq!(done(&other)["tasks"], 4);
     assert_eq!(text("order.json"), before);
     let job = text("job.sh");
     assert!(job.contains("#SBATCH --array=0-3\n") && job.contains("#SBATCH --time=30\n"), "{job}");
@@ -257,10 +247,7 @@ fn orders_and_options_that_are_wrong_are_refused() {
         (&["--task", "4", "--tasks", "4"], "task = 4: must be from 0 to 3"),
         (&["--task", "0", "--tasks", "0"], "tasks = 0: must be at least 1"),
     ] {
-        let output = making(&order, options).output().unwrap();
-        let said = String::from_utf8(output.stderr).unwrap();
-        assert_eq!(output.status.code(), Some(2), "{said}");
-        assert!(said.contains(words), "{said}");
+        not_done(&making(&order, options).output().unwrap(), 2, words);
     }
     for (from, to, words) in [
         (concat!(env!("CARGO_PKG_VERSION"), ", chunk 1"), "9.9.9, chunk 1", "code = "),
@@ -268,10 +255,7 @@ fn orders_and_options_that_are_wrong_are_refused() {
     ] {
         assert!(before.contains(from), "{from}");
         fs::write(order.join("order.json"), before.replace(from, to)).unwrap();
-        let output = making(&order, &["0"]).output().unwrap();
-        let said = String::from_utf8(output.stderr).unwrap();
-        assert_eq!(output.status.code(), Some(2), "{said}");
-        assert!(said.contains(words), "{said}");
+        not_done(&making(&order, &["0"]).output().unwrap(), 2, words);
     }
 }
 

@@ -15,7 +15,7 @@ use rand::{RngExt, SeedableRng};
 use serde_json::Value;
 use sim_core::forward::{Contact, ForwardModel, Workspace};
 
-use crate::support::{self, PALPATE, Process, sensor};
+use crate::support::{self, PALPATE, Process, not_done, sensor};
 
 mod cluster;
 
@@ -59,9 +59,7 @@ fn run(out: &Path, options: &[&str]) -> Output {
 }
 
 fn made(out: &Path, options: &[&str]) -> Value {
-    let output = run(out, options);
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    last_line(&output)
+    support::done(&run(out, options))
 }
 
 fn last_line(output: &Output) -> Value {
@@ -172,10 +170,7 @@ fn a_folder_of_another_definition_is_refused_by_the_field_that_differs() {
         ("--contacts", "1..5", "draws.contacts = [1,6], requested [1,5]"),
         ("--shard-trials", "10", "shard_trials = 1500, requested 10"),
     ] {
-        let output = run(&out, &[&few[..], &[option, value]].concat());
-        let said = String::from_utf8(output.stderr).unwrap();
-        assert_eq!(output.status.code(), Some(2), "{said}");
-        assert!(said.contains(field), "{said}");
+        not_done(&run(&out, &[&few[..], &[option, value]].concat()), 2, field);
     }
     assert_eq!(files(&out), before);
 }
@@ -189,10 +184,7 @@ fn bad_options_are_named_with_their_limit() {
         (&["--trials", "0"], "trials = 0: must be from 1"),
         (&["--threads", "0"], "threads = 0: must be from 1 to 256"),
     ] {
-        let output = run(&out, options);
-        let said = String::from_utf8(output.stderr).unwrap();
-        assert_eq!(output.status.code(), Some(2), "{said}");
-        assert!(said.contains(words), "{said}");
+        not_done(&run(&out, options), 2, words);
     }
     assert!(!out.exists());
 }
@@ -290,6 +282,5 @@ fn a_net_learns_from_simulations_alone() {
     made(&data.join("sim-random/free"), &[]);
     let mut train = Command::new(PALPATE);
     train.args(["train", "recon-net", "--map", "20x60", "--epochs", "1", "--data"]).arg(&data);
-    let output = train.stdin(Stdio::null()).output().unwrap();
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    support::succeeded(&train.stdin(Stdio::null()).output().unwrap());
 }

@@ -4,6 +4,7 @@
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+use palpate::campaign::bench::interlock::TripKind;
 use palpate::campaign::bench::rig_state::RigState;
 use palpate::campaign::run::engine;
 use palpate::campaign::run::job::Job;
@@ -39,11 +40,8 @@ pub fn experiment(tips: u8, more: &str) -> String {
 pub struct Harness {
     /// Switched on.
     pub rig: VirtualRig,
-    /// The campaign.
     pub handle: Handle,
-    /// What it writes to.
     pub journal: Arc<Scripted>,
-    /// Its rig file.
     pub config: RigConfig,
     thread: std::thread::JoinHandle<()>,
     _turn: bench::Turn,
@@ -75,6 +73,26 @@ impl Harness {
         harness.ask(Request::Connect).await.unwrap();
         harness.home().await;
         harness
+    }
+
+    /// A homed rig on which `n` trials of an experiment with these tips are stored.
+    pub async fn running(tips: u8, n: u64) -> Self {
+        let harness = Self::homed().await;
+        harness.run(tips, "").await;
+        harness.stored(n).await;
+        harness
+    }
+
+    /// Resets a trip, and homes.
+    pub async fn reset_and_home(&self) {
+        self.ask(Request::Reset).await.unwrap();
+        self.home().await;
+    }
+
+    /// Resumes the run, which must reach its end.
+    pub async fn resume_to_the_end(&self) {
+        self.ask(Request::Resume).await.unwrap();
+        self.until("the end", |s| s.run.is_none()).await;
     }
 
     /// Homes, and waits for it.
@@ -119,7 +137,15 @@ impl Harness {
         self.start(self.job(&experiment(tips, more), |_| {})).await;
     }
 
-    /// Starts a job.
+    /// Starts an experiment of two tips that resumes automatically a second after a trip that passes; waits for a
+    /// trial.
+    pub async fn run_that_resumes(&self, policy: &str) {
+        self.mount(2, 2).await;
+        let definition = experiment(2, &format!("[policy]\nauto_resume_after_s = 1.0\n{policy}"));
+        self.start(self.job(&definition, |job| job.auto_resume = true)).await;
+        self.stored(1).await;
+    }
+
     pub async fn start(&self, job: Job) {
         self.ask(Request::Start(Arc::new(job))).await.unwrap();
     }
@@ -158,6 +184,23 @@ impl Harness {
         self.until("a halt", |s| s.run.as_ref().is_none_or(|r| r.state != StoredState::Running))
             .await;
         status
+    }
+
+    /// As `tripped`, by this kind and in these words, and safe.
+    pub async fn tripped_by(&self, kind: TripKind, words: &str) -> Status {
+        let status = self.tripped().await;
+        let trip = status.rig.trip.as_ref().expect("a trip");
+        assert_eq!(trip.kind, kind, "{trip:?}");
+        assert!(trip.detail.contains(words), "{trip:?}");
+        self.is_safe().await;
+        status
+    }
+
+    /// Trips the rig by wires of the cells that fail for this long.
+    pub async fn tripped_by_its_wires(&self, for_s: f64) {
+        self.fault("no_reply", "cells", json!({ "for_s": for_s })).await;
+        let trip = self.tripped().await.rig.trip.unwrap();
+        assert_eq!(trip.kind, TripKind::Wire, "{trip:?}");
     }
 
     /// Sends a line to the control socket.
@@ -224,6 +267,12 @@ impl Harness {
         let (_, data, _) = taken.events.iter().find(|e| e.0 == "trip").unwrap();
         assert_eq!(data["kind"], trip, "{data}");
         assert_eq!(taken.events.iter().filter(|e| e.0 == "trip").count(), 1, "{:?}", taken.events);
+    }
+
+    /// Aborts the run and ends the thread.
+    pub async fn abort_and_close(self) {
+        self.ask(Request::Abort).await.unwrap();
+        self.close().await;
     }
 
     /// Ends the thread; the diary is written to its end.

@@ -46,7 +46,6 @@ pub struct Taken {
     mounting: Option<Mounting>,
 }
 
-/// The journal.
 pub struct Scripted {
     mood: watch::Sender<Mood>,
     taken: Mutex<Taken>,

@@ -45,33 +45,19 @@ async fn a_confirmed_tip_change_moves_only_a_rig_that_was_homed_after_a_stop() {
     harness.home().await;
     harness.ask(confirm()).await.unwrap();
     harness.stored(1).await;
-    harness.ask(Request::Abort).await.unwrap();
-    harness.close().await;
+    harness.abort_and_close().await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn an_automatic_resume_waits_for_the_release_of_a_lock_that_was_taken_after_the_trip() {
-    let harness = homed().await;
-    harness.mount(2, 2).await;
-    let definition = experiment(2, "[policy]\nauto_resume_after_s = 1.0\n");
-    harness.start(harness.job(&definition, |job| job.auto_resume = true)).await;
-    harness.stored(1).await;
-    harness.fault("no_reply", "cells", json!({ "for_s": 40.0 })).await;
-    let trip = harness.tripped().await.rig.trip.unwrap();
-    assert_eq!(trip.kind, TripKind::Wire, "{trip:?}");
+    let harness = tripped_by_its_wires().await;
     harness.journal.taken().locked_at = Some(jiff::Timestamp::now());
-    let locked = |s: &Status| {
-        let run = s.run.as_ref();
-        run.and_then(|r| r.waiting_for.as_ref()).is_some_and(|words| words.contains("ada"))
-    };
-    harness.until("the lock is shown", locked).await;
-    tokio::time::sleep(Duration::from_secs(3)).await;
+    stays_for(&harness, "ada").await;
     assert_eq!(harness.handle.status().rig.state, RigState::Tripped);
     let stored = harness.journal.taken().trials.len() as u64;
     harness.journal.taken().locked_at = None;
     harness.stored(stored + 1).await;
-    harness.ask(Request::Abort).await.unwrap();
-    harness.close().await;
+    harness.abort_and_close().await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -96,17 +82,14 @@ async fn the_limits_of_a_run_hold_after_its_wires_were_opened_again() {
     harness
         .until("a touch-off", |s| s.run.as_ref().is_some_and(|r| r.phase == Phase::TouchOff))
         .await;
-    harness.fault("no_reply", "cells", json!({ "for_s": 60.0 })).await;
-    let trip = harness.tripped().await.rig.trip.unwrap();
-    assert_eq!(trip.kind, TripKind::Wire, "{trip:?}");
+    harness.tripped_by_its_wires(60.0).await;
     // The module replies again.
     tokio::time::sleep(Duration::from_secs(4)).await;
     harness.ask(Request::Disconnect).await.unwrap();
     let rig = harness.handle.status().rig;
     assert!(rig.pose.is_none() && rig.forces_n.is_empty() && rig.wires.is_empty(), "{rig:#?}");
     harness.ask(Request::Connect).await.unwrap();
-    harness.ask(Request::Reset).await.unwrap();
-    harness.home().await;
+    harness.reset_and_home().await;
     harness.ask(Request::Resume).await.unwrap();
     let trip = harness.tripped().await.rig.trip.unwrap();
     assert!(
@@ -120,13 +103,8 @@ async fn the_limits_of_a_run_hold_after_its_wires_were_opened_again() {
 /// A run that resumes automatically a second after a trip that passes, tripped by its wires, which fail for two seconds.
 async fn tripped_by_its_wires() -> Harness {
     let harness = homed().await;
-    harness.mount(2, 2).await;
-    let definition = experiment(2, "[policy]\nauto_resume_after_s = 1.0\n");
-    harness.start(harness.job(&definition, |job| job.auto_resume = true)).await;
-    harness.stored(1).await;
-    harness.fault("no_reply", "cells", json!({ "for_s": 40.0 })).await;
-    let trip = harness.tripped().await.rig.trip.unwrap();
-    assert_eq!(trip.kind, TripKind::Wire, "{trip:?}");
+    harness.run_that_resumes("").await;
+    harness.tripped_by_its_wires(40.0).await;
     harness
 }
 
@@ -135,6 +113,16 @@ async fn stays(harness: &Harness) {
     let stored = harness.journal.taken().trials.len();
     tokio::time::sleep(Duration::from_secs(3)).await;
     assert_eq!(harness.journal.taken().trials.len(), stored);
+}
+
+/// The run waits, for what these words name.
+async fn stays_for(harness: &Harness, words: &str) {
+    let waits = |s: &Status| {
+        let run = s.run.as_ref();
+        run.and_then(|r| r.waiting_for.as_ref()).is_some_and(|found| found.contains(words))
+    };
+    harness.until(words, waits).await;
+    stays(harness).await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -154,23 +142,16 @@ async fn a_pause_holds_a_run_that_was_to_resume_automatically() {
     harness.ask(Request::Resume).await.unwrap();
     let stored = harness.journal.taken().trials.len() as u64;
     harness.stored(stored + 1).await;
-    harness.ask(Request::Abort).await.unwrap();
-    harness.close().await;
+    harness.abort_and_close().await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_drive_that_was_without_power_waits_for_a_person() {
     let harness = tripped_by_its_wires().await;
     harness.fault("power_loss", "x", json!({ "count": 1 })).await;
-    let waits = |s: &Status| {
-        let words = s.run.as_ref().and_then(|run| run.waiting_for.clone());
-        words.is_some_and(|words| words.contains("x is not homed any more"))
-    };
-    harness.until("words for a person", waits).await;
-    stays(&harness).await;
+    stays_for(&harness, "x is not homed any more").await;
     assert_eq!(harness.handle.status().rig.state, RigState::Tripped);
-    harness.ask(Request::Abort).await.unwrap();
-    harness.close().await;
+    harness.abort_and_close().await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -185,8 +166,7 @@ async fn a_lock_that_is_taken_while_the_rig_homes_automatically_holds_the_run() 
     harness.journal.taken().locked_at = None;
     let stored = harness.journal.taken().trials.len() as u64;
     harness.stored(stored + 1).await;
-    harness.ask(Request::Abort).await.unwrap();
-    harness.close().await;
+    harness.abort_and_close().await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -195,16 +175,10 @@ async fn a_person_who_operates_the_rig_while_it_homes_automatically_holds_the_ru
     harness.until("an automatic reset", |s| s.rig.state == RigState::Disarmed).await;
     let refused = harness.ask(Request::Tare).await.unwrap_err();
     assert!(refused.to_string().contains("tare is not possible"), "{refused}");
-    let waits = |s: &Status| {
-        let words = s.run.as_ref().and_then(|run| run.waiting_for.clone());
-        words.is_some_and(|words| words.contains("a person has operated the rig"))
-    };
-    harness.until("words for a person", waits).await;
-    stays(&harness).await;
+    stays_for(&harness, "a person has operated the rig").await;
     let run = harness.handle.status().run.unwrap();
     assert_eq!((run.state, run.paused_why), (StoredState::Paused, Some(PausedWhy::Trip)));
-    harness.ask(Request::Abort).await.unwrap();
-    harness.close().await;
+    harness.abort_and_close().await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -225,12 +199,10 @@ async fn hands_are_not_called_to_tips_that_are_not_raised() {
     assert!(!harness.journal.taken().order.iter().any(|taken| taken == "wanted"));
     // Once a person has raised them, they are called for.
     harness.tell(json!({ "cmd": "mend" })).await;
-    harness.ask(Request::Reset).await.unwrap();
-    harness.home().await;
+    harness.reset_and_home().await;
     harness.ask(Request::Resume).await.unwrap();
     harness.until("a tip change", |s| s.run.as_ref().is_some_and(|r| r.wanted.is_some())).await;
-    harness.ask(Request::Abort).await.unwrap();
-    harness.close().await;
+    harness.abort_and_close().await;
 }
 
 #[tokio::test(flavor = "multi_thread")]

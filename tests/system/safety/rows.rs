@@ -17,13 +17,6 @@ use super::journal::Mood;
 use crate::bench::{self, rig_args};
 use palpate::state::StoredState;
 
-/// Tripped by this kind, in these words.
-fn cause(status: &Status, kind: TripKind, words: &str) {
-    let trip = status.rig.trip.as_ref().expect("a trip");
-    assert_eq!(trip.kind, kind, "{trip:?}");
-    assert!(trip.detail.contains(words), "{trip:?}");
-}
-
 /// A trial waits to be durable.
 fn committing(status: &Status) -> bool {
     status.run.as_ref().is_some_and(|run| run.phase == Phase::Commit)
@@ -40,9 +33,7 @@ async fn peaks(harness: &Harness) -> (f64, f64) {
 async fn over_force_raises_and_the_force_stays_within_limit_and_margin() {
     let harness = Harness::homed_alone().await;
     harness.run(2, "[limits]\nforce_n = 15.0\n").await;
-    let status = harness.tripped().await;
-    cause(&status, TripKind::Force, "over its limit 15 N");
-    harness.is_safe().await;
+    let status = harness.tripped_by(TripKind::Force, "over its limit 15 N").await;
     harness.diary_tells("force").await;
     let (_, peak_n) = peaks(&harness).await;
     let most = 15.0 + harness.config.limits.force_margin_n;
@@ -108,9 +99,7 @@ async fn a_cell_that_lost_its_tip_is_found_out_by_the_skin() {
     harness.fault("uncoupled_cell", "cells", json!({ "arm": 1 })).await;
     harness.tell(json!({ "cmd": "clear_peaks" })).await;
     harness.start(harness.job(&experiment(1, ""), |_| {})).await;
-    let status = harness.tripped().await;
-    cause(&status, TripKind::Cell, "the skin detects a touch");
-    harness.is_safe().await;
+    harness.tripped_by(TripKind::Cell, "the skin detects a touch").await;
     let (deepest_mm, peak_n) = peaks(&harness).await;
     assert!(peak_n < 60.0, "{deepest_mm} mm below the surface, {peak_n} N");
     harness.close().await;
@@ -118,9 +107,7 @@ async fn a_cell_that_lost_its_tip_is_found_out_by_the_skin() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn cells_that_stop_in_the_air_between_configurations_store_no_false_zero() {
-    let harness = Harness::homed().await;
-    harness.run(2, "").await;
-    harness.stored(6).await;
+    let harness = Harness::running(2, 6).await;
     harness.fault("frozen_cell", "cells", json!({ "arm": 1 })).await;
     harness.fault("frozen_cell", "cells", json!({ "arm": 2 })).await;
     harness.tripped().await;
@@ -135,15 +122,11 @@ async fn cells_that_stop_in_the_air_between_configurations_store_no_false_zero()
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_module_that_repeats_itself_under_load_trips_and_its_last_word_is_not_stored() {
-    let harness = Harness::homed().await;
-    harness.run(2, "").await;
-    harness.stored(2).await;
+    let harness = Harness::running(2, 2).await;
     harness.pressing().await;
     harness.fault("hung_module", "cells", json!({})).await;
     let before = harness.journal.taken().trials.len();
-    let status = harness.tripped().await;
-    cause(&status, TripKind::Stale, "the module repeats itself");
-    harness.is_safe().await;
+    harness.tripped_by(TripKind::Stale, "the module repeats itself").await;
     harness.diary_tells("stale").await;
     // The trial whose frames were under way may still have been measured before.
     assert!(harness.journal.taken().trials.len() <= before + 1);
@@ -152,15 +135,11 @@ async fn a_module_that_repeats_itself_under_load_trips_and_its_last_word_is_not_
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_motor_that_does_not_turn_trips_in_the_time_of_its_motion() {
-    let harness = Harness::homed().await;
-    harness.run(2, "").await;
-    harness.stored(2).await;
+    let harness = Harness::running(2, 2).await;
     // It reports no alarm: only the time shows that it does not arrive.
     harness.fault("stuck_axis", "x", json!({ "for_s": 600.0 })).await;
     let before = harness.journal.taken().trials.len();
-    let status = harness.tripped().await;
-    cause(&status, TripKind::Position, "did not arrive in time: x at ");
-    harness.is_safe().await;
+    harness.tripped_by(TripKind::Position, "did not arrive in time: x at ").await;
     harness.diary_tells("position").await;
     // The trials of this configuration need no motion of x.
     let configurations = |trials: &[palpate::record::TrialRecord]| {
@@ -173,13 +152,9 @@ async fn a_motor_that_does_not_turn_trips_in_the_time_of_its_motion() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_force_below_the_tare_trips() {
-    let harness = Harness::homed().await;
-    harness.run(2, "").await;
-    harness.stored(1).await;
+    let harness = Harness::running(2, 1).await;
     harness.fault("pulling_cell", "cells", json!({ "arm": 2, "n": 60.0 })).await;
-    let status = harness.tripped().await;
-    cause(&status, TripKind::Cell, "below its tare");
-    harness.is_safe().await;
+    harness.tripped_by(TripKind::Cell, "below its tare").await;
     harness.close().await;
 }
 
@@ -190,9 +165,7 @@ async fn a_lost_module_a_lost_stream_and_a_stopped_axis_each_end_in_the_safe_end
         ("stall_stream", "ert", json!({ "for_s": 60.0 }), "stale"),
         ("alarm", "x", json!({ "count": 1 }), "device"),
     ] {
-        let harness = Harness::homed().await;
-        harness.run(2, "").await;
-        harness.stored(1).await;
+        let harness = Harness::running(2, 1).await;
         harness.fault(kind, device, more).await;
         harness.tripped().await;
         harness
@@ -207,9 +180,7 @@ async fn a_lost_module_a_lost_stream_and_a_stopped_axis_each_end_in_the_safe_end
 
 #[tokio::test(flavor = "multi_thread")]
 async fn an_alarm_of_z_in_contact_is_for_a_person_and_the_run_goes_on_afterwards() {
-    let harness = Harness::homed().await;
-    harness.run(2, "").await;
-    harness.stored(2).await;
+    let harness = Harness::running(2, 2).await;
     harness.pressing().await;
     harness.fault("alarm", "z", json!({ "count": 1 })).await;
     let status = harness.tripped().await;
@@ -223,8 +194,7 @@ async fn an_alarm_of_z_in_contact_is_for_a_person_and_the_run_goes_on_afterwards
         .until("paused", |s| s.run.as_ref().is_some_and(|r| r.state == StoredState::Paused))
         .await;
     harness.home().await;
-    harness.ask(Request::Resume).await.unwrap();
-    harness.until("the end", |s| s.run.is_none()).await;
+    harness.resume_to_the_end().await;
     {
         let taken = harness.journal.taken();
         assert_eq!(taken.trials.len(), 18);
@@ -242,9 +212,7 @@ async fn six_powered_cells_under_two_tips_are_legal_and_a_load_without_a_tip_is_
     harness.stored(2).await;
     assert_eq!(harness.handle.status().rig.tips, Some(2));
     harness.fault("foreign_load", "cells", json!({ "arm": 5, "n": 20.0 })).await;
-    let status = harness.tripped().await;
-    cause(&status, TripKind::Cell, "cell 5 reads");
-    harness.is_safe().await;
+    harness.tripped_by(TripKind::Cell, "cell 5 reads").await;
     harness.close().await;
 }
 
@@ -254,18 +222,14 @@ async fn a_tip_that_is_not_there_is_named_by_the_touch_off() {
     harness.mount(3, 3).await;
     harness.fault("missing_tip", "cells", json!({ "arm": 2 })).await;
     harness.start(harness.job(&experiment(3, ""), |_| {})).await;
-    let status = harness.tripped().await;
-    cause(&status, TripKind::Cell, "arm 2 touched nowhere");
-    harness.is_safe().await;
+    harness.tripped_by(TripKind::Cell, "arm 2 touched nowhere").await;
     harness.close().await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_store_that_fails_raises_and_the_run_goes_on_when_it_is_back() {
     for mood in [Mood::Fails, Mood::Panics] {
-        let harness = Harness::homed().await;
-        harness.run(2, "").await;
-        harness.stored(2).await;
+        let harness = Harness::running(2, 2).await;
         harness.journal.set(mood);
         harness
             .until("paused", |s| s.run.as_ref().is_some_and(|r| r.state == StoredState::Paused))
@@ -273,8 +237,7 @@ async fn a_store_that_fails_raises_and_the_run_goes_on_when_it_is_back() {
         harness.is_safe().await;
         assert_eq!(harness.handle.status().rig.state, RigState::Armed, "{mood:?}");
         harness.journal.set(Mood::Sound);
-        harness.ask(Request::Resume).await.unwrap();
-        harness.until("the end", |s| s.run.is_none()).await;
+        harness.resume_to_the_end().await;
         let keys: Vec<_> = harness.journal.taken().trials.iter().map(|t| t.key).collect();
         let distinct: BTreeSet<_> = keys.iter().collect();
         assert_eq!((keys.len(), distinct.len()), (18, 18), "{mood:?}");
@@ -293,9 +256,7 @@ async fn while_the_store_hangs_forces_are_watched_and_the_diary_is_complete_afte
     assert!(committing(&harness.handle.status()), "the stage does not move on");
     // A load comes while the commit is pending.
     harness.fault("drifting_cell", "cells", json!({ "arm": 1, "n_per_s": 200.0 })).await;
-    let status = harness.tripped().await;
-    cause(&status, TripKind::Force, "force on arm 1");
-    harness.is_safe().await;
+    let status = harness.tripped_by(TripKind::Force, "force on arm 1").await;
     let ms = status.rig.safe_end.unwrap().sample_to_stop_ms.unwrap();
     assert!(ms < 100.0, "{ms} ms from the sample to z's stop while the store hangs");
     let written = harness.journal.taken().order.len();
@@ -308,15 +269,11 @@ async fn while_the_store_hangs_forces_are_watched_and_the_diary_is_complete_afte
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_stream_that_stalls_while_a_commit_is_pending_trips() {
-    let harness = Harness::homed().await;
-    harness.run(2, "").await;
-    harness.stored(2).await;
+    let harness = Harness::running(2, 2).await;
     harness.journal.set(Mood::Hangs);
     harness.until("a commit", committing).await;
     harness.fault("stall_stream", "ert", json!({ "for_s": 600.0 })).await;
-    let status = harness.tripped().await;
-    cause(&status, TripKind::Stale, "no frame of a held load");
-    harness.is_safe().await;
+    harness.tripped_by(TripKind::Stale, "no frame of a held load").await;
     harness.close().await;
 }
 
@@ -333,12 +290,9 @@ async fn a_panic_in_contact_raises_the_tips_and_the_thread_goes_on_serving() {
         }
     });
     harness.start(job).await;
-    let status = harness.tripped().await;
-    cause(&status, TripKind::Service, "the campaign's thread failed");
-    harness.is_safe().await;
+    harness.tripped_by(TripKind::Service, "the campaign's thread failed").await;
     assert!(harness.handle.status().run.is_none());
-    harness.ask(Request::Reset).await.unwrap();
-    harness.home().await;
+    harness.reset_and_home().await;
     // The run was left to a person before the tips were raised.
     let order = harness.journal.taken().order.clone();
     let at = |kind: &str| order.iter().rposition(|taken| taken == kind);

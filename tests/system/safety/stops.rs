@@ -49,9 +49,7 @@ async fn a_service_told_to_end_stops_a_jog_a_homing_and_a_press() {
     }
     harness.close().await;
 
-    let harness = Harness::homed().await;
-    harness.run(2, "").await;
-    harness.stored(1).await;
+    let harness = Harness::running(2, 1).await;
     harness.pressing().await;
     harness.ask(Request::Shutdown).await.unwrap();
     harness.until("raised", |s| s.rig.safe_end.is_some()).await;
@@ -80,8 +78,7 @@ async fn an_e_stop_that_finds_no_wire_is_sent_the_moment_the_wire_is_back() {
     let truth = harness.truth().await;
     assert!(truth["stops"].as_u64().unwrap() >= 4, "{truth:#}");
     assert!(!x(&truth).1, "x stands, wherever it was sent ({to_mm}): {truth:#}");
-    harness.ask(Request::Reset).await.unwrap();
-    harness.home().await;
+    harness.reset_and_home().await;
     harness.close().await;
 }
 
@@ -102,8 +99,7 @@ async fn a_drive_that_does_not_reply_to_an_e_stop_is_named_and_requests_are_answ
         s.rig.estop_stops.len() == 4 && s.rig.estop_stops.iter().all(|stop| stop.stood_ms.is_some())
     };
     harness.until("every axis stands", stand).await;
-    harness.ask(Request::Reset).await.unwrap();
-    harness.home().await;
+    harness.reset_and_home().await;
     harness.close().await;
 }
 
@@ -125,16 +121,13 @@ async fn an_e_stop_while_the_wires_are_opened_reaches_every_axis_and_ends_the_co
     harness.until("every axis stands", stand).await;
     assert!(harness.truth().await["stops"].as_u64().unwrap() >= before + 4);
     // The reset takes control of the devices, which the stop has prevented.
-    harness.ask(Request::Reset).await.unwrap();
-    harness.home().await;
+    harness.reset_and_home().await;
     harness.close().await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn an_e_stop_in_a_press_stops_every_axis_and_moves_nothing_else() {
-    let harness = Harness::homed().await;
-    harness.run(2, "").await;
-    harness.stored(1).await;
+    let harness = Harness::running(2, 1).await;
     harness.pressing().await;
     harness.handle.estop("test");
     let status = harness.tripped().await;
@@ -145,8 +138,7 @@ async fn an_e_stop_in_a_press_stops_every_axis_and_moves_nothing_else() {
     }
     assert_eq!(truth["lateral_in_contact"], 0);
     harness.diary_tells("estop").await;
-    harness.ask(Request::Reset).await.unwrap();
-    harness.home().await;
+    harness.reset_and_home().await;
     harness.ask(Request::Abort).await.unwrap();
     harness.until("the end", |s| s.run.is_none()).await;
     assert_eq!(harness.journal.taken().ends[0].0.as_str(), "abort");
@@ -179,13 +171,8 @@ async fn after_an_alarm_or_a_loss_of_power_reset_and_home_are_enough() {
 #[tokio::test(flavor = "multi_thread")]
 async fn an_e_stop_outlasts_an_automatic_resume_that_was_to_come() {
     let harness = Harness::homed().await;
-    harness.mount(2, 2).await;
-    let definition = experiment(2, "[policy]\nauto_resume_after_s = 1.0\n");
-    harness.start(harness.job(&definition, |job| job.auto_resume = true)).await;
-    harness.stored(1).await;
-    harness.fault("no_reply", "cells", json!({ "for_s": 16.0 })).await;
-    let trip = harness.tripped().await.rig.trip.unwrap();
-    assert_eq!(trip.kind, TripKind::Wire, "{trip:?}");
+    harness.run_that_resumes("").await;
+    harness.tripped_by_its_wires(16.0).await;
     harness.handle.estop("test");
     let stopped = |s: &Status| s.rig.trip.as_ref().is_some_and(|t| t.kind == TripKind::Estop);
     harness.until("the stop is shown", stopped).await;
@@ -195,19 +182,14 @@ async fn an_e_stop_outlasts_an_automatic_resume_that_was_to_come() {
     assert_eq!(status.rig.state, RigState::Tripped, "{:#?}", status.rig);
     assert!(harness.ask(Request::Resume).await.is_err());
     assert_eq!(harness.journal.taken().trials.len(), stored);
-    harness.ask(Request::Reset).await.unwrap();
-    harness.home().await;
-    harness.ask(Request::Abort).await.unwrap();
-    harness.close().await;
+    harness.reset_and_home().await;
+    harness.abort_and_close().await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn an_automatic_resume_that_meets_an_alarm_leaves_it_to_a_person() {
     let harness = Harness::homed().await;
-    harness.mount(2, 2).await;
-    let definition = experiment(2, "[policy]\nauto_resume_after_s = 1.0\n");
-    harness.start(harness.job(&definition, |job| job.auto_resume = true)).await;
-    harness.stored(1).await;
+    harness.run_that_resumes("").await;
     harness.fault("no_reply", "cells", json!({ "for_s": 16.0 })).await;
     harness.tripped().await;
     // The homing of the automatic resume meets it; some seconds later another homing would succeed.
@@ -224,20 +206,15 @@ async fn an_automatic_resume_that_meets_an_alarm_leaves_it_to_a_person() {
     assert_eq!(status.rig.state, RigState::Tripped, "{:#?}", status.rig);
     assert!(alarmed(&status), "{:#?}", status.rig.trip);
     assert_eq!(harness.journal.taken().trials.len(), stored);
-    harness.ask(Request::Reset).await.unwrap();
-    harness.home().await;
-    harness.ask(Request::Resume).await.unwrap();
-    harness.until("the end", |s| s.run.is_none()).await;
+    harness.reset_and_home().await;
+    harness.resume_to_the_end().await;
     harness.close().await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn failed_automatic_resumes_count_and_the_last_one_leaves_the_run_to_a_person() {
     let harness = Harness::homed().await;
-    harness.mount(2, 2).await;
-    let policy = "[policy]\nauto_resume_after_s = 1.0\nmax_auto_resumes = 1\n";
-    harness.start(harness.job(&experiment(2, policy), |job| job.auto_resume = true)).await;
-    harness.stored(1).await;
+    harness.run_that_resumes("max_auto_resumes = 1\n").await;
     harness.fault("no_reply", "cells", json!({ "for_s": 16.0 })).await;
     harness.tripped().await;
     // The homing of the only automatic resume loses its wire, a fault that may pass.
@@ -253,10 +230,8 @@ async fn failed_automatic_resumes_count_and_the_last_one_leaves_the_run_to_a_per
     let tries =
         harness.journal.taken().events.iter().filter(|(kind, ..)| kind == "recovering").count();
     assert_eq!(tries, 2, "one attempt and its end");
-    harness.ask(Request::Reset).await.unwrap();
-    harness.home().await;
-    harness.ask(Request::Resume).await.unwrap();
-    harness.until("the end", |s| s.run.is_none()).await;
+    harness.reset_and_home().await;
+    harness.resume_to_the_end().await;
     harness.close().await;
 }
 
@@ -281,7 +256,6 @@ async fn wires_are_not_closed_over_a_trip_and_opening_them_again_does_not_acknow
     harness.ask(Request::Disconnect).await.unwrap();
     harness.ask(Request::Connect).await.unwrap();
     assert_eq!(harness.handle.status().rig.state, RigState::Tripped);
-    harness.ask(Request::Reset).await.unwrap();
-    harness.home().await;
+    harness.reset_and_home().await;
     harness.close().await;
 }

@@ -73,31 +73,20 @@ pub struct Touch {
 
 /// Why a skin cannot be built or solved.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs, reason = "the message names the fields")]
 pub enum LaminateError {
     /// A value of the laws is outside its limits.
     #[error(transparent)]
     Laws(#[from] LawsError),
     /// A system of equations has no solution.
     #[error("{part}: {why}")]
-    Solve {
-        /// Part of the model.
-        part: &'static str,
-        /// The solver's words.
-        why: String,
-    },
+    Solve { part: &'static str, why: String },
     /// Newton's method did not converge.
     #[error(
         "press: no equilibrium after {steps} steps: the largest residual is {residual_n} N \
          under {force_n} N"
     )]
-    Equilibrium {
-        /// Number of steps that were made.
-        steps: usize,
-        /// Largest residual, N.
-        residual_n: f64,
-        /// Largest force, N.
-        force_n: f64,
-    },
+    Equilibrium { steps: usize, residual_n: f64, force_n: f64 },
 }
 
 /// One skin: laws and a seed.

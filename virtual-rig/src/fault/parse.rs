@@ -8,22 +8,14 @@ use crate::config::{ARMS, AxisName, RigFile};
 
 /// Error in a fault script.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs, reason = "the message names the fields")]
 pub enum FaultError {
     /// The text is not TOML (or JSON), or has a key or a type that a fault does not have.
     #[error("{0}")]
     Syntax(String),
     /// A value of a fault is not valid.
     #[error("fault {index}: {key} = {value}: {limit}")]
-    Value {
-        /// Number of the fault in the script, from 1.
-        index: usize,
-        /// Key of the value.
-        key: &'static str,
-        /// Value that was found.
-        value: String,
-        /// Allowed values.
-        limit: String,
-    },
+    Value { index: usize, key: &'static str, value: String, limit: String },
 }
 
 /// A fault as written in a script.

@@ -5,20 +5,14 @@ use serde::{Deserialize, Serialize};
 
 /// Error in a gap file.
 #[derive(Debug, thiserror::Error, PartialEq)]
+#[allow(missing_docs, reason = "the message names the fields")]
 pub enum GapError {
     /// The text is not TOML, or has a key or a type that a gap file does not have.
     #[error("{0}")]
     Syntax(#[from] toml::de::Error),
     /// A value is outside its limits.
     #[error("{key} = {value}: {limit}")]
-    Value {
-        /// Dotted key in the file.
-        key: &'static str,
-        /// Value that was found.
-        value: f64,
-        /// Allowed values.
-        limit: &'static str,
-    },
+    Value { key: &'static str, value: f64, limit: &'static str },
 }
 
 /// Contents of a gap file.

@@ -196,7 +196,6 @@ fn circuit(sensor: &Sensor, gap: &Gap, seed: u64) -> ReadoutCircuit {
     nominal
 }
 
-/// Node fields of a seed.
 fn fields(mesh: &Mesh, sensor: &Sensor, gap: &Gap, seed: u64) -> Result<NodeFields, LutError> {
     let g = &gap.fields;
     let smooth = |name: &str, sd: f64, places: &[[f64; 2]]| -> Vec<f64> {

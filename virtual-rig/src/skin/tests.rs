@@ -27,13 +27,31 @@ fn gap_a() -> Gap {
 /// 0.16, 0.12; the feasibility study had one skin, with 0.10. Seed 3 is closest to it.
 const SEED: u64 = 3;
 
-/// The skin of that seed; the unit responses stay in the temporary folder for the next test run.
+/// The skin of that seed.
 fn skin() -> &'static Skin {
     static SKIN: OnceLock<Skin> = OnceLock::new();
-    SKIN.get_or_init(|| {
-        let cache = std::env::temp_dir().join("palpate-test-cache");
-        Skin::new(sensor(), gap_a(), SEED, Some(&cache)).unwrap()
-    })
+    SKIN.get_or_init(|| skin_of(gap_a(), SEED))
+}
+
+/// A skin; the unit responses stay in the temporary folder for the next test run.
+fn skin_of(gap: Gap, seed: u64) -> Skin {
+    let cache = std::env::temp_dir().join("palpate-test-cache");
+    Skin::new(sensor(), gap, seed, Some(&cache)).unwrap()
+}
+
+fn gap_b() -> Gap {
+    Gap::from_toml(GAP_B).unwrap()
+}
+
+fn tip(arm: usize, x_mm: f64, y_mm: f64, force_n: f64) -> TipLoad {
+    TipLoad { arm, x_mm, y_mm, force_n, stroke: Stroke::Loading }
+}
+
+/// First voltage of a readout at a moment.
+fn first_v(readout: &mut Readout, load: &[f64], time_s: f64) -> f64 {
+    let mut frame = vec![0f32; 784];
+    readout.frame(load, time_s, &mut frame);
+    f64::from(frame[0])
 }
 
 /// Position of an indenter with its first `tips` arms on points, and its tips.
@@ -146,7 +164,7 @@ fn force_rises_with_depth_and_a_place_keeps_its_gap() {
     let elsewhere = mechanics.force_n(&far, 3.0, Stroke::Loading);
     assert!((elsewhere - pressed).abs() > 0.5);
     assert_eq!(force(3.0, Stroke::Unloading), pressed);
-    let b = Mechanics::new(&Gap::from_toml(GAP_B).unwrap().mechanics, 5);
+    let b = Mechanics::new(&gap_b().mechanics, 5);
     let [loading, unloading] =
         [Stroke::Loading, Stroke::Unloading].map(|stroke| b.force_n(&place, 3.0, stroke));
     assert!((unloading / loading - 0.95).abs() < 1e-12);
@@ -214,13 +232,7 @@ fn fits(skin: &Skin, gap: &Gap, per_setting: usize) -> Vec<Fit> {
                 continue;
             }
             let loads: Vec<TipLoad> = (stand.tips.iter().zip(&f).enumerate())
-                .map(|(arm, (p, &force_n))| TipLoad {
-                    arm,
-                    x_mm: p[0],
-                    y_mm: p[1],
-                    force_n,
-                    stroke: Stroke::Loading,
-                })
+                .map(|(arm, (p, &force_n))| tip(arm, p[0], p[1], force_n))
                 .collect();
             let contacts: Vec<Contact> = loads
                 .iter()
@@ -272,9 +284,8 @@ fn gap_a_is_a_tenth_of_the_variance_away_from_the_model() {
 
 #[test]
 fn gap_b_is_further_away_and_falls_with_force_as_well() {
-    let gap = Gap::from_toml(GAP_B).unwrap();
-    let cache = std::env::temp_dir().join("palpate-test-cache");
-    let skin = Skin::new(sensor(), gap.clone(), SEED, Some(&cache)).unwrap();
+    let gap = gap_b();
+    let skin = skin_of(gap.clone(), SEED);
     let (all, _, by_force) = fit_table("gap b", &fits(&skin, &gap, 220));
     assert!((0.05..0.4).contains(&all));
     assert!(by_force[0] > 1.3 * by_force[2]);
@@ -286,18 +297,14 @@ fn an_untouched_skin_reads_nothing_and_a_press_off_the_points_is_in_between() {
     let rest = skin().solve(&[]);
     assert_eq!(rest.len(), 784);
     assert!(rest.iter().all(|v| v.is_finite()) && rms(&rest) < 1e-3);
-    let dead =
-        TipLoad { arm: 0, x_mm: 270.0, y_mm: 280.0, force_n: f64::NAN, stroke: Stroke::Loading };
-    assert_eq!(skin().solve(&[dead]), rest);
+    assert_eq!(skin().solve(&[tip(0, 270.0, 280.0, f64::NAN)]), rest);
     let sensor = sensor();
     let p = sensor.points()[400];
     let (x, y) = (p.x_mm + 8.66, p.y_mm + 5.0); // in the middle of three points
     let under = points_under(&sensor, x, y);
     assert_eq!(under.len(), 3);
     assert!(under.iter().all(|&(_, w)| (w - 1.0 / 3.0).abs() < 0.01), "{under:?}");
-    let press = |x_mm, y_mm| {
-        skin().solve(&[TipLoad { arm: 0, x_mm, y_mm, force_n: 20.0, stroke: Stroke::Loading }])
-    };
+    let press = |x_mm, y_mm| skin().solve(&[tip(0, x_mm, y_mm, 20.0)]);
     let (on, between) = (rms(&press(p.x_mm, p.y_mm)), rms(&press(x, y)));
     assert!(between > 0.2 * on && between < 2.0 * on, "{on} {between}");
     assert!(press(3.0, 3.0).iter().all(|v| v.is_finite()), "outside the lattice");
@@ -305,15 +312,12 @@ fn an_untouched_skin_reads_nothing_and_a_press_off_the_points_is_in_between() {
 
 #[test]
 fn a_seed_is_a_skin() {
-    let cache = std::env::temp_dir().join("palpate-test-cache");
-    let load =
-        [TipLoad { arm: 2, x_mm: 270.0, y_mm: 280.0, force_n: 15.0, stroke: Stroke::Loading }];
+    let load = [tip(2, 270.0, 280.0, 15.0)];
     let first = skin().solve(&load); // creates the cache for the others
-    let again = Skin::new(sensor(), gap_a(), SEED, Some(&cache)).unwrap();
+    let again = skin_of(gap_a(), SEED);
     assert_eq!(again.solve(&load), first);
     assert_eq!(again.model().model_hash(), skin().model().model_hash());
-    let gap_b = Gap::from_toml(GAP_B).unwrap();
-    let other = Skin::new(sensor(), gap_b.clone(), 2, Some(&cache)).unwrap();
+    let other = skin_of(gap_b(), 2);
     assert_ne!(other.model().model_hash(), skin().model().model_hash());
     let loose = other.model().circuit().electrodes.iter().filter(|e| e.lead_ohm > 15_000.0);
     assert_eq!(loose.count(), 1);
@@ -353,16 +357,12 @@ fn frames_carry_noise_whose_rings_sum_to_noise_and_are_cheap() {
 
 #[test]
 fn drift_is_slow_and_creep_starts_anew_with_a_load() {
-    let mut gap = Gap::from_toml(GAP_B).unwrap();
+    let mut gap = gap_b();
     gap.readout.noise_sd_mv = 0.0;
     gap.readout.offset_sd_mv = 0.0;
     let mut readout = Readout::new(&gap, 4);
     let (load, other) = (vec![1.0; 784], vec![2.0; 784]);
-    let mut frame = vec![0f32; 784];
-    let mut at = |load: &[f64], time_s| {
-        readout.frame(load, time_s, &mut frame);
-        f64::from(frame[0])
-    };
+    let mut at = |load: &[f64], time_s| first_v(&mut readout, load, time_s);
     let first = at(&load, 0.0);
     assert!((first - 1.0).abs() < 0.15 && first != 1.0, "{first}");
     let soon = at(&load, 0.03);
@@ -373,11 +373,7 @@ fn drift_is_slow_and_creep_starts_anew_with_a_load() {
     gap.readout.ln_a_drift_sd = 0.0;
     gap.readout.gain_drift_sd = 0.0;
     let mut readout = Readout::new(&gap, 4);
-    let mut frame = vec![0f32; 784];
-    let mut at = |load: &[f64], time_s| {
-        readout.frame(load, time_s, &mut frame);
-        f64::from(frame[0])
-    };
+    let mut at = |load: &[f64], time_s| first_v(&mut readout, load, time_s);
     assert_eq!(at(&load, 10.0), 1.0);
     assert!((at(&load, 19.0) - 1.02).abs() < 1e-6);
     assert!((at(&load, 109.0) - 1.04).abs() < 1e-6);
@@ -416,7 +412,7 @@ fn a_gap_file_with_the_table_laminate_is_a_skin_of_other_physics() {
         let force_n = mechanics.force_n(&at, 4.0, Stroke::Loading);
         assert!((5.0..60.0).contains(&force_n), "{force_n} N at 4 mm");
         let skin = AnySkin::new(sensor(), gap.clone(), 1, None).unwrap();
-        let load = TipLoad { arm: 0, x_mm: 330.0, y_mm: 280.0, force_n, stroke: Stroke::Loading };
+        let load = tip(0, 330.0, 280.0, force_n);
         let [rest, held] = [&[][..], &[load]].map(|tips| skin.solve(tips).unwrap());
         let largest = |v: &[f64]| v.iter().fold(0.0, |m: f64, v| m.max(v.abs()));
         assert!(largest(&held) > 10.0 * largest(&rest) && largest(&held) < 1.0);
@@ -453,8 +449,7 @@ fn the_signal_of_other_physics_is_that_of_eq_1_at_one_weight() {
         let mut sizes = |force_n: f64| {
             let (mut theirs, mut ours) = (Vec::new(), Vec::new());
             for &[x_mm, y_mm] in &places {
-                let load = TipLoad { arm: 0, x_mm, y_mm, force_n, stroke: Stroke::Loading };
-                let held = skin.solve(&[load]).unwrap();
+                let held = skin.solve(&[tip(0, x_mm, y_mm, force_n)]).unwrap();
                 theirs
                     .push(size_mv(&held.iter().zip(&rest).map(|(a, b)| a - b).collect::<Vec<_>>()));
                 let contact = Contact { x_mm, y_mm, force_n };

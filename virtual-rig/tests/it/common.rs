@@ -87,7 +87,36 @@ pub async fn serve(
     VirtualRig::switch_on(&args).await
 }
 
-/// A client on a TCP line.
+/// A rig with its control connection and a client of its axes.
+pub async fn bench(speed: f64) -> (VirtualRig, Control, Iai) {
+    let rig = switch_on(IAI_TCP, speed, "").await;
+    let (control, stage) = (Control::open(&rig).await, tcp_client(&rig, "stage").await);
+    (rig, control, Iai(stage))
+}
+
+/// Homes every axis and moves the indenter over the middle of the skin, 20 mm above it. Returns the
+/// height of the surface, mm.
+pub async fn over_the_skin(iai: &mut Iai, control: &mut Control) -> f64 {
+    iai.home(1..=4).await;
+    iai.go(1, 280.0, 250.0).await;
+    iai.go(2, 290.0, 250.0).await;
+    iai.go(4, 60.0, 120.0).await;
+    let surface_z_mm = control.status().await["surface_z_mm"].as_f64().unwrap();
+    iai.go(3, surface_z_mm - 20.0, 60.0).await;
+    surface_z_mm
+}
+
+pub async fn cells_client(rig: &VirtualRig) -> Context {
+    let mut cells = tcp_client(rig, "cells").await;
+    tokio_modbus::slave::SlaveContext::set_slave(&mut cells, Slave(1));
+    cells
+}
+
+/// A reader of the voltage stream.
+pub async fn reader(rig: &VirtualRig) -> StreamReader<TcpStream> {
+    StreamReader::new(TcpStream::connect(&rig.ready.ert).await.unwrap())
+}
+
 pub async fn tcp_client(rig: &VirtualRig, line: &str) -> Context {
     tcp::connect(rig.ready.lines[line].parse().unwrap()).await.unwrap()
 }

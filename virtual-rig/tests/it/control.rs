@@ -1,26 +1,19 @@
 //! The control socket, and the files at the start of a rig.
 
 use serde_json::json;
-use tokio::net::TcpStream;
-use tokio_modbus::prelude::{Reader, Slave};
-use tokio_modbus::slave::SlaveContext;
+use tokio_modbus::prelude::Reader;
 
 use crate::common::{
-    Control, IAI_TCP, Iai, StreamReader, on_one_bus, rtu_client, serve, switch_on, tcp_client,
+    Control, IAI_TCP, Iai, bench, cells_client, on_one_bus, over_the_skin, reader, rtu_client,
+    serve, switch_on,
 };
 
 #[tokio::test]
 async fn tips_are_mounted_in_the_air_only() {
-    let rig = switch_on(IAI_TCP, 100.0, "").await;
-    let mut control = Control::open(&rig).await;
+    let (_rig, mut control, mut iai) = bench(100.0).await;
     assert_eq!(control.say(json!({ "cmd": "mount", "tips": 7 })).await["ok"], false);
     assert_eq!(control.say(json!({ "cmd": "mount", "tips": 4 })).await["ok"], true);
-    let mut iai = Iai(tcp_client(&rig, "stage").await);
-    iai.home(1..=4).await;
-    iai.go(1, 280.0, 250.0).await;
-    iai.go(2, 290.0, 250.0).await;
-    iai.go(4, 60.0, 120.0).await;
-    let surface = control.status().await["surface_z_mm"].as_f64().unwrap();
+    let surface = over_the_skin(&mut iai, &mut control).await;
     iai.go(3, surface + 4.0, 60.0).await;
     let refused = control.say(json!({ "cmd": "mount", "tips": 1 })).await;
     assert_eq!(refused["error"], "tips are pressing: raise z first");
@@ -47,8 +40,7 @@ fn peaks(status: &serde_json::Value) -> (f64, f64) {
 async fn cells_may_stay_on_their_cables_without_tips() {
     let rig = switch_on(IAI_TCP, 100.0, "").await;
     let mut control = Control::open(&rig).await;
-    let mut cells = tcp_client(&rig, "cells").await;
-    cells.set_slave(Slave(1));
+    let mut cells = cells_client(&rig).await;
     for (command, live) in [
         (json!({ "cmd": "mount", "tips": 1, "powered": 6 }), 6),
         (json!({ "cmd": "mount", "tips": 4 }), 4),
@@ -67,7 +59,7 @@ async fn cells_may_stay_on_their_cables_without_tips() {
 async fn weights_press_on_the_skin_and_not_on_the_cells() {
     let rig = switch_on(IAI_TCP, 10.0, "").await;
     let mut control = Control::open(&rig).await;
-    let mut reader = StreamReader::new(TcpStream::connect(&rig.ready.ert).await.unwrap());
+    let mut reader = reader(&rig).await;
     let before = reader.frame().await.largest_v();
     let off = json!([{ "x_mm": -5.0, "y_mm": 80.0, "force_n": 9.81 }]);
     let refused = control.say(json!({ "cmd": "place", "weights": off })).await;

@@ -3,7 +3,6 @@
 use std::time::{Duration, Instant};
 
 use serde_json::json;
-use tokio::net::TcpStream;
 use tokio::time::timeout;
 use tokio_modbus::Request;
 use tokio_modbus::client::Context;
@@ -11,7 +10,8 @@ use tokio_modbus::prelude::{Reader, Slave, Writer};
 use tokio_modbus::slave::SlaveContext;
 
 use crate::common::{
-    Control, IAI_TCP, Iai, StreamReader, call, on_one_bus, rtu_client, switch_on, tcp_client,
+    Control, IAI_TCP, Iai, bench, call, cells_client, on_one_bus, over_the_skin, reader,
+    rtu_client, switch_on, tcp_client,
 };
 
 const SHORT: Duration = Duration::from_millis(80);
@@ -75,9 +75,7 @@ async fn wire_faults_strike_over_rtu() {
 
 #[tokio::test]
 async fn a_lost_answer_may_leave_a_motion_behind() {
-    let rig = switch_on(IAI_TCP, 100.0, "").await;
-    let mut control = Control::open(&rig).await;
-    let mut iai = Iai(tcp_client(&rig, "stage").await);
+    let (rig, mut control, mut iai) = bench(100.0).await;
     iai.home(1..=1).await;
     for (executed, end) in [(true, 50.0), (false, 50.0)] {
         let fault = json!({ "cmd": "fault", "kind": "no_reply", "device": "x", "count": 1,
@@ -93,9 +91,7 @@ async fn a_lost_answer_may_leave_a_motion_behind() {
 
 #[tokio::test]
 async fn stuck_stale_and_alarmed_axes() {
-    let rig = switch_on(IAI_TCP, 100.0, "").await;
-    let mut control = Control::open(&rig).await;
-    let mut iai = Iai(tcp_client(&rig, "stage").await);
+    let (_rig, mut control, mut iai) = bench(100.0).await;
     iai.home(1..=2).await;
     control.say(json!({ "cmd": "fault", "kind": "stuck_axis", "device": "x" })).await;
     iai.start(1, 100.0, 250.0).await;
@@ -145,7 +141,7 @@ async fn a_mangled_stream_loses_packets_and_no_more() {
     let script = "[[fault]]\nkind = \"flip_bytes\"\ndevice = \"ert\"\nrate = 0.2\n\
         [[fault]]\nkind = \"drop_bytes\"\ndevice = \"ert\"\nrate = 0.1";
     let rig = switch_on(IAI_TCP, 20.0, script).await;
-    let mut reader = StreamReader::new(TcpStream::connect(&rig.ready.ert).await.unwrap());
+    let mut reader = reader(&rig).await;
     let (mut good, mut last) = (0, 0);
     while good < 200 {
         let frame = reader.frame().await;
@@ -160,7 +156,7 @@ async fn a_stalled_stream_goes_on_with_a_gap() {
     let script =
         "[[fault]]\nkind = \"stall_stream\"\ndevice = \"ert\"\nat_frame = 100\nfor_s = 5.0";
     let rig = switch_on(IAI_TCP, 20.0, script).await;
-    let mut reader = StreamReader::new(TcpStream::connect(&rig.ready.ert).await.unwrap());
+    let mut reader = reader(&rig).await;
     let mut gaps = Vec::new();
     let mut last = reader.frame().await;
     while last.sequence < 400 {
@@ -181,35 +177,19 @@ async fn a_dead_cell_reads_nothing() {
     let fault = json!({ "cmd": "fault", "kind": "dead_cell", "device": "cells", "arm": 2 });
     assert_eq!(control.say(fault).await["ok"], true);
     tokio::time::sleep(Duration::from_millis(10)).await;
-    let mut cells = tcp_client(&rig, "cells").await;
-    cells.set_slave(Slave(1));
+    let mut cells = cells_client(&rig).await;
     let counts = cells.read_input_registers(0, 6).await.unwrap().unwrap();
     assert_eq!(counts[1], 0);
     assert!(counts[0] > 5000);
     assert!(call(&mut cells, Request::ReadInputRegisters(0, 9)).await == Err(2));
 }
 
-/// Homes every axis and moves the indenter over the middle of the skin, 20 mm above it. Returns the
-/// height of the surface, mm.
-async fn over_the_skin(iai: &mut Iai, control: &mut Control) -> f64 {
-    iai.home(1..=4).await;
-    iai.go(1, 280.0, 250.0).await;
-    iai.go(2, 290.0, 250.0).await;
-    iai.go(4, 60.0, 120.0).await;
-    let surface_z_mm = control.status().await["surface_z_mm"].as_f64().unwrap();
-    iai.go(3, surface_z_mm - 20.0, 60.0).await;
-    surface_z_mm
-}
-
 #[tokio::test]
 async fn a_module_that_hangs_in_the_air_says_so_under_load_too() {
-    let rig = switch_on(IAI_TCP, 100.0, "").await;
-    let mut control = Control::open(&rig).await;
-    let mut iai = Iai(tcp_client(&rig, "stage").await);
+    let (rig, mut control, mut iai) = bench(100.0).await;
     let surface_z_mm = over_the_skin(&mut iai, &mut control).await;
     control.say(json!({ "cmd": "fault", "kind": "hung_module", "device": "cells" })).await;
-    let mut cells = tcp_client(&rig, "cells").await;
-    cells.set_slave(Slave(1));
+    let mut cells = cells_client(&rig).await;
     let in_the_air = cells.read_input_registers(0, 6).await.unwrap().unwrap();
     iai.go(3, surface_z_mm + 4.0, 60.0).await;
     assert!(control.status().await["forces_n"][0].as_f64().unwrap() > 2.0);
@@ -223,17 +203,14 @@ async fn a_module_that_hangs_in_the_air_says_so_under_load_too() {
 
 #[tokio::test]
 async fn a_tip_that_came_off_never_presses_and_its_cell_stays_alive() {
-    let rig = switch_on(IAI_TCP, 100.0, "").await;
-    let mut control = Control::open(&rig).await;
-    let mut iai = Iai(tcp_client(&rig, "stage").await);
+    let (rig, mut control, mut iai) = bench(100.0).await;
     let surface_z_mm = over_the_skin(&mut iai, &mut control).await;
     let off = json!({ "cmd": "fault", "kind": "missing_tip", "device": "cells", "arm": 2 });
     assert_eq!(control.say(off).await["ok"], true);
     iai.go(3, surface_z_mm + 4.0, 60.0).await;
     let forces = control.status().await["forces_n"].clone();
     assert!(forces[0].as_f64().unwrap() > 2.0 && forces[1] == 0.0, "{forces}");
-    let mut cells = tcp_client(&rig, "cells").await;
-    cells.set_slave(Slave(1));
+    let mut cells = cells_client(&rig).await;
     assert!(cells.read_input_registers(1, 1).await.unwrap().unwrap()[0] > 5000);
     control.say(json!({ "cmd": "mend" })).await;
     assert!(control.status().await["forces_n"][1].as_f64().unwrap() > 2.0);

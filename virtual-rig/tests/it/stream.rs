@@ -5,12 +5,14 @@ use std::time::{Duration, Instant};
 use tokio::net::TcpStream;
 use tokio_serial::SerialStream;
 
-use crate::common::{Control, IAI_TCP, Iai, StreamReader, on_one_bus, switch_on, tcp_client};
+use crate::common::{
+    Control, IAI_TCP, StreamReader, bench, on_one_bus, over_the_skin, reader, switch_on,
+};
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn an_untouched_skin_is_noise_at_the_rig_s_own_rate() {
     let rig = switch_on(IAI_TCP, 10.0, "").await;
-    let mut reader = StreamReader::new(TcpStream::connect(&rig.ready.ert).await.unwrap());
+    let mut reader = reader(&rig).await;
     let first = reader.frame().await;
     let since = Instant::now();
     let mut last = first.clone();
@@ -32,15 +34,9 @@ async fn an_untouched_skin_is_noise_at_the_rig_s_own_rate() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn frames_of_a_press_are_of_its_load_or_missing() {
-    let rig = switch_on(IAI_TCP, 20.0, "").await;
-    let mut iai = Iai(tcp_client(&rig, "stage").await);
-    let mut control = Control::open(&rig).await;
-    iai.home(1..=4).await;
-    iai.go(1, 280.0, 250.0).await;
-    iai.go(2, 290.0, 250.0).await;
-    iai.go(4, 60.0, 120.0).await;
-    let surface = control.status().await["surface_z_mm"].as_f64().unwrap();
-    let mut reader = StreamReader::new(TcpStream::connect(&rig.ready.ert).await.unwrap());
+    let (rig, mut control, mut iai) = bench(20.0).await;
+    let surface = over_the_skin(&mut iai, &mut control).await;
+    let mut reader = reader(&rig).await;
     let light = reader.frame().await;
     // 2 mm into the skin at 1 mm/s: two process seconds of changing load.
     iai.go(3, surface + 3.0, 60.0).await;
@@ -70,8 +66,8 @@ async fn frames_of_a_press_are_of_its_load_or_missing() {
 async fn every_client_has_the_whole_stream_and_a_stuck_one_holds_up_nobody() {
     let rig = switch_on(IAI_TCP, 50.0, "").await;
     let stuck = TcpStream::connect(&rig.ready.ert).await.unwrap();
-    let mut a = StreamReader::new(TcpStream::connect(&rig.ready.ert).await.unwrap());
-    let mut b = StreamReader::new(TcpStream::connect(&rig.ready.ert).await.unwrap());
+    let mut a = reader(&rig).await;
+    let mut b = reader(&rig).await;
     let since = Instant::now();
     let (mut last_a, mut last_b) = (a.frame().await, b.frame().await);
     while since.elapsed() < Duration::from_secs(1) {

@@ -7,21 +7,14 @@ use tokio_modbus::Request;
 use tokio_modbus::prelude::{Reader, Slave, Writer};
 use tokio_modbus::slave::SlaveContext;
 
-use crate::common::{Control, IAI_TCP, Iai, call, switch_on, tcp_client};
+use crate::common::{IAI_TCP, bench, call, cells_client, over_the_skin, switch_on, tcp_client};
 
 #[tokio::test]
 async fn axes_home_move_and_press_and_the_cells_show_it() {
-    let rig = switch_on(IAI_TCP, 100.0, "").await;
-    let mut iai = Iai(tcp_client(&rig, "stage").await);
-    let mut cells = tcp_client(&rig, "cells").await;
-    cells.set_slave(Slave(1));
-    let mut control = Control::open(&rig).await;
-    iai.home(1..=4).await;
-    iai.go(1, 280.0, 250.0).await;
-    iai.go(2, 290.0, 250.0).await;
-    iai.go(4, 60.0, 120.0).await;
+    let (rig, mut control, mut iai) = bench(100.0).await;
+    let mut cells = cells_client(&rig).await;
+    let surface = over_the_skin(&mut iai, &mut control).await;
     let zero = cells.read_input_registers(0, 6).await.unwrap().unwrap();
-    let surface = control.status().await["surface_z_mm"].as_f64().unwrap();
     iai.go(3, surface + 5.0, 60.0).await;
     // The module converts ten times per process second.
     tokio::time::sleep(std::time::Duration::from_millis(20)).await;
@@ -45,9 +38,7 @@ async fn axes_home_move_and_press_and_the_cells_show_it() {
 
 #[tokio::test]
 async fn a_stop_is_counted_with_its_time_and_ends_the_motion() {
-    let rig = switch_on(IAI_TCP, 1.0, "").await;
-    let mut iai = Iai(tcp_client(&rig, "stage").await);
-    let mut control = Control::open(&rig).await;
+    let (_rig, mut control, mut iai) = bench(1.0).await;
     let context = iai.unit(4);
     for (coil, on) in [(0x0427, true), (0x0403, true), (0x040B, true), (0x040A, true)] {
         context.write_single_coil(coil, on).await.unwrap().unwrap();

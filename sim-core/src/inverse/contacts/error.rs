@@ -20,33 +20,17 @@ const USUAL_ERROR: f64 = 0.1;
 
 /// Why an error model is invalid.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[allow(missing_docs, reason = "the message names the fields")]
 pub enum ErrorModelError {
     /// The noise of a channel is not a positive finite number.
     #[error("error model: noise of channel {channel} = {sd_v} V is not a finite number > 0")]
-    Noise {
-        /// Index of the channel.
-        channel: usize,
-        /// Its standard deviation, V.
-        sd_v: f64,
-    },
+    Noise { channel: usize, sd_v: f64 },
     /// The frames of a pair have the wrong length, or a value is not finite.
     #[error("error model: pair {pair} is not two frames of {channels} finite voltages")]
-    Pair {
-        /// Index of the pair.
-        pair: usize,
-        /// Number of voltages needed.
-        channels: usize,
-    },
+    Pair { pair: usize, channels: usize },
     /// Too few pairs have a signal above the noise.
     #[error("error model: {found} of {given} pairs have a signal above the noise, {needed} needed")]
-    FewPairs {
-        /// Number of pairs with enough signal.
-        found: usize,
-        /// Number of pairs passed in.
-        given: usize,
-        /// Number of pairs needed.
-        needed: usize,
-    },
+    FewPairs { found: usize, given: usize, needed: usize },
     /// The eigenvalues did not converge.
     #[error("error model: eigenvalues of the residuals' covariance did not converge")]
     Eigenvalues,

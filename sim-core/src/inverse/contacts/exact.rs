@@ -23,7 +23,6 @@ struct Memory {
     scratch: Vec<f64>,
 }
 
-/// The exact model.
 pub(super) struct Exact<'a> {
     model: &'a ForwardModel,
     basis: &'a Basis,

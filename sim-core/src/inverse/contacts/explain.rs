@@ -26,7 +26,6 @@ pub(super) fn probable<'h>(
     others.take_while(|(_, share)| **share >= LEAST_PROBABILITY).take(MOST_ALTERNATIVES)
 }
 
-/// The explanations of a frame.
 #[derive(Debug)]
 pub(super) struct Explanations {
     /// Probability of the answer.

@@ -6,25 +6,14 @@ use crate::forward::{Contact, ContactError};
 
 /// Why a fitter cannot be built.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs, reason = "the message names the fields")]
 pub enum FitterError {
     /// The error model is of frames of another length.
     #[error("contact fitter: the error model has {found} channels, the skin {needed}")]
-    Channels {
-        /// Number of channels of the error model.
-        found: usize,
-        /// Number of channels of the skin.
-        needed: usize,
-    },
+    Channels { found: usize, needed: usize },
     /// An option is outside its limits.
     #[error("contact fitter: {field} = {value}: {limit}")]
-    Option {
-        /// Name of the option.
-        field: &'static str,
-        /// Value of the option.
-        value: f64,
-        /// Allowed values.
-        limit: &'static str,
-    },
+    Option { field: &'static str, value: f64, limit: &'static str },
     /// The model rejected a load of the tables.
     #[error("contact fitter: {0}")]
     Batch(#[from] BatchError),
@@ -35,33 +24,20 @@ pub enum FitterError {
 
 /// Why a fit is impossible.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
+#[allow(missing_docs, reason = "the message names the fields")]
 pub enum FitError {
     /// The length of the frame is not that of the skin's frames.
     #[error("fitting contacts: a frame of {found} voltages, the skin has {needed}")]
-    Length {
-        /// Number of voltages found.
-        found: usize,
-        /// Number of voltages needed.
-        needed: usize,
-    },
+    Length { found: usize, needed: usize },
     /// A voltage is not finite.
     #[error("fitting contacts: voltage {channel} is not a finite number")]
-    NotFinite {
-        /// Index of its channel.
-        channel: usize,
-    },
+    NotFinite { channel: usize },
     /// The number of averaged frames is not a finite number >= 1.
     #[error("fitting contacts: frames = {frames} is not a finite number >= 1")]
-    Frames {
-        /// Number of averaged frames found.
-        frames: f64,
-    },
+    Frames { frames: f64 },
     /// The standard deviation of the offsets is not a finite number >= 0.
     #[error("fitting contacts: offset_sd_v = {offset_sd_v} is not a finite number >= 0")]
-    Offset {
-        /// Standard deviation found, V.
-        offset_sd_v: f64,
-    },
+    Offset { offset_sd_v: f64 },
     /// The spectrum of the offsets is not one share >= 0 for each frequency.
     #[error(
         "fitting contacts: offset_spectrum has {found} values, {needed} finite numbers >= 0 needed"

@@ -9,29 +9,17 @@
 
 /// Why a frame or the settings are rejected.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
+#[allow(missing_docs, reason = "the message names the fields")]
 pub enum SteadyError {
     /// A setting is not a positive number.
     #[error("still frames: {field} = {value} is not a finite number > 0")]
-    Setting {
-        /// Name of the setting.
-        field: &'static str,
-        /// Value of the setting.
-        value: f64,
-    },
+    Setting { field: &'static str, value: f64 },
     /// The length of the frame differs from that of the earlier ones.
     #[error("still frames: a frame of {found} voltages, {needed} needed")]
-    Length {
-        /// Number of voltages found.
-        found: usize,
-        /// Number of voltages needed.
-        needed: usize,
-    },
+    Length { found: usize, needed: usize },
     /// A voltage is not finite.
     #[error("still frames: voltage {channel} is not a finite number")]
-    NotFinite {
-        /// Index of its channel.
-        channel: usize,
-    },
+    NotFinite { channel: usize },
 }
 
 /// Criterion by which frames belong to one load.

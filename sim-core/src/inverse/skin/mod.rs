@@ -208,20 +208,14 @@ pub struct SkinProgress {
 
 /// Why a fit failed.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs, reason = "the message names the fields")]
 pub enum SkinFitError {
     /// There are no trials with a contact.
     #[error("fitting a skin: no trials with a contact")]
     NoTrials,
     /// The length of a frame is not that of the sensor's frames, or a value is not finite.
     #[error("fitting a skin: trial {trial}: {found} finite voltages, the sensor has {needed}")]
-    Frame {
-        /// Index of the trial.
-        trial: usize,
-        /// Number of finite voltages found.
-        found: usize,
-        /// Number of voltages needed.
-        needed: usize,
-    },
+    Frame { trial: usize, found: usize, needed: usize },
     /// The model rejects a contact.
     #[error("fitting a skin: {0}")]
     Contact(#[from] ContactError),
@@ -236,10 +230,7 @@ pub enum SkinFitError {
     FoamPrior,
     /// The normal equations have no solution.
     #[error("fitting a skin: step {step}: the normal equations are not positive definite")]
-    Normal {
-        /// Number of the step, from 1.
-        step: usize,
-    },
+    Normal { step: usize },
 }
 
 /// Result of a fit.

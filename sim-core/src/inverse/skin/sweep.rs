@@ -38,7 +38,6 @@ pub(super) struct Misfits {
     misfits: Vec<f64>,
     /// Residuals of untouched skins.
     untouched: Residuals,
-    /// Residuals of all other trials.
     touched: Residuals,
     channels: f64,
 }

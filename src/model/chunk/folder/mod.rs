@@ -387,7 +387,6 @@ fn json_name(key: &str) -> String {
     format!("{key}.json")
 }
 
-/// Name of this host.
 fn host() -> String {
     let name = fs::read_to_string("/proc/sys/kernel/hostname").unwrap_or_default();
     if name.trim().is_empty() { "unknown".into() } else { name.trim().into() }

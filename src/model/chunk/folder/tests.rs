@@ -34,7 +34,7 @@ fn plain() -> Texts {
 }
 
 fn order(number: u64) -> WorkOrder {
-    WorkOrder::new("texts", json!({ "number": number }), BTreeMap::new(), 4)
+    WorkOrder::new("texts", &json!({ "number": number }), BTreeMap::new(), 4)
 }
 
 fn folder(name: &str) -> OrderFolder {

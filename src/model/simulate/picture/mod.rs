@@ -103,7 +103,6 @@ pub fn draw(scene: &Scene<'_>) -> String {
 struct Part {
     /// Range of its nodes along x and y, mm: `[from, to]`.
     range_mm: [[f64; 2]; 2],
-    /// Cells of the mesh.
     cells: Vec<[u32; 4]>,
     /// Height of the unloaded skin, mm.
     height_mm: f64,

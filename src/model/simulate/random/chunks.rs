@@ -1,19 +1,15 @@
 //! Sim-Random in chunks: each chunk is one shard, byte for byte that of `generate`.
 //! Uses: `chunk`, `shards`, `folder`, sim-core. Never: a queue, an order in which chunks are made.
 
-use std::collections::BTreeMap;
 use std::fs::File;
 use std::io;
 use std::num::NonZeroUsize;
 use std::ops::ControlFlow;
 use std::path::Path;
 
-use serde_json::Value;
 use sim_core::batch::BatchModel;
 use sim_core::calibrated::CalibratedSensor;
-use sim_core::calibration::Calibration;
 use sim_core::forward::ForwardModel;
-use sim_core::sensor::Sensor;
 
 use super::error::RandomError;
 use super::folder::Folder;
@@ -21,16 +17,11 @@ use super::manifest::{Definition, Manifest, Order, SIM_RANDOM, ShardRow, kernel}
 use super::reproduced;
 use super::shards::ShardMaker;
 use crate::chunk::folder::OrderFolder;
-use crate::chunk::order::{CHUNKS_MAX, ChunkRow, ORDER_FILE, WorkOrder};
+use crate::chunk::order::{CHUNKS_MAX, ChunkRow, ORDER_FILE, WorkOrder, check_here, invalid};
+use crate::chunk::skin::{ordered_skin, skin_inputs};
 use crate::chunk::{MakeChunks, MakeFailure};
-use crate::difference::first_difference;
 use crate::new_file::{Look, NewFile};
 use crate::problem::Problem;
-
-/// Input of a work order: text of the sensor file.
-const SENSOR_INPUT: &str = "sensor_file";
-/// Input of a work order: text of the calibration file.
-const CALIBRATION_INPUT: &str = "calibration";
 
 /// Returns the work order of a definition. The texts are those of the sensor file and of the calibration, if any.
 ///
@@ -46,13 +37,7 @@ pub fn work_order(
         let limit = format!("these are {chunks} chunks of a shard each, at most {CHUNKS_MAX}");
         return Err(Problem::new("command line", "shard-trials", definition.shard_trials, limit));
     }
-    let mut inputs = BTreeMap::from([(SENSOR_INPUT.to_owned(), sensor)]);
-    inputs.extend(calibration.map(|text| (CALIBRATION_INPUT.to_owned(), text)));
-    Ok(WorkOrder::new(SIM_RANDOM, value_of(definition), inputs, chunks))
-}
-
-fn value_of(definition: &Definition) -> Value {
-    serde_json::to_value(definition).expect("a definition is JSON")
+    Ok(WorkOrder::new(SIM_RANDOM, definition, skin_inputs(sensor, calibration), chunks))
 }
 
 /// What a work order of Sim-Random states.
@@ -71,29 +56,15 @@ impl RandomOrder {
     /// # Errors
     /// The first value that is wrong, by its key in the work order.
     pub fn read(order: &WorkOrder) -> Result<Self, Problem> {
-        let invalid = |key: &str, why: String| Problem::new(ORDER_FILE, key, "..", why);
-        let definition: Definition = serde_json::from_value(order.definition.clone())
-            .map_err(|error| invalid("definition", error.to_string()))?;
-        let text = order.inputs.get(SENSOR_INPUT).map_or("", String::as_str);
-        let sensor = Sensor::from_toml(text)
-            .map_err(|error| invalid("inputs.sensor_file", error.to_string()))?;
-        let sensor = match order.inputs.get(CALIBRATION_INPUT) {
-            None => sensor.into(),
-            Some(text) => Calibration::from_toml(text)
-                .and_then(|calibration| calibration.apply(&sensor))
-                .map_err(|error| invalid("inputs.calibration", error.to_string()))?,
-        };
+        let definition: Definition = order.read_definition()?;
+        let sensor = ordered_skin(order)?;
         let Definition { draws, trials, shard_trials, .. } = &definition;
         let request = Order::new(draws.clone(), *trials, *shard_trials, sensor.points().len())
             .map_err(|problems| match problems.into_iter().next() {
                 Some(first) => Problem { file: ORDER_FILE.into(), ..first },
-                None => invalid("definition", "is invalid".into()),
+                None => invalid("definition", "is invalid"),
             })?;
-        let needed = definition.shard_count();
-        if order.chunks != needed {
-            let limit = format!("its definition has {needed}");
-            return Err(Problem::new(ORDER_FILE, "chunks", order.chunks, limit));
-        }
+        order.check_chunks(definition.shard_count())?;
         Ok(Self { definition, sensor, request })
     }
 }
@@ -122,11 +93,7 @@ impl RandomChunks {
             Problem::new(ORDER_FILE, "definition.kernel", &definition.kernel, limit)
         })?;
         let here = Definition::new(request, model, kernel);
-        if let Some(found) = first_difference(&value_of(&definition), &value_of(&here)) {
-            let key = format!("definition.{}", found.field);
-            let limit = format!("this program makes {}", found.here);
-            return Err(Problem::new(ORDER_FILE, &key, found.there, limit));
-        }
+        check_here(&definition, &here, |found| format!("this program makes {}", found.here))?;
         Ok(Self { definition, sensor, model: BatchModel::new(model, kernel), threads })
     }
 }
@@ -200,11 +167,14 @@ pub fn gather(
 
 #[cfg(test)]
 mod tests {
+    use std::collections::BTreeMap;
+
     use super::*;
+    use crate::calibrate::paper::SENSOR;
+    use crate::chunk::order::value_of;
+    use crate::chunk::skin::CALIBRATION_INPUT;
     use crate::simulate::random::draw::Draws;
     use crate::simulate::random::manifest::Shard;
-
-    const SENSOR: &str = include_str!("../../../../experiments/sensors/ert-28.toml");
 
     fn definition() -> Definition {
         Definition {

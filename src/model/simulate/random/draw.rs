@@ -98,13 +98,10 @@ mod tests {
     use sim_core::sensor::Sensor;
     use std::collections::BTreeSet;
 
+    use crate::calibrate::paper;
     use crate::problem::Problem;
 
     const TRIALS: u64 = 60_000;
-
-    fn paper() -> Sensor {
-        Sensor::from_toml(include_str!("../../../../experiments/sensors/ert-28.toml")).unwrap()
-    }
 
     fn trial(draws: &Draws, sensor: &Sensor, index: u64) -> Vec<Contact> {
         let mut contacts = Vec::new();
@@ -125,7 +122,7 @@ mod tests {
 
     #[test]
     fn counts_points_and_forces_are_uniform_and_points_of_a_trial_differ() {
-        let (sensor, draws) = (paper(), Draws::paper(1));
+        let (sensor, draws) = (paper::sensor(), Draws::paper(1));
         let (mut counts, mut points, mut forces) = ([0u64; 6], vec![0u64; 804], [0u64; 35]);
         let mut neighbours = 0;
         for index in 0..TRIALS {
@@ -161,7 +158,7 @@ mod tests {
 
     #[test]
     fn a_trial_depends_on_seed_and_number_alone() {
-        let (sensor, one) = (paper(), Draws::paper(1));
+        let (sensor, one) = (paper::sensor(), Draws::paper(1));
         assert_eq!(trial(&one, &sensor, 123_456), trial(&one, &sensor, 123_456));
         assert_ne!(trial(&one, &sensor, 0), trial(&one, &sensor, 1));
         assert_ne!(trial(&one, &sensor, 0), trial(&Draws::paper(2), &sensor, 0));

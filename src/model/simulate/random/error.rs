@@ -9,6 +9,7 @@ use sim_core::batch::BatchError;
 
 /// Why a folder of shards could not be made or resumed.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs, reason = "the message names the fields")]
 pub enum RandomError {
     /// The folder contains shards of another definition.
     #[error(
@@ -16,59 +17,25 @@ pub enum RandomError {
          name another folder, or use the same options to resume",
         folder = folder.display()
     )]
-    OtherDefinition {
-        /// Path of the folder.
-        folder: PathBuf,
-        /// Dotted key of the manifest's definition.
-        field: String,
-        /// Value in the manifest.
-        there: String,
-        /// Requested value.
-        here: String,
-    },
+    OtherDefinition { folder: PathBuf, field: String, there: String, here: String },
     /// The folder contains Parquet files without a manifest.
     #[error(
         "{folder} contains {file} and no manifest: it was not made by this command",
         folder = folder.display()
     )]
-    Foreign {
-        /// Path of the folder.
-        folder: PathBuf,
-        /// Name of a file in it.
-        file: String,
-    },
+    Foreign { folder: PathBuf, file: String },
     /// Another process writes into the folder.
     #[error("another process writes into {folder}", folder = folder.display())]
-    Busy {
-        /// Path of the folder.
-        folder: PathBuf,
-    },
+    Busy { folder: PathBuf },
     /// The manifest is not valid JSON.
     #[error("reading {path}: {source}", path = path.display())]
-    Manifest {
-        /// Path of the manifest.
-        path: PathBuf,
-        /// Error of the parser.
-        source: serde_json::Error,
-    },
+    Manifest { path: PathBuf, source: serde_json::Error },
     /// A file or folder could not be read or written.
     #[error("{operation} {path}: {source}", path = path.display())]
-    File {
-        /// The failed operation.
-        operation: &'static str,
-        /// Path of the file or folder.
-        path: PathBuf,
-        /// Error of the operating system.
-        source: io::Error,
-    },
+    File { operation: &'static str, path: PathBuf, source: io::Error },
     /// A shard could not be encoded or written.
     #[error("writing {file}: {source}")]
-    Encode {
-        /// File name of the shard, or its trials.
-        file: String,
-        /// Error of the encoder.
-        source: ParquetError,
-    },
+    Encode { file: String, source: ParquetError },
     /// A trial could not be simulated.
     #[error("simulating trials {first} to {last}: {source}")]
     Simulate {
@@ -84,14 +51,7 @@ pub enum RandomError {
         "{file} was repeated and has sha256 {now}, but the manifest states {before}: the same \
          definition must give the same bytes"
     )]
-    NotReproduced {
-        /// File name of the shard.
-        file: String,
-        /// sha256 in the manifest.
-        before: String,
-        /// sha256 of the repeated shard.
-        now: String,
-    },
+    NotReproduced { file: String, before: String, now: String },
 }
 
 impl RandomError {

@@ -7,18 +7,15 @@ use std::ops::ControlFlow;
 use std::thread;
 
 use serde::{Deserialize, Serialize};
-use serde_json::Value;
 use sim_core::batch::Kernel;
 use sim_core::calibrated::CalibratedSensor;
-use sim_core::calibration::Calibration;
 use sim_core::forward::{ForwardModel, Workspace};
-use sim_core::sensor::Sensor;
 
 use super::file::{TwinRow, TwinsFile, TwinsHead};
 use super::{TwinInput, twin_frame};
-use crate::chunk::order::{ORDER_FILE, WorkOrder};
+use crate::chunk::order::{WorkOrder, check_here, chunk_inputs, read_input};
+use crate::chunk::skin::{ordered_skin, skin_inputs};
 use crate::chunk::{MakeChunks, MakeFailure};
-use crate::difference::first_difference;
 use crate::digest::sha256_hex;
 use crate::ids::RunUid;
 use crate::new_file::NewFile;
@@ -29,10 +26,8 @@ use crate::simulate::random::manifest::byte_makers;
 pub const TWINS: &str = "twins";
 /// Version of the columns and settings of a chunk: increased by a change that gives other bytes.
 const TWINS_VERSION: u32 = 1;
-/// Input of a work order: text of the sensor file.
-const TWINS_SENSOR: &str = "sensor_file";
-/// Input of a work order: text of the calibration file.
-const TWINS_CALIBRATION: &str = "calibration";
+/// Start of the names of the inputs with the contacts of a chunk.
+const CONTACTS: &str = "contacts";
 /// Number of trials that a thread simulates between two looks at a request to stop.
 const TOLD_TRIALS: usize = 64;
 
@@ -81,19 +76,9 @@ pub fn work_order(skin: TwinSkin, contacts: Vec<String>) -> WorkOrder {
         contacts: contacts.iter().map(sha256_hex).collect(),
     };
     let chunks = contacts.len() as u64;
-    let mut inputs = BTreeMap::from([(TWINS_SENSOR.to_owned(), sensor)]);
-    inputs.extend(calibration.map(|text| (TWINS_CALIBRATION.to_owned(), text)));
-    inputs.extend((0..).zip(contacts).map(|(index, text)| (contacts_input(index), text)));
-    WorkOrder::new(TWINS, value_of(&definition), inputs, chunks)
-}
-
-/// Name of the input with the contacts of a chunk.
-fn contacts_input(index: u64) -> String {
-    format!("contacts-{index:05}")
-}
-
-fn value_of(definition: &TwinsDefinition) -> Value {
-    serde_json::to_value(definition).expect("a definition is JSON")
+    let mut inputs = skin_inputs(sensor, calibration);
+    inputs.extend(chunk_inputs(CONTACTS, contacts));
+    WorkOrder::new(TWINS, &definition, inputs, chunks)
 }
 
 /// What a work order of twins states.
@@ -113,37 +98,9 @@ impl TwinsOrder {
     /// # Errors
     /// The first value that is wrong, by its key in the work order.
     pub fn read(order: &WorkOrder) -> Result<Self, Problem> {
-        let invalid = |key: &str, why: String| Problem::new(ORDER_FILE, key, "..", why);
-        let definition: TwinsDefinition = serde_json::from_value(order.definition.clone())
-            .map_err(|error| invalid("definition", error.to_string()))?;
-        let needed = definition.contacts.len() as u64;
-        if order.chunks != needed {
-            let limit = format!("its definition has {needed}");
-            return Err(Problem::new(ORDER_FILE, "chunks", order.chunks, limit));
-        }
-        let text = order.inputs.get(TWINS_SENSOR).map_or("", String::as_str);
-        let sensor = Sensor::from_toml(text)
-            .map_err(|error| invalid("inputs.sensor_file", error.to_string()))?;
-        let sensor = match order.inputs.get(TWINS_CALIBRATION) {
-            None => sensor.into(),
-            Some(text) => Calibration::from_toml(text)
-                .and_then(|calibration| calibration.apply(&sensor))
-                .map_err(|error| invalid("inputs.calibration", error.to_string()))?,
-        };
-        Ok(Self { definition, sensor, inputs: order.inputs.clone() })
-    }
-
-    /// The inputs of a chunk, which must have the sha256 of the definition.
-    fn chunk(&self, index: u64) -> Result<(Vec<TwinInput>, &str), String> {
-        let name = contacts_input(index);
-        let text = self.inputs.get(&name).map_or("", String::as_str);
-        let stated = usize::try_from(index).ok().and_then(|at| self.definition.contacts.get(at));
-        let stated = stated.ok_or_else(|| format!("{name}: the order has no such chunk"))?;
-        if sha256_hex(text) != *stated {
-            return Err(format!("{name}: has other contacts than the definition; order again"));
-        }
-        let inputs = TwinInput::read(text).map_err(|error| format!("{name} {error}"))?;
-        Ok((inputs, stated))
+        let definition: TwinsDefinition = order.read_definition()?;
+        order.check_chunks(definition.contacts.len() as u64)?;
+        Ok(Self { definition, sensor: ordered_skin(order)?, inputs: order.inputs.clone() })
     }
 }
 
@@ -171,17 +128,13 @@ impl TwinChunks {
             libraries: byte_makers(),
             ..order.definition.clone()
         };
-        if let Some(found) = first_difference(&value_of(&order.definition), &value_of(&here)) {
-            let key = format!("definition.{}", found.field);
-            let limit = match found.field.as_str() {
-                "kernel" => format!(
-                    "this processor computes with {}; make the twins on machines like that of the service",
-                    found.here
-                ),
-                _ => format!("this program makes {}", found.here),
-            };
-            return Err(Problem::new(ORDER_FILE, &key, found.there, limit));
-        }
+        check_here(&order.definition, &here, |found| match found.field.as_str() {
+            "kernel" => format!(
+                "this processor computes with {}; make the twins on machines like that of the service",
+                found.here
+            ),
+            _ => format!("this program makes {}", found.here),
+        })?;
         Ok(Self { order, model, threads })
     }
 
@@ -218,8 +171,10 @@ impl MakeChunks for TwinChunks {
         out: NewFile,
         tell: &mut dyn FnMut(u64) -> ControlFlow<()>,
     ) -> Result<Option<(NewFile, u64)>, MakeFailure> {
-        let (inputs, contacts_sha256) = self.order.chunk(index)?;
-        let TwinsDefinition { run, model, .. } = &self.order.definition;
+        let TwinsDefinition { run, model, contacts, .. } = &self.order.definition;
+        let of_chunk = (CONTACTS, index);
+        let (inputs, contacts_sha256) =
+            read_input(of_chunk, &self.order.inputs, contacts, TwinInput::read)?;
         let head = TwinsHead {
             run: *run,
             model: model.clone(),
@@ -242,23 +197,14 @@ impl MakeChunks for TwinChunks {
 mod tests {
     use std::fs::{self, File};
     use std::path::Path;
-    use std::sync::{Arc, LazyLock};
 
     use sim_core::forward::Contact;
-    use sim_core::responses::UnitResponses;
 
     use super::*;
+    use crate::calibrate::paper::{MODEL, SENSOR};
     use crate::chunk::folder::OrderFolder;
+    use crate::chunk::skin::CALIBRATION_INPUT;
     use crate::ids::TrialId;
-
-    const SENSOR: &str = include_str!("../../../../experiments/sensors/ert-28.toml");
-
-    /// Model of the paper's sensor.
-    static MODEL: LazyLock<ForwardModel> = LazyLock::new(|| {
-        let sensor = Sensor::from_toml(SENSOR).unwrap();
-        let responses = Arc::new(UnitResponses::solve(&sensor).unwrap());
-        ForwardModel::new(&sensor, responses).unwrap()
-    });
 
     fn skin() -> TwinSkin {
         TwinSkin {
@@ -356,7 +302,7 @@ mod tests {
         let none = WorkOrder { inputs: BTreeMap::new(), ..order.clone() };
         assert_eq!(key(none), "inputs.sensor_file");
         let mut inputs = order.inputs.clone();
-        inputs.insert(TWINS_CALIBRATION.into(), "id = 1".into());
+        inputs.insert(CALIBRATION_INPUT.into(), "id = 1".into());
         assert_eq!(key(WorkOrder { inputs, ..order }), "inputs.calibration");
         let here = |skin: TwinSkin| {
             let read = TwinsOrder::read(&ordered(skin)).unwrap();

@@ -41,33 +41,23 @@ pub struct Factor {
 
 /// Why a design or its samples cannot be analysed.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[allow(missing_docs, reason = "the message names the fields")]
 pub enum AnovaError {
     /// The design has no factor.
     #[error("a design needs a factor")]
     NoFactors,
     /// A factor has fewer than two levels.
     #[error("factor {name}: {levels} levels; it needs two or more")]
-    Levels {
-        /// Name of the factor.
-        name: String,
-        /// Number of its levels.
-        levels: usize,
-    },
+    Levels { name: String, levels: usize },
     /// The design has more than [`CELLS_MAX`] combinations of levels.
     #[error("a design of more than {CELLS_MAX} cells")]
     Cells,
     /// A combination of levels is not in the design.
     #[error("sample at {at:?}: the design has no such cell")]
-    Place {
-        /// Indices of the levels.
-        at: Vec<usize>,
-    },
+    Place { at: Vec<usize> },
     /// A sample is not finite.
     #[error("sample {value}: must be finite")]
-    Sample {
-        /// Value of the sample.
-        value: f64,
-    },
+    Sample { value: f64 },
     /// A combination of levels has no samples.
     #[error("no samples at {}: interactions cannot be determined", .at.join(", "))]
     EmptyCell {
@@ -76,12 +66,7 @@ pub enum AnovaError {
     },
     /// One sample in each cell: the variance within cells cannot be estimated.
     #[error("{samples} samples for {cells} cells: at least one cell needs more than one")]
-    TooFew {
-        /// Number of samples.
-        samples: u64,
-        /// Number of cells.
-        cells: usize,
-    },
+    TooFew { samples: u64, cells: usize },
 }
 
 /// Samples of a factorial design, summed cell by cell.

@@ -125,15 +125,13 @@ pub fn work_order(nets: Vec<NetOrder>, compute: Compute) -> WorkOrder {
     let files = nets.iter().map(|net| net.dataset.sha256.clone()).collect();
     let kernel = Kernel::detect().name().to_owned();
     let definition = TrainingsDefinition { code: training::code(), compute, kernel, nets };
-    let definition = serde_json::to_value(definition).expect("a definition is JSON");
-    WorkOrder { files, ..WorkOrder::new(TRAININGS, definition, BTreeMap::new(), chunks) }
+    WorkOrder { files, ..WorkOrder::new(TRAININGS, &definition, BTreeMap::new(), chunks) }
 }
 
 /// What a work order of trainings states.
 #[derive(Debug, Clone)]
 pub struct TrainingsOrder {
     definition: TrainingsDefinition,
-    /// Recipes of the nets.
     recipes: Vec<Recipe>,
 }
 
@@ -143,13 +141,8 @@ impl TrainingsOrder {
     /// # Errors
     /// The first value that is wrong, by its key in the work order.
     pub fn read(order: &WorkOrder) -> Result<Self, Problem> {
-        let definition: TrainingsDefinition = serde_json::from_value(order.definition.clone())
-            .map_err(|error| Problem::new(ORDER_FILE, "definition", "..", error.to_string()))?;
-        let needed = definition.nets.len() as u64;
-        if order.chunks != needed {
-            let limit = format!("its definition has {needed}");
-            return Err(Problem::new(ORDER_FILE, "chunks", order.chunks, limit));
-        }
+        let definition: TrainingsDefinition = order.read_definition()?;
+        order.check_chunks(definition.nets.len() as u64)?;
         if definition.compute.is_host() && definition.compute != ONE_THREAD {
             let found = format!("{:?}", definition.compute);
             let limit = "must have one thread: with more, the bytes differ each time";
@@ -242,7 +235,6 @@ impl TrainingChunks {
         Ok(Self { folder: folder.to_owned(), scratch, order })
     }
 
-    /// The order of the trainer for a net.
     fn trainers_order(&self, net: &NetOrder) -> Result<Order, MakeFailure> {
         let NetOrder { recipe, dataset, label, calibration, simulation, .. } = net.clone();
         let file = input_file(&self.folder, &dataset.sha256);

@@ -24,12 +24,9 @@ use crate::new_file;
 /// Name of the file with the scores of a gathered net: a list of [`NetScore`], JSON.
 pub const SCORES_FILE: &str = "scores.json";
 
-/// A net of a chunk.
 #[derive(Debug, Clone)]
 pub(super) struct ScoredNet {
-    /// The net.
     pub(super) model: NewModel,
-    /// Its scores.
     pub(super) scores: Vec<NetScore>,
 }
 
@@ -37,15 +34,12 @@ pub(super) struct ScoredNet {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct NetHead {
-    /// Name of the model.
     name: String,
-    /// Text of its manifest.
     manifest: String,
     /// Text of its sensor file.
     sensor: String,
     /// Residuals; only of a Transfer-Net.
     residuals: Option<Residuals>,
-    /// Scores of the net.
     scores: Vec<NetScore>,
 }
 
@@ -67,7 +61,6 @@ pub(super) fn write_net(net: &ScoredNet, out: &mut impl Write) -> io::Result<()>
     out.write_all(&model.onnx)
 }
 
-/// Reads the bytes of a chunk.
 fn read_net(bytes: &[u8]) -> Result<ScoredNet, MakeFailure> {
     let end = bytes.iter().position(|byte| *byte == b'\n').ok_or("its bytes have no first line")?;
     let head: NetHead = serde_json::from_slice(&bytes[..end])?;

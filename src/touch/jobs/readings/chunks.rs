@@ -9,20 +9,19 @@ use std::sync::Arc;
 use std::thread;
 
 use serde::{Deserialize, Serialize};
-use serde_json::Value;
 use sim_core::batch::Kernel;
 use sim_core::calibrated::CalibratedSensor;
-use sim_core::calibration::Calibration;
 use sim_core::forward::ForwardModel;
-use sim_core::sensor::Sensor;
 
 use super::ReadingInputs;
 use super::frames::FrameInput;
 use crate::chunk::error::ChunkError;
 use crate::chunk::folder::OrderFolder;
-use crate::chunk::order::{ChunkRow, ORDER_FILE, WorkOrder};
+use crate::chunk::order::{
+    ChunkRow, WorkOrder, check_here, chunk_input, chunk_inputs, invalid, read_input,
+};
+use crate::chunk::skin::{ordered_skin, skin_inputs};
 use crate::chunk::{MakeChunks, MakeFailure};
-use crate::difference::first_difference;
 use crate::digest::sha256_hex;
 use crate::evaluate::request::EvaluationRequest;
 use crate::ids::DatasetId;
@@ -38,10 +37,10 @@ pub const READINGS: &str = "readings";
 /// Version of the lines of a chunk, and of the fits: increased by a change that gives other bytes, also one of the
 /// search of `exact` (`infer::methods::exact`, sim-core's `inverse::contacts`).
 const READINGS_VERSION: u32 = 1;
-/// Inputs of a work order: texts of the sensor file, of the calibration file and of the errors of the skin (JSON).
-const READINGS_SENSOR: &str = "sensor_file";
-const READINGS_CALIBRATION: &str = "calibration";
+/// Input of a work order: the errors of the skin, JSON.
 const READINGS_ERRORS: &str = "errors";
+/// Start of the names of the inputs with the frames of a chunk.
+const FRAMES: &str = "frames";
 /// Number of frames that a thread reads between two looks at a request to stop.
 const READ_BETWEEN: usize = 4;
 
@@ -79,22 +78,10 @@ pub fn work_order(request: EvaluationRequest, inputs: ReadingInputs) -> WorkOrde
         frames: frames.iter().map(sha256_hex).collect(),
     };
     let chunks = frames.len() as u64;
-    let mut texts = BTreeMap::from([
-        (READINGS_SENSOR.to_owned(), sensor),
-        (READINGS_ERRORS.to_owned(), errors),
-    ]);
-    texts.extend(calibration.map(|text| (READINGS_CALIBRATION.to_owned(), text)));
-    texts.extend((0..).zip(frames).map(|(index, text)| (frames_input(index), text)));
-    WorkOrder::new(READINGS, value_of(&definition), texts, chunks)
-}
-
-/// Name of the input with the frames of a chunk.
-fn frames_input(index: u64) -> String {
-    format!("frames-{index:05}")
-}
-
-fn value_of(definition: &ReadingsDefinition) -> Value {
-    serde_json::to_value(definition).expect("a definition is JSON")
+    let mut texts = skin_inputs(sensor, calibration);
+    texts.insert(READINGS_ERRORS.to_owned(), errors);
+    texts.extend(chunk_inputs(FRAMES, frames));
+    WorkOrder::new(READINGS, &definition, texts, chunks)
 }
 
 /// What a work order of readings states.
@@ -115,29 +102,15 @@ impl ReadingsOrder {
     /// # Errors
     /// The first value that is wrong, by its key in the work order.
     pub fn read(order: &WorkOrder) -> Result<Self, Problem> {
-        let invalid = |key: &str, why: String| Problem::new(ORDER_FILE, key, "..", why);
-        let definition: ReadingsDefinition = serde_json::from_value(order.definition.clone())
-            .map_err(|error| invalid("definition", error.to_string()))?;
-        let needed = definition.frames.len() as u64;
-        if order.chunks != needed {
-            let limit = format!("its definition has {needed}");
-            return Err(Problem::new(ORDER_FILE, "chunks", order.chunks, limit));
-        }
-        let text = |name: &str| order.inputs.get(name).map_or("", String::as_str);
-        let sensor = Sensor::from_toml(text(READINGS_SENSOR))
-            .map_err(|error| invalid("inputs.sensor_file", error.to_string()))?;
-        let sensor = match order.inputs.get(READINGS_CALIBRATION) {
-            None => sensor.into(),
-            Some(text) => Calibration::from_toml(text)
-                .and_then(|calibration| calibration.apply(&sensor))
-                .map_err(|error| invalid("inputs.calibration", error.to_string()))?,
-        };
-        let errors = text(READINGS_ERRORS);
+        let definition: ReadingsDefinition = order.read_definition()?;
+        order.check_chunks(definition.frames.len() as u64)?;
+        let sensor = ordered_skin(order)?;
+        let errors = order.inputs.get(READINGS_ERRORS).map_or("", String::as_str);
         if sha256_hex(errors) != definition.errors {
-            return Err(invalid("inputs.errors", "must be those of the definition".into()));
+            return Err(invalid("inputs.errors", "must be those of the definition"));
         }
-        let errors: SkinErrors = serde_json::from_str(errors)
-            .map_err(|error| invalid("inputs.errors", error.to_string()))?;
+        let errors: SkinErrors =
+            serde_json::from_str(errors).map_err(|error| invalid("inputs.errors", error))?;
         let channels = sensor.channels();
         if errors.channels() != channels {
             return Err(invalid("inputs.errors", format!("must have {channels} channels")));
@@ -147,27 +120,22 @@ impl ReadingsOrder {
 
     /// The frames of a chunk, which must have the sha256 of the definition.
     fn chunk(&self, index: u64) -> Result<Vec<FrameInput>, String> {
-        let name = frames_input(index);
-        let text = self.text(index);
-        let stated = usize::try_from(index).ok().and_then(|at| self.definition.frames.get(at));
-        if stated.is_none_or(|stated| sha256_hex(text) != *stated) {
-            return Err(format!("{name}: has other frames than the definition; order again"));
-        }
-        let inputs = FrameInput::read(text).map_err(|error| format!("{name} {error}"))?;
+        let stated = &self.definition.frames;
+        let (inputs, _) = read_input((FRAMES, index), &self.inputs, stated, FrameInput::read)?;
         let channels = self.sensor.channels();
         match inputs.iter().all(|input| input.voltages_v.len() == channels) {
             true => Ok(inputs),
-            false => Err(format!("{name}: must have {channels} voltages per frame")),
+            false => {
+                let name = chunk_input(FRAMES, index);
+                Err(format!("{name}: must have {channels} voltages per frame"))
+            }
         }
-    }
-
-    fn text(&self, index: u64) -> &str {
-        self.inputs.get(&frames_input(index)).map_or("", String::as_str)
     }
 
     /// sha256 of the frames of all chunks, one after the other.
     pub fn frames_sha256(&self) -> String {
-        let texts = (0..self.definition.frames.len() as u64).map(|index| self.text(index));
+        let names = (0..self.definition.frames.len() as u64).map(|at| chunk_input(FRAMES, at));
+        let texts = names.filter_map(|name| self.inputs.get(&name).map(String::as_str));
         sha256_hex(texts.collect::<String>())
     }
 }
@@ -195,16 +163,14 @@ impl ReadingChunks {
             kernel: Kernel::detect().name().to_owned(),
             ..order.definition.clone()
         };
-        if let Some(found) = first_difference(&value_of(&order.definition), &value_of(&here)) {
-            let key = format!("definition.{}", found.field);
-            let limit = format!(
+        check_here(&order.definition, &here, |found| {
+            format!(
                 "here it is {}; read the frames on machines like that of the service",
                 found.here
-            );
-            return Err(Problem::new(ORDER_FILE, &key, found.there, limit));
-        }
+            )
+        })?;
         let skin = ExactSkin::with(model, order.errors.clone())
-            .map_err(|error| Problem::new(ORDER_FILE, "inputs.errors", "..", error.to_string()))?;
+            .map_err(|error| invalid("inputs.errors", error))?;
         Ok(Self { method: ExactPipeline { skin: Arc::new(skin), points: None }, order, threads })
     }
 

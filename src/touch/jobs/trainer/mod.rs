@@ -25,7 +25,6 @@ use crate::jobs::Watch;
 use crate::learn::order::{Event, STOP_LINE};
 use crate::program::{Known, Lines, ProgramError, STOP_POLL, withhold};
 
-/// The program of the trainer.
 static TRAINER: Known = Known {
     name: "palpate-trainer",
     variable: "PALPATE_TRAINER",
@@ -41,6 +40,7 @@ const STOP_MAX: Duration = Duration::from_secs(20);
 
 /// Why a trainer did not train.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs, reason = "the message names the fields")]
 pub enum TrainerError {
     /// There is no trainer, and it cannot be built.
     #[error(transparent)]
@@ -49,12 +49,7 @@ pub enum TrainerError {
     #[error(
         "starting the trainer {}: {source}; {} may name another one", program.display(), TRAINER.variable
     )]
-    Start {
-        /// Path of the program.
-        program: PathBuf,
-        /// Error of the operating system.
-        source: io::Error,
-    },
+    Start { program: PathBuf, source: io::Error },
     /// The process ended without a result.
     #[error("the trainer {0}")]
     Ended(TrainerEnd),

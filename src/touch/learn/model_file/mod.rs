@@ -43,29 +43,17 @@ pub struct TrainedRange {
 
 /// Why a frame or an answer is outside the trained range.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
+#[allow(missing_docs, reason = "the message names the fields")]
 pub enum OutOfRange {
     /// The norm of the frame is larger than in training.
     #[error("a frame of norm {norm_v:.4} V: trained up to {max_norm_v:.4} V")]
-    Norm {
-        /// Norm of the frame, V.
-        norm_v: f64,
-        /// Largest norm in training, V.
-        max_norm_v: f64,
-    },
+    Norm { norm_v: f64, max_norm_v: f64 },
     /// The number of contacts did not occur in training.
     #[error("{contacts} contacts: not among those trained on")]
-    Contacts {
-        /// Number of contacts in the answer.
-        contacts: u32,
-    },
+    Contacts { contacts: u32 },
     /// A force is larger than in training.
     #[error("a contact of {force_n:.2} N: trained up to {max_force_n:.2} N")]
-    Force {
-        /// Force of the contact, N.
-        force_n: f64,
-        /// Largest force in training, N.
-        max_force_n: f64,
-    },
+    Force { force_n: f64, max_force_n: f64 },
 }
 
 impl TrainedRange {
@@ -143,6 +131,7 @@ pub struct Manifest {
 
 /// Why a file and its stated facts are not a model.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs, reason = "the message names the fields")]
 pub enum ModelError {
     /// The ONNX file is invalid.
     #[error("ONNX file: {0}")]
@@ -168,12 +157,7 @@ pub enum ModelError {
     #[error(
         "the id of ONNX file and manifest is {made}, the manifest states {stated}: one was changed"
     )]
-    Changed {
-        /// Id computed from both.
-        made: ModelId,
-        /// Id in the manifest.
-        stated: ModelId,
-    },
+    Changed { made: ModelId, stated: ModelId },
     /// The net cannot be written as ONNX.
     #[error("net: {0}")]
     Write(#[from] WriteError),

@@ -104,12 +104,10 @@ pub(super) fn ints<const K: usize>(name: &str, values: [usize; K]) -> AttributeP
     AttributeProto { ints, ..attribute(name, AttributeType::Ints) }
 }
 
-/// A float attribute.
 pub(super) fn float(name: &str, value: f32) -> AttributeProto {
     AttributeProto { f: value, ..attribute(name, AttributeType::Float) }
 }
 
-/// A text attribute.
 pub(super) fn text(name: &str, value: &str) -> AttributeProto {
     AttributeProto { s: value.into(), ..attribute(name, AttributeType::String) }
 }

@@ -34,13 +34,11 @@ const ID_PROPERTY: &str = "palpate.model";
 
 /// Why an ONNX file is rejected.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[allow(missing_docs, reason = "the message names the fields")]
 pub enum OnnxError {
     /// The file is larger than [`FILE_BYTES_MAX`].
     #[error("a file of {bytes} bytes: at most {FILE_BYTES_MAX}")]
-    TooLarge {
-        /// Size of the file, bytes.
-        bytes: usize,
-    },
+    TooLarge { bytes: usize },
     /// The bytes are truncated, damaged, or not ONNX.
     #[error("not an ONNX file, or a damaged one: {0}")]
     Damaged(String),
@@ -53,42 +51,16 @@ pub enum OnnxError {
     },
     /// The file uses a feature of ONNX that is excluded for safety.
     #[error("{place}: {what} cannot be served")]
-    Unsupported {
-        /// Location: a node, a tensor, the graph.
-        place: String,
-        /// Name of the feature.
-        what: &'static str,
-    },
+    Unsupported { place: String, what: &'static str },
     /// The data of a tensor do not match its shape.
     #[error("tensor `{tensor}`: shape {shape:?} and {found} bytes of data do not agree")]
-    Tensor {
-        /// Name of the tensor.
-        tensor: String,
-        /// Shape of the tensor.
-        shape: Vec<i64>,
-        /// Number of bytes of data.
-        found: usize,
-    },
+    Tensor { tensor: String, shape: Vec<i64>, found: usize },
     /// A name has no definition before its use, or two definitions.
     #[error("{place}: `{name}` is {fault}")]
-    Name {
-        /// Location of the use.
-        place: String,
-        /// The undefined or repeated name.
-        name: String,
-        /// Kind of the fault.
-        fault: &'static str,
-    },
+    Name { place: String, name: String, fault: &'static str },
     /// Input or output is not exactly one tensor of 32-bit floats.
     #[error("{what}: must be {wanted}, is {found}")]
-    Port {
-        /// Inputs, or outputs.
-        what: &'static str,
-        /// The required form.
-        wanted: &'static str,
-        /// The form in the file.
-        found: String,
-    },
+    Port { what: &'static str, wanted: &'static str, found: String },
 }
 
 /// Input or output of a net.

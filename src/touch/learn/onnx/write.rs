@@ -17,6 +17,7 @@ const OPSET: i64 = 17;
 
 /// Why a net cannot be written.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[allow(missing_docs, reason = "the message names the fields")]
 pub enum WriteError {
     /// The length of a tensor is wrong.
     #[error("layer {layer}: {tensor} holds {found} numbers, must hold {wanted}")]
@@ -32,30 +33,13 @@ pub enum WriteError {
     },
     /// A value of a tensor is not finite.
     #[error("layer {layer}: {tensor} holds a number that is not finite")]
-    NotFinite {
-        /// Kind and index of the layer.
-        layer: String,
-        /// Name of the tensor.
-        tensor: &'static str,
-    },
+    NotFinite { layer: String, tensor: &'static str },
     /// The input of a layer is not the output of the one before it.
     #[error("layer {layer}: needs {wanted}, input is {given}")]
-    Shape {
-        /// Kind and index of the layer.
-        layer: String,
-        /// Shape that the layer requires.
-        wanted: String,
-        /// Shape of its input.
-        given: String,
-    },
+    Shape { layer: String, wanted: String, given: String },
     /// The last layer's shape is not that of the answer, or of the input in the residual form.
     #[error("the result of the last layer is {given}, the answer is {wanted:?}")]
-    Answer {
-        /// Shape of the last layer's output.
-        given: String,
-        /// Shape of the answer.
-        wanted: Vec<usize>,
-    },
+    Answer { given: String, wanted: Vec<usize> },
 }
 
 /// Description of a net in its file.

@@ -28,7 +28,6 @@ pub struct OneStepPipeline {
     offset_v: Vec<f64>,
     draws: ForceMap,
     threshold_n: f64,
-    /// Id of the calibration of the model.
     calibration: Option<CalibrationId>,
     size_mm: [f64; 2],
 }

@@ -12,33 +12,9 @@ use nets::samples::Samples;
 use palpate_trainer::answer::answer;
 use palpate_trainer::train::train;
 
+use super::Rows;
+
 const CHANNELS: usize = 12;
-
-/// Rows in memory.
-struct Rows {
-    inputs: Vec<Vec<f32>>,
-    targets: Vec<Vec<f32>>,
-}
-
-impl Samples for Rows {
-    fn len(&self) -> u64 {
-        self.inputs.len() as u64
-    }
-    fn input_len(&self) -> usize {
-        self.inputs[0].len()
-    }
-    fn target_len(&self) -> usize {
-        self.targets[0].len()
-    }
-    fn read(&self, samples: &[u64], x: &mut [f32], y: &mut [f32]) -> Result<(), SamplesError> {
-        for (nth, &sample) in samples.iter().enumerate() {
-            let (input, target) = (&self.inputs[sample as usize], &self.targets[sample as usize]);
-            x[nth * input.len()..][..input.len()].copy_from_slice(input);
-            y[nth * target.len()..][..target.len()].copy_from_slice(target);
-        }
-        Ok(())
-    }
-}
 
 /// Frames of a few hundredths of a volt, and `target` of each.
 fn rows(count: usize, target: impl Fn(&[f32], usize) -> Vec<f32>) -> Rows {

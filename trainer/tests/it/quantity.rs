@@ -1,42 +1,16 @@
 //! Regressions in closed form, of a quantity or of a frame, and perceptrons.
 
 use nets::compute::Compute;
-use nets::error::SamplesError;
 use nets::progress::{Flow, Observer, Plan, Progress, Trained};
 use nets::recipe::Recipe;
-use nets::samples::Samples;
 use palpate_trainer::answer::answer;
 use palpate_trainer::train::train;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
+use super::Rows;
+
 const CHANNELS: usize = 12;
-
-/// Rows in memory.
-struct Rows {
-    inputs: Vec<Vec<f32>>,
-    targets: Vec<Vec<f32>>,
-}
-
-impl Samples for Rows {
-    fn len(&self) -> u64 {
-        self.inputs.len() as u64
-    }
-    fn input_len(&self) -> usize {
-        self.inputs[0].len()
-    }
-    fn target_len(&self) -> usize {
-        self.targets[0].len()
-    }
-    fn read(&self, samples: &[u64], x: &mut [f32], y: &mut [f32]) -> Result<(), SamplesError> {
-        for (nth, &sample) in samples.iter().enumerate() {
-            let (input, target) = (&self.inputs[sample as usize], &self.targets[sample as usize]);
-            x[nth * input.len()..][..input.len()].copy_from_slice(input);
-            y[nth * target.len()..][..target.len()].copy_from_slice(target);
-        }
-        Ok(())
-    }
-}
 
 /// Random frames of a few hundredths of a volt, and `target` of each.
 fn rows(count: usize, seed: u64, target: impl Fn(&[f32]) -> Vec<f32>) -> Rows {
