@@ -3,7 +3,6 @@
 //! PURE. Uses: `lab` (trainings), `evaluate::request`. Never: training, scoring.
 
 use crate::dataset::force_map::ForceMapSpec;
-use crate::dataset::force_map::peaks::THRESHOLD_N;
 use crate::evaluate::request::{EvaluationRequest, FramesRead, OffsetsRead, Scored};
 use crate::lab::{Noise, Training};
 
@@ -176,7 +175,7 @@ impl Budget {
             skin: None,
             frames: FramesRead::default(),
             offsets: OffsetsRead::default(),
-            threshold_n: THRESHOLD_N,
+            threshold_n: None,
             place_sd_mm: None,
             limit: self.scored.or(self.scale.scored()),
             examples: 0,

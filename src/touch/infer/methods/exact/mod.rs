@@ -132,7 +132,7 @@ impl ReadyMethod for ExactPipeline {
 
     fn skin(&self) -> Option<UsedSkin<'_>> {
         let (calibration, run) = (self.skin.calibration(), self.skin.run());
-        Some(UsedSkin { id: self.skin.id(), calibration, run })
+        Some(UsedSkin { id: self.skin.id(), calibration, run, limitation: self.skin.limitation() })
     }
 
     fn takes_untouched(&self) -> bool {
