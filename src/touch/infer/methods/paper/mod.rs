@@ -157,7 +157,7 @@ mod tests {
     use crate::dataset::force_map::TABLE_IV_MAPS;
 
     #[test]
-    fn the_paper_s_threshold_is_that_of_its_square_and_lighter_skins_have_a_lower_one() {
+    fn the_papers_threshold_is_that_of_its_square_and_lighter_skins_have_a_lower_one() {
         let paper = TABLE_IV_MAPS[0];
         let pad = ForceMapSpec { pixel_mm: 2.5, diameter_mm: 10.0, side_mm: 100.0 };
         assert_eq!(least_n(paper, Some(8.0)), 5.0);
