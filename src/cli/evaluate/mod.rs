@@ -143,7 +143,7 @@ struct QuantityArgs {
 /// Options of `evaluate transfer`.
 #[derive(Debug, Clone, Args)]
 struct TransferArgs {
-    /// The dataset; r2s-transfer-by-trial is split by trial, as in the paper.
+    /// Name of the dataset.
     #[arg(long, value_name = "NAME", default_value = R2S)]
     dataset: String,
     #[command(flatten)]
