@@ -126,3 +126,26 @@ pub(super) async fn follow<T: Serialize + Send + 'static>(
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use std::time::Duration;
+
+    use super::*;
+
+    #[test]
+    fn time_passes_by_the_clock_of_the_device_and_by_ours_if_it_started_again() {
+        let began = Instant::now();
+        let frame = |device_time_us, wall_s| Frame {
+            sequence: 1,
+            device_time_us,
+            volts_per_count: 1.0,
+            counts: Vec::new(),
+            received: began + Duration::from_secs(wall_s),
+        };
+        let first = (5_000_000, began);
+        // 60 times as fast as the clock of the wall; missing frames do not matter.
+        assert_eq!(passed_s(first, &frame(125_000_000, 2)), 120.0);
+        assert_eq!(passed_s(first, &frame(1_000, 3600)), 3600.0);
+    }
+}
