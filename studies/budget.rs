@@ -3,12 +3,15 @@
 //! PURE. Uses: `lab` (trainings), `evaluate::request`. Never: training, scoring.
 
 use crate::dataset::force_map::ForceMapSpec;
-use crate::dataset::force_map::peaks::THRESHOLD_N;
 use crate::evaluate::request::{EvaluationRequest, FramesRead, OffsetsRead, Scored};
 use crate::lab::{Noise, Training};
 
 /// The dataset of Transfer-Nets.
 pub const R2S: &str = "r2s-transfer";
+/// The dataset of Recon-Nets.
+pub const S2S: &str = "s2s-recon";
+/// The dataset of the pipeline and of end-to-end nets.
+pub const REAL: &str = "real";
 /// The recipe of a net from simulated voltages to force maps (paper, V-B).
 pub const RECON_NET: &str = "recon-net";
 /// The recipe of the baseline from measured voltages to force maps (paper, V-D).
@@ -99,9 +102,17 @@ pub struct Budget {
     pub seed: i64,
     /// The Transfer-Net's recipe: a carried one, or a file.
     pub transfer: String,
+    /// Whether datasets are split by trial, as the paper's, in place of by configuration.
+    pub by_trial: bool,
 }
 
 impl Budget {
+    /// Name of a dataset with the split of the budget.
+    pub fn dataset(&self, name: &str) -> String {
+        let is_split = self.by_trial && [R2S, S2S, REAL].contains(&name);
+        if is_split { format!("{name}-by-trial") } else { name.into() }
+    }
+
     /// Training of a Transfer-Net of the budget's recipe, on rows of a dataset.
     pub fn transfer(&self, stem: &str, dataset: &str, conditions: &[String]) -> Training {
         self.transfer_by(&self.transfer, stem, dataset, conditions)
@@ -126,7 +137,7 @@ impl Budget {
         Training {
             recipe: recipe.into(),
             stem: format!("{stem}-{}", self.scale.name()),
-            dataset: Some(dataset.into()),
+            dataset: Some(self.dataset(dataset)),
             conditions: conditions.to_vec(),
             answers: None,
             map: None,
@@ -142,10 +153,12 @@ impl Budget {
     pub fn map_net(&self, recipe: &str, map: ForceMapSpec, noise: Option<Noise>) -> Training {
         let MapTraining { epochs, rows, batch } = self.scale.maps(map.pixel_mm);
         let percent = 100.0 * noise.as_ref().map_or(0.0, |noise| noise.level);
+        let learned = if recipe == END_TO_END { REAL } else { S2S };
         Training {
             recipe: recipe.into(),
             stem: format!("{recipe}-{map}-{percent:.0}-{}", self.scale.name()),
-            dataset: None,
+            // Without a name it is that of the recipe, split by configuration.
+            dataset: self.by_trial.then(|| self.dataset(learned)),
             conditions: Vec::new(),
             answers: None,
             map: Some(map),
@@ -166,7 +179,7 @@ impl Budget {
     ) -> EvaluationRequest {
         EvaluationRequest {
             scored: scored.into(),
-            dataset: dataset.into(),
+            dataset: self.dataset(dataset),
             part: part.map(str::to_owned),
             conditions: Vec::new(),
             transfer: None,
@@ -176,7 +189,7 @@ impl Budget {
             skin: None,
             frames: FramesRead::default(),
             offsets: OffsetsRead::default(),
-            threshold_n: THRESHOLD_N,
+            threshold_n: None,
             place_sd_mm: None,
             limit: self.scored.or(self.scale.scored()),
             examples: 0,
@@ -197,13 +210,14 @@ impl Budget {
             format!("{} ({pixel_mm} mm)", extent(training.epochs, training.rows))
         });
         format!(
-            "Scale {}: Transfer-Net by {}, {}; nets of maps {}; seed {}. Data: {label}. \
+            "Scale {}: Transfer-Net by {}, {}; nets of maps {}; seed {}{}. Data: {label}. \
              The paper's: transfer-net-published, 1024 epochs of all rows, measured.",
             self.scale.name(),
             self.transfer,
             extent(transfer.0, transfer.1),
             maps.join(", "),
             self.seed,
+            if self.by_trial { "; split by trial" } else { "" },
         )
     }
 }
@@ -217,7 +231,8 @@ pub fn up_to(contacts: u32) -> String {
 #[cfg(test)]
 pub fn small() -> Budget {
     let transfer = "transfer-net".into();
-    Budget { scale: Scale::Small, epochs: None, rows: None, scored: None, seed: 1, transfer }
+    let (epochs, rows, scored) = (None, None, None);
+    Budget { scale: Scale::Small, epochs, rows, scored, seed: 1, transfer, by_trial: false }
 }
 
 #[cfg(test)]
@@ -235,6 +250,22 @@ mod tests {
         assert_eq!(small().map_net(END_TO_END, map, None).stem, "end-to-end-10x20-0-small");
         assert_eq!(small().transfer_to_6().stem, "transfer-to-6-small");
         assert_eq!(Noise::at(0.0, &ModelId::unchecked("mdl-1")), None);
+    }
+
+    #[test]
+    fn every_dataset_of_a_table_is_split_by_trial_if_one_is() {
+        let by_trial = Budget { by_trial: true, ..small() };
+        let map = ForceMapSpec { pixel_mm: 10.0, diameter_mm: 20.0, side_mm: SIDE_MM };
+        let of_map = |budget: &Budget, recipe| budget.map_net(recipe, map, None).dataset;
+        assert_eq!(of_map(&by_trial, RECON_NET).as_deref(), Some("s2s-recon-by-trial"));
+        assert_eq!(of_map(&by_trial, END_TO_END).as_deref(), Some("real-by-trial"));
+        assert_eq!(of_map(&small(), RECON_NET), None);
+        let transfer = by_trial.transfer_to_6().dataset;
+        assert_eq!(transfer.as_deref(), Some("r2s-transfer-by-trial"));
+        for name in ["real-unseen", "pad", "real-by-trial"] {
+            assert_eq!(by_trial.request(Method::Exact, name, None).dataset, name);
+        }
+        assert!(by_trial.caption("virtual").contains("split by trial"));
     }
 
     #[test]

@@ -6,7 +6,7 @@ use std::collections::BTreeMap;
 
 use serde_json::json;
 
-use crate::budget::{Budget, RECON_NET};
+use crate::budget::{Budget, REAL, RECON_NET};
 use crate::dataset::force_map::{ForceMapSpec, SIDE_MM};
 use crate::evaluate::anova::{Anova, Factor, Factorial, MarginalMean, Moments};
 use crate::evaluate::charts::{Bar, bars};
@@ -74,7 +74,7 @@ pub async fn fig_11<L: Lab>(lab: &L, budget: &Budget) -> Result<Sheet, L::Error>
                 let map = ForceMapSpec { pixel_mm, diameter_mm, side_mm: SIDE_MM };
                 let training = budget.map_net(RECON_NET, map, Noise::at(level, &transfer));
                 let model = lab.train(&training).await?;
-                let mut request = budget.request(Method::Paper, "real", Some("test"));
+                let mut request = budget.request(Method::Paper, REAL, Some("test"));
                 request.transfer = Some(transfer.to_string());
                 request.map = Some(model.to_string());
                 let report = lab.score(&request).await?;

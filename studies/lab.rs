@@ -258,7 +258,7 @@ pub mod fake {
         report.perfect = report.contacts.clone();
         report.map = Some("4x20".into());
         let sums = ["number_percent", "location_mm", "force_percent", "diameter_percent"];
-        let moments = || [4.0, 5.0 + request.threshold_n].into_iter().collect();
+        let moments = || [4.0, 10.0].into_iter().collect();
         report.cells = Some(sums.map(|key| (key.to_owned(), moments())).into());
         let shown = counts.into_iter().take(request.examples as usize);
         report.examples = shown.map(|n| Example { truth: truth(n), reading: reading(n) }).collect();
@@ -285,7 +285,7 @@ pub mod fake {
         async fn score(&self, request: &EvaluationRequest) -> Result<EvaluationReport, StudyError> {
             self.scored.lock().unwrap().push(request.clone());
             let report = json!({ "scored": request.scored, "dataset": "ds-1", "label": "virtual",
-                "models": [], "rows": 0, "threshold_n": request.threshold_n });
+                "models": [], "rows": 0, "threshold_n": 5.0 });
             let report = serde_json::from_value(report).unwrap();
             Ok(if self.scores { with_scores(request, report) } else { report })
         }

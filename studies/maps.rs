@@ -3,7 +3,7 @@
 
 use serde_json::json;
 
-use crate::budget::{Budget, RECON_NET};
+use crate::budget::{Budget, RECON_NET, S2S};
 use crate::dataset::force_map::{ForceMapSpec, TABLE_IV_MAPS};
 use crate::evaluate::charts::{Heat, heats};
 use crate::evaluate::published::table_iv as published_table_iv;
@@ -16,7 +16,7 @@ use crate::sheet::{OutputFile, Sheet};
 
 /// The nets of the twelve maps, in the order of the table.
 pub fn table_iv_nets(budget: &Budget) -> Vec<TableNet> {
-    let scores = vec![budget.request(Method::Paper, "s2s-recon", Some("test"))];
+    let scores = vec![budget.request(Method::Paper, S2S, Some("test"))];
     let net = |spec| {
         let training = budget.map_net(RECON_NET, spec, None);
         TableNet { training, scores: scores.clone() }

@@ -32,7 +32,7 @@ const SHOWN_TRIAL: [&str; 3] = ["contact_count__eq=3", "split__eq=test", "max_fo
 pub async fn fig_10<L: Lab>(lab: &L, budget: &Budget) -> Result<Sheet, L::Error> {
     let transfer = lab.train(&budget.transfer_to_6()).await?;
     let left = lab.residuals(&transfer).await?;
-    let Trial { frame_v, contacts: truth, label } = triple(lab).await?;
+    let Trial { frame_v, contacts: truth, label } = triple(lab, &budget.dataset(R2S)).await?;
     let pixel_mm = budget.scale.fine_mm();
     let spec = ForceMapSpec { pixel_mm, diameter_mm: DIAMETER_MM, side_mm: SIDE_MM };
     let mut shown = vec![Picture::of_contacts("true", spec, &truth).map_err(StudyError::from)?];
@@ -84,10 +84,10 @@ fn strongest(contacts: &[FoundContact]) -> String {
 }
 
 /// A test trial of three contacts.
-async fn triple<L: Lab>(lab: &L) -> Result<Trial, L::Error> {
-    let trial = lab.first_trial(R2S, &SHOWN_TRIAL.map(str::to_owned)).await?;
+async fn triple<L: Lab>(lab: &L, dataset: &str) -> Result<Trial, L::Error> {
+    let trial = lab.first_trial(dataset, &SHOWN_TRIAL.map(str::to_owned)).await?;
     let none = || StudyError::NoTrial {
-        dataset: R2S.into(),
+        dataset: dataset.into(),
         trial: "a test trial of three contacts".into(),
     };
     Ok(trial.ok_or_else(none)?)

@@ -49,7 +49,8 @@ pub async fn quantity<L: Lab>(
     budget: &Budget,
     compared: &Compared,
 ) -> Result<Sheet, L::Error> {
-    let split_by = lab.split_by(&compared.dataset).await?;
+    let dataset = budget.dataset(&compared.dataset);
+    let split_by = lab.split_by(&dataset).await?;
     let (mut entries, mut reports) = (Vec::new(), Vec::new());
     let baselines = BASELINES.map(|(recipe, name)| (recipe.to_owned(), name.to_owned(), true));
     let recipes = compared.recipes.iter().map(|recipe| (recipe.clone(), recipe.clone(), false));
@@ -60,7 +61,7 @@ pub async fn quantity<L: Lab>(
     }
     scored.extend(compared.nets.iter().map(|net| (net.clone(), false, net.clone())));
     for (name, is_baseline, net) in scored {
-        let mut request = budget.request(Scored::Quantity, &compared.dataset, Some("test"));
+        let mut request = budget.request(Scored::Quantity, &dataset, Some("test"));
         request.conditions.clone_from(&compared.conditions);
         request.net = Some(net);
         let report = lab.score(&request).await?;
@@ -75,12 +76,12 @@ pub async fn quantity<L: Lab>(
         "# {}{} on the test part of {} ({label}, split by {split_by})\n\n{}\n{}{}",
         name[..1].to_uppercase(),
         &name[1..],
-        compared.dataset,
+        dataset,
         markdown(&head(compared.quantity), &rows(&entries)),
         verdicts(&entries),
         notes(&reports),
     );
-    let numbers = json!({ "quantity": name, "dataset": compared.dataset, "split_by": split_by,
+    let numbers = json!({ "quantity": name, "dataset": dataset, "split_by": split_by,
         "label": label, "nets": entries.iter().map(Entry::numbers).collect::<Vec<Value>>() });
     Ok(Sheet::new(&format!("quantity-{name}"), text, numbers, Vec::new()))
 }
@@ -91,7 +92,7 @@ fn training(budget: &Budget, compared: &Compared, recipe: &str) -> Training {
     Training {
         recipe: recipe.into(),
         stem: format!("{stem}-{}", compared.quantity.name()),
-        dataset: Some(compared.dataset.clone()),
+        dataset: Some(budget.dataset(&compared.dataset)),
         conditions: compared.conditions.clone(),
         answers: Some(compared.quantity),
         map: None,

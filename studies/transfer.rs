@@ -39,14 +39,13 @@ pub fn table_iii_nets(budget: &Budget, dataset: &str) -> Vec<TableNet> {
 /// Trains Transfer-Nets on 1, 1 to 2, .. 1 to 6 contacts, and compares their voltages with
 /// simulated ones for each number of contacts; also the measured voltages without a net.
 ///
-/// `dataset`: `r2s-transfer`, or `r2s-transfer-by-trial`, which is split by trial as in the paper.
-///
 /// # Errors
 /// Error of the lab if a training or an evaluation fails; `StudyError::Figure` if the figure cannot
 /// be drawn.
 ///
 /// Source: paper, V-A and Table III.
 pub async fn table_iii<L: Lab>(lab: &L, budget: &Budget, dataset: &str) -> Result<Sheet, L::Error> {
+    let dataset = &budget.dataset(dataset);
     let split_by = lab.split_by(dataset).await?;
     let mut rows = Vec::new();
     let (mut numbers, mut curves) = (Vec::new(), Vec::new());

@@ -15,8 +15,10 @@ const ABOUT = {
   real: 'Real-Hex with contacts: measured voltages to force map (Table II)',
   'real-untouched': 'Real-Hex where no tip pressed',
   'r2s-transfer': 'measured to simulated voltages (Table II)',
-  'r2s-transfer-by-trial': 'the same, split by trial as in the paper',
   's2s-recon': 'simulated voltages to force map (Table II)',
+  'real-by-trial': 'real, split by trial as in the paper',
+  'r2s-transfer-by-trial': 'r2s-transfer, split by trial as in the paper',
+  's2s-recon-by-trial': 's2s-recon, split by trial as in the paper',
   'real-unseen': 'Real-Random: the test with weights (Table II)',
 }
 const DRAFT = 'palpate-draft-dataset'

@@ -30,9 +30,10 @@ function sureness(answer, old) {
   if (old) return { tone: 'warn', words: 'Outdated: no answer for some seconds.' }
   if (answer.outside?.length) return { tone: 'warn', words: `Unsure: ${answer.outside.join('; ')}.` }
   const misfit = answer.misfit == null ? '' : ` The fit leaves ${fixed(answer.misfit, 1)} times the noise (limit ${answer.misfit_limit}).`
+  const notes = (answer.notes ?? []).map(note => ` Note: ${note}.`).join('')
   const found = answer.contacts.length ? counted(answer.contacts.length, 'contact') : 'Nothing touches the skin', others = answer.alternatives ?? []
-  if (others.length) return { tone: 'warn', words: `${found}, with a probability of ${fixed(100 * answer.probability, 0, '%')}. Other explanations: ${others.map(explained).join('; ')}.${misfit}` }
-  return { tone: 'good', words: `${found}.${misfit}` }
+  if (others.length) return { tone: 'warn', words: `${found}, with a probability of ${fixed(100 * answer.probability, 0, '%')}. Other explanations: ${others.map(explained).join('; ')}.${misfit}${notes}` }
+  return { tone: notes ? 'warn' : 'good', words: `${found}.${misfit}${notes}` }
 }
 
 /** Another explanation of a frame. */

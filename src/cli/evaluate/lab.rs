@@ -69,6 +69,9 @@ pub struct ExtentArgs {
     /// The Transfer-Net's recipe: transfer-net (residual form), transfer-net-published, or a file.
     #[arg(long, value_name = "RECIPE", default_value = "transfer-net")]
     transfer: String,
+    /// Split real, r2s-transfer and s2s-recon by trial, as the paper did, in place of by configuration.
+    #[arg(long)]
+    by_trial: bool,
 }
 
 /// Options of a table.
@@ -103,6 +106,7 @@ impl ExtentArgs {
             scored: self.scored,
             seed: self.seed,
             transfer: self.transfer.clone(),
+            by_trial: self.by_trial,
         }
     }
 }

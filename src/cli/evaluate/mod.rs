@@ -109,9 +109,10 @@ pub struct MethodRequest {
     /// Take the offsets of the calibration off, not those of the untouched skin before each trial.
     #[arg(long)]
     calibrated_offsets: bool,
-    /// Least force of a peak, N.
-    #[arg(long, value_name = "N", default_value_t = 5.0)]
-    threshold_n: f64,
+    /// Least force of a peak, N [default: 5, or for a map of another square than 640 mm an eighth of the largest force
+    /// in the training of its net, if that is less].
+    #[arg(long, value_name = "N")]
+    threshold_n: Option<f64>,
     /// Skip contacts of exact whose position has a larger standard deviation than this, mm.
     #[arg(long, value_name = "MM")]
     place_sd_mm: Option<f64>,
@@ -142,7 +143,7 @@ struct QuantityArgs {
 /// Options of `evaluate transfer`.
 #[derive(Debug, Clone, Args)]
 struct TransferArgs {
-    /// The dataset; r2s-transfer-by-trial is split by trial, as in the paper.
+    /// Name of the dataset.
     #[arg(long, value_name = "NAME", default_value = R2S)]
     dataset: String,
     #[command(flatten)]

@@ -5,6 +5,7 @@ use axum::extract::ws::WebSocket;
 use axum::http::StatusCode;
 use axum::response::Response;
 use serde::{Deserialize, Serialize};
+use tokio::time::Instant;
 use utoipa::{IntoParams, ToSchema};
 
 use super::App;
@@ -75,8 +76,10 @@ pub async fn live(
     serving.ready(method)?;
     let (places, maps) = (client.app.turns.live.clone(), ForceMaps::if_wanted(options.map));
     client.open(&places, (LIVE_CLIENTS, "live contacts"), move |app, socket| {
-        let (clock, mut tracked) = (Clock::new(1.0), Tracked::default());
+        let (clock, mut tracked, mut last) = (Clock::new(1.0), Tracked::default(), None);
         follow(app, socket, move |pipeline, frame| {
+            let before = last.replace((frame.device_time_us, frame.received));
+            tracked.pass(before.map_or(0.0, |before| passed_s(before, frame)));
             let volts = frame.voltages_v();
             let Followed { reading, model } =
                 pipeline.follow(method, &volts, maps, &mut tracked)?;
@@ -86,6 +89,13 @@ pub async fn live(
             Ok(LiveAnswer { sequence, device_time_us, answer })
         })
     })
+}
+
+/// Process time between two frames, s: by the clock of the device, and by that of this machine if the device started
+/// again.
+fn passed_s((device_time_us, received): (u64, Instant), frame: &Frame) -> f64 {
+    let device_s = 1e-6 * frame.device_time_us.saturating_sub(device_time_us) as f64;
+    device_s.max(frame.received.saturating_duration_since(received).as_secs_f64())
 }
 
 /// Sends what `answer` makes of the frames, as JSON, one after the other, until the client leaves.
@@ -114,5 +124,28 @@ pub(super) async fn follow<T: Serialize + Send + 'static>(
         if !is_sent(&mut socket, text.into()).await {
             return;
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::time::Duration;
+
+    use super::*;
+
+    #[test]
+    fn time_passes_by_the_clock_of_the_device_and_by_ours_if_it_started_again() {
+        let began = Instant::now();
+        let frame = |device_time_us, wall_s| Frame {
+            sequence: 1,
+            device_time_us,
+            volts_per_count: 1.0,
+            counts: Vec::new(),
+            received: began + Duration::from_secs(wall_s),
+        };
+        let first = (5_000_000, began);
+        // 60 times as fast as the clock of the wall; missing frames do not matter.
+        assert_eq!(passed_s(first, &frame(125_000_000, 2)), 120.0);
+        assert_eq!(passed_s(first, &frame(1_000, 3600)), 3600.0);
     }
 }

@@ -20,11 +20,6 @@ use crate::infer::slot::Slot;
 use crate::problem::{Checks, Problem};
 use crate::store::{Contact, Label};
 
-/// Default of the least force of a peak: that of the paper (V-B2), N.
-fn threshold_n() -> f64 {
-    crate::dataset::force_map::peaks::THRESHOLD_N
-}
-
 /// Method or values that are scored.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "&'static str")]
@@ -200,9 +195,10 @@ pub struct EvaluationRequest {
     /// calibration.
     #[serde(default)]
     pub offsets: OffsetsRead,
-    /// Least force of a peak, N.
-    #[serde(default = "threshold_n")]
-    pub threshold_n: f64,
+    /// Least force of a peak, N; if absent, the paper's 5 N, or for a map of another square than the paper's an
+    /// eighth of the largest force in the training of its net, if that is less.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub threshold_n: Option<f64>,
     /// Skip contacts of `exact` whose position has a larger standard deviation than this, mm (the
     /// root mean square of those of x and y).
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -241,7 +237,9 @@ impl EvaluationRequest {
         let part = self.part.as_deref().unwrap_or("test");
         let parts = crate::dataset::split::Part::ALL.map(|part| part.name());
         checks.require(parts.contains(&part), "part", part, "must be train, validation or test");
-        checks.within("threshold_n", self.threshold_n, 0.0..=1000.0);
+        if let Some(threshold_n) = self.threshold_n {
+            checks.within("threshold_n", threshold_n, 0.0..=1000.0);
+        }
         let scored = self.scored.name();
         for (slot, is_set) in [
             (Slot::Transfer, self.transfer.is_some()),

@@ -14,7 +14,7 @@ pub const SCORE_COLUMNS: [&str; 10] = [
     "location mm",
     "closest mm",
     "force %",
-    "median |force| %",
+    "median abs. force %",
     "diameter %",
     "exact %",
     "ghosts/trial",

@@ -133,6 +133,8 @@ impl Pipeline {
     ) -> Result<Answered, InferError> {
         let ready = self.ready(method)?;
         let mut readings = ready.read(frames, maps)?;
+        let limitation = ready.skin().and_then(|skin| skin.limitation);
+        readings.iter_mut().for_each(|reading| reading.notes.extend(limitation.clone()));
         if maps == ForceMaps::With {
             draw(&mut readings, ready.size_mm())?;
         }

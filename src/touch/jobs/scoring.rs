@@ -15,6 +15,7 @@ use super::gathered::Gathered;
 use super::readings::frames::FrameInput;
 use crate::clock::Clock;
 use crate::dataset::force_map::ForceMap;
+use crate::dataset::force_map::peaks::THRESHOLD_N;
 use crate::evaluate::anova::Moments;
 use crate::evaluate::perfect::perfect;
 use crate::evaluate::quantities::QuantityScores;
@@ -136,7 +137,8 @@ impl Scoring {
 
     /// Restrictions on the validity of the scores.
     fn notes(&self) -> Vec<String> {
-        let run = self.reader.method().and_then(|method| method.skin()?.run);
+        let skin = self.reader.method().and_then(|method| method.skin());
+        let (run, limited) = skin.map_or((None, None), |skin| (skin.run, skin.limitation));
         let runs = self.lineage["runs"].as_array().into_iter().flatten();
         let seen = run.filter(|run| runs.into_iter().any(|r| r["uid"].as_str() == Some(run)));
         let seen = seen.map(|run| {
@@ -144,7 +146,7 @@ impl Scoring {
         });
         let learned = (!self.held_out)
             .then(|| "the rows may include rows that the nets were trained on".to_owned());
-        seen.into_iter().chain(learned).collect()
+        seen.into_iter().chain(limited).chain(learned).collect()
     }
 
     fn blank(&self) -> EvaluationReport {
@@ -163,7 +165,7 @@ impl Scoring {
             models,
             calibration,
             rows: self.gathered.rows.len() as u64,
-            threshold_n: self.request.threshold_n,
+            threshold_n: self.request.threshold_n.unwrap_or(THRESHOLD_N),
             place_sd_mm: self.request.place_sd_mm,
             contacts: None,
             perfect: None,
@@ -298,7 +300,8 @@ impl Scoring {
         let truths: Vec<Vec<Contact>> =
             self.gathered.rows.iter().map(|&row| self.truths(row)).collect();
         let truths = truths.iter().map(Vec::as_slice);
-        let perfect = perfect(&draws, truths, self.request.threshold_n).map_err(|error| {
+        report.threshold_n = self.request.threshold_n.unwrap_or_else(|| method.threshold_n());
+        let perfect = perfect(&draws, truths, report.threshold_n).map_err(|error| {
             LearnError::value("evaluation", "dataset", &self.dataset, &error.to_string())
         })?;
         if !perfect.is_empty() {

@@ -17,6 +17,8 @@ use super::trainer::{self, Ended};
 use super::{Jobs, Watch};
 use crate::dataset::background::background;
 use crate::dataset::build::data_file;
+use crate::dataset::force_map::ForceMapSpec;
+use crate::dataset::import::sensor::ImportedSensor;
 use crate::ids::{CalibrationId, DatasetId, ModelId};
 use crate::infer::registry::{self, NewModel};
 use crate::learn::error::LearnError;
@@ -141,6 +143,15 @@ async fn prepare(
             (serving.sensor_text().to_owned(), Source::Stream { calibration, cache })
         }
     };
+    let skin = ImportedSensor::from_toml("sensor", &sensor)?;
+    let beyond = |map: &ForceMapSpec| map.side_mm > 2.0 * skin.width_mm.max(skin.height_mm);
+    if let Some(map) = recipe.map.filter(beyond) {
+        tracing::warn!(
+            %map,
+            sensor = %skin.name,
+            "most of the map is beyond the skin: state the side of its square, mm, as in 2.5x10x100"
+        );
+    }
     let order = Order {
         version: ORDER_VERSION.into(),
         // A recipe was read from TOML and contains numbers, names and lists.

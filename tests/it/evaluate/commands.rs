@@ -14,6 +14,19 @@ use serde_json::Value;
 use crate::datasets::filled::{fill, folder, new_run, press, store, twins_but};
 use crate::support::{PALPATE, VIRTUAL_RIG, sensor};
 
+/// Columns of a table of scores of contacts.
+const SCORES: [&str; 10] = [
+    "method",
+    "trials",
+    "number %",
+    "location mm",
+    "closest mm",
+    "force %",
+    "median abs. force %",
+    "diameter %",
+    "exact %",
+    "ghosts/trial",
+];
 /// Numbers of tips of further runs, and their configurations: some are in each part.
 const TIPS: [u8; 2] = [1, 3];
 const CONFIGURATIONS: u32 = 15;
@@ -62,17 +75,18 @@ pub(super) fn table_text(data: &Path, name: &str) -> String {
     std::fs::read_to_string(data.join("tables").join(format!("{name}.md"))).unwrap()
 }
 
-/// Number of rows of a table file, whose columns are `head`.
+/// Number of rows of the first table with the columns `head` in a table file.
 fn rows(data: &Path, name: &str, head: &[&str]) -> usize {
     let text = table_text(data, name);
-    let mut lines = text.lines().filter(|line| line.starts_with('|'));
     let cells = |line: &str| {
         line.trim_matches('|').split('|').map(|cell| cell.trim().to_owned()).collect::<Vec<_>>()
     };
-    assert_eq!(cells(lines.next().unwrap_or_default()), head, "{name}:\n{text}");
-    assert!(lines.all(|line| cells(line).len() == head.len()), "{name}:\n{text}");
-    // Without the head and the rule below it.
-    text.lines().filter(|line| line.starts_with('|')).count() - 2
+    let mut lines = text.lines().skip_while(|line| cells(line) != head);
+    assert!(lines.next().is_some(), "{name} has no table of {head:?}:\n{text}");
+    let body: Vec<&str> = lines.take_while(|line| line.starts_with('|')).collect();
+    assert!(body.iter().all(|line| cells(line).len() == head.len()), "{name}:\n{text}");
+    // Without the rule below the head.
+    body.len() - 1
 }
 
 fn is_svg(data: &Path, name: &str, label: &str) {
@@ -112,6 +126,8 @@ async fn every_command_trains_scores_and_writes_what_it_is_for() {
     assert_eq!(names.len(), 12);
     assert!(names.contains(&"4x20") && names.contains(&"20x60"), "{names:?}");
     assert!(maps.iter().all(|map| map["report"]["part"] == "test" && map["report"]["rows"] == 20));
+    // Ours, a perfect map's and the paper's of each.
+    assert_eq!(rows(&data, "table-iv", &SCORES), 36);
     is_svg(&data, "fig-9.svg", "simulated");
 
     let figure = evaluate(&data, "noise", &tiny);
@@ -128,21 +144,31 @@ async fn every_command_trains_scores_and_writes_what_it_is_for() {
         conditions.iter().map(|condition| condition["noise"].to_string()).collect();
     // Two pixels, two diameters, three levels of noise, as in the paper.
     assert_eq!((conditions.len(), noises.len()), (12, 3), "{conditions:?}");
+    assert_eq!(rows(&data, "fig-11", &SCORES), 4, "a perfect map for each of the four");
 
-    let figure = evaluate(&data, "unseen", &all(&["--ours"]));
+    let figure = evaluate(&data, "unseen", &tiny);
     let ours = figure["ours"].as_array().unwrap();
     let names: Vec<&str> = ours.iter().map(|method| method["name"].as_str().unwrap()).collect();
     assert_eq!(names, ["one step, Tikhonov", "one step, NOSER", "exact, 1 frame", "exact, mean"]);
     assert!(ours.iter().all(|method| method["report"]["rows"] == 12), "all of Real-Random");
+    let unknown = |note: &Value| note.as_str().unwrap().contains("model are unknown");
+    let notes = ours[3]["report"]["notes"].as_array().unwrap();
+    assert!(notes.iter().any(unknown), "no trial of one to three contacts fits: {notes:?}");
+    // The nets of Fig. 11 again, four baselines, and the best by the paper's Transfer-Net.
+    let pipeline = figure["real_to_sim"].as_array().unwrap();
+    assert_eq!((pipeline.len(), figure["end_to_end"].as_array().unwrap().len()), (12, 4));
+    assert_eq!(figure["best_with_published_transfer"]["rows"], 12);
+    assert!(pipeline.iter().all(|net| net["report"]["threshold_n"] == 5.0), "the paper's rule");
+    // Three of nets, the paper's, four of ours, each also by the number of contacts, and perfect maps.
+    assert!(rows(&data, "fig-12", &SCORES) > 2 * 7);
+    assert!(rows(&data, "fig-12", &["probability", "answers", "stated %", "right %"]) > 0);
     is_svg(&data, "fig-12.svg", "virtual");
-
-    let text = table_text(&data, "fig-12");
-    assert!(text.contains("answers by their probability"), "{text}");
 
     let scored =
         evaluate(&data, "method", &all(&["tikhonov", "--dataset", "real", "--part", "test"]));
     assert_eq!((&scored["method"], &scored["report"]["rows"]), (&"tikhonov".into(), &20.into()));
     assert!(scored["report"]["perfect"]["all"]["trials"].as_u64() > Some(0));
+    assert!(rows(&data, "method", &SCORES) > 2);
 
     let table = evaluate(&data, "quantity", &all(&["count"]));
     let nets = table["nets"].as_array().unwrap();
@@ -202,6 +228,8 @@ async fn fig_12_is_made_of_imported_trials_of_another_skin() {
     let of_test = |net: &Value| net["report"]["part"] == "test" && net["report"]["rows"] == 16;
     assert!(nets.iter().all(of_test), "{nets:?}");
     assert!(nets.iter().all(|net| net["report"]["held_out"] == true), "{nets:?}");
+    // An eighth of the 9 N of all contacts.
+    assert!(nets.iter().all(|net| net["report"]["threshold_n"] == 1.13), "{nets:?}");
     let text = table_text(&data, "fig-12");
     assert!(text.contains("end-to-end, best: ") && text.contains("part train of pad"), "{text}");
     assert!(!data.join("tables/fig-12.svg").exists(), "it shows the rig's skin");

@@ -3,6 +3,7 @@
 
 use std::collections::BTreeMap;
 
+use parquet::basic::Type;
 use parquet::file::metadata::ParquetMetaData;
 
 use super::BATCH_TRIALS;
@@ -20,6 +21,9 @@ pub const IMPORTED_TRIALS_MAX: u64 = 10_000_000;
 
 /// Number of values of a column that are read at a time.
 const VALUES_AT_ONCE: u64 = 4 << 20;
+/// Largest size of the texts of a row group, and of those that are read at a time, bytes: a text that a group holds once
+/// may be that of each of its rows.
+const TEXT_BYTES_AT_ONCE: u64 = 256 << 20;
 
 /// Numbers of rows and values of a file.
 #[derive(Debug, Default)]
@@ -27,35 +31,42 @@ pub struct Extent {
     rows: u64,
     /// Largest number of values of a leaf, by the column that is read.
     values: BTreeMap<String, u64>,
+    /// Largest size of the texts of a row group that are read, without compression, bytes.
+    text_bytes: u64,
 }
 
 impl Extent {
     /// Of a file with this number of rows, and of values by column.
     pub fn new(rows: u64, values: BTreeMap<String, u64>) -> Self {
-        Self { rows, values }
+        Self { rows, values, text_bytes: 0 }
     }
 
     /// Extent of a Parquet file, by its footer.
     pub fn of(footer: &ParquetMetaData) -> Self {
         let count = |n: i64| u64::try_from(n).unwrap_or(u64::MAX);
         let mut leaves: BTreeMap<String, u64> = BTreeMap::new();
-        let mut rows: u64 = 0;
+        let mut extent = Self::default();
         for group in footer.row_groups() {
-            rows = rows.saturating_add(count(group.num_rows()));
+            extent.rows = extent.rows.saturating_add(count(group.num_rows()));
+            let mut text_bytes: u64 = 0;
             for leaf in group.columns() {
-                let values = leaves.entry(leaf.column_path().string()).or_default();
+                let path = leaf.column_path().string();
+                if !is_read(column_of(&path)) {
+                    continue;
+                }
+                if leaf.column_type() == Type::BYTE_ARRAY {
+                    text_bytes = text_bytes.saturating_add(count(leaf.uncompressed_size()));
+                }
+                let values = leaves.entry(path).or_default();
                 *values = values.saturating_add(count(leaf.num_values()));
             }
+            extent.text_bytes = extent.text_bytes.max(text_bytes);
         }
-        let mut values = BTreeMap::new();
         for (path, number) in leaves {
-            let column = path.split('.').next().unwrap_or_default();
-            if is_read(column) {
-                let most: &mut u64 = values.entry(column.to_owned()).or_default();
-                *most = number.max(*most);
-            }
+            let most: &mut u64 = extent.values.entry(column_of(&path).to_owned()).or_default();
+            *most = number.max(*most);
         }
-        Self { rows, values }
+        extent
     }
 
     /// Number of rows.
@@ -63,23 +74,27 @@ impl Extent {
         self.rows
     }
 
-    /// Number of rows that are read at a time: fewer of rows with many values.
+    /// Number of rows that are read at a time: fewer of rows with many values, or with long texts.
     pub fn rows_at_once(&self) -> usize {
         let most = self.values.values().copied().max().unwrap_or_default();
         let each = most.div_ceil(self.rows.max(1)).max(1);
-        (VALUES_AT_ONCE / each).clamp(1, BATCH_TRIALS as u64) as usize
+        let of_texts = TEXT_BYTES_AT_ONCE / self.text_bytes.max(1);
+        (VALUES_AT_ONCE / each).min(of_texts).clamp(1, BATCH_TRIALS as u64) as usize
     }
 
     /// Returns the size of the trials in the database, bytes. `file` is the name of the file in
     /// messages.
     ///
     /// # Errors
-    /// A problem if there are too many rows, and for each column with more values than trials of the
+    /// A problem if there are too many rows, if the texts are too long, and for each column with more values than trials of the
     /// sensor can have.
     pub fn needed(&self, file: &str, sensor: &ImportedSensor) -> Result<u64, Vec<Problem>> {
         let mut checks = Checks::of(file);
         let limit = format!("must be at most {IMPORTED_TRIALS_MAX}: split the file");
         checks.require(self.rows <= IMPORTED_TRIALS_MAX, "rows", self.rows, &limit);
+        let texts = format!("{} bytes in a row group", self.text_bytes);
+        let limit = format!("must be at most {TEXT_BYTES_AT_ONCE} bytes: write smaller row groups");
+        checks.require(self.text_bytes <= TEXT_BYTES_AT_ONCE, "texts", texts, &limit);
         let channels = sensor.channels as u64;
         for (column, number) in &self.values {
             let most = match column.as_str() {
@@ -101,6 +116,11 @@ impl Extent {
     }
 }
 
+/// The column of a leaf.
+fn column_of(path: &str) -> &str {
+    path.split('.').next().unwrap_or_default()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -111,7 +131,7 @@ mod tests {
     }
 
     fn extent(rows: u64, values: [(&str, u64); 2]) -> Extent {
-        Extent { rows, values: values.map(|(name, n)| (name.to_owned(), n)).into() }
+        Extent::new(rows, values.map(|(name, n)| (name.to_owned(), n)).into())
     }
 
     #[test]
@@ -144,5 +164,16 @@ mod tests {
         assert!(refused.starts_with("f: frames_v = ") && refused.ends_with(&words), "{refused}");
         assert_eq!(of(10 * VALUES_AT_ONCE / 3).rows_at_once(), 2);
         assert_eq!(of(u64::MAX).rows_at_once(), 1);
+    }
+
+    #[test]
+    fn rows_with_long_texts_are_read_in_smaller_pieces() {
+        let of =
+            |text_bytes| Extent { text_bytes, ..extent(1000, [(VOLTAGES_V, 0), (CONTACTS, 0)]) };
+        assert_eq!(of(100_000).rows_at_once(), BATCH_TRIALS);
+        assert_eq!(of(TEXT_BYTES_AT_ONCE / 3).rows_at_once(), 3);
+        assert!(of(TEXT_BYTES_AT_ONCE).needed("f", &pad()).is_ok());
+        let refused = of(TEXT_BYTES_AT_ONCE + 1).needed("f", &pad()).unwrap_err()[0].to_string();
+        assert!(refused.starts_with("f: texts = 268435457 bytes in a row group"), "{refused}");
     }
 }

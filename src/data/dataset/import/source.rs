@@ -1,5 +1,5 @@
 //! A file of trials in any format that imports read, as batches of the columns of `rows`.
-//! Uses: parquet, `foreign`. Never: a check of a value, which is the task of `rows`.
+//! Uses: parquet, `columns`, `foreign`. Never: a check of a value, which is the task of `rows`.
 
 use std::fs::File;
 use std::io::Read;
@@ -12,6 +12,7 @@ use parquet::arrow::ProjectionMask;
 use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;
 use parquet::errors::ParquetError;
 
+use super::columns::Columns;
 use super::extent::Extent;
 use super::foreign::arrays::{Arrays, Container};
 use super::foreign::csv::Csv;
@@ -90,6 +91,10 @@ impl Source {
             Found::Parquet => {
                 let parquet = ParquetRecordBatchReaderBuilder::try_new(opened)
                     .map_err(|error| unreadable(file, &error))?;
+                // A column of another type is refused before it is read.
+                let empty = RecordBatch::new_empty(parquet.schema().clone());
+                Columns::of(file, &empty)
+                    .map_err(|problem| DatasetError::Problems(vec![problem]))?;
                 let extent = Extent::of(parquet.metadata());
                 (parquet.schema().clone(), extent, Content::Parquet(Box::new(parquet)))
             }

@@ -60,7 +60,7 @@ struct Row {
 }
 
 /// Models for a method. It uses those of its slots.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Default)]
 pub struct Models {
     /// A Transfer-Net.
     pub transfer: Option<Arc<Model>>,
@@ -72,16 +72,8 @@ pub struct Models {
     pub skin: Option<Arc<ExactSkin>>,
     /// The exact model of a skin, for methods that use the skin without fits.
     pub forward: Option<Arc<ForwardModel>>,
-    /// Least force of a peak, N.
-    pub threshold_n: f64,
-}
-
-impl Default for Models {
-    /// No models, and the paper's least force of a peak.
-    fn default() -> Self {
-        let (transfer, map, points, skin, forward) = (None, None, None, None, None);
-        Self { transfer, map, points, skin, forward, threshold_n: THRESHOLD_N }
-    }
+    /// Least force of a peak, N; that of the method if absent.
+    pub threshold_n: Option<f64>,
 }
 
 impl Method {
@@ -144,7 +136,7 @@ impl Method {
         let lacks = |needs| InferError::NotServed { method: self.name(), needs };
         let one_step = |kind| {
             let model = models.forward.as_ref().ok_or_else(|| lacks("skin"))?;
-            OneStepPipeline::new(model, kind, models.threshold_n)
+            OneStepPipeline::new(model, kind, models.threshold_n.unwrap_or(THRESHOLD_N))
         };
         Ok(match self {
             Self::Paper => {
@@ -256,7 +248,7 @@ pub fn names(about: &str, names: Vec<&'static str>) -> RefOr<Schema> {
 }
 
 /// The exact model of a skin that a method uses.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq)]
 pub struct UsedSkin<'a> {
     /// Id of the model in messages.
     pub id: &'a str,
@@ -264,6 +256,8 @@ pub struct UsedSkin<'a> {
     pub calibration: Option<&'a CalibrationId>,
     /// Id of the run that it was calibrated to, if known.
     pub run: Option<&'a str>,
+    /// What limits its answers, if anything is known to.
+    pub limitation: Option<String>,
 }
 
 /// Frames that are read one by one.
@@ -332,6 +326,11 @@ pub trait ReadyMethod: Send + Sync {
     /// Layout of its maps, or of the map in which its contacts are drawn.
     fn map(&self) -> ForceMapSpec {
         MAP_1
+    }
+
+    /// Least force of a peak of this map, N.
+    fn threshold_n(&self) -> f64 {
+        THRESHOLD_N
     }
 
     /// Width and height of the skin, mm.

@@ -53,6 +53,13 @@ pub struct Tracked {
     skin: Option<String>,
 }
 
+impl Tracked {
+    /// Notes the process time since the last frame of the stream, s: its zero ages.
+    pub fn pass(&mut self, seconds: f64) {
+        self.zero.pass(seconds);
+    }
+}
+
 impl ReadyMethod for ExactPipeline {
     /// Ids of the skin and the net.
     fn id(&self) -> String {
@@ -89,7 +96,6 @@ impl ReadyMethod for ExactPipeline {
         }
         self.skin.take_calibrated(frame, &mut tracked.frame_v);
         tracked.zero.take_off(&mut tracked.frame_v);
-        tracked.zero.pass();
         let steady = match &mut tracked.steady {
             Some(steady) => steady,
             none => {
@@ -132,7 +138,7 @@ impl ReadyMethod for ExactPipeline {
 
     fn skin(&self) -> Option<UsedSkin<'_>> {
         let (calibration, run) = (self.skin.calibration(), self.skin.run());
-        Some(UsedSkin { id: self.skin.id(), calibration, run })
+        Some(UsedSkin { id: self.skin.id(), calibration, run, limitation: self.skin.limitation() })
     }
 
     fn takes_untouched(&self) -> bool {

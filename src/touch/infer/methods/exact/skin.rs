@@ -71,7 +71,7 @@ impl ExactSkin {
                 None => "a Real-Hex or imported run on this sensor".to_owned(),
             };
             format!(
-                "the errors of its model are unknown: the database has fewer than {LEAST_KNOWN} trials of \
+                "the errors of the skin's model are unknown: the database has fewer than {LEAST_KNOWN} trials of \
                  {of_run} of 1 to 3 contacts that it was not fitted to; every misfit counts as noise"
             )
         })

@@ -1,5 +1,5 @@
 //! Skins prepared for fits of frames: the model of a calibration, and the errors of the model,
-//! which are estimated from known trials and cached.
+//! which are estimated from known trials, cached, and kept next to the calibration.
 //! Uses: `known`, `exact`, `simulate::model`; an optional cache. Never: the serving slots.
 
 use std::path::{Path, PathBuf};
@@ -10,6 +10,7 @@ use sim_core::sensor::Sensor;
 use tracing::Span;
 
 use super::known::known_trials;
+use super::skin_errors::LEAST_KNOWN;
 use super::{ExactSkin, KnownTrials, SkinErrors};
 use crate::calibrate::skin;
 use crate::digest::Hashing;
@@ -19,7 +20,7 @@ use crate::new_file;
 use crate::simulate::model::load_or_build;
 use crate::store::Store;
 
-/// Version of the estimation of errors: part of the cache's key.
+/// Version of the estimation of errors: part of the cache's key, and of the file next to a calibration.
 const ERRORS_VERSION: &str = "5";
 
 /// The file of a stored calibration.
@@ -74,8 +75,10 @@ impl Skins {
         let model = self.model(calibration).await?;
         let known = known_trials(&self.store, model.sensor()).await?;
         let cache = self.data.join("cache");
+        let name = |id: &CalibrationId| format!("{id}.errors-{ERRORS_VERSION}.json");
+        let carried = calibration.map(|id| self.calibrations().join(name(id)));
         let span = Span::current();
-        let building = move || span.in_scope(|| ready(&model, &known, &cache));
+        let building = move || span.in_scope(|| ready(&model, &known, &cache, carried.as_deref()));
         tokio::task::spawn_blocking(building).await.map_err(|_| InferError::Worker)?
     }
 
@@ -135,23 +138,51 @@ impl Skins {
     }
 }
 
-/// Prepares a skin with the cached errors of these trials, or estimates them and writes the cache.
-fn ready(model: &ForwardModel, known: &KnownTrials, cache: &Path) -> Result<ExactSkin, InferError> {
-    let name = format!("skin-errors-{}.json", &key(model, known)[..16]);
-    let path = cache.join(&name);
-    let kept = std::fs::read(&path).ok();
-    let kept = kept.and_then(|bytes| serde_json::from_slice::<SkinErrors>(&bytes).ok());
-    if let Some(errors) = kept.filter(|errors| errors.channels() == model.sensor().channels()) {
+/// Prepares a skin with the cached errors of these trials, or estimates them. With too few trials they are those of the
+/// file `carried`, which is written where there are enough: a calibration has its errors also in another database.
+fn ready(
+    model: &ForwardModel,
+    known: &KnownTrials,
+    cache: &Path,
+    carried: Option<&Path>,
+) -> Result<ExactSkin, InferError> {
+    let path = cache.join(format!("skin-errors-{}.json", &key(model, known)[..16]));
+    let channels = model.sensor().channels();
+    let read = |path: &Path| -> Option<SkinErrors> {
+        let errors: SkinErrors = serde_json::from_slice(&std::fs::read(path).ok()?).ok()?;
+        (errors.channels() == channels).then_some(errors)
+    };
+    if known.pressed.len() < LEAST_KNOWN
+        && let Some(errors) = carried.and_then(read)
+    {
         return ExactSkin::with(model, errors);
     }
-    let skin = ExactSkin::new(model, known)?;
-    let keep = || -> std::io::Result<()> {
-        new_file::write(cache, &name, serde_json::to_vec(skin.errors())?).map(|_| ())
+    let cached = read(&path);
+    let is_new = cached.is_none();
+    let skin = match cached {
+        Some(errors) => ExactSkin::with(model, errors)?,
+        None => ExactSkin::new(model, known)?,
     };
-    if let Err(error) = keep() {
-        tracing::warn!(%error, path = %path.display(), "the errors of a skin were not cached");
+    if is_new {
+        keep(&path, skin.errors());
+    }
+    let is_learned = skin.limitation().is_none();
+    if let Some(carried) = carried.filter(|file| is_learned && (is_new || !file.exists())) {
+        keep(carried, skin.errors());
     }
     Ok(skin)
+}
+
+/// Writes errors to a file, from which a later start reads them.
+fn keep(path: &Path, errors: &SkinErrors) {
+    let write = || -> std::io::Result<()> {
+        let name = path.file_name().unwrap_or_default().to_string_lossy();
+        let folder = path.parent().unwrap_or(path);
+        new_file::write(folder, &name, serde_json::to_vec(errors)?).map(|_| ())
+    };
+    if let Err(error) = write() {
+        tracing::warn!(%error, path = %path.display(), "the errors of a skin were not kept");
+    }
 }
 
 /// Hash (sha256) of everything on which a skin's errors depend.
@@ -222,7 +253,7 @@ mod tests {
             |count: usize| KnownTrials { pressed: trials[..count].to_vec(), ..Default::default() };
         let (known, fewer, other) = (known(70), known(69), &trials[75]);
         let answer = || {
-            let skin = Arc::new(ready(&model, &known, &cache).unwrap());
+            let skin = Arc::new(ready(&model, &known, &cache, None).unwrap());
             let exact = ExactPipeline { skin, points: None };
             let read = exact.read(&Frames::single(&other.frame_v), ForceMaps::Without);
             read.unwrap().remove(0)
@@ -242,6 +273,14 @@ mod tests {
         std::fs::write(cache.join(format!("skin-errors-{}.json", &key(&model, &known)[..16])), "{")
             .unwrap();
         assert_eq!(answer().contacts.len(), 1);
+        // A calibration has its errors with it.
+        let (carried, none) = (cache.join("cal-1.errors.json"), KnownTrials::default());
+        let of =
+            |known: &KnownTrials| ready(&model, known, &cache, Some(carried.as_path())).unwrap();
+        assert!(of(&none).limitation().is_some() && !carried.exists());
+        assert!(of(&known).limitation().is_none() && carried.exists());
+        let elsewhere = of(&none);
+        assert_eq!((elsewhere.limitation(), elsewhere.errors().learnt_from), (None, 70));
         std::fs::remove_dir_all(&cache).unwrap();
     }
 }

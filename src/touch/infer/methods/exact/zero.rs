@@ -17,27 +17,24 @@ const FOLLOWS: f64 = 300.0;
 /// a light touch.
 const SURE_FRAMES: f64 = 15.0;
 
-/// Frames of a stream in an hour, at 30 frames per second.
-const FRAMES_PER_HOUR: f64 = 108_000.0;
-
 /// Offsets of the pairs of electrodes, relative to those of the calibration.
 #[derive(Debug, Clone, Default)]
 pub struct Zero {
     offset_v: Vec<f64>,
     frames: f64,
-    /// Number of frames since the last one from which it learned.
-    idle_frames: f64,
+    /// Process time since the last frame from which it learned, s.
+    idle_s: f64,
 }
 
 impl Zero {
     /// The zero of a frame of the untouched skin from which the offsets of the calibration are subtracted, V.
     pub fn of(untouched_v: &[f64]) -> Self {
-        Self { offset_v: of_pairs(untouched_v), frames: f64::INFINITY, idle_frames: 0.0 }
+        Self { offset_v: of_pairs(untouched_v), frames: f64::INFINITY, idle_s: 0.0 }
     }
 
     /// Process time since the last frame from which it learned, h.
     pub fn hours(&self) -> f64 {
-        self.idle_frames / FRAMES_PER_HOUR
+        self.idle_s / 3600.0
     }
 
     /// Share of the drift of a day that it may have: what is left of the first offset, and its age; none before an
@@ -46,9 +43,9 @@ impl Zero {
         self.left().map(|left| left.hypot(share_of_day(self.hours())))
     }
 
-    /// Notes that a frame of the stream passed.
-    pub fn pass(&mut self) {
-        self.idle_frames += 1.0;
+    /// Notes that process time passed, s.
+    pub fn pass(&mut self, seconds: f64) {
+        self.idle_s += seconds;
     }
 
     /// Share of the first offset that is left; none before an untouched frame.
@@ -70,7 +67,7 @@ impl Zero {
         if averaged < SURE_FRAMES {
             return;
         }
-        self.idle_frames = 0.0;
+        self.idle_s = 0.0;
         let left_v = of_pairs(frame_v);
         self.offset_v.resize(left_v.len(), 0.0);
         self.frames = (self.frames + 1.0).min(FOLLOWS);
@@ -115,12 +112,12 @@ mod tests {
     #[test]
     fn a_zero_that_does_not_learn_ages() {
         let mut zero = Zero::default();
-        zero.pass();
+        zero.pass(1.0);
         assert_eq!(zero.share_of_day(), None);
         (0..300).for_each(|_| zero.learn(&frame(0.0), 30.0, 2e-3));
         assert!(zero.hours() == 0.0 && zero.share_of_day().unwrap() < 0.05);
         // Something rests on the skin for six hours: half of the drift of a day.
-        (0..6 * 108_000).for_each(|_| zero.pass());
+        zero.pass(6.0 * 3600.0);
         let share = zero.share_of_day().unwrap();
         assert!((zero.hours() - 6.0).abs() < 1e-9 && (share - 0.5).abs() < 0.01, "{share}");
         zero.learn(&frame(0.0), 1.0, 2e-3);

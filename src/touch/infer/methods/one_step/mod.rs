@@ -89,7 +89,7 @@ impl ReadyMethod for OneStepPipeline {
 
     fn skin(&self) -> Option<UsedSkin<'_>> {
         let calibration = self.calibration.as_ref();
-        Some(UsedSkin { id: "of one step", calibration, run: None })
+        Some(UsedSkin { id: "of one step", calibration, run: None, limitation: None })
     }
 
     fn size_mm(&self) -> [f64; 2] {

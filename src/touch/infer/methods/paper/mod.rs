@@ -1,10 +1,11 @@
 //! The paper's method (V-C): Transfer-Net, then Recon-Net, then the peaks of the map.
-//! Uses: `infer::{maps, registry}`, `dataset::force_map`. Never: files, its own threshold.
+//! Uses: `infer::{maps, registry}`, `dataset::force_map`. Never: files.
 
 use std::sync::Arc;
 
 use super::{Frames, ReadyMethod};
-use crate::dataset::force_map::{ForceMap, ForceMapSpec};
+use crate::dataset::force_map::peaks::THRESHOLD_N;
+use crate::dataset::force_map::{ForceMap, ForceMapSpec, SIDE_MM};
 use crate::infer::answer::Reading;
 use crate::infer::error::InferError;
 use crate::infer::maps::{ForceMaps, contacts};
@@ -14,6 +15,9 @@ use crate::problem::Problem;
 
 /// Least sum of a peak for nets trained without forces, whose contacts sum up to 1.
 const HALF_A_CONTACT: f64 = 0.5;
+/// Least force of a peak on another square than the paper's, as a share of the largest in training: the paper's 5 N are
+/// an eighth of about 40 N.
+const SHARE_OF_LARGEST: f64 = 0.125;
 /// Number of frames whose maps are in memory at a time.
 const MAPS_AT_ONCE: usize = 64;
 
@@ -32,7 +36,8 @@ pub struct MapPipeline {
 
 impl MapPipeline {
     /// Combines a net with force maps as answers and, if it needs simulated voltages, a
-    /// Transfer-Net. Without `transfer`, frames are the input of `map`.
+    /// Transfer-Net. Without `transfer`, frames are the input of `map`. `threshold_n`: least force of a peak, N, if
+    /// it is not that of the net.
     ///
     /// # Errors
     /// `InferError::OtherTask` if a net has another task; `Problems` if `map` reads measured
@@ -40,7 +45,7 @@ impl MapPipeline {
     pub fn new(
         transfer: Option<Arc<Model>>,
         map: Arc<Model>,
-        threshold_n: f64,
+        threshold_n: Option<f64>,
     ) -> Result<Self, InferError> {
         let other = |model: &Model, wanted| InferError::OtherTask {
             id: model.manifest.id.clone(),
@@ -63,8 +68,9 @@ impl MapPipeline {
             return Err(InferError::Problems(vec![problem]));
         }
         let draws = ForceMap::new(spec, [map.skin.width_mm, map.skin.height_mm])?;
-        let has_forces = !map.manifest.model.trained_on.forces_unknown;
-        let threshold_n = if has_forces { threshold_n } else { HALF_A_CONTACT };
+        let trained_on = &map.manifest.model.trained_on;
+        let has_forces = !trained_on.forces_unknown;
+        let threshold_n = threshold_n.unwrap_or_else(|| least_n(spec, trained_on.max_force_n));
         Ok(Self { transfer, map, spec, draws, threshold_n, has_forces })
     }
 
@@ -83,8 +89,9 @@ impl MapPipeline {
         let frames = frames.chunks_exact(first.plan.channels());
         let pixels = self.draws.pixels();
         let mut readings = Vec::with_capacity(frames.len());
+        let least = if self.has_forces { self.threshold_n } else { HALF_A_CONTACT };
         for (frame, map) in frames.zip(maps.chunks_exact(pixels * pixels)) {
-            let mut contacts = contacts(&self.draws, map, self.threshold_n);
+            let mut contacts = contacts(&self.draws, map, least);
             if !self.has_forces {
                 contacts.iter_mut().for_each(|contact| contact.force_n = None);
             }
@@ -128,7 +135,33 @@ impl ReadyMethod for MapPipeline {
         self.spec
     }
 
+    fn threshold_n(&self) -> f64 {
+        self.threshold_n
+    }
+
     fn size_mm(&self) -> [f64; 2] {
         self.map.size_mm()
+    }
+}
+
+/// Least force of a peak of a map of a skin, N, from the largest one in the training of its net.
+fn least_n(spec: ForceMapSpec, largest_n: Option<f64>) -> f64 {
+    let of_skin_n = largest_n.filter(|_| spec.side_mm != SIDE_MM).map(|n| SHARE_OF_LARGEST * n);
+    // Rounded, since tables show it.
+    of_skin_n.map_or(THRESHOLD_N, |n| THRESHOLD_N.min((100.0 * n).round() / 100.0))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::dataset::force_map::TABLE_IV_MAPS;
+
+    #[test]
+    fn the_papers_threshold_is_that_of_its_square_and_lighter_skins_have_a_lower_one() {
+        let paper = TABLE_IV_MAPS[0];
+        let pad = ForceMapSpec { pixel_mm: 2.5, diameter_mm: 10.0, side_mm: 100.0 };
+        assert_eq!(least_n(paper, Some(8.0)), 5.0);
+        assert_eq!((least_n(pad, Some(8.0)), least_n(pad, Some(3.333))), (1.0, 0.42));
+        assert_eq!((least_n(pad, Some(90.0)), least_n(pad, None)), (5.0, 5.0));
     }
 }
