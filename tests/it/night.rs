@@ -13,7 +13,6 @@ use tokio::time::timeout;
 use tokio_tungstenite::connect_async;
 use tokio_tungstenite::tungstenite::Message;
 
-use crate::datasets::filled::Filled;
 use crate::old_data::{HALF, NEXT, WHOLE, copy, open, recorded, served};
 use crate::support::sensor;
 
@@ -46,7 +45,6 @@ fn is_near(found: Option<f64>, wanted: Option<f64>, within: f64) -> bool {
 
 #[tokio::test]
 async fn the_sensor_is_that_of_its_file() {
-    let recorded = recorded();
     let (_folder, lab) = served("night-sensor").await;
     let (skin, found) = (sensor(), lab.get("/api/v1/sensor").await);
     let size = |key: &str| number(&found[key]);
@@ -121,7 +119,7 @@ async fn the_tour_leads_over_the_stored_trials_and_the_progress_counts_them() {
 #[tokio::test]
 async fn a_preflight_states_what_the_run_before_it_pressed_on_the_same_skin() {
     let recorded = recorded();
-    let (_folder, lab) = serve("earlier", &recorded).await;
+    let (_folder, lab) = served("night-earlier").await;
     let earlier =
         async |run: usize| lab.get(&path(&recorded, run, "/preflight")).await["earlier"].clone();
     let progress = lab.get(&path(&recorded, HALF, "/progress")).await;
@@ -270,7 +268,6 @@ async fn the_wear_follows_from_the_stored_poses_and_tips() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn the_live_status_beats_at_least_once_per_second() {
-    let recorded = recorded();
     let (_folder, lab) = served("night-socket").await;
     let address = lab.url("/api/v1/status/live").replacen("http", "ws", 1);
     let (mut socket, _) = connect_async(address).await.unwrap();

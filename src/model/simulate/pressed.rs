@@ -186,7 +186,7 @@ mod tests {
         let law = |i: i32| 4.5 * (1.0 - (-f64::from(i) * 0.1 / 4.0).exp());
         fields.displacement = Some(DisplacementLut::new(0.1, (0..100).map(law).collect()).unwrap());
         let (responses, circuit) = (MODEL.responses().clone(), MODEL.circuit().clone());
-        ForwardModel::with(&paper::sensor(), responses, fields, circuit).unwrap()
+        ForwardModel::with(paper::sensor(), responses, fields, circuit).unwrap()
     });
 
     fn by(x_mm: f64, y_mm: f64, load: Load) -> RequestedContact {

@@ -367,8 +367,8 @@ mod tests {
         assert!(axes.x.stops.load(Ordering::SeqCst) > 0);
         axes.z.status.lock().moving = false;
         assert_eq!(within(10_000).await, Some(Ok(None)));
-        let done = unless_stopped(&StopSwitch::default(), 0, &bench, std::future::ready(7));
-        assert_eq!(done.await, Ok(Some(7)));
+        let estop = StopSwitch::default();
+        assert_eq!(unless_stopped(&estop, 0, &bench, std::future::ready(7)).await, Ok(Some(7)));
     }
 
     fn judged(volts: f64, repeats: u32) -> Vec<String> {
