@@ -42,7 +42,13 @@ impl Inputs {
             let here = folder.join(sha256);
             if !fs::try_exists(&here).await.map_err(WorkerError::file(&here))? {
                 fs::create_dir_all(&*folder).await.map_err(WorkerError::file(&*folder))?;
-                store.fetch_input(sha256, &here).await?;
+                let partial = here.with_extension("partial");
+                if let Err(error) = store.fetch_input(sha256, &partial).await {
+                    // On a full disk, its space is that of the results.
+                    drop(fs::remove_file(&partial).await);
+                    return Err(error);
+                }
+                fs::rename(&partial, &here).await.map_err(WorkerError::file(&here))?;
             }
             fs::create_dir_all(&into).await.map_err(WorkerError::file(&into))?;
             fs::hard_link(&here, &there).await.map_err(WorkerError::file(&there))?;

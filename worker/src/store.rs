@@ -37,6 +37,8 @@ use crate::order::{Done, Failed, ORDER_FILE, Order, is_hash, sha256};
 pub const INPUTS: &str = "inputs";
 /// Bytes of a file that are read at a time, and the parts of it that are on the way to the store.
 const UPLOAD: (usize, usize) = (1 << 20, 4);
+/// Bytes of a file that one request fetches.
+const FETCHED: usize = 5 << 20;
 /// Longest time of one request.
 const REQUEST: Duration = Duration::from_secs(120);
 
@@ -191,25 +193,27 @@ impl Store {
         }
     }
 
-    /// Fetches a file that an order names by its sha256.
+    /// Fetches a file that an order names by its sha256; in parts, since one request has a longest time. After an error,
+    /// what remains of it is of no use.
     ///
     /// # Errors
     /// `WorkerError::Failed` if the store does not have it, or has other bytes; `Store` if it does not answer; `File` if
     /// the file cannot be written.
     pub async fn fetch_input(&self, sha256: &str, to: &Path) -> Result<(), WorkerError> {
         let path = input(sha256);
-        let found = match self.objects.get(&path).await {
+        let bytes = match self.objects.head(&path).await {
             Err(Error::NotFound { .. }) => {
                 let what = format!("{path}: not in the store: submit the order again");
                 return Err(WorkerError::Failed(what));
             }
-            found => found?,
+            found => found?.size,
         };
-        let partial = to.with_extension("partial");
-        let failed = || WorkerError::file(&partial);
-        let mut file = fs::File::create(&partial).await.map_err(failed())?;
-        let (mut pieces, mut hash) = (found.into_stream(), Sha256::new());
-        while let Some(piece) = pieces.try_next().await? {
+        let failed = || WorkerError::file(to);
+        let mut file = fs::File::create(to).await.map_err(failed())?;
+        let mut hash = Sha256::new();
+        for first in (0..bytes).step_by(FETCHED) {
+            let part = first..bytes.min(first + FETCHED as u64);
+            let piece = self.objects.get_range(&path, part).await?;
             hash.update(&piece);
             file.write_all(&piece).await.map_err(failed())?;
         }
@@ -219,7 +223,7 @@ impl Store {
             let what = format!("{path}: sha256 {found}: remove it, and submit the order again");
             return Err(WorkerError::Failed(what));
         }
-        fs::rename(&partial, to).await.map_err(WorkerError::file(to))
+        Ok(())
     }
 
     /// What a result states of itself; `None` if the chunk is not done.

@@ -58,7 +58,7 @@ fn an_order_is_made_fetched_and_equal_to_that_of_one_process() {
 #[test]
 fn files_of_an_order_are_stored_once_fetched_and_compared_with_their_hash() {
     let Some(bench) = Bench::start() else { return };
-    // More than one part of an upload.
+    // More than one part of an upload, and of a download.
     let large = vec![7_u8; 6 << 20];
     let one = bench.order_on(3, json!({ "seed": 1 }), &[&large[..], b"small"]);
     let other = bench.order_on(3, json!({ "seed": 2 }), &[&b"small"[..]]);
