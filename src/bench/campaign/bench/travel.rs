@@ -133,7 +133,8 @@ impl Stage {
             self.begin_watch();
         } else if self.last_sample.is_none() {
             // Nothing moves before the first sample, and the second must not be late.
-            self.read_cells().await?;
+            let reading = self.bench.cells.read().await?;
+            self.check(&reading, None)?;
         }
         self.held_since = None;
         let z_place = targets.iter().position(|t| t.axis == AxisName::Z);
