@@ -387,12 +387,16 @@ impl Stage {
             return Ok(Raised::NotHomed);
         }
         require_height(from.position, top)?;
-        // Never down in the travel, even if z is already higher.
-        let target = up.min(from.position).max(top);
-        let started = z.axis.start_move(target, z.speed).await;
-        // Also where z reports to be up: a drive that repeats an old position is down. One that is up may refuse it.
-        if from.position > up + z.tolerance || from.moving {
-            started.map_err(words)?;
+        let is_down = from.position > up + z.tolerance || from.moving;
+        // Also where z reports to be up: a drive that repeats an old position is down. One that is up may refuse it, and
+        // would raise an alarm without its motor.
+        if is_down || from.ready {
+            // Never down in the travel, even if z is already higher.
+            let target = up.min(from.position).max(top);
+            let started = z.axis.start_move(target, z.speed).await;
+            if is_down {
+                started.map_err(words)?;
+            }
         }
         let seconds = (from.position - up).abs() / z.speed + 1.0;
         let deadline = self.clock.now() + self.clock.wall(1.5 * seconds) + GRACE;
@@ -473,5 +477,9 @@ mod tests {
         axes.z.status.lock().position = -0.01;
         assert!(stage.raise_once(Height::Top, &stop).await.is_ok());
         assert_eq!((axes.z.starts.load(Ordering::SeqCst), axes.z.present().position), (2, 0.0));
+        // Not one whose motor is off.
+        axes.z.status.lock().ready = false;
+        assert!(stage.raise_once(Height::Top, &stop).await.is_ok());
+        assert_eq!(axes.z.starts.load(Ordering::SeqCst), 2);
     }
 }
