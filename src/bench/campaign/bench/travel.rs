@@ -213,14 +213,15 @@ impl Stage {
         }
     }
 
-    /// Starts the motions, once each axis has been found homed and within its travel.
+    /// Starts the motions, once each axis has been found homed, within its travel and without an alarm, which the release
+    /// of a stop could clear.
     async fn start(&self, targets: &[Target]) -> Result<Instant, Halt> {
         let (statuses, _) = self.poll(targets, Polled::Axes).await?;
         let mut longest_s = 0.0f64;
         for (target, status) in targets.iter().zip(&statuses) {
             let driven = self.driven(target.axis);
             require_zero(driven.axis, status)?;
-            self.require_within(target.axis, status, driven.tolerance)?;
+            self.check_axis(target, status)?;
             let speed = target.speed.unwrap_or(driven.speed);
             let takes_s = (target.position - status.position).abs() / speed
                 + 2.0 * speed / driven.acceleration;

@@ -299,11 +299,14 @@ async fn no_axis_moves_sideways_unless_z_is_homed_at_rest_and_clear() {
     *axes.z.status.lock() = clear;
     let stage = engine.connection.as_mut().unwrap().stage.as_mut().unwrap();
     let target = [Target::of(AxisName::X, 10.0), Target::of(AxisName::Y, 10.0)];
-    // None is started before each is known.
-    axes.y.status.lock().position = -30.0;
-    assert!(stage.travel(&mut engine.control, &target).await.is_err());
-    assert_eq!(axes.x.starts.load(Ordering::SeqCst), 0);
-    axes.y.status.lock().position = 0.0;
+    // None is started before each is known, nor while one is in alarm.
+    let sound = axes.y.present();
+    for y in [AxisStatus { position: -30.0, ..sound }, AxisStatus { alarm: Some(1), ..sound }] {
+        *axes.y.status.lock() = y;
+        assert!(stage.travel(&mut engine.control, &target).await.is_err());
+        assert_eq!(axes.x.starts.load(Ordering::SeqCst), 0);
+    }
+    *axes.y.status.lock() = sound;
     // Nor while the cells contradict z.
     stage.tips = 1;
     axes.cells.volts.lock()[0] = 1.0;
