@@ -241,11 +241,15 @@ impl Stage {
         Ok(())
     }
 
-    /// Reads z, which must know its position: a lateral motion depends on it.
+    /// Reads z, which must know its position and have no alarm: a lateral motion depends on it.
     async fn known_z(&self) -> Result<AxisStatus, Halt> {
         let z = self.bench.z.status().await?;
         require_zero(self.bench.z.as_ref(), &z)?;
         self.require_within(AxisName::Z, &z, BEYOND_TRAVEL)?;
+        if let Some(alarm) = z.alarm {
+            let detail = format!("z reports alarm {alarm:#x} at a lateral motion");
+            return Err(Halt::trip(TripKind::Device, detail));
+        }
         Ok(z)
     }
 
@@ -299,10 +303,6 @@ impl Stage {
     /// Checks during a lateral motion that z has stayed up: a drive may lose its power, and a brake slip.
     async fn require_z_up(&self) -> Result<(), Halt> {
         let z = self.known_z().await?;
-        if let Some(alarm) = z.alarm {
-            let detail = format!("z reports alarm {alarm:#x} during a lateral motion");
-            return Err(Halt::trip(TripKind::Device, detail));
-        }
         let clear = self.clear_z_mm();
         if z.position > clear + self.driven(AxisName::Z).tolerance + SINKS_MM {
             let at = z.position;

@@ -285,13 +285,15 @@ async fn no_axis_moves_sideways_unless_z_is_homed_at_rest_and_clear() {
         (AxisStatus { moving: true, ..clear }, AxisStatus { homed: false, ..clear });
     // Its drive has lost its zero and does not know it.
     let beyond = AxisStatus { position: -30.0, ..clear };
+    let faulty = AxisStatus { alarm: Some(1), ..clear };
     for name in [AxisName::X, AxisName::Y, AxisName::Radial] {
-        for z in [down, rises, unhomed, beyond] {
+        for z in [down, rises, unhomed, beyond, faulty] {
+            let kind = z.alarm.map_or(TripKind::Position, |_| TripKind::Device);
             *axes.z.status.lock() = z;
             let stage = engine.connection.as_mut().unwrap().stage.as_mut().unwrap();
             let moved = stage.travel(&mut engine.control, &[Target::of(name, 10.0)]).await;
             let halt = moved.unwrap_err();
-            assert_eq!(halt.as_trip().map(|trip| trip.kind), Some(TripKind::Position), "{halt:?}");
+            assert_eq!(halt.as_trip().map(|trip| trip.kind), Some(kind), "{halt:?}");
         }
     }
     let starts = [&axes.x, &axes.y, &axes.radial].map(|axis| axis.starts.load(Ordering::SeqCst));
