@@ -387,13 +387,16 @@ impl Stage {
             return Ok(Raised::NotHomed);
         }
         require_height(from.position, top)?;
-        if from.position > up + z.tolerance || from.moving {
-            // Never down, even if z is already higher.
+        let is_down = from.position > up + z.tolerance || from.moving;
+        // Also where z reports to be up: a drive that repeats an old position is down. One that is up may refuse it, and
+        // would raise an alarm without its motor.
+        if is_down || from.ready {
+            // Never down in the travel, even if z is already higher.
             let target = up.min(from.position).max(top);
-            z.axis.start_move(target, z.speed).await.map_err(words)?;
-        } else if from.position >= top {
-            // A drive that repeats an old position is down: this raises z. It may be refused if z is up.
-            let _ = z.axis.start_move(from.position, z.speed).await;
+            let started = z.axis.start_move(target, z.speed).await;
+            if is_down {
+                started.map_err(words)?;
+            }
         }
         let seconds = (from.position - up).abs() / z.speed + 1.0;
         let deadline = self.clock.now() + self.clock.wall(1.5 * seconds) + GRACE;
@@ -469,5 +472,14 @@ mod tests {
         // A drive without power refuses it.
         axes.z.starts_fail.store(true, Ordering::SeqCst);
         assert_eq!(stage.raise_once(Height::Clear, &stop).await, is_up);
+        // Within its tolerance above the travel, too.
+        axes.z.starts_fail.store(false, Ordering::SeqCst);
+        axes.z.status.lock().position = -0.01;
+        assert!(stage.raise_once(Height::Top, &stop).await.is_ok());
+        assert_eq!((axes.z.starts.load(Ordering::SeqCst), axes.z.present().position), (2, 0.0));
+        // Not one whose motor is off.
+        axes.z.status.lock().ready = false;
+        assert!(stage.raise_once(Height::Top, &stop).await.is_ok());
+        assert_eq!(axes.z.starts.load(Ordering::SeqCst), 2);
     }
 }

@@ -82,9 +82,11 @@ pub async fn tare(
     Ok((1..=stage.tips).map(|arm| (arm, stage.tare_v[usize::from(arm) - 1])).collect())
 }
 
-/// Why a tare is refused: a module that hangs returns an earlier load, which is none.
+/// Why a tare is refused: a module that hangs returns an earlier load, which is none. A disconnected cell repeats its
+/// value, too: it stays the reason.
 fn unless_hung(halt: Halt, stage: &Stage, newest: Option<&CellVolts>) -> Halt {
     let (cells, tips) = (&stage.config.cells, usize::from(stage.tips));
+    let newest = newest.filter(|reading| reading.volts[..tips].iter().all(|&v| cells.is_live(v)));
     match newest.map(|reading| interlock::check_alive(cells, reading, tips)) {
         Some(Err(hung)) => hung.into(),
         Some(Ok(())) | None => halt,
@@ -222,13 +224,17 @@ mod tests {
     fn a_module_that_hangs_with_an_earlier_load_is_stale_and_the_load_none() {
         let mut stage = StandIns::default().stage();
         stage.tips = 2;
-        let refused = |repeats| {
-            let reading = CellVolts { volts: LAST, repeats, at: tokio::time::Instant::now() };
+        let refused_at = |volts, repeats| {
+            let reading = CellVolts { volts, repeats, at: tokio::time::Instant::now() };
             unless_hung(Halt::trip(TripKind::Cell, "a load"), &stage, Some(&reading))
         };
+        let refused = |repeats| refused_at(LAST, repeats);
         let kind = |halt: Halt| halt.as_trip().map(|trip| trip.kind);
         assert_eq!(kind(refused([99; ARMS])), Some(TripKind::Stale));
         assert_eq!(kind(refused([0; ARMS])), Some(TripKind::Cell));
+        // Unplugged, all of them.
+        let unplugged = refused_at([0.0; ARMS], [99; ARMS]);
+        assert_eq!(unplugged.as_trip().map(|trip| trip.detail.as_str()), Some("a load"));
     }
 
     #[test]

@@ -133,7 +133,8 @@ impl Stage {
             self.begin_watch();
         } else if self.last_sample.is_none() {
             // Nothing moves before the first sample, and the second must not be late.
-            self.read_cells().await?;
+            let reading = self.bench.cells.read().await?;
+            self.check(&reading, None)?;
         }
         self.held_since = None;
         let z_place = targets.iter().position(|t| t.axis == AxisName::Z);
@@ -212,14 +213,15 @@ impl Stage {
         }
     }
 
-    /// Starts the motions, once each axis has been found homed and within its travel.
+    /// Starts the motions, once each axis has been found homed, within its travel and without an alarm, which the release
+    /// of a stop could clear.
     async fn start(&self, targets: &[Target]) -> Result<Instant, Halt> {
         let (statuses, _) = self.poll(targets, Polled::Axes).await?;
         let mut longest_s = 0.0f64;
         for (target, status) in targets.iter().zip(&statuses) {
             let driven = self.driven(target.axis);
             require_zero(driven.axis, status)?;
-            self.require_within(target.axis, status, driven.tolerance)?;
+            self.check_axis(target, status)?;
             let speed = target.speed.unwrap_or(driven.speed);
             let takes_s = (target.position - status.position).abs() / speed
                 + 2.0 * speed / driven.acceleration;
@@ -239,11 +241,15 @@ impl Stage {
         Ok(())
     }
 
-    /// Reads z, which must know its position: a lateral motion depends on it.
+    /// Reads z, which must know its position and have no alarm: a lateral motion depends on it.
     async fn known_z(&self) -> Result<AxisStatus, Halt> {
         let z = self.bench.z.status().await?;
         require_zero(self.bench.z.as_ref(), &z)?;
         self.require_within(AxisName::Z, &z, BEYOND_TRAVEL)?;
+        if let Some(alarm) = z.alarm {
+            let detail = format!("z reports alarm {alarm:#x} at a lateral motion");
+            return Err(Halt::trip(TripKind::Device, detail));
+        }
         Ok(z)
     }
 
@@ -297,10 +303,6 @@ impl Stage {
     /// Checks during a lateral motion that z has stayed up: a drive may lose its power, and a brake slip.
     async fn require_z_up(&self) -> Result<(), Halt> {
         let z = self.known_z().await?;
-        if let Some(alarm) = z.alarm {
-            let detail = format!("z reports alarm {alarm:#x} during a lateral motion");
-            return Err(Halt::trip(TripKind::Device, detail));
-        }
         let clear = self.clear_z_mm();
         if z.position > clear + self.driven(AxisName::Z).tolerance + SINKS_MM {
             let at = z.position;

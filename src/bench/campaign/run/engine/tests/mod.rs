@@ -285,13 +285,15 @@ async fn no_axis_moves_sideways_unless_z_is_homed_at_rest_and_clear() {
         (AxisStatus { moving: true, ..clear }, AxisStatus { homed: false, ..clear });
     // Its drive has lost its zero and does not know it.
     let beyond = AxisStatus { position: -30.0, ..clear };
+    let faulty = AxisStatus { alarm: Some(1), ..clear };
     for name in [AxisName::X, AxisName::Y, AxisName::Radial] {
-        for z in [down, rises, unhomed, beyond] {
+        for z in [down, rises, unhomed, beyond, faulty] {
+            let kind = z.alarm.map_or(TripKind::Position, |_| TripKind::Device);
             *axes.z.status.lock() = z;
             let stage = engine.connection.as_mut().unwrap().stage.as_mut().unwrap();
             let moved = stage.travel(&mut engine.control, &[Target::of(name, 10.0)]).await;
             let halt = moved.unwrap_err();
-            assert_eq!(halt.as_trip().map(|trip| trip.kind), Some(TripKind::Position), "{halt:?}");
+            assert_eq!(halt.as_trip().map(|trip| trip.kind), Some(kind), "{halt:?}");
         }
     }
     let starts = [&axes.x, &axes.y, &axes.radial].map(|axis| axis.starts.load(Ordering::SeqCst));
@@ -299,11 +301,14 @@ async fn no_axis_moves_sideways_unless_z_is_homed_at_rest_and_clear() {
     *axes.z.status.lock() = clear;
     let stage = engine.connection.as_mut().unwrap().stage.as_mut().unwrap();
     let target = [Target::of(AxisName::X, 10.0), Target::of(AxisName::Y, 10.0)];
-    // None is started before each is known.
-    axes.y.status.lock().position = -30.0;
-    assert!(stage.travel(&mut engine.control, &target).await.is_err());
-    assert_eq!(axes.x.starts.load(Ordering::SeqCst), 0);
-    axes.y.status.lock().position = 0.0;
+    // None is started before each is known, nor while one is in alarm.
+    let sound = axes.y.present();
+    for y in [AxisStatus { position: -30.0, ..sound }, AxisStatus { alarm: Some(1), ..sound }] {
+        *axes.y.status.lock() = y;
+        assert!(stage.travel(&mut engine.control, &target).await.is_err());
+        assert_eq!(axes.x.starts.load(Ordering::SeqCst), 0);
+    }
+    *axes.y.status.lock() = sound;
     // Nor while the cells contradict z.
     stage.tips = 1;
     axes.cells.volts.lock()[0] = 1.0;
