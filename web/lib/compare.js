@@ -79,16 +79,18 @@ export async function compare(root, { run: first, with: second, back, signal }) 
     ),
     panel('Contacts', {}, contactsTable([a, b].map(({ run, summary }) => ({ name: nameOf(run), kind: run.kind, counts: summary.contact_counts })))),
   )
-  const found = await Promise.all([a, b].map(({ run }) => medians(run, signal).catch(() => new Map())))
+  const found = await Promise.all([a, b].map(({ run }) => medians(run, signal).catch(() => null)))
   if (signal.aborted) return
   const view = medianChart(
-    found.map((tips, i) => ({ name: nameOf([a, b][i].run), tips, dash: i ? [6, 4] : undefined })),
-    { label: () => (virtual ? 'virtual' : ''), signal },
+    found.map((tips, i) => ({ name: nameOf([a, b][i].run), tips: tips ?? new Map(), dash: i ? [6, 4] : undefined })),
+    { label: () => [...new Set([a, b].map(({ run }) => run.label))].join(' and '), signal },
   )
+  const unread = [a, b].filter((_, i) => !found[i]).map(({ run }) => nameOf(run))
+  const lacks = unread.length ? `The forces of ${unread.join(' and of ')} could not be read.` : ''
   fill(
     forces,
     view
-      ? [view.node, el('p', { className: 'soft small' }, `${nameOf(b.run)} is dashed.`)]
-      : el('p', { className: 'soft' }, 'Neither run has trials with a depth.'),
+      ? [view.node, el('p', { className: 'soft small' }, lacks || `${nameOf(b.run)} is dashed.`)]
+      : el('p', { className: 'soft' }, lacks || 'Neither run has trials with a depth.'),
   )
 }

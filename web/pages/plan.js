@@ -5,7 +5,7 @@ import { get, send } from '../lib/api.js'
 import { actor, only, outcome } from '../lib/actions.js'
 import { beginButton, queueText } from '../lib/begin.js'
 import { carried, carriedTable } from '../lib/carried.js'
-import { el, fill, link, pane, panel, say, select } from '../lib/dom.js'
+import { el, every, fill, link, pane, panel, say, select } from '../lib/dom.js'
 import { forcesPanel } from '../lib/expected.js'
 import { fold } from '../lib/fold.js'
 import { capital, counted, fixed, moment, span } from '../lib/format.js'
@@ -18,6 +18,7 @@ import { tourView } from '../lib/tour.js'
 
 const ENDED = ['ended', 'removed']
 const FIRST_ANSWER_MS = 1500
+const EVERY_MS = 5000
 const settled = promise =>
   promise.then(
     p => ({ p }),
@@ -200,25 +201,28 @@ export async function show(root, { query, signal, go, set }) {
   // Another key may check what the present one may not, and the other way round.
   const checks = () => state.experiment && checked != null && checked !== live.may('operator') && again()
   live.addEventListener('caller', checks, { signal })
-  // Another person may begin, edit or remove the run that is shown: it is read again whenever the rig or the queue changes.
-  const standingOf = run => [run.state, run.waiting_since, run.not_before, run.definition_sha256].join()
+  // Another person may begin, edit or remove the run that is shown: it is read again whenever the rig or the queue changes,
+  // and while it is queued again and again, because an edit changes neither.
+  const planOf = run => [run.state, run.waiting_since, run.definition_sha256, run.sensor_sha256].join()
+  async function follow() {
+    const of = current
+    const found = of && (await get(`/runs/${of.uid}`, {}, { signal }).catch(() => null))
+    if (!found || of !== current) return
+    if (planOf(found) !== planOf(of) && !(isActive(found) && isActive(of))) return void again()
+    current = found
+    say(told, standing(found))
+  }
   let seen = null
   live.on(
     'status',
-    async ({ status }) => {
+    ({ status }) => {
       const now = `${status.run?.uid} ${status.run?.state} ${status.queue_length}`
-      const before = seen
+      if (seen != null && now !== seen) follow()
       seen = now
-      const of = current
-      if (!of || before == null || before === now) return
-      const found = await get(`/runs/${of.uid}`, {}, { signal }).catch(() => null)
-      if (!found || of !== current || standingOf(found) === standingOf(of)) return
-      if (!isActive(found) || !isActive(of)) return void again()
-      current = found
-      say(told, standing(found))
     },
     signal,
   )
+  every(EVERY_MS, () => current?.state === 'queued' && follow(), signal)
   await update(query)
   return { update }
 }
