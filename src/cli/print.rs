@@ -27,18 +27,14 @@ const PNG_SCALE: u32 = 2;
 
 /// Why there is no PDF or PNG.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs, reason = "the message names the fields")]
 pub enum PrintError {
     /// No browser was found.
     #[error("it needs Chromium or Chrome, and none of them is in PATH; install `chromium`")]
     NoBrowser,
     /// The browser failed.
     #[error("{browser}: {why}", browser = browser.display())]
-    Failed {
-        /// Path of the browser that failed.
-        browser: PathBuf,
-        /// Cause, as text.
-        why: String,
-    },
+    Failed { browser: PathBuf, why: String },
 }
 
 /// Returns the browser that prints: the first one in the folders of `path`.
