@@ -25,7 +25,6 @@ use crate::store::StoreError;
 
 /// A figure could not be written as PNG or PDF.
 #[derive(Debug, thiserror::Error)]
-#[allow(missing_docs, reason = "the message names the fields")]
 pub enum PictureError {
     /// No program converts.
     #[error(

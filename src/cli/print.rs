@@ -27,7 +27,6 @@ const PNG_SCALE: u32 = 2;
 
 /// Why there is no PDF or PNG.
 #[derive(Debug, thiserror::Error)]
-#[allow(missing_docs, reason = "the message names the fields")]
 pub enum PrintError {
     /// No browser was found.
     #[error("it needs Chromium or Chrome, and none of them is in PATH; install `chromium`")]
