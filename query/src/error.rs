@@ -9,6 +9,7 @@ pub(crate) const DEPTH_MAX: usize = 250;
 
 /// Why a statement is not evaluated.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[allow(missing_docs, reason = "the message names the fields")]
 pub enum StatementError {
     /// It is too long.
     #[error("sql: has {0} bytes; must have at most {SQL_MAX_BYTES}")]
@@ -43,12 +44,7 @@ pub enum StatementError {
     #[error(
         "sql: {column} is next to {aggregate}, which is one value: add GROUP BY, with each column"
     )]
-    Group {
-        /// Without an aggregate.
-        column: String,
-        /// The aggregate expression, as SQL.
-        aggregate: String,
-    },
+    Group { column: String, aggregate: String },
     /// A comparison with a subquery that may have any number of rows.
     #[error(
         "sql: a comparison takes a subquery of one aggregate, such as \

@@ -25,7 +25,6 @@ pub struct LockArgs {
     /// Release the lock.
     #[arg(long)]
     pub clear: bool,
-    /// Service, or data folder.
     #[command(flatten)]
     pub at: At,
 }
@@ -36,7 +35,6 @@ pub struct KeyArgs {
     /// Action on the keys; lists them if absent.
     #[command(subcommand)]
     pub command: Option<KeyCommand>,
-    /// Service, or data folder.
     #[command(flatten)]
     pub at: At,
 }

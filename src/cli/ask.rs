@@ -34,7 +34,6 @@ pub struct ActArgs {
     /// Reason, for the log of actions.
     #[arg(long, value_name = "TEXT")]
     pub why: Option<String>,
-    /// Service of the rig.
     #[command(flatten)]
     pub at: At,
 }
@@ -45,7 +44,6 @@ pub struct PauseArgs {
     /// Raise the tips now, instead of after the trial.
     #[arg(long)]
     pub now: bool,
-    /// Options of every request.
     #[command(flatten)]
     pub act: ActArgs,
 }
@@ -55,7 +53,6 @@ pub struct PauseArgs {
 pub struct AbortArgs {
     /// Run: number, start of the id, or `last`; without it the active one.
     pub run: Option<String>,
-    /// Options of every request.
     #[command(flatten)]
     pub act: ActArgs,
 }

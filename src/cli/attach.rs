@@ -32,7 +32,6 @@ pub struct AttachArgs {
     /// Abort when the run has waited for a person for this duration, s [default: wait].
     #[arg(long, value_name = "SECONDS")]
     pub patience: Option<u32>,
-    /// Address of the service, and the form of the output.
     #[command(flatten)]
     pub at: At,
 }

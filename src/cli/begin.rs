@@ -44,7 +44,6 @@ pub struct ResumeArgs {
     /// Confirmation of the motion.
     #[command(flatten)]
     pub motion: MotionArgs,
-    /// Options of every request.
     #[command(flatten)]
     pub act: ActArgs,
 }

@@ -32,22 +32,15 @@ pub enum PictureError {
          PATH; install `librsvg2-bin` or `chromium`, or name a file that ends in .svg",
         path = path.display()
     )]
-    NoConverter {
-        /// The requested file.
-        path: PathBuf,
-    },
+    NoConverter { path: PathBuf },
     /// The program failed.
     #[error("{path}: was not written: {why}; name a file that ends in .svg", path = path.display())]
-    Failed {
-        /// The requested file.
-        path: PathBuf,
-        /// Cause, as text.
-        why: String,
-    },
+    Failed { path: PathBuf, why: String },
 }
 
 /// Why a command failed.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs, reason = "the message names the fields")]
 pub enum CliError {
     /// Values in files, options or requests are invalid.
     #[error("{}", lines(.0))]
@@ -57,19 +50,13 @@ pub enum CliError {
         "no palpate service at {url}; start one with `palpate serve`, or name it with --url or \
          PALPATE_URL"
     )]
-    NoServer {
-        /// URL of the expected service.
-        url: String,
-    },
+    NoServer { url: String },
     /// Something else answers at the URL.
     #[error(
         "something else than palpate answers at {url}; name the address of palpate with --url or \
          PALPATE_URL"
     )]
-    Stranger {
-        /// URL of the expected service.
-        url: String,
-    },
+    Stranger { url: String },
     /// An emergency stop has not reached a rig.
     #[error(
         "NOTHING WAS STOPPED: {0}\nUSE THE EMERGENCY STOP ON THE RIG, or cut the power of its drives."
@@ -85,12 +72,7 @@ pub enum CliError {
         "the certificate of {url} is not trusted: {why}; name its file, or that of its authority, with \
          --ca or PALPATE_CA"
     )]
-    Untrusted {
-        /// URL of the service.
-        url: String,
-        /// Cause, as text.
-        why: String,
-    },
+    Untrusted { url: String, why: String },
     /// TLS is not available.
     #[error("TLS: {0}; name the certificate of the service with --ca or PALPATE_CA")]
     Tls(#[from] rustls::Error),
@@ -107,10 +89,7 @@ pub enum CliError {
         "the recording was cut before its {frames} frames were there, and no file was written: the rig sent no frame \
          for 10 s, or the service ended"
     )]
-    Cut {
-        /// Number of requested frames.
-        frames: u64,
-    },
+    Cut { frames: u64 },
     /// A WebSocket failed.
     #[error("the connection to the service failed: {source}")]
     Socket {
@@ -131,12 +110,7 @@ pub enum CliError {
     },
     /// A file could not be read or written.
     #[error("{path}: {}", io_words(source), path = path.display())]
-    File {
-        /// Path of the file.
-        path: PathBuf,
-        /// Error of the operating system.
-        source: io::Error,
-    },
+    File { path: PathBuf, source: io::Error },
     /// The service could not be started in this process.
     #[error("starting the service: {0}")]
     Serve(#[from] ServeError),
@@ -145,22 +119,10 @@ pub enum CliError {
     Store(#[from] StoreError),
     /// The runtime, the signals or the terminal are not available.
     #[error("{operation}: {source}")]
-    System {
-        /// The failed operation.
-        operation: &'static str,
-        /// Error of the operating system.
-        source: io::Error,
-    },
+    System { operation: &'static str, source: io::Error },
     /// A child process did not start.
     #[error("{name}: {why} (log: {log})", log = log.display())]
-    Child {
-        /// Name of the process.
-        name: &'static str,
-        /// Cause, as text.
-        why: String,
-        /// Path of its log.
-        log: PathBuf,
-    },
+    Child { name: &'static str, why: String, log: PathBuf },
     /// Another process holds the rig.
     #[error(transparent)]
     Locked(#[from] LockFileError),
@@ -178,12 +140,7 @@ pub enum CliError {
     SimRandom(#[from] RandomError),
     /// Services of rigs did not answer with their datasets.
     #[error("{} of {all} rigs did not answer with a dataset: {}", missed.len(), missed.join(", "))]
-    Missed {
-        /// Names of the rigs.
-        missed: Vec<String>,
-        /// Number of all rigs.
-        all: usize,
-    },
+    Missed { missed: Vec<String>, all: usize },
     /// The folder of a work order could not be used, or chunks could not be made or gathered.
     #[error(transparent)]
     Chunk(#[from] ChunkError),
@@ -192,10 +149,7 @@ pub enum CliError {
     Program(#[from] ProgramError),
     /// The rig is tripped.
     #[error("the rig is tripped: {detail}; check the rig, then run `palpate rig reset`")]
-    Tripped {
-        /// Cause of the trip.
-        detail: String,
-    },
+    Tripped { detail: String },
     /// No run is active.
     #[error("no run is active")]
     Idle,
@@ -207,18 +161,10 @@ pub enum CliError {
     NothingToResume,
     /// A deadline has passed.
     #[error("{what} did not happen within {after_s} s")]
-    Late {
-        /// The expected event.
-        what: String,
-        /// The deadline, s.
-        after_s: u64,
-    },
+    Late { what: String, after_s: u64 },
     /// The motion of a real rig was not confirmed.
     #[error("rig {rig} is real: confirm its motion at the terminal or with --yes")]
-    NotConfirmed {
-        /// Name of the rig.
-        rig: String,
-    },
+    NotConfirmed { rig: String },
     /// A signal came before the run started.
     #[error("interrupted before the run started")]
     Interrupted,

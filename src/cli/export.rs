@@ -50,7 +50,6 @@ pub struct ExportArgs {
     /// The file [default: NAME.FORMAT here].
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
-    /// Service, or data folder.
     #[command(flatten)]
     pub at: At,
 }

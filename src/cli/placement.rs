@@ -18,7 +18,6 @@ pub struct ConfirmArgs {
     /// Store the placement even if the skin contradicts it; its trial gets the flag `doubted`.
     #[arg(long)]
     pub anyway: bool,
-    /// Options of every request.
     #[command(flatten)]
     pub act: ActArgs,
 }
@@ -29,7 +28,6 @@ pub struct RepeatArgs {
     /// Index of the placement to repeat [default: the one that was measured last].
     #[arg(long, value_name = "TRIAL")]
     pub trial: Option<u32>,
-    /// Options of every request.
     #[command(flatten)]
     pub act: ActArgs,
 }

@@ -33,12 +33,7 @@ pub enum PrintError {
     NoBrowser,
     /// The browser failed.
     #[error("{browser}: {why}", browser = browser.display())]
-    Failed {
-        /// Path of the browser that failed.
-        browser: PathBuf,
-        /// Cause, as text.
-        why: String,
-    },
+    Failed { browser: PathBuf, why: String },
 }
 
 /// Returns the browser that prints: the first one in the folders of `path`.

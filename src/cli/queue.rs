@@ -27,7 +27,6 @@ pub struct QueueArgs {
     /// Action on the queue; lists it if absent.
     #[command(subcommand)]
     pub command: Option<QueueCommand>,
-    /// Service, or data folder.
     #[command(flatten)]
     pub at: At,
 }

@@ -43,7 +43,6 @@ pub struct RigArgs {
     /// Manual action.
     #[command(subcommand)]
     pub command: RigCommand,
-    /// Service of the rig.
     #[command(flatten)]
     pub at: At,
 }

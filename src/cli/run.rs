@@ -48,7 +48,6 @@ pub struct RunArgs {
     /// Bench to run on.
     #[command(flatten)]
     pub bench: BenchArgs,
-    /// Service, and data folder.
     #[command(flatten)]
     pub at: At,
 }

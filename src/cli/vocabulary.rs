@@ -15,7 +15,6 @@ use super::{At, embed};
 pub struct VocabularyArgs {
     /// List to show, such as flags, trips or formats; all if absent.
     pub list: Option<String>,
-    /// Service, or data folder.
     #[command(flatten)]
     pub at: At,
 }

@@ -5,18 +5,14 @@ use std::path::PathBuf;
 
 /// Why a command failed.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs, reason = "the message names the fields")]
 pub enum WorkerError {
     /// An address, a file or an option is invalid.
     #[error("{0}")]
     Invalid(String),
     /// A file could not be read or written.
     #[error("{}: {source}", path.display())]
-    File {
-        /// Path of the file or folder.
-        path: PathBuf,
-        /// Error of the operating system.
-        source: std::io::Error,
-    },
+    File { path: PathBuf, source: std::io::Error },
     /// The queue did not answer, or refused.
     #[error("queue: {0}")]
     Queue(String),

@@ -3,120 +3,45 @@
 
 /// A failed operation on a device.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[allow(missing_docs, reason = "the message names the fields")]
 pub enum RigError {
     /// No reply arrived within the deadline.
     #[error("{device}: no reply to {operation} within {timeout_ms} ms")]
-    NoReply {
-        /// Device name from the rig file.
-        device: String,
-        /// Operation that failed.
-        operation: String,
-        /// Deadline of the reply, wall ms.
-        timeout_ms: u64,
-    },
+    NoReply { device: String, operation: String, timeout_ms: u64 },
     /// The wire could not be opened, or the connection was lost.
     #[error("{device}: wire lost in {operation}: {cause}")]
-    Disconnected {
-        /// Device name from the rig file.
-        device: String,
-        /// Operation that failed.
-        operation: String,
-        /// Cause reported by the operating system.
-        cause: String,
-    },
+    Disconnected { device: String, operation: String, cause: String },
     /// The reply does not fit the request.
     #[error("{device}: garbled reply to {operation}: {cause}")]
-    Garbled {
-        /// Device name from the rig file.
-        device: String,
-        /// Operation that failed.
-        operation: String,
-        /// Reason why the reply was rejected.
-        cause: String,
-    },
+    Garbled { device: String, operation: String, cause: String },
     /// The device replied with a Modbus exception.
     #[error("{device}: {operation} answered with exception {code}")]
-    Exception {
-        /// Device name from the rig file.
-        device: String,
-        /// Operation that failed.
-        operation: String,
-        /// Modbus exception code.
-        code: u8,
-    },
+    Exception { device: String, operation: String, code: u8 },
     /// The device is not the one in the rig file, or has another setup.
     #[error("{device}: {found}, but the rig file needs {needed}")]
-    WrongDevice {
-        /// Device name from the rig file.
-        device: String,
-        /// Identity or setup that the device reports.
-        found: String,
-        /// Identity or setup that the rig file requires.
-        needed: String,
-    },
+    WrongDevice { device: String, found: String, needed: String },
     /// A commanded position is outside the soft limits; nothing was sent.
     #[error("{device}: target {target:.3} is outside its travel [{min:.3}, {max:.3}]")]
-    OutsideTravel {
-        /// Name of the axis.
-        device: String,
-        /// Commanded position, in the axis's unit.
-        target: f64,
-        /// Lower soft limit, in the axis's unit.
-        min: f64,
-        /// Upper soft limit, in the axis's unit.
-        max: f64,
-    },
+    OutsideTravel { device: String, target: f64, min: f64, max: f64 },
     /// The stream did not deliver the requested frames in time.
     #[error("ert: {got} of {wanted} frames arrived within {timeout_ms} ms")]
-    NoFrames {
-        /// Number of frames requested.
-        wanted: usize,
-        /// Number of frames that arrived.
-        got: usize,
-        /// Deadline of the frames, wall ms.
-        timeout_ms: u64,
-    },
+    NoFrames { wanted: usize, got: usize, timeout_ms: u64 },
     /// The device cannot be used in its present state: alarm, emergency stop, servo off, not
     /// prepared.
     #[error("{device}: not ready for {operation}: {why}")]
-    NotReady {
-        /// Device name from the rig file.
-        device: String,
-        /// Operation that was requested.
-        operation: String,
-        /// State that prevents the operation.
-        why: String,
-    },
+    NotReady { device: String, operation: String, why: String },
     /// A motion was refused because the emergency stop is latched; nothing was sent.
     #[error("{device}: {operation} refused: the emergency stop is latched")]
-    Latched {
-        /// Name of the axis.
-        device: String,
-        /// Operation that was refused.
-        operation: String,
-    },
+    Latched { device: String, operation: String },
     /// A motion was withdrawn because its axis was commanded to stop before it was sent.
     #[error("{device}: {operation} withdrawn: the axis was commanded to stop")]
-    Withdrawn {
-        /// Name of the axis.
-        device: String,
-        /// Operation that was withdrawn.
-        operation: String,
-    },
+    Withdrawn { device: String, operation: String },
     /// The thread that reads the stream could not be started.
     #[error("{device}: cannot start its reader: {cause}")]
-    Start {
-        /// Device name from the rig file.
-        device: String,
-        /// Cause reported by the operating system.
-        cause: String,
-    },
+    Start { device: String, cause: String },
     /// The task that owns the wire has ended.
     #[error("{device}: its wire is closed")]
-    Closed {
-        /// Device name from the rig file.
-        device: String,
-    },
+    Closed { device: String },
 }
 
 /// Reaction that an error requires (`docs/references.md`, "Exceptions and lost replies").

@@ -211,11 +211,12 @@ pub fn sampled(pairs: &[Pair], most: usize) -> Vec<Pair> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::cli::watch::answers::Steps;
+    use crate::schedule::visits::Visits;
 
     fn tour(configuration: &[u32], contacts_mm: &[[f64; 2]]) -> Tour {
         let contacts_mm = contacts_mm.iter().map(|at| vec![*at]).collect();
-        let steps = Steps { configuration: configuration.to_vec(), contacts_mm };
+        let configuration = configuration.to_vec();
+        let steps = Visits { configuration, contacts_mm, ..Visits::default() };
         Tour { depths_mm: vec![0.0, 1.0], steps }
     }
 

@@ -47,7 +47,6 @@ pub struct RunsArgs {
     /// Largest number of runs.
     #[arg(long, value_name = "N", default_value_t = 20)]
     pub limit: usize,
-    /// Service, or data folder.
     #[command(flatten)]
     pub at: At,
 }
@@ -65,7 +64,6 @@ pub struct TrialsArgs {
     /// Largest number of trials.
     #[arg(long, value_name = "N", default_value_t = 20)]
     pub limit: usize,
-    /// Service, or data folder.
     #[command(flatten)]
     pub at: At,
 }
@@ -91,7 +89,6 @@ pub struct EventsArgs {
     /// Largest number of events, the newest [default: 50; with --since all].
     #[arg(long, value_name = "N")]
     pub limit: Option<usize>,
-    /// Service, or data folder.
     #[command(flatten)]
     pub at: At,
 }
@@ -104,7 +101,6 @@ pub struct ActionsArgs {
     /// Largest number of actions.
     #[arg(long, value_name = "N", default_value_t = 20)]
     pub limit: usize,
-    /// Service, or data folder.
     #[command(flatten)]
     pub at: At,
 }
@@ -122,7 +118,6 @@ pub struct ShowArgs {
     /// Print a stored part as JSON, for scripts, one line per record.
     #[arg(long, value_name = "PART", value_enum, conflicts_with = "history")]
     pub raw: Option<raw::Part>,
-    /// Service, or data folder.
     #[command(flatten)]
     pub at: At,
 }
@@ -138,7 +133,6 @@ pub struct ReportArgs {
     /// Write the HTML only.
     #[arg(long)]
     pub no_pdf: bool,
-    /// Service, or data folder.
     #[command(flatten)]
     pub at: At,
 }
@@ -152,7 +146,6 @@ pub struct DiffArgs {
     /// The run that is compared with it.
     #[arg(value_name = "RUN")]
     pub after: String,
-    /// Service, or data folder.
     #[command(flatten)]
     pub at: At,
 }

@@ -9,7 +9,7 @@ use serde_json::json;
 use super::answers::{TwinsOf, duration_words, elapsed, fit_of, state_words, stored_words};
 use super::chart::{AtDepth, forces, picture, width};
 use super::{ShowArgs, history, raw, show_trial};
-use crate::api::{ForcesAtDepth, Summary};
+use crate::api::{ForcesAtDepth, RunProgress, SensorOut, Summary};
 use crate::cli::client::Client;
 use crate::cli::embed;
 use crate::cli::error::CliError;
@@ -18,7 +18,7 @@ use crate::cli::next::Next;
 use crate::cli::output::{counted, filled, grouped, say, say_drawn, say_json};
 use crate::cli::start_time::local;
 use crate::cli::table::Table;
-use crate::cli::watch::answers::{Skin, Tour, TourProgress};
+use crate::cli::watch::answers::Tour;
 use crate::cli::watch::night::Night;
 use crate::cli::watch::skin;
 use crate::cli::watch::theme::Theme;
@@ -81,9 +81,10 @@ async fn run(client: &Client, args: &ShowArgs) -> Result<(), CliError> {
         say_json(&json!({ "summary": summary, "twins": twins, "median_fvu": median_fvu }));
         return Ok(());
     }
-    let skin: Option<Skin> = client.if_there(&format!("/api/v1/sensor?run={}", found.uid)).await?;
+    let skin: Option<SensorOut> =
+        client.if_there(&format!("/api/v1/sensor?run={}", found.uid)).await?;
     let tour: Option<Tour> = client.if_there(&format!("{path}/tour")).await?;
-    let progress: Option<TourProgress> = match tour {
+    let progress: Option<RunProgress> = match tour {
         Some(_) => client.if_there(&format!("{path}/progress")).await?,
         None => None,
     };

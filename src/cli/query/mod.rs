@@ -50,7 +50,6 @@ pub struct QueryArgs {
     /// Largest number of rows of a table.
     #[arg(long, value_name = "N", default_value_t = 100)]
     pub limit: usize,
-    /// Service, or data folder.
     #[command(flatten)]
     pub at: At,
 }

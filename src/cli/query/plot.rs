@@ -40,7 +40,6 @@ pub struct PlotArgs {
     /// Title of the figure [default: that of the question].
     #[arg(long, value_name = "TEXT")]
     pub title: Option<String>,
-    /// Service, or data folder.
     #[command(flatten)]
     pub at: At,
 }

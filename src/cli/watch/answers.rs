@@ -1,36 +1,12 @@
-//! Answers of the service that only the screen reads. An older service lacks some of them: every field
+//! Answers of the service of which the screen reads a part. An older service lacks some of it: every field
 //! may be absent.
 //! PURE. Uses: serde. Never: an error for a field that is absent.
 
 use serde::Deserialize;
 
-use crate::api::{ForcesOfTips, History};
+use crate::api::History;
 use crate::ids::RunUid;
-
-/// `GET /api/v1/sensor`: the skin.
-#[derive(Debug, Clone, Default, PartialEq, Deserialize)]
-#[serde(default)]
-pub struct Skin {
-    /// Extent of the skin along x, mm.
-    pub width_mm: f64,
-    /// Extent of the skin along y, mm.
-    pub height_mm: f64,
-    /// Corners of the outline, mm; absent for a rectangle.
-    pub outline_mm: Option<Vec<[f64; 2]>>,
-    /// Positions of the electrodes, in measuring order.
-    pub electrodes: Vec<Place>,
-    /// Diameter of a tip, mm.
-    pub tip_diameter_mm: Option<f64>,
-}
-
-/// A place on the skin.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Deserialize)]
-pub struct Place {
-    /// Position along the width of the skin, mm.
-    pub x_mm: f64,
-    /// Position along its height, mm.
-    pub y_mm: f64,
-}
+use crate::schedule::visits::Visits;
 
 /// `GET /api/v1/runs/{run}/tour`: where the plan presses, in the planned order.
 #[derive(Debug, Clone, Default, PartialEq, Deserialize)]
@@ -38,36 +14,8 @@ pub struct Place {
 pub struct Tour {
     /// Planned depths of each configuration, mm.
     pub depths_mm: Vec<f64>,
-    /// Index and contacts of each configuration, in the planned order.
-    pub steps: Steps,
-}
-
-/// The configurations of a tour.
-#[derive(Debug, Clone, Default, PartialEq, Deserialize)]
-#[serde(default)]
-pub struct Steps {
-    /// Index of each configuration in the plan.
-    pub configuration: Vec<u32>,
-    /// Where each tip of each configuration touches the skin: x and y, mm.
-    pub contacts_mm: Vec<Vec<[f64; 2]>>,
-}
-
-/// `GET /api/v1/runs/{run}/progress`, in the order of the tour.
-#[derive(Debug, Clone, Default, PartialEq, Deserialize)]
-#[serde(default)]
-pub struct TourProgress {
-    /// Number of trials stored, for each configuration.
-    pub stored: Vec<u16>,
-    /// Number of failed attempts, for each configuration.
-    pub attempts_failed: Vec<u16>,
-    /// Indices of skipped configurations.
-    pub skipped: Vec<usize>,
-    /// Index of the current configuration.
-    pub current: Option<usize>,
-    /// Index of the next one.
-    pub next: Option<usize>,
-    /// The largest forces, for each number of tips.
-    pub forces_by_tips: Vec<ForcesOfTips>,
+    /// The configurations, in the planned order.
+    pub steps: Visits,
 }
 
 /// Trials per hour over the last bins of a run, or over all of them.
@@ -136,14 +84,11 @@ mod tests {
     }
 
     #[test]
-    fn a_tour_and_its_progress_are_read_with_and_without_their_other_fields() {
+    fn a_tour_and_the_twins_are_read_with_and_without_their_other_fields() {
         let tour: Tour = serde_json::from_value(json!({ "scan_id": 3, "depths_mm": [0.0, 0.5],
             "steps": { "configuration": [7], "tips": [1], "contacts_mm": [[[10.0, 20.0]]] } }))
         .unwrap();
         assert_eq!(tour.steps.contacts_mm[0][0], [10.0, 20.0]);
-        let progress: TourProgress =
-            serde_json::from_value(json!({ "stored": [2], "current": null })).unwrap();
-        assert_eq!((progress.stored[0], progress.current), (2, None));
         let twins: Twins = serde_json::from_value(json!({ "pool": { "rolling": null } })).unwrap();
         assert_eq!(twins, Twins::default());
     }

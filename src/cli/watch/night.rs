@@ -5,8 +5,8 @@ use std::collections::VecDeque;
 
 use jiff::{SignedDuration, Timestamp};
 
-use super::answers::{Skin, Tour, TourProgress, Twins};
-use crate::api::{History, RigRates};
+use super::answers::{Tour, Twins};
+use crate::api::{History, RigRates, RunProgress, SensorOut};
 use crate::cli::view::{EventView, RunView, StatusView, need_words};
 use crate::event::Importance;
 use crate::ids::RunUid;
@@ -27,11 +27,11 @@ pub enum News {
     /// The service did not answer; the cause.
     NoStatus(String),
     /// The skin of a run; absent if the service does not state it.
-    Skin(RunUid, Option<Skin>),
+    Skin(RunUid, Option<SensorOut>),
     /// The tour of a run; absent if the service does not state it.
     Tour(RunUid, Option<Tour>),
     /// The progress of a run along its tour.
-    Progress(RunUid, TourProgress),
+    Progress(RunUid, RunProgress),
     /// A run over time.
     Course(RunUid, History),
     /// What stream and wires did in the last minute.
@@ -58,11 +58,11 @@ pub struct Night {
     /// The run that the map shows: the active one, or the last one.
     pub run: Option<RunUid>,
     /// Skin of the active run; absent before it was read.
-    pub skin: Option<Skin>,
+    pub skin: Option<SensorOut>,
     /// Tour of the active run; absent before it was read.
     pub tour: Option<Tour>,
     /// Its progress along the tour.
-    pub progress: Option<TourProgress>,
+    pub progress: Option<RunProgress>,
     /// When the progress was read.
     pub progress_at: Option<Timestamp>,
     /// The active run over time.
@@ -184,7 +184,7 @@ impl Night {
     pub fn marks(&self) -> Vec<Mark> {
         let Some(tour) = &self.tour else { return Vec::new() };
         let trials = tour.depths_mm.len().max(1);
-        let none = TourProgress::default();
+        let none = RunProgress::default();
         let progress = self.progress.as_ref().unwrap_or(&none);
         let count = |of: &[u16], i: usize| usize::from(of.get(i).copied().unwrap_or(0));
         let mut marks: Vec<Mark> = (0..tour.steps.contacts_mm.len())

@@ -7,9 +7,9 @@ use jiff::Timestamp;
 use tokio::sync::{mpsc, watch};
 use tokio::time::{Instant, MissedTickBehavior, interval};
 
-use super::answers::{Skin, Tour, TourProgress};
+use super::answers::Tour;
 use super::night::News;
-use crate::api::{History, Page};
+use crate::api::{History, Page, RunProgress, SensorOut};
 use crate::cli::client::Client;
 use crate::cli::error::CliError;
 use crate::cli::view::EventView;
@@ -120,12 +120,12 @@ impl Rest {
             self.tell(News::Tour(run, tour)).await;
         }
         if !self.skin {
-            let skin: Option<Skin> =
+            let skin: Option<SensorOut> =
                 self.client.if_there(&format!("/api/v1/sensor?run={run}")).await?;
             self.skin = skin.is_some();
             self.tell(News::Skin(run, skin)).await;
         }
-        let progress: Option<TourProgress> =
+        let progress: Option<RunProgress> =
             self.client.if_there(&format!("{path}/progress")).await?;
         let Some(progress) = progress else { return Ok(()) };
         self.tell(News::Progress(run, progress)).await;

@@ -33,7 +33,7 @@ struct Shape {
 
 impl Shape {
     fn of(night: &Night) -> Self {
-        let skin = night.skin.as_ref().filter(|s| s.width_mm > 0.0 && s.height_mm > 0.0);
+        let skin = night.skin.as_ref();
         let (width_mm, height_mm) =
             skin.map_or((WIDTH_MM, HEIGHT_MM), |skin| (skin.width_mm, skin.height_mm));
         let rectangle =
@@ -45,7 +45,7 @@ impl Shape {
             height_mm,
             corners: outline.filter(|corners| corners.len() > 2).unwrap_or_else(rectangle),
             electrodes: electrodes.iter().map(|at| (at.x_mm, at.y_mm)).collect(),
-            tip_mm: skin.and_then(|skin| skin.tip_diameter_mm).unwrap_or(TIP_MM),
+            tip_mm: skin.map_or(TIP_MM, |skin| skin.tip_diameter_mm),
         }
     }
 }

@@ -16,9 +16,10 @@ use super::draw::draw;
 use super::facts::Now;
 use super::night::{Level, Mark, News, Night};
 use super::theme::Theme;
-use crate::api::{History, RigRates, StreamRates, WireRates};
+use crate::api::{History, RigRates, RunProgress, StreamRates, WireRates};
 use crate::cli::view::StatusView;
 use crate::ids::RunUid;
+use crate::schedule::visits::Visits;
 
 const RUN: &str = "01890a5d-ac96-774b-bcce-b302099a8057";
 const COLOUR: Theme = Theme { colour: true };
@@ -73,11 +74,17 @@ fn night() -> Night {
     night.take(told_status(&status()), start());
     let at = |i: usize| vec![[90.0 * (i + 1) as f64, 100.0], [90.0 * (i + 1) as f64, 300.0]];
     let contacts_mm: Vec<Vec<[f64; 2]>> = (0..5).map(at).collect();
-    let tour = json!({ "depths_mm": [0.0, 0.5], "steps": { "contacts_mm": contacts_mm } });
-    night.take(News::Tour(run(), serde_json::from_value(tour).unwrap()), start());
-    let progress = json!({ "stored": [2, 2, 0, 0, 0], "attempts_failed": [0, 1, 0, 0, 0],
-        "skipped": [4], "current": 1, "next": 2 });
-    night.take(News::Progress(run(), serde_json::from_value(progress).unwrap()), start());
+    let steps = Visits { contacts_mm, ..Visits::default() };
+    night.take(News::Tour(run(), Some(Tour { depths_mm: vec![0.0, 0.5], steps })), start());
+    let progress = RunProgress {
+        stored: vec![2, 2, 0, 0, 0],
+        attempts_failed: vec![0, 1, 0, 0, 0],
+        skipped: vec![4],
+        current: Some(1),
+        next: Some(2),
+        ..RunProgress::default()
+    };
+    night.take(News::Progress(run(), progress), start());
     let twins = json!({ "pool": { "rolling": { "level": "ok", "median_fvu": 0.0942 } },
         "runs": [{ "run": RUN, "trials": 12481, "pending": 11 }] });
     night.take(News::Twins(serde_json::from_value(twins).unwrap()), start());

@@ -16,18 +16,14 @@ use crate::store::StoreError;
 
 /// Why a dataset, an export or an import failed.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs, reason = "the message names the fields")]
 pub enum DatasetError {
     /// Values of a request, a definition or an imported file are invalid.
     #[error("{}", .0.iter().map(ToString::to_string).collect::<Vec<_>>().join("; "))]
     Problems(Vec<Problem>),
     /// No dataset has this id or name.
     #[error("no dataset {name}: choose from {choices}, or run-N for a run that has ended")]
-    NoDataset {
-        /// The requested id or name.
-        name: String,
-        /// Names of the built-in definitions, separated by commas.
-        choices: String,
-    },
+    NoDataset { name: String, choices: String },
     /// No dataset of this name has been made.
     #[error("dataset {0} has not been made: palpate dataset make {0}")]
     NotMade(String),
@@ -44,12 +40,7 @@ pub enum DatasetError {
     NotEnded(i64),
     /// The definition selects no rows.
     #[error("dataset {name} has no rows: {why}")]
-    Empty {
-        /// Name of the dataset.
-        name: String,
-        /// The reason, as text.
-        why: String,
-    },
+    Empty { name: String, why: String },
     /// The selected runs have different labels, and the definition names none.
     #[error("label = absent: the runs have different labels ({0}); select one label")]
     Labels(String),
@@ -80,16 +71,7 @@ pub enum DatasetError {
     #[error(
         "{product} of about {needed} bytes: {free} bytes are free, {kept} of them reserved for runs"
     )]
-    DiskFull {
-        /// What is to be written.
-        product: Product,
-        /// Estimated size of the file, bytes.
-        needed: u64,
-        /// Free space, bytes.
-        free: u64,
-        /// Free space that is reserved for runs, bytes.
-        kept: u64,
-    },
+    DiskFull { product: Product, needed: u64, free: u64, kept: u64 },
     /// The file of a stored dataset is missing. Holds the id.
     #[error("dataset {0}: its file is missing; make the dataset again by its name")]
     FileMissing(DatasetId),
@@ -101,14 +83,7 @@ pub enum DatasetError {
     Store(#[from] StoreError),
     /// A file could not be read or written.
     #[error("{operation} {path}: {source}", path = path.display())]
-    File {
-        /// The failed operation.
-        operation: &'static str,
-        /// Path of the file.
-        path: PathBuf,
-        /// Error of the operating system.
-        source: io::Error,
-    },
+    File { operation: &'static str, path: PathBuf, source: io::Error },
     /// Rows could not be written in the requested format.
     #[error(transparent)]
     Format(#[from] FormatError),

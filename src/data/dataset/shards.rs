@@ -21,40 +21,23 @@ const ALL: &str = "*";
 
 /// Why shards cannot be read.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs, reason = "the message names the fields")]
 pub enum ShardsError {
     /// A folder or file cannot be read.
     #[error("reading {path}: {source}", path = path.display())]
-    Read {
-        /// Path of the folder or file.
-        path: PathBuf,
-        /// Error of the operating system.
-        source: io::Error,
-    },
+    Read { path: PathBuf, source: io::Error },
     /// No folder of shards has this name.
     #[error("sim_random = {0}: must be a folder with shards under DATA/sim-random")]
     None(String),
     /// The manifest is invalid.
     #[error("{path}: {why}", path = path.display())]
-    Manifest {
-        /// Path of the manifest.
-        path: PathBuf,
-        /// Error of the parser.
-        why: String,
-    },
+    Manifest { path: PathBuf, why: String },
     /// The sha256 of a shard differs from the manifest.
     #[error("{path}: its sha256 differs from the manifest: run `palpate simulate random --verify`", path = path.display())]
-    Damaged {
-        /// Path of the shard.
-        path: PathBuf,
-    },
+    Damaged { path: PathBuf },
     /// A shard is not a valid Parquet file.
     #[error("{path}: {why}", path = path.display())]
-    Parquet {
-        /// Path of the shard.
-        path: PathBuf,
-        /// Error of the Parquet reader.
-        why: String,
-    },
+    Parquet { path: PathBuf, why: String },
 }
 
 /// A folder of shards.

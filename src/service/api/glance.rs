@@ -200,14 +200,11 @@ fn unjudged(run: Option<&RunStatus>) -> &'static str {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::api::needs;
     use crate::campaign::bench::interlock::{Trip, TripKind};
-    use crate::campaign::shown::show;
-    use crate::rig::setup::RigSetup;
 
     fn status() -> Status {
-        let rig = include_str!("../../../experiments/rigs/virtual.toml");
-        let mut status = show::closed(&RigSetup::from_toml("rig.toml", rig).unwrap());
-        status.rig.state = RigState::Homed;
+        let mut status = needs::tests::status(RigState::Homed);
         status.rig.stream.age_ms = Some(12);
         status
     }

@@ -46,6 +46,7 @@ impl Drop for LockFile {
 
 /// Why a lock could not be taken.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs, reason = "the message names the fields")]
 pub enum LockFileError {
     /// Another process holds the lock.
     #[error(
@@ -53,22 +54,10 @@ pub enum LockFileError {
          first and run commands as its clients",
         path.display()
     )]
-    Held {
-        /// The locked resource, as text.
-        what: String,
-        /// Process and user of the holder, as written in the lock file.
-        holder: String,
-        /// Path of the lock file.
-        path: PathBuf,
-    },
+    Held { what: String, holder: String, path: PathBuf },
     /// The lock file cannot be opened or written.
     #[error("lock file {}: {}", path.display(), system_words(source))]
-    File {
-        /// Path of the lock file.
-        path: PathBuf,
-        /// Error of the operating system.
-        source: io::Error,
-    },
+    File { path: PathBuf, source: io::Error },
 }
 
 impl LockFile {

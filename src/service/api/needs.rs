@@ -245,7 +245,7 @@ fn ahead(around: Around<'_>) -> Vec<Need> {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::*;
     use crate::campaign::bench::estop::AxisStop;
     use crate::campaign::bench::interlock::TripKind;
@@ -254,7 +254,7 @@ mod tests {
     use crate::ids::RunUid;
     use crate::rig::setup::RigSetup;
 
-    fn status(state: RigState) -> Status {
+    pub fn status(state: RigState) -> Status {
         let rig = include_str!("../../../experiments/rigs/virtual.toml");
         let mut status = show::closed(&RigSetup::from_toml("rig.toml", rig).unwrap());
         status.rig.state = state;

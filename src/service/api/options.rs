@@ -50,21 +50,14 @@ pub struct ServeOptions {
 
 /// Why a service did not start.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs, reason = "the message names the fields")]
 pub enum ServeError {
     /// The rig file is invalid.
     #[error("{}", problems.iter().map(ToString::to_string).collect::<Vec<_>>().join("\n"))]
-    Rig {
-        /// All invalid values.
-        problems: Vec<crate::problem::Problem>,
-    },
+    Rig { problems: Vec<crate::problem::Problem> },
     /// The data folder cannot be created or made private.
     #[error("data folder {}: {}", path.display(), system_words(source))]
-    Data {
-        /// The data folder.
-        path: PathBuf,
-        /// Error of the operating system.
-        source: std::io::Error,
-    },
+    Data { path: PathBuf, source: std::io::Error },
     /// Another process uses the rig or the data folder.
     #[error(transparent)]
     Locked(#[from] LockFileError),
@@ -73,12 +66,7 @@ pub enum ServeError {
     Store(#[from] StoreError),
     /// The address is not available.
     #[error("listening at {bind}: {}; choose another address with --bind", system_words(source))]
-    Bind {
-        /// Address of the service.
-        bind: SocketAddr,
-        /// Error of the operating system.
-        source: std::io::Error,
-    },
+    Bind { bind: SocketAddr, source: std::io::Error },
     /// The address is reachable from other machines, and there is no API key.
     #[error(
         "bind = {0}: must be a loopback address while there is no API key; run `palpate key create NAME`"

@@ -20,7 +20,7 @@ use crate::state::StoredState;
 use crate::store::{RunRow, StoredProgress};
 
 /// Progress of a run. Lists have one entry for each configuration of the tour, in its order.
-#[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct RunProgress {
     /// Number of trials in the plan.
     pub trials_planned: u64,

@@ -21,7 +21,7 @@ pub struct SensorParams {
 }
 
 /// A sensor in skin coordinates: x to the right along its width, y upwards along its height, mm.
-#[derive(Debug, Serialize, ToSchema)]
+#[derive(Debug, Serialize, Deserialize, ToSchema)]
 pub struct SensorOut {
     /// Name of the sensor.
     pub name: String,
@@ -48,7 +48,7 @@ pub struct SensorOut {
 }
 
 /// Index and position of an electrode.
-#[derive(Debug, Serialize, ToSchema)]
+#[derive(Debug, Serialize, Deserialize, ToSchema)]
 pub struct ElectrodeOut {
     /// Index in measuring order, from 0.
     pub index: usize,

@@ -8,13 +8,11 @@ use crate::store::StoreError;
 
 /// Why a request was refused or failed.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs, reason = "the message names the fields")]
 pub enum ConductorError {
     /// The files cannot be used on this rig.
     #[error("{}", problems.iter().map(ToString::to_string).collect::<Vec<_>>().join("; "))]
-    Problems {
-        /// Every problem found.
-        problems: Vec<Problem>,
-    },
+    Problems { problems: Vec<Problem> },
     /// There is no run with this id.
     #[error("there is no run {0}")]
     NoRun(String),
@@ -24,14 +22,7 @@ pub enum ConductorError {
          {difference}. The trials of one run come from one plan: abort it (palpate abort {run}), and \
          queue its files again (palpate run --new)"
     )]
-    PlanDiffers {
-        /// Number of the run.
-        run: i64,
-        /// Version that planned it.
-        version: String,
-        /// Differing places with both values.
-        difference: String,
-    },
+    PlanDiffers { run: i64, version: String, difference: String },
     /// The state of the run or the store forbids it.
     #[error("{0}")]
     Forbidden(String),

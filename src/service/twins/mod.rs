@@ -82,20 +82,14 @@ struct Inner {
 
 /// Why the twins of a run cannot be made or stored.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs, reason = "the message names the fields")]
 pub enum PoolError {
     /// The store failed.
     #[error(transparent)]
     Store(#[from] StoreError),
     /// A file of the run or its calibration is invalid.
     #[error("run {run}: its {file} file cannot be used: {why}")]
-    File {
-        /// Number of the run.
-        run: i64,
-        /// Which file it is.
-        file: &'static str,
-        /// Cause, as text.
-        why: String,
-    },
+    File { run: i64, file: &'static str, why: String },
     /// The run, by its number, was measured on another kind of skin, or simulated.
     #[error("run {0}: there is no model of its skin")]
     Foreign(i64),

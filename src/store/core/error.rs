@@ -12,13 +12,12 @@ use crate::journal::{JournalError, error_chain};
 
 /// Failure of an operation of the store.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs, reason = "the message names the fields")]
 pub enum StoreError {
     /// The database file cannot be opened or created.
     #[error("opening the database {path} failed")]
     Open {
-        /// Path of the database file.
         path: PathBuf,
-        /// Cause of the failure.
         #[source]
         source: sqlx::Error,
     },
@@ -27,10 +26,7 @@ pub enum StoreError {
         "the database {path} is lost: the file is empty, or missing while its log {path}-wal exists; \
          restore it from a copy, or remove the remaining files to start a new database"
     )]
-    Lost {
-        /// Path of the database file.
-        path: PathBuf,
-    },
+    Lost { path: PathBuf },
     /// The log of the database was changed after it was written. SQLite would drop stored transactions
     /// when it opens the file.
     #[error(
@@ -49,9 +45,7 @@ pub enum StoreError {
     /// A migration of the tables failed.
     #[error("migrating the tables of the database {path} failed")]
     Migrate {
-        /// Path of the database file.
         path: PathBuf,
-        /// Cause of the failure.
         #[source]
         source: sqlx::migrate::MigrateError,
     },
@@ -62,64 +56,36 @@ pub enum StoreError {
     /// read again before you continue.
     #[error("{operation} failed in the database")]
     Sql {
-        /// Operation that failed, as text.
         operation: &'static str,
-        /// Cause of the failure.
         #[source]
         source: sqlx::Error,
     },
     /// A statement that only reads failed.
     #[error("{operation} failed in the database")]
     Read {
-        /// Operation that failed, as text.
         operation: &'static str,
-        /// Cause of the failure.
         #[source]
         source: rusqlite::Error,
     },
     /// A write failed. A later read of the database shows that it is not stored.
     #[error("{operation} failed, and nothing of it is stored")]
     NotStored {
-        /// Operation that failed, as text.
         operation: &'static str,
-        /// Failure of the write.
         #[source]
         source: Box<StoreError>,
     },
     /// A write did not finish in time. Its outcome is unknown.
     #[error("{operation} did not finish within {limit_s} s")]
-    Late {
-        /// Operation that failed, as text.
-        operation: &'static str,
-        /// Longest allowed wall time, s.
-        limit_s: u64,
-    },
+    Late { operation: &'static str, limit_s: u64 },
     /// The store has been closed.
     #[error("{operation}: the store is closed")]
-    Closed {
-        /// Operation that was requested, as text.
-        operation: &'static str,
-    },
+    Closed { operation: &'static str },
     /// A record was refused before anything was written.
     #[error("{operation}: {field} {limit}")]
-    Refused {
-        /// Operation that failed, as text.
-        operation: &'static str,
-        /// Field with the invalid value.
-        field: &'static str,
-        /// Limit of the field, as text.
-        limit: &'static str,
-    },
+    Refused { operation: &'static str, field: &'static str, limit: &'static str },
     /// A stored value cannot be decoded.
     #[error("{operation}: column {column} holds {value:?}")]
-    Unreadable {
-        /// Operation that failed, as text.
-        operation: &'static str,
-        /// Column that holds it.
-        column: &'static str,
-        /// Stored value, as text.
-        value: String,
-    },
+    Unreadable { operation: &'static str, column: &'static str, value: String },
     /// The database file is damaged.
     #[error("the database is damaged: {}", findings.join("; "))]
     Damaged {
@@ -140,20 +106,10 @@ pub enum StoreError {
     NotQueued(RunUid),
     /// The run has no trial with this key.
     #[error("run {run} has no trial of configuration {} at depth {}", key.configuration, key.depth_index)]
-    NoSuchTrial {
-        /// Id of the run.
-        run: RunUid,
-        /// Configuration and depth of the trial.
-        key: TrialKey,
-    },
+    NoSuchTrial { run: RunUid, key: TrialKey },
     /// Another person holds the operator lock.
     #[error("{holder} holds the operator lock: {note}")]
-    LockHeld {
-        /// Name of the holder.
-        holder: String,
-        /// Note of the holder.
-        note: String,
-    },
+    LockHeld { holder: String, note: String },
 }
 
 impl StoreError {

@@ -36,6 +36,7 @@ pub struct Known {
 
 /// Why a program is not there.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs, reason = "the message names the fields")]
 pub enum ProgramError {
     /// It is not installed, and this program was not built from a source that is still there.
     #[error(
@@ -43,28 +44,13 @@ pub enum ProgramError {
          in the source of palpate {}, then try again",
         known.name, executable.display(), known.variable, known.folder, env!("CARGO_PKG_VERSION")
     )]
-    Missing {
-        /// Program that is needed.
-        known: &'static Known,
-        /// The running program.
-        executable: PathBuf,
-    },
+    Missing { known: &'static Known, executable: PathBuf },
     /// Cargo could not be started.
     #[error("building {}: cargo: {source}; run `{}`", known.about, known.command())]
-    Cargo {
-        /// Program that is needed.
-        known: &'static Known,
-        /// Error of the operating system.
-        source: io::Error,
-    },
+    Cargo { known: &'static Known, source: io::Error },
     /// Cargo could not build the program.
     #[error("building {} with `{}` failed:\n{said}", known.about, known.command())]
-    Build {
-        /// Program that is needed.
-        known: &'static Known,
-        /// The last lines of cargo.
-        said: String,
-    },
+    Build { known: &'static Known, said: String },
 }
 
 impl Known {

@@ -228,12 +228,11 @@ impl SilentArms {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::rig::config::RigConfig;
+    use crate::campaign::bench::stand_in;
     use tokio::time::Instant;
 
     fn limits() -> RigLimits {
-        let text = include_str!("../../../../experiments/rigs/virtual.toml");
-        RigConfig::from_toml("virtual.toml", text).expect("the virtual rig file is sound").limits
+        stand_in::config().limits
     }
 
     fn frame(sequence: u32, level: i16) -> Arc<Frame> {

@@ -307,11 +307,7 @@ pub fn off_target(rig: &RigConfig, pose: &Pose, target: &Pose) -> Option<String>
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    fn rig() -> RigConfig {
-        let text = include_str!("../../../../experiments/rigs/virtual.toml");
-        RigConfig::from_toml("virtual.toml", text).expect("the virtual rig file is sound")
-    }
+    use crate::campaign::bench::stand_in::config as rig;
 
     fn cells() -> CellsConfig {
         rig().cells

@@ -165,11 +165,7 @@ impl Stopping {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    fn rig() -> RigConfig {
-        let text = include_str!("../../../../experiments/rigs/virtual.toml");
-        RigConfig::from_toml("virtual.toml", text).expect("the virtual rig file is sound")
-    }
+    use crate::campaign::bench::stand_in::config as rig;
 
     #[test]
     fn what_a_stop_may_add_stays_within_both_margins_however_slow_the_wire() {

@@ -164,14 +164,9 @@ fn zeros(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::campaign::bench::stand_in::StandIns;
+    use crate::campaign::bench::stand_in::{StandIns, config as rig};
 
     const LAST: [f64; ARMS] = [0.5; ARMS];
-
-    fn rig() -> RigConfig {
-        let text = include_str!("../../../../experiments/rigs/virtual.toml");
-        RigConfig::from_toml("virtual.toml", text).expect("the virtual rig file is sound")
-    }
 
     /// Zeros of two tips, from readings of `forces_n` relative to the last zeros, arms 1 to 6.
     fn tared(accept: Accept, forces_n: &[[f64; ARMS]]) -> Result<[f64; ARMS], Halt> {

@@ -343,7 +343,7 @@ mod tests {
     use std::sync::atomic::Ordering;
 
     use super::*;
-    use crate::campaign::bench::stand_in::StandIns;
+    use crate::campaign::bench::stand_in::{self, StandIns};
 
     #[tokio::test]
     async fn a_check_that_is_stopped_ends_once_each_axis_has_acknowledged_and_stands() {
@@ -372,8 +372,7 @@ mod tests {
     }
 
     fn judged(volts: f64, repeats: u32) -> Vec<String> {
-        let text = include_str!("../../../../experiments/rigs/virtual.toml");
-        let config = RigConfig::from_toml("virtual.toml", text).unwrap();
+        let config = stand_in::config();
         let (mut all, mut held, at) = ([0.0; ARMS], [99; ARMS], Clock::new(1.0).now());
         (all[1], held[1]) = (volts, repeats);
         let mut problems = Vec::new();

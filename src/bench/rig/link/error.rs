@@ -3,31 +3,20 @@
 
 /// Error of a request on a line.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[allow(missing_docs, reason = "the message names the fields")]
 pub enum LineError {
     /// No reply arrived within the deadline.
     #[error("no reply within {timeout_ms} ms")]
-    NoReply {
-        /// Deadline of the reply, wall ms.
-        timeout_ms: u64,
-    },
+    NoReply { timeout_ms: u64 },
     /// The wire could not be opened, or the connection was lost.
     #[error("wire lost: {cause}")]
-    Disconnected {
-        /// Cause reported by the operating system.
-        cause: String,
-    },
+    Disconnected { cause: String },
     /// The reply does not fit the request.
     #[error("garbled reply: {cause}")]
-    Garbled {
-        /// Reason why the reply was rejected.
-        cause: String,
-    },
+    Garbled { cause: String },
     /// The device replied with a Modbus exception.
     #[error("exception {code}")]
-    Exception {
-        /// Modbus exception code.
-        code: u8,
-    },
+    Exception { code: u8 },
     /// A motion was refused because the emergency stop of the rig is latched.
     #[error("the emergency stop is latched")]
     Latched,

@@ -67,70 +67,34 @@ pub const TABLE_IV_MAPS: [ForceMapSpec; 12] = [
 
 /// Why a force map cannot be rendered, with the limit.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[allow(missing_docs, reason = "the message names the fields")]
 pub enum ForceMapError {
     /// The text is not two or three numbers with an `x` between them.
     #[error(
         "force map `{text}`: must be pixel x diameter in mm, as in 4x20, or with a side, as in 2.5x10x100"
     )]
-    Syntax {
-        /// The invalid text.
-        text: String,
-    },
+    Syntax { text: String },
     /// The square is too small or too large.
     #[error("side {side_mm} mm: must be from {} to {} mm", SIDES_MM.0, SIDES_MM.1)]
-    Side {
-        /// Requested side of the square, mm.
-        side_mm: f64,
-    },
+    Side { side_mm: f64 },
     /// The pixel is too small or too large.
     #[error("pixel {pixel_mm} mm: must be from {least_mm} to {most_mm} mm")]
-    PixelRange {
-        /// Requested side of a pixel, mm.
-        pixel_mm: f64,
-        /// Smallest side of a pixel of the square, mm.
-        least_mm: f64,
-        /// Largest side of a pixel of the square, mm.
-        most_mm: f64,
-    },
+    PixelRange { pixel_mm: f64, least_mm: f64, most_mm: f64 },
     /// The pixels do not fill the square.
     #[error("pixel {pixel_mm} mm: must divide {side_mm} mm, the side of the map")]
-    PixelDivides {
-        /// Requested side of a pixel, mm.
-        pixel_mm: f64,
-        /// Side of the square, mm.
-        side_mm: f64,
-    },
+    PixelDivides { pixel_mm: f64, side_mm: f64 },
     /// The map diameter is not positive, or too large.
     #[error("diameter {diameter_mm} mm: must be above 0 and at most {most_mm} mm")]
-    Diameter {
-        /// Requested map diameter, mm.
-        diameter_mm: f64,
-        /// Largest map diameter of the square, mm.
-        most_mm: f64,
-    },
+    Diameter { diameter_mm: f64, most_mm: f64 },
     /// The skin is larger than the square.
     #[error(
         "skin of {width_mm} x {height_mm} mm: sides must be above 0 and at most {side_mm} mm, the side of \
          the map"
     )]
-    Skin {
-        /// Extent along x, mm.
-        width_mm: f64,
-        /// Extent along y, mm.
-        height_mm: f64,
-        /// Side of the square, mm.
-        side_mm: f64,
-    },
+    Skin { width_mm: f64, height_mm: f64, side_mm: f64 },
     /// The disc of a contact is outside the square, or its position or force is not finite.
     #[error("contact of {force_n} N at ({x_mm}, {y_mm}) mm: its disc must touch the map's square")]
-    Contact {
-        /// Position along x, mm.
-        x_mm: f64,
-        /// Position along y, mm.
-        y_mm: f64,
-        /// Force of the contact, N.
-        force_n: f64,
-    },
+    Contact { x_mm: f64, y_mm: f64, force_n: f64 },
 }
 
 impl ForceMapSpec {

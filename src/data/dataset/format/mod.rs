@@ -252,28 +252,17 @@ impl RowsError {
 
 /// Why rows could not be written.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs, reason = "the message names the fields")]
 pub enum FormatError {
     /// The rows could not be read.
     #[error(transparent)]
     Rows(#[from] RowsError),
     /// The format cannot hold the type of a column.
     #[error("column {column} of type {kind} cannot be written as {format}")]
-    Column {
-        /// Name of the column.
-        column: String,
-        /// Type of the column.
-        kind: DataType,
-        /// The requested format.
-        format: Format,
-    },
+    Column { column: String, kind: DataType, format: Format },
     /// The number of rows differs from the number that was counted.
     #[error("{found} rows were read, {expected} were counted")]
-    Count {
-        /// Number of rows that the source counted.
-        expected: u64,
-        /// Number of rows that were read.
-        found: u64,
-    },
+    Count { expected: u64, found: u64 },
     /// NPZ cannot be written as a stream.
     #[error("npz holds columns and cannot be written row by row: choose another format")]
     NotAStream,

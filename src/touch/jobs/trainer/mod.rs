@@ -40,7 +40,6 @@ const STOP_MAX: Duration = Duration::from_secs(20);
 
 /// Why a trainer did not train.
 #[derive(Debug, thiserror::Error)]
-#[allow(missing_docs, reason = "the message names the fields")]
 pub enum TrainerError {
     /// There is no trainer, and it cannot be built.
     #[error(transparent)]
