@@ -6,11 +6,9 @@
 
 use std::collections::BTreeSet;
 use std::path::Path;
-use std::sync::Arc;
 use std::time::Duration;
 
 use futures::future::LocalBoxFuture;
-use parking_lot::Mutex;
 use sqlx::migrate::Migrator;
 use sqlx::sqlite::{SqliteConnectOptions, SqliteConnection};
 use sqlx::{ConnectOptions, Connection};
@@ -31,13 +29,6 @@ const WRITE_DEADLINE: Duration = Duration::from_secs(30);
 const OPEN_DEADLINE: Duration = Duration::from_secs(600);
 
 type Job = Box<dyn for<'h> FnOnce(&'h mut Hand) -> LocalBoxFuture<'h, ()> + Send>;
-
-/// Work in a transaction, or a look at what it left; returns whether there is a value. It has no type
-/// parameter, so the transaction around it is compiled once, not for each operation of the store.
-type Work = Box<
-    dyn for<'c> FnOnce(&'c mut SqliteConnection) -> LocalBoxFuture<'c, Result<bool, StoreError>>
-        + Send,
->;
 
 /// Sends jobs to the thread that writes. Clones share the thread.
 #[derive(Clone)]
@@ -137,9 +128,8 @@ impl Writer {
         T: Send + 'static,
         F: AsyncFnOnce(&mut SqliteConnection) -> Result<T, StoreError> + Send + 'static,
     {
-        let value = Arc::new(Mutex::new(None::<T>));
-        self.carry_out(operation, storing(&value, work), None).await?;
-        value.lock().take().ok_or(StoreError::Closed { operation })
+        let work = async move |hand: &mut Hand| hand.transact(operation, work).await;
+        self.hand_over(operation, self.deadline, work).await
     }
 
     /// Runs `work` in one transaction. If its outcome is unknown afterwards, makes the contents of the
@@ -159,24 +149,10 @@ impl Writer {
         F: AsyncFnOnce(&mut SqliteConnection) -> Result<T, StoreError> + Send + 'static,
         L: AsyncFnOnce(&mut SqliteConnection) -> Result<Option<T>, StoreError> + Send + 'static,
     {
-        let value = Arc::new(Mutex::new(None::<T>));
-        self.carry_out(operation, storing(&value, work), Some(storing(&value, look))).await?;
-        value.lock().take().ok_or(StoreError::Closed { operation })
-    }
-
-    async fn carry_out(
-        &self,
-        operation: &'static str,
-        work: Work,
-        look: Option<Work>,
-    ) -> Result<(), StoreError> {
         self.hand_over(operation, self.deadline, async move |hand| {
-            let outcome = hand.transact(operation, work).await;
-            match (outcome, look) {
-                (Err(error), Some(look)) if error.outcome_unknown() => {
-                    hand.settle(operation, error, look).await
-                }
-                (known, _) => known,
+            match hand.transact(operation, work).await {
+                Err(error) if error.outcome_unknown() => hand.settle(operation, error, look).await,
+                known => known,
             }
         })
         .await
@@ -206,14 +182,15 @@ impl Writer {
         .await
     }
 
-    async fn hand_over<F>(
+    async fn hand_over<T, F>(
         &self,
         operation: &'static str,
         deadline: Option<Duration>,
         work: F,
-    ) -> Result<(), StoreError>
+    ) -> Result<T, StoreError>
     where
-        F: AsyncFnOnce(&mut Hand) -> Result<(), StoreError> + Send + 'static,
+        T: Send + 'static,
+        F: AsyncFnOnce(&mut Hand) -> Result<T, StoreError> + Send + 'static,
     {
         let (answer, answered) = oneshot::channel();
         let span = Span::current();
@@ -248,7 +225,11 @@ impl Hand {
         Ok(self.connection.insert(connection))
     }
 
-    async fn transact(&mut self, operation: &'static str, work: Work) -> Result<(), StoreError> {
+    async fn transact<T>(
+        &mut self,
+        operation: &'static str,
+        work: impl AsyncFnOnce(&mut SqliteConnection) -> Result<T, StoreError>,
+    ) -> Result<T, StoreError> {
         let result = self.attempt(operation, work).await;
         if let Err(error) = &result
             && error.outcome_unknown()
@@ -259,17 +240,21 @@ impl Hand {
         result
     }
 
-    async fn attempt(&mut self, operation: &'static str, work: Work) -> Result<(), StoreError> {
+    async fn attempt<T>(
+        &mut self,
+        operation: &'static str,
+        work: impl AsyncFnOnce(&mut SqliteConnection) -> Result<T, StoreError>,
+    ) -> Result<T, StoreError> {
         let connection = self.connection(operation).await?;
         let mut transaction = connection.begin_with("BEGIN IMMEDIATE").await.during(operation)?;
         match work(&mut transaction).await {
-            Ok(_) => {
+            Ok(value) => {
                 transaction.commit().await.during(operation)?;
                 #[cfg(test)]
                 if std::mem::take(&mut self.fail_after_commit) {
                     return Err(sqlx::Error::WorkerCrashed).during(operation);
                 }
-                Ok(())
+                Ok(value)
             }
             Err(error) => {
                 // SQLite rolls some failed transactions back itself; then this rollback fails.
@@ -285,12 +270,12 @@ impl Hand {
     /// database file and synced, so that a found write is durable. The log is then truncated, so that an
     /// absent write stays absent: the next start would recover frames of the failed commit. If one of
     /// these steps fails, the first error is returned and the outcome is unknown.
-    async fn settle(
+    async fn settle<T>(
         &mut self,
         operation: &'static str,
         error: StoreError,
-        look: Work,
-    ) -> Result<(), StoreError> {
+        look: impl AsyncFnOnce(&mut SqliteConnection) -> Result<Option<T>, StoreError>,
+    ) -> Result<T, StoreError> {
         let found = async {
             let connection = self.connection(operation).await?;
             let (busy, _, _): (i64, i64, i64) = sqlx::query_as("PRAGMA wal_checkpoint(TRUNCATE)")
@@ -300,11 +285,11 @@ impl Hand {
             if busy == 0 { look(connection).await.map(Some) } else { Ok(None) }
         };
         match found.await {
-            Ok(Some(true)) => {
+            Ok(Some(Some(value))) => {
                 tracing::warn!(operation, "the failed write is stored");
-                Ok(())
+                Ok(value)
             }
-            Ok(Some(false)) => Err(StoreError::NotStored { operation, source: Box::new(error) }),
+            Ok(Some(None)) => Err(StoreError::NotStored { operation, source: Box::new(error) }),
             Ok(None) => {
                 tracing::error!(operation, "a reader uses the log: the outcome is unknown");
                 Err(error)
@@ -325,26 +310,6 @@ impl Hand {
             tracing::debug!(%error, "closing the writer's connection failed");
         }
     }
-}
-
-/// Returns `work` without its types; it leaves its value in `value`.
-fn storing<T, R, F>(value: &Arc<Mutex<Option<T>>>, work: F) -> Work
-where
-    T: Send + 'static,
-    R: Into<Option<T>> + 'static,
-    F: AsyncFnOnce(&mut SqliteConnection) -> Result<R, StoreError> + Send + 'static,
-{
-    let value = value.clone();
-    Box::new(move |connection| {
-        Box::pin(async move {
-            work(connection).await.map(|worked| {
-                let worked: Option<T> = worked.into();
-                let found = worked.is_some();
-                *value.lock() = worked;
-                found
-            })
-        })
-    })
 }
 
 /// Compares the columns of a file with those that the migrations create in an empty database. They
