@@ -37,7 +37,7 @@ def check(palpate: pathlib.Path, home: pathlib.Path, environment: dict[str, str]
         lab.run("evaluate", "maps", *EXTENT, "--trained", f"{place}-trained", "--out", f"{place}-table")
     holds("the service has trained and scored nothing", lab.run("job", "list", "--json") == jobs, jobs)
     same = subprocess.run(["diff", "-r", *(home / f"{place}-table" for place in PLACES)], capture_output=True, text=True)
-    holds("the tables are equal", same.returncode == 0 and (home / "nets-table/table-iv.md").exists(), same.stdout)
+    holds("the tables are equal", same.returncode == 0 and any((home / "nets-table").iterdir()), same.stdout)
 
 
 def trained(lab: Lab) -> None:

@@ -109,8 +109,10 @@ pub struct MethodRequest {
     /// Take the offsets of the calibration off, not those of the untouched skin before each trial.
     #[arg(long)]
     calibrated_offsets: bool,
-    /// Least force of a peak, N [default: 5, or for a map of another square than 640 mm an eighth of the largest force
-    /// in the training of its net, if that is less].
+    /// Least force of a peak, N [default: 5]
+    ///
+    /// For a map of another square than 640 mm: an eighth of the largest force in the training of its net, if that
+    /// is less.
     #[arg(long, value_name = "N")]
     threshold_n: Option<f64>,
     /// Skip contacts of exact whose position has a larger standard deviation than this, mm.

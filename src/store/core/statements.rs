@@ -1,5 +1,5 @@
 //! One statement alone: what it reads or returns, row by row, or the number of rows that it changes.
-//! Uses: `core::{store, writer, columns}`, sqlx. Never: a statement of its own.
+//! Uses: `core::{store, writer, columns}`, sqlx. Never: SQL written here.
 
 use sqlx::Sqlite;
 use sqlx::sqlite::SqliteArguments;
