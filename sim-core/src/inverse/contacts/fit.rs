@@ -80,7 +80,7 @@ impl Default for FitOptions {
             most_contacts: 6,
             force_median_n: 10.0,
             force_ln_sd: 0.8,
-            ln_odds: 0.0,
+            ln_odds: -1.0,
             least_distance_mm: 20.0,
             finalists: 16,
             iterations: 12,
