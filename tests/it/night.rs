@@ -138,7 +138,7 @@ async fn a_preflight_states_what_the_run_before_it_pressed_on_the_same_skin() {
         of_tips.sum::<u64>() as usize
     };
     let stored = trials(&recorded, HALF).len();
-    assert_eq!((count(Value::Null), count(json!(1))), (stored, stored), "{forces}");
+    assert_eq!((count(Value::Null), count(json!(2))), (stored, stored), "{forces}");
     lab.end().await;
 }
 
