@@ -54,7 +54,7 @@ class Polars:
     def of_streams(self, streams: Sequence[bytes], side: int | None) -> pl.DataFrame:
         """See ``Frames``."""
         polars = needed("polars")
-        tables = [polars.read_ipc_stream(io.BytesIO(stream), rechunk=False) for stream in streams]
+        tables = [polars.read_ipc_stream(io.BytesIO(stream)) for stream in streams]
         # Frames of skins with different numbers of channels become lists.
         for name in {name for table in tables for name in table.columns}:
             kinds = {table.schema[name] for table in tables if name in table.columns}
