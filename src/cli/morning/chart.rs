@@ -10,7 +10,6 @@ use ratatui::style::{Color, Modifier, Style};
 use ratatui::symbols::Marker;
 use ratatui::widgets::{Axis, Chart, Dataset, GraphType};
 use ratatui::{Frame, Terminal, TerminalOptions, Viewport};
-use sim_core::stats::{quantile, sorted};
 
 use crate::api::ForcesAtDepth;
 use crate::cli::error::CliError;
@@ -114,53 +113,8 @@ fn colour_code(colour: Color, base: u8) -> Option<String> {
     }
 }
 
-/// Values at one depth: quartiles of forces, N, and their number.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct AtDepth {
-    /// Planned depth, mm.
-    pub depth_mm: f64,
-    /// First quartile, N.
-    pub q1_n: f64,
-    /// Median of the largest forces, N.
-    pub median_n: f64,
-    /// Third quartile, N.
-    pub q3_n: f64,
-    /// Number of values.
-    pub n: usize,
-}
-
-impl From<ForcesAtDepth> for AtDepth {
-    fn from(at: ForcesAtDepth) -> Self {
-        let ForcesAtDepth { tips: _, depth_mm, trials, q1_n, median_n, q3_n } = at;
-        Self { depth_mm, q1_n, median_n, q3_n, n: trials as usize }
-    }
-}
-
-/// Quartiles of forces by depth, in ascending order of depth. `values`: depth, mm, and force, N.
-pub fn by_depth(values: impl Iterator<Item = (f64, f64)>) -> Vec<AtDepth> {
-    // Depths are planned to 0.01 mm.
-    let mut groups = std::collections::BTreeMap::<i64, Vec<f64>>::new();
-    for (depth_mm, force_n) in
-        values.filter(|(depth, force)| depth.is_finite() && force.is_finite())
-    {
-        groups.entry((depth_mm * 100.0).round() as i64).or_default().push(force_n);
-    }
-    let quartiles = |(depth, forces): (i64, Vec<f64>)| {
-        let n = forces.len();
-        let sorted = sorted(forces);
-        Some(AtDepth {
-            depth_mm: depth as f64 / 100.0,
-            q1_n: quantile(&sorted, 0.25)?,
-            median_n: quantile(&sorted, 0.5)?,
-            q3_n: quantile(&sorted, 0.75)?,
-            n,
-        })
-    };
-    groups.into_iter().filter_map(quartiles).collect()
-}
-
 /// Draws the forces over depth: the median as a line, the quartiles as dots.
-pub fn forces(frame: &mut Frame, area: Rect, curve: &[AtDepth]) {
+pub fn forces(frame: &mut Frame, area: Rect, curve: &[ForcesAtDepth]) {
     let line: Vec<(f64, f64)> = curve.iter().map(|at| (at.depth_mm, at.median_n)).collect();
     let quartiles: Vec<(f64, f64)> =
         curve.iter().flat_map(|at| [(at.depth_mm, at.q1_n), (at.depth_mm, at.q3_n)]).collect();
@@ -191,6 +145,7 @@ pub fn forces(frame: &mut Frame, area: Rect, curve: &[AtDepth]) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::api::forces_by_depth;
 
     #[test]
     fn a_picture_without_colours_is_plain_text() {
@@ -204,20 +159,9 @@ mod tests {
     }
 
     #[test]
-    fn forces_have_quartiles_at_each_depth() {
-        let values = [(0.5, 2.0), (0.0, 1.0), (0.5, 4.0), (0.501, 3.0), (1.0, f64::NAN)];
-        let curve = by_depth(values.into_iter());
-        assert_eq!(
-            curve.iter().map(|at| (at.depth_mm, at.n)).collect::<Vec<_>>(),
-            [(0.0, 1), (0.5, 3)]
-        );
-        assert_eq!((curve[1].q1_n, curve[1].median_n, curve[1].q3_n), (2.5, 3.0, 3.5));
-        assert!(by_depth(std::iter::empty()).is_empty());
-    }
-
-    #[test]
     fn a_chart_has_its_units() {
-        let curve = by_depth([(0.0, 0.0), (1.0, 10.0), (2.0, 40.0)].into_iter());
+        let values = [(0.0, 0.0), (1.0, 10.0), (2.0, 40.0)];
+        let curve = forces_by_depth(None, values.into_iter());
         let drawn = picture(60, 12, |frame| forces(frame, frame.area(), &curve)).unwrap();
         assert!(drawn.contains("depth, mm") && drawn.contains("2.0"), "{drawn}");
         assert_eq!(drawn.lines().count(), 12, "{drawn}");

@@ -7,7 +7,7 @@ use serde::Deserialize;
 use serde_json::json;
 
 use super::answers::{TwinsOf, duration_words, elapsed, fit_of, state_words, stored_words};
-use super::chart::{AtDepth, forces, picture, width};
+use super::chart::{forces, picture, width};
 use super::{ShowArgs, history, raw, show_trial};
 use crate::api::{ForcesAtDepth, RunProgress, SensorOut, Summary};
 use crate::cli::client::Client;
@@ -59,7 +59,7 @@ struct Drawn {
     twins: TwinsOf,
     median_fvu: Option<f64>,
     /// Largest forces of all trials over depth.
-    curve: Vec<AtDepth>,
+    curve: Vec<ForcesAtDepth>,
     worst: Option<WorstFit>,
     night: Night,
 }
@@ -89,8 +89,7 @@ async fn run(client: &Client, args: &ShowArgs) -> Result<(), CliError> {
         None => None,
     };
     let forces: Vec<ForcesAtDepth> = client.all(&format!("{path}/forces?")).await?;
-    let of_all = forces.into_iter().filter(|at| at.tips.is_none());
-    let curve = of_all.map(AtDepth::from).collect();
+    let curve = forces.into_iter().filter(|at| at.tips.is_none()).collect();
     let worst_first = format!("{path}/trials?contact_count__gt=0&fvu__gte=0&sort=-fvu");
     let (worst, _) = client.first(&worst_first, 1).await?;
     let worst = worst.into_iter().next();
@@ -204,14 +203,14 @@ fn counts(contact_counts: &[u64; 7]) -> Option<Table> {
 }
 
 /// The map of the skin and the forces over depth, next to each other where there is room.
-fn pictures(night: &Night, curve: &[AtDepth]) -> Result<String, CliError> {
+fn pictures(night: &Night, curve: &[ForcesAtDepth]) -> Result<String, CliError> {
     let (width, has_map, has_curve) = (width(), night.tour.is_some(), curve.len() > 1);
     if !has_map && !has_curve {
         return Ok(String::new());
     }
     let theme = Theme { colour: crate::cli::output::is_coloured() };
-    let n: usize = curve.iter().map(|at| at.n).sum();
-    let title = format!("largest force over depth: quartiles (n = {})", grouped(n as u64));
+    let n: u64 = curve.iter().map(|at| at.trials).sum();
+    let title = format!("largest force over depth: quartiles (n = {})", grouped(n));
     let beside = has_map && has_curve && width >= SIDE_BY_SIDE;
     let map = Rect::new(0, 0, MAP_COLUMNS.min(width), if has_map { MAP_LINES } else { 0 });
     let chart = match beside {
@@ -235,6 +234,7 @@ fn pictures(night: &Night, curve: &[AtDepth]) -> Result<String, CliError> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::api::forces_by_depth;
 
     #[test]
     fn counts_end_with_the_largest_number_of_contacts() {
@@ -248,8 +248,7 @@ mod tests {
     fn a_map_and_a_chart_are_drawn_without_a_service() {
         let tour = Tour { depths_mm: vec![0.0, 1.0], ..Tour::default() };
         let night = Night { tour: Some(tour), ..Night::new("") };
-        let at = |depth_mm, n| AtDepth { depth_mm, q1_n: 0.0, median_n: 2.5, q3_n: 5.0, n };
-        let curve = [at(0.0, 1), at(1.0, 1)];
+        let curve = forces_by_depth(None, [(0.0, 2.5), (1.0, 2.5)].into_iter());
         let drawn = pictures(&night, &curve).unwrap();
         assert!(drawn.contains("skin") && drawn.contains("quartiles (n = 2)"), "{drawn}");
         assert_eq!(pictures(&Night::new(""), &[]).unwrap(), "");

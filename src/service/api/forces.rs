@@ -1,7 +1,7 @@
-//! The forces of a run over depth: quartiles of the largest force of a trial.
+//! The forces of a run over depth: quartiles of the largest force of a trial, also for reports.
 //! Uses: `store`. Never: a trial by itself (`trials` has it).
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use axum::extract::State;
 use serde::{Deserialize, Serialize};
@@ -41,20 +41,35 @@ pub async fn of_run(
     let run = find(&app, &run).await?;
     let forces = app.store.forces_over_depth(run.uid).await?;
     // To sort those of 198,000 trials is not for a thread that answers requests.
-    let found = tokio::task::spawn_blocking(move || over_depth(forces)).await;
+    let found = tokio::task::spawn_blocking(move || over_depth(&forces)).await;
     Ok(Page::whole(found.map_err(ApiError::internal)?))
 }
 
-fn over_depth(forces: Vec<DepthForce>) -> Vec<ForcesAtDepth> {
-    let mut groups: BTreeMap<(Option<u8>, i64), Vec<f64>> = BTreeMap::new();
-    for DepthForce { tips, depth_mm, force_n } in forces {
-        // Depths are planned to 0.01 mm.
-        let depth = (depth_mm * 100.0).round() as i64;
-        for tips in [None, Some(tips)] {
-            groups.entry((tips, depth)).or_default().push(force_n);
-        }
+/// Forces of all trials, then of each number of tips.
+fn over_depth(forces: &[DepthForce]) -> Vec<ForcesAtDepth> {
+    let tips: BTreeSet<u8> = forces.iter().map(|force| force.tips).collect();
+    let groups = std::iter::once(None).chain(tips.into_iter().map(Some));
+    let of_group = |tips: Option<u8>| {
+        let group = forces.iter().filter(|force| tips.is_none_or(|tips| tips == force.tips));
+        forces_by_depth(tips, group.map(|force| (force.depth_mm, force.force_n)))
+    };
+    groups.flat_map(of_group).collect()
+}
+
+/// Quartiles of forces by depth, in ascending order of depth. `values`: depth, mm, and force, N; a value that is not
+/// finite is skipped. `tips` is that of their trials, or none.
+pub fn forces_by_depth(
+    tips: Option<u8>,
+    values: impl Iterator<Item = (f64, f64)>,
+) -> Vec<ForcesAtDepth> {
+    // Depths are planned to 0.01 mm.
+    let mut groups = BTreeMap::<i64, Vec<f64>>::new();
+    for (depth_mm, force_n) in
+        values.filter(|(depth, force)| depth.is_finite() && force.is_finite())
+    {
+        groups.entry((depth_mm * 100.0).round() as i64).or_default().push(force_n);
     }
-    let quartiles = |((tips, depth), forces): ((Option<u8>, i64), Vec<f64>)| {
+    let quartiles = |(depth, forces): (i64, Vec<f64>)| {
         let sorted = sorted(forces);
         Some(ForcesAtDepth {
             tips,
@@ -75,7 +90,7 @@ mod tests {
     #[test]
     fn forces_have_quartiles_at_each_depth_of_all_trials_and_of_each_number_of_tips() {
         let force = |tips, depth_mm, force_n| DepthForce { tips, depth_mm, force_n };
-        let found = over_depth(vec![
+        let found = over_depth(&[
             force(1, 0.5, 2.0),
             force(3, 0.0, 1.0),
             force(1, 0.5, 4.0),
@@ -86,5 +101,15 @@ mod tests {
         let of_each = [(Some(1), 0.5, 2), (Some(3), 0.0, 1), (Some(3), 0.5, 1)];
         assert_eq!(keys, [&of_all[..], &of_each].concat());
         assert_eq!((found[1].q1_n, found[1].median_n, found[1].q3_n), (2.5, 3.0, 3.5));
+    }
+
+    #[test]
+    fn a_force_that_is_not_finite_is_skipped() {
+        let values = [(0.5, 2.0), (0.0, 1.0), (0.5, 4.0), (0.501, 3.0), (1.0, f64::NAN)];
+        let found = forces_by_depth(None, values.into_iter());
+        let counts: Vec<_> = found.iter().map(|at| (at.depth_mm, at.trials)).collect();
+        assert_eq!(counts, [(0.0, 1), (0.5, 3)]);
+        assert_eq!((found[1].q1_n, found[1].median_n, found[1].q3_n), (2.5, 3.0, 3.5));
+        assert!(forces_by_depth(None, std::iter::empty()).is_empty());
     }
 }

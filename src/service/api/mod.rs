@@ -118,7 +118,7 @@ mod workers;
 pub use access::{Access, Edited, Lock, Needs};
 pub use envelope::SamplesOut;
 pub use exports::ExportOut;
-pub use forces::ForcesAtDepth;
+pub use forces::{ForcesAtDepth, forces_by_depth};
 pub use glance::{Glance, Question, Rating};
 pub use history::History;
 pub use infer::{FrameAnswer, InferOptions, InferRequest};

@@ -6,8 +6,8 @@ use std::collections::BTreeMap;
 use sim_core::stats::median;
 
 use super::super::answers::TrialFacts;
-use super::super::chart::by_depth;
 use super::facts::Facts;
+use crate::api::forces_by_depth;
 use crate::cli::output::{counted, grouped};
 use crate::cli::summary::table_one;
 use crate::evaluate::charts::Line;
@@ -86,7 +86,7 @@ fn readings(trial: &TrialFacts) -> impl Iterator<Item = (f64, usize, f64, u8)> +
 fn curves<'a>(named: impl Iterator<Item = (String, &'a Vec<(f64, f64)>)>) -> Vec<Band> {
     let curve = |(name, values): (String, &Vec<(f64, f64)>)| {
         let name = format!("{name}, n = {}", grouped(values.len() as u64));
-        let at = by_depth(values.iter().copied()).into_iter();
+        let at = forces_by_depth(None, values.iter().copied()).into_iter();
         Band { name, places: at.map(|at| [at.depth_mm, at.q1_n, at.median_n, at.q3_n]).collect() }
     };
     named.map(curve).collect()
