@@ -7,7 +7,7 @@ import { medianChart, medians } from './medians.js'
 import { facing } from './report.js'
 import { runRows } from './runwords.js'
 import { table } from './table.js'
-import { entries } from './toml.js'
+import { entries, plainValue } from './toml.js'
 
 const nameOf = run => `Run ${run.scan_id}`
 
@@ -39,7 +39,7 @@ export async function compare(root, { run: first, with: second, back, signal }) 
   fill(root, panel('Two runs', {}, el('p', { className: 'soft' }, 'Loading …')))
   const [a, b] = await Promise.all([facing(first, signal), facing(second, signal)])
   if (signal.aborted) return
-  const keys = run => entries(run.definition).map(e => [[e.table, e.key].filter(Boolean).join('.'), e.raw])
+  const keys = run => entries(run.definition).map(e => [[e.table, e.key].filter(Boolean).join('.'), plainValue(e.raw)])
   const facts = sideBySide(runRows(a), runRows(b))
   const changed = sideBySide(keys(a.run), keys(b.run)).filter(row => row.differs)
   const virtual = [a.run, b.run].some(run => run.label === 'virtual')

@@ -64,11 +64,11 @@ export function momentBand(likely, low, high, seconds = false) {
   return `${end} (${ends.map(text => (text.lastIndexOf(' ') + 1 === day.length && text.startsWith(day) ? text.slice(day.length) : text)).join(' to ')})`
 }
 
-/** 5 s, 12 min, 3 h 04 min, 2 days 23 h */
+/** 95 s, 12 min, 3 h 04 min, 2 days 23 h */
 export function span(s) {
   if (s == null) return NONE
   if (s < 10) return `${s.toFixed(1)}\u202fs`
-  if (s < 60) return `${Math.round(s)}\u202fs`
+  if (s < 120) return `${Math.round(s)}\u202fs`
   if (s < 3600) return `${Math.floor(s / 60)}\u202fmin`
   if (s < 172_800) return `${Math.floor(s / 3600)}\u202fh ${String(Math.floor(s % 3600 / 60)).padStart(2, '0')}\u202fmin`
   return `${Math.floor(s / 86_400)} days ${Math.floor(s % 86_400 / 3600)}\u202fh`

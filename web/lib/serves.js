@@ -42,7 +42,7 @@ export function servingPart() {
       const filled = serving.serves.filter(one => one.what)
       const models = filled.map(one => [capital(slotOf(one.slot).title), link('/nets', one.what)])
       const limits = filled.filter(one => one.limitation).map(one => el('p', { className: 'soft' }, `${capital(slotOf(one.slot).title)}: ${one.limitation}`))
-      fill(list, el('ul', {}, vocabulary.methods.map(method => row(method, serving))), facts(models), limits)
+      fill(list, el('ul', {}, vocabulary.methods.map(method => row(method, serving))), facts(models, { className: 'facts one' }), limits)
       fill(none, !bestMethod(serving) && howTo(servedQuantities(serving)))
     },
     failed(error) { shown = ''; fill(list, el('p', { className: 'soft' }, `The active models cannot be read: ${error.message}`)) },
