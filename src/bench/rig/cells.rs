@@ -15,6 +15,8 @@ use crate::record::ARMS;
 const DEAD_SHARE: f64 = 0.05;
 /// Fraction of the supply at which the amplified output saturates.
 const SATURATED_SHARE: f64 = 0.9;
+/// Default of `in_air_n` on the cells of the paper, N.
+const IN_AIR_N: f64 = 10.0;
 
 /// FC22 amplified load cells on an analog input module (`docs/references.md`, "FC22 load cells").
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -40,6 +42,9 @@ pub struct CellsConfig {
     /// hangs. 0 disables the check; absent: the value of the device.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub repeats_max: Option<u32>,
+    /// Largest force on an attached arm in the air, N; absent: 10 N, but from 5 to 10 % of the full scale.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub in_air_n: Option<f64>,
     /// Days on which the cells of arms 1 to 6 were calibrated, as `2026-05-04`; absent: unknown.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub calibrated_on: Option<[Date; ARMS]>,
@@ -87,6 +92,13 @@ impl CellsConfig {
         self.repeats_max.unwrap_or_else(|| self.device.repeats_max())
     }
 
+    /// Largest force on an attached arm in the air, N: the weight of a tip, and the offset of a cell. In a zero it may
+    /// have either direction, and a force limit is exceeded by as much before it trips.
+    pub fn in_air_n(&self) -> f64 {
+        let range_n = self.full_scale_n;
+        self.in_air_n.unwrap_or(IN_AIR_N.max(range_n / 20.0).min(range_n / 10.0))
+    }
+
     /// Whether `repeats`, the number of update periods over which a working cell has repeated its
     /// value (`CellVolts::repeats`), exceeds the limit, so that its module hangs.
     pub fn is_hung(&self, repeats: u32) -> bool {
@@ -99,6 +111,10 @@ impl CellsConfig {
         c.within("cells.supply_v", self.supply_v, 1.0..=24.0);
         c.within("cells.full_scale_n", self.full_scale_n, 1.0..=5000.0);
         c.within("cells.force_noise_n", self.force_noise_n, 0.001..=5.0);
+        let in_air_n = self.in_air_n();
+        let ok = (0.1..=self.full_scale_n / 10.0).contains(&in_air_n);
+        let limit = "must be from 0.1 to a tenth of cells.full_scale_n";
+        c.require(ok, "cells.in_air_n", in_air_n, limit);
         let channels = &self.channels;
         let distinct = (0..ARMS).all(|i| !channels[..i].contains(&channels[i]) && channels[i] < 8);
         let shown = format!("{channels:?}");
@@ -137,6 +153,19 @@ mod tests {
         assert_eq!(known.map(|days| days[5].to_string()).as_deref(), Some("2026-05-04"));
         assert!(parsed("calibrated_on = [\"2026-05-04\"]").is_err());
         assert!(parsed(&format!("calibrated_on = [{}]", six.replace("-05-", "-13-"))).is_err());
+    }
+
+    #[test]
+    fn the_largest_force_in_the_air_follows_from_the_range_or_is_entered_up_to_a_tenth_of_it() {
+        let cells = parsed("").unwrap();
+        let of_range = |full_scale_n| CellsConfig { full_scale_n, ..cells.clone() }.in_air_n();
+        assert_eq!([111.2, 445.0, 44.0].map(of_range), [10.0, 22.25, 4.4]);
+        assert_eq!(parsed("in_air_n = 4.5").unwrap().in_air_n(), 4.5);
+        let refused = parsed("in_air_n = 12.0").unwrap_err();
+        assert!(
+            refused.starts_with("r.toml: cells.in_air_n = 12: must be from 0.1 to"),
+            "{refused}"
+        );
     }
 
     #[test]

@@ -64,6 +64,7 @@ fn cells(device: CellsDevice) -> CellsConfig {
         full_scale_n: 111.2,
         force_noise_n: 0.1,
         repeats_max: None,
+        in_air_n: None,
         calibrated_on: None,
     }
 }

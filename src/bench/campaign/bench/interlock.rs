@@ -15,10 +15,6 @@ use crate::rig::traits::CellVolts;
 /// Force on an arm without a tip that contradicts the number of tips entered, N.
 pub const FOREIGN_N: f64 = 5.0;
 
-/// Largest force on an attached arm in the air, N: the weight of a tip, and the offset of a cell. In a zero it may have
-/// either direction, and a force limit is exceeded by as much before it trips.
-pub const IN_AIR_N: f64 = 10.0;
-
 /// What latched the rig: kind and quantity, value, limit.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct Trip {
@@ -215,7 +211,7 @@ pub fn check_cells(
     check_alive(cells, reading, tips)
 }
 
-/// Checks that no attached arm reads a load before a lateral motion.
+/// Checks that no attached arm reads a load, before a lateral motion and during one.
 ///
 /// # Errors
 /// `Cell` with a load, although z reports to be clear of the surface; `Stale` if the module only repeats one.
@@ -225,17 +221,34 @@ pub fn check_unloaded(
     reading: &CellVolts,
     tare_v: &[f64; ARMS],
 ) -> Result<(), Trip> {
-    let tips = usize::from(tips);
+    let (tips, limit_n) = (usize::from(tips), cells.in_air_n());
     let forces = Outputs { volts: &reading.volts, tare_v }.forces_n(cells);
-    let Some(loaded) = forces[..tips].iter().position(|&force| force > IN_AIR_N) else {
+    let Some(loaded) = forces[..tips].iter().position(|&force| force > limit_n) else {
         return Ok(());
     };
     check_alive(cells, reading, tips)?;
     let (arm, force_n) = (loaded + 1, forces[loaded]);
     let detail = format!(
-        "lateral motion refused: z reports to be clear, and cell {arm} reads {force_n:.1} N (limit {IN_AIR_N} N)"
+        "no lateral motion: z reports to be clear, and cell {arm} reads {force_n:.1} N \
+         (limit {limit_n} N, cells.in_air_n)"
     );
     Err(Trip { kind: TripKind::Cell, detail })
+}
+
+/// Checks that no cell reads more than when z began to home: the direction of a homing is a setting of the drive.
+///
+/// # Errors
+/// `Force` if one does: z goes into the skin, or a hand is under a tip.
+pub fn check_rises(cells: &CellsConfig, first: &CellVolts, now: &CellVolts) -> Result<(), Trip> {
+    let (limit_n, is_live) = (cells.in_air_n(), |i: usize| cells.is_live(first.volts[i]));
+    let grown_n = Outputs { volts: &now.volts, tare_v: &first.volts }.forces_n(cells);
+    let Some(i) = (0..ARMS).find(|&i| is_live(i) && grown_n[i] > limit_n) else { return Ok(()) };
+    let (arm, grown_n) = (i + 1, grown_n[i]);
+    let detail = format!(
+        "cell {arm} reads {grown_n:.1} N more than when z began to home (limit {limit_n} N, \
+         cells.in_air_n): check in which direction z homes"
+    );
+    Err(Trip { kind: TripKind::Force, detail })
 }
 
 /// Checks for repeated values. The noise of a cell changes its last digit at nearly every update:
@@ -374,9 +387,10 @@ mod tests {
             let reading = CellVolts { volts, repeats, at: tokio::time::Instant::now() };
             check_unloaded(&cells(), 2, &reading, &TARE).map_err(|trip| trip.kind)
         };
-        assert_eq!(check(0.9 * IN_AIR_N, [0; ARMS]), Ok(()));
-        assert_eq!(check(1.1 * IN_AIR_N, [0; ARMS]), Err(TripKind::Cell));
-        assert_eq!(check(1.1 * IN_AIR_N, [99; ARMS]), Err(TripKind::Stale));
+        let limit_n = cells().in_air_n();
+        assert_eq!(check(0.9 * limit_n, [0; ARMS]), Ok(()));
+        assert_eq!(check(1.1 * limit_n, [0; ARMS]), Err(TripKind::Cell));
+        assert_eq!(check(1.1 * limit_n, [99; ARMS]), Err(TripKind::Stale));
     }
 
     #[test]

@@ -172,6 +172,17 @@ impl Stage {
         }
     }
 
+    /// Takes the number of tips that a person has entered; without one, a tip on each leading arm with a connected cell.
+    ///
+    /// # Errors
+    /// Halts if the cells do not reply.
+    pub async fn assume_tips(&mut self, entered: Option<u8>) -> Result<(), Halt> {
+        let (volts, cells) = (self.bench.cells.read().await?.volts, &self.config.cells);
+        let leading = volts.iter().take_while(|&&v| cells.is_live(v)).count() as u8;
+        self.tips = entered.unwrap_or(leading);
+        Ok(())
+    }
+
     /// Forces of the attached arms, and the depths of their tips.
     pub fn pressed_arms(&self, held: &Held) -> impl Iterator<Item = PressedArm> + use<'_> {
         let (surface, z_mm) = (self.surface.as_ref(), held.z_mm);

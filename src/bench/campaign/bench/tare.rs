@@ -2,7 +2,7 @@
 //! Uses: `campaign::bench::stage`. Never: storage.
 
 use crate::campaign::bench::evidence::SkinWatch;
-use crate::campaign::bench::interlock::{self, FOREIGN_N, IN_AIR_N, TripKind};
+use crate::campaign::bench::interlock::{self, FOREIGN_N, TripKind};
 use crate::campaign::bench::stage::Stage;
 use crate::campaign::run::control::Control;
 use crate::campaign::run::halt::Halt;
@@ -149,10 +149,11 @@ fn zeros(
             );
             return Err(Halt::trip(TripKind::Cell, detail));
         }
-        if load_n.abs() > IN_AIR_N {
+        let limit = cells.in_air_n();
+        if load_n.abs() > limit {
             let detail = format!(
-                "cell {arm} reads {load_n:.1} N in the air, from the nominal zero (limit {IN_AIR_N} N): \
-                 check what touches its tip"
+                "cell {arm} reads {load_n:.1} N in the air, from the nominal zero \
+                 (limit {limit} N, cells.in_air_n): check what touches its tip"
             );
             return Err(Halt::trip(TripKind::Cell, detail));
         }
@@ -198,11 +199,12 @@ mod tests {
 
     #[test]
     fn a_load_is_no_zero_although_no_tare_was_before_nor_if_it_has_come_slowly() {
+        let limit_n = rig().cells.in_air_n();
         // At -0.9 of the limit an amplifier of 5 V is not live.
-        for force_n in [0.9 * IN_AIR_N, -0.5 * IN_AIR_N] {
+        for force_n in [0.9 * limit_n, -0.5 * limit_n] {
             assert!(tared(Accept::AnyZero, &[[force_n, 0.0, 0.0, 0.0, 0.0, 0.0]]).is_ok());
         }
-        for force_n in [1.1 * IN_AIR_N, -1.1 * IN_AIR_N] {
+        for force_n in [1.1 * limit_n, -1.1 * limit_n] {
             let detail = words(tared(Accept::AnyZero, &[[force_n, 0.0, 0.0, 0.0, 0.0, 0.0]]));
             assert!(
                 detail.starts_with("cell 1 reads") && detail.contains("in the air"),
@@ -210,10 +212,16 @@ mod tests {
             );
         }
         // The last zeros have crept.
-        let (config, crept) = (rig(), IN_AIR_N / rig().cells.newtons_per_volt());
+        let (config, crept) = (rig(), limit_n / rig().cells.newtons_per_volt());
         let last = LastTare { zeros_v: &LAST.map(|v| v + 0.95 * crept), accept: Accept::NearLast };
         let detail = words(zeros(&config, 2, &last, &[LAST.map(|v| v + 1.05 * crept)]));
-        assert!(detail.contains("from the nominal zero (limit 10 N)"), "{detail}");
+        assert!(detail.contains("from the nominal zero (limit 10 N, cells.in_air_n)"), "{detail}");
+        // Cells of a larger range have a larger offset.
+        let mut large = rig();
+        large.cells.full_scale_n = 445.0;
+        let offset_v = 0.03 * 445.0 / large.cells.newtons_per_volt();
+        let last = LastTare { zeros_v: &LAST, accept: Accept::AnyZero };
+        assert!(zeros(&large, 2, &last, &[LAST.map(|v| v + offset_v)]).is_ok());
     }
 
     #[test]

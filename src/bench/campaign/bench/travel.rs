@@ -125,8 +125,7 @@ impl Stage {
     ) -> Result<bool, Halt> {
         let is_lateral = targets.iter().any(|t| t.axis != AxisName::Z);
         if is_lateral {
-            self.require_clear().await?;
-            self.require_unloaded(control).await?;
+            self.require_clear(control).await?;
             self.skin = None;
         }
         if polled == Polled::Axes {
@@ -169,7 +168,7 @@ impl Stage {
                 return Err(self.did_not_arrive(targets, &statuses));
             }
             if is_lateral {
-                self.require_z_up().await?;
+                self.require_still_clear().await?;
                 // No press is polled like this: the stopping distance does not depend on it.
                 polled_s = self.clock.process_s();
             }
@@ -181,10 +180,7 @@ impl Stage {
     fn check_axis(&self, target: &Target, status: &AxisStatus) -> Result<bool, Halt> {
         let driven = self.driven(target.axis);
         self.require_within(target.axis, status, driven.tolerance)?;
-        if let Some(alarm) = status.alarm {
-            let detail = format!("{} reports alarm {alarm:#x}", driven.axis.name());
-            return Err(Halt::trip(TripKind::Device, detail));
-        }
+        require_no_alarm(driven.axis, status)?;
         Ok(!status.moving && (status.position - target.position).abs() <= driven.tolerance)
     }
 
@@ -246,10 +242,7 @@ impl Stage {
         let z = self.bench.z.status().await?;
         require_zero(self.bench.z.as_ref(), &z)?;
         self.require_within(AxisName::Z, &z, BEYOND_TRAVEL)?;
-        if let Some(alarm) = z.alarm {
-            let detail = format!("z reports alarm {alarm:#x} at a lateral motion");
-            return Err(Halt::trip(TripKind::Device, detail));
-        }
+        require_no_alarm(self.bench.z.as_ref(), &z)?;
         Ok(z)
     }
 
@@ -300,9 +293,11 @@ impl Stage {
         Halt::trip(TripKind::Position, format!("did not arrive in time: {}", words.join(", ")))
     }
 
-    /// Checks during a lateral motion that z has stayed up: a drive may lose its power, and a brake slip.
-    async fn require_z_up(&self) -> Result<(), Halt> {
-        let z = self.known_z().await?;
+    /// Checks during a lateral motion or homing that z has stayed up (a drive may lose its power, and a brake slip), and
+    /// that no cell reads a load.
+    async fn require_still_clear(&self) -> Result<(), Halt> {
+        let (z, reading) = futures::join!(self.known_z(), self.bench.cells.read());
+        let z = z?;
         let clear = self.clear_z_mm();
         if z.position > clear + self.driven(AxisName::Z).tolerance + SINKS_MM {
             let at = z.position;
@@ -310,10 +305,13 @@ impl Stage {
                 format!("z sank to {at:.3} mm during a lateral motion, clear at {clear:.3}");
             return Err(Halt::trip(TripKind::Position, detail));
         }
+        interlock::check_unloaded(&self.config.cells, self.tips, &reading?, &self.tare_v)?;
         Ok(())
     }
 
-    async fn require_clear(&self) -> Result<(), Halt> {
+    /// Checks before a lateral motion or homing that z is measured clear of the surface, and that the cells do not
+    /// contradict it.
+    async fn require_clear(&self, control: &mut Control) -> Result<(), Halt> {
         let z = self.known_z().await?;
         let tolerance = self.driven(AxisName::Z).tolerance;
         let clear = self.clear_z_mm();
@@ -322,12 +320,8 @@ impl Stage {
                 format!("lateral motion refused: z at {:.3} mm, clear at {clear:.3}", z.position);
             return Err(Halt::trip(TripKind::Position, detail));
         }
-        Ok(())
-    }
-
-    /// Checks that the cells do not contradict that z is clear. A module that converts slowly still returns the load
-    /// before the raise, and one that hangs needs some updates to show it.
-    async fn require_unloaded(&self, control: &mut Control) -> Result<(), Halt> {
+        // A module that converts slowly still returns the load before the raise, and one that hangs needs some updates
+        // to show it.
         let cells = &self.config.cells;
         let updates_s = f64::from(cells.repeats_max() + 2) * cells.update_ms / 1e3;
         let deadline = self.clock.now() + self.clock.wall(updates_s);
@@ -368,11 +362,12 @@ impl Stage {
         Ok(target)
     }
 
-    /// Homes every axis: z first and alone, so that the first motion is upward.
+    /// Homes every axis: z first and alone, so that the first motion is upward and waits for no cell. `entered`: number
+    /// of tips, as for `assume_tips`.
     ///
     /// # Errors
     /// As `travel`; trips if an axis reports an alarm or homing does not end in time.
-    pub async fn home(&mut self, control: &mut Control) -> Result<(), Halt> {
+    pub async fn home(&mut self, control: &mut Control, entered: Option<u8>) -> Result<(), Halt> {
         self.surface = None;
         self.skin = None;
         let z = self.bench.z.clone();
@@ -381,12 +376,13 @@ impl Stage {
             self.travel(control, &[Target::of(AxisName::Z, top)]).await?;
         }
         self.home_axes(control, &[AxisName::Z]).await?;
-        self.require_clear().await?;
+        self.assume_tips(entered).await?;
+        self.require_clear(control).await?;
         self.home_axes(control, &[AxisName::X, AxisName::Y, AxisName::Radial]).await
     }
 
     async fn home_axes(&self, control: &mut Control, names: &[AxisName]) -> Result<(), Halt> {
-        let name_of = |n: AxisName| self.driven(n).axis.name();
+        self.read_homing(names).await?;
         control.attend()?;
         for &name in names {
             self.driven(name).axis.start_home().await?;
@@ -394,15 +390,10 @@ impl Stage {
         let deadline = self.clock.now() + self.clock.wall(HOMING_S) + GRACE;
         // A drive that was homed before needs a moment to accept the command.
         self.clock.sleep(0.1).await;
+        let mut first = None;
         loop {
             control.attend()?;
-            let read = try_join_all(names.iter().map(|&n| self.driven(n).axis.status())).await?;
-            // A drive in alarm is at rest, and may keep its earlier zero.
-            if let Some((name, s)) = names.iter().zip(&read).find(|(_, s)| s.alarm.is_some()) {
-                let code = s.alarm.unwrap_or_default();
-                let detail = format!("{} reports alarm {code:#x}", name_of(*name));
-                return Err(Halt::trip(TripKind::Device, detail));
-            }
+            let read = self.read_homing(names).await?;
             if read.iter().all(|s| s.homed && !s.moving) {
                 let mut ends = names.iter().zip(&read);
                 return ends.try_for_each(|(&n, s)| self.require_within(n, s, BEYOND_TRAVEL));
@@ -412,17 +403,35 @@ impl Stage {
                     .iter()
                     .zip(&read)
                     .filter(|(_, s)| !s.homed || s.moving)
-                    .map(|(&n, _)| name_of(n))
+                    .map(|(&n, _)| self.driven(n).axis.name())
                     .collect();
                 let detail = format!("homing did not end within {HOMING_S} s: {left:?}");
                 return Err(Halt::trip(TripKind::Position, detail));
             }
             if !names.contains(&AxisName::Z) {
-                self.require_z_up().await?;
+                self.require_still_clear().await?;
+            } else if let Ok(now) = self.bench.cells.read().await {
+                // Cells that do not reply keep no tip down.
+                interlock::check_rises(&self.config.cells, first.get_or_insert(now), &now)?;
             }
             self.poll_pause().await;
         }
     }
+
+    /// Reads axes before they home, when the release of a stop could clear an alarm, and while they do: a drive in
+    /// alarm is at rest, and may keep its earlier zero.
+    async fn read_homing(&self, names: &[AxisName]) -> Result<Vec<AxisStatus>, Halt> {
+        let read = try_join_all(names.iter().map(|&n| self.driven(n).axis.status())).await?;
+        for (&name, status) in names.iter().zip(&read) {
+            require_no_alarm(self.driven(name).axis, status)?;
+        }
+        Ok(read)
+    }
+}
+
+fn require_no_alarm(axis: &dyn Axis, status: &AxisStatus) -> Result<(), Halt> {
+    let Some(alarm) = status.alarm else { return Ok(()) };
+    Err(Halt::trip(TripKind::Device, format!("{} reports alarm {alarm:#x}", axis.name())))
 }
 
 /// A drive that restarted may have lost its zero: its positions, and the targets of its motions, would be wrong.

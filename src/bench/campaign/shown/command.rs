@@ -186,12 +186,12 @@ impl Envelope {
                 | Request::Home
                 | Request::Jog { .. }
                 | Request::Reset
+                | Request::Mounted { .. }
                 | Request::Start(_)
                 | Request::Resume
                 | Request::Confirm { .. } => true,
                 Request::Disconnect
                 | Request::Tare
-                | Request::Mounted { .. }
                 | Request::PauseAtCheckpoint
                 | Request::PauseNow
                 | Request::Suspend(_)
@@ -369,7 +369,8 @@ mod tests {
         let rig = include_str!("../../../../experiments/rigs/virtual.toml");
         let setup = RigSetup::from_toml("virtual.toml", rig).unwrap();
         let (handle, mut inbox) = channel(StopSwitch::default(), show::closed(&setup));
-        for request in [Request::Home, Request::Stop, Request::Resume, Request::Abort] {
+        let mounted = Request::Mounted { tips: 2, who: "ada".into() };
+        for request in [Request::Home, Request::Stop, mounted, Request::Resume, Request::Abort] {
             let asked = tokio::time::timeout(Duration::from_millis(1), handle.ask(request));
             assert!(asked.await.is_err(), "nobody answers");
         }

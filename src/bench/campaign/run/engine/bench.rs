@@ -11,7 +11,7 @@ use tokio::sync::OwnedMutexGuard;
 use tokio::task::JoinSet;
 use tokio::time::Instant;
 
-use super::{Answer, Connection, Engine, NOT_COMPLETE, Owed, no_stage, no_wires, trip_of};
+use super::{Answer, Connection, Engine, Owed, no_stage, no_wires, trip_of};
 use crate::campaign::bench::estop::AxisStop;
 use crate::campaign::bench::interlock::{self, Trip, TripKind};
 use crate::campaign::bench::rig_state::RigEvent;
@@ -322,9 +322,7 @@ impl Engine {
     async fn require_complete(&mut self, answer: &Answer) -> Result<(), Refusal> {
         if let Owed::Wires(_, height) = self.owed {
             self.repeat_safe_end(height).await;
-            if self.owed != Owed::Nothing {
-                return Err(Refusal::Busy(NOT_COMPLETE.into()));
-            }
+            self.require_nothing_owed()?;
         }
         if answer.is_closed() { Err(Refusal::Gone) } else { Ok(()) }
     }
@@ -335,8 +333,10 @@ impl Engine {
 
     async fn home_axes(&mut self) -> bool {
         self.prepared_setting = None;
-        let homed =
-            self.guarded(|stage, control| Box::pin(async move { stage.home(control).await })).await;
+        let entered = self.entered_tips();
+        let homed = self
+            .guarded(|stage, control| Box::pin(async move { stage.home(control, entered).await }))
+            .await;
         if homed {
             self.owed = Owed::Nothing;
             // Its warning is over: each axis is at rest at its zero, z was raised first.
@@ -348,11 +348,10 @@ impl Engine {
     }
 
     async fn jog(&mut self, target: Target) {
-        let assumed = self.mounting.as_ref().map(|(m, _)| m.tips);
+        let entered = self.entered_tips();
         self.guarded(|stage, control| {
             Box::pin(async move {
-                let volts = stage.bench.cells.read().await?.volts;
-                stage.tips = assumed.unwrap_or_else(|| leading_live(stage, &volts));
+                stage.assume_tips(entered).await?;
                 if target.axis != AxisName::Z {
                     // The clearance may have grown since: other tips, or an unknown surface.
                     raise_as_planned(control, stage).await?;
@@ -411,24 +410,26 @@ impl Engine {
     /// Tare on request. A cell outside its limits is refused; a failing wire, and a suspension of the computer, lead to
     /// the safe end.
     async fn tare(&mut self) -> Result<(), Refusal> {
-        let mounted = self.mounting.as_ref().map(|(m, _)| m.tips);
+        let entered = self.entered_tips();
         let connection = self.connection.as_mut().ok_or_else(no_wires)?;
         let stage = connection.stage.as_mut().ok_or_else(no_stage)?;
-        let tared = match stage.bench.cells.read().await {
-            Ok(reading) => {
-                stage.tips = mounted.unwrap_or_else(|| leading_live(stage, &reading.volts));
-                let accept = tare::Accept::AnyZero;
-                tare::tare(stage, &mut self.control, TARE_SAMPLES, accept).await.map(|_| ())
-            }
-            Err(error) => Err(error.into()),
+        let control = &mut self.control;
+        let tared = async {
+            stage.assume_tips(entered).await?;
+            tare::tare(stage, control, TARE_SAMPLES, tare::Accept::AnyZero).await
         };
-        let Err(halt) = tared else { return Ok(()) };
+        let Err(halt) = tared.await else { return Ok(()) };
         let trip = trip_of(&halt);
         let ends_safe = matches!(trip.kind, TripKind::Wire | TripKind::Device | TripKind::Service);
         if ends_safe && matches!(halt, Halt::Trip(_)) {
             self.make_safe(Some(&trip), Height::Clear).await;
         }
         Err(Refusal::State(trip.detail))
+    }
+
+    /// Tips that a person has entered.
+    fn entered_tips(&self) -> Option<u8> {
+        self.mounting.as_ref().map(|(mounting, _)| mounting.tips)
     }
 
     /// Accepts the number of tips that a person has mounted, if the cells do not contradict it.
@@ -457,9 +458,4 @@ impl Engine {
         self.prepared_setting = None;
         Ok(())
     }
-}
-
-/// Number of leading arms with connected cells: the tips assumed as long as none are entered.
-fn leading_live(stage: &Stage, volts: &[f64; ARMS]) -> u8 {
-    volts.iter().take_while(|&&v| stage.config.cells.is_live(v)).count() as u8
 }

@@ -56,7 +56,7 @@ mod wait;
 const IDLE_TICK: Duration = Duration::from_millis(200);
 /// Why nothing moves while a safe end is not complete.
 const NOT_COMPLETE: &str =
-    "the last safe end is not complete: an axis has not acknowledged its stop, or moves after it";
+    "the last safe end is not complete: the tips are down, or an axis is not stopped";
 /// Pause before a safe end that is not complete is repeated.
 const OWED_AGAIN: Duration = Duration::from_millis(500);
 /// Longest pause before it is repeated again, once the tips are up: no request is read meanwhile.
@@ -286,6 +286,14 @@ impl Engine {
             (false, _) => Owed::Person,
         };
         end.is_safe()
+    }
+
+    /// Refuses what moves an axis, or calls hands to the rig, while the last safe end is not complete.
+    fn require_nothing_owed(&self) -> Result<(), Refusal> {
+        match self.owed {
+            Owed::Nothing => Ok(()),
+            Owed::Wires(..) | Owed::Person => Err(Refusal::Busy(NOT_COMPLETE.into())),
+        }
     }
 
     /// Latches that the computer was suspended, unless the wires are closed. Returns it as text.

@@ -58,6 +58,7 @@ impl Engine {
             };
             return Err(Refusal::State(format!("{words}: {next}, then start the run")));
         }
+        self.require_nothing_owed()?;
         if job.plan.kind == Kind::RealHex {
             let stage = self.stage_mut()?;
             stage.stopping.begin();
@@ -80,11 +81,9 @@ impl Engine {
         job: &Job,
         answer: Option<&Answer>,
     ) -> Result<(), Refusal> {
+        self.require_nothing_owed()?;
         let connection = self.connection.as_mut().ok_or_else(no_wires)?;
         let stage = connection.stage.as_mut().ok_or_else(no_stage)?;
-        if self.owed != Owed::Nothing {
-            return Err(Refusal::Busy(NOT_COMPLETE.into()));
-        }
         if self.control.rig() == RigState::Homed {
             let timed = stage.time_polls().await;
             timed.map_err(|halt| Refusal::State(trip_of(&halt).detail))?;

@@ -16,17 +16,22 @@ use crate::campaign::run::run_state::{PausedWhy, RunState};
 use crate::campaign::shown::command::{Refusal, Request};
 use crate::campaign::shown::show;
 use crate::campaign::shown::status::{Status, Wanted};
+use crate::schedule::plan::Kind;
 
 #[tokio::test]
 async fn no_run_is_armed_while_an_axis_owes_the_acknowledgement_of_its_stop() {
-    let (axes, job) = (StandIns::default(), job());
+    let (axes, mut job) = (StandIns::default(), job());
     let mut engine = engine(&axes);
     engine.control.rig_event(RigEvent::Homed).unwrap();
     axes.x.replies.store(false, Ordering::SeqCst);
     assert!(engine.make_safe(None, Height::Clear).await, "the tips are up");
     let (waited_for, _caller) = oneshot::channel();
-    let refused = engine.arm(&job, &waited_for).await;
-    assert!(matches!(refused, Err(Refusal::Busy(_))), "{refused:?}");
+    // A manual run would call hands to the skin.
+    for kind in [Kind::RealRandom, Kind::RealHex] {
+        job.plan.kind = kind;
+        let refused = engine.arm(&job, &waited_for).await;
+        assert!(matches!(refused, Err(Refusal::Busy(_))), "{refused:?}");
+    }
     assert_eq!(engine.control.rig(), RigState::Homed);
     axes.x.replies.store(true, Ordering::SeqCst);
     tokio::time::sleep(OWED_AGAIN + Duration::from_millis(50)).await;

@@ -1,0 +1,207 @@
+//! When an axis moves or homes sideways, and when it does not.
+
+use std::sync::atomic::Ordering;
+use std::time::Duration;
+
+use super::engine;
+use crate::campaign::bench::interlock::TripKind;
+use crate::campaign::bench::rig_state::RigState;
+use crate::campaign::bench::stage::AxisName;
+use crate::campaign::bench::stand_in::StandIns;
+use crate::campaign::bench::travel::Target;
+use crate::rig::traits::AxisStatus;
+
+/// Motions and homings of x, y and the rotary actuator that were started.
+fn lateral_starts(axes: &StandIns) -> [u64; 3] {
+    [&axes.x, &axes.y, &axes.radial].map(|axis| axis.starts.load(Ordering::SeqCst))
+}
+
+#[tokio::test]
+async fn no_axis_homes_sideways_before_z_is_measured_clear() {
+    let axes = StandIns::default();
+    let mut engine = engine(&axes);
+    // A drive whose zero is where it happens to be.
+    let unhomed = AxisStatus { position: 60.0, homed: false, ..axes.z.present() };
+    *axes.z.status.lock() = unhomed;
+    *axes.z.after_start.lock() = Some(AxisStatus { homed: true, ..unhomed });
+    assert!(!engine.home().await);
+    assert_eq!((lateral_starts(&axes), engine.control.rig()), ([0; 3], RigState::Tripped));
+}
+
+#[tokio::test]
+async fn no_axis_homes_sideways_while_an_attached_cell_reads_a_load_and_z_is_raised_before() {
+    let axes = StandIns::default();
+    let mut engine = engine(&axes);
+    axes.z.status.lock().position = 60.0;
+    axes.cells.volts.lock()[1] = 1.0;
+    // After a start of the service no tips are known: each live cell counts.
+    assert!(!engine.home().await);
+    assert_eq!((lateral_starts(&axes), axes.z.present().position), ([0; 3], 0.0));
+    let trip = engine.control.inbox.status.borrow().rig.trip.clone().expect("a trip");
+    assert_eq!(trip.kind, TripKind::Cell);
+    assert!(trip.detail.contains("cell 2 reads 13.9 N (limit 10 N"), "{}", trip.detail);
+    // Of one tip, on arm 1.
+    engine.mounted(1, "ada").await.unwrap();
+    engine.reset(0, None).await.unwrap();
+    assert!(engine.home().await);
+}
+
+#[tokio::test]
+async fn z_that_homes_into_a_load_is_stopped() {
+    let axes = StandIns::default();
+    let mut engine = engine(&axes);
+    axes.cells.volts.lock()[0] = 1.5;
+    // It moves until it is stopped.
+    let moving = AxisStatus { position: 60.0, homed: false, moving: true, ..axes.z.present() };
+    *axes.z.status.lock() = AxisStatus { moving: false, ..moving };
+    *axes.z.after_start.lock() = Some(moving);
+    let grows = async {
+        tokio::time::sleep(Duration::from_millis(300)).await;
+        assert_eq!(axes.z.stops.load(Ordering::SeqCst), 0, "the load was there before");
+        axes.cells.volts.lock()[0] = 2.0;
+        tokio::time::sleep(Duration::from_millis(100)).await;
+        axes.z.status.lock().moving = false;
+    };
+    let (is_homed, ()) = tokio::join!(engine.home(), grows);
+    assert!(!is_homed && axes.z.stops.load(Ordering::SeqCst) > 0);
+    let trip = engine.control.inbox.status.borrow().rig.trip.clone().expect("a trip");
+    assert_eq!(trip.kind, TripKind::Force);
+    assert!(trip.detail.starts_with("cell 1 reads 13.9 N more than"), "{}", trip.detail);
+}
+
+#[tokio::test]
+async fn no_axis_homes_while_another_is_in_alarm() {
+    let axes = StandIns::default();
+    let mut engine = engine(&axes);
+    axes.radial.status.lock().alarm = Some(1);
+    assert!(!engine.home().await);
+    assert_eq!((lateral_starts(&axes), engine.control.rig()), ([0; 3], RigState::Tripped));
+}
+
+#[tokio::test]
+async fn no_axis_moves_sideways_unless_z_is_homed_at_rest_and_clear() {
+    let axes = StandIns::default();
+    let mut engine = engine(&axes);
+    let clear = axes.z.present();
+    let down = AxisStatus { position: 60.0, ..clear };
+    let (rises, unhomed) =
+        (AxisStatus { moving: true, ..clear }, AxisStatus { homed: false, ..clear });
+    // Its drive has lost its zero and does not know it.
+    let beyond = AxisStatus { position: -30.0, ..clear };
+    let faulty = AxisStatus { alarm: Some(1), ..clear };
+    for name in [AxisName::X, AxisName::Y, AxisName::Radial] {
+        for z in [down, rises, unhomed, beyond, faulty] {
+            let kind = z.alarm.map_or(TripKind::Position, |_| TripKind::Device);
+            *axes.z.status.lock() = z;
+            let stage = engine.connection.as_mut().unwrap().stage.as_mut().unwrap();
+            let moved = stage.travel(&mut engine.control, &[Target::of(name, 10.0)]).await;
+            let halt = moved.unwrap_err();
+            assert_eq!(halt.as_trip().map(|trip| trip.kind), Some(kind), "{halt:?}");
+        }
+    }
+    assert_eq!(lateral_starts(&axes), [0; 3]);
+    *axes.z.status.lock() = clear;
+    let stage = engine.connection.as_mut().unwrap().stage.as_mut().unwrap();
+    let target = [Target::of(AxisName::X, 10.0), Target::of(AxisName::Y, 10.0)];
+    // None is started before each is known, nor while one is in alarm.
+    let sound = axes.y.present();
+    for y in [AxisStatus { position: -30.0, ..sound }, AxisStatus { alarm: Some(1), ..sound }] {
+        *axes.y.status.lock() = y;
+        assert!(stage.travel(&mut engine.control, &target).await.is_err());
+        assert_eq!(axes.x.starts.load(Ordering::SeqCst), 0);
+    }
+    *axes.y.status.lock() = sound;
+    // Nor while the cells contradict z.
+    stage.tips = 1;
+    axes.cells.volts.lock()[0] = 1.0;
+    assert!(stage.travel(&mut engine.control, &target).await.is_err());
+    assert_eq!(axes.x.starts.load(Ordering::SeqCst), 0);
+    axes.cells.volts.lock()[0] = 0.5;
+    assert!(stage.travel(&mut engine.control, &target).await.is_ok());
+}
+
+#[tokio::test]
+async fn nothing_moves_under_a_load_before_its_first_sample() {
+    let axes = StandIns::default();
+    let mut engine = engine(&axes);
+    let stage = engine.connection.as_mut().unwrap().stage.as_mut().unwrap();
+    stage.tips = 1;
+    let target = Target::of(AxisName::Z, 10.0);
+    axes.cells.volts.lock()[0] = 4.0;
+    let halt = stage.checked_travel(&mut engine.control, target).await.unwrap_err();
+    assert_eq!(halt.as_trip().map(|trip| trip.kind), Some(TripKind::Force), "{halt:?}");
+    assert_eq!(axes.z.starts.load(Ordering::SeqCst), 0);
+    axes.cells.volts.lock()[0] = 0.5;
+    stage.begin_watch();
+    assert!(stage.checked_travel(&mut engine.control, target).await.is_ok());
+}
+
+#[tokio::test]
+async fn a_lateral_motion_ends_when_z_sinks_or_a_cell_reads_a_load() {
+    for (z_mm, volts, kind, words) in [
+        (60.0, 0.5, TripKind::Position, "z sank to 60.000 mm"),
+        (0.0, 1.0, TripKind::Cell, "no lateral motion: z reports to be clear, and cell 1"),
+    ] {
+        let axes = StandIns::default();
+        let mut engine = engine(&axes);
+        // It moves until it is stopped.
+        *axes.x.after_start.lock() = Some(AxisStatus { moving: true, ..axes.x.present() });
+        let stage = engine.connection.as_mut().unwrap().stage.as_mut().unwrap();
+        stage.tips = 1;
+        let target = [Target::of(AxisName::X, 100.0)];
+        let travel = stage.travel(&mut engine.control, &target);
+        let touches = async {
+            tokio::time::sleep(Duration::from_millis(30)).await;
+            axes.z.status.lock().position = z_mm;
+            axes.cells.volts.lock()[0] = volts;
+        };
+        let (moved, ()) = tokio::join!(travel, touches);
+        let halt = moved.unwrap_err();
+        let trip = halt.as_trip().expect("a trip");
+        assert_eq!(trip.kind, kind);
+        assert!(trip.detail.starts_with(words), "{}", trip.detail);
+        assert_eq!(axes.x.starts.load(Ordering::SeqCst), 1);
+    }
+}
+
+#[tokio::test]
+async fn a_lateral_motion_continues_while_z_jitters_at_rest() {
+    let axes = StandIns::default();
+    let mut engine = engine(&axes);
+    let stage = engine.connection.as_mut().unwrap().stage.as_mut().unwrap();
+    // As far down as a raise leaves it.
+    let at_rest = stage.clear_z_mm() + stage.config.axes.z.tolerance_mm;
+    axes.z.status.lock().position = at_rest;
+    let moving = AxisStatus { moving: true, ..axes.x.present() };
+    *axes.x.after_start.lock() = Some(moving);
+    let target = [Target::of(AxisName::X, 100.0)];
+    let travel = stage.travel(&mut engine.control, &target);
+    let jitters = async {
+        tokio::time::sleep(Duration::from_millis(30)).await;
+        axes.z.status.lock().position = at_rest + 0.02;
+        tokio::time::sleep(Duration::from_millis(60)).await;
+        *axes.x.status.lock() = AxisStatus { position: 100.0, moving: false, ..moving };
+    };
+    let (moved, ()) = tokio::join!(travel, jitters);
+    assert!(moved.is_ok(), "{moved:?}");
+}
+
+#[tokio::test]
+async fn a_drive_in_alarm_that_keeps_its_zero_is_not_homed() {
+    let axes = StandIns::default();
+    let mut engine = engine(&axes);
+    *axes.x.after_start.lock() = Some(AxisStatus { alarm: Some(1), ..axes.x.present() });
+    assert!(!engine.home().await);
+    let trip = engine.control.inbox.status.borrow().rig.trip.clone();
+    assert_eq!(trip.map(|trip| trip.kind), Some(TripKind::Device));
+}
+
+#[tokio::test]
+async fn a_homing_that_ends_outside_the_travel_is_none() {
+    let axes = StandIns::default();
+    let mut engine = engine(&axes);
+    *axes.radial.after_start.lock() = Some(AxisStatus { position: -30.0, ..axes.radial.present() });
+    assert!(!engine.home().await);
+    let trip = engine.control.inbox.status.borrow().rig.trip.clone();
+    assert_eq!(trip.map(|trip| trip.kind), Some(TripKind::Position));
+}
