@@ -30,7 +30,7 @@ const SKIN_THREADS_MAX: usize = 8;
 /// Number of known trials from which the factors on standard deviations are estimated.
 const STRETCHED_BY: usize = 200;
 /// Number of trials of light contacts, of others and of many contacts that are answered to compare the answers.
-const REHEARSED_OF_EACH: usize = 150;
+const REHEARSED_OF_EACH: usize = 200;
 /// Number of parts of the configurations: the errors with which one is answered are learned from the others.
 const REHEARSED_PARTS: u32 = 2;
 /// Smallest force of a contact used for these factors, N: the paper's deadband.
@@ -253,14 +253,14 @@ fn learnt<'f>(
 /// The trials whose answers are compared: those in which each contact can be found, evenly.
 fn rehearsed<'k>(known: &'k [KnownTrial], crowded: &'k [KnownTrial]) -> Vec<&'k KnownTrial> {
     let (light, heavy): (Vec<&KnownTrial>, Vec<&KnownTrial>) =
-        known.iter().partition(|trial| is_light(&trial.contacts));
+        known.iter().partition(|trial| is_light(trial.contacts.iter().map(|c| c.force_n)));
     let is_clear = |trial: &&KnownTrial| {
         !trial.contacts.is_empty() && trial.contacts.iter().all(|c| c.force_n >= CLEAR_N)
     };
     let evenly = |trials: Vec<&'k KnownTrial>| {
         let clear: Vec<&KnownTrial> = trials.into_iter().filter(is_clear).collect();
-        let step = clear.len().div_ceil(REHEARSED_OF_EACH).max(1);
-        clear.into_iter().step_by(step)
+        let count = clear.len().min(REHEARSED_OF_EACH);
+        (0..count).map(move |n| clear[n * clear.len() / count])
     };
     [light, heavy, crowded.iter().collect()].into_iter().flat_map(evenly).collect()
 }

@@ -4,6 +4,7 @@
 use sim_core::calibrated::CalibratedSensor;
 use sim_core::sensor::Sensor;
 
+use super::rehearsal::LIGHT_N;
 use super::{KnownTrial, KnownTrials, Untouched};
 use crate::calibrate::skin;
 use crate::dataset::pressed::{clock_rate, contacts, force_noise_n, tips_mm};
@@ -22,9 +23,8 @@ const KNOWN_TRIALS: usize = 1000;
 /// errors, and contacts that are hard to distinguish are light.
 const KNOWN_CONTACTS: f64 = 3.0;
 const KNOWN_FORCE_N: f64 = 40.0;
-/// Largest number of known trials with more contacts, and their largest force, N.
-const CROWDED_TRIALS: usize = 300;
-const CROWDED_FORCE_N: f64 = 20.0;
+/// Largest number of contacts of those in which an answer may find a part of them.
+const CROWDED_CONTACTS: f64 = 4.0;
 /// Largest number of untouched trials.
 const UNTOUCHED_TRIALS: usize = 300;
 /// Force below which a trial is untouched, N: a twentieth of the signal of the paper's deadband, noise of the
@@ -64,10 +64,11 @@ pub(super) async fn known_trials(
     ];
     let all = evenly(store, run, &light, KNOWN_TRIALS * skin::HELD_OUT_IN as usize).await?;
     let more = [
-        format!("max_force_n__lt={CROWDED_FORCE_N}"),
+        format!("max_force_n__lt={LIGHT_N}"),
         format!("contact_count__gt={KNOWN_CONTACTS}"),
+        format!("contact_count__lte={CROWDED_CONTACTS}"),
     ];
-    let more = evenly(store, run, &more, CROWDED_TRIALS * skin::HELD_OUT_IN as usize).await?;
+    let more = evenly(store, run, &more, KNOWN_TRIALS * skin::HELD_OUT_IN as usize).await?;
     let skins = UntouchedSkins::before(store, &[ids(&all), ids(&more)].concat()).await?;
     let pressed = |trial: &TrialRow| {
         let contacts = contacts(trial, run.kind, force_noise_n)?;
@@ -77,7 +78,7 @@ pub(super) async fn known_trials(
         let configuration = trial.configuration;
         Some(KnownTrial { configuration, contacts, frame_v, frames, untouched })
     };
-    let crowded = more.iter().filter_map(pressed).take(CROWDED_TRIALS).collect();
+    let crowded = more.iter().filter_map(pressed).take(KNOWN_TRIALS).collect();
     let pressed = all.iter().filter_map(pressed).take(KNOWN_TRIALS).collect();
     // Without a load cell there is no force where nothing touches.
     let untouched = match run.kind {

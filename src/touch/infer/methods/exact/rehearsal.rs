@@ -1,6 +1,6 @@
 //! How far answers to known trials are from the truth: factors on the regions that answers state, and how probable
 //! their explanations are.
-//! PURE. Uses: `infer::{answer, matching}`, sim-core's `stats`. Never: a fit (`errors` makes it), a narrower region.
+//! PURE. Uses: `infer::{answer, matching}`, sim-core's `stats` and contacts. Never: a fit (`errors` makes it), a narrower region.
 //!
 //! The standard deviations of a fit are those around one explanation, for errors that the error model contains. Errors
 //! that contacts imitate are not in it, and a search may end at another explanation. Both are measured: known trials
@@ -10,6 +10,7 @@
 
 use serde::{Deserialize, Serialize};
 use sim_core::forward::Contact;
+use sim_core::inverse::contacts::FittedContact;
 use sim_core::stats::{sorted, upper_quantile};
 
 use crate::infer::answer::Reading;
@@ -17,10 +18,10 @@ use crate::infer::matching::{GHOST_MM, matched};
 
 /// Smallest number of answers from which factors and probabilities are estimated.
 pub(super) const LEAST_REHEARSED: usize = 40;
-/// Smallest number of values in a group of these answers.
+/// Smallest number of answers in a group of these.
 const LEAST_IN_GROUP: usize = 20;
-/// A trial is light if all its forces are below this, N: weights that a person places.
-const LIGHT_N: f64 = 20.0;
+/// Contacts are light if all their forces are below this, N: weights that a person places.
+pub(super) const LIGHT_N: f64 = 15.0;
 /// Share of the true values that a region is to contain. The value that [`upper_quantile`] takes is the one that split
 /// conformal prediction prescribes: the first of which `HELD (n + 1)` of `n` are not larger.
 const HELD: f64 = 0.95;
@@ -34,14 +35,23 @@ const SHARE_LEAST: f64 = 0.02;
 /// What answers to known trials showed.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) struct Rehearsal {
+    /// Of answers with light contacts.
+    light: Seen,
+    /// Of others.
+    heavy: Seen,
+    /// Number of answers.
+    trials: usize,
+}
+
+/// What a group of answers showed.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub(super) struct Seen {
     /// Factor on the standard deviations of positions, 1 to 5.
     pub place: f64,
     /// Factor on the standard deviations of forces, 1 to 5.
     pub force: f64,
     /// Probabilities of answers with one, two, and three or more contacts.
     odds: [Odds; 3],
-    /// Number of answers.
-    trials: usize,
 }
 
 /// From shares of the evidence to probabilities.
@@ -56,7 +66,7 @@ struct Odds {
 /// An answer to a known trial.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Rehearsed {
-    /// Whether all forces are below [`LIGHT_N`].
+    /// Whether the forces of its contacts are below [`LIGHT_N`].
     is_light: bool,
     /// Number of contacts of the answer.
     found: usize,
@@ -80,7 +90,7 @@ impl Rehearsed {
         let both = || pairs.iter().map(|pair| (&truths[pair.truth], &found[pair.estimate]));
         let others = reading.alternatives.iter().map(|other| other.probability);
         Self {
-            is_light: is_light(truths),
+            is_light: is_light(found.iter().filter_map(|c| c.force_n)),
             found: found.len(),
             is_right: truths.len() == found.len()
                 && pairs.iter().all(|pair| pair.distance_mm <= GHOST_MM),
@@ -101,25 +111,35 @@ impl Rehearsal {
         if answers.len() < LEAST_REHEARSED {
             return None;
         }
+        let all: Vec<&Rehearsed> = answers.iter().collect();
         let (light, heavy): (Vec<&Rehearsed>, Vec<&Rehearsed>) =
             answers.iter().partition(|answer| answer.is_light);
-        // Regions are to hold in both groups.
-        let worst = |errors: fn(&Rehearsed) -> &Vec<f64>| {
-            let of_group = |group: &[&Rehearsed]| {
-                factor(group.iter().flat_map(|answer| errors(answer).iter().copied()))
-            };
-            of_group(&light).max(of_group(&heavy))
+        let seen = |group: &[&Rehearsed]| {
+            Seen::of(if group.len() >= LEAST_IN_GROUP { group } else { all.as_slice() })
         };
-        let (place, force) = (worst(|answer| &answer.places), worst(|answer| &answer.forces));
-        // Of heavy contacts, more answers are right.
-        let judged = if light.len() >= LEAST_REHEARSED { light } else { answers.iter().collect() };
-        let pooled = Odds::of(&judged);
+        Some(Self { light: seen(&light), heavy: seen(&heavy), trials: answers.len() })
+    }
+
+    /// What answers with contacts like these showed.
+    pub fn of_contacts(&self, found: &[FittedContact]) -> &Seen {
+        let is_light = is_light(found.iter().map(|found| found.contact.force_n));
+        if is_light { &self.light } else { &self.heavy }
+    }
+}
+
+impl Seen {
+    fn of(answers: &[&Rehearsed]) -> Self {
+        let pooled = Odds::of(answers);
         let odds = [1, 2, 3].map(|count: usize| {
             let is_of = |answer: &&Rehearsed| answer.found.min(3) == count;
-            let group: Vec<&Rehearsed> = judged.iter().copied().filter(is_of).collect();
+            let group: Vec<&Rehearsed> = answers.iter().copied().filter(is_of).collect();
             if group.len() >= LEAST_IN_GROUP { Odds::of(&group) } else { pooled }
         });
-        Some(Self { place, force, odds, trials: answers.len() })
+        Self {
+            place: factor(answers.iter().flat_map(|answer| answer.places.iter().copied())),
+            force: factor(answers.iter().flat_map(|answer| answer.forces.iter().copied())),
+            odds,
+        }
     }
 
     /// Probabilities of an answer with a number of contacts and of its alternatives, from their shares of the
@@ -156,9 +176,9 @@ impl Odds {
     }
 }
 
-/// Whether all forces are those of weights that a person places.
-pub(super) fn is_light(contacts: &[Contact]) -> bool {
-    contacts.iter().all(|contact| contact.force_n < LIGHT_N)
+/// Whether all forces, N, are those of weights that a person places.
+pub(super) fn is_light(mut forces_n: impl Iterator<Item = f64>) -> bool {
+    forces_n.all(|force_n| force_n < LIGHT_N)
 }
 
 /// Shares of the evidence at another temperature. What is not listed counts as one explanation.
@@ -168,11 +188,10 @@ fn tempered(shares: &[f64], power: f64) -> Vec<f64> {
     shares.iter().map(|share| share.powf(power) / all).collect()
 }
 
-/// The factor on regions with which they hold [`HELD`] of the true values, from 1; 1 with too few values.
+/// The factor on regions with which they hold [`HELD`] of the true values, from 1; 1 without values.
 fn factor(errors: impl Iterator<Item = f64>) -> f64 {
     let errors = sorted(errors.map(|error| if error.is_nan() { f64::INFINITY } else { error }));
-    let edge = upper_quantile(&errors, HELD).filter(|_| errors.len() >= LEAST_IN_GROUP);
-    edge.map_or(1.0, |edge| edge.clamp(1.0, FACTOR_MOST))
+    upper_quantile(&errors, HELD).map_or(1.0, |edge| edge.clamp(1.0, FACTOR_MOST))
 }
 
 #[cfg(test)]
@@ -216,9 +235,14 @@ mod tests {
         (0..count).map(|_| one()).collect()
     }
 
+    fn fitted(force_n: f64) -> FittedContact {
+        let contact = Contact { x_mm: 200.0, y_mm: 300.0, force_n };
+        FittedContact { contact, x_sd_mm: 4.0, y_sd_mm: 4.0, force_sd_n: 1.0, by_model: [0.0; 3] }
+    }
+
     #[test]
     fn regions_that_are_too_small_hold_95_percent_of_later_contacts() {
-        let seen = Rehearsal::of(&answers(1, 2000, 9.0, [2.0, 1.5])).unwrap();
+        let seen = Rehearsal::of(&answers(1, 2000, 9.0, [2.0, 1.5])).unwrap().light;
         assert!((seen.place - 2.0).abs() < 0.25 && (seen.force - 1.5).abs() < 0.25, "{seen:?}");
         let later = answers(2, 2000, 9.0, [2.0, 1.5]);
         let held = |values: Vec<f64>, factor: f64| {
@@ -231,14 +255,20 @@ mod tests {
     }
 
     #[test]
-    fn regions_hold_for_light_and_for_heavy_contacts_and_are_never_narrowed() {
+    fn light_and_heavy_contacts_have_their_factors_and_no_region_is_narrowed() {
         let both = [answers(3, 400, 9.0, [1.0, 1.0]), answers(4, 400, 30.0, [2.0, 1.0])].concat();
         let seen = Rehearsal::of(&both).unwrap();
-        assert!((seen.place - 2.0).abs() < 0.3 && seen.force < 1.2, "{seen:?}");
-        let wide = Rehearsal::of(&answers(5, 200, 9.0, [0.5, 0.5])).unwrap();
+        assert!((seen.heavy.place - 2.0).abs() < 0.3 && seen.heavy.force < 1.2, "{seen:?}");
+        assert!(seen.light.place < 1.2 && seen.light.force < 1.2, "{seen:?}");
+        assert_eq!(
+            [fitted(9.0), fitted(30.0)].map(|c| seen.of_contacts(&[c]).place < 1.2),
+            [true, false]
+        );
+        let wide = Rehearsal::of(&answers(5, 200, 9.0, [0.5, 0.5])).unwrap().light;
         assert_eq!((wide.place, wide.force), (1.0, 1.0));
         let wrong = Rehearsal::of(&answers(6, 200, 9.0, [30.0, 0.5])).unwrap();
-        assert_eq!((wrong.place, wrong.force), (FACTOR_MOST, 1.0));
+        assert_eq!((wrong.light.place, wrong.light.force), (FACTOR_MOST, 1.0));
+        assert_eq!(wrong.heavy, wrong.light, "no heavy contacts: what is known of all");
         assert_eq!(Rehearsal::of(&both[..LEAST_REHEARSED - 1]), None, "too few");
     }
 
@@ -251,7 +281,7 @@ mod tests {
             (0..100).map(|n| answer(9.0, [off_mm(n), 0.0, 0.0], shares)).collect()
         };
         let judged = [right(&sure, 45), right(&unsure, 40)].concat();
-        let seen = Rehearsal::of(&judged).unwrap();
+        let seen = Rehearsal::of(&judged).unwrap().light;
         let [is_sure, is_unsure] = [sure, unsure].map(|shares| seen.probabilities(1, &shares));
         assert!((is_sure[0] - 0.45).abs() < 0.1 && (is_unsure[0] - 0.4).abs() < 0.1, "{seen:?}");
         assert!(is_sure[0] > is_sure[1] && is_sure.iter().sum::<f64>() < 1.0, "{is_sure:?}");
@@ -259,7 +289,7 @@ mod tests {
         assert_eq!(seen.probabilities(3, &sure), is_sure);
         assert_eq!(seen.probabilities(0, &sure), sure, "an untouched skin was not tried");
         // Shares that hold stay.
-        let honest = Rehearsal::of(&[right(&sure, 90), right(&unsure, 30)].concat()).unwrap();
+        let honest = Rehearsal::of(&[right(&sure, 90), right(&unsure, 30)].concat()).unwrap().light;
         for shares in [sure, unsure] {
             let stated = honest.probabilities(1, &shares)[0];
             assert!((stated - shares[0]).abs() < 0.02, "{stated} for {}", shares[0]);

@@ -6,7 +6,7 @@ use sim_core::inverse::contacts::{
     ContactFitter, Explanation, Fit, FitOptions, FittedContact, Observation,
 };
 
-use super::rehearsal::{LEAST_REHEARSED, Rehearsal};
+use super::rehearsal::LEAST_REHEARSED;
 use super::skin_errors::{LEAST_KNOWN, SkinErrors, Stretch, grown};
 use super::zero::Zero;
 use crate::ids::CalibrationId;
@@ -164,7 +164,8 @@ impl ExactSkin {
     fn found(&self, contacts: &[FittedContact]) -> Vec<FoundContact> {
         let Stretch { place, force } = self.errors.stretch;
         let rehearsal = self.errors.rehearsal.as_ref();
-        let (places, forces) = rehearsal.map_or((1.0, 1.0), |seen| (seen.place, seen.force));
+        let seen = rehearsal.map(|rehearsal| rehearsal.of_contacts(contacts));
+        let (places, forces) = seen.map_or((1.0, 1.0), |seen| (seen.place, seen.force));
         let contact = |found: &FittedContact| FoundContact {
             x_mm: found.contact.x_mm,
             y_mm: found.contact.y_mm,
@@ -184,8 +185,12 @@ impl ExactSkin {
     pub(super) fn reading(&self, fit: &Fit, zero_hours: Option<f64>, frames: f64) -> Reading {
         let others = fit.alternatives.iter().map(|other| other.probability);
         let shares: Vec<f64> = fit.probability.into_iter().chain(others).collect();
-        let probabilities = |seen: &Rehearsal| seen.probabilities(fit.contacts.len(), &shares);
-        let stated = self.errors.rehearsal.as_ref().map_or_else(|| shares.clone(), probabilities);
+        let stated = match &self.errors.rehearsal {
+            Some(rehearsal) => {
+                rehearsal.of_contacts(&fit.contacts).probabilities(fit.contacts.len(), &shares)
+            }
+            None => shares,
+        };
         let alternative = |(other, &probability): (&Explanation, &f64)| Alternative {
             probability,
             contacts: self.found(&other.contacts),
