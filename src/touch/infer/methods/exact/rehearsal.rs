@@ -1,6 +1,7 @@
 //! How far answers to known trials are from the truth: factors on the regions that answers state, and how probable
 //! their explanations are.
-//! PURE. Uses: `infer::{answer, matching}`, sim-core's `stats` and contacts. Never: a fit (`errors` makes it), a narrower region.
+//! PURE. Uses: `infer::{answer, matching}`, sim-core's `stats` and contacts. Never: a fit
+//! (`errors` makes it), a narrower region.
 //!
 //! The standard deviations of a fit are those around one explanation, for errors that the error model contains. Errors
 //! that contacts imitate are not in it, and a search may end at another explanation. Both are measured: known trials
@@ -87,7 +88,7 @@ impl Rehearsed {
         let true_mm: Vec<[f64; 2]> = truths.iter().map(|c| [c.x_mm, c.y_mm]).collect();
         let found_mm: Vec<[f64; 2]> = found.iter().map(|c| [c.x_mm, c.y_mm]).collect();
         let pairs = matched(&true_mm, &found_mm);
-        let both = || pairs.iter().map(|pair| (&truths[pair.truth], &found[pair.estimate]));
+        let both = || pairs.iter().map(move |pair| (&truths[pair.truth], &found[pair.estimate]));
         let others = reading.alternatives.iter().map(|other| other.probability);
         Self {
             is_light: is_light(found.iter().filter_map(|c| c.force_n)),
