@@ -1,5 +1,5 @@
 //! The verdict on a placement: the estimated contacts, compared with the requested ones.
-//! PURE. Uses: `evaluate::matching`, `infer::answer`, sim-core's sensor. Never: a wait, the rig.
+//! PURE. Uses: `infer::{answer, matching}`, sim-core's sensor. Never: a wait, the rig.
 //!
 //! The thresholds follow from the published accuracy of the serving method on placed weights
 //! (`docs/figures.md`: `exact`, mean of 30 frames).
@@ -9,8 +9,8 @@ use sim_core::sensor::{Point, Sensor};
 use utoipa::ToSchema;
 
 use crate::campaign::shown::placement::VerdictKind;
-use crate::evaluate::matching::{Match, distance_mm, matched};
 use crate::infer::answer::{FoundContact, Reading};
+use crate::infer::matching::{Match, distance_mm, matched};
 use crate::record::PlacedContact;
 
 /// Largest distance of a felt contact from the point that was asked, mm. The mean distance is 9 mm, the

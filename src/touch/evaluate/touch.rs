@@ -1,19 +1,10 @@
 //! One frame's answer compared with the truth: matched contacts and their errors.
-//! PURE. Uses: `store::Contact`, the contacts of an answer, `matching`. Never: maps, averages over frames, a 0 for
+//! PURE. Uses: `store::Contact`, `infer::{answer, matching}`. Never: maps, averages over frames, a 0 for
 //! an unknown.
 
 use crate::infer::answer::FoundContact;
+use crate::infer::matching::{GHOST_MM, Match, closest_mm, matched};
 use crate::store::Contact;
-
-use super::matching::{closest_mm, matched};
-
-/// An estimate farther than this from every true contact is a ghost, mm.
-pub const GHOST_MM: f64 = 40.0;
-/// Square of the radius of a 95 % region of a position, in standard deviations: the quantile of chi-square
-/// with two degrees of freedom.
-const PLACE_95: f64 = 5.991;
-/// Half the width of a 95 % interval of a force, in standard deviations.
-const FORCE_95: f64 = 1.96;
 
 /// Why a contact cannot be scored.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
@@ -52,14 +43,9 @@ pub struct In95 {
 
 impl In95 {
     fn of(truth: &Contact, found: &FoundContact) -> Self {
-        let square = |of: Option<f64>, at: f64, sd: Option<f64>| Some(((of? - at) / sd?).powi(2));
-        let x = square(truth.x_mm, found.x_mm, found.x_sd_mm);
-        let y = square(truth.y_mm, found.y_mm, found.y_sd_mm);
-        let force = found.force_n.and_then(|at| square(truth.force_n, at, found.force_sd_n));
-        Self {
-            place: x.zip(y).map(|(x, y)| x + y <= PLACE_95),
-            force: force.map(|square| square <= FORCE_95.powi(2)),
-        }
+        let place = truth.x_mm.zip(truth.y_mm).and_then(|(x, y)| found.place_in_95(x, y));
+        let force = truth.force_n.and_then(|force_n| found.force_in_95(force_n));
+        Self { place: place.map(|part| part <= 1.0), force: force.map(|part| part <= 1.0) }
     }
 }
 
@@ -161,7 +147,7 @@ impl Touch {
         let truth_places = places_mm(truths)?;
         let estimate_places = places_mm(estimates)?;
         let places = truth_places.zip(estimate_places).map(|(true_mm, estimated_mm)| {
-            let pair = |found: super::matching::Match| {
+            let pair = |found: Match| {
                 let (truth, estimate) = (&truths[found.truth], &estimates[found.estimate]);
                 Pair {
                     distance_mm: found.distance_mm,

@@ -6,6 +6,12 @@ use utoipa::ToSchema;
 
 use crate::store::Contact;
 
+/// Square of the radius of a 95 % region of a position, in standard deviations: the quantile of chi-square
+/// with two degrees of freedom.
+const PLACE_95: f64 = 5.991;
+/// Half the width of a 95 % interval of a force, in standard deviations.
+const FORCE_95: f64 = 1.96;
+
 /// An estimated contact.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize, ToSchema)]
 pub struct FoundContact {
@@ -33,6 +39,24 @@ pub struct FoundContact {
     pub presence: Option<f64>,
 }
 
+impl FoundContact {
+    /// Distance to a position, mm, as a part of the radius of the 95 % region in its direction: up to 1 inside;
+    /// `None` without standard deviations.
+    pub fn place_in_95(&self, x_mm: f64, y_mm: f64) -> Option<f64> {
+        let (x_sd_mm, y_sd_mm) = self.x_sd_mm.zip(self.y_sd_mm)?;
+        let square =
+            ((self.x_mm - x_mm) / x_sd_mm).powi(2) + ((self.y_mm - y_mm) / y_sd_mm).powi(2);
+        Some((square / PLACE_95).sqrt())
+    }
+
+    /// Difference from a force, N, as a part of half the 95 % interval: up to 1 inside; `None` without a standard
+    /// deviation.
+    pub fn force_in_95(&self, force_n: f64) -> Option<f64> {
+        let (found_n, sd_n) = self.force_n.zip(self.force_sd_n)?;
+        Some((found_n - force_n).abs() / (FORCE_95 * sd_n))
+    }
+}
+
 impl From<&FoundContact> for Contact {
     fn from(found: &FoundContact) -> Self {
         Self {
@@ -47,7 +71,7 @@ impl From<&FoundContact> for Contact {
 /// Contacts that explain a frame, too.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, ToSchema)]
 pub struct Alternative {
-    /// Probability of this explanation, 0.05 to 1.
+    /// Probability that this explanation is right, as that of the answer.
     pub probability: f64,
     /// Its contacts, strongest first; empty if an untouched skin explains the frame.
     pub contacts: Vec<FoundContact>,
@@ -58,11 +82,12 @@ pub struct Alternative {
 pub struct Reading {
     /// The contacts, strongest first.
     pub contacts: Vec<FoundContact>,
-    /// Probability of these contacts among the explanations of the frame that the last search found, 0 to 1;
-    /// only of `exact`.
+    /// Probability that the last search found the right number of contacts, each within 40 mm, 0 to 1: their share of
+    /// the evidence, corrected by how often such answers to known trials were right, if the skin has some; the rest is
+    /// that of the alternatives and of explanations that the search did not find. Only of `exact`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub probability: Option<f64>,
-    /// Other explanations with a probability of at least 0.05 at the last search, the most probable first, at
+    /// Other explanations with at least 0.05 of the evidence at the last search, the most probable first, at
     /// most three; only of `exact`.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub alternatives: Vec<Alternative>,

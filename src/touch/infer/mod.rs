@@ -8,6 +8,7 @@
 //! ```
 
 pub mod answer;
+pub mod matching;
 pub mod error;
 pub mod plan;
 pub mod registry;

@@ -1,15 +1,16 @@
 //! The errors of a skin's model, estimated from trials whose contacts are known.
-//! Uses: `skin`, `skin_errors`, sim-core's `inverse`, std threads. Never: files.
+//! Uses: `skin`, `skin_errors`, `rehearsal`, sim-core's `inverse`, std threads. Never: files.
 
 use std::thread;
 
 use sim_core::forward::{Contact, ForwardModel, Workspace};
 use sim_core::inverse::contacts::{
-    ErrorModel, ErrorModelError, Fit, FitError, FitWork, FittedContact, FramePair,
+    ErrorModel, ErrorModelError, Fit, FitError, FitWork, FittedContact, FramePair, Observation,
 };
 use sim_core::inverse::skin::{MeasuredTrial, noise_v};
 use sim_core::stats::{sorted, upper_quantile};
 
+use super::rehearsal::{Rehearsal, Rehearsed, is_light};
 use super::skin::{ExactSkin, offset_v};
 use super::skin_errors::{LEAST_KNOWN, SkinErrors, Stretch, grown};
 use super::untouched::Untouched;
@@ -28,6 +29,10 @@ const KNOWN_FOR_EACH: usize = 4;
 const SKIN_THREADS_MAX: usize = 8;
 /// Number of known trials from which the factors on standard deviations are estimated.
 const STRETCHED_BY: usize = 200;
+/// Number of trials of light contacts, of others and of many contacts that are answered to compare the answers.
+const REHEARSED_OF_EACH: usize = 200;
+/// Number of parts of the configurations: the errors with which one is answered are learned from the others.
+const REHEARSED_PARTS: u32 = 2;
 /// Smallest force of a contact used for these factors, N: the paper's deadband.
 const CLEAR_N: f64 = 5.0;
 /// Quantile at which the factors are determined: users rely on the limits of the errors, regions of 95 %.
@@ -42,6 +47,8 @@ const STRETCH_HALVINGS: usize = 20;
 /// A measured trial whose contacts are known.
 #[derive(Debug, Clone)]
 pub struct KnownTrial {
+    /// Number of its configuration: trials of one share their errors.
+    pub configuration: u32,
     /// Contacts that pressed the skin.
     pub contacts: Vec<Contact>,
     /// Measured frame, V.
@@ -57,6 +64,9 @@ pub struct KnownTrial {
 pub struct KnownTrials {
     /// With contacts, of configurations that no skin is fitted to.
     pub pressed: Vec<KnownTrial>,
+    /// With more contacts, likewise: no errors are learned from them, as heavier frames have others, but an answer
+    /// may find a part of them.
+    pub crowded: Vec<KnownTrial>,
     /// Untouched frames of the run.
     pub untouched: Untouched,
 }
@@ -77,7 +87,7 @@ impl ExactSkin {
     /// # Errors
     /// `InferError` if the error model is invalid or a known trial cannot be fitted.
     pub fn new(model: &ForwardModel, trials: &KnownTrials) -> Result<Self, InferError> {
-        let KnownTrials { pressed: known, untouched } = trials;
+        let KnownTrials { pressed: known, crowded, untouched } = trials;
         let channels = model.sensor().channels();
         let offset_v = offset_v(model);
         let enough = known.len() >= LEAST_KNOWN;
@@ -85,33 +95,53 @@ impl ExactSkin {
         let noise_sd_v = noise_sd_v.or_else(|| enough.then(|| seen(known, &offset_v)).flatten());
         let evidence = model.sensor().skin().map(|skin| skin.evidence.noise_v);
         let noise_sd_v = noise_sd_v.or(evidence).unwrap_or(NOISE_SD_V);
-        let drift = untouched.drift(&offset_v);
         let white = ErrorModel::white(channels, noise_sd_v)?;
-        let stretch = Stretch { place: 1.0, force: 1.0 };
-        let skin = Self::with(
-            model,
-            SkinErrors {
-                noise_sd_v,
-                drift: drift.clone(),
-                model: white.clone(),
-                stretch,
-                learnt_from: 0,
-            },
-        )?;
+        let unknown = SkinErrors {
+            noise_sd_v,
+            drift: untouched.drift(&offset_v),
+            model: white.clone(),
+            stretch: Stretch { place: 1.0, force: 1.0 },
+            rehearsal: None,
+            learnt_from: 0,
+        };
+        let skin = Self::with(model, unknown.clone())?;
         if !enough {
             return Ok(skin);
         }
-        let learnt = match skin.learn(model, known, white) {
-            Ok(learnt) => learnt,
-            // Trials below the noise contain no information except the noise.
-            Err(InferError::Errors(ErrorModelError::FewPairs { .. })) => return Ok(skin),
-            Err(error) => return Err(error),
-        };
-        let learnt_from = known.len();
-        let errors = SkinErrors { noise_sd_v, drift, model: learnt, stretch, learnt_from };
+        let frames = skin.modelled(model, known)?;
+        // Trials below the noise contain no information except the noise.
+        let Some(learnt) = learnt(&white, frames.iter())? else { return Ok(skin) };
+        let errors = SkinErrors { model: learnt, learnt_from: known.len(), ..unknown };
         let mut skin = Self::with(model, errors)?;
         skin.errors.stretch = skin.stretch(known)?;
+        skin.errors.rehearsal =
+            skin.rehearse(model, &rehearsed(known, crowded), &frames, &white)?;
         Ok(skin)
+    }
+
+    /// Answers known trials as in use, each part of the configurations with the errors that the others show. `None`
+    /// with too few trials.
+    fn rehearse(
+        &self,
+        model: &ForwardModel,
+        trials: &[&KnownTrial],
+        frames: &[ModelledFrame],
+        white: &ErrorModel,
+    ) -> Result<Option<Rehearsal>, InferError> {
+        let mut answers = Vec::with_capacity(trials.len());
+        for part in 0..REHEARSED_PARTS {
+            let is_in = |configuration: u32| configuration % REHEARSED_PARTS == part;
+            let others = frames.iter().filter(|frame| !is_in(frame.configuration));
+            let Some(learnt) = learnt(white, others)? else { return Ok(None) };
+            let skin = Self::with(model, SkinErrors { model: learnt, ..self.errors.clone() })?;
+            let trials: Vec<&KnownTrial> =
+                trials.iter().copied().filter(|trial| is_in(trial.configuration)).collect();
+            answers.extend(skin.each(&trials, |trial, observation, work| {
+                let fit = skin.fitter.fit(observation, &[], work)?;
+                Ok(Rehearsed::of(&trial.contacts, &skin.reading(&fit, None, trial.frames)))
+            })?);
+        }
+        Ok(Rehearsal::of(&answers))
     }
 
     /// Factors with which the limits of the fits of known contacts hold the true ones.
@@ -119,7 +149,10 @@ impl ExactSkin {
         let some: Vec<&KnownTrial> =
             known.iter().step_by(known.len().div_ceil(STRETCHED_BY)).collect();
         let (mut places, mut forces) = (Vec::new(), Vec::new());
-        for (trial, (_, fit)) in some.iter().zip(self.refined(&some)?) {
+        let fits = self.each(&some, |trial, observation, work| {
+            Ok(self.fitter.refine(observation, &trial.contacts, work)?)
+        })?;
+        for (trial, fit) in some.iter().zip(fits) {
             if fit.contacts.len() != trial.contacts.len() {
                 continue;
             }
@@ -137,25 +170,26 @@ impl ExactSkin {
         Ok(Stretch { place: stretched(&places), force: stretched(&forces) })
     }
 
-    /// Frames of known trials without offsets, V, and their fits started at the true contacts; on
-    /// several threads, in the order of the trials.
-    fn refined(&self, known: &[&KnownTrial]) -> Result<Vec<(Vec<f64>, Fit)>, InferError> {
-        let refine = |trials: &[&KnownTrial]| {
-            let mut work = FitWork::default();
+    /// Fits these trials on several threads, and returns what `fit` does in their order.
+    fn each<T: Send>(
+        &self,
+        known: &[&KnownTrial],
+        fit: impl Fn(&KnownTrial, &Observation<'_>, &mut FitWork) -> Result<T, InferError> + Sync,
+    ) -> Result<Vec<T>, InferError> {
+        let fit_share = |trials: &[&KnownTrial]| {
+            let (mut work, mut frame_v) = (FitWork::default(), Vec::new());
             let one = |trial: &&KnownTrial| {
-                let mut frame_v = Vec::new();
                 let untouched = self.better(trial.untouched.as_ref());
                 self.take_offsets(&trial.frame_v, untouched, &mut frame_v);
                 let observation = self.observation(&frame_v, trial.frames, untouched);
-                let fit = self.fitter.refine(&observation, &trial.contacts, &mut work)?;
-                Ok((frame_v, fit))
+                fit(trial, &observation, &mut work)
             };
             trials.iter().map(one).collect::<Result<Vec<_>, InferError>>()
         };
         let threads = thread::available_parallelism().map_or(1, |n| n.get().min(SKIN_THREADS_MAX));
         let shares = known.chunks(known.len().div_ceil(threads).max(1));
         let done: Result<Vec<_>, InferError> = thread::scope(|scope| {
-            let working: Vec<_> = shares.map(|share| scope.spawn(|| refine(share))).collect();
+            let working: Vec<_> = shares.map(|share| scope.spawn(|| fit_share(share))).collect();
             let join = |handle: thread::ScopedJoinHandle<'_, _>| {
                 handle.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
             };
@@ -164,34 +198,71 @@ impl ExactSkin {
         Ok(done?.into_iter().flatten().collect())
     }
 
-    /// Estimates the part of known trials that no contact explains: frames are modelled at contacts
-    /// that were refined from the true ones (reason: sim-core's [`ErrorModel::with_pairs`]).
-    fn learn(
+    /// Models the frames of known trials at contacts that were refined from the true ones (reason: sim-core's
+    /// [`ErrorModel::with_pairs`]).
+    fn modelled(
         &self,
         model: &ForwardModel,
         known: &[KnownTrial],
-        white: ErrorModel,
-    ) -> Result<ErrorModel, InferError> {
-        let mut forward = Workspace::default();
-        let mut frames = Vec::with_capacity(known.len());
-        let fits = self.refined(&known.iter().collect::<Vec<_>>())?;
-        for (trial, (measured_v, fit)) in known.iter().zip(fits) {
+    ) -> Result<Vec<ModelledFrame>, InferError> {
+        self.each(&known.iter().collect::<Vec<_>>(), |trial, observation, work| {
+            let fit = self.fitter.refine(observation, &trial.contacts, work)?;
             let refined: Vec<Contact> = fit.contacts.iter().map(|found| found.contact).collect();
+            let mut forward = Workspace::default();
             let modelled_v = model.voltages(&refined, &mut forward).map_err(FitError::from)?;
-            let offset_sd_v = self.offset_sd_v(self.better(trial.untouched.as_ref()));
-            frames.push((measured_v, modelled_v.to_vec(), trial.frames, offset_sd_v));
-        }
-        let pairs: Vec<FramePair<'_>> = frames
-            .iter()
-            .map(|(measured_v, modelled_v, frames, offset_sd_v)| FramePair {
-                measured_v,
-                modelled_v,
-                frames: *frames,
-                offset_sd_v: *offset_sd_v,
+            Ok(ModelledFrame {
+                configuration: trial.configuration,
+                measured_v: observation.frame_v.to_vec(),
+                modelled_v: modelled_v.to_vec(),
+                frames: trial.frames,
+                offset_sd_v: observation.offset_sd_v,
             })
-            .collect();
-        Ok(white.with_pairs(&pairs, ERROR_DIRECTIONS.min(pairs.len() / KNOWN_FOR_EACH))?)
+        })
     }
+}
+
+/// A known trial's frame and that of its contacts, V.
+struct ModelledFrame {
+    configuration: u32,
+    measured_v: Vec<f64>,
+    modelled_v: Vec<f64>,
+    frames: f64,
+    offset_sd_v: f64,
+}
+
+/// Estimates the part of known trials that no contact explains; `None` with too few above the noise.
+fn learnt<'f>(
+    white: &ErrorModel,
+    frames: impl Iterator<Item = &'f ModelledFrame>,
+) -> Result<Option<ErrorModel>, InferError> {
+    let pair = |frame: &'f ModelledFrame| FramePair {
+        measured_v: &frame.measured_v,
+        modelled_v: &frame.modelled_v,
+        frames: frame.frames,
+        offset_sd_v: frame.offset_sd_v,
+    };
+    let pairs: Vec<FramePair<'_>> = frames.map(pair).collect();
+    let directions = ERROR_DIRECTIONS.min(pairs.len() / KNOWN_FOR_EACH);
+    match white.clone().with_pairs(&pairs, directions) {
+        Ok(learnt) => Ok(Some(learnt)),
+        Err(ErrorModelError::FewPairs { .. }) => Ok(None),
+        Err(error) => Err(error.into()),
+    }
+}
+
+/// The trials whose answers are compared: those in which each contact can be found, evenly.
+fn rehearsed<'k>(known: &'k [KnownTrial], crowded: &'k [KnownTrial]) -> Vec<&'k KnownTrial> {
+    let (light, heavy): (Vec<&KnownTrial>, Vec<&KnownTrial>) =
+        known.iter().partition(|trial| is_light(trial.contacts.iter().map(|c| c.force_n)));
+    let is_clear = |trial: &&KnownTrial| {
+        !trial.contacts.is_empty() && trial.contacts.iter().all(|c| c.force_n >= CLEAR_N)
+    };
+    let evenly = |trials: Vec<&'k KnownTrial>| {
+        let clear: Vec<&KnownTrial> = trials.into_iter().filter(is_clear).collect();
+        let count = clear.len().min(REHEARSED_OF_EACH);
+        (0..count).map(move |n| clear[n * clear.len() / count])
+    };
+    [light, heavy, crowded.iter().collect()].into_iter().flat_map(evenly).collect()
 }
 
 /// Standard deviation of the noise in one frame, estimated from known trials, V.

@@ -4,6 +4,7 @@
 use sim_core::calibrated::CalibratedSensor;
 use sim_core::sensor::Sensor;
 
+use super::rehearsal::LIGHT_N;
 use super::{KnownTrial, KnownTrials, Untouched};
 use crate::calibrate::skin;
 use crate::dataset::pressed::{clock_rate, contacts, force_noise_n, tips_mm};
@@ -22,6 +23,8 @@ const KNOWN_TRIALS: usize = 1000;
 /// errors, and contacts that are hard to distinguish are light.
 const KNOWN_CONTACTS: f64 = 3.0;
 const KNOWN_FORCE_N: f64 = 40.0;
+/// Largest number of contacts of those in which an answer may find a part of them.
+const CROWDED_CONTACTS: f64 = 4.0;
 /// Largest number of untouched trials.
 const UNTOUCHED_TRIALS: usize = 300;
 /// Force below which a trial is untouched, N: a twentieth of the signal of the paper's deadband, noise of the
@@ -60,14 +63,22 @@ pub(super) async fn known_trials(
         format!("contact_count__lte={KNOWN_CONTACTS}"),
     ];
     let all = evenly(store, run, &light, KNOWN_TRIALS * skin::HELD_OUT_IN as usize).await?;
-    let skins = UntouchedSkins::before(store, &ids(&all)).await?;
+    let more = [
+        format!("max_force_n__lt={LIGHT_N}"),
+        format!("contact_count__gt={KNOWN_CONTACTS}"),
+        format!("contact_count__lte={CROWDED_CONTACTS}"),
+    ];
+    let more = evenly(store, run, &more, KNOWN_TRIALS * skin::HELD_OUT_IN as usize).await?;
+    let skins = UntouchedSkins::before(store, &[ids(&all), ids(&more)].concat()).await?;
     let pressed = |trial: &TrialRow| {
         let contacts = contacts(trial, run.kind, force_noise_n)?;
         skin::is_held_out(&tips_mm(trial, run.kind, &contacts)).then_some(())?;
         let frame_v = complete(trial.voltages_v.clone(), channels)?;
         let (frames, untouched) = (frames(trial), skins.of(trial.trial_id));
-        Some(KnownTrial { contacts, frame_v, frames, untouched })
+        let configuration = trial.configuration;
+        Some(KnownTrial { configuration, contacts, frame_v, frames, untouched })
     };
+    let crowded = more.iter().filter_map(pressed).take(KNOWN_TRIALS).collect();
     let pressed = all.iter().filter_map(pressed).take(KNOWN_TRIALS).collect();
     // Without a load cell there is no force where nothing touches.
     let untouched = match run.kind {
@@ -89,7 +100,8 @@ pub(super) async fn known_trials(
         frames_v.push(frame_v);
         tared_v.push(skins.of(trial.trial_id).map_or_else(Vec::new, |skin| skin.voltages_v));
     }
-    Ok(KnownTrials { pressed, untouched: Untouched { frames_v, tared_v, averaged, hours } })
+    let untouched = Untouched { frames_v, tared_v, averaged, hours };
+    Ok(KnownTrials { pressed, crowded, untouched })
 }
 
 /// At most `most` trials of a run that meet conditions, without flags, evenly in their order.

@@ -4,6 +4,7 @@
 
 mod errors;
 mod known;
+mod rehearsal;
 mod skin;
 mod skin_errors;
 pub mod skins;

@@ -1,11 +1,12 @@
 //! A skin that is ready for fits: its offsets, its errors, and its readings.
-//! Uses: `skin_errors`, `untouched`, `zero`, sim-core's `inverse::contacts`. Never: files, threads.
+//! Uses: `skin_errors`, `rehearsal`, `untouched`, `zero`, sim-core's `inverse::contacts`. Never: files, threads.
 
 use sim_core::forward::ForwardModel;
 use sim_core::inverse::contacts::{
     ContactFitter, Explanation, Fit, FitOptions, FittedContact, Observation,
 };
 
+use super::rehearsal::LEAST_REHEARSED;
 use super::skin_errors::{LEAST_KNOWN, SkinErrors, Stretch, grown};
 use super::zero::Zero;
 use crate::ids::CalibrationId;
@@ -64,17 +65,23 @@ impl ExactSkin {
 
     /// What limits the answers of this skin, if anything is known to.
     pub fn limitation(&self) -> Option<String> {
-        let unknown = self.errors.learnt_from == 0;
-        unknown.then(|| {
-            let of_run = match &self.run {
-                Some(run) => format!("the run {run}, to which it was calibrated,"),
-                None => "a Real-Hex or imported run on this sensor".to_owned(),
-            };
-            format!(
+        let of_run = || match &self.run {
+            Some(run) => format!("the run {run}, to which it was calibrated,"),
+            None => "a Real-Hex or imported run on this sensor".to_owned(),
+        };
+        match &self.errors {
+            SkinErrors { learnt_from: 0, .. } => Some(format!(
                 "the errors of the skin's model are unknown: the database has fewer than {LEAST_KNOWN} trials of \
-                 {of_run} of 1 to 3 contacts that it was not fitted to; every misfit counts as noise"
-            )
-        })
+                 {} of 1 to 3 contacts that it was not fitted to; every misfit counts as noise",
+                of_run()
+            )),
+            SkinErrors { rehearsal: None, .. } => Some(format!(
+                "95 % regions and probabilities were not compared with known contacts: fewer than {LEAST_REHEARSED} \
+                 trials of {} that it was not fitted to have forces of 5 N and more only",
+                of_run()
+            )),
+            _ => None,
+        }
     }
 
     /// The estimated errors of the model.
@@ -152,16 +159,20 @@ impl ExactSkin {
         })
     }
 
-    /// Contacts of a fit with standard deviations that allow for the model's error, strongest first.
+    /// Contacts of a fit, strongest first, with standard deviations that allow for the model's error and for what answers
+    /// to known trials showed.
     fn found(&self, contacts: &[FittedContact]) -> Vec<FoundContact> {
         let Stretch { place, force } = self.errors.stretch;
+        let rehearsal = self.errors.rehearsal.as_ref();
+        let seen = rehearsal.map(|rehearsal| rehearsal.of_contacts(contacts));
+        let (places, forces) = seen.map_or((1.0, 1.0), |seen| (seen.place, seen.force));
         let contact = |found: &FittedContact| FoundContact {
             x_mm: found.contact.x_mm,
             y_mm: found.contact.y_mm,
             force_n: Some(found.contact.force_n),
-            x_sd_mm: Some(found.x_sd_mm * grown(found.by_model[0], place)),
-            y_sd_mm: Some(found.y_sd_mm * grown(found.by_model[1], place)),
-            force_sd_n: Some(found.force_sd_n * grown(found.by_model[2], force)),
+            x_sd_mm: Some(places * found.x_sd_mm * grown(found.by_model[0], place)),
+            y_sd_mm: Some(places * found.y_sd_mm * grown(found.by_model[1], place)),
+            force_sd_n: Some(forces * found.force_sd_n * grown(found.by_model[2], force)),
             ..FoundContact::default()
         };
         let mut contacts: Vec<FoundContact> = contacts.iter().map(contact).collect();
@@ -172,10 +183,19 @@ impl ExactSkin {
     /// Converts the fit of a mean of `frames` frames to a reading. `zero_hours`: process time since the untouched
     /// skin was measured, h, if it was.
     pub(super) fn reading(&self, fit: &Fit, zero_hours: Option<f64>, frames: f64) -> Reading {
-        let alternative = |other: &Explanation| Alternative {
-            probability: other.probability,
+        let others = fit.alternatives.iter().map(|other| other.probability);
+        let shares: Vec<f64> = fit.probability.into_iter().chain(others).collect();
+        let stated = match &self.errors.rehearsal {
+            Some(rehearsal) => {
+                rehearsal.of_contacts(&fit.contacts).probabilities(fit.contacts.len(), &shares)
+            }
+            None => shares,
+        };
+        let alternative = |(other, &probability): (&Explanation, &f64)| Alternative {
+            probability,
             contacts: self.found(&other.contacts),
         };
+        let others = fit.alternatives.iter().zip(stated.iter().skip(1));
         let misfit = fit.chi2 / fit.degrees_of_freedom;
         let outside = (misfit > MISFIT_EXPLAINED).then(|| {
             format!("misfit = {misfit:.1}: limit {MISFIT_EXPLAINED} for contacts on this skin")
@@ -184,8 +204,8 @@ impl ExactSkin {
         let notes = self.drifted(zero_hours, frames).into_iter().collect();
         Reading {
             contacts: self.found(&fit.contacts),
-            probability: fit.probability,
-            alternatives: fit.alternatives.iter().map(alternative).collect(),
+            probability: stated.first().copied(),
+            alternatives: others.map(alternative).collect(),
             misfit: Some(misfit),
             misfit_limit: Some(MISFIT_EXPLAINED),
             outside,

@@ -1,9 +1,10 @@
 //! Difference of a skin's frames from those of its model, as fits use it.
-//! PURE. Uses: `untouched`, sim-core's `inverse`. Never: an estimate (`errors` makes it).
+//! PURE. Uses: `untouched`, `rehearsal`, sim-core's `inverse`. Never: an estimate (`errors` makes it).
 
 use serde::{Deserialize, Serialize};
 use sim_core::inverse::contacts::ErrorModel;
 
+use super::rehearsal::Rehearsal;
 use super::untouched::Drift;
 
 /// Smallest number of known trials from which the model's error is estimated.
@@ -20,6 +21,8 @@ pub struct SkinErrors {
     /// Factors on the part of the standard deviations that the model's error has: contacts imitate a part of
     /// it, which the fit cannot detect. Noise and offsets are measured; averaging lowers their part alone.
     pub(super) stretch: Stretch,
+    /// What answers to known trials showed with all of these; absent with too few.
+    pub(super) rehearsal: Option<Rehearsal>,
     /// Number of known trials from which the model's error was estimated; 0 if it was not.
     pub(super) learnt_from: usize,
 }

@@ -21,7 +21,7 @@ use crate::simulate::model::load_or_build;
 use crate::store::Store;
 
 /// Version of the estimation of errors: part of the cache's key, and of the file next to a calibration.
-const ERRORS_VERSION: &str = "5";
+const ERRORS_VERSION: &str = "6";
 
 /// The file of a stored calibration.
 #[derive(Debug, Clone)]
@@ -166,7 +166,7 @@ fn ready(
     if is_new {
         keep(&path, skin.errors());
     }
-    let is_learned = skin.limitation().is_none();
+    let is_learned = skin.errors.learnt_from > 0;
     if let Some(carried) = carried.filter(|file| is_learned && (is_new || !file.exists())) {
         keep(carried, skin.errors());
     }
@@ -194,13 +194,15 @@ fn key(model: &ForwardModel, known: &KnownTrials) -> String {
         digest.update([0]);
     }
     let untouched = &known.untouched;
-    let before = known.pressed.iter().filter_map(|trial| trial.untouched.as_ref());
+    let pressed = || known.pressed.iter().chain(&known.crowded);
+    let before = pressed().filter_map(|trial| trial.untouched.as_ref());
     let frames = untouched.frames_v.iter().chain(&untouched.tared_v);
     for frame_v in frames.chain(before.map(|skin| &skin.voltages_v)) {
         frame_v.iter().for_each(|v| digest.update(v.to_le_bytes()));
     }
     digest.update(known.untouched.hours.to_le_bytes());
-    for trial in &known.pressed {
+    for trial in pressed() {
+        digest.update(trial.configuration.to_le_bytes());
         digest.update(trial.frames.to_le_bytes());
         skin::digest_trial(&mut digest, &trial.contacts, &trial.frame_v);
     }
@@ -225,9 +227,9 @@ mod tests {
     const SENSOR: &str = include_str!("../../../../../experiments/sensors/ert-28.toml");
 
     /// Single touches of a model with noise, 10 % stronger than their label.
-    fn trials(model: &ForwardModel, count: usize) -> Vec<KnownTrial> {
+    fn trials(model: &ForwardModel, count: u32) -> Vec<KnownTrial> {
         let (mut rng, mut work) = (ChaCha8Rng::seed_from_u64(5), Workspace::default());
-        let mut one = |_| {
+        let mut one = |configuration| {
             let contact = Contact {
                 x_mm: rng.random_range(60.0..480.0),
                 y_mm: rng.random_range(60.0..500.0),
@@ -237,7 +239,7 @@ mod tests {
             let volts = model.voltages(&[pressed], &mut work).expect("a contact on the skin");
             let frame_v = volts.iter().map(|v| (v + rng.random_range(-2e-3..2e-3)) as f32);
             let (contacts, frame_v) = (vec![contact], frame_v.collect());
-            KnownTrial { contacts, frame_v, frames: 1.0, untouched: None }
+            KnownTrial { configuration, contacts, frame_v, frames: 1.0, untouched: None }
         };
         (0..count).map(&mut one).collect()
     }
