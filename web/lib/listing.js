@@ -4,9 +4,9 @@ import { get } from './api.js'
 
 /**
  * Makes the list at `path`: `items` in the order of the API, `next` while there are more. `read()` reads the first page,
- * `read(true)` the one after what is known; both return the body. `key(item)` tells items apart.
+ * `read(true)` the one after what is known; both return the body. `key(item)` tells items apart; `query` selects them.
  */
-export function listing(path, { limit, signal, key = item => item.id }) {
+export function listing(path, { query = {}, limit, signal, key = item => item.id }) {
   let items = []
   let next = null
   let isFurther = false
@@ -18,7 +18,7 @@ export function listing(path, { limit, signal, key = item => item.id }) {
       return next
     },
     async read(further = false) {
-      const page = await get(path, { limit, cursor: further ? next : null }, { signal })
+      const page = await get(path, { ...query, limit, cursor: further ? next : null }, { signal })
       const fresh = new Set(page.items.map(key))
       const others = items.filter(item => !fresh.has(key(item)))
       isFurther ||= further
