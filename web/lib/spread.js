@@ -29,13 +29,15 @@ export async function columnsOf(path, query, columns, { most = MOST, signal } = 
   return { rows, more: false }
 }
 
-/** Makes the three charts; `show(rows, more)` draws them. */
-export function spread({ signal, label }) {
+/** Makes the three charts; `show(rows, more)` draws them. `query()` are the conditions: the service groups all that meet them. */
+export function spread({ signal, label, query }) {
+  const groups = by => () => withQuery('/api/v1/trials/groups', { ...query(), ...by })
   const common = { time: false, height: 190, signal, label }
   const force = chart({
     ...common,
     title: 'Largest force of a trial',
     key: 'largest',
+    query: groups({ bin: 'max_force_n:2' }),
     x: 'Largest force',
     xUnit: 'N',
     y: 'Trials',
@@ -45,6 +47,7 @@ export function spread({ signal, label }) {
     ...common,
     title: 'Contacts of a trial',
     key: 'contacts',
+    query: groups({ group_by: 'contact_count' }),
     whole: true,
     x: 'Contacts',
     y: 'Trials',
@@ -54,6 +57,7 @@ export function spread({ signal, label }) {
     ...common,
     title: 'FVU over largest force',
     key: 'fvu',
+    query: () => withQuery('/api/v1/trials', { ...query(), columns: 'trial_id,max_force_n,contact_count,fvu', format: 'csv', limit: MOST }),
     x: 'Largest force',
     xUnit: 'N',
     y: 'FVU',

@@ -33,7 +33,7 @@ export async function show(root, { query, signal, set, go }) {
   const href = trial => withQuery('/trials', { ...conditions(state), sort: state.sort, scale: state.scale, trial })
   const said = el('p', { className: 'bad', role: 'status', hidden: true })
   const filters = selection({ set, said })
-  const charts = spread({ signal, label: () => (rows.some(row => row.label === 'virtual') ? 'virtual' : '') })
+  const charts = spread({ signal, query: () => conditions(state), label: () => (rows.some(row => row.label === 'virtual') ? 'virtual' : '') })
   const view = trialView({ signal, href, onscale: value => set({ scale: value || null }) })
 
   // The list.
