@@ -2,7 +2,7 @@
 
 import { once } from './api.js'
 import { actor, outcome } from './actions.js'
-import { button, el, note, panel, select, sleep } from './dom.js'
+import { button, el, every, note, panel, select } from './dom.js'
 import { keepForm } from './formstate.js'
 import { bytes, count, moment, percent, plain } from './format.js'
 import { listing } from './listing.js'
@@ -92,14 +92,12 @@ export function exportsPanel({ signal }) {
     more.hidden = !known.next || known.items.length >= 200
     return rows.show(known.items)
   }
-  async function watch() {
-    await read()
-    while (!signal.aborted) {
-      await sleep(1500, signal)
-      if (!signal.aborted && !document.hidden && (known.items.some(isUnderWay) || !trouble.hidden)) await read()
-    }
-  }
-  watch()
+  let isFirst = true
+  every(1500, () => {
+    if (!isFirst && trouble.hidden && !known.items.some(isUnderWay)) return undefined
+    isFirst = false
+    return read()
+  }, signal)
   const node = panel(
     'Exports',
     { id: 'exports', className: 'live' },

@@ -17,14 +17,14 @@ const wide = (x, y, step) => [
 const words = n => (n === 0 ? 'no contact' : counted(n, 'contact'))
 
 /** Reads columns of the first rows of a list of the API as NDJSON, page by page; resolves to { rows, more }. */
-export async function columnsOf(path, query, columns, { most = MOST, signal } = {}) {
+export async function columnsOf(path, query, columns, { signal }) {
   const rows = []
-  for (let at = withQuery(`/api/v1${path}`, { ...query, columns: columns.join(), format: 'ndjson', limit: Math.min(most, 1000) }); at;) {
+  for (let at = withQuery(`/api/v1${path}`, { ...query, columns: columns.join(), format: 'ndjson', limit: 1000 }); at;) {
     const response = await ask(at, { accept: 'application/x-ndjson', signal, wait: 20_000 })
     const text = await response.text()
     for (const line of text.split('\n')) if (line) rows.push(JSON.parse(line))
     at = /<([^>]+)>;\s*rel="?next"?/.exec(response.headers.get('link') ?? '')?.[1]
-    if (rows.length >= most) return { rows: rows.slice(0, most), more: Boolean(at) }
+    if (rows.length >= MOST) return { rows: rows.slice(0, MOST), more: Boolean(at) }
   }
   return { rows, more: false }
 }

@@ -105,5 +105,10 @@ export async function show(root, { query, signal, set }) {
     }
   }
   await read()
-  return { update: mark }
+  return {
+    update(next) {
+      query = next
+      mark(query)
+    },
+  }
 }
