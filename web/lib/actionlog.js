@@ -1,6 +1,6 @@
 // The log of actions: who asked for what, when, and whether it was accepted. Paged by the cursor.
 
-import { button, el, panel, say } from './dom.js'
+import { el, fill, panel, say } from './dom.js'
 import { clock, moment, plain } from './format.js'
 import { listing } from './listing.js'
 import { table } from './table.js'
@@ -23,7 +23,7 @@ function joined(items) {
 /** Makes the panel of the log; `run` limits it to a run. */
 export function actionLog(signal) {
   let known = null, of = ''
-  const told = el('p', { className: 'soft' }), more = button('More', () => read(true), { hidden: true })
+  const told = el('p', { className: 'soft' }), foot = el('div', { className: 'row' }), trouble = el('div')
   const rows = table({
     empty: 'No action yet.',
     columns: [{ head: 'When', cell: one => el('span', { className: 'nowrap', title: one.at },
@@ -32,23 +32,18 @@ export function actionLog(signal) {
       { head: 'Result', left: true, cell: one => el('span', { className: one.accepted ? '' : 'warn' }, one.accepted ? 'accepted' : 'refused') },
         { head: 'Why', left: true, cell: one => short([one.why, one.detail].filter(Boolean).join('. ')) }],
   })
-  const node = panel('Log of actions', {}, rows.node, el('div', { className: 'row' }, more, told))
+  const node = panel('Log of actions', {}, trouble, rows.node, foot)
   function load({ run = of, again = false } = {}) {
     if (known && !again && run === of) return undefined
     of = run
-    known = listing('/actions', { query: { run }, limit: PAGE, signal })
-    return read()
+    const mine = known = listing('/actions', { words: 'The log', draw: page => page && mine === known && draw(mine), query: { run }, limit: PAGE, most: MOST, signal })
+    fill(trouble, mine.trouble)
+    fill(foot, mine.more, told)
+    return mine.read()
   }
-  async function read(further) {
-    const mine = known
-    more.disabled = true
-    const trouble = await mine.read(further).then(() => '', error => `The log could not be read: ${error.message}`)
-    if (signal.aborted || mine !== known) return // Another run is asked for meanwhile.
-    const { items, next } = mine
-    more.disabled = false
-    more.hidden = !next || items.length >= MOST
+  function draw({ items, next }) {
     rows.show(joined(items))
-    say(told, trouble || [next ? `${items.length} actions shown.` : items.length ? 'All are shown.' : '', `Read at ${clock(Date.now())}.`].filter(Boolean).join(' '))
+    say(told, [next ? `${items.length} actions shown.` : items.length ? 'All are shown.' : '', `Read at ${clock(Date.now())}.`].filter(Boolean).join(' '))
   }
   return { node, load }
 }

@@ -5,7 +5,7 @@ import { get, withQuery } from '../lib/api.js'
 import { outcome } from '../lib/actions.js'
 import { beginButton } from '../lib/begin.js'
 import { compare } from '../lib/compare.js'
-import { button, el, every, fill, link, note, panel, select, sleep } from '../lib/dom.js'
+import { el, every, fill, link, panel, select, sleep } from '../lib/dom.js'
 import { NONE, age, count, counted, moment, span } from '../lib/format.js'
 import { listing } from '../lib/listing.js'
 import { live } from '../lib/live.js'
@@ -37,7 +37,8 @@ export async function show(root, { query, signal, go, set }) {
   // The list.
   const cells = new Map()
   const told = el('p', { className: 'soft' })
-  const trouble = el('p', { className: 'bad', role: 'status', hidden: true })
+  const trouble = el('div')
+  const foot = el('div', { className: 'row' })
   const cell = (run, name, words) => {
     const key = `${run.uid} ${name}`
     if (!cells.has(key)) cells.set(key, el('span', {}, NONE))
@@ -90,16 +91,7 @@ export async function show(root, { query, signal, go, set }) {
   const choice = (id, words) => el('span', { className: 'filter' }, el('label', { className: 'inline', htmlFor: id }, words), controls[id])
   const others = el('span', { className: 'chips', role: 'group', 'aria-label': 'Conditions' })
   const filters = el('div', { className: 'row' }, choice('state', 'Runs'), choice('kind', 'Kind'), choice('label', 'Data'), others)
-  const more = button(
-    'More',
-    async () => {
-      if (!(await read(true))) return undefined
-      if (!trouble.hidden) trouble.scrollIntoView({ block: 'nearest' }) // The button is below the rows.
-      return draw()
-    },
-    { hidden: true },
-  )
-  list.append(panel('History', { className: 'live' }, filters, trouble, told, rows.node, el('div', { className: 'row' }, more)))
+  list.append(panel('History', { className: 'live' }, filters, trouble, told, rows.node, foot))
   const kept = () => conditions(query, 'runs')
 
   /** Another selection begins another list; returns whether it does. */
@@ -109,18 +101,15 @@ export async function show(root, { query, signal, go, set }) {
     if (known && text === selected) return false
     selected = text
     const all = Object.keys(given).some(key => ON_STATE.test(key)) ? given : { ...BEGUN, ...given }
-    known = listing('/runs', { query: all, limit: PAGE, key: run => run.uid, signal })
+    const mine = listing('/runs', { words: 'The runs', draw: () => mine === known && draw(), query: all, limit: PAGE, key: run => run.uid, signal })
+    known = mine
+    fill(trouble, mine.trouble)
+    fill(foot, mine.more)
     return true
   }
-  /** Reads the list; returns whether it is still the selected one. */
-  async function read(further) {
-    const mine = known
-    const words = await mine.read(further).then(() => '', error => `The runs could not be read: ${error.message}`)
-    if (signal.aborted || mine !== known) return false
-    note(trouble, words)
-    return true
-  }
-  async function draw() {
+  let unknown = []
+  let working = 0
+  function draw() {
     const { items: runs, next } = known
     const given = Object.entries(kept())
     const isWhole = !given.length
@@ -128,18 +117,21 @@ export async function show(root, { query, signal, go, set }) {
     for (const [id, control] of Object.entries(controls)) control.value = id === 'state' ? state : (query[id] ?? '')
     const rest = given.filter(pair => pair.join('=') !== state && !['kind', 'label'].includes(pair[0]))
     fill(others, rest.length > 0 && chips(rest, given, set))
-    more.hidden = !next
-    if (!runs.length && !trouble.hidden) fill(told)
+    const isUnread = !known.trouble.hidden && !runs.length
+    if (isUnread) fill(told)
     else if (!runs.length && isWhole) fill(told, 'No run has begun yet. ', link('/queue', 'Queue one'), ' to begin.')
     else fill(told, runs.length > 0 && `${next ? 'The newest ' : ''}${counted(runs.length, 'run')}, newest first.`)
-    rows.node.hidden = !runs.length && (isWhole || !trouble.hidden)
+    rows.node.hidden = isUnread || (isWhole && !runs.length)
     filters.hidden = !runs.length && isWhole
     rows.show(runs)
-    const open = runs.filter(run => !summaries.has(run.uid) || !summaries.get(run.uid).run.ended_at)
-    const work = async () => {
-      for (let run; (run = open.shift()) && !signal.aborted && !query.run; ) await summary(run)
-    }
-    await Promise.all(Array.from({ length: AT_ONCE }, work))
+    unknown = runs.filter(run => !summaries.has(run.uid) || !summaries.get(run.uid).run.ended_at)
+    while (working < AT_ONCE && unknown.length) work()
+  }
+  /** Reads the results of the listed runs, one after the other. */
+  async function work() {
+    working += 1
+    for (let run; (run = unknown.shift()) && !signal.aborted && !query.run; ) await summary(run)
+    working -= 1
   }
   async function summary(run) {
     const found = await get(`/runs/${run.uid}/summary`, {}, { signal }).catch(() => null)
@@ -152,14 +144,10 @@ export async function show(root, { query, signal, go, set }) {
   }
   async function refresh() {
     if (signal.aborted) return
-    if (query.run) {
-      await view?.refresh?.()
-    } else if (await read()) await draw()
+    await (query.run ? view?.refresh?.() : known.read())
   }
   /** Follows the conditions of the address. */
-  async function follow() {
-    if (!reselect() || (await read())) await draw()
-  }
+  const follow = () => (reselect() ? known.read() : draw())
 
   // One run, or two.
   async function open() {
@@ -204,7 +192,7 @@ export async function show(root, { query, signal, go, set }) {
     signal,
   )
   reselect()
-  await read()
+  await known.read()
   open()
   return {
     update: next => {
