@@ -7,8 +7,9 @@ import { NUMERALS } from './contacts.js'
 import { el, facts, fill, pane, panel, say, select } from './dom.js'
 import { about, count, counted, fixed, percent } from './format.js'
 import { sequential } from './frame.js'
+import { BEGUN } from './runwords.js'
 import { scaleBar } from './scalebar.js'
-import { nearest, sensor, skin } from './skin.js'
+import { nearest, sensorOf, skin } from './skin.js'
 import { paper } from './vocabulary.js'
 
 /** Trials of which the voltages are compared one by one: newest with contacts. */
@@ -22,7 +23,7 @@ export function fit({ choose, signal: page }) {
   let runs = null, shown = null, ending = new AbortController(), signal = page, choice = null
 
   async function show(wanted) {
-    try { runs ??= (await all('/runs', {}, { most: 200, signal: page })).filter(run => run.started_at || run.kind === 'imported') } catch (error) { return void say(told, `The runs could not be read: ${error.message}`) }
+    try { runs ??= await all('/runs', BEGUN, { most: 200, signal: page }) } catch (error) { return void say(told, `The runs could not be read: ${error.message}`) }
     const run = runs.find(run => String(run.scan_id) === wanted || run.uid === wanted)
       ?? runs.find(run => run.ended_at) ?? runs[0]
     if (!run) return void say(told, 'No run is stored yet. After the first one, its trials are compared with their simulated twins here.')
@@ -143,7 +144,7 @@ function heat(run, report, { label, query, signal }) {
         pen.stroke()
       }
     } })
-  sensor(run.scan_id).catch(() => sensor()).then(view.geometry, () => {})
+  sensorOf(run.scan_id).then(view.geometry, () => {})
   const scale = scaleBar('mean FVU', signal)
   scale.ticks(['0', '0.125', '0.25', '0.375', `${TOP} and more`])
   return [view.node, scale.node]

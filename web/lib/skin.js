@@ -18,6 +18,9 @@ export function sensor(run) {
   return known.get(key)
 }
 
+/** The same; where that of the run is not readable, the one under the rig. */
+export const sensorOf = run => sensor(run).catch(() => sensor())
+
 /**
  * Makes a drawing of the skin. `draw(pen, view)` draws over outline and electrodes, in pixels:
  * `view.x(mm)`, `view.y(mm)`, `view.scale` (pixels per mm), `view.colour(name)`. `onpick(mm, event)`

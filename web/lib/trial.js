@@ -5,7 +5,7 @@ import { colour, el, facts, fill, note, panel, pane, select } from './dom.js'
 import { NONE, about, capital, count, counted, fixed, moment, plain, span } from './format.js'
 import { frame, minus, round125 } from './frame.js'
 import { shows } from './save.js'
-import { sensor, skin, tips } from './skin.js'
+import { sensorOf, skin, tips } from './skin.js'
 import { table } from './table.js'
 import { meaning } from './vocabulary.js'
 
@@ -283,7 +283,7 @@ export function trialView({ signal, href, onscale }) {
       curves(siblings)
       frames(context)
       map.redraw()
-      const shape = await sensor(row.scan_id).catch(() => sensor().catch(() => null))
+      const shape = await sensorOf(row.scan_id).catch(() => null)
       if (signal.aborted || row !== next) return
       if (shape) {
         diameter = shape.tip_diameter_mm

@@ -9,7 +9,7 @@ import { button, el, facts, fill, note, pane, panel, say, select } from '../lib/
 import { fit, fvuOf, scatter } from '../lib/fit.js'
 import { about, counted, fixed } from '../lib/format.js'
 import { frame, minus } from '../lib/frame.js'
-import { sensor, skin, tips } from '../lib/skin.js'
+import { sensorOf, skin, tips } from '../lib/skin.js'
 import { twins } from '../lib/twinpool.js'
 import { workers } from '../lib/workers.js'
 
@@ -230,7 +230,7 @@ export async function show(root, { query, signal, set }) {
     drawn.redraw()
     drawFrame()
   }
-  sensor(query.run).catch(() => sensor()).then(shape => { drawn.geometry(shape) },
+  sensorOf(query.run).then(shape => { drawn.geometry(shape) },
     error => { note(told, `The skin is not known: ${error.message}`) }).then(() => update(newest))
   return { update }
 }

@@ -140,7 +140,7 @@ pub fn with_frames(fits: &[Fit], frames: &[(&[f32], &[f32])]) -> SimulationRepor
 ///
 /// `frames`: measured and simulated frame of each trial, V, injection-major.
 pub fn pair_fits(frames: &[(&[f32], &[f32])], electrodes: usize) -> Vec<PairFit> {
-    let fit = |pair| {
+    let fit = |pair: usize| {
         let (mut unexplained, mut variance) = (0.0, 0.0);
         for reading in (0..electrodes).map(|sink| electrodes * sink + pair) {
             let known = || {
