@@ -102,14 +102,6 @@ export function scatter({ title, key, label, signal, query }) {
   } }
 }
 
-/** FVU of one frame (Eq. 2); null without variance. */
-export function fvuOf(measured, simulated) {
-  const known = measured.map((v, i) => [v, simulated[i]]).filter(([a, b]) => a != null && b != null)
-  const mean = known.reduce((sum, [a]) => sum + a, 0) / known.length
-  const [apart, variance] = known.reduce(([p, q], [a, b]) => [p + (a - b) ** 2, q + (a - mean) ** 2], [0, 0])
-  return variance > 0 ? apart / variance : null
-}
-
 function byForce(report, key, { title, unit = '', factor = 1, range, label, query, signal }) {
   const groups = [null, 1, 2, 3, 4, 5, 6].filter(n => report.by_force.some(bin => bin.contacts === n))
   const forces = [...new Set(report.by_force.map(bin => bin.from_n))].sort((a, b) => a - b)

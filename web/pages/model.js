@@ -6,7 +6,7 @@ import { get, send } from '../lib/api.js'
 import { asked, contactList, contactsText, most, parseContacts, within } from '../lib/presslist.js'
 import { dent } from '../lib/dent.js'
 import { button, el, facts, fill, note, pane, panel, say, select } from '../lib/dom.js'
-import { fit, fvuOf, scatter } from '../lib/fit.js'
+import { fit, scatter } from '../lib/fit.js'
 import { about, counted, fixed } from '../lib/format.js'
 import { frame, minus } from '../lib/frame.js'
 import { sensorOf, skin, tips } from '../lib/skin.js'
@@ -121,7 +121,7 @@ export async function show(root, { query, signal, set }) {
     const mine = cut, begun = performance.now()
     const slow = setTimeout(() => { if (!mine.signal.aborted) note(told, SLOW) }, SLOW_MS)
     try {
-      const answer = await send('/simulations', { contacts: asked(state.contacts), run: state.run || state.trial?.run || null },
+      const answer = await send('/simulations', { contacts: asked(state.contacts), run: state.run || state.trial?.run || null, trial: state.trial?.trial_id ?? null },
         { signal: AbortSignal.any([signal, mine.signal]), wait: 120_000 })
       clearTimeout(slow)
       if (mine.signal.aborted) return
@@ -142,14 +142,14 @@ export async function show(root, { query, signal, set }) {
     drawFrame()
   }
   function tell(round) {
-    const { answer, trial } = state, fvu = trial?.voltages_v && fvuOf(trial.voltages_v, answer.voltages_v)
+    const { answer, trial } = state
     told.className = 'said'
     note(told, '')
     fill(numbers, facts([['Deepest', fixed(bendMost(answer), 2, 'mm')],
       ['Sum of forces', fixed(answer.contacts.reduce((sum, c) => sum + c.force_n, 0), 1, 'N')], ['Computed in', fixed(answer.took_ms, 1, 'ms')],
       ['Throughput', `${about(1000 / answer.took_ms)}\u202f/s`],
       ['Until shown', fixed(round, 0, 'ms')], ['Model', answer.model],
-        ...(trial ? [['FVU of this', fixed(fvu, 3)], ['FVU of its twin', fixed(trial.fvu, 3)]] : [])]))
+        ...(trial ? [['FVU of this', fixed(answer.fvu, 3)], ['FVU of its twin', fixed(trial.fvu, 3)]] : [])]))
   }
   const bendMost = answer => answer.dent_mm.values.reduce((a, b) => Math.max(a, b), 0)
 
