@@ -2,7 +2,7 @@
 
 import { once } from './api.js'
 import { actor, outcome } from './actions.js'
-import { el, every, panel, select } from './dom.js'
+import { el, every, field, panel, select } from './dom.js'
 import { keepForm } from './formstate.js'
 import { bytes, count, moment, percent, plain } from './format.js'
 import { listing } from './listing.js'
@@ -23,7 +23,6 @@ export function exportsPanel({ signal }) {
     map = select([['', 'none'], ...maps], '', () => {}, { id: 'ex-map' })
   const where = el('input', { id: 'ex-where', placeholder: 'split=train, max_force_n__gt=10' }),
     columns = el('input', { id: 'ex-columns', placeholder: 'all' })
-  const field = (words, node) => el('div', {}, el('label', { htmlFor: node.id }, words), node)
   const list = text =>
     text
       .split(',')

@@ -1,6 +1,6 @@
 // Selections of runs and trials: conditions of the address; those of trials as controls, all others as chips.
 
-import { button, el, fill, panel, select } from './dom.js'
+import { button, el, field, fill, panel, select } from './dom.js'
 import { plain } from './format.js'
 import { vocabulary } from './vocabulary.js'
 
@@ -41,10 +41,7 @@ export function selection({ set, said }) {
     (key, also = {}) =>
     value =>
       set({ ...also, [key]: value || null, trial: null })
-  const labelled = (words, node) => {
-    node.id = `f-${words.toLowerCase().replace(/[^a-z]+/g, '-')}`
-    return el('div', {}, el('label', { htmlFor: node.id }, words), node)
-  }
+  const labelled = (words, node) => field(words, node, `f-${words.toLowerCase().replace(/[^a-z]+/g, '-')}`)
   const number = (key, props = {}) =>
     el('input', { type: 'number', step: 'any', inputMode: 'decimal', name: key, ...props, onchange: event => change(key)(event.target.value) })
   const choice = (key, choices) => select(choices, '', change(key), { name: key })

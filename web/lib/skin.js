@@ -138,6 +138,15 @@ export function nearest(places, [x, y], within = Infinity) {
   return best
 }
 
+/** Writes a text over what is drawn, with a rim, so that it is read on every colour. Font and alignment are those of the pen. */
+export function lettering(pen, words, x, y, ink, rim, width = 4) {
+  pen.lineWidth = width
+  pen.strokeStyle = rim
+  pen.strokeText(words, x, y)
+  pen.fillStyle = ink
+  pen.fillText(words, x, y)
+}
+
 /** Draws tips to scale. */
 export function tips(pen, view, contacts, diameter, { fill, stroke, width = 1.5 } = {}) {
   for (const [x, y] of contacts) {

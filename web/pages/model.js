@@ -9,7 +9,7 @@ import { button, el, facts, fill, note, pane, panel, say, select } from '../lib/
 import { fit, scatter } from '../lib/fit.js'
 import { about, counted, fixed } from '../lib/format.js'
 import { frame, minus } from '../lib/frame.js'
-import { sensorOf, skin, tips } from '../lib/skin.js'
+import { lettering, sensorOf, skin, tips } from '../lib/skin.js'
 import { twins } from '../lib/twinpool.js'
 import { workers } from '../lib/workers.js'
 
@@ -173,16 +173,12 @@ export async function show(root, { query, signal, set }) {
     tips(pen, view, state.contacts.map(c => [c.x_mm, c.y_mm]), shape.tip_diameter_mm, { stroke: view.colour('--ink'), width: 2 })
     pen.font = '600 12px system-ui, sans-serif'
     pen.textBaseline = 'middle'
-    pen.strokeStyle = view.colour('--skin')
-    pen.fillStyle = view.colour('--ink')
-    pen.lineWidth = 4
     state.contacts.forEach((contact, i) => {
       const force = contact.kind === 'force_n' ? contact.value : state.answer?.contacts?.[i]?.force_n, words = `${i + 1}: ${fixed(force, 1, 'N')}`
       const left = contact.x_mm > shape.width_mm - 90, x = view.x(contact.x_mm) + (left ? -1 : 1) * (shape.tip_diameter_mm / 2 * view.scale + 6),
         y = view.y(contact.y_mm)
       pen.textAlign = left ? 'right' : 'left'
-      pen.strokeText(words, x, y)
-      pen.fillText(words, x, y)
+      lettering(pen, words, x, y, view.colour('--ink'), view.colour('--skin'))
     })
   }
   function describe() {
