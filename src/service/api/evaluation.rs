@@ -23,7 +23,7 @@ pub async fn simulation(
     let run = find(&app, &run).await?.uid;
     let fits = app.store.fits(run).await?;
     let trials = match app.store.trials_with_voltages(&newest_touched(&fits)).await {
-        // The fits are stored apart from the frames: the report is complete, but for the pairs.
+        // The fits are stored apart from the frames: the report is complete except for the pairs.
         Err(StoreError::Damaged { .. }) => Vec::new(),
         read => read?,
     };
