@@ -158,12 +158,13 @@ export async function show(root, { query, signal, set }) {
     const mine = changes += 1, left = () => signal.aborted || mine !== changes
     run = live.status?.run ?? null
     try {
-      last = run ? await get(`/runs/${run.uid}`, {}, { signal }) : (await get('/runs', { ...BEGUN, limit: 1 }, { signal })).items[0] ?? null
+      const found = run ? await get(`/runs/${run.uid}`, {}, { signal }) : (await get('/runs', { ...BEGUN, limit: 1 }, { signal })).items[0] ?? null
+      if (left()) return
+      last = found
     } catch (error) {
       if (!mode && !left()) fill(root, pane(el('p', { className: 'bad' }, `The runs could not be read: ${error.message}. Trying again.`)))
       return
     }
-    if (left()) return
     unread = false
     arrange()
     const of = run ?? last
