@@ -14,6 +14,9 @@ use crate::figure::skin::Outline;
 use crate::sheet::OutputFile;
 use crate::store::RunRow;
 
+/// Number of pairs of electrodes in the text, the worst first.
+const PAIRS_IN_TEXT: usize = 3;
+
 /// Returns the numbers (JSON), the tables (CSV) and the figures (SVG) of a report.
 ///
 /// `pairs`: trials whose frames are drawn; without any there is no `frames.svg`. Without a readable sensor file of the run there is no `fvu_map.svg`.
@@ -37,6 +40,7 @@ pub fn files(
         file("by_force.csv", by_force_csv(report)),
         file("by_contacts.csv", by_contacts_csv(report)),
         file("by_point.csv", by_point_csv(report)),
+        file("by_pair.csv", by_pair_csv(report)),
     ];
     let of_run = format!("run {}", run.scan_id);
     let heading = |title: &str, n: u64, of: &str| {
@@ -95,6 +99,19 @@ pub fn text(run: &RunRow, report: &SimulationReport) -> String {
             1e3 * b.rmse_v.median
         );
     }
+    let mut pairs = report.by_pair.clone();
+    pairs.sort_by(|a, b| b.fvu.total_cmp(&a.fvu));
+    pairs.truncate(PAIRS_IN_TEXT);
+    if !pairs.is_empty() {
+        let worst =
+            pairs.iter().map(|p| format!("{}-{} {:.3}", p.electrodes[0], p.electrodes[1], p.fvu));
+        let worst = worst.collect::<Vec<_>>().join(", ");
+        let trials = report.pair_trials;
+        let _ = writeln!(
+            text,
+            "FVU of the worst pairs of electrodes, newest contact trials ({trials}): {worst}"
+        );
+    }
     text.pop();
     text
 }
@@ -130,6 +147,15 @@ fn by_point_csv(report: &SimulationReport) -> String {
     let mut csv = String::from("x_mm,y_mm,trials,mean_fvu\n");
     for p in &report.by_point {
         let _ = writeln!(csv, "{},{},{},{}", p.x_mm, p.y_mm, p.trials, p.mean_fvu);
+    }
+    csv
+}
+
+/// Table of the pairs of neighbouring electrodes, numbered from 0.
+fn by_pair_csv(report: &SimulationReport) -> String {
+    let mut csv = String::from("electrode,next,fvu\n");
+    for p in &report.by_pair {
+        let _ = writeln!(csv, "{},{},{}", p.electrodes[0], p.electrodes[1], p.fvu);
     }
     csv
 }

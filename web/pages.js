@@ -12,7 +12,7 @@ export const PAGES = [
   { name: 'place', title: 'Place', key: 'h', group: 'Run', about: 'Manual trials: which weight goes where, now?',
     shows: 'the placement that the run awaits, and its verdict: [manual trials](manual-trials.md)' },
   { name: 'runs', title: 'Runs', key: 'r', group: 'Data', about: 'What happened?',
-    shows: 'results, two runs side by side' },
+    shows: 'any selection of runs; results, two runs side by side' },
   { name: 'trials', title: 'Trials', key: 't', group: 'Data', about: 'Show me that one.',
     shows: 'any selection of trials; one trial with its frame, twin and forces' },
   { name: 'data', title: 'Datasets', key: 'd', group: 'Data', about: 'What can I load?',

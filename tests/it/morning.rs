@@ -58,6 +58,8 @@ async fn runs_are_listed_newest_first_and_found_by_number_start_of_the_id_and_la
         some["items"].as_array().unwrap().iter().map(|r| r["scan_id"].as_i64().unwrap()).collect();
     assert_eq!(numbers, [3, 1]);
     assert!(said(&url, &["runs", "--experiment", "nothing"]).contains("no run fits"));
+    let by_condition = told(&url, &["runs", "exit_status=success|state=queued"]);
+    assert_eq!(by_condition["items"], some["items"]);
 
     let uid = recorded()["runs"][HALF]["uid"].as_str().unwrap().to_owned();
     for name in ["2", &uid, &uid[..uid.len() - 1]] {

@@ -124,7 +124,7 @@ async fn trial(store: &Store, row: &TrialRow) -> Value {
 }
 
 async fn runs(store: &Store) -> Vec<RunRow> {
-    let mut runs = store.runs(100, None).await.unwrap().runs;
+    let mut runs = store.runs(&[], 100, None).await.unwrap().runs;
     runs.reverse();
     runs
 }

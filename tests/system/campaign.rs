@@ -93,6 +93,7 @@ async fn every_trial_has_its_twin(lab: &Lab, run: &str) {
     assert_eq!(report["trials"], TRIALS);
     let median = report["median_fvu"].as_f64().unwrap();
     assert!((0.02..0.4).contains(&median), "{median}");
+    assert_eq!(report["by_pair"].as_array().unwrap().len(), 28, "{report}");
 }
 
 #[tokio::test(flavor = "multi_thread")]

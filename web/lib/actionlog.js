@@ -1,8 +1,8 @@
 // The log of actions: who asked for what, when, and whether it was accepted. Paged by the cursor.
 
-import { get } from './api.js'
-import { button, el, panel, say } from './dom.js'
+import { el, fill, panel, say } from './dom.js'
 import { clock, moment, plain } from './format.js'
+import { listing } from './listing.js'
 import { table } from './table.js'
 
 const PAGE = 50, MOST = 2000, LONG = 160
@@ -22,8 +22,8 @@ function joined(items) {
 
 /** Makes the panel of the log; `run` limits it to a run. */
 export function actionLog(signal) {
-  let items = [], next = null, of = ''
-  const told = el('p', { className: 'soft' }), more = button('More', () => load(), { hidden: true })
+  let known = null, of = ''
+  const told = el('p', { className: 'soft' }), foot = el('div', { className: 'row' }), trouble = el('div')
   const rows = table({
     empty: 'No action yet.',
     columns: [{ head: 'When', cell: one => el('span', { className: 'nowrap', title: one.at },
@@ -32,20 +32,18 @@ export function actionLog(signal) {
       { head: 'Result', left: true, cell: one => el('span', { className: one.accepted ? '' : 'warn' }, one.accepted ? 'accepted' : 'refused') },
         { head: 'Why', left: true, cell: one => short([one.why, one.detail].filter(Boolean).join('. ')) }],
   })
-  const node = panel('Log of actions', {}, rows.node, el('div', { className: 'row' }, more, told))
-  async function load({ run = of, again = false } = {}) {
-    if (again || run !== of) { items = []; next = null }
+  const node = panel('Log of actions', {}, trouble, rows.node, foot)
+  function load({ run = of, again = false } = {}) {
+    if (known && !again && run === of) return undefined
     of = run
-    more.disabled = true
-    try {
-      const page = await get('/actions', { run: of, limit: PAGE, cursor: next }, { signal })
-      items.push(...page.items)
-      next = page.next
-      rows.show(joined(items))
-      say(told, [next ? `${items.length} actions shown.` : items.length ? 'All are shown.' : '', `Read at ${clock(Date.now())}.`].filter(Boolean).join(' '))
-      more.hidden = !next || items.length >= MOST
-    } catch (error) { if (!signal.aborted) say(told, `The log could not be read: ${error.message}`) }
-    more.disabled = false
+    const mine = known = listing('/actions', { words: 'The log', draw: page => page && mine === known && draw(mine), query: { run }, limit: PAGE, most: MOST, signal })
+    fill(trouble, mine.trouble)
+    fill(foot, mine.more, told)
+    return mine.read()
+  }
+  function draw({ items, next }) {
+    rows.show(joined(items))
+    say(told, [next ? `${items.length} actions shown.` : items.length ? 'All are shown.' : '', `Read at ${clock(Date.now())}.`].filter(Boolean).join(' '))
   }
   return { node, load }
 }

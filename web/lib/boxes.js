@@ -5,11 +5,13 @@ import { colour, el, onLook, say, soon } from './dom.js'
 import { about, count, percent } from './format.js'
 import { picture } from './picture.js'
 
+const height = 200
+
 /**
  * Makes a box plot. `set([{ name, trials, low, q1, median, q3, high, outliers }])`. `paper`: a published
  * value, drawn as a dashed line.
  */
-export function boxes({ title, unit = '', factor = 1, paper, query, label, signal, height = 200 }) {
+export function boxes({ title, unit = '', factor = 1, paper, query, label, signal }) {
   const canvas = el('canvas', { className: 'boxes', style: { height: `${height}px` } }), at = el('p', { className: 'chart-at', 'aria-hidden': 'true', style: { top: `${height}px` } })
   const holder = el('div', { className: 'chart' }, canvas, at)
   let items = [], marked = null // The box that is read by keys.

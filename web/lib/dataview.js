@@ -8,7 +8,7 @@ import { frame, minus } from './frame.js'
 import { live } from './live.js'
 
 /** What the left picture shows. */
-export const VIEWS = [
+const VIEWS = [
   ['', 'Live, difference from untouched'], ['voltages', 'Live, voltages'], ['trial', 'Last trial, difference'], ['misfit', 'Last trial minus its twin'],
 ]
 const SCALES = [['0.1', '0.1 V'], ['', '0.5 V'], ['2', '2 V'], ['10', '10 V']]

@@ -5,10 +5,10 @@ import { fixed } from './format.js'
 import { round125, sequential } from './frame.js'
 import { scaleBar } from './scalebar.js'
 
-/** Makes a grid that can be drawn on a skin: `take(grid)`, `draw(pen, view)`, `legend` (a node), `deepest()`. */
+/** Makes a grid that can be drawn on a skin: `take(grid)`, `draw(pen, view)`, `legend` (a node). */
 export function dent(signal) {
   const image = el('canvas'), scale = scaleBar('compression of the foam', signal)
-  let grid = null, end = 1, most = 0
+  let grid = null, end = 1
   const paint = () => {
     const colours = sequential()
     scale.ticks([0, 0.25, 0.5, 0.75, 1].map(t => t === 1 ? fixed(end, end < 1 ? 2 : 1, 'mm') : fixed(t * end, 2)))
@@ -26,10 +26,9 @@ export function dent(signal) {
   paint()
   return {
     legend: scale.node,
-    deepest: () => most,
     take(next) {
       grid = next
-      most = next ? next.values.reduce((a, b) => Math.max(a, b), 0) : 0
+      const most = next ? next.values.reduce((a, b) => Math.max(a, b), 0) : 0
       // The scale grows and shrinks in steps, so that two glances can be compared.
       if (most > end || most < 0.2 * end) end = round125(Math.max(most, 0.1))
       paint()

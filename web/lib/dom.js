@@ -59,6 +59,12 @@ export function facts(rows, props = {}) {
   return el('dl', { className: 'facts', ...props }, rows.filter(Boolean).map(row))
 }
 
+/** Makes a control with its label; `id` is that of the control. */
+export function field(words, control, id = control.id) {
+  control.id = id
+  return el('div', {}, el('label', { htmlFor: id }, words), control)
+}
+
 /** Makes a button. `props.title` says what it does where its word alone does not. */
 export function button(words, onclick, props = {}) {
   return el('button', { type: 'button', onclick, ...props }, words)

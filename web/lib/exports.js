@@ -2,7 +2,7 @@
 
 import { once } from './api.js'
 import { actor, outcome } from './actions.js'
-import { button, el, note, panel, select, sleep } from './dom.js'
+import { el, every, field, panel, select } from './dom.js'
 import { keepForm } from './formstate.js'
 import { bytes, count, moment, percent, plain } from './format.js'
 import { listing } from './listing.js'
@@ -23,7 +23,6 @@ export function exportsPanel({ signal }) {
     map = select([['', 'none'], ...maps], '', () => {}, { id: 'ex-map' })
   const where = el('input', { id: 'ex-where', placeholder: 'split=train, max_force_n__gt=10' }),
     columns = el('input', { id: 'ex-columns', placeholder: 'all' })
-  const field = (words, node) => el('div', {}, el('label', { htmlFor: node.id }, words), node)
   const list = text =>
     text
       .split(',')
@@ -41,7 +40,7 @@ export function exportsPanel({ signal }) {
         ...(columns.value && { columns: list(columns.value) }),
       }
       const made = await once('/exports', body)
-      await read()
+      await known.read()
       return made
     },
     { role: 'viewer', className: 'main', what: 'Export' }
@@ -76,30 +75,9 @@ export function exportsPanel({ signal }) {
       { head: 'Save', cell: one => one.url && save('Save', one.url, `${one.dataset ?? one.request.dataset}.${formatOf(one.request.format)?.extension ?? one.request.format}`) },
     ],
   })
-  const known = listing('/exports', { limit: 20, signal }),
-    more = button('More', () => read(true), { hidden: true }),
-    trouble = el('p', { className: 'bad', role: 'status', hidden: true })
-  async function read(further) {
-    try {
-      await known.read(further)
-    } catch (error) {
-      if (signal.aborted) return undefined
-      note(trouble, `The exports could not be read: ${error.message}. Trying again.`)
-      return further && trouble.scrollIntoView({ block: 'nearest' }) // The button is below the rows.
-    }
-    if (signal.aborted) return undefined
-    note(trouble, '')
-    more.hidden = !known.next || known.items.length >= 200
-    return rows.show(known.items)
-  }
-  async function watch() {
-    await read()
-    while (!signal.aborted) {
-      await sleep(1500, signal)
-      if (!signal.aborted && !document.hidden && (known.items.some(isUnderWay) || !trouble.hidden)) await read()
-    }
-  }
-  watch()
+  const known = listing('/exports', { words: 'The exports', draw: () => rows.show(known.items), limit: 20, most: 200, signal })
+  known.read()
+  every(1500, () => (!known.trouble.hidden || known.items.some(isUnderWay)) && known.read(), signal)
   const node = panel(
     'Exports',
     { id: 'exports', className: 'live' },
@@ -121,9 +99,9 @@ export function exportsPanel({ signal }) {
     ),
     el('div', { className: 'row' }, asks),
     said.node,
-    trouble,
+    known.trouble,
     rows.node,
-    more
+    known.more
   )
   const controls = [dataset, format, map, where, columns]
   const first = new Map(controls.map(control => [control, control.value]))

@@ -1,14 +1,15 @@
 // How well the simulated twins of a run fit what was measured: the paper's Fig. 7 for stored trials.
 
-import { all, get } from './api.js'
+import { all, get, withQuery } from './api.js'
 import { boxes } from './boxes.js'
 import { chart } from './chart.js'
 import { NUMERALS } from './contacts.js'
 import { el, facts, fill, pane, panel, say, select } from './dom.js'
 import { about, count, counted, fixed, percent } from './format.js'
 import { sequential } from './frame.js'
+import { BEGUN } from './runwords.js'
 import { scaleBar } from './scalebar.js'
-import { nearest, sensor, skin } from './skin.js'
+import { nearest, sensorOf, skin } from './skin.js'
 import { paper } from './vocabulary.js'
 
 /** Trials of which the voltages are compared one by one: newest with contacts. */
@@ -22,7 +23,7 @@ export function fit({ choose, signal: page }) {
   let runs = null, shown = null, ending = new AbortController(), signal = page, choice = null
 
   async function show(wanted) {
-    try { runs ??= (await all('/runs', {}, { most: 200, signal: page })).filter(run => run.started_at || run.kind === 'imported') } catch (error) { return void say(told, `The runs could not be read: ${error.message}`) }
+    try { runs ??= await all('/runs', BEGUN, { most: 200, signal: page }) } catch (error) { return void say(told, `The runs could not be read: ${error.message}`) }
     const run = runs.find(run => String(run.scan_id) === wanted || run.uid === wanted)
       ?? runs.find(run => run.ended_at) ?? runs[0]
     if (!run) return void say(told, 'No run is stored yet. After the first one, its trials are compared with their simulated twins here.')
@@ -61,6 +62,10 @@ export function fit({ choose, signal: page }) {
     const rmse = boxes({ title: 'RMSE by number of contacts (Fig. 7C)', unit: 'mV', factor: 1e3, label, query, signal })
     const of = key => report.by_contacts.map(one => ({ name: NUMERALS[one.contacts], trials: one.trials, ...one[key] }))
     const sample = el('div', { className: report.by_point.length ? 'column' : 'columns two' })
+    const pairs = chart({ title: `FVU by pair of electrodes, newest ${counted(report.pair_trials, 'trial')} with contacts`, key: 'electrodes', whole: true,
+      x: 'First electrode of the pair', time: false, series: [{ name: 'FVU', bars: true, fill: true, digits: 3 }], range: (_, high) => [0, Math.max(0.1, high * 1.1)],
+      height: 200, label, query, signal })
+    if (report.by_pair.length) fill(sample, pane(pairs.node))
     fill(body, panel('In short', {}, numbers), el('div', { className: 'columns two' }, pane(fvu.node), pane(rmse.node)),
       el('div', { className: 'columns two' }, pane(byForce(report, 'mean_fvu',
         { title: 'Mean FVU by largest force, up to 1.2 (Fig. 7E)', range: [0, 1.2], label, query, signal })),
@@ -69,22 +74,19 @@ export function fit({ choose, signal: page }) {
         : [panel('Mean FVU by place (Fig. 7D)', {}, el('p', { className: 'soft' }, 'No trial with a single tip above the deadband.')), sample])
     fvu.set(of('fvu'))
     rmse.set(of('rmse_v'))
+    pairs.set([report.by_pair.map(pair => pair.electrodes[0]), report.by_pair.map(pair => pair.fvu)])
     await compare(run, sample, label)
   }
 
-  /** Measured against simulated voltages of the newest trials with contacts, and the FVU of each pair of electrodes. */
+  /** Measured against simulated voltages of the newest trials with contacts. */
   async function compare(run, into, label) {
-    const query = { scan_id__eq: run.scan_id, contact_count__gte: 1, limit: SAMPLE, sort: '-trial_id', voltages: true }
+    const query = { scan_id__eq: run.scan_id, contact_count__gte: 1, flagged: false, limit: SAMPLE, sort: '-trial_id', voltages: true }
     const trials = (await get('/trials', query, { signal, wait: 30_000 })).items.filter(trial => trial.sim_voltages_v && trial.voltages_v)
     if (!trials.length) return
-    const words = `newest ${counted(trials.length, 'trial')} with contacts`
-    const dots = scatter({ title: `Measured against simulated voltage, ${words}`, key: 'voltages', label, signal })
-    const pairs = chart({ title: `FVU by pair of electrodes, ${words}`, key: 'electrodes', whole: true, x: 'First electrode of the pair', time: false,
-      series: [{ name: 'FVU', bars: true, fill: true, digits: 3 }], range: (_, high) => [0, Math.max(0.1, high * 1.1)], height: 200, label, signal })
-    fill(into, pane(dots.node), pane(pairs.node))
+    const title = `Measured against simulated voltage, newest ${counted(trials.length, 'trial')} with contacts`
+    const dots = scatter({ title, key: 'voltages', label, query: withQuery('/api/v1/trials', query), signal })
+    into.prepend(pane(dots.node))
     dots.set(trials.flatMap(trial => trial.voltages_v.map((v, i) => [v, trial.sim_voltages_v[i]])))
-    const fvu = pairFvu(trials)
-    pairs.set([fvu.map((_, i) => i), fvu])
   }
   return { node, show }
 }
@@ -98,28 +100,6 @@ export function scatter({ title, key, label, signal, query }) {
       kept = pairs.filter(([a, b], i) => a != null && b != null && i % step === 0).sort((a, b) => a[0] - b[0]), x = kept.map(([a]) => a * 1e3)
     made.set([x, kept.map(([, b]) => b * 1e3), x])
   } }
-}
-
-/** FVU of one frame (Eq. 2); null without variance. */
-export function fvuOf(measured, simulated) {
-  const known = measured.map((v, i) => [v, simulated[i]]).filter(([a, b]) => a != null && b != null)
-  const mean = known.reduce((sum, [a]) => sum + a, 0) / known.length
-  const [apart, variance] = known.reduce(([p, q], [a, b]) => [p + (a - b) ** 2, q + (a - mean) ** 2], [0, 0])
-  return variance > 0 ? apart / variance : null
-}
-
-// As the service watches its twins: over trials and injections, the variance of each reading around its own mean.
-function pairFvu(trials, size = 28) {
-  return Array.from({ length: size }, (_, pair) => {
-    let apart = 0, variance = 0
-    for (let reading = pair; reading < size * size; reading += size) {
-      const known = trials.filter(trial => trial.voltages_v[reading] != null),
-        mean = known.reduce((sum, trial) => sum + trial.voltages_v[reading], 0) / known.length
-      for (const trial of known) { apart += (trial.voltages_v[reading] - trial.sim_voltages_v[reading]) ** 2;
-        variance += (trial.voltages_v[reading] - mean) ** 2 }
-    }
-    return variance > 0 ? apart / variance : null
-  })
 }
 
 function byForce(report, key, { title, unit = '', factor = 1, range, label, query, signal }) {
@@ -156,7 +136,7 @@ function heat(run, report, { label, query, signal }) {
         pen.stroke()
       }
     } })
-  sensor(run.scan_id).catch(() => sensor()).then(view.geometry, () => {})
+  sensorOf(run.scan_id).then(view.geometry, () => {})
   const scale = scaleBar('mean FVU', signal)
   scale.ticks(['0', '0.125', '0.25', '0.375', `${TOP} and more`])
   return [view.node, scale.node]

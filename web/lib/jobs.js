@@ -3,7 +3,7 @@
 import { get, send } from './api.js'
 import { confirm, named, only } from './actions.js'
 import { changing } from './changing.js'
-import { button, el, every, fill, link, note, panel, say, sleep } from './dom.js'
+import { button, el, every, fill, link, panel, say, sleep } from './dom.js'
 import { capital, count, counted, fixed, moment, percent, plain, span, steadyCountOf } from './format.js'
 import { listing } from './listing.js'
 import { live } from './live.js'
@@ -57,23 +57,12 @@ export function jobsPanel({ signal, href, current, onchange }) {
       },
     ],
   })
-  const known = listing('/jobs', { limit: 25, signal }),
-    more = button('More', () => read(true), { hidden: true }),
-    trouble = el('p', { className: 'bad', role: 'status', hidden: true }),
-    node = panel('Jobs', { className: 'live' }, trouble, rows.node, el('div', { className: 'row' }, more))
+  const known = listing('/jobs', { words: 'The jobs', draw, limit: 25, most: 500, signal }),
+    node = panel('Jobs', { className: 'live' }, known.trouble, rows.node, el('div', { className: 'row' }, known.more))
   let before = ''
-  async function read(further) {
-    try {
-      await known.read(further)
-    } catch (error) {
-      if (signal.aborted) return undefined
-      note(trouble, `The jobs could not be read: ${error.message}. Trying again.`)
-      return further && trouble.scrollIntoView({ block: 'nearest' }) // The button is below the rows.
-    }
-    if (signal.aborted) return undefined
-    note(trouble, '')
+  function draw(page) {
+    if (!page) return
     const jobs = known.items
-    more.hidden = !known.next || jobs.length >= 500
     rows.show(jobs)
     const ended = jobs
         .filter(job => !isUnderWay(job))
@@ -81,10 +70,10 @@ export function jobsPanel({ signal, href, current, onchange }) {
         .join(),
       changed = before !== '' && before !== ended
     before = ended || '-'
-    return onchange(jobs, changed)
+    onchange(jobs, changed)
   }
-  every(() => (known.items.some(isUnderWay) ? 2000 : 10_000), () => read(), signal)
-  return { node, read: () => read(), redraw: () => rows.show(known.items), all: () => known.items }
+  every(() => (known.items.some(isUnderWay) ? 2000 : 10_000), () => known.read(), signal)
+  return { node, read: () => known.read(), redraw: () => rows.show(known.items), all: () => known.items }
 }
 
 /** Makes the view of one job; ends what it began when another one is shown. */

@@ -3,7 +3,7 @@
 import { all, ask, send } from './api.js'
 import { actor, confirm, named } from './actions.js'
 import { copyButton } from './copybutton.js'
-import { button, el, fill, panel, select } from './dom.js'
+import { button, el, field, fill, panel, select } from './dom.js'
 import { moment, plain } from './format.js'
 import { table } from './table.js'
 import { vocabulary } from './vocabulary.js'
@@ -37,8 +37,7 @@ export function keys(said, signal) {
         { className: 'plain bad', 'aria-label': `Revoke the key of ${key.name}` }) }],
   })
   const node = panel('Keys', {}, list, el('div', { className: 'form' },
-    el('div', {}, el('label', { htmlFor: 'key-name' }, 'Name of the holder, or the purpose'), name),
-    el('div', {}, el('label', { htmlFor: 'key-role' }, 'Rights'), role)),
+    field('Name of the holder, or the purpose', name), field('Rights', role)),
     el('div', { className: 'row' }, create), made)
   async function load() {
     try {

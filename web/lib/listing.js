@@ -1,31 +1,53 @@
 // A list of the API that is read page by page, and its first page again and again: what was read beyond it stays.
 
 import { get } from './api.js'
+import { button, el, note } from './dom.js'
 
 /**
- * Makes the list at `path`: `items` in the order of the API, `next` while there are more. `read()` reads the first page,
- * `read(true)` the one after what is known; both return the body. `key(item)` tells items apart.
+ * Makes the list at `path`: `items` in the order of the API, at most `most`, and `next` while there are more. `read()` reads
+ * the first page, `read(true)` the one after what is known, as the button `more` does; then `draw(body)` is called, with
+ * null if it failed, which `trouble` states: `words` names the list there. `key(item)` tells items apart; `query` selects them.
  */
-export function listing(path, { limit, signal, key = item => item.id }) {
+export function listing(path, { words, draw, query = {}, limit, most = 1000, signal, key = item => item.id }) {
   let items = []
   let next = null
   let isFurther = false
+  const trouble = el('p', { className: 'bad', role: 'status', hidden: true })
+  const more = button('More', () => read(true), { hidden: true })
+
+  let asked = 0
+  let newest = 0
+  async function read(further = false) {
+    const mine = (asked += 1)
+    more.disabled = further
+    const page = await get(path, { ...query, limit, cursor: further ? next : null }, { signal }).catch(error => ({ error }))
+    more.disabled = false
+    if (signal.aborted || (!further && mine < newest)) return undefined // What was asked later has come before it.
+    newest = mine
+    note(trouble, page.error ? `${words} could not be read: ${page.error.message}.` : '')
+    if (page.error && further) trouble.scrollIntoView({ block: 'nearest' }) // The button is below the rows.
+    if (page.error) return draw(null)
+    take(page, further)
+    return draw(page)
+  }
+  function take(page, further) {
+    const fresh = new Set(page.items.map(key))
+    const others = items.filter(item => !fresh.has(key(item)))
+    isFurther ||= further
+    if (!isFurther) items = page.items
+    else items = further ? [...others, ...page.items] : [...page.items, ...others]
+    if (further || !isFurther) next = page.next ?? null
+    more.hidden = !next || items.length >= most
+  }
   return {
+    more,
+    trouble,
+    read,
     get items() {
       return items
     },
     get next() {
       return next
-    },
-    async read(further = false) {
-      const page = await get(path, { limit, cursor: further ? next : null }, { signal })
-      const fresh = new Set(page.items.map(key))
-      const others = items.filter(item => !fresh.has(key(item)))
-      isFurther ||= further
-      if (!isFurther) items = page.items
-      else items = further ? [...others, ...page.items] : [...page.items, ...others]
-      if (further || !isFurther) next = page.next ?? null
-      return page
     },
   }
 }

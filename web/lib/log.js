@@ -7,6 +7,7 @@ import { vocabulary } from './vocabulary.js'
 import { LOUD } from './words.js'
 
 const KEPT = 400, SHOWN = 80
+const FOLLOWED = -200 // The newest of all, then each as it comes.
 /** Whether a person must not miss an event. */
 export const matters = event => event.importance !== 'routine'
 /** Kinds of which some events matter, as a parameter of a request. */
@@ -21,7 +22,7 @@ export const eventChoice = (state, set) => select([['', 'Only important ones'], 
   { 'aria-label': 'Which events' })
 
 /** Makes the log. `state.log` is 'all' or absent (only important ones). */
-export function eventLog({ state, set, signal, since = -200 }) {
+export function eventLog({ state, set, signal }) {
   let made = new Map(), important = [], lacks = '' // Those that matter, further back than the newest of all; and whether these are not known.
   const kept = [], list = el('ol', { className: 'events scroll', tabIndex: 0, 'aria-label': 'Events, newest first' }), line = el('p',
     { className: 'soft small' })
@@ -37,7 +38,7 @@ export function eventLog({ state, set, signal, since = -200 }) {
     else if (last.length) say(line, wanted.length > SHOWN ? `The newest ${SHOWN} events.` : '')
     else say(line, kept.length ? 'No important events. Select “All events” to see every one.' : 'No events yet.')
   })
-  follow(since, {
+  follow(FOLLOWED, {
     signal, onevent(event) {
       kept.push(event)
       if (kept.length > KEPT) kept.splice(0, kept.length - KEPT)

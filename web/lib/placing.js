@@ -1,7 +1,7 @@
 // A placement of weights: what is asked, what is felt, what may be pressed. No requests; one drawing.
 
 import { capital, fixed, plain } from './format.js'
-import { tips } from './skin.js'
+import { lettering, tips } from './skin.js'
 
 const G = 9.81 // m/s²
 /** Time after which a skin that was not read at rest no longer forbids "Done", ms. */
@@ -139,14 +139,9 @@ function arrow(pen, view, from, to, diameter, tone) {
   pen.fill()
 }
 
-// A text over the points of the skin: with a rim in the colour of the skin, so that it is read.
 function label(pen, view, words, x, y, size, ink, side = 'center') {
   pen.font = `700 ${Math.round(size)}px system-ui, sans-serif`
   pen.textAlign = side
   pen.textBaseline = 'middle'
-  pen.strokeStyle = view.colour('--skin')
-  pen.lineWidth = 5
-  pen.strokeText(words, x, y)
-  pen.fillStyle = ink
-  pen.fillText(words, x, y)
+  lettering(pen, words, x, y, ink, view.colour('--skin'), 5)
 }

@@ -29,7 +29,7 @@ export const band = (likely, low, high) => `${span(likely)} (${span(low)} to ${s
 const metres = mm => (mm >= 1e6 ? fixed(mm / 1e6, 2, 'km') : mm >= 1000 ? about(mm / 1000, 'm') : fixed(mm, 0, 'mm'))
 
 /** Facts of a preflight. */
-export function planFacts(p, more = []) {
+export function planFacts(p) {
   return facts([
     ['Trials', count(p.trials)],
     [p.kind === 'real-random' ? 'Placements' : 'Configurations', count(p.configurations)],
@@ -42,7 +42,6 @@ export function planFacts(p, more = []) {
     p.reference_presses > 0 && ['Reference presses', count(p.reference_presses)],
     ['Disk', bytes(p.disk_bytes)],
     ['Seed', String(p.seed)],
-    ...more,
   ])
 }
 

@@ -4,13 +4,14 @@ import { get } from './api.js'
 import { chart } from './chart.js'
 import { el, fill } from './dom.js'
 import { counted, fixed } from './format.js'
+import { BEGUN } from './runwords.js'
 
 const LIKE = 'Compare equal numbers of tips.'
 const RUNS = 12
 const EACH = 200
 const mean = values => values.reduce((a, b) => a + b, 0) / values.length
 
-/** Makes the section; `show(runs)` reads the newest runs (newest first) and draws their reference presses. */
+/** Makes the section; `show()` reads the newest runs and draws their reference presses. */
 export function references({ label, signal }) {
   const node = el('section', { hidden: true })
 
@@ -22,8 +23,8 @@ export function references({ label, signal }) {
     })
   }
 
-  async function show(runs) {
-    const chosen = runs.filter(run => run.kind === 'real-hex' && run.started_at).slice(0, RUNS)
+  async function show() {
+    const { items: chosen } = await get('/runs', { kind: 'real-hex', ...BEGUN, limit: RUNS }, { signal }).catch(() => ({ items: [] }))
     const found = []
     for (const run of chosen) found.push(...(await pressesOf(run)))
     if (signal.aborted || !found.length) return

@@ -2,18 +2,13 @@
 
 import { get, keep, once, readOnce } from './api.js'
 import { actor } from './actions.js'
-import { el, panel, say, select, set } from './dom.js'
+import { el, field, panel, say, select, set } from './dom.js'
 import { fold } from './fold.js'
 import { capital } from './format.js'
 import { keepForm } from './formstate.js'
 import { slotOf, slotOfTask } from './serves.js'
 import { put, raw } from './toml.js'
 import { vocabulary } from './vocabulary.js'
-
-const field = (words, node, id) => {
-  node.id = id
-  return el('div', { data: { field: id } }, el('label', { htmlFor: id }, words), node)
-}
 
 /** Fills a select. What a person or the address has chosen stays, whatever is read later. */
 function choices(node, list, without) {
@@ -90,7 +85,7 @@ export function trainingForm({ said, onstart, signal }) {
       map,
       maps.map(one => one.map)
     )
-    fields.find(node => node.dataset.field === 'tr-map').hidden = !maps.length
+    map.parentNode.hidden = !maps.length
     show()
   }
   /** The text as the fields have it. */

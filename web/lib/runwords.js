@@ -4,39 +4,27 @@ import { count, fixed, moment, plain, span } from './format.js'
 import { meaning } from './vocabulary.js'
 
 const ENDS = { success: 'finished', stopped: 'stopped', abort: 'aborted', fail: 'failed' }
-const CHOICES = {
-  begun: r => !['queued', 'removed'].includes(r.state),
-  active: r => isActive(r),
-  interrupted: r => r.state === 'interrupted',
-  queued: r => r.state === 'queued',
-  removed: r => r.state === 'removed',
-  all: () => true,
-  success: r => r.exit_status === 'success',
-  stopped: r => r.exit_status === 'stopped',
-  abort: r => r.exit_status === 'abort',
-  fail: r => r.exit_status === 'fail',
-}
+const ACTIVE = 'idle,running,pausing,paused,stopping,aborting,suspending,panicked'
 
-/** Choices of the filter by state: value and words. */
+/** Condition on runs that began: what is listed if the address has none on their state. */
+export const BEGUN = { state__in: `${ACTIVE},interrupted,ended` }
+
+/** Choices of the filter by state: condition and words. */
 export const STATES = [
   ['', 'that began'],
-  ['active', 'active'],
-  ['interrupted', 'interrupted'],
-  ['success', 'finished'],
-  ['stopped', 'stopped'],
-  ['abort', 'aborted'],
-  ['fail', 'failed'],
-  ['queued', 'queued'],
-  ['removed', 'removed from the queue'],
-  ['all', 'all'],
+  [`state__in=${ACTIVE}`, 'active'],
+  ['state=interrupted', 'interrupted'],
+  ['exit_status=success', 'finished'],
+  ['exit_status=stopped', 'stopped'],
+  ['exit_status=abort', 'aborted'],
+  ['exit_status=fail', 'failed'],
+  ['state=queued', 'queued'],
+  ['state=removed', 'removed from the queue'],
+  ['scan_id__gte=1', 'all'],
 ]
 
 /** Whether a run holds the rig. */
 export const isActive = run => !['queued', 'removed', 'ended', 'interrupted'].includes(run.state)
-
-/** Whether a run is in the selection of the address { label, kind, state }. */
-export const isWanted = (run, { label, kind, state }) =>
-  (!label || run.label === label) && (!kind || run.kind === kind) && (CHOICES[state || 'begun'] ?? CHOICES.all)(run)
 
 /** State or end in one word. */
 export const endWord = run => (run.state === 'ended' ? (ENDS[run.exit_status] ?? plain(run.exit_status ?? 'ended')) : plain(run.state))

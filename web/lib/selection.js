@@ -1,23 +1,35 @@
-// The selection of trials: conditions of the address as controls, and as chips those that have none.
+// Selections of runs and trials: conditions of the address; those of trials as controls, all others as chips.
 
-import { button, el, fill, panel, select } from './dom.js'
+import { button, el, field, fill, panel, select } from './dom.js'
 import { plain } from './format.js'
 import { vocabulary } from './vocabulary.js'
 
-/** Parameters of the page that are no condition on trials: its own, and those of its charts. */
-const OWN = ['trial', 'sort', 'scale']
-const isOwn = key => OWN.includes(key) || /^(zoom|hide)-/.test(key)
+/** Parameters of a page that are no condition: what is opened and how it is drawn, apart from its charts and folds. */
+const OWN = { trials: ['trial', 'sort', 'scale'], runs: ['run', 'with', 'from', 'to', 'night', 'event', 'colour', 'step', 'log'] }
 const COMPARES = { eq: '=', gt: '>', gte: '≥', lt: '<', lte: '≤', in: 'one of' }
 
-/** The conditions of an address, as the API takes them. */
-export function conditions(query) {
-  return Object.fromEntries(Object.entries(query).filter(([key, value]) => !isOwn(key) && value !== ''))
+/** The conditions of the address of a page, `trials` or `runs`, as the API takes them. */
+export function conditions(query, page = 'trials') {
+  return Object.fromEntries(Object.entries(query).filter(([key, value]) => value !== '' && !OWN[page].includes(key) && !/^(zoom|hide|open)-/.test(key)))
 }
 
 /** A condition as text: `fvu__gte`, 0.5 -> "FVU ≥ 0.5". */
 function condition(key, value) {
   const [column, compare = 'eq'] = key.split('__')
   return key === 'where' ? value : `${plain(column)} ${COMPARES[compare] ?? compare} ${value}`
+}
+
+/** Makes a button for each condition, which removes it, and one that removes all; `also` is changed with them. */
+export function chips(rest, all, set, also = {}) {
+  const chip = ([key, value]) =>
+    button([condition(key, value), ' ×'].join(''), () => set({ ...also, [key]: null }), {
+      className: 'chip',
+      'aria-label': `Remove the condition ${condition(key, value)}`,
+    })
+  return [
+    rest.map(chip),
+    all.length > 0 && button('Clear all', () => set({ ...also, ...Object.fromEntries(all.map(([key]) => [key, null])) }), { className: 'plain' }),
+  ]
 }
 
 /**
@@ -29,10 +41,7 @@ export function selection({ set, said }) {
     (key, also = {}) =>
     value =>
       set({ ...also, [key]: value || null, trial: null })
-  const labelled = (words, node) => {
-    node.id = `f-${words.toLowerCase().replace(/[^a-z]+/g, '-')}`
-    return el('div', {}, el('label', { htmlFor: node.id }, words), node)
-  }
+  const labelled = (words, node) => field(words, node, `f-${words.toLowerCase().replace(/[^a-z]+/g, '-')}`)
   const number = (key, props = {}) =>
     el('input', { type: 'number', step: 'any', inputMode: 'decimal', name: key, ...props, onchange: event => change(key)(event.target.value) })
   const choice = (key, choices) => select(choices, '', change(key), { name: key })
@@ -68,7 +77,7 @@ export function selection({ set, said }) {
     '',
     value => set({ sort: value || null })
   )
-  const chips = el('div', { className: 'chips', role: 'group', 'aria-label': 'Conditions' })
+  const others = el('div', { className: 'chips', role: 'group', 'aria-label': 'Conditions' })
   const form = el(
     'div',
     { className: 'form trial-filters' },
@@ -83,7 +92,7 @@ export function selection({ set, said }) {
     labelled('Label', controls.label),
     labelled('Order', order)
   )
-  const node = panel('Selection', {}, form, chips, said)
+  const node = panel('Selection', {}, form, others, said)
   let known = ''
   return {
     node,
@@ -106,16 +115,7 @@ export function selection({ set, said }) {
       order.value = query.sort === 'trial_id' ? 'trial_id' : ''
       const all = Object.entries(conditions(query))
       const rest = all.filter(([key]) => !(key in controls) && !['flag', 'flagged'].includes(key))
-      const chip = ([key, value]) =>
-        button([condition(key, value), ' ×'].join(''), () => set({ [key]: null, trial: null }), {
-          className: 'chip',
-          'aria-label': `Remove the condition ${condition(key, value)}`,
-        })
-      fill(
-        chips,
-        rest.map(chip),
-        all.length > 0 && button('Clear all', () => set(Object.fromEntries([...all.map(([key]) => [key, null]), ['trial', null]])), { className: 'plain' })
-      )
+      fill(others, chips(rest, all, set, { trial: null }))
     },
   }
 }

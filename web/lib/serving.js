@@ -2,7 +2,7 @@
 
 import { ask, once } from './api.js'
 import { actor, confirm, named, only } from './actions.js'
-import { button, el, fill, link, panel } from './dom.js'
+import { button, el, link, note, panel } from './dom.js'
 import { fold } from './fold.js'
 import { capital, moment } from './format.js'
 import { who } from './live.js'
@@ -21,10 +21,30 @@ export function servingPanel({ signal, said, name, onchange }) {
   let etag = null,
     serves = [],
     history = []
-  const slots = table({ columns: [], rows: [] }),
-    past = table({ columns: [], rows: [] })
-  const holder = el('div', {}, slots.node),
-    record = el('div', {}, past.node)
+  const slots = table({
+    empty: '',
+    columns: [
+      { head: 'Slot', left: true, cell: one => capital(slotOf(one.slot).title) },
+      { head: 'Used by', left: true, cell: one => useOf(one.slot) },
+      { head: 'Serves', left: true, cell: one => words(one.what) },
+      { head: 'Since', left: true, cell: one => (!one.what ? '' : since(one.slot) ? `${moment(since(one.slot).at)} by ${since(one.slot).who}` : null) },
+      {
+        head: 'Change',
+        cell: one => (one.what ? only('operator', button('Roll back', () => rollBack(one.slot), { 'aria-label': `Roll back ${slotOf(one.slot).title}` })) : ''),
+      },
+    ],
+  })
+  const past = table({
+    empty: 'Nothing was promoted yet.',
+    columns: [
+      { head: 'When', left: true, cell: one => moment(one.at, true) },
+      { head: 'What', left: true, cell: one => (one.rolled_back ? `rolled back to ${one.what ?? 'nothing'}` : `promoted ${one.what}`) },
+      { head: 'Slot', left: true, cell: one => one.slot },
+      { head: 'Who', left: true, cell: one => one.who },
+      { head: 'Why', left: true, cell: one => one.why },
+    ],
+  })
+  const trouble = el('p', { className: 'bad', hidden: true })
   const words = id =>
     id == null
       ? el('span', { className: 'soft' }, 'nothing')
@@ -66,44 +86,18 @@ export function servingPanel({ signal, said, name, onchange }) {
     if (sure && (await named())) await change(`Promote ${name(what)}`, '/serving', { what })
   }
   function draw() {
-    const shown = table({
-      rows: serves,
-      columns: [
-        { head: 'Slot', left: true, cell: one => capital(slotOf(one.slot).title) },
-        { head: 'Used by', left: true, cell: one => useOf(one.slot) },
-        { head: 'Serves', left: true, cell: one => words(one.what) },
-        { head: 'Since', left: true, cell: one => (!one.what ? '' : since(one.slot) ? `${moment(since(one.slot).at)} by ${since(one.slot).who}` : null) },
-        {
-          head: 'Change',
-          cell: one =>
-            one.what ? only('operator', button('Roll back', () => rollBack(one.slot), { 'aria-label': `Roll back ${slotOf(one.slot).title}` })) : '',
-        },
-      ],
-    })
-    fill(holder, shown.node)
-    fill(
-      record,
-      table({
-        rows: history.slice(0, 20),
-        empty: 'Nothing was promoted yet.',
-        columns: [
-          { head: 'When', left: true, cell: one => moment(one.at, true) },
-          { head: 'What', left: true, cell: one => (one.rolled_back ? `rolled back to ${one.what ?? 'nothing'}` : `promoted ${one.what}`) },
-          { head: 'Slot', left: true, cell: one => one.slot },
-          { head: 'Who', left: true, cell: one => one.who },
-          { head: 'Why', left: true, cell: one => one.why },
-        ],
-      }).node
-    )
+    slots.show(serves)
+    past.show(history.slice(0, 20))
   }
   async function read() {
     try {
       const answer = await ask('/api/v1/serving', { signal })
       etag = answer.headers.get('etag')
       ;({ serves, history } = await answer.json())
+      note(trouble, '')
       draw()
     } catch (error) {
-      if (!signal.aborted) fill(holder, el('p', { className: 'bad' }, `The active models cannot be read: ${error.message}`))
+      if (!signal.aborted) note(trouble, `The active models cannot be read: ${error.message}`)
     }
   }
 
@@ -125,8 +119,9 @@ export function servingPanel({ signal, said, name, onchange }) {
   const node = panel(
     'Active models',
     { className: 'live' },
-    holder,
-    fold('promotions', 'History of promotions', { signal }, record),
+    trouble,
+    slots.node,
+    fold('promotions', 'History of promotions', { signal }, past.node),
     only(
       'operator',
       fold(
@@ -139,5 +134,5 @@ export function servingPanel({ signal, said, name, onchange }) {
       )
     )
   )
-  return { node, read, draw, promote, serves: () => serves }
+  return { node, read, draw, promote }
 }

@@ -18,6 +18,9 @@ export function sensor(run) {
   return known.get(key)
 }
 
+/** The same; where that of the run is not readable, the one under the rig. */
+export const sensorOf = run => sensor(run).catch(() => sensor())
+
 /**
  * Makes a drawing of the skin. `draw(pen, view)` draws over outline and electrodes, in pixels:
  * `view.x(mm)`, `view.y(mm)`, `view.scale` (pixels per mm), `view.colour(name)`. `onpick(mm, event)`
@@ -133,6 +136,15 @@ export function nearest(places, [x, y], within = Infinity) {
     if (d < least) { least = d; best = i }
   })
   return best
+}
+
+/** Writes a text over what is drawn, with a rim, so that it is read on every colour. Font and alignment are those of the pen. */
+export function lettering(pen, words, x, y, ink, rim, width = 4) {
+  pen.lineWidth = width
+  pen.strokeStyle = rim
+  pen.strokeText(words, x, y)
+  pen.fillStyle = ink
+  pen.fillText(words, x, y)
 }
 
 /** Draws tips to scale. */

@@ -17,25 +17,27 @@ const wide = (x, y, step) => [
 const words = n => (n === 0 ? 'no contact' : counted(n, 'contact'))
 
 /** Reads columns of the first rows of a list of the API as NDJSON, page by page; resolves to { rows, more }. */
-export async function columnsOf(path, query, columns, { most = MOST, signal } = {}) {
+export async function columnsOf(path, query, columns, { signal }) {
   const rows = []
-  for (let at = withQuery(`/api/v1${path}`, { ...query, columns: columns.join(), format: 'ndjson', limit: Math.min(most, 1000) }); at;) {
+  for (let at = withQuery(`/api/v1${path}`, { ...query, columns: columns.join(), format: 'ndjson', limit: 1000 }); at;) {
     const response = await ask(at, { accept: 'application/x-ndjson', signal, wait: 20_000 })
     const text = await response.text()
     for (const line of text.split('\n')) if (line) rows.push(JSON.parse(line))
     at = /<([^>]+)>;\s*rel="?next"?/.exec(response.headers.get('link') ?? '')?.[1]
-    if (rows.length >= most) return { rows: rows.slice(0, most), more: Boolean(at) }
+    if (rows.length >= MOST) return { rows: rows.slice(0, MOST), more: Boolean(at) }
   }
   return { rows, more: false }
 }
 
-/** Makes the three charts; `show(rows, more)` draws them. */
-export function spread({ signal, label }) {
+/** Makes the three charts; `show(rows, more)` draws them. `query()` are the conditions: the service groups all that meet them. */
+export function spread({ signal, label, query }) {
+  const groups = by => () => withQuery('/api/v1/trials/groups', { ...query(), ...by })
   const common = { time: false, height: 190, signal, label }
   const force = chart({
     ...common,
     title: 'Largest force of a trial',
     key: 'largest',
+    query: groups({ bin: 'max_force_n:2' }),
     x: 'Largest force',
     xUnit: 'N',
     y: 'Trials',
@@ -45,6 +47,7 @@ export function spread({ signal, label }) {
     ...common,
     title: 'Contacts of a trial',
     key: 'contacts',
+    query: groups({ group_by: 'contact_count' }),
     whole: true,
     x: 'Contacts',
     y: 'Trials',
@@ -54,6 +57,7 @@ export function spread({ signal, label }) {
     ...common,
     title: 'FVU over largest force',
     key: 'fvu',
+    query: () => withQuery('/api/v1/trials', { ...query(), columns: 'trial_id,max_force_n,contact_count,fvu', format: 'csv', limit: MOST }),
     x: 'Largest force',
     xUnit: 'N',
     y: 'FVU',

@@ -4,7 +4,7 @@
 import { colour, dark, el, fill } from './dom.js'
 import { fixed } from './format.js'
 import { sequential, strip } from './frame.js'
-import { skin } from './skin.js'
+import { lettering, skin } from './skin.js'
 
 const SAME_MM = 40, SDS = 2
 
@@ -107,11 +107,7 @@ export function touchMap({ signal, label, query }) {
       const words = `${contact.number}: ${contact.force_n == null ? 'force unknown' : fixed(contact.force_n, 1, 'N')}`
       const right = x + r + 6 + 90 < view.width
       pen.textAlign = right ? 'left' : 'right'
-      pen.lineWidth = 4
-      pen.strokeStyle = ink.ground
-      pen.strokeText(words, right ? x + r + 6 : x - r - 6, y)
-      pen.fillStyle = ink.text
-      pen.fillText(words, right ? x + r + 6 : x - r - 6, y)
+      lettering(pen, words, right ? x + r + 6 : x - r - 6, y, ink.text, ink.ground)
     }
   }
 

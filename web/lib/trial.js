@@ -5,7 +5,7 @@ import { colour, el, facts, fill, note, panel, pane, select } from './dom.js'
 import { NONE, about, capital, count, counted, fixed, moment, plain, span } from './format.js'
 import { frame, minus, round125 } from './frame.js'
 import { shows } from './save.js'
-import { sensor, skin, tips } from './skin.js'
+import { lettering, sensorOf, skin, tips } from './skin.js'
 import { table } from './table.js'
 import { meaning } from './vocabulary.js'
 
@@ -132,19 +132,13 @@ export function trialView({ signal, href, onscale }) {
       left = px0 > view.width - 70 || (x < middle - 1 && px0 > 70)
     pen.textBaseline = 'middle'
     pen.textAlign = left ? 'right' : 'left'
-    pen.lineWidth = 4
-    pen.strokeStyle = view.colour('--skin')
     pen.font = '600 14px system-ui, sans-serif'
     const px = px0 + (left ? -gap : gap),
       py = view.y(y)
-    pen.strokeText(force, px, py)
-    pen.fillStyle = view.colour('--ink')
-    pen.fillText(force, px, py)
+    lettering(pen, force, px, py, view.colour('--ink'), view.colour('--skin'))
     if (!arm || view.width < 340) return
     pen.font = '11px system-ui, sans-serif'
-    pen.strokeText(arm, px, py + 14)
-    pen.fillStyle = view.colour('--soft')
-    pen.fillText(arm, px, py + 14)
+    lettering(pen, arm, px, py + 14, view.colour('--soft'), view.colour('--skin'))
   }
   function markDepth(u) {
     if (row?.depth_mm == null) return
@@ -283,7 +277,7 @@ export function trialView({ signal, href, onscale }) {
       curves(siblings)
       frames(context)
       map.redraw()
-      const shape = await sensor(row.scan_id).catch(() => sensor().catch(() => null))
+      const shape = await sensorOf(row.scan_id).catch(() => null)
       if (signal.aborted || row !== next) return
       if (shape) {
         diameter = shape.tip_diameter_mm

@@ -5,7 +5,6 @@ import { changing } from './changing.js'
 import { el, every, link, panel, say } from './dom.js'
 import { about, count, fixed, plain } from './format.js'
 import { table } from './table.js'
-import { TONE } from './words.js'
 
 const PERIOD_MS = 5000
 const LEVELS = { ok: 'The model fits the skin.', warn: 'The fit is worse than it should be: look at the pairs.',
@@ -40,7 +39,7 @@ export function twins(signal) {
         rolling && ['Pairs over their limit', count(rolling.pairs_over_limit)]])
     const worst = rolling?.worst_pairs.map(pair => `${pair.electrodes.join('–')} (${fixed(pair.fvu, 2)})`).join(', ')
     say(verdict, !rolling ? '' : `${LEVELS[rolling.level] ?? plain(rolling.level)}${worst ? ` Worst pairs of electrodes, by FVU: ${worst}.` : ''}`)
-    verdict.className = TONE[rolling?.level] ?? { ok: 'good', warn: 'warn', suspend: 'bad' }[rolling?.level] ?? 'soft'
+    verdict.className = { ok: 'good', warn: 'warn', suspend: 'bad' }[rolling?.level] ?? 'soft'
     say(error, pool.last_error ? `Last failure: ${pool.last_error}` : '')
     runs.show(rows.slice(0, 20).map(row => ({ ...row, name: names.get(row.run) })))
   }

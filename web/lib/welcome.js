@@ -17,8 +17,9 @@ export function welcome({ said }) {
     el('p', {}, 'No run is stored here yet. The quickstart is a small campaign that shows all parts.'), steps, offer, said.node,
     el('p', { className: 'soft' }, 'Other experiments, or a file of your own: ', link('/queue', 'the queue'), '. What the rig reports: ', link('/rig',
       'the rig'), '.'))
-  let made = null, trials = null, shown = ''
-  const tell = queued => {
+  let made = null, trials = null, shown = '', next = null
+  const tell = () => {
+    const queued = next
     const isVirtual = live.status?.rig.label === 'virtual', what = queued ? `Run ${queued.scan_id}, ${queued.experiment}, is` : 'The quickstart is queued,'
     const size = queued?.trials_planned ?? trials
     fill(steps, [
@@ -43,10 +44,11 @@ export function welcome({ said }) {
       const words = queued ? `Arm and start ${queued.experiment}` : 'Run the quickstart'
       fill(offer, el('div', { className: 'row' }, actor(words, quiet(said), () => begin(queued), { className: 'main large' })),
         !live.may('operator') && el('p', { className: 'soft' }, 'Starting needs a key with the role operator: see ', link('/settings', 'the settings'), '.'))
-      tell(queued)
+      next = queued
+      tell()
       if (trials == null) {
         trials = await carried().then(items => items.find(item => item.name === QUICKSTART)?.trials ?? null, () => null)
-        tell(queued)
+        tell() // Of the run that is next by then.
       }
     },
   }

@@ -2,7 +2,7 @@
 
 import { keep, once } from '../lib/api.js'
 import { actor, only, outcome } from '../lib/actions.js'
-import { button, el, fill, note, panel } from '../lib/dom.js'
+import { el, fill, panel } from '../lib/dom.js'
 import { bytes, count, counted, moment } from '../lib/format.js'
 import { contactColumns, datasetView, partsWords } from '../lib/dataset.js'
 import { exportsPanel } from '../lib/exports.js'
@@ -26,13 +26,12 @@ const EXAMPLE = 'name = "strong"\ntask = "real"\nwhere = ["max_force_n__gt=20"]\
 
 /** Shows the page. */
 export async function show(root, { query, signal, set, go }) {
-  const known = listing('/datasets', { limit: 50, signal })
+  const known = listing('/datasets', { words: 'The datasets', draw, limit: 50, signal })
   let items = [],
     names = []
   const said = outcome(),
     files = exportsPanel({ signal }),
-    told = el('span'),
-    trouble = el('p', { className: 'bad', role: 'status', hidden: true })
+    told = el('span')
   const view = datasetView({
     signal,
     go: set,
@@ -58,8 +57,7 @@ export async function show(root, { query, signal, set, go }) {
       { head: 'Made', cell: item => el('span', {}, moment(item.created_at), newest(item) ? '' : el('span', { className: 'soft' }, ' (older)')) },
     ],
   })
-  const more = button('More', () => read(true), { hidden: true }),
-    offered = el('div', { className: 'offers' })
+  const offered = el('div', { className: 'offers' })
 
   // Making one: by a name, or by the text of a definition.
   // A text is too long for an address: it is kept in this tab.
@@ -111,26 +109,18 @@ export async function show(root, { query, signal, set, go }) {
       make('Make the dataset', () => ({ toml: text.value }), { className: 'main' })
     )
   )
-  const listPanel = panel('Datasets', { aside: told }, trouble, list.node, el('div', { className: 'row' }, more))
+  const listPanel = panel('Datasets', { aside: told }, known.trouble, list.node, el('div', { className: 'row' }, known.more))
   const makePanel = only('operator', panel('Make one of the trials stored now', {}, offered, own, said.node))
   root.append(view.node, listPanel, makePanel, files.node)
 
   function made(item) {
-    read()
+    known.read()
     view.forget()
     go(`/data?dataset=${item.name}`, { replace: query.dataset === item.name })
   }
-  async function read(further) {
-    try {
-      names = (await known.read(further)).definitions
-      items = known.items
-      note(trouble, '')
-    } catch (error) {
-      if (!signal.aborted) note(trouble, `The datasets cannot be read: ${error.message}`)
-      if (further) trouble.scrollIntoView({ block: 'nearest' }) // The button is below the rows.
-    }
-    if (signal.aborted) return
-    more.hidden = !known.next
+  function draw(page) {
+    items = known.items
+    names = page?.definitions ?? names
     fill(told, items.length ? `${known.next ? 'first ' : ''}${counted(items.length, 'dataset')}, newest first` : '')
     list.show(items)
     const line = name => {
@@ -154,6 +144,6 @@ export async function show(root, { query, signal, set, go }) {
   live.addEventListener('caller', () => list.show(items), { signal }) // What an empty list says depends on the role.
   files.choose(query.dataset ?? 'real')
   view.show(query)
-  await read() // The rows move what is below them, as the part of a link to #exports.
+  await known.read() // The rows move what is below them, as the part of a link to #exports.
   return { update }
 }

@@ -139,15 +139,15 @@ export async function show(root, { query, signal, set }) {
       Object.assign(page.dataset, { arrived, drawn: drawings }) // For those who count them.
       since = performance.now()
     }
+    numbers.hidden = lists.hidden = !answer
     const sum = answer?.contacts.reduce((newtons, c) => newtons + (c.force_n ?? 0), 0)
-    changing(numbers, [
-      ['Contacts', answer ? String(answer.contacts.length) : '–'], ['Total force', fixed(sum, 1, 'N')],
-      answer?.averaged != null && ['Averaged', counted(Math.round(answer.averaged), 'frame')],
+    if (answer) changing(numbers, [
+      ['Contacts', String(answer.contacts.length)], ['Total force', fixed(sum, 1, 'N')],
+      answer.averaged != null && ['Averaged', counted(Math.round(answer.averaged), 'frame')],
       ['Latency', rates.latency], ['Answers', rates.answers], ['Drawn', rates.drawn],
       // A rig that is faster than the clock sends more than anyone can look at.
       live.status?.rig.clock_rate <= 1 && ['Missing, last minute', missingWords(lost.last(), rates.isSlow)],
     ])
-    lists.hidden = !answer
     const list = answer?.contacts.some(contact => contact.presence != null) ? proposed : placed
     if (lists.firstChild !== list.node) fill(lists, list.node)
     const contacts = [...answer?.contacts ?? []].sort((a, b) => a.number - b.number)

@@ -6,10 +6,10 @@ import { get, send } from '../lib/api.js'
 import { asked, contactList, contactsText, most, parseContacts, within } from '../lib/presslist.js'
 import { dent } from '../lib/dent.js'
 import { button, el, facts, fill, note, pane, panel, say, select } from '../lib/dom.js'
-import { fit, fvuOf, scatter } from '../lib/fit.js'
+import { fit, scatter } from '../lib/fit.js'
 import { about, counted, fixed } from '../lib/format.js'
 import { frame, minus } from '../lib/frame.js'
-import { sensor, skin, tips } from '../lib/skin.js'
+import { lettering, sensorOf, skin, tips } from '../lib/skin.js'
 import { twins } from '../lib/twinpool.js'
 import { workers } from '../lib/workers.js'
 
@@ -121,7 +121,7 @@ export async function show(root, { query, signal, set }) {
     const mine = cut, begun = performance.now()
     const slow = setTimeout(() => { if (!mine.signal.aborted) note(told, SLOW) }, SLOW_MS)
     try {
-      const answer = await send('/simulations', { contacts: asked(state.contacts), run: state.run || state.trial?.run || null },
+      const answer = await send('/simulations', { contacts: asked(state.contacts), run: state.run || state.trial?.run || null, trial: state.trial?.trial_id ?? null },
         { signal: AbortSignal.any([signal, mine.signal]), wait: 120_000 })
       clearTimeout(slow)
       if (mine.signal.aborted) return
@@ -142,14 +142,14 @@ export async function show(root, { query, signal, set }) {
     drawFrame()
   }
   function tell(round) {
-    const { answer, trial } = state, fvu = trial?.voltages_v && fvuOf(trial.voltages_v, answer.voltages_v)
+    const { answer, trial } = state
     told.className = 'said'
     note(told, '')
     fill(numbers, facts([['Deepest', fixed(bendMost(answer), 2, 'mm')],
       ['Sum of forces', fixed(answer.contacts.reduce((sum, c) => sum + c.force_n, 0), 1, 'N')], ['Computed in', fixed(answer.took_ms, 1, 'ms')],
       ['Throughput', `${about(1000 / answer.took_ms)}\u202f/s`],
       ['Until shown', fixed(round, 0, 'ms')], ['Model', answer.model],
-        ...(trial ? [['FVU of this', fixed(fvu, 3)], ['FVU of its twin', fixed(trial.fvu, 3)]] : [])]))
+        ...(trial ? [['FVU of this', fixed(answer.fvu, 3)], ['FVU of its twin', fixed(trial.fvu, 3)]] : [])]))
   }
   const bendMost = answer => answer.dent_mm.values.reduce((a, b) => Math.max(a, b), 0)
 
@@ -173,16 +173,12 @@ export async function show(root, { query, signal, set }) {
     tips(pen, view, state.contacts.map(c => [c.x_mm, c.y_mm]), shape.tip_diameter_mm, { stroke: view.colour('--ink'), width: 2 })
     pen.font = '600 12px system-ui, sans-serif'
     pen.textBaseline = 'middle'
-    pen.strokeStyle = view.colour('--skin')
-    pen.fillStyle = view.colour('--ink')
-    pen.lineWidth = 4
     state.contacts.forEach((contact, i) => {
       const force = contact.kind === 'force_n' ? contact.value : state.answer?.contacts?.[i]?.force_n, words = `${i + 1}: ${fixed(force, 1, 'N')}`
       const left = contact.x_mm > shape.width_mm - 90, x = view.x(contact.x_mm) + (left ? -1 : 1) * (shape.tip_diameter_mm / 2 * view.scale + 6),
         y = view.y(contact.y_mm)
       pen.textAlign = left ? 'right' : 'left'
-      pen.strokeText(words, x, y)
-      pen.fillText(words, x, y)
+      lettering(pen, words, x, y, view.colour('--ink'), view.colour('--skin'))
     })
   }
   function describe() {
@@ -230,7 +226,7 @@ export async function show(root, { query, signal, set }) {
     drawn.redraw()
     drawFrame()
   }
-  sensor(query.run).catch(() => sensor()).then(shape => { drawn.geometry(shape) },
+  sensorOf(query.run).then(shape => { drawn.geometry(shape) },
     error => { note(told, `The skin is not known: ${error.message}`) }).then(() => update(newest))
   return { update }
 }

@@ -16,7 +16,7 @@ import { meaning } from '../lib/vocabulary.js'
 
 /** Shows the page. */
 export async function show(root, { query, signal, go }) {
-  const known = listing('/models', { limit: 50, signal })
+  const known = listing('/models', { words: 'The models', draw: drawModels, limit: 50, signal })
   let models = [],
     datasets = []
   const said = outcome(),
@@ -28,7 +28,7 @@ export async function show(root, { query, signal, go }) {
     said,
     name,
     onchange: () => {
-      readModels()
+      known.read()
       view.forget()
       view.show(query.model)
     },
@@ -62,9 +62,8 @@ export async function show(root, { query, signal, go }) {
       },
     ],
   })
-  const more = button('More', () => readModels(true), { hidden: true }),
-    told = el('span')
-  const modelsPanel = panel('Models', { aside: told }, list.node, el('div', { className: 'row' }, more))
+  const told = el('span')
+  const modelsPanel = panel('Models', { aside: told }, known.trouble, list.node, el('div', { className: 'row' }, known.more))
 
   // Evaluations side by side: what has ended, newest first.
   const scores = el('div')
@@ -97,7 +96,7 @@ export async function show(root, { query, signal, go }) {
         seen = key
         drawScores(found)
       }
-      if (ended) readModels()
+      if (ended) known.read()
     },
   })
   const onstart = job => {
@@ -109,15 +108,8 @@ export async function show(root, { query, signal, go }) {
   // Both are refused to a viewer.
   const forms = only('operator', el('div', { className: 'columns two' }, training.node, evaluation.node))
 
-  async function readModels(further) {
-    try {
-      await known.read(further)
-      models = known.items
-    } catch (error) {
-      if (!signal.aborted) said.tell(`The models cannot be read: ${error.message}`, 'bad')
-    }
-    if (signal.aborted) return
-    more.hidden = !known.next
+  function drawModels() {
+    models = known.items
     fill(told, models.length ? `${known.next ? 'first ' : ''}${counted(models.length, 'model')}, newest first` : '')
     list.show(models)
     serving.draw()
@@ -170,6 +162,6 @@ export async function show(root, { query, signal, go }) {
   view.show(query.model)
   serving.read()
   readDatasets()
-  readModels().then(() => !signal.aborted && work.show(query.job)) // A result names its nets.
+  known.read().then(() => !signal.aborted && work.show(query.job)) // A result names its nets.
   return { update }
 }

@@ -13,7 +13,8 @@ import { age, bytes, capital, count, countOf, counted, fixed, moment, momentBand
 import { history } from '../lib/history.js'
 import { live } from '../lib/live.js'
 import { eventLog } from '../lib/log.js'
-import { sensor } from '../lib/skin.js'
+import { BEGUN } from '../lib/runwords.js'
+import { sensorOf } from '../lib/skin.js'
 import { COLOURINGS, tourMap } from '../lib/tourmap.js'
 import { backlog } from '../lib/twinpool.js'
 import { meaning } from '../lib/vocabulary.js'
@@ -157,13 +158,13 @@ export async function show(root, { query, signal, set }) {
     const mine = changes += 1, left = () => signal.aborted || mine !== changes
     run = live.status?.run ?? null
     try {
-      const { items } = await get('/runs', { limit: 20 }, { signal })
-      last = items.find(one => one.uid === run?.uid) ?? items.find(one => !['queued', 'removed'].includes(one.state)) ?? null
+      const found = run ? await get(`/runs/${run.uid}`, {}, { signal }) : (await get('/runs', { ...BEGUN, limit: 1 }, { signal })).items[0] ?? null
+      if (left()) return
+      last = found
     } catch (error) {
       if (!mode && !left()) fill(root, pane(el('p', { className: 'bad' }, `The runs could not be read: ${error.message}. Trying again.`)))
       return
     }
-    if (left()) return
     unread = false
     arrange()
     const of = run ?? last
@@ -187,10 +188,11 @@ export async function show(root, { query, signal, set }) {
       if (of.uid !== (run ?? last)?.uid) return
       tour = read
       say(skinWords, '')
-    } catch (error) { say(skinWords, `There is no tour to draw: ${error.message}.`) }
+    } catch (error) { if (of.uid === (run ?? last)?.uid) say(skinWords, `There is no tour to draw: ${error.message}.`) }
   }
   async function readShape(of) {
-    try { shape = await sensor(of.scan_id) } catch { shape = await sensor().catch(() => null) }
+    const read = await sensorOf(of.scan_id).catch(() => null)
+    if (of.uid === (run ?? last)?.uid) shape = read
   }
   let storedThen = -1
   async function readProgress() {

@@ -12,7 +12,7 @@ import { lockWords } from '../lib/lock.js'
 import { manual } from '../lib/manual.js'
 import { overlay } from '../lib/overlay.js'
 import { STAGES, drawPlacement, feltOf, isRead, kilograms, newtons, notYet, present, rest, spot, verdict } from '../lib/placing.js'
-import { sensor, skin } from '../lib/skin.js'
+import { sensorOf, skin } from '../lib/skin.js'
 
 const PERIOD_MS = 333
 const KEYS = ['Enter', ' ', 'PageDown']
@@ -91,7 +91,7 @@ function placing(signal) {
 
   function take(placement) {
     const other = placement.trial !== state.placement?.trial || placement.run !== state.placement?.run
-    if (placement.run !== state.placement?.run) sensor(placement.run).catch(() => sensor()).then(view.geometry, () => {})
+    if (placement.run !== state.placement?.run) sensorOf(placement.run).then(view.geometry, () => {})
     // The weight of the address is that of the placement at which the page was opened.
     if (other) Object.assign(state, { chosen: state.placement ? null : state.chosen, refused: '' })
     if (!placement.contacts.some(({ number }) => number === state.chosen)) state.chosen = null

@@ -1,21 +1,24 @@
-// Runs: what happened? The history, newest first; `run=N` opens the report of one, `with=M` compares two.
+// Runs: what happened? The history, newest first, by the conditions of the address, as `exit_status=fail`; `run=N` opens the
+// report of one, `with=M` compares two.
 
 import { get, withQuery } from '../lib/api.js'
 import { outcome } from '../lib/actions.js'
 import { beginButton } from '../lib/begin.js'
 import { compare } from '../lib/compare.js'
-import { button, el, every, fill, link, note, panel, select, sleep } from '../lib/dom.js'
+import { el, every, fill, link, panel, select, sleep } from '../lib/dom.js'
 import { NONE, age, count, counted, moment, span } from '../lib/format.js'
 import { listing } from '../lib/listing.js'
 import { live } from '../lib/live.js'
 import { report } from '../lib/report.js'
-import { STATES, endWord, isWanted, runTone } from '../lib/runwords.js'
+import { BEGUN, STATES, endWord, runTone } from '../lib/runwords.js'
+import { chips, conditions } from '../lib/selection.js'
 import { table } from '../lib/table.js'
 
 const PAGE = 50
-const PAGES_MOST = 6
 const AT_ONCE = 3
 const EVERY_MS = 10_000
+// With one of these in the address, runs that have not begun are listed, too.
+const ON_STATE = /^(state|exit_status|scan_id|where)(__|$)/
 const lasted = (summary, run) => span(summary.duration_s ?? (run.state === 'interrupted' ? null : age(run.started_at)))
 
 /** Shows the page. */
@@ -24,7 +27,8 @@ export async function show(root, { query, signal, go, set }) {
   const summaries = new Map()
   const list = el('div', { className: 'list' })
   const body = el('div', { className: 'list' })
-  const known = listing('/runs', { limit: PAGE, key: run => run.uid, signal })
+  let known = null
+  let selected = ''
   let opened = ''
   let view = null
   let leaving = new AbortController()
@@ -33,7 +37,8 @@ export async function show(root, { query, signal, go, set }) {
   // The list.
   const cells = new Map()
   const told = el('p', { className: 'soft' })
-  const trouble = el('p', { className: 'bad', role: 'status', hidden: true })
+  const trouble = el('div')
+  const foot = el('div', { className: 'row' })
   const cell = (run, name, words) => {
     const key = `${run.uid} ${name}`
     if (!cells.has(key)) cells.set(key, el('span', {}, NONE))
@@ -74,57 +79,59 @@ export async function show(root, { query, signal, go, set }) {
     ],
   })
   rows.node.classList.add('stack')
-  const choice = (id, words, choices) =>
-    el(
-      'span',
-      { className: 'filter' },
-      el('label', { className: 'inline', htmlFor: id }, words),
-      select(choices, query[id] ?? '', value => set({ [id]: value || null }), { id }),
-    )
-  const filters = el(
-    'div',
-    { className: 'row' },
-    choice('state', 'Runs', STATES),
-    choice('kind', 'Kind', [['', 'any'], 'real-hex', 'real-random', 'imported']),
-    choice('label', 'Data', [['', 'any'], 'measured', 'virtual', 'simulated']),
-  )
-  const more = button(
-    'More',
-    async () => {
-      await read(true)
-      if (!trouble.hidden) trouble.scrollIntoView({ block: 'nearest' }) // The button is below the rows.
-      return draw()
-    },
-    { hidden: true },
-  )
-  list.append(panel('History', { className: 'live' }, filters, trouble, told, rows.node, el('div', { className: 'row' }, more)))
-  const kept = () => Object.fromEntries(['state', 'kind', 'label'].filter(key => query[key]).map(key => [key, query[key]]))
-
-  async function read(further) {
-    try {
-      await known.read(further)
-      note(trouble, '')
-    } catch (error) {
-      if (!signal.aborted) note(trouble, `The runs could not be read: ${error.message}`)
-    }
+  const other = id => value => set({ [id]: value || null })
+  const controls = {
+    state: select(STATES, '', value => {
+      const [key, wanted] = value.split('=')
+      set({ state: null, state__in: null, exit_status: null, scan_id__gte: null, ...(key && { [key]: wanted }) })
+    }, { id: 'state' }),
+    kind: select([['', 'any'], 'real-hex', 'real-random', 'imported'], '', other('kind'), { id: 'kind' }),
+    label: select([['', 'any'], 'measured', 'virtual', 'simulated'], '', other('label'), { id: 'label' }),
   }
-  async function draw() {
-    // Pages are read until the selection shows something; the rest comes by the button.
-    const isFound = () => known.items.some(run => isWanted(run, query))
-    for (let pages = 1; known.next && pages < PAGES_MOST && !isFound() && !signal.aborted; pages += 1) await read(true)
+  const choice = (id, words) => el('span', { className: 'filter' }, el('label', { className: 'inline', htmlFor: id }, words), controls[id])
+  const others = el('span', { className: 'chips', role: 'group', 'aria-label': 'Conditions' })
+  const filters = el('div', { className: 'row' }, choice('state', 'Runs'), choice('kind', 'Kind'), choice('label', 'Data'), others)
+  list.append(panel('History', { className: 'live' }, filters, trouble, told, rows.node, foot))
+  const kept = () => conditions(query, 'runs')
+
+  /** Another selection begins another list; returns whether it does. */
+  function reselect() {
+    const given = kept()
+    const text = JSON.stringify(given)
+    if (known && text === selected) return false
+    selected = text
+    const all = Object.keys(given).some(key => ON_STATE.test(key)) ? given : { ...BEGUN, ...given }
+    const mine = listing('/runs', { words: 'The runs', draw: () => mine === known && draw(), query: all, limit: PAGE, key: run => run.uid, signal })
+    known = mine
+    fill(trouble, mine.trouble)
+    fill(foot, mine.more)
+    return true
+  }
+  let unknown = []
+  let working = 0
+  function draw() {
     const { items: runs, next } = known
-    const wanted = runs.filter(run => isWanted(run, query))
-    for (const id of ['state', 'kind', 'label']) filters.querySelector(`#${id}`).value = query[id] ?? ''
-    more.hidden = !next
-    if (!runs.length) fill(told, 'No run yet. ', link('/queue', 'Queue one'), ' to begin.')
-    else fill(told, `${counted(wanted.length, 'run')} of ${next ? `the newest ${count(runs.length)}` : count(runs.length)}, newest first.`)
-    filters.hidden = rows.node.hidden = !runs.length
-    rows.show(wanted)
-    const open = wanted.filter(run => !summaries.has(run.uid) || !summaries.get(run.uid).run.ended_at)
-    const work = async () => {
-      for (let run; (run = open.shift()) && !signal.aborted && !query.run; ) await summary(run)
-    }
-    await Promise.all(Array.from({ length: AT_ONCE }, work))
+    const given = Object.entries(kept())
+    const isWhole = !given.length
+    const [state = ''] = STATES.find(([value]) => value && given.some(pair => pair.join('=') === value)) ?? []
+    for (const [id, control] of Object.entries(controls)) control.value = id === 'state' ? state : (query[id] ?? '')
+    const rest = given.filter(pair => pair.join('=') !== state && !['kind', 'label'].includes(pair[0]))
+    fill(others, rest.length > 0 && chips(rest, given, set))
+    const isUnread = !known.trouble.hidden && !runs.length
+    if (isUnread) fill(told)
+    else if (!runs.length && isWhole) fill(told, 'No run has begun yet. ', link('/queue', 'Queue one'), ' to begin.')
+    else fill(told, runs.length > 0 && `${next ? 'The newest ' : ''}${counted(runs.length, 'run')}, newest first.`)
+    rows.node.hidden = isUnread || (isWhole && !runs.length)
+    filters.hidden = !runs.length && isWhole
+    rows.show(runs)
+    unknown = runs.filter(run => !summaries.has(run.uid) || !summaries.get(run.uid).run.ended_at)
+    while (working < AT_ONCE && unknown.length) work()
+  }
+  /** Reads the results of the listed runs, one after the other. */
+  async function work() {
+    working += 1
+    for (let run; (run = unknown.shift()) && !signal.aborted && !query.run; ) await summary(run)
+    working -= 1
   }
   async function summary(run) {
     const found = await get(`/runs/${run.uid}/summary`, {}, { signal }).catch(() => null)
@@ -137,27 +144,24 @@ export async function show(root, { query, signal, go, set }) {
   }
   async function refresh() {
     if (signal.aborted) return
-    if (query.run) {
-      await view?.refresh?.()
-    } else {
-      await read()
-      await draw()
-    }
+    await (query.run ? view?.refresh?.() : known.read())
   }
+  /** Follows the conditions of the address. */
+  const follow = () => (reselect() ? known.read() : draw())
 
   // One run, or two.
   async function open() {
     const wanted = [query.run, query.with].filter(Boolean).join(' ')
     list.hidden = Boolean(wanted)
     body.hidden = !wanted
-    if (wanted === opened) return wanted ? view?.update?.(query) : draw()
+    if (wanted === opened) return wanted ? view?.update?.(query) : follow()
     opened = wanted
     leaving.abort()
     leaving = new AbortController()
     view = null
     if (!wanted) {
       fill(body)
-      return draw()
+      return follow()
     }
     const back = withQuery('/runs', kept())
     const until = AbortSignal.any([signal, leaving.signal])
@@ -187,7 +191,8 @@ export async function show(root, { query, signal, go, set }) {
     },
     signal,
   )
-  await read()
+  reselect()
+  await known.read()
   open()
   return {
     update: next => {

@@ -4,6 +4,7 @@ import { all, get, withQuery } from '../lib/api.js'
 import { around } from '../lib/around.js'
 import { button, el, fill, link, note, panel, sleep } from '../lib/dom.js'
 import { clock, count, counted, fixed, moment, plain } from '../lib/format.js'
+import { BEGUN } from '../lib/runwords.js'
 import { shows } from '../lib/save.js'
 import { conditions, selection } from '../lib/selection.js'
 import { columnsOf, spread } from '../lib/spread.js'
@@ -33,7 +34,7 @@ export async function show(root, { query, signal, set, go }) {
   const href = trial => withQuery('/trials', { ...conditions(state), sort: state.sort, scale: state.scale, trial })
   const said = el('p', { className: 'bad', role: 'status', hidden: true })
   const filters = selection({ set, said })
-  const charts = spread({ signal, label: () => (rows.some(row => row.label === 'virtual') ? 'virtual' : '') })
+  const charts = spread({ signal, query: () => conditions(state), label: () => (rows.some(row => row.label === 'virtual') ? 'virtual' : '') })
   const view = trialView({ signal, href, onscale: value => set({ scale: value || null }) })
 
   // The list.
@@ -288,7 +289,7 @@ export async function show(root, { query, signal, set, go }) {
     showTrial()
   }
   update(query)
-  all('/runs', {}, { most: 200, signal }).then(
+  all('/runs', BEGUN, { most: 200, signal }).then(
     found => {
       runs = found
       filters.show(state, runs)

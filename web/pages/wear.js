@@ -1,7 +1,7 @@
 // Wear: what needs care? Presses on each place of the skin, travel of the axes, age of the cells' calibration,
 // last check, hours. Numbers only: no limits are defined.
 
-import { all, get } from '../lib/api.js'
+import { get } from '../lib/api.js'
 import { button, el, facts, fill, link, panel } from '../lib/dom.js'
 import { age, clock, count, counted, fixed, moment } from '../lib/format.js'
 import { rigLabel } from '../lib/live.js'
@@ -9,8 +9,6 @@ import { references } from '../lib/references.js'
 import { sensor } from '../lib/skin.js'
 import { table } from '../lib/table.js'
 import { wearMap } from '../lib/wearmap.js'
-
-const RUNS_MOST = 100
 
 function summary(wear) {
   const hours = wear.run_h
@@ -96,8 +94,7 @@ export async function show(root, { query, signal, set }) {
       mark(query)
       fill(top, summary(wear))
       fill(rest, axes(wear), cells(wear), whatToDo(wear))
-      const runs = await all('/runs', {}, { most: RUNS_MOST, signal }).catch(() => [])
-      if (!signal.aborted) await drift.show(runs)
+      await drift.show()
     } catch (error) {
       if (signal.aborted) return
       const words = el('p', { className: 'bad' }, `The wear of this rig could not be read: ${error.message}.`)
@@ -105,5 +102,10 @@ export async function show(root, { query, signal, set }) {
     }
   }
   await read()
-  return { update: mark }
+  return {
+    update(next) {
+      query = next
+      mark(query)
+    },
+  }
 }

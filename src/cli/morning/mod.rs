@@ -37,6 +37,10 @@ use super::At;
 /// Options of `runs`.
 #[derive(Debug, Clone, Args)]
 pub struct RunsArgs {
+    /// Conditions that all must hold: a column with its comparison, such as `exit_status=fail`,
+    /// `started_at__gte=2026-11-24T22:00:00Z`.
+    #[arg(value_name = "COLUMN__gt=VALUE")]
+    pub conditions: Vec<String>,
     /// Only runs in these states, or that ended like this, such as `ended`, `interrupted`,
     /// `success`, `fail`.
     #[arg(long, value_name = "STATE,..", value_delimiter = ',')]

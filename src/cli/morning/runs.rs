@@ -7,6 +7,7 @@ use serde_json::{Value, json};
 
 use super::RunsArgs;
 use super::answers::{duration_words, elapsed, state_words, stored_of, stored_words};
+use super::trials::encoded;
 use crate::api::Page;
 use crate::cli::client::Client;
 use crate::cli::embed;
@@ -77,7 +78,8 @@ async fn list(client: &Client, args: &RunsArgs) -> Result<(), CliError> {
         say_json(&json!({ "items": items, "all": is_all }));
         return Ok(());
     }
-    let filtered = !args.state.is_empty() || args.experiment.is_some();
+    let filtered =
+        !args.conditions.is_empty() || !args.state.is_empty() || args.experiment.is_some();
     let empty = match filtered {
         true => "no run fits: palpate runs without options lists all",
         false => "there are no runs: palpate run quickstart",
@@ -97,11 +99,18 @@ async fn list(client: &Client, args: &RunsArgs) -> Result<(), CliError> {
 /// The newest runs that fit, and whether they are all.
 async fn select(client: &Client, args: &RunsArgs) -> Result<(Vec<RunRow>, bool), CliError> {
     let mut found = Vec::new();
-    let mut path = "/api/v1/runs?".to_owned();
+    let mut conditions = args.conditions.clone();
+    if !args.state.is_empty() {
+        let states = args.state.join(",");
+        conditions.push(format!("state__in={states}|exit_status__in={states}"));
+    }
+    let pairs: Vec<_> = conditions.into_iter().map(|text| ("where".to_owned(), text)).collect();
+    let list = format!("/api/v1/runs?{}", encoded(&pairs));
+    let mut path = list.clone();
     loop {
         let page: Page<RunRow> = client.get(&path).await?;
         for run in page.items {
-            if !fits(&run, &args.state, args.experiment.as_deref()) {
+            if args.experiment.as_deref().is_some_and(|part| !run.experiment.contains(part)) {
                 continue;
             }
             if found.len() == args.limit {
@@ -110,14 +119,6 @@ async fn select(client: &Client, args: &RunsArgs) -> Result<(Vec<RunRow>, bool),
             found.push(run);
         }
         let Some(next) = page.next else { return Ok((found, true)) };
-        path = format!("/api/v1/runs?cursor={next}");
+        path = format!("{list}&cursor={next}");
     }
-}
-
-fn fits(run: &RunRow, states: &[String], experiment: Option<&str>) -> bool {
-    let is_in = |state: &String| {
-        state == run.state.as_str() || run.exit_status.is_some_and(|end| state == end.as_str())
-    };
-    (states.is_empty() || states.iter().any(is_in))
-        && experiment.is_none_or(|part| run.experiment.contains(part))
 }

@@ -47,7 +47,7 @@ fn asked(what: &[String]) -> Result<Asked, CliError> {
 }
 
 /// A query string of pairs, encoded.
-fn encoded(pairs: &[(String, String)]) -> String {
+pub fn encoded(pairs: &[(String, String)]) -> String {
     let mut url = Url::parse("http://palpate/").ok();
     if let Some(url) = &mut url {
         url.query_pairs_mut().extend_pairs(pairs);

@@ -54,7 +54,7 @@ pub async fn keep(app: App) {
         if active.is_some() && begun.is_none() {
             continue;
         }
-        let runs = match app.store.runs(CHECKED_RUNS, None).await {
+        let runs = match app.store.runs(&[], CHECKED_RUNS, None).await {
             Ok(page) => page.runs,
             Err(error) => {
                 tracing::warn!(error = error_chain(&error), "the runs could not be read");

@@ -6,7 +6,7 @@ use utoipa::openapi::path::{Parameter, ParameterBuilder, ParameterIn};
 use utoipa::openapi::schema::{ArrayBuilder, ObjectBuilder, Schema, SchemaType, Type};
 
 use crate::dataset::format::Format;
-use crate::store::table::{self, Column, Kind, TABLE};
+use crate::store::table::{self, Column, Kind, RUN_COLUMNS, TABLE};
 
 /// Parameters of pages of stored trials.
 pub struct TrialParams;
@@ -14,10 +14,18 @@ pub struct TrialParams;
 pub struct RowsParams;
 /// Parameters of a dataset as a file.
 pub struct FileParams;
+/// Conditions on runs.
+pub struct RunParams;
 /// Parameters of groups of stored trials.
 pub struct TrialGroupParams;
 /// Parameters of groups of a dataset's rows.
 pub struct RowGroupParams;
+
+impl IntoParams for RunParams {
+    fn into_params(_: impl Fn() -> Option<ParameterIn>) -> Vec<Parameter> {
+        vec![conditions(&table::names_of(&RUN_COLUMNS, |_| true))]
+    }
+}
 
 impl IntoParams for TrialGroupParams {
     fn into_params(_: impl Fn() -> Option<ParameterIn>) -> Vec<Parameter> {
@@ -78,6 +86,19 @@ pub fn page_formats() -> Vec<&'static str> {
 /// Parameters of every selection of rows: conditions, columns and slice.
 fn selected(has: fn(&Column) -> bool) -> [Parameter; 3] {
     let comparable = table::names(|column| has(column) && column.kind() != Kind::List);
+    let names: Vec<&str> = TABLE.iter().filter(|c| has(c)).map(|c| c.name).collect();
+    let name = ObjectBuilder::new().schema_type(Type::String).enum_values(Some(names));
+    let columns = ArrayBuilder::new().items(name).build();
+    let columns = ParameterBuilder::from(parameter("columns", &meanings(has), columns.into()));
+    [
+        conditions(&comparable),
+        columns.explode(Some(false)).build(),
+        parameter("slice", "only these values of each frame: `0:28`, the end excluded", text()),
+    ]
+}
+
+/// The parameter `where`; `comparable`: the columns, separated by commas.
+fn conditions(comparable: &str) -> Parameter {
     let pattern = format!("^({})(__(eq|gt|gte|lt|lte|in))?=.+$", comparable.replace(", ", "|"));
     let condition = ObjectBuilder::new().schema_type(Type::String).pattern(Some(pattern));
     let about = format!(
@@ -86,15 +107,7 @@ fn selected(has: fn(&Column) -> bool) -> [Parameter; 3] {
          A condition may also be a separate parameter, `COLUMN__gt=VALUE`. Columns: {comparable}."
     );
     let conditions = ArrayBuilder::new().items(condition).build();
-    let names: Vec<&str> = TABLE.iter().filter(|c| has(c)).map(|c| c.name).collect();
-    let name = ObjectBuilder::new().schema_type(Type::String).enum_values(Some(names));
-    let columns = ArrayBuilder::new().items(name).build();
-    let columns = ParameterBuilder::from(parameter("columns", &meanings(has), columns.into()));
-    [
-        parameter("where", &about, conditions.into()),
-        columns.explode(Some(false)).build(),
-        parameter("slice", "only these values of each frame: `0:28`, the end excluded", text()),
-    ]
+    parameter("where", &about, conditions.into())
 }
 
 /// Description of `columns`, with the meaning of each column.

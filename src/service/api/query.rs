@@ -11,7 +11,7 @@ use crate::ids::RunUid;
 use crate::problem::Problem;
 use crate::query::groups::Grouping;
 use crate::record::Flag;
-use crate::store::table::{self, Column, Kind};
+use crate::store::table::{self, Column, Kind, RUN_COLUMNS, TABLE};
 use crate::store::{Condition, MAX_PAGE, Order, TrialQuery};
 
 /// Default number of rows per page.
@@ -91,7 +91,7 @@ pub fn rows_query(pairs: &[(String, String)]) -> Result<RowsRequest, Vec<Problem
             "sort" => request.sort = Some(Sort::parse(value)),
             "map" => request.wanted.map = Some(value.into()),
             _ => {
-                let text = condition(key, value)?.1;
+                let text = condition(&TABLE, key, value)?.1;
                 request.wanted.conditions.push(text);
             }
         }
@@ -114,6 +114,21 @@ pub fn file_query(pairs: &[(String, String)]) -> Result<Wanted, Vec<Problem>> {
         return Err(vec![Problem::new("query", key, value, limit)]);
     }
     rows_query(pairs).map(|request| request.wanted)
+}
+
+/// Parses the conditions of a query string for runs.
+///
+/// # Errors
+/// All unknown names and invalid values.
+pub fn run_conditions(pairs: &[(String, String)]) -> Result<Vec<Condition>, Vec<Problem>> {
+    let mut conditions = Vec::new();
+    each(pairs, |key, value| {
+        if !matches!(key, "limit" | "cursor") {
+            conditions.push(condition(&RUN_COLUMNS, key, value)?.0);
+        }
+        Ok(true)
+    })?;
+    Ok(conditions)
 }
 
 /// Groups of rows by a query string.
@@ -159,7 +174,7 @@ pub fn groups_query(
         match of {
             GroupsOf::StoredTrials => apply(&mut request.query, key, value),
             GroupsOf::Dataset => {
-                request.query.filters.push(condition(key, value)?.0);
+                request.query.filters.push(condition(&TABLE, key, value)?.0);
                 Ok(true)
             }
         }
@@ -261,17 +276,19 @@ fn apply(query: &mut TrialQuery, key: &str, value: &str) -> Result<bool, String>
         "voltages" => query.with_voltages = yes_or_no(value)?,
         "flagged" => query.flagged = Some(yes_or_no(value)?),
         "flag" => query.flags.push(flag(value)?),
-        _ => query.filters.push(condition(key, value)?.0.of_stored()?),
+        _ => query.filters.push(condition(&TABLE, key, value)?.0.of_stored()?),
     }
     Ok(true)
 }
 
-/// A condition, as `where=COLUMN__gt=VALUE` or as `COLUMN__gt=VALUE`, and its text.
-fn condition(key: &str, value: &str) -> Result<(Condition, String), String> {
-    if key == "where" {
-        return Ok((Condition::parse(value)?, value.to_owned()));
-    }
-    Ok((Condition::from_pair(key, value)?, format!("{key}={value}")))
+/// A condition on columns of a table, as `where=COLUMN__gt=VALUE` or as `COLUMN__gt=VALUE`, and its text.
+fn condition(
+    table: &'static [Column],
+    key: &str,
+    value: &str,
+) -> Result<(Condition, String), String> {
+    let text = if key == "where" { value.to_owned() } else { format!("{key}={value}") };
+    Ok((Condition::parse_of(table, &text)?, text))
 }
 
 fn yes_or_no(value: &str) -> Result<bool, String> {
@@ -305,6 +322,23 @@ mod tests {
             query.filters.iter().flat_map(Condition::columns).map(|c| c.name).collect();
         assert_eq!(columns, ["contact_count", "tips", "label"]);
         assert_eq!((query.limit, query.order), (7, Order::NewestFirst));
+    }
+
+    #[test]
+    fn runs_are_selected_in_the_same_language() {
+        let conditions = |pairs: &[(&str, &str)]| {
+            let pairs: Vec<_> = pairs.iter().map(|&(k, v)| (k.into(), v.into())).collect();
+            run_conditions(&pairs)
+        };
+        let found = conditions(&[
+            ("where", "state=interrupted|exit_status__in=abort,fail"),
+            ("started_at__gte", "2026-11-24T22:00:00Z"),
+            ("limit", "7"),
+        ]);
+        assert_eq!(found.unwrap().len(), 2);
+        let wrong = conditions(&[("tips", "4"), ("state__gt", "idle")]).unwrap_err();
+        assert!(wrong[0].limit.contains("there is no column tips; there are scan_id, experiment"));
+        assert!(wrong[1].limit.contains("state holds words: use eq or in"), "{wrong:?}");
     }
 
     #[test]

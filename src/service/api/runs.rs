@@ -2,7 +2,7 @@
 //! Uses: `conductor`, `campaign::shown::{command, run_action}`, `store`. Never: motion.
 
 use axum::Json;
-use axum::extract::State;
+use axum::extract::{Query, State};
 use axum::http::{StatusCode, header};
 use axum::response::IntoResponse;
 use jiff::{SignedDuration, Timestamp};
@@ -13,8 +13,10 @@ use super::App;
 use super::audit::{Act, cut};
 use super::limits::WHO_MAX_CHARS;
 use super::pages::{Page, PageParams, PageRequest};
+use super::params::RunParams;
 use super::placement::confirmation;
 use super::problem::{ApiError, Body, Path, ProblemBody};
+use super::query::run_conditions;
 use crate::campaign::STOPS;
 use crate::campaign::shown::command::Request;
 use crate::campaign::shown::placement::Confirmation;
@@ -135,11 +137,16 @@ pub async fn find(app: &App, run: &str) -> Result<RunRow, ApiError> {
 
 /// Returns a page of runs, newest first.
 #[utoipa::path(get, operation_id = "list_runs",
-    path = "/api/v1/runs", tag = "runs", params(PageParams),
+    path = "/api/v1/runs", tag = "runs", params(RunParams, PageParams),
     responses((status = 200, body = Page<RunRow>),
-        (status = 400, body = ProblemBody, description = "a parameter is invalid")))]
-pub async fn list(State(app): State<App>, asked: PageRequest) -> Result<Page<RunRow>, ApiError> {
-    let found = app.store.runs(asked.limit, asked.after()?).await?;
+        (status = 400, body = ProblemBody, description = "a parameter is unknown or invalid")))]
+pub async fn list(
+    State(app): State<App>,
+    Query(pairs): Query<Vec<(String, String)>>,
+    asked: PageRequest,
+) -> Result<Page<RunRow>, ApiError> {
+    let conditions = run_conditions(&pairs).map_err(ApiError::bad_query)?;
+    let found = app.store.runs(&conditions, asked.limit, asked.after()?).await?;
     Ok(asked.page(found.runs, found.next))
 }
 

@@ -7,6 +7,7 @@ use axum::http::StatusCode;
 use serde::{Deserialize, Serialize};
 use sim_core::forward::Workspace;
 use sim_core::sensor::Sensor;
+use sim_core::stats::fvu;
 use tracing::Instrument;
 use utoipa::ToSchema;
 
@@ -16,6 +17,7 @@ use super::problem::{ApiError, Body, ProblemBody};
 use super::runs::find;
 use crate::clock::Clock;
 use crate::dataset::background::background;
+use crate::ids::TrialId;
 use crate::problem::Problem;
 use crate::simulate::contacts::{Limits, Load, RequestedContact};
 use crate::simulate::dent::Dent;
@@ -35,6 +37,8 @@ pub struct SimulationRequest {
     /// uid or scan_id of a run whose sensor and calibration are used; absent or null: the sensor under
     /// the rig, with the promoted calibration of the skin, or else that of the service.
     pub run: Option<String>,
+    /// Number of a stored trial whose measured frame the simulated one is compared with (`fvu`).
+    pub trial: Option<TrialId>,
 }
 
 /// A contact, with exactly one of `depth_mm` and `force_n`.
@@ -97,6 +101,9 @@ pub struct Simulation {
     pub model: String,
     /// Time of the simulation, ms.
     pub took_ms: f64,
+    /// Fraction of variance unexplained of the measured frame of `trial` (paper, Eq. 2); null without `trial`, if
+    /// the frame is constant or has missing channels, and for another number of channels.
+    pub fvu: Option<f64>,
 }
 
 /// Simulates contacts on the skin: the frame, the dent, and the force of a depth or the depth of a force.
@@ -105,7 +112,7 @@ pub struct Simulation {
 #[utoipa::path(post, operation_id = "simulate",
     path = "/api/v1/simulations", tag = "simulation", request_body = SimulationRequest,
     responses((status = 200, body = Simulation),
-        (status = 404, body = ProblemBody, description = "no run has this uid or scan_id"),
+        (status = 404, body = ProblemBody, description = "no run has this uid or scan_id, or no trial this number"),
         (status = 409, body = ProblemBody, description = "there is no model of the run's skin"),
         (status = 422, body = ProblemBody, description = "a contact is outside its limits"),
         (status = 503, body = ProblemBody, description = "too many simulations are in progress")))]
@@ -118,6 +125,14 @@ pub async fn simulate(
     Limits::of(&skin.sensor, SIMULATED_CONTACTS)
         .check(BODY, &contacts)
         .map_err(ApiError::problems)?;
+    let measured_v = match asked.trial {
+        Some(id) => {
+            let trial = app.store.trial_by_id(id).await?;
+            let none = || ApiError::not_found(format!("no trial {}", id.0));
+            trial.ok_or_else(none)?.voltages_v
+        }
+        None => None,
+    };
     let turn = app.turns.simulation().await?;
     let model = skin.calibration.as_ref().map_or("sensor file".into(), |of| of.id.to_string());
     let (skins, clock) = (app.twins.skins().clone(), Clock::new(1.0));
@@ -137,7 +152,10 @@ pub async fn simulate(
     };
     let simulation =
         tokio::spawn(work.in_current_span()).await.map_err(|_| SkinError::Worker)??;
-    let simulation = simulation.map_err(|error| refused(&error, &asked.contacts))?;
+    let mut simulation = simulation.map_err(|error| refused(&error, &asked.contacts))?;
+    simulation.fvu = measured_v
+        .filter(|measured_v| measured_v.len() == simulation.voltages_v.len())
+        .and_then(|measured_v| fvu(&measured_v, simulation.voltages_v.iter().copied()));
     within_foam(&simulation.contacts, &asked.contacts, foam_mm).map_err(ApiError::problems)?;
     Ok(Json(simulation))
 }
@@ -232,6 +250,7 @@ fn answer(found: Pressed, untouched_v: Vec<f64>, model: String, took_ms: f64) ->
         dent_mm: DentMap { columns, rows, pitch_mm, x0_mm, y0_mm, values: values_mm },
         model,
         took_ms,
+        fvu: None,
     }
 }
 

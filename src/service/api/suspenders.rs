@@ -115,7 +115,8 @@ impl Beyond {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::twins::drift::{Level, PairFit};
+    use crate::evaluate::simulation::PairFit;
+    use crate::twins::drift::Level;
 
     fn at(second: i64) -> Timestamp {
         Timestamp::from_second(second).unwrap()

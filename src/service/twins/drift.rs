@@ -1,5 +1,6 @@
 //! The rolling fit of a run: detects a drift of the skin, or of one electrode, from the model.
-//! PURE. Uses: sim-core's median, `schedule` (the limits). Never: an action (the caller takes it).
+//! PURE. Uses: sim-core's median, `evaluate::simulation`, `schedule` (the limits). Never: an action (the
+//! caller takes it).
 
 use std::collections::VecDeque;
 
@@ -8,6 +9,7 @@ use serde_json::json;
 use sim_core::stats::median;
 use utoipa::ToSchema;
 
+use crate::evaluate::simulation::{PairFit, pair_fits};
 use crate::schedule::experiment::TwinLimits;
 
 /// Number of pairs of electrodes in a finding, the worst first.
@@ -38,15 +40,6 @@ pub enum Level {
     Warn,
     /// Over the limit that suspends the run.
     Suspend,
-}
-
-/// Fit of the readings between two neighbouring electrodes, over all sinks.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, ToSchema)]
-pub struct PairFit {
-    /// The pair, from 0: the reading is the potential of the first minus that of the second.
-    pub electrodes: [usize; 2],
-    /// Over window and sinks: squared differences from the twins over the variance of the readings.
-    pub fvu: f64,
 }
 
 /// The fit over the window.
@@ -151,7 +144,8 @@ impl DriftWatch {
     /// The fit over the current window.
     pub fn fit(&self) -> RollingFit {
         let median_fvu = median(self.window.iter().map(|p| p.fvu)).unwrap_or(0.0);
-        let mut pairs = self.pairs();
+        let frames = self.window.iter().map(|p| (&p.measured_v[..], &p.simulated_v[..]));
+        let mut pairs = pair_fits(&frames.collect::<Vec<_>>(), self.electrodes);
         pairs.sort_by(|a, b| b.fvu.total_cmp(&a.fvu));
         let over = pairs.iter().filter(|p| p.fvu > self.limits.pair_warn_fvu).count();
         let level = if self.limits.suspend_fvu.is_some_and(|limit| median_fvu > limit) {
@@ -169,27 +163,6 @@ impl DriftWatch {
             pairs_over_limit: over,
             worst_pairs: pairs,
         }
-    }
-
-    /// Eq. 2 along the window for each pair: its variance is that of each reading around its mean.
-    /// A pair without variance is skipped.
-    fn pairs(&self) -> Vec<PairFit> {
-        let count = self.electrodes;
-        (0..count)
-            .filter_map(|pair| {
-                let (mut unexplained, mut variance) = (0.0, 0.0);
-                for reading in (0..count).map(|sink| count * sink + pair) {
-                    let measured = || self.window.iter().map(|p| f64::from(p.measured_v[reading]));
-                    let mean = measured().sum::<f64>() / self.window.len() as f64;
-                    variance += measured().map(|v| (v - mean).powi(2)).sum::<f64>();
-                    let apart = |p: &Pairing| p.measured_v[reading] - p.simulated_v[reading];
-                    unexplained +=
-                        self.window.iter().map(|p| f64::from(apart(p)).powi(2)).sum::<f64>();
-                }
-                let electrodes = [pair, (pair + 1) % count];
-                (variance > 0.0).then(|| PairFit { electrodes, fvu: unexplained / variance })
-            })
-            .collect()
     }
 }
 

@@ -1,15 +1,18 @@
 //! Runs: storing, listing and reading them.
-//! Uses: `core`, `run_row`. Never: a change of a state (`run_state`).
+//! Uses: `core`, `table` (conditions), `run_row`. Never: a change of a state (`run_state`).
 
 use jiff::Timestamp;
+use rusqlite::Connection;
 use sqlx::sqlite::SqliteConnection;
 
 use super::run_row::{self, NewRun, RunPage, RunRow};
+use crate::core::bulk::Statement;
 use crate::core::columns::time_text;
 use crate::core::facts::{Label, RunFacts, RunKind};
 use crate::core::{Store, StoreError};
 use crate::ids::RunUid;
 use crate::state::StoredState;
+use crate::table::condition::Condition;
 
 impl Store {
     /// Stores a new run in the state `idle`. Returns its row, which holds its number.
@@ -46,17 +49,23 @@ impl Store {
         self.row(OPERATION, query, RunRow::read).await
     }
 
-    /// Returns at most `limit` runs, newest first, with numbers below `before`.
+    /// Returns at most `limit` runs that meet all conditions, newest first, with numbers below `before`.
     ///
     /// # Errors
-    /// `Sql` or `Unreadable` if the read fails.
-    pub async fn runs(&self, limit: u32, before: Option<i64>) -> Result<RunPage, StoreError> {
+    /// `Read` or `Unreadable` if the read fails.
+    pub async fn runs(
+        &self,
+        conditions: &[Condition],
+        limit: u32,
+        before: Option<i64>,
+    ) -> Result<RunPage, StoreError> {
         const OPERATION: &str = "listing runs";
-        let query =
-            sqlx::query("SELECT * FROM runs WHERE scan_id < ?1 ORDER BY scan_id DESC LIMIT ?2")
-                .bind(before.unwrap_or(i64::MAX))
-                .bind(i64::from(limit) + 1);
-        let mut runs = self.rows(OPERATION, query, RunRow::read).await?;
+        let mut query = Statement::new("SELECT r.* FROM runs r WHERE r.scan_id < ");
+        query.bind(before.unwrap_or(i64::MAX));
+        conditions.iter().for_each(|condition| condition.push_onto(&mut query));
+        query.push(" ORDER BY r.scan_id DESC LIMIT ").bind(i64::from(limit) + 1);
+        let read = move |c: &Connection| query.rows(c, OPERATION, RunRow::read);
+        let mut runs = self.inner.bulk.read(OPERATION, read).await?;
         let more = runs.len() > limit as usize;
         runs.truncate(limit as usize);
         let next = if more { runs.last().map(|r| r.scan_id) } else { None };

@@ -160,9 +160,29 @@ pub static TABLE: [Column; 36] = [
     c("split", "", Of::Part, "", "part of the dataset: `train`, `validation` or `test`"),
 ];
 
-/// Returns the names of the selected columns, separated by commas, for messages and descriptions.
+/// The columns by which runs are selected. No trial has a value of them: they are only compared.
+#[rustfmt::skip]
+pub static RUN_COLUMNS: [Column; 10] = [
+    c("scan_id", "", Of::Number(|_| None), "r.scan_id", "number of the run"),
+    c("experiment", "", Of::Text(|_| None), "r.experiment", "name of the experiment"),
+    c("kind", "", Of::Text(|_| None), "r.kind", "`real-hex`, `real-random` or `imported`"),
+    c("label", "", Of::Text(|_| None), "r.label", "`measured`, `virtual` or `simulated`"),
+    c("state", "", Of::Text(|_| None), "r.state", "state of the run"),
+    c("exit_status", "", Of::Text(|_| None), "r.exit_status", "how it ended"),
+    c("submitted_by", "", Of::Text(|_| None), "r.submitted_by", "person or key that submitted it"),
+    c("created_at", "", Of::Time(|_| None), "r.created_at", "when it was submitted"),
+    c("started_at", "", Of::Time(|_| None), "r.started_at", "when it first left the queue"),
+    c("ended_at", "", Of::Time(|_| None), "r.ended_at", "when it ended or was removed from the queue"),
+];
+
+/// Returns the names of the selected columns of trials, separated by commas, for messages and descriptions.
 pub fn names(which: impl Fn(&Column) -> bool) -> String {
-    let names = TABLE.iter().filter(|column| which(column)).map(|column| column.name);
+    names_of(&TABLE, which)
+}
+
+/// Returns the names of the selected columns of a table, separated by commas.
+pub fn names_of(table: &[Column], which: impl Fn(&Column) -> bool) -> String {
+    let names = table.iter().filter(|column| which(column)).map(|column| column.name);
     names.collect::<Vec<_>>().join(", ")
 }
 

@@ -1,10 +1,10 @@
-//! Filters of trials, `COLUMN__gt=VALUE`: one language for stored trials, where a condition becomes
+//! Filters, `COLUMN__gt=VALUE`: one language for stored trials and runs, where a condition becomes
 //! SQL, and for the rows of datasets, where it becomes a mask. A NULL meets no condition.
 //! Uses: `column`. Never: text of a request inside a statement.
 
 use jiff::Timestamp;
 
-use super::column::{self, Column, Kind};
+use super::column::{self, Column, Kind, TABLE};
 use crate::core::bulk::Statement;
 use crate::core::columns::time_text;
 
@@ -48,11 +48,21 @@ pub struct Part {
 }
 
 impl Condition {
-    /// Parses `COLUMN__gt=VALUE`, or several of these separated by `|`, of which one must hold.
+    /// Parses a condition on stored trials or rows of datasets: `COLUMN`, `COLUMN__eq|gt|gte|lt|lte` with a value,
+    /// or `COLUMN__in` with several, separated by commas; or several of these separated by `|`, of which one must hold.
     ///
     /// # Errors
-    /// As [`Condition::from_pair`]; also if there is no `=`.
+    /// A message that names the invalid part and the choices: no `=`, an unknown column or comparison, a value
+    /// of another type, an order of words, or a column of lists.
     pub fn parse(text: &str) -> Result<Self, String> {
+        Self::parse_of(&TABLE, text)
+    }
+
+    /// Parses a condition on the columns of a table.
+    ///
+    /// # Errors
+    /// As [`Condition::parse`].
+    pub fn parse_of(table: &'static [Column], text: &str) -> Result<Self, String> {
         let several: Vec<&str> = text.split('|').collect();
         // A word may hold the separator.
         let texts =
@@ -60,19 +70,9 @@ impl Condition {
         let part = |text: &str| {
             let (key, value) =
                 text.split_once('=').ok_or("must be COLUMN__gt=VALUE, or another comparison")?;
-            Part::from_pair(key.trim(), value.trim())
+            Part::from_pair(table, key.trim(), value.trim())
         };
         texts.into_iter().map(part).collect::<Result<_, _>>().map(Self)
-    }
-
-    /// Parses a pair of a query string: `COLUMN`, `COLUMN__eq|gt|gte|lt|lte` with a value, or
-    /// `COLUMN__in` with several, separated by commas. `|` and another comparison may follow.
-    ///
-    /// # Errors
-    /// A message that names the invalid part and the choices: an unknown column or comparison, a value
-    /// of another type, an order of words, or a column of lists.
-    pub fn from_pair(key: &str, value: &str) -> Result<Self, String> {
-        Self::parse(&format!("{key}={value}"))
     }
 
     /// Returns the condition if stored trials have its columns.
@@ -152,10 +152,12 @@ impl Operand {
 }
 
 impl Part {
-    fn from_pair(key: &str, value: &str) -> Result<Self, String> {
+    fn from_pair(table: &'static [Column], key: &str, value: &str) -> Result<Self, String> {
         let (name, suffix) = key.rsplit_once("__").unwrap_or((key, "eq"));
-        let comparable = || column::names(|column| column.kind() != Kind::List);
-        let column = Column::find(name)
+        let comparable = || column::names_of(table, |column| column.kind() != Kind::List);
+        let column = table
+            .iter()
+            .find(|column| column.name == name)
             .ok_or_else(|| format!("there is no column {name}; there are {}", comparable()))?;
         let comparison = match suffix {
             "eq" | "in" => Comparison::Equal,

@@ -16,4 +16,4 @@ pub(crate) mod assemble;
 /// Single trials, pages of trials, voltages and frames.
 pub(crate) mod pages;
 
-pub use column::{Column, Kind, Of, TABLE, names};
+pub use column::{Column, Kind, Of, RUN_COLUMNS, TABLE, names, names_of};

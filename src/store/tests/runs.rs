@@ -5,7 +5,8 @@ use super::{fresh, hex_trial, new_run, now, open, time};
 use crate::ids::RunUid;
 use crate::journal::{ExitStatus, Journal};
 use crate::state::{PausedWhy, StateChange, StoredState};
-use crate::{Label, NewRun, RunKind, Soundness, StoreError};
+use crate::table::RUN_COLUMNS;
+use crate::{Condition, Label, NewRun, RunKind, Soundness, StoreError};
 
 #[tokio::test]
 async fn a_run_keeps_its_provenance() {
@@ -220,7 +221,7 @@ async fn an_edited_run_keeps_number_place_and_submitter_and_is_no_longer_started
         let refused = store.replace_queued(NewRun { uid, ..planned("four") }).await;
         assert!(matches!(refused, Err(StoreError::NotQueued(u)) if u == uid));
     }
-    assert_eq!(store.runs(10, None).await.unwrap().runs.len(), 2);
+    assert_eq!(store.runs(&[], 10, None).await.unwrap().runs.len(), 2);
 }
 
 #[tokio::test]
@@ -232,7 +233,7 @@ async fn runs_come_in_pages_newest_first() {
     let mut seen = Vec::new();
     let mut before = None;
     loop {
-        let page = store.runs(2, before).await.unwrap();
+        let page = store.runs(&[], 2, before).await.unwrap();
         seen.extend(page.runs.iter().map(|r| r.scan_id));
         before = page.next;
         if before.is_none() {
@@ -240,6 +241,27 @@ async fn runs_come_in_pages_newest_first() {
         }
     }
     assert_eq!(seen, [5, 4, 3, 2, 1]);
+}
+
+#[tokio::test]
+async fn runs_are_selected_by_conditions() {
+    let (_folder, store) = fresh().await;
+    for experiment in ["one", "two", "three"] {
+        let new = NewRun { experiment: experiment.into(), ..new_run(RunKind::RealHex) };
+        store.create_run(new).await.unwrap();
+    }
+    let selected = async |texts: &[&str], limit| {
+        let parse = |text: &&str| Condition::parse_of(&RUN_COLUMNS, text).unwrap();
+        let conditions: Vec<Condition> = texts.iter().map(parse).collect();
+        let page = store.runs(&conditions, limit, None).await.unwrap();
+        (page.runs.iter().map(|run| run.scan_id).collect::<Vec<_>>(), page.next)
+    };
+    assert_eq!(selected(&["experiment__in=one,three"], 10).await, (vec![3, 1], None));
+    assert_eq!(selected(&["experiment=one|scan_id__gte=3"], 1).await, (vec![3], Some(3)));
+    assert_eq!(selected(&["state=idle", "kind=real-hex"], 10).await.0, [3, 2, 1]);
+    // A time that is absent meets no condition.
+    assert_eq!(selected(&["started_at__gt=2000-01-01T00:00:00Z"], 10).await.0, [0_i64; 0]);
+    assert_eq!(selected(&["created_at__gt=2000-01-01T00:00:00Z"], 10).await.0, [3, 2, 1]);
 }
 
 #[tokio::test]

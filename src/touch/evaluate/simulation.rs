@@ -1,10 +1,13 @@
-//! The fit of simulated twins to measured trials: the numbers of the paper's Fig. 7B to 7F.
-//! PURE. Uses: `store::Fit`, sim-core's quantiles. Never: frames (the fit of each trial is stored with its twin).
+//! The fit of simulated twins to measured trials: the numbers of the paper's Fig. 7B to 7F, and of each pair of
+//! electrodes.
+//! PURE. Uses: `store::Fit`, sim-core's quantiles. Never: the frames of all trials (the fit of each is stored with
+//! its twin).
 
 use serde::{Deserialize, Serialize};
 use sim_core::stats::{median, quantile, sorted};
 use utoipa::ToSchema;
 
+use crate::ids::TrialId;
 use crate::record::CONTACTS_MAX;
 use crate::store::Fit;
 
@@ -16,6 +19,8 @@ pub const FORCE_END_N: f64 = 50.0;
 const DEADBAND_FVU: f64 = 0.5;
 /// Width of the window over which the mean FVU is taken, N: more trials than in one bin.
 const DEADBAND_WINDOW_N: f64 = 3.0;
+/// Largest number of trials whose frames are compared pair by pair.
+const PAIR_TRIALS: usize = 40;
 
 /// The fit of a run's twins.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
@@ -40,6 +45,10 @@ pub struct SimulationReport {
     pub by_contacts: Vec<ContactBoxes>,
     /// Means by position, single tips above the deadband (Fig. 7D).
     pub by_point: Vec<PointFit>,
+    /// Number of trials behind `by_pair`: the newest with contacts and without flags, at most 40.
+    pub pair_trials: u64,
+    /// Fit of the readings of each pair of neighbouring electrodes; a pair without variance is absent.
+    pub by_pair: Vec<PairFit>,
 }
 
 /// Trials with a given number of contacts in one bin of forces.
@@ -100,7 +109,59 @@ pub struct PointFit {
     pub mean_fvu: f64,
 }
 
-/// Computes the report of trials with a twin.
+/// Fit of the readings between two neighbouring electrodes, over all sinks.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct PairFit {
+    /// The pair, from 0: the reading is the potential of the first minus that of the second.
+    pub electrodes: [usize; 2],
+    /// Over trials and sinks: squared differences from the twins over the variance of the readings.
+    pub fvu: f64,
+}
+
+/// Returns the trials whose frames `with_frames` compares.
+pub fn newest_touched(fits: &[Fit]) -> Vec<TrialId> {
+    let touched = fits.iter().rev().filter(|f| !f.flagged && f.contact_count > 0);
+    touched.take(PAIR_TRIALS).map(|f| f.trial).collect()
+}
+
+/// Computes the report of trials with a twin, and the fit of each pair of electrodes from the measured and the
+/// simulated frames of some of them, V, injection-major.
+pub fn with_frames(fits: &[Fit], frames: &[(&[f32], &[f32])]) -> SimulationReport {
+    let electrodes = frames.first().map_or(0, |(measured, _)| measured.len().isqrt());
+    SimulationReport {
+        pair_trials: frames.len() as u64,
+        by_pair: pair_fits(frames, electrodes),
+        ..report(fits)
+    }
+}
+
+/// Eq. 2 along some trials for each pair of electrodes: its variance is that of each reading around its mean.
+/// Missing channels are skipped, and pairs without variance.
+///
+/// `frames`: measured and simulated frame of each trial, V, injection-major.
+pub fn pair_fits(frames: &[(&[f32], &[f32])], electrodes: usize) -> Vec<PairFit> {
+    let fit = |pair: usize| {
+        let (mut unexplained, mut variance) = (0.0, 0.0);
+        for reading in (0..electrodes).map(|sink| electrodes * sink + pair) {
+            let known = || {
+                let both = frames.iter().filter_map(move |(measured, simulated)| {
+                    Some((f64::from(*measured.get(reading)?), f64::from(*simulated.get(reading)?)))
+                });
+                both.filter(|(measured, simulated)| measured.is_finite() && simulated.is_finite())
+            };
+            let mean = known().map(|(measured, _)| measured).sum::<f64>() / known().count() as f64;
+            for (measured, simulated) in known() {
+                variance += (measured - mean).powi(2);
+                unexplained += (measured - simulated).powi(2);
+            }
+        }
+        let electrodes = [pair, (pair + 1) % electrodes];
+        (variance > 0.0).then(|| PairFit { electrodes, fvu: unexplained / variance })
+    };
+    (0..electrodes).filter_map(fit).collect()
+}
+
+/// Computes the report of trials with a twin, without pairs of electrodes.
 pub fn report(fits: &[Fit]) -> SimulationReport {
     let sound: Vec<&Fit> = fits.iter().filter(|f| !f.flagged).collect();
     let mut contact_counts = [0; CONTACTS_MAX + 1];
@@ -126,6 +187,8 @@ pub fn report(fits: &[Fit]) -> SimulationReport {
         by_force: bins,
         by_contacts: (1..=CONTACTS_MAX as u8).filter_map(|n| boxes(&touched, n)).collect(),
         by_point: by_point(&touched),
+        pair_trials: 0,
+        by_pair: Vec::new(),
     }
 }
 
@@ -211,7 +274,7 @@ fn by_point(touched: &[&Fit]) -> Vec<PointFit> {
 
 #[cfg(test)]
 mod tests {
-    use super::{BoxPlot, report};
+    use super::{BoxPlot, newest_touched, pair_fits, report, with_frames};
     use crate::ids::TrialId;
     use crate::store::Fit;
 
@@ -253,6 +316,28 @@ mod tests {
         let report = report(&[fit(1, 20.0, 0.1), bad]);
         assert_eq!((report.trials, report.flagged), (1, 1));
         assert_eq!(report.median_fvu, Some(0.1));
+    }
+
+    #[test]
+    fn pairs_are_those_of_the_newest_sound_trials_and_skip_missing_channels() {
+        let numbered = |n: i64| Fit { trial: TrialId(n), ..fit(1, 20.0, 0.1) };
+        let mut fits: Vec<Fit> = (1..=50).map(numbered).collect();
+        fits[48].flagged = true;
+        fits[49].contact_count = 0;
+        let newest = newest_touched(&fits);
+        assert_eq!((newest.len(), newest[0], newest[39]), (40, TrialId(48), TrialId(9)));
+        // Two electrodes; the last reading of the twin is off by 1 V, and missing in the third trial.
+        let measured =
+            [[1.0_f32, -1.0, 1.0, -1.0], [-1.0, 1.0, -1.0, 1.0], [0.0, 0.0, 0.0, f32::NAN]];
+        let simulated = measured.map(|[a, b, c, d]| [a, b, c, d + 1.0]);
+        let frames: Vec<(&[f32], &[f32])> =
+            measured.iter().zip(&simulated).map(|(m, s)| (&m[..], &s[..])).collect();
+        let report = with_frames(&fits, &frames);
+        assert_eq!((report.trials, report.pair_trials), (49, 3));
+        let pairs: Vec<_> = report.by_pair.iter().map(|p| (p.electrodes, p.fvu)).collect();
+        assert_eq!(pairs, [([0, 1], 0.0), ([1, 0], 0.5)]);
+        assert!(pair_fits(&[], 2).is_empty());
+        assert!(with_frames(&fits, &[]).by_pair.is_empty());
     }
 
     #[test]

@@ -255,7 +255,7 @@ async fn an_import_that_the_disk_cannot_hold_stores_nothing() {
     // Three trials without their numbers take 2400 bytes.
     let refused = import_file(&store, &path, request.clone(), KEPT_FREE_BYTES + 2400).await;
     assert!(matches!(refused, Err(DatasetError::DiskFull { product: Product::Import, .. })));
-    assert!(store.runs(10, None).await.unwrap().runs.is_empty());
+    assert!(store.runs(&[], 10, None).await.unwrap().runs.is_empty());
     let stored = import_file(&store, &path, request, KEPT_FREE_BYTES + 4000).await.unwrap();
     assert_eq!(stored.trials, 3);
     store.close().await;

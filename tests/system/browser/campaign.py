@@ -73,8 +73,24 @@ def first_evening(page, _browser):
     expect(page.get_by_role("link", name="Open this trial")).to_be_visible(timeout=LIMIT_MS)
     page.get_by_role("link", name="Open this trial").click()
     expect(page).to_have_url(re.compile("/trials[?]trial="), timeout=LIMIT_MS)
+    runs_by_conditions(page)
     fit_by_keys(page)
     contacts_by_mouse(page)
+
+
+def runs_by_conditions(page):
+    """Runs are selected by the address, in the language of trials; what has no control is a chip that removes it."""
+    page.goto(f"{URL}/runs?exit_status=success&experiment=quickstart")
+    rows = page.locator("main tbody tr")
+    expect(rows).to_have_count(1, timeout=LIMIT_MS)
+    expect(page.locator("#state")).to_have_value("exit_status=success")
+    pressed(page, "Remove the condition experiment = quickstart")
+    expect(page).to_have_url(re.compile("/runs[?]exit_status=success$"), timeout=LIMIT_MS)
+    page.locator("#state").select_option("failed")
+    expect(page).to_have_url(re.compile("/runs[?]exit_status=fail$"), timeout=LIMIT_MS)
+    said(page, "No run is in this selection")
+    page.goto(f"{URL}/runs?tips=4")
+    said(page, re.compile("there is no column tips; there are scan_id, experiment"))
 
 
 def contacts_by_mouse(page):

@@ -43,7 +43,7 @@ pub(super) async fn known_trials(
     sensor: &CalibratedSensor,
 ) -> Result<KnownTrials, InferError> {
     let of_skin = sensor.skin().map(|skin| skin.evidence.run.clone());
-    let runs = store.runs(RUNS_LOOKED_AT, None).await?.runs;
+    let runs = store.runs(&[], RUNS_LOOKED_AT, None).await?.runs;
     let is_on_sensor = |run: &RunRow, kind: RunKind| {
         let is_measured = run.label != Label::Simulated;
         let same = || Sensor::from_toml(&run.sensor).is_ok_and(|s| s.file == sensor.file);
