@@ -157,7 +157,7 @@ impl Bench {
             indenter: Indenter::new(rig.skin, skin_size_mm, surface_z_mm, mechanics),
             play,
             weights: Vec::new(),
-            frames: FrameLedger::new(rig.ert.frame_rate_hz()),
+            frames: FrameLedger::new(rig.ert.frame_rate_hz),
             faults: Board::new(faults),
             now_s: 0.0,
             load: None,

@@ -46,7 +46,7 @@ impl Stream {
         seed: u64,
     ) -> io::Result<Self> {
         let stop = Arc::new(AtomicBool::new(false));
-        let electrodes = usize::from(lab.rig.ert.electrodes());
+        let electrodes = usize::from(lab.rig.ert.electrodes);
         let mut reader = Sender {
             stop: Arc::clone(&stop),
             lab,
