@@ -7,7 +7,7 @@
 
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
-use strum::IntoStaticStr;
+use strum::{IntoStaticStr, VariantArray};
 use utoipa::ToSchema;
 
 use crate::ids::{RunUid, TrialKey};
@@ -177,6 +177,7 @@ impl Label {
     Deserialize,
     ToSchema,
     IntoStaticStr,
+    VariantArray,
 )]
 #[serde(rename_all = "snake_case")]
 #[strum(serialize_all = "snake_case")]
@@ -201,16 +202,7 @@ pub enum Flag {
 
 impl Flag {
     /// All flags.
-    pub const ALL: [Self; 8] = [
-        Self::Unsettled,
-        Self::SaturatedChannels,
-        Self::InjectionSum,
-        Self::DroppedFrames,
-        Self::DepthMissed,
-        Self::StillCell,
-        Self::SilentSkin,
-        Self::Doubted,
-    ];
+    pub const ALL: &[Self] = Self::VARIANTS;
 
     /// What the flag means, in one sentence.
     pub fn about(self) -> &'static str {

@@ -159,44 +159,32 @@ pub struct Cells {
     pub full_scale_n: f64,
 }
 
+/// The voltage stream.
+#[derive(Debug, Clone, Deserialize)]
+pub struct Ert {
+    /// Its connection.
+    #[serde(flatten)]
+    pub port: ErtPort,
+    /// Number of electrodes in a packet.
+    pub electrodes: u16,
+    /// Frames per process second.
+    pub frame_rate_hz: f64,
+}
+
 /// Connection of the voltage stream.
 #[derive(Debug, Clone, Deserialize)]
 #[serde(tag = "kind", rename_all = "kebab-case")]
-pub enum Ert {
+pub enum ErtPort {
     /// TCP listener of a serial server.
     Tcp {
         /// `host:port`.
         address: String,
-        /// Number of electrodes in a packet.
-        electrodes: u16,
-        /// Frames per process second.
-        frame_rate_hz: f64,
     },
     /// Serial line: the rig serves a pseudo-terminal.
     Serial {
         /// Path of the serial device.
         path: String,
-        /// Number of electrodes in a packet.
-        electrodes: u16,
-        /// Frames per process second.
-        frame_rate_hz: f64,
     },
-}
-
-impl Ert {
-    /// Frames per process second.
-    pub fn frame_rate_hz(&self) -> f64 {
-        match self {
-            Ert::Tcp { frame_rate_hz, .. } | Ert::Serial { frame_rate_hz, .. } => *frame_rate_hz,
-        }
-    }
-
-    /// Number of electrodes in a packet.
-    pub fn electrodes(&self) -> u16 {
-        match self {
-            Ert::Tcp { electrodes, .. } | Ert::Serial { electrodes, .. } => *electrodes,
-        }
-    }
 }
 
 /// The axes in index order.
@@ -301,7 +289,7 @@ impl RigFile {
             }
         }
         positive("clock_rate", self.clock_rate)?;
-        positive("ert.frame_rate_hz", self.ert.frame_rate_hz())?;
+        positive("ert.frame_rate_hz", self.ert.frame_rate_hz)?;
         positive("cells.update_ms", self.cells.update_ms)?;
         positive("cells.supply_v", self.cells.supply_v)?;
         positive("cells.full_scale_n", self.cells.full_scale_n)?;
@@ -355,7 +343,7 @@ mod tests {
         let text = include_str!("../../experiments/rigs/skin-only.toml");
         let file = RigFile::from_toml(text).unwrap();
         assert!(file.devices().is_empty() && file.lines.is_empty());
-        assert_eq!(file.ert.electrodes(), 28);
+        assert_eq!(file.ert.electrodes, 28);
     }
 
     #[test]

@@ -16,7 +16,7 @@ use tokio_serial::{SerialPort, SerialStream};
 
 use crate::bench::Bench;
 use crate::clock::RigClock;
-use crate::config::{ConfigError, Ert, Line, RigFile};
+use crate::config::{ConfigError, ErtPort, Line, RigFile};
 use crate::ert::packet::Amplifier;
 use crate::ert::sinks::{PtySink, Sinks};
 use crate::ert::stream::Stream;
@@ -257,8 +257,8 @@ impl VirtualRig {
         }
         rig.clock_rate = speed;
         let electrodes = sensor.electrodes_mm().len();
-        if usize::from(rig.ert.electrodes()) != electrodes {
-            return Err(RunError::Electrodes { rig: rig.ert.electrodes(), sensor: electrodes });
+        if usize::from(rig.ert.electrodes) != electrodes {
+            return Err(RunError::Electrodes { rig: rig.ert.electrodes, sensor: electrodes });
         }
         let size = [sensor.file.width_mm, sensor.file.height_mm];
         let circuit = &sensor.file.circuit;
@@ -329,13 +329,13 @@ impl Doors {
             };
             lines_at.insert(name.clone(), at);
         }
-        let (sinks, ert_at) = match &rig.ert {
-            Ert::Tcp { address, .. } => {
+        let (sinks, ert_at) = match &rig.ert.port {
+            ErtPort::Tcp { address } => {
                 let (listener, at) = listen(address, args.ephemeral, Some(STREAM_BUFFER)).await?;
                 let listener = listener.into_std().map_err(RunError::Start)?;
                 (Sinks::Tcp { listener, clients: Vec::new() }, at)
             }
-            Ert::Serial { path, .. } => {
+            ErtPort::Serial { path } => {
                 let (master, at) = open_pty(path, args.ephemeral, &mut links)?;
                 (Sinks::Pty(PtySink::new(master)), at)
             }

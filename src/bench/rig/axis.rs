@@ -127,7 +127,7 @@ struct Look {
 
 /// An axis of the rig, on a drive with a Modbus register map.
 #[derive(Debug)]
-pub struct ModbusAxis<D> {
+struct ModbusAxis<D> {
     name: &'static str,
     drive: D,
     station: Station,
@@ -144,26 +144,14 @@ impl AxisParts {
     /// The axis on a drive.
     pub fn on<D: Drive>(self, drive: D) -> Arc<dyn Axis> {
         let Self { name, station, profile, gate, clock } = self;
-        Arc::new(ModbusAxis::new(name, drive, station, profile, gate, clock))
+        let motion = AxisMotion { tolerance: profile.tolerance, speed: profile.speed };
+        let watch = Mutex::new(MotionWatch::new(motion));
+        let held = AtomicBool::new(true);
+        Arc::new(ModbusAxis { name, drive, station, profile, gate, clock, watch, held })
     }
 }
 
 impl<D: Drive> ModbusAxis<D> {
-    /// Creates an axis with this name on a drive.
-    pub fn new(
-        name: &'static str,
-        drive: D,
-        station: Station,
-        profile: AxisProfile,
-        gate: MotionGate,
-        clock: Clock,
-    ) -> Self {
-        let motion = AxisMotion { tolerance: profile.tolerance, speed: profile.speed };
-        let watch = Mutex::new(MotionWatch::new(motion));
-        let held = AtomicBool::new(true);
-        Self { name, drive, station, profile, gate, clock, watch, held }
-    }
-
     fn watch(&self) -> MutexGuard<'_, MotionWatch> {
         self.watch.lock()
     }

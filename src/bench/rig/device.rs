@@ -1,5 +1,5 @@
 //! A supported device: its name in rig files, what a rig file may set in it, and its driver. The
-//! file or folder of a device describes its own; `drives` and `input_modules` list all of them, and find the one that a rig
+//! file of a device describes its own; `drives` and `input_modules` list all of them, and find the one that a rig
 //! file names.
 //! Uses: `problem`, `guard`, `profile`, `station`, `link`, `traits`. Never: the name of a device, requests, ports.
 

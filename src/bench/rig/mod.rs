@@ -1,5 +1,5 @@
 //! The bench: capabilities in units, and the drivers that implement them. One device, one file in
-//! `drives` or one folder in `input_modules`.
+//! `drives` or `input_modules`.
 //! Uses: `clock`, `problem`. Never: campaigns, trials, storage, HTTP.
 
 pub mod cells;
@@ -21,6 +21,7 @@ pub mod station;
 pub mod words;
 
 pub mod axis;
+pub mod inputs;
 pub mod device;
 pub mod drives;
 pub mod input_modules;

@@ -25,7 +25,7 @@ pub struct ActionStatus {
 
 /// The actions that this rig has, each with the reason why it would be refused now.
 pub fn of_rig(status: &Status, desk: bool) -> Vec<ActionStatus> {
-    let actions = RigAction::ALL.into_iter();
+    let actions = RigAction::ALL.iter().copied();
     let actions = actions.filter(|action| status.rig.has_stage || !action.needs_stage());
     let actions = actions.map(|action| {
         let at_a_desk = (desk && action == RigAction::Connect).then(|| DESK.to_owned());

@@ -175,7 +175,7 @@ pub async fn vocabulary() -> Json<Vocabulary> {
         methods: Method::served().map(MethodWord::from).collect(),
         scored: Scored::all().map(ScoredWord::from).collect(),
         slots: Slot::ALL.map(SlotWord::from).into(),
-        tasks: NetTask::ALL.map(|task| Word { name: task.as_str(), about: task.about() }).into(),
+        tasks: words(&NetTask::ALL, NetTask::as_str, NetTask::about),
         formats: Format::ALL.map(FormatWord::from).into(),
         maps: TABLE_IV_MAPS
             .map(|map| MapWord {
@@ -184,19 +184,26 @@ pub async fn vocabulary() -> Json<Vocabulary> {
                 diameter_mm: map.diameter_mm,
             })
             .into(),
-        flags: Flag::ALL.map(|flag| Word { name: flag.as_str(), about: flag.about() }).into(),
+        flags: words(Flag::ALL, Flag::as_str, Flag::about),
         events: KINDS
             .map(|kind| EventWord { name: kind.name, about: kind.about, importance: kind.most })
             .into(),
-        trips: TripKind::ALL.map(|kind| Word { name: kind.name(), about: kind.about() }).into(),
-        pauses: PausedWhy::ALL.map(|why| Word { name: why.as_str(), about: why.about() }).into(),
-        phases: Phase::ALL.map(|at| Word { name: at.as_str(), about: at.about() }).into(),
-        rig_states: RigState::ALL
-            .map(|state| Word { name: state.as_str(), about: state.about() })
-            .into(),
-        roles: Role::ALL.map(|role| Word { name: role.as_str(), about: role.about() }).into(),
+        trips: words(TripKind::ALL, TripKind::name, TripKind::about),
+        pauses: words(PausedWhy::ALL, PausedWhy::as_str, PausedWhy::about),
+        phases: words(Phase::ALL, Phase::as_str, Phase::about),
+        rig_states: words(RigState::ALL, RigState::as_str, RigState::about),
+        roles: words(&Role::ALL, Role::as_str, Role::about),
         simulation: SimulationLimits { contacts_max: SIMULATED_CONTACTS, force_max_n: FORCE_MAX_N },
     })
+}
+
+/// The names of a list, each with what it means.
+fn words<T: Copy>(
+    all: &[T],
+    name: fn(T) -> &'static str,
+    about: fn(T) -> &'static str,
+) -> Vec<Word> {
+    all.iter().map(|&one| Word { name: name(one), about: about(one) }).collect()
 }
 
 impl From<Method> for MethodWord {
@@ -301,7 +308,7 @@ mod tests {
         assert_eq!((words.pauses[1].name, words.pauses.len()), ("tip_change", 6));
         assert_eq!((words.rig_states[1].name, words.rig_states.len()), ("disarmed", 5));
         let named = words.phases.iter().map(|phase| serde_json::json!(phase.name));
-        assert!(named.eq(Phase::ALL.map(|phase| serde_json::json!(phase))));
+        assert!(named.eq(Phase::ALL.iter().map(|phase| serde_json::json!(phase))));
         assert_eq!(
             words.roles.iter().map(|role| role.name).collect::<Vec<_>>(),
             ["viewer", "operator", "admin"]

@@ -449,7 +449,7 @@ async fn tables_that_another_hand_changed_are_refused_with_the_cause() {
             Err(error) => error_chain(&error),
         }
     };
-    let words = refusal("DROP VIEW trials_flat; DROP TRIGGER trials_in_blocks; ALTER TABLE trials DROP COLUMN settle_ms").await;
+    let words = refusal("DROP VIEW trials_flat; DROP VIEW trial_bounds; DROP TRIGGER trials_in_blocks; ALTER TABLE trials DROP COLUMN settle_ms").await;
     assert!(words.contains("column trials.settle_ms is missing"), "{words}");
     let words = refusal("DELETE FROM _sqlx_migrations").await;
     assert!(words.contains("table runs already exists"), "{words}");

@@ -10,7 +10,8 @@ use crate::ids::{DatasetId, RunUid, TrialKey};
 use crate::journal::Journal;
 use crate::state::StoredState;
 use crate::{
-    Contact, DatasetRow, ImportedTrial, Label, NewRun, RunKind, Soundness, Store, TrialQuery,
+    Condition, Contact, DatasetRow, ImportedTrial, Label, NewRun, RunKind, Soundness, Store,
+    TrialQuery,
 };
 
 fn imported() -> NewRun {
@@ -185,6 +186,10 @@ async fn tables_made_anew_lose_nothing() {
     assert_eq!(trials.len(), 1);
     let trial = &trials[0];
     assert_eq!((trial.trial_id.0, trial.settle_ms), (5, Some(1.5)));
+    // Conditions read by the bounds of its block, which are newer than it.
+    let filters = vec![Condition::parse("settle_ms__gt=1").unwrap()];
+    let query = TrialQuery { run: Some(run.uid), filters, limit: 10, ..Default::default() };
+    assert_eq!(store.trials(&query).await.unwrap().len(), 1);
     assert_eq!(trial.contacts[0].pressed(), Some([1.5, 2.5, 4.905]));
     assert_eq!(trial.voltages_v, Some(vec![1.0]));
     assert_eq!(trial.quality.saturated_channels, None);

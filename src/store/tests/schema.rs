@@ -134,9 +134,12 @@ fn its_futures_may_move_between_threads() {
 #[tokio::test]
 async fn blocks_bound_every_column_that_conditions_compare() {
     let (_folder, store) = fresh().await;
-    let sql = "SELECT name FROM pragma_table_info('trial_blocks')";
-    let mut names: Vec<String> =
-        sqlx::query_scalar(sql).fetch_all(&store.inner.readers).await.unwrap();
+    let sql = "SELECT name FROM pragma_table_info(?)";
+    let columns = async |of: &'static str| -> Vec<String> {
+        sqlx::query_scalar(sql).bind(of).fetch_all(&store.inner.readers).await.unwrap()
+    };
+    let mut names = columns("trial_blocks").await;
+    assert_eq!(columns("trial_bounds").await, names, "from which wrong bounds are computed again");
     names.sort();
     let bounded = TABLE.iter().filter(|column| column.has_bounds()).map(|column| column.name);
     let bounds = |name: &str| [format!("{name}_least"), format!("{name}_most")];

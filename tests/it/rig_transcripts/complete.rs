@@ -1,5 +1,5 @@
-//! What a driver must have, found by its name: a transcript, its registers among the references, a file or a
-//! folder with its reference, a register map in the virtual rig. And every rig file parses.
+//! What a driver must have, found by its name: a transcript, its registers among the references, a file with
+//! its reference, a register map in the virtual rig. And every rig file parses.
 
 use std::path::Path;
 
@@ -42,10 +42,9 @@ impl Checkout {
         let damaged: usize =
             self.transcripts.iter().filter(own).map(|(_, text)| damaged(text)).sum();
         let heading = format!("`device = \"{device}\"`");
-        let (kind, own_file) = match MODULES.iter().any(|module| module.as_str() == device) {
-            true => ("input_modules", format!("src/bench/rig/input_modules/{device}/mod.rs")),
-            false => ("drives", format!("src/bench/rig/drives/{device}.rs")),
-        };
+        let is_module = MODULES.iter().any(|module| module.as_str() == device);
+        let kind = if is_module { "input_modules" } else { "drives" };
+        let own_file = format!("src/bench/rig/{kind}/{device}.rs");
         let head = text(&own_file);
         let cites = head.is_some_and(|text| text.contains(&format!("`{REFERENCES}`, \"")));
         let found = [

@@ -10,7 +10,7 @@ use rand_chacha::ChaCha8Rng;
 
 use crate::config::{ARMS, Cells};
 use crate::device::INPUTS;
-use crate::fault::{ActiveFault, Kind};
+use crate::fault::{ActiveFault, CellFault};
 
 /// Largest zero offset, fraction of full scale (accuracy of the cell).
 const OFFSET_PART: f64 = 0.01;
@@ -75,19 +75,17 @@ impl CellBank {
         let mut volts = [0.0; INPUTS];
         let t_s = self.time_s(conversion);
         for arm in 0..ARMS {
-            let uncoupled = faults.iter().any(|f| f.kind == Kind::UncoupledCell { arm });
+            let of_arm = || faults.iter().filter(move |f| f.arm == arm);
+            let uncoupled = of_arm().any(|f| f.fault == CellFault::Uncoupled);
             let felt_n = if uncoupled { 0.0 } else { forces_n[arm] };
             let mut force = felt_n + self.offsets_n[arm];
-            for ActiveFault { kind, began_s } in faults {
-                if let Kind::DriftingCell { arm: a, n_per_s } = kind
-                    && *a == arm
-                {
-                    force += n_per_s * (t_s - began_s).max(0.0);
-                }
-                if let Kind::ForeignLoad { arm: a, n } = kind
-                    && *a == arm
-                {
-                    force += n;
+            for ActiveFault { fault, began_s, .. } in of_arm() {
+                match fault {
+                    CellFault::Drifting { n_per_s } => {
+                        force += n_per_s * (t_s - began_s).max(0.0);
+                    }
+                    CellFault::Loaded { n } => force += n,
+                    _ => {}
                 }
             }
             force += NOISE_PART * self.file.full_scale_n * self.noise(conversion, arm);
@@ -105,12 +103,12 @@ impl CellBank {
     }
 
     fn with_faults(&mut self, arm: usize, v: f64, faults: &[ActiveFault]) -> f64 {
-        let has = |kind: Kind| faults.iter().any(|f| f.kind == kind);
-        let frozen = has(Kind::FrozenCell { arm });
+        let has = |fault: CellFault| faults.iter().any(|f| f.arm == arm && f.fault == fault);
+        let frozen = has(CellFault::Frozen);
         self.frozen[arm] = frozen.then(|| self.frozen[arm].unwrap_or(v));
-        if has(Kind::DeadCell { arm }) {
+        if has(CellFault::Dead) {
             0.0
-        } else if has(Kind::SaturatedCell { arm }) {
+        } else if has(CellFault::Saturated) {
             CEILING_PART * self.file.supply_v
         } else {
             self.frozen[arm].unwrap_or(v)
@@ -179,12 +177,12 @@ mod tests {
     fn faults_of_cells_show() {
         let mut bank = bank();
         let faults = [
-            Kind::DeadCell { arm: 0 },
-            Kind::SaturatedCell { arm: 1 },
-            Kind::FrozenCell { arm: 2 },
-            Kind::DriftingCell { arm: 3, n_per_s: 1.0 },
+            (0, CellFault::Dead),
+            (1, CellFault::Saturated),
+            (2, CellFault::Frozen),
+            (3, CellFault::Drifting { n_per_s: 1.0 }),
         ];
-        let faults = faults.map(|kind| ActiveFault { kind, began_s: 0.0 });
+        let faults = faults.map(|(arm, fault)| ActiveFault { arm, fault, began_s: 0.0 });
         let first = bank.convert(10, &[0.0; 6], 6, &faults);
         let later = bank.convert(110, &[20.0; 6], 6, &faults);
         assert_eq!(later[0], 0.0);
@@ -198,9 +196,10 @@ mod tests {
     fn a_foreign_load_pushes_or_pulls_on_a_cell_without_a_tip() {
         let mut bank = bank();
         let zero = bank.convert(10, &[0.0; 6], 6, &[]);
-        let push = Kind::ForeignLoad { arm: 5, n: 8.0 };
-        let pull = Kind::ForeignLoad { arm: 0, n: -3.0 };
-        let faults = [push, pull].map(|kind| ActiveFault { kind, began_s: 0.0 });
+        let faults = [(5, 8.0), (0, -3.0)].map(|(arm, n)| {
+            let fault = CellFault::Loaded { n };
+            ActiveFault { arm, fault, began_s: 0.0 }
+        });
         let loaded = bank.convert(11, &[0.0; 6], 6, &faults);
         let changes = [0, 5].map(|arm| (loaded[arm] - zero[arm]) * 27.8);
         assert!((changes[0] + 3.0).abs() < 0.2 && (changes[1] - 8.0).abs() < 0.2, "{changes:?}");

@@ -157,7 +157,7 @@ impl Bench {
             indenter: Indenter::new(rig.skin, skin_size_mm, surface_z_mm, mechanics),
             play,
             weights: Vec::new(),
-            frames: FrameLedger::new(rig.ert.frame_rate_hz()),
+            frames: FrameLedger::new(rig.ert.frame_rate_hz),
             faults: Board::new(faults),
             now_s: 0.0,
             load: None,
@@ -180,7 +180,12 @@ impl Bench {
     }
 
     fn pose(&self, t_s: f64) -> Pose {
-        let at = |name: AxisName| self.drive(name).position(t_s);
+        self.pose_of(|drive| drive.position(t_s))
+    }
+
+    /// Pose with each drive at the position that `at` returns.
+    fn pose_of(&self, at: impl Fn(&Drive) -> f64) -> Pose {
+        let at = |name| at(self.drive(name));
         Pose {
             x_mm: at(AxisName::X),
             y_mm: at(AxisName::Y),
@@ -432,13 +437,7 @@ impl Bench {
 
     /// Predicts the load at the end of the active motions, so that it can be solved in advance.
     fn expect_load(&mut self) {
-        let at = |name: AxisName| self.drive(name).resting_position();
-        let pose = Pose {
-            x_mm: at(AxisName::X),
-            y_mm: at(AxisName::Y),
-            z_mm: at(AxisName::Z),
-            radius_mm: self.play.radius_mm(at(AxisName::Radial)),
-        };
+        let pose = self.pose_of(Drive::resting_position);
         if self.indenter.surely_clear(pose.z_mm) {
             return;
         }

@@ -48,11 +48,37 @@ pub trait AxisMap: fmt::Debug + Send + Sync {
 
 /// The register map of an analog input module.
 pub trait CellsMap: fmt::Debug + Send + Sync {
-    /// Executes one request, given the voltages of the inputs at the last conversion, V.
+    /// Value of the register that a function (3 holding, 4 input) reads, given the voltages of the inputs at
+    /// the last conversion, V; `None` if the module does not have it.
+    fn register(&self, function: u8, address: u16, volts: &[f64; INPUTS]) -> Option<u16>;
+
+    /// Writes a register.
     ///
     /// # Errors
     /// The Modbus exception that the module returns.
-    fn serve(&mut self, request: &Request, volts: &[f64; INPUTS]) -> Result<Reply, Exception>;
+    fn set(&mut self, address: u16, value: u16) -> Result<(), Exception>;
+
+    /// Executes one request.
+    ///
+    /// # Errors
+    /// The Modbus exception that the module returns.
+    fn serve(&mut self, request: &Request, volts: &[f64; INPUTS]) -> Result<Reply, Exception> {
+        match *request {
+            Request::ReadRegisters { function, address, count } => {
+                return read_each(address, count, |a| self.register(function, a, volts));
+            }
+            Request::WriteRegister { address, value } => self.set(address, value)?,
+            Request::WriteRegisters { address, ref values } => {
+                for (a, &value) in (address..).zip(values) {
+                    self.set(a, value)?;
+                }
+            }
+            Request::ReadBits { .. } | Request::WriteCoil { .. } => {
+                return Err(Exception::IllegalFunction);
+            }
+        }
+        Ok(Reply::Written)
+    }
 }
 
 /// A drive that a rig file can name.

@@ -16,7 +16,7 @@ use rand_chacha::ChaCha8Rng;
 use super::packet::{Amplifier, PacketWriter};
 use super::sinks::Sinks;
 use crate::bench::TakenFrame;
-use crate::fault::Kind;
+use crate::fault::{Damage, Kind, WireFault};
 use crate::lab::Lab;
 use crate::skin::AnyReadout;
 
@@ -46,7 +46,7 @@ impl Stream {
         seed: u64,
     ) -> io::Result<Self> {
         let stop = Arc::new(AtomicBool::new(false));
-        let electrodes = usize::from(lab.rig.ert.electrodes());
+        let electrodes = usize::from(lab.rig.ert.electrodes);
         let mut reader = Sender {
             stop: Arc::clone(&stop),
             lab,
@@ -101,7 +101,7 @@ impl Sender {
             bench.advance(self.lab.clock.process_s());
             (bench.take_frames(), bench.stream_faults())
         };
-        let cut = faults.iter().any(|f| matches!(f, Kind::Disconnect { .. }));
+        let cut = faults.iter().any(|f| matches!(f, Kind::Wire(WireFault::Disconnect { .. })));
         if cut {
             self.sinks.disconnect();
             self.sinks.reject();
@@ -153,22 +153,18 @@ impl Sender {
     /// Damages the packet that begins at `start` according to the active faults.
     fn mangle(&mut self, start: usize, faults: &[Kind]) {
         for fault in faults {
-            let (Kind::DropBytes { rate } | Kind::FlipBytes { rate } | Kind::DoubleBytes { rate }) =
-                *fault
-            else {
-                continue;
-            };
+            let Kind::Bytes { rate, damage } = *fault else { continue };
             if self.chance.random_range(0.0..1.0) >= rate || self.batch.len() <= start {
                 continue;
             }
             let at = self.chance.random_range(start..self.batch.len());
-            match fault {
-                Kind::DropBytes { .. } => {
+            match damage {
+                Damage::Drop => {
                     let end = (at + self.chance.random_range(1..8)).min(self.batch.len());
                     self.batch.drain(at..end);
                 }
-                Kind::FlipBytes { .. } => self.batch[at] ^= 1 << self.chance.random_range(0..8),
-                _ => self.batch.insert(at, self.batch[at]),
+                Damage::Flip => self.batch[at] ^= 1 << self.chance.random_range(0..8),
+                Damage::Double => self.batch.insert(at, self.batch[at]),
             }
         }
     }

@@ -2,7 +2,7 @@
 //! up.
 //! PURE. Uses: `fault`. Never: clocks (times are passed in), wires.
 
-use super::{Fault, Kind, Part, Start, Target};
+use super::{CellFault, Fault, Kind, Start, Target, WireFault};
 use crate::config::{ARMS, AxisName};
 
 #[derive(Debug, Clone)]
@@ -20,37 +20,15 @@ impl Entry {
     }
 }
 
-/// A fault in effect.
+/// A fault of a cell in effect.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ActiveFault {
-    /// Kind of the fault, with its parameters.
-    pub kind: Kind,
+    /// Index of the arm of the cell, from 0.
+    pub arm: usize,
+    /// What happens to it.
+    pub fault: CellFault,
     /// Process time of its begin, s.
     pub began_s: f64,
-}
-
-/// Effect of a fault on one request.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub enum WireFault {
-    /// No reply is sent.
-    NoReply {
-        /// Whether the request is executed.
-        executed: bool,
-    },
-    /// The request is refused with this exception code.
-    Exception(u8),
-    /// The connection is closed.
-    Disconnect {
-        /// Whether the request is executed.
-        executed: bool,
-    },
-    /// The reply is sent late.
-    Late {
-        /// Delay, wall ms.
-        delay_ms: u64,
-    },
-    /// The reply is sent with damaged bytes.
-    Garbled(Part),
 }
 
 /// All faults of a rig, with their states.
@@ -117,29 +95,9 @@ impl Board {
                 Target::Line(name) => name == line,
                 target => Some(target) == device,
             };
-            let wire = match fault.kind {
-                Kind::NoReply { executed } => WireFault::NoReply { executed },
-                Kind::Exception { code } => WireFault::Exception(code),
-                Kind::Disconnect { executed } => WireFault::Disconnect { executed },
-                Kind::LateReply { delay_ms } => WireFault::Late { delay_ms },
-                Kind::GarbledReply { part } => WireFault::Garbled(part),
-                Kind::StuckAxis { .. }
-                | Kind::Alarm { .. }
-                | Kind::PowerLoss
-                | Kind::StaleRegisters
-                | Kind::DeadCell { .. }
-                | Kind::SaturatedCell { .. }
-                | Kind::FrozenCell { .. }
-                | Kind::DriftingCell { .. }
-                | Kind::ForeignLoad { .. }
-                | Kind::MissingTip { .. }
-                | Kind::UncoupledCell { .. }
-                | Kind::DropBytes { .. }
-                | Kind::FlipBytes { .. }
-                | Kind::DoubleBytes { .. }
-                | Kind::StallStream => continue,
-            };
-            if meant {
+            if let Kind::Wire(wire) = fault.kind
+                && meant
+            {
                 *struck += 1;
                 return Some(wire);
             }
@@ -150,7 +108,7 @@ impl Board {
     /// Whether a wire is disconnected at present, so that connections are refused.
     pub fn disconnected(&mut self, line: &str, t_s: f64) -> bool {
         self.active(t_s).any(|(fault, _, _)| {
-            matches!(fault.kind, Kind::Disconnect { .. })
+            matches!(fault.kind, Kind::Wire(WireFault::Disconnect { .. }))
                 && fault.for_s.is_some()
                 && fault.target == Target::Line(line.to_owned())
         })
@@ -187,8 +145,10 @@ impl Board {
     /// Active faults of the cells.
     pub fn cells(&mut self, t_s: f64) -> Vec<ActiveFault> {
         self.active(t_s)
-            .filter(|(f, _, _)| f.target == Target::Cells)
-            .map(|(f, began_s, _)| ActiveFault { kind: f.kind, began_s })
+            .filter_map(|(f, began_s, _)| match f.kind {
+                Kind::Cell { arm, fault } => Some(ActiveFault { arm, fault, began_s }),
+                _ => None,
+            })
             .collect()
     }
 
@@ -196,7 +156,7 @@ impl Board {
     pub fn missing_tips(&mut self, t_s: f64) -> [bool; ARMS] {
         let mut missing = [false; ARMS];
         for (fault, _, _) in self.active(t_s) {
-            if let Kind::MissingTip { arm } = fault.kind {
+            if let Kind::Cell { arm, fault: CellFault::MissingTip } = fault.kind {
                 missing[arm] = true;
             }
         }
@@ -225,7 +185,7 @@ mod tests {
 
     #[test]
     fn a_fault_begins_lasts_and_ends() {
-        let kind = Kind::NoReply { executed: false };
+        let kind = Kind::Wire(WireFault::NoReply { executed: false });
         let z = Target::Axis(AxisName::Z);
         let timed = Fault { for_s: Some(1.0), ..fault(kind, z.clone(), Start::Time(5.0)) };
         let mut board = Board::new(vec![timed]);
@@ -239,8 +199,8 @@ mod tests {
     #[test]
     fn a_counted_fault_strikes_so_often() {
         let target = Target::Line("stage".into());
-        let counted =
-            Fault { count: Some(2), ..fault(Kind::Exception { code: 6 }, target, Start::Now) };
+        let kind = Kind::Wire(WireFault::Exception(6));
+        let counted = Fault { count: Some(2), ..fault(kind, target, Start::Now) };
         let mut board = Board::new(vec![counted]);
         board.update(0.0, 0, 0);
         let x = Target::Axis(AxisName::X);
@@ -252,14 +212,14 @@ mod tests {
 
     #[test]
     fn another_device_is_spared() {
-        let kind = Kind::LateReply { delay_ms: 5 };
+        let late = WireFault::Late { delay_ms: 5 };
+        let kind = Kind::Wire(late);
         let mut board = Board::new(vec![fault(kind, Target::Cells, Start::Press(2))]);
         board.update(1.0, 100, 1);
         assert_eq!(board.strike_request(Some(&Target::Cells), "cells", 1.0), None);
         board.update(2.0, 100, 2);
         let z = Target::Axis(AxisName::Z);
         assert_eq!(board.strike_request(Some(&z), "stage", 2.0), None);
-        let late = Some(WireFault::Late { delay_ms: 5 });
-        assert_eq!(board.strike_request(Some(&Target::Cells), "cells", 2.0), late);
+        assert_eq!(board.strike_request(Some(&Target::Cells), "cells", 2.0), Some(late));
     }
 }

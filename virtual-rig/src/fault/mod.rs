@@ -13,7 +13,7 @@
 mod board;
 mod parse;
 
-pub use board::{ActiveFault, Board, WireFault};
+pub use board::{ActiveFault, Board};
 pub use parse::{FaultError, from_json, script};
 
 use serde::Deserialize;
@@ -32,34 +32,72 @@ pub enum Part {
     Cut,
 }
 
-/// Kind of a fault, with its parameters.
+/// Effect of a fault on one request, or on a wire.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Kind {
-    /// No reply arrives; the request may have been executed.
+pub enum WireFault {
+    /// No reply arrives.
     NoReply {
         /// Whether the request is executed.
         executed: bool,
     },
-    /// The device replies with a Modbus exception.
-    Exception {
-        /// Modbus exception code.
-        code: u8,
-    },
+    /// The device replies with a Modbus exception of this code.
+    Exception(u8),
     /// The connection is closed; on a serial line no bytes pass.
     Disconnect {
         /// Whether the request in progress is executed.
         executed: bool,
     },
     /// The reply arrives late.
-    LateReply {
+    Late {
         /// Delay, wall ms.
         delay_ms: u64,
     },
     /// The reply arrives damaged.
-    GarbledReply {
-        /// Damaged part of the reply.
-        part: Part,
+    Garbled(Part),
+}
+
+/// Fault of a load cell, or of the tip on it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum CellFault {
+    /// The cell is disconnected: 0 V.
+    Dead,
+    /// The cell is saturated.
+    Saturated,
+    /// The output of the cell does not change.
+    Frozen,
+    /// The zero of the cell drifts.
+    Drifting {
+        /// Rate of the drift, N per process second.
+        n_per_s: f64,
     },
+    /// An external load on the cell, also without a tip.
+    Loaded {
+        /// Force, N; negative if it pulls.
+        n: f64,
+    },
+    /// The tip is lost: its arm never presses, and its cell stays connected.
+    MissingTip,
+    /// The cell does not measure the force of its tip, which still presses: it returns zero with
+    /// noise.
+    Uncoupled,
+}
+
+/// Damage of bytes of the stream.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Damage {
+    /// Bytes are lost.
+    Drop,
+    /// A bit is flipped.
+    Flip,
+    /// A byte is doubled.
+    Double,
+}
+
+/// Kind of a fault, with its parameters.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Kind {
+    /// A request or a wire fails.
+    Wire(WireFault),
     /// The motor does not turn.
     StuckAxis {
         /// Time until the drive detects it, process s; absent: never.
@@ -74,60 +112,19 @@ pub enum Kind {
     PowerLoss,
     /// Reads return the values from the begin of the fault.
     StaleRegisters,
-    /// A cell is disconnected: 0 V.
-    DeadCell {
-        /// Index of the arm, from 0.
+    /// A cell fails.
+    Cell {
+        /// Index of its arm, from 0.
         arm: usize,
+        /// What happens to it.
+        fault: CellFault,
     },
-    /// A cell is saturated.
-    SaturatedCell {
-        /// Index of the arm, from 0.
-        arm: usize,
-    },
-    /// The output of a cell does not change.
-    FrozenCell {
-        /// Index of the arm, from 0.
-        arm: usize,
-    },
-    /// The zero of a cell drifts.
-    DriftingCell {
-        /// Index of the arm, from 0.
-        arm: usize,
-        /// Rate of the drift, N per process second.
-        n_per_s: f64,
-    },
-    /// An external load on a cell, also on one without a tip.
-    ForeignLoad {
-        /// Index of the arm, from 0.
-        arm: usize,
-        /// Force, N; negative if it pulls.
-        n: f64,
-    },
-    /// A tip is lost: its arm never presses, and its cell stays connected.
-    MissingTip {
-        /// Index of the arm, from 0.
-        arm: usize,
-    },
-    /// A cell does not measure the force of its tip, which still presses: it returns zero with
-    /// noise.
-    UncoupledCell {
-        /// Index of the arm, from 0.
-        arm: usize,
-    },
-    /// Bytes of the stream are lost.
-    DropBytes {
+    /// Bytes of the stream are damaged.
+    Bytes {
         /// Fraction of the packets affected.
         rate: f64,
-    },
-    /// Bits of the stream are flipped.
-    FlipBytes {
-        /// Fraction of the packets affected.
-        rate: f64,
-    },
-    /// Bytes of the stream are doubled.
-    DoubleBytes {
-        /// Fraction of the packets affected.
-        rate: f64,
+        /// What happens to them.
+        damage: Damage,
     },
     /// The stream sends no frames.
     StallStream,

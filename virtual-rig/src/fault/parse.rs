@@ -3,7 +3,7 @@
 
 use serde::Deserialize;
 
-use super::{Fault, Kind, Part, Start, Target};
+use super::{CellFault, Damage, Fault, Kind, Part, Start, Target, WireFault};
 use crate::config::{ARMS, AxisName, RigFile};
 
 /// Error in a fault script.
@@ -100,46 +100,54 @@ impl Entry<'_> {
         if ok { Ok(rate) } else { Err(self.bad("rate", rate, "must be in (0, 1]")) }
     }
 
+    fn cell(&self, fault: CellFault) -> Result<Kind, FaultError> {
+        Ok(Kind::Cell { arm: self.arm()?, fault })
+    }
+
+    fn bytes(&self, damage: Damage) -> Result<Kind, FaultError> {
+        Ok(Kind::Bytes { rate: self.rate()?, damage })
+    }
+
     fn kind(&self) -> Result<Kind, FaultError> {
         let e = self.entry;
         let executed = e.executed.unwrap_or(false);
         Ok(match e.kind.as_str() {
-            "no_reply" => Kind::NoReply { executed },
-            "disconnect" => Kind::Disconnect { executed },
+            "no_reply" => Kind::Wire(WireFault::NoReply { executed }),
+            "disconnect" => Kind::Wire(WireFault::Disconnect { executed }),
             "exception" => match e.code {
-                Some(code @ 1..=255) => Kind::Exception { code: code as u8 },
+                Some(code @ 1..=255) => Kind::Wire(WireFault::Exception(code as u8)),
                 code => {
                     let shown = code.map_or(String::new(), |c| c.to_string());
                     return Err(self.bad("code", shown, "is needed: 1 to 255"));
                 }
             },
             "late_reply" => match e.delay_ms {
-                Some(delay_ms @ 1..=60_000) => Kind::LateReply { delay_ms },
+                Some(delay_ms @ 1..=60_000) => Kind::Wire(WireFault::Late { delay_ms }),
                 delay => {
                     let shown = delay.map_or(String::new(), |d| d.to_string());
                     return Err(self.bad("delay_ms", shown, "is needed: 1 to 60000"));
                 }
             },
-            "garbled_reply" => Kind::GarbledReply { part: e.part.unwrap_or(Part::Header) },
+            "garbled_reply" => Kind::Wire(WireFault::Garbled(e.part.unwrap_or(Part::Header))),
             "stuck_axis" => Kind::StuckAxis { alarm_after_s: e.alarm_after_s },
             "alarm" => Kind::Alarm { code: e.code.unwrap_or(0xFF) },
             "power_loss" => Kind::PowerLoss,
             // A hanging module repeats its last conversion.
             "stale_registers" | "hung_module" => Kind::StaleRegisters,
-            "dead_cell" => Kind::DeadCell { arm: self.arm()? },
-            "saturated_cell" => Kind::SaturatedCell { arm: self.arm()? },
-            "frozen_cell" => Kind::FrozenCell { arm: self.arm()? },
+            "dead_cell" => self.cell(CellFault::Dead)?,
+            "saturated_cell" => self.cell(CellFault::Saturated)?,
+            "frozen_cell" => self.cell(CellFault::Frozen)?,
             "drifting_cell" => {
                 let n_per_s = e.n_per_s.ok_or_else(|| self.bad("n_per_s", "", "is needed"))?;
-                Kind::DriftingCell { arm: self.arm()?, n_per_s }
+                self.cell(CellFault::Drifting { n_per_s })?
             }
-            "foreign_load" => Kind::ForeignLoad { arm: self.arm()?, n: self.load_n()? },
-            "pulling_cell" => Kind::ForeignLoad { arm: self.arm()?, n: -self.load_n()? },
-            "missing_tip" => Kind::MissingTip { arm: self.arm()? },
-            "uncoupled_cell" => Kind::UncoupledCell { arm: self.arm()? },
-            "drop_bytes" => Kind::DropBytes { rate: self.rate()? },
-            "flip_bytes" => Kind::FlipBytes { rate: self.rate()? },
-            "double_bytes" => Kind::DoubleBytes { rate: self.rate()? },
+            "foreign_load" => self.cell(CellFault::Loaded { n: self.load_n()? })?,
+            "pulling_cell" => self.cell(CellFault::Loaded { n: -self.load_n()? })?,
+            "missing_tip" => self.cell(CellFault::MissingTip)?,
+            "uncoupled_cell" => self.cell(CellFault::Uncoupled)?,
+            "drop_bytes" => self.bytes(Damage::Drop)?,
+            "flip_bytes" => self.bytes(Damage::Flip)?,
+            "double_bytes" => self.bytes(Damage::Double)?,
             "stall_stream" => Kind::StallStream,
             other => return Err(self.bad("kind", other, KINDS)),
         })
@@ -194,41 +202,18 @@ const KINDS: &str = "must be no_reply, exception, disconnect, late_reply, garble
 fn check(index: usize, entry: &FaultEntry, rig: &RigFile) -> Result<Fault, FaultError> {
     let e = Entry { index, entry };
     let (kind, target) = (e.kind()?, e.target(rig)?);
-    let (fits, targets) = match (kind, &target) {
-        (Kind::Disconnect { .. }, _) => (true, ""),
-        (
-            Kind::NoReply { .. }
-            | Kind::Exception { .. }
-            | Kind::LateReply { .. }
-            | Kind::GarbledReply { .. },
-            target,
-        ) => (*target != Target::Ert, "an axis, cells or a line"),
-        (Kind::StaleRegisters, target) if entry.kind == "hung_module" => {
-            (*target == Target::Cells, "cells")
-        }
-        (Kind::StaleRegisters, target) => {
+    let (fits, targets) = match kind {
+        Kind::Wire(WireFault::Disconnect { .. }) => (true, ""),
+        Kind::Wire(_) => (target != Target::Ert, "an axis, cells or a line"),
+        Kind::StaleRegisters if entry.kind == "hung_module" => (target == Target::Cells, "cells"),
+        Kind::StaleRegisters => {
             (matches!(target, Target::Axis(_) | Target::Cells), "an axis or cells")
         }
-        (Kind::StuckAxis { .. } | Kind::Alarm { .. } | Kind::PowerLoss, target) => {
+        Kind::StuckAxis { .. } | Kind::Alarm { .. } | Kind::PowerLoss => {
             (matches!(target, Target::Axis(_)), "an axis")
         }
-        (
-            Kind::DeadCell { .. }
-            | Kind::SaturatedCell { .. }
-            | Kind::FrozenCell { .. }
-            | Kind::DriftingCell { .. }
-            | Kind::ForeignLoad { .. }
-            | Kind::MissingTip { .. }
-            | Kind::UncoupledCell { .. },
-            target,
-        ) => (*target == Target::Cells, "cells"),
-        (
-            Kind::DropBytes { .. }
-            | Kind::FlipBytes { .. }
-            | Kind::DoubleBytes { .. }
-            | Kind::StallStream,
-            target,
-        ) => (*target == Target::Ert, "ert"),
+        Kind::Cell { .. } => (target == Target::Cells, "cells"),
+        Kind::Bytes { .. } | Kind::StallStream => (target == Target::Ert, "ert"),
     };
     if !fits {
         let limit = format!("{} affects only {targets}", entry.kind);
@@ -259,7 +244,7 @@ mod tests {
     fn a_script_becomes_faults() {
         let faults = parse("kind = \"no_reply\"\ndevice = \"z\"\nat_s = 2.5\nfor_s = 1.0").unwrap();
         let expected = Fault {
-            kind: Kind::NoReply { executed: false },
+            kind: Kind::Wire(WireFault::NoReply { executed: false }),
             target: Target::Axis(AxisName::Z),
             start: Start::Time(2.5),
             for_s: Some(1.0),
@@ -287,7 +272,7 @@ mod tests {
         assert_eq!(wire[0].target, Target::Line("cells".into()));
         let module = parse("kind = \"dead_cell\"\ndevice = \"cells\"\narm = 2").unwrap();
         assert_eq!(module[0].target, Target::Cells);
-        assert_eq!(module[0].kind, Kind::DeadCell { arm: 1 });
+        assert_eq!(module[0].kind, Kind::Cell { arm: 1, fault: CellFault::Dead });
     }
 
     #[test]

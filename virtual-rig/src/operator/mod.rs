@@ -225,21 +225,28 @@ impl Operator {
         }
     }
 
-    fn with_key(&self, request: reqwest::RequestBuilder) -> reqwest::RequestBuilder {
-        match &self.key {
-            Some(key) => request.bearer_auth(key),
-            None => request,
+    /// Asks the service: a GET, or a POST of a body. `action`: what it is in an error.
+    async fn ask(
+        &self,
+        action: &'static str,
+        path: &str,
+        body: Option<&Value>,
+    ) -> Result<reqwest::Response, HandError> {
+        let url = format!("{}/api/v1/{path}", self.args.url.trim_end_matches('/'));
+        let mut request = match body {
+            Some(body) => self.client.post(url).json(body),
+            None => self.client.get(url),
+        };
+        if let Some(key) = &self.key {
+            request = request.bearer_auth(key);
         }
+        let answer = request.send().await?;
+        let status = answer.status();
+        if status.is_success() { Ok(answer) } else { Err(HandError::Refused { action, status }) }
     }
 
     async fn look(&self) -> Result<Status, HandError> {
-        let url = format!("{}/api/v1/status", self.args.url.trim_end_matches('/'));
-        let answer = self.with_key(self.client.get(url)).send().await?;
-        let status = answer.status();
-        if !status.is_success() {
-            return Err(HandError::Refused { action: "status", status });
-        }
-        Ok(answer.json().await?)
+        Ok(self.ask("status", "status", None).await?.json().await?)
     }
 
     async fn act(&mut self, status: Status) -> Result<(), HandError> {
@@ -290,27 +297,21 @@ impl Operator {
                 tokio::time::sleep(STATUS_POLL_MIN).await;
             }
         }
-        let url = format!("{}/api/v1/rig/actions", self.args.url.trim_end_matches('/'));
         let body = json!({ "action": "tare", "who": self.args.who, "why": "the skin is clear" });
-        let answer = self.with_key(self.client.post(url)).json(&body).send().await?;
-        if !answer.status().is_success() {
-            return Err(HandError::Refused { action: "tare", status: answer.status() });
-        }
+        self.ask("tare", "rig/actions", Some(&body)).await?;
         self.tared = Some(uid.to_owned());
         Ok(())
     }
 
     /// Time of the untouched frame that the service knows; none if it knows none.
     async fn untouched_at(&self) -> Result<Option<String>, HandError> {
-        let url = format!("{}/api/v1/frames/untouched", self.args.url.trim_end_matches('/'));
-        let answer = self.with_key(self.client.get(url)).send().await?;
-        match answer.status() {
-            reqwest::StatusCode::NOT_FOUND => Ok(None),
-            status if status.is_success() => {
+        match self.ask("untouched frame", "frames/untouched", None).await {
+            Ok(answer) => {
                 let untouched: Value = answer.json().await?;
                 Ok(untouched["at"].as_str().map(str::to_owned))
             }
-            status => Err(HandError::Refused { action: "untouched frame", status }),
+            Err(HandError::Refused { status: reqwest::StatusCode::NOT_FOUND, .. }) => Ok(None),
+            Err(error) => Err(error),
         }
     }
 
@@ -351,8 +352,6 @@ impl Operator {
         why: &str,
         anyway: bool,
     ) -> Result<(), HandError> {
-        let base = self.args.url.trim_end_matches('/');
-        let url = format!("{base}/api/v1/runs/{uid}/actions");
         let mut body = json!({ "action": "confirm", "who": self.args.who, "why": why });
         match requested {
             Requested::Tips(tips) => body["tips"] = (*tips).into(),
@@ -361,13 +360,7 @@ impl Operator {
         if anyway {
             body["anyway"] = true.into();
         }
-        let answer = self.with_key(self.client.post(url)).json(&body).send().await?;
-        let status = answer.status();
-        if status.is_success() {
-            Ok(())
-        } else {
-            Err(HandError::Refused { action: "confirm", status })
-        }
+        self.ask("confirm", &format!("runs/{uid}/actions"), Some(&body)).await.map(drop)
     }
 
     /// Sends one command to the rig and reads its reply.

@@ -5,7 +5,7 @@
 //! against cells, force against depth) are in `campaign::bench::evidence`.
 
 use serde::{Deserialize, Serialize};
-use strum::IntoStaticStr;
+use strum::{IntoStaticStr, VariantArray};
 use utoipa::ToSchema;
 
 use crate::record::{ARMS, Pose};
@@ -25,7 +25,9 @@ pub struct Trip {
 }
 
 /// Kinds of trips; the policy treats them differently.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema, IntoStaticStr)]
+#[derive(
+    Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema, IntoStaticStr, VariantArray,
+)]
 #[serde(rename_all = "snake_case")]
 #[strum(serialize_all = "snake_case")]
 pub enum TripKind {
@@ -49,16 +51,7 @@ pub enum TripKind {
 
 impl TripKind {
     /// All kinds.
-    pub const ALL: [Self; 8] = [
-        Self::Estop,
-        Self::Force,
-        Self::Cell,
-        Self::Position,
-        Self::Wire,
-        Self::Device,
-        Self::Stale,
-        Self::Service,
-    ];
+    pub const ALL: &[Self] = Self::VARIANTS;
 
     /// Name of the kind, as in the status.
     pub fn name(self) -> &'static str {

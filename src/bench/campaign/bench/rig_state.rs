@@ -12,11 +12,13 @@
 //! must be homed again before it can be armed: nothing moves from an unknown position.
 
 use serde::{Deserialize, Serialize};
-use strum::IntoStaticStr;
+use strum::{IntoStaticStr, VariantArray};
 use utoipa::ToSchema;
 
 /// State of the rig.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema, IntoStaticStr)]
+#[derive(
+    Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema, IntoStaticStr, VariantArray,
+)]
 #[serde(rename_all = "lowercase")]
 #[strum(serialize_all = "lowercase")]
 pub enum RigState {
@@ -34,8 +36,7 @@ pub enum RigState {
 
 impl RigState {
     /// All states.
-    pub const ALL: [Self; 5] =
-        [Self::Disconnected, Self::Disarmed, Self::Homed, Self::Armed, Self::Tripped];
+    pub const ALL: &[Self] = Self::VARIANTS;
 
     /// Name of the state, as in the API and the database.
     pub fn as_str(self) -> &'static str {

@@ -2,7 +2,7 @@
 //! PURE. Uses: `campaign::{bench::rig_state, run::run_state, shown::status}`. Never: motion, wires, who asks.
 
 use serde::{Deserialize, Serialize};
-use strum::IntoStaticStr;
+use strum::{IntoStaticStr, VariantArray};
 use utoipa::ToSchema;
 
 use crate::campaign::bench::rig_state::RigState;
@@ -16,7 +16,9 @@ pub const NO_STAGE: &str = "the rig is a skin alone: it has no stage and no cell
 pub const NO_WIRES: &str = "the rig is disconnected";
 
 /// Manual action on the rig.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema, IntoStaticStr)]
+#[derive(
+    Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema, IntoStaticStr, VariantArray,
+)]
 #[serde(rename_all = "snake_case")]
 #[strum(serialize_all = "snake_case")]
 pub enum RigAction {
@@ -38,15 +40,7 @@ pub enum RigAction {
 
 impl RigAction {
     /// All actions.
-    pub const ALL: [Self; 7] = [
-        Self::Connect,
-        Self::Disconnect,
-        Self::Home,
-        Self::Jog,
-        Self::Tare,
-        Self::Tips,
-        Self::Reset,
-    ];
+    pub const ALL: &[Self] = Self::VARIANTS;
 
     /// Name in requests.
     pub fn as_str(self) -> &'static str {
@@ -158,8 +152,8 @@ pub(super) mod tests {
 
     /// Names of the actions that are not refused.
     fn allowed(status: &Status) -> String {
-        let allowed = RigAction::ALL.into_iter().filter(|action| action.refused(status).is_none());
-        allowed.map(RigAction::as_str).collect::<Vec<_>>().join(" ")
+        let allowed = RigAction::ALL.iter().filter(|action| action.refused(status).is_none());
+        allowed.map(|action| action.as_str()).collect::<Vec<_>>().join(" ")
     }
 
     #[test]

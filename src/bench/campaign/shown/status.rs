@@ -3,7 +3,7 @@
 
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
-use strum::IntoStaticStr;
+use strum::{IntoStaticStr, VariantArray};
 use utoipa::ToSchema;
 
 use crate::campaign::bench::estop::AxisStop;
@@ -256,7 +256,9 @@ impl Done {
 }
 
 /// Activity of a run.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema, IntoStaticStr)]
+#[derive(
+    Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema, IntoStaticStr, VariantArray,
+)]
 #[serde(rename_all = "snake_case")]
 #[strum(serialize_all = "snake_case")]
 pub enum Phase {
@@ -284,18 +286,7 @@ pub enum Phase {
 
 impl Phase {
     /// All activities.
-    pub const ALL: [Self; 10] = [
-        Self::Next,
-        Self::TouchOff,
-        Self::Travel,
-        Self::Tare,
-        Self::Press,
-        Self::Settle,
-        Self::Measure,
-        Self::Commit,
-        Self::Raise,
-        Self::Wait,
-    ];
+    pub const ALL: &[Self] = Self::VARIANTS;
 
     /// Name of the activity on every wire.
     pub fn as_str(self) -> &'static str {

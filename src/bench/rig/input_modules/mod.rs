@@ -1,4 +1,4 @@
-//! The input modules of the load cells, one folder each; [`MODULES`] is the only list of them.
+//! The input modules of the load cells, one file each; [`MODULES`] is the only list of them.
 //! Uses: `device`. Never: requests, ports.
 
 use serde::de::{Deserialize, Deserializer};

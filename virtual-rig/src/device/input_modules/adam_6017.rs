@@ -2,8 +2,8 @@
 //! Registers from `docs/references.md`, "ADAM-6017": 0 to 7 the values (0 to 65535 over the range),
 //! 200 + channel the range codes, 210 the model. PURE. Never: the meaning of the inputs.
 
-use crate::device::{CellsDevice, CellsMap, INPUTS, read_each};
-use crate::modbus::{Exception, Reply, Request};
+use crate::device::{CellsDevice, CellsMap, INPUTS};
+use crate::modbus::Exception;
 
 /// Range codes: 0 to 5 V, 0 to 10 V, +-5 V, +-10 V.
 const RANGES: [(u16, f64, f64); 4] =
@@ -32,25 +32,7 @@ impl Default for Adam6017 {
 }
 
 impl CellsMap for Adam6017 {
-    fn serve(&mut self, request: &Request, volts: &[f64; INPUTS]) -> Result<Reply, Exception> {
-        match *request {
-            Request::ReadRegisters { address, count, .. } => {
-                read_each(address, count, |a| self.register(a, volts))
-            }
-            Request::WriteRegister { address, value } => self.set_range(address, value),
-            Request::WriteRegisters { address, ref values } => {
-                for (a, &value) in (address..).zip(values) {
-                    self.set_range(a, value)?;
-                }
-                Ok(Reply::Written)
-            }
-            Request::ReadBits { .. } | Request::WriteCoil { .. } => Err(Exception::IllegalFunction),
-        }
-    }
-}
-
-impl Adam6017 {
-    fn register(&self, address: u16, volts: &[f64; INPUTS]) -> Option<u16> {
+    fn register(&self, _function: u8, address: u16, volts: &[f64; INPUTS]) -> Option<u16> {
         if let Some(&v) = volts.get(usize::from(address)) {
             let code = self.ranges[usize::from(address)];
             let (_, low, high) = RANGES.into_iter().find(|r| r.0 == code)?;
@@ -63,7 +45,7 @@ impl Adam6017 {
         self.ranges.get(channel).copied()
     }
 
-    fn set_range(&mut self, address: u16, code: u16) -> Result<Reply, Exception> {
+    fn set(&mut self, address: u16, code: u16) -> Result<(), Exception> {
         let channel = address.checked_sub(RANGE_BASE).map(usize::from);
         let range = channel.and_then(|c| self.ranges.get_mut(c));
         let range = range.ok_or(Exception::IllegalAddress)?;
@@ -71,13 +53,14 @@ impl Adam6017 {
             return Err(Exception::IllegalValue);
         }
         *range = code;
-        Ok(Reply::Written)
+        Ok(())
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::modbus::{Reply, Request};
 
     const VOLTS: [f64; INPUTS] = [0.0, 0.5, 2.5, 4.5, 5.0, 6.0, -1.0, 0.5];
 

@@ -3,8 +3,8 @@
 //! FC16 0x1000 + channel the mode (0 is 0 to 5 V, 1 is 1 to 5 V, 2 and 3 currents, 4 raw counts);
 //! 0x4000 address; 0x8000 version. PURE. Never: the meaning of the inputs.
 
-use crate::device::{CellsDevice, CellsMap, INPUTS, read_each};
-use crate::modbus::{Exception, Reply, Request};
+use crate::device::{CellsDevice, CellsMap, INPUTS};
+use crate::modbus::Exception;
 
 const MODE_BASE: u16 = 0x1000;
 const UART_AT: u16 = 0x2000;
@@ -27,23 +27,19 @@ pub struct Waveshare8ch {
 }
 
 impl CellsMap for Waveshare8ch {
-    fn serve(&mut self, request: &Request, volts: &[f64; INPUTS]) -> Result<Reply, Exception> {
-        match *request {
-            Request::ReadRegisters { function: 4, address, count } => {
-                read_each(address, count, |a| self.value(a, volts))
-            }
-            Request::ReadRegisters { address, count, .. } => {
-                read_each(address, count, |a| self.setting(a))
-            }
-            Request::WriteRegister { address, value } => self.set_mode(address, value),
-            Request::WriteRegisters { address, ref values } => {
-                for (a, &value) in (address..).zip(values) {
-                    self.set_mode(a, value)?;
-                }
-                Ok(Reply::Written)
-            }
-            Request::ReadBits { .. } | Request::WriteCoil { .. } => Err(Exception::IllegalFunction),
+    fn register(&self, function: u8, address: u16, volts: &[f64; INPUTS]) -> Option<u16> {
+        if function == 4 { self.value(address, volts) } else { self.setting(address) }
+    }
+
+    fn set(&mut self, address: u16, value: u16) -> Result<(), Exception> {
+        let channel = address.checked_sub(MODE_BASE).map(usize::from);
+        let mode = channel.and_then(|c| self.modes.get_mut(c));
+        let mode = mode.ok_or(Exception::IllegalAddress)?;
+        if value > MODE_RAW {
+            return Err(Exception::IllegalValue);
         }
+        *mode = value;
+        Ok(())
     }
 }
 
@@ -68,22 +64,12 @@ impl Waveshare8ch {
             _ => self.modes.get(usize::from(address.checked_sub(MODE_BASE)?)).copied(),
         }
     }
-
-    fn set_mode(&mut self, address: u16, value: u16) -> Result<Reply, Exception> {
-        let channel = address.checked_sub(MODE_BASE).map(usize::from);
-        let mode = channel.and_then(|c| self.modes.get_mut(c));
-        let mode = mode.ok_or(Exception::IllegalAddress)?;
-        if value > MODE_RAW {
-            return Err(Exception::IllegalValue);
-        }
-        *mode = value;
-        Ok(Reply::Written)
-    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::modbus::{Reply, Request};
 
     const VOLTS: [f64; INPUTS] = [0.0, 0.5, 2.5, 4.5, 5.0, 0.501, 0.5006, 0.5];
 
