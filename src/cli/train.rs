@@ -279,10 +279,7 @@ async fn report(client: &Client, done: &JobOut, at: &At) -> Result<(), CliError>
             "scores it, with ridge regressions",
         );
     }
-    if model.slot.is_some() {
-        next = next.suggest(format_args!("palpate model promote {id}"), "makes it serve");
-    }
-    next.say();
+    next.suggest(format_args!("palpate model promote {id}"), "makes it serve").say();
     Ok(())
 }
 
