@@ -242,6 +242,8 @@ fn ridge(
     let judging = evenly(validation, JUDGES_MAX.min(HELD_MAX / channels));
     let mut judges = data.read(validation, &judging, &judged)?;
     let few = train.len() < channels as u64;
+    // Few rows themselves, if they are a first layer: a long target then needs fewer weights.
+    let mut inner: Option<Mat<f64>> = None;
     // Scaled channels have a mean: that of clipped ones, or that of rows which were not measured.
     let (mean, solution) = if few {
         // Fewer rows than channels: in dual variables.
@@ -251,14 +253,24 @@ fn ridge(
         centre(&mut judges.frames, &mean);
         let products = &rows.frames * rows.frames.transpose();
         let across = &judges.frames * rows.frames.transpose();
+        let (count, target) = (rows.frames.nrows(), all.len());
+        let is_long = target > judged.len() && count * (channels + target) < channels * target;
+        let size = (0..count).map(|i| products[(i, i)]).sum::<f64>() / count as f64;
+        // The answers of two layers lose more in 32 bits.
+        let lost = if is_long { size.powi(2) } else { 0.0 };
         let solution = solve(
             &products,
             &rows.targets,
             &judged,
             |dual| mean_square(&(&products * dual), &rows.targets),
-            |dual| mean_square(&(&across * dual), &judges.targets),
+            |dual| mean_square(&(&across * dual), &judges.targets) + lost * rounding(dual),
         )?;
-        (mean, Solution { weights: rows.frames.transpose() * &solution.weights, ..solution })
+        if is_long {
+            inner = Some(Mat::from_fn(channels, count, |i, j| rows.frames[(j, i)]));
+            (mean, solution)
+        } else {
+            (mean, Solution { weights: rows.frames.transpose() * &solution.weights, ..solution })
+        }
     } else {
         let mut products = Mat::<f64>::zeros(channels, channels);
         let mut right = Mat::<f64>::zeros(channels, train.target_len());
@@ -293,9 +305,14 @@ fn ridge(
         };
         (mean, solve(&products, &right, &judged, of_train, of_judges)?)
     };
-    let goes_on = log.step(solution.train, solution.validation);
-    let bias = &mean * &solution.weights * Scale(-1.0);
-    Ok(goes_on.then(|| vec![dense(&solution.weights, &bias)]))
+    if !log.step(solution.train, solution.validation) {
+        return Ok(None);
+    }
+    let weights = &solution.weights;
+    let first = inner.as_ref().unwrap_or(weights);
+    let bias = &mean * first * Scale(-1.0);
+    let second = inner.is_some().then(|| dense(weights, &Mat::zeros(1, weights.ncols())));
+    Ok(Some([dense(first, &bias)].into_iter().chain(second).collect()))
 }
 
 /// Sum of all rows, `[1, columns]`.

@@ -129,9 +129,14 @@ fn regressions_answer_force_maps_without_negative_forces() {
         assert_eq!(trained.network.output, [SIDE, SIDE]);
         assert!(error(&trained, &other) < most * spread_n, "{kind}: {}", error(&trained, &other));
     }
+    // Fewer rows than channels: two layers with fewer weights than one.
+    let few = rows(8, 1, drawn);
+    let net = "[net]\nkind = 'ridge'\nanswers = 'map'\nside = 40\n";
+    let of_few = trained(net, &few, &few, &mut Watch::default());
+    assert!(of_few.network.clone().numbers().len() < CHANNELS * SIDE * SIDE + 2 * SIDE * SIDE);
+    assert!(error(&of_few, &few) < 1e-2 * spread_n, "{} N", error(&of_few, &few));
     let signed = |frame: &[f32]| vec![frame[0]; SIDE * SIDE];
     let learn = rows(300, 1, signed);
-    let net = "[net]\nkind = 'ridge'\nanswers = 'map'\nside = 40\n";
     let fitted = trained(net, &learn, &learn, &mut Watch::default());
     let compute = Compute::Cpu { threads: 1 };
     let found = answer(&fitted.network, &learn.inputs.concat(), compute).unwrap();
