@@ -77,8 +77,10 @@ pub async fn table_iv<L: Lab>(lab: &L, budget: &Budget) -> Result<Sheet, L::Erro
         numbers.push(json!({ "map": spec.to_string(), "model": model, "report": report,
             "regressions": compared }));
     }
-    let verdicts = REGRESSIONS.iter().zip(&lost).map(|((_, name), lost)| verdict(name, lost));
-    let verdicts: String = verdicts.filter(|_| !scores.is_empty()).collect();
+    let mut verdicts = String::new();
+    for ((_, name), lost) in REGRESSIONS.iter().zip(&lost).filter(|_| !scores.is_empty()) {
+        verdicts += &verdict(name, lost);
+    }
     let text = format!(
         "# Table IV: Recon-Net on simulated voltages, mean ± standard deviation\n\n{}\n{}{}\n",
         markdown(&SCORE_COLUMNS, &rows),
