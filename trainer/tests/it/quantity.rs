@@ -44,7 +44,7 @@ impl Observer for Watch {
 fn trained(net: &str, learn: &Rows, choose: &Rows, watch: &mut Watch) -> Trained {
     let recipe = Recipe::from_toml(&format!("seed = 1\n{net}")).unwrap();
     let compute = Compute::Cpu { threads: 1 };
-    let plan = Plan { recipe, data: "ds-test".into(), noise_sd_v: None, start: None, compute };
+    let plan = Plan { recipe, data: "ds-test".into(), noise_sd_v: None, compute };
     train(&plan, learn, choose, None, watch).unwrap()
 }
 
