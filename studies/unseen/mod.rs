@@ -28,8 +28,6 @@ use pictures::{errors, examples, talk};
 const PUBLISHED: &str = "transfer-net-published";
 /// Condition on the trials that are drawn.
 const TOUCHED: &str = "contact_count__gte=1";
-/// Larger side of the paper's skin, mm.
-const SKIN_MM: f64 = 560.0;
 /// Number of trials that are drawn.
 const EXAMPLES: u64 = 3;
 
@@ -126,19 +124,9 @@ impl<L: Lab> Study<'_, L> {
         Training { dataset: Some(self.unseen.dataset.clone()), map, ..training }
     }
 
-    /// A map of the paper on the dataset's skin: as many pixels, lengths in proportion to the skin.
+    /// A map of the paper on the dataset's skin.
     fn on_skin(&self, map: ForceMapSpec) -> ForceMapSpec {
-        if self.facts.of_rig {
-            return map;
-        }
-        // Rounded up to hundredths, so that lengths have few digits.
-        let times = (100.0 * self.facts.skin_mm / SKIN_MM).ceil() / 100.0;
-        let length_mm = |mm: f64| (1e3 * times * mm).round() / 1e3;
-        ForceMapSpec {
-            pixel_mm: length_mm(map.pixel_mm),
-            diameter_mm: length_mm(map.diameter_mm),
-            side_mm: length_mm(map.side_mm),
-        }
+        if self.facts.of_rig { map } else { map.on_skin(self.facts.skin_mm) }
     }
 
     /// Sentence on what the nets learned, if it is not the paper's data.
