@@ -16,6 +16,8 @@ pub const REAL: &str = "real";
 pub const RECON_NET: &str = "recon-net";
 /// The recipe of the baseline from measured voltages to force maps (paper, V-D).
 pub const END_TO_END: &str = "end-to-end";
+/// The regressions that nets are compared with: ending of the names of their recipes, and name in tables.
+pub const REGRESSIONS: [(&str, &str); 2] = [("ridge", "ridge"), ("kernel-ridge", "kernel ridge")];
 /// Pixels of the paper's force maps, mm.
 const PIXELS_MM: [f64; 3] = [4.0, 10.0, 20.0];
 
@@ -149,11 +151,12 @@ impl Budget {
         }
     }
 
-    /// Training of a net for these maps: [`RECON_NET`] or [`END_TO_END`], on the recipe's dataset.
+    /// Training of a net for these maps: [`RECON_NET`], [`END_TO_END`] or one of their regressions, on the recipe's
+    /// dataset.
     pub fn map_net(&self, recipe: &str, map: ForceMapSpec, noise: Option<Noise>) -> Training {
         let MapTraining { epochs, rows, batch } = self.scale.maps(map.pixel_mm);
         let percent = 100.0 * noise.as_ref().map_or(0.0, |noise| noise.level);
-        let learned = if recipe == END_TO_END { REAL } else { S2S };
+        let learned = if recipe.starts_with(END_TO_END) { REAL } else { S2S };
         Training {
             recipe: recipe.into(),
             stem: format!("{recipe}-{map}-{percent:.0}-{}", self.scale.name()),
@@ -259,6 +262,7 @@ mod tests {
         let of_map = |budget: &Budget, recipe| budget.map_net(recipe, map, None).dataset;
         assert_eq!(of_map(&by_trial, RECON_NET).as_deref(), Some("s2s-recon-by-trial"));
         assert_eq!(of_map(&by_trial, END_TO_END).as_deref(), Some("real-by-trial"));
+        assert_eq!(of_map(&by_trial, "end-to-end-ridge").as_deref(), Some("real-by-trial"));
         assert_eq!(of_map(&small(), RECON_NET), None);
         let transfer = by_trial.transfer_to_6().dataset;
         assert_eq!(transfer.as_deref(), Some("r2s-transfer-by-trial"));

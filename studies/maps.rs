@@ -1,9 +1,9 @@
-//! Table IV and Fig. 9: Recon-Nets of twelve force maps, on simulated voltages.
-//! Uses: `lab`, `budget`, `evaluate::{published, table, charts}`. Never: training here.
+//! Table IV and Fig. 9: Recon-Nets of twelve force maps, on simulated voltages, and the regressions that they must beat.
+//! Uses: `lab`, `budget`, `rows`, `evaluate::{published, table, charts}`. Never: training here.
 
 use serde_json::json;
 
-use crate::budget::{Budget, RECON_NET, S2S};
+use crate::budget::{Budget, RECON_NET, REGRESSIONS, S2S};
 use crate::dataset::force_map::{ForceMapSpec, TABLE_IV_MAPS};
 use crate::evaluate::charts::{Heat, heats};
 use crate::evaluate::published::table_iv as published_table_iv;
@@ -12,19 +12,25 @@ use crate::evaluate::table::{SCORE_COLUMNS, Uncertainty, markdown, published_row
 use crate::figure::Heading;
 use crate::infer::methods::Method;
 use crate::lab::{Lab, StudyError, TableNet};
+use crate::rows::beats;
 use crate::sheet::{OutputFile, Sheet};
 
-/// The nets of the twelve maps, in the order of the table.
+/// The nets of the twelve maps, in the order of the table: of each map the Recon-Net, then the regressions on its rows.
 pub fn table_iv_nets(budget: &Budget) -> Vec<TableNet> {
     let scores = vec![budget.request(Method::Paper, S2S, Some("test"))];
-    let net = |spec| {
-        let training = budget.map_net(RECON_NET, spec, None);
+    let net = |recipe: &str, spec| {
+        let training = budget.map_net(recipe, spec, None);
         TableNet { training, scores: scores.clone() }
     };
-    TABLE_IV_MAPS.map(net).into()
+    let mut nets = Vec::new();
+    for spec in TABLE_IV_MAPS {
+        nets.push(net(RECON_NET, spec));
+        nets.extend(REGRESSIONS.map(|(ending, _)| net(&format!("recon-{ending}"), spec)));
+    }
+    nets
 }
 
-/// Trains and scores the nets of the twelve maps on the test part of `s2s-recon`.
+/// Trains and scores the nets of the twelve maps, and the regressions, on the test part of `s2s-recon`.
 ///
 /// # Errors
 /// Error of the lab if a training or an evaluation fails; `StudyError::Figure` if Fig. 9 cannot be
@@ -35,24 +41,50 @@ pub async fn table_iv<L: Lab>(lab: &L, budget: &Budget) -> Result<Sheet, L::Erro
     let (mut rows, mut numbers, mut scores) = (Vec::new(), Vec::new(), Vec::new());
     let mut scored = 0;
     let mut label = "";
-    let nets = TABLE_IV_MAPS.into_iter().zip(table_iv_nets(budget));
-    for (number, (spec, TableNet { training, scores: requests })) in (1..).zip(nets) {
-        let model = lab.train(&training).await?;
-        let report = lab.score(&requests[0].of_net(&model)).await?;
+    // The maps on which the net does not beat a regression.
+    let mut lost = REGRESSIONS.map(|_| Vec::new());
+    let mut nets = table_iv_nets(budget).into_iter();
+    for (number, spec) in (1..).zip(TABLE_IV_MAPS) {
+        let mut reports = Vec::new();
+        for TableNet { training, scores } in nets.by_ref().take(1 + REGRESSIONS.len()) {
+            let model = lab.train(&training).await?;
+            reports.push((lab.score(&scores[0].of_net(&model)).await?, model));
+        }
+        let regressions = reports.split_off(1);
+        let Some((report, model)) = reports.pop() else { continue };
         let name = format!("Map {number}, {spec}");
         if let (Some(found), Some(perfect)) = (&report.contacts, &report.perfect) {
             rows.push(score_row(&name, &found.all, Uncertainty::Spread));
             rows.push(score_row("  perfect map", &perfect.all, Uncertainty::Spread));
             scores.push((spec, found.all.clone()));
         }
+        let mut compared = Vec::new();
+        for (((_, name), lost), (other, model)) in
+            REGRESSIONS.iter().zip(&mut lost).zip(regressions)
+        {
+            let found = other.contacts.iter();
+            rows.extend(
+                found.map(|s| score_row(&format!("  {name}"), &s.all, Uncertainty::Spread)),
+            );
+            if beats(&report, &other) == Some(false) {
+                lost.push(spec.to_string());
+            }
+            compared.push(json!({ "name": name, "model": model, "report": other }));
+        }
         rows.extend(published_table_iv(spec).map(|paper| published_row("  paper", &paper)));
-        numbers.push(json!({ "map": spec.to_string(), "model": model, "report": report }));
         scored = report.rows;
         label = report.label.as_str();
+        numbers.push(json!({ "map": spec.to_string(), "model": model, "report": report,
+            "regressions": compared }));
+    }
+    let mut verdicts = String::new();
+    for ((_, name), lost) in REGRESSIONS.iter().zip(&lost).filter(|_| !scores.is_empty()) {
+        verdicts += &verdict(name, lost);
     }
     let text = format!(
-        "# Table IV: Recon-Net on simulated voltages, mean ± standard deviation\n\n{}\n{}\n",
+        "# Table IV: Recon-Net on simulated voltages, mean ± standard deviation\n\n{}\n{}{}\n",
         markdown(&SCORE_COLUMNS, &rows),
+        verdicts,
         budget.caption(&format!("simulated; twins of {label} trials"))
     );
     let title = "Fig. 9: errors of a Recon-Net by the pixel and the diameter of its force map";
@@ -63,6 +95,15 @@ pub async fn table_iv<L: Lab>(lab: &L, budget: &Budget) -> Result<Sheet, L::Erro
     let fig_9 = heats(&heading, &heats_of(&scores)).map_err(StudyError::from)?;
     let numbers = json!({ "table": "IV", "scale": budget.scale.name(), "maps": numbers });
     Ok(Sheet::new("table-iv", text, numbers, vec![OutputFile::new("fig-9.svg", fig_9)]))
+}
+
+/// States whether the nets beat a regression; `lost`: the maps on which they do not.
+fn verdict(name: &str, lost: &[String]) -> String {
+    let words = match lost {
+        [] => format!("beats {name} on all maps"),
+        lost => format!("does NOT beat {name} on {} of 12 maps: {}", lost.len(), lost.join(", ")),
+    };
+    format!("By the paper's rule for the best of many nets (V-D) the Recon-Net {words}.\n")
 }
 
 /// Mean errors by pixel and diameter, mm: four heat maps.
@@ -84,4 +125,38 @@ fn heats_of(scores: &[(ForceMapSpec, Score)]) -> Vec<Heat> {
             .collect(),
     };
     quantities.into_iter().map(heat).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::budget::small;
+    use crate::lab::Training;
+    use crate::lab::fake::{FakeLab, result};
+
+    #[test]
+    fn regressions_are_next_to_each_net_on_its_rows_and_a_net_that_beats_none_says_so() {
+        let lab = FakeLab { scores: true, ..FakeLab::default() };
+        let sheet = result(table_iv(&lab, &small())).unwrap();
+        let trained = lab.trained.lock().unwrap();
+        assert_eq!(trained.len(), 36);
+        let same = |t: &Training| (t.dataset.clone(), t.map, t.rows, t.conditions.clone());
+        for of_map in trained.chunks(3) {
+            let recipes: Vec<&str> = of_map.iter().map(|t| t.recipe.as_str()).collect();
+            assert_eq!(recipes, ["recon-net", "recon-ridge", "recon-kernel-ridge"]);
+            assert!(of_map.iter().all(|t| same(t) == same(&of_map[0])), "{of_map:?}");
+        }
+        let scored = lab.scored.lock().unwrap();
+        let nets: Vec<&str> = scored.iter().map(|r| r.map.as_deref().unwrap()).collect();
+        assert_eq!((nets.len(), nets[0], nets[35]), (36, "mdl-1", "mdl-36"));
+        // The fake lab scores all alike.
+        let words = "does NOT beat kernel ridge on 12 of 12 maps: 4x20, ";
+        assert!(
+            sheet.text.contains(words) && sheet.text.contains("|   kernel ridge "),
+            "{}",
+            sheet.text
+        );
+        assert_eq!(sheet.numbers["maps"][11]["regressions"][1]["name"], "kernel ridge");
+        assert!(verdict("ridge", &[]).contains("beats ridge on all maps"));
+    }
 }

@@ -3,7 +3,7 @@
 
 use serde_json::{Value, json};
 
-use crate::budget::Budget;
+use crate::budget::{Budget, REGRESSIONS};
 use crate::evaluate::quantities::QuantityScores;
 use crate::evaluate::request::{EvaluationReport, Scored};
 use crate::evaluate::score::Mean;
@@ -12,9 +12,6 @@ use crate::ids::ModelId;
 use crate::lab::{Lab, Training};
 use crate::learn::targets::Quantity;
 use crate::sheet::Sheet;
-
-/// The regressions that every net is compared with, and their names.
-const BASELINES: [(&str, &str); 2] = [("ridge", "ridge"), ("kernel-ridge", "kernel ridge")];
 
 /// Nets that are compared, and the rows and the quantity on which they are.
 #[derive(Debug, Clone, PartialEq)]
@@ -52,7 +49,7 @@ pub async fn quantity<L: Lab>(
     let dataset = budget.dataset(&compared.dataset);
     let split_by = lab.split_by(&dataset).await?;
     let (mut entries, mut reports) = (Vec::new(), Vec::new());
-    let baselines = BASELINES.map(|(recipe, name)| (recipe.to_owned(), name.to_owned(), true));
+    let baselines = REGRESSIONS.map(|(recipe, name)| (recipe.to_owned(), name.to_owned(), true));
     let recipes = compared.recipes.iter().map(|recipe| (recipe.clone(), recipe.clone(), false));
     let mut scored: Vec<(String, bool, String)> = Vec::new();
     for (recipe, name, is_baseline) in baselines.into_iter().chain(recipes) {

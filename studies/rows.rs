@@ -30,6 +30,16 @@ pub fn perfect(report: &EvaluationReport) -> Option<Vec<String>> {
     Some(score_row(&name, &scores.all, Uncertainty::Interval))
 }
 
+/// Cost of a net by the paper's rule for the best of many (V-D); `None` if the report has no scores.
+pub fn paper_cost(report: &EvaluationReport) -> Option<f64> {
+    Some(report.contacts.as_ref()?.all.paper_cost())
+}
+
+/// Whether a net beats a regression by the paper's rule; `None` if one of the reports has no scores.
+pub fn beats(net: &EvaluationReport, regression: &EvaluationReport) -> Option<bool> {
+    Some(paper_cost(net)? < paper_cost(regression)?)
+}
+
 /// Rows of the perfect maps of these reports, equal ones once.
 pub fn perfects<'a>(reports: impl Iterator<Item = &'a EvaluationReport>) -> Vec<Vec<String>> {
     let mut rows: Vec<Vec<String>> = Vec::new();
@@ -142,6 +152,15 @@ mod tests {
         // 3 and 4 mm are within 4.9 mm, 9 mm is not.
         assert!(rows[0].contains("75 [") && rows[0].contains("100 [100, 100]"), "{table}");
         assert_eq!(coverage([("paper", &report(&[1.0], None))].into_iter()), "");
+    }
+
+    #[test]
+    fn a_net_beats_a_regression_only_if_its_cost_is_lower() {
+        let [near, far] = [report(&[1.0], None), report(&[9.0], None)];
+        assert_eq!((beats(&near, &far), beats(&far, &near)), (Some(true), Some(false)));
+        assert_eq!(beats(&near, &near), Some(false));
+        let unscored = EvaluationReport { contacts: None, ..near.clone() };
+        assert_eq!(beats(&near, &unscored), None);
     }
 
     #[test]

@@ -3,7 +3,7 @@
 
 use serde_json::json;
 
-use crate::budget::{Budget, R2S, up_to};
+use crate::budget::{Budget, R2S, REGRESSIONS, up_to};
 use crate::evaluate::charts::{Line, Panel, panels};
 use crate::evaluate::published::{Rung, TABLE_III, Transfer};
 use crate::evaluate::request::{EvaluationReport, EvaluationRequest, Scored};
@@ -15,10 +15,6 @@ use crate::sheet::{OutputFile, Sheet};
 
 /// Columns: RMSE (V) / FVU (%) on the rows of the training, then on test trials of 1 to 6 contacts.
 const HEAD: [&str; 8] = ["trained on", "train", "I", "II", "III", "IV", "V", "VI"];
-
-/// The regressions that the nets are compared with: recipe and name.
-const REGRESSIONS: [(&str, &str); 2] =
-    [("transfer-ridge", "ridge"), ("transfer-kernel-ridge", "kernel ridge")];
 
 /// The nets on 1, 1 to 2, .. 1 to 6 contacts of a dataset, in the order of the table, then the regressions on the rows
 /// of the last; scored on the parts test and train.
@@ -33,7 +29,11 @@ pub fn table_iii_nets(budget: &Budget, dataset: &str) -> Vec<TableNet> {
     };
     let nets = TABLE_III.iter().map(|rung| of(&budget.transfer, "transfer", rung.trained_to));
     let most = TABLE_III[TABLE_III.len() - 1].trained_to;
-    nets.chain(REGRESSIONS.map(|(recipe, _)| of(recipe, recipe, most))).collect()
+    let regressions = REGRESSIONS.map(|(ending, _)| {
+        let recipe = format!("transfer-{ending}");
+        of(&recipe, &recipe, most)
+    });
+    nets.chain(regressions).collect()
 }
 
 /// Trains Transfer-Nets on 1, 1 to 2, .. 1 to 6 contacts, and compares their voltages with

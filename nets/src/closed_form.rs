@@ -22,6 +22,11 @@ const CLOSED_FORM_ROWS: usize = 256;
 const FEW: [usize; 2] = [1200, 1000];
 /// Largest number of validation rows.
 const JUDGES_MAX: usize = 4000;
+/// Largest number of numbers of a target by which penalty and width are chosen, taken evenly: a map of 4 mm has
+/// 25,600.
+const JUDGED_MAX: usize = 1024;
+/// Largest number of weights from centres to answers, 64 MB in a file: 655 centres for a map of 4 mm.
+const ANSWERS_MAX: usize = 1 << 24;
 /// Widths of the kernel, as `gamma` times the number of channels: from far wider than the distance of two
 /// rows to narrower.
 const GAMMAS: [f64; 10] = [1e-4, 1e-3, 4e-3, 0.015, 0.06, 0.12, 0.25, 0.5, 1.0, 2.0];
@@ -77,11 +82,13 @@ pub fn constant_channels(constant: usize, channels: usize) -> String {
     )
 }
 
-/// A network with fitted layers in place of its empty ones.
+/// A network with fitted layers in place of its empty ones, which end with its one dense layer.
 fn placed(network: &Network, middle: Vec<Layer>) -> Network {
     let mut layers = network.layers.clone();
-    let last = layers.len() - 1;
-    layers.splice(last - middle.len()..last, middle);
+    let is_empty = |layer: &Layer| matches!(layer, Layer::Dense { .. } | Layer::Kernel { .. });
+    layers.retain(|layer| !is_empty(layer));
+    let first = network.layers.iter().position(is_empty).unwrap_or_default();
+    layers.splice(first..first, middle);
     Network { layers, ..network.clone() }
 }
 
@@ -99,12 +106,17 @@ struct Data<'a> {
 }
 
 impl Data<'_> {
-    /// Reads samples, scaled as by the first layers of the net.
-    fn read(&self, from: &dyn Samples, numbers: &[u64]) -> Result<Rows, TrainError> {
+    /// Reads samples, scaled as by the first layers of the net; of their targets the numbers `kept`.
+    fn read(
+        &self,
+        from: &dyn Samples,
+        numbers: &[u64],
+        kept: &[usize],
+    ) -> Result<Rows, TrainError> {
         let (channels, target) = (from.input_len(), from.target_len());
         let mut rows = Rows {
             frames: Mat::zeros(numbers.len(), channels),
-            targets: Mat::zeros(numbers.len(), target),
+            targets: Mat::zeros(numbers.len(), kept.len()),
         };
         let (mut x, mut y) =
             (vec![0.0; CLOSED_FORM_ROWS * channels], vec![0.0; CLOSED_FORM_ROWS * target]);
@@ -120,8 +132,10 @@ impl Data<'_> {
                     let scaled = (v - of.mean[i]) / of.sd[i];
                     rows.frames[(row, i)] = f64::from(scaled.clamp(-self.limit, self.limit));
                 }
-                for (i, &v) in y[nth * target..][..target].iter().enumerate() {
-                    rows.targets[(row, i)] = f64::from((v - of.target_mean[i]) / of.target_sd[i]);
+                let of_row = &y[nth * target..][..target];
+                for (column, &i) in kept.iter().enumerate() {
+                    let scaled = (of_row[i] - of.target_mean[i]) / of.target_sd[i];
+                    rows.targets[(row, column)] = f64::from(scaled);
                 }
             }
         }
@@ -133,6 +147,12 @@ impl Data<'_> {
 fn evenly(from: &dyn Samples, most: usize) -> Vec<u64> {
     let (all, most) = (from.len(), most as u64);
     if all <= most { (0..all).collect() } else { (0..most).map(|i| i * all / most).collect() }
+}
+
+/// All numbers of a target, and those by which penalty and width are chosen.
+fn numbers_of(target: usize) -> [Vec<usize>; 2] {
+    let judged = target.min(JUDGED_MAX);
+    [(0..target).collect(), (0..judged).map(|i| i * target / judged).collect()]
 }
 
 /// Progress of the fit, one step for each matrix that is decomposed.
@@ -176,11 +196,12 @@ fn mean_square(answers: &Mat<f64>, targets: &Mat<f64>) -> f64 {
 }
 
 /// Solves `(A + penalty I) W = B` for all penalties by one decomposition of A, symmetric and not negative,
-/// and returns the W whose answers err least on the validation rows. `weights` maps W to the weights of
-/// inputs, `answers` those to the answers of the validation rows.
+/// and returns the W whose answers err least on the validation rows. `judged`: the columns of B whose weights
+/// `validation_error` judges; `train_error` judges those of all.
 fn solve(
     matrix: &Mat<f64>,
     right: &Mat<f64>,
+    judged: &[usize],
     train_error: impl Fn(&Mat<f64>) -> f64,
     validation_error: impl Fn(&Mat<f64>) -> f64,
 ) -> Result<Solution, TrainError> {
@@ -189,21 +210,24 @@ fn solve(
     let size = matrix.nrows();
     let unit = (0..size).map(|i| matrix[(i, i)]).sum::<f64>() / size as f64;
     let along = vectors.transpose() * right;
-    let mut best: Option<Solution> = None;
+    let weights = |penalty: f64, columns: &[usize]| {
+        let scaled = Mat::from_fn(size, columns.len(), |i, j| {
+            along[(i, columns[j])] / (values[i].max(0.0) + penalty)
+        });
+        vectors * scaled
+    };
+    let mut best: Option<(f64, f64)> = None;
     for relative in penalties() {
         let penalty = relative * unit.max(f64::MIN_POSITIVE);
-        let scaled = Mat::from_fn(size, right.ncols(), |i, j| {
-            along[(i, j)] / (values[i].max(0.0) + penalty)
-        });
-        let weights = vectors * scaled;
-        let validation = validation_error(&weights);
-        if best.as_ref().is_none_or(|best| validation < best.validation) {
-            best = Some(Solution { weights, train: 0.0, validation, penalty });
+        let validation = validation_error(&weights(penalty, judged));
+        if best.is_none_or(|(_, least)| validation < least) {
+            best = Some((penalty, validation));
         }
     }
-    let mut best = best.ok_or(TrainError::Singular)?;
-    best.train = train_error(&best.weights);
-    Ok(best)
+    let (penalty, validation) = best.ok_or(TrainError::Singular)?;
+    let all: Vec<usize> = (0..right.ncols()).collect();
+    let weights = weights(penalty, &all);
+    Ok(Solution { train: train_error(&weights), weights, validation, penalty })
 }
 
 /// The fitted layers; `None` if it was stopped.
@@ -214,25 +238,39 @@ fn ridge(
     log: &mut Log<'_>,
 ) -> Result<Option<Vec<Layer>>, TrainError> {
     let channels = train.input_len();
-    let mut judges =
-        data.read(validation, &evenly(validation, JUDGES_MAX.min(HELD_MAX / channels)))?;
+    let [all, judged] = numbers_of(train.target_len());
+    let judging = evenly(validation, JUDGES_MAX.min(HELD_MAX / channels));
+    let mut judges = data.read(validation, &judging, &judged)?;
     let few = train.len() < channels as u64;
+    // Few rows themselves, if they are a first layer: a long target then needs fewer weights.
+    let mut inner: Option<Mat<f64>> = None;
     // Scaled channels have a mean: that of clipped ones, or that of rows which were not measured.
     let (mean, solution) = if few {
         // Fewer rows than channels: in dual variables.
-        let mut rows = data.read(train, &evenly(train, HELD_MAX / channels))?;
+        let mut rows = data.read(train, &evenly(train, HELD_MAX / channels), &all)?;
         let mean = sums(&rows.frames) * Scale(1.0 / rows.frames.nrows() as f64);
         centre(&mut rows.frames, &mean);
         centre(&mut judges.frames, &mean);
         let products = &rows.frames * rows.frames.transpose();
         let across = &judges.frames * rows.frames.transpose();
+        let (count, target) = (rows.frames.nrows(), all.len());
+        let is_long = target > judged.len() && count * (channels + target) < channels * target;
+        let size = (0..count).map(|i| products[(i, i)]).sum::<f64>() / count as f64;
+        // The answers of two layers lose more in 32 bits.
+        let lost = if is_long { size.powi(2) } else { 0.0 };
         let solution = solve(
             &products,
             &rows.targets,
+            &judged,
             |dual| mean_square(&(&products * dual), &rows.targets),
-            |dual| mean_square(&(&across * dual), &judges.targets),
+            |dual| mean_square(&(&across * dual), &judges.targets) + lost * rounding(dual),
         )?;
-        (mean, Solution { weights: rows.frames.transpose() * &solution.weights, ..solution })
+        if is_long {
+            inner = Some(Mat::from_fn(channels, count, |i, j| rows.frames[(j, i)]));
+            (mean, solution)
+        } else {
+            (mean, Solution { weights: rows.frames.transpose() * &solution.weights, ..solution })
+        }
     } else {
         let mut products = Mat::<f64>::zeros(channels, channels);
         let mut right = Mat::<f64>::zeros(channels, train.target_len());
@@ -241,7 +279,7 @@ fn ridge(
         let mut of_targets = Mat::<f64>::zeros(1, train.target_len());
         let numbers: Vec<u64> = (0..train.len()).collect();
         for numbers in numbers.chunks(4 * CLOSED_FORM_ROWS) {
-            let rows = data.read(train, numbers)?;
+            let rows = data.read(train, numbers, &all)?;
             products += rows.frames.transpose() * &rows.frames;
             right += rows.frames.transpose() * &rows.targets;
             square += rows.targets.squared_norm_l2();
@@ -265,11 +303,16 @@ fn ridge(
                 .sum();
             ((square + sum) / values).max(0.0)
         };
-        (mean, solve(&products, &right, of_train, of_judges)?)
+        (mean, solve(&products, &right, &judged, of_train, of_judges)?)
     };
-    let goes_on = log.step(solution.train, solution.validation);
-    let bias = &mean * &solution.weights * Scale(-1.0);
-    Ok(goes_on.then(|| vec![dense(&solution.weights, &bias)]))
+    if !log.step(solution.train, solution.validation) {
+        return Ok(None);
+    }
+    let weights = &solution.weights;
+    let first = inner.as_ref().unwrap_or(weights);
+    let bias = &mean * first * Scale(-1.0);
+    let second = inner.is_some().then(|| dense(weights, &Mat::zeros(1, weights.ncols())));
+    Ok(Some([dense(first, &bias)].into_iter().chain(second).collect()))
 }
 
 /// Sum of all rows, `[1, columns]`.
@@ -289,10 +332,12 @@ fn kernel_ridge(
     centres: usize,
     log: &mut Log<'_>,
 ) -> Result<Option<Vec<Layer>>, TrainError> {
-    let channels = train.input_len();
-    let centres = centres.min(HELD_MAX / channels).max(1);
-    let few = data.read(train, &evenly(train, FEW[0].min(centres)))?;
-    let judges = data.read(validation, &evenly(validation, FEW[1].min(centres)))?;
+    let (channels, target) = (train.input_len(), train.target_len());
+    let [all, judged] = numbers_of(target);
+    let centres = centres.min(HELD_MAX / channels).min(ANSWERS_MAX / target).max(1);
+    let few = data.read(train, &evenly(train, FEW[0].min(centres)), &judged)?;
+    let judges = data.read(validation, &evenly(validation, FEW[1].min(centres)), &judged)?;
+    let of_few: Vec<usize> = (0..judged.len()).collect();
     let [within, across] = [&few, &judges].map(|rows| distances(&rows.frames, &few.frames));
     let mut chosen: Option<(f64, Solution)> = None;
     for gamma in GAMMAS.map(|gamma| gamma / channels as f64) {
@@ -301,6 +346,7 @@ fn kernel_ridge(
         let solution = solve(
             &kernel,
             &few.targets,
+            &of_few,
             |dual| mean_square(&(&kernel * dual), &few.targets),
             |dual| mean_square(&(&to_judges * dual), &judges.targets) + rounding(dual),
         )?;
@@ -313,38 +359,46 @@ fn kernel_ridge(
     }
     let Some((gamma, chosen)) = chosen else { return Err(TrainError::Singular) };
     drop((within, across));
-    let rows = data.read(train, &evenly(train, centres))?;
-    let judges = data.read(validation, &evenly(validation, JUDGES_MAX.min(HELD_MAX / channels)))?;
+    let rows = data.read(train, &evenly(train, centres), &all)?;
+    let judging = evenly(validation, JUDGES_MAX.min(HELD_MAX / channels));
+    let judges = data.read(validation, &judging, &judged)?;
     let [within, across] = [&rows, &judges].map(|of| distances(&of.frames, &rows.frames));
-    let mut best: Option<(f64, Solution)> = None;
+    let some =
+        Mat::from_fn(rows.targets.nrows(), judged.len(), |i, j| rows.targets[(i, judged[j])]);
+    let mut best: Option<(f64, f64, f64)> = None;
     // More rows allow a narrower kernel and a smaller penalty.
     for gamma in [gamma, 2.0 * gamma] {
         let (kernel, to_judges) = (kernel(&within, gamma), kernel(&across, gamma));
         for share in [0.01, 0.1, 0.3, 1.0, 3.0] {
             let penalty = share * chosen.penalty;
-            let mut matrix = kernel.clone();
-            (0..rows.frames.nrows()).for_each(|i| matrix[(i, i)] += penalty);
-            // Not invertible in this precision: a larger penalty is.
-            let Ok(factor) = matrix.llt(Side::Lower) else { continue };
-            let weights = factor.solve(&rows.targets);
+            let Some(weights) = dual(&kernel, penalty, &some) else { continue };
             let validation =
                 mean_square(&(&to_judges * &weights), &judges.targets) + rounding(&weights);
-            if best.as_ref().is_none_or(|(_, best)| validation < best.validation) {
-                let train = mean_square(&(&kernel * &weights), &rows.targets);
-                best = Some((gamma, Solution { weights, train, validation, penalty }));
+            if best.is_none_or(|(_, _, least)| validation < least) {
+                best = Some((gamma, penalty, validation));
             }
         }
     }
-    let (gamma, best) = best.ok_or(TrainError::Singular)?;
-    if !log.step(best.train, best.validation) {
+    let (gamma, penalty, validation) = best.ok_or(TrainError::Singular)?;
+    let kernel = kernel(&within, gamma);
+    let weights = dual(&kernel, penalty, &rows.targets).ok_or(TrainError::Singular)?;
+    if !log.step(mean_square(&(&kernel * &weights), &rows.targets), validation) {
         return Ok(None);
     }
     let frames = &rows.frames;
     let numbers = (0..frames.nrows()).flat_map(|i| (0..channels).map(move |j| (i, j)));
     let centres = numbers.map(|at| frames[at] as f32).collect();
     let layer = Layer::Kernel { inputs: channels, centres, gamma: gamma as f32 };
-    let none = Mat::zeros(1, best.weights.ncols());
-    Ok(Some(vec![layer, dense(&best.weights, &none)]))
+    let none = Mat::zeros(1, weights.ncols());
+    Ok(Some(vec![layer, dense(&weights, &none)]))
+}
+
+/// Solves `(K + penalty I) W = B`; `None` if the matrix is not invertible in this precision: with a larger penalty
+/// it is.
+fn dual(kernel: &Mat<f64>, penalty: f64, right: &Mat<f64>) -> Option<Mat<f64>> {
+    let mut matrix = kernel.clone();
+    (0..matrix.nrows()).for_each(|i| matrix[(i, i)] += penalty);
+    Some(matrix.llt(Side::Lower).ok()?.solve(right))
 }
 
 /// Mean square of what answers lose when the net is computed in 32 bits: wide kernels with a small penalty

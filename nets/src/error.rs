@@ -72,9 +72,6 @@ pub enum TrainError {
     /// The checkpoint is not one of this training.
     #[error(transparent)]
     Checkpoint(#[from] CheckpointError),
-    /// The layers of the initial network are not those of the recipe.
-    #[error("start: {0}")]
-    Start(&'static str),
     /// The loss is not finite.
     #[error(
         "training: the loss is not finite in epoch {epoch}, batch {batch}: a smaller \

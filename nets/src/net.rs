@@ -25,9 +25,9 @@ pub enum Net {
     PointNet(PointNet),
     /// Measured voltages to a quantity.
     Mlp(Mlp),
-    /// Measured voltages to a quantity or to simulated ones, linear.
+    /// Voltages to a quantity, to simulated voltages or to a force map, linear.
     Ridge(Ridge),
-    /// Measured voltages to a quantity or to simulated ones, by their likeness to training rows.
+    /// Voltages to a quantity, to simulated voltages or to a force map, by their likeness to training rows.
     KernelRidge(KernelRidge),
 }
 
@@ -40,8 +40,8 @@ impl Net {
             Self::EndToEnd(net) => (Frames::Measured, net),
             Self::PointNet(net) => (Frames::Simulated, net),
             Self::Mlp(net) => (Frames::Measured, net),
-            Self::Ridge(net) => (Frames::Measured, net),
-            Self::KernelRidge(net) => (Frames::Measured, net),
+            Self::Ridge(net) => (net.answers.frames(), net),
+            Self::KernelRidge(net) => (net.answers.frames(), net),
         }
     }
 

@@ -209,11 +209,4 @@ impl Network {
         };
         self.layers.iter().rev().find_map(scale).unwrap_or(1.0)
     }
-
-    /// Returns the layers without their numbers: equal for two networks of the same shape.
-    pub fn shape(&self) -> Network {
-        let mut shape = self.clone();
-        shape.each_number(&mut |x| x.fill(0.0));
-        shape
-    }
 }

@@ -16,9 +16,6 @@ pub struct Plan {
     /// Standard deviation of each channel, V, that the recipe's noise level multiplies: of a
     /// Transfer-Net's residuals (Fig. 10A).
     pub noise_sd_v: Option<Vec<f32>>,
-    /// Initial network, whose normalisation stays; `None`: weights are drawn from the seed, the
-    /// normalisation is measured on the training samples.
-    pub start: Option<Network>,
     /// Device. With one thread, the same plan and data give the same bytes.
     pub compute: Compute,
 }

@@ -42,6 +42,8 @@ pub struct InferArgs {
     #[arg(long, value_parser = methods(Method::served()), required_unless_present = "model")]
     method: Option<Method>,
     /// Id or name of a model, or id of a calibration, instead of the serving one; it need not be promoted.
+    ///
+    /// SLOT@SENSOR, such as position@pad-60, is the promoted one of another sensor.
     #[arg(long, value_name = "MODEL")]
     model: Option<String>,
     /// Id or name of a Transfer-Net before it, instead of the serving one.

@@ -41,7 +41,8 @@ enum What {
     /// Make a model (by id or name), or a calibration (by id), serve from the next frame on.
     ///
     /// It is loaded and warmed first: no frame is dropped. Its slot follows from its task:
-    /// transfer, map, points, position, pattern, count, force; a calibration is the skin of the exact method.
+    /// transfer, map, points, position, pattern, count, force; a calibration is the skin of the exact method. A model of
+    /// another sensor than the rig's answers as SLOT@SENSOR, such as position@pad-60.
     Promote {
         /// Id or name of a model, or id of a calibration.
         what: String,
@@ -54,6 +55,9 @@ enum What {
         /// Slot: transfer, map, points, skin, position, pattern, count or force.
         #[arg(value_parser = slot)]
         slot: Slot,
+        /// Name of its sensor [default: that of the rig].
+        #[arg(long, value_name = "NAME")]
+        sensor: Option<String>,
         /// Reason, for the log of actions.
         #[arg(long, value_name = "WORDS")]
         why: Option<String>,
@@ -133,15 +137,25 @@ async fn answer(client: Client, what: What, at: At) -> Result<(), CliError> {
             at.output().say(&serves, words(&serves));
             let slot = serves.slot.name();
             let next = Next::of(&at);
-            let next = match serves.slot.is_quantity() {
-                true => next.suggest("palpate live --quantities", "its answers on the rig's skin"),
-                false => next.suggest("palpate live", "contacts on the rig's skin"),
+            let (next, of) = match &serves.sensor {
+                Some(sensor) => {
+                    let infer = format!("palpate infer FILE --model {slot}@{sensor}");
+                    (
+                        next.suggest(infer, "answers frames of its sensor"),
+                        format!(" --sensor {sensor}"),
+                    )
+                }
+                None if serves.slot.is_quantity() => {
+                    let live = "palpate live --quantities";
+                    (next.suggest(live, "its answers on the rig's skin"), String::new())
+                }
+                None => (next.suggest("palpate live", "contacts on the rig's skin"), String::new()),
             };
-            next.suggest(format_args!("palpate model roll-back {slot}"), "restores the one before")
-                .say();
+            let back = format!("palpate model roll-back {slot}{of}");
+            next.suggest(back, "restores the one before").say();
         }
-        What::RollBack { slot, why } => {
-            let request = RollBackRequest { slot, why, who: Some(client.who().into()) };
+        What::RollBack { slot, sensor, why } => {
+            let request = RollBackRequest { slot, sensor, why, who: Some(client.who().into()) };
             let client = client.patient(PROMOTING).showing("loading and warming up");
             let serves: ServesOut = client.post("/api/v1/serving/roll-back", &request).await?;
             at.output().say(&serves, words(&serves));
@@ -151,7 +165,7 @@ async fn answer(client: Client, what: What, at: At) -> Result<(), CliError> {
             if at.json {
                 say_json(&serving);
             } else {
-                for serves in &serving.serves {
+                for serves in serving.serves.iter().chain(&serving.elsewhere) {
                     say(words(serves));
                     if let Some(restores) = &serves.restores {
                         say(format_args!("          roll-back restores {}", restores.as_str()));
@@ -188,10 +202,7 @@ async fn answer(client: Client, what: What, at: At) -> Result<(), CliError> {
             let client = client.showing("checking the model");
             let model: ModelOut = client.upload("/api/v1/models", &file, texts).await?;
             at.output().say(&model, line(&model));
-            // A model of another sensor than the rig's cannot serve.
-            if model.slot.is_some() {
-                promotion(&at, &model.id).say();
-            }
+            promotion(&at, &model.id).say();
         }
         What::AddCalibration { file } => {
             let text = read_input(&file)?;
@@ -210,8 +221,14 @@ fn promotion(at: &At, id: impl Display) -> Next {
 
 fn words(serves: &ServesOut) -> String {
     let what = serves.what.as_ref().map_or("nothing", PromotedId::as_str);
+    let of = serves.sensor.as_ref().map(|sensor| format!(" of sensor {sensor}"));
     let note = serves.limitation.as_ref().map(|words| format!("\n          note: {words}"));
-    format!("{:<9} {what}{}", serves.slot.name(), note.unwrap_or_default())
+    format!(
+        "{:<9} {what}{}{}",
+        serves.slot.name(),
+        of.unwrap_or_default(),
+        note.unwrap_or_default()
+    )
 }
 
 /// Models with their last scores.

@@ -23,7 +23,7 @@ use crate::carried::{self, RECIPES};
 use crate::dataset::force_map::ForceMapSpec;
 use crate::evaluate::losses::{best, read};
 use crate::file_kind::FileKind;
-use crate::learn::recipe::map_channels;
+use crate::learn::recipe::{Net, map_channels};
 use crate::learn::targets::Quantity;
 use crate::problem::Problem;
 
@@ -152,8 +152,10 @@ impl Changes {
         }
         if let (Some(spec), Some(net)) = (spec, net) {
             let side = spec.pixels() as i64;
+            let known = net.clone().try_into::<Net>().ok();
+            let channels = known.and_then(|known| map_channels(&known, side));
             net.insert("side".into(), side.into());
-            if let Some(channels) = map_channels(side).filter(|_| !net.contains_key("channels")) {
+            if let Some(channels) = channels.filter(|_| !net.contains_key("channels")) {
                 net.insert("channels".into(), channels.to_vec().into());
             }
         }
@@ -277,10 +279,7 @@ async fn report(client: &Client, done: &JobOut, at: &At) -> Result<(), CliError>
             "scores it, with ridge regressions",
         );
     }
-    if model.slot.is_some() {
-        next = next.suggest(format_args!("palpate model promote {id}"), "makes it serve");
-    }
-    next.say();
+    next.suggest(format_args!("palpate model promote {id}"), "makes it serve").say();
     Ok(())
 }
 

@@ -1,10 +1,10 @@
-//! Fig. 12 and V-D: contacts that were in no training, by the paper's pipeline, both baselines and
-//! the project's methods.
+//! Fig. 12 and V-D: contacts that were in no training, by the paper's pipeline, both baselines, ridge and kernel
+//! ridge regression, and the project's methods.
 //! Uses: `lab`, `budget`, `rows`, `pictures`, `evaluate::{published, table}`. Never: training here.
 
 use serde_json::json;
 
-use crate::budget::{Budget, END_TO_END, R2S, RECON_NET, Scale, up_to};
+use crate::budget::{Budget, END_TO_END, R2S, RECON_NET, REGRESSIONS, Scale, up_to};
 use crate::dataset::force_map::{ForceMapSpec, SIDE_MM, TABLE_IV_MAPS};
 use crate::evaluate::published::REAL_UNSEEN;
 use crate::evaluate::request::{EvaluationReport, EvaluationRequest, FramesRead};
@@ -15,7 +15,7 @@ use crate::ids::{CalibrationId, ModelId};
 use crate::infer::methods::Method;
 use crate::lab::{DatasetFacts, Lab, Noise, StudyError, Training};
 use crate::noise::LEVELS;
-use crate::rows::{by_contacts, coverage, perfects, read_by, reliability};
+use crate::rows::{beats, by_contacts, coverage, paper_cost, perfects, read_by, reliability};
 use crate::sheet::{OutputFile, Sheet};
 
 #[cfg(test)]
@@ -28,8 +28,6 @@ use pictures::{errors, examples, talk};
 const PUBLISHED: &str = "transfer-net-published";
 /// Condition on the trials that are drawn.
 const TOUCHED: &str = "contact_count__gte=1";
-/// Larger side of the paper's skin, mm.
-const SKIN_MM: f64 = 560.0;
 /// Number of trials that are drawn.
 const EXAMPLES: u64 = 3;
 
@@ -55,6 +53,8 @@ struct Scores {
     pipeline: Vec<Named>,
     /// The baseline trained on measured trials only.
     end_to_end: Vec<Named>,
+    /// The regressions on the rows of that baseline: name, and reports.
+    regressions: Vec<(&'static str, Vec<Named>)>,
     /// The one-step reconstructions, Point-Net, and the fit through the exact model.
     ours: Vec<Named>,
     /// The best of the pipeline with the paper's Transfer-Net, if the budget has another one.
@@ -78,18 +78,22 @@ pub async fn fig_12<L: Lab>(lab: &L, budget: &Budget, unseen: &Unseen) -> Result
     }
     let study = Study { lab, budget, unseen, facts };
     let ours = study.ours().await?;
-    let (pipeline, end_to_end) = if unseen.ours {
-        (Vec::new(), Vec::new())
-    } else {
-        (study.pipeline().await?, study.end_to_end().await?)
-    };
+    let (mut pipeline, mut end_to_end, mut regressions) = (Vec::new(), Vec::new(), Vec::new());
+    if !unseen.ours {
+        pipeline = study.pipeline().await?;
+        end_to_end = study.end_to_end(END_TO_END).await?;
+        for (ending, name) in REGRESSIONS {
+            let recipe = format!("{END_TO_END}-{ending}");
+            regressions.push((name, study.end_to_end(&recipe).await?));
+        }
+    }
     let mut published = None;
     if let Some((_, report)) = best(&pipeline)
         && budget.transfer != PUBLISHED
     {
         published = Some(study.with_published(report).await?);
     }
-    let scores = Scores { pipeline, end_to_end, ours, published };
+    let scores = Scores { pipeline, end_to_end, regressions, ours, published };
     let columns = study.examples(&scores).await?;
     Ok(sheet(budget, &scores, &columns, &study.learned())?)
 }
@@ -120,19 +124,9 @@ impl<L: Lab> Study<'_, L> {
         Training { dataset: Some(self.unseen.dataset.clone()), map, ..training }
     }
 
-    /// A map of the paper on the dataset's skin: as many pixels, lengths in proportion to the skin.
+    /// A map of the paper on the dataset's skin.
     fn on_skin(&self, map: ForceMapSpec) -> ForceMapSpec {
-        if self.facts.of_rig {
-            return map;
-        }
-        // Rounded up to hundredths, so that lengths have few digits.
-        let times = (100.0 * self.facts.skin_mm / SKIN_MM).ceil() / 100.0;
-        let length_mm = |mm: f64| (1e3 * times * mm).round() / 1e3;
-        ForceMapSpec {
-            pixel_mm: length_mm(map.pixel_mm),
-            diameter_mm: length_mm(map.diameter_mm),
-            side_mm: length_mm(map.side_mm),
-        }
+        if self.facts.of_rig { map } else { map.on_skin(self.facts.skin_mm) }
     }
 
     /// Sentence on what the nets learned, if it is not the paper's data.
@@ -203,10 +197,11 @@ impl<L: Lab> Study<'_, L> {
         self.lab.score(&request).await
     }
 
-    async fn end_to_end(&self) -> Result<Vec<Named>, L::Error> {
+    /// Scores nets of a recipe, from measured voltages to each map.
+    async fn end_to_end(&self, recipe: &str) -> Result<Vec<Named>, L::Error> {
         let mut scores = Vec::new();
         for map in maps(self.budget.scale) {
-            let training = self.training(self.budget.map_net(END_TO_END, map, None));
+            let training = self.training(self.budget.map_net(recipe, map, None));
             let net = self.lab.train(&training).await?;
             let mut request = self.request(Method::Paper);
             request.map = Some(net.to_string());
@@ -263,8 +258,7 @@ fn maps(scale: Scale) -> Vec<ForceMapSpec> {
 
 /// The best by the paper's rule (V-D).
 fn best(scores: &[Named]) -> Option<&Named> {
-    let cost = |report: &EvaluationReport| Some(report.contacts.as_ref()?.all.paper_cost());
-    let costs = scores.iter().filter_map(|named| Some((cost(&named.1)?, named)));
+    let costs = scores.iter().filter_map(|named| Some((paper_cost(&named.1)?, named)));
     costs.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, named)| named)
 }
 
@@ -275,7 +269,10 @@ fn sheet(
     columns: &[Named],
     learned: &str,
 ) -> Result<Sheet, StudyError> {
-    let Scores { pipeline, end_to_end, ours, published } = scores;
+    let Scores { pipeline, end_to_end, regressions, ours, published } = scores;
+    let mut groups = vec![("real-to-sim", pipeline), ("end-to-end", end_to_end)];
+    groups.extend(regressions.iter().map(|(name, scores)| (*name, scores)));
+    let nets = nets(&groups);
     let best_pipeline = best(pipeline);
     let mut table = Vec::new();
     if let Some((name, report)) = best_pipeline {
@@ -287,34 +284,44 @@ fn sheet(
     if let Some((name, report)) = best(end_to_end) {
         table.extend(by_contacts(&format!("end-to-end, best: {name}"), report));
     }
+    for (name, scores) in regressions {
+        let found = best(scores).into_iter();
+        table.extend(found.flat_map(|(map, s)| by_contacts(&format!("{name}, best: {map}"), s)));
+    }
     table.push(published_row("paper, best of 36 of 4 to 20 mm, 1024 epochs", &REAL_UNSEEN));
     for (name, report) in ours {
         table.extend(by_contacts(name, report));
     }
-    let all = ours.iter().chain(pipeline).chain(end_to_end).map(|(_, report)| report);
-    table.extend(perfects(all));
-    let any = ours.iter().chain(pipeline).chain(end_to_end).map(|(_, report)| report).next();
+    let verdicts = verdicts(&groups);
+    groups.push(("", ours));
+    let all = || groups.iter().flat_map(|(_, scores)| scores.iter()).map(|(_, report)| report);
+    table.extend(perfects(all()));
+    let any = all().next();
     let label = any.map_or("", |report| report.label.as_str());
     let by_best = best_pipeline
         .map_or(String::new(), |(_, report)| format!("real-to-sim, best: {}", read_by(report)));
     let text = format!(
-        "# Fig. 12: contacts that no net has seen, mean [95 % interval]\n\n{}\n{}{}{}{by_best}{}{learned}{}\n",
+        "# Fig. 12: contacts that no net has seen, mean [95 % interval]\n\n{}\n{verdicts}{}{}{nets}{by_best}{}\
+         {learned}{}\n",
         markdown(&SCORE_COLUMNS, &table),
         coverage(named(ours)),
         reliability(named(ours)),
-        nets(pipeline, end_to_end),
         ours.last().map_or(String::new(), |(_, exact)| format!("exact: {}\n", read_by(exact))),
         budget.caption(label)
     );
     let listed = |scores: &[Named]| -> Vec<_> {
         scores.iter().map(|(name, report)| json!({ "name": name, "report": report })).collect()
     };
+    let of_regression = |(name, scores): &(&str, Vec<Named>)| -> serde_json::Value {
+        json!({ "name": name, "nets": listed(scores) })
+    };
+    let compared: Vec<_> = regressions.iter().map(of_regression).collect();
     let numbers = json!({ "figure": "12", "scale": budget.scale.name(), "label": label,
-        "real_to_sim": listed(pipeline), "end_to_end": listed(end_to_end), "ours": listed(ours),
+        "real_to_sim": listed(pipeline), "end_to_end": listed(end_to_end),
+        "regressions": compared, "ours": listed(ours),
         "best": best_pipeline.map(|(name, _)| name), "best_with_published_transfer": published });
     let heading = Heading::new("", any.map_or(0, |report| report.rows), "trials", label)
         .with_note(format!("Scale {}", budget.scale.name()));
-    let groups = [("real-to-sim", pipeline), ("end-to-end", end_to_end), ("", ours)];
     let mut figures = errors(&heading, &groups)?;
     if !columns.is_empty() {
         figures.push(OutputFile::new("fig-12a.svg", examples(&heading, columns)?));
@@ -328,16 +335,32 @@ fn named(scores: &[Named]) -> impl Iterator<Item = (&str, &EvaluationReport)> {
     scores.iter().map(|(name, report)| (name.as_str(), report))
 }
 
-/// Table of all of the paper's nets, if there are any.
-fn nets(pipeline: &[Named], end_to_end: &[Named]) -> String {
-    let rows_of = |group: &'static str, scores: &[Named]| -> Vec<Vec<String>> {
+/// States whether the best net of each of the paper's groups, the first two, beats the best of each regression.
+fn verdicts(groups: &[(&str, &Vec<Named>)]) -> String {
+    let bests: Vec<_> = groups.iter().map(|(name, scores)| (name, best(scores))).collect();
+    let (nets, regressions) = bests.split_at(2);
+    let mut text = String::new();
+    for (group, net) in nets {
+        for (name, other) in regressions {
+            let (Some((_, net)), Some((_, other))) = (net, other) else { continue };
+            let Some(beats) = beats(net, other) else { continue };
+            let words = if beats { "beats" } else { "does NOT beat" };
+            text += &format!("The best {group} {words} the best of {name} by the paper's rule.\n");
+        }
+    }
+    text
+}
+
+/// Table of the nets of these groups, if there are any.
+fn nets(groups: &[(&str, &Vec<Named>)]) -> String {
+    let mut rows = Vec::new();
+    for (group, scores) in groups {
         let row = |(name, report): &Named| {
             let name = format!("{group} {name}");
             Some(score_row(&name, &report.contacts.as_ref()?.all, Uncertainty::Interval))
         };
-        scores.iter().filter_map(row).collect()
-    };
-    let rows = [rows_of("real-to-sim", pipeline), rows_of("end-to-end", end_to_end)].concat();
+        rows.extend(scores.iter().filter_map(row));
+    }
     if rows.is_empty() {
         return String::new();
     }
@@ -358,10 +381,31 @@ mod tests {
     fn the_papers_nets_are_trained_for_every_map_and_noise() {
         let lab = FakeLab::default();
         result(fig_12(&lab, &small(), &unseen(false))).unwrap();
-        // A Transfer-Net, four maps at three levels of noise, four end-to-end nets.
-        assert_eq!(lab.trained.lock().unwrap().len(), 1 + 4 * 3 + 4);
+        // A Transfer-Net, four maps at three levels of noise, four end-to-end nets, and two regressions of each.
+        let trained = lab.trained.lock().unwrap();
+        assert_eq!(trained.len(), 1 + 4 * 3 + 4 + 2 * 4);
+        let recipe = |n: usize| trained[n].recipe.as_str();
+        let recipes = ["end-to-end", "end-to-end-ridge", "end-to-end-kernel-ridge"];
+        assert_eq!([recipe(13), recipe(17), recipe(21)], recipes);
+        let same = |a: usize, b: usize| {
+            let [a, b] = [a, b].map(|n| &trained[n]);
+            (&a.dataset, a.map, a.rows) == (&b.dataset, b.map, b.rows)
+        };
+        assert!((13..17).all(|n| same(n, n + 4) && same(n, n + 8)), "{trained:?}");
         // Two one-step baselines, `exact` by the first frame and by the mean, and two examples.
-        assert_eq!(lab.scored.lock().unwrap().len(), 2 + 2 + 4 * 3 + 4 + 2);
+        assert_eq!(lab.scored.lock().unwrap().len(), 2 + 2 + 4 * 3 + 4 + 2 * 4 + 2);
+    }
+
+    #[test]
+    fn a_net_that_does_not_beat_a_regression_says_so() {
+        // The fake lab scores all alike.
+        let lab = FakeLab { scores: true, ..FakeLab::default() };
+        let sheet = result(fig_12(&lab, &small(), &unseen(false))).unwrap();
+        for words in ["real-to-sim does NOT beat the best of ridge", "| kernel ridge, best: 10x20"]
+        {
+            assert!(sheet.text.contains(words), "{words}: {}", sheet.text);
+        }
+        assert_eq!(sheet.numbers["regressions"][1]["nets"].as_array().unwrap().len(), 4);
     }
 
     #[test]
@@ -389,12 +433,13 @@ mod tests {
         let trained = lab.trained.lock().unwrap();
         let maps: Vec<String> =
             trained.iter().map(|training| training.map.unwrap().to_string()).collect();
-        assert_eq!(maps, ["1.8x3.6x115.2", "1.8x10.8x115.2", "3.6x3.6x115.2", "3.6x10.8x115.2"]);
+        let four = ["1.8x3.6x115.2", "1.8x10.8x115.2", "3.6x3.6x115.2", "3.6x10.8x115.2"];
+        assert_eq!(maps, [four; 3].concat());
         assert!(trained.iter().all(|training| training.dataset.as_deref() == Some("pad")));
         assert!(trained.iter().all(|training| training.map.unwrap().checked().is_ok()));
         let scored = lab.scored.lock().unwrap();
         let of_test = |r: &EvaluationRequest| r.part.as_deref() == Some("test") && r.map.is_some();
-        assert!(scored.len() == 4 && scored.iter().all(of_test), "{scored:?}");
+        assert!(scored.len() == 12 && scored.iter().all(of_test), "{scored:?}");
         assert!(sheet.text.contains("part train of pad") && sheet.text.contains("virtual"));
         assert!(sheet.files.iter().any(|file| file.name == "fig-12-location.svg"));
         assert!(
@@ -407,7 +452,7 @@ mod tests {
             ..FakeLab::default()
         };
         result(fig_12(&lab, &small(), &unseen(false))).unwrap();
-        assert_eq!(lab.trained.lock().unwrap().len(), 1 + 4 * 3 + 4);
+        assert_eq!(lab.trained.lock().unwrap().len(), 1 + 4 * 3 + 4 + 2 * 4);
         for (ours, has_parts) in [(true, true), (false, false)] {
             let facts = DatasetFacts { has_parts, ..facts };
             let lab = FakeLab { facts: Some(facts), ..FakeLab::default() };

@@ -13,7 +13,8 @@ from collections.abc import Iterator
 from service import STEP_S, Lab, holds
 
 EXTENT = ("--epochs", "1", "--rows", "40", "--scored", "20")
-NETS, DESKS = 12, 2
+# Twelve Recon-Nets, and two regressions each.
+NETS, DESKS = 36, 2
 PLACES = ("nets", "alone")
 
 

@@ -103,7 +103,6 @@ fn main() {
         recipe,
         data: "rate".into(),
         noise_sd_v: None,
-        start: None,
         compute: if own.is_host() { Compute::Cpu { threads } } else { own },
     };
     let lasts = Duration::from_secs_f64(seconds.parse().expect("SECONDS is a number"));

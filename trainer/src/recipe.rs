@@ -92,7 +92,6 @@ pub fn train(
         recipe: recipe.training.clone(),
         data: given.data.clone(),
         noise_sd_v: given.noise_sd_v.clone(),
-        start: None,
         compute: given.compute,
     };
     let targets = recipe.task().quantity().map(|quantity| {
@@ -150,7 +149,6 @@ pub fn train_on_stream(
         recipe: recipe.training.clone(),
         data: model.model_hash().into(),
         noise_sd_v: None,
-        start: None,
         compute,
     };
     let mut trained = train::train(&plan, &learn, &choose, checkpoint, observer)?;

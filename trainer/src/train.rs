@@ -30,8 +30,8 @@ const VALIDATION: u64 = u64::MAX;
 /// Trains a net, from the beginning or from a checkpoint of the same plan and data.
 ///
 /// # Errors
-/// `TrainError` if recipe, data, checkpoint or initial network do not match, a sample cannot be
-/// read, or the loss is not finite.
+/// `TrainError` if recipe, data or checkpoint do not match, a sample cannot be read, or the loss is not
+/// finite.
 pub fn train(
     plan: &Plan,
     train: &dyn Samples,
@@ -120,24 +120,16 @@ impl<'a> Training<'a> {
         let noise =
             NoiseSource::new(recipe.seed, recipe.noise, plan.noise_sd_v.as_deref(), channels);
         let measured = recipe.net.input().measured();
-        let unknown = Statistics::unknown(measured, channels, target);
         let state = checkpoint.map(|bytes| checkpoint::read(bytes, &subject)).transpose()?;
-        let mut network = match (&state, &plan.start) {
-            (None, None) => {
-                let statistics = Statistics::measure(train, measured, &noise, recipe.seed)?;
-                let constant = statistics.constant_channels();
-                if constant > 0 && recipe.net.input().scales_channels() {
-                    observer.warn(constant_channels(constant, channels));
-                }
-                recipe.first(&statistics, target)
-            }
-            (_, Some(start)) => start.clone(),
-            (Some(_), None) => recipe.first(&unknown, target),
+        let statistics = match &state {
+            None => Statistics::measure(train, measured, &noise, recipe.seed)?,
+            Some(_) => Statistics::unknown(measured, channels, target),
         };
-        let described = recipe.first(&unknown, target);
-        if network.shape() != described.shape() {
-            return Err(TrainError::Start("its layers are not those of the recipe"));
+        let constant = statistics.constant_channels();
+        if constant > 0 && recipe.net.input().scales_channels() {
+            observer.warn(constant_channels(constant, channels));
         }
+        let mut network = recipe.first(&statistics, target);
         let mut best = network.clone();
         let mut place = Place::default();
         if let Some(state) = &state {

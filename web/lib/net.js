@@ -11,7 +11,7 @@ import { save, shows } from './save.js'
 import { contactTable, quantityTables, voltageTable } from './scores.js'
 import { meaning } from './vocabulary.js'
 
-/** Makes the view of one model; ends what it began when another one is shown. `promote(id, slot)` asks and acts. */
+/** Makes the view of one model; ends what it began when another one is shown. `promote(id, slot, sensor)` asks and acts. */
 export function netView({ signal, models, promote }) {
   return opened({ className: 'net', signal, draw: read })
 
@@ -30,7 +30,7 @@ export function netView({ signal, models, promote }) {
       label = () => manifest.label,
       learned = manifest.trained_on ?? {}
     const size = el('span', {}, '…'),
-      promoting = model.slot && only('operator', button('Promote', () => promote(model.id, model.slot), { className: 'main' }))
+      promoting = model.slot && only('operator', button('Promote', () => promote(model.id, model.slot, manifest.sensor), { className: 'main' }))
     ask(`/api/v1/models/${model.id}/onnx`, { method: 'HEAD', accept: '*/*', signal: mine }).then(
       answer => {
         size.textContent = bytes(Number(answer.headers.get('content-length')) || null)

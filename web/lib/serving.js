@@ -16,21 +16,23 @@ function useOf(name) {
   return [methods.join(', '), about].filter(Boolean).join(': ')
 }
 
-/** Makes the panel; `name(id)` gives a model's name. `promote(what, slot)` asks first. */
+/** Makes the panel; `name(id)` gives a model's name. `promote(what, slot, sensor)` asks first; without a sensor: the rig's. */
 export function servingPanel({ signal, said, name, onchange }) {
   let etag = null,
+    sensor = '',
     serves = [],
+    elsewhere = [],
     history = []
   const slots = table({
     empty: '',
     columns: [
-      { head: 'Slot', left: true, cell: one => capital(slotOf(one.slot).title) },
+      { head: 'Slot', left: true, cell: one => capital(title(one)) },
       { head: 'Used by', left: true, cell: one => useOf(one.slot) },
       { head: 'Serves', left: true, cell: one => words(one.what) },
-      { head: 'Since', left: true, cell: one => (!one.what ? '' : since(one.slot) ? `${moment(since(one.slot).at)} by ${since(one.slot).who}` : null) },
+      { head: 'Since', left: true, cell: one => (!one.what ? '' : since(one) ? `${moment(since(one).at)} by ${since(one).who}` : null) },
       {
         head: 'Change',
-        cell: one => (one.what ? only('operator', button('Roll back', () => rollBack(one.slot), { 'aria-label': `Roll back ${slotOf(one.slot).title}` })) : ''),
+        cell: one => (one.what ? only('operator', button('Roll back', () => rollBack(one), { 'aria-label': `Roll back ${title(one)}` })) : ''),
       },
     ],
   })
@@ -39,7 +41,7 @@ export function servingPanel({ signal, said, name, onchange }) {
     columns: [
       { head: 'When', left: true, cell: one => moment(one.at, true) },
       { head: 'What', left: true, cell: one => (one.rolled_back ? `rolled back to ${one.what ?? 'nothing'}` : `promoted ${one.what}`) },
-      { head: 'Slot', left: true, cell: one => one.slot },
+      { head: 'Slot', left: true, cell: one => (one.sensor === sensor ? one.slot : `${one.slot}@${one.sensor}`) },
       { head: 'Who', left: true, cell: one => one.who },
       { head: 'Why', left: true, cell: one => one.why },
     ],
@@ -56,12 +58,13 @@ export function servingPanel({ signal, said, name, onchange }) {
     await read()
     onchange()
   }
-  const since = slot => history.find(one => one.slot === slot)
-  async function rollBack(slot) {
+  const since = of => history.find(one => one.slot === of.slot && one.sensor === (of.sensor ?? sensor))
+  const title = of => slotOf(of.slot).title + (of.sensor ? ` of ${of.sensor}` : '')
+  async function rollBack(of) {
     if (lockWords()) return void said.tell(lockWords(), 'warn')
-    const { what: now, restores: to } = serves.find(one => one.slot === slot)
+    const { what: now, restores: to } = of
     const sure = await confirm(
-      `Roll back ${slotOf(slot).title}?`,
+      `Roll back ${title(of)}?`,
       [
         `Serves now: ${name(now)} (${now}).`,
         to ? `${name(to)} (${to}) serves again.` : 'Nothing served before it: the slot becomes empty.',
@@ -69,31 +72,32 @@ export function servingPanel({ signal, said, name, onchange }) {
       ],
       'Roll back'
     )
-    if (sure && (await named())) change(`Roll back ${slot}`, '/serving/roll-back', { slot })
+    if (sure && (await named())) change(`Roll back ${of.slot}`, '/serving/roll-back', { slot: of.slot, sensor: of.sensor })
   }
-  async function promote(what, slot) {
+  async function promote(what, slot, of = sensor) {
     if (lockWords()) return void said.tell(lockWords(), 'warn')
-    const now = serves.find(one => one.slot === slot)?.what
+    const now = [...serves, ...elsewhere].find(one => one.slot === slot && (one.sensor ?? sensor) === of)?.what
+    const uses = isOfQuantity(slotOf(slot)) ? 'Live quantities use' : 'Live contacts and /infer use'
     const sure = await confirm(
       `Promote ${name(what)}?`,
       [
         `Slot: ${slotOf(slot).title} (${useOf(slot)}).`,
         now ? `It replaces ${name(now)} (${now}), which roll back restores.` : 'The slot is empty now.',
-        `${isOfQuantity(slotOf(slot)) ? 'Live quantities use' : 'Live contacts and /infer use'} it from the next frame on. It is loaded and warmed up first: no frame is dropped.`,
+        `${of === sensor ? uses : `Requests that name ${slot}@${of} use`} it from the next frame on. It is loaded and warmed up first: no frame is dropped.`,
       ],
       'Promote'
     )
     if (sure && (await named())) await change(`Promote ${name(what)}`, '/serving', { what })
   }
   function draw() {
-    slots.show(serves)
+    slots.show([...serves, ...elsewhere])
     past.show(history.slice(0, 20))
   }
   async function read() {
     try {
       const answer = await ask('/api/v1/serving', { signal })
       etag = answer.headers.get('etag')
-      ;({ serves, history } = await answer.json())
+      ;({ sensor, serves, elsewhere, history } = await answer.json())
       note(trouble, '')
       draw()
     } catch (error) {

@@ -56,9 +56,11 @@ export async function show(root, { query, signal, go }) {
         cell: model =>
           model.serves
             ? el('span', { className: 'good' }, 'serves')
-            : model.slot
-              ? only('operator', button('Promote', () => serving.promote(model.id, model.slot), { 'aria-label': `Promote ${model.name}, ${model.id}` }))
-              : el('span', { className: 'soft', title: 'palpate infer --model answers frames with it' }, 'asked by name'),
+            : model.slot &&
+              only(
+                'operator',
+                button('Promote', () => serving.promote(model.id, model.slot, model.manifest.sensor), { 'aria-label': `Promote ${model.name}, ${model.id}` })
+              ),
       },
     ],
   })

@@ -32,7 +32,7 @@ pub struct InferOptions {
     #[param(inline)]
     pub method: Method,
     /// Id or name of a model to use instead of the serving one, or for `exact` id of a calibration; it need not
-    /// be promoted. A net of another sensor than the rig's is used alone.
+    /// be promoted. `SLOT@SENSOR` is the promoted one of another sensor than the rig's, whose nets are used alone.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub model: Option<String>,
     /// Id or name of a Transfer-Net to use instead of the serving one.

@@ -38,7 +38,7 @@ pub struct ModelOut {
     pub name: String,
     /// Task: `transfer`, `recon`, `end-to-end`, `points`, or the quantity of a whole frame.
     pub task: String,
-    /// Slot in which it can serve; null if it is for another sensor than the rig's.
+    /// Slot in which it can serve, for the sensor in its manifest.
     pub slot: Option<Slot>,
     /// Manifest: label, sensor, datasets, recipe, calibration, code, trained range.
     #[schema(value_type = Object)]
@@ -46,7 +46,7 @@ pub struct ModelOut {
     /// Time at which the model was stored.
     #[schema(value_type = String, format = DateTime)]
     pub created_at: jiff::Timestamp,
-    /// True if the model serves in a slot.
+    /// True if the model serves in the slot of its sensor.
     pub serves: bool,
     /// Reports of its evaluations, newest first.
     #[schema(value_type = Vec<Object>)]
@@ -73,6 +73,9 @@ pub struct PromotionRequest {
 pub struct RollBackRequest {
     /// Slot of the model or calibration.
     pub slot: Slot,
+    /// Name of its sensor; that of the rig if absent.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub sensor: Option<String>,
     /// Reason, for the log of actions.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub why: Option<String>,
@@ -86,6 +89,9 @@ pub struct RollBackRequest {
 pub struct ServesOut {
     /// Slot of the model or calibration.
     pub slot: Slot,
+    /// Name of its sensor, if that is another one than the rig's: requests name the model by `SLOT@SENSOR`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub sensor: Option<String>,
     /// Id of the serving model or calibration; null if the slot is empty.
     #[schema(value_type = Option<String>)]
     pub what: Option<PromotedId>,
@@ -101,8 +107,13 @@ pub struct ServesOut {
 /// Serving models and calibrations, with the history of promotions.
 #[derive(Debug, Serialize, Deserialize, ToSchema)]
 pub struct ServingOut {
-    /// Content of each slot.
+    /// Name of the rig's sensor.
+    pub sensor: String,
+    /// Content of each slot of the rig's sensor.
     pub serves: Vec<ServesOut>,
+    /// Filled slots of other sensors.
+    #[serde(default)]
+    pub elsewhere: Vec<ServesOut>,
     /// Promotions, newest first.
     pub history: Vec<PromotionRow>,
 }
@@ -303,19 +314,23 @@ pub async fn add_calibration(
     responses((status = 200, body = ServingOut)))]
 pub async fn serving(State(app): State<App>) -> Result<Json<ServingOut>, ApiError> {
     let promotions = app.serving.promotions().await?;
-    let serves = Slot::ALL.map(|slot| serves_out(&app, slot, &promotions)).into();
-    Ok(Json(ServingOut { serves, history: promotions.into_rows() }))
+    let of = |sensor: &str| Slot::ALL.map(|slot| serves_out(&app, sensor, slot, &promotions));
+    let others = promotions.sensors().into_iter().filter(|name| *name != app.serving.rig());
+    let elsewhere = others.flat_map(of).filter(|serves| serves.what.is_some()).collect();
+    let (sensor, serves) = (app.serving.rig().into(), of(app.serving.rig()).into());
+    Ok(Json(ServingOut { sensor, serves, elsewhere, history: promotions.into_rows() }))
 }
 
 /// Promotes a model or a calibration.
 ///
-/// It is loaded and warmed up before it replaces the serving one: no frame is dropped.
+/// It is loaded and warmed up before it replaces the serving one: no frame is dropped. A model of another sensor than the
+/// rig's answers requests that name it by `SLOT@SENSOR`, such as `position@pad-60`.
 #[utoipa::path(post, path = "/api/v1/serving", tag = "models", request_body = PromotionRequest,
     responses((status = 200, body = ServesOut),
         (status = 404, body = ProblemBody,
             description = "no model or calibration has this id or name"),
         (status = 409, body = ProblemBody,
-            description = "the model is for another sensor or task")))]
+            description = "the model has other channels than the sensor of its name")))]
 pub async fn promote(
     State(app): State<App>,
     act: Act,
@@ -324,8 +339,8 @@ pub async fn promote(
     let (who, why) = (request.who.as_deref(), request.why.as_deref());
     act.stated(who, why);
     act.about(&request.what);
-    let slot = app.serving.promote(&request.what, &act.name(), why).await?;
-    Ok(Json(serves_out(&app, slot, &app.serving.promotions().await?)))
+    let (sensor, slot) = app.serving.promote(&request.what, &act.name(), why).await?;
+    Ok(Json(serves_out(&app, &sensor, slot, &app.serving.promotions().await?)))
 }
 
 /// Restores the previous model or calibration of a slot.
@@ -341,15 +356,17 @@ pub async fn roll_back(
 ) -> Result<Json<ServesOut>, ApiError> {
     let (who, why, slot) = (request.who.as_deref(), request.why.as_deref(), request.slot);
     act.stated(who, why);
-    app.serving.roll_back(slot, &act.name(), why).await?;
-    Ok(Json(serves_out(&app, slot, &app.serving.promotions().await?)))
+    let sensor = request.sensor.as_deref().unwrap_or(app.serving.rig());
+    app.serving.roll_back((sensor, slot), &act.name(), why).await?;
+    Ok(Json(serves_out(&app, sensor, slot, &app.serving.promotions().await?)))
 }
 
-fn serves_out(app: &App, slot: Slot, promotions: &Promotions) -> ServesOut {
+fn serves_out(app: &App, sensor: &str, slot: Slot, promotions: &Promotions) -> ServesOut {
     let skin = (slot == Slot::Skin).then(|| app.serving.current().skin().cloned()).flatten();
     let limitation = skin.and_then(|skin| skin.limitation());
-    let (what, restores) = (promotions.serving(slot), promotions.restores(slot));
-    ServesOut { slot, what, limitation, restores }
+    let (what, restores) = (promotions.serving(sensor, slot), promotions.restores(sensor, slot));
+    let sensor = (sensor != app.serving.rig()).then(|| sensor.to_owned());
+    ServesOut { slot, sensor, what, limitation, restores }
 }
 
 /// True if a report is a score of a model of this task: by a method that uses the task, on rows
@@ -373,18 +390,15 @@ async fn out(app: &App, row: ModelRow, promotions: &Promotions) -> Result<ModelO
     let reports = app.store.evaluations_of(&row.id).await?.into_iter().filter_map(|job| job.result);
     let scores = reports.filter(|report| is_score(&row.task, report));
     let facts = manifest.get("model");
-    let fact = |key: &str| facts.and_then(|facts| facts.get(key));
-    let rig = app.serving.sensor();
-    let is_for_rig = fact("sensor").and_then(toml::Value::as_str) == Some(rig.file.name.as_str())
-        && fact("channels").and_then(toml::Value::as_integer) == Some(rig.channels() as i64);
-    let slot = NetTask::deserialize(json!(row.task)).ok().map(Slot::of);
+    let sensor = facts.and_then(|facts| facts.get("sensor")).and_then(toml::Value::as_str);
+    let is_at = |slot: &Slot| promotions.serving(sensor.unwrap_or_default(), *slot) == promoted;
     Ok(ModelOut {
-        serves: Slot::ALL.iter().any(|slot| promotions.serving(*slot) == promoted),
+        serves: Slot::ALL.iter().any(is_at),
         manifest: serde_json::to_value(facts).unwrap_or_default(),
         scores: scores.collect(),
         id: row.id,
         name: row.name,
-        slot: slot.filter(|_| is_for_rig),
+        slot: NetTask::deserialize(json!(row.task)).ok().map(Slot::of),
         task: row.task,
         created_at: row.created_at,
     })

@@ -8,7 +8,7 @@ use super::pages::Page;
 use super::problem::ApiError;
 use crate::carried::{RECIPES, about};
 use crate::dataset::force_map::{ForceMapSpec, TABLE_IV_MAPS};
-use crate::learn::recipe::{Recipe, map_channels};
+use crate::learn::recipe::{Net, Recipe, map_channels};
 
 /// A recipe that the program carries.
 #[derive(Debug, Clone, Serialize, ToSchema)]
@@ -36,9 +36,9 @@ pub struct RecipeMap {
 }
 
 impl RecipeMap {
-    fn of(map: &ForceMapSpec) -> Self {
+    fn of(map: &ForceMapSpec, net: &Net) -> Self {
         let side = map.pixels();
-        let channels = map_channels(side as i64).map(Vec::from);
+        let channels = map_channels(net, side as i64).map(Vec::from);
         Self { map: map.to_string(), side, channels }
     }
 }
@@ -51,14 +51,14 @@ pub async fn list() -> Result<Page<CarriedRecipe>, ApiError> {
 }
 
 fn carried((name, text): &(&str, &str)) -> CarriedRecipe {
-    let recipe = Recipe::from_toml(&format!("{name}.toml"), text);
-    let gives_map = recipe.is_ok_and(|recipe| recipe.task().gives_map());
-    let maps: &[ForceMapSpec] = if gives_map { &TABLE_IV_MAPS } else { &[] };
+    let recipe = Recipe::from_toml(&format!("{name}.toml"), text).ok();
+    let net = recipe.filter(|recipe| recipe.task().gives_map()).map(|recipe| recipe.training.net);
+    let maps = |net: Net| TABLE_IV_MAPS.iter().map(|map| RecipeMap::of(map, &net)).collect();
     CarriedRecipe {
         name: (*name).into(),
         about: about(text),
         text: (*text).into(),
-        maps: maps.iter().map(RecipeMap::of).collect(),
+        maps: net.map_or_else(Vec::new, maps),
     }
 }
 
@@ -71,7 +71,12 @@ mod tests {
         let recipes: Vec<CarriedRecipe> = RECIPES.iter().map(carried).collect();
         let with_maps = recipes.iter().filter(|recipe| recipe.maps.len() == TABLE_IV_MAPS.len());
         let names: Vec<&str> = with_maps.map(|recipe| recipe.name.as_str()).collect();
-        assert_eq!(names, ["end-to-end", "recon-net"]);
+        let regressions = ["ridge", "kernel-ridge"];
+        let of = |stem: &str| regressions.map(|kind| format!("{stem}-{kind}"));
+        let mut known = [of("end-to-end"), of("recon")].concat();
+        known.extend(["end-to-end", "recon-net"].map(str::to_owned));
+        known.sort();
+        assert_eq!(names, known);
         for recipe in recipes {
             assert!(recipe.about.ends_with('.'), "{}", recipe.name);
             Recipe::from_toml(&recipe.name, &recipe.text).unwrap();

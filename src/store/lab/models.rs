@@ -41,6 +41,8 @@ impl ModelRow {
 pub struct PromotionRow {
     /// Name of the slot.
     pub slot: String,
+    /// Name of the sensor whose frames it answers; null in promotions from before sensors were stored: the rig's.
+    pub sensor: Option<String>,
     /// Id of the promoted model or calibration; null if the slot was emptied.
     #[schema(value_type = Option<String>)]
     pub what: Option<PromotedId>,
@@ -60,6 +62,8 @@ pub struct PromotionRow {
 pub struct NewPromotion<'a> {
     /// Name of the slot: `transfer`, `map`, `points` or `skin`.
     pub slot: &'a str,
+    /// Name of the sensor whose frames it answers.
+    pub sensor: &'a str,
     /// What it puts into the slot; if absent, nothing serves in the slot.
     pub what: Option<&'a PromotedId>,
     /// Whether it restores an earlier promotion.
@@ -74,6 +78,7 @@ impl PromotionRow {
     fn read(c: &Columns<'_>) -> Result<Self, StoreError> {
         Ok(Self {
             slot: c.get("slot")?,
+            sensor: c.get("sensor")?,
             what: c.id_or_none("what")?,
             who: c.get("who")?,
             why: c.get("why")?,
@@ -133,16 +138,35 @@ impl Store {
     pub async fn promote(&self, new: NewPromotion<'_>) -> Result<(), StoreError> {
         const OPERATION: &str = "storing a promotion";
         let query = sqlx::query(
-            "INSERT INTO promotions (slot, what, who, why, at, rolled_back)
-             VALUES (?1, ?2, ?3, ?4, ?5, ?6)",
+            "INSERT INTO promotions (slot, sensor, what, who, why, at, rolled_back)
+             VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7)",
         )
         .bind(new.slot)
+        .bind(new.sensor)
         .bind(new.what.map(ToString::to_string))
         .bind(new.who)
         .bind(new.why)
         .bind(self.now_text())
         .bind(new.rolled_back);
         self.inner.writer.execute(OPERATION, query).await.map(drop)
+    }
+
+    /// Returns what is promoted in the slot of a sensor; `None` if the slot is empty, or no promotion states the sensor.
+    ///
+    /// # Errors
+    /// `Sql` or `Unreadable` if the read fails.
+    pub async fn promoted(
+        &self,
+        slot: &str,
+        sensor: &str,
+    ) -> Result<Option<PromotedId>, StoreError> {
+        const OPERATION: &str = "reading a promotion";
+        let query = sqlx::query(
+            "SELECT * FROM promotions WHERE slot = ?1 AND sensor = ?2 ORDER BY id DESC LIMIT 1",
+        )
+        .bind(slot)
+        .bind(sensor);
+        Ok(self.row(OPERATION, query, PromotionRow::read).await?.and_then(|row| row.what))
     }
 
     /// Returns all promotions, newest first.

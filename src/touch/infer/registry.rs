@@ -17,7 +17,7 @@ use super::plan::Plan;
 use super::slot::Slot;
 use crate::clock::Clock;
 use crate::dataset::import::sensor::ImportedSensor;
-use crate::ids::ModelId;
+use crate::ids::{ModelId, PromotedId};
 use crate::learn::model_file::{Manifest, ModelFacts};
 use crate::learn::order::{LOSSES, MANIFEST, ONNX, RESIDUALS};
 use crate::learn::residuals::Residuals;
@@ -205,11 +205,17 @@ impl Registry {
         self.find(row.id.as_str()).await
     }
 
-    /// Returns the model with an id, or the newest one with a name.
+    /// Returns the model with an id, or the newest one with a name, or the promoted one of a slot and a sensor:
+    /// `position@pad-60`.
     ///
     /// # Errors
     /// `InferError::NoModel` if there is none; `Store` if the store fails.
     pub async fn find(&self, id_or_name: &str) -> Result<ModelRow, InferError> {
+        let promoted = match id_or_name.split_once('@') {
+            Some((slot, sensor)) => self.inner.store.promoted(slot, sensor).await?,
+            None => None,
+        };
+        let id_or_name = promoted.as_ref().map_or(id_or_name, PromotedId::as_str);
         let found = self.inner.store.model(id_or_name).await?;
         found.ok_or_else(|| InferError::NoModel(id_or_name.into()))
     }

@@ -5,6 +5,7 @@
 //! A pipeline is immutable: a caller uses the one that was current when the frame arrived; a
 //! promotion builds a new one, loads and warms it, and replaces the current one.
 
+use std::collections::BTreeSet;
 use std::path::Path;
 use std::sync::Arc;
 
@@ -23,19 +24,24 @@ use super::slot::Slot;
 use crate::ids::{CalibrationId, PromotedId};
 use crate::store::{NewPromotion, PromotionRow, Store};
 
-/// All promotions, newest first.
+/// All promotions, newest first, each with its sensor.
 #[derive(Debug, Clone)]
 pub struct Promotions(Vec<PromotionRow>);
 
 impl Promotions {
-    /// Id of the promoted model or calibration of a slot; `None` if it is empty.
-    pub fn serving(&self, slot: Slot) -> Option<PromotedId> {
-        self.of(slot).next()?.what.clone()
+    /// Id of the promoted model or calibration of a sensor's slot; `None` if it is empty.
+    pub fn serving(&self, sensor: &str, slot: Slot) -> Option<PromotedId> {
+        self.of(sensor, slot).next()?.what.clone()
     }
 
     /// What a roll-back of a slot restores; `None` if it leaves the slot empty, or if there is nothing to roll back.
-    pub fn restores(&self, slot: Slot) -> Option<PromotedId> {
-        self.earlier(slot).flatten()
+    pub fn restores(&self, sensor: &str, slot: Slot) -> Option<PromotedId> {
+        self.earlier(sensor, slot).flatten()
+    }
+
+    /// The sensors of the promotions, each once.
+    pub fn sensors(&self) -> BTreeSet<&str> {
+        self.0.iter().filter_map(|row| row.sensor.as_deref()).collect()
     }
 
     /// The promotions, newest first.
@@ -43,13 +49,16 @@ impl Promotions {
         self.0
     }
 
-    fn earlier(&self, slot: Slot) -> Option<Option<PromotedId>> {
-        let served: Vec<_> = self.of(slot).map(|row| (row.what.clone(), row.rolled_back)).collect();
-        earlier(&served)
+    fn earlier(&self, sensor: &str, slot: Slot) -> Option<Option<PromotedId>> {
+        let served = self.of(sensor, slot).map(|row| (row.what.clone(), row.rolled_back));
+        earlier(&served.collect::<Vec<_>>())
     }
 
-    fn of(&self, slot: Slot) -> impl Iterator<Item = &PromotionRow> {
-        self.0.iter().filter(move |row| row.slot == slot.name())
+    fn of(&self, sensor: &str, slot: Slot) -> impl Iterator<Item = &PromotionRow> {
+        let is_of = move |row: &&PromotionRow| {
+            row.slot == slot.name() && row.sensor.as_deref() == Some(sensor)
+        };
+        self.0.iter().filter(is_of)
     }
 }
 
@@ -109,10 +118,16 @@ impl Serving {
     /// # Errors
     /// `InferError::Store` if the store fails.
     pub async fn promoted_skin(&self) -> Result<Option<CalibrationId>, InferError> {
-        Ok(self.promotions().await?.serving(Slot::Skin).and_then(|what| match what {
+        let promoted = self.promotions().await?.serving(self.rig(), Slot::Skin);
+        Ok(promoted.and_then(|what| match what {
             PromotedId::Calibration(id) => Some(id),
             PromotedId::Model(_) => None,
         }))
+    }
+
+    /// Name of the sensor of this rig.
+    pub fn rig(&self) -> &str {
+        &self.inner.sensor.file.name
     }
 
     /// Sensor of this rig.
@@ -162,8 +177,8 @@ impl Serving {
             Err(error) => return tracing::error!(%error, "the promotions could not be read"),
         };
         for slot in Slot::ALL {
-            if let Some(what) = promotions.serving(slot) {
-                match self.with(slot, Some(&what)).await {
+            if let Some(what) = promotions.serving(self.rig(), slot) {
+                match self.with(self.rig(), slot, Some(&what)).await {
                     Ok(next) => *self.inner.current.write() = next,
                     Err(error) => {
                         let slot = slot.name();
@@ -181,65 +196,82 @@ impl Serving {
     /// # Errors
     /// `InferError::Store` if the store fails.
     pub async fn promotions(&self) -> Result<Promotions, InferError> {
-        Ok(Promotions(self.inner.store.promotions().await?))
+        let mut rows = self.inner.store.promotions().await?;
+        rows.iter_mut().for_each(|row| row.sensor = row.sensor.take().or(Some(self.rig().into())));
+        Ok(Promotions(rows))
     }
 
-    /// Loads a model or calibration, warms it, and makes it the serving one of its slot, which it returns.
+    /// Loads a model or calibration, warms it, and makes it the serving one of the slot of its sensor. Returns both.
+    ///
+    /// A model of another sensor than the rig's answers requests that name its slot and sensor (`registry`).
     ///
     /// # Errors
-    /// `InferError` if it does not exist, does not fit the sensor, or cannot be stored.
+    /// `InferError` if it does not exist, has other channels than the sensor, or cannot be stored.
     pub async fn promote(
         &self,
         id_or_name: &str,
         who: &str,
         why: Option<&str>,
-    ) -> Result<Slot, InferError> {
+    ) -> Result<(String, Slot), InferError> {
         let _one_at_a_time = self.inner.changing.lock().await;
-        let (slot, what) = if let Ok(id) = id_or_name.parse() {
-            (Slot::Skin, PromotedId::Calibration(id))
+        let (sensor, slot, what) = if let Ok(id) = id_or_name.parse() {
+            (self.rig().to_owned(), Slot::Skin, PromotedId::Calibration(id))
         } else {
             let model = self.inner.models.load(id_or_name).await?;
-            let id = model.manifest.id.clone();
-            (model.slot(), PromotedId::Model(id))
+            let facts = &model.manifest;
+            (facts.model.sensor.clone(), model.slot(), PromotedId::Model(facts.id.clone()))
         };
         // It serves once the promotion is stored, not before.
-        let next = self.with(slot, Some(&what)).await?;
-        let new =
-            NewPromotion { slot: slot.name(), what: Some(&what), rolled_back: false, who, why };
-        self.inner.store.promote(new).await?;
+        let next = self.with(&sensor, slot, Some(&what)).await?;
+        self.store((sensor.as_str(), slot, Some(&what)), false, who, why).await?;
         *self.inner.current.write() = next;
-        Ok(slot)
+        Ok((sensor, slot))
     }
 
-    /// Restores the previous promotion of a slot, which may be empty.
+    async fn store(
+        &self,
+        (sensor, slot, what): (&str, Slot, Option<&PromotedId>),
+        rolled_back: bool,
+        who: &str,
+        why: Option<&str>,
+    ) -> Result<(), InferError> {
+        let new = NewPromotion { slot: slot.name(), sensor, what, rolled_back, who, why };
+        Ok(self.inner.store.promote(new).await?)
+    }
+
+    /// Restores the previous promotion of the slot of a sensor, which may be empty.
     ///
     /// # Errors
     /// `InferError::NoEarlier` if there is none; other variants if it cannot be loaded or stored.
     pub async fn roll_back(
         &self,
-        slot: Slot,
+        (sensor, slot): (&str, Slot),
         who: &str,
         why: Option<&str>,
     ) -> Result<(), InferError> {
         let _one_at_a_time = self.inner.changing.lock().await;
-        let earlier = self.promotions().await?.earlier(slot);
+        let earlier = self.promotions().await?.earlier(sensor, slot);
         let earlier = earlier.ok_or(InferError::NoEarlier(slot.name()))?;
-        let next = self.with(slot, earlier.as_ref()).await?;
-        let new =
-            NewPromotion { slot: slot.name(), what: earlier.as_ref(), rolled_back: true, who, why };
-        self.inner.store.promote(new).await?;
+        let next = self.with(sensor, slot, earlier.as_ref()).await?;
+        self.store((sensor, slot, earlier.as_ref()), true, who, why).await?;
         *self.inner.current.write() = next;
         Ok(())
     }
 
-    /// What serves with a model or a skin in a slot, or with the slot empty.
+    /// What serves on the rig with a model or a skin in the slot of a sensor, or with the slot empty.
     async fn with(
         &self,
+        sensor: &str,
         slot: Slot,
         what: Option<&PromotedId>,
     ) -> Result<Arc<Pipeline>, InferError> {
         let current = self.current().as_ref().clone();
         let next = match what {
+            Some(PromotedId::Model(id)) if sensor != self.rig() => {
+                self.inner.models.load(id.as_str()).await?;
+                current
+            }
+            None if sensor != self.rig() => current,
             None => current.without(slot),
             Some(PromotedId::Calibration(id)) => {
                 current.with_skin(Some(self.skin(Some(id)).await?))

@@ -17,7 +17,6 @@ use super::trainer::{self, Ended};
 use super::{Jobs, Watch};
 use crate::dataset::background::background;
 use crate::dataset::build::data_file;
-use crate::dataset::force_map::ForceMapSpec;
 use crate::dataset::import::sensor::ImportedSensor;
 use crate::ids::{CalibrationId, DatasetId, ModelId};
 use crate::infer::registry::{self, NewModel};
@@ -144,12 +143,13 @@ async fn prepare(
         }
     };
     let skin = ImportedSensor::from_toml("sensor", &sensor)?;
-    let beyond = |map: &ForceMapSpec| map.side_mm > 2.0 * skin.width_mm.max(skin.height_mm);
-    if let Some(map) = recipe.map.filter(beyond) {
+    let skin_mm = skin.width_mm.max(skin.height_mm);
+    if let Some(map) = recipe.map.filter(|map| map.side_mm > 2.0 * skin_mm) {
         tracing::warn!(
             %map,
             sensor = %skin.name,
-            "most of the map is beyond the skin: state the side of its square, mm, as in 2.5x10x100"
+            "most of the map is beyond the skin: state the side of its square, mm, as in {}",
+            map.on_skin(skin_mm)
         );
     }
     let order = Order {

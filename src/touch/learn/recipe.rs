@@ -2,6 +2,7 @@
 //! PURE. Uses: nets (its part of the file), `dataset::force_map`. Never: data.
 
 use nets::error::RecipeError;
+pub use nets::net::Net;
 use serde::{Deserialize, Serialize};
 
 use super::task::{Answers, NetTask};
@@ -21,9 +22,10 @@ const FEW_PIXELS: i64 = 64;
 const FEWER_CHANNELS: [i64; 3] = [128, 64, 32];
 
 /// Returns the channels (`training.net.channels`) of a net whose maps have this side, pixels; `None`: the
-/// default of the net.
-pub fn map_channels(side: i64) -> Option<[i64; 3]> {
-    (side <= FEW_PIXELS).then_some(FEWER_CHANNELS)
+/// default of the net, or a regression, which has none.
+pub fn map_channels(net: &Net, side: i64) -> Option<[i64; 3]> {
+    let has_channels = matches!(net, Net::ReconNet(_) | Net::EndToEnd(_));
+    (has_channels && side <= FEW_PIXELS).then_some(FEWER_CHANNELS)
 }
 
 /// Contents of a recipe file.

@@ -340,7 +340,7 @@ async fn touches_without_forces_are_learned_and_scored_and_no_force_is_made_up()
     let first = lab.scored(first).await;
     assert_eq!(first["contacts"]["all"]["exact_rate"]["mean"], all["exact_rate"]["mean"]);
 
-    // It answers frames of its sensor by its id; it cannot serve, since the stream is that of the rig's sensor.
+    // It answers frames of its sensor by its id.
     let ask = async |length: usize| {
         let frames = json!([vec![0.01; length]]);
         lab.post("/api/v1/infer", json!({ "method": "paper", "model": net, "frames": frames }))
@@ -352,9 +352,25 @@ async fn touches_without_forces_are_learned_and_scored_and_no_force_is_made_up()
     let (status, refused) = ask(784).await;
     let words = "frames[0] = 784: must have 16 voltages";
     assert!(status == 422 && refused["detail"].as_str().unwrap().contains(words), "{refused}");
-    let (status, refused) = lab.post("/api/v1/serving", json!({ "what": net })).await;
-    let words = "is for sensor mat with 16 channels";
-    assert!(status == 409 && refused["detail"].as_str().unwrap().contains(words), "{refused}");
-    assert!(model["slot"].is_null(), "{}", model["slot"]);
+
+    // Promoted, it answers by slot and sensor, also after a restart, next to what serves on the rig.
+    let of_mat = json!({ "slot": "map", "sensor": "mat", "what": net });
+    assert_eq!(lab.posted("/api/v1/serving", json!({ "what": net }), 200).await, of_mat);
+    let data = lab.end().await;
+    let lab = Filled::serve(data).await;
+    let serving = lab.get("/api/v1/serving").await;
+    assert_eq!((&serving["sensor"], &serving["elsewhere"]), (&json!("ert-28"), &json!([of_mat])));
+    let of_rig = serving["serves"].as_array().unwrap();
+    assert!(of_rig.iter().all(|serves| serves["what"].is_null()), "{serving}");
+    assert_eq!(lab.get("/api/v1/models/map@mat").await["serves"], true);
+    let frames = json!([vec![0.01; channels]]);
+    let request = json!({ "method": "paper", "model": "map@mat", "frames": frames });
+    let answers = lab.posted("/api/v1/infer", request.clone(), 200).await;
+    assert_eq!(answers[0]["model"], json!(net));
+    lab.posted("/api/v1/serving/roll-back", json!({ "slot": "map" }), 409).await;
+    let back = json!({ "slot": "map", "sensor": "mat" });
+    let emptied = lab.posted("/api/v1/serving/roll-back", back, 200).await;
+    assert!(emptied["what"].is_null(), "{emptied}");
+    lab.posted("/api/v1/infer", request, 404).await;
     lab.close().await;
 }

@@ -1,4 +1,4 @@
-//! Table IV of nets that were trained and scored in chunks: two processes next to each other make the bytes and the
+//! Table IV of nets and regressions that were trained and scored in chunks: two processes next to each other make the bytes and the
 //! table of one, and the service the same scores.
 //! The nets learn almost nothing.
 
@@ -47,15 +47,19 @@ fn ids(folder: &Path) -> BTreeSet<String> {
     manifests.map(|manifest| manifest["id"].as_str().unwrap().to_owned()).collect()
 }
 
-/// The numbers of Table IV without times, and the number of reports that state one.
-fn table(data: &Path, options: &[&str]) -> (Value, usize) {
+/// The nets and regressions of Table IV with their reports, without times, and the number of reports that state one.
+fn table(data: &Path, options: &[&str]) -> (Vec<Value>, usize) {
     let mut table = evaluate(data, "maps", &[&TINY[..], options].concat());
-    let mut times = 0;
+    let (mut nets, mut times) = (Vec::new(), 0);
     for map in table["maps"].as_array_mut().unwrap() {
-        let latency = map["report"].as_object_mut().unwrap().remove("latency_ms");
+        nets.append(map["regressions"].as_array_mut().unwrap());
+        nets.push(map.take());
+    }
+    for net in &mut nets {
+        let latency = net["report"].as_object_mut().unwrap().remove("latency_ms");
         times += usize::from(latency.is_some_and(|latency| !latency.is_null()));
     }
-    (table, times)
+    (nets, times)
 }
 
 #[tokio::test]
@@ -63,7 +67,7 @@ async fn a_table_of_two_processes_is_that_of_one() {
     let data = folder("evaluate-chunks");
     trials(&data).await;
     let order = ordered(&data, "one");
-    assert_eq!((&order["kind"], &order["chunks"]), (&json!("trainings"), &json!(12)));
+    assert_eq!((&order["kind"], &order["chunks"]), (&json!("trainings"), &json!(36)));
     let same = ordered(&data, "two");
     assert_eq!(same["order"], order["order"], "the same work");
     assert_eq!(ordered(&data, "one")["changed"], false);
@@ -71,8 +75,8 @@ async fn a_table_of_two_processes_is_that_of_one() {
     // One process, which is killed within a net and starts again.
     let mut killed = task(&data, "one", "0", "1");
     let unfinished = data.join("one/unfinished");
-    while !unfinished.join("1").is_dir() {
-        assert!(killed.0.try_wait().unwrap().is_none(), "it made two nets or failed");
+    while !unfinished.join("3").is_dir() {
+        assert!(killed.0.try_wait().unwrap().is_none(), "it made all nets or failed");
         tokio::time::sleep(std::time::Duration::from_millis(1)).await;
     }
     drop(killed);
@@ -83,7 +87,7 @@ async fn a_table_of_two_processes_is_that_of_one() {
         assert!(process.0.wait().unwrap().success());
     }
     let (one, two) = (nets(&data.join("one")), nets(&data.join("two")));
-    assert_eq!(one.len(), 12);
+    assert_eq!(one.len(), 36);
     assert!(one == two, "other bytes: {:?} and {:?}", one.keys(), two.keys());
     let mut left = fs::read_dir(&unfinished).unwrap().map(|entry| entry.unwrap().path());
     assert!(left.all(|path| path.is_file()), "a training is left");
@@ -108,9 +112,8 @@ async fn a_table_of_two_processes_is_that_of_one() {
         succeeded(&palpate(place, &["cluster", "gather", name, "--out", &out]));
         let (table, times) = table(place, &["--trained", &out]);
         assert_eq!(times, 0, "scores of chunks state no latencies");
-        let models = table["maps"].as_array().unwrap().iter();
         let models: BTreeSet<String> =
-            models.map(|map| map["model"].as_str().unwrap().to_owned()).collect();
+            table.iter().map(|net| net["model"].as_str().unwrap().to_owned()).collect();
         assert_eq!(models, ids(&place.join(&out)), "the models of the table are the gathered nets");
         let jobs = succeeded(&palpate(place, &["job", "list", "--json"]));
         assert_eq!(jobs, "", "the service trained or scored a net");
@@ -120,6 +123,6 @@ async fn a_table_of_two_processes_is_that_of_one() {
 
     // The service scores the same nets to the same table.
     let (_, times) = table(&copy, &[]);
-    assert_eq!(times, 12, "these are scores of the service");
+    assert_eq!(times, 36, "these are scores of the service");
     assert_eq!(table_text(&copy, "table-iv"), tables[1].1);
 }

@@ -126,8 +126,13 @@ async fn every_command_trains_scores_and_writes_what_it_is_for() {
     assert_eq!(names.len(), 12);
     assert!(names.contains(&"4x20") && names.contains(&"20x60"), "{names:?}");
     assert!(maps.iter().all(|map| map["report"]["part"] == "test" && map["report"]["rows"] == 20));
-    // Ours, a perfect map's and the paper's of each.
-    assert_eq!(rows(&data, "table-iv", &SCORES), 36);
+    let compared = |map: &Value| map["regressions"].as_array().unwrap().clone();
+    let regressions: Vec<Value> = maps.iter().flat_map(compared).collect();
+    let same = |of: &Value| of["report"]["part"] == "test" && of["report"]["rows"] == 20;
+    assert!(regressions.len() == 24 && regressions.iter().all(same), "the rows of the nets");
+    // Ours, a perfect map's, two regressions' and the paper's of each.
+    assert_eq!(rows(&data, "table-iv", &SCORES), 60);
+    assert_eq!(table_text(&data, "table-iv").matches("paper's rule").count(), 2, "a verdict each");
     is_svg(&data, "fig-9.svg", "simulated");
 
     let figure = evaluate(&data, "noise", &tiny);
@@ -157,10 +162,14 @@ async fn every_command_trains_scores_and_writes_what_it_is_for() {
     // The nets of Fig. 11 again, four baselines, and the best by the paper's Transfer-Net.
     let pipeline = figure["real_to_sim"].as_array().unwrap();
     assert_eq!((pipeline.len(), figure["end_to_end"].as_array().unwrap().len()), (12, 4));
+    let regressions = figure["regressions"].as_array().unwrap();
+    let of_four = |of: &Value| of["nets"].as_array().unwrap().len() == 4;
+    assert!(regressions.len() == 2 && regressions.iter().all(of_four), "{regressions:?}");
     assert_eq!(figure["best_with_published_transfer"]["rows"], 12);
     assert!(pipeline.iter().all(|net| net["report"]["threshold_n"] == 5.0), "the paper's rule");
-    // Three of nets, the paper's, four of ours, each also by the number of contacts, and perfect maps.
-    assert!(rows(&data, "fig-12", &SCORES) > 2 * 7);
+    // Three of nets, two of regressions, the paper's, four of ours, each also by the number of contacts, and perfect
+    // maps.
+    assert!(rows(&data, "fig-12", &SCORES) > 2 * 9);
     assert!(rows(&data, "fig-12", &["probability", "answers", "stated %", "right %"]) > 0);
     is_svg(&data, "fig-12.svg", "virtual");
 
@@ -231,6 +240,10 @@ async fn fig_12_is_made_of_imported_trials_of_another_skin() {
     // An eighth of the 9 N of all contacts.
     assert!(nets.iter().all(|net| net["report"]["threshold_n"] == 1.13), "{nets:?}");
     let text = table_text(&data, "fig-12");
+    assert!(
+        text.contains("| ridge, best: ") && text.contains("the best of kernel ridge by the"),
+        "{text}"
+    );
     assert!(text.contains("end-to-end, best: ") && text.contains("part train of pad"), "{text}");
     assert!(!data.join("tables/fig-12.svg").exists(), "it shows the rig's skin");
     let refused = palpate(&data, &["evaluate", "unseen", "--ours", "--dataset", "pad"]);

@@ -76,4 +76,8 @@ fn nets_and_regressions_are_compared_on_skins_of_other_channels() {
     let answer = run(PALPATE, &folder, &["infer", "frame.jsonl", "--model", "mine", "--json"]);
     let answer: Value = serde_json::from_str(&answer).unwrap();
     assert_eq!(answer["position_mm"].as_array().unwrap().len(), 2, "{answer}");
+    run(PALPATE, &folder, &["model", "promote", "mine"]);
+    let promoted = ["infer", "frame.jsonl", "--model", "position@pad", "--json"];
+    let promoted: Value = serde_json::from_str(&run(PALPATE, &folder, &promoted)).unwrap();
+    assert_eq!(promoted, answer);
 }

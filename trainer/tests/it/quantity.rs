@@ -1,4 +1,4 @@
-//! Regressions in closed form, of a quantity or of a frame, and perceptrons.
+//! Regressions in closed form, of a quantity, of a frame or of a force map, and perceptrons.
 
 use nets::compute::Compute;
 use nets::progress::{Flow, Observer, Plan, Progress, Trained};
@@ -44,7 +44,7 @@ impl Observer for Watch {
 fn trained(net: &str, learn: &Rows, choose: &Rows, watch: &mut Watch) -> Trained {
     let recipe = Recipe::from_toml(&format!("seed = 1\n{net}")).unwrap();
     let compute = Compute::Cpu { threads: 1 };
-    let plan = Plan { recipe, data: "ds-test".into(), noise_sd_v: None, start: None, compute };
+    let plan = Plan { recipe, data: "ds-test".into(), noise_sd_v: None, compute };
     train(&plan, learn, choose, None, watch).unwrap()
 }
 
@@ -110,6 +110,40 @@ fn regressions_answer_frames() {
         let trained = trained(&net, &learn, &other, &mut Watch::default());
         assert_eq!(trained.network.output, [CHANNELS]);
         assert!(error(&trained, &other) < most * spread_v, "{kind}: {} V", error(&trained, &other));
+    }
+}
+
+/// More pixels than those by which the penalty is chosen.
+#[test]
+fn regressions_answer_force_maps_without_negative_forces() {
+    const SIDE: usize = 40;
+    let drawn = |frame: &[f32]| -> Vec<f32> {
+        let pixel = |p: usize| 5.0 + 40.0 * (1 + p / 800) as f32 * frame[p % CHANNELS];
+        (0..SIDE * SIDE).map(pixel).collect()
+    };
+    let (learn, other) = (rows(300, 1, drawn), rows(50, 2, drawn));
+    let spread_n = 40.0 * 0.03 * (2.5f64 / 3.0).sqrt();
+    for (kind, answers, most) in [("ridge", "map", 1e-3), ("kernel-ridge", "recon-map", 0.2)] {
+        let net = format!("[net]\nkind = '{kind}'\nanswers = '{answers}'\nside = {SIDE}\n");
+        let trained = trained(&net, &learn, &other, &mut Watch::default());
+        assert_eq!(trained.network.output, [SIDE, SIDE]);
+        assert!(error(&trained, &other) < most * spread_n, "{kind}: {}", error(&trained, &other));
+    }
+    // Fewer rows than channels: two layers with fewer weights than one.
+    let few = rows(8, 1, drawn);
+    let net = "[net]\nkind = 'ridge'\nanswers = 'map'\nside = 40\n";
+    let of_few = trained(net, &few, &few, &mut Watch::default());
+    assert!(of_few.network.clone().numbers().len() < CHANNELS * SIDE * SIDE + 2 * SIDE * SIDE);
+    assert!(error(&of_few, &few) < 1e-2 * spread_n, "{} N", error(&of_few, &few));
+    let signed = |frame: &[f32]| vec![frame[0]; SIDE * SIDE];
+    let learn = rows(300, 1, signed);
+    let fitted = trained(net, &learn, &learn, &mut Watch::default());
+    let compute = Compute::Cpu { threads: 1 };
+    let found = answer(&fitted.network, &learn.inputs.concat(), compute).unwrap();
+    assert!(found.iter().all(|n| *n >= 0.0) && found.iter().any(|n| *n > 0.0));
+    for wrong in ["answers = 'map'", "answers = 'map'\nside = 161", "side = 40"] {
+        let refused = Recipe::from_toml(&format!("seed = 1\n[net]\nkind = 'ridge'\n{wrong}\n"));
+        assert!(refused.unwrap_err().to_string().contains("net.side"), "{wrong}");
     }
 }
 

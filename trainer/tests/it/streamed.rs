@@ -56,7 +56,7 @@ fn point_net_learns_from_a_stream_that_never_repeats() {
                 width = 128\n[noise]\nwhite_v = 0.0012\n[optimiser]\nbeta1 = 0.9\n";
     let recipe = Recipe::from_toml(toml).unwrap();
     let compute = Compute::Cpu { threads: 1 };
-    let plan = Plan { recipe, data: "model".into(), noise_sd_v: None, start: None, compute };
+    let plan = Plan { recipe, data: "model".into(), noise_sd_v: None, compute };
     let mut losses = Losses(Vec::new());
     train(&plan, &stream(5, 4000), &stream(6, 500), None, &mut losses).unwrap();
     let [first, .., last] = losses.0[..] else { panic!("{:?}", losses.0) };

@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use nets::compute::Compute;
 use nets::error::{CheckpointError, SamplesError, TrainError};
-use nets::network::{Layer, Network};
+use nets::network::Layer;
 use nets::progress::{End, Flow, Observer, Plan, Progress, Trained};
 use nets::recipe::Recipe;
 use nets::samples::Samples;
@@ -51,7 +51,7 @@ fn points(_: &[f32], row: usize) -> Vec<f32> {
 fn plan(toml: &str) -> Plan {
     let recipe = Recipe::from_toml(toml).unwrap();
     let compute = Compute::Cpu { threads: 1 };
-    Plan { recipe, data: "ds-test".into(), noise_sd_v: None, start: None, compute }
+    Plan { recipe, data: "ds-test".into(), noise_sd_v: None, compute }
 }
 
 const TRANSFER: &str = "seed = 1\nepochs = 300\nbatch = 5\n[net]\nkind = 'transfer-net'\nhidden = 2\n\
@@ -258,25 +258,6 @@ fn data_that_a_net_cannot_be_trained_on_are_named() {
     assert_eq!(field(&noisy, &volts, &volts), "noise.level");
     noisy.noise_sd_v = Some(vec![0.1; 3]);
     assert_eq!(field(&noisy, &volts, &volts), "noise standard deviations");
-}
-
-#[test]
-fn a_trained_net_is_trained_further_with_its_own_normalisation() {
-    let rows = rows(10, map);
-    let mut plan = plan(&RECON.replace("epochs = 600", "epochs = 200"));
-    let before = run(&plan, &rows);
-    plan.start = Some(before.network.clone());
-    let after = run(&plan, &rows);
-    let best = |t: &Trained| t.curve.iter().map(|e| e.validation).fold(f64::INFINITY, f64::min);
-    assert!(after.curve[0].train < before.curve[0].train / 2.0);
-    assert!(best(&after) < best(&before));
-    let front = |n: &Network| n.layers[..2].to_vec();
-    assert_eq!(front(&after.network), front(&before.network));
-    assert_eq!(after.network.layers.last(), Some(&Layer::Relu));
-    let mut other = plan.clone();
-    other.recipe = Recipe::from_toml(&RECON.replace("hidden = 64", "hidden = 65")).unwrap();
-    let found = train(&other, &rows, &rows, None, &mut Watch::default()).unwrap_err();
-    assert!(matches!(found, TrainError::Start(_)), "{found}");
 }
 
 /// Counts the samples in memory: those read and not yet learned.

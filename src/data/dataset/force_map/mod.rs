@@ -33,6 +33,8 @@ const SIDES_MM: (f64, f64) = (10.0, 6400.0);
 /// Smallest and largest side of a pixel on a square of [`SIDE_MM`], mm. Limits of another square are in
 /// proportion.
 const PIXEL_MM: (f64, f64) = (2.0, 160.0);
+/// Larger side of the paper's skin, mm.
+const SKIN_MM: f64 = 560.0;
 /// Largest map diameter on a square of [`SIDE_MM`], mm.
 const DIAMETER_MAX_MM: f64 = 320.0;
 
@@ -124,6 +126,18 @@ impl ForceMapSpec {
     /// Number of pixels along a side of the map.
     pub fn pixels(&self) -> usize {
         (self.side_mm / self.pixel_mm).round() as usize
+    }
+
+    /// The map of another skin: as many pixels, lengths in proportion to the larger side of the skin, mm.
+    pub fn on_skin(&self, skin_mm: f64) -> Self {
+        // Rounded up to hundredths, so that lengths have few digits.
+        let times = (100.0 * skin_mm / SKIN_MM / self.scale()).ceil() / 100.0;
+        let length_mm = |mm: f64| (1e3 * times * mm).round() / 1e3;
+        Self {
+            pixel_mm: length_mm(self.pixel_mm),
+            diameter_mm: length_mm(self.diameter_mm),
+            side_mm: length_mm(self.side_mm),
+        }
     }
 
     /// Side of the square in sides of the paper's.

@@ -183,3 +183,17 @@ fn a_refused_specification_names_its_limit() {
     let large = ForceMap::new(TABLE_IV_MAPS[0], [700.0, 560.0]).unwrap_err().to_string();
     assert!(large.contains("at most 640 mm"), "{large}");
 }
+
+#[test]
+fn a_map_of_another_skin_has_as_many_pixels_and_covers_it() {
+    let spec: ForceMapSpec = "10x20".parse().unwrap();
+    assert_eq!(spec.on_skin(100.0).to_string(), "1.8x3.6x115.2");
+    let stated: ForceMapSpec = "2.5x10x100".parse().unwrap();
+    for spec in TABLE_IV_MAPS.into_iter().chain([stated]) {
+        for skin_mm in [20.0, 50.0, 333.0, 1500.0] {
+            let map = spec.on_skin(skin_mm).checked().unwrap();
+            assert_eq!(map.pixels(), spec.pixels());
+            assert!((1.0..2.0).contains(&(map.side_mm / skin_mm)), "{map} on {skin_mm} mm");
+        }
+    }
+}
