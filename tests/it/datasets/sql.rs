@@ -204,6 +204,21 @@ async fn groups_and_orders_follow_from_the_parameters_of_filters() {
             { "from_depth_mm": 0.0, "count": 120 },
         ])
     );
+    // A depth on the border of a range is in it: 3.5 / 0.14 is below 25 in double precision.
+    let border = lab.get("/api/v1/trials/groups?scan_id=1&depth_mm=3.5&bin=depth_mm:0.14").await;
+    assert_eq!(border["items"], json!([{ "from_depth_mm": 3.5, "count": 30 }]));
+    // FVU by pair of electrodes, against the table of voltages.
+    let pairs = lab.get("/api/v1/trials/groups?scan_id=1&group_by=pair&agg=fvu,count").await;
+    let pairs = pairs["items"].as_array().unwrap();
+    assert_eq!(pairs.len(), 28);
+    let of = "FROM voltages WHERE scan_id = 1 AND pair = 3 AND sim_voltage_v IS NOT NULL";
+    assert_eq!(pairs[3]["pair"], 3);
+    assert_eq!(pairs[3]["count"], number(&lab, &format!("SELECT count(*) AS n {of}")).await);
+    let squares = "sum((voltage_v - sim_voltage_v) * (voltage_v - sim_voltage_v))";
+    let fvu = format!("SELECT {squares} / (variance(voltage_v) * (count(*) - 1)) AS n {of}");
+    let [found, wanted] =
+        [&pairs[3]["fvu"], &number(&lab, &fvu).await].map(|n| n.as_f64().unwrap());
+    assert!((found / wanted - 1.0).abs() < 1e-3, "{found} {wanted}");
     // One of several conditions.
     let either = "/api/v1/trials/groups?agg=count&contact_count=3|depth_mm__gt=4.9";
     assert_eq!(lab.get(either).await["items"], json!([{ "count": 34 }]));
@@ -257,6 +272,7 @@ async fn a_refusal_names_what_is_wrong() {
         ("bin=depth_mm", "COLUMN:WIDTH"),
         ("agg=mode(fvu)", "q90"),
         ("group_by=tips&sort=fvu", "tips, count"),
+        ("group_by=pair&agg=mean(fvu)", "with count"),
         ("columns=fvu", "must be absent"),
     ] {
         lab.refuses_get(&format!("/api/v1/trials/groups?{query}"), 400, word).await;
