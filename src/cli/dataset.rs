@@ -67,7 +67,7 @@ enum What {
 struct ShowArgs {
     /// Id or name; `run-N` is all trials of a run.
     name: String,
-    /// Show the lineage: runs, models, calibrations, shards, code.
+    /// Show the lineage: runs, models, calibrations, shards, code, files, and the nets trained on it.
     #[arg(long)]
     lineage: bool,
     #[command(flatten)]
@@ -218,8 +218,7 @@ async fn show(client: &Client, args: &ShowArgs) -> Result<(), CliError> {
     if args.at.json {
         say_json(&found);
     } else if args.lineage {
-        let pretty = serde_json::to_string_pretty(&found["lineage"]).unwrap_or_default();
-        say(pretty);
+        say(format_args!("{found:#}"));
     } else {
         describe(&found, client.url());
     }

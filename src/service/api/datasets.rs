@@ -24,7 +24,7 @@ use crate::dataset::package;
 use crate::dataset::prune::Pruned;
 use crate::ids::DatasetId;
 use crate::query::groups::conditions;
-use crate::store::{DatasetRow, Label};
+use crate::store::{DatasetRow, Label, ModelRow};
 
 /// A dataset: its definition, size, checksum and counts.
 #[derive(Debug, Serialize, ToSchema)]
@@ -216,7 +216,8 @@ pub async fn one(
     Ok(Json(DatasetOut { is_current, last_used_at, ..row.into() }))
 }
 
-/// Returns the lineage of a dataset: runs, models, calibrations, shards, code and files.
+/// Returns the lineage of a dataset: runs, models, calibrations, shards, code and files, and the nets that were
+/// trained on it (`trained`).
 #[utoipa::path(get, operation_id = "dataset_lineage",
     path = "/api/v1/datasets/{dataset}/lineage", tag = "datasets",
     responses((status = 200, body = Object)))]
@@ -226,9 +227,13 @@ pub async fn lineage(
 ) -> Result<Json<Value>, ApiError> {
     let row = app.datasets.find(&dataset).await?;
     let url = format!("/api/v1/data/{}.parquet", row.id);
+    let nets = app.store.models_of(&row.id).await?;
+    let net =
+        |net: &ModelRow| serde_json::json!({ "id": net.id, "name": net.name, "task": net.task });
+    let trained: Vec<Value> = nets.iter().map(net).collect();
     Ok(Json(serde_json::json!({
         "dataset": row.id, "sha256": row.sha256, "definition": row.definition,
-        "lineage": row.lineage,
+        "lineage": row.lineage, "trained": trained,
         "files": [{ "url": url, "bytes": row.bytes, "sha256": row.sha256 }],
     })))
 }
