@@ -19,7 +19,7 @@ use super::send::{self, Download};
 use super::trials::grouped;
 use crate::dataset::definition::Definition;
 use crate::dataset::error::DatasetError;
-use crate::dataset::format::{Format, Rows, UnknownFormat};
+use crate::dataset::format::{Format, UnknownFormat};
 use crate::dataset::package;
 use crate::dataset::prune::Pruned;
 use crate::ids::DatasetId;
@@ -337,8 +337,8 @@ pub async fn rows(
     };
     let catalog = app.datasets.clone();
     let reading = tokio::task::spawn_blocking(move || {
-        let rows = catalog.rows(&row.id, &requested.wanted)?;
-        send::check_numbers(send::numbers_per_row(&rows.schema()), requested.limit)?;
+        let rows = catalog.pages(&row.id, &requested.wanted)?;
+        send::check_numbers(send::numbers_per_row(rows.schema()), requested.limit)?;
         let limit = requested.limit as usize;
         let (batches, next) = match &requested.sort {
             Some(sort) => rows.sorted_page(sort, from, limit)?,
@@ -347,10 +347,10 @@ pub async fn rows(
         let next = next.map(|from| cursors.cursor(RowsAt { dataset: row.id.clone(), from }));
         let link = next.as_deref().and_then(|next| cursors.link(next));
         let response = match format {
-            Some(format) => send::batches(format, &rows.schema(), &batches),
+            Some(format) => send::batches(format, rows.schema(), &batches),
             None => {
                 let mut lines =
-                    crate::dataset::format::Stream::new(Format::Ndjson, &rows.schema(), Vec::new())
+                    crate::dataset::format::Stream::new(Format::Ndjson, rows.schema(), Vec::new())
                         .map_err(DatasetError::from)?;
                 for batch in &batches {
                     lines.push(batch).map_err(DatasetError::from)?;
