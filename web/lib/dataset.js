@@ -138,7 +138,7 @@ export function datasetView({ signal, go, onmade, onexport }) {
         ['Size', bytes(item.bytes)],
         ['Label', el('span', { className: label === 'virtual' ? 'virtual' : '' }, label ?? 'not known')],
         ['Made', moment(item.created_at)],
-        ['Last read', item.last_used_at ? moment(item.last_used_at) : 'not known'],
+        ['Last used', item.last_used_at ? moment(item.last_used_at) : 'not known'],
         ['Channels', count(report.channels)],
         ['Licence', described.licenses?.[0].title ?? described.licenses?.[0].name ?? 'not stated'],
       ]),
