@@ -23,6 +23,8 @@ use crate::dataset::format::{Format, UnknownFormat};
 use crate::dataset::package;
 use crate::dataset::prune::Pruned;
 use crate::ids::DatasetId;
+use crate::problem::Problem;
+use crate::query::TABLES;
 use crate::query::groups::conditions;
 use crate::store::{DatasetRow, Label, ModelRow};
 
@@ -188,19 +190,31 @@ pub async fn make(
     let file = new.file.as_deref().unwrap_or("definition");
     let row = match (new.name, new.definition, new.toml) {
         (Some(name), None, None) => app.datasets.resolve(&name).await?,
-        (None, Some(definition), None) => app.datasets.make_custom(file, &definition).await?,
+        (None, Some(definition), None) => {
+            app.datasets.make_custom(file, &named(file, definition)?).await?
+        }
         (None, None, Some(text)) => {
             let definition = Definition::from_toml(file, &text).map_err(DatasetError::Problems)?;
-            app.datasets.make_custom(file, &definition).await?
+            app.datasets.make_custom(file, &named(file, definition)?).await?
         }
         _ => {
             let limit = "must have exactly one of name, definition and toml";
-            let problem = crate::problem::Problem::whole("request", limit);
+            let problem = Problem::whole("request", limit);
             return Err(ApiError::problems(vec![problem]));
         }
     };
     act.about(row.id.as_str());
     Ok(Json(DatasetOut { is_current: Some(true), ..row.into() }))
+}
+
+/// Refuses the name of a table that statements would read instead of the dataset.
+fn named(file: &str, definition: Definition) -> Result<Definition, ApiError> {
+    if TABLES.iter().any(|table| table.name == definition.name) {
+        let limit = "is the name of a table of `palpate query`: choose another name";
+        let problem = Problem::new(file, "name", &definition.name, limit);
+        return Err(ApiError::bad_query(vec![problem]));
+    }
+    Ok(definition)
 }
 
 /// Returns the dataset with an id, or the newest one of a name.

@@ -166,6 +166,9 @@ async fn older_datasets_go_on_request_unless_a_model_was_trained_on_them() {
         made.push(lab.posted("/api/v1/datasets", json!({ "toml": toml }), 200).await);
     }
     let id = |at: usize| made[at]["id"].as_str().unwrap().to_owned();
+    // A statement would read the table of this name.
+    let hidden = json!({ "toml": "name = \"events\"\ntask = \"real\"\n" });
+    lab.refuses("/api/v1/datasets", hidden, 400, "name of a table").await;
     let store = filled::store(&lab.data).await;
     let model = ModelRow {
         id: ModelId::unchecked("mdl-1"),
