@@ -12,9 +12,9 @@ use crate::store::{Condition, TrialQuery};
 /// Largest number of bins, aggregates and columns of groups together.
 const PARTS_MAX: usize = 32;
 /// Places of a voltage in its frame: columns of the engine's table of voltages.
-const PLACES: [&str; 3] = ["injection", "pair", "position"];
+const FRAME_PLACES: [&str; 3] = ["injection", "pair", "position"];
 /// Variance of the measured voltages that the simulated ones leave unexplained, as a fraction (paper, Eq. 2).
-const FVU: &str = "AVG(POWER(CAST(voltage_v AS DOUBLE) - sim_voltage_v, 2)) / \
+const FVU_OF_VOLTAGES: &str = "AVG(POWER(CAST(voltage_v AS DOUBLE) - sim_voltage_v, 2)) / \
                    (AVG(POWER(CAST(voltage_v AS DOUBLE), 2)) - POWER(AVG(CAST(voltage_v AS DOUBLE)), 2))";
 
 /// What a group has in common.
@@ -77,7 +77,7 @@ impl Grouping {
                 |limit: String| if part == value { limit } else { format!("{part}: {limit}") };
             match key {
                 "group_by" => {
-                    self.keys.push(match PLACES.into_iter().find(|place| *place == part) {
+                    self.keys.push(match FRAME_PLACES.into_iter().find(|place| *place == part) {
                         Some(place) => Key::Place(place),
                         None => Key::Value(comparable(part).map_err(named)?),
                     })
@@ -153,7 +153,7 @@ impl Grouping {
         }
         let of_rows = self.aggregates.iter().any(|one| one.column.is_some());
         if table != "trials" || places < self.keys.len() || of_rows {
-            let places = PLACES.join(", ");
+            let places = FRAME_PLACES.join(", ");
             return Err(format!(
                 "{places} and fvu are of the voltages of stored trials: must be with count and each other only"
             ));
@@ -294,7 +294,7 @@ impl Aggregate {
             Function::Quantile(percent) => {
                 format!("QUANTILE_CONT({column}, {})", f64::from(percent) / 100.0)
             }
-            Function::Fvu => FVU.to_owned(),
+            Function::Fvu => FVU_OF_VOLTAGES.to_owned(),
         }
     }
 }
