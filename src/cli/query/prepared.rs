@@ -3,7 +3,7 @@
 
 use crate::figure::series::Marks;
 use crate::ids::RunUid;
-use crate::query::groups::{Grouping, conditions};
+use crate::query::groups::{Grouping, conditions, filter};
 use crate::store::table::{Column, Kind};
 use crate::store::{Condition, MAX_PAGE, TrialQuery};
 
@@ -41,12 +41,7 @@ pub struct Trials {
 }
 
 impl Trials {
-    /// The conditions as ` WHERE ..`, or nothing.
-    fn filter(&self) -> String {
-        let all = self.all();
-        if all.is_empty() { String::new() } else { format!(" WHERE {}", all.join(" AND ")) }
-    }
-
+    /// The conditions of a statement.
     fn all(&self) -> Vec<String> {
         let filters = self.conditions.clone();
         conditions(&TrialQuery { run: self.run, filters, ..TrialQuery::default() })
@@ -63,7 +58,7 @@ impl Trials {
 
     /// The statement for the number of these trials by label.
     pub fn labels(&self) -> String {
-        let filter = self.filter();
+        let filter = filter(&self.all());
         format!(
             "SELECT label, COUNT(*) AS trials FROM trials{filter} GROUP BY label ORDER BY label"
         )
@@ -71,7 +66,7 @@ impl Trials {
 
     /// The statement for the ends of a column.
     pub fn ends(&self, column: &Column) -> String {
-        let (name, filter) = (column.name, self.filter());
+        let (name, filter) = (column.name, filter(&self.all()));
         format!("SELECT MIN({name}) AS low, MAX({name}) AS high FROM trials{filter}")
     }
 

@@ -126,14 +126,11 @@ impl Grouping {
         if self.is_of_voltages(table)? {
             sql += "voltages WHERE sim_voltage_v IS NOT NULL";
             if !conditions.is_empty() {
-                let trials = conditions.join(" AND ");
-                sql += &format!(" AND trial_id IN (SELECT trial_id FROM trials WHERE {trials})");
+                let trials = filter(conditions);
+                sql += &format!(" AND trial_id IN (SELECT trial_id FROM trials{trials})");
             }
         } else {
-            sql += &quoted(table);
-            if !conditions.is_empty() {
-                sql += &format!(" WHERE {}", conditions.join(" AND "));
-            }
+            sql += &(quoted(table) + &filter(conditions));
         }
         if !keys.is_empty() {
             sql += &format!(" GROUP BY {}", keys.join(", "));
@@ -175,17 +172,21 @@ pub fn conditions(query: &TrialQuery) -> Vec<String> {
     run.chain(filters).chain(flagged).chain(flags).collect()
 }
 
+/// The conditions as ` WHERE ..`, or nothing.
+pub fn filter(conditions: &[String]) -> String {
+    match conditions {
+        [] => String::new(),
+        all => format!(" WHERE {}", all.join(" AND ")),
+    }
+}
+
 /// Returns the statement for the ids of a page of trials in the order of a column.
 ///
 /// # Errors
 /// A message with the columns of scalars if there is no such column.
 pub fn sorted_ids(query: &TrialQuery, sort: &Sort, from: u64) -> Result<String, String> {
     let column = comparable(&sort.column)?;
-    let conditions = conditions(query);
-    let filter = match conditions.is_empty() {
-        true => String::new(),
-        false => format!(" WHERE {}", conditions.join(" AND ")),
-    };
+    let filter = filter(&conditions(query));
     let direction = if sort.descending { " DESC" } else { "" };
     Ok(format!(
         "SELECT trial_id FROM trials{filter} ORDER BY {column}{direction} NULLS LAST, trial_id \
