@@ -170,6 +170,9 @@ def test_a_refused_question_reaches_readers_of_an_address_with_its_words(service
     with pytest.raises(urllib.error.HTTPError, match="HTTP Error 400: .*no column force in trials") as refused:
         pd.read_parquet(f"{service.url}/api/v1/query?{question}")
     refused.value.close()
+    with pytest.raises(urllib.error.HTTPError, match="HTTP Error 400: .*there is no column force") as refused:
+        pd.read_csv(f"{service.url}/api/v1/trials?format=csv&force__gt=3")
+    refused.value.close()
 
 
 def test_environment_names_service_and_key(

@@ -67,7 +67,7 @@ enum What {
 struct ShowArgs {
     /// Id or name; `run-N` is all trials of a run.
     name: String,
-    /// Show the lineage: runs, models, calibrations, shards, code.
+    /// Show the lineage: runs, models, calibrations, shards, code, files, and the nets trained on it.
     #[arg(long)]
     lineage: bool,
     #[command(flatten)]
@@ -155,15 +155,17 @@ async fn list(client: &Client, json: bool) -> Result<(), CliError> {
         say_json(&json!({ "items": made, "definitions": found["definitions"] }));
         return Ok(());
     }
-    let mut table = Table::new("dataset | name | rows> | size> | made", "there are no datasets");
+    let mut table =
+        Table::new("dataset | name | rows> | size> | made | last used", "there are no datasets");
     for row in &made {
-        let made_at = text(&row["created_at"]);
+        let at = |key: &str| row[key].as_str().and_then(|at| at.parse().ok()).map(local);
         table.push([
             text(&row["id"]).to_owned(),
             text(&row["name"]).to_owned(),
             row["rows"].to_string(),
             bytes(row["bytes"].as_f64().unwrap_or_default()),
-            made_at.parse().map_or_else(|_| made_at.to_owned(), local),
+            or_dash(at("created_at")),
+            or_dash(at("last_used_at")),
         ]);
     }
     say(&table);
@@ -218,8 +220,7 @@ async fn show(client: &Client, args: &ShowArgs) -> Result<(), CliError> {
     if args.at.json {
         say_json(&found);
     } else if args.lineage {
-        let pretty = serde_json::to_string_pretty(&found["lineage"]).unwrap_or_default();
-        say(pretty);
+        say(format_args!("{found:#}"));
     } else {
         describe(&found, client.url());
     }

@@ -1,6 +1,6 @@
 // One dataset in full: what is in it, whether it is current, how to load it, columns, lineage and card.
 
-import { all, ask, get, hasKey, once } from './api.js'
+import { ask, get, hasKey, once } from './api.js'
 import { actor, outcome } from './actions.js'
 import { HEADS } from './contacts.js'
 import { el, facts, fill, link, note, panel } from './dom.js'
@@ -74,25 +74,23 @@ export function datasetView({ signal, go, onmade, onexport }) {
     fill(node, el('section', {}, el('p', { className: 'soft' }, `Reading ${wanted} …`)))
     const path = `/datasets/${encodeURIComponent(wanted)}`
     try {
-      const [item, described, lineage, nets] = await Promise.all([
+      const [item, described, lineage] = await Promise.all([
         get(path, {}, { signal: mine }),
         get(`${path}/datapackage.json`, {}, { signal: mine }),
         get(`${path}/lineage`, {}, { signal: mine }),
-        all('/models', {}, { most: 200, signal: mine }).catch(() => []),
       ])
       const card = await ask(`/api/v1${path}/card`, { accept: 'text/markdown', signal: mine }).then(
         answer => answer.text(),
         error => `The card cannot be read: ${error.message}`
       )
-      const learned = nets.filter(net => net.manifest.datasets?.includes(item.id))
-      if (!mine.aborted) draw(node, item, described, lineage.lineage, learned, card, mine)
+      if (!mine.aborted) draw(node, item, described, lineage, card, mine)
     } catch (error) {
       if (!mine.aborted)
         fill(node, el('section', {}, el('h2', { className: 'big' }, wanted), el('p', { className: 'bad' }, error.message), link('/data', 'All datasets')))
     }
   }
 
-  function draw(node, item, described, lineage, nets, card, mine) {
+  function draw(node, item, described, lineage, card, mine) {
     const said = outcome(),
       { report, label } = item
     const again = actor(
@@ -140,6 +138,7 @@ export function datasetView({ signal, go, onmade, onexport }) {
         ['Size', bytes(item.bytes)],
         ['Label', el('span', { className: label === 'virtual' ? 'virtual' : '' }, label ?? 'not known')],
         ['Made', moment(item.created_at)],
+        ['Last used', item.last_used_at ? moment(item.last_used_at) : 'not known'],
         ['Channels', count(report.channels)],
         ['Licence', described.licenses?.[0].title ?? described.licenses?.[0].name ?? 'not stated'],
       ]),
@@ -195,7 +194,7 @@ export function datasetView({ signal, go, onmade, onexport }) {
     }).node
     heads.classList.add('tall-table')
     const columns = panel('Columns', { aside: el('span', {}, counted(report.columns.length, 'column')) }, heads)
-    walk = lineageWalk({ dataset: item, lineage, nets, label, signal: mine, set: go })
+    walk = lineageWalk({ dataset: item, lineage: lineage.lineage, nets: lineage.trained, label, signal: mine, set: go })
     const graph = panel('What it was made from', { aside: el('span', {}, 'dataset, runs, trials, frame') }, walk.node)
     const about = panel(
       'Card',

@@ -129,7 +129,8 @@ async fn trials(client: &Client, of: &[String]) -> Result<Trials, CliError> {
 
 /// The prepared question of a name, or the histogram of a column.
 async fn question(client: &Client, trials: &Trials, name: &str) -> Result<Question, CliError> {
-    if let Some(question) = trials.named(name) {
+    let refused = |limit: String| CliError::argument("NAME", name, limit);
+    if let Some(question) = trials.named(name).map_err(refused)? {
         return Ok(question);
     }
     let Some(column) = number(name) else {
@@ -140,7 +141,7 @@ async fn question(client: &Client, trials: &Trials, name: &str) -> Result<Questi
             "must be {}, a column of numbers, or a SELECT statement{meant}",
             known.collect::<Vec<_>>().join(", ")
         );
-        return Err(CliError::argument("NAME", name, limit));
+        return Err(refused(limit));
     };
     let ends: Answer = ask(client, &trials.ends(column)).await?;
     let end = |key: &str| ends.rows.first().and_then(|row| row.get(key)).and_then(Value::as_f64);
@@ -148,7 +149,7 @@ async fn question(client: &Client, trials: &Trials, name: &str) -> Result<Questi
         let limit = "has no value in the selected trials";
         return Err(CliError::argument("COLUMN", name, limit));
     };
-    Ok(trials.histogram(column, [low, high]))
+    trials.histogram(column, [low, high]).map_err(refused)
 }
 
 /// A statement as a question: what is not known of it follows from its answer.

@@ -1,11 +1,11 @@
-//! Prepared questions: statements that `palpate plot` draws by a name.
-//! PURE. Uses: conditions of the store. Never: a request.
+//! Prepared questions: groups of trials that `palpate plot` draws by a name.
+//! PURE. Uses: conditions of the store, `query::groups`. Never: a request.
 
 use crate::figure::series::Marks;
 use crate::ids::RunUid;
-use crate::query::groups;
+use crate::query::groups::{Grouping, conditions, filter};
 use crate::store::table::{Column, Kind};
-use crate::store::{Condition, TrialQuery};
+use crate::store::{Condition, MAX_PAGE, TrialQuery};
 
 /// Names of the prepared questions, with what they show.
 pub const NAMES: [(&str, &str); 3] = [
@@ -15,8 +15,6 @@ pub const NAMES: [(&str, &str); 3] = [
 ];
 /// Ranges of a histogram, about.
 const HISTOGRAM_RANGES: f64 = 40.0;
-/// Width of the ranges of depth, mm.
-const DEPTH_MM: f64 = 0.1;
 
 /// A statement and how its rows are drawn: the first column over the others.
 #[derive(Debug, Clone, PartialEq)]
@@ -43,18 +41,24 @@ pub struct Trials {
 }
 
 impl Trials {
-    /// ` WHERE ..` with one more condition, or nothing.
-    fn filter(&self, more: &str) -> String {
-        let query =
-            TrialQuery { run: self.run, filters: self.conditions.clone(), ..TrialQuery::default() };
-        let mut all = groups::conditions(&query);
-        all.extend((!more.is_empty()).then(|| more.to_owned()));
-        if all.is_empty() { String::new() } else { format!(" WHERE {}", all.join(" AND ")) }
+    /// The conditions of a statement.
+    fn all(&self) -> Vec<String> {
+        let filters = self.conditions.clone();
+        conditions(&TrialQuery { run: self.run, filters, ..TrialQuery::default() })
+    }
+
+    /// The statement for groups of these trials, by the parameters of `/api/v1/trials/groups`.
+    fn groups(&self, key: (&str, &str), agg: &str) -> Result<String, String> {
+        let mut groups = Grouping::default();
+        for (name, value) in [key, ("agg", agg)] {
+            groups.apply(name, value)?;
+        }
+        groups.sql("trials", &self.all(), MAX_PAGE)
     }
 
     /// The statement for the number of these trials by label.
     pub fn labels(&self) -> String {
-        let filter = self.filter("");
+        let filter = filter(&self.all());
         format!(
             "SELECT label, COUNT(*) AS trials FROM trials{filter} GROUP BY label ORDER BY label"
         )
@@ -62,72 +66,60 @@ impl Trials {
 
     /// The statement for the ends of a column.
     pub fn ends(&self, column: &Column) -> String {
-        let (name, filter) = (column.name, self.filter(""));
+        let (name, filter) = (column.name, filter(&self.all()));
         format!("SELECT MIN({name}) AS low, MAX({name}) AS high FROM trials{filter}")
     }
 
-    /// The prepared question of this name.
-    pub fn named(&self, name: &str) -> Option<Question> {
-        Some(match name {
-            "counts" => Question {
-                sql: format!(
-                    "SELECT contact_count, COUNT(*) AS trials FROM trials{} \
-                     GROUP BY contact_count ORDER BY contact_count",
-                    self.filter("")
-                ),
-                title: "Trials by number of contacts".into(),
-                axes: ["contacts at or above the deadband".into(), "trials".into()],
-                marks: Marks::Bars,
-                width: None,
-            },
-            "force-depth" => Question {
-                sql: format!(
-                    "SELECT ROUND(FLOOR(depth_mm / {DEPTH_MM} + 0.5) * {DEPTH_MM}, 3) AS depth, \
-                     MEDIAN(max_force_n) AS median, QUANTILE_CONT(max_force_n, 0.1) AS \"10 %\", \
-                     QUANTILE_CONT(max_force_n, 0.9) AS \"90 %\" FROM trials{} \
-                     GROUP BY depth ORDER BY depth",
-                    self.filter("depth_mm IS NOT NULL")
-                ),
-                title: "Largest force of a trial over depth".into(),
-                axes: ["depth, mm".into(), "force, N".into()],
-                marks: Marks::Lines,
-                width: None,
-            },
-            "fvu-by-pair" => Question {
-                sql: format!(
-                    "SELECT pair, AVG(POWER(CAST(voltage_v AS DOUBLE) - sim_voltage_v, 2)) / \
-                     (AVG(POWER(CAST(voltage_v AS DOUBLE), 2)) - POWER(AVG(CAST(voltage_v AS DOUBLE)), 2)) \
-                     AS fvu FROM voltages \
-                     WHERE sim_voltage_v IS NOT NULL AND trial_id IN \
-                     (SELECT trial_id FROM trials{}) GROUP BY pair ORDER BY pair",
-                    self.filter("")
-                ),
-                title: "Variance unexplained by the twins, by pair of electrodes".into(),
-                axes: ["first electrode of the pair".into(), "FVU".into()],
-                marks: Marks::Bars,
-                width: None,
-            },
-            _ => return None,
-        })
+    /// The prepared question of this name; `None` if there is none.
+    ///
+    /// # Errors
+    /// As [`Grouping::sql`].
+    pub fn named(&self, name: &str) -> Result<Option<Question>, String> {
+        let (key, agg, title, [x, y], marks) = match name {
+            "counts" => (
+                ("group_by", "contact_count"),
+                "count",
+                "Trials by number of contacts",
+                ["contacts at or above the deadband", "trials"],
+                Marks::Bars,
+            ),
+            "force-depth" => (
+                ("bin", "depth_mm:0.1"),
+                "median(max_force_n),q10(max_force_n),q90(max_force_n)",
+                "Largest force of a trial over depth",
+                ["depth, mm", "force, N"],
+                Marks::Lines,
+            ),
+            "fvu-by-pair" => (
+                ("group_by", "pair"),
+                "fvu",
+                "Variance unexplained by the twins, by pair of electrodes",
+                ["first electrode of the pair", "FVU"],
+                Marks::Bars,
+            ),
+            _ => return Ok(None),
+        };
+        let sql = self.groups(key, agg)?;
+        let axes = [x.to_owned(), y.to_owned()];
+        Ok(Some(Question { sql, title: title.to_owned(), axes, marks, width: None }))
     }
 
     /// The histogram of a column from its least to its largest value.
-    pub fn histogram(&self, column: &Column, [low, high]: [f64; 2]) -> Question {
+    ///
+    /// # Errors
+    /// As [`Grouping::sql`].
+    pub fn histogram(&self, column: &Column, [low, high]: [f64; 2]) -> Result<Question, String> {
         let width = nice((high - low) / HISTOGRAM_RANGES);
         let name = column.name;
         let unit =
             if column.unit.is_empty() { String::new() } else { format!(", {}", column.unit) };
-        Question {
-            sql: format!(
-                "SELECT ROUND(FLOOR(CAST({name} AS DOUBLE) / {width}) * {width}, 9) AS low, \
-                 COUNT(*) AS trials FROM trials{} GROUP BY low ORDER BY low",
-                self.filter(&format!("{name} IS NOT NULL"))
-            ),
+        Ok(Question {
+            sql: self.groups(("bin", &format!("{name}:{width}")), "count")?,
             title: format!("Trials by {name}"),
             axes: [format!("{name}{unit}"), "trials".into()],
             marks: Marks::Bars,
             width: Some(width),
-        }
+        })
     }
 }
 
@@ -154,15 +146,15 @@ mod tests {
     fn every_name_is_a_question_about_the_selected_trials() {
         let trials = Trials { run: None, conditions: vec![Condition::parse("tips=4").unwrap()] };
         for (name, _) in NAMES {
-            let question = trials.named(name).unwrap();
+            let question = trials.named(name).unwrap().unwrap();
             assert!(question.sql.contains("tips = 4"), "{}", question.sql);
         }
-        assert!(trials.named("colour").is_none());
+        assert_eq!(trials.named("colour"), Ok(None));
         assert!(trials.labels().contains("WHERE tips = 4 GROUP BY label"));
         let column = number("fvu").unwrap();
-        let question = trials.histogram(column, [0.0, 1.7]);
+        let question = trials.histogram(column, [0.0, 1.7]).unwrap();
         assert_eq!(question.width, Some(0.05));
-        assert!(question.sql.contains("WHERE tips = 4 AND fvu IS NOT NULL"), "{}", question.sql);
+        assert!(question.sql.contains("/ 0.05, 6)) * 0.05, 9) AS from_fvu"), "{}", question.sql);
         assert!(number("label").is_none() && number("seed").is_none());
         assert_eq!([nice(0.043), nice(0.05), nice(7.0), nice(0.0)], [0.05, 0.05, 10.0, 1.0]);
     }

@@ -5,7 +5,8 @@ use std::cmp::Ordering;
 
 use arrow_array::cast::AsArray;
 use arrow_array::types::{Float32Type, Float64Type, TimestampMillisecondType};
-use arrow_array::{Array, ArrayRef, BooleanArray, RecordBatch};
+use arrow_array::{Array, ArrayRef, RecordBatch};
+use arrow_buffer::BooleanBuffer;
 use arrow_cast::cast;
 use arrow_schema::{DataType, Schema};
 
@@ -27,8 +28,14 @@ pub fn fits(condition: &Condition, schema: &Schema) -> Result<(), String> {
     }
 }
 
+/// Returns which rows meet all conditions.
+pub fn all(conditions: &[Condition], batch: &RecordBatch) -> BooleanBuffer {
+    let every = BooleanBuffer::new_set(batch.num_rows());
+    conditions.iter().fold(every, |rows, condition| &rows & &mask(condition, batch))
+}
+
 /// Returns which rows meet a condition; a comparison with a column that the batch lacks does not hold.
-pub fn mask(condition: &Condition, batch: &RecordBatch) -> BooleanArray {
+pub fn mask(condition: &Condition, batch: &RecordBatch) -> BooleanBuffer {
     let values = |part: &Part| -> Option<ArrayRef> {
         let column = batch.column_by_name(part.column().name)?;
         match column.data_type().is_integer() {
@@ -41,8 +48,7 @@ pub fn mask(condition: &Condition, batch: &RecordBatch) -> BooleanArray {
     let meets = |row: usize, (part, column): &(&Part, ArrayRef)| {
         !column.is_null(row) && part.is_met(|operand| order(column, row, operand))
     };
-    let rows = 0..batch.num_rows();
-    rows.map(|row| Some(parts.iter().any(|part| meets(row, part)))).collect()
+    BooleanBuffer::collect_bool(batch.num_rows(), |row| parts.iter().any(|part| meets(row, part)))
 }
 
 /// Compares a value with an operand; `None` if their types differ or a number is NaN.

@@ -10,7 +10,8 @@ use crate::store::table::Column;
 /// Profile of the standard, version 2.
 const PROFILE: &str = "https://datapackage.org/profiles/2.0/datapackage.json";
 
-/// Returns the Data Package of a dataset; `url` is the address of its Parquet file.
+/// Returns the Data Package of a dataset; `url` is the address of its Parquet file. The standard allows paths only
+/// below the folder of the package: the file is next to it, under the name with which it is downloaded.
 pub fn of(row: &DatasetRow, url: &str) -> Value {
     let (report, lineage) = (&row.report, &row.lineage);
     let columns = report["columns"].as_array().into_iter().flatten();
@@ -49,7 +50,8 @@ pub fn of(row: &DatasetRow, url: &str) -> Value {
         "lineage": lineage,
         "resources": [{
             "name": row.id,
-            "path": url,
+            "path": format!("{}.parquet", row.id),
+            "url": url,
             "format": "parquet",
             "mediatype": "application/vnd.apache.parquet",
             "bytes": row.bytes,
@@ -113,6 +115,8 @@ mod tests {
         assert_eq!(package["sources"][0]["title"], "run 4, hex (virtual)");
         assert_eq!(package["licenses"][0]["name"], "CC-BY-4.0");
         assert!(package["citation"].as_str().unwrap().starts_with("Dataset real (ds-1, 3 rows)"));
-        assert_eq!(package["resources"][0]["hash"], "sha256:ab");
+        let file = &package["resources"][0];
+        assert_eq!([&file["path"], &file["hash"]], ["ds-1.parquet", "sha256:ab"]);
+        assert_eq!(file["url"], "/api/v1/data/ds-1.parquet");
     }
 }

@@ -1,21 +1,22 @@
 //! Selected rows of a dataset's file; each reading returns the same rows in the same order.
-//! Uses: parquet, `dataset::select`. Never: all rows at once.
+//! Uses: parquet, `dataset::select`. Never: all rows at once, frames of rows that are not selected.
 
 use std::fs::File;
 use std::path::{Path, PathBuf};
 
-use arrow_array::{RecordBatch, UInt32Array, UInt64Array};
+use arrow_array::{BooleanArray, RecordBatch, UInt32Array, UInt64Array};
 use arrow_schema::SchemaRef;
-use arrow_select::coalesce::BatchCoalescer;
 use arrow_select::concat::{concat, concat_batches};
-use arrow_select::filter::filter_record_batch;
+use arrow_select::filter::filter;
 use arrow_select::take::take_record_batch;
 use parquet::arrow::ProjectionMask;
 use parquet::arrow::arrow_reader::{
-    ArrowReaderMetadata, ArrowReaderOptions, ParquetRecordBatchReaderBuilder, RowSelection,
+    ArrowPredicateFn, ArrowReaderMetadata, ArrowReaderOptions, ParquetRecordBatchReaderBuilder,
+    RowFilter, RowSelection, RowSelectionPolicy,
 };
 
 use super::error::DatasetError;
+use super::filter::all;
 use super::format::{Batches, Rows, RowsError, rows_per_batch};
 use super::schema::{self, BATCH_ROWS};
 use super::select::{Selection, Skin, Wanted};
@@ -24,16 +25,38 @@ use super::sort::Sort;
 /// Extent of the paper's skin, used if a file has no sensor file in its metadata.
 pub const PAPER_SKIN: Skin = Skin { width_mm: 540.0, height_mm: 560.0 };
 
-/// Selected rows of a dataset.
-pub struct DatasetRows {
+/// Pages of selected rows of a dataset.
+pub struct DatasetPages {
     path: PathBuf,
     metadata: ArrowReaderMetadata,
     selection: Selection,
+}
+
+/// All selected rows of a dataset, counted.
+pub struct DatasetRows {
+    pages: DatasetPages,
     count: u64,
 }
 
 impl DatasetRows {
     /// Opens a dataset's file and counts the requested rows.
+    ///
+    /// # Errors
+    /// As [`DatasetPages::open`].
+    pub fn open(path: &Path, wanted: &Wanted) -> Result<Self, DatasetError> {
+        let pages = DatasetPages::open(path, wanted)?;
+        let count = pages.count()?;
+        Ok(Self { pages, count })
+    }
+
+    /// True if the rows are those of the file, unchanged.
+    pub fn is_whole(&self) -> bool {
+        self.pages.selection.is_whole()
+    }
+}
+
+impl DatasetPages {
+    /// Opens a dataset's file.
     ///
     /// # Errors
     /// `DatasetError::Problems` if the request does not fit the columns, `File` or `Parquet` if the
@@ -43,14 +66,12 @@ impl DatasetRows {
         let metadata = ArrowReaderMetadata::load(&file, ArrowReaderOptions::new())?;
         let selection = Selection::new(wanted, metadata.schema(), Some(skin(&metadata)))
             .map_err(DatasetError::Problems)?;
-        let mut rows = Self { path: path.to_owned(), metadata, selection, count: 0 };
-        rows.count = rows.count_selected()?;
-        Ok(rows)
+        Ok(Self { path: path.to_owned(), metadata, selection })
     }
 
-    /// True if the rows are those of the file, unchanged.
-    pub fn is_whole(&self) -> bool {
-        self.selection.is_whole()
+    /// Columns and metadata.
+    pub fn schema(&self) -> &SchemaRef {
+        self.selection.schema()
     }
 
     /// Number of rows per batch of the result.
@@ -64,14 +85,14 @@ impl DatasetRows {
     }
 
     /// Number of selected rows.
-    fn count_selected(&self) -> Result<u64, DatasetError> {
-        if self.selection.keeps_all_rows() {
+    fn count(&self) -> Result<u64, DatasetError> {
+        let filters = self.selection.filters();
+        if filters.is_empty() {
             return Ok(self.file_rows());
         }
         let mut count = 0;
-        for batch in self.raw(&self.selection.needed(Some(&[])), 0, BATCH_ROWS)? {
-            let batch = batch?;
-            count += self.selection.mask(&batch).map_or(0, |mask| mask.true_count() as u64);
+        for batch in self.raw(&self.selection.needed(Some(&[])), 0)? {
+            count += all(filters, &batch?).count_set_bits() as u64;
         }
         Ok(count)
     }
@@ -86,31 +107,25 @@ impl DatasetRows {
         from: u64,
         limit: usize,
     ) -> Result<(Vec<RecordBatch>, Option<u64>), DatasetError> {
-        let (mut page, mut found, mut at) = (Vec::new(), 0, from);
-        // Without conditions only the requested number of rows is decoded.
-        let mut batch_rows = self.batch_rows();
-        if self.selection.keeps_all_rows() {
-            batch_rows = batch_rows.min(limit.max(1));
-        }
-        for batch in self.raw(&self.selection.needed(None), from, batch_rows)? {
-            let mut batch = batch?;
-            let mask = self.selection.mask(&batch);
-            let mut taken = batch.num_rows();
-            if let Some(mask) = mask {
-                taken = mask.values().set_indices().nth(limit - found).unwrap_or(taken);
-                batch = filter_record_batch(&batch.slice(0, taken), &mask.slice(0, taken))?;
-            } else {
-                taken = taken.min(limit - found);
-                batch = batch.slice(0, taken);
-            }
-            at += taken as u64;
-            found += batch.num_rows();
-            page.push(self.selection.apply(&batch, None)?);
-            if found == limit {
-                break;
+        let filters = self.selection.filters();
+        let (mut rows, mut at) = (Vec::new(), from);
+        if filters.is_empty() {
+            at = from.saturating_add(limit as u64).min(self.file_rows());
+            rows.extend(from..at);
+        } else {
+            for batch in self.raw(&self.selection.needed(Some(&[])), from)? {
+                let batch = batch?;
+                let selected = all(filters, &batch);
+                let lacking = limit - rows.len();
+                rows.extend(selected.set_indices().take(lacking).map(|row| at + row as u64));
+                // The next page starts with the row that this one does not take.
+                at += selected.set_indices().nth(lacking).unwrap_or(batch.num_rows()) as u64;
+                if rows.len() == limit {
+                    break;
+                }
             }
         }
-        Ok((page, (at < self.file_rows()).then_some(at)))
+        Ok((self.rows_at(&rows)?, (at < self.file_rows()).then_some(at)))
     }
 
     /// Returns a page in the order of a column, from position `from` of that order, and the
@@ -134,17 +149,14 @@ impl DatasetRows {
         needed.sort_unstable();
         needed.dedup();
         let (mut keys, mut rows, mut first) = (Vec::new(), Vec::new(), 0);
-        for batch in self.raw(&needed, 0, BATCH_ROWS)? {
+        for batch in self.raw(&needed, 0)? {
             let batch = batch?;
-            let mask = self.selection.mask(&batch);
-            let selected = |row: &usize| mask.as_ref().is_none_or(|mask| mask.value(*row));
-            rows.extend((0..batch.num_rows()).filter(selected).map(|row| first + row as u64));
+            let selected = all(self.selection.filters(), &batch);
+            rows.extend(selected.set_indices().map(|row| first + row as u64));
             first += batch.num_rows() as u64;
-            let batch = match &mask {
-                Some(mask) => filter_record_batch(&batch, mask)?,
-                None => batch,
-            };
-            keys.extend(batch.column_by_name(&sort.column).cloned());
+            if let Some(key) = batch.column_by_name(&sort.column) {
+                keys.push(filter(key, &BooleanArray::from(selected))?);
+            }
         }
         if keys.is_empty() {
             return Ok((Vec::new(), None));
@@ -153,28 +165,38 @@ impl DatasetRows {
         let rows = UInt64Array::from(rows);
         let order = sort.order(keys, &rows, from as usize, limit)?;
         let next = from + order.len() as u64;
-        Ok((self.rows_in_order(&order)?, (next < rows.len() as u64).then_some(next)))
+        Ok((vec![self.rows_in_order(&order)?], (next < rows.len() as u64).then_some(next)))
     }
 
     /// Reads the given rows of the file, in the given order.
-    fn rows_in_order(&self, order: &[u64]) -> Result<Vec<RecordBatch>, DatasetError> {
-        let mut places: Vec<usize> = (0..order.len()).collect();
-        places.sort_by_key(|&at| order[at]);
-        let ranges = places.iter().map(|&at| order[at] as usize..order[at] as usize + 1);
-        let selection = RowSelection::from_consecutive_ranges(ranges, self.file_rows() as usize);
-        let needed = self.selection.needed(None);
-        let reader =
-            self.reader(&needed, self.batch_rows())?.with_row_selection(selection).build()?;
-        let schema = SchemaRef::new(self.metadata.schema().project(&needed)?);
-        let batches = reader.collect::<Result<Vec<_>, _>>()?;
-        let found = concat_batches(&schema, &batches)?;
-        // The rows were read in the order of the file: `places` maps them to the requested order.
-        let mut row_at = vec![0_u32; places.len()];
-        for (row, place) in places.into_iter().enumerate() {
-            row_at[place] = row as u32;
+    fn rows_in_order(&self, order: &[u64]) -> Result<RecordBatch, DatasetError> {
+        let mut rows = order.to_vec();
+        rows.sort_unstable();
+        let found = concat_batches(self.selection.schema(), &self.rows_at(&rows)?)?;
+        let places = order.iter().map(|row| rows.partition_point(|other| other < row) as u32);
+        Ok(take_record_batch(&found, &UInt32Array::from_iter_values(places))?)
+    }
+
+    /// Reads the given rows of the file, in its order. Only the row groups that hold one are opened.
+    fn rows_at(&self, rows: &[u64]) -> Result<Vec<RecordBatch>, DatasetError> {
+        let (mut groups, mut ranges) = (Vec::new(), Vec::new());
+        let (mut rest, mut first, mut opened) = (rows, 0, 0);
+        for (at, group) in self.metadata.metadata().row_groups().iter().enumerate() {
+            let end = first + group.num_rows().unsigned_abs();
+            let (inside, after) = rest.split_at(rest.partition_point(|&row| row < end));
+            if !inside.is_empty() {
+                groups.push(at);
+                // Positions count the rows of the opened groups.
+                let position = |row: &u64| opened + (row - first) as usize;
+                ranges.extend(inside.iter().map(position).map(|row| row..row + 1));
+                opened += (end - first) as usize;
+            }
+            (rest, first) = (after, end);
         }
-        let page = take_record_batch(&found, &UInt32Array::from(row_at))?;
-        Ok(vec![self.selection.apply(&page, None)?])
+        let selection = RowSelection::from_consecutive_ranges(ranges.into_iter(), opened);
+        let reader = self.reader(&self.selection.needed(None), self.batch_rows())?;
+        let batches = reader.with_row_groups(groups).with_row_selection(selection).build()?;
+        batches.map(|batch| Ok(self.selection.apply(&batch?, None)?)).collect()
     }
 
     /// A reader of some of the file's columns.
@@ -187,15 +209,17 @@ impl DatasetRows {
         let builder =
             ParquetRecordBatchReaderBuilder::new_with_metadata(file, self.metadata.clone());
         let mask = ProjectionMask::roots(builder.parquet_schema(), columns.iter().copied());
-        Ok(builder.with_projection(mask).with_batch_size(batch_rows))
+        // A mask would decode all rows between those that are selected.
+        let policy = RowSelectionPolicy::Selectors;
+        let builder = builder.with_projection(mask).with_row_selection_policy(policy);
+        Ok(builder.with_batch_size(batch_rows))
     }
 
-    /// Batches of some of the file's columns from row `from`, without conditions.
+    /// Batches of some of the file's columns from row `from`, of all rows.
     fn raw(
         &self,
         columns: &[usize],
         from: u64,
-        batch_rows: usize,
     ) -> Result<parquet::arrow::arrow_reader::ParquetRecordBatchReader, DatasetError> {
         let mut skipped = 0;
         let groups = self.metadata.metadata().row_groups();
@@ -209,7 +233,7 @@ impl DatasetRows {
             })
             .unwrap_or(groups.len());
         Ok(self
-            .reader(columns, batch_rows)?
+            .reader(columns, BATCH_ROWS)?
             .with_row_groups((first..groups.len()).collect())
             .with_offset((from - skipped.min(from)) as usize)
             .build()?)
@@ -245,7 +269,7 @@ fn skin(metadata: &ArrowReaderMetadata) -> Skin {
 
 impl Rows for DatasetRows {
     fn schema(&self) -> SchemaRef {
-        self.selection.schema().clone()
+        self.pages.schema().clone()
     }
 
     fn count(&self) -> u64 {
@@ -253,62 +277,23 @@ impl Rows for DatasetRows {
     }
 
     fn batches(&self, columns: Option<&[usize]>) -> Result<Batches<'_>, RowsError> {
-        let needed = self.selection.needed(columns);
-        let raw = self.raw(&needed, 0, self.batch_rows()).map_err(RowsError::new)?;
+        let DatasetPages { selection, .. } = &self.pages;
+        let reader = self.pages.reader(&selection.needed(columns), self.pages.batch_rows());
+        let mut reader = reader.map_err(RowsError::new)?;
+        if !selection.filters().is_empty() {
+            let filters = selection.filters().to_vec();
+            let needed = selection.needed(Some(&[]));
+            let mask = ProjectionMask::roots(reader.parquet_schema(), needed);
+            let predicate = ArrowPredicateFn::new(mask, move |batch: RecordBatch| {
+                Ok(BooleanArray::from(all(&filters, &batch)))
+            });
+            reader = reader.with_row_filter(RowFilter::new(vec![Box::new(predicate)]));
+        }
         let columns: Option<Vec<usize>> = columns.map(<[usize]>::to_vec);
-        if self.selection.keeps_all_rows() {
-            return Ok(Box::new(raw.map(move |batch| {
-                let batch = batch.map_err(RowsError::new)?;
-                self.selection.apply(&batch, columns.as_deref()).map_err(RowsError::new)
-            })));
-        }
-        // Selected rows are combined to full batches, so that row groups do not become small.
-        let names =
-            SchemaRef::new(self.metadata.schema().project(&needed).map_err(RowsError::new)?);
-        let coalescer = BatchCoalescer::new(names, self.batch_rows());
-        Ok(Box::new(SelectedBatches { rows: self, raw, columns, coalescer, ended: false }))
-    }
-}
-
-/// Full batches of the selected rows.
-struct SelectedBatches<'a> {
-    rows: &'a DatasetRows,
-    raw: parquet::arrow::arrow_reader::ParquetRecordBatchReader,
-    columns: Option<Vec<usize>>,
-    coalescer: BatchCoalescer,
-    ended: bool,
-}
-
-impl SelectedBatches<'_> {
-    fn advance(&mut self) -> Result<Option<RecordBatch>, DatasetError> {
-        loop {
-            if let Some(batch) = self.coalescer.next_completed_batch() {
-                return Ok(Some(self.rows.selection.apply(&batch, self.columns.as_deref())?));
-            }
-            if self.ended {
-                return Ok(None);
-            }
-            match self.raw.next() {
-                Some(batch) => {
-                    let batch = batch?;
-                    match self.rows.selection.mask(&batch) {
-                        Some(mask) => self.coalescer.push_batch_with_filter(batch, &mask)?,
-                        None => self.coalescer.push_batch(batch)?,
-                    }
-                }
-                None => {
-                    self.ended = true;
-                    self.coalescer.finish_buffered_batch()?;
-                }
-            }
-        }
-    }
-}
-
-impl Iterator for SelectedBatches<'_> {
-    type Item = Result<RecordBatch, RowsError>;
-
-    fn next(&mut self) -> Option<Self::Item> {
-        self.advance().map_err(RowsError::new).transpose()
+        let batches = reader.build().map_err(RowsError::new)?;
+        Ok(Box::new(batches.map(move |batch| {
+            let batch = batch.map_err(RowsError::new)?;
+            selection.apply(&batch, columns.as_deref()).map_err(RowsError::new)
+        })))
     }
 }

@@ -6,8 +6,7 @@ use std::sync::Arc;
 use arrow_array::cast::AsArray;
 use arrow_array::types::{Float32Type, Float64Type};
 use arrow_array::{
-    Array, ArrayRef, BooleanArray, FixedSizeListArray, Float32Array, RecordBatch,
-    RecordBatchOptions,
+    Array, ArrayRef, FixedSizeListArray, Float32Array, RecordBatch, RecordBatchOptions,
 };
 use arrow_buffer::NullBuffer;
 use arrow_schema::{ArrowError, DataType, Field, Schema, SchemaRef};
@@ -141,9 +140,9 @@ impl Selection {
             && self.columns.windows(2).all(|pair| pair[0] < pair[1])
     }
 
-    /// True if no condition excludes rows.
-    pub fn keeps_all_rows(&self) -> bool {
-        self.filters.is_empty()
+    /// The conditions, all of which hold for the selected rows.
+    pub fn filters(&self) -> &[Condition] {
+        &self.filters
     }
 
     /// Indices of the table's columns that must be read for the columns `out` of the result
@@ -167,15 +166,6 @@ impl Selection {
         needed.sort_unstable();
         needed.dedup();
         needed
-    }
-
-    /// Returns which rows of a batch are selected; `None` if all are.
-    pub fn mask(&self, batch: &RecordBatch) -> Option<BooleanArray> {
-        let mut masks = self.filters.iter().map(|condition| filter::mask(condition, batch));
-        let first = masks.next()?;
-        Some(masks.fold(first, |all, mask| {
-            all.iter().zip(mask.iter()).map(|(a, b)| Some(a? && b?)).collect()
-        }))
     }
 
     /// Converts a batch of selected rows to the columns `out` of the result (`None`: all).

@@ -1,5 +1,5 @@
 //! Groups of rows and their aggregates, by the conditions of filters, as a statement of the engine:
-//! `group_by=contact_count`, `bin=depth_mm:0.5`, `agg=count,mean(fvu)`.
+//! `group_by=contact_count`, `bin=depth_mm:0.5`, `agg=count,mean(fvu)`; of voltages `group_by=pair`, `agg=fvu`.
 //! PURE. Uses: `store`'s columns and conditions. Never: a text of a request inside a statement, except
 //! quoted.
 
@@ -11,6 +11,11 @@ use crate::store::{Condition, TrialQuery};
 
 /// Largest number of bins, aggregates and columns of groups together.
 const PARTS_MAX: usize = 32;
+/// Places of a voltage in its frame: columns of the engine's table of voltages.
+const FRAME_PLACES: [&str; 3] = ["injection", "pair", "position"];
+/// Variance of the measured voltages that the simulated ones leave unexplained, as a fraction (paper, Eq. 2).
+const FVU_OF_VOLTAGES: &str = "AVG(POWER(CAST(voltage_v AS DOUBLE) - sim_voltage_v, 2)) / \
+                   (AVG(POWER(CAST(voltage_v AS DOUBLE), 2)) - POWER(AVG(CAST(voltage_v AS DOUBLE)), 2))";
 
 /// What a group has in common.
 #[derive(Debug, Clone, PartialEq)]
@@ -19,6 +24,8 @@ enum Key {
     Value(&'static str),
     /// A range of values of a column; holds its width, in the unit of the column.
     Bin(&'static str, f64),
+    /// A place of voltages in their frames.
+    Place(&'static str),
 }
 
 /// A value of a group.
@@ -33,9 +40,11 @@ enum Function {
     Std,
     /// Quantile of this many percent.
     Quantile(u8),
+    /// Of voltages, without a column.
+    Fvu,
 }
 
-/// A value of a group, of a column or (the count) of its rows.
+/// A value of a group, of a column or (count, FVU) of its rows.
 #[derive(Debug, Clone, PartialEq)]
 struct Aggregate {
     function: Function,
@@ -67,7 +76,12 @@ impl Grouping {
             let named =
                 |limit: String| if part == value { limit } else { format!("{part}: {limit}") };
             match key {
-                "group_by" => self.keys.push(Key::Value(comparable(part).map_err(named)?)),
+                "group_by" => {
+                    self.keys.push(match FRAME_PLACES.into_iter().find(|place| *place == part) {
+                        Some(place) => Key::Place(place),
+                        None => Key::Value(comparable(part).map_err(named)?),
+                    })
+                }
                 "bin" => self.keys.push(bin(part).map_err(named)?),
                 "agg" => self.aggregates.push(aggregate(part).map_err(named)?),
                 "sort" => {
@@ -86,7 +100,8 @@ impl Grouping {
     /// Returns the statement for the groups of the rows of `table` that meet all conditions.
     ///
     /// # Errors
-    /// A message with the columns of the result if `sort` names another one.
+    /// A message with the columns of the result if `sort` names another one, or if places of voltages are
+    /// mixed with columns of rows.
     pub fn sql(&self, table: &str, conditions: &[String], limit: u32) -> Result<String, String> {
         let counted = [Aggregate { function: Function::Count, column: None }];
         let aggregates = if self.aggregates.is_empty() { &counted[..] } else { &self.aggregates };
@@ -107,9 +122,15 @@ impl Grouping {
         let values = self.keys.iter().map(Key::sql).chain(aggregates.iter().map(Aggregate::sql));
         let values: Vec<String> =
             values.zip(&names).map(|(value, name)| format!("{value} AS {name}")).collect();
-        let mut sql = format!("SELECT {} FROM {}", values.join(", "), quoted(table));
-        if !conditions.is_empty() {
-            sql += &format!(" WHERE {}", conditions.join(" AND "));
+        let mut sql = format!("SELECT {} FROM ", values.join(", "));
+        if self.is_of_voltages(table)? {
+            sql += "voltages WHERE sim_voltage_v IS NOT NULL";
+            if !conditions.is_empty() {
+                let trials = filter(conditions);
+                sql += &format!(" AND trial_id IN (SELECT trial_id FROM trials{trials})");
+            }
+        } else {
+            sql += &(quoted(table) + &filter(conditions));
         }
         if !keys.is_empty() {
             sql += &format!(" GROUP BY {}", keys.join(", "));
@@ -118,6 +139,23 @@ impl Grouping {
             sql += &format!(" ORDER BY {}", order.join(", "));
         }
         Ok(format!("{sql} LIMIT {limit}"))
+    }
+
+    /// Whether the groups are of the voltages of trials, and not of the rows of `table`.
+    fn is_of_voltages(&self, table: &str) -> Result<bool, String> {
+        let places = self.keys.iter().filter(|key| matches!(key, Key::Place(_))).count();
+        let has_fvu = self.aggregates.iter().any(|one| one.function == Function::Fvu);
+        if places == 0 && !has_fvu {
+            return Ok(false);
+        }
+        let of_rows = self.aggregates.iter().any(|one| one.column.is_some());
+        if table != "trials" || places < self.keys.len() || of_rows {
+            let places = FRAME_PLACES.join(", ");
+            return Err(format!(
+                "{places} and fvu are of the voltages of stored trials: must be with count and each other only"
+            ));
+        }
+        Ok(true)
     }
 }
 
@@ -134,17 +172,21 @@ pub fn conditions(query: &TrialQuery) -> Vec<String> {
     run.chain(filters).chain(flagged).chain(flags).collect()
 }
 
+/// The conditions as ` WHERE ..`, or nothing.
+pub fn filter(conditions: &[String]) -> String {
+    match conditions {
+        [] => String::new(),
+        all => format!(" WHERE {}", all.join(" AND ")),
+    }
+}
+
 /// Returns the statement for the ids of a page of trials in the order of a column.
 ///
 /// # Errors
 /// A message with the columns of scalars if there is no such column.
 pub fn sorted_ids(query: &TrialQuery, sort: &Sort, from: u64) -> Result<String, String> {
     let column = comparable(&sort.column)?;
-    let conditions = conditions(query);
-    let filter = match conditions.is_empty() {
-        true => String::new(),
-        false => format!(" WHERE {}", conditions.join(" AND ")),
-    };
+    let filter = filter(&conditions(query));
     let direction = if sort.descending { " DESC" } else { "" };
     Ok(format!(
         "SELECT trial_id FROM trials{filter} ORDER BY {column}{direction} NULLS LAST, trial_id \
@@ -179,10 +221,12 @@ fn bin(text: &str) -> Result<Key, String> {
 }
 
 fn aggregate(text: &str) -> Result<Aggregate, String> {
-    const CHOICES: &str = "must be count, or count, mean, min, max, sum, median, std, or a quantile \
-                           (q05, q90) of a column: mean(fvu)";
-    if text == "count" {
-        return Ok(Aggregate { function: Function::Count, column: None });
+    const CHOICES: &str = "must be count, fvu of voltages, or count, mean, min, max, sum, median, std, or a \
+                           quantile (q05, q90) of a column: mean(fvu)";
+    for (name, function) in [("count", Function::Count), ("fvu", Function::Fvu)] {
+        if text == name {
+            return Ok(Aggregate { function, column: None });
+        }
     }
     let unknown = || CHOICES.to_owned();
     let (function, column) =
@@ -206,6 +250,7 @@ fn aggregate(text: &str) -> Result<Aggregate, String> {
         | Function::Sum
         | Function::Median
         | Function::Std
+        | Function::Fvu
         | Function::Quantile(_) => number(column)?,
     };
     Ok(Aggregate { function, column: Some(column) })
@@ -219,17 +264,17 @@ fn quoted(table: &str) -> String {
 impl Key {
     fn name(&self) -> String {
         match self {
-            Self::Value(column) => (*column).to_owned(),
+            Self::Value(column) | Self::Place(column) => (*column).to_owned(),
             Self::Bin(column, _) => format!("from_{column}"),
         }
     }
 
     fn sql(&self) -> String {
         match self {
-            Self::Value(column) => (*column).to_owned(),
-            // Rounded: 3 x 0.1 is no multiple of 0.1.
+            Self::Value(column) | Self::Place(column) => (*column).to_owned(),
+            // Rounded: in double precision 0.3 / 0.1 is below 3, and 3 x 0.1 above 0.3.
             Self::Bin(column, width) => {
-                format!("ROUND(FLOOR(CAST({column} AS DOUBLE) / {width}) * {width}, 9)")
+                format!("ROUND(FLOOR(ROUND(CAST({column} AS DOUBLE) / {width}, 6)) * {width}, 9)")
             }
         }
     }
@@ -250,6 +295,7 @@ impl Aggregate {
             Function::Quantile(percent) => {
                 format!("QUANTILE_CONT({column}, {})", f64::from(percent) / 100.0)
             }
+            Function::Fvu => FVU_OF_VOLTAGES.to_owned(),
         }
     }
 }
@@ -266,6 +312,7 @@ impl fmt::Display for Aggregate {
             Function::Median => f.write_str("median")?,
             Function::Std => f.write_str("std")?,
             Function::Quantile(percent) => write!(f, "q{percent:02}")?,
+            Function::Fvu => f.write_str("fvu")?,
         }
         self.column.map_or(Ok(()), |column| write!(f, "_{column}"))
     }
@@ -291,7 +338,7 @@ mod tests {
         assert_eq!(
             grouping(&pairs).unwrap().sql("ds-1", &conditions, 9).unwrap(),
             "SELECT tips AS tips, \
-             ROUND(FLOOR(CAST(depth_mm AS DOUBLE) / 0.5) * 0.5, 9) AS from_depth_mm, \
+             ROUND(FLOOR(ROUND(CAST(depth_mm AS DOUBLE) / 0.5, 6)) * 0.5, 9) AS from_depth_mm, \
              COUNT(*) AS count, QUANTILE_CONT(fvu, 0.9) AS q90_fvu FROM \"ds-1\" \
              WHERE fvu < 1 AND tips = 4 GROUP BY tips, from_depth_mm \
              ORDER BY tips NULLS LAST, from_depth_mm NULLS LAST LIMIT 9"
@@ -305,6 +352,25 @@ mod tests {
                 .unwrap()
                 .contains("GROUP BY label ORDER BY count DESC NULLS LAST, label NULLS LAST")
         );
+    }
+
+    #[test]
+    fn places_of_voltages_are_groups_of_the_voltages_of_the_selected_trials() {
+        let by_pair = grouping(&[("group_by", "pair"), ("agg", "fvu,count")]).unwrap();
+        let sql = by_pair.sql("trials", &["tips = 4".to_owned()], 9).unwrap();
+        assert!(sql.starts_with("SELECT pair AS pair, AVG(POWER("), "{sql}");
+        let of = "AS fvu, COUNT(*) AS count FROM voltages WHERE sim_voltage_v IS NOT NULL AND trial_id IN \
+                  (SELECT trial_id FROM trials WHERE tips = 4) GROUP BY pair";
+        assert!(sql.contains(of), "{sql}");
+        let wrong = |pairs: &[(&str, &str)], table| grouping(pairs).unwrap().sql(table, &[], 9);
+        for (pairs, table) in [
+            (&[("group_by", "pair")][..], "ds-1"),
+            (&[("group_by", "pair,tips")], "trials"),
+            (&[("group_by", "tips"), ("agg", "fvu")], "trials"),
+            (&[("group_by", "pair"), ("agg", "mean(fvu)")], "trials"),
+        ] {
+            assert!(wrong(pairs, table).unwrap_err().contains("with count"), "{pairs:?} {table}");
+        }
     }
 
     #[test]

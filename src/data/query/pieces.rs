@@ -43,7 +43,9 @@ pub async fn of_run(
     let trials = store.newest_twins(run.uid, TrialId(0), u32::MAX).await?;
     let mut files = Vec::new();
     for piece in cut(&trials) {
-        let key = &sha256_hex(format!("{piece:?}"))[..PIECE_DIGITS];
+        let numbers = piece.iter().flat_map(|(trial, model)| [trial.0, *model]);
+        let bytes: Vec<u8> = numbers.flat_map(i64::to_le_bytes).collect();
+        let key = &sha256_hex(bytes)[..PIECE_DIGITS];
         let start = if piece.len() == BATCH_ROWS { WHOLE } else { "rest-of-run-" };
         let name = format!("{start}{}-{key}.parquet", run.scan_id);
         let path = folder.join(&name);

@@ -1,5 +1,5 @@
 //! What the store holds in addition to trials, as tables: runs, events, reference presses.
-//! Uses: `store`, arrow-json, `dataset::format`. Never: the texts of files that a run was made of.
+//! Uses: `store`, arrow-json, `dataset::format`. Never: the texts of files that a run was made of, all events in memory.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -30,48 +30,57 @@ impl Drop for Scratch {
     }
 }
 
-/// The rows of a table, and its columns.
-pub struct Records {
+/// A table that is being written.
+struct Records {
+    folder: PathBuf,
+    name: String,
     schema: SchemaRef,
-    rows: Vec<Value>,
+    stream: Stream<'static, NewFile>,
 }
 
 impl Records {
-    /// Writes the rows to a file in `folder`.
-    ///
-    /// # Errors
-    /// `DatasetError` if it cannot be written.
-    pub fn write(&self, folder: &Path) -> Result<Scratch, DatasetError> {
+    /// Begins a file in `folder` with these columns.
+    fn new(folder: &Path, fields: &[(&str, DataType)]) -> Result<Self, DatasetError> {
+        let fields = fields.iter().map(|(name, kind)| Field::new(*name, kind.clone(), true));
+        let schema: SchemaRef = Arc::new(Schema::new(fields.collect::<Vec<_>>()));
         let failed = DatasetError::file("writing a table in", folder);
-        let file = NewFile::create(folder).map_err(&failed)?;
+        let file = NewFile::create(folder).map_err(failed)?;
         let name = format!("records-{}.parquet", uuid::Uuid::now_v7());
-        let empty = RecordBatch::new_empty(self.schema.clone());
+        let empty = RecordBatch::new_empty(schema.clone());
         let named = zone::renamed(&empty, zone::OFFSET, zone::NAME)?.schema();
-        let mut stream = Stream::new(Format::Parquet, &named, file)?;
+        let stream = Stream::new(Format::Parquet, &named, file)?;
+        Ok(Self { folder: folder.to_owned(), name, schema, stream })
+    }
+
+    /// Writes further rows.
+    fn push(&mut self, rows: &[Value]) -> Result<(), DatasetError> {
         let mut decoder = ReaderBuilder::new(self.schema.clone()).build_decoder()?;
-        for rows in self.rows.chunks(DECODER_ROWS) {
+        for rows in rows.chunks(DECODER_ROWS) {
             decoder.serialize(rows)?;
             if let Some(batch) = decoder.flush()? {
-                stream.push(&zone::renamed(&batch, zone::OFFSET, zone::NAME)?)?;
+                self.stream.push(&zone::renamed(&batch, zone::OFFSET, zone::NAME)?)?;
             }
         }
-        stream.finish()?.finish_unsynced(&name).map_err(failed)?;
-        Ok(Scratch(folder.join(name)))
+        Ok(())
     }
-}
 
-fn columns(fields: &[(&str, DataType)]) -> SchemaRef {
-    let fields = fields.iter().map(|(name, kind)| Field::new(*name, kind.clone(), true));
-    Arc::new(Schema::new(fields.collect::<Vec<_>>()))
+    fn finish(self) -> Result<Scratch, DatasetError> {
+        let failed = DatasetError::file("writing a table in", &self.folder);
+        self.stream.finish()?.finish_unsynced(&self.name).map_err(failed)?;
+        Ok(Scratch(self.folder.join(self.name)))
+    }
 }
 
 fn time() -> DataType {
     DataType::Timestamp(TimeUnit::Millisecond, Some(zone::OFFSET.into()))
 }
 
-/// One row for each run.
-pub fn runs(runs: &[RunRow]) -> Records {
-    let schema = columns(&[
+/// Writes a file with one row for each run.
+///
+/// # Errors
+/// `DatasetError` if it cannot be written.
+pub fn runs(folder: &Path, runs: &[RunRow]) -> Result<Scratch, DatasetError> {
+    let columns = [
         ("scan_id", DataType::Int64),
         ("run", DataType::Utf8),
         ("experiment", DataType::Utf8),
@@ -90,7 +99,7 @@ pub fn runs(runs: &[RunRow]) -> Records {
         ("created_at", time()),
         ("started_at", time()),
         ("ended_at", time()),
-    ]);
+    ];
     let row = |run: &RunRow| {
         json!({
             "scan_id": run.scan_id, "run": run.uid, "experiment": run.experiment, "kind": run.kind,
@@ -102,44 +111,54 @@ pub fn runs(runs: &[RunRow]) -> Records {
             "started_at": run.started_at, "ended_at": run.ended_at,
         })
     };
-    Records { schema, rows: runs.iter().map(row).collect() }
+    let mut records = Records::new(folder, &columns)?;
+    records.push(&runs.iter().map(row).collect::<Vec<_>>())?;
+    records.finish()
 }
 
-/// One row for each event.
+/// Writes a file with one row for each event, page by page.
 ///
 /// # Errors
-/// `StoreError` if the events cannot be read.
-pub async fn events(store: &Store, runs: &[RunRow]) -> Result<Records, DatasetError> {
-    let schema = columns(&[
+/// `DatasetError` if the events cannot be read, or the file not be written.
+pub async fn events(
+    store: &Store,
+    folder: &Path,
+    runs: &[RunRow],
+) -> Result<Scratch, DatasetError> {
+    let columns = [
         ("seq", DataType::Int64),
         ("scan_id", DataType::Int64),
         ("at", time()),
         ("kind", DataType::Utf8),
         ("data", DataType::Utf8),
-    ]);
-    let mut rows = Vec::new();
+    ];
+    let mut records = Records::new(folder, &columns)?;
     let mut after = 0;
     loop {
         let page = store.events_since(after, PAGE_EVENTS, None, &[]).await?;
-        let Some(last) = page.last() else { break };
+        let Some(last) = page.last() else { return records.finish() };
         after = last.seq;
-        rows.extend(page.into_iter().map(|event| {
+        let rows = page.iter().map(|event| {
             let run = runs.iter().find(|run| Some(run.uid) == event.run);
             json!({
                 "seq": event.seq, "scan_id": run.map(|run| run.scan_id), "at": event.at,
                 "kind": event.kind, "data": event.data.to_string(),
             })
-        }));
+        });
+        records.push(&rows.collect::<Vec<_>>())?;
     }
-    Ok(Records { schema, rows })
 }
 
-/// One row for each load cell of each reference press.
+/// Writes a file with one row for each load cell of each reference press.
 ///
 /// # Errors
-/// `StoreError` if they cannot be read.
-pub async fn references(store: &Store, runs: &[RunRow]) -> Result<Records, DatasetError> {
-    let schema = columns(&[
+/// `DatasetError` if they cannot be read, or the file not be written.
+pub async fn references(
+    store: &Store,
+    folder: &Path,
+    runs: &[RunRow],
+) -> Result<Scratch, DatasetError> {
+    let columns = [
         ("scan_id", DataType::Int64),
         ("before_configuration", DataType::Int64),
         ("depth_mm", DataType::Float64),
@@ -149,9 +168,10 @@ pub async fn references(store: &Store, runs: &[RunRow]) -> Result<Records, Datas
         ("y_mm", DataType::Float64),
         ("force_n", DataType::Float64),
         ("at", time()),
-    ]);
-    let mut rows = Vec::new();
+    ];
+    let mut records = Records::new(folder, &columns)?;
     for run in runs {
+        let mut rows = Vec::new();
         for press in store.references(run.uid).await? {
             rows.extend(press.arms.iter().map(|arm| {
                 json!({
@@ -162,6 +182,7 @@ pub async fn references(store: &Store, runs: &[RunRow]) -> Result<Records, Datas
                 })
             }));
         }
+        records.push(&rows)?;
     }
-    Ok(Records { schema, rows })
+    records.finish()
 }

@@ -96,12 +96,12 @@ impl Tables {
                 continue;
             };
             let files = if known.form == Form::Rows {
-                let records = match known.name {
-                    "runs" => records::runs(&runs),
-                    "events" => records::events(&self.store, &runs).await?,
-                    _ => records::references(&self.store, &runs).await?,
+                let (store, folder) = (&self.store, &self.folder);
+                let file = match known.name {
+                    "runs" => records::runs(folder, &runs)?,
+                    "events" => records::events(store, folder, &runs).await?,
+                    _ => records::references(store, folder, &runs).await?,
                 };
-                let file = records.write(&self.folder)?;
                 let path = file.0.clone();
                 scratch.push(file);
                 vec![path]

@@ -19,12 +19,14 @@ use super::send::{self, Download};
 use super::trials::grouped;
 use crate::dataset::definition::Definition;
 use crate::dataset::error::DatasetError;
-use crate::dataset::format::{Format, Rows, UnknownFormat};
+use crate::dataset::format::{Format, UnknownFormat};
 use crate::dataset::package;
 use crate::dataset::prune::Pruned;
 use crate::ids::DatasetId;
+use crate::problem::Problem;
+use crate::query::TABLES;
 use crate::query::groups::conditions;
-use crate::store::{DatasetRow, Label};
+use crate::store::{DatasetRow, Label, ModelRow};
 
 /// A dataset: its definition, size, checksum and counts.
 #[derive(Debug, Serialize, ToSchema)]
@@ -188,19 +190,31 @@ pub async fn make(
     let file = new.file.as_deref().unwrap_or("definition");
     let row = match (new.name, new.definition, new.toml) {
         (Some(name), None, None) => app.datasets.resolve(&name).await?,
-        (None, Some(definition), None) => app.datasets.make_custom(file, &definition).await?,
+        (None, Some(definition), None) => {
+            app.datasets.make_custom(file, &named(file, definition)?).await?
+        }
         (None, None, Some(text)) => {
             let definition = Definition::from_toml(file, &text).map_err(DatasetError::Problems)?;
-            app.datasets.make_custom(file, &definition).await?
+            app.datasets.make_custom(file, &named(file, definition)?).await?
         }
         _ => {
             let limit = "must have exactly one of name, definition and toml";
-            let problem = crate::problem::Problem::whole("request", limit);
+            let problem = Problem::whole("request", limit);
             return Err(ApiError::problems(vec![problem]));
         }
     };
     act.about(row.id.as_str());
     Ok(Json(DatasetOut { is_current: Some(true), ..row.into() }))
+}
+
+/// Refuses the name of a table that statements would read instead of the dataset.
+fn named(file: &str, definition: Definition) -> Result<Definition, ApiError> {
+    if TABLES.iter().any(|table| table.name == definition.name) {
+        let limit = "is the name of a table of `palpate query`: choose another name";
+        let problem = Problem::new(file, "name", &definition.name, limit);
+        return Err(ApiError::bad_query(vec![problem]));
+    }
+    Ok(definition)
 }
 
 /// Returns the dataset with an id, or the newest one of a name.
@@ -216,7 +230,8 @@ pub async fn one(
     Ok(Json(DatasetOut { is_current, last_used_at, ..row.into() }))
 }
 
-/// Returns the lineage of a dataset: runs, models, calibrations, shards, code and files.
+/// Returns the lineage of a dataset: runs, models, calibrations, shards, code and files, and the nets that were
+/// trained on it (`trained`).
 #[utoipa::path(get, operation_id = "dataset_lineage",
     path = "/api/v1/datasets/{dataset}/lineage", tag = "datasets",
     responses((status = 200, body = Object)))]
@@ -226,9 +241,13 @@ pub async fn lineage(
 ) -> Result<Json<Value>, ApiError> {
     let row = app.datasets.find(&dataset).await?;
     let url = format!("/api/v1/data/{}.parquet", row.id);
+    let nets = app.store.models_of(&row.id).await?;
+    let net =
+        |net: &ModelRow| serde_json::json!({ "id": net.id, "name": net.name, "task": net.task });
+    let trained: Vec<Value> = nets.iter().map(net).collect();
     Ok(Json(serde_json::json!({
         "dataset": row.id, "sha256": row.sha256, "definition": row.definition,
-        "lineage": row.lineage,
+        "lineage": row.lineage, "trained": trained,
         "files": [{ "url": url, "bytes": row.bytes, "sha256": row.sha256 }],
     })))
 }
@@ -332,8 +351,8 @@ pub async fn rows(
     };
     let catalog = app.datasets.clone();
     let reading = tokio::task::spawn_blocking(move || {
-        let rows = catalog.rows(&row.id, &requested.wanted)?;
-        send::check_numbers(send::numbers_per_row(&rows.schema()), requested.limit)?;
+        let rows = catalog.pages(&row.id, &requested.wanted)?;
+        send::check_numbers(send::numbers_per_row(rows.schema()), requested.limit)?;
         let limit = requested.limit as usize;
         let (batches, next) = match &requested.sort {
             Some(sort) => rows.sorted_page(sort, from, limit)?,
@@ -342,10 +361,10 @@ pub async fn rows(
         let next = next.map(|from| cursors.cursor(RowsAt { dataset: row.id.clone(), from }));
         let link = next.as_deref().and_then(|next| cursors.link(next));
         let response = match format {
-            Some(format) => send::batches(format, &rows.schema(), &batches),
+            Some(format) => send::batches(format, rows.schema(), &batches),
             None => {
                 let mut lines =
-                    crate::dataset::format::Stream::new(Format::Ndjson, &rows.schema(), Vec::new())
+                    crate::dataset::format::Stream::new(Format::Ndjson, rows.schema(), Vec::new())
                         .map_err(DatasetError::from)?;
                 for batch in &batches {
                     lines.push(batch).map_err(DatasetError::from)?;

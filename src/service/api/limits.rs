@@ -233,7 +233,7 @@ mod tests {
             line("note of the lock, reason of an action", format!("{WHY_MAX_CHARS} characters"), "422; in the log of actions: cut"),
             line("message of a refusal in the log of actions", format!("{DETAIL_MAX_CHARS} characters"), "cut"),
             line("entries of a page of a list, by default 100", LIST_MAX.to_string(), "400"),
-            line("rows of a page of trials or of a dataset, by default 100", MAX_PAGE.to_string(), "400"),
+            line("rows of a page of trials or of a dataset, by default 100; groups of an answer", MAX_PAGE.to_string(), "400"),
             line("`Idempotency-Key`", format!("{ONCE_KEY_MAX_CHARS} characters"), "400"),
             line("time for which a request with an `Idempotency-Key` is kept", seconds(ONCE_KEPT), "a repetition is a new request"),
             line("kept requests of one key, or of all clients without a key", ONCE_MAX.to_string(), "the oldest one is removed"),

@@ -140,7 +140,11 @@ fn groups(has: fn(&Column) -> bool) -> Vec<Parameter> {
     let with = |name, about| parameter(name, about, text());
     vec![
         condition,
-        with("group_by", "one group for equal values of these columns, separated by commas"),
+        with(
+            "group_by",
+            "one group for equal values of these columns, separated by commas; of the voltages of stored trials \
+             that have a twin: injection, pair, position in the frame",
+        ),
         with(
             "bin",
             "one group for each range of a column, `COLUMN:WIDTH`, such as `depth_mm:0.5`; \
@@ -150,7 +154,8 @@ fn groups(has: fn(&Column) -> bool) -> Vec<Parameter> {
             "agg",
             "values of each group, separated by commas: `count` (default), or count, mean, min, max, \
              sum, median, std, or a quantile (q05, q90) of a column, as in `mean(fvu)`, which becomes \
-             `mean_fvu`",
+             `mean_fvu`; of voltages `count` and `fvu`, the fraction of their variance that the simulated ones \
+             leave unexplained",
         ),
         with("sort", "columns of the result, separated by commas, `-` before one for descending"),
         limit,

@@ -8,10 +8,12 @@ use axum::extract::ws::rejection::WebSocketUpgradeRejection;
 use axum::extract::{FromRequest, Request};
 use axum::http::{HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
+use hyper::ext::ReasonPhrase;
 use serde::Serialize;
 use utoipa::ToSchema;
 
 use super::body::TooSlow;
+use super::limits::REPEATED_CHARS;
 use crate::campaign::shown::command::Refusal;
 use crate::conductor::ConductorError;
 use crate::dataset::error::DatasetError;
@@ -23,6 +25,9 @@ use crate::plain::violated;
 use crate::problem::Problem;
 use crate::query::QueryError;
 use crate::store::StoreError;
+
+/// Longest description in a status line: it repeats the start of a statement.
+const REASON_CHARS: usize = 2 * REPEATED_CHARS;
 
 /// A problem body (RFC 9457).
 #[derive(Debug, Clone, Serialize, ToSchema)]
@@ -154,9 +159,18 @@ impl IntoResponse for ApiError {
             let challenge = HeaderValue::from_static("Bearer");
             response.headers_mut().insert(header::WWW_AUTHENTICATE, challenge);
         }
+        if let Some(reason) = reason(&refused.0) {
+            response.extensions_mut().insert(reason);
+        }
         response.extensions_mut().insert(refused);
         response
     }
+}
+
+/// The description for the status line: `pandas.read_csv(url)` and other readers show nothing else of a refusal.
+fn reason(detail: &str) -> Option<ReasonPhrase> {
+    let plain = |c: char| if c.is_ascii_graphic() || c == ' ' { c } else { '?' };
+    ReasonPhrase::try_from(detail.chars().take(REASON_CHARS).map(plain).collect::<String>()).ok()
 }
 
 impl From<Refusal> for ApiError {

@@ -159,7 +159,8 @@ pub fn groups_query(
     pairs: &[(String, String)],
     of: GroupsOf,
 ) -> Result<GroupsRequest, Vec<Problem>> {
-    let query = TrialQuery { limit: MAX_PAGE, ..TrialQuery::default() };
+    // One more than are answered: without a limit all groups are.
+    let query = TrialQuery { limit: MAX_PAGE + 1, ..TrialQuery::default() };
     let mut request = GroupsRequest { query, groups: Grouping::default(), format: None };
     let mut page = Wanted::default();
     each(pairs, |key, value| {
@@ -352,6 +353,15 @@ mod tests {
         let half = &values[..values.len() / 2];
         assert!(read(&[("tips__in", half), ("tips__in", half), ("limit", "3")]).is_err());
         assert!(read(&[("tips__in", &values[2..])]).is_ok());
+    }
+
+    #[test]
+    fn without_a_limit_one_more_than_the_most_groups_is_read() {
+        let limit = |pairs: &[(String, String)]| {
+            groups_query(pairs, GroupsOf::StoredTrials).map(|asked| asked.query.limit)
+        };
+        assert_eq!(limit(&[]), Ok(MAX_PAGE + 1));
+        assert_eq!(limit(&[("limit".into(), "7".into())]), Ok(7));
     }
 
     #[test]

@@ -7,7 +7,6 @@ use axum::body::Body;
 use axum::extract::State;
 use axum::http::HeaderMap;
 use axum::response::{IntoResponse, Response};
-use hyper::ext::ReasonPhrase;
 use serde::{Deserialize, Serialize};
 use serde_json::value::RawValue;
 use utoipa::{IntoParams, ToSchema};
@@ -24,9 +23,6 @@ use crate::dataset::schema::type_words;
 use crate::journal::error_chain;
 use crate::query::{QueryError, ResultRows, TABLES};
 
-/// Longest description of a refusal in a status line: it repeats the start of the statement.
-const REASON_CHARS: usize = 2 * REPEATED_CHARS;
-
 /// A statement, and the format of its rows.
 #[derive(Debug, Clone, Deserialize, ToSchema, IntoParams)]
 #[serde(deny_unknown_fields)]
@@ -37,8 +33,8 @@ pub struct QueryRequest {
         example = "SELECT contact_count, count(*) AS trials FROM trials GROUP BY contact_count"
     )]
     pub sql: String,
-    /// Format of the rows: json, ndjson, csv, parquet or arrow; default: that of the `Accept` header, or
-    /// json.
+    /// Format of the rows: json, ndjson, csv, parquet, arrow (a stream) or feather (a file of Arrow); default:
+    /// that of the `Accept` header, or json.
     #[serde(default)]
     pub format: Option<String>,
 }
@@ -95,7 +91,7 @@ pub async fn ask(
 
 /// Answers a SELECT statement in the address, as `pandas.read_parquet(url)` needs it.
 ///
-/// As the POST of this path; the status line of a refusal holds its description.
+/// As the POST of this path.
 #[utoipa::path(get, operation_id = "query_by_address", path = "/api/v1/query", tag = "datasets",
     params(QueryRequest),
     responses((status = 200, body = QueryOut),
@@ -107,22 +103,8 @@ pub async fn asked(
     State(app): State<App>,
     headers: HeaderMap,
     Params(request): Params<QueryRequest>,
-) -> Response {
-    match answer(&app, &headers, request).await {
-        Ok(response) => response,
-        Err(error) => with_reason(error),
-    }
-}
-
-/// A refusal whose status line holds its description: `pandas.read_parquet(url)` shows nothing else of it.
-fn with_reason(error: ApiError) -> Response {
-    let plain = |c: char| if c.is_ascii_graphic() || c == ' ' { c } else { '?' };
-    let reason: String = error.detail().chars().take(REASON_CHARS).map(plain).collect();
-    let mut response = error.into_response();
-    if let Ok(reason) = ReasonPhrase::try_from(reason) {
-        response.extensions_mut().insert(reason);
-    }
-    response
+) -> Result<Response, ApiError> {
+    answer(&app, &headers, request).await
 }
 
 /// Lists the tables of statements: those of every data folder, then the datasets.
@@ -237,7 +219,7 @@ pub async fn items(mut rows: ResultRows) -> Result<Vec<Box<RawValue>>, ApiError>
         text.extend(piece.take());
         if text.len() > QUERY_JSON_MAX_BYTES {
             let limit = format!(
-                "must be another one for a result of more than {} MiB: ndjson, csv, parquet or arrow",
+                "must be another one for a result of more than {} MiB: ndjson, csv, parquet, arrow or feather",
                 QUERY_JSON_MAX_BYTES >> 20
             );
             return Err(ApiError::query("format", "json", &limit));

@@ -36,7 +36,7 @@ use crate::journal::error_chain;
 use crate::problem::Problem;
 use crate::query::groups;
 use crate::store::table::Column;
-use crate::store::{RunKind, Store, StoreError, TrialQuery, TrialRow};
+use crate::store::{MAX_PAGE, RunKind, Store, StoreError, TrialQuery, TrialRow};
 
 /// Number of trials per piece of a page.
 const PIECE_ROWS: usize = 250;
@@ -154,6 +154,11 @@ pub async fn grouped(
     let sql = sql.map_err(|limit| ApiError::bad_query(vec![Problem::whole("query", limit)]))?;
     format.map_or(Ok(()), for_pages).map_err(ApiError::bad_query)?;
     let rows = app.queries.answer(&sql).await?;
+    if rows.count > u64::from(MAX_PAGE) {
+        let limit =
+            format!("must make at most {MAX_PAGE} groups: choose wider bins, or add limit=");
+        return Err(ApiError::bad_query(vec![Problem::whole("query", limit)]));
+    }
     match format {
         Some(format) => sql::streamed(format, rows).await,
         None => Ok(Page::whole(sql::items(rows).await?).into_response()),

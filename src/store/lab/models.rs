@@ -7,7 +7,7 @@ use utoipa::ToSchema;
 
 use crate::core::columns::{Columns, time_text};
 use crate::core::{Store, StoreError};
-use crate::ids::{ModelId, PromotedId};
+use crate::ids::{DatasetId, ModelId, PromotedId};
 
 /// A stored model. Its files are in a folder that is named by its id.
 #[derive(Debug, Clone, PartialEq)]
@@ -128,6 +128,19 @@ impl Store {
     pub async fn models(&self) -> Result<Vec<ModelRow>, StoreError> {
         const OPERATION: &str = "listing models";
         let query = sqlx::query("SELECT * FROM models ORDER BY created_at DESC, rowid DESC");
+        self.rows(OPERATION, query, ModelRow::read).await
+    }
+
+    /// Returns the models whose manifests name a dataset, newest first.
+    ///
+    /// # Errors
+    /// `Sql` or `Unreadable` if the read fails.
+    pub async fn models_of(&self, dataset: &DatasetId) -> Result<Vec<ModelRow>, StoreError> {
+        const OPERATION: &str = "listing the models of a dataset";
+        let query = sqlx::query(
+            "SELECT * FROM models WHERE instr(manifest, ?1) > 0 ORDER BY created_at DESC, rowid DESC",
+        )
+        .bind(dataset.as_str());
         self.rows(OPERATION, query, ModelRow::read).await
     }
 

@@ -9,7 +9,7 @@ use super::query::{Order, SELECT, SELECT_WITH_VOLTAGES, TrialQuery};
 use super::trial_row::TrialRow;
 use crate::core::bulk::Statement;
 use crate::core::columns::Columns;
-use crate::core::{During, Store, StoreError};
+use crate::core::{Store, StoreError};
 use crate::ids::{RunUid, TrialId};
 use crate::record::FrameRecord;
 
@@ -95,7 +95,7 @@ impl Store {
     /// `after`, each with the number of the model of its newest twin; 0 without a twin.
     ///
     /// # Errors
-    /// `NoSuchRun` if the run is not stored; `Sql` if the read fails.
+    /// `NoSuchRun` if the run is not stored; `Read` if the read fails.
     pub async fn newest_twins(
         &self,
         run: RunUid,
@@ -103,18 +103,16 @@ impl Store {
         limit: u32,
     ) -> Result<Vec<(TrialId, i64)>, StoreError> {
         let scan_id = self.facts(run, READING).await?.scan_id;
-        let rows: Vec<(i64, i64)> = sqlx::query_as(
-            "SELECT t.id, coalesce((SELECT max(model) FROM twins w WHERE w.trial = t.id), 0)
-             FROM trials t INDEXED BY trials_in_order WHERE t.run = ?1 AND t.id > ?2
-             ORDER BY t.id LIMIT ?3",
-        )
-        .bind(scan_id)
-        .bind(after.0)
-        .bind(limit)
-        .fetch_all(&self.inner.readers)
-        .await
-        .during(READING)?;
-        Ok(rows.into_iter().map(|(trial, model)| (TrialId(trial), model)).collect())
+        let read = move |c: &Connection| {
+            let mut newest = Statement::new(
+                "SELECT t.id AS id, coalesce((SELECT max(model) FROM twins w WHERE w.trial = t.id), 0) AS model
+                 FROM trials t INDEXED BY trials_in_order WHERE t.run = ",
+            );
+            newest.bind(scan_id).push(" AND t.id > ").bind(after.0);
+            newest.push(" ORDER BY t.id LIMIT ").bind(i64::from(limit));
+            newest.rows(c, READING, |c| Ok((TrialId(c.get("id")?), c.get("model")?)))
+        };
+        self.inner.bulk.read(READING, read).await
     }
 
     /// Returns the distinct numbers of channels of the frames of these trials, in ascending order. All

@@ -158,7 +158,7 @@ async fn a_begun_file_without_twins_is_not_used_once_they_are_there() {
     let [(first, file), (again, _)] = lab.made_twice().await;
     assert_ne!(file, begun[0]);
     assert_eq!((&first.id, &first.sha256), (&again.id, &again.sha256));
-    let rows = lab.datasets.rows(&first.id, &Default::default()).unwrap();
+    let rows = lab.datasets.pages(&first.id, &Default::default()).unwrap();
     let (page, _) = rows.page(0, 1000).unwrap();
     for batch in page {
         assert_eq!(batch.column_by_name("sim_voltages_v").unwrap().null_count(), 0);

@@ -74,6 +74,10 @@ async fn nets_are_trained_scored_promoted_and_asked() {
     );
     assert!(manifest["datasets"][0].as_str().unwrap().starts_with("ds-"));
     assert!(manifest["trained_on"]["max_force_n"].as_f64().unwrap() > 5.0);
+    let dataset = manifest["datasets"][0].as_str().unwrap();
+    let lineage = lab.get(&format!("/api/v1/datasets/{dataset}/lineage")).await;
+    let net = json!({ "id": transfer, "name": "small-transfer", "task": "transfer" });
+    assert_eq!(lineage["trained"], json!([net]));
     let losses =
         lab.answer(&format!("/api/v1/models/{transfer}/losses")).await.text().await.unwrap();
     assert_eq!(losses.lines().count(), 2, "{losses}");

@@ -5,6 +5,8 @@ use std::collections::BTreeMap;
 use palpate::dataset::format::Rows;
 use palpate::dataset::read::DatasetRows;
 use palpate::dataset::select::Wanted;
+use palpate::ids::ModelId;
+use palpate::store::ModelRow;
 use rand::SeedableRng;
 use serde_json::{Value, json};
 
@@ -148,6 +150,60 @@ async fn an_id_is_its_contents_and_a_name_follows_them() {
     let card = lab.answer(&format!("/api/v1/datasets/{id}/card")).await.text().await.unwrap();
     for words in [id.as_str(), "**Virtual**", "made-up-hex", "no contact | 90", "injection-major"] {
         assert!(card.contains(words), "{words}: {card}");
+    }
+    lab.close().await;
+}
+
+#[tokio::test]
+async fn older_datasets_go_on_request_unless_a_model_was_trained_on_them() {
+    let lab = Filled::open("prune").await;
+    let mut made = Vec::new();
+    for force_n in 1..=3 {
+        let toml = format!(
+            "name = \"mine\"\ntask = \"real\"\nwhere = [\"max_force_n__gt={force_n}\"]\n\
+             [split]\nratio = [3, 1, 1]\nseed = 1\n"
+        );
+        made.push(lab.posted("/api/v1/datasets", json!({ "toml": toml }), 200).await);
+    }
+    let id = |at: usize| made[at]["id"].as_str().unwrap().to_owned();
+    // A statement would read the table of this name.
+    let hidden = json!({ "toml": "name = \"events\"\ntask = \"real\"\n" });
+    lab.refuses("/api/v1/datasets", hidden, 400, "name of a table").await;
+    let store = filled::store(&lab.data).await;
+    let model = ModelRow {
+        id: ModelId::unchecked("mdl-1"),
+        name: "net".into(),
+        task: "transfer".into(),
+        manifest: format!("datasets = [\"{}\"]\n", id(0)),
+        created_at: jiff::Timestamp::UNIX_EPOCH,
+    };
+    store.insert_model(model).await.unwrap();
+    store.close().await;
+    let file = |at: usize, ending: &str| lab.data.join(format!("datasets/{}.{ending}", id(at)));
+
+    let path = "/api/v1/datasets/prune";
+    lab.posted(path, json!({ "keep": 0 }), 422).await;
+    for dry_run in [true, false] {
+        let pruned = lab.posted(path, json!({ "keep": 1, "dry_run": dry_run }), 200).await;
+        let rows = pruned["datasets"].as_array().unwrap();
+        let stays = |at: usize| &rows.iter().find(|row| row["id"] == id(at)).unwrap()["stays"];
+        assert_eq!(stays(0), "model mdl-1 refers to it");
+        assert_eq!(stays(1), &Value::Null);
+        assert_eq!(stays(2), "one of the 1 newest of its name");
+        assert_eq!(rows.iter().filter(|row| row["stays"].is_null()).count(), 1, "{pruned}");
+        assert_eq!(
+            (&pruned["freed_bytes"], &pruned["dry_run"]),
+            (&made[1]["bytes"], &json!(dry_run))
+        );
+        assert_eq!([file(1, "parquet"), file(1, "md")].map(|file| file.exists()), [dry_run; 2]);
+    }
+    let gone = lab.refused(&format!("/api/v1/datasets/{}", id(1))).await;
+    assert_eq!(gone.0, 404, "{}", gone.1);
+    for at in [0, 2] {
+        assert_eq!(
+            lab.get(&format!("/api/v1/datasets/{}", id(at))).await["rows"],
+            made[at]["rows"]
+        );
     }
     lab.close().await;
 }

@@ -2,11 +2,14 @@
 //! groups, refusals. Without the engine the tests report that they were skipped, or fail with
 //! `PALPATE_REQUIRE_TOOLS=1`.
 
+use std::time::{Duration, Instant};
+
+use futures::future::select_all;
 use palpate::dataset::format::Format;
 use palpate::ids::TrialKey;
 use palpate::journal::Journal;
 use palpate::program::Program;
-use palpate::query::QUERY;
+use palpate::query::{QUERIES, QUERY};
 use palpate::store::RunKind;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
@@ -204,6 +207,21 @@ async fn groups_and_orders_follow_from_the_parameters_of_filters() {
             { "from_depth_mm": 0.0, "count": 120 },
         ])
     );
+    // A depth on the border of a range is in it: 3.5 / 0.14 is below 25 in double precision.
+    let border = lab.get("/api/v1/trials/groups?scan_id=1&depth_mm=3.5&bin=depth_mm:0.14").await;
+    assert_eq!(border["items"], json!([{ "from_depth_mm": 3.5, "count": 30 }]));
+    // FVU by pair of electrodes, against the table of voltages.
+    let pairs = lab.get("/api/v1/trials/groups?scan_id=1&group_by=pair&agg=fvu,count").await;
+    let pairs = pairs["items"].as_array().unwrap();
+    assert_eq!(pairs.len(), 28);
+    let of = "FROM voltages WHERE scan_id = 1 AND pair = 3 AND sim_voltage_v IS NOT NULL";
+    assert_eq!(pairs[3]["pair"], 3);
+    assert_eq!(pairs[3]["count"], number(&lab, &format!("SELECT count(*) AS n {of}")).await);
+    let squares = "sum((voltage_v - sim_voltage_v) * (voltage_v - sim_voltage_v))";
+    let fvu = format!("SELECT {squares} / (variance(voltage_v) * (count(*) - 1)) AS n {of}");
+    let [found, wanted] =
+        [&pairs[3]["fvu"], &number(&lab, &fvu).await].map(|n| n.as_f64().unwrap());
+    assert!((found / wanted - 1.0).abs() < 1e-3, "{found} {wanted}");
     // One of several conditions.
     let either = "/api/v1/trials/groups?agg=count&contact_count=3|depth_mm__gt=4.9";
     assert_eq!(lab.get(either).await["items"], json!([{ "count": 34 }]));
@@ -236,6 +254,25 @@ async fn groups_and_orders_follow_from_the_parameters_of_filters() {
 }
 
 #[tokio::test]
+async fn a_query_ends_when_its_client_leaves() {
+    let Some(lab) = lab("leaving").await else { return };
+    // As many as may be in progress, of 2,600 million rows each.
+    let long = json!({ "sql": "SELECT sum(a.voltage_v * b.voltage_v) AS n FROM voltages a \
+                               JOIN voltages b ON a.pair = b.pair" });
+    let asked = (0..QUERIES).map(|_| {
+        let request = lab.http.post(lab.url("/api/v1/query")).json(&long);
+        Box::pin(request.send())
+    });
+    let answered = tokio::time::timeout(Duration::from_secs(3), select_all(asked)).await;
+    assert!(answered.is_err(), "answered within 3 s: not long enough for this test");
+    // Both clients have left: the next query has its turn at once, long before the others could end.
+    let began = Instant::now();
+    assert_eq!(number(&lab, "SELECT 1 AS n FROM runs LIMIT 1").await, json!(1));
+    assert!(began.elapsed() < Duration::from_secs(5), "{:?}", began.elapsed());
+    lab.close().await;
+}
+
+#[tokio::test]
 async fn a_refusal_names_what_is_wrong() {
     let Some(lab) = lab("refusals").await else { return };
     for (sql, word) in [
@@ -257,6 +294,7 @@ async fn a_refusal_names_what_is_wrong() {
         ("bin=depth_mm", "COLUMN:WIDTH"),
         ("agg=mode(fvu)", "q90"),
         ("group_by=tips&sort=fvu", "tips, count"),
+        ("group_by=pair&agg=mean(fvu)", "with count"),
         ("columns=fvu", "must be absent"),
     ] {
         lab.refuses_get(&format!("/api/v1/trials/groups?{query}"), 400, word).await;

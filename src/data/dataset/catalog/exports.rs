@@ -123,7 +123,7 @@ impl Catalog {
         }
         let wanted = request.wanted();
         if let Ok(id) = request.dataset.parse() {
-            self.rows(&self.of_id(&id).await?.id, &wanted)?;
+            self.pages(&self.of_id(&id).await?.id, &wanted)?;
         } else {
             // The number of channels, and so the range of a slice, is known after the dataset is
             // made.

@@ -22,7 +22,7 @@ use crate::dataset::error::{DatasetError, Product};
 use crate::dataset::format::Format;
 use crate::dataset::inputs::Inputs;
 use crate::dataset::prune::{self, Pruned};
-use crate::dataset::read::DatasetRows;
+use crate::dataset::read::{DatasetPages, DatasetRows};
 use crate::dataset::schema::{self, BATCH_ROWS};
 use crate::dataset::select::Wanted;
 use crate::dataset::space::{self, Space};
@@ -313,15 +313,28 @@ impl Catalog {
         Space { needed, free }.check(Product::Import)
     }
 
-    /// Opens selected rows of a dataset.
+    /// Opens selected rows of a dataset, for pages.
     ///
     /// # Errors
     /// `DatasetError::Problems` if the selection does not fit the columns; `File` or `Parquet` if
     /// the file cannot be read.
-    pub fn rows(&self, id: &DatasetId, wanted: &Wanted) -> Result<DatasetRows, DatasetError> {
+    pub fn pages(&self, id: &DatasetId, wanted: &Wanted) -> Result<DatasetPages, DatasetError> {
+        DatasetPages::open(&self.used(id), wanted)
+    }
+
+    /// Opens and counts all selected rows of a dataset.
+    ///
+    /// # Errors
+    /// As [`Self::pages`].
+    fn rows(&self, id: &DatasetId, wanted: &Wanted) -> Result<DatasetRows, DatasetError> {
+        DatasetRows::open(&self.used(id), wanted)
+    }
+
+    /// The file of a dataset, whose rows are read now.
+    fn used(&self, id: &DatasetId) -> PathBuf {
         let path = data_file(&self.datasets(), id);
         used::note(&path);
-        DatasetRows::open(&path, wanted)
+        path
     }
 
     /// Returns what [`Self::prune`] would do with each dataset; removes none.

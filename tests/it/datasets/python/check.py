@@ -92,6 +92,8 @@ def check_formats(name: str, expected: list[dict], known: dict) -> None:
     assert file.equals(stream), "the file and the stream differ"
     compare(f"{name}.arrow, pyarrow", of_arrow(stream), expected)
     check(stream.column_names == columns, f"{name}.arrow: other columns than Parquet")
+    compare(f"{name}.arrow, pandas", of_pandas(pd.read_feather(f"{URL}{path}.arrow")), expected)
+    compare(f"{name}.arrow, polars, lazy", of_polars(pl.scan_ipc(f"{URL}{path}.arrow").collect()), expected)
     compare(f"{name}.npz, numpy", of_npz(fetched(f"{path}.npz")), expected)
     compare(f"{name}.csv, pandas", of_csv(fetched(f"{path}.csv"), columns), expected)
     compare(f"{name}.ndjson", of_ndjson(fetched(f"{path}.ndjson"), columns), expected)
