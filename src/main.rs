@@ -128,12 +128,12 @@ fn main() -> ExitCode {
     }
 }
 
-fn write_manual(folder: &Path) -> Result<(), String> {
+fn write_manual(folder: &Path) -> Result<(), cli::CliError> {
     let write = || {
         std::fs::create_dir_all(folder)?;
         clap_mangen::generate_to(cli::help::complete(CommandLine::command()), folder)
     };
-    write().map_err(|error| format!("{}: {error}", folder.display()))
+    write().map_err(cli::CliError::file(folder))
 }
 
 /// The command line, and the form in which it prints errors; otherwise the exit code.
@@ -147,10 +147,12 @@ fn parsed() -> Result<(CommandLine, cli::Output), ExitCode> {
     read.map_err(|error| {
         let is_help = !error.use_stderr()
             || error.kind() == ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand;
-        match !is_help && std::env::args().any(|word| word == "--json") {
-            true => cli::report_usage(&error.render().to_string()),
+        let json = std::env::args().any(|word| word == "--json");
+        match is_help {
             // A closed pipe is no error.
-            false => drop(error.print()),
+            true => drop(error.print()),
+            false if json => cli::report_usage(&error, cli::Output::Json),
+            false => cli::report_usage(&error, cli::Output::Text),
         }
         ExitCode::from(u8::try_from(error.exit_code()).unwrap_or(2))
     })

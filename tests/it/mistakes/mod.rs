@@ -202,6 +202,8 @@ fn the_tables_hold_all_mistakes_once() {
         "u64",
         "f64",
         "expected struct",
+        "..=",
+        "found in string",
         "os error",
         "panicked",
         "No such file",
