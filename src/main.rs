@@ -11,7 +11,7 @@ use clap::error::ErrorKind;
 use clap::{ArgMatches, Args, CommandFactory, FromArgMatches, Parser, Subcommand};
 use clap_complete::Shell;
 use palpate::cli;
-use virtual_rig::{OperatorArgs, RigArgs, operator_main, rig_main};
+use virtual_rig::{OperatorArgs, RigArgs, RunError, operator_main, rig_main};
 
 /// Presses a tactile robot skin with a rig, trains models on the measured trials, and estimates position and
 /// force of contacts.
@@ -119,7 +119,7 @@ fn main() -> ExitCode {
         }
         Command::Man { folder } => ended(write_manual(&folder)),
         Command::VirtualRig(args) => match args.complete() {
-            Ok(args) => ended(rig_main(args)),
+            Ok(args) => ended_rig(rig_main(args)),
             Err(error) => {
                 cli::report(&error, cli::Output::Text);
                 error.exit_code()
@@ -168,6 +168,9 @@ impl VirtualRigArgs {
     fn complete(self) -> Result<RigArgs, cli::CliError> {
         let data = cli::data_or_default(self.data);
         let named = [self.rig, self.gap, self.sensor];
+        for path in named.iter().chain([&self.fault]).flatten() {
+            std::fs::read(path).map_err(cli::CliError::input(path))?;
+        }
         let files = cli::virtual_rig_files(&data.join("virtual-rig"), named)?;
         Ok(RigArgs {
             rig: files.rig,
@@ -185,6 +188,21 @@ impl VirtualRigArgs {
             with_parent: self.with_parent,
         })
     }
+}
+
+/// As [`ended`], with the exit code of invalid input.
+fn ended_rig(outcome: Result<(), RunError>) -> ExitCode {
+    let is_input = matches!(
+        outcome,
+        Err(RunError::Rig { .. }
+            | RunError::Sensor { .. }
+            | RunError::Gap { .. }
+            | RunError::Fault { .. }
+            | RunError::Electrodes { .. }
+            | RunError::Speed(_))
+    );
+    let code = ended(outcome);
+    if is_input { ExitCode::from(2) } else { code }
 }
 
 fn ended(outcome: Result<(), impl Display>) -> ExitCode {
