@@ -210,6 +210,7 @@ fn ended(outcome: Result<(), impl Display>) -> ExitCode {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             // A closed pipe is no error.
+            let error = cli::in_plain_words(&error.to_string());
             let _ = writeln!(io::stderr(), "error: {error}");
             ExitCode::FAILURE
         }

@@ -12,7 +12,7 @@ use super::error::CliError;
 use super::help::wrapped;
 use super::output::{Output, note_drawn, shown};
 use crate::locate::locate;
-use crate::plain::escaped;
+use crate::plain::{escaped, in_plain_words};
 use crate::problem::{Place, Problem};
 
 /// Largest file that is read again for its lines, bytes.
@@ -75,8 +75,8 @@ fn in_our_words(error: &clap::Error, text: String) -> String {
 fn body(error: &CliError) -> Value {
     let code = error.code();
     let title = if code == 2 { "invalid input" } else { "failed" };
-    let mut body = json!({ "type": "about:blank", "title": title, "detail": error.to_string(),
-        "exit_code": code });
+    let mut body = json!({ "type": "about:blank", "title": title,
+        "detail": in_plain_words(&error.to_string()), "exit_code": code });
     if let CliError::Refused { status, .. } = error {
         body["status"] = (*status).into();
     }
@@ -97,7 +97,7 @@ fn drawn(error: &CliError, renderer: &Renderer, width: Option<usize>) -> String 
         None => titled(words, renderer),
     };
     let CliError::Problems(problems) = error else {
-        return sentence(&error.to_string());
+        return sentence(&in_plain_words(&error.to_string()));
     };
     let all = problems.iter().map(|problem| match in_file(problem) {
         Some(line) => line.draw(problem, renderer),
