@@ -17,7 +17,7 @@ use crate::problem::{Place, Problem};
 
 /// Largest file that is read again for its lines, bytes.
 const FILE_MAX_BYTES: u64 = 1 << 20;
-/// What the parsers of Rust say of a value of an option, and what it must be.
+/// Words of Rust's parsers for a value of an option, and what the value must be.
 const PARSERS: [(&str, &str); 6] = [
     ("invalid digit found in string", "must be a whole number, 0 or more"),
     ("cannot parse integer from empty string", "must be a whole number, 0 or more"),
