@@ -10,7 +10,7 @@ use serde_json::{Value, json};
 
 use super::error::CliError;
 use super::help::wrapped;
-use super::output::{Output, note_drawn, shown};
+use super::output::{Output, no_color, note_drawn, shown};
 use crate::locate::locate;
 use crate::plain::{escaped, in_plain_words};
 use crate::problem::{Place, Problem};
@@ -38,10 +38,9 @@ pub fn report(error: &CliError, output: Output) {
     note_drawn(drawn(error, &renderer, width.map(|(columns, _)| columns.into())));
 }
 
-/// Whether standard error shows colours: it is a terminal, and `NO_COLOR` is not set.
+/// Whether standard error shows colours: it is a terminal, and they are wanted.
 fn is_coloured() -> bool {
-    let no_color = std::env::var_os("NO_COLOR").is_some_and(|value| !value.is_empty());
-    !no_color && io::stderr().is_terminal()
+    !no_color() && io::stderr().is_terminal()
 }
 
 /// Prints an error of the command line itself on standard error: as text, or as one line of JSON.

@@ -17,6 +17,7 @@ use tracing_subscriber::filter::{LevelFilter, Targets};
 use tracing_subscriber::fmt::MakeWriter;
 use tracing_subscriber::layer::SubscriberExt;
 
+use super::output::no_color;
 use crate::plain::escaped;
 
 /// Options of the log.
@@ -124,8 +125,7 @@ pub fn start(args: &LogArgs) -> Option<Log> {
         let _ = done.send(());
     };
     std::thread::Builder::new().name("log".into()).spawn(writing).ok()?;
-    let colours =
-        to_terminal && io::stderr().is_terminal() && std::env::var_os("NO_COLOR").is_none();
+    let colours = to_terminal && io::stderr().is_terminal() && !no_color();
     let invalid_level = filter.as_ref().err().map(ToString::to_string);
     let filter = filter.unwrap_or_else(|_| default());
     let log = dispatch(format, filter, colours, move || queue.clone());
