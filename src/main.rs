@@ -11,7 +11,7 @@ use clap::error::ErrorKind;
 use clap::{ArgMatches, Args, CommandFactory, FromArgMatches, Parser, Subcommand};
 use clap_complete::Shell;
 use palpate::cli;
-use virtual_rig::{OperatorArgs, RigArgs, operator_main, rig_main};
+use virtual_rig::{OperatorArgs, RigArgs, RunError, operator_main, rig_main};
 
 /// Presses a tactile robot skin with a rig, trains models on the measured trials, and estimates position and
 /// force of contacts.
@@ -119,7 +119,7 @@ fn main() -> ExitCode {
         }
         Command::Man { folder } => ended(write_manual(&folder)),
         Command::VirtualRig(args) => match args.complete() {
-            Ok(args) => ended(rig_main(args)),
+            Ok(args) => ended_rig(rig_main(args)),
             Err(error) => {
                 cli::report(&error, cli::Output::Text);
                 error.exit_code()
@@ -128,12 +128,12 @@ fn main() -> ExitCode {
     }
 }
 
-fn write_manual(folder: &Path) -> Result<(), String> {
+fn write_manual(folder: &Path) -> Result<(), cli::CliError> {
     let write = || {
         std::fs::create_dir_all(folder)?;
         clap_mangen::generate_to(cli::help::complete(CommandLine::command()), folder)
     };
-    write().map_err(|error| format!("{}: {error}", folder.display()))
+    write().map_err(cli::CliError::file(folder))
 }
 
 /// The command line, and the form in which it prints errors; otherwise the exit code.
@@ -147,10 +147,12 @@ fn parsed() -> Result<(CommandLine, cli::Output), ExitCode> {
     read.map_err(|error| {
         let is_help = !error.use_stderr()
             || error.kind() == ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand;
-        match !is_help && std::env::args().any(|word| word == "--json") {
-            true => cli::report_usage(&error.render().to_string()),
+        let json = std::env::args().any(|word| word == "--json");
+        match is_help {
             // A closed pipe is no error.
-            false => drop(error.print()),
+            true => drop(error.print()),
+            false if json => cli::report_usage(&error, cli::Output::Json),
+            false => cli::report_usage(&error, cli::Output::Text),
         }
         ExitCode::from(u8::try_from(error.exit_code()).unwrap_or(2))
     })
@@ -166,6 +168,9 @@ impl VirtualRigArgs {
     fn complete(self) -> Result<RigArgs, cli::CliError> {
         let data = cli::data_or_default(self.data);
         let named = [self.rig, self.gap, self.sensor];
+        for path in named.iter().chain([&self.fault]).flatten() {
+            std::fs::read(path).map_err(cli::CliError::input(path))?;
+        }
         let files = cli::virtual_rig_files(&data.join("virtual-rig"), named)?;
         Ok(RigArgs {
             rig: files.rig,
@@ -185,11 +190,27 @@ impl VirtualRigArgs {
     }
 }
 
+/// As [`ended`], with the exit code of invalid input.
+fn ended_rig(outcome: Result<(), RunError>) -> ExitCode {
+    let is_input = matches!(
+        outcome,
+        Err(RunError::Rig { .. }
+            | RunError::Sensor { .. }
+            | RunError::Gap { .. }
+            | RunError::Fault { .. }
+            | RunError::Electrodes { .. }
+            | RunError::Speed(_))
+    );
+    let code = ended(outcome);
+    if is_input { ExitCode::from(2) } else { code }
+}
+
 fn ended(outcome: Result<(), impl Display>) -> ExitCode {
     match outcome {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             // A closed pipe is no error.
+            let error = cli::in_plain_words(&error.to_string());
             let _ = writeln!(io::stderr(), "error: {error}");
             ExitCode::FAILURE
         }

@@ -21,7 +21,8 @@ const VIRTUAL: &str = "--virtual";
 /// Options of `run` and `serve` on their bench.
 #[derive(Debug, Clone, Default, PartialEq, Args)]
 pub struct BenchArgs {
-    /// Rig file of the bench [default: a virtual rig]; with --virtual, the bench to simulate.
+    /// Rig file of the bench, or the name of a carried one [default: a virtual rig]; with --virtual, the bench to
+    /// simulate.
     #[arg(long, value_name = "FILE")]
     pub rig: Option<PathBuf>,
     /// Use a virtual rig, also with --rig; `run` then starts a separate service.

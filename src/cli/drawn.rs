@@ -1,47 +1,81 @@
 //! An error as people read it: a value in a file with its line under a caret, everything else as a sentence;
 //! and the same error as JSON for scripts.
-//! Uses: annotate-snippets, `locate`, `output`. Never: standard output; a text that controls the terminal.
+//! Uses: annotate-snippets, clap, `locate`, `output`. Never: standard output; a text that controls the terminal.
 
 use std::io::{self, IsTerminal, Read};
 
 use annotate_snippets::{AnnotationKind, Group, Level, Renderer, Snippet};
+use clap::error::{ContextKind, ContextValue};
 use serde_json::{Value, json};
 
 use super::error::CliError;
 use super::help::wrapped;
-use super::output::{Output, note_drawn, shown};
+use super::output::{Output, no_color, note_drawn, shown};
 use crate::locate::locate;
-use crate::plain::escaped;
+use crate::plain::{escaped, in_plain_words};
 use crate::problem::{Place, Problem};
 
 /// Largest file that is read again for its lines, bytes.
 const FILE_MAX_BYTES: u64 = 1 << 20;
+/// Words of Rust's parsers for a value of an option, and what the value must be.
+const PARSERS: [(&str, &str); 6] = [
+    ("invalid digit found in string", "must be a whole number, 0 or more"),
+    ("cannot parse integer from empty string", "must be a whole number, 0 or more"),
+    ("number too large to fit in target type", "must be a smaller number"),
+    ("invalid float literal", "must be a number"),
+    ("cannot parse float from empty string", "must be a number"),
+    ("invalid socket address syntax", "must be an address with a port, as 127.0.0.1:8080"),
+];
 
 /// Prints an error on standard error: drawn, or as one line of JSON.
 pub fn report(error: &CliError, output: Output) {
     if output == Output::Json {
         return note_drawn(body(error));
     }
+    let renderer = if is_coloured() { Renderer::styled() } else { Renderer::plain() };
     let terminal = io::stderr().is_terminal();
-    let plain = std::env::var_os("NO_COLOR").is_some_and(|value| !value.is_empty());
-    let renderer = if terminal && !plain { Renderer::styled() } else { Renderer::plain() };
     let width = ratatui::crossterm::terminal::size().ok().filter(|_| terminal);
     note_drawn(drawn(error, &renderer, width.map(|(columns, _)| columns.into())));
 }
 
-/// Prints an error of the command line itself as one line of JSON.
-pub fn report_usage(words: &str) {
-    let detail = words.trim().trim_start_matches("error: ");
-    note_drawn(json!({ "type": "about:blank", "title": "invalid input", "exit_code": 2,
-        "detail": shown(detail) }));
+/// Whether standard error shows colours: it is a terminal, and they are wanted.
+fn is_coloured() -> bool {
+    !no_color() && io::stderr().is_terminal()
+}
+
+/// Prints an error of the command line itself on standard error: as text, or as one line of JSON.
+pub fn report_usage(error: &clap::Error, output: Output) {
+    let rendered = error.render();
+    if output == Output::Json {
+        let words = in_our_words(error, rendered.to_string());
+        let detail = words.trim().trim_start_matches("error: ");
+        return note_drawn(json!({ "type": "about:blank", "title": "invalid input",
+            "exit_code": 2, "detail": shown(detail) }));
+    }
+    let words = if is_coloured() { rendered.ansi().to_string() } else { rendered.to_string() };
+    note_drawn(in_our_words(error, words).trim_end());
+}
+
+/// The text of an error of the command line with limits as in files, not in the words of Rust.
+fn in_our_words(error: &clap::Error, text: String) -> String {
+    let text = PARSERS.iter().fold(text, |text, (theirs, ours)| text.replace(theirs, ours));
+    let Some(ContextValue::String(value)) = error.get(ContextKind::InvalidValue) else {
+        return text;
+    };
+    match text.split_once(&format!("{value} is not in ")) {
+        Some((before, range)) => {
+            format!("{before}must be from {}", range.replacen("..=", " to ", 1))
+        }
+        None => text,
+    }
 }
 
 /// An error as a problem body (RFC 9457), with the exit code of the command.
 fn body(error: &CliError) -> Value {
     let code = error.code();
     let title = if code == 2 { "invalid input" } else { "failed" };
-    let mut body = json!({ "type": "about:blank", "title": title, "detail": error.to_string(),
-        "exit_code": code });
+    let mut body = json!({ "type": "about:blank", "title": title,
+        "detail": in_plain_words(&error.to_string()), "exit_code": code });
     if let CliError::Refused { status, .. } = error {
         body["status"] = (*status).into();
     }
@@ -62,7 +96,7 @@ fn drawn(error: &CliError, renderer: &Renderer, width: Option<usize>) -> String 
         None => titled(words, renderer),
     };
     let CliError::Problems(problems) = error else {
-        return sentence(&error.to_string());
+        return sentence(&in_plain_words(&error.to_string()));
     };
     let all = problems.iter().map(|problem| match in_file(problem) {
         Some(line) => line.draw(problem, renderer),

@@ -28,7 +28,7 @@ pub const TWIN_WORKERS: usize = 1;
 /// otherwise the one that serves the data folder, then the one at the default address.
 ///
 /// # Errors
-/// As [`key`] and [`Client::new`]; `CliError::File` if the file of `--ca` cannot be read.
+/// As [`key`] and [`Client::new`]; `CliError::Problems` if the file of `--ca` cannot be read.
 pub fn clients(at: &At) -> Result<Vec<Client>, CliError> {
     clients_with(at, key()?)
 }
@@ -36,7 +36,7 @@ pub fn clients(at: &At) -> Result<Vec<Client>, CliError> {
 /// As [`clients`], with this key.
 ///
 /// # Errors
-/// As [`Client::new`]; `CliError::File` if the file of `--ca` cannot be read.
+/// As [`Client::new`]; `CliError::Problems` if the file of `--ca` cannot be read.
 pub fn clients_with(at: &At, key: Option<String>) -> Result<Vec<Client>, CliError> {
     let ca = at.ca().as_deref().map(Certificates::read).transpose()?;
     let ca = ca.as_ref();

@@ -207,6 +207,11 @@ impl CliError {
         move |source| Self::File { path: path.into(), source }
     }
 
+    /// Conversion of an error of the operating system at a file that is read because a person named it.
+    pub fn input(path: &Path) -> impl FnOnce(io::Error) -> Self {
+        move |error| Self::in_file(path, io_words(&error))
+    }
+
     /// Error of an operation on files of datasets in this process.
     pub fn of_dataset(operation: String, error: DatasetError) -> Self {
         match error {

@@ -14,7 +14,7 @@ const KEY_FILE_VARIABLE: &str = "PALPATE_KEY_FILE";
 /// Returns the key of the environment, or of the file that it names.
 ///
 /// # Errors
-/// `CliError::File` or `Problems` if the file cannot be read or has no key.
+/// `CliError::Problems` if the file cannot be read or has no key.
 pub fn key() -> Result<Option<String>, CliError> {
     let of = |variable| std::env::var_os(variable).filter(|value| !value.is_empty());
     if let Some(key) = of(KEY_VARIABLE) {
@@ -26,10 +26,10 @@ pub fn key() -> Result<Option<String>, CliError> {
 /// The key in a file: its first line.
 ///
 /// # Errors
-/// `CliError::File` or `Problems` if the file cannot be read or has no key.
+/// `CliError::Problems` if the file cannot be read or has no key.
 pub fn key_of(path: &Path) -> Result<String, CliError> {
     let text = std::fs::read_to_string(path);
-    let text = text.map_err(CliError::file(path))?;
+    let text = text.map_err(CliError::input(path))?;
     warn_if_others_may_read(path);
     match text.lines().next().map(str::trim) {
         Some(key) if !key.is_empty() => Ok(key.into()),

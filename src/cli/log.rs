@@ -13,9 +13,11 @@ use clap::Args;
 use parking_lot::{Mutex, MutexGuard};
 use tracing::Dispatch;
 use tracing_appender::rolling::{InitError, RollingFileAppender, Rotation};
-use tracing_subscriber::EnvFilter;
+use tracing_subscriber::filter::{LevelFilter, Targets};
 use tracing_subscriber::fmt::MakeWriter;
+use tracing_subscriber::layer::SubscriberExt;
 
+use super::output::no_color;
 use crate::plain::escaped;
 
 /// Options of the log.
@@ -39,7 +41,7 @@ pub struct LogArgs {
 const DAYS_KEPT: usize = 14;
 
 /// Level without `PALPATE_LOG`.
-const LEVEL: &str = "warn";
+const LEVEL: LevelFilter = LevelFilter::WARN;
 /// Lines that may wait for standard error; further ones are counted and lost.
 const WAITING_LINES: usize = 8192;
 /// Longest wait for standard error at the end of the process.
@@ -98,7 +100,8 @@ enum Item {
 pub fn start(args: &LogArgs) -> Option<Log> {
     let from_env = |name: &str| std::env::var(name).ok().filter(|value| !value.is_empty());
     let wanted = args.log.clone().or_else(|| from_env("PALPATE_LOG"));
-    let filter = EnvFilter::try_new(wanted.as_deref().unwrap_or(LEVEL));
+    let default = || Targets::new().with_default(LEVEL);
+    let filter = wanted.as_deref().map_or_else(|| Ok(default()), str::parse::<Targets>);
     let named = args.log_format.clone().or_else(|| from_env("PALPATE_LOG_FORMAT"));
     let named = named.unwrap_or_default();
     let path = args.log_file.clone().or_else(|| from_env("PALPATE_LOG_FILE").map(PathBuf::from));
@@ -122,10 +125,9 @@ pub fn start(args: &LogArgs) -> Option<Log> {
         let _ = done.send(());
     };
     std::thread::Builder::new().name("log".into()).spawn(writing).ok()?;
-    let colours =
-        to_terminal && io::stderr().is_terminal() && std::env::var_os("NO_COLOR").is_none();
+    let colours = to_terminal && io::stderr().is_terminal() && !no_color();
     let invalid_level = filter.as_ref().err().map(ToString::to_string);
-    let filter = filter.unwrap_or_else(|_| EnvFilter::new(LEVEL));
+    let filter = filter.unwrap_or_else(|_| default());
     let log = dispatch(format, filter, colours, move || queue.clone());
     // A log that was set before stays.
     let _ = tracing::dispatcher::set_global_default(log);
@@ -243,16 +245,17 @@ impl Write for Queue {
 
 /// A log with a writer. Text: one line per event, with the fields of its spans at its end. JSON: one
 /// object per line, with its spans in `spans`, the outermost first.
-fn dispatch<W>(format: Format, filter: EnvFilter, colours: bool, writer: W) -> Dispatch
+fn dispatch<W>(format: Format, filter: Targets, colours: bool, writer: W) -> Dispatch
 where
     W: for<'w> MakeWriter<'w> + Send + Sync + 'static,
 {
-    let log = tracing_subscriber::fmt().with_env_filter(filter).with_writer(writer);
-    let log = log.log_internal_errors(false);
+    let lines = tracing_subscriber::fmt::layer().with_writer(writer).log_internal_errors(false);
+    let log = tracing_subscriber::registry();
     match format {
-        Format::Text => Dispatch::new(log.compact().with_ansi(colours).finish()),
+        Format::Text => Dispatch::new(log.with(lines.compact().with_ansi(colours)).with(filter)),
         Format::Json => {
-            Dispatch::new(log.json().flatten_event(true).with_current_span(false).finish())
+            let lines = lines.json().flatten_event(true).with_current_span(false);
+            Dispatch::new(log.with(lines).with(filter))
         }
     }
 }
@@ -287,9 +290,9 @@ mod tests {
     }
 
     /// What is logged at a level by a piece of work in the spans of a run and a trial.
-    fn logged(format: Format, level: &str) -> String {
+    fn logged(format: Format, level: LevelFilter) -> String {
         let kept = Kept::default();
-        let (writer, filter) = (kept.clone(), EnvFilter::new(level));
+        let (writer, filter) = (kept.clone(), Targets::new().with_default(level));
         let log = dispatch(format, filter, false, move || writer.clone());
         let key = TrialKey { configuration: 4, depth_index: 2 };
         let work = async {
@@ -316,7 +319,7 @@ mod tests {
 
     #[test]
     fn a_line_of_json_names_the_run_and_the_trial_in_which_it_was_logged() {
-        let logged = lines(&logged(Format::Json, "debug"));
+        let logged = lines(&logged(Format::Json, LevelFilter::DEBUG));
         assert_eq!(logged.len(), 4);
         let run = json!({ "name": "run", "run": RUN, "scan_id": 12 });
         let configuration = json!({ "name": "configuration", "index": 4, "tips": 3 });
@@ -352,7 +355,7 @@ mod tests {
     /// The log of a test belongs to its thread: another thread is asked for its span only.
     #[test]
     fn a_thread_for_long_work_continues_the_span_in_which_it_was_started() {
-        let log = dispatch(Format::Json, EnvFilter::new(LEVEL), false, io::sink);
+        let log = dispatch(Format::Json, Targets::new().with_default(LEVEL), false, io::sink);
         let runtime = tokio::runtime::Builder::new_current_thread().build().unwrap();
         let inside = tracing::dispatcher::with_default(&log, || {
             let span = span_of_run();

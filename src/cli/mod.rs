@@ -91,6 +91,8 @@ pub use files::DEFAULT_SKIN_SEED;
 use files::{DEFAULT_GAP, DEFAULT_RIG, DEFAULT_SENSOR};
 pub use output::Output;
 
+pub use crate::plain::in_plain_words;
+
 /// Default URL of the service.
 pub const DEFAULT_URL: &str = "http://127.0.0.1:8080";
 /// Default folder of the database.

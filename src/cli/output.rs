@@ -66,10 +66,14 @@ pub fn terminal_width() -> Option<usize> {
     (columns > 0).then_some(columns.into())
 }
 
-/// Whether standard output shows colours: it is a terminal, and `NO_COLOR` is not set.
+/// Whether standard output shows colours: it is a terminal, and they are wanted.
 pub fn is_coloured() -> bool {
-    let no_color = std::env::var_os("NO_COLOR").is_some_and(|value| !value.is_empty());
-    !no_color && io::stdout().is_terminal()
+    !no_color() && io::stdout().is_terminal()
+}
+
+/// Whether `NO_COLOR` is set, and not empty.
+pub fn no_color() -> bool {
+    std::env::var_os("NO_COLOR").is_some_and(|value| !value.is_empty())
 }
 
 /// Returns a text as it may reach the terminal: control characters are escaped, except ends of lines and

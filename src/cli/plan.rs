@@ -17,10 +17,10 @@ use crate::schedule::plan::Step;
 /// Options of `plan`.
 #[derive(Debug, Clone, Args)]
 pub struct PlanArgs {
-    /// Experiment file.
+    /// Experiment file, or the name of a carried experiment.
     #[arg(value_name = "EXPERIMENT.toml")]
     pub experiment: PathBuf,
-    /// Rig file to plan for [default: the virtual rig].
+    /// Rig file to plan for, or the name of a carried one [default: the virtual rig].
     #[arg(long, value_name = "FILE")]
     pub rig: Option<PathBuf>,
     /// Show the ordered schedule as well.

@@ -38,7 +38,7 @@ pub enum QueueCommand {
     List,
     /// Queue an experiment; nothing starts.
     Add {
-        /// Experiment file.
+        /// Experiment file, or the name of a carried experiment.
         #[arg(value_name = "EXPERIMENT.toml")]
         experiment: PathBuf,
         /// Earliest start: 22:00 (the next one), 2026-11-24T22:00 (local time), or with an offset.
@@ -49,7 +49,7 @@ pub enum QueueCommand {
     Edit {
         /// Run: number, start of the id, or `last`.
         run: String,
-        /// Experiment file.
+        /// Experiment file, or the name of a carried experiment.
         #[arg(value_name = "EXPERIMENT.toml")]
         experiment: PathBuf,
         /// Earliest start, as for `add`; without it any time.

@@ -29,10 +29,10 @@ impl Certificates {
     /// Reads a file.
     ///
     /// # Errors
-    /// `CliError::File` if it cannot be read.
+    /// `CliError::Problems` if it cannot be read.
     pub fn read(path: &Path) -> Result<Self, CliError> {
         let pem = std::fs::read(path);
-        let pem = pem.map_err(CliError::file(path))?;
+        let pem = pem.map_err(CliError::input(path))?;
         Ok(Self { name: path.display().to_string(), pem })
     }
 

@@ -31,25 +31,40 @@ fn escape(text: &str, of: impl Fn(char) -> bool) -> Cow<'_, str> {
 /// Returns the words of an error of the operating system, without its number: plain ones where its meaning is
 /// plain.
 pub fn system_words(error: &io::Error) -> String {
-    // An error with a text has more in it than its kind.
-    if error.get_ref().is_none() {
-        match error.kind() {
-            ErrorKind::NotFound => return "there is no such file or folder".into(),
-            ErrorKind::PermissionDenied => return "this user has no right to it".into(),
-            ErrorKind::IsADirectory => return "is a folder, not a file".into(),
-            ErrorKind::NotADirectory => return "a part of the path is a file, not a folder".into(),
-            ErrorKind::StorageFull => return "no space is left on this disk".into(),
-            ErrorKind::ReadOnlyFilesystem => return "is on a disk that can only be read".into(),
-            _ => {}
-        }
+    match plain_kind(error.kind()) {
+        // An error with a text has more in it than its kind.
+        Some(words) if error.get_ref().is_none() => words.into(),
+        _ => in_plain_words(&error.to_string()),
     }
-    let words = error.to_string();
-    match words.split_once(" (os error ") {
-        Some((words, rest)) => {
-            format!("{words}{}", rest.split_once(')').map_or("", |(_, rest)| rest))
-        }
-        None => words,
+}
+
+/// Returns a text in which an error of the operating system, such as "No such file or directory (os error 2)", has the
+/// words of [`system_words`].
+pub fn in_plain_words(text: &str) -> String {
+    let numbered = text.split_once(" (os error ").and_then(|(before, rest)| {
+        let (number, after) = rest.split_once(')')?;
+        Some((before, number.parse::<i32>().ok()?, after))
+    });
+    let Some((before, number, after)) = numbered else { return text.into() };
+    let error = io::Error::from_raw_os_error(number);
+    let theirs = error.to_string();
+    let theirs = theirs.split(" (os error ").next().unwrap_or_default();
+    match plain_kind(error.kind()).zip(before.strip_suffix(theirs)) {
+        Some((ours, before)) => format!("{before}{ours}{after}"),
+        None => format!("{before}{after}"),
     }
+}
+
+fn plain_kind(kind: ErrorKind) -> Option<&'static str> {
+    Some(match kind {
+        ErrorKind::NotFound => "there is no such file or folder",
+        ErrorKind::PermissionDenied => "this user has no right to it",
+        ErrorKind::IsADirectory => "is a folder, not a file",
+        ErrorKind::NotADirectory => "a part of the path is a file, not a folder",
+        ErrorKind::StorageFull => "no space is left on this disk",
+        ErrorKind::ReadOnlyFilesystem => "is on a disk that can only be read",
+        _ => return None,
+    })
 }
 
 /// Returns the limit that a name or note of at most `max_chars` characters violates.
@@ -122,6 +137,8 @@ mod tests {
         let error = std::io::Error::other("port: Connection refused (os error 111); again");
         assert_eq!(system_words(&error), "port: Connection refused; again");
         assert_eq!(system_words(&std::io::Error::other("none")), "none");
+        let full = "writing a shard: No space left on device (os error 28); again";
+        assert_eq!(in_plain_words(full), "writing a shard: no space is left on this disk; again");
     }
 
     #[test]

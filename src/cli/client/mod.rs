@@ -236,7 +236,7 @@ impl Client {
     /// Uploads a file with texts.
     ///
     /// # Errors
-    /// As [`Self::ask`]; `CliError::File` if the file cannot be read.
+    /// As [`Self::ask`]; `CliError::Problems` if the file cannot be opened, `File` if it cannot be read.
     pub async fn upload<T: DeserializeOwned>(
         &self,
         path: &str,
@@ -244,7 +244,7 @@ impl Client {
         texts: impl IntoIterator<Item = TextPart>,
     ) -> Result<T, CliError> {
         let operation = format!("POST {path}");
-        let opened = tokio::fs::File::open(file).await.map_err(CliError::file(file))?;
+        let opened = tokio::fs::File::open(file).await.map_err(CliError::input(file))?;
         let length = opened.metadata().await.map_err(CliError::file(file))?.len();
         let pieces = tokio_util::io::ReaderStream::new(opened);
         let body = reqwest::Body::wrap_stream(pieces);

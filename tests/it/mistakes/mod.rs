@@ -1,9 +1,10 @@
 //! Mistakes that people make, each with the whole answer to it: tables of files, of command lines, and of
 //! requests to a service. `UPDATE=1` rewrites the answers.
 //!
-//! In a table, `## ` starts a mistake. `> file NAME = BASE` writes a file, a copy of one of `experiments/`;
-//! `> change OLD => NEW` changes it, `> with TEXT` appends a line, `> until STATE` waits for the state of the
-//! run. `$ ` is a line for the shell; its output and exit code follow, up to `[exit N]`.
+//! In a table, `## ` starts a mistake, and `< ` states what the first version answered, as a review quotes it.
+//! `> file NAME = BASE` writes a file, a copy of one of `experiments/`; `> change OLD => NEW` changes it, `> with TEXT`
+//! appends a line, `> until STATE` waits for the state of the run. `$ ` is a line for the shell; its output and exit
+//! code follow, up to `[exit N]`.
 
 use std::fmt::Write;
 use std::io::{BufRead, BufReader, Read, Write as _};
@@ -20,6 +21,8 @@ const LIMIT: Duration = Duration::from_secs(120);
 const NOBODY: &str = "http://127.0.0.1:9";
 /// Fewest mistakes of all tables.
 const MISTAKES: usize = 80;
+static TABLES: [&str; 3] =
+    [include_str!("files.txt"), include_str!("commands.txt"), include_str!("service.txt")];
 
 /// A place in which the lines of a table are carried out.
 struct Lab {
@@ -186,13 +189,8 @@ fn mistakes_beside_a_service_are_answered_as_the_table_says() {
 
 #[test]
 fn the_tables_hold_all_mistakes_once() {
-    let tables =
-        [include_str!("files.txt"), include_str!("commands.txt"), include_str!("service.txt")];
-    let titles: Vec<&str> = tables
-        .iter()
-        .flat_map(|table| table.lines())
-        .filter(|line| line.starts_with("## "))
-        .collect();
+    let lines = || TABLES.iter().flat_map(|table| table.lines());
+    let titles: Vec<&str> = lines().filter(|line| line.starts_with("## ")).collect();
     assert!(titles.len() >= MISTAKES, "{} mistakes", titles.len());
     for (n, title) in titles.iter().enumerate() {
         assert!(!titles[..n].contains(title), "{title} is there twice");
@@ -204,11 +202,39 @@ fn the_tables_hold_all_mistakes_once() {
         "u64",
         "f64",
         "expected struct",
+        "..=",
+        "found in string",
         "os error",
         "panicked",
         "No such file",
         "line 1 column",
     ] {
-        assert!(tables.iter().all(|table| !table.contains(word)), "an answer has {word}");
+        let mut now = lines().filter(|line| !line.starts_with("< "));
+        assert!(now.all(|line| !line.contains(word)), "an answer has {word}");
     }
+}
+
+/// The last table of the document is that of the mistakes with `< `; `UPDATE=1` rewrites it.
+#[test]
+fn the_document_has_the_answers_of_the_first_version_next_to_those_of_the_tables() {
+    const HEAD: &str = "| mistake | before | now |\n|---|---|---|\n";
+    let path =
+        concat!(env!("CARGO_MANIFEST_DIR"), "/docs/transcripts/mistakes-before-and-after.md");
+    let document = std::fs::read_to_string(path).unwrap();
+    let (text, _) = document.rsplit_once(HEAD).unwrap();
+    let mut whole = format!("{text}{HEAD}");
+    for mistake in TABLES.iter().flat_map(|table| table.split("\n## ").skip(1)) {
+        let Some(before) = mistake.lines().find_map(|line| line.strip_prefix("< ")) else {
+            continue;
+        };
+        let title = mistake.lines().next().unwrap();
+        // The first line of the answer to the last line that is typed.
+        let now = mistake.rsplit("\n$ ").next().unwrap().lines().nth(1).unwrap();
+        let quote = if now.contains('`') { "``" } else { "`" };
+        writeln!(whole, "| {title} | {before} | {quote}{now}{quote} |").unwrap();
+    }
+    if std::env::var_os("UPDATE").is_some() {
+        std::fs::write(path, &whole).unwrap();
+    }
+    assert_eq!(std::fs::read_to_string(path).unwrap(), whole, "UPDATE=1 rewrites it");
 }
