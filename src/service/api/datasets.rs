@@ -49,13 +49,11 @@ pub struct DatasetOut {
     #[schema(value_type = Object)]
     pub report: Value,
     /// Time at which the dataset was made.
-    #[schema(value_type = String, format = DateTime)]
     pub created_at: jiff::Timestamp,
     /// Address of the Parquet file, for pandas, polars and DuckDB.
     pub url: String,
     /// Wall time at which its rows were last read; absent if unknown.
     #[serde(skip_serializing_if = "Option::is_none")]
-    #[schema(value_type = Option<String>, format = DateTime)]
     pub last_used_at: Option<jiff::Timestamp>,
     /// False if its definition selects other trials or shards now, so that making it again makes
     /// another dataset. Absent in lists, and if it cannot be made again.

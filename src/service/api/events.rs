@@ -35,7 +35,6 @@ pub struct Event {
     /// Run that the event belongs to; null outside a run.
     pub run: Option<RunUid>,
     /// Wall time of the event.
-    #[schema(value_type = String, format = DateTime)]
     pub at: Timestamp,
     /// Kind, one of those of `GET /api/v1/vocabulary`: `state`, `trip`, `skipped`, ...
     pub kind: String,

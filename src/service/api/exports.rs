@@ -46,13 +46,10 @@ pub struct ExportOut {
     /// Name of the person or key that requested the export.
     pub asked_by: String,
     /// Time of the request.
-    #[schema(value_type = String, format = DateTime)]
     pub created_at: jiff::Timestamp,
     /// Time of completion or failure; absent before it.
-    #[schema(value_type = Option<String>, format = DateTime)]
     pub finished_at: Option<jiff::Timestamp>,
     /// Wall time at which the file was last read; absent without a file, or if it is unknown.
-    #[schema(value_type = Option<String>, format = DateTime)]
     pub last_used_at: Option<jiff::Timestamp>,
     /// Address of the file; absent before completion, and after removal of the file.
     pub url: Option<String>,

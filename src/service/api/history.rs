@@ -49,11 +49,9 @@ fn default_bins() -> u32 {
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct History {
     /// Start of the run and of the first bin; null if the run has not started.
-    #[schema(value_type = Option<String>, format = DateTime)]
     pub from: Option<Timestamp>,
     /// End of the last bin: the end of the run, now if it is active, or its last record if it is
     /// interrupted; null if the run has not started.
-    #[schema(value_type = Option<String>, format = DateTime)]
     pub to: Option<Timestamp>,
     /// Length of a bin, s; null if the run has not started.
     pub bin_s: Option<f64>,
@@ -84,16 +82,12 @@ pub struct History {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct Prediction {
     /// Time of the estimate.
-    #[schema(value_type = String, format = DateTime)]
     pub at: Timestamp,
     /// Expected wall time of the end.
-    #[schema(value_type = String, format = DateTime)]
     pub end: Timestamp,
     /// Early end of the band that contains 90 % of the ends.
-    #[schema(value_type = String, format = DateTime)]
     pub low: Timestamp,
     /// Late end of that band.
-    #[schema(value_type = String, format = DateTime)]
     pub high: Timestamp,
 }
 
@@ -103,7 +97,6 @@ pub struct NotableEvent {
     /// Number of the event.
     pub seq: i64,
     /// Time of the event.
-    #[schema(value_type = String, format = DateTime)]
     pub at: Timestamp,
     /// Kind of the event.
     pub kind: String,

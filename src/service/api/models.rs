@@ -44,7 +44,6 @@ pub struct ModelOut {
     #[schema(value_type = Object)]
     pub manifest: Value,
     /// Time at which the model was stored.
-    #[schema(value_type = String, format = DateTime)]
     pub created_at: jiff::Timestamp,
     /// True if the model serves in a slot.
     pub serves: bool,

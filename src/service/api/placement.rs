@@ -49,7 +49,6 @@ pub struct PlacementOut {
     /// The placement that was stored last; null before the first.
     pub last: Option<LastPlacement>,
     /// Wall time at which the untouched skin was last seen in this run; null until it is tared.
-    #[schema(value_type = Option<String>, format = DateTime)]
     pub untouched_at: Option<Timestamp>,
 }
 

@@ -43,7 +43,6 @@ pub struct RunProgress {
     /// Median FVU of the twins of each configuration, rounded to 0.0001; null without twins.
     pub fvu: Vec<Option<f64>>,
     /// Time of this progress; the stored part of it may be 2 s older, or more on a slow disk.
-    #[schema(value_type = String, format = DateTime)]
     pub at: Timestamp,
 }
 

@@ -27,7 +27,6 @@ pub struct QueueRequest {
     /// True if the run may resume automatically; absent: as in the policy of the experiment.
     pub auto_resume: Option<bool>,
     /// Earliest start, at most 366 days ahead; absent or in the past: any time.
-    #[schema(value_type = Option<String>, format = DateTime)]
     pub not_before: Option<Timestamp>,
 }
 

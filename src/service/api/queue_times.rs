@@ -28,16 +28,12 @@ pub struct QueueTime {
     /// Likely duration, wall s; null if the run cannot be planned on this rig.
     pub duration_s: Option<f64>,
     /// Likely begin; null while the end of the active run is not known, and for a run that would be refused.
-    #[schema(value_type = Option<String>, format = DateTime)]
     pub begin: Option<Timestamp>,
     /// Likely end; null as `begin`.
-    #[schema(value_type = Option<String>, format = DateTime)]
     pub end: Option<Timestamp>,
     /// End under favourable assumptions; null as `begin`.
-    #[schema(value_type = Option<String>, format = DateTime)]
     pub low: Option<Timestamp>,
     /// End under unfavourable assumptions; null as `begin`.
-    #[schema(value_type = Option<String>, format = DateTime)]
     pub high: Option<Timestamp>,
     /// Why the run would be refused on this rig, as text; null if it would not.
     pub problem: Option<String>,

@@ -53,7 +53,6 @@ pub struct ServiceStatus {
     /// Free space of the disk of the data folder; null if it is unknown.
     pub disk: Option<DiskStatus>,
     /// Time of measurement of the newest durable trial of the active run; null without one.
-    #[schema(value_type = Option<String>, format = DateTime)]
     pub last_trial_at: Option<Timestamp>,
     /// What may suspend the active run; empty without one.
     pub suspenders: Vec<Suspender>,
@@ -100,14 +99,12 @@ pub struct ServiceInfo {
     /// Path of the database file.
     pub database: String,
     /// Time of the start of the service.
-    #[schema(value_type = String, format = DateTime)]
     pub started_at: Timestamp,
     /// Process id of the service.
     pub pid: u32,
     /// Number of requests without a valid key since the start.
     pub wrong_keys: u64,
     /// Time of the last one; absent if there was none.
-    #[schema(value_type = Option<String>, format = DateTime)]
     pub wrong_key_at: Option<Timestamp>,
 }
 

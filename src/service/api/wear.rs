@@ -28,7 +28,6 @@ const CHECKS: [&str; 2] = ["rig_check", "rig_check_enable"];
 #[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
 pub struct Wear {
     /// Time of the first trial; null without one.
-    #[schema(value_type = Option<String>, format = DateTime)]
     pub since: Option<Timestamp>,
     /// Number of stored trials.
     pub trials: u64,
@@ -43,7 +42,6 @@ pub struct Wear {
     /// Calibrations of the load cells.
     pub cells: Vec<CellAge>,
     /// Time of the last check of the rig; null without one.
-    #[schema(value_type = Option<String>, format = DateTime)]
     pub checked_at: Option<Timestamp>,
 }
 

@@ -36,7 +36,6 @@ pub struct ActionRow {
     /// Number of the action, in the order of storing.
     pub id: i64,
     /// Wall time of the request.
-    #[schema(value_type = String, format = DateTime)]
     pub at: Timestamp,
     /// Run that it concerns; absent if it concerns none.
     pub run: Option<RunUid>,

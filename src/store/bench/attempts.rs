@@ -19,7 +19,6 @@ pub struct SkipRow {
     /// Reason of the skip.
     pub reason: String,
     /// Wall time of the skip.
-    #[schema(value_type = String, format = DateTime)]
     pub at: Timestamp,
 }
 

@@ -98,7 +98,6 @@ pub struct RunRow {
     /// Whether it may resume automatically after a restart.
     pub auto_resume: bool,
     /// Earliest start, wall time; absent if it may start at any time.
-    #[schema(value_type = Option<String>, format = DateTime)]
     pub not_before: Option<Timestamp>,
     /// sha256 of its plan; absent for an import, and for a run of an older version that has not been
     /// armed since.
@@ -116,19 +115,15 @@ pub struct RunRow {
     /// Position in the queue, from 1; absent unless it is queued.
     pub queue_position: Option<u32>,
     /// Wall time since which it is started and waits for the active run to end; absent otherwise.
-    #[schema(value_type = Option<String>, format = DateTime)]
     pub waiting_since: Option<Timestamp>,
     /// Whether it can be resumed: nothing drives it and its plan has trials left, since it was interrupted or
     /// ended short of its plan.
     pub is_resumable: bool,
     /// Wall time at which it was submitted.
-    #[schema(value_type = String, format = DateTime)]
     pub created_at: Timestamp,
     /// Wall time at which it first left the queue; absent before.
-    #[schema(value_type = Option<String>, format = DateTime)]
     pub started_at: Option<Timestamp>,
     /// Wall time at which it ended or was removed from the queue; absent before.
-    #[schema(value_type = Option<String>, format = DateTime)]
     pub ended_at: Option<Timestamp>,
     /// Person or key that submitted it.
     pub submitted_by: String,

@@ -94,13 +94,10 @@ pub struct KeyRow {
     /// Rights of its holder.
     pub role: Role,
     /// Wall time of its creation.
-    #[schema(value_type = String, format = DateTime)]
     pub created_at: Timestamp,
     /// Wall time of its last use, to the minute; absent if it was never used.
-    #[schema(value_type = Option<String>, format = DateTime)]
     pub last_used_at: Option<Timestamp>,
     /// Wall time of its revocation; absent while it is valid.
-    #[schema(value_type = Option<String>, format = DateTime)]
     pub revoked_at: Option<Timestamp>,
 }
 

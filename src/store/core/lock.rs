@@ -24,7 +24,6 @@ pub struct LockRow {
     /// Note of the holder.
     pub note: String,
     /// Wall time at which it was taken.
-    #[schema(value_type = String, format = DateTime)]
     pub since: Timestamp,
 }
 

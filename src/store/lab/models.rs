@@ -49,7 +49,6 @@ pub struct PromotionRow {
     /// Reason; null if none was entered.
     pub why: Option<String>,
     /// Time of the promotion.
-    #[schema(value_type = String, format = DateTime)]
     pub at: Timestamp,
     /// True if this restored an earlier promotion.
     pub rolled_back: bool,

@@ -93,13 +93,10 @@ pub struct TaskRow {
     /// Name of the person or key that requested it.
     pub asked_by: String,
     /// Time of the request.
-    #[schema(value_type = String, format = DateTime)]
     pub created_at: Timestamp,
     /// Time of the first start; absent before it.
-    #[schema(value_type = Option<String>, format = DateTime)]
     pub started_at: Option<Timestamp>,
     /// Time of the end; absent before it.
-    #[schema(value_type = Option<String>, format = DateTime)]
     pub finished_at: Option<Timestamp>,
 }
 
