@@ -13,7 +13,7 @@ use super::App;
 use super::audit::Act;
 use super::pages::{Cursors, Page, PageParams, PageRequest};
 use super::params::{FileParams, RowGroupParams, RowsParams};
-use super::problem::{ApiError, Body, Path, ProblemBody};
+use super::problem::{ApiError, Body, Path};
 use super::query::{GroupsOf, GroupsRequest, file_query, for_pages, groups_query, rows_query};
 use super::send::{self, Download};
 use super::trials::grouped;
@@ -152,7 +152,7 @@ type Pairs = Query<Vec<(String, String)>>;
 /// Returns a page of the datasets, newest first, and the names of the built-in definitions.
 #[utoipa::path(get, operation_id = "list_datasets", path = "/api/v1/datasets", tag = "datasets",
     params(PageParams), responses((status = 200, body = DatasetsPage),
-        (status = 400, body = ProblemBody, description = "a parameter is invalid")))]
+        (status = 400, description = "a parameter is invalid")))]
 pub async fn list(
     State(app): State<App>,
     asked: PageRequest,
@@ -167,16 +167,14 @@ pub async fn list(
 }
 
 /// Makes a dataset from the stored trials, or returns the existing one.
-#[utoipa::path(post, operation_id = "make_dataset",
-    path = "/api/v1/datasets", tag = "datasets", request_body = DatasetRequest,
-    responses((status = 200, body = DatasetOut),
-        (status = 400, body = ProblemBody,
-            description = "the definition is invalid, or its name is in use"),
-        (status = 404, body = ProblemBody,
+#[utoipa::path(post, operation_id = "make_dataset", path = "/api/v1/datasets", tag = "datasets",
+    request_body = DatasetRequest, responses((status = 200, body = DatasetOut),
+        (status = 400, description = "the definition is invalid, or its name is in use"),
+        (status = 404,
             description = "no dataset, run or folder of shards has the name, or no rows are selected"),
-        (status = 409, body = ProblemBody,
+        (status = 409,
             description = "the runs differ in label, frame length or model, or a run has not ended"),
-        (status = 422, body = ProblemBody,
+        (status = 422,
             description = "the body is invalid, or has not exactly one of name, definition and toml")))]
 pub async fn make(
     State(app): State<App>,
@@ -215,9 +213,8 @@ pub async fn one(
 }
 
 /// Returns the lineage of a dataset: runs, models, calibrations, shards, code and files.
-#[utoipa::path(get, operation_id = "dataset_lineage",
-    path = "/api/v1/datasets/{dataset}/lineage", tag = "datasets",
-    responses((status = 200, body = Object)))]
+#[utoipa::path(get, operation_id = "dataset_lineage", path = "/api/v1/datasets/{dataset}/lineage",
+    tag = "datasets", responses((status = 200, body = Object)))]
 pub async fn lineage(
     State(app): State<App>,
     Path(dataset): Path<String>,
@@ -232,9 +229,8 @@ pub async fn lineage(
 }
 
 /// Returns the card of a dataset in Markdown: content, units, quality, origin and citation.
-#[utoipa::path(get, operation_id = "dataset_card",
-    path = "/api/v1/datasets/{dataset}/card", tag = "datasets",
-    responses((status = 200, body = String, content_type = "text/markdown")))]
+#[utoipa::path(get, operation_id = "dataset_card", path = "/api/v1/datasets/{dataset}/card",
+    tag = "datasets", responses((status = 200, body = String, content_type = "text/markdown")))]
 pub async fn card(
     State(app): State<App>,
     Path(dataset): Path<String>,
@@ -282,10 +278,9 @@ pub struct PruneOut {
 
 /// Removes the older datasets of each name. Those to which a model, a training, an evaluation or a
 /// waiting export refers stay.
-#[utoipa::path(post, operation_id = "prune_datasets",
-    path = "/api/v1/datasets/prune", tag = "datasets", request_body = PruneRequest,
-    responses((status = 200, body = PruneOut),
-        (status = 422, body = ProblemBody, description = "the body is invalid")))]
+#[utoipa::path(post, operation_id = "prune_datasets", path = "/api/v1/datasets/prune",
+    tag = "datasets", request_body = PruneRequest, responses((status = 200, body = PruneOut),
+        (status = 422, description = "the body is invalid")))]
 pub async fn prune(
     State(app): State<App>,
     act: Act,
@@ -307,11 +302,10 @@ pub async fn prune(
 /// The pages of one list of rows stay with the dataset that the first page was read from, also if
 /// another dataset of the name is made meanwhile. The header `Link` has the address of the next page
 /// in every format.
-#[utoipa::path(get, operation_id = "dataset_rows",
-    path = "/api/v1/datasets/{dataset}/rows", tag = "datasets",
-    params(("dataset" = String, Path, description = "id or name"), RowsParams),
+#[utoipa::path(get, operation_id = "dataset_rows", path = "/api/v1/datasets/{dataset}/rows",
+    tag = "datasets", params(("dataset" = String, Path, description = "id or name"), RowsParams),
     responses((status = 200, body = RowsPage),
-        (status = 400, body = ProblemBody, description = "a parameter is unknown or invalid")))]
+        (status = 400, description = "a parameter is unknown or invalid")))]
 pub async fn rows(
     State(app): State<App>,
     Path(dataset): Path<String>,
@@ -359,12 +353,12 @@ pub async fn rows(
 }
 
 /// Returns groups of the rows of a dataset with their aggregates, by the conditions of its rows.
-#[utoipa::path(get, operation_id = "dataset_groups",
-    path = "/api/v1/datasets/{dataset}/groups", tag = "datasets",
+#[utoipa::path(get, operation_id = "dataset_groups", path = "/api/v1/datasets/{dataset}/groups",
+    tag = "datasets",
     params(("dataset" = String, Path, description = "id or name"), RowGroupParams),
     responses((status = 200, body = Page<Object>),
-        (status = 400, body = ProblemBody, description = "a parameter is unknown or invalid"),
-        (status = 503, body = ProblemBody, description = "as of queries (with `Retry-After`)")))]
+        (status = 400, description = "a parameter is unknown or invalid"),
+        (status = 503, description = "as of queries (with `Retry-After`)")))]
 pub async fn groups(
     State(app): State<App>,
     Path(dataset): Path<String>,
@@ -390,8 +384,8 @@ pub async fn groups(
     responses((status = 200, body = Vec<u8>, content_type = "application/octet-stream"),
         (status = 206, body = Vec<u8>, content_type = "application/octet-stream"),
         (status = 304),
-        (status = 400, body = ProblemBody, description = "a parameter is unknown or invalid"),
-        (status = 404, body = ProblemBody,
+        (status = 400, description = "a parameter is unknown or invalid"),
+        (status = 404,
             description = "no dataset has this id, none of this name has been made, or the format is unknown")))]
 pub async fn data(
     State(app): State<App>,

@@ -18,7 +18,7 @@ use super::App;
 use super::audit::{Act, Outcome, cut};
 use super::auth::{self, Caller};
 use super::limits::WHO_MAX_CHARS;
-use super::problem::{ApiError, ProblemBody};
+use super::problem::ApiError;
 use super::runs::Attribution;
 use super::trace::RequestId;
 
@@ -39,11 +39,11 @@ pub struct Latched {
 /// Any valid key permits it, for every role and every holder of the lock; it may be repeated. The
 /// body is only used for the log of actions: without one, or with an invalid one, the stop is the
 /// same.
-#[utoipa::path(post, path = "/api/v1/estop", tag = "rig", 
+#[utoipa::path(post, path = "/api/v1/estop", tag = "rig",
     request_body(content = Option<serde_json::Value>, description = "`who` and `why`, as in Attribution, for \
         the log of actions; whatever it is, the stop is the same"),
     responses((status = 200, body = Latched),
-        (status = 401, body = ProblemBody, description = "the key is missing, unknown or revoked")))]
+        (status = 401, description = "the key is missing, unknown or revoked")))]
 pub async fn estop(State(app): State<App>, request: Request) -> Response {
     let began = Instant::now();
     let latched = latch(&app, &request);

@@ -15,7 +15,7 @@ use utoipa::{IntoParams, ToSchema};
 
 use super::App;
 use super::pages::{Page, PageParams, PageRequest};
-use super::problem::{ApiError, Params, ProblemBody};
+use super::problem::{ApiError, Params};
 use super::runs::find;
 use crate::event::{self, Importance};
 use crate::ids::RunUid;
@@ -83,8 +83,8 @@ impl EventParams {
 /// is the number of the event, with which a reconnecting client continues.
 #[utoipa::path(get, path = "/api/v1/events", tag = "events", params(EventParams, PageParams),
     responses((status = 200, body = Page<Event>),
-        (status = 404, body = ProblemBody, description = "no run has this uid or scan_id"),
-        (status = 400, body = ProblemBody, description = "a parameter is invalid")))]
+        (status = 404, description = "no run has this uid or scan_id"),
+        (status = 400, description = "a parameter is invalid")))]
 pub async fn events(
     State(app): State<App>,
     Params(params): Params<EventParams>,

@@ -33,8 +33,7 @@ pub struct CarriedExperiment {
 }
 
 /// Returns the experiments that the program carries.
-#[utoipa::path(get, operation_id = "list_experiments",
-    path = "/api/v1/experiments", tag = "queue",
+#[utoipa::path(get, operation_id = "list_experiments", path = "/api/v1/experiments", tag = "queue",
     responses((status = 200, body = Page<CarriedExperiment>)))]
 pub async fn list() -> Result<Page<CarriedExperiment>, ApiError> {
     let carried = |(name, text): &(&str, &str)| {

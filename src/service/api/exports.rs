@@ -12,7 +12,7 @@ use utoipa::ToSchema;
 use super::App;
 use super::audit::Act;
 use super::pages::{Page, PageParams, PageRequest};
-use super::problem::{ApiError, Body, Path, ProblemBody};
+use super::problem::{ApiError, Body, Path};
 use super::send::{self, Created, Download};
 use crate::dataset::error::DatasetError;
 use crate::dataset::export::{ExportRequest, ExportResult};
@@ -80,12 +80,11 @@ fn out(app: &App, row: TaskRow) -> ExportOut {
 /// Requests an export.
 ///
 /// It continues after a restart and produces the same bytes.
-#[utoipa::path(post, operation_id = "request_export",
-    path = "/api/v1/exports", tag = "datasets", request_body = ExportRequest,
+#[utoipa::path(post, operation_id = "request_export", path = "/api/v1/exports", tag = "datasets",
+    request_body = ExportRequest,
     responses((status = 202, body = ExportOut, headers(("Location", description = "the export"))),
-        (status = 400, body = ProblemBody,
-            description = "the selection is invalid, or too many exports wait"),
-        (status = 404, body = ProblemBody, description = "no dataset has this id or name")))]
+        (status = 400, description = "the selection is invalid, or too many exports wait"),
+        (status = 404, description = "no dataset has this id or name")))]
 pub async fn request(
     State(app): State<App>,
     act: Act,
@@ -99,7 +98,7 @@ pub async fn request(
 /// Returns a page of the exports, newest first.
 #[utoipa::path(get, operation_id = "list_exports", path = "/api/v1/exports", tag = "datasets",
     params(PageParams), responses((status = 200, body = Page<ExportOut>),
-        (status = 400, body = ProblemBody, description = "a parameter is invalid")))]
+        (status = 400, description = "a parameter is invalid")))]
 pub async fn list(State(app): State<App>, asked: PageRequest) -> Result<Page<ExportOut>, ApiError> {
     let rows = app.store.tasks(TaskKind::EXPORTS, asked.limit + 1, asked.after()?).await?;
     Ok(asked.first(rows.into_iter().map(|row| out(&app, row)).collect(), |export| export.id))
@@ -118,12 +117,12 @@ pub async fn one(
 /// Returns the file of a completed export.
 ///
 /// The header `Range` selects a part of it; the entity tag is its sha256.
-#[utoipa::path(get, operation_id = "export_file",
-    path = "/api/v1/exports/{export}/file", tag = "datasets",
+#[utoipa::path(get, operation_id = "export_file", path = "/api/v1/exports/{export}/file",
+    tag = "datasets",
     responses((status = 200, body = Vec<u8>, content_type = "application/octet-stream"),
         (status = 206, body = Vec<u8>, content_type = "application/octet-stream"),
-        (status = 409, body = ProblemBody, description = "the export is not done, or it failed"),
-        (status = 410, body = ProblemBody, description = "the file was removed to free space")))]
+        (status = 409, description = "the export is not done, or it failed"),
+        (status = 410, description = "the file was removed to free space")))]
 pub async fn file(
     State(app): State<App>,
     Path(export): Path<String>,

@@ -22,7 +22,7 @@ use utoipa::ToSchema;
 use super::App;
 use super::audit::Act;
 use super::orders::{kind_of, order_path, program, unavailable};
-use super::problem::{ApiError, Path, ProblemBody};
+use super::problem::{ApiError, Path};
 use crate::dataset::background::background;
 use crate::dataset::space::KEPT_FREE_BYTES;
 use crate::program::withhold_bulk;
@@ -116,10 +116,10 @@ impl From<GatherError> for ApiError {
 #[utoipa::path(post, operation_id = "gather_order",
     path = "/api/v1/workers/folders/{folder}/gather", tag = "simulation",
     responses((status = 202, body = GatherOut),
-        (status = 409, body = ProblemBody,
+        (status = 409,
             description = "the service knows no queue, gathers another order, or the order cannot be read"),
-        (status = 503, body = ProblemBody, description = "the worker is missing"),
-        (status = 507, body = ProblemBody, description = "less than 2 GiB of the disk are free")))]
+        (status = 503, description = "the worker is missing"),
+        (status = 507, description = "less than 2 GiB of the disk are free")))]
 pub async fn gather(
     State(app): State<App>,
     act: Act,

@@ -11,7 +11,7 @@ use serde::Serialize;
 use utoipa::ToSchema;
 
 use super::App;
-use super::problem::{ApiError, ProblemBody};
+use super::problem::ApiError;
 use crate::campaign::bench::rig_state::RigState;
 use crate::campaign::shown::status::WireStatus;
 use crate::store::Soundness;
@@ -44,7 +44,7 @@ pub async fn live() -> Json<Live> {
 /// The database responds and is not damaged, its disk is not full, and the campaign's thread runs.
 #[utoipa::path(get, operation_id = "readiness", path = "/health/ready", tag = "health",
     responses((status = 204),
-        (status = 503, body = ProblemBody,
+        (status = 503,
             description = "the database is damaged, unchecked or not readable, the disk is full, or the campaign has ended")))]
 pub async fn ready(State(app): State<App>) -> Result<StatusCode, ApiError> {
     let unavailable = |words: String| ApiError::new(StatusCode::SERVICE_UNAVAILABLE, words);

@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 use utoipa::{IntoParams, ToSchema};
 
 use super::App;
-use super::problem::{ApiError, Params, Path, ProblemBody};
+use super::problem::{ApiError, Params, Path};
 use super::runs::find;
 use super::spans::{StateSpan, restarts, spans};
 use crate::conductor::estimates::ESTIMATE;
@@ -109,7 +109,7 @@ pub struct NotableEvent {
 #[utoipa::path(get, operation_id = "run_history", path = "/api/v1/runs/{run}/history", tag = "runs",
     params(("run" = String, Path, description = "uid or scan_id"), HistoryParams),
     responses((status = 200, body = History),
-        (status = 400, body = ProblemBody, description = "`bins` is not 1 to 1000")))]
+        (status = 400, description = "`bins` is not 1 to 1000")))]
 pub async fn of_run(
     State(app): State<App>,
     Path(run): Path<String>,

@@ -13,7 +13,7 @@ use super::audit::{Act, cut};
 use super::body::announced_bytes;
 use super::form::Form;
 use super::limits::WHO_MAX_CHARS;
-use super::problem::{ApiError, ProblemBody};
+use super::problem::ApiError;
 use super::send::Created;
 use crate::dataset::import::coordinates::Coordinates;
 use crate::dataset::import::{Import, import};
@@ -72,12 +72,12 @@ struct Parts {
 #[utoipa::path(post, operation_id = "import_trials", path = "/api/v1/imports", tag = "datasets",
     request_body(content = ImportForm, content_type = "multipart/form-data"),
     responses((status = 201, body = ImportOut, headers(("Location", description = "the run"))),
-        (status = 400, body = ProblemBody,
+        (status = 400,
             description = "a part of the form, the sensor file or a value of the file is invalid"),
-        (status = 409, body = ProblemBody,
+        (status = 409,
             description = "the file was imported before with the same name, label and sensor, or another \
                            person holds the operator lock"),
-        (status = 507, body = ProblemBody, description = "the disk has no room for the trials")))]
+        (status = 507, description = "the disk has no room for the trials")))]
 pub async fn add(
     State(app): State<App>,
     act: Act,

@@ -11,7 +11,7 @@ use utoipa::{IntoParams, ToSchema};
 
 use super::App;
 use super::limits::{EXACT_MAX, FRAMES_MAX, MAPS_MAX};
-use super::problem::{ApiError, ProblemBody};
+use super::problem::ApiError;
 use crate::clock::Clock;
 use crate::dataset::background::background;
 use crate::ids::CalibrationId;
@@ -87,11 +87,11 @@ pub struct FrameAnswer {
     request_body(content((InferRequest = "application/json"),
         (Vec<u8> = "application/octet-stream"))),
     responses((status = 200, body = Vec<FrameAnswer>),
-        (status = 404, body = ProblemBody, description = "no model or calibration has the given id or name"),
-        (status = 409, body = ProblemBody,
+        (status = 404, description = "no model or calibration has the given id or name"),
+        (status = 409,
             description = "no model serves for the method, or a model does not fit method or sensor"),
-        (status = 422, body = ProblemBody, description = "a frame or an option is invalid"),
-        (status = 503, body = ProblemBody, description = "too many requests are in progress")))]
+        (status = 422, description = "a frame or an option is invalid"),
+        (status = 503, description = "too many requests are in progress")))]
 pub async fn infer(
     State(app): State<App>,
     request: Request,

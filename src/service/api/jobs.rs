@@ -12,7 +12,7 @@ use utoipa::ToSchema;
 use super::App;
 use super::audit::Act;
 use super::pages::{Page, PageParams, PageRequest};
-use super::problem::{ApiError, Body, Path, ProblemBody};
+use super::problem::{ApiError, Body, Path};
 use super::send::Created;
 use crate::evaluate::request::EvaluationRequest;
 use crate::ids::TaskId;
@@ -39,7 +39,7 @@ fn out(app: &App, task: TaskRow) -> JobOut {
 /// After a restart the training continues from its last checkpoint.
 #[utoipa::path(post, path = "/api/v1/trainings", tag = "jobs", request_body = TrainingRequest,
     responses((status = 202, body = JobOut, headers(("Location", description = "the job"))),
-        (status = 422, body = ProblemBody, description = "the recipe is invalid")))]
+        (status = 422, description = "the recipe is invalid")))]
 pub async fn train(
     State(app): State<App>,
     act: Act,
@@ -53,7 +53,7 @@ pub async fn train(
 /// Requests an evaluation.
 #[utoipa::path(post, path = "/api/v1/evaluations", tag = "jobs", request_body = EvaluationRequest,
     responses((status = 202, body = JobOut, headers(("Location", description = "the job"))),
-        (status = 422, body = ProblemBody, description = "a value of the request is invalid")))]
+        (status = 422, description = "a value of the request is invalid")))]
 pub async fn evaluate(
     State(app): State<App>,
     act: Act,
@@ -67,7 +67,7 @@ pub async fn evaluate(
 /// Returns a page of the jobs, newest first, without the examples of evaluations.
 #[utoipa::path(get, operation_id = "list_jobs", path = "/api/v1/jobs", tag = "jobs",
     params(PageParams), responses((status = 200, body = Page<JobOut>),
-        (status = 400, body = ProblemBody, description = "a parameter is invalid")))]
+        (status = 400, description = "a parameter is invalid")))]
 pub async fn list(State(app): State<App>, asked: PageRequest) -> Result<Page<JobOut>, ApiError> {
     let rows = app.store.tasks(TaskKind::JOBS, asked.limit + 1, asked.after()?).await?;
     let brief =

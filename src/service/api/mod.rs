@@ -209,7 +209,7 @@ impl App {
 /// Description of all routes; `openapi.yaml` is generated from it.
 #[derive(OpenApi)]
 #[openapi(
-    components(schemas(Experiment)),
+    components(schemas(Experiment, problem::ProblemBody)),
     info(
         title = "Palpate",
         description = "Presses a tactile robot skin with a rig, trains models on the measured trials, \

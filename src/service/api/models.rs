@@ -15,7 +15,7 @@ use super::form::Form;
 use super::jobs::ndjson;
 use super::limits::{MODEL_MAX_BYTES, WHO_MAX_CHARS};
 use super::pages::{Page, PageParams, PageRequest};
-use super::problem::{ApiError, Body, Path, ProblemBody, Text};
+use super::problem::{ApiError, Body, Path, Text};
 use super::send::Created;
 use crate::evaluate::request::Scored;
 use crate::ids::{CalibrationId, ModelId, PromotedId};
@@ -109,7 +109,7 @@ pub struct ServingOut {
 /// Returns a page of the models, newest first.
 #[utoipa::path(get, operation_id = "list_models", path = "/api/v1/models", tag = "models",
     params(PageParams), responses((status = 200, body = Page<ModelOut>),
-        (status = 400, body = ProblemBody, description = "a parameter is invalid")))]
+        (status = 400, description = "a parameter is invalid")))]
 pub async fn list(State(app): State<App>, asked: PageRequest) -> Result<Page<ModelOut>, ApiError> {
     let Page { items: rows, next } =
         asked.of_all(app.store.models().await?, |model| model.id.clone())?;
@@ -162,9 +162,8 @@ pub async fn losses(
 }
 
 /// Returns the residuals of a Transfer-Net on trials outside its training part (paper, Fig. 10A).
-#[utoipa::path(get, operation_id = "model_residuals",
-    path = "/api/v1/models/{model}/residuals", tag = "models",
-    responses((status = 200, body = Residuals)))]
+#[utoipa::path(get, operation_id = "model_residuals", path = "/api/v1/models/{model}/residuals",
+    tag = "models", responses((status = 200, body = Residuals)))]
 pub async fn residuals(
     State(app): State<App>,
     Path(model): Path<String>,
@@ -196,7 +195,7 @@ pub struct ModelForm {
 #[utoipa::path(post, operation_id = "add_model", path = "/api/v1/models", tag = "models",
     request_body(content = ModelForm, content_type = "multipart/form-data"),
     responses((status = 201, body = ModelOut, headers(("Location", description = "the model"))),
-        (status = 422, body = ProblemBody,
+        (status = 422,
             description = "a part of the form is missing or invalid, or the model does not run")))]
 pub async fn add(
     State(app): State<App>,
@@ -285,8 +284,7 @@ fn residuals_of(manifest: &Manifest, text: &str) -> Result<Residuals, ApiError> 
 /// Adds a calibration of this rig's sensor (text of its file), so that it can be promoted.
 #[utoipa::path(post, path = "/api/v1/calibrations", tag = "models", request_body = String,
     responses((status = 201, body = CalibrationId),
-        (status = 422, body = ProblemBody,
-            description = "the calibration is invalid or for another sensor")))]
+        (status = 422, description = "the calibration is invalid or for another sensor")))]
 pub async fn add_calibration(
     State(app): State<App>,
     act: Act,
@@ -311,10 +309,8 @@ pub async fn serving(State(app): State<App>) -> Result<Json<ServingOut>, ApiErro
 /// It is loaded and warmed up before it replaces the serving one: no frame is dropped.
 #[utoipa::path(post, path = "/api/v1/serving", tag = "models", request_body = PromotionRequest,
     responses((status = 200, body = ServesOut),
-        (status = 404, body = ProblemBody,
-            description = "no model or calibration has this id or name"),
-        (status = 409, body = ProblemBody,
-            description = "the model is for another sensor or task")))]
+        (status = 404, description = "no model or calibration has this id or name"),
+        (status = 409, description = "the model is for another sensor or task")))]
 pub async fn promote(
     State(app): State<App>,
     act: Act,
@@ -329,10 +325,9 @@ pub async fn promote(
 
 /// Restores the previous model or calibration of a slot.
 #[utoipa::path(post, path = "/api/v1/serving/roll-back", tag = "models",
-    request_body = RollBackRequest,
-    responses((status = 200, body = ServesOut),
-        (status = 409, body = ProblemBody, description = "the slot has no earlier promotion"),
-        (status = 422, body = ProblemBody, description = "the slot is unknown")))]
+    request_body = RollBackRequest, responses((status = 200, body = ServesOut),
+        (status = 409, description = "the slot has no earlier promotion"),
+        (status = 422, description = "the slot is unknown")))]
 pub async fn roll_back(
     State(app): State<App>,
     act: Act,

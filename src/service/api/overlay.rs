@@ -8,7 +8,7 @@ use serde::Deserialize;
 use utoipa::IntoParams;
 
 use super::App;
-use super::problem::{ApiError, Params, ProblemBody};
+use super::problem::{ApiError, Params};
 use super::sensor::sensor_of;
 use crate::overlay::{self, Paper};
 
@@ -47,12 +47,11 @@ pub struct OverlayParams {
 
 /// Returns the overlay of the skin as a PDF at true scale: its points with their names, its electrodes,
 /// its outline, and rulers with which the print is checked.
-#[utoipa::path(get, operation_id = "sensor_overlay", path = "/api/v1/sensor/overlay.pdf", tag = "rig",
-    params(OverlayParams),
+#[utoipa::path(get, operation_id = "sensor_overlay", path = "/api/v1/sensor/overlay.pdf",
+    tag = "rig", params(OverlayParams),
     responses((status = 200, body = Vec<u8>, content_type = "application/pdf"),
-        (status = 400, body = ProblemBody, description = "a parameter is invalid"),
-        (status = 404, body = ProblemBody,
-            description = "no run has this uid or scan_id, or its sensor has no file")))]
+        (status = 400, description = "a parameter is invalid"),
+        (status = 404, description = "no run has this uid or scan_id, or its sensor has no file")))]
 pub async fn overlay(
     State(app): State<App>,
     Params(asked): Params<OverlayParams>,

@@ -12,7 +12,7 @@ use super::audit::Act;
 use super::auth::Caller;
 use super::limits::{TICKET, TICKETS, WHO_MAX_CHARS, WHY_MAX_CHARS};
 use super::pages::{Page, PageParams, PageRequest};
-use super::problem::{ApiError, Body, Params, Path, ProblemBody};
+use super::problem::{ApiError, Body, Params, Path};
 use super::queue::WhoParams;
 use super::runs::find;
 use crate::store::{ActionRow, KeyRow, LockRow, Role};
@@ -84,7 +84,7 @@ pub async fn lock(State(app): State<App>) -> Result<Json<Option<LockOut>>, ApiEr
 /// releases it: without a key no caller can prove to be the holder.
 #[utoipa::path(put, path = "/api/v1/lock", tag = "people", request_body = LockRequest,
     responses((status = 200, body = LockOut),
-        (status = 409, body = ProblemBody, description = "another person holds the operator lock")))]
+        (status = 409, description = "another person holds the operator lock")))]
 pub async fn take_lock(
     State(app): State<App>,
     act: Act,
@@ -102,8 +102,7 @@ pub async fn take_lock(
 /// Only the role `admin` may release the lock of another holder's key.
 #[utoipa::path(delete, path = "/api/v1/lock", tag = "people", params(WhoParams),
     responses((status = 204),
-        (status = 403, body = ProblemBody,
-            description = "another person holds the lock, and the role is not admin")))]
+        (status = 403, description = "another person holds the lock, and the role is not admin")))]
 pub async fn clear_lock(
     State(app): State<App>,
     act: Act,
@@ -126,7 +125,7 @@ pub async fn clear_lock(
 /// Returns the API keys, without their texts.
 #[utoipa::path(get, path = "/api/v1/keys", tag = "people",
     responses((status = 200, body = Page<KeyRow>),
-        (status = 403, body = ProblemBody, description = "the role is not admin")))]
+        (status = 403, description = "the role is not admin")))]
 pub async fn keys(State(app): State<App>) -> Result<Page<KeyRow>, ApiError> {
     Ok(Page::whole(app.store.keys().await?))
 }
@@ -134,8 +133,8 @@ pub async fn keys(State(app): State<App>) -> Result<Page<KeyRow>, ApiError> {
 /// Creates an API key.
 #[utoipa::path(post, path = "/api/v1/keys", tag = "people", request_body = KeyRequest,
     responses((status = 201, body = CreatedKey),
-        (status = 403, body = ProblemBody, description = "the role is not admin"),
-        (status = 422, body = ProblemBody, description = "the name is invalid or in use")))]
+        (status = 403, description = "the role is not admin"),
+        (status = 422, description = "the name is invalid or in use")))]
 pub async fn create_key(
     State(app): State<App>,
     act: Act,
@@ -148,9 +147,8 @@ pub async fn create_key(
 
 /// Revokes an API key.
 #[utoipa::path(delete, path = "/api/v1/keys/{id}", tag = "people",
-    params(("id" = i64, Path, description = "number of the key")),
-    responses((status = 204),
-        (status = 404, body = ProblemBody, description = "no valid key has this number")))]
+    params(("id" = i64, Path, description = "number of the key")), responses((status = 204),
+        (status = 404, description = "no valid key has this number")))]
 pub async fn revoke_key(
     State(app): State<App>,
     act: Act,
@@ -195,7 +193,7 @@ pub async fn caller(Extension(caller): Extension<Caller>) -> Json<CallerOut> {
 /// the rights of its caller; it can be used once.
 #[utoipa::path(post, operation_id = "create_ticket", path = "/api/v1/tickets", tag = "people",
     responses((status = 201, body = Ticket, description = "the ticket"),
-        (status = 429, body = ProblemBody, description = "too many tickets wait to be used")))]
+        (status = 429, description = "too many tickets wait to be used")))]
 pub async fn ticket(
     State(app): State<App>,
     Extension(caller): Extension<Caller>,
@@ -208,11 +206,10 @@ pub async fn ticket(
 }
 
 /// Returns the log of actions, newest first.
-#[utoipa::path(get, path = "/api/v1/actions", tag = "people",
-    params(ActionParams, PageParams),
+#[utoipa::path(get, path = "/api/v1/actions", tag = "people", params(ActionParams, PageParams),
     responses((status = 200, body = Page<ActionRow>),
-        (status = 400, body = ProblemBody, description = "a parameter is invalid"),
-        (status = 404, body = ProblemBody, description = "no run has this uid or scan_id")))]
+        (status = 400, description = "a parameter is invalid"),
+        (status = 404, description = "no run has this uid or scan_id")))]
 pub async fn actions(
     State(app): State<App>,
     Params(params): Params<ActionParams>,

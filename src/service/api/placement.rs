@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 use super::App;
-use super::problem::{ApiError, ProblemBody};
+use super::problem::ApiError;
 use crate::campaign::shown::command::Request;
 use crate::campaign::shown::placement::{Confirmation, VerdictKind};
 use crate::campaign::shown::run_action::ActionOnRun;
@@ -90,7 +90,7 @@ impl From<LastPlaced> for LastPlacement {
 /// is judged: `at_rest` states whether it has settled.
 #[utoipa::path(get, operation_id = "placement", path = "/api/v1/placement", tag = "runs",
     responses((status = 200, body = PlacementOut),
-        (status = 404, body = ProblemBody, description = "no run asks for a placement")))]
+        (status = 404, description = "no run asks for a placement")))]
 pub async fn placement(State(app): State<App>) -> Result<Json<PlacementOut>, ApiError> {
     let none = || ApiError::not_found("no run asks for a placement");
     let status = app.campaign.status();

@@ -8,7 +8,7 @@ use serde::Serialize;
 use utoipa::ToSchema;
 
 use super::App;
-use super::problem::{ApiError, Body, Path, ProblemBody};
+use super::problem::{ApiError, Body, Path};
 use super::progress::{ForcesOfTips, along};
 use super::runs::find;
 use crate::conductor::Submission;
@@ -41,10 +41,9 @@ pub struct EarlierRun {
 }
 
 /// Returns the preflight of a submission on this rig, without queuing it.
-#[utoipa::path(post, operation_id = "preflight_submission",
-    path = "/api/v1/preflight", tag = "queue", request_body = Submission,
-    responses((status = 200, body = RunPreflight),
-        (status = 422, body = ProblemBody, description = "a file of the submission is invalid")))]
+#[utoipa::path(post, operation_id = "preflight_submission", path = "/api/v1/preflight",
+    tag = "queue", request_body = Submission, responses((status = 200, body = RunPreflight),
+        (status = 422, description = "a file of the submission is invalid")))]
 pub async fn of_submission(
     State(app): State<App>,
     Body(submission): Body<Submission>,
@@ -57,10 +56,9 @@ pub async fn of_submission(
 }
 
 /// Returns the preflight of a stored run on this rig.
-#[utoipa::path(get, operation_id = "run_preflight",
-    path = "/api/v1/runs/{run}/preflight", tag = "runs",
-    responses((status = 200, body = RunPreflight),
-        (status = 422, body = ProblemBody, description = "the run was not planned from an experiment")))]
+#[utoipa::path(get, operation_id = "run_preflight", path = "/api/v1/runs/{run}/preflight",
+    tag = "runs", responses((status = 200, body = RunPreflight),
+        (status = 422, description = "the run was not planned from an experiment")))]
 pub async fn of_run(
     State(app): State<App>,
     Path(run): Path<String>,

@@ -12,7 +12,7 @@ use sim_core::stats::median;
 use utoipa::ToSchema;
 
 use super::App;
-use super::problem::{ApiError, Path, ProblemBody};
+use super::problem::{ApiError, Path};
 use super::runs::find;
 use super::tour::Tour;
 use crate::campaign::shown::status::RunStatus;
@@ -60,10 +60,9 @@ pub struct ForcesOfTips {
 }
 
 /// Returns the progress of a run along its tour.
-#[utoipa::path(get, operation_id = "run_progress", path = "/api/v1/runs/{run}/progress", tag = "runs",
-    responses((status = 200, body = RunProgress),
-        (status = 404, body = ProblemBody,
-            description = "no run has this uid or scan_id, or it has no plan")))]
+#[utoipa::path(get, operation_id = "run_progress", path = "/api/v1/runs/{run}/progress",
+    tag = "runs", responses((status = 200, body = RunProgress),
+        (status = 404, description = "no run has this uid or scan_id, or it has no plan")))]
 pub async fn of_run(
     State(app): State<App>,
     Path(run): Path<String>,

@@ -10,7 +10,7 @@ use utoipa::{IntoParams, ToSchema};
 use super::App;
 use super::audit::Act;
 use super::pages::Page;
-use super::problem::{ApiError, Body, Params, Path, ProblemBody};
+use super::problem::{ApiError, Body, Params, Path};
 use super::runs::find;
 use super::send::Created;
 use crate::conductor::{Submission, Terms};
@@ -61,10 +61,10 @@ pub async fn list(State(app): State<App>) -> Result<Page<RunRow>, ApiError> {
 }
 
 /// Queues a run.
-#[utoipa::path(post, operation_id = "queue_run",
-    path = "/api/v1/queue", tag = "queue", request_body = QueueRequest,
+#[utoipa::path(post, operation_id = "queue_run", path = "/api/v1/queue", tag = "queue",
+    request_body = QueueRequest,
     responses((status = 201, body = RunRow, headers(("Location", description = "the run"))),
-        (status = 422, body = ProblemBody, description = "a file of the submission is invalid")))]
+        (status = 422, description = "a file of the submission is invalid")))]
 pub async fn add(
     State(app): State<App>,
     act: Act,
@@ -81,12 +81,11 @@ pub async fn add(
 ///
 /// The run gets a new plan and keeps its number, its uid and its place. It must be armed and started
 /// again if it was.
-#[utoipa::path(put, operation_id = "edit_run",
-    path = "/api/v1/queue/{run}", tag = "queue", request_body = QueueRequest,
-    responses((status = 200, body = RunRow),
-        (status = 409, body = ProblemBody,
+#[utoipa::path(put, operation_id = "edit_run", path = "/api/v1/queue/{run}", tag = "queue",
+    request_body = QueueRequest, responses((status = 200, body = RunRow),
+        (status = 409,
             description = "the run is not queued, or another person holds the operator lock"),
-        (status = 422, body = ProblemBody, description = "a file of the submission is invalid")))]
+        (status = 422, description = "a file of the submission is invalid")))]
 pub async fn edit(
     State(app): State<App>,
     act: Act,
@@ -101,11 +100,10 @@ pub async fn edit(
 }
 
 /// Removes a run from the queue.
-#[utoipa::path(delete, operation_id = "remove_run",
-    path = "/api/v1/queue/{run}", tag = "queue", params(WhoParams,
-    ("run" = String, Path, description = "uid or scan_id")),
+#[utoipa::path(delete, operation_id = "remove_run", path = "/api/v1/queue/{run}", tag = "queue",
+    params(WhoParams, ("run" = String, Path, description = "uid or scan_id")),
     responses((status = 200, body = RunRow),
-        (status = 409, body = ProblemBody,
+        (status = 409,
             description = "the run is not queued, or another person holds the operator lock")))]
 pub async fn remove(
     State(app): State<App>,
@@ -120,10 +118,9 @@ pub async fn remove(
 }
 
 /// Moves a run in the queue.
-#[utoipa::path(post, operation_id = "move_run",
-    path = "/api/v1/queue/{run}/move", tag = "queue", request_body = MoveRequest,
-    responses((status = 200, body = Page<RunRow>),
-        (status = 409, body = ProblemBody,
+#[utoipa::path(post, operation_id = "move_run", path = "/api/v1/queue/{run}/move", tag = "queue",
+    request_body = MoveRequest, responses((status = 200, body = Page<RunRow>),
+        (status = 409,
             description = "the run is not queued, or another person holds the operator lock")))]
 pub async fn shift(
     State(app): State<App>,

@@ -10,7 +10,7 @@ use super::App;
 use super::audit::{Act, cut};
 use super::form::Form;
 use super::limits::{FRAMES_MAX_BYTES, WHO_MAX_CHARS};
-use super::problem::{ApiError, Body, Params, ProblemBody};
+use super::problem::{ApiError, Body, Params};
 use crate::evaluate::request::{EvaluationReport, EvaluationRequest};
 use crate::infer::answer::Reading;
 use crate::jobs::readings::{ORDERED_FRAMES_MAX, ReadingInputs};
@@ -33,16 +33,16 @@ fn fifty() -> u32 {
 /// Returns what other machines need to read the frames of an evaluation of `exact`: skin, errors of its model, frames.
 ///
 /// The dataset is made if needed. To prepare a skin takes up to most of a minute.
-#[utoipa::path(post, operation_id = "evaluation_inputs", path = "/api/v1/evaluations/inputs", tag = "jobs",
-    params(ChunkParams), request_body = EvaluationRequest,
+#[utoipa::path(post, operation_id = "evaluation_inputs", path = "/api/v1/evaluations/inputs",
+    tag = "jobs", params(ChunkParams), request_body = EvaluationRequest,
     responses((status = 200, body = ReadingInputs),
-        (status = 400, body = ProblemBody, description = "a parameter is invalid, or the dataset cannot be made"),
-        (status = 404, body = ProblemBody, description = "the dataset or the calibration does not exist"),
-        (status = 409, body = ProblemBody,
+        (status = 400, description = "a parameter is invalid, or the dataset cannot be made"),
+        (status = 404, description = "the dataset or the calibration does not exist"),
+        (status = 409,
             description = "the dataset is of another sensor, or another person holds the operator lock"),
-        (status = 422, body = ProblemBody,
+        (status = 422,
             description = "the request is invalid, not of `exact` without nets, or has more than 5000 rows"),
-        (status = 507, body = ProblemBody, description = "the disk has no room for the dataset")))]
+        (status = 507, description = "the disk has no room for the dataset")))]
 pub async fn inputs(
     State(app): State<App>,
     act: Act,
@@ -75,16 +75,16 @@ pub struct ReadingsForm {
 /// Scores readings of the frames of an evaluation of `exact` that other machines have made.
 ///
 /// They must be of the model and of the frames that the service would use. The report states no latencies.
-#[utoipa::path(post, operation_id = "score_readings", path = "/api/v1/evaluations/readings", tag = "jobs",
-    request_body(content = ReadingsForm, content_type = "multipart/form-data"),
+#[utoipa::path(post, operation_id = "score_readings", path = "/api/v1/evaluations/readings",
+    tag = "jobs", request_body(content = ReadingsForm, content_type = "multipart/form-data"),
     responses((status = 200, body = Object, description = "the EvaluationReport"),
-        (status = 400, body = ProblemBody, description = "the form is invalid, or the dataset cannot be made"),
-        (status = 404, body = ProblemBody, description = "the dataset or the calibration does not exist"),
-        (status = 409, body = ProblemBody,
+        (status = 400, description = "the form is invalid, or the dataset cannot be made"),
+        (status = 404, description = "the dataset or the calibration does not exist"),
+        (status = 409,
             description = "the dataset is of another sensor, or another person holds the operator lock"),
-        (status = 422, body = ProblemBody,
+        (status = 422,
             description = "the request is invalid, or the readings are of another model or of other frames"),
-        (status = 507, body = ProblemBody, description = "the disk has no room for the dataset")))]
+        (status = 507, description = "the disk has no room for the dataset")))]
 pub async fn score(
     State(app): State<App>,
     act: Act,

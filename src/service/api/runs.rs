@@ -14,7 +14,7 @@ use super::audit::{Act, cut};
 use super::limits::WHO_MAX_CHARS;
 use super::pages::{Page, PageParams, PageRequest};
 use super::placement::confirmation;
-use super::problem::{ApiError, Body, Path, ProblemBody};
+use super::problem::{ApiError, Body, Path};
 use crate::campaign::STOPS;
 use crate::campaign::shown::command::Request;
 use crate::campaign::shown::placement::Confirmation;
@@ -134,10 +134,9 @@ pub async fn find(app: &App, run: &str) -> Result<RunRow, ApiError> {
 }
 
 /// Returns a page of runs, newest first.
-#[utoipa::path(get, operation_id = "list_runs",
-    path = "/api/v1/runs", tag = "runs", params(PageParams),
-    responses((status = 200, body = Page<RunRow>),
-        (status = 400, body = ProblemBody, description = "a parameter is invalid")))]
+#[utoipa::path(get, operation_id = "list_runs", path = "/api/v1/runs", tag = "runs",
+    params(PageParams), responses((status = 200, body = Page<RunRow>),
+        (status = 400, description = "a parameter is invalid")))]
 pub async fn list(State(app): State<App>, asked: PageRequest) -> Result<Page<RunRow>, ApiError> {
     let found = app.store.runs(asked.limit, asked.after()?).await?;
     Ok(asked.page(found.runs, found.next))
@@ -197,9 +196,9 @@ pub async fn summary(
 
 /// Returns the plan that a run was queued with: every step with every position, depth and wait.
 #[utoipa::path(get, operation_id = "run_plan", path = "/api/v1/runs/{run}/plan", tag = "runs",
-    responses((status = 200, body = Object, description = "the plan; its sha256 is `plan_sha256` of the run"),
-        (status = 404, body = ProblemBody,
-            description = "no run has this uid or scan_id, or no plan was kept for it")))]
+    responses((status = 200, body = Object,
+                  description = "the plan; its sha256 is `plan_sha256` of the run"),
+        (status = 404, description = "no run has this uid or scan_id, or no plan was kept for it")))]
 pub async fn plan(
     State(app): State<App>,
     Path(run): Path<String>,
@@ -213,12 +212,11 @@ pub async fn plan(
 /// Arms a run: checks it and returns the preflight and a code.
 ///
 /// This is the first of two steps; the action `start` with the code is the second.
-#[utoipa::path(post, operation_id = "arm_run",
-    path = "/api/v1/runs/{run}/arm", tag = "runs", request_body = Attribution,
-    responses((status = 200, body = Armed),
-        (status = 409, body = ProblemBody,
+#[utoipa::path(post, operation_id = "arm_run", path = "/api/v1/runs/{run}/arm", tag = "runs",
+    request_body = Attribution, responses((status = 200, body = Armed),
+        (status = 409,
             description = "the state of rig or run does not allow arming, or another person holds the lock"),
-        (status = 422, body = ProblemBody, description = "the preflight has problems")))]
+        (status = 422, description = "the preflight has problems")))]
 pub async fn arm(
     State(app): State<App>,
     act: Act,
@@ -232,11 +230,10 @@ pub async fn arm(
 }
 
 /// Requests an action on a run; the response confirms the request, the status shows its effect.
-#[utoipa::path(post, operation_id = "run_action",
-    path = "/api/v1/runs/{run}/actions", tag = "runs", request_body = ActionRequest,
-    description = STOPS,
+#[utoipa::path(post, operation_id = "run_action", path = "/api/v1/runs/{run}/actions", tag = "runs",
+    request_body = ActionRequest, description = STOPS,
     responses((status = 202, body = ActionAccepted),
-        (status = 409, body = ProblemBody,
+        (status = 409,
             description = "the state of the run does not allow the action, the skin contradicts a placement, or another person holds the lock")))]
 pub async fn act(
     State(app): State<App>,

@@ -8,7 +8,7 @@ use sim_core::sensor::Sensor;
 use utoipa::{IntoParams, ToSchema};
 
 use super::App;
-use super::problem::{ApiError, Params, ProblemBody};
+use super::problem::{ApiError, Params};
 use super::runs::find;
 use crate::dataset::force_map::SIDE_MM;
 
@@ -86,10 +86,8 @@ impl SensorOut {
 
 /// Returns the sensor under the rig, or that of a run.
 #[utoipa::path(get, operation_id = "sensor", path = "/api/v1/sensor", tag = "rig",
-    params(SensorParams),
-    responses((status = 200, body = SensorOut),
-        (status = 404, body = ProblemBody,
-            description = "no run has this uid or scan_id, or its sensor has no file")))]
+    params(SensorParams), responses((status = 200, body = SensorOut),
+        (status = 404, description = "no run has this uid or scan_id, or its sensor has no file")))]
 pub async fn sensor(
     State(app): State<App>,
     Params(params): Params<SensorParams>,

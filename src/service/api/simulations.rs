@@ -12,7 +12,7 @@ use utoipa::ToSchema;
 
 use super::App;
 use super::limits::SIMULATED_CONTACTS;
-use super::problem::{ApiError, Body, ProblemBody};
+use super::problem::{ApiError, Body};
 use super::runs::find;
 use crate::clock::Clock;
 use crate::dataset::background::background;
@@ -102,13 +102,12 @@ pub struct Simulation {
 /// Simulates contacts on the skin: the frame, the dent, and the force of a depth or the depth of a force.
 ///
 /// The first request for a skin builds its model, which takes seconds.
-#[utoipa::path(post, operation_id = "simulate",
-    path = "/api/v1/simulations", tag = "simulation", request_body = SimulationRequest,
-    responses((status = 200, body = Simulation),
-        (status = 404, body = ProblemBody, description = "no run has this uid or scan_id"),
-        (status = 409, body = ProblemBody, description = "there is no model of the run's skin"),
-        (status = 422, body = ProblemBody, description = "a contact is outside its limits"),
-        (status = 503, body = ProblemBody, description = "too many simulations are in progress")))]
+#[utoipa::path(post, operation_id = "simulate", path = "/api/v1/simulations", tag = "simulation",
+    request_body = SimulationRequest, responses((status = 200, body = Simulation),
+        (status = 404, description = "no run has this uid or scan_id"),
+        (status = 409, description = "there is no model of the run's skin"),
+        (status = 422, description = "a contact is outside its limits"),
+        (status = 503, description = "too many simulations are in progress")))]
 pub async fn simulate(
     State(app): State<App>,
     Body(asked): Body<SimulationRequest>,

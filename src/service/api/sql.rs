@@ -15,7 +15,7 @@ use utoipa::{IntoParams, ToSchema};
 use super::App;
 use super::audit::cut;
 use super::limits::{QUERY_JSON_MAX_BYTES, REPEATED_CHARS};
-use super::problem::{ApiError, Body as JsonBody, Params, ProblemBody};
+use super::problem::{ApiError, Body as JsonBody, Params};
 use super::query::for_pages;
 use super::send;
 use crate::dataset::error::DatasetError;
@@ -79,11 +79,10 @@ pub struct QueryTable {
 /// Every dataset is a table under its id and its name. Nothing can be written, and no file or address
 /// be read.
 #[utoipa::path(post, operation_id = "query", path = "/api/v1/query", tag = "datasets",
-    request_body = QueryRequest,
-    responses((status = 200, body = QueryOut),
-        (status = 400, body = ProblemBody,
+    request_body = QueryRequest, responses((status = 200, body = QueryOut),
+        (status = 400,
             description = "the statement is invalid, or needs more time, memory or rows than a query may use"),
-        (status = 503, body = ProblemBody,
+        (status = 503,
             description = "the query engine is being built, or other queries are in progress (with `Retry-After`)")))]
 pub async fn ask(
     State(app): State<App>,
@@ -97,11 +96,10 @@ pub async fn ask(
 ///
 /// As the POST of this path; the status line of a refusal holds its description.
 #[utoipa::path(get, operation_id = "query_by_address", path = "/api/v1/query", tag = "datasets",
-    params(QueryRequest),
-    responses((status = 200, body = QueryOut),
-        (status = 400, body = ProblemBody,
+    params(QueryRequest), responses((status = 200, body = QueryOut),
+        (status = 400,
             description = "the statement is invalid, or needs more time, memory or rows than a query may use"),
-        (status = 503, body = ProblemBody,
+        (status = 503,
             description = "the query engine is being built, or other queries are in progress (with `Retry-After`)")))]
 pub async fn asked(
     State(app): State<App>,

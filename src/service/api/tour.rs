@@ -13,7 +13,7 @@ use sim_core::sensor::Sensor;
 use utoipa::ToSchema;
 
 use super::App;
-use super::problem::{ApiError, Body, Path, ProblemBody};
+use super::problem::{ApiError, Body, Path};
 use super::runs::find;
 use super::sensor::SensorOut;
 use super::tags::lists;
@@ -92,9 +92,8 @@ impl SubmittedTour {
 ///
 /// The preflight has the problems of the submission on this rig.
 #[utoipa::path(post, operation_id = "submission_tour", path = "/api/v1/tour", tag = "queue",
-    request_body = Submission,
-    responses((status = 200, body = SubmittedTour),
-        (status = 422, body = ProblemBody, description = "a file of the submission is invalid")))]
+    request_body = Submission, responses((status = 200, body = SubmittedTour),
+        (status = 422, description = "a file of the submission is invalid")))]
 pub async fn of_submission(
     State(app): State<App>,
     Body(submission): Body<Submission>,
@@ -130,8 +129,7 @@ pub struct KeptTour {
         ("If-None-Match" = Option<String>, Header, description = "entity tags that the client has")),
     responses((status = 200, body = Tour, headers(("ETag" = String, description = "entity tag"))),
         (status = 304, description = "the client has it already"),
-        (status = 404, body = ProblemBody,
-            description = "no run has this uid or scan_id, or it has no plan")))]
+        (status = 404, description = "no run has this uid or scan_id, or it has no plan")))]
 pub async fn of_run(
     State(app): State<App>,
     Path(run): Path<String>,

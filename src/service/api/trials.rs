@@ -21,7 +21,7 @@ use utoipa::ToSchema;
 use super::App;
 use super::pages::{Cursors, Page, PageParams, PageRequest};
 use super::params::{TrialGroupParams, TrialParams};
-use super::problem::{ApiError, Path, ProblemBody};
+use super::problem::{ApiError, Path};
 use super::query::{GroupsOf, GroupsRequest, TrialsRequest, for_pages, groups_query, trial_query};
 use super::runs::find;
 use super::{send, sql};
@@ -69,7 +69,7 @@ type Pairs = Query<Vec<(String, String)>>;
 #[utoipa::path(get, operation_id = "run_trials", path = "/api/v1/runs/{run}/trials", tag = "trials",
     params(("run" = String, Path, description = "uid or scan_id"), TrialParams),
     responses((status = 200, body = Page<TrialRow>),
-        (status = 400, body = ProblemBody, description = "a parameter is unknown or invalid")))]
+        (status = 400, description = "a parameter is unknown or invalid")))]
 pub async fn of_run(
     State(app): State<App>,
     Path(run): Path<String>,
@@ -85,10 +85,9 @@ pub async fn of_run(
 ///
 /// JSON holds whole trials; the other formats are tables of columns. The header `Link` has the address
 /// of the next page in every format.
-#[utoipa::path(get, operation_id = "list_trials",
-    path = "/api/v1/trials", tag = "trials", params(TrialParams),
-    responses((status = 200, body = Page<TrialRow>),
-        (status = 400, body = ProblemBody, description = "a parameter is unknown or invalid")))]
+#[utoipa::path(get, operation_id = "list_trials", path = "/api/v1/trials", tag = "trials",
+    params(TrialParams), responses((status = 200, body = Page<TrialRow>),
+        (status = 400, description = "a parameter is unknown or invalid")))]
 pub async fn all(
     State(app): State<App>,
     Query(pairs): Pairs,
@@ -127,10 +126,9 @@ async fn page(
 
 /// Returns groups of the stored trials with their aggregates, by the conditions of lists of trials.
 #[utoipa::path(get, operation_id = "trial_groups", path = "/api/v1/trials/groups", tag = "trials",
-    params(TrialGroupParams),
-    responses((status = 200, body = Page<Object>),
-        (status = 400, body = ProblemBody, description = "a parameter is unknown or invalid"),
-        (status = 503, body = ProblemBody, description = "as of queries (with `Retry-After`)")))]
+    params(TrialGroupParams), responses((status = 200, body = Page<Object>),
+        (status = 400, description = "a parameter is unknown or invalid"),
+        (status = 503, description = "as of queries (with `Retry-After`)")))]
 pub async fn groups(
     State(app): State<App>,
     Query(pairs): Pairs,
@@ -342,7 +340,7 @@ fn trials_schema(channels: i32, with_voltages: bool) -> SchemaRef {
 #[utoipa::path(get, operation_id = "trial", path = "/api/v1/trials/{trial}", tag = "trials",
     params(("trial" = i64, Path, description = "id of the trial")),
     responses((status = 200, body = TrialRow),
-        (status = 404, body = ProblemBody, description = "no trial has this id")))]
+        (status = 404, description = "no trial has this id")))]
 pub async fn one(
     State(app): State<App>,
     Path(trial): Path<i64>,
@@ -354,11 +352,10 @@ pub async fn one(
 /// Returns the raw frames of a trial.
 ///
 /// Imported trials have those that their file states, of 16 bits: the largest voltage is 32767 counts.
-#[utoipa::path(get, operation_id = "trial_frames",
-    path = "/api/v1/trials/{trial}/frames", tag = "trials",
-    params(("trial" = i64, Path, description = "id of the trial")),
+#[utoipa::path(get, operation_id = "trial_frames", path = "/api/v1/trials/{trial}/frames",
+    tag = "trials", params(("trial" = i64, Path, description = "id of the trial")),
     responses((status = 200, body = Page<FrameOut>),
-        (status = 404, body = ProblemBody, description = "no trial has this id, or it has no raw frames")))]
+        (status = 404, description = "no trial has this id, or it has no raw frames")))]
 pub async fn frames(
     State(app): State<App>,
     Path(trial): Path<i64>,
@@ -388,8 +385,8 @@ pub async fn frames(
     params(("run" = String, Path, description = "uid or scan_id"),
         ("kind" = String, Path, description = "attempts, tares, touch-offs or references"), PageParams),
     responses((status = 200, body = Page<Object>),
-        (status = 400, body = ProblemBody, description = "a parameter is invalid"),
-        (status = 422, body = ProblemBody, description = "the kind is unknown")))]
+        (status = 400, description = "a parameter is invalid"),
+        (status = 422, description = "the kind is unknown")))]
 pub async fn bench_records(
     State(app): State<App>,
     Path((run, kind)): Path<(String, String)>,

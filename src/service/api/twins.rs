@@ -11,7 +11,7 @@ use super::App;
 use super::audit::{Act, cut};
 use super::form::Form;
 use super::limits::{FRAMES_MAX_BYTES, WHO_MAX_CHARS};
-use super::problem::{ApiError, Params, Path, ProblemBody};
+use super::problem::{ApiError, Params, Path};
 use super::runs::find;
 use crate::ids::{RunUid, TrialId};
 use crate::problem::Problem;
@@ -63,9 +63,8 @@ pub async fn all(State(app): State<App>) -> Result<Json<Twins>, ApiError> {
 }
 
 /// Returns the number of twins of a run.
-#[utoipa::path(get, operation_id = "run_twins",
-    path = "/api/v1/runs/{run}/twins", tag = "simulation",
-    responses((status = 200, body = RunTwins)))]
+#[utoipa::path(get, operation_id = "run_twins", path = "/api/v1/runs/{run}/twins",
+    tag = "simulation", responses((status = 200, body = RunTwins)))]
 pub async fn of_run(
     State(app): State<App>,
     Path(run): Path<String>,
@@ -93,12 +92,12 @@ fn thousand() -> u32 {
 /// Returns what the twins of a run are computed from: the skin, and the contacts of its trials.
 ///
 /// The trials are those that are stored, with a twin or without, in the order of storing.
-#[utoipa::path(get, operation_id = "twin_inputs",
-    path = "/api/v1/runs/{run}/twins/inputs", tag = "simulation",
+#[utoipa::path(get, operation_id = "twin_inputs", path = "/api/v1/runs/{run}/twins/inputs",
+    tag = "simulation",
     params(("run" = String, Path, description = "uid or scan_id"), InputsParams),
     responses((status = 200, body = TwinInputs),
-        (status = 400, body = ProblemBody, description = "a parameter is invalid"),
-        (status = 409, body = ProblemBody, description = "the run has no model of its skin")))]
+        (status = 400, description = "a parameter is invalid"),
+        (status = 409, description = "the run has no model of its skin")))]
 pub async fn inputs(
     State(app): State<App>,
     Path(run): Path<String>,
@@ -126,17 +125,16 @@ pub struct TwinsForm {
 ///
 /// The file must be of the model that the service uses for the run, and of the contacts of its trials. A stored twin
 /// stays; if one differs, none is stored.
-#[utoipa::path(post, operation_id = "store_twins",
-    path = "/api/v1/runs/{run}/twins", tag = "simulation",
-    request_body(content = TwinsForm, content_type = "multipart/form-data"),
+#[utoipa::path(post, operation_id = "store_twins", path = "/api/v1/runs/{run}/twins",
+    tag = "simulation", request_body(content = TwinsForm, content_type = "multipart/form-data"),
     responses((status = 200, body = StoredTwins),
-        (status = 400, body = ProblemBody, description = "the form is invalid"),
-        (status = 409, body = ProblemBody,
+        (status = 400, description = "the form is invalid"),
+        (status = 409,
             description = "a stored twin differs, the run has no model of its skin, or another person holds the \
                            operator lock"),
-        (status = 422, body = ProblemBody,
+        (status = 422,
             description = "the file contains no twins of this run, its model and its contacts"),
-        (status = 507, body = ProblemBody, description = "the disk has no room")))]
+        (status = 507, description = "the disk has no room")))]
 pub async fn store(
     State(app): State<App>,
     act: Act,

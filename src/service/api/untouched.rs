@@ -7,7 +7,7 @@ use axum::Json;
 use axum::extract::State;
 
 use super::App;
-use super::problem::{ApiError, ProblemBody};
+use super::problem::ApiError;
 use crate::infer::methods::exact::UNTOUCHED_N;
 use crate::record::Untouched;
 use crate::store::{RunKind, StoreError, TrialRow};
@@ -21,9 +21,9 @@ const SEARCHED_RUNS: usize = 10;
 ///
 /// During a run it is taken in the air before each configuration. After a restart of the service it is the
 /// mean of the newest stored trials in which no tip touched the skin.
-#[utoipa::path(get, operation_id = "untouched_frame", path = "/api/v1/frames/untouched", tag = "frames",
-    responses((status = 200, body = Untouched),
-        (status = 404, body = ProblemBody, description = "no frame of the untouched skin is known")))]
+#[utoipa::path(get, operation_id = "untouched_frame", path = "/api/v1/frames/untouched",
+    tag = "frames", responses((status = 200, body = Untouched),
+        (status = 404, description = "no frame of the untouched skin is known")))]
 pub async fn untouched(State(app): State<App>) -> Result<Json<Arc<Untouched>>, ApiError> {
     if let Some(taken) = app.campaign.untouched() {
         return Ok(Json(taken));

@@ -22,7 +22,7 @@ use super::orders::{
     Unanswered, WORKER, ask, check_configured, folders, is_configured, is_id, order_path,
     unavailable,
 };
-use super::problem::{ApiError, Path, ProblemBody};
+use super::problem::{ApiError, Path};
 
 /// Longest wait for the state of the queue.
 const STATE_WITHIN: Duration = Duration::from_secs(30);
@@ -146,7 +146,7 @@ pub struct CancelledOut {
 /// A service that was started without the addresses of a queue and a store returns `configured: false`.
 #[utoipa::path(get, operation_id = "workers", path = "/api/v1/workers", tag = "simulation",
     responses((status = 200, body = WorkersOut),
-        (status = 503, body = ProblemBody,
+        (status = 503,
             description = "the worker is missing, or its queue or store does not answer")))]
 pub async fn all(State(app): State<App>) -> Result<Json<WorkersOut>, ApiError> {
     let read = async { Ok::<_, Infallible>(state(&app.facts.data).await.map(Arc::new)) };
@@ -161,10 +161,9 @@ pub async fn all(State(app): State<App>) -> Result<Json<WorkersOut>, ApiError> {
 ///
 /// `palpate cluster sbatch` writes such a folder. A repeated submission adds what the queue lacks.
 #[utoipa::path(post, operation_id = "submit_order", path = "/api/v1/workers/folders/{folder}",
-    tag = "simulation",
-    responses((status = 200, body = SubmittedOut),
-        (status = 409, body = ProblemBody, description = "the service knows no queue, or the worker refuses"),
-        (status = 503, body = ProblemBody,
+    tag = "simulation", responses((status = 200, body = SubmittedOut),
+        (status = 409, description = "the service knows no queue, or the worker refuses"),
+        (status = 503,
             description = "the worker is missing, or its queue or store does not answer")))]
 pub async fn submit(
     State(app): State<App>,
@@ -183,9 +182,9 @@ pub async fn submit(
     tag = "simulation",
     params(("order" = String, Path, description = "id of the order, or its first 8 digits or more")),
     responses((status = 200, body = CancelledOut),
-        (status = 404, body = ProblemBody, description = "this is no id of an order"),
-        (status = 409, body = ProblemBody, description = "the service knows no queue, or the worker refuses"),
-        (status = 503, body = ProblemBody,
+        (status = 404, description = "this is no id of an order"),
+        (status = 409, description = "the service knows no queue, or the worker refuses"),
+        (status = 503,
             description = "the worker is missing, or its queue or store does not answer")))]
 pub async fn cancel(
     State(app): State<App>,
