@@ -13,7 +13,7 @@ use super::App;
 use super::audit::Act;
 use super::pages::{Cursors, Page, PageParams, PageRequest};
 use super::params::{FileParams, RowGroupParams, RowsParams};
-use super::problem::{ApiError, Body, Path};
+use super::problem::{ApiError, ApiResult, Body, Path};
 use super::query::{GroupsOf, GroupsRequest, file_query, for_pages, groups_query, rows_query};
 use super::send::{self, Download};
 use super::trials::grouped;
@@ -153,10 +153,7 @@ type Pairs = Query<Vec<(String, String)>>;
 #[utoipa::path(get, operation_id = "list_datasets", path = "/api/v1/datasets", tag = "datasets",
     params(PageParams), responses((status = 200, body = DatasetsPage),
         (status = 400, description = "a parameter is invalid")))]
-pub async fn list(
-    State(app): State<App>,
-    asked: PageRequest,
-) -> Result<Json<DatasetsPage>, ApiError> {
+pub async fn list(State(app): State<App>, asked: PageRequest) -> ApiResult<Json<DatasetsPage>> {
     let datasets = app.store.datasets().await?.into_iter().map(|row| {
         let last_used_at = app.datasets.last_used_at(&row.id);
         DatasetOut { last_used_at, ..row.into() }
@@ -180,7 +177,7 @@ pub async fn make(
     State(app): State<App>,
     act: Act,
     Body(new): Body<DatasetRequest>,
-) -> Result<Json<DatasetOut>, ApiError> {
+) -> ApiResult<Json<DatasetOut>> {
     let file = new.file.as_deref().unwrap_or("definition");
     let row = match (new.name, new.definition, new.toml) {
         (Some(name), None, None) => app.datasets.resolve(&name).await?,
@@ -205,7 +202,7 @@ pub async fn make(
 pub async fn one(
     State(app): State<App>,
     Path(dataset): Path<String>,
-) -> Result<Json<DatasetOut>, ApiError> {
+) -> ApiResult<Json<DatasetOut>> {
     let row = app.datasets.find(&dataset).await?;
     let is_current = app.datasets.is_current(&row).await?;
     let last_used_at = app.datasets.last_used_at(&row.id);
@@ -218,7 +215,7 @@ pub async fn one(
 pub async fn lineage(
     State(app): State<App>,
     Path(dataset): Path<String>,
-) -> Result<Json<Value>, ApiError> {
+) -> ApiResult<Json<Value>> {
     let row = app.datasets.find(&dataset).await?;
     let url = format!("/api/v1/data/{}.parquet", row.id);
     Ok(Json(serde_json::json!({
@@ -231,10 +228,7 @@ pub async fn lineage(
 /// Returns the card of a dataset in Markdown: content, units, quality, origin and citation.
 #[utoipa::path(get, operation_id = "dataset_card", path = "/api/v1/datasets/{dataset}/card",
     tag = "datasets", responses((status = 200, body = String, content_type = "text/markdown")))]
-pub async fn card(
-    State(app): State<App>,
-    Path(dataset): Path<String>,
-) -> Result<Response, ApiError> {
+pub async fn card(State(app): State<App>, Path(dataset): Path<String>) -> ApiResult<Response> {
     let row = app.datasets.find(&dataset).await?;
     let text = app.datasets.card(&row.id)?;
     Ok(([(header::CONTENT_TYPE, "text/markdown; charset=utf-8")], text).into_response())
@@ -248,7 +242,7 @@ pub async fn card(
 pub async fn package(
     State(app): State<App>,
     Path(dataset): Path<String>,
-) -> Result<Json<Value>, ApiError> {
+) -> ApiResult<Json<Value>> {
     let row = app.datasets.find(&dataset).await?;
     Ok(Json(package::of(&row, &format!("/api/v1/data/{}.parquet", row.id))))
 }
@@ -285,7 +279,7 @@ pub async fn prune(
     State(app): State<App>,
     act: Act,
     Body(request): Body<PruneRequest>,
-) -> Result<Json<PruneOut>, ApiError> {
+) -> ApiResult<Json<PruneOut>> {
     let keep = request.keep.get() as usize;
     let datasets = match request.dry_run {
         true => app.datasets.prunable(keep).await?,
@@ -312,7 +306,7 @@ pub async fn rows(
     Query(pairs): Pairs,
     cursors: Cursors,
     headers: HeaderMap,
-) -> Result<Response, ApiError> {
+) -> ApiResult<Response> {
     let requested = rows_query(&pairs).map_err(ApiError::bad_query)?;
     let format = requested.format.or_else(|| send::accepted(&headers));
     format.map_or(Ok(()), for_pages).map_err(ApiError::bad_query)?;
@@ -364,7 +358,7 @@ pub async fn groups(
     Path(dataset): Path<String>,
     Query(pairs): Pairs,
     headers: HeaderMap,
-) -> Result<Response, ApiError> {
+) -> ApiResult<Response> {
     let GroupsRequest { query, groups, format } =
         groups_query(&pairs, GroupsOf::Dataset).map_err(ApiError::bad_query)?;
     let row = app.datasets.find(&dataset).await?;
@@ -392,7 +386,7 @@ pub async fn data(
     Path(file): Path<String>,
     Query(pairs): Pairs,
     request: Request,
-) -> Result<Response, ApiError> {
+) -> ApiResult<Response> {
     let (name, format) = Format::of_file(&file).ok_or_else(|| {
         let name = file.rsplit_once('.').map_or("", |(_, ending)| ending).to_owned();
         ApiError::not_found(format!("{file}: {}", UnknownFormat { name }))

@@ -9,7 +9,7 @@ use axum::response::{IntoResponse, Response};
 use tokio::sync::Mutex;
 
 use super::access::{Edited, Needs};
-use super::problem::ApiError;
+use super::problem::{ApiError, ApiResult};
 use super::tags::{lists, tagged, unless_known};
 use super::{App, models, people, queue};
 
@@ -59,7 +59,7 @@ impl Edited {
     ///
     /// # Errors
     /// 412 if it is not; 500 if the store fails.
-    async fn check(self, app: &App, headers: &HeaderMap) -> Result<(), ApiError> {
+    async fn check(self, app: &App, headers: &HeaderMap) -> ApiResult<()> {
         if !headers.contains_key(header::IF_MATCH) {
             return Ok(());
         }

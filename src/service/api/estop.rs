@@ -18,7 +18,7 @@ use super::App;
 use super::audit::{Act, Outcome, cut};
 use super::auth::{self, Caller};
 use super::limits::WHO_MAX_CHARS;
-use super::problem::ApiError;
+use super::problem::ApiResult;
 use super::runs::Attribution;
 use super::trace::RequestId;
 
@@ -83,7 +83,7 @@ pub async fn estop(State(app): State<App>, request: Request) -> Response {
 ///
 /// # Errors
 /// As [`auth::identify_stop`]; nothing is latched then.
-fn latch(app: &App, request: &Request) -> Result<Caller, ApiError> {
+fn latch(app: &App, request: &Request) -> ApiResult<Caller> {
     let peer = request.extensions().get().copied();
     let caller = auth::identify_stop(app, request.headers(), peer)?;
     let name = cut(&caller.name(None), WHO_MAX_CHARS);

@@ -5,7 +5,7 @@ use axum::Json;
 use axum::extract::State;
 
 use super::App;
-use super::problem::{ApiError, Path};
+use super::problem::{ApiError, ApiResult, Path};
 use super::runs::find;
 use crate::evaluate::simulation::{SimulationReport, report};
 
@@ -18,7 +18,7 @@ use crate::evaluate::simulation::{SimulationReport, report};
 pub async fn simulation(
     State(app): State<App>,
     Path(run): Path<String>,
-) -> Result<Json<SimulationReport>, ApiError> {
+) -> ApiResult<Json<SimulationReport>> {
     let run = find(&app, &run).await?.uid;
     let fits = app.store.fits(run).await?;
     let report = tokio::task::spawn_blocking(move || report(&fits)).await;

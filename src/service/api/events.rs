@@ -15,7 +15,7 @@ use utoipa::{IntoParams, ToSchema};
 
 use super::App;
 use super::pages::{Page, PageParams, PageRequest};
-use super::problem::{ApiError, Params};
+use super::problem::{ApiResult, Params};
 use super::runs::find;
 use crate::event::{self, Importance};
 use crate::ids::RunUid;
@@ -90,7 +90,7 @@ pub async fn events(
     Params(params): Params<EventParams>,
     asked: PageRequest,
     headers: HeaderMap,
-) -> Result<Response, ApiError> {
+) -> ApiResult<Response> {
     let run = match &params.run {
         Some(run) => Some(find(&app, run).await?.uid),
         None => None,
@@ -117,12 +117,7 @@ pub async fn events(
 }
 
 /// Resolves a negative number, which counts from the end: -30 selects the last 30 events of this run and these kinds.
-async fn resolved(
-    app: &App,
-    since: i64,
-    run: Option<RunUid>,
-    kinds: &[String],
-) -> Result<i64, ApiError> {
+async fn resolved(app: &App, since: i64, run: Option<RunUid>, kinds: &[String]) -> ApiResult<i64> {
     if since >= 0 {
         return Ok(since);
     }

@@ -12,7 +12,7 @@ use utoipa::ToSchema;
 use super::App;
 use super::audit::Act;
 use super::pages::{Page, PageParams, PageRequest};
-use super::problem::{ApiError, Body, Path};
+use super::problem::{ApiError, ApiResult, Body, Path};
 use super::send::{self, Created, Download};
 use crate::dataset::error::DatasetError;
 use crate::dataset::export::{ExportRequest, ExportResult};
@@ -89,7 +89,7 @@ pub async fn request(
     State(app): State<App>,
     act: Act,
     Body(request): Body<ExportRequest>,
-) -> Result<Created<ExportOut>, ApiError> {
+) -> ApiResult<Created<ExportOut>> {
     let row = app.datasets.request_export(&request, &act.name()).await?;
     act.about(&row.id.to_string());
     Ok(Created::later(format!("/api/v1/exports/{}", row.id), out(&app, row)))
@@ -99,7 +99,7 @@ pub async fn request(
 #[utoipa::path(get, operation_id = "list_exports", path = "/api/v1/exports", tag = "datasets",
     params(PageParams), responses((status = 200, body = Page<ExportOut>),
         (status = 400, description = "a parameter is invalid")))]
-pub async fn list(State(app): State<App>, asked: PageRequest) -> Result<Page<ExportOut>, ApiError> {
+pub async fn list(State(app): State<App>, asked: PageRequest) -> ApiResult<Page<ExportOut>> {
     let rows = app.store.tasks(TaskKind::EXPORTS, asked.limit + 1, asked.after()?).await?;
     Ok(asked.first(rows.into_iter().map(|row| out(&app, row)).collect(), |export| export.id))
 }
@@ -107,10 +107,7 @@ pub async fn list(State(app): State<App>, asked: PageRequest) -> Result<Page<Exp
 /// Returns the state and progress of an export.
 #[utoipa::path(get, operation_id = "export", path = "/api/v1/exports/{export}", tag = "datasets",
     responses((status = 200, body = ExportOut)))]
-pub async fn one(
-    State(app): State<App>,
-    Path(export): Path<String>,
-) -> Result<Json<ExportOut>, ApiError> {
+pub async fn one(State(app): State<App>, Path(export): Path<String>) -> ApiResult<Json<ExportOut>> {
     Ok(Json(out(&app, find(&app, &export).await?)))
 }
 
@@ -127,7 +124,7 @@ pub async fn file(
     State(app): State<App>,
     Path(export): Path<String>,
     request: Request,
-) -> Result<Response, ApiError> {
+) -> ApiResult<Response> {
     let row = find(&app, &export).await?;
     match row.state {
         TaskState::Done => {}
@@ -155,7 +152,7 @@ pub async fn file(
     send::file(request, &export_file, asked.format, download).await
 }
 
-async fn find(app: &App, export: &str) -> Result<TaskRow, ApiError> {
+async fn find(app: &App, export: &str) -> ApiResult<TaskRow> {
     let row = match export.parse() {
         Ok(id @ TaskId::Export(_)) => app.store.task(id).await?,
         _ => None,

@@ -10,7 +10,7 @@ use utoipa::ToSchema;
 
 use super::App;
 use super::pages::Page;
-use super::problem::{ApiError, Path};
+use super::problem::{ApiError, ApiResult, Path};
 use super::runs::find;
 use crate::store::DepthForce;
 
@@ -37,7 +37,7 @@ pub struct ForcesAtDepth {
 pub async fn of_run(
     State(app): State<App>,
     Path(run): Path<String>,
-) -> Result<Page<ForcesAtDepth>, ApiError> {
+) -> ApiResult<Page<ForcesAtDepth>> {
     let run = find(&app, &run).await?;
     let forces = app.store.forces_over_depth(run.uid).await?;
     // To sort those of 198,000 trials is not for a thread that answers requests.

@@ -22,7 +22,7 @@ use utoipa::ToSchema;
 use super::App;
 use super::audit::Act;
 use super::orders::{kind_of, order_path, program, unavailable};
-use super::problem::{ApiError, Path};
+use super::problem::{ApiError, ApiResult, Path};
 use crate::dataset::background::background;
 use crate::dataset::space::KEPT_FREE_BYTES;
 use crate::program::withhold_bulk;
@@ -124,7 +124,7 @@ pub async fn gather(
     State(app): State<App>,
     act: Act,
     Path(folder): Path<String>,
-) -> Result<(StatusCode, Json<GatherOut>), ApiError> {
+) -> ApiResult<(StatusCode, Json<GatherOut>)> {
     act.about(&folder);
     let order = order_path(&app, &folder)?;
     let kind = kind_of(&order)?;

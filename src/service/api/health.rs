@@ -11,7 +11,7 @@ use serde::Serialize;
 use utoipa::ToSchema;
 
 use super::App;
-use super::problem::ApiError;
+use super::problem::{ApiError, ApiResult};
 use crate::campaign::bench::rig_state::RigState;
 use crate::campaign::shown::status::WireStatus;
 use crate::store::Soundness;
@@ -46,7 +46,7 @@ pub async fn live() -> Json<Live> {
     responses((status = 204),
         (status = 503,
             description = "the database is damaged, unchecked or not readable, the disk is full, or the campaign has ended")))]
-pub async fn ready(State(app): State<App>) -> Result<StatusCode, ApiError> {
+pub async fn ready(State(app): State<App>) -> ApiResult<StatusCode> {
     let unavailable = |words: String| ApiError::new(StatusCode::SERVICE_UNAVAILABLE, words);
     app.store.last_event_seq().await.map_err(|e| unavailable(e.to_string()))?;
     match app.store.soundness() {

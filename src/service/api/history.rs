@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 use utoipa::{IntoParams, ToSchema};
 
 use super::App;
-use super::problem::{ApiError, Params, Path};
+use super::problem::{ApiError, ApiResult, Params, Path};
 use super::runs::find;
 use super::spans::{StateSpan, restarts, spans};
 use crate::conductor::estimates::ESTIMATE;
@@ -114,7 +114,7 @@ pub async fn of_run(
     State(app): State<App>,
     Path(run): Path<String>,
     Params(params): Params<HistoryParams>,
-) -> Result<Json<Arc<History>>, ApiError> {
+) -> ApiResult<Json<Arc<History>>> {
     let bins = params.bins;
     if !(1..=BINS_MAX).contains(&bins) {
         return Err(ApiError::query("bins", bins, "must be 1 to 1000"));

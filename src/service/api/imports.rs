@@ -13,7 +13,7 @@ use super::audit::{Act, cut};
 use super::body::announced_bytes;
 use super::form::Form;
 use super::limits::WHO_MAX_CHARS;
-use super::problem::ApiError;
+use super::problem::{ApiError, ApiResult};
 use super::send::Created;
 use crate::dataset::import::coordinates::Coordinates;
 use crate::dataset::import::{Import, import};
@@ -83,7 +83,7 @@ pub async fn add(
     act: Act,
     headers: HeaderMap,
     form: Form,
-) -> Result<Created<ImportOut>, ApiError> {
+) -> ApiResult<Created<ImportOut>> {
     app.datasets.check_upload(announced_bytes(&headers).unwrap_or(0)).await?;
     let parts = receive(&app, form).await?;
     act.stated(parts.who.as_deref(), None);
@@ -115,7 +115,7 @@ pub async fn add(
 }
 
 /// Receives the parts. The file is written to the disk as it arrives, and removed with the value.
-async fn receive(app: &App, mut form: Form) -> Result<Parts, ApiError> {
+async fn receive(app: &App, mut form: Form) -> ApiResult<Parts> {
     let mut parts = Parts::default();
     while let Some(mut part) = form.next().await? {
         let file = cut(&part.file_name(), WHO_MAX_CHARS);

@@ -12,7 +12,7 @@ use super::App;
 use super::infer::FrameAnswer;
 use super::limits::LIVE_CLIENTS;
 use super::live::LiveFrames;
-use super::problem::{ApiError, Params};
+use super::problem::{ApiError, ApiResult, Params};
 use super::socket::{LiveClient, is_sent};
 use crate::clock::Clock;
 use crate::infer::error::InferError;
@@ -60,10 +60,7 @@ pub struct LiveAnswer {
     responses((status = 101, description = "WebSocket whose messages are LiveAnswer", body = LiveAnswer),
         (status = 409, description = "no model serves for the method"),
         (status = 503, description = "too many live clients are connected")))]
-pub async fn live(
-    Params(options): Params<LiveParams>,
-    client: LiveClient,
-) -> Result<Response, ApiError> {
+pub async fn live(Params(options): Params<LiveParams>, client: LiveClient) -> ApiResult<Response> {
     let serving = client.app.serving.once_restored(options.method).await;
     let method = match options.method {
         Some(method) => method,

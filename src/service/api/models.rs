@@ -15,7 +15,7 @@ use super::form::Form;
 use super::jobs::ndjson;
 use super::limits::{MODEL_MAX_BYTES, WHO_MAX_CHARS};
 use super::pages::{Page, PageParams, PageRequest};
-use super::problem::{ApiError, Body, Path, Text};
+use super::problem::{ApiError, ApiResult, Body, Path, Text};
 use super::send::Created;
 use crate::evaluate::request::Scored;
 use crate::ids::{CalibrationId, ModelId, PromotedId};
@@ -110,7 +110,7 @@ pub struct ServingOut {
 #[utoipa::path(get, operation_id = "list_models", path = "/api/v1/models", tag = "models",
     params(PageParams), responses((status = 200, body = Page<ModelOut>),
         (status = 400, description = "a parameter is invalid")))]
-pub async fn list(State(app): State<App>, asked: PageRequest) -> Result<Page<ModelOut>, ApiError> {
+pub async fn list(State(app): State<App>, asked: PageRequest) -> ApiResult<Page<ModelOut>> {
     let Page { items: rows, next } =
         asked.of_all(app.store.models().await?, |model| model.id.clone())?;
     let promotions = app.serving.promotions().await?;
@@ -124,10 +124,7 @@ pub async fn list(State(app): State<App>, asked: PageRequest) -> Result<Page<Mod
 /// Returns a model.
 #[utoipa::path(get, operation_id = "model", path = "/api/v1/models/{model}", tag = "models",
     responses((status = 200, body = ModelOut)))]
-pub async fn one(
-    State(app): State<App>,
-    Path(model): Path<String>,
-) -> Result<Json<ModelOut>, ApiError> {
+pub async fn one(State(app): State<App>, Path(model): Path<String>) -> ApiResult<Json<ModelOut>> {
     let row = app.models.find(&model).await?;
     Ok(Json(out(&app, row, &app.serving.promotions().await?).await?))
 }
@@ -136,7 +133,7 @@ pub async fn one(
 #[utoipa::path(get, operation_id = "model_onnx",
     path = "/api/v1/models/{model}/onnx", tag = "models",
     responses((status = 200, body = Vec<u8>, content_type = "application/octet-stream")))]
-pub async fn onnx(State(app): State<App>, Path(model): Path<String>) -> Result<Response, ApiError> {
+pub async fn onnx(State(app): State<App>, Path(model): Path<String>) -> ApiResult<Response> {
     let row = app.models.find(&model).await?;
     let path = app.models.onnx(&row.id);
     let bytes = tokio::fs::read(&path).await;
@@ -153,10 +150,7 @@ pub async fn onnx(State(app): State<App>, Path(model): Path<String>) -> Result<R
 #[utoipa::path(get, operation_id = "model_losses",
     path = "/api/v1/models/{model}/losses", tag = "models",
     responses((status = 200, body = String, content_type = "application/x-ndjson")))]
-pub async fn losses(
-    State(app): State<App>,
-    Path(model): Path<String>,
-) -> Result<Response, ApiError> {
+pub async fn losses(State(app): State<App>, Path(model): Path<String>) -> ApiResult<Response> {
     let row = app.models.find(&model).await?;
     Ok(ndjson(app.models.losses(&row.id).unwrap_or_default()))
 }
@@ -167,7 +161,7 @@ pub async fn losses(
 pub async fn residuals(
     State(app): State<App>,
     Path(model): Path<String>,
-) -> Result<Json<Residuals>, ApiError> {
+) -> ApiResult<Json<Residuals>> {
     Ok(Json(app.models.residuals(&model).await?))
 }
 
@@ -197,11 +191,7 @@ pub struct ModelForm {
     responses((status = 201, body = ModelOut, headers(("Location", description = "the model"))),
         (status = 422,
             description = "a part of the form is missing or invalid, or the model does not run")))]
-pub async fn add(
-    State(app): State<App>,
-    act: Act,
-    form: Form,
-) -> Result<Created<ModelOut>, ApiError> {
+pub async fn add(State(app): State<App>, act: Act, form: Form) -> ApiResult<Created<ModelOut>> {
     let parts = receive(form).await?;
     app.still_allowed(&act).await?;
     let row = store(&app, parts).await?;
@@ -221,7 +211,7 @@ struct Parts {
     residuals: Option<String>,
 }
 
-async fn receive(mut form: Form) -> Result<Parts, ApiError> {
+async fn receive(mut form: Form) -> ApiResult<Parts> {
     let mut parts = Parts::default();
     while let Some(part) = form.next().await? {
         match part.name.as_str() {
@@ -246,8 +236,8 @@ async fn receive(mut form: Form) -> Result<Parts, ApiError> {
 }
 
 /// Checks the parts of a form and stores the model.
-async fn store(app: &App, parts: Parts) -> Result<ModelRow, ApiError> {
-    fn given<T>(part: Option<T>, name: &str) -> Result<T, ApiError> {
+async fn store(app: &App, parts: Parts) -> ApiResult<ModelRow> {
+    fn given<T>(part: Option<T>, name: &str) -> ApiResult<T> {
         let problem = || Problem::new("form", name, "absent", "must be given");
         part.ok_or_else(|| ApiError::problems(vec![problem()]))
     }
@@ -269,7 +259,7 @@ async fn store(app: &App, parts: Parts) -> Result<ModelRow, ApiError> {
 }
 
 /// Reads the residuals of a Transfer-Net.
-fn residuals_of(manifest: &Manifest, text: &str) -> Result<Residuals, ApiError> {
+fn residuals_of(manifest: &Manifest, text: &str) -> ApiResult<Residuals> {
     let refused =
         |limit: &str| ApiError::problems(vec![Problem::new("form", "residuals", "..", limit)]);
     let residuals: Residuals =
@@ -289,7 +279,7 @@ pub async fn add_calibration(
     State(app): State<App>,
     act: Act,
     Text(text): Text,
-) -> Result<(StatusCode, Json<CalibrationId>), ApiError> {
+) -> ApiResult<(StatusCode, Json<CalibrationId>)> {
     let id = app.serving.keep_calibration(&text).await?;
     act.about(id.as_str());
     Ok((StatusCode::CREATED, Json(id)))
@@ -298,7 +288,7 @@ pub async fn add_calibration(
 /// Returns the content of all slots, and the history of promotions.
 #[utoipa::path(get, path = "/api/v1/serving", tag = "models",
     responses((status = 200, body = ServingOut)))]
-pub async fn serving(State(app): State<App>) -> Result<Json<ServingOut>, ApiError> {
+pub async fn serving(State(app): State<App>) -> ApiResult<Json<ServingOut>> {
     let promotions = app.serving.promotions().await?;
     let serves = Slot::ALL.map(|slot| serves_out(&app, slot, &promotions)).into();
     Ok(Json(ServingOut { serves, history: promotions.into_rows() }))
@@ -315,7 +305,7 @@ pub async fn promote(
     State(app): State<App>,
     act: Act,
     Body(request): Body<PromotionRequest>,
-) -> Result<Json<ServesOut>, ApiError> {
+) -> ApiResult<Json<ServesOut>> {
     let (who, why) = (request.who.as_deref(), request.why.as_deref());
     act.stated(who, why);
     act.about(&request.what);
@@ -332,7 +322,7 @@ pub async fn roll_back(
     State(app): State<App>,
     act: Act,
     Body(request): Body<RollBackRequest>,
-) -> Result<Json<ServesOut>, ApiError> {
+) -> ApiResult<Json<ServesOut>> {
     let (who, why, slot) = (request.who.as_deref(), request.why.as_deref(), request.slot);
     act.stated(who, why);
     app.serving.roll_back(slot, &act.name(), why).await?;
@@ -361,7 +351,7 @@ fn is_score(task: &str, report: &Value) -> bool {
     is_for && !trained_on && report["examples"].is_null()
 }
 
-async fn out(app: &App, row: ModelRow, promotions: &Promotions) -> Result<ModelOut, ApiError> {
+async fn out(app: &App, row: ModelRow, promotions: &Promotions) -> ApiResult<ModelOut> {
     let manifest: toml::Table = toml::from_str(&row.manifest).unwrap_or_default();
     let promoted = Some(PromotedId::Model(row.id.clone()));
     let reports = app.store.evaluations_of(&row.id).await?.into_iter().filter_map(|job| job.result);

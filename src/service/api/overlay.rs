@@ -8,7 +8,7 @@ use serde::Deserialize;
 use utoipa::IntoParams;
 
 use super::App;
-use super::problem::{ApiError, Params};
+use super::problem::{ApiResult, Params};
 use super::sensor::sensor_of;
 use crate::overlay::{self, Paper};
 
@@ -55,7 +55,7 @@ pub struct OverlayParams {
 pub async fn overlay(
     State(app): State<App>,
     Params(asked): Params<OverlayParams>,
-) -> Result<Response, ApiError> {
+) -> ApiResult<Response> {
     let sensor = sensor_of(&app, asked.run.as_deref()).await?;
     let pdf = overlay::pdf(&sensor, asked.paper.into());
     let headers = [

@@ -12,7 +12,7 @@ use super::audit::Act;
 use super::auth::Caller;
 use super::limits::{TICKET, TICKETS, WHO_MAX_CHARS, WHY_MAX_CHARS};
 use super::pages::{Page, PageParams, PageRequest};
-use super::problem::{ApiError, Body, Params, Path};
+use super::problem::{ApiError, ApiResult, Body, Params, Path};
 use super::queue::WhoParams;
 use super::runs::find;
 use crate::store::{ActionRow, KeyRow, LockRow, Role};
@@ -73,7 +73,7 @@ pub struct ActionParams {
 /// Returns the operator lock, or null.
 #[utoipa::path(get, path = "/api/v1/lock", tag = "people",
     responses((status = 200, body = Option<LockOut>)))]
-pub async fn lock(State(app): State<App>) -> Result<Json<Option<LockOut>>, ApiError> {
+pub async fn lock(State(app): State<App>) -> ApiResult<Json<Option<LockOut>>> {
     Ok(Json(app.store.lock().await?.map(LockOut::from)))
 }
 
@@ -89,7 +89,7 @@ pub async fn take_lock(
     State(app): State<App>,
     act: Act,
     Body(new): Body<LockRequest>,
-) -> Result<Json<LockOut>, ApiError> {
+) -> ApiResult<Json<LockOut>> {
     act.stated(new.holder.as_deref(), Some(&new.note));
     let holder = new.holder.as_deref();
     ApiError::check_text("holder", holder.unwrap_or_default(), WHO_MAX_CHARS)?;
@@ -107,7 +107,7 @@ pub async fn clear_lock(
     State(app): State<App>,
     act: Act,
     Params(by): Params<WhoParams>,
-) -> Result<StatusCode, ApiError> {
+) -> ApiResult<StatusCode> {
     act.stated(by.who.as_deref(), None);
     if let Some(lock) = app.store.lock().await?
         && !act.caller().may_release(&lock)
@@ -126,7 +126,7 @@ pub async fn clear_lock(
 #[utoipa::path(get, path = "/api/v1/keys", tag = "people",
     responses((status = 200, body = Page<KeyRow>),
         (status = 403, description = "the role is not admin")))]
-pub async fn keys(State(app): State<App>) -> Result<Page<KeyRow>, ApiError> {
+pub async fn keys(State(app): State<App>) -> ApiResult<Page<KeyRow>> {
     Ok(Page::whole(app.store.keys().await?))
 }
 
@@ -139,7 +139,7 @@ pub async fn create_key(
     State(app): State<App>,
     act: Act,
     Body(new): Body<KeyRequest>,
-) -> Result<(StatusCode, Json<CreatedKey>), ApiError> {
+) -> ApiResult<(StatusCode, Json<CreatedKey>)> {
     act.about(&new.name);
     let (key, secret) = app.keys.create(&new.name, new.role, rand::random()).await?;
     Ok((StatusCode::CREATED, Json(CreatedKey { key, secret })))
@@ -153,7 +153,7 @@ pub async fn revoke_key(
     State(app): State<App>,
     act: Act,
     Path(id): Path<i64>,
-) -> Result<StatusCode, ApiError> {
+) -> ApiResult<StatusCode> {
     act.about(&format!("key {id}"));
     match app.keys.revoke(id).await? {
         true => Ok(StatusCode::NO_CONTENT),
@@ -197,7 +197,7 @@ pub async fn caller(Extension(caller): Extension<Caller>) -> Json<CallerOut> {
 pub async fn ticket(
     State(app): State<App>,
     Extension(caller): Extension<Caller>,
-) -> Result<(StatusCode, Json<Ticket>), ApiError> {
+) -> ApiResult<(StatusCode, Json<Ticket>)> {
     let ticket = app.facts.tickets.create(caller, rand::random()).ok_or_else(|| {
         let words = format!("{TICKETS} tickets wait to be used: use one, or wait");
         ApiError::new(StatusCode::TOO_MANY_REQUESTS, words)
@@ -214,7 +214,7 @@ pub async fn actions(
     State(app): State<App>,
     Params(params): Params<ActionParams>,
     asked: PageRequest,
-) -> Result<Page<ActionRow>, ApiError> {
+) -> ApiResult<Page<ActionRow>> {
     let run = match &params.run {
         Some(run) => Some(find(&app, run).await?.uid),
         None => None,

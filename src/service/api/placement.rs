@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 use super::App;
-use super::problem::ApiError;
+use super::problem::{ApiError, ApiResult};
 use crate::campaign::shown::command::Request;
 use crate::campaign::shown::placement::{Confirmation, VerdictKind};
 use crate::campaign::shown::run_action::ActionOnRun;
@@ -91,7 +91,7 @@ impl From<LastPlaced> for LastPlacement {
 #[utoipa::path(get, operation_id = "placement", path = "/api/v1/placement", tag = "runs",
     responses((status = 200, body = PlacementOut),
         (status = 404, description = "no run asks for a placement")))]
-pub async fn placement(State(app): State<App>) -> Result<Json<PlacementOut>, ApiError> {
+pub async fn placement(State(app): State<App>) -> ApiResult<Json<PlacementOut>> {
     let none = || ApiError::not_found("no run asks for a placement");
     let status = app.campaign.status();
     let awaited = Awaited::of(&status);
@@ -146,7 +146,7 @@ pub async fn confirmation(
     app: &App,
     mut done: Done,
     mut confirmation: Confirmation,
-) -> Result<Request, ApiError> {
+) -> ApiResult<Request> {
     let status = app.campaign.status();
     let wanted = status.run.as_ref().and_then(|run| run.wanted.clone());
     let Some(awaited) = Awaited::of(&status).filter(|_| wanted.is_some_and(|w| done.fits(&w)))

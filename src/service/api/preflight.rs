@@ -8,7 +8,7 @@ use serde::Serialize;
 use utoipa::ToSchema;
 
 use super::App;
-use super::problem::{ApiError, Body, Path};
+use super::problem::{ApiResult, Body, Path};
 use super::progress::{ForcesOfTips, along};
 use super::runs::find;
 use crate::conductor::Submission;
@@ -47,7 +47,7 @@ pub struct EarlierRun {
 pub async fn of_submission(
     State(app): State<App>,
     Body(submission): Body<Submission>,
-) -> Result<Json<RunPreflight>, ApiError> {
+) -> ApiResult<Json<RunPreflight>> {
     let _turn = app.turns.preflight().await?;
     let prepared = app.conductor.prepare(submission).await?;
     let sensor_sha256 = sha256_hex(&prepared.sensor_text);
@@ -62,7 +62,7 @@ pub async fn of_submission(
 pub async fn of_run(
     State(app): State<App>,
     Path(run): Path<String>,
-) -> Result<Json<RunPreflight>, ApiError> {
+) -> ApiResult<Json<RunPreflight>> {
     let run = find(&app, &run).await?;
     let preflight = app.conductor.preflight_of(&run).await?;
     let before = run.started_at.unwrap_or_else(Timestamp::now);
@@ -76,7 +76,7 @@ async fn earlier(
     preflight: &Preflight,
     sensor_sha256: &str,
     before: Timestamp,
-) -> Result<Option<EarlierRun>, ApiError> {
+) -> ApiResult<Option<EarlierRun>> {
     if preflight.kind != RunKind::RealHex.as_str() {
         return Ok(None);
     }

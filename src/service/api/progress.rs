@@ -12,7 +12,7 @@ use sim_core::stats::median;
 use utoipa::ToSchema;
 
 use super::App;
-use super::problem::{ApiError, Path};
+use super::problem::{ApiResult, Path};
 use super::runs::find;
 use super::tour::Tour;
 use crate::campaign::shown::status::RunStatus;
@@ -66,7 +66,7 @@ pub struct ForcesOfTips {
 pub async fn of_run(
     State(app): State<App>,
     Path(run): Path<String>,
-) -> Result<Json<RunProgress>, ApiError> {
+) -> ApiResult<Json<RunProgress>> {
     let run = find(&app, &run).await?;
     let kept = app.tour(&run).await?;
     Ok(Json(along(&app, &run, &kept.tour).await?))
@@ -76,7 +76,7 @@ pub async fn of_run(
 ///
 /// # Errors
 /// Those of the store.
-pub(super) async fn along(app: &App, run: &RunRow, tour: &Tour) -> Result<RunProgress, ApiError> {
+pub(super) async fn along(app: &App, run: &RunRow, tour: &Tour) -> ApiResult<RunProgress> {
     let reading = async { app.store.progress_by_configuration(run.uid).await.map(Arc::new) };
     let stored = app.facts.memory.progress.get(run.uid, reading).await?;
     let active = app.campaign.status().run.filter(|active| active.uid == run.uid);

@@ -11,7 +11,7 @@ use utoipa::ToSchema;
 use super::App;
 use super::limits::{FRAMES_MAX, LIVE_CLIENTS};
 use super::live_contacts::follow;
-use super::problem::{ApiError, Body, Path};
+use super::problem::{ApiError, ApiResult, Body, Path};
 use super::socket::LiveClient;
 use crate::clock::Clock;
 use crate::dataset::background::background;
@@ -40,7 +40,7 @@ pub async fn quantities(
     State(app): State<App>,
     Path(model): Path<String>,
     Body(request): Body<QuantityRequest>,
-) -> Result<Json<Vec<QuantityAnswer>>, ApiError> {
+) -> ApiResult<Json<Vec<QuantityAnswer>>> {
     let model = app.models.load(&model).await?;
     model.quantity()?;
     let (count, channels) = (request.frames.len(), model.plan.channels());
@@ -83,7 +83,7 @@ pub struct LiveQuantities {
     responses((status = 101, description = "WebSocket whose messages are LiveQuantities", body = LiveQuantities),
         (status = 409, description = "no net of a quantity serves"),
         (status = 503, description = "too many live clients are connected")))]
-pub async fn live(client: LiveClient) -> Result<Response, ApiError> {
+pub async fn live(client: LiveClient) -> ApiResult<Response> {
     client.app.serving.once_restored(None).await.has_quantities()?;
     let places = client.app.turns.live.clone();
     client.open(&places, (LIVE_CLIENTS, "live contacts and quantities"), |app, socket| {
@@ -98,7 +98,7 @@ pub async fn live(client: LiveClient) -> Result<Response, ApiError> {
 }
 
 /// Checks that all frames are complete and finite.
-fn check(frames: &[Vec<f32>], channels: usize) -> Result<(), ApiError> {
+fn check(frames: &[Vec<f32>], channels: usize) -> ApiResult<()> {
     for (index, frame) in frames.iter().enumerate() {
         if frame.len() != channels {
             let key = format!("frames[{index}]");

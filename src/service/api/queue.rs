@@ -10,7 +10,7 @@ use utoipa::{IntoParams, ToSchema};
 use super::App;
 use super::audit::Act;
 use super::pages::Page;
-use super::problem::{ApiError, Body, Params, Path};
+use super::problem::{ApiResult, Body, Params, Path};
 use super::runs::find;
 use super::send::Created;
 use crate::conductor::{Submission, Terms};
@@ -56,7 +56,7 @@ pub struct MoveRequest {
 /// Returns the waiting runs, the next one first.
 #[utoipa::path(get, operation_id = "queue",
     path = "/api/v1/queue", tag = "queue", responses((status = 200, body = Page<RunRow>)))]
-pub async fn list(State(app): State<App>) -> Result<Page<RunRow>, ApiError> {
+pub async fn list(State(app): State<App>) -> ApiResult<Page<RunRow>> {
     Ok(Page::whole(app.store.queue().await?))
 }
 
@@ -69,7 +69,7 @@ pub async fn add(
     State(app): State<App>,
     act: Act,
     Body(item): Body<QueueRequest>,
-) -> Result<Created<RunRow>, ApiError> {
+) -> ApiResult<Created<RunRow>> {
     act.stated(item.who.as_deref(), None);
     let terms = item.terms();
     let row = app.conductor.enqueue(item.submission, act.name(), terms).await?;
@@ -91,7 +91,7 @@ pub async fn edit(
     act: Act,
     Path(run): Path<String>,
     Body(item): Body<QueueRequest>,
-) -> Result<Json<RunRow>, ApiError> {
+) -> ApiResult<Json<RunRow>> {
     act.stated(item.who.as_deref(), None);
     let run = find(&app, &run).await?;
     act.on(run.uid);
@@ -110,7 +110,7 @@ pub async fn remove(
     act: Act,
     Path(run): Path<String>,
     Params(by): Params<WhoParams>,
-) -> Result<Json<RunRow>, ApiError> {
+) -> ApiResult<Json<RunRow>> {
     act.stated(by.who.as_deref(), None);
     let run = find(&app, &run).await?.uid;
     act.on(run);
@@ -127,7 +127,7 @@ pub async fn shift(
     act: Act,
     Path(run): Path<String>,
     Body(shift): Body<MoveRequest>,
-) -> Result<Page<RunRow>, ApiError> {
+) -> ApiResult<Page<RunRow>> {
     act.stated(shift.who.as_deref(), None);
     let run = find(&app, &run).await?.uid;
     act.on(run);

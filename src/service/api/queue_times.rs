@@ -11,7 +11,7 @@ use utoipa::ToSchema;
 use super::App;
 use super::limits::ROOM_MAX;
 use super::pages::Page;
-use super::problem::ApiError;
+use super::problem::ApiResult;
 use crate::conductor::ConductorError;
 use crate::ids::RunUid;
 use crate::journal::error_chain;
@@ -56,7 +56,7 @@ pub struct Planned {
 /// second.
 #[utoipa::path(get, operation_id = "queue_times", path = "/api/v1/queue/times", tag = "queue",
     responses((status = 200, body = Page<QueueTime>)))]
-pub async fn times(State(app): State<App>) -> Result<Page<QueueTime>, ApiError> {
+pub async fn times(State(app): State<App>) -> ApiResult<Page<QueueTime>> {
     let rows = app.store.queue().await?;
     let mut planned = Vec::with_capacity(rows.len());
     for row in rows.iter().take(ROOM_MAX) {

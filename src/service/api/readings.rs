@@ -10,7 +10,7 @@ use super::App;
 use super::audit::{Act, cut};
 use super::form::Form;
 use super::limits::{FRAMES_MAX_BYTES, WHO_MAX_CHARS};
-use super::problem::{ApiError, Body, Params};
+use super::problem::{ApiError, ApiResult, Body, Params};
 use crate::evaluate::request::{EvaluationReport, EvaluationRequest};
 use crate::infer::answer::Reading;
 use crate::jobs::readings::{ORDERED_FRAMES_MAX, ReadingInputs};
@@ -48,7 +48,7 @@ pub async fn inputs(
     act: Act,
     Params(ChunkParams { chunk_rows }): Params<ChunkParams>,
     Body(request): Body<EvaluationRequest>,
-) -> Result<Json<ReadingInputs>, ApiError> {
+) -> ApiResult<Json<ReadingInputs>> {
     if !(1..=ORDERED_FRAMES_MAX).contains(&u64::from(chunk_rows)) {
         let words = format!("must be from 1 to {ORDERED_FRAMES_MAX}");
         return Err(ApiError::query("chunk_rows", chunk_rows, &words));
@@ -89,7 +89,7 @@ pub async fn score(
     State(app): State<App>,
     act: Act,
     mut form: Form,
-) -> Result<Json<EvaluationReport>, ApiError> {
+) -> ApiResult<Json<EvaluationReport>> {
     let (mut file, mut request, mut model, mut frames_sha256) = (None, None, None, None);
     while let Some(part) = form.next().await? {
         match part.name.as_str() {

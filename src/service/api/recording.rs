@@ -24,7 +24,7 @@ use utoipa::IntoParams;
 
 use super::App;
 use super::limits::{FRAME_CLIENTS, RECORDED_FRAMES};
-use super::problem::{ApiError, Params};
+use super::problem::{ApiError, ApiResult, Params};
 use super::query::for_pages;
 use super::send::{self, Piece};
 use crate::campaign::bench::rig_state::RigState;
@@ -66,7 +66,7 @@ pub async fn record(
     State(app): State<App>,
     headers: HeaderMap,
     Params(asked): Params<RecordingParams>,
-) -> Result<Response, ApiError> {
+) -> ApiResult<Response> {
     let frames = asked.frames;
     if !(1..=RECORDED_FRAMES).contains(&frames) {
         let limit = format!("must be 1 to {RECORDED_FRAMES}");

@@ -10,7 +10,7 @@ use utoipa::ToSchema;
 
 use super::App;
 use super::audit::Act;
-use super::problem::{ApiError, Body};
+use super::problem::{ApiError, ApiResult, Body};
 use super::refusals::{CONNECTED, DESK};
 use crate::campaign::bench::rig_state::RigState;
 use crate::campaign::check::{self, CheckReport, Scope};
@@ -59,7 +59,7 @@ pub async fn act(
     State(app): State<App>,
     act: Act,
     Body(asked): Body<RigActionRequest>,
-) -> Result<StatusCode, ApiError> {
+) -> ApiResult<StatusCode> {
     act.stated(asked.who.as_deref(), asked.why.as_deref());
     act.named(asked.action.as_str());
     let request = match asked.action {
@@ -104,7 +104,7 @@ pub async fn check(
     State(app): State<App>,
     act: Act,
     body: Result<Option<Json<RigCheckRequest>>, JsonRejection>,
-) -> Result<Json<serde_json::Value>, ApiError> {
+) -> ApiResult<Json<serde_json::Value>> {
     let RigCheckRequest { enable, who, why } =
         body?.map(|Json(request)| request).unwrap_or_default();
     act.stated(who.as_deref(), why.as_deref());
@@ -117,7 +117,7 @@ pub async fn check(
     Ok(Json(report))
 }
 
-async fn checked(app: &App, enable: bool) -> Result<CheckReport, ApiError> {
+async fn checked(app: &App, enable: bool) -> ApiResult<CheckReport> {
     let conflict = |words: &str| ApiError::new(StatusCode::CONFLICT, words);
     let wires = app.campaign.wires();
     let Some(_wires) = wires.take() else {

@@ -14,7 +14,7 @@ use super::audit::{Act, cut};
 use super::limits::WHO_MAX_CHARS;
 use super::pages::{Page, PageParams, PageRequest};
 use super::placement::confirmation;
-use super::problem::{ApiError, Body, Path};
+use super::problem::{ApiError, ApiResult, Body, Path};
 use crate::campaign::STOPS;
 use crate::campaign::shown::command::Request;
 use crate::campaign::shown::placement::Confirmation;
@@ -118,7 +118,7 @@ pub struct ActionAccepted {
 ///
 /// # Errors
 /// 404 if there is no such run; errors of the store.
-pub async fn find(app: &App, run: &str) -> Result<RunRow, ApiError> {
+pub async fn find(app: &App, run: &str) -> ApiResult<RunRow> {
     let found = if let Ok(scan_id) = run.parse::<i64>() {
         app.store.run_by_scan_id(scan_id).await?
     } else if let Ok(uid) = run.parse::<RunUid>() {
@@ -137,7 +137,7 @@ pub async fn find(app: &App, run: &str) -> Result<RunRow, ApiError> {
 #[utoipa::path(get, operation_id = "list_runs", path = "/api/v1/runs", tag = "runs",
     params(PageParams), responses((status = 200, body = Page<RunRow>),
         (status = 400, description = "a parameter is invalid")))]
-pub async fn list(State(app): State<App>, asked: PageRequest) -> Result<Page<RunRow>, ApiError> {
+pub async fn list(State(app): State<App>, asked: PageRequest) -> ApiResult<Page<RunRow>> {
     let found = app.store.runs(asked.limit, asked.after()?).await?;
     Ok(asked.page(found.runs, found.next))
 }
@@ -145,20 +145,14 @@ pub async fn list(State(app): State<App>, asked: PageRequest) -> Result<Page<Run
 /// Returns a run.
 #[utoipa::path(get, operation_id = "run", path = "/api/v1/runs/{run}", tag = "runs",
     responses((status = 200, body = RunRow)))]
-pub async fn one(
-    State(app): State<App>,
-    Path(run): Path<String>,
-) -> Result<Json<RunRow>, ApiError> {
+pub async fn one(State(app): State<App>, Path(run): Path<String>) -> ApiResult<Json<RunRow>> {
     Ok(Json(find(&app, &run).await?))
 }
 
 /// Returns the results of a run.
 #[utoipa::path(get, operation_id = "run_summary", path = "/api/v1/runs/{run}/summary", tag = "runs",
     responses((status = 200, body = Summary)))]
-pub async fn summary(
-    State(app): State<App>,
-    Path(run): Path<String>,
-) -> Result<Json<Summary>, ApiError> {
+pub async fn summary(State(app): State<App>, Path(run): Path<String>) -> ApiResult<Json<Summary>> {
     let run = find(&app, &run).await?;
     let uid = run.uid;
     let progress = app.store.progress(uid).await.map_err(ApiError::internal)?;
@@ -199,10 +193,7 @@ pub async fn summary(
     responses((status = 200, body = Object,
                   description = "the plan; its sha256 is `plan_sha256` of the run"),
         (status = 404, description = "no run has this uid or scan_id, or no plan was kept for it")))]
-pub async fn plan(
-    State(app): State<App>,
-    Path(run): Path<String>,
-) -> Result<impl IntoResponse, ApiError> {
+pub async fn plan(State(app): State<App>, Path(run): Path<String>) -> ApiResult<impl IntoResponse> {
     let run = find(&app, &run).await?;
     let none = || ApiError::not_found(format!("run {} has no plan", run.scan_id));
     let plan = app.store.plan_of(run.uid).await?.ok_or_else(none)?;
@@ -222,7 +213,7 @@ pub async fn arm(
     act: Act,
     Path(run): Path<String>,
     Body(stated): Body<Attribution>,
-) -> Result<Json<Armed>, ApiError> {
+) -> ApiResult<Json<Armed>> {
     act.stated(stated.who.as_deref(), stated.why.as_deref());
     let run = find(&app, &run).await?;
     act.on(run.uid);
@@ -240,7 +231,7 @@ pub async fn act(
     act: Act,
     Path(run): Path<String>,
     Body(asked): Body<ActionRequest>,
-) -> Result<(StatusCode, Json<ActionAccepted>), ApiError> {
+) -> ApiResult<(StatusCode, Json<ActionAccepted>)> {
     act.named(asked.action.as_str());
     act.stated(asked.who.as_deref(), asked.why.as_deref());
     let run = find(&app, &run).await?;
@@ -254,7 +245,7 @@ async fn request_action(
     act: &Act,
     run: &RunRow,
     asked: ActionRequest,
-) -> Result<Option<Started>, ApiError> {
+) -> ApiResult<Option<Started>> {
     if needs_lock(asked.action) {
         act.require(Role::Operator)?;
         app.unlocked(act.caller()).await?;
@@ -288,7 +279,7 @@ async fn request_action(
 
 /// An action on a run that is not driven: an abort ends an open one. A pause or an abort of one that has just ended is
 /// refused, and no waiting run begins.
-async fn on_undriven(app: &App, run: &RunRow, action: ActionOnRun) -> Result<(), ApiError> {
+async fn on_undriven(app: &App, run: &RunRow, action: ActionOnRun) -> ApiResult<()> {
     // It may have ended since it was read.
     let run = &app.store.run(run.uid).await?.unwrap_or_else(|| run.clone());
     if action == ActionOnRun::Abort && run.is_open() {

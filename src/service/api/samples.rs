@@ -15,7 +15,7 @@ use utoipa::IntoParams;
 use super::App;
 use super::envelope::{SamplesOut, envelope};
 use super::limits::{SAMPLES_MAX, SAMPLES_MINUTES};
-use super::problem::{ApiError, Params};
+use super::problem::{ApiError, ApiResult, Params};
 use crate::campaign::shown::samples::ForceSample;
 
 /// Period for which samples are combined before they are kept: of a period two remain.
@@ -70,7 +70,7 @@ fn five() -> u32 {
 pub async fn last_minutes(
     State(app): State<App>,
     Params(params): Params<SamplesParams>,
-) -> Result<Json<SamplesOut>, ApiError> {
+) -> ApiResult<Json<SamplesOut>> {
     let minutes = params.minutes;
     if !(1..=SAMPLES_MINUTES).contains(&minutes) {
         return Err(ApiError::query("minutes", minutes, "must be 1 to 30"));

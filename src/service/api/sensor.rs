@@ -8,7 +8,7 @@ use sim_core::sensor::Sensor;
 use utoipa::{IntoParams, ToSchema};
 
 use super::App;
-use super::problem::{ApiError, Params};
+use super::problem::{ApiError, ApiResult, Params};
 use super::runs::find;
 use crate::dataset::force_map::SIDE_MM;
 
@@ -91,7 +91,7 @@ impl SensorOut {
 pub async fn sensor(
     State(app): State<App>,
     Params(params): Params<SensorParams>,
-) -> Result<Json<SensorOut>, ApiError> {
+) -> ApiResult<Json<SensorOut>> {
     Ok(Json(SensorOut::of(&sensor_of(&app, params.run.as_deref()).await?)))
 }
 
@@ -99,7 +99,7 @@ pub async fn sensor(
 ///
 /// # Errors
 /// 404 if no run has this name, or if its sensor has no readable file.
-pub(super) async fn sensor_of(app: &App, run: Option<&str>) -> Result<Sensor, ApiError> {
+pub(super) async fn sensor_of(app: &App, run: Option<&str>) -> ApiResult<Sensor> {
     let Some(run) = run else { return Ok(app.serving.sensor().clone()) };
     let run = find(app, run).await?;
     Sensor::from_toml(&run.sensor).map_err(|error| {

@@ -12,7 +12,7 @@ use utoipa::ToSchema;
 
 use super::App;
 use super::limits::SIMULATED_CONTACTS;
-use super::problem::{ApiError, Body};
+use super::problem::{ApiError, ApiResult, Body};
 use super::runs::find;
 use crate::clock::Clock;
 use crate::dataset::background::background;
@@ -111,7 +111,7 @@ pub struct Simulation {
 pub async fn simulate(
     State(app): State<App>,
     Body(asked): Body<SimulationRequest>,
-) -> Result<Json<Simulation>, ApiError> {
+) -> ApiResult<Json<Simulation>> {
     let skin = Skin::of(&app, asked.run.as_deref()).await?;
     let contacts = requested(&asked.contacts).map_err(ApiError::problems)?;
     Limits::of(&skin.sensor, SIMULATED_CONTACTS)
@@ -167,7 +167,7 @@ struct Skin {
 }
 
 impl Skin {
-    async fn of(app: &App, run: Option<&str>) -> Result<Self, ApiError> {
+    async fn of(app: &App, run: Option<&str>) -> ApiResult<Self> {
         let Some(run) = run else {
             let (sensor, text) = (app.serving.sensor().clone(), app.serving.sensor_text());
             let calibration = match app.serving.promoted_skin().await? {

@@ -15,7 +15,7 @@ use utoipa::{IntoParams, ToSchema};
 use super::App;
 use super::audit::cut;
 use super::limits::{QUERY_JSON_MAX_BYTES, REPEATED_CHARS};
-use super::problem::{ApiError, Body as JsonBody, Params};
+use super::problem::{ApiError, ApiResult, Body as JsonBody, Params};
 use super::query::for_pages;
 use super::send;
 use crate::dataset::error::DatasetError;
@@ -88,7 +88,7 @@ pub async fn ask(
     State(app): State<App>,
     headers: HeaderMap,
     JsonBody(request): JsonBody<QueryRequest>,
-) -> Result<Response, ApiError> {
+) -> ApiResult<Response> {
     answer(&app, &headers, request).await
 }
 
@@ -126,7 +126,7 @@ fn with_reason(error: ApiError) -> Response {
 /// Lists the tables of statements: those of every data folder, then the datasets.
 #[utoipa::path(get, operation_id = "query_tables", path = "/api/v1/query/tables", tag = "datasets",
     responses((status = 200, body = Vec<QueryTable>)))]
-pub async fn tables(State(app): State<App>) -> Result<Json<Vec<QueryTable>>, ApiError> {
+pub async fn tables(State(app): State<App>) -> ApiResult<Json<Vec<QueryTable>>> {
     let known = TABLES.iter().map(|table| QueryTable {
         name: table.name.into(),
         about: format!("a row: {}", table.about),
@@ -142,11 +142,7 @@ pub async fn tables(State(app): State<App>) -> Result<Json<Vec<QueryTable>>, Api
     Ok(Json(known.chain(datasets).collect()))
 }
 
-async fn answer(
-    app: &App,
-    headers: &HeaderMap,
-    request: QueryRequest,
-) -> Result<Response, ApiError> {
+async fn answer(app: &App, headers: &HeaderMap, request: QueryRequest) -> ApiResult<Response> {
     let format = match request.format.as_deref() {
         None => send::accepted(headers),
         Some("json") => None,
@@ -178,7 +174,7 @@ async fn answer(
 ///
 /// # Errors
 /// `ApiError` if the format cannot hold a column, or the first rows cannot be read or encoded.
-pub async fn streamed(format: Format, mut rows: ResultRows) -> Result<Response, ApiError> {
+pub async fn streamed(format: Format, mut rows: ResultRows) -> ApiResult<Response> {
     let piece = send::Piece::default();
     let mut stream =
         Stream::new(format, &rows.schema, piece.clone()).map_err(DatasetError::from)?;
@@ -225,7 +221,7 @@ fn unreadable(error: ArrowError) -> ApiError {
 ///
 /// # Errors
 /// 400 if they are too long for JSON; 500 if the engine fails meanwhile.
-pub async fn items(mut rows: ResultRows) -> Result<Vec<Box<RawValue>>, ApiError> {
+pub async fn items(mut rows: ResultRows) -> ApiResult<Vec<Box<RawValue>>> {
     let piece = send::Piece::default();
     let mut lines =
         Stream::new(Format::Ndjson, &rows.schema, piece.clone()).map_err(DatasetError::from)?;

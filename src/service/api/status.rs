@@ -14,7 +14,7 @@ use super::glance::{Facts, Glance, glances};
 use super::history::predicted;
 use super::needs::{Around, Need, needs};
 use super::people::LockOut;
-use super::problem::ApiError;
+use super::problem::ApiResult;
 use super::refusals::{self, ActionStatus};
 use super::suspenders::{Readings, Suspender};
 use crate::campaign::shown::status::Status;
@@ -111,7 +111,7 @@ pub struct ServiceInfo {
 /// Returns the status of rig, run and service.
 #[utoipa::path(get, path = "/api/v1/status", tag = "status",
     responses((status = 200, body = ServiceStatus)))]
-pub async fn status(State(app): State<App>) -> Result<Json<ServiceStatus>, ApiError> {
+pub async fn status(State(app): State<App>) -> ApiResult<Json<ServiceStatus>> {
     let stored = app.stored_part().await?;
     Ok(Json(app.status_with(stored).await))
 }

@@ -13,7 +13,7 @@ use sim_core::sensor::Sensor;
 use utoipa::ToSchema;
 
 use super::App;
-use super::problem::{ApiError, Body, Path};
+use super::problem::{ApiError, ApiResult, Body, Path};
 use super::runs::find;
 use super::sensor::SensorOut;
 use super::tags::lists;
@@ -97,7 +97,7 @@ impl SubmittedTour {
 pub async fn of_submission(
     State(app): State<App>,
     Body(submission): Body<Submission>,
-) -> Result<Json<SubmittedTour>, ApiError> {
+) -> ApiResult<Json<SubmittedTour>> {
     let _turn = app.turns.preflight().await?;
     // A plan of 198,000 trials takes about 0.3 s: not on a thread that answers requests.
     let planning = tokio::task::spawn_blocking(move || SubmittedTour::of(&submission));
@@ -134,7 +134,7 @@ pub async fn of_run(
     State(app): State<App>,
     Path(run): Path<String>,
     headers: HeaderMap,
-) -> Result<Response, ApiError> {
+) -> ApiResult<Response> {
     let run = find(&app, &run).await?;
     let kept = app.tour(&run).await?;
     let is_known = lists(&headers, &header::IF_NONE_MATCH, &kept.tag);
@@ -156,13 +156,13 @@ impl App {
     ///
     /// # Errors
     /// 404 if the run has no plan, or none that this version can read; errors of the store.
-    pub(super) async fn tour(&self, run: &RunRow) -> Result<Arc<KeptTour>, ApiError> {
+    pub(super) async fn tour(&self, run: &RunRow) -> ApiResult<Arc<KeptTour>> {
         let key = (run.uid, run.plan_sha256.clone());
         self.facts.memory.tours.get(key, read(self, run)).await
     }
 }
 
-async fn read(app: &App, run: &RunRow) -> Result<Arc<KeptTour>, ApiError> {
+async fn read(app: &App, run: &RunRow) -> ApiResult<Arc<KeptTour>> {
     let none = |why: &str| ApiError::not_found(format!("run {} has no plan: {why}", run.scan_id));
     if run.kind == RunKind::Imported {
         return Err(none("it was imported"));

@@ -21,7 +21,7 @@ use utoipa::ToSchema;
 use super::App;
 use super::pages::{Cursors, Page, PageParams, PageRequest};
 use super::params::{TrialGroupParams, TrialParams};
-use super::problem::{ApiError, Path};
+use super::problem::{ApiError, ApiResult, Path};
 use super::query::{GroupsOf, GroupsRequest, TrialsRequest, for_pages, groups_query, trial_query};
 use super::runs::find;
 use super::{send, sql};
@@ -76,7 +76,7 @@ pub async fn of_run(
     Query(pairs): Pairs,
     cursors: Cursors,
     headers: HeaderMap,
-) -> Result<Response, ApiError> {
+) -> ApiResult<Response> {
     let run = find(&app, &run).await?.uid;
     page(&app, Some(run), &pairs, &cursors, &headers).await
 }
@@ -93,7 +93,7 @@ pub async fn all(
     Query(pairs): Pairs,
     cursors: Cursors,
     headers: HeaderMap,
-) -> Result<Response, ApiError> {
+) -> ApiResult<Response> {
     page(&app, None, &pairs, &cursors, &headers).await
 }
 
@@ -103,7 +103,7 @@ async fn page(
     pairs: &[(String, String)],
     cursors: &Cursors,
     headers: &HeaderMap,
-) -> Result<Response, ApiError> {
+) -> ApiResult<Response> {
     let TrialsRequest { query, sort, wanted, format } =
         trial_query(run, pairs).map_err(ApiError::bad_query)?;
     let format = format.or_else(|| send::accepted(headers));
@@ -133,7 +133,7 @@ pub async fn groups(
     State(app): State<App>,
     Query(pairs): Pairs,
     headers: HeaderMap,
-) -> Result<Response, ApiError> {
+) -> ApiResult<Response> {
     let GroupsRequest { query, groups, format } =
         groups_query(&pairs, GroupsOf::StoredTrials).map_err(ApiError::bad_query)?;
     let sql = groups.sql("trials", &groups::conditions(&query), query.limit);
@@ -148,7 +148,7 @@ pub async fn grouped(
     app: &App,
     sql: Result<String, String>,
     format: Option<Format>,
-) -> Result<Response, ApiError> {
+) -> ApiResult<Response> {
     let sql = sql.map_err(|limit| ApiError::bad_query(vec![Problem::whole("query", limit)]))?;
     format.map_or(Ok(()), for_pages).map_err(ApiError::bad_query)?;
     let rows = app.queries.answer(&sql).await?;
@@ -180,7 +180,7 @@ async fn whole_trials(
     app: &App,
     request: &PageOf,
     wanted: &Wanted,
-) -> Result<(Vec<TrialRow>, Option<i64>), ApiError> {
+) -> ApiResult<(Vec<TrialRow>, Option<i64>)> {
     let selects = [("columns", !wanted.columns.is_empty()), ("slice", wanted.slice.is_some())];
     if let Some((key, _)) = selects.into_iter().find(|(_, given)| *given) {
         let limit = "must be absent for JSON, which holds whole trials: add format=ndjson";
@@ -216,7 +216,7 @@ async fn read(
 }
 
 /// The ids of a page, and the cursor of the next one if more trials follow.
-async fn ids(app: &App, request: &PageOf) -> Result<(Vec<TrialId>, Option<i64>), ApiError> {
+async fn ids(app: &App, request: &PageOf) -> ApiResult<(Vec<TrialId>, Option<i64>)> {
     let PageOf { query, sort, from } = request;
     let limit = query.limit as usize;
     let mut one_more = TrialQuery { limit: query.limit + 1, ..query.clone() };
@@ -246,12 +246,7 @@ async fn ids(app: &App, request: &PageOf) -> Result<(Vec<TrialId>, Option<i64>),
     Ok((ids, more.then_some(next)))
 }
 
-async fn table(
-    app: &App,
-    request: PageOf,
-    wanted: &Wanted,
-    format: Format,
-) -> Result<Table, ApiError> {
+async fn table(app: &App, request: PageOf, wanted: &Wanted, format: Format) -> ApiResult<Table> {
     for_pages(format).map_err(ApiError::bad_query)?;
     let CheckedPage { ids, next, table, selection, with_voltages } =
         checked(app, &request, wanted).await?;
@@ -305,7 +300,7 @@ struct CheckedPage {
     with_voltages: bool,
 }
 
-async fn checked(app: &App, request: &PageOf, wanted: &Wanted) -> Result<CheckedPage, ApiError> {
+async fn checked(app: &App, request: &PageOf, wanted: &Wanted) -> ApiResult<CheckedPage> {
     let query = &request.query;
     let (ids, next) = ids(app, request).await?;
     let frames = |name: &String| Column::find(name).is_some_and(Column::is_frame);
@@ -341,10 +336,7 @@ fn trials_schema(channels: i32, with_voltages: bool) -> SchemaRef {
     params(("trial" = i64, Path, description = "id of the trial")),
     responses((status = 200, body = TrialRow),
         (status = 404, description = "no trial has this id")))]
-pub async fn one(
-    State(app): State<App>,
-    Path(trial): Path<i64>,
-) -> Result<Json<TrialRow>, ApiError> {
+pub async fn one(State(app): State<App>, Path(trial): Path<i64>) -> ApiResult<Json<TrialRow>> {
     let found = app.store.trial_by_id(TrialId(trial)).await?;
     Ok(Json(found.ok_or_else(|| ApiError::not_found(format!("no trial {trial}")))?))
 }
@@ -356,10 +348,7 @@ pub async fn one(
     tag = "trials", params(("trial" = i64, Path, description = "id of the trial")),
     responses((status = 200, body = Page<FrameOut>),
         (status = 404, description = "no trial has this id, or it has no raw frames")))]
-pub async fn frames(
-    State(app): State<App>,
-    Path(trial): Path<i64>,
-) -> Result<Page<FrameOut>, ApiError> {
+pub async fn frames(State(app): State<App>, Path(trial): Path<i64>) -> ApiResult<Page<FrameOut>> {
     let found = app.store.trial_by_id(TrialId(trial)).await?;
     let found = found.ok_or_else(|| ApiError::not_found(format!("no trial {trial}")))?;
     let frames = app.store.frames(TrialId(trial)).await?;
@@ -391,7 +380,7 @@ pub async fn bench_records(
     State(app): State<App>,
     Path((run, kind)): Path<(String, String)>,
     asked: PageRequest,
-) -> Result<Page<Value>, ApiError> {
+) -> ApiResult<Page<Value>> {
     let run = find(&app, &run).await?.uid;
     let rows: Vec<Value> = match kind.as_str() {
         "attempts" => app

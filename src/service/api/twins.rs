@@ -11,7 +11,7 @@ use super::App;
 use super::audit::{Act, cut};
 use super::form::Form;
 use super::limits::{FRAMES_MAX_BYTES, WHO_MAX_CHARS};
-use super::problem::{ApiError, Params, Path};
+use super::problem::{ApiError, ApiResult, Params, Path};
 use super::runs::find;
 use crate::ids::{RunUid, TrialId};
 use crate::problem::Problem;
@@ -45,7 +45,7 @@ pub struct RunTwins {
 }
 
 impl RunTwins {
-    async fn of(app: &App, run: RunUid) -> Result<Self, ApiError> {
+    async fn of(app: &App, run: RunUid) -> ApiResult<Self> {
         let count = app.twins.count(run).await?;
         Ok(Self { run, count, pending: count.pending() })
     }
@@ -54,7 +54,7 @@ impl RunTwins {
 /// Returns the status of the simulated twins.
 #[utoipa::path(get, operation_id = "twins", path = "/api/v1/twins", tag = "simulation",
     responses((status = 200, body = Twins)))]
-pub async fn all(State(app): State<App>) -> Result<Json<Twins>, ApiError> {
+pub async fn all(State(app): State<App>) -> ApiResult<Json<Twins>> {
     let mut runs = Vec::new();
     for run in app.store.runs_with_trials().await?.into_iter().take(COUNTED_RUNS) {
         runs.push(RunTwins::of(&app, run).await?);
@@ -65,10 +65,7 @@ pub async fn all(State(app): State<App>) -> Result<Json<Twins>, ApiError> {
 /// Returns the number of twins of a run.
 #[utoipa::path(get, operation_id = "run_twins", path = "/api/v1/runs/{run}/twins",
     tag = "simulation", responses((status = 200, body = RunTwins)))]
-pub async fn of_run(
-    State(app): State<App>,
-    Path(run): Path<String>,
-) -> Result<Json<RunTwins>, ApiError> {
+pub async fn of_run(State(app): State<App>, Path(run): Path<String>) -> ApiResult<Json<RunTwins>> {
     let run = find(&app, &run).await?.uid;
     RunTwins::of(&app, run).await.map(Json)
 }
@@ -102,7 +99,7 @@ pub async fn inputs(
     State(app): State<App>,
     Path(run): Path<String>,
     Params(InputsParams { after, limit }): Params<InputsParams>,
-) -> Result<Json<TwinInputs>, ApiError> {
+) -> ApiResult<Json<TwinInputs>> {
     if !(1..=CHUNK_TRIALS_MAX).contains(&u64::from(limit)) {
         let words = format!("must be from 1 to {CHUNK_TRIALS_MAX}");
         return Err(ApiError::query("limit", limit, &words));
@@ -140,7 +137,7 @@ pub async fn store(
     act: Act,
     Path(run): Path<String>,
     mut form: Form,
-) -> Result<Json<StoredTwins>, ApiError> {
+) -> ApiResult<Json<StoredTwins>> {
     let run = find(&app, &run).await?.uid;
     act.on(run);
     app.datasets.check_upload(0).await?;

@@ -7,7 +7,7 @@ use axum::Json;
 use axum::extract::State;
 
 use super::App;
-use super::problem::ApiError;
+use super::problem::{ApiError, ApiResult};
 use crate::infer::methods::exact::UNTOUCHED_N;
 use crate::record::Untouched;
 use crate::store::{RunKind, StoreError, TrialRow};
@@ -24,7 +24,7 @@ const SEARCHED_RUNS: usize = 10;
 #[utoipa::path(get, operation_id = "untouched_frame", path = "/api/v1/frames/untouched",
     tag = "frames", responses((status = 200, body = Untouched),
         (status = 404, description = "no frame of the untouched skin is known")))]
-pub async fn untouched(State(app): State<App>) -> Result<Json<Arc<Untouched>>, ApiError> {
+pub async fn untouched(State(app): State<App>) -> ApiResult<Json<Arc<Untouched>>> {
     if let Some(taken) = app.campaign.untouched() {
         return Ok(Json(taken));
     }

@@ -14,7 +14,7 @@ use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 use super::App;
-use super::problem::ApiError;
+use super::problem::ApiResult;
 use crate::ids::RunUid;
 use crate::record::ARMS;
 use crate::store::{RunKind, RunRow, StoreError, StoredWear};
@@ -90,7 +90,7 @@ pub struct EndedWear(Mutex<HashMap<RunUid, Arc<StoredWear>>>);
 /// response may be a minute old.
 #[utoipa::path(get, operation_id = "wear", path = "/api/v1/wear", tag = "rig",
     responses((status = 200, body = Wear)))]
-pub async fn wear(State(app): State<App>) -> Result<Json<Arc<Wear>>, ApiError> {
+pub async fn wear(State(app): State<App>) -> ApiResult<Json<Arc<Wear>>> {
     let read = async { read(&app).await.map(Arc::new) };
     Ok(Json(app.facts.memory.wear.get((), read).await?))
 }

@@ -22,7 +22,7 @@ use super::orders::{
     Unanswered, WORKER, ask, check_configured, folders, is_configured, is_id, order_path,
     unavailable,
 };
-use super::problem::{ApiError, Path};
+use super::problem::{ApiError, ApiResult, Path};
 
 /// Longest wait for the state of the queue.
 const STATE_WITHIN: Duration = Duration::from_secs(30);
@@ -148,7 +148,7 @@ pub struct CancelledOut {
     responses((status = 200, body = WorkersOut),
         (status = 503,
             description = "the worker is missing, or its queue or store does not answer")))]
-pub async fn all(State(app): State<App>) -> Result<Json<WorkersOut>, ApiError> {
+pub async fn all(State(app): State<App>) -> ApiResult<Json<WorkersOut>> {
     let read = async { Ok::<_, Infallible>(state(&app.facts.data).await.map(Arc::new)) };
     // An error is kept, too: a queue that does not answer is not asked by each reader.
     let Ok(state) = app.facts.memory.workers.get((), read).await;
@@ -169,7 +169,7 @@ pub async fn submit(
     State(app): State<App>,
     act: Act,
     Path(folder): Path<String>,
-) -> Result<Json<SubmittedOut>, ApiError> {
+) -> ApiResult<Json<SubmittedOut>> {
     act.about(&folder);
     let path = order_path(&app, &folder)?;
     change(&app, [OsStr::new("submit"), path.as_os_str()]).await
@@ -190,7 +190,7 @@ pub async fn cancel(
     State(app): State<App>,
     act: Act,
     Path(order): Path<String>,
-) -> Result<Json<CancelledOut>, ApiError> {
+) -> ApiResult<Json<CancelledOut>> {
     act.about(&order);
     if !is_id(&order) {
         return Err(ApiError::not_found(format!("order {order}: must be an id")));
@@ -199,7 +199,7 @@ pub async fn cancel(
 }
 
 /// Has the worker change the queue.
-async fn change<T: DeserializeOwned>(app: &App, words: [&OsStr; 2]) -> Result<Json<T>, ApiError> {
+async fn change<T: DeserializeOwned>(app: &App, words: [&OsStr; 2]) -> ApiResult<Json<T>> {
     check_configured()?;
     let asked = ask(&words, CHANGE_WITHIN).await;
     // Whatever became of it, the next reader sees the present state.
