@@ -113,35 +113,24 @@ struct PruneArgs {
 /// `CliError` if the service cannot be reached or refuses, or a file cannot be read or written.
 pub async fn dataset(args: DatasetArgs) -> Result<(), CliError> {
     match args.what {
-        What::List(at) => {
-            let json = at.json;
-            embed::reading(&at, move |client| async move { list(&client, json).await }).await
-        }
+        What::List(at) => embed::reading(&at, async |client| list(client, at.json).await).await,
         What::Show(args) => {
-            let at = args.at.clone();
-            embed::reading(&at, move |client| async move { show(&client, &args).await }).await
+            embed::reading(&args.at, async |client| show(client, &args).await).await
         }
         What::Card(args) => {
-            let at = args.at.clone();
-            embed::reading(&at, move |client| async move { card(&client, &args).await }).await
+            embed::reading(&args.at, async |client| card(client, &args).await).await
         }
         What::Exports(at) => {
-            let output = at.output();
-            embed::reading(&at, move |client| async move { export::list(&client, output).await })
-                .await
+            embed::reading(&at, async |client| export::list(client, at.output()).await).await
         }
         What::Prune(args) => {
-            let at = args.at.clone();
-            embed::reading(&at, move |client| async move { prune(&client, &args).await }).await
+            embed::reading(&args.at, async |client| prune(client, &args).await).await
         }
         What::Make(args) => {
-            let at = args.at.clone();
-            embed::with_server(&at, move |client| async move { make(&client, &args).await }).await
+            embed::with_server(&args.at, async |client| make(client, &args).await).await
         }
         What::Export(args) => {
-            let at = args.at.clone();
-            let work = move |client: Client| async move { export::export(&client, &args).await };
-            embed::with_server(&at, work).await
+            embed::with_server(&args.at, async |client| export::export(client, &args).await).await
         }
         What::Import(args) => import(args).await,
         What::Federate(args) => federate(args).await,

@@ -3,10 +3,10 @@
 //! lock).
 
 use std::net::{Ipv4Addr, SocketAddr};
+use std::panic::{AssertUnwindSafe, resume_unwind};
 use std::path::{Path, PathBuf};
-use std::pin::Pin;
 
-use tokio::sync::oneshot;
+use futures::FutureExt;
 
 use super::client::{Client, Found};
 use super::error::CliError;
@@ -136,12 +136,11 @@ fn options(data: PathBuf, rig: &RigFiles, idle: bool) -> Result<ServeOptions, Cl
 ///
 /// # Errors
 /// `CliError` if no service can be reached or started, or the error of `work`.
-pub async fn with_server<T, F>(at: &At, work: impl FnOnce(Client) -> F) -> Result<T, CliError>
-where
-    F: Future<Output = Result<T, CliError>> + Send + 'static,
-    T: Send + 'static,
-{
-    with_server_that(false, at, Box::new(|client| Box::pin(work(client)))).await
+pub async fn with_server<T>(
+    at: &At,
+    work: impl AsyncFnOnce(&Client) -> Result<T, CliError>,
+) -> Result<T, CliError> {
+    Opened::of(at, false).await?.carry_out(work).await
 }
 
 /// As [`with_server`], for work that only reads: a service that is started for it makes nothing by itself, so
@@ -149,59 +148,48 @@ where
 ///
 /// # Errors
 /// As [`with_server`].
-pub async fn reading<T, F>(at: &At, work: impl FnOnce(Client) -> F) -> Result<T, CliError>
-where
-    F: Future<Output = Result<T, CliError>> + Send + 'static,
-    T: Send + 'static,
-{
-    with_server_that(true, at, Box::new(|client| Box::pin(work(client)))).await
+pub async fn reading<T>(
+    at: &At,
+    work: impl AsyncFnOnce(&Client) -> Result<T, CliError>,
+) -> Result<T, CliError> {
+    Opened::of(at, true).await?.carry_out(work).await
 }
 
-/// The work of a command at a service. Boxed: what starts a service for it is compiled once for each `T`.
-type Work<'a, T> = Box<dyn FnOnce(Client) -> Answering<T> + 'a>;
+/// A service for the work of a command: a running one, or one without a rig in this process.
+struct Opened {
+    client: Client,
+    /// The service in this process, with the view of a data folder that it may only read.
+    own: Option<(Service, Option<View>)>,
+}
 
-/// Work in progress.
-type Answering<T> = Pin<Box<dyn Future<Output = Result<T, CliError>> + Send>>;
-
-async fn with_server_that<T: Send + 'static>(
-    idle: bool,
-    at: &At,
-    work: Work<'_, T>,
-) -> Result<T, CliError> {
-    match find(at).await? {
-        Some(client) => work(client).await,
-        None => {
-            let data = at.data();
-            let view = View::of(&data).map_err(CliError::file(&data))?;
-            let folder = view.as_ref().map_or(data, |view| view.folder().to_owned());
-            host(options(folder, &RigFiles::read(None)?, idle)?, work).await
+impl Opened {
+    async fn of(at: &At, idle: bool) -> Result<Self, CliError> {
+        if let Some(client) = find(at).await? {
+            return Ok(Self { client, own: None });
+        }
+        let data = at.data();
+        let view = View::of(&data).map_err(CliError::file(&data))?;
+        let folder = view.as_ref().map_or(data, |view| view.folder().to_owned());
+        let options = options(folder, &RigFiles::read(None)?, idle)?;
+        let service = shown_wait("opening the data folder", Service::start(options)).await?;
+        match Client::new(&service.url(), None, None) {
+            Ok(client) => Ok(Self { client, own: Some((service, view)) }),
+            Err(error) => {
+                service.shutdown().await;
+                Err(error)
+            }
         }
     }
-}
 
-/// Starts a service without a rig, runs `work` as its client, and ends the service whatever the result.
-///
-/// # Errors
-/// `CliError::Serve` if the service cannot start, or the error of `work`.
-async fn host<T: Send + 'static>(options: ServeOptions, work: Work<'_, T>) -> Result<T, CliError> {
-    let service = shown_wait("opening the data folder", Service::start(options)).await?;
-    let client = match Client::new(&service.url(), None, None) {
-        Ok(client) => client,
-        Err(error) => {
+    /// Carries out `work`; a service in this process ends whatever the result, also if the work panics.
+    async fn carry_out<T>(
+        self,
+        work: impl AsyncFnOnce(&Client) -> Result<T, CliError>,
+    ) -> Result<T, CliError> {
+        let outcome = AssertUnwindSafe(work(&self.client)).catch_unwind().await;
+        if let Some((service, _view)) = self.own {
             service.shutdown().await;
-            return Err(error);
         }
-    };
-    let (done, finished) = oneshot::channel();
-    let work = work(client);
-    let task = tokio::spawn(async move {
-        // Dropped at the end, also if the work panics.
-        let _done: oneshot::Sender<()> = done;
-        work.await
-    });
-    service.run_until(async { drop(finished.await) }).await;
-    match task.await {
-        Ok(outcome) => outcome,
-        Err(failed) => std::panic::resume_unwind(failed.into_panic()),
+        outcome.unwrap_or_else(|panic| resume_unwind(panic))
     }
 }

@@ -70,11 +70,8 @@ pub async fn import(args: ImportArgs) -> Result<(), CliError> {
         }
         return Ok(());
     }
-    let at = args.at.clone();
-    embed::with_server(&at, move |client| async move {
-        store(&client, &args, sensor, map, &summary).await
-    })
-    .await
+    embed::with_server(&args.at, async |client| store(client, &args, sensor, map, &summary).await)
+        .await
 }
 
 /// Checks the file as the service does.

@@ -93,12 +93,11 @@ pub fn methods(of: impl Iterator<Item = Method>) -> impl TypedValueParser<Value 
 /// `CliError` if the file is invalid, or the service cannot be reached or refuses.
 pub async fn infer(args: InferArgs) -> Result<(), CliError> {
     let frames = frames(&args.file)?;
-    let at = args.at.clone();
-    embed::with_server(&at, move |client| async move {
+    embed::with_server(&args.at, async |client| {
         let is_skin = |model: &String| model.parse::<CalibrationId>().is_ok();
         let client = match args.model.as_ref().is_some_and(is_skin) {
             true => client.patient(SKIN_READY_WITHIN),
-            false => client,
+            false => client.clone(),
         };
         let method = match (args.method, &args.model) {
             (Some(method), _) => method,

@@ -157,7 +157,7 @@ struct OneJob {
 pub async fn job(args: JobArgs) -> Result<(), CliError> {
     let JobArgs { what, at } = args;
     let output = at.output();
-    embed::with_server(&at, move |client| async move {
+    embed::with_server(&at, async |client| {
         match what {
             JobWhat::List => {
                 let jobs: Vec<JobOut> = client.all("/api/v1/jobs?").await?;
@@ -167,20 +167,20 @@ pub async fn job(args: JobArgs) -> Result<(), CliError> {
                 }
             }
             JobWhat::Show(OneJob { job }) => {
-                let id = named(&client, &job).await?;
+                let id = named(client, &job).await?;
                 let job: JobOut = client.get(&format!("/api/v1/jobs/{id}")).await?;
                 say_json(&job);
             }
             JobWhat::Stop(OneJob { job }) => {
-                let path = format!("/api/v1/jobs/{}/stop", named(&client, &job).await?);
+                let path = format!("/api/v1/jobs/{}/stop", named(client, &job).await?);
                 let job: JobOut = client.post(&path, &Value::Null).await?;
                 shown(&job, output);
             }
             JobWhat::Losses { plot, one } => {
-                let id = named(&client, &one.job).await?;
+                let id = named(client, &one.job).await?;
                 match plot {
-                    Some(file) => job_losses::draw(&client, &id, &file).await?,
-                    None => say(job_losses::losses(&client, &id).await?.trim_end()),
+                    Some(file) => job_losses::draw(client, &id, &file).await?,
+                    None => say(job_losses::losses(client, &id).await?.trim_end()),
                 }
             }
         }

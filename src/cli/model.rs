@@ -109,10 +109,10 @@ const PROMOTING: Duration = Duration::from_secs(900);
 /// `CliError` if the service cannot be reached or started, refuses, or a file cannot be used.
 pub async fn model(args: ModelArgs) -> Result<(), CliError> {
     let ModelArgs { what, at } = args;
-    embed::with_server(&at.clone(), move |client| answer(client, what, at)).await
+    embed::with_server(&at, async |client| answer(client, what, &at).await).await
 }
 
-async fn answer(client: Client, what: What, at: At) -> Result<(), CliError> {
+async fn answer(client: &Client, what: What, at: &At) -> Result<(), CliError> {
     match what {
         What::List => {
             let models: Vec<ModelOut> = client.all("/api/v1/models?").await?;
@@ -132,7 +132,7 @@ async fn answer(client: Client, what: What, at: At) -> Result<(), CliError> {
             let serves: ServesOut = client.post("/api/v1/serving", &request).await?;
             at.output().say(&serves, words(&serves));
             let slot = serves.slot.name();
-            let next = Next::of(&at);
+            let next = Next::of(at);
             let next = match serves.slot.is_quantity() {
                 true => next.suggest("palpate live --quantities", "its answers on the rig's skin"),
                 false => next.suggest("palpate live", "contacts on the rig's skin"),
@@ -190,14 +190,14 @@ async fn answer(client: Client, what: What, at: At) -> Result<(), CliError> {
             at.output().say(&model, line(&model));
             // A model of another sensor than the rig's cannot serve.
             if model.slot.is_some() {
-                promotion(&at, &model.id).say();
+                promotion(at, &model.id).say();
             }
         }
         What::AddCalibration { file } => {
             let text = read_input(&file)?;
             let id: CalibrationId = client.post_text("/api/v1/calibrations", text).await?;
             at.output().say(&json!({ "calibration": id }), &id);
-            promotion(&at, &id).say();
+            promotion(at, &id).say();
         }
     }
     Ok(())

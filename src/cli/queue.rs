@@ -76,31 +76,31 @@ pub enum QueueCommand {
 /// `CliError` if the service cannot be reached or started, refuses, or a file is invalid.
 pub async fn queue(args: QueueArgs) -> Result<(), CliError> {
     let (json, command) = (args.at.json, args.command.unwrap_or(QueueCommand::List));
-    embed::with_server(&args.at, move |client| async move {
+    embed::with_server(&args.at, async |client| {
         let queued: Option<RunRow> = match command {
             QueueCommand::List => None,
             QueueCommand::Add { experiment, at } => {
-                let body = body(&client, &experiment, at)?;
+                let body = body(client, &experiment, at)?;
                 Some(client.post("/api/v1/queue", &body).await?)
             }
             QueueCommand::Edit { run, experiment, at } => {
-                let body = body(&client, &experiment, at)?;
-                Some(client.ask(Method::PUT, &path_of(&client, &run).await?, Some(&body)).await?)
+                let body = body(client, &experiment, at)?;
+                Some(client.ask(Method::PUT, &path_of(client, &run).await?, Some(&body)).await?)
             }
             QueueCommand::Move { run, position } => {
                 let body = json!({ "position": position, "who": client.who() });
-                let path = path_of(&client, &run).await?;
+                let path = path_of(client, &run).await?;
                 client.post::<Value>(&format!("{path}/move"), &body).await?;
                 None
             }
             QueueCommand::Remove { run } => {
-                client.delete(&path_of(&client, &run).await?).await?;
+                client.delete(&path_of(client, &run).await?).await?;
                 None
             }
         };
         match queued.filter(|_| json) {
             Some(run) => say_json(&run),
-            None => list(&client, json).await?,
+            None => list(client, json).await?,
         }
         Ok(())
     })

@@ -52,7 +52,7 @@ pub async fn published(at: &At) -> Result<(), CliError> {
 }
 
 async fn read(at: &At, path: &'static str) -> Result<Value, CliError> {
-    embed::reading(at, move |client| async move { client.get(path).await }).await
+    embed::reading(at, async |client| client.get(path).await).await
 }
 
 fn table(words: &Value, list: Option<&str>) -> Result<Table, CliError> {

@@ -82,7 +82,7 @@ struct Common {
 /// `CliError` if an input is invalid, the fit fails, or a file cannot be written.
 pub async fn calibrate(args: CalibrateArgs) -> Result<ExitCode, CliError> {
     match &args.what {
-        What::Skin(args) => skin::skin(args.clone()).await,
+        What::Skin(args) => skin::skin(args).await,
         What::Piezo(common) => of_table(Law::Piezo, common).await,
         What::Foam(common) => of_table(Law::Foam, common).await,
     }

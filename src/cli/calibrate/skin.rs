@@ -69,19 +69,18 @@ pub struct SkinArgs {
 ///
 /// # Errors
 /// `CliError` if the run or an input is invalid, the fit fails, or a file cannot be written.
-pub async fn skin(args: SkinArgs) -> Result<ExitCode, CliError> {
-    let at = args.at.clone();
-    embed::with_server(&at, move |client| fit_run(client, args)).await?;
+pub async fn skin(args: &SkinArgs) -> Result<ExitCode, CliError> {
+    embed::with_server(&args.at, async |client| fit_run(client, args).await).await?;
     Ok(ExitCode::SUCCESS)
 }
 
-async fn fit_run(client: Client, args: SkinArgs) -> Result<(), CliError> {
-    let run = find_run(&client, &args.run).await?;
-    let (sensor, earlier) = start(&run, &args)?;
+async fn fit_run(client: &Client, args: &SkinArgs) -> Result<(), CliError> {
+    let run = find_run(client, &args.run).await?;
+    let (sensor, earlier) = start(&run, args)?;
     let candidates = candidates(&client.showing("reading the trials"), &run).await?;
     let least_n = if run.kind == RunKind::RealHex { run.deadband_n } else { 0.0 };
     let choice = choose(&candidates, args.trials, least_n);
-    let trials = frames(&client, &run, &candidates, &choice, sensor.channels()).await?;
+    let trials = frames(client, &run, &candidates, &choice, sensor.channels()).await?;
     let cache = args.at.data().join("cache");
     let source = Source { run: run.uid, label: run.label };
     let (threads, on) = (threads(args.threads), sensor.clone());
@@ -108,7 +107,7 @@ async fn fit_run(client: Client, args: SkinArgs) -> Result<(), CliError> {
     if let Some(path) = &args.out {
         write(path, &whole.to_toml()?)?;
     }
-    answer(&args, &run, &whole, &fitted)
+    answer(args, &run, &whole, &fitted)
 }
 
 /// The sensor that the fit starts from: that of the run with an earlier calibration of Eq. 1 and

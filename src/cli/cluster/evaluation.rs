@@ -51,7 +51,7 @@ impl ReadingsRequest {
         let at = self.place.at(output);
         let request = self.method.clone().request(&self.extent.budget());
         let path = format!("/api/v1/evaluations/inputs?chunk_rows={}", self.chunk_rows);
-        embed::with_server(&at, move |client| async move {
+        embed::with_server(&at, async |client| {
             let client = client.patient(DATASET_WAIT);
             let client = client.showing("preparing the skin and the frames");
             let inputs: ReadingInputs = client.post(&path, &request).await?;
@@ -88,7 +88,7 @@ pub async fn score(
         TextPart::value("model", order.definition.model.clone()),
         TextPart::value("frames_sha256", order.frames_sha256()),
     ];
-    let report: EvaluationReport = embed::with_server(at, move |client| async move {
+    let report: EvaluationReport = embed::with_server(at, async |client| {
         let client = client.patient(DATASET_WAIT);
         let client = client.showing("scoring the readings");
         client.upload("/api/v1/evaluations/readings", &file, texts).await

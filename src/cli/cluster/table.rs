@@ -71,8 +71,7 @@ impl TableRequest {
             TableName::Transfer => table_iii_nets(&budget, &self.dataset),
         };
         let compute = if self.gpu { FIRST_GPU } else { ONE_THREAD };
-        let path = folder.to_owned();
-        embed::with_server(&at, move |client| async move {
+        embed::with_server(&at, async |client| {
             let lab = ServiceLab::new(client.clone(), output, None);
             let mut nets = Vec::new();
             for net in &table {
@@ -80,9 +79,9 @@ impl TableRequest {
             }
             let datasets = nets.iter().map(|net| (net.dataset.sha256.clone(), net.dataset.clone()));
             let datasets: BTreeMap<String, DatasetFile> = datasets.collect();
-            let written = OrderFolder::write(&path, work_order(nets, compute))?;
+            let written = OrderFolder::write(folder, work_order(nets, compute))?;
             for dataset in datasets.values() {
-                copy(&client, dataset, &input_file(&path, &dataset.sha256)).await?;
+                copy(client, dataset, &input_file(folder, &dataset.sha256)).await?;
             }
             Ok(written)
         })

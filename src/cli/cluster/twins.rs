@@ -47,17 +47,17 @@ impl TwinsRequest {
             return Err(CliError::argument("chunk-trials", self.chunk_trials, limit));
         }
         let at = self.place.at(output);
-        let (run, chunk_trials) = (self.run.clone(), self.chunk_trials);
-        embed::reading(&at, move |client| ordered(client, run, chunk_trials)).await
+        embed::reading(&at, async |client| ordered(client, &self.run, self.chunk_trials).await)
+            .await
     }
 }
 
 async fn ordered(
-    client: Client,
-    run: String,
+    client: &Client,
+    run: &str,
     chunk_trials: u64,
 ) -> Result<(WorkOrder, u64), CliError> {
-    let uid = find_run(&client, &run).await?.uid;
+    let uid = find_run(client, run).await?.uid;
     // The skin is solved for the first answer.
     let client = client.showing("the contacts of the run");
     let (mut skin, mut contacts, mut trials) = (None, Vec::new(), 0);
@@ -71,7 +71,7 @@ async fn ordered(
         }
         if trials > ORDERED_TRIALS_MAX {
             let limit = format!("has more than {ORDERED_TRIALS_MAX} trials, the most of an order");
-            return Err(CliError::argument("run", &run, limit));
+            return Err(CliError::argument("run", run, limit));
         }
         skin.get_or_insert(TwinSkin {
             run: inputs.run,
@@ -85,7 +85,7 @@ async fn ordered(
     }
     match skin.filter(|_| trials > 0) {
         Some(skin) => Ok((work_order(skin, contacts), trials)),
-        None => Err(CliError::argument("run", &run, "must have trials")),
+        None => Err(CliError::argument("run", run, "must have trials")),
     }
 }
 
@@ -112,7 +112,7 @@ pub async fn store(
     at: &At,
     mut verified: Counted,
 ) -> Result<Stored, CliError> {
-    embed::with_server(at, move |client| async move {
+    embed::with_server(at, async move |client| {
         let path = format!("/api/v1/runs/{run}/twins");
         let mut stored = Stored::default();
         for row in rows {

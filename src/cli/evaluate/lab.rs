@@ -116,18 +116,14 @@ impl ExtentArgs {
 /// # Errors
 /// `CliError` if the service cannot be reached or started, a file cannot be written, or the study
 /// fails.
-pub async fn with_lab<F>(
+pub async fn with_lab(
     args: LabArgs,
-    study: impl FnOnce(ServiceLab, Budget) -> F + Send + 'static,
-) -> Result<(), CliError>
-where
-    F: Future<Output = Result<Sheet, CliError>> + Send + 'static,
-{
-    let at = args.at.clone();
-    embed::with_server(&at, move |client| async move {
-        let lab = ServiceLab::new(client, args.at.output(), args.trained.clone());
+    study: impl AsyncFnOnce(&ServiceLab, &Budget) -> Result<Sheet, CliError>,
+) -> Result<(), CliError> {
+    embed::with_server(&args.at, async |client| {
+        let lab = ServiceLab::new(client.clone(), args.at.output(), args.trained.clone());
         lab.take_evaluation()?;
-        let sheet = study(lab, args.extent.budget()).await?;
+        let sheet = study(&lab, &args.extent.budget()).await?;
         show(&sheet, &args).await
     })
     .await

@@ -184,29 +184,24 @@ pub async fn evaluate(args: EvaluateArgs) -> Result<(), CliError> {
             let default = recipes.is_empty() && nets.is_empty();
             let recipes = if default { vec!["mlp".into()] } else { recipes };
             let compared = Compared { quantity, dataset, conditions, recipes, nets };
-            with_lab(lab, |lab, budget| async move {
-                studies::quantity::quantity(&lab, &budget, &compared).await
+            with_lab(lab, async |lab, budget| {
+                studies::quantity::quantity(lab, budget, &compared).await
             })
             .await
         }
         What::Transfer(TransferArgs { dataset, lab }) => {
-            with_lab(lab, |lab, budget| async move { table_iii(&lab, &budget, &dataset).await })
-                .await
+            with_lab(lab, async |lab, budget| table_iii(lab, budget, &dataset).await).await
         }
-        What::Maps(args) => {
-            with_lab(args, |lab, budget| async move { table_iv(&lab, &budget).await }).await
-        }
-        What::Noise(args) => {
-            with_lab(args, |lab, budget| async move { fig_10(&lab, &budget).await }).await
-        }
+        What::Maps(args) => with_lab(args, async |lab, budget| table_iv(lab, budget).await).await,
+        What::Noise(args) => with_lab(args, async |lab, budget| fig_10(lab, budget).await).await,
         What::Factorial(args) => {
-            with_lab(args, |lab, budget| async move { fig_11(&lab, &budget).await }).await
+            with_lab(args, async |lab, budget| fig_11(lab, budget).await).await
         }
         What::Unseen(UnseenArgs { points, skin, ours, dataset, lab }) => {
             // The service checks the id when it reads the calibration.
             let skin = skin.map(CalibrationId::unchecked);
             let unseen = Unseen { dataset, points, skin, ours };
-            with_lab(lab, |lab, budget| async move { fig_12(&lab, &budget, &unseen).await }).await
+            with_lab(lab, async |lab, budget| fig_12(lab, budget, &unseen).await).await
         }
         What::Published(at) => vocabulary::published(&at).await,
     }
@@ -214,7 +209,7 @@ pub async fn evaluate(args: EvaluateArgs) -> Result<(), CliError> {
 
 async fn method(args: MethodArgs) -> Result<(), CliError> {
     let MethodArgs { method, lab } = args;
-    with_lab(lab, |lab, budget| async move { scores(&lab, &method.request(&budget)).await }).await
+    with_lab(lab, async |lab, budget| scores(lab, &method.request(budget)).await).await
 }
 
 impl MethodRequest {

@@ -45,17 +45,16 @@ pub struct SimulationArgs {
 /// # Errors
 /// `CliError` if there are no trials, twins are missing, or a file cannot be written.
 pub async fn simulation(args: SimulationArgs) -> Result<(), CliError> {
-    let at = args.at.clone();
-    embed::with_server(&at, move |client| report(client, args)).await
+    embed::with_server(&args.at, async |client| report(client, &args).await).await
 }
 
-async fn report(client: Client, args: SimulationArgs) -> Result<(), CliError> {
-    let run = find_run(&client, &run_of(&client, args.run).await?).await?;
-    let count = wait_for_twins(&client, run.uid, STALLED).await?;
+async fn report(client: &Client, args: &SimulationArgs) -> Result<(), CliError> {
+    let run = find_run(client, &run_of(client, args.run.clone()).await?).await?;
+    let count = wait_for_twins(client, run.uid, STALLED).await?;
     let path = format!("/api/v1/runs/{}/evaluation/simulation", run.uid);
     let report: SimulationReport = client.showing("scoring the twins").get(&path).await?;
     if let Some(folder) = &args.out {
-        let pairs = pairs(&client, &run, report.trials).await?;
+        let pairs = pairs(client, &run, report.trials).await?;
         write_all(folder, &files(&run, &report, &pairs)?, &args.pictures).await?;
     }
     if args.at.json {

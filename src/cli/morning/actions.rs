@@ -20,8 +20,7 @@ use crate::store::{ActionRow, RunRow};
 /// # Errors
 /// `CliError` if the service cannot be reached or started, or has no such run.
 pub async fn actions(args: ActionsArgs) -> Result<(), CliError> {
-    let at = args.at.clone();
-    embed::reading(&at, move |client| async move { list(&client, &args).await }).await
+    embed::reading(&args.at, async |client| list(client, &args).await).await
 }
 
 async fn list(client: &Client, args: &ActionsArgs) -> Result<(), CliError> {

@@ -97,8 +97,7 @@ struct Frames {
 /// # Errors
 /// `CliError` if the service cannot be reached or started, or has no such run.
 pub async fn diff(args: DiffArgs) -> Result<(), CliError> {
-    let at = args.at.clone();
-    embed::reading(&at, move |client| async move { compare(&client, &args).await }).await
+    embed::reading(&args.at, async |client| compare(client, &args).await).await
 }
 
 async fn compare(client: &Client, args: &DiffArgs) -> Result<(), CliError> {

@@ -39,8 +39,7 @@ pub async fn events(args: EventsArgs) -> Result<(), CliError> {
         let client = embed::server(&args.at).await?;
         return follow(&client, &args).await;
     }
-    let at = args.at.clone();
-    embed::reading(&at, move |client| async move { list(&client, &args).await }).await
+    embed::reading(&args.at, async |client| list(client, &args).await).await
 }
 
 impl EventsArgs {

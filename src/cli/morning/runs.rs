@@ -64,8 +64,7 @@ impl RunLine {
 /// # Errors
 /// `CliError` if the service cannot be reached or started, or refuses.
 pub async fn runs(args: RunsArgs) -> Result<(), CliError> {
-    let at = args.at.clone();
-    embed::reading(&at, move |client| async move { list(&client, &args).await }).await
+    embed::reading(&args.at, async |client| list(client, &args).await).await
 }
 
 async fn list(client: &Client, args: &RunsArgs) -> Result<(), CliError> {

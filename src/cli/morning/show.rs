@@ -39,15 +39,14 @@ const BAR: usize = 30;
 /// # Errors
 /// `CliError` if the service cannot be reached or started, or has no such run or trial.
 pub async fn show(args: ShowArgs) -> Result<(), CliError> {
-    let at = args.at.clone();
-    embed::reading(&at, move |client| async move {
+    embed::reading(&args.at, async |client| {
         if let Some(part) = args.raw {
-            return raw::show(&client, &args.what, part).await;
+            return raw::show(client, &args.what, part).await;
         }
         match show_trial::named(&args.what) {
-            _ if args.history => history::show(&client, &args.what, args.at.output()).await,
-            Some(trial) => show_trial::show(&client, &trial, args.at.output()).await,
-            None => run(&client, &args).await,
+            _ if args.history => history::show(client, &args.what, args.at.output()).await,
+            Some(trial) => show_trial::show(client, &trial, args.at.output()).await,
+            None => run(client, &args).await,
         }
     })
     .await

@@ -26,8 +26,7 @@ struct Asked {
 /// `CliError` if the service cannot be reached or started, or refuses a condition.
 pub async fn trials(args: TrialsArgs) -> Result<(), CliError> {
     let asked = asked(&args.what)?;
-    let at = args.at.clone();
-    embed::reading(&at, move |client| async move { list(&client, &args, asked).await }).await
+    embed::reading(&args.at, async |client| list(client, &args, asked).await).await
 }
 
 /// Separates the run from the conditions.

@@ -86,16 +86,15 @@ pub struct Answer {
 /// `CliError` if the service cannot be reached or started or refuses the statement, or if the file cannot
 /// be written.
 pub async fn query(args: QueryArgs) -> Result<(), CliError> {
-    let at = args.at.clone();
-    embed::reading(&at, move |client| async move { run(&client, args).await }).await
+    embed::reading(&args.at, async |client| run(client, &args).await).await
 }
 
-async fn run(client: &Client, args: QueryArgs) -> Result<(), CliError> {
+async fn run(client: &Client, args: &QueryArgs) -> Result<(), CliError> {
     let Some(sql) = args.sql.as_deref().map(statement).transpose()? else {
         return tables(client, args.at.json).await;
     };
-    match (args.format.or(args.out.as_deref().and_then(by_ending)), args.out) {
-        (Some(format), out) => write(client, &sql, format, out).await,
+    match (args.format.or(args.out.as_deref().and_then(by_ending)), &args.out) {
+        (Some(format), out) => write(client, &sql, format, out.clone()).await,
         (None, Some(out)) => {
             let rows = Format::ALL.into_iter().filter(|format| format.streams());
             let endings: Vec<&str> = rows.map(Format::extension).collect();

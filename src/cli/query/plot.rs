@@ -71,11 +71,10 @@ impl From<MarksArg> for Marks {
 /// `CliError` if the service cannot be reached or started or refuses the question, or if the picture
 /// cannot be written.
 pub async fn plot(args: PlotArgs) -> Result<(), CliError> {
-    let at = args.at.clone();
-    embed::reading(&at, move |client| async move { draw(&client, args).await }).await
+    embed::reading(&args.at, async |client| draw(client, &args).await).await
 }
 
-async fn draw(client: &Client, args: PlotArgs) -> Result<(), CliError> {
+async fn draw(client: &Client, args: &PlotArgs) -> Result<(), CliError> {
     let trials = trials(client, &args.of).await?;
     let is_statement = args.what.contains(char::is_whitespace);
     let (question, answer, heading) = if is_statement {

@@ -29,8 +29,7 @@ use crate::cli::progress::shown_wait;
 /// `CliError` if the service cannot be reached or started, has no such run, or a file cannot be written.
 /// A PDF that cannot be printed is reported, and is no error: the HTML has all of it.
 pub async fn report(args: ReportArgs) -> Result<(), CliError> {
-    let at = args.at.clone();
-    embed::reading(&at, move |client| async move { make(&client, &args).await }).await
+    embed::reading(&args.at, async |client| make(client, &args).await).await
 }
 
 async fn make(client: &Client, args: &ReportArgs) -> Result<(), CliError> {
