@@ -6,7 +6,7 @@ use sqlx::sqlite::SqliteConnection;
 
 use super::run_row::{self, NewRun, RunRow};
 use crate::core::columns::Columns;
-use crate::core::{During, Store, StoreError};
+use crate::core::{During, Store, StoreError, StoreResult};
 use crate::ids::RunUid;
 use crate::state::StoredState;
 
@@ -16,7 +16,7 @@ impl Store {
     /// # Errors
     /// `Refused` if the seed or the number of trials is too large or the deadband is not finite;
     /// `Sql`, `Late` or `Closed` if the write fails.
-    pub async fn enqueue(&self, new: NewRun) -> Result<RunRow, StoreError> {
+    pub async fn enqueue(&self, new: NewRun) -> StoreResult<RunRow> {
         const OPERATION: &str = "queueing a run";
         let now = self.now_text();
         let insert = async move |c: &mut SqliteConnection| {
@@ -30,7 +30,7 @@ impl Store {
     ///
     /// # Errors
     /// `NotQueued` if the run is not in the queue; others as [`Self::enqueue`].
-    pub async fn replace_queued(&self, new: NewRun) -> Result<RunRow, StoreError> {
+    pub async fn replace_queued(&self, new: NewRun) -> StoreResult<RunRow> {
         const OPERATION: &str = "editing a queued run";
         let now = self.now_text();
         let replace =
@@ -42,7 +42,7 @@ impl Store {
     ///
     /// # Errors
     /// `Sql` or `Unreadable` if the read fails.
-    pub async fn queue(&self) -> Result<Vec<RunRow>, StoreError> {
+    pub async fn queue(&self) -> StoreResult<Vec<RunRow>> {
         const OPERATION: &str = "reading the queue";
         let query =
             sqlx::query("SELECT * FROM runs WHERE state = 'queued' ORDER BY queue_position");
@@ -55,7 +55,7 @@ impl Store {
     /// # Errors
     /// `NotQueued` if the run is not in the queue;
     /// `Sql`, `Late` or `Closed` if the write fails.
-    pub async fn move_item(&self, run: RunUid, position: u32) -> Result<Vec<RunRow>, StoreError> {
+    pub async fn move_item(&self, run: RunUid, position: u32) -> StoreResult<Vec<RunRow>> {
         const OPERATION: &str = "moving a run in the queue";
         self.inner
             .writer
@@ -83,7 +83,7 @@ impl Store {
     /// # Errors
     /// `NotQueued` if the run is not in the queue;
     /// `Sql`, `Late` or `Closed` if the write fails.
-    pub async fn remove(&self, run: RunUid) -> Result<RunRow, StoreError> {
+    pub async fn remove(&self, run: RunUid) -> StoreResult<RunRow> {
         const OPERATION: &str = "removing a run from the queue";
         let now = self.now_text();
         self.inner
@@ -113,7 +113,7 @@ impl Store {
     /// # Errors
     /// `NotQueued` if the run is neither queued nor interrupted;
     /// `Sql`, `Late` or `Closed` if the write fails.
-    pub async fn set_waiting(&self, run: RunUid) -> Result<(), StoreError> {
+    pub async fn set_waiting(&self, run: RunUid) -> StoreResult<()> {
         const OPERATION: &str = "marking a run as waiting for its turn";
         let query = sqlx::query(
             "UPDATE runs SET waiting_since = coalesce(waiting_since, ?2)
@@ -132,7 +132,7 @@ impl Store {
     ///
     /// # Errors
     /// `Sql`, `Late` or `Closed` if the write fails.
-    pub async fn clear_waiting(&self, run: RunUid) -> Result<(), StoreError> {
+    pub async fn clear_waiting(&self, run: RunUid) -> StoreResult<()> {
         const OPERATION: &str = "removing the mark of a waiting run";
         let query = sqlx::query("UPDATE runs SET waiting_since = NULL WHERE uid = ?1")
             .bind(run.to_string());
@@ -144,7 +144,7 @@ impl Store {
     ///
     /// # Errors
     /// `Sql` or `Unreadable` if the read fails.
-    pub async fn waiting_runs(&self) -> Result<Vec<RunRow>, StoreError> {
+    pub async fn waiting_runs(&self) -> StoreResult<Vec<RunRow>> {
         const OPERATION: &str = "reading the waiting runs";
         let query = sqlx::query(
             "SELECT * FROM runs
@@ -159,7 +159,7 @@ impl Store {
 async fn order(
     connection: &mut SqliteConnection,
     operation: &'static str,
-) -> Result<Vec<String>, StoreError> {
+) -> StoreResult<Vec<String>> {
     sqlx::query_scalar("SELECT uid FROM runs WHERE state = 'queued' ORDER BY queue_position")
         .fetch_all(connection)
         .await
@@ -171,7 +171,7 @@ async fn number(
     connection: &mut SqliteConnection,
     order: &[String],
     operation: &'static str,
-) -> Result<(), StoreError> {
+) -> StoreResult<()> {
     for (i, uid) in order.iter().enumerate() {
         sqlx::query("UPDATE runs SET queue_position = ?2 WHERE uid = ?1")
             .bind(uid)

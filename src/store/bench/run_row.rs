@@ -9,7 +9,7 @@ use utoipa::ToSchema;
 use super::plans;
 use crate::core::columns::{Columns, time_text};
 use crate::core::facts::{Label, RunKind};
-use crate::core::{During, StoreError};
+use crate::core::{During, StoreError, StoreResult};
 use crate::digest::sha256_hex;
 use crate::ids::{CalibrationId, RunUid};
 use crate::journal::ExitStatus;
@@ -149,7 +149,7 @@ impl RunRow {
         self.is_open() && self.state != StoredState::Interrupted
     }
 
-    pub(crate) fn read(c: &Columns<'_>) -> Result<Self, StoreError> {
+    pub(crate) fn read(c: &Columns<'_>) -> StoreResult<Self> {
         let (kind, state) = (c.word("kind")?, c.word("state")?);
         let exit_status = c.word_or_none("exit_status")?;
         Ok(Self {
@@ -234,7 +234,7 @@ pub(crate) async fn insert(
     state: StoredState,
     now: String,
     operation: &'static str,
-) -> Result<RunRow, StoreError> {
+) -> StoreResult<RunRow> {
     let statement = concat!(inserting!(), " RETURNING *");
     write(connection, statement, new, state, now, operation).await
 }
@@ -249,7 +249,7 @@ pub(crate) async fn replace(
     new: NewRun,
     now: String,
     operation: &'static str,
-) -> Result<RunRow, StoreError> {
+) -> StoreResult<RunRow> {
     let uid = new.uid;
     let queued: Option<Option<String>> =
         sqlx::query_scalar("SELECT plan_sha256 FROM runs WHERE uid = ?1 AND state = 'queued'")
@@ -286,7 +286,7 @@ async fn write(
     state: StoredState,
     now: String,
     operation: &'static str,
-) -> Result<RunRow, StoreError> {
+) -> StoreResult<RunRow> {
     let refused = |field, limit| StoreError::Refused { operation, field, limit };
     let seed = new.seed.map(i64::try_from).transpose();
     let seed = seed.map_err(|_| refused("seed", "must be under 2^63"))?;

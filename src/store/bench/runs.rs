@@ -7,7 +7,7 @@ use sqlx::sqlite::SqliteConnection;
 use super::run_row::{self, NewRun, RunPage, RunRow};
 use crate::core::columns::time_text;
 use crate::core::facts::{Label, RunFacts, RunKind};
-use crate::core::{Store, StoreError};
+use crate::core::{Store, StoreResult};
 use crate::ids::RunUid;
 use crate::state::StoredState;
 
@@ -17,7 +17,7 @@ impl Store {
     /// # Errors
     /// `Refused` if the seed or the number of trials is too large or the deadband is not finite;
     /// `Sql`, `Late` or `Closed` if the write fails.
-    pub async fn create_run(&self, new: NewRun) -> Result<RunRow, StoreError> {
+    pub async fn create_run(&self, new: NewRun) -> StoreResult<RunRow> {
         const OPERATION: &str = "creating a run";
         let now = self.now_text();
         let insert = async move |c: &mut SqliteConnection| {
@@ -30,7 +30,7 @@ impl Store {
     ///
     /// # Errors
     /// `Sql` or `Unreadable` if the read fails.
-    pub async fn run(&self, run: RunUid) -> Result<Option<RunRow>, StoreError> {
+    pub async fn run(&self, run: RunUid) -> StoreResult<Option<RunRow>> {
         const OPERATION: &str = "reading a run";
         let query = sqlx::query("SELECT * FROM runs WHERE uid = ?1").bind(run.to_string());
         self.row(OPERATION, query, RunRow::read).await
@@ -40,7 +40,7 @@ impl Store {
     ///
     /// # Errors
     /// `Sql` or `Unreadable` if the read fails.
-    pub async fn run_by_scan_id(&self, scan_id: i64) -> Result<Option<RunRow>, StoreError> {
+    pub async fn run_by_scan_id(&self, scan_id: i64) -> StoreResult<Option<RunRow>> {
         const OPERATION: &str = "reading a run";
         let query = sqlx::query("SELECT * FROM runs WHERE scan_id = ?1").bind(scan_id);
         self.row(OPERATION, query, RunRow::read).await
@@ -50,7 +50,7 @@ impl Store {
     ///
     /// # Errors
     /// `Sql` or `Unreadable` if the read fails.
-    pub async fn runs(&self, limit: u32, before: Option<i64>) -> Result<RunPage, StoreError> {
+    pub async fn runs(&self, limit: u32, before: Option<i64>) -> StoreResult<RunPage> {
         const OPERATION: &str = "listing runs";
         let query =
             sqlx::query("SELECT * FROM runs WHERE scan_id < ?1 ORDER BY scan_id DESC LIMIT ?2")
@@ -73,7 +73,7 @@ impl Store {
         sensor_sha256: &str,
         label: Label,
         before: Timestamp,
-    ) -> Result<Option<RunRow>, StoreError> {
+    ) -> StoreResult<Option<RunRow>> {
         const OPERATION: &str = "looking for an earlier run";
         let query = sqlx::query(
             "SELECT * FROM runs WHERE kind = ?1 AND sensor_sha256 = ?2 AND label = ?3 AND started_at < ?4
@@ -91,7 +91,7 @@ impl Store {
     ///
     /// # Errors
     /// `Sql` or `Unreadable` if the read fails.
-    pub async fn all_runs(&self) -> Result<Vec<RunRow>, StoreError> {
+    pub async fn all_runs(&self) -> StoreResult<Vec<RunRow>> {
         const OPERATION: &str = "reading all runs";
         let query = sqlx::query("SELECT * FROM runs WHERE state <> 'removed' ORDER BY scan_id");
         self.rows(OPERATION, query, RunRow::read).await
@@ -102,7 +102,7 @@ impl Store {
     ///
     /// # Errors
     /// `Sql` or `Unreadable` if the read fails.
-    pub async fn open_runs(&self) -> Result<Vec<RunRow>, StoreError> {
+    pub async fn open_runs(&self) -> StoreResult<Vec<RunRow>> {
         const OPERATION: &str = "reading open runs";
         let query = sqlx::query(
             "SELECT * FROM runs WHERE state NOT IN ('queued', 'interrupted', 'ended', 'removed')

@@ -10,6 +10,9 @@ use std::path::PathBuf;
 use crate::ids::{RunUid, TrialKey};
 use crate::journal::{JournalError, error_chain};
 
+/// Result of an operation of the store.
+pub type StoreResult<T> = Result<T, StoreError>;
+
 /// Failure of an operation of the store.
 #[derive(Debug, thiserror::Error)]
 #[allow(missing_docs, reason = "the message names the fields")]
@@ -206,17 +209,17 @@ pub(crate) trait During<T> {
     ///
     /// # Errors
     /// `StoreError::Sql` or `Read` if `self` is an error.
-    fn during(self, operation: &'static str) -> Result<T, StoreError>;
+    fn during(self, operation: &'static str) -> StoreResult<T>;
 }
 
 impl<T> During<T> for Result<T, sqlx::Error> {
-    fn during(self, operation: &'static str) -> Result<T, StoreError> {
+    fn during(self, operation: &'static str) -> StoreResult<T> {
         self.map_err(|source| StoreError::Sql { operation, source })
     }
 }
 
 impl<T> During<T> for Result<T, rusqlite::Error> {
-    fn during(self, operation: &'static str) -> Result<T, StoreError> {
+    fn during(self, operation: &'static str) -> StoreResult<T> {
         self.map_err(|source| StoreError::Read { operation, source })
     }
 }

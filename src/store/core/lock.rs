@@ -8,7 +8,7 @@ use utoipa::ToSchema;
 
 use super::columns::Columns;
 use super::keys::{KEYLESS, KEYLESS_SUFFIX};
-use super::{During, Store, StoreError};
+use super::{During, Store, StoreError, StoreResult};
 use crate::plain::violated;
 
 /// Longest name of a holder, with the mark of one without a key.
@@ -33,7 +33,7 @@ impl LockRow {
         self.holder == KEYLESS || self.holder.ends_with(KEYLESS_SUFFIX)
     }
 
-    fn read(row: &SqliteRow, operation: &'static str) -> Result<Self, StoreError> {
+    fn read(row: &SqliteRow, operation: &'static str) -> StoreResult<Self> {
         let c = Columns::of(row, operation);
         Ok(Self { holder: c.get("holder")?, note: c.get("note")?, since: c.time("since")? })
     }
@@ -45,7 +45,7 @@ impl Store {
     /// # Errors
     /// `Refused` if holder or note is too long or has control characters; `LockHeld` if another person
     /// holds it; `Sql`, `Late` or `Closed` if the write fails.
-    pub async fn set_lock(&self, holder: &str, note: &str) -> Result<LockRow, StoreError> {
+    pub async fn set_lock(&self, holder: &str, note: &str) -> StoreResult<LockRow> {
         const OPERATION: &str = "taking the operator lock";
         for (text, max_chars) in [(holder, HOLDER_MAX_CHARS), (note, NOTE_MAX_CHARS)] {
             if violated(text, max_chars).is_some() {
@@ -83,7 +83,7 @@ impl Store {
     ///
     /// # Errors
     /// `Sql`, `Late` or `Closed` if the write fails.
-    pub async fn clear_lock(&self) -> Result<Option<LockRow>, StoreError> {
+    pub async fn clear_lock(&self) -> StoreResult<Option<LockRow>> {
         const OPERATION: &str = "releasing the operator lock";
         self.inner
             .writer
@@ -102,7 +102,7 @@ impl Store {
     ///
     /// # Errors
     /// `Sql` or `Unreadable` if the read fails.
-    pub async fn lock(&self) -> Result<Option<LockRow>, StoreError> {
+    pub async fn lock(&self) -> StoreResult<Option<LockRow>> {
         const OPERATION: &str = "reading the operator lock";
         held(&mut *self.read(OPERATION).await?, OPERATION).await
     }
@@ -112,7 +112,7 @@ impl Store {
 async fn held(
     connection: &mut SqliteConnection,
     operation: &'static str,
-) -> Result<Option<LockRow>, StoreError> {
+) -> StoreResult<Option<LockRow>> {
     sqlx::query("SELECT * FROM operator_lock")
         .fetch_optional(connection)
         .await

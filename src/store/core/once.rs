@@ -7,7 +7,7 @@ use jiff::Timestamp;
 use sqlx::sqlite::{SqliteConnection, SqliteRow};
 
 use super::columns::{Columns, time_text};
-use super::{During, Store, StoreError};
+use super::{During, Store, StoreResult};
 
 /// Name of a request: the caller, and the key that it chose.
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
@@ -49,7 +49,7 @@ pub struct OnceRow {
 }
 
 impl OnceRow {
-    fn read(row: &SqliteRow, operation: &'static str) -> Result<Self, StoreError> {
+    fn read(row: &SqliteRow, operation: &'static str) -> StoreResult<Self> {
         let c = Columns::of(row, operation);
         let response = match c.get("status")? {
             Some(status) => Some(OnceResponse {
@@ -76,7 +76,7 @@ impl Store {
         request: &str,
         kept: Duration,
         most: u32,
-    ) -> Result<Option<OnceRow>, StoreError> {
+    ) -> StoreResult<Option<OnceRow>> {
         const OPERATION: &str = "storing that a request begins";
         let now = self.inner.clock.timestamp();
         // A duration that reaches before the first time keeps everything.
@@ -121,11 +121,7 @@ impl Store {
     ///
     /// # Errors
     /// `Sql`, `Late` or `Closed` if the write fails.
-    pub async fn end_once(
-        &self,
-        key: &OnceKey,
-        response: Option<OnceResponse>,
-    ) -> Result<(), StoreError> {
+    pub async fn end_once(&self, key: &OnceKey, response: Option<OnceResponse>) -> StoreResult<()> {
         const OPERATION: &str = "storing the response of a request";
         let key = key.clone();
         self.inner

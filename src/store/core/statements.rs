@@ -5,7 +5,7 @@ use sqlx::Sqlite;
 use sqlx::sqlite::SqliteArguments;
 
 use super::columns::Columns;
-use super::error::{During, StoreError};
+use super::error::{During, StoreResult};
 use super::store::Store;
 use super::writer::Writer;
 
@@ -21,8 +21,8 @@ impl Store {
         &self,
         operation: &'static str,
         query: Query,
-        read: impl Fn(&Columns<'_>) -> Result<T, StoreError>,
-    ) -> Result<Vec<T>, StoreError> {
+        read: impl Fn(&Columns<'_>) -> StoreResult<T>,
+    ) -> StoreResult<Vec<T>> {
         let rows = query.fetch_all(&self.inner.readers).await.during(operation)?;
         rows.iter().map(|row| read(&Columns::of(row, operation))).collect()
     }
@@ -35,8 +35,8 @@ impl Store {
         &self,
         operation: &'static str,
         query: Query,
-        read: impl Fn(&Columns<'_>) -> Result<T, StoreError>,
-    ) -> Result<Option<T>, StoreError> {
+        read: impl Fn(&Columns<'_>) -> StoreResult<T>,
+    ) -> StoreResult<Option<T>> {
         let row = query.fetch_optional(&self.inner.readers).await.during(operation)?;
         row.map(|row| read(&Columns::of(&row, operation))).transpose()
     }
@@ -47,11 +47,7 @@ impl Writer {
     ///
     /// # Errors
     /// As [`Writer::run`].
-    pub(crate) async fn execute(
-        &self,
-        operation: &'static str,
-        query: Query,
-    ) -> Result<u64, StoreError> {
+    pub(crate) async fn execute(&self, operation: &'static str, query: Query) -> StoreResult<u64> {
         self.run(operation, async move |connection| {
             Ok(query.execute(connection).await.during(operation)?.rows_affected())
         })
@@ -66,8 +62,8 @@ impl Writer {
         &self,
         operation: &'static str,
         query: Query,
-        read: fn(&Columns<'_>) -> Result<T, StoreError>,
-    ) -> Result<T, StoreError> {
+        read: fn(&Columns<'_>) -> StoreResult<T>,
+    ) -> StoreResult<T> {
         self.run(operation, async move |connection| {
             let row = query.fetch_one(connection).await.during(operation)?;
             read(&Columns::of(&row, operation))

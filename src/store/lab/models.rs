@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 use crate::core::columns::{Columns, time_text};
-use crate::core::{Store, StoreError};
+use crate::core::{Store, StoreResult};
 use crate::ids::{ModelId, PromotedId};
 
 /// A stored model. Its files are in a folder that is named by its id.
@@ -25,7 +25,7 @@ pub struct ModelRow {
 }
 
 impl ModelRow {
-    fn read(c: &Columns<'_>) -> Result<Self, StoreError> {
+    fn read(c: &Columns<'_>) -> StoreResult<Self> {
         Ok(Self {
             id: c.id("id")?,
             name: c.get("name")?,
@@ -70,7 +70,7 @@ pub struct NewPromotion<'a> {
 }
 
 impl PromotionRow {
-    fn read(c: &Columns<'_>) -> Result<Self, StoreError> {
+    fn read(c: &Columns<'_>) -> StoreResult<Self> {
         Ok(Self {
             slot: c.get("slot")?,
             what: c.id_or_none("what")?,
@@ -87,7 +87,7 @@ impl Store {
     ///
     /// # Errors
     /// `Sql`, `Late` or `Closed` if the write fails.
-    pub async fn insert_model(&self, new: ModelRow) -> Result<(), StoreError> {
+    pub async fn insert_model(&self, new: ModelRow) -> StoreResult<()> {
         const OPERATION: &str = "storing a model";
         let query = sqlx::query(
             "INSERT INTO models (id, name, task, manifest, created_at)
@@ -105,7 +105,7 @@ impl Store {
     ///
     /// # Errors
     /// `Sql` or `Unreadable` if the read fails.
-    pub async fn model(&self, id_or_name: &str) -> Result<Option<ModelRow>, StoreError> {
+    pub async fn model(&self, id_or_name: &str) -> StoreResult<Option<ModelRow>> {
         const OPERATION: &str = "reading a model";
         let query = sqlx::query(
             "SELECT * FROM models WHERE id = ?1 OR name = ?1
@@ -119,7 +119,7 @@ impl Store {
     ///
     /// # Errors
     /// `Sql` or `Unreadable` if the read fails.
-    pub async fn models(&self) -> Result<Vec<ModelRow>, StoreError> {
+    pub async fn models(&self) -> StoreResult<Vec<ModelRow>> {
         const OPERATION: &str = "listing models";
         let query = sqlx::query("SELECT * FROM models ORDER BY created_at DESC, rowid DESC");
         self.rows(OPERATION, query, ModelRow::read).await
@@ -129,7 +129,7 @@ impl Store {
     ///
     /// # Errors
     /// `Sql`, `Late` or `Closed` if the write fails.
-    pub async fn promote(&self, new: NewPromotion<'_>) -> Result<(), StoreError> {
+    pub async fn promote(&self, new: NewPromotion<'_>) -> StoreResult<()> {
         const OPERATION: &str = "storing a promotion";
         let query = sqlx::query(
             "INSERT INTO promotions (slot, what, who, why, at, rolled_back)
@@ -148,7 +148,7 @@ impl Store {
     ///
     /// # Errors
     /// `Sql` or `Unreadable` if the read fails.
-    pub async fn promotions(&self) -> Result<Vec<PromotionRow>, StoreError> {
+    pub async fn promotions(&self) -> StoreResult<Vec<PromotionRow>> {
         const OPERATION: &str = "reading promotions";
         let query = sqlx::query("SELECT * FROM promotions ORDER BY id DESC");
         self.rows(OPERATION, query, PromotionRow::read).await

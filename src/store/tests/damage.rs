@@ -15,7 +15,7 @@ use crate::ids::{RunUid, TrialId, TrialKey};
 use crate::journal::{Journal, error_chain};
 use crate::record::{ArmReading, FrameRecord, Pose, ReferenceRecord, TrialScalars};
 use crate::state::{StateChange, StoredState};
-use crate::{RunKind, Soundness, Store, StoreError, TrialQuery};
+use crate::{RunKind, Soundness, Store, StoreError, StoreResult, TrialQuery};
 
 /// Number of trials in the file that is damaged.
 const TRIALS: u32 = 66;
@@ -49,7 +49,7 @@ fn reference() -> ReferenceRecord {
 /// The measured values of a trial, bit for bit.
 type Measured = (TrialKey, Vec<ArmReading>, Option<Pose>, Vec<u32>, Vec<FrameRecord>);
 
-async fn measured(store: &Store, run: RunUid) -> Result<Vec<Measured>, StoreError> {
+async fn measured(store: &Store, run: RunUid) -> StoreResult<Vec<Measured>> {
     let query =
         TrialQuery { run: Some(run), limit: 1000, with_voltages: true, ..Default::default() };
     let mut all = Vec::new();
