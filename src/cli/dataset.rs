@@ -8,7 +8,7 @@ use serde_json::{Value, json};
 
 use super::client::Client;
 use super::download::DATASET_WAIT;
-use super::error::CliError;
+use super::error::CliResult;
 use super::export::{self, ExportArgs};
 use super::federate::{FederateArgs, federate};
 use super::files::read_as;
@@ -111,7 +111,7 @@ struct PruneArgs {
 ///
 /// # Errors
 /// `CliError` if the service cannot be reached or refuses, or a file cannot be read or written.
-pub async fn dataset(args: DatasetArgs) -> Result<(), CliError> {
+pub async fn dataset(args: DatasetArgs) -> CliResult<()> {
     match args.what {
         What::List(at) => embed::reading(&at, async |client| list(client, at.json).await).await,
         What::Show(args) => {
@@ -137,7 +137,7 @@ pub async fn dataset(args: DatasetArgs) -> Result<(), CliError> {
     }
 }
 
-async fn list(client: &Client, json: bool) -> Result<(), CliError> {
+async fn list(client: &Client, json: bool) -> CliResult<()> {
     let found: Value = client.get("/api/v1/datasets?limit=1").await?;
     let made: Vec<Value> = client.all("/api/v1/datasets?").await?;
     if json {
@@ -162,7 +162,7 @@ async fn list(client: &Client, json: bool) -> Result<(), CliError> {
     Ok(())
 }
 
-async fn prune(client: &Client, args: &PruneArgs) -> Result<(), CliError> {
+async fn prune(client: &Client, args: &PruneArgs) -> CliResult<()> {
     let body = json!({ "keep": args.keep, "dry_run": args.dry_run });
     let pruned: Value = client
         .patient(DATASET_WAIT)
@@ -200,7 +200,7 @@ fn making(client: &Client) -> Client {
     client.patient(DATASET_WAIT).showing("making the dataset")
 }
 
-async fn show(client: &Client, args: &ShowArgs) -> Result<(), CliError> {
+async fn show(client: &Client, args: &ShowArgs) -> CliResult<()> {
     let more = if args.lineage { "/lineage" } else { "" };
     let path = format!("/api/v1/datasets/{}{more}", args.name);
     let found: Value = making(client).get(&path).await?;
@@ -215,7 +215,7 @@ async fn show(client: &Client, args: &ShowArgs) -> Result<(), CliError> {
     Ok(())
 }
 
-async fn card(client: &Client, args: &CardArgs) -> Result<(), CliError> {
+async fn card(client: &Client, args: &CardArgs) -> CliResult<()> {
     let path = format!("/api/v1/datasets/{}", args.name);
     let client = making(client);
     if args.datapackage {
@@ -228,7 +228,7 @@ async fn card(client: &Client, args: &CardArgs) -> Result<(), CliError> {
     Ok(())
 }
 
-async fn make(client: &Client, args: &MakeArgs) -> Result<(), CliError> {
+async fn make(client: &Client, args: &MakeArgs) -> CliResult<()> {
     let what = args.what.display().to_string();
     let is_file = args.what.extension().is_some() || args.what.is_file();
     let body = match is_file {

@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 use futures::FutureExt;
 
 use super::client::{Client, Found};
-use super::error::CliError;
+use super::error::{CliError, CliResult};
 use super::files::{RigFiles, read_sensor_text};
 use super::key::key;
 use super::progress::shown_wait;
@@ -29,7 +29,7 @@ pub const TWIN_WORKERS: usize = 1;
 ///
 /// # Errors
 /// As [`key`] and [`Client::new`]; `CliError::File` if the file of `--ca` cannot be read.
-pub fn clients(at: &At) -> Result<Vec<Client>, CliError> {
+pub fn clients(at: &At) -> CliResult<Vec<Client>> {
     clients_with(at, key()?)
 }
 
@@ -37,7 +37,7 @@ pub fn clients(at: &At) -> Result<Vec<Client>, CliError> {
 ///
 /// # Errors
 /// As [`Client::new`]; `CliError::File` if the file of `--ca` cannot be read.
-pub fn clients_with(at: &At, key: Option<String>) -> Result<Vec<Client>, CliError> {
+pub fn clients_with(at: &At, key: Option<String>) -> CliResult<Vec<Client>> {
     let ca = at.ca().as_deref().map(Certificates::read).transpose()?;
     let ca = ca.as_ref();
     if let Some(url) = at.url() {
@@ -58,7 +58,7 @@ pub fn clients_with(at: &At, key: Option<String>) -> Result<Vec<Client>, CliErro
 /// # Errors
 /// `CliError::NoServer` if a named service does not answer, `Stranger` if something else does; otherwise
 /// as [`clients`] and [`Client::look`].
-pub async fn find(at: &At) -> Result<Option<Client>, CliError> {
+pub async fn find(at: &At) -> CliResult<Option<Client>> {
     let looked = look(at).await?;
     match (looked, at.url()) {
         (Ok(client), _) => Ok(Some(client)),
@@ -69,7 +69,7 @@ pub async fn find(at: &At) -> Result<Option<Client>, CliError> {
 }
 
 /// Returns the service, or why there is none.
-async fn look(at: &At) -> Result<Result<Client, CliError>, CliError> {
+async fn look(at: &At) -> CliResult<CliResult<Client>> {
     let (mut untrusted, mut stranger) = (None, None);
     for client in clients(at)? {
         match client.look().await {
@@ -104,7 +104,7 @@ async fn serves(client: &Client, at: &At) -> bool {
 ///
 /// # Errors
 /// `CliError::NoServer` if it does not answer, `Stranger` if something else does.
-pub async fn server(at: &At) -> Result<Client, CliError> {
+pub async fn server(at: &At) -> CliResult<Client> {
     look(at).await?
 }
 
@@ -112,7 +112,7 @@ pub async fn server(at: &At) -> Result<Client, CliError> {
 ///
 /// # Errors
 /// `CliError` if the carried sensor file is invalid.
-fn options(data: PathBuf, rig: &RigFiles, idle: bool) -> Result<ServeOptions, CliError> {
+fn options(data: PathBuf, rig: &RigFiles, idle: bool) -> CliResult<ServeOptions> {
     let (sensor, sensor_text) = read_sensor_text(None)?;
     Ok(ServeOptions {
         tls: None,
@@ -138,8 +138,8 @@ fn options(data: PathBuf, rig: &RigFiles, idle: bool) -> Result<ServeOptions, Cl
 /// `CliError` if no service can be reached or started, or the error of `work`.
 pub async fn with_server<T>(
     at: &At,
-    work: impl AsyncFnOnce(&Client) -> Result<T, CliError>,
-) -> Result<T, CliError> {
+    work: impl AsyncFnOnce(&Client) -> CliResult<T>,
+) -> CliResult<T> {
     Opened::of(at, false).await?.carry_out(work).await
 }
 
@@ -148,10 +148,7 @@ pub async fn with_server<T>(
 ///
 /// # Errors
 /// As [`with_server`].
-pub async fn reading<T>(
-    at: &At,
-    work: impl AsyncFnOnce(&Client) -> Result<T, CliError>,
-) -> Result<T, CliError> {
+pub async fn reading<T>(at: &At, work: impl AsyncFnOnce(&Client) -> CliResult<T>) -> CliResult<T> {
     Opened::of(at, true).await?.carry_out(work).await
 }
 
@@ -163,7 +160,7 @@ struct Opened {
 }
 
 impl Opened {
-    async fn of(at: &At, idle: bool) -> Result<Self, CliError> {
+    async fn of(at: &At, idle: bool) -> CliResult<Self> {
         if let Some(client) = find(at).await? {
             return Ok(Self { client, own: None });
         }
@@ -182,10 +179,7 @@ impl Opened {
     }
 
     /// Carries out `work`; a service in this process ends whatever the result, also if the work panics.
-    async fn carry_out<T>(
-        self,
-        work: impl AsyncFnOnce(&Client) -> Result<T, CliError>,
-    ) -> Result<T, CliError> {
+    async fn carry_out<T>(self, work: impl AsyncFnOnce(&Client) -> CliResult<T>) -> CliResult<T> {
         let outcome = AssertUnwindSafe(work(&self.client)).catch_unwind().await;
         if let Some((service, _view)) = self.own {
             service.shutdown().await;

@@ -38,6 +38,9 @@ pub enum PictureError {
     Failed { path: PathBuf, why: String },
 }
 
+/// Result of a command or of a part of it.
+pub type CliResult<T> = Result<T, CliError>;
+
 /// Why a command failed.
 #[derive(Debug, thiserror::Error)]
 #[allow(missing_docs, reason = "the message names the fields")]

@@ -9,7 +9,7 @@ use clap::{Args, Subcommand};
 use serde_json::{Value, json};
 
 use super::client::{Client, TextPart};
-use super::error::CliError;
+use super::error::{CliError, CliResult};
 use super::files::{DEFAULT_SENSOR, read_input, write, write_bytes};
 use super::next::Next;
 use super::output::{Output, say, say_json};
@@ -107,12 +107,12 @@ const PROMOTING: Duration = Duration::from_secs(900);
 ///
 /// # Errors
 /// `CliError` if the service cannot be reached or started, refuses, or a file cannot be used.
-pub async fn model(args: ModelArgs) -> Result<(), CliError> {
+pub async fn model(args: ModelArgs) -> CliResult<()> {
     let ModelArgs { what, at } = args;
     embed::with_server(&at, async |client| answer(client, what, &at).await).await
 }
 
-async fn answer(client: &Client, what: What, at: &At) -> Result<(), CliError> {
+async fn answer(client: &Client, what: What, at: &At) -> CliResult<()> {
     match what {
         What::List => {
             let models: Vec<ModelOut> = client.all("/api/v1/models?").await?;

@@ -7,7 +7,7 @@ use serde_json::Value;
 use tokio::time::timeout;
 
 use super::client::Client;
-use super::error::CliError;
+use super::error::CliResult;
 use super::output::{bytes, counted, duration, say, say_json};
 use super::table::Table;
 use super::{At, embed};
@@ -25,7 +25,7 @@ const ID_SHOWN: usize = 12;
 ///
 /// # Errors
 /// `CliError` if the service cannot be reached, or its queue does not answer.
-pub async fn status(at: &At) -> Result<(), CliError> {
+pub async fn status(at: &At) -> CliResult<()> {
     let found: Value = embed::server(at).await?.get(WORKERS).await?;
     if at.json {
         say_json(&found);

@@ -17,7 +17,7 @@ use tokio_tungstenite::tungstenite::client::IntoClientRequest;
 use tokio_tungstenite::tungstenite::{self, Message};
 use tokio_tungstenite::{Connector, connect_async_tls_with_config};
 
-use super::error::CliError;
+use super::error::{CliError, CliResult};
 use super::progress::shown_wait;
 use super::repeat;
 use super::trust::{self, Certificates};
@@ -88,11 +88,7 @@ impl Client {
     /// # Errors
     /// `CliError::Http` if the HTTP client cannot be created; `Problems` if the URL is none, or if the
     /// certificate cannot be used; `Tls` likewise.
-    pub fn new(
-        url: &str,
-        ca: Option<&Certificates>,
-        key: Option<String>,
-    ) -> Result<Self, CliError> {
+    pub fn new(url: &str, ca: Option<&Certificates>, key: Option<String>) -> CliResult<Self> {
         check_url(url)?;
         let tls = trust::tls(url, ca)?;
         let http = trust::http(tls.clone())
@@ -127,7 +123,7 @@ impl Client {
     ///
     /// # Errors
     /// `CliError::Untrusted` if its certificate is not trusted.
-    pub async fn look(&self) -> Result<Found, CliError> {
+    pub async fn look(&self) -> CliResult<Found> {
         let url = format!("{}/health/live", self.url);
         let body: Value = match self.http.get(url).timeout(PROBE_WAIT).send().await {
             Ok(answer) => answer.json().await.unwrap_or_default(),
@@ -144,7 +140,7 @@ impl Client {
     ///
     /// # Errors
     /// As [`Self::ask`].
-    pub async fn get<T: DeserializeOwned>(&self, path: &str) -> Result<T, CliError> {
+    pub async fn get<T: DeserializeOwned>(&self, path: &str) -> CliResult<T> {
         self.ask(Method::GET, path, None::<&Value>).await
     }
 
@@ -156,7 +152,7 @@ impl Client {
         &self,
         path: &str,
         body: &impl Serialize,
-    ) -> Result<T, CliError> {
+    ) -> CliResult<T> {
         self.ask(Method::POST, path, Some(body)).await
     }
 
@@ -164,7 +160,7 @@ impl Client {
     ///
     /// # Errors
     /// As [`Self::send`].
-    pub async fn delete(&self, path: &str) -> Result<(), CliError> {
+    pub async fn delete(&self, path: &str) -> CliResult<()> {
         let who: String = self.who.bytes().map(|b| format!("%{b:02X}")).collect();
         let path = format!("{path}?who={who}");
         self.send(Method::DELETE, &path, None::<&Value>).await.map(|_| ())
@@ -179,7 +175,7 @@ impl Client {
         method: Method,
         path: &str,
         body: Option<&impl Serialize>,
-    ) -> Result<T, CliError> {
+    ) -> CliResult<T> {
         let operation = format!("{method} {path}");
         read(operation, self.send(method, path, body).await?).await
     }
@@ -194,7 +190,7 @@ impl Client {
         method: Method,
         path: &str,
         body: Option<&impl Serialize>,
-    ) -> Result<Response, CliError> {
+    ) -> CliResult<Response> {
         let operation = format!("{method} {path}");
         let request = self.http.request(method, format!("{}{path}", self.url));
         let request = match body {
@@ -213,7 +209,7 @@ impl Client {
         method: Method,
         path: &str,
         range: &str,
-    ) -> Result<Response, CliError> {
+    ) -> CliResult<Response> {
         let operation = format!("{method} {path}");
         let request = self.http.request(method, format!("{}{path}", self.url));
         self.carry_out(operation, request.header(reqwest::header::RANGE, range)).await
@@ -224,7 +220,7 @@ impl Client {
     ///
     /// # Errors
     /// As [`Self::send`].
-    pub async fn stream(&self, path: &str, last_id: Option<&str>) -> Result<Response, CliError> {
+    pub async fn stream(&self, path: &str, last_id: Option<&str>) -> CliResult<Response> {
         let request = self.http.get(format!("{}{path}", self.url));
         let mut request = request.header(reqwest::header::ACCEPT, "text/event-stream");
         if let Some(id) = last_id {
@@ -242,7 +238,7 @@ impl Client {
         path: &str,
         file: &Path,
         texts: impl IntoIterator<Item = TextPart>,
-    ) -> Result<T, CliError> {
+    ) -> CliResult<T> {
         let operation = format!("POST {path}");
         let opened = tokio::fs::File::open(file).await.map_err(CliError::file(file))?;
         let length = opened.metadata().await.map_err(CliError::file(file))?.len();
@@ -270,11 +266,7 @@ impl Client {
     ///
     /// # Errors
     /// As [`Self::ask`].
-    pub async fn post_text<T: DeserializeOwned>(
-        &self,
-        path: &str,
-        text: String,
-    ) -> Result<T, CliError> {
+    pub async fn post_text<T: DeserializeOwned>(&self, path: &str, text: String) -> CliResult<T> {
         let operation = format!("POST {path}");
         let request = self.http.post(format!("{}{path}", self.url)).body(text);
         let request = request.header(reqwest::header::CONTENT_TYPE, "text/plain; charset=utf-8");
@@ -286,11 +278,7 @@ impl Client {
     ///
     /// # Errors
     /// `CliError::Socket` if the connection fails.
-    pub async fn messages(
-        &self,
-        path: &str,
-        mut take: impl FnMut(&str) -> bool,
-    ) -> Result<(), CliError> {
+    pub async fn messages(&self, path: &str, mut take: impl FnMut(&str) -> bool) -> CliResult<()> {
         let operation = || format!("GET {path}");
         let failed = |error: tungstenite::Error| match error {
             tungstenite::Error::Http(answer) => {
@@ -325,11 +313,7 @@ impl Client {
         Ok(())
     }
 
-    async fn carry_out(
-        &self,
-        operation: String,
-        request: RequestBuilder,
-    ) -> Result<Response, CliError> {
+    async fn carry_out(&self, operation: String, request: RequestBuilder) -> CliResult<Response> {
         tracing::debug!(operation, url = self.url, "request");
         let request = self.with_key(request).timeout(self.answer_within);
         let sent = repeat::send(request, &operation, self.answer_within);
@@ -378,12 +362,12 @@ impl Client {
 }
 
 /// Reads the answer to a request.
-async fn read<T: DeserializeOwned>(operation: String, answer: Response) -> Result<T, CliError> {
+async fn read<T: DeserializeOwned>(operation: String, answer: Response) -> CliResult<T> {
     answer.json().await.map_err(|source| CliError::Http { operation, source })
 }
 
 /// Rejects what is not the URL of a service.
-fn check_url(url: &str) -> Result<(), CliError> {
+fn check_url(url: &str) -> CliResult<()> {
     let limit = url_limit(url).map(|limit| CliError::argument("--url or PALPATE_URL", url, limit));
     limit.map_or(Ok(()), Err)
 }

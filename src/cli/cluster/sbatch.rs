@@ -13,7 +13,7 @@ use super::table::TableRequest;
 use super::twins::TwinsRequest;
 use crate::chunk::folder::OrderFolder;
 use crate::cli::data_or_default;
-use crate::cli::error::CliError;
+use crate::cli::error::{CliError, CliResult};
 use crate::cli::files::this_program;
 use crate::cli::next::Next;
 use crate::cli::output::{Output, counted, grouped, say, say_json};
@@ -130,7 +130,7 @@ pub struct JobArgs {
 ///
 /// # Errors
 /// `CliError` if an option is invalid, the folder contains another order, or a file cannot be written.
-pub async fn sbatch(args: &SbatchArgs) -> Result<(), CliError> {
+pub async fn sbatch(args: &SbatchArgs) -> CliResult<()> {
     match &args.command {
         SbatchCommand::Random(SbatchRandomArgs { request, job }) => {
             let places = job.places(request.data.clone())?;
@@ -181,7 +181,7 @@ impl JobArgs {
     }
 
     /// Checks the options, and returns the paths of the job.
-    fn places(&self, data: Option<PathBuf>) -> Result<Places, CliError> {
+    fn places(&self, data: Option<PathBuf>) -> CliResult<Places> {
         let mut checks = Checks::of("command line");
         let limit = format!("must be from 1 to {TASKS_MAX}");
         checks.require((1..=TASKS_MAX).contains(&self.tasks), "tasks", self.tasks, &limit);
@@ -220,7 +220,7 @@ impl JobArgs {
         is_new: bool,
         contents: &str,
         resources: &[&str],
-    ) -> Result<(), CliError> {
+    ) -> CliResult<()> {
         let order = folder.order();
         let job = Job {
             palpate: places.palpate.clone(),
@@ -291,7 +291,7 @@ impl JobArgs {
     }
 }
 
-fn absolute(path: &Path) -> Result<String, CliError> {
+fn absolute(path: &Path) -> CliResult<String> {
     let absolute = std::path::absolute(path).map_err(CliError::file(path))?;
     Ok(absolute.display().to_string())
 }

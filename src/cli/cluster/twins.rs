@@ -8,7 +8,7 @@ use super::OrderPlace;
 use crate::chunk::folder::{ChunkState, OrderFolder};
 use crate::chunk::order::{ChunkRow, WorkOrder};
 use crate::cli::client::Client;
-use crate::cli::error::CliError;
+use crate::cli::error::{CliError, CliResult};
 use crate::cli::find::find_run;
 use crate::cli::output::Output;
 use crate::cli::progress::Counted;
@@ -41,7 +41,7 @@ impl TwinsRequest {
     /// # Errors
     /// `CliError` if an option is invalid, the service cannot be reached or started, or the run has no trials or no
     /// model.
-    pub async fn order(&self, output: Output) -> Result<(WorkOrder, u64), CliError> {
+    pub async fn order(&self, output: Output) -> CliResult<(WorkOrder, u64)> {
         if !(1..=CHUNK_TRIALS_MAX).contains(&self.chunk_trials) {
             let limit = format!("must be from 1 to {CHUNK_TRIALS_MAX}");
             return Err(CliError::argument("chunk-trials", self.chunk_trials, limit));
@@ -52,11 +52,7 @@ impl TwinsRequest {
     }
 }
 
-async fn ordered(
-    client: &Client,
-    run: &str,
-    chunk_trials: u64,
-) -> Result<(WorkOrder, u64), CliError> {
+async fn ordered(client: &Client, run: &str, chunk_trials: u64) -> CliResult<(WorkOrder, u64)> {
     let uid = find_run(client, run).await?.uid;
     // The skin is solved for the first answer.
     let client = client.showing("the contacts of the run");
@@ -111,7 +107,7 @@ pub async fn store(
     rows: Vec<ChunkRow>,
     at: &At,
     mut verified: Counted,
-) -> Result<Stored, CliError> {
+) -> CliResult<Stored> {
     embed::with_server(at, async move |client| {
         let path = format!("/api/v1/runs/{run}/twins");
         let mut stored = Stored::default();

@@ -11,7 +11,7 @@ use super::write_all;
 use crate::api::{FrameAnswer, InferOptions, InferRequest, JobOut, ModelOut};
 use crate::cli::client::{Client, TextPart};
 use crate::cli::download::DATASET_WAIT;
-use crate::cli::error::CliError;
+use crate::cli::error::{CliError, CliResult};
 use crate::cli::files::read_input;
 use crate::cli::job::wait_for;
 use crate::cli::next::Next;
@@ -118,8 +118,8 @@ impl ExtentArgs {
 /// fails.
 pub async fn with_lab(
     args: LabArgs,
-    study: impl AsyncFnOnce(&ServiceLab, &Budget) -> Result<Sheet, CliError>,
-) -> Result<(), CliError> {
+    study: impl AsyncFnOnce(&ServiceLab, &Budget) -> CliResult<Sheet>,
+) -> CliResult<()> {
     embed::with_server(&args.at, async |client| {
         let lab = ServiceLab::new(client.clone(), args.at.output(), args.trained.clone());
         lab.take_evaluation()?;
@@ -130,7 +130,7 @@ pub async fn with_lab(
 }
 
 /// Writes and prints the result of a study.
-async fn show(sheet: &Sheet, args: &LabArgs) -> Result<(), CliError> {
+async fn show(sheet: &Sheet, args: &LabArgs) -> CliResult<()> {
     if let Some(folder) = &args.out {
         write_all(folder, &sheet.files, &args.pictures).await?;
     }
@@ -178,7 +178,7 @@ impl ServiceLab {
     ///
     /// # Errors
     /// `CliError` if the recipe is invalid or names no dataset, or the dataset cannot be made.
-    pub async fn net_order(&self, net: &TableNet) -> Result<NetOrder, CliError> {
+    pub async fn net_order(&self, net: &TableNet) -> CliResult<NetOrder> {
         let TableNet { training, scores } = net;
         let ResolvedTraining { recipe, dataset, .. } = self.resolve(training).await?;
         let limit = "must name a dataset: nets on simulations are not made in chunks";
@@ -191,7 +191,7 @@ impl ServiceLab {
     }
 
     /// Resolves the names of a training; makes its dataset if needed.
-    async fn resolve(&self, training: &Training) -> Result<ResolvedTraining, CliError> {
+    async fn resolve(&self, training: &Training) -> CliResult<ResolvedTraining> {
         let stem = &training.stem;
         let changes = changes(training, stem);
         let text = recipe_text(&training.recipe, &changes)?;
@@ -216,7 +216,7 @@ impl ServiceLab {
     }
 
     /// Takes the scores of a gathered evaluation, if the folder has them.
-    fn take_evaluation(&self) -> Result<(), CliError> {
+    fn take_evaluation(&self) -> CliResult<()> {
         match &self.trained {
             Some(folder) if folder.join(SCORES_FILE).exists() => self.take_scores(folder),
             Some(_) | None => Ok(()),
@@ -224,7 +224,7 @@ impl ServiceLab {
     }
 
     /// Takes the scores of a gathered net.
-    fn take_scores(&self, folder: &Path) -> Result<(), CliError> {
+    fn take_scores(&self, folder: &Path) -> CliResult<()> {
         let path = folder.join(SCORES_FILE);
         let scores: Vec<NetScore> = serde_json::from_str(&read_input(&path)?)
             .map_err(|error| CliError::in_file(&path, error.to_string()))?;
@@ -233,7 +233,7 @@ impl ServiceLab {
     }
 
     /// Adds a gathered net to the service.
-    async fn add_gathered(&self, name: &str, folder: &Path) -> Result<ModelOut, CliError> {
+    async fn add_gathered(&self, name: &str, folder: &Path) -> CliResult<ModelOut> {
         let path = folder.join(MANIFEST);
         let manifest: Manifest = parse_toml(&path.display().to_string(), &read_input(&path)?)
             .map_err(CliError::Problems)?;
@@ -254,13 +254,13 @@ impl ServiceLab {
     }
 
     /// Description of a dataset, which is made if needed.
-    async fn dataset(&self, name: &str) -> Result<Value, CliError> {
+    async fn dataset(&self, name: &str) -> CliResult<Value> {
         let client = self.client.patient(DATASET_WAIT).showing("making the dataset");
         client.post("/api/v1/datasets", &json!({ "name": name })).await
     }
 
     /// Whether the first frame of the first trial of a dataset is stored; a mean of one frame is that frame.
-    async fn has_first_frame(&self, dataset: &str) -> Result<bool, CliError> {
+    async fn has_first_frame(&self, dataset: &str) -> CliResult<bool> {
         let path = format!("/api/v1/datasets/{dataset}/rows?columns=trial_id,frame_count&limit=1");
         let page: Value = self.client.get(&path).await?;
         let row = &page["items"][0];
@@ -276,12 +276,12 @@ impl ServiceLab {
 impl Lab for ServiceLab {
     type Error = CliError;
 
-    async fn split_by(&self, dataset: &str) -> Result<String, CliError> {
+    async fn split_by(&self, dataset: &str) -> CliResult<String> {
         let row = self.dataset(dataset).await?;
         Ok(row["definition"]["split"]["by"].as_str().unwrap_or("nothing").to_owned())
     }
 
-    async fn facts(&self, dataset: &str) -> Result<DatasetFacts, CliError> {
+    async fn facts(&self, dataset: &str) -> CliResult<DatasetFacts> {
         let row = self.dataset(dataset).await?;
         let (id, report) = (row["id"].as_str().unwrap_or_default(), &row["report"]);
         let lineage: Value = self.client.get(&format!("/api/v1/datasets/{id}/lineage")).await?;
@@ -309,7 +309,7 @@ impl Lab for ServiceLab {
         Ok(facts)
     }
 
-    async fn train(&self, training: &Training) -> Result<ModelId, CliError> {
+    async fn train(&self, training: &Training) -> CliResult<ModelId> {
         let stem = &training.stem;
         let ResolvedTraining { name, recipe, .. } = self.resolve(training).await?;
         let gathered = self.gathered(&name);
@@ -334,7 +334,7 @@ impl Lab for ServiceLab {
         Ok(model.id)
     }
 
-    async fn score(&self, request: &EvaluationRequest) -> Result<EvaluationReport, CliError> {
+    async fn score(&self, request: &EvaluationRequest) -> CliResult<EvaluationReport> {
         let known = self.scores.lock().iter().find(|score| score.request == *request).cloned();
         if let Some(NetScore { report, .. }) = known {
             return Ok(report);
@@ -350,15 +350,11 @@ impl Lab for ServiceLab {
         })
     }
 
-    async fn residuals(&self, transfer: &ModelId) -> Result<Residuals, CliError> {
+    async fn residuals(&self, transfer: &ModelId) -> CliResult<Residuals> {
         self.client.get(&format!("/api/v1/models/{transfer}/residuals")).await
     }
 
-    async fn first_trial(
-        &self,
-        dataset: &str,
-        conditions: &[String],
-    ) -> Result<Option<Trial>, CliError> {
+    async fn first_trial(&self, dataset: &str, conditions: &[String]) -> CliResult<Option<Trial>> {
         let conditions = conditions.join("&");
         let path = format!(
             "/api/v1/datasets/{dataset}/rows?{conditions}&columns=voltages_v,contacts,label&limit=1"
@@ -382,7 +378,7 @@ impl Lab for ServiceLab {
         frame_v: &[f32],
         transfer: &ModelId,
         map: &ModelId,
-    ) -> Result<Reading, CliError> {
+    ) -> CliResult<Reading> {
         let options = InferOptions {
             method: Method::Paper,
             model: Some(map.to_string()),

@@ -6,7 +6,7 @@ use std::path::Path;
 
 use clap::{Args, Subcommand};
 
-use super::error::CliError;
+use super::error::CliResult;
 use super::files::write;
 use super::infer::methods;
 use super::picture::Pictures;
@@ -176,7 +176,7 @@ struct UnseenArgs {
 ///
 /// # Errors
 /// `CliError` if a training or an evaluation fails, or a file cannot be written.
-pub async fn evaluate(args: EvaluateArgs) -> Result<(), CliError> {
+pub async fn evaluate(args: EvaluateArgs) -> CliResult<()> {
     match args.what {
         What::Simulation(args) => simulation::simulation(args).await,
         What::Method(args) => method(args).await,
@@ -207,7 +207,7 @@ pub async fn evaluate(args: EvaluateArgs) -> Result<(), CliError> {
     }
 }
 
-async fn method(args: MethodArgs) -> Result<(), CliError> {
+async fn method(args: MethodArgs) -> CliResult<()> {
     let MethodArgs { method, lab } = args;
     with_lab(lab, async |lab, budget| scores(lab, &method.request(budget)).await).await
 }
@@ -236,11 +236,7 @@ impl MethodRequest {
 }
 
 /// Writes files to a folder, and creates it; figures also in the requested formats.
-async fn write_all(
-    folder: &Path,
-    files: &[OutputFile],
-    pictures: &Pictures,
-) -> Result<(), CliError> {
+async fn write_all(folder: &Path, files: &[OutputFile], pictures: &Pictures) -> CliResult<()> {
     for file in files {
         let path = folder.join(&file.name);
         write(&path, &file.text)?;

@@ -8,7 +8,7 @@ use reqwest::Url;
 use serde::Deserialize;
 
 use crate::cli::client::{Client, url_limit};
-use crate::cli::error::CliError;
+use crate::cli::error::{CliError, CliResult};
 use crate::cli::files::read_input;
 use crate::cli::key::key_of;
 use crate::cli::trust::Certificates;
@@ -44,7 +44,7 @@ struct Entry {
 /// # Errors
 /// `CliError::Problems` with the first name or address that is invalid or occurs twice, or if a file cannot be used;
 /// `File` if a file of a key or a certificate cannot be read; as [`Client::new`].
-pub fn rigs(urls: &[String], file: Option<&Path>) -> Result<Vec<Rig>, CliError> {
+pub fn rigs(urls: &[String], file: Option<&Path>) -> CliResult<Vec<Rig>> {
     let mut rigs = BTreeMap::new();
     for text in urls {
         let (name, url) = named(text);
@@ -97,7 +97,7 @@ fn is_of_name(c: char) -> bool {
 }
 
 /// Checks name and address of a rig. `table`: prefix of a key in problems.
-fn check(file: &str, table: &str, name: &str, url: &str) -> Result<(), CliError> {
+fn check(file: &str, table: &str, name: &str, url: &str) -> CliResult<()> {
     let refused = |key: &str, value: &str, limit: String| {
         CliError::Problems(vec![Problem::new(file, key, value, limit)])
     };
