@@ -48,7 +48,6 @@ impl Drop for LockFile {
 #[derive(Debug, thiserror::Error)]
 #[allow(missing_docs, reason = "the message names the fields")]
 pub enum LockFileError {
-    /// Another process holds the lock.
     #[error(
         "{what} is in use by process {holder} (lock file {}): stop that process, or start `palpate serve` \
          first and run commands as its clients",
