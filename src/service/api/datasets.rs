@@ -2,7 +2,7 @@
 //! Uses: `dataset::catalog`. Never: SQL, a row that is not in a dataset's file.
 
 use axum::Json;
-use axum::extract::{Query, Request, State};
+use axum::extract::{Query, Request};
 use axum::http::{HeaderMap, HeaderValue, header};
 use axum::response::{IntoResponse, Response};
 use serde::{Deserialize, Serialize};
@@ -153,7 +153,7 @@ type Pairs = Query<Vec<(String, String)>>;
 #[utoipa::path(get, operation_id = "list_datasets", path = "/api/v1/datasets", tag = "datasets",
     params(PageParams), responses((status = 200, body = DatasetsPage),
         (status = 400, description = "a parameter is invalid")))]
-pub async fn list(State(app): State<App>, asked: PageRequest) -> ApiResult<Json<DatasetsPage>> {
+pub async fn list(app: App, asked: PageRequest) -> ApiResult<Json<DatasetsPage>> {
     let datasets = app.store.datasets().await?.into_iter().map(|row| {
         let last_used_at = app.datasets.last_used_at(&row.id);
         DatasetOut { last_used_at, ..row.into() }
@@ -174,7 +174,7 @@ pub async fn list(State(app): State<App>, asked: PageRequest) -> ApiResult<Json<
         (status = 422,
             description = "the body is invalid, or has not exactly one of name, definition and toml")))]
 pub async fn make(
-    State(app): State<App>,
+    app: App,
     act: Act,
     Body(new): Body<DatasetRequest>,
 ) -> ApiResult<Json<DatasetOut>> {
@@ -199,10 +199,7 @@ pub async fn make(
 /// Returns the dataset with an id, or the newest one of a name.
 #[utoipa::path(get, operation_id = "dataset", path = "/api/v1/datasets/{dataset}", tag = "datasets",
     responses((status = 200, body = DatasetOut)))]
-pub async fn one(
-    State(app): State<App>,
-    Path(dataset): Path<String>,
-) -> ApiResult<Json<DatasetOut>> {
+pub async fn one(app: App, Path(dataset): Path<String>) -> ApiResult<Json<DatasetOut>> {
     let row = app.datasets.find(&dataset).await?;
     let is_current = app.datasets.is_current(&row).await?;
     let last_used_at = app.datasets.last_used_at(&row.id);
@@ -212,10 +209,7 @@ pub async fn one(
 /// Returns the lineage of a dataset: runs, models, calibrations, shards, code and files.
 #[utoipa::path(get, operation_id = "dataset_lineage", path = "/api/v1/datasets/{dataset}/lineage",
     tag = "datasets", responses((status = 200, body = Object)))]
-pub async fn lineage(
-    State(app): State<App>,
-    Path(dataset): Path<String>,
-) -> ApiResult<Json<Value>> {
+pub async fn lineage(app: App, Path(dataset): Path<String>) -> ApiResult<Json<Value>> {
     let row = app.datasets.find(&dataset).await?;
     let url = format!("/api/v1/data/{}.parquet", row.id);
     Ok(Json(serde_json::json!({
@@ -228,7 +222,7 @@ pub async fn lineage(
 /// Returns the card of a dataset in Markdown: content, units, quality, origin and citation.
 #[utoipa::path(get, operation_id = "dataset_card", path = "/api/v1/datasets/{dataset}/card",
     tag = "datasets", responses((status = 200, body = String, content_type = "text/markdown")))]
-pub async fn card(State(app): State<App>, Path(dataset): Path<String>) -> ApiResult<Response> {
+pub async fn card(app: App, Path(dataset): Path<String>) -> ApiResult<Response> {
     let row = app.datasets.find(&dataset).await?;
     let text = app.datasets.card(&row.id)?;
     Ok(([(header::CONTENT_TYPE, "text/markdown; charset=utf-8")], text).into_response())
@@ -239,10 +233,7 @@ pub async fn card(State(app): State<App>, Path(dataset): Path<String>) -> ApiRes
 #[utoipa::path(get, operation_id = "dataset_package",
     path = "/api/v1/datasets/{dataset}/datapackage.json", tag = "datasets",
     responses((status = 200, body = Object)))]
-pub async fn package(
-    State(app): State<App>,
-    Path(dataset): Path<String>,
-) -> ApiResult<Json<Value>> {
+pub async fn package(app: App, Path(dataset): Path<String>) -> ApiResult<Json<Value>> {
     let row = app.datasets.find(&dataset).await?;
     Ok(Json(package::of(&row, &format!("/api/v1/data/{}.parquet", row.id))))
 }
@@ -276,7 +267,7 @@ pub struct PruneOut {
     tag = "datasets", request_body = PruneRequest, responses((status = 200, body = PruneOut),
         (status = 422, description = "the body is invalid")))]
 pub async fn prune(
-    State(app): State<App>,
+    app: App,
     act: Act,
     Body(request): Body<PruneRequest>,
 ) -> ApiResult<Json<PruneOut>> {
@@ -301,7 +292,7 @@ pub async fn prune(
     responses((status = 200, body = RowsPage),
         (status = 400, description = "a parameter is unknown or invalid")))]
 pub async fn rows(
-    State(app): State<App>,
+    app: App,
     Path(dataset): Path<String>,
     Query(pairs): Pairs,
     cursors: Cursors,
@@ -354,7 +345,7 @@ pub async fn rows(
         (status = 400, description = "a parameter is unknown or invalid"),
         (status = 503, description = "as of queries (with `Retry-After`)")))]
 pub async fn groups(
-    State(app): State<App>,
+    app: App,
     Path(dataset): Path<String>,
     Query(pairs): Pairs,
     headers: HeaderMap,
@@ -382,7 +373,7 @@ pub async fn groups(
         (status = 404,
             description = "no dataset has this id, none of this name has been made, or the format is unknown")))]
 pub async fn data(
-    State(app): State<App>,
+    app: App,
     Path(file): Path<String>,
     Query(pairs): Pairs,
     request: Request,

@@ -2,7 +2,7 @@
 //! thing is no longer what their client saw.
 //! Uses: `access`, `tags`, the handlers that show the things. Never: a wait of a stop, a pause or the end of a run.
 
-use axum::extract::{Request, State};
+use axum::extract::Request;
 use axum::http::{HeaderMap, Method, StatusCode, header};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
@@ -43,7 +43,7 @@ impl Edited {
 
     /// The response that shows the thing as it is now.
     async fn shown(self, app: &App) -> Response {
-        let app = State(app.clone());
+        let app = app.clone();
         match self {
             Edited::Lock => people::lock(app).await.into_response(),
             Edited::Queue => queue::list(app).await.into_response(),

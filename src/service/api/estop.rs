@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 
 use axum::Json;
 use axum::body::Body;
-use axum::extract::{MatchedPath, Request, State};
+use axum::extract::{MatchedPath, Request};
 use axum::http::header;
 use axum::response::{IntoResponse, Response};
 use futures::StreamExt;
@@ -44,7 +44,7 @@ pub struct Latched {
         the log of actions; whatever it is, the stop is the same"),
     responses((status = 200, body = Latched),
         (status = 401, description = "the key is missing, unknown or revoked")))]
-pub async fn estop(State(app): State<App>, request: Request) -> Response {
+pub async fn estop(app: App, request: Request) -> Response {
     let began = Instant::now();
     let latched = latch(&app, &request);
     let latched_after = began.elapsed();

@@ -2,7 +2,6 @@
 //! Uses: `evaluate`, `store`. Never: a computation that a motion waits for.
 
 use axum::Json;
-use axum::extract::State;
 
 use super::App;
 use super::problem::{ApiError, ApiResult, Path};
@@ -15,10 +14,7 @@ use crate::evaluate::simulation::{SimulationReport, report};
 #[utoipa::path(get, operation_id = "evaluate_simulation",
     path = "/api/v1/runs/{run}/evaluation/simulation", tag = "simulation",
     responses((status = 200, body = SimulationReport)))]
-pub async fn simulation(
-    State(app): State<App>,
-    Path(run): Path<String>,
-) -> ApiResult<Json<SimulationReport>> {
+pub async fn simulation(app: App, Path(run): Path<String>) -> ApiResult<Json<SimulationReport>> {
     let run = find(&app, &run).await?.uid;
     let fits = app.store.fits(run).await?;
     let report = tokio::task::spawn_blocking(move || report(&fits)).await;

@@ -4,7 +4,6 @@
 use std::convert::Infallible;
 use std::time::Duration;
 
-use axum::extract::State;
 use axum::http::{HeaderMap, header};
 use axum::response::sse::{self, KeepAlive, Sse};
 use axum::response::{IntoResponse, Response};
@@ -86,7 +85,7 @@ impl EventParams {
         (status = 404, description = "no run has this uid or scan_id"),
         (status = 400, description = "a parameter is invalid")))]
 pub async fn events(
-    State(app): State<App>,
+    app: App,
     Params(params): Params<EventParams>,
     asked: PageRequest,
     headers: HeaderMap,

@@ -2,7 +2,7 @@
 //! Uses: `dataset::catalog`. Never: the rows themselves.
 
 use axum::Json;
-use axum::extract::{Request, State};
+use axum::extract::Request;
 use axum::http::StatusCode;
 use axum::response::Response;
 use serde::{Deserialize, Serialize};
@@ -86,7 +86,7 @@ fn out(app: &App, row: TaskRow) -> ExportOut {
         (status = 400, description = "the selection is invalid, or too many exports wait"),
         (status = 404, description = "no dataset has this id or name")))]
 pub async fn request(
-    State(app): State<App>,
+    app: App,
     act: Act,
     Body(request): Body<ExportRequest>,
 ) -> ApiResult<Created<ExportOut>> {
@@ -99,7 +99,7 @@ pub async fn request(
 #[utoipa::path(get, operation_id = "list_exports", path = "/api/v1/exports", tag = "datasets",
     params(PageParams), responses((status = 200, body = Page<ExportOut>),
         (status = 400, description = "a parameter is invalid")))]
-pub async fn list(State(app): State<App>, asked: PageRequest) -> ApiResult<Page<ExportOut>> {
+pub async fn list(app: App, asked: PageRequest) -> ApiResult<Page<ExportOut>> {
     let rows = app.store.tasks(TaskKind::EXPORTS, asked.limit + 1, asked.after()?).await?;
     Ok(asked.first(rows.into_iter().map(|row| out(&app, row)).collect(), |export| export.id))
 }
@@ -107,7 +107,7 @@ pub async fn list(State(app): State<App>, asked: PageRequest) -> ApiResult<Page<
 /// Returns the state and progress of an export.
 #[utoipa::path(get, operation_id = "export", path = "/api/v1/exports/{export}", tag = "datasets",
     responses((status = 200, body = ExportOut)))]
-pub async fn one(State(app): State<App>, Path(export): Path<String>) -> ApiResult<Json<ExportOut>> {
+pub async fn one(app: App, Path(export): Path<String>) -> ApiResult<Json<ExportOut>> {
     Ok(Json(out(&app, find(&app, &export).await?)))
 }
 
@@ -120,11 +120,7 @@ pub async fn one(State(app): State<App>, Path(export): Path<String>) -> ApiResul
         (status = 206, body = Vec<u8>, content_type = "application/octet-stream"),
         (status = 409, description = "the export is not done, or it failed"),
         (status = 410, description = "the file was removed to free space")))]
-pub async fn file(
-    State(app): State<App>,
-    Path(export): Path<String>,
-    request: Request,
-) -> ApiResult<Response> {
+pub async fn file(app: App, Path(export): Path<String>, request: Request) -> ApiResult<Response> {
     let row = find(&app, &export).await?;
     match row.state {
         TaskState::Done => {}

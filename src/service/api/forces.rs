@@ -3,7 +3,6 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use axum::extract::State;
 use serde::{Deserialize, Serialize};
 use sim_core::stats::{quantile, sorted};
 use utoipa::ToSchema;
@@ -34,10 +33,7 @@ pub struct ForcesAtDepth {
 /// Returns the largest forces of the trials of a run over depth: first of all trials, then for each number of tips.
 #[utoipa::path(get, operation_id = "run_forces", path = "/api/v1/runs/{run}/forces", tag = "runs",
     responses((status = 200, body = Page<ForcesAtDepth>)))]
-pub async fn of_run(
-    State(app): State<App>,
-    Path(run): Path<String>,
-) -> ApiResult<Page<ForcesAtDepth>> {
+pub async fn of_run(app: App, Path(run): Path<String>) -> ApiResult<Page<ForcesAtDepth>> {
     let run = find(&app, &run).await?;
     let forces = app.store.forces_over_depth(run.uid).await?;
     // To sort those of 198,000 trials is not for a thread that answers requests.

@@ -10,7 +10,6 @@ use std::process::Stdio;
 use std::time::Duration;
 
 use axum::Json;
-use axum::extract::State;
 use axum::http::StatusCode;
 use serde::{Deserialize, Serialize};
 use tokio::process::{Child, Command};
@@ -121,7 +120,7 @@ impl From<GatherError> for ApiError {
         (status = 503, description = "the worker is missing"),
         (status = 507, description = "less than 2 GiB of the disk are free")))]
 pub async fn gather(
-    State(app): State<App>,
+    app: App,
     act: Act,
     Path(folder): Path<String>,
 ) -> ApiResult<(StatusCode, Json<GatherOut>)> {

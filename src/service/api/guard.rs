@@ -8,7 +8,7 @@ use std::collections::HashMap;
 use std::sync::Arc;
 
 use axum::body::{Body, HttpBody, to_bytes};
-use axum::extract::{DefaultBodyLimit, MatchedPath, Request, State};
+use axum::extract::{DefaultBodyLimit, MatchedPath, Request};
 use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode, Uri, header};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
@@ -53,7 +53,7 @@ impl InProgress {
 pub struct Place(#[expect(dead_code, reason = "dropped at the end")] Arc<OwnedSemaphorePermit>);
 
 /// Admits a request to its handler, and logs the action that it asks for.
-pub async fn admit(State(app): State<App>, mut request: Request, next: Next) -> Response {
+pub async fn admit(app: App, mut request: Request, next: Next) -> Response {
     let path = request.extensions().get::<MatchedPath>().map(MatchedPath::as_str);
     let needs = path.and_then(|path| app.facts.needs.find(request.method(), path)).copied();
     let Some(needs) = needs else {

@@ -4,7 +4,6 @@
 use std::fmt::Write;
 
 use axum::Json;
-use axum::extract::State;
 use axum::http::{StatusCode, header};
 use axum::response::IntoResponse;
 use serde::Serialize;
@@ -46,7 +45,7 @@ pub async fn live() -> Json<Live> {
     responses((status = 204),
         (status = 503,
             description = "the database is damaged, unchecked or not readable, the disk is full, or the campaign has ended")))]
-pub async fn ready(State(app): State<App>) -> ApiResult<StatusCode> {
+pub async fn ready(app: App) -> ApiResult<StatusCode> {
     let unavailable = |words: String| ApiError::new(StatusCode::SERVICE_UNAVAILABLE, words);
     app.store.last_event_seq().await.map_err(|e| unavailable(e.to_string()))?;
     match app.store.soundness() {
@@ -73,7 +72,7 @@ pub async fn ready(State(app): State<App>) -> ApiResult<StatusCode> {
 /// Returns counters and gauges in the text format of Prometheus.
 #[utoipa::path(get, path = "/metrics", tag = "health",
     responses((status = 200, body = String, content_type = "text/plain")))]
-pub async fn metrics(State(app): State<App>) -> impl IntoResponse {
+pub async fn metrics(app: App) -> impl IntoResponse {
     let status = app.campaign.status();
     let mut text = String::new();
     let mut metric = |name: &str, kind: &str, help: &str, values: &[(String, f64)]| {

@@ -5,7 +5,6 @@
 use std::sync::Arc;
 
 use axum::Json;
-use axum::extract::State;
 use jiff::{SignedDuration, Timestamp};
 use serde::{Deserialize, Serialize};
 use utoipa::{IntoParams, ToSchema};
@@ -111,7 +110,7 @@ pub struct NotableEvent {
     responses((status = 200, body = History),
         (status = 400, description = "`bins` is not 1 to 1000")))]
 pub async fn of_run(
-    State(app): State<App>,
+    app: App,
     Path(run): Path<String>,
     Params(params): Params<HistoryParams>,
 ) -> ApiResult<Json<Arc<History>>> {

@@ -3,7 +3,6 @@
 
 use std::io::Write;
 
-use axum::extract::State;
 use axum::http::{HeaderMap, StatusCode};
 use serde::Serialize;
 use utoipa::ToSchema;
@@ -79,7 +78,7 @@ struct Parts {
                            person holds the operator lock"),
         (status = 507, description = "the disk has no room for the trials")))]
 pub async fn add(
-    State(app): State<App>,
+    app: App,
     act: Act,
     headers: HeaderMap,
     form: Form,

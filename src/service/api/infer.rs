@@ -3,7 +3,7 @@
 
 use std::sync::Arc;
 
-use axum::extract::{FromRequest, Request, State};
+use axum::extract::{FromRequest, Request};
 use axum::http::header;
 use axum::{Json, extract::Query};
 use serde::{Deserialize, Serialize};
@@ -92,7 +92,7 @@ pub struct FrameAnswer {
             description = "no model serves for the method, or a model does not fit method or sensor"),
         (status = 422, description = "a frame or an option is invalid"),
         (status = 503, description = "too many requests are in progress")))]
-pub async fn infer(State(app): State<App>, request: Request) -> ApiResult<Json<Vec<FrameAnswer>>> {
+pub async fn infer(app: App, request: Request) -> ApiResult<Json<Vec<FrameAnswer>>> {
     let (options, sent) = received(&app, request).await?;
     let named = Named::load(&app, &options).await?;
     let frames = sent.frames(&options, named.sensor(&app).1)?;

@@ -2,7 +2,6 @@
 //! Uses: `jobs`. Never: the computation itself.
 
 use axum::Json;
-use axum::extract::State;
 use axum::http::{HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use serde::{Deserialize, Serialize};
@@ -41,7 +40,7 @@ fn out(app: &App, task: TaskRow) -> JobOut {
     responses((status = 202, body = JobOut, headers(("Location", description = "the job"))),
         (status = 422, description = "the recipe is invalid")))]
 pub async fn train(
-    State(app): State<App>,
+    app: App,
     act: Act,
     Body(request): Body<TrainingRequest>,
 ) -> ApiResult<Created<JobOut>> {
@@ -55,7 +54,7 @@ pub async fn train(
     responses((status = 202, body = JobOut, headers(("Location", description = "the job"))),
         (status = 422, description = "a value of the request is invalid")))]
 pub async fn evaluate(
-    State(app): State<App>,
+    app: App,
     act: Act,
     Body(request): Body<EvaluationRequest>,
 ) -> ApiResult<Created<JobOut>> {
@@ -68,7 +67,7 @@ pub async fn evaluate(
 #[utoipa::path(get, operation_id = "list_jobs", path = "/api/v1/jobs", tag = "jobs",
     params(PageParams), responses((status = 200, body = Page<JobOut>),
         (status = 400, description = "a parameter is invalid")))]
-pub async fn list(State(app): State<App>, asked: PageRequest) -> ApiResult<Page<JobOut>> {
+pub async fn list(app: App, asked: PageRequest) -> ApiResult<Page<JobOut>> {
     let rows = app.store.tasks(TaskKind::JOBS, asked.limit + 1, asked.after()?).await?;
     let brief =
         |row: TaskRow| out(&app, TaskRow { result: row.result.map(without_examples), ..row });
@@ -86,7 +85,7 @@ fn without_examples(mut result: Value) -> Value {
 /// Returns the state, progress and result of a job.
 #[utoipa::path(get, operation_id = "job", path = "/api/v1/jobs/{job}", tag = "jobs",
     responses((status = 200, body = JobOut)))]
-pub async fn one(State(app): State<App>, Path(job): Path<String>) -> ApiResult<Json<JobOut>> {
+pub async fn one(app: App, Path(job): Path<String>) -> ApiResult<Json<JobOut>> {
     Ok(Json(out(&app, find(&app, &job).await?)))
 }
 
@@ -95,7 +94,7 @@ pub async fn one(State(app): State<App>, Path(job): Path<String>) -> ApiResult<J
 /// After its end the losses are those of its model.
 #[utoipa::path(get, operation_id = "job_losses", path = "/api/v1/jobs/{job}/losses", tag = "jobs",
     responses((status = 200, body = String, content_type = "application/x-ndjson")))]
-pub async fn losses(State(app): State<App>, Path(job): Path<String>) -> ApiResult<Response> {
+pub async fn losses(app: App, Path(job): Path<String>) -> ApiResult<Response> {
     let row = find(&app, &job).await?;
     Ok(ndjson(app.jobs.losses(row.id)))
 }
@@ -106,7 +105,7 @@ pub async fn losses(State(app): State<App>, Path(job): Path<String>) -> ApiResul
 #[utoipa::path(post, operation_id = "stop_job", path = "/api/v1/jobs/{job}/stop", tag = "jobs",
     responses((status = 202, body = JobOut)))]
 pub async fn stop(
-    State(app): State<App>,
+    app: App,
     act: Act,
     Path(job): Path<String>,
 ) -> ApiResult<(StatusCode, Json<JobOut>)> {

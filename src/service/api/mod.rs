@@ -1,11 +1,14 @@
 //! The service: HTTP over the conductor, the campaign and the store; the state and the routes of all handlers.
 //! Uses: everything before it. Never: motion, SQL, a read that a motion waits for.
 
+use std::convert::Infallible;
 use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::sync::Arc;
 
+use axum::extract::FromRequestParts;
 use axum::http::Method;
+use axum::http::request::Parts;
 use axum::middleware::{from_fn, from_fn_with_state};
 use axum::routing::post;
 use jiff::Timestamp;
@@ -198,6 +201,15 @@ struct Facts {
     require_key: bool,
     desk: bool,
     memory: Memory,
+}
+
+/// Handlers take the state as it is.
+impl FromRequestParts<App> for App {
+    type Rejection = Infallible;
+
+    async fn from_request_parts(_: &mut Parts, app: &Self) -> Result<Self, Infallible> {
+        Ok(app.clone())
+    }
 }
 
 impl App {

@@ -2,7 +2,6 @@
 //! Uses: `infer::{registry, serving}`, `store`. Never: training, frames.
 
 use axum::Json;
-use axum::extract::State;
 use axum::http::{HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use serde::{Deserialize, Serialize};
@@ -110,7 +109,7 @@ pub struct ServingOut {
 #[utoipa::path(get, operation_id = "list_models", path = "/api/v1/models", tag = "models",
     params(PageParams), responses((status = 200, body = Page<ModelOut>),
         (status = 400, description = "a parameter is invalid")))]
-pub async fn list(State(app): State<App>, asked: PageRequest) -> ApiResult<Page<ModelOut>> {
+pub async fn list(app: App, asked: PageRequest) -> ApiResult<Page<ModelOut>> {
     let Page { items: rows, next } =
         asked.of_all(app.store.models().await?, |model| model.id.clone())?;
     let promotions = app.serving.promotions().await?;
@@ -124,7 +123,7 @@ pub async fn list(State(app): State<App>, asked: PageRequest) -> ApiResult<Page<
 /// Returns a model.
 #[utoipa::path(get, operation_id = "model", path = "/api/v1/models/{model}", tag = "models",
     responses((status = 200, body = ModelOut)))]
-pub async fn one(State(app): State<App>, Path(model): Path<String>) -> ApiResult<Json<ModelOut>> {
+pub async fn one(app: App, Path(model): Path<String>) -> ApiResult<Json<ModelOut>> {
     let row = app.models.find(&model).await?;
     Ok(Json(out(&app, row, &app.serving.promotions().await?).await?))
 }
@@ -133,7 +132,7 @@ pub async fn one(State(app): State<App>, Path(model): Path<String>) -> ApiResult
 #[utoipa::path(get, operation_id = "model_onnx",
     path = "/api/v1/models/{model}/onnx", tag = "models",
     responses((status = 200, body = Vec<u8>, content_type = "application/octet-stream")))]
-pub async fn onnx(State(app): State<App>, Path(model): Path<String>) -> ApiResult<Response> {
+pub async fn onnx(app: App, Path(model): Path<String>) -> ApiResult<Response> {
     let row = app.models.find(&model).await?;
     let path = app.models.onnx(&row.id);
     let bytes = tokio::fs::read(&path).await;
@@ -150,7 +149,7 @@ pub async fn onnx(State(app): State<App>, Path(model): Path<String>) -> ApiResul
 #[utoipa::path(get, operation_id = "model_losses",
     path = "/api/v1/models/{model}/losses", tag = "models",
     responses((status = 200, body = String, content_type = "application/x-ndjson")))]
-pub async fn losses(State(app): State<App>, Path(model): Path<String>) -> ApiResult<Response> {
+pub async fn losses(app: App, Path(model): Path<String>) -> ApiResult<Response> {
     let row = app.models.find(&model).await?;
     Ok(ndjson(app.models.losses(&row.id).unwrap_or_default()))
 }
@@ -158,10 +157,7 @@ pub async fn losses(State(app): State<App>, Path(model): Path<String>) -> ApiRes
 /// Returns the residuals of a Transfer-Net on trials outside its training part (paper, Fig. 10A).
 #[utoipa::path(get, operation_id = "model_residuals", path = "/api/v1/models/{model}/residuals",
     tag = "models", responses((status = 200, body = Residuals)))]
-pub async fn residuals(
-    State(app): State<App>,
-    Path(model): Path<String>,
-) -> ApiResult<Json<Residuals>> {
+pub async fn residuals(app: App, Path(model): Path<String>) -> ApiResult<Json<Residuals>> {
     Ok(Json(app.models.residuals(&model).await?))
 }
 
@@ -191,7 +187,7 @@ pub struct ModelForm {
     responses((status = 201, body = ModelOut, headers(("Location", description = "the model"))),
         (status = 422,
             description = "a part of the form is missing or invalid, or the model does not run")))]
-pub async fn add(State(app): State<App>, act: Act, form: Form) -> ApiResult<Created<ModelOut>> {
+pub async fn add(app: App, act: Act, form: Form) -> ApiResult<Created<ModelOut>> {
     let parts = receive(form).await?;
     app.still_allowed(&act).await?;
     let row = store(&app, parts).await?;
@@ -276,7 +272,7 @@ fn residuals_of(manifest: &Manifest, text: &str) -> ApiResult<Residuals> {
     responses((status = 201, body = CalibrationId),
         (status = 422, description = "the calibration is invalid or for another sensor")))]
 pub async fn add_calibration(
-    State(app): State<App>,
+    app: App,
     act: Act,
     Text(text): Text,
 ) -> ApiResult<(StatusCode, Json<CalibrationId>)> {
@@ -288,7 +284,7 @@ pub async fn add_calibration(
 /// Returns the content of all slots, and the history of promotions.
 #[utoipa::path(get, path = "/api/v1/serving", tag = "models",
     responses((status = 200, body = ServingOut)))]
-pub async fn serving(State(app): State<App>) -> ApiResult<Json<ServingOut>> {
+pub async fn serving(app: App) -> ApiResult<Json<ServingOut>> {
     let promotions = app.serving.promotions().await?;
     let serves = Slot::ALL.map(|slot| serves_out(&app, slot, &promotions)).into();
     Ok(Json(ServingOut { serves, history: promotions.into_rows() }))
@@ -302,7 +298,7 @@ pub async fn serving(State(app): State<App>) -> ApiResult<Json<ServingOut>> {
         (status = 404, description = "no model or calibration has this id or name"),
         (status = 409, description = "the model is for another sensor or task")))]
 pub async fn promote(
-    State(app): State<App>,
+    app: App,
     act: Act,
     Body(request): Body<PromotionRequest>,
 ) -> ApiResult<Json<ServesOut>> {
@@ -319,7 +315,7 @@ pub async fn promote(
         (status = 409, description = "the slot has no earlier promotion"),
         (status = 422, description = "the slot is unknown")))]
 pub async fn roll_back(
-    State(app): State<App>,
+    app: App,
     act: Act,
     Body(request): Body<RollBackRequest>,
 ) -> ApiResult<Json<ServesOut>> {

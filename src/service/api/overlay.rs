@@ -1,7 +1,6 @@
 //! `GET /api/v1/sensor/overlay.pdf`: the points of the skin at true scale, for printing.
 //! Uses: `overlay`, `sensor`. Never: the rig.
 
-use axum::extract::State;
 use axum::http::header;
 use axum::response::{IntoResponse, Response};
 use serde::Deserialize;
@@ -52,10 +51,7 @@ pub struct OverlayParams {
     responses((status = 200, body = Vec<u8>, content_type = "application/pdf"),
         (status = 400, description = "a parameter is invalid"),
         (status = 404, description = "no run has this uid or scan_id, or its sensor has no file")))]
-pub async fn overlay(
-    State(app): State<App>,
-    Params(asked): Params<OverlayParams>,
-) -> ApiResult<Response> {
+pub async fn overlay(app: App, Params(asked): Params<OverlayParams>) -> ApiResult<Response> {
     let sensor = sensor_of(&app, asked.run.as_deref()).await?;
     let pdf = overlay::pdf(&sensor, asked.paper.into());
     let headers = [

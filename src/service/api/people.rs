@@ -1,7 +1,6 @@
 //! The operator lock, the API keys, and the log of actions.
 //! Uses: `store`. Never: the text of a key, except in the response that creates it.
 
-use axum::extract::State;
 use axum::http::StatusCode;
 use axum::{Extension, Json};
 use serde::{Deserialize, Serialize};
@@ -73,7 +72,7 @@ pub struct ActionParams {
 /// Returns the operator lock, or null.
 #[utoipa::path(get, path = "/api/v1/lock", tag = "people",
     responses((status = 200, body = Option<LockOut>)))]
-pub async fn lock(State(app): State<App>) -> ApiResult<Json<Option<LockOut>>> {
+pub async fn lock(app: App) -> ApiResult<Json<Option<LockOut>>> {
     Ok(Json(app.store.lock().await?.map(LockOut::from)))
 }
 
@@ -86,7 +85,7 @@ pub async fn lock(State(app): State<App>) -> ApiResult<Json<Option<LockOut>>> {
     responses((status = 200, body = LockOut),
         (status = 409, description = "another person holds the operator lock")))]
 pub async fn take_lock(
-    State(app): State<App>,
+    app: App,
     act: Act,
     Body(new): Body<LockRequest>,
 ) -> ApiResult<Json<LockOut>> {
@@ -104,7 +103,7 @@ pub async fn take_lock(
     responses((status = 204),
         (status = 403, description = "another person holds the lock, and the role is not admin")))]
 pub async fn clear_lock(
-    State(app): State<App>,
+    app: App,
     act: Act,
     Params(by): Params<WhoParams>,
 ) -> ApiResult<StatusCode> {
@@ -126,7 +125,7 @@ pub async fn clear_lock(
 #[utoipa::path(get, path = "/api/v1/keys", tag = "people",
     responses((status = 200, body = Page<KeyRow>),
         (status = 403, description = "the role is not admin")))]
-pub async fn keys(State(app): State<App>) -> ApiResult<Page<KeyRow>> {
+pub async fn keys(app: App) -> ApiResult<Page<KeyRow>> {
     Ok(Page::whole(app.store.keys().await?))
 }
 
@@ -136,7 +135,7 @@ pub async fn keys(State(app): State<App>) -> ApiResult<Page<KeyRow>> {
         (status = 403, description = "the role is not admin"),
         (status = 422, description = "the name is invalid or in use")))]
 pub async fn create_key(
-    State(app): State<App>,
+    app: App,
     act: Act,
     Body(new): Body<KeyRequest>,
 ) -> ApiResult<(StatusCode, Json<CreatedKey>)> {
@@ -149,11 +148,7 @@ pub async fn create_key(
 #[utoipa::path(delete, path = "/api/v1/keys/{id}", tag = "people",
     params(("id" = i64, Path, description = "number of the key")), responses((status = 204),
         (status = 404, description = "no valid key has this number")))]
-pub async fn revoke_key(
-    State(app): State<App>,
-    act: Act,
-    Path(id): Path<i64>,
-) -> ApiResult<StatusCode> {
+pub async fn revoke_key(app: App, act: Act, Path(id): Path<i64>) -> ApiResult<StatusCode> {
     act.about(&format!("key {id}"));
     match app.keys.revoke(id).await? {
         true => Ok(StatusCode::NO_CONTENT),
@@ -195,7 +190,7 @@ pub async fn caller(Extension(caller): Extension<Caller>) -> Json<CallerOut> {
     responses((status = 201, body = Ticket, description = "the ticket"),
         (status = 429, description = "too many tickets wait to be used")))]
 pub async fn ticket(
-    State(app): State<App>,
+    app: App,
     Extension(caller): Extension<Caller>,
 ) -> ApiResult<(StatusCode, Json<Ticket>)> {
     let ticket = app.facts.tickets.create(caller, rand::random()).ok_or_else(|| {
@@ -211,7 +206,7 @@ pub async fn ticket(
         (status = 400, description = "a parameter is invalid"),
         (status = 404, description = "no run has this uid or scan_id")))]
 pub async fn actions(
-    State(app): State<App>,
+    app: App,
     Params(params): Params<ActionParams>,
     asked: PageRequest,
 ) -> ApiResult<Page<ActionRow>> {

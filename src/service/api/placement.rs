@@ -2,7 +2,6 @@
 //! Uses: `placement`, `campaign` (its status), `store`. Never: a wait for an inference.
 
 use axum::Json;
-use axum::extract::State;
 use axum::http::StatusCode;
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
@@ -91,7 +90,7 @@ impl From<LastPlaced> for LastPlacement {
 #[utoipa::path(get, operation_id = "placement", path = "/api/v1/placement", tag = "runs",
     responses((status = 200, body = PlacementOut),
         (status = 404, description = "no run asks for a placement")))]
-pub async fn placement(State(app): State<App>) -> ApiResult<Json<PlacementOut>> {
+pub async fn placement(app: App) -> ApiResult<Json<PlacementOut>> {
     let none = || ApiError::not_found("no run asks for a placement");
     let status = app.campaign.status();
     let awaited = Awaited::of(&status);

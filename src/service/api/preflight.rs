@@ -2,7 +2,6 @@
 //! Uses: `conductor`, `progress`, `tour`, `store`. Never: a prediction of forces.
 
 use axum::Json;
-use axum::extract::State;
 use jiff::Timestamp;
 use serde::Serialize;
 use utoipa::ToSchema;
@@ -45,7 +44,7 @@ pub struct EarlierRun {
     tag = "queue", request_body = Submission, responses((status = 200, body = RunPreflight),
         (status = 422, description = "a file of the submission is invalid")))]
 pub async fn of_submission(
-    State(app): State<App>,
+    app: App,
     Body(submission): Body<Submission>,
 ) -> ApiResult<Json<RunPreflight>> {
     let _turn = app.turns.preflight().await?;
@@ -59,10 +58,7 @@ pub async fn of_submission(
 #[utoipa::path(get, operation_id = "run_preflight", path = "/api/v1/runs/{run}/preflight",
     tag = "runs", responses((status = 200, body = RunPreflight),
         (status = 422, description = "the run was not planned from an experiment")))]
-pub async fn of_run(
-    State(app): State<App>,
-    Path(run): Path<String>,
-) -> ApiResult<Json<RunPreflight>> {
+pub async fn of_run(app: App, Path(run): Path<String>) -> ApiResult<Json<RunPreflight>> {
     let run = find(&app, &run).await?;
     let preflight = app.conductor.preflight_of(&run).await?;
     let before = run.started_at.unwrap_or_else(Timestamp::now);

@@ -5,7 +5,6 @@ use std::collections::{BTreeMap, HashMap};
 use std::sync::Arc;
 
 use axum::Json;
-use axum::extract::State;
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 use sim_core::stats::median;
@@ -63,10 +62,7 @@ pub struct ForcesOfTips {
 #[utoipa::path(get, operation_id = "run_progress", path = "/api/v1/runs/{run}/progress",
     tag = "runs", responses((status = 200, body = RunProgress),
         (status = 404, description = "no run has this uid or scan_id, or it has no plan")))]
-pub async fn of_run(
-    State(app): State<App>,
-    Path(run): Path<String>,
-) -> ApiResult<Json<RunProgress>> {
+pub async fn of_run(app: App, Path(run): Path<String>) -> ApiResult<Json<RunProgress>> {
     let run = find(&app, &run).await?;
     let kept = app.tour(&run).await?;
     Ok(Json(along(&app, &run, &kept.tour).await?))

@@ -3,7 +3,6 @@
 //! Uses: `infer::{quantity, pipeline}`. Never: contacts.
 
 use axum::Json;
-use axum::extract::State;
 use axum::response::Response;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
@@ -37,7 +36,7 @@ pub struct QuantityRequest {
         (status = 422, description = "a frame is invalid"),
         (status = 503, description = "too many requests are in progress")))]
 pub async fn quantities(
-    State(app): State<App>,
+    app: App,
     Path(model): Path<String>,
     Body(request): Body<QuantityRequest>,
 ) -> ApiResult<Json<Vec<QuantityAnswer>>> {

@@ -2,7 +2,6 @@
 //! Uses: `conductor`, `store`. Never: starting a run (`runs` does).
 
 use axum::Json;
-use axum::extract::State;
 use jiff::Timestamp;
 use serde::Deserialize;
 use utoipa::{IntoParams, ToSchema};
@@ -56,7 +55,7 @@ pub struct MoveRequest {
 /// Returns the waiting runs, the next one first.
 #[utoipa::path(get, operation_id = "queue",
     path = "/api/v1/queue", tag = "queue", responses((status = 200, body = Page<RunRow>)))]
-pub async fn list(State(app): State<App>) -> ApiResult<Page<RunRow>> {
+pub async fn list(app: App) -> ApiResult<Page<RunRow>> {
     Ok(Page::whole(app.store.queue().await?))
 }
 
@@ -65,11 +64,7 @@ pub async fn list(State(app): State<App>) -> ApiResult<Page<RunRow>> {
     request_body = QueueRequest,
     responses((status = 201, body = RunRow, headers(("Location", description = "the run"))),
         (status = 422, description = "a file of the submission is invalid")))]
-pub async fn add(
-    State(app): State<App>,
-    act: Act,
-    Body(item): Body<QueueRequest>,
-) -> ApiResult<Created<RunRow>> {
+pub async fn add(app: App, act: Act, Body(item): Body<QueueRequest>) -> ApiResult<Created<RunRow>> {
     act.stated(item.who.as_deref(), None);
     let terms = item.terms();
     let row = app.conductor.enqueue(item.submission, act.name(), terms).await?;
@@ -87,7 +82,7 @@ pub async fn add(
             description = "the run is not queued, or another person holds the operator lock"),
         (status = 422, description = "a file of the submission is invalid")))]
 pub async fn edit(
-    State(app): State<App>,
+    app: App,
     act: Act,
     Path(run): Path<String>,
     Body(item): Body<QueueRequest>,
@@ -106,7 +101,7 @@ pub async fn edit(
         (status = 409,
             description = "the run is not queued, or another person holds the operator lock")))]
 pub async fn remove(
-    State(app): State<App>,
+    app: App,
     act: Act,
     Path(run): Path<String>,
     Params(by): Params<WhoParams>,
@@ -123,7 +118,7 @@ pub async fn remove(
         (status = 409,
             description = "the run is not queued, or another person holds the operator lock")))]
 pub async fn shift(
-    State(app): State<App>,
+    app: App,
     act: Act,
     Path(run): Path<String>,
     Body(shift): Body<MoveRequest>,

@@ -3,7 +3,6 @@
 
 use std::sync::Arc;
 
-use axum::extract::State;
 use jiff::{SignedDuration, Timestamp};
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
@@ -56,7 +55,7 @@ pub struct Planned {
 /// second.
 #[utoipa::path(get, operation_id = "queue_times", path = "/api/v1/queue/times", tag = "queue",
     responses((status = 200, body = Page<QueueTime>)))]
-pub async fn times(State(app): State<App>) -> ApiResult<Page<QueueTime>> {
+pub async fn times(app: App) -> ApiResult<Page<QueueTime>> {
     let rows = app.store.queue().await?;
     let mut planned = Vec::with_capacity(rows.len());
     for row in rows.iter().take(ROOM_MAX) {

@@ -2,7 +2,6 @@
 //! Uses: `jobs::readings`. Never: a score of answers to other frames.
 
 use axum::Json;
-use axum::extract::State;
 use serde::Deserialize;
 use utoipa::{IntoParams, ToSchema};
 
@@ -44,7 +43,7 @@ fn fifty() -> u32 {
             description = "the request is invalid, not of `exact` without nets, or has more than 5000 rows"),
         (status = 507, description = "the disk has no room for the dataset")))]
 pub async fn inputs(
-    State(app): State<App>,
+    app: App,
     act: Act,
     Params(ChunkParams { chunk_rows }): Params<ChunkParams>,
     Body(request): Body<EvaluationRequest>,
@@ -85,11 +84,7 @@ pub struct ReadingsForm {
         (status = 422,
             description = "the request is invalid, or the readings are of another model or of other frames"),
         (status = 507, description = "the disk has no room for the dataset")))]
-pub async fn score(
-    State(app): State<App>,
-    act: Act,
-    mut form: Form,
-) -> ApiResult<Json<EvaluationReport>> {
+pub async fn score(app: App, act: Act, mut form: Form) -> ApiResult<Json<EvaluationReport>> {
     let (mut file, mut request, mut model, mut frames_sha256) = (None, None, None, None);
     while let Some(part) = form.next().await? {
         match part.name.as_str() {

@@ -11,7 +11,6 @@ use arrow_array::{
 };
 use arrow_schema::{ArrowError, DataType, Field, Schema, SchemaRef, TimeUnit};
 use axum::body::Body;
-use axum::extract::State;
 use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
 use axum::response::Response;
 use jiff::Timestamp;
@@ -63,7 +62,7 @@ pub struct RecordingParams {
         (status = 409, description = "the rig is disconnected: no frames come"),
         (status = 503, description = "too many clients are connected")))]
 pub async fn record(
-    State(app): State<App>,
+    app: App,
     headers: HeaderMap,
     Params(asked): Params<RecordingParams>,
 ) -> ApiResult<Response> {

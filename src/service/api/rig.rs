@@ -2,7 +2,6 @@
 //! Uses: `campaign::{check, shown}`. Never: motion except through the campaign.
 
 use axum::Json;
-use axum::extract::State;
 use axum::extract::rejection::JsonRejection;
 use axum::http::StatusCode;
 use serde::Deserialize;
@@ -55,11 +54,7 @@ pub struct RigCheckRequest {
         (status = 409,
             description = "the state of the rig does not allow the action, or another person holds the lock"),
         (status = 422, description = "a value is missing or invalid")))]
-pub async fn act(
-    State(app): State<App>,
-    act: Act,
-    Body(asked): Body<RigActionRequest>,
-) -> ApiResult<StatusCode> {
+pub async fn act(app: App, act: Act, Body(asked): Body<RigActionRequest>) -> ApiResult<StatusCode> {
     act.stated(asked.who.as_deref(), asked.why.as_deref());
     act.named(asked.action.as_str());
     let request = match asked.action {
@@ -101,7 +96,7 @@ pub async fn act(
         (status = 422, description = "the body is invalid"),
         (status = 502, description = "a device does not respond as expected")))]
 pub async fn check(
-    State(app): State<App>,
+    app: App,
     act: Act,
     body: Result<Option<Json<RigCheckRequest>>, JsonRejection>,
 ) -> ApiResult<Json<serde_json::Value>> {

@@ -2,7 +2,6 @@
 //! Uses: `conductor`, `campaign::shown::{command, run_action}`, `store`. Never: motion.
 
 use axum::Json;
-use axum::extract::State;
 use axum::http::{StatusCode, header};
 use axum::response::IntoResponse;
 use jiff::{SignedDuration, Timestamp};
@@ -137,7 +136,7 @@ pub async fn find(app: &App, run: &str) -> ApiResult<RunRow> {
 #[utoipa::path(get, operation_id = "list_runs", path = "/api/v1/runs", tag = "runs",
     params(PageParams), responses((status = 200, body = Page<RunRow>),
         (status = 400, description = "a parameter is invalid")))]
-pub async fn list(State(app): State<App>, asked: PageRequest) -> ApiResult<Page<RunRow>> {
+pub async fn list(app: App, asked: PageRequest) -> ApiResult<Page<RunRow>> {
     let found = app.store.runs(asked.limit, asked.after()?).await?;
     Ok(asked.page(found.runs, found.next))
 }
@@ -145,14 +144,14 @@ pub async fn list(State(app): State<App>, asked: PageRequest) -> ApiResult<Page<
 /// Returns a run.
 #[utoipa::path(get, operation_id = "run", path = "/api/v1/runs/{run}", tag = "runs",
     responses((status = 200, body = RunRow)))]
-pub async fn one(State(app): State<App>, Path(run): Path<String>) -> ApiResult<Json<RunRow>> {
+pub async fn one(app: App, Path(run): Path<String>) -> ApiResult<Json<RunRow>> {
     Ok(Json(find(&app, &run).await?))
 }
 
 /// Returns the results of a run.
 #[utoipa::path(get, operation_id = "run_summary", path = "/api/v1/runs/{run}/summary", tag = "runs",
     responses((status = 200, body = Summary)))]
-pub async fn summary(State(app): State<App>, Path(run): Path<String>) -> ApiResult<Json<Summary>> {
+pub async fn summary(app: App, Path(run): Path<String>) -> ApiResult<Json<Summary>> {
     let run = find(&app, &run).await?;
     let uid = run.uid;
     let progress = app.store.progress(uid).await.map_err(ApiError::internal)?;
@@ -193,7 +192,7 @@ pub async fn summary(State(app): State<App>, Path(run): Path<String>) -> ApiResu
     responses((status = 200, body = Object,
                   description = "the plan; its sha256 is `plan_sha256` of the run"),
         (status = 404, description = "no run has this uid or scan_id, or no plan was kept for it")))]
-pub async fn plan(State(app): State<App>, Path(run): Path<String>) -> ApiResult<impl IntoResponse> {
+pub async fn plan(app: App, Path(run): Path<String>) -> ApiResult<impl IntoResponse> {
     let run = find(&app, &run).await?;
     let none = || ApiError::not_found(format!("run {} has no plan", run.scan_id));
     let plan = app.store.plan_of(run.uid).await?.ok_or_else(none)?;
@@ -209,7 +208,7 @@ pub async fn plan(State(app): State<App>, Path(run): Path<String>) -> ApiResult<
             description = "the state of rig or run does not allow arming, or another person holds the lock"),
         (status = 422, description = "the preflight has problems")))]
 pub async fn arm(
-    State(app): State<App>,
+    app: App,
     act: Act,
     Path(run): Path<String>,
     Body(stated): Body<Attribution>,
@@ -227,7 +226,7 @@ pub async fn arm(
         (status = 409,
             description = "the state of the run does not allow the action, the skin contradicts a placement, or another person holds the lock")))]
 pub async fn act(
-    State(app): State<App>,
+    app: App,
     act: Act,
     Path(run): Path<String>,
     Body(asked): Body<ActionRequest>,

@@ -5,7 +5,6 @@ use std::collections::VecDeque;
 use std::time::Duration;
 
 use axum::Json;
-use axum::extract::State;
 use parking_lot::Mutex;
 use serde::Deserialize;
 use tokio::sync::broadcast::Receiver;
@@ -68,7 +67,7 @@ fn five() -> u32 {
     params(SamplesParams), responses((status = 200, body = SamplesOut),
         (status = 400, description = "`minutes` is not 1 to 30")))]
 pub async fn last_minutes(
-    State(app): State<App>,
+    app: App,
     Params(params): Params<SamplesParams>,
 ) -> ApiResult<Json<SamplesOut>> {
     let minutes = params.minutes;

@@ -2,7 +2,6 @@
 //! Uses: sim-core's sensor, `dataset::force_map`, `store`. Never: its conductivity or its circuit (the sensor file has them).
 
 use axum::Json;
-use axum::extract::State;
 use serde::{Deserialize, Serialize};
 use sim_core::sensor::Sensor;
 use utoipa::{IntoParams, ToSchema};
@@ -88,10 +87,7 @@ impl SensorOut {
 #[utoipa::path(get, operation_id = "sensor", path = "/api/v1/sensor", tag = "rig",
     params(SensorParams), responses((status = 200, body = SensorOut),
         (status = 404, description = "no run has this uid or scan_id, or its sensor has no file")))]
-pub async fn sensor(
-    State(app): State<App>,
-    Params(params): Params<SensorParams>,
-) -> ApiResult<Json<SensorOut>> {
+pub async fn sensor(app: App, Params(params): Params<SensorParams>) -> ApiResult<Json<SensorOut>> {
     Ok(Json(SensorOut::of(&sensor_of(&app, params.run.as_deref()).await?)))
 }
 

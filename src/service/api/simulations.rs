@@ -2,7 +2,6 @@
 //! Uses: `simulate::pressed`, the models that `twins` keeps warm. Never: the rig, a stored frame.
 
 use axum::Json;
-use axum::extract::State;
 use axum::http::StatusCode;
 use serde::{Deserialize, Serialize};
 use sim_core::forward::Workspace;
@@ -109,7 +108,7 @@ pub struct Simulation {
         (status = 422, description = "a contact is outside its limits"),
         (status = 503, description = "too many simulations are in progress")))]
 pub async fn simulate(
-    State(app): State<App>,
+    app: App,
     Body(asked): Body<SimulationRequest>,
 ) -> ApiResult<Json<Simulation>> {
     let skin = Skin::of(&app, asked.run.as_deref()).await?;

@@ -4,7 +4,6 @@
 use arrow_schema::ArrowError;
 use axum::Json;
 use axum::body::Body;
-use axum::extract::State;
 use axum::http::HeaderMap;
 use axum::response::{IntoResponse, Response};
 use hyper::ext::ReasonPhrase;
@@ -85,7 +84,7 @@ pub struct QueryTable {
         (status = 503,
             description = "the query engine is being built, or other queries are in progress (with `Retry-After`)")))]
 pub async fn ask(
-    State(app): State<App>,
+    app: App,
     headers: HeaderMap,
     JsonBody(request): JsonBody<QueryRequest>,
 ) -> ApiResult<Response> {
@@ -102,7 +101,7 @@ pub async fn ask(
         (status = 503,
             description = "the query engine is being built, or other queries are in progress (with `Retry-After`)")))]
 pub async fn asked(
-    State(app): State<App>,
+    app: App,
     headers: HeaderMap,
     Params(request): Params<QueryRequest>,
 ) -> Response {
@@ -126,7 +125,7 @@ fn with_reason(error: ApiError) -> Response {
 /// Lists the tables of statements: those of every data folder, then the datasets.
 #[utoipa::path(get, operation_id = "query_tables", path = "/api/v1/query/tables", tag = "datasets",
     responses((status = 200, body = Vec<QueryTable>)))]
-pub async fn tables(State(app): State<App>) -> ApiResult<Json<Vec<QueryTable>>> {
+pub async fn tables(app: App) -> ApiResult<Json<Vec<QueryTable>>> {
     let known = TABLES.iter().map(|table| QueryTable {
         name: table.name.into(),
         about: format!("a row: {}", table.about),

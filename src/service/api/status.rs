@@ -4,7 +4,6 @@
 use std::sync::Arc;
 
 use axum::Json;
-use axum::extract::State;
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
@@ -111,7 +110,7 @@ pub struct ServiceInfo {
 /// Returns the status of rig, run and service.
 #[utoipa::path(get, path = "/api/v1/status", tag = "status",
     responses((status = 200, body = ServiceStatus)))]
-pub async fn status(State(app): State<App>) -> ApiResult<Json<ServiceStatus>> {
+pub async fn status(app: App) -> ApiResult<Json<ServiceStatus>> {
     let stored = app.stored_part().await?;
     Ok(Json(app.status_with(stored).await))
 }

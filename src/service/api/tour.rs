@@ -5,7 +5,6 @@ use std::sync::Arc;
 
 use axum::Json;
 use axum::body::Bytes;
-use axum::extract::State;
 use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use serde::Serialize;
@@ -95,7 +94,7 @@ impl SubmittedTour {
     request_body = Submission, responses((status = 200, body = SubmittedTour),
         (status = 422, description = "a file of the submission is invalid")))]
 pub async fn of_submission(
-    State(app): State<App>,
+    app: App,
     Body(submission): Body<Submission>,
 ) -> ApiResult<Json<SubmittedTour>> {
     let _turn = app.turns.preflight().await?;
@@ -130,11 +129,7 @@ pub struct KeptTour {
     responses((status = 200, body = Tour, headers(("ETag" = String, description = "entity tag"))),
         (status = 304, description = "the client has it already"),
         (status = 404, description = "no run has this uid or scan_id, or it has no plan")))]
-pub async fn of_run(
-    State(app): State<App>,
-    Path(run): Path<String>,
-    headers: HeaderMap,
-) -> ApiResult<Response> {
+pub async fn of_run(app: App, Path(run): Path<String>, headers: HeaderMap) -> ApiResult<Response> {
     let run = find(&app, &run).await?;
     let kept = app.tour(&run).await?;
     let is_known = lists(&headers, &header::IF_NONE_MATCH, &kept.tag);

@@ -8,7 +8,7 @@ use arrow_array::types::Int64Type;
 use arrow_schema::SchemaRef;
 use axum::Json;
 use axum::body::Body;
-use axum::extract::{Query, State};
+use axum::extract::Query;
 use axum::http::{HeaderMap, StatusCode};
 use axum::response::{IntoResponse, Response};
 use futures::StreamExt;
@@ -71,7 +71,7 @@ type Pairs = Query<Vec<(String, String)>>;
     responses((status = 200, body = Page<TrialRow>),
         (status = 400, description = "a parameter is unknown or invalid")))]
 pub async fn of_run(
-    State(app): State<App>,
+    app: App,
     Path(run): Path<String>,
     Query(pairs): Pairs,
     cursors: Cursors,
@@ -89,7 +89,7 @@ pub async fn of_run(
     params(TrialParams), responses((status = 200, body = Page<TrialRow>),
         (status = 400, description = "a parameter is unknown or invalid")))]
 pub async fn all(
-    State(app): State<App>,
+    app: App,
     Query(pairs): Pairs,
     cursors: Cursors,
     headers: HeaderMap,
@@ -129,11 +129,7 @@ async fn page(
     params(TrialGroupParams), responses((status = 200, body = Page<Object>),
         (status = 400, description = "a parameter is unknown or invalid"),
         (status = 503, description = "as of queries (with `Retry-After`)")))]
-pub async fn groups(
-    State(app): State<App>,
-    Query(pairs): Pairs,
-    headers: HeaderMap,
-) -> ApiResult<Response> {
+pub async fn groups(app: App, Query(pairs): Pairs, headers: HeaderMap) -> ApiResult<Response> {
     let GroupsRequest { query, groups, format } =
         groups_query(&pairs, GroupsOf::StoredTrials).map_err(ApiError::bad_query)?;
     let sql = groups.sql("trials", &groups::conditions(&query), query.limit);
@@ -336,7 +332,7 @@ fn trials_schema(channels: i32, with_voltages: bool) -> SchemaRef {
     params(("trial" = i64, Path, description = "id of the trial")),
     responses((status = 200, body = TrialRow),
         (status = 404, description = "no trial has this id")))]
-pub async fn one(State(app): State<App>, Path(trial): Path<i64>) -> ApiResult<Json<TrialRow>> {
+pub async fn one(app: App, Path(trial): Path<i64>) -> ApiResult<Json<TrialRow>> {
     let found = app.store.trial_by_id(TrialId(trial)).await?;
     Ok(Json(found.ok_or_else(|| ApiError::not_found(format!("no trial {trial}")))?))
 }
@@ -348,7 +344,7 @@ pub async fn one(State(app): State<App>, Path(trial): Path<i64>) -> ApiResult<Js
     tag = "trials", params(("trial" = i64, Path, description = "id of the trial")),
     responses((status = 200, body = Page<FrameOut>),
         (status = 404, description = "no trial has this id, or it has no raw frames")))]
-pub async fn frames(State(app): State<App>, Path(trial): Path<i64>) -> ApiResult<Page<FrameOut>> {
+pub async fn frames(app: App, Path(trial): Path<i64>) -> ApiResult<Page<FrameOut>> {
     let found = app.store.trial_by_id(TrialId(trial)).await?;
     let found = found.ok_or_else(|| ApiError::not_found(format!("no trial {trial}")))?;
     let frames = app.store.frames(TrialId(trial)).await?;
@@ -377,7 +373,7 @@ pub async fn frames(State(app): State<App>, Path(trial): Path<i64>) -> ApiResult
         (status = 400, description = "a parameter is invalid"),
         (status = 422, description = "the kind is unknown")))]
 pub async fn bench_records(
-    State(app): State<App>,
+    app: App,
     Path((run, kind)): Path<(String, String)>,
     asked: PageRequest,
 ) -> ApiResult<Page<Value>> {

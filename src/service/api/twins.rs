@@ -2,7 +2,6 @@
 //! Uses: `twins`, `store`. Never: a computation, a stored twin that changes.
 
 use axum::Json;
-use axum::extract::State;
 use axum::http::StatusCode;
 use serde::{Deserialize, Serialize};
 use utoipa::{IntoParams, ToSchema};
@@ -54,7 +53,7 @@ impl RunTwins {
 /// Returns the status of the simulated twins.
 #[utoipa::path(get, operation_id = "twins", path = "/api/v1/twins", tag = "simulation",
     responses((status = 200, body = Twins)))]
-pub async fn all(State(app): State<App>) -> ApiResult<Json<Twins>> {
+pub async fn all(app: App) -> ApiResult<Json<Twins>> {
     let mut runs = Vec::new();
     for run in app.store.runs_with_trials().await?.into_iter().take(COUNTED_RUNS) {
         runs.push(RunTwins::of(&app, run).await?);
@@ -65,7 +64,7 @@ pub async fn all(State(app): State<App>) -> ApiResult<Json<Twins>> {
 /// Returns the number of twins of a run.
 #[utoipa::path(get, operation_id = "run_twins", path = "/api/v1/runs/{run}/twins",
     tag = "simulation", responses((status = 200, body = RunTwins)))]
-pub async fn of_run(State(app): State<App>, Path(run): Path<String>) -> ApiResult<Json<RunTwins>> {
+pub async fn of_run(app: App, Path(run): Path<String>) -> ApiResult<Json<RunTwins>> {
     let run = find(&app, &run).await?.uid;
     RunTwins::of(&app, run).await.map(Json)
 }
@@ -96,7 +95,7 @@ fn thousand() -> u32 {
         (status = 400, description = "a parameter is invalid"),
         (status = 409, description = "the run has no model of its skin")))]
 pub async fn inputs(
-    State(app): State<App>,
+    app: App,
     Path(run): Path<String>,
     Params(InputsParams { after, limit }): Params<InputsParams>,
 ) -> ApiResult<Json<TwinInputs>> {
@@ -133,7 +132,7 @@ pub struct TwinsForm {
             description = "the file contains no twins of this run, its model and its contacts"),
         (status = 507, description = "the disk has no room")))]
 pub async fn store(
-    State(app): State<App>,
+    app: App,
     act: Act,
     Path(run): Path<String>,
     mut form: Form,

@@ -4,7 +4,6 @@
 use std::sync::Arc;
 
 use axum::Json;
-use axum::extract::State;
 
 use super::App;
 use super::problem::{ApiError, ApiResult};
@@ -24,7 +23,7 @@ const SEARCHED_RUNS: usize = 10;
 #[utoipa::path(get, operation_id = "untouched_frame", path = "/api/v1/frames/untouched",
     tag = "frames", responses((status = 200, body = Untouched),
         (status = 404, description = "no frame of the untouched skin is known")))]
-pub async fn untouched(State(app): State<App>) -> ApiResult<Json<Arc<Untouched>>> {
+pub async fn untouched(app: App) -> ApiResult<Json<Arc<Untouched>>> {
     if let Some(taken) = app.campaign.untouched() {
         return Ok(Json(taken));
     }

@@ -6,7 +6,6 @@ use std::collections::{BTreeMap, HashMap};
 use std::sync::Arc;
 
 use axum::Json;
-use axum::extract::State;
 use jiff::civil::Date;
 use jiff::{Timestamp, tz::TimeZone};
 use parking_lot::Mutex;
@@ -90,7 +89,7 @@ pub struct EndedWear(Mutex<HashMap<RunUid, Arc<StoredWear>>>);
 /// response may be a minute old.
 #[utoipa::path(get, operation_id = "wear", path = "/api/v1/wear", tag = "rig",
     responses((status = 200, body = Wear)))]
-pub async fn wear(State(app): State<App>) -> ApiResult<Json<Arc<Wear>>> {
+pub async fn wear(app: App) -> ApiResult<Json<Arc<Wear>>> {
     let read = async { read(&app).await.map(Arc::new) };
     Ok(Json(app.facts.memory.wear.get((), read).await?))
 }

@@ -9,7 +9,6 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use axum::Json;
-use axum::extract::State;
 use axum::http::StatusCode;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
@@ -148,7 +147,7 @@ pub struct CancelledOut {
     responses((status = 200, body = WorkersOut),
         (status = 503,
             description = "the worker is missing, or its queue or store does not answer")))]
-pub async fn all(State(app): State<App>) -> ApiResult<Json<WorkersOut>> {
+pub async fn all(app: App) -> ApiResult<Json<WorkersOut>> {
     let read = async { Ok::<_, Infallible>(state(&app.facts.data).await.map(Arc::new)) };
     // An error is kept, too: a queue that does not answer is not asked by each reader.
     let Ok(state) = app.facts.memory.workers.get((), read).await;
@@ -166,7 +165,7 @@ pub async fn all(State(app): State<App>) -> ApiResult<Json<WorkersOut>> {
         (status = 503,
             description = "the worker is missing, or its queue or store does not answer")))]
 pub async fn submit(
-    State(app): State<App>,
+    app: App,
     act: Act,
     Path(folder): Path<String>,
 ) -> ApiResult<Json<SubmittedOut>> {
@@ -187,7 +186,7 @@ pub async fn submit(
         (status = 503,
             description = "the worker is missing, or its queue or store does not answer")))]
 pub async fn cancel(
-    State(app): State<App>,
+    app: App,
     act: Act,
     Path(order): Path<String>,
 ) -> ApiResult<Json<CancelledOut>> {
