@@ -8,6 +8,7 @@ use bytes::Bytes;
 
 use super::limits::PART_MAX_BYTES;
 use super::problem::{ApiError, ApiResult};
+use crate::problem::Problem;
 
 /// Extractor of a form; another body is answered with a problem body.
 pub struct Form(Multipart);
@@ -77,6 +78,16 @@ impl Part<'_> {
         let bytes = self.bytes(PART_MAX_BYTES).await?;
         String::from_utf8(bytes).map_err(|_| ApiError::value(&name, "bytes", "must be text, UTF-8"))
     }
+}
+
+/// The error of an invalid part (400).
+pub fn invalid(part: &str, value: &str, limit: &str) -> ApiError {
+    ApiError::bad_query(vec![Problem::new("form", part, value, limit)])
+}
+
+/// The error of a missing part (400).
+pub fn missing(part: &str) -> ApiError {
+    invalid(part, "absent", "must be given")
 }
 
 fn refused(error: MultipartError) -> ApiError {

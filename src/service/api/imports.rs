@@ -10,7 +10,7 @@ use utoipa::ToSchema;
 use super::App;
 use super::audit::{Act, cut};
 use super::body::announced_bytes;
-use super::form::Form;
+use super::form::{Form, invalid, missing};
 use super::limits::WHO_MAX_CHARS;
 use super::problem::{ApiError, ApiResult};
 use super::send::Created;
@@ -18,7 +18,6 @@ use crate::dataset::import::coordinates::Coordinates;
 use crate::dataset::import::{Import, import};
 use crate::new_file::NewFile;
 use crate::plain::violated;
-use crate::problem::Problem;
 use crate::store::{Label, RunRow};
 
 /// Number of uploaded bytes between two checks of the free space.
@@ -87,9 +86,6 @@ pub async fn add(
     let parts = receive(&app, form).await?;
     act.stated(parts.who.as_deref(), None);
     app.still_allowed(&act).await?;
-    let missing = |part: &str| {
-        ApiError::bad_query(vec![Problem::new("form", part, "absent", "must be given")])
-    };
     let (file, upload) = parts.file.ok_or_else(|| missing("file"))?;
     let (sensor_file, sensor) = parts.sensor.ok_or_else(|| missing("sensor"))?;
     let request = Import {
@@ -144,10 +140,7 @@ async fn receive(app: &App, mut form: Form) -> ApiResult<Parts> {
         }
         let name = cut(&part.name, WHO_MAX_CHARS);
         let text = part.text().await?;
-        let wrong = |limit: &str| {
-            let shown = cut(&text, WHO_MAX_CHARS);
-            ApiError::bad_query(vec![Problem::new("form", &name, shown, limit)])
-        };
+        let wrong = |limit: &str| invalid(&name, &cut(&text, WHO_MAX_CHARS), limit);
         match name.as_str() {
             "sensor" => parts.sensor = Some((file, text)),
             "name" => {

@@ -7,13 +7,12 @@ use utoipa::{IntoParams, ToSchema};
 
 use super::App;
 use super::audit::{Act, cut};
-use super::form::Form;
+use super::form::{Form, invalid, missing};
 use super::limits::{FRAMES_MAX_BYTES, WHO_MAX_CHARS};
 use super::problem::{ApiError, ApiResult, Body, Params};
 use crate::evaluate::request::{EvaluationReport, EvaluationRequest};
 use crate::infer::answer::Reading;
 use crate::jobs::readings::{ORDERED_FRAMES_MAX, ReadingInputs};
-use crate::problem::Problem;
 
 /// Size of a chunk.
 #[derive(Debug, Deserialize, IntoParams)]
@@ -100,11 +99,10 @@ pub async fn score(app: App, act: Act, mut form: Form) -> ApiResult<Json<Evaluat
         }
     }
     app.still_allowed(&act).await?;
-    let missing = |part: &'static str| move || invalid(part, "absent", "must be given");
-    let file = file.ok_or_else(missing("file"))?;
-    let request = request.ok_or_else(missing("request"))?;
-    let model = model.ok_or_else(missing("model"))?;
-    let frames_sha256 = frames_sha256.ok_or_else(missing("frames_sha256"))?;
+    let file = file.ok_or_else(|| missing("file"))?;
+    let request = request.ok_or_else(|| missing("request"))?;
+    let model = model.ok_or_else(|| missing("model"))?;
+    let frames_sha256 = frames_sha256.ok_or_else(|| missing("frames_sha256"))?;
     let request: EvaluationRequest = serde_json::from_str(&request)
         .map_err(|error| invalid("request", "..", &error.to_string()))?;
     act.about(&request.dataset);
@@ -114,9 +112,4 @@ pub async fn score(app: App, act: Act, mut form: Form) -> ApiResult<Json<Evaluat
         readings.push(reading.map_err(|error| invalid("file", "..", &error.to_string()))?);
     }
     Ok(Json(app.jobs.score_readings(&request, &model, &frames_sha256, readings).await?))
-}
-
-/// An invalid part of the form (400).
-fn invalid(part: &str, value: &str, limit: &str) -> ApiError {
-    ApiError::bad_query(vec![Problem::new("form", part, value, limit)])
 }

@@ -8,12 +8,11 @@ use utoipa::{IntoParams, ToSchema};
 
 use super::App;
 use super::audit::{Act, cut};
-use super::form::Form;
+use super::form::{Form, invalid, missing};
 use super::limits::{FRAMES_MAX_BYTES, WHO_MAX_CHARS};
 use super::problem::{ApiError, ApiResult, Params, Path};
 use super::runs::find;
 use crate::ids::{RunUid, TrialId};
-use crate::problem::Problem;
 use crate::simulate::twins::file::CHUNK_TRIALS_MAX;
 use crate::store::TwinCount;
 use crate::twins::elsewhere::{StoredTwins, TwinInputs};
@@ -144,13 +143,11 @@ pub async fn store(
     while let Some(part) = form.next().await? {
         if part.name != "file" {
             let name = cut(&part.name, WHO_MAX_CHARS);
-            let problem = Problem::new("form", &name, "..", "unknown part: must be file");
-            return Err(ApiError::bad_query(vec![problem]));
+            return Err(invalid(&name, "..", "unknown part: must be file"));
         }
         file = Some(part.bytes(FRAMES_MAX_BYTES).await?);
     }
-    let missing = || Problem::new("form", "file", "absent", "must be given");
-    let file = file.ok_or_else(|| ApiError::bad_query(vec![missing()]))?;
+    let file = file.ok_or_else(|| missing("file"))?;
     app.still_allowed(&act).await?;
     Ok(Json(app.twins.store_made(run, file.into()).await?))
 }

@@ -72,7 +72,6 @@ pub struct CellAge {
     /// Number of the arm, 1 to 6.
     pub arm: usize,
     /// Day of the calibration, from the rig file (`cells.calibrated_on`); null if it does not state it.
-    #[schema(value_type = Option<String>, format = Date)]
     pub calibrated_on: Option<Date>,
     /// Days since then; null if unknown.
     pub age_days: Option<i32>,
