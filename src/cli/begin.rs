@@ -15,7 +15,7 @@ use super::find::find_run;
 use super::next::Next;
 use super::output::{self, say};
 use super::rig::until_rig;
-use super::view::{PreflightView, StatusView};
+use super::view::{ArmedView, PreflightView, StatusView, TakenUpView};
 use crate::campaign::bench::rig_state::RigState;
 use crate::campaign::bench::travel::HOMING_WAIT;
 use crate::conductor::Started;
@@ -162,8 +162,10 @@ pub struct Begun {
 /// `CliError` if the service cannot be reached or refuses.
 pub async fn arm_and_start(client: &Client, run: &RunRow) -> CliResult<Begun> {
     let since = last_event(client, run).await?;
-    let armed = client.arm(run.uid).await?;
-    let taken = client.start(run.uid, &armed.code).await?;
+    let (path, who) = (format!("/api/v1/runs/{}", run.uid), client.who());
+    let armed: ArmedView = client.post(&format!("{path}/arm"), &json!({ "who": who })).await?;
+    let start = json!({ "action": "start", "code": armed.code, "who": who });
+    let taken: TakenUpView = client.post(&format!("{path}/actions"), &start).await?;
     let waiting = taken.started == Some(Started::Waiting);
     Ok(Begun { since, waiting, preflight: armed.preflight })
 }

@@ -7,7 +7,6 @@ use std::path::Path;
 use std::time::Duration;
 
 use futures::StreamExt;
-use reqwest::Method;
 use tokio::time::timeout;
 
 use super::client::Client;
@@ -36,7 +35,7 @@ pub async fn download(client: &Client, url: &str, wanted: u64, out: &Path) -> Cl
     let client = client.patient(DATASET_WAIT);
     'file: while have < wanted {
         let range = format!("bytes={have}-");
-        let answer = in_time(client.send_ranged(Method::GET, url, &range)).await??;
+        let answer = in_time(client.part(url, &range)).await??;
         let mut pieces = answer.bytes_stream();
         while have < wanted {
             match in_time(pieces.next()).await? {

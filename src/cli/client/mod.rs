@@ -8,7 +8,7 @@ use std::time::Duration;
 use futures::StreamExt;
 use nix::unistd::{User, geteuid};
 use reqwest::multipart::{Form, Part};
-use reqwest::{Method, RequestBuilder, Response};
+use reqwest::{Method, RequestBuilder, Response, header};
 use rustls::ClientConfig;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
@@ -191,28 +191,19 @@ impl Client {
         path: &str,
         body: Option<&impl Serialize>,
     ) -> CliResult<Response> {
-        let operation = format!("{method} {path}");
-        let request = self.http.request(method, format!("{}{path}", self.url));
-        let request = match body {
+        self.carry_out(method, path, |request| match body {
             Some(body) => request.json(body),
             None => request,
-        };
-        self.carry_out(operation, request).await
+        })
+        .await
     }
 
-    /// Sends a request for a part of a file.
+    /// Asks for a part of a file.
     ///
     /// # Errors
     /// As [`Self::send`].
-    pub async fn send_ranged(
-        &self,
-        method: Method,
-        path: &str,
-        range: &str,
-    ) -> CliResult<Response> {
-        let operation = format!("{method} {path}");
-        let request = self.http.request(method, format!("{}{path}", self.url));
-        self.carry_out(operation, request.header(reqwest::header::RANGE, range)).await
+    pub async fn part(&self, path: &str, range: &str) -> CliResult<Response> {
+        self.carry_out(Method::GET, path, |request| request.header(header::RANGE, range)).await
     }
 
     /// Opens a stream of server-sent events, after the event with this id if it continues one. It has no
@@ -221,12 +212,15 @@ impl Client {
     /// # Errors
     /// As [`Self::send`].
     pub async fn stream(&self, path: &str, last_id: Option<&str>) -> CliResult<Response> {
-        let request = self.http.get(format!("{}{path}", self.url));
-        let mut request = request.header(reqwest::header::ACCEPT, "text/event-stream");
-        if let Some(id) = last_id {
-            request = request.header("last-event-id", id);
-        }
-        self.patient(STREAM).carry_out(format!("GET {path}"), request).await
+        let client = self.patient(STREAM);
+        let sent = client.carry_out(Method::GET, path, |request| {
+            let request = request.header(header::ACCEPT, "text/event-stream");
+            match last_id {
+                Some(id) => request.header("last-event-id", id),
+                None => request,
+            }
+        });
+        sent.await
     }
 
     /// Uploads a file with texts.
@@ -239,7 +233,6 @@ impl Client {
         file: &Path,
         texts: impl IntoIterator<Item = TextPart>,
     ) -> CliResult<T> {
-        let operation = format!("POST {path}");
         let opened = tokio::fs::File::open(file).await.map_err(CliError::file(file))?;
         let length = opened.metadata().await.map_err(CliError::file(file))?.len();
         let pieces = tokio_util::io::ReaderStream::new(opened);
@@ -257,9 +250,8 @@ impl Client {
                 },
             );
         }
-        let request = self.http.post(format!("{}{path}", self.url)).multipart(form);
-        let answer = self.carry_out(operation.clone(), request).await?;
-        read(operation, answer).await
+        let sent = self.carry_out(Method::POST, path, |request| request.multipart(form));
+        read(format!("POST {path}"), sent.await?).await
     }
 
     /// Sends a POST request with a text and reads the answer.
@@ -267,11 +259,10 @@ impl Client {
     /// # Errors
     /// As [`Self::ask`].
     pub async fn post_text<T: DeserializeOwned>(&self, path: &str, text: String) -> CliResult<T> {
-        let operation = format!("POST {path}");
-        let request = self.http.post(format!("{}{path}", self.url)).body(text);
-        let request = request.header(reqwest::header::CONTENT_TYPE, "text/plain; charset=utf-8");
-        let answer = self.carry_out(operation.clone(), request).await?;
-        read(operation, answer).await
+        let sent = self.carry_out(Method::POST, path, |request| {
+            request.header(header::CONTENT_TYPE, "text/plain; charset=utf-8").body(text)
+        });
+        read(format!("POST {path}"), sent.await?).await
     }
 
     /// Reads the messages of a WebSocket until `take` returns `false`, or the stream ends.
@@ -313,8 +304,16 @@ impl Client {
         Ok(())
     }
 
-    async fn carry_out(&self, operation: String, request: RequestBuilder) -> CliResult<Response> {
+    /// Sends a request, to which `complete` adds its own headers and its body.
+    async fn carry_out(
+        &self,
+        method: Method,
+        path: &str,
+        complete: impl FnOnce(RequestBuilder) -> RequestBuilder,
+    ) -> CliResult<Response> {
+        let operation = format!("{method} {path}");
         tracing::debug!(operation, url = self.url, "request");
+        let request = complete(self.http.request(method, format!("{}{path}", self.url)));
         let request = self.with_key(request).timeout(self.answer_within);
         let sent = repeat::send(request, &operation, self.answer_within);
         let answer = match self.work {

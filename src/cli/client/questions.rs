@@ -3,12 +3,12 @@
 
 use reqwest::Method;
 use serde::de::DeserializeOwned;
-use serde_json::{Value, json};
+use serde_json::Value;
 
 use super::Client;
 use crate::api::{Page, Summary};
 use crate::cli::error::{CliError, CliResult};
-use crate::cli::view::{ArmedView, EventView, StatusView, TakenUpView};
+use crate::cli::view::{EventView, StatusView};
 use crate::ids::RunUid;
 use crate::store::RunRow;
 
@@ -122,23 +122,6 @@ impl Client {
             let Some(next) = page.next else { return Ok(None) };
             path = format!("/api/v1/runs?cursor={next}");
         }
-    }
-
-    /// Arms a run; returns the code that starts it, and its preflight.
-    ///
-    /// # Errors
-    /// As [`Self::send`].
-    pub async fn arm(&self, run: RunUid) -> CliResult<ArmedView> {
-        self.post(&format!("/api/v1/runs/{run}/arm"), &json!({ "who": self.who })).await
-    }
-
-    /// Starts an armed run.
-    ///
-    /// # Errors
-    /// As [`Self::send`].
-    pub async fn start(&self, run: RunUid, code: &str) -> CliResult<TakenUpView> {
-        let body = json!({ "action": "start", "code": code, "who": self.who });
-        self.post(&format!("/api/v1/runs/{run}/actions"), &body).await
     }
 
     /// Sends an action on a run; `more` are its other fields.
