@@ -105,11 +105,11 @@ pub async fn key(args: KeyArgs) -> CliResult<()> {
         KeyCommand::Create { name, role } => {
             with_people(at, async |people| create(people, &name, role, json).await).await
         }
-        KeyCommand::List => with_people(at, async |people| list(people, json).await).await,
+        KeyCommand::List => with_people(at, async |people| list(people, at).await).await,
         KeyCommand::Revoke { id } => {
             with_people(at, async |people| {
                 people.revoke_key(id).await?;
-                list(people, json).await
+                list(people, at).await
             })
             .await
         }
@@ -145,23 +145,19 @@ async fn create(people: &People, name: &str, role: Role, json: bool) -> CliResul
     Ok(())
 }
 
-async fn list(people: &People, json: bool) -> CliResult<()> {
+async fn list(people: &People, at: &At) -> CliResult<()> {
     let keys = people.keys().await?;
-    if json {
-        say_json(&keys);
-        return Ok(());
-    }
     let mut table =
         Table::new("key> | name | role | state", "there are no keys: palpate key create NAME");
-    for key in keys {
+    for key in &keys {
         let state = match (key.revoked_at, key.last_used_at) {
             (Some(at), _) => format!("revoked {}", local(at)),
             (None, Some(at)) => format!("last used {}", local(at)),
             (None, None) => "never used".into(),
         };
-        table.push([key.id.to_string(), key.name, key.role.as_str().into(), state]);
+        table.push([key.id.to_string(), key.name.clone(), key.role.as_str().into(), state]);
     }
-    say(table);
+    at.output().say(&keys, table);
     Ok(())
 }
 

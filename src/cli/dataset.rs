@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use clap::{Args, Subcommand};
 use serde_json::{Value, json};
 
-use super::client::Client;
+use super::client::{Client, text_of};
 use super::download::DATASET_WAIT;
 use super::error::CliResult;
 use super::export::{self, ExportArgs};
@@ -146,13 +146,13 @@ async fn list(client: &Client, json: bool) -> CliResult<()> {
     }
     let mut table = Table::new("dataset | name | rows> | size> | made", "there are no datasets");
     for row in &made {
-        let made_at = text(&row["created_at"]);
+        let made_at = text_of(&row["created_at"]);
         table.push([
-            text(&row["id"]).to_owned(),
-            text(&row["name"]).to_owned(),
+            text_of(&row["id"]),
+            text_of(&row["name"]),
             row["rows"].to_string(),
             bytes(row["bytes"].as_f64().unwrap_or_default()),
-            made_at.parse().map_or_else(|_| made_at.to_owned(), local),
+            made_at.parse().map_or_else(|_| made_at.clone(), local),
         ]);
     }
     say(&table);
@@ -179,8 +179,8 @@ async fn prune(client: &Client, args: &PruneArgs) -> CliResult<()> {
         let gone = if args.dry_run { "would be removed" } else { "removed" };
         let stays = row["stays"].as_str().map(|why| format!("stays: {why}"));
         table.push([
-            text(&row["id"]).to_owned(),
-            text(&row["name"]).to_owned(),
+            text_of(&row["id"]),
+            text_of(&row["name"]),
             bytes(row["bytes"].as_f64().unwrap_or_default()),
             or_dash(used.map(local)),
             stays.unwrap_or_else(|| gone.to_owned()),
@@ -240,7 +240,7 @@ async fn make(client: &Client, args: &MakeArgs) -> CliResult<()> {
         say_json(&made);
     } else {
         describe(&made, client.url());
-        let id = text(&made["id"]);
+        let id = text_of(&made["id"]);
         Next::of(&args.at)
             .suggest(format_args!("palpate dataset card {id}"), "its content, units and citation")
             .suggest(format_args!("palpate dataset export {id} --format csv"), "writes a file")
@@ -254,12 +254,12 @@ fn describe(row: &Value, url: &str) {
     let length = bytes(row["bytes"].as_f64().unwrap_or_default());
     say(format_args!(
         "{} {}: {} rows, {length}",
-        text(&row["name"]),
-        text(&row["id"]),
+        text_of(&row["name"]),
+        text_of(&row["id"]),
         row["rows"]
     ));
     if row["is_current"] == false {
-        let name = text(&row["name"]);
+        let name = text_of(&row["name"]);
         say(format_args!("  trials were stored since: palpate dataset make {name}"));
     }
     let report = &row["report"];
@@ -267,15 +267,11 @@ fn describe(row: &Value, url: &str) {
     part_lines("contacts", &report["contact_counts"]);
     part_lines("excluded", &report["left_out"]);
     say("  pandas.read_parquet(..), polars.scan_parquet(..) or DuckDB's read_parquet(..) of");
-    say(format_args!("  {url}{}", text(&row["url"])));
+    say(format_args!("  {url}{}", text_of(&row["url"])));
 }
 
 fn part_lines(heading: &str, counts: &Value) {
     for (what, rows) in counts.as_object().into_iter().flatten() {
         say(format_args!("  {heading:<9} {what:<44} {rows:>8}"));
     }
-}
-
-fn text(value: &Value) -> &str {
-    value.as_str().unwrap_or_default()
 }

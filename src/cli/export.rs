@@ -137,10 +137,6 @@ async fn fetch(client: &Client, done: &ExportOut, out: &Path) -> CliResult<()> {
 /// As [`Client::send`].
 pub async fn list(client: &Client, output: Output) -> CliResult<()> {
     let exports: Vec<ExportOut> = client.all("/api/v1/exports?").await?;
-    if output == Output::Json {
-        say_json(&json!({ "items": exports }));
-        return Ok(());
-    }
     let mut table = Table::new(
         "export | state | dataset | format | size> | requested | last used | by |",
         "there are no exports: palpate dataset export NAME",
@@ -158,6 +154,6 @@ pub async fn list(client: &Client, output: Output) -> CliResult<()> {
             export.error.clone().unwrap_or_default(),
         ]);
     }
-    say(&table);
+    output.say(&json!({ "items": exports }), table);
     Ok(())
 }
