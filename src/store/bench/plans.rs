@@ -40,21 +40,17 @@ impl Store {
     /// `Sql`, `Late` or `Closed` if the write fails.
     pub async fn keep_plan(&self, run: RunUid, plan: String) -> StoreResult<()> {
         const OPERATION: &str = "keeping the plan of a run";
-        self.inner
-            .writer
-            .run(OPERATION, async move |connection| {
-                let sha256 = keep(&mut *connection, &plan, OPERATION).await?;
-                sqlx::query(
-                    "UPDATE runs SET plan_sha256 = ?2 WHERE uid = ?1 AND plan_sha256 IS NULL",
-                )
+        self.write(OPERATION, async move |connection| {
+            let sha256 = keep(&mut *connection, &plan, OPERATION).await?;
+            sqlx::query("UPDATE runs SET plan_sha256 = ?2 WHERE uid = ?1 AND plan_sha256 IS NULL")
                 .bind(run.to_string())
                 .bind(sha256)
                 .execute(connection)
                 .await
                 .during(OPERATION)?;
-                Ok(())
-            })
-            .await
+            Ok(())
+        })
+        .await
     }
 }
 

@@ -22,7 +22,7 @@ impl Store {
         let insert = async move |c: &mut SqliteConnection| {
             run_row::insert(c, new, StoredState::Queued, now, OPERATION).await
         };
-        Ok(self.keep_facts(self.inner.writer.run(OPERATION, insert).await?))
+        Ok(self.keep_facts(self.write(OPERATION, insert).await?))
     }
 
     /// Replaces the inputs of the queued run with the uid of `new`. It keeps its number, its place, its
@@ -35,7 +35,7 @@ impl Store {
         let now = self.now_text();
         let replace =
             async move |c: &mut SqliteConnection| run_row::replace(c, new, now, OPERATION).await;
-        Ok(self.keep_facts(self.inner.writer.run(OPERATION, replace).await?))
+        Ok(self.keep_facts(self.write(OPERATION, replace).await?))
     }
 
     /// Returns the queued runs, the next one first.
@@ -57,25 +57,22 @@ impl Store {
     /// `Sql`, `Late` or `Closed` if the write fails.
     pub async fn move_item(&self, run: RunUid, position: u32) -> StoreResult<Vec<RunRow>> {
         const OPERATION: &str = "moving a run in the queue";
-        self.inner
-            .writer
-            .run(OPERATION, async move |connection| {
-                let mut order = order(connection, OPERATION).await?;
-                let text = run.to_string();
-                let from = order.iter().position(|uid| *uid == text);
-                let moved = order.remove(from.ok_or(StoreError::NotQueued(run))?);
-                let to = (position.max(1) as usize - 1).min(order.len());
-                order.insert(to, moved);
-                number(connection, &order, OPERATION).await?;
-                let rows = sqlx::query(
-                    "SELECT * FROM runs WHERE state = 'queued' ORDER BY queue_position",
-                )
-                .fetch_all(connection)
-                .await
-                .during(OPERATION)?;
-                rows.iter().map(|row| RunRow::read(&Columns::of(row, OPERATION))).collect()
-            })
-            .await
+        self.write(OPERATION, async move |connection| {
+            let mut order = order(connection, OPERATION).await?;
+            let text = run.to_string();
+            let from = order.iter().position(|uid| *uid == text);
+            let moved = order.remove(from.ok_or(StoreError::NotQueued(run))?);
+            let to = (position.max(1) as usize - 1).min(order.len());
+            order.insert(to, moved);
+            number(connection, &order, OPERATION).await?;
+            let rows =
+                sqlx::query("SELECT * FROM runs WHERE state = 'queued' ORDER BY queue_position")
+                    .fetch_all(connection)
+                    .await
+                    .during(OPERATION)?;
+            rows.iter().map(|row| RunRow::read(&Columns::of(row, OPERATION))).collect()
+        })
+        .await
     }
 
     /// Removes a run from the queue permanently. Its row remains, in the state `removed`.
@@ -86,25 +83,23 @@ impl Store {
     pub async fn remove(&self, run: RunUid) -> StoreResult<RunRow> {
         const OPERATION: &str = "removing a run from the queue";
         let now = self.now_text();
-        self.inner
-            .writer
-            .run(OPERATION, async move |connection| {
-                let row = sqlx::query(
-                    "UPDATE runs SET state = 'removed', queue_position = NULL, waiting_since = NULL,
-                         ended_at = ?2
-                     WHERE uid = ?1 AND state = 'queued' RETURNING *",
-                )
-                .bind(run.to_string())
-                .bind(now)
-                .fetch_optional(&mut *connection)
-                .await
-                .during(OPERATION)?
-                .ok_or(StoreError::NotQueued(run))?;
-                let order = order(connection, OPERATION).await?;
-                number(connection, &order, OPERATION).await?;
-                RunRow::read(&Columns::of(&row, OPERATION))
-            })
+        self.write(OPERATION, async move |connection| {
+            let row = sqlx::query(
+                "UPDATE runs SET state = 'removed', queue_position = NULL, waiting_since = NULL,
+                     ended_at = ?2
+                 WHERE uid = ?1 AND state = 'queued' RETURNING *",
+            )
+            .bind(run.to_string())
+            .bind(now)
+            .fetch_optional(&mut *connection)
             .await
+            .during(OPERATION)?
+            .ok_or(StoreError::NotQueued(run))?;
+            let order = order(connection, OPERATION).await?;
+            number(connection, &order, OPERATION).await?;
+            RunRow::read(&Columns::of(&row, OPERATION))
+        })
+        .await
     }
 
     /// Marks a queued or interrupted run as started: it waits for the active run to end. The mark

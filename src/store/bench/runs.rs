@@ -23,7 +23,7 @@ impl Store {
         let insert = async move |c: &mut SqliteConnection| {
             run_row::insert(c, new, StoredState::Idle, now, OPERATION).await
         };
-        Ok(self.keep_facts(self.inner.writer.run(OPERATION, insert).await?))
+        Ok(self.keep_facts(self.write(OPERATION, insert).await?))
     }
 
     /// Returns a run by its id; `None` if it is not stored.

@@ -283,26 +283,22 @@ impl Store {
     async fn insert_key(&self, name: &str, role: Role, hash: String) -> StoreResult<KeyRow> {
         const OPERATION: &str = "creating a key";
         let (name, now) = (name.to_owned(), self.now_text());
-        self.inner
-            .writer
-            .run(OPERATION, async move |connection| {
-                let row = sqlx::query(
-                    "INSERT INTO api_keys (name, sha256, role, created_at)
-                     SELECT ?1, ?2, ?3, ?4 WHERE NOT EXISTS
-                     (SELECT 1 FROM api_keys WHERE name = ?1 AND revoked_at IS NULL) RETURNING *",
-                )
-                .bind(name)
-                .bind(hash)
-                .bind(role.as_str())
-                .bind(now)
-                .fetch_optional(connection)
-                .await
-                .during(OPERATION)?;
-                row.map(|row| KeyRow::read(&Columns::of(&row, OPERATION)))
-                    .transpose()?
-                    .ok_or(taken())
-            })
+        self.write(OPERATION, async move |connection| {
+            let row = sqlx::query(
+                "INSERT INTO api_keys (name, sha256, role, created_at)
+                 SELECT ?1, ?2, ?3, ?4 WHERE NOT EXISTS
+                 (SELECT 1 FROM api_keys WHERE name = ?1 AND revoked_at IS NULL) RETURNING *",
+            )
+            .bind(name)
+            .bind(hash)
+            .bind(role.as_str())
+            .bind(now)
+            .fetch_optional(connection)
             .await
+            .during(OPERATION)?;
+            row.map(|row| KeyRow::read(&Columns::of(&row, OPERATION))).transpose()?.ok_or(taken())
+        })
+        .await
     }
 
     async fn note_key_use(&self, id: i64, at: Timestamp) -> StoreResult<()> {

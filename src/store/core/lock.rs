@@ -55,28 +55,26 @@ impl Store {
             }
         }
         let (holder, note, now) = (holder.to_owned(), note.to_owned(), self.now_text());
-        self.inner
-            .writer
-            .run(OPERATION, async move |connection| {
-                if let Some(held) = held(connection, OPERATION).await?
-                    && held.holder != holder
-                {
-                    return Err(StoreError::LockHeld { holder: held.holder, note: held.note });
-                }
-                let row = sqlx::query(
-                    "INSERT INTO operator_lock (id, holder, note, since) VALUES (1, ?1, ?2, ?3)
-                     ON CONFLICT (id) DO UPDATE SET note = ?2, since = ?3
-                     RETURNING *",
-                )
-                .bind(holder)
-                .bind(note)
-                .bind(now)
-                .fetch_one(connection)
-                .await
-                .during(OPERATION)?;
-                LockRow::read(&row, OPERATION)
-            })
+        self.write(OPERATION, async move |connection| {
+            if let Some(held) = held(connection, OPERATION).await?
+                && held.holder != holder
+            {
+                return Err(StoreError::LockHeld { holder: held.holder, note: held.note });
+            }
+            let row = sqlx::query(
+                "INSERT INTO operator_lock (id, holder, note, since) VALUES (1, ?1, ?2, ?3)
+                 ON CONFLICT (id) DO UPDATE SET note = ?2, since = ?3
+                 RETURNING *",
+            )
+            .bind(holder)
+            .bind(note)
+            .bind(now)
+            .fetch_one(connection)
             .await
+            .during(OPERATION)?;
+            LockRow::read(&row, OPERATION)
+        })
+        .await
     }
 
     /// Removes the lock of any holder (the caller checks the rights). Returns the removed lock.
@@ -85,17 +83,12 @@ impl Store {
     /// `Sql`, `Late` or `Closed` if the write fails.
     pub async fn clear_lock(&self) -> StoreResult<Option<LockRow>> {
         const OPERATION: &str = "releasing the operator lock";
-        self.inner
-            .writer
-            .run(OPERATION, async move |connection| {
-                let was = held(connection, OPERATION).await?;
-                sqlx::query("DELETE FROM operator_lock")
-                    .execute(connection)
-                    .await
-                    .during(OPERATION)?;
-                Ok(was)
-            })
-            .await
+        self.write(OPERATION, async move |connection| {
+            let was = held(connection, OPERATION).await?;
+            sqlx::query("DELETE FROM operator_lock").execute(connection).await.during(OPERATION)?;
+            Ok(was)
+        })
+        .await
     }
 
     /// Returns the lock; `None` if it is free.

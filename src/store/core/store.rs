@@ -10,7 +10,8 @@ use std::time::Duration;
 
 use parking_lot::Mutex;
 use sqlx::sqlite::{
-    SqliteConnectOptions, SqliteJournalMode, SqlitePool, SqlitePoolOptions, SqliteSynchronous,
+    SqliteConnectOptions, SqliteConnection, SqliteJournalMode, SqlitePool, SqlitePoolOptions,
+    SqliteSynchronous,
 };
 use sqlx::{ConnectOptions, Sqlite, Transaction};
 
@@ -137,6 +138,18 @@ impl Store {
     /// Returns the path of the database file.
     pub fn path(&self) -> &Path {
         &self.inner.path
+    }
+
+    /// Runs `work` in one transaction.
+    ///
+    /// # Errors
+    /// As [`Writer::run`].
+    pub(crate) async fn write<T, F>(&self, operation: &'static str, work: F) -> StoreResult<T>
+    where
+        T: Send + 'static,
+        F: AsyncFnOnce(&mut SqliteConnection) -> StoreResult<T> + Send + 'static,
+    {
+        self.inner.writer.run(operation, work).await
     }
 
     /// Returns a number that grows with each stored twin and each discarded trial of a run: what was read

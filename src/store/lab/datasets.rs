@@ -108,45 +108,43 @@ impl Store {
     pub async fn insert_dataset(&self, new: DatasetRow, inputs: &str) -> StoreResult<DatasetRow> {
         const OPERATION: &str = "storing a dataset";
         let inputs = inputs.to_owned();
-        self.inner
-            .writer
-            .run(OPERATION, async move |connection| {
-                sqlx::query(
-                    "INSERT INTO datasets (id, name, definition, rows, bytes, sha256, report,
-                         lineage, created_at)
-                     VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9)
-                     ON CONFLICT (id) DO UPDATE SET bytes = excluded.bytes,
-                         sha256 = excluded.sha256, lineage = excluded.lineage",
-                )
-                .bind(new.id.as_str())
-                .bind(&new.name)
-                .bind(new.definition.to_string())
-                .bind(new.rows.cast_signed())
-                .bind(new.bytes.cast_signed())
-                .bind(&new.sha256)
-                .bind(new.report.to_string())
-                .bind(new.lineage.to_string())
-                .bind(time_text(new.created_at))
-                .execute(&mut *connection)
-                .await
-                .during(OPERATION)?;
-                sqlx::query(
-                    "INSERT INTO dataset_inputs (inputs, dataset) VALUES (?1, ?2)
-                     ON CONFLICT (inputs) DO UPDATE SET dataset = ?2",
-                )
-                .bind(inputs)
-                .bind(new.id.as_str())
-                .execute(&mut *connection)
-                .await
-                .during(OPERATION)?;
-                let row = sqlx::query("SELECT * FROM datasets WHERE id = ?1")
-                    .bind(new.id.as_str())
-                    .fetch_one(connection)
-                    .await
-                    .during(OPERATION)?;
-                DatasetRow::read(&Columns::of(&row, OPERATION))
-            })
+        self.write(OPERATION, async move |connection| {
+            sqlx::query(
+                "INSERT INTO datasets (id, name, definition, rows, bytes, sha256, report,
+                     lineage, created_at)
+                 VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9)
+                 ON CONFLICT (id) DO UPDATE SET bytes = excluded.bytes,
+                     sha256 = excluded.sha256, lineage = excluded.lineage",
+            )
+            .bind(new.id.as_str())
+            .bind(&new.name)
+            .bind(new.definition.to_string())
+            .bind(new.rows.cast_signed())
+            .bind(new.bytes.cast_signed())
+            .bind(&new.sha256)
+            .bind(new.report.to_string())
+            .bind(new.lineage.to_string())
+            .bind(time_text(new.created_at))
+            .execute(&mut *connection)
             .await
+            .during(OPERATION)?;
+            sqlx::query(
+                "INSERT INTO dataset_inputs (inputs, dataset) VALUES (?1, ?2)
+                 ON CONFLICT (inputs) DO UPDATE SET dataset = ?2",
+            )
+            .bind(inputs)
+            .bind(new.id.as_str())
+            .execute(&mut *connection)
+            .await
+            .during(OPERATION)?;
+            let row = sqlx::query("SELECT * FROM datasets WHERE id = ?1")
+                .bind(new.id.as_str())
+                .fetch_one(connection)
+                .await
+                .during(OPERATION)?;
+            DatasetRow::read(&Columns::of(&row, OPERATION))
+        })
+        .await
     }
 
     /// Returns the dataset with this id; `None` if it is not stored.
@@ -224,23 +222,21 @@ impl Store {
     /// `Sql`, `Late` or `Closed` if the write fails; a dataset that is referred to fails all.
     pub async fn remove_datasets(&self, ids: Vec<DatasetId>) -> StoreResult<()> {
         const OPERATION: &str = "removing datasets";
-        self.inner
-            .writer
-            .run(OPERATION, async move |connection| {
-                let statements = [
-                    "UPDATE tasks SET dataset = NULL WHERE dataset = ?1 AND kind = 'export'
-                         AND state NOT IN ('waiting', 'running')",
-                    "DELETE FROM dataset_inputs WHERE dataset = ?1",
-                    "DELETE FROM datasets WHERE id = ?1",
-                ];
-                for id in &ids {
-                    for sql in statements {
-                        let removed = sqlx::query(sql).bind(id.as_str());
-                        removed.execute(&mut *connection).await.during(OPERATION)?;
-                    }
+        self.write(OPERATION, async move |connection| {
+            let statements = [
+                "UPDATE tasks SET dataset = NULL WHERE dataset = ?1 AND kind = 'export'
+                     AND state NOT IN ('waiting', 'running')",
+                "DELETE FROM dataset_inputs WHERE dataset = ?1",
+                "DELETE FROM datasets WHERE id = ?1",
+            ];
+            for id in &ids {
+                for sql in statements {
+                    let removed = sqlx::query(sql).bind(id.as_str());
+                    removed.execute(&mut *connection).await.during(OPERATION)?;
                 }
-                Ok(())
-            })
-            .await
+            }
+            Ok(())
+        })
+        .await
     }
 }

@@ -86,20 +86,18 @@ impl Store {
     /// `Sql`, `Late` or `Closed` if the write fails.
     pub async fn begin_import(&self, new: NewRun) -> StoreResult<RunRow> {
         let now = self.now_text();
-        self.inner
-            .writer
-            .run(STORING_IMPORT, async move |connection| {
-                let state = StoredState::Idle;
-                let row = run_row::insert(connection, new, state, now, STORING_IMPORT).await?;
-                sqlx::query("UPDATE runs SET state = ?2 WHERE scan_id = ?1")
-                    .bind(row.scan_id)
-                    .bind(INCOMPLETE.as_str())
-                    .execute(connection)
-                    .await
-                    .during(STORING_IMPORT)?;
-                Ok(row)
-            })
-            .await
+        self.write(STORING_IMPORT, async move |connection| {
+            let state = StoredState::Idle;
+            let row = run_row::insert(connection, new, state, now, STORING_IMPORT).await?;
+            sqlx::query("UPDATE runs SET state = ?2 WHERE scan_id = ?1")
+                .bind(row.scan_id)
+                .bind(INCOMPLETE.as_str())
+                .execute(connection)
+                .await
+                .during(STORING_IMPORT)?;
+            Ok(row)
+        })
+        .await
     }
 
     /// Returns the number of the ended run that an import of this file, as hashed in `new`, made with the
@@ -136,15 +134,13 @@ impl Store {
     ) -> StoreResult<()> {
         let scan_id = self.facts(run, STORING_IMPORT).await?.scan_id;
         let now = self.now_text();
-        self.inner
-            .writer
-            .run(STORING_IMPORT, async move |connection| {
-                for trial in &trials {
-                    insert(connection, scan_id, model, trial, &now).await?;
-                }
-                Ok(())
-            })
-            .await
+        self.write(STORING_IMPORT, async move |connection| {
+            for trial in &trials {
+                insert(connection, scan_id, model, trial, &now).await?;
+            }
+            Ok(())
+        })
+        .await
     }
 
     /// Ends an import: it is then an ended run like any other. Returns its row.

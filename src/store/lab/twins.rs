@@ -184,9 +184,7 @@ impl Store {
         let now = self.now_text();
         let trials: Vec<i64> = twins.iter().map(|twin| twin.trial.0).collect();
         let runs: Vec<i64> = self
-            .inner
-            .writer
-            .run(STORING_TWINS, async move |connection| {
+            .write(STORING_TWINS, async move |connection| {
                 for twin in twins {
                     insert(connection, model, twin, &now).await?;
                 }

@@ -252,9 +252,7 @@ async fn whatever_of_a_trial_changes_is_found_where_it_is_read() {
         filled(&folder).await;
         let store = open(&folder.file()).await;
         store
-            .inner
-            .writer
-            .run("damaging", async move |c| {
+            .write("damaging", async move |c| {
                 sqlx::query(change).execute(c).await.unwrap();
                 Ok(())
             })
@@ -277,7 +275,7 @@ async fn whatever_column_of_the_trials_table_changes_is_found() {
             sqlx::raw_sql(sqlx::AssertSqlSafe(sql)).execute(c).await.unwrap();
             Ok(())
         };
-        store.inner.writer.run("damaging", changing).await.unwrap();
+        store.write("damaging", changing).await.unwrap();
     };
     // The id and the run are references: the structure of the file covers them.
     let columns: Vec<(String, String)> = sqlx::query_as(
@@ -318,7 +316,7 @@ async fn a_reference_press_that_changed_is_found_where_it_is_read() {
         sqlx::query(change).execute(c).await.unwrap();
         Ok(())
     };
-    store.inner.writer.run("damaging", damaging).await.unwrap();
+    store.write("damaging", damaging).await.unwrap();
     let error = store.references(run).await.unwrap_err();
     assert!(error.to_string().contains("reference press 1"), "{error}");
 }
@@ -335,7 +333,7 @@ async fn trials_of_before_the_checksums_are_read_as_they_are() {
         }
         Ok(())
     };
-    store.inner.writer.run("forgetting", forget).await.unwrap();
+    store.write("forgetting", forget).await.unwrap();
     assert_eq!(store.examine(2000).await.unwrap(), Soundness::Sound);
     assert_eq!(measured(&store, run).await.unwrap().len(), TRIALS as usize);
 }
