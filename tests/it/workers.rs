@@ -6,12 +6,12 @@ use std::io::{BufRead, BufReader};
 use std::os::unix::fs::PermissionsExt;
 use std::path::Path;
 use std::process::{Command, Stdio};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use reqwest::Method;
 use serde_json::{Value, json};
 
-use crate::support::{Folder, PALPATE, Process, http};
+use crate::support::{Folder, PALPATE, Process, eventually, http};
 
 /// Longest wait for anything.
 const LIMIT: Duration = Duration::from_secs(60);
@@ -23,18 +23,6 @@ fetch) echo $$ > FILE.part; mv FILE.part FILE; exec sleep 600 ;;
 *) echo 'error: order ab: not in the store' >&2; exit 2 ;;
 esac
 "#;
-
-/// Waits until a value is there.
-fn until<T>(what: &str, mut look: impl FnMut() -> Option<T>) -> T {
-    let began = Instant::now();
-    loop {
-        if let Some(found) = look() {
-            return found;
-        }
-        assert!(began.elapsed() < LIMIT, "{what}");
-        std::thread::sleep(Duration::from_millis(10));
-    }
-}
 
 #[tokio::test]
 async fn a_service_submits_cancels_and_gathers_and_its_gather_ends_with_it() {
@@ -89,12 +77,14 @@ async fn a_service_submits_cancels_and_gathers_and_its_gather_ends_with_it() {
     assert!(problem["detail"].as_str().unwrap().contains("bulk is being gathered"), "{problem}");
     let (_, found) = ask(Method::GET, "").await;
     assert_eq!(found["gather"], expected);
-    let fetching = until("the script fetches", || fs::read_to_string(&process).ok());
+    let fetching = async || fs::read_to_string(&process).ok();
+    let fetching = eventually("the script fetches", LIMIT, fetching).await;
     let fetching = Path::new("/proc").join(fetching.trim());
     assert!(fetching.exists());
     let id = served.0.id().to_string();
     assert!(Command::new("kill").args(["-TERM", &id]).status().unwrap().success());
-    let ended = until("the service ends", || served.0.try_wait().unwrap());
+    let ended = async || served.0.try_wait().unwrap();
+    let ended = eventually("the service ends", LIMIT, ended).await;
     assert!(ended.success(), "{ended}");
     assert!(!fetching.exists(), "what it gathered continues");
 }

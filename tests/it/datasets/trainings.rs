@@ -3,13 +3,13 @@
 
 use std::io::{BufRead, BufReader};
 use std::process::{Command, Stdio};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use serde_json::{Value, json};
 
 use super::filled::{Filled, fill, folder, rig};
 use super::models::transfer_net;
-use crate::support::{PALPATE, Process, http};
+use crate::support::{PALPATE, Process, eventually, http};
 
 /// Longest wait for anything; the trainer may have to be built first.
 const LIMIT: Duration = Duration::from_secs(120);
@@ -18,18 +18,6 @@ const ORPHAN_MAX: Duration = Duration::from_secs(10);
 
 /// What a service has for `palpate-worker` alone.
 const SECRETS: [&str; 3] = ["PALPATE_QUEUE", "PALPATE_STORE_FILE", "AWS_SECRET_ACCESS_KEY"];
-
-/// Waits until a value is there.
-async fn eventually<T>(what: &str, limit: Duration, mut look: impl AsyncFnMut() -> Option<T>) -> T {
-    let start = Instant::now();
-    loop {
-        if let Some(found) = look().await {
-            return found;
-        }
-        assert!(start.elapsed() < limit, "{what}");
-        tokio::time::sleep(Duration::from_millis(10)).await;
-    }
-}
 
 /// The process that trains for a job, by its arguments.
 fn trainer(job: &str) -> Option<i32> {
