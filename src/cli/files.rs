@@ -343,13 +343,12 @@ mod tests {
 
     #[test]
     fn a_missing_sensor_file_is_named_with_the_key_that_names_it() {
-        let folder = std::env::temp_dir().join(format!("palpate-files-{}", std::process::id()));
-        let path = folder.join("e.toml");
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("new/e.toml");
         let text = "name = \"e\"\nseed = 1\nsensor = \"none.toml\"\n[real_hex]\ntips = [1]\n\
                     configurations = 1\n";
         write(&path, text).unwrap();
         let error = ExperimentFiles::read(&path).err().unwrap();
-        std::fs::remove_dir_all(&folder).unwrap();
         let shown = error.to_string();
         assert!(shown.contains("sensor = none.toml"), "{shown}");
         assert_eq!(error.exit_code(), std::process::ExitCode::from(2));

@@ -268,7 +268,8 @@ mod tests {
 
     #[tokio::test]
     async fn processes_end_with_the_first_error_with_the_disk_and_with_the_service() {
-        let log = std::env::temp_dir().join(format!("palpate-gather-{}", std::process::id()));
+        let folder = tempfile::tempdir().unwrap();
+        let log = folder.path().join("log");
         let shell = |script: &str| {
             let mut command = Command::new("sh");
             command.args(["-c", script]);
@@ -291,15 +292,12 @@ mod tests {
             assert!(ended.unwrap_err().to_string().starts_with(expected));
             assert!(begun.elapsed() < Duration::from_secs(30));
         }
-        fs::remove_file(log).unwrap();
     }
 
     #[tokio::test]
     async fn the_end_of_the_service_ends_the_work() {
-        let folder =
-            std::env::temp_dir().join(format!("palpate-gather-end-{}", std::process::id()));
-        fs::create_dir_all(&folder).unwrap();
-        let store = Store::open(&folder.join("palpate.db"), Clock::new(1.0)).await.unwrap();
+        let folder = tempfile::tempdir().unwrap();
+        let store = Store::open(&folder.path().join("palpate.db"), Clock::new(1.0)).await.unwrap();
         let (tell, ending) = watch::channel(false);
         let mut early = pin!(must_end(&store, ending));
         let shortly = Duration::from_millis(100);
@@ -309,6 +307,5 @@ mod tests {
         tell.send_replace(true);
         assert!(matches!(early.await, GatherError::ServiceEnded));
         store.close().await;
-        fs::remove_dir_all(folder).unwrap();
     }
 }

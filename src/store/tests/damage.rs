@@ -357,7 +357,7 @@ async fn killed(folder: &Folder) -> (Vec<u8>, Vec<u8>) {
     for n in 0..22 {
         store.trial(run, &hex_trial(n / 11, n % 11, &[f64::from(n), 7.5])).await.unwrap();
     }
-    let log = std::fs::read(folder.0.join("palpate.sqlite-wal")).unwrap();
+    let log = std::fs::read(folder.0.path().join("palpate.sqlite-wal")).unwrap();
     (std::fs::read(folder.file()).unwrap(), log)
 }
 
@@ -369,10 +369,10 @@ async fn a_damaged_log_is_refused_and_one_that_a_crash_tore_is_not() {
     let reopened = async |log: &[u8]| {
         let folder = Folder::new();
         std::fs::write(folder.file(), &file).unwrap();
-        std::fs::write(folder.0.join("palpate.sqlite-wal"), log).unwrap();
+        std::fs::write(folder.0.path().join("palpate.sqlite-wal"), log).unwrap();
         let opened = Store::open(&folder.file(), Clock::new(1.0)).await;
         if opened.is_err() {
-            let kept = std::fs::read(folder.0.join("palpate.sqlite-wal")).unwrap();
+            let kept = std::fs::read(folder.0.path().join("palpate.sqlite-wal")).unwrap();
             assert_eq!(kept, log, "a damaged log is not changed");
         }
         match opened {
@@ -423,14 +423,14 @@ async fn a_lost_database_is_not_begun_anew() {
     let folder = Folder::new();
     std::fs::write(folder.file(), "").unwrap();
     lost(&folder).await;
-    std::fs::rename(folder.file(), folder.0.join("palpate.sqlite-wal")).unwrap();
+    std::fs::rename(folder.file(), folder.0.path().join("palpate.sqlite-wal")).unwrap();
     lost(&folder).await;
     assert!(!folder.file().exists());
-    std::fs::remove_file(folder.0.join("palpate.sqlite-wal")).unwrap();
+    std::fs::remove_file(folder.0.path().join("palpate.sqlite-wal")).unwrap();
     // A process that was killed while it created a new database.
-    std::fs::write(folder.0.join("palpate.sqlite.new"), "half").unwrap();
+    std::fs::write(folder.0.path().join("palpate.sqlite.new"), "half").unwrap();
     open(&folder.file()).await.set_lock("Ada", "kept").await.unwrap();
-    assert!(!folder.0.join("palpate.sqlite.new").exists());
+    assert!(!folder.0.path().join("palpate.sqlite.new").exists());
 }
 
 #[tokio::test]
