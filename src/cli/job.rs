@@ -90,12 +90,6 @@ impl JobScreen {
     }
 }
 
-impl Drop for JobScreen {
-    fn drop(&mut self) {
-        self.bar.finish_and_clear();
-    }
-}
-
 fn words(progress: &Progress) -> String {
     let mut words = progress.phase.clone();
     if let Some(epoch) = progress.epoch {

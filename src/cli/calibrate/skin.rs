@@ -213,7 +213,6 @@ fn fit(
         lines.say(|| format!("{words}, {} % of all steps", 100 * p.done / p.total.max(1)));
         bar.set_message(format!("at most, {words}"));
     });
-    bar.finish_and_clear();
     Ok(outcome?)
 }
 
