@@ -196,9 +196,6 @@ fn arranged(stored: &StoredHistory, bins: usize) -> PerBin {
 }
 
 /// Returns the start of a run, and its duration as it was predicted then, s; absent before either.
-///
-/// # Errors
-/// Errors of the store.
 pub(super) async fn predicted(
     store: &Store,
     run: RunUid,

@@ -69,9 +69,6 @@ pub async fn of_run(app: App, Path(run): Path<String>) -> ApiResult<Json<RunProg
 }
 
 /// The progress of a run along its tour.
-///
-/// # Errors
-/// Those of the store.
 pub(super) async fn along(app: &App, run: &RunRow, tour: &Tour) -> ApiResult<RunProgress> {
     let reading = async { app.store.progress_by_configuration(run.uid).await.map(Arc::new) };
     let stored = app.facts.memory.progress.get(run.uid, reading).await?;

@@ -117,9 +117,6 @@ pub async fn status(app: App) -> ApiResult<Json<ServiceStatus>> {
 
 impl App {
     /// Reads the part of the status that is stored.
-    ///
-    /// # Errors
-    /// Errors of the store.
     pub(super) async fn stored_part(&self) -> Result<StoredPart, StoreError> {
         let queue = self.store.queue().await?;
         let channels = self.serving.sensor().channels() as u64;

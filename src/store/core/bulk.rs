@@ -76,9 +76,6 @@ impl Bulk {
 
     /// Like [`Self::read`], on a new connection that waits for no other: for what must not wait behind
     /// people who read, and for what must see the file and not the pages that a connection keeps.
-    ///
-    /// # Errors
-    /// As [`Self::read`].
     pub(crate) async fn read_apart<T: Send + 'static>(
         &self,
         operation: &'static str,

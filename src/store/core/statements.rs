@@ -28,9 +28,6 @@ impl Store {
     }
 
     /// Returns what `read` makes of the first row; `None` without rows.
-    ///
-    /// # Errors
-    /// As [`Store::rows`].
     pub(crate) async fn row<T>(
         &self,
         operation: &'static str,
@@ -44,9 +41,6 @@ impl Store {
 
 impl Writer {
     /// Carries out a statement in a transaction; returns the number of rows that it changed.
-    ///
-    /// # Errors
-    /// As [`Writer::run`].
     pub(crate) async fn execute(&self, operation: &'static str, query: Query) -> StoreResult<u64> {
         self.run(operation, async move |connection| {
             Ok(query.execute(connection).await.during(operation)?.rows_affected())
@@ -55,9 +49,6 @@ impl Writer {
     }
 
     /// Carries out a statement that returns a row in a transaction; returns what `read` makes of it.
-    ///
-    /// # Errors
-    /// As [`Writer::run`], and an error of `read`.
     pub(crate) async fn returned<T: Send + 'static>(
         &self,
         operation: &'static str,

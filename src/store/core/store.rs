@@ -141,9 +141,6 @@ impl Store {
     }
 
     /// Runs `work` in one transaction.
-    ///
-    /// # Errors
-    /// As [`Writer::run`].
     pub(crate) async fn write<T, F>(&self, operation: &'static str, work: F) -> StoreResult<T>
     where
         T: Send + 'static,
