@@ -265,11 +265,8 @@ impl ServiceLab {
         let page: Value = self.client.get(&path).await?;
         let row = &page["items"][0];
         let frames = format!("/api/v1/trials/{}/frames", row["trial_id"]);
-        match self.client.get::<Value>(&frames).await {
-            Ok(_) => Ok(true),
-            Err(CliError::Refused { status: 404, .. }) => Ok(row["frame_count"] == 1),
-            Err(error) => Err(error),
-        }
+        let stored: Option<Value> = self.client.if_there(&frames).await?;
+        Ok(stored.is_some() || row["frame_count"] == 1)
     }
 }
 
