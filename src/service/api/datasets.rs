@@ -151,8 +151,7 @@ type Pairs = Query<Vec<(String, String)>>;
 
 /// Returns a page of the datasets, newest first, and the names of the built-in definitions.
 #[utoipa::path(get, operation_id = "list_datasets", path = "/api/v1/datasets", tag = "datasets",
-    params(PageParams), responses((status = 200, body = DatasetsPage),
-        (status = 400, description = "a parameter is invalid")))]
+    params(PageParams), responses((status = 200, body = DatasetsPage), (status = 400)))]
 pub async fn list(app: App, asked: PageRequest) -> ApiResult<Json<DatasetsPage>> {
     let datasets = app.store.datasets().await?.into_iter().map(|row| {
         let last_used_at = app.datasets.last_used_at(&row.id);

@@ -323,6 +323,7 @@ fn meaning(status: &str) -> &'static str {
         "202" => "the request is accepted; its effect is shown elsewhere",
         "204" => "done, without a body",
         "206" => "the requested part of the file",
+        "400" => "a parameter is invalid",
         _ => "see the status",
     }
 }

@@ -107,8 +107,7 @@ pub struct ServingOut {
 
 /// Returns a page of the models, newest first.
 #[utoipa::path(get, operation_id = "list_models", path = "/api/v1/models", tag = "models",
-    params(PageParams), responses((status = 200, body = Page<ModelOut>),
-        (status = 400, description = "a parameter is invalid")))]
+    params(PageParams), responses((status = 200, body = Page<ModelOut>), (status = 400)))]
 pub async fn list(app: App, asked: PageRequest) -> ApiResult<Page<ModelOut>> {
     let Page { items: rows, next } =
         asked.of_all(app.store.models().await?, |model| model.id.clone())?;

@@ -202,8 +202,7 @@ pub async fn ticket(
 
 /// Returns the log of actions, newest first.
 #[utoipa::path(get, path = "/api/v1/actions", tag = "people", params(ActionParams, PageParams),
-    responses((status = 200, body = Page<ActionRow>),
-        (status = 400, description = "a parameter is invalid"),
+    responses((status = 200, body = Page<ActionRow>), (status = 400),
         (status = 404, description = "no run has this uid or scan_id")))]
 pub async fn actions(
     app: App,

@@ -134,8 +134,7 @@ pub async fn find(app: &App, run: &str) -> ApiResult<RunRow> {
 
 /// Returns a page of runs, newest first.
 #[utoipa::path(get, operation_id = "list_runs", path = "/api/v1/runs", tag = "runs",
-    params(PageParams), responses((status = 200, body = Page<RunRow>),
-        (status = 400, description = "a parameter is invalid")))]
+    params(PageParams), responses((status = 200, body = Page<RunRow>), (status = 400)))]
 pub async fn list(app: App, asked: PageRequest) -> ApiResult<Page<RunRow>> {
     let found = app.store.runs(asked.limit, asked.after()?).await?;
     Ok(asked.page(found.runs, found.next))

@@ -369,8 +369,7 @@ pub async fn frames(app: App, Path(trial): Path<i64>) -> ApiResult<Page<FrameOut
 #[utoipa::path(get, path = "/api/v1/runs/{run}/records/{kind}", tag = "trials",
     params(("run" = String, Path, description = "uid or scan_id"),
         ("kind" = String, Path, description = "attempts, tares, touch-offs or references"), PageParams),
-    responses((status = 200, body = Page<Object>),
-        (status = 400, description = "a parameter is invalid"),
+    responses((status = 200, body = Page<Object>), (status = 400),
         (status = 422, description = "the kind is unknown")))]
 pub async fn bench_records(
     app: App,

@@ -90,8 +90,7 @@ fn thousand() -> u32 {
 #[utoipa::path(get, operation_id = "twin_inputs", path = "/api/v1/runs/{run}/twins/inputs",
     tag = "simulation",
     params(("run" = String, Path, description = "uid or scan_id"), InputsParams),
-    responses((status = 200, body = TwinInputs),
-        (status = 400, description = "a parameter is invalid"),
+    responses((status = 200, body = TwinInputs), (status = 400),
         (status = 409, description = "the run has no model of its skin")))]
 pub async fn inputs(
     app: App,
