@@ -287,7 +287,7 @@ pub async fn prune(
 /// another dataset of the name is made meanwhile. The header `Link` has the address of the next page
 /// in every format.
 #[utoipa::path(get, operation_id = "dataset_rows", path = "/api/v1/datasets/{dataset}/rows",
-    tag = "datasets", params(("dataset" = String, Path, description = "id or name"), RowsParams),
+    tag = "datasets", params(("dataset" = String, Path), RowsParams),
     responses((status = 200, body = RowsPage),
         (status = 400, description = "a parameter is unknown or invalid")))]
 pub async fn rows(
@@ -338,8 +338,7 @@ pub async fn rows(
 
 /// Returns groups of the rows of a dataset with their aggregates, by the conditions of its rows.
 #[utoipa::path(get, operation_id = "dataset_groups", path = "/api/v1/datasets/{dataset}/groups",
-    tag = "datasets",
-    params(("dataset" = String, Path, description = "id or name"), RowGroupParams),
+    tag = "datasets", params(("dataset" = String, Path), RowGroupParams),
     responses((status = 200, body = Page<Object>),
         (status = 400, description = "a parameter is unknown or invalid"),
         (status = 503, description = "as of queries (with `Retry-After`)")))]

@@ -106,8 +106,7 @@ pub struct NotableEvent {
 /// Returns the history of a run: trials, forces, failures and fits over time, its states, predictions
 /// and notable events.
 #[utoipa::path(get, operation_id = "run_history", path = "/api/v1/runs/{run}/history", tag = "runs",
-    params(("run" = String, Path, description = "uid or scan_id"), HistoryParams),
-    responses((status = 200, body = History),
+    params(("run" = String, Path), HistoryParams), responses((status = 200, body = History),
         (status = 400, description = "`bins` is not 1 to 1000")))]
 pub async fn of_run(
     app: App,

@@ -96,8 +96,7 @@ pub async fn edit(
 
 /// Removes a run from the queue.
 #[utoipa::path(delete, operation_id = "remove_run", path = "/api/v1/queue/{run}", tag = "queue",
-    params(WhoParams, ("run" = String, Path, description = "uid or scan_id")),
-    responses((status = 200, body = RunRow),
+    params(WhoParams, ("run" = String, Path)), responses((status = 200, body = RunRow),
         (status = 409,
             description = "the run is not queued, or another person holds the operator lock")))]
 pub async fn remove(

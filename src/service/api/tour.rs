@@ -124,7 +124,7 @@ pub struct KeptTour {
 ///
 /// It changes only if a queued run is edited.
 #[utoipa::path(get, operation_id = "run_tour", path = "/api/v1/runs/{run}/tour", tag = "runs",
-    params(("run" = String, Path, description = "uid or scan_id"),
+    params(("run" = String, Path),
         ("If-None-Match" = Option<String>, Header, description = "entity tags that the client has")),
     responses((status = 200, body = Tour, headers(("ETag" = String, description = "entity tag"))),
         (status = 304, description = "the client has it already"),

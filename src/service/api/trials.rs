@@ -67,8 +67,7 @@ type Pairs = Query<Vec<(String, String)>>;
 /// JSON holds whole trials; the other formats are tables of columns. The header `Link` has the address
 /// of the next page in every format.
 #[utoipa::path(get, operation_id = "run_trials", path = "/api/v1/runs/{run}/trials", tag = "trials",
-    params(("run" = String, Path, description = "uid or scan_id"), TrialParams),
-    responses((status = 200, body = Page<TrialRow>),
+    params(("run" = String, Path), TrialParams), responses((status = 200, body = Page<TrialRow>),
         (status = 400, description = "a parameter is unknown or invalid")))]
 pub async fn of_run(
     app: App,
@@ -367,7 +366,7 @@ pub async fn frames(app: App, Path(trial): Path<i64>) -> ApiResult<Page<FrameOut
 /// Returns a page of the bench records of a run in the order of storing: attempts, tares, touch-offs
 /// or references.
 #[utoipa::path(get, path = "/api/v1/runs/{run}/records/{kind}", tag = "trials",
-    params(("run" = String, Path, description = "uid or scan_id"),
+    params(("run" = String, Path),
         ("kind" = String, Path, description = "attempts, tares, touch-offs or references"), PageParams),
     responses((status = 200, body = Page<Object>), (status = 400),
         (status = 422, description = "the kind is unknown")))]
