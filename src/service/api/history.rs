@@ -18,7 +18,7 @@ use crate::event::{Importance, importance, notable_kinds};
 use crate::ids::RunUid;
 use crate::journal::Event;
 use crate::state::StoredState;
-use crate::store::{Bins, RunRow, Store, StoreError, StoredHistory};
+use crate::store::{Bins, RunRow, Store, StoreResult, StoredHistory};
 
 /// Most bins of a history.
 const BINS_MAX: u32 = 1000;
@@ -123,7 +123,7 @@ pub async fn of_run(
     Ok(Json(app.facts.memory.histories.get(key, read(&app, &run, bins)).await?))
 }
 
-async fn read(app: &App, run: &RunRow, bins: u32) -> Result<Arc<History>, StoreError> {
+async fn read(app: &App, run: &RunRow, bins: u32) -> StoreResult<Arc<History>> {
     let store = &app.store;
     let kinds: Vec<&str> = notable_kinds().collect();
     let mut notable = store.events_of_kinds(run.uid, &kinds, NOTABLE_MAX).await?;
@@ -195,10 +195,7 @@ fn arranged(stored: &StoredHistory, bins: usize) -> PerBin {
 }
 
 /// Returns the start of a run, and its duration as it was predicted then, s; absent before either.
-pub(super) async fn predicted(
-    store: &Store,
-    run: RunUid,
-) -> Result<Option<(Timestamp, f64)>, StoreError> {
+pub(super) async fn predicted(store: &Store, run: RunUid) -> StoreResult<Option<(Timestamp, f64)>> {
     let from = store.run(run).await?.and_then(|run| run.started_at);
     let estimates = store.events_of_kinds(run, &[ESTIMATE], ESTIMATES_MAX).await?;
     Ok(from.zip(estimates.first().and_then(predicted_s)))

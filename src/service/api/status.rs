@@ -20,7 +20,7 @@ use crate::campaign::shown::status::Status;
 use crate::conductor::room;
 use crate::ids::RunUid;
 use crate::schedule::experiment::{Experiment, TwinLimits};
-use crate::store::{LockRow, StoreError};
+use crate::store::{LockRow, StoreError, StoreResult};
 
 /// Status of rig, run and service.
 #[derive(Debug, Clone, Serialize, ToSchema)]
@@ -117,7 +117,7 @@ pub async fn status(app: App) -> ApiResult<Json<ServiceStatus>> {
 
 impl App {
     /// Reads the part of the status that is stored.
-    pub(super) async fn stored_part(&self) -> Result<StoredPart, StoreError> {
+    pub(super) async fn stored_part(&self) -> StoreResult<StoredPart> {
         let queue = self.store.queue().await?;
         let channels = self.serving.sensor().channels() as u64;
         let active = self.campaign.status().run.map(|run| run.uid);
@@ -150,7 +150,7 @@ impl App {
     }
 
     /// Limits of the fit of a run's twins; absent if its experiment file cannot be read.
-    async fn limits_of(&self, run: RunUid) -> Result<Option<Arc<TwinLimits>>, StoreError> {
+    async fn limits_of(&self, run: RunUid) -> StoreResult<Option<Arc<TwinLimits>>> {
         let read = async {
             let row = self.store.run(run).await?;
             let experiment =

@@ -36,7 +36,7 @@ use crate::journal::error_chain;
 use crate::problem::Problem;
 use crate::query::groups;
 use crate::store::table::Column;
-use crate::store::{RunKind, Store, StoreError, TrialQuery, TrialRow};
+use crate::store::{RunKind, Store, StoreResult, TrialQuery, TrialRow};
 
 /// Number of trials per piece of a page.
 const PIECE_ROWS: usize = 250;
@@ -191,11 +191,7 @@ async fn whole_trials(
 }
 
 /// The trials with these ids, in the order of the ids.
-async fn read(
-    store: &Store,
-    ids: &[TrialId],
-    with_voltages: bool,
-) -> Result<Vec<TrialRow>, StoreError> {
+async fn read(store: &Store, ids: &[TrialId], with_voltages: bool) -> StoreResult<Vec<TrialRow>> {
     let mut trials = match with_voltages {
         true => store.trials_with_voltages(ids).await?,
         false => store.trials_of(ids).await?,

@@ -9,7 +9,7 @@ use super::App;
 use super::problem::{ApiError, ApiResult};
 use crate::infer::methods::exact::UNTOUCHED_N;
 use crate::record::Untouched;
-use crate::store::{RunKind, StoreError, TrialRow};
+use crate::store::{RunKind, StoreResult, TrialRow};
 
 /// Trials whose frames are averaged.
 const AVERAGED_TRIALS: u32 = 8;
@@ -35,7 +35,7 @@ pub async fn untouched(app: App) -> ApiResult<Json<Arc<Untouched>>> {
 }
 
 /// The mean frame of the newest stored trials of this rig in which the skin was untouched.
-async fn stored(app: &App) -> Result<Option<Arc<Untouched>>, StoreError> {
+async fn stored(app: &App) -> StoreResult<Option<Arc<Untouched>>> {
     let channels = app.serving.sensor().channels();
     let label = app.facts.rig.config.label().as_str();
     for run in app.store.runs_with_trials().await?.into_iter().take(SEARCHED_RUNS) {

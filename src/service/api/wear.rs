@@ -16,7 +16,7 @@ use super::App;
 use super::problem::ApiResult;
 use crate::ids::RunUid;
 use crate::record::ARMS;
-use crate::store::{RunKind, RunRow, StoreError, StoredWear};
+use crate::store::{RunKind, RunRow, StoreResult, StoredWear};
 
 /// Names of the axes, in the order of the stored travel.
 const AXES: [&str; 4] = ["x", "y", "z", "radius"];
@@ -93,7 +93,7 @@ pub async fn wear(app: App) -> ApiResult<Json<Arc<Wear>>> {
     Ok(Json(app.facts.memory.wear.get((), read).await?))
 }
 
-async fn read(app: &App) -> Result<Wear, StoreError> {
+async fn read(app: &App) -> StoreResult<Wear> {
     let (mut by_run, mut run_h) = (Vec::new(), 0.0);
     for run in app.store.all_runs().await?.iter().rev().filter(|run| is_of_this_skin(app, run)) {
         by_run.push(of_run(app, run).await?);
@@ -121,7 +121,7 @@ fn is_of_this_skin(app: &App, run: &RunRow) -> bool {
         && name.is_ok_and(|name| name == app.serving.sensor().file.name)
 }
 
-async fn of_run(app: &App, run: &RunRow) -> Result<Arc<StoredWear>, StoreError> {
+async fn of_run(app: &App, run: &RunRow) -> StoreResult<Arc<StoredWear>> {
     let ended = &app.facts.memory.ended_wear.0;
     if let Some(known) = ended.lock().get(&run.uid).cloned() {
         return Ok(known);

@@ -14,7 +14,7 @@ use crate::campaign::shown::run_action;
 use crate::campaign::spans::run_span;
 use crate::ids::RunUid;
 use crate::journal::error_chain;
-use crate::store::{RunRow, StoreError};
+use crate::store::{RunRow, StoreResult};
 
 /// Pause before a run that the rig did not take up is offered again.
 const BUSY_AGAIN: Duration = Duration::from_secs(5);
@@ -108,7 +108,7 @@ impl Conductor {
     }
 
     /// Runs that were started and wait, the next one first.
-    pub(super) async fn still_waiting(&self) -> Result<Vec<RunRow>, StoreError> {
+    pub(super) async fn still_waiting(&self) -> StoreResult<Vec<RunRow>> {
         if self.waiting().is_empty() {
             return Ok(Vec::new());
         }
@@ -123,7 +123,7 @@ impl Conductor {
     ///
     /// # Errors
     /// `StoreError` if the store fails.
-    pub async fn waiting_for(&self) -> Result<Option<String>, StoreError> {
+    pub async fn waiting_for(&self) -> StoreResult<Option<String>> {
         let obstacle = turn::Obstacle::of(&self.inner.campaign.status());
         let lock = self.inner.store.lock().await?;
         let present = turn::Present { now: Timestamp::now(), lock: lock.as_ref() };
@@ -137,7 +137,7 @@ impl Conductor {
     ///
     /// # Errors
     /// `StoreError` if the store fails.
-    pub async fn not_begun(&self) -> Result<Option<String>, StoreError> {
+    pub async fn not_begun(&self) -> StoreResult<Option<String>> {
         let dropped = self.dropped().clone();
         for (uid, why) in dropped {
             let row = self.inner.store.run(uid).await?;

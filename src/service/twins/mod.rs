@@ -34,8 +34,8 @@ use crate::journal::error_chain;
 use crate::rig::setup::RigSetup;
 use crate::schedule::experiment::Experiment;
 use crate::store::{
-    IMPORTED_MODEL, NewTwinModel, RunKind, RunRow, Store, StoreError, TrialRow, Twin, TwinCount,
-    TwinModelId, TwinOutcome,
+    IMPORTED_MODEL, NewTwinModel, RunKind, RunRow, Store, StoreError, StoreResult, TrialRow, Twin,
+    TwinCount, TwinModelId, TwinOutcome,
 };
 
 /// Number of trials per worker in a page: a few milliseconds of work, and a transaction that does
@@ -157,7 +157,7 @@ impl TwinPool {
     ///
     /// # Errors
     /// `StoreError` if the store fails.
-    pub async fn count(&self, run: RunUid) -> Result<TwinCount, StoreError> {
+    pub async fn count(&self, run: RunUid) -> StoreResult<TwinCount> {
         let model = self.models().get(&run).copied().unwrap_or(TwinModelId::NONE);
         self.inner.store.twin_count(run, model).await
     }
