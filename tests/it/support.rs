@@ -1,5 +1,6 @@
 //! What several tests need: the sensor, a folder, commands, a process that ends with its test, Python.
 
+use std::io::{BufRead, BufReader};
 use std::ops::Deref;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
@@ -68,6 +69,19 @@ impl Drop for Process {
         self.0.kill().ok();
         self.0.wait().ok();
     }
+}
+
+/// Starts a service as a process; returns it with its URL.
+pub fn served(serve: &mut Command) -> (Process, String) {
+    let mut served = Process(serve.stdout(Stdio::piped()).spawn().unwrap());
+    let mut output = BufReader::new(served.0.stdout.take().unwrap());
+    let mut line = String::new();
+    output.read_line(&mut line).unwrap();
+    // The pipe stays open.
+    served.0.stdout = Some(output.into_inner());
+    let url = line.split_whitespace().find(|word| word.starts_with("http")).unwrap();
+    let url = url.trim_end_matches(',').to_owned();
+    (served, url)
 }
 
 /// A command of the program, without the environment of the tests.
