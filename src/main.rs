@@ -437,12 +437,12 @@ mod tests {
             clap_complete::generate(shell, &mut CommandLine::command(), "palpate", &mut text);
             assert!(String::from_utf8(text).unwrap().contains("virtual-rig"));
         }
-        let folder = std::env::temp_dir().join(format!("palpate-man-{}", std::process::id()));
+        let temporary = tempfile::tempdir().unwrap();
+        let folder = temporary.path().join("man");
         write_manual(&folder).unwrap();
         for page in ["palpate.1", "palpate-run.1", "palpate-rig-home.1"] {
             assert!(std::fs::read_to_string(folder.join(page)).unwrap().contains(".TH"), "{page}");
         }
-        std::fs::remove_dir_all(&folder).unwrap();
     }
 
     #[test]

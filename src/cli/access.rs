@@ -8,7 +8,7 @@ use reqwest::Method;
 use serde_json::{Value, json};
 
 use super::client::{Client, who};
-use super::error::CliError;
+use super::error::{CliError, CliResult};
 use super::output::{say, say_json};
 use super::start_time::local;
 use super::table::Table;
@@ -73,11 +73,11 @@ fn roles() -> impl TypedValueParser<Value = Role> {
 ///
 /// # Errors
 /// `CliError` if the service or the data folder cannot be used, or refuses the request.
-pub async fn lock(args: LockArgs) -> Result<(), CliError> {
+pub async fn lock(args: LockArgs) -> CliResult<()> {
     with_people(&args.at, async |people| lock_of(people, &args).await).await
 }
 
-async fn lock_of(people: &People, args: &LockArgs) -> Result<(), CliError> {
+async fn lock_of(people: &People, args: &LockArgs) -> CliResult<()> {
     let json = args.at.json;
     if args.clear {
         people.clear_lock().await?;
@@ -99,17 +99,17 @@ async fn lock_of(people: &People, args: &LockArgs) -> Result<(), CliError> {
 ///
 /// # Errors
 /// `CliError` if the service or the data folder cannot be used, or refuses the request.
-pub async fn key(args: KeyArgs) -> Result<(), CliError> {
+pub async fn key(args: KeyArgs) -> CliResult<()> {
     let (at, json) = (&args.at, args.at.json);
     match args.command.unwrap_or(KeyCommand::List) {
         KeyCommand::Create { name, role } => {
             with_people(at, async |people| create(people, &name, role, json).await).await
         }
-        KeyCommand::List => with_people(at, async |people| list(people, json).await).await,
+        KeyCommand::List => with_people(at, async |people| list(people, at).await).await,
         KeyCommand::Revoke { id } => {
             with_people(at, async |people| {
                 people.revoke_key(id).await?;
-                list(people, json).await
+                list(people, at).await
             })
             .await
         }
@@ -117,10 +117,7 @@ pub async fn key(args: KeyArgs) -> Result<(), CliError> {
     }
 }
 
-async fn with_people(
-    at: &At,
-    act: impl AsyncFnOnce(&People) -> Result<(), CliError>,
-) -> Result<(), CliError> {
+async fn with_people(at: &At, act: impl AsyncFnOnce(&People) -> CliResult<()>) -> CliResult<()> {
     let people = People::of(at).await?;
     let outcome = act(&people).await;
     people.close().await;
@@ -128,7 +125,7 @@ async fn with_people(
 }
 
 /// Prints the caller, as the service sees this terminal.
-async fn whoami(at: &At) -> Result<(), CliError> {
+async fn whoami(at: &At) -> CliResult<()> {
     let caller: Value = embed::server(at).await?.get("/api/v1/caller").await?;
     let name = caller["name"].as_str().unwrap_or("without a key");
     let role = caller["role"].as_str().unwrap_or_default();
@@ -136,7 +133,7 @@ async fn whoami(at: &At) -> Result<(), CliError> {
     Ok(())
 }
 
-async fn create(people: &People, name: &str, role: Role, json: bool) -> Result<(), CliError> {
+async fn create(people: &People, name: &str, role: Role, json: bool) -> CliResult<()> {
     let made = people.create_key(name, role).await?;
     if json {
         say_json(&made);
@@ -148,23 +145,19 @@ async fn create(people: &People, name: &str, role: Role, json: bool) -> Result<(
     Ok(())
 }
 
-async fn list(people: &People, json: bool) -> Result<(), CliError> {
+async fn list(people: &People, at: &At) -> CliResult<()> {
     let keys = people.keys().await?;
-    if json {
-        say_json(&keys);
-        return Ok(());
-    }
     let mut table =
         Table::new("key> | name | role | state", "there are no keys: palpate key create NAME");
-    for key in keys {
+    for key in &keys {
         let state = match (key.revoked_at, key.last_used_at) {
             (Some(at), _) => format!("revoked {}", local(at)),
             (None, Some(at)) => format!("last used {}", local(at)),
             (None, None) => "never used".into(),
         };
-        table.push([key.id.to_string(), key.name, key.role.as_str().into(), state]);
+        table.push([key.id.to_string(), key.name.clone(), key.role.as_str().into(), state]);
     }
-    say(table);
+    at.output().say(&keys, table);
     Ok(())
 }
 
@@ -175,7 +168,7 @@ enum People {
 }
 
 impl People {
-    async fn of(at: &At) -> Result<Self, CliError> {
+    async fn of(at: &At) -> CliResult<Self> {
         Ok(match embed::find(at).await? {
             Some(client) => Self::Service(client),
             None => Self::Folder(Box::new(Offline::open(&at.data()).await?)),
@@ -188,14 +181,14 @@ impl People {
         }
     }
 
-    async fn lock(&self) -> Result<Option<LockRow>, CliError> {
+    async fn lock(&self) -> CliResult<Option<LockRow>> {
         match self {
             Self::Service(client) => client.get("/api/v1/lock").await,
             Self::Folder(folder) => Ok(folder.lock().await?),
         }
     }
 
-    async fn take_lock(&self, note: &str) -> Result<LockRow, CliError> {
+    async fn take_lock(&self, note: &str) -> CliResult<LockRow> {
         match self {
             Self::Service(client) => {
                 let body = json!({ "holder": client.who(), "note": note });
@@ -205,21 +198,21 @@ impl People {
         }
     }
 
-    async fn clear_lock(&self) -> Result<(), CliError> {
+    async fn clear_lock(&self) -> CliResult<()> {
         match self {
             Self::Service(client) => client.delete("/api/v1/lock").await,
             Self::Folder(folder) => Ok(folder.clear_lock().await.map(drop)?),
         }
     }
 
-    async fn keys(&self) -> Result<Vec<KeyRow>, CliError> {
+    async fn keys(&self) -> CliResult<Vec<KeyRow>> {
         match self {
             Self::Service(client) => client.all("/api/v1/keys?").await,
             Self::Folder(folder) => Ok(folder.keys().await?),
         }
     }
 
-    async fn create_key(&self, name: &str, role: Role) -> Result<CreatedKey, CliError> {
+    async fn create_key(&self, name: &str, role: Role) -> CliResult<CreatedKey> {
         match self {
             Self::Service(client) => {
                 client.post("/api/v1/keys", &json!({ "name": name, "role": role })).await
@@ -228,7 +221,7 @@ impl People {
         }
     }
 
-    async fn revoke_key(&self, id: i64) -> Result<(), CliError> {
+    async fn revoke_key(&self, id: i64) -> CliResult<()> {
         match self {
             Self::Service(client) => client.delete(&format!("/api/v1/keys/{id}")).await,
             Self::Folder(folder) => match folder.revoke_key(id).await? {

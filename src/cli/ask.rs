@@ -11,7 +11,7 @@ use serde_json::{Value, json};
 use tokio::time::Instant;
 
 use super::client::Client;
-use super::error::CliError;
+use super::error::{CliError, CliResult};
 use super::find::find_run;
 use super::key::key;
 use super::output::{counted, duration, note, say, say_json};
@@ -61,7 +61,7 @@ pub struct AbortArgs {
 ///
 /// # Errors
 /// `CliError` if the service cannot be reached.
-pub async fn status(at: &At) -> Result<(), CliError> {
+pub async fn status(at: &At) -> CliResult<()> {
     let client = embed::server(at).await?;
     if at.json {
         let status: Value = client.get("/api/v1/status").await?;
@@ -78,7 +78,7 @@ pub async fn status(at: &At) -> Result<(), CliError> {
 ///
 /// # Errors
 /// `CliError::Refused` with the cause if the service cannot store trials; others if it cannot be reached.
-pub async fn ready(at: &At) -> Result<(), CliError> {
+pub async fn ready(at: &At) -> CliResult<()> {
     let client = embed::server(at).await?;
     client.send(Method::GET, "/health/ready", None::<&Value>).await?;
     let words = format!("ready: {} can store trials", client.url());
@@ -90,7 +90,7 @@ pub async fn ready(at: &At) -> Result<(), CliError> {
 ///
 /// # Errors
 /// `CliError` if the service cannot be reached.
-pub async fn metrics(at: &At) -> Result<(), CliError> {
+pub async fn metrics(at: &At) -> CliResult<()> {
     let text = embed::server(at).await?.text("/metrics").await?;
     at.output().say(&json!({ "metrics": text }), text.trim_end());
     Ok(())
@@ -101,7 +101,7 @@ pub async fn metrics(at: &At) -> Result<(), CliError> {
 /// # Errors
 /// `CliError::Idle` without an active run; other variants if the service cannot be reached or
 /// refuses.
-pub async fn act(args: &ActArgs, action: &str, more: Value) -> Result<(), CliError> {
+pub async fn act(args: &ActArgs, action: &str, more: Value) -> CliResult<()> {
     let client = embed::server(&args.at).await?;
     let run = client.status().await?.run.ok_or(CliError::Idle)?;
     request(&client, (run.uid, run.scan_id), args, action, more).await
@@ -117,7 +117,7 @@ pub async fn request(
     args: &ActArgs,
     action: &str,
     mut more: Value,
-) -> Result<(), CliError> {
+) -> CliResult<()> {
     if let Some(why) = &args.why {
         more["why"] = why.clone().into();
     }
@@ -131,7 +131,7 @@ pub async fn request(
 ///
 /// # Errors
 /// As [`act`].
-pub async fn pause(args: &PauseArgs) -> Result<(), CliError> {
+pub async fn pause(args: &PauseArgs) -> CliResult<()> {
     let when = if args.now { "now" } else { "checkpoint" };
     act(&args.act, "pause", json!({ "when": when })).await
 }
@@ -140,7 +140,7 @@ pub async fn pause(args: &PauseArgs) -> Result<(), CliError> {
 ///
 /// # Errors
 /// As [`act`]; also if the service has no such run.
-pub async fn abort(args: &AbortArgs) -> Result<(), CliError> {
+pub async fn abort(args: &AbortArgs) -> CliResult<()> {
     let Some(run) = &args.run else { return act(&args.act, "abort", json!({})).await };
     let client = embed::server(&args.act.at).await?;
     let run = find_run(&client, run).await?;
@@ -171,7 +171,7 @@ pub async fn press_estop(
     at: &At,
     why: Option<&str>,
     tell: impl FnOnce(&str),
-) -> Result<Stopped, CliError> {
+) -> CliResult<Stopped> {
     // The service is not probed first: the stop must be the first request. On the loopback it needs no
     // key: one that cannot be read, or that is refused, must not prevent it.
     let key = key().unwrap_or_else(|error| {
@@ -251,7 +251,7 @@ impl Stopped {
 ///
 /// # Errors
 /// As [`press_estop`].
-pub async fn estop(args: &ActArgs) -> Result<(), CliError> {
+pub async fn estop(args: &ActArgs) -> CliResult<()> {
     let stopped = press_estop(&args.at, args.why.as_deref(), |words| note(words)).await?;
     let answer = json!({ "latched": stopped.latched, "acknowledged_ms": stopped.acknowledged_ms,
         "not_stopped": stopped.missing, "stands": stopped.stands });

@@ -9,7 +9,7 @@ use serde_json::json;
 
 use super::begin::last_event;
 use super::client::Client;
-use super::error::CliError;
+use super::error::{CliError, CliResult};
 use super::find::find_run;
 use super::follow::{Follower, Left, Watch};
 use super::next::Next;
@@ -40,7 +40,7 @@ pub struct AttachArgs {
 ///
 /// # Errors
 /// `CliError::Idle` without an active run; others if the service cannot be reached.
-pub async fn attach(args: AttachArgs) -> Result<ExitCode, CliError> {
+pub async fn attach(args: AttachArgs) -> CliResult<ExitCode> {
     let client = embed::server(&args.at).await?;
     let run = match &args.run {
         Some(run) => find_run(&client, run).await?,
@@ -74,7 +74,7 @@ pub async fn to_its_end(
     client: &Client,
     watch: Watch,
     signals: &mut Signals,
-) -> Result<Option<Closing>, CliError> {
+) -> CliResult<Option<Closing>> {
     let uid = watch.run;
     let why = match Follower::new(client.clone(), watch).follow(signals).await? {
         Left::Ended => None,

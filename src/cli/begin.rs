@@ -10,12 +10,12 @@ use serde_json::json;
 use super::ask::{ActArgs, request};
 use super::client::Client;
 use super::embed;
-use super::error::CliError;
+use super::error::{CliError, CliResult};
 use super::find::find_run;
 use super::next::Next;
 use super::output::{self, say};
 use super::rig::until_rig;
-use super::view::{PreflightView, StatusView};
+use super::view::{ArmedView, PreflightView, StatusView, TakenUpView};
 use crate::campaign::bench::rig_state::RigState;
 use crate::campaign::bench::travel::HOMING_WAIT;
 use crate::conductor::Started;
@@ -53,7 +53,7 @@ pub struct ResumeArgs {
 /// # Errors
 /// `CliError::NothingToResume` if there is no such run; others if the service cannot be reached or refuses, or
 /// the motion of a real rig is not confirmed.
-pub async fn resume(args: &ResumeArgs) -> Result<(), CliError> {
+pub async fn resume(args: &ResumeArgs) -> CliResult<()> {
     let client = embed::server(&args.act.at).await?;
     let active = client.status().await?.run;
     let named = match &args.run {
@@ -91,7 +91,7 @@ pub fn goes_on(run: &RunRow) -> bool {
 ///
 /// # Errors
 /// `CliError` if the rig cannot be brought up, is tripped, or its motion is not confirmed.
-pub async fn bring_up(client: &Client, motion: MotionArgs) -> Result<StatusView, CliError> {
+pub async fn bring_up(client: &Client, motion: MotionArgs) -> CliResult<StatusView> {
     let mut status = client.status().await?;
     if status.run.is_some() {
         return Ok(status);
@@ -119,7 +119,7 @@ pub async fn bring_up(client: &Client, motion: MotionArgs) -> Result<StatusView,
 }
 
 /// Asks for the confirmation that a real rig may move.
-async fn confirm_motion(motion: MotionArgs, status: &StatusView) -> Result<(), CliError> {
+async fn confirm_motion(motion: MotionArgs, status: &StatusView) -> CliResult<()> {
     if motion.yes || status.rig.label == Label::Virtual {
         return Ok(());
     }
@@ -160,10 +160,12 @@ pub struct Begun {
 ///
 /// # Errors
 /// `CliError` if the service cannot be reached or refuses.
-pub async fn arm_and_start(client: &Client, run: &RunRow) -> Result<Begun, CliError> {
+pub async fn arm_and_start(client: &Client, run: &RunRow) -> CliResult<Begun> {
     let since = last_event(client, run).await?;
-    let armed = client.arm(run.uid).await?;
-    let taken = client.start(run.uid, &armed.code).await?;
+    let (path, who) = (format!("/api/v1/runs/{}", run.uid), client.who());
+    let armed: ArmedView = client.post(&format!("{path}/arm"), &json!({ "who": who })).await?;
+    let start = json!({ "action": "start", "code": armed.code, "who": who });
+    let taken: TakenUpView = client.post(&format!("{path}/actions"), &start).await?;
     let waiting = taken.started == Some(Started::Waiting);
     Ok(Begun { since, waiting, preflight: armed.preflight })
 }
@@ -172,7 +174,7 @@ pub async fn arm_and_start(client: &Client, run: &RunRow) -> Result<Begun, CliEr
 ///
 /// # Errors
 /// `CliError` if the service cannot be reached.
-pub async fn last_event(client: &Client, run: &RunRow) -> Result<i64, CliError> {
+pub async fn last_event(client: &Client, run: &RunRow) -> CliResult<i64> {
     // A negative number counts from the end.
     let newest = client.events(run.uid, -1).await?;
     Ok(newest.items.last().map_or(0, |last| last.seq))

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use clap::Args;
 
-use super::error::{CliError, io_words};
+use super::error::{CliError, CliResult, io_words};
 use super::files::{DEFAULT_GAP, read_or_carried};
 use crate::carried::GAPS;
 use crate::file_kind::FileKind;
@@ -70,7 +70,7 @@ impl BenchArgs {
     ///
     /// # Errors
     /// `CliError::Problems` with the options.
-    pub fn check(&self) -> Result<(), CliError> {
+    pub fn check(&self) -> CliResult<()> {
         let stated = self.stated();
         if !self.is_virtual() && stated.len() > 1 {
             let limit = "must not be combined with --rig, except with --virtual";
@@ -100,7 +100,7 @@ impl BenchArgs {
     ///
     /// # Errors
     /// `CliError::Problems` if the file cannot be read.
-    pub fn gap_text(&self) -> Result<String, CliError> {
+    pub fn gap_text(&self) -> CliResult<String> {
         let named = self.gap.as_deref().unwrap_or(Path::new(DEFAULT_GAP));
         read_or_carried(FileKind::Gap, named, GAPS)
     }

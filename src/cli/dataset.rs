@@ -6,9 +6,9 @@ use std::path::PathBuf;
 use clap::{Args, Subcommand};
 use serde_json::{Value, json};
 
-use super::client::Client;
+use super::client::{Client, text_of};
 use super::download::DATASET_WAIT;
-use super::error::CliError;
+use super::error::CliResult;
 use super::export::{self, ExportArgs};
 use super::federate::{FederateArgs, federate};
 use super::files::read_as;
@@ -111,44 +111,33 @@ struct PruneArgs {
 ///
 /// # Errors
 /// `CliError` if the service cannot be reached or refuses, or a file cannot be read or written.
-pub async fn dataset(args: DatasetArgs) -> Result<(), CliError> {
+pub async fn dataset(args: DatasetArgs) -> CliResult<()> {
     match args.what {
-        What::List(at) => {
-            let json = at.json;
-            embed::reading(&at, move |client| async move { list(&client, json).await }).await
-        }
+        What::List(at) => embed::reading(&at, async |client| list(client, at.json).await).await,
         What::Show(args) => {
-            let at = args.at.clone();
-            embed::reading(&at, move |client| async move { show(&client, &args).await }).await
+            embed::reading(&args.at, async |client| show(client, &args).await).await
         }
         What::Card(args) => {
-            let at = args.at.clone();
-            embed::reading(&at, move |client| async move { card(&client, &args).await }).await
+            embed::reading(&args.at, async |client| card(client, &args).await).await
         }
         What::Exports(at) => {
-            let output = at.output();
-            embed::reading(&at, move |client| async move { export::list(&client, output).await })
-                .await
+            embed::reading(&at, async |client| export::list(client, at.output()).await).await
         }
         What::Prune(args) => {
-            let at = args.at.clone();
-            embed::reading(&at, move |client| async move { prune(&client, &args).await }).await
+            embed::reading(&args.at, async |client| prune(client, &args).await).await
         }
         What::Make(args) => {
-            let at = args.at.clone();
-            embed::with_server(&at, move |client| async move { make(&client, &args).await }).await
+            embed::with_server(&args.at, async |client| make(client, &args).await).await
         }
         What::Export(args) => {
-            let at = args.at.clone();
-            let work = move |client: Client| async move { export::export(&client, &args).await };
-            embed::with_server(&at, work).await
+            embed::with_server(&args.at, async |client| export::export(client, &args).await).await
         }
         What::Import(args) => import(args).await,
         What::Federate(args) => federate(args).await,
     }
 }
 
-async fn list(client: &Client, json: bool) -> Result<(), CliError> {
+async fn list(client: &Client, json: bool) -> CliResult<()> {
     let found: Value = client.get("/api/v1/datasets?limit=1").await?;
     let made: Vec<Value> = client.all("/api/v1/datasets?").await?;
     if json {
@@ -160,8 +149,8 @@ async fn list(client: &Client, json: bool) -> Result<(), CliError> {
     for row in &made {
         let at = |key: &str| row[key].as_str().and_then(|at| at.parse().ok()).map(local);
         table.push([
-            text(&row["id"]).to_owned(),
-            text(&row["name"]).to_owned(),
+            text_of(&row["id"]),
+            text_of(&row["name"]),
             row["rows"].to_string(),
             bytes(row["bytes"].as_f64().unwrap_or_default()),
             or_dash(at("created_at")),
@@ -175,7 +164,7 @@ async fn list(client: &Client, json: bool) -> Result<(), CliError> {
     Ok(())
 }
 
-async fn prune(client: &Client, args: &PruneArgs) -> Result<(), CliError> {
+async fn prune(client: &Client, args: &PruneArgs) -> CliResult<()> {
     let body = json!({ "keep": args.keep, "dry_run": args.dry_run });
     let pruned: Value = client
         .patient(DATASET_WAIT)
@@ -192,8 +181,8 @@ async fn prune(client: &Client, args: &PruneArgs) -> Result<(), CliError> {
         let gone = if args.dry_run { "would be removed" } else { "removed" };
         let stays = row["stays"].as_str().map(|why| format!("stays: {why}"));
         table.push([
-            text(&row["id"]).to_owned(),
-            text(&row["name"]).to_owned(),
+            text_of(&row["id"]),
+            text_of(&row["name"]),
             bytes(row["bytes"].as_f64().unwrap_or_default()),
             or_dash(used.map(local)),
             stays.unwrap_or_else(|| gone.to_owned()),
@@ -213,7 +202,7 @@ fn making(client: &Client) -> Client {
     client.patient(DATASET_WAIT).showing("making the dataset")
 }
 
-async fn show(client: &Client, args: &ShowArgs) -> Result<(), CliError> {
+async fn show(client: &Client, args: &ShowArgs) -> CliResult<()> {
     let more = if args.lineage { "/lineage" } else { "" };
     let path = format!("/api/v1/datasets/{}{more}", args.name);
     let found: Value = making(client).get(&path).await?;
@@ -227,7 +216,7 @@ async fn show(client: &Client, args: &ShowArgs) -> Result<(), CliError> {
     Ok(())
 }
 
-async fn card(client: &Client, args: &CardArgs) -> Result<(), CliError> {
+async fn card(client: &Client, args: &CardArgs) -> CliResult<()> {
     let path = format!("/api/v1/datasets/{}", args.name);
     let client = making(client);
     if args.datapackage {
@@ -240,7 +229,7 @@ async fn card(client: &Client, args: &CardArgs) -> Result<(), CliError> {
     Ok(())
 }
 
-async fn make(client: &Client, args: &MakeArgs) -> Result<(), CliError> {
+async fn make(client: &Client, args: &MakeArgs) -> CliResult<()> {
     let what = args.what.display().to_string();
     let is_file = args.what.extension().is_some() || args.what.is_file();
     let body = match is_file {
@@ -252,7 +241,7 @@ async fn make(client: &Client, args: &MakeArgs) -> Result<(), CliError> {
         say_json(&made);
     } else {
         describe(&made, client.url());
-        let id = text(&made["id"]);
+        let id = text_of(&made["id"]);
         Next::of(&args.at)
             .suggest(format_args!("palpate dataset card {id}"), "its content, units and citation")
             .suggest(format_args!("palpate dataset export {id} --format csv"), "writes a file")
@@ -266,12 +255,12 @@ fn describe(row: &Value, url: &str) {
     let length = bytes(row["bytes"].as_f64().unwrap_or_default());
     say(format_args!(
         "{} {}: {} rows, {length}",
-        text(&row["name"]),
-        text(&row["id"]),
+        text_of(&row["name"]),
+        text_of(&row["id"]),
         row["rows"]
     ));
     if row["is_current"] == false {
-        let name = text(&row["name"]);
+        let name = text_of(&row["name"]);
         say(format_args!("  trials were stored since: palpate dataset make {name}"));
     }
     let report = &row["report"];
@@ -279,15 +268,11 @@ fn describe(row: &Value, url: &str) {
     part_lines("contacts", &report["contact_counts"]);
     part_lines("excluded", &report["left_out"]);
     say("  pandas.read_parquet(..), polars.scan_parquet(..) or DuckDB's read_parquet(..) of");
-    say(format_args!("  {url}{}", text(&row["url"])));
+    say(format_args!("  {url}{}", text_of(&row["url"])));
 }
 
 fn part_lines(heading: &str, counts: &Value) {
     for (what, rows) in counts.as_object().into_iter().flatten() {
         say(format_args!("  {heading:<9} {what:<44} {rows:>8}"));
     }
-}
-
-fn text(value: &Value) -> &str {
-    value.as_str().unwrap_or_default()
 }

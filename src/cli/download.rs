@@ -7,11 +7,10 @@ use std::path::Path;
 use std::time::Duration;
 
 use futures::StreamExt;
-use reqwest::Method;
 use tokio::time::timeout;
 
 use super::client::Client;
-use super::error::CliError;
+use super::error::{CliError, CliResult};
 use super::progress::Counted;
 use crate::new_file::{Finished, NewFile};
 
@@ -28,12 +27,7 @@ const STALLED: Duration = Duration::from_secs(30);
 /// # Errors
 /// As [`Client::send`]; `CliError::Late` if no part arrives within 30 s, `Http` if the connection breaks too often,
 /// `File` if the file cannot be written.
-pub async fn download(
-    client: &Client,
-    url: &str,
-    wanted: u64,
-    out: &Path,
-) -> Result<NewFile, CliError> {
+pub async fn download(client: &Client, url: &str, wanted: u64, out: &Path) -> CliResult<NewFile> {
     let failed = |source| CliError::File { path: out.into(), source };
     let mut file = NewFile::create_for(out).map_err(failed)?;
     let (mut have, mut tries) = (0_u64, 0);
@@ -41,7 +35,7 @@ pub async fn download(
     let client = client.patient(DATASET_WAIT);
     'file: while have < wanted {
         let range = format!("bytes={have}-");
-        let answer = in_time(client.send_ranged(Method::GET, url, &range)).await??;
+        let answer = in_time(client.part(url, &range)).await??;
         let mut pieces = answer.bytes_stream();
         while have < wanted {
             match in_time(pieces.next()).await? {
@@ -73,7 +67,7 @@ pub async fn download_whole(
     url: &str,
     whole: &Finished,
     out: &Path,
-) -> Result<(), CliError> {
+) -> CliResult<()> {
     let file = download(client, url, whole.bytes, out).await?;
     let found = file.sha256();
     if found != whole.sha256 {
@@ -85,7 +79,7 @@ pub async fn download_whole(
     file.finish(&name).map(drop).map_err(failed)
 }
 
-async fn in_time<T>(work: impl Future<Output = T>) -> Result<T, CliError> {
+async fn in_time<T>(work: impl Future<Output = T>) -> CliResult<T> {
     timeout(STALLED, work).await.map_err(|_| CliError::Late {
         what: "the arrival of the next part of the file".into(),
         after_s: STALLED.as_secs(),

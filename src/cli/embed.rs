@@ -3,13 +3,13 @@
 //! lock).
 
 use std::net::{Ipv4Addr, SocketAddr};
+use std::panic::{AssertUnwindSafe, resume_unwind};
 use std::path::{Path, PathBuf};
-use std::pin::Pin;
 
-use tokio::sync::oneshot;
+use futures::FutureExt;
 
 use super::client::{Client, Found};
-use super::error::CliError;
+use super::error::{CliError, CliResult};
 use super::files::{RigFiles, read_sensor_text};
 use super::key::key;
 use super::progress::shown_wait;
@@ -29,7 +29,7 @@ pub const TWIN_WORKERS: usize = 1;
 ///
 /// # Errors
 /// As [`key`] and [`Client::new`]; `CliError::Problems` if the file of `--ca` cannot be read.
-pub fn clients(at: &At) -> Result<Vec<Client>, CliError> {
+pub fn clients(at: &At) -> CliResult<Vec<Client>> {
     clients_with(at, key()?)
 }
 
@@ -37,7 +37,7 @@ pub fn clients(at: &At) -> Result<Vec<Client>, CliError> {
 ///
 /// # Errors
 /// As [`Client::new`]; `CliError::Problems` if the file of `--ca` cannot be read.
-pub fn clients_with(at: &At, key: Option<String>) -> Result<Vec<Client>, CliError> {
+pub fn clients_with(at: &At, key: Option<String>) -> CliResult<Vec<Client>> {
     let ca = at.ca().as_deref().map(Certificates::read).transpose()?;
     let ca = ca.as_ref();
     if let Some(url) = at.url() {
@@ -58,7 +58,7 @@ pub fn clients_with(at: &At, key: Option<String>) -> Result<Vec<Client>, CliErro
 /// # Errors
 /// `CliError::NoServer` if a named service does not answer, `Stranger` if something else does; otherwise
 /// as [`clients`] and [`Client::look`].
-pub async fn find(at: &At) -> Result<Option<Client>, CliError> {
+pub async fn find(at: &At) -> CliResult<Option<Client>> {
     let looked = look(at).await?;
     match (looked, at.url()) {
         (Ok(client), _) => Ok(Some(client)),
@@ -69,7 +69,7 @@ pub async fn find(at: &At) -> Result<Option<Client>, CliError> {
 }
 
 /// Returns the service, or why there is none.
-async fn look(at: &At) -> Result<Result<Client, CliError>, CliError> {
+async fn look(at: &At) -> CliResult<CliResult<Client>> {
     let (mut untrusted, mut stranger) = (None, None);
     for client in clients(at)? {
         match client.look().await {
@@ -104,7 +104,7 @@ async fn serves(client: &Client, at: &At) -> bool {
 ///
 /// # Errors
 /// `CliError::NoServer` if it does not answer, `Stranger` if something else does.
-pub async fn server(at: &At) -> Result<Client, CliError> {
+pub async fn server(at: &At) -> CliResult<Client> {
     look(at).await?
 }
 
@@ -112,7 +112,7 @@ pub async fn server(at: &At) -> Result<Client, CliError> {
 ///
 /// # Errors
 /// `CliError` if the carried sensor file is invalid.
-fn options(data: PathBuf, rig: &RigFiles, idle: bool) -> Result<ServeOptions, CliError> {
+fn options(data: PathBuf, rig: &RigFiles, idle: bool) -> CliResult<ServeOptions> {
     let (sensor, sensor_text) = read_sensor_text(None)?;
     Ok(ServeOptions {
         tls: None,
@@ -136,12 +136,11 @@ fn options(data: PathBuf, rig: &RigFiles, idle: bool) -> Result<ServeOptions, Cl
 ///
 /// # Errors
 /// `CliError` if no service can be reached or started, or the error of `work`.
-pub async fn with_server<T, F>(at: &At, work: impl FnOnce(Client) -> F) -> Result<T, CliError>
-where
-    F: Future<Output = Result<T, CliError>> + Send + 'static,
-    T: Send + 'static,
-{
-    with_server_that(false, at, Box::new(|client| Box::pin(work(client)))).await
+pub async fn with_server<T>(
+    at: &At,
+    work: impl AsyncFnOnce(&Client) -> CliResult<T>,
+) -> CliResult<T> {
+    Opened::of(at, false).await?.carry_out(work).await
 }
 
 /// As [`with_server`], for work that only reads: a service that is started for it makes nothing by itself, so
@@ -149,59 +148,42 @@ where
 ///
 /// # Errors
 /// As [`with_server`].
-pub async fn reading<T, F>(at: &At, work: impl FnOnce(Client) -> F) -> Result<T, CliError>
-where
-    F: Future<Output = Result<T, CliError>> + Send + 'static,
-    T: Send + 'static,
-{
-    with_server_that(true, at, Box::new(|client| Box::pin(work(client)))).await
+pub async fn reading<T>(at: &At, work: impl AsyncFnOnce(&Client) -> CliResult<T>) -> CliResult<T> {
+    Opened::of(at, true).await?.carry_out(work).await
 }
 
-/// The work of a command at a service. Boxed: what starts a service for it is compiled once for each `T`.
-type Work<'a, T> = Box<dyn FnOnce(Client) -> Answering<T> + 'a>;
+/// A service for the work of a command: a running one, or one without a rig in this process.
+struct Opened {
+    client: Client,
+    /// The service in this process, with the view of a data folder that it may only read.
+    own: Option<(Service, Option<View>)>,
+}
 
-/// Work in progress.
-type Answering<T> = Pin<Box<dyn Future<Output = Result<T, CliError>> + Send>>;
-
-async fn with_server_that<T: Send + 'static>(
-    idle: bool,
-    at: &At,
-    work: Work<'_, T>,
-) -> Result<T, CliError> {
-    match find(at).await? {
-        Some(client) => work(client).await,
-        None => {
-            let data = at.data();
-            let view = View::of(&data).map_err(CliError::file(&data))?;
-            let folder = view.as_ref().map_or(data, |view| view.folder().to_owned());
-            host(options(folder, &RigFiles::read(None)?, idle)?, work).await
+impl Opened {
+    async fn of(at: &At, idle: bool) -> CliResult<Self> {
+        if let Some(client) = find(at).await? {
+            return Ok(Self { client, own: None });
+        }
+        let data = at.data();
+        let view = View::of(&data).map_err(CliError::file(&data))?;
+        let folder = view.as_ref().map_or(data, |view| view.folder().to_owned());
+        let options = options(folder, &RigFiles::read(None)?, idle)?;
+        let service = shown_wait("opening the data folder", Service::start(options)).await?;
+        match Client::new(&service.url(), None, None) {
+            Ok(client) => Ok(Self { client, own: Some((service, view)) }),
+            Err(error) => {
+                service.shutdown().await;
+                Err(error)
+            }
         }
     }
-}
 
-/// Starts a service without a rig, runs `work` as its client, and ends the service whatever the result.
-///
-/// # Errors
-/// `CliError::Serve` if the service cannot start, or the error of `work`.
-async fn host<T: Send + 'static>(options: ServeOptions, work: Work<'_, T>) -> Result<T, CliError> {
-    let service = shown_wait("opening the data folder", Service::start(options)).await?;
-    let client = match Client::new(&service.url(), None, None) {
-        Ok(client) => client,
-        Err(error) => {
+    /// Carries out `work`; a service in this process ends whatever the result, also if the work panics.
+    async fn carry_out<T>(self, work: impl AsyncFnOnce(&Client) -> CliResult<T>) -> CliResult<T> {
+        let outcome = AssertUnwindSafe(work(&self.client)).catch_unwind().await;
+        if let Some((service, _view)) = self.own {
             service.shutdown().await;
-            return Err(error);
         }
-    };
-    let (done, finished) = oneshot::channel();
-    let work = work(client);
-    let task = tokio::spawn(async move {
-        // Dropped at the end, also if the work panics.
-        let _done: oneshot::Sender<()> = done;
-        work.await
-    });
-    service.run_until(async { drop(finished.await) }).await;
-    match task.await {
-        Ok(outcome) => outcome,
-        Err(failed) => std::panic::resume_unwind(failed.into_panic()),
+        outcome.unwrap_or_else(|panic| resume_unwind(panic))
     }
 }

@@ -38,6 +38,9 @@ pub enum PictureError {
     Failed { path: PathBuf, why: String },
 }
 
+/// Result of a command or of a part of it.
+pub type CliResult<T> = Result<T, CliError>;
+
 /// Why a command failed.
 #[derive(Debug, thiserror::Error)]
 #[allow(missing_docs, reason = "the message names the fields")]
@@ -45,13 +48,11 @@ pub enum CliError {
     /// Values in files, options or requests are invalid.
     #[error("{}", lines(.0))]
     Problems(Vec<Problem>),
-    /// No service answers at the URL.
     #[error(
         "no palpate service at {url}; start one with `palpate serve`, or name it with --url or \
          PALPATE_URL"
     )]
     NoServer { url: String },
-    /// Something else answers at the URL.
     #[error(
         "something else than palpate answers at {url}; name the address of palpate with --url or \
          PALPATE_URL"
@@ -67,7 +68,6 @@ pub enum CliError {
         "THE STOP IS NOT CONFIRMED: {0}\nUSE THE EMERGENCY STOP ON THE RIG, or cut the power of its drives."
     )]
     StopUnanswered(Box<CliError>),
-    /// The certificate of the service is not trusted.
     #[error(
         "the certificate of {url} is not trusted: {why}; name its file, or that of its authority, with \
          --ca or PALPATE_CA"
@@ -84,13 +84,11 @@ pub enum CliError {
         /// Error of the HTTP client.
         source: reqwest::Error,
     },
-    /// A recording ended before its last frame.
     #[error(
         "the recording was cut before its {frames} frames were there, and no file was written: the rig sent no frame \
          for 10 s, or the service ended"
     )]
     Cut { frames: u64 },
-    /// A WebSocket failed.
     #[error("the connection to the service failed: {source}")]
     Socket {
         /// Method and path of the request.
@@ -138,7 +136,6 @@ pub enum CliError {
     /// Sim-Random's shards could not be made.
     #[error(transparent)]
     SimRandom(#[from] RandomError),
-    /// Services of rigs did not answer with their datasets.
     #[error("{} of {all} rigs did not answer with a dataset: {}", missed.len(), missed.join(", "))]
     Missed { missed: Vec<String>, all: usize },
     /// The folder of a work order could not be used, or chunks could not be made or gathered.
@@ -147,31 +144,23 @@ pub enum CliError {
     /// A program that this one starts is missing, or cannot be built.
     #[error(transparent)]
     Program(#[from] ProgramError),
-    /// The rig is tripped.
     #[error("the rig is tripped: {detail}; check the rig, then run `palpate rig reset`")]
     Tripped { detail: String },
-    /// No run is active.
     #[error("no run is active")]
     Idle,
-    /// No run waits for a resumption.
     #[error(
         "no run is paused, stopped or interrupted; one that was aborted or has failed is resumed by its \
          number: palpate resume RUN"
     )]
     NothingToResume,
-    /// A deadline has passed.
     #[error("{what} did not happen within {after_s} s")]
     Late { what: String, after_s: u64 },
-    /// The motion of a real rig was not confirmed.
     #[error("rig {rig} is real: confirm its motion at the terminal or with --yes")]
     NotConfirmed { rig: String },
-    /// A signal came before the run started.
     #[error("interrupted before the run started")]
     Interrupted,
-    /// A signal ends the command and its service; the training resumes with the next one.
     #[error("ended by a signal: the next service resumes the training from its checkpoint")]
     Terminated,
-    /// The rig check found problems.
     #[error("the rig check found {0} problems")]
     Unsound(usize),
     /// A figure could not be drawn.

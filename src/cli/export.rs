@@ -11,7 +11,7 @@ use serde_json::json;
 use super::At;
 use super::client::{Client, text_of};
 use super::download::download_whole;
-use super::error::CliError;
+use super::error::{CliError, CliResult};
 use super::next::Next;
 use super::output::{Output, bytes, counted, say, say_json};
 use super::progress::Counted;
@@ -64,7 +64,7 @@ fn formats() -> impl TypedValueParser<Value = Format> {
 ///
 /// # Errors
 /// `CliError` if the service refuses or the export fails, or if the file cannot be written.
-pub async fn export(client: &Client, args: &ExportArgs) -> Result<(), CliError> {
+pub async fn export(client: &Client, args: &ExportArgs) -> CliResult<()> {
     let request = ExportRequest {
         dataset: args.name.clone(),
         format: args.format,
@@ -100,7 +100,7 @@ pub async fn export(client: &Client, args: &ExportArgs) -> Result<(), CliError> 
 }
 
 /// Shows the progress of an export until it has ended.
-async fn follow(client: &Client, asked: ExportOut) -> Result<ExportOut, CliError> {
+async fn follow(client: &Client, asked: ExportOut) -> CliResult<ExportOut> {
     let mut shown = Counted::of("rows exported", 0);
     let (mut now, mut rows) = (asked, 0);
     loop {
@@ -125,7 +125,7 @@ async fn follow(client: &Client, asked: ExportOut) -> Result<ExportOut, CliError
 }
 
 /// Downloads the file of an export.
-async fn fetch(client: &Client, done: &ExportOut, out: &Path) -> Result<(), CliError> {
+async fn fetch(client: &Client, done: &ExportOut, out: &Path) -> CliResult<()> {
     let url = done.url.clone().unwrap_or_else(|| format!("/api/v1/exports/{}/file", done.id));
     let (bytes, sha256) = (done.bytes.unwrap_or_default(), done.sha256.clone().unwrap_or_default());
     download_whole(client, &url, &Finished { bytes, sha256 }, out).await
@@ -135,12 +135,8 @@ async fn fetch(client: &Client, done: &ExportOut, out: &Path) -> Result<(), CliE
 ///
 /// # Errors
 /// As [`Client::send`].
-pub async fn list(client: &Client, output: Output) -> Result<(), CliError> {
+pub async fn list(client: &Client, output: Output) -> CliResult<()> {
     let exports: Vec<ExportOut> = client.all("/api/v1/exports?").await?;
-    if output == Output::Json {
-        say_json(&json!({ "items": exports }));
-        return Ok(());
-    }
     let mut table = Table::new(
         "export | state | dataset | format | size> | requested | last used | by |",
         "there are no exports: palpate dataset export NAME",
@@ -158,6 +154,6 @@ pub async fn list(client: &Client, output: Output) -> Result<(), CliError> {
             export.error.clone().unwrap_or_default(),
         ]);
     }
-    say(&table);
+    output.say(&json!({ "items": exports }), table);
     Ok(())
 }

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use sim_core::calibration::{Calibration, CalibrationError};
 use sim_core::sensor::{Sensor, SensorError, SensorFile};
 
-use super::error::{CliError, io_words};
+use super::error::{CliError, CliResult, io_words};
 use crate::carried::{self, EXPERIMENTS, RECIPES, RIGS};
 use crate::digest::sha256_hex;
 use crate::file_kind::FileKind;
@@ -67,7 +67,7 @@ impl ExperimentFiles {
     ///
     /// # Errors
     /// `CliError::Problems` with all problems of the files.
-    pub fn read(path: &Path) -> Result<Self, CliError> {
+    pub fn read(path: &Path) -> CliResult<Self> {
         let file = path.display().to_string();
         let definition = read_or_carried(FileKind::Experiment, path, EXPERIMENTS)?;
         let experiment = Experiment::from_toml(&file, &definition)
@@ -105,7 +105,7 @@ impl RigFiles {
     ///
     /// # Errors
     /// `CliError::Problems` with all problems of the file.
-    pub fn read(path: Option<&Path>) -> Result<Self, CliError> {
+    pub fn read(path: Option<&Path>) -> CliResult<Self> {
         match path {
             Some(path) => {
                 Self::parse(path.display().to_string(), read_or_carried(FileKind::Rig, path, RIGS)?)
@@ -118,7 +118,7 @@ impl RigFiles {
     ///
     /// # Errors
     /// `CliError::Problems` with all problems of the text.
-    pub fn parse(file: String, text: String) -> Result<Self, CliError> {
+    pub fn parse(file: String, text: String) -> CliResult<Self> {
         let config = RigSetup::from_toml(&file, &text)
             .map_err(|problems| of_kind(FileKind::Rig, &file, &text, problems))?;
         Ok(Self { file, text, config })
@@ -129,7 +129,7 @@ impl RigFiles {
 ///
 /// # Errors
 /// `CliError::File` if it cannot be written.
-pub fn write(path: &Path, text: &str) -> Result<(), CliError> {
+pub fn write(path: &Path, text: &str) -> CliResult<()> {
     write_bytes(path, text.as_bytes())
 }
 
@@ -137,7 +137,7 @@ pub fn write(path: &Path, text: &str) -> Result<(), CliError> {
 ///
 /// # Errors
 /// `CliError::File` if it cannot be written.
-pub fn write_bytes(path: &Path, bytes: &[u8]) -> Result<(), CliError> {
+pub fn write_bytes(path: &Path, bytes: &[u8]) -> CliResult<()> {
     let failed = |source| CliError::File { path: path.into(), source };
     if let Some(folder) = path.parent() {
         std::fs::create_dir_all(folder).map_err(|error| match error.kind() {
@@ -152,7 +152,7 @@ pub fn write_bytes(path: &Path, bytes: &[u8]) -> Result<(), CliError> {
 ///
 /// # Errors
 /// `CliError::System` if the system does not state it.
-pub fn this_program() -> Result<PathBuf, CliError> {
+pub fn this_program() -> CliResult<PathBuf> {
     std::env::current_exe()
         .map_err(|source| CliError::System { operation: "finding this program", source })
 }
@@ -161,7 +161,7 @@ pub fn this_program() -> Result<PathBuf, CliError> {
 ///
 /// # Errors
 /// `CliError::Problems` if it cannot be read: that is bad input.
-pub fn read_input(path: &Path) -> Result<String, CliError> {
+pub fn read_input(path: &Path) -> CliResult<String> {
     std::fs::read_to_string(path).map_err(|error| {
         let words = format!("{}{}", io_words(&error), similar(path, &error));
         CliError::in_file(path, words)
@@ -177,7 +177,7 @@ pub fn read_or_carried(
     kind: FileKind,
     path: &Path,
     files: &'static [(&'static str, &'static str)],
-) -> Result<String, CliError> {
+) -> CliResult<String> {
     let name = path.to_str().filter(|_| !path.exists());
     if let Some(text) = name.and_then(|name| carried::text(files, name)) {
         return Ok(text.to_owned());
@@ -217,7 +217,7 @@ fn carried_name(
 ///
 /// # Errors
 /// `CliError::Problems` if it cannot be read, or is of another kind.
-pub fn read_as(kind: FileKind, path: &Path) -> Result<String, CliError> {
+pub fn read_as(kind: FileKind, path: &Path) -> CliResult<String> {
     let text = read_input(path)?;
     match kind.instead_of(&text) {
         Some(words) => Err(CliError::in_file(path, words)),
@@ -241,7 +241,7 @@ fn similar(path: &Path, error: &io::Error) -> String {
 }
 
 /// Reads a file named in another file.
-fn read_named(file: &str, key: &str, value: &str, path: &Path) -> Result<String, CliError> {
+fn read_named(file: &str, key: &str, value: &str, path: &Path) -> CliResult<String> {
     std::fs::read_to_string(path).map_err(|e| {
         let limit = format!("{}: {}", path.display(), io_words(&e));
         CliError::Problems(vec![Problem::new(file, key, value, limit)])
@@ -252,7 +252,7 @@ fn read_named(file: &str, key: &str, value: &str, path: &Path) -> Result<String,
 ///
 /// # Errors
 /// `CliError::Problems` if the file cannot be read or is invalid.
-pub fn read_sensor(path: Option<&Path>) -> Result<Sensor, CliError> {
+pub fn read_sensor(path: Option<&Path>) -> CliResult<Sensor> {
     read_sensor_text(path).map(|(sensor, _)| sensor)
 }
 
@@ -260,7 +260,7 @@ pub fn read_sensor(path: Option<&Path>) -> Result<Sensor, CliError> {
 ///
 /// # Errors
 /// `CliError::Problems` if the file cannot be read or is invalid.
-pub fn read_sensor_text(path: Option<&Path>) -> Result<(Sensor, String), CliError> {
+pub fn read_sensor_text(path: Option<&Path>) -> CliResult<(Sensor, String)> {
     let (file, text) = match path {
         Some(path) => (path.display().to_string(), read_input(path)?),
         None => (DEFAULT_SENSOR_FILE.into(), DEFAULT_SENSOR.into()),
@@ -268,7 +268,7 @@ pub fn read_sensor_text(path: Option<&Path>) -> Result<(Sensor, String), CliErro
     Ok((parse_sensor(&file, &text)?, text))
 }
 
-fn parse_sensor(file: &str, text: &str) -> Result<Sensor, CliError> {
+fn parse_sensor(file: &str, text: &str) -> CliResult<Sensor> {
     Sensor::from_toml(text).map_err(|error| {
         let problems = match error {
             SensorError::Value { key, value, limit } => {
@@ -306,7 +306,7 @@ pub fn carried_text(file: &str) -> Option<&'static str> {
 ///
 /// # Errors
 /// `CliError::Problems` if the file is invalid or of another sensor.
-pub fn read_calibration(path: &Path, sensor: &Sensor) -> Result<Calibration, CliError> {
+pub fn read_calibration(path: &Path, sensor: &Sensor) -> CliResult<Calibration> {
     let calibration = parse_calibration(path)?;
     calibration.apply(sensor).map_err(|e| calibration_problem(path, e))?;
     Ok(calibration)
@@ -316,7 +316,7 @@ pub fn read_calibration(path: &Path, sensor: &Sensor) -> Result<Calibration, Cli
 ///
 /// # Errors
 /// `CliError::Problems` if the file cannot be read or is invalid.
-pub fn parse_calibration(path: &Path) -> Result<Calibration, CliError> {
+pub fn parse_calibration(path: &Path) -> CliResult<Calibration> {
     Calibration::from_toml(&read_input(path)?).map_err(|e| calibration_problem(path, e))
 }
 
@@ -343,13 +343,12 @@ mod tests {
 
     #[test]
     fn a_missing_sensor_file_is_named_with_the_key_that_names_it() {
-        let folder = std::env::temp_dir().join(format!("palpate-files-{}", std::process::id()));
-        let path = folder.join("e.toml");
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("new/e.toml");
         let text = "name = \"e\"\nseed = 1\nsensor = \"none.toml\"\n[real_hex]\ntips = [1]\n\
                     configurations = 1\n";
         write(&path, text).unwrap();
         let error = ExperimentFiles::read(&path).err().unwrap();
-        std::fs::remove_dir_all(&folder).unwrap();
         let shown = error.to_string();
         assert!(shown.contains("sensor = none.toml"), "{shown}");
         assert_eq!(error.exit_code(), std::process::ExitCode::from(2));

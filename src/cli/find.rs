@@ -2,7 +2,7 @@
 //! Uses: `client`. Never: a guess between several runs.
 
 use super::client::Client;
-use super::error::CliError;
+use super::error::{CliError, CliResult};
 use crate::ids::RunUid;
 use crate::store::RunRow;
 
@@ -42,7 +42,7 @@ fn named(text: &str) -> Option<Named<'_>> {
 ///
 /// # Errors
 /// `CliError::Problems` if the text names no run or several; others as [`Client::send`].
-pub async fn find_run(client: &Client, text: &str) -> Result<RunRow, CliError> {
+pub async fn find_run(client: &Client, text: &str) -> CliResult<RunRow> {
     let wrong = |limit: String| CliError::argument("RUN", text, limit);
     match named(text) {
         Some(Named::Whole(id)) => client.run(id).await,

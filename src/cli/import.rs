@@ -10,7 +10,7 @@ use clap::Args;
 use serde_json::{Value, json};
 
 use super::client::{Client, TextPart, text_of};
-use super::error::CliError;
+use super::error::{CliError, CliResult};
 use super::files::read_input;
 use super::next::Next;
 use super::output::{counted, say, say_json};
@@ -53,7 +53,7 @@ pub struct ImportArgs {
 ///
 /// # Errors
 /// `CliError` if a file cannot be read, a value is invalid, or the service refuses.
-pub async fn import(args: ImportArgs) -> Result<(), CliError> {
+pub async fn import(args: ImportArgs) -> CliResult<()> {
     let sensor = read_input(&args.sensor)?;
     let map = args.coordinates.as_deref().map(read_input).transpose()?;
     let summary = understood(&args, sensor.clone(), map.as_deref()).await?;
@@ -70,19 +70,12 @@ pub async fn import(args: ImportArgs) -> Result<(), CliError> {
         }
         return Ok(());
     }
-    let at = args.at.clone();
-    embed::with_server(&at, move |client| async move {
-        store(&client, &args, sensor, map, &summary).await
-    })
-    .await
+    embed::with_server(&args.at, async |client| store(client, &args, sensor, map, &summary).await)
+        .await
 }
 
 /// Checks the file as the service does.
-async fn understood(
-    args: &ImportArgs,
-    sensor: String,
-    map: Option<&str>,
-) -> Result<Summary, CliError> {
+async fn understood(args: &ImportArgs, sensor: String, map: Option<&str>) -> CliResult<Summary> {
     let map_file = args.coordinates.as_ref().map(|path| path.display().to_string());
     let map = Coordinates::from_toml(&map_file.unwrap_or_default(), map.unwrap_or_default())
         .map_err(CliError::Problems)?;
@@ -101,7 +94,7 @@ async fn store(
     sensor: String,
     map: Option<String>,
     summary: &Summary,
-) -> Result<(), CliError> {
+) -> CliResult<()> {
     let name = args.name.clone().unwrap_or_else(|| {
         args.file.file_stem().unwrap_or_default().to_string_lossy().into_owned()
     });

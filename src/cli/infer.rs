@@ -10,7 +10,7 @@ use serde::Deserialize;
 use serde_json::Value;
 
 use super::client::Client;
-use super::error::CliError;
+use super::error::{CliError, CliResult};
 use super::files::read_input;
 use super::next::Next;
 use super::output::{note, say};
@@ -93,14 +93,13 @@ pub fn methods(of: impl Iterator<Item = Method>) -> impl TypedValueParser<Value 
 ///
 /// # Errors
 /// `CliError` if the file is invalid, or the service cannot be reached or refuses.
-pub async fn infer(args: InferArgs) -> Result<(), CliError> {
+pub async fn infer(args: InferArgs) -> CliResult<()> {
     let frames = frames(&args.file)?;
-    let at = args.at.clone();
-    embed::with_server(&at, move |client| async move {
+    embed::with_server(&args.at, async |client| {
         let is_skin = |model: &String| model.parse::<CalibrationId>().is_ok();
         let client = match args.model.as_ref().is_some_and(is_skin) {
             true => client.patient(SKIN_READY_WITHIN),
-            false => client,
+            false => client.clone(),
         };
         let method = match (args.method, &args.model) {
             (Some(method), _) => method,
@@ -148,7 +147,7 @@ pub async fn infer(args: InferArgs) -> Result<(), CliError> {
 }
 
 /// The method by which a model or a calibration answers; `None` if it answers a quantity.
-async fn method_of(client: &Client, model: &str) -> Result<Option<Method>, CliError> {
+async fn method_of(client: &Client, model: &str) -> CliResult<Option<Method>> {
     if model.parse::<CalibrationId>().is_ok() {
         return Ok(Method::of(Slot::Skin));
     }
@@ -158,12 +157,7 @@ async fn method_of(client: &Client, model: &str) -> Result<Option<Method>, CliEr
 }
 
 /// Shows the answers of a net that estimates a quantity of a whole frame.
-async fn quantities(
-    client: &Client,
-    model: &str,
-    frames: &[Vec<f32>],
-    at: &At,
-) -> Result<(), CliError> {
+async fn quantities(client: &Client, model: &str, frames: &[Vec<f32>], at: &At) -> CliResult<()> {
     for frames in frames.chunks(FRAMES_PER_REQUEST) {
         let request = QuantityRequest { frames: frames.to_vec() };
         let path = format!("/api/v1/models/{model}/quantities");
@@ -199,7 +193,7 @@ fn quantity_words(answer: &QuantityAnswer) -> String {
 }
 
 /// Reads the frames of a file, V.
-fn frames(path: &Path) -> Result<Vec<Vec<f32>>, CliError> {
+fn frames(path: &Path) -> CliResult<Vec<Vec<f32>>> {
     let file = path.display().to_string();
     let text = read_input(path)?;
     let lines = text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty());
@@ -282,7 +276,7 @@ fn shown(text: &str, quantities: bool) -> Option<String> {
 ///
 /// # Errors
 /// `CliError` if the service cannot be reached or refuses.
-pub async fn live(args: LiveArgs) -> Result<(), CliError> {
+pub async fn live(args: LiveArgs) -> CliResult<()> {
     if let Some(out) = &args.record {
         recording::format(out)?;
     }

@@ -7,7 +7,7 @@ use std::path::PathBuf;
 use clap::Args;
 use serde_json::{Value, json};
 
-use super::error::CliError;
+use super::error::{CliError, CliResult};
 use super::next::{Next, word};
 use super::output::{counted, grouped, say, say_json};
 use super::table::{Table, or_dash};
@@ -37,7 +37,7 @@ pub struct InitArgs {
 ///
 /// # Errors
 /// `CliError::File` if a file cannot be written, `System` if the schema cannot.
-pub fn init(args: &InitArgs) -> Result<(), CliError> {
+pub fn init(args: &InitArgs) -> CliResult<()> {
     if args.schema {
         let failed = |error: serde_json::Error| CliError::System {
             operation: "writing the schema",

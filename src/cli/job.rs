@@ -9,7 +9,7 @@ use indicatif::ProgressBar;
 use serde_json::Value;
 
 use super::client::Client;
-use super::error::CliError;
+use super::error::{CliError, CliResult};
 use super::output::{Output, duration, note, say, say_json};
 use super::progress::{LogLines, bar};
 use super::start_time::local;
@@ -29,7 +29,7 @@ pub const JOB_POLL: Duration = Duration::from_millis(250);
 ///
 /// # Errors
 /// `CliError::Refused` if the job failed or was stopped; other variants if a request fails.
-pub async fn wait_for(client: &Client, asked: JobOut) -> Result<JobOut, CliError> {
+pub async fn wait_for(client: &Client, asked: JobOut) -> CliResult<JobOut> {
     let mut screen = JobScreen::new();
     let mut now = asked;
     while !screen.has_ended(&now)? {
@@ -63,7 +63,7 @@ impl JobScreen {
     ///
     /// # Errors
     /// `CliError::Refused` if it failed or was stopped.
-    pub fn has_ended(&mut self, now: &JobOut) -> Result<bool, CliError> {
+    pub fn has_ended(&mut self, now: &JobOut) -> CliResult<bool> {
         if let Some(progress) = &now.progress {
             self.bar.set_length(progress.total);
             self.bar.set_position(progress.done);
@@ -87,12 +87,6 @@ impl JobScreen {
                 Err(CliError::Refused { operation, status: 409, detail })
             }
         }
-    }
-}
-
-impl Drop for JobScreen {
-    fn drop(&mut self) {
-        self.bar.finish_and_clear();
     }
 }
 
@@ -154,10 +148,10 @@ struct OneJob {
 ///
 /// # Errors
 /// `CliError` if the service cannot be reached or refuses.
-pub async fn job(args: JobArgs) -> Result<(), CliError> {
+pub async fn job(args: JobArgs) -> CliResult<()> {
     let JobArgs { what, at } = args;
     let output = at.output();
-    embed::with_server(&at, move |client| async move {
+    embed::with_server(&at, async |client| {
         match what {
             JobWhat::List => {
                 let jobs: Vec<JobOut> = client.all("/api/v1/jobs?").await?;
@@ -167,20 +161,20 @@ pub async fn job(args: JobArgs) -> Result<(), CliError> {
                 }
             }
             JobWhat::Show(OneJob { job }) => {
-                let id = named(&client, &job).await?;
+                let id = named(client, &job).await?;
                 let job: JobOut = client.get(&format!("/api/v1/jobs/{id}")).await?;
                 say_json(&job);
             }
             JobWhat::Stop(OneJob { job }) => {
-                let path = format!("/api/v1/jobs/{}/stop", named(&client, &job).await?);
+                let path = format!("/api/v1/jobs/{}/stop", named(client, &job).await?);
                 let job: JobOut = client.post(&path, &Value::Null).await?;
                 shown(&job, output);
             }
             JobWhat::Losses { plot, one } => {
-                let id = named(&client, &one.job).await?;
+                let id = named(client, &one.job).await?;
                 match plot {
-                    Some(file) => job_losses::draw(&client, &id, &file).await?,
-                    None => say(job_losses::losses(&client, &id).await?.trim_end()),
+                    Some(file) => job_losses::draw(client, &id, &file).await?,
+                    None => say(job_losses::losses(client, &id).await?.trim_end()),
                 }
             }
         }
@@ -190,7 +184,7 @@ pub async fn job(args: JobArgs) -> Result<(), CliError> {
 }
 
 /// Returns the id of the job that a person named; what names none as it is, for the service to refuse.
-async fn named(client: &Client, text: &str) -> Result<String, CliError> {
+async fn named(client: &Client, text: &str) -> CliResult<String> {
     if matches!(text.parse(), Ok(TaskId::Job(_))) {
         return Ok(text.to_owned());
     }

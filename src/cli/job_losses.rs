@@ -6,7 +6,7 @@ use std::path::Path;
 use serde_json::Value;
 
 use super::client::{Client, text_of};
-use super::error::CliError;
+use super::error::{CliError, CliResult};
 use super::output::say;
 use super::picture;
 use crate::api::JobOut;
@@ -26,7 +26,7 @@ pub fn recipe_name(job: &JobOut) -> Option<String> {
 ///
 /// # Errors
 /// As [`Client::send`].
-pub async fn losses(client: &Client, job: &str) -> Result<String, CliError> {
+pub async fn losses(client: &Client, job: &str) -> CliResult<String> {
     let running = client.text(&format!("/api/v1/jobs/{job}/losses")).await?;
     if !running.is_empty() {
         return Ok(running);
@@ -43,7 +43,7 @@ pub async fn losses(client: &Client, job: &str) -> Result<String, CliError> {
 /// # Errors
 /// `CliError` if the job is no training or has no losses yet, a request fails, or the file cannot be
 /// written.
-pub async fn draw(client: &Client, name: &str, file: &Path) -> Result<(), CliError> {
+pub async fn draw(client: &Client, name: &str, file: &Path) -> CliResult<()> {
     let job: JobOut = client.get(&format!("/api/v1/jobs/{name}")).await?;
     let Some(net) = recipe_name(&job) else {
         let limit = "is an evaluation, which has no losses: palpate job list shows the trainings";

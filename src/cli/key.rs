@@ -3,7 +3,7 @@
 
 use std::path::Path;
 
-use super::error::CliError;
+use super::error::{CliError, CliResult};
 use crate::api::warn_if_others_may_read;
 
 /// Environment variable with the API key.
@@ -15,7 +15,7 @@ const KEY_FILE_VARIABLE: &str = "PALPATE_KEY_FILE";
 ///
 /// # Errors
 /// `CliError::Problems` if the file cannot be read or has no key.
-pub fn key() -> Result<Option<String>, CliError> {
+pub fn key() -> CliResult<Option<String>> {
     let of = |variable| std::env::var_os(variable).filter(|value| !value.is_empty());
     if let Some(key) = of(KEY_VARIABLE) {
         return Ok(key.into_string().ok());
@@ -27,7 +27,7 @@ pub fn key() -> Result<Option<String>, CliError> {
 ///
 /// # Errors
 /// `CliError::Problems` if the file cannot be read or has no key.
-pub fn key_of(path: &Path) -> Result<String, CliError> {
+pub fn key_of(path: &Path) -> CliResult<String> {
     let text = std::fs::read_to_string(path);
     let text = text.map_err(CliError::input(path))?;
     warn_if_others_may_read(path);

@@ -379,7 +379,8 @@ mod tests {
 
     #[test]
     fn a_file_of_the_log_has_the_date_in_its_name() {
-        let folder = std::env::temp_dir().join(format!("palpate-log-{}", std::process::id()));
+        let temporary = tempfile::tempdir().unwrap();
+        let folder = temporary.path().join("logs");
         let file = daily(&folder.join("palpate.log")).unwrap();
         let (lines, inbox) = sync_channel(2);
         lines.send(Item::Line(b"a line\n".to_vec())).unwrap();
@@ -388,7 +389,6 @@ mod tests {
         let entry = std::fs::read_dir(&folder).unwrap().next().unwrap().unwrap();
         assert!(entry.file_name().to_string_lossy().starts_with("palpate.log.2"));
         assert_eq!(std::fs::read_to_string(entry.path()).unwrap(), "a line\n");
-        std::fs::remove_dir_all(&folder).unwrap();
     }
 
     #[test]

@@ -5,7 +5,7 @@ use jiff::Timestamp;
 use serde_json::Value;
 
 use super::client::Client;
-use super::error::CliError;
+use super::error::CliResult;
 use super::morning::second;
 use super::output::{Output, counted, grouped, say, say_json};
 use super::table::Table;
@@ -16,7 +16,7 @@ use crate::record::{ARMS, Untouched};
 ///
 /// # Errors
 /// As [`Client::send`].
-pub async fn samples(client: &Client, minutes: u8, output: Output) -> Result<(), CliError> {
+pub async fn samples(client: &Client, minutes: u8, output: Output) -> CliResult<()> {
     let samples: SamplesOut = client.get(&format!("/api/v1/rig/samples?minutes={minutes}")).await?;
     if output == Output::Json {
         say_json(&samples);
@@ -54,7 +54,7 @@ fn ranges(samples: &SamplesOut) -> Table {
 ///
 /// # Errors
 /// As [`Client::send`]; 404 if no frame of the untouched skin is known.
-pub async fn untouched(client: &Client, output: Output) -> Result<(), CliError> {
+pub async fn untouched(client: &Client, output: Output) -> CliResult<()> {
     let path = "/api/v1/frames/untouched";
     match output {
         Output::Json => say_json(&client.get::<Value>(path).await?),

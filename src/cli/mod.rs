@@ -87,6 +87,7 @@ mod workers;
 
 pub use drawn::{report, report_usage};
 pub use error::CliError;
+use error::CliResult;
 pub use files::DEFAULT_SKIN_SEED;
 use files::{DEFAULT_GAP, DEFAULT_RIG, DEFAULT_SENSOR};
 pub use output::Output;
@@ -306,7 +307,7 @@ pub fn main(command: Command, output: Output) -> ExitCode {
     })
 }
 
-fn on_runtime(command: Command) -> Result<ExitCode, CliError> {
+fn on_runtime(command: Command) -> CliResult<ExitCode> {
     let runtime = tokio::runtime::Builder::new_multi_thread()
         .enable_all()
         .build()
@@ -317,7 +318,7 @@ fn on_runtime(command: Command) -> Result<ExitCode, CliError> {
     outcome
 }
 
-async fn answer(command: Command) -> Result<ExitCode, CliError> {
+async fn answer(command: Command) -> CliResult<ExitCode> {
     let none = || json!({});
     match command {
         Command::Plan(args) => {
@@ -387,10 +388,7 @@ pub struct VirtualRigFiles {
 ///
 /// # Errors
 /// `CliError::File` if a carried file cannot be written.
-pub fn virtual_rig_files(
-    folder: &Path,
-    named: [Option<PathBuf>; 3],
-) -> Result<VirtualRigFiles, CliError> {
+pub fn virtual_rig_files(folder: &Path, named: [Option<PathBuf>; 3]) -> CliResult<VirtualRigFiles> {
     let [rig, gap, sensor] = named;
     let gap_text = carried::text(GAPS, DEFAULT_GAP).unwrap_or_default();
     let or_carried = |named: Option<PathBuf>, name: &str, text: &str| match named {

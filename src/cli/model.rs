@@ -9,7 +9,7 @@ use clap::{Args, Subcommand};
 use serde_json::{Value, json};
 
 use super::client::{Client, TextPart};
-use super::error::CliError;
+use super::error::{CliError, CliResult};
 use super::files::{DEFAULT_SENSOR, read_input, write, write_bytes};
 use super::next::Next;
 use super::output::{Output, say, say_json};
@@ -111,12 +111,12 @@ const PROMOTING: Duration = Duration::from_secs(900);
 ///
 /// # Errors
 /// `CliError` if the service cannot be reached or started, refuses, or a file cannot be used.
-pub async fn model(args: ModelArgs) -> Result<(), CliError> {
+pub async fn model(args: ModelArgs) -> CliResult<()> {
     let ModelArgs { what, at } = args;
-    embed::with_server(&at.clone(), move |client| answer(client, what, at)).await
+    embed::with_server(&at, async |client| answer(client, what, &at).await).await
 }
 
-async fn answer(client: Client, what: What, at: At) -> Result<(), CliError> {
+async fn answer(client: &Client, what: What, at: &At) -> CliResult<()> {
     match what {
         What::List => {
             let models: Vec<ModelOut> = client.all("/api/v1/models?").await?;
@@ -136,7 +136,7 @@ async fn answer(client: Client, what: What, at: At) -> Result<(), CliError> {
             let serves: ServesOut = client.post("/api/v1/serving", &request).await?;
             at.output().say(&serves, words(&serves));
             let slot = serves.slot.name();
-            let next = Next::of(&at);
+            let next = Next::of(at);
             let (next, of) = match &serves.sensor {
                 Some(sensor) => {
                     let infer = format!("palpate infer FILE --model {slot}@{sensor}");
@@ -202,13 +202,13 @@ async fn answer(client: Client, what: What, at: At) -> Result<(), CliError> {
             let client = client.showing("checking the model");
             let model: ModelOut = client.upload("/api/v1/models", &file, texts).await?;
             at.output().say(&model, line(&model));
-            promotion(&at, &model.id).say();
+            promotion(at, &model.id).say();
         }
         What::AddCalibration { file } => {
             let text = read_input(&file)?;
             let id: CalibrationId = client.post_text("/api/v1/calibrations", text).await?;
             at.output().say(&json!({ "calibration": id }), &id);
-            promotion(&at, &id).say();
+            promotion(at, &id).say();
         }
     }
     Ok(())

@@ -15,7 +15,7 @@ use tokio::time::{Instant, sleep, timeout};
 
 use super::bench_args::BenchArgs;
 use super::client::{Client, Found};
-use super::error::CliError;
+use super::error::{CliError, CliResult};
 use super::files::this_program;
 use super::output::Output;
 use super::progress::{Working, shown_wait};
@@ -51,7 +51,7 @@ impl OwnServer {
         data: &Path,
         sensor: &Path,
         output: Output,
-    ) -> Result<Self, CliError> {
+    ) -> CliResult<Self> {
         let mut arguments = bench.arguments();
         arguments.extend(["--sensor".into(), sensor.into()]);
         let words = "starting the service (a new skin's responses are solved once)";
@@ -63,7 +63,7 @@ impl OwnServer {
     ///
     /// # Errors
     /// As [`Self::start`].
-    pub async fn at_desk(data: &Path) -> Result<Self, CliError> {
+    pub async fn at_desk(data: &Path) -> CliResult<Self> {
         let arguments: [OsString; 1] = ["--desk".into()];
         let start = Self::start(&arguments, data, None);
         shown_wait("starting the service", start).await
@@ -74,11 +74,7 @@ impl OwnServer {
     /// # Errors
     /// `CliError::Child` with the last lines of its log if it ends, `Late` if it does not answer, `File` if its
     /// log cannot be written.
-    async fn start(
-        arguments: &[OsString],
-        data: &Path,
-        shown: Option<Working>,
-    ) -> Result<Self, CliError> {
+    async fn start(arguments: &[OsString], data: &Path, shown: Option<Working>) -> CliResult<Self> {
         new_file::make_folder(data).map_err(CliError::file(data))?;
         let log = data.join(LOG);
         let failed = |source| CliError::File { path: log.clone(), source };
@@ -106,7 +102,7 @@ impl OwnServer {
     ///
     /// # Errors
     /// `CliError::Late` if it does not end.
-    pub async fn end(mut self) -> Result<(), CliError> {
+    pub async fn end(mut self) -> CliResult<()> {
         terminate(&self.child);
         match timeout(SERVER_END_WAIT, self.child.wait()).await {
             Ok(_) => Ok(()),
@@ -133,7 +129,7 @@ async fn answering(
     data: &Path,
     log: &Path,
     begin: u64,
-) -> Result<(Client, Child), CliError> {
+) -> CliResult<(Client, Child)> {
     let process = starting.0.as_ref().and_then(Child::id).map(u32::cast_signed);
     let started = Instant::now();
     while started.elapsed() < SERVER_READY_WAIT {

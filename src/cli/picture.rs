@@ -7,7 +7,7 @@ use std::process::Stdio;
 use clap::{Args, ValueEnum};
 use tokio::process::Command;
 
-use super::error::{CliError, PictureError};
+use super::error::{CliResult, PictureError};
 use super::files;
 use super::print::{self, PrintError};
 use super::progress::shown_wait;
@@ -37,7 +37,7 @@ impl Pictures {
     ///
     /// # Errors
     /// `CliError::Picture` if it cannot be converted.
-    pub async fn write_also(&self, path: &Path, svg: &str) -> Result<(), CliError> {
+    pub async fn write_also(&self, path: &Path, svg: &str) -> CliResult<()> {
         for format in &self.also {
             write(&path.with_extension(format.ending()), svg).await?;
         }
@@ -64,7 +64,7 @@ impl Format {
 ///
 /// # Errors
 /// `CliError::File` if the file cannot be written, `CliError::Picture` if it cannot be converted.
-pub async fn write(path: &Path, svg: &str) -> Result<(), CliError> {
+pub async fn write(path: &Path, svg: &str) -> CliResult<()> {
     let Some(format) = Format::of(path) else { return files::write(path, svg) };
     // Makes the folder, and refuses a file that cannot be written before a program starts.
     files::write_bytes(path, &[])?;
@@ -78,7 +78,7 @@ pub async fn write(path: &Path, svg: &str) -> Result<(), CliError> {
     converted
 }
 
-async fn converted(folder: &Path, svg: &str, path: &Path, format: Format) -> Result<(), CliError> {
+async fn converted(folder: &Path, svg: &str, path: &Path, format: Format) -> CliResult<()> {
     let failed = |why: String| PictureError::Failed { path: path.into(), why };
     let out = std::path::absolute(path).map_err(|error| failed(error.to_string()))?;
     let source = folder.join("figure.svg");

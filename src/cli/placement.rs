@@ -5,7 +5,7 @@ use clap::Args;
 use serde_json::json;
 
 use super::ask::{ActArgs, act};
-use super::error::CliError;
+use super::error::CliResult;
 use super::{At, embed};
 use crate::api::{PlacementOut, Stage};
 
@@ -36,7 +36,7 @@ pub struct RepeatArgs {
 ///
 /// # Errors
 /// As [`act`]; also if the skin contradicts the placement.
-pub async fn confirm(args: &ConfirmArgs) -> Result<(), CliError> {
+pub async fn confirm(args: &ConfirmArgs) -> CliResult<()> {
     let mut more = json!({ "anyway": args.anyway });
     if let Some(trial) = args.trial {
         more["trial"] = trial.into();
@@ -48,7 +48,7 @@ pub async fn confirm(args: &ConfirmArgs) -> Result<(), CliError> {
 ///
 /// # Errors
 /// As [`act`].
-pub async fn repeat(args: &RepeatArgs) -> Result<(), CliError> {
+pub async fn repeat(args: &RepeatArgs) -> CliResult<()> {
     let more = args.trial.map_or_else(|| json!({}), |trial| json!({ "trial": trial }));
     act(&args.act, "repeat", more).await
 }
@@ -57,7 +57,7 @@ pub async fn repeat(args: &RepeatArgs) -> Result<(), CliError> {
 ///
 /// # Errors
 /// `CliError` if the service cannot be reached, or no run asks for a placement.
-pub async fn placement(at: &At) -> Result<(), CliError> {
+pub async fn placement(at: &At) -> CliResult<()> {
     let client = embed::server(at).await?;
     let placement: PlacementOut = client.get("/api/v1/placement").await?;
     at.output().say(&placement, words(&placement));

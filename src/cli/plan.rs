@@ -8,7 +8,7 @@ use std::process::ExitCode;
 use clap::Args;
 use serde_json::json;
 
-use super::error::CliError;
+use super::error::{CliError, CliResult};
 use super::files::{ExperimentFiles, RigFiles};
 use super::output::{say, say_json};
 use crate::schedule::configuration::Stand;
@@ -39,7 +39,7 @@ pub struct PlanArgs {
 ///
 /// # Errors
 /// `CliError::Problems` if a file is invalid.
-pub fn plan(args: &PlanArgs) -> Result<ExitCode, CliError> {
+pub fn plan(args: &PlanArgs) -> CliResult<ExitCode> {
     let read = ExperimentFiles::read(&args.experiment)
         .and_then(|files| RigFiles::read(args.rig.as_deref()).map(|rig| (files, rig)));
     let (files, rig) = match read {

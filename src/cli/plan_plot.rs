@@ -1,7 +1,7 @@
 //! `palpate plan --plot`: the plan of an experiment on the skin.
 //! Uses: `files`, `figure::tour`, `picture`. Never: the network, motion.
 
-use super::error::CliError;
+use super::error::CliResult;
 use super::files::{ExperimentFiles, RigFiles};
 use super::output::{counted, duration};
 use super::picture;
@@ -16,7 +16,7 @@ use crate::schedule::plan::{Kind, Plan, Step};
 ///
 /// # Errors
 /// `CliError` if a file is invalid, or the figure cannot be written.
-pub async fn plot(args: &PlanArgs) -> Result<(), CliError> {
+pub async fn plot(args: &PlanArgs) -> CliResult<()> {
     let Some(file) = &args.plot else { return Ok(()) };
     let files = ExperimentFiles::read(&args.experiment)?;
     let rig = RigFiles::read(args.rig.as_deref())?;

@@ -116,14 +116,12 @@ mod tests {
 
     #[test]
     fn the_first_browser_in_the_path_prints_and_without_one_the_sentence_says_what_to_do() {
-        let folder = std::env::temp_dir().join(format!("palpate-browser-{}", std::process::id()));
-        std::fs::create_dir_all(&folder).unwrap();
-        let path = std::env::join_paths([Path::new("/nonexistent"), &folder]).unwrap();
+        let folder = tempfile::tempdir().unwrap();
+        let path = std::env::join_paths([Path::new("/nonexistent"), folder.path()]).unwrap();
         let found = |path: &OsStr| browser(Some(path)).filter(|found| found.starts_with(&folder));
         assert_eq!(found(&path), None);
-        std::fs::write(folder.join("google-chrome"), "").unwrap();
-        assert_eq!(found(&path), Some(folder.join("google-chrome")));
-        std::fs::remove_dir_all(&folder).unwrap();
+        std::fs::write(folder.path().join("google-chrome"), "").unwrap();
+        assert_eq!(found(&path), Some(folder.path().join("google-chrome")));
         assert!(PrintError::NoBrowser.to_string().contains("install `chromium`"));
     }
 }

@@ -49,13 +49,7 @@ impl Counted {
     }
 }
 
-impl Drop for Counted {
-    fn drop(&mut self) {
-        self.bar.finish_and_clear();
-    }
-}
-
-/// A bar of this template on standard error; hidden if that is not a terminal.
+/// A bar of this template on standard error, cleared when it is dropped; hidden if that is not a terminal.
 pub fn bar(template: &str) -> ProgressBar {
     if !std::io::stderr().is_terminal() {
         return ProgressBar::hidden();

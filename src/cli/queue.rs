@@ -9,7 +9,7 @@ use reqwest::Method;
 use serde_json::{Value, json};
 
 use super::client::Client;
-use super::error::CliError;
+use super::error::CliResult;
 use super::files::ExperimentFiles;
 use super::find::find_run;
 use super::morning::second;
@@ -74,33 +74,33 @@ pub enum QueueCommand {
 ///
 /// # Errors
 /// `CliError` if the service cannot be reached or started, refuses, or a file is invalid.
-pub async fn queue(args: QueueArgs) -> Result<(), CliError> {
+pub async fn queue(args: QueueArgs) -> CliResult<()> {
     let (json, command) = (args.at.json, args.command.unwrap_or(QueueCommand::List));
-    embed::with_server(&args.at, move |client| async move {
+    embed::with_server(&args.at, async |client| {
         let queued: Option<RunRow> = match command {
             QueueCommand::List => None,
             QueueCommand::Add { experiment, at } => {
-                let body = body(&client, &experiment, at)?;
+                let body = body(client, &experiment, at)?;
                 Some(client.post("/api/v1/queue", &body).await?)
             }
             QueueCommand::Edit { run, experiment, at } => {
-                let body = body(&client, &experiment, at)?;
-                Some(client.ask(Method::PUT, &path_of(&client, &run).await?, Some(&body)).await?)
+                let body = body(client, &experiment, at)?;
+                Some(client.ask(Method::PUT, &path_of(client, &run).await?, Some(&body)).await?)
             }
             QueueCommand::Move { run, position } => {
                 let body = json!({ "position": position, "who": client.who() });
-                let path = path_of(&client, &run).await?;
+                let path = path_of(client, &run).await?;
                 client.post::<Value>(&format!("{path}/move"), &body).await?;
                 None
             }
             QueueCommand::Remove { run } => {
-                client.delete(&path_of(&client, &run).await?).await?;
+                client.delete(&path_of(client, &run).await?).await?;
                 None
             }
         };
         match queued.filter(|_| json) {
             Some(run) => say_json(&run),
-            None => list(&client, json).await?,
+            None => list(client, json).await?,
         }
         Ok(())
     })
@@ -108,18 +108,18 @@ pub async fn queue(args: QueueArgs) -> Result<(), CliError> {
 }
 
 /// Path of the run that a person named, in the queue.
-async fn path_of(client: &Client, run: &str) -> Result<String, CliError> {
+async fn path_of(client: &Client, run: &str) -> CliResult<String> {
     Ok(format!("/api/v1/queue/{}", find_run(client, run).await?.uid))
 }
 
 /// Body of a request that queues an experiment or edits a queued one.
-fn body(client: &Client, experiment: &Path, at: Option<StartTime>) -> Result<Value, CliError> {
+fn body(client: &Client, experiment: &Path, at: Option<StartTime>) -> CliResult<Value> {
     let mut body = submission(client, &ExperimentFiles::read(experiment)?);
     body["not_before"] = json!(at.map(|StartTime(at)| at));
     Ok(body)
 }
 
-async fn list(client: &Client, json: bool) -> Result<(), CliError> {
+async fn list(client: &Client, json: bool) -> CliResult<()> {
     if json {
         let mut queue: Value = client.get("/api/v1/queue").await?;
         let times: Value = client.get("/api/v1/queue/times").await?;

@@ -79,14 +79,15 @@ mod tests {
 
     #[test]
     fn the_view_has_the_database_as_a_copy_and_the_rest_as_links() {
-        let data = std::env::temp_dir().join(format!("palpate-read-only-{}", Uuid::now_v7()));
+        let folder = tempfile::tempdir().unwrap();
+        let data = folder.path();
         std::fs::create_dir_all(data.join("datasets")).unwrap();
         std::fs::write(data.join("datasets/ds.parquet"), "rows").unwrap();
         std::fs::write(data.join("palpate.db"), "trials").unwrap();
         std::fs::write(data.join("palpate.lock"), "7").unwrap();
-        assert!(View::of(&data).unwrap().is_none(), "it can be written");
+        assert!(View::of(data).unwrap().is_none(), "it can be written");
 
-        let view = View::copy(&data).unwrap();
+        let view = View::copy(data).unwrap();
         let read = |name: &str| std::fs::read_to_string(view.folder().join(name));
         assert_eq!(read("datasets/ds.parquet").unwrap(), "rows");
         std::fs::write(view.folder().join("palpate.db"), "changed").unwrap();
@@ -96,6 +97,5 @@ mod tests {
         assert!(!folder.exists());
         assert_eq!(std::fs::read_to_string(data.join("palpate.db")).unwrap(), "trials");
         assert!(data.join("datasets/ds.parquet").exists());
-        std::fs::remove_dir_all(&data).unwrap();
     }
 }

@@ -10,7 +10,7 @@ use reqwest::Method;
 use serde_json::{Value, json};
 
 use super::client::Client;
-use super::error::CliError;
+use super::error::{CliError, CliResult};
 use super::output::{Output, bytes, note};
 use super::query::by_ending;
 use crate::dataset::format::Format;
@@ -23,7 +23,7 @@ const RECORDED_WITHIN: Duration = Duration::from_secs(86_400);
 ///
 /// # Errors
 /// `CliError::Problems` if it is not that of a format of rows.
-pub fn format(out: &Path) -> Result<Format, CliError> {
+pub fn format(out: &Path) -> CliResult<Format> {
     by_ending(out).ok_or_else(|| {
         let rows = Format::ALL.into_iter().filter(|format| format.streams());
         let endings: Vec<String> = rows.map(|format| format!(".{}", format.extension())).collect();
@@ -36,12 +36,7 @@ pub fn format(out: &Path) -> Result<Format, CliError> {
 ///
 /// # Errors
 /// `CliError` if the service cannot be reached or refuses, if the recording is cut, or if the file cannot be written.
-pub async fn record(
-    client: &Client,
-    out: &Path,
-    frames: u64,
-    output: Output,
-) -> Result<(), CliError> {
+pub async fn record(client: &Client, out: &Path, frames: u64, output: Output) -> CliResult<()> {
     let path = format!("/api/v1/frames/recording?frames={frames}&format={}", format(out)?.name());
     let answer = client.patient(RECORDED_WITHIN).send(Method::GET, &path, None::<&Value>).await?;
     if output != Output::Json {

@@ -12,7 +12,7 @@ use tokio::time::{Instant, sleep};
 
 use super::care::wear_words;
 use super::client::Client;
-use super::error::CliError;
+use super::error::{CliError, CliResult};
 use super::files::RigFiles;
 use super::output::{Output, say, say_json};
 use super::progress::Working;
@@ -141,7 +141,7 @@ impl AxisName {
 ///
 /// # Errors
 /// `CliError` if the service cannot be reached or refuses, the rig trips, or a deadline passes.
-pub async fn rig(args: RigArgs) -> Result<ExitCode, CliError> {
+pub async fn rig(args: RigArgs) -> CliResult<ExitCode> {
     let RigArgs { command, at } = args;
     if let RigCommand::Check { file, enable } = command {
         return match file {
@@ -153,7 +153,7 @@ pub async fn rig(args: RigArgs) -> Result<ExitCode, CliError> {
     Ok(ExitCode::SUCCESS)
 }
 
-async fn operate(client: &Client, command: RigCommand, output: Output) -> Result<(), CliError> {
+async fn operate(client: &Client, command: RigCommand, output: Output) -> CliResult<()> {
     let status = match command {
         RigCommand::Wear => {
             let wear: Value = client.get("/api/v1/wear").await?;
@@ -215,7 +215,7 @@ pub async fn until_rig(
     what: &str,
     deadline: Duration,
     wanted: impl Fn(&StatusView) -> bool,
-) -> Result<StatusView, CliError> {
+) -> CliResult<StatusView> {
     let asked = Instant::now();
     let _shown = Working::on(&format!("rig: {what}"));
     loop {
@@ -233,11 +233,7 @@ pub async fn until_rig(
     }
 }
 
-async fn check_file(
-    file: &std::path::Path,
-    enable: bool,
-    json: bool,
-) -> Result<ExitCode, CliError> {
+async fn check_file(file: &std::path::Path, enable: bool, json: bool) -> CliResult<ExitCode> {
     let rig = RigFiles::read(Some(file))?;
     let _held = LockFile::of_rig(&rig.config)?;
     let scope = if enable { Scope::Enable } else { Scope::Look };
@@ -264,7 +260,7 @@ async fn check_file(
     verdict(report.problems.len(), json)
 }
 
-async fn check_server(at: &At, enable: bool) -> Result<ExitCode, CliError> {
+async fn check_server(at: &At, enable: bool) -> CliResult<ExitCode> {
     let client = embed::server(at).await?;
     let asked = json!({ "enable": enable, "who": client.who() });
     let shown = Working::on(CHECKING);
@@ -286,7 +282,7 @@ fn say_how_to_enable(wanted: bool) {
     }
 }
 
-fn verdict(problems: usize, json: bool) -> Result<ExitCode, CliError> {
+fn verdict(problems: usize, json: bool) -> CliResult<ExitCode> {
     match problems {
         0 => Ok(ExitCode::SUCCESS),
         _ if json => Ok(ExitCode::FAILURE),

@@ -4,7 +4,7 @@
 use serde_json::Value;
 
 use super::client::Client;
-use super::error::CliError;
+use super::error::CliResult;
 use super::output::Output;
 use super::table::Table;
 
@@ -28,7 +28,7 @@ const BENCH_LIMITS: [(&str, &str, &str); 12] = [
 ///
 /// # Errors
 /// As [`Client::send`].
-pub async fn limits(client: &Client, output: Output) -> Result<(), CliError> {
+pub async fn limits(client: &Client, output: Output) -> CliResult<()> {
     let limits: Value = client.get("/api/v1/rig/limits").await?;
     output.say(&limits, table(&limits));
     Ok(())

@@ -4,7 +4,7 @@
 use serde_json::Value;
 
 use super::client::Client;
-use super::error::CliError;
+use super::error::CliResult;
 use super::output::{Output, say, say_json};
 use super::table::{Table, or_dash};
 use crate::api::{RigRates, StreamRates};
@@ -30,7 +30,7 @@ pub fn broken_channels(stream: &StreamRates) -> Option<String> {
 ///
 /// # Errors
 /// As [`Client::send`].
-pub async fn rates(client: &Client, output: Output) -> Result<(), CliError> {
+pub async fn rates(client: &Client, output: Output) -> CliResult<()> {
     const PATH: &str = "/api/v1/rig/rates";
     if output == Output::Json {
         say_json(&client.get::<Value>(PATH).await?);

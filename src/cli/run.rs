@@ -13,7 +13,7 @@ use super::attach::{closed, detached, to_its_end};
 use super::begin::{Begun, MotionArgs, arm_and_start, bring_up, goes_on, last_event};
 use super::bench_args::BenchArgs;
 use super::client::Client;
-use super::error::CliError;
+use super::error::{CliError, CliResult};
 use super::files::{ExperimentFiles, RigFiles, write};
 use super::follow::Watch;
 use super::output::{self, bytes, duration};
@@ -54,7 +54,7 @@ pub struct RunArgs {
 
 impl RunArgs {
     /// Checks for options that contradict each other, or that a running service does not support.
-    fn check(&self, server: Option<&Client>) -> Result<(), CliError> {
+    fn check(&self, server: Option<&Client>) -> CliResult<()> {
         if let Some(client) = server {
             let limit = format!(
                 "the service at {} has its own rig: stop it, or omit this option",
@@ -101,7 +101,7 @@ enum Outcome {
 /// # Errors
 /// `CliError` if an input is invalid, the rig or a service is not available, or the run cannot
 /// start.
-pub async fn run(args: RunArgs) -> Result<ExitCode, CliError> {
+pub async fn run(args: RunArgs) -> CliResult<ExitCode> {
     let files = ExperimentFiles::read(&args.experiment)?;
     // With --virtual this command has its own bench and service.
     let server = if args.bench.on_virtual { None } else { embed::find(&args.at).await? };
@@ -152,13 +152,13 @@ pub async fn run(args: RunArgs) -> Result<ExitCode, CliError> {
 }
 
 /// Rejects an experiment that the rig cannot run, before anything is started.
-fn sound(files: &ExperimentFiles, rig: &RigFiles) -> Result<(), CliError> {
+fn sound(files: &ExperimentFiles, rig: &RigFiles) -> CliResult<()> {
     let problems = files.preflight(rig).problems;
     if problems.is_empty() { Ok(()) } else { Err(CliError::Problems(problems)) }
 }
 
 /// Brings the rig up, starts the run and follows it, like any client.
-async fn drive(client: &Client, order: &Order, signals: &mut Signals) -> Result<Outcome, CliError> {
+async fn drive(client: &Client, order: &Order, signals: &mut Signals) -> CliResult<Outcome> {
     let (run, since, waiting) = tokio::select! {
         started = begin(client, order) => started?,
         _ = signals.next() => return Err(CliError::Interrupted),
@@ -186,7 +186,7 @@ async fn drive(client: &Client, order: &Order, signals: &mut Signals) -> Result<
 }
 
 /// Starts the run, or finds it: returns it, the number of the last event before, and whether it waits.
-async fn begin(client: &Client, order: &Order) -> Result<(RunRow, i64, bool), CliError> {
+async fn begin(client: &Client, order: &Order) -> CliResult<(RunRow, i64, bool)> {
     let status = bring_up(client, order.motion).await?;
     if let Some(active) = status.run.as_ref().filter(|_| !order.new) {
         let run = client.run(active.uid).await?;
@@ -236,14 +236,14 @@ async fn resumable(
     client: &Client,
     order: &Order,
     status: &StatusView,
-) -> Result<Option<RunRow>, CliError> {
+) -> CliResult<Option<RunRow>> {
     if order.new {
         return Ok(None);
     }
     client.find_run(|run| goes_on(run) && order.is_of(run, status)).await
 }
 
-async fn enqueue(client: &Client, files: &ExperimentFiles) -> Result<RunRow, CliError> {
+async fn enqueue(client: &Client, files: &ExperimentFiles) -> CliResult<RunRow> {
     client.post("/api/v1/queue", &submission(client, files)).await
 }
 

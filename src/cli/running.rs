@@ -92,9 +92,9 @@ mod tests {
 
     #[test]
     fn only_a_service_on_this_machine_is_found() {
-        let folder = std::env::temp_dir().join(format!("palpate-running-{}", std::process::id()));
-        std::fs::create_dir_all(&folder).unwrap();
-        assert_eq!(Running::read(&folder), None);
+        let temporary = tempfile::tempdir().unwrap();
+        let folder = temporary.path();
+        assert_eq!(Running::read(folder), None);
         for (url, found) in [
             ("https://127.0.0.1:8080", true),
             ("https://[::1]:8080", true),
@@ -103,18 +103,17 @@ mod tests {
             ("https://10.0.0.5:8080", false),
         ] {
             let running = running(url);
-            running.write(&folder).unwrap();
-            assert_eq!(Running::read(&folder), found.then_some(running), "{url}");
+            running.write(folder).unwrap();
+            assert_eq!(Running::read(folder), found.then_some(running), "{url}");
         }
         let gone = Running { process: i32::MAX, ..running("https://[::1]:1") };
-        gone.write(&folder).unwrap();
-        assert_eq!(Running::read(&folder), None, "its process has ended");
-        running("https://[::1]:1").write(&folder).unwrap();
+        gone.write(folder).unwrap();
+        assert_eq!(Running::read(folder), None, "its process has ended");
+        running("https://[::1]:1").write(folder).unwrap();
         let everybody = std::fs::Permissions::from_mode(0o666);
         std::fs::set_permissions(folder.join(FILE), everybody).unwrap();
-        assert_eq!(Running::read(&folder), None, "anybody may have written it");
-        Running::remove(&folder);
-        assert_eq!(Running::read(&folder), None);
-        std::fs::remove_dir_all(&folder).unwrap();
+        assert_eq!(Running::read(folder), None, "anybody may have written it");
+        Running::remove(folder);
+        assert_eq!(Running::read(folder), None);
     }
 }

@@ -7,7 +7,7 @@ use clap::{Args, Subcommand, ValueEnum};
 use serde_json::json;
 
 use super::At;
-use super::error::CliError;
+use super::error::CliResult;
 use super::files::{read_sensor, write_bytes};
 use crate::overlay::{self, Paper};
 
@@ -49,7 +49,7 @@ enum PaperName {
 ///
 /// # Errors
 /// `CliError` if the sensor file is invalid or the PDF cannot be written.
-pub fn sensor(args: &SensorArgs) -> Result<(), CliError> {
+pub fn sensor(args: &SensorArgs) -> CliResult<()> {
     let SensorCommand::Overlay { paper, sensor, out } = &args.command;
     let sensor = read_sensor(sensor.as_deref())?;
     let paper = match paper {

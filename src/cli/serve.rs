@@ -10,7 +10,7 @@ use super::bench_args::BenchArgs;
 use super::browser;
 use super::data_or_default;
 use super::embed::TWIN_WORKERS;
-use super::error::CliError;
+use super::error::{CliError, CliResult};
 use super::files::{RigFiles, parse_calibration, read_sensor_text};
 use super::key::key;
 use super::output::{note, say};
@@ -72,7 +72,7 @@ pub struct ServeArgs {
 ///
 /// # Errors
 /// `CliError` if a file is invalid, or the virtual bench or the service cannot start.
-pub async fn serve(args: ServeArgs) -> Result<(), CliError> {
+pub async fn serve(args: ServeArgs) -> CliResult<()> {
     args.bench.check()?;
     if args.own_session {
         rustix::process::setsid().map_err(|source| CliError::System {
@@ -102,7 +102,7 @@ async fn serve_rig(
     rig: RigFiles,
     bench: Option<&mut VirtualBench>,
     signals: &mut Signals,
-) -> Result<(), CliError> {
+) -> CliResult<()> {
     let (sensor, sensor_text) = read_sensor_text(args.sensor.as_deref())?;
     let tls = args.tls_cert.clone().zip(args.tls_key.clone());
     let tls = tls.map(|(certificate, key)| Tls { certificate, key });
@@ -147,11 +147,7 @@ async fn serve_rig(
 }
 
 /// Starts the virtual operator, if it can reach the service.
-fn send_operator(
-    args: &ServeArgs,
-    bench: &mut VirtualBench,
-    service: &Service,
-) -> Result<(), CliError> {
+fn send_operator(args: &ServeArgs, bench: &mut VirtualBench, service: &Service) -> CliResult<()> {
     let needs_key = args.require_key || !args.bind.ip().is_loopback();
     let key = if needs_key { key()? } else { None };
     match without_operator(args.tls_cert.is_some(), needs_key && key.is_none()) {

@@ -3,7 +3,7 @@
 
 use tokio::signal::unix::{Signal, SignalKind, signal};
 
-use super::error::CliError;
+use super::error::{CliError, CliResult};
 
 /// The signals that end a command.
 pub struct Signals {
@@ -28,7 +28,7 @@ impl Signals {
     ///
     /// # Errors
     /// `CliError::System` if a handler cannot be installed.
-    pub fn catch() -> Result<Self, CliError> {
+    pub fn catch() -> CliResult<Self> {
         let one = |kind| {
             signal(kind)
                 .map_err(|source| CliError::System { operation: "catching signals", source })

@@ -9,7 +9,7 @@ use serde_json::{Value, json};
 
 use super::asking::Asking;
 use super::client::Client;
-use super::error::CliError;
+use super::error::{CliError, CliResult};
 use super::files::read_or_carried;
 use super::job::{JOB_POLL, JobScreen, shown};
 use super::leave::{Choice, Interrupt, QUESTION_ON_TRAINING};
@@ -102,7 +102,7 @@ pub fn quantities() -> impl TypedValueParser<Value = Quantity> {
 ///
 /// # Errors
 /// `CliError::Problems` if the recipe cannot be read, or a change does not apply.
-pub fn recipe_text(named: &str, changes: &Changes) -> Result<String, CliError> {
+pub fn recipe_text(named: &str, changes: &Changes) -> CliResult<String> {
     let text = read_or_carried(FileKind::Recipe, Path::new(named), RECIPES)?;
     let mut recipe: toml::Table =
         crate::syntax::parse_toml(named, &text).map_err(CliError::Problems)?;
@@ -166,7 +166,7 @@ impl Changes {
 ///
 /// # Errors
 /// `CliError` if the recipe is invalid, the service refuses, or the training fails or is stopped.
-pub async fn train(args: TrainArgs) -> Result<(), CliError> {
+pub async fn train(args: TrainArgs) -> CliResult<()> {
     let recipe = recipe_text(&args.recipe, &args.changes)?;
     if args.show {
         say(recipe.trim_end());
@@ -204,7 +204,7 @@ pub async fn train(args: TrainArgs) -> Result<(), CliError> {
     }
 }
 
-async fn request(client: &Client, named: &str, recipe: &str) -> Result<JobOut, CliError> {
+async fn request(client: &Client, named: &str, recipe: &str) -> CliResult<JobOut> {
     let asked = client.post("/api/v1/trainings", &json!({ "recipe": recipe })).await;
     asked.map_err(|error| of_file(error, named))
 }
@@ -227,7 +227,7 @@ async fn train_on(
     args: &TrainArgs,
     process: Option<u32>,
     signals: &mut Signals,
-) -> Result<Option<JobOut>, CliError> {
+) -> CliResult<Option<JobOut>> {
     let (id, url) = (asked.task.id, client.url());
     if args.no_wait {
         shown(&asked, args.at.output());
@@ -250,7 +250,7 @@ async fn train_on(
 }
 
 /// Prints the model of a training, and what to do with it.
-async fn report(client: &Client, done: &JobOut, at: &At) -> Result<(), CliError> {
+async fn report(client: &Client, done: &JobOut, at: &At) -> CliResult<()> {
     let model = done.task.result.as_ref().and_then(|r| r["model"].as_str()).unwrap_or_default();
     let model: ModelOut = client.get(&format!("/api/v1/models/{model}")).await?;
     if at.json {
@@ -293,7 +293,7 @@ async fn follow(
     asked: JobOut,
     own_service: bool,
     signals: &mut Signals,
-) -> Result<Option<JobOut>, CliError> {
+) -> CliResult<Option<JobOut>> {
     let mut screen = JobScreen::new();
     let mut asking = Asking::default();
     let mut interrupts = 0;

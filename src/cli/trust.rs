@@ -13,7 +13,7 @@ use rustls::pki_types::{CertificateDer, ServerName, UnixTime};
 use rustls::{ClientConfig, DigitallySignedStruct, Error, RootCertStore, SignatureScheme};
 use rustls_platform_verifier::Verifier;
 
-use super::error::CliError;
+use super::error::{CliError, CliResult};
 use crate::problem::Problem;
 
 /// Certificates in PEM, with a name for messages.
@@ -30,13 +30,13 @@ impl Certificates {
     ///
     /// # Errors
     /// `CliError::Problems` if it cannot be read.
-    pub fn read(path: &Path) -> Result<Self, CliError> {
+    pub fn read(path: &Path) -> CliResult<Self> {
         let pem = std::fs::read(path);
         let pem = pem.map_err(CliError::input(path))?;
         Ok(Self { name: path.display().to_string(), pem })
     }
 
-    fn parse(&self) -> Result<Vec<CertificateDer<'static>>, CliError> {
+    fn parse(&self) -> CliResult<Vec<CertificateDer<'static>>> {
         let invalid = |words: String| CliError::Problems(vec![Problem::whole(&self.name, words)]);
         match CertificateDer::pem_slice_iter(&self.pem).collect() {
             Err(error) => Err(invalid(format!("must be PEM: {error}"))),
@@ -51,7 +51,7 @@ impl Certificates {
 ///
 /// # Errors
 /// `CliError::Problems` if there is no certificate; `Tls` if the system has no authorities.
-pub fn tls(url: &str, ca: Option<&Certificates>) -> Result<ClientConfig, CliError> {
+pub fn tls(url: &str, ca: Option<&Certificates>) -> CliResult<ClientConfig> {
     let provider = Arc::new(ring::default_provider());
     let builder = ClientConfig::builder_with_provider(provider.clone())
         .with_safe_default_protocol_versions()?;
@@ -100,7 +100,7 @@ impl Known {
     fn new(
         certificates: Vec<CertificateDer<'static>>,
         provider: Arc<CryptoProvider>,
-    ) -> Result<Self, CliError> {
+    ) -> CliResult<Self> {
         let mut roots = RootCertStore::empty();
         for certificate in &certificates {
             roots.add(certificate.clone())?;

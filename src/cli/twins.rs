@@ -7,7 +7,7 @@ use serde_json::Value;
 use tokio::time::Instant;
 
 use super::client::{Client, text_of};
-use super::error::CliError;
+use super::error::{CliError, CliResult};
 use super::output::{counted, say, say_json};
 use super::progress::Counted;
 use super::table::Table;
@@ -22,7 +22,7 @@ const TWINS_POLL: Duration = Duration::from_millis(200);
 ///
 /// # Errors
 /// `CliError` if the service cannot be reached.
-pub async fn status(at: &At) -> Result<(), CliError> {
+pub async fn status(at: &At) -> CliResult<()> {
     let twins: Value = embed::server(at).await?.get("/api/v1/twins").await?;
     if at.json {
         say_json(&twins);
@@ -60,7 +60,7 @@ pub async fn wait_for_twins(
     client: &Client,
     run: RunUid,
     patience: Duration,
-) -> Result<TwinCount, CliError> {
+) -> CliResult<TwinCount> {
     let path = format!("/api/v1/runs/{run}/twins");
     let mut shown = Counted::of("twins", 0);
     let mut least = (u64::MAX, Instant::now());
@@ -82,7 +82,7 @@ pub async fn wait_for_twins(
 }
 
 /// Error for missing twins, with its cause.
-async fn stalled(client: &Client, pending: u64, patience: Duration) -> Result<CliError, CliError> {
+async fn stalled(client: &Client, pending: u64, patience: Duration) -> CliResult<CliError> {
     let twins: Value = client.get("/api/v1/twins").await?;
     let why = match (twins["pool"]["workers"].as_u64(), twins["pool"]["last_error"].as_str()) {
         (Some(0), _) => "; the service has no --twin-workers".into(),

@@ -13,7 +13,7 @@ use tokio::process::{Child, ChildStdout, Command};
 use tokio::time::timeout;
 
 use super::bench_args::BenchArgs;
-use super::error::CliError;
+use super::error::{CliError, CliResult};
 use super::files::{self, DEFAULT_SKIN_SEED, RigFiles, write};
 use super::key::KEY_VARIABLE;
 use super::progress::Working;
@@ -62,7 +62,7 @@ impl VirtualBench {
         data: &Path,
         rig: &RigFiles,
         sensor_text: &str,
-    ) -> Result<Self, CliError> {
+    ) -> CliResult<Self> {
         let folder = data.join("virtual-rig");
         new_file::make_folder(&folder).map_err(CliError::file(&folder))?;
         // The files and the log there may be those of the bench of another service.
@@ -89,7 +89,7 @@ impl VirtualBench {
     ///
     /// # Errors
     /// `CliError::Child` or `System` if it does not start.
-    pub fn send_operator(&mut self, url: &str, key: Option<&str>) -> Result<(), CliError> {
+    pub fn send_operator(&mut self, url: &str, key: Option<&str>) -> CliResult<()> {
         let mut command = this_program("virtual-operator")?;
         command.args(["--url", url, "--control", &self.control, "--with-parent"]);
         command.arg("--speed").arg(self.speed.to_string());
@@ -120,7 +120,7 @@ fn write_files(
     folder: &Path,
     rig: &RigFiles,
     sensor_text: &str,
-) -> Result<(), CliError> {
+) -> CliResult<()> {
     // Data of a virtual rig must not be labelled as measured.
     let mut config = rig.config.clone();
     config.set_label(RigLabel::Virtual);
@@ -128,12 +128,7 @@ fn write_files(
     BENCH_FILES.iter().zip(texts).try_for_each(|(name, text)| write(&folder.join(name), &text))
 }
 
-fn rig_command(
-    args: &BenchArgs,
-    folder: &Path,
-    served: &Path,
-    cache: &Path,
-) -> Result<Command, CliError> {
+fn rig_command(args: &BenchArgs, folder: &Path, served: &Path, cache: &Path) -> CliResult<Command> {
     let mut command = this_program("virtual-rig")?;
     for (option, name) in ["--rig", "--gap", "--sensor"].into_iter().zip(BENCH_FILES) {
         command.arg(option).arg(folder.join(name));
@@ -149,19 +144,14 @@ fn rig_command(
     Ok(command)
 }
 
-fn this_program(subcommand: &str) -> Result<Command, CliError> {
+fn this_program(subcommand: &str) -> CliResult<Command> {
     let mut command = Command::new(files::this_program()?);
     command.arg(subcommand);
     withhold(command.as_std_mut());
     Ok(command)
 }
 
-fn start(
-    name: &'static str,
-    command: &mut Command,
-    log: &Path,
-    stdout: Stdio,
-) -> Result<Child, CliError> {
+fn start(name: &'static str, command: &mut Command, log: &Path, stdout: Stdio) -> CliResult<Child> {
     let said = File::create(log).map_err(CliError::file(log))?;
     // A separate process group: this program handles Ctrl-C, the rig must keep running.
     command.process_group(0).kill_on_drop(true);
@@ -169,7 +159,7 @@ fn start(
     command.spawn().map_err(|e| failed(name, &e.to_string(), log))
 }
 
-async fn ready_line(stdout: &mut BufReader<ChildStdout>, log: &Path) -> Result<Ready, CliError> {
+async fn ready_line(stdout: &mut BufReader<ChildStdout>, log: &Path) -> CliResult<Ready> {
     let name = "virtual rig";
     let mut line = String::new();
     match timeout(RIG_READY_WAIT, stdout.read_line(&mut line)).await {

@@ -5,7 +5,7 @@
 use clap::Args;
 use serde_json::Value;
 
-use super::error::CliError;
+use super::error::{CliError, CliResult};
 use super::output::{Output, say, say_json};
 use super::table::{Table, or_dash};
 use super::{At, embed};
@@ -23,7 +23,7 @@ pub struct VocabularyArgs {
 ///
 /// # Errors
 /// `CliError` if there is no such list, or the service cannot be reached.
-pub async fn vocabulary(args: VocabularyArgs) -> Result<(), CliError> {
+pub async fn vocabulary(args: VocabularyArgs) -> CliResult<()> {
     let output = args.at.output();
     let words = read(&args.at, "/api/v1/vocabulary").await?;
     let found = args.list.as_ref().map_or(Some(&words), |list| words.get(list));
@@ -38,7 +38,7 @@ pub async fn vocabulary(args: VocabularyArgs) -> Result<(), CliError> {
 ///
 /// # Errors
 /// `CliError` if the service cannot be reached.
-pub async fn published(at: &At) -> Result<(), CliError> {
+pub async fn published(at: &At) -> CliResult<()> {
     let values = read(at, "/api/v1/published").await?;
     if at.output() == Output::Json {
         say_json(&values);
@@ -51,11 +51,11 @@ pub async fn published(at: &At) -> Result<(), CliError> {
     Ok(())
 }
 
-async fn read(at: &At, path: &'static str) -> Result<Value, CliError> {
-    embed::reading(at, move |client| async move { client.get(path).await }).await
+async fn read(at: &At, path: &'static str) -> CliResult<Value> {
+    embed::reading(at, async |client| client.get(path).await).await
 }
 
-fn table(words: &Value, list: Option<&str>) -> Result<Table, CliError> {
+fn table(words: &Value, list: Option<&str>) -> CliResult<Table> {
     let lists: Vec<(&String, &Vec<Value>)> = words
         .as_object()
         .into_iter()

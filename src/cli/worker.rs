@@ -7,7 +7,7 @@ use std::process::{Command, ExitCode};
 
 use clap::Args;
 
-use super::error::CliError;
+use super::error::{CliError, CliResult};
 use super::progress::Working;
 use crate::api::WORKER;
 
@@ -27,7 +27,7 @@ pub struct WorkerArgs {
 ///
 /// # Errors
 /// `CliError` if there is no such program, and it cannot be built or started.
-pub async fn worker(args: WorkerArgs) -> Result<ExitCode, CliError> {
+pub async fn worker(args: WorkerArgs) -> CliResult<ExitCode> {
     let shown = Working::on("building the worker: once, some minutes");
     let found = WORKER.path(|line| shown.step(line), || false).await;
     drop(shown);

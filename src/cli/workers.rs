@@ -6,10 +6,10 @@ use std::time::Duration;
 use serde_json::Value;
 use tokio::time::timeout;
 
-use super::client::Client;
-use super::error::CliError;
+use super::client::{Client, text_of};
+use super::error::CliResult;
 use super::output::{bytes, counted, duration, say, say_json};
-use super::table::Table;
+use super::table::{Table, or_dash};
 use super::{At, embed};
 
 /// Path of the state.
@@ -25,7 +25,7 @@ const ID_SHOWN: usize = 12;
 ///
 /// # Errors
 /// `CliError` if the service cannot be reached, or its queue does not answer.
-pub async fn status(at: &At) -> Result<(), CliError> {
+pub async fn status(at: &At) -> CliResult<()> {
     let found: Value = embed::server(at).await?.get(WORKERS).await?;
     if at.json {
         say_json(&found);
@@ -40,13 +40,12 @@ pub async fn status(at: &At) -> Result<(), CliError> {
         let lost = if worker["lost"] == true { " (lost)" } else { "" };
         let heard = duration(worker["heard_s"].as_f64().unwrap_or_default());
         let about = &worker["about"];
-        let stated = |value: Option<String>| value.unwrap_or_else(|| "-".into());
         workers.push([
-            text(worker, "worker"),
+            text_of(&worker["worker"]),
             format!("{heard} ago{lost}"),
-            stated(about["at_once"].as_u64().map(|number| number.to_string())),
-            stated(about["memory_mib"].as_f64().map(|mib| bytes(mib * MIB))),
-            stated(about["gpu"].as_bool().map(|gpu| if gpu { "yes" } else { "no" }.to_owned())),
+            or_dash(about["at_once"].as_u64()),
+            or_dash(about["memory_mib"].as_f64().map(|mib| bytes(mib * MIB))),
+            or_dash(about["gpu"].as_bool().map(|gpu| if gpu { "yes" } else { "no" })),
         ]);
     }
     say(&workers);
@@ -54,12 +53,12 @@ pub async fn status(at: &At) -> Result<(), CliError> {
     let heads = format!("order | folder | {}> | per min> | to go>", numbers.join("> | "));
     let mut orders = Table::new(&heads, "no order");
     for order in rows(&found, "orders") {
-        let id: String = text(order, "order").chars().take(ID_SHOWN).collect();
-        let rate = order["per_minute"].as_f64().map_or("-".into(), |rate| format!("{rate:.1}"));
-        let to_go = order["to_go_s"].as_f64().map_or("-".into(), duration);
+        let id: String = text_of(&order["order"]).chars().take(ID_SHOWN).collect();
+        let rate = or_dash(order["per_minute"].as_f64().map(|rate| format!("{rate:.1}")));
+        let to_go = or_dash(order["to_go_s"].as_f64().map(duration));
         let counts = numbers.map(|number| order[number].to_string());
-        let cells = [id, text(order, "folder")].into_iter().chain(counts).chain([rate, to_go]);
-        orders.push(cells);
+        let named = [id, text_of(&order["folder"])];
+        orders.push(named.into_iter().chain(counts).chain([rate, to_go]));
     }
     say(&orders);
     for order in rows(&found, "orders") {
@@ -68,7 +67,7 @@ pub async fn status(at: &At) -> Result<(), CliError> {
         }
         for failed in rows(order, "errors") {
             let (index, attempts) = (&failed["index"], &failed["attempts"]);
-            say(format_args!("chunk {index}: {attempts} attempts: {}", text(failed, "error")));
+            say(format_args!("chunk {index}: {attempts} attempts: {}", text_of(&failed["error"])));
         }
     }
     let unsubmitted = rows(&found, "unsubmitted").iter().filter_map(Value::as_str);
@@ -79,7 +78,7 @@ pub async fn status(at: &At) -> Result<(), CliError> {
     let gather = &found["gather"];
     if let Some(state) = gather["state"].as_str() {
         let why = gather["error"].as_str().map_or(String::new(), |why| format!(": {why}"));
-        let (folder, into) = (text(gather, "folder"), text(gather, "into"));
+        let (folder, into) = (text_of(&gather["folder"]), text_of(&gather["into"]));
         say(format_args!("gathering of {folder} into {into}: {state}{why}"));
     }
     Ok(())
@@ -129,10 +128,6 @@ fn words(found: &Value) -> Option<String> {
 
 fn rows<'a>(of: &'a Value, key: &str) -> &'a [Value] {
     of[key].as_array().map_or(&[], Vec::as_slice)
-}
-
-fn text(of: &Value, key: &str) -> String {
-    of[key].as_str().unwrap_or_default().to_owned()
 }
 
 #[cfg(test)]

@@ -27,7 +27,7 @@ mod lab;
 #[cfg(test)]
 mod tests;
 
-pub use crate::core::error::StoreError;
+pub use crate::core::error::{StoreError, StoreResult};
 pub use crate::core::facts::{Label, RunKind};
 pub use crate::core::keys::{KEYLESS, KEYLESS_SUFFIX, Key, KeyRing, KeyRow, Role};
 pub use crate::core::lock::LockRow;

@@ -300,7 +300,6 @@ pub struct Untouched {
     /// Mean voltages, V, injection-major.
     pub voltages_v: Vec<f32>,
     /// Wall time of the last frame.
-    #[schema(value_type = String, format = DateTime)]
     pub at: Timestamp,
     /// Number of frames.
     pub frames: usize,
@@ -366,7 +365,6 @@ pub struct TouchOffRecord {
     /// All touches.
     pub touches: Vec<ArmTouch>,
     /// Wall time of the touch-off.
-    #[schema(value_type = String, format = DateTime)]
     pub at: Timestamp,
 }
 

@@ -18,7 +18,7 @@ use virtual_rig::skin::gap::Gap;
 use virtual_rig::skin::mechanics::{Mechanics, Stroke, TipPosition};
 use virtual_rig::skin::{Readout, Skin, TipLoad};
 
-use crate::support::{Folder, PALPATE, sensor};
+use crate::support::{Folder, PALPATE, sensor, succeeded};
 
 const SEED: u64 = 3;
 /// Points all over the skin, away from its rim.
@@ -277,8 +277,7 @@ fn the_command_writes_a_file_that_applies_and_a_plot_and_keeps_the_other_part() 
     let examples = concat!(env!("CARGO_MANIFEST_DIR"), "/examples/calibration");
     let table = format!("{examples}/compression.csv");
     let piezo = palpate(&["piezo", &table, "--out", &first, "--plot", &picture, "--json"]);
-    assert!(piezo.status.success(), "{}", String::from_utf8_lossy(&piezo.stderr));
-    let said: serde_json::Value = serde_json::from_slice(&piezo.stdout).unwrap();
+    let said: serde_json::Value = serde_json::from_str(&succeeded(&piezo)).unwrap();
     let read =
         |path: &str| Calibration::from_toml(&std::fs::read_to_string(path).unwrap()).unwrap();
     assert_eq!(said["id"], read(&first).id().unwrap());
@@ -286,8 +285,7 @@ fn the_command_writes_a_file_that_applies_and_a_plot_and_keeps_the_other_part() 
 
     let table = format!("{examples}/indentation.csv");
     let foam = palpate(&["foam", &table, "--from", &first, "--out", &both]);
-    assert!(foam.status.success(), "{}", String::from_utf8_lossy(&foam.stderr));
-    let words = String::from_utf8(foam.stdout).unwrap();
+    let words = succeeded(&foam);
     assert!(words.contains("fabrics: not fitted") && words.contains("paper: 24.1 %"), "{words}");
     let (both, first) = (read(&both), read(&first));
     assert!(both.foam.is_some());

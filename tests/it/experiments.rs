@@ -128,37 +128,6 @@ fn the_readme_names_every_key() {
     assert!(missing.is_empty(), "{missing:?}");
 }
 
-/// The one problem of the quickstart with a key changed.
-fn problem_with(from: &str, to: &str) -> String {
-    let text = read("quickstart.toml");
-    assert!(text.contains(from), "{from}");
-    let found = Experiment::from_toml("quickstart.toml", &text.replace(from, to)).unwrap_err();
-    assert_eq!(found.len(), 1, "{found:?}");
-    found[0].to_string()
-}
-
-#[test]
-fn an_unknown_key_is_one_error() {
-    let problem = problem_with("block = 6", "blok = 6");
-    assert!(
-        problem.starts_with("quickstart.toml: real_hex.blok = 6: unknown key; did"),
-        "{problem}"
-    );
-    assert!(problem.contains("`block`"), "says what there is: {problem}");
-}
-
-#[test]
-fn a_value_out_of_range_is_one_error() {
-    assert_eq!(
-        problem_with("configurations = 12", "configurations = 0"),
-        "quickstart.toml: real_hex.configurations = 0: must be from 1 to 1000000"
-    );
-    assert_eq!(
-        problem_with("tips = [1, 4]", "tips = [1, 7]"),
-        "quickstart.toml: real_hex.tips = [1, 7]: must be different counts from 1 to 6"
-    );
-}
-
 /// The one problem of an experiment, with keys added to `[real_hex]`, on a changed bench.
 fn unreachable(keys: &str, change: impl FnOnce(&mut Reach)) -> String {
     let text = format!("{}{keys}", read("real-hex.toml"));

@@ -6,7 +6,7 @@ use std::process::Command;
 use palpate::calibrate::{piezo, regression};
 use sim_core::calibration::Fitted;
 
-use crate::support::{self, sensor};
+use crate::support::{self, sensor, succeeded};
 
 #[derive(serde::Deserialize)]
 struct Scipy {
@@ -23,8 +23,7 @@ fn scipy_finds_the_same_numbers_and_intervals() {
     let table = format!("{root}/examples/calibration/compression.csv");
     let script = format!("{root}/tests/it/independent/curve_fit.py");
     let output = Command::new(&python).args([&script, &table]).output().unwrap();
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    let scipy: Scipy = serde_json::from_slice(&output.stdout).unwrap();
+    let scipy: Scipy = serde_json::from_str(&succeeded(&output)).unwrap();
     let text = std::fs::read_to_string(&table).unwrap();
     let paper = sensor().file.piezo;
     let ours = piezo::calibrate("compression.csv", &text, &paper).unwrap().calibration;

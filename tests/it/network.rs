@@ -1,7 +1,6 @@
 //! Between the service and its clients: TLS, keys that are required, and a proxy as the manual sets it up.
 //! Without nginx the test of the proxy reports that it was skipped; with `PALPATE_REQUIRE_TOOLS=1` it fails.
 
-use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
 use std::sync::Arc;
@@ -20,7 +19,7 @@ use tokio_tungstenite::tungstenite::client::IntoClientRequest;
 use tokio_tungstenite::{Connector, connect_async_tls_with_config};
 
 use super::datasets::filled::{Filled, folder, rig};
-use super::support::{self, Folder, PALPATE, Process, http};
+use super::support::{self, Folder, PALPATE, Process, http, served};
 
 const LIMIT: Duration = Duration::from_secs(20);
 const MANUAL: &str = include_str!("../../docs/how-to/network.md");
@@ -191,11 +190,8 @@ fn commands_on_the_same_machine_find_a_service_with_tls() {
         &files.path("rig.toml"),
     ]);
     serve.arg("--tls-cert").arg(&certificate).arg("--tls-key").arg(&key);
-    let mut served = Process(serve.stdout(Stdio::piped()).spawn().unwrap());
-    let mut line = String::new();
-    BufReader::new(served.0.stdout.take().unwrap()).read_line(&mut line).unwrap();
-    let url = line.split_whitespace().find(|word| word.starts_with("https://")).unwrap();
-    let url = url.trim_end_matches(',');
+    let (_service, url) = served(&mut serve);
+    assert!(url.starts_with("https://"), "{url}");
     let found = command(&["status", "--data", &data, "--json"], &[]);
     assert!(found.status.success(), "{}", text(&found.stderr));
     let stopped = command(&["estop", "--data", &data, "--json"], &[]);
@@ -203,13 +199,13 @@ fn commands_on_the_same_machine_find_a_service_with_tls() {
     assert_eq!(stopped["latched"], true);
     // From another machine the certificate must be named.
     let refused =
-        text(&command(&["status", "--url", url, "--ca", &files.path("none")], &[]).stderr);
+        text(&command(&["status", "--url", &url, "--ca", &files.path("none")], &[]).stderr);
     assert!(refused.contains(&files.path("none")), "{refused}");
     let other = self_signed(&files.join("other")).certificate.display().to_string();
-    let refused = text(&command(&["status", "--url", url, "--ca", &other], &[]).stderr);
+    let refused = text(&command(&["status", "--url", &url, "--ca", &other], &[]).stderr);
     assert!(refused.contains("is not trusted") && refused.contains("--ca"), "{refused}");
     let own = certificate.display().to_string();
-    let variables = [("PALPATE_URL", url), ("PALPATE_CA", own.as_str())];
+    let variables = [("PALPATE_URL", url.as_str()), ("PALPATE_CA", own.as_str())];
     let named = command(&["status", "--json"], &variables);
     assert!(named.status.success(), "{}", text(&named.stderr));
 }

@@ -3,7 +3,7 @@
 //! `tests/it/fixtures/README.md` states how the folder was made. Never: a value that today's code stored.
 
 use std::path::Path;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use jiff::Timestamp;
 use palpate::campaign::run::resume;
@@ -46,11 +46,7 @@ pub fn copy(name: &str) -> Folder {
 pub async fn served(name: &str) -> (Folder, Filled) {
     let folder = copy(name);
     let lab = Filled::serve(folder.to_path_buf()).await;
-    let start = Instant::now();
-    while lab.get("/api/v1/runs/2").await["state"] != "interrupted" {
-        assert!(start.elapsed() < LIMIT, "the killed run is not marked");
-        tokio::time::sleep(Duration::from_millis(20)).await;
-    }
+    lab.until("/api/v1/runs/2", LIMIT, |killed| killed["state"] == "interrupted").await;
     (folder, lab)
 }
 

@@ -6,7 +6,7 @@ use std::process::Command;
 use palpate::overlay::{Paper, pdf};
 
 use crate::datasets::filled::Filled;
-use crate::support::{Folder, PALPATE, sensor};
+use crate::support::{Folder, command, sensor, succeeded};
 
 /// Output of a tool; `None` if it is missing.
 fn tool(name: &str, args: &[&str]) -> Option<String> {
@@ -37,11 +37,8 @@ fn the_overlay_has_its_pages_at_true_scale_and_every_name() {
         [("a4", "9", [210.0, 297.0]), ("sheet", "1", [571.0, 603.0])]
     {
         let path = folder.path(&format!("{paper}.pdf"));
-        let made = Command::new(PALPATE)
-            .args(["sensor", "overlay", "--paper", paper, "--out", &path])
-            .output()
-            .unwrap();
-        assert!(made.status.success(), "{}", String::from_utf8_lossy(&made.stderr));
+        let mut make = command(&["sensor", "overlay", "--paper", paper, "--out", &path]);
+        succeeded(&make.output().unwrap());
         let Some(facts) = tool("pdfinfo", &[&path]) else { return };
         assert_eq!(info(&facts, "Pages"), pages);
         let size: Vec<f64> =

@@ -4,7 +4,7 @@ use std::io::{BufRead, BufReader, Write};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
 
-use crate::support::PALPATE;
+use crate::support::{PALPATE, succeeded};
 
 const ONE: &str = r#"{"contacts":[{"x_mm":265.6698729810778,"y_mm":280,"force_n":20}]}"#;
 const NONE: &str = r#"{"contacts":[]}"#;
@@ -42,8 +42,7 @@ fn voltages(line: &str) -> Vec<f64> {
 }
 
 fn frames(output: &Output) -> Vec<Vec<f64>> {
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    String::from_utf8_lossy(&output.stdout).lines().map(voltages).collect()
+    succeeded(output).lines().map(voltages).collect()
 }
 
 fn size(frame: &[f64]) -> f64 {

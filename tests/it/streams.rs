@@ -12,6 +12,7 @@ use tokio_tungstenite::connect_async;
 use tokio_tungstenite::tungstenite::{Error, Message};
 
 use super::datasets::filled::Filled;
+use crate::support::eventually;
 
 const LIMIT: Duration = Duration::from_secs(20);
 
@@ -126,10 +127,7 @@ async fn a_caller_with_too_many_requests_may_still_end_a_run() {
     lab.refuses_get("/api/v1/status", 429, "128 requests of local are in progress").await;
     lab.refuses("/api/v1/runs/1/actions", json!({ "action": "abort" }), 409, "not active").await;
     drop(streams);
-    let start = Instant::now();
-    while lab.answer("/api/v1/status").await.status() != 200 {
-        assert!(start.elapsed() < LIMIT, "places are not given back");
-        tokio::time::sleep(Duration::from_millis(50)).await;
-    }
+    let answered = async || (lab.answer("/api/v1/status").await.status() == 200).then_some(());
+    eventually("places are given back", LIMIT, answered).await;
     lab.close().await;
 }

@@ -1,8 +1,10 @@
 //! What several tests need: the sensor, a folder, commands, a process that ends with its test, Python.
 
+use std::io::{BufRead, BufReader};
 use std::ops::Deref;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
+use std::time::{Duration, Instant};
 
 use palpate::cli::trust;
 use serde_json::Value;
@@ -69,6 +71,19 @@ impl Drop for Process {
     }
 }
 
+/// Starts a service as a process; returns it with its URL.
+pub fn served(serve: &mut Command) -> (Process, String) {
+    let mut served = Process(serve.stdout(Stdio::piped()).spawn().unwrap());
+    let mut output = BufReader::new(served.0.stdout.take().unwrap());
+    let mut line = String::new();
+    output.read_line(&mut line).unwrap();
+    // The pipe stays open.
+    served.0.stdout = Some(output.into_inner());
+    let url = line.split_whitespace().find(|word| word.starts_with("http")).unwrap();
+    let url = url.trim_end_matches(',').to_owned();
+    (served, url)
+}
+
 /// A command of the program, without the environment of the tests.
 pub fn command(arguments: &[&str]) -> Command {
     let mut command = Command::new(PALPATE);
@@ -107,6 +122,22 @@ pub fn done(output: &Output) -> Value {
 pub fn not_done(output: &Output, code: i32, words: &str) {
     let said = String::from_utf8_lossy(&output.stderr);
     assert!(output.status.code() == Some(code) && said.contains(words), "{words}: {said}");
+}
+
+/// Waits until a value is there.
+pub async fn eventually<T>(
+    what: &str,
+    limit: Duration,
+    mut look: impl AsyncFnMut() -> Option<T>,
+) -> T {
+    let start = Instant::now();
+    loop {
+        if let Some(found) = look().await {
+            return found;
+        }
+        assert!(start.elapsed() < limit, "{what}");
+        tokio::time::sleep(Duration::from_millis(10)).await;
+    }
 }
 
 pub fn copy_folder(from: &Path, to: &Path) {

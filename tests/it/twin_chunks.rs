@@ -3,7 +3,7 @@
 
 use std::path::Path;
 use std::process::Output;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use palpate::ids::{TrialId, TrialKey};
 use palpate::journal::{ExitStatus, Journal};
@@ -147,11 +147,7 @@ async fn twins_of_two_processes_are_those_of_the_service() {
 
     // The service makes the same twins, and takes the chunks as what it has.
     let lab = Filled::serve_as(of_service.clone(), |options| options.twin_workers = 1).await;
-    let start = Instant::now();
-    while lab.get("/api/v1/runs/1/twins").await["pending"] != 0 {
-        assert!(start.elapsed() < TWINS_WITHIN);
-        tokio::time::sleep(Duration::from_millis(50)).await;
-    }
+    lab.until("/api/v1/runs/1/twins", TWINS_WITHIN, |count| count["pending"] == 0).await;
     let gathered = done(&gather(&lab, order).await);
     assert_eq!((&gathered["stored"], &gathered["present"]), (&json!(0), &json!(TRIALS)));
     lab.end().await;

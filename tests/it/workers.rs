@@ -2,16 +2,15 @@
 //! it gathers ends with it.
 
 use std::fs;
-use std::io::{BufRead, BufReader};
 use std::os::unix::fs::PermissionsExt;
 use std::path::Path;
-use std::process::{Command, Stdio};
-use std::time::{Duration, Instant};
+use std::process::Command;
+use std::time::Duration;
 
 use reqwest::Method;
 use serde_json::{Value, json};
 
-use crate::support::{Folder, PALPATE, Process, http};
+use crate::support::{Folder, PALPATE, eventually, http, served};
 
 /// Longest wait for anything.
 const LIMIT: Duration = Duration::from_secs(60);
@@ -23,18 +22,6 @@ fetch) echo $$ > FILE.part; mv FILE.part FILE; exec sleep 600 ;;
 *) echo 'error: order ab: not in the store' >&2; exit 2 ;;
 esac
 "#;
-
-/// Waits until a value is there.
-fn until<T>(what: &str, mut look: impl FnMut() -> Option<T>) -> T {
-    let began = Instant::now();
-    loop {
-        if let Some(found) = look() {
-            return found;
-        }
-        assert!(began.elapsed() < LIMIT, "{what}");
-        std::thread::sleep(Duration::from_millis(10));
-    }
-}
 
 #[tokio::test]
 async fn a_service_submits_cancels_and_gathers_and_its_gather_ends_with_it() {
@@ -51,12 +38,7 @@ async fn a_service_submits_cancels_and_gathers_and_its_gather_ends_with_it() {
     serve.args(["serve", "--desk", "--twin-workers", "0", "--bind", "127.0.0.1:0", "--data"]);
     serve.arg(&data).env("PALPATE_WORKER", &script).env("PALPATE_STORE", folder.join("store"));
     serve.env("PALPATE_QUEUE", "postgres://owner:hush@localhost/queue");
-    let mut served = Process(serve.stdout(Stdio::piped()).spawn().unwrap());
-    let mut output = BufReader::new(served.0.stdout.take().unwrap());
-    let mut line = String::new();
-    output.read_line(&mut line).unwrap();
-    let url = line.split_whitespace().find(|word| word.starts_with("http://")).unwrap();
-    let url = url.trim_end_matches(',');
+    let (mut service, url) = served(&mut serve);
     let client = http();
     let ask = async |method: Method, path: &str| -> (u16, Value) {
         let answer = client.request(method, format!("{url}/api/v1/workers{path}")).send().await;
@@ -89,12 +71,14 @@ async fn a_service_submits_cancels_and_gathers_and_its_gather_ends_with_it() {
     assert!(problem["detail"].as_str().unwrap().contains("bulk is being gathered"), "{problem}");
     let (_, found) = ask(Method::GET, "").await;
     assert_eq!(found["gather"], expected);
-    let fetching = until("the script fetches", || fs::read_to_string(&process).ok());
+    let fetching = async || fs::read_to_string(&process).ok();
+    let fetching = eventually("the script fetches", LIMIT, fetching).await;
     let fetching = Path::new("/proc").join(fetching.trim());
     assert!(fetching.exists());
-    let id = served.0.id().to_string();
+    let id = service.0.id().to_string();
     assert!(Command::new("kill").args(["-TERM", &id]).status().unwrap().success());
-    let ended = until("the service ends", || served.0.try_wait().unwrap());
+    let ended = async || service.0.try_wait().unwrap();
+    let ended = eventually("the service ends", LIMIT, ended).await;
     assert!(ended.success(), "{ended}");
     assert!(!fetching.exists(), "what it gathered continues");
 }

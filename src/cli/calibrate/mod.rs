@@ -12,7 +12,7 @@ use sim_core::sensor::Sensor;
 
 mod skin;
 
-use super::error::CliError;
+use super::error::{CliError, CliResult};
 use super::files::{read_calibration, read_input, read_sensor, write};
 use super::next::{Next, word};
 use super::output::{counted, say, say_json};
@@ -80,9 +80,9 @@ struct Common {
 ///
 /// # Errors
 /// `CliError` if an input is invalid, the fit fails, or a file cannot be written.
-pub async fn calibrate(args: CalibrateArgs) -> Result<ExitCode, CliError> {
+pub async fn calibrate(args: CalibrateArgs) -> CliResult<ExitCode> {
     match &args.what {
-        What::Skin(args) => skin::skin(args.clone()).await,
+        What::Skin(args) => skin::skin(args).await,
         What::Piezo(common) => of_table(Law::Piezo, common).await,
         What::Foam(common) => of_table(Law::Foam, common).await,
     }
@@ -96,7 +96,7 @@ enum Law {
 }
 
 /// Fits to a table of measurements.
-async fn of_table(law: Law, common: &Common) -> Result<ExitCode, CliError> {
+async fn of_table(law: Law, common: &Common) -> CliResult<ExitCode> {
     let sensor = read_sensor(common.sensor.as_deref())?;
     let earlier = common.from.as_deref().map(|path| read_calibration(path, &sensor)).transpose()?;
     let file = common.measurements.display().to_string();
@@ -136,7 +136,7 @@ fn judge_voltages(
     common: &Common,
     sensor: &Sensor,
     calibration: &mut Calibration,
-) -> Result<usize, CliError> {
+) -> CliResult<usize> {
     let Some(path) = &common.frames else { return Ok(0) };
     let file = path.display().to_string();
     let frames = frames::read(&file, &read_input(path)?, sensor.channels())?;
@@ -146,7 +146,7 @@ fn judge_voltages(
     Ok(frames.left_out)
 }
 
-fn answer(common: &Common, whole: &Calibration, left_out: usize) -> Result<(), CliError> {
+fn answer(common: &Common, whole: &Calibration, left_out: usize) -> CliResult<()> {
     let id = whole.id()?;
     if common.json {
         let mut object = json!(whole);

@@ -15,7 +15,7 @@ use sim_core::responses::UnitResponses;
 use sim_core::sensor::Sensor;
 
 use super::super::client::Client;
-use super::super::error::CliError;
+use super::super::error::{CliError, CliResult};
 use super::super::files::{calibration_problem, parse_calibration, write};
 use super::super::find::find_run;
 use super::super::output::{counted, say, say_json};
@@ -69,19 +69,18 @@ pub struct SkinArgs {
 ///
 /// # Errors
 /// `CliError` if the run or an input is invalid, the fit fails, or a file cannot be written.
-pub async fn skin(args: SkinArgs) -> Result<ExitCode, CliError> {
-    let at = args.at.clone();
-    embed::with_server(&at, move |client| fit_run(client, args)).await?;
+pub async fn skin(args: &SkinArgs) -> CliResult<ExitCode> {
+    embed::with_server(&args.at, async |client| fit_run(client, args).await).await?;
     Ok(ExitCode::SUCCESS)
 }
 
-async fn fit_run(client: Client, args: SkinArgs) -> Result<(), CliError> {
-    let run = find_run(&client, &args.run).await?;
-    let (sensor, earlier) = start(&run, &args)?;
+async fn fit_run(client: &Client, args: &SkinArgs) -> CliResult<()> {
+    let run = find_run(client, &args.run).await?;
+    let (sensor, earlier) = start(&run, args)?;
     let candidates = candidates(&client.showing("reading the trials"), &run).await?;
     let least_n = if run.kind == RunKind::RealHex { run.deadband_n } else { 0.0 };
     let choice = choose(&candidates, args.trials, least_n);
-    let trials = frames(&client, &run, &candidates, &choice, sensor.channels()).await?;
+    let trials = frames(client, &run, &candidates, &choice, sensor.channels()).await?;
     let cache = args.at.data().join("cache");
     let source = Source { run: run.uid, label: run.label };
     let (threads, on) = (threads(args.threads), sensor.clone());
@@ -108,12 +107,12 @@ async fn fit_run(client: Client, args: SkinArgs) -> Result<(), CliError> {
     if let Some(path) = &args.out {
         write(path, &whole.to_toml()?)?;
     }
-    answer(&args, &run, &whole, &fitted)
+    answer(args, &run, &whole, &fitted)
 }
 
 /// The sensor that the fit starts from: that of the run with an earlier calibration of Eq. 1 and
 /// moduli; and that calibration without its skin.
-fn start(run: &RunRow, args: &SkinArgs) -> Result<(Sensor, Option<Calibration>), CliError> {
+fn start(run: &RunRow, args: &SkinArgs) -> CliResult<(Sensor, Option<Calibration>)> {
     let sensor = Sensor::from_toml(&run.sensor).map_err(|e| {
         let file = format!("sensor file of run {}", run.scan_id);
         CliError::Problems(vec![Problem::whole(&file, e.to_string())])
@@ -128,7 +127,7 @@ fn start(run: &RunRow, args: &SkinArgs) -> Result<(Sensor, Option<Calibration>),
 }
 
 /// All trials of a run without a flag: positions of the tips, contacts.
-async fn candidates(client: &Client, run: &RunRow) -> Result<Vec<Candidate>, CliError> {
+async fn candidates(client: &Client, run: &RunRow) -> CliResult<Vec<Candidate>> {
     let force_noise_n = match &run.rig {
         Some(rig) => RigSetup::from_toml("rig", rig).map_err(CliError::Problems)?.force_noise_n(),
         None => None,
@@ -155,7 +154,7 @@ async fn frames(
     candidates: &[Candidate],
     choice: &Choice,
     channels: usize,
-) -> Result<[Vec<MeasuredTrial>; 2], CliError> {
+) -> CliResult<[Vec<MeasuredTrial>; 2]> {
     let count = choice.fitted.len() + choice.held_out.len();
     let mut shown = Counted::of("trials read", count as u64);
     let mut sides = [Vec::new(), Vec::new()];
@@ -196,7 +195,7 @@ fn fit(
     [fitted, held_out]: [Vec<MeasuredTrial>; 2],
     source: Source,
     threads: usize,
-) -> Result<CalibratedSkin, CliError> {
+) -> CliResult<CalibratedSkin> {
     let shown = solving();
     let responses: Arc<UnitResponses> =
         Arc::new(unit_responses(sensor, cache).map_err(ModelUnavailable::from)?);
@@ -214,7 +213,6 @@ fn fit(
         lines.say(|| format!("{words}, {} % of all steps", 100 * p.done / p.total.max(1)));
         bar.set_message(format!("at most, {words}"));
     });
-    bar.finish_and_clear();
     Ok(outcome?)
 }
 
@@ -223,7 +221,7 @@ fn answer(
     run: &RunRow,
     whole: &Calibration,
     fitted: &CalibratedSkin,
-) -> Result<(), CliError> {
+) -> CliResult<()> {
     let id = whole.id()?;
     let CalibratedSkin { skin, parameters, costs, .. } = fitted;
     let evidence = &skin.evidence;

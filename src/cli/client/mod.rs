@@ -8,7 +8,7 @@ use std::time::Duration;
 use futures::StreamExt;
 use nix::unistd::{User, geteuid};
 use reqwest::multipart::{Form, Part};
-use reqwest::{Method, RequestBuilder, Response};
+use reqwest::{Method, RequestBuilder, Response, header};
 use rustls::ClientConfig;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
@@ -17,7 +17,7 @@ use tokio_tungstenite::tungstenite::client::IntoClientRequest;
 use tokio_tungstenite::tungstenite::{self, Message};
 use tokio_tungstenite::{Connector, connect_async_tls_with_config};
 
-use super::error::CliError;
+use super::error::{CliError, CliResult};
 use super::progress::shown_wait;
 use super::repeat;
 use super::trust::{self, Certificates};
@@ -88,11 +88,7 @@ impl Client {
     /// # Errors
     /// `CliError::Http` if the HTTP client cannot be created; `Problems` if the URL is none, or if the
     /// certificate cannot be used; `Tls` likewise.
-    pub fn new(
-        url: &str,
-        ca: Option<&Certificates>,
-        key: Option<String>,
-    ) -> Result<Self, CliError> {
+    pub fn new(url: &str, ca: Option<&Certificates>, key: Option<String>) -> CliResult<Self> {
         check_url(url)?;
         let tls = trust::tls(url, ca)?;
         let http = trust::http(tls.clone())
@@ -127,7 +123,7 @@ impl Client {
     ///
     /// # Errors
     /// `CliError::Untrusted` if its certificate is not trusted.
-    pub async fn look(&self) -> Result<Found, CliError> {
+    pub async fn look(&self) -> CliResult<Found> {
         let url = format!("{}/health/live", self.url);
         let body: Value = match self.http.get(url).timeout(PROBE_WAIT).send().await {
             Ok(answer) => answer.json().await.unwrap_or_default(),
@@ -144,7 +140,7 @@ impl Client {
     ///
     /// # Errors
     /// As [`Self::ask`].
-    pub async fn get<T: DeserializeOwned>(&self, path: &str) -> Result<T, CliError> {
+    pub async fn get<T: DeserializeOwned>(&self, path: &str) -> CliResult<T> {
         self.ask(Method::GET, path, None::<&Value>).await
     }
 
@@ -156,7 +152,7 @@ impl Client {
         &self,
         path: &str,
         body: &impl Serialize,
-    ) -> Result<T, CliError> {
+    ) -> CliResult<T> {
         self.ask(Method::POST, path, Some(body)).await
     }
 
@@ -164,7 +160,7 @@ impl Client {
     ///
     /// # Errors
     /// As [`Self::send`].
-    pub async fn delete(&self, path: &str) -> Result<(), CliError> {
+    pub async fn delete(&self, path: &str) -> CliResult<()> {
         let who: String = self.who.bytes().map(|b| format!("%{b:02X}")).collect();
         let path = format!("{path}?who={who}");
         self.send(Method::DELETE, &path, None::<&Value>).await.map(|_| ())
@@ -179,7 +175,7 @@ impl Client {
         method: Method,
         path: &str,
         body: Option<&impl Serialize>,
-    ) -> Result<T, CliError> {
+    ) -> CliResult<T> {
         let operation = format!("{method} {path}");
         read(operation, self.send(method, path, body).await?).await
     }
@@ -194,29 +190,20 @@ impl Client {
         method: Method,
         path: &str,
         body: Option<&impl Serialize>,
-    ) -> Result<Response, CliError> {
-        let operation = format!("{method} {path}");
-        let request = self.http.request(method, format!("{}{path}", self.url));
-        let request = match body {
+    ) -> CliResult<Response> {
+        self.carry_out(method, path, |request| match body {
             Some(body) => request.json(body),
             None => request,
-        };
-        self.carry_out(operation, request).await
+        })
+        .await
     }
 
-    /// Sends a request for a part of a file.
+    /// Asks for a part of a file.
     ///
     /// # Errors
     /// As [`Self::send`].
-    pub async fn send_ranged(
-        &self,
-        method: Method,
-        path: &str,
-        range: &str,
-    ) -> Result<Response, CliError> {
-        let operation = format!("{method} {path}");
-        let request = self.http.request(method, format!("{}{path}", self.url));
-        self.carry_out(operation, request.header(reqwest::header::RANGE, range)).await
+    pub async fn part(&self, path: &str, range: &str) -> CliResult<Response> {
+        self.carry_out(Method::GET, path, |request| request.header(header::RANGE, range)).await
     }
 
     /// Opens a stream of server-sent events, after the event with this id if it continues one. It has no
@@ -224,13 +211,16 @@ impl Client {
     ///
     /// # Errors
     /// As [`Self::send`].
-    pub async fn stream(&self, path: &str, last_id: Option<&str>) -> Result<Response, CliError> {
-        let request = self.http.get(format!("{}{path}", self.url));
-        let mut request = request.header(reqwest::header::ACCEPT, "text/event-stream");
-        if let Some(id) = last_id {
-            request = request.header("last-event-id", id);
-        }
-        self.patient(STREAM).carry_out(format!("GET {path}"), request).await
+    pub async fn stream(&self, path: &str, last_id: Option<&str>) -> CliResult<Response> {
+        let client = self.patient(STREAM);
+        let sent = client.carry_out(Method::GET, path, |request| {
+            let request = request.header(header::ACCEPT, "text/event-stream");
+            match last_id {
+                Some(id) => request.header("last-event-id", id),
+                None => request,
+            }
+        });
+        sent.await
     }
 
     /// Uploads a file with texts.
@@ -242,8 +232,7 @@ impl Client {
         path: &str,
         file: &Path,
         texts: impl IntoIterator<Item = TextPart>,
-    ) -> Result<T, CliError> {
-        let operation = format!("POST {path}");
+    ) -> CliResult<T> {
         let opened = tokio::fs::File::open(file).await.map_err(CliError::input(file))?;
         let length = opened.metadata().await.map_err(CliError::file(file))?.len();
         let pieces = tokio_util::io::ReaderStream::new(opened);
@@ -261,36 +250,26 @@ impl Client {
                 },
             );
         }
-        let request = self.http.post(format!("{}{path}", self.url)).multipart(form);
-        let answer = self.carry_out(operation.clone(), request).await?;
-        read(operation, answer).await
+        let sent = self.carry_out(Method::POST, path, |request| request.multipart(form));
+        read(format!("POST {path}"), sent.await?).await
     }
 
     /// Sends a POST request with a text and reads the answer.
     ///
     /// # Errors
     /// As [`Self::ask`].
-    pub async fn post_text<T: DeserializeOwned>(
-        &self,
-        path: &str,
-        text: String,
-    ) -> Result<T, CliError> {
-        let operation = format!("POST {path}");
-        let request = self.http.post(format!("{}{path}", self.url)).body(text);
-        let request = request.header(reqwest::header::CONTENT_TYPE, "text/plain; charset=utf-8");
-        let answer = self.carry_out(operation.clone(), request).await?;
-        read(operation, answer).await
+    pub async fn post_text<T: DeserializeOwned>(&self, path: &str, text: String) -> CliResult<T> {
+        let sent = self.carry_out(Method::POST, path, |request| {
+            request.header(header::CONTENT_TYPE, "text/plain; charset=utf-8").body(text)
+        });
+        read(format!("POST {path}"), sent.await?).await
     }
 
     /// Reads the messages of a WebSocket until `take` returns `false`, or the stream ends.
     ///
     /// # Errors
     /// `CliError::Socket` if the connection fails.
-    pub async fn messages(
-        &self,
-        path: &str,
-        mut take: impl FnMut(&str) -> bool,
-    ) -> Result<(), CliError> {
+    pub async fn messages(&self, path: &str, mut take: impl FnMut(&str) -> bool) -> CliResult<()> {
         let operation = || format!("GET {path}");
         let failed = |error: tungstenite::Error| match error {
             tungstenite::Error::Http(answer) => {
@@ -325,12 +304,16 @@ impl Client {
         Ok(())
     }
 
+    /// Sends a request, to which `complete` adds its own headers and its body.
     async fn carry_out(
         &self,
-        operation: String,
-        request: RequestBuilder,
-    ) -> Result<Response, CliError> {
+        method: Method,
+        path: &str,
+        complete: impl FnOnce(RequestBuilder) -> RequestBuilder,
+    ) -> CliResult<Response> {
+        let operation = format!("{method} {path}");
         tracing::debug!(operation, url = self.url, "request");
+        let request = complete(self.http.request(method, format!("{}{path}", self.url)));
         let request = self.with_key(request).timeout(self.answer_within);
         let sent = repeat::send(request, &operation, self.answer_within);
         let answer = match self.work {
@@ -378,12 +361,12 @@ impl Client {
 }
 
 /// Reads the answer to a request.
-async fn read<T: DeserializeOwned>(operation: String, answer: Response) -> Result<T, CliError> {
+async fn read<T: DeserializeOwned>(operation: String, answer: Response) -> CliResult<T> {
     answer.json().await.map_err(|source| CliError::Http { operation, source })
 }
 
 /// Rejects what is not the URL of a service.
-fn check_url(url: &str) -> Result<(), CliError> {
+fn check_url(url: &str) -> CliResult<()> {
     let limit = url_limit(url).map(|limit| CliError::argument("--url or PALPATE_URL", url, limit));
     limit.map_or(Ok(()), Err)
 }

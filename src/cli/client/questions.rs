@@ -3,12 +3,12 @@
 
 use reqwest::Method;
 use serde::de::DeserializeOwned;
-use serde_json::{Value, json};
+use serde_json::Value;
 
 use super::Client;
 use crate::api::{Page, Summary};
-use crate::cli::error::CliError;
-use crate::cli::view::{ArmedView, EventView, StatusView, TakenUpView};
+use crate::cli::error::{CliError, CliResult};
+use crate::cli::view::{EventView, StatusView};
 use crate::ids::RunUid;
 use crate::store::RunRow;
 
@@ -20,7 +20,7 @@ impl Client {
     ///
     /// # Errors
     /// As [`Self::send`].
-    pub async fn status(&self) -> Result<StatusView, CliError> {
+    pub async fn status(&self) -> CliResult<StatusView> {
         self.get("/api/v1/status").await
     }
 
@@ -28,7 +28,7 @@ impl Client {
     ///
     /// # Errors
     /// As [`Self::send`].
-    pub async fn run(&self, run: impl std::fmt::Display) -> Result<RunRow, CliError> {
+    pub async fn run(&self, run: impl std::fmt::Display) -> CliResult<RunRow> {
         self.get(&format!("/api/v1/runs/{run}")).await
     }
 
@@ -36,7 +36,7 @@ impl Client {
     ///
     /// # Errors
     /// As [`Self::send`].
-    pub async fn summary(&self, run: RunUid) -> Result<Summary, CliError> {
+    pub async fn summary(&self, run: RunUid) -> CliResult<Summary> {
         self.get(&format!("/api/v1/runs/{run}/summary")).await
     }
 
@@ -44,7 +44,7 @@ impl Client {
     ///
     /// # Errors
     /// As [`Self::send`].
-    pub async fn events(&self, run: RunUid, since: i64) -> Result<Page<EventView>, CliError> {
+    pub async fn events(&self, run: RunUid, since: i64) -> CliResult<Page<EventView>> {
         self.get(&format!("/api/v1/events?since={since}&run={run}")).await
     }
 
@@ -52,7 +52,7 @@ impl Client {
     ///
     /// # Errors
     /// As [`Self::send`].
-    pub async fn all<T: DeserializeOwned>(&self, path: &str) -> Result<Vec<T>, CliError> {
+    pub async fn all<T: DeserializeOwned>(&self, path: &str) -> CliResult<Vec<T>> {
         let (mut all, mut cursor) = (Vec::new(), String::new());
         loop {
             let page: Page<T> = self.get(&format!("{path}{cursor}")).await?;
@@ -71,7 +71,7 @@ impl Client {
         &self,
         path: &str,
         most: usize,
-    ) -> Result<(Vec<T>, bool), CliError> {
+    ) -> CliResult<(Vec<T>, bool)> {
         let (mut found, mut cursor) = (Vec::new(), String::new());
         loop {
             let limit = (most - found.len()).clamp(1, PAGE_ENTRIES);
@@ -90,7 +90,7 @@ impl Client {
     ///
     /// # Errors
     /// As [`Self::send`]; `CliError::Http` if the connection breaks.
-    pub async fn text(&self, path: &str) -> Result<String, CliError> {
+    pub async fn text(&self, path: &str) -> CliResult<String> {
         let answer = self.send(Method::GET, path, None::<&Value>).await?;
         let text = answer.text().await;
         text.map_err(|source| CliError::Http { operation: format!("GET {path}"), source })
@@ -100,7 +100,7 @@ impl Client {
     ///
     /// # Errors
     /// As [`Self::send`], except 404.
-    pub async fn if_there<T: DeserializeOwned>(&self, path: &str) -> Result<Option<T>, CliError> {
+    pub async fn if_there<T: DeserializeOwned>(&self, path: &str) -> CliResult<Option<T>> {
         match self.get(path).await {
             Ok(found) => Ok(Some(found)),
             Err(CliError::Refused { status: 404, .. }) => Ok(None),
@@ -112,10 +112,7 @@ impl Client {
     ///
     /// # Errors
     /// As [`Self::send`].
-    pub async fn find_run(
-        &self,
-        fits: impl Fn(&RunRow) -> bool,
-    ) -> Result<Option<RunRow>, CliError> {
+    pub async fn find_run(&self, fits: impl Fn(&RunRow) -> bool) -> CliResult<Option<RunRow>> {
         let mut path = "/api/v1/runs?".to_owned();
         loop {
             let page: Page<RunRow> = self.get(&path).await?;
@@ -127,28 +124,11 @@ impl Client {
         }
     }
 
-    /// Arms a run; returns the code that starts it, and its preflight.
-    ///
-    /// # Errors
-    /// As [`Self::send`].
-    pub async fn arm(&self, run: RunUid) -> Result<ArmedView, CliError> {
-        self.post(&format!("/api/v1/runs/{run}/arm"), &json!({ "who": self.who })).await
-    }
-
-    /// Starts an armed run.
-    ///
-    /// # Errors
-    /// As [`Self::send`].
-    pub async fn start(&self, run: RunUid, code: &str) -> Result<TakenUpView, CliError> {
-        let body = json!({ "action": "start", "code": code, "who": self.who });
-        self.post(&format!("/api/v1/runs/{run}/actions"), &body).await
-    }
-
     /// Sends an action on a run; `more` are its other fields.
     ///
     /// # Errors
     /// As [`Self::send`].
-    pub async fn act(&self, run: RunUid, action: &str, more: Value) -> Result<(), CliError> {
+    pub async fn act(&self, run: RunUid, action: &str, more: Value) -> CliResult<()> {
         let path = format!("/api/v1/runs/{run}/actions");
         self.send(Method::POST, &path, Some(&self.body(action, more))).await.map(|_| ())
     }
@@ -157,7 +137,7 @@ impl Client {
     ///
     /// # Errors
     /// As [`Self::send`].
-    pub async fn act_on_rig(&self, action: &str, more: Value) -> Result<(), CliError> {
+    pub async fn act_on_rig(&self, action: &str, more: Value) -> CliResult<()> {
         let body = self.body(action, more);
         self.send(Method::POST, "/api/v1/rig/actions", Some(&body)).await.map(|_| ())
     }

@@ -12,7 +12,7 @@ use crate::chunk::folder::OrderFolder;
 use crate::chunk::order::{ChunkRow, WorkOrder};
 use crate::cli::client::TextPart;
 use crate::cli::download::DATASET_WAIT;
-use crate::cli::error::CliError;
+use crate::cli::error::{CliError, CliResult};
 use crate::cli::evaluate::MethodRequest;
 use crate::cli::evaluate::lab::ExtentArgs;
 use crate::cli::output::Output;
@@ -47,11 +47,11 @@ impl ReadingsRequest {
     /// # Errors
     /// `CliError` if an option is invalid, the service cannot be reached or started, or the evaluation cannot be
     /// prepared.
-    pub async fn order(&self, output: Output) -> Result<(WorkOrder, u64), CliError> {
+    pub async fn order(&self, output: Output) -> CliResult<(WorkOrder, u64)> {
         let at = self.place.at(output);
         let request = self.method.clone().request(&self.extent.budget());
         let path = format!("/api/v1/evaluations/inputs?chunk_rows={}", self.chunk_rows);
-        embed::with_server(&at, move |client| async move {
+        embed::with_server(&at, async |client| {
             let client = client.patient(DATASET_WAIT);
             let client = client.showing("preparing the skin and the frames");
             let inputs: ReadingInputs = client.post(&path, &request).await?;
@@ -74,7 +74,7 @@ pub async fn score(
     out: &Path,
     at: &At,
     mut verified: Counted,
-) -> Result<u64, CliError> {
+) -> CliResult<u64> {
     let order = readings_order(folder)?;
     let gathered = gather(folder, rows, &mut || verified.add(1));
     drop(verified);
@@ -88,7 +88,7 @@ pub async fn score(
         TextPart::value("model", order.definition.model.clone()),
         TextPart::value("frames_sha256", order.frames_sha256()),
     ];
-    let report: EvaluationReport = embed::with_server(at, move |client| async move {
+    let report: EvaluationReport = embed::with_server(at, async |client| {
         let client = client.patient(DATASET_WAIT);
         let client = client.showing("scoring the readings");
         client.upload("/api/v1/evaluations/readings", &file, texts).await

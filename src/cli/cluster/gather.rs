@@ -13,7 +13,7 @@ use super::twins::{self, Stored};
 use crate::chunk::folder::OrderFolder;
 use crate::chunk::order::ChunkRow;
 use crate::cli::At;
-use crate::cli::error::CliError;
+use crate::cli::error::{CliError, CliResult};
 use crate::cli::next::Next;
 use crate::cli::output::{bytes, grouped};
 use crate::cli::progress::Counted;
@@ -37,7 +37,7 @@ pub struct GatherArgs {
 /// # Errors
 /// `ChunkError::Incomplete` if a chunk is missing or damaged; another `CliError` if a file cannot be read or written, or
 /// twins cannot be stored.
-pub async fn gather(args: &GatherArgs) -> Result<(), CliError> {
+pub async fn gather(args: &GatherArgs) -> CliResult<()> {
     let folder = OrderFolder::open(&args.folder)?;
     let kind = ChunkKind::of(&folder)?;
     let rows = folder.rows()?;
@@ -81,7 +81,7 @@ fn answer(folder: &OrderFolder, mut more: Value) -> Value {
 }
 
 /// Stores the twins of a work order.
-async fn store(folder: OrderFolder, rows: Vec<ChunkRow>, at: &At) -> Result<(), CliError> {
+async fn store(folder: OrderFolder, rows: Vec<ChunkRow>, at: &At) -> CliResult<()> {
     let run = twins_order(&folder)?.definition.run;
     let done = twins::store(run, folder.clone(), rows, at, verified(&folder)).await?;
     let Stored { stored, present, damaged } = done;
@@ -101,12 +101,7 @@ async fn store(folder: OrderFolder, rows: Vec<ChunkRow>, at: &At) -> Result<(), 
 }
 
 /// Has the readings of a work order scored.
-async fn score(
-    folder: &OrderFolder,
-    rows: &[ChunkRow],
-    out: &Path,
-    at: &At,
-) -> Result<(), CliError> {
+async fn score(folder: &OrderFolder, rows: &[ChunkRow], out: &Path, at: &At) -> CliResult<()> {
     let frames = evaluation::score(folder, rows, out, at, verified(folder)).await?;
     let words = format!(
         "{} readings of {} chunks, each with its sha256, and their scores, in {}",

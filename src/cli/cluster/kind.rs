@@ -9,7 +9,7 @@ use crate::chunk::MakeChunks;
 use crate::chunk::error::{ChunkError, Gaps};
 use crate::chunk::folder::OrderFolder;
 use crate::chunk::order::{ChunkRow, ORDER_FILE};
-use crate::cli::error::CliError;
+use crate::cli::error::{CliError, CliResult};
 use crate::cli::simulate::solved;
 use crate::jobs::chunks::{self as trainings, TRAININGS, TrainingChunks, TrainingsOrder};
 use crate::jobs::readings::chunks::{READINGS, ReadingChunks, ReadingsOrder};
@@ -54,7 +54,7 @@ impl ChunkKind {
     ///
     /// # Errors
     /// `ChunkError::Order` if this program does not know it.
-    pub fn of(folder: &OrderFolder) -> Result<Self, CliError> {
+    pub fn of(folder: &OrderFolder) -> CliResult<Self> {
         match folder.order().kind.as_str() {
             SIM_RANDOM => Ok(Self::SimRandom),
             TRAININGS => Ok(Self::Trainings),
@@ -73,11 +73,7 @@ impl ChunkKind {
     /// # Errors
     /// `ChunkError::Order` if a value of the order is not what this program makes; `CliError::Model` if the model of the
     /// skin is not available.
-    pub fn open(
-        self,
-        folder: &OrderFolder,
-        means: &ChunkMeans,
-    ) -> Result<Box<dyn MakeChunks>, CliError> {
+    pub fn open(self, folder: &OrderFolder, means: &ChunkMeans) -> CliResult<Box<dyn MakeChunks>> {
         match self {
             Self::SimRandom => {
                 let order = RandomOrder::read(folder.order()).map_err(refused(folder))?;
@@ -117,7 +113,7 @@ impl ChunkKind {
         rows: &[ChunkRow],
         out: &Path,
         tell: &mut dyn FnMut(),
-    ) -> Result<Gathered, CliError> {
+    ) -> CliResult<Gathered> {
         match self {
             Self::SimRandom => {
                 let order = RandomOrder::read(folder.order()).map_err(refused(folder))?;
@@ -147,7 +143,7 @@ impl ChunkKind {
 ///
 /// # Errors
 /// `ChunkError::Order` with the first value that is wrong.
-pub fn twins_order(folder: &OrderFolder) -> Result<TwinsOrder, CliError> {
+pub fn twins_order(folder: &OrderFolder) -> CliResult<TwinsOrder> {
     TwinsOrder::read(folder.order()).map_err(refused(folder))
 }
 
@@ -155,7 +151,7 @@ pub fn twins_order(folder: &OrderFolder) -> Result<TwinsOrder, CliError> {
 ///
 /// # Errors
 /// `ChunkError::Order` with the first value that is wrong.
-pub fn readings_order(folder: &OrderFolder) -> Result<ReadingsOrder, CliError> {
+pub fn readings_order(folder: &OrderFolder) -> CliResult<ReadingsOrder> {
     ReadingsOrder::read(folder.order()).map_err(refused(folder))
 }
 

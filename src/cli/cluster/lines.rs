@@ -17,7 +17,7 @@ use serde_json::{Value, json};
 use super::makers::{Makers, StopRequest};
 use crate::chunk::error::ChunkError;
 use crate::chunk::folder::OrderFolder;
-use crate::cli::error::CliError;
+use crate::cli::error::{CliError, CliResult};
 use crate::cli::output::say_json;
 
 /// Longest line, bytes.
@@ -37,7 +37,7 @@ struct Asked {
 ///
 /// # Errors
 /// `CliError::System` if standard input cannot be read.
-pub fn answer(makers: &mut Makers, stop: &StopRequest) -> Result<ExitCode, CliError> {
+pub fn answer(makers: &mut Makers, stop: &StopRequest) -> CliResult<ExitCode> {
     let lines = read();
     loop {
         if stop.is_after_chunk() {

@@ -18,7 +18,7 @@ use super::makers::{MadeChunk, Makers, StopRequest};
 use crate::chunk::folder::OrderFolder;
 use crate::chunk::order::WorkOrder;
 use crate::cli::data_or_default;
-use crate::cli::error::CliError;
+use crate::cli::error::{CliError, CliResult};
 use crate::cli::next::Next;
 use crate::cli::output::{bytes, counted, duration, grouped, note, say, say_json};
 use crate::cli::progress::Counted;
@@ -63,7 +63,7 @@ pub struct MakeArgs {
 ///
 /// # Errors
 /// `CliError` if an option is invalid, or the work order cannot be opened.
-pub async fn make(args: MakeArgs) -> Result<ExitCode, CliError> {
+pub async fn make(args: MakeArgs) -> CliResult<ExitCode> {
     let mut signals = Signals::catch()?;
     let stop = Arc::new(StopRequest::default());
     let work = tokio::task::spawn_blocking({
@@ -98,7 +98,7 @@ pub async fn make(args: MakeArgs) -> Result<ExitCode, CliError> {
     }
 }
 
-fn work(args: &MakeArgs, stop: &StopRequest) -> Result<ExitCode, CliError> {
+fn work(args: &MakeArgs, stop: &StopRequest) -> CliResult<ExitCode> {
     let data = data_or_default(args.data.clone());
     let mut makers = Makers::new(ChunkMeans { threads: threads(args.threads)?, data });
     match &args.folder {
@@ -113,7 +113,7 @@ fn all(
     args: &MakeArgs,
     makers: &mut Makers,
     stop: &StopRequest,
-) -> Result<ExitCode, CliError> {
+) -> CliResult<ExitCode> {
     let folder = OrderFolder::open(folder)?;
     let indexes = indexes(args, folder.order())?;
     let _at_work = folder.at_work()?;
@@ -135,7 +135,7 @@ fn all(
 }
 
 /// Indexes of the chunks that the options name.
-fn indexes(args: &MakeArgs, order: &WorkOrder) -> Result<Vec<u64>, CliError> {
+fn indexes(args: &MakeArgs, order: &WorkOrder) -> CliResult<Vec<u64>> {
     let (Some(task), Some(tasks)) = (args.task, args.tasks) else {
         let last = order.chunks - 1;
         return match args.indexes.iter().find(|index| **index > last) {

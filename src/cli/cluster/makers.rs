@@ -8,7 +8,7 @@ use super::kind::{ChunkKind, ChunkMeans};
 use crate::chunk::MakeChunks;
 use crate::chunk::folder::{ChunkState, OrderFolder};
 use crate::chunk::order::ChunkRow;
-use crate::cli::error::CliError;
+use crate::cli::error::CliResult;
 use crate::new_file::Look;
 
 /// What was requested of the work.
@@ -63,7 +63,7 @@ impl Makers {
         folder: &OrderFolder,
         index: u64,
         stop: &StopRequest,
-    ) -> Result<Option<MadeChunk>, CliError> {
+    ) -> CliResult<Option<MadeChunk>> {
         if let ChunkState::Done(row) = folder.state(index, Look::Sha256)? {
             return Ok(Some(MadeChunk { row, is_new: false }));
         }

@@ -9,7 +9,7 @@ use std::process::ExitCode;
 use clap::{Args, Subcommand};
 
 use super::At;
-use super::error::CliError;
+use super::error::CliResult;
 use super::output::Output;
 
 mod evaluation;
@@ -85,7 +85,7 @@ impl OrderPlace {
 ///
 /// # Errors
 /// `CliError` if an input is invalid, or a file cannot be read or written.
-pub async fn cluster(args: ClusterArgs) -> Result<ExitCode, CliError> {
+pub async fn cluster(args: ClusterArgs) -> CliResult<ExitCode> {
     match args.command {
         ClusterCommand::Sbatch(args) => sbatch::sbatch(&args).await.map(|()| ExitCode::SUCCESS),
         ClusterCommand::Make(args) => make::make(args).await,

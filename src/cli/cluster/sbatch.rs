@@ -13,7 +13,7 @@ use super::table::TableRequest;
 use super::twins::TwinsRequest;
 use crate::chunk::folder::OrderFolder;
 use crate::cli::data_or_default;
-use crate::cli::error::CliError;
+use crate::cli::error::{CliError, CliResult};
 use crate::cli::files::this_program;
 use crate::cli::next::Next;
 use crate::cli::output::{Output, counted, grouped, say, say_json};
@@ -36,65 +36,49 @@ pub struct SbatchArgs {
 
 /// Kinds of bulk work.
 #[derive(Debug, Clone, Subcommand)]
-pub enum SbatchCommand {
+enum SbatchCommand {
     /// Order Sim-Random; a chunk is a shard.
     ///
     /// The options that determine bytes are those of `palpate simulate random`, and the gathered folder has
     /// the same bytes.
-    Random(SbatchRandomArgs),
+    Random {
+        #[command(flatten)]
+        request: RandomRequest,
+        #[command(flatten)]
+        job: JobArgs,
+    },
     /// Order the trainings of a table of the paper; a chunk is a net with its scores.
     ///
     /// The options that determine bytes are those of `palpate evaluate`; the vector instructions of this
     /// processor and the commit of the program determine them, too. A net trains on one thread.
     /// `palpate evaluate .. --trained` makes the table of the gathered nets.
-    Table(SbatchTableArgs),
+    Table {
+        #[command(flatten)]
+        request: TableRequest,
+        #[command(flatten)]
+        job: JobArgs,
+    },
     /// Order the twins of a run; a chunk has the frames of consecutive trials.
     ///
     /// The order contains the skin and the contacts of all trials that are stored, so that nodes need
     /// neither the database nor the rig. `palpate cluster gather` has the service store the twins.
-    Twins(SbatchTwinsArgs),
+    Twins {
+        #[command(flatten)]
+        request: TwinsRequest,
+        #[command(flatten)]
+        job: JobArgs,
+    },
     /// Order the answers of exact to the frames of an evaluation; a chunk has those to some frames.
     ///
     /// The options are those of `palpate evaluate method`. The order contains the frames, the skin and the
     /// errors of its model. `palpate cluster gather` has the service score the answers, and
     /// `palpate evaluate method exact --trained` shows the scores.
-    Evaluation(Box<SbatchEvaluationArgs>),
-}
-
-/// Options of `cluster sbatch random`.
-#[derive(Debug, Clone, Args)]
-pub struct SbatchRandomArgs {
-    #[command(flatten)]
-    request: RandomRequest,
-    #[command(flatten)]
-    job: JobArgs,
-}
-
-/// Options of `cluster sbatch table`.
-#[derive(Debug, Clone, Args)]
-pub struct SbatchTableArgs {
-    #[command(flatten)]
-    request: TableRequest,
-    #[command(flatten)]
-    job: JobArgs,
-}
-
-/// Options of `cluster sbatch twins`.
-#[derive(Debug, Clone, Args)]
-pub struct SbatchTwinsArgs {
-    #[command(flatten)]
-    request: TwinsRequest,
-    #[command(flatten)]
-    job: JobArgs,
-}
-
-/// Options of `cluster sbatch evaluation`.
-#[derive(Debug, Clone, Args)]
-pub struct SbatchEvaluationArgs {
-    #[command(flatten)]
-    request: ReadingsRequest,
-    #[command(flatten)]
-    job: JobArgs,
+    Evaluation {
+        #[command(flatten)]
+        request: Box<ReadingsRequest>,
+        #[command(flatten)]
+        job: JobArgs,
+    },
 }
 
 /// Options of the array job.
@@ -130,9 +114,9 @@ pub struct JobArgs {
 ///
 /// # Errors
 /// `CliError` if an option is invalid, the folder contains another order, or a file cannot be written.
-pub async fn sbatch(args: &SbatchArgs) -> Result<(), CliError> {
+pub async fn sbatch(args: &SbatchArgs) -> CliResult<()> {
     match &args.command {
-        SbatchCommand::Random(SbatchRandomArgs { request, job }) => {
+        SbatchCommand::Random { request, job } => {
             let places = job.places(request.data.clone())?;
             let SolvedRequest { definition, sensor_text, calibration_text, .. } =
                 request.solve()?;
@@ -143,21 +127,20 @@ pub async fn sbatch(args: &SbatchArgs) -> Result<(), CliError> {
             let contents = format!("{} trials", grouped(rows));
             job.finish(&folder, &places, is_new, &contents, &[])
         }
-        SbatchCommand::Table(SbatchTableArgs { request, job }) => {
+        SbatchCommand::Table { request, job } => {
             let places = job.places(request.place.data.clone())?;
             let (folder, is_new) = request.write(&job.folder, job.output()).await?;
             let contents = format!("{} nets", folder.order().chunks);
             job.finish(&folder, &places, is_new, &contents, request.resources())
         }
-        SbatchCommand::Twins(SbatchTwinsArgs { request, job }) => {
+        SbatchCommand::Twins { request, job } => {
             let places = job.places(request.place.data.clone())?;
             let (order, trials) = request.order(job.output()).await?;
             let contents = format!("{} twins", grouped(trials));
             let (folder, is_new) = OrderFolder::write(&job.folder, order)?;
             job.finish(&folder, &places, is_new, &contents, &[])
         }
-        SbatchCommand::Evaluation(args) => {
-            let SbatchEvaluationArgs { request, job } = args.as_ref();
+        SbatchCommand::Evaluation { request, job } => {
             let places = job.places(request.place.data.clone())?;
             let (order, frames) = request.order(job.output()).await?;
             let contents = format!("{} frames", grouped(frames));
@@ -181,7 +164,7 @@ impl JobArgs {
     }
 
     /// Checks the options, and returns the paths of the job.
-    fn places(&self, data: Option<PathBuf>) -> Result<Places, CliError> {
+    fn places(&self, data: Option<PathBuf>) -> CliResult<Places> {
         let mut checks = Checks::of("command line");
         let limit = format!("must be from 1 to {TASKS_MAX}");
         checks.require((1..=TASKS_MAX).contains(&self.tasks), "tasks", self.tasks, &limit);
@@ -220,7 +203,7 @@ impl JobArgs {
         is_new: bool,
         contents: &str,
         resources: &[&str],
-    ) -> Result<(), CliError> {
+    ) -> CliResult<()> {
         let order = folder.order();
         let job = Job {
             palpate: places.palpate.clone(),
@@ -291,7 +274,7 @@ impl JobArgs {
     }
 }
 
-fn absolute(path: &Path) -> Result<String, CliError> {
+fn absolute(path: &Path) -> CliResult<String> {
     let absolute = std::path::absolute(path).map_err(CliError::file(path))?;
     Ok(absolute.display().to_string())
 }

@@ -11,7 +11,7 @@ use serde_json::json;
 use super::job::{JOB_FILE, tasks_for, tasks_of};
 use crate::chunk::folder::{ChunkState, OrderFolder};
 use crate::chunk::order::{FailedChunk, ranges};
-use crate::cli::error::CliError;
+use crate::cli::error::CliResult;
 use crate::cli::next::{Next, word};
 use crate::cli::output::{bytes, counted, duration, grouped, say, say_json};
 use crate::new_file::Look;
@@ -75,7 +75,7 @@ impl Rate {
 ///
 /// # Errors
 /// `CliError` if the folder has no work order of this program, or a file cannot be read.
-pub fn status(args: &StatusArgs) -> Result<(), CliError> {
+pub fn status(args: &StatusArgs) -> CliResult<()> {
     let folder = OrderFolder::open(&args.folder)?;
     let now = SystemTime::now();
     let counts = count(&folder, now)?;
@@ -131,7 +131,7 @@ pub fn status(args: &StatusArgs) -> Result<(), CliError> {
     Ok(())
 }
 
-fn count(folder: &OrderFolder, now: SystemTime) -> Result<Counts, CliError> {
+fn count(folder: &OrderFolder, now: SystemTime) -> CliResult<Counts> {
     let mut counts = Counts::default();
     for index in 0..folder.order().chunks {
         match folder.state(index, Look::Length)? {

@@ -13,7 +13,7 @@ use crate::chunk::folder::{OrderFolder, input_file};
 use crate::cli::client::Client;
 use crate::cli::download::download_whole;
 use crate::cli::embed;
-use crate::cli::error::CliError;
+use crate::cli::error::{CliError, CliResult};
 use crate::cli::evaluate::lab::{ExtentArgs, ServiceLab};
 use crate::cli::output::Output;
 use crate::jobs::chunks::{DatasetFile, FIRST_GPU, ONE_THREAD, work_order};
@@ -59,11 +59,7 @@ impl TableRequest {
     /// # Errors
     /// `CliError` if the service cannot be reached or started, a recipe or a dataset is invalid, the folder contains
     /// another order, or a file cannot be downloaded or written.
-    pub async fn write(
-        &self,
-        folder: &Path,
-        output: Output,
-    ) -> Result<(OrderFolder, bool), CliError> {
+    pub async fn write(&self, folder: &Path, output: Output) -> CliResult<(OrderFolder, bool)> {
         let at = self.place.at(output);
         let budget = self.extent.budget();
         let table = match self.table {
@@ -71,8 +67,7 @@ impl TableRequest {
             TableName::Transfer => table_iii_nets(&budget, &self.dataset),
         };
         let compute = if self.gpu { FIRST_GPU } else { ONE_THREAD };
-        let path = folder.to_owned();
-        embed::with_server(&at, move |client| async move {
+        embed::with_server(&at, async |client| {
             let lab = ServiceLab::new(client.clone(), output, None);
             let mut nets = Vec::new();
             for net in &table {
@@ -80,9 +75,9 @@ impl TableRequest {
             }
             let datasets = nets.iter().map(|net| (net.dataset.sha256.clone(), net.dataset.clone()));
             let datasets: BTreeMap<String, DatasetFile> = datasets.collect();
-            let written = OrderFolder::write(&path, work_order(nets, compute))?;
+            let written = OrderFolder::write(folder, work_order(nets, compute))?;
             for dataset in datasets.values() {
-                copy(&client, dataset, &input_file(&path, &dataset.sha256)).await?;
+                copy(client, dataset, &input_file(folder, &dataset.sha256)).await?;
             }
             Ok(written)
         })
@@ -96,7 +91,7 @@ impl TableRequest {
 }
 
 /// Downloads the file of a dataset, unless it is there.
-async fn copy(client: &Client, dataset: &DatasetFile, path: &Path) -> Result<(), CliError> {
+async fn copy(client: &Client, dataset: &DatasetFile, path: &Path) -> CliResult<()> {
     let failed = |source| CliError::File { path: path.into(), source };
     let whole = Finished { bytes: dataset.bytes, sha256: dataset.sha256.clone() };
     if whole.is_at(path, Look::Sha256).map_err(failed)? {

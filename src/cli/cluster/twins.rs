@@ -8,7 +8,7 @@ use super::OrderPlace;
 use crate::chunk::folder::{ChunkState, OrderFolder};
 use crate::chunk::order::{ChunkRow, WorkOrder};
 use crate::cli::client::Client;
-use crate::cli::error::CliError;
+use crate::cli::error::{CliError, CliResult};
 use crate::cli::find::find_run;
 use crate::cli::output::Output;
 use crate::cli::progress::Counted;
@@ -41,23 +41,19 @@ impl TwinsRequest {
     /// # Errors
     /// `CliError` if an option is invalid, the service cannot be reached or started, or the run has no trials or no
     /// model.
-    pub async fn order(&self, output: Output) -> Result<(WorkOrder, u64), CliError> {
+    pub async fn order(&self, output: Output) -> CliResult<(WorkOrder, u64)> {
         if !(1..=CHUNK_TRIALS_MAX).contains(&self.chunk_trials) {
             let limit = format!("must be from 1 to {CHUNK_TRIALS_MAX}");
             return Err(CliError::argument("chunk-trials", self.chunk_trials, limit));
         }
         let at = self.place.at(output);
-        let (run, chunk_trials) = (self.run.clone(), self.chunk_trials);
-        embed::reading(&at, move |client| ordered(client, run, chunk_trials)).await
+        embed::reading(&at, async |client| ordered(client, &self.run, self.chunk_trials).await)
+            .await
     }
 }
 
-async fn ordered(
-    client: Client,
-    run: String,
-    chunk_trials: u64,
-) -> Result<(WorkOrder, u64), CliError> {
-    let uid = find_run(&client, &run).await?.uid;
+async fn ordered(client: &Client, run: &str, chunk_trials: u64) -> CliResult<(WorkOrder, u64)> {
+    let uid = find_run(client, run).await?.uid;
     // The skin is solved for the first answer.
     let client = client.showing("the contacts of the run");
     let (mut skin, mut contacts, mut trials) = (None, Vec::new(), 0);
@@ -71,7 +67,7 @@ async fn ordered(
         }
         if trials > ORDERED_TRIALS_MAX {
             let limit = format!("has more than {ORDERED_TRIALS_MAX} trials, the most of an order");
-            return Err(CliError::argument("run", &run, limit));
+            return Err(CliError::argument("run", run, limit));
         }
         skin.get_or_insert(TwinSkin {
             run: inputs.run,
@@ -85,7 +81,7 @@ async fn ordered(
     }
     match skin.filter(|_| trials > 0) {
         Some(skin) => Ok((work_order(skin, contacts), trials)),
-        None => Err(CliError::argument("run", &run, "must have trials")),
+        None => Err(CliError::argument("run", run, "must have trials")),
     }
 }
 
@@ -111,8 +107,8 @@ pub async fn store(
     rows: Vec<ChunkRow>,
     at: &At,
     mut verified: Counted,
-) -> Result<Stored, CliError> {
-    embed::with_server(at, move |client| async move {
+) -> CliResult<Stored> {
+    embed::with_server(at, async move |client| {
         let path = format!("/api/v1/runs/{run}/twins");
         let mut stored = Stored::default();
         for row in rows {

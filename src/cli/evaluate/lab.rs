@@ -11,7 +11,7 @@ use super::write_all;
 use crate::api::{FrameAnswer, InferOptions, InferRequest, JobOut, ModelOut};
 use crate::cli::client::{Client, TextPart};
 use crate::cli::download::DATASET_WAIT;
-use crate::cli::error::CliError;
+use crate::cli::error::{CliError, CliResult};
 use crate::cli::files::read_input;
 use crate::cli::job::wait_for;
 use crate::cli::next::Next;
@@ -116,25 +116,21 @@ impl ExtentArgs {
 /// # Errors
 /// `CliError` if the service cannot be reached or started, a file cannot be written, or the study
 /// fails.
-pub async fn with_lab<F>(
+pub async fn with_lab(
     args: LabArgs,
-    study: impl FnOnce(ServiceLab, Budget) -> F + Send + 'static,
-) -> Result<(), CliError>
-where
-    F: Future<Output = Result<Sheet, CliError>> + Send + 'static,
-{
-    let at = args.at.clone();
-    embed::with_server(&at, move |client| async move {
-        let lab = ServiceLab::new(client, args.at.output(), args.trained.clone());
+    study: impl AsyncFnOnce(&ServiceLab, &Budget) -> CliResult<Sheet>,
+) -> CliResult<()> {
+    embed::with_server(&args.at, async |client| {
+        let lab = ServiceLab::new(client.clone(), args.at.output(), args.trained.clone());
         lab.take_evaluation()?;
-        let sheet = study(lab, args.extent.budget()).await?;
+        let sheet = study(&lab, &args.extent.budget()).await?;
         show(&sheet, &args).await
     })
     .await
 }
 
 /// Writes and prints the result of a study.
-async fn show(sheet: &Sheet, args: &LabArgs) -> Result<(), CliError> {
+async fn show(sheet: &Sheet, args: &LabArgs) -> CliResult<()> {
     if let Some(folder) = &args.out {
         write_all(folder, &sheet.files, &args.pictures).await?;
     }
@@ -182,7 +178,7 @@ impl ServiceLab {
     ///
     /// # Errors
     /// `CliError` if the recipe is invalid or names no dataset, or the dataset cannot be made.
-    pub async fn net_order(&self, net: &TableNet) -> Result<NetOrder, CliError> {
+    pub async fn net_order(&self, net: &TableNet) -> CliResult<NetOrder> {
         let TableNet { training, scores } = net;
         let ResolvedTraining { recipe, dataset, .. } = self.resolve(training).await?;
         let limit = "must name a dataset: nets on simulations are not made in chunks";
@@ -195,7 +191,7 @@ impl ServiceLab {
     }
 
     /// Resolves the names of a training; makes its dataset if needed.
-    async fn resolve(&self, training: &Training) -> Result<ResolvedTraining, CliError> {
+    async fn resolve(&self, training: &Training) -> CliResult<ResolvedTraining> {
         let stem = &training.stem;
         let changes = changes(training, stem);
         let text = recipe_text(&training.recipe, &changes)?;
@@ -220,7 +216,7 @@ impl ServiceLab {
     }
 
     /// Takes the scores of a gathered evaluation, if the folder has them.
-    fn take_evaluation(&self) -> Result<(), CliError> {
+    fn take_evaluation(&self) -> CliResult<()> {
         match &self.trained {
             Some(folder) if folder.join(SCORES_FILE).exists() => self.take_scores(folder),
             Some(_) | None => Ok(()),
@@ -228,7 +224,7 @@ impl ServiceLab {
     }
 
     /// Takes the scores of a gathered net.
-    fn take_scores(&self, folder: &Path) -> Result<(), CliError> {
+    fn take_scores(&self, folder: &Path) -> CliResult<()> {
         let path = folder.join(SCORES_FILE);
         let scores: Vec<NetScore> = serde_json::from_str(&read_input(&path)?)
             .map_err(|error| CliError::in_file(&path, error.to_string()))?;
@@ -237,7 +233,7 @@ impl ServiceLab {
     }
 
     /// Adds a gathered net to the service.
-    async fn add_gathered(&self, name: &str, folder: &Path) -> Result<ModelOut, CliError> {
+    async fn add_gathered(&self, name: &str, folder: &Path) -> CliResult<ModelOut> {
         let path = folder.join(MANIFEST);
         let manifest: Manifest = parse_toml(&path.display().to_string(), &read_input(&path)?)
             .map_err(CliError::Problems)?;
@@ -258,34 +254,31 @@ impl ServiceLab {
     }
 
     /// Description of a dataset, which is made if needed.
-    async fn dataset(&self, name: &str) -> Result<Value, CliError> {
+    async fn dataset(&self, name: &str) -> CliResult<Value> {
         let client = self.client.patient(DATASET_WAIT).showing("making the dataset");
         client.post("/api/v1/datasets", &json!({ "name": name })).await
     }
 
     /// Whether the first frame of the first trial of a dataset is stored; a mean of one frame is that frame.
-    async fn has_first_frame(&self, dataset: &str) -> Result<bool, CliError> {
+    async fn has_first_frame(&self, dataset: &str) -> CliResult<bool> {
         let path = format!("/api/v1/datasets/{dataset}/rows?columns=trial_id,frame_count&limit=1");
         let page: Value = self.client.get(&path).await?;
         let row = &page["items"][0];
         let frames = format!("/api/v1/trials/{}/frames", row["trial_id"]);
-        match self.client.get::<Value>(&frames).await {
-            Ok(_) => Ok(true),
-            Err(CliError::Refused { status: 404, .. }) => Ok(row["frame_count"] == 1),
-            Err(error) => Err(error),
-        }
+        let stored: Option<Value> = self.client.if_there(&frames).await?;
+        Ok(stored.is_some() || row["frame_count"] == 1)
     }
 }
 
 impl Lab for ServiceLab {
     type Error = CliError;
 
-    async fn split_by(&self, dataset: &str) -> Result<String, CliError> {
+    async fn split_by(&self, dataset: &str) -> CliResult<String> {
         let row = self.dataset(dataset).await?;
         Ok(row["definition"]["split"]["by"].as_str().unwrap_or("nothing").to_owned())
     }
 
-    async fn facts(&self, dataset: &str) -> Result<DatasetFacts, CliError> {
+    async fn facts(&self, dataset: &str) -> CliResult<DatasetFacts> {
         let row = self.dataset(dataset).await?;
         let (id, report) = (row["id"].as_str().unwrap_or_default(), &row["report"]);
         let lineage: Value = self.client.get(&format!("/api/v1/datasets/{id}/lineage")).await?;
@@ -313,7 +306,7 @@ impl Lab for ServiceLab {
         Ok(facts)
     }
 
-    async fn train(&self, training: &Training) -> Result<ModelId, CliError> {
+    async fn train(&self, training: &Training) -> CliResult<ModelId> {
         let stem = &training.stem;
         let ResolvedTraining { name, recipe, .. } = self.resolve(training).await?;
         let gathered = self.gathered(&name);
@@ -338,7 +331,7 @@ impl Lab for ServiceLab {
         Ok(model.id)
     }
 
-    async fn score(&self, request: &EvaluationRequest) -> Result<EvaluationReport, CliError> {
+    async fn score(&self, request: &EvaluationRequest) -> CliResult<EvaluationReport> {
         let known = self.scores.lock().iter().find(|score| score.request == *request).cloned();
         if let Some(NetScore { report, .. }) = known {
             return Ok(report);
@@ -354,15 +347,11 @@ impl Lab for ServiceLab {
         })
     }
 
-    async fn residuals(&self, transfer: &ModelId) -> Result<Residuals, CliError> {
+    async fn residuals(&self, transfer: &ModelId) -> CliResult<Residuals> {
         self.client.get(&format!("/api/v1/models/{transfer}/residuals")).await
     }
 
-    async fn first_trial(
-        &self,
-        dataset: &str,
-        conditions: &[String],
-    ) -> Result<Option<Trial>, CliError> {
+    async fn first_trial(&self, dataset: &str, conditions: &[String]) -> CliResult<Option<Trial>> {
         let conditions = conditions.join("&");
         let path = format!(
             "/api/v1/datasets/{dataset}/rows?{conditions}&columns=voltages_v,contacts,label&limit=1"
@@ -386,7 +375,7 @@ impl Lab for ServiceLab {
         frame_v: &[f32],
         transfer: &ModelId,
         map: &ModelId,
-    ) -> Result<Reading, CliError> {
+    ) -> CliResult<Reading> {
         let options = InferOptions {
             method: Method::Paper,
             model: Some(map.to_string()),

@@ -6,7 +6,7 @@ use std::path::Path;
 
 use clap::{Args, Subcommand};
 
-use super::error::CliError;
+use super::error::CliResult;
 use super::files::write;
 use super::infer::methods;
 use super::picture::Pictures;
@@ -47,14 +47,43 @@ enum What {
     /// table and one SVG per figure.
     Simulation(simulation::SimulationArgs),
     /// Score a method on a dataset: estimated compared with true contacts, by their number.
-    Method(MethodArgs),
+    Method {
+        #[command(flatten)]
+        method: MethodRequest,
+        #[command(flatten)]
+        lab: LabArgs,
+    },
     /// Compare nets with ridge and kernel ridge regression on a position, pattern, count or force.
     ///
     /// For any skin, also of imported trials. Trains both regressions and the nets of --recipe on the
     /// dataset's rows, and scores all of them on the same rows of its part test.
-    Quantity(QuantityArgs),
+    Quantity {
+        /// Quantity: position (of one contact), pattern (of known places), count or force.
+        #[arg(value_name = "QUANTITY", value_parser = quantities())]
+        quantity: Quantity,
+        /// Name or id of a dataset with a split.
+        #[arg(long, value_name = "NAME", default_value = "real")]
+        dataset: String,
+        /// A condition on its rows; may be repeated.
+        #[arg(long = "where", value_name = "CONDITION")]
+        conditions: Vec<String>,
+        /// A recipe to train: a carried one, or a file; may be repeated [default: mlp].
+        #[arg(long = "recipe", value_name = "RECIPE")]
+        recipes: Vec<String>,
+        /// Id or name of a trained net; may be repeated.
+        #[arg(long = "net", value_name = "MODEL")]
+        nets: Vec<String>,
+        #[command(flatten)]
+        lab: LabArgs,
+    },
     /// Table III: Transfer-Nets trained on 1, 1 to 2, .. 1 to 6 contacts, tested on each number.
-    Transfer(TransferArgs),
+    Transfer {
+        /// Name of the dataset.
+        #[arg(long, value_name = "NAME", default_value = R2S)]
+        dataset: String,
+        #[command(flatten)]
+        lab: LabArgs,
+    },
     /// Table IV and Fig. 9: Recon-Nets of twelve force maps, on simulated voltages.
     Maps(LabArgs),
     /// Fig. 10: residuals of the Transfer-Net, and one trial's maps at three levels of noise.
@@ -62,18 +91,25 @@ enum What {
     /// Fig. 11: pixel size x diameter x noise, with a three-factor analysis of variance.
     Factorial(LabArgs),
     /// Fig. 12 and V-D: the paper's pipeline, both baselines and our methods on Real-Unseen.
-    Unseen(UnseenArgs),
+    Unseen {
+        /// Id or name of a Point-Net, scored as `fast`; also proposes to `exact`.
+        #[arg(long, value_name = "MODEL")]
+        points: Option<String>,
+        /// Id of a calibration stored in the service, scored as `exact` [default: the serving one].
+        #[arg(long, value_name = "CAL")]
+        skin: Option<String>,
+        /// Skip the paper's nets: score our methods only.
+        #[arg(long)]
+        ours: bool,
+        /// Name or id of the dataset, also of imported trials. If it has a split, nets learn from its part train,
+        /// and its part test is scored.
+        #[arg(long, value_name = "NAME", default_value = "real-unseen")]
+        dataset: String,
+        #[command(flatten)]
+        lab: LabArgs,
+    },
     /// Show the values that the paper prints; nothing is computed.
     Published(At),
-}
-
-/// Options of `evaluate method`.
-#[derive(Debug, Clone, Args)]
-struct MethodArgs {
-    #[command(flatten)]
-    method: MethodRequest,
-    #[command(flatten)]
-    lab: LabArgs,
 }
 
 /// Options that determine the scores of a method, except for their extent.
@@ -120,101 +156,41 @@ pub struct MethodRequest {
     place_sd_mm: Option<f64>,
 }
 
-/// Options of `evaluate quantity`.
-#[derive(Debug, Clone, Args)]
-struct QuantityArgs {
-    /// Quantity: position (of one contact), pattern (of known places), count or force.
-    #[arg(value_name = "QUANTITY", value_parser = quantities())]
-    quantity: Quantity,
-    /// Name or id of a dataset with a split.
-    #[arg(long, value_name = "NAME", default_value = "real")]
-    dataset: String,
-    /// A condition on its rows; may be repeated.
-    #[arg(long = "where", value_name = "CONDITION")]
-    conditions: Vec<String>,
-    /// A recipe to train: a carried one, or a file; may be repeated [default: mlp].
-    #[arg(long = "recipe", value_name = "RECIPE")]
-    recipes: Vec<String>,
-    /// Id or name of a trained net; may be repeated.
-    #[arg(long = "net", value_name = "MODEL")]
-    nets: Vec<String>,
-    #[command(flatten)]
-    lab: LabArgs,
-}
-
-/// Options of `evaluate transfer`.
-#[derive(Debug, Clone, Args)]
-struct TransferArgs {
-    /// Name of the dataset.
-    #[arg(long, value_name = "NAME", default_value = R2S)]
-    dataset: String,
-    #[command(flatten)]
-    lab: LabArgs,
-}
-
-/// Options of `evaluate unseen`.
-#[derive(Debug, Clone, Args)]
-struct UnseenArgs {
-    /// Id or name of a Point-Net, scored as `fast`; also proposes to `exact`.
-    #[arg(long, value_name = "MODEL")]
-    points: Option<String>,
-    /// Id of a calibration stored in the service, scored as `exact` [default: the serving one].
-    #[arg(long, value_name = "CAL")]
-    skin: Option<String>,
-    /// Skip the paper's nets: score our methods only.
-    #[arg(long)]
-    ours: bool,
-    /// Name or id of the dataset, also of imported trials. If it has a split, nets learn from its part train,
-    /// and its part test is scored.
-    #[arg(long, value_name = "NAME", default_value = "real-unseen")]
-    dataset: String,
-    #[command(flatten)]
-    lab: LabArgs,
-}
-
 /// Runs `palpate evaluate`.
 ///
 /// # Errors
 /// `CliError` if a training or an evaluation fails, or a file cannot be written.
-pub async fn evaluate(args: EvaluateArgs) -> Result<(), CliError> {
+pub async fn evaluate(args: EvaluateArgs) -> CliResult<()> {
     match args.what {
         What::Simulation(args) => simulation::simulation(args).await,
-        What::Method(args) => method(args).await,
-        What::Quantity(QuantityArgs { quantity, dataset, conditions, recipes, nets, lab }) => {
+        What::Method { method, lab } => {
+            with_lab(lab, async |lab, budget| scores(lab, &method.request(budget)).await).await
+        }
+        What::Quantity { quantity, dataset, conditions, recipes, nets, lab } => {
             let default = recipes.is_empty() && nets.is_empty();
             let recipes = if default { vec!["mlp".into()] } else { recipes };
             let compared = Compared { quantity, dataset, conditions, recipes, nets };
-            with_lab(lab, |lab, budget| async move {
-                studies::quantity::quantity(&lab, &budget, &compared).await
+            with_lab(lab, async |lab, budget| {
+                studies::quantity::quantity(lab, budget, &compared).await
             })
             .await
         }
-        What::Transfer(TransferArgs { dataset, lab }) => {
-            with_lab(lab, |lab, budget| async move { table_iii(&lab, &budget, &dataset).await })
-                .await
+        What::Transfer { dataset, lab } => {
+            with_lab(lab, async |lab, budget| table_iii(lab, budget, &dataset).await).await
         }
-        What::Maps(args) => {
-            with_lab(args, |lab, budget| async move { table_iv(&lab, &budget).await }).await
-        }
-        What::Noise(args) => {
-            with_lab(args, |lab, budget| async move { fig_10(&lab, &budget).await }).await
-        }
+        What::Maps(args) => with_lab(args, async |lab, budget| table_iv(lab, budget).await).await,
+        What::Noise(args) => with_lab(args, async |lab, budget| fig_10(lab, budget).await).await,
         What::Factorial(args) => {
-            with_lab(args, |lab, budget| async move { fig_11(&lab, &budget).await }).await
+            with_lab(args, async |lab, budget| fig_11(lab, budget).await).await
         }
-        What::Unseen(UnseenArgs { points, skin, ours, dataset, lab }) => {
+        What::Unseen { points, skin, ours, dataset, lab } => {
             // The service checks the id when it reads the calibration.
             let skin = skin.map(CalibrationId::unchecked);
             let unseen = Unseen { dataset, points, skin, ours };
-            with_lab(lab, |lab, budget| async move { fig_12(&lab, &budget, &unseen).await }).await
+            with_lab(lab, async |lab, budget| fig_12(lab, budget, &unseen).await).await
         }
         What::Published(at) => vocabulary::published(&at).await,
     }
-}
-
-async fn method(args: MethodArgs) -> Result<(), CliError> {
-    let MethodArgs { method, lab } = args;
-    with_lab(lab, |lab, budget| async move { scores(&lab, &method.request(&budget)).await }).await
 }
 
 impl MethodRequest {
@@ -241,11 +217,7 @@ impl MethodRequest {
 }
 
 /// Writes files to a folder, and creates it; figures also in the requested formats.
-async fn write_all(
-    folder: &Path,
-    files: &[OutputFile],
-    pictures: &Pictures,
-) -> Result<(), CliError> {
+async fn write_all(folder: &Path, files: &[OutputFile], pictures: &Pictures) -> CliResult<()> {
     for file in files {
         let path = folder.join(&file.name);
         write(&path, &file.text)?;

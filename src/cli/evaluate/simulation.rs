@@ -9,7 +9,7 @@ use serde_json::{Value, json};
 
 use super::write_all;
 use crate::cli::client::Client;
-use crate::cli::error::CliError;
+use crate::cli::error::{CliError, CliResult};
 use crate::cli::find::find_run;
 use crate::cli::morning::{TrialFacts, all_trials};
 use crate::cli::next::Next;
@@ -44,18 +44,17 @@ pub struct SimulationArgs {
 ///
 /// # Errors
 /// `CliError` if there are no trials, twins are missing, or a file cannot be written.
-pub async fn simulation(args: SimulationArgs) -> Result<(), CliError> {
-    let at = args.at.clone();
-    embed::with_server(&at, move |client| report(client, args)).await
+pub async fn simulation(args: SimulationArgs) -> CliResult<()> {
+    embed::with_server(&args.at, async |client| report(client, &args).await).await
 }
 
-async fn report(client: Client, args: SimulationArgs) -> Result<(), CliError> {
-    let run = find_run(&client, &run_of(&client, args.run).await?).await?;
-    let count = wait_for_twins(&client, run.uid, STALLED).await?;
+async fn report(client: &Client, args: &SimulationArgs) -> CliResult<()> {
+    let run = find_run(client, &run_of(client, args.run.clone()).await?).await?;
+    let count = wait_for_twins(client, run.uid, STALLED).await?;
     let path = format!("/api/v1/runs/{}/evaluation/simulation", run.uid);
     let report: SimulationReport = client.showing("scoring the twins").get(&path).await?;
     if let Some(folder) = &args.out {
-        let pairs = pairs(&client, &run, report.trials).await?;
+        let pairs = pairs(client, &run, report.trials).await?;
         write_all(folder, &files(&run, &report, &pairs)?, &args.pictures).await?;
     }
     if args.at.json {
@@ -82,7 +81,7 @@ async fn report(client: Client, args: SimulationArgs) -> Result<(), CliError> {
     Ok(())
 }
 
-async fn run_of(client: &Client, named: Option<String>) -> Result<String, CliError> {
+async fn run_of(client: &Client, named: Option<String>) -> CliResult<String> {
     if let Some(run) = named {
         return Ok(run);
     }
@@ -92,7 +91,7 @@ async fn run_of(client: &Client, named: Option<String>) -> Result<String, CliErr
 }
 
 /// Frames of the trials with the best, the median and the worst twin.
-async fn pairs(client: &Client, run: &RunRow, trials: u64) -> Result<Vec<FramePair>, CliError> {
+async fn pairs(client: &Client, run: &RunRow, trials: u64) -> CliResult<Vec<FramePair>> {
     let all = all_trials(client, run.uid, trials).await?;
     let mut pairs = Vec::new();
     for (name, trial) in shown(&all) {

@@ -16,7 +16,7 @@ use serde_json::{Value, json};
 
 use super::At;
 use super::download::download;
-use super::error::CliError;
+use super::error::{CliError, CliResult};
 use super::next::{Next, word};
 use super::output::{counted, grouped, say, say_json};
 use super::progress::shown_wait;
@@ -93,7 +93,7 @@ struct Part {
 /// # Errors
 /// `CliError::Problems` if an option, a file of a rig or a kept dataset is invalid, a file does not have its sha256,
 /// or rigs differ; `Missed` if a rig did not answer: the others are joined; `File` if a file cannot be written.
-pub async fn federate(args: FederateArgs) -> Result<(), CliError> {
+pub async fn federate(args: FederateArgs) -> CliResult<()> {
     let rigs = rigs(&args.urls, args.rigs.as_deref())?;
     let name = args.dataset.as_str();
     if !name.chars().all(|c| c.is_ascii_alphanumeric() || c == '-') {
@@ -132,7 +132,7 @@ pub async fn federate(args: FederateArgs) -> Result<(), CliError> {
 }
 
 /// The kept datasets of the rigs, in a folder that this command may use.
-fn kept(folder: &Path, name: &str, rigs: &[Rig]) -> Result<Vec<Option<Fetched>>, CliError> {
+fn kept(folder: &Path, name: &str, rigs: &[Rig]) -> CliResult<Vec<Option<Fetched>>> {
     let refused = |limit: String| CliError::argument("--out", folder.display(), limit);
     let is_other = match std::fs::read_dir(folder) {
         Err(error) if error.kind() == ErrorKind::NotFound => false,
@@ -190,7 +190,7 @@ async fn current(
     stated: Stated,
     kept: Option<Fetched>,
     folder: &Path,
-) -> Result<(Option<Fetched>, Outcome), CliError> {
+) -> CliResult<(Option<Fetched>, Outcome)> {
     let is_outdated = stated.is_current == Some(false);
     let is_same = |kept: &&Fetched| kept.dataset == stated.id && kept.sha256 == stated.sha256;
     if let Some(same) = kept.as_ref().filter(is_same) {
@@ -208,7 +208,7 @@ async fn current(
     }
 }
 
-async fn fetch(rig: &Rig, name: &str, stated: Stated, folder: &Path) -> Result<Fetched, CliError> {
+async fn fetch(rig: &Rig, name: &str, stated: Stated, folder: &Path) -> CliResult<Fetched> {
     let Stated { id, rows, bytes, sha256, created_at, definition, .. } = stated;
     let client = rig.client.patient(ASK_WAIT);
     let lineage: Value = client.get(&format!("/api/v1/datasets/{id}/lineage")).await?;
@@ -246,7 +246,7 @@ async fn join_in(
     name: &str,
     used: Vec<Fetched>,
     tables: Tables,
-) -> Result<Federation, CliError> {
+) -> CliResult<Federation> {
     let (folder, name) = (folder.to_owned(), name.to_owned());
     let joining = tokio::task::spawn_blocking(move || join(&folder, &name, &used, tables));
     let joined = shown_wait("joining the datasets", joining).await;

@@ -8,7 +8,7 @@ use reqwest::Url;
 use serde::Deserialize;
 
 use crate::cli::client::{Client, url_limit};
-use crate::cli::error::CliError;
+use crate::cli::error::{CliError, CliResult};
 use crate::cli::files::read_input;
 use crate::cli::key::key_of;
 use crate::cli::trust::Certificates;
@@ -44,7 +44,7 @@ struct Entry {
 /// # Errors
 /// `CliError::Problems` with the first name or address that is invalid or occurs twice, or if a file cannot be used;
 /// `File` if a file of a key or a certificate cannot be read; as [`Client::new`].
-pub fn rigs(urls: &[String], file: Option<&Path>) -> Result<Vec<Rig>, CliError> {
+pub fn rigs(urls: &[String], file: Option<&Path>) -> CliResult<Vec<Rig>> {
     let mut rigs = BTreeMap::new();
     for text in urls {
         let (name, url) = named(text);
@@ -97,7 +97,7 @@ fn is_of_name(c: char) -> bool {
 }
 
 /// Checks name and address of a rig. `table`: prefix of a key in problems.
-fn check(file: &str, table: &str, name: &str, url: &str) -> Result<(), CliError> {
+fn check(file: &str, table: &str, name: &str, url: &str) -> CliResult<()> {
     let refused = |key: &str, value: &str, limit: String| {
         CliError::Problems(vec![Problem::new(file, key, value, limit)])
     };
@@ -154,23 +154,24 @@ mod tests {
 
     #[test]
     fn keys_and_certificates_are_in_files_next_to_that_of_the_rigs() {
-        let folder = std::env::temp_dir().join(format!("palpate-rigs-{}", std::process::id()));
-        std::fs::create_dir_all(&folder).unwrap();
-        let file = folder.join("lab.toml");
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("lab.toml");
         let read = |text: &str| {
             std::fs::write(&file, text).unwrap();
             rigs(&[], Some(&file)).map_err(|error| error.to_string())
         };
-        std::fs::write(folder.join("a.key"), "palpate_0\n").unwrap();
+        std::fs::write(folder.path().join("a.key"), "palpate_0\n").unwrap();
         let found = read("[b]\nurl = 'http://b'\n[a]\nurl = 'http://a'\nkey_file = 'a.key'\n");
         let found: Vec<String> = found.unwrap().into_iter().map(|rig| rig.name).collect();
         assert_eq!(found, ["a", "b"]);
         let missing = read("[a]\nurl = 'http://a'\nkey_file = 'none.key'\n").unwrap_err();
-        assert!(missing.contains(&folder.join("none.key").display().to_string()), "{missing}");
+        assert!(
+            missing.contains(&folder.path().join("none.key").display().to_string()),
+            "{missing}"
+        );
         let wrong = read("[a]\nurl = 'a'\n").unwrap_err();
         assert!(wrong.contains("lab.toml: a.url = a: must start with"), "{wrong}");
         let unknown = read("[a]\nurl = 'http://a'\nkey = 'palpate_0'\n").unwrap_err();
         assert!(unknown.contains("a.key"), "{unknown}");
-        std::fs::remove_dir_all(&folder).unwrap();
     }
 }

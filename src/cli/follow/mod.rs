@@ -11,7 +11,7 @@ use tokio::time::{Instant, MissedTickBehavior, interval};
 use self::screen::Screen;
 use super::asking::Asking;
 use super::client::Client;
-use super::error::CliError;
+use super::error::{CliError, CliResult};
 use super::leave::{Choice, Interrupt, QUESTION_ON_PAUSED_RUN, QUESTION_ON_RUN};
 use super::output::say_json;
 use super::signals::{Asked, Signals};
@@ -94,7 +94,7 @@ impl Follower {
     ///
     /// # Errors
     /// `CliError` if the service does not answer, or the run does not start.
-    pub async fn follow(mut self, signals: &mut Signals) -> Result<Left, CliError> {
+    pub async fn follow(mut self, signals: &mut Signals) -> CliResult<Left> {
         let mut tick = interval(STATUS_POLL);
         tick.set_missed_tick_behavior(MissedTickBehavior::Skip);
         let mut heard = Instant::now();
@@ -117,7 +117,7 @@ impl Follower {
         }
     }
 
-    async fn look(&mut self) -> Result<Option<Left>, CliError> {
+    async fn look(&mut self) -> CliResult<Option<Left>> {
         self.tell_events().await?;
         let status = self.client.status().await?;
         if let Some(run) = status.run.as_ref().filter(|r| r.uid == self.watch.run) {
@@ -150,7 +150,7 @@ impl Follower {
         Ok(left)
     }
 
-    async fn tell_events(&mut self) -> Result<(), CliError> {
+    async fn tell_events(&mut self) -> CliResult<()> {
         loop {
             let page = self.client.events(self.watch.run, self.watch.since).await?;
             let Some(last) = page.items.last() else { return Ok(()) };
@@ -184,7 +184,7 @@ impl Follower {
     }
 
     /// Aborts a run that has waited too long for a person.
-    async fn be_patient(&mut self, run: &RunView) -> Result<(), CliError> {
+    async fn be_patient(&mut self, run: &RunView) -> CliResult<()> {
         if run.waiting_for.is_none() {
             self.waits = None;
             return Ok(());

@@ -68,12 +68,6 @@ impl Screen {
     }
 }
 
-impl Drop for Screen {
-    fn drop(&mut self) {
-        self.bar.finish_and_clear();
-    }
-}
-
 fn progress_line(run: &RunView, status: &StatusView) -> serde_json::Value {
     json!({
         "event": "progress",

@@ -9,7 +9,7 @@ use super::ActionsArgs;
 use super::when::second;
 use crate::cli::client::Client;
 use crate::cli::embed;
-use crate::cli::error::CliError;
+use crate::cli::error::CliResult;
 use crate::cli::find::find_run;
 use crate::cli::output::{say, say_json};
 use crate::cli::table::{Table, or_dash};
@@ -19,12 +19,11 @@ use crate::store::{ActionRow, RunRow};
 ///
 /// # Errors
 /// `CliError` if the service cannot be reached or started, or has no such run.
-pub async fn actions(args: ActionsArgs) -> Result<(), CliError> {
-    let at = args.at.clone();
-    embed::reading(&at, move |client| async move { list(&client, &args).await }).await
+pub async fn actions(args: ActionsArgs) -> CliResult<()> {
+    embed::reading(&args.at, async |client| list(client, &args).await).await
 }
 
-async fn list(client: &Client, args: &ActionsArgs) -> Result<(), CliError> {
+async fn list(client: &Client, args: &ActionsArgs) -> CliResult<()> {
     let of_run = match &args.run {
         Some(run) => format!("run={}", find_run(client, run).await?.uid),
         None => String::new(),

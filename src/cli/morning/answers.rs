@@ -5,7 +5,7 @@ use jiff::{SignedDuration, Timestamp};
 use serde::{Deserialize, Serialize};
 
 use crate::cli::client::Client;
-use crate::cli::error::CliError;
+use crate::cli::error::{CliError, CliResult};
 use crate::cli::output::{duration, grouped};
 use crate::cli::progress::Counted;
 use crate::evaluate::simulation::SimulationReport;
@@ -64,7 +64,7 @@ pub struct TwinsOf {
 ///
 /// # Errors
 /// As [`Client::send`].
-pub async fn stored_of(client: &Client, run: RunUid) -> Result<u64, CliError> {
+pub async fn stored_of(client: &Client, run: RunUid) -> CliResult<u64> {
     let count: TwinCount = client.get(&format!("/api/v1/runs/{run}/twins")).await?;
     Ok(count.trials)
 }
@@ -73,7 +73,7 @@ pub async fn stored_of(client: &Client, run: RunUid) -> Result<u64, CliError> {
 ///
 /// # Errors
 /// As [`Client::send`].
-pub async fn fit_of(client: &Client, run: RunUid) -> Result<(TwinsOf, SimulationReport), CliError> {
+pub async fn fit_of(client: &Client, run: RunUid) -> CliResult<(TwinsOf, SimulationReport)> {
     let path = format!("/api/v1/runs/{run}");
     // Its twins are those of the serving model only.
     let TwinCount { trials, failures, .. } = client.get(&format!("{path}/twins")).await?;
@@ -88,11 +88,7 @@ pub async fn fit_of(client: &Client, run: RunUid) -> Result<(TwinsOf, Simulation
 ///
 /// # Errors
 /// As [`Client::send`]; `CliError::Refused` if a line cannot be read.
-pub async fn all_trials(
-    client: &Client,
-    run: RunUid,
-    expected: u64,
-) -> Result<Vec<TrialFacts>, CliError> {
+pub async fn all_trials(client: &Client, run: RunUid, expected: u64) -> CliResult<Vec<TrialFacts>> {
     let mut shown = Counted::of("trials read", expected);
     let (mut all, mut last) = (Vec::new(), 0);
     loop {

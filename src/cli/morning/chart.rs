@@ -12,7 +12,7 @@ use ratatui::widgets::{Axis, Chart, Dataset, GraphType};
 use ratatui::{Frame, Terminal, TerminalOptions, Viewport};
 
 use crate::api::ForcesAtDepth;
-use crate::cli::error::CliError;
+use crate::cli::error::{CliError, CliResult};
 use crate::cli::output::{is_coloured, terminal_width};
 
 /// Width without a terminal, characters.
@@ -31,7 +31,7 @@ pub fn width() -> u16 {
 ///
 /// # Errors
 /// `CliError::System` if it cannot be drawn.
-pub fn picture(width: u16, height: u16, draw: impl FnOnce(&mut Frame)) -> Result<String, CliError> {
+pub fn picture(width: u16, height: u16, draw: impl FnOnce(&mut Frame)) -> CliResult<String> {
     let failed = |source| CliError::System { operation: "drawing a picture", source };
     let viewport = Viewport::Fixed(Rect::new(0, 0, width, height));
     let options = TerminalOptions { viewport };

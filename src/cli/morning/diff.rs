@@ -15,7 +15,7 @@ use super::compare::{
 use crate::api::{Page, Summary};
 use crate::cli::client::Client;
 use crate::cli::embed;
-use crate::cli::error::CliError;
+use crate::cli::error::CliResult;
 use crate::cli::find::find_run;
 use crate::cli::output::{grouped, say, say_json};
 use crate::cli::table::{Table, or_dash};
@@ -37,7 +37,7 @@ struct Side {
 }
 
 impl Side {
-    async fn read(client: &Client, what: &str) -> Result<Self, CliError> {
+    async fn read(client: &Client, what: &str) -> CliResult<Self> {
         let run = find_run(client, what).await?;
         let path = format!("/api/v1/runs/{}", run.uid);
         let summary = client.summary(run.uid).await?;
@@ -96,12 +96,11 @@ struct Frames {
 ///
 /// # Errors
 /// `CliError` if the service cannot be reached or started, or has no such run.
-pub async fn diff(args: DiffArgs) -> Result<(), CliError> {
-    let at = args.at.clone();
-    embed::reading(&at, move |client| async move { compare(&client, &args).await }).await
+pub async fn diff(args: DiffArgs) -> CliResult<()> {
+    embed::reading(&args.at, async |client| compare(client, &args).await).await
 }
 
-async fn compare(client: &Client, args: &DiffArgs) -> Result<(), CliError> {
+async fn compare(client: &Client, args: &DiffArgs) -> CliResult<()> {
     let before = Side::read(client, &args.before).await?;
     let after = Side::read(client, &args.after).await?;
     let (a, b) = (before.run(), after.run());
@@ -227,7 +226,7 @@ fn frames_words(frames: &Frames) -> String {
 }
 
 /// Compares the frames of some pairs, evenly over the runs.
-async fn frames(client: &Client, paired: &[Pair]) -> Result<Frames, CliError> {
+async fn frames(client: &Client, paired: &[Pair]) -> CliResult<Frames> {
     // Without contact a frame is noise: nothing of it can be explained.
     let touched: Vec<Pair> = paired.iter().filter(|pair| pair.in_contact).copied().collect();
     let some = sampled(&touched, PAIRS_MAX);
@@ -255,7 +254,7 @@ async fn frames(client: &Client, paired: &[Pair]) -> Result<Frames, CliError> {
 async fn read(
     client: &Client,
     ids: impl Iterator<Item = i64>,
-) -> Result<HashMap<i64, TrialRow>, CliError> {
+) -> CliResult<HashMap<i64, TrialRow>> {
     let ids: Vec<String> = ids.map(|id| id.to_string()).collect();
     let path = format!(
         "/api/v1/trials?voltages=true&limit={DIFF_PAGE_TRIALS}&trial_id__in={}",

@@ -14,7 +14,7 @@ use super::when::{Since, second};
 use crate::api::Page;
 use crate::cli::client::Client;
 use crate::cli::embed;
-use crate::cli::error::CliError;
+use crate::cli::error::{CliError, CliResult};
 use crate::cli::find::find_run;
 use crate::cli::output::{note, say, say_json};
 use crate::cli::table::Table;
@@ -34,13 +34,12 @@ const KIND: usize = 14;
 ///
 /// # Errors
 /// `CliError` if the service cannot be reached, or refuses; to follow, it must be running.
-pub async fn events(args: EventsArgs) -> Result<(), CliError> {
+pub async fn events(args: EventsArgs) -> CliResult<()> {
     if args.follow {
         let client = embed::server(&args.at).await?;
         return follow(&client, &args).await;
     }
-    let at = args.at.clone();
-    embed::reading(&at, move |client| async move { list(&client, &args).await }).await
+    embed::reading(&args.at, async |client| list(client, &args).await).await
 }
 
 impl EventsArgs {
@@ -51,7 +50,7 @@ impl EventsArgs {
 }
 
 /// Parameters that select run and kinds, each with `&` in front.
-async fn selection(client: &Client, args: &EventsArgs) -> Result<String, CliError> {
+async fn selection(client: &Client, args: &EventsArgs) -> CliResult<String> {
     let mut query = String::new();
     if let Some(run) = &args.run {
         query += &format!("&run={}", find_run(client, run).await?.uid);
@@ -72,7 +71,7 @@ async fn newest(
     args: &EventsArgs,
     selection: &str,
     limit: Option<usize>,
-) -> Result<VecDeque<EventView>, CliError> {
+) -> CliResult<VecDeque<EventView>> {
     let (mut since, from) = match args.since {
         Some(Since::Event(number)) => (number, None),
         Some(Since::Time(at)) => (0, Some(at)),
@@ -101,7 +100,7 @@ async fn newest(
     }
 }
 
-async fn list(client: &Client, args: &EventsArgs) -> Result<(), CliError> {
+async fn list(client: &Client, args: &EventsArgs) -> CliResult<()> {
     let selection = selection(client, args).await?;
     let limit = args.limit.or(args.since.is_none().then_some(EVENTS_SHOWN));
     let kept = newest(client, args, &selection, limit).await?;
@@ -122,7 +121,7 @@ async fn list(client: &Client, args: &EventsArgs) -> Result<(), CliError> {
     Ok(())
 }
 
-async fn follow(client: &Client, args: &EventsArgs) -> Result<(), CliError> {
+async fn follow(client: &Client, args: &EventsArgs) -> CliResult<()> {
     let selection = selection(client, args).await?;
     // With --since or --limit the earlier events come first.
     let earlier = args.limit.unwrap_or(if args.since.is_some() { usize::MAX } else { 0 });
@@ -156,7 +155,7 @@ async fn listen(
     args: &EventsArgs,
     selection: &str,
     last: &mut Option<String>,
-) -> Result<(), CliError> {
+) -> CliResult<()> {
     let path = format!("/api/v1/events?{}", selection.trim_start_matches('&'));
     let answer = client.stream(&path, last.as_deref()).await?;
     let mut pieces = answer.bytes_stream();

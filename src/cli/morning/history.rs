@@ -8,7 +8,7 @@ use super::answers::duration_words;
 use super::when::second;
 use crate::api::{History, StateSpan};
 use crate::cli::client::Client;
-use crate::cli::error::CliError;
+use crate::cli::error::CliResult;
 use crate::cli::find::find_run;
 use crate::cli::output::{Output, duration, say, say_json};
 use crate::cli::table::{Table, or_dash};
@@ -20,7 +20,7 @@ const INTERVALS: usize = 24;
 ///
 /// # Errors
 /// `CliError` if there is no such run, or a request fails.
-pub async fn show(client: &Client, run: &str, output: Output) -> Result<(), CliError> {
+pub async fn show(client: &Client, run: &str, output: Output) -> CliResult<()> {
     let run = find_run(client, run).await?;
     let path = format!("/api/v1/runs/{}/history", run.uid);
     if output == Output::Json {

@@ -6,7 +6,7 @@ use serde_json::Value;
 
 use super::show_trial::{named, stored};
 use crate::cli::client::Client;
-use crate::cli::error::CliError;
+use crate::cli::error::{CliError, CliResult};
 use crate::cli::find::find_run;
 use crate::cli::output::{say, say_json};
 
@@ -36,7 +36,7 @@ pub enum Part {
 ///
 /// # Errors
 /// `CliError::Problems` if the part is not one of what was named; others as [`Client::send`].
-pub async fn show(client: &Client, what: &str, part: Part) -> Result<(), CliError> {
+pub async fn show(client: &Client, what: &str, part: Part) -> CliResult<()> {
     let client = client.showing("reading");
     let (kind, is_list) = match part {
         Part::Plan => ("plan", false),
@@ -64,7 +64,7 @@ pub async fn show(client: &Client, what: &str, part: Part) -> Result<(), CliErro
     Ok(())
 }
 
-async fn frames(client: &Client, what: &str) -> Result<(), CliError> {
+async fn frames(client: &Client, what: &str) -> CliResult<()> {
     let Some(name) = named(what) else {
         let limit = "must be a trial for --raw frames, such as t812 or 3/81/4";
         return Err(CliError::argument("RUN|TRIAL", what, limit));

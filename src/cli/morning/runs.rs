@@ -11,7 +11,7 @@ use super::trials::encoded;
 use crate::api::Page;
 use crate::cli::client::Client;
 use crate::cli::embed;
-use crate::cli::error::CliError;
+use crate::cli::error::CliResult;
 use crate::cli::output::{say, say_json};
 use crate::cli::start_time::local;
 use crate::cli::table::{Table, or_dash};
@@ -28,7 +28,7 @@ struct RunLine {
 }
 
 impl RunLine {
-    async fn of(client: &Client, run: RunRow) -> Result<Self, CliError> {
+    async fn of(client: &Client, run: RunRow) -> CliResult<Self> {
         let trials_stored = stored_of(client, run.uid).await?;
         Ok(Self { took: elapsed(&run, Timestamp::now()), run, trials_stored })
     }
@@ -64,12 +64,11 @@ impl RunLine {
 ///
 /// # Errors
 /// `CliError` if the service cannot be reached or started, or refuses.
-pub async fn runs(args: RunsArgs) -> Result<(), CliError> {
-    let at = args.at.clone();
-    embed::reading(&at, move |client| async move { list(&client, &args).await }).await
+pub async fn runs(args: RunsArgs) -> CliResult<()> {
+    embed::reading(&args.at, async |client| list(client, &args).await).await
 }
 
-async fn list(client: &Client, args: &RunsArgs) -> Result<(), CliError> {
+async fn list(client: &Client, args: &RunsArgs) -> CliResult<()> {
     let (rows, is_all) = select(client, args).await?;
     let lines = futures::stream::iter(rows.into_iter().map(|run| RunLine::of(client, run)));
     let lines: Vec<RunLine> = lines.buffered(REQUESTS).try_collect().await?;
@@ -97,7 +96,7 @@ async fn list(client: &Client, args: &RunsArgs) -> Result<(), CliError> {
 }
 
 /// The newest runs that fit, and whether they are all.
-async fn select(client: &Client, args: &RunsArgs) -> Result<(Vec<RunRow>, bool), CliError> {
+async fn select(client: &Client, args: &RunsArgs) -> CliResult<(Vec<RunRow>, bool)> {
     let mut found = Vec::new();
     let mut conditions = args.conditions.clone();
     if !args.state.is_empty() {

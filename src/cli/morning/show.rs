@@ -12,7 +12,7 @@ use super::{ShowArgs, history, raw, show_trial};
 use crate::api::{ForcesAtDepth, RunProgress, SensorOut, Summary};
 use crate::cli::client::Client;
 use crate::cli::embed;
-use crate::cli::error::CliError;
+use crate::cli::error::CliResult;
 use crate::cli::find::find_run;
 use crate::cli::next::Next;
 use crate::cli::output::{counted, filled, grouped, say, say_drawn, say_json};
@@ -38,16 +38,15 @@ const BAR: usize = 30;
 ///
 /// # Errors
 /// `CliError` if the service cannot be reached or started, or has no such run or trial.
-pub async fn show(args: ShowArgs) -> Result<(), CliError> {
-    let at = args.at.clone();
-    embed::reading(&at, move |client| async move {
+pub async fn show(args: ShowArgs) -> CliResult<()> {
+    embed::reading(&args.at, async |client| {
         if let Some(part) = args.raw {
-            return raw::show(&client, &args.what, part).await;
+            return raw::show(client, &args.what, part).await;
         }
         match show_trial::named(&args.what) {
-            _ if args.history => history::show(&client, &args.what, args.at.output()).await,
-            Some(trial) => show_trial::show(&client, &trial, args.at.output()).await,
-            None => run(&client, &args).await,
+            _ if args.history => history::show(client, &args.what, args.at.output()).await,
+            Some(trial) => show_trial::show(client, &trial, args.at.output()).await,
+            None => run(client, &args).await,
         }
     })
     .await
@@ -71,7 +70,7 @@ struct WorstFit {
     fvu: f64,
 }
 
-async fn run(client: &Client, args: &ShowArgs) -> Result<(), CliError> {
+async fn run(client: &Client, args: &ShowArgs) -> CliResult<()> {
     let found = find_run(client, &args.what).await?;
     let path = format!("/api/v1/runs/{}", found.uid);
     let summary: Summary = client.summary(found.uid).await?;
@@ -100,7 +99,7 @@ async fn run(client: &Client, args: &ShowArgs) -> Result<(), CliError> {
     Ok(())
 }
 
-fn draw(drawn: &Drawn) -> Result<(), CliError> {
+fn draw(drawn: &Drawn) -> CliResult<()> {
     say(facts(drawn));
     let contacts = counts(&drawn.summary.contact_counts);
     if let Some(contacts) = contacts {
@@ -203,7 +202,7 @@ fn counts(contact_counts: &[u64; 7]) -> Option<Table> {
 }
 
 /// The map of the skin and the forces over depth, next to each other where there is room.
-fn pictures(night: &Night, curve: &[ForcesAtDepth]) -> Result<String, CliError> {
+fn pictures(night: &Night, curve: &[ForcesAtDepth]) -> CliResult<String> {
     let (width, has_map, has_curve) = (width(), night.tour.is_some(), curve.len() > 1);
     if !has_map && !has_curve {
         return Ok(String::new());

@@ -8,7 +8,7 @@ use super::frame::{Ink, Picture, draw};
 use super::when::second;
 use crate::api::Page;
 use crate::cli::client::Client;
-use crate::cli::error::CliError;
+use crate::cli::error::{CliError, CliResult};
 use crate::cli::find::find_run;
 use crate::cli::output::{Output, filled, is_coloured, say, say_drawn, say_json};
 use crate::store::TrialRow;
@@ -47,7 +47,7 @@ pub fn named(text: &str) -> Option<TrialName> {
 ///
 /// # Errors
 /// `CliError` if there is no such trial, or a request fails.
-pub async fn show(client: &Client, name: &TrialName, output: Output) -> Result<(), CliError> {
+pub async fn show(client: &Client, name: &TrialName, output: Output) -> CliResult<()> {
     let trial = stored(client, name, true).await?;
     if output == Output::Json {
         say_json(&trial);
@@ -71,11 +71,7 @@ pub async fn show(client: &Client, name: &TrialName, output: Output) -> Result<(
 ///
 /// # Errors
 /// `CliError::Problems` if there is no such trial; others as [`Client::send`].
-pub async fn stored(
-    client: &Client,
-    name: &TrialName,
-    with_voltages: bool,
-) -> Result<TrialRow, CliError> {
+pub async fn stored(client: &Client, name: &TrialName, with_voltages: bool) -> CliResult<TrialRow> {
     let query = match name {
         TrialName::Id(id) => format!("/api/v1/trials?trial_id={id}"),
         TrialName::Key { run, configuration, depth_index } => {

@@ -7,7 +7,7 @@ use serde_json::json;
 use super::TrialsArgs;
 use crate::cli::client::Client;
 use crate::cli::embed;
-use crate::cli::error::CliError;
+use crate::cli::error::{CliError, CliResult};
 use crate::cli::find::find_run;
 use crate::cli::output::{grouped, say, say_json};
 use crate::cli::table::{Table, or_dash};
@@ -24,14 +24,13 @@ struct Asked {
 ///
 /// # Errors
 /// `CliError` if the service cannot be reached or started, or refuses a condition.
-pub async fn trials(args: TrialsArgs) -> Result<(), CliError> {
+pub async fn trials(args: TrialsArgs) -> CliResult<()> {
     let asked = asked(&args.what)?;
-    let at = args.at.clone();
-    embed::reading(&at, move |client| async move { list(&client, &args, asked).await }).await
+    embed::reading(&args.at, async |client| list(client, &args, asked).await).await
 }
 
 /// Separates the run from the conditions.
-fn asked(what: &[String]) -> Result<Asked, CliError> {
+fn asked(what: &[String]) -> CliResult<Asked> {
     let mut asked = Asked { run: None, conditions: Vec::new() };
     for text in what {
         match text.split_once('=') {
@@ -55,7 +54,7 @@ pub fn encoded(pairs: &[(String, String)]) -> String {
     url.and_then(|url| url.query().map(str::to_owned)).unwrap_or_default()
 }
 
-async fn list(client: &Client, args: &TrialsArgs, asked: Asked) -> Result<(), CliError> {
+async fn list(client: &Client, args: &TrialsArgs, asked: Asked) -> CliResult<()> {
     let run = match &asked.run {
         Some(run) => Some(find_run(client, run).await?),
         None => None,

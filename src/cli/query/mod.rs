@@ -14,7 +14,7 @@ use serde::Deserialize;
 use serde_json::{Map, Value, json};
 
 use super::client::Client;
-use super::error::CliError;
+use super::error::{CliError, CliResult};
 use super::output::{bytes, counted, grouped, note, say, say_json};
 use super::progress::Working;
 use super::table::{Align, Table};
@@ -85,17 +85,16 @@ pub struct Answer {
 /// # Errors
 /// `CliError` if the service cannot be reached or started or refuses the statement, or if the file cannot
 /// be written.
-pub async fn query(args: QueryArgs) -> Result<(), CliError> {
-    let at = args.at.clone();
-    embed::reading(&at, move |client| async move { run(&client, args).await }).await
+pub async fn query(args: QueryArgs) -> CliResult<()> {
+    embed::reading(&args.at, async |client| run(client, &args).await).await
 }
 
-async fn run(client: &Client, args: QueryArgs) -> Result<(), CliError> {
+async fn run(client: &Client, args: &QueryArgs) -> CliResult<()> {
     let Some(sql) = args.sql.as_deref().map(statement).transpose()? else {
         return tables(client, args.at.json).await;
     };
-    match (args.format.or(args.out.as_deref().and_then(by_ending)), args.out) {
-        (Some(format), out) => write(client, &sql, format, out).await,
+    match (args.format.or(args.out.as_deref().and_then(by_ending)), &args.out) {
+        (Some(format), out) => write(client, &sql, format, out.clone()).await,
         (None, Some(out)) => {
             let rows = Format::ALL.into_iter().filter(|format| format.streams());
             let endings: Vec<&str> = rows.map(Format::extension).collect();
@@ -116,7 +115,7 @@ async fn run(client: &Client, args: QueryArgs) -> Result<(), CliError> {
 }
 
 /// The statement of an argument, or of standard input for `-`.
-fn statement(text: &str) -> Result<String, CliError> {
+fn statement(text: &str) -> CliResult<String> {
     if text != "-" {
         return Ok(text.to_owned());
     }
@@ -124,7 +123,7 @@ fn statement(text: &str) -> Result<String, CliError> {
     std::io::read_to_string(std::io::stdin()).map_err(failed)
 }
 
-async fn tables(client: &Client, as_json: bool) -> Result<(), CliError> {
+async fn tables(client: &Client, as_json: bool) -> CliResult<()> {
     let tables: Vec<Map<String, Value>> = client.get("/api/v1/query/tables").await?;
     if as_json {
         say_json(&tables);
@@ -149,16 +148,13 @@ async fn tables(client: &Client, as_json: bool) -> Result<(), CliError> {
 ///
 /// # Errors
 /// `CliError` if the service refuses the statement, or cannot be reached.
-pub async fn ask<T: serde::de::DeserializeOwned>(
-    client: &Client,
-    sql: &str,
-) -> Result<T, CliError> {
+pub async fn ask<T: serde::de::DeserializeOwned>(client: &Client, sql: &str) -> CliResult<T> {
     let answer = send(client, &json!({ "sql": sql })).await?;
     let operation = "POST /api/v1/query".to_owned();
     answer.json().await.map_err(|source| CliError::Http { operation, source })
 }
 
-async fn send(client: &Client, body: &Value) -> Result<reqwest::Response, CliError> {
+async fn send(client: &Client, body: &Value) -> CliResult<reqwest::Response> {
     let client = client.patient(TIME_MAX + SENDING).showing("evaluating the query");
     let mut building = None;
     loop {
@@ -181,12 +177,7 @@ pub fn by_ending(out: &Path) -> Option<Format> {
     format.streams().then_some(format)
 }
 
-async fn write(
-    client: &Client,
-    sql: &str,
-    format: Format,
-    out: Option<PathBuf>,
-) -> Result<(), CliError> {
+async fn write(client: &Client, sql: &str, format: Format, out: Option<PathBuf>) -> CliResult<()> {
     let answer = send(client, &json!({ "sql": sql, "format": format.name() })).await?;
     let mut pieces = answer.bytes_stream();
     let operation = || "POST /api/v1/query".to_owned();

@@ -9,7 +9,7 @@ use serde_json::{Value, json};
 use super::prepared::{NAMES, Question, Trials, number};
 use super::{Answer, ask};
 use crate::cli::client::Client;
-use crate::cli::error::CliError;
+use crate::cli::error::{CliError, CliResult};
 use crate::cli::find::find_run;
 use crate::cli::output::note;
 use crate::cli::{At, embed, picture};
@@ -70,12 +70,11 @@ impl From<MarksArg> for Marks {
 /// # Errors
 /// `CliError` if the service cannot be reached or started or refuses the question, or if the picture
 /// cannot be written.
-pub async fn plot(args: PlotArgs) -> Result<(), CliError> {
-    let at = args.at.clone();
-    embed::reading(&at, move |client| async move { draw(&client, args).await }).await
+pub async fn plot(args: PlotArgs) -> CliResult<()> {
+    embed::reading(&args.at, async |client| draw(client, &args).await).await
 }
 
-async fn draw(client: &Client, args: PlotArgs) -> Result<(), CliError> {
+async fn draw(client: &Client, args: &PlotArgs) -> CliResult<()> {
     let trials = trials(client, &args.of).await?;
     let is_statement = args.what.contains(char::is_whitespace);
     let (question, answer, heading) = if is_statement {
@@ -110,7 +109,7 @@ async fn draw(client: &Client, args: PlotArgs) -> Result<(), CliError> {
 }
 
 /// The selected trials.
-async fn trials(client: &Client, of: &[String]) -> Result<Trials, CliError> {
+async fn trials(client: &Client, of: &[String]) -> CliResult<Trials> {
     let mut trials = Trials::default();
     for text in of {
         if text.contains('=') {
@@ -128,7 +127,7 @@ async fn trials(client: &Client, of: &[String]) -> Result<Trials, CliError> {
 }
 
 /// The prepared question of a name, or the histogram of a column.
-async fn question(client: &Client, trials: &Trials, name: &str) -> Result<Question, CliError> {
+async fn question(client: &Client, trials: &Trials, name: &str) -> CliResult<Question> {
     let refused = |limit: String| CliError::argument("NAME", name, limit);
     if let Some(question) = trials.named(name).map_err(refused)? {
         return Ok(question);

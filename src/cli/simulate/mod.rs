@@ -9,7 +9,7 @@ use clap::{Args, Subcommand};
 use sim_core::calibrated::CalibratedSensor;
 use sim_core::forward::ForwardModel;
 
-use super::error::CliError;
+use super::error::CliResult;
 use super::progress::Working;
 use crate::simulate::model::{ModelUnavailable, load_or_build};
 
@@ -58,7 +58,7 @@ pub fn solving() -> Working {
 ///
 /// # Errors
 /// `CliError` if an input is invalid, or a file cannot be written.
-pub async fn simulate(args: SimulateArgs) -> Result<ExitCode, CliError> {
+pub async fn simulate(args: SimulateArgs) -> CliResult<ExitCode> {
     match args.command {
         None => trials::trials(&args.trials).await,
         Some(SimulateCommand::Random(args)) => random::random(args).await,

@@ -13,7 +13,7 @@ use serde_json::json;
 use sim_core::batch::BatchModel;
 
 use crate::cli::At;
-use crate::cli::error::CliError;
+use crate::cli::error::CliResult;
 use crate::cli::next::Next;
 use crate::cli::output::{self, bytes, counted, duration, say, say_json};
 use crate::cli::progress::{LogLines, Working, progress_bar};
@@ -46,7 +46,7 @@ pub struct RandomArgs {
 ///
 /// # Errors
 /// `CliError` if an option is invalid, or a shard cannot be made.
-pub async fn random(args: RandomArgs) -> Result<ExitCode, CliError> {
+pub async fn random(args: RandomArgs) -> CliResult<ExitCode> {
     let mut signals = Signals::catch()?;
     let stop = Arc::new(AtomicBool::new(false));
     let work = tokio::task::spawn_blocking({
@@ -70,7 +70,7 @@ pub async fn random(args: RandomArgs) -> Result<ExitCode, CliError> {
     }
 }
 
-fn make(args: &RandomArgs, stop: &AtomicBool) -> Result<ExitCode, CliError> {
+fn make(args: &RandomArgs, stop: &AtomicBool) -> CliResult<ExitCode> {
     let threads = threads(args.threads)?;
     let SolvedRequest { definition, model, kernel, .. } = args.request.solve()?;
     let frames = BatchModel::new(&model, kernel);

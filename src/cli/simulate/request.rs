@@ -10,7 +10,7 @@ use sim_core::calibrated::CalibratedSensor;
 use sim_core::forward::ForwardModel;
 
 use crate::cli::data_or_default;
-use crate::cli::error::CliError;
+use crate::cli::error::{CliError, CliResult};
 use crate::cli::files::{read_calibration, read_sensor_text};
 use crate::cli::simulate::solved;
 use crate::simulate::random::draw::Draws;
@@ -72,7 +72,7 @@ impl RandomRequest {
     ///
     /// # Errors
     /// `CliError::Problems` with the options or files that are invalid, `Model` if the model is not available.
-    pub fn solve(&self) -> Result<SolvedRequest, CliError> {
+    pub fn solve(&self) -> CliResult<SolvedRequest> {
         let (sensor, sensor_text) = read_sensor_text(self.sensor.as_deref())?;
         let mut sensor = CalibratedSensor::from(sensor);
         let mut calibration_text = None;
@@ -111,7 +111,7 @@ fn contacts(text: &str) -> Result<[u8; 2], String> {
 ///
 /// # Errors
 /// `CliError::Problems` if it is outside its limits.
-pub fn threads(asked: Option<usize>) -> Result<NonZeroUsize, CliError> {
+pub fn threads(asked: Option<usize>) -> CliResult<NonZeroUsize> {
     match asked {
         None => Ok(std::thread::available_parallelism().unwrap_or(NonZeroUsize::MIN)),
         Some(n) => NonZeroUsize::new(n).filter(|n| n.get() <= THREADS_MAX).ok_or_else(|| {

@@ -13,7 +13,7 @@ use sim_core::calibrated::CalibratedSensor;
 use sim_core::forward::{Contact, ForwardModel, Workspace};
 
 use crate::cli::data_or_default;
-use crate::cli::error::CliError;
+use crate::cli::error::{CliError, CliResult};
 use crate::cli::files::{read_calibration, read_sensor, write};
 use crate::cli::picture;
 use crate::cli::simulate::solved;
@@ -72,7 +72,7 @@ struct Answer<'a> {
 /// # Errors
 /// `CliError::Problems` if an option or a line is invalid; other variants if a file cannot be
 /// written.
-pub async fn trials(args: &TrialArgs) -> Result<ExitCode, CliError> {
+pub async fn trials(args: &TrialArgs) -> CliResult<ExitCode> {
     let mut sensor = CalibratedSensor::from(read_sensor(args.sensor.as_deref())?);
     if let Some(path) = &args.calibration {
         sensor = read_calibration(path, &sensor)?.apply(&sensor)?;
@@ -117,7 +117,7 @@ impl TrialArgs {
         model: &ForwardModel,
         contacts: &[Contact],
         file: &str,
-    ) -> Result<(), CliError> {
+    ) -> CliResult<()> {
         let written = |path: &Path, text: Result<String, ExportError>| {
             text.map_err(|e| refused(file, &e)).and_then(|text| write(path, &text))
         };
@@ -136,7 +136,7 @@ impl TrialArgs {
 }
 
 /// Opens the input; returns it with its name in problems.
-fn open(path: &Path) -> Result<(Box<dyn BufRead>, String), CliError> {
+fn open(path: &Path) -> CliResult<(Box<dyn BufRead>, String)> {
     if path == Path::new("-") {
         return Ok((Box::new(io::stdin().lock()), "standard input".into()));
     }
@@ -146,7 +146,7 @@ fn open(path: &Path) -> Result<(Box<dyn BufRead>, String), CliError> {
 }
 
 /// Writes a line and flushes it; returns `false` if standard output is closed.
-fn answer(voltages_v: &[f64]) -> Result<bool, CliError> {
+fn answer(voltages_v: &[f64]) -> CliResult<bool> {
     let mut out = io::stdout().lock();
     let line = serde_json::to_string(&Answer { voltages_v }).map_err(io::Error::from);
     match line.and_then(|line| writeln!(out, "{line}")).and_then(|()| out.flush()) {

@@ -29,7 +29,7 @@ use night::{News, Night};
 use theme::Theme;
 
 use super::client::Client;
-use super::error::CliError;
+use super::error::{CliError, CliResult};
 use super::log::{self, Held};
 use super::signals::Signals;
 use super::{At, ask, embed};
@@ -50,7 +50,7 @@ struct Screen {
 }
 
 impl Screen {
-    fn open() -> Result<Self, CliError> {
+    fn open() -> CliResult<Self> {
         let held = log::hold();
         let terminal = ratatui::try_init().map_err(|source| CliError::System {
             operation: "opening the screen on the terminal",
@@ -97,7 +97,7 @@ impl Asked {
 /// # Errors
 /// `CliError::Problems` without a terminal, or with `--json`; other variants if the service cannot be
 /// reached, or the terminal fails.
-pub async fn watch(at: &At) -> Result<(), CliError> {
+pub async fn watch(at: &At) -> CliResult<()> {
     let unsuited = |limit| CliError::argument("--watch", "given", limit);
     if at.json {
         return Err(unsuited("must not be combined with --json"));
@@ -143,7 +143,7 @@ pub async fn watch(at: &At) -> Result<(), CliError> {
 }
 
 /// Reads keys on a thread, until the receiver is dropped. A resize is a key that asks for nothing.
-fn keys() -> Result<mpsc::Receiver<KeyEvent>, CliError> {
+fn keys() -> CliResult<mpsc::Receiver<KeyEvent>> {
     let (send, keys) = mpsc::channel(WAITING);
     let reading = move || {
         while !send.is_closed() {
@@ -203,7 +203,7 @@ fn answer(asked: Asked, night: &mut Night, client: &Client, at: &At, news: &Send
     });
 }
 
-async fn act(client: &Client, run: RunUid, action: &str, mut more: Value) -> Result<(), CliError> {
+async fn act(client: &Client, run: RunUid, action: &str, mut more: Value) -> CliResult<()> {
     more["why"] = "key at status --watch".into();
     client.act(run, action, more).await
 }

@@ -11,7 +11,7 @@ use super::answers::Tour;
 use super::night::News;
 use crate::api::{History, Page, RunProgress, SensorOut};
 use crate::cli::client::Client;
-use crate::cli::error::CliError;
+use crate::cli::error::CliResult;
 use crate::cli::view::EventView;
 use crate::event::notable_kinds;
 use crate::ids::RunUid;
@@ -102,7 +102,7 @@ struct Rest {
 
 impl Rest {
     /// Reads the events, and if it is `due` all else.
-    async fn read(&mut self, due: bool) -> Result<(), CliError> {
+    async fn read(&mut self, due: bool) -> CliResult<()> {
         self.events().await?;
         if !due {
             return Ok(());
@@ -141,7 +141,7 @@ impl Rest {
         Ok(())
     }
 
-    async fn events(&mut self) -> Result<(), CliError> {
+    async fn events(&mut self) -> CliResult<()> {
         let since = self.since.unwrap_or(-EARLIER_EVENTS);
         // Only kinds of which the screen shows some: what matters may be hours older than the newest event.
         let kinds = notable_kinds().chain(["state"]).collect::<Vec<_>>().join(",");

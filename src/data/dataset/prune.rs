@@ -20,10 +20,8 @@ pub struct Pruned {
     /// Length of its Parquet file, bytes.
     pub bytes: u64,
     /// Wall time of its creation.
-    #[schema(value_type = String, format = DateTime)]
     pub created_at: Timestamp,
     /// Wall time at which its rows were last read; absent if unknown.
-    #[schema(value_type = Option<String>, format = DateTime)]
     #[serde(skip_serializing_if = "Option::is_none")]
     pub last_used_at: Option<Timestamp>,
     /// Why it stays; absent if it goes.

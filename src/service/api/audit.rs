@@ -17,7 +17,7 @@ use tracing::Instrument;
 use super::App;
 use super::auth::Caller;
 use super::limits::{DETAIL_MAX_CHARS, WHO_MAX_CHARS, WHY_MAX_CHARS};
-use super::problem::{ApiError, Refused};
+use super::problem::{ApiError, ApiResult, Refused};
 use crate::ids::RunUid;
 use crate::journal::error_chain;
 use crate::plain::escaped;
@@ -120,7 +120,7 @@ impl Act {
     ///
     /// # Errors
     /// 403 if the role is lower.
-    pub fn require(&self, role: Role) -> Result<(), ApiError> {
+    pub fn require(&self, role: Role) -> ApiResult<()> {
         self.caller.require(role)
     }
 
@@ -146,7 +146,7 @@ impl Act {
 impl<S: Sync> FromRequestParts<S> for Act {
     type Rejection = ApiError;
 
-    async fn from_request_parts(parts: &mut Parts, _: &S) -> Result<Self, ApiError> {
+    async fn from_request_parts(parts: &mut Parts, _: &S) -> ApiResult<Self> {
         let none = || {
             let words = "this operation is not in the table of actions";
             ApiError::new(StatusCode::INTERNAL_SERVER_ERROR, words)

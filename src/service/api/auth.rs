@@ -12,7 +12,7 @@ use parking_lot::Mutex;
 
 use super::App;
 use super::limits::{TICKET, TICKETS};
-use super::problem::ApiError;
+use super::problem::{ApiError, ApiResult};
 use crate::store::{KEYLESS, KEYLESS_SUFFIX, Key, LockRow, Role};
 
 /// The sender of a request.
@@ -63,7 +63,7 @@ impl Caller {
     ///
     /// # Errors
     /// 403 if the role is lower.
-    pub fn require(&self, role: Role) -> Result<(), ApiError> {
+    pub fn require(&self, role: Role) -> ApiResult<()> {
         if self.role >= role {
             return Ok(());
         }
@@ -83,7 +83,7 @@ impl Caller {
 /// # Errors
 /// 401 without a valid key; on loopback a key is only needed if the service requires one, or if a
 /// proxy has forwarded the request. 403 on loopback for a foreign host or origin.
-pub fn identify(app: &App, headers: &HeaderMap) -> Result<Caller, ApiError> {
+pub fn identify(app: &App, headers: &HeaderMap) -> ApiResult<Caller> {
     identify_with(app, headers, app.loopback(), || needs_key(app.facts.require_key, headers))
 }
 
@@ -97,11 +97,7 @@ pub struct Peer(pub IpAddr);
 /// # Errors
 /// 401 for an invalid key, or without one from another machine, also through a proxy on this one;
 /// 403 without one for a foreign host or origin.
-pub fn identify_stop(
-    app: &App,
-    headers: &HeaderMap,
-    peer: Option<Peer>,
-) -> Result<Caller, ApiError> {
+pub fn identify_stop(app: &App, headers: &HeaderMap, peer: Option<Peer>) -> ApiResult<Caller> {
     let is_here = peer.map_or(app.loopback(), |Peer(ip)| ip.to_canonical().is_loopback());
     identify_with(app, headers, is_here, || needs_key(false, headers))
 }
@@ -111,8 +107,8 @@ fn identify_with(
     app: &App,
     headers: &HeaderMap,
     is_here: bool,
-    local: impl Fn() -> Result<(), ApiError>,
-) -> Result<Caller, ApiError> {
+    local: impl Fn() -> ApiResult<()>,
+) -> ApiResult<Caller> {
     if let Some(secret) = secret(headers)? {
         let key = app.keys.find(&secret);
         let key = key.ok_or_else(|| unauthorized("this key is unknown or revoked"))?;
@@ -133,7 +129,7 @@ fn identify_with(
 ///
 /// # Errors
 /// 401 if keys are required, or if a proxy has forwarded the request: its client may be anywhere.
-fn needs_key(required: bool, headers: &HeaderMap) -> Result<(), ApiError> {
+fn needs_key(required: bool, headers: &HeaderMap) -> ApiResult<()> {
     if required {
         let words = "no key: the service was started with --require-key; send the header \
                      Authorization: Bearer KEY";
@@ -161,11 +157,7 @@ fn unauthorized(words: &str) -> ApiError {
 /// # Errors
 /// 401 for a ticket that is unknown, used or too old, or whose key has been revoked; otherwise as
 /// [`identify`].
-pub fn identify_socket(
-    app: &App,
-    headers: &HeaderMap,
-    query: Option<&str>,
-) -> Result<Caller, ApiError> {
+pub fn identify_socket(app: &App, headers: &HeaderMap, query: Option<&str>) -> ApiResult<Caller> {
     let ticket = match ticket(query) {
         Some(ticket) if !headers.contains_key(header::AUTHORIZATION) => ticket,
         Some(_) | None => return identify(app, headers),
@@ -181,7 +173,7 @@ pub fn identify_socket(
 
 /// Returns the text of the key, a bearer token. An invalid header is an error: treated as "no key" it
 /// would count as local.
-fn secret(headers: &HeaderMap) -> Result<Option<String>, ApiError> {
+fn secret(headers: &HeaderMap) -> ApiResult<Option<String>> {
     let Some(value) = headers.get(header::AUTHORIZATION) else { return Ok(None) };
     let credentials = value.to_str().ok().and_then(|value| value.split_once(' '));
     match credentials {
@@ -199,7 +191,7 @@ fn ticket(query: Option<&str>) -> Option<&str> {
 ///
 /// # Errors
 /// 403 if it did.
-pub fn same_origin(headers: &HeaderMap) -> Result<(), ApiError> {
+pub fn same_origin(headers: &HeaderMap) -> ApiResult<()> {
     let site = headers.get("sec-fetch-site").map(|value| value.to_str().unwrap_or_default());
     match site {
         None | Some("same-origin" | "none") => Ok(()),
@@ -260,7 +252,7 @@ impl Tickets {
 ///
 /// # Errors
 /// 403 if it is not.
-fn own_host(headers: &HeaderMap) -> Result<(), ApiError> {
+fn own_host(headers: &HeaderMap) -> ApiResult<()> {
     let host = text(headers, header::HOST).unwrap_or_default();
     if is_local(host) {
         return Ok(());
@@ -274,11 +266,11 @@ fn own_host(headers: &HeaderMap) -> Result<(), ApiError> {
 ///
 /// # Errors
 /// 403 if it is not.
-fn own_origin(app: &App, headers: &HeaderMap) -> Result<(), ApiError> {
+fn own_origin(app: &App, headers: &HeaderMap) -> ApiResult<()> {
     if app.loopback() { is_own_origin(headers) } else { Ok(()) }
 }
 
-fn is_own_origin(headers: &HeaderMap) -> Result<(), ApiError> {
+fn is_own_origin(headers: &HeaderMap) -> ApiResult<()> {
     let Some(origin) = text(headers, header::ORIGIN) else { return Ok(()) };
     let host = text(headers, header::HOST).unwrap_or_default();
     // With TLS, here or in a proxy, the scheme is https. One port does not serve both.

@@ -2,7 +2,7 @@
 //! Uses: `dataset::catalog`. Never: SQL, a row that is not in a dataset's file.
 
 use axum::Json;
-use axum::extract::{Query, Request, State};
+use axum::extract::{Query, Request};
 use axum::http::{HeaderMap, HeaderValue, header};
 use axum::response::{IntoResponse, Response};
 use serde::{Deserialize, Serialize};
@@ -13,7 +13,7 @@ use super::App;
 use super::audit::Act;
 use super::pages::{Cursors, Page, PageParams, PageRequest};
 use super::params::{FileParams, RowGroupParams, RowsParams};
-use super::problem::{ApiError, Body, Path, ProblemBody};
+use super::problem::{ApiError, ApiResult, Body, Path};
 use super::query::{GroupsOf, GroupsRequest, file_query, for_pages, groups_query, rows_query};
 use super::send::{self, Download};
 use super::trials::grouped;
@@ -51,13 +51,11 @@ pub struct DatasetOut {
     #[schema(value_type = Object)]
     pub report: Value,
     /// Time at which the dataset was made.
-    #[schema(value_type = String, format = DateTime)]
     pub created_at: jiff::Timestamp,
     /// Address of the Parquet file, for pandas, polars and DuckDB.
     pub url: String,
     /// Wall time at which its rows were last read; absent if unknown.
     #[serde(skip_serializing_if = "Option::is_none")]
-    #[schema(value_type = Option<String>, format = DateTime)]
     pub last_used_at: Option<jiff::Timestamp>,
     /// False if its definition selects other trials or shards now, so that making it again makes
     /// another dataset. Absent in lists, and if it cannot be made again.
@@ -155,12 +153,8 @@ type Pairs = Query<Vec<(String, String)>>;
 
 /// Returns a page of the datasets, newest first, and the names of the built-in definitions.
 #[utoipa::path(get, operation_id = "list_datasets", path = "/api/v1/datasets", tag = "datasets",
-    params(PageParams), responses((status = 200, body = DatasetsPage),
-        (status = 400, body = ProblemBody, description = "a parameter is invalid")))]
-pub async fn list(
-    State(app): State<App>,
-    asked: PageRequest,
-) -> Result<Json<DatasetsPage>, ApiError> {
+    params(PageParams), responses((status = 200, body = DatasetsPage), (status = 400)))]
+pub async fn list(app: App, asked: PageRequest) -> ApiResult<Json<DatasetsPage>> {
     let datasets = app.store.datasets().await?.into_iter().map(|row| {
         let last_used_at = app.datasets.last_used_at(&row.id);
         DatasetOut { last_used_at, ..row.into() }
@@ -171,22 +165,20 @@ pub async fn list(
 }
 
 /// Makes a dataset from the stored trials, or returns the existing one.
-#[utoipa::path(post, operation_id = "make_dataset",
-    path = "/api/v1/datasets", tag = "datasets", request_body = DatasetRequest,
-    responses((status = 200, body = DatasetOut),
-        (status = 400, body = ProblemBody,
-            description = "the definition is invalid, or its name is in use"),
-        (status = 404, body = ProblemBody,
+#[utoipa::path(post, operation_id = "make_dataset", path = "/api/v1/datasets", tag = "datasets",
+    request_body = DatasetRequest, responses((status = 200, body = DatasetOut),
+        (status = 400, description = "the definition is invalid, or its name is in use"),
+        (status = 404,
             description = "no dataset, run or folder of shards has the name, or no rows are selected"),
-        (status = 409, body = ProblemBody,
+        (status = 409,
             description = "the runs differ in label, frame length or model, or a run has not ended"),
-        (status = 422, body = ProblemBody,
+        (status = 422,
             description = "the body is invalid, or has not exactly one of name, definition and toml")))]
 pub async fn make(
-    State(app): State<App>,
+    app: App,
     act: Act,
     Body(new): Body<DatasetRequest>,
-) -> Result<Json<DatasetOut>, ApiError> {
+) -> ApiResult<Json<DatasetOut>> {
     let file = new.file.as_deref().unwrap_or("definition");
     let row = match (new.name, new.definition, new.toml) {
         (Some(name), None, None) => app.datasets.resolve(&name).await?,
@@ -208,7 +200,7 @@ pub async fn make(
 }
 
 /// Refuses the name of a table that statements would read instead of the dataset.
-fn named(file: &str, definition: Definition) -> Result<Definition, ApiError> {
+fn named(file: &str, definition: Definition) -> ApiResult<Definition> {
     if TABLES.iter().any(|table| table.name == definition.name) {
         let limit = "is the name of a table of `palpate query`: choose another name";
         let problem = Problem::new(file, "name", &definition.name, limit);
@@ -220,10 +212,7 @@ fn named(file: &str, definition: Definition) -> Result<Definition, ApiError> {
 /// Returns the dataset with an id, or the newest one of a name.
 #[utoipa::path(get, operation_id = "dataset", path = "/api/v1/datasets/{dataset}", tag = "datasets",
     responses((status = 200, body = DatasetOut)))]
-pub async fn one(
-    State(app): State<App>,
-    Path(dataset): Path<String>,
-) -> Result<Json<DatasetOut>, ApiError> {
+pub async fn one(app: App, Path(dataset): Path<String>) -> ApiResult<Json<DatasetOut>> {
     let row = app.datasets.find(&dataset).await?;
     let is_current = app.datasets.is_current(&row).await?;
     let last_used_at = app.datasets.last_used_at(&row.id);
@@ -235,10 +224,7 @@ pub async fn one(
 #[utoipa::path(get, operation_id = "dataset_lineage",
     path = "/api/v1/datasets/{dataset}/lineage", tag = "datasets",
     responses((status = 200, body = Object)))]
-pub async fn lineage(
-    State(app): State<App>,
-    Path(dataset): Path<String>,
-) -> Result<Json<Value>, ApiError> {
+pub async fn lineage(app: App, Path(dataset): Path<String>) -> ApiResult<Json<Value>> {
     let row = app.datasets.find(&dataset).await?;
     let url = format!("/api/v1/data/{}.parquet", row.id);
     let nets = app.store.models_of(&row.id).await?;
@@ -253,13 +239,9 @@ pub async fn lineage(
 }
 
 /// Returns the card of a dataset in Markdown: content, units, quality, origin and citation.
-#[utoipa::path(get, operation_id = "dataset_card",
-    path = "/api/v1/datasets/{dataset}/card", tag = "datasets",
-    responses((status = 200, body = String, content_type = "text/markdown")))]
-pub async fn card(
-    State(app): State<App>,
-    Path(dataset): Path<String>,
-) -> Result<Response, ApiError> {
+#[utoipa::path(get, operation_id = "dataset_card", path = "/api/v1/datasets/{dataset}/card",
+    tag = "datasets", responses((status = 200, body = String, content_type = "text/markdown")))]
+pub async fn card(app: App, Path(dataset): Path<String>) -> ApiResult<Response> {
     let row = app.datasets.find(&dataset).await?;
     let text = app.datasets.card(&row.id)?;
     Ok(([(header::CONTENT_TYPE, "text/markdown; charset=utf-8")], text).into_response())
@@ -270,10 +252,7 @@ pub async fn card(
 #[utoipa::path(get, operation_id = "dataset_package",
     path = "/api/v1/datasets/{dataset}/datapackage.json", tag = "datasets",
     responses((status = 200, body = Object)))]
-pub async fn package(
-    State(app): State<App>,
-    Path(dataset): Path<String>,
-) -> Result<Json<Value>, ApiError> {
+pub async fn package(app: App, Path(dataset): Path<String>) -> ApiResult<Json<Value>> {
     let row = app.datasets.find(&dataset).await?;
     Ok(Json(package::of(&row, &format!("/api/v1/data/{}.parquet", row.id))))
 }
@@ -303,15 +282,14 @@ pub struct PruneOut {
 
 /// Removes the older datasets of each name. Those to which a model, a training, an evaluation or a
 /// waiting export refers stay.
-#[utoipa::path(post, operation_id = "prune_datasets",
-    path = "/api/v1/datasets/prune", tag = "datasets", request_body = PruneRequest,
-    responses((status = 200, body = PruneOut),
-        (status = 422, body = ProblemBody, description = "the body is invalid")))]
+#[utoipa::path(post, operation_id = "prune_datasets", path = "/api/v1/datasets/prune",
+    tag = "datasets", request_body = PruneRequest, responses((status = 200, body = PruneOut),
+        (status = 422, description = "the body is invalid")))]
 pub async fn prune(
-    State(app): State<App>,
+    app: App,
     act: Act,
     Body(request): Body<PruneRequest>,
-) -> Result<Json<PruneOut>, ApiError> {
+) -> ApiResult<Json<PruneOut>> {
     let keep = request.keep.get() as usize;
     let datasets = match request.dry_run {
         true => app.datasets.prunable(keep).await?,
@@ -328,18 +306,17 @@ pub async fn prune(
 /// The pages of one list of rows stay with the dataset that the first page was read from, also if
 /// another dataset of the name is made meanwhile. The header `Link` has the address of the next page
 /// in every format.
-#[utoipa::path(get, operation_id = "dataset_rows",
-    path = "/api/v1/datasets/{dataset}/rows", tag = "datasets",
-    params(("dataset" = String, Path, description = "id or name"), RowsParams),
+#[utoipa::path(get, operation_id = "dataset_rows", path = "/api/v1/datasets/{dataset}/rows",
+    tag = "datasets", params(("dataset" = String, Path), RowsParams),
     responses((status = 200, body = RowsPage),
-        (status = 400, body = ProblemBody, description = "a parameter is unknown or invalid")))]
+        (status = 400, description = "a parameter is unknown or invalid")))]
 pub async fn rows(
-    State(app): State<App>,
+    app: App,
     Path(dataset): Path<String>,
     Query(pairs): Pairs,
     cursors: Cursors,
     headers: HeaderMap,
-) -> Result<Response, ApiError> {
+) -> ApiResult<Response> {
     let requested = rows_query(&pairs).map_err(ApiError::bad_query)?;
     let format = requested.format.or_else(|| send::accepted(&headers));
     format.map_or(Ok(()), for_pages).map_err(ApiError::bad_query)?;
@@ -380,18 +357,17 @@ pub async fn rows(
 }
 
 /// Returns groups of the rows of a dataset with their aggregates, by the conditions of its rows.
-#[utoipa::path(get, operation_id = "dataset_groups",
-    path = "/api/v1/datasets/{dataset}/groups", tag = "datasets",
-    params(("dataset" = String, Path, description = "id or name"), RowGroupParams),
+#[utoipa::path(get, operation_id = "dataset_groups", path = "/api/v1/datasets/{dataset}/groups",
+    tag = "datasets", params(("dataset" = String, Path), RowGroupParams),
     responses((status = 200, body = Page<Object>),
-        (status = 400, body = ProblemBody, description = "a parameter is unknown or invalid"),
-        (status = 503, body = ProblemBody, description = "as of queries (with `Retry-After`)")))]
+        (status = 400, description = "a parameter is unknown or invalid"),
+        (status = 503, description = "as of queries (with `Retry-After`)")))]
 pub async fn groups(
-    State(app): State<App>,
+    app: App,
     Path(dataset): Path<String>,
     Query(pairs): Pairs,
     headers: HeaderMap,
-) -> Result<Response, ApiError> {
+) -> ApiResult<Response> {
     let GroupsRequest { query, groups, format } =
         groups_query(&pairs, GroupsOf::Dataset).map_err(ApiError::bad_query)?;
     let row = app.datasets.find(&dataset).await?;
@@ -411,15 +387,15 @@ pub async fn groups(
     responses((status = 200, body = Vec<u8>, content_type = "application/octet-stream"),
         (status = 206, body = Vec<u8>, content_type = "application/octet-stream"),
         (status = 304),
-        (status = 400, body = ProblemBody, description = "a parameter is unknown or invalid"),
-        (status = 404, body = ProblemBody,
+        (status = 400, description = "a parameter is unknown or invalid"),
+        (status = 404,
             description = "no dataset has this id, none of this name has been made, or the format is unknown")))]
 pub async fn data(
-    State(app): State<App>,
+    app: App,
     Path(file): Path<String>,
     Query(pairs): Pairs,
     request: Request,
-) -> Result<Response, ApiError> {
+) -> ApiResult<Response> {
     let (name, format) = Format::of_file(&file).ok_or_else(|| {
         let name = file.rsplit_once('.').map_or("", |(_, ending)| ending).to_owned();
         ApiError::not_found(format!("{file}: {}", UnknownFormat { name }))

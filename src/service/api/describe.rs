@@ -1,6 +1,6 @@
 //! Completes the description of the API by what no handler states: the security of each operation,
 //! the refusals that precede every handler, objects that an address names, descriptions of responses,
-//! and schemas that generators of clients accept.
+//! the body of errors, and schemas that generators of clients accept.
 //! Uses: `routes`, utoipa. Never: a fact that contradicts the table of operations.
 
 use axum::http::Method;
@@ -296,12 +296,11 @@ fn add_header(operation: &mut Operation, name: &str, description: &str) {
 }
 
 fn complete_response(status: &str, response: &mut Response) {
-    let is_error = status >= "400";
     if response.description.is_empty() {
         response.description = meaning(status).into();
     }
-    if is_error && let Some(content) = response.content.shift_remove("application/json") {
-        response.content.insert(PROBLEM.into(), content);
+    if status >= "400" {
+        response.content.insert(PROBLEM.into(), problem_body().into());
     }
     if status == "401" {
         let header = HeaderBuilder::new().description(Some("Always `Bearer`.")).build();
@@ -324,13 +323,17 @@ fn meaning(status: &str) -> &'static str {
         "202" => "the request is accepted; its effect is shown elsewhere",
         "204" => "done, without a body",
         "206" => "the requested part of the file",
+        "400" => "a parameter is invalid",
         _ => "see the status",
     }
 }
 
+fn problem_body() -> Content {
+    ContentBuilder::new().schema(Some(Ref::from_schema_name("ProblemBody"))).build()
+}
+
 fn problem(meaning: &str) -> Response {
-    let body: Content =
-        ContentBuilder::new().schema(Some(Ref::from_schema_name("ProblemBody"))).build();
+    let body = problem_body();
     let mut response = ResponseBuilder::new().description(meaning).content(PROBLEM, body).build();
     if meaning == NO_KEY.2 {
         complete_response("401", &mut response);

@@ -2,14 +2,14 @@
 //! thing is no longer what their client saw.
 //! Uses: `access`, `tags`, the handlers that show the things. Never: a wait of a stop, a pause or the end of a run.
 
-use axum::extract::{Request, State};
+use axum::extract::Request;
 use axum::http::{HeaderMap, Method, StatusCode, header};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 use tokio::sync::Mutex;
 
 use super::access::{Edited, Needs};
-use super::problem::ApiError;
+use super::problem::{ApiError, ApiResult};
 use super::tags::{lists, tagged, unless_known};
 use super::{App, models, people, queue};
 
@@ -43,7 +43,7 @@ impl Edited {
 
     /// The response that shows the thing as it is now.
     async fn shown(self, app: &App) -> Response {
-        let app = State(app.clone());
+        let app = app.clone();
         match self {
             Edited::Lock => people::lock(app).await.into_response(),
             Edited::Queue => queue::list(app).await.into_response(),
@@ -59,7 +59,7 @@ impl Edited {
     ///
     /// # Errors
     /// 412 if it is not; 500 if the store fails.
-    async fn check(self, app: &App, headers: &HeaderMap) -> Result<(), ApiError> {
+    async fn check(self, app: &App, headers: &HeaderMap) -> ApiResult<()> {
         if !headers.contains_key(header::IF_MATCH) {
             return Ok(());
         }

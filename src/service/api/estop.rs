@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 
 use axum::Json;
 use axum::body::Body;
-use axum::extract::{MatchedPath, Request, State};
+use axum::extract::{MatchedPath, Request};
 use axum::http::header;
 use axum::response::{IntoResponse, Response};
 use futures::StreamExt;
@@ -18,7 +18,7 @@ use super::App;
 use super::audit::{Act, Outcome, cut};
 use super::auth::{self, Caller};
 use super::limits::WHO_MAX_CHARS;
-use super::problem::{ApiError, ProblemBody};
+use super::problem::ApiResult;
 use super::runs::Attribution;
 use super::trace::RequestId;
 
@@ -39,12 +39,12 @@ pub struct Latched {
 /// Any valid key permits it, for every role and every holder of the lock; it may be repeated. The
 /// body is only used for the log of actions: without one, or with an invalid one, the stop is the
 /// same.
-#[utoipa::path(post, path = "/api/v1/estop", tag = "rig", 
+#[utoipa::path(post, path = "/api/v1/estop", tag = "rig",
     request_body(content = Option<serde_json::Value>, description = "`who` and `why`, as in Attribution, for \
         the log of actions; whatever it is, the stop is the same"),
     responses((status = 200, body = Latched),
-        (status = 401, body = ProblemBody, description = "the key is missing, unknown or revoked")))]
-pub async fn estop(State(app): State<App>, request: Request) -> Response {
+        (status = 401, description = "the key is missing, unknown or revoked")))]
+pub async fn estop(app: App, request: Request) -> Response {
     let began = Instant::now();
     let latched = latch(&app, &request);
     let latched_after = began.elapsed();
@@ -83,7 +83,7 @@ pub async fn estop(State(app): State<App>, request: Request) -> Response {
 ///
 /// # Errors
 /// As [`auth::identify_stop`]; nothing is latched then.
-fn latch(app: &App, request: &Request) -> Result<Caller, ApiError> {
+fn latch(app: &App, request: &Request) -> ApiResult<Caller> {
     let peer = request.extensions().get().copied();
     let caller = auth::identify_stop(app, request.headers(), peer)?;
     let name = cut(&caller.name(None), WHO_MAX_CHARS);

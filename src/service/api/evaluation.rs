@@ -2,10 +2,9 @@
 //! Uses: `evaluate`, `store`. Never: a computation that a motion waits for.
 
 use axum::Json;
-use axum::extract::State;
 
 use super::App;
-use super::problem::{ApiError, Path};
+use super::problem::{ApiError, ApiResult, Path};
 use super::runs::find;
 use crate::evaluate::simulation::{SimulationReport, newest_touched, with_frames};
 use crate::store::StoreError;
@@ -16,10 +15,7 @@ use crate::store::StoreError;
 #[utoipa::path(get, operation_id = "evaluate_simulation",
     path = "/api/v1/runs/{run}/evaluation/simulation", tag = "simulation",
     responses((status = 200, body = SimulationReport)))]
-pub async fn simulation(
-    State(app): State<App>,
-    Path(run): Path<String>,
-) -> Result<Json<SimulationReport>, ApiError> {
+pub async fn simulation(app: App, Path(run): Path<String>) -> ApiResult<Json<SimulationReport>> {
     let run = find(&app, &run).await?.uid;
     let fits = app.store.fits(run).await?;
     let trials = match app.store.trials_with_voltages(&newest_touched(&fits)).await {

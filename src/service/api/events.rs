@@ -4,7 +4,6 @@
 use std::convert::Infallible;
 use std::time::Duration;
 
-use axum::extract::State;
 use axum::http::{HeaderMap, header};
 use axum::response::sse::{self, KeepAlive, Sse};
 use axum::response::{IntoResponse, Response};
@@ -15,7 +14,7 @@ use utoipa::{IntoParams, ToSchema};
 
 use super::App;
 use super::pages::{Page, PageParams, PageRequest};
-use super::problem::{ApiError, Params, ProblemBody};
+use super::problem::{ApiResult, Params};
 use super::runs::find;
 use crate::event::{self, Importance};
 use crate::ids::RunUid;
@@ -35,7 +34,6 @@ pub struct Event {
     /// Run that the event belongs to; null outside a run.
     pub run: Option<RunUid>,
     /// Wall time of the event.
-    #[schema(value_type = String, format = DateTime)]
     pub at: Timestamp,
     /// Kind, one of those of `GET /api/v1/vocabulary`: `state`, `trip`, `skipped`, ...
     pub kind: String,
@@ -84,14 +82,13 @@ impl EventParams {
 /// is the number of the event, with which a reconnecting client continues.
 #[utoipa::path(get, path = "/api/v1/events", tag = "events", params(EventParams, PageParams),
     responses((status = 200, body = Page<Event>),
-        (status = 404, body = ProblemBody, description = "no run has this uid or scan_id"),
-        (status = 400, body = ProblemBody, description = "a parameter is invalid")))]
+        (status = 404, description = "no run has this uid or scan_id"), (status = 400)))]
 pub async fn events(
-    State(app): State<App>,
+    app: App,
     Params(params): Params<EventParams>,
     asked: PageRequest,
     headers: HeaderMap,
-) -> Result<Response, ApiError> {
+) -> ApiResult<Response> {
     let run = match &params.run {
         Some(run) => Some(find(&app, run).await?.uid),
         None => None,
@@ -118,12 +115,7 @@ pub async fn events(
 }
 
 /// Resolves a negative number, which counts from the end: -30 selects the last 30 events of this run and these kinds.
-async fn resolved(
-    app: &App,
-    since: i64,
-    run: Option<RunUid>,
-    kinds: &[String],
-) -> Result<i64, ApiError> {
+async fn resolved(app: &App, since: i64, run: Option<RunUid>, kinds: &[String]) -> ApiResult<i64> {
     if since >= 0 {
         return Ok(since);
     }

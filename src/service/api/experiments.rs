@@ -7,7 +7,7 @@ use serde_json::Value;
 use utoipa::ToSchema;
 
 use super::pages::Page;
-use super::problem::ApiError;
+use super::problem::{ApiError, ApiResult};
 use crate::carried::{EXPERIMENTS, about};
 use crate::schedule::experiment::Experiment;
 use crate::schedule::schema::of_experiments;
@@ -33,10 +33,9 @@ pub struct CarriedExperiment {
 }
 
 /// Returns the experiments that the program carries.
-#[utoipa::path(get, operation_id = "list_experiments",
-    path = "/api/v1/experiments", tag = "queue",
+#[utoipa::path(get, operation_id = "list_experiments", path = "/api/v1/experiments", tag = "queue",
     responses((status = 200, body = Page<CarriedExperiment>)))]
-pub async fn list() -> Result<Page<CarriedExperiment>, ApiError> {
+pub async fn list() -> ApiResult<Page<CarriedExperiment>> {
     let carried = |(name, text): &(&str, &str)| {
         let file = format!("{name}.toml");
         let parsed = Experiment::from_toml(&file, text).ok();
@@ -66,6 +65,6 @@ pub async fn list() -> Result<Page<CarriedExperiment>, ApiError> {
 #[utoipa::path(get, operation_id = "experiment_schema",
     path = "/api/v1/experiments/schema", tag = "queue",
     responses((status = 200, body = Object, description = "the schema of `Experiment`")))]
-pub async fn schema() -> Result<Json<Value>, ApiError> {
+pub async fn schema() -> ApiResult<Json<Value>> {
     Ok(Json(of_experiments().map_err(ApiError::internal)?))
 }

@@ -2,7 +2,7 @@
 //! Uses: `dataset::catalog`. Never: the rows themselves.
 
 use axum::Json;
-use axum::extract::{Request, State};
+use axum::extract::Request;
 use axum::http::StatusCode;
 use axum::response::Response;
 use serde::{Deserialize, Serialize};
@@ -12,7 +12,7 @@ use utoipa::ToSchema;
 use super::App;
 use super::audit::Act;
 use super::pages::{Page, PageParams, PageRequest};
-use super::problem::{ApiError, Body, Path, ProblemBody};
+use super::problem::{ApiError, ApiResult, Body, Path};
 use super::send::{self, Created, Download};
 use crate::dataset::error::DatasetError;
 use crate::dataset::export::{ExportRequest, ExportResult};
@@ -46,13 +46,10 @@ pub struct ExportOut {
     /// Name of the person or key that requested the export.
     pub asked_by: String,
     /// Time of the request.
-    #[schema(value_type = String, format = DateTime)]
     pub created_at: jiff::Timestamp,
     /// Time of completion or failure; absent before it.
-    #[schema(value_type = Option<String>, format = DateTime)]
     pub finished_at: Option<jiff::Timestamp>,
     /// Wall time at which the file was last read; absent without a file, or if it is unknown.
-    #[schema(value_type = Option<String>, format = DateTime)]
     pub last_used_at: Option<jiff::Timestamp>,
     /// Address of the file; absent before completion, and after removal of the file.
     pub url: Option<String>,
@@ -83,17 +80,16 @@ fn out(app: &App, row: TaskRow) -> ExportOut {
 /// Requests an export.
 ///
 /// It continues after a restart and produces the same bytes.
-#[utoipa::path(post, operation_id = "request_export",
-    path = "/api/v1/exports", tag = "datasets", request_body = ExportRequest,
+#[utoipa::path(post, operation_id = "request_export", path = "/api/v1/exports", tag = "datasets",
+    request_body = ExportRequest,
     responses((status = 202, body = ExportOut, headers(("Location", description = "the export"))),
-        (status = 400, body = ProblemBody,
-            description = "the selection is invalid, or too many exports wait"),
-        (status = 404, body = ProblemBody, description = "no dataset has this id or name")))]
+        (status = 400, description = "the selection is invalid, or too many exports wait"),
+        (status = 404, description = "no dataset has this id or name")))]
 pub async fn request(
-    State(app): State<App>,
+    app: App,
     act: Act,
     Body(request): Body<ExportRequest>,
-) -> Result<Created<ExportOut>, ApiError> {
+) -> ApiResult<Created<ExportOut>> {
     let row = app.datasets.request_export(&request, &act.name()).await?;
     act.about(&row.id.to_string());
     Ok(Created::later(format!("/api/v1/exports/{}", row.id), out(&app, row)))
@@ -101,9 +97,8 @@ pub async fn request(
 
 /// Returns a page of the exports, newest first.
 #[utoipa::path(get, operation_id = "list_exports", path = "/api/v1/exports", tag = "datasets",
-    params(PageParams), responses((status = 200, body = Page<ExportOut>),
-        (status = 400, body = ProblemBody, description = "a parameter is invalid")))]
-pub async fn list(State(app): State<App>, asked: PageRequest) -> Result<Page<ExportOut>, ApiError> {
+    params(PageParams), responses((status = 200, body = Page<ExportOut>), (status = 400)))]
+pub async fn list(app: App, asked: PageRequest) -> ApiResult<Page<ExportOut>> {
     let rows = app.store.tasks(TaskKind::EXPORTS, asked.limit + 1, asked.after()?).await?;
     Ok(asked.first(rows.into_iter().map(|row| out(&app, row)).collect(), |export| export.id))
 }
@@ -111,27 +106,20 @@ pub async fn list(State(app): State<App>, asked: PageRequest) -> Result<Page<Exp
 /// Returns the state and progress of an export.
 #[utoipa::path(get, operation_id = "export", path = "/api/v1/exports/{export}", tag = "datasets",
     responses((status = 200, body = ExportOut)))]
-pub async fn one(
-    State(app): State<App>,
-    Path(export): Path<String>,
-) -> Result<Json<ExportOut>, ApiError> {
+pub async fn one(app: App, Path(export): Path<String>) -> ApiResult<Json<ExportOut>> {
     Ok(Json(out(&app, find(&app, &export).await?)))
 }
 
 /// Returns the file of a completed export.
 ///
 /// The header `Range` selects a part of it; the entity tag is its sha256.
-#[utoipa::path(get, operation_id = "export_file",
-    path = "/api/v1/exports/{export}/file", tag = "datasets",
+#[utoipa::path(get, operation_id = "export_file", path = "/api/v1/exports/{export}/file",
+    tag = "datasets",
     responses((status = 200, body = Vec<u8>, content_type = "application/octet-stream"),
         (status = 206, body = Vec<u8>, content_type = "application/octet-stream"),
-        (status = 409, body = ProblemBody, description = "the export is not done, or it failed"),
-        (status = 410, body = ProblemBody, description = "the file was removed to free space")))]
-pub async fn file(
-    State(app): State<App>,
-    Path(export): Path<String>,
-    request: Request,
-) -> Result<Response, ApiError> {
+        (status = 409, description = "the export is not done, or it failed"),
+        (status = 410, description = "the file was removed to free space")))]
+pub async fn file(app: App, Path(export): Path<String>, request: Request) -> ApiResult<Response> {
     let row = find(&app, &export).await?;
     match row.state {
         TaskState::Done => {}
@@ -159,7 +147,7 @@ pub async fn file(
     send::file(request, &export_file, asked.format, download).await
 }
 
-async fn find(app: &App, export: &str) -> Result<TaskRow, ApiError> {
+async fn find(app: &App, export: &str) -> ApiResult<TaskRow> {
     let row = match export.parse() {
         Ok(id @ TaskId::Export(_)) => app.store.task(id).await?,
         _ => None,

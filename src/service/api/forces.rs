@@ -3,14 +3,13 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use axum::extract::State;
 use serde::{Deserialize, Serialize};
 use sim_core::stats::{quantile, sorted};
 use utoipa::ToSchema;
 
 use super::App;
 use super::pages::Page;
-use super::problem::{ApiError, Path};
+use super::problem::{ApiError, ApiResult, Path};
 use super::runs::find;
 use crate::store::DepthForce;
 
@@ -34,10 +33,7 @@ pub struct ForcesAtDepth {
 /// Returns the largest forces of the trials of a run over depth: first of all trials, then for each number of tips.
 #[utoipa::path(get, operation_id = "run_forces", path = "/api/v1/runs/{run}/forces", tag = "runs",
     responses((status = 200, body = Page<ForcesAtDepth>)))]
-pub async fn of_run(
-    State(app): State<App>,
-    Path(run): Path<String>,
-) -> Result<Page<ForcesAtDepth>, ApiError> {
+pub async fn of_run(app: App, Path(run): Path<String>) -> ApiResult<Page<ForcesAtDepth>> {
     let run = find(&app, &run).await?;
     let forces = app.store.forces_over_depth(run.uid).await?;
     // To sort those of 198,000 trials is not for a thread that answers requests.

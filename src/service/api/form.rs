@@ -7,7 +7,8 @@ use axum::http::StatusCode;
 use bytes::Bytes;
 
 use super::limits::PART_MAX_BYTES;
-use super::problem::ApiError;
+use super::problem::{ApiError, ApiResult};
+use crate::problem::Problem;
 
 /// Extractor of a form; another body is answered with a problem body.
 pub struct Form(Multipart);
@@ -15,7 +16,7 @@ pub struct Form(Multipart);
 impl<S: Send + Sync> FromRequest<S> for Form {
     type Rejection = ApiError;
 
-    async fn from_request(request: Request, state: &S) -> Result<Self, ApiError> {
+    async fn from_request(request: Request, state: &S) -> ApiResult<Self> {
         Ok(Self(Multipart::from_request(request, state).await?))
     }
 }
@@ -25,7 +26,7 @@ impl Form {
     ///
     /// # Errors
     /// 400 if the form is damaged, 408 if it arrives too slowly, 413 if it is too large.
-    pub async fn next(&mut self) -> Result<Option<Part<'_>>, ApiError> {
+    pub async fn next(&mut self) -> ApiResult<Option<Part<'_>>> {
         let field = self.0.next_field().await.map_err(refused)?;
         Ok(field.map(|field| Part { name: field.name().unwrap_or_default().to_owned(), field }))
     }
@@ -48,7 +49,7 @@ impl Part<'_> {
     ///
     /// # Errors
     /// As [`Form::next`].
-    pub async fn chunk(&mut self) -> Result<Option<Bytes>, ApiError> {
+    pub async fn chunk(&mut self) -> ApiResult<Option<Bytes>> {
         self.field.chunk().await.map_err(refused)
     }
 
@@ -56,7 +57,7 @@ impl Part<'_> {
     ///
     /// # Errors
     /// 413 if it is longer than `max_bytes`; otherwise as [`Form::next`].
-    pub async fn bytes(mut self, max_bytes: usize) -> Result<Vec<u8>, ApiError> {
+    pub async fn bytes(mut self, max_bytes: usize) -> ApiResult<Vec<u8>> {
         let mut all = Vec::new();
         while let Some(piece) = self.chunk().await? {
             if all.len() + piece.len() > max_bytes {
@@ -72,11 +73,21 @@ impl Part<'_> {
     ///
     /// # Errors
     /// 422 if it is not UTF-8; otherwise as [`Part::bytes`].
-    pub async fn text(self) -> Result<String, ApiError> {
+    pub async fn text(self) -> ApiResult<String> {
         let name = self.name.clone();
         let bytes = self.bytes(PART_MAX_BYTES).await?;
         String::from_utf8(bytes).map_err(|_| ApiError::value(&name, "bytes", "must be text, UTF-8"))
     }
+}
+
+/// The error of an invalid part (400).
+pub fn invalid(part: &str, value: &str, limit: &str) -> ApiError {
+    ApiError::bad_query(vec![Problem::new("form", part, value, limit)])
+}
+
+/// The error of a missing part (400).
+pub fn missing(part: &str) -> ApiError {
+    invalid(part, "absent", "must be given")
 }
 
 fn refused(error: MultipartError) -> ApiError {

@@ -10,7 +10,6 @@ use std::process::Stdio;
 use std::time::Duration;
 
 use axum::Json;
-use axum::extract::State;
 use axum::http::StatusCode;
 use serde::{Deserialize, Serialize};
 use tokio::process::{Child, Command};
@@ -22,7 +21,7 @@ use utoipa::ToSchema;
 use super::App;
 use super::audit::Act;
 use super::orders::{kind_of, order_path, program, unavailable};
-use super::problem::{ApiError, Path, ProblemBody};
+use super::problem::{ApiError, ApiResult, Path};
 use crate::dataset::background::background;
 use crate::dataset::space::KEPT_FREE_BYTES;
 use crate::program::withhold_bulk;
@@ -116,15 +115,15 @@ impl From<GatherError> for ApiError {
 #[utoipa::path(post, operation_id = "gather_order",
     path = "/api/v1/workers/folders/{folder}/gather", tag = "simulation",
     responses((status = 202, body = GatherOut),
-        (status = 409, body = ProblemBody,
+        (status = 409,
             description = "the service knows no queue, gathers another order, or the order cannot be read"),
-        (status = 503, body = ProblemBody, description = "the worker is missing"),
-        (status = 507, body = ProblemBody, description = "less than 2 GiB of the disk are free")))]
+        (status = 503, description = "the worker is missing"),
+        (status = 507, description = "less than 2 GiB of the disk are free")))]
 pub async fn gather(
-    State(app): State<App>,
+    app: App,
     act: Act,
     Path(folder): Path<String>,
-) -> Result<(StatusCode, Json<GatherOut>), ApiError> {
+) -> ApiResult<(StatusCode, Json<GatherOut>)> {
     act.about(&folder);
     let order = order_path(&app, &folder)?;
     let kind = kind_of(&order)?;
@@ -269,7 +268,8 @@ mod tests {
 
     #[tokio::test]
     async fn processes_end_with_the_first_error_with_the_disk_and_with_the_service() {
-        let log = std::env::temp_dir().join(format!("palpate-gather-{}", std::process::id()));
+        let folder = tempfile::tempdir().unwrap();
+        let log = folder.path().join("log");
         let shell = |script: &str| {
             let mut command = Command::new("sh");
             command.args(["-c", script]);
@@ -292,15 +292,12 @@ mod tests {
             assert!(ended.unwrap_err().to_string().starts_with(expected));
             assert!(begun.elapsed() < Duration::from_secs(30));
         }
-        fs::remove_file(log).unwrap();
     }
 
     #[tokio::test]
     async fn the_end_of_the_service_ends_the_work() {
-        let folder =
-            std::env::temp_dir().join(format!("palpate-gather-end-{}", std::process::id()));
-        fs::create_dir_all(&folder).unwrap();
-        let store = Store::open(&folder.join("palpate.db"), Clock::new(1.0)).await.unwrap();
+        let folder = tempfile::tempdir().unwrap();
+        let store = Store::open(&folder.path().join("palpate.db"), Clock::new(1.0)).await.unwrap();
         let (tell, ending) = watch::channel(false);
         let mut early = pin!(must_end(&store, ending));
         let shortly = Duration::from_millis(100);
@@ -310,6 +307,5 @@ mod tests {
         tell.send_replace(true);
         assert!(matches!(early.await, GatherError::ServiceEnded));
         store.close().await;
-        fs::remove_dir_all(folder).unwrap();
     }
 }

@@ -8,7 +8,7 @@ use std::collections::HashMap;
 use std::sync::Arc;
 
 use axum::body::{Body, HttpBody, to_bytes};
-use axum::extract::{DefaultBodyLimit, MatchedPath, Request, State};
+use axum::extract::{DefaultBodyLimit, MatchedPath, Request};
 use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode, Uri, header};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
@@ -29,7 +29,7 @@ use super::limits::{
 };
 use super::line::Held;
 use super::once;
-use super::problem::ApiError;
+use super::problem::{ApiError, ApiResult};
 use super::runs;
 use crate::store::{LockRow, Role};
 
@@ -53,7 +53,7 @@ impl InProgress {
 pub struct Place(#[expect(dead_code, reason = "dropped at the end")] Arc<OwnedSemaphorePermit>);
 
 /// Admits a request to its handler, and logs the action that it asks for.
-pub async fn admit(State(app): State<App>, mut request: Request, next: Next) -> Response {
+pub async fn admit(app: App, mut request: Request, next: Next) -> Response {
     let path = request.extensions().get::<MatchedPath>().map(MatchedPath::as_str);
     let needs = path.and_then(|path| app.facts.needs.find(request.method(), path)).copied();
     let Some(needs) = needs else {
@@ -118,7 +118,7 @@ async fn carry_out(
     app: App,
     needs: Needs,
     act: Act,
-    request: Result<Request, ApiError>,
+    request: ApiResult<Request>,
     next: Next,
 ) -> Response {
     let response = match request {
@@ -173,12 +173,7 @@ fn too_many(caller: &Caller) -> Response {
 
 /// Receives the body of an action, then checks key and lock: what changed while it arrived counts.
 /// Uploads are received by their handlers, which check again.
-async fn checked(
-    app: &App,
-    needs: Needs,
-    act: &Act,
-    mut request: Request,
-) -> Result<Request, ApiError> {
+async fn checked(app: &App, needs: Needs, act: &Act, mut request: Request) -> ApiResult<Request> {
     if needs.body_max_bytes <= BODY_MAX_BYTES {
         let (parts, body) = request.into_parts();
         let body = to_bytes(body, needs.body_max_bytes).await.map_err(|error| {
@@ -210,7 +205,7 @@ fn run_of(request: &Request) -> Option<&str> {
     request.uri().path().split('/').nth(at)
 }
 
-fn allow(needs: Needs, caller: &Caller, headers: &HeaderMap) -> Result<(), ApiError> {
+fn allow(needs: Needs, caller: &Caller, headers: &HeaderMap) -> ApiResult<()> {
     auth::same_origin(headers)?;
     if let Access::From(role) = needs.access {
         caller.require(role)?;
@@ -257,7 +252,7 @@ impl App {
     ///
     /// # Errors
     /// 401 if it has.
-    fn still_valid(&self, caller: &Caller) -> Result<(), ApiError> {
+    fn still_valid(&self, caller: &Caller) -> ApiResult<()> {
         match caller.is_valid(self) {
             true => Ok(()),
             false => Err(ApiError::new(StatusCode::UNAUTHORIZED, "this key is revoked")),
@@ -268,7 +263,7 @@ impl App {
     ///
     /// # Errors
     /// 401 or 409 if it is not.
-    pub(super) async fn still_allowed(&self, act: &Act) -> Result<(), ApiError> {
+    pub(super) async fn still_allowed(&self, act: &Act) -> ApiResult<()> {
         self.unlocked(act.caller()).await?;
         self.still_valid(act.caller())
     }
@@ -278,7 +273,7 @@ impl App {
     ///
     /// # Errors
     /// 409 if the lock is held, or the store fails.
-    pub(super) async fn unlocked(&self, caller: &Caller) -> Result<(), ApiError> {
+    pub(super) async fn unlocked(&self, caller: &Caller) -> ApiResult<()> {
         match self.store.lock().await? {
             Some(lock) if !caller.holds(&lock) => Err(locked(&lock)),
             Some(_) | None => Ok(()),
@@ -309,7 +304,7 @@ pub async fn short_head(request: Request, next: Next) -> Response {
 ///
 /// # Errors
 /// 414 or 431 with the bound.
-fn check_head(uri: &Uri, headers: &HeaderMap) -> Result<(), ApiError> {
+fn check_head(uri: &Uri, headers: &HeaderMap) -> ApiResult<()> {
     let too_large = |what: &str, n: usize, most: usize, unit: &str| {
         let words = format!("{what} = {n} {unit}: must be at most {most} {unit}");
         ApiError::new(StatusCode::REQUEST_HEADER_FIELDS_TOO_LARGE, words)

@@ -4,14 +4,13 @@
 use std::fmt::Write;
 
 use axum::Json;
-use axum::extract::State;
 use axum::http::{StatusCode, header};
 use axum::response::IntoResponse;
 use serde::Serialize;
 use utoipa::ToSchema;
 
 use super::App;
-use super::problem::{ApiError, ProblemBody};
+use super::problem::{ApiError, ApiResult};
 use crate::campaign::bench::rig_state::RigState;
 use crate::campaign::shown::status::WireStatus;
 use crate::store::Soundness;
@@ -44,9 +43,9 @@ pub async fn live() -> Json<Live> {
 /// The database responds and is not damaged, its disk is not full, and the campaign's thread runs.
 #[utoipa::path(get, operation_id = "readiness", path = "/health/ready", tag = "health",
     responses((status = 204),
-        (status = 503, body = ProblemBody,
+        (status = 503,
             description = "the database is damaged, unchecked or not readable, the disk is full, or the campaign has ended")))]
-pub async fn ready(State(app): State<App>) -> Result<StatusCode, ApiError> {
+pub async fn ready(app: App) -> ApiResult<StatusCode> {
     let unavailable = |words: String| ApiError::new(StatusCode::SERVICE_UNAVAILABLE, words);
     app.store.last_event_seq().await.map_err(|e| unavailable(e.to_string()))?;
     match app.store.soundness() {
@@ -73,7 +72,7 @@ pub async fn ready(State(app): State<App>) -> Result<StatusCode, ApiError> {
 /// Returns counters and gauges in the text format of Prometheus.
 #[utoipa::path(get, path = "/metrics", tag = "health",
     responses((status = 200, body = String, content_type = "text/plain")))]
-pub async fn metrics(State(app): State<App>) -> impl IntoResponse {
+pub async fn metrics(app: App) -> impl IntoResponse {
     let status = app.campaign.status();
     let mut text = String::new();
     let mut metric = |name: &str, kind: &str, help: &str, values: &[(String, f64)]| {

@@ -5,13 +5,12 @@
 use std::sync::Arc;
 
 use axum::Json;
-use axum::extract::State;
 use jiff::{SignedDuration, Timestamp};
 use serde::{Deserialize, Serialize};
 use utoipa::{IntoParams, ToSchema};
 
 use super::App;
-use super::problem::{ApiError, Params, Path, ProblemBody};
+use super::problem::{ApiError, ApiResult, Params, Path};
 use super::runs::find;
 use super::spans::{StateSpan, restarts, spans};
 use crate::conductor::estimates::ESTIMATE;
@@ -19,7 +18,7 @@ use crate::event::{Importance, importance, notable_kinds};
 use crate::ids::RunUid;
 use crate::journal::Event;
 use crate::state::StoredState;
-use crate::store::{Bins, RunRow, Store, StoreError, StoredHistory};
+use crate::store::{Bins, RunRow, Store, StoreResult, StoredHistory};
 
 /// Most bins of a history.
 const BINS_MAX: u32 = 1000;
@@ -49,11 +48,9 @@ fn default_bins() -> u32 {
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct History {
     /// Start of the run and of the first bin; null if the run has not started.
-    #[schema(value_type = Option<String>, format = DateTime)]
     pub from: Option<Timestamp>,
     /// End of the last bin: the end of the run, now if it is active, or its last record if it is
     /// interrupted; null if the run has not started.
-    #[schema(value_type = Option<String>, format = DateTime)]
     pub to: Option<Timestamp>,
     /// Length of a bin, s; null if the run has not started.
     pub bin_s: Option<f64>,
@@ -84,16 +81,12 @@ pub struct History {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct Prediction {
     /// Time of the estimate.
-    #[schema(value_type = String, format = DateTime)]
     pub at: Timestamp,
     /// Expected wall time of the end.
-    #[schema(value_type = String, format = DateTime)]
     pub end: Timestamp,
     /// Early end of the band that contains 90 % of the ends.
-    #[schema(value_type = String, format = DateTime)]
     pub low: Timestamp,
     /// Late end of that band.
-    #[schema(value_type = String, format = DateTime)]
     pub high: Timestamp,
 }
 
@@ -103,7 +96,6 @@ pub struct NotableEvent {
     /// Number of the event.
     pub seq: i64,
     /// Time of the event.
-    #[schema(value_type = String, format = DateTime)]
     pub at: Timestamp,
     /// Kind of the event.
     pub kind: String,
@@ -114,14 +106,13 @@ pub struct NotableEvent {
 /// Returns the history of a run: trials, forces, failures and fits over time, its states, predictions
 /// and notable events.
 #[utoipa::path(get, operation_id = "run_history", path = "/api/v1/runs/{run}/history", tag = "runs",
-    params(("run" = String, Path, description = "uid or scan_id"), HistoryParams),
-    responses((status = 200, body = History),
-        (status = 400, body = ProblemBody, description = "`bins` is not 1 to 1000")))]
+    params(("run" = String, Path), HistoryParams), responses((status = 200, body = History),
+        (status = 400, description = "`bins` is not 1 to 1000")))]
 pub async fn of_run(
-    State(app): State<App>,
+    app: App,
     Path(run): Path<String>,
     Params(params): Params<HistoryParams>,
-) -> Result<Json<Arc<History>>, ApiError> {
+) -> ApiResult<Json<Arc<History>>> {
     let bins = params.bins;
     if !(1..=BINS_MAX).contains(&bins) {
         return Err(ApiError::query("bins", bins, "must be 1 to 1000"));
@@ -132,7 +123,7 @@ pub async fn of_run(
     Ok(Json(app.facts.memory.histories.get(key, read(&app, &run, bins)).await?))
 }
 
-async fn read(app: &App, run: &RunRow, bins: u32) -> Result<Arc<History>, StoreError> {
+async fn read(app: &App, run: &RunRow, bins: u32) -> StoreResult<Arc<History>> {
     let store = &app.store;
     let kinds: Vec<&str> = notable_kinds().collect();
     let mut notable = store.events_of_kinds(run.uid, &kinds, NOTABLE_MAX).await?;
@@ -204,13 +195,7 @@ fn arranged(stored: &StoredHistory, bins: usize) -> PerBin {
 }
 
 /// Returns the start of a run, and its duration as it was predicted then, s; absent before either.
-///
-/// # Errors
-/// Errors of the store.
-pub(super) async fn predicted(
-    store: &Store,
-    run: RunUid,
-) -> Result<Option<(Timestamp, f64)>, StoreError> {
+pub(super) async fn predicted(store: &Store, run: RunUid) -> StoreResult<Option<(Timestamp, f64)>> {
     let from = store.run(run).await?.and_then(|run| run.started_at);
     let estimates = store.events_of_kinds(run, &[ESTIMATE], ESTIMATES_MAX).await?;
     Ok(from.zip(estimates.first().and_then(predicted_s)))

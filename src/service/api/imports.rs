@@ -3,7 +3,6 @@
 
 use std::io::Write;
 
-use axum::extract::State;
 use axum::http::{HeaderMap, StatusCode};
 use serde::Serialize;
 use utoipa::ToSchema;
@@ -11,15 +10,14 @@ use utoipa::ToSchema;
 use super::App;
 use super::audit::{Act, cut};
 use super::body::announced_bytes;
-use super::form::Form;
+use super::form::{Form, invalid, missing};
 use super::limits::WHO_MAX_CHARS;
-use super::problem::{ApiError, ProblemBody};
+use super::problem::{ApiError, ApiResult};
 use super::send::Created;
 use crate::dataset::import::coordinates::Coordinates;
 use crate::dataset::import::{Import, import};
 use crate::new_file::NewFile;
 use crate::plain::violated;
-use crate::problem::Problem;
 use crate::store::{Label, RunRow};
 
 /// Number of uploaded bytes between two checks of the free space.
@@ -72,25 +70,22 @@ struct Parts {
 #[utoipa::path(post, operation_id = "import_trials", path = "/api/v1/imports", tag = "datasets",
     request_body(content = ImportForm, content_type = "multipart/form-data"),
     responses((status = 201, body = ImportOut, headers(("Location", description = "the run"))),
-        (status = 400, body = ProblemBody,
+        (status = 400,
             description = "a part of the form, the sensor file or a value of the file is invalid"),
-        (status = 409, body = ProblemBody,
+        (status = 409,
             description = "the file was imported before with the same name, label and sensor, or another \
                            person holds the operator lock"),
-        (status = 507, body = ProblemBody, description = "the disk has no room for the trials")))]
+        (status = 507, description = "the disk has no room for the trials")))]
 pub async fn add(
-    State(app): State<App>,
+    app: App,
     act: Act,
     headers: HeaderMap,
     form: Form,
-) -> Result<Created<ImportOut>, ApiError> {
+) -> ApiResult<Created<ImportOut>> {
     app.datasets.check_upload(announced_bytes(&headers).unwrap_or(0)).await?;
     let parts = receive(&app, form).await?;
     act.stated(parts.who.as_deref(), None);
     app.still_allowed(&act).await?;
-    let missing = |part: &str| {
-        ApiError::bad_query(vec![Problem::new("form", part, "absent", "must be given")])
-    };
     let (file, upload) = parts.file.ok_or_else(|| missing("file"))?;
     let (sensor_file, sensor) = parts.sensor.ok_or_else(|| missing("sensor"))?;
     let request = Import {
@@ -115,7 +110,7 @@ pub async fn add(
 }
 
 /// Receives the parts. The file is written to the disk as it arrives, and removed with the value.
-async fn receive(app: &App, mut form: Form) -> Result<Parts, ApiError> {
+async fn receive(app: &App, mut form: Form) -> ApiResult<Parts> {
     let mut parts = Parts::default();
     while let Some(mut part) = form.next().await? {
         let file = cut(&part.file_name(), WHO_MAX_CHARS);
@@ -145,10 +140,7 @@ async fn receive(app: &App, mut form: Form) -> Result<Parts, ApiError> {
         }
         let name = cut(&part.name, WHO_MAX_CHARS);
         let text = part.text().await?;
-        let wrong = |limit: &str| {
-            let shown = cut(&text, WHO_MAX_CHARS);
-            ApiError::bad_query(vec![Problem::new("form", &name, shown, limit)])
-        };
+        let wrong = |limit: &str| invalid(&name, &cut(&text, WHO_MAX_CHARS), limit);
         match name.as_str() {
             "sensor" => parts.sensor = Some((file, text)),
             "name" => {

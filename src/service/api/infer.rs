@@ -3,7 +3,7 @@
 
 use std::sync::Arc;
 
-use axum::extract::{FromRequest, Request, State};
+use axum::extract::{FromRequest, Request};
 use axum::http::header;
 use axum::{Json, extract::Query};
 use serde::{Deserialize, Serialize};
@@ -11,7 +11,7 @@ use utoipa::{IntoParams, ToSchema};
 
 use super::App;
 use super::limits::{EXACT_MAX, FRAMES_MAX, MAPS_MAX};
-use super::problem::{ApiError, ProblemBody};
+use super::problem::{ApiError, ApiResult};
 use crate::clock::Clock;
 use crate::dataset::background::background;
 use crate::ids::CalibrationId;
@@ -87,15 +87,12 @@ pub struct FrameAnswer {
     request_body(content((InferRequest = "application/json"),
         (Vec<u8> = "application/octet-stream"))),
     responses((status = 200, body = Vec<FrameAnswer>),
-        (status = 404, body = ProblemBody, description = "no model or calibration has the given id or name"),
-        (status = 409, body = ProblemBody,
+        (status = 404, description = "no model or calibration has the given id or name"),
+        (status = 409,
             description = "no model serves for the method, or a model does not fit method or sensor"),
-        (status = 422, body = ProblemBody, description = "a frame or an option is invalid"),
-        (status = 503, body = ProblemBody, description = "too many requests are in progress")))]
-pub async fn infer(
-    State(app): State<App>,
-    request: Request,
-) -> Result<Json<Vec<FrameAnswer>>, ApiError> {
+        (status = 422, description = "a frame or an option is invalid"),
+        (status = 503, description = "too many requests are in progress")))]
+pub async fn infer(app: App, request: Request) -> ApiResult<Json<Vec<FrameAnswer>>> {
     let (options, sent) = received(&app, request).await?;
     let named = Named::load(&app, &options).await?;
     let frames = sent.frames(&options, named.sensor(&app).1)?;
@@ -134,7 +131,7 @@ struct Named {
 }
 
 impl Named {
-    async fn load(app: &App, options: &InferOptions) -> Result<Self, ApiError> {
+    async fn load(app: &App, options: &InferOptions) -> ApiResult<Self> {
         let slots = options.method.slots();
         let skin = options.model.as_deref().and_then(|id| id.parse::<CalibrationId>().ok());
         if let Some(id) = skin.as_ref().filter(|_| !slots.contains(&Slot::Skin)) {
@@ -164,7 +161,7 @@ impl Named {
     }
 
     /// What serves, with the named models in their slots. Nets of another sensor than the rig's answer alone.
-    async fn pipeline(&self, app: &App, options: &InferOptions) -> Result<Pipeline, ApiError> {
+    async fn pipeline(&self, app: &App, options: &InferOptions) -> ApiResult<Pipeline> {
         let (sensor, channels) = self.sensor(app);
         let of_rig = app.serving.sensor();
         let mut pipeline = match sensor == of_rig.file.name && channels == of_rig.channels() {
@@ -198,7 +195,7 @@ enum Sent {
 }
 
 /// Reads the options and the frames.
-async fn received(app: &App, request: Request) -> Result<(InferOptions, Sent), ApiError> {
+async fn received(app: &App, request: Request) -> ApiResult<(InferOptions, Sent)> {
     let kind = request.headers().get(header::CONTENT_TYPE);
     let raw = kind.is_some_and(|kind| kind.as_bytes().starts_with(b"application/octet-stream"));
     let (options, sent) = if raw {
@@ -219,7 +216,7 @@ async fn received(app: &App, request: Request) -> Result<(InferOptions, Sent), A
 
 impl Sent {
     /// The frames, V, one after the other; checks that all are complete and finite.
-    fn frames(self, options: &InferOptions, channels: usize) -> Result<Vec<f32>, ApiError> {
+    fn frames(self, options: &InferOptions, channels: usize) -> ApiResult<Vec<f32>> {
         let frames: Vec<f32> = match self {
             Self::Bytes(bytes) => {
                 let frame_bytes = 4 * channels;

@@ -2,7 +2,6 @@
 //! Uses: `jobs`. Never: the computation itself.
 
 use axum::Json;
-use axum::extract::State;
 use axum::http::{HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use serde::{Deserialize, Serialize};
@@ -12,7 +11,7 @@ use utoipa::ToSchema;
 use super::App;
 use super::audit::Act;
 use super::pages::{Page, PageParams, PageRequest};
-use super::problem::{ApiError, Body, Path, ProblemBody};
+use super::problem::{ApiError, ApiResult, Body, Path};
 use super::send::Created;
 use crate::evaluate::request::EvaluationRequest;
 use crate::ids::TaskId;
@@ -39,12 +38,12 @@ fn out(app: &App, task: TaskRow) -> JobOut {
 /// After a restart the training continues from its last checkpoint.
 #[utoipa::path(post, path = "/api/v1/trainings", tag = "jobs", request_body = TrainingRequest,
     responses((status = 202, body = JobOut, headers(("Location", description = "the job"))),
-        (status = 422, body = ProblemBody, description = "the recipe is invalid")))]
+        (status = 422, description = "the recipe is invalid")))]
 pub async fn train(
-    State(app): State<App>,
+    app: App,
     act: Act,
     Body(request): Body<TrainingRequest>,
-) -> Result<Created<JobOut>, ApiError> {
+) -> ApiResult<Created<JobOut>> {
     let row = app.jobs.train(&request, &act.name()).await?;
     act.about(&row.id.to_string());
     Ok(Created::later(format!("/api/v1/jobs/{}", row.id), out(&app, row)))
@@ -53,12 +52,12 @@ pub async fn train(
 /// Requests an evaluation.
 #[utoipa::path(post, path = "/api/v1/evaluations", tag = "jobs", request_body = EvaluationRequest,
     responses((status = 202, body = JobOut, headers(("Location", description = "the job"))),
-        (status = 422, body = ProblemBody, description = "a value of the request is invalid")))]
+        (status = 422, description = "a value of the request is invalid")))]
 pub async fn evaluate(
-    State(app): State<App>,
+    app: App,
     act: Act,
     Body(request): Body<EvaluationRequest>,
-) -> Result<Created<JobOut>, ApiError> {
+) -> ApiResult<Created<JobOut>> {
     let row = app.jobs.evaluate(&request, &act.name()).await?;
     act.about(&row.id.to_string());
     Ok(Created::later(format!("/api/v1/jobs/{}", row.id), out(&app, row)))
@@ -66,9 +65,8 @@ pub async fn evaluate(
 
 /// Returns a page of the jobs, newest first, without the examples of evaluations.
 #[utoipa::path(get, operation_id = "list_jobs", path = "/api/v1/jobs", tag = "jobs",
-    params(PageParams), responses((status = 200, body = Page<JobOut>),
-        (status = 400, body = ProblemBody, description = "a parameter is invalid")))]
-pub async fn list(State(app): State<App>, asked: PageRequest) -> Result<Page<JobOut>, ApiError> {
+    params(PageParams), responses((status = 200, body = Page<JobOut>), (status = 400)))]
+pub async fn list(app: App, asked: PageRequest) -> ApiResult<Page<JobOut>> {
     let rows = app.store.tasks(TaskKind::JOBS, asked.limit + 1, asked.after()?).await?;
     let brief =
         |row: TaskRow| out(&app, TaskRow { result: row.result.map(without_examples), ..row });
@@ -86,10 +84,7 @@ fn without_examples(mut result: Value) -> Value {
 /// Returns the state, progress and result of a job.
 #[utoipa::path(get, operation_id = "job", path = "/api/v1/jobs/{job}", tag = "jobs",
     responses((status = 200, body = JobOut)))]
-pub async fn one(
-    State(app): State<App>,
-    Path(job): Path<String>,
-) -> Result<Json<JobOut>, ApiError> {
+pub async fn one(app: App, Path(job): Path<String>) -> ApiResult<Json<JobOut>> {
     Ok(Json(out(&app, find(&app, &job).await?)))
 }
 
@@ -98,7 +93,7 @@ pub async fn one(
 /// After its end the losses are those of its model.
 #[utoipa::path(get, operation_id = "job_losses", path = "/api/v1/jobs/{job}/losses", tag = "jobs",
     responses((status = 200, body = String, content_type = "application/x-ndjson")))]
-pub async fn losses(State(app): State<App>, Path(job): Path<String>) -> Result<Response, ApiError> {
+pub async fn losses(app: App, Path(job): Path<String>) -> ApiResult<Response> {
     let row = find(&app, &job).await?;
     Ok(ndjson(app.jobs.losses(row.id)))
 }
@@ -109,10 +104,10 @@ pub async fn losses(State(app): State<App>, Path(job): Path<String>) -> Result<R
 #[utoipa::path(post, operation_id = "stop_job", path = "/api/v1/jobs/{job}/stop", tag = "jobs",
     responses((status = 202, body = JobOut)))]
 pub async fn stop(
-    State(app): State<App>,
+    app: App,
     act: Act,
     Path(job): Path<String>,
-) -> Result<(StatusCode, Json<JobOut>), ApiError> {
+) -> ApiResult<(StatusCode, Json<JobOut>)> {
     act.about(&job);
     let row = find(&app, &job).await?;
     app.jobs.stop(row.id).await?;
@@ -125,7 +120,7 @@ pub fn ndjson(text: String) -> Response {
     ([(header::CONTENT_TYPE, kind)], text).into_response()
 }
 
-async fn find(app: &App, job: &str) -> Result<TaskRow, ApiError> {
+async fn find(app: &App, job: &str) -> ApiResult<TaskRow> {
     let row = match job.parse() {
         Ok(id @ TaskId::Job(_)) => app.store.task(id).await?,
         _ => None,

@@ -15,7 +15,7 @@ use utoipa::ToSchema;
 
 use super::App;
 use super::limits::FRAME_CLIENTS;
-use super::problem::{ApiError, ProblemBody};
+use super::problem::ApiResult;
 use super::socket::{LiveClient, is_sent};
 use crate::campaign::bench::stuck::StuckChannels;
 use crate::rig::traits::Frame;
@@ -51,8 +51,8 @@ pub struct LiveFrame {
     params(("ticket" = Option<String>, Query,
         description = "a ticket of `POST /api/v1/tickets`: a browser's WebSocket sends no header with a key")),
     responses((status = 101, description = "WebSocket whose messages are LiveFrame", body = LiveFrame),
-        (status = 503, body = ProblemBody, description = "too many clients are connected")))]
-pub async fn frames(client: LiveClient) -> Result<Response, ApiError> {
+        (status = 503, description = "too many clients are connected")))]
+pub async fn frames(client: LiveClient) -> ApiResult<Response> {
     let places = client.app.turns.frames.clone();
     client.open(&places, (FRAME_CLIENTS, "live frames"), send)
 }

@@ -12,7 +12,7 @@ use super::App;
 use super::infer::FrameAnswer;
 use super::limits::LIVE_CLIENTS;
 use super::live::LiveFrames;
-use super::problem::{ApiError, Params, ProblemBody};
+use super::problem::{ApiError, ApiResult, Params};
 use super::socket::{LiveClient, is_sent};
 use crate::clock::Clock;
 use crate::infer::error::InferError;
@@ -55,15 +55,12 @@ pub struct LiveAnswer {
 ///
 /// At most 33 messages per second on average. A client that is late by at most four frames misses none, a slow one
 /// misses frames; nothing waits for it.
-#[utoipa::path(get, operation_id = "live_contacts",
-    path = "/api/v1/live", tag = "infer", params(LiveParams),
+#[utoipa::path(get, operation_id = "live_contacts", path = "/api/v1/live", tag = "infer",
+    params(LiveParams),
     responses((status = 101, description = "WebSocket whose messages are LiveAnswer", body = LiveAnswer),
-        (status = 409, body = ProblemBody, description = "no model serves for the method"),
-        (status = 503, body = ProblemBody, description = "too many live clients are connected")))]
-pub async fn live(
-    Params(options): Params<LiveParams>,
-    client: LiveClient,
-) -> Result<Response, ApiError> {
+        (status = 409, description = "no model serves for the method"),
+        (status = 503, description = "too many live clients are connected")))]
+pub async fn live(Params(options): Params<LiveParams>, client: LiveClient) -> ApiResult<Response> {
     let serving = client.app.serving.once_restored(options.method).await;
     let method = match options.method {
         Some(method) => method,

@@ -16,7 +16,7 @@ use utoipa::ToSchema;
 use super::App;
 use super::envelope::{SamplesOut, envelope};
 use super::limits::STATUS_CLIENTS;
-use super::problem::{ApiError, ProblemBody};
+use super::problem::ApiResult;
 use super::samples::drained;
 use super::socket::{LiveClient, is_sent};
 use super::status::{ServiceStatus, StoredPart};
@@ -60,8 +60,8 @@ impl Default for Messages {
     params(("ticket" = Option<String>, Query,
         description = "a ticket of `POST /api/v1/tickets`: a browser's WebSocket sends no header with a key")),
     responses((status = 101, description = "WebSocket whose messages are LiveStatus", body = LiveStatus),
-        (status = 503, body = ProblemBody, description = "too many clients are connected")))]
-pub async fn live(client: LiveClient) -> Result<Response, ApiError> {
+        (status = 503, description = "too many clients are connected")))]
+pub async fn live(client: LiveClient) -> ApiResult<Response> {
     let places = client.app.turns.status.clone();
     client.open(&places, (STATUS_CLIENTS, "live status"), send)
 }

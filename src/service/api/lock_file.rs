@@ -48,7 +48,6 @@ impl Drop for LockFile {
 #[derive(Debug, thiserror::Error)]
 #[allow(missing_docs, reason = "the message names the fields")]
 pub enum LockFileError {
-    /// Another process holds the lock.
     #[error(
         "{what} is in use by process {holder} (lock file {}): stop that process, or start `palpate serve` \
          first and run commands as its clients",
@@ -155,64 +154,53 @@ fn holder(file: &File) -> String {
 mod tests {
     use super::*;
 
-    fn folder(name: &str) -> PathBuf {
-        let name = format!("palpate-lock-{name}-{}", std::process::id());
-        let folder = std::env::temp_dir().join(name);
-        std::fs::remove_dir_all(&folder).ok();
-        std::fs::create_dir_all(&folder).unwrap();
-        folder
-    }
-
     #[test]
     fn a_second_holder_is_refused_with_the_process_id_of_the_first() {
-        let folder = folder("held");
-        let first = LockFile::of_data(&folder).unwrap();
-        let refused = LockFile::of_data(&folder).unwrap_err().to_string();
+        let folder = tempfile::tempdir().unwrap();
+        let first = LockFile::of_data(folder.path()).unwrap();
+        let refused = LockFile::of_data(folder.path()).unwrap_err().to_string();
         let user = rustix::process::geteuid().as_raw();
         let holder = format!("by process {} of user {user} (", std::process::id());
         assert!(refused.contains(&holder), "{refused}");
         drop(first);
-        assert_eq!(folder.join("palpate.lock").metadata().unwrap().len(), 0);
-        LockFile::of_data(&folder).unwrap();
-        std::fs::remove_dir_all(&folder).unwrap();
+        assert_eq!(folder.path().join("palpate.lock").metadata().unwrap().len(), 0);
+        LockFile::of_data(folder.path()).unwrap();
     }
 
     #[test]
     fn a_link_is_refused_and_its_target_stays_as_it_is() {
-        let folder = folder("link");
-        let target = folder.join("target");
+        let folder = tempfile::tempdir().unwrap();
+        let target = folder.path().join("target");
         std::fs::write(&target, "a file of another user").unwrap();
-        std::os::unix::fs::symlink(&target, folder.join("symbolic")).unwrap();
-        std::fs::hard_link(&target, folder.join("hard")).unwrap();
+        std::os::unix::fs::symlink(&target, folder.path().join("symbolic")).unwrap();
+        std::fs::hard_link(&target, folder.path().join("hard")).unwrap();
         for link in ["symbolic", "hard"] {
-            let refused = LockFile::take(&folder.join(link), "a rig", 0o666);
+            let refused = LockFile::take(&folder.path().join(link), "a rig", 0o666);
             assert!(matches!(refused, Err(LockFileError::File { .. })), "{link}: {refused:?}");
         }
-        std::os::unix::fs::symlink(folder.join("absent"), folder.join("dangling")).unwrap();
-        LockFile::take(&folder.join("dangling"), "a rig", 0o666).unwrap_err();
-        assert!(!folder.join("absent").exists());
+        std::os::unix::fs::symlink(folder.path().join("absent"), folder.path().join("dangling"))
+            .unwrap();
+        LockFile::take(&folder.path().join("dangling"), "a rig", 0o666).unwrap_err();
+        assert!(!folder.path().join("absent").exists());
         assert_eq!(std::fs::read_to_string(&target).unwrap(), "a file of another user");
-        std::fs::remove_dir_all(&folder).unwrap();
     }
 
     #[test]
     fn every_user_can_open_the_lock_of_a_rig_and_one_user_that_of_a_data_folder() {
-        let folder = folder("mode");
+        let folder = tempfile::tempdir().unwrap();
         for mode in [0o666, 0o600] {
-            let path = folder.join(format!("{mode:o}"));
+            let path = folder.path().join(format!("{mode:o}"));
             let _held = LockFile::take(&path, "a rig", mode).unwrap();
             assert_eq!(path.metadata().unwrap().mode() & 0o777, mode);
         }
-        std::fs::remove_dir_all(&folder).unwrap();
     }
 
     #[test]
     fn what_another_user_wrote_cannot_reach_the_terminal() {
-        let folder = folder("text");
-        let path = folder.join("lock");
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("lock");
         std::fs::write(&path, format!("1\u{1b}[31m{}", "x".repeat(999))).unwrap();
         let shown = holder(&File::open(&path).unwrap());
         assert!(shown.starts_with("131m") && shown.len() < 61, "{shown:?}");
-        std::fs::remove_dir_all(&folder).unwrap();
     }
 }

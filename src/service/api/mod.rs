@@ -1,11 +1,14 @@
 //! The service: HTTP over the conductor, the campaign and the store; the state and the routes of all handlers.
 //! Uses: everything before it. Never: motion, SQL, a read that a motion waits for.
 
+use std::convert::Infallible;
 use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::sync::Arc;
 
+use axum::extract::FromRequestParts;
 use axum::http::Method;
+use axum::http::request::Parts;
 use axum::middleware::{from_fn, from_fn_with_state};
 use axum::routing::post;
 use jiff::Timestamp;
@@ -200,6 +203,15 @@ struct Facts {
     memory: Memory,
 }
 
+/// Handlers take the state as it is.
+impl FromRequestParts<App> for App {
+    type Rejection = Infallible;
+
+    async fn from_request_parts(_: &mut Parts, app: &Self) -> Result<Self, Infallible> {
+        Ok(app.clone())
+    }
+}
+
 impl App {
     fn loopback(&self) -> bool {
         self.facts.bind.ip().is_loopback()
@@ -209,7 +221,7 @@ impl App {
 /// Description of all routes; `openapi.yaml` is generated from it.
 #[derive(OpenApi)]
 #[openapi(
-    components(schemas(Experiment)),
+    components(schemas(Experiment, problem::ProblemBody)),
     info(
         title = "Palpate",
         description = "Presses a tactile robot skin with a rig, trains models on the measured trials, \

@@ -2,7 +2,6 @@
 //! Uses: `infer::{registry, serving}`, `store`. Never: training, frames.
 
 use axum::Json;
-use axum::extract::State;
 use axum::http::{HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use serde::{Deserialize, Serialize};
@@ -15,7 +14,7 @@ use super::form::Form;
 use super::jobs::ndjson;
 use super::limits::{MODEL_MAX_BYTES, WHO_MAX_CHARS};
 use super::pages::{Page, PageParams, PageRequest};
-use super::problem::{ApiError, Body, Path, ProblemBody, Text};
+use super::problem::{ApiError, ApiResult, Body, Path, Text};
 use super::send::Created;
 use crate::evaluate::request::Scored;
 use crate::ids::{CalibrationId, ModelId, PromotedId};
@@ -44,7 +43,6 @@ pub struct ModelOut {
     #[schema(value_type = Object)]
     pub manifest: Value,
     /// Time at which the model was stored.
-    #[schema(value_type = String, format = DateTime)]
     pub created_at: jiff::Timestamp,
     /// True if the model serves in the slot of its sensor.
     pub serves: bool,
@@ -120,9 +118,8 @@ pub struct ServingOut {
 
 /// Returns a page of the models, newest first.
 #[utoipa::path(get, operation_id = "list_models", path = "/api/v1/models", tag = "models",
-    params(PageParams), responses((status = 200, body = Page<ModelOut>),
-        (status = 400, body = ProblemBody, description = "a parameter is invalid")))]
-pub async fn list(State(app): State<App>, asked: PageRequest) -> Result<Page<ModelOut>, ApiError> {
+    params(PageParams), responses((status = 200, body = Page<ModelOut>), (status = 400)))]
+pub async fn list(app: App, asked: PageRequest) -> ApiResult<Page<ModelOut>> {
     let Page { items: rows, next } =
         asked.of_all(app.store.models().await?, |model| model.id.clone())?;
     let promotions = app.serving.promotions().await?;
@@ -136,10 +133,7 @@ pub async fn list(State(app): State<App>, asked: PageRequest) -> Result<Page<Mod
 /// Returns a model.
 #[utoipa::path(get, operation_id = "model", path = "/api/v1/models/{model}", tag = "models",
     responses((status = 200, body = ModelOut)))]
-pub async fn one(
-    State(app): State<App>,
-    Path(model): Path<String>,
-) -> Result<Json<ModelOut>, ApiError> {
+pub async fn one(app: App, Path(model): Path<String>) -> ApiResult<Json<ModelOut>> {
     let row = app.models.find(&model).await?;
     Ok(Json(out(&app, row, &app.serving.promotions().await?).await?))
 }
@@ -148,7 +142,7 @@ pub async fn one(
 #[utoipa::path(get, operation_id = "model_onnx",
     path = "/api/v1/models/{model}/onnx", tag = "models",
     responses((status = 200, body = Vec<u8>, content_type = "application/octet-stream")))]
-pub async fn onnx(State(app): State<App>, Path(model): Path<String>) -> Result<Response, ApiError> {
+pub async fn onnx(app: App, Path(model): Path<String>) -> ApiResult<Response> {
     let row = app.models.find(&model).await?;
     let path = app.models.onnx(&row.id);
     let bytes = tokio::fs::read(&path).await;
@@ -165,22 +159,15 @@ pub async fn onnx(State(app): State<App>, Path(model): Path<String>) -> Result<R
 #[utoipa::path(get, operation_id = "model_losses",
     path = "/api/v1/models/{model}/losses", tag = "models",
     responses((status = 200, body = String, content_type = "application/x-ndjson")))]
-pub async fn losses(
-    State(app): State<App>,
-    Path(model): Path<String>,
-) -> Result<Response, ApiError> {
+pub async fn losses(app: App, Path(model): Path<String>) -> ApiResult<Response> {
     let row = app.models.find(&model).await?;
     Ok(ndjson(app.models.losses(&row.id).unwrap_or_default()))
 }
 
 /// Returns the residuals of a Transfer-Net on trials outside its training part (paper, Fig. 10A).
-#[utoipa::path(get, operation_id = "model_residuals",
-    path = "/api/v1/models/{model}/residuals", tag = "models",
-    responses((status = 200, body = Residuals)))]
-pub async fn residuals(
-    State(app): State<App>,
-    Path(model): Path<String>,
-) -> Result<Json<Residuals>, ApiError> {
+#[utoipa::path(get, operation_id = "model_residuals", path = "/api/v1/models/{model}/residuals",
+    tag = "models", responses((status = 200, body = Residuals)))]
+pub async fn residuals(app: App, Path(model): Path<String>) -> ApiResult<Json<Residuals>> {
     Ok(Json(app.models.residuals(&model).await?))
 }
 
@@ -208,13 +195,9 @@ pub struct ModelForm {
 #[utoipa::path(post, operation_id = "add_model", path = "/api/v1/models", tag = "models",
     request_body(content = ModelForm, content_type = "multipart/form-data"),
     responses((status = 201, body = ModelOut, headers(("Location", description = "the model"))),
-        (status = 422, body = ProblemBody,
+        (status = 422,
             description = "a part of the form is missing or invalid, or the model does not run")))]
-pub async fn add(
-    State(app): State<App>,
-    act: Act,
-    form: Form,
-) -> Result<Created<ModelOut>, ApiError> {
+pub async fn add(app: App, act: Act, form: Form) -> ApiResult<Created<ModelOut>> {
     let parts = receive(form).await?;
     app.still_allowed(&act).await?;
     let row = store(&app, parts).await?;
@@ -234,7 +217,7 @@ struct Parts {
     residuals: Option<String>,
 }
 
-async fn receive(mut form: Form) -> Result<Parts, ApiError> {
+async fn receive(mut form: Form) -> ApiResult<Parts> {
     let mut parts = Parts::default();
     while let Some(part) = form.next().await? {
         match part.name.as_str() {
@@ -259,8 +242,8 @@ async fn receive(mut form: Form) -> Result<Parts, ApiError> {
 }
 
 /// Checks the parts of a form and stores the model.
-async fn store(app: &App, parts: Parts) -> Result<ModelRow, ApiError> {
-    fn given<T>(part: Option<T>, name: &str) -> Result<T, ApiError> {
+async fn store(app: &App, parts: Parts) -> ApiResult<ModelRow> {
+    fn given<T>(part: Option<T>, name: &str) -> ApiResult<T> {
         let problem = || Problem::new("form", name, "absent", "must be given");
         part.ok_or_else(|| ApiError::problems(vec![problem()]))
     }
@@ -282,7 +265,7 @@ async fn store(app: &App, parts: Parts) -> Result<ModelRow, ApiError> {
 }
 
 /// Reads the residuals of a Transfer-Net.
-fn residuals_of(manifest: &Manifest, text: &str) -> Result<Residuals, ApiError> {
+fn residuals_of(manifest: &Manifest, text: &str) -> ApiResult<Residuals> {
     let refused =
         |limit: &str| ApiError::problems(vec![Problem::new("form", "residuals", "..", limit)]);
     let residuals: Residuals =
@@ -297,13 +280,12 @@ fn residuals_of(manifest: &Manifest, text: &str) -> Result<Residuals, ApiError> 
 /// Adds a calibration of this rig's sensor (text of its file), so that it can be promoted.
 #[utoipa::path(post, path = "/api/v1/calibrations", tag = "models", request_body = String,
     responses((status = 201, body = CalibrationId),
-        (status = 422, body = ProblemBody,
-            description = "the calibration is invalid or for another sensor")))]
+        (status = 422, description = "the calibration is invalid or for another sensor")))]
 pub async fn add_calibration(
-    State(app): State<App>,
+    app: App,
     act: Act,
     Text(text): Text,
-) -> Result<(StatusCode, Json<CalibrationId>), ApiError> {
+) -> ApiResult<(StatusCode, Json<CalibrationId>)> {
     let id = app.serving.keep_calibration(&text).await?;
     act.about(id.as_str());
     Ok((StatusCode::CREATED, Json(id)))
@@ -312,7 +294,7 @@ pub async fn add_calibration(
 /// Returns the content of all slots, and the history of promotions.
 #[utoipa::path(get, path = "/api/v1/serving", tag = "models",
     responses((status = 200, body = ServingOut)))]
-pub async fn serving(State(app): State<App>) -> Result<Json<ServingOut>, ApiError> {
+pub async fn serving(app: App) -> ApiResult<Json<ServingOut>> {
     let promotions = app.serving.promotions().await?;
     let of = |sensor: &str| Slot::ALL.map(|slot| serves_out(&app, sensor, slot, &promotions));
     let others = promotions.sensors().into_iter().filter(|name| *name != app.serving.rig());
@@ -327,15 +309,13 @@ pub async fn serving(State(app): State<App>) -> Result<Json<ServingOut>, ApiErro
 /// rig's answers requests that name it by `SLOT@SENSOR`, such as `position@pad-60`.
 #[utoipa::path(post, path = "/api/v1/serving", tag = "models", request_body = PromotionRequest,
     responses((status = 200, body = ServesOut),
-        (status = 404, body = ProblemBody,
-            description = "no model or calibration has this id or name"),
-        (status = 409, body = ProblemBody,
-            description = "the model has other channels than the sensor of its name")))]
+        (status = 404, description = "no model or calibration has this id or name"),
+        (status = 409, description = "the model has other channels than the sensor of its name")))]
 pub async fn promote(
-    State(app): State<App>,
+    app: App,
     act: Act,
     Body(request): Body<PromotionRequest>,
-) -> Result<Json<ServesOut>, ApiError> {
+) -> ApiResult<Json<ServesOut>> {
     let (who, why) = (request.who.as_deref(), request.why.as_deref());
     act.stated(who, why);
     act.about(&request.what);
@@ -345,15 +325,14 @@ pub async fn promote(
 
 /// Restores the previous model or calibration of a slot.
 #[utoipa::path(post, path = "/api/v1/serving/roll-back", tag = "models",
-    request_body = RollBackRequest,
-    responses((status = 200, body = ServesOut),
-        (status = 409, body = ProblemBody, description = "the slot has no earlier promotion"),
-        (status = 422, body = ProblemBody, description = "the slot is unknown")))]
+    request_body = RollBackRequest, responses((status = 200, body = ServesOut),
+        (status = 409, description = "the slot has no earlier promotion"),
+        (status = 422, description = "the slot is unknown")))]
 pub async fn roll_back(
-    State(app): State<App>,
+    app: App,
     act: Act,
     Body(request): Body<RollBackRequest>,
-) -> Result<Json<ServesOut>, ApiError> {
+) -> ApiResult<Json<ServesOut>> {
     let (who, why, slot) = (request.who.as_deref(), request.why.as_deref(), request.slot);
     act.stated(who, why);
     let sensor = request.sensor.as_deref().unwrap_or(app.serving.rig());
@@ -384,7 +363,7 @@ fn is_score(task: &str, report: &Value) -> bool {
     is_for && !trained_on && report["examples"].is_null()
 }
 
-async fn out(app: &App, row: ModelRow, promotions: &Promotions) -> Result<ModelOut, ApiError> {
+async fn out(app: &App, row: ModelRow, promotions: &Promotions) -> ApiResult<ModelOut> {
     let manifest: toml::Table = toml::from_str(&row.manifest).unwrap_or_default();
     let promoted = Some(PromotedId::Model(row.id.clone()));
     let reports = app.store.evaluations_of(&row.id).await?.into_iter().filter_map(|job| job.result);

@@ -83,7 +83,6 @@ pub struct Need {
     /// The page where it is done, or seen.
     pub page: String,
     /// Time since which it is; null if it is not known.
-    #[schema(value_type = Option<String>, format = DateTime)]
     pub since: Option<Timestamp>,
 }
 

@@ -10,7 +10,7 @@ use super::people::CreatedKey;
 use super::{LockFile, ServeError, data_folder};
 use crate::clock::Clock;
 use crate::journal::error_chain;
-use crate::store::{KeyRing, KeyRow, LockRow, NewAction, Role, Store, StoreError};
+use crate::store::{KeyRing, KeyRow, LockRow, NewAction, Role, Store, StoreError, StoreResult};
 
 /// The database of a data folder, open in this process only. Its changes are in the log of actions.
 pub struct Offline {
@@ -41,7 +41,7 @@ impl Offline {
     ///
     /// # Errors
     /// As [`Store::keys`].
-    pub async fn keys(&self) -> Result<Vec<KeyRow>, StoreError> {
+    pub async fn keys(&self) -> StoreResult<Vec<KeyRow>> {
         self.store.keys().await
     }
 
@@ -49,7 +49,7 @@ impl Offline {
     ///
     /// # Errors
     /// As [`KeyRing::create`].
-    pub async fn create_key(&self, name: &str, role: Role) -> Result<CreatedKey, StoreError> {
+    pub async fn create_key(&self, name: &str, role: Role) -> StoreResult<CreatedKey> {
         let made = self.keys.create(name, role, rand::random()).await;
         let (key, secret) = self.logged("key", None, Some(name), made).await?;
         Ok(CreatedKey { key, secret })
@@ -59,7 +59,7 @@ impl Offline {
     ///
     /// # Errors
     /// As [`KeyRing::revoke`].
-    pub async fn revoke_key(&self, id: i64) -> Result<bool, StoreError> {
+    pub async fn revoke_key(&self, id: i64) -> StoreResult<bool> {
         let key = format!("key {id}");
         let revoked = self.keys.revoke(id).await;
         let accepted = matches!(revoked, Ok(true));
@@ -71,7 +71,7 @@ impl Offline {
     ///
     /// # Errors
     /// As [`Store::lock`].
-    pub async fn lock(&self) -> Result<Option<LockRow>, StoreError> {
+    pub async fn lock(&self) -> StoreResult<Option<LockRow>> {
         self.store.lock().await
     }
 
@@ -79,7 +79,7 @@ impl Offline {
     ///
     /// # Errors
     /// As [`Store::set_lock`].
-    pub async fn take_lock(&self, who: &str, note: &str) -> Result<LockRow, StoreError> {
+    pub async fn take_lock(&self, who: &str, note: &str) -> StoreResult<LockRow> {
         let taken = self.store.set_lock(&self.caller.holder(Some(who)), note).await;
         self.logged("lock", Some(who), Some(note), taken).await
     }
@@ -88,7 +88,7 @@ impl Offline {
     ///
     /// # Errors
     /// As [`Store::clear_lock`].
-    pub async fn clear_lock(&self) -> Result<Option<LockRow>, StoreError> {
+    pub async fn clear_lock(&self) -> StoreResult<Option<LockRow>> {
         let cleared = self.store.clear_lock().await;
         self.logged("unlock", None, None, cleared).await
     }
@@ -98,8 +98,8 @@ impl Offline {
         action: &str,
         who: Option<&str>,
         why: Option<&str>,
-        outcome: Result<T, StoreError>,
-    ) -> Result<T, StoreError> {
+        outcome: StoreResult<T>,
+    ) -> StoreResult<T> {
         self.log(action, who, why, outcome.is_ok(), outcome.as_ref().err()).await;
         outcome
     }

@@ -19,7 +19,7 @@ use super::edited;
 use super::limits::{
     BODY_MAX_BYTES, ONCE_KEPT, ONCE_KEY_MAX_CHARS, ONCE_MAX, ONCE_RESPONSE_MAX_BYTES,
 };
-use super::problem::ApiError;
+use super::problem::{ApiError, ApiResult};
 use crate::digest::Hashing;
 use crate::journal::error_chain;
 use crate::store::{OnceKey, OnceResponse, OnceRow};
@@ -86,7 +86,7 @@ async fn keyed(
     key: OnceKey,
     request: Request,
     next: Next,
-) -> Result<Response, ApiError> {
+) -> ApiResult<Response> {
     let (request, sha256) = digest(request).await?;
     let _turn = match app.facts.running.begin(&key, &sha256) {
         Ok(turn) => turn,
@@ -133,7 +133,7 @@ fn repeated(response: impl IntoResponse) -> Response {
 ///
 /// # Errors
 /// 400 if there are several, or if it is invalid.
-fn key_of(headers: &HeaderMap) -> Result<Option<String>, ApiError> {
+fn key_of(headers: &HeaderMap) -> ApiResult<Option<String>> {
     let mut stated = headers.get_all(IDEMPOTENCY_KEY).iter();
     match (stated.next(), stated.next()) {
         (None, _) => Ok(None),
@@ -174,7 +174,7 @@ fn parse(value: &str) -> Option<String> {
 }
 
 /// Returns the request with the sha256 of its method, path, query and body. The body has arrived.
-async fn digest(request: Request) -> Result<(Request, String), ApiError> {
+async fn digest(request: Request) -> ApiResult<(Request, String)> {
     let (parts, body) = request.into_parts();
     let body = to_bytes(body, BODY_MAX_BYTES).await.map_err(|error| {
         ApiError::of_body(StatusCode::PAYLOAD_TOO_LARGE, error.to_string(), &error)
@@ -187,7 +187,7 @@ async fn digest(request: Request) -> Result<(Request, String), ApiError> {
 }
 
 /// Returns a response, and what is stored of it: nothing if it is too large.
-async fn read(response: Response) -> Result<(Response, Option<OnceResponse>), ApiError> {
+async fn read(response: Response) -> ApiResult<(Response, Option<OnceResponse>)> {
     let exact = response.body().size_hint().exact();
     if exact.is_none_or(|bytes| bytes > ONCE_RESPONSE_MAX_BYTES as u64) {
         return Ok((response, None));
@@ -208,7 +208,7 @@ async fn read(response: Response) -> Result<(Response, Option<OnceResponse>), Ap
 ///
 /// # Errors
 /// 422 if the key was used with another request; 409 if no response is stored.
-fn repetition(sha256: &str, first: OnceRow) -> Result<Response, ApiError> {
+fn repetition(sha256: &str, first: OnceRow) -> ApiResult<Response> {
     if first.request != sha256 {
         return Err(other_request());
     }

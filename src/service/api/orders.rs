@@ -15,7 +15,7 @@ use tokio::process::Command;
 use tokio::time::timeout;
 
 use super::App;
-use super::problem::ApiError;
+use super::problem::{ApiError, ApiResult};
 use crate::chunk::order::ORDER_FILE;
 use crate::program::{Known, Program};
 
@@ -39,7 +39,7 @@ const ID_DIGITS: (usize, usize) = (8, 64);
 ///
 /// # Errors
 /// 404 if no folder of this name has an order, 409 if the service knows no queue.
-pub fn order_path(app: &App, folder: &str) -> Result<PathBuf, ApiError> {
+pub fn order_path(app: &App, folder: &str) -> ApiResult<PathBuf> {
     let missing = || ApiError::not_found(format!("{ORDERS}/{folder}: no folder with an order"));
     let path = order_folder(&app.facts.data, folder).ok_or_else(missing)?;
     check_configured()?;
@@ -50,7 +50,7 @@ pub fn order_path(app: &App, folder: &str) -> Result<PathBuf, ApiError> {
 ///
 /// # Errors
 /// 409 if the order cannot be read.
-pub fn kind_of(folder: &Path) -> Result<String, ApiError> {
+pub fn kind_of(folder: &Path) -> ApiResult<String> {
     let kind = order_in(folder).map(|order| order.kind).filter(|kind| is_name(kind));
     let invalid = || format!("{}: cannot be read", folder.join(ORDER_FILE).display());
     kind.ok_or_else(|| ApiError::new(StatusCode::CONFLICT, invalid()))
@@ -60,7 +60,7 @@ pub fn kind_of(folder: &Path) -> Result<String, ApiError> {
 ///
 /// # Errors
 /// 409 if it was not.
-pub fn check_configured() -> Result<(), ApiError> {
+pub fn check_configured() -> ApiResult<()> {
     if is_configured() {
         return Ok(());
     }

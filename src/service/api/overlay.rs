@@ -1,14 +1,13 @@
 //! `GET /api/v1/sensor/overlay.pdf`: the points of the skin at true scale, for printing.
 //! Uses: `overlay`, `sensor`. Never: the rig.
 
-use axum::extract::State;
 use axum::http::header;
 use axum::response::{IntoResponse, Response};
 use serde::Deserialize;
 use utoipa::IntoParams;
 
 use super::App;
-use super::problem::{ApiError, Params, ProblemBody};
+use super::problem::{ApiResult, Params};
 use super::sensor::sensor_of;
 use crate::overlay::{self, Paper};
 
@@ -47,16 +46,11 @@ pub struct OverlayParams {
 
 /// Returns the overlay of the skin as a PDF at true scale: its points with their names, its electrodes,
 /// its outline, and rulers with which the print is checked.
-#[utoipa::path(get, operation_id = "sensor_overlay", path = "/api/v1/sensor/overlay.pdf", tag = "rig",
-    params(OverlayParams),
-    responses((status = 200, body = Vec<u8>, content_type = "application/pdf"),
-        (status = 400, body = ProblemBody, description = "a parameter is invalid"),
-        (status = 404, body = ProblemBody,
-            description = "no run has this uid or scan_id, or its sensor has no file")))]
-pub async fn overlay(
-    State(app): State<App>,
-    Params(asked): Params<OverlayParams>,
-) -> Result<Response, ApiError> {
+#[utoipa::path(get, operation_id = "sensor_overlay", path = "/api/v1/sensor/overlay.pdf",
+    tag = "rig", params(OverlayParams),
+    responses((status = 200, body = Vec<u8>, content_type = "application/pdf"), (status = 400),
+        (status = 404, description = "no run has this uid or scan_id, or its sensor has no file")))]
+pub async fn overlay(app: App, Params(asked): Params<OverlayParams>) -> ApiResult<Response> {
     let sensor = sensor_of(&app, asked.run.as_deref()).await?;
     let pdf = overlay::pdf(&sensor, asked.paper.into());
     let headers = [

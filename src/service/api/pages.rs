@@ -16,7 +16,7 @@ use serde::{Deserialize, Serialize};
 use utoipa::{IntoParams, ToSchema};
 
 use super::limits::{LIST_MAX, LIST_PAGE};
-use super::problem::ApiError;
+use super::problem::{ApiError, ApiResult};
 use crate::digest::sha256_hex;
 
 /// Parameters that change neither the list nor the selection of its entries.
@@ -73,7 +73,7 @@ impl PageRequest {
     ///
     /// # Errors
     /// 400 if it is not a position of this list.
-    pub fn after<T: FromStr>(&self) -> Result<Option<T>, ApiError> {
+    pub fn after<T: FromStr>(&self) -> ApiResult<Option<T>> {
         self.at.as_deref().map(|at| at.parse().map_err(|_| foreign(at))).transpose()
     }
 
@@ -99,7 +99,7 @@ impl PageRequest {
         &self,
         mut all: Vec<T>,
         id: impl Fn(&T) -> I,
-    ) -> Result<Page<T>, ApiError> {
+    ) -> ApiResult<Page<T>> {
         if let Some(at) = &self.at {
             let found = all.iter().position(|entry| id(entry).to_string() == *at);
             all.drain(..=found.ok_or_else(|| foreign(at))?);
@@ -111,7 +111,7 @@ impl PageRequest {
 impl<S: Send + Sync> FromRequestParts<S> for PageRequest {
     type Rejection = ApiError;
 
-    async fn from_request_parts(parts: &mut Parts, state: &S) -> Result<Self, ApiError> {
+    async fn from_request_parts(parts: &mut Parts, state: &S) -> ApiResult<Self> {
         let Query(pairs) = Query::<Vec<(String, String)>>::from_request_parts(parts, state).await?;
         let cursors = Cursors::of(parts.uri.clone(), &pairs);
         let limit = match pairs.iter().find(|(key, _)| key == "limit") {
@@ -155,7 +155,7 @@ impl Cursors {
     ///
     /// # Errors
     /// 400 if the cursor is not `next` of a page of this list with this selection.
-    pub fn position<T: FromStr>(&self, pairs: &[(String, String)]) -> Result<Option<T>, ApiError> {
+    pub fn position<T: FromStr>(&self, pairs: &[(String, String)]) -> ApiResult<Option<T>> {
         let Some((_, cursor)) = pairs.iter().find(|(key, _)| key == "cursor") else {
             return Ok(None);
         };
@@ -179,7 +179,7 @@ impl Cursors {
 impl<S: Send + Sync> FromRequestParts<S> for Cursors {
     type Rejection = ApiError;
 
-    async fn from_request_parts(parts: &mut Parts, state: &S) -> Result<Self, ApiError> {
+    async fn from_request_parts(parts: &mut Parts, state: &S) -> ApiResult<Self> {
         let Query(pairs) = Query::<Vec<(String, String)>>::from_request_parts(parts, state).await?;
         Ok(Self::of(parts.uri.clone(), &pairs))
     }
@@ -194,7 +194,7 @@ fn foreign(cursor: &str) -> ApiError {
 mod tests {
     use super::*;
 
-    fn request(address: &str) -> Result<PageRequest, ApiError> {
+    fn request(address: &str) -> ApiResult<PageRequest> {
         let uri: Uri = address.parse().unwrap();
         let (mut parts, ()) =
             axum::http::Request::builder().uri(uri).body(()).unwrap().into_parts();

@@ -1,7 +1,6 @@
 //! The operator lock, the API keys, and the log of actions.
 //! Uses: `store`. Never: the text of a key, except in the response that creates it.
 
-use axum::extract::State;
 use axum::http::StatusCode;
 use axum::{Extension, Json};
 use serde::{Deserialize, Serialize};
@@ -12,7 +11,7 @@ use super::audit::Act;
 use super::auth::Caller;
 use super::limits::{TICKET, TICKETS, WHO_MAX_CHARS, WHY_MAX_CHARS};
 use super::pages::{Page, PageParams, PageRequest};
-use super::problem::{ApiError, Body, Params, Path, ProblemBody};
+use super::problem::{ApiError, ApiResult, Body, Params, Path};
 use super::queue::WhoParams;
 use super::runs::find;
 use crate::store::{ActionRow, KeyRow, LockRow, Role};
@@ -73,7 +72,7 @@ pub struct ActionParams {
 /// Returns the operator lock, or null.
 #[utoipa::path(get, path = "/api/v1/lock", tag = "people",
     responses((status = 200, body = Option<LockOut>)))]
-pub async fn lock(State(app): State<App>) -> Result<Json<Option<LockOut>>, ApiError> {
+pub async fn lock(app: App) -> ApiResult<Json<Option<LockOut>>> {
     Ok(Json(app.store.lock().await?.map(LockOut::from)))
 }
 
@@ -84,12 +83,12 @@ pub async fn lock(State(app): State<App>) -> Result<Json<Option<LockOut>>, ApiEr
 /// releases it: without a key no caller can prove to be the holder.
 #[utoipa::path(put, path = "/api/v1/lock", tag = "people", request_body = LockRequest,
     responses((status = 200, body = LockOut),
-        (status = 409, body = ProblemBody, description = "another person holds the operator lock")))]
+        (status = 409, description = "another person holds the operator lock")))]
 pub async fn take_lock(
-    State(app): State<App>,
+    app: App,
     act: Act,
     Body(new): Body<LockRequest>,
-) -> Result<Json<LockOut>, ApiError> {
+) -> ApiResult<Json<LockOut>> {
     act.stated(new.holder.as_deref(), Some(&new.note));
     let holder = new.holder.as_deref();
     ApiError::check_text("holder", holder.unwrap_or_default(), WHO_MAX_CHARS)?;
@@ -102,13 +101,12 @@ pub async fn take_lock(
 /// Only the role `admin` may release the lock of another holder's key.
 #[utoipa::path(delete, path = "/api/v1/lock", tag = "people", params(WhoParams),
     responses((status = 204),
-        (status = 403, body = ProblemBody,
-            description = "another person holds the lock, and the role is not admin")))]
+        (status = 403, description = "another person holds the lock, and the role is not admin")))]
 pub async fn clear_lock(
-    State(app): State<App>,
+    app: App,
     act: Act,
     Params(by): Params<WhoParams>,
-) -> Result<StatusCode, ApiError> {
+) -> ApiResult<StatusCode> {
     act.stated(by.who.as_deref(), None);
     if let Some(lock) = app.store.lock().await?
         && !act.caller().may_release(&lock)
@@ -126,21 +124,21 @@ pub async fn clear_lock(
 /// Returns the API keys, without their texts.
 #[utoipa::path(get, path = "/api/v1/keys", tag = "people",
     responses((status = 200, body = Page<KeyRow>),
-        (status = 403, body = ProblemBody, description = "the role is not admin")))]
-pub async fn keys(State(app): State<App>) -> Result<Page<KeyRow>, ApiError> {
+        (status = 403, description = "the role is not admin")))]
+pub async fn keys(app: App) -> ApiResult<Page<KeyRow>> {
     Ok(Page::whole(app.store.keys().await?))
 }
 
 /// Creates an API key.
 #[utoipa::path(post, path = "/api/v1/keys", tag = "people", request_body = KeyRequest,
     responses((status = 201, body = CreatedKey),
-        (status = 403, body = ProblemBody, description = "the role is not admin"),
-        (status = 422, body = ProblemBody, description = "the name is invalid or in use")))]
+        (status = 403, description = "the role is not admin"),
+        (status = 422, description = "the name is invalid or in use")))]
 pub async fn create_key(
-    State(app): State<App>,
+    app: App,
     act: Act,
     Body(new): Body<KeyRequest>,
-) -> Result<(StatusCode, Json<CreatedKey>), ApiError> {
+) -> ApiResult<(StatusCode, Json<CreatedKey>)> {
     act.about(&new.name);
     let (key, secret) = app.keys.create(&new.name, new.role, rand::random()).await?;
     Ok((StatusCode::CREATED, Json(CreatedKey { key, secret })))
@@ -148,14 +146,9 @@ pub async fn create_key(
 
 /// Revokes an API key.
 #[utoipa::path(delete, path = "/api/v1/keys/{id}", tag = "people",
-    params(("id" = i64, Path, description = "number of the key")),
-    responses((status = 204),
-        (status = 404, body = ProblemBody, description = "no valid key has this number")))]
-pub async fn revoke_key(
-    State(app): State<App>,
-    act: Act,
-    Path(id): Path<i64>,
-) -> Result<StatusCode, ApiError> {
+    params(("id" = i64, Path, description = "number of the key")), responses((status = 204),
+        (status = 404, description = "no valid key has this number")))]
+pub async fn revoke_key(app: App, act: Act, Path(id): Path<i64>) -> ApiResult<StatusCode> {
     act.about(&format!("key {id}"));
     match app.keys.revoke(id).await? {
         true => Ok(StatusCode::NO_CONTENT),
@@ -195,11 +188,11 @@ pub async fn caller(Extension(caller): Extension<Caller>) -> Json<CallerOut> {
 /// the rights of its caller; it can be used once.
 #[utoipa::path(post, operation_id = "create_ticket", path = "/api/v1/tickets", tag = "people",
     responses((status = 201, body = Ticket, description = "the ticket"),
-        (status = 429, body = ProblemBody, description = "too many tickets wait to be used")))]
+        (status = 429, description = "too many tickets wait to be used")))]
 pub async fn ticket(
-    State(app): State<App>,
+    app: App,
     Extension(caller): Extension<Caller>,
-) -> Result<(StatusCode, Json<Ticket>), ApiError> {
+) -> ApiResult<(StatusCode, Json<Ticket>)> {
     let ticket = app.facts.tickets.create(caller, rand::random()).ok_or_else(|| {
         let words = format!("{TICKETS} tickets wait to be used: use one, or wait");
         ApiError::new(StatusCode::TOO_MANY_REQUESTS, words)
@@ -208,16 +201,14 @@ pub async fn ticket(
 }
 
 /// Returns the log of actions, newest first.
-#[utoipa::path(get, path = "/api/v1/actions", tag = "people",
-    params(ActionParams, PageParams),
-    responses((status = 200, body = Page<ActionRow>),
-        (status = 400, body = ProblemBody, description = "a parameter is invalid"),
-        (status = 404, body = ProblemBody, description = "no run has this uid or scan_id")))]
+#[utoipa::path(get, path = "/api/v1/actions", tag = "people", params(ActionParams, PageParams),
+    responses((status = 200, body = Page<ActionRow>), (status = 400),
+        (status = 404, description = "no run has this uid or scan_id")))]
 pub async fn actions(
-    State(app): State<App>,
+    app: App,
     Params(params): Params<ActionParams>,
     asked: PageRequest,
-) -> Result<Page<ActionRow>, ApiError> {
+) -> ApiResult<Page<ActionRow>> {
     let run = match &params.run {
         Some(run) => Some(find(&app, run).await?.uid),
         None => None,

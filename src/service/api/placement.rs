@@ -2,14 +2,13 @@
 //! Uses: `placement`, `campaign` (its status), `store`. Never: a wait for an inference.
 
 use axum::Json;
-use axum::extract::State;
 use axum::http::StatusCode;
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 use super::App;
-use super::problem::{ApiError, ProblemBody};
+use super::problem::{ApiError, ApiResult};
 use crate::campaign::shown::command::Request;
 use crate::campaign::shown::placement::{Confirmation, VerdictKind};
 use crate::campaign::shown::run_action::ActionOnRun;
@@ -49,7 +48,6 @@ pub struct PlacementOut {
     /// The placement that was stored last; null before the first.
     pub last: Option<LastPlacement>,
     /// Wall time at which the untouched skin was last seen in this run; null until it is tared.
-    #[schema(value_type = Option<String>, format = DateTime)]
     pub untouched_at: Option<Timestamp>,
 }
 
@@ -91,8 +89,8 @@ impl From<LastPlaced> for LastPlacement {
 /// is judged: `at_rest` states whether it has settled.
 #[utoipa::path(get, operation_id = "placement", path = "/api/v1/placement", tag = "runs",
     responses((status = 200, body = PlacementOut),
-        (status = 404, body = ProblemBody, description = "no run asks for a placement")))]
-pub async fn placement(State(app): State<App>) -> Result<Json<PlacementOut>, ApiError> {
+        (status = 404, description = "no run asks for a placement")))]
+pub async fn placement(app: App) -> ApiResult<Json<PlacementOut>> {
     let none = || ApiError::not_found("no run asks for a placement");
     let status = app.campaign.status();
     let awaited = Awaited::of(&status);
@@ -147,7 +145,7 @@ pub async fn confirmation(
     app: &App,
     mut done: Done,
     mut confirmation: Confirmation,
-) -> Result<Request, ApiError> {
+) -> ApiResult<Request> {
     let status = app.campaign.status();
     let wanted = status.run.as_ref().and_then(|run| run.wanted.clone());
     let Some(awaited) = Awaited::of(&status).filter(|_| wanted.is_some_and(|w| done.fits(&w)))

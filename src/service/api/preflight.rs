@@ -2,13 +2,12 @@
 //! Uses: `conductor`, `progress`, `tour`, `store`. Never: a prediction of forces.
 
 use axum::Json;
-use axum::extract::State;
 use jiff::Timestamp;
 use serde::Serialize;
 use utoipa::ToSchema;
 
 use super::App;
-use super::problem::{ApiError, Body, Path, ProblemBody};
+use super::problem::{ApiResult, Body, Path};
 use super::progress::{ForcesOfTips, along};
 use super::runs::find;
 use crate::conductor::Submission;
@@ -41,14 +40,13 @@ pub struct EarlierRun {
 }
 
 /// Returns the preflight of a submission on this rig, without queuing it.
-#[utoipa::path(post, operation_id = "preflight_submission",
-    path = "/api/v1/preflight", tag = "queue", request_body = Submission,
-    responses((status = 200, body = RunPreflight),
-        (status = 422, body = ProblemBody, description = "a file of the submission is invalid")))]
+#[utoipa::path(post, operation_id = "preflight_submission", path = "/api/v1/preflight",
+    tag = "queue", request_body = Submission, responses((status = 200, body = RunPreflight),
+        (status = 422, description = "a file of the submission is invalid")))]
 pub async fn of_submission(
-    State(app): State<App>,
+    app: App,
     Body(submission): Body<Submission>,
-) -> Result<Json<RunPreflight>, ApiError> {
+) -> ApiResult<Json<RunPreflight>> {
     let _turn = app.turns.preflight().await?;
     let prepared = app.conductor.prepare(submission).await?;
     let sensor_sha256 = sha256_hex(&prepared.sensor_text);
@@ -57,14 +55,10 @@ pub async fn of_submission(
 }
 
 /// Returns the preflight of a stored run on this rig.
-#[utoipa::path(get, operation_id = "run_preflight",
-    path = "/api/v1/runs/{run}/preflight", tag = "runs",
-    responses((status = 200, body = RunPreflight),
-        (status = 422, body = ProblemBody, description = "the run was not planned from an experiment")))]
-pub async fn of_run(
-    State(app): State<App>,
-    Path(run): Path<String>,
-) -> Result<Json<RunPreflight>, ApiError> {
+#[utoipa::path(get, operation_id = "run_preflight", path = "/api/v1/runs/{run}/preflight",
+    tag = "runs", responses((status = 200, body = RunPreflight),
+        (status = 422, description = "the run was not planned from an experiment")))]
+pub async fn of_run(app: App, Path(run): Path<String>) -> ApiResult<Json<RunPreflight>> {
     let run = find(&app, &run).await?;
     let preflight = app.conductor.preflight_of(&run).await?;
     let before = run.started_at.unwrap_or_else(Timestamp::now);
@@ -78,7 +72,7 @@ async fn earlier(
     preflight: &Preflight,
     sensor_sha256: &str,
     before: Timestamp,
-) -> Result<Option<EarlierRun>, ApiError> {
+) -> ApiResult<Option<EarlierRun>> {
     if preflight.kind != RunKind::RealHex.as_str() {
         return Ok(None);
     }

@@ -51,6 +51,9 @@ pub struct ProblemBody {
 #[derive(Debug, Clone)]
 pub struct Refused(pub String);
 
+/// Result of an operation of the API.
+pub type ApiResult<T> = Result<T, ApiError>;
+
 /// An error response.
 #[derive(Debug)]
 pub struct ApiError {
@@ -389,7 +392,7 @@ pub struct Text(pub String);
 impl<S: Send + Sync> FromRequest<S> for Text {
     type Rejection = ApiError;
 
-    async fn from_request(request: Request, state: &S) -> Result<Self, ApiError> {
+    async fn from_request(request: Request, state: &S) -> ApiResult<Self> {
         Ok(Self(String::from_request(request, state).await?))
     }
 }

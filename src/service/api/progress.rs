@@ -5,14 +5,13 @@ use std::collections::{BTreeMap, HashMap};
 use std::sync::Arc;
 
 use axum::Json;
-use axum::extract::State;
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 use sim_core::stats::median;
 use utoipa::ToSchema;
 
 use super::App;
-use super::problem::{ApiError, Path, ProblemBody};
+use super::problem::{ApiResult, Path};
 use super::runs::find;
 use super::tour::Tour;
 use crate::campaign::shown::status::RunStatus;
@@ -43,7 +42,6 @@ pub struct RunProgress {
     /// Median FVU of the twins of each configuration, rounded to 0.0001; null without twins.
     pub fvu: Vec<Option<f64>>,
     /// Time of this progress; the stored part of it may be 2 s older, or more on a slow disk.
-    #[schema(value_type = String, format = DateTime)]
     pub at: Timestamp,
 }
 
@@ -61,24 +59,17 @@ pub struct ForcesOfTips {
 }
 
 /// Returns the progress of a run along its tour.
-#[utoipa::path(get, operation_id = "run_progress", path = "/api/v1/runs/{run}/progress", tag = "runs",
-    responses((status = 200, body = RunProgress),
-        (status = 404, body = ProblemBody,
-            description = "no run has this uid or scan_id, or it has no plan")))]
-pub async fn of_run(
-    State(app): State<App>,
-    Path(run): Path<String>,
-) -> Result<Json<RunProgress>, ApiError> {
+#[utoipa::path(get, operation_id = "run_progress", path = "/api/v1/runs/{run}/progress",
+    tag = "runs", responses((status = 200, body = RunProgress),
+        (status = 404, description = "no run has this uid or scan_id, or it has no plan")))]
+pub async fn of_run(app: App, Path(run): Path<String>) -> ApiResult<Json<RunProgress>> {
     let run = find(&app, &run).await?;
     let kept = app.tour(&run).await?;
     Ok(Json(along(&app, &run, &kept.tour).await?))
 }
 
 /// The progress of a run along its tour.
-///
-/// # Errors
-/// Those of the store.
-pub(super) async fn along(app: &App, run: &RunRow, tour: &Tour) -> Result<RunProgress, ApiError> {
+pub(super) async fn along(app: &App, run: &RunRow, tour: &Tour) -> ApiResult<RunProgress> {
     let reading = async { app.store.progress_by_configuration(run.uid).await.map(Arc::new) };
     let stored = app.facts.memory.progress.get(run.uid, reading).await?;
     let active = app.campaign.status().run.filter(|active| active.uid == run.uid);

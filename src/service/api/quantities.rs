@@ -3,7 +3,6 @@
 //! Uses: `infer::{quantity, pipeline}`. Never: contacts.
 
 use axum::Json;
-use axum::extract::State;
 use axum::response::Response;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
@@ -11,7 +10,7 @@ use utoipa::ToSchema;
 use super::App;
 use super::limits::{FRAMES_MAX, LIVE_CLIENTS};
 use super::live_contacts::follow;
-use super::problem::{ApiError, Body, Path, ProblemBody};
+use super::problem::{ApiError, ApiResult, Body, Path};
 use super::socket::LiveClient;
 use crate::clock::Clock;
 use crate::dataset::background::background;
@@ -30,18 +29,17 @@ pub struct QuantityRequest {
 /// Answers frames by a net that estimates a position, pattern, count or force.
 ///
 /// The net may be of an imported sensor. Contacts and force maps come from `/api/v1/infer`.
-#[utoipa::path(post, operation_id = "model_quantities",
-    path = "/api/v1/models/{model}/quantities", tag = "models",
-    request_body = QuantityRequest,
+#[utoipa::path(post, operation_id = "model_quantities", path = "/api/v1/models/{model}/quantities",
+    tag = "models", request_body = QuantityRequest,
     responses((status = 200, body = Vec<QuantityAnswer>),
-        (status = 409, body = ProblemBody, description = "the model answers no quantity"),
-        (status = 422, body = ProblemBody, description = "a frame is invalid"),
-        (status = 503, body = ProblemBody, description = "too many requests are in progress")))]
+        (status = 409, description = "the model answers no quantity"),
+        (status = 422, description = "a frame is invalid"),
+        (status = 503, description = "too many requests are in progress")))]
 pub async fn quantities(
-    State(app): State<App>,
+    app: App,
     Path(model): Path<String>,
     Body(request): Body<QuantityRequest>,
-) -> Result<Json<Vec<QuantityAnswer>>, ApiError> {
+) -> ApiResult<Json<Vec<QuantityAnswer>>> {
     let model = app.models.load(&model).await?;
     model.quantity()?;
     let (count, channels) = (request.frames.len(), model.plan.channels());
@@ -77,15 +75,14 @@ pub struct LiveQuantities {
 ///
 /// All promoted nets of a position, pattern, count or force answer. At most 33 messages per second on average. A
 /// client that is late by at most four frames misses none, a slow one misses frames; nothing waits for it.
-#[utoipa::path(get, operation_id = "live_quantities",
-    path = "/api/v1/live/quantities", tag = "infer",
+#[utoipa::path(get, operation_id = "live_quantities", path = "/api/v1/live/quantities",
+    tag = "infer",
     params(("ticket" = Option<String>, Query,
         description = "a ticket of `POST /api/v1/tickets`: a browser's WebSocket sends no header with a key")),
-    responses((status = 101, description = "WebSocket whose messages are LiveQuantities",
-            body = LiveQuantities),
-        (status = 409, body = ProblemBody, description = "no net of a quantity serves"),
-        (status = 503, body = ProblemBody, description = "too many live clients are connected")))]
-pub async fn live(client: LiveClient) -> Result<Response, ApiError> {
+    responses((status = 101, description = "WebSocket whose messages are LiveQuantities", body = LiveQuantities),
+        (status = 409, description = "no net of a quantity serves"),
+        (status = 503, description = "too many live clients are connected")))]
+pub async fn live(client: LiveClient) -> ApiResult<Response> {
     client.app.serving.once_restored(None).await.has_quantities()?;
     let places = client.app.turns.live.clone();
     client.open(&places, (LIVE_CLIENTS, "live contacts and quantities"), |app, socket| {
@@ -100,7 +97,7 @@ pub async fn live(client: LiveClient) -> Result<Response, ApiError> {
 }
 
 /// Checks that all frames are complete and finite.
-fn check(frames: &[Vec<f32>], channels: usize) -> Result<(), ApiError> {
+fn check(frames: &[Vec<f32>], channels: usize) -> ApiResult<()> {
     for (index, frame) in frames.iter().enumerate() {
         if frame.len() != channels {
             let key = format!("frames[{index}]");

@@ -2,7 +2,6 @@
 //! Uses: `conductor`, `store`. Never: starting a run (`runs` does).
 
 use axum::Json;
-use axum::extract::State;
 use jiff::Timestamp;
 use serde::Deserialize;
 use utoipa::{IntoParams, ToSchema};
@@ -10,7 +9,7 @@ use utoipa::{IntoParams, ToSchema};
 use super::App;
 use super::audit::Act;
 use super::pages::Page;
-use super::problem::{ApiError, Body, Params, Path, ProblemBody};
+use super::problem::{ApiResult, Body, Params, Path};
 use super::runs::find;
 use super::send::Created;
 use crate::conductor::{Submission, Terms};
@@ -27,7 +26,6 @@ pub struct QueueRequest {
     /// True if the run may resume automatically; absent: as in the policy of the experiment.
     pub auto_resume: Option<bool>,
     /// Earliest start, at most 366 days ahead; absent or in the past: any time.
-    #[schema(value_type = Option<String>, format = DateTime)]
     pub not_before: Option<Timestamp>,
 }
 
@@ -57,20 +55,16 @@ pub struct MoveRequest {
 /// Returns the waiting runs, the next one first.
 #[utoipa::path(get, operation_id = "queue",
     path = "/api/v1/queue", tag = "queue", responses((status = 200, body = Page<RunRow>)))]
-pub async fn list(State(app): State<App>) -> Result<Page<RunRow>, ApiError> {
+pub async fn list(app: App) -> ApiResult<Page<RunRow>> {
     Ok(Page::whole(app.store.queue().await?))
 }
 
 /// Queues a run.
-#[utoipa::path(post, operation_id = "queue_run",
-    path = "/api/v1/queue", tag = "queue", request_body = QueueRequest,
+#[utoipa::path(post, operation_id = "queue_run", path = "/api/v1/queue", tag = "queue",
+    request_body = QueueRequest,
     responses((status = 201, body = RunRow, headers(("Location", description = "the run"))),
-        (status = 422, body = ProblemBody, description = "a file of the submission is invalid")))]
-pub async fn add(
-    State(app): State<App>,
-    act: Act,
-    Body(item): Body<QueueRequest>,
-) -> Result<Created<RunRow>, ApiError> {
+        (status = 422, description = "a file of the submission is invalid")))]
+pub async fn add(app: App, act: Act, Body(item): Body<QueueRequest>) -> ApiResult<Created<RunRow>> {
     act.stated(item.who.as_deref(), None);
     let terms = item.terms();
     let row = app.conductor.enqueue(item.submission, act.name(), terms).await?;
@@ -82,18 +76,17 @@ pub async fn add(
 ///
 /// The run gets a new plan and keeps its number, its uid and its place. It must be armed and started
 /// again if it was.
-#[utoipa::path(put, operation_id = "edit_run",
-    path = "/api/v1/queue/{run}", tag = "queue", request_body = QueueRequest,
-    responses((status = 200, body = RunRow),
-        (status = 409, body = ProblemBody,
+#[utoipa::path(put, operation_id = "edit_run", path = "/api/v1/queue/{run}", tag = "queue",
+    request_body = QueueRequest, responses((status = 200, body = RunRow),
+        (status = 409,
             description = "the run is not queued, or another person holds the operator lock"),
-        (status = 422, body = ProblemBody, description = "a file of the submission is invalid")))]
+        (status = 422, description = "a file of the submission is invalid")))]
 pub async fn edit(
-    State(app): State<App>,
+    app: App,
     act: Act,
     Path(run): Path<String>,
     Body(item): Body<QueueRequest>,
-) -> Result<Json<RunRow>, ApiError> {
+) -> ApiResult<Json<RunRow>> {
     act.stated(item.who.as_deref(), None);
     let run = find(&app, &run).await?;
     act.on(run.uid);
@@ -102,18 +95,16 @@ pub async fn edit(
 }
 
 /// Removes a run from the queue.
-#[utoipa::path(delete, operation_id = "remove_run",
-    path = "/api/v1/queue/{run}", tag = "queue", params(WhoParams,
-    ("run" = String, Path, description = "uid or scan_id")),
-    responses((status = 200, body = RunRow),
-        (status = 409, body = ProblemBody,
+#[utoipa::path(delete, operation_id = "remove_run", path = "/api/v1/queue/{run}", tag = "queue",
+    params(WhoParams, ("run" = String, Path)), responses((status = 200, body = RunRow),
+        (status = 409,
             description = "the run is not queued, or another person holds the operator lock")))]
 pub async fn remove(
-    State(app): State<App>,
+    app: App,
     act: Act,
     Path(run): Path<String>,
     Params(by): Params<WhoParams>,
-) -> Result<Json<RunRow>, ApiError> {
+) -> ApiResult<Json<RunRow>> {
     act.stated(by.who.as_deref(), None);
     let run = find(&app, &run).await?.uid;
     act.on(run);
@@ -121,17 +112,16 @@ pub async fn remove(
 }
 
 /// Moves a run in the queue.
-#[utoipa::path(post, operation_id = "move_run",
-    path = "/api/v1/queue/{run}/move", tag = "queue", request_body = MoveRequest,
-    responses((status = 200, body = Page<RunRow>),
-        (status = 409, body = ProblemBody,
+#[utoipa::path(post, operation_id = "move_run", path = "/api/v1/queue/{run}/move", tag = "queue",
+    request_body = MoveRequest, responses((status = 200, body = Page<RunRow>),
+        (status = 409,
             description = "the run is not queued, or another person holds the operator lock")))]
 pub async fn shift(
-    State(app): State<App>,
+    app: App,
     act: Act,
     Path(run): Path<String>,
     Body(shift): Body<MoveRequest>,
-) -> Result<Page<RunRow>, ApiError> {
+) -> ApiResult<Page<RunRow>> {
     act.stated(shift.who.as_deref(), None);
     let run = find(&app, &run).await?.uid;
     act.on(run);

@@ -3,7 +3,6 @@
 
 use std::sync::Arc;
 
-use axum::extract::State;
 use jiff::{SignedDuration, Timestamp};
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
@@ -11,7 +10,7 @@ use utoipa::ToSchema;
 use super::App;
 use super::limits::ROOM_MAX;
 use super::pages::Page;
-use super::problem::ApiError;
+use super::problem::ApiResult;
 use crate::conductor::ConductorError;
 use crate::ids::RunUid;
 use crate::journal::error_chain;
@@ -28,16 +27,12 @@ pub struct QueueTime {
     /// Likely duration, wall s; null if the run cannot be planned on this rig.
     pub duration_s: Option<f64>,
     /// Likely begin; null while the end of the active run is not known, and for a run that would be refused.
-    #[schema(value_type = Option<String>, format = DateTime)]
     pub begin: Option<Timestamp>,
     /// Likely end; null as `begin`.
-    #[schema(value_type = Option<String>, format = DateTime)]
     pub end: Option<Timestamp>,
     /// End under favourable assumptions; null as `begin`.
-    #[schema(value_type = Option<String>, format = DateTime)]
     pub low: Option<Timestamp>,
     /// End under unfavourable assumptions; null as `begin`.
-    #[schema(value_type = Option<String>, format = DateTime)]
     pub high: Option<Timestamp>,
     /// Why the run would be refused on this rig, as text; null if it would not.
     pub problem: Option<String>,
@@ -60,7 +55,7 @@ pub struct Planned {
 /// second.
 #[utoipa::path(get, operation_id = "queue_times", path = "/api/v1/queue/times", tag = "queue",
     responses((status = 200, body = Page<QueueTime>)))]
-pub async fn times(State(app): State<App>) -> Result<Page<QueueTime>, ApiError> {
+pub async fn times(app: App) -> ApiResult<Page<QueueTime>> {
     let rows = app.store.queue().await?;
     let mut planned = Vec::with_capacity(rows.len());
     for row in rows.iter().take(ROOM_MAX) {

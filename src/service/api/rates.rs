@@ -5,7 +5,6 @@ use std::collections::VecDeque;
 use std::time::{Duration, Instant};
 
 use axum::Json;
-use axum::extract::State;
 use parking_lot::Mutex;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
@@ -161,7 +160,7 @@ impl Counters {
 /// Returns what the voltage stream and the wires did in the last minute.
 #[utoipa::path(get, operation_id = "rig_rates", path = "/api/v1/rig/rates", tag = "rig",
     responses((status = 200, body = RigRates)))]
-pub async fn rates(State(app): State<App>) -> Json<RigRates> {
+pub async fn rates(app: App) -> Json<RigRates> {
     Json(app.facts.memory.counters.rates())
 }
 

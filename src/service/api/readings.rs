@@ -2,19 +2,17 @@
 //! Uses: `jobs::readings`. Never: a score of answers to other frames.
 
 use axum::Json;
-use axum::extract::State;
 use serde::Deserialize;
 use utoipa::{IntoParams, ToSchema};
 
 use super::App;
 use super::audit::{Act, cut};
-use super::form::Form;
+use super::form::{Form, invalid, missing};
 use super::limits::{FRAMES_MAX_BYTES, WHO_MAX_CHARS};
-use super::problem::{ApiError, Body, Params, ProblemBody};
+use super::problem::{ApiError, ApiResult, Body, Params};
 use crate::evaluate::request::{EvaluationReport, EvaluationRequest};
 use crate::infer::answer::Reading;
 use crate::jobs::readings::{ORDERED_FRAMES_MAX, ReadingInputs};
-use crate::problem::Problem;
 
 /// Size of a chunk.
 #[derive(Debug, Deserialize, IntoParams)]
@@ -33,22 +31,22 @@ fn fifty() -> u32 {
 /// Returns what other machines need to read the frames of an evaluation of `exact`: skin, errors of its model, frames.
 ///
 /// The dataset is made if needed. To prepare a skin takes up to most of a minute.
-#[utoipa::path(post, operation_id = "evaluation_inputs", path = "/api/v1/evaluations/inputs", tag = "jobs",
-    params(ChunkParams), request_body = EvaluationRequest,
+#[utoipa::path(post, operation_id = "evaluation_inputs", path = "/api/v1/evaluations/inputs",
+    tag = "jobs", params(ChunkParams), request_body = EvaluationRequest,
     responses((status = 200, body = ReadingInputs),
-        (status = 400, body = ProblemBody, description = "a parameter is invalid, or the dataset cannot be made"),
-        (status = 404, body = ProblemBody, description = "the dataset or the calibration does not exist"),
-        (status = 409, body = ProblemBody,
+        (status = 400, description = "a parameter is invalid, or the dataset cannot be made"),
+        (status = 404, description = "the dataset or the calibration does not exist"),
+        (status = 409,
             description = "the dataset is of another sensor, or another person holds the operator lock"),
-        (status = 422, body = ProblemBody,
+        (status = 422,
             description = "the request is invalid, not of `exact` without nets, or has more than 5000 rows"),
-        (status = 507, body = ProblemBody, description = "the disk has no room for the dataset")))]
+        (status = 507, description = "the disk has no room for the dataset")))]
 pub async fn inputs(
-    State(app): State<App>,
+    app: App,
     act: Act,
     Params(ChunkParams { chunk_rows }): Params<ChunkParams>,
     Body(request): Body<EvaluationRequest>,
-) -> Result<Json<ReadingInputs>, ApiError> {
+) -> ApiResult<Json<ReadingInputs>> {
     if !(1..=ORDERED_FRAMES_MAX).contains(&u64::from(chunk_rows)) {
         let words = format!("must be from 1 to {ORDERED_FRAMES_MAX}");
         return Err(ApiError::query("chunk_rows", chunk_rows, &words));
@@ -75,21 +73,17 @@ pub struct ReadingsForm {
 /// Scores readings of the frames of an evaluation of `exact` that other machines have made.
 ///
 /// They must be of the model and of the frames that the service would use. The report states no latencies.
-#[utoipa::path(post, operation_id = "score_readings", path = "/api/v1/evaluations/readings", tag = "jobs",
-    request_body(content = ReadingsForm, content_type = "multipart/form-data"),
+#[utoipa::path(post, operation_id = "score_readings", path = "/api/v1/evaluations/readings",
+    tag = "jobs", request_body(content = ReadingsForm, content_type = "multipart/form-data"),
     responses((status = 200, body = Object, description = "the EvaluationReport"),
-        (status = 400, body = ProblemBody, description = "the form is invalid, or the dataset cannot be made"),
-        (status = 404, body = ProblemBody, description = "the dataset or the calibration does not exist"),
-        (status = 409, body = ProblemBody,
+        (status = 400, description = "the form is invalid, or the dataset cannot be made"),
+        (status = 404, description = "the dataset or the calibration does not exist"),
+        (status = 409,
             description = "the dataset is of another sensor, or another person holds the operator lock"),
-        (status = 422, body = ProblemBody,
+        (status = 422,
             description = "the request is invalid, or the readings are of another model or of other frames"),
-        (status = 507, body = ProblemBody, description = "the disk has no room for the dataset")))]
-pub async fn score(
-    State(app): State<App>,
-    act: Act,
-    mut form: Form,
-) -> Result<Json<EvaluationReport>, ApiError> {
+        (status = 507, description = "the disk has no room for the dataset")))]
+pub async fn score(app: App, act: Act, mut form: Form) -> ApiResult<Json<EvaluationReport>> {
     let (mut file, mut request, mut model, mut frames_sha256) = (None, None, None, None);
     while let Some(part) = form.next().await? {
         match part.name.as_str() {
@@ -105,11 +99,10 @@ pub async fn score(
         }
     }
     app.still_allowed(&act).await?;
-    let missing = |part: &'static str| move || invalid(part, "absent", "must be given");
-    let file = file.ok_or_else(missing("file"))?;
-    let request = request.ok_or_else(missing("request"))?;
-    let model = model.ok_or_else(missing("model"))?;
-    let frames_sha256 = frames_sha256.ok_or_else(missing("frames_sha256"))?;
+    let file = file.ok_or_else(|| missing("file"))?;
+    let request = request.ok_or_else(|| missing("request"))?;
+    let model = model.ok_or_else(|| missing("model"))?;
+    let frames_sha256 = frames_sha256.ok_or_else(|| missing("frames_sha256"))?;
     let request: EvaluationRequest = serde_json::from_str(&request)
         .map_err(|error| invalid("request", "..", &error.to_string()))?;
     act.about(&request.dataset);
@@ -119,9 +112,4 @@ pub async fn score(
         readings.push(reading.map_err(|error| invalid("file", "..", &error.to_string()))?);
     }
     Ok(Json(app.jobs.score_readings(&request, &model, &frames_sha256, readings).await?))
-}
-
-/// An invalid part of the form (400).
-fn invalid(part: &str, value: &str, limit: &str) -> ApiError {
-    ApiError::bad_query(vec![Problem::new("form", part, value, limit)])
 }

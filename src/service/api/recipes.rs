@@ -5,7 +5,7 @@ use serde::Serialize;
 use utoipa::ToSchema;
 
 use super::pages::Page;
-use super::problem::ApiError;
+use super::problem::ApiResult;
 use crate::carried::{RECIPES, about};
 use crate::dataset::force_map::{ForceMapSpec, TABLE_IV_MAPS};
 use crate::learn::recipe::{Net, Recipe, map_channels};
@@ -46,7 +46,7 @@ impl RecipeMap {
 /// Returns the recipes that the program carries.
 #[utoipa::path(get, operation_id = "list_recipes", path = "/api/v1/recipes", tag = "jobs",
     responses((status = 200, body = Page<CarriedRecipe>)))]
-pub async fn list() -> Result<Page<CarriedRecipe>, ApiError> {
+pub async fn list() -> ApiResult<Page<CarriedRecipe>> {
     Ok(Page::whole(RECIPES.iter().map(carried).collect()))
 }
 

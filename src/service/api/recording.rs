@@ -11,7 +11,6 @@ use arrow_array::{
 };
 use arrow_schema::{ArrowError, DataType, Field, Schema, SchemaRef, TimeUnit};
 use axum::body::Body;
-use axum::extract::State;
 use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
 use axum::response::Response;
 use jiff::Timestamp;
@@ -24,7 +23,7 @@ use utoipa::IntoParams;
 
 use super::App;
 use super::limits::{FRAME_CLIENTS, RECORDED_FRAMES};
-use super::problem::{ApiError, Params, ProblemBody};
+use super::problem::{ApiError, ApiResult, Params};
 use super::query::for_pages;
 use super::send::{self, Piece};
 use crate::campaign::bench::rig_state::RigState;
@@ -56,17 +55,17 @@ pub struct RecordingParams {
 /// Columns: wall time `at`, `label` (`virtual` or `measured`), `sequence` and `device_time_us` of the device, and
 /// `voltages_v`. Gaps of `sequence` are frames that were not received. After 10 s without a frame, and when the
 /// service ends, the response ends with an error; rows of a text that came before are whole. The service keeps nothing.
-#[utoipa::path(get, operation_id = "record_frames", path = "/api/v1/frames/recording", tag = "frames",
-    params(RecordingParams),
+#[utoipa::path(get, operation_id = "record_frames", path = "/api/v1/frames/recording",
+    tag = "frames", params(RecordingParams),
     responses((status = 200, body = Vec<u8>, content_type = "application/octet-stream"),
-        (status = 400, body = ProblemBody, description = "`frames` is not 1 to 9000, or the format is not one of rows"),
-        (status = 409, body = ProblemBody, description = "the rig is disconnected: no frames come"),
-        (status = 503, body = ProblemBody, description = "too many clients are connected")))]
+        (status = 400, description = "`frames` is not 1 to 9000, or the format is not one of rows"),
+        (status = 409, description = "the rig is disconnected: no frames come"),
+        (status = 503, description = "too many clients are connected")))]
 pub async fn record(
-    State(app): State<App>,
+    app: App,
     headers: HeaderMap,
     Params(asked): Params<RecordingParams>,
-) -> Result<Response, ApiError> {
+) -> ApiResult<Response> {
     let frames = asked.frames;
     if !(1..=RECORDED_FRAMES).contains(&frames) {
         let limit = format!("must be 1 to {RECORDED_FRAMES}");

@@ -2,7 +2,6 @@
 //! Uses: `campaign::{check, shown}`. Never: motion except through the campaign.
 
 use axum::Json;
-use axum::extract::State;
 use axum::extract::rejection::JsonRejection;
 use axum::http::StatusCode;
 use serde::Deserialize;
@@ -10,7 +9,7 @@ use utoipa::ToSchema;
 
 use super::App;
 use super::audit::Act;
-use super::problem::{ApiError, Body, ProblemBody};
+use super::problem::{ApiError, ApiResult, Body};
 use super::refusals::{CONNECTED, DESK};
 use crate::campaign::bench::rig_state::RigState;
 use crate::campaign::check::{self, CheckReport, Scope};
@@ -50,17 +49,12 @@ pub struct RigCheckRequest {
 /// Requests a manual action on the rig.
 ///
 /// The response to a motion is sent when the motion is accepted; the status shows its effect.
-#[utoipa::path(post, operation_id = "rig_action",
-    path = "/api/v1/rig/actions", tag = "rig", request_body = RigActionRequest,
-    responses((status = 202),
-        (status = 409, body = ProblemBody,
+#[utoipa::path(post, operation_id = "rig_action", path = "/api/v1/rig/actions", tag = "rig",
+    request_body = RigActionRequest, responses((status = 202),
+        (status = 409,
             description = "the state of the rig does not allow the action, or another person holds the lock"),
-        (status = 422, body = ProblemBody, description = "a value is missing or invalid")))]
-pub async fn act(
-    State(app): State<App>,
-    act: Act,
-    Body(asked): Body<RigActionRequest>,
-) -> Result<StatusCode, ApiError> {
+        (status = 422, description = "a value is missing or invalid")))]
+pub async fn act(app: App, act: Act, Body(asked): Body<RigActionRequest>) -> ApiResult<StatusCode> {
     act.stated(asked.who.as_deref(), asked.why.as_deref());
     act.named(asked.action.as_str());
     let request = match asked.action {
@@ -95,18 +89,17 @@ pub async fn act(
 ///
 /// The check moves nothing, and switches the servos on only if `enable` is true. The rig must be
 /// disconnected.
-#[utoipa::path(post, operation_id = "check_rig",
-    path = "/api/v1/rig/check", tag = "rig", request_body = Option<RigCheckRequest>,
-    responses((status = 200, body = Object),
-        (status = 409, body = ProblemBody,
+#[utoipa::path(post, operation_id = "check_rig", path = "/api/v1/rig/check", tag = "rig",
+    request_body = Option<RigCheckRequest>, responses((status = 200, body = Object),
+        (status = 409,
             description = "the rig is connected, the e-stop is latched, a check is active, or another person holds the operator lock"),
-        (status = 422, body = ProblemBody, description = "the body is invalid"),
-        (status = 502, body = ProblemBody, description = "a device does not respond as expected")))]
+        (status = 422, description = "the body is invalid"),
+        (status = 502, description = "a device does not respond as expected")))]
 pub async fn check(
-    State(app): State<App>,
+    app: App,
     act: Act,
     body: Result<Option<Json<RigCheckRequest>>, JsonRejection>,
-) -> Result<Json<serde_json::Value>, ApiError> {
+) -> ApiResult<Json<serde_json::Value>> {
     let RigCheckRequest { enable, who, why } =
         body?.map(|Json(request)| request).unwrap_or_default();
     act.stated(who.as_deref(), why.as_deref());
@@ -119,7 +112,7 @@ pub async fn check(
     Ok(Json(report))
 }
 
-async fn checked(app: &App, enable: bool) -> Result<CheckReport, ApiError> {
+async fn checked(app: &App, enable: bool) -> ApiResult<CheckReport> {
     let conflict = |words: &str| ApiError::new(StatusCode::CONFLICT, words);
     let wires = app.campaign.wires();
     let Some(_wires) = wires.take() else {

@@ -2,7 +2,6 @@
 //! Uses: `rig::config`. Never: a comparison with a sample (the campaign does that), a request to a device.
 
 use axum::Json;
-use axum::extract::State;
 use serde::Serialize;
 use utoipa::ToSchema;
 
@@ -70,7 +69,7 @@ impl From<&RigConfig> for BenchLimits {
 /// Returns the limits that trip the rig, and the ranges of its axes, as its rig file states them.
 #[utoipa::path(get, operation_id = "rig_limits", path = "/api/v1/rig/limits", tag = "rig",
     responses((status = 200, body = RigLimitsOut)))]
-pub async fn limits(State(app): State<App>) -> Json<RigLimitsOut> {
+pub async fn limits(app: App) -> Json<RigLimitsOut> {
     let rig = &app.facts.rig.config;
     let bench = rig.bench().map(BenchLimits::from);
     Json(RigLimitsOut { frame_age_ms: rig.frame_age_ms(), bench })

@@ -2,7 +2,7 @@
 //! Uses: `conductor`, `campaign::shown::{command, run_action}`, `store`. Never: motion.
 
 use axum::Json;
-use axum::extract::{Query, State};
+use axum::extract::Query;
 use axum::http::{StatusCode, header};
 use axum::response::IntoResponse;
 use jiff::{SignedDuration, Timestamp};
@@ -15,7 +15,7 @@ use super::limits::WHO_MAX_CHARS;
 use super::pages::{Page, PageParams, PageRequest};
 use super::params::RunParams;
 use super::placement::confirmation;
-use super::problem::{ApiError, Body, Path, ProblemBody};
+use super::problem::{ApiError, ApiResult, Body, Path};
 use super::query::run_conditions;
 use crate::campaign::STOPS;
 use crate::campaign::shown::command::Request;
@@ -120,7 +120,7 @@ pub struct ActionAccepted {
 ///
 /// # Errors
 /// 404 if there is no such run; errors of the store.
-pub async fn find(app: &App, run: &str) -> Result<RunRow, ApiError> {
+pub async fn find(app: &App, run: &str) -> ApiResult<RunRow> {
     let found = if let Ok(scan_id) = run.parse::<i64>() {
         app.store.run_by_scan_id(scan_id).await?
     } else if let Ok(uid) = run.parse::<RunUid>() {
@@ -139,12 +139,12 @@ pub async fn find(app: &App, run: &str) -> Result<RunRow, ApiError> {
 #[utoipa::path(get, operation_id = "list_runs",
     path = "/api/v1/runs", tag = "runs", params(RunParams, PageParams),
     responses((status = 200, body = Page<RunRow>),
-        (status = 400, body = ProblemBody, description = "a parameter is unknown or invalid")))]
+        (status = 400, description = "a parameter is unknown or invalid")))]
 pub async fn list(
-    State(app): State<App>,
+    app: App,
     Query(pairs): Query<Vec<(String, String)>>,
     asked: PageRequest,
-) -> Result<Page<RunRow>, ApiError> {
+) -> ApiResult<Page<RunRow>> {
     let conditions = run_conditions(&pairs).map_err(ApiError::bad_query)?;
     let found = app.store.runs(&conditions, asked.limit, asked.after()?).await?;
     Ok(asked.page(found.runs, found.next))
@@ -153,20 +153,14 @@ pub async fn list(
 /// Returns a run.
 #[utoipa::path(get, operation_id = "run", path = "/api/v1/runs/{run}", tag = "runs",
     responses((status = 200, body = RunRow)))]
-pub async fn one(
-    State(app): State<App>,
-    Path(run): Path<String>,
-) -> Result<Json<RunRow>, ApiError> {
+pub async fn one(app: App, Path(run): Path<String>) -> ApiResult<Json<RunRow>> {
     Ok(Json(find(&app, &run).await?))
 }
 
 /// Returns the results of a run.
 #[utoipa::path(get, operation_id = "run_summary", path = "/api/v1/runs/{run}/summary", tag = "runs",
     responses((status = 200, body = Summary)))]
-pub async fn summary(
-    State(app): State<App>,
-    Path(run): Path<String>,
-) -> Result<Json<Summary>, ApiError> {
+pub async fn summary(app: App, Path(run): Path<String>) -> ApiResult<Json<Summary>> {
     let run = find(&app, &run).await?;
     let uid = run.uid;
     let progress = app.store.progress(uid).await.map_err(ApiError::internal)?;
@@ -204,13 +198,10 @@ pub async fn summary(
 
 /// Returns the plan that a run was queued with: every step with every position, depth and wait.
 #[utoipa::path(get, operation_id = "run_plan", path = "/api/v1/runs/{run}/plan", tag = "runs",
-    responses((status = 200, body = Object, description = "the plan; its sha256 is `plan_sha256` of the run"),
-        (status = 404, body = ProblemBody,
-            description = "no run has this uid or scan_id, or no plan was kept for it")))]
-pub async fn plan(
-    State(app): State<App>,
-    Path(run): Path<String>,
-) -> Result<impl IntoResponse, ApiError> {
+    responses((status = 200, body = Object,
+                  description = "the plan; its sha256 is `plan_sha256` of the run"),
+        (status = 404, description = "no run has this uid or scan_id, or no plan was kept for it")))]
+pub async fn plan(app: App, Path(run): Path<String>) -> ApiResult<impl IntoResponse> {
     let run = find(&app, &run).await?;
     let none = || ApiError::not_found(format!("run {} has no plan", run.scan_id));
     let plan = app.store.plan_of(run.uid).await?.ok_or_else(none)?;
@@ -220,18 +211,17 @@ pub async fn plan(
 /// Arms a run: checks it and returns the preflight and a code.
 ///
 /// This is the first of two steps; the action `start` with the code is the second.
-#[utoipa::path(post, operation_id = "arm_run",
-    path = "/api/v1/runs/{run}/arm", tag = "runs", request_body = Attribution,
-    responses((status = 200, body = Armed),
-        (status = 409, body = ProblemBody,
+#[utoipa::path(post, operation_id = "arm_run", path = "/api/v1/runs/{run}/arm", tag = "runs",
+    request_body = Attribution, responses((status = 200, body = Armed),
+        (status = 409,
             description = "the state of rig or run does not allow arming, or another person holds the lock"),
-        (status = 422, body = ProblemBody, description = "the preflight has problems")))]
+        (status = 422, description = "the preflight has problems")))]
 pub async fn arm(
-    State(app): State<App>,
+    app: App,
     act: Act,
     Path(run): Path<String>,
     Body(stated): Body<Attribution>,
-) -> Result<Json<Armed>, ApiError> {
+) -> ApiResult<Json<Armed>> {
     act.stated(stated.who.as_deref(), stated.why.as_deref());
     let run = find(&app, &run).await?;
     act.on(run.uid);
@@ -239,18 +229,17 @@ pub async fn arm(
 }
 
 /// Requests an action on a run; the response confirms the request, the status shows its effect.
-#[utoipa::path(post, operation_id = "run_action",
-    path = "/api/v1/runs/{run}/actions", tag = "runs", request_body = ActionRequest,
-    description = STOPS,
+#[utoipa::path(post, operation_id = "run_action", path = "/api/v1/runs/{run}/actions", tag = "runs",
+    request_body = ActionRequest, description = STOPS,
     responses((status = 202, body = ActionAccepted),
-        (status = 409, body = ProblemBody,
+        (status = 409,
             description = "the state of the run does not allow the action, the skin contradicts a placement, or another person holds the lock")))]
 pub async fn act(
-    State(app): State<App>,
+    app: App,
     act: Act,
     Path(run): Path<String>,
     Body(asked): Body<ActionRequest>,
-) -> Result<(StatusCode, Json<ActionAccepted>), ApiError> {
+) -> ApiResult<(StatusCode, Json<ActionAccepted>)> {
     act.named(asked.action.as_str());
     act.stated(asked.who.as_deref(), asked.why.as_deref());
     let run = find(&app, &run).await?;
@@ -264,7 +253,7 @@ async fn request_action(
     act: &Act,
     run: &RunRow,
     asked: ActionRequest,
-) -> Result<Option<Started>, ApiError> {
+) -> ApiResult<Option<Started>> {
     if needs_lock(asked.action) {
         act.require(Role::Operator)?;
         app.unlocked(act.caller()).await?;
@@ -298,7 +287,7 @@ async fn request_action(
 
 /// An action on a run that is not driven: an abort ends an open one. A pause or an abort of one that has just ended is
 /// refused, and no waiting run begins.
-async fn on_undriven(app: &App, run: &RunRow, action: ActionOnRun) -> Result<(), ApiError> {
+async fn on_undriven(app: &App, run: &RunRow, action: ActionOnRun) -> ApiResult<()> {
     // It may have ended since it was read.
     let run = &app.store.run(run.uid).await?.unwrap_or_else(|| run.clone());
     if action == ActionOnRun::Abort && run.is_open() {

@@ -5,7 +5,6 @@ use std::collections::VecDeque;
 use std::time::Duration;
 
 use axum::Json;
-use axum::extract::State;
 use parking_lot::Mutex;
 use serde::Deserialize;
 use tokio::sync::broadcast::Receiver;
@@ -15,7 +14,7 @@ use utoipa::IntoParams;
 use super::App;
 use super::envelope::{SamplesOut, envelope};
 use super::limits::{SAMPLES_MAX, SAMPLES_MINUTES};
-use super::problem::{ApiError, Params, ProblemBody};
+use super::problem::{ApiError, ApiResult, Params};
 use crate::campaign::shown::samples::ForceSample;
 
 /// Period for which samples are combined before they are kept: of a period two remain.
@@ -65,13 +64,12 @@ fn five() -> u32 {
 ///
 /// They are kept in memory: there are none of the time before the start of the service.
 #[utoipa::path(get, operation_id = "rig_samples", path = "/api/v1/rig/samples", tag = "rig",
-    params(SamplesParams),
-    responses((status = 200, body = SamplesOut),
-        (status = 400, body = ProblemBody, description = "`minutes` is not 1 to 30")))]
+    params(SamplesParams), responses((status = 200, body = SamplesOut),
+        (status = 400, description = "`minutes` is not 1 to 30")))]
 pub async fn last_minutes(
-    State(app): State<App>,
+    app: App,
     Params(params): Params<SamplesParams>,
-) -> Result<Json<SamplesOut>, ApiError> {
+) -> ApiResult<Json<SamplesOut>> {
     let minutes = params.minutes;
     if !(1..=SAMPLES_MINUTES).contains(&minutes) {
         return Err(ApiError::query("minutes", minutes, "must be 1 to 30"));

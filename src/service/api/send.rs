@@ -18,7 +18,7 @@ use serde::Serialize;
 use serde_json::value::RawValue;
 
 use super::limits::PAGE_NUMBERS_MAX;
-use super::problem::ApiError;
+use super::problem::{ApiError, ApiResult};
 use super::ranges::{self, Selected};
 use super::tags::lists;
 use crate::dataset::error::DatasetError;
@@ -74,7 +74,7 @@ pub async fn file(
     export_file: &ExportFile,
     format: Format,
     Download { name, immutable }: Download<'_>,
-) -> Result<Response, ApiError> {
+) -> ApiResult<Response> {
     let sent = request.headers();
     let tag = format!("\"{}\"", export_file.sha256);
     if sent.contains_key(header::IF_MATCH) && !lists(sent, &header::IF_MATCH, &tag) {
@@ -200,11 +200,7 @@ impl Write for Piece {
 ///
 /// # Errors
 /// An error of the format if a batch cannot be encoded, or for NPZ.
-pub fn batches(
-    format: Format,
-    schema: &SchemaRef,
-    batches: &[RecordBatch],
-) -> Result<Response, ApiError> {
+pub fn batches(format: Format, schema: &SchemaRef, batches: &[RecordBatch]) -> ApiResult<Response> {
     let out = || -> Result<Vec<u8>, DatasetError> {
         let mut stream = Stream::new(format, schema, Vec::new())?;
         for batch in batches {
@@ -242,7 +238,7 @@ pub fn numbers_per_row(table: &Schema) -> u64 {
 ///
 /// # Errors
 /// 400 with the largest number of rows that is possible.
-pub fn check_numbers(per_row: u64, rows: u32) -> Result<(), ApiError> {
+pub fn check_numbers(per_row: u64, rows: u32) -> ApiResult<()> {
     let most = PAGE_NUMBERS_MAX / per_row.max(1);
     if u64::from(rows) <= most {
         return Ok(());

@@ -2,13 +2,12 @@
 //! Uses: sim-core's sensor, `dataset::force_map`, `store`. Never: its conductivity or its circuit (the sensor file has them).
 
 use axum::Json;
-use axum::extract::State;
 use serde::{Deserialize, Serialize};
 use sim_core::sensor::Sensor;
 use utoipa::{IntoParams, ToSchema};
 
 use super::App;
-use super::problem::{ApiError, Params, ProblemBody};
+use super::problem::{ApiError, ApiResult, Params};
 use super::runs::find;
 use crate::dataset::force_map::SIDE_MM;
 
@@ -86,14 +85,9 @@ impl SensorOut {
 
 /// Returns the sensor under the rig, or that of a run.
 #[utoipa::path(get, operation_id = "sensor", path = "/api/v1/sensor", tag = "rig",
-    params(SensorParams),
-    responses((status = 200, body = SensorOut),
-        (status = 404, body = ProblemBody,
-            description = "no run has this uid or scan_id, or its sensor has no file")))]
-pub async fn sensor(
-    State(app): State<App>,
-    Params(params): Params<SensorParams>,
-) -> Result<Json<SensorOut>, ApiError> {
+    params(SensorParams), responses((status = 200, body = SensorOut),
+        (status = 404, description = "no run has this uid or scan_id, or its sensor has no file")))]
+pub async fn sensor(app: App, Params(params): Params<SensorParams>) -> ApiResult<Json<SensorOut>> {
     Ok(Json(SensorOut::of(&sensor_of(&app, params.run.as_deref()).await?)))
 }
 
@@ -101,7 +95,7 @@ pub async fn sensor(
 ///
 /// # Errors
 /// 404 if no run has this name, or if its sensor has no readable file.
-pub(super) async fn sensor_of(app: &App, run: Option<&str>) -> Result<Sensor, ApiError> {
+pub(super) async fn sensor_of(app: &App, run: Option<&str>) -> ApiResult<Sensor> {
     let Some(run) = run else { return Ok(app.serving.sensor().clone()) };
     let run = find(app, run).await?;
     Sensor::from_toml(&run.sensor).map_err(|error| {

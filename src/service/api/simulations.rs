@@ -2,7 +2,6 @@
 //! Uses: `simulate::pressed`, the models that `twins` keeps warm. Never: the rig, a stored frame.
 
 use axum::Json;
-use axum::extract::State;
 use axum::http::StatusCode;
 use serde::{Deserialize, Serialize};
 use sim_core::forward::Workspace;
@@ -13,7 +12,7 @@ use utoipa::ToSchema;
 
 use super::App;
 use super::limits::SIMULATED_CONTACTS;
-use super::problem::{ApiError, Body, ProblemBody};
+use super::problem::{ApiError, ApiResult, Body};
 use super::runs::find;
 use crate::clock::Clock;
 use crate::dataset::background::background;
@@ -112,14 +111,14 @@ pub struct Simulation {
 #[utoipa::path(post, operation_id = "simulate",
     path = "/api/v1/simulations", tag = "simulation", request_body = SimulationRequest,
     responses((status = 200, body = Simulation),
-        (status = 404, body = ProblemBody, description = "no run has this uid or scan_id, or no trial this number"),
-        (status = 409, body = ProblemBody, description = "there is no model of the run's skin"),
-        (status = 422, body = ProblemBody, description = "a contact is outside its limits"),
-        (status = 503, body = ProblemBody, description = "too many simulations are in progress")))]
+        (status = 404, description = "no run has this uid or scan_id, or no trial this number"),
+        (status = 409, description = "there is no model of the run's skin"),
+        (status = 422, description = "a contact is outside its limits"),
+        (status = 503, description = "too many simulations are in progress")))]
 pub async fn simulate(
-    State(app): State<App>,
+    app: App,
     Body(asked): Body<SimulationRequest>,
-) -> Result<Json<Simulation>, ApiError> {
+) -> ApiResult<Json<Simulation>> {
     let skin = Skin::of(&app, asked.run.as_deref()).await?;
     let contacts = requested(&asked.contacts).map_err(ApiError::problems)?;
     Limits::of(&skin.sensor, SIMULATED_CONTACTS)
@@ -186,7 +185,7 @@ struct Skin {
 }
 
 impl Skin {
-    async fn of(app: &App, run: Option<&str>) -> Result<Self, ApiError> {
+    async fn of(app: &App, run: Option<&str>) -> ApiResult<Self> {
         let Some(run) = run else {
             let (sensor, text) = (app.serving.sensor().clone(), app.serving.sensor_text());
             let calibration = match app.serving.promoted_skin().await? {

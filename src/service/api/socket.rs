@@ -19,7 +19,7 @@ use super::App;
 use super::auth::Caller;
 use super::guard::Place;
 use super::limits::MESSAGE_MAX_BYTES;
-use super::problem::ApiError;
+use super::problem::{ApiError, ApiResult};
 
 /// Longest time for sending a message; a slower client is disconnected.
 const MESSAGE_WITHIN: Duration = Duration::from_secs(5);
@@ -54,7 +54,7 @@ impl LiveClient {
         places: &Arc<Semaphore>,
         (limit, kind): (usize, &str),
         send: impl FnOnce(App, WebSocket) -> S + Send + 'static,
-    ) -> Result<Response, ApiError> {
+    ) -> ApiResult<Response> {
         let Self { app, caller, counted, upgrade } = self;
         let place = places.clone().try_acquire_owned().map_err(|_| {
             let words = format!("{limit} clients of the {kind} are connected, the limit");

@@ -20,10 +20,8 @@ pub struct StateSpan {
     /// Reason why the run waits or is about to wait; null in other states.
     pub why: Option<PausedWhy>,
     /// Wall time at which the run reached it.
-    #[schema(value_type = String, format = DateTime)]
     pub from: Timestamp,
     /// Wall time at which the run left it; null while it lasts.
-    #[schema(value_type = Option<String>, format = DateTime)]
     pub to: Option<Timestamp>,
 }
 

@@ -4,7 +4,6 @@
 use arrow_schema::ArrowError;
 use axum::Json;
 use axum::body::Body;
-use axum::extract::State;
 use axum::http::HeaderMap;
 use axum::response::{IntoResponse, Response};
 use serde::{Deserialize, Serialize};
@@ -14,7 +13,7 @@ use utoipa::{IntoParams, ToSchema};
 use super::App;
 use super::audit::cut;
 use super::limits::{QUERY_JSON_MAX_BYTES, REPEATED_CHARS};
-use super::problem::{ApiError, Body as JsonBody, Params, ProblemBody};
+use super::problem::{ApiError, ApiResult, Body as JsonBody, Params};
 use super::query::for_pages;
 use super::send;
 use crate::dataset::error::DatasetError;
@@ -75,17 +74,16 @@ pub struct QueryTable {
 /// Every dataset is a table under its id and its name. Nothing can be written, and no file or address
 /// be read.
 #[utoipa::path(post, operation_id = "query", path = "/api/v1/query", tag = "datasets",
-    request_body = QueryRequest,
-    responses((status = 200, body = QueryOut),
-        (status = 400, body = ProblemBody,
+    request_body = QueryRequest, responses((status = 200, body = QueryOut),
+        (status = 400,
             description = "the statement is invalid, or needs more time, memory or rows than a query may use"),
-        (status = 503, body = ProblemBody,
+        (status = 503,
             description = "the query engine is being built, or other queries are in progress (with `Retry-After`)")))]
 pub async fn ask(
-    State(app): State<App>,
+    app: App,
     headers: HeaderMap,
     JsonBody(request): JsonBody<QueryRequest>,
-) -> Result<Response, ApiError> {
+) -> ApiResult<Response> {
     answer(&app, &headers, request).await
 }
 
@@ -93,24 +91,23 @@ pub async fn ask(
 ///
 /// As the POST of this path.
 #[utoipa::path(get, operation_id = "query_by_address", path = "/api/v1/query", tag = "datasets",
-    params(QueryRequest),
-    responses((status = 200, body = QueryOut),
-        (status = 400, body = ProblemBody,
+    params(QueryRequest), responses((status = 200, body = QueryOut),
+        (status = 400,
             description = "the statement is invalid, or needs more time, memory or rows than a query may use"),
-        (status = 503, body = ProblemBody,
+        (status = 503,
             description = "the query engine is being built, or other queries are in progress (with `Retry-After`)")))]
 pub async fn asked(
-    State(app): State<App>,
+    app: App,
     headers: HeaderMap,
     Params(request): Params<QueryRequest>,
-) -> Result<Response, ApiError> {
+) -> ApiResult<Response> {
     answer(&app, &headers, request).await
 }
 
 /// Lists the tables of statements: those of every data folder, then the datasets.
 #[utoipa::path(get, operation_id = "query_tables", path = "/api/v1/query/tables", tag = "datasets",
     responses((status = 200, body = Vec<QueryTable>)))]
-pub async fn tables(State(app): State<App>) -> Result<Json<Vec<QueryTable>>, ApiError> {
+pub async fn tables(app: App) -> ApiResult<Json<Vec<QueryTable>>> {
     let known = TABLES.iter().map(|table| QueryTable {
         name: table.name.into(),
         about: format!("a row: {}", table.about),
@@ -126,11 +123,7 @@ pub async fn tables(State(app): State<App>) -> Result<Json<Vec<QueryTable>>, Api
     Ok(Json(known.chain(datasets).collect()))
 }
 
-async fn answer(
-    app: &App,
-    headers: &HeaderMap,
-    request: QueryRequest,
-) -> Result<Response, ApiError> {
+async fn answer(app: &App, headers: &HeaderMap, request: QueryRequest) -> ApiResult<Response> {
     let format = match request.format.as_deref() {
         None => send::accepted(headers),
         Some("json") => None,
@@ -162,7 +155,7 @@ async fn answer(
 ///
 /// # Errors
 /// `ApiError` if the format cannot hold a column, or the first rows cannot be read or encoded.
-pub async fn streamed(format: Format, mut rows: ResultRows) -> Result<Response, ApiError> {
+pub async fn streamed(format: Format, mut rows: ResultRows) -> ApiResult<Response> {
     let piece = send::Piece::default();
     let mut stream =
         Stream::new(format, &rows.schema, piece.clone()).map_err(DatasetError::from)?;
@@ -209,7 +202,7 @@ fn unreadable(error: ArrowError) -> ApiError {
 ///
 /// # Errors
 /// 400 if they are too long for JSON; 500 if the engine fails meanwhile.
-pub async fn items(mut rows: ResultRows) -> Result<Vec<Box<RawValue>>, ApiError> {
+pub async fn items(mut rows: ResultRows) -> ApiResult<Vec<Box<RawValue>>> {
     let piece = send::Piece::default();
     let mut lines =
         Stream::new(Format::Ndjson, &rows.schema, piece.clone()).map_err(DatasetError::from)?;

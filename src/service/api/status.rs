@@ -4,7 +4,6 @@
 use std::sync::Arc;
 
 use axum::Json;
-use axum::extract::State;
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
@@ -14,14 +13,14 @@ use super::glance::{Facts, Glance, glances};
 use super::history::predicted;
 use super::needs::{Around, Need, needs};
 use super::people::LockOut;
-use super::problem::ApiError;
+use super::problem::ApiResult;
 use super::refusals::{self, ActionStatus};
 use super::suspenders::{Readings, Suspender};
 use crate::campaign::shown::status::Status;
 use crate::conductor::room;
 use crate::ids::RunUid;
 use crate::schedule::experiment::{Experiment, TwinLimits};
-use crate::store::{LockRow, StoreError};
+use crate::store::{LockRow, StoreError, StoreResult};
 
 /// Status of rig, run and service.
 #[derive(Debug, Clone, Serialize, ToSchema)]
@@ -53,7 +52,6 @@ pub struct ServiceStatus {
     /// Free space of the disk of the data folder; null if it is unknown.
     pub disk: Option<DiskStatus>,
     /// Time of measurement of the newest durable trial of the active run; null without one.
-    #[schema(value_type = Option<String>, format = DateTime)]
     pub last_trial_at: Option<Timestamp>,
     /// What may suspend the active run; empty without one.
     pub suspenders: Vec<Suspender>,
@@ -100,31 +98,26 @@ pub struct ServiceInfo {
     /// Path of the database file.
     pub database: String,
     /// Time of the start of the service.
-    #[schema(value_type = String, format = DateTime)]
     pub started_at: Timestamp,
     /// Process id of the service.
     pub pid: u32,
     /// Number of requests without a valid key since the start.
     pub wrong_keys: u64,
     /// Time of the last one; absent if there was none.
-    #[schema(value_type = Option<String>, format = DateTime)]
     pub wrong_key_at: Option<Timestamp>,
 }
 
 /// Returns the status of rig, run and service.
 #[utoipa::path(get, path = "/api/v1/status", tag = "status",
     responses((status = 200, body = ServiceStatus)))]
-pub async fn status(State(app): State<App>) -> Result<Json<ServiceStatus>, ApiError> {
+pub async fn status(app: App) -> ApiResult<Json<ServiceStatus>> {
     let stored = app.stored_part().await?;
     Ok(Json(app.status_with(stored).await))
 }
 
 impl App {
     /// Reads the part of the status that is stored.
-    ///
-    /// # Errors
-    /// Errors of the store.
-    pub(super) async fn stored_part(&self) -> Result<StoredPart, StoreError> {
+    pub(super) async fn stored_part(&self) -> StoreResult<StoredPart> {
         let queue = self.store.queue().await?;
         let channels = self.serving.sensor().channels() as u64;
         let active = self.campaign.status().run.map(|run| run.uid);
@@ -157,7 +150,7 @@ impl App {
     }
 
     /// Limits of the fit of a run's twins; absent if its experiment file cannot be read.
-    async fn limits_of(&self, run: RunUid) -> Result<Option<Arc<TwinLimits>>, StoreError> {
+    async fn limits_of(&self, run: RunUid) -> StoreResult<Option<Arc<TwinLimits>>> {
         let read = async {
             let row = self.store.run(run).await?;
             let experiment =

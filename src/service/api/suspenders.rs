@@ -29,7 +29,6 @@ pub struct Suspender {
     /// Unit of value and threshold: `bytes`, `ms`, or `1` for a ratio.
     pub unit: String,
     /// Time since which the value is beyond the threshold; null while it is not.
-    #[schema(value_type = Option<String>, format = DateTime)]
     pub since: Option<Timestamp>,
     /// Whether the run is suspended beyond the threshold; otherwise an event warns.
     pub suspends: bool,

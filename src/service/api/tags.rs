@@ -5,14 +5,14 @@ use axum::body::{Body, to_bytes};
 use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode, header};
 use axum::response::Response;
 
-use super::problem::ApiError;
+use super::problem::{ApiError, ApiResult};
 use crate::digest::sha256_hex;
 
 /// Returns a response with the entity tag of its body; errors have none.
 ///
 /// # Errors
 /// 500 if the body cannot be read.
-pub async fn tagged(response: Response) -> Result<(Response, Option<String>), ApiError> {
+pub async fn tagged(response: Response) -> ApiResult<(Response, Option<String>)> {
     if !response.status().is_success() {
         return Ok((response, None));
     }

@@ -5,7 +5,6 @@ use std::sync::Arc;
 
 use axum::Json;
 use axum::body::Bytes;
-use axum::extract::State;
 use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use serde::Serialize;
@@ -13,7 +12,7 @@ use sim_core::sensor::Sensor;
 use utoipa::ToSchema;
 
 use super::App;
-use super::problem::{ApiError, Body, Path, ProblemBody};
+use super::problem::{ApiError, ApiResult, Body, Path};
 use super::runs::find;
 use super::sensor::SensorOut;
 use super::tags::lists;
@@ -92,13 +91,12 @@ impl SubmittedTour {
 ///
 /// The preflight has the problems of the submission on this rig.
 #[utoipa::path(post, operation_id = "submission_tour", path = "/api/v1/tour", tag = "queue",
-    request_body = Submission,
-    responses((status = 200, body = SubmittedTour),
-        (status = 422, body = ProblemBody, description = "a file of the submission is invalid")))]
+    request_body = Submission, responses((status = 200, body = SubmittedTour),
+        (status = 422, description = "a file of the submission is invalid")))]
 pub async fn of_submission(
-    State(app): State<App>,
+    app: App,
     Body(submission): Body<Submission>,
-) -> Result<Json<SubmittedTour>, ApiError> {
+) -> ApiResult<Json<SubmittedTour>> {
     let _turn = app.turns.preflight().await?;
     // A plan of 198,000 trials takes about 0.3 s: not on a thread that answers requests.
     let planning = tokio::task::spawn_blocking(move || SubmittedTour::of(&submission));
@@ -126,17 +124,12 @@ pub struct KeptTour {
 ///
 /// It changes only if a queued run is edited.
 #[utoipa::path(get, operation_id = "run_tour", path = "/api/v1/runs/{run}/tour", tag = "runs",
-    params(("run" = String, Path, description = "uid or scan_id"),
+    params(("run" = String, Path),
         ("If-None-Match" = Option<String>, Header, description = "entity tags that the client has")),
     responses((status = 200, body = Tour, headers(("ETag" = String, description = "entity tag"))),
         (status = 304, description = "the client has it already"),
-        (status = 404, body = ProblemBody,
-            description = "no run has this uid or scan_id, or it has no plan")))]
-pub async fn of_run(
-    State(app): State<App>,
-    Path(run): Path<String>,
-    headers: HeaderMap,
-) -> Result<Response, ApiError> {
+        (status = 404, description = "no run has this uid or scan_id, or it has no plan")))]
+pub async fn of_run(app: App, Path(run): Path<String>, headers: HeaderMap) -> ApiResult<Response> {
     let run = find(&app, &run).await?;
     let kept = app.tour(&run).await?;
     let is_known = lists(&headers, &header::IF_NONE_MATCH, &kept.tag);
@@ -158,13 +151,13 @@ impl App {
     ///
     /// # Errors
     /// 404 if the run has no plan, or none that this version can read; errors of the store.
-    pub(super) async fn tour(&self, run: &RunRow) -> Result<Arc<KeptTour>, ApiError> {
+    pub(super) async fn tour(&self, run: &RunRow) -> ApiResult<Arc<KeptTour>> {
         let key = (run.uid, run.plan_sha256.clone());
         self.facts.memory.tours.get(key, read(self, run)).await
     }
 }
 
-async fn read(app: &App, run: &RunRow) -> Result<Arc<KeptTour>, ApiError> {
+async fn read(app: &App, run: &RunRow) -> ApiResult<Arc<KeptTour>> {
     let none = |why: &str| ApiError::not_found(format!("run {} has no plan: {why}", run.scan_id));
     if run.kind == RunKind::Imported {
         return Err(none("it was imported"));

@@ -8,7 +8,7 @@ use arrow_array::types::Int64Type;
 use arrow_schema::SchemaRef;
 use axum::Json;
 use axum::body::Body;
-use axum::extract::{Query, State};
+use axum::extract::Query;
 use axum::http::{HeaderMap, StatusCode};
 use axum::response::{IntoResponse, Response};
 use futures::StreamExt;
@@ -21,7 +21,7 @@ use utoipa::ToSchema;
 use super::App;
 use super::pages::{Cursors, Page, PageParams, PageRequest};
 use super::params::{TrialGroupParams, TrialParams};
-use super::problem::{ApiError, Path, ProblemBody};
+use super::problem::{ApiError, ApiResult, Path};
 use super::query::{GroupsOf, GroupsRequest, TrialsRequest, for_pages, groups_query, trial_query};
 use super::runs::find;
 use super::{send, sql};
@@ -36,7 +36,7 @@ use crate::journal::error_chain;
 use crate::problem::Problem;
 use crate::query::groups;
 use crate::store::table::Column;
-use crate::store::{MAX_PAGE, RunKind, Store, StoreError, TrialQuery, TrialRow};
+use crate::store::{MAX_PAGE, RunKind, Store, StoreResult, TrialQuery, TrialRow};
 
 /// Number of trials per piece of a page.
 const PIECE_ROWS: usize = 250;
@@ -67,16 +67,15 @@ type Pairs = Query<Vec<(String, String)>>;
 /// JSON holds whole trials; the other formats are tables of columns. The header `Link` has the address
 /// of the next page in every format.
 #[utoipa::path(get, operation_id = "run_trials", path = "/api/v1/runs/{run}/trials", tag = "trials",
-    params(("run" = String, Path, description = "uid or scan_id"), TrialParams),
-    responses((status = 200, body = Page<TrialRow>),
-        (status = 400, body = ProblemBody, description = "a parameter is unknown or invalid")))]
+    params(("run" = String, Path), TrialParams), responses((status = 200, body = Page<TrialRow>),
+        (status = 400, description = "a parameter is unknown or invalid")))]
 pub async fn of_run(
-    State(app): State<App>,
+    app: App,
     Path(run): Path<String>,
     Query(pairs): Pairs,
     cursors: Cursors,
     headers: HeaderMap,
-) -> Result<Response, ApiError> {
+) -> ApiResult<Response> {
     let run = find(&app, &run).await?.uid;
     page(&app, Some(run), &pairs, &cursors, &headers).await
 }
@@ -85,16 +84,15 @@ pub async fn of_run(
 ///
 /// JSON holds whole trials; the other formats are tables of columns. The header `Link` has the address
 /// of the next page in every format.
-#[utoipa::path(get, operation_id = "list_trials",
-    path = "/api/v1/trials", tag = "trials", params(TrialParams),
-    responses((status = 200, body = Page<TrialRow>),
-        (status = 400, body = ProblemBody, description = "a parameter is unknown or invalid")))]
+#[utoipa::path(get, operation_id = "list_trials", path = "/api/v1/trials", tag = "trials",
+    params(TrialParams), responses((status = 200, body = Page<TrialRow>),
+        (status = 400, description = "a parameter is unknown or invalid")))]
 pub async fn all(
-    State(app): State<App>,
+    app: App,
     Query(pairs): Pairs,
     cursors: Cursors,
     headers: HeaderMap,
-) -> Result<Response, ApiError> {
+) -> ApiResult<Response> {
     page(&app, None, &pairs, &cursors, &headers).await
 }
 
@@ -104,7 +102,7 @@ async fn page(
     pairs: &[(String, String)],
     cursors: &Cursors,
     headers: &HeaderMap,
-) -> Result<Response, ApiError> {
+) -> ApiResult<Response> {
     let TrialsRequest { query, sort, wanted, format } =
         trial_query(run, pairs).map_err(ApiError::bad_query)?;
     let format = format.or_else(|| send::accepted(headers));
@@ -127,15 +125,10 @@ async fn page(
 
 /// Returns groups of the stored trials with their aggregates, by the conditions of lists of trials.
 #[utoipa::path(get, operation_id = "trial_groups", path = "/api/v1/trials/groups", tag = "trials",
-    params(TrialGroupParams),
-    responses((status = 200, body = Page<Object>),
-        (status = 400, body = ProblemBody, description = "a parameter is unknown or invalid"),
-        (status = 503, body = ProblemBody, description = "as of queries (with `Retry-After`)")))]
-pub async fn groups(
-    State(app): State<App>,
-    Query(pairs): Pairs,
-    headers: HeaderMap,
-) -> Result<Response, ApiError> {
+    params(TrialGroupParams), responses((status = 200, body = Page<Object>),
+        (status = 400, description = "a parameter is unknown or invalid"),
+        (status = 503, description = "as of queries (with `Retry-After`)")))]
+pub async fn groups(app: App, Query(pairs): Pairs, headers: HeaderMap) -> ApiResult<Response> {
     let GroupsRequest { query, groups, format } =
         groups_query(&pairs, GroupsOf::StoredTrials).map_err(ApiError::bad_query)?;
     let sql = groups.sql("trials", &groups::conditions(&query), query.limit);
@@ -150,7 +143,7 @@ pub async fn grouped(
     app: &App,
     sql: Result<String, String>,
     format: Option<Format>,
-) -> Result<Response, ApiError> {
+) -> ApiResult<Response> {
     let sql = sql.map_err(|limit| ApiError::bad_query(vec![Problem::whole("query", limit)]))?;
     format.map_or(Ok(()), for_pages).map_err(ApiError::bad_query)?;
     let rows = app.queries.answer(&sql).await?;
@@ -187,7 +180,7 @@ async fn whole_trials(
     app: &App,
     request: &PageOf,
     wanted: &Wanted,
-) -> Result<(Vec<TrialRow>, Option<i64>), ApiError> {
+) -> ApiResult<(Vec<TrialRow>, Option<i64>)> {
     let selects = [("columns", !wanted.columns.is_empty()), ("slice", wanted.slice.is_some())];
     if let Some((key, _)) = selects.into_iter().find(|(_, given)| *given) {
         let limit = "must be absent for JSON, which holds whole trials: add format=ndjson";
@@ -203,11 +196,7 @@ async fn whole_trials(
 }
 
 /// The trials with these ids, in the order of the ids.
-async fn read(
-    store: &Store,
-    ids: &[TrialId],
-    with_voltages: bool,
-) -> Result<Vec<TrialRow>, StoreError> {
+async fn read(store: &Store, ids: &[TrialId], with_voltages: bool) -> StoreResult<Vec<TrialRow>> {
     let mut trials = match with_voltages {
         true => store.trials_with_voltages(ids).await?,
         false => store.trials_of(ids).await?,
@@ -223,7 +212,7 @@ async fn read(
 }
 
 /// The ids of a page, and the cursor of the next one if more trials follow.
-async fn ids(app: &App, request: &PageOf) -> Result<(Vec<TrialId>, Option<i64>), ApiError> {
+async fn ids(app: &App, request: &PageOf) -> ApiResult<(Vec<TrialId>, Option<i64>)> {
     let PageOf { query, sort, from } = request;
     let limit = query.limit as usize;
     let mut one_more = TrialQuery { limit: query.limit + 1, ..query.clone() };
@@ -253,12 +242,7 @@ async fn ids(app: &App, request: &PageOf) -> Result<(Vec<TrialId>, Option<i64>),
     Ok((ids, more.then_some(next)))
 }
 
-async fn table(
-    app: &App,
-    request: PageOf,
-    wanted: &Wanted,
-    format: Format,
-) -> Result<Table, ApiError> {
+async fn table(app: &App, request: PageOf, wanted: &Wanted, format: Format) -> ApiResult<Table> {
     for_pages(format).map_err(ApiError::bad_query)?;
     let CheckedPage { ids, next, table, selection, with_voltages } =
         checked(app, &request, wanted).await?;
@@ -312,7 +296,7 @@ struct CheckedPage {
     with_voltages: bool,
 }
 
-async fn checked(app: &App, request: &PageOf, wanted: &Wanted) -> Result<CheckedPage, ApiError> {
+async fn checked(app: &App, request: &PageOf, wanted: &Wanted) -> ApiResult<CheckedPage> {
     let query = &request.query;
     let (ids, next) = ids(app, request).await?;
     let frames = |name: &String| Column::find(name).is_some_and(Column::is_frame);
@@ -347,11 +331,8 @@ fn trials_schema(channels: i32, with_voltages: bool) -> SchemaRef {
 #[utoipa::path(get, operation_id = "trial", path = "/api/v1/trials/{trial}", tag = "trials",
     params(("trial" = i64, Path, description = "id of the trial")),
     responses((status = 200, body = TrialRow),
-        (status = 404, body = ProblemBody, description = "no trial has this id")))]
-pub async fn one(
-    State(app): State<App>,
-    Path(trial): Path<i64>,
-) -> Result<Json<TrialRow>, ApiError> {
+        (status = 404, description = "no trial has this id")))]
+pub async fn one(app: App, Path(trial): Path<i64>) -> ApiResult<Json<TrialRow>> {
     let found = app.store.trial_by_id(TrialId(trial)).await?;
     Ok(Json(found.ok_or_else(|| ApiError::not_found(format!("no trial {trial}")))?))
 }
@@ -359,15 +340,11 @@ pub async fn one(
 /// Returns the raw frames of a trial.
 ///
 /// Imported trials have those that their file states, of 16 bits: the largest voltage is 32767 counts.
-#[utoipa::path(get, operation_id = "trial_frames",
-    path = "/api/v1/trials/{trial}/frames", tag = "trials",
-    params(("trial" = i64, Path, description = "id of the trial")),
+#[utoipa::path(get, operation_id = "trial_frames", path = "/api/v1/trials/{trial}/frames",
+    tag = "trials", params(("trial" = i64, Path, description = "id of the trial")),
     responses((status = 200, body = Page<FrameOut>),
-        (status = 404, body = ProblemBody, description = "no trial has this id, or it has no raw frames")))]
-pub async fn frames(
-    State(app): State<App>,
-    Path(trial): Path<i64>,
-) -> Result<Page<FrameOut>, ApiError> {
+        (status = 404, description = "no trial has this id, or it has no raw frames")))]
+pub async fn frames(app: App, Path(trial): Path<i64>) -> ApiResult<Page<FrameOut>> {
     let found = app.store.trial_by_id(TrialId(trial)).await?;
     let found = found.ok_or_else(|| ApiError::not_found(format!("no trial {trial}")))?;
     let frames = app.store.frames(TrialId(trial)).await?;
@@ -390,16 +367,15 @@ pub async fn frames(
 /// Returns a page of the bench records of a run in the order of storing: attempts, tares, touch-offs
 /// or references.
 #[utoipa::path(get, path = "/api/v1/runs/{run}/records/{kind}", tag = "trials",
-    params(("run" = String, Path, description = "uid or scan_id"),
+    params(("run" = String, Path),
         ("kind" = String, Path, description = "attempts, tares, touch-offs or references"), PageParams),
-    responses((status = 200, body = Page<Object>),
-        (status = 400, body = ProblemBody, description = "a parameter is invalid"),
-        (status = 422, body = ProblemBody, description = "the kind is unknown")))]
+    responses((status = 200, body = Page<Object>), (status = 400),
+        (status = 422, description = "the kind is unknown")))]
 pub async fn bench_records(
-    State(app): State<App>,
+    app: App,
     Path((run, kind)): Path<(String, String)>,
     asked: PageRequest,
-) -> Result<Page<Value>, ApiError> {
+) -> ApiResult<Page<Value>> {
     let run = find(&app, &run).await?.uid;
     let rows: Vec<Value> = match kind.as_str() {
         "attempts" => app

@@ -11,7 +11,7 @@ use super::limits::{
     FIT_REQUESTS, FRAME_CLIENTS, LIVE_CLIENTS, NET_REQUESTS, PREFLIGHTS, SIMULATIONS,
     STATUS_CLIENTS, TURN_WAIT,
 };
-use super::problem::ApiError;
+use super::problem::{ApiError, ApiResult};
 
 /// Limits of concurrent inferences and simulations, so that enough processor time remains for the campaign.
 #[derive(Clone)]
@@ -30,26 +30,26 @@ pub struct Turns {
 
 impl Turns {
     /// Waits for the turn of an answer by a net.
-    pub(super) async fn answer(&self) -> Result<OwnedSemaphorePermit, ApiError> {
+    pub(super) async fn answer(&self) -> ApiResult<OwnedSemaphorePermit> {
         Self::turn(&self.answers).await
     }
 
     /// Waits for the turn of an answer by a fit.
-    pub(super) async fn fit(&self) -> Result<OwnedSemaphorePermit, ApiError> {
+    pub(super) async fn fit(&self) -> ApiResult<OwnedSemaphorePermit> {
         Self::turn(&self.fits).await
     }
 
     /// Waits for the turn of a preflight or a tour: planning takes processor time that a campaign may need.
-    pub(super) async fn preflight(&self) -> Result<OwnedSemaphorePermit, ApiError> {
+    pub(super) async fn preflight(&self) -> ApiResult<OwnedSemaphorePermit> {
         Self::turn(&self.preflights).await
     }
 
     /// Waits for the turn of a simulation.
-    pub(super) async fn simulation(&self) -> Result<OwnedSemaphorePermit, ApiError> {
+    pub(super) async fn simulation(&self) -> ApiResult<OwnedSemaphorePermit> {
         Self::turn(&self.simulations).await
     }
 
-    async fn turn(of: &Arc<Semaphore>) -> Result<OwnedSemaphorePermit, ApiError> {
+    async fn turn(of: &Arc<Semaphore>) -> ApiResult<OwnedSemaphorePermit> {
         let Ok(Ok(turn)) = timeout(TURN_WAIT, of.clone().acquire_owned()).await else {
             let words = "too many requests: none could be started within 10 s; retry";
             return Err(ApiError::new(StatusCode::SERVICE_UNAVAILABLE, words));

@@ -2,19 +2,17 @@
 //! Uses: `twins`, `store`. Never: a computation, a stored twin that changes.
 
 use axum::Json;
-use axum::extract::State;
 use axum::http::StatusCode;
 use serde::{Deserialize, Serialize};
 use utoipa::{IntoParams, ToSchema};
 
 use super::App;
 use super::audit::{Act, cut};
-use super::form::Form;
+use super::form::{Form, invalid, missing};
 use super::limits::{FRAMES_MAX_BYTES, WHO_MAX_CHARS};
-use super::problem::{ApiError, Params, Path, ProblemBody};
+use super::problem::{ApiError, ApiResult, Params, Path};
 use super::runs::find;
 use crate::ids::{RunUid, TrialId};
-use crate::problem::Problem;
 use crate::simulate::twins::file::CHUNK_TRIALS_MAX;
 use crate::store::TwinCount;
 use crate::twins::elsewhere::{StoredTwins, TwinInputs};
@@ -45,7 +43,7 @@ pub struct RunTwins {
 }
 
 impl RunTwins {
-    async fn of(app: &App, run: RunUid) -> Result<Self, ApiError> {
+    async fn of(app: &App, run: RunUid) -> ApiResult<Self> {
         let count = app.twins.count(run).await?;
         Ok(Self { run, count, pending: count.pending() })
     }
@@ -54,7 +52,7 @@ impl RunTwins {
 /// Returns the status of the simulated twins.
 #[utoipa::path(get, operation_id = "twins", path = "/api/v1/twins", tag = "simulation",
     responses((status = 200, body = Twins)))]
-pub async fn all(State(app): State<App>) -> Result<Json<Twins>, ApiError> {
+pub async fn all(app: App) -> ApiResult<Json<Twins>> {
     let mut runs = Vec::new();
     for run in app.store.runs_with_trials().await?.into_iter().take(COUNTED_RUNS) {
         runs.push(RunTwins::of(&app, run).await?);
@@ -63,13 +61,9 @@ pub async fn all(State(app): State<App>) -> Result<Json<Twins>, ApiError> {
 }
 
 /// Returns the number of twins of a run.
-#[utoipa::path(get, operation_id = "run_twins",
-    path = "/api/v1/runs/{run}/twins", tag = "simulation",
-    responses((status = 200, body = RunTwins)))]
-pub async fn of_run(
-    State(app): State<App>,
-    Path(run): Path<String>,
-) -> Result<Json<RunTwins>, ApiError> {
+#[utoipa::path(get, operation_id = "run_twins", path = "/api/v1/runs/{run}/twins",
+    tag = "simulation", responses((status = 200, body = RunTwins)))]
+pub async fn of_run(app: App, Path(run): Path<String>) -> ApiResult<Json<RunTwins>> {
     let run = find(&app, &run).await?.uid;
     RunTwins::of(&app, run).await.map(Json)
 }
@@ -93,17 +87,15 @@ fn thousand() -> u32 {
 /// Returns what the twins of a run are computed from: the skin, and the contacts of its trials.
 ///
 /// The trials are those that are stored, with a twin or without, in the order of storing.
-#[utoipa::path(get, operation_id = "twin_inputs",
-    path = "/api/v1/runs/{run}/twins/inputs", tag = "simulation",
-    params(("run" = String, Path, description = "uid or scan_id"), InputsParams),
-    responses((status = 200, body = TwinInputs),
-        (status = 400, body = ProblemBody, description = "a parameter is invalid"),
-        (status = 409, body = ProblemBody, description = "the run has no model of its skin")))]
+#[utoipa::path(get, operation_id = "twin_inputs", path = "/api/v1/runs/{run}/twins/inputs",
+    tag = "simulation", params(("run" = String, Path), InputsParams),
+    responses((status = 200, body = TwinInputs), (status = 400),
+        (status = 409, description = "the run has no model of its skin")))]
 pub async fn inputs(
-    State(app): State<App>,
+    app: App,
     Path(run): Path<String>,
     Params(InputsParams { after, limit }): Params<InputsParams>,
-) -> Result<Json<TwinInputs>, ApiError> {
+) -> ApiResult<Json<TwinInputs>> {
     if !(1..=CHUNK_TRIALS_MAX).contains(&u64::from(limit)) {
         let words = format!("must be from 1 to {CHUNK_TRIALS_MAX}");
         return Err(ApiError::query("limit", limit, &words));
@@ -126,23 +118,22 @@ pub struct TwinsForm {
 ///
 /// The file must be of the model that the service uses for the run, and of the contacts of its trials. A stored twin
 /// stays; if one differs, none is stored.
-#[utoipa::path(post, operation_id = "store_twins",
-    path = "/api/v1/runs/{run}/twins", tag = "simulation",
-    request_body(content = TwinsForm, content_type = "multipart/form-data"),
+#[utoipa::path(post, operation_id = "store_twins", path = "/api/v1/runs/{run}/twins",
+    tag = "simulation", request_body(content = TwinsForm, content_type = "multipart/form-data"),
     responses((status = 200, body = StoredTwins),
-        (status = 400, body = ProblemBody, description = "the form is invalid"),
-        (status = 409, body = ProblemBody,
+        (status = 400, description = "the form is invalid"),
+        (status = 409,
             description = "a stored twin differs, the run has no model of its skin, or another person holds the \
                            operator lock"),
-        (status = 422, body = ProblemBody,
+        (status = 422,
             description = "the file contains no twins of this run, its model and its contacts"),
-        (status = 507, body = ProblemBody, description = "the disk has no room")))]
+        (status = 507, description = "the disk has no room")))]
 pub async fn store(
-    State(app): State<App>,
+    app: App,
     act: Act,
     Path(run): Path<String>,
     mut form: Form,
-) -> Result<Json<StoredTwins>, ApiError> {
+) -> ApiResult<Json<StoredTwins>> {
     let run = find(&app, &run).await?.uid;
     act.on(run);
     app.datasets.check_upload(0).await?;
@@ -150,13 +141,11 @@ pub async fn store(
     while let Some(part) = form.next().await? {
         if part.name != "file" {
             let name = cut(&part.name, WHO_MAX_CHARS);
-            let problem = Problem::new("form", &name, "..", "unknown part: must be file");
-            return Err(ApiError::bad_query(vec![problem]));
+            return Err(invalid(&name, "..", "unknown part: must be file"));
         }
         file = Some(part.bytes(FRAMES_MAX_BYTES).await?);
     }
-    let missing = || Problem::new("form", "file", "absent", "must be given");
-    let file = file.ok_or_else(|| ApiError::bad_query(vec![missing()]))?;
+    let file = file.ok_or_else(|| missing("file"))?;
     app.still_allowed(&act).await?;
     Ok(Json(app.twins.store_made(run, file.into()).await?))
 }

@@ -4,13 +4,12 @@
 use std::sync::Arc;
 
 use axum::Json;
-use axum::extract::State;
 
 use super::App;
-use super::problem::{ApiError, ProblemBody};
+use super::problem::{ApiError, ApiResult};
 use crate::infer::methods::exact::UNTOUCHED_N;
 use crate::record::Untouched;
-use crate::store::{RunKind, StoreError, TrialRow};
+use crate::store::{RunKind, StoreResult, TrialRow};
 
 /// Trials whose frames are averaged.
 const AVERAGED_TRIALS: u32 = 8;
@@ -21,10 +20,10 @@ const SEARCHED_RUNS: usize = 10;
 ///
 /// During a run it is taken in the air before each configuration. After a restart of the service it is the
 /// mean of the newest stored trials in which no tip touched the skin.
-#[utoipa::path(get, operation_id = "untouched_frame", path = "/api/v1/frames/untouched", tag = "frames",
-    responses((status = 200, body = Untouched),
-        (status = 404, body = ProblemBody, description = "no frame of the untouched skin is known")))]
-pub async fn untouched(State(app): State<App>) -> Result<Json<Arc<Untouched>>, ApiError> {
+#[utoipa::path(get, operation_id = "untouched_frame", path = "/api/v1/frames/untouched",
+    tag = "frames", responses((status = 200, body = Untouched),
+        (status = 404, description = "no frame of the untouched skin is known")))]
+pub async fn untouched(app: App) -> ApiResult<Json<Arc<Untouched>>> {
     if let Some(taken) = app.campaign.untouched() {
         return Ok(Json(taken));
     }
@@ -36,7 +35,7 @@ pub async fn untouched(State(app): State<App>) -> Result<Json<Arc<Untouched>>, A
 }
 
 /// The mean frame of the newest stored trials of this rig in which the skin was untouched.
-async fn stored(app: &App) -> Result<Option<Arc<Untouched>>, StoreError> {
+async fn stored(app: &App) -> StoreResult<Option<Arc<Untouched>>> {
     let channels = app.serving.sensor().channels();
     let label = app.facts.rig.config.label().as_str();
     for run in app.store.runs_with_trials().await?.into_iter().take(SEARCHED_RUNS) {

@@ -6,7 +6,6 @@ use std::collections::{BTreeMap, HashMap};
 use std::sync::Arc;
 
 use axum::Json;
-use axum::extract::State;
 use jiff::civil::Date;
 use jiff::{Timestamp, tz::TimeZone};
 use parking_lot::Mutex;
@@ -14,10 +13,10 @@ use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 use super::App;
-use super::problem::ApiError;
+use super::problem::ApiResult;
 use crate::ids::RunUid;
 use crate::record::ARMS;
-use crate::store::{RunKind, RunRow, StoreError, StoredWear};
+use crate::store::{RunKind, RunRow, StoreResult, StoredWear};
 
 /// Names of the axes, in the order of the stored travel.
 const AXES: [&str; 4] = ["x", "y", "z", "radius"];
@@ -28,7 +27,6 @@ const CHECKS: [&str; 2] = ["rig_check", "rig_check_enable"];
 #[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
 pub struct Wear {
     /// Time of the first trial; null without one.
-    #[schema(value_type = Option<String>, format = DateTime)]
     pub since: Option<Timestamp>,
     /// Number of stored trials.
     pub trials: u64,
@@ -43,7 +41,6 @@ pub struct Wear {
     /// Calibrations of the load cells.
     pub cells: Vec<CellAge>,
     /// Time of the last check of the rig; null without one.
-    #[schema(value_type = Option<String>, format = DateTime)]
     pub checked_at: Option<Timestamp>,
 }
 
@@ -75,7 +72,6 @@ pub struct CellAge {
     /// Number of the arm, 1 to 6.
     pub arm: usize,
     /// Day of the calibration, from the rig file (`cells.calibrated_on`); null if it does not state it.
-    #[schema(value_type = Option<String>, format = Date)]
     pub calibrated_on: Option<Date>,
     /// Days since then; null if unknown.
     pub age_days: Option<i32>,
@@ -92,12 +88,12 @@ pub struct EndedWear(Mutex<HashMap<RunUid, Arc<StoredWear>>>);
 /// response may be a minute old.
 #[utoipa::path(get, operation_id = "wear", path = "/api/v1/wear", tag = "rig",
     responses((status = 200, body = Wear)))]
-pub async fn wear(State(app): State<App>) -> Result<Json<Arc<Wear>>, ApiError> {
+pub async fn wear(app: App) -> ApiResult<Json<Arc<Wear>>> {
     let read = async { read(&app).await.map(Arc::new) };
     Ok(Json(app.facts.memory.wear.get((), read).await?))
 }
 
-async fn read(app: &App) -> Result<Wear, StoreError> {
+async fn read(app: &App) -> StoreResult<Wear> {
     let (mut by_run, mut run_h) = (Vec::new(), 0.0);
     for run in app.store.all_runs().await?.iter().rev().filter(|run| is_of_this_skin(app, run)) {
         by_run.push(of_run(app, run).await?);
@@ -125,7 +121,7 @@ fn is_of_this_skin(app: &App, run: &RunRow) -> bool {
         && name.is_ok_and(|name| name == app.serving.sensor().file.name)
 }
 
-async fn of_run(app: &App, run: &RunRow) -> Result<Arc<StoredWear>, StoreError> {
+async fn of_run(app: &App, run: &RunRow) -> StoreResult<Arc<StoredWear>> {
     let ended = &app.facts.memory.ended_wear.0;
     if let Some(known) = ended.lock().get(&run.uid).cloned() {
         return Ok(known);

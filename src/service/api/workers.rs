@@ -9,7 +9,6 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use axum::Json;
-use axum::extract::State;
 use axum::http::StatusCode;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
@@ -22,7 +21,7 @@ use super::orders::{
     Unanswered, WORKER, ask, check_configured, folders, is_configured, is_id, order_path,
     unavailable,
 };
-use super::problem::{ApiError, Path, ProblemBody};
+use super::problem::{ApiError, ApiResult, Path};
 
 /// Longest wait for the state of the queue.
 const STATE_WITHIN: Duration = Duration::from_secs(30);
@@ -146,9 +145,9 @@ pub struct CancelledOut {
 /// A service that was started without the addresses of a queue and a store returns `configured: false`.
 #[utoipa::path(get, operation_id = "workers", path = "/api/v1/workers", tag = "simulation",
     responses((status = 200, body = WorkersOut),
-        (status = 503, body = ProblemBody,
+        (status = 503,
             description = "the worker is missing, or its queue or store does not answer")))]
-pub async fn all(State(app): State<App>) -> Result<Json<WorkersOut>, ApiError> {
+pub async fn all(app: App) -> ApiResult<Json<WorkersOut>> {
     let read = async { Ok::<_, Infallible>(state(&app.facts.data).await.map(Arc::new)) };
     // An error is kept, too: a queue that does not answer is not asked by each reader.
     let Ok(state) = app.facts.memory.workers.get((), read).await;
@@ -161,16 +160,15 @@ pub async fn all(State(app): State<App>) -> Result<Json<WorkersOut>, ApiError> {
 ///
 /// `palpate cluster sbatch` writes such a folder. A repeated submission adds what the queue lacks.
 #[utoipa::path(post, operation_id = "submit_order", path = "/api/v1/workers/folders/{folder}",
-    tag = "simulation",
-    responses((status = 200, body = SubmittedOut),
-        (status = 409, body = ProblemBody, description = "the service knows no queue, or the worker refuses"),
-        (status = 503, body = ProblemBody,
+    tag = "simulation", responses((status = 200, body = SubmittedOut),
+        (status = 409, description = "the service knows no queue, or the worker refuses"),
+        (status = 503,
             description = "the worker is missing, or its queue or store does not answer")))]
 pub async fn submit(
-    State(app): State<App>,
+    app: App,
     act: Act,
     Path(folder): Path<String>,
-) -> Result<Json<SubmittedOut>, ApiError> {
+) -> ApiResult<Json<SubmittedOut>> {
     act.about(&folder);
     let path = order_path(&app, &folder)?;
     change(&app, [OsStr::new("submit"), path.as_os_str()]).await
@@ -183,15 +181,15 @@ pub async fn submit(
     tag = "simulation",
     params(("order" = String, Path, description = "id of the order, or its first 8 digits or more")),
     responses((status = 200, body = CancelledOut),
-        (status = 404, body = ProblemBody, description = "this is no id of an order"),
-        (status = 409, body = ProblemBody, description = "the service knows no queue, or the worker refuses"),
-        (status = 503, body = ProblemBody,
+        (status = 404, description = "this is no id of an order"),
+        (status = 409, description = "the service knows no queue, or the worker refuses"),
+        (status = 503,
             description = "the worker is missing, or its queue or store does not answer")))]
 pub async fn cancel(
-    State(app): State<App>,
+    app: App,
     act: Act,
     Path(order): Path<String>,
-) -> Result<Json<CancelledOut>, ApiError> {
+) -> ApiResult<Json<CancelledOut>> {
     act.about(&order);
     if !is_id(&order) {
         return Err(ApiError::not_found(format!("order {order}: must be an id")));
@@ -200,7 +198,7 @@ pub async fn cancel(
 }
 
 /// Has the worker change the queue.
-async fn change<T: DeserializeOwned>(app: &App, words: [&OsStr; 2]) -> Result<Json<T>, ApiError> {
+async fn change<T: DeserializeOwned>(app: &App, words: [&OsStr; 2]) -> ApiResult<Json<T>> {
     check_configured()?;
     let asked = ask(&words, CHANGE_WITHIN).await;
     // Whatever became of it, the next reader sees the present state.

@@ -13,10 +13,8 @@ pub enum ConductorError {
     /// The files cannot be used on this rig.
     #[error("{}", problems.iter().map(ToString::to_string).collect::<Vec<_>>().join("; "))]
     Problems { problems: Vec<Problem> },
-    /// There is no run with this id.
     #[error("there is no run {0}")]
     NoRun(String),
-    /// This version plans the files of a stored run differently.
     #[error(
         "run {run} was queued by version {version}, and this version plans it differently: \
          {difference}. The trials of one run come from one plan: abort it (palpate abort {run}), and \

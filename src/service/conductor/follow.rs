@@ -14,7 +14,7 @@ use crate::campaign::shown::run_action;
 use crate::campaign::spans::run_span;
 use crate::ids::RunUid;
 use crate::journal::error_chain;
-use crate::store::{RunRow, StoreError};
+use crate::store::{RunRow, StoreResult};
 
 /// Pause before a run that the rig did not take up is offered again.
 const BUSY_AGAIN: Duration = Duration::from_secs(5);
@@ -108,7 +108,7 @@ impl Conductor {
     }
 
     /// Runs that were started and wait, the next one first.
-    pub(super) async fn still_waiting(&self) -> Result<Vec<RunRow>, StoreError> {
+    pub(super) async fn still_waiting(&self) -> StoreResult<Vec<RunRow>> {
         if self.waiting().is_empty() {
             return Ok(Vec::new());
         }
@@ -123,7 +123,7 @@ impl Conductor {
     ///
     /// # Errors
     /// `StoreError` if the store fails.
-    pub async fn waiting_for(&self) -> Result<Option<String>, StoreError> {
+    pub async fn waiting_for(&self) -> StoreResult<Option<String>> {
         let obstacle = turn::Obstacle::of(&self.inner.campaign.status());
         let lock = self.inner.store.lock().await?;
         let present = turn::Present { now: Timestamp::now(), lock: lock.as_ref() };
@@ -137,7 +137,7 @@ impl Conductor {
     ///
     /// # Errors
     /// `StoreError` if the store fails.
-    pub async fn not_begun(&self) -> Result<Option<String>, StoreError> {
+    pub async fn not_begun(&self) -> StoreResult<Option<String>> {
         let dropped = self.dropped().clone();
         for (uid, why) in dropped {
             let row = self.inner.store.run(uid).await?;
@@ -236,11 +236,11 @@ async fn until(at: Option<Instant>) {
 
 #[cfg(test)]
 pub(super) mod tests {
-    use std::path::PathBuf;
     use std::sync::Arc;
     use std::sync::atomic::AtomicU64;
 
     use jiff::SignedDuration;
+    use tempfile::TempDir;
 
     use super::super::{AutoResume, RigFile, Started, Submission, Terms};
     use super::*;
@@ -258,11 +258,9 @@ pub(super) mod tests {
     const BEFORE_ABORTED: &str = "the run before it was aborted";
 
     /// A conductor with an empty database and a disconnected rig, which answers nothing.
-    pub(in super::super) async fn conductor(name: &str) -> (Conductor, Inbox, PathBuf) {
-        let name = format!("palpate-follow-{name}-{}", std::process::id());
-        let folder = std::env::temp_dir().join(name);
-        std::fs::create_dir_all(&folder).unwrap();
-        let store = Store::open(&folder.join("palpate.db"), Clock::new(1.0)).await.unwrap();
+    pub(in super::super) async fn conductor() -> (Conductor, Inbox, TempDir) {
+        let folder = tempfile::tempdir().unwrap();
+        let store = Store::open(&folder.path().join("palpate.db"), Clock::new(1.0)).await.unwrap();
         let text = include_str!("../../../experiments/rigs/virtual.toml");
         let config = RigSetup::from_toml("virtual.toml", text).unwrap();
         let (handle, inbox) = channel(StopSwitch::default(), show::closed(&config));
@@ -298,7 +296,7 @@ pub(super) mod tests {
 
     #[tokio::test]
     async fn a_run_that_was_dropped_says_why_until_it_is_started_again() {
-        let (conductor, _inbox, folder) = conductor("dropped").await;
+        let (conductor, _inbox, _folder) = conductor().await;
         let run = queued(&conductor, in_an_hour()).await;
         let words = async || conductor.waiting_for().await.unwrap().unwrap();
         start(&conductor, &run).await;
@@ -312,12 +310,11 @@ pub(super) mod tests {
         assert_eq!(conductor.not_begun().await.unwrap(), None);
         assert!(words().await.contains("starts at"));
         assert_eq!(conductor.why_dropped(run.uid), None);
-        std::fs::remove_dir_all(folder).unwrap();
     }
 
     #[tokio::test]
     async fn what_was_dropped_while_the_store_failed_is_stored_later_unless_it_was_started_again() {
-        let (conductor, _inbox, folder) = conductor("stored").await;
+        let (conductor, _inbox, _folder) = conductor().await;
         let [stays, again] =
             [queued(&conductor, in_an_hour()).await, queued(&conductor, in_an_hour()).await];
         start(&conductor, &stays).await;
@@ -329,12 +326,11 @@ pub(super) mod tests {
         let stored = conductor.inner.store.waiting_runs().await.unwrap();
         assert_eq!(stored.iter().map(|run| run.uid).collect::<Vec<_>>(), [again.uid]);
         assert_eq!(conductor.still_waiting().await.unwrap().len(), 1);
-        std::fs::remove_dir_all(folder).unwrap();
     }
 
     #[tokio::test]
     async fn a_sign_of_a_person_drops_what_waits_although_the_status_has_changed_since() {
-        let (conductor, inbox, folder) = conductor("sign").await;
+        let (conductor, inbox, _folder) = conductor().await;
         let run = queued(&conductor, in_an_hour()).await;
         start(&conductor, &run).await;
         // A run was aborted and is gone, before the queue looks.
@@ -365,12 +361,11 @@ pub(super) mod tests {
         tokio::time::timeout(Duration::from_secs(20), dropped).await.expect("it is dropped again");
         following.abort();
         let _ = following.await;
-        std::fs::remove_dir_all(folder).unwrap();
     }
 
     #[tokio::test]
     async fn an_abort_shortly_before_the_end_of_the_service_is_kept_for_the_next_one() {
-        let (conductor, inbox, folder) = conductor("ending").await;
+        let (conductor, inbox, _folder) = conductor().await;
         let run = queued(&conductor, in_an_hour()).await;
         start(&conductor, &run).await;
         let waits = async || conductor.inner.store.waiting_runs().await.unwrap().len();
@@ -391,12 +386,11 @@ pub(super) mod tests {
         conductor.inner.campaign.estop("hands");
         conductor.keep_stopped().await;
         assert_eq!(waits().await, 0);
-        std::fs::remove_dir_all(folder).unwrap();
     }
 
     #[tokio::test]
     async fn a_run_that_a_person_has_started_is_not_taken_over() {
-        let (conductor, inbox, folder) = conductor("taken").await;
+        let (conductor, inbox, _folder) = conductor().await;
         let run = queued(&conductor, None).await;
         let job = conductor.prepare_stored(&run).await.unwrap().job(&run);
         let running = StateChange::to(StoredState::Running);
@@ -411,12 +405,11 @@ pub(super) mod tests {
         let both = async { tokio::join!(taken, begins).0 };
         tokio::time::timeout(Duration::from_secs(20), both).await.expect("at once").unwrap();
         assert_eq!(conductor.present(&run).await.unwrap().state, StoredState::Running);
-        std::fs::remove_dir_all(folder).unwrap();
     }
 
     #[tokio::test]
     async fn no_run_of_the_earlier_process_begins_after_an_abort_before_it_is_taken_over() {
-        let (conductor, inbox, folder) = conductor("earlier").await;
+        let (conductor, inbox, _folder) = conductor().await;
         let terms =
             |auto_resume| Terms { auto_resume: Some(auto_resume), not_before: in_an_hour() };
         let earlier = queued_on(&conductor, terms(true)).await;
@@ -432,12 +425,11 @@ pub(super) mod tests {
         assert_eq!(conductor.why_dropped(later.uid), None, "a person has started it since");
         let waiting = conductor.still_waiting().await.unwrap();
         assert_eq!(waiting.iter().map(|run| run.uid).collect::<Vec<_>>(), [later.uid]);
-        std::fs::remove_dir_all(folder).unwrap();
     }
 
     #[tokio::test]
     async fn a_run_whose_turn_is_lost_while_it_is_planned_does_not_begin() {
-        let (conductor, inbox, folder) = conductor("turn").await;
+        let (conductor, inbox, _folder) = conductor().await;
         let [first, second] = [queued(&conductor, None).await, queued(&conductor, None).await];
         let store = &conductor.inner.store;
         for run in [&first, &second] {
@@ -461,12 +453,11 @@ pub(super) mod tests {
         tokio::time::sleep(Duration::from_millis(20)).await;
         store.set_lock("bob", "hands in the rig").await.unwrap();
         assert!(is_lost(&second).await);
-        std::fs::remove_dir_all(folder).unwrap();
     }
 
     #[tokio::test]
     async fn an_operation_of_the_rig_and_a_suspension_count_until_the_run_is_started_again() {
-        let (conductor, _inbox, folder) = conductor("operated").await;
+        let (conductor, _inbox, _folder) = conductor().await;
         let run = queued(&conductor, in_an_hour()).await;
         let suspended_s = Arc::<AtomicU64>::default();
         let read = suspended_s.clone();
@@ -482,6 +473,5 @@ pub(super) mod tests {
         assert!(is_operated());
         start(&conductor, &run).await;
         assert!(!is_operated());
-        std::fs::remove_dir_all(folder).unwrap();
     }
 }

@@ -122,7 +122,6 @@ pub struct Armed {
     /// Code for the action `start`.
     pub code: String,
     /// Time at which the code expires.
-    #[schema(value_type = String, format = DateTime)]
     pub expires_at: Timestamp,
     /// Preflight of the run.
     pub preflight: Preflight,

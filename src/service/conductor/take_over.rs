@@ -353,7 +353,7 @@ mod tests {
 
     #[tokio::test]
     async fn after_an_abort_of_a_run_before_it_is_taken_over_none_behind_it_begins() {
-        let (conductor, mut inbox, folder) = conductor("aborted-before").await;
+        let (conductor, mut inbox, _folder) = conductor().await;
         let [driven, next] = earlier(&conductor).await;
         // The database is still examined.
         abort(&conductor, &driven, &mut inbox).await;
@@ -364,12 +364,11 @@ mod tests {
         taken.unwrap();
         assert_eq!(conductor.why_dropped(next.uid), Some(format!("{RUN_ABORTED}: start it again")));
         assert!(conductor.inner.store.waiting_runs().await.unwrap().is_empty());
-        std::fs::remove_dir_all(folder).unwrap();
     }
 
     #[tokio::test]
     async fn after_an_abort_of_a_run_as_it_is_taken_over_none_behind_it_begins() {
-        let (conductor, mut inbox, folder) = conductor("aborted-as").await;
+        let (conductor, mut inbox, _folder) = conductor().await;
         let [driven, next] = earlier(&conductor).await;
         let aborts = async {
             let Envelope { request, answer, .. } = inbox.next().await.expect("a request");
@@ -389,12 +388,11 @@ mod tests {
         let words = conductor.not_begun().await.unwrap();
         assert!(words.is_some_and(|words| words.ends_with(why)));
         assert!(conductor.still_waiting().await.unwrap().is_empty());
-        std::fs::remove_dir_all(folder).unwrap();
     }
 
     #[tokio::test]
     async fn nothing_homes_for_a_run_after_a_lock_was_taken_while_the_wires_were_opened() {
-        let (conductor, mut inbox, folder) = conductor("locked").await;
+        let (conductor, mut inbox, _folder) = conductor().await;
         earlier(&conductor).await;
         let asked = async {
             let Envelope { request, answer, .. } = inbox.next().await.expect("a request");
@@ -410,6 +408,5 @@ mod tests {
             asked = asked => asked,
         };
         assert!(asked.is_err(), "{asked:?}");
-        std::fs::remove_dir_all(folder).unwrap();
     }
 }

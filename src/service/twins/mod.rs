@@ -34,8 +34,8 @@ use crate::journal::error_chain;
 use crate::rig::setup::RigSetup;
 use crate::schedule::experiment::Experiment;
 use crate::store::{
-    IMPORTED_MODEL, NewTwinModel, RunKind, RunRow, Store, StoreError, TrialRow, Twin, TwinCount,
-    TwinModelId, TwinOutcome,
+    IMPORTED_MODEL, NewTwinModel, RunKind, RunRow, Store, StoreError, StoreResult, TrialRow, Twin,
+    TwinCount, TwinModelId, TwinOutcome,
 };
 
 /// Number of trials per worker in a page: a few milliseconds of work, and a transaction that does
@@ -87,7 +87,6 @@ pub enum PoolError {
     /// The store failed.
     #[error(transparent)]
     Store(#[from] StoreError),
-    /// A file of the run or its calibration is invalid.
     #[error("run {run}: its {file} file cannot be used: {why}")]
     File { run: i64, file: &'static str, why: String },
     /// The run, by its number, was measured on another kind of skin, or simulated.
@@ -96,13 +95,11 @@ pub enum PoolError {
     /// Twins that were made elsewhere are not those of this run; the text is the cause.
     #[error("the file of twins {0}")]
     Made(String),
-    /// The stored twin of the trial with this id differs from one that was made elsewhere.
     #[error(
         "trial {0}: its stored twin differs from that of the file, and stays; make the chunk again on a machine like \
          that of the service"
     )]
     OtherTwin(i64),
-    /// A worker panicked.
     #[error("a worker panicked")]
     Worker,
 }
@@ -160,7 +157,7 @@ impl TwinPool {
     ///
     /// # Errors
     /// `StoreError` if the store fails.
-    pub async fn count(&self, run: RunUid) -> Result<TwinCount, StoreError> {
+    pub async fn count(&self, run: RunUid) -> StoreResult<TwinCount> {
         let model = self.models().get(&run).copied().unwrap_or(TwinModelId::NONE);
         self.inner.store.twin_count(run, model).await
     }

@@ -146,8 +146,8 @@ mod tests {
 
     #[tokio::test]
     async fn the_models_that_were_used_last_are_kept() {
-        let folder = std::env::temp_dir().join(format!("palpate-warm-{}", std::process::id()));
-        let skins = WarmSkins::new(folder.clone());
+        let folder = tempfile::tempdir().unwrap();
+        let skins = WarmSkins::new(folder.path().join("cache"));
         let get = async |n: usize| {
             let text = format!("# {n}\n{SENSOR}");
             skins.of(&text, None).await.unwrap()
@@ -167,6 +167,5 @@ mod tests {
         assert_eq!(skins.kept.lock().await.len(), MODELS_KEPT);
         let refused = skins.of("name = 1", None).await;
         assert!(matches!(refused, Err(SkinError::Sensor(_))));
-        std::fs::remove_dir_all(&folder).unwrap();
     }
 }

@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 use crate::core::columns::{Columns, time_text};
-use crate::core::{During, Store, StoreError};
+use crate::core::{During, Store, StoreResult};
 use crate::ids::RunUid;
 
 /// An action that is to be logged.
@@ -36,7 +36,6 @@ pub struct ActionRow {
     /// Number of the action, in the order of storing.
     pub id: i64,
     /// Wall time of the request.
-    #[schema(value_type = String, format = DateTime)]
     pub at: Timestamp,
     /// Run that it concerns; absent if it concerns none.
     pub run: Option<RunUid>,
@@ -61,7 +60,7 @@ impl Store {
     /// # Errors
     /// `NoSuchRun` if the run is not stored; `Sql`, `Late` or `Closed` if it is unknown
     /// whether the action is stored.
-    pub async fn log_action(&self, action: NewAction) -> Result<(), StoreError> {
+    pub async fn log_action(&self, action: NewAction) -> StoreResult<()> {
         const OPERATION: &str = "logging an action";
         let scan_id = match action.run {
             Some(run) => Some(self.facts(run, OPERATION).await?.scan_id),
@@ -95,7 +94,7 @@ impl Store {
         run: Option<RunUid>,
         limit: u32,
         before: Option<i64>,
-    ) -> Result<Vec<ActionRow>, StoreError> {
+    ) -> StoreResult<Vec<ActionRow>> {
         const OPERATION: &str = "reading actions";
         let before = before.unwrap_or(i64::MAX);
         let statement = match run {
@@ -136,7 +135,7 @@ impl Store {
     ///
     /// # Errors
     /// `Sql` or `Unreadable` if the read fails.
-    pub async fn last_accepted(&self, actions: &[&str]) -> Result<Option<Timestamp>, StoreError> {
+    pub async fn last_accepted(&self, actions: &[&str]) -> StoreResult<Option<Timestamp>> {
         const OPERATION: &str = "reading the last action of a kind";
         let query = sqlx::query(
             "SELECT at FROM actions
@@ -151,7 +150,7 @@ impl Store {
     ///
     /// # Errors
     /// `NoSuchRun` if the run is not stored; `Sql` if the read fails.
-    pub async fn accepted_on(&self, run: RunUid, action: &str) -> Result<u64, StoreError> {
+    pub async fn accepted_on(&self, run: RunUid, action: &str) -> StoreResult<u64> {
         const OPERATION: &str = "counting actions on a run";
         let scan_id = self.facts(run, OPERATION).await?.scan_id;
         let number: i64 = sqlx::query_scalar(

@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 use crate::core::columns::{Columns, time_text};
-use crate::core::{Store, StoreError};
+use crate::core::{Store, StoreResult};
 use crate::ids::{RunUid, TrialKey};
 use crate::record::AttemptRecord;
 
@@ -19,7 +19,6 @@ pub struct SkipRow {
     /// Reason of the skip.
     pub reason: String,
     /// Wall time of the skip.
-    #[schema(value_type = String, format = DateTime)]
     pub at: Timestamp,
 }
 
@@ -32,7 +31,7 @@ impl Store {
         &self,
         run: RunUid,
         attempt: &AttemptRecord,
-    ) -> Result<(), StoreError> {
+    ) -> StoreResult<()> {
         const OPERATION: &str = "storing an attempt";
         let scan_id = self.facts_to_write(run, OPERATION).await?.scan_id;
         let insert = sqlx::query(
@@ -58,7 +57,7 @@ impl Store {
         configuration: u32,
         reason: &str,
         at: Timestamp,
-    ) -> Result<(), StoreError> {
+    ) -> StoreResult<()> {
         const OPERATION: &str = "storing a skip";
         let scan_id = self.facts_to_write(run, OPERATION).await?.scan_id;
         // A repetition keeps the first reason.
@@ -77,7 +76,7 @@ impl Store {
     ///
     /// # Errors
     /// `NoSuchRun` if the run is not stored; `Sql` or `Unreadable` if the read fails.
-    pub async fn skips(&self, run: RunUid) -> Result<Vec<SkipRow>, StoreError> {
+    pub async fn skips(&self, run: RunUid) -> StoreResult<Vec<SkipRow>> {
         const OPERATION: &str = "reading skips";
         let scan_id = self.facts(run, OPERATION).await?.scan_id;
         let query = sqlx::query("SELECT * FROM skips WHERE run = ?1 ORDER BY configuration");
@@ -92,11 +91,7 @@ impl Store {
     ///
     /// # Errors
     /// `NoSuchRun` if the run is not stored; `Sql` or `Unreadable` if the read fails.
-    pub async fn attempts(
-        &self,
-        run: RunUid,
-        limit: u32,
-    ) -> Result<Vec<AttemptRecord>, StoreError> {
+    pub async fn attempts(&self, run: RunUid, limit: u32) -> StoreResult<Vec<AttemptRecord>> {
         const OPERATION: &str = "reading attempts";
         let scan_id = self.facts(run, OPERATION).await?.scan_id;
         let query = sqlx::query(

@@ -2,7 +2,7 @@
 //! Uses: `record`, `core::writer`, `table::checksum`. Never: trials.
 
 use crate::core::columns::{Columns, counts_blob, time_text};
-use crate::core::{During, Store, StoreError};
+use crate::core::{During, Store, StoreError, StoreResult};
 use crate::ids::RunUid;
 use crate::record::{Pose, ReferenceRecord, TareRecord, TouchOffRecord};
 use crate::table::assemble::arm;
@@ -13,11 +13,7 @@ impl Store {
     ///
     /// # Errors
     /// `NoSuchRun` if the run is not stored; `Sql` or `Closed` if the write fails.
-    pub(crate) async fn insert_tare(
-        &self,
-        run: RunUid,
-        tare: &TareRecord,
-    ) -> Result<(), StoreError> {
+    pub(crate) async fn insert_tare(&self, run: RunUid, tare: &TareRecord) -> StoreResult<()> {
         const OPERATION: &str = "storing a tare";
         let scan_id = self.facts_to_write(run, OPERATION).await?.scan_id;
         let tare = tare.clone();
@@ -58,7 +54,7 @@ impl Store {
         &self,
         run: RunUid,
         press: &ReferenceRecord,
-    ) -> Result<(), StoreError> {
+    ) -> StoreResult<()> {
         const OPERATION: &str = "storing a reference press";
         let scan_id = self.facts_to_write(run, OPERATION).await?.scan_id;
         let press = press.clone();
@@ -120,7 +116,7 @@ impl Store {
         &self,
         run: RunUid,
         found: &TouchOffRecord,
-    ) -> Result<(), StoreError> {
+    ) -> StoreResult<()> {
         const OPERATION: &str = "storing a touch-off";
         let scan_id = self.facts_to_write(run, OPERATION).await?.scan_id;
         let json = |value: serde_json::Result<String>| {
@@ -148,7 +144,7 @@ impl Store {
     ///
     /// # Errors
     /// `NoSuchRun` if the run is not stored; `Sql` or `Unreadable` if the read fails.
-    pub async fn tares(&self, run: RunUid) -> Result<Vec<TareRecord>, StoreError> {
+    pub async fn tares(&self, run: RunUid) -> StoreResult<Vec<TareRecord>> {
         const OPERATION: &str = "reading tares";
         let scan_id = self.facts(run, OPERATION).await?.scan_id;
         let rows = sqlx::query(
@@ -181,7 +177,7 @@ impl Store {
     /// # Errors
     /// `NoSuchRun` if the run is not stored; `Damaged` if a frame differs from its checksum;
     /// `Sql` or `Unreadable` if the read fails.
-    pub async fn references(&self, run: RunUid) -> Result<Vec<ReferenceRecord>, StoreError> {
+    pub async fn references(&self, run: RunUid) -> StoreResult<Vec<ReferenceRecord>> {
         const OPERATION: &str = "reading reference presses";
         let scan_id = self.facts(run, OPERATION).await?.scan_id;
         let mut view = self.read(OPERATION).await?;
@@ -228,7 +224,7 @@ impl Store {
     ///
     /// # Errors
     /// `NoSuchRun` if the run is not stored; `Sql` or `Unreadable` if the read fails.
-    pub async fn touch_offs(&self, run: RunUid) -> Result<Vec<TouchOffRecord>, StoreError> {
+    pub async fn touch_offs(&self, run: RunUid) -> StoreResult<Vec<TouchOffRecord>> {
         const OPERATION: &str = "reading touch-offs";
         let scan_id = self.facts(run, OPERATION).await?.scan_id;
         let query =

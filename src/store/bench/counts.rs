@@ -4,7 +4,7 @@
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-use crate::core::{During, Store, StoreError};
+use crate::core::{During, Store, StoreResult};
 use crate::ids::{RunUid, TrialKey};
 use crate::journal::Progress;
 
@@ -22,7 +22,7 @@ impl Store {
     ///
     /// # Errors
     /// `NoSuchRun` if the run is not stored; `Sql` if the read fails.
-    pub(crate) async fn read_progress(&self, run: RunUid) -> Result<Progress, StoreError> {
+    pub(crate) async fn read_progress(&self, run: RunUid) -> StoreResult<Progress> {
         const OPERATION: &str = "reading a run's progress";
         let scan_id = self.facts(run, OPERATION).await?.scan_id;
         let mut view = self.read(OPERATION).await?;
@@ -55,7 +55,7 @@ impl Store {
     ///
     /// # Errors
     /// `NoSuchRun` if the run is not stored; `Sql` if the read fails.
-    pub async fn contact_counts(&self, run: RunUid) -> Result<[u64; 7], StoreError> {
+    pub async fn contact_counts(&self, run: RunUid) -> StoreResult<[u64; 7]> {
         const OPERATION: &str = "counting contacts";
         let scan_id = self.facts(run, OPERATION).await?.scan_id;
         let rows = sqlx::query_as(
@@ -73,7 +73,7 @@ impl Store {
     ///
     /// # Errors
     /// `NoSuchRun` if the run is not stored; `Sql` if the read fails.
-    pub async fn stored_per_setting(&self, run: RunUid) -> Result<Vec<SettingCount>, StoreError> {
+    pub async fn stored_per_setting(&self, run: RunUid) -> StoreResult<Vec<SettingCount>> {
         const OPERATION: &str = "counting trials by setting";
         let scan_id = self.facts(run, OPERATION).await?.scan_id;
         let rows: Vec<(u8, i64)> = sqlx::query_as(

@@ -6,7 +6,7 @@ use sqlx::sqlite::SqliteConnection;
 
 use super::trials::id_of_key;
 use crate::core::bulk::Statement;
-use crate::core::{During, Store, StoreError};
+use crate::core::{During, Store, StoreError, StoreResult};
 use crate::ids::{RunUid, TrialKey};
 use crate::table::assemble::rows_of_ids;
 use crate::table::pages::id;
@@ -29,7 +29,7 @@ impl Store {
         run: RunUid,
         key: TrialKey,
         reason: &str,
-    ) -> Result<(), StoreError> {
+    ) -> StoreResult<()> {
         let scan_id = self.facts_to_write(run, DISCARDING).await?.scan_id;
         let (reason, now) = (reason.to_owned(), self.now_text());
         let read = move |c: &Connection| {
@@ -77,7 +77,7 @@ async fn move_to_attempts(
     record: String,
     reason: String,
     now: String,
-) -> Result<(), StoreError> {
+) -> StoreResult<()> {
     let attempt: i64 = sqlx::query_scalar(
         "INSERT INTO attempts (run, configuration, depth_index, attempt, reason, at, trial, record)
          VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8) RETURNING id",

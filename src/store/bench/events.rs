@@ -5,7 +5,7 @@ use jiff::Timestamp;
 
 use crate::core::columns::{Columns, time_text};
 use crate::core::writer::Writer;
-use crate::core::{During, Store, StoreError};
+use crate::core::{During, Store, StoreError, StoreResult};
 use crate::ids::RunUid;
 use crate::journal::Event;
 
@@ -36,7 +36,7 @@ impl Store {
         run: Option<RunUid>,
         kind: &str,
         data: serde_json::Value,
-    ) -> Result<Event, StoreError> {
+    ) -> StoreResult<Event> {
         let at = self.inner.clock.timestamp();
         self.insert_event(self.inner.writer.clone(), run, kind, data, at).await
     }
@@ -52,7 +52,7 @@ impl Store {
         kind: &str,
         data: serde_json::Value,
         at: Timestamp,
-    ) -> Result<Event, StoreError> {
+    ) -> StoreResult<Event> {
         const OPERATION: &str = "storing an event";
         let scan_id = match run {
             Some(run) => Some(self.facts_by(&writer, run, OPERATION).await?.scan_id),
@@ -87,7 +87,7 @@ impl Store {
         limit: u32,
         run: Option<RunUid>,
         kinds: &[String],
-    ) -> Result<Vec<Event>, StoreError> {
+    ) -> StoreResult<Vec<Event>> {
         const OPERATION: &str = "reading events";
         let kinds = (!kinds.is_empty()).then(|| serde_json::json!(kinds).to_string());
         let statement = match run {
@@ -134,7 +134,7 @@ impl Store {
         newest: u64,
         run: Option<RunUid>,
         kinds: &[String],
-    ) -> Result<i64, StoreError> {
+    ) -> StoreResult<i64> {
         const OPERATION: &str = "finding the newest events";
         let kinds = (!kinds.is_empty()).then(|| serde_json::json!(kinds).to_string());
         let newest = i64::try_from(newest.max(1)).unwrap_or(i64::MAX);
@@ -165,7 +165,7 @@ impl Store {
     ///
     /// # Errors
     /// `Sql` if the read fails.
-    pub async fn last_event_seq(&self) -> Result<i64, StoreError> {
+    pub async fn last_event_seq(&self) -> StoreResult<i64> {
         sqlx::query_scalar("SELECT coalesce(max(seq), 0) FROM events")
             .fetch_one(&self.inner.readers)
             .await

@@ -4,7 +4,7 @@
 use jiff::Timestamp;
 
 use crate::core::columns::{Columns, time_text};
-use crate::core::{Store, StoreError};
+use crate::core::{Store, StoreResult};
 use crate::journal::Mounting;
 
 impl Store {
@@ -16,7 +16,7 @@ impl Store {
         &self,
         mounting: &Mounting,
         at: Timestamp,
-    ) -> Result<(), StoreError> {
+    ) -> StoreResult<()> {
         const OPERATION: &str = "storing the number of mounted tips";
         let query = sqlx::query(
             "INSERT INTO mountings (tips, live_cells, who, at) VALUES (?1, ?2, ?3, ?4)",
@@ -33,7 +33,7 @@ impl Store {
     ///
     /// # Errors
     /// `Sql` or `Unreadable` if the read fails.
-    pub(crate) async fn read_last_mounted(&self) -> Result<Option<Mounting>, StoreError> {
+    pub(crate) async fn read_last_mounted(&self) -> StoreResult<Option<Mounting>> {
         const OPERATION: &str = "reading the number of mounted tips";
         let query = sqlx::query(
             "SELECT * FROM (SELECT * FROM mountings ORDER BY id DESC LIMIT 1) AS last

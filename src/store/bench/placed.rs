@@ -1,7 +1,7 @@
 //! The placement of a run that was stored last, with the verdict with which it was confirmed.
 //! Uses: `core`. Never: the verdict itself (the service makes it, an event keeps it).
 
-use crate::core::{During, Store, StoreError};
+use crate::core::{During, Store, StoreResult};
 use crate::ids::{RunUid, TrialId};
 
 /// A stored placement.
@@ -20,7 +20,7 @@ impl Store {
     ///
     /// # Errors
     /// `NoSuchRun` if the run is not stored; `Sql` if the read fails.
-    pub async fn last_placed(&self, run: RunUid) -> Result<Option<LastPlaced>, StoreError> {
+    pub async fn last_placed(&self, run: RunUid) -> StoreResult<Option<LastPlaced>> {
         const OPERATION: &str = "reading the last placement";
         let scan_id = self.facts(run, OPERATION).await?.scan_id;
         let row: Option<(i64, u32, Option<String>)> = sqlx::query_as(

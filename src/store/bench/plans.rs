@@ -3,7 +3,7 @@
 
 use sqlx::sqlite::SqliteConnection;
 
-use crate::core::{During, Store, StoreError};
+use crate::core::{During, Store, StoreError, StoreResult};
 use crate::digest::sha256_hex;
 use crate::ids::RunUid;
 
@@ -13,7 +13,7 @@ impl Store {
     /// # Errors
     /// `Damaged` if the text differs from its sha256; `NoSuchRun` if the run is not stored; `Sql` if
     /// the read fails.
-    pub async fn plan_of(&self, run: RunUid) -> Result<Option<String>, StoreError> {
+    pub async fn plan_of(&self, run: RunUid) -> StoreResult<Option<String>> {
         const OPERATION: &str = "reading the plan of a run";
         let row: Option<(Option<String>, Option<String>)> = sqlx::query_as(
             "SELECT r.plan_sha256, p.plan FROM runs r LEFT JOIN plans p ON p.sha256 = r.plan_sha256
@@ -38,23 +38,19 @@ impl Store {
     ///
     /// # Errors
     /// `Sql`, `Late` or `Closed` if the write fails.
-    pub async fn keep_plan(&self, run: RunUid, plan: String) -> Result<(), StoreError> {
+    pub async fn keep_plan(&self, run: RunUid, plan: String) -> StoreResult<()> {
         const OPERATION: &str = "keeping the plan of a run";
-        self.inner
-            .writer
-            .run(OPERATION, async move |connection| {
-                let sha256 = keep(&mut *connection, &plan, OPERATION).await?;
-                sqlx::query(
-                    "UPDATE runs SET plan_sha256 = ?2 WHERE uid = ?1 AND plan_sha256 IS NULL",
-                )
+        self.write(OPERATION, async move |connection| {
+            let sha256 = keep(&mut *connection, &plan, OPERATION).await?;
+            sqlx::query("UPDATE runs SET plan_sha256 = ?2 WHERE uid = ?1 AND plan_sha256 IS NULL")
                 .bind(run.to_string())
                 .bind(sha256)
                 .execute(connection)
                 .await
                 .during(OPERATION)?;
-                Ok(())
-            })
-            .await
+            Ok(())
+        })
+        .await
     }
 }
 
@@ -63,7 +59,7 @@ pub(super) async fn discard(
     connection: &mut SqliteConnection,
     sha256: &str,
     operation: &'static str,
-) -> Result<(), StoreError> {
+) -> StoreResult<()> {
     sqlx::query(
         "DELETE FROM plans
          WHERE sha256 = ?1 AND NOT EXISTS (SELECT 1 FROM runs WHERE plan_sha256 = ?1)",
@@ -81,7 +77,7 @@ pub(super) async fn keep(
     connection: &mut SqliteConnection,
     plan: &str,
     operation: &'static str,
-) -> Result<String, StoreError> {
+) -> StoreResult<String> {
     let sha256 = sha256_hex(plan);
     sqlx::query(
         "INSERT INTO plans (sha256, plan) VALUES (?1, ?2)

@@ -6,7 +6,7 @@ use sqlx::sqlite::SqliteConnection;
 
 use super::run_row::{self, NewRun, RunRow};
 use crate::core::columns::Columns;
-use crate::core::{During, Store, StoreError};
+use crate::core::{During, Store, StoreError, StoreResult};
 use crate::ids::RunUid;
 use crate::state::StoredState;
 
@@ -16,13 +16,13 @@ impl Store {
     /// # Errors
     /// `Refused` if the seed or the number of trials is too large or the deadband is not finite;
     /// `Sql`, `Late` or `Closed` if the write fails.
-    pub async fn enqueue(&self, new: NewRun) -> Result<RunRow, StoreError> {
+    pub async fn enqueue(&self, new: NewRun) -> StoreResult<RunRow> {
         const OPERATION: &str = "queueing a run";
         let now = self.now_text();
         let insert = async move |c: &mut SqliteConnection| {
             run_row::insert(c, new, StoredState::Queued, now, OPERATION).await
         };
-        Ok(self.keep_facts(self.inner.writer.run(OPERATION, insert).await?))
+        Ok(self.keep_facts(self.write(OPERATION, insert).await?))
     }
 
     /// Replaces the inputs of the queued run with the uid of `new`. It keeps its number, its place, its
@@ -30,19 +30,19 @@ impl Store {
     ///
     /// # Errors
     /// `NotQueued` if the run is not in the queue; others as [`Self::enqueue`].
-    pub async fn replace_queued(&self, new: NewRun) -> Result<RunRow, StoreError> {
+    pub async fn replace_queued(&self, new: NewRun) -> StoreResult<RunRow> {
         const OPERATION: &str = "editing a queued run";
         let now = self.now_text();
         let replace =
             async move |c: &mut SqliteConnection| run_row::replace(c, new, now, OPERATION).await;
-        Ok(self.keep_facts(self.inner.writer.run(OPERATION, replace).await?))
+        Ok(self.keep_facts(self.write(OPERATION, replace).await?))
     }
 
     /// Returns the queued runs, the next one first.
     ///
     /// # Errors
     /// `Sql` or `Unreadable` if the read fails.
-    pub async fn queue(&self) -> Result<Vec<RunRow>, StoreError> {
+    pub async fn queue(&self) -> StoreResult<Vec<RunRow>> {
         const OPERATION: &str = "reading the queue";
         let query =
             sqlx::query("SELECT * FROM runs WHERE state = 'queued' ORDER BY queue_position");
@@ -55,27 +55,24 @@ impl Store {
     /// # Errors
     /// `NotQueued` if the run is not in the queue;
     /// `Sql`, `Late` or `Closed` if the write fails.
-    pub async fn move_item(&self, run: RunUid, position: u32) -> Result<Vec<RunRow>, StoreError> {
+    pub async fn move_item(&self, run: RunUid, position: u32) -> StoreResult<Vec<RunRow>> {
         const OPERATION: &str = "moving a run in the queue";
-        self.inner
-            .writer
-            .run(OPERATION, async move |connection| {
-                let mut order = order(connection, OPERATION).await?;
-                let text = run.to_string();
-                let from = order.iter().position(|uid| *uid == text);
-                let moved = order.remove(from.ok_or(StoreError::NotQueued(run))?);
-                let to = (position.max(1) as usize - 1).min(order.len());
-                order.insert(to, moved);
-                number(connection, &order, OPERATION).await?;
-                let rows = sqlx::query(
-                    "SELECT * FROM runs WHERE state = 'queued' ORDER BY queue_position",
-                )
-                .fetch_all(connection)
-                .await
-                .during(OPERATION)?;
-                rows.iter().map(|row| RunRow::read(&Columns::of(row, OPERATION))).collect()
-            })
-            .await
+        self.write(OPERATION, async move |connection| {
+            let mut order = order(connection, OPERATION).await?;
+            let text = run.to_string();
+            let from = order.iter().position(|uid| *uid == text);
+            let moved = order.remove(from.ok_or(StoreError::NotQueued(run))?);
+            let to = (position.max(1) as usize - 1).min(order.len());
+            order.insert(to, moved);
+            number(connection, &order, OPERATION).await?;
+            let rows =
+                sqlx::query("SELECT * FROM runs WHERE state = 'queued' ORDER BY queue_position")
+                    .fetch_all(connection)
+                    .await
+                    .during(OPERATION)?;
+            rows.iter().map(|row| RunRow::read(&Columns::of(row, OPERATION))).collect()
+        })
+        .await
     }
 
     /// Removes a run from the queue permanently. Its row remains, in the state `removed`.
@@ -83,28 +80,26 @@ impl Store {
     /// # Errors
     /// `NotQueued` if the run is not in the queue;
     /// `Sql`, `Late` or `Closed` if the write fails.
-    pub async fn remove(&self, run: RunUid) -> Result<RunRow, StoreError> {
+    pub async fn remove(&self, run: RunUid) -> StoreResult<RunRow> {
         const OPERATION: &str = "removing a run from the queue";
         let now = self.now_text();
-        self.inner
-            .writer
-            .run(OPERATION, async move |connection| {
-                let row = sqlx::query(
-                    "UPDATE runs SET state = 'removed', queue_position = NULL, waiting_since = NULL,
-                         ended_at = ?2
-                     WHERE uid = ?1 AND state = 'queued' RETURNING *",
-                )
-                .bind(run.to_string())
-                .bind(now)
-                .fetch_optional(&mut *connection)
-                .await
-                .during(OPERATION)?
-                .ok_or(StoreError::NotQueued(run))?;
-                let order = order(connection, OPERATION).await?;
-                number(connection, &order, OPERATION).await?;
-                RunRow::read(&Columns::of(&row, OPERATION))
-            })
+        self.write(OPERATION, async move |connection| {
+            let row = sqlx::query(
+                "UPDATE runs SET state = 'removed', queue_position = NULL, waiting_since = NULL,
+                     ended_at = ?2
+                 WHERE uid = ?1 AND state = 'queued' RETURNING *",
+            )
+            .bind(run.to_string())
+            .bind(now)
+            .fetch_optional(&mut *connection)
             .await
+            .during(OPERATION)?
+            .ok_or(StoreError::NotQueued(run))?;
+            let order = order(connection, OPERATION).await?;
+            number(connection, &order, OPERATION).await?;
+            RunRow::read(&Columns::of(&row, OPERATION))
+        })
+        .await
     }
 
     /// Marks a queued or interrupted run as started: it waits for the active run to end. The mark
@@ -113,7 +108,7 @@ impl Store {
     /// # Errors
     /// `NotQueued` if the run is neither queued nor interrupted;
     /// `Sql`, `Late` or `Closed` if the write fails.
-    pub async fn set_waiting(&self, run: RunUid) -> Result<(), StoreError> {
+    pub async fn set_waiting(&self, run: RunUid) -> StoreResult<()> {
         const OPERATION: &str = "marking a run as waiting for its turn";
         let query = sqlx::query(
             "UPDATE runs SET waiting_since = coalesce(waiting_since, ?2)
@@ -132,7 +127,7 @@ impl Store {
     ///
     /// # Errors
     /// `Sql`, `Late` or `Closed` if the write fails.
-    pub async fn clear_waiting(&self, run: RunUid) -> Result<(), StoreError> {
+    pub async fn clear_waiting(&self, run: RunUid) -> StoreResult<()> {
         const OPERATION: &str = "removing the mark of a waiting run";
         let query = sqlx::query("UPDATE runs SET waiting_since = NULL WHERE uid = ?1")
             .bind(run.to_string());
@@ -144,7 +139,7 @@ impl Store {
     ///
     /// # Errors
     /// `Sql` or `Unreadable` if the read fails.
-    pub async fn waiting_runs(&self) -> Result<Vec<RunRow>, StoreError> {
+    pub async fn waiting_runs(&self) -> StoreResult<Vec<RunRow>> {
         const OPERATION: &str = "reading the waiting runs";
         let query = sqlx::query(
             "SELECT * FROM runs
@@ -159,7 +154,7 @@ impl Store {
 async fn order(
     connection: &mut SqliteConnection,
     operation: &'static str,
-) -> Result<Vec<String>, StoreError> {
+) -> StoreResult<Vec<String>> {
     sqlx::query_scalar("SELECT uid FROM runs WHERE state = 'queued' ORDER BY queue_position")
         .fetch_all(connection)
         .await
@@ -171,7 +166,7 @@ async fn number(
     connection: &mut SqliteConnection,
     order: &[String],
     operation: &'static str,
-) -> Result<(), StoreError> {
+) -> StoreResult<()> {
     for (i, uid) in order.iter().enumerate() {
         sqlx::query("UPDATE runs SET queue_position = ?2 WHERE uid = ?1")
             .bind(uid)

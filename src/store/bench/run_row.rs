@@ -9,7 +9,7 @@ use utoipa::ToSchema;
 use super::plans;
 use crate::core::columns::{Columns, time_text};
 use crate::core::facts::{Label, RunKind};
-use crate::core::{During, StoreError};
+use crate::core::{During, StoreError, StoreResult};
 use crate::digest::sha256_hex;
 use crate::ids::{CalibrationId, RunUid};
 use crate::journal::ExitStatus;
@@ -98,7 +98,6 @@ pub struct RunRow {
     /// Whether it may resume automatically after a restart.
     pub auto_resume: bool,
     /// Earliest start, wall time; absent if it may start at any time.
-    #[schema(value_type = Option<String>, format = DateTime)]
     pub not_before: Option<Timestamp>,
     /// sha256 of its plan; absent for an import, and for a run of an older version that has not been
     /// armed since.
@@ -116,19 +115,15 @@ pub struct RunRow {
     /// Position in the queue, from 1; absent unless it is queued.
     pub queue_position: Option<u32>,
     /// Wall time since which it is started and waits for the active run to end; absent otherwise.
-    #[schema(value_type = Option<String>, format = DateTime)]
     pub waiting_since: Option<Timestamp>,
     /// Whether it can be resumed: nothing drives it and its plan has trials left, since it was interrupted or
     /// ended short of its plan.
     pub is_resumable: bool,
     /// Wall time at which it was submitted.
-    #[schema(value_type = String, format = DateTime)]
     pub created_at: Timestamp,
     /// Wall time at which it first left the queue; absent before.
-    #[schema(value_type = Option<String>, format = DateTime)]
     pub started_at: Option<Timestamp>,
     /// Wall time at which it ended or was removed from the queue; absent before.
-    #[schema(value_type = Option<String>, format = DateTime)]
     pub ended_at: Option<Timestamp>,
     /// Person or key that submitted it.
     pub submitted_by: String,
@@ -154,7 +149,7 @@ impl RunRow {
         self.is_open() && self.state != StoredState::Interrupted
     }
 
-    pub(crate) fn read(c: &Columns<'_>) -> Result<Self, StoreError> {
+    pub(crate) fn read(c: &Columns<'_>) -> StoreResult<Self> {
         let (kind, state) = (c.word("kind")?, c.word("state")?);
         let exit_status = c.word_or_none("exit_status")?;
         Ok(Self {
@@ -239,7 +234,7 @@ pub(crate) async fn insert(
     state: StoredState,
     now: String,
     operation: &'static str,
-) -> Result<RunRow, StoreError> {
+) -> StoreResult<RunRow> {
     let statement = concat!(inserting!(), " RETURNING *");
     write(connection, statement, new, state, now, operation).await
 }
@@ -254,7 +249,7 @@ pub(crate) async fn replace(
     new: NewRun,
     now: String,
     operation: &'static str,
-) -> Result<RunRow, StoreError> {
+) -> StoreResult<RunRow> {
     let uid = new.uid;
     let queued: Option<Option<String>> =
         sqlx::query_scalar("SELECT plan_sha256 FROM runs WHERE uid = ?1 AND state = 'queued'")
@@ -291,7 +286,7 @@ async fn write(
     state: StoredState,
     now: String,
     operation: &'static str,
-) -> Result<RunRow, StoreError> {
+) -> StoreResult<RunRow> {
     let refused = |field, limit| StoreError::Refused { operation, field, limit };
     let seed = new.seed.map(i64::try_from).transpose();
     let seed = seed.map_err(|_| refused("seed", "must be under 2^63"))?;

@@ -5,7 +5,7 @@ use jiff::Timestamp;
 use sqlx::sqlite::SqliteConnection;
 
 use crate::core::columns::time_text;
-use crate::core::{During, Store, StoreError};
+use crate::core::{During, Store, StoreError, StoreResult};
 use crate::ids::RunUid;
 use crate::journal::ExitStatus;
 use crate::state::{PausedWhy, StateChange, StoredState};
@@ -16,7 +16,7 @@ impl Store {
     ///
     /// # Errors
     /// `Sql`, `Late` or `Closed` if the write fails.
-    pub async fn interrupt_open_runs(&self, but: Option<RunUid>) -> Result<(), StoreError> {
+    pub async fn interrupt_open_runs(&self, but: Option<RunUid>) -> StoreResult<()> {
         const OPERATION: &str = "marking interrupted runs";
         let query = sqlx::query(
             "UPDATE runs
@@ -39,7 +39,7 @@ impl Store {
         run: RunUid,
         change: StateChange,
         at: Timestamp,
-    ) -> Result<(), StoreError> {
+    ) -> StoreResult<()> {
         const OPERATION: &str = "storing a run's state";
         if matches!(change.state, StoredState::Queued | StoredState::Ended | StoredState::Removed) {
             let limit =
@@ -83,7 +83,7 @@ impl Store {
         status: ExitStatus,
         reason: &str,
         at: Timestamp,
-    ) -> Result<(), StoreError> {
+    ) -> StoreResult<()> {
         const OPERATION: &str = "ending a run";
         let (reason, at) = (reason.to_owned(), time_text(at));
         self.inner
@@ -118,7 +118,7 @@ async fn changed_or_ended(
     run: RunUid,
     changed: u64,
     operation: &'static str,
-) -> Result<(), StoreError> {
+) -> StoreResult<()> {
     if changed > 0 {
         return Ok(());
     }

@@ -9,7 +9,7 @@ use super::run_row::{self, NewRun, RunPage, RunRow};
 use crate::core::bulk::Statement;
 use crate::core::columns::time_text;
 use crate::core::facts::{Label, RunFacts, RunKind};
-use crate::core::{Store, StoreError};
+use crate::core::{Store, StoreResult};
 use crate::ids::RunUid;
 use crate::state::StoredState;
 use crate::table::condition::Condition;
@@ -20,20 +20,20 @@ impl Store {
     /// # Errors
     /// `Refused` if the seed or the number of trials is too large or the deadband is not finite;
     /// `Sql`, `Late` or `Closed` if the write fails.
-    pub async fn create_run(&self, new: NewRun) -> Result<RunRow, StoreError> {
+    pub async fn create_run(&self, new: NewRun) -> StoreResult<RunRow> {
         const OPERATION: &str = "creating a run";
         let now = self.now_text();
         let insert = async move |c: &mut SqliteConnection| {
             run_row::insert(c, new, StoredState::Idle, now, OPERATION).await
         };
-        Ok(self.keep_facts(self.inner.writer.run(OPERATION, insert).await?))
+        Ok(self.keep_facts(self.write(OPERATION, insert).await?))
     }
 
     /// Returns a run by its id; `None` if it is not stored.
     ///
     /// # Errors
     /// `Sql` or `Unreadable` if the read fails.
-    pub async fn run(&self, run: RunUid) -> Result<Option<RunRow>, StoreError> {
+    pub async fn run(&self, run: RunUid) -> StoreResult<Option<RunRow>> {
         const OPERATION: &str = "reading a run";
         let query = sqlx::query("SELECT * FROM runs WHERE uid = ?1").bind(run.to_string());
         self.row(OPERATION, query, RunRow::read).await
@@ -43,7 +43,7 @@ impl Store {
     ///
     /// # Errors
     /// `Sql` or `Unreadable` if the read fails.
-    pub async fn run_by_scan_id(&self, scan_id: i64) -> Result<Option<RunRow>, StoreError> {
+    pub async fn run_by_scan_id(&self, scan_id: i64) -> StoreResult<Option<RunRow>> {
         const OPERATION: &str = "reading a run";
         let query = sqlx::query("SELECT * FROM runs WHERE scan_id = ?1").bind(scan_id);
         self.row(OPERATION, query, RunRow::read).await
@@ -58,7 +58,7 @@ impl Store {
         conditions: &[Condition],
         limit: u32,
         before: Option<i64>,
-    ) -> Result<RunPage, StoreError> {
+    ) -> StoreResult<RunPage> {
         const OPERATION: &str = "listing runs";
         let mut query = Statement::new("SELECT r.* FROM runs r WHERE r.scan_id < ");
         query.bind(before.unwrap_or(i64::MAX));
@@ -82,7 +82,7 @@ impl Store {
         sensor_sha256: &str,
         label: Label,
         before: Timestamp,
-    ) -> Result<Option<RunRow>, StoreError> {
+    ) -> StoreResult<Option<RunRow>> {
         const OPERATION: &str = "looking for an earlier run";
         let query = sqlx::query(
             "SELECT * FROM runs WHERE kind = ?1 AND sensor_sha256 = ?2 AND label = ?3 AND started_at < ?4
@@ -100,7 +100,7 @@ impl Store {
     ///
     /// # Errors
     /// `Sql` or `Unreadable` if the read fails.
-    pub async fn all_runs(&self) -> Result<Vec<RunRow>, StoreError> {
+    pub async fn all_runs(&self) -> StoreResult<Vec<RunRow>> {
         const OPERATION: &str = "reading all runs";
         let query = sqlx::query("SELECT * FROM runs WHERE state <> 'removed' ORDER BY scan_id");
         self.rows(OPERATION, query, RunRow::read).await
@@ -111,7 +111,7 @@ impl Store {
     ///
     /// # Errors
     /// `Sql` or `Unreadable` if the read fails.
-    pub async fn open_runs(&self) -> Result<Vec<RunRow>, StoreError> {
+    pub async fn open_runs(&self) -> StoreResult<Vec<RunRow>> {
         const OPERATION: &str = "reading open runs";
         let query = sqlx::query(
             "SELECT * FROM runs WHERE state NOT IN ('queued', 'interrupted', 'ended', 'removed')

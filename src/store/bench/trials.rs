@@ -8,7 +8,7 @@ use sqlx::{QueryBuilder, Sqlite};
 
 use crate::core::columns::{counts_blob, time_text, volts_blob};
 use crate::core::facts::{RunFacts, RunKind};
-use crate::core::{During, Store, StoreError};
+use crate::core::{During, Store, StoreError, StoreResult};
 use crate::ids::{RunUid, TrialId, TrialKey};
 use crate::record::{ArmReading, CONTACTS_MAX, FrameRecord, PlacedContact, TrialRecord};
 use crate::table::checksum::{self, Numbers};
@@ -36,7 +36,7 @@ impl Entry {
     /// # Errors
     /// `Refused` if it has no frames, frames of different lengths, a number that is not finite, or more
     /// than six contacts.
-    fn new(facts: RunFacts, record: TrialRecord) -> Result<Self, StoreError> {
+    fn new(facts: RunFacts, record: TrialRecord) -> StoreResult<Self> {
         check(&record)?;
         let forces = record.arms.iter().map(|a| a.force_n);
         let contacts = match facts.kind {
@@ -65,7 +65,7 @@ impl Entry {
 
     /// Inserts the trial with its tips, contacts and frames, unless its key is stored. Returns the id
     /// of the stored trial.
-    async fn insert(&self, connection: &mut SqliteConnection) -> Result<TrialId, StoreError> {
+    async fn insert(&self, connection: &mut SqliteConnection) -> StoreResult<TrialId> {
         let Some(id) = self.insert_row(connection).await? else {
             let stored =
                 id_of_key(connection, self.scan_id, self.record.key, STORING_TRIAL).await?;
@@ -79,10 +79,7 @@ impl Entry {
     }
 
     /// Inserts the row of the trial. Returns its id; `None` if its key is stored.
-    async fn insert_row(
-        &self,
-        connection: &mut SqliteConnection,
-    ) -> Result<Option<TrialId>, StoreError> {
+    async fn insert_row(&self, connection: &mut SqliteConnection) -> StoreResult<Option<TrialId>> {
         let r = &self.record;
         let mut insert = QueryBuilder::<Sqlite>::new(
             "INSERT INTO trials (run, configuration, depth_index, attempt, tips, depth_mm,
@@ -148,7 +145,7 @@ impl Store {
         &self,
         run: RunUid,
         trial: &TrialRecord,
-    ) -> Result<TrialId, StoreError> {
+    ) -> StoreResult<TrialId> {
         let facts = self.facts_to_write(run, STORING_TRIAL).await?;
         let entry = Entry::new(facts, trial.clone())?;
         let key = trial.key;
@@ -175,7 +172,7 @@ fn refused(field: &'static str, limit: &'static str) -> StoreError {
 ///
 /// # Errors
 /// `Refused` with the invalid field.
-fn check(record: &TrialRecord) -> Result<(), StoreError> {
+fn check(record: &TrialRecord) -> StoreResult<()> {
     let Some(first) = record.frames.first() else {
         return Err(refused("frames", "must hold at least one"));
     };
@@ -205,7 +202,7 @@ pub(crate) async fn id_of_key(
     scan_id: i64,
     key: TrialKey,
     operation: &'static str,
-) -> Result<Option<TrialId>, StoreError> {
+) -> StoreResult<Option<TrialId>> {
     let id: Option<i64> = sqlx::query_scalar(
         "SELECT id FROM trials WHERE run = ?1 AND configuration = ?2 AND depth_index = ?3",
     )
@@ -224,7 +221,7 @@ pub(crate) async fn insert_voltages(
     trial: TrialId,
     voltages_v: &[f32],
     operation: &'static str,
-) -> Result<(), StoreError> {
+) -> StoreResult<()> {
     let volts = volts_blob(voltages_v);
     sqlx::query("INSERT INTO trial_voltages (trial, voltages_v, crc32) VALUES (?1, ?2, ?3)")
         .bind(trial.0)
@@ -240,7 +237,7 @@ async fn insert_tips(
     connection: &mut SqliteConnection,
     trial: TrialId,
     arms: &[ArmReading],
-) -> Result<(), StoreError> {
+) -> StoreResult<()> {
     let into = "INSERT INTO trial_tips (trial, arm, x_mm, y_mm, force_n, cell_v, tare_v) ";
     insert_many(connection, into, arms, |mut row, _, a| {
         row.push_bind(trial.0)
@@ -258,7 +255,7 @@ async fn insert_placed(
     connection: &mut SqliteConnection,
     trial: TrialId,
     placed: &[PlacedContact],
-) -> Result<(), StoreError> {
+) -> StoreResult<()> {
     let into = "INSERT INTO placed_contacts (trial, n, x_mm, y_mm, force_n) ";
     insert_many(connection, into, placed, |mut row, n, p| {
         row.push_bind(trial.0)
@@ -275,7 +272,7 @@ pub(crate) async fn insert_frames(
     connection: &mut SqliteConnection,
     trial: TrialId,
     frames: &[FrameRecord],
-) -> Result<(), StoreError> {
+) -> StoreResult<()> {
     let into =
         "INSERT INTO frames (trial, n, sequence, device_time_us, volts_per_count, counts, crc32) ";
     insert_many(connection, into, frames, |mut row, n, f| {
@@ -298,7 +295,7 @@ async fn insert_many<T>(
     into: &'static str,
     rows: &[T],
     mut bind: impl FnMut(Separated<'_, Sqlite, &'static str>, i64, &T),
-) -> Result<(), StoreError> {
+) -> StoreResult<()> {
     // SQLite allows 32,766 parameters per statement.
     for (chunk, rows) in rows.chunks(ROWS_AT_ONCE).enumerate() {
         let first = (chunk * ROWS_AT_ONCE) as i64;

@@ -9,7 +9,7 @@ use rusqlite::Connection;
 
 use crate::core::bulk::Statement;
 use crate::core::columns::{time_text, volts_blob};
-use crate::core::{Store, StoreError};
+use crate::core::{Store, StoreError, StoreResult};
 use crate::ids::{RunUid, TrialId};
 use crate::record::Untouched;
 use crate::table::checksum;
@@ -32,11 +32,7 @@ impl Store {
     /// # Errors
     /// `Refused` without a voltage; `NoSuchRun` if the run is not stored; `Sql` or `Closed` if the write
     /// fails.
-    pub(crate) async fn insert_untouched(
-        &self,
-        run: RunUid,
-        skin: &Untouched,
-    ) -> Result<(), StoreError> {
+    pub(crate) async fn insert_untouched(&self, run: RunUid, skin: &Untouched) -> StoreResult<()> {
         const OPERATION: &str = "storing the untouched skin";
         if skin.voltages_v.is_empty() || skin.voltages_v.iter().any(|v| !v.is_finite()) {
             let (field, limit) = ("voltages_v", "must be finite numbers");
@@ -64,7 +60,7 @@ impl Store {
     pub async fn untouched_before(
         &self,
         trials: &[TrialId],
-    ) -> Result<HashMap<TrialId, BeforeTrial>, StoreError> {
+    ) -> StoreResult<HashMap<TrialId, BeforeTrial>> {
         const OPERATION: &str = "reading the untouched skin";
         let trials = trials.to_vec();
         let read = move |connection: &Connection| {
@@ -90,11 +86,7 @@ impl Store {
     /// # Errors
     /// `NoSuchRun` if the run is not stored; `Damaged` if a frame differs from its checksum; `Read` or
     /// `Unreadable` if the read fails.
-    pub async fn untouched_frames(
-        &self,
-        run: RunUid,
-        most: u32,
-    ) -> Result<Vec<Untouched>, StoreError> {
+    pub async fn untouched_frames(&self, run: RunUid, most: u32) -> StoreResult<Vec<Untouched>> {
         const OPERATION: &str = "reading the frames of the untouched skin";
         let scan_id = self.facts(run, OPERATION).await?.scan_id;
         let read = move |connection: &Connection| {
@@ -112,7 +104,7 @@ fn last_before(
     connection: &Connection,
     trials: &[TrialId],
     operation: &'static str,
-) -> Result<Vec<(TrialId, i64, Timestamp)>, StoreError> {
+) -> StoreResult<Vec<(TrialId, i64, Timestamp)>> {
     let wanted: Vec<i64> = trials.iter().map(|id| id.0).collect();
     let mut last = Statement::new(
         "SELECT t.id AS trial, t.started_at AS started_at,
@@ -131,11 +123,7 @@ fn last_before(
 }
 
 /// The frame of a row.
-fn frame(
-    connection: &Connection,
-    id: i64,
-    operation: &'static str,
-) -> Result<Untouched, StoreError> {
+fn frame(connection: &Connection, id: i64, operation: &'static str) -> StoreResult<Untouched> {
     let mut row = Statement::new(
         "SELECT u.voltages_v, u.crc32, u.at, u.frame_count, r.uid FROM untouched_frames u
          JOIN runs r ON r.scan_id = u.run WHERE u.id = ",

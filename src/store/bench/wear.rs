@@ -4,7 +4,7 @@
 use jiff::Timestamp;
 
 use crate::core::columns::Columns;
-use crate::core::{During, Store, StoreError};
+use crate::core::{During, Store, StoreResult};
 use crate::ids::{RunUid, TrialId};
 
 /// Wear by the stored trials of a run.
@@ -41,7 +41,7 @@ impl Store {
     ///
     /// # Errors
     /// `NoSuchRun` if the run is not stored; `Sql` or `Unreadable` if the read fails.
-    pub async fn wear(&self, run: RunUid) -> Result<StoredWear, StoreError> {
+    pub async fn wear(&self, run: RunUid) -> StoreResult<StoredWear> {
         const OPERATION: &str = "reading the wear by a run";
         let scan_id = self.facts(run, OPERATION).await?.scan_id;
         let mut view = self.read(OPERATION).await?;
@@ -111,7 +111,7 @@ impl Store {
         run: RunUid,
         below_n: f64,
         limit: u32,
-    ) -> Result<Vec<TrialId>, StoreError> {
+    ) -> StoreResult<Vec<TrialId>> {
         const OPERATION: &str = "reading untouched trials";
         let scan_id = self.facts(run, OPERATION).await?.scan_id;
         let ids: Vec<i64> = sqlx::query_scalar(

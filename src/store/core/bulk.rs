@@ -16,7 +16,7 @@ use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 use tokio::time::timeout;
 
 use super::columns::{Columns, Names};
-use super::error::{During, StoreError};
+use super::error::{During, StoreError, StoreResult};
 
 /// Number of connections.
 pub(crate) const BULK_CONNECTIONS: u32 = 4;
@@ -66,8 +66,8 @@ impl Bulk {
     pub(crate) async fn read<T: Send + 'static>(
         &self,
         operation: &'static str,
-        work: impl FnOnce(&Connection) -> Result<T, StoreError> + Send + 'static,
-    ) -> Result<T, StoreError> {
+        work: impl FnOnce(&Connection) -> StoreResult<T> + Send + 'static,
+    ) -> StoreResult<T> {
         let turn = timeout(CONNECTION_WAIT, self.inner.turns.clone().acquire_owned()).await;
         let turn = turn.map_err(|_| busy()).during(operation)?;
         let turn = turn.map_err(|_| StoreError::Closed { operation })?;
@@ -76,14 +76,11 @@ impl Bulk {
 
     /// Like [`Self::read`], on a new connection that waits for no other: for what must not wait behind
     /// people who read, and for what must see the file and not the pages that a connection keeps.
-    ///
-    /// # Errors
-    /// As [`Self::read`].
     pub(crate) async fn read_apart<T: Send + 'static>(
         &self,
         operation: &'static str,
-        work: impl FnOnce(&Connection) -> Result<T, StoreError> + Send + 'static,
-    ) -> Result<T, StoreError> {
+        work: impl FnOnce(&Connection) -> StoreResult<T> + Send + 'static,
+    ) -> StoreResult<T> {
         if self.inner.turns.is_closed() {
             return Err(StoreError::Closed { operation });
         }
@@ -95,8 +92,8 @@ impl Bulk {
         &self,
         operation: &'static str,
         turn: Option<OwnedSemaphorePermit>,
-        work: impl FnOnce(&Connection) -> Result<T, StoreError> + Send + 'static,
-    ) -> Result<T, StoreError> {
+        work: impl FnOnce(&Connection) -> StoreResult<T> + Send + 'static,
+    ) -> StoreResult<T> {
         let (inner, gone) = (self.inner.clone(), Arc::new(AtomicBool::new(false)));
         let caller = Gone(gone.clone());
         let reading = tokio::task::spawn_blocking(move || {
@@ -181,8 +178,8 @@ impl Statement {
         &self,
         connection: &Connection,
         operation: &'static str,
-        mut read: impl FnMut(&Columns<'_>) -> Result<T, StoreError>,
-    ) -> Result<Vec<T>, StoreError> {
+        mut read: impl FnMut(&Columns<'_>) -> StoreResult<T>,
+    ) -> StoreResult<Vec<T>> {
         let mut statement = connection.prepare_cached(&self.text).during(operation)?;
         let names = Names::of(&statement);
         let mut rows = statement.query(params_from_iter(&self.values)).during(operation)?;
@@ -195,7 +192,7 @@ impl Statement {
 
     /// Returns the plan of SQLite, one line per step.
     #[cfg(test)]
-    pub(crate) fn explain(&self, connection: &Connection) -> Result<Vec<String>, StoreError> {
+    pub(crate) fn explain(&self, connection: &Connection) -> StoreResult<Vec<String>> {
         let mut explained = self.clone();
         explained.text = format!("EXPLAIN QUERY PLAN {}", self.text);
         explained.rows(connection, "explaining a query", |c| c.get("detail"))

@@ -10,7 +10,7 @@ use serde::de::value::StrDeserializer;
 use sqlx::Row;
 use sqlx::sqlite::{Sqlite, SqliteRow};
 
-use super::error::{During, StoreError};
+use super::error::{During, StoreError, StoreResult};
 use crate::ids::RunUid;
 
 /// Returns a time as it is stored: RFC 3339, UTC, truncated to milliseconds.
@@ -143,7 +143,7 @@ impl<'r> Columns<'r> {
     }
 
     /// Returns the value of a column.
-    pub(crate) fn get<T: Value<'r>>(&self, column: &'static str) -> Result<T, StoreError> {
+    pub(crate) fn get<T: Value<'r>>(&self, column: &'static str) -> StoreResult<T> {
         match self.row {
             Source::Copied(row) => row.try_get(column).during(self.operation),
             Source::Lent(row, names) => {
@@ -160,7 +160,7 @@ impl<'r> Columns<'r> {
     }
 
     /// Returns an integer that was stored from a narrower or unsigned type.
-    pub(crate) fn whole<T: TryFrom<i64>>(&self, column: &'static str) -> Result<T, StoreError> {
+    pub(crate) fn whole<T: TryFrom<i64>>(&self, column: &'static str) -> StoreResult<T> {
         let value: i64 = self.get(column)?;
         T::try_from(value).map_err(|_| self.unreadable(column, value))
     }
@@ -169,22 +169,19 @@ impl<'r> Columns<'r> {
     pub(crate) fn whole_or_none<T: TryFrom<i64>>(
         &self,
         column: &'static str,
-    ) -> Result<Option<T>, StoreError> {
+    ) -> StoreResult<Option<T>> {
         let Some(value) = self.get::<Option<i64>>(column)? else { return Ok(None) };
         T::try_from(value).map(Some).map_err(|_| self.unreadable(column, value))
     }
 
     /// Returns a time.
-    pub(crate) fn time(&self, column: &'static str) -> Result<Timestamp, StoreError> {
+    pub(crate) fn time(&self, column: &'static str) -> StoreResult<Timestamp> {
         let text: &str = self.get(column)?;
         text.parse().map_err(|_| self.unreadable(column, text))
     }
 
     /// Returns a time; `None` for NULL.
-    pub(crate) fn time_or_none(
-        &self,
-        column: &'static str,
-    ) -> Result<Option<Timestamp>, StoreError> {
+    pub(crate) fn time_or_none(&self, column: &'static str) -> StoreResult<Option<Timestamp>> {
         Ok(self.time_and_text(column)?.map(|(time, _)| time))
     }
 
@@ -192,20 +189,20 @@ impl<'r> Columns<'r> {
     pub(crate) fn time_and_text(
         &self,
         column: &'static str,
-    ) -> Result<Option<(Timestamp, &'r str)>, StoreError> {
+    ) -> StoreResult<Option<(Timestamp, &'r str)>> {
         let Some(text) = self.get::<Option<&'r str>>(column)? else { return Ok(None) };
         let time: Timestamp = text.parse().map_err(|_| self.unreadable(column, text))?;
         Ok(Some((time, text)))
     }
 
     /// Returns the id of a run.
-    pub(crate) fn uid(&self, column: &'static str) -> Result<RunUid, StoreError> {
+    pub(crate) fn uid(&self, column: &'static str) -> StoreResult<RunUid> {
         let text: &str = self.get(column)?;
         text.parse().map_err(|_| self.unreadable(column, text))
     }
 
     /// Returns the id of a run; `None` for NULL.
-    pub(crate) fn uid_or_none(&self, column: &'static str) -> Result<Option<RunUid>, StoreError> {
+    pub(crate) fn uid_or_none(&self, column: &'static str) -> StoreResult<Option<RunUid>> {
         let Some(text) = self.get::<Option<&str>>(column)? else { return Ok(None) };
         text.parse().map(Some).map_err(|_| self.unreadable(column, text))
     }
@@ -214,7 +211,7 @@ impl<'r> Columns<'r> {
     pub(crate) fn json<T: serde::de::DeserializeOwned>(
         &self,
         column: &'static str,
-    ) -> Result<T, StoreError> {
+    ) -> StoreResult<T> {
         let text: &str = self.get(column)?;
         serde_json::from_str(text).map_err(|_| self.unreadable(column, text))
     }
@@ -223,7 +220,7 @@ impl<'r> Columns<'r> {
     pub(crate) fn word<T: serde::de::DeserializeOwned>(
         &self,
         column: &'static str,
-    ) -> Result<T, StoreError> {
+    ) -> StoreResult<T> {
         let text: &str = self.get(column)?;
         word(text).ok_or_else(|| self.unreadable(column, text))
     }
@@ -232,7 +229,7 @@ impl<'r> Columns<'r> {
     pub(crate) fn word_or_none<T: serde::de::DeserializeOwned>(
         &self,
         column: &'static str,
-    ) -> Result<Option<T>, StoreError> {
+    ) -> StoreResult<Option<T>> {
         self.get::<Option<&str>>(column)?.map(|_| self.word(column)).transpose()
     }
 
@@ -240,7 +237,7 @@ impl<'r> Columns<'r> {
     pub(crate) fn id<T: serde::de::DeserializeOwned>(
         &self,
         column: &'static str,
-    ) -> Result<T, StoreError> {
+    ) -> StoreResult<T> {
         self.word(column)
     }
 
@@ -248,12 +245,12 @@ impl<'r> Columns<'r> {
     pub(crate) fn id_or_none<T: serde::de::DeserializeOwned>(
         &self,
         column: &'static str,
-    ) -> Result<Option<T>, StoreError> {
+    ) -> StoreResult<Option<T>> {
         self.word_or_none(column)
     }
 
     /// Returns the counts of a frame, injection-major.
-    pub(crate) fn counts(&self, column: &'static str) -> Result<Vec<i16>, StoreError> {
+    pub(crate) fn counts(&self, column: &'static str) -> StoreResult<Vec<i16>> {
         let bytes: &[u8] = self.get(column)?;
         let (values, rest) = bytes.as_chunks::<2>();
         if rest.is_empty() {
@@ -264,7 +261,7 @@ impl<'r> Columns<'r> {
     }
 
     /// Returns the voltages, V, injection-major, that a column holds as `bytes`.
-    pub(crate) fn volts(&self, column: &'static str, bytes: &[u8]) -> Result<Vec<f32>, StoreError> {
+    pub(crate) fn volts(&self, column: &'static str, bytes: &[u8]) -> StoreResult<Vec<f32>> {
         let (values, rest) = bytes.as_chunks::<4>();
         if rest.is_empty() {
             Ok(values.iter().map(|b| f32::from_le_bytes(*b)).collect())

@@ -10,18 +10,19 @@ use std::path::PathBuf;
 use crate::ids::{RunUid, TrialKey};
 use crate::journal::{JournalError, error_chain};
 
+/// Result of an operation of the store.
+pub type StoreResult<T> = Result<T, StoreError>;
+
 /// Failure of an operation of the store.
 #[derive(Debug, thiserror::Error)]
 #[allow(missing_docs, reason = "the message names the fields")]
 pub enum StoreError {
-    /// The database file cannot be opened or created.
     #[error("opening the database {path} failed")]
     Open {
         path: PathBuf,
         #[source]
         source: sqlx::Error,
     },
-    /// The database file is empty, or it is missing while its log exists.
     #[error(
         "the database {path} is lost: the file is empty, or missing while its log {path}-wal exists; \
          restore it from a copy, or remove the remaining files to start a new database"
@@ -42,14 +43,12 @@ pub enum StoreError {
         /// Smallest number of stored transactions at and after this offset.
         transactions: usize,
     },
-    /// A migration of the tables failed.
     #[error("migrating the tables of the database {path} failed")]
     Migrate {
         path: PathBuf,
         #[source]
         source: sqlx::migrate::MigrateError,
     },
-    /// The writer's thread, or its runtime, cannot be started.
     #[error("starting the writer of the store failed")]
     StartWriter(#[source] std::io::Error),
     /// A statement failed. After a failed write the outcome is unknown, unless a constraint refused it:
@@ -77,7 +76,6 @@ pub enum StoreError {
     /// A write did not finish in time. Its outcome is unknown.
     #[error("{operation} did not finish within {limit_s} s")]
     Late { operation: &'static str, limit_s: u64 },
-    /// The store has been closed.
     #[error("{operation}: the store is closed")]
     Closed { operation: &'static str },
     /// A record was refused before anything was written.
@@ -92,22 +90,16 @@ pub enum StoreError {
         /// Damage that SQLite or a checksum reported; a damaged trial is named by its id.
         findings: Vec<String>,
     },
-    /// The free space of the disk cannot be read.
     #[error("reading the free space of the disk failed")]
     FreeSpace(#[source] std::io::Error),
-    /// No run with this id is stored.
     #[error("there is no run {0}")]
     NoSuchRun(RunUid),
-    /// The run has ended and no longer changes.
     #[error("run {0} has ended")]
     RunEnded(RunUid),
-    /// The run is not in the queue.
     #[error("run {0} is not in the queue")]
     NotQueued(RunUid),
-    /// The run has no trial with this key.
     #[error("run {run} has no trial of configuration {} at depth {}", key.configuration, key.depth_index)]
     NoSuchTrial { run: RunUid, key: TrialKey },
-    /// Another person holds the operator lock.
     #[error("{holder} holds the operator lock: {note}")]
     LockHeld { holder: String, note: String },
 }
@@ -206,17 +198,17 @@ pub(crate) trait During<T> {
     ///
     /// # Errors
     /// `StoreError::Sql` or `Read` if `self` is an error.
-    fn during(self, operation: &'static str) -> Result<T, StoreError>;
+    fn during(self, operation: &'static str) -> StoreResult<T>;
 }
 
 impl<T> During<T> for Result<T, sqlx::Error> {
-    fn during(self, operation: &'static str) -> Result<T, StoreError> {
+    fn during(self, operation: &'static str) -> StoreResult<T> {
         self.map_err(|source| StoreError::Sql { operation, source })
     }
 }
 
 impl<T> During<T> for Result<T, rusqlite::Error> {
-    fn during(self, operation: &'static str) -> Result<T, StoreError> {
+    fn during(self, operation: &'static str) -> StoreResult<T> {
         self.map_err(|source| StoreError::Read { operation, source })
     }
 }

@@ -7,7 +7,7 @@ use strum::IntoStaticStr;
 use utoipa::ToSchema;
 
 use super::columns::Columns;
-use super::error::{During, StoreError};
+use super::error::{During, StoreError, StoreResult};
 use crate::ids::RunUid;
 pub use crate::record::Label;
 
@@ -47,7 +47,7 @@ impl RunFacts {
         connection: &mut SqliteConnection,
         run: RunUid,
         operation: &'static str,
-    ) -> Result<Self, StoreError> {
+    ) -> StoreResult<Self> {
         let row = sqlx::query("SELECT scan_id, kind, deadband_n FROM runs WHERE uid = ?1")
             .bind(run.to_string())
             .fetch_optional(connection)

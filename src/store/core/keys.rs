@@ -18,7 +18,7 @@ use tracing::Instrument;
 use utoipa::ToSchema;
 
 use super::columns::{Columns, time_text};
-use super::{During, Store, StoreError};
+use super::{During, Store, StoreError, StoreResult};
 use crate::digest::sha256_hex;
 use crate::journal::error_chain;
 use crate::plain::violated;
@@ -94,18 +94,15 @@ pub struct KeyRow {
     /// Rights of its holder.
     pub role: Role,
     /// Wall time of its creation.
-    #[schema(value_type = String, format = DateTime)]
     pub created_at: Timestamp,
     /// Wall time of its last use, to the minute; absent if it was never used.
-    #[schema(value_type = Option<String>, format = DateTime)]
     pub last_used_at: Option<Timestamp>,
     /// Wall time of its revocation; absent while it is valid.
-    #[schema(value_type = Option<String>, format = DateTime)]
     pub revoked_at: Option<Timestamp>,
 }
 
 impl KeyRow {
-    fn read(c: &Columns<'_>) -> Result<Self, StoreError> {
+    fn read(c: &Columns<'_>) -> StoreResult<Self> {
         Ok(Self {
             id: c.get("id")?,
             name: c.get("name")?,
@@ -162,7 +159,7 @@ impl KeyRing {
     ///
     /// # Errors
     /// `Sql` or `Unreadable` if the read fails.
-    pub async fn load(store: Store) -> Result<Self, StoreError> {
+    pub async fn load(store: Store) -> StoreResult<Self> {
         const OPERATION: &str = "reading the valid keys";
         let query = sqlx::query("SELECT * FROM api_keys WHERE revoked_at IS NULL");
         let entry = |c: &Columns<'_>| Ok((c.get::<String>("sha256")?, Key::of(&KeyRow::read(c)?)));
@@ -211,7 +208,7 @@ impl KeyRing {
         name: &str,
         role: Role,
         random: [u8; 32],
-    ) -> Result<(KeyRow, String), StoreError> {
+    ) -> StoreResult<(KeyRow, String)> {
         self.check_name(name)?;
         let secret = format!("{PREFIX}{}", hex::encode(random));
         let hash = sha256_hex(&secret);
@@ -220,7 +217,7 @@ impl KeyRing {
         Ok((row, secret))
     }
 
-    fn check_name(&self, name: &str) -> Result<(), StoreError> {
+    fn check_name(&self, name: &str) -> StoreResult<()> {
         if name.trim().is_empty() || name.chars().count() > KEY_NAME_MAX_CHARS {
             return Err(refused("must have 1 to 100 characters"));
         }
@@ -240,7 +237,7 @@ impl KeyRing {
     ///
     /// # Errors
     /// `Sql`, `Late` or `Closed` if the write fails.
-    pub async fn revoke(&self, id: i64) -> Result<bool, StoreError> {
+    pub async fn revoke(&self, id: i64) -> StoreResult<bool> {
         self.change().retain(|_, key| key.id != id);
         self.revocations.send_replace(());
         self.store.revoke_key(id).await
@@ -283,32 +280,28 @@ fn taken() -> StoreError {
 }
 
 impl Store {
-    async fn insert_key(&self, name: &str, role: Role, hash: String) -> Result<KeyRow, StoreError> {
+    async fn insert_key(&self, name: &str, role: Role, hash: String) -> StoreResult<KeyRow> {
         const OPERATION: &str = "creating a key";
         let (name, now) = (name.to_owned(), self.now_text());
-        self.inner
-            .writer
-            .run(OPERATION, async move |connection| {
-                let row = sqlx::query(
-                    "INSERT INTO api_keys (name, sha256, role, created_at)
-                     SELECT ?1, ?2, ?3, ?4 WHERE NOT EXISTS
-                     (SELECT 1 FROM api_keys WHERE name = ?1 AND revoked_at IS NULL) RETURNING *",
-                )
-                .bind(name)
-                .bind(hash)
-                .bind(role.as_str())
-                .bind(now)
-                .fetch_optional(connection)
-                .await
-                .during(OPERATION)?;
-                row.map(|row| KeyRow::read(&Columns::of(&row, OPERATION)))
-                    .transpose()?
-                    .ok_or(taken())
-            })
+        self.write(OPERATION, async move |connection| {
+            let row = sqlx::query(
+                "INSERT INTO api_keys (name, sha256, role, created_at)
+                 SELECT ?1, ?2, ?3, ?4 WHERE NOT EXISTS
+                 (SELECT 1 FROM api_keys WHERE name = ?1 AND revoked_at IS NULL) RETURNING *",
+            )
+            .bind(name)
+            .bind(hash)
+            .bind(role.as_str())
+            .bind(now)
+            .fetch_optional(connection)
             .await
+            .during(OPERATION)?;
+            row.map(|row| KeyRow::read(&Columns::of(&row, OPERATION))).transpose()?.ok_or(taken())
+        })
+        .await
     }
 
-    async fn note_key_use(&self, id: i64, at: Timestamp) -> Result<(), StoreError> {
+    async fn note_key_use(&self, id: i64, at: Timestamp) -> StoreResult<()> {
         const OPERATION: &str = "storing the use of a key";
         let query = sqlx::query("UPDATE api_keys SET last_used_at = ?2 WHERE id = ?1")
             .bind(id)
@@ -316,7 +309,7 @@ impl Store {
         self.inner.writer.execute(OPERATION, query).await.map(drop)
     }
 
-    async fn revoke_key(&self, id: i64) -> Result<bool, StoreError> {
+    async fn revoke_key(&self, id: i64) -> StoreResult<bool> {
         const OPERATION: &str = "revoking a key";
         let query =
             sqlx::query("UPDATE api_keys SET revoked_at = ?2 WHERE id = ?1 AND revoked_at IS NULL")
@@ -329,7 +322,7 @@ impl Store {
     ///
     /// # Errors
     /// `Sql` or `Unreadable` if the read fails.
-    pub async fn keys(&self) -> Result<Vec<KeyRow>, StoreError> {
+    pub async fn keys(&self) -> StoreResult<Vec<KeyRow>> {
         const OPERATION: &str = "listing keys";
         let query = sqlx::query("SELECT * FROM api_keys ORDER BY id");
         self.rows(OPERATION, query, KeyRow::read).await

@@ -3,7 +3,7 @@
 
 use sqlx::sqlite::SqliteConnection;
 
-use super::error::StoreError;
+use super::error::StoreResult;
 use super::facts::RunFacts;
 use super::store::Store;
 use super::writer::Writer;
@@ -18,7 +18,7 @@ impl Store {
         &self,
         run: RunUid,
         operation: &'static str,
-    ) -> Result<RunFacts, StoreError> {
+    ) -> StoreResult<RunFacts> {
         if let Some(facts) = self.known(run) {
             return Ok(facts);
         }
@@ -35,7 +35,7 @@ impl Store {
         &self,
         run: RunUid,
         operation: &'static str,
-    ) -> Result<RunFacts, StoreError> {
+    ) -> StoreResult<RunFacts> {
         self.facts_by(&self.inner.writer.patient(), run, operation).await
     }
 
@@ -44,7 +44,7 @@ impl Store {
         writer: &Writer,
         run: RunUid,
         operation: &'static str,
-    ) -> Result<RunFacts, StoreError> {
+    ) -> StoreResult<RunFacts> {
         if let Some(facts) = self.known(run) {
             return Ok(facts);
         }

@@ -8,7 +8,7 @@ use utoipa::ToSchema;
 
 use super::columns::Columns;
 use super::keys::{KEYLESS, KEYLESS_SUFFIX};
-use super::{During, Store, StoreError};
+use super::{During, Store, StoreError, StoreResult};
 use crate::plain::violated;
 
 /// Longest name of a holder, with the mark of one without a key.
@@ -24,7 +24,6 @@ pub struct LockRow {
     /// Note of the holder.
     pub note: String,
     /// Wall time at which it was taken.
-    #[schema(value_type = String, format = DateTime)]
     pub since: Timestamp,
 }
 
@@ -34,7 +33,7 @@ impl LockRow {
         self.holder == KEYLESS || self.holder.ends_with(KEYLESS_SUFFIX)
     }
 
-    fn read(row: &SqliteRow, operation: &'static str) -> Result<Self, StoreError> {
+    fn read(row: &SqliteRow, operation: &'static str) -> StoreResult<Self> {
         let c = Columns::of(row, operation);
         Ok(Self { holder: c.get("holder")?, note: c.get("note")?, since: c.time("since")? })
     }
@@ -46,7 +45,7 @@ impl Store {
     /// # Errors
     /// `Refused` if holder or note is too long or has control characters; `LockHeld` if another person
     /// holds it; `Sql`, `Late` or `Closed` if the write fails.
-    pub async fn set_lock(&self, holder: &str, note: &str) -> Result<LockRow, StoreError> {
+    pub async fn set_lock(&self, holder: &str, note: &str) -> StoreResult<LockRow> {
         const OPERATION: &str = "taking the operator lock";
         for (text, max_chars) in [(holder, HOLDER_MAX_CHARS), (note, NOTE_MAX_CHARS)] {
             if violated(text, max_chars).is_some() {
@@ -56,54 +55,47 @@ impl Store {
             }
         }
         let (holder, note, now) = (holder.to_owned(), note.to_owned(), self.now_text());
-        self.inner
-            .writer
-            .run(OPERATION, async move |connection| {
-                if let Some(held) = held(connection, OPERATION).await?
-                    && held.holder != holder
-                {
-                    return Err(StoreError::LockHeld { holder: held.holder, note: held.note });
-                }
-                let row = sqlx::query(
-                    "INSERT INTO operator_lock (id, holder, note, since) VALUES (1, ?1, ?2, ?3)
-                     ON CONFLICT (id) DO UPDATE SET note = ?2, since = ?3
-                     RETURNING *",
-                )
-                .bind(holder)
-                .bind(note)
-                .bind(now)
-                .fetch_one(connection)
-                .await
-                .during(OPERATION)?;
-                LockRow::read(&row, OPERATION)
-            })
+        self.write(OPERATION, async move |connection| {
+            if let Some(held) = held(connection, OPERATION).await?
+                && held.holder != holder
+            {
+                return Err(StoreError::LockHeld { holder: held.holder, note: held.note });
+            }
+            let row = sqlx::query(
+                "INSERT INTO operator_lock (id, holder, note, since) VALUES (1, ?1, ?2, ?3)
+                 ON CONFLICT (id) DO UPDATE SET note = ?2, since = ?3
+                 RETURNING *",
+            )
+            .bind(holder)
+            .bind(note)
+            .bind(now)
+            .fetch_one(connection)
             .await
+            .during(OPERATION)?;
+            LockRow::read(&row, OPERATION)
+        })
+        .await
     }
 
     /// Removes the lock of any holder (the caller checks the rights). Returns the removed lock.
     ///
     /// # Errors
     /// `Sql`, `Late` or `Closed` if the write fails.
-    pub async fn clear_lock(&self) -> Result<Option<LockRow>, StoreError> {
+    pub async fn clear_lock(&self) -> StoreResult<Option<LockRow>> {
         const OPERATION: &str = "releasing the operator lock";
-        self.inner
-            .writer
-            .run(OPERATION, async move |connection| {
-                let was = held(connection, OPERATION).await?;
-                sqlx::query("DELETE FROM operator_lock")
-                    .execute(connection)
-                    .await
-                    .during(OPERATION)?;
-                Ok(was)
-            })
-            .await
+        self.write(OPERATION, async move |connection| {
+            let was = held(connection, OPERATION).await?;
+            sqlx::query("DELETE FROM operator_lock").execute(connection).await.during(OPERATION)?;
+            Ok(was)
+        })
+        .await
     }
 
     /// Returns the lock; `None` if it is free.
     ///
     /// # Errors
     /// `Sql` or `Unreadable` if the read fails.
-    pub async fn lock(&self) -> Result<Option<LockRow>, StoreError> {
+    pub async fn lock(&self) -> StoreResult<Option<LockRow>> {
         const OPERATION: &str = "reading the operator lock";
         held(&mut *self.read(OPERATION).await?, OPERATION).await
     }
@@ -113,7 +105,7 @@ impl Store {
 async fn held(
     connection: &mut SqliteConnection,
     operation: &'static str,
-) -> Result<Option<LockRow>, StoreError> {
+) -> StoreResult<Option<LockRow>> {
     sqlx::query("SELECT * FROM operator_lock")
         .fetch_optional(connection)
         .await

@@ -28,5 +28,5 @@ pub(crate) mod keys;
 /// Requests that are carried out once.
 pub(crate) mod once;
 
-pub(crate) use error::{During, StoreError};
+pub(crate) use error::{During, StoreError, StoreResult};
 pub(crate) use store::Store;

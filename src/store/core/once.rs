@@ -7,7 +7,7 @@ use jiff::Timestamp;
 use sqlx::sqlite::{SqliteConnection, SqliteRow};
 
 use super::columns::{Columns, time_text};
-use super::{During, Store, StoreError};
+use super::{During, Store, StoreResult};
 
 /// Name of a request: the caller, and the key that it chose.
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
@@ -49,7 +49,7 @@ pub struct OnceRow {
 }
 
 impl OnceRow {
-    fn read(row: &SqliteRow, operation: &'static str) -> Result<Self, StoreError> {
+    fn read(row: &SqliteRow, operation: &'static str) -> StoreResult<Self> {
         let c = Columns::of(row, operation);
         let response = match c.get("status")? {
             Some(status) => Some(OnceResponse {
@@ -76,82 +76,72 @@ impl Store {
         request: &str,
         kept: Duration,
         most: u32,
-    ) -> Result<Option<OnceRow>, StoreError> {
+    ) -> StoreResult<Option<OnceRow>> {
         const OPERATION: &str = "storing that a request begins";
         let now = self.inner.clock.timestamp();
         // A duration that reaches before the first time keeps everything.
         let oldest = time_text(now.checked_sub(kept).unwrap_or(Timestamp::MIN));
         let (key, request, now) = (key.clone(), request.to_owned(), time_text(now));
-        self.inner
-            .writer
-            .run(OPERATION, async move |connection| {
-                sqlx::query("DELETE FROM requests_once WHERE began_at < ?1")
-                    .bind(oldest)
-                    .execute(&mut *connection)
-                    .await
-                    .during(OPERATION)?;
-                let inserted = sqlx::query(
-                    "INSERT INTO requests_once (caller, name, request, began_at)
-                     VALUES (?1, ?2, ?3, ?4) ON CONFLICT DO NOTHING",
-                )
-                .bind(key.caller())
-                .bind(&key.name)
-                .bind(request)
-                .bind(now)
+        self.write(OPERATION, async move |connection| {
+            sqlx::query("DELETE FROM requests_once WHERE began_at < ?1")
+                .bind(oldest)
                 .execute(&mut *connection)
                 .await
                 .during(OPERATION)?;
-                if inserted.rows_affected() == 0 {
-                    let row =
-                        sqlx::query("SELECT * FROM requests_once WHERE caller = ?1 AND name = ?2")
-                            .bind(key.caller())
-                            .bind(&key.name)
-                            .fetch_one(connection)
-                            .await
-                            .during(OPERATION)?;
-                    return OnceRow::read(&row, OPERATION).map(Some);
-                }
-                keep_newest(connection, key.caller(), most).await.during(OPERATION)?;
-                Ok(None)
-            })
+            let inserted = sqlx::query(
+                "INSERT INTO requests_once (caller, name, request, began_at)
+                 VALUES (?1, ?2, ?3, ?4) ON CONFLICT DO NOTHING",
+            )
+            .bind(key.caller())
+            .bind(&key.name)
+            .bind(request)
+            .bind(now)
+            .execute(&mut *connection)
             .await
+            .during(OPERATION)?;
+            if inserted.rows_affected() == 0 {
+                let row =
+                    sqlx::query("SELECT * FROM requests_once WHERE caller = ?1 AND name = ?2")
+                        .bind(key.caller())
+                        .bind(&key.name)
+                        .fetch_one(connection)
+                        .await
+                        .during(OPERATION)?;
+                return OnceRow::read(&row, OPERATION).map(Some);
+            }
+            keep_newest(connection, key.caller(), most).await.during(OPERATION)?;
+            Ok(None)
+        })
+        .await
     }
 
     /// Stores the response of a request that began; without one, removes the request.
     ///
     /// # Errors
     /// `Sql`, `Late` or `Closed` if the write fails.
-    pub async fn end_once(
-        &self,
-        key: &OnceKey,
-        response: Option<OnceResponse>,
-    ) -> Result<(), StoreError> {
+    pub async fn end_once(&self, key: &OnceKey, response: Option<OnceResponse>) -> StoreResult<()> {
         const OPERATION: &str = "storing the response of a request";
         let key = key.clone();
-        self.inner
-            .writer
-            .run(OPERATION, async move |connection| {
-                let statement = match response {
-                    Some(response) => sqlx::query(
-                        "UPDATE requests_once
-                         SET status = ?3, location = ?4, content_type = ?5, body = ?6
-                         WHERE caller = ?1 AND name = ?2",
-                    )
+        self.write(OPERATION, async move |connection| {
+            let statement = match response {
+                Some(response) => sqlx::query(
+                    "UPDATE requests_once
+                     SET status = ?3, location = ?4, content_type = ?5, body = ?6
+                     WHERE caller = ?1 AND name = ?2",
+                )
+                .bind(key.caller())
+                .bind(&key.name)
+                .bind(response.status)
+                .bind(response.location)
+                .bind(response.content_type)
+                .bind(response.body),
+                None => sqlx::query("DELETE FROM requests_once WHERE caller = ?1 AND name = ?2")
                     .bind(key.caller())
-                    .bind(&key.name)
-                    .bind(response.status)
-                    .bind(response.location)
-                    .bind(response.content_type)
-                    .bind(response.body),
-                    None => {
-                        sqlx::query("DELETE FROM requests_once WHERE caller = ?1 AND name = ?2")
-                            .bind(key.caller())
-                            .bind(&key.name)
-                    }
-                };
-                statement.execute(connection).await.map(drop).during(OPERATION)
-            })
-            .await
+                    .bind(&key.name),
+            };
+            statement.execute(connection).await.map(drop).during(OPERATION)
+        })
+        .await
     }
 }
 

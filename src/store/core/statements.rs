@@ -5,7 +5,7 @@ use sqlx::Sqlite;
 use sqlx::sqlite::SqliteArguments;
 
 use super::columns::Columns;
-use super::error::{During, StoreError};
+use super::error::{During, StoreResult};
 use super::store::Store;
 use super::writer::Writer;
 
@@ -21,22 +21,19 @@ impl Store {
         &self,
         operation: &'static str,
         query: Query,
-        read: impl Fn(&Columns<'_>) -> Result<T, StoreError>,
-    ) -> Result<Vec<T>, StoreError> {
+        read: impl Fn(&Columns<'_>) -> StoreResult<T>,
+    ) -> StoreResult<Vec<T>> {
         let rows = query.fetch_all(&self.inner.readers).await.during(operation)?;
         rows.iter().map(|row| read(&Columns::of(row, operation))).collect()
     }
 
     /// Returns what `read` makes of the first row; `None` without rows.
-    ///
-    /// # Errors
-    /// As [`Store::rows`].
     pub(crate) async fn row<T>(
         &self,
         operation: &'static str,
         query: Query,
-        read: impl Fn(&Columns<'_>) -> Result<T, StoreError>,
-    ) -> Result<Option<T>, StoreError> {
+        read: impl Fn(&Columns<'_>) -> StoreResult<T>,
+    ) -> StoreResult<Option<T>> {
         let row = query.fetch_optional(&self.inner.readers).await.during(operation)?;
         row.map(|row| read(&Columns::of(&row, operation))).transpose()
     }
@@ -44,14 +41,7 @@ impl Store {
 
 impl Writer {
     /// Carries out a statement in a transaction; returns the number of rows that it changed.
-    ///
-    /// # Errors
-    /// As [`Writer::run`].
-    pub(crate) async fn execute(
-        &self,
-        operation: &'static str,
-        query: Query,
-    ) -> Result<u64, StoreError> {
+    pub(crate) async fn execute(&self, operation: &'static str, query: Query) -> StoreResult<u64> {
         self.run(operation, async move |connection| {
             Ok(query.execute(connection).await.during(operation)?.rows_affected())
         })
@@ -59,15 +49,12 @@ impl Writer {
     }
 
     /// Carries out a statement that returns a row in a transaction; returns what `read` makes of it.
-    ///
-    /// # Errors
-    /// As [`Writer::run`], and an error of `read`.
     pub(crate) async fn returned<T: Send + 'static>(
         &self,
         operation: &'static str,
         query: Query,
-        read: fn(&Columns<'_>) -> Result<T, StoreError>,
-    ) -> Result<T, StoreError> {
+        read: fn(&Columns<'_>) -> StoreResult<T>,
+    ) -> StoreResult<T> {
         self.run(operation, async move |connection| {
             let row = query.fetch_one(connection).await.during(operation)?;
             read(&Columns::of(&row, operation))

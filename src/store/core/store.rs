@@ -10,13 +10,14 @@ use std::time::Duration;
 
 use parking_lot::Mutex;
 use sqlx::sqlite::{
-    SqliteConnectOptions, SqliteJournalMode, SqlitePool, SqlitePoolOptions, SqliteSynchronous,
+    SqliteConnectOptions, SqliteConnection, SqliteJournalMode, SqlitePool, SqlitePoolOptions,
+    SqliteSynchronous,
 };
 use sqlx::{ConnectOptions, Sqlite, Transaction};
 
 use super::bulk::Bulk;
 use super::columns;
-use super::error::{During, StoreError};
+use super::error::{During, StoreError, StoreResult};
 use super::facts::RunFacts;
 use super::log;
 use super::migrations::MIGRATIONS;
@@ -78,7 +79,7 @@ impl Store {
     /// `Lost` if the file is empty, or missing while its log exists; `DamagedLog` if the log was changed
     /// after it was written; `Damaged` if a column is missing; `Open`, `Migrate` or `StartWriter` if a
     /// connection, a migration or the writer's thread fails; `Late` after 600 s.
-    pub async fn open(path: &Path, clock: Clock) -> Result<Self, StoreError> {
+    pub async fn open(path: &Path, clock: Clock) -> StoreResult<Self> {
         let open = |source| StoreError::Open { path: path.to_owned(), source };
         let options = SqliteConnectOptions::new()
             .filename(path)
@@ -139,6 +140,15 @@ impl Store {
         &self.inner.path
     }
 
+    /// Runs `work` in one transaction.
+    pub(crate) async fn write<T, F>(&self, operation: &'static str, work: F) -> StoreResult<T>
+    where
+        T: Send + 'static,
+        F: AsyncFnOnce(&mut SqliteConnection) -> StoreResult<T> + Send + 'static,
+    {
+        self.inner.writer.run(operation, work).await
+    }
+
     /// Returns a number that grows with each stored twin and each discarded trial of a run: what was read
     /// of a run that has ended is as it was while the number is. New trials do not count.
     pub fn changes_of(&self, scan_id: i64) -> u64 {
@@ -161,7 +171,7 @@ impl Store {
     ///
     /// # Errors
     /// `FreeSpace` if the operating system does not report it.
-    pub async fn free_bytes(&self) -> Result<u64, StoreError> {
+    pub async fn free_bytes(&self) -> StoreResult<u64> {
         let folder = match self.inner.path.parent() {
             Some(folder) if !folder.as_os_str().is_empty() => folder,
             _ => Path::new("."),
@@ -178,7 +188,7 @@ impl Store {
     pub(crate) async fn read(
         &self,
         operation: &'static str,
-    ) -> Result<Transaction<'static, Sqlite>, StoreError> {
+    ) -> StoreResult<Transaction<'static, Sqlite>> {
         self.inner.readers.begin().await.during(operation)
     }
 
@@ -190,7 +200,7 @@ impl Store {
 
 /// Creates a new database under a temporary name, then renames it. A process that is killed meanwhile
 /// leaves no database, so that an empty file is always a lost one.
-async fn create(path: &Path, options: &SqliteConnectOptions) -> Result<(), StoreError> {
+async fn create(path: &Path, options: &SqliteConnectOptions) -> StoreResult<()> {
     let new = path.with_added_extension("new");
     // Remains of a killed process. SQLite removes their log itself.
     let _ = std::fs::remove_file(&new);

@@ -15,7 +15,7 @@ use sqlx::{ConnectOptions, Connection};
 use tokio::sync::{mpsc, oneshot};
 use tracing::{Instrument, Span};
 
-use super::error::{During, StoreError};
+use super::error::{During, StoreError, StoreResult};
 use crate::journal::error_chain;
 use crate::priority;
 
@@ -52,7 +52,7 @@ impl Writer {
     ///
     /// # Errors
     /// `StoreError::StartWriter` if the runtime or the thread cannot be created.
-    pub(crate) fn start(options: SqliteConnectOptions) -> Result<Self, StoreError> {
+    pub(crate) fn start(options: SqliteConnectOptions) -> StoreResult<Self> {
         let runtime = tokio::runtime::Builder::new_current_thread()
             .enable_all()
             .build()
@@ -99,11 +99,7 @@ impl Writer {
     /// # Errors
     /// `Open` if the file cannot be opened; `Migrate` if a migration fails; `Damaged` if a column is
     /// missing that the migrations create; `Late` after 600 s.
-    pub(crate) async fn open(
-        &self,
-        path: &Path,
-        migrations: &'static Migrator,
-    ) -> Result<(), StoreError> {
+    pub(crate) async fn open(&self, path: &Path, migrations: &'static Migrator) -> StoreResult<()> {
         let path = path.to_owned();
         self.hand_over("opening the database", Some(OPEN_DEADLINE), async move |hand| {
             let connecting = hand.options.connect().await;
@@ -123,10 +119,10 @@ impl Writer {
     /// # Errors
     /// An error of `work`, after which the transaction is rolled back; `Sql` if it cannot begin or
     /// commit; `Late` after the deadline; `Closed` if the thread has ended.
-    pub(crate) async fn run<T, F>(&self, operation: &'static str, work: F) -> Result<T, StoreError>
+    pub(crate) async fn run<T, F>(&self, operation: &'static str, work: F) -> StoreResult<T>
     where
         T: Send + 'static,
-        F: AsyncFnOnce(&mut SqliteConnection) -> Result<T, StoreError> + Send + 'static,
+        F: AsyncFnOnce(&mut SqliteConnection) -> StoreResult<T> + Send + 'static,
     {
         let work = async move |hand: &mut Hand| hand.transact(operation, work).await;
         self.hand_over(operation, self.deadline, work).await
@@ -143,11 +139,11 @@ impl Writer {
         operation: &'static str,
         work: F,
         look: L,
-    ) -> Result<T, StoreError>
+    ) -> StoreResult<T>
     where
         T: Send + 'static,
-        F: AsyncFnOnce(&mut SqliteConnection) -> Result<T, StoreError> + Send + 'static,
-        L: AsyncFnOnce(&mut SqliteConnection) -> Result<Option<T>, StoreError> + Send + 'static,
+        F: AsyncFnOnce(&mut SqliteConnection) -> StoreResult<T> + Send + 'static,
+        L: AsyncFnOnce(&mut SqliteConnection) -> StoreResult<Option<T>> + Send + 'static,
     {
         self.hand_over(operation, self.deadline, async move |hand| {
             match hand.transact(operation, work).await {
@@ -174,7 +170,7 @@ impl Writer {
 
     /// Makes the next transaction report a failed commit although it is stored.
     #[cfg(test)]
-    pub(crate) async fn fail_after_next_commit(&self) -> Result<(), StoreError> {
+    pub(crate) async fn fail_after_next_commit(&self) -> StoreResult<()> {
         self.hand_over("arranging a failure", self.deadline, async |hand| {
             hand.fail_after_commit = true;
             Ok(())
@@ -187,10 +183,10 @@ impl Writer {
         operation: &'static str,
         deadline: Option<Duration>,
         work: F,
-    ) -> Result<T, StoreError>
+    ) -> StoreResult<T>
     where
         T: Send + 'static,
-        F: AsyncFnOnce(&mut Hand) -> Result<T, StoreError> + Send + 'static,
+        F: AsyncFnOnce(&mut Hand) -> StoreResult<T> + Send + 'static,
     {
         let (answer, answered) = oneshot::channel();
         let span = Span::current();
@@ -214,10 +210,7 @@ impl Writer {
 }
 
 impl Hand {
-    async fn connection(
-        &mut self,
-        operation: &'static str,
-    ) -> Result<&mut SqliteConnection, StoreError> {
+    async fn connection(&mut self, operation: &'static str) -> StoreResult<&mut SqliteConnection> {
         let connection = match self.connection.take() {
             Some(connection) => connection,
             None => self.options.connect().await.during(operation)?,
@@ -228,8 +221,8 @@ impl Hand {
     async fn transact<T>(
         &mut self,
         operation: &'static str,
-        work: impl AsyncFnOnce(&mut SqliteConnection) -> Result<T, StoreError>,
-    ) -> Result<T, StoreError> {
+        work: impl AsyncFnOnce(&mut SqliteConnection) -> StoreResult<T>,
+    ) -> StoreResult<T> {
         let result = self.attempt(operation, work).await;
         if let Err(error) = &result
             && error.outcome_unknown()
@@ -243,8 +236,8 @@ impl Hand {
     async fn attempt<T>(
         &mut self,
         operation: &'static str,
-        work: impl AsyncFnOnce(&mut SqliteConnection) -> Result<T, StoreError>,
-    ) -> Result<T, StoreError> {
+        work: impl AsyncFnOnce(&mut SqliteConnection) -> StoreResult<T>,
+    ) -> StoreResult<T> {
         let connection = self.connection(operation).await?;
         let mut transaction = connection.begin_with("BEGIN IMMEDIATE").await.during(operation)?;
         match work(&mut transaction).await {
@@ -274,8 +267,8 @@ impl Hand {
         &mut self,
         operation: &'static str,
         error: StoreError,
-        look: impl AsyncFnOnce(&mut SqliteConnection) -> Result<Option<T>, StoreError>,
-    ) -> Result<T, StoreError> {
+        look: impl AsyncFnOnce(&mut SqliteConnection) -> StoreResult<Option<T>>,
+    ) -> StoreResult<T> {
         let found = async {
             let connection = self.connection(operation).await?;
             let (busy, _, _): (i64, i64, i64) = sqlx::query_as("PRAGMA wal_checkpoint(TRUNCATE)")
@@ -320,7 +313,7 @@ impl Hand {
 async fn require_columns(
     connection: &mut SqliteConnection,
     migrations: &Migrator,
-) -> Result<(), StoreError> {
+) -> StoreResult<()> {
     const OPERATION: &str = "comparing the tables with those of this version";
     let options = SqliteConnectOptions::new().in_memory(true).disable_statement_logging();
     let mut fresh = options.connect().await.during(OPERATION)?;

@@ -7,7 +7,7 @@ use jiff::Timestamp;
 use serde_json::Value;
 
 use crate::core::columns::{Columns, time_text};
-use crate::core::{During, Store, StoreError};
+use crate::core::{During, Store, StoreResult};
 use crate::ids::{DatasetId, RunUid};
 
 /// A stored dataset. Its trials are in a Parquet file that is named by its id.
@@ -34,7 +34,7 @@ pub struct DatasetRow {
 }
 
 impl DatasetRow {
-    fn read(c: &Columns<'_>) -> Result<Self, StoreError> {
+    fn read(c: &Columns<'_>) -> StoreResult<Self> {
         Ok(Self {
             id: c.id("id")?,
             name: c.get("name")?,
@@ -72,7 +72,7 @@ impl Store {
     ///
     /// # Errors
     /// `NoSuchRun` if the run is not stored; `Sql` or `Unreadable` if the read fails.
-    pub async fn run_extent(&self, run: RunUid) -> Result<RunExtent, StoreError> {
+    pub async fn run_extent(&self, run: RunUid) -> StoreResult<RunExtent> {
         const OPERATION: &str = "reading the extent of a run";
         let scan_id = self.facts(run, OPERATION).await?.scan_id;
         let row = sqlx::query(
@@ -105,59 +105,53 @@ impl Store {
     ///
     /// # Errors
     /// `Sql`, `Late` or `Closed` if the write fails.
-    pub async fn insert_dataset(
-        &self,
-        new: DatasetRow,
-        inputs: &str,
-    ) -> Result<DatasetRow, StoreError> {
+    pub async fn insert_dataset(&self, new: DatasetRow, inputs: &str) -> StoreResult<DatasetRow> {
         const OPERATION: &str = "storing a dataset";
         let inputs = inputs.to_owned();
-        self.inner
-            .writer
-            .run(OPERATION, async move |connection| {
-                sqlx::query(
-                    "INSERT INTO datasets (id, name, definition, rows, bytes, sha256, report,
-                         lineage, created_at)
-                     VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9)
-                     ON CONFLICT (id) DO UPDATE SET bytes = excluded.bytes,
-                         sha256 = excluded.sha256, lineage = excluded.lineage",
-                )
-                .bind(new.id.as_str())
-                .bind(&new.name)
-                .bind(new.definition.to_string())
-                .bind(new.rows.cast_signed())
-                .bind(new.bytes.cast_signed())
-                .bind(&new.sha256)
-                .bind(new.report.to_string())
-                .bind(new.lineage.to_string())
-                .bind(time_text(new.created_at))
-                .execute(&mut *connection)
-                .await
-                .during(OPERATION)?;
-                sqlx::query(
-                    "INSERT INTO dataset_inputs (inputs, dataset) VALUES (?1, ?2)
-                     ON CONFLICT (inputs) DO UPDATE SET dataset = ?2",
-                )
-                .bind(inputs)
-                .bind(new.id.as_str())
-                .execute(&mut *connection)
-                .await
-                .during(OPERATION)?;
-                let row = sqlx::query("SELECT * FROM datasets WHERE id = ?1")
-                    .bind(new.id.as_str())
-                    .fetch_one(connection)
-                    .await
-                    .during(OPERATION)?;
-                DatasetRow::read(&Columns::of(&row, OPERATION))
-            })
+        self.write(OPERATION, async move |connection| {
+            sqlx::query(
+                "INSERT INTO datasets (id, name, definition, rows, bytes, sha256, report,
+                     lineage, created_at)
+                 VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9)
+                 ON CONFLICT (id) DO UPDATE SET bytes = excluded.bytes,
+                     sha256 = excluded.sha256, lineage = excluded.lineage",
+            )
+            .bind(new.id.as_str())
+            .bind(&new.name)
+            .bind(new.definition.to_string())
+            .bind(new.rows.cast_signed())
+            .bind(new.bytes.cast_signed())
+            .bind(&new.sha256)
+            .bind(new.report.to_string())
+            .bind(new.lineage.to_string())
+            .bind(time_text(new.created_at))
+            .execute(&mut *connection)
             .await
+            .during(OPERATION)?;
+            sqlx::query(
+                "INSERT INTO dataset_inputs (inputs, dataset) VALUES (?1, ?2)
+                 ON CONFLICT (inputs) DO UPDATE SET dataset = ?2",
+            )
+            .bind(inputs)
+            .bind(new.id.as_str())
+            .execute(&mut *connection)
+            .await
+            .during(OPERATION)?;
+            let row = sqlx::query("SELECT * FROM datasets WHERE id = ?1")
+                .bind(new.id.as_str())
+                .fetch_one(connection)
+                .await
+                .during(OPERATION)?;
+            DatasetRow::read(&Columns::of(&row, OPERATION))
+        })
+        .await
     }
 
     /// Returns the dataset with this id; `None` if it is not stored.
     ///
     /// # Errors
     /// `Sql` or `Unreadable` if the read fails.
-    pub async fn dataset(&self, id: &DatasetId) -> Result<Option<DatasetRow>, StoreError> {
+    pub async fn dataset(&self, id: &DatasetId) -> StoreResult<Option<DatasetRow>> {
         self.one_dataset("SELECT * FROM datasets WHERE id = ?1", id.as_str()).await
     }
 
@@ -165,7 +159,7 @@ impl Store {
     ///
     /// # Errors
     /// `Sql` or `Unreadable` if the read fails.
-    pub async fn dataset_of_inputs(&self, inputs: &str) -> Result<Option<DatasetRow>, StoreError> {
+    pub async fn dataset_of_inputs(&self, inputs: &str) -> StoreResult<Option<DatasetRow>> {
         self.one_dataset(
             "SELECT d.* FROM dataset_inputs i JOIN datasets d ON d.id = i.dataset
              WHERE i.inputs = ?1",
@@ -178,7 +172,7 @@ impl Store {
     ///
     /// # Errors
     /// `Sql` or `Unreadable` if the read fails.
-    pub async fn newest_dataset(&self, name: &str) -> Result<Option<DatasetRow>, StoreError> {
+    pub async fn newest_dataset(&self, name: &str) -> StoreResult<Option<DatasetRow>> {
         self.one_dataset(
             "SELECT * FROM datasets WHERE name = ?1 ORDER BY created_at DESC, rowid DESC LIMIT 1",
             name,
@@ -187,11 +181,7 @@ impl Store {
     }
 
     /// Returns the dataset that `sql` selects by `value`.
-    async fn one_dataset(
-        &self,
-        sql: &'static str,
-        value: &str,
-    ) -> Result<Option<DatasetRow>, StoreError> {
+    async fn one_dataset(&self, sql: &'static str, value: &str) -> StoreResult<Option<DatasetRow>> {
         const OPERATION: &str = "reading a dataset";
         let query = sqlx::query(sql).bind(value);
         self.row(OPERATION, query, DatasetRow::read).await
@@ -201,7 +191,7 @@ impl Store {
     ///
     /// # Errors
     /// `Sql` or `Unreadable` if the read fails.
-    pub async fn datasets(&self) -> Result<Vec<DatasetRow>, StoreError> {
+    pub async fn datasets(&self) -> StoreResult<Vec<DatasetRow>> {
         const OPERATION: &str = "listing datasets";
         let query = sqlx::query("SELECT * FROM datasets ORDER BY created_at DESC, rowid DESC");
         self.rows(OPERATION, query, DatasetRow::read).await
@@ -212,7 +202,7 @@ impl Store {
     ///
     /// # Errors
     /// `Sql` or `Unreadable` if the read fails.
-    pub async fn dataset_users(&self) -> Result<BTreeMap<DatasetId, String>, StoreError> {
+    pub async fn dataset_users(&self) -> StoreResult<BTreeMap<DatasetId, String>> {
         const OPERATION: &str = "reading what refers to datasets";
         let users: Vec<(String, String)> = sqlx::query_as(
             "SELECT d.id, 'model ' || m.id FROM datasets d JOIN models m ON instr(m.manifest, d.id) > 0
@@ -230,25 +220,23 @@ impl Store {
     ///
     /// # Errors
     /// `Sql`, `Late` or `Closed` if the write fails; a dataset that is referred to fails all.
-    pub async fn remove_datasets(&self, ids: Vec<DatasetId>) -> Result<(), StoreError> {
+    pub async fn remove_datasets(&self, ids: Vec<DatasetId>) -> StoreResult<()> {
         const OPERATION: &str = "removing datasets";
-        self.inner
-            .writer
-            .run(OPERATION, async move |connection| {
-                let statements = [
-                    "UPDATE tasks SET dataset = NULL WHERE dataset = ?1 AND kind = 'export'
-                         AND state NOT IN ('waiting', 'running')",
-                    "DELETE FROM dataset_inputs WHERE dataset = ?1",
-                    "DELETE FROM datasets WHERE id = ?1",
-                ];
-                for id in &ids {
-                    for sql in statements {
-                        let removed = sqlx::query(sql).bind(id.as_str());
-                        removed.execute(&mut *connection).await.during(OPERATION)?;
-                    }
+        self.write(OPERATION, async move |connection| {
+            let statements = [
+                "UPDATE tasks SET dataset = NULL WHERE dataset = ?1 AND kind = 'export'
+                     AND state NOT IN ('waiting', 'running')",
+                "DELETE FROM dataset_inputs WHERE dataset = ?1",
+                "DELETE FROM datasets WHERE id = ?1",
+            ];
+            for id in &ids {
+                for sql in statements {
+                    let removed = sqlx::query(sql).bind(id.as_str());
+                    removed.execute(&mut *connection).await.during(OPERATION)?;
                 }
-                Ok(())
-            })
-            .await
+            }
+            Ok(())
+        })
+        .await
     }
 }

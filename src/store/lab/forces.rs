@@ -2,7 +2,7 @@
 //! Uses: `core`. Never: a statistic of them.
 
 use crate::core::columns::Columns;
-use crate::core::{Store, StoreError};
+use crate::core::{Store, StoreResult};
 use crate::ids::RunUid;
 
 /// Depth and largest force of a trial.
@@ -21,7 +21,7 @@ impl Store {
     ///
     /// # Errors
     /// `NoSuchRun` if the run is not stored; `Sql` if the read fails.
-    pub async fn forces_over_depth(&self, run: RunUid) -> Result<Vec<DepthForce>, StoreError> {
+    pub async fn forces_over_depth(&self, run: RunUid) -> StoreResult<Vec<DepthForce>> {
         const OPERATION: &str = "reading the forces of a run";
         let scan_id = self.facts(run, OPERATION).await?.scan_id;
         let query = sqlx::query(

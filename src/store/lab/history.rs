@@ -4,7 +4,7 @@
 use jiff::Timestamp;
 
 use crate::core::columns::{Columns, time_text};
-use crate::core::{During, Store, StoreError};
+use crate::core::{During, Store, StoreResult};
 use crate::ids::RunUid;
 use crate::journal::Event;
 
@@ -85,7 +85,7 @@ impl Store {
     ///
     /// # Errors
     /// `NoSuchRun` if the run is not stored; `Sql` if the read fails.
-    pub async fn history(&self, run: RunUid, bins: Bins) -> Result<StoredHistory, StoreError> {
+    pub async fn history(&self, run: RunUid, bins: Bins) -> StoreResult<StoredHistory> {
         const OPERATION: &str = "reading a run's history";
         let scan_id = self.facts(run, OPERATION).await?.scan_id;
         let mut view = self.read(OPERATION).await?;
@@ -128,7 +128,7 @@ impl Store {
         run: RunUid,
         kinds: &[&str],
         limit: u32,
-    ) -> Result<Vec<Event>, StoreError> {
+    ) -> StoreResult<Vec<Event>> {
         const OPERATION: &str = "reading events of some kinds";
         let scan_id = self.facts(run, OPERATION).await?.scan_id;
         let kinds = serde_json::json!(kinds).to_string();
@@ -157,7 +157,7 @@ impl Store {
     ///
     /// # Errors
     /// `NoSuchRun` if the run is not stored; `Sql` or `Unreadable` if the read fails.
-    pub async fn last_trial_at(&self, run: RunUid) -> Result<Option<Timestamp>, StoreError> {
+    pub async fn last_trial_at(&self, run: RunUid) -> StoreResult<Option<Timestamp>> {
         const OPERATION: &str = "reading the time of the last trial";
         let scan_id = self.facts(run, OPERATION).await?.scan_id;
         let query = sqlx::query(
@@ -177,7 +177,7 @@ impl Store {
         &self,
         run: RunUid,
         before: Timestamp,
-    ) -> Result<Option<Timestamp>, StoreError> {
+    ) -> StoreResult<Option<Timestamp>> {
         const OPERATION: &str = "reading the time of the last record of a run";
         let scan_id = self.facts(run, OPERATION).await?.scan_id;
         let query = sqlx::query(

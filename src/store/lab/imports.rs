@@ -13,7 +13,7 @@ use crate::bench::run_row::{self, NewRun, RunRow};
 use crate::bench::trials::{insert_frames, insert_voltages};
 use crate::core::columns::time_text;
 use crate::core::facts::RunKind;
-use crate::core::{During, Store, StoreError};
+use crate::core::{During, Store, StoreError, StoreResult};
 use crate::ids::{RunUid, TrialId, TrialKey};
 use crate::journal::ExitStatus;
 use crate::record::{Flag, FrameQuality, FrameRecord, TrialScalars};
@@ -84,22 +84,20 @@ impl Store {
     /// # Errors
     /// `Refused` if the number of trials is too large or the deadband is not finite;
     /// `Sql`, `Late` or `Closed` if the write fails.
-    pub async fn begin_import(&self, new: NewRun) -> Result<RunRow, StoreError> {
+    pub async fn begin_import(&self, new: NewRun) -> StoreResult<RunRow> {
         let now = self.now_text();
-        self.inner
-            .writer
-            .run(STORING_IMPORT, async move |connection| {
-                let state = StoredState::Idle;
-                let row = run_row::insert(connection, new, state, now, STORING_IMPORT).await?;
-                sqlx::query("UPDATE runs SET state = ?2 WHERE scan_id = ?1")
-                    .bind(row.scan_id)
-                    .bind(INCOMPLETE.as_str())
-                    .execute(connection)
-                    .await
-                    .during(STORING_IMPORT)?;
-                Ok(row)
-            })
-            .await
+        self.write(STORING_IMPORT, async move |connection| {
+            let state = StoredState::Idle;
+            let row = run_row::insert(connection, new, state, now, STORING_IMPORT).await?;
+            sqlx::query("UPDATE runs SET state = ?2 WHERE scan_id = ?1")
+                .bind(row.scan_id)
+                .bind(INCOMPLETE.as_str())
+                .execute(connection)
+                .await
+                .during(STORING_IMPORT)?;
+            Ok(row)
+        })
+        .await
     }
 
     /// Returns the number of the ended run that an import of this file, as hashed in `new`, made with the
@@ -107,7 +105,7 @@ impl Store {
     ///
     /// # Errors
     /// `Sql` if the read fails.
-    pub async fn imported_as(&self, new: &NewRun) -> Result<Option<i64>, StoreError> {
+    pub async fn imported_as(&self, new: &NewRun) -> StoreResult<Option<i64>> {
         sqlx::query_scalar(
             "SELECT scan_id FROM runs WHERE kind = ?1 AND state = 'ended'
                  AND experiment = ?2 AND label = ?3 AND sensor = ?4 AND definition = ?5",
@@ -133,25 +131,23 @@ impl Store {
         run: RunUid,
         model: Option<TwinModelId>,
         trials: Vec<ImportedTrial>,
-    ) -> Result<(), StoreError> {
+    ) -> StoreResult<()> {
         let scan_id = self.facts(run, STORING_IMPORT).await?.scan_id;
         let now = self.now_text();
-        self.inner
-            .writer
-            .run(STORING_IMPORT, async move |connection| {
-                for trial in &trials {
-                    insert(connection, scan_id, model, trial, &now).await?;
-                }
-                Ok(())
-            })
-            .await
+        self.write(STORING_IMPORT, async move |connection| {
+            for trial in &trials {
+                insert(connection, scan_id, model, trial, &now).await?;
+            }
+            Ok(())
+        })
+        .await
     }
 
     /// Ends an import: it is then an ended run like any other. Returns its row.
     ///
     /// # Errors
     /// `Sql` if the run is not an import; `Sql`, `Late` or `Closed` if the write fails.
-    pub async fn end_import(&self, run: RunUid) -> Result<RunRow, StoreError> {
+    pub async fn end_import(&self, run: RunUid) -> StoreResult<RunRow> {
         let query = sqlx::query(
             "UPDATE runs SET state = 'ended', exit_status = ?2, reason = 'imported', ended_at = ?3
              WHERE uid = ?1 AND kind = 'imported' RETURNING *",
@@ -166,7 +162,7 @@ impl Store {
     ///
     /// # Errors
     /// `Sql`, `Late` or `Closed` if the write fails.
-    pub async fn sweep_imports(&self) -> Result<u64, StoreError> {
+    pub async fn sweep_imports(&self) -> StoreResult<u64> {
         const OPERATION: &str = "removing an incomplete import";
         let query = sqlx::query(
             "DELETE FROM trials WHERE run IN
@@ -185,7 +181,7 @@ async fn insert(
     model: Option<TwinModelId>,
     trial: &ImportedTrial,
     now: &str,
-) -> Result<(), StoreError> {
+) -> StoreResult<()> {
     let refused = |field, limit| StoreError::Refused { operation: STORING_IMPORT, field, limit };
     if trial.contacts.len() > IMPORTED_CONTACTS_MAX {
         return Err(refused("contacts", "must be at most 64"));

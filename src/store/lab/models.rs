@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 use crate::core::columns::{Columns, time_text};
-use crate::core::{Store, StoreError};
+use crate::core::{Store, StoreResult};
 use crate::ids::{DatasetId, ModelId, PromotedId};
 
 /// A stored model. Its files are in a folder that is named by its id.
@@ -25,7 +25,7 @@ pub struct ModelRow {
 }
 
 impl ModelRow {
-    fn read(c: &Columns<'_>) -> Result<Self, StoreError> {
+    fn read(c: &Columns<'_>) -> StoreResult<Self> {
         Ok(Self {
             id: c.id("id")?,
             name: c.get("name")?,
@@ -51,7 +51,6 @@ pub struct PromotionRow {
     /// Reason; null if none was entered.
     pub why: Option<String>,
     /// Time of the promotion.
-    #[schema(value_type = String, format = DateTime)]
     pub at: Timestamp,
     /// True if this restored an earlier promotion.
     pub rolled_back: bool,
@@ -75,7 +74,7 @@ pub struct NewPromotion<'a> {
 }
 
 impl PromotionRow {
-    fn read(c: &Columns<'_>) -> Result<Self, StoreError> {
+    fn read(c: &Columns<'_>) -> StoreResult<Self> {
         Ok(Self {
             slot: c.get("slot")?,
             sensor: c.get("sensor")?,
@@ -93,7 +92,7 @@ impl Store {
     ///
     /// # Errors
     /// `Sql`, `Late` or `Closed` if the write fails.
-    pub async fn insert_model(&self, new: ModelRow) -> Result<(), StoreError> {
+    pub async fn insert_model(&self, new: ModelRow) -> StoreResult<()> {
         const OPERATION: &str = "storing a model";
         let query = sqlx::query(
             "INSERT INTO models (id, name, task, manifest, created_at)
@@ -111,7 +110,7 @@ impl Store {
     ///
     /// # Errors
     /// `Sql` or `Unreadable` if the read fails.
-    pub async fn model(&self, id_or_name: &str) -> Result<Option<ModelRow>, StoreError> {
+    pub async fn model(&self, id_or_name: &str) -> StoreResult<Option<ModelRow>> {
         const OPERATION: &str = "reading a model";
         let query = sqlx::query(
             "SELECT * FROM models WHERE id = ?1 OR name = ?1
@@ -125,7 +124,7 @@ impl Store {
     ///
     /// # Errors
     /// `Sql` or `Unreadable` if the read fails.
-    pub async fn models(&self) -> Result<Vec<ModelRow>, StoreError> {
+    pub async fn models(&self) -> StoreResult<Vec<ModelRow>> {
         const OPERATION: &str = "listing models";
         let query = sqlx::query("SELECT * FROM models ORDER BY created_at DESC, rowid DESC");
         self.rows(OPERATION, query, ModelRow::read).await
@@ -135,7 +134,7 @@ impl Store {
     ///
     /// # Errors
     /// `Sql` or `Unreadable` if the read fails.
-    pub async fn models_of(&self, dataset: &DatasetId) -> Result<Vec<ModelRow>, StoreError> {
+    pub async fn models_of(&self, dataset: &DatasetId) -> StoreResult<Vec<ModelRow>> {
         const OPERATION: &str = "listing the models of a dataset";
         let query = sqlx::query(
             "SELECT * FROM models WHERE instr(manifest, ?1) > 0 ORDER BY created_at DESC, rowid DESC",
@@ -148,7 +147,7 @@ impl Store {
     ///
     /// # Errors
     /// `Sql`, `Late` or `Closed` if the write fails.
-    pub async fn promote(&self, new: NewPromotion<'_>) -> Result<(), StoreError> {
+    pub async fn promote(&self, new: NewPromotion<'_>) -> StoreResult<()> {
         const OPERATION: &str = "storing a promotion";
         let query = sqlx::query(
             "INSERT INTO promotions (slot, sensor, what, who, why, at, rolled_back)
@@ -168,11 +167,7 @@ impl Store {
     ///
     /// # Errors
     /// `Sql` or `Unreadable` if the read fails.
-    pub async fn promoted(
-        &self,
-        slot: &str,
-        sensor: &str,
-    ) -> Result<Option<PromotedId>, StoreError> {
+    pub async fn promoted(&self, slot: &str, sensor: &str) -> StoreResult<Option<PromotedId>> {
         const OPERATION: &str = "reading a promotion";
         let query = sqlx::query(
             "SELECT * FROM promotions WHERE slot = ?1 AND sensor = ?2 ORDER BY id DESC LIMIT 1",
@@ -186,7 +181,7 @@ impl Store {
     ///
     /// # Errors
     /// `Sql` or `Unreadable` if the read fails.
-    pub async fn promotions(&self) -> Result<Vec<PromotionRow>, StoreError> {
+    pub async fn promotions(&self) -> StoreResult<Vec<PromotionRow>> {
         const OPERATION: &str = "reading promotions";
         let query = sqlx::query("SELECT * FROM promotions ORDER BY id DESC");
         self.rows(OPERATION, query, PromotionRow::read).await

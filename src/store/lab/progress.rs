@@ -1,7 +1,7 @@
 //! Progress of a run by configuration: trials, forces, failed attempts, skips, and fits of the twins.
 //! Uses: `core`. Never: the plan (the caller knows its order); a row for each trial.
 
-use crate::core::{During, Store, StoreError};
+use crate::core::{During, Store, StoreResult};
 use crate::ids::RunUid;
 
 /// The stored trials of one configuration.
@@ -36,10 +36,7 @@ impl Store {
     ///
     /// # Errors
     /// `NoSuchRun` if the run is not stored; `Sql` if the read fails.
-    pub async fn progress_by_configuration(
-        &self,
-        run: RunUid,
-    ) -> Result<StoredProgress, StoreError> {
+    pub async fn progress_by_configuration(&self, run: RunUid) -> StoreResult<StoredProgress> {
         const OPERATION: &str = "reading a run's progress by configuration";
         let scan_id = self.facts(run, OPERATION).await?.scan_id;
         let mut view = self.read(OPERATION).await?;

@@ -17,7 +17,7 @@ use tokio::sync::Notify;
 use tracing::{Instrument, error_span};
 
 use super::tasks::{TaskEnd, TaskKind, TaskRow};
-use crate::core::{Store, StoreError};
+use crate::core::{Store, StoreResult};
 use crate::ids::TaskId;
 use crate::journal::error_chain;
 
@@ -45,7 +45,7 @@ impl<W: Default> TaskQueue<W> {
     ///
     /// # Errors
     /// `Sql` or `Unreadable` if the read fails.
-    pub async fn is_full(&self, limit: u32) -> Result<bool, StoreError> {
+    pub async fn is_full(&self, limit: u32) -> StoreResult<bool> {
         Ok(self.store.open_tasks(self.kinds, limit).await?.len() >= limit as usize)
     }
 
@@ -58,7 +58,7 @@ impl<W: Default> TaskQueue<W> {
         kind: TaskKind,
         request: Value,
         asked_by: &str,
-    ) -> Result<TaskRow, StoreError> {
+    ) -> StoreResult<TaskRow> {
         let row = self.store.create_task(kind, request, asked_by).await?;
         self.added.notify_one();
         Ok(row)
@@ -75,7 +75,7 @@ impl<W: Default> TaskQueue<W> {
     ///
     /// # Errors
     /// `Sql`, `Late` or `Closed` if the end of a waiting task cannot be stored.
-    pub async fn stop(&self, id: TaskId, request: impl Fn(&W)) -> Result<(), StoreError> {
+    pub async fn stop(&self, id: TaskId, request: impl Fn(&W)) -> StoreResult<()> {
         if let Some(shared) = self.running(id) {
             request(&shared);
             return Ok(());

@@ -10,7 +10,7 @@ use strum::EnumIter;
 use utoipa::ToSchema;
 
 use crate::core::columns::Columns;
-use crate::core::{Store, StoreError};
+use crate::core::{Store, StoreResult};
 use crate::ids::{DatasetId, ModelId, TaskId};
 
 /// Kind of a task.
@@ -93,18 +93,15 @@ pub struct TaskRow {
     /// Name of the person or key that requested it.
     pub asked_by: String,
     /// Time of the request.
-    #[schema(value_type = String, format = DateTime)]
     pub created_at: Timestamp,
     /// Time of the first start; absent before it.
-    #[schema(value_type = Option<String>, format = DateTime)]
     pub started_at: Option<Timestamp>,
     /// Time of the end; absent before it.
-    #[schema(value_type = Option<String>, format = DateTime)]
     pub finished_at: Option<Timestamp>,
 }
 
 impl TaskRow {
-    fn read(c: &Columns<'_>) -> Result<Self, StoreError> {
+    fn read(c: &Columns<'_>) -> StoreResult<Self> {
         let id: &str = c.get("id")?;
         let result: Option<&str> = c.get("result")?;
         Ok(Self {
@@ -160,7 +157,7 @@ impl Store {
         kind: TaskKind,
         request: Value,
         asked_by: &str,
-    ) -> Result<TaskRow, StoreError> {
+    ) -> StoreResult<TaskRow> {
         const OPERATION: &str = "storing a task";
         let query = sqlx::query(
             "INSERT INTO tasks (id, kind, request, state, asked_by, created_at)
@@ -180,11 +177,7 @@ impl Store {
     ///
     /// # Errors
     /// `Sql`, `Late` or `Closed` if the write fails.
-    pub async fn begin_task(
-        &self,
-        id: TaskId,
-        dataset: Option<&DatasetId>,
-    ) -> Result<bool, StoreError> {
+    pub async fn begin_task(&self, id: TaskId, dataset: Option<&DatasetId>) -> StoreResult<bool> {
         const OPERATION: &str = "beginning a task";
         let query = sqlx::query(
             "UPDATE tasks SET state = 'running', dataset = coalesce(?2, dataset),
@@ -201,7 +194,7 @@ impl Store {
     ///
     /// # Errors
     /// `Sql`, `Late` or `Closed` if the write fails.
-    pub async fn end_task(&self, id: TaskId, end: TaskEnd) -> Result<bool, StoreError> {
+    pub async fn end_task(&self, id: TaskId, end: TaskEnd) -> StoreResult<bool> {
         const OPERATION: &str = "ending a task";
         let state = end.state();
         let (result, error) = match end {
@@ -225,7 +218,7 @@ impl Store {
     ///
     /// # Errors
     /// `Sql` or `Unreadable` if the read fails.
-    pub async fn task(&self, id: TaskId) -> Result<Option<TaskRow>, StoreError> {
+    pub async fn task(&self, id: TaskId) -> StoreResult<Option<TaskRow>> {
         const OPERATION: &str = "reading a task";
         let query = sqlx::query("SELECT * FROM tasks WHERE id = ?1").bind(id.to_string());
         self.row(OPERATION, query, TaskRow::read).await
@@ -241,7 +234,7 @@ impl Store {
         kinds: &[TaskKind],
         limit: u32,
         before: Option<TaskId>,
-    ) -> Result<Vec<TaskRow>, StoreError> {
+    ) -> StoreResult<Vec<TaskRow>> {
         let sql = "SELECT * FROM tasks WHERE kind IN (SELECT value FROM json_each(?1))
                  AND (?3 IS NULL OR id < ?3)
              ORDER BY id DESC LIMIT ?2";
@@ -252,11 +245,7 @@ impl Store {
     ///
     /// # Errors
     /// `Sql` or `Unreadable` if the read fails.
-    pub async fn open_tasks(
-        &self,
-        kinds: &[TaskKind],
-        limit: u32,
-    ) -> Result<Vec<TaskRow>, StoreError> {
+    pub async fn open_tasks(&self, kinds: &[TaskKind], limit: u32) -> StoreResult<Vec<TaskRow>> {
         let sql = "SELECT * FROM tasks WHERE state IN ('waiting', 'running')
                  AND kind IN (SELECT value FROM json_each(?1))
              ORDER BY id LIMIT ?2";
@@ -269,7 +258,7 @@ impl Store {
         kinds: &[TaskKind],
         limit: u32,
         before: Option<TaskId>,
-    ) -> Result<Vec<TaskRow>, StoreError> {
+    ) -> StoreResult<Vec<TaskRow>> {
         const OPERATION: &str = "listing tasks";
         let before = before.map(|id| id.to_string());
         let reading = sqlx::query(sql).bind(names(kinds)).bind(limit).bind(before);
@@ -280,7 +269,7 @@ impl Store {
     ///
     /// # Errors
     /// `Sql` or `Unreadable` if the read fails.
-    pub async fn evaluations_of(&self, model: &ModelId) -> Result<Vec<TaskRow>, StoreError> {
+    pub async fn evaluations_of(&self, model: &ModelId) -> StoreResult<Vec<TaskRow>> {
         const OPERATION: &str = "reading a model's evaluations";
         let query = sqlx::query(
             "SELECT * FROM tasks WHERE kind = 'evaluation' AND state = 'done'

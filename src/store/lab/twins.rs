@@ -9,7 +9,7 @@ use utoipa::ToSchema;
 
 use crate::core::bulk::Statement;
 use crate::core::columns::{Columns, volts_blob};
-use crate::core::{During, Store, StoreError};
+use crate::core::{During, Store, StoreResult};
 use crate::ids::{CalibrationId, RunUid, TrialId};
 use crate::table::assemble::rows_of_ids;
 use crate::table::checksum;
@@ -112,7 +112,7 @@ impl Store {
     ///
     /// # Errors
     /// `Sql`, `Late` or `Closed` if the write fails.
-    pub async fn twin_model(&self, new: NewTwinModel) -> Result<TwinModelId, StoreError> {
+    pub async fn twin_model(&self, new: NewTwinModel) -> StoreResult<TwinModelId> {
         const OPERATION: &str = "storing a model";
         let query = sqlx::query(
             "INSERT INTO twin_models
@@ -134,7 +134,7 @@ impl Store {
     ///
     /// # Errors
     /// `Sql` or `Unreadable` if the read fails.
-    pub async fn twin_model_of(&self, hash: &str) -> Result<Option<NewTwinModel>, StoreError> {
+    pub async fn twin_model_of(&self, hash: &str) -> StoreResult<Option<NewTwinModel>> {
         const OPERATION: &str = "reading a model";
         let query = sqlx::query("SELECT * FROM twin_models WHERE hash = ?1").bind(hash);
         let read = |c: &Columns<'_>| {
@@ -161,7 +161,7 @@ impl Store {
         model: TwinModelId,
         after: TrialId,
         limit: u32,
-    ) -> Result<Vec<TrialRow>, StoreError> {
+    ) -> StoreResult<Vec<TrialRow>> {
         const OPERATION: &str = "reading pending twins";
         let scan_id = self.facts(run, OPERATION).await?.scan_id;
         let mut ids = Statement::new("SELECT t.id FROM trials t WHERE t.run = ");
@@ -180,17 +180,11 @@ impl Store {
     ///
     /// # Errors
     /// `Sql`, `Late` or `Closed` if the write fails.
-    pub async fn insert_twins(
-        &self,
-        model: TwinModelId,
-        twins: Vec<Twin>,
-    ) -> Result<(), StoreError> {
+    pub async fn insert_twins(&self, model: TwinModelId, twins: Vec<Twin>) -> StoreResult<()> {
         let now = self.now_text();
         let trials: Vec<i64> = twins.iter().map(|twin| twin.trial.0).collect();
         let runs: Vec<i64> = self
-            .inner
-            .writer
-            .run(STORING_TWINS, async move |connection| {
+            .write(STORING_TWINS, async move |connection| {
                 for twin in twins {
                     insert(connection, model, twin, &now).await?;
                 }
@@ -208,11 +202,7 @@ impl Store {
     ///
     /// # Errors
     /// `Damaged` if a frame differs from its checksum; `Sql` or `Unreadable` if the read fails.
-    pub async fn twins_of(
-        &self,
-        model: TwinModelId,
-        trials: &[TrialId],
-    ) -> Result<Vec<Twin>, StoreError> {
+    pub async fn twins_of(&self, model: TwinModelId, trials: &[TrialId]) -> StoreResult<Vec<Twin>> {
         const OPERATION: &str = "reading twins";
         let trials: Vec<i64> = trials.iter().map(|trial| trial.0).collect();
         let query = sqlx::query(
@@ -243,11 +233,7 @@ impl Store {
     ///
     /// # Errors
     /// `NoSuchRun` if the run is not stored; `Sql` if the read fails.
-    pub async fn twin_count(
-        &self,
-        run: RunUid,
-        model: TwinModelId,
-    ) -> Result<TwinCount, StoreError> {
+    pub async fn twin_count(&self, run: RunUid, model: TwinModelId) -> StoreResult<TwinCount> {
         const OPERATION: &str = "counting twins";
         let scan_id = self.facts(run, OPERATION).await?.scan_id;
         let (trials, rows, failures): (i64, i64, i64) = sqlx::query_as(
@@ -271,7 +257,7 @@ impl Store {
     ///
     /// # Errors
     /// `Sql` or `Unreadable` if the read fails.
-    pub async fn runs_with_trials(&self) -> Result<Vec<RunUid>, StoreError> {
+    pub async fn runs_with_trials(&self) -> StoreResult<Vec<RunUid>> {
         const OPERATION: &str = "reading the runs with trials";
         let query = sqlx::query(
             "SELECT uid FROM runs r WHERE EXISTS (SELECT 1 FROM trials t WHERE t.run = r.scan_id)
@@ -285,7 +271,7 @@ impl Store {
     ///
     /// # Errors
     /// `NoSuchRun` if the run is not stored; `Sql` or `Unreadable` if the read fails.
-    pub async fn fits(&self, run: RunUid) -> Result<Vec<Fit>, StoreError> {
+    pub async fn fits(&self, run: RunUid) -> StoreResult<Vec<Fit>> {
         const OPERATION: &str = "reading the fits of a run";
         let scan_id = self.facts(run, OPERATION).await?.scan_id;
         let query = sqlx::query(
@@ -321,7 +307,7 @@ pub(crate) async fn insert(
     model: TwinModelId,
     twin: Twin,
     now: &str,
-) -> Result<(), StoreError> {
+) -> StoreResult<()> {
     let (voltages_v, rmse_v, fvu, failure) = match twin.outcome {
         TwinOutcome::Frame { voltages_v, rmse_v, fvu } => {
             (Some(voltages_v), Some(rmse_v), fvu, None)

@@ -8,15 +8,15 @@ use rusqlite::Connection;
 
 use super::checksum::{self, Numbers};
 use super::trial_row::{Contact, TipsAsContacts, TrialRow};
-use crate::core::StoreError;
 use crate::core::bulk::Statement;
 use crate::core::columns::Columns;
 use crate::core::facts::{Label, RunKind};
+use crate::core::{StoreError, StoreResult};
 use crate::ids::{RunUid, TrialId};
 use crate::record::{ARMS, ArmReading, FrameQuality, Pose, TrialScalars};
 
 /// Returns the reading of an attached tip from its columns.
-pub(crate) fn arm(c: &Columns<'_>) -> Result<ArmReading, StoreError> {
+pub(crate) fn arm(c: &Columns<'_>) -> StoreResult<ArmReading> {
     Ok(ArmReading {
         arm: c.whole("arm")?,
         x_mm: c.get("x_mm")?,
@@ -37,7 +37,7 @@ pub(crate) fn rows_of_ids(
     select: &str,
     ids: &[TrialId],
     operation: &'static str,
-) -> Result<Vec<TrialRow>, StoreError> {
+) -> StoreResult<Vec<TrialRow>> {
     let mut wanted: Vec<i64> = ids.iter().map(|id| id.0).collect();
     wanted.sort_unstable();
     wanted.dedup();
@@ -77,11 +77,7 @@ struct OfRun {
 }
 
 impl OfRun {
-    fn read(
-        connection: &Connection,
-        scan_id: i64,
-        operation: &'static str,
-    ) -> Result<Self, StoreError> {
+    fn read(connection: &Connection, scan_id: i64, operation: &'static str) -> StoreResult<Self> {
         let mut query = Statement::new(
             "SELECT uid, experiment, kind, label, deadband_n, tip_diameter_mm FROM runs
              WHERE scan_id = ",
@@ -113,8 +109,8 @@ impl<T> Belonging<T> {
         table: &str,
         wanted: &str,
         operation: &'static str,
-        read: impl Fn(&Columns<'_>) -> Result<T, StoreError>,
-    ) -> Result<Self, StoreError> {
+        read: impl Fn(&Columns<'_>) -> StoreResult<T>,
+    ) -> StoreResult<Self> {
         let mut query = Statement::new("SELECT p.* FROM json_each(");
         query.bind(wanted.to_owned()).push(") wanted CROSS JOIN ").push(table);
         query.push(" p ON p.trial = wanted.value");
@@ -136,7 +132,7 @@ fn trial_row(
     run: &OfRun,
     arms: Vec<ArmReading>,
     placed: Vec<Contact>,
-) -> Result<TrialRow, StoreError> {
+) -> StoreResult<TrialRow> {
     let contacts = match run.kind {
         RunKind::RealHex => {
             let (deadband_n, diameter_mm) = (run.deadband_n, run.tip_diameter_mm);

@@ -8,8 +8,8 @@
 use std::borrow::Cow;
 
 use super::trial_row::{Contact, TrialRow};
-use crate::core::StoreError;
 use crate::core::columns::{Columns, counts_blob, time_text};
+use crate::core::{StoreError, StoreResult};
 use crate::ids::TrialKey;
 use crate::record::{ArmReading, Flag, FrameQuality, FrameRecord, Pose, TrialRecord, TrialScalars};
 
@@ -37,7 +37,7 @@ pub(crate) fn compare(
     stored: Option<u32>,
     found: u32,
     what: impl FnOnce() -> String,
-) -> Result<(), StoreError> {
+) -> StoreResult<()> {
     match stored {
         Some(stored) if stored != found => Err(StoreError::damaged(format!(
             "{} was changed after it was stored (CRC-32 {found:08x}, stored {stored:08x})",
@@ -51,10 +51,7 @@ pub(crate) fn compare(
 ///
 /// # Errors
 /// `Damaged` if they differ; `Sql` or `Unreadable` if a column cannot be decoded.
-pub(crate) fn frame(
-    c: &Columns<'_>,
-    of: impl FnOnce() -> String,
-) -> Result<FrameRecord, StoreError> {
+pub(crate) fn frame(c: &Columns<'_>, of: impl FnOnce() -> String) -> StoreResult<FrameRecord> {
     let frame = FrameRecord {
         sequence: c.whole("sequence")?,
         device_time_us: c.get::<i64>("device_time_us")?.cast_unsigned(),
@@ -75,7 +72,7 @@ pub(crate) fn volts(
     column: &'static str,
     sum: &'static str,
     of: impl FnOnce() -> String,
-) -> Result<Option<Vec<f32>>, StoreError> {
+) -> StoreResult<Option<Vec<f32>>> {
     let Some(bytes) = c.get::<Option<&[u8]>>(column)? else { return Ok(None) };
     let what = || format!("{column} of {}", of());
     compare(c.whole_or_none(sum)?, of_volts(bytes), what)?;

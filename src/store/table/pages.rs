@@ -9,7 +9,7 @@ use super::query::{Order, SELECT, SELECT_WITH_VOLTAGES, TrialQuery};
 use super::trial_row::TrialRow;
 use crate::core::bulk::Statement;
 use crate::core::columns::Columns;
-use crate::core::{Store, StoreError};
+use crate::core::{Store, StoreResult};
 use crate::ids::{RunUid, TrialId};
 use crate::record::FrameRecord;
 
@@ -25,7 +25,7 @@ impl Store {
     /// # Errors
     /// `NoSuchRun` if the run of the query is not stored; `Damaged` if a trial differs from its
     /// checksum; `Read` or `Unreadable` if the read fails.
-    pub async fn trials(&self, query: &TrialQuery) -> Result<Vec<TrialRow>, StoreError> {
+    pub async fn trials(&self, query: &TrialQuery) -> StoreResult<Vec<TrialRow>> {
         let select = if query.with_voltages { SELECT_WITH_VOLTAGES } else { SELECT };
         let ids = query.ids(self.scan_id_of(query).await?);
         let order = query.order;
@@ -44,12 +44,12 @@ impl Store {
     ///
     /// # Errors
     /// `NoSuchRun` if the run of the query is not stored; `Read` if the read fails.
-    pub async fn trial_ids(&self, query: &TrialQuery) -> Result<Vec<TrialId>, StoreError> {
+    pub async fn trial_ids(&self, query: &TrialQuery) -> StoreResult<Vec<TrialId>> {
         let ids = query.ids(self.scan_id_of(query).await?);
         self.inner.bulk.read(READING, move |c| ids.rows(c, READING, id)).await
     }
 
-    async fn scan_id_of(&self, query: &TrialQuery) -> Result<Option<i64>, StoreError> {
+    async fn scan_id_of(&self, query: &TrialQuery) -> StoreResult<Option<i64>> {
         match query.run {
             Some(run) => Ok(Some(self.facts(run, READING).await?.scan_id)),
             None => Ok(None),
@@ -60,7 +60,7 @@ impl Store {
     ///
     /// # Errors
     /// `Damaged` if it differs from its checksum; `Read` or `Unreadable` if the read fails.
-    pub async fn trial_by_id(&self, trial: TrialId) -> Result<Option<TrialRow>, StoreError> {
+    pub async fn trial_by_id(&self, trial: TrialId) -> StoreResult<Option<TrialRow>> {
         Ok(self.trials_with_voltages(&[trial]).await?.pop())
     }
 
@@ -69,7 +69,7 @@ impl Store {
     ///
     /// # Errors
     /// `Damaged` if a trial differs from its checksum; `Read` or `Unreadable` if the read fails.
-    pub async fn trials_with_voltages(&self, ids: &[TrialId]) -> Result<Vec<TrialRow>, StoreError> {
+    pub async fn trials_with_voltages(&self, ids: &[TrialId]) -> StoreResult<Vec<TrialRow>> {
         self.trials_by(SELECT_WITH_VOLTAGES, ids).await
     }
 
@@ -78,15 +78,11 @@ impl Store {
     ///
     /// # Errors
     /// `Damaged` if a trial differs from its checksum; `Read` or `Unreadable` if the read fails.
-    pub async fn trials_of(&self, ids: &[TrialId]) -> Result<Vec<TrialRow>, StoreError> {
+    pub async fn trials_of(&self, ids: &[TrialId]) -> StoreResult<Vec<TrialRow>> {
         self.trials_by(SELECT, ids).await
     }
 
-    async fn trials_by(
-        &self,
-        select: &'static str,
-        ids: &[TrialId],
-    ) -> Result<Vec<TrialRow>, StoreError> {
+    async fn trials_by(&self, select: &'static str, ids: &[TrialId]) -> StoreResult<Vec<TrialRow>> {
         let ids = ids.to_vec();
         self.inner.bulk.read(READING, move |c| rows_of_ids(c, select, &ids, READING)).await
     }
@@ -101,7 +97,7 @@ impl Store {
         run: RunUid,
         after: TrialId,
         limit: u32,
-    ) -> Result<Vec<(TrialId, i64)>, StoreError> {
+    ) -> StoreResult<Vec<(TrialId, i64)>> {
         let scan_id = self.facts(run, READING).await?.scan_id;
         let read = move |c: &Connection| {
             let mut newest = Statement::new(
@@ -120,7 +116,7 @@ impl Store {
     ///
     /// # Errors
     /// `Read` if the read fails.
-    pub async fn frame_lengths(&self, ids: &[TrialId]) -> Result<Vec<u32>, StoreError> {
+    pub async fn frame_lengths(&self, ids: &[TrialId]) -> StoreResult<Vec<u32>> {
         let (Some(&first), Some(&last)) = (ids.iter().min(), ids.iter().max()) else {
             return Ok(Vec::new());
         };
@@ -152,7 +148,7 @@ impl Store {
     ///
     /// # Errors
     /// `Damaged` if it differs from its checksum; `Sql` or `Unreadable` if the read fails.
-    pub async fn trial_voltages(&self, trial: TrialId) -> Result<Option<Vec<f32>>, StoreError> {
+    pub async fn trial_voltages(&self, trial: TrialId) -> StoreResult<Option<Vec<f32>>> {
         const OPERATION: &str = "reading a trial's voltages";
         let query = sqlx::query("SELECT voltages_v, crc32 FROM trial_voltages WHERE trial = ?1")
             .bind(trial.0);
@@ -165,7 +161,7 @@ impl Store {
     ///
     /// # Errors
     /// `Damaged` if a frame differs from its checksum; `Sql` or `Unreadable` if the read fails.
-    pub async fn frames(&self, trial: TrialId) -> Result<Vec<FrameRecord>, StoreError> {
+    pub async fn frames(&self, trial: TrialId) -> StoreResult<Vec<FrameRecord>> {
         const OPERATION: &str = "reading a trial's frames";
         let query = sqlx::query("SELECT * FROM frames WHERE trial = ?1 ORDER BY n").bind(trial.0);
         let of = || format!("trial {}", trial.0);
@@ -174,13 +170,13 @@ impl Store {
 
     /// Returns the query plan of SQLite for the ids of a page, one line per step.
     #[cfg(test)]
-    pub(crate) async fn explain(&self, query: &TrialQuery) -> Result<Vec<String>, StoreError> {
+    pub(crate) async fn explain(&self, query: &TrialQuery) -> StoreResult<Vec<String>> {
         let ids = query.ids(self.scan_id_of(query).await?);
         self.inner.bulk.read(READING, move |c| ids.explain(c)).await
     }
 }
 
 /// The id of a row of [`TrialQuery::ids`].
-pub(crate) fn id(c: &Columns<'_>) -> Result<TrialId, StoreError> {
+pub(crate) fn id(c: &Columns<'_>) -> StoreResult<TrialId> {
     c.get("id").map(TrialId)
 }

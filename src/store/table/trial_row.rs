@@ -96,10 +96,8 @@ pub struct TrialRow {
     /// Number of raw frames in the mean; of an import as its file states, 0 if it does not.
     pub frame_count: u32,
     /// Wall time at which its motion started.
-    #[schema(value_type = Option<String>, format = DateTime)]
     pub started_at: Option<Timestamp>,
     /// Wall time of its last frame.
-    #[schema(value_type = Option<String>, format = DateTime)]
     pub measured_at: Option<Timestamp>,
     /// Part that the imported file states: `train`, `validation` or `test`; absent if it states none.
     #[serde(default, skip_serializing_if = "Option::is_none")]

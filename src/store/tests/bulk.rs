@@ -9,8 +9,8 @@ use tokio::sync::oneshot;
 use tokio::time::{sleep, timeout};
 
 use super::Folder;
-use crate::StoreError;
 use crate::core::bulk::{BULK_CONNECTIONS, Bulk, Statement};
+use crate::{StoreError, StoreResult};
 
 const COUNTING: &str = "counting numbers";
 
@@ -25,7 +25,7 @@ fn numbers(folder: &Folder) -> (Connection, Bulk) {
     (writer, Bulk::new(&folder.file(), Duration::from_secs(5)))
 }
 
-fn count(connection: &Connection) -> Result<i64, StoreError> {
+fn count(connection: &Connection) -> StoreResult<i64> {
     let counting = Statement::new("SELECT count(*) AS n FROM numbers");
     let counts: Vec<i64> = counting.rows(connection, COUNTING, |c| c.get("n"))?;
     Ok(counts[0])
@@ -111,7 +111,7 @@ async fn a_panic_is_that_of_the_caller_and_takes_no_connection() {
     for _ in 0..=BULK_CONNECTIONS {
         let bulk = bulk.clone();
         let panicking = tokio::spawn(async move {
-            let work = |_: &Connection| -> Result<(), StoreError> { panic!("made up") };
+            let work = |_: &Connection| -> StoreResult<()> { panic!("made up") };
             bulk.read(COUNTING, work).await
         });
         assert!(panicking.await.unwrap_err().is_panic());
@@ -120,9 +120,7 @@ async fn a_panic_is_that_of_the_caller_and_takes_no_connection() {
 }
 
 /// Starts a read that waits for the returned sender, and waits until it is in progress.
-async fn waiting(
-    bulk: &Bulk,
-) -> (mpsc::Sender<()>, tokio::task::JoinHandle<Result<i64, StoreError>>) {
+async fn waiting(bulk: &Bulk) -> (mpsc::Sender<()>, tokio::task::JoinHandle<StoreResult<i64>>) {
     let ((end, ended), (started, begun)) = (mpsc::channel(), oneshot::channel());
     let bulk = bulk.clone();
     let reading = tokio::spawn(async move {

@@ -15,7 +15,7 @@ use crate::ids::{RunUid, TrialId, TrialKey};
 use crate::journal::{Journal, error_chain};
 use crate::record::{ArmReading, FrameRecord, Pose, ReferenceRecord, TrialScalars};
 use crate::state::{StateChange, StoredState};
-use crate::{RunKind, Soundness, Store, StoreError, TrialQuery};
+use crate::{RunKind, Soundness, Store, StoreError, StoreResult, TrialQuery};
 
 /// Number of trials in the file that is damaged.
 const TRIALS: u32 = 66;
@@ -49,7 +49,7 @@ fn reference() -> ReferenceRecord {
 /// The measured values of a trial, bit for bit.
 type Measured = (TrialKey, Vec<ArmReading>, Option<Pose>, Vec<u32>, Vec<FrameRecord>);
 
-async fn measured(store: &Store, run: RunUid) -> Result<Vec<Measured>, StoreError> {
+async fn measured(store: &Store, run: RunUid) -> StoreResult<Vec<Measured>> {
     let query =
         TrialQuery { run: Some(run), limit: 1000, with_voltages: true, ..Default::default() };
     let mut all = Vec::new();
@@ -252,9 +252,7 @@ async fn whatever_of_a_trial_changes_is_found_where_it_is_read() {
         filled(&folder).await;
         let store = open(&folder.file()).await;
         store
-            .inner
-            .writer
-            .run("damaging", async move |c| {
+            .write("damaging", async move |c| {
                 sqlx::query(change).execute(c).await.unwrap();
                 Ok(())
             })
@@ -277,7 +275,7 @@ async fn whatever_column_of_the_trials_table_changes_is_found() {
             sqlx::raw_sql(sqlx::AssertSqlSafe(sql)).execute(c).await.unwrap();
             Ok(())
         };
-        store.inner.writer.run("damaging", changing).await.unwrap();
+        store.write("damaging", changing).await.unwrap();
     };
     // The id and the run are references: the structure of the file covers them.
     let columns: Vec<(String, String)> = sqlx::query_as(
@@ -318,7 +316,7 @@ async fn a_reference_press_that_changed_is_found_where_it_is_read() {
         sqlx::query(change).execute(c).await.unwrap();
         Ok(())
     };
-    store.inner.writer.run("damaging", damaging).await.unwrap();
+    store.write("damaging", damaging).await.unwrap();
     let error = store.references(run).await.unwrap_err();
     assert!(error.to_string().contains("reference press 1"), "{error}");
 }
@@ -335,7 +333,7 @@ async fn trials_of_before_the_checksums_are_read_as_they_are() {
         }
         Ok(())
     };
-    store.inner.writer.run("forgetting", forget).await.unwrap();
+    store.write("forgetting", forget).await.unwrap();
     assert_eq!(store.examine(2000).await.unwrap(), Soundness::Sound);
     assert_eq!(measured(&store, run).await.unwrap().len(), TRIALS as usize);
 }
@@ -359,7 +357,7 @@ async fn killed(folder: &Folder) -> (Vec<u8>, Vec<u8>) {
     for n in 0..22 {
         store.trial(run, &hex_trial(n / 11, n % 11, &[f64::from(n), 7.5])).await.unwrap();
     }
-    let log = std::fs::read(folder.0.join("palpate.sqlite-wal")).unwrap();
+    let log = std::fs::read(folder.0.path().join("palpate.sqlite-wal")).unwrap();
     (std::fs::read(folder.file()).unwrap(), log)
 }
 
@@ -371,10 +369,10 @@ async fn a_damaged_log_is_refused_and_one_that_a_crash_tore_is_not() {
     let reopened = async |log: &[u8]| {
         let folder = Folder::new();
         std::fs::write(folder.file(), &file).unwrap();
-        std::fs::write(folder.0.join("palpate.sqlite-wal"), log).unwrap();
+        std::fs::write(folder.0.path().join("palpate.sqlite-wal"), log).unwrap();
         let opened = Store::open(&folder.file(), Clock::new(1.0)).await;
         if opened.is_err() {
-            let kept = std::fs::read(folder.0.join("palpate.sqlite-wal")).unwrap();
+            let kept = std::fs::read(folder.0.path().join("palpate.sqlite-wal")).unwrap();
             assert_eq!(kept, log, "a damaged log is not changed");
         }
         match opened {
@@ -425,14 +423,14 @@ async fn a_lost_database_is_not_begun_anew() {
     let folder = Folder::new();
     std::fs::write(folder.file(), "").unwrap();
     lost(&folder).await;
-    std::fs::rename(folder.file(), folder.0.join("palpate.sqlite-wal")).unwrap();
+    std::fs::rename(folder.file(), folder.0.path().join("palpate.sqlite-wal")).unwrap();
     lost(&folder).await;
     assert!(!folder.file().exists());
-    std::fs::remove_file(folder.0.join("palpate.sqlite-wal")).unwrap();
+    std::fs::remove_file(folder.0.path().join("palpate.sqlite-wal")).unwrap();
     // A process that was killed while it created a new database.
-    std::fs::write(folder.0.join("palpate.sqlite.new"), "half").unwrap();
+    std::fs::write(folder.0.path().join("palpate.sqlite.new"), "half").unwrap();
     open(&folder.file()).await.set_lock("Ada", "kept").await.unwrap();
-    assert!(!folder.0.join("palpate.sqlite.new").exists());
+    assert!(!folder.0.path().join("palpate.sqlite.new").exists());
 }
 
 #[tokio::test]

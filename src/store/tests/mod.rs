@@ -18,12 +18,12 @@ mod twins;
 
 use std::convert::Infallible;
 use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicU32, Ordering};
 
 use jiff::Timestamp;
 use sqlx::migrate::Migrator;
 use sqlx::sqlite::SqliteConnectOptions;
 use sqlx::{Connection, SqliteConnection};
+use tempfile::TempDir;
 
 use crate::clock::Clock;
 use crate::ids::{RunUid, TrialKey};
@@ -33,19 +33,15 @@ use crate::record::{
 use crate::{Label, NewRun, RunKind, Store};
 
 /// A temporary folder, removed at the end of its test.
-struct Folder(PathBuf);
+struct Folder(TempDir);
 
 impl Folder {
     fn new() -> Self {
-        static NEXT: AtomicU32 = AtomicU32::new(0);
-        let n = NEXT.fetch_add(1, Ordering::Relaxed);
-        let path = std::env::temp_dir().join(format!("palpate-store-{}-{n}", std::process::id()));
-        std::fs::create_dir_all(&path).unwrap();
-        Self(path)
+        Self(tempfile::tempdir().unwrap())
     }
 
     fn file(&self) -> PathBuf {
-        self.0.join("palpate.sqlite")
+        self.0.path().join("palpate.sqlite")
     }
 
     /// Makes the file as the version before the migration of this number had it, and opens it.
@@ -57,12 +53,6 @@ impl Folder {
         before.migrations.to_mut().retain(|known| known.version < migration);
         before.run(&mut file).await.unwrap();
         file
-    }
-}
-
-impl Drop for Folder {
-    fn drop(&mut self) {
-        let _ = std::fs::remove_dir_all(&self.0);
     }
 }
 

@@ -332,9 +332,7 @@ async fn a_plan_is_kept_once_and_read_with_its_digest() {
     assert!(matches!(store.plan_of(RunUid::new()).await, Err(StoreError::NoSuchRun(_))));
 
     store
-        .inner
-        .writer
-        .run("changing a plan", async |c| {
+        .write("changing a plan", async |c| {
             sqlx::query("UPDATE plans SET plan = '{}'").execute(c).await.unwrap();
             Ok(())
         })

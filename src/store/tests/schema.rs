@@ -43,9 +43,7 @@ fn migrations_only_grow_and_are_all_in_the_binary() {
 async fn the_writer_is_durable_and_the_file_is_laid_out_as_stated() {
     let (_folder, store) = fresh().await;
     let asked = store
-        .inner
-        .writer
-        .run("asking", async |c| {
+        .write("asking", async |c| {
             let mut answers = Vec::new();
             for pragma in ["page_size", "synchronous", "foreign_keys", "busy_timeout"] {
                 let sql = sqlx::AssertSqlSafe(format!("PRAGMA {pragma}"));

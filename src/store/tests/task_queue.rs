@@ -80,7 +80,7 @@ async fn in_state(store: &Store, id: TaskId, state: TaskState) -> TaskRow {
 }
 
 pub(super) async fn execute(store: &Store, sql: &'static str) {
-    let executing = store.inner.writer.run("changing the tables of a test", async move |c| {
+    let executing = store.write("changing the tables of a test", async move |c| {
         sqlx::raw_sql(sql).execute(c).await.unwrap();
         Ok(())
     });

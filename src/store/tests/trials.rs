@@ -128,9 +128,7 @@ async fn a_commit_that_failed_but_was_stored_is_found() {
 async fn a_full_disk_is_an_error_and_later_trials_are_stored() {
     let (_folder, store, run) = with_run(RunKind::RealHex).await;
     store
-        .inner
-        .writer
-        .run("filling the disk", async |c| {
+        .write("filling the disk", async |c| {
             let pages: i64 =
                 sqlx::query_scalar("PRAGMA page_count").fetch_one(&mut *c).await.unwrap();
             let sql = format!("PRAGMA max_page_count = {}", pages + 2);
@@ -367,7 +365,7 @@ async fn a_trial_has_the_untouched_skin_that_was_measured_last_before_it() {
         sqlx::query(change).execute(c).await.unwrap();
         Ok(())
     };
-    store.inner.writer.run("damaging", damage).await.unwrap();
+    store.write("damaging", damage).await.unwrap();
     let error = store.untouched_before(&[early]).await.unwrap_err().to_string();
     assert!(error.contains("the untouched skin 2 was changed"), "{error}");
 }

@@ -22,7 +22,7 @@ use serde_json::{Value, json};
 use tokio::net::TcpListener;
 
 use super::filled::{Filled, folder, new_run, press, store};
-use crate::support::{self, SENSOR, command, finished, sensor};
+use crate::support::{self, SENSOR, command, finished, sensor, succeeded};
 
 /// Rows of `real` in a filled folder.
 const REAL: u64 = 235;
@@ -188,8 +188,7 @@ async fn two_rigs_become_tables_whose_ids_no_two_rows_share() {
         let (file, url) = (table(&out, name).display().to_string(), desk.url(""));
         let sensor = out.join(format!("fetched/{name}/sensor.toml")).display().to_string();
         let words = ["dataset", "import", &file, "--sensor", &sensor, "--label", "virtual"];
-        let imported = typed(&[&words[..], &["--name", name, "--url", &url]].concat()).await;
-        assert!(imported.status.success(), "{}", String::from_utf8_lossy(&imported.stderr));
+        succeeded(&typed(&[&words[..], &["--name", name, "--url", &url]].concat()).await);
     }
     let split = json!({ "by": "run", "test_runs": ["b"] });
     let definition = json!({ "name": "lab", "task": "real", "runs": ["a", "b"], "split": split });

@@ -313,16 +313,22 @@ impl Filled {
         (made["key"]["id"].as_i64().unwrap(), made["secret"].as_str().unwrap().to_owned())
     }
 
-    pub async fn over(&self, export: &str) -> Value {
+    /// Waits for what stands at a path to satisfy this; returns it.
+    pub async fn until(&self, path: &str, limit: Duration, done: impl Fn(&Value) -> bool) -> Value {
         let start = Instant::now();
         loop {
-            let row = self.get(&format!("/api/v1/exports/{export}")).await;
-            if row["state"] == "done" || row["state"] == "failed" {
-                return row;
+            let found = self.get(path).await;
+            if done(&found) {
+                return found;
             }
-            assert!(start.elapsed() < LIMIT, "{row:#}");
-            tokio::time::sleep(Duration::from_millis(20)).await;
+            assert!(start.elapsed() < limit, "{path}: {found:#}");
+            tokio::time::sleep(Duration::from_millis(10)).await;
         }
+    }
+
+    pub async fn over(&self, export: &str) -> Value {
+        let is_over = |row: &Value| row["state"] == "done" || row["state"] == "failed";
+        self.until(&format!("/api/v1/exports/{export}"), LIMIT, is_over).await
     }
 
     /// The service ends; the folder stays.

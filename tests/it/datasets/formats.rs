@@ -123,8 +123,7 @@ async fn a_split_of_the_file_and_a_split_by_run_are_obeyed() {
                 0,1,2,3,4,5,1,1,\n0,1,2,3,4,5,1,1,validation\n";
     for (name, text) in [("some", some), ("one", &table(40, "")), ("two", &table(30, ""))] {
         std::fs::write(files.join(format!("{name}.csv")), text).unwrap();
-        let output = import(&lab, &files, &format!("{name}.csv"), &[]).await;
-        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        support::succeeded(&import(&lab, &files, &format!("{name}.csv"), &[]).await);
     }
     // Equal positions are in different parts, as the file states.
     let (status, made) =
@@ -172,8 +171,7 @@ async fn a_split_of_the_file_and_a_split_by_run_are_obeyed() {
         tagged += &format!("{n},1,2,3,4,5,{n},{n},{tag}\n");
     }
     std::fs::write(files.join("tagged.csv"), tagged).unwrap();
-    let output = import(&lab, &files, "tagged.csv", &[]).await;
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    support::succeeded(&import(&lab, &files, "tagged.csv", &[]).await);
     let (status, made) =
         split(&lab, "by-tag", &["tagged"], serde_json::json!({ "by": "tag" })).await;
     assert_eq!(
@@ -215,9 +213,7 @@ async fn a_dry_run_shows_what_was_understood_and_stores_nothing() {
     std::fs::write(files.join("pad.csv"), text).unwrap();
     let runs = async || lab.get("/api/v1/runs").await["items"].as_array().unwrap().len();
     let before = runs().await;
-    let output = import(&lab, &files, "pad.csv", &["--dry-run"]).await;
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    let words = String::from_utf8(output.stdout).unwrap();
+    let words = support::succeeded(&import(&lab, &files, "pad.csv", &["--dry-run"]).await);
     for wanted in [
         "2 trials",
         "voltages_v, contacts, split",
@@ -261,8 +257,7 @@ async fn positions_of_a_robot_become_positions_on_the_skin() {
     assert!(errors.contains("x_mm = -0.1: must be from 0 to 100"), "{errors}");
     std::fs::write(files.join("map.toml"), "scale = 1000\noffset_mm = [100, 80]\n").unwrap();
     let output = import(&lab, &files, "robot.csv", &["--coordinates", "map.toml", "--json"]).await;
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    let made: Value = serde_json::from_slice(&output.stdout).unwrap();
+    let made: Value = serde_json::from_str(&support::succeeded(&output)).unwrap();
     let found = trials(&lab, made["run"]["scan_id"].as_i64().unwrap()).await;
     let place =
         |n: usize| ["x_mm", "y_mm"].map(|key| found[n]["contacts"][0][key].as_f64().unwrap());

@@ -1,7 +1,7 @@
 //! Models of a service: trained on its datasets, scored, promoted, asked; refused where they do not
 //! fit. The nets are as small as they can be: how good they are is no matter here.
 
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use serde_json::{Value, json};
 
@@ -24,17 +24,14 @@ const RECON_NET: &str = "name = \"maps\"\ndataset = \"real\"\nmap = \"20x60\"\n[
     epochs = 1\nbatch = 32\n[training.net]\nkind = \"end-to-end\"\nside = 32\nchannels = [4, 2]\n\
     input = \"unit\"\n";
 
+fn path_of(job: &Value) -> String {
+    format!("/api/v1/jobs/{}", job["id"].as_str().unwrap())
+}
+
 impl Filled {
     async fn job(&self, job: &Value) -> Value {
-        let (start, id) = (Instant::now(), job["id"].as_str().unwrap());
-        loop {
-            let row = self.get(&format!("/api/v1/jobs/{id}")).await;
-            if !["waiting", "running"].contains(&row["state"].as_str().unwrap()) {
-                return row;
-            }
-            assert!(start.elapsed() < LIMIT, "{row:#}");
-            tokio::time::sleep(Duration::from_millis(50)).await;
-        }
+        let is_over = |row: &Value| row["state"] != "waiting" && row["state"] != "running";
+        self.until(&path_of(job), LIMIT, is_over).await
     }
 
     /// The id of the model that a recipe produces.
@@ -162,12 +159,7 @@ async fn a_training_goes_on_after_a_restart_and_stops_when_it_is_told() {
     // The same recipe again, the service ended in the middle.
     let recipe = json!({ "recipe": transfer_net("same", 300) });
     let (_, job) = lab.post("/api/v1/trainings", recipe).await;
-    let id = job["id"].as_str().unwrap().to_owned();
-    let start = Instant::now();
-    while lab.get(&format!("/api/v1/jobs/{id}")).await["progress"]["epoch"].as_u64() < Some(20) {
-        assert!(start.elapsed() < LIMIT);
-        tokio::time::sleep(Duration::from_millis(5)).await;
-    }
+    lab.until(&path_of(&job), LIMIT, |job| job["progress"]["epoch"].as_u64() >= Some(20)).await;
     let data = lab.end().await;
     let lab = Filled::serve(data).await;
     let done = lab.job(&job).await;
@@ -176,10 +168,8 @@ async fn a_training_goes_on_after_a_restart_and_stops_when_it_is_told() {
     let (_, endless) = lab
         .post("/api/v1/trainings", json!({ "recipe": transfer_net("endless", 1_000_000) }))
         .await;
-    let path = format!("/api/v1/jobs/{}", endless["id"].as_str().unwrap());
-    while lab.get(&path).await["state"] != "running" {
-        tokio::time::sleep(Duration::from_millis(5)).await;
-    }
+    let path = path_of(&endless);
+    lab.until(&path, LIMIT, |job| job["state"] == "running").await;
     lab.post(&format!("{path}/stop"), Value::Null).await;
     assert_eq!(lab.job(&endless).await["state"], "stopped");
     assert_eq!(lab.get("/api/v1/models").await["items"].as_array().unwrap().len(), 1);
@@ -189,8 +179,6 @@ async fn a_training_goes_on_after_a_restart_and_stops_when_it_is_told() {
 #[tokio::test]
 async fn what_cannot_be_is_named_and_changes_nothing() {
     let lab = Filled::open("models-refused").await;
-    let ask =
-        async |recipe: String| lab.post("/api/v1/trainings", json!({ "recipe": recipe })).await;
     let net = transfer_net("a", 1);
     for (recipe, words) in [
         (net.replace("epochs = 1", "epochs = 0"), "epochs"),
@@ -199,17 +187,14 @@ async fn what_cannot_be_is_named_and_changes_nothing() {
         (net.replace("[training]", "map = \"4x20\"\n[training]"), "map = 4x20"),
         ("nonsense".into(), "recipe"),
     ] {
-        let (status, body) = ask(recipe).await;
-        assert_eq!(status, 422, "{body}");
-        assert!(body["detail"].as_str().unwrap().contains(words), "{words}: {body}");
+        lab.refuses("/api/v1/trainings", json!({ "recipe": recipe }), 422, words).await;
     }
     for (recipe, words) in [
         (net.replace("r2s-transfer", "none-such"), "no dataset none-such"),
         (net.replace("r2s-transfer", "real-unseen"), "sim_voltages_v"),
         (net.replace("dataset", "where = [\"tips__gt=9\"]\ndataset"), "no rows in part train"),
     ] {
-        let (status, job) = ask(recipe).await;
-        assert_eq!(status, 202);
+        let job = lab.posted("/api/v1/trainings", json!({ "recipe": recipe }), 202).await;
         let failed = lab.job(&job).await;
         assert_eq!(failed["state"], "failed");
         assert!(failed["error"].as_str().unwrap().contains(words), "{words}: {failed}");
@@ -269,9 +254,7 @@ async fn what_cannot_be_is_named_and_changes_nothing() {
     let request = json!({ "method": "fast", "model": id, "frames": [frame] });
     lab.refuses("/api/v1/infer", request, 409, "has no use for it").await;
     let request = json!({ "method": "fast", "model": "cal-0", "frames": [frame] });
-    let (status, body) = lab.post("/api/v1/infer", request).await;
-    let words = "model = cal-0: must be a net";
-    assert!(status == 422 && body["detail"].as_str().unwrap().contains(words), "{body}");
+    lab.refuses("/api/v1/infer", request, 422, "model = cal-0: must be a net").await;
     let request = json!({ "method": "exact", "model": "cal-0", "frames": [frame] });
     lab.posted("/api/v1/infer", request, 404).await;
     let file = parquet(vec![

@@ -1,15 +1,14 @@
 //! Trainings as processes: killed ones fail by their signal and resume when requested again, and none
 //! outlives its service.
 
-use std::io::{BufRead, BufReader};
-use std::process::{Command, Stdio};
-use std::time::{Duration, Instant};
+use std::process::Command;
+use std::time::Duration;
 
 use serde_json::{Value, json};
 
 use super::filled::{Filled, fill, folder, rig};
 use super::models::transfer_net;
-use crate::support::{PALPATE, Process, http};
+use crate::support::{PALPATE, eventually, http, served};
 
 /// Longest wait for anything; the trainer may have to be built first.
 const LIMIT: Duration = Duration::from_secs(120);
@@ -18,18 +17,6 @@ const ORPHAN_MAX: Duration = Duration::from_secs(10);
 
 /// What a service has for `palpate-worker` alone.
 const SECRETS: [&str; 3] = ["PALPATE_QUEUE", "PALPATE_STORE_FILE", "AWS_SECRET_ACCESS_KEY"];
-
-/// Waits until a value is there.
-async fn eventually<T>(what: &str, limit: Duration, mut look: impl AsyncFnMut() -> Option<T>) -> T {
-    let start = Instant::now();
-    loop {
-        if let Some(found) = look().await {
-            return found;
-        }
-        assert!(start.elapsed() < limit, "{what}");
-        tokio::time::sleep(Duration::from_millis(10)).await;
-    }
-}
 
 /// The process that trains for a job, by its arguments.
 fn trainer(job: &str) -> Option<i32> {
@@ -145,11 +132,7 @@ async fn a_killed_service_leaves_a_checkpoint_and_no_trainer() {
     for name in SECRETS {
         serve.env(name, "hush");
     }
-    let mut served = Process(serve.stdout(Stdio::piped()).spawn().unwrap());
-    let mut line = String::new();
-    BufReader::new(served.0.stdout.take().unwrap()).read_line(&mut line).unwrap();
-    let url = line.split_whitespace().find(|word| word.starts_with("http://")).unwrap();
-    let url = url.trim_end_matches(',');
+    let (mut service, url) = served(&mut serve);
     let recipe = transfer_net("orphan", 1_000_000);
     let asked = http().post(format!("{url}/api/v1/trainings")).json(&json!({ "recipe": recipe }));
     let job: Value = asked.send().await.unwrap().json().await.unwrap();
@@ -167,8 +150,8 @@ async fn a_killed_service_leaves_a_checkpoint_and_no_trainer() {
     assert!(environment.contains("PATH="));
     let checkpoint = data.join("jobs").join(&id).join("checkpoint.bin");
     assert!(!checkpoint.exists());
-    served.0.kill().unwrap();
-    served.0.wait().unwrap();
+    service.0.kill().unwrap();
+    service.0.wait().unwrap();
     let gone = async || trainer(&id).is_none().then_some(());
     eventually("the trainer ends", ORPHAN_MAX, gone).await;
     assert!(checkpoint.exists());

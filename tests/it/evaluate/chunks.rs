@@ -31,12 +31,12 @@ fn task(data: &Path, name: &str, task: &str, tasks: &str) -> Process {
     Process(command.spawn().unwrap())
 }
 
-/// The chunks of a folder: name and bytes.
-fn nets(folder: &Path) -> BTreeMap<String, Vec<u8>> {
-    let paths = fs::read_dir(folder.join("results")).unwrap().map(|entry| entry.unwrap().path());
-    let nets = paths.filter(|path| path.extension().is_some_and(|ending| ending == "net"));
+/// The chunks of an order with this ending: name and bytes.
+pub(super) fn chunks(order: &Path, ending: &str) -> BTreeMap<String, Vec<u8>> {
+    let paths = fs::read_dir(order.join("results")).unwrap().map(|entry| entry.unwrap().path());
+    let chunks = paths.filter(|path| path.extension().is_some_and(|found| found == ending));
     let name = |path: &PathBuf| path.file_name().unwrap().to_str().unwrap().to_owned();
-    nets.map(|path| (name(&path), fs::read(path).unwrap())).collect()
+    chunks.map(|path| (name(&path), fs::read(path).unwrap())).collect()
 }
 
 /// The ids in the manifests of gathered nets.
@@ -86,7 +86,7 @@ async fn a_table_of_two_processes_is_that_of_one() {
     for mut process in both {
         assert!(process.0.wait().unwrap().success());
     }
-    let (one, two) = (nets(&data.join("one")), nets(&data.join("two")));
+    let (one, two) = (chunks(&data.join("one"), "net"), chunks(&data.join("two"), "net"));
     assert_eq!(one.len(), 36);
     assert!(one == two, "other bytes: {:?} and {:?}", one.keys(), two.keys());
     let mut left = fs::read_dir(&unfinished).unwrap().map(|entry| entry.unwrap().path());
@@ -101,7 +101,7 @@ async fn a_table_of_two_processes_is_that_of_one() {
     let refused = palpate(&data, &["cluster", "gather", "one", "--out", "nets-one"]);
     not_done(&refused, 1, "is damaged");
     assert!(task(&data, "one", "0", "1").0.wait().unwrap().success());
-    assert!(nets(&data.join("one")) == one, "other bytes the second time");
+    assert!(chunks(&data.join("one"), "net") == one, "other bytes the second time");
 
     // Each table in a separate data folder, so that each adds its own nets.
     let copy = folder("evaluate-chunks-copy");

@@ -12,7 +12,7 @@ use rand_chacha::ChaCha8Rng;
 use serde_json::Value;
 
 use crate::datasets::filled::{fill, folder, new_run, press, store, twins_but};
-use crate::support::{PALPATE, VIRTUAL_RIG, sensor};
+use crate::support::{PALPATE, VIRTUAL_RIG, sensor, succeeded};
 
 /// Columns of a table of scores of contacts.
 const SCORES: [&str; 10] = [
@@ -220,8 +220,7 @@ async fn pad(data: &Path) {
     let split = "name = \"pad\"\ntask = \"real\"\nruns = [\"pad-trials\"]\n\n\
                  [split]\nby = \"trial\"\nratio = [3, 1, 1]\nseed = 1\n";
     std::fs::write(data.join("pad.toml"), split).unwrap();
-    let made = palpate(data, &["dataset", "make", "pad.toml"]);
-    assert!(made.status.success(), "{}", String::from_utf8_lossy(&made.stderr));
+    succeeded(&palpate(data, &["dataset", "make", "pad.toml"]));
 }
 
 #[tokio::test]

@@ -1,13 +1,13 @@
 //! Answers of `exact` to the frames of an evaluation, in chunks: two processes next to each other give the bytes of one,
 //! and the scores are those of the service. The frames are made up.
 
-use std::collections::BTreeMap;
 use std::fs;
 use std::path::Path;
 use std::process::{Command, Stdio};
 
 use serde_json::{Value, json};
 
+use super::chunks::chunks;
 use super::commands::{evaluate, palpate, trials};
 use crate::datasets::filled::folder;
 use crate::support::{self, PALPATE, Process};
@@ -26,17 +26,6 @@ fn task(node: &Path, order: &Path, task: &str, tasks: &str) -> Process {
     command.args(["cluster", "make", "--json", "--task", task, "--tasks", tasks]).arg(order);
     command.arg("--data").arg(node).stdin(Stdio::null()).stdout(Stdio::null());
     Process(command.spawn().unwrap())
-}
-
-/// The chunks of an order: name and bytes.
-fn readings(order: &Path) -> BTreeMap<String, Vec<u8>> {
-    let paths = fs::read_dir(order.join("results")).unwrap().map(|entry| entry.unwrap().path());
-    let chunks = paths.filter(|path| path.extension().is_some_and(|ending| ending == "jsonl"));
-    let named = chunks.map(|path| {
-        let name = path.file_name().unwrap().to_str().unwrap().to_owned();
-        (name, fs::read(path).unwrap())
-    });
-    named.collect()
 }
 
 /// Whether two values are equal; numbers up to what a text of them loses.
@@ -75,10 +64,10 @@ async fn answers_of_two_processes_are_scored_as_those_of_the_service() {
     for mut process in ["0", "1"].map(|number| task(&node, &two, number, "2")) {
         assert!(process.0.wait().unwrap().success());
     }
-    let chunks = readings(&one);
-    assert_eq!(chunks.len(), 3);
-    assert!(chunks == readings(&two), "other bytes");
-    let lines = chunks.values().map(|bytes| bytes.iter().filter(|byte| **byte == b'\n').count());
+    let found = chunks(&one, "jsonl");
+    assert_eq!(found.len(), 3);
+    assert!(found == chunks(&two, "jsonl"), "other bytes");
+    let lines = found.values().map(|bytes| bytes.iter().filter(|byte| **byte == b'\n').count());
     assert_eq!(lines.sum::<usize>(), 12);
     assert!(!node.join("palpate.db").exists(), "a node needs no database");
 

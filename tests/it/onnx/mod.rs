@@ -20,7 +20,7 @@ use palpate_trainer::answer::answer;
 use kinds::{KINDS, conv, kind_index, kinds};
 use random_nets::{CHANNELS, Draw, architectures, net};
 
-use crate::support::{self, Folder};
+use crate::support::{self, Folder, succeeded};
 
 /// Frames for each net: batches of 64 and of eight, and three alone.
 const COMPARED_FRAMES: usize = 75;
@@ -98,8 +98,7 @@ fn tract_and_onnxruntime_give_the_same_answers_for_every_layer_and_every_net() {
     assert_eq!(covered, [true; KINDS], "a kind of layer has no net");
     let script = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/it/onnx/compare.py");
     let output = Command::new(&python).arg(script).arg(&*folder).output().unwrap();
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    let compared: BTreeMap<String, Compared> = serde_json::from_slice(&output.stdout).unwrap();
+    let compared: BTreeMap<String, Compared> = serde_json::from_str(&succeeded(&output)).unwrap();
     assert_eq!(compared.len(), nets.len());
     for (name, network) in &nets {
         let found = &compared[*name];

@@ -222,8 +222,7 @@ fn a_notebook_reads_what_was_simulated() {
         .args(["0", "1500", "2718", "4499"])
         .output()
         .unwrap();
-    assert!(read.status.success(), "{}", String::from_utf8_lossy(&read.stderr));
-    let read: Value = serde_json::from_slice(&read.stdout).unwrap();
+    let read: Value = serde_json::from_str(&support::succeeded(&read)).unwrap();
     assert_eq!((&read["rows"], &read["distinct"]), (&4500.into(), &4500.into()));
     assert_eq!((&read["nulls"], &read["index"]), (&0.into(), &serde_json::json!([0, 4499])));
     assert_eq!(read["counts_agree"], true);

@@ -91,7 +91,6 @@ pub struct RigStatus {
     /// Cause of the latched trip; null if the rig is not tripped.
     pub trip: Option<Trip>,
     /// Time of the latched or last trip; null once the axes were homed after it, or the wires closed.
-    #[schema(value_type = Option<String>, format = DateTime)]
     pub tripped_at: Option<Timestamp>,
     /// Process seconds per wall second.
     pub clock_rate: f64,
@@ -189,7 +188,6 @@ pub struct RunStatus {
     /// Reason why the run waits or is about to wait; null otherwise.
     pub paused_why: Option<PausedWhy>,
     /// Time since which it waits, or is about to, for this reason; null if it does not.
-    #[schema(value_type = Option<String>, format = DateTime)]
     pub waits_since: Option<Timestamp>,
     /// What the run waits for, as text; null if it does not wait.
     pub waiting_for: Option<String>,

@@ -8,7 +8,7 @@ use sim_core::sensor::Sensor;
 use super::super::answers::{TrialFacts, TwinsOf, all_trials, fit_of};
 use crate::api::{History, Page, StateSpan, Summary};
 use crate::cli::client::Client;
-use crate::cli::error::CliError;
+use crate::cli::error::CliResult;
 use crate::cli::view::EventView;
 use crate::evaluate::simulation::SimulationReport;
 use crate::event::{self, Importance};
@@ -88,7 +88,7 @@ impl Facts {
     ///
     /// # Errors
     /// As [`Client::send`].
-    pub async fn read(client: &Client, run: &RunRow) -> Result<Self, CliError> {
+    pub async fn read(client: &Client, run: &RunRow) -> CliResult<Self> {
         let uid = run.uid;
         let path = format!("/api/v1/runs/{uid}");
         let summary = client.summary(uid).await?;
@@ -129,7 +129,7 @@ impl Facts {
     }
 }
 
-async fn events(client: &Client, run: &RunRow) -> Result<Vec<Told>, CliError> {
+async fn events(client: &Client, run: &RunRow) -> CliResult<Vec<Told>> {
     let (mut told, mut since) = (Vec::new(), 0);
     let kinds = event::notable_kinds().collect::<Vec<_>>().join(",");
     loop {

@@ -16,7 +16,7 @@ use facts::Facts;
 use super::ReportArgs;
 use crate::cli::client::Client;
 use crate::cli::embed;
-use crate::cli::error::CliError;
+use crate::cli::error::CliResult;
 use crate::cli::files::write;
 use crate::cli::find::find_run;
 use crate::cli::output::{counted, note, say, say_json};
@@ -28,12 +28,11 @@ use crate::cli::progress::shown_wait;
 /// # Errors
 /// `CliError` if the service cannot be reached or started, has no such run, or a file cannot be written.
 /// A PDF that cannot be printed is reported, and is no error: the HTML has all of it.
-pub async fn report(args: ReportArgs) -> Result<(), CliError> {
-    let at = args.at.clone();
-    embed::reading(&at, move |client| async move { make(&client, &args).await }).await
+pub async fn report(args: ReportArgs) -> CliResult<()> {
+    embed::reading(&args.at, async |client| make(client, &args).await).await
 }
 
-async fn make(client: &Client, args: &ReportArgs) -> Result<(), CliError> {
+async fn make(client: &Client, args: &ReportArgs) -> CliResult<()> {
     let run = find_run(client, &args.run).await?;
     let facts = Facts::read(client, &run).await?;
     let page = html::page(&facts, Timestamp::now())?;
