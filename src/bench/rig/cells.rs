@@ -111,10 +111,11 @@ impl CellsConfig {
         c.within("cells.supply_v", self.supply_v, 1.0..=24.0);
         c.within("cells.full_scale_n", self.full_scale_n, 1.0..=5000.0);
         c.within("cells.force_noise_n", self.force_noise_n, 0.001..=5.0);
-        let in_air_n = self.in_air_n();
-        let ok = (0.1..=self.full_scale_n / 10.0).contains(&in_air_n);
-        let limit = "must be from 0.1 to a tenth of cells.full_scale_n";
-        c.require(ok, "cells.in_air_n", in_air_n, limit);
+        if let Some(in_air_n) = self.in_air_n {
+            let ok = (0.1..=self.full_scale_n / 10.0).contains(&in_air_n);
+            let limit = "must be from 0.1 to a tenth of cells.full_scale_n";
+            c.require(ok, "cells.in_air_n", in_air_n, limit);
+        }
         let channels = &self.channels;
         let distinct = (0..ARMS).all(|i| !channels[..i].contains(&channels[i]) && channels[i] < 8);
         let shown = format!("{channels:?}");

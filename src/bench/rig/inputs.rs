@@ -139,7 +139,7 @@ impl<M: InputModule> LoadCells for ModuleCells<M> {
             let known = self.module.range(setting).filter(|r| r.high_v >= self.full_output_v);
             *range = known.ok_or_else(|| {
                 let found = format!("channel {channel} has {} 0x{setting:04X}", M::SETTING);
-                let needed = format!("a voltage range up to {:.1} V at least", self.full_output_v);
+                let needed = format!("a range of 0 to {:.1} V at least", self.full_output_v);
                 self.station.wrong(found, needed)
             })?;
         }

@@ -387,6 +387,23 @@ mod tests {
     }
 
     #[test]
+    fn a_load_ends_a_homing_of_z_if_it_grows_and_its_cell_was_connected() {
+        let check = |first, now| {
+            let at = tokio::time::Instant::now();
+            let reading = |volts| CellVolts { volts, repeats: [0; ARMS], at };
+            check_rises(&cells(), &reading(first), &reading(now)).map_err(|trip| trip.kind)
+        };
+        let (free, loaded) = (at_n([0.0; ARMS]), at_n([0.0, 40.0, 0.0, 0.0, 0.0, 0.0]));
+        assert_eq!(check(free, loaded), Err(TripKind::Force));
+        assert_eq!(check(loaded, free), Ok(()), "z takes it off");
+        assert_eq!(check(loaded, loaded), Ok(()), "it was there before");
+        let mut unplugged = free;
+        unplugged[1] = 0.0;
+        assert_eq!(check(unplugged, loaded), Ok(()));
+        assert_eq!(check(free, unplugged), Ok(()));
+    }
+
+    #[test]
     fn attached_arms_need_live_cells_and_others_may_have_them() {
         let live = |volts, tips| live_cells(&cells(), &volts, tips);
         assert_eq!(live([0.5; ARMS], 1), Ok(6));

@@ -150,6 +150,8 @@ impl Axis for StandIn {
 pub struct Cells {
     /// Outputs of arms 1 to 6, V.
     pub volts: Mutex<[f64; ARMS]>,
+    /// Whether they reply.
+    pub replies: AtomicBool,
 }
 
 #[async_trait]
@@ -159,6 +161,10 @@ impl LoadCells for Cells {
     }
 
     async fn read(&self) -> Result<CellVolts, RigError> {
+        if !self.replies.load(Ordering::SeqCst) {
+            let (device, operation) = ("cells".into(), "values".into());
+            return Err(RigError::NoReply { device, operation, timeout_ms: 300 });
+        }
         Ok(CellVolts { volts: *self.volts.lock(), repeats: [0; ARMS], at: Instant::now() })
     }
 }
@@ -210,7 +216,8 @@ pub struct StandIns {
 impl Default for StandIns {
     fn default() -> Self {
         let [x, y, z, radial] = ["x", "y", "z", "radial"].map(StandIn::new);
-        let cells = Arc::new(Cells { volts: Mutex::new([0.5; ARMS]) });
+        let (volts, replies) = (Mutex::new([0.5; ARMS]), AtomicBool::new(true));
+        let cells = Arc::new(Cells { volts, replies });
         Self { x, y, z, radial, cells, journal: Arc::default() }
     }
 }

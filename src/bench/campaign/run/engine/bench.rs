@@ -81,7 +81,7 @@ impl Engine {
                 }
             }
             Request::Tare => self.tare().await,
-            Request::Mounted { tips, who } => self.mounted(tips, &who).await,
+            Request::Mounted { tips, who } => self.mounted(tips, &who, &answer).await,
             Request::CameLate => {
                 self.control.came_late();
                 Ok(())
@@ -435,9 +435,14 @@ impl Engine {
     /// Accepts the number of tips that a person has mounted, if the cells do not contradict it.
     ///
     /// # Errors
-    /// `tips` is more than the number of arms, no wires are open, or the cell of an attached arm is
-    /// disconnected.
-    pub(super) async fn mounted(&mut self, tips: u8, who: &str) -> Result<(), Refusal> {
+    /// `tips` is more than the number of arms, no wires are open, the cell of an attached arm is disconnected, or the
+    /// caller was told meanwhile that the entry failed.
+    pub(super) async fn mounted(
+        &mut self,
+        tips: u8,
+        who: &str,
+        answer: &Answer,
+    ) -> Result<(), Refusal> {
         if usize::from(tips) > ARMS {
             return Err(Refusal::Value(format!("tips = {tips}: must be 0 to {ARMS}")));
         }
@@ -446,6 +451,9 @@ impl Engine {
         let reading = reading.map_err(|e| Refusal::State(e.to_string()))?;
         let live = interlock::live_cells(&stage.config.cells, &reading.volts, tips);
         let live_cells = live.map_err(Refusal::State)?;
+        if answer.is_closed() {
+            return Err(Refusal::Gone);
+        }
         let mounting = Mounting { tips, live_cells, who: who.into() };
         self.control.diary.note(Note::Mounted(mounting.clone()));
         self.control.say("tips", json!({ "tips": tips, "live_cells": live_cells, "who": who }));

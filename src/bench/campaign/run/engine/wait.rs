@@ -264,7 +264,7 @@ impl Engine {
         done: Done,
         answer: &Answer,
     ) -> Result<(), Refusal> {
-        self.check_confirmed(who, done).await?;
+        self.check_confirmed(who, done, answer).await?;
         match job.plan.kind {
             Kind::RealHex => self.resume(job, Some(answer)).await,
             Kind::RealRandom => Ok(()),
@@ -273,13 +273,18 @@ impl Engine {
 
     /// Accepts the confirmation of what the run waits for, of a tip change only if the cells do not
     /// contradict it.
-    async fn check_confirmed(&mut self, who: &str, done: Done) -> Result<(), Refusal> {
+    async fn check_confirmed(
+        &mut self,
+        who: &str,
+        done: Done,
+        answer: &Answer,
+    ) -> Result<(), Refusal> {
         let wanted = self.control.inbox.status.borrow().run.as_ref().and_then(|r| r.wanted.clone());
         match wanted {
             Some(wanted) if !done.fits(&wanted) => Err(Refusal::State(
                 "the run waits for another confirmation: read the status".into(),
             )),
-            Some(Wanted::Tips { tips }) => self.mounted(tips, who).await,
+            Some(Wanted::Tips { tips }) => self.mounted(tips, who, answer).await,
             Some(Wanted::Placement { .. }) => Ok(()),
             None => Err(Refusal::State("the run waits for no confirmation".into())),
         }

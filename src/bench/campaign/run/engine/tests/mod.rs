@@ -364,3 +364,12 @@ async fn no_run_begins_if_a_pause_or_an_abort_came_after_the_end_of_the_run_befo
     assert!(noted.is_ok() && moved.is_ok(), "{moved:?}");
     assert_eq!((engine.control.run(), signs(&engine)), (RunState::Running, 2));
 }
+
+#[tokio::test]
+async fn an_entry_of_tips_whose_caller_was_told_that_it_failed_is_not_carried_out() {
+    let mut engine = engine(&StandIns::default());
+    let (answer, caller) = oneshot::channel();
+    drop(caller);
+    assert_eq!(engine.mounted(1, "ada", &answer).await, Err(Refusal::Gone));
+    assert!(engine.mounting.is_none());
+}

@@ -3,6 +3,8 @@
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 
+use tokio::sync::oneshot;
+
 use super::engine;
 use crate::campaign::bench::interlock::TripKind;
 use crate::campaign::bench::rig_state::RigState;
@@ -41,7 +43,8 @@ async fn no_axis_homes_sideways_while_an_attached_cell_reads_a_load_and_z_is_rai
     assert_eq!(trip.kind, TripKind::Cell);
     assert!(trip.detail.contains("cell 2 reads 13.9 N (limit 10 N"), "{}", trip.detail);
     // Of one tip, on arm 1.
-    engine.mounted(1, "ada").await.unwrap();
+    let (answer, _caller) = oneshot::channel();
+    engine.mounted(1, "ada", &answer).await.unwrap();
     engine.reset(0, None).await.unwrap();
     assert!(engine.home().await);
 }
@@ -67,6 +70,26 @@ async fn z_that_homes_into_a_load_is_stopped() {
     let trip = engine.control.inbox.status.borrow().rig.trip.clone().expect("a trip");
     assert_eq!(trip.kind, TripKind::Force);
     assert!(trip.detail.starts_with("cell 1 reads 13.9 N more than"), "{}", trip.detail);
+}
+
+#[tokio::test]
+async fn z_homes_although_no_cell_replies_and_no_other_axis_does() {
+    let axes = StandIns::default();
+    let mut engine = engine(&axes);
+    axes.cells.replies.store(false, Ordering::SeqCst);
+    let rising = AxisStatus { position: 60.0, homed: false, moving: true, ..axes.z.present() };
+    *axes.z.status.lock() = AxisStatus { moving: false, ..rising };
+    *axes.z.after_start.lock() = Some(rising);
+    let arrives = async {
+        tokio::time::sleep(Duration::from_millis(300)).await;
+        assert_eq!(axes.z.stops.load(Ordering::SeqCst), 0, "it is not stopped on its way");
+        *axes.z.status.lock() = AxisStatus { position: 0.0, homed: true, moving: false, ..rising };
+    };
+    let (is_homed, ()) = tokio::join!(engine.home(), arrives);
+    assert!(!is_homed);
+    assert_eq!((lateral_starts(&axes), axes.z.present().position), ([0; 3], 0.0));
+    let trip = engine.control.inbox.status.borrow().rig.trip.clone();
+    assert_eq!(trip.map(|trip| trip.kind), Some(TripKind::Wire));
 }
 
 #[tokio::test]
