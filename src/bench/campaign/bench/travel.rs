@@ -388,9 +388,9 @@ impl Stage {
             self.driven(name).axis.start_home().await?;
         }
         let deadline = self.clock.now() + self.clock.wall(HOMING_S) + GRACE;
-        // A drive that was homed before needs a moment to accept the command.
-        self.clock.sleep(0.1).await;
-        let mut first = None;
+        // A drive that was homed before needs a moment to accept the command. Meanwhile z may already go into a load.
+        let ((), read) = futures::join!(self.clock.sleep(0.1), self.bench.cells.read());
+        let mut first = read.ok();
         loop {
             control.attend()?;
             let read = self.read_homing(names).await?;
