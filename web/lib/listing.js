@@ -23,7 +23,7 @@ export function listing(path, { words, draw, query = {}, limit, most = 1000, sig
     const page = await get(path, { ...query, limit, cursor: further ? next : null }, { signal }).catch(error => ({ error }))
     more.disabled = false
     if (signal.aborted || (!further && mine < newest)) return undefined // What was asked later has come before it.
-    newest = mine
+    newest = Math.max(newest, mine)
     note(trouble, page.error ? `${words} could not be read: ${page.error.message}.` : '')
     if (page.error && further) trouble.scrollIntoView({ block: 'nearest' }) // The button is below the rows.
     if (page.error) return draw(null)

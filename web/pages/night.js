@@ -199,9 +199,11 @@ export async function show(root, { query, signal, set }) {
     const of = run ?? last
     if (!of || !tour) return
     try {
-      progress = await get(`/runs/${of.scan_id}/progress`, {}, { signal, wait: 20_000 })
+      const read = await get(`/runs/${of.scan_id}/progress`, {}, { signal, wait: 20_000 })
+      if (of.uid !== (run ?? last)?.uid) return
+      progress = read
       storedThen = live.status?.run?.trials_stored ?? -1
-    } catch (error) { if (!signal.aborted) say(skinWords, `The progress could not be read: ${error.message}`) }
+    } catch (error) { if (!signal.aborted && of.uid === (run ?? last)?.uid) say(skinWords, `The progress could not be read: ${error.message}`) }
     if (signal.aborted || !tour || of.uid !== (run ?? last)?.uid) return
     map.set(tour, progress, shape, !run)
     const chosen = state.configuration == null ? -1 : tour.steps.configuration.indexOf(Number(state.configuration))

@@ -341,7 +341,8 @@ pub async fn roll_back(
 }
 
 fn serves_out(app: &App, sensor: &str, slot: Slot, promotions: &Promotions) -> ServesOut {
-    let skin = (slot == Slot::Skin).then(|| app.serving.current().skin().cloned()).flatten();
+    let is_skin = slot == Slot::Skin && sensor == app.serving.rig();
+    let skin = is_skin.then(|| app.serving.current().skin().cloned()).flatten();
     let limitation = skin.and_then(|skin| skin.limitation());
     let (what, restores) = (promotions.serving(sensor, slot), promotions.restores(sensor, slot));
     let sensor = (sensor != app.serving.rig()).then(|| sensor.to_owned());

@@ -127,7 +127,10 @@ pub fn newest_touched(fits: &[Fit]) -> Vec<TrialId> {
 /// Computes the report of trials with a twin, and the fit of each pair of electrodes from the measured and the
 /// simulated frames of some of them, V, injection-major.
 pub fn with_frames(fits: &[Fit], frames: &[(&[f32], &[f32])]) -> SimulationReport {
-    let electrodes = frames.first().map_or(0, |(measured, _)| measured.len().isqrt());
+    let channels = frames.first().map_or(0, |(measured, _)| measured.len());
+    let electrodes = channels.isqrt();
+    // The voltages of a skin that has not as many injections as pairs belong to no pair.
+    let frames = if electrodes * electrodes == channels { frames } else { &frames[..0] };
     SimulationReport {
         pair_trials: frames.len() as u64,
         by_pair: pair_fits(frames, electrodes),
@@ -338,6 +341,10 @@ mod tests {
         assert_eq!(pairs, [([0, 1], 0.0), ([1, 0], 0.5)]);
         assert!(pair_fits(&[], 2).is_empty());
         assert!(with_frames(&fits, &[]).by_pair.is_empty());
+        let pad = [[1.0_f32, 2.0, 3.0], [2.0, 1.0, 3.0]];
+        let frames: Vec<(&[f32], &[f32])> = pad.iter().map(|v| (&v[..], &v[..])).collect();
+        let report = with_frames(&fits, &frames);
+        assert_eq!((report.pair_trials, report.by_pair), (0, vec![]), "three voltages, no pair");
     }
 
     #[test]

@@ -271,7 +271,7 @@ impl Serving {
                 self.inner.models.load(id.as_str()).await?;
                 current
             }
-            None if sensor != self.rig() => current,
+            _ if sensor != self.rig() => current,
             None => current.without(slot),
             Some(PromotedId::Calibration(id)) => {
                 current.with_skin(Some(self.skin(Some(id)).await?))
