@@ -32,7 +32,7 @@ const STRETCHED_BY: usize = 200;
 /// Number of trials of light contacts, of others and of many contacts that are answered to compare the answers.
 const REHEARSED_OF_EACH: usize = 200;
 /// Number of parts of the configurations: the errors with which one is answered are learned from the others.
-const REHEARSED_PARTS: u32 = 2;
+const REHEARSED_PARTS: usize = 2;
 /// Smallest force of a contact used for these factors, N: the paper's deadband.
 const CLEAR_N: f64 = 5.0;
 /// Quantile at which the factors are determined: users rely on the limits of the errors, regions of 95 %.
@@ -119,8 +119,8 @@ impl ExactSkin {
         Ok(skin)
     }
 
-    /// Answers known trials as in use, each part of the configurations with the errors that the others show. `None`
-    /// with too few trials.
+    /// Answers known trials as in use, but without proposals of a net, each part of the configurations with the errors
+    /// that the others show. `None` with too few trials, or with trials of one configuration.
     fn rehearse(
         &self,
         model: &ForwardModel,
@@ -129,8 +129,16 @@ impl ExactSkin {
         white: &ErrorModel,
     ) -> Result<Option<Rehearsal>, InferError> {
         let mut answers = Vec::with_capacity(trials.len());
+        let mut configurations: Vec<u32> = trials.iter().map(|trial| trial.configuration).collect();
+        configurations.extend(frames.iter().map(|frame| frame.configuration));
+        configurations.sort_unstable();
+        configurations.dedup();
         for part in 0..REHEARSED_PARTS {
-            let is_in = |configuration: u32| configuration % REHEARSED_PARTS == part;
+            // By turns: the numbers of imported ones may all be even.
+            let is_in = |number: u32| {
+                let at = configurations.binary_search(&number);
+                at.is_ok_and(|at| at % REHEARSED_PARTS == part)
+            };
             let others = frames.iter().filter(|frame| !is_in(frame.configuration));
             let Some(learnt) = learnt(white, others)? else { return Ok(None) };
             let skin = Self::with(model, SkinErrors { model: learnt, ..self.errors.clone() })?;

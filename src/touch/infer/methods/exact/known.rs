@@ -159,22 +159,26 @@ mod tests {
 
     const SENSOR: &str = include_str!("../../../../../experiments/sensors/ert-28.toml");
 
-    /// Position of an imported trial, mm.
-    fn place(trial: u32) -> [f64; 2] {
-        [100.0 + f64::from(trial), 400.0 - f64::from(trial)]
+    /// Positions of the contacts of an imported trial, mm: one of four is untouched, and one has four contacts.
+    fn places(trial: u32) -> Vec<[f64; 2]> {
+        let count = [0, 1, 4, 1][trial as usize % 4];
+        let place = |n: u32| [100.0 + f64::from(trial), 400.0 - f64::from(trial + 60 * n)];
+        (0..count).map(place).collect()
     }
 
-    /// One of four is untouched, and one of these lacks a channel.
+    /// One of the untouched ones lacks a channel.
     fn elsewhere(trial: u32, channels: usize) -> ImportedTrial {
-        let [x_mm, y_mm] = place(trial).map(Some);
-        let contact = crate::store::Contact { x_mm, y_mm, force_n: Some(9.0), diameter_mm: None };
+        let contact = |place_mm: [f64; 2]| {
+            let [x_mm, y_mm] = place_mm.map(Some);
+            crate::store::Contact { x_mm, y_mm, force_n: Some(9.0), diameter_mm: None }
+        };
         let mut voltages_v = vec![1e-3; channels];
         if trial == 4 {
             voltages_v[3] = f32::NAN;
         }
         ImportedTrial {
             configuration: trial,
-            contacts: if trial.is_multiple_of(4) { Vec::new() } else { vec![contact] },
+            contacts: places(trial).into_iter().map(contact).collect(),
             voltages_v,
             frame_count: 8,
             ..ImportedTrial::default()
@@ -214,9 +218,13 @@ mod tests {
         store.import_trials(run.uid, None, trials).await.unwrap();
         store.end_import(run.uid).await.unwrap();
         let known = known_trials(&store, &sensor.into()).await.unwrap();
-        let is_known = |n: &u32| !n.is_multiple_of(4) && skin::is_held_out(&[place(*n)]);
-        let wanted = (0..200).filter(is_known).count();
-        assert!(wanted > 0 && known.pressed.len() == wanted, "{} {wanted}", known.pressed.len());
+        let wanted = [1, 4].map(|count: usize| {
+            let held_out = |of: &Vec<[f64; 2]>| of.len() == count && skin::is_held_out(of);
+            (0..200).map(places).filter(held_out).count()
+        });
+        assert_eq!([known.pressed.len(), known.crowded.len()], wanted);
+        assert!(wanted.iter().all(|count| *count > 0), "{wanted:?}");
+        assert!(known.crowded.iter().all(|trial| trial.contacts.len() == 4));
         assert!(known.pressed.iter().all(|trial| trial.frames == 8.0));
         assert_eq!(known.untouched.frames_v.len(), 49, "one lacks a channel");
         store.close().await;

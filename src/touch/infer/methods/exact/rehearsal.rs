@@ -12,7 +12,7 @@
 use serde::{Deserialize, Serialize};
 use sim_core::forward::Contact;
 use sim_core::inverse::contacts::FittedContact;
-use sim_core::stats::{sorted, upper_quantile};
+use sim_core::stats::sorted;
 
 use crate::infer::answer::Reading;
 use crate::infer::matching::{GHOST_MM, matched};
@@ -23,10 +23,9 @@ pub(super) const LEAST_REHEARSED: usize = 40;
 const LEAST_IN_GROUP: usize = 20;
 /// Contacts are light if all their forces are below this, N: weights that a person places.
 pub(super) const LIGHT_N: f64 = 15.0;
-/// Share of the true values that a region is to contain. The value that [`upper_quantile`] takes is the one that split
-/// conformal prediction prescribes: the first of which `HELD (n + 1)` of `n` are not larger.
+/// Share of the true values that a region is to contain.
 const HELD: f64 = 0.95;
-/// Largest factor.
+/// Largest factor. Where it is not enough, regions hold a smaller share.
 const FACTOR_MOST: f64 = 5.0;
 /// Exponents of the evidence that are compared: inverse temperatures.
 const POWERS: [f64; 8] = [1.0, 0.8, 0.64, 0.5, 0.4, 0.32, 0.25, 0.2];
@@ -40,8 +39,6 @@ pub(super) struct Rehearsal {
     light: Seen,
     /// Of others.
     heavy: Seen,
-    /// Number of answers.
-    trials: usize,
 }
 
 /// What a group of answers showed.
@@ -118,7 +115,7 @@ impl Rehearsal {
         let seen = |group: &[&Rehearsed]| {
             Seen::of(if group.len() >= LEAST_IN_GROUP { group } else { all.as_slice() })
         };
-        Some(Self { light: seen(&light), heavy: seen(&heavy), trials: answers.len() })
+        Some(Self { light: seen(&light), heavy: seen(&heavy) })
     }
 
     /// What answers with contacts like these showed.
@@ -189,10 +186,12 @@ fn tempered(shares: &[f64], power: f64) -> Vec<f64> {
     shares.iter().map(|share| share.powf(power) / all).collect()
 }
 
-/// The factor on regions with which they hold [`HELD`] of the true values, from 1; 1 without values.
+/// The factor on regions with which they hold [`HELD`] of later values, from 1: of `n` values the one that split
+/// conformal prediction prescribes, of rank `HELD (n + 1)`. The largest factor with fewer than 19 values.
 fn factor(errors: impl Iterator<Item = f64>) -> f64 {
     let errors = sorted(errors.map(|error| if error.is_nan() { f64::INFINITY } else { error }));
-    upper_quantile(&errors, HELD).map_or(1.0, |edge| edge.clamp(1.0, FACTOR_MOST))
+    let rank = (HELD * (errors.len() + 1) as f64).ceil() as usize;
+    errors.get(rank - 1).map_or(FACTOR_MOST, |&edge| edge.clamp(1.0, FACTOR_MOST))
 }
 
 #[cfg(test)]
@@ -253,6 +252,15 @@ mod tests {
         let forces = later.iter().flat_map(|answer| answer.forces.clone()).collect();
         let (places, forces) = (held(places, seen.place), held(forces, seen.force));
         assert!((0.92..0.98).contains(&places) && (0.92..0.98).contains(&forces));
+    }
+
+    #[test]
+    fn the_factor_is_the_value_whose_rank_holds_a_further_one_with_95_percent() {
+        let of = |count: u32| factor((0..count).rev().map(|n| 1.0 + 0.01 * f64::from(n)));
+        // Of 39 values the second largest, of 38 and of 19 the largest.
+        assert_eq!([39, 38, 19].map(of), [1.0 + 0.01 * 37.0, 1.0 + 0.01 * 37.0, 1.0 + 0.01 * 18.0]);
+        assert_eq!([of(18), of(0)], [FACTOR_MOST; 2], "no rank of these is enough");
+        assert_eq!(factor([f64::NAN; 40].into_iter()), FACTOR_MOST);
     }
 
     #[test]

@@ -77,7 +77,8 @@ impl ExactSkin {
             )),
             SkinErrors { rehearsal: None, .. } => Some(format!(
                 "95 % regions and probabilities were not compared with known contacts: fewer than {LEAST_REHEARSED} \
-                 trials of {} that it was not fitted to have forces of 5 N and more only",
+                 trials of {} that it was not fitted to have forces of 5 N and more only, or all are of one \
+                 configuration",
                 of_run()
             )),
             _ => None,

@@ -226,10 +226,11 @@ mod tests {
 
     const SENSOR: &str = include_str!("../../../../../experiments/sensors/ert-28.toml");
 
-    /// Single touches of a model with noise, 10 % stronger than their label.
+    /// Single touches of a model with noise, 10 % stronger than their label, whose configurations have even numbers.
     fn trials(model: &ForwardModel, count: u32) -> Vec<KnownTrial> {
         let (mut rng, mut work) = (ChaCha8Rng::seed_from_u64(5), Workspace::default());
-        let mut one = |configuration| {
+        let mut one = |trial: u32| {
+            let configuration = 2 * trial;
             let contact = Contact {
                 x_mm: rng.random_range(60.0..480.0),
                 y_mm: rng.random_range(60.0..500.0),
