@@ -137,22 +137,29 @@ async fn answer(client: &Client, what: What, at: &At) -> CliResult<()> {
             at.output().say(&serves, words(&serves));
             let slot = serves.slot.name();
             let next = Next::of(at);
-            let (next, of) = match &serves.sensor {
-                Some(sensor) => {
-                    let infer = format!("palpate infer FILE --model {slot}@{sensor}");
-                    (
-                        next.suggest(infer, "answers frames of its sensor"),
-                        format!(" --sensor {sensor}"),
+            let next = match &serves.sensor {
+                Some(sensor) => next
+                    .suggest(
+                        format_args!("palpate infer FILE --model {slot}@{sensor}"),
+                        "answers frames of its sensor",
+                    )
+                    .suggest(
+                        format_args!("palpate model roll-back {slot} --sensor {sensor}"),
+                        "restores the one before",
+                    ),
+                None => {
+                    let next = match serves.slot.is_quantity() {
+                        true => next
+                            .suggest("palpate live --quantities", "its answers on the rig's skin"),
+                        false => next.suggest("palpate live", "contacts on the rig's skin"),
+                    };
+                    next.suggest(
+                        format_args!("palpate model roll-back {slot}"),
+                        "restores the one before",
                     )
                 }
-                None if serves.slot.is_quantity() => {
-                    let live = "palpate live --quantities";
-                    (next.suggest(live, "its answers on the rig's skin"), String::new())
-                }
-                None => (next.suggest("palpate live", "contacts on the rig's skin"), String::new()),
             };
-            let back = format!("palpate model roll-back {slot}{of}");
-            next.suggest(back, "restores the one before").say();
+            next.say();
         }
         What::RollBack { slot, sensor, why } => {
             let request = RollBackRequest { slot, sensor, why, who: Some(client.who().into()) };

@@ -42,8 +42,8 @@ struct Entry {
 /// The rigs of the command line, each `URL` or `RIG=URL`, and those of a file, by name.
 ///
 /// # Errors
-/// `CliError::Problems` with the first name or address that is invalid or occurs twice, or if a file cannot be used;
-/// `File` if a file of a key or a certificate cannot be read; as [`Client::new`].
+/// `CliError::Problems` with the first name or address that is invalid or occurs twice, or if a file cannot be used; as
+/// [`Client::new`].
 pub fn rigs(urls: &[String], file: Option<&Path>) -> CliResult<Vec<Rig>> {
     let mut rigs = BTreeMap::new();
     for text in urls {

@@ -297,3 +297,85 @@ impl Rows for DatasetRows {
         })))
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use arrow_array::Int64Array;
+    use arrow_array::cast::AsArray;
+    use arrow_array::types::Int64Type;
+    use arrow_cast::cast;
+    use parquet::arrow::ArrowWriter;
+
+    use super::*;
+
+    /// Trials 1 to 30 in three row groups: tips from 0 to 3, and a force that falls, each third of them unknown.
+    fn write(path: &Path) {
+        let numbers: [(&str, fn(i64) -> Option<i64>); 3] = [
+            ("trial_id", Some),
+            ("tips", |n| Some(n % 4)),
+            ("max_force_n", |n| (n % 3 != 0).then_some(31 - n)),
+        ];
+        let all = schema::all(schema::PAPER_CHANNELS);
+        let columns = numbers.map(|(name, _)| all.index_of(name).unwrap());
+        let table = SchemaRef::new(all.project(&columns).unwrap());
+        let mut writer =
+            ArrowWriter::try_new(File::create(path).unwrap(), table.clone(), None).unwrap();
+        for first in [1, 11, 21] {
+            let columns = numbers.iter().zip(table.fields()).map(|((_, number), field)| {
+                let values: Int64Array = (first..first + 10).map(number).collect();
+                cast(&values, field.data_type()).unwrap()
+            });
+            writer.write(&RecordBatch::try_new(table.clone(), columns.collect()).unwrap()).unwrap();
+            writer.flush().unwrap();
+        }
+        writer.close().unwrap();
+    }
+
+    fn ids(batches: &[RecordBatch]) -> Vec<i64> {
+        let of =
+            |batch: &RecordBatch| batch["trial_id"].as_primitive::<Int64Type>().values().to_vec();
+        batches.iter().flat_map(of).collect()
+    }
+
+    /// The trials of all pages; each but the last is full.
+    fn of_pages(limit: usize, page: impl Fn(u64) -> (Vec<RecordBatch>, Option<u64>)) -> Vec<i64> {
+        let (mut all, mut from) = (Vec::new(), Some(0));
+        while let Some(at) = from {
+            let (batches, next) = page(at);
+            let found = ids(&batches);
+            assert!(found.len() == limit || next.is_none(), "{found:?} of {limit}");
+            all.extend(found);
+            from = next;
+        }
+        all
+    }
+
+    #[test]
+    fn pages_have_each_selected_row_once_across_row_groups() {
+        let name = format!("palpate-pages-{}.parquet", std::process::id());
+        let path = std::env::temp_dir().join(name);
+        write(&path);
+        let sort = Sort::parse("-max_force_n");
+        let cases: [(Option<&str>, fn(i64) -> bool); 3] =
+            [(None, |_| true), (Some("tips=2"), |n| n % 4 == 2), (Some("tips=7"), |_| false)];
+        for (condition, fits) in cases {
+            let conditions = condition.map(str::to_owned).into_iter().collect();
+            let wanted = Wanted { conditions, ..Wanted::default() };
+            let expected: Vec<i64> = (1..=30).filter(|n| fits(*n)).collect();
+            let mut by_force = expected.clone();
+            by_force.sort_by_key(|n| n % 3 == 0);
+            let pages = DatasetPages::open(&path, &wanted).unwrap();
+            for limit in [1, 4, 7, 40] {
+                assert_eq!(of_pages(limit, |at| pages.page(at, limit).unwrap()), expected);
+                let sorted = |at| pages.sorted_page(&sort, at, limit).unwrap();
+                assert_eq!(of_pages(limit, sorted), by_force);
+            }
+            let (beyond, next) = pages.page(40, 5).unwrap();
+            assert_eq!((ids(&beyond), next), (Vec::new(), None));
+            let rows = DatasetRows::open(&path, &wanted).unwrap();
+            let whole: Vec<RecordBatch> = rows.batches(None).unwrap().map(Result::unwrap).collect();
+            assert_eq!((ids(&whole), rows.count()), (expected.clone(), expected.len() as u64));
+        }
+        std::fs::remove_file(path).unwrap();
+    }
+}

@@ -1,5 +1,5 @@
-//! Table IV of nets and regressions that were trained and scored in chunks: two processes next to each other make the bytes and the
-//! table of one, and the service the same scores.
+//! Table IV of nets and regressions that were trained and scored in chunks: two processes next to each other make the
+//! bytes and the table of one, and the service the same scores.
 //! The nets learn almost nothing.
 
 use std::collections::{BTreeMap, BTreeSet};
