@@ -308,9 +308,14 @@ mod tests {
 
     use super::*;
 
+    /// Value of a trial by its number.
+    type Value = fn(i64) -> Option<i64>;
+    /// Which trials meet a condition.
+    type Fits = fn(i64) -> bool;
+
     /// Trials 1 to 30 in three row groups: tips from 0 to 3, and a force that falls, each third of them unknown.
     fn write(path: &Path) {
-        let numbers: [(&str, fn(i64) -> Option<i64>); 3] = [
+        let numbers: [(&str, Value); 3] = [
             ("trial_id", Some),
             ("tips", |n| Some(n % 4)),
             ("max_force_n", |n| (n % 3 != 0).then_some(31 - n)),
@@ -356,7 +361,7 @@ mod tests {
         let path = std::env::temp_dir().join(name);
         write(&path);
         let sort = Sort::parse("-max_force_n");
-        let cases: [(Option<&str>, fn(i64) -> bool); 3] =
+        let cases: [(Option<&str>, Fits); 3] =
             [(None, |_| true), (Some("tips=2"), |n| n % 4 == 2), (Some("tips=7"), |_| false)];
         for (condition, fits) in cases {
             let conditions = condition.map(str::to_owned).into_iter().collect();
