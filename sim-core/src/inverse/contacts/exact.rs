@@ -1,11 +1,10 @@
-//! The exact model as a descent needs it: projected and whitened frames with their slopes.
+//! The exact model as a descent needs it: projected and scaled frames with their slopes.
 //! Uses: `jacobian` (one factor for a frame and all its slopes), `basis`. Never: the table of
 //! shapes.
 
-use super::basis::Basis;
+use super::basis::{Basis, scale};
 use super::descent::{DescentWork, EACH, Predict};
 use super::shapes::{Place, contact};
-use super::whitener::Whitener;
 use crate::forward::{Contact, ContactError, ForwardModel};
 use crate::jacobian::JacobianWork;
 
@@ -26,7 +25,7 @@ struct Memory {
 pub(super) struct Exact<'a> {
     model: &'a ForwardModel,
     basis: &'a Basis,
-    whitener: &'a Whitener,
+    inverse_sd: &'a [f64],
     memory: &'a mut Memory,
 }
 
@@ -36,9 +35,9 @@ impl ExactWork {
         &'a mut self,
         model: &'a ForwardModel,
         basis: &'a Basis,
-        whitener: &'a Whitener,
+        inverse_sd: &'a [f64],
     ) -> (Exact<'a>, &'a mut DescentWork) {
-        (Exact { model, basis, whitener, memory: &mut self.memory }, &mut self.descent)
+        (Exact { model, basis, inverse_sd, memory: &mut self.memory }, &mut self.descent)
     }
 
     /// The memory of descents.
@@ -65,8 +64,8 @@ impl Predict for Exact<'_> {
         {
             column.iter_mut().for_each(|s| *s *= contact.force_n);
         }
-        self.whitener.apply(z);
-        self.whitener.apply(slopes);
+        scale(z, self.inverse_sd);
+        scale(slopes, self.inverse_sd);
         Ok(())
     }
 }

@@ -239,14 +239,13 @@ impl ExactSkin {
 
     /// A mean of `frames` frames without offsets, V, as the fit reads it.
     pub(super) fn observation<'a>(
-        &'a self,
+        &self,
         frame_v: &'a [f64],
         frames: f64,
-        untouched: Option<&'a UntouchedBefore>,
+        untouched: Option<&UntouchedBefore>,
     ) -> Observation<'a> {
         let offset_sd_v = self.offset_sd_v(untouched);
-        let offset_spectrum = self.errors.drift.spectrum_after(untouched);
-        Observation { frame_v, frames, offset_sd_v, offset_spectrum }
+        Observation { frame_v, frames, offset_sd_v }
     }
 }
 
