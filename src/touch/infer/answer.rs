@@ -71,7 +71,7 @@ impl From<&FoundContact> for Contact {
 /// Contacts that explain a frame, too.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, ToSchema)]
 pub struct Alternative {
-    /// Probability that this explanation is right, as that of the answer.
+    /// Probability of this explanation, 0.05 to 1.
     pub probability: f64,
     /// Its contacts, strongest first; empty if an untouched skin explains the frame.
     pub contacts: Vec<FoundContact>,
@@ -82,12 +82,11 @@ pub struct Alternative {
 pub struct Reading {
     /// The contacts, strongest first.
     pub contacts: Vec<FoundContact>,
-    /// Probability that the last search found the right number of contacts, each within 40 mm, 0 to 1: their share of
-    /// the evidence, corrected by how often such answers to known trials were right, if the skin has some; the rest is
-    /// that of the alternatives and of explanations that the search did not find. Only of `exact`.
+    /// Probability of these contacts among the explanations of the frame that the last search found, 0 to 1;
+    /// only of `exact`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub probability: Option<f64>,
-    /// Other explanations with at least 0.05 of the evidence at the last search, the most probable first, at
+    /// Other explanations with a probability of at least 0.05 at the last search, the most probable first, at
     /// most three; only of `exact`.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub alternatives: Vec<Alternative>,

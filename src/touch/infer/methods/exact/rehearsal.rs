@@ -1,5 +1,4 @@
-//! How far answers to known trials are from the truth: factors on the regions that answers state, and how probable
-//! their explanations are.
+//! How far answers to known trials are from the truth: factors on the regions that answers state.
 //! PURE. Uses: `infer::{answer, matching}`, sim-core's `stats` and contacts. Never: a fit
 //! (`errors` makes it), a narrower region.
 //!
@@ -15,9 +14,9 @@ use sim_core::inverse::contacts::FittedContact;
 use sim_core::stats::sorted;
 
 use crate::infer::answer::Reading;
-use crate::infer::matching::{GHOST_MM, matched};
+use crate::infer::matching::matched;
 
-/// Smallest number of answers from which factors and probabilities are estimated.
+/// Smallest number of answers from which factors are estimated.
 pub(super) const LEAST_REHEARSED: usize = 40;
 /// Smallest number of answers in a group of these.
 const LEAST_IN_GROUP: usize = 20;
@@ -27,10 +26,6 @@ pub(super) const LIGHT_N: f64 = 15.0;
 const HELD: f64 = 0.95;
 /// Largest factor. Where it is not enough, regions hold a smaller share.
 const FACTOR_MOST: f64 = 5.0;
-/// Exponents of the evidence that are compared: inverse temperatures.
-const POWERS: [f64; 8] = [1.0, 0.8, 0.64, 0.5, 0.4, 0.32, 0.25, 0.2];
-/// Smallest probability that the search found the right explanation.
-const SHARE_LEAST: f64 = 0.02;
 
 /// What answers to known trials showed.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -48,17 +43,6 @@ pub(super) struct Seen {
     pub place: f64,
     /// Factor on the standard deviations of forces, 1 to 5.
     pub force: f64,
-    /// Probabilities of answers with one, two, and three or more contacts.
-    odds: [Odds; 3],
-}
-
-/// From shares of the evidence to probabilities.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-struct Odds {
-    /// Exponent of the shares, above 0 to 1.
-    power: f64,
-    /// Probability that the right explanation is among those of the search, 0 to 1.
-    share: f64,
 }
 
 /// An answer to a known trial.
@@ -66,12 +50,6 @@ struct Odds {
 pub(super) struct Rehearsed {
     /// Whether the forces of its contacts are below [`LIGHT_N`].
     is_light: bool,
-    /// Number of contacts of the answer.
-    found: usize,
-    /// Whether it has the right number of contacts, each within [`GHOST_MM`].
-    is_right: bool,
-    /// Shares of the evidence of the answer and its alternatives; empty without contacts, or if it states none.
-    shares: Vec<f64>,
     /// Distance of each matched true contact, in radii of the stated region.
     places: Vec<f64>,
     /// Difference of its force, in half widths of the stated interval.
@@ -80,23 +58,13 @@ pub(super) struct Rehearsed {
 
 impl Rehearsed {
     /// Compares an answer with the contacts that pressed.
-    pub fn of(truths: &[Contact], reading: &Reading) -> Self {
-        let found = &reading.contacts;
+    pub fn of(truths: &[Contact], Reading { contacts: found, .. }: &Reading) -> Self {
         let true_mm: Vec<[f64; 2]> = truths.iter().map(|c| [c.x_mm, c.y_mm]).collect();
         let found_mm: Vec<[f64; 2]> = found.iter().map(|c| [c.x_mm, c.y_mm]).collect();
         let pairs = matched(&true_mm, &found_mm);
         let both = || pairs.iter().map(move |pair| (&truths[pair.truth], &found[pair.estimate]));
-        let others = reading.alternatives.iter().map(|other| other.probability);
         Self {
             is_light: is_light(found.iter().filter_map(|c| c.force_n)),
-            found: found.len(),
-            is_right: truths.len() == found.len()
-                && pairs.iter().all(|pair| pair.distance_mm <= GHOST_MM),
-            shares: if found.is_empty() {
-                Vec::new()
-            } else {
-                reading.probability.into_iter().chain(others).collect()
-            },
             places: both().filter_map(|(t, f)| f.place_in_95(t.x_mm, t.y_mm)).collect(),
             forces: both().filter_map(|(t, f)| f.force_in_95(t.force_n)).collect(),
         }
@@ -104,7 +72,7 @@ impl Rehearsed {
 }
 
 impl Rehearsal {
-    /// What answers showed whose regions and probabilities no rehearsal had changed; `None` with too few.
+    /// What answers showed whose regions no rehearsal had changed; `None` with too few.
     pub fn of(answers: &[Rehearsed]) -> Option<Self> {
         if answers.len() < LEAST_REHEARSED {
             return None;
@@ -127,63 +95,16 @@ impl Rehearsal {
 
 impl Seen {
     fn of(answers: &[&Rehearsed]) -> Self {
-        let pooled = Odds::of(answers);
-        let odds = [1, 2, 3].map(|count: usize| {
-            let is_of = |answer: &&Rehearsed| answer.found.min(3) == count;
-            let group: Vec<&Rehearsed> = answers.iter().copied().filter(is_of).collect();
-            if group.len() >= LEAST_IN_GROUP { Odds::of(&group) } else { pooled }
-        });
         Self {
             place: factor(answers.iter().flat_map(|answer| answer.places.iter().copied())),
             force: factor(answers.iter().flat_map(|answer| answer.forces.iter().copied())),
-            odds,
         }
-    }
-
-    /// Probabilities of an answer with a number of contacts and of its alternatives, from their shares of the
-    /// evidence. An answer without contacts keeps them: the known trials have contacts.
-    pub fn probabilities(&self, contacts: usize, shares: &[f64]) -> Vec<f64> {
-        match contacts.checked_sub(1) {
-            Some(at) => {
-                let Odds { power, share } = self.odds[at.min(self.odds.len() - 1)];
-                tempered(shares, power).into_iter().map(|probability| share * probability).collect()
-            }
-            None => shares.to_vec(),
-        }
-    }
-}
-
-impl Odds {
-    /// Those with the smallest mean square of stated probability minus outcome.
-    fn of(answers: &[&Rehearsed]) -> Self {
-        let trial = |power: f64| {
-            let stated = |answer: &&Rehearsed| {
-                let probability = tempered(&answer.shares, power).first().copied()?;
-                Some((probability, f64::from(u8::from(answer.is_right))))
-            };
-            let stated: Vec<(f64, f64)> = answers.iter().filter_map(stated).collect();
-            let squares: f64 = stated.iter().map(|(p, _)| p * p).sum();
-            let products: f64 = stated.iter().map(|(p, right)| p * right).sum();
-            let share =
-                if squares > 0.0 { (products / squares).clamp(SHARE_LEAST, 1.0) } else { 1.0 };
-            let loss: f64 = stated.iter().map(|(p, right)| (share * p - right).powi(2)).sum();
-            (loss, Self { power, share })
-        };
-        let best = POWERS.into_iter().map(trial).min_by(|a, b| a.0.total_cmp(&b.0));
-        best.map_or(Self { power: 1.0, share: 1.0 }, |(_, odds)| odds)
     }
 }
 
 /// Whether all forces, N, are those of weights that a person places.
 pub(super) fn is_light(mut forces_n: impl Iterator<Item = f64>) -> bool {
     forces_n.all(|force_n| force_n < LIGHT_N)
-}
-
-/// Shares of the evidence at another temperature. What is not listed counts as one explanation.
-fn tempered(shares: &[f64], power: f64) -> Vec<f64> {
-    let rest = (1.0 - shares.iter().sum::<f64>()).max(0.0);
-    let all: f64 = shares.iter().chain([&rest]).map(|share| share.powf(power)).sum();
-    shares.iter().map(|share| share.powf(power) / all).collect()
 }
 
 /// The factor on regions with which they hold [`HELD`] of later values, from 1: of `n` values the one that split
@@ -200,13 +121,13 @@ mod tests {
     use rand_chacha::ChaCha8Rng;
 
     use super::*;
-    use crate::infer::answer::{Alternative, FoundContact};
+    use crate::infer::answer::FoundContact;
 
     /// Standard deviations that answers state: mm, and N.
     const STATED: [f64; 2] = [4.0, 1.0];
 
     /// An answer to one contact of a force that is off in x, y, mm, and force, N.
-    fn answer(force_n: f64, [x, y, force]: [f64; 3], shares: &[f64]) -> Rehearsed {
+    fn answer(force_n: f64, [x, y, force]: [f64; 3]) -> Rehearsed {
         let found = FoundContact {
             x_mm: 200.0 + x,
             y_mm: 300.0 + y,
@@ -216,13 +137,7 @@ mod tests {
             force_sd_n: Some(STATED[1]),
             ..FoundContact::default()
         };
-        let other = |&probability| Alternative { probability, contacts: vec![found; 2] };
-        let reading = Reading {
-            contacts: vec![found],
-            probability: shares.first().copied(),
-            alternatives: shares.iter().skip(1).map(other).collect(),
-            ..Reading::default()
-        };
+        let reading = Reading { contacts: vec![found], ..Reading::default() };
         Rehearsed::of(&[Contact { x_mm: 200.0, y_mm: 300.0, force_n }], &reading)
     }
 
@@ -231,7 +146,7 @@ mod tests {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let mut off = |sd: f64| sd * (0..12).map(|_| rng.random_range(-0.5..0.5)).sum::<f64>();
         let [place, force] = [place * STATED[0], force * STATED[1]];
-        let mut one = || answer(force_n, [off(place), off(place), off(force)], &[1.0]);
+        let mut one = || answer(force_n, [off(place), off(place), off(force)]);
         (0..count).map(|_| one()).collect()
     }
 
@@ -282,31 +197,7 @@ mod tests {
     }
 
     #[test]
-    fn probabilities_become_how_often_such_answers_are_right() {
-        // Right in 45 and 40 of 100, whatever they state.
-        let [sure, unsure] = [[0.9, 0.06], [0.3, 0.25]];
-        let right = |shares: &[f64], count: usize| -> Vec<Rehearsed> {
-            let off_mm = |n: usize| if n < count { 0.0 } else { 100.0 };
-            (0..100).map(|n| answer(9.0, [off_mm(n), 0.0, 0.0], shares)).collect()
-        };
-        let judged = [right(&sure, 45), right(&unsure, 40)].concat();
-        let seen = Rehearsal::of(&judged).unwrap().light;
-        let [is_sure, is_unsure] = [sure, unsure].map(|shares| seen.probabilities(1, &shares));
-        assert!((is_sure[0] - 0.45).abs() < 0.1 && (is_unsure[0] - 0.4).abs() < 0.1, "{seen:?}");
-        assert!(is_sure[0] > is_sure[1] && is_sure.iter().sum::<f64>() < 1.0, "{is_sure:?}");
-        // No answer has three contacts: what is known of all holds for them.
-        assert_eq!(seen.probabilities(3, &sure), is_sure);
-        assert_eq!(seen.probabilities(0, &sure), sure, "an untouched skin was not tried");
-        // Shares that hold stay.
-        let honest = Rehearsal::of(&[right(&sure, 90), right(&unsure, 30)].concat()).unwrap().light;
-        for shares in [sure, unsure] {
-            let stated = honest.probabilities(1, &shares)[0];
-            assert!((stated - shares[0]).abs() < 0.02, "{stated} for {}", shares[0]);
-        }
-    }
-
-    #[test]
-    fn an_answer_is_judged_by_its_number_and_its_nearest_contacts() {
+    fn each_true_contact_is_compared_with_the_one_that_matches_it() {
         let truths = [(100.0, 9.0), (300.0, 9.0)].map(|(x_mm, force_n)| Contact {
             x_mm,
             y_mm: 100.0,
@@ -322,15 +213,12 @@ mod tests {
             ..FoundContact::default()
         };
         let of = |contacts: Vec<FoundContact>| {
-            let probability = Some(0.7);
-            Rehearsed::of(&truths, &Reading { contacts, probability, ..Reading::default() })
+            Rehearsed::of(&truths, &Reading { contacts, ..Reading::default() }).places
         };
         let one = of(vec![at(310.0)]);
-        assert!(!one.is_right && one.found == 1 && one.places.len() == 1 && one.places[0] < 1.0);
+        assert!(one.len() == 1 && one[0] < 1.0, "{one:?}");
         let two = of(vec![at(330.0), at(90.0)]);
-        assert!(two.is_right && two.places[1] > 1.0, "{two:?}");
-        assert!(!of(vec![at(345.0), at(90.0)]).is_right);
-        let none = of(Vec::new());
-        assert!(!none.is_right && none.shares.is_empty() && none.places.is_empty());
+        assert!(two[0] < 1.0 && two[1] > 1.0, "{two:?}");
+        assert!(of(Vec::new()).is_empty());
     }
 }

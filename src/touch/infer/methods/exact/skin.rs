@@ -76,7 +76,7 @@ impl ExactSkin {
                 of_run()
             )),
             SkinErrors { rehearsal: None, .. } => Some(format!(
-                "95 % regions and probabilities were not compared with known contacts: fewer than {LEAST_REHEARSED} \
+                "95 % regions were not compared with known contacts: fewer than {LEAST_REHEARSED} \
                  trials of {} that it was not fitted to have forces of 5 N and more only, or all are of one \
                  configuration",
                 of_run()
@@ -184,19 +184,10 @@ impl ExactSkin {
     /// Converts the fit of a mean of `frames` frames to a reading. `zero_hours`: process time since the untouched
     /// skin was measured, h, if it was.
     pub(super) fn reading(&self, fit: &Fit, zero_hours: Option<f64>, frames: f64) -> Reading {
-        let others = fit.alternatives.iter().map(|other| other.probability);
-        let shares: Vec<f64> = fit.probability.into_iter().chain(others).collect();
-        let stated = match &self.errors.rehearsal {
-            Some(rehearsal) => {
-                rehearsal.of_contacts(&fit.contacts).probabilities(fit.contacts.len(), &shares)
-            }
-            None => shares,
-        };
-        let alternative = |(other, &probability): (&Explanation, &f64)| Alternative {
-            probability,
+        let alternative = |other: &Explanation| Alternative {
+            probability: other.probability,
             contacts: self.found(&other.contacts),
         };
-        let others = fit.alternatives.iter().zip(stated.iter().skip(1));
         let misfit = fit.chi2 / fit.degrees_of_freedom;
         let outside = (misfit > MISFIT_EXPLAINED).then(|| {
             format!("misfit = {misfit:.1}: limit {MISFIT_EXPLAINED} for contacts on this skin")
@@ -205,8 +196,8 @@ impl ExactSkin {
         let notes = self.drifted(zero_hours, frames).into_iter().collect();
         Reading {
             contacts: self.found(&fit.contacts),
-            probability: stated.first().copied(),
-            alternatives: others.map(alternative).collect(),
+            probability: fit.probability,
+            alternatives: fit.alternatives.iter().map(alternative).collect(),
             misfit: Some(misfit),
             misfit_limit: Some(MISFIT_EXPLAINED),
             outside,
