@@ -298,16 +298,22 @@ async fn simulations_are_those_of_the_command() {
     let of_run = json!({ "contacts": by_force, "run": run["scan_id"].to_string() });
     let (status, of_run) = lab.post(SIMULATIONS, of_run).await;
     assert_eq!((status, &of_run["voltages_v"]), (200, &answer["voltages_v"]));
-    // Compared with a stored trial.
+    assert!(answer["fvu"].is_null());
+    let logged = lab.get("/api/v1/actions?limit=1").await["items"][0].clone();
+    assert_eq!(logged["action"], "queue", "simulations are not logged");
+    lab.close().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_simulated_frame_is_compared_with_that_of_a_stored_trial() {
+    let lab = Filled::open("desk-compared").await;
     let trial = lab.get("/api/v1/trials?limit=1&voltages=true").await["items"][0].clone();
-    let compared = json!({ "contacts": by_force, "trial": trial["trial_id"] });
+    let contacts = json!([{ "x_mm": 200, "y_mm": 300, "force_n": 20 }]);
+    let compared = json!({ "contacts": contacts, "trial": trial["trial_id"] });
     let compared = lab.posted(SIMULATIONS, compared, 200).await;
     let measured_v: Vec<f32> = numbers(&trial["voltages_v"]).iter().map(|v| *v as f32).collect();
     let fvu = sim_core::stats::fvu(&measured_v, numbers(&compared["voltages_v"])).unwrap();
     assert!((compared["fvu"].as_f64().unwrap() - fvu).abs() < 1e-9, "{} {fvu}", compared["fvu"]);
-    assert!(answer["fvu"].is_null());
-    let logged = lab.get("/api/v1/actions?limit=1").await["items"][0].clone();
-    assert_eq!(logged["action"], "queue", "simulations are not logged");
     lab.close().await;
 }
 
