@@ -123,6 +123,21 @@ fn two_close_weights_felt_as_one_are_no_contradiction() {
 }
 
 #[test]
+fn a_weight_felt_as_two_close_contacts_is_right_if_together_they_have_its_place_and_force() {
+    let weights = [(at(20, 6), 4.905), (at(6, 25), 9.81)];
+    let parts = |one_n: f64, dx_mm: f64, other_n: f64| {
+        let other = shifted(at(6, 25), dx_mm, 0.0);
+        let found = [(at(20, 6), 4.9), (at(6, 25), one_n), (other, other_n)];
+        verdict(&asked(&weights), &felt(&found))
+    };
+    let both = parts(5.0, 28.0, 6.8);
+    assert_eq!((both.kind, both.words.len()), (VerdictKind::Right, 1), "{:?}", both.words);
+    // A hand next to the weight, and two contacts that are not close.
+    assert_eq!(parts(9.5, 28.0, 6.8).kind, VerdictKind::Wrong);
+    assert_eq!(parts(5.0, 60.0, 5.0).kind, VerdictKind::Wrong);
+}
+
+#[test]
 fn what_is_not_certain_is_not_called_wrong() {
     let mut found = three();
     found[0].0 = shifted(found[0].0, 0.0, 40.0);

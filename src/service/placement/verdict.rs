@@ -24,7 +24,8 @@ pub const FORCE_TOLERANCE: f64 = 0.35;
 /// Force of an additional contact, as a share of the lightest weight, below which it is no object on
 /// the skin: the method invents light contacts where its model differs from the skin.
 pub const ADDED_SHARE: f64 = 0.5;
-/// Distance between two weights below which they may be felt as one contact, mm: twice `NEAR_MM`. The
+/// Distance between two weights below which they may be felt as one contact, and between two contacts as which one
+/// weight may be felt, mm: twice `NEAR_MM`. The
 /// number of contacts is wrong in 16 % of the trials, nearly always because two are felt as one.
 pub const MERGED_MM: f64 = 2.0 * NEAR_MM;
 /// A deviation counts as certain beyond this multiple of the standard deviation that the method states.
@@ -183,13 +184,35 @@ impl Case<'_> {
                 }
             }
         }
-        for pair in self.pairs {
-            let is_shared = shared[pair.truth].is_some();
-            findings.extend(self.misplaced(pair).filter(|_| !is_shared));
-            findings.extend(self.other_force(pair).filter(|_| !is_shared));
+        let parts: Vec<Option<usize>> =
+            self.pairs.iter().map(|pair| self.other_part(pair)).collect();
+        for (pair, part) in self.pairs.iter().zip(&parts) {
+            if shared[pair.truth].is_none() && part.is_none() {
+                findings.extend(self.misplaced(pair));
+                findings.extend(self.other_force(pair));
+            }
         }
-        findings.extend(self.added());
+        findings.extend(self.added(&parts));
         findings
+    }
+
+    /// The second contact as which a weight is felt: both are close, and together have its place and force.
+    fn other_part(&self, pair: &Match) -> Option<usize> {
+        let (asked, one) = (&self.asked[pair.truth], &self.felt[pair.estimate]);
+        (0..self.felt.len()).filter(|index| !self.is_paired(*index)).find(|&index| {
+            let other = &self.felt[index];
+            let Some((one_n, other_n)) = one.force_n.zip(other.force_n) else { return false };
+            let both_n = one_n + other_n;
+            let mean = |a: f64, b: f64| (a * one_n + b * other_n) / both_n;
+            let middle_mm = [mean(one.x_mm, other.x_mm), mean(one.y_mm, other.y_mm)];
+            distance_mm([one.x_mm, one.y_mm], [other.x_mm, other.y_mm]) <= MERGED_MM
+                && distance_mm(asked.at_mm(), middle_mm) <= NEAR_MM
+                && (both_n / asked.force_n - 1.0).abs() <= FORCE_TOLERANCE
+        })
+    }
+
+    fn is_paired(&self, felt: usize) -> bool {
+        self.pairs.iter().any(|pair| pair.estimate == felt)
     }
 
     /// The weight with which a missing one is felt as one contact: close to it, and with the force of
@@ -240,12 +263,11 @@ impl Case<'_> {
         Some((off_n > CERTAIN_SD * felt.force_sd_n.unwrap_or(0.0), words))
     }
 
-    /// Contacts where no weight was asked.
-    fn added(&self) -> Vec<Finding> {
+    /// Contacts where no weight was asked, except for `parts` of a weight.
+    fn added(&self, parts: &[Option<usize>]) -> Vec<Finding> {
         let lightest_n = self.asked.iter().map(|c| c.force_n).fold(f64::INFINITY, f64::min);
-        let is_paired = |index: &usize| self.pairs.iter().any(|pair| pair.estimate == *index);
         (0..self.felt.len())
-            .filter(|index| !is_paired(index))
+            .filter(|index| !self.is_paired(*index) && !parts.contains(&Some(*index)))
             .map(|index| &self.felt[index])
             .filter(|felt| felt.force_n.is_none_or(|f| f >= ADDED_SHARE * lightest_n))
             .map(|felt| {
