@@ -1,4 +1,5 @@
-//! Quantiles of samples; the fraction of variance unexplained of a frame, and its sums over the injections.
+//! Quantiles of samples; the fraction of variance unexplained of a frame, and its sums over the injections; waves
+//! around a ring of numbers.
 //! Uses: nothing. Never: weights, missing values (callers remove them).
 //!
 //! There are two quantiles. [`quantile`] interpolates and is that of every reported number.
@@ -61,6 +62,26 @@ pub fn pair_sums(frame: &[f64]) -> Vec<f64> {
         sums.iter_mut().zip(injection).for_each(|(sum, value)| *sum += value);
     }
     sums
+}
+
+/// Orthonormal waves around a ring of `count` numbers: the constant one, then cosine and sine of each frequency.
+pub fn waves(count: usize) -> Vec<Vec<f64>> {
+    let wave = |index: usize| -> Vec<f64> {
+        let turn = std::f64::consts::TAU * frequency(index) as f64 / count as f64;
+        let alone = index == 0 || 2 * frequency(index) == count;
+        let height = ((if alone { 1.0 } else { 2.0 }) / count as f64).sqrt();
+        let value = |at: usize| {
+            let angle = turn * at as f64;
+            height * if index == 0 || index % 2 == 1 { angle.cos() } else { angle.sin() }
+        };
+        (0..count).map(value).collect()
+    };
+    (0..count).map(wave).collect()
+}
+
+/// Frequency of a wave of [`waves`]: its number of turns around the ring.
+pub fn frequency(wave: usize) -> usize {
+    wave.div_ceil(2)
 }
 
 /// Fraction of variance unexplained of one frame (paper, Eq. 2): the sum of squared differences over
@@ -141,6 +162,24 @@ mod tests {
     #[should_panic(expected = "a share is 0 to 1")]
     fn a_percentage_is_no_share() {
         quantile(&[1.0, 2.0], 50.0);
+    }
+
+    #[test]
+    fn waves_are_orthonormal_and_turn_as_often_as_stated() {
+        for count in [1, 2, 5, 28] {
+            let waves = waves(count);
+            for (i, a) in waves.iter().enumerate() {
+                for (j, b) in waves.iter().enumerate() {
+                    let product: f64 = a.iter().zip(b).map(|(a, b)| a * b).sum();
+                    let wanted = f64::from(u8::from(i == j));
+                    assert!((product - wanted).abs() < 1e-12, "{count}: {i} {j} {product}");
+                }
+            }
+        }
+        assert_eq!([0, 1, 2, 3, 26, 27].map(frequency), [0, 1, 1, 2, 13, 14]);
+        let turns = |wave: &[f64]| wave.windows(2).filter(|v| v[0] * v[1] < 0.0).count();
+        let waves = waves(28);
+        assert_eq!((turns(&waves[0]), turns(&waves[27])), (0, 27));
     }
 
     #[test]

@@ -43,7 +43,7 @@ fn measured(contacts: &[Contact], frames: f64, rng: &mut ChaCha8Rng) -> Vec<f64>
 
 /// The mean of some frames, without unknown offsets.
 fn observed(frame_v: &[f64], frames: f64) -> Observation<'_> {
-    Observation { frame_v, frames, offset_sd_v: 0.0 }
+    Observation { frame_v, frames, offset_sd_v: 0.0, offset_spectrum: &[] }
 }
 
 fn distance_mm(a: &Contact, b: &Contact) -> f64 {
@@ -282,9 +282,15 @@ fn offsets_move_light_contacts_and_standard_deviations_state_it() {
     let load = [press(330, 8.0)];
     let mut rng = ChaCha8Rng::seed_from_u64(11);
     let mut work = FitWork::default();
-    let (draws, drift_v) = (30, 3e-4);
-    // Mean squared error of a position, in variances: offsets unknown to the fit, and known.
-    let mut squares = [0.0; 2];
+    let (draws, drift_v, none) = (30, 3e-4, Vec::new());
+    // Differences of neighbours have little of the waves around the electrodes that turn slowly.
+    let of_buffers: Vec<f64> = (0..=14)
+        .map(|turns| 1.0 - (std::f64::consts::TAU * f64::from(turns) / 28.0).cos())
+        .collect();
+    let known = [(0.0, &none), (drift_v, &none), (drift_v, &of_buffers)];
+    // Mean squared error of a position, in variances and in mm^2: offsets unknown to the fit, those of which
+    // only the size is known, and those that are known to be differences of buffers.
+    let (mut squares, mut squares_mm2) = ([0.0; 3], [0.0; 3]);
     for _ in 0..draws {
         let buffers_v: Vec<f64> =
             (0..28).map(|_| drift_v / 2f64.sqrt() * normal(&mut rng)).collect();
@@ -292,21 +298,36 @@ fn offsets_move_light_contacts_and_standard_deviations_state_it() {
         for (i, v) in frame_v.iter_mut().enumerate() {
             *v += buffers_v[i % 28] - buffers_v[(i + 1) % 28];
         }
-        for (square, offset_sd_v) in squares.iter_mut().zip([0.0, drift_v]) {
-            let observation = Observation { frame_v: &frame_v, frames: 30.0, offset_sd_v };
+        for (case, (offset_sd_v, offset_spectrum)) in known.into_iter().enumerate() {
+            let observation =
+                Observation { frame_v: &frame_v, frames: 30.0, offset_sd_v, offset_spectrum };
             let fit = fitter().refine(&observation, &load, &mut work).unwrap();
             let found = nearest(&fit, &load[0]);
-            *square += ((found.contact.x_mm - load[0].x_mm) / found.x_sd_mm).powi(2) / 2.0;
-            *square += ((found.contact.y_mm - load[0].y_mm) / found.y_sd_mm).powi(2) / 2.0;
+            squares[case] += ((found.contact.x_mm - load[0].x_mm) / found.x_sd_mm).powi(2) / 2.0;
+            squares[case] += ((found.contact.y_mm - load[0].y_mm) / found.y_sd_mm).powi(2) / 2.0;
+            squares_mm2[case] += distance_mm(&found.contact, &load[0]).powi(2);
             assert!(found.by_model.iter().all(|share| *share < 1e-9), "noise alone: {found:?}");
         }
     }
-    let [unknown, known] = squares.map(|square| square / f64::from(draws));
-    println!("offsets of {drift_v} V: {unknown:.1} variances if unknown, {known:.2} if known");
-    assert!(unknown > 4.0 && (0.2..2.5).contains(&known), "{unknown} {known}");
-    let observation = Observation { frame_v: &frame(&load), frames: 1.0, offset_sd_v: -1.0 };
-    let refused = fitter().fit(&observation, &[], &mut work);
+    let [unknown, size, buffers] = squares.map(|square| square / f64::from(draws));
+    let rms_mm = squares_mm2.map(|square| (square / f64::from(draws)).sqrt());
+    println!(
+        "offsets of {drift_v} V: {unknown:.1} variances if unknown, {size:.2} if their size is known,"
+    );
+    println!("{buffers:.2} if they are known as differences of buffers; {rms_mm:.1?} mm");
+    assert!(unknown > 4.0, "{unknown}");
+    assert!((0.2..2.5).contains(&size) && (0.2..2.5).contains(&buffers), "{size} {buffers}");
+    assert!(rms_mm[2] < 0.8 * rms_mm[1], "{rms_mm:?}");
+    let frame_v = &frame(&load);
+    let refuse = |offset_sd_v, offset_spectrum: &[f64]| {
+        let observation = Observation { frame_v, frames: 1.0, offset_sd_v, offset_spectrum };
+        fitter().fit(&observation, &[], &mut FitWork::default())
+    };
+    let refused = refuse(-1.0, &[]);
     assert!(matches!(refused, Err(FitError::Offset { .. })));
+    let wrong = Err(FitError::Spectrum { found: 2, needed: 15 });
+    assert_eq!(refuse(drift_v, &[1.0, 1.0]), wrong);
+    assert!(matches!(refuse(drift_v, &[f64::NAN; 15]), Err(FitError::Spectrum { .. })));
 }
 
 #[test]

@@ -1,26 +1,52 @@
-//! What the offsets of a readout scatter by, from one frame of the untouched skin to the next.
+//! What the offsets of a readout scatter by, from one frame of the untouched skin to the next, and in which waves
+//! around the electrodes.
 //! PURE. Uses: sim-core's `stats`. Never: a frame with a contact.
+//!
+//! An offset is that of a pair of electrodes. If it is the difference of the buffers of two electrodes, the
+//! offsets of neighbouring pairs have opposite parts, and waves of offsets that turn slowly around the electrodes
+//! are small; the frames of contacts have much of these. The spectrum is measured, not assumed.
 
-use sim_core::stats::pair_sums;
+use serde::{Deserialize, Serialize};
+use sim_core::stats::{frequency, pair_sums, waves};
 
 /// Smallest number of frames.
 const LEAST_FRAMES: usize = 5;
+/// Weight of equal variances in the spectrum, in squares: with few frames, a wave that was not seen is not absent.
+const EQUAL_SQUARES: f64 = 10.0;
 
-/// Standard deviation of the change of the offset of a pair of electrodes from one frame of the untouched skin to the
-/// next, V; `None` with too few frames, or of different lengths. A frame with a value that is not finite is skipped.
-pub fn scatter_v(frames: &[&[f32]]) -> Option<f64> {
-    let is_finite = |frame: &&[f32]| frame.iter().all(|volts| volts.is_finite());
-    let frames: Vec<&[f32]> = frames.iter().copied().filter(is_finite).collect();
-    let first = frames.first().filter(|_| frames.len() >= LEAST_FRAMES)?;
-    if frames.iter().any(|frame| frame.len() != first.len()) {
-        return None;
+/// Scatter of the offsets of the pairs of electrodes.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Scatter {
+    /// Standard deviation of the change of an offset from one frame to the next, V.
+    pub sd_v: f64,
+    /// Variance by frequency around the electrodes, relative to the mean over all waves; empty without scatter.
+    pub spectrum: Vec<f64>,
+}
+
+impl Scatter {
+    /// Of frames of the untouched skin in the order of time, V; `None` with too few frames, or of different
+    /// lengths. A frame with a value that is not finite is skipped.
+    pub fn of(frames: &[&[f32]]) -> Option<Self> {
+        let is_finite = |frame: &&[f32]| frame.iter().all(|volts| volts.is_finite());
+        let frames: Vec<&[f32]> = frames.iter().copied().filter(is_finite).collect();
+        let first = frames.first().filter(|_| frames.len() >= LEAST_FRAMES)?;
+        if frames.iter().any(|frame| frame.len() != first.len()) {
+            return None;
+        }
+        let waves = waves(first.len().isqrt().max(1));
+        let mut sums_v2 = vec![0.0; waves.len()];
+        for (before, after) in frames.iter().zip(&frames[1..]) {
+            let change_v: Vec<f64> =
+                before.iter().zip(*after).map(|(a, b)| f64::from(b - a)).collect();
+            let change_v = of_pairs(&change_v);
+            for (sum_v2, wave) in sums_v2.iter_mut().zip(&waves) {
+                *sum_v2 += wave.iter().zip(&change_v).map(|(w, v)| w * v).sum::<f64>().powi(2);
+            }
+        }
+        let changes = (frames.len() - 1) as f64;
+        let mean_v2 = sums_v2.iter().sum::<f64>() / (changes * waves.len() as f64);
+        Some(Self { sd_v: mean_v2.sqrt(), spectrum: spectrum(&sums_v2, changes, mean_v2) })
     }
-    let mut squares = Vec::new();
-    for (before, after) in frames.iter().zip(&frames[1..]) {
-        let change_v: Vec<f64> = before.iter().zip(*after).map(|(a, b)| f64::from(b - a)).collect();
-        squares.extend(of_pairs(&change_v).iter().map(|v| v * v));
-    }
-    Some((squares.iter().sum::<f64>() / squares.len() as f64).sqrt())
 }
 
 /// Mean of each pair of electrodes over the injections, V.
@@ -28,6 +54,21 @@ pub(super) fn of_pairs(frame_v: &[f64]) -> Vec<f64> {
     let sums = pair_sums(frame_v);
     let injections = sums.len() as f64;
     sums.into_iter().map(|sum| sum / injections).collect()
+}
+
+/// The relative variance of each frequency, from the sums of squares of the waves.
+fn spectrum(sums_v2: &[f64], changes: f64, mean_v2: f64) -> Vec<f64> {
+    let sound = mean_v2 > 0.0 && mean_v2.is_finite();
+    let last = sums_v2.len().checked_sub(1).filter(|_| sound).map(frequency);
+    let Some(last) = last else { return Vec::new() };
+    let (mut sums, mut counts) = (vec![EQUAL_SQUARES; last + 1], vec![EQUAL_SQUARES; last + 1]);
+    for (wave, sum_v2) in sums_v2.iter().enumerate() {
+        sums[frequency(wave)] += sum_v2 / mean_v2;
+        counts[frequency(wave)] += changes;
+    }
+    let shares: Vec<f64> = sums.iter().zip(&counts).map(|(sum, count)| sum / count).collect();
+    let all: f64 = (0..sums_v2.len()).map(|wave| shares[frequency(wave)]).sum();
+    shares.iter().map(|share| share * sums_v2.len() as f64 / all).collect()
 }
 
 #[cfg(test)]
@@ -39,36 +80,61 @@ mod tests {
 
     const PAIRS: usize = 28;
 
-    /// Frames with independent offsets of 1 mV.
-    fn frames(count: usize) -> Vec<Vec<f32>> {
+    /// Frames with offsets of 1 mV: independent ones, or differences of the buffers of neighbours.
+    fn frames(count: usize, of_buffers: bool) -> Vec<Vec<f32>> {
         let mut rng = ChaCha8Rng::seed_from_u64(3);
         let mut one = || {
-            let offset_v: Vec<f64> = (0..PAIRS)
+            let own_v: Vec<f64> = (0..PAIRS)
                 .map(|_| 1e-3 * (0..12).map(|_| rng.random_range(-0.5..0.5)).sum::<f64>())
                 .collect();
-            (0..PAIRS * PAIRS).map(|i| offset_v[i % PAIRS] as f32).collect()
+            let offset_v = |pair: usize| {
+                let next_v = own_v[(pair + 1) % PAIRS];
+                if of_buffers { (own_v[pair] - next_v) / 2f64.sqrt() } else { own_v[pair] }
+            };
+            (0..PAIRS * PAIRS).map(|i| offset_v(i % PAIRS) as f32).collect()
         };
         (0..count).map(|_| one()).collect()
     }
 
-    fn scatter(frames: &[Vec<f32>]) -> Option<f64> {
-        scatter_v(&frames.iter().map(Vec::as_slice).collect::<Vec<_>>())
+    fn scatter(frames: &[Vec<f32>]) -> Option<Scatter> {
+        Scatter::of(&frames.iter().map(Vec::as_slice).collect::<Vec<_>>())
     }
 
     #[test]
-    fn the_scatter_is_that_of_changes_and_a_frame_that_is_not_finite_is_skipped() {
-        let sound = frames(100);
-        let sd_v = scatter(&sound).unwrap();
+    fn differences_of_buffers_have_little_of_slow_waves() {
+        let Scatter { sd_v, spectrum } = scatter(&frames(300, true)).unwrap();
         assert!((1e3 * sd_v / 2f64.sqrt() - 1.0).abs() < 0.05, "{sd_v}");
+        assert_eq!(spectrum.len(), PAIRS / 2 + 1);
+        for (turns, share) in spectrum.iter().enumerate() {
+            let wanted = 1.0 - (std::f64::consts::TAU * turns as f64 / PAIRS as f64).cos();
+            assert!((share - wanted).abs() < 0.05 + 0.25 * wanted, "{turns}: {share} for {wanted}");
+        }
+        let equal = scatter(&frames(300, false)).unwrap().spectrum;
+        assert!(equal.iter().all(|share| (share - 1.0).abs() < 0.3), "{equal:?}");
+    }
+
+    #[test]
+    fn a_frame_that_is_not_finite_is_skipped() {
+        let sound = frames(20, true);
         let mut broken = sound.clone();
         for (at, value) in [(12, f32::NAN), (5, f32::INFINITY)] {
             broken.insert(at, vec![1e-3; PAIRS * PAIRS]);
             broken[at][3] = value;
         }
         assert_eq!(scatter(&broken), scatter(&sound));
+        assert!(scatter(&sound).is_some_and(|scatter| scatter.sd_v > 0.0));
         assert_eq!(scatter(&broken[5..10]), None, "too few");
+    }
+
+    #[test]
+    fn few_frames_state_little() {
+        assert_eq!(scatter(&frames(4, true)), None);
+        let few = scatter(&frames(6, true)).unwrap().spectrum;
+        assert!(few[0] > 0.3 && few[0] < few[PAIRS / 2], "{few:?}");
+        let mean = (0..PAIRS).map(|wave| few[frequency(wave)]).sum::<f64>() / PAIRS as f64;
+        assert!((mean - 1.0).abs() < 1e-12, "{mean}");
         let same = vec![vec![1e-3f32; PAIRS * PAIRS]; 9];
-        assert_eq!(scatter(&same), Some(0.0));
+        assert_eq!(scatter(&same), Some(Scatter { sd_v: 0.0, spectrum: Vec::new() }));
         assert_eq!(scatter(&[same, vec![Vec::new()]].concat()), None);
     }
 }

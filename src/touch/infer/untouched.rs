@@ -5,7 +5,7 @@
 use std::collections::HashMap;
 use std::collections::hash_map::Entry;
 
-use super::scatter::scatter_v;
+use super::scatter::Scatter;
 use super::untouched_frame::UntouchedBefore;
 use crate::dataset::pressed::clock_rate;
 use crate::ids::{RunUid, TrialId};
@@ -27,8 +27,8 @@ pub struct UntouchedSkins {
 pub struct Tared {
     /// Process seconds per wall second.
     clock_rate: f64,
-    /// Standard deviation of the change of an offset between two frames of the untouched skin, V.
-    scatter_v: Option<f64>,
+    /// What the offsets differ by between two frames of the untouched skin.
+    scatter: Option<Scatter>,
 }
 
 impl Tared {
@@ -41,7 +41,7 @@ impl Tared {
         let frames = store.untouched_frames(run, SCATTER_OF).await?;
         let frames: Vec<&[f32]> = frames.iter().map(|skin| skin.voltages_v.as_slice()).collect();
         let clock_rate = rig.as_deref().map_or(1.0, clock_rate);
-        Ok(Self { clock_rate, scatter_v: scatter_v(&frames) })
+        Ok(Self { clock_rate, scatter: Scatter::of(&frames) })
     }
 
     /// The untouched skin before frames that are `wall_s` younger.
@@ -51,7 +51,7 @@ impl Tared {
             voltages_v: skin.voltages_v.clone(),
             frames: skin.frames.max(1) as f64,
             hours,
-            scatter_v: self.scatter_v,
+            scatter: self.scatter.clone(),
         }
     }
 }

@@ -1,5 +1,7 @@
 //! A frame of the untouched skin before other frames, and the age of its offsets.
-//! PURE. Uses: nothing of the crate. Never: a frame with a contact.
+//! PURE. Uses: `scatter`. Never: a frame with a contact.
+
+use super::scatter::Scatter;
 
 /// Frame of the untouched skin, measured before other frames.
 #[derive(Debug, Clone, PartialEq)]
@@ -10,9 +12,8 @@ pub struct UntouchedBefore {
     pub frames: f64,
     /// Process time from it to the frames, h, >= 0.
     pub hours: f64,
-    /// Standard deviation of the change of an offset between two such frames of its run, V; `None` if the run has too
-    /// few.
-    pub scatter_v: Option<f64>,
+    /// What the offsets differ by between two such frames of its run; `None` if the run has too few.
+    pub scatter: Option<Scatter>,
 }
 
 impl UntouchedBefore {

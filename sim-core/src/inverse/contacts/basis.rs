@@ -5,8 +5,8 @@
 //! Light frames have 27 directions above the noise, the heaviest some tens more
 //! (`docs/references.md`, "Feasibility study"). In units of each channel's noise an orthonormal
 //! basis keeps white noise white; the basis is turned so that the model's relative error is
-//! uncorrelated too. Then every number of a frame has a separate variance, whatever the signal. What the drift of the
-//! offsets correlates between the numbers is dropped (`docs/accuracy.md`: the whole covariance counts worse).
+//! uncorrelated too. The drift of the offsets is correlated between the numbers, so that a measured frame is
+//! whitened by the covariance of its error (`whitener`).
 
 use faer::{Mat, Side};
 
@@ -14,10 +14,11 @@ use super::FitterError;
 use super::dense::{PAD, dot};
 use super::error::ErrorModel;
 use super::fit::Observation;
+use super::whitener::Whitener;
 use crate::batch::{BatchModel, BatchWork};
 use crate::forward::Contact;
 use crate::sensor::Sensor;
-use crate::stats::pair_sums;
+use crate::stats::{frequency, pair_sums, waves};
 
 /// Number of sample loads from which the directions are determined.
 const SAMPLE_LOADS: usize = 640;
@@ -43,8 +44,10 @@ pub(super) struct Basis {
     rows: Vec<f64>,
     /// The untouched frame, V.
     rest_v: Vec<f64>,
-    /// Variance of each number by the drift of the offsets, per V^2 of drift.
-    drift: Vec<f64>,
+    /// Number of pairs of electrodes.
+    pairs: usize,
+    /// Change of each number by 1 V of each wave of offsets around the electrodes: `width` rows of `pairs`.
+    offsets: Vec<f64>,
     /// Variance of a channel outside the basis by it, per V^2 of drift.
     drift_outside: f64,
     /// Variance of each number by the model's error, per V^2 of signal.
@@ -57,12 +60,13 @@ pub(super) struct Basis {
 /// A measured frame in the basis.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Projected {
-    /// The projected frame minus that of the untouched skin, in standard deviations of each number.
+    /// The projected frame minus that of the untouched skin, whitened.
     pub z: Vec<f64>,
-    /// Inverse standard deviation of each number.
-    pub inverse_sd: Vec<f64>,
-    /// Share of each number's variance that the model's error has, 0 to 1.
+    /// Makes the errors of numbers that are not whitened independent.
+    pub whitener: Whitener,
+    /// Variance of each number by the model's error, before it is whitened.
     pub by_model: Vec<f64>,
+    covariance: Vec<f64>,
     /// Misfit outside the basis, which no contact can explain.
     pub outside_chi2: f64,
 }
@@ -95,20 +99,27 @@ impl Basis {
             flat.extend(row.iter().zip(&inverse_sd).map(|(b, scale)| b * scale));
         }
         flat.resize(width * channels, 0.0);
-        let by_drift = |row: &[f64]| pair_sums(row).iter().map(|sum| sum * sum).sum::<f64>();
-        let drift: Vec<f64> = flat.chunks_exact(channels).map(by_drift).collect();
+        let pairs = channels.isqrt().max(1);
+        let waves = waves(pairs);
+        let of_waves = |row: &[f64]| -> Vec<f64> {
+            let sums = pair_sums(row);
+            waves.iter().map(|wave| dot(wave, &sums)).collect()
+        };
+        let offsets: Vec<f64> = flat.chunks_exact(channels).flat_map(of_waves).collect();
+        let by_drift: f64 = offsets.iter().map(|v| v * v).sum();
         let precision: f64 = inverse_sd.iter().map(|s| s * s).sum();
         let mean_precision = precision / channels as f64;
         // What the numbers have of the drift is not outside.
         let outside = channels.saturating_sub(rows.len()).max(1) as f64;
-        let drift_outside = (precision - drift.iter().sum::<f64>()).max(0.0) / outside;
+        let drift_outside = (precision - by_drift).max(0.0) / outside;
         let mut basis = Self {
             channels,
             directions: rows.len(),
             width,
             rows: flat,
             rest_v: rest_v.to_vec(),
-            drift,
+            pairs,
+            offsets,
             drift_outside,
             relative,
             relative_outside: error.floor.powi(2) / channels as f64 * mean_precision,
@@ -128,6 +139,11 @@ impl Basis {
         self.width
     }
 
+    /// Number of pairs of electrodes, each with one offset.
+    pub fn pairs(&self) -> usize {
+        self.pairs
+    }
+
     /// Projects columns of `channels` volts (`columns` holds them one after the other).
     pub fn project(&self, columns: &[f64], out: &mut Vec<f64>) {
         out.clear();
@@ -143,14 +159,14 @@ impl Basis {
         self.project(scratch, out);
     }
 
-    /// Projects a measured frame and scales it. If it is the mean of many, drift and model error dominate.
+    /// Projects a measured frame and whitens it. If it is the mean of many, drift and model error dominate.
     pub fn measure(
         &self,
         observation: &Observation<'_>,
         scratch: &mut Vec<f64>,
         out: &mut Projected,
     ) {
-        let Observation { frame_v, frames, offset_sd_v } = *observation;
+        let Observation { frame_v, frames, offset_sd_v, .. } = *observation;
         let drift_v2 = offset_sd_v.powi(2);
         self.project_frame(frame_v, scratch, &mut out.z);
         let (mut signal_v2, mut scaled) = (-drift_v2 * self.channels as f64, 0.0);
@@ -164,21 +180,36 @@ impl Basis {
             1.0 / frames + drift_v2 * self.drift_outside + signal_v2 * self.relative_outside;
         out.outside_chi2 = (scaled - inside).max(0.0) / variance;
         out.by_model.clear();
-        out.inverse_sd.clear();
-        for (relative, drift) in self.relative.iter().zip(&self.drift) {
-            let by_model = signal_v2 * relative;
-            let variance = 1.0 / frames + drift_v2 * drift + by_model;
-            out.by_model.push(by_model / variance);
-            out.inverse_sd.push(1.0 / variance.sqrt());
+        out.by_model.extend(self.relative.iter().map(|relative| signal_v2 * relative));
+        self.drift(drift_v2, observation.offset_spectrum, scratch, &mut out.covariance);
+        for (i, by_model) in out.by_model.iter().enumerate() {
+            out.covariance[i * self.width + i] += 1.0 / frames + by_model;
         }
-        scale(&mut out.z, &out.inverse_sd);
+        out.whitener.set(&out.covariance, self.width);
+        out.whitener.apply(&mut out.z);
     }
-}
 
-/// Multiplies columns of numbers, one after the other, by a factor of each number.
-pub(super) fn scale(columns: &mut [f64], factors: &[f64]) {
-    for column in columns.chunks_exact_mut(factors.len()) {
-        column.iter_mut().zip(factors).for_each(|(v, factor)| *v *= factor);
+    /// Writes the covariance of the numbers by the drift of the offsets, its lower triangle.
+    fn drift(
+        &self,
+        drift_v2: f64,
+        spectrum: &[f64],
+        waves: &mut Vec<f64>,
+        covariance: &mut Vec<f64>,
+    ) {
+        waves.clear();
+        for row in self.offsets.chunks_exact(self.pairs) {
+            let power = |wave: usize| spectrum.get(frequency(wave)).copied().unwrap_or(1.0);
+            let scaled = row.iter().enumerate().map(|(w, v)| v * (drift_v2 * power(w)).sqrt());
+            waves.extend(scaled);
+        }
+        covariance.clear();
+        covariance.resize(self.width * self.width, 0.0);
+        for (i, row) in waves.chunks_exact(self.pairs).enumerate() {
+            for (j, other) in waves.chunks_exact(self.pairs).enumerate().take(i + 1) {
+                covariance[i * self.width + j] = dot(row, other);
+            }
+        }
     }
 }
 

@@ -68,7 +68,7 @@ impl Prior {
     }
 }
 
-/// Predicts projected frames, scaled as the measured one.
+/// Predicts projected frames, whitened as the measured one.
 pub(super) trait Predict {
     /// Writes the frame of contacts, and its slopes by x, y and ln F of each (each of the frame's
     /// length).
@@ -80,7 +80,7 @@ pub(super) trait Predict {
     ) -> Result<(), ContactError>;
 }
 
-/// The fitted frame, scaled, and the prior.
+/// The fitted frame, whitened, and the prior.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Problem<'a> {
     pub z: &'a [f64],
@@ -98,7 +98,7 @@ pub(super) struct Effort {
 /// Result of a descent.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Optimum {
-    /// Sum of squares of the scaled residual.
+    /// Sum of squares of the whitened residual.
     pub misfit: f64,
     /// -2 ln evidence, up to a constant of the frame.
     pub score: f64,
@@ -151,7 +151,7 @@ impl DescentWork {
         if !cholesky(&self.normal, size, &mut self.factor) {
             return spreads;
         }
-        let (mut column, mut gain) = (Vec::new(), Vec::new());
+        let (mut column, mut gain, mut of_numbers) = (Vec::new(), Vec::new(), Vec::new());
         for i in 0..size {
             column.clear();
             column.resize(size, 0.0);
@@ -163,8 +163,9 @@ impl DescentWork {
             for (slope, weight) in self.slopes.chunks_exact(width).zip(&column) {
                 gain.iter_mut().zip(slope).for_each(|(g, s)| *g += weight * s);
             }
+            frame.whitener.transposed(&gain, &mut of_numbers);
             let by_model: f64 =
-                gain.iter().zip(&frame.by_model).map(|(g, part)| g * g * part).sum();
+                of_numbers.iter().zip(&frame.by_model).map(|(g, v2)| g * g * v2).sum();
             let spread = &mut spreads[i / EACH];
             spread.variance[i % EACH] = column[i];
             spread.by_model[i % EACH] = (by_model / column[i]).clamp(0.0, 1.0);

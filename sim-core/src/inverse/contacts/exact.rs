@@ -1,10 +1,11 @@
-//! The exact model as a descent needs it: projected and scaled frames with their slopes.
+//! The exact model as a descent needs it: projected and whitened frames with their slopes.
 //! Uses: `jacobian` (one factor for a frame and all its slopes), `basis`. Never: the table of
 //! shapes.
 
-use super::basis::{Basis, scale};
+use super::basis::Basis;
 use super::descent::{DescentWork, EACH, Predict};
 use super::shapes::{Place, contact};
+use super::whitener::Whitener;
 use crate::forward::{Contact, ContactError, ForwardModel};
 use crate::jacobian::JacobianWork;
 
@@ -25,7 +26,7 @@ struct Memory {
 pub(super) struct Exact<'a> {
     model: &'a ForwardModel,
     basis: &'a Basis,
-    inverse_sd: &'a [f64],
+    whitener: &'a Whitener,
     memory: &'a mut Memory,
 }
 
@@ -35,9 +36,9 @@ impl ExactWork {
         &'a mut self,
         model: &'a ForwardModel,
         basis: &'a Basis,
-        inverse_sd: &'a [f64],
+        whitener: &'a Whitener,
     ) -> (Exact<'a>, &'a mut DescentWork) {
-        (Exact { model, basis, inverse_sd, memory: &mut self.memory }, &mut self.descent)
+        (Exact { model, basis, whitener, memory: &mut self.memory }, &mut self.descent)
     }
 
     /// The memory of descents.
@@ -64,8 +65,8 @@ impl Predict for Exact<'_> {
         {
             column.iter_mut().for_each(|s| *s *= contact.force_n);
         }
-        scale(z, self.inverse_sd);
-        scale(slopes, self.inverse_sd);
+        self.whitener.apply(z);
+        self.whitener.apply(slopes);
         Ok(())
     }
 }

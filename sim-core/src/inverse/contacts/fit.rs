@@ -38,6 +38,16 @@ pub enum FitError {
     /// The standard deviation of the offsets is not a finite number >= 0.
     #[error("fitting contacts: offset_sd_v = {offset_sd_v} is not a finite number >= 0")]
     Offset { offset_sd_v: f64 },
+    /// The spectrum of the offsets is not one share >= 0 for each frequency.
+    #[error(
+        "fitting contacts: offset_spectrum has {found} values, {needed} finite numbers >= 0 needed"
+    )]
+    Spectrum {
+        /// Number of values found.
+        found: usize,
+        /// Number of values needed, unless there are none.
+        needed: usize,
+    },
     /// A proposal or a contact to refine is not a contact on this skin.
     #[error("fitting contacts: proposal: {0}")]
     Contact(#[from] ContactError),
@@ -89,6 +99,9 @@ pub struct Observation<'a> {
     /// Standard deviation of the offset of a pair of electrodes that is left in the frame, V, >= 0:
     /// the same in every injection.
     pub offset_sd_v: f64,
+    /// Variance of these offsets by their frequency around the electrodes, from 0 to half the number of pairs,
+    /// relative to the mean over all waves ([`crate::stats::waves`]); empty if it is the same for all.
+    pub offset_spectrum: &'a [f64],
 }
 
 /// A contact proposed by the caller, for example by a net.

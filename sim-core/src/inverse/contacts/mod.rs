@@ -2,9 +2,10 @@
 //! Uses: `forward`, `jacobian`, `batch`, an error model. Never: threads, clock, chance, nets (their
 //! proposals are passed in).
 //!
-//! A frame is projected on the few directions in which the model's frames differ (`basis`), and scaled by the
-//! standard deviation of each number. A search over a table of single contacts (`shapes`, `search`) finds hypotheses of
-//! every count; the best are finished with the exact model (`exact`, `descent`), and evidence chooses among them; what else
+//! A frame is projected on the few directions in which the model's frames differ (`basis`), and whitened by the
+//! covariance of its error (`whitener`). A
+//! search over a table of single contacts (`shapes`, `search`) finds hypotheses of every count; the
+//! best are finished with the exact model (`exact`, `descent`), and evidence chooses among them; what else
 //! is probable is part of the result (`explain`).
 
 mod basis;
@@ -17,10 +18,11 @@ mod fit;
 mod search;
 mod shapes;
 pub mod steady;
+mod whitener;
 
 use crate::batch::{BatchError, BatchModel, BatchWork, Kernel};
 use crate::forward::{Contact, ContactError, ForwardModel, Workspace};
-use basis::{Basis, Projected, scale};
+use basis::{Basis, Projected};
 use descent::{EACH, Effort, Optimum, Predict, Prior, Problem, Spread, descend};
 pub use error::{ErrorModel, ErrorModelError, FramePair};
 use exact::ExactWork;
@@ -219,7 +221,7 @@ impl ContactFitter {
     }
 
     fn measure(&self, observation: &Observation<'_>, work: &mut FitWork) -> Result<(), FitError> {
-        let Observation { frame_v, frames, offset_sd_v } = *observation;
+        let Observation { frame_v, frames, offset_sd_v, offset_spectrum } = *observation;
         let needed = self.model.sensor().channels();
         if frame_v.len() != needed {
             return Err(FitError::Length { found: frame_v.len(), needed });
@@ -232,6 +234,11 @@ impl ContactFitter {
         }
         if !(offset_sd_v >= 0.0 && offset_sd_v.is_finite()) {
             return Err(FitError::Offset { offset_sd_v });
+        }
+        let (found, needed) = (offset_spectrum.len(), self.basis.pairs() / 2 + 1);
+        let sound = offset_spectrum.iter().all(|share| *share >= 0.0 && share.is_finite());
+        if !(sound && (found == 0 || found == needed)) {
+            return Err(FitError::Spectrum { found, needed });
         }
         self.basis.measure(observation, &mut work.scratch, &mut work.frame);
         Ok(())
@@ -278,10 +285,10 @@ impl ContactFitter {
                 work.frame_v.clear();
                 work.frame_v.extend(frame.iter().map(|&v| f64::from(v)));
                 self.basis.project_frame(&work.frame_v, &mut work.scratch, &mut lacks);
-                let inverse_sd = &work.frame.inverse_sd;
-                scale(&mut lacks, inverse_sd);
+                let whitener = &work.frame.whitener;
+                whitener.apply(&mut lacks);
                 let (model, shapes) = (&self.model, &self.shapes);
-                let mut table = Sum { model, shapes, inverse_sd, lacks: &self.none };
+                let mut table = Sum { model, shapes, whitener, lacks: &self.none };
                 table.predict(&hypothesis.places, &mut sum, &mut slopes)?;
                 lacks.iter_mut().zip(&sum).for_each(|(lacks, sum)| *lacks -= sum);
                 table.lacks = &lacks;
@@ -312,8 +319,8 @@ impl ContactFitter {
         effort: Effort,
         work: &mut FitWork,
     ) -> Result<Optimum, ContactError> {
-        let Projected { z, inverse_sd, .. } = &work.frame;
-        let (mut model, descent) = work.exact.model(&self.model, &self.basis, inverse_sd);
+        let Projected { z, whitener, .. } = &work.frame;
+        let (mut model, descent) = work.exact.model(&self.model, &self.basis, whitener);
         let problem = Problem { z, prior: &self.prior };
         descend(&problem, &mut model, places, effort, descent)
     }

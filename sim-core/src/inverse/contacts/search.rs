@@ -7,10 +7,11 @@
 //! A change of what it finds increases `READINGS_VERSION` of the jobs, too: machines of one version must find the same.
 
 use super::FitOptions;
-use super::basis::{Projected, scale};
+use super::basis::Projected;
 use super::dense::{PAD, dot};
 use super::descent::{DescentWork, EACH, Effort, Predict, Prior, Problem, descend};
 use super::shapes::{Place, Shapes};
+use super::whitener::Whitener;
 use crate::forward::{ContactError, ForwardModel};
 
 /// Number of hypotheses of each count that are extended.
@@ -44,17 +45,16 @@ pub(super) struct SearchWork {
     residual: Vec<f64>,
     tangents: Vec<f64>,
     gains: Vec<(f64, f64)>,
-    /// Frame of each site, scaled.
+    /// Frame of each site, whitened.
     sites: Vec<f64>,
 }
 
-/// The table as a model: frames of contacts are sums, which are scaled.
+/// The table as a model: frames of contacts are sums, which are whitened.
 pub(super) struct Sum<'a> {
     pub model: &'a ForwardModel,
     pub shapes: &'a Shapes,
-    /// Inverse standard deviation of each number of the measured frame.
-    pub inverse_sd: &'a [f64],
-    /// Difference of the exact model from the sum, at the load of the last comparison, scaled.
+    pub whitener: &'a Whitener,
+    /// Difference of the exact model from the sum, at the load of the last comparison, whitened.
     pub lacks: &'a [f64],
 }
 
@@ -71,8 +71,8 @@ impl Predict for Sum<'_> {
         for (place, slopes) in places.iter().zip(slopes.chunks_exact_mut(EACH * z.len())) {
             self.shapes.add(self.model, *place, z, slopes);
         }
-        scale(z, self.inverse_sd);
-        scale(slopes, self.inverse_sd);
+        self.whitener.apply(z);
+        self.whitener.apply(slopes);
         z.iter_mut().zip(self.lacks).for_each(|(z, lacks)| *z += lacks);
         Ok(())
     }
@@ -103,7 +103,7 @@ impl Search<'_> {
             let row = self.shapes.of_site(site, SITE_N.ln());
             work.sites.extend(row.iter().map(|s| f64::from(*s)));
         }
-        scale(&mut work.sites, &self.frame.inverse_sd);
+        self.frame.whitener.apply(&mut work.sites);
         let mut levels: Vec<Vec<Hypothesis>> = vec![Vec::new(); self.options.most_contacts + 1];
         self.judge(Vec::new(), &mut levels, work)?;
         for start in starts {
@@ -169,7 +169,7 @@ impl Search<'_> {
 
     fn sum(&self) -> Sum<'_> {
         let Self { model, shapes, frame, none, .. } = *self;
-        Sum { model, shapes, inverse_sd: &frame.inverse_sd, lacks: none }
+        Sum { model, shapes, whitener: &frame.whitener, lacks: none }
     }
 
     /// The hypotheses with one further contact, at the sites with the largest gain.

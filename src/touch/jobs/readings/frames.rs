@@ -1,7 +1,8 @@
 //! The frames of an evaluation as text: voltages, and what is known of them.
-//! PURE. Uses: `infer::{methods, untouched_frame}`. Never: a number that is read otherwise than it was written.
+//! PURE. Uses: `infer::{methods, scatter, untouched_frame}`. Never: a number that is read otherwise than it was written.
 
 use crate::infer::methods::Frames;
+use crate::infer::scatter::Scatter;
 use crate::infer::untouched_frame::UntouchedBefore;
 
 /// Stands for an unknown scatter.
@@ -20,15 +21,16 @@ pub struct FrameInput {
 
 impl FrameInput {
     /// Frames as text, a line each: the number of averaged frames and the voltages, separated by commas; and if the
-    /// untouched skin was measured, the number of its frames, its age (h), its scatter (V, or `-`) and its voltages.
+    /// untouched skin was measured, the number of its frames, its age (h), its scatter (standard
+    /// deviation, V, and after `;` the spectrum, or `-`) and its voltages.
     pub fn lines(inputs: &[Self]) -> String {
         let voltages =
             |frame_v: &[f32]| frame_v.iter().map(ToString::to_string).collect::<Vec<_>>().join(",");
         let mut text = String::new();
         for Self { voltages_v, averaged, untouched } in inputs {
             text += &format!("{averaged} {}", voltages(voltages_v));
-            if let Some(UntouchedBefore { voltages_v, frames, hours, scatter_v }) = untouched {
-                let scatter = scatter_v.map_or(UNKNOWN_SCATTER.into(), |sd_v| sd_v.to_string());
+            if let Some(UntouchedBefore { voltages_v, frames, hours, scatter }) = untouched {
+                let scatter = scatter.as_ref().map_or(UNKNOWN_SCATTER.into(), text_of_scatter);
                 text += &format!(" {frames} {hours} {scatter} {}", voltages(voltages_v));
             }
             text.push('\n');
@@ -61,9 +63,9 @@ impl FrameInput {
                 voltages_v: voltages(untouched_v)?,
                 frames: frames.parse::<f64>().ok()?,
                 hours: hours.parse::<f64>().ok()?,
-                scatter_v: match *scatter {
+                scatter: match *scatter {
                     UNKNOWN_SCATTER => None,
-                    known => Some(known.parse::<f64>().ok()?),
+                    known => Some(scatter_of_text(known)?),
                 },
             }),
             _ => return None,
@@ -78,6 +80,18 @@ impl FrameInput {
     }
 }
 
+fn text_of_scatter(Scatter { sd_v, spectrum }: &Scatter) -> String {
+    let shares: Vec<String> = spectrum.iter().map(ToString::to_string).collect();
+    format!("{sd_v};{}", shares.join(","))
+}
+
+fn scatter_of_text(text: &str) -> Option<Scatter> {
+    let (sd_v, shares) = text.split_once(';')?;
+    let shares = shares.split(',').filter(|_| !shares.is_empty());
+    let spectrum: Option<Vec<f64>> = shares.map(|share| share.parse::<f64>().ok()).collect();
+    Some(Scatter { sd_v: sd_v.parse::<f64>().ok()?, spectrum: spectrum? })
+}
+
 /// Voltages from a text with commas.
 fn voltages(text: &str) -> Option<Vec<f32>> {
     text.split(',').map(|number| number.parse::<f32>().ok()).collect()
@@ -90,19 +104,29 @@ mod tests {
     #[test]
     fn frames_are_read_to_the_last_bit_and_other_lines_refused() {
         let alone = FrameInput { voltages_v: vec![0.1, -2.5e-7], averaged: 30.0, untouched: None };
-        let untouched = |scatter_v| UntouchedBefore {
+        let untouched = |scatter| UntouchedBefore {
             voltages_v: vec![f32::MIN_POSITIVE, 1.0 / 3.0],
             frames: 8.0,
             hours: 0.1 + 0.2,
-            scatter_v,
+            scatter,
         };
-        let known = FrameInput { untouched: Some(untouched(Some(1e-4 / 3.0))), ..alone.clone() };
+        let of_waves = |spectrum| untouched(Some(Scatter { sd_v: 1e-4, spectrum }));
+        let known = FrameInput { untouched: Some(of_waves(vec![1.0 / 3.0, 2.0])), ..alone.clone() };
+        let without = FrameInput { untouched: Some(of_waves(Vec::new())), ..alone.clone() };
         let unknown = FrameInput { untouched: Some(untouched(None)), ..alone.clone() };
-        let inputs = vec![alone, known, unknown];
+        let inputs = vec![alone, known, without, unknown];
         let text = FrameInput::lines(&inputs);
         assert_eq!(text.lines().next(), Some("30 0.1,-0.00000025"));
         assert_eq!(FrameInput::read(&text).unwrap(), inputs);
-        for line in ["", "30", "x 0.1", "30 0.1,x", "30 0.1 8 0.3", "30 0.1 8 0.3 x 0.1"] {
+        for line in [
+            "",
+            "30",
+            "x 0.1",
+            "30 0.1,x",
+            "30 0.1 8 0.3",
+            "30 0.1 8 0.3 x 0.1",
+            "30 0.1 8 0.3 1;x 0.1",
+        ] {
             let error = FrameInput::read(&format!("30 0.1\n{line}\n")).unwrap_err();
             assert!(error.starts_with("line 2: "), "{line}: {error}");
         }

@@ -110,6 +110,7 @@ impl ReadyMethod for ExactPipeline {
             frame_v: mean.mean_v,
             frames: mean.frames,
             offset_sd_v: drift.sd_v(tracked.zero.share_of_day()),
+            offset_spectrum: &drift.spectrum,
         };
         let before = tracked.last.take().filter(|_| !mean.changed);
         let fit = match before {

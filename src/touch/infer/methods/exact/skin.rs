@@ -230,13 +230,14 @@ impl ExactSkin {
 
     /// A mean of `frames` frames without offsets, V, as the fit reads it.
     pub(super) fn observation<'a>(
-        &self,
+        &'a self,
         frame_v: &'a [f64],
         frames: f64,
-        untouched: Option<&UntouchedBefore>,
+        untouched: Option<&'a UntouchedBefore>,
     ) -> Observation<'a> {
         let offset_sd_v = self.offset_sd_v(untouched);
-        Observation { frame_v, frames, offset_sd_v }
+        let offset_spectrum = self.errors.drift.spectrum_after(untouched);
+        Observation { frame_v, frames, offset_sd_v, offset_spectrum }
     }
 }
 

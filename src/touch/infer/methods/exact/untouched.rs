@@ -3,7 +3,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::infer::scatter::of_pairs;
+use crate::infer::scatter::{Scatter, of_pairs};
 use crate::infer::untouched_frame::UntouchedBefore;
 
 /// Number of parts of the run between which offsets are compared.
@@ -24,6 +24,8 @@ pub(super) struct Drift {
     pub(super) day_sd_v: Option<f64>,
     /// Standard deviation just after a frame of the untouched skin, V.
     tared_sd_v: f64,
+    /// Variance by frequency around the electrodes ([`Scatter`]); empty if it is unknown.
+    pub(super) spectrum: Vec<f64>,
 }
 
 impl Drift {
@@ -40,9 +42,19 @@ impl Drift {
 
     /// Standard deviation of an offset of frames before which the untouched skin was measured, or was not, V.
     pub(super) fn after_v(&self, untouched: Option<&UntouchedBefore>) -> f64 {
-        let scatter_v = untouched.and_then(|skin| skin.scatter_v);
-        let tared_sd_v = scatter_v.unwrap_or(self.tared_sd_v);
+        let scatter = untouched.and_then(|skin| skin.scatter.as_ref());
+        let tared_sd_v = scatter.map_or(self.tared_sd_v, |scatter| scatter.sd_v);
         self.since_v(tared_sd_v, untouched.map(UntouchedBefore::share_of_day))
+    }
+
+    /// The spectrum of these offsets: that of their run, if it is known.
+    pub(super) fn spectrum_after<'a>(
+        &'a self,
+        untouched: Option<&'a UntouchedBefore>,
+    ) -> &'a [f64] {
+        let scatter = untouched.and_then(|skin| skin.scatter.as_ref());
+        let of_run = scatter.map(|scatter| scatter.spectrum.as_slice());
+        of_run.filter(|spectrum| !spectrum.is_empty()).unwrap_or(&self.spectrum)
     }
 }
 
@@ -89,7 +101,11 @@ impl Untouched {
         let pairs = offset_v.len().isqrt().max(1) as f64;
         let noise_v = self.noise_sd_v().map_or(0.0, |sd_v| sd_v / (TARED_FRAMES * pairs).sqrt());
         let tared_sd_v = self.tared_sd_v().unwrap_or(noise_v);
-        Drift { day_sd_v: self.day_sd_v(offset_v), tared_sd_v }
+        let mut tared: Vec<&[f32]> = self.tared_v.iter().map(Vec::as_slice).collect();
+        tared.retain(|frame_v| frame_v.len() == offset_v.len());
+        tared.dedup();
+        let spectrum = Scatter::of(&tared).map_or_else(Vec::new, |scatter| scatter.spectrum);
+        Drift { day_sd_v: self.day_sd_v(offset_v), tared_sd_v, spectrum }
     }
 
     /// Standard deviation, V, of what the offset of a pair of electrodes differs from that of the frame by
@@ -190,6 +206,7 @@ mod tests {
             frames_v.first().into_iter().chain(&frames_v).take(300).cloned().collect();
         let run = Untouched { frames_v, tared_v, averaged: 1.0, hours: 12.0 };
         let drift = run.drift(&[0.0; 16]);
+        assert_eq!(drift.spectrum_after(None).len(), 3, "of four pairs");
         let sd_mv = |hours| 1e3 * drift.sd_v(hours);
         // The noise of the mean of four injections: 1e-4 / sqrt(4).
         assert!((sd_mv(Some(0.0)) - 0.05).abs() < 0.01, "{}", sd_mv(Some(0.0)));
@@ -197,12 +214,15 @@ mod tests {
         assert!((sd_mv(Some(0.5)) - 0.5 * sd_mv(None)).abs() < 0.01);
         let without = Untouched { tared_v: vec![Vec::new(); 300], ..run };
         let drift = without.drift(&[0.0; 16]);
-        let before = |scatter_v| {
+        let before = |scatter| {
             let (voltages_v, frames, hours) = (Vec::new(), 4.0, 0.0);
-            UntouchedBefore { voltages_v, frames, hours, scatter_v }
+            UntouchedBefore { voltages_v, frames, hours, scatter }
         };
-        assert_eq!(drift.after_v(Some(&before(Some(2e-3)))), 2e-3);
+        let of_run = before(Some(Scatter { sd_v: 2e-3, spectrum: vec![0.5, 1.0, 1.5] }));
+        assert_eq!(drift.after_v(Some(&of_run)), 2e-3);
+        assert_eq!(drift.spectrum_after(Some(&of_run)), [0.5, 1.0, 1.5]);
         assert_eq!(drift.after_v(Some(&before(None))), drift.sd_v(Some(0.0)));
+        assert!(drift.spectrum_after(Some(&before(None))).is_empty(), "no frame was tared");
         assert_eq!(Untouched::default().drift(&[0.0; 16]).sd_v(None), 0.0);
         // That of a mean of four frames.
         assert!((1e3 * drift.sd_v(Some(0.0)) - 0.025).abs() < 0.005, "{drift:?}");
