@@ -242,7 +242,7 @@ async fn a_service_that_was_frozen_in_a_press_trips_and_stores_nothing_of_it() {
     site.until("/api/v1/status", |s| s["run"]["phase"] == "settle").await;
     let before = site.answer("/api/v1/status").await["run"]["trials_stored"].as_u64().unwrap();
     signal(&service, Signal::STOP);
-    // Longer than limits.sample_age_ms of the virtual rig's file.
+    // Longer than limits.sample_age_ms of the virtual rig's file, 1500.
     tokio::time::sleep(Duration::from_millis(2500)).await;
     signal(&service, Signal::CONT);
     let status = site.until("/api/v1/status", |s| !s["rig"]["trip"].is_null()).await;

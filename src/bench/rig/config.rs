@@ -132,6 +132,14 @@ impl RigConfig {
         speed.min(self.axes.z.speed_mm_s)
     }
 
+    /// Longest time without a fresh sample of cells and positions while pressing, wall ms. By default one reply of the
+    /// cells may be lost: the wait for it, and two updates of the module, at least 200 ms, for its repetition.
+    pub fn sample_age_ms(&self) -> u64 {
+        let wait_ms = self.lines.get(&self.cells.line).map_or(0, LineConfig::timeout_ms);
+        let updates_ms = 2.0 * self.cells.update_ms / self.clock_rate;
+        self.limits.sample_age_ms.unwrap_or(wait_ms + updates_ms.clamp(200.0, 1e6) as u64)
+    }
+
     fn check(&self, file: &str) -> Result<(), Vec<Problem>> {
         let mut c = Checks::of(file);
         c.within("clock_rate", self.clock_rate, 0.01..=2000.0);
@@ -180,6 +188,9 @@ impl RigConfig {
         let limit = format!("must be at most {most}, half of skin.clearance_mm");
         c.require(tolerance <= most, "axes.z.tolerance_mm", tolerance, &limit);
         self.limits.check(&mut c, self.cells.full_scale_n);
+        let age_ms = self.sample_age_ms();
+        let ok = (20..=5000).contains(&age_ms);
+        c.require(ok, "limits.sample_age_ms", age_ms, "must be from 20 to 5000");
         self.ert.check(&mut c);
         c.done()
     }
@@ -198,6 +209,19 @@ mod tests {
     use super::*;
 
     #[test]
+    fn a_sample_may_be_as_old_as_one_lost_reply_of_the_cells_makes_it() {
+        let text = include_str!("../../../experiments/rigs/iai-modbus-tcp.toml");
+        let mut rig = RigConfig::from_toml("r.toml", text).unwrap();
+        assert_eq!(rig.sample_age_ms(), 500, "300 ms of its wire and two updates of 100 ms");
+        rig.cells.update_ms = 250.0;
+        assert_eq!(rig.sample_age_ms(), 800);
+        rig.cells.update_ms = 10.0;
+        assert_eq!(rig.sample_age_ms(), 500);
+        rig.limits.sample_age_ms = Some(120);
+        assert_eq!(rig.sample_age_ms(), 120);
+    }
+
+    #[test]
     fn a_value_that_would_disable_a_check_of_a_motion_is_refused() {
         let text = include_str!("../../../experiments/rigs/virtual.toml");
         for (from, to, words) in [
@@ -207,7 +231,7 @@ mod tests {
                 "axes.z.tolerance_mm = 2.6: must be at most",
             ),
             (
-                "sample_age_ms = 1000",
+                "sample_age_ms = 1500",
                 "sample_age_ms = 60000",
                 "limits.sample_age_ms = 60000: must be",
             ),

@@ -43,6 +43,12 @@ pub enum LineConfig {
 }
 
 impl LineConfig {
+    /// Longest wait for one reply, wall ms.
+    pub fn timeout_ms(&self) -> u64 {
+        let (Self::ModbusTcp { timeout_ms, .. } | Self::ModbusRtu { timeout_ms, .. }) = self;
+        *timeout_ms
+    }
+
     /// Checks the values of the wire with this name.
     pub(super) fn check(&self, name: &str, c: &mut Checks<'_>) {
         let key = |k: &str| format!("lines.{name}.{k}");

@@ -55,7 +55,7 @@ impl From<&RigConfig> for BenchLimits {
             force_margin_n: limits.force_margin_n,
             force_sum_margin_n: limits.sum_margin_n(),
             tare_drift_n: limits.tare_drift_n,
-            sample_age_ms: limits.sample_age_ms,
+            sample_age_ms: config.sample_age_ms(),
             x_mm: axes.x.travel_mm,
             y_mm: axes.y.travel_mm,
             z_mm: axes.z.travel_mm,

@@ -235,10 +235,10 @@ impl Stage {
     /// Reads the cells while z is at rest, and checks every limit.
     ///
     /// # Errors
-    /// Trips on a limit, on a wire, and if the stream returns no frame while the load is held:
+    /// Halts on a request; trips on a limit, on a wire, and if the stream returns no frame while the load is held:
     /// without frames the skin cannot cross-check the cells.
-    pub async fn read_cells(&mut self) -> Result<CellVolts, Halt> {
-        let reading = self.bench.cells.read().await?;
+    pub async fn read_cells(&mut self, control: &mut Control) -> Result<CellVolts, Halt> {
+        let reading = control.attending(self.bench.cells.read()).await??;
         self.check(&reading, None)?;
         let limit = Duration::from_millis(self.config.limits.frame_age_ms);
         let held = self.held_since.get_or_insert_with(Instant::now).elapsed();
@@ -278,7 +278,7 @@ impl Stage {
     /// Trips on a stale sample, a limit, or a touch of the skin that no cell measures.
     pub(super) fn check(&mut self, reading: &CellVolts, z_mm: Option<f64>) -> Result<(), Halt> {
         self.publish(reading, z_mm);
-        let limit_ms = self.config.limits.sample_age_ms;
+        let limit_ms = self.config.sample_age_ms();
         let age = self.clock.now().saturating_duration_since(reading.at);
         let sample = LastSample { at: reading.at, z_mm };
         let gap = self.last_sample.replace(sample).map(|last| reading.at - last.at);
@@ -361,7 +361,7 @@ impl Stage {
                 () = self.poll_pause() => {}
             }
             control.attend()?;
-            self.read_cells().await?;
+            self.read_cells(control).await?;
         }
     }
 

@@ -4,6 +4,7 @@
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::time::Duration;
 
 use async_trait::async_trait;
 use jiff::Timestamp;
@@ -152,6 +153,8 @@ pub struct Cells {
     pub volts: Mutex<[f64; ARMS]>,
     /// Whether they reply.
     pub replies: AtomicBool,
+    /// Time that a reply takes, wall time.
+    pub takes: Mutex<Duration>,
 }
 
 #[async_trait]
@@ -164,6 +167,10 @@ impl LoadCells for Cells {
         if !self.replies.load(Ordering::SeqCst) {
             let (device, operation) = ("cells".into(), "values".into());
             return Err(RigError::NoReply { device, operation, timeout_ms: 300 });
+        }
+        let takes = *self.takes.lock();
+        if !takes.is_zero() {
+            tokio::time::sleep(takes).await;
         }
         Ok(CellVolts { volts: *self.volts.lock(), repeats: [0; ARMS], at: Instant::now() })
     }
@@ -217,7 +224,7 @@ impl Default for StandIns {
     fn default() -> Self {
         let [x, y, z, radial] = ["x", "y", "z", "radial"].map(StandIn::new);
         let (volts, replies) = (Mutex::new([0.5; ARMS]), AtomicBool::new(true));
-        let cells = Arc::new(Cells { volts, replies });
+        let cells = Arc::new(Cells { volts, replies, takes: Mutex::default() });
         Self { x, y, z, radial, cells, journal: Arc::default() }
     }
 }

@@ -71,7 +71,7 @@ pub async fn tare(
         // A module returns the same sample twice if it is read faster than it converts.
         stage.clock.sleep(stage.config.cells.update_ms / 1e3).await;
         control.attend()?;
-        let reading = stage.bench.cells.read().await?;
+        let reading = control.attending(stage.bench.cells.read()).await??;
         stage.publish(&reading, None);
         readings.push(reading.volts);
         newest = Some(reading);

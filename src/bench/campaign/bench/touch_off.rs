@@ -153,7 +153,7 @@ async fn touch(
     }
     for _ in 0..APPROACHES {
         let felt_mm = back_off(stage, control).await?;
-        let raised = stage.read_cells().await?.volts;
+        let raised = stage.read_cells(control).await?.volts;
         if (0..tips).any(|i| (raised[i] - tare_v[i]) * per_volt > TOUCH_N) {
             continue;
         }
@@ -180,7 +180,7 @@ async fn touch(
 /// Raises the tips from where they touch, and waits until the module has converted there: its next reply
 /// would still show the touch. Returns the height from which they were raised, machine mm.
 async fn back_off(stage: &mut Stage, control: &mut Control) -> Result<f64, Halt> {
-    let felt_mm = stage.bench.z.status().await?.position;
+    let felt_mm = control.attending(stage.bench.z.status()).await??.position;
     let back = (felt_mm - BACK_OFF_MM).max(stage.config.axes.z.travel_mm[0]);
     stage.checked_travel(control, Target::of(AxisName::Z, back)).await?;
     let (clock, wait_s) = (stage.clock.clone(), CONVERSIONS * stage.config.cells.update_ms / 1e3);

@@ -6,7 +6,7 @@
 
 use std::time::Duration;
 
-use futures::future::try_join_all;
+use futures::future::{join, try_join, try_join_all};
 use tokio::time::Instant;
 
 use crate::campaign::bench::interlock::{self, TripKind};
@@ -132,18 +132,18 @@ impl Stage {
             self.begin_watch();
         } else if self.last_sample.is_none() {
             // Nothing moves before the first sample, and the second must not be late.
-            let reading = self.bench.cells.read().await?;
+            let reading = control.attending(self.bench.cells.read()).await??;
             self.check(&reading, None)?;
         }
         self.held_since = None;
         let z_place = targets.iter().position(|t| t.axis == AxisName::Z);
-        // What was requested since the last poll must not be answered by one more motion.
-        control.attend()?;
-        let deadline = self.start(targets).await?;
+        let deadline = self.start(control, targets).await?;
         let mut polled_s = self.clock.process_s();
         loop {
             control.attend()?;
-            let (statuses, reading) = self.poll(targets, polled).await?;
+            let last = self.last_sample.map(|last| last.at);
+            let (statuses, reading) =
+                self.in_time(control, last, self.poll(targets, polled)).await?;
             let now_s = self.clock.process_s();
             self.stopping.note_poll(now_s - polled_s);
             polled_s = now_s;
@@ -168,7 +168,7 @@ impl Stage {
                 return Err(self.did_not_arrive(targets, &statuses));
             }
             if is_lateral {
-                self.require_still_clear().await?;
+                self.require_still_clear(control).await?;
                 // No press is polled like this: the stopping distance does not depend on it.
                 polled_s = self.clock.process_s();
             }
@@ -195,13 +195,13 @@ impl Stage {
         self.stopping.note_stop(Some(self.clock.now().saturating_duration_since(sampled)));
         let deadline = self.clock.now() + self.clock.wall(2.0) + GRACE;
         loop {
-            let z = self.bench.z.status().await?;
+            let z = control.attending(self.bench.z.status()).await??;
             if !z.moving {
                 self.stopping.note_travel(Some((z.position - sampled_mm).max(0.0)));
                 return Ok(());
             }
             control.attend()?;
-            self.read_cells().await?;
+            self.read_cells(control).await?;
             if self.clock.now() > deadline {
                 return Err(Halt::trip(TripKind::Position, "z did not stop"));
             }
@@ -211,8 +211,8 @@ impl Stage {
 
     /// Starts the motions, once each axis has been found homed, within its travel and without an alarm, which the release
     /// of a stop could clear.
-    async fn start(&self, targets: &[Target]) -> Result<Instant, Halt> {
-        let (statuses, _) = self.poll(targets, Polled::Axes).await?;
+    async fn start(&self, control: &mut Control, targets: &[Target]) -> Result<Instant, Halt> {
+        let (statuses, _) = control.attending(self.poll(targets, Polled::Axes)).await??;
         let mut longest_s = 0.0f64;
         for (target, status) in targets.iter().zip(&statuses) {
             let driven = self.driven(target.axis);
@@ -223,9 +223,12 @@ impl Stage {
                 + 2.0 * speed / driven.acceleration;
             longest_s = longest_s.max(takes_s);
         }
+        // What was requested since the last poll must not be answered by one more motion.
+        control.attend()?;
         for target in targets {
             let driven = self.driven(target.axis);
-            driven.axis.start_move(target.position, target.speed.unwrap_or(driven.speed)).await?;
+            let speed = target.speed.unwrap_or(driven.speed);
+            control.attending(driven.axis.start_move(target.position, speed)).await??;
         }
         Ok(self.clock.now() + self.clock.wall(1.5 * longest_s + 0.5) + GRACE)
     }
@@ -244,6 +247,38 @@ impl Stage {
         self.require_within(AxisName::Z, &z, BEYOND_TRAVEL)?;
         require_no_alarm(self.bench.z.as_ref(), &z)?;
         Ok(z)
+    }
+
+    /// Waits for readings while an axis moves, and meanwhile accepts requests. `last`: time of the sample of the cells
+    /// before, if they are read.
+    ///
+    /// # Errors
+    /// Trips once that sample is too old, although the wire still waits for a reply; otherwise as the readings and as
+    /// [`Control::attend`].
+    async fn in_time<T>(
+        &self,
+        control: &mut Control,
+        last: Option<Instant>,
+        readings: impl Future<Output = Result<T, Halt>>,
+    ) -> Result<T, Halt> {
+        let limit_ms = self.config.sample_age_ms();
+        let is_late = async {
+            match last {
+                Some(at) => tokio::time::sleep_until(at + Duration::from_millis(limit_ms)).await,
+                None => std::future::pending().await,
+            }
+        };
+        let in_time = async {
+            tokio::select! {
+                biased;
+                readings = readings => readings,
+                () = is_late => {
+                    let words = "no sample of cells and axes, limits.sample_age_ms";
+                    Err(Halt::trip(TripKind::Stale, format!("{words} = {limit_ms}")))
+                }
+            }
+        };
+        control.attending(in_time).await?
     }
 
     async fn poll(
@@ -295,24 +330,27 @@ impl Stage {
 
     /// Checks during a lateral motion or homing that z has stayed up (a drive may lose its power, and a brake slip), and
     /// that no cell reads a load.
-    async fn require_still_clear(&self) -> Result<(), Halt> {
-        let (z, reading) = futures::join!(self.known_z(), self.bench.cells.read());
-        let z = z?;
-        let clear = self.clear_z_mm();
-        if z.position > clear + self.driven(AxisName::Z).tolerance + SINKS_MM {
-            let at = z.position;
-            let detail =
-                format!("z sank to {at:.3} mm during a lateral motion, clear at {clear:.3}");
-            return Err(Halt::trip(TripKind::Position, detail));
-        }
-        interlock::check_unloaded(&self.config.cells, self.tips, &reading?, &self.tare_v)?;
+    async fn require_still_clear(&self, control: &mut Control) -> Result<(), Halt> {
+        let is_up = async {
+            let (at, clear) = (self.known_z().await?.position, self.clear_z_mm());
+            if at > clear + self.driven(AxisName::Z).tolerance + SINKS_MM {
+                let detail =
+                    format!("z sank to {at:.3} mm during a lateral motion, clear at {clear:.3}");
+                return Err(Halt::trip(TripKind::Position, detail));
+            }
+            Ok::<(), Halt>(())
+        };
+        let read = async { Ok::<_, Halt>(self.bench.cells.read().await?) };
+        let both = try_join(is_up, read);
+        let ((), reading) = self.in_time(control, Some(self.clock.now()), both).await?;
+        interlock::check_unloaded(&self.config.cells, self.tips, &reading, &self.tare_v)?;
         Ok(())
     }
 
     /// Checks before a lateral motion or homing that z is measured clear of the surface, and that the cells do not
     /// contradict it.
     async fn require_clear(&self, control: &mut Control) -> Result<(), Halt> {
-        let z = self.known_z().await?;
+        let z = control.attending(self.known_z()).await??;
         let tolerance = self.driven(AxisName::Z).tolerance;
         let clear = self.clear_z_mm();
         if z.moving || z.position > clear + tolerance {
@@ -327,7 +365,7 @@ impl Stage {
         let deadline = self.clock.now() + self.clock.wall(updates_s);
         loop {
             let asked = self.clock.now();
-            let reading = self.bench.cells.read().await?;
+            let reading = control.attending(self.bench.cells.read()).await??;
             match interlock::check_unloaded(cells, self.tips, &reading, &self.tare_v) {
                 Ok(()) => return Ok(()),
                 Err(trip) if asked > deadline => return Err(trip.into()),
@@ -347,7 +385,8 @@ impl Stage {
         let radius_mm = stand.radius_mm;
         let slot = self.config.slot.clone();
         let angle = Target::of(AxisName::Radial, slot.angle_deg(radius_mm));
-        let here = slot.radius_mm(self.bench.radial.status().await?.position);
+        let radial = control.attending(self.bench.radial.status()).await??;
+        let here = slot.radius_mm(radial.position);
         let x = Target::of(AxisName::X, target.x_mm);
         let y = Target::of(AxisName::Y, target.y_mm);
         if here > radius_mm {
@@ -371,29 +410,30 @@ impl Stage {
         self.surface = None;
         self.skin = None;
         let z = self.bench.z.clone();
-        if z.status().await?.homed {
+        if control.attending(z.status()).await??.homed {
             let top = self.config.axes.z.travel_mm[0];
             self.travel(control, &[Target::of(AxisName::Z, top)]).await?;
         }
         self.home_axes(control, &[AxisName::Z]).await?;
-        self.assume_tips(entered).await?;
+        control.attending(self.assume_tips(entered)).await??;
         self.require_clear(control).await?;
         self.home_axes(control, &[AxisName::X, AxisName::Y, AxisName::Radial]).await
     }
 
     async fn home_axes(&self, control: &mut Control, names: &[AxisName]) -> Result<(), Halt> {
-        self.read_homing(names).await?;
+        control.attending(self.read_homing(names)).await??;
         control.attend()?;
         for &name in names {
-            self.driven(name).axis.start_home().await?;
+            control.attending(self.driven(name).axis.start_home()).await??;
         }
         let deadline = self.clock.now() + self.clock.wall(HOMING_S) + GRACE;
         // A drive that was homed before needs a moment to accept the command. Meanwhile z may already go into a load.
-        let ((), read) = futures::join!(self.clock.sleep(0.1), self.bench.cells.read());
+        let moment = join(self.clock.sleep(0.1), self.bench.cells.read());
+        let ((), read) = control.attending(moment).await?;
         let mut first = read.ok();
         loop {
             control.attend()?;
-            let read = self.read_homing(names).await?;
+            let read = control.attending(self.read_homing(names)).await??;
             if read.iter().all(|s| s.homed && !s.moving) {
                 let mut ends = names.iter().zip(&read);
                 return ends.try_for_each(|(&n, s)| self.require_within(n, s, BEYOND_TRAVEL));
@@ -409,8 +449,8 @@ impl Stage {
                 return Err(Halt::trip(TripKind::Position, detail));
             }
             if !names.contains(&AxisName::Z) {
-                self.require_still_clear().await?;
-            } else if let Ok(now) = self.bench.cells.read().await {
+                self.require_still_clear(control).await?;
+            } else if let Ok(now) = control.attending(self.bench.cells.read()).await? {
                 // Cells that do not reply keep no tip down.
                 interlock::check_rises(&self.config.cells, first.get_or_insert(now), &now)?;
             }

@@ -32,7 +32,7 @@ const MOTION_ABORTED: &str = "a motion of the rig was aborted, and a person may 
 /// Why no waiting run begins after a pause or an abort that came too late for the run before it.
 const CAME_LATE: &str =
     "a pause or an abort of a run that did not move was requested, and a person may be at the rig";
-/// Period at which requests are checked while waiting for the store at rest.
+/// Period at which requests are checked while waiting for the store or for a reply, wall time.
 const REQUESTS_POLL: Duration = Duration::from_millis(20);
 
 /// States of rig and run, pending requests, and the published status.
@@ -245,14 +245,22 @@ impl Control {
         &mut self,
         work: impl Future<Output = Result<T, JournalError>>,
     ) -> Result<T, Halt> {
-        let mut work = std::pin::pin!(tokio::time::timeout(STORE_LIMIT, work));
+        match self.attending(tokio::time::timeout(STORE_LIMIT, work)).await? {
+            Ok(outcome) => Ok(outcome?),
+            Err(_late) => Err(Halt::Store(silent())),
+        }
+    }
+
+    /// Waits for the store or for the reply of a device, and meanwhile accepts requests: a silent wire delays none.
+    ///
+    /// # Errors
+    /// As `attend`; the work is dropped.
+    pub async fn attending<T>(&mut self, work: impl Future<Output = T>) -> Result<T, Halt> {
+        let mut work = std::pin::pin!(work);
         loop {
             tokio::select! {
                 biased;
-                done = &mut work => return match done {
-                    Ok(outcome) => Ok(outcome?),
-                    Err(_late) => Err(Halt::Store(silent())),
-                },
+                done = &mut work => return Ok(done),
                 () = tokio::time::sleep(REQUESTS_POLL) => self.attend()?,
             }
         }

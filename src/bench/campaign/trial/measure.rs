@@ -30,13 +30,13 @@ pub async fn settle(
 ) -> Result<Settled, Halt> {
     let start_s = stage.clock.process_s();
     let sample_s = (stage.config.cells.update_ms / 1e3).max(0.05);
-    let mut last = stage.read_cells().await?.volts;
+    let mut last = stage.read_cells(control).await?.volts;
     let mut last_s = start_s;
     let mut change_n = f64::INFINITY;
     loop {
         stage.poll_pause().await;
         control.attend()?;
-        let volts = stage.read_cells().await?.volts;
+        let volts = stage.read_cells(control).await?.volts;
         let now_s = stage.clock.process_s();
         if now_s - last_s >= sample_s {
             let scale = stage.config.cells.newtons_per_volt();
@@ -80,7 +80,7 @@ pub async fn take(
     let count = measure.frames_per_trial as usize;
     let skin = stage.bench.skin.clone();
     let counters_before = skin.counters();
-    let before = stage.read_cells().await?;
+    let before = stage.read_cells(control).await?;
     let frames = skin.take(stage.clock.now(), count);
     let frames = stage.watch_while(control, frames).await?;
     let frames = frames.map_err(|e| stage.no_frames(e))?;
@@ -121,7 +121,7 @@ async fn proven(stage: &mut Stage, control: &mut Control) -> Result<CellVolts, H
     /// Updates without a change that are compatible with noise.
     const LATELY: u32 = 3;
     loop {
-        let reading = stage.read_cells().await?;
+        let reading = stage.read_cells(control).await?;
         let limit = stage.config.cells.repeats_max();
         let lately = |i| limit == 0 || reading.repeats[i] <= LATELY.max(limit / 2);
         if (0..usize::from(stage.tips)).all(lately) {

@@ -215,7 +215,7 @@ impl Pressing<'_> {
         let settled = measure::settle(stage, control, &self.plan.measure).await?;
         control.phase(Phase::Measure);
         let taken = measure::take(stage, control, &self.plan.measure).await?;
-        let reached = stage.reached(target).await?;
+        let reached = control.attending(stage.reached(target)).await??;
         let forces = stage.forces_n(&taken.volts);
         let tips = usize::from(stage.tips);
         control.show(|status| {

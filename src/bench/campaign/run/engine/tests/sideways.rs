@@ -4,13 +4,16 @@ use std::sync::atomic::Ordering;
 use std::time::Duration;
 
 use tokio::sync::oneshot;
+use tokio::time::Instant;
 
-use super::engine;
+use super::{engine, with_handle};
 use crate::campaign::bench::interlock::TripKind;
 use crate::campaign::bench::rig_state::RigState;
 use crate::campaign::bench::stage::AxisName;
-use crate::campaign::bench::stand_in::StandIns;
+use crate::campaign::bench::stand_in::{StandIn, StandIns};
 use crate::campaign::bench::travel::Target;
+use crate::campaign::run::halt::Halt;
+use crate::campaign::shown::command::Request;
 use crate::rig::traits::AxisStatus;
 
 /// Motions and homings of x, y and the rotary actuator that were started.
@@ -183,6 +186,69 @@ async fn a_lateral_motion_ends_when_z_sinks_or_a_cell_reads_a_load() {
         assert_eq!(trip.kind, kind);
         assert!(trip.detail.starts_with(words), "{}", trip.detail);
         assert_eq!(axes.x.starts.load(Ordering::SeqCst), 1);
+    }
+}
+
+/// Waits until an axis was started; from then on the cells do not reply.
+async fn silence(axes: &StandIns, axis: &StandIn) {
+    while axis.starts.load(Ordering::SeqCst) == 0 {
+        tokio::time::sleep(Duration::from_millis(1)).await;
+    }
+    *axes.cells.takes.lock() = Duration::from_secs(20);
+}
+
+#[tokio::test]
+async fn an_abort_of_a_lateral_motion_or_homing_waits_for_no_cell() {
+    for homes in [true, false] {
+        let axes = StandIns::default();
+        let (mut engine, handle) = with_handle(&axes);
+        // It moves until it is stopped.
+        *axes.x.after_start.lock() = Some(AxisStatus { moving: true, ..axes.x.present() });
+        let abort = async {
+            silence(&axes, &axes.x).await;
+            tokio::time::sleep(Duration::from_millis(200)).await;
+            let asked = Instant::now();
+            handle.ask(Request::Abort).await.unwrap();
+            axes.x.status.lock().moving = false;
+            asked.elapsed()
+        };
+        let moves = async {
+            if homes {
+                return engine.home().await;
+            }
+            let stage = engine.connection.as_mut().unwrap().stage.as_mut().unwrap();
+            let target = [Target::of(AxisName::X, 100.0)];
+            !matches!(stage.travel(&mut engine.control, &target).await, Err(Halt::Asked))
+        };
+        let (moved, took) = tokio::join!(moves, abort);
+        assert!(!moved && took < Duration::from_secs(1), "{took:?}");
+        assert_eq!(axes.x.stops.load(Ordering::SeqCst), u64::from(homes), "by its safe end");
+        assert_eq!(engine.control.inbox.status.borrow().rig.trip, None);
+    }
+}
+
+#[tokio::test]
+async fn no_axis_goes_on_without_a_sample_while_the_wire_still_waits_for_one() {
+    for name in [AxisName::Z, AxisName::X] {
+        let axes = StandIns::default();
+        let mut engine = engine(&axes);
+        let axis = if name == AxisName::Z { &axes.z } else { &axes.x };
+        *axis.after_start.lock() = Some(AxisStatus { moving: true, ..axis.present() });
+        let stage = engine.connection.as_mut().unwrap().stage.as_mut().unwrap();
+        stage.config.limits.sample_age_ms = Some(100);
+        let began = Instant::now();
+        let (control, target) = (&mut engine.control, Target::of(name, 100.0));
+        let travel = async {
+            if name == AxisName::Z {
+                return stage.checked_travel(control, target).await;
+            }
+            stage.travel(control, &[target]).await
+        };
+        let (moved, ()) = tokio::join!(travel, silence(&axes, axis));
+        let halt = moved.unwrap_err();
+        let trip = halt.as_trip().expect("a trip");
+        assert_eq!(trip.kind, TripKind::Stale, "{}", trip.detail);
+        assert!(began.elapsed() < Duration::from_secs(2), "{:?}", began.elapsed());
     }
 }
 
