@@ -47,6 +47,8 @@ pub struct StandIn {
     pub starts_fail: AtomicBool,
     /// Motions and homings that were started.
     pub starts: AtomicU64,
+    /// Speed of the last motion that was requested, units/s.
+    pub speed: Mutex<f64>,
     /// Stops that it received.
     pub stops: AtomicU64,
 }
@@ -69,6 +71,7 @@ impl StandIn {
             replies: AtomicBool::new(true),
             starts_fail: AtomicBool::default(),
             starts: AtomicU64::default(),
+            speed: Mutex::default(),
             stops: AtomicU64::default(),
         })
     }
@@ -127,7 +130,8 @@ impl Axis for StandIn {
         self.start("homing", AxisStatus { position: 0.0, homed: true, ..self.present() })
     }
 
-    async fn start_move(&self, target: f64, _speed: f64) -> Result<(), RigError> {
+    async fn start_move(&self, target: f64, speed: f64) -> Result<(), RigError> {
+        *self.speed.lock() = speed;
         self.start("move", AxisStatus { position: target, ..self.present() })
     }
 

@@ -48,7 +48,7 @@ impl Target {
 pub struct Descent {
     /// Target, machine mm.
     pub z_mm: f64,
-    /// Speed, mm/s.
+    /// Largest speed, mm/s; slower if the stopping distance at the present pace of the wires requires it.
     pub speed_mm_s: f64,
 }
 
@@ -103,6 +103,8 @@ impl Stage {
         until: impl FnMut(&Sample) -> bool,
     ) -> Result<bool, Halt> {
         let Descent { z_mm, speed_mm_s } = descent;
+        // The wires may have become slower since it was chosen.
+        let speed_mm_s = self.stopping.press_speed_mm_s(&self.config, self.tips).min(speed_mm_s);
         let target = Target { axis: AxisName::Z, position: z_mm, speed: Some(speed_mm_s) };
         self.watched_travel(control, &[target], Polled::AxesAndCells, until).await
     }
@@ -112,8 +114,8 @@ impl Stage {
     /// # Errors
     /// As `checked_travel`.
     pub async fn press_to(&mut self, control: &mut Control, z_mm: f64) -> Result<(), Halt> {
-        let speed_mm_s = self.stopping.press_speed_mm_s(&self.config, self.tips);
-        self.press_until(control, Descent { z_mm, speed_mm_s }, |_| false).await.map(|_| ())
+        let descent = Descent { z_mm, speed_mm_s: f64::INFINITY };
+        self.press_until(control, descent, |_| false).await.map(|_| ())
     }
 
     async fn watched_travel(

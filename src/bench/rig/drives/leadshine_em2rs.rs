@@ -65,9 +65,9 @@ fn trigger(word: u16) -> Request {
     Request::WriteRegister { address: TRIGGER, word }
 }
 
-/// Converts pulses/s to whole rpm, at least 1.
+/// Converts pulses/s to whole rpm, at least 1. Rounded down: the stopping distance of a press allows no more.
 fn rpm(pulses_per_s: f64, pulses_per_rev: u16) -> u16 {
-    to_count(pulses_per_s * 60.0 / f64::from(pulses_per_rev), RPM_MAX) as u16
+    to_count((pulses_per_s * 60.0 / f64::from(pulses_per_rev)).floor(), RPM_MAX) as u16
 }
 
 /// Converts pulses/s^2 to milliseconds per 1000 rpm, at least 1.
@@ -186,9 +186,10 @@ mod tests {
     }
 
     #[test]
-    fn slow_speeds_keep_at_least_one_rpm() {
+    fn a_speed_is_not_exceeded_and_is_at_least_one_rpm() {
         assert_eq!(rpm(10.0, 10_000), 1);
-        assert_eq!(rpm(6600.0, 10_000), 40);
+        assert_eq!(rpm(6600.0, 10_000), 39, "of 39.6");
+        assert_eq!(rpm(200_000.0, 10_000), 1200);
         assert_eq!(rpm(1e9, 10_000), 3000);
         assert_eq!(ms_per_1000_rpm(1.0, 10_000), 65_535);
     }
