@@ -315,7 +315,9 @@ impl<D: Drive> ModbusAxis<D> {
                 Command::Move(target) => (now.position - target).abs() <= self.profile.tolerance,
                 Command::Home | Command::Stop => false,
             };
-            if arrived || (stood && now.moving) {
+            // While the release of a stop is not complete, a motion is that of the travel which the stop left.
+            let is_released = !self.held.load(Ordering::SeqCst);
+            if is_released && (arrived || (stood && now.moving)) {
                 break;
             }
         }
