@@ -132,10 +132,10 @@ impl RigConfig {
         speed.min(self.axes.z.speed_mm_s)
     }
 
-    /// Longest time without a fresh sample of cells and positions while pressing, wall ms. By default one reply of the
-    /// cells may be lost: the wait for it, and two updates of the module, at least 200 ms, for its repetition.
+    /// Longest time without a fresh sample of cells and positions in a motion and while pressing, wall ms. By default
+    /// one reply may be lost: the longest wait for it, and two updates of the cells, at least 200 ms, for its repetition.
     pub fn sample_age_ms(&self) -> u64 {
-        let wait_ms = self.lines.get(&self.cells.line).map_or(0, LineConfig::timeout_ms);
+        let wait_ms = self.lines.values().map(LineConfig::timeout_ms).max().unwrap_or(0);
         let updates_ms = 2.0 * self.cells.update_ms / self.clock_rate;
         self.limits.sample_age_ms.unwrap_or(wait_ms + updates_ms.clamp(200.0, 1e6) as u64)
     }
@@ -209,10 +209,10 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_sample_may_be_as_old_as_one_lost_reply_of_the_cells_makes_it() {
+    fn a_sample_may_be_as_old_as_one_lost_reply_makes_it() {
         let text = include_str!("../../../experiments/rigs/iai-modbus-tcp.toml");
         let mut rig = RigConfig::from_toml("r.toml", text).unwrap();
-        assert_eq!(rig.sample_age_ms(), 500, "300 ms of its wire and two updates of 100 ms");
+        assert_eq!(rig.sample_age_ms(), 500, "300 ms of a wire and two updates of 100 ms");
         rig.cells.update_ms = 250.0;
         assert_eq!(rig.sample_age_ms(), 800);
         rig.cells.update_ms = 10.0;

@@ -143,7 +143,7 @@ impl Stage {
         let mut polled_s = self.clock.process_s();
         loop {
             control.attend()?;
-            let last = self.last_sample.map(|last| last.at);
+            let last = self.last_sample.map_or_else(|| self.clock.now(), |last| last.at);
             let (statuses, reading) =
                 self.in_time(control, last, self.poll(targets, polled)).await?;
             let now_s = self.clock.process_s();
@@ -251,36 +251,24 @@ impl Stage {
         Ok(z)
     }
 
-    /// Waits for readings while an axis moves, and meanwhile accepts requests. `last`: time of the sample of the cells
-    /// before, if they are read.
+    /// Waits for readings while an axis moves, and meanwhile accepts requests. `last`: time of the readings before.
     ///
     /// # Errors
-    /// Trips once that sample is too old, although the wire still waits for a reply; otherwise as the readings and as
+    /// Trips once those are too old, although a wire still waits for a reply; otherwise as the readings and as
     /// [`Control::attend`].
     async fn in_time<T>(
         &self,
         control: &mut Control,
-        last: Option<Instant>,
+        last: Instant,
         readings: impl Future<Output = Result<T, Halt>>,
     ) -> Result<T, Halt> {
         let limit_ms = self.config.sample_age_ms();
-        let is_late = async {
-            match last {
-                Some(at) => tokio::time::sleep_until(at + Duration::from_millis(limit_ms)).await,
-                None => std::future::pending().await,
-            }
-        };
-        let in_time = async {
-            tokio::select! {
-                biased;
-                readings = readings => readings,
-                () = is_late => {
-                    let words = "no sample of cells and axes, limits.sample_age_ms";
-                    Err(Halt::trip(TripKind::Stale, format!("{words} = {limit_ms}")))
-                }
-            }
-        };
-        control.attending(in_time).await?
+        let due = last + Duration::from_millis(limit_ms);
+        let readings = control.attending(tokio::time::timeout_at(due, readings)).await?;
+        readings.unwrap_or_else(|_late| {
+            let detail = format!("no sample of cells and axes, limits.sample_age_ms = {limit_ms}");
+            Err(Halt::trip(TripKind::Stale, detail))
+        })
     }
 
     async fn poll(
@@ -344,7 +332,7 @@ impl Stage {
         };
         let read = async { Ok::<_, Halt>(self.bench.cells.read().await?) };
         let both = try_join(is_up, read);
-        let ((), reading) = self.in_time(control, Some(self.clock.now()), both).await?;
+        let ((), reading) = self.in_time(control, self.clock.now(), both).await?;
         interlock::check_unloaded(&self.config.cells, self.tips, &reading, &self.tare_v)?;
         Ok(())
     }
