@@ -337,9 +337,15 @@ impl Stage {
         Ok(())
     }
 
-    /// Checks before a lateral motion or homing that z is measured clear of the surface, and that the cells do not
-    /// contradict it.
-    async fn require_clear(&self, control: &mut Control) -> Result<(), Halt> {
+    /// Checks before a lateral motion or homing, and before hands are called to the tips, that z is measured clear of the
+    /// surface, and that the cells do not contradict it.
+    ///
+    /// # Errors
+    /// A trip if not, or if a device does not reply; a request meanwhile.
+    pub(in crate::campaign) async fn require_clear(
+        &self,
+        control: &mut Control,
+    ) -> Result<(), Halt> {
         let z = control.attending(self.known_z()).await??;
         let tolerance = self.driven(AxisName::Z).tolerance;
         let clear = self.clear_z_mm();

@@ -48,13 +48,15 @@ impl Engine {
             Halt::Asked => self.note_suspension(),
             Halt::Checkpoint => {}
             // No person is called to tips that may be down, nor to an axis that may move.
-            Halt::Needs(Wanted::Tips { tips }) if !self.lets_hands_in() => {
-                let detail =
-                    format!("the tips are not raised and at rest for their change to {tips} tips");
-                self.control.latch(&Trip { kind: TripKind::Position, detail: detail.clone() });
-                self.suspend_for(PausedWhy::Trip, detail);
-            }
-            Halt::Needs(wanted) => self.need(wanted, attempts.not_measured.take()),
+            Halt::Needs(wanted) => match self.lets_hands_in(&wanted).await {
+                Ok(()) => self.need(wanted, attempts.not_measured.take()),
+                Err(halt) => {
+                    if let Some(trip) = halt.as_trip() {
+                        self.control.latch(trip);
+                        self.suspend_for(PausedWhy::Trip, trip.detail.clone());
+                    }
+                }
+            },
             // A placement is never given up: the person is asked again.
             Halt::Failed(reason) if job.plan.kind == Kind::RealRandom => {
                 self.note_attempt(job, &reason, attempts);
@@ -141,11 +143,25 @@ impl Engine {
         safe
     }
 
-    /// Whether the last safe end has raised the tips and stopped each axis.
-    fn lets_hands_in(&self) -> bool {
-        let status = self.control.inbox.status.borrow();
-        let end = status.rig.safe_end.as_ref();
-        end.is_some_and(|end| end.tips == Tips::Raised && end.is_stopped())
+    /// Checks before a tip change that the last safe end has raised the tips and stopped each axis, and that the cells do
+    /// not contradict it.
+    ///
+    /// # Errors
+    /// A trip if not; `Asked` after a request meanwhile.
+    async fn lets_hands_in(&mut self, wanted: &Wanted) -> Result<(), Halt> {
+        let Wanted::Tips { tips } = wanted else { return Ok(()) };
+        let is_safe = {
+            let status = self.control.inbox.status.borrow();
+            let end = status.rig.safe_end.as_ref();
+            end.is_some_and(|end| end.tips == Tips::Raised && end.is_stopped())
+        };
+        let stage = self.connection.as_ref().and_then(|c| c.stage.as_ref()).filter(|_| is_safe);
+        let Some(stage) = stage else {
+            let detail =
+                format!("the tips are not raised and at rest for their change to {tips} tips");
+            return Err(Halt::trip(TripKind::Position, detail));
+        };
+        stage.require_clear(&mut self.control).await
     }
 
     fn note_suspension(&mut self) {

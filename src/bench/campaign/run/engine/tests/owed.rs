@@ -120,13 +120,18 @@ async fn a_failed_attempt_is_not_repeated_before_each_axis_stands() {
 }
 
 #[tokio::test]
-async fn hands_are_called_to_raised_tips_only_once_each_axis_stands() {
+async fn hands_are_called_to_raised_tips_only_if_each_axis_stands_and_no_cell_reads_a_load() {
     let job = job();
-    for (is_moving, state) in
-        [(false, RunState::Paused(PausedWhy::TipChange)), (true, RunState::Paused(PausedWhy::Trip))]
-    {
+    for (is_moving, volts, why) in [
+        (false, 0.5, PausedWhy::TipChange),
+        (true, 0.5, PausedWhy::Trip),
+        // z repeats where it was.
+        (false, 1.0, PausedWhy::Trip),
+    ] {
         let axes = StandIns::default();
         let mut engine = engine(&axes);
+        engine.stage_mut().unwrap().tips = 1;
+        axes.cells.volts.lock()[0] = volts;
         engine.control.show(|status| status.run = Some(show::started(&job)));
         engine.control.begin(job.run).unwrap();
         axes.radial.status.lock().moving = is_moving;
@@ -134,8 +139,9 @@ async fn hands_are_called_to_raised_tips_only_once_each_axis_stands() {
         // Without a handle there is no request to wait for.
         let next = engine.decide(&job, wanted, &mut attempts, &mut 0).await;
         assert!(matches!(next, Next::Leave));
-        assert_eq!(engine.control.run(), state, "{is_moving}");
+        assert_eq!(engine.control.run(), RunState::Paused(why), "{is_moving} {volts}");
         let is_called = |status: &Status| status.run.as_ref().is_some_and(|r| r.wanted.is_some());
-        assert_eq!(is_called(&engine.control.inbox.status.borrow()), !is_moving);
+        let is_called = is_called(&engine.control.inbox.status.borrow());
+        assert_eq!(is_called, why == PausedWhy::TipChange);
     }
 }
