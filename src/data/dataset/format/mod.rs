@@ -23,15 +23,12 @@ use std::str::FromStr;
 
 use ::parquet::errors::ParquetError;
 use arrow_array::RecordBatch;
-use arrow_ipc::writer::{FileWriter, StreamWriter};
-use arrow_json::LineDelimitedWriter;
 use arrow_schema::{ArrowError, DataType, SchemaRef};
 use serde::{Deserialize, Serialize};
 use zip::result::ZipError;
 
 pub(super) use self::parquet::Writer as ParquetWriter;
 pub use columns::rows_per_batch;
-use stream::RowWriter;
 pub use stream::Stream;
 
 /// File format of rows. A new format is a variant with its row in the list, and its writer.
@@ -130,22 +127,6 @@ impl Format {
                 is_text: false,
             },
         }
-    }
-
-    /// Starts an output in a row format, and writes its header, if it has one.
-    fn writer<'w, W: Write + Send + 'w>(
-        self,
-        schema: &SchemaRef,
-        out: W,
-    ) -> Result<Box<dyn RowWriter<W> + 'w>, FormatError> {
-        Ok(match self {
-            Self::Parquet => Box::new(parquet::Writer::new(schema, out)?),
-            Self::Arrow => Box::new(StreamWriter::try_new(out, schema)?),
-            Self::Feather => Box::new(FileWriter::try_new(out, schema)?),
-            Self::Csv => Box::new(csv::Writer::new(schema, out)?),
-            Self::Ndjson => Box::new(LineDelimitedWriter::new(out)),
-            Self::Npz => return Err(FormatError::NotAStream),
-        })
     }
 
     /// Splits the name of a file at the dot before its ending: the extension of a format or, if it is of
