@@ -226,7 +226,7 @@ mod tests {
             line("form with a model", bytes(MODEL_MAX_BYTES), "413"),
             line("import", bytes(IMPORT_MAX_BYTES), "413"),
             line("trials of an import", IMPORTED_TRIALS_MAX.to_string(), "400"),
-            line("free space that imports, datasets and exports leave to runs: at least", bytes(KEPT_FREE_BYTES as usize), "507; exports: the task fails"),
+            line("free space that imports, datasets, exports and questions in SQL leave to runs: at least", bytes(KEPT_FREE_BYTES as usize), "507; exports: the task fails"),
             line("text part of a form", bytes(PART_MAX_BYTES), "413"),
             line("name of a person, holder, key or model", format!("{WHO_MAX_CHARS} characters"), "422; in the log of actions: cut"),
             line("name of an experiment", format!("{NAME_MAX_CHARS} characters"), "422"),
