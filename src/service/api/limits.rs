@@ -194,7 +194,7 @@ mod tests {
             line("contacts of a simulation", n(SIMULATED_CONTACTS), "422"),
             line("force of a contact of a simulation", format!("{FORCE_MAX_N} N"), "422"),
             line("wait for the turn of a preflight, a simulation or an inference", seconds(TURN_WAIT), "503"),
-            line("queries in progress", n(QUERIES), "the request waits, then 503 with Retry-After"),
+            line("queries in progress", format!("{QUERIES}; while a run is driven 1, with one thread"), "the request waits, then 503 with Retry-After"),
             line("statement of a query", bytes(SQL_MAX_BYTES), "400"),
             line("time of a query, without sending its rows", seconds(TIME_MAX), "400"),
             line("memory of the engine of a query", bytes(MEMORY_MAX_BYTES as usize), "400"),
