@@ -274,7 +274,7 @@ async fn a_query_ends_when_its_client_leaves() {
     let further = Box::pin(lab.post("/api/v1/query", short));
     let waits = timeout(some_time, select(&mut asked, further)).await.is_err();
     assert!(waits, "answered while all turns are taken");
-    // All clients leave. If a query went on, the next one would be refused after 10 s.
+    // All clients leave. If a query continued, the next one would be refused after 10 s.
     drop(asked);
     assert_eq!(number(&lab, "SELECT count(*) AS n FROM runs").await, json!(2));
     lab.close().await;
