@@ -5,7 +5,7 @@ use std::fs::File;
 use std::io::{BufRead, BufReader, Cursor, Read, Write};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus, Stdio};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use palpate_words::query_lines::{Answer, Form, LINES_VERSION, Order, Table};
 use polars::prelude::*;
@@ -385,13 +385,6 @@ impl Killer {
         let _ = self.stop.send(());
         self.thread.join().expect("a thread")
     }
-}
-
-/// Seconds that something takes.
-pub fn seconds<T>(work: impl FnOnce() -> T) -> (f64, T) {
-    let begun = Instant::now();
-    let result = work();
-    (begun.elapsed().as_secs_f64(), result)
 }
 
 /// Rows as text: a line for each, values separated by ` | `.
