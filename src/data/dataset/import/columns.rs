@@ -122,39 +122,31 @@ fn fraction(found: &ArrayRef, wanted: &DataType) -> Option<f64> {
 /// The column of contacts: lists of structs with any of four fields of any numeric type.
 fn contacts(file: &str, batch: &RecordBatch) -> Result<Option<ArrayRef>, Problem> {
     let Some(found) = batch.column_by_name(CONTACTS) else { return Ok(None) };
-    let item = match found.data_type() {
-        DataType::List(item) | DataType::LargeList(item) | DataType::FixedSizeList(item, _) => item,
-        _ => return Err(wrong_contacts(file, found)),
+    let is_known = |field: &Arc<Field>| {
+        let kind = field.data_type();
+        CONTACT_FIELDS.contains(&field.name().as_str())
+            && (kind.is_numeric() || *kind == DataType::Null)
     };
-    match item.data_type() {
-        // A file whose trials are all untouched.
-        DataType::Null => cast(found, &DataType::LargeList(Arc::new(empty_contact())))
-            .map(Some)
-            .map_err(|_| wrong_contacts(file, found)),
-        DataType::Struct(fields) => {
-            let known = |field: &Arc<Field>| {
-                let numeric =
-                    field.data_type().is_numeric() || *field.data_type() == DataType::Null;
-                CONTACT_FIELDS.contains(&field.name().as_str()) && numeric
-            };
-            if !fields.iter().all(known) {
-                return Err(wrong_contacts(file, found));
+    let wanted = match found.data_type() {
+        DataType::List(item) | DataType::LargeList(item) | DataType::FixedSizeList(item, _) => {
+            match item.data_type() {
+                // A file whose trials are all untouched.
+                DataType::Null => Some(Arc::new(empty_contact())),
+                DataType::Struct(fields) if fields.iter().all(is_known) => Some(item.clone()),
+                _ => None,
             }
-            cast(found, &DataType::LargeList(item.clone()))
-                .map(Some)
-                .map_err(|_| wrong_contacts(file, found))
         }
-        _ => Err(wrong_contacts(file, found)),
-    }
+        _ => None,
+    };
+    let read = wanted.and_then(|item| cast(found, &DataType::LargeList(item)).ok());
+    read.map(Some).ok_or_else(|| {
+        let limit = "must be lists of {x_mm, y_mm, force_n, diameter_mm}, all numbers, each of which may \
+                     be null or absent";
+        Problem::new(file, CONTACTS, found.data_type(), limit)
+    })
 }
 
 /// Element type of contacts without fields.
 fn empty_contact() -> Field {
     Field::new("item", DataType::Struct(Vec::<Field>::new().into()), true)
-}
-
-fn wrong_contacts(file: &str, found: &ArrayRef) -> Problem {
-    let limit = "must be lists of {x_mm, y_mm, force_n, diameter_mm}, all numbers, each of which may be \
-                 null or absent";
-    Problem::new(file, CONTACTS, found.data_type(), limit)
 }

@@ -135,6 +135,15 @@ impl<'a> Reader<'a> {
         self.problems.push(Problem::new(self.file, &key, value, limit));
     }
 
+    /// A count; `None` if it is out of range, which is a problem.
+    fn count(&mut self, column: &str, number: i64) -> Option<u32> {
+        let count = u32::try_from(number).ok();
+        if count.is_none() {
+            self.wrong(column, "out of range", "must be a whole number from 0 to 4294967295");
+        }
+        count
+    }
+
     fn trial(&mut self, columns: &Columns, at: usize) -> Option<ImportedTrial> {
         let before = self.problems.len();
         let measured = self.measured(columns, at);
@@ -147,33 +156,22 @@ impl<'a> Reader<'a> {
             let column = column.as_ref()?;
             (!column.is_null(at)).then(|| column.as_primitive::<Int64Type>().value(at))
         };
-        let configuration = whole(&columns.configuration);
-        let configuration = u32::try_from(configuration.unwrap_or(self.row as i64));
-        let depth_index = u32::try_from(whole(&columns.depth_index).unwrap_or(0));
+        let configuration = whole(&columns.configuration).unwrap_or(self.row as i64);
+        let configuration = self.count("configuration", configuration);
+        let depth_index = self.count("depth_index", whole(&columns.depth_index).unwrap_or(0));
         let tips = whole(&columns.tips).map(u8::try_from).transpose();
-        let limit = "must be a whole number from 0 to 4294967295";
-        if configuration.is_err() {
-            self.wrong("configuration", "out of range", limit);
-        }
-        if depth_index.is_err() {
-            self.wrong("depth_index", "out of range", limit);
-        }
         if tips.is_err() {
             self.wrong("tips", "out of range", "must be from 0 to 255");
         }
-        let stated = u32::try_from(whole(&columns.frame_count).unwrap_or(0));
-        if stated.is_err() {
-            self.wrong(FRAME_COUNT, "out of range", limit);
-        }
+        let stated = self.count(FRAME_COUNT, whole(&columns.frame_count).unwrap_or(0));
         let stated = stated.unwrap_or(0);
         let raw = measured.as_ref().map_or(0, |(_, frames_v)| frames_v.len() as u32);
         if raw > 0 && stated > 0 && raw != stated {
             self.wrong(FRAME_COUNT, stated, format!("must be the {raw} frames of {FRAMES_V}"));
         }
-        let has_key = configuration.is_ok() && depth_index.is_ok();
-        let (configuration, depth_index, tips) =
-            (configuration.unwrap_or(0), depth_index.unwrap_or(0), tips.ok().flatten());
-        if has_key && !self.keys.insert((configuration, depth_index)) {
+        if let (Some(configuration), Some(depth_index)) = (configuration, depth_index)
+            && !self.keys.insert((configuration, depth_index))
+        {
             let value = format!("{configuration}, {depth_index}");
             self.wrong("configuration, depth_index", value, "must occur once in a file");
         }
@@ -212,10 +210,10 @@ impl<'a> Reader<'a> {
             (apart.rmse_v, apart.fvu)
         });
         Some(ImportedTrial {
-            configuration,
-            depth_index,
+            configuration: configuration?,
+            depth_index: depth_index?,
             depth_mm,
-            tips,
+            tips: tips.ok().flatten(),
             contacts,
             sim_voltages_v,
             fit: fit.filter(|(rmse_v, _)| rmse_v.is_finite()),
