@@ -246,6 +246,8 @@ pub struct Bounds {
     pub memory_max_bytes: u64,
     /// Longest time.
     pub time_max: Duration,
+    /// Threads of polars.
+    pub threads: usize,
 }
 
 /// Bounds of the service.
@@ -253,6 +255,7 @@ pub const BOUNDS: Bounds = Bounds {
     rows_max: ROWS_MAX,
     memory_max_bytes: MEMORY_MAX_BYTES,
     time_max: Duration::from_secs(60),
+    threads: 2,
 };
 
 /// A started program.
@@ -266,7 +269,7 @@ impl Engine {
     /// Starts the program as the service does, and sends an order.
     pub fn start(sql: &str, bounds: Bounds) -> Self {
         let mut child = Command::new(PROGRAM)
-            .env("POLARS_MAX_THREADS", "2")
+            .env("POLARS_MAX_THREADS", bounds.threads.to_string())
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())
             .stderr(Stdio::piped())
