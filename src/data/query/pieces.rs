@@ -1,7 +1,7 @@
 //! The trials of a run without a current dataset, as Parquet files of 1000 trials and for the rest of 100,
 //! which are kept: a query writes only those whose trials or twins have changed. During a run that is the
 //! last one, and a trial's commit must not wait for it: no piece is synced to the disk.
-//! Uses: `store`, `dataset::{batch, format}`. Never: a piece that changes (its name is a hash of what is
+//! Uses: `store`, `dataset::{batch, format, space}`. Never: a piece that changes (its name is a hash of what is
 //! in it), a piece of an earlier process (one that a power failure has cut would be read as it is).
 
 use std::io::ErrorKind;
