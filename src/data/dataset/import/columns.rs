@@ -20,6 +20,38 @@ pub(super) const TAG: &str = "tag";
 /// Fields of a contact, in their order in an array.
 pub(super) const CONTACT_FIELDS: [&str; 4] = ["x_mm", "y_mm", "force_n", "diameter_mm"];
 
+/// Type of the values of a column with one value per trial.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Scalar {
+    /// Real numbers in double precision.
+    Number,
+    /// Times, ms since 1970, UTC.
+    Time,
+    /// One text per trial.
+    Text,
+    /// Lists of words per trial, such as flags.
+    Words,
+}
+
+/// Columns with one value per trial.
+pub(super) const SCALARS: [(&str, Scalar); 9] = [
+    ("configuration", Scalar::Number),
+    ("depth_index", Scalar::Number),
+    ("depth_mm", Scalar::Number),
+    ("tips", Scalar::Number),
+    ("flags", Scalar::Words),
+    ("started_at", Scalar::Time),
+    (FRAME_COUNT, Scalar::Number),
+    (SPLIT, Scalar::Text),
+    (TAG, Scalar::Text),
+];
+
+/// Whether an import reads the column with this name.
+pub(super) fn is_read(name: &str) -> bool {
+    [VOLTAGES_V, FRAMES_V, SIM_VOLTAGES_V, CONTACTS].contains(&name)
+        || SCALARS.iter().any(|(known, _)| *known == name)
+}
+
 /// A value as f64; `None` if it is null or NaN.
 pub(super) fn known(column: &ArrayRef, at: usize) -> Option<f64> {
     let column = cast(column, &DataType::Float64).ok()?;

@@ -9,7 +9,7 @@ use arrow_array::{Array, ArrayRef, RecordBatch};
 use arrow_schema::Schema;
 use jiff::Timestamp;
 
-use super::columns::{CONTACT_FIELDS, Columns, FRAMES_V, TAG, known};
+use super::columns::{CONTACT_FIELDS, Columns, FRAMES_V, TAG, is_read, known};
 use super::coordinates::Coordinates;
 use super::sensor::ImportedSensor;
 use crate::dataset::schema::{FRAME_COUNT, SPLIT, VOLTAGES_V};
@@ -24,31 +24,10 @@ use crate::store::{
 };
 use crate::syntax::PROBLEMS_MAX;
 
-/// Columns that are read.
-const READ: [&str; 13] = [
-    VOLTAGES_V,
-    FRAMES_V,
-    SIM_VOLTAGES_V,
-    CONTACTS,
-    "configuration",
-    "depth_index",
-    "depth_mm",
-    "tips",
-    "flags",
-    "started_at",
-    FRAME_COUNT,
-    SPLIT,
-    TAG,
-];
 /// Largest valid force of a contact, N.
 const IMPORTED_FORCE_MAX_N: f64 = 100_000.0;
 /// Largest plausible magnitude of a voltage, V: beyond it the unit is another one, such as mV or counts.
 const VOLTAGE_MAX_V: f32 = 1000.0;
-
-/// Whether an import reads the column with this name.
-pub fn is_read(name: &str) -> bool {
-    READ.contains(&name)
-}
 
 /// Names of the columns of a file that an import reads.
 pub fn read(schema: &Schema) -> Vec<String> {
