@@ -128,8 +128,7 @@ impl Source {
     pub fn batches(self) -> Result<Batches, DatasetError> {
         Ok(match self.content {
             Content::Parquet(parquet) => {
-                let used =
-                    |(at, field): (usize, &FieldRef)| is_read(field.name()).then_some(at);
+                let used = |(at, field): (usize, &FieldRef)| is_read(field.name()).then_some(at);
                 let fields = self.schema.fields().iter().enumerate();
                 let used: Vec<usize> = fields.filter_map(used).collect();
                 let mask = ProjectionMask::roots(parquet.parquet_schema(), used);
