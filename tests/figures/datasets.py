@@ -1,10 +1,10 @@
-"""Figures of datasets: filters, pages, exports, joins, side by side with what one would do instead.
+"""Figures of datasets: first building, exports, joins, and an export that is killed (`questions.py`: questions and pages).
 
     cargo run --example fill_database -- --data DATA_DIR
     python3 tests/figures/datasets.py PALPATE_BINARY DATA_DIR [PART ..]
 
-Needs pandas, polars, duckdb and pyarrow. Starts the service on the filled folder and a rig that is not
-there; removes DATA_DIR/datasets and DATA_DIR/exports first. Parts: query, pages, export, join, kill; all
+Needs polars. Starts the service on the filled folder and a rig that is not
+there; removes DATA_DIR/datasets and DATA_DIR/exports first. Parts: export, join, kill; all
 without any. Each time is the best of some repetitions with the files in the page cache, unless it is
 said to be of one. Memory is the VmHWM of a service that was started for this step. Prints Markdown.
 """
@@ -20,19 +20,13 @@ import time
 import urllib.request
 from pathlib import Path
 
-import duckdb
-import pandas as pd
 import polars as pl
-import pyarrow as pa
 
 BINARY, DATA = Path(sys.argv[1]).resolve(), Path(sys.argv[2]).resolve()
-PARTS = sys.argv[3:] or ["query", "pages", "export", "join", "kill"]
+PARTS = sys.argv[3:] or ["export", "join", "kill"]
 RIG = Path(__file__).parents[2] / "experiments" / "rigs" / "virtual.toml"
-PORT, REPETITIONS, PAGE, WAIT_S = 18180, 5, 100, 1200
+PORT, REPETITIONS, WAIT_S = 18180, 3, 1200
 WORK = Path(tempfile.mkdtemp(prefix="palpate-figures-"))
-ASKED = "contact_count=3&max_force_n__gt=10"
-SQL = "contact_count = 3 AND max_force_n > 10"
-LIMIT = 10_000
 SIM_RANDOM = 200_000
 
 
@@ -101,9 +95,9 @@ def timed(work, *arguments):
     return time.perf_counter() - begun, answer
 
 
-def best(work, *arguments, repetitions: int = REPETITIONS):
+def best(work, *arguments):
     """The least time, and the last answer."""
-    took = [timed(work, *arguments) for _ in range(repetitions)]
+    took = [timed(work, *arguments) for _ in range(REPETITIONS)]
     return min(seconds for seconds, _ in took), took[-1][1]
 
 
@@ -115,11 +109,6 @@ def table(title: str, columns: list[str], rows: list[list]) -> None:
     print(f"\n{title}\n\n| {' | '.join(columns)} |\n|{'---|' * len(columns)}")
     for row in rows:
         print(f"| {' | '.join(map(str, row))} |", flush=True)
-
-
-def in_memory(connection, sql: str) -> pa.Table:
-    answer = connection.execute(sql).arrow()
-    return answer if isinstance(answer, pa.Table) else answer.read_all()
 
 
 def downloaded(service: Service, path: str, name: str) -> Path:
@@ -142,58 +131,12 @@ def first_building(service: Service, name: str) -> dict:
     return row
 
 
-def query(service: Service, ours: str, theirs: str) -> None:
-    path = f"/api/v1/trials?{ASKED}&voltages=true&limit={LIMIT}&format=arrow"
-    # What is fetched is a table in memory, as with the others.
-    fetch = lambda path: pa.ipc.open_stream(service.get(path)).read_all()
-    connection = duckdb.connect()
-    where = (pl.col("contact_count") == 3) & (pl.col("max_force_n") > 10)
-    filters = [("contact_count", "==", 3), ("max_force_n", ">", 10)]
-    for limit in [LIMIT, PAGE]:
-        seconds, found = best(fetch, path.replace(f"limit={LIMIT}", f"limit={limit}"))
-        rows = [["Palpate, `/api/v1/trials`, Arrow", shown(seconds), "1"]]
-        for words, file in [("our Parquet", ours), ("polars' own Parquet", theirs)]:
-            sql = f"SELECT * FROM '{file}' WHERE {SQL} ORDER BY trial_id LIMIT {limit}"
-            for tool, work in [
-                ("DuckDB", lambda: in_memory(connection, sql)["trial_id"].to_pylist()),
-                ("polars, lazy", lambda: pl.scan_parquet(file).filter(where).head(limit).collect()["trial_id"].to_list()),
-                ("pandas", lambda: list(pd.read_parquet(file, filters=filters)["trial_id"][:limit])),
-            ]:
-                took, ids = best(work, repetitions=3)
-                same = ids == found["trial_id"].to_pylist()
-                rows.append([f"{tool} on {words}", shown(took), f"{took / seconds:.1f}" + ("" if same else " OTHER ROWS")])
-        title = f"Three contacts and more than 10 N, all columns, both frames: the first {found.num_rows:,} such trials"
-        table(title, ["", "best", "times ours"], rows)
-
-
-def pages(service: Service, ours: str, total: int) -> None:
-    connection, rows = duckdb.connect(), []
-    first = service.json("/api/v1/trials?limit=1")["items"][0]["trial_id"]
-    scalars = "EXCLUDE (voltages_v, sim_voltages_v)"
-    for share in [0, 0.25, 0.5, 0.75, 0.99]:
-        offset = int(share * total)
-        after = f"limit={PAGE}&trial_id__gt={first - 1 + offset}"
-        path = f"/api/v1/trials?{after}"
-        json_s, page = best(service.json, path, repetitions=20)
-        arrow_s, _ = best(service.get, f"{path}&format=arrow", repetitions=20)
-        rows_s, _ = best(service.get, f"/api/v1/datasets/run-1/rows?{after}&format=arrow")
-        sql = f"SELECT * {scalars} FROM '{ours}' LIMIT {PAGE} OFFSET {offset}"
-        duckdb_s, same = best(in_memory, connection, sql)
-        lazy = pl.scan_parquet(ours).select(pl.exclude("voltages_v", "sim_voltages_v")).slice(offset, PAGE)
-        polars_s, _ = best(lazy.collect)
-        ids = [row["trial_id"] for row in page["items"]]
-        words = "" if ids == same["trial_id"].to_pylist() else " OTHER ROWS"
-        rows.append([f"{offset:,}{words}", *map(shown, [json_s, arrow_s, rows_s, duckdb_s, polars_s])])
-    columns = ["from row", "`/trials`, JSON", "`/trials`, Arrow", "`/rows`, frames too", "DuckDB OFFSET", "polars slice"]
-    table(f"A page of {PAGE} trials", columns, rows)
-
-
 def export(service: Service, ours: str, frame: pl.DataFrame) -> None:
     theirs = WORK / "written.parquet"
     service.restart()
-    ours_s, _ = best(downloaded, service, "/api/v1/data/run-1.parquet", "fetched.parquet", repetitions=3)
+    ours_s, _ = best(downloaded, service, "/api/v1/data/run-1.parquet", "fetched.parquet")
     memory = service.memory_mb()
-    polars_s, _ = best(frame.write_parquet, theirs, repetitions=3)
+    polars_s, _ = best(frame.write_parquet, theirs)
     rows = [
         ["Palpate, cached Parquet to a file", shown(ours_s), f"{Path(ours).stat().st_size / 1e6:.0f} MB", f"{memory:.0f} MB"],
         ["polars, `write_parquet` of the frame in memory", shown(polars_s), f"{theirs.stat().st_size / 1e6:.0f} MB", "the frame"],
@@ -275,23 +218,13 @@ def clear_exports() -> None:
 def main() -> None:
     clear_exports()
     shutil.rmtree(DATA / "datasets", ignore_errors=True)
-    for module in [duckdb, pl, pd, pa]:
-        print(f"{module.__name__} {module.__version__}", end=", ")
-    print(f"best of {REPETITIONS} or more")
+    print(f"polars {pl.__version__}, best of {REPETITIONS}")
     service = Service()
     try:
         row = first_building(service, "run-1")
-        ours = str(downloaded(service, row["url"], "run-1.parquet"))
-        frame = pl.read_parquet(ours) if {"query", "export"} & set(PARTS) else None
-        if "query" in PARTS:
-            theirs = str(WORK / "polars.parquet")
-            frame.write_parquet(theirs)
-            query(service, ours, theirs)
-        if "pages" in PARTS:
-            pages(service, ours, row["rows"])
         if "export" in PARTS:
-            export(service, ours, frame)
-        del frame
+            ours = str(downloaded(service, row["url"], "run-1.parquet"))
+            export(service, ours, pl.read_parquet(ours))
         if "join" in PARTS:
             join(service)
         if "kill" in PARTS:

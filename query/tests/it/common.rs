@@ -5,7 +5,7 @@ use std::fs::File;
 use std::io::{BufRead, BufReader, Cursor, Read, Write};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus, Stdio};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use palpate_words::query_lines::{Answer, Form, LINES_VERSION, Order, Table};
 use polars::prelude::*;
@@ -246,6 +246,8 @@ pub struct Bounds {
     pub memory_max_bytes: u64,
     /// Longest time.
     pub time_max: Duration,
+    /// Threads of polars.
+    pub threads: usize,
 }
 
 /// Bounds of the service.
@@ -253,6 +255,7 @@ pub const BOUNDS: Bounds = Bounds {
     rows_max: ROWS_MAX,
     memory_max_bytes: MEMORY_MAX_BYTES,
     time_max: Duration::from_secs(60),
+    threads: 2,
 };
 
 /// A started program.
@@ -266,7 +269,7 @@ impl Engine {
     /// Starts the program as the service does, and sends an order.
     pub fn start(sql: &str, bounds: Bounds) -> Self {
         let mut child = Command::new(PROGRAM)
-            .env("POLARS_MAX_THREADS", "2")
+            .env("POLARS_MAX_THREADS", bounds.threads.to_string())
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())
             .stderr(Stdio::piped())
@@ -385,13 +388,6 @@ impl Killer {
         let _ = self.stop.send(());
         self.thread.join().expect("a thread")
     }
-}
-
-/// Seconds that something takes.
-pub fn seconds<T>(work: impl FnOnce() -> T) -> (f64, T) {
-    let begun = Instant::now();
-    let result = work();
-    (begun.elapsed().as_secs_f64(), result)
 }
 
 /// Rows as text: a line for each, values separated by ` | `.

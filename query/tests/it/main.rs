@@ -6,5 +6,4 @@ mod hostile;
 mod mistakes;
 mod page;
 mod process;
-mod speed;
 mod tables;

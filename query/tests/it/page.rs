@@ -1,7 +1,7 @@
 //! The examples of the manual of SQL.
 //! Uses: `common`, `docs/query-sql.md`. Never: an example that is not run.
 
-use crate::common::{BOUNDS, Folder, Outcome, Trials, ask, tables};
+use crate::common::{BOUNDS, Bounds, Folder, Outcome, Trials, ask, tables};
 
 const DOCUMENT: &str = include_str!("../../../docs/query-sql.md");
 
@@ -27,12 +27,14 @@ fn every_example_of_the_page_has_rows() {
     let known = tables(&[path], "run-3");
     let examples = examples();
     assert!(examples.len() > 50, "{}", examples.len());
-    let failures: Vec<String> = examples
-        .iter()
-        .filter_map(|sql| match ask(sql, &known, BOUNDS) {
+    let mut failures = Vec::new();
+    // One thread: as the service asks during a run.
+    for threads in [2, 1] {
+        let bounds = Bounds { threads, ..BOUNDS };
+        failures.extend(examples.iter().filter_map(|sql| match ask(sql, &known, bounds) {
             Outcome::Rows(rows) if rows.height() > 0 => None,
-            other => Some(format!("{sql}\n    {other:?}")),
-        })
-        .collect();
+            other => Some(format!("{sql}, {threads} threads\n    {other:?}")),
+        }));
+    }
     assert!(failures.is_empty(), "{}", failures.join("\n"));
 }

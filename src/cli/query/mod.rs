@@ -4,7 +4,7 @@
 use std::io::{IsTerminal, Write};
 use std::path::Path;
 use std::path::PathBuf;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use clap::Args;
 use clap::builder::{PossibleValuesParser, TypedValueParser};
@@ -28,6 +28,8 @@ mod prepared;
 
 pub use plot::{PlotArgs, plot};
 
+/// Longest time for which a question is asked again: twice the build of the engine on two cores.
+const ENGINE_WAIT: Duration = Duration::from_secs(1200);
 /// Interval of polling while the engine is built.
 const ENGINE_POLL: Duration = Duration::from_secs(2);
 /// Time for sending a result, in addition to that of the query.
@@ -157,9 +159,10 @@ pub async fn ask<T: serde::de::DeserializeOwned>(client: &Client, sql: &str) -> 
 async fn send(client: &Client, body: &Value) -> CliResult<reqwest::Response> {
     let client = client.patient(TIME_MAX + SENDING).showing("evaluating the query");
     let mut building = None;
+    let until = Instant::now() + ENGINE_WAIT;
     loop {
         match client.send(Method::POST, "/api/v1/query", Some(body)).await {
-            Err(CliError::Refused { status: 503, detail, .. }) => {
+            Err(CliError::Refused { status: 503, detail, .. }) if Instant::now() < until => {
                 if building.is_none() {
                     building = Some(Working::on(&detail));
                 }

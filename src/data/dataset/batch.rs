@@ -12,6 +12,7 @@ use arrow_array::{
     StructArray, TimestampMillisecondArray, UInt8Array, UInt32Array, new_null_array,
 };
 use arrow_buffer::OffsetBuffer;
+use arrow_cast::cast;
 use arrow_schema::{ArrowError, DataType, Field, SchemaRef};
 use jiff::Timestamp;
 
@@ -55,7 +56,8 @@ pub fn of_shard(
     let columns = schema.fields().iter().map(|field| {
         let name = field.name().as_str();
         Ok(match shard.column_by_name(name) {
-            Some(column) if name == base::CONTACTS => nullable_contacts(column)?,
+            // Its fields are nullable in the trials table.
+            Some(column) if name == base::CONTACTS => cast(column, field.data_type())?,
             Some(column) => column.clone(),
             None => match name {
                 schema::SPLIT => {
@@ -67,21 +69,6 @@ pub fn of_shard(
         })
     });
     RecordBatch::try_new(schema.clone(), columns.collect::<Result<_, ArrowError>>()?)
-}
-
-/// Contacts of a shard, with the nullable fields of the trials table.
-fn nullable_contacts(column: &ArrayRef) -> Result<ArrayRef, ArrowError> {
-    use arrow_array::cast::AsArray;
-    let lists = column.as_list::<i32>();
-    let contacts = lists.values().as_struct();
-    let element = schema::contact_element();
-    let DataType::Struct(fields) = element.data_type() else {
-        return Err(ArrowError::SchemaError("contacts must be a list of structs".into()));
-    };
-    let values = StructArray::try_new(fields.clone(), contacts.columns().to_vec(), None)?;
-    let list =
-        ListArray::try_new(Arc::new(element), lists.offsets().clone(), Arc::new(values), None)?;
-    Ok(Arc::new(list))
 }
 
 fn column(field: &Field, rows: &[Row]) -> Result<ArrayRef, ArrowError> {

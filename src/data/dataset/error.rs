@@ -110,6 +110,8 @@ pub enum Product {
     Export,
     /// An uploaded file and its trials.
     Import,
+    /// Stored trials as a file that questions in SQL read.
+    Piece,
 }
 
 impl fmt::Display for Product {
@@ -118,6 +120,7 @@ impl fmt::Display for Product {
             Self::Dataset => "a dataset",
             Self::Export => "an export",
             Self::Import => "an import",
+            Self::Piece => "a file of trials for questions",
         })
     }
 }

@@ -256,15 +256,7 @@ fn sensor(metadata: &ArrowReaderMetadata) -> Option<&str> {
 }
 
 fn skin(metadata: &ArrowReaderMetadata) -> Skin {
-    #[derive(serde::Deserialize)]
-    struct Extent {
-        width_mm: f64,
-        height_mm: f64,
-    }
-    match sensor(metadata).and_then(|text| toml::from_str::<Extent>(text).ok()) {
-        Some(Extent { width_mm, height_mm }) => Skin { width_mm, height_mm },
-        None => PAPER_SKIN,
-    }
+    sensor(metadata).and_then(|text| toml::from_str(text).ok()).unwrap_or(PAPER_SKIN)
 }
 
 impl Rows for DatasetRows {

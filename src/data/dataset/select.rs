@@ -38,8 +38,8 @@ pub struct Wanted {
     pub slice: Option<String>,
 }
 
-/// Extent of a skin, mm.
-#[derive(Debug, Clone, Copy, PartialEq)]
+/// Extent of a skin, mm, as its sensor file states it.
+#[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
 pub struct Skin {
     /// Extent along x, mm.
     pub width_mm: f64,

@@ -27,8 +27,8 @@ pub static QUERY: Known = Known {
 };
 /// Largest memory of an engine, bytes.
 pub const MEMORY_MAX_BYTES: u64 = 2 << 30;
-/// Threads of an engine.
-const ENGINE_THREADS: usize = 2;
+/// Threads of an engine, unless a run is driven.
+pub const ENGINE_THREADS: usize = 2;
 /// The signals of a failed allocation, and of a stack that is too small.
 const ABORT: i32 = 6;
 const SEGV: i32 = 11;
@@ -86,7 +86,7 @@ pub struct Engine {
 }
 
 impl Engine {
-    /// Starts an engine on a statement; returns it with the tables that the statement reads.
+    /// Starts an engine with this number of threads on a statement; returns it with the tables that the statement reads.
     ///
     /// # Errors
     /// `QueryError::Refused` if the statement is invalid, `Talk` or `Ended` if the engine fails.
@@ -94,10 +94,11 @@ impl Engine {
         program: &Path,
         sql: &str,
         rows_max: u64,
+        threads: usize,
     ) -> Result<(Self, Vec<String>), QueryError> {
         let mut command = Command::new(program);
         withhold(command.as_std_mut());
-        command.env("POLARS_MAX_THREADS", ENGINE_THREADS.to_string());
+        command.env("POLARS_MAX_THREADS", threads.to_string());
         command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped());
         // Ctrl-C in a terminal is for the service.
         command.process_group(0).kill_on_drop(true);

@@ -3,8 +3,6 @@
 //! PURE. Uses: `store`'s columns and conditions. Never: a text of a request inside a statement, except
 //! quoted.
 
-use std::fmt;
-
 use crate::dataset::sort::Sort;
 use crate::store::table::{self, Column, Kind};
 use crate::store::{Condition, TrialQuery};
@@ -17,45 +15,43 @@ const FRAME_PLACES: [&str; 3] = ["injection", "pair", "position"];
 const FVU_OF_VOLTAGES: &str = "AVG(POWER(CAST(voltage_v AS DOUBLE) - sim_voltage_v, 2)) / \
                    (AVG(POWER(CAST(voltage_v AS DOUBLE), 2)) - POWER(AVG(CAST(voltage_v AS DOUBLE)), 2))";
 
-/// What a group has in common.
-#[derive(Debug, Clone, PartialEq)]
-enum Key {
-    /// A value of a column.
-    Value(&'static str),
-    /// A range of values of a column; holds its width, in the unit of the column.
-    Bin(&'static str, f64),
-    /// A place of voltages in their frames.
-    Place(&'static str),
+/// Aggregates of a column: name, whether the column must hold numbers, and expression; in double precision,
+/// whatever the column has.
+const FUNCTIONS: [(&str, bool, &str); 7] = [
+    ("count", false, "COUNT(COLUMN)"),
+    ("mean", true, "AVG(CAST(COLUMN AS DOUBLE))"),
+    ("min", false, "MIN(COLUMN)"),
+    ("max", false, "MAX(COLUMN)"),
+    ("sum", true, "SUM(CAST(COLUMN AS DOUBLE))"),
+    ("median", true, "MEDIAN(COLUMN)"),
+    ("std", true, "STDDEV(CAST(COLUMN AS DOUBLE))"),
+];
+
+/// What a column of the result is made from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Source {
+    /// A column of rows.
+    Rows,
+    /// Voltages, or their places in the frames.
+    Voltages,
+    /// Either of them: their number.
+    Any,
 }
 
-/// A value of a group.
-#[derive(Debug, Clone, Copy, PartialEq)]
-enum Function {
-    Count,
-    Mean,
-    Min,
-    Max,
-    Sum,
-    Median,
-    Std,
-    /// Quantile of this many percent.
-    Quantile(u8),
-    /// Of voltages, without a column.
-    Fvu,
-}
-
-/// A value of a group, of a column or (count, FVU) of its rows.
+/// A column of the result: what a group has in common, or an aggregate.
 #[derive(Debug, Clone, PartialEq)]
-struct Aggregate {
-    function: Function,
-    column: Option<&'static str>,
+struct Part {
+    name: String,
+    /// Its expression.
+    sql: String,
+    source: Source,
 }
 
 /// Groups, their aggregates, and their order.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Grouping {
-    keys: Vec<Key>,
-    aggregates: Vec<Aggregate>,
+    keys: Vec<Part>,
+    aggregates: Vec<Part>,
     sort: Vec<(String, bool)>,
 }
 
@@ -76,12 +72,7 @@ impl Grouping {
             let named =
                 |limit: String| if part == value { limit } else { format!("{part}: {limit}") };
             match key {
-                "group_by" => {
-                    self.keys.push(match FRAME_PLACES.into_iter().find(|place| *place == part) {
-                        Some(place) => Key::Place(place),
-                        None => Key::Value(comparable(part).map_err(named)?),
-                    })
-                }
+                "group_by" => self.keys.push(group(part).map_err(named)?),
                 "bin" => self.keys.push(bin(part).map_err(named)?),
                 "agg" => self.aggregates.push(aggregate(part).map_err(named)?),
                 "sort" => {
@@ -103,27 +94,33 @@ impl Grouping {
     /// A message with the columns of the result if `sort` names another one, or if places of voltages are
     /// mixed with columns of rows.
     pub fn sql(&self, table: &str, conditions: &[String], limit: u32) -> Result<String, String> {
-        let counted = [Aggregate { function: Function::Count, column: None }];
+        let counted = [Part::count()];
         let aggregates = if self.aggregates.is_empty() { &counted[..] } else { &self.aggregates };
-        let keys: Vec<String> = self.keys.iter().map(Key::name).collect();
-        let names: Vec<String> =
-            keys.iter().cloned().chain(aggregates.iter().map(ToString::to_string)).collect();
+        let all = || self.keys.iter().chain(aggregates);
         let mut order = Vec::new();
         for (name, descending) in &self.sort {
-            if !names.contains(name) {
+            if !all().any(|part| part.name == *name) {
+                let names: Vec<&str> = all().map(|part| part.name.as_str()).collect();
                 return Err(format!("sort = {name}: must be of {}", names.join(", ")));
             }
             let direction = if *descending { " DESC" } else { "" };
             order.push(format!("{name}{direction} NULLS LAST"));
         }
         // Polars refuses a key that is repeated.
-        let more = keys.iter().filter(|key| !self.sort.iter().any(|(name, _)| name == *key));
+        let keys: Vec<&str> = self.keys.iter().map(|key| key.name.as_str()).collect();
+        let more = keys.iter().filter(|key| !self.sort.iter().any(|(name, _)| name == **key));
         order.extend(more.map(|key| format!("{key} NULLS LAST")));
-        let values = self.keys.iter().map(Key::sql).chain(aggregates.iter().map(Aggregate::sql));
         let values: Vec<String> =
-            values.zip(&names).map(|(value, name)| format!("{value} AS {name}")).collect();
+            all().map(|Part { name, sql, .. }| format!("{sql} AS {name}")).collect();
         let mut sql = format!("SELECT {} FROM ", values.join(", "));
-        if self.is_of_voltages(table)? {
+        let has = |source: Source| all().any(|part| part.source == source);
+        if has(Source::Voltages) {
+            if table != "trials" || has(Source::Rows) {
+                return Err(format!(
+                    "{} and fvu are of the voltages of stored trials: must be with count and each other only",
+                    FRAME_PLACES.join(", ")
+                ));
+            }
             sql += "voltages WHERE sim_voltage_v IS NOT NULL";
             if !conditions.is_empty() {
                 let trials = filter(conditions);
@@ -139,23 +136,6 @@ impl Grouping {
             sql += &format!(" ORDER BY {}", order.join(", "));
         }
         Ok(format!("{sql} LIMIT {limit}"))
-    }
-
-    /// Whether the groups are of the voltages of trials, and not of the rows of `table`.
-    fn is_of_voltages(&self, table: &str) -> Result<bool, String> {
-        let places = self.keys.iter().filter(|key| matches!(key, Key::Place(_))).count();
-        let has_fvu = self.aggregates.iter().any(|one| one.function == Function::Fvu);
-        if places == 0 && !has_fvu {
-            return Ok(false);
-        }
-        let of_rows = self.aggregates.iter().any(|one| one.column.is_some());
-        if table != "trials" || places < self.keys.len() || of_rows {
-            let places = FRAME_PLACES.join(", ");
-            return Err(format!(
-                "{places} and fvu are of the voltages of stored trials: must be with count and each other only"
-            ));
-        }
-        Ok(true)
     }
 }
 
@@ -211,49 +191,56 @@ fn number(name: &str) -> Result<&'static str, String> {
     }
 }
 
-fn bin(text: &str) -> Result<Key, String> {
-    let form = || "must be COLUMN:WIDTH, such as depth_mm:0.5".to_owned();
-    let (column, width) = text.split_once(':').ok_or_else(form)?;
-    match width.parse::<f64>() {
-        Ok(width) if width.is_finite() && width > 0.0 => Ok(Key::Bin(number(column)?, width)),
-        _ => Err("must have a width that is a number above 0".into()),
-    }
+fn group(text: &str) -> Result<Part, String> {
+    let (name, source) = match FRAME_PLACES.into_iter().find(|place| *place == text) {
+        Some(place) => (place, Source::Voltages),
+        None => (comparable(text)?, Source::Rows),
+    };
+    Ok(Part { name: name.to_owned(), sql: name.to_owned(), source })
 }
 
-fn aggregate(text: &str) -> Result<Aggregate, String> {
+/// A range of values of a column, of a width in the unit of the column.
+fn bin(text: &str) -> Result<Part, String> {
+    let form = || "must be COLUMN:WIDTH, such as depth_mm:0.5".to_owned();
+    let (column, width) = text.split_once(':').ok_or_else(form)?;
+    let width = width.parse::<f64>().ok().filter(|width| width.is_finite() && *width > 0.0);
+    let width = width.ok_or("must have a width that is a number above 0")?;
+    let column = number(column)?;
+    Ok(Part {
+        name: format!("from_{column}"),
+        // Rounded: in double precision 0.3 / 0.1 is below 3, and 3 x 0.1 above 0.3.
+        sql: format!("ROUND(FLOOR(ROUND(CAST({column} AS DOUBLE) / {width}, 6)) * {width}, 9)"),
+        source: Source::Rows,
+    })
+}
+
+fn aggregate(text: &str) -> Result<Part, String> {
     const CHOICES: &str = "must be count, fvu of voltages, or count, mean, min, max, sum, median, std, or a \
                            quantile (q05, q90) of a column: mean(fvu)";
-    for (name, function) in [("count", Function::Count), ("fvu", Function::Fvu)] {
-        if text == name {
-            return Ok(Aggregate { function, column: None });
+    match text {
+        "count" => return Ok(Part::count()),
+        "fvu" => {
+            let (name, sql) = (text.to_owned(), FVU_OF_VOLTAGES.to_owned());
+            return Ok(Part { name, sql, source: Source::Voltages });
         }
+        _ => {}
     }
     let unknown = || CHOICES.to_owned();
     let (function, column) =
         text.strip_suffix(')').and_then(|text| text.split_once('(')).ok_or_else(unknown)?;
-    let function = match function {
-        "count" => Function::Count,
-        "mean" => Function::Mean,
-        "min" => Function::Min,
-        "max" => Function::Max,
-        "sum" => Function::Sum,
-        "median" => Function::Median,
-        "std" => Function::Std,
-        quantile => {
-            let digits = quantile.strip_prefix('q').filter(|digits| digits.len() == 2);
-            Function::Quantile(digits.and_then(|digits| digits.parse().ok()).ok_or_else(unknown)?)
+    let (name, sql) = match FUNCTIONS.iter().find(|(name, ..)| *name == function) {
+        Some((name, of_numbers, sql)) => {
+            let column = if *of_numbers { number(column)? } else { comparable(column)? };
+            (format!("{name}_{column}"), sql.replace("COLUMN", column))
+        }
+        None => {
+            let digits = function.strip_prefix('q').filter(|digits| digits.len() == 2);
+            let percent: u8 = digits.and_then(|digits| digits.parse().ok()).ok_or_else(unknown)?;
+            let (column, share) = (number(column)?, f64::from(percent) / 100.0);
+            (format!("q{percent:02}_{column}"), format!("QUANTILE_CONT({column}, {share})"))
         }
     };
-    let column = match function {
-        Function::Count | Function::Min | Function::Max => comparable(column)?,
-        Function::Mean
-        | Function::Sum
-        | Function::Median
-        | Function::Std
-        | Function::Fvu
-        | Function::Quantile(_) => number(column)?,
-    };
-    Ok(Aggregate { function, column: Some(column) })
+    Ok(Part { name, sql, source: Source::Rows })
 }
 
 /// A name of a table in a statement.
@@ -261,60 +248,10 @@ fn quoted(table: &str) -> String {
     format!("\"{}\"", table.replace('"', "\"\""))
 }
 
-impl Key {
-    fn name(&self) -> String {
-        match self {
-            Self::Value(column) | Self::Place(column) => (*column).to_owned(),
-            Self::Bin(column, _) => format!("from_{column}"),
-        }
-    }
-
-    fn sql(&self) -> String {
-        match self {
-            Self::Value(column) | Self::Place(column) => (*column).to_owned(),
-            // Rounded: in double precision 0.3 / 0.1 is below 3, and 3 x 0.1 above 0.3.
-            Self::Bin(column, width) => {
-                format!("ROUND(FLOOR(ROUND(CAST({column} AS DOUBLE) / {width}, 6)) * {width}, 9)")
-            }
-        }
-    }
-}
-
-impl Aggregate {
-    fn sql(&self) -> String {
-        let column = self.column.unwrap_or("*");
-        match self.function {
-            Function::Count => format!("COUNT({column})"),
-            // In double precision, whatever the column has.
-            Function::Mean => format!("AVG(CAST({column} AS DOUBLE))"),
-            Function::Min => format!("MIN({column})"),
-            Function::Max => format!("MAX({column})"),
-            Function::Sum => format!("SUM(CAST({column} AS DOUBLE))"),
-            Function::Median => format!("MEDIAN({column})"),
-            Function::Std => format!("STDDEV(CAST({column} AS DOUBLE))"),
-            Function::Quantile(percent) => {
-                format!("QUANTILE_CONT({column}, {})", f64::from(percent) / 100.0)
-            }
-            Function::Fvu => FVU_OF_VOLTAGES.to_owned(),
-        }
-    }
-}
-
-impl fmt::Display for Aggregate {
-    /// The name of the column in the result.
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self.function {
-            Function::Count => f.write_str("count")?,
-            Function::Mean => f.write_str("mean")?,
-            Function::Min => f.write_str("min")?,
-            Function::Max => f.write_str("max")?,
-            Function::Sum => f.write_str("sum")?,
-            Function::Median => f.write_str("median")?,
-            Function::Std => f.write_str("std")?,
-            Function::Quantile(percent) => write!(f, "q{percent:02}")?,
-            Function::Fvu => f.write_str("fvu")?,
-        }
-        self.column.map_or(Ok(()), |column| write!(f, "_{column}"))
+impl Part {
+    /// The number of rows, or of voltages.
+    fn count() -> Self {
+        Self { name: "count".into(), sql: "COUNT(*)".into(), source: Source::Any }
     }
 }
 

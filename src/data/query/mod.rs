@@ -34,14 +34,14 @@ pub use tables::{TABLES, TableAbout};
 
 use crate::dataset::catalog::Catalog;
 use crate::store::Store;
-use engine::{Engine, Starter};
+use engine::{ENGINE_THREADS, Engine, Starter};
 use tables::Tables;
 
 /// Longest time of a query, without that of sending its result.
 pub const TIME_MAX: Duration = Duration::from_secs(60);
 /// Longest wait for the turn of a query.
 pub const QUERY_WAIT: Duration = Duration::from_secs(10);
-/// Queries in progress; further ones wait.
+/// Queries in progress; further ones wait. While a run is driven it is one, with one thread.
 pub const QUERIES: usize = 2;
 /// Largest number of rows of a result.
 pub const ROWS_MAX: u64 = 1_000_000;
@@ -74,10 +74,14 @@ impl Queries {
     /// if files, the store or the engine fail.
     pub async fn answer(&self, sql: &str) -> Result<ResultRows, QueryError> {
         let program = self.inner.starter.program()?;
-        let turn = timeout(QUERY_WAIT, self.inner.turns.clone().acquire_owned()).await;
+        // A thread of low priority keeps its processor for some ms: during a run one stays free.
+        let is_alone = self.inner.tables.has_driven_run().await?;
+        let (places, threads) = if is_alone { (QUERIES, 1) } else { (1, ENGINE_THREADS) };
+        let turns = self.inner.turns.clone().acquire_many_owned(places as u32);
+        let turn = timeout(QUERY_WAIT, turns).await;
         let turn = turn.map_err(|_| QueryError::Busy)?.map_err(|_| QueryError::Busy)?;
         let work = async {
-            let (engine, names) = Engine::start(&program, sql, ROWS_MAX).await?;
+            let (engine, names) = Engine::start(&program, sql, ROWS_MAX, threads).await?;
             let (tables, records) = self.inner.tables.of_names(&names).await?;
             let answer = engine.evaluate(&tables).await;
             drop(records);

@@ -1,7 +1,7 @@
 //! The trials of a run without a current dataset, as Parquet files of 1000 trials and for the rest of 100,
 //! which are kept: a query writes only those whose trials or twins have changed. During a run that is the
 //! last one, and a trial's commit must not wait for it: no piece is synced to the disk.
-//! Uses: `store`, `dataset::{batch, format}`. Never: a piece that changes (its name is a hash of what is
+//! Uses: `store`, `dataset::{batch, format, space}`. Never: a piece that changes (its name is a hash of what is
 //! in it), a piece of an earlier process (one that a power failure has cut would be read as it is).
 
 use std::io::ErrorKind;
@@ -10,9 +10,10 @@ use std::time::{Duration, SystemTime};
 
 use crate::dataset::background::background;
 use crate::dataset::batch::{self, Row};
-use crate::dataset::error::DatasetError;
+use crate::dataset::error::{DatasetError, Product};
 use crate::dataset::format::{Format, Stream};
 use crate::dataset::schema::{self, BATCH_ROWS};
+use crate::dataset::space::{Space, row_bytes};
 use crate::digest::sha256_hex;
 use crate::ids::TrialId;
 use crate::new_file::NewFile;
@@ -34,7 +35,7 @@ const PIECE_DIGITS: usize = 16;
 /// written to `folder`.
 ///
 /// # Errors
-/// `DatasetError` if the store cannot be read, or a file not be written.
+/// `DatasetError` if the store cannot be read, or a file not be written without the space that is reserved for runs.
 pub async fn of_run(
     store: &Store,
     folder: &Path,
@@ -55,8 +56,8 @@ pub async fn of_run(
         if touched.is_err() {
             let ids: Vec<TrialId> = piece.iter().map(|(trial, _)| *trial).collect();
             let trials = store.trials_with_voltages(&ids).await?;
-            let (folder, name) = (folder.to_owned(), name.clone());
-            background(move || write(&folder, &name, trials)).await??;
+            let (folder, name, free) = (folder.to_owned(), name.clone(), store.free_bytes().await?);
+            background(move || write(&folder, &name, trials, free)).await??;
         }
         files.push(path);
     }
@@ -75,13 +76,17 @@ fn cut<T>(list: &[T]) -> impl Iterator<Item = &[T]> {
 /// `DatasetError` if it cannot be written.
 pub fn empty(folder: &Path) -> Result<PathBuf, DatasetError> {
     const EMPTY_PIECE: &str = "no-trials.parquet";
-    write(folder, EMPTY_PIECE, Vec::new())?;
+    // Without rows it needs no room.
+    write(folder, EMPTY_PIECE, Vec::new(), u64::MAX)?;
     Ok(folder.join(EMPTY_PIECE))
 }
 
-fn write(folder: &Path, name: &str, trials: Vec<TrialRow>) -> Result<(), DatasetError> {
+/// Writes a piece. `free` is the free space of the disk, bytes.
+fn write(folder: &Path, name: &str, trials: Vec<TrialRow>, free: u64) -> Result<(), DatasetError> {
     let frame = trials.iter().find_map(|trial| trial.voltages_v.as_ref().map(Vec::len));
     let table = schema::stored(frame.map_or(schema::PAPER_CHANNELS, |channels| channels as i32));
+    let needed = trials.len() as u64 * row_bytes(&table, Format::Parquet);
+    Space { needed, free }.check(Product::Piece)?;
     let failed = DatasetError::file("writing", &folder.join(name));
     let file = NewFile::create(folder).map_err(&failed)?;
     let mut stream = Stream::new(Format::Parquet, &table, file)?;
@@ -117,6 +122,19 @@ pub fn trim(folder: &Path) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::dataset::space::KEPT_FREE_BYTES;
+
+    #[test]
+    fn no_piece_is_written_into_the_space_of_runs() {
+        let folder = std::env::temp_dir().join(format!("palpate-room-{}", std::process::id()));
+        let written = |free| write(&folder, "run-1-a.parquet", Vec::new(), free);
+        let full = written(KEPT_FREE_BYTES - 1).unwrap_err();
+        assert!(matches!(full, DatasetError::DiskFull { .. }), "{full}");
+        assert!(!folder.exists());
+        written(KEPT_FREE_BYTES).unwrap();
+        assert!(folder.join("run-1-a.parquet").is_file());
+        clear(&folder);
+    }
 
     #[test]
     fn a_further_trial_changes_a_short_piece_only() {

@@ -35,7 +35,7 @@ struct Records {
     folder: PathBuf,
     name: String,
     schema: SchemaRef,
-    stream: Stream<'static, NewFile>,
+    stream: Stream<NewFile>,
 }
 
 impl Records {

@@ -121,6 +121,14 @@ impl Tables {
         Ok((tables, scratch))
     }
 
+    /// Whether a run is driven now.
+    ///
+    /// # Errors
+    /// `QueryError::Dataset` if the store cannot be read.
+    pub async fn has_driven_run(&self) -> Result<bool, QueryError> {
+        Ok(!self.store.open_runs().await?.is_empty())
+    }
+
     /// The files with all stored trials.
     async fn trials(&self, runs: &[RunRow]) -> Result<Vec<PathBuf>, DatasetError> {
         pieces::trim(&self.folder);

@@ -327,7 +327,7 @@ pub async fn rows(
         None => app.datasets.find(&dataset).await?,
     };
     let catalog = app.datasets.clone();
-    let reading = tokio::task::spawn_blocking(move || {
+    let reading = tokio::task::spawn_blocking(move || -> ApiResult<Response> {
         let rows = catalog.pages(&row.id, &requested.wanted)?;
         send::check_numbers(send::numbers_per_row(rows.schema()), requested.limit)?;
         let limit = requested.limit as usize;
@@ -337,21 +337,15 @@ pub async fn rows(
         };
         let next = next.map(|from| cursors.cursor(RowsAt { dataset: row.id.clone(), from }));
         let link = next.as_deref().and_then(|next| cursors.link(next));
+        let bytes = send::encoded(format.unwrap_or(Format::Ndjson), rows.schema(), &batches)?;
         let response = match format {
-            Some(format) => send::batches(format, rows.schema(), &batches),
+            Some(format) => send::in_format(format, bytes),
             None => {
-                let mut lines =
-                    crate::dataset::format::Stream::new(Format::Ndjson, rows.schema(), Vec::new())
-                        .map_err(DatasetError::from)?;
-                for batch in &batches {
-                    lines.push(batch).map_err(DatasetError::from)?;
-                }
-                let lines = lines.finish().map_err(DatasetError::from)?;
-                let items = send::values(&lines)?;
-                Ok(Json(RowsPage { dataset: row.id, items, next }).into_response())
+                let items = send::values(&bytes)?;
+                Json(RowsPage { dataset: row.id, items, next }).into_response()
             }
         };
-        response.map(|response| (link.map(|link| [link]), response).into_response())
+        Ok((link.map(|link| [link]), response).into_response())
     });
     reading.await.map_err(|_| ApiError::from(DatasetError::Worker))?
 }

@@ -124,7 +124,7 @@ struct Recording {
     ending: watch::Receiver<bool>,
     label: &'static str,
     schema: SchemaRef,
-    stream: Stream<'static, Piece>,
+    stream: Stream<Piece>,
     piece: Piece,
     /// Number of frames that are still to be recorded.
     left: usize,

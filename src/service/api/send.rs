@@ -196,19 +196,20 @@ impl Write for Piece {
     }
 }
 
-/// Returns batches as a response in a row format.
+/// Returns batches in a row format.
 ///
 /// # Errors
 /// An error of the format if a batch cannot be encoded, or for NPZ.
-pub fn batches(format: Format, schema: &SchemaRef, batches: &[RecordBatch]) -> ApiResult<Response> {
-    let out = || -> Result<Vec<u8>, DatasetError> {
-        let mut stream = Stream::new(format, schema, Vec::new())?;
-        for batch in batches {
-            stream.push(batch)?;
-        }
-        Ok(stream.finish()?)
-    };
-    Ok(in_format(format, Body::from(out()?)))
+pub fn encoded(
+    format: Format,
+    schema: &SchemaRef,
+    batches: &[RecordBatch],
+) -> Result<Vec<u8>, DatasetError> {
+    let mut stream = Stream::new(format, schema, Vec::new())?;
+    for batch in batches {
+        stream.push(batch)?;
+    }
+    Ok(stream.finish()?)
 }
 
 /// Splits JSON lines into raw values.
@@ -221,8 +222,8 @@ pub fn values(lines: &[u8]) -> Result<Vec<Box<RawValue>>, DatasetError> {
 }
 
 /// Returns a response with the media type of a format.
-pub fn in_format(format: Format, body: Body) -> Response {
-    ([(header::CONTENT_TYPE, media_type(format))], body).into_response()
+pub fn in_format(format: Format, body: impl Into<Body>) -> Response {
+    ([(header::CONTENT_TYPE, media_type(format))], body.into()).into_response()
 }
 
 /// Number of values in the frames and the map of a row.

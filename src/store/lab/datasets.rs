@@ -197,8 +197,8 @@ impl Store {
         self.rows(OPERATION, query, DatasetRow::read).await
     }
 
-    /// Returns what refers to datasets: models that were made of them, and jobs and waiting exports that
-    /// read them; as text, by dataset.
+    /// Returns what refers to datasets: models that were made of them, jobs that read them, and exports and jobs
+    /// that have not ended, whose dataset may still be known by their request alone; as text, by dataset.
     ///
     /// # Errors
     /// `Sql` or `Unreadable` if the read fails.
@@ -208,7 +208,10 @@ impl Store {
             "SELECT d.id, 'model ' || m.id FROM datasets d JOIN models m ON instr(m.manifest, d.id) > 0
              UNION ALL
              SELECT dataset, kind || ' ' || id FROM tasks WHERE dataset IS NOT NULL
-                 AND (kind <> 'export' OR state IN ('waiting', 'running'))",
+                 AND (kind <> 'export' OR state IN ('waiting', 'running'))
+             UNION ALL
+             SELECT d.id, t.kind || ' ' || t.id FROM datasets d JOIN tasks t ON instr(t.request, d.id) > 0
+                 WHERE t.state IN ('waiting', 'running')",
         )
         .fetch_all(&self.inner.readers)
         .await

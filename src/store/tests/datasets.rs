@@ -11,7 +11,7 @@ use crate::journal::Journal;
 use crate::state::StoredState;
 use crate::{
     Condition, Contact, DatasetRow, ImportedTrial, Label, NewRun, RunKind, Soundness, Store,
-    TrialQuery,
+    TaskEnd, TaskKind, TrialQuery,
 };
 
 fn imported() -> NewRun {
@@ -124,10 +124,8 @@ async fn half_an_import_is_gone_after_the_next_start() {
     store.integrity_check().await.unwrap();
 }
 
-#[tokio::test]
-async fn a_dataset_is_stored_once_and_found_by_its_inputs() {
-    let (_folder, store) = fresh().await;
-    let row = DatasetRow {
+fn dataset() -> DatasetRow {
+    DatasetRow {
         id: DatasetId::unchecked("ds-1"),
         name: "real".into(),
         definition: json!({ "name": "real" }),
@@ -137,7 +135,32 @@ async fn a_dataset_is_stored_once_and_found_by_its_inputs() {
         report: json!({}),
         lineage: json!({ "runs": [] }),
         created_at: time("2026-11-20T18:00:00Z"),
-    };
+    }
+}
+
+#[tokio::test]
+async fn what_waits_for_a_dataset_by_its_id_refers_to_it_until_it_ends() {
+    let (_folder, store) = fresh().await;
+    store.insert_dataset(dataset(), "one").await.unwrap();
+    let users = async || store.dataset_users().await.unwrap().into_values().next();
+    for (kind, request) in [
+        (TaskKind::Export, json!({ "dataset": "ds-1", "format": "csv" })),
+        (TaskKind::Training, json!({ "recipe": "dataset = \"ds-1\"\n" })),
+    ] {
+        assert_eq!(users().await, None);
+        let task = store.create_task(kind, request, "ada").await.unwrap();
+        assert_eq!(users().await, Some(format!("{kind} {}", task.id)));
+        assert!(store.end_task(task.id, TaskEnd::Stopped).await.unwrap());
+    }
+    assert_eq!(users().await, None);
+    store.remove_datasets(vec![dataset().id]).await.unwrap();
+    assert!(store.datasets().await.unwrap().is_empty());
+}
+
+#[tokio::test]
+async fn a_dataset_is_stored_once_and_found_by_its_inputs() {
+    let (_folder, store) = fresh().await;
+    let row = dataset();
     let stored = store.insert_dataset(row.clone(), "one").await.unwrap();
     assert_eq!(stored, row);
     let later = DatasetRow { created_at: time("2026-11-21T18:00:00Z"), ..row.clone() };

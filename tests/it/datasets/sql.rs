@@ -2,15 +2,19 @@
 //! groups, refusals. Without the engine the tests report that they were skipped, or fail with
 //! `PALPATE_REQUIRE_TOOLS=1`.
 
+use std::time::Duration;
+
+use futures::future::{select, select_all};
 use palpate::dataset::format::Format;
 use palpate::ids::TrialKey;
 use palpate::journal::Journal;
 use palpate::program::Program;
-use palpate::query::QUERY;
+use palpate::query::{QUERIES, QUERY};
 use palpate::store::RunKind;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use serde_json::{Value, json};
+use tokio::time::timeout;
 
 use super::filled::{self, Filled};
 
@@ -247,6 +251,32 @@ async fn groups_and_orders_follow_from_the_parameters_of_filters() {
     }
     assert_eq!(forces.len(), 342);
     assert!(forces.windows(2).all(|pair| pair[0] >= pair[1]));
+    lab.close().await;
+}
+
+#[tokio::test]
+async fn a_query_ends_when_its_client_leaves() {
+    let Some(lab) = lab("leaving").await else { return };
+    // 342 trials to the power of 6: years, in little memory, since polars holds the left side of each product.
+    let product = (0..5).fold("SELECT fvu AS f0 FROM trials".to_owned(), |inner, n| {
+        format!("SELECT fvu * f{n} AS f{} FROM trials CROSS JOIN ({inner}) AS q{n}", n + 1)
+    });
+    let long = json!({ "sql": format!("SELECT sum(f5) AS n FROM ({product}) AS q") });
+    let short = json!({ "sql": "SELECT count(*) AS n FROM runs" });
+    let some_time = Duration::from_secs(2);
+    // As many as may be in progress. None is answered or refused.
+    let mut asked =
+        select_all((0..QUERIES).map(|_| Box::pin(lab.post("/api/v1/query", long.clone()))));
+    if let Ok((answer, ..)) = timeout(some_time, &mut asked).await {
+        panic!("{answer:?}");
+    }
+    // So a further one waits for its turn.
+    let further = Box::pin(lab.post("/api/v1/query", short));
+    let waits = timeout(some_time, select(&mut asked, further)).await.is_err();
+    assert!(waits, "answered while all turns are taken");
+    // All clients leave. If a query continued, the next one would be refused after 10 s.
+    drop(asked);
+    assert_eq!(number(&lab, "SELECT count(*) AS n FROM runs").await, json!(2));
     lab.close().await;
 }
 

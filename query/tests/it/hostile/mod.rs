@@ -95,8 +95,12 @@ fn hostile_statements_are_refused_or_bounded_and_change_nothing() {
     listener.set_nonblocking(true).unwrap();
     let address = listener.local_addr().unwrap().to_string();
     let known = tables(std::slice::from_ref(&path), "run-3");
-    let bounds =
-        Bounds { rows_max: ROWS_MAX, memory_max_bytes: MEMORY_MAX_BYTES, time_max: PATIENCE };
+    let bounds = Bounds {
+        rows_max: ROWS_MAX,
+        memory_max_bytes: MEMORY_MAX_BYTES,
+        time_max: PATIENCE,
+        threads: 2,
+    };
 
     let kinds = kinds(&secret.display().to_string(), &address);
     let count: usize = kinds.iter().map(|(_, _, statements)| statements.len()).sum();

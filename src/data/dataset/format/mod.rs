@@ -14,7 +14,6 @@ mod csv;
 pub(crate) mod npy;
 mod npz;
 mod parquet;
-mod stream;
 pub(crate) mod zone;
 
 use std::fmt;
@@ -31,8 +30,6 @@ use zip::result::ZipError;
 
 pub(super) use self::parquet::Writer as ParquetWriter;
 pub use columns::rows_per_batch;
-use stream::RowWriter;
-pub use stream::Stream;
 
 /// File format of rows. A new format is a variant with its row in the list, and its writer.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
@@ -130,22 +127,6 @@ impl Format {
                 is_text: false,
             },
         }
-    }
-
-    /// Starts an output in a row format, and writes its header, if it has one.
-    fn writer<'w, W: Write + Send + 'w>(
-        self,
-        schema: &SchemaRef,
-        out: W,
-    ) -> Result<Box<dyn RowWriter<W> + 'w>, FormatError> {
-        Ok(match self {
-            Self::Parquet => Box::new(parquet::Writer::new(schema, out)?),
-            Self::Arrow => Box::new(StreamWriter::try_new(out, schema)?),
-            Self::Feather => Box::new(FileWriter::try_new(out, schema)?),
-            Self::Csv => Box::new(csv::Writer::new(schema, out)?),
-            Self::Ndjson => Box::new(LineDelimitedWriter::new(out)),
-            Self::Npz => return Err(FormatError::NotAStream),
-        })
     }
 
     /// Splits the name of a file at the dot before its ending: the extension of a format or, if it is of
@@ -281,6 +262,67 @@ pub enum FormatError {
     /// The output could not be written.
     #[error("cannot write the output")]
     Io(#[from] io::Error),
+}
+
+/// Writes batches of one schema in a row format.
+pub struct Stream<W: Write + Send>(RowWriter<W>);
+
+/// Writer of a row format, after its header.
+#[allow(clippy::large_enum_variant, reason = "an output has one")]
+enum RowWriter<W: Write + Send> {
+    Parquet(parquet::Writer<W>),
+    Arrow(StreamWriter<W>),
+    Feather(FileWriter<W>),
+    Csv(csv::Writer<W>),
+    Ndjson(LineDelimitedWriter<W>),
+}
+
+impl<W: Write + Send> Stream<W> {
+    /// Starts an output and writes the header, if the format has one.
+    ///
+    /// # Errors
+    /// `FormatError::NotAStream` for NPZ; another variant if the header cannot be written.
+    pub fn new(format: Format, schema: &SchemaRef, out: W) -> Result<Self, FormatError> {
+        Ok(Self(match format {
+            Format::Parquet => RowWriter::Parquet(parquet::Writer::new(schema, out)?),
+            Format::Arrow => RowWriter::Arrow(StreamWriter::try_new(out, schema)?),
+            Format::Feather => RowWriter::Feather(FileWriter::try_new(out, schema)?),
+            Format::Csv => RowWriter::Csv(csv::Writer::new(schema, out)?),
+            Format::Ndjson => RowWriter::Ndjson(LineDelimitedWriter::new(out)),
+            Format::Npz => return Err(FormatError::NotAStream),
+        }))
+    }
+
+    /// Writes a batch; in Parquet, a row group.
+    ///
+    /// # Errors
+    /// `FormatError` if the batch cannot be encoded or written.
+    pub fn push(&mut self, batch: &RecordBatch) -> Result<(), FormatError> {
+        match &mut self.0 {
+            RowWriter::Parquet(file) => file.push(batch),
+            RowWriter::Arrow(stream) => Ok(stream.write(batch)?),
+            RowWriter::Feather(file) => Ok(file.write(batch)?),
+            RowWriter::Csv(lines) => lines.push(&zone::as_offsets(batch)?),
+            RowWriter::Ndjson(lines) => Ok(lines.write(&zone::as_offsets(batch)?)?),
+        }
+    }
+
+    /// Writes the end of the format and returns the output.
+    ///
+    /// # Errors
+    /// `FormatError` if the output cannot be written.
+    pub fn finish(self) -> Result<W, FormatError> {
+        match self.0 {
+            RowWriter::Parquet(file) => file.finish(),
+            RowWriter::Arrow(stream) => Ok(stream.into_inner()?),
+            RowWriter::Feather(file) => Ok(file.into_inner()?),
+            RowWriter::Csv(lines) => lines.finish(),
+            RowWriter::Ndjson(mut lines) => {
+                lines.finish()?;
+                Ok(lines.into_inner())
+            }
+        }
+    }
 }
 
 /// Writes all rows. `progress` is called after each batch with the number of written rows; for NPZ,

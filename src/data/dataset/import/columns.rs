@@ -20,6 +20,38 @@ pub(super) const TAG: &str = "tag";
 /// Fields of a contact, in their order in an array.
 pub(super) const CONTACT_FIELDS: [&str; 4] = ["x_mm", "y_mm", "force_n", "diameter_mm"];
 
+/// Type of the values of a column with one value per trial.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Scalar {
+    /// Real numbers in double precision.
+    Number,
+    /// Times, ms since 1970, UTC.
+    Time,
+    /// One text per trial.
+    Text,
+    /// Lists of words per trial, such as flags.
+    Words,
+}
+
+/// Columns with one value per trial.
+pub(super) const SCALARS: [(&str, Scalar); 9] = [
+    ("configuration", Scalar::Number),
+    ("depth_index", Scalar::Number),
+    ("depth_mm", Scalar::Number),
+    ("tips", Scalar::Number),
+    ("flags", Scalar::Words),
+    ("started_at", Scalar::Time),
+    (FRAME_COUNT, Scalar::Number),
+    (SPLIT, Scalar::Text),
+    (TAG, Scalar::Text),
+];
+
+/// Whether an import reads the column with this name.
+pub(super) fn is_read(name: &str) -> bool {
+    [VOLTAGES_V, FRAMES_V, SIM_VOLTAGES_V, CONTACTS].contains(&name)
+        || SCALARS.iter().any(|(known, _)| *known == name)
+}
+
 /// A value as f64; `None` if it is null or NaN.
 pub(super) fn known(column: &ArrayRef, at: usize) -> Option<f64> {
     let column = cast(column, &DataType::Float64).ok()?;
@@ -122,39 +154,31 @@ fn fraction(found: &ArrayRef, wanted: &DataType) -> Option<f64> {
 /// The column of contacts: lists of structs with any of four fields of any numeric type.
 fn contacts(file: &str, batch: &RecordBatch) -> Result<Option<ArrayRef>, Problem> {
     let Some(found) = batch.column_by_name(CONTACTS) else { return Ok(None) };
-    let item = match found.data_type() {
-        DataType::List(item) | DataType::LargeList(item) | DataType::FixedSizeList(item, _) => item,
-        _ => return Err(wrong_contacts(file, found)),
+    let is_known = |field: &Arc<Field>| {
+        let kind = field.data_type();
+        CONTACT_FIELDS.contains(&field.name().as_str())
+            && (kind.is_numeric() || *kind == DataType::Null)
     };
-    match item.data_type() {
-        // A file whose trials are all untouched.
-        DataType::Null => cast(found, &DataType::LargeList(Arc::new(empty_contact())))
-            .map(Some)
-            .map_err(|_| wrong_contacts(file, found)),
-        DataType::Struct(fields) => {
-            let known = |field: &Arc<Field>| {
-                let numeric =
-                    field.data_type().is_numeric() || *field.data_type() == DataType::Null;
-                CONTACT_FIELDS.contains(&field.name().as_str()) && numeric
-            };
-            if !fields.iter().all(known) {
-                return Err(wrong_contacts(file, found));
+    let wanted = match found.data_type() {
+        DataType::List(item) | DataType::LargeList(item) | DataType::FixedSizeList(item, _) => {
+            match item.data_type() {
+                // A file whose trials are all untouched.
+                DataType::Null => Some(Arc::new(empty_contact())),
+                DataType::Struct(fields) if fields.iter().all(is_known) => Some(item.clone()),
+                _ => None,
             }
-            cast(found, &DataType::LargeList(item.clone()))
-                .map(Some)
-                .map_err(|_| wrong_contacts(file, found))
         }
-        _ => Err(wrong_contacts(file, found)),
-    }
+        _ => None,
+    };
+    let read = wanted.and_then(|item| cast(found, &DataType::LargeList(item)).ok());
+    read.map(Some).ok_or_else(|| {
+        let limit = "must be lists of {x_mm, y_mm, force_n, diameter_mm}, all numbers, each of which may \
+                     be null or absent";
+        Problem::new(file, CONTACTS, found.data_type(), limit)
+    })
 }
 
 /// Element type of contacts without fields.
 fn empty_contact() -> Field {
     Field::new("item", DataType::Struct(Vec::<Field>::new().into()), true)
-}
-
-fn wrong_contacts(file: &str, found: &ArrayRef) -> Problem {
-    let limit = "must be lists of {x_mm, y_mm, force_n, diameter_mm}, all numbers, each of which may be \
-                 null or absent";
-    Problem::new(file, CONTACTS, found.data_type(), limit)
 }

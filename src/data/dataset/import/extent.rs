@@ -7,8 +7,7 @@ use parquet::basic::Type;
 use parquet::file::metadata::ParquetMetaData;
 
 use super::BATCH_TRIALS;
-use super::columns::FRAMES_V;
-use super::rows::is_read;
+use super::columns::{FRAMES_V, is_read};
 use super::sensor::ImportedSensor;
 use crate::dataset::schema::VOLTAGES_V;
 use crate::dataset::space::ImportCounts;

@@ -9,7 +9,7 @@ use arrow_array::{Array, ArrayRef, RecordBatch};
 use arrow_schema::Schema;
 use jiff::Timestamp;
 
-use super::columns::{CONTACT_FIELDS, Columns, FRAMES_V, TAG, known};
+use super::columns::{CONTACT_FIELDS, Columns, FRAMES_V, TAG, is_read, known};
 use super::coordinates::Coordinates;
 use super::sensor::ImportedSensor;
 use crate::dataset::schema::{FRAME_COUNT, SPLIT, VOLTAGES_V};
@@ -24,31 +24,10 @@ use crate::store::{
 };
 use crate::syntax::PROBLEMS_MAX;
 
-/// Columns that are read.
-const READ: [&str; 13] = [
-    VOLTAGES_V,
-    FRAMES_V,
-    SIM_VOLTAGES_V,
-    CONTACTS,
-    "configuration",
-    "depth_index",
-    "depth_mm",
-    "tips",
-    "flags",
-    "started_at",
-    FRAME_COUNT,
-    SPLIT,
-    TAG,
-];
 /// Largest valid force of a contact, N.
 const IMPORTED_FORCE_MAX_N: f64 = 100_000.0;
 /// Largest plausible magnitude of a voltage, V: beyond it the unit is another one, such as mV or counts.
 const VOLTAGE_MAX_V: f32 = 1000.0;
-
-/// Whether an import reads the column with this name.
-pub fn is_read(name: &str) -> bool {
-    READ.contains(&name)
-}
 
 /// Names of the columns of a file that an import reads.
 pub fn read(schema: &Schema) -> Vec<String> {
@@ -135,6 +114,15 @@ impl<'a> Reader<'a> {
         self.problems.push(Problem::new(self.file, &key, value, limit));
     }
 
+    /// A count; `None` if it is out of range, which is a problem.
+    fn count(&mut self, column: &str, number: i64) -> Option<u32> {
+        let count = u32::try_from(number).ok();
+        if count.is_none() {
+            self.wrong(column, "out of range", "must be a whole number from 0 to 4294967295");
+        }
+        count
+    }
+
     fn trial(&mut self, columns: &Columns, at: usize) -> Option<ImportedTrial> {
         let before = self.problems.len();
         let measured = self.measured(columns, at);
@@ -147,33 +135,22 @@ impl<'a> Reader<'a> {
             let column = column.as_ref()?;
             (!column.is_null(at)).then(|| column.as_primitive::<Int64Type>().value(at))
         };
-        let configuration = whole(&columns.configuration);
-        let configuration = u32::try_from(configuration.unwrap_or(self.row as i64));
-        let depth_index = u32::try_from(whole(&columns.depth_index).unwrap_or(0));
+        let configuration = whole(&columns.configuration).unwrap_or(self.row as i64);
+        let configuration = self.count("configuration", configuration);
+        let depth_index = self.count("depth_index", whole(&columns.depth_index).unwrap_or(0));
         let tips = whole(&columns.tips).map(u8::try_from).transpose();
-        let limit = "must be a whole number from 0 to 4294967295";
-        if configuration.is_err() {
-            self.wrong("configuration", "out of range", limit);
-        }
-        if depth_index.is_err() {
-            self.wrong("depth_index", "out of range", limit);
-        }
         if tips.is_err() {
             self.wrong("tips", "out of range", "must be from 0 to 255");
         }
-        let stated = u32::try_from(whole(&columns.frame_count).unwrap_or(0));
-        if stated.is_err() {
-            self.wrong(FRAME_COUNT, "out of range", limit);
-        }
+        let stated = self.count(FRAME_COUNT, whole(&columns.frame_count).unwrap_or(0));
         let stated = stated.unwrap_or(0);
         let raw = measured.as_ref().map_or(0, |(_, frames_v)| frames_v.len() as u32);
         if raw > 0 && stated > 0 && raw != stated {
             self.wrong(FRAME_COUNT, stated, format!("must be the {raw} frames of {FRAMES_V}"));
         }
-        let has_key = configuration.is_ok() && depth_index.is_ok();
-        let (configuration, depth_index, tips) =
-            (configuration.unwrap_or(0), depth_index.unwrap_or(0), tips.ok().flatten());
-        if has_key && !self.keys.insert((configuration, depth_index)) {
+        if let (Some(configuration), Some(depth_index)) = (configuration, depth_index)
+            && !self.keys.insert((configuration, depth_index))
+        {
             let value = format!("{configuration}, {depth_index}");
             self.wrong("configuration, depth_index", value, "must occur once in a file");
         }
@@ -212,10 +189,10 @@ impl<'a> Reader<'a> {
             (apart.rmse_v, apart.fvu)
         });
         Some(ImportedTrial {
-            configuration,
-            depth_index,
+            configuration: configuration?,
+            depth_index: depth_index?,
             depth_mm,
-            tips,
+            tips: tips.ok().flatten(),
             contacts,
             sim_voltages_v,
             fit: fit.filter(|(rmse_v, _)| rmse_v.is_finite()),

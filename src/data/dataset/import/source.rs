@@ -12,11 +12,11 @@ use parquet::arrow::ProjectionMask;
 use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;
 use parquet::errors::ParquetError;
 
-use super::columns::Columns;
+use super::columns::{Columns, is_read};
 use super::extent::Extent;
 use super::foreign::arrays::{Arrays, Container};
 use super::foreign::csv::Csv;
-use super::{rows, whole};
+use super::whole;
 use crate::dataset::error::DatasetError;
 
 /// Number of bytes by which a format is recognised.
@@ -128,8 +128,7 @@ impl Source {
     pub fn batches(self) -> Result<Batches, DatasetError> {
         Ok(match self.content {
             Content::Parquet(parquet) => {
-                let used =
-                    |(at, field): (usize, &FieldRef)| rows::is_read(field.name()).then_some(at);
+                let used = |(at, field): (usize, &FieldRef)| is_read(field.name()).then_some(at);
                 let fields = self.schema.fields().iter().enumerate();
                 let used: Vec<usize> = fields.filter_map(used).collect();
                 let mask = ProjectionMask::roots(parquet.parquet_schema(), used);

@@ -12,10 +12,9 @@ use arrow_array::{ArrayRef, RecordBatch};
 use arrow_schema::{DataType, Field, Schema};
 
 use super::array::{Kind, Shape, Values, is_frame};
-use super::batch::{self, SCALARS, Scalar};
-use super::{mat, npz};
+use super::{batch, mat, npz};
 use crate::dataset::error::DatasetError;
-use crate::dataset::import::columns::{CONTACT_FIELDS, FRAMES_V};
+use crate::dataset::import::columns::{CONTACT_FIELDS, FRAMES_V, SCALARS, Scalar};
 use crate::dataset::import::extent::Extent;
 use crate::dataset::schema::VOLTAGES_V;
 use crate::problem::Problem;

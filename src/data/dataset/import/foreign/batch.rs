@@ -14,32 +14,6 @@ use jiff::Timestamp;
 
 use crate::store::Contact;
 
-/// Type of the values of a column with one value per trial.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Scalar {
-    /// Real numbers in double precision.
-    Number,
-    /// Times, ms since 1970, UTC.
-    Time,
-    /// One text per trial.
-    Text,
-    /// Lists of words per trial, such as flags.
-    Words,
-}
-
-/// Columns with one value per trial.
-pub(super) const SCALARS: [(&str, Scalar); 9] = [
-    ("configuration", Scalar::Number),
-    ("depth_index", Scalar::Number),
-    ("depth_mm", Scalar::Number),
-    ("tips", Scalar::Number),
-    ("flags", Scalar::Words),
-    ("started_at", Scalar::Time),
-    ("frame_count", Scalar::Number),
-    ("split", Scalar::Text),
-    ("tag", Scalar::Text),
-];
-
 /// Frames of `channels` voltages, V, one after the other; NaN for a missing channel. With `may_lack` a frame
 /// of missing channels alone is an absent frame.
 pub(super) fn frames(

@@ -13,11 +13,11 @@ use arrow_array::{ArrayRef, RecordBatch};
 use arrow_schema::{DataType, Field, Schema};
 use csv::{ByteRecord, ReaderBuilder};
 
-use super::batch::{self, SCALARS, Scalar};
+use super::batch;
 use super::line_limit::{Allowance, LINE_MAX_BYTES, LineLimit};
 use crate::dataset::error::DatasetError;
 use crate::dataset::import::BATCH_TRIALS;
-use crate::dataset::import::columns::FRAMES_V;
+use crate::dataset::import::columns::{FRAMES_V, SCALARS, Scalar};
 use crate::dataset::import::extent::Extent;
 use crate::dataset::schema::VOLTAGES_V;
 use crate::problem::Problem;

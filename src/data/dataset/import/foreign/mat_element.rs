@@ -1,5 +1,5 @@
 //! Elements of a MAT file: tags, headers of matrices, numbers and texts, read as a stream.
-//! Uses: flate2. Never: an allocation of a size that only the file states.
+//! Uses: flate2, `npy` (its numbers). Never: an allocation of a size that only the file states.
 //!
 //! Source: MathWorks, "MAT-File Format", version 5 (R2024b): a header of 128 bytes, then elements, each a tag
 //! of type and length and its data, padded to 8 bytes; compressed elements are not padded. Values are stored
@@ -11,6 +11,7 @@ use std::io::{self, Read};
 use flate2::read::ZlibDecoder;
 
 use super::invalid;
+use super::npy::{Item, number};
 
 const MATRIX: u32 = 14;
 const COMPRESSED: u32 = 15;
@@ -188,11 +189,17 @@ impl Elements<'_> {
         count: usize,
     ) -> io::Result<impl Iterator<Item = io::Result<f64>>> {
         let tag = self.needed()?;
-        let width: usize = match tag.kind {
-            1 | 2 | 16 => 1,
-            3 | 4 | 17 => 2,
-            5 | 6 | 7 | 18 => 4,
-            9 | 12 | 13 => 8,
+        let (item, width) = match tag.kind {
+            1 => (Item::Int, 1),
+            2 | 16 => (Item::Uint, 1),
+            3 => (Item::Int, 2),
+            4 | 17 => (Item::Uint, 2),
+            5 => (Item::Int, 4),
+            6 | 18 => (Item::Uint, 4),
+            7 => (Item::Float, 4),
+            9 => (Item::Float, 8),
+            12 => (Item::Int, 8),
+            13 => (Item::Uint, 8),
             kind => return Err(invalid(format!("an element of type {kind} instead of numbers"))),
         };
         let wanted = count.saturating_mul(width) as u64;
@@ -204,7 +211,7 @@ impl Elements<'_> {
             return Err(invalid(words));
         }
         let mut short = tag.short;
-        let (kind, big_endian) = (tag.kind, self.big_endian);
+        let big_endian = self.big_endian;
         let inner = &mut *self.inner;
         let mut pad = if short.is_some() { 0 } else { padding(tag.bytes) };
         let mut left = count;
@@ -225,7 +232,8 @@ impl Elements<'_> {
             if big_endian {
                 bytes[..width].reverse();
             }
-            Some(read.map(|()| value(kind, bytes)))
+            let value = || number(item, &bytes[..width]).ok_or_else(|| invalid("holds no number"));
+            Some(read.and_then(|()| value()))
         }))
     }
 
@@ -270,21 +278,4 @@ impl Elements<'_> {
 /// The character with this code.
 pub(super) fn character(code: f64) -> char {
     char::from_u32(code as u32).unwrap_or(char::REPLACEMENT_CHARACTER)
-}
-
-/// Value of little-endian bytes of a type; shorter types in the first bytes.
-fn value(kind: u32, bytes: [u8; 8]) -> f64 {
-    let [a, b, c, d, ..] = bytes;
-    match kind {
-        1 => f64::from(a.cast_signed()),
-        2 | 16 => f64::from(a),
-        3 => f64::from(i16::from_le_bytes([a, b])),
-        4 | 17 => f64::from(u16::from_le_bytes([a, b])),
-        5 => f64::from(i32::from_le_bytes([a, b, c, d])),
-        6 | 18 => f64::from(u32::from_le_bytes([a, b, c, d])),
-        7 => f64::from(f32::from_le_bytes([a, b, c, d])),
-        12 => i64::from_le_bytes(bytes) as f64,
-        13 => u64::from_le_bytes(bytes) as f64,
-        _ => f64::from_le_bytes(bytes),
-    }
 }

@@ -174,7 +174,8 @@ fn type_of(code: &str) -> Option<(Item, usize, bool)> {
     Some((item, bytes, big_endian))
 }
 
-fn number(item: Item, bytes: &[u8]) -> Option<f64> {
+/// The number that bytes of a type stand for, the least significant one first; `None` for other types.
+pub(super) fn number(item: Item, bytes: &[u8]) -> Option<f64> {
     let mut wide = [0; 8];
     wide.get_mut(..bytes.len())?.copy_from_slice(bytes);
     let unused_bits = 64 - 8 * u32::try_from(bytes.len()).ok()?;
