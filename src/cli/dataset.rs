@@ -127,7 +127,10 @@ pub async fn dataset(args: DatasetArgs) -> CliResult<()> {
             embed::reading(&args.at, async |client| prune(client, &args).await).await
         }
         What::Make(args) => {
-            embed::with_server(&args.at, async |client| make(client, &args).await).await
+            embed::with_purpose(&args.at, embed::Purpose::Stores, async |client| {
+                make(client, &args).await
+            })
+            .await
         }
         What::Export(args) => {
             embed::with_server(&args.at, async |client| export::export(client, &args).await).await

@@ -11,6 +11,7 @@ use serde_json::Value;
 use super::client::Client;
 use super::error::{CliError, CliResult};
 use super::output::{Output, duration, note, say, say_json};
+use super::picture::figure_file;
 use super::progress::{LogLines, bar};
 use super::start_time::local;
 use super::table::Table;
@@ -133,7 +134,7 @@ enum JobWhat {
         one: OneJob,
         /// Draw training and validation loss over the epochs instead; the ending of the name decides:
         /// .svg, .png or .pdf.
-        #[arg(long, value_name = "FILE.svg")]
+        #[arg(long, value_name = "FILE.svg", value_parser = figure_file)]
         plot: Option<PathBuf>,
     },
 }
@@ -151,7 +152,11 @@ struct OneJob {
 pub async fn job(args: JobArgs) -> CliResult<()> {
     let JobArgs { what, at } = args;
     let output = at.output();
-    embed::with_server(&at, async |client| {
+    let purpose = match what {
+        JobWhat::Stop(_) => embed::Purpose::Stores,
+        _ => embed::Purpose::Reads,
+    };
+    embed::with_purpose(&at, purpose, async |client| {
         match what {
             JobWhat::List => {
                 let jobs: Vec<JobOut> = client.all("/api/v1/jobs?").await?;

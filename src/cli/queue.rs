@@ -76,7 +76,11 @@ pub enum QueueCommand {
 /// `CliError` if the service cannot be reached or started, refuses, or a file is invalid.
 pub async fn queue(args: QueueArgs) -> CliResult<()> {
     let (json, command) = (args.at.json, args.command.unwrap_or(QueueCommand::List));
-    embed::with_server(&args.at, async |client| {
+    let purpose = match command {
+        QueueCommand::List => embed::Purpose::Reads,
+        _ => embed::Purpose::Stores,
+    };
+    embed::with_purpose(&args.at, purpose, async |client| {
         let queued: Option<RunRow> = match command {
             QueueCommand::List => None,
             QueueCommand::Add { experiment, at } => {

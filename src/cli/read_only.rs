@@ -1,5 +1,5 @@
-//! A data folder that cannot be written: a temporary folder with a copy of its database, and links to its other
-//! files, so that everything that only reads works as usual.
+//! A data folder that cannot be written: a temporary folder with a copy of its database and links to its other
+//! files, so that everything that reads or computes works as usual.
 //! Uses: std's files. Never: a change to the folder.
 
 use std::io;
@@ -23,15 +23,17 @@ const LEFT_OUT: [&str; 5] =
 pub struct View(PathBuf);
 
 impl View {
+    /// Whether a folder is there and cannot be written.
+    pub fn is_needed(data: &Path) -> bool {
+        data.is_dir() && access(data, Access::WRITE_OK).is_err()
+    }
+
     /// Makes the view of a folder that cannot be written; none of any other.
     ///
     /// # Errors
     /// The operating system's if the folder cannot be read, or the copy not written.
     pub fn of(data: &Path) -> io::Result<Option<Self>> {
-        if !data.is_dir() || access(data, Access::WRITE_OK).is_ok() {
-            return Ok(None);
-        }
-        Self::copy(data).map(Some)
+        Self::is_needed(data).then(|| Self::copy(data)).transpose()
     }
 
     fn copy(data: &Path) -> io::Result<Self> {
@@ -53,6 +55,14 @@ impl View {
                 let mut rights = std::fs::metadata(view.0.join(&name))?.permissions();
                 std::os::unix::fs::PermissionsExt::set_mode(&mut rights, 0o600);
                 std::fs::set_permissions(view.0.join(&name), rights)?;
+            } else if entry.path().is_dir() && !is(&LEFT_OUT) {
+                // A folder of links: an export or a dataset that is made next to them does not reach the data.
+                let folder = view.0.join(&name);
+                make_folder(&folder)?;
+                for entry in entry.path().read_dir()? {
+                    let entry = entry?;
+                    symlink(entry.path(), folder.join(entry.file_name()))?;
+                }
             } else if !is(&LEFT_OUT) {
                 symlink(entry.path(), view.0.join(&name))?;
             }
@@ -91,6 +101,8 @@ mod tests {
         let read = |name: &str| std::fs::read_to_string(view.folder().join(name));
         assert_eq!(read("datasets/ds.parquet").unwrap(), "rows");
         std::fs::write(view.folder().join("palpate.db"), "changed").unwrap();
+        std::fs::write(view.folder().join("datasets/made.parquet"), "rows").unwrap();
+        assert!(!data.join("datasets/made.parquet").exists());
         assert!(read("palpate.lock").is_err());
         let folder = view.folder().to_owned();
         drop(view);

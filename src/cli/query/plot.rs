@@ -12,7 +12,8 @@ use crate::cli::client::Client;
 use crate::cli::error::{CliError, CliResult};
 use crate::cli::find::find_run;
 use crate::cli::output::note;
-use crate::cli::{At, embed, picture};
+use crate::cli::picture::{self, figure_file};
+use crate::cli::{At, embed};
 use crate::figure::Heading;
 use crate::figure::series::{Chart, Marks, Places, Series};
 use crate::near::did_you_mean;
@@ -32,7 +33,8 @@ pub struct PlotArgs {
     #[arg(value_name = "RUN|COLUMN__gt=VALUE")]
     pub of: Vec<String>,
     /// File of the picture; ends in .svg, .png or .pdf [default: palpate-plot.svg].
-    #[arg(long, short, value_name = "FILE", default_value = "palpate-plot.svg")]
+    #[arg(long, short, value_name = "FILE", default_value = "palpate-plot.svg",
+        value_parser = figure_file)]
     pub out: PathBuf,
     /// How a statement is drawn [default: bars for names and few whole numbers, else lines].
     #[arg(long, value_enum)]
