@@ -12,6 +12,7 @@ use serde_json::{Value, json};
 use super::client::Client;
 use super::error::{CliError, CliResult};
 use super::output::{Output, bytes, note};
+use super::progress::Working;
 use super::query::by_ending;
 use crate::dataset::format::Format;
 use crate::new_file::NewFile;
@@ -45,12 +46,14 @@ pub async fn record(client: &Client, out: &Path, frames: u64, output: Output) ->
     let failed = |source| CliError::File { path: out.into(), source };
     let mut file = NewFile::create_for(out).map_err(failed)?;
     let mut length = 0_u64;
+    let shown = Working::on(&format!("recording {frames} frames"));
     let mut pieces = answer.bytes_stream();
     while let Some(piece) = pieces.next().await {
         let piece = piece.map_err(|_| CliError::Cut { frames })?;
         file.write_all(&piece).map_err(failed)?;
         length += piece.len() as u64;
     }
+    drop(shown);
     let name = out.file_name().unwrap_or_default().to_string_lossy();
     file.finish(&name).map(drop).map_err(failed)?;
     let words = format!("{}: {}", out.display(), bytes(length as f64));

@@ -14,6 +14,7 @@ use super::error::{CliError, CliResult};
 use super::files::{RigFiles, parse_calibration, read_sensor_text};
 use super::key::key;
 use super::output::{note, say};
+use super::progress::shown_wait;
 use super::running::Running;
 use super::signals::Signals;
 use super::virtual_bench::VirtualBench;
@@ -123,7 +124,12 @@ async fn serve_rig(
         sensor_text,
     };
     let data = options.data.clone();
-    let service = Service::start(options).await?;
+    let start = Service::start(options);
+    let service = match args.own_session {
+        // The command that started it shows this, and what it prints as an error.
+        true => start.await?,
+        false => shown_wait("opening the data folder", start).await?,
+    };
     announce(&data, &service, tls.as_ref());
     let operator = bench.map_or(Ok(()), |bench| send_operator(args, bench, &service));
     if operator.is_ok() {
