@@ -179,7 +179,10 @@ pub async fn job(args: JobArgs) -> CliResult<()> {
                 let id = named(client, &one.job).await?;
                 match plot {
                     Some(file) => job_losses::draw(client, &id, &file).await?,
-                    None => say(job_losses::losses(client, &id).await?.trim_end()),
+                    None => match job_losses::losses(client, &id).await?.trim_end() {
+                        "" => note("there are no losses yet: the first ones come with an epoch"),
+                        losses => say(losses),
+                    },
                 }
             }
         }

@@ -3,7 +3,8 @@
 
 use std::path::PathBuf;
 
-use clap::{Args, ValueEnum};
+use clap::Args;
+use clap::builder::{PossibleValuesParser, TypedValueParser};
 use serde_json::{Value, json};
 
 use super::prepared::{NAMES, Question, Trials, number};
@@ -37,8 +38,8 @@ pub struct PlotArgs {
         value_parser = figure_file)]
     pub out: PathBuf,
     /// How a statement is drawn [default: bars for names and few whole numbers, else lines].
-    #[arg(long, value_enum)]
-    pub marks: Option<MarksArg>,
+    #[arg(long, value_parser = marks())]
+    pub marks: Option<Marks>,
     /// Title of the figure [default: that of the question].
     #[arg(long, value_name = "TEXT")]
     pub title: Option<String>,
@@ -46,25 +47,13 @@ pub struct PlotArgs {
     pub at: At,
 }
 
-/// How series are drawn.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub enum MarksArg {
-    /// Bars from zero.
-    Bars,
-    /// Lines.
-    Lines,
-    /// Dots.
-    Dots,
-}
-
-impl From<MarksArg> for Marks {
-    fn from(marks: MarksArg) -> Self {
-        match marks {
-            MarksArg::Bars => Self::Bars,
-            MarksArg::Lines => Self::Lines,
-            MarksArg::Dots => Self::Dots,
-        }
-    }
+/// Parser of how series are drawn.
+fn marks() -> impl TypedValueParser<Value = Marks> {
+    PossibleValuesParser::new(["bars", "lines", "dots"]).map(|name| match name.as_str() {
+        "bars" => Marks::Bars,
+        "lines" => Marks::Lines,
+        _ => Marks::Dots,
+    })
 }
 
 /// Runs `palpate plot`.
@@ -98,7 +87,7 @@ async fn draw(client: &Client, args: &PlotArgs) -> CliResult<()> {
         note(format_args!("palpate query \"{}\"", question.sql.replace('"', "\\\"")));
         (question, answer, heading)
     };
-    let marks = args.marks.map_or(question.marks, Marks::from);
+    let marks = args.marks.unwrap_or(question.marks);
     let chart = chart(&question, marks, &answer)
         .map_err(|limit| CliError::argument("the answer", &args.what, limit))?;
     let svg = chart

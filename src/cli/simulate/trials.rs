@@ -141,7 +141,7 @@ fn open(path: &Path) -> CliResult<(Box<dyn BufRead>, String)> {
         return Ok((Box::new(io::stdin().lock()), "standard input".into()));
     }
     let name = path.display().to_string();
-    let file = File::open(path).map_err(|e| problem(Problem::whole(&name, e.to_string())))?;
+    let file = File::open(path).map_err(CliError::input(path))?;
     Ok((Box::new(BufReader::new(file)), name))
 }
 
