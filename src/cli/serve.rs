@@ -1,6 +1,7 @@
 //! `palpate serve`: the service until a signal ends it; without a rig file with a virtual bench.
 //! Uses: `api`, `virtual_bench`, `browser`. Never: anything that a client could do.
 
+use std::io::IsTerminal;
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 
@@ -125,10 +126,10 @@ async fn serve_rig(
     };
     let data = options.data.clone();
     let start = Service::start(options);
-    let service = match args.own_session {
-        // The command that started it shows this, and what it prints as an error.
-        true => start.await?,
-        false => shown_wait("opening the data folder", start).await?,
+    // Elsewhere the first line that it prints states that it listens.
+    let service = match std::io::stderr().is_terminal() {
+        true => shown_wait("opening the data folder", start).await?,
+        false => start.await?,
     };
     announce(&data, &service, tls.as_ref());
     let operator = bench.map_or(Ok(()), |bench| send_operator(args, bench, &service));
