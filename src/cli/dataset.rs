@@ -15,8 +15,8 @@ use super::files::read_as;
 use super::import::{ImportArgs, import};
 use super::next::Next;
 use super::output::{bytes, say, say_json};
-use super::start_time::local;
 use super::table::{Table, or_dash};
+use super::times::local;
 use super::{At, embed};
 use crate::file_kind::FileKind;
 

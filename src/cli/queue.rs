@@ -1,5 +1,5 @@
 //! `palpate queue`: the runs that wait.
-//! Uses: `client`, `files`, `start_time`. Never: starting anything.
+//! Uses: `client`, `files`, `times`. Never: starting anything.
 
 use std::path::{Path, PathBuf};
 
@@ -12,11 +12,10 @@ use super::client::Client;
 use super::error::CliResult;
 use super::files::ExperimentFiles;
 use super::find::find_run;
-use super::morning::second;
 use super::output::{duration, say, say_json};
 use super::run::submission;
-use super::start_time::{StartTime, local};
 use super::table::{Table, or_dash};
+use super::times::{StartTime, local, second};
 use super::{At, embed};
 use crate::api::{Page, QueueTime};
 use crate::store::RunRow;

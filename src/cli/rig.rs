@@ -19,7 +19,7 @@ use super::output::{Output, say, say_json};
 use super::progress::Working;
 use super::signals::Signals;
 use super::view::StatusView;
-use super::{At, embed, measured, rig_limits, rig_rates};
+use super::{At, embed, rig_facts};
 use crate::api::LockFile;
 use crate::campaign::bench::estop::StopSwitch;
 use crate::campaign::bench::rig_state::RigState;
@@ -153,10 +153,12 @@ async fn operate(client: &Client, command: RigCommand, output: Output) -> CliRes
             output.say(&wear, wear_words(&wear));
             return Ok(());
         }
-        RigCommand::Limits => return rig_limits::limits(client, output).await,
-        RigCommand::Rates => return rig_rates::rates(client, output).await,
-        RigCommand::Samples { minutes } => return measured::samples(client, minutes, output).await,
-        RigCommand::Untouched => return measured::untouched(client, output).await,
+        RigCommand::Limits => return rig_facts::limits(client, output).await,
+        RigCommand::Rates => return rig_facts::rates(client, output).await,
+        RigCommand::Samples { minutes } => {
+            return rig_facts::samples(client, minutes, output).await;
+        }
+        RigCommand::Untouched => return rig_facts::untouched(client, output).await,
         RigCommand::Check { .. } => client.status().await?,
         RigCommand::Connect => {
             client.act_on_rig("connect", json!({})).await?;
