@@ -10,7 +10,11 @@ use rustix::fs::{Access, access};
 use uuid::Uuid;
 
 use super::output::{bytes, note};
+use super::running::is_alive;
 use crate::new_file::make_folder;
+
+/// Begin of the names of the temporary folders, before the id of their process.
+const VIEWS: &str = "palpate-view-";
 
 /// Name of the database, and of its log.
 const DATABASE: [&str; 2] = ["palpate.db", "palpate.db-wal"];
@@ -37,7 +41,9 @@ impl View {
     }
 
     fn copy(data: &Path) -> io::Result<Self> {
-        let view = Self(std::env::temp_dir().join(format!("palpate-view-{}", Uuid::now_v7())));
+        let folder = std::env::temp_dir();
+        sweep(&folder);
+        let view = Self(folder.join(format!("{VIEWS}{}-{}", std::process::id(), Uuid::now_v7())));
         make_folder(&view.0)?;
         for entry in data.canonicalize()?.read_dir()? {
             let entry = entry?;
@@ -83,6 +89,19 @@ impl Drop for View {
     }
 }
 
+/// Removes the views of processes that were killed.
+fn sweep(folder: &Path) {
+    for entry in folder.read_dir().into_iter().flatten().flatten() {
+        let name = entry.file_name().into_string().unwrap_or_default();
+        let process =
+            name.strip_prefix(VIEWS).and_then(|rest| rest.split('-').next()?.parse().ok());
+        if process.is_some_and(|process| !is_alive(process)) {
+            // Those of other users stay.
+            let _ = std::fs::remove_dir_all(entry.path());
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -109,5 +128,17 @@ mod tests {
         assert!(!folder.exists());
         assert_eq!(std::fs::read_to_string(data.join("palpate.db")).unwrap(), "trials");
         assert!(data.join("datasets/ds.parquet").exists());
+    }
+
+    #[test]
+    fn the_view_of_a_killed_process_is_removed_and_that_of_a_running_one_stays() {
+        let folder = tempfile::tempdir().unwrap();
+        let view = |process: u32| folder.path().join(format!("{VIEWS}{process}-0192"));
+        let (killed, running) = (view(i32::MAX.cast_unsigned()), view(std::process::id()));
+        for folder in [&killed, &running] {
+            std::fs::create_dir_all(folder).unwrap();
+        }
+        sweep(folder.path());
+        assert!(!killed.exists() && running.exists());
     }
 }
