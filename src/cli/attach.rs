@@ -82,7 +82,14 @@ pub async fn to_its_end(
         Left::Open(why) => Some(why),
     };
     let (summary, status) = (client.summary(uid).await?, client.status().await?);
-    let fit = if why.is_none() { fit(client, uid).await } else { None };
+    let fit = match why {
+        // A signal ends the wait for the twins; the service makes them, or the next one.
+        None => tokio::select! {
+            found = fit(client, uid) => found,
+            _ = signals.next() => None,
+        },
+        Some(_) => None,
+    };
     let closing = Closing::of(summary, status.service.database, status.rig.clock_rate, why);
     Ok(Some(closing.with_fit(fit)))
 }

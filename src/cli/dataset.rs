@@ -15,8 +15,8 @@ use super::files::read_as;
 use super::import::{ImportArgs, import};
 use super::next::Next;
 use super::output::{bytes, say, say_json};
-use super::start_time::local;
 use super::table::{Table, or_dash};
+use super::times::local;
 use super::{At, embed};
 use crate::file_kind::FileKind;
 
@@ -127,7 +127,10 @@ pub async fn dataset(args: DatasetArgs) -> CliResult<()> {
             embed::reading(&args.at, async |client| prune(client, &args).await).await
         }
         What::Make(args) => {
-            embed::with_server(&args.at, async |client| make(client, &args).await).await
+            embed::with_purpose(&args.at, embed::Purpose::Stores, async |client| {
+                make(client, &args).await
+            })
+            .await
         }
         What::Export(args) => {
             embed::with_server(&args.at, async |client| export::export(client, &args).await).await

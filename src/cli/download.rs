@@ -1,4 +1,5 @@
-//! Downloads a file of a service; a connection that breaks is resumed.
+//! Downloads a file of a service; a connection that breaks is resumed. An answer that is made as it is read becomes a
+//! file, too.
 //! Uses: `client`, `new_file`, `progress`. Never: a wait without a deadline, a name for a file that its caller has not
 //! checked.
 
@@ -7,11 +8,12 @@ use std::path::Path;
 use std::time::Duration;
 
 use futures::StreamExt;
+use reqwest::Response;
 use tokio::time::timeout;
 
 use super::client::Client;
 use super::error::{CliError, CliResult};
-use super::progress::Counted;
+use super::progress::{Counted, Working};
 use crate::new_file::{Finished, NewFile};
 
 /// Longest wait until a dataset is made.
@@ -77,6 +79,28 @@ pub async fn download_whole(
     let name = out.file_name().unwrap_or_default().to_string_lossy();
     let failed = |source| CliError::File { path: out.into(), source };
     file.finish(&name).map(drop).map_err(failed)
+}
+
+/// Writes an answer to a file, which appears when it is complete, and names this `work` while it lasts. Returns the
+/// number of bytes. `broken`: the error of a connection that breaks.
+///
+/// # Errors
+/// `CliError::File` if the file cannot be written, or that of `broken`.
+pub async fn keep(
+    answer: Response,
+    out: &Path,
+    work: &str,
+    broken: impl Fn(reqwest::Error) -> CliError,
+) -> CliResult<u64> {
+    let failed = |source| CliError::File { path: out.into(), source };
+    let _shown = Working::on(work);
+    let mut file = NewFile::create_for(out).map_err(failed)?;
+    let mut pieces = answer.bytes_stream();
+    while let Some(piece) = pieces.next().await {
+        file.write_all(&piece.map_err(&broken)?).map_err(failed)?;
+    }
+    let name = out.file_name().unwrap_or_default().to_string_lossy();
+    Ok(file.finish(&name).map_err(failed)?.bytes)
 }
 
 async fn in_time<T>(work: impl Future<Output = T>) -> CliResult<T> {

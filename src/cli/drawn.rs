@@ -100,7 +100,7 @@ fn drawn(error: &CliError, renderer: &Renderer, width: Option<usize>) -> String 
     };
     let all = problems.iter().map(|problem| match in_file(problem) {
         Some(line) => line.draw(problem, renderer),
-        None => sentence(&without_line(problem)),
+        None => sentence(&in_plain_words(&without_line(problem))),
     });
     all.collect::<Vec<_>>().join("\n")
 }

@@ -112,13 +112,13 @@ pub async fn server(at: &At) -> CliResult<Client> {
 ///
 /// # Errors
 /// `CliError` if the carried sensor file is invalid.
-fn options(data: PathBuf, rig: &RigFiles, idle: bool) -> CliResult<ServeOptions> {
+fn options(data: PathBuf, rig: &RigFiles, purpose: Purpose) -> CliResult<ServeOptions> {
     let (sensor, sensor_text) = read_sensor_text(None)?;
     Ok(ServeOptions {
         tls: None,
         require_key: false,
         desk: true,
-        idle,
+        idle: purpose == Purpose::Reads,
         local_admin: false,
         bind: SocketAddr::from((Ipv4Addr::LOCALHOST, 0)),
         data,
@@ -132,24 +132,48 @@ fn options(data: PathBuf, rig: &RigFiles, idle: bool) -> CliResult<ServeOptions>
     })
 }
 
+/// What a command does with a data folder, if no service runs.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Purpose {
+    /// It only reads: the service that is started for it makes nothing by itself, so that a look at the data does
+    /// not resume a training.
+    Reads,
+    /// Its result leaves the folder. A copy serves if the folder cannot be written, as for `Reads`.
+    Computes,
+    /// Its result is stored in the folder, which must be writable.
+    Stores,
+}
+
 /// Runs `work` with a running service, or with one started for it, which needs no rig.
 ///
 /// # Errors
-/// `CliError` if no service can be reached or started, or the error of `work`.
+/// `CliError` if no service can be reached or started, or the error of `work`; `Problems` if it stores and the
+/// folder cannot be written.
+pub async fn with_purpose<T>(
+    at: &At,
+    purpose: Purpose,
+    work: impl AsyncFnOnce(&Client) -> CliResult<T>,
+) -> CliResult<T> {
+    Opened::of(at, purpose).await?.carry_out(work).await
+}
+
+/// As [`with_purpose`], for work that computes.
+///
+/// # Errors
+/// As [`with_purpose`].
 pub async fn with_server<T>(
     at: &At,
     work: impl AsyncFnOnce(&Client) -> CliResult<T>,
 ) -> CliResult<T> {
-    Opened::of(at, false).await?.carry_out(work).await
+    with_purpose(at, Purpose::Computes, work).await
 }
 
-/// As [`with_server`], for work that only reads: a service that is started for it makes nothing by itself, so
-/// that a look at the data does not resume a training.
+/// As [`with_purpose`], for work that only reads.
 ///
 /// # Errors
-/// As [`with_server`].
+/// As [`with_purpose`].
 pub async fn reading<T>(at: &At, work: impl AsyncFnOnce(&Client) -> CliResult<T>) -> CliResult<T> {
-    Opened::of(at, true).await?.carry_out(work).await
+    with_purpose(at, Purpose::Reads, work).await
 }
 
 /// A service for the work of a command: a running one, or one without a rig in this process.
@@ -160,14 +184,19 @@ struct Opened {
 }
 
 impl Opened {
-    async fn of(at: &At, idle: bool) -> CliResult<Self> {
+    async fn of(at: &At, purpose: Purpose) -> CliResult<Self> {
         if let Some(client) = find(at).await? {
             return Ok(Self { client, own: None });
         }
         let data = at.data();
+        if purpose == Purpose::Stores && View::is_needed(&data) {
+            let limit = "cannot be written, and this command stores something in it: name a copy of it with --data, \
+                         or a service with --url";
+            return Err(CliError::in_file(&data, limit));
+        }
         let view = View::of(&data).map_err(CliError::file(&data))?;
         let folder = view.as_ref().map_or(data, |view| view.folder().to_owned());
-        let options = options(folder, &RigFiles::read(None)?, idle)?;
+        let options = options(folder, &RigFiles::read(None)?, purpose)?;
         let service = shown_wait("opening the data folder", Service::start(options)).await?;
         match Client::new(&service.url(), None, None) {
             Ok(client) => Ok(Self { client, own: Some((service, view)) }),

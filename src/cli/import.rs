@@ -70,8 +70,10 @@ pub async fn import(args: ImportArgs) -> CliResult<()> {
         }
         return Ok(());
     }
-    embed::with_server(&args.at, async |client| store(client, &args, sensor, map, &summary).await)
-        .await
+    embed::with_purpose(&args.at, embed::Purpose::Stores, async |client| {
+        store(client, &args, sensor, map, &summary).await
+    })
+    .await
 }
 
 /// Checks the file as the service does.

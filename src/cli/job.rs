@@ -11,9 +11,10 @@ use serde_json::Value;
 use super::client::Client;
 use super::error::{CliError, CliResult};
 use super::output::{Output, duration, note, say, say_json};
+use super::picture::figure_file;
 use super::progress::{LogLines, bar};
-use super::start_time::local;
 use super::table::Table;
+use super::times::local;
 use super::{At, embed, job_losses};
 use crate::api::JobOut;
 use crate::ids::TaskId;
@@ -133,7 +134,7 @@ enum JobWhat {
         one: OneJob,
         /// Draw training and validation loss over the epochs instead; the ending of the name decides:
         /// .svg, .png or .pdf.
-        #[arg(long, value_name = "FILE.svg")]
+        #[arg(long, value_name = "FILE.svg", value_parser = figure_file)]
         plot: Option<PathBuf>,
     },
 }
@@ -151,7 +152,11 @@ struct OneJob {
 pub async fn job(args: JobArgs) -> CliResult<()> {
     let JobArgs { what, at } = args;
     let output = at.output();
-    embed::with_server(&at, async |client| {
+    let purpose = match what {
+        JobWhat::Stop(_) => embed::Purpose::Stores,
+        _ => embed::Purpose::Reads,
+    };
+    embed::with_purpose(&at, purpose, async |client| {
         match what {
             JobWhat::List => {
                 let jobs: Vec<JobOut> = client.all("/api/v1/jobs?").await?;
@@ -174,7 +179,10 @@ pub async fn job(args: JobArgs) -> CliResult<()> {
                 let id = named(client, &one.job).await?;
                 match plot {
                     Some(file) => job_losses::draw(client, &id, &file).await?,
-                    None => say(job_losses::losses(client, &id).await?.trim_end()),
+                    None => match job_losses::losses(client, &id).await?.trim_end() {
+                        "" => note("there are no losses yet: the first ones come with an epoch"),
+                        losses => say(losses),
+                    },
                 }
             }
         }

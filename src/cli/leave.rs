@@ -40,6 +40,10 @@ pub const QUESTION_ON_PAUSED_RUN: &str = "d  detach: the run stays paused\nr  re
      s  stop: the run can be resumed later\nc  continue\n\
      Ctrl-C again raises the tips now and aborts";
 
+/// The question on a run that waits for its turn.
+pub const QUESTION_ON_WAITING_RUN: &str = "d  detach: the run begins when its turn comes\n\
+     s  take it out of the queue\nc  continue\nCtrl-C again takes it out of the queue";
+
 /// The question on a training.
 pub const QUESTION_ON_TRAINING: &str = "d  detach: the training continues\n\
      s  stop: the same command resumes it\nc  continue\nCtrl-C again stops";
@@ -84,9 +88,11 @@ mod tests {
 
     #[test]
     fn every_letter_of_the_question_is_an_answer() {
-        for question in [QUESTION_ON_RUN, QUESTION_ON_PAUSED_RUN] {
+        for (question, count) in
+            [(QUESTION_ON_RUN, 4), (QUESTION_ON_PAUSED_RUN, 4), (QUESTION_ON_WAITING_RUN, 3)]
+        {
             let letters: Vec<&str> = question.split_whitespace().filter(|w| w.len() == 1).collect();
-            assert_eq!(letters.len(), 4);
+            assert_eq!(letters.len(), count);
             assert!(letters.iter().all(|letter| Choice::of(letter).is_some()), "{letters:?}");
         }
         assert_eq!(Choice::of(" Stop\n"), Some(Choice::Stop));

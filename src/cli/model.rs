@@ -113,7 +113,11 @@ const PROMOTING: Duration = Duration::from_secs(900);
 /// `CliError` if the service cannot be reached or started, refuses, or a file cannot be used.
 pub async fn model(args: ModelArgs) -> CliResult<()> {
     let ModelArgs { what, at } = args;
-    embed::with_server(&at, async |client| answer(client, what, &at).await).await
+    let purpose = match what {
+        What::List | What::Show { .. } | What::Serving | What::Onnx { .. } => embed::Purpose::Reads,
+        _ => embed::Purpose::Stores,
+    };
+    embed::with_purpose(&at, purpose, async |client| answer(client, what, &at).await).await
 }
 
 async fn answer(client: &Client, what: What, at: &At) -> CliResult<()> {

@@ -104,7 +104,8 @@ impl OwnServer {
     /// `CliError::Late` if it does not end.
     pub async fn end(mut self) -> CliResult<()> {
         terminate(&self.child);
-        match timeout(SERVER_END_WAIT, self.child.wait()).await {
+        let end = timeout(SERVER_END_WAIT, self.child.wait());
+        match shown_wait("ending the service", end).await {
             Ok(_) => Ok(()),
             Err(_) => {
                 let what = format!("the end of the service (its log is {})", self.log.display());

@@ -1,7 +1,7 @@
 //! Figures written as SVG, PNG or PDF: the ending of the name decides.
 //! Uses: rsvg-convert or a browser of this machine, as processes. Never: a figure (others draw it).
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::Stdio;
 
 use clap::{Args, ValueEnum};
@@ -57,6 +57,19 @@ impl Format {
             Self::Png => "png",
             Self::Pdf => "pdf",
         }
+    }
+}
+
+/// Reads the name of a figure: an ending that no format has is refused before anything is computed.
+///
+/// # Errors
+/// The limit, if the name ends otherwise; a name without an ending is that of an SVG.
+pub fn figure_file(name: &str) -> Result<PathBuf, String> {
+    let path = PathBuf::from(name);
+    let is_svg = path.extension().is_none_or(|ending| ending.eq_ignore_ascii_case("svg"));
+    match is_svg || Format::of(&path).is_some() {
+        true => Ok(path),
+        false => Err("must end in .svg, .png or .pdf".into()),
     }
 }
 
@@ -142,6 +155,8 @@ mod tests {
             [of("a.png"), of("a.PDF"), of("a.svg")],
             [Some(Format::Png), Some(Format::Pdf), None]
         );
+        assert!(["a.SVG", "/dev/stdout", "b/a.png"].iter().all(|name| figure_file(name).is_ok()));
+        assert!(figure_file("a.jpg").unwrap_err().contains(".svg, .png or .pdf"));
         let svg = "<svg width=\"720\" height=\"480.5\" viewBox=\"0 0 1 1\"><g width=\"3\"/></svg>";
         assert_eq!(size_px(svg), Some([720, 481]));
         assert!(html(svg, [720, 481]).contains("size: 720px 481px"));

@@ -11,6 +11,7 @@ use serde_json::json;
 use super::error::{CliError, CliResult};
 use super::files::{ExperimentFiles, RigFiles};
 use super::output::{say, say_json};
+use super::picture::figure_file;
 use crate::schedule::configuration::Stand;
 use crate::schedule::plan::Step;
 
@@ -28,7 +29,7 @@ pub struct PlanArgs {
     pub steps: bool,
     /// Draw the plan on the skin: tips in their order, way of the indenter, electrodes. The ending
     /// of the name decides: .svg, .png or .pdf.
-    #[arg(long, value_name = "FILE.svg")]
+    #[arg(long, value_name = "FILE.svg", value_parser = figure_file)]
     pub plot: Option<PathBuf>,
     /// Print one JSON object on standard output.
     #[arg(long)]

@@ -1,5 +1,5 @@
 //! `palpate queue`: the runs that wait.
-//! Uses: `client`, `files`, `start_time`. Never: starting anything.
+//! Uses: `client`, `files`, `times`. Never: starting anything.
 
 use std::path::{Path, PathBuf};
 
@@ -12,11 +12,10 @@ use super::client::Client;
 use super::error::CliResult;
 use super::files::ExperimentFiles;
 use super::find::find_run;
-use super::morning::second;
 use super::output::{duration, say, say_json};
 use super::run::submission;
-use super::start_time::{StartTime, local};
 use super::table::{Table, or_dash};
+use super::times::{StartTime, local, second};
 use super::{At, embed};
 use crate::api::{Page, QueueTime};
 use crate::store::RunRow;
@@ -76,7 +75,11 @@ pub enum QueueCommand {
 /// `CliError` if the service cannot be reached or started, refuses, or a file is invalid.
 pub async fn queue(args: QueueArgs) -> CliResult<()> {
     let (json, command) = (args.at.json, args.command.unwrap_or(QueueCommand::List));
-    embed::with_server(&args.at, async |client| {
+    let purpose = match command {
+        QueueCommand::List => embed::Purpose::Reads,
+        _ => embed::Purpose::Stores,
+    };
+    embed::with_purpose(&args.at, purpose, async |client| {
         let queued: Option<RunRow> = match command {
             QueueCommand::List => None,
             QueueCommand::Add { experiment, at } => {

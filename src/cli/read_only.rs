@@ -1,5 +1,5 @@
-//! A data folder that cannot be written: a temporary folder with a copy of its database, and links to its other
-//! files, so that everything that only reads works as usual.
+//! A data folder that cannot be written: a temporary folder with a copy of its database and links to its other
+//! files, so that everything that reads or computes works as usual.
 //! Uses: std's files. Never: a change to the folder.
 
 use std::io;
@@ -10,7 +10,11 @@ use rustix::fs::{Access, access};
 use uuid::Uuid;
 
 use super::output::{bytes, note};
+use super::running::is_alive;
 use crate::new_file::make_folder;
+
+/// Begin of the names of the temporary folders, before the id of their process.
+const VIEWS: &str = "palpate-view-";
 
 /// Name of the database, and of its log.
 const DATABASE: [&str; 2] = ["palpate.db", "palpate.db-wal"];
@@ -23,19 +27,23 @@ const LEFT_OUT: [&str; 5] =
 pub struct View(PathBuf);
 
 impl View {
+    /// Whether a folder is there and cannot be written.
+    pub fn is_needed(data: &Path) -> bool {
+        data.is_dir() && access(data, Access::WRITE_OK).is_err()
+    }
+
     /// Makes the view of a folder that cannot be written; none of any other.
     ///
     /// # Errors
     /// The operating system's if the folder cannot be read, or the copy not written.
     pub fn of(data: &Path) -> io::Result<Option<Self>> {
-        if !data.is_dir() || access(data, Access::WRITE_OK).is_ok() {
-            return Ok(None);
-        }
-        Self::copy(data).map(Some)
+        Self::is_needed(data).then(|| Self::copy(data)).transpose()
     }
 
     fn copy(data: &Path) -> io::Result<Self> {
-        let view = Self(std::env::temp_dir().join(format!("palpate-view-{}", Uuid::now_v7())));
+        let folder = std::env::temp_dir();
+        sweep(&folder);
+        let view = Self(folder.join(format!("{VIEWS}{}-{}", std::process::id(), Uuid::now_v7())));
         make_folder(&view.0)?;
         for entry in data.canonicalize()?.read_dir()? {
             let entry = entry?;
@@ -53,6 +61,14 @@ impl View {
                 let mut rights = std::fs::metadata(view.0.join(&name))?.permissions();
                 std::os::unix::fs::PermissionsExt::set_mode(&mut rights, 0o600);
                 std::fs::set_permissions(view.0.join(&name), rights)?;
+            } else if entry.path().is_dir() && !is(&LEFT_OUT) {
+                // A folder of links: an export or a dataset that is made next to them does not reach the data.
+                let folder = view.0.join(&name);
+                make_folder(&folder)?;
+                for entry in entry.path().read_dir()? {
+                    let entry = entry?;
+                    symlink(entry.path(), folder.join(entry.file_name()))?;
+                }
             } else if !is(&LEFT_OUT) {
                 symlink(entry.path(), view.0.join(&name))?;
             }
@@ -70,6 +86,19 @@ impl Drop for View {
     fn drop(&mut self) {
         // Links are removed, not what they lead to.
         let _ = std::fs::remove_dir_all(&self.0);
+    }
+}
+
+/// Removes the views of processes that were killed.
+fn sweep(folder: &Path) {
+    for entry in folder.read_dir().into_iter().flatten().flatten() {
+        let name = entry.file_name().into_string().unwrap_or_default();
+        let process =
+            name.strip_prefix(VIEWS).and_then(|rest| rest.split('-').next()?.parse().ok());
+        if process.is_some_and(|process| !is_alive(process)) {
+            // Those of other users stay.
+            let _ = std::fs::remove_dir_all(entry.path());
+        }
     }
 }
 
@@ -91,11 +120,25 @@ mod tests {
         let read = |name: &str| std::fs::read_to_string(view.folder().join(name));
         assert_eq!(read("datasets/ds.parquet").unwrap(), "rows");
         std::fs::write(view.folder().join("palpate.db"), "changed").unwrap();
+        std::fs::write(view.folder().join("datasets/made.parquet"), "rows").unwrap();
+        assert!(!data.join("datasets/made.parquet").exists());
         assert!(read("palpate.lock").is_err());
         let folder = view.folder().to_owned();
         drop(view);
         assert!(!folder.exists());
         assert_eq!(std::fs::read_to_string(data.join("palpate.db")).unwrap(), "trials");
         assert!(data.join("datasets/ds.parquet").exists());
+    }
+
+    #[test]
+    fn the_view_of_a_killed_process_is_removed_and_that_of_a_running_one_stays() {
+        let folder = tempfile::tempdir().unwrap();
+        let view = |process: u32| folder.path().join(format!("{VIEWS}{process}-0192"));
+        let (killed, running) = (view(i32::MAX.cast_unsigned()), view(std::process::id()));
+        for folder in [&killed, &running] {
+            std::fs::create_dir_all(folder).unwrap();
+        }
+        sweep(folder.path());
+        assert!(!killed.exists() && running.exists());
     }
 }

@@ -1,20 +1,18 @@
 //! `palpate live --record`: raw frames of the rig as a file, in a format of datasets.
-//! Uses: `client`, `dataset::format`, `new_file`. Never: a file that is not complete, other frames than the service's.
+//! Uses: `client`, `dataset::format`, `download`. Never: a file that is not complete, other frames than the service's.
 
-use std::io::Write;
 use std::path::Path;
 use std::time::Duration;
 
-use futures::StreamExt;
 use reqwest::Method;
 use serde_json::{Value, json};
 
 use super::client::Client;
+use super::download::keep;
 use super::error::{CliError, CliResult};
 use super::output::{Output, bytes, note};
 use super::query::by_ending;
 use crate::dataset::format::Format;
-use crate::new_file::NewFile;
 
 /// Longest time of a recording: a rig may send few frames.
 const RECORDED_WITHIN: Duration = Duration::from_secs(86_400);
@@ -42,17 +40,8 @@ pub async fn record(client: &Client, out: &Path, frames: u64, output: Output) ->
     if output != Output::Json {
         note("recording; Ctrl-C ends it without a file");
     }
-    let failed = |source| CliError::File { path: out.into(), source };
-    let mut file = NewFile::create_for(out).map_err(failed)?;
-    let mut length = 0_u64;
-    let mut pieces = answer.bytes_stream();
-    while let Some(piece) = pieces.next().await {
-        let piece = piece.map_err(|_| CliError::Cut { frames })?;
-        file.write_all(&piece).map_err(failed)?;
-        length += piece.len() as u64;
-    }
-    let name = out.file_name().unwrap_or_default().to_string_lossy();
-    file.finish(&name).map(drop).map_err(failed)?;
+    let work = format!("recording {frames} frames");
+    let length = keep(answer, out, &work, |_| CliError::Cut { frames }).await?;
     let words = format!("{}: {}", out.display(), bytes(length as f64));
     output.say(&json!({ "file": out, "bytes": length }), words);
     Ok(())

@@ -7,6 +7,7 @@ use std::process::ExitCode;
 use std::time::Duration;
 
 use clap::{Args, Subcommand, ValueEnum};
+use serde::Serialize;
 use serde_json::{Value, json};
 use tokio::time::{Instant, sleep};
 
@@ -18,7 +19,7 @@ use super::output::{Output, say, say_json};
 use super::progress::Working;
 use super::signals::Signals;
 use super::view::StatusView;
-use super::{At, embed, measured, rig_limits, rig_rates};
+use super::{At, embed, rig_facts};
 use crate::api::LockFile;
 use crate::campaign::bench::estop::StopSwitch;
 use crate::campaign::bench::rig_state::RigState;
@@ -105,7 +106,8 @@ pub enum RigCommand {
 }
 
 /// Axes of a jog.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, ValueEnum)]
+#[serde(rename_all = "lowercase")]
 pub enum AxisName {
     /// Along the skin's width.
     X,
@@ -118,15 +120,6 @@ pub enum AxisName {
 }
 
 impl AxisName {
-    fn as_str(self) -> &'static str {
-        match self {
-            AxisName::X => "x",
-            AxisName::Y => "y",
-            AxisName::Z => "z",
-            AxisName::Radius => "radius",
-        }
-    }
-
     fn of(self, pose: &Pose) -> f64 {
         match self {
             AxisName::X => pose.x_mm,
@@ -160,10 +153,12 @@ async fn operate(client: &Client, command: RigCommand, output: Output) -> CliRes
             output.say(&wear, wear_words(&wear));
             return Ok(());
         }
-        RigCommand::Limits => return rig_limits::limits(client, output).await,
-        RigCommand::Rates => return rig_rates::rates(client, output).await,
-        RigCommand::Samples { minutes } => return measured::samples(client, minutes, output).await,
-        RigCommand::Untouched => return measured::untouched(client, output).await,
+        RigCommand::Limits => return rig_facts::limits(client, output).await,
+        RigCommand::Rates => return rig_facts::rates(client, output).await,
+        RigCommand::Samples { minutes } => {
+            return rig_facts::samples(client, minutes, output).await;
+        }
+        RigCommand::Untouched => return rig_facts::untouched(client, output).await,
         RigCommand::Check { .. } => client.status().await?,
         RigCommand::Connect => {
             client.act_on_rig("connect", json!({})).await?;
@@ -179,7 +174,7 @@ async fn operate(client: &Client, command: RigCommand, output: Output) -> CliRes
             until_rig(client, "homing", HOMING_WAIT, |s| s.rig.state == RigState::Homed).await?
         }
         RigCommand::Jog { axis, to_mm } => {
-            let more = json!({ "axis": axis.as_str(), "to_mm": to_mm });
+            let more = json!({ "axis": axis, "to_mm": to_mm });
             client.act_on_rig("jog", more).await?;
             let there = |s: &StatusView| {
                 s.rig.pose.is_some_and(|p| (axis.of(&p) - to_mm).abs() < ARRIVED_MM)

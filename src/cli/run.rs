@@ -22,6 +22,7 @@ use super::signals::Signals;
 use super::summary::Closing;
 use super::view::{PreflightView, StatusView};
 use super::{At, embed};
+use crate::ids::RunUid;
 use crate::new_file::make_folder;
 use crate::problem::Problem;
 use crate::rig::setup::RigSetup;
@@ -127,10 +128,8 @@ pub async fn run(args: RunArgs) -> CliResult<ExitCode> {
             make_folder(&data).map_err(CliError::file(&data))?;
             let sensor = data.join("sensor.toml");
             write(&sensor, &order.files.sensor_text)?;
-            let own = tokio::select! {
-                own = OwnServer::on_bench(&args.bench, &data, &sensor, output) => own?,
-                _ = signals.next() => return Err(CliError::Interrupted),
-            };
+            let starting = OwnServer::on_bench(&args.bench, &data, &sensor, output);
+            let own = signals.during(starting).await?;
             let (client, process) = (own.client.clone(), own.process());
             let outcome = drive(&client, &order, &mut signals).await;
             if !matches!(outcome, Ok(Outcome::Detached(_))) {
@@ -159,15 +158,21 @@ fn sound(files: &ExperimentFiles, rig: &RigFiles) -> CliResult<()> {
 
 /// Brings the rig up, starts the run and follows it, like any client.
 async fn drive(client: &Client, order: &Order, signals: &mut Signals) -> CliResult<Outcome> {
-    let (run, since, waiting) = tokio::select! {
-        started = begin(client, order) => started?,
-        _ = signals.next() => return Err(CliError::Interrupted),
-    };
+    let mut queued = None;
+    let begun = signals.during(begin(client, order, &mut queued)).await;
+    // A queued run that was not started would surprise the next person.
+    if begun.is_err()
+        && let Some(run) = queued
+        && let Err(left) = client.delete(&format!("/api/v1/queue/{run}")).await
+    {
+        tracing::warn!(error = %left, "the run stays in the queue");
+    }
+    let (run, since, waiting) = begun?;
     note(order, &format!("its page: {}/", client.url()));
     if waiting {
         note(order, &format!("run {} starts when the active run has ended", run.scan_id));
     }
-    if order.detach {
+    if order.detach || signals.hung_up() {
         return Ok(Outcome::Detached(run.into()));
     }
     let watch = Watch {
@@ -185,8 +190,13 @@ async fn drive(client: &Client, order: &Order, signals: &mut Signals) -> CliResu
     })
 }
 
-/// Starts the run, or finds it: returns it, the number of the last event before, and whether it waits.
-async fn begin(client: &Client, order: &Order) -> CliResult<(RunRow, i64, bool)> {
+/// Starts the run, or finds it: returns it, the number of the last event before, and whether it waits. `queued`: the run
+/// that it has queued for this.
+async fn begin(
+    client: &Client,
+    order: &Order,
+    queued: &mut Option<RunUid>,
+) -> CliResult<(RunRow, i64, bool)> {
     let status = bring_up(client, order.motion).await?;
     if let Some(active) = status.run.as_ref().filter(|_| !order.new) {
         let run = client.run(active.uid).await?;
@@ -196,26 +206,20 @@ async fn begin(client: &Client, order: &Order) -> CliResult<(RunRow, i64, bool)>
             return Ok((run, since, false));
         }
     }
-    let (run, fresh) = match resumable(client, order, &status).await? {
+    let run = match resumable(client, order, &status).await? {
         Some(run) => {
             note(order, &format!("run {} resumes where it stopped", run.scan_id));
-            (run, false)
+            run
         }
-        None => (enqueue(client, &order.files).await?, true),
+        None => {
+            let run = enqueue(client, &order.files).await?;
+            *queued = Some(run.uid);
+            run
+        }
     };
-    match arm_and_start(client, &run).await {
-        Ok(Begun { since, waiting, preflight }) => {
-            note(order, &preflight_words(&run, &preflight, &status));
-            Ok((run, since, waiting))
-        }
-        Err(error) => {
-            // A queued run that could not start would surprise the next person.
-            if fresh && let Err(left) = client.delete(&format!("/api/v1/queue/{}", run.uid)).await {
-                tracing::warn!(error = %left, "the run stays in the queue");
-            }
-            Err(error)
-        }
-    }
+    let Begun { since, waiting, preflight } = arm_and_start(client, &run).await?;
+    note(order, &preflight_words(&run, &preflight, &status));
+    Ok((run, since, waiting))
 }
 
 impl Order {

@@ -66,7 +66,7 @@ fn is_ours(path: &Path) -> bool {
 
 /// Whether there is such a process: a service that was killed leaves its file, and another program may listen
 /// at its address.
-fn is_alive(process: i32) -> bool {
+pub fn is_alive(process: i32) -> bool {
     let Some(pid) = Pid::from_raw(process) else { return false };
     // A process of another user is alive, although it must not be signalled.
     !matches!(test_kill_process(pid), Err(Errno::SRCH))

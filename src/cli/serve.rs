@@ -1,6 +1,7 @@
 //! `palpate serve`: the service until a signal ends it; without a rig file with a virtual bench.
 //! Uses: `api`, `virtual_bench`, `browser`. Never: anything that a client could do.
 
+use std::io::IsTerminal;
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 
@@ -14,6 +15,7 @@ use super::error::{CliError, CliResult};
 use super::files::{RigFiles, parse_calibration, read_sensor_text};
 use super::key::key;
 use super::output::{note, say};
+use super::progress::shown_wait;
 use super::running::Running;
 use super::signals::Signals;
 use super::virtual_bench::VirtualBench;
@@ -123,7 +125,12 @@ async fn serve_rig(
         sensor_text,
     };
     let data = options.data.clone();
-    let service = Service::start(options).await?;
+    let start = Service::start(options);
+    // Elsewhere the first line that it prints states that it listens.
+    let service = match std::io::stderr().is_terminal() {
+        true => shown_wait("opening the data folder", start).await?,
+        false => start.await?,
+    };
     announce(&data, &service, tls.as_ref());
     let operator = bench.map_or(Ok(()), |bench| send_operator(args, bench, &service));
     if operator.is_ok() {

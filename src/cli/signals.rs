@@ -1,5 +1,5 @@
 //! The signals that end or interrupt a command.
-//! Uses: tokio's signals. Never: what follows from one.
+//! Uses: tokio's signals. Never: what follows from one, except for work that must be done before it can be left.
 
 use tokio::signal::unix::{Signal, SignalKind, signal};
 
@@ -10,6 +10,7 @@ pub struct Signals {
     interrupt: Signal,
     terminate: Signal,
     hang_up: Signal,
+    hung_up: bool,
 }
 
 /// Signal that ends or interrupts a command.
@@ -37,7 +38,30 @@ impl Signals {
             interrupt: one(SignalKind::interrupt())?,
             terminate: one(SignalKind::terminate())?,
             hang_up: one(SignalKind::hangup())?,
+            hung_up: false,
         })
+    }
+
+    /// Carries out what a closed terminal does not end: a start, after which the service can be left.
+    ///
+    /// # Errors
+    /// `CliError::Interrupted` after another signal, or the error of `work`.
+    pub async fn during<T>(&mut self, work: impl Future<Output = CliResult<T>>) -> CliResult<T> {
+        let mut work = std::pin::pin!(work);
+        loop {
+            tokio::select! {
+                done = &mut work => return done,
+                asked = self.next() => match asked {
+                    Asked::HangUp => self.hung_up = true,
+                    Asked::Interrupt | Asked::Terminate => return Err(CliError::Interrupted),
+                },
+            }
+        }
+    }
+
+    /// Whether the terminal was closed during such work.
+    pub fn hung_up(&self) -> bool {
+        self.hung_up
     }
 
     /// Waits for the next signal.

@@ -13,6 +13,7 @@ use crate::api::Summary;
 use crate::evaluate::published::{REAL_HEX, REAL_RANDOM};
 use crate::evaluate::simulation::SimulationReport;
 use crate::journal::ExitStatus;
+use crate::state::StoredState;
 use crate::store::RunKind;
 
 /// Presses for it: six settings of 33,000 (paper IV-A). The rest had no contact over 5 N.
@@ -53,7 +54,8 @@ impl Closing {
     }
 
     fn is_resumable(&self) -> bool {
-        self.summary.run.exit_status.is_none() || self.summary.run.is_resumable
+        let run = &self.summary.run;
+        run.is_resumable || run.exit_status.is_none() && run.state != StoredState::Removed
     }
 
     /// Number of trials with a simulated twin, if known.

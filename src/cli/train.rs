@@ -181,10 +181,7 @@ pub async fn train(args: TrainArgs) -> CliResult<()> {
         };
     }
     let data = args.at.data();
-    let own = tokio::select! {
-        own = OwnServer::at_desk(&data) => own?,
-        _ = signals.next() => return Err(CliError::Interrupted),
-    };
+    let own = signals.during(OwnServer::at_desk(&data)).await?;
     let client = own.client.clone();
     let done = async {
         let asked = request(&client, &args.recipe, &recipe).await?;
@@ -231,7 +228,9 @@ async fn train_on(
     let (id, url) = (asked.task.id, client.url());
     if args.no_wait {
         shown(&asked, args.at.output());
-    } else if let Some(done) = follow(client, asked, process.is_some(), signals).await? {
+    } else if !signals.hung_up()
+        && let Some(done) = follow(client, asked, process.is_some(), signals).await?
+    {
         return Ok(Some(done));
     }
     if args.at.json {

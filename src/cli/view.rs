@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 use super::care::CareView;
-use super::start_time::local;
+use super::times::local;
 use crate::api::Rating;
 use crate::campaign::bench::estop::AxisStop;
 use crate::campaign::bench::interlock::{Trip, TripKind};

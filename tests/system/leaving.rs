@@ -1,5 +1,5 @@
-//! Leaving a run that `palpate run` follows: Ctrl-C stops it so that the same command resumes it, a closed
-//! terminal and --detach leave it to the service, and `attach` follows it again.
+//! Leaving a run that `palpate run` follows: Ctrl-C stops it so that the same command resumes it, or takes it out of the
+//! queue; a closed terminal and --detach leave it to the service, and `attach` follows it again.
 //! Uses: the program, as at a terminal without a person. Never: the service's API.
 
 use std::io::{BufRead, BufReader, Lines};
@@ -143,4 +143,45 @@ async fn a_run_outlives_the_command_and_its_terminal() {
     assert_eq!((code, &last["scan_id"]), (0, &json!(1)), "{last:#}");
     assert_eq!((&last["exit_status"], &last["trials_stored"]), (&json!("success"), &json!(66)));
     assert!(desk.service().is_some(), "a detached service stays");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn ctrl_c_takes_a_run_that_waits_for_its_turn_out_of_the_queue() {
+    let _turn = turn(COMPUTES).await;
+    let desk = Desk::new("waiting");
+    let (left, code) = desk.palpate(&["run", "e.toml", "--speed", "5", "--detach"]).end();
+    assert_eq!((code, &left["event"]), (0, &json!("detached")), "{left:#}");
+    std::fs::write(desk.0.join("next.toml"), EXPERIMENT.replace("leaving", "next")).unwrap();
+    let waiting = desk.palpate(&["run", "next.toml"]);
+    let queued = || desk.palpate(&["queue"]).end().0["items"].clone();
+    for _ in 0..100 {
+        if queued()[0]["waiting_since"].is_string() {
+            break;
+        }
+        std::thread::sleep(std::time::Duration::from_millis(100));
+    }
+    assert_eq!(queued()[0]["experiment"], "next");
+    waiting.signal(Signal::INT);
+    let (last, code) = waiting.end();
+    assert_eq!(code, 1, "{last:#}");
+    assert_ne!(last["resumable"], true, "{last:#}");
+    assert_eq!(queued(), json!([]));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_terminal_that_is_closed_before_the_run_begins_leaves_it_to_the_service() {
+    let _turn = turn(COMPUTES).await;
+    let desk = Desk::new("hung-up");
+    let run = desk.run(&[]);
+    for _ in 0..600 {
+        if desk.service().is_some() {
+            break;
+        }
+        std::thread::sleep(std::time::Duration::from_millis(100));
+    }
+    run.signal(Signal::HUP);
+    let (left, code) = run.end();
+    assert_eq!((code, &left["event"]), (0, &json!("detached")), "{left:#}");
+    let (last, code) = desk.palpate(&["attach", "1"]).end();
+    assert_eq!((code, &last["exit_status"]), (0, &json!("success")), "{last:#}");
 }

@@ -38,7 +38,7 @@ impl Station {
     pub async fn read(&self, operation: &str, request: Request) -> Result<Vec<u16>, RigError> {
         match self.line.ask(self.unit, request).await {
             Ok(Reply::Words(words)) => Ok(words),
-            Ok(other) => Err(self.garbled(operation, format!("{other:?} in reply to a read"))),
+            Ok(other) => Err(self.garbled(operation, format!("{other} in reply to a read"))),
             Err(error) => Err(self.named(operation, error)),
         }
     }

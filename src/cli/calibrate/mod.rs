@@ -16,7 +16,7 @@ use super::error::{CliError, CliResult};
 use super::files::{read_calibration, read_input, read_sensor, write};
 use super::next::{Next, word};
 use super::output::{counted, say, say_json};
-use super::picture;
+use super::picture::{self, figure_file};
 use super::progress::Working;
 use super::{At, data_or_default};
 use crate::calibrate::{CalibrateError, foam, frames, piezo, plot};
@@ -66,7 +66,7 @@ struct Common {
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
     /// Draw data, fit and band; the ending of the name decides: .svg, .png or .pdf.
-    #[arg(long, value_name = "FILE.svg")]
+    #[arg(long, value_name = "FILE.svg", value_parser = figure_file)]
     plot: Option<PathBuf>,
     /// Folder of the cache of solved skins [env: PALPATE_DATA] [default: palpate-data].
     #[arg(long, value_name = "DIR")]

@@ -19,7 +19,7 @@ use super::super::error::{CliError, CliResult};
 use super::super::files::{calibration_problem, parse_calibration, write};
 use super::super::find::find_run;
 use super::super::output::{counted, say, say_json};
-use super::super::picture;
+use super::super::picture::{self, figure_file};
 use super::super::progress::{Counted, LogLines, progress_bar};
 use super::super::simulate::solving;
 use super::super::{At, embed};
@@ -56,7 +56,7 @@ pub struct SkinArgs {
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
     /// Draw the fitted fields, and held-out trials before and after.
-    #[arg(long, value_name = "FILE.svg")]
+    #[arg(long, value_name = "FILE.svg", value_parser = figure_file)]
     plot: Option<PathBuf>,
     /// Threads; the result does not depend on them [default: the processors, 8 at most].
     #[arg(long, value_name = "N")]

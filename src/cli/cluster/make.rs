@@ -192,10 +192,7 @@ impl Screen {
     fn failed(&mut self, index: u64, error: &str) {
         self.failed += 1;
         self.shown.add(1);
-        match self.shown.bar.is_hidden() {
-            true => note(error),
-            false => self.shown.bar.println(error),
-        }
+        self.shown.bar.suspend(|| note(error));
         if self.json {
             say_json(&json!({ "event": "failed", "index": index, "error": error }));
         }

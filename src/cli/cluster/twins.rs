@@ -108,7 +108,7 @@ pub async fn store(
     at: &At,
     mut verified: Counted,
 ) -> CliResult<Stored> {
-    embed::with_server(at, async move |client| {
+    embed::with_purpose(at, embed::Purpose::Stores, async move |client| {
         let path = format!("/api/v1/runs/{run}/twins");
         let mut stored = Stored::default();
         for row in rows {

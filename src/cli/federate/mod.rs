@@ -20,8 +20,8 @@ use super::error::{CliError, CliResult};
 use super::next::{Next, word};
 use super::output::{counted, grouped, say, say_json};
 use super::progress::shown_wait;
-use super::start_time::local;
 use super::table::{Table, or_dash};
+use super::times::local;
 use crate::dataset::error::DatasetError;
 use crate::dataset::federate::{
     FETCHED, Federation, Fetched, LabelFile, MANIFEST, RigPart, TRIALS, Tables, join, prepare,

@@ -12,7 +12,9 @@ use self::screen::Screen;
 use super::asking::Asking;
 use super::client::Client;
 use super::error::{CliError, CliResult};
-use super::leave::{Choice, Interrupt, QUESTION_ON_PAUSED_RUN, QUESTION_ON_RUN};
+use super::leave::{
+    Choice, Interrupt, QUESTION_ON_PAUSED_RUN, QUESTION_ON_RUN, QUESTION_ON_WAITING_RUN,
+};
 use super::output::say_json;
 use super::signals::{Asked, Signals};
 use super::view::RunView;
@@ -25,6 +27,9 @@ const STATUS_POLL: Duration = Duration::from_millis(200);
 const SILENT_MAX: Duration = Duration::from_secs(15);
 /// Longest wait for a started run to appear in the status.
 const TAKEN_UP: Duration = Duration::from_secs(30);
+
+/// What a stop is answered with.
+const STOPPING: &str = "stopping after this trial; Ctrl-C again aborts";
 
 /// How following ended.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -212,12 +217,11 @@ impl Follower {
         }
         match Interrupt::of(self.interrupts, Asking::terminal()) {
             Interrupt::Ask => self.ask(),
-            Interrupt::Stop => {
-                self.act("stop", "stopping after this trial; Ctrl-C again aborts").await;
-            }
+            Interrupt::Stop => return self.halt("stop", STOPPING).await,
             Interrupt::Abort => {
                 self.asking.close();
-                self.act("abort", "aborting: raising the tips now; Ctrl-C again leaves").await;
+                let words = "aborting: raising the tips now; Ctrl-C again leaves";
+                return self.halt("abort", words).await;
             }
             Interrupt::Leave => return Some(Left::Open("left at the third Ctrl-C")),
         }
@@ -227,6 +231,7 @@ impl Follower {
     /// Asks at the terminal what to do; the answer arrives later.
     fn ask(&mut self) {
         self.screen.note(match self.state {
+            _ if self.waits_for_turn() => QUESTION_ON_WAITING_RUN,
             Some(StoredState::Paused) => QUESTION_ON_PAUSED_RUN,
             _ => QUESTION_ON_RUN,
         });
@@ -245,10 +250,23 @@ impl Follower {
             Choice::Continue => {}
             Choice::Pause => self.act("pause", "pausing after this trial").await,
             Choice::Resume => self.act("resume", "resuming").await,
-            Choice::Stop => {
-                self.act("stop", "stopping after this trial; Ctrl-C again aborts").await;
-            }
+            Choice::Stop => return self.halt("stop", STOPPING).await,
         }
+        None
+    }
+
+    fn waits_for_turn(&self) -> bool {
+        self.watch.waiting && !self.seen
+    }
+
+    /// Takes a run that waits for its turn out of the queue; stops or aborts any other one.
+    async fn halt(&self, action: &str, words: &str) -> Option<Left> {
+        let path = format!("/api/v1/queue/{}", self.watch.run);
+        // It is refused if the turn has come, or if the run is one that resumes.
+        if self.waits_for_turn() && self.client.delete(&path).await.is_ok() {
+            return Some(Left::Open("taken out of the queue"));
+        }
+        self.act(action, words).await;
         None
     }
 

@@ -60,11 +60,7 @@ impl Screen {
     }
 
     pub(super) fn note(&self, words: &str) {
-        if self.terminal {
-            self.bar.println(shown(words));
-        } else {
-            note(words);
-        }
+        self.bar.suspend(|| note(words));
     }
 }
 

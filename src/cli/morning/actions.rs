@@ -6,13 +6,13 @@ use std::collections::{BTreeMap, BTreeSet};
 use serde_json::json;
 
 use super::ActionsArgs;
-use super::when::second;
 use crate::cli::client::Client;
 use crate::cli::embed;
 use crate::cli::error::CliResult;
 use crate::cli::find::find_run;
 use crate::cli::output::{say, say_json};
 use crate::cli::table::{Table, or_dash};
+use crate::cli::times::second;
 use crate::store::{ActionRow, RunRow};
 
 /// Runs `palpate actions`.

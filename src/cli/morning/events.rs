@@ -10,7 +10,6 @@ use serde_json::json;
 
 use super::EventsArgs;
 use super::stream::Collect;
-use super::when::{Since, second};
 use crate::api::Page;
 use crate::cli::client::Client;
 use crate::cli::embed;
@@ -18,6 +17,7 @@ use crate::cli::error::{CliError, CliResult};
 use crate::cli::find::find_run;
 use crate::cli::output::{note, say, say_json};
 use crate::cli::table::Table;
+use crate::cli::times::{Since, second};
 use crate::cli::view::EventView;
 use crate::event::Importance;
 

@@ -5,13 +5,13 @@ use jiff::{SignedDuration, Timestamp};
 use serde_json::Value;
 
 use super::answers::duration_words;
-use super::when::second;
 use crate::api::{History, StateSpan};
 use crate::cli::client::Client;
 use crate::cli::error::CliResult;
 use crate::cli::find::find_run;
 use crate::cli::output::{Output, duration, say, say_json};
 use crate::cli::table::{Table, or_dash};
+use crate::cli::times::second;
 
 /// Number of intervals of the table.
 const INTERVALS: usize = 24;

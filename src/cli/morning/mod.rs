@@ -20,7 +20,6 @@ mod show;
 mod show_trial;
 mod stream;
 mod trials;
-mod when;
 
 pub use actions::actions;
 pub use answers::{TrialFacts, all_trials};
@@ -30,9 +29,9 @@ pub use report::report;
 pub use runs::runs;
 pub use show::show;
 pub use trials::trials;
-pub use when::second;
 
 use super::At;
+use super::times::Since;
 
 /// Options of `runs`.
 #[derive(Debug, Clone, Args)]
@@ -89,7 +88,7 @@ pub struct EventsArgs {
     /// Only events after this: a duration ago (8h, 90min), a time (22:00, 2026-11-24T22:00), or the
     /// number of an event.
     #[arg(long, value_name = "WHEN")]
-    pub since: Option<when::Since>,
+    pub since: Option<Since>,
     /// Largest number of events, the newest [default: 50; with --since all].
     #[arg(long, value_name = "N")]
     pub limit: Option<usize>,

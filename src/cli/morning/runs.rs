@@ -13,8 +13,8 @@ use crate::cli::client::Client;
 use crate::cli::embed;
 use crate::cli::error::CliResult;
 use crate::cli::output::{say, say_json};
-use crate::cli::start_time::local;
 use crate::cli::table::{Table, or_dash};
+use crate::cli::times::local;
 use crate::store::RunRow;
 
 /// Number of concurrent requests.

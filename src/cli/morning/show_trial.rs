@@ -5,12 +5,12 @@ use std::fmt::Write;
 
 use super::chart::{printed, width};
 use super::frame::{Ink, Picture, draw};
-use super::when::second;
 use crate::api::Page;
 use crate::cli::client::Client;
 use crate::cli::error::{CliError, CliResult};
 use crate::cli::find::find_run;
 use crate::cli::output::{Output, filled, is_coloured, say, say_drawn, say_json};
+use crate::cli::times::second;
 use crate::store::TrialRow;
 
 /// Width of the bar of a force, characters.

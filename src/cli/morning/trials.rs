@@ -112,7 +112,7 @@ fn table(trials: &[TrialRow], with_run: bool) -> Table {
             trial.contact_count.to_string(),
             or_dash(trial.max_force_n.map(|n| format!("{n:.2}"))),
             or_dash(trial.fvu.map(|fvu| format!("{fvu:.3}"))),
-            or_dash(trial.measured_at.map(super::when::second)),
+            or_dash(trial.measured_at.map(crate::cli::times::second)),
             flags.join(", "),
         ]);
         table.push(cells);

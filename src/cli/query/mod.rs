@@ -14,13 +14,13 @@ use serde::Deserialize;
 use serde_json::{Map, Value, json};
 
 use super::client::Client;
+use super::download::keep;
 use super::error::{CliError, CliResult};
 use super::output::{bytes, counted, grouped, note, say, say_json};
 use super::progress::Working;
 use super::table::{Align, Table};
 use super::{At, embed};
 use crate::dataset::format::Format;
-use crate::new_file::NewFile;
 use crate::query::TIME_MAX;
 
 mod plot;
@@ -181,34 +181,25 @@ pub fn by_ending(out: &Path) -> Option<Format> {
 }
 
 async fn write(client: &Client, sql: &str, format: Format, out: Option<PathBuf>) -> CliResult<()> {
-    let answer = send(client, &json!({ "sql": sql, "format": format.name() })).await?;
-    let mut pieces = answer.bytes_stream();
-    let operation = || "POST /api/v1/query".to_owned();
-    let Some(path) = out else {
-        if std::io::stdout().is_terminal() && !format.is_text() {
-            let limit = "must go to a file: add --out FILE, or redirect standard output";
-            return Err(CliError::argument("--format", format, limit));
-        }
-        let mut output = std::io::stdout();
-        while let Some(piece) = pieces.next().await {
-            let piece =
-                piece.map_err(|source| CliError::Http { operation: operation(), source })?;
-            // A closed pipe is no error.
-            if output.write_all(&piece).and_then(|()| output.flush()).is_err() {
-                break;
-            }
-        }
-        return Ok(());
-    };
-    let failed = |source| CliError::File { path: path.clone(), source };
-    let mut file = NewFile::create_for(&path).map_err(failed)?;
-    while let Some(piece) = pieces.next().await {
-        let piece = piece.map_err(|source| CliError::Http { operation: operation(), source })?;
-        file.write_all(&piece).map_err(failed)?;
+    if out.is_none() && std::io::stdout().is_terminal() && !format.is_text() {
+        let limit = "must go to a file: add --out FILE, or redirect standard output";
+        return Err(CliError::argument("--format", format, limit));
     }
-    let written = file.finish(&path.file_name().unwrap_or_default().to_string_lossy());
-    let length = written.map_err(failed)?.bytes;
-    note(format_args!("{}: {format}, {}", path.display(), bytes(length as f64)));
+    let answer = send(client, &json!({ "sql": sql, "format": format.name() })).await?;
+    let broken = |source| CliError::Http { operation: "POST /api/v1/query".into(), source };
+    if let Some(path) = out {
+        let length = keep(answer, &path, "receiving the rows", broken).await?;
+        note(format_args!("{}: {format}, {}", path.display(), bytes(length as f64)));
+        return Ok(());
+    }
+    let (mut pieces, mut output) = (answer.bytes_stream(), std::io::stdout());
+    while let Some(piece) = pieces.next().await {
+        let piece = piece.map_err(broken)?;
+        // A closed pipe is no error.
+        if output.write_all(&piece).and_then(|()| output.flush()).is_err() {
+            break;
+        }
+    }
     Ok(())
 }
 

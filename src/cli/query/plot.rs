@@ -3,7 +3,8 @@
 
 use std::path::PathBuf;
 
-use clap::{Args, ValueEnum};
+use clap::Args;
+use clap::builder::{PossibleValuesParser, TypedValueParser};
 use serde_json::{Value, json};
 
 use super::prepared::{NAMES, Question, Trials, number};
@@ -12,7 +13,8 @@ use crate::cli::client::Client;
 use crate::cli::error::{CliError, CliResult};
 use crate::cli::find::find_run;
 use crate::cli::output::note;
-use crate::cli::{At, embed, picture};
+use crate::cli::picture::{self, figure_file};
+use crate::cli::{At, embed};
 use crate::figure::Heading;
 use crate::figure::series::{Chart, Marks, Places, Series};
 use crate::near::did_you_mean;
@@ -32,11 +34,12 @@ pub struct PlotArgs {
     #[arg(value_name = "RUN|COLUMN__gt=VALUE")]
     pub of: Vec<String>,
     /// File of the picture; ends in .svg, .png or .pdf [default: palpate-plot.svg].
-    #[arg(long, short, value_name = "FILE", default_value = "palpate-plot.svg")]
+    #[arg(long, short, value_name = "FILE", default_value = "palpate-plot.svg",
+        value_parser = figure_file)]
     pub out: PathBuf,
     /// How a statement is drawn [default: bars for names and few whole numbers, else lines].
-    #[arg(long, value_enum)]
-    pub marks: Option<MarksArg>,
+    #[arg(long, value_parser = marks())]
+    pub marks: Option<Marks>,
     /// Title of the figure [default: that of the question].
     #[arg(long, value_name = "TEXT")]
     pub title: Option<String>,
@@ -44,25 +47,13 @@ pub struct PlotArgs {
     pub at: At,
 }
 
-/// How series are drawn.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub enum MarksArg {
-    /// Bars from zero.
-    Bars,
-    /// Lines.
-    Lines,
-    /// Dots.
-    Dots,
-}
-
-impl From<MarksArg> for Marks {
-    fn from(marks: MarksArg) -> Self {
-        match marks {
-            MarksArg::Bars => Self::Bars,
-            MarksArg::Lines => Self::Lines,
-            MarksArg::Dots => Self::Dots,
-        }
-    }
+/// Parser of how series are drawn.
+fn marks() -> impl TypedValueParser<Value = Marks> {
+    PossibleValuesParser::new(["bars", "lines", "dots"]).map(|name| match name.as_str() {
+        "bars" => Marks::Bars,
+        "lines" => Marks::Lines,
+        _ => Marks::Dots,
+    })
 }
 
 /// Runs `palpate plot`.
@@ -96,7 +87,7 @@ async fn draw(client: &Client, args: &PlotArgs) -> CliResult<()> {
         note(format_args!("palpate query \"{}\"", question.sql.replace('"', "\\\"")));
         (question, answer, heading)
     };
-    let marks = args.marks.map_or(question.marks, Marks::from);
+    let marks = args.marks.unwrap_or(question.marks);
     let chart = chart(&question, marks, &answer)
         .map_err(|limit| CliError::argument("the answer", &args.what, limit))?;
     let svg = chart

@@ -129,7 +129,8 @@ impl Screen {
                 self.bar.reset_eta();
                 if damaged > 0 {
                     let shards = counted(damaged, "shard is", "shards are");
-                    self.note(&format!("{shards} missing or damaged: made again"));
+                    let words = format!("{shards} missing or damaged: made again");
+                    self.bar.suspend(|| output::note(words));
                 }
             }
             Progress::Made(trials) => {
@@ -160,14 +161,6 @@ impl Screen {
     /// Trials per second in this process.
     fn rate(&self) -> f64 {
         self.made as f64 / self.started.elapsed().as_secs_f64().max(1e-9)
-    }
-
-    fn note(&self, words: &str) {
-        if self.bar.is_hidden() {
-            output::note(words);
-        } else {
-            self.bar.println(words);
-        }
     }
 
     fn end(&self, outcome: &Outcome, args: &RandomArgs) {

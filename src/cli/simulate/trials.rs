@@ -15,7 +15,7 @@ use sim_core::forward::{Contact, ForwardModel, Workspace};
 use crate::cli::data_or_default;
 use crate::cli::error::{CliError, CliResult};
 use crate::cli::files::{read_calibration, read_sensor, write};
-use crate::cli::picture;
+use crate::cli::picture::{self, figure_file};
 use crate::cli::simulate::solved;
 use crate::problem::Problem;
 use crate::simulate::contacts::{ContactLines, Limits};
@@ -50,7 +50,7 @@ pub struct TrialArgs {
     calculix: Option<PathBuf>,
     /// Draw the trial's deformed mesh; the input must be one line. The ending of the name decides:
     /// .svg, .png or .pdf.
-    #[arg(long, value_name = "FILE.svg")]
+    #[arg(long, value_name = "FILE.svg", value_parser = figure_file)]
     picture: Option<PathBuf>,
     /// Folder whose `cache` contains solved unit responses [env: PALPATE_DATA] [default:
     /// palpate-data].
@@ -141,7 +141,7 @@ fn open(path: &Path) -> CliResult<(Box<dyn BufRead>, String)> {
         return Ok((Box::new(io::stdin().lock()), "standard input".into()));
     }
     let name = path.display().to_string();
-    let file = File::open(path).map_err(|e| problem(Problem::whole(&name, e.to_string())))?;
+    let file = File::open(path).map_err(CliError::input(path))?;
     Ok((Box::new(BufReader::new(file)), name))
 }
 

@@ -12,7 +12,7 @@ use super::theme::Theme;
 use crate::api::{Rating, RigRates, Suspender};
 use crate::campaign::shown::status::Eta;
 use crate::cli::output::{bytes, counted, duration, grouped};
-use crate::cli::rig_rates::broken_channels;
+use crate::cli::rig_facts::broken_channels;
 use crate::cli::view::{RunView, StatusView};
 use crate::record::Label;
 use crate::state::StoredState;

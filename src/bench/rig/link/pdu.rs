@@ -94,7 +94,23 @@ impl Request {
             ) => address == a && words.len() == usize::from(*count),
             _ => false,
         };
-        if sound { Ok(()) } else { Err(format!("{reply:?} does not answer {self}")) }
+        if sound { Ok(()) } else { Err(format!("{reply} does not answer {self}")) }
+    }
+}
+
+impl std::fmt::Display for Reply {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Reply::Words(words) => write!(f, "values {words:?}"),
+            Reply::Coil { address, on } => {
+                write!(f, "echo of coil 0x{address:04X} {}", if *on { "on" } else { "off" })
+            }
+            Reply::Register { address, word } => {
+                write!(f, "echo of 0x{word:04X} at 0x{address:04X}")
+            }
+            Reply::Registers { address, count } => write!(f, "echo of {count} at 0x{address:04X}"),
+            Reply::Foreign => f.write_str("reply to another function"),
+        }
     }
 }
 
@@ -159,6 +175,6 @@ mod tests {
         let block = Request::WriteRegisters { address: 0x9900, words: vec![0; 9] };
         assert!(block.accepts(&Reply::Registers { address: 0x9900, count: 9 }).is_ok());
         let words = block.accepts(&Reply::Registers { address: 0x9900, count: 8 }).unwrap_err();
-        assert!(words.contains("write of 9 at 0x9900"), "{words}");
+        assert_eq!(words, "echo of 8 at 0x9900 does not answer write of 9 at 0x9900");
     }
 }

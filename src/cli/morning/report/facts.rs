@@ -6,7 +6,7 @@ use serde::Deserialize;
 use sim_core::sensor::Sensor;
 
 use super::super::answers::{TrialFacts, TwinsOf, all_trials, fit_of};
-use crate::api::{History, Page, StateSpan, Summary};
+use crate::api::{History, StateSpan, Summary};
 use crate::cli::client::Client;
 use crate::cli::error::CliResult;
 use crate::cli::view::EventView;
@@ -130,21 +130,12 @@ impl Facts {
 }
 
 async fn events(client: &Client, run: &RunRow) -> CliResult<Vec<Told>> {
-    let (mut told, mut since) = (Vec::new(), 0);
     let kinds = event::notable_kinds().collect::<Vec<_>>().join(",");
-    loop {
-        let query = format!("since={since}&run={}&kind={kinds}&limit={PAGE_RECORDS}", run.uid);
-        let page: Page<EventView> = client.get(&format!("/api/v1/events?{query}")).await?;
-        for event in &page.items {
-            since = event.seq;
-            let Ok(at) = event.at.parse() else { continue };
-            if event.importance() < Importance::Notable {
-                continue;
-            }
-            told.push(Told { at, kind: event.kind.clone(), words: event.sentence() });
-        }
-        if page.next.is_none() {
-            return Ok(told);
-        }
-    }
+    let path = format!("/api/v1/events?run={}&kind={kinds}&limit={PAGE_RECORDS}", run.uid);
+    let events: Vec<EventView> = client.all(&path).await?;
+    let notable = events.into_iter().filter(|event| event.importance() >= Importance::Notable);
+    let told = notable.filter_map(|event| {
+        Some(Told { at: event.at.parse().ok()?, words: event.sentence(), kind: event.kind })
+    });
+    Ok(told.collect())
 }

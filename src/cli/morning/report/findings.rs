@@ -112,7 +112,7 @@ fn trips(facts: &Facts) -> Option<Finding> {
     look(format!(
         "The rig tripped {}; the last at {}: {}.",
         counted(trips.len() as u64, "time", "times"),
-        super::super::when::second(last.at),
+        crate::cli::times::second(last.at),
         last.words
     ))
 }

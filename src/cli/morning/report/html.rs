@@ -6,12 +6,12 @@ use std::fmt::Write;
 use jiff::Timestamp;
 
 use super::super::answers::{duration_words, elapsed, state_words, stored_words};
-use super::super::when::second;
 use super::facts::Facts;
 use super::findings::{Level, findings, outliers};
 use super::plots::{self, Plot};
 use crate::cli::output::{counted, duration, grouped};
 use crate::cli::summary::table_one;
+use crate::cli::times::second;
 use crate::evaluate::figures::FigureError;
 use crate::event::shown_kind;
 use crate::state::StoredState;

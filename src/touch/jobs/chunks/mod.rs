@@ -144,7 +144,7 @@ impl TrainingsOrder {
         let definition: TrainingsDefinition = order.read_definition()?;
         order.check_chunks(definition.nets.len() as u64)?;
         if definition.compute.is_host() && definition.compute != ONE_THREAD {
-            let found = format!("{:?}", definition.compute);
+            let found = serde_json::to_string(&definition.compute).unwrap_or_default();
             let limit = "must have one thread: with more, the bytes differ each time";
             return Err(Problem::new(ORDER_FILE, "definition.compute", found, limit));
         }

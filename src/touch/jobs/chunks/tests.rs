@@ -73,7 +73,9 @@ fn a_net_that_chunks_cannot_make_is_refused_by_key() {
     first.evaluations[0].frames = FramesRead::First;
     assert_eq!(key(vec![first]), "definition.nets.0.evaluations.frames");
     let threads = work_order(vec![net(RECIPE)], Compute::Cpu { threads: 2 });
-    assert_eq!(TrainingsOrder::read(&threads).unwrap_err().key, "definition.compute");
+    let refused = TrainingsOrder::read(&threads).unwrap_err();
+    let stated = r#"{"cpu":{"threads":2}}"#;
+    assert_eq!((&*refused.key, &*refused.value), ("definition.compute", stated));
     let more = WorkOrder { chunks: 2, ..order(vec![net(RECIPE)]) };
     assert_eq!(TrainingsOrder::read(&more).unwrap_err().key, "chunks");
 }
