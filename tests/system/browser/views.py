@@ -5,7 +5,9 @@ browser receives, or cuts its connection: nothing happens to the rig. Of the dia
 """
 
 import json
+import os
 import re
+import shutil
 import time
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -247,6 +249,14 @@ def opened(get):
 
 # States in which the browser is told something else; `lost` cuts the connection of a page that was shown.
 BROKEN = {"tripped": with_status(tripped), "halted": with_status(halted), "disk": with_status(disk_full), "lost": nothing}
+
+
+def launched(playwright, *more):
+    """Headless Chromium, with more options."""
+    chromium = os.environ.get("PALPATE_CHROMIUM", "chromium")
+    return playwright.chromium.launch(
+        executable_path=chromium if os.path.sep in chromium else shutil.which(chromium),
+        args=["--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage", *more])
 
 
 @contextmanager
