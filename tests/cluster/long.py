@@ -40,6 +40,7 @@ import threading
 import time
 
 import postgresql
+from service import Wrong
 
 TRIALS, DISTURBANCES, SEED = 2_000_000, 100, 19
 SHARD_TRIALS, RATE_TRIALS, SINGLE_TRIALS = 5_000, 400_000, 2_000
@@ -48,10 +49,6 @@ LEASE_S, END_S, PROGRESS_S, EMPTY_S = 5, 400, 300, 120
 DESK = "desk"
 WAYS = ("kill worker",) * 3 + ("kill PostgreSQL", "cut", "cut", "stall", "end all connections", "tell to end")
 PARTIAL = "_partial-"
-
-
-class Wrong(Exception):
-    """A statement that does not hold."""
 
 
 class Wire:

@@ -31,6 +31,7 @@ import tempfile
 import time
 
 import one_node
+from service import Wrong
 
 TRIALS, SHARD_TRIALS, SEED, TASKS = 24_000, 1_000, 7, 4
 CHUNKS = TRIALS // SHARD_TRIALS
@@ -39,10 +40,6 @@ LIMIT_S = 300
 FIRST_DELAY_S, DELAY_S = 0.4, 1.0  # from the moment at which a process is seen to its end; a task takes longer
 WAYS = ("SIGKILL", "scancel")
 RATE_CHUNKS = 40
-
-
-class Wrong(Exception):
-    """A statement that does not hold."""
 
 
 @dataclasses.dataclass

@@ -19,6 +19,8 @@ import urllib.error
 import urllib.request
 from urllib.parse import urlsplit
 
+from bench import together
+
 URL, PID = sys.argv[1], int(sys.argv[2])
 AT = (urlsplit(URL).hostname, urlsplit(URL).port)
 PIECE = b"a" * 65536
@@ -158,11 +160,7 @@ def in_loops(loops: int, seconds: float, work) -> None:
             except OSError:
                 pass
 
-    threads = [threading.Thread(target=loop) for _ in range(loops)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
+    together([(loop,)] * loops)
 
 
 def wrong_keys(loops: int, seconds: float) -> str:

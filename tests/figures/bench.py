@@ -5,6 +5,8 @@ import os
 import pathlib
 import socket
 import subprocess
+import sys
+import threading
 import time
 import urllib.request
 
@@ -23,6 +25,50 @@ def until(what, done, seconds, pause=0.2):
             return found
         time.sleep(pause)
     raise SystemExit(f"waited {seconds} s for {what}")
+
+
+def call(url, path, body=None, seconds=20, key=""):
+    """The answer of a service: JSON, or else its text."""
+    headers = {"Content-Type": "application/json"} | ({"Authorization": f"Bearer {key}"} if key else {})
+    data = None if body is None else json.dumps(body).encode()
+    with urllib.request.urlopen(urllib.request.Request(url + path, data, headers), timeout=seconds) as answer:
+        text, is_json = answer.read().decode(), "json" in answer.headers.get("Content-Type", "")
+    return json.loads(text) if text and is_json else text
+
+
+def tell(control, command):
+    """Sends a line to the control socket of a virtual rig; returns what it answers."""
+    host, port = control.rsplit(":", 1)
+    with socket.create_connection((host, int(port)), timeout=30) as wire:
+        wire.sendall(json.dumps(command).encode() + b"\n")
+        return json.loads(wire.makefile().readline())
+
+
+def together(work):
+    """Calls functions with their arguments at the same time, each in a thread, and waits for all."""
+    threads = [threading.Thread(target=one, args=arguments) for one, *arguments in work]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+
+
+def memory_mb(process):
+    """Largest memory of a process until now."""
+    status = pathlib.Path(f"/proc/{process.pid}/status").read_text()
+    return int(status.split("VmHWM:")[1].split()[0]) / 1000
+
+
+def once(folder, name, *command):
+    """Runs a command once and returns what it printed; later it returns the same from a file."""
+    done = folder / f"{name}.done"
+    if not done.exists():
+        print(f"{folder.name}: {name}", file=sys.stderr, flush=True)
+        ran = subprocess.run([*map(str, command)], stdout=subprocess.PIPE, text=True)
+        if ran.returncode:
+            raise SystemExit(f"{folder.name}: {name}: exit status {ran.returncode}; run the same command again")
+        done.write_text(ran.stdout)
+    return done.read_text()
 
 
 class Bench:
@@ -72,12 +118,8 @@ class Bench:
         return file.exists() and json.loads(file.read_text())["url"]
 
     def api(self, path, body=None, seconds=300):
-        """The answer of the service, as JSON."""
-        data = None if body is None else json.dumps(body).encode()
-        request = urllib.request.Request(f"{self.url}/api/v1{path}", data, {"Content-Type": "application/json"})
-        with urllib.request.urlopen(request, timeout=seconds) as answer:
-            text = answer.read()
-        return json.loads(text) if text else None
+        """The answer of the service."""
+        return call(self.url, f"/api/v1{path}", body, seconds)
 
     def home(self):
         """Opens the wires and homes the axes."""
@@ -120,10 +162,7 @@ class Bench:
 
     def hands(self, **command):
         """Tells the virtual rig what hands do."""
-        host, port = self.control.rsplit(":", 1)
-        with socket.create_connection((host, int(port)), timeout=30) as wire:
-            wire.sendall(json.dumps(command).encode() + b"\n")
-            reply = json.loads(wire.makefile().readline())
+        reply = tell(self.control, command)
         if not reply["ok"]:
             raise SystemExit(f"{command}: {reply}")
 

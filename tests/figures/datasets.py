@@ -10,7 +10,6 @@ said to be of one. Memory is the VmHWM of a service that was started for this st
 """
 
 import hashlib
-import json
 import shutil
 import signal
 import subprocess
@@ -21,6 +20,8 @@ import urllib.request
 from pathlib import Path
 
 import polars as pl
+
+from bench import call, memory_mb, until
 
 BINARY, DATA = Path(sys.argv[1]).resolve(), Path(sys.argv[2]).resolve()
 PARTS = sys.argv[3:] or ["export", "join", "kill"]
@@ -45,7 +46,7 @@ class Service:
 
     def start(self) -> None:
         self.process = subprocess.Popen(self.command, stdout=self.log, stderr=self.log)
-        until(self.answers, "the service to answer", 60)
+        until("the service to answer", self.answers, 60, 0.02)
 
     def restart(self) -> None:
         self.stop()
@@ -66,27 +67,14 @@ class Service:
         return urllib.request.urlopen(self.url + path, timeout=WAIT_S)
 
     def json(self, path: str, body: dict | None = None) -> dict:
-        data = None if body is None else json.dumps(body).encode()
-        request = urllib.request.Request(self.url + path, data, {"Content-Type": "application/json"})
-        with urllib.request.urlopen(request, timeout=WAIT_S) as answer:
-            return json.load(answer)
+        return call(self.url, path, body, WAIT_S)
 
     def memory_mb(self) -> float:
-        status = Path(f"/proc/{self.process.pid}/status").read_text()
-        return int(status.split("VmHWM:")[1].split()[0]) / 1000
+        return memory_mb(self.process)
 
     def stop(self, how=signal.SIGTERM) -> None:
         self.process.send_signal(how)
         self.process.wait(60)
-
-
-def until(done, what: str, seconds: float = WAIT_S, pause: float = 0.02):
-    end = time.monotonic() + seconds
-    while time.monotonic() < end:
-        if answer := done():
-            return answer
-        time.sleep(pause)
-    raise SystemExit(f"waited {seconds} s for {what}")
 
 
 def timed(work, *arguments):
@@ -156,7 +144,7 @@ def finished(service: Service, requested: str) -> dict:
             raise SystemExit(f"{requested}: {row['error']}")
         return row if row["state"] == "done" else None
 
-    return until(look, f"{requested} to be done", pause=0.1)
+    return until(f"{requested} to be done", look, WAIT_S, 0.1)
 
 
 def exported(service: Service, requested: dict) -> list[str]:
@@ -197,7 +185,7 @@ def kill(service: Service) -> None:
             raise SystemExit("the export was done before it could be killed")
         return row["rows_total"] and row["rows_done"] * 2 > row["rows_total"] and row
 
-    row = until(half, "half of the export")
+    row = until("half of the export", half, WAIT_S, 0.02)
     service.stop(signal.SIGKILL)
     left = [file.name for file in (DATA / "exports").iterdir()]
     service.start()

@@ -22,7 +22,6 @@ import socket
 import statistics
 import sys
 import tempfile
-import threading
 import time
 import urllib.error
 import urllib.request
@@ -30,7 +29,7 @@ from datetime import datetime
 from urllib.parse import urlsplit
 
 sys.dont_write_bytecode = True
-from bench import Bench  # noqa: E402
+from bench import Bench, call, together  # noqa: E402
 
 READS = ["/api/v1/status", "/api/v1/trials?limit=20&sort=-trial_id", "/api/v1/events?since=-50", "/metrics"]
 PERIOD_S = 60.0
@@ -50,14 +49,6 @@ QUESTIONS = [
     "SELECT t.trial_id, f.voltages_v FROM trials t JOIN frames f ON t.trial_id = f.trial_id WHERE t.contact_count = 6 LIMIT 500",
     "SELECT FLOOR(max_force_n) AS bin, COUNT(*) AS n FROM trials GROUP BY bin ORDER BY bin",
 ]
-
-
-def call(url: str, path: str, body: dict | None = None) -> dict | str:
-    data = None if body is None else json.dumps(body).encode()
-    request = urllib.request.Request(url + path, data, {"Content-Type": "application/json"})
-    with urllib.request.urlopen(request, timeout=10) as answer:
-        text = answer.read().decode()
-    return json.loads(text) if text.startswith(("{", "[")) else text
 
 
 def spread(name: str, values: list[float], unit: str) -> None:
@@ -146,11 +137,7 @@ def analysts(url: str, seconds: float, count: int = 10) -> None:
                 refused.append(error.code)
                 time.sleep(0.5)
 
-    threads = [threading.Thread(target=ask, args=(n,)) for n in range(count)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
+    together((ask, n) for n in range(count))
     codes = ", ".join(f"{refused.count(code)} with {code}" for code in sorted(set(refused))) or "none"
     print(f"{count} analysts: {len(took)} answers in {seconds:.0f} s, refused: {codes}")
     spread("answer", took, "s")
@@ -203,12 +190,7 @@ def dashboards(url: str, seconds: float, run: str, count: int = 20) -> None:
             paths = again
             time.sleep(max(0.0, min(begun + 3.0, end) - time.monotonic()))
 
-    work = [(follow, "/api/v1/status/live"), (follow, "/api/v1/frames/live"), (listen,), (ask,)] * count
-    threads = [threading.Thread(target=one[0], args=one[1:]) for one in work]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
+    together([(follow, "/api/v1/status/live"), (follow, "/api/v1/frames/live"), (listen,), (ask,)] * count)
     print(f"{count} dashboards received {sum(received) / seconds / 1e6:.2f} MB/s over their WebSockets, {len(events)} events")
 
 
@@ -227,11 +209,7 @@ def load(url: str, seconds: float, rate: float = 200.0) -> None:
             due += threads / rate
             n += 1
 
-    readers = [threading.Thread(target=reader, args=(i,)) for i in range(threads)]
-    for thread in readers:
-        thread.start()
-    for thread in readers:
-        thread.join()
+    together((reader, i) for i in range(threads))
     print(f"{len(took) / seconds:.0f} requests a second")
     spread("answer", took, "ms")
 

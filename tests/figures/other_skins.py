@@ -12,22 +12,11 @@ mlp].
 
 import argparse
 import pathlib
-import subprocess
 import sys
 
+from bench import once
+
 MAKE = pathlib.Path(__file__).resolve().parents[1] / "it" / "evaluate" / "python" / "skins.py"
-
-
-def run(folder, name, *command):
-    """Runs a command once and returns what it printed."""
-    done = folder / f"{name}.done"
-    if not done.exists():
-        print(f"{folder.name}: {name}", file=sys.stderr, flush=True)
-        ran = subprocess.run(list(map(str, command)), stdout=subprocess.PIPE, text=True)
-        if ran.returncode:
-            raise SystemExit(f"{folder.name}: {name}: exit status {ran.returncode}; run the same command again")
-        done.write_text(ran.stdout)
-    return done.read_text()
 
 
 def main():
@@ -44,16 +33,16 @@ def main():
         folder = args.folder.resolve() / f"{args.rows}-{noise}"
         folder.mkdir(parents=True, exist_ok=True)
         data = ["--data", folder / "data"]
-        run(folder, "make", sys.executable, MAKE, "make", folder, args.rows, noise)
+        once(folder, "make", sys.executable, MAKE, "make", folder, args.rows, noise)
         for skin, quantity in [("pad", "position"), ("sheet", "pattern")]:
             trials, sensor = folder / f"{skin}.parquet", folder / f"{skin}.toml"
             named = ["--sensor", sensor, "--label", "virtual", "--name", f"{skin}-trials"]
-            run(folder, f"{skin}-import", palpate, "dataset", "import", trials, *named, *data)
-            run(folder, f"{skin}-dataset", palpate, "dataset", "make", folder / f"{skin}-split.toml", *data)
+            once(folder, f"{skin}-import", palpate, "dataset", "import", trials, *named, *data)
+            once(folder, f"{skin}-dataset", palpate, "dataset", "make", folder / f"{skin}-split.toml", *data)
             options = ["--dataset", skin, "--out", folder / "tables", *data]
             options += [word for recipe in recipes for word in ("--recipe", recipe)]
             stems = "-".join(pathlib.Path(recipe).stem for recipe in recipes)
-            table = run(folder, f"{skin}-{stems}", palpate, "evaluate", "quantity", quantity, *options)
+            table = once(folder, f"{skin}-{stems}", palpate, "evaluate", "quantity", quantity, *options)
             print(f"\nnoise of {noise}, {args.rows} trials:\n\n{table}", flush=True)
 
 

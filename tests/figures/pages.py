@@ -23,9 +23,7 @@ A PAGE may have parameters: "live?method=paper". Needs Chromium (PALPATE_CHROMIU
 
 import argparse
 import json
-import os
 import pathlib
-import shutil
 import statistics
 import sys
 import tempfile
@@ -97,12 +95,6 @@ NODES = "document.querySelectorAll('*').length"
 SETTLE_MS, ANSWER_MS, LIVE_S, MAIN_THREAD_S = 4000, 2500, 20, 10
 
 
-def launched(playwright):
-    return playwright.chromium.launch(
-        executable_path=os.environ.get("PALPATE_CHROMIUM") or shutil.which("chromium"),
-        args=["--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage", "--disable-features=SpareRendererForSitePerProcess"])
-
-
 @dataclass
 class Memory:
     """Memory of a page, MB."""
@@ -131,7 +123,7 @@ class Watched:
     """A page in its own browser, with what it costs."""
 
     def __init__(self, playwright, url, path, frames=False):
-        self.browser = launched(playwright)
+        self.browser = views.launched(playwright, "--disable-features=SpareRendererForSitePerProcess")
         self.page = self.browser.new_page(viewport={"width": 1400, "height": 900})
         self.wire = self.page.context.new_cdp_session(self.page)
         self.wire.send("Performance.enable")

@@ -28,7 +28,7 @@ import time
 from pathlib import Path
 from urllib.parse import urlsplit
 
-from bench import Bench
+from bench import Bench, memory_mb
 
 HERE = Path(__file__).resolve()
 ROOT = HERE.parents[2]
@@ -117,12 +117,6 @@ def pages(bench):
     connection.close()
 
 
-def memory_mb(process):
-    """Largest memory of a process until now."""
-    status = Path(f"/proc/{process.pid}/status").read_text()
-    return int(status.split("VmHWM:")[1].split()[0]) // 1000
-
-
 def measured(bench, data, runs, arguments, datasette):
     """Prints the tables of a size; returns whether all tools have the same rows."""
     began = time.monotonic()
@@ -139,7 +133,7 @@ def measured(bench, data, runs, arguments, datasette):
     table = subprocess.run(all_questions, check=True, env=environment, stdout=subprocess.PIPE, text=True).stdout
     print(table)
     pages(bench)
-    print(f"\nThe service held {memory_mb(bench.service)} MB at most.", flush=True)
+    print(f"\nThe service held {memory_mb(bench.service):.0f} MB at most.", flush=True)
     return "(other rows)" not in table
 
 

@@ -19,13 +19,9 @@ and each page whose content is wider than the screen. A VIEW is a name of it, su
 
 import argparse
 import html
-import json
-import os
 import pathlib
-import shutil
 import sys
 import tempfile
-import urllib.request
 from contextlib import ExitStack
 
 from playwright.sync_api import Error, sync_playwright
@@ -33,7 +29,7 @@ from playwright.sync_api import Error, sync_playwright
 sys.dont_write_bytecode = True
 sys.path[1:1] = [str(pathlib.Path(__file__).parents[1] / "system/browser")]
 import views  # noqa: E402
-from bench import Bench  # noqa: E402
+from bench import Bench, call  # noqa: E402
 
 SIZES = {"desk": (1400, 900), "phone": (390, 844), "wall": (1920, 1080)}
 LIGHTS = ("light", "dark")
@@ -155,12 +151,6 @@ def state_pictures(browser, sheet, url, state, wanted, get):
     print(f"{state}: {len(sheet.pictures.get(state, {}))} views", flush=True)
 
 
-def fetched(url, path):
-    """The answer of a service, as JSON."""
-    with urllib.request.urlopen(f"{url}/api/v1{path}", timeout=60) as answer:
-        return json.load(answer)
-
-
 def services(args, stack):
     """The addresses of the busy and the empty service; the latter may be None."""
     if args.target.startswith("http"):
@@ -186,13 +176,11 @@ def main():
     with ExitStack() as stack:
         url, empty = services(args, stack)
         playwright = stack.enter_context(sync_playwright())
-        browser = playwright.chromium.launch(
-            executable_path=os.environ.get("PALPATE_CHROMIUM") or shutil.which("chromium"),
-            args=["--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage"])
+        browser = views.launched(playwright)
         for state in args.state:
             of = empty if state == "empty" else url
             if of:
-                state_pictures(browser, sheet, of, state, args.views, lambda path: fetched(url, path))
+                state_pictures(browser, sheet, of, state, args.views, lambda path: call(url, f"/api/v1{path}", seconds=60))
             else:
                 print("empty: none, without --empty", flush=True)
             sheet.write()

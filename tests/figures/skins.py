@@ -15,8 +15,8 @@ paper's map, read by its rule. Coverage is the share of pairs whose 95 % region 
 import argparse
 import json
 import pathlib
-import subprocess
-import sys
+
+from bench import once
 
 # gap:seed. Gap d is for reporting only: no method was chosen by it.
 SKINS = "gap-a:5,gap-a:8,gap-b:3,gap-c:5,gap-c:6,gap-c:7,gap-d:1,gap-d:2"
@@ -26,15 +26,8 @@ COLUMNS = ["skin", "method", "trials", "location mm", "closest mm", "force %", "
 
 
 def step(folder, name, *command):
-    """Runs a command once and returns what it printed; a step that was done returns the same from its file."""
-    done = folder / f"{name}.done"
-    if not done.exists():
-        print(f"{folder.name}: {name}", file=sys.stderr, flush=True)
-        ran = subprocess.run([*map(str, command), "--data", str(folder)], stdout=subprocess.PIPE, text=True)
-        if ran.returncode:
-            raise SystemExit(f"{folder.name}: {name}: exit status {ran.returncode}; run the same command again")
-        done.write_text(ran.stdout)
-    return done.read_text()
+    """What a command printed that is run once, on the data folder of a skin."""
+    return once(folder, name, *command, "--data", folder)
 
 
 def measure(palpate, folder, gap, seed, points, paper):

@@ -17,17 +17,15 @@ measures it, and the largest force that the rig truly saw.
 
 import json
 import pathlib
-import socket
 import sqlite3
 import statistics
 import subprocess
 import sys
 import threading
 import time
-import urllib.request
 
-sys.path.insert(0, str(pathlib.Path(__file__).parent))
-import latency  # noqa: E402
+import latency
+from bench import call, tell
 
 SENSOR = pathlib.Path(__file__).parents[2] / "experiments/sensors/ert-28.toml"
 DRIFTS = """name = 'drifts'\nseed = %d\nsensor = 's'\n[real_hex]\ntips = [2]\nconfigurations = 20\ndepths = 4
@@ -35,21 +33,6 @@ block = 20\nreference_every = 0\n[measure]\nsettle_ms = 40000.0\nsettle_max_ms =
 [policy]\nretries = 50\n"""
 EXPERIMENT = """name = 'stops'\nseed = %d\nsensor = 's'\n[real_hex]\ntips = [2]\nconfigurations = 2\ndepths = 11
 [measure]\nsettle_ms = 100.0\n[limits]\nforce_n = 12.0\n"""
-
-
-def call(url: str, path: str, body: dict | None = None, key: str = "") -> dict:
-    headers = {"Content-Type": "application/json"} | ({"Authorization": f"Bearer {key}"} if key else {})
-    data = None if body is None else json.dumps(body).encode()
-    with urllib.request.urlopen(urllib.request.Request(url + path, data, headers), timeout=20) as answer:
-        text = answer.read().decode()
-    return json.loads(text) if text else {}
-
-
-def tell(control: str, command: dict) -> dict:
-    host, port = control.rsplit(":", 1)
-    with socket.create_connection((host, int(port))) as wire:
-        wire.sendall((json.dumps(command) + "\n").encode())
-        return json.loads(wire.makefile().readline())
 
 
 def until(url: str, what, limit_s: float = 60.0) -> dict:
@@ -103,7 +86,7 @@ def one_estop(url: str, control: str, n: int, key: str, load: bool, pid: str, lo
         pass
     again = disturb(url, load, pid, lock)
     before, sent = tell(control, {"cmd": "status"})["stops"], time.time()
-    call(url, "/api/v1/estop", {"why": "figures"}, key)
+    call(url, "/api/v1/estop", {"why": "figures"}, key=key)
     while True:
         truth = tell(control, {"cmd": "status"})
         fresh = [r for r in truth["stop_receipts"] if r["unix_s"] >= sent]

@@ -18,7 +18,7 @@ use virtual_rig::skin::gap::Gap;
 use virtual_rig::skin::mechanics::{Mechanics, Stroke, TipPosition};
 use virtual_rig::skin::{Readout, Skin, TipLoad};
 
-use crate::support::{Folder, PALPATE, sensor, succeeded};
+use crate::support::{Folder, PALPATE, sensor, skin_cache, succeeded};
 
 const SEED: u64 = 3;
 /// Points all over the skin, away from its rim.
@@ -131,10 +131,10 @@ fn indentation_with_gauges() -> String {
     text
 }
 
-/// The virtual skin, solved once.
+/// The virtual skin.
 fn skin() -> &'static Skin {
     static SKIN: OnceLock<Skin> = OnceLock::new();
-    SKIN.get_or_init(|| Skin::new(sensor(), gap(), SEED, None).unwrap())
+    SKIN.get_or_init(|| Skin::new(sensor(), gap(), SEED, Some(&skin_cache())).unwrap())
 }
 
 fn single_contacts() -> String {
@@ -174,25 +174,6 @@ fn the_compression_test_gives_back_the_papers_numbers() {
     assert!((0.09..0.15).contains(&found.residual_sd_ln), "{found:?}");
     let picture = plot::piezo(&fit).unwrap();
     assert!(picture.starts_with("<svg") && picture.matches("<circle").count() > 60);
-}
-
-#[test]
-fn tips_alone_give_the_foam_and_leave_the_fabrics() {
-    let text = example("indentation.csv", &indentation());
-    let fit = foam::calibrate("indentation.csv", &text, &sensor()).unwrap();
-    let found = &fit.calibration;
-    assert_eq!(found.fabric_factor, None);
-    let layers = sensor().file.layers;
-    assert_eq!(
-        [found.bottom_mpa, found.top_mpa],
-        [&layers.bottom, &layers.top].map(|l| l.youngs_mpa)
-    );
-    // A line through a toe and a steeper slope: softer than the sensor file's foam, and far off in
-    // between, as the paper's linear model is (24.1 %).
-    assert!((0.03..0.07).contains(&found.foam_mpa.value), "{found:?}");
-    assert!((0.1..0.4).contains(&found.displacement.nrmse_by_range), "{found:?}");
-    let picture = plot::foam(&fit).unwrap();
-    assert!(picture.matches("<circle").count() > 70);
 }
 
 #[test]
@@ -283,12 +264,25 @@ fn the_command_writes_a_file_that_applies_and_a_plot_and_keeps_the_other_part() 
     assert_eq!(said["id"], read(&first).id().unwrap());
     assert!(std::fs::read_to_string(&picture).unwrap().starts_with("<svg"));
 
+    // Tips alone give the foam and leave the fabrics.
+    example("indentation.csv", &indentation());
     let table = format!("{examples}/indentation.csv");
-    let foam = palpate(&["foam", &table, "--from", &first, "--out", &both]);
+    let foam = palpate(&["foam", &table, "--from", &first, "--out", &both, "--plot", &picture]);
     let words = succeeded(&foam);
     assert!(words.contains("fabrics: not fitted") && words.contains("paper: 24.1 %"), "{words}");
     let (both, first) = (read(&both), read(&first));
-    assert!(both.foam.is_some());
+    let found = both.foam.as_ref().unwrap();
+    assert_eq!(found.fabric_factor, None);
+    let layers = sensor().file.layers;
+    assert_eq!(
+        [found.bottom_mpa, found.top_mpa],
+        [&layers.bottom, &layers.top].map(|l| l.youngs_mpa)
+    );
+    // A line through a toe and a steeper slope: softer than the sensor file's foam, and far off in
+    // between, as the paper's linear model is (24.1 %).
+    assert!((0.03..0.07).contains(&found.foam_mpa.value), "{found:?}");
+    assert!((0.1..0.4).contains(&found.displacement.nrmse_by_range), "{found:?}");
+    assert!(std::fs::read_to_string(&picture).unwrap().matches("<circle").count() > 70);
     assert_eq!(both.piezo, first.piezo);
     assert!(both.apply(&sensor()).is_ok());
 }

@@ -10,6 +10,8 @@
 mod attacks;
 mod web_words;
 mod calibration;
+#[path = "../common/mod.rs"]
+mod common;
 mod contract;
 mod datasets;
 mod desk;

@@ -4,14 +4,15 @@ use std::io::{BufRead, BufReader, Write};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
 
-use crate::support::{PALPATE, succeeded};
+use crate::support::{PALPATE, succeeded, with_responses};
 
 const ONE: &str = r#"{"contacts":[{"x_mm":265.6698729810778,"y_mm":280,"force_n":20}]}"#;
 const NONE: &str = r#"{"contacts":[]}"#;
 
-/// Kept between runs: the unit responses are solved once.
 fn data() -> PathBuf {
-    Path::new(env!("CARGO_TARGET_TMPDIR")).join("simulate")
+    let data = Path::new(env!("CARGO_TARGET_TMPDIR")).join("simulate");
+    with_responses(&data);
+    data
 }
 
 fn start(arguments: &[&str]) -> Child {

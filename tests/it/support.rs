@@ -1,19 +1,17 @@
-//! What several tests need: the sensor, a folder, commands, a process that ends with its test, Python.
+//! What several tests need: the sensor, a folder, commands, a service as a process, Python.
 
 use std::io::{BufRead, BufReader};
 use std::ops::Deref;
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Output, Stdio};
+use std::process::{Command, Output, Stdio};
 use std::time::{Duration, Instant};
 
-use palpate::cli::trust;
 use serde_json::Value;
 use sim_core::sensor::Sensor;
 
-pub const PALPATE: &str = env!("CARGO_BIN_EXE_palpate");
+pub use crate::common::{Process, SENSOR, http, skin_cache, with_responses};
 
-/// Text of the sensor file of 28 electrodes.
-pub const SENSOR: &str = include_str!("../../experiments/sensors/ert-28.toml");
+pub const PALPATE: &str = env!("CARGO_BIN_EXE_palpate");
 
 /// Text of the virtual rig's file.
 pub const VIRTUAL_RIG: &str = include_str!("../../experiments/rigs/virtual.toml");
@@ -21,11 +19,6 @@ pub const VIRTUAL_RIG: &str = include_str!("../../experiments/rigs/virtual.toml"
 /// The sensor of 28 electrodes.
 pub fn sensor() -> Sensor {
     Sensor::from_toml(SENSOR).unwrap()
-}
-
-/// A client without TLS.
-pub fn http() -> reqwest::Client {
-    trust::http(trust::tls("http:", None).unwrap()).unwrap()
 }
 
 /// A folder in the system's temporary folder, removed at the end of its test. The name contains the
@@ -58,16 +51,6 @@ impl Deref for Folder {
 impl Drop for Folder {
     fn drop(&mut self) {
         std::fs::remove_dir_all(&self.0).ok();
-    }
-}
-
-/// A process that is killed, at the latest, at the end of its test.
-pub struct Process(pub Child);
-
-impl Drop for Process {
-    fn drop(&mut self) {
-        self.0.kill().ok();
-        self.0.wait().ok();
     }
 }
 

@@ -7,7 +7,6 @@ use std::time::Duration;
 
 use palpate::ids::{TrialId, TrialKey};
 use palpate::journal::{ExitStatus, Journal};
-use palpate::simulate::model::load_or_build;
 use palpate::store::{NewTwinModel, RunKind, TrialQuery, Twin, TwinOutcome};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
@@ -15,7 +14,9 @@ use reqwest::multipart::{Form, Part};
 use serde_json::{Value, json};
 
 use crate::datasets::filled::{Filled, folder, new_run, press, store};
-use crate::support::{VIRTUAL_RIG, command, copy_folder, done, finished, not_done, sensor};
+use crate::support::{
+    VIRTUAL_RIG, command, copy_folder, done, finished, not_done, sensor, with_responses,
+};
 
 /// Number of trials of the run, and of a chunk.
 const TRIALS: u32 = 44;
@@ -101,7 +102,7 @@ async fn with_twins(data: &Path) -> Vec<WithTwin> {
 async fn twins_of_two_processes_are_those_of_the_service() {
     let data = folder("twin-chunks");
     pressed(&data).await;
-    load_or_build(sensor(), &data.join("cache")).unwrap();
+    with_responses(&data);
     let others = folder("twin-chunks-others");
     let [of_service, of_other] = ["of-service", "of-other"].map(|name| others.join(name));
     copy_folder(&data, &of_service);

@@ -1,13 +1,10 @@
 //! A virtual rig, a virtual operator and a service, in one process, each on its own sockets; and the shares of the
 //! machine that tests take.
 
-use std::fs::DirBuilder;
-use std::os::unix::fs::DirBuilderExt;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use palpate::api::{ServeOptions, Service};
-use palpate::cli::trust;
 use palpate::conductor::AutoResume;
 use serde_json::{Value, json};
 use sim_core::sensor::Sensor;
@@ -15,7 +12,7 @@ use tokio::sync::{Semaphore, SemaphorePermit};
 use virtual_rig::run::{RigArgs, VirtualRig};
 use virtual_rig::{OperatorArgs, operator_main};
 
-pub const SENSOR: &str = include_str!("../../experiments/sensors/ert-28.toml");
+pub use crate::common::{Process, SENSOR, http, skin_cache, with_responses};
 
 /// Longest wait for anything that a test waits for.
 pub const LIMIT: Duration = Duration::from_secs(120);
@@ -41,25 +38,6 @@ pub fn rig_args(rig: &str, speed: f64) -> RigArgs {
         cache: Some(skin_cache()),
         ready_file: None,
         with_parent: false,
-    }
-}
-
-/// Folder in which the rigs keep the solved unit responses of the skin.
-pub fn skin_cache() -> PathBuf {
-    Path::new(env!("CARGO_TARGET_TMPDIR")).join("skin")
-}
-
-/// Puts the unit responses that a rig has solved into the cache of a data folder: a service that finds none solves
-/// them for seconds on all cores, while the rig is to be driven.
-pub fn with_responses(data: &Path) {
-    let cache = data.join("cache");
-    DirBuilder::new().recursive(true).mode(0o700).create(&cache).unwrap();
-    // Of rigs that have started: there is none before the first one.
-    let Ok(solved) = std::fs::read_dir(skin_cache()) else { return };
-    for file in solved.map(|entry| entry.unwrap().path()) {
-        if file.extension().is_some_and(|extension| extension == "bin") {
-            std::fs::copy(&file, cache.join(file.file_name().unwrap())).unwrap();
-        }
     }
 }
 
@@ -311,11 +289,6 @@ impl Lab {
         self.service.shutdown().await;
         std::fs::remove_dir_all(&self.data).ok();
     }
-}
-
-/// A client without TLS.
-pub fn http() -> reqwest::Client {
-    trust::http(trust::tls("http:", None).unwrap()).unwrap()
 }
 
 /// A service on a rig that is switched on.

@@ -440,8 +440,8 @@ async fn weights_are_placed_confirmed_measured_and_repeated() {
 #[tokio::test(flavor = "multi_thread")]
 async fn the_same_campaign_on_other_axes_and_wires_has_the_same_keys_and_targets() {
     let mut seen = Vec::new();
-    for rig in ["iai-modbus-tcp", "oriental-az-rtu"] {
-        let lab = Lab::open(&format!("wires-{rig}"), rig_args(rig, 8.0), WHOLE).await;
+    for (rig, speed, share) in [("iai-modbus-tcp", SPEED, WAITS), ("oriental-az-rtu", 8.0, WHOLE)] {
+        let lab = Lab::open(&format!("wires-{rig}"), rig_args(rig, speed), share).await;
         lab.home().await;
         let run = lab.begin(SMALL).await;
         complete(&lab, &run).await;

@@ -6,7 +6,7 @@
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Stdio};
+use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
 use rand::{RngExt, SeedableRng};
@@ -16,7 +16,7 @@ use sqlx::sqlite::{SqliteConnectOptions, SqliteConnection};
 use sqlx::{ConnectOptions, Connection};
 
 use super::bench::{
-    COMPUTES, LIMIT, SENSOR, WHOLE, http, skin_cache, tell_at, turn, with_responses,
+    COMPUTES, LIMIT, Process, SENSOR, WHOLE, http, skin_cache, tell_at, turn, with_responses,
 };
 
 const SPEED: &str = "20";
@@ -32,16 +32,6 @@ fn settling(configurations: u32, settle_ms: f64) -> String {
          configurations = {configurations}\ndepths = 4\nblock = 4\nreference_every = 0\n\
          [measure]\nsettle_ms = {settle_ms:.1}\nsettle_max_ms = 60000.0\n[policy]\nmax_auto_resumes = 10000\n"
     )
-}
-
-/// A process that does not outlive the test.
-struct Process(Child);
-
-impl Drop for Process {
-    fn drop(&mut self) {
-        self.0.kill().ok();
-        self.0.wait().ok();
-    }
 }
 
 fn palpate(args: &[&str]) -> Process {

@@ -8,6 +8,8 @@
 mod bench;
 mod browser;
 mod campaign;
+#[path = "../common/mod.rs"]
+mod common;
 mod crash;
 mod leaving;
 mod live;

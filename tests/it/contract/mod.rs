@@ -134,7 +134,7 @@ async fn every_answer_is_one_that_the_description_states() {
             ])
             .args(["run", DESCRIPTION, "--url", &lab.url(""), "-H", &header])
             .args(["--max-examples", &examples, "--seed", "1", "--no-color"])
-            // The first simulation solves the skin, in about 5 s of a processor that other tests share.
+            // Other tests share the processor.
             .args(["--checks", "all", "--max-response-time", "180"])
             .args(["--exclude-path", "/api/v1/live", "--exclude-path", "/api/v1/frames/live"])
             .args(["--exclude-path", "/api/v1/live/quantities"])

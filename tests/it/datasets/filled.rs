@@ -20,7 +20,7 @@ use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use serde_json::{Value, json};
 
-use crate::support::{SENSOR, VIRTUAL_RIG, http, sensor};
+use crate::support::{SENSOR, VIRTUAL_RIG, http, sensor, with_responses};
 
 /// Configurations of the Real-Hex run; each third is one that was drawn before.
 pub const CONFIGURATIONS: u32 = 30;
@@ -247,6 +247,7 @@ impl Filled {
             sensor_text: SENSOR.into(),
         };
         change(&mut options);
+        with_responses(&data);
         let service = Service::start(options).await.unwrap();
         Self { data, service, http: http() }
     }

@@ -13,7 +13,7 @@ use std::path::Path;
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
-use crate::support::{Folder, PALPATE, Process, copy_folder};
+use crate::support::{Folder, PALPATE, Process, copy_folder, with_responses};
 
 /// Longest wait for the service, and for a state of a run.
 const LIMIT: Duration = Duration::from_secs(120);
@@ -170,11 +170,7 @@ fn mistakes_in_command_lines_are_answered_as_the_table_says() {
 #[test]
 fn mistakes_beside_a_service_are_answered_as_the_table_says() {
     let mut lab = Lab::new("service", "");
-    // Kept between runs: the unit responses are solved once.
-    let cache = Path::new(env!("CARGO_TARGET_TMPDIR")).join("simulate/cache");
-    std::fs::create_dir_all(&cache).unwrap();
-    std::fs::create_dir_all(lab.folder.join("data")).unwrap();
-    std::os::unix::fs::symlink(&cache, lab.folder.join("data/cache")).unwrap();
+    with_responses(&lab.folder.join("data"));
     let mut serve = lab.command(PALPATE);
     serve.args(["serve", "--bind", "127.0.0.1:0", "--speed", "100"]);
     serve.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::null());

@@ -15,19 +15,22 @@ use rand::{RngExt, SeedableRng};
 use serde_json::Value;
 use sim_core::forward::{Contact, ForwardModel, Workspace};
 
-use crate::support::{self, PALPATE, Process, not_done, sensor};
+use crate::support::{self, PALPATE, Process, not_done, sensor, skin_cache, with_responses};
 
 mod cluster;
 
-/// Folder that these tests share: the cache of the unit responses.
+/// Folder that these tests share.
 fn data() -> PathBuf {
     Path::new(env!("CARGO_TARGET_TMPDIR")).join("sim-random")
 }
 
-/// The model, with its cache filled, so that no process solves for itself.
+/// The model, with the cache of the folder filled, so that no process solves for itself.
 fn model() -> &'static ForwardModel {
     static MODEL: OnceLock<ForwardModel> = OnceLock::new();
-    MODEL.get_or_init(|| load_or_build(sensor(), &data().join("cache")).unwrap())
+    MODEL.get_or_init(|| {
+        with_responses(&data());
+        load_or_build(sensor(), &skin_cache()).unwrap()
+    })
 }
 
 /// An empty folder for one test.

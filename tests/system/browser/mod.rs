@@ -12,9 +12,11 @@ use super::placement::{serve_exact, skin_alone};
 
 const MODULES: &str = "playwright, axe_playwright_python";
 
-/// A campaign of 48 trials.
+/// A campaign of 24 trials.
 const SHORT: &str = "name = 'short'\nseed = 5\nsensor = 's'\n[real_hex]\ntips = [1]\n\
-    configurations = 8\ndepths = 6\nblock = 8\nreference_every = 8\n";
+    configurations = 4\ndepths = 6\nblock = 4\nreference_every = 4\n";
+/// Process seconds in a wall second. No faster: the rig takes as much of the machine as the browser, for minutes.
+const SPEED: f64 = 20.0;
 /// A campaign of 6,000 trials, longer than any scenario.
 const LONG: &str = "name = 'long'\nseed = 6\nsensor = 's'\n[real_hex]\ntips = [1]\n\
     configurations = 1000\ndepths = 6\n";
@@ -60,8 +62,8 @@ async fn plays(lab: &Lab, (python, chromium): (String, String), scenario: &str) 
 }
 
 /// A lab with a long run under way, and the run's uid.
-async fn running(name: &str, speed: f64) -> (Lab, String) {
-    let lab = Lab::open(name, rig_args("virtual", speed), COMPUTES).await;
+async fn running(name: &str) -> (Lab, String) {
+    let lab = Lab::open(name, rig_args("virtual", SPEED), COMPUTES).await;
     lab.home().await;
     let run = lab.queue(LONG).await;
     lab.start(&run).await;
@@ -72,8 +74,7 @@ async fn running(name: &str, speed: f64) -> (Lab, String) {
 /// A lab in which each page has something to show: a run that ended, its dataset, a net, a run that is
 /// under way and one that waits.
 async fn furnished(name: &str) -> Lab {
-    // No faster: the rig takes as much of the machine as the browser, for minutes.
-    let lab = Lab::open(name, rig_args("virtual", 20.0), COMPUTES).await;
+    let lab = Lab::open(name, rig_args("virtual", SPEED), COMPUTES).await;
     lab.home().await;
     let run = lab.queue(SHORT).await;
     lab.start(&run).await;
@@ -120,7 +121,7 @@ async fn a_run_is_checked_started_paused_stopped_at_once_and_finished() {
 #[tokio::test(flavor = "multi_thread")]
 async fn abort_asks_first_and_keeps_what_is_stored() {
     let Some(tools) = tools() else { return };
-    let (lab, run) = running("browser-abort", 10.0).await;
+    let (lab, run) = running("browser-abort").await;
     plays(&lab, tools, "abort").await;
     let actions = lab.get(&format!("/api/v1/actions?run={run}&limit=100")).await;
     let aborts = actions["items"].as_array().unwrap().iter().filter(|a| a["action"] == "abort");
@@ -131,7 +132,7 @@ async fn abort_asks_first_and_keeps_what_is_stored() {
 #[tokio::test(flavor = "multi_thread")]
 async fn the_stop_needs_no_mouse() {
     let Some(tools) = tools() else { return };
-    let (lab, _) = running("browser-keyboard", 10.0).await;
+    let (lab, _) = running("browser-keyboard").await;
     plays(&lab, tools, "keyboard").await;
     lab.close().await;
 }
@@ -168,7 +169,7 @@ async fn a_weight_on_a_wrong_point_is_named_before_it_is_stored_and_a_trial_is_r
 async fn a_model_is_promoted_and_followed_live() {
     let Some(tools) = tools() else { return };
     let lab = Lab::open("browser-touch", rig_args("virtual", 1.0), COMPUTES).await;
-    lab.home().await;
+    lab.posted("/api/v1/rig/actions", json!({ "action": "connect", "who": "test" })).await;
     super::live::small_net(&lab).await;
     super::live::quantity_nets(&lab).await;
     plays(&lab, tools, "touch").await;
@@ -186,7 +187,7 @@ async fn a_viewer_sees_no_button_that_would_be_refused() {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_lost_connection_is_shown_and_heals() {
     let Some(tools) = tools() else { return };
-    let (lab, _) = running("browser-lost", 10.0).await;
+    let (lab, _) = running("browser-lost").await;
     plays(&lab, tools, "lost").await;
     let status = lab.get("/api/v1/status").await;
     assert!(status["rig"]["trip"].is_null(), "no stop arrived later: {status:#}");
@@ -204,7 +205,7 @@ async fn axe_finds_no_serious_fault_on_any_page_item_dialog_or_state() {
 #[tokio::test(flavor = "multi_thread")]
 async fn axe_finds_no_serious_fault_on_any_page_of_an_empty_service() {
     let Some(tools) = tools() else { return };
-    let lab = Lab::open("browser-axe-empty", rig_args("virtual", 40.0), COMPUTES).await;
+    let lab = Lab::open("browser-axe-empty", rig_args("virtual", 1.0), COMPUTES).await;
     plays(&lab, tools, "axe_empty").await;
     lab.close().await;
 }
@@ -212,7 +213,7 @@ async fn axe_finds_no_serious_fault_on_any_page_of_an_empty_service() {
 #[tokio::test(flavor = "multi_thread")]
 async fn orders_of_bulk_work_are_cancelled_gathered_and_submitted() {
     let Some(tools) = tools() else { return };
-    let lab = Lab::open("browser-bulk", rig_args("virtual", 40.0), COMPUTES).await;
+    let lab = Lab::open("browser-bulk", rig_args("virtual", 1.0), COMPUTES).await;
     plays(&lab, tools, "bulk").await;
     lab.close().await;
 }

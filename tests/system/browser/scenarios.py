@@ -7,7 +7,6 @@ browser, PALPATE_SCREENS the folder for a picture of the page that failed.
 
 import os
 import pathlib
-import shutil
 import sys
 
 from playwright.sync_api import expect, sync_playwright
@@ -20,6 +19,7 @@ import connection
 import person
 import size
 import touching
+import views
 import weighing
 
 SCENARIOS = {one.__name__: one for one in (
@@ -32,10 +32,7 @@ def main():
     name = sys.argv[1]
     expect.set_options(timeout=person.LIMIT_MS)
     with sync_playwright() as playwright:
-        chromium = os.environ.get("PALPATE_CHROMIUM", "chromium")
-        browser = playwright.chromium.launch(
-            executable_path=chromium if os.path.sep in chromium else shutil.which(chromium),
-            args=["--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage"])
+        browser = views.launched(playwright)
         page = browser.new_context(viewport={"width": 1400, "height": 900}).new_page()
         page.set_default_timeout(person.LIMIT_MS)
         try:

@@ -5,7 +5,10 @@ browser receives, or cuts its connection: nothing happens to the rig. Of the dia
 """
 
 import json
+import os
 import re
+import shutil
+import time
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import datetime, timezone
@@ -248,20 +251,31 @@ def opened(get):
 BROKEN = {"tripped": with_status(tripped), "halted": with_status(halted), "disk": with_status(disk_full), "lost": nothing}
 
 
+def launched(playwright, *more):
+    """Headless Chromium, with more options."""
+    chromium = os.environ.get("PALPATE_CHROMIUM", "chromium")
+    return playwright.chromium.launch(
+        executable_path=chromium if os.path.sep in chromium else shutil.which(chromium),
+        args=["--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage", *more])
+
+
 @contextmanager
-def shown(browser, url, view, state="busy", settle_ms=1200, **look):
-    """Opens a view in a state in a new context; yields the page, settled, and the errors that it wrote until then."""
+def shown(browser, url, view, state="busy", settle_ms=None, **look):
+    """Opens a view in a state in a new context; yields the page, settled, and the errors that it wrote until then.
+
+    It has settled once it is `quiet`, or after `settle_ms`.
+    """
     wire = Wire(url) if state == "lost" else None
     context = browser.new_context(**look)
     page = context.new_page()
     page.set_default_timeout(LIMIT_MS)
-    errors = watched(page)
+    errors, waiting = watched(page), unanswered(page)
     try:
         view.before(page)
         BROKEN.get(state, nothing)(page)
         page.goto((wire.url if wire else url) + view.path, wait_until="domcontentloaded")
         waits_for("#docs .info" if view.is_docs else "main h1")(page)
-        page.wait_for_timeout(settle_ms)
+        page.wait_for_timeout(settle_ms) if settle_ms else quiet(page, waiting)
         view.open(page)
         written = list(errors)
         if wire:
@@ -273,6 +287,26 @@ def shown(browser, url, view, state="busy", settle_ms=1200, **look):
         context.close()
         if wire:
             wire.close()
+
+
+def unanswered(page):
+    """The requests that a page waits for, kept up to date; streams of events, which do not end, are left out."""
+    waiting = set()
+    page.on("request", lambda one: "event-stream" in one.headers.get("accept", "") or waiting.add(one))
+    for over in ("requestfinished", "requestfailed"):
+        page.on(over, lambda one: waiting.discard(one))
+    return waiting
+
+
+def quiet(page, waiting, for_ms=400, most_ms=1500):
+    """Waits until a page has waited for no answer for this long; one that requests again and again, at most so long."""
+    now = time.monotonic()
+    since, ends = now, now + most_ms / 1000
+    while now < ends and now < since + for_ms / 1000:
+        page.wait_for_timeout(25)
+        now = time.monotonic()
+        if waiting:
+            since = now
 
 
 def watched(page):

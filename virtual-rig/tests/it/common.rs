@@ -79,7 +79,7 @@ pub async fn serve(
         out_rig: Some(dir.join("served.toml")),
         fault: Some(fault),
         control: "127.0.0.1:0".into(),
-        cache: Some(PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join("responses")),
+        cache: Some(PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join("skin")),
         ready_file: None,
         with_parent: false,
     };

@@ -1,0 +1,54 @@
+//! What the tests of both binaries need: the sensor, a client, a process that ends with its test, the solved skin.
+
+use std::fs::DirBuilder;
+use std::os::unix::fs::DirBuilderExt;
+use std::path::{Path, PathBuf};
+use std::process::Child;
+use std::sync::Once;
+
+use palpate::cli::trust;
+use palpate::simulate::model::unit_responses;
+use sim_core::sensor::Sensor;
+
+/// Text of the sensor file of 28 electrodes.
+pub const SENSOR: &str = include_str!("../../experiments/sensors/ert-28.toml");
+
+/// A client without TLS.
+pub fn http() -> reqwest::Client {
+    trust::http(trust::tls("http:", None).unwrap()).unwrap()
+}
+
+/// A process that is killed, at the latest, at the end of its test.
+pub struct Process(pub Child);
+
+impl Drop for Process {
+    fn drop(&mut self) {
+        self.0.kill().ok();
+        self.0.wait().ok();
+    }
+}
+
+/// Folder of the sensor's unit responses, which services, commands and rigs share. It stays: they are solved once, in
+/// seconds on all cores.
+pub fn skin_cache() -> PathBuf {
+    static SOLVED: Once = Once::new();
+    let cache = Path::new(env!("CARGO_TARGET_TMPDIR")).join("skin");
+    SOLVED.call_once(|| {
+        unit_responses(&Sensor::from_toml(SENSOR).unwrap(), &cache).unwrap();
+    });
+    cache
+}
+
+/// Puts the unit responses into the cache of a data folder.
+pub fn with_responses(data: &Path) {
+    let cache = data.join("cache");
+    DirBuilder::new().recursive(true).mode(0o700).create(&cache).unwrap();
+    for file in std::fs::read_dir(skin_cache()).unwrap().map(|entry| entry.unwrap().path()) {
+        let to = cache.join(file.file_name().unwrap());
+        let is_whole = file.extension().is_some_and(|extension| extension == "bin");
+        // On another file system a link is not possible.
+        if is_whole && std::fs::hard_link(&file, &to).is_err() && !to.exists() {
+            std::fs::copy(&file, &to).unwrap();
+        }
+    }
+}
