@@ -1,14 +1,18 @@
 """Places and counts of light contacts that the noise of a readout allows, on a skin as simple as possible.
 
-    python3 tests/figures/bound.py [--trials 150] [--offsets 0.19,0.1,0.05] [--model 0.05] [--seed 5]
+    python3 tests/figures/bound.py [--trials 150] [--offsets 0.19,0.1,0.05] [--model 0.05] [--law 1.8] [--spread 0.4]
+        [--seed 5]
 
 Needs numpy; a minute for 300 trials on one core. The sheet is uniform, with the electrodes of sensors/ert-28.toml; a
-contact is a current in proportion to its force, scaled so that 9.81 N make a frame of 2.6 mV (the median over the skin,
-root mean square). Trials are those of touch-real-random: 2 to 4 weights of 4.9, 7.4 and 9.8 N, 40 mm apart, means of 30
-frames with 1 mV of white noise each, and offsets that are left after the untouched frame, as differences of the buffers
-of neighbouring electrodes (mV per pair, --offsets). Contacts are searched as `exact` does: evidence by Laplace's
-approximation, the same priors. The search knows the sheet, the law, and the covariance of the noise (`all`) or its
-variances alone (`size`), and a model error in proportion to the signal (--model).
+contact is a current, scaled so that 9.81 N make a frame of 2.6 mV (the median over the skin, root mean square). It
+grows with the power --law of the force, and differs between places 40 mm apart by a factor whose logarithm has the
+standard deviation --spread: by default as on gap c, which has 0.73 mV at 4.9 N. With 1 and 0 a weight of 4.9 N is half
+as strong as one of 9.81 N, everywhere. Trials are those of touch-real-random: 2 to 4 weights of 4.9, 7.4 and 9.8 N,
+40 mm apart, means of 30 frames with 1 mV of white noise each, and offsets that are left after the untouched frame, as
+differences of the buffers of neighbouring electrodes (mV per pair, --offsets). Contacts are searched as `exact` does:
+evidence by Laplace's approximation, the same priors. The search knows the sheet, the law, the strength of each place,
+and the covariance of the noise (`all`) or its variances alone (`size`), and a model error in proportion to the signal
+(--model).
 """
 
 import argparse
@@ -21,7 +25,7 @@ import numpy as np
 
 SENSOR = pathlib.Path(__file__).resolve().parents[2] / "experiments" / "sensors" / "ert-28.toml"
 NODES, ELECTRODES, FRAMES = 46, 28, 30
-NOISE_MV, FRAME_MV, FRAME_N = 1.0, 2.6, 9.81
+NOISE_MV, FRAME_MV, FRAME_N, FIELD_MM = 1.0, 2.6, 9.81, 40.0
 WEIGHTS_N, APART_MM, EDGE_MM = [4.905, 7.358, 9.81], 40, 20
 # Priors of `exact` (sim-core, FitOptions).
 LN_FORCE, LN_FORCE_SD, LN_ODDS, LEAST_MM, MOST, HOPELESS = math.log(10.0), 0.8, -1.0, 20.0, 6, 16.0
@@ -36,7 +40,8 @@ def around(values):
 class Sheet:
     """Frames of contacts, reduced without loss: the mean of each pair of electrodes, and the part of all forces."""
 
-    def __init__(self):
+    def __init__(self, law, spread, random):
+        self.law = law
         sensor = tomllib.loads(SENSOR.read_text())
         self.size = np.array([sensor["width_mm"], sensor["height_mm"]])
         self.step = self.size / (NODES - 1)
@@ -46,15 +51,16 @@ class Sheet:
         potential = np.linalg.inv(self.conductance())[:, index]
         offset = around(potential[index])
         mean = offset.mean(0)
-        self.grid = (around(potential) - mean).reshape(NODES, NODES, ELECTRODES)
-        self.total = np.linalg.norm(offset - mean) / math.sqrt(ELECTRODES)
+        pairs = (around(potential) - mean).reshape(NODES, NODES, ELECTRODES)
+        total = np.linalg.norm(offset - mean) / math.sqrt(ELECTRODES)
+        # The numbers of a current of 1 at each node: the pairs, and the part of all forces.
+        self.grid = np.dstack([pairs, np.full((NODES, NODES), -total)])
         sites = [self.size * share for share in itertools.product((0.28, 0.5, 0.74), repeat=2)]
-        frames = [math.sqrt((self.at(*site)[0] ** 2).mean() + self.total**2 / ELECTRODES) for site in sites]
-        scale = FRAME_MV / FRAME_N / np.median(frames)
-        self.grid, self.total = scale * self.grid, scale * self.total
+        frames = [np.linalg.norm(self.at(*site)[0]) / math.sqrt(ELECTRODES) for site in sites]
+        self.grid *= FRAME_MV / np.median(frames) * self.strength(spread, random)[:, :, None]
         axes = [np.arange(EDGE_MM, size - EDGE_MM + 1, 20.0) for size in self.size]
         self.sites = np.array(list(itertools.product(*axes)))
-        self.shapes = np.array([np.append(9 * self.at(*site)[0], -9 * self.total) for site in self.sites])
+        self.shapes = np.array([self.at(*site)[0] for site in self.sites])
 
     @staticmethod
     def electrodes(sensor):
@@ -64,6 +70,14 @@ class Sheet:
         for row, (y, columns) in enumerate(zip(rows["rows_y_mm"], rows["columns"])):
             for column in columns[::-1] if row % 2 else columns:
                 yield np.array([first + pitch * column, y])
+
+    def strength(self, spread, random):
+        """Factor of each node on the current, without trend along the edges."""
+        length, wide = FIELD_MM / self.step, 2 * NODES
+        waves = [math.tau * each * np.fft.fftfreq(wide) for each in length]
+        smooth = np.exp(-(waves[0][:, None] ** 2 + waves[1][None, :] ** 2) / 4)
+        field = np.fft.ifft2(np.fft.fft2(random.standard_normal((wide, wide))) * smooth).real
+        return np.exp(spread * (field / field.std())[:NODES, :NODES])
 
     def conductance(self):
         """Of the sheet's nodes, with a reference that no difference depends on."""
@@ -77,7 +91,7 @@ class Sheet:
         return matrix
 
     def at(self, x_mm, y_mm):
-        """Means of the pairs by 1 N at a place, and their slopes per mm."""
+        """Numbers of the current of `FRAME_N` at a place, and their slopes per mm."""
         fine = np.array([x_mm, y_mm]) / self.step
         x, y = np.clip(fine.astype(int), 0, NODES - 2)
         a, b = fine - (x, y)
@@ -91,11 +105,10 @@ class Sheet:
         """Reduced frame of contacts (x, y, ln F), and its slopes."""
         frame, slopes = np.zeros(ELECTRODES + 1), np.zeros((ELECTRODES + 1, contacts.size))
         for i, (x, y, ln_force) in enumerate(contacts):
-            force, (value, along_x, along_y) = math.exp(ln_force), self.at(x, y)
-            change = np.append(force * value, -force * self.total)
-            frame += change
-            slopes[:-1, 3 * i], slopes[:-1, 3 * i + 1] = force * along_x, force * along_y
-            slopes[:, 3 * i + 2] = change
+            strength = (math.exp(ln_force) / FRAME_N) ** self.law
+            value, along_x, along_y = (strength * of for of in self.at(x, y))
+            frame += value
+            slopes[:, 3 * i : 3 * i + 3] = np.column_stack([along_x, along_y, self.law * value])
         return frame, slopes
 
 
@@ -166,7 +179,7 @@ class Search:
             best = int(np.argmax(gain))
             if gain[best] <= 0:
                 return
-            force = np.clip(math.log(9 * along[best] / own[best]), 0.7, 4.1)
+            force = np.clip(math.log(FRAME_N) + math.log(along[best] / own[best]) / self.sheet.law, 0.7, 4.1)
             gain[np.hypot(*(sites - sites[best]).T) < PICKS_APART_MM] = 0.0
             score, grown = self.descend(np.vstack([contacts, [*sites[best], force]]))
             if closest_mm(grown) >= LEAST_MM:
@@ -217,9 +230,11 @@ def main():
     parser.add_argument("--trials", type=int, default=150)
     parser.add_argument("--offsets", default="0.19,0.1,0.05", help="mV per pair of electrodes")
     parser.add_argument("--model", type=float, default=0.05, help="error of the model, share of the signal")
+    parser.add_argument("--law", type=float, default=1.8, help="power of the force in a contact's current")
+    parser.add_argument("--spread", type=float, default=0.4, help="standard deviation of ln of a place's strength")
     parser.add_argument("--seed", type=int, default=5)
     args = parser.parse_args()
-    sheet = Sheet()
+    sheet = Sheet(args.law, args.spread, np.random.default_rng(args.seed + 1))
     print("| offsets, mV | known of them | location, mm | closest, mm | number, % | right count, % |\n|" + "---|" * 6)
     for offset_mv in map(float, args.offsets.split(",")):
         for known in ["size", "all"]:
