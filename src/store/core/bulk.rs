@@ -135,6 +135,8 @@ impl Inner {
         connection.busy_timeout(self.busy_timeout)?;
         connection.pragma_update(None, "query_only", true)?;
         connection.pragma_update(None, "cache_size", -CACHE_KIB)?;
+        // An index for one statement takes a read of the whole table.
+        connection.pragma_update(None, "automatic_index", false)?;
         Ok(connection)
     }
 }
