@@ -285,12 +285,12 @@ async fn request_action(
     Ok(None)
 }
 
-/// An action on a run that is not driven: an abort ends an open one. A pause or an abort of one that has just ended is
+/// An action on a run that is not driven: an abort ends an open one, and takes back the start of one that waits. A pause or an abort of one that has just ended is
 /// refused, and no waiting run begins.
 async fn on_undriven(app: &App, run: &RunRow, action: ActionOnRun) -> ApiResult<()> {
     // It may have ended since it was read.
     let run = &app.store.run(run.uid).await?.unwrap_or_else(|| run.clone());
-    if action == ActionOnRun::Abort && run.is_open() {
+    if action == ActionOnRun::Abort && (run.is_open() || run.waiting_since.is_some()) {
         app.conductor.abort_undriven(run).await?;
         return Ok(());
     }

@@ -285,12 +285,12 @@ pub(super) mod tests {
     }
 
     /// A person arms and starts a run whose time has not come.
-    async fn start(conductor: &Conductor, run: &RunRow) {
+    pub(in super::super) async fn start(conductor: &Conductor, run: &RunRow) {
         let code = conductor.arm(run).await.unwrap().code;
         assert_eq!(conductor.start(run, &code).await.unwrap(), Started::Waiting);
     }
 
-    fn in_an_hour() -> Option<Timestamp> {
+    pub(in super::super) fn in_an_hour() -> Option<Timestamp> {
         Some(Timestamp::now() + SignedDuration::from_hours(1))
     }
 

@@ -225,7 +225,7 @@ impl Conductor {
             }
             let _one_at_a_time = self.inner.beginning.lock().await;
             self.require_sound_store()?;
-            self.unedited(run).await?;
+            self.unended(run).await?;
             let operations = self.operations();
             self.inner.store.set_waiting(run.uid).await?;
             self.inner.handed_over.lock().insert(run.uid, operations);
@@ -239,22 +239,26 @@ impl Conductor {
 
     /// Ends a run that is open but not driven as aborted: it was interrupted, or is about to be driven again after a
     /// restart; if the rig homes for it, the homing ends, too. Its trials stay; it begins nothing, nor does a run that
-    /// waits begin by itself, unless it was interrupted.
+    /// waits begin by itself, unless it was interrupted. Of a run that is not open and waits for its turn, takes the
+    /// start back: it stays what it was.
     ///
     /// # Errors
-    /// `ConductorError::Forbidden` if the run is not open or is driven, `Store` if its end is not stored.
+    /// `ConductorError::Forbidden` if the run neither is open nor waits, or is driven; `Store` if the store fails.
     pub async fn abort_undriven(&self, run: &RunRow) -> Result<(), ConductorError> {
         let _one_at_a_time = self.inner.beginning.lock().await;
         let now = self.present(run).await?;
         let active = self.inner.campaign.status().run.is_some_and(|r| r.uid == run.uid);
+        if !active && !now.is_open() && now.waiting_since.is_some() {
+            self.forget(run.uid);
+            self.inner.store.clear_waiting(run.uid).await?;
+            return Ok(());
+        }
         if active || !now.is_open() {
             let words = format!("run {} is {}: there is nothing to abort", now.scan_id, now.state);
             return Err(ConductorError::Forbidden(words));
         }
         self.end_bringing_up(run.uid);
-        self.armings().remove(&run.uid);
-        self.waiting().remove(&run.uid);
-        self.dropped().remove(&run.uid);
+        self.forget(run.uid);
         let stored: u64 = self.inner.store.contact_counts(run.uid).await?.iter().sum();
         let reason = format!("aborted at {stored} of {} trials, not driven", run.trials_planned);
         let status = ExitStatus::Abort;
@@ -276,19 +280,13 @@ impl Conductor {
         now.ok_or_else(|| ConductorError::NoRun(run.uid.to_string()))
     }
 
-    /// The row of a run as it is stored now, unless it was edited since `run` was read.
-    async fn unedited(&self, run: &RunRow) -> Result<RunRow, ConductorError> {
-        let now = self.present(run).await?;
-        if Edition::of(&now) == Edition::of(run) {
-            return Ok(now);
-        }
-        let words = format!("run {} was edited meanwhile: arm and start it again", run.scan_id);
-        Err(ConductorError::Forbidden(words))
-    }
-
     /// The row of a run as it is stored now, unless it was edited, ended or removed since `run` was read.
     async fn unended(&self, run: &RunRow) -> Result<RunRow, ConductorError> {
-        let now = self.unedited(run).await?;
+        let now = self.present(run).await?;
+        if Edition::of(&now) != Edition::of(run) {
+            let words = format!("run {} was edited meanwhile: arm and start it again", run.scan_id);
+            return Err(ConductorError::Forbidden(words));
+        }
         if (now.state, now.exit_status) == (run.state, run.exit_status) {
             return Ok(now);
         }
@@ -340,9 +338,7 @@ impl Conductor {
             let job = self.prepare_stored(run).await?.job(run);
             refused.await?;
             self.inner.campaign.ask(Request::Start(Arc::new(job))).await?;
-            self.armings().remove(&run.uid);
-            self.waiting().remove(&run.uid);
-            self.dropped().remove(&run.uid);
+            self.forget(run.uid);
             Ok(())
         };
         beginning.instrument(run_span(run.uid, run.scan_id)).await
@@ -379,6 +375,13 @@ impl Conductor {
             Ok(prepared) => prepared.map_err(|problems| ConductorError::Problems { problems }),
             Err(_) => Err(ConductorError::Refused(Refusal::Gone)),
         }
+    }
+
+    /// Forgets that a run was armed, started or dropped.
+    fn forget(&self, run: RunUid) {
+        self.armings().remove(&run);
+        self.waiting().remove(&run);
+        self.dropped().remove(&run);
     }
 
     fn waiting(&self) -> parking_lot::MutexGuard<'_, BTreeSet<RunUid>> {

@@ -256,7 +256,7 @@ impl Conductor {
         let lock = self.inner.store.lock().await?;
         let present = turn::Present { now: Timestamp::now(), lock: lock.as_ref() };
         let refusing = match (&lock, since) {
-            (Some(lock), Some(since)) => Some(lock).filter(|lock| lock.since > since),
+            (Some(lock), Some(since)) => Some(lock).filter(|lock| lock.since >= since),
             (lock, _) => lock.as_ref().filter(|_| !present.lets_begin(run)),
         };
         match refusing {

@@ -42,7 +42,7 @@ impl Present<'_> {
     /// The lock that refuses the beginning of a run: another person took it after the run was started, for
     /// example with hands in the rig. One who started a run and then took the lock does not stop it.
     fn refusal(&self, run: &RunRow) -> Option<&LockRow> {
-        let is_later = |lock: &&LockRow| run.waiting_since.is_some_and(|start| lock.since > start);
+        let is_later = |lock: &&LockRow| run.waiting_since.is_some_and(|start| lock.since >= start);
         self.lock.filter(is_later).filter(|lock| lock.holder != run.submitted_by)
     }
 }
@@ -229,6 +229,7 @@ mod tests {
         };
         let (begins, again, words) = of(lock("bob", -50));
         assert!(!begins && again == Some(DECIDE_AGAIN));
+        assert!(!of(lock("bob", -100)).0, "the clock was set back between the two");
         assert_eq!(
             words,
             "run 1 (quickstart) starts when bob releases the operator lock: hands in the rig"

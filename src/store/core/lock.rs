@@ -23,9 +23,18 @@ pub struct LockRow {
     pub holder: String,
     /// Note of the holder.
     pub note: String,
-    /// Wall time at which it was taken.
+    /// Wall time at which it was taken; not before what it holds up, if the clock was set back.
     pub since: Timestamp,
 }
+
+/// What a lock must hold up is not later than it, although the wall clock was set back: starts that wait, and the
+/// beginnings and last trials of open runs.
+const NEWEST: &str = "SELECT max(at) FROM (
+    SELECT waiting_since AS at FROM runs
+    UNION ALL SELECT started_at FROM runs WHERE state NOT IN ('queued', 'ended', 'removed')
+    UNION ALL SELECT (SELECT measured_at FROM trials INDEXED BY trials_in_order
+            WHERE run = runs.scan_id ORDER BY id DESC LIMIT 1)
+        FROM runs WHERE state NOT IN ('queued', 'ended', 'removed'))";
 
 impl LockRow {
     /// Whether the lock was taken without a key.
@@ -61,6 +70,9 @@ impl Store {
             {
                 return Err(StoreError::LockHeld { holder: held.holder, note: held.note });
             }
+            let newest: Option<String> =
+                sqlx::query_scalar(NEWEST).fetch_one(&mut *connection).await.during(OPERATION)?;
+            let since = newest.filter(|newest| *newest > now).unwrap_or(now);
             let row = sqlx::query(
                 "INSERT INTO operator_lock (id, holder, note, since) VALUES (1, ?1, ?2, ?3)
                  ON CONFLICT (id) DO UPDATE SET note = ?2, since = ?3
@@ -68,7 +80,7 @@ impl Store {
             )
             .bind(holder)
             .bind(note)
-            .bind(now)
+            .bind(since)
             .fetch_one(connection)
             .await
             .during(OPERATION)?;
