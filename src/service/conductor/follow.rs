@@ -214,6 +214,16 @@ impl Conductor {
         }
     }
 
+    /// Removes runs from those that wait, all first in memory: none of them begins, whatever the store does.
+    pub(super) async fn drop_each(&self, runs: &[RunRow], why: &str) -> Result<(), ConductorError> {
+        self.waiting().retain(|uid| runs.iter().all(|run| run.uid != *uid));
+        self.dropped().extend(runs.iter().map(|run| (run.uid, why.to_owned())));
+        for run in runs {
+            self.drop_waiting(run, why).await?;
+        }
+        Ok(())
+    }
+
     /// Removes a run from those that wait; an event reports it.
     pub(super) async fn drop_waiting(&self, run: &RunRow, why: &str) -> Result<(), ConductorError> {
         run_span(run.uid, run.scan_id)
