@@ -64,15 +64,10 @@ impl Store {
             let moved = order.remove(from.ok_or(StoreError::NotQueued(run))?);
             let to = (position.max(1) as usize - 1).min(order.len());
             order.insert(to, moved);
-            number(connection, &order, OPERATION).await?;
-            let rows =
-                sqlx::query("SELECT * FROM runs WHERE state = 'queued' ORDER BY queue_position")
-                    .fetch_all(connection)
-                    .await
-                    .during(OPERATION)?;
-            rows.iter().map(|row| RunRow::read(&Columns::of(row, OPERATION))).collect()
+            number(connection, &order, OPERATION).await
         })
-        .await
+        .await?;
+        self.queue().await
     }
 
     /// Removes a run from the queue permanently. Its row remains, in the state `removed`.

@@ -1,12 +1,11 @@
-//! A run over time: trials, forces, failed attempts and fits in bins of equal length, and its events.
+//! A run over time: trials, forces, failed attempts and fits in bins of equal length.
 //! Uses: `core`, `bench`. Never: what a bin means; a row for each trial.
 
 use jiff::Timestamp;
 
-use crate::core::columns::{Columns, time_text};
+use crate::core::columns::time_text;
 use crate::core::{During, Store, StoreResult};
 use crate::ids::RunUid;
-use crate::journal::Event;
 
 /// Bins of equal length.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -117,40 +116,6 @@ impl Store {
         let of = |(bin, trials, largest_force_n)| BinTrials { bin, trials, largest_force_n };
         let trials = trials.into_iter().map(of).collect();
         Ok(StoredHistory { trials, attempts_failed, median_fvu })
-    }
-
-    /// Returns the newest events of these kinds of a run, at most `limit`, in ascending order.
-    ///
-    /// # Errors
-    /// `NoSuchRun` if the run is not stored; `Sql` or `Unreadable` if the read fails.
-    pub async fn events_of_kinds(
-        &self,
-        run: RunUid,
-        kinds: &[&str],
-        limit: u32,
-    ) -> StoreResult<Vec<Event>> {
-        const OPERATION: &str = "reading events of some kinds";
-        let scan_id = self.facts(run, OPERATION).await?.scan_id;
-        let kinds = serde_json::json!(kinds).to_string();
-        let query = sqlx::query(
-            "SELECT * FROM events WHERE run = ?1 AND kind IN (SELECT value FROM json_each(?2))
-             ORDER BY seq DESC LIMIT ?3",
-        )
-        .bind(scan_id)
-        .bind(kinds)
-        .bind(limit);
-        let event = |c: &Columns<'_>| {
-            Ok(Event {
-                seq: c.get("seq")?,
-                run: Some(run),
-                at: c.time("at")?,
-                kind: c.get("kind")?,
-                data: c.json("data")?,
-            })
-        };
-        let mut events = self.rows(OPERATION, query, event).await?;
-        events.reverse();
-        Ok(events)
     }
 
     /// Returns the time of measurement of the newest durable trial of a run; `None` without trials.

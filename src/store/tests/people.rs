@@ -6,10 +6,9 @@ use std::time::Duration;
 
 use parking_lot::Mutex;
 use serde_json::json;
-use sqlx::sqlite::SqliteConnectOptions;
-use sqlx::{Connection, SqliteConnection};
+use sqlx::Connection;
 
-use super::{Folder, fresh, hex_trial, new_run, now, open, time};
+use super::{Folder, execute, fresh, hex_trial, new_run, now, open, time};
 use crate::core::store::Inner;
 use crate::journal::{ExitStatus, Journal, Mounting};
 use crate::record::TrialRecord;
@@ -305,16 +304,13 @@ async fn the_lock_has_one_holder() {
 
 #[tokio::test]
 async fn a_lock_is_not_earlier_than_what_it_holds_up_although_the_clock_was_set_back() {
-    let (folder, store) = fresh().await;
+    let (_folder, store) = fresh().await;
     let waits = store.enqueue(new_run(RunKind::RealHex)).await.unwrap().uid;
     let driven = store.create_run(new_run(RunKind::RealHex)).await.unwrap().uid;
     store.set_waiting(waits).await.unwrap();
-    let options = SqliteConnectOptions::new().filename(folder.file());
-    let mut file = SqliteConnection::connect_with(&options).await.unwrap();
     let since = "UPDATE runs SET waiting_since = '2099-11-20T18:00:00.000Z' \
                  WHERE waiting_since IS NOT NULL";
-    sqlx::query(since).execute(&mut file).await.unwrap();
-    file.close().await.unwrap();
+    execute(&store, since).await;
     let lock = store.set_lock("Ada", "hands").await.unwrap();
     assert_eq!(lock.since, time("2099-11-20T18:00:00Z"));
     store.clear_waiting(waits).await.unwrap();

@@ -1,14 +1,14 @@
 //! The operator lock, which prevents starting and editing but never stopping.
-//! Uses: `core::writer`. Never: the rig lock, the file with which one process holds the rig.
+//! Uses: `core`. Never: the rig lock, the file with which one process holds the rig.
 
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 use sqlx::sqlite::{SqliteConnection, SqliteRow};
 use utoipa::ToSchema;
 
-use super::columns::Columns;
-use super::keys::{KEYLESS, KEYLESS_SUFFIX};
-use super::{During, Store, StoreError, StoreResult};
+use crate::core::columns::Columns;
+use crate::core::keys::{KEYLESS, KEYLESS_SUFFIX};
+use crate::core::{During, Store, StoreError, StoreResult};
 use crate::plain::violated;
 
 /// Longest name of a holder, with the mark of one without a key.
