@@ -138,8 +138,7 @@ pub async fn find(app: &App, run: &str) -> ApiResult<RunRow> {
 /// Returns a page of runs, newest first.
 #[utoipa::path(get, operation_id = "list_runs",
     path = "/api/v1/runs", tag = "runs", params(RunParams, PageParams),
-    responses((status = 200, body = Page<RunRow>),
-        (status = 400, description = "a parameter is unknown or invalid")))]
+    responses((status = 200, body = Page<RunRow>)))]
 pub async fn list(
     app: App,
     Query(pairs): Query<Vec<(String, String)>>,
