@@ -42,12 +42,11 @@ pub use bench::untouched::BeforeTrial;
 pub use bench::wear::{PressedPoint, StoredWear};
 pub use lab::datasets::{DatasetRow, RunExtent};
 pub use lab::forces::DepthForce;
-pub use lab::history::{BinTrials, Bins, StoredHistory};
 pub use lab::imports::{
     IMPORTED_CONTACTS_MAX, IMPORTED_FRAMES_MAX, IMPORTED_MODEL, ImportedTrial, TAG_MAX_CHARS,
 };
 pub use lab::models::{ModelRow, NewPromotion, PromotionRow};
-pub use lab::progress::{ConfigurationTrials, StoredProgress};
+pub use lab::progress::{Bins, PartTrials, StoredParts};
 pub use lab::task_queue::TaskQueue;
 pub use lab::tasks::{TaskEnd, TaskKind, TaskRow, TaskState};
 pub use lab::twins::{Fit, NewTwinModel, Twin, TwinCount, TwinModelId, TwinOutcome};
