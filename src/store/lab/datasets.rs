@@ -36,7 +36,7 @@ pub struct DatasetRow {
 impl DatasetRow {
     fn read(c: &Columns<'_>) -> StoreResult<Self> {
         Ok(Self {
-            id: c.id("id")?,
+            id: c.word("id")?,
             name: c.get("name")?,
             definition: c.json("definition")?,
             rows: c.whole("rows")?,
@@ -109,12 +109,13 @@ impl Store {
         const OPERATION: &str = "storing a dataset";
         let inputs = inputs.to_owned();
         self.write(OPERATION, async move |connection| {
-            sqlx::query(
+            let row = sqlx::query(
                 "INSERT INTO datasets (id, name, definition, rows, bytes, sha256, report,
                      lineage, created_at)
                  VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9)
                  ON CONFLICT (id) DO UPDATE SET bytes = excluded.bytes,
-                     sha256 = excluded.sha256, lineage = excluded.lineage",
+                     sha256 = excluded.sha256, lineage = excluded.lineage
+                 RETURNING *",
             )
             .bind(new.id.as_str())
             .bind(&new.name)
@@ -125,7 +126,7 @@ impl Store {
             .bind(new.report.to_string())
             .bind(new.lineage.to_string())
             .bind(time_text(new.created_at))
-            .execute(&mut *connection)
+            .fetch_one(&mut *connection)
             .await
             .during(OPERATION)?;
             sqlx::query(
@@ -134,14 +135,9 @@ impl Store {
             )
             .bind(inputs)
             .bind(new.id.as_str())
-            .execute(&mut *connection)
+            .execute(connection)
             .await
             .during(OPERATION)?;
-            let row = sqlx::query("SELECT * FROM datasets WHERE id = ?1")
-                .bind(new.id.as_str())
-                .fetch_one(connection)
-                .await
-                .during(OPERATION)?;
             DatasetRow::read(&Columns::of(&row, OPERATION))
         })
         .await

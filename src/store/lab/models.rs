@@ -27,7 +27,7 @@ pub struct ModelRow {
 impl ModelRow {
     fn read(c: &Columns<'_>) -> StoreResult<Self> {
         Ok(Self {
-            id: c.id("id")?,
+            id: c.word("id")?,
             name: c.get("name")?,
             task: c.get("task")?,
             manifest: c.get("manifest")?,
@@ -78,7 +78,7 @@ impl PromotionRow {
         Ok(Self {
             slot: c.get("slot")?,
             sensor: c.get("sensor")?,
-            what: c.id_or_none("what")?,
+            what: c.word_or_none("what")?,
             who: c.get("who")?,
             why: c.get("why")?,
             at: c.time("at")?,

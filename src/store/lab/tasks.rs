@@ -109,7 +109,7 @@ impl TaskRow {
             kind: c.word("kind")?,
             request: c.json("request")?,
             state: c.word("state")?,
-            dataset: c.id_or_none("dataset")?,
+            dataset: c.word_or_none("dataset")?,
             result: result.map(|_| c.json("result")).transpose()?,
             error: c.get("error")?,
             asked_by: c.get("asked_by")?,

@@ -141,7 +141,7 @@ impl Store {
             Ok(NewTwinModel {
                 hash: c.get("hash")?,
                 sensor_sha256: c.get("sensor_sha256")?,
-                calibration_id: c.id_or_none("calibration_id")?,
+                calibration_id: c.word_or_none("calibration_id")?,
                 version: c.get("version")?,
                 git_commit: c.get("git_commit")?,
             })
