@@ -35,12 +35,17 @@ impl Store {
     /// `Sql` or `Unreadable` if the read fails.
     pub(crate) async fn read_last_mounted(&self) -> StoreResult<Option<Mounting>> {
         const OPERATION: &str = "reading the number of mounted tips";
+        // The order of the events holds although the clock was set back.
         let query = sqlx::query(
             "SELECT * FROM (SELECT * FROM mountings ORDER BY id DESC LIMIT 1) AS last
              WHERE NOT EXISTS (
                  SELECT 1 FROM runs WHERE kind = 'real-random'
                      AND (started_at > last.at OR ended_at > last.at
-                         OR (started_at IS NOT NULL AND state NOT IN ('ended', 'removed'))))",
+                         OR (started_at IS NOT NULL AND state NOT IN ('ended', 'removed'))))
+                 AND NOT EXISTS (
+                     SELECT 1 FROM events e JOIN runs r ON r.scan_id = e.run
+                     WHERE e.kind = 'state' AND r.kind = 'real-random'
+                         AND e.seq > (SELECT max(seq) FROM events WHERE kind = 'tips'))",
         );
         let read = |c: &Columns<'_>| {
             let (tips, live_cells) = (c.whole("tips")?, c.whole("live_cells")?);

@@ -133,6 +133,26 @@ async fn tips_are_not_known_after_a_manual_run() {
     assert_eq!(store.last_mounted().await.unwrap(), Some(said), "entered again");
 }
 
+#[tokio::test]
+async fn tips_are_not_known_after_a_manual_run_although_the_clock_was_set_back() {
+    let (_folder, store) = fresh().await;
+    let said = Mounting { tips: 4, live_cells: 4, who: "Ada".into() };
+    let (early, late) = (time("2026-11-20T18:00:00Z"), time("2026-11-20T20:00:00Z"));
+    let run = store.create_run(new_run(RunKind::RealRandom)).await.unwrap().uid;
+    let mount = async || {
+        store.mounted(&said, late).await.unwrap();
+        store.event(None, "tips", json!({}), late).await.unwrap();
+    };
+    mount().await;
+    assert_eq!(store.last_mounted().await.unwrap(), Some(said.clone()));
+    store.run_state(run, StateChange::to(StoredState::Running), early).await.unwrap();
+    store.event(Some(run), "state", json!({}), early).await.unwrap();
+    store.end_run(run, ExitStatus::Success, "every trial", early).await.unwrap();
+    assert_eq!(store.last_mounted().await.unwrap(), None);
+    mount().await;
+    assert_eq!(store.last_mounted().await.unwrap(), Some(said));
+}
+
 /// The records of the campaign wait for a disk that hangs; all other callers give up after 30 s.
 #[tokio::test]
 async fn a_disk_that_hangs_is_waited_for_by_the_campaign_alone() {
