@@ -35,13 +35,8 @@ const PREDICTIONS_MAX: usize = 1000;
 #[into_params(parameter_in = Query)]
 pub struct HistoryParams {
     /// Number of bins of equal length, 1 to 1000; 120 if absent.
-    #[serde(default = "default_bins")]
     #[param(minimum = 1, maximum = 1000, default = 120)]
-    pub bins: u32,
-}
-
-fn default_bins() -> u32 {
-    120
+    pub bins: Option<u32>,
 }
 
 /// A run over time. Lists of numbers have one entry per bin.
@@ -113,7 +108,7 @@ pub async fn of_run(
     Path(run): Path<String>,
     Params(params): Params<HistoryParams>,
 ) -> ApiResult<Json<Arc<History>>> {
-    let bins = params.bins;
+    let bins = params.bins.unwrap_or(120);
     if !(1..=BINS_MAX).contains(&bins) {
         return Err(ApiError::query("bins", bins, "must be 1 to 1000"));
     }

@@ -284,8 +284,8 @@ async fn request_action(
     Ok(None)
 }
 
-/// An action on a run that is not driven: an abort ends an open one, and takes back the start of one that waits. A pause or an abort of one that has just ended is
-/// refused, and no waiting run begins.
+/// An action on a run that is not driven: an abort ends an open one, and takes back the start of one that waits. A pause
+/// or an abort of one that has just ended is refused, and no waiting run begins.
 async fn on_undriven(app: &App, run: &RunRow, action: ActionOnRun) -> ApiResult<()> {
     // It may have ended since it was read.
     let run = &app.store.run(run.uid).await?.unwrap_or_else(|| run.clone());

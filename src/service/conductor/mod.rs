@@ -212,13 +212,14 @@ impl Conductor {
     /// Second step: starts the run, or lets it wait for the active one or for its time.
     ///
     /// # Errors
-    /// `ConductorError::Forbidden` if the run is not startable, the code is invalid or the store is
-    /// damaged; `Refused` if the campaign refuses.
+    /// `ConductorError::Forbidden` if the run is not startable, the code is invalid, the store is
+    /// damaged, or there is a sign of a person meanwhile; `Refused` if the campaign refuses.
     pub async fn start(&self, run: &RunRow, code: &str) -> Result<Started, ConductorError> {
         startable(run)?;
         self.check_code(run, code)?;
         let is_early = !turn::is_due(run, Timestamp::now());
         let status = self.inner.campaign.status();
+        let signs = status.attended.signs;
         if is_early || status.run.is_some() {
             if let Some(words) = run_action::wait_refused(&status) {
                 return Err(ConductorError::Forbidden(words));
@@ -231,9 +232,14 @@ impl Conductor {
             self.inner.handed_over.lock().insert(run.uid, operations);
             self.dropped().remove(&run.uid);
             self.let_wait([run.uid]);
+            // Read after it: a sign of a person that came before was followed without it.
+            if let Err(error) = self.require_no_sign(signs) {
+                self.drop_waiting(run, &error.to_string()).await?;
+                return Err(error);
+            }
             return Ok(Started::Waiting);
         }
-        self.begin(run, async { Ok(()) }).await?;
+        self.begin(run, async { self.require_no_sign(signs) }).await?;
         Ok(Started::Running)
     }
 
@@ -292,6 +298,15 @@ impl Conductor {
         }
         let words = format!("run {} is {} meanwhile: it is not driven", now.scan_id, now.state);
         Err(ConductorError::Forbidden(words))
+    }
+
+    /// Refuses what was requested before the last sign of a person; `signs`: their number then.
+    fn require_no_sign(&self, signs: u64) -> Result<(), ConductorError> {
+        let attended = self.inner.campaign.status().attended;
+        match attended.signs == signs {
+            true => Ok(()),
+            false => Err(ConductorError::Forbidden(format!("{}: start it again", attended.why))),
+        }
     }
 
     fn check_code(&self, row: &RunRow, code: &str) -> Result<(), ConductorError> {

@@ -128,6 +128,7 @@ impl Conductor {
 
 #[cfg(test)]
 mod tests {
+    use std::sync::atomic::Ordering;
     use std::time::Duration;
 
     use super::super::Started;
@@ -187,6 +188,26 @@ mod tests {
         let (started, ()) = tokio::join!(conductor.start(&run, &code), aborts);
         assert!(matches!(started, Err(ConductorError::Forbidden(_))), "{started:?}");
         assert!(store.waiting_runs().await.unwrap().is_empty());
+    }
+
+    #[tokio::test]
+    async fn a_run_that_is_started_as_a_person_aborts_another_does_not_wait() {
+        let (conductor, inbox, _folder) = conductor().await;
+        let run = queued_on(&conductor, early()).await;
+        let code = conductor.arm(&run).await.unwrap().code;
+        let one_at_a_time = conductor.inner.beginning.lock().await;
+        let aborts = async {
+            tokio::time::sleep(Duration::from_millis(100)).await;
+            inbox.status.send_modify(|status| status.attended.note("a run was aborted"));
+            // The queue has followed it.
+            conductor.inner.signs.store(1, Ordering::SeqCst);
+            drop(one_at_a_time);
+        };
+        let (started, ()) = tokio::join!(conductor.start(&run, &code), aborts);
+        assert_eq!(started.unwrap_err().to_string(), "a run was aborted: start it again");
+        assert!(conductor.waiting().is_empty());
+        assert!(conductor.inner.store.waiting_runs().await.unwrap().is_empty());
+        start(&conductor, &run).await;
     }
 
     #[tokio::test]

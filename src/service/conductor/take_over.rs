@@ -238,10 +238,7 @@ impl Conductor {
                          suspended: start the run";
             return Err(ConductorError::Forbidden(words.into()));
         }
-        let attended = self.inner.campaign.status().attended;
-        if attended.signs != signs {
-            return Err(ConductorError::Forbidden(format!("{}: start the run", attended.why)));
-        }
+        self.require_no_sign(signs)?;
         self.require_no_lock(run, since).await
     }
 

@@ -29,7 +29,7 @@ pub struct LockRow {
 
 /// What a lock must hold up is not later than it, although the wall clock was set back: starts that wait, and the
 /// beginnings and last trials of open runs.
-const NEWEST: &str = "SELECT max(at) FROM (
+const NEWEST_HELD_UP: &str = "SELECT max(at) FROM (
     SELECT waiting_since AS at FROM runs
     UNION ALL SELECT started_at FROM runs WHERE state NOT IN ('queued', 'ended', 'removed')
     UNION ALL SELECT (SELECT measured_at FROM trials INDEXED BY trials_in_order
@@ -70,8 +70,10 @@ impl Store {
             {
                 return Err(StoreError::LockHeld { holder: held.holder, note: held.note });
             }
-            let newest: Option<String> =
-                sqlx::query_scalar(NEWEST).fetch_one(&mut *connection).await.during(OPERATION)?;
+            let newest: Option<String> = sqlx::query_scalar(NEWEST_HELD_UP)
+                .fetch_one(&mut *connection)
+                .await
+                .during(OPERATION)?;
             let since = newest.filter(|newest| *newest > now).unwrap_or(now);
             let row = sqlx::query(
                 "INSERT INTO operator_lock (id, holder, note, since) VALUES (1, ?1, ?2, ?3)

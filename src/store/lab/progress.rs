@@ -54,8 +54,8 @@ struct Parts {
 }
 
 impl Parts {
-    /// The part of a record as SQL: its configuration, or the bin of its time `at`. ?2 is the start of the first bin, ?3
-    /// the length of a bin, s, ?4 the index of the last.
+    /// The part of a record as SQL: its configuration, or the bin of its time `at`. ?2 is the start of the first bin,
+    /// ?3 the length of a bin, s, ?4 the index of the last.
     fn of(&self, configuration: &str, at: &str) -> String {
         match self.bins {
             None => configuration.to_owned(),
