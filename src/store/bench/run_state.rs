@@ -17,7 +17,6 @@ impl Store {
     /// # Errors
     /// `Sql`, `Late` or `Closed` if the write fails.
     pub async fn interrupt_open_runs(&self, but: Option<RunUid>) -> StoreResult<()> {
-        const OPERATION: &str = "marking interrupted runs";
         let query = sqlx::query(
             "UPDATE runs
              SET state = 'interrupted', requested_state = NULL, paused_why = 'restart'
@@ -25,7 +24,7 @@ impl Store {
                  AND uid IS NOT ?1",
         )
         .bind(but.map(|run| run.to_string()));
-        self.inner.writer.execute(OPERATION, query).await.map(drop)
+        self.inner.writer.execute("marking interrupted runs", query).await.map(drop)
     }
 
     /// Stores the state of a run, with the requested state and the cause of a pause. A run that ended
@@ -74,7 +73,6 @@ impl Store {
         reason: &str,
         at: Timestamp,
     ) -> StoreResult<()> {
-        const OPERATION: &str = "ending a run";
         // The caller repeats the request if it does not know the outcome of the first.
         let query = sqlx::query(
             "UPDATE runs SET state = 'ended', requested_state = NULL, paused_why = NULL,
@@ -88,7 +86,7 @@ impl Store {
         .bind(status.as_str())
         .bind(reason.to_owned())
         .bind(time_text(at));
-        self.change_run(run, OPERATION, query).await
+        self.change_run(run, "ending a run", query).await
     }
 
     /// Changes the row of a run.

@@ -178,9 +178,8 @@ impl Store {
 
     /// Returns the dataset that `sql` selects by `value`.
     async fn one_dataset(&self, sql: &'static str, value: &str) -> StoreResult<Option<DatasetRow>> {
-        const OPERATION: &str = "reading a dataset";
         let query = sqlx::query(sql).bind(value);
-        self.row(OPERATION, query, DatasetRow::read).await
+        self.row("reading a dataset", query, DatasetRow::read).await
     }
 
     /// Returns all datasets, newest first.
@@ -188,9 +187,8 @@ impl Store {
     /// # Errors
     /// `Sql` or `Unreadable` if the read fails.
     pub async fn datasets(&self) -> StoreResult<Vec<DatasetRow>> {
-        const OPERATION: &str = "listing datasets";
         let query = sqlx::query("SELECT * FROM datasets ORDER BY created_at DESC, rowid DESC");
-        self.rows(OPERATION, query, DatasetRow::read).await
+        self.rows("listing datasets", query, DatasetRow::read).await
     }
 
     /// Returns what refers to datasets: models that were made of them, and jobs and waiting exports that
@@ -199,7 +197,6 @@ impl Store {
     /// # Errors
     /// `Sql` or `Unreadable` if the read fails.
     pub async fn dataset_users(&self) -> StoreResult<BTreeMap<DatasetId, String>> {
-        const OPERATION: &str = "reading what refers to datasets";
         let users: Vec<(String, String)> = sqlx::query_as(
             "SELECT d.id, 'model ' || m.id FROM datasets d JOIN models m ON instr(m.manifest, d.id) > 0
              UNION ALL
@@ -208,7 +205,7 @@ impl Store {
         )
         .fetch_all(&self.inner.readers)
         .await
-        .during(OPERATION)?;
+        .during("reading what refers to datasets")?;
         Ok(users.into_iter().map(|(id, user)| (DatasetId::unchecked(id), user)).collect())
     }
 
