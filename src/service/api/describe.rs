@@ -27,8 +27,11 @@ const KEY: &str = "key";
 /// A refusal that precedes a handler: status, name of the shared response, meaning.
 type Refusal = (&'static str, &'static str, &'static str);
 
-const BAD_REQUEST: Refusal =
-    ("400", "BadRequest", "a parameter is unknown or invalid, or the syntax of the body is invalid");
+const BAD_REQUEST: Refusal = (
+    "400",
+    "BadRequest",
+    "a parameter is unknown or invalid, or the syntax of the body is invalid",
+);
 const NO_KEY: Refusal = ("401", "NoKey", "the key is missing, unknown or revoked");
 const FORBIDDEN: Refusal =
     ("403", "Forbidden", "the role is too low, or the request is from a page of another origin");
