@@ -259,7 +259,8 @@ async fn request_action(
     }
     if asked.action == ActionOnRun::Start {
         let code = asked.code.as_deref().unwrap_or_default();
-        return Ok(Some(app.conductor.start(run, code).await?));
+        let by = act.caller().holder(asked.who.as_deref());
+        return Ok(Some(app.conductor.start(run, code, by).await?));
     }
     let active = app.campaign.status().run.is_some_and(|r| r.uid == run.uid);
     if !active {

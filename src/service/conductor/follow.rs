@@ -78,7 +78,8 @@ impl Conductor {
     async fn begin_next(&self, now: Timestamp) -> Result<Option<Duration>, ConductorError> {
         let waiting = self.still_waiting().await?;
         let lock = self.inner.store.lock().await?;
-        let present = turn::Present { now, lock: lock.as_ref() };
+        let starters = self.starters();
+        let present = turn::Present { now, lock: lock.as_ref(), starters: &starters };
         for run in waiting.iter().filter(|run| present.lets_begin(run)) {
             match self.begin(run, self.require_turn(run)).await {
                 Ok(()) => return Ok(None),
@@ -98,7 +99,8 @@ impl Conductor {
     /// drops it, or another person has taken the operator lock.
     async fn require_turn(&self, run: &RunRow) -> Result<(), ConductorError> {
         let lock = self.inner.store.lock().await?;
-        let present = turn::Present { now: Timestamp::now(), lock: lock.as_ref() };
+        let (now, starters) = (Timestamp::now(), self.starters());
+        let present = turn::Present { now, lock: lock.as_ref(), starters: &starters };
         let signs = self.inner.campaign.status().attended.signs;
         let is_followed = self.inner.signs.load(Ordering::SeqCst) == signs;
         if is_followed && self.waiting().contains(&run.uid) && present.lets_begin(run) {
@@ -126,7 +128,8 @@ impl Conductor {
     pub async fn waiting_for(&self) -> StoreResult<Option<String>> {
         let obstacle = turn::Obstacle::of(&self.inner.campaign.status());
         let lock = self.inner.store.lock().await?;
-        let present = turn::Present { now: Timestamp::now(), lock: lock.as_ref() };
+        let (now, starters) = (Timestamp::now(), self.starters());
+        let present = turn::Present { now, lock: lock.as_ref(), starters: &starters };
         match turn::waits_for(&self.still_waiting().await?, obstacle, present) {
             Some(words) => Ok(Some(words)),
             None => self.not_begun().await,
@@ -297,7 +300,7 @@ pub(super) mod tests {
     /// A person arms and starts a run whose time has not come.
     pub(in super::super) async fn start(conductor: &Conductor, run: &RunRow) {
         let code = conductor.arm(run).await.unwrap().code;
-        assert_eq!(conductor.start(run, &code).await.unwrap(), Started::Waiting);
+        assert_eq!(conductor.start(run, &code, "ada".into()).await.unwrap(), Started::Waiting);
     }
 
     pub(in super::super) fn in_an_hour() -> Option<Timestamp> {

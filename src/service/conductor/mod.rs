@@ -82,12 +82,20 @@ struct Inner {
     brought_up: Mutex<Option<RunUid>>,
     /// How many times a person has operated the rig, or may have come to it, since the start of the service.
     operations: AtomicU64,
-    /// `operations` when each run was last started in this process.
-    handed_over: Mutex<BTreeMap<RunUid, u64>>,
+    /// The last start of each run in this process that lets it wait.
+    handed_over: Mutex<BTreeMap<RunUid, HandedOver>>,
     /// Notices that the computer was suspended.
     suspensions: Mutex<Suspensions>,
     /// Signs of a person that were followed: what waited then is dropped.
     signs: AtomicU64,
+}
+
+/// The start of a run that waits.
+struct HandedOver {
+    /// `operations` at that time.
+    operations: u64,
+    /// Who started it, as the holder of a lock is named.
+    by: String,
 }
 
 /// The first of the two steps of starting a run.
@@ -180,7 +188,7 @@ impl Conductor {
 
     /// Whether a person has operated the rig, and has not started this run since.
     fn is_operated_since_start(&self, run: RunUid) -> bool {
-        let at_start = self.inner.handed_over.lock().get(&run).copied().unwrap_or_default();
+        let at_start = self.inner.handed_over.lock().get(&run).map_or(0, |start| start.operations);
         self.operations() > at_start
     }
 
@@ -209,12 +217,18 @@ impl Conductor {
         Ok(Armed { code, expires_at, preflight })
     }
 
-    /// Second step: starts the run, or lets it wait for the active one or for its time.
+    /// Second step: starts the run, or lets it wait for the active one or for its time. `by`: who starts it, as the
+    /// holder of a lock is named.
     ///
     /// # Errors
     /// `ConductorError::Forbidden` if the run is not startable, the code is invalid, the store is
     /// damaged, or there is a sign of a person meanwhile; `Refused` if the campaign refuses.
-    pub async fn start(&self, run: &RunRow, code: &str) -> Result<Started, ConductorError> {
+    pub async fn start(
+        &self,
+        run: &RunRow,
+        code: &str,
+        by: String,
+    ) -> Result<Started, ConductorError> {
         startable(run)?;
         self.check_code(run, code)?;
         let is_early = !turn::is_due(run, Timestamp::now());
@@ -229,7 +243,7 @@ impl Conductor {
             self.unended(run).await?;
             let operations = self.operations();
             self.inner.store.set_waiting(run.uid).await?;
-            self.inner.handed_over.lock().insert(run.uid, operations);
+            self.inner.handed_over.lock().insert(run.uid, HandedOver { operations, by });
             self.dropped().remove(&run.uid);
             self.let_wait([run.uid]);
             // Read after it: a sign of a person that came before was followed without it.
@@ -390,6 +404,12 @@ impl Conductor {
             Ok(prepared) => prepared.map_err(|problems| ConductorError::Problems { problems }),
             Err(_) => Err(ConductorError::Refused(Refusal::Gone)),
         }
+    }
+
+    /// Who started the runs that wait, or waited, in this process.
+    fn starters(&self) -> BTreeMap<RunUid, String> {
+        let starts = self.inner.handed_over.lock();
+        starts.iter().map(|(run, start)| (*run, start.by.clone())).collect()
     }
 
     /// Forgets that a run was armed, started or dropped.

@@ -159,7 +159,7 @@ mod tests {
             // The store does not know yet that it begins.
             tokio::join!(conductor.remove(&run), begins).0
         };
-        let (started, removed) = tokio::join!(conductor.start(&run, &code), removed);
+        let (started, removed) = tokio::join!(conductor.start(&run, &code, "ada".into()), removed);
         assert_eq!(started.unwrap(), Started::Running);
         assert!(matches!(removed, Err(ConductorError::Forbidden(_))), "{removed:?}");
         assert_eq!(conductor.present(&run).await.unwrap().state, StoredState::Queued);
@@ -185,7 +185,7 @@ mod tests {
             store.end_run(run.uid, ExitStatus::Abort, "", Timestamp::now()).await.unwrap();
             drop(one_at_a_time);
         };
-        let (started, ()) = tokio::join!(conductor.start(&run, &code), aborts);
+        let (started, ()) = tokio::join!(conductor.start(&run, &code, "ada".into()), aborts);
         assert!(matches!(started, Err(ConductorError::Forbidden(_))), "{started:?}");
         assert!(store.waiting_runs().await.unwrap().is_empty());
     }
@@ -203,7 +203,7 @@ mod tests {
             conductor.inner.signs.store(1, Ordering::SeqCst);
             drop(one_at_a_time);
         };
-        let (started, ()) = tokio::join!(conductor.start(&run, &code), aborts);
+        let (started, ()) = tokio::join!(conductor.start(&run, &code, "ada".into()), aborts);
         assert_eq!(started.unwrap_err().to_string(), "a run was aborted: start it again");
         assert!(conductor.waiting().is_empty());
         assert!(conductor.inner.store.waiting_runs().await.unwrap().is_empty());

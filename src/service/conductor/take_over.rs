@@ -128,7 +128,8 @@ impl Conductor {
         }
         loop {
             let (waiting, lock) = (self.still_waiting().await?, self.inner.store.lock().await?);
-            let present = turn::Present { now: Timestamp::now(), lock: lock.as_ref() };
+            let (now, starters) = (Timestamp::now(), self.starters());
+            let present = turn::Present { now, lock: lock.as_ref(), starters: &starters };
             // For a run that was started in this process the rig is not brought up: a person homes it.
             let first: Vec<&RunRow> =
                 waiting.iter().filter(|run| taken_over.contains(&run.uid)).collect();
@@ -248,7 +249,8 @@ impl Conductor {
         since: Option<Timestamp>,
     ) -> Result<(), ConductorError> {
         let lock = self.inner.store.lock().await?;
-        let present = turn::Present { now: Timestamp::now(), lock: lock.as_ref() };
+        let (now, starters) = (Timestamp::now(), self.starters());
+        let present = turn::Present { now, lock: lock.as_ref(), starters: &starters };
         let refusing = match (&lock, since) {
             (Some(lock), Some(since)) => Some(lock).filter(|lock| lock.since >= since),
             (lock, _) => lock.as_ref().filter(|_| !present.lets_begin(run)),
