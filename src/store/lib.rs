@@ -30,24 +30,23 @@ mod tests;
 pub use crate::core::error::{StoreError, StoreResult};
 pub use crate::core::facts::{Label, RunKind};
 pub use crate::core::keys::{KEYLESS, KEYLESS_SUFFIX, Key, KeyRing, KeyRow, Role};
-pub use crate::core::lock::LockRow;
 pub use crate::core::once::{OnceKey, OnceResponse, OnceRow};
 pub use crate::core::store::{Soundness, Store};
 pub use bench::actions::{ActionRow, NewAction};
 pub use bench::attempts::SkipRow;
 pub use bench::counts::SettingCount;
+pub use bench::lock::LockRow;
 pub use bench::placed::LastPlaced;
 pub use bench::run_row::{NewRun, RunPage, RunRow};
 pub use bench::untouched::BeforeTrial;
 pub use bench::wear::{PressedPoint, StoredWear};
 pub use lab::datasets::{DatasetRow, RunExtent};
 pub use lab::forces::DepthForce;
-pub use lab::history::{BinTrials, Bins, StoredHistory};
 pub use lab::imports::{
     IMPORTED_CONTACTS_MAX, IMPORTED_FRAMES_MAX, IMPORTED_MODEL, ImportedTrial, TAG_MAX_CHARS,
 };
 pub use lab::models::{ModelRow, NewPromotion, PromotionRow};
-pub use lab::progress::{ConfigurationTrials, StoredProgress};
+pub use lab::progress::{Bins, PartTrials, StoredParts};
 pub use lab::task_queue::TaskQueue;
 pub use lab::tasks::{TaskEnd, TaskKind, TaskRow, TaskState};
 pub use lab::twins::{Fit, NewTwinModel, Twin, TwinCount, TwinModelId, TwinOutcome};

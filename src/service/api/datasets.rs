@@ -153,7 +153,7 @@ type Pairs = Query<Vec<(String, String)>>;
 
 /// Returns a page of the datasets, newest first, and the names of the built-in definitions.
 #[utoipa::path(get, operation_id = "list_datasets", path = "/api/v1/datasets", tag = "datasets",
-    params(PageParams), responses((status = 200, body = DatasetsPage), (status = 400)))]
+    params(PageParams), responses((status = 200, body = DatasetsPage)))]
 pub async fn list(app: App, asked: PageRequest) -> ApiResult<Json<DatasetsPage>> {
     let datasets = app.store.datasets().await?.into_iter().map(|row| {
         let last_used_at = app.datasets.last_used_at(&row.id);
@@ -283,8 +283,7 @@ pub struct PruneOut {
 /// Removes the older datasets of each name. Those to which a model, a training, an evaluation or a
 /// waiting export refers stay.
 #[utoipa::path(post, operation_id = "prune_datasets", path = "/api/v1/datasets/prune",
-    tag = "datasets", request_body = PruneRequest, responses((status = 200, body = PruneOut),
-        (status = 422, description = "the body is invalid")))]
+    tag = "datasets", request_body = PruneRequest, responses((status = 200, body = PruneOut)))]
 pub async fn prune(
     app: App,
     act: Act,
@@ -308,8 +307,7 @@ pub async fn prune(
 /// in every format.
 #[utoipa::path(get, operation_id = "dataset_rows", path = "/api/v1/datasets/{dataset}/rows",
     tag = "datasets", params(("dataset" = String, Path), RowsParams),
-    responses((status = 200, body = RowsPage),
-        (status = 400, description = "a parameter is unknown or invalid")))]
+    responses((status = 200, body = RowsPage)))]
 pub async fn rows(
     app: App,
     Path(dataset): Path<String>,
@@ -354,7 +352,6 @@ pub async fn rows(
 #[utoipa::path(get, operation_id = "dataset_groups", path = "/api/v1/datasets/{dataset}/groups",
     tag = "datasets", params(("dataset" = String, Path), RowGroupParams),
     responses((status = 200, body = Page<Object>),
-        (status = 400, description = "a parameter is unknown or invalid"),
         (status = 503, description = "as of queries (with `Retry-After`)")))]
 pub async fn groups(
     app: App,
@@ -381,7 +378,6 @@ pub async fn groups(
     responses((status = 200, body = Vec<u8>, content_type = "application/octet-stream"),
         (status = 206, body = Vec<u8>, content_type = "application/octet-stream"),
         (status = 304),
-        (status = 400, description = "a parameter is unknown or invalid"),
         (status = 404,
             description = "no dataset has this id, none of this name has been made, or the format is unknown")))]
 pub async fn data(

@@ -27,8 +27,11 @@ const KEY: &str = "key";
 /// A refusal that precedes a handler: status, name of the shared response, meaning.
 type Refusal = (&'static str, &'static str, &'static str);
 
-const BAD_REQUEST: Refusal =
-    ("400", "BadRequest", "a parameter or the syntax of the body is invalid");
+const BAD_REQUEST: Refusal = (
+    "400",
+    "BadRequest",
+    "a parameter is unknown or invalid, or the syntax of the body is invalid",
+);
 const NO_KEY: Refusal = ("401", "NoKey", "the key is missing, unknown or revoked");
 const FORBIDDEN: Refusal =
     ("403", "Forbidden", "the role is too low, or the request is from a page of another origin");
@@ -323,7 +326,6 @@ fn meaning(status: &str) -> &'static str {
         "202" => "the request is accepted; its effect is shown elsewhere",
         "204" => "done, without a body",
         "206" => "the requested part of the file",
-        "400" => "a parameter is invalid",
         _ => "see the status",
     }
 }

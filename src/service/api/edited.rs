@@ -54,8 +54,8 @@ impl Edited {
     /// Checks that the thing is what the client saw.
     ///
     /// The conductor takes runs from the queue without the mutex, because no start waits for an editor.
-    /// After the comparison this is harmless: the store refuses to move or remove a run that it took, in
-    /// the transaction of the change, and a position counts in the queue as it is then.
+    /// After the comparison this is harmless: the conductor refuses to edit or remove a run that it took, the store
+    /// to move one, in the transaction of the change, and a position counts in the queue as it is then.
     ///
     /// # Errors
     /// 412 if it is not; 500 if the store fails.

@@ -82,7 +82,7 @@ impl EventParams {
 /// is the number of the event, with which a reconnecting client continues.
 #[utoipa::path(get, path = "/api/v1/events", tag = "events", params(EventParams, PageParams),
     responses((status = 200, body = Page<Event>),
-        (status = 404, description = "no run has this uid or scan_id"), (status = 400)))]
+        (status = 404, description = "no run has this uid or scan_id")))]
 pub async fn events(
     app: App,
     Params(params): Params<EventParams>,

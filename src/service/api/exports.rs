@@ -97,7 +97,7 @@ pub async fn request(
 
 /// Returns a page of the exports, newest first.
 #[utoipa::path(get, operation_id = "list_exports", path = "/api/v1/exports", tag = "datasets",
-    params(PageParams), responses((status = 200, body = Page<ExportOut>), (status = 400)))]
+    params(PageParams), responses((status = 200, body = Page<ExportOut>)))]
 pub async fn list(app: App, asked: PageRequest) -> ApiResult<Page<ExportOut>> {
     let rows = app.store.tasks(TaskKind::EXPORTS, asked.limit + 1, asked.after()?).await?;
     Ok(asked.first(rows.into_iter().map(|row| out(&app, row)).collect(), |export| export.id))

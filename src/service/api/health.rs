@@ -82,15 +82,10 @@ pub async fn metrics(app: App) -> impl IntoResponse {
         }
     };
     let rig = &status.rig;
-    let states: Vec<(String, f64)> = [
-        RigState::Disconnected,
-        RigState::Disarmed,
-        RigState::Homed,
-        RigState::Armed,
-        RigState::Tripped,
-    ]
-    .map(|s| (format!("{{state=\"{}\"}}", s.as_str()), f64::from(u8::from(s == rig.state))))
-    .to_vec();
+    let state = |s: &RigState| {
+        (format!("{{state=\"{}\"}}", s.as_str()), f64::from(u8::from(*s == rig.state)))
+    };
+    let states: Vec<(String, f64)> = RigState::ALL.iter().map(state).collect();
     metric("rig_state", "gauge", "1 for the current state of the rig.", &states);
     let plain = |v: u64| vec![(String::new(), v as f64)];
     let wires = |get: fn(&WireStatus) -> u64| -> Vec<(String, f64)> {

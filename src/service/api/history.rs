@@ -18,7 +18,7 @@ use crate::event::{Importance, importance, notable_kinds};
 use crate::ids::RunUid;
 use crate::journal::Event;
 use crate::state::StoredState;
-use crate::store::{Bins, RunRow, Store, StoreResult, StoredHistory};
+use crate::store::{Bins, RunRow, Store, StoreResult, StoredParts};
 
 /// Most bins of a history.
 const BINS_MAX: u32 = 1000;
@@ -35,13 +35,8 @@ const PREDICTIONS_MAX: usize = 1000;
 #[into_params(parameter_in = Query)]
 pub struct HistoryParams {
     /// Number of bins of equal length, 1 to 1000; 120 if absent.
-    #[serde(default = "default_bins")]
     #[param(minimum = 1, maximum = 1000, default = 120)]
-    pub bins: u32,
-}
-
-fn default_bins() -> u32 {
-    120
+    pub bins: Option<u32>,
 }
 
 /// A run over time. Lists of numbers have one entry per bin.
@@ -113,7 +108,7 @@ pub async fn of_run(
     Path(run): Path<String>,
     Params(params): Params<HistoryParams>,
 ) -> ApiResult<Json<Arc<History>>> {
-    let bins = params.bins;
+    let bins = params.bins.unwrap_or(120);
     if !(1..=BINS_MAX).contains(&bins) {
         return Err(ApiError::query("bins", bins, "must be 1 to 1000"));
     }
@@ -178,12 +173,12 @@ impl From<Event> for NotableEvent {
 type PerBin = (Vec<u32>, Vec<u32>, Vec<Option<f64>>, Vec<Option<f64>>);
 
 /// Arranges what is stored by bin, of which there are `bins`.
-fn arranged(stored: &StoredHistory, bins: usize) -> PerBin {
+fn arranged(stored: &StoredParts, bins: usize) -> PerBin {
     let (mut trials, mut failed) = (vec![0; bins], vec![0; bins]);
     let (mut forces, mut fvu) = (vec![None; bins], vec![None; bins]);
-    for bin in stored.trials.iter().filter(|bin| (bin.bin as usize) < bins) {
-        trials[bin.bin as usize] = bin.trials;
-        forces[bin.bin as usize] = bin.largest_force_n;
+    for bin in stored.trials.iter().filter(|bin| (bin.part as usize) < bins) {
+        trials[bin.part as usize] = bin.stored;
+        forces[bin.part as usize] = bin.largest_force_n;
     }
     for (bin, count) in stored.attempts_failed.iter().filter(|(bin, _)| (*bin as usize) < bins) {
         failed[*bin as usize] = *count;
@@ -230,7 +225,7 @@ fn prediction(event: &Event) -> Option<Prediction> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::store::BinTrials;
+    use crate::store::PartTrials;
     use serde_json::json;
 
     fn estimate(trials_stored: u64, remaining_s: f64) -> Event {
@@ -262,8 +257,9 @@ mod tests {
 
     #[test]
     fn bins_without_records_are_empty_and_a_value_that_was_not_measured_is_null() {
-        let bin = |bin, largest_force_n| BinTrials { bin, trials: 4, largest_force_n };
-        let stored = StoredHistory {
+        let bin = |part, largest_force_n| PartTrials { part, stored: 4, largest_force_n };
+        let stored = StoredParts {
+            skipped: Vec::new(),
             trials: vec![bin(0, Some(9.5)), bin(2, None), bin(7, None)],
             attempts_failed: vec![(1, 2), (7, 1)],
             median_fvu: vec![(2, 0.25), (7, 0.5)],

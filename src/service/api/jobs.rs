@@ -65,7 +65,7 @@ pub async fn evaluate(
 
 /// Returns a page of the jobs, newest first, without the examples of evaluations.
 #[utoipa::path(get, operation_id = "list_jobs", path = "/api/v1/jobs", tag = "jobs",
-    params(PageParams), responses((status = 200, body = Page<JobOut>), (status = 400)))]
+    params(PageParams), responses((status = 200, body = Page<JobOut>)))]
 pub async fn list(app: App, asked: PageRequest) -> ApiResult<Page<JobOut>> {
     let rows = app.store.tasks(TaskKind::JOBS, asked.limit + 1, asked.after()?).await?;
     let brief =

@@ -69,11 +69,11 @@ impl LockFile {
         Self::take(&folder.join("palpate.lock"), &what, 0o600)
     }
 
-    /// Takes the lock of a rig on this machine. Rig files with the same wires have the same lock.
+    /// Takes the locks of a rig on this machine, one for each wire: rig files that share a wire exclude one another.
     ///
     /// # Errors
     /// `LockFileError::Held` if another process holds it, `File` if the lock file cannot be used.
-    pub fn of_rig(rig: &RigSetup) -> Result<Self, LockFileError> {
+    pub fn of_rig(rig: &RigSetup) -> Result<Vec<Self>, LockFileError> {
         let mut wires: Vec<&str> = match rig {
             RigSetup::Bench(bench) => bench.lines.values().map(wire).collect(),
             RigSetup::Skin(skin) => match &skin.ert {
@@ -82,14 +82,19 @@ impl LockFile {
             },
         };
         wires.sort_unstable();
-        let digest = sha256_hex(wires.join("\n"));
+        // Several lines may have one wire.
+        wires.dedup();
         let is_shared = |folder: &&str| {
             let found = Path::new(folder).metadata();
             found.is_ok_and(|found| found.mode() & STICKY_FOR_ALL == STICKY_FOR_ALL)
         };
         let folder = SHARED.into_iter().find(is_shared).unwrap_or("/tmp");
-        let path = Path::new(folder).join(format!("palpate-rig-{}.lock", &digest[..12]));
-        Self::take(&path, &format!("the rig {}", rig.name()), SHARED_MODE)
+        let what = format!("the rig {}", rig.name());
+        let of_wire = |wire: &str| {
+            let name = format!("palpate-wire-{}.lock", &sha256_hex(wire)[..12]);
+            Self::take(&Path::new(folder).join(name), &what, SHARED_MODE)
+        };
+        wires.into_iter().map(of_wire).collect()
     }
 
     fn take(path: &Path, what: &str, mode: u32) -> Result<Self, LockFileError> {
@@ -165,6 +170,23 @@ mod tests {
         drop(first);
         assert_eq!(folder.path().join("palpate.lock").metadata().unwrap().len(), 0);
         LockFile::of_data(folder.path()).unwrap();
+    }
+
+    #[test]
+    fn rigs_that_share_a_wire_exclude_one_another() {
+        let text = include_str!("../../../experiments/rigs/virtual.toml");
+        let rig = |stage: u8, cells: u8| {
+            let at = |wire: u8| format!("192.0.2.{wire}:{}", std::process::id() % 60_000 + 1);
+            let text = text.replace("127.0.0.1:5020", &at(stage));
+            let text = text.replace("127.0.0.1:5021", &at(cells));
+            RigSetup::from_toml("virtual.toml", &text).unwrap()
+        };
+        let held = LockFile::of_rig(&rig(1, 2)).unwrap();
+        let refused = LockFile::of_rig(&rig(3, 2)).unwrap_err();
+        assert!(matches!(refused, LockFileError::Held { .. }), "{refused:?}");
+        let other = LockFile::of_rig(&rig(3, 4)).unwrap();
+        drop((held, other));
+        LockFile::of_rig(&rig(3, 2)).unwrap();
     }
 
     #[test]

@@ -27,7 +27,7 @@ use super::workers::WorkersOut;
 use crate::ids::RunUid;
 use crate::record::Untouched;
 use crate::schedule::experiment::TwinLimits;
-use crate::store::StoredProgress;
+use crate::store::StoredParts;
 
 /// Answers that are kept, so that a request need not read the store again.
 #[derive(Debug)]
@@ -35,7 +35,7 @@ pub struct Memory {
     /// Tours by run and plan.
     pub(super) tours: Kept<(RunUid, Option<String>), Arc<KeptTour>>,
     /// Stored parts of progresses.
-    pub(super) progress: Kept<RunUid, Arc<StoredProgress>>,
+    pub(super) progress: Kept<RunUid, Arc<StoredParts>>,
     /// Histories by run, number of bins, and whether the run has ended.
     pub(super) histories: Kept<(RunUid, u32, Option<Timestamp>), Arc<History>>,
     /// Start of runs, and their durations as they were predicted then, s.

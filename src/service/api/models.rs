@@ -118,7 +118,7 @@ pub struct ServingOut {
 
 /// Returns a page of the models, newest first.
 #[utoipa::path(get, operation_id = "list_models", path = "/api/v1/models", tag = "models",
-    params(PageParams), responses((status = 200, body = Page<ModelOut>), (status = 400)))]
+    params(PageParams), responses((status = 200, body = Page<ModelOut>)))]
 pub async fn list(app: App, asked: PageRequest) -> ApiResult<Page<ModelOut>> {
     let Page { items: rows, next } =
         asked.of_all(app.store.models().await?, |model| model.id.clone())?;

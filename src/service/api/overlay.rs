@@ -48,7 +48,7 @@ pub struct OverlayParams {
 /// its outline, and rulers with which the print is checked.
 #[utoipa::path(get, operation_id = "sensor_overlay", path = "/api/v1/sensor/overlay.pdf",
     tag = "rig", params(OverlayParams),
-    responses((status = 200, body = Vec<u8>, content_type = "application/pdf"), (status = 400),
+    responses((status = 200, body = Vec<u8>, content_type = "application/pdf"),
         (status = 404, description = "no run has this uid or scan_id, or its sensor has no file")))]
 pub async fn overlay(app: App, Params(asked): Params<OverlayParams>) -> ApiResult<Response> {
     let sensor = sensor_of(&app, asked.run.as_deref()).await?;

@@ -345,40 +345,24 @@ impl From<StoreError> for ApiError {
     }
 }
 
-impl From<JsonRejection> for ApiError {
-    fn from(rejection: JsonRejection) -> Self {
-        Self::of_body(rejection.status(), rejection.body_text(), &rejection)
-    }
+/// Errors of extractors: `TYPE: |rejection| error;`.
+macro_rules! rejections {
+    ($($kind:ty: |$rejection:ident| $error:expr;)*) => {$(
+        impl From<$kind> for ApiError {
+            fn from($rejection: $kind) -> Self {
+                $error
+            }
+        }
+    )*};
 }
 
-impl From<QueryRejection> for ApiError {
-    fn from(rejection: QueryRejection) -> Self {
-        Self::new(StatusCode::BAD_REQUEST, rejection.body_text())
-    }
-}
-
-impl From<PathRejection> for ApiError {
-    fn from(rejection: PathRejection) -> Self {
-        Self::new(rejection.status(), rejection.body_text())
-    }
-}
-
-impl From<StringRejection> for ApiError {
-    fn from(rejection: StringRejection) -> Self {
-        Self::of_body(rejection.status(), rejection.body_text(), &rejection)
-    }
-}
-
-impl From<MultipartRejection> for ApiError {
-    fn from(rejection: MultipartRejection) -> Self {
-        Self::new(rejection.status(), rejection.body_text())
-    }
-}
-
-impl From<WebSocketUpgradeRejection> for ApiError {
-    fn from(rejection: WebSocketUpgradeRejection) -> Self {
-        Self::new(rejection.status(), rejection.body_text())
-    }
+rejections! {
+    JsonRejection: |r| ApiError::of_body(r.status(), r.body_text(), &r);
+    StringRejection: |r| ApiError::of_body(r.status(), r.body_text(), &r);
+    MultipartRejection: |r| ApiError::of_body(r.status(), r.body_text(), &r);
+    QueryRejection: |r| ApiError::new(StatusCode::BAD_REQUEST, r.body_text());
+    PathRejection: |r| ApiError::new(r.status(), r.body_text());
+    WebSocketUpgradeRejection: |r| ApiError::new(r.status(), r.body_text());
 }
 
 /// Extractor of a path; an invalid one is answered with a problem body.

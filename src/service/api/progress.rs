@@ -16,7 +16,7 @@ use super::runs::find;
 use super::tour::Tour;
 use crate::campaign::shown::status::RunStatus;
 use crate::state::StoredState;
-use crate::store::{RunRow, StoredProgress};
+use crate::store::{RunRow, StoredParts};
 
 /// Progress of a run. Lists have one entry for each configuration of the tour, in its order.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, ToSchema)]
@@ -95,7 +95,7 @@ struct Now {
 }
 
 /// Arranges what is stored in the order of the tour.
-fn progress(tour: &Tour, stored: &StoredProgress, now: Now) -> RunProgress {
+fn progress(tour: &Tour, stored: &StoredParts, now: Now) -> RunProgress {
     let order = &tour.steps.configuration;
     let index: HashMap<u32, usize> = order.iter().enumerate().map(|(i, c)| (*c, i)).collect();
     let of = |configuration: &u32| index.get(configuration).copied();
@@ -115,7 +115,7 @@ fn progress(tour: &Tour, stored: &StoredProgress, now: Now) -> RunProgress {
     shown.skipped.sort_unstable();
     let count = |n: u32| u16::try_from(n).unwrap_or(u16::MAX);
     for c in &stored.trials {
-        if let Some(i) = of(&c.configuration) {
+        if let Some(i) = of(&c.part) {
             shown.stored[i] = count(c.stored);
             shown.largest_force_n[i] = c.largest_force_n.map(|f| rounded(f, 1e3));
         }
@@ -189,7 +189,7 @@ fn rounded(value: f64, per_unit: f64) -> f64 {
 mod tests {
     use super::*;
     use crate::schedule::visits::Visits;
-    use crate::store::{ConfigurationTrials, RunKind};
+    use crate::store::{PartTrials, RunKind};
 
     fn tour() -> Tour {
         // Driven in another order than that of the indices.
@@ -209,13 +209,9 @@ mod tests {
         }
     }
 
-    fn stored() -> StoredProgress {
-        let trials = |configuration, stored| ConfigurationTrials {
-            configuration,
-            stored,
-            largest_force_n: Some(1.23456),
-        };
-        StoredProgress {
+    fn stored() -> StoredParts {
+        let trials = |part, stored| PartTrials { part, stored, largest_force_n: Some(1.23456) };
+        StoredParts {
             trials: vec![trials(0, 1), trials(2, 2)],
             attempts_failed: vec![(0, 3), (99, 1)],
             skipped: vec![1],

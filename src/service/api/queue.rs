@@ -106,9 +106,9 @@ pub async fn remove(
     Params(by): Params<WhoParams>,
 ) -> ApiResult<Json<RunRow>> {
     act.stated(by.who.as_deref(), None);
-    let run = find(&app, &run).await?.uid;
-    act.on(run);
-    Ok(Json(app.store.remove(run).await?))
+    let run = find(&app, &run).await?;
+    act.on(run.uid);
+    Ok(Json(app.conductor.remove(&run).await?))
 }
 
 /// Moves a run in the queue.

@@ -19,13 +19,8 @@ use crate::jobs::readings::{ORDERED_FRAMES_MAX, ReadingInputs};
 #[into_params(parameter_in = Query)]
 pub struct ChunkParams {
     /// Number of frames of a chunk, 1 to 5000; 50 if absent.
-    #[serde(default = "fifty")]
     #[param(minimum = 1, maximum = 5000, default = 50)]
-    pub chunk_rows: u32,
-}
-
-fn fifty() -> u32 {
-    50
+    pub chunk_rows: Option<u32>,
 }
 
 /// Returns what other machines need to read the frames of an evaluation of `exact`: skin, errors of its model, frames.
@@ -47,6 +42,7 @@ pub async fn inputs(
     Params(ChunkParams { chunk_rows }): Params<ChunkParams>,
     Body(request): Body<EvaluationRequest>,
 ) -> ApiResult<Json<ReadingInputs>> {
+    let chunk_rows = chunk_rows.unwrap_or(50);
     if !(1..=ORDERED_FRAMES_MAX).contains(&u64::from(chunk_rows)) {
         let words = format!("must be from 1 to {ORDERED_FRAMES_MAX}");
         return Err(ApiError::query("chunk_rows", chunk_rows, &words));

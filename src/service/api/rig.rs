@@ -93,7 +93,6 @@ pub async fn act(app: App, act: Act, Body(asked): Body<RigActionRequest>) -> Api
     request_body = Option<RigCheckRequest>, responses((status = 200, body = Object),
         (status = 409,
             description = "the rig is connected, the e-stop is latched, a check is active, or another person holds the operator lock"),
-        (status = 422, description = "the body is invalid"),
         (status = 502, description = "a device does not respond as expected")))]
 pub async fn check(
     app: App,

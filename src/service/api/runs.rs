@@ -138,8 +138,7 @@ pub async fn find(app: &App, run: &str) -> ApiResult<RunRow> {
 /// Returns a page of runs, newest first.
 #[utoipa::path(get, operation_id = "list_runs",
     path = "/api/v1/runs", tag = "runs", params(RunParams, PageParams),
-    responses((status = 200, body = Page<RunRow>),
-        (status = 400, description = "a parameter is unknown or invalid")))]
+    responses((status = 200, body = Page<RunRow>)))]
 pub async fn list(
     app: App,
     Query(pairs): Query<Vec<(String, String)>>,
@@ -260,7 +259,8 @@ async fn request_action(
     }
     if asked.action == ActionOnRun::Start {
         let code = asked.code.as_deref().unwrap_or_default();
-        return Ok(Some(app.conductor.start(run, code).await?));
+        let by = act.caller().holder(asked.who.as_deref());
+        return Ok(Some(app.conductor.start(run, code, by).await?));
     }
     let active = app.campaign.status().run.is_some_and(|r| r.uid == run.uid);
     if !active {
@@ -285,12 +285,12 @@ async fn request_action(
     Ok(None)
 }
 
-/// An action on a run that is not driven: an abort ends an open one. A pause or an abort of one that has just ended is
-/// refused, and no waiting run begins.
+/// An action on a run that is not driven: an abort ends an open one, and takes back the start of one that waits. A pause
+/// or an abort of one that has just ended is refused, and no waiting run begins.
 async fn on_undriven(app: &App, run: &RunRow, action: ActionOnRun) -> ApiResult<()> {
     // It may have ended since it was read.
     let run = &app.store.run(run.uid).await?.unwrap_or_else(|| run.clone());
-    if action == ActionOnRun::Abort && run.is_open() {
+    if action == ActionOnRun::Abort && (run.is_open() || run.waiting_since.is_some()) {
         app.conductor.abort_undriven(run).await?;
         return Ok(());
     }

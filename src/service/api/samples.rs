@@ -51,13 +51,8 @@ impl Ring {
 #[into_params(parameter_in = Query)]
 pub struct SamplesParams {
     /// Length of the time before now, minutes, 1 to 30; 5 if absent.
-    #[serde(default = "five")]
     #[param(minimum = 1, maximum = 30, default = 5)]
-    pub minutes: u32,
-}
-
-fn five() -> u32 {
-    5
+    pub minutes: Option<u32>,
 }
 
 /// Returns the samples of the load cells of the last minutes, at most 3000 with all extremes.
@@ -70,7 +65,7 @@ pub async fn last_minutes(
     app: App,
     Params(params): Params<SamplesParams>,
 ) -> ApiResult<Json<SamplesOut>> {
-    let minutes = params.minutes;
+    let minutes = params.minutes.unwrap_or(5);
     if !(1..=SAMPLES_MINUTES).contains(&minutes) {
         return Err(ApiError::query("minutes", minutes, "must be 1 to 30"));
     }

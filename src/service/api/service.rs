@@ -70,7 +70,7 @@ impl Service {
         let tls = options.tls.as_ref().map(Tls::acceptor).transpose()?;
         let mut locks = vec![data_folder::open(&options.data)?];
         if !options.desk {
-            locks.push(LockFile::of_rig(&config)?);
+            locks.extend(LockFile::of_rig(&config)?);
         }
         let store = Store::open(&data_folder::database(&options.data), Clock::new(1.0)).await?;
         let keys = KeyRing::load(store.clone()).await?;

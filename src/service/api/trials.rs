@@ -67,8 +67,7 @@ type Pairs = Query<Vec<(String, String)>>;
 /// JSON holds whole trials; the other formats are tables of columns. The header `Link` has the address
 /// of the next page in every format.
 #[utoipa::path(get, operation_id = "run_trials", path = "/api/v1/runs/{run}/trials", tag = "trials",
-    params(("run" = String, Path), TrialParams), responses((status = 200, body = Page<TrialRow>),
-        (status = 400, description = "a parameter is unknown or invalid")))]
+    params(("run" = String, Path), TrialParams), responses((status = 200, body = Page<TrialRow>)))]
 pub async fn of_run(
     app: App,
     Path(run): Path<String>,
@@ -85,8 +84,7 @@ pub async fn of_run(
 /// JSON holds whole trials; the other formats are tables of columns. The header `Link` has the address
 /// of the next page in every format.
 #[utoipa::path(get, operation_id = "list_trials", path = "/api/v1/trials", tag = "trials",
-    params(TrialParams), responses((status = 200, body = Page<TrialRow>),
-        (status = 400, description = "a parameter is unknown or invalid")))]
+    params(TrialParams), responses((status = 200, body = Page<TrialRow>)))]
 pub async fn all(
     app: App,
     Query(pairs): Pairs,
@@ -126,7 +124,6 @@ async fn page(
 /// Returns groups of the stored trials with their aggregates, by the conditions of lists of trials.
 #[utoipa::path(get, operation_id = "trial_groups", path = "/api/v1/trials/groups", tag = "trials",
     params(TrialGroupParams), responses((status = 200, body = Page<Object>),
-        (status = 400, description = "a parameter is unknown or invalid"),
         (status = 503, description = "as of queries (with `Retry-After`)")))]
 pub async fn groups(app: App, Query(pairs): Pairs, headers: HeaderMap) -> ApiResult<Response> {
     let GroupsRequest { query, groups, format } =
@@ -369,7 +366,7 @@ pub async fn frames(app: App, Path(trial): Path<i64>) -> ApiResult<Page<FrameOut
 #[utoipa::path(get, path = "/api/v1/runs/{run}/records/{kind}", tag = "trials",
     params(("run" = String, Path),
         ("kind" = String, Path, description = "attempts, tares, touch-offs or references"), PageParams),
-    responses((status = 200, body = Page<Object>), (status = 400),
+    responses((status = 200, body = Page<Object>),
         (status = 422, description = "the kind is unknown")))]
 pub async fn bench_records(
     app: App,

@@ -89,7 +89,7 @@ fn thousand() -> u32 {
 /// The trials are those that are stored, with a twin or without, in the order of storing.
 #[utoipa::path(get, operation_id = "twin_inputs", path = "/api/v1/runs/{run}/twins/inputs",
     tag = "simulation", params(("run" = String, Path), InputsParams),
-    responses((status = 200, body = TwinInputs), (status = 400),
+    responses((status = 200, body = TwinInputs),
         (status = 409, description = "the run has no model of its skin")))]
 pub async fn inputs(
     app: App,

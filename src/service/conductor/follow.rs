@@ -78,7 +78,8 @@ impl Conductor {
     async fn begin_next(&self, now: Timestamp) -> Result<Option<Duration>, ConductorError> {
         let waiting = self.still_waiting().await?;
         let lock = self.inner.store.lock().await?;
-        let present = turn::Present { now, lock: lock.as_ref() };
+        let starters = self.starters();
+        let present = turn::Present { now, lock: lock.as_ref(), starters: &starters };
         for run in waiting.iter().filter(|run| present.lets_begin(run)) {
             match self.begin(run, self.require_turn(run)).await {
                 Ok(()) => return Ok(None),
@@ -98,7 +99,8 @@ impl Conductor {
     /// drops it, or another person has taken the operator lock.
     async fn require_turn(&self, run: &RunRow) -> Result<(), ConductorError> {
         let lock = self.inner.store.lock().await?;
-        let present = turn::Present { now: Timestamp::now(), lock: lock.as_ref() };
+        let (now, starters) = (Timestamp::now(), self.starters());
+        let present = turn::Present { now, lock: lock.as_ref(), starters: &starters };
         let signs = self.inner.campaign.status().attended.signs;
         let is_followed = self.inner.signs.load(Ordering::SeqCst) == signs;
         if is_followed && self.waiting().contains(&run.uid) && present.lets_begin(run) {
@@ -126,7 +128,8 @@ impl Conductor {
     pub async fn waiting_for(&self) -> StoreResult<Option<String>> {
         let obstacle = turn::Obstacle::of(&self.inner.campaign.status());
         let lock = self.inner.store.lock().await?;
-        let present = turn::Present { now: Timestamp::now(), lock: lock.as_ref() };
+        let (now, starters) = (Timestamp::now(), self.starters());
+        let present = turn::Present { now, lock: lock.as_ref(), starters: &starters };
         match turn::waits_for(&self.still_waiting().await?, obstacle, present) {
             Some(words) => Ok(Some(words)),
             None => self.not_begun().await,
@@ -214,6 +217,16 @@ impl Conductor {
         }
     }
 
+    /// Removes runs from those that wait, all first in memory: none of them begins, whatever the store does.
+    pub(super) async fn drop_each(&self, runs: &[RunRow], why: &str) -> Result<(), ConductorError> {
+        self.waiting().retain(|uid| runs.iter().all(|run| run.uid != *uid));
+        self.dropped().extend(runs.iter().map(|run| (run.uid, why.to_owned())));
+        for run in runs {
+            self.drop_waiting(run, why).await?;
+        }
+        Ok(())
+    }
+
     /// Removes a run from those that wait; an event reports it.
     pub(super) async fn drop_waiting(&self, run: &RunRow, why: &str) -> Result<(), ConductorError> {
         run_span(run.uid, run.scan_id)
@@ -285,12 +298,12 @@ pub(super) mod tests {
     }
 
     /// A person arms and starts a run whose time has not come.
-    async fn start(conductor: &Conductor, run: &RunRow) {
+    pub(in super::super) async fn start(conductor: &Conductor, run: &RunRow) {
         let code = conductor.arm(run).await.unwrap().code;
-        assert_eq!(conductor.start(run, &code).await.unwrap(), Started::Waiting);
+        assert_eq!(conductor.start(run, &code, "ada".into()).await.unwrap(), Started::Waiting);
     }
 
-    fn in_an_hour() -> Option<Timestamp> {
+    pub(in super::super) fn in_an_hour() -> Option<Timestamp> {
         Some(Timestamp::now() + SignedDuration::from_hours(1))
     }
 

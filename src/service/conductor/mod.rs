@@ -82,12 +82,20 @@ struct Inner {
     brought_up: Mutex<Option<RunUid>>,
     /// How many times a person has operated the rig, or may have come to it, since the start of the service.
     operations: AtomicU64,
-    /// `operations` when each run was last started in this process.
-    handed_over: Mutex<BTreeMap<RunUid, u64>>,
+    /// The last start of each run in this process that lets it wait.
+    handed_over: Mutex<BTreeMap<RunUid, HandedOver>>,
     /// Notices that the computer was suspended.
     suspensions: Mutex<Suspensions>,
     /// Signs of a person that were followed: what waited then is dropped.
     signs: AtomicU64,
+}
+
+/// The start of a run that waits.
+struct HandedOver {
+    /// `operations` at that time.
+    operations: u64,
+    /// Who started it, as the holder of a lock is named.
+    by: String,
 }
 
 /// The first of the two steps of starting a run.
@@ -180,7 +188,7 @@ impl Conductor {
 
     /// Whether a person has operated the rig, and has not started this run since.
     fn is_operated_since_start(&self, run: RunUid) -> bool {
-        let at_start = self.inner.handed_over.lock().get(&run).copied().unwrap_or_default();
+        let at_start = self.inner.handed_over.lock().get(&run).map_or(0, |start| start.operations);
         self.operations() > at_start
     }
 
@@ -209,52 +217,68 @@ impl Conductor {
         Ok(Armed { code, expires_at, preflight })
     }
 
-    /// Second step: starts the run, or lets it wait for the active one or for its time.
+    /// Second step: starts the run, or lets it wait for the active one or for its time. `by`: who starts it, as the
+    /// holder of a lock is named.
     ///
     /// # Errors
-    /// `ConductorError::Forbidden` if the run is not startable, the code is invalid or the store is
-    /// damaged; `Refused` if the campaign refuses.
-    pub async fn start(&self, run: &RunRow, code: &str) -> Result<Started, ConductorError> {
+    /// `ConductorError::Forbidden` if the run is not startable, the code is invalid, the store is
+    /// damaged, or there is a sign of a person meanwhile; `Refused` if the campaign refuses.
+    pub async fn start(
+        &self,
+        run: &RunRow,
+        code: &str,
+        by: String,
+    ) -> Result<Started, ConductorError> {
         startable(run)?;
         self.check_code(run, code)?;
         let is_early = !turn::is_due(run, Timestamp::now());
         let status = self.inner.campaign.status();
+        let signs = status.attended.signs;
         if is_early || status.run.is_some() {
             if let Some(words) = run_action::wait_refused(&status) {
                 return Err(ConductorError::Forbidden(words));
             }
             let _one_at_a_time = self.inner.beginning.lock().await;
             self.require_sound_store()?;
-            self.unedited(run).await?;
+            self.unended(run).await?;
             let operations = self.operations();
             self.inner.store.set_waiting(run.uid).await?;
-            self.inner.handed_over.lock().insert(run.uid, operations);
+            self.inner.handed_over.lock().insert(run.uid, HandedOver { operations, by });
             self.dropped().remove(&run.uid);
             self.let_wait([run.uid]);
+            // Read after it: a sign of a person that came before was followed without it.
+            if let Err(error) = self.require_no_sign(signs) {
+                self.drop_waiting(run, &error.to_string()).await?;
+                return Err(error);
+            }
             return Ok(Started::Waiting);
         }
-        self.begin(run, async { Ok(()) }).await?;
+        self.begin(run, async { self.require_no_sign(signs) }).await?;
         Ok(Started::Running)
     }
 
     /// Ends a run that is open but not driven as aborted: it was interrupted, or is about to be driven again after a
     /// restart; if the rig homes for it, the homing ends, too. Its trials stay; it begins nothing, nor does a run that
-    /// waits begin by itself, unless it was interrupted.
+    /// waits begin by itself, unless it was interrupted. Of a run that is not open and waits for its turn, takes the
+    /// start back: it stays what it was.
     ///
     /// # Errors
-    /// `ConductorError::Forbidden` if the run is not open or is driven, `Store` if its end is not stored.
+    /// `ConductorError::Forbidden` if the run neither is open nor waits, or is driven; `Store` if the store fails.
     pub async fn abort_undriven(&self, run: &RunRow) -> Result<(), ConductorError> {
         let _one_at_a_time = self.inner.beginning.lock().await;
         let now = self.present(run).await?;
         let active = self.inner.campaign.status().run.is_some_and(|r| r.uid == run.uid);
+        if !active && !now.is_open() && now.waiting_since.is_some() {
+            self.forget(run.uid);
+            self.inner.store.clear_waiting(run.uid).await?;
+            return Ok(());
+        }
         if active || !now.is_open() {
             let words = format!("run {} is {}: there is nothing to abort", now.scan_id, now.state);
             return Err(ConductorError::Forbidden(words));
         }
         self.end_bringing_up(run.uid);
-        self.armings().remove(&run.uid);
-        self.waiting().remove(&run.uid);
-        self.dropped().remove(&run.uid);
+        self.forget(run.uid);
         let stored: u64 = self.inner.store.contact_counts(run.uid).await?.iter().sum();
         let reason = format!("aborted at {stored} of {} trials, not driven", run.trials_planned);
         let status = ExitStatus::Abort;
@@ -276,24 +300,27 @@ impl Conductor {
         now.ok_or_else(|| ConductorError::NoRun(run.uid.to_string()))
     }
 
-    /// The row of a run as it is stored now, unless it was edited since `run` was read.
-    async fn unedited(&self, run: &RunRow) -> Result<RunRow, ConductorError> {
-        let now = self.present(run).await?;
-        if Edition::of(&now) == Edition::of(run) {
-            return Ok(now);
-        }
-        let words = format!("run {} was edited meanwhile: arm and start it again", run.scan_id);
-        Err(ConductorError::Forbidden(words))
-    }
-
     /// The row of a run as it is stored now, unless it was edited, ended or removed since `run` was read.
     async fn unended(&self, run: &RunRow) -> Result<RunRow, ConductorError> {
-        let now = self.unedited(run).await?;
+        let now = self.present(run).await?;
+        if Edition::of(&now) != Edition::of(run) {
+            let words = format!("run {} was edited meanwhile: arm and start it again", run.scan_id);
+            return Err(ConductorError::Forbidden(words));
+        }
         if (now.state, now.exit_status) == (run.state, run.exit_status) {
             return Ok(now);
         }
         let words = format!("run {} is {} meanwhile: it is not driven", now.scan_id, now.state);
         Err(ConductorError::Forbidden(words))
+    }
+
+    /// Refuses what was requested before the last sign of a person; `signs`: their number then.
+    fn require_no_sign(&self, signs: u64) -> Result<(), ConductorError> {
+        let attended = self.inner.campaign.status().attended;
+        match attended.signs == signs {
+            true => Ok(()),
+            false => Err(ConductorError::Forbidden(format!("{}: start it again", attended.why))),
+        }
     }
 
     fn check_code(&self, row: &RunRow, code: &str) -> Result<(), ConductorError> {
@@ -340,9 +367,7 @@ impl Conductor {
             let job = self.prepare_stored(run).await?.job(run);
             refused.await?;
             self.inner.campaign.ask(Request::Start(Arc::new(job))).await?;
-            self.armings().remove(&run.uid);
-            self.waiting().remove(&run.uid);
-            self.dropped().remove(&run.uid);
+            self.forget(run.uid);
             Ok(())
         };
         beginning.instrument(run_span(run.uid, run.scan_id)).await
@@ -379,6 +404,19 @@ impl Conductor {
             Ok(prepared) => prepared.map_err(|problems| ConductorError::Problems { problems }),
             Err(_) => Err(ConductorError::Refused(Refusal::Gone)),
         }
+    }
+
+    /// Who started the runs that wait, or waited, in this process.
+    fn starters(&self) -> BTreeMap<RunUid, String> {
+        let starts = self.inner.handed_over.lock();
+        starts.iter().map(|(run, start)| (*run, start.by.clone())).collect()
+    }
+
+    /// Forgets that a run was armed, started or dropped.
+    fn forget(&self, run: RunUid) {
+        self.armings().remove(&run);
+        self.waiting().remove(&run);
+        self.dropped().remove(&run);
     }
 
     fn waiting(&self) -> parking_lot::MutexGuard<'_, BTreeSet<RunUid>> {

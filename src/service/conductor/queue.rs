@@ -1,4 +1,4 @@
-//! Submissions become queued runs; a queued run is edited.
+//! Submissions become queued runs; a queued run is edited or removed.
 //! Uses: `conductor::{prepare, turn}`, `store`. Never: a start.
 
 use jiff::Timestamp;
@@ -46,15 +46,13 @@ impl Conductor {
         submission: Submission,
         terms: Terms,
     ) -> Result<RunRow, ConductorError> {
-        self.require_queued(run)?;
+        self.require_queued(run, "edited")?;
         let new = self.new_run(run.uid, submission, run.submitted_by.clone(), terms).await?;
         let _one_at_a_time = self.inner.beginning.lock().await;
         let earlier = self.present(run).await?;
-        self.require_queued(&earlier)?;
+        self.require_queued(&earlier, "edited")?;
         let row = self.inner.store.replace_queued(new).await?;
-        self.armings().remove(&run.uid);
-        self.waiting().remove(&run.uid);
-        self.dropped().remove(&run.uid);
+        self.forget(run.uid);
         if earlier.waiting_since.is_some() {
             let why = "it was edited after it was started: arm and start it again";
             self.say(&row, "not_begun", json!({ "why": why })).await;
@@ -62,13 +60,25 @@ impl Conductor {
         Ok(row)
     }
 
-    fn require_queued(&self, run: &RunRow) -> Result<(), ConductorError> {
+    /// Removes a run from the queue permanently, but not while it begins. Its row remains, in the state `removed`.
+    ///
+    /// # Errors
+    /// `ConductorError::Forbidden` if the run is not queued; `Store` if the store fails.
+    pub async fn remove(&self, run: &RunRow) -> Result<RunRow, ConductorError> {
+        let _one_at_a_time = self.inner.beginning.lock().await;
+        self.require_queued(&self.present(run).await?, "removed")?;
+        let row = self.inner.store.remove(run.uid).await?;
+        self.forget(run.uid);
+        Ok(row)
+    }
+
+    fn require_queued(&self, run: &RunRow, becomes: &str) -> Result<(), ConductorError> {
         let active = self.inner.campaign.status().run.is_some_and(|r| r.uid == run.uid);
         let state = if active { StoredState::Running } else { run.state };
         if state == StoredState::Queued {
             return Ok(());
         }
-        let words = format!("run {} is {state}: only a queued run can be edited", run.scan_id);
+        let words = format!("run {} is {state}: only a queued run can be {becomes}", run.scan_id);
         Err(ConductorError::Forbidden(words))
     }
 
@@ -113,5 +123,109 @@ impl Conductor {
             .filter(|c| c.sensor == sensor_name)
             .and_then(|c| c.id().ok())
             .map(CalibrationId::unchecked)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::atomic::Ordering;
+    use std::time::Duration;
+
+    use super::super::Started;
+    use super::super::follow::tests::{conductor, in_an_hour, queued_on, start};
+    use super::*;
+    use crate::campaign::shown::command::{Envelope, Request};
+    use crate::campaign::shown::show;
+    use crate::journal::{ExitStatus, Journal};
+    use crate::state::StateChange;
+
+    fn early() -> Terms {
+        Terms { auto_resume: None, not_before: in_an_hour() }
+    }
+
+    #[tokio::test]
+    async fn a_run_that_begins_is_not_removed_from_the_queue() {
+        let (conductor, mut inbox, _folder) = conductor().await;
+        let run = queued_on(&conductor, Terms::default()).await;
+        let code = conductor.arm(&run).await.unwrap().code;
+        let removed = async {
+            let Envelope { request, answer, .. } = inbox.next().await.expect("a request");
+            let Request::Start(job) = request else { panic!("{request:?}") };
+            let begins = async {
+                tokio::time::sleep(Duration::from_millis(100)).await;
+                inbox.status.send_modify(|status| status.run = Some(show::started(&job)));
+                let _ = answer.send(Ok(()));
+            };
+            // The store does not know yet that it begins.
+            tokio::join!(conductor.remove(&run), begins).0
+        };
+        let (started, removed) = tokio::join!(conductor.start(&run, &code, "ada".into()), removed);
+        assert_eq!(started.unwrap(), Started::Running);
+        assert!(matches!(removed, Err(ConductorError::Forbidden(_))), "{removed:?}");
+        assert_eq!(conductor.present(&run).await.unwrap().state, StoredState::Queued);
+        let other = queued_on(&conductor, early()).await;
+        start(&conductor, &other).await;
+        assert_eq!(conductor.remove(&other).await.unwrap().state, StoredState::Removed);
+        assert!(conductor.waiting().is_empty());
+    }
+
+    #[tokio::test]
+    async fn a_run_that_is_aborted_as_it_is_started_does_not_wait() {
+        let (conductor, _inbox, _folder) = conductor().await;
+        let run = queued_on(&conductor, early()).await;
+        let store = &conductor.inner.store;
+        let running = StateChange::to(StoredState::Running);
+        store.run_state(run.uid, running, Timestamp::now()).await.unwrap();
+        store.interrupt_open_runs(None).await.unwrap();
+        let run = conductor.present(&run).await.unwrap();
+        let code = conductor.arm(&run).await.unwrap().code;
+        let one_at_a_time = conductor.inner.beginning.lock().await;
+        let aborts = async {
+            tokio::time::sleep(Duration::from_millis(100)).await;
+            store.end_run(run.uid, ExitStatus::Abort, "", Timestamp::now()).await.unwrap();
+            drop(one_at_a_time);
+        };
+        let (started, ()) = tokio::join!(conductor.start(&run, &code, "ada".into()), aborts);
+        assert!(matches!(started, Err(ConductorError::Forbidden(_))), "{started:?}");
+        assert!(store.waiting_runs().await.unwrap().is_empty());
+    }
+
+    #[tokio::test]
+    async fn a_run_that_is_started_as_a_person_aborts_another_does_not_wait() {
+        let (conductor, inbox, _folder) = conductor().await;
+        let run = queued_on(&conductor, early()).await;
+        let code = conductor.arm(&run).await.unwrap().code;
+        let one_at_a_time = conductor.inner.beginning.lock().await;
+        let aborts = async {
+            tokio::time::sleep(Duration::from_millis(100)).await;
+            inbox.status.send_modify(|status| status.attended.note("a run was aborted"));
+            // The queue has followed it.
+            conductor.inner.signs.store(1, Ordering::SeqCst);
+            drop(one_at_a_time);
+        };
+        let (started, ()) = tokio::join!(conductor.start(&run, &code, "ada".into()), aborts);
+        assert_eq!(started.unwrap_err().to_string(), "a run was aborted: start it again");
+        assert!(conductor.waiting().is_empty());
+        assert!(conductor.inner.store.waiting_runs().await.unwrap().is_empty());
+        start(&conductor, &run).await;
+    }
+
+    #[tokio::test]
+    async fn an_abort_of_a_run_that_waits_takes_its_start_back() {
+        let (conductor, _inbox, _folder) = conductor().await;
+        let [queued, stopped] =
+            [queued_on(&conductor, early()).await, queued_on(&conductor, early()).await];
+        let store = &conductor.inner.store;
+        let stop = store.end_run(stopped.uid, ExitStatus::Stopped, "", Timestamp::now());
+        stop.await.unwrap();
+        for run in [queued, stopped] {
+            let run = conductor.present(&run).await.unwrap();
+            start(&conductor, &run).await;
+            conductor.abort_undriven(&run).await.unwrap();
+            assert_eq!(conductor.present(&run).await.unwrap(), run, "it is what it was");
+            assert!(conductor.still_waiting().await.unwrap().is_empty());
+            let again = conductor.abort_undriven(&run).await;
+            assert!(matches!(again, Err(ConductorError::Forbidden(_))), "{again:?}");
+        }
     }
 }

@@ -60,6 +60,8 @@ impl Conductor {
         let driven = driven.filter(|_| active.is_none());
         store.interrupt_open_runs(driven.as_ref().map(|run| run.uid).or(active)).await?;
         drop(one_at_a_time);
+        // In memory all of them, whatever the store does.
+        self.dropped().extend(dropped.iter().map(|(run, why)| (run.uid, (*why).to_owned())));
         for (run, why) in &dropped {
             self.drop_waiting(run, why).await?;
         }
@@ -103,9 +105,7 @@ impl Conductor {
         let attended = self.inner.campaign.status().attended;
         let sign = (attended.signs != signs).then_some(attended.why.as_str());
         if let Some(why) = why_not.or(sign) {
-            for run in &waiting {
-                self.drop_waiting(run, why).await?;
-            }
+            self.drop_each(&waiting, why).await?;
         }
         outcome.map(|_| ())
     }
@@ -123,15 +123,13 @@ impl Conductor {
         // Read after it: a sign of a person that came before was followed without them.
         let attended = self.inner.campaign.status().attended;
         if attended.signs > 0 {
-            self.waiting().retain(|uid| !taken_over.contains(uid));
-            for run in &waiting {
-                self.drop_waiting(run, &format!("{}: start it again", attended.why)).await?;
-            }
+            self.drop_each(&waiting, &format!("{}: start it again", attended.why)).await?;
             return Ok(None);
         }
         loop {
             let (waiting, lock) = (self.still_waiting().await?, self.inner.store.lock().await?);
-            let present = turn::Present { now: Timestamp::now(), lock: lock.as_ref() };
+            let (now, starters) = (Timestamp::now(), self.starters());
+            let present = turn::Present { now, lock: lock.as_ref(), starters: &starters };
             // For a run that was started in this process the rig is not brought up: a person homes it.
             let first: Vec<&RunRow> =
                 waiting.iter().filter(|run| taken_over.contains(&run.uid)).collect();
@@ -241,10 +239,7 @@ impl Conductor {
                          suspended: start the run";
             return Err(ConductorError::Forbidden(words.into()));
         }
-        let attended = self.inner.campaign.status().attended;
-        if attended.signs != signs {
-            return Err(ConductorError::Forbidden(format!("{}: start the run", attended.why)));
-        }
+        self.require_no_sign(signs)?;
         self.require_no_lock(run, since).await
     }
 
@@ -254,9 +249,10 @@ impl Conductor {
         since: Option<Timestamp>,
     ) -> Result<(), ConductorError> {
         let lock = self.inner.store.lock().await?;
-        let present = turn::Present { now: Timestamp::now(), lock: lock.as_ref() };
+        let (now, starters) = (Timestamp::now(), self.starters());
+        let present = turn::Present { now, lock: lock.as_ref(), starters: &starters };
         let refusing = match (&lock, since) {
-            (Some(lock), Some(since)) => Some(lock).filter(|lock| lock.since > since),
+            (Some(lock), Some(since)) => Some(lock).filter(|lock| lock.since >= since),
             (lock, _) => lock.as_ref().filter(|_| !present.lets_begin(run)),
         };
         match refusing {
@@ -388,6 +384,19 @@ mod tests {
         let words = conductor.not_begun().await.unwrap();
         assert!(words.is_some_and(|words| words.ends_with(why)));
         assert!(conductor.still_waiting().await.unwrap().is_empty());
+    }
+
+    #[tokio::test]
+    async fn none_of_several_runs_begins_after_a_sign_although_the_store_fails() {
+        let (conductor, _inbox, _folder) = conductor().await;
+        let runs = earlier(&conductor).await;
+        conductor.let_wait(runs.iter().map(|run| run.uid));
+        conductor.inner.store.close().await;
+        conductor.drop_each(&runs, RUN_ABORTED).await.unwrap_err();
+        assert!(conductor.waiting().is_empty());
+        for run in &runs {
+            assert_eq!(conductor.why_dropped(run.uid).as_deref(), Some(RUN_ABORTED));
+        }
     }
 
     #[tokio::test]

@@ -2,11 +2,13 @@
 //! PURE. Uses: `problem`, `campaign::shown` (the status), `store` (its rows). Never: the clock (the time is passed in),
 //! a request.
 
+use std::collections::BTreeMap;
 use std::time::Duration;
 
 use jiff::{SignedDuration, Timestamp};
 
 use crate::campaign::shown::status::Status;
+use crate::ids::RunUid;
 use crate::problem::Problem;
 use crate::store::{LockRow, RunRow};
 
@@ -27,6 +29,8 @@ pub(super) struct Present<'a> {
     pub now: Timestamp,
     /// The lock; `None` if it is free.
     pub lock: Option<&'a LockRow>,
+    /// Who started runs in this process. Any other run counts as started by who submitted it.
+    pub starters: &'a BTreeMap<RunUid, String>,
 }
 
 impl Present<'_> {
@@ -42,8 +46,9 @@ impl Present<'_> {
     /// The lock that refuses the beginning of a run: another person took it after the run was started, for
     /// example with hands in the rig. One who started a run and then took the lock does not stop it.
     fn refusal(&self, run: &RunRow) -> Option<&LockRow> {
-        let is_later = |lock: &&LockRow| run.waiting_since.is_some_and(|start| lock.since > start);
-        self.lock.filter(is_later).filter(|lock| lock.holder != run.submitted_by)
+        let is_later = |lock: &&LockRow| run.waiting_since.is_some_and(|start| lock.since >= start);
+        let starter = self.starters.get(&run.uid).unwrap_or(&run.submitted_by);
+        self.lock.filter(is_later).filter(|lock| lock.holder != *starter)
     }
 }
 
@@ -158,10 +163,14 @@ mod tests {
 
     fn due(starts: &[Option<i64>]) -> Vec<i64> {
         let runs = waiting(starts);
-        runs.iter().filter(|run| FREE.lets_begin(run)).map(|run| run.scan_id).collect()
+        runs.iter().filter(|run| free().lets_begin(run)).map(|run| run.scan_id).collect()
     }
 
-    const FREE: Present<'static> = Present { now: Timestamp::constant(NOW_S, 0), lock: None };
+    static NOBODY: BTreeMap<RunUid, String> = BTreeMap::new();
+
+    fn free() -> Present<'static> {
+        Present { now: at(0), lock: None, starters: &NOBODY }
+    }
 
     #[test]
     fn a_run_is_due_from_its_time_on_and_holds_up_no_other() {
@@ -172,7 +181,7 @@ mod tests {
 
     #[test]
     fn the_next_decision_is_when_the_first_early_run_is_due_or_soon() {
-        let again = |starts: &[Option<i64>]| decide_again(&waiting(starts), FREE);
+        let again = |starts: &[Option<i64>]| decide_again(&waiting(starts), free());
         assert_eq!(again(&[None, Some(-5), Some(0)]), None);
         assert_eq!(again(&[Some(20), None, Some(7)]), Some(Duration::from_secs(7)));
         assert_eq!(again(&[Some(7200)]), Some(DECIDE_AGAIN));
@@ -180,7 +189,8 @@ mod tests {
 
     #[test]
     fn the_status_names_the_next_run_and_its_reason() {
-        let words = |starts: &[Option<i64>], obstacle| waits_for(&waiting(starts), obstacle, FREE);
+        let words =
+            |starts: &[Option<i64>], obstacle| waits_for(&waiting(starts), obstacle, free());
         assert_eq!(words(&[], Obstacle::ActiveRun), None);
         let homed = "run 1 (quickstart) starts when the rig is homed";
         assert_eq!(words(&[Some(-1), None], Obstacle::NotHomed).unwrap(), homed);
@@ -204,7 +214,7 @@ mod tests {
         };
         status.rig.safe_end = Some(end.clone());
         assert_eq!(Obstacle::of(&status), Obstacle::SafeEnd);
-        let words = waits_for(&waiting(&[None]), Obstacle::of(&status), FREE).unwrap();
+        let words = waits_for(&waiting(&[None]), Obstacle::of(&status), free()).unwrap();
         assert!(words.contains(" starts when the last safe end is complete: an axis"), "{words}");
         end.stops[0].acknowledged_ms = Some(3.0);
         status.rig.safe_end = Some(end);
@@ -222,19 +232,26 @@ mod tests {
         runs[0].waiting_since = Some(at(-100));
         runs[0].submitted_by = "ada".into();
         let of = |lock: LockRow| {
-            let present = Present { now: at(0), lock: Some(&lock) };
+            let present = Present { lock: Some(&lock), ..free() };
             let again = decide_again(&runs, present);
             let words = waits_for(&runs, Obstacle::NotHomed, present).unwrap();
             (present.lets_begin(&runs[0]), again, words)
         };
         let (begins, again, words) = of(lock("bob", -50));
         assert!(!begins && again == Some(DECIDE_AGAIN));
+        assert!(!of(lock("bob", -100)).0, "the clock was set back between the two");
         assert_eq!(
             words,
             "run 1 (quickstart) starts when bob releases the operator lock: hands in the rig"
         );
         // Who took the lock before could start the run himself, or gave it to no other.
         assert!(of(lock("bob", -200)).0 && of(lock("ada", -50)).0);
+        // Of who submitted it and who started it, the one who started it.
+        let starters = BTreeMap::from([(runs[0].uid, "cyd".to_owned())]);
+        let begins = |lock: LockRow| {
+            Present { lock: Some(&lock), starters: &starters, ..free() }.lets_begin(&runs[0])
+        };
+        assert!(begins(lock("cyd", -50)) && !begins(lock("ada", -50)));
     }
 
     #[test]

@@ -136,14 +136,13 @@ impl Store {
     /// # Errors
     /// `Sql` or `Unreadable` if the read fails.
     pub async fn last_accepted(&self, actions: &[&str]) -> StoreResult<Option<Timestamp>> {
-        const OPERATION: &str = "reading the last action of a kind";
         let query = sqlx::query(
             "SELECT at FROM actions
              WHERE accepted = 1 AND action IN (SELECT value FROM json_each(?1))
              ORDER BY id DESC LIMIT 1",
         )
         .bind(serde_json::json!(actions).to_string());
-        self.row(OPERATION, query, |c| c.time("at")).await
+        self.row("reading the last action of a kind", query, |c| c.time("at")).await
     }
 
     /// Returns the number of accepted actions on a run with this name.

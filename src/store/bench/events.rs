@@ -112,16 +112,32 @@ impl Store {
             .bind(seq)
             .bind(limit),
         };
-        let read = |c: &Columns<'_>| {
-            Ok(Event {
-                seq: c.get("seq")?,
-                run: c.uid_or_none("uid")?,
-                at: c.time("at")?,
-                kind: c.get("kind")?,
-                data: c.json("data")?,
-            })
-        };
-        self.rows(OPERATION, statement, read).await
+        self.rows(OPERATION, statement, event).await
+    }
+
+    /// Returns the newest events of these kinds of a run, at most `limit`, in ascending order.
+    ///
+    /// # Errors
+    /// `NoSuchRun` if the run is not stored; `Sql` or `Unreadable` if the read fails.
+    pub async fn events_of_kinds(
+        &self,
+        run: RunUid,
+        kinds: &[&str],
+        limit: u32,
+    ) -> StoreResult<Vec<Event>> {
+        const OPERATION: &str = "reading events of some kinds";
+        let scan_id = self.facts(run, OPERATION).await?.scan_id;
+        let query = sqlx::query(
+            "SELECT *, ?4 AS uid FROM events
+             WHERE run = ?1 AND kind IN (SELECT value FROM json_each(?2)) ORDER BY seq DESC LIMIT ?3",
+        )
+        .bind(scan_id)
+        .bind(serde_json::json!(kinds).to_string())
+        .bind(limit)
+        .bind(run.to_string());
+        let mut events = self.rows(OPERATION, query, event).await?;
+        events.reverse();
+        Ok(events)
     }
 
     /// Returns the number after which the `newest` last events of a selection begin, as `events_since` selects them: one
@@ -171,4 +187,15 @@ impl Store {
             .await
             .during("reading the number of the last event")
     }
+}
+
+/// Reads an event; `uid` is that of its run.
+fn event(c: &Columns<'_>) -> StoreResult<Event> {
+    Ok(Event {
+        seq: c.get("seq")?,
+        run: c.uid_or_none("uid")?,
+        at: c.time("at")?,
+        kind: c.get("kind")?,
+        data: c.json("data")?,
+    })
 }

@@ -1,4 +1,4 @@
-//! Records of the bench: runs with their trials, the queue, events and actions.
+//! Records of the bench: runs with their trials, the queue, events, actions and the operator lock.
 //! Uses: `core`, `table`. Never: `lab`; a decision of the campaign or the conductor.
 
 /// Columns of a run, inserted and read.
@@ -33,6 +33,8 @@ pub(crate) mod wear;
 mod events;
 /// The log of actions.
 pub(crate) mod actions;
+/// The operator lock.
+pub(crate) mod lock;
 /// Examination of the file for damage.
 mod examine;
 /// The `Journal` of the campaign.

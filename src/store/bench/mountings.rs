@@ -17,7 +17,6 @@ impl Store {
         mounting: &Mounting,
         at: Timestamp,
     ) -> StoreResult<()> {
-        const OPERATION: &str = "storing the number of mounted tips";
         let query = sqlx::query(
             "INSERT INTO mountings (tips, live_cells, who, at) VALUES (?1, ?2, ?3, ?4)",
         )
@@ -25,7 +24,8 @@ impl Store {
         .bind(mounting.live_cells)
         .bind(&mounting.who)
         .bind(time_text(at));
-        self.inner.writer.patient().execute(OPERATION, query).await.map(drop)
+        let writer = self.inner.writer.patient();
+        writer.execute("storing the number of mounted tips", query).await.map(drop)
     }
 
     /// Returns the last confirmed number of tips; `None` before the first, and after a manual run, during which
@@ -34,18 +34,22 @@ impl Store {
     /// # Errors
     /// `Sql` or `Unreadable` if the read fails.
     pub(crate) async fn read_last_mounted(&self) -> StoreResult<Option<Mounting>> {
-        const OPERATION: &str = "reading the number of mounted tips";
+        // The order of the events holds although the clock was set back.
         let query = sqlx::query(
             "SELECT * FROM (SELECT * FROM mountings ORDER BY id DESC LIMIT 1) AS last
              WHERE NOT EXISTS (
                  SELECT 1 FROM runs WHERE kind = 'real-random'
                      AND (started_at > last.at OR ended_at > last.at
-                         OR (started_at IS NOT NULL AND state NOT IN ('ended', 'removed'))))",
+                         OR (started_at IS NOT NULL AND state NOT IN ('ended', 'removed'))))
+                 AND NOT EXISTS (
+                     SELECT 1 FROM events e JOIN runs r ON r.scan_id = e.run
+                     WHERE e.kind = 'state' AND r.kind = 'real-random'
+                         AND e.seq > (SELECT max(seq) FROM events WHERE kind = 'tips'))",
         );
         let read = |c: &Columns<'_>| {
             let (tips, live_cells) = (c.whole("tips")?, c.whole("live_cells")?);
             Ok(Mounting { tips, live_cells, who: c.get("who")? })
         };
-        self.row(OPERATION, query, read).await
+        self.row("reading the number of mounted tips", query, read).await
     }
 }

@@ -14,7 +14,6 @@ impl Store {
     /// `Damaged` if the text differs from its sha256; `NoSuchRun` if the run is not stored; `Sql` if
     /// the read fails.
     pub async fn plan_of(&self, run: RunUid) -> StoreResult<Option<String>> {
-        const OPERATION: &str = "reading the plan of a run";
         let row: Option<(Option<String>, Option<String>)> = sqlx::query_as(
             "SELECT r.plan_sha256, p.plan FROM runs r LEFT JOIN plans p ON p.sha256 = r.plan_sha256
              WHERE r.uid = ?1",
@@ -22,7 +21,7 @@ impl Store {
         .bind(run.to_string())
         .fetch_optional(&self.inner.readers)
         .await
-        .during(OPERATION)?;
+        .during("reading the plan of a run")?;
         match row {
             None => Err(StoreError::NoSuchRun(run)),
             Some((None, _)) => Ok(None),

@@ -43,10 +43,9 @@ impl Store {
     /// # Errors
     /// `Sql` or `Unreadable` if the read fails.
     pub async fn queue(&self) -> StoreResult<Vec<RunRow>> {
-        const OPERATION: &str = "reading the queue";
         let query =
             sqlx::query("SELECT * FROM runs WHERE state = 'queued' ORDER BY queue_position");
-        self.rows(OPERATION, query, RunRow::read).await
+        self.rows("reading the queue", query, RunRow::read).await
     }
 
     /// Moves a run to a position, from 1; a larger position than the last means the end. Returns the
@@ -64,15 +63,10 @@ impl Store {
             let moved = order.remove(from.ok_or(StoreError::NotQueued(run))?);
             let to = (position.max(1) as usize - 1).min(order.len());
             order.insert(to, moved);
-            number(connection, &order, OPERATION).await?;
-            let rows =
-                sqlx::query("SELECT * FROM runs WHERE state = 'queued' ORDER BY queue_position")
-                    .fetch_all(connection)
-                    .await
-                    .during(OPERATION)?;
-            rows.iter().map(|row| RunRow::read(&Columns::of(row, OPERATION))).collect()
+            number(connection, &order, OPERATION).await
         })
-        .await
+        .await?;
+        self.queue().await
     }
 
     /// Removes a run from the queue permanently. Its row remains, in the state `removed`.
@@ -109,7 +103,6 @@ impl Store {
     /// `NotQueued` if the run is neither queued nor interrupted;
     /// `Sql`, `Late` or `Closed` if the write fails.
     pub async fn set_waiting(&self, run: RunUid) -> StoreResult<()> {
-        const OPERATION: &str = "marking a run as waiting for its turn";
         let query = sqlx::query(
             "UPDATE runs SET waiting_since = coalesce(waiting_since, ?2)
              WHERE uid = ?1 AND (state IN ('queued', 'interrupted')
@@ -117,7 +110,7 @@ impl Store {
         )
         .bind(run.to_string())
         .bind(self.now_text());
-        match self.inner.writer.execute(OPERATION, query).await? {
+        match self.inner.writer.execute("marking a run as waiting for its turn", query).await? {
             0 => Err(StoreError::NotQueued(run)),
             _ => Ok(()),
         }
@@ -128,10 +121,9 @@ impl Store {
     /// # Errors
     /// `Sql`, `Late` or `Closed` if the write fails.
     pub async fn clear_waiting(&self, run: RunUid) -> StoreResult<()> {
-        const OPERATION: &str = "removing the mark of a waiting run";
         let query = sqlx::query("UPDATE runs SET waiting_since = NULL WHERE uid = ?1")
             .bind(run.to_string());
-        self.inner.writer.execute(OPERATION, query).await.map(drop)
+        self.inner.writer.execute("removing the mark of a waiting run", query).await.map(drop)
     }
 
     /// Returns the started runs that wait for their turn, the next one first: interrupted runs, then
@@ -140,13 +132,12 @@ impl Store {
     /// # Errors
     /// `Sql` or `Unreadable` if the read fails.
     pub async fn waiting_runs(&self) -> StoreResult<Vec<RunRow>> {
-        const OPERATION: &str = "reading the waiting runs";
         let query = sqlx::query(
             "SELECT * FROM runs
              WHERE waiting_since IS NOT NULL AND state IN ('queued', 'interrupted', 'ended')
              ORDER BY coalesce(queue_position, 0), waiting_since, scan_id",
         );
-        self.rows(OPERATION, query, RunRow::read).await
+        self.rows("reading the waiting runs", query, RunRow::read).await
     }
 }
 

@@ -164,7 +164,7 @@ impl RunRow {
             rig_sha256: c.get("rig_sha256")?,
             sensor: c.get("sensor")?,
             sensor_sha256: c.get("sensor_sha256")?,
-            calibration_id: c.id_or_none("calibration_id")?,
+            calibration_id: c.word_or_none("calibration_id")?,
             label: c.word("label")?,
             version: c.get("version")?,
             git_commit: c.get("git_commit")?,

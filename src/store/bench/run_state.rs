@@ -2,10 +2,10 @@
 //! Uses: `core`, `journal`. Never: what a state means (`campaign` does).
 
 use jiff::Timestamp;
-use sqlx::sqlite::SqliteConnection;
 
 use crate::core::columns::time_text;
-use crate::core::{During, Store, StoreError, StoreResult};
+use crate::core::statements::Query;
+use crate::core::{Store, StoreError, StoreResult};
 use crate::ids::RunUid;
 use crate::journal::ExitStatus;
 use crate::state::{PausedWhy, StateChange, StoredState};
@@ -17,7 +17,6 @@ impl Store {
     /// # Errors
     /// `Sql`, `Late` or `Closed` if the write fails.
     pub async fn interrupt_open_runs(&self, but: Option<RunUid>) -> StoreResult<()> {
-        const OPERATION: &str = "marking interrupted runs";
         let query = sqlx::query(
             "UPDATE runs
              SET state = 'interrupted', requested_state = NULL, paused_why = 'restart'
@@ -25,7 +24,7 @@ impl Store {
                  AND uid IS NOT ?1",
         )
         .bind(but.map(|run| run.to_string()));
-        self.inner.writer.execute(OPERATION, query).await.map(drop)
+        self.inner.writer.execute("marking interrupted runs", query).await.map(drop)
     }
 
     /// Stores the state of a run, with the requested state and the cause of a pause. A run that ended
@@ -46,30 +45,20 @@ impl Store {
                 "must be a state of the engine (only the store sets queued, ended and removed)";
             return Err(StoreError::Refused { operation: OPERATION, field: "state", limit });
         }
-        let at = time_text(at);
-        self.inner
-            .writer
-            .patient()
-            .run(OPERATION, async move |connection| {
-                let changed = sqlx::query(
-                    "UPDATE runs SET state = ?2, requested_state = ?3, paused_why = ?4,
-                         queue_position = NULL, waiting_since = NULL,
-                         started_at = coalesce(started_at, ?5),
-                         exit_status = NULL, reason = NULL, ended_at = NULL
-                     WHERE uid = ?1 AND state <> 'removed' AND (state <> 'ended'
-                         OR (?2 = 'running' AND kind <> 'imported' AND exit_status <> 'success'))",
-                )
-                .bind(run.to_string())
-                .bind(change.state.as_str())
-                .bind(change.requested.map(StoredState::as_str))
-                .bind(change.why.map(PausedWhy::as_str))
-                .bind(at)
-                .execute(&mut *connection)
-                .await
-                .during(OPERATION)?;
-                changed_or_ended(connection, run, changed.rows_affected(), OPERATION).await
-            })
-            .await
+        let query = sqlx::query(
+            "UPDATE runs SET state = ?2, requested_state = ?3, paused_why = ?4,
+                 queue_position = NULL, waiting_since = NULL,
+                 started_at = coalesce(started_at, ?5),
+                 exit_status = NULL, reason = NULL, ended_at = NULL
+             WHERE uid = ?1 AND state <> 'removed' AND (state <> 'ended'
+                 OR (?2 = 'running' AND kind <> 'imported' AND exit_status <> 'success'))",
+        )
+        .bind(run.to_string())
+        .bind(change.state.as_str())
+        .bind(change.requested.map(StoredState::as_str))
+        .bind(change.why.map(PausedWhy::as_str))
+        .bind(time_text(at));
+        self.change_run(run, OPERATION, query).await
     }
 
     /// Stores the exit status of a run. A repetition with the same status changes nothing.
@@ -84,48 +73,35 @@ impl Store {
         reason: &str,
         at: Timestamp,
     ) -> StoreResult<()> {
-        const OPERATION: &str = "ending a run";
-        let (reason, at) = (reason.to_owned(), time_text(at));
-        self.inner
-            .writer
-            .patient()
-            .run(OPERATION, async move |connection| {
-                // The caller repeats the request if it does not know the outcome of the first.
-                let changed = sqlx::query(
-                    "UPDATE runs SET state = 'ended', requested_state = NULL, paused_why = NULL,
-                         queue_position = NULL, waiting_since = NULL, exit_status = ?2,
-                         reason = CASE WHEN state = 'ended' THEN reason ELSE ?3 END,
-                         ended_at = coalesce(ended_at, ?4)
-                     WHERE uid = ?1 AND state <> 'removed'
-                       AND (exit_status IS NULL OR exit_status = ?2)",
-                )
-                .bind(run.to_string())
-                .bind(status.as_str())
-                .bind(reason)
-                .bind(at)
-                .execute(&mut *connection)
-                .await
-                .during(OPERATION)?;
-                changed_or_ended(connection, run, changed.rows_affected(), OPERATION).await
-            })
-            .await
-    }
-}
-
-/// Returns the error for a change of a run's state that changed no row.
-async fn changed_or_ended(
-    connection: &mut SqliteConnection,
-    run: RunUid,
-    changed: u64,
-    operation: &'static str,
-) -> StoreResult<()> {
-    if changed > 0 {
-        return Ok(());
-    }
-    let known: Option<i64> = sqlx::query_scalar("SELECT scan_id FROM runs WHERE uid = ?1")
+        // The caller repeats the request if it does not know the outcome of the first.
+        let query = sqlx::query(
+            "UPDATE runs SET state = 'ended', requested_state = NULL, paused_why = NULL,
+                 queue_position = NULL, waiting_since = NULL, exit_status = ?2,
+                 reason = CASE WHEN state = 'ended' THEN reason ELSE ?3 END,
+                 ended_at = coalesce(ended_at, ?4)
+             WHERE uid = ?1 AND state <> 'removed'
+               AND (exit_status IS NULL OR exit_status = ?2)",
+        )
         .bind(run.to_string())
-        .fetch_optional(connection)
-        .await
-        .during(operation)?;
-    Err(if known.is_some() { StoreError::RunEnded(run) } else { StoreError::NoSuchRun(run) })
+        .bind(status.as_str())
+        .bind(reason.to_owned())
+        .bind(time_text(at));
+        self.change_run(run, "ending a run", query).await
+    }
+
+    /// Changes the row of a run.
+    async fn change_run(
+        &self,
+        run: RunUid,
+        operation: &'static str,
+        query: Query,
+    ) -> StoreResult<()> {
+        let writer = self.inner.writer.patient();
+        if writer.execute(operation, query).await? > 0 {
+            return Ok(());
+        }
+        // `NoSuchRun` if it is not stored.
+        self.facts_by(&writer, run, operation).await?;
+        Err(StoreError::RunEnded(run))
+    }
 }

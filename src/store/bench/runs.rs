@@ -34,9 +34,8 @@ impl Store {
     /// # Errors
     /// `Sql` or `Unreadable` if the read fails.
     pub async fn run(&self, run: RunUid) -> StoreResult<Option<RunRow>> {
-        const OPERATION: &str = "reading a run";
         let query = sqlx::query("SELECT * FROM runs WHERE uid = ?1").bind(run.to_string());
-        self.row(OPERATION, query, RunRow::read).await
+        self.row("reading a run", query, RunRow::read).await
     }
 
     /// Returns a run by its number; `None` if it is not stored.
@@ -44,9 +43,8 @@ impl Store {
     /// # Errors
     /// `Sql` or `Unreadable` if the read fails.
     pub async fn run_by_scan_id(&self, scan_id: i64) -> StoreResult<Option<RunRow>> {
-        const OPERATION: &str = "reading a run";
         let query = sqlx::query("SELECT * FROM runs WHERE scan_id = ?1").bind(scan_id);
-        self.row(OPERATION, query, RunRow::read).await
+        self.row("reading a run", query, RunRow::read).await
     }
 
     /// Returns at most `limit` runs that meet all conditions, newest first, with numbers below `before`.
@@ -83,7 +81,6 @@ impl Store {
         label: Label,
         before: Timestamp,
     ) -> StoreResult<Option<RunRow>> {
-        const OPERATION: &str = "looking for an earlier run";
         let query = sqlx::query(
             "SELECT * FROM runs WHERE kind = ?1 AND sensor_sha256 = ?2 AND label = ?3 AND started_at < ?4
                  AND EXISTS (SELECT 1 FROM trials WHERE run = scan_id AND max_force_n IS NOT NULL)
@@ -93,7 +90,7 @@ impl Store {
         .bind(sensor_sha256.to_owned())
         .bind(label.as_str())
         .bind(time_text(before));
-        self.row(OPERATION, query, RunRow::read).await
+        self.row("looking for an earlier run", query, RunRow::read).await
     }
 
     /// Returns all runs except the removed ones, oldest first.
@@ -101,9 +98,8 @@ impl Store {
     /// # Errors
     /// `Sql` or `Unreadable` if the read fails.
     pub async fn all_runs(&self) -> StoreResult<Vec<RunRow>> {
-        const OPERATION: &str = "reading all runs";
         let query = sqlx::query("SELECT * FROM runs WHERE state <> 'removed' ORDER BY scan_id");
-        self.rows(OPERATION, query, RunRow::read).await
+        self.rows("reading all runs", query, RunRow::read).await
     }
 
     /// Returns the runs in a state of the engine, oldest first. Before an engine starts, these are the
@@ -112,12 +108,11 @@ impl Store {
     /// # Errors
     /// `Sql` or `Unreadable` if the read fails.
     pub async fn open_runs(&self) -> StoreResult<Vec<RunRow>> {
-        const OPERATION: &str = "reading open runs";
         let query = sqlx::query(
             "SELECT * FROM runs WHERE state NOT IN ('queued', 'interrupted', 'ended', 'removed')
              ORDER BY scan_id",
         );
-        self.rows(OPERATION, query, RunRow::read).await
+        self.rows("reading open runs", query, RunRow::read).await
     }
 
     /// Caches the facts of a run that was stored, and returns its row.

@@ -216,7 +216,7 @@ impl<'r> Columns<'r> {
         serde_json::from_str(text).map_err(|_| self.unreadable(column, text))
     }
 
-    /// Returns a value of an enum that is stored as its serde name.
+    /// Returns a value of an enum that is stored as its serde name, or an id that is stored as its text.
     pub(crate) fn word<T: serde::de::DeserializeOwned>(
         &self,
         column: &'static str,
@@ -231,22 +231,6 @@ impl<'r> Columns<'r> {
         column: &'static str,
     ) -> StoreResult<Option<T>> {
         self.get::<Option<&str>>(column)?.map(|_| self.word(column)).transpose()
-    }
-
-    /// Returns an id that is stored as its text.
-    pub(crate) fn id<T: serde::de::DeserializeOwned>(
-        &self,
-        column: &'static str,
-    ) -> StoreResult<T> {
-        self.word(column)
-    }
-
-    /// Returns an id that is stored as its text; `None` for NULL.
-    pub(crate) fn id_or_none<T: serde::de::DeserializeOwned>(
-        &self,
-        column: &'static str,
-    ) -> StoreResult<Option<T>> {
-        self.word_or_none(column)
     }
 
     /// Returns the counts of a frame, injection-major.

@@ -160,10 +160,9 @@ impl KeyRing {
     /// # Errors
     /// `Sql` or `Unreadable` if the read fails.
     pub async fn load(store: Store) -> StoreResult<Self> {
-        const OPERATION: &str = "reading the valid keys";
         let query = sqlx::query("SELECT * FROM api_keys WHERE revoked_at IS NULL");
         let entry = |c: &Columns<'_>| Ok((c.get::<String>("sha256")?, Key::of(&KeyRow::read(c)?)));
-        let valid = store.rows(OPERATION, query, entry).await?.into_iter().collect();
+        let valid = store.rows("reading the valid keys", query, entry).await?.into_iter().collect();
         let (revocations, _) = watch::channel(());
         Ok(Self { store, valid: Arc::new(RwLock::new(valid)), revocations })
     }
@@ -302,20 +301,18 @@ impl Store {
     }
 
     async fn note_key_use(&self, id: i64, at: Timestamp) -> StoreResult<()> {
-        const OPERATION: &str = "storing the use of a key";
         let query = sqlx::query("UPDATE api_keys SET last_used_at = ?2 WHERE id = ?1")
             .bind(id)
             .bind(time_text(at));
-        self.inner.writer.execute(OPERATION, query).await.map(drop)
+        self.inner.writer.execute("storing the use of a key", query).await.map(drop)
     }
 
     async fn revoke_key(&self, id: i64) -> StoreResult<bool> {
-        const OPERATION: &str = "revoking a key";
         let query =
             sqlx::query("UPDATE api_keys SET revoked_at = ?2 WHERE id = ?1 AND revoked_at IS NULL")
                 .bind(id)
                 .bind(self.now_text());
-        Ok(self.inner.writer.execute(OPERATION, query).await? > 0)
+        Ok(self.inner.writer.execute("revoking a key", query).await? > 0)
     }
 
     /// Returns all keys, also revoked ones, oldest first.
@@ -323,8 +320,7 @@ impl Store {
     /// # Errors
     /// `Sql` or `Unreadable` if the read fails.
     pub async fn keys(&self) -> StoreResult<Vec<KeyRow>> {
-        const OPERATION: &str = "listing keys";
         let query = sqlx::query("SELECT * FROM api_keys ORDER BY id");
-        self.rows(OPERATION, query, KeyRow::read).await
+        self.rows("listing keys", query, KeyRow::read).await
     }
 }

@@ -16,13 +16,11 @@ mod migrations;
 /// Opening, sharing and closing the database.
 pub(crate) mod store;
 /// One statement alone: its rows, or the number of rows that it changes.
-mod statements;
+pub(crate) mod statements;
 /// Facts of a run that never change.
 pub(crate) mod facts;
 /// Those of runs that were read or written, cached in memory.
 mod known_facts;
-/// The operator lock.
-pub(crate) mod lock;
 /// API keys, stored as hashes.
 pub(crate) mod keys;
 /// Requests that are carried out once.

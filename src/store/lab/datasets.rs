@@ -36,7 +36,7 @@ pub struct DatasetRow {
 impl DatasetRow {
     fn read(c: &Columns<'_>) -> StoreResult<Self> {
         Ok(Self {
-            id: c.id("id")?,
+            id: c.word("id")?,
             name: c.get("name")?,
             definition: c.json("definition")?,
             rows: c.whole("rows")?,
@@ -109,12 +109,13 @@ impl Store {
         const OPERATION: &str = "storing a dataset";
         let inputs = inputs.to_owned();
         self.write(OPERATION, async move |connection| {
-            sqlx::query(
+            let row = sqlx::query(
                 "INSERT INTO datasets (id, name, definition, rows, bytes, sha256, report,
                      lineage, created_at)
                  VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9)
                  ON CONFLICT (id) DO UPDATE SET bytes = excluded.bytes,
-                     sha256 = excluded.sha256, lineage = excluded.lineage",
+                     sha256 = excluded.sha256, lineage = excluded.lineage
+                 RETURNING *",
             )
             .bind(new.id.as_str())
             .bind(&new.name)
@@ -125,7 +126,7 @@ impl Store {
             .bind(new.report.to_string())
             .bind(new.lineage.to_string())
             .bind(time_text(new.created_at))
-            .execute(&mut *connection)
+            .fetch_one(&mut *connection)
             .await
             .during(OPERATION)?;
             sqlx::query(
@@ -134,14 +135,9 @@ impl Store {
             )
             .bind(inputs)
             .bind(new.id.as_str())
-            .execute(&mut *connection)
+            .execute(connection)
             .await
             .during(OPERATION)?;
-            let row = sqlx::query("SELECT * FROM datasets WHERE id = ?1")
-                .bind(new.id.as_str())
-                .fetch_one(connection)
-                .await
-                .during(OPERATION)?;
             DatasetRow::read(&Columns::of(&row, OPERATION))
         })
         .await
@@ -182,9 +178,8 @@ impl Store {
 
     /// Returns the dataset that `sql` selects by `value`.
     async fn one_dataset(&self, sql: &'static str, value: &str) -> StoreResult<Option<DatasetRow>> {
-        const OPERATION: &str = "reading a dataset";
         let query = sqlx::query(sql).bind(value);
-        self.row(OPERATION, query, DatasetRow::read).await
+        self.row("reading a dataset", query, DatasetRow::read).await
     }
 
     /// Returns all datasets, newest first.
@@ -192,9 +187,8 @@ impl Store {
     /// # Errors
     /// `Sql` or `Unreadable` if the read fails.
     pub async fn datasets(&self) -> StoreResult<Vec<DatasetRow>> {
-        const OPERATION: &str = "listing datasets";
         let query = sqlx::query("SELECT * FROM datasets ORDER BY created_at DESC, rowid DESC");
-        self.rows(OPERATION, query, DatasetRow::read).await
+        self.rows("listing datasets", query, DatasetRow::read).await
     }
 
     /// Returns what refers to datasets: models that were made of them, jobs that read them, and exports and jobs
@@ -203,7 +197,6 @@ impl Store {
     /// # Errors
     /// `Sql` or `Unreadable` if the read fails.
     pub async fn dataset_users(&self) -> StoreResult<BTreeMap<DatasetId, String>> {
-        const OPERATION: &str = "reading what refers to datasets";
         let users: Vec<(String, String)> = sqlx::query_as(
             "SELECT d.id, 'model ' || m.id FROM datasets d JOIN models m ON instr(m.manifest, d.id) > 0
              UNION ALL
@@ -215,7 +208,7 @@ impl Store {
         )
         .fetch_all(&self.inner.readers)
         .await
-        .during(OPERATION)?;
+        .during("reading what refers to datasets")?;
         Ok(users.into_iter().map(|(id, user)| (DatasetId::unchecked(id), user)).collect())
     }
 

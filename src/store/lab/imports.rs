@@ -163,14 +163,13 @@ impl Store {
     /// # Errors
     /// `Sql`, `Late` or `Closed` if the write fails.
     pub async fn sweep_imports(&self) -> StoreResult<u64> {
-        const OPERATION: &str = "removing an incomplete import";
         let query = sqlx::query(
             "DELETE FROM trials WHERE run IN
                  (SELECT scan_id FROM runs WHERE kind = ?1 AND state = ?2)",
         )
         .bind(RunKind::Imported.as_str())
         .bind(INCOMPLETE.as_str());
-        self.inner.writer.execute(OPERATION, query).await
+        self.inner.writer.execute("removing an incomplete import", query).await
     }
 }
 

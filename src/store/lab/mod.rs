@@ -3,12 +3,10 @@
 
 /// Simulated twins of stored trials.
 pub(crate) mod twins;
-/// Progress of a run by configuration.
+/// Progress of a run by configuration, and over time.
 pub(crate) mod progress;
 /// Forces of a run over depth.
 pub(crate) mod forces;
-/// A run over time.
-pub(crate) mod history;
 /// Facts of datasets; their rows are files.
 pub(crate) mod datasets;
 /// Trained nets, and promotions.

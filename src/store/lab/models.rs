@@ -27,7 +27,7 @@ pub struct ModelRow {
 impl ModelRow {
     fn read(c: &Columns<'_>) -> StoreResult<Self> {
         Ok(Self {
-            id: c.id("id")?,
+            id: c.word("id")?,
             name: c.get("name")?,
             task: c.get("task")?,
             manifest: c.get("manifest")?,
@@ -78,7 +78,7 @@ impl PromotionRow {
         Ok(Self {
             slot: c.get("slot")?,
             sensor: c.get("sensor")?,
-            what: c.id_or_none("what")?,
+            what: c.word_or_none("what")?,
             who: c.get("who")?,
             why: c.get("why")?,
             at: c.time("at")?,
@@ -93,7 +93,6 @@ impl Store {
     /// # Errors
     /// `Sql`, `Late` or `Closed` if the write fails.
     pub async fn insert_model(&self, new: ModelRow) -> StoreResult<()> {
-        const OPERATION: &str = "storing a model";
         let query = sqlx::query(
             "INSERT INTO models (id, name, task, manifest, created_at)
              VALUES (?1, ?2, ?3, ?4, ?5) ON CONFLICT (id) DO NOTHING",
@@ -103,7 +102,7 @@ impl Store {
         .bind(&new.task)
         .bind(&new.manifest)
         .bind(time_text(new.created_at));
-        self.inner.writer.execute(OPERATION, query).await.map(drop)
+        self.inner.writer.execute("storing a model", query).await.map(drop)
     }
 
     /// Returns the model with this id, or else the newest with this name; `None` if there is none.
@@ -111,13 +110,12 @@ impl Store {
     /// # Errors
     /// `Sql` or `Unreadable` if the read fails.
     pub async fn model(&self, id_or_name: &str) -> StoreResult<Option<ModelRow>> {
-        const OPERATION: &str = "reading a model";
         let query = sqlx::query(
             "SELECT * FROM models WHERE id = ?1 OR name = ?1
              ORDER BY id = ?1 DESC, created_at DESC, rowid DESC LIMIT 1",
         )
         .bind(id_or_name);
-        self.row(OPERATION, query, ModelRow::read).await
+        self.row("reading a model", query, ModelRow::read).await
     }
 
     /// Returns all models, newest first.
@@ -125,9 +123,8 @@ impl Store {
     /// # Errors
     /// `Sql` or `Unreadable` if the read fails.
     pub async fn models(&self) -> StoreResult<Vec<ModelRow>> {
-        const OPERATION: &str = "listing models";
         let query = sqlx::query("SELECT * FROM models ORDER BY created_at DESC, rowid DESC");
-        self.rows(OPERATION, query, ModelRow::read).await
+        self.rows("listing models", query, ModelRow::read).await
     }
 
     /// Returns the models whose manifests name a dataset, newest first.
@@ -135,12 +132,11 @@ impl Store {
     /// # Errors
     /// `Sql` or `Unreadable` if the read fails.
     pub async fn models_of(&self, dataset: &DatasetId) -> StoreResult<Vec<ModelRow>> {
-        const OPERATION: &str = "listing the models of a dataset";
         let query = sqlx::query(
             "SELECT * FROM models WHERE instr(manifest, ?1) > 0 ORDER BY created_at DESC, rowid DESC",
         )
         .bind(dataset.as_str());
-        self.rows(OPERATION, query, ModelRow::read).await
+        self.rows("listing the models of a dataset", query, ModelRow::read).await
     }
 
     /// Stores a promotion with the current wall time.
@@ -148,7 +144,6 @@ impl Store {
     /// # Errors
     /// `Sql`, `Late` or `Closed` if the write fails.
     pub async fn promote(&self, new: NewPromotion<'_>) -> StoreResult<()> {
-        const OPERATION: &str = "storing a promotion";
         let query = sqlx::query(
             "INSERT INTO promotions (slot, sensor, what, who, why, at, rolled_back)
              VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7)",
@@ -160,7 +155,7 @@ impl Store {
         .bind(new.why)
         .bind(self.now_text())
         .bind(new.rolled_back);
-        self.inner.writer.execute(OPERATION, query).await.map(drop)
+        self.inner.writer.execute("storing a promotion", query).await.map(drop)
     }
 
     /// Returns what is promoted in the slot of a sensor; `None` if the slot is empty, or no promotion states the sensor.
@@ -168,13 +163,15 @@ impl Store {
     /// # Errors
     /// `Sql` or `Unreadable` if the read fails.
     pub async fn promoted(&self, slot: &str, sensor: &str) -> StoreResult<Option<PromotedId>> {
-        const OPERATION: &str = "reading a promotion";
         let query = sqlx::query(
             "SELECT * FROM promotions WHERE slot = ?1 AND sensor = ?2 ORDER BY id DESC LIMIT 1",
         )
         .bind(slot)
         .bind(sensor);
-        Ok(self.row(OPERATION, query, PromotionRow::read).await?.and_then(|row| row.what))
+        Ok(self
+            .row("reading a promotion", query, PromotionRow::read)
+            .await?
+            .and_then(|row| row.what))
     }
 
     /// Returns all promotions, newest first.
@@ -182,8 +179,7 @@ impl Store {
     /// # Errors
     /// `Sql` or `Unreadable` if the read fails.
     pub async fn promotions(&self) -> StoreResult<Vec<PromotionRow>> {
-        const OPERATION: &str = "reading promotions";
         let query = sqlx::query("SELECT * FROM promotions ORDER BY id DESC");
-        self.rows(OPERATION, query, PromotionRow::read).await
+        self.rows("reading promotions", query, PromotionRow::read).await
     }
 }

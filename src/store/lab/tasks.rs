@@ -109,7 +109,7 @@ impl TaskRow {
             kind: c.word("kind")?,
             request: c.json("request")?,
             state: c.word("state")?,
-            dataset: c.id_or_none("dataset")?,
+            dataset: c.word_or_none("dataset")?,
             result: result.map(|_| c.json("result")).transpose()?,
             error: c.get("error")?,
             asked_by: c.get("asked_by")?,
@@ -158,7 +158,6 @@ impl Store {
         request: Value,
         asked_by: &str,
     ) -> StoreResult<TaskRow> {
-        const OPERATION: &str = "storing a task";
         let query = sqlx::query(
             "INSERT INTO tasks (id, kind, request, state, asked_by, created_at)
              VALUES (?1, ?2, ?3, ?4, ?5, ?6) RETURNING *",
@@ -169,7 +168,7 @@ impl Store {
         .bind(TaskState::Waiting.to_string())
         .bind(asked_by)
         .bind(self.now_text());
-        self.inner.writer.returned(OPERATION, query, TaskRow::read).await
+        self.inner.writer.returned("storing a task", query, TaskRow::read).await
     }
 
     /// Marks a task as running, with the id of its dataset if it is known. Returns false, and changes
@@ -178,7 +177,6 @@ impl Store {
     /// # Errors
     /// `Sql`, `Late` or `Closed` if the write fails.
     pub async fn begin_task(&self, id: TaskId, dataset: Option<&DatasetId>) -> StoreResult<bool> {
-        const OPERATION: &str = "beginning a task";
         let query = sqlx::query(
             "UPDATE tasks SET state = 'running', dataset = coalesce(?2, dataset),
                  started_at = coalesce(started_at, ?3)
@@ -187,7 +185,7 @@ impl Store {
         .bind(id.to_string())
         .bind(dataset.map(DatasetId::as_str))
         .bind(self.now_text());
-        Ok(self.inner.writer.execute(OPERATION, query).await? > 0)
+        Ok(self.inner.writer.execute("beginning a task", query).await? > 0)
     }
 
     /// Stores the end of a task. Returns false, and changes nothing, if it has already ended.
@@ -195,7 +193,6 @@ impl Store {
     /// # Errors
     /// `Sql`, `Late` or `Closed` if the write fails.
     pub async fn end_task(&self, id: TaskId, end: TaskEnd) -> StoreResult<bool> {
-        const OPERATION: &str = "ending a task";
         let state = end.state();
         let (result, error) = match end {
             TaskEnd::Done(result) => (Some(result.to_string()), None),
@@ -211,7 +208,7 @@ impl Store {
         .bind(result)
         .bind(error)
         .bind(self.now_text());
-        Ok(self.inner.writer.execute(OPERATION, query).await? > 0)
+        Ok(self.inner.writer.execute("ending a task", query).await? > 0)
     }
 
     /// Returns a task; `None` if it is not stored.
@@ -219,9 +216,8 @@ impl Store {
     /// # Errors
     /// `Sql` or `Unreadable` if the read fails.
     pub async fn task(&self, id: TaskId) -> StoreResult<Option<TaskRow>> {
-        const OPERATION: &str = "reading a task";
         let query = sqlx::query("SELECT * FROM tasks WHERE id = ?1").bind(id.to_string());
-        self.row(OPERATION, query, TaskRow::read).await
+        self.row("reading a task", query, TaskRow::read).await
     }
 
     /// Returns at most `limit` tasks of these kinds that were requested before the task `before`, newest
@@ -259,10 +255,9 @@ impl Store {
         limit: u32,
         before: Option<TaskId>,
     ) -> StoreResult<Vec<TaskRow>> {
-        const OPERATION: &str = "listing tasks";
         let before = before.map(|id| id.to_string());
         let reading = sqlx::query(sql).bind(names(kinds)).bind(limit).bind(before);
-        self.rows(OPERATION, reading, TaskRow::read).await
+        self.rows("listing tasks", reading, TaskRow::read).await
     }
 
     /// Returns the completed evaluations that scored this model, newest first.
@@ -270,13 +265,12 @@ impl Store {
     /// # Errors
     /// `Sql` or `Unreadable` if the read fails.
     pub async fn evaluations_of(&self, model: &ModelId) -> StoreResult<Vec<TaskRow>> {
-        const OPERATION: &str = "reading a model's evaluations";
         let query = sqlx::query(
             "SELECT * FROM tasks WHERE kind = 'evaluation' AND state = 'done'
                  AND EXISTS (SELECT 1 FROM json_each(result, '$.models') WHERE value = ?1)
              ORDER BY id DESC",
         )
         .bind(model.as_str());
-        self.rows(OPERATION, query, TaskRow::read).await
+        self.rows("reading a model's evaluations", query, TaskRow::read).await
     }
 }

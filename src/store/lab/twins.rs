@@ -113,7 +113,6 @@ impl Store {
     /// # Errors
     /// `Sql`, `Late` or `Closed` if the write fails.
     pub async fn twin_model(&self, new: NewTwinModel) -> StoreResult<TwinModelId> {
-        const OPERATION: &str = "storing a model";
         let query = sqlx::query(
             "INSERT INTO twin_models
                  (hash, sensor_sha256, calibration_id, version, git_commit, created_at)
@@ -126,7 +125,7 @@ impl Store {
         .bind(new.version)
         .bind(new.git_commit)
         .bind(self.now_text());
-        let id = self.inner.writer.returned(OPERATION, query, |c| c.get("id")).await?;
+        let id = self.inner.writer.returned("storing a model", query, |c| c.get("id")).await?;
         Ok(TwinModelId(id))
     }
 
@@ -135,18 +134,17 @@ impl Store {
     /// # Errors
     /// `Sql` or `Unreadable` if the read fails.
     pub async fn twin_model_of(&self, hash: &str) -> StoreResult<Option<NewTwinModel>> {
-        const OPERATION: &str = "reading a model";
         let query = sqlx::query("SELECT * FROM twin_models WHERE hash = ?1").bind(hash);
         let read = |c: &Columns<'_>| {
             Ok(NewTwinModel {
                 hash: c.get("hash")?,
                 sensor_sha256: c.get("sensor_sha256")?,
-                calibration_id: c.id_or_none("calibration_id")?,
+                calibration_id: c.word_or_none("calibration_id")?,
                 version: c.get("version")?,
                 git_commit: c.get("git_commit")?,
             })
         };
-        self.row(OPERATION, query, read).await
+        self.row("reading a model", query, read).await
     }
 
     /// Returns at most `limit` trials of a run without a twin of this model, with their voltages, in
@@ -203,7 +201,6 @@ impl Store {
     /// # Errors
     /// `Damaged` if a frame differs from its checksum; `Sql` or `Unreadable` if the read fails.
     pub async fn twins_of(&self, model: TwinModelId, trials: &[TrialId]) -> StoreResult<Vec<Twin>> {
-        const OPERATION: &str = "reading twins";
         let trials: Vec<i64> = trials.iter().map(|trial| trial.0).collect();
         let query = sqlx::query(
             "SELECT w.trial, w.rmse_v, w.fvu, w.failure, s.voltages_v, s.crc32
@@ -226,7 +223,7 @@ impl Store {
             };
             Ok(Twin { trial, outcome })
         };
-        self.rows(OPERATION, query, read).await
+        self.rows("reading twins", query, read).await
     }
 
     /// Returns the progress of the twins of a run with this model.
@@ -258,12 +255,11 @@ impl Store {
     /// # Errors
     /// `Sql` or `Unreadable` if the read fails.
     pub async fn runs_with_trials(&self) -> StoreResult<Vec<RunUid>> {
-        const OPERATION: &str = "reading the runs with trials";
         let query = sqlx::query(
             "SELECT uid FROM runs r WHERE EXISTS (SELECT 1 FROM trials t WHERE t.run = r.scan_id)
              ORDER BY scan_id DESC",
         );
-        self.rows(OPERATION, query, |c| c.uid("uid")).await
+        self.rows("reading the runs with trials", query, |c| c.uid("uid")).await
     }
 
     /// Returns the fit of each trial of a run by the newest model with a twin of it, in the order of

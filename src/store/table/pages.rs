@@ -149,12 +149,11 @@ impl Store {
     /// # Errors
     /// `Damaged` if it differs from its checksum; `Sql` or `Unreadable` if the read fails.
     pub async fn trial_voltages(&self, trial: TrialId) -> StoreResult<Option<Vec<f32>>> {
-        const OPERATION: &str = "reading a trial's voltages";
         let query = sqlx::query("SELECT voltages_v, crc32 FROM trial_voltages WHERE trial = ?1")
             .bind(trial.0);
         let of = || format!("trial {}", trial.0);
         let read = |c: &Columns<'_>| checksum::volts(c, "voltages_v", "crc32", of);
-        Ok(self.row(OPERATION, query, read).await?.flatten())
+        Ok(self.row("reading a trial's voltages", query, read).await?.flatten())
     }
 
     /// Returns the raw frames of a trial, in the order of measurement; empty if the trial is not stored.
@@ -162,10 +161,9 @@ impl Store {
     /// # Errors
     /// `Damaged` if a frame differs from its checksum; `Sql` or `Unreadable` if the read fails.
     pub async fn frames(&self, trial: TrialId) -> StoreResult<Vec<FrameRecord>> {
-        const OPERATION: &str = "reading a trial's frames";
         let query = sqlx::query("SELECT * FROM frames WHERE trial = ?1 ORDER BY n").bind(trial.0);
         let of = || format!("trial {}", trial.0);
-        self.rows(OPERATION, query, |c| checksum::frame(c, of)).await
+        self.rows("reading a trial's frames", query, |c| checksum::frame(c, of)).await
     }
 
     /// Returns the query plan of SQLite for the ids of a page, one line per step.

@@ -2,9 +2,8 @@
 //! stored trial is damage.
 //! Uses: `store`. Never: a file of 1024 trials (ids are skipped instead).
 
-use super::task_queue::execute;
 use super::twins::{frame, model};
-use super::{Folder, hex_trial, new_run, open};
+use super::{Folder, execute, findings, hex_trial, new_run, open};
 use crate::ids::{RunUid, TrialId, TrialKey};
 use crate::journal::Journal;
 use crate::record::Flag;
@@ -160,9 +159,7 @@ async fn a_bound_that_excludes_a_stored_trial_is_found() {
         let (store, _) = filled(&folder).await;
         assert_eq!(store.examine(1).await.unwrap(), Soundness::Sound);
         execute(&store, change).await;
-        let Soundness::Damaged(findings) = store.examine(1).await.unwrap() else {
-            panic!("{change}")
-        };
+        let findings = findings(&store).await;
         let [finding] = &findings[..] else { panic!("{change}: {findings:?}") };
         assert!(finding.contains(&format!("the trials {block} ")), "{change}: {finding}");
     }

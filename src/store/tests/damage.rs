@@ -6,9 +6,8 @@ use std::collections::{BTreeMap, BTreeSet};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use sqlx::Connection;
-use sqlx::sqlite::SqliteConnectOptions;
 
-use super::{Folder, fresh, hex_trial, new_run, now, open};
+use super::{Folder, execute, findings, fresh, hex_trial, new_run, now, open};
 use crate::clock::Clock;
 use crate::core::store::PAGE_BYTES;
 use crate::ids::{RunUid, TrialId, TrialKey};
@@ -195,8 +194,7 @@ async fn a_key_that_changed_in_its_index_alone_is_found() {
 
 /// Changes one count of the first frame of the trial, outside the store.
 async fn change_count(folder: &Folder, trial: TrialId) {
-    let options = SqliteConnectOptions::new().filename(folder.file());
-    let mut behind = sqlx::SqliteConnection::connect_with(&options).await.unwrap();
+    let mut behind = folder.behind().await;
     let counts: Vec<u8> = sqlx::query_scalar("SELECT counts FROM frames WHERE trial = ?1")
         .bind(trial.0)
         .fetch_one(&mut behind)
@@ -223,7 +221,7 @@ async fn a_frame_that_changed_is_named_by_its_trial() {
     // Older than the examined trials.
     assert_eq!(store.examine(3).await.unwrap(), Soundness::Sound);
     assert_eq!(store.soundness(), Soundness::Sound);
-    let Soundness::Damaged(findings) = store.examine(2000).await.unwrap() else { panic!() };
+    let findings = findings(&store).await;
     let [finding] = &findings[..] else { panic!("{findings:?}") };
     assert!(finding.contains("trial 60"), "{finding}");
     assert_eq!(store.soundness(), Soundness::Damaged(findings));
@@ -251,16 +249,8 @@ async fn whatever_of_a_trial_changes_is_found_where_it_is_read() {
         let folder = Folder::new();
         filled(&folder).await;
         let store = open(&folder.file()).await;
-        store
-            .write("damaging", async move |c| {
-                sqlx::query(change).execute(c).await.unwrap();
-                Ok(())
-            })
-            .await
-            .unwrap();
-        let Soundness::Damaged(findings) = store.examine(2000).await.unwrap() else {
-            panic!("{change}")
-        };
+        execute(&store, change).await;
+        let findings = findings(&store).await;
         assert!(findings.len() == 1 && findings[0].contains("trial 9"), "{change}: {findings:?}");
     }
 }
@@ -296,9 +286,7 @@ async fn whatever_column_of_the_trials_table_changes_is_found() {
             _ => format!("coalesce({name}, 0) + 100"),
         };
         change(format!("UPDATE trials SET {name} = {other} WHERE id = 9")).await;
-        let Soundness::Damaged(findings) = store.examine(2000).await.unwrap() else {
-            panic!("{name}")
-        };
+        let findings = findings(&store).await;
         assert!(findings.len() == 1 && findings[0].contains("trial 9"), "{name}: {findings:?}");
         let original = format!("(SELECT {name} FROM original)");
         change(format!("UPDATE trials SET {name} = {original} WHERE id = 9")).await;
@@ -311,12 +299,7 @@ async fn a_reference_press_that_changed_is_found_where_it_is_read() {
     let folder = Folder::new();
     let run = filled(&folder).await;
     let store = open(&folder.file()).await;
-    let change = "UPDATE reference_presses SET device_time_us = 1";
-    let damaging = async move |c: &mut sqlx::SqliteConnection| {
-        sqlx::query(change).execute(c).await.unwrap();
-        Ok(())
-    };
-    store.write("damaging", damaging).await.unwrap();
+    execute(&store, "UPDATE reference_presses SET device_time_us = 1").await;
     let error = store.references(run).await.unwrap_err();
     assert!(error.to_string().contains("reference press 1"), "{error}");
 }
@@ -326,14 +309,12 @@ async fn trials_of_before_the_checksums_are_read_as_they_are() {
     let folder = Folder::new();
     let run = filled(&folder).await;
     let store = open(&folder.file()).await;
-    let forget = async |c: &mut sqlx::SqliteConnection| {
-        for table in ["trials", "trial_voltages", "frames", "reference_presses"] {
-            let sql = sqlx::AssertSqlSafe(format!("UPDATE {table} SET crc32 = NULL"));
-            sqlx::query(sql).execute(&mut *c).await.unwrap();
-        }
-        Ok(())
-    };
-    store.write("forgetting", forget).await.unwrap();
+    execute(
+        &store,
+        "UPDATE trials SET crc32 = NULL; UPDATE trial_voltages SET crc32 = NULL;
+         UPDATE frames SET crc32 = NULL; UPDATE reference_presses SET crc32 = NULL",
+    )
+    .await;
     assert_eq!(store.examine(2000).await.unwrap(), Soundness::Sound);
     assert_eq!(measured(&store, run).await.unwrap().len(), TRIALS as usize);
 }
@@ -438,8 +419,7 @@ async fn tables_that_another_hand_changed_are_refused_with_the_cause() {
     let refusal = async |sql: &'static str| {
         let folder = Folder::new();
         filled(&folder).await;
-        let options = SqliteConnectOptions::new().filename(folder.file());
-        let mut behind = sqlx::SqliteConnection::connect_with(&options).await.unwrap();
+        let mut behind = folder.behind().await;
         sqlx::raw_sql(sql).execute(&mut behind).await.unwrap();
         behind.close().await.unwrap();
         match Store::open(&folder.file(), Clock::new(1.0)).await {

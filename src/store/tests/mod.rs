@@ -30,7 +30,7 @@ use crate::ids::{RunUid, TrialKey};
 use crate::record::{
     ArmReading, Flag, FrameQuality, FrameRecord, PlacedContact, Pose, TrialRecord, TrialScalars,
 };
-use crate::{Label, NewRun, RunKind, Store};
+use crate::{Label, NewRun, RunKind, Soundness, Store};
 
 /// A temporary folder, removed at the end of its test.
 struct Folder(TempDir);
@@ -44,10 +44,15 @@ impl Folder {
         self.0.path().join("palpate.sqlite")
     }
 
+    /// Opens the file behind the store, or makes it.
+    async fn behind(&self) -> SqliteConnection {
+        let options = SqliteConnectOptions::new().filename(self.file()).create_if_missing(true);
+        SqliteConnection::connect_with(&options).await.unwrap()
+    }
+
     /// Makes the file as the version before the migration of this number had it, and opens it.
     async fn file_before(&self, migration: i64) -> SqliteConnection {
-        let options = SqliteConnectOptions::new().filename(self.file()).create_if_missing(true);
-        let mut file = SqliteConnection::connect_with(&options).await.unwrap();
+        let mut file = self.behind().await;
         let folder = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../migrations"));
         let mut before = Migrator::new(folder).await.unwrap();
         before.migrations.to_mut().retain(|known| known.version < migration);
@@ -65,6 +70,23 @@ async fn fresh() -> (Folder, Store) {
     let folder = Folder::new();
     let store = open(&folder.file()).await;
     (folder, store)
+}
+
+/// Carries out statements behind the functions of the store.
+async fn execute(store: &Store, sql: &'static str) {
+    let executing = store.write("changing the tables of a test", async move |c| {
+        sqlx::raw_sql(sql).execute(c).await.unwrap();
+        Ok(())
+    });
+    executing.await.unwrap();
+}
+
+/// What an examination finds in a damaged file.
+async fn findings(store: &Store) -> Vec<String> {
+    match store.examine(2000).await.unwrap() {
+        Soundness::Damaged(findings) => findings,
+        other => panic!("{other:?}"),
+    }
 }
 
 fn now() -> Timestamp {

@@ -8,9 +8,10 @@ use parking_lot::Mutex;
 use serde_json::json;
 use sqlx::Connection;
 
-use super::{Folder, fresh, new_run, now, open, time};
+use super::{Folder, execute, fresh, hex_trial, new_run, now, open, time};
 use crate::core::store::Inner;
 use crate::journal::{ExitStatus, Journal, Mounting};
+use crate::record::TrialRecord;
 use crate::state::{StateChange, StoredState};
 use crate::{KeyRing, NewAction, Role, RunKind, Store, StoreError};
 
@@ -130,6 +131,26 @@ async fn tips_are_not_known_after_a_manual_run() {
     assert_eq!(store.last_mounted().await.unwrap(), None);
     store.mounted(&said, after).await.unwrap();
     assert_eq!(store.last_mounted().await.unwrap(), Some(said), "entered again");
+}
+
+#[tokio::test]
+async fn tips_are_not_known_after_a_manual_run_although_the_clock_was_set_back() {
+    let (_folder, store) = fresh().await;
+    let said = Mounting { tips: 4, live_cells: 4, who: "Ada".into() };
+    let (early, late) = (time("2026-11-20T18:00:00Z"), time("2026-11-20T20:00:00Z"));
+    let run = store.create_run(new_run(RunKind::RealRandom)).await.unwrap().uid;
+    let mount = async || {
+        store.mounted(&said, late).await.unwrap();
+        store.event(None, "tips", json!({}), late).await.unwrap();
+    };
+    mount().await;
+    assert_eq!(store.last_mounted().await.unwrap(), Some(said.clone()));
+    store.run_state(run, StateChange::to(StoredState::Running), early).await.unwrap();
+    store.event(Some(run), "state", json!({}), early).await.unwrap();
+    store.end_run(run, ExitStatus::Success, "every trial", early).await.unwrap();
+    assert_eq!(store.last_mounted().await.unwrap(), None);
+    mount().await;
+    assert_eq!(store.last_mounted().await.unwrap(), Some(said));
 }
 
 /// The records of the campaign wait for a disk that hangs; all other callers give up after 30 s.
@@ -299,4 +320,23 @@ async fn the_lock_has_one_holder() {
     assert_eq!(store.clear_lock().await.unwrap(), Some(again));
     assert_eq!(store.clear_lock().await.unwrap(), None);
     store.set_lock("Bob", "mine").await.unwrap();
+}
+
+#[tokio::test]
+async fn a_lock_is_not_earlier_than_what_it_holds_up_although_the_clock_was_set_back() {
+    let (_folder, store) = fresh().await;
+    let waits = store.enqueue(new_run(RunKind::RealHex)).await.unwrap().uid;
+    let driven = store.create_run(new_run(RunKind::RealHex)).await.unwrap().uid;
+    store.set_waiting(waits).await.unwrap();
+    let since = "UPDATE runs SET waiting_since = '2099-11-20T18:00:00.000Z' \
+                 WHERE waiting_since IS NOT NULL";
+    execute(&store, since).await;
+    let lock = store.set_lock("Ada", "hands").await.unwrap();
+    assert_eq!(lock.since, time("2099-11-20T18:00:00Z"));
+    store.clear_waiting(waits).await.unwrap();
+    assert!(store.set_lock("Ada", "hands").await.unwrap().since < time("2090-01-01T00:00:00Z"));
+    let measured_at = time("2099-11-20T18:00:02.004Z");
+    let trial = TrialRecord { measured_at, ..hex_trial(0, 0, &[5.0]) };
+    store.trial(driven, &trial).await.unwrap();
+    assert_eq!(store.set_lock("Ada", "hands").await.unwrap().since, measured_at);
 }

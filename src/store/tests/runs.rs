@@ -1,12 +1,12 @@
 //! Runs and the queue: numbers, provenance, states, ends, order.
 //! Uses: `store`, `journal`. Never: trials (see `trials.rs`).
 
-use super::{fresh, hex_trial, new_run, now, open, time};
+use super::{execute, findings, fresh, hex_trial, new_run, now, open, time};
 use crate::ids::RunUid;
 use crate::journal::{ExitStatus, Journal};
 use crate::state::{PausedWhy, StateChange, StoredState};
 use crate::table::RUN_COLUMNS;
-use crate::{Condition, Label, NewRun, RunKind, Soundness, StoreError};
+use crate::{Condition, Label, NewRun, RunKind, StoreError};
 
 #[tokio::test]
 async fn a_run_keeps_its_provenance() {
@@ -331,15 +331,9 @@ async fn a_plan_is_kept_once_and_read_with_its_digest() {
     assert_eq!(store.plan_of(older.uid).await.unwrap().as_deref(), Some("{\"steps\":[2]}"));
     assert!(matches!(store.plan_of(RunUid::new()).await, Err(StoreError::NoSuchRun(_))));
 
-    store
-        .write("changing a plan", async |c| {
-            sqlx::query("UPDATE plans SET plan = '{}'").execute(c).await.unwrap();
-            Ok(())
-        })
-        .await
-        .unwrap();
+    execute(&store, "UPDATE plans SET plan = '{}'").await;
     let damaged = store.plan_of(first.uid).await.unwrap_err().to_string();
     assert!(damaged.contains("was changed after it was stored"), "{damaged}");
-    let Soundness::Damaged(findings) = store.examine(1).await.unwrap() else { panic!() };
+    let findings = findings(&store).await;
     assert!(findings[0].starts_with("the plan "), "{findings:?}");
 }

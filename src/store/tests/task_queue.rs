@@ -9,7 +9,7 @@ use parking_lot::Mutex;
 use serde_json::json;
 use tokio::task::JoinHandle;
 
-use super::{fresh, open};
+use super::{execute, fresh, open};
 use crate::ids::TaskId;
 use crate::{Store, TaskEnd, TaskKind, TaskQueue, TaskRow, TaskState};
 
@@ -77,14 +77,6 @@ async fn in_state(store: &Store, id: TaskId, state: TaskState) -> TaskRow {
         }
     };
     tokio::time::timeout(PATIENCE, waiting).await.unwrap()
-}
-
-pub(super) async fn execute(store: &Store, sql: &'static str) {
-    let executing = store.write("changing the tables of a test", async move |c| {
-        sqlx::raw_sql(sql).execute(c).await.unwrap();
-        Ok(())
-    });
-    executing.await.unwrap();
 }
 
 #[tokio::test]

@@ -3,7 +3,7 @@
 
 use std::sync::Arc;
 
-use super::{Folder, fresh, hex_trial, new_run, now, random_trial, time};
+use super::{Folder, execute, fresh, hex_trial, new_run, now, random_trial, time};
 use crate::ids::{RunUid, TrialId, TrialKey};
 use crate::journal::Journal;
 use crate::record::{
@@ -360,12 +360,7 @@ async fn a_trial_has_the_untouched_skin_that_was_measured_last_before_it() {
     assert_eq!(all, [skin(60, 1.0), skin(2, 2.0)]);
     let nothing = Untouched { voltages_v: vec![f32::NAN], ..skin(1, 0.0) };
     assert!(store.untouched(run, &nothing).await.unwrap_err().refused);
-    let damage = async |c: &mut sqlx::SqliteConnection| {
-        let change = "UPDATE untouched_frames SET voltages_v = zeroblob(12)";
-        sqlx::query(change).execute(c).await.unwrap();
-        Ok(())
-    };
-    store.write("damaging", damage).await.unwrap();
+    execute(&store, "UPDATE untouched_frames SET voltages_v = zeroblob(12)").await;
     let error = store.untouched_before(&[early]).await.unwrap_err().to_string();
     assert!(error.contains("the untouched skin 2 was changed"), "{error}");
 }

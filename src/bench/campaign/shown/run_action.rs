@@ -27,7 +27,8 @@ pub enum ActionOnRun {
     Resume,
     /// Finish the trial, raise the tips, end the run.
     Stop,
-    /// Raise the tips now, end the run. An interrupted run ends without motion.
+    /// Raise the tips now, end the run. An interrupted run ends without motion; one that waits for its turn does not
+    /// begin by itself any more.
     Abort,
     /// Confirm the work that the run waits for: a tip change or a placement. A placement that the
     /// skin contradicts is refused, unless `anyway` is true.

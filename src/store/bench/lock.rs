@@ -1,14 +1,14 @@
 //! The operator lock, which prevents starting and editing but never stopping.
-//! Uses: `core::writer`. Never: the rig lock, the file with which one process holds the rig.
+//! Uses: `core`. Never: the rig lock, the file with which one process holds the rig.
 
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 use sqlx::sqlite::{SqliteConnection, SqliteRow};
 use utoipa::ToSchema;
 
-use super::columns::Columns;
-use super::keys::{KEYLESS, KEYLESS_SUFFIX};
-use super::{During, Store, StoreError, StoreResult};
+use crate::core::columns::Columns;
+use crate::core::keys::{KEYLESS, KEYLESS_SUFFIX};
+use crate::core::{During, Store, StoreError, StoreResult};
 use crate::plain::violated;
 
 /// Longest name of a holder, with the mark of one without a key.
@@ -23,9 +23,18 @@ pub struct LockRow {
     pub holder: String,
     /// Note of the holder.
     pub note: String,
-    /// Wall time at which it was taken.
+    /// Wall time at which it was taken; not before what it holds up, if the clock was set back.
     pub since: Timestamp,
 }
+
+/// What a lock must hold up is not later than it, although the wall clock was set back: starts that wait, and the
+/// beginnings and last trials of open runs.
+const NEWEST_HELD_UP: &str = "SELECT max(at) FROM (
+    SELECT waiting_since AS at FROM runs
+    UNION ALL SELECT started_at FROM runs WHERE state NOT IN ('queued', 'ended', 'removed')
+    UNION ALL SELECT (SELECT measured_at FROM trials INDEXED BY trials_in_order
+            WHERE run = runs.scan_id ORDER BY id DESC LIMIT 1)
+        FROM runs WHERE state NOT IN ('queued', 'ended', 'removed'))";
 
 impl LockRow {
     /// Whether the lock was taken without a key.
@@ -61,6 +70,11 @@ impl Store {
             {
                 return Err(StoreError::LockHeld { holder: held.holder, note: held.note });
             }
+            let newest: Option<String> = sqlx::query_scalar(NEWEST_HELD_UP)
+                .fetch_one(&mut *connection)
+                .await
+                .during(OPERATION)?;
+            let since = newest.filter(|newest| *newest > now).unwrap_or(now);
             let row = sqlx::query(
                 "INSERT INTO operator_lock (id, holder, note, since) VALUES (1, ?1, ?2, ?3)
                  ON CONFLICT (id) DO UPDATE SET note = ?2, since = ?3
@@ -68,7 +82,7 @@ impl Store {
             )
             .bind(holder)
             .bind(note)
-            .bind(now)
+            .bind(since)
             .fetch_one(connection)
             .await
             .during(OPERATION)?;
