@@ -1,6 +1,6 @@
 // Actions: who does them, what was refused. Every button of every page acts through here.
 
-import { Refused, once, person, send } from './api.js'
+import { Refused, person, send } from './api.js'
 import { button, el, fill, note, say } from './dom.js'
 import { live, who } from './live.js'
 import { lockWords, locked } from './lock.js'
@@ -15,6 +15,8 @@ export function modal(box) {
     const { left, right, top, bottom } = stop.getBoundingClientRect()
     if (target === box && clientX >= left && clientX <= right && clientY >= top && clientY <= bottom) press()
   })
+  // The key that opened the dialog may be held still: its repetitions must not press the button that has the focus.
+  box.addEventListener('keydown', event => { if (event.repeat && event.key === 'Enter') event.preventDefault() })
   box.append(el('div', { className: 'row over' }, button('Stop the rig', press, { className: 'stop' })))
   document.body.append(box)
   box.showModal()
@@ -42,9 +44,14 @@ export function confirm(title, words, verb = 'Continue', holds = () => true) {
   return new Promise(resolve => {
     const over = new AbortController()
     let sure = false
+    const agree = ({ detail }) => {
+      if (detail > 1) return // The second click of a double click, whose first one opened the dialog.
+      sure = true
+      box.close()
+    }
     const box = el('dialog', { 'aria-label': title, onclose: () => { over.abort(); box.remove(); resolve(sure) } }, el('h2', {}, title),
       [words].flat().map(text => typeof text === 'string' ? el('p', {}, text) : text),
-      el('div', { className: 'row' }, button(verb, () => { sure = true; box.close() }, { className: 'main' }), button('Cancel', () => box.close(), { className: 'plain' })))
+      el('div', { className: 'row' }, button(verb, agree, { className: 'main' }), button('Cancel', () => box.close(), { className: 'plain' })))
     modal(box)
     live.on('status', ({ status }) => holds(status) || box.close(), over.signal)
   })
@@ -80,10 +87,11 @@ export function outcome() {
  */
 export function actor(words, said, work, { role = 'operator', locks = role === 'operator', seen = () => undefined, sure = () => true, ...props } = {}) {
   const node = button(words, async () => {
+    if (node.dataset.busy) return // Who enables it again meanwhile would allow a second request.
     const what = seen()
     if (!await sure() || !await named()) return
     node.disabled = true
-    node.dataset.busy = 'yes' // Who enables it again meanwhile would allow a second request.
+    node.dataset.busy = 'yes'
     try { await said.run(props.what ?? words, () => work(what)) } finally { delete node.dataset.busy; node.disabled = false }
   }, props)
   return only(role, locks ? locked(node, said.tell) : node)
@@ -98,8 +106,11 @@ live.addEventListener('caller', () => { document.documentElement.dataset.caller 
 
 /** An action on a run. */
 export const actOnRun = (run, action, more = {}) => send(`/runs/${run}/actions`, { action, who: who(), ...more }, { wait: 15_000 })
-/** An action on the rig. Homing is not repeated after a failed connection: the axes must not move long after the press. */
-export const actOnRig = (action, more = {}) => (action === 'home' ? send : once)('/rig/actions', { action, who: who(), ...more }, { wait: action === 'home' ? 4000 : 15_000 })
+/**
+ * An action on the rig, sent once: after a failed connection no axis moves, nothing is tared, and no stop that another
+ * person pressed since is reset long after the press.
+ */
+export const actOnRig = (action, more = {}) => send('/rig/actions', { action, who: who(), ...more }, { wait: action === 'home' ? 4000 : 15_000 })
 
 /** Why the rig or its run would refuse an action on the rig now, in the service's words; '' if they would not. */
 export const refusal = ({ rig_actions }, action) => {

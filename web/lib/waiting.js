@@ -111,24 +111,24 @@ export function waiting({ said, go, signal }) {
   }
 
   // The rows: read with the tag of what is shown, drawn again only if they changed.
-  let reading = null
+  let asked = 0
   let fails = ''
-  const refresh = () =>
-    (reading ??= read().finally(() => {
-      reading = null
-    }))
-  async function read() {
+  async function refresh() {
+    const mine = (asked += 1)
+    const isOver = () => signal.aborted || mine !== asked // What was asked later, as after a move, shows what is newer.
     try {
       const answer = await ask('/api/v1/queue', { signal, headers: tag ? { 'if-none-match': tag } : {} })
+      const items = answer.status === 304 ? null : (await answer.json()).items
+      if (isOver()) return
       fails = ''
-      if (answer.status !== 304) {
+      if (items) {
         tag = answer.headers.get('etag') ?? ''
-        draw((await answer.json()).items)
+        draw(items)
       }
       times()
-      await predict()
+      await predict(isOver)
     } catch (error) {
-      if (signal.aborted) return
+      if (isOver()) return
       fails = `The queue could not be read: ${error.message}.`
     }
     times()
@@ -141,15 +141,16 @@ export function waiting({ said, go, signal }) {
     drag.attach()
     if (focus) list.node.querySelector(`[data-key="${focus}"]`)?.focus()
   }
-  async function predict() {
+  async function predict(isOver) {
     const ms = text => (text == null ? null : Date.parse(text))
     let times = null
     try {
       times = await get('/queue/times', {}, { signal, wait: 30_000 })
     } catch (error) {
-      fails = `The times could not be predicted: ${error.message}.`
+      if (!isOver()) fails = `The times could not be predicted: ${error.message}.`
       return
     }
+    if (isOver()) return
     predicted = new Map(times.items.map(one => [one.run, { ...one, begin: ms(one.begin), end: ms(one.end), low: ms(one.low), high: ms(one.high) }]))
   }
 

@@ -198,11 +198,12 @@ export async function show(root, { query, signal, set }) {
   async function readProgress() {
     const of = run ?? last
     if (!of || !tour) return
+    const stored = live.status?.run?.trials_stored ?? -1 // What is stored while this is read may be missing in it.
     try {
       const read = await get(`/runs/${of.scan_id}/progress`, {}, { signal, wait: 20_000 })
       if (of.uid !== (run ?? last)?.uid) return
       progress = read
-      storedThen = live.status?.run?.trials_stored ?? -1
+      storedThen = stored
     } catch (error) { if (!signal.aborted && of.uid === (run ?? last)?.uid) say(skinWords, `The progress could not be read: ${error.message}`) }
     if (signal.aborted || !tour || of.uid !== (run ?? last)?.uid) return
     map.set(tour, progress, shape, !run)

@@ -3,7 +3,7 @@
 
 import { hold } from '../lib/address.js'
 import { get, person } from '../lib/api.js'
-import { actOnRig, actOnRun, actor, confirm, named, outcome, runButtons, runRefusal } from '../lib/actions.js'
+import { actOnRig, actOnRun, actor, confirm, named, only, outcome, runButtons, runRefusal } from '../lib/actions.js'
 import { button, el, fill, note, pane, say, sleep } from '../lib/dom.js'
 import { fold } from '../lib/fold.js'
 import { age, count, counted, countOf, span } from '../lib/format.js'
@@ -68,9 +68,9 @@ function placing(signal) {
   const head = el('span', { className: 'big' }), resting = el('span', { className: 'soft' }), bar = el('progress'), weights = el('ol', { className: 'weights' })
   const words = el('p', { className: 'verdict', role: 'status' }), refusal = el('p', { className: 'verdict bad', role: 'alert', hidden: true }),
     hint = el('p', { className: 'soft' })
-  const done = button('Done', () => press(false), { className: 'main done' })
-  const anyway = button('Store anyway', storeAnyway, { className: 'danger', hidden: true })
-  const again = button('Repeat the last one', repeat)
+  const done = only('operator', button('Done', () => press(false), { className: 'main done' }))
+  const anyway = only('operator', button('Store anyway', storeAnyway, { className: 'danger', hidden: true }))
+  const again = only('operator', button('Repeat the last one', repeat))
   const zero = el('span', { className: 'soft' }), tare = actor('Tare the empty skin', said, () => actOnRig('tare'))
   const by = el('p', { className: 'soft small' }), buttons = runButtons(said, { without: ['confirm'] })
   const node = el('div', { className: 'placing live' }, pane(view.node), el('section', { 'aria-label': 'What to do now' },
@@ -79,7 +79,7 @@ function placing(signal) {
     el('div', { className: 'row' }, tare, zero), el('div', { className: 'row' }, again, buttons.node), said.node, by,
     fold('overlay', 'Overlay to print', { signal }, overlay())))
   const now = () => state.placement?.contacts.find(({ number }) => number === (state.chosen ?? present(state.placement)))
-  live.on('status', buttons.show, signal)
+  for (const kind of ['status', 'fresh']) live.on(kind, buttons.show, signal)
   const write = hold('weight', { take: text => { state.chosen = Number(text) || null; draw() }, text: () => state.chosen && String(state.chosen), signal })
 
   function describe() {
@@ -91,7 +91,7 @@ function placing(signal) {
 
   function take(placement) {
     const other = placement.trial !== state.placement?.trial || placement.run !== state.placement?.run
-    if (placement.run !== state.placement?.run) sensorOf(placement.run).then(view.geometry, () => {})
+    if (placement.run !== state.placement?.run) sensorOf(placement.run).then(shape => placement.run === state.placement.run && view.geometry(shape), () => {})
     // The weight of the address is that of the placement at which the page was opened.
     if (other) Object.assign(state, { chosen: state.placement ? null : state.chosen, refused: '' })
     if (!placement.contacts.some(({ number }) => number === state.chosen)) state.chosen = null
@@ -123,7 +123,6 @@ function placing(signal) {
     done.disabled = Boolean(why) || busy
     anyway.hidden = !state.refused && placement.verdict?.kind !== 'wrong' || busy
     anyway.disabled = done.disabled
-    for (const one of [done, anyway, again]) one.classList.toggle('denied', !live.may('operator'))
     say(hint, !live.may('operator') ? 'You see what is asked. To confirm it you need the key of an operator.' : why
       || (busy ? 'The next placement appears by itself.' : `${STAGES.place} Keys: Enter, Space, Page Down.`))
     const refused = live.status?.run ? runRefusal(live.status, 'repeat') : ''

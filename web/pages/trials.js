@@ -100,9 +100,8 @@ export async function show(root, { query, signal, set, go }) {
       note(said, '')
     } catch (error) {
       if (mine.signal.aborted) return
-      note(said, `The selection was refused: ${error.message}`)
+      note(said, `The trials could not be read: ${error.message}`)
       if (rows.length) said.scrollIntoView({ block: 'nearest' }) // The button is below the rows.
-      next = null
     }
     more.disabled = false
     more.hidden = !next || rows.length >= ROWS_MOST
@@ -237,6 +236,7 @@ export async function show(root, { query, signal, set, go }) {
       row = await read(id)
     } catch (error) {
       if (open === id && !signal.aborted) {
+        looked = '' // It may be tried again.
         note(trouble, `Trial ${id} cannot be shown: ${error.message}`)
         view.node.hidden = true
         fill(words)
