@@ -38,7 +38,7 @@ export function named() {
 
 /**
  * Asks before something that cannot be undone; resolves to whether it was confirmed. Never for a stop.
- * It closes, unconfirmed, as soon as a status is no longer one of `holds`.
+ * It closes, unconfirmed, as soon as `holds(status)` is false: it is asked with each status, and when the connection is lost.
  */
 export function confirm(title, words, verb = 'Continue', holds = () => true) {
   return new Promise(resolve => {
@@ -53,7 +53,7 @@ export function confirm(title, words, verb = 'Continue', holds = () => true) {
       [words].flat().map(text => typeof text === 'string' ? el('p', {}, text) : text),
       el('div', { className: 'row' }, button(verb, agree, { className: 'main' }), button('Cancel', () => box.close(), { className: 'plain' })))
     modal(box)
-    live.on('status', ({ status }) => holds(status) || box.close(), over.signal)
+    for (const kind of ['status', 'fresh']) live.on(kind, ({ status }) => status && !holds(status) && box.close(), over.signal)
   })
 }
 
@@ -121,9 +121,9 @@ export const refusal = ({ rig_actions }, action) => {
 /** The same for an action on the active run; `start` is of a run that waits. */
 export const runRefusal = ({ run_actions }, action) => run_actions.find(one => one.action === action)?.refused ?? ''
 
-/** Asks before the axes of a real rig are homed; closes if they may no longer be. */
+/** Asks before the axes of a real rig are homed; closes if they may no longer be, or if the connection is lost. */
 export const sureHome = () => live.status?.rig.label === 'virtual' || confirm('Home the axes?', 'They move. Keep hands and tools away from the rig.', 'Home',
-  status => !refusal(status, 'home'))
+  status => live.fresh && !refusal(status, 'home'))
 
 /**
  * The buttons of the active run: what the service would not refuse now, except for those of `without`. A repetition is
