@@ -106,6 +106,9 @@ export async function once(path, body = {}, options = {}) {
   }
 }
 
+/** The rows of an answer in NDJSON. */
+export const rowsOf = async answer => (await answer.text()).split('\n').filter(Boolean).map(line => JSON.parse(line))
+
 /** All items of a list, page by page, up to `most`. */
 export async function all(path, query = {}, { most = 1000, ...options } = {}) {
   const items = []

@@ -78,7 +78,7 @@ export function jobsPanel({ signal, href, current, onchange }) {
 
 /** Makes the view of one job; ends what it began when another one is shown. */
 export function jobView({ signal, said, models, onstopped }) {
-  return opened({ className: 'job', signal, draw: follow })
+  return opened({ className: 'job', signal, draw: follow, back: ['/nets', 'All nets'] })
 
   async function follow(node, id, mine) {
     const title = el('span', {}),

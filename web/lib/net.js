@@ -6,23 +6,18 @@ import { button, el, facts, fill, link, note, panel, pane } from './dom.js'
 import { bytes, count, counted, fixed, moment } from './format.js'
 import { frame } from './frame.js'
 import { losses } from './losses.js'
-import { opened } from './opened.js'
+import { opened, openedHead } from './opened.js'
 import { save, shows } from './save.js'
 import { contactTable, quantityTables, voltageTable } from './scores.js'
 import { meaning } from './vocabulary.js'
 
 /** Makes the view of one model; ends what it began when another one is shown. `promote(id, slot, sensor)` asks and acts. */
 export function netView({ signal, models, promote }) {
-  return opened({ className: 'net', signal, draw: read })
+  return opened({ className: 'net', signal, draw: read, back: ['/nets', 'All nets'] })
 
   async function read(node, id, mine) {
-    try {
-      const model = await get(`/models/${encodeURIComponent(id)}`, {}, { signal: mine })
-      if (!mine.aborted) draw(node, model, mine)
-    } catch (error) {
-      if (!mine.aborted)
-        fill(node, el('section', {}, el('h2', { className: 'big' }, id), el('p', { className: 'bad' }, error.message), link('/nets', 'All nets')))
-    }
+    const model = await get(`/models/${encodeURIComponent(id)}`, {}, { signal: mine })
+    if (!mine.aborted) draw(node, model, mine)
   }
 
   function draw(node, model, mine) {
@@ -49,12 +44,7 @@ export function netView({ signal, models, promote }) {
     const head = el(
       'section',
       { 'aria-label': model.name },
-      el(
-        'div',
-        { className: 'row spread' },
-        el('h2', { className: 'big' }, el('span', {}, model.name, ' ', el('span', { className: 'soft small' }, model.id))),
-        link('/nets', 'Close')
-      ),
+      openedHead(model.name, model.id, '/nets'),
       el(
         'p',
         {},
