@@ -64,7 +64,7 @@ function preflightWords(preflight) {
 }
 
 /** Who may start a run: { tone, words } for this caller, while the operator lock is free or taken. */
-export function startWords(caller, lock) {
+function startWords(caller, lock) {
   if (lock && lock.holder === caller?.name) return { tone: 'soft', words: 'You have the operator lock: others cannot start a run until you release it.' }
   if (lock) return { tone: 'warn', words: `${lock.holder} has the operator lock since ${moment(lock.since)}: ${lock.note}. Others cannot start a run until it is released.` }
   if (!caller) return { tone: 'soft', words: 'Runs are started by callers with the role operator or admin.' }

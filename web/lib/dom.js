@@ -82,6 +82,12 @@ export function select(choices, value, onchange, props = {}) {
   return el('select', { onchange: event => onchange(event.target.value), ...props }, choices.map(option))
 }
 
+/** Gives a select a value; one that is no choice of it becomes one. */
+export function choose(node, value) {
+  if (![...node.options].some(option => option.value === value)) node.append(el('option', { value }, value))
+  node.value = value
+}
+
 /** Calls `draw` once before the next picture, however often it is asked for. */
 export function soon(draw) {
   let asked = 0

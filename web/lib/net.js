@@ -8,7 +8,7 @@ import { frame } from './frame.js'
 import { losses } from './losses.js'
 import { opened, openedHead } from './opened.js'
 import { save, shows } from './save.js'
-import { contactTable, quantityTables, voltageTable } from './scores.js'
+import { scoreTables } from './scores.js'
 import { meaning } from './vocabulary.js'
 
 /** Makes the view of one model; ends what it began when another one is shown. `promote(id, slot, sensor)` asks and acts. */
@@ -93,15 +93,10 @@ export function netView({ signal, models, promote }) {
       {},
       manifest.recipe ? el('pre', { tabIndex: 0 }, manifest.recipe.trim()) : el('p', { className: 'soft' }, 'It was added from a file: no recipe is known.')
     )
-    const volts = model.scores.filter(report => report.voltages),
-      touch = model.scores.filter(report => report.contacts),
-      quantities = model.scores.filter(report => report.quantity)
     const scores = panel(
       'Scores',
       { aside: el('span', {}, counted(model.scores.length, 'evaluation')) },
-      volts.length ? voltageTable(volts, models()) : '',
-      touch.length ? contactTable(touch, models()) : '',
-      quantityTables(quantities, models()),
+      scoreTables(model.scores, models()),
       model.scores.length ? '' : el('p', { className: 'soft' }, 'It was not evaluated yet.')
     )
     fill(

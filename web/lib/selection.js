@@ -1,6 +1,6 @@
 // Selections of runs and trials: conditions of the address; those of trials as controls, all others as chips.
 
-import { button, el, field, fill, panel, select } from './dom.js'
+import { button, choose, el, field, fill, panel, select } from './dom.js'
 import { plain } from './format.js'
 import { vocabulary } from './vocabulary.js'
 
@@ -108,8 +108,8 @@ export function selection({ set, said }) {
       }
       for (const [key, control] of Object.entries(controls)) {
         const value = query[key] ?? ''
-        if (control.tagName === 'SELECT' && ![...control.options].some(option => option.value === value)) control.append(el('option', { value }, value))
-        if (document.activeElement !== control || control.tagName === 'SELECT') control.value = value
+        if (control.tagName === 'SELECT') choose(control, value)
+        else if (document.activeElement !== control) control.value = value
       }
       flags.value = query.flag ? `flag=${query.flag}` : query.flagged ? `flagged=${query.flagged}` : ''
       order.value = query.sort === 'trial_id' ? 'trial_id' : ''

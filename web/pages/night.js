@@ -207,7 +207,11 @@ export async function show(root, { query, signal, set }) {
     } catch (error) { if (!signal.aborted && of.uid === (run ?? last)?.uid) say(skinWords, `The progress could not be read: ${error.message}`) }
     if (signal.aborted || !tour || of.uid !== (run ?? last)?.uid) return
     map.set(tour, progress, shape, !run)
-    const chosen = state.configuration == null ? -1 : tour.steps.configuration.indexOf(Number(state.configuration))
+    choose()
+  }
+  /** Marks the configuration of the address. */
+  function choose() {
+    const chosen = state.configuration == null || !tour ? -1 : tour.steps.configuration.indexOf(Number(state.configuration))
     map.choose(chosen < 0 ? null : chosen)
   }
   let reading = ''
@@ -249,8 +253,7 @@ export async function show(root, { query, signal, set }) {
       minutes.value = state.minutes ?? ''
       chart.minutes(Number(state.minutes) || 2)
       for (const part of [data, nightPart, log]) part.update(state)
-      const chosen = state.configuration == null || !tour ? -1 : tour.steps.configuration.indexOf(Number(state.configuration))
-      map.choose(chosen < 0 ? null : chosen)
+      choose()
     },
   }
 }
