@@ -26,7 +26,7 @@ export const eventChoice = (state, set) => select([['', 'Only important ones'], 
 
 /** Makes the log. `state.log` is 'all' or absent (only important ones). */
 export function eventLog({ state, set, signal }) {
-  let made = new Map(), important = [], lacks = '' // Those that matter, further back than the newest of all; and whether these are not known.
+  let made = new Map(), important = [], lacks = '', cut = '' // Those that matter, further back than the newest of all; what is not known, and whether the stream is cut.
   const kept = [], list = el('ol', { className: 'events scroll', tabIndex: 0, 'aria-label': 'Events, newest first' }), line = el('p',
     { className: 'soft small' })
   const choice = eventChoice(state, set)
@@ -37,12 +37,18 @@ export function eventLog({ state, set, signal }) {
     made = new Map(last.map((event, i) => [event, rows[i]]))
     rows.forEach((node, i) => { if (list.children[i] !== node) list.insertBefore(node, list.children[i] ?? null) })
     while (list.children.length > rows.length) list.lastChild.remove()
-    if (lacks && state.log !== 'all') say(line, lacks)
+    if (cut) say(line, cut)
+    else if (lacks && state.log !== 'all') say(line, lacks)
     else if (last.length) say(line, wanted.length > SHOWN ? `The newest ${SHOWN} events.` : '')
     else say(line, kept.length ? 'No important events. Select “All events” to see every one.' : 'No events yet.')
   })
   follow(FOLLOWED, {
-    signal, onevent(event) {
+    signal,
+    onstate(open) {
+      cut = open ? '' : 'Events are not followed now: the connection is tried again.'
+      draw()
+    },
+    onevent(event) {
       kept.push(event)
       if (kept.length > KEPT) kept.splice(0, kept.length - KEPT)
       if (matters(event) && event.seq > (important.at(-1)?.seq ?? 0)) important = [...important.slice(1 - KEPT), event]

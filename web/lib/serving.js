@@ -93,15 +93,19 @@ export function servingPanel({ signal, said, name, onchange }) {
     slots.show([...serves, ...elsewhere])
     past.show(history.slice(0, 20))
   }
+  let asked = 0
   async function read() {
+    const mine = (asked += 1)
     try {
       const answer = await ask('/api/v1/serving', { signal })
+      const found = await answer.json()
+      if (mine !== asked) return // What was asked later, as after a promotion, is newer.
       etag = answer.headers.get('etag')
-      ;({ sensor, serves, elsewhere, history } = await answer.json())
+      ;({ sensor, serves, elsewhere, history } = found)
       note(trouble, '')
       draw()
     } catch (error) {
-      if (!signal.aborted) note(trouble, `The active models cannot be read: ${error.message}`)
+      if (!signal.aborted && mine === asked) note(trouble, `The active models cannot be read: ${error.message}`)
     }
   }
 

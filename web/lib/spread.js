@@ -32,25 +32,22 @@ export async function columnsOf(path, query, columns, { signal }) {
 export function spread({ signal, label, query }) {
   const groups = by => () => withQuery('/api/v1/trials/groups', { ...query(), ...by })
   const common = { time: false, height: 190, signal, label }
+  const bars = { ...common, y: 'Trials', series: [{ name: 'trials', digits: 0, bars: true, fill: true, colour: '--c1' }] }
   const force = chart({
-    ...common,
+    ...bars,
     title: 'Largest force of a trial',
     key: 'largest',
     query: groups({ bin: 'max_force_n:2' }),
     x: 'Largest force',
     xUnit: 'N',
-    y: 'Trials',
-    series: [{ name: 'trials', digits: 0, bars: true, fill: true, colour: '--c1' }],
   })
   const contacts = chart({
-    ...common,
+    ...bars,
     title: 'Contacts of a trial',
     key: 'contacts',
     query: groups({ group_by: 'contact_count' }),
     whole: true,
     x: 'Contacts',
-    y: 'Trials',
-    series: [{ name: 'trials', digits: 0, bars: true, fill: true, colour: '--c1' }],
   })
   const fit = chart({
     ...common,
