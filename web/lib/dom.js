@@ -31,6 +31,14 @@ export function fill(node, ...inside) {
   return node
 }
 
+const drawn = new WeakMap()
+/** Replaces what is in an element by what `draw()` makes, only if `of` differs from that of the last time: a focus in it stays. */
+export function renew(node, of, draw) {
+  const text = JSON.stringify([of])
+  if (drawn.get(node) !== text) fill(node, draw())
+  drawn.set(node, text)
+}
+
 /** Sets a text only if it differs, so that a screen reader is not told again. */
 export function say(node, text) {
   const words = text == null ? '' : String(text)

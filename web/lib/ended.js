@@ -2,7 +2,7 @@
 
 import { get } from './api.js'
 import { beginButton } from './begin.js'
-import { el, facts, fill, link, say } from './dom.js'
+import { el, facts, fill, link, renew, say } from './dom.js'
 import { NONE, about, capital, count, counted, fixed, moment, span } from './format.js'
 import { endWord, largest } from './runwords.js'
 import { meaning } from './vocabulary.js'
@@ -22,7 +22,7 @@ const NEXT = n => [[`/runs?run=${n}`, 'Read its report'], [`/trials?run=${n}`, '
 export function ended({ said, signal }) {
   const head = el('p', { className: 'state' }), why = el('p'), list = el('div'), links = el('div'), begin = el('div'), queued = el('div')
   const node = el('div', {}, head, why, begin, list, links, queued)
-  let shown = '', following = ''
+  let shown = ''
   return {
     node,
     async show(run, progress) {
@@ -48,14 +48,11 @@ export function ended({ said, signal }) {
       fill(links, el('h3', {}, 'What next'), el('p', { className: 'next-links' }, NEXT(n).map(([href, words]) => link(href, words))))
     },
     next(first) {
-      const waits = first && startWords(first), text = JSON.stringify([first, waits])
-      if (text === following) return undefined // It is read again and again: a focus on its button stays.
-      following = text
-      if (!first) return fill(queued)
-      return fill(queued, el('h3', {}, 'Next in the queue'), el('p', {},
+      const waits = first && startWords(first)
+      renew(queued, [first, waits], () => first && [el('h3', {}, 'Next in the queue'), el('p', {},
         `Run ${first.scan_id}, ${first.experiment}, ${counted(first.trials_planned, 'trial')}. ${waits}`),
         el('div', { className: 'row' }, !first.waiting_since && beginButton('Arm and start', first, said, { className: 'main' }),
-          link(`/plan?run=${first.scan_id}`, 'Its plan')))
+          link(`/plan?run=${first.scan_id}`, 'Its plan'))])
     },
   }
 }

@@ -4,7 +4,7 @@
 import { hold } from '../lib/address.js'
 import { get, person } from '../lib/api.js'
 import { actOnRig, actOnRun, actor, confirm, named, only, outcome, runButtons, runRefusal } from '../lib/actions.js'
-import { button, el, fill, note, pane, say, sleep } from '../lib/dom.js'
+import { button, el, fill, note, pane, renew, say, sleep } from '../lib/dom.js'
 import { fold } from '../lib/fold.js'
 import { age, count, counted, countOf, span } from '../lib/format.js'
 import { live, rigLabel, who } from '../lib/live.js'
@@ -138,11 +138,9 @@ function placing(signal) {
 
   function drawWeights(placement) {
     const chosen = now()?.number
-    const key = JSON.stringify([placement.trial, placement.run, chosen, placement.stage,
-      placement.contacts.map(({ number }) => Math.round(feltOf(placement, number)?.distance_mm ?? -1)), placement.verdict?.kind, Boolean(placement.felt)])
-    if (weights.dataset.key === key) return
-    weights.dataset.key = key
-    fill(weights, placement.contacts.map(contact => {
+    const of = [placement.trial, placement.run, chosen, placement.stage,
+      placement.contacts.map(({ number }) => Math.round(feltOf(placement, number)?.distance_mm ?? -1)), placement.verdict?.kind, Boolean(placement.felt)]
+    renew(weights, of, () => placement.contacts.map(contact => {
       const felt = feltOf(placement, contact.number), judged = placement.felt && placement.verdict?.kind !== 'unknown'
       const state_ = !judged ? '' : felt ? felt.contact.force_n == null ? `felt ${Math.round(felt.distance_mm)} mm away`
         : `felt ${Math.round(felt.distance_mm)} mm away, ${newtons(felt.contact.force_n)}` : 'not felt'
