@@ -1,8 +1,7 @@
 // One model in full: what it learned from, its losses, its scores, the residuals of a Transfer-Net, its file.
 
-import { only } from './actions.js'
 import { Refused, ask, get } from './api.js'
-import { button, el, facts, fill, link, note, panel, pane } from './dom.js'
+import { el, facts, fill, link, note, panel, pane } from './dom.js'
 import { bytes, count, counted, fixed, moment } from './format.js'
 import { frame } from './frame.js'
 import { losses } from './losses.js'
@@ -11,8 +10,8 @@ import { save, shows } from './save.js'
 import { scoreTables } from './scores.js'
 import { meaning } from './vocabulary.js'
 
-/** Makes the view of one model; ends what it began when another one is shown. `promote(id, slot, sensor)` asks and acts. */
-export function netView({ signal, models, promote }) {
+/** Makes the view of one model; ends what it began when another one is shown. `promotion(model, props)` makes its button. */
+export function netView({ signal, models, promotion }) {
   return opened({ className: 'net', signal, draw: read, back: ['/nets', 'All nets'] })
 
   async function read(node, id, mine) {
@@ -25,7 +24,7 @@ export function netView({ signal, models, promote }) {
       label = () => manifest.label,
       learned = manifest.trained_on ?? {}
     const size = el('span', {}, '…'),
-      promoting = model.slot && only('operator', button('Promote', () => promote(model.id, model.slot, manifest.sensor), { className: 'main' }))
+      promoting = model.slot && promotion(model, { className: 'main' })
     ask(`/api/v1/models/${model.id}/onnx`, { method: 'HEAD', accept: '*/*', signal: mine }).then(
       answer => {
         size.textContent = bytes(Number(answer.headers.get('content-length')) || null)

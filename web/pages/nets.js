@@ -2,7 +2,7 @@
 
 import { all, get } from '../lib/api.js'
 import { only, outcome } from '../lib/actions.js'
-import { button, el, every, fill, panel } from '../lib/dom.js'
+import { el, every, fill, panel } from '../lib/dom.js'
 import { counted, fixed, moment } from '../lib/format.js'
 import { jobView, jobsPanel } from '../lib/jobs.js'
 import { listing } from '../lib/listing.js'
@@ -35,7 +35,7 @@ export async function show(root, { query, signal, go }) {
       view.show(query.model)
     },
   })
-  const view = netView({ signal, models: () => models, promote: serving.promote })
+  const view = netView({ signal, models: () => models, promotion: serving.promotion })
   const work = jobView({ signal, said, models: () => models, onstopped: () => jobs.read() })
   const href = id => `/nets?job=${id}`
 
@@ -58,11 +58,7 @@ export async function show(root, { query, signal, go }) {
         cell: model =>
           model.serves
             ? el('span', { className: 'good' }, 'serves')
-            : model.slot &&
-              only(
-                'operator',
-                button('Promote', () => serving.promote(model.id, model.slot, model.manifest.sensor), { 'aria-label': `Promote ${model.name}, ${model.id}` })
-              ),
+            : model.slot && serving.promotion(model, { 'aria-label': `Promote ${model.name}, ${model.id}` }),
       },
     ],
   })
