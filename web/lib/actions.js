@@ -107,8 +107,8 @@ live.addEventListener('caller', () => { document.documentElement.dataset.caller 
 /** An action on a run. */
 export const actOnRun = (run, action, more = {}) => send(`/runs/${run}/actions`, { action, who: who(), ...more }, { wait: 15_000 })
 /**
- * An action on the rig, sent once: after a failed connection no axis moves, nothing is tared, and no stop that another
- * person pressed since is reset long after the press.
+ * An action on the rig, sent once: long after the press, no axis must move, nothing must be tared, and no stop that another
+ * person pressed since must be reset.
  */
 export const actOnRig = (action, more = {}) => send('/rig/actions', { action, who: who(), ...more }, { wait: action === 'home' ? 4000 : 15_000 })
 

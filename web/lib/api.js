@@ -1,7 +1,7 @@
 // The service: requests with a key and a deadline, pages, streams. Knows no page.
 
 import { clock } from './format.js'
-import { sleep } from './dom.js'
+import { seen, sleep } from './dom.js'
 
 // A browser may forbid storage: the dashboard works without.
 export const keep = (at, name, value) => {
@@ -141,7 +141,7 @@ export function withQuery(path, query) {
  */
 export async function socket(path, { onmessage, onstate = () => {}, query = {}, signal, raw = false, rest = false }) {
   for (let wait = 500; !signal.aborted; wait = Math.min(2 * wait, 5000)) {
-    while (rest && document.hidden && !signal.aborted) await sleep(500, signal)
+    if (rest) await seen(signal)
     try {
       const ticket = hasKey() ? (await send('/tickets', undefined, { method: 'POST', signal })).ticket : null
       if (signal.aborted) return // While the page was hidden, or the ticket came: nothing would close the socket.
@@ -167,7 +167,7 @@ const SILENT_MS = 40_000
 export async function follow(since, { onevent, onstate = () => {}, signal }) {
   let last = since
   for (let wait = 1000; !signal.aborted; wait = Math.min(2 * wait, 10_000)) {
-    while (document.hidden && !signal.aborted) await sleep(500, signal)
+    await seen(signal)
     const cut = new AbortController(), hide = () => document.hidden && cut.abort()
     let silent = 0
     const heard = () => { clearTimeout(silent); silent = setTimeout(() => cut.abort(), SILENT_MS) }

@@ -158,7 +158,7 @@ export const sleep = (ms, signal) => new Promise(resolve => {
 })
 
 /** Resolves once the page is seen, or `signal` aborts. */
-const seen = signal => new Promise(resolve => {
+export const seen = signal => new Promise(resolve => {
   const over = new AbortController()
   const look = () => {
     if (document.hidden && !signal.aborted) return

@@ -3,7 +3,7 @@
 import { get, send } from './api.js'
 import { actor, confirm } from './actions.js'
 import { changing } from './changing.js'
-import { el, every, fill, link, panel, say, sleep } from './dom.js'
+import { el, every, fill, link, panel, say, seen, sleep } from './dom.js'
 import { capital, count, counted, fixed, moment, percent, plain, span, steadyCountOf } from './format.js'
 import { listing } from './listing.js'
 import { live } from './live.js'
@@ -176,7 +176,7 @@ export function jobView({ signal, said, models, onstopped }) {
         }
       }
       await sleep(2000, mine)
-      while (document.hidden && !mine.aborted) await sleep(500, mine)
+      await seen(mine)
     }
   }
 }
