@@ -6,8 +6,8 @@ import { live, who } from './live.js'
 import { lockWords, locked } from './lock.js'
 
 /**
- * Opens a dialog over the page. The page behind it takes no click and no key: the dialog has a stop as well, and a
- * press where the page's stop is still presses it. A stop closes the dialog, unconfirmed.
+ * Opens a dialog over the page. The page behind it takes no click and no key: the dialog has a stop as well, in view however
+ * far a long dialog is scrolled, and a press where the page's stop is still presses it. A stop closes the dialog, unconfirmed.
  */
 export function modal(box) {
   const stop = document.getElementById('stop'), press = () => { box.close(); stop.click() }
