@@ -1,6 +1,6 @@
 // Actions: who does them, what was refused. Every button of every page acts through here.
 
-import { Refused, person, send } from './api.js'
+import { Refused, Unanswered, person, send } from './api.js'
 import { button, el, fill, note, say } from './dom.js'
 import { live, who } from './live.js'
 import { lockWords, locked } from './lock.js'
@@ -70,7 +70,8 @@ export function outcome() {
       return result
     } catch (error) {
       if (error.name === 'AbortError') return undefined
-      tell(error instanceof Refused ? `${words}: refused. ${error.message}` : `${words}: no answer (${error.message}).`, 'bad')
+      const late = error instanceof Unanswered ? ' It may be carried out late.' : ''
+      tell(error instanceof Refused ? `${words}: refused. ${error.message}` : `${words}: no answer (${error.message}).${late}`, 'bad')
       return undefined
     } finally {
       // The line may be far from the button, which would seem to do nothing.

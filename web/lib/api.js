@@ -34,6 +34,9 @@ export class Refused extends Error {
   }
 }
 
+/** A request without an answer: it may have been carried out, or may still arrive, when a silent network carries again. */
+export class Unanswered extends Error {}
+
 /** A request that a stop ended: it is neither a lost connection nor to be sent again. */
 export class Stopped extends Error {
   constructor() { super('the stop ended this request') }
@@ -54,7 +57,7 @@ export async function ask(path, { body, method = body === undefined ? 'GET' : 'P
     signal: until.length ? AbortSignal.any(until) : undefined,
   }).catch(error => {
     if (ending?.aborted) throw ending.reason
-    if (error.name !== 'AbortError') error = new Error(error.name === 'TimeoutError' ? 'no answer in time' : 'no connection', { cause: error })
+    if (error.name !== 'AbortError') error = new Unanswered(error.name === 'TimeoutError' ? 'no answer in time' : 'no connection', { cause: error })
     throw error
   })
   if (response.ok || response.status === 304) {

@@ -62,7 +62,7 @@ async function watch(take, signal) {
 
 /** The placement at work: skin, instruction, and the one button. */
 function placing(signal) {
-  const said = outcome(), state = { placement: null, open: false, sent: null, sentAt: 0, unrestSince: 0, chosen: null, refused: '' }
+  const said = outcome(), state = { placement: null, open: false, sent: null, sentAt: 0, unrestSince: 0, chosen: null, refused: '', failed: '' }
   const view = skin({ title: 'Skin', tall: true, signal, label: rigLabel, describe, draw: (pen, scale, shape) => state.placement
     && drawPlacement(pen, scale, shape, state.placement, now()) })
   const head = el('span', { className: 'big' }), resting = el('span', { className: 'soft' }), bar = el('progress'), weights = el('ol', { className: 'weights' })
@@ -93,10 +93,11 @@ function placing(signal) {
     const other = placement.trial !== state.placement?.trial || placement.run !== state.placement?.run
     if (placement.run !== state.placement?.run) sensorOf(placement.run).then(shape => placement.run === state.placement.run && view.geometry(shape), () => {})
     // The weight of the address is that of the placement at which the page was opened.
-    if (other) Object.assign(state, { chosen: state.placement ? null : state.chosen, refused: '' })
+    if (other) Object.assign(state, { chosen: state.placement ? null : state.chosen, refused: '', failed: '' })
     if (!placement.contacts.some(({ number }) => number === state.chosen)) state.chosen = null
     if (other || placement.stage !== 'place' || Date.now() - state.sentAt > 5000) state.sent = null
     if (placement.verdict?.kind !== 'wrong') state.refused = ''
+    if (placement.stage !== 'place') state.failed = '' // It has arrived.
     if (other || isRead(placement)) state.unrestSince = Date.now()
     state.placement = placement
     if (other) write()
@@ -119,9 +120,9 @@ function placing(signal) {
     const { words: judged, tone } = busy ? { words: STAGES[placement.stage] ?? '', tone: '' } : verdict(placement)
     say(words, judged)
     words.className = `verdict ${tone}`
-    note(refusal, state.refused && !judged.includes(state.refused) ? state.refused : '')
+    note(refusal, state.failed || (state.refused && !judged.includes(state.refused) ? state.refused : ''))
     done.disabled = Boolean(why) || busy
-    anyway.hidden = !state.refused && placement.verdict?.kind !== 'wrong' || busy
+    anyway.hidden = placement.verdict?.kind !== 'wrong' || busy
     anyway.disabled = done.disabled
     say(hint, !live.may('operator') ? 'You see what is asked. To confirm it you need the key of an operator.' : why
       || (busy ? 'The next placement appears by itself.' : `${STAGES.place} Keys: Enter, Space, Page Down.`))
@@ -158,7 +159,7 @@ function placing(signal) {
   async function press(sure) {
     const { placement } = state
     if (done.disabled || !placement || !live.may('operator') || lockWords() || notYet(placement, { ...state, fresh: live.fresh })) return
-    state.open = true
+    Object.assign(state, { open: true, failed: '' })
     draw()
     try {
       if (!await named()) return
@@ -166,7 +167,9 @@ function placing(signal) {
       Object.assign(state, { sent: placement.trial, sentAt: Date.now(), refused: '' })
       said.tell('')
     } catch (error) {
-      state.refused = error.status ? error.message : `Not confirmed: no answer (${error.message}). Press again.`
+      // What the skin contradicts is shown while it does, with the other button; anything else until the next press.
+      if (error.status && state.placement.verdict?.kind === 'wrong') state.refused = error.message
+      else state.failed = error.status ? `Not confirmed: ${error.message}` : `Not confirmed: no answer (${error.message}). Press again.`
     } finally {
       state.open = false
       draw()
