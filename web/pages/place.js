@@ -6,7 +6,7 @@ import { get, person } from '../lib/api.js'
 import { actOnRig, actOnRun, actor, confirm, named, only, outcome, runButtons, runRefusal } from '../lib/actions.js'
 import { button, el, fill, note, pane, renew, say, sleep } from '../lib/dom.js'
 import { fold } from '../lib/fold.js'
-import { age, count, counted, countOf, span } from '../lib/format.js'
+import { age, clock, count, counted, countOf, span } from '../lib/format.js'
 import { live, rigLabel, who } from '../lib/live.js'
 import { lockWords } from '../lib/lock.js'
 import { manual } from '../lib/manual.js'
@@ -14,7 +14,7 @@ import { overlay } from '../lib/overlay.js'
 import { STAGES, drawPlacement, feltOf, isRead, kilograms, newtons, notYet, present, rest, spot, verdict } from '../lib/placing.js'
 import { sensorOf, skin } from '../lib/skin.js'
 
-const PERIOD_MS = 333
+const PERIOD_MS = 333, OLD_MS = 5000
 const KEYS = ['Enter', ' ', 'PageDown']
 
 /** Shows the page. */
@@ -31,7 +31,7 @@ export async function show(root, { signal }) {
     }
     placement ? work.take(placement) : idle.tell(live.status?.run)
   }
-  watch(view, signal)
+  watch(view, work.draw, signal)
   live.on('fresh', work.draw, signal)
   let queued = null
   live.on('status', ({ status }) => {
@@ -41,8 +41,8 @@ export async function show(root, { signal }) {
   return { update() {} } // The parts follow the address themselves.
 }
 
-/** Asks for the placement while a manual run is active, three times a second; calls `take` with it or null. */
-async function watch(take, signal) {
+/** Asks for the placement while a manual run is active, three times a second; calls `take` with it or null, `failed` without an answer. */
+async function watch(take, failed, signal) {
   const kinds = new Map()
   for (let begun = 0; !signal.aborted; await sleep(Math.max(100, begun + PERIOD_MS - Date.now()), signal)) {
     begun = Date.now()
@@ -56,13 +56,14 @@ async function watch(take, signal) {
     } catch (error) {
       // 404: nothing is asked. A status that asks is newer: what is shown stays for this moment.
       if (error.status === 404 && !signal.aborted && live.status?.run?.wanted?.trial == null) take(null)
+      else failed()
     }
   }
 }
 
 /** The placement at work: skin, instruction, and the one button. */
 function placing(signal) {
-  const said = outcome(), state = { placement: null, open: false, sent: null, sentAt: 0, unrestSince: 0, chosen: null, refused: '', failed: '' }
+  const said = outcome(), state = { placement: null, readAt: 0, open: false, sent: null, sentAt: 0, unrestSince: 0, chosen: null, refused: '', failed: '' }
   const view = skin({ title: 'Skin', tall: true, signal, label: rigLabel, describe, draw: (pen, scale, shape) => state.placement
     && drawPlacement(pen, scale, shape, state.placement, now()) })
   const head = el('span', { className: 'big' }), resting = el('span', { className: 'soft' }), bar = el('progress'), weights = el('ol', { className: 'weights' })
@@ -99,7 +100,7 @@ function placing(signal) {
     if (placement.verdict?.kind !== 'wrong') state.refused = ''
     if (placement.stage !== 'place') state.failed = '' // It has arrived.
     if (other || isRead(placement)) state.unrestSince = Date.now()
-    state.placement = placement
+    Object.assign(state, { placement, readAt: Date.now() })
     if (other) write()
     draw()
   }
@@ -114,7 +115,9 @@ function placing(signal) {
     if (!placement || signal.aborted) return
     const why = lockWords() || notYet(placement, { ...state, fresh: live.fresh }), busy = placement.stage !== 'place'
     say(head, `Trial ${countOf(placement.done + 1, placement.of)}${placement.repeated ? `, ${count(placement.repeated)} repeated` : ''}`)
-    say(resting, rest(placement))
+    const isOld = Math.abs(Date.now() - state.readAt) > OLD_MS
+    node.classList.toggle('old', isOld)
+    say(resting, isOld ? `The skin was last read at ${clock(state.readAt)}: what is shown is old.` : rest(placement))
     Object.assign(bar, { max: placement.of, value: placement.done, ariaLabel: `${placement.done} of ${placement.of} trials stored` })
     drawWeights(placement)
     const { words: judged, tone } = busy ? { words: STAGES[placement.stage] ?? '', tone: '' } : verdict(placement)
