@@ -1,6 +1,6 @@
 // The log of actions: who asked for what, when, and whether it was accepted. Paged by the cursor.
 
-import { el, fill, panel, say } from './dom.js'
+import { el, panel, say } from './dom.js'
 import { clock, moment, plain } from './format.js'
 import { listing } from './listing.js'
 import { table } from './table.js'
@@ -22,8 +22,8 @@ function joined(items) {
 
 /** Makes the panel of the log; `run` limits it to a run. */
 export function actionLog(signal) {
-  let known = null, of = ''
-  const told = el('p', { className: 'soft' }), foot = el('div', { className: 'row' }), trouble = el('div')
+  let of = null // The run, '' for all; null before the first reading.
+  const known = listing('/actions', { words: 'The log', draw: page => page && draw(known), limit: PAGE, most: MOST, signal }), told = el('p', { className: 'soft' })
   const rows = table({
     empty: 'No action yet.',
     columns: [{ head: 'When', cell: one => el('span', { className: 'nowrap', title: one.at },
@@ -32,14 +32,11 @@ export function actionLog(signal) {
       { head: 'Result', left: true, cell: one => el('span', { className: one.accepted ? '' : 'warn' }, one.accepted ? 'accepted' : 'refused') },
         { head: 'Why', left: true, cell: one => short([one.why, one.detail].filter(Boolean).join('. ')) }],
   })
-  const node = panel('Log of actions', {}, trouble, rows.node, foot)
-  function load({ run = of, again = false } = {}) {
-    if (known && !again && run === of) return undefined
+  const node = panel('Log of actions', {}, known.trouble, rows.node, el('div', { className: 'row' }, known.more, told))
+  function load({ run = of ?? '', again = false } = {}) {
+    if (!again && run === of) return undefined
     of = run
-    const mine = known = listing('/actions', { words: 'The log', draw: page => page && mine === known && draw(mine), query: { run }, limit: PAGE, most: MOST, signal })
-    fill(trouble, mine.trouble)
-    fill(foot, mine.more, told)
-    return mine.read()
+    return known.select({ run })
   }
   function draw({ items, next }) {
     rows.show(joined(items))

@@ -1,13 +1,13 @@
 // Actions: who does them, what was refused. Every button of every page acts through here.
 
-import { Refused, once, person, send } from './api.js'
+import { Refused, Unanswered, person, send } from './api.js'
 import { button, el, fill, note, say } from './dom.js'
 import { live, who } from './live.js'
 import { lockWords, locked } from './lock.js'
 
 /**
- * Opens a dialog over the page. The page behind it takes no click and no key: the dialog has a stop as well, and a
- * press where the page's stop is still presses it. A stop closes the dialog, unconfirmed.
+ * Opens a dialog over the page. The page behind it takes no click and no key: the dialog has a stop as well, in view however
+ * far a long dialog is scrolled, and a press where the page's stop is still presses it. A stop closes the dialog, unconfirmed.
  */
 export function modal(box) {
   const stop = document.getElementById('stop'), press = () => { box.close(); stop.click() }
@@ -15,6 +15,8 @@ export function modal(box) {
     const { left, right, top, bottom } = stop.getBoundingClientRect()
     if (target === box && clientX >= left && clientX <= right && clientY >= top && clientY <= bottom) press()
   })
+  // The key that opened the dialog may be held still: its repetitions must not press the button that has the focus.
+  box.addEventListener('keydown', event => { if (event.repeat && event.key === 'Enter') event.preventDefault() })
   box.append(el('div', { className: 'row over' }, button('Stop the rig', press, { className: 'stop' })))
   document.body.append(box)
   box.showModal()
@@ -36,17 +38,22 @@ export function named() {
 
 /**
  * Asks before something that cannot be undone; resolves to whether it was confirmed. Never for a stop.
- * It closes, unconfirmed, as soon as a status is no longer one of `holds`.
+ * It closes, unconfirmed, as soon as `holds(status)` is false: it is asked with each status, and when the connection is lost.
  */
 export function confirm(title, words, verb = 'Continue', holds = () => true) {
   return new Promise(resolve => {
     const over = new AbortController()
     let sure = false
+    const agree = ({ detail }) => {
+      if (detail > 1) return // The second click of a double click, whose first one opened the dialog.
+      sure = true
+      box.close()
+    }
     const box = el('dialog', { 'aria-label': title, onclose: () => { over.abort(); box.remove(); resolve(sure) } }, el('h2', {}, title),
       [words].flat().map(text => typeof text === 'string' ? el('p', {}, text) : text),
-      el('div', { className: 'row' }, button(verb, () => { sure = true; box.close() }, { className: 'main' }), button('Cancel', () => box.close(), { className: 'plain' })))
+      el('div', { className: 'row' }, button(verb, agree, { className: 'main' }), button('Cancel', () => box.close(), { className: 'plain' })))
     modal(box)
-    live.on('status', ({ status }) => holds(status) || box.close(), over.signal)
+    for (const kind of ['status', 'fresh']) live.on(kind, ({ status }) => status && !holds(status) && box.close(), over.signal)
   })
 }
 
@@ -63,7 +70,8 @@ export function outcome() {
       return result
     } catch (error) {
       if (error.name === 'AbortError') return undefined
-      tell(error instanceof Refused ? `${words}: refused. ${error.message}` : `${words}: no answer (${error.message}).`, 'bad')
+      const late = error instanceof Unanswered ? ' It may be carried out late.' : ''
+      tell(error instanceof Refused ? `${words}: refused. ${error.message}` : `${words}: no answer (${error.message}).${late}`, 'bad')
       return undefined
     } finally {
       // The line may be far from the button, which would seem to do nothing.
@@ -80,10 +88,11 @@ export function outcome() {
  */
 export function actor(words, said, work, { role = 'operator', locks = role === 'operator', seen = () => undefined, sure = () => true, ...props } = {}) {
   const node = button(words, async () => {
+    if (node.dataset.busy) return // Who enables it again meanwhile would allow a second request.
     const what = seen()
     if (!await sure() || !await named()) return
     node.disabled = true
-    node.dataset.busy = 'yes' // Who enables it again meanwhile would allow a second request.
+    node.dataset.busy = 'yes'
     try { await said.run(props.what ?? words, () => work(what)) } finally { delete node.dataset.busy; node.disabled = false }
   }, props)
   return only(role, locks ? locked(node, said.tell) : node)
@@ -98,8 +107,11 @@ live.addEventListener('caller', () => { document.documentElement.dataset.caller 
 
 /** An action on a run. */
 export const actOnRun = (run, action, more = {}) => send(`/runs/${run}/actions`, { action, who: who(), ...more }, { wait: 15_000 })
-/** An action on the rig. Homing is not repeated after a failed connection: the axes must not move long after the press. */
-export const actOnRig = (action, more = {}) => (action === 'home' ? send : once)('/rig/actions', { action, who: who(), ...more }, { wait: action === 'home' ? 4000 : 15_000 })
+/**
+ * An action on the rig, sent once: long after the press, no axis must move, nothing must be tared, and no stop that another
+ * person pressed since must be reset.
+ */
+export const actOnRig = (action, more = {}) => send('/rig/actions', { action, who: who(), ...more }, { wait: action === 'home' ? 4000 : 15_000 })
 
 /** Why the rig or its run would refuse an action on the rig now, in the service's words; '' if they would not. */
 export const refusal = ({ rig_actions }, action) => {
@@ -110,9 +122,9 @@ export const refusal = ({ rig_actions }, action) => {
 /** The same for an action on the active run; `start` is of a run that waits. */
 export const runRefusal = ({ run_actions }, action) => run_actions.find(one => one.action === action)?.refused ?? ''
 
-/** Asks before the axes of a real rig are homed; closes if they may no longer be. */
+/** Asks before the axes of a real rig are homed; closes if they may no longer be, or if the connection is lost. */
 export const sureHome = () => live.status?.rig.label === 'virtual' || confirm('Home the axes?', 'They move. Keep hands and tools away from the rig.', 'Home',
-  status => !refusal(status, 'home'))
+  status => live.fresh && !refusal(status, 'home'))
 
 /**
  * The buttons of the active run: what the service would not refuse now, except for those of `without`. A repetition is

@@ -1,7 +1,7 @@
 // The service: requests with a key and a deadline, pages, streams. Knows no page.
 
 import { clock } from './format.js'
-import { sleep } from './dom.js'
+import { seen, sleep } from './dom.js'
 
 // A browser may forbid storage: the dashboard works without.
 export const keep = (at, name, value) => {
@@ -34,6 +34,9 @@ export class Refused extends Error {
   }
 }
 
+/** A request without an answer: it may have been carried out, or may still arrive, when a silent network carries again. */
+export class Unanswered extends Error {}
+
 /** A request that a stop ended: it is neither a lost connection nor to be sent again. */
 export class Stopped extends Error {
   constructor() { super('the stop ended this request') }
@@ -54,7 +57,7 @@ export async function ask(path, { body, method = body === undefined ? 'GET' : 'P
     signal: until.length ? AbortSignal.any(until) : undefined,
   }).catch(error => {
     if (ending?.aborted) throw ending.reason
-    if (error.name !== 'AbortError') error = new Error(error.name === 'TimeoutError' ? 'no answer in time' : 'no connection', { cause: error })
+    if (error.name !== 'AbortError') error = new Unanswered(error.name === 'TimeoutError' ? 'no answer in time' : 'no connection', { cause: error })
     throw error
   })
   if (response.ok || response.status === 304) {
@@ -106,6 +109,9 @@ export async function once(path, body = {}, options = {}) {
   }
 }
 
+/** The rows of an answer in NDJSON. */
+export const rowsOf = async answer => (await answer.text()).split('\n').filter(Boolean).map(line => JSON.parse(line))
+
 /** All items of a list, page by page, up to `most`. */
 export async function all(path, query = {}, { most = 1000, ...options } = {}) {
   const items = []
@@ -138,7 +144,7 @@ export function withQuery(path, query) {
  */
 export async function socket(path, { onmessage, onstate = () => {}, query = {}, signal, raw = false, rest = false }) {
   for (let wait = 500; !signal.aborted; wait = Math.min(2 * wait, 5000)) {
-    while (rest && document.hidden && !signal.aborted) await sleep(500, signal)
+    if (rest) await seen(signal)
     try {
       const ticket = hasKey() ? (await send('/tickets', undefined, { method: 'POST', signal })).ticket : null
       if (signal.aborted) return // While the page was hidden, or the ticket came: nothing would close the socket.
@@ -164,7 +170,7 @@ const SILENT_MS = 40_000
 export async function follow(since, { onevent, onstate = () => {}, signal }) {
   let last = since
   for (let wait = 1000; !signal.aborted; wait = Math.min(2 * wait, 10_000)) {
-    while (document.hidden && !signal.aborted) await sleep(500, signal)
+    await seen(signal)
     const cut = new AbortController(), hide = () => document.hidden && cut.abort()
     let silent = 0
     const heard = () => { clearTimeout(silent); silent = setTimeout(() => cut.abort(), SILENT_MS) }

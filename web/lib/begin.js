@@ -2,7 +2,7 @@
 // The service asks for two steps, arming and starting, so that a person sees the preflight between them.
 
 import { actOnRig, actOnRun, actor, confirm, named, runRefusal } from './actions.js'
-import { once, send } from './api.js'
+import { Unanswered, once, send } from './api.js'
 import { carried } from './carried.js'
 import { el, facts, say } from './dom.js'
 import { bytes, capital, count, counted, moment } from './format.js'
@@ -64,7 +64,7 @@ function preflightWords(preflight) {
 }
 
 /** Who may start a run: { tone, words } for this caller, while the operator lock is free or taken. */
-export function startWords(caller, lock) {
+function startWords(caller, lock) {
   if (lock && lock.holder === caller?.name) return { tone: 'soft', words: 'You have the operator lock: others cannot start a run until you release it.' }
   if (lock) return { tone: 'warn', words: `${lock.holder} has the operator lock since ${moment(lock.since)}: ${lock.note}. Others cannot start a run until it is released.` }
   if (!caller) return { tone: 'soft', words: 'Runs are started by callers with the role operator or admin.' }
@@ -111,7 +111,8 @@ export async function beginRun(run, said, { ask = true } = {}) {
     said.tell(`${capital(title)} is started${started === 'waiting' ? ' and waits for its turn' : ''}.`, 'good')
     return started ?? 'running'
   } catch (error) {
-    if (error.name !== 'AbortError') said.tell(`${capital(title)} did not start: ${error.message}`, 'bad')
+    const result = error instanceof Unanswered ? 'may start, or the axes may move, late: keep clear of the rig' : 'did not start'
+    if (error.name !== 'AbortError') said.tell(`${capital(title)} ${result}: ${error.message}`, 'bad')
     return undefined
   } finally { beginning.delete(run.uid) }
 }

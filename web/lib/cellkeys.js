@@ -1,8 +1,7 @@
 // The cells of a picture, or the boxes of a plot, by keyboard: arrows go from one to the next. Knows columns and rows, not
 // what they hold.
 
-import { keysHint, speak } from './speak.js'
-import { keysOf } from './readkeys.js'
+import { byKeys, speak } from './speak.js'
 
 const UPRIGHT = ['ArrowUp', 'ArrowDown', 'PageUp', 'PageDown'] // Of no use in one row.
 
@@ -12,10 +11,7 @@ const UPRIGHT = ['ArrowUp', 'ArrowDown', 'PageUp', 'PageDown'] // Of no use in o
  */
 export function cellKeys(canvas, { size, show, kind = 'picture of cells', keys = 'On a frame' }) {
   let cell = null
-  canvas.tabIndex = 0
-  canvas.setAttribute('role', 'application')
-  canvas.setAttribute('aria-roledescription', kind)
-  canvas.setAttribute('aria-describedby', keysHint(keys.toLowerCase().replaceAll(' ', '-'), keysOf(keys)))
+  byKeys(canvas, kind, keys)
   const MOVES = {
     ArrowLeft: ([column, row]) => [column - 1, row],
     ArrowRight: ([column, row]) => [column + 1, row],

@@ -1,6 +1,6 @@
 // The rig as a chain from wire to tip: each device with its last word and what is wrong with it.
 
-import { el, fill, say } from './dom.js'
+import { el, fill, renew, say } from './dom.js'
 import { NONE, about, count, counted, fixed, moment, percent, span } from './format.js'
 
 const BAD = [['timeouts', 'reply did not arrive in time', 'replies did not arrive in time'], ['garbled', 'reply was damaged', 'replies were damaged'],
@@ -69,19 +69,17 @@ export function chain() {
     return { node: el('li', {}, el('h3', {}, name), el('p', {}, words, ' ', since), figures, more), words, since, figures, more }
   }
   function show(items) {
-    const names = items.map(item => item.name).join('|')
-    if (node.dataset.names !== names) {
-      node.dataset.names = names
-      fill(node, items.map(({ name }) => { if (!known.has(name)) known.set(name, link(name)); return known.get(name).node }))
-    }
+    renew(node, items.map(({ name }) => name), () => items.map(({ name }) => {
+      if (!known.has(name)) known.set(name, link(name))
+      return known.get(name).node
+    }))
     for (const { name, tone = '', words, since = '', figures = [], inside } of items) {
-      const one = known.get(name), text = JSON.stringify(figures)
+      const one = known.get(name)
       one.node.className = tone
       say(one.words, words)
       say(one.since, since)
       one.words.className = tone || 'soft'
-      if (one.figures.dataset.text !== text) { one.figures.dataset.text = text;
-        fill(one.figures, figures.map(([key, value]) => el('div', {}, el('dt', {}, key), el('dd', {}, value)))) }
+      renew(one.figures, figures, () => figures.map(([key, value]) => el('div', {}, el('dt', {}, key), el('dd', {}, value))))
       if (inside && one.more.firstChild !== inside) fill(one.more, inside)
     }
   }

@@ -1,10 +1,9 @@
 // A chart by keyboard: a cursor that goes from point to point; what is at it is shown and spoken.
 // Knows the plot alone: data, scales and cursor of uPlot.
 
-import { el, say, set } from './dom.js'
+import { el, say } from './dom.js'
 import { counted } from './format.js'
-import { keysHint, speak } from './speak.js'
-import { keysOf } from './readkeys.js'
+import { byKeys, speak } from './speak.js'
 
 const TURN = 10 // Page Up and Page Down: a tenth of the points that are shown.
 const FOOT_PX = 30
@@ -18,13 +17,8 @@ export function chartKeys(holder, { title, x, names, height, plot, zoom, onenter
   const at = el('p', { className: 'chart-at', 'aria-hidden': 'true', style: { top: `${height - FOOT_PX}px` } })
   let index = null
   let kept = null // The x of the cursor: its index changes with the data.
-  holder.tabIndex = 0
-  set(holder, {
-    role: 'application',
-    'aria-roledescription': 'chart',
-    'aria-label': `${title}: ${names.join(', ')} over ${x.toLowerCase()}`,
-    'aria-describedby': keysHint('keys-chart', keysOf('On a chart')),
-  })
+  byKeys(holder, 'chart', 'On a chart')
+  holder.setAttribute('aria-label', `${title}: ${names.join(', ')} over ${x.toLowerCase()}`)
   holder.append(at)
 
   const curves = u => u.series.map((one, k) => ({ one, k })).filter(({ one, k }) => k > 0 && one.show)

@@ -3,12 +3,12 @@
 import { ask, get, hasKey, once } from './api.js'
 import { actor, outcome } from './actions.js'
 import { HEADS } from './contacts.js'
-import { el, facts, fill, link, note, panel } from './dom.js'
+import { el, facts, fill, note, panel } from './dom.js'
 import { bytes, count, counted, moment, percent, plain } from './format.js'
 import { fold } from './fold.js'
 import { lineageWalk } from './lineage.js'
 import { markdown } from './markdown.js'
-import { opened } from './opened.js'
+import { opened, openedHead } from './opened.js'
 import { copyable, save } from './save.js'
 import { table } from './table.js'
 import { vocabulary } from './vocabulary.js'
@@ -67,27 +67,22 @@ function definitionWords({ definition: d }) {
 export function datasetView({ signal, go, onmade, onexport }) {
   let state = {},
     walk = null
-  const view = opened({ className: 'dataset', signal, draw: read })
+  const view = opened({ className: 'dataset', signal, draw: read, back: ['/data', 'All datasets'] })
 
   async function read(node, wanted, mine) {
     walk = null
     fill(node, el('section', {}, el('p', { className: 'soft' }, `Reading ${wanted} …`)))
     const path = `/datasets/${encodeURIComponent(wanted)}`
-    try {
-      const [item, described, lineage] = await Promise.all([
-        get(path, {}, { signal: mine }),
-        get(`${path}/datapackage.json`, {}, { signal: mine }),
-        get(`${path}/lineage`, {}, { signal: mine }),
-      ])
-      const card = await ask(`/api/v1${path}/card`, { accept: 'text/markdown', signal: mine }).then(
-        answer => answer.text(),
-        error => `The card cannot be read: ${error.message}`
-      )
-      if (!mine.aborted) draw(node, item, described, lineage, card, mine)
-    } catch (error) {
-      if (!mine.aborted)
-        fill(node, el('section', {}, el('h2', { className: 'big' }, wanted), el('p', { className: 'bad' }, error.message), link('/data', 'All datasets')))
-    }
+    const [item, described, lineage] = await Promise.all([
+      get(path, {}, { signal: mine }),
+      get(`${path}/datapackage.json`, {}, { signal: mine }),
+      get(`${path}/lineage`, {}, { signal: mine }),
+    ])
+    const card = await ask(`/api/v1${path}/card`, { accept: 'text/markdown', signal: mine }).then(
+      answer => answer.text(),
+      error => `The card cannot be read: ${error.message}`
+    )
+    if (!mine.aborted) draw(node, item, described, lineage, card, mine)
   }
 
   function draw(node, item, described, lineage, card, mine) {
@@ -124,12 +119,7 @@ export function datasetView({ signal, go, onmade, onexport }) {
     const head = el(
       'section',
       { 'aria-label': item.name },
-      el(
-        'div',
-        { className: 'row spread' },
-        el('h2', { className: 'big' }, el('span', {}, item.name, ' ', el('span', { className: 'soft small' }, item.id))),
-        link('/data', 'Close')
-      ),
+      openedHead(item.name, item.id, '/data'),
       el('p', {}, definitionWords(item)),
       current,
       said.node,

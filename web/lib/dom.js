@@ -31,6 +31,14 @@ export function fill(node, ...inside) {
   return node
 }
 
+const drawn = new WeakMap()
+/** Replaces what is in an element by what `draw()` makes, only if `of` differs from that of the last time: a focus in it stays. */
+export function renew(node, of, draw) {
+  const text = JSON.stringify([of])
+  if (drawn.get(node) !== text) fill(node, draw())
+  drawn.set(node, text)
+}
+
 /** Sets a text only if it differs, so that a screen reader is not told again. */
 export function say(node, text) {
   const words = text == null ? '' : String(text)
@@ -80,6 +88,12 @@ export function select(choices, value, onchange, props = {}) {
     return el('option', { value: of, selected: String(of) === String(value) }, words)
   }
   return el('select', { onchange: event => onchange(event.target.value), ...props }, choices.map(option))
+}
+
+/** Gives a select a value; one that is no choice of it becomes one. */
+export function choose(node, value) {
+  if (![...node.options].some(option => option.value === value)) node.append(el('option', { value }, value))
+  node.value = value
 }
 
 /** Calls `draw` once before the next picture, however often it is asked for. */
@@ -144,7 +158,7 @@ export const sleep = (ms, signal) => new Promise(resolve => {
 })
 
 /** Resolves once the page is seen, or `signal` aborts. */
-const seen = signal => new Promise(resolve => {
+export const seen = signal => new Promise(resolve => {
   const over = new AbortController()
   const look = () => {
     if (document.hidden && !signal.aborted) return

@@ -7,6 +7,7 @@ const KIND = 'application/x-palpate-row'
 
 /** Lets the rows of a table in `node` be dragged. `rows()` are its things, `move(thing, position)` moves one, position from 1. */
 export function dragRows(node, { rows, move }) {
+  let dragged = null
   const lines = () => [...node.querySelectorAll('tbody tr')]
   const isRow = event => event.dataTransfer.types.includes(KIND)
   const mark = (tr, where) => lines().forEach(one => (one.dataset.drop = one === tr ? where : ''))
@@ -14,11 +15,11 @@ export function dragRows(node, { rows, move }) {
   async function drop(event, tr, at) {
     if (!isRow(event)) return
     event.preventDefault()
-    const from = Number(event.dataTransfer.getData(KIND))
+    const thing = dragged
+    const from = rows().indexOf(thing) // None if the rows were read again meanwhile, or are those of another window.
     const to = at + (tr.dataset.drop === 'below' ? 1 : 0)
-    const thing = rows()[from]
     mark(null)
-    if (!thing || to === from || to === from + 1 || !(await named())) return
+    if (from < 0 || to === from || to === from + 1 || !(await named())) return
     move(thing, to > from ? to : to + 1)
   }
 
@@ -27,6 +28,7 @@ export function dragRows(node, { rows, move }) {
     lines().forEach((tr, at) => {
       tr.draggable = live.may('operator') && rows().length > 1
       tr.ondragstart = event => {
+        dragged = rows()[at]
         event.dataTransfer.setData(KIND, String(at))
         event.dataTransfer.effectAllowed = 'move'
       }

@@ -2,7 +2,7 @@
 
 import { get } from './api.js'
 import { beginButton } from './begin.js'
-import { el, facts, fill, link, say } from './dom.js'
+import { el, facts, fill, link, renew, say } from './dom.js'
 import { NONE, about, capital, count, counted, fixed, moment, span } from './format.js'
 import { endWord, largest } from './runwords.js'
 import { meaning } from './vocabulary.js'
@@ -48,12 +48,11 @@ export function ended({ said, signal }) {
       fill(links, el('h3', {}, 'What next'), el('p', { className: 'next-links' }, NEXT(n).map(([href, words]) => link(href, words))))
     },
     next(first) {
-      if (!first) return fill(queued)
-      const waits = startWords(first)
-      return fill(queued, el('h3', {}, 'Next in the queue'), el('p', {},
+      const waits = first && startWords(first)
+      renew(queued, [first, waits], () => first && [el('h3', {}, 'Next in the queue'), el('p', {},
         `Run ${first.scan_id}, ${first.experiment}, ${counted(first.trials_planned, 'trial')}. ${waits}`),
         el('div', { className: 'row' }, !first.waiting_since && beginButton('Arm and start', first, said, { className: 'main' }),
-          link(`/plan?run=${first.scan_id}`, 'Its plan')))
+          link(`/plan?run=${first.scan_id}`, 'Its plan'))])
     },
   }
 }

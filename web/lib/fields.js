@@ -1,7 +1,7 @@
 // A form for an experiment file: one input for each key in the text, with unit, limits and meaning from the schema.
 // Writes into the text and reads from it: the text is what is sent.
 
-import { button, el, fill, note } from './dom.js'
+import { button, el, fill, note, select } from './dom.js'
 import { capital, count, plain } from './format.js'
 import { entries, kindOf, plainValue, put, written } from './toml.js'
 
@@ -59,18 +59,14 @@ export function fields({ schema, onchange }) {
     const rule = of(schema, table, key)
     const kind = kindOf(raw)
     const whole = [rule?.type].flat().includes('integer')
-    const typed = event => change(put(text, table, key, written(kind, event.target.value)))
+    const typed = value => change(put(text, table, key, written(kind, value)))
     const about = rule?.description?.split('\n')[0] ?? ''
     const control =
       kind === 'boolean'
-        ? el(
-            'select',
-            { id, onchange: typed },
-            ['true', 'false'].map(value => el('option', { value }, value === 'true' ? 'yes' : 'no')),
-          )
+        ? select([['true', 'yes'], ['false', 'no']], raw, typed, { id })
         : el('input', {
             id,
-            oninput: typed,
+            oninput: event => typed(event.target.value),
             autocomplete: 'off',
             spellcheck: false,
             ...(kind === 'number' && { type: 'number', step: whole ? 1 : 'any', min: rule?.minimum, max: rule?.maximum > 1e15 ? null : rule?.maximum }),

@@ -27,7 +27,7 @@ export function forceBars({ signal }) {
     if (words) said = Date.now()
     else later ||= setTimeout(() => { later = 0; draw() }, SAY_MS) // The last number is that of the bar.
     const limit = rig.force_limit_n, last = samples.length - 1
-    const closed = rig.state === 'disconnected', recent = !closed && last >= 0 && Date.now() - samples.at_ms[last] < 5000
+    const closed = rig.state === 'disconnected', recent = !closed && last >= 0 && Math.abs(Date.now() - samples.arrived_ms) < OLD_MS
     // The status keeps what was read last: with closed wires nothing is measured.
     const forces = recent ? samples.forces_n.map(column => column[last]) : closed ? null : rig.forces_n, begin = recent ? indexOf(samples.at_ms[last] - PEAK_MS) : 0
     rows.forEach(({ bar, peak, text, track }, arm) => {

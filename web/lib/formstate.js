@@ -2,7 +2,7 @@
 // Never for a key or a name of a person; what commits a person to something is chosen again each time.
 
 import { hold } from './address.js'
-import { el } from './dom.js'
+import { choose } from './dom.js'
 
 const SECRET = ['password', 'file']
 // An empty value that is not the usual one, as "all rows" where a part is usual.
@@ -10,12 +10,10 @@ const NOTHING = '-'
 const valueOf = node => (node.type === 'checkbox' ? (node.checked ? 'yes' : '') : node.value)
 
 /** Gives a control a value; a select whose choices are not read yet gets it as a choice. */
-export function give(node, value) {
+function give(node, value) {
   if (node.type === 'checkbox') node.checked = value === 'yes'
-  else {
-    if (node.tagName === 'SELECT' && ![...node.options].some(option => option.value === value)) node.append(el('option', { value }, value))
-    node.value = value
-  }
+  else if (node.tagName === 'SELECT') choose(node, value)
+  else node.value = value
   node.dataset.chosen = valueOf(node)
 }
 

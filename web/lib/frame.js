@@ -96,7 +96,7 @@ function mark(pen, x, y, kind, px) {
  * `scale` is the end of the colours (else it grows as 1, 2, 5 and does not change otherwise); `marks`
  * { stuck, saturated }: lists of channels, drawn as crosses and as rings.
  */
-export function frame({ title = 'Frame', unit = 'V', name, query, label, signal } = {}) {
+export function frame({ title, name, query, label, signal }) {
   let size = [28, 28], cell = CELL_PX
   const map = el('canvas', { className: 'frame', 'aria-label': title }), small = el('canvas')
   const bar = strip(i => [i, i, i], 'colours')
@@ -142,17 +142,17 @@ export function frame({ title = 'Frame', unit = 'V', name, query, label, signal 
     for (const kind of ['stuck', 'saturated']) for (const i of marks[kind] ?? []) mark(pen, (i % width + 0.5) * cell, (Math.floor(i / width) + 0.5) * tall, kind, px)
     if (reached) rim(pen, reached[0] * cell, reached[1] * tall, cell, tall, px)
     // A reader would read a label that changes under its focus again and again.
-    if (document.activeElement !== map) map.ariaLabel = low > high ? `${title}: no values` : `${title}: voltages by ${height > 1 ? 'injection and ' : ''}channel, from ${fixed(low, 4)} to ${fixed(high, 4, unit)}${marked && `; channels: ${marked.replace(/[\u00d7\u25cb] /g, '')}`}`
+    if (document.activeElement !== map) map.ariaLabel = low > high ? `${title}: no values` : `${title}: voltages by ${height > 1 ? 'injection and ' : ''}channel, from ${fixed(low, 4)} to ${fixed(high, 4, 'V')}${marked && `; channels: ${marked.replace(/[\u00d7\u25cb] /g, '')}`}`
     return undefined
   })
   const tell = () => {
     const digits = v => Math.max(0, 1 - Math.floor(Math.log10(Math.abs(v))))
-    ticks.replaceChildren(...[-1, -0.5, 0, 0.5, 1].map(t => unbend(t) * end).map(v => el('span', {}, v ? fixed(v, digits(v)) : `0\u202f${unit}`)))
+    ticks.replaceChildren(...[-1, -0.5, 0, 0.5, 1].map(t => unbend(t) * end).map(v => el('span', {}, v ? fixed(v, digits(v)) : '0\u202fV')))
   }
   function cellWords([channel, injection]) {
     if (!values?.length) return 'No frame.'
     const i = injection * size[0] + channel, kinds = Object.keys(MARK_PX).filter(kind => marks[kind]?.includes(i))
-    return `${[size[1] > 1 && `injection ${injection}`, `channel ${channel}`].filter(Boolean).join(', ')}: ${[fixed(values[i], 4, unit), ...kinds].join(', ')}`
+    return `${[size[1] > 1 && `injection ${injection}`, `channel ${channel}`].filter(Boolean).join(', ')}: ${[fixed(values[i], 4, 'V'), ...kinds].join(', ')}`
   }
   // One line, so that nothing moves: the cell under the pointer or reached by a key, else how many channels are marked.
   function tellCell() {
@@ -178,8 +178,8 @@ export function frame({ title = 'Frame', unit = 'V', name, query, label, signal 
   const node = picture({
     title, name, query, label, canvas: () => map,
     data() {
-      const [width, height] = size, value = unit === 'V' ? 'voltage_v' : `value_${unit}`, places = i => height > 1 ? [Math.floor(i / width), i % width] : [i]
-      return { heads: [...height > 1 ? ['injection'] : [], 'channel', value], rows: Array.from(values ?? [], (v, i) => [...places(i), missing(v) ? null : v]) }
+      const [width, height] = size, places = i => height > 1 ? [Math.floor(i / width), i % width] : [i]
+      return { heads: [...height > 1 ? ['injection'] : [], 'channel', 'voltage_v'], rows: Array.from(values ?? [], (v, i) => [...places(i), missing(v) ? null : v]) }
     },
   }, el('div', { className: 'frame-box' }, side, map, foot, bar, ticks), at)
   shape(size)

@@ -1,9 +1,9 @@
 // Trainings and evaluations as jobs: the list, and one with its progress, losses and result. Polled each 2 s while one runs.
 
 import { get, send } from './api.js'
-import { confirm, named, only } from './actions.js'
+import { actor, confirm } from './actions.js'
 import { changing } from './changing.js'
-import { button, el, every, fill, link, panel, say, sleep } from './dom.js'
+import { el, every, fill, link, panel, say, seen, sleep } from './dom.js'
 import { capital, count, counted, fixed, moment, percent, plain, span, steadyCountOf } from './format.js'
 import { listing } from './listing.js'
 import { live } from './live.js'
@@ -78,7 +78,7 @@ export function jobsPanel({ signal, href, current, onchange }) {
 
 /** Makes the view of one job; ends what it began when another one is shown. */
 export function jobView({ signal, said, models, onstopped }) {
-  return opened({ className: 'job', signal, draw: follow })
+  return opened({ className: 'job', signal, draw: follow, back: ['/nets', 'All nets'] })
 
   async function follow(node, id, mine) {
     const title = el('span', {}),
@@ -105,18 +105,11 @@ export function jobView({ signal, said, models, onstopped }) {
     let job = null,
       curves = null,
       drawn = ''
-    const stop = button(
-      'Stop the job',
-      async () => {
-        const sure = await confirm('Stop this job?', 'A stopped training keeps no model. It can be requested again.', 'Stop the job')
-        if (sure && (await named())) {
-          await said.run('Stop the job', () => send(`/jobs/${id}/stop`, undefined, { method: 'POST' }))
-          onstopped()
-        }
-      },
-      { className: 'danger' }
-    )
-    only('operator', stop)
+    const stop = actor('Stop the job', said, () => send(`/jobs/${id}/stop`, undefined, { method: 'POST' }).finally(onstopped), {
+      locks: false,
+      className: 'danger',
+      sure: () => confirm('Stop this job?', 'A stopped training keeps no model. It can be requested again.', 'Stop the job'),
+    })
     const draw = () => {
       say(title, capital(jobWords(job)))
       // Only what differs is set: a focus on the link or the button stays.
@@ -183,7 +176,7 @@ export function jobView({ signal, said, models, onstopped }) {
         }
       }
       await sleep(2000, mine)
-      while (document.hidden && !mine.aborted) await sleep(500, mine)
+      await seen(mine)
     }
   }
 }

@@ -29,14 +29,15 @@ export function jog({ allowed, steps, choose, signal }) {
   const size = axis => axis === 'z' ? Number(steps().z) : Number(steps().xy)
 
   /** Sends moves until released: the next one only after the previous one is accepted. */
-  async function hold(move, press) {
+  async function hold(move) {
     const [words, , axis, direction] = move
     release()
     const reason = allowed() || (live.status?.rig.pose ? '' : 'The pose is not known.')
     if (reason) return void say(told, reason)
     if (!who()) return void named() // Asked before a motion, not during one.
-    const mine = held = { press }
-    let to = last.axis === axis && Date.now() - last.at < FRESH_MS ? last.to : live.status.rig.pose[`${axis}_mm`]
+    const mine = held = {}
+    // Whatever this computer's clock was set to since, `last` is of this moment only.
+    let to = last.axis === axis && Math.abs(Date.now() - last.at) < FRESH_MS ? last.to : live.status.rig.pose[`${axis}_mm`]
     while (held === mine && !signal.aborted) {
       if (allowed() || document.hidden) break
       const begun = Date.now()
@@ -60,10 +61,10 @@ export function jog({ allowed, steps, choose, signal }) {
     const [words, key, axis, direction] = move
     const one = button(words, () => {}, { className: `jog jog-${axis}${direction > 0 ? '-more' : '-less'}`,
       title: `Hold: ${axis} ${direction > 0 ? 'increases' : 'decreases'}. Key: ${key}` })
-    one.addEventListener('pointerdown', event => { if (event.button) return; one.setPointerCapture(event.pointerId); hold(move, one) })
+    one.addEventListener('pointerdown', event => { if (event.button) return; one.setPointerCapture(event.pointerId); hold(move) })
     for (const kind of ['pointerup', 'pointercancel', 'lostpointercapture']) one.addEventListener(kind, release)
     one.addEventListener('contextmenu', event => event.preventDefault())
-    one.addEventListener('keydown', event => { if ([' ', 'Enter'].includes(event.key) && !event.repeat) { event.preventDefault(); hold(move, event.key) } })
+    one.addEventListener('keydown', event => { if ([' ', 'Enter'].includes(event.key) && !event.repeat) { event.preventDefault(); hold(move) } })
     return one
   })
   const pad = axes => el('div', { className: `pad pad-${axes[0]}` }, buttons.filter((_, i) => axes.includes(MOVES[i][2])))
@@ -78,7 +79,7 @@ export function jog({ allowed, steps, choose, signal }) {
     const move = MOVES.find(([, key]) => key === event.key)
     if (!move || event.target.matches('select') || event.ctrlKey || event.metaKey || event.altKey) return
     event.preventDefault()
-    if (!event.repeat) hold(move, event.key)
+    if (!event.repeat) hold(move)
   })
   node.addEventListener('keyup', release)
   node.addEventListener('focusout', event => { if (!node.contains(event.relatedTarget)) release() })

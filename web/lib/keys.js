@@ -1,7 +1,7 @@
 // The keys of the service: who has one, a new one shown once, and the revocation. For admins.
 
 import { all, ask, send } from './api.js'
-import { actor, confirm, named } from './actions.js'
+import { actor, confirm } from './actions.js'
 import { copyButton } from './copybutton.js'
 import { button, el, field, fill, panel, select } from './dom.js'
 import { moment, plain } from './format.js'
@@ -23,18 +23,16 @@ export function keys(said, signal) {
     await load()
   }, { role: 'admin', className: 'main', what: 'Key' })
 
-  async function revoke(key) {
-    if (!await named() || !await confirm(`Revoke the key of ${key.name}?`,
-      ['Its holder is locked out at once: its streams end within a second.', 'It cannot be restored; a new key can be made.'], 'Revoke it')) return
-    await said.run(`Key of ${key.name}`, async () => { await ask(`/api/v1/keys/${key.id}`, { method: 'DELETE' }); await load() })
-  }
+  const revoking = key => actor('Revoke', said, async () => { await ask(`/api/v1/keys/${key.id}`, { method: 'DELETE' }); await load() }, {
+    role: 'admin', className: 'plain bad', what: `Key of ${key.name}`, 'aria-label': `Revoke the key of ${key.name}`,
+    sure: () => confirm(`Revoke the key of ${key.name}?`,
+      ['Its holder is locked out at once: its streams end within a second.', 'It cannot be restored; a new key can be made.'], 'Revoke it') })
   const shown = table({
     empty: 'No key yet. Without keys only callers on this machine are admitted.',
     columns: [{ head: 'Name', cell: key => key.name }, { head: 'Role', cell: key => key.role, left: true },
       { head: 'Made', cell: key => moment(key.created_at) }, { head: 'Last used', cell: key => key.last_used_at ? moment(key.last_used_at) : 'never' },
       { head: 'State', left: true, cell: key => key.revoked_at ? `revoked ${moment(key.revoked_at)}` : 'valid' },
-        { head: 'Revoke', cell: key => key.revoked_at ? '' : button('Revoke', () => revoke(key),
-        { className: 'plain bad', 'aria-label': `Revoke the key of ${key.name}` }) }],
+      { head: 'Revoke', cell: key => key.revoked_at ? '' : revoking(key) }],
   })
   const node = panel('Keys', {}, list, el('div', { className: 'form' },
     field('Name of the holder, or the purpose', name), field('Rights', role)),

@@ -6,9 +6,12 @@ import { button, el, note } from './dom.js'
 /**
  * Makes the list at `path`: `items` in the order of the API, at most `most`, and `next` while there are more. `read()` reads
  * the first page, `read(true)` the one after what is known, as the button `more` does; then `draw(body)` is called, with
- * null if it failed, which `trouble` states: `words` names the list there. `key(item)` tells items apart; `query` selects them.
+ * null if it failed, which `trouble` states: `words` names the list there. `key(item)` tells items apart. `select(query)`
+ * begins again with another selection: no answer for an earlier one is drawn.
  */
-export function listing(path, { words, draw, query = {}, limit, most = 1000, signal, key = item => item.id }) {
+export function listing(path, { words, draw, limit, most = 1000, signal, key = item => item.id }) {
+  let query = {}
+  let selecting = new AbortController()
   let items = []
   let next = null
   let isFurther = false
@@ -19,16 +22,29 @@ export function listing(path, { words, draw, query = {}, limit, most = 1000, sig
   let newest = 0
   async function read(further = false) {
     const mine = (asked += 1)
+    const until = AbortSignal.any([signal, selecting.signal])
     more.disabled = further
-    const page = await get(path, { ...query, limit, cursor: further ? next : null }, { signal }).catch(error => ({ error }))
+    const page = await get(path, { ...query, limit, cursor: further ? next : null }, { signal: until }).catch(error => ({ error }))
+    if (until.aborted) return undefined
     more.disabled = false
-    if (signal.aborted || (!further && mine < newest)) return undefined // What was asked later has come before it.
+    if (!further && mine < newest) return undefined // What was asked later has come before it.
     newest = Math.max(newest, mine)
     note(trouble, page.error ? `${words} could not be read: ${page.error.message}.` : '')
     if (page.error && further) trouble.scrollIntoView({ block: 'nearest' }) // The button is below the rows.
     if (page.error) return draw(null)
     take(page, further)
     return draw(page)
+  }
+  function select(wanted) {
+    selecting.abort()
+    selecting = new AbortController()
+    query = wanted
+    items = []
+    next = null
+    isFurther = false
+    more.hidden = true
+    note(trouble, '')
+    return read()
   }
   function take(page, further) {
     const fresh = new Set(page.items.map(key))
@@ -43,6 +59,7 @@ export function listing(path, { words, draw, query = {}, limit, most = 1000, sig
     more,
     trouble,
     read,
+    select,
     get items() {
       return items
     },

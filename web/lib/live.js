@@ -3,7 +3,7 @@
 
 import { Stopped, ask, door, get, person, socket } from './api.js'
 import { onBeat, sleep } from './dom.js'
-import { KEPT_MINUTES, addSamples, fillSamples, lastAt } from './samples.js'
+import { KEPT_MINUTES, addSamples, fillSamples, lastAt, samples } from './samples.js'
 
 const OLD_MS = 2600, CALLER_MS = 3000, TELL_MS = 240
 
@@ -64,7 +64,11 @@ class Live extends EventTarget {
 }
 export const live = new Live()
 
-function take(more) { if (addSamples(more)) live.dispatchEvent(new Event('samples')) }
+function take(more) {
+  if (!addSamples(more)) return
+  samples.arrived_ms = Date.now()
+  live.dispatchEvent(new Event('samples'))
+}
 
 let callerAsked = 0
 async function caller(signal) {
@@ -83,7 +87,7 @@ function lost(error) {
 async function poll(signal) {
   for (let begun; !signal.aborted; await sleep(Math.max(100, begun + 500 - Date.now()), signal)) {
     begun = Date.now()
-    if (socketAt > begun - 2000) continue
+    if (Math.abs(begun - socketAt) < 2000) continue
     try { live.take(await (await ask('/api/v1/status', { wait: 2000 })).json()) } catch (error) { lost(error) }
   }
 }
@@ -128,7 +132,8 @@ export function start() {
     for (const run of [caller, poll, listen]) run(ending.signal)
   }
   door.addEventListener('key', () => { live.caller = null; begin() })
-  setInterval(() => { if (live.fresh && Date.now() - live.at > OLD_MS) lost() }, 250)
+  // Either way: a clock that is set back must not make an old status a fresh one.
+  setInterval(() => { if (live.fresh && Math.abs(Date.now() - live.at) > OLD_MS) lost() }, 250)
   begin()
 }
 

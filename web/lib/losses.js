@@ -1,17 +1,9 @@
 // Losses of a training as curves: from a model, or polled while a training runs.
 
-import { Refused, ask } from './api.js'
+import { Refused, ask, rowsOf } from './api.js'
 import { chart } from './chart.js'
 import { el, note, sleep } from './dom.js'
 import { counted, span } from './format.js'
-
-async function read(path, signal) {
-  const text = await (await ask(`/api/v1${path}`, { accept: 'application/x-ndjson', signal })).text()
-  return text
-    .split('\n')
-    .filter(Boolean)
-    .map(line => JSON.parse(line))
-}
 
 /**
  * Makes the curves of `/models/ID/losses` or `/jobs/ID/losses`. `live()`: whether it is read again
@@ -41,7 +33,7 @@ export function losses({ path, key = 'losses', label, signal, live = () => false
   const above = value => (value > 0 ? value : null)
   async function show() {
     try {
-      const rows = await read(path, signal)
+      const rows = await rowsOf(await ask(`/api/v1${path}`, { accept: 'application/x-ndjson', signal }))
       curves.set([rows.map(row => row.epoch), rows.map(row => above(row.train_loss)), rows.map(row => above(row.validation_loss))])
       const last = rows.at(-1),
         best = rows.reduce((a, b) => (a && a.validation_loss <= b.validation_loss ? a : b), null)

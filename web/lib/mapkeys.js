@@ -1,7 +1,6 @@
 // A drawn map by keyboard: arrows go from place to place, or freely where there are no places. In mm, as the map.
 
-import { keysHint, speak } from './speak.js'
-import { keysOf } from './readkeys.js'
+import { byKeys, speak } from './speak.js'
 
 const STEP_MM = 10
 const FINE_MM = 1
@@ -30,10 +29,7 @@ function towards(places, [x, y], [right, up]) {
  */
 export function mapKeys(canvas, { spots, extent, show, pick, turn }) {
   let at = null
-  canvas.tabIndex = 0
-  canvas.setAttribute('role', 'application')
-  canvas.setAttribute('aria-roledescription', 'map')
-  canvas.setAttribute('aria-describedby', keysHint('keys-map', keysOf('On a skin')))
+  byKeys(canvas, 'map', 'On a skin')
   const go = to => {
     at = to ?? at
     speak(show(at))

@@ -35,8 +35,8 @@ const isRow = line => /^\s*\|.*\|\s*$/.test(line ?? ''),
   isRule = line => /^\s*\|[\s:|-]+\|\s*$/.test(line ?? '')
 const ITEM = /^\s*([-*]|\d+\.)\s+/
 
-/** Elements of a text in Markdown; `level` is that of its first heading. */
-export function markdown(text, { level = 3 } = {}) {
+/** Elements of a text in Markdown; its first heading is one of level 3. */
+export function markdown(text) {
   const lines = text.split(/\r?\n/),
     nodes = []
   const take = test => {
@@ -50,7 +50,7 @@ export function markdown(text, { level = 3 } = {}) {
       head = /^(#{1,6})\s+(.*)$/.exec(line)
     if (!line.trim()) i += 1
     else if (head) {
-      nodes.push(el(`h${Math.min(6, level + head[1].length - 1)}`, {}, inline(head[2])))
+      nodes.push(el(`h${Math.min(6, 2 + head[1].length)}`, {}, inline(head[2])))
       i += 1
     } else if (line.startsWith('```')) {
       i += 1

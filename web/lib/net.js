@@ -1,28 +1,22 @@
 // One model in full: what it learned from, its losses, its scores, the residuals of a Transfer-Net, its file.
 
-import { only } from './actions.js'
 import { Refused, ask, get } from './api.js'
-import { button, el, facts, fill, link, note, panel, pane } from './dom.js'
+import { el, facts, fill, link, note, panel, pane } from './dom.js'
 import { bytes, count, counted, fixed, moment } from './format.js'
 import { frame } from './frame.js'
 import { losses } from './losses.js'
-import { opened } from './opened.js'
+import { opened, openedHead } from './opened.js'
 import { save, shows } from './save.js'
-import { contactTable, quantityTables, voltageTable } from './scores.js'
+import { scoreTables } from './scores.js'
 import { meaning } from './vocabulary.js'
 
-/** Makes the view of one model; ends what it began when another one is shown. `promote(id, slot, sensor)` asks and acts. */
-export function netView({ signal, models, promote }) {
-  return opened({ className: 'net', signal, draw: read })
+/** Makes the view of one model; ends what it began when another one is shown. `promotion(model, props)` makes its button. */
+export function netView({ signal, models, promotion }) {
+  return opened({ className: 'net', signal, draw: read, back: ['/nets', 'All nets'] })
 
   async function read(node, id, mine) {
-    try {
-      const model = await get(`/models/${encodeURIComponent(id)}`, {}, { signal: mine })
-      if (!mine.aborted) draw(node, model, mine)
-    } catch (error) {
-      if (!mine.aborted)
-        fill(node, el('section', {}, el('h2', { className: 'big' }, id), el('p', { className: 'bad' }, error.message), link('/nets', 'All nets')))
-    }
+    const model = await get(`/models/${encodeURIComponent(id)}`, {}, { signal: mine })
+    if (!mine.aborted) draw(node, model, mine)
   }
 
   function draw(node, model, mine) {
@@ -30,7 +24,7 @@ export function netView({ signal, models, promote }) {
       label = () => manifest.label,
       learned = manifest.trained_on ?? {}
     const size = el('span', {}, '…'),
-      promoting = model.slot && only('operator', button('Promote', () => promote(model.id, model.slot, manifest.sensor), { className: 'main' }))
+      promoting = model.slot && promotion(model, { className: 'main' })
     ask(`/api/v1/models/${model.id}/onnx`, { method: 'HEAD', accept: '*/*', signal: mine }).then(
       answer => {
         size.textContent = bytes(Number(answer.headers.get('content-length')) || null)
@@ -49,12 +43,7 @@ export function netView({ signal, models, promote }) {
     const head = el(
       'section',
       { 'aria-label': model.name },
-      el(
-        'div',
-        { className: 'row spread' },
-        el('h2', { className: 'big' }, el('span', {}, model.name, ' ', el('span', { className: 'soft small' }, model.id))),
-        link('/nets', 'Close')
-      ),
+      openedHead(model.name, model.id, '/nets'),
       el(
         'p',
         {},
@@ -103,15 +92,10 @@ export function netView({ signal, models, promote }) {
       {},
       manifest.recipe ? el('pre', { tabIndex: 0 }, manifest.recipe.trim()) : el('p', { className: 'soft' }, 'It was added from a file: no recipe is known.')
     )
-    const volts = model.scores.filter(report => report.voltages),
-      touch = model.scores.filter(report => report.contacts),
-      quantities = model.scores.filter(report => report.quantity)
     const scores = panel(
       'Scores',
       { aside: el('span', {}, counted(model.scores.length, 'evaluation')) },
-      volts.length ? voltageTable(volts, models()) : '',
-      touch.length ? contactTable(touch, models()) : '',
-      quantityTables(quantities, models()),
+      scoreTables(model.scores, models()),
       model.scores.length ? '' : el('p', { className: 'soft' }, 'It was not evaluated yet.')
     )
     fill(

@@ -1,16 +1,26 @@
 // One thing of a list, opened above it: drawn when another one is chosen, ended when it is closed.
 
-import { el, fill } from './dom.js'
+import { el, fill, link } from './dom.js'
+
+/** The line above an opened thing: its name, its id, and the link that closes it. */
+export const openedHead = (name, id, href) =>
+  el('div', { className: 'row spread' }, el('h2', { className: 'big' }, el('span', {}, name, ' ', el('span', { className: 'soft small' }, id))), link(href, 'Close'))
 
 /**
  * Makes the place of what is opened. `draw(node, id, signal)` shows the thing `id`; `signal` aborts when
- * another one is shown. `show(id)` opens, or closes without one; after `forget()` the same one is drawn again.
+ * another one is shown. If it fails, its error is shown, with the link `back` ([address, words]).
+ * `show(id)` opens, or closes without one; after `forget()` the same one is drawn again.
  */
-export function opened({ className, signal, draw }) {
+export function opened({ className, signal, draw, back }) {
   const node = el('div', { className })
   let shown = null
   let ending = new AbortController()
   signal.addEventListener('abort', () => ending.abort())
+  async function open(id, mine) {
+    try { await draw(node, id, mine) } catch (error) {
+      if (!mine.aborted) fill(node, el('section', {}, el('h2', { className: 'big' }, id), el('p', { className: 'bad' }, error.message), link(...back)))
+    }
+  }
   return {
     node,
     show(id) {
@@ -20,7 +30,7 @@ export function opened({ className, signal, draw }) {
       ending = new AbortController()
       node.hidden = !id
       fill(node)
-      if (id) draw(node, id, ending.signal)
+      if (id) open(id, ending.signal)
     },
     forget() {
       shown = undefined

@@ -1,12 +1,12 @@
 // The report of one run: what was stored, how it went, how well the twins fit, what was skipped and why.
 
 import { get } from './api.js'
-import { actOnRun, confirm, named, only } from './actions.js'
+import { actOnRun, actor, confirm, only } from './actions.js'
 import { beginButton } from './begin.js'
 import { changing } from './changing.js'
 import { chart } from './chart.js'
 import { contactsTable, fitTable } from './contacts.js'
-import { button, el, fill, link, pane, say, select } from './dom.js'
+import { el, fill, link, pane, renew, say, select } from './dom.js'
 import { fold } from './fold.js'
 import { about, age, count, countOf, counted, fixed, moment, percent, plain, span } from './format.js'
 import { history } from './history.js'
@@ -94,19 +94,11 @@ export function report(root, { state, set, go, said, others, signal }) {
   const told = el('p')
   const numbers = el('div')
   const doors = el('div', { className: 'row' })
-  const shown = new Map()
-  /** Fills a part only if what it shows has changed. */
-  const renew = (node, of, draw) => {
-    const text = JSON.stringify(of)
-    if (shown.get(node) !== text) fill(node, draw())
-    shown.set(node, text)
-  }
   const abort = run =>
-    button('Abort', async () => {
-      const sure = await confirm(`Abort run ${run.scan_id}?`, 'It ends. Its stored trials stay; it can be resumed later. Nothing moves.', 'Abort the run')
-      if (!sure || !(await named())) return
-      await said.run(`Abort run ${run.scan_id}`, () => actOnRun(run.uid, 'abort'))
-      await read()
+    actor('Abort', said, () => actOnRun(run.uid, 'abort').finally(() => quiet(read())), {
+      role: 'viewer',
+      what: `Abort run ${run.scan_id}`,
+      sure: () => confirm(`Abort run ${run.scan_id}?`, 'It ends. Its stored trials stay; it can be resumed later. Nothing moves.', 'Abort the run'),
     })
   function heading(run) {
     const compare = select(

@@ -21,6 +21,9 @@ function choices(node, list, without) {
   node.value = isThere ? wanted : (all[0]?.[0] ?? '')
 }
 
+/** Makes the button of a form: it sends `body()` once to `path`; `onstart` gets the job. */
+const starter = (words, what, path, body, { said, onstart }) => actor(words, said, async () => onstart(await once(path, body())), { className: 'main', what })
+
 /** Recipes that the program carries, with their texts, and the keys that follow from each force map. */
 const recipes = readOnce(() => get('/recipes').then(page => page.items))
 
@@ -126,16 +129,7 @@ export function trainingForm({ said, onstart, signal }) {
     show()
     written()
   })
-  const start = actor(
-    'Train',
-    said,
-    async () => {
-      const job = await once('/trainings', { recipe: text.value })
-      onstart(job)
-      return job
-    },
-    { className: 'main', what: 'Request the training' }
-  )
+  const start = starter('Train', 'Request the training', '/trainings', () => ({ recipe: text.value }), { said, onstart })
   const node = panel(
     'Start a training',
     {},
@@ -227,30 +221,24 @@ export function evaluationForm({ said, onstart, signal }) {
     fields.sd.hidden = !method.states_sd
     if (!dataset.dataset.chosen && [...dataset.options].some(option => option.value === method.dataset)) dataset.value = method.dataset
   }
-  const start = actor(
-    'Evaluate',
-    said,
-    async () => {
-      const method = methodOf(scored.value)
-      const named = Object.fromEntries(
-        keysOf(method)
-          .map(({ key }) => [key, models[key].value])
-          .filter(([, value]) => value)
-      )
-      const job = await once('/evaluations', {
-        scored: scored.value,
-        dataset: dataset.value,
-        frames: frames.value,
-        ...named,
-        ...(part.value && { part: part.value }),
-        ...(limit.value && { limit: Number(limit.value) }),
-        ...(method.states_sd && sd.value && { place_sd_mm: Number(sd.value) }),
-      })
-      onstart(job)
-      return job
-    },
-    { className: 'main', what: 'Request the evaluation' }
-  )
+  function body() {
+    const method = methodOf(scored.value)
+    const named = Object.fromEntries(
+      keysOf(method)
+        .map(({ key }) => [key, models[key].value])
+        .filter(([, value]) => value)
+    )
+    return {
+      scored: scored.value,
+      dataset: dataset.value,
+      frames: frames.value,
+      ...named,
+      ...(part.value && { part: part.value }),
+      ...(limit.value && { limit: Number(limit.value) }),
+      ...(method.states_sd && sd.value && { place_sd_mm: Number(sd.value) }),
+    }
+  }
+  const start = starter('Evaluate', 'Request the evaluation', '/evaluations', body, { said, onstart })
   const node = panel(
     'Start an evaluation',
     {},

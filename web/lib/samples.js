@@ -6,8 +6,11 @@ export const KEPT_MINUTES = 15
 let room = 4096
 const column = Type => new Type(room)
 
-/** The columns, oldest first: `length` entries of each are set. NaN is what was not measured. */
-export const samples = { length: 0, at_ms: column(Float64Array), z_mm: column(Float32Array), forces_n: Array.from({ length: ARMS }, () => column(Float32Array)) }
+/**
+ * The columns, oldest first: `length` entries of each are set. NaN is what was not measured. `at_ms` is of the clock of the
+ * service, `arrived_ms`, when the newest of the socket came, of this computer's.
+ */
+export const samples = { length: 0, arrived_ms: 0, at_ms: column(Float64Array), z_mm: column(Float32Array), forces_n: Array.from({ length: ARMS }, () => column(Float32Array)) }
 const columns = () => [samples.at_ms, samples.z_mm, ...samples.forces_n]
 
 /** Index of the first sample at or after a time; `length` if there is none. */

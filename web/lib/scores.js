@@ -13,7 +13,7 @@ const share = mean => (mean ? `${fixed(mean.mean * 100, 0)}` : NONE)
 const fit = score => (score ? `${fixed(score.rmse_v, 4)} / ${fixed(score.fvu * 100, 1)}` : NONE)
 
 /** Nets of an evaluation, by name where they are known. */
-export const nets = (report, models) =>
+const nets = (report, models) =>
   report.models?.map(id => models.find(model => model.id === id)?.name ?? id).join(' + ') ||
   report.calibration ||
   (report.scored === 'voltages' ? 'no net: measured as they are' : 'sensor file')
@@ -85,7 +85,7 @@ const METRICS = [
 ]
 
 /** Evaluations of voltages side by side, as Table III: RMSE in V / FVU in %, by number of contacts. */
-export function voltageTable(reports, models, { href, current } = {}) {
+function voltageTable(reports, models, { href, current } = {}) {
   return table({
     current,
     caption: 'Voltages against the simulated ones, as the paper\u2019s Table III: RMSE in V / FVU in %, by number of contacts.',
@@ -99,7 +99,7 @@ export function voltageTable(reports, models, { href, current } = {}) {
 }
 
 /** Evaluations of contacts side by side, as Table IV: mean ± standard deviation; each above its perfect map. */
-export function contactTable(reports, models, { href, current } = {}) {
+function contactTable(reports, models, { href, current } = {}) {
   const lines = reports.flatMap(report => [report, ...(report.perfect ? [{ perfectOf: report, contacts: report.perfect, map: report.map }] : [])])
   return table({
     current,
@@ -129,7 +129,7 @@ const kindOf = (report, models) => {
  * Evaluations of quantities side by side, one table for the nets that answered the same quantity of the same rows: their
  * error, and how it compares with that of ridge regression, which costs nothing to train.
  */
-export function quantityTables(reports, models, { href, current } = {}) {
+function quantityTables(reports, models, { href, current } = {}) {
   const sameRows = ({ quantity, dataset, part, where, rows, frames }) => JSON.stringify([quantity.quantity, dataset, part, where, rows, frames])
   return [...new Set(reports.map(sameRows))].map(key => {
     const group = reports.filter(report => sameRows(report) === key)
@@ -156,6 +156,17 @@ export function quantityTables(reports, models, { href, current } = {}) {
       ],
     }).node
   })
+}
+
+/** The tables of evaluations of any kind, side by side. `href(job)` leads to one, `current(report)` marks one. */
+export function scoreTables(reports, models, more) {
+  const volts = reports.filter(one => one.voltages)
+  const touch = reports.filter(one => one.contacts)
+  return [
+    volts.length ? voltageTable(volts, models, more) : '',
+    touch.length ? contactTable(touch, models, more) : '',
+    quantityTables(reports.filter(one => one.quantity), models, more),
+  ]
 }
 
 /** One evaluation in full. */

@@ -1,6 +1,6 @@
 // Selections of runs and trials: conditions of the address; those of trials as controls, all others as chips.
 
-import { button, el, field, fill, panel, select } from './dom.js'
+import { button, choose, el, field, fill, panel, renew, select } from './dom.js'
 import { plain } from './format.js'
 import { vocabulary } from './vocabulary.js'
 
@@ -93,23 +93,17 @@ export function selection({ set, said }) {
     labelled('Order', order)
   )
   const node = panel('Selection', {}, form, others, said)
-  let known = ''
   return {
     node,
     show(query, runs) {
-      const names = runs.map(run => run.uid).join()
-      if (known !== names) {
-        known = names
-        fill(
-          controls.scan_id,
-          el('option', { value: '' }, 'all'),
-          runs.map(run => el('option', { value: String(run.scan_id) }, `${run.scan_id} · ${run.experiment}`))
-        )
-      }
+      renew(controls.scan_id, runs.map(run => run.uid), () => [
+        el('option', { value: '' }, 'all'),
+        runs.map(run => el('option', { value: String(run.scan_id) }, `${run.scan_id} · ${run.experiment}`)),
+      ])
       for (const [key, control] of Object.entries(controls)) {
         const value = query[key] ?? ''
-        if (control.tagName === 'SELECT' && ![...control.options].some(option => option.value === value)) control.append(el('option', { value }, value))
-        if (document.activeElement !== control || control.tagName === 'SELECT') control.value = value
+        if (control.tagName === 'SELECT') choose(control, value)
+        else if (document.activeElement !== control) control.value = value
       }
       flags.value = query.flag ? `flag=${query.flag}` : query.flagged ? `flagged=${query.flagged}` : ''
       order.value = query.sort === 'trial_id' ? 'trial_id' : ''

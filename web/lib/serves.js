@@ -1,6 +1,6 @@
 // What serves: which method has its models, and how to get one where none has. Live and the nets ask this.
 
-import { el, facts, fill, link, panel } from './dom.js'
+import { el, facts, link, panel, renew } from './dom.js'
 import { capital } from './format.js'
 import { vocabulary } from './vocabulary.js'
 
@@ -28,7 +28,6 @@ export const needWords = (method, serving) => `needs a ${lacks(method, serving).
 /** Makes a panel of what serves, and one (`none`) that says how to get a model while there is none. */
 export function servingPart() {
   const list = el('div'), none = el('div')
-  let shown = ''
   const row = (method, serving) => {
     const ready = !lacks(method, serving).length
     return el('li', { className: ready ? '' : 'soft' }, el('b', {}, method.name), `, ${method.about}: `, ready ? 'serves' : needWords(method, serving))
@@ -36,16 +35,15 @@ export function servingPart() {
   return {
     node: panel('Active models', { className: 'live' }, list), none,
     show(serving) {
-      const text = JSON.stringify(serving.serves)
-      if (text === shown) return
-      shown = text
-      const filled = serving.serves.filter(one => one.what)
-      const models = filled.map(one => [capital(slotOf(one.slot).title), link('/nets', one.what)])
-      const limits = filled.filter(one => one.limitation).map(one => el('p', { className: 'soft' }, `${capital(slotOf(one.slot).title)}: ${one.limitation}`))
-      fill(list, el('ul', {}, vocabulary.methods.map(method => row(method, serving))), facts(models, { className: 'facts one' }), limits)
-      fill(none, !bestMethod(serving) && howTo(servedQuantities(serving)))
+      renew(list, serving.serves, () => {
+        const filled = serving.serves.filter(one => one.what)
+        const models = filled.map(one => [capital(slotOf(one.slot).title), link('/nets', one.what)])
+        const limits = filled.filter(one => one.limitation).map(one => el('p', { className: 'soft' }, `${capital(slotOf(one.slot).title)}: ${one.limitation}`))
+        return [el('ul', {}, vocabulary.methods.map(method => row(method, serving))), facts(models, { className: 'facts one' }), limits]
+      })
+      renew(none, serving.serves, () => !bestMethod(serving) && howTo(servedQuantities(serving)))
     },
-    failed(error) { shown = ''; fill(list, el('p', { className: 'soft' }, `The active models cannot be read: ${error.message}`)) },
+    failed: ({ message }) => renew(list, message, () => el('p', { className: 'soft' }, `The active models cannot be read: ${message}`)),
   }
 }
 

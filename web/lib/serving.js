@@ -1,12 +1,11 @@
 // What serves: the slots of the methods and of quantities, promotion and roll-back, and the record of both.
 
 import { ask, once } from './api.js'
-import { actor, confirm, named, only } from './actions.js'
-import { button, el, link, note, panel } from './dom.js'
+import { actor, confirm, only } from './actions.js'
+import { el, link, note, panel } from './dom.js'
 import { fold } from './fold.js'
 import { capital, moment } from './format.js'
 import { who } from './live.js'
-import { lockWords } from './lock.js'
 import { isOfQuantity, slotOf } from './serves.js'
 import { table } from './table.js'
 
@@ -16,7 +15,7 @@ function useOf(name) {
   return [methods.join(', '), about].filter(Boolean).join(': ')
 }
 
-/** Makes the panel; `name(id)` gives a model's name. `promote(what, slot, sensor)` asks first; without a sensor: the rig's. */
+/** Makes the panel; `name(id)` gives a model's name. `promotion(model, props)` makes the button that promotes one. */
 export function servingPanel({ signal, said, name, onchange }) {
   let etag = null,
     sensor = '',
@@ -30,10 +29,7 @@ export function servingPanel({ signal, said, name, onchange }) {
       { head: 'Used by', left: true, cell: one => useOf(one.slot) },
       { head: 'Serves', left: true, cell: one => words(one.what) },
       { head: 'Since', left: true, cell: one => (!one.what ? '' : since(one) ? `${moment(since(one).at)} by ${since(one).who}` : null) },
-      {
-        head: 'Change',
-        cell: one => (one.what ? only('operator', button('Roll back', () => rollBack(one), { 'aria-label': `Roll back ${title(one)}` })) : ''),
-      },
+      { head: 'Change', cell: one => (one.what ? rollBack(one) : '') },
     ],
   })
   const past = table({
@@ -53,32 +49,32 @@ export function servingPanel({ signal, said, name, onchange }) {
       : id.startsWith('mdl-')
         ? el('span', {}, link(`/nets?model=${id}`, name(id)), ' ', el('span', { className: 'soft small' }, id))
         : id
-  const change = async (what, path, body) => {
-    await said.run(what, () => once(path, { ...body, who: who() }, { headers: etag ? { 'if-match': etag } : {}, wait: 120_000 }))
-    await read()
-    onchange()
-  }
+  /** Changes what serves, if it still has the entity tag `tag`: that of what the person saw at the press. */
+  const change = (path, body, tag) =>
+    once(path, { ...body, who: who() }, { headers: tag ? { 'if-match': tag } : {}, wait: 120_000 }).finally(async () => {
+      await read()
+      onchange()
+    })
   const since = of => history.find(one => one.slot === of.slot && one.sensor === (of.sensor ?? sensor))
   const title = of => slotOf(of.slot).title + (of.sensor ? ` of ${of.sensor}` : '')
-  async function rollBack(of) {
-    if (lockWords()) return void said.tell(lockWords(), 'warn')
+  function rollBack(of) {
     const { what: now, restores: to } = of
-    const sure = await confirm(
-      `Roll back ${title(of)}?`,
-      [
-        `Serves now: ${name(now)} (${now}).`,
-        to ? `${name(to)} (${to}) serves again.` : 'Nothing served before it: the slot becomes empty.',
-        'It is loaded before it serves: no frame is dropped.',
-      ],
-      'Roll back'
-    )
-    if (sure && (await named())) change(`Roll back ${of.slot}`, '/serving/roll-back', { slot: of.slot, sensor: of.sensor })
+    const words = () => [
+      `Serves now: ${name(now)} (${now}).`,
+      to ? `${name(to)} (${to}) serves again.` : 'Nothing served before it: the slot becomes empty.',
+      'It is loaded before it serves: no frame is dropped.',
+    ]
+    return actor('Roll back', said, tag => change('/serving/roll-back', { slot: of.slot, sensor: of.sensor }, tag), {
+      what: `Roll back ${of.slot}`,
+      'aria-label': `Roll back ${title(of)}`,
+      seen: () => etag,
+      sure: () => confirm(`Roll back ${title(of)}?`, words(), 'Roll back'),
+    })
   }
-  async function promote(what, slot, of = sensor) {
-    if (lockWords()) return void said.tell(lockWords(), 'warn')
+  function surePromotion(what, slot, of = sensor) {
     const now = [...serves, ...elsewhere].find(one => one.slot === slot && (one.sensor ?? sensor) === of)?.what
     const uses = isOfQuantity(slotOf(slot)) ? 'Live quantities use' : 'Live contacts and /infer use'
-    const sure = await confirm(
+    return confirm(
       `Promote ${name(what)}?`,
       [
         `Slot: ${slotOf(slot).title} (${useOf(slot)}).`,
@@ -87,21 +83,32 @@ export function servingPanel({ signal, said, name, onchange }) {
       ],
       'Promote'
     )
-    if (sure && (await named())) await change(`Promote ${name(what)}`, '/serving', { what })
   }
+  const promotion = (model, props) =>
+    actor('Promote', said, tag => change('/serving', { what: model.id }, tag), {
+      what: `Promote ${model.name}`,
+      seen: () => etag,
+      sure: () => surePromotion(model.id, model.slot, model.manifest.sensor),
+      ...props,
+    })
   function draw() {
     slots.show([...serves, ...elsewhere])
     past.show(history.slice(0, 20))
   }
+  let asked = 0
   async function read() {
+    const mine = (asked += 1)
     try {
       const answer = await ask('/api/v1/serving', { signal })
+      const found = await answer.json()
+      if (mine !== asked) return // What was asked later, as after a promotion, is newer.
+      const before = etag
       etag = answer.headers.get('etag')
-      ;({ sensor, serves, elsewhere, history } = await answer.json())
+      ;({ sensor, serves, elsewhere, history } = found)
       note(trouble, '')
-      draw()
+      if (etag !== before) draw() // A button that is pressed stays.
     } catch (error) {
-      if (!signal.aborted) note(trouble, `The active models cannot be read: ${error.message}`)
+      if (!signal.aborted && mine === asked) note(trouble, `The active models cannot be read: ${error.message}`)
     }
   }
 
@@ -115,8 +122,8 @@ export function servingPanel({ signal, said, name, onchange }) {
       const id = await (
         await ask('/api/v1/calibrations', { method: 'POST', body: new Blob([await file.files[0].text()], { type: 'text/plain' }), wait: 30_000 })
       ).json()
-      await promote(id, 'skin')
-      return id
+      const tag = etag
+      if (await surePromotion(id, 'skin')) await change('/serving', { what: id }, tag)
     },
     { what: 'Add the calibration' }
   )
@@ -138,5 +145,5 @@ export function servingPanel({ signal, said, name, onchange }) {
       )
     )
   )
-  return { node, read, draw, promote }
+  return { node, read, draw, promotion }
 }

@@ -1,7 +1,8 @@
 // What a screen reader says without a change of focus: one polite line for the whole document, not shown.
 // For values that a person asks for by a key. What follows live values must not be spoken here.
 
-import { el, say } from './dom.js'
+import { el, say, set } from './dom.js'
+import { keysOf } from './readkeys.js'
 
 let line = null
 
@@ -12,8 +13,10 @@ export function speak(words) {
 }
 speak('') // A line that is made together with its text is often not read.
 
-/** Makes a node that names keys for a reader, to be named by `aria-describedby`; made once. */
-export function keysHint(id, words) {
-  if (!document.getElementById(id)) document.body.append(el('p', { id, hidden: true }, words))
-  return id
+/** Makes a picture readable by keys: `kind` is what it is, `title` that of its keys in the list of all, which a reader hears. */
+export function byKeys(node, kind, title) {
+  const id = title.toLowerCase().replaceAll(' ', '-')
+  if (!document.getElementById(id)) document.body.append(el('p', { id, hidden: true }, keysOf(title)))
+  node.tabIndex = 0
+  set(node, { role: 'application', 'aria-roledescription': kind, 'aria-describedby': id })
 }

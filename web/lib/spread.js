@@ -1,6 +1,6 @@
 // How a selection of trials is spread: largest force, contacts, and FVU over force. Bounded to MOST rows.
 
-import { ask, withQuery } from './api.js'
+import { ask, rowsOf, withQuery } from './api.js'
 import { chart } from './chart.js'
 import { el, note, pane } from './dom.js'
 import { counted } from './format.js'
@@ -21,8 +21,7 @@ export async function columnsOf(path, query, columns, { signal }) {
   const rows = []
   for (let at = withQuery(`/api/v1${path}`, { ...query, columns: columns.join(), format: 'ndjson', limit: 1000 }); at;) {
     const response = await ask(at, { accept: 'application/x-ndjson', signal, wait: 20_000 })
-    const text = await response.text()
-    for (const line of text.split('\n')) if (line) rows.push(JSON.parse(line))
+    rows.push(...await rowsOf(response))
     at = /<([^>]+)>;\s*rel="?next"?/.exec(response.headers.get('link') ?? '')?.[1]
     if (rows.length >= MOST) return { rows: rows.slice(0, MOST), more: Boolean(at) }
   }
@@ -33,25 +32,22 @@ export async function columnsOf(path, query, columns, { signal }) {
 export function spread({ signal, label, query }) {
   const groups = by => () => withQuery('/api/v1/trials/groups', { ...query(), ...by })
   const common = { time: false, height: 190, signal, label }
+  const bars = { ...common, y: 'Trials', series: [{ name: 'trials', digits: 0, bars: true, fill: true, colour: '--c1' }] }
   const force = chart({
-    ...common,
+    ...bars,
     title: 'Largest force of a trial',
     key: 'largest',
     query: groups({ bin: 'max_force_n:2' }),
     x: 'Largest force',
     xUnit: 'N',
-    y: 'Trials',
-    series: [{ name: 'trials', digits: 0, bars: true, fill: true, colour: '--c1' }],
   })
   const contacts = chart({
-    ...common,
+    ...bars,
     title: 'Contacts of a trial',
     key: 'contacts',
     query: groups({ group_by: 'contact_count' }),
     whole: true,
     x: 'Contacts',
-    y: 'Trials',
-    series: [{ name: 'trials', digits: 0, bars: true, fill: true, colour: '--c1' }],
   })
   const fit = chart({
     ...common,

@@ -4,7 +4,7 @@
 import { button, dark, el, fill, say } from './dom.js'
 import { count, counted, fixed } from './format.js'
 import { paintStrip, sequential } from './frame.js'
-import { skin, tips } from './skin.js'
+import { nearest, skin, tips } from './skin.js'
 import { places } from './tourmap.js'
 
 const BINS = 96
@@ -21,6 +21,7 @@ export function tourView({ onstep, label, query, signal }) {
   let shape = null
   let kept = []
   let middles = []
+  let pressed = [] // Places of the kept steps, with the numbers of these.
   let spots = []
   let at = 0
   let bitmap = null
@@ -42,10 +43,10 @@ export function tourView({ onstep, label, query, signal }) {
       heads: ['step', 'configuration', 'tips', 'x_mm', 'y_mm'],
       rows: kept.flatMap(i => tour.steps.contacts_mm[i].map(([x, y]) => [i + 1, tour.steps.configuration[i], tour.steps.tips[i], x, y])),
     }),
-    onhover: mm => (mm && kept.length ? describe(nearest(mm)) : ''),
+    onhover: mm => (mm && kept.length ? describe(near(mm)) : ''),
     onpick: mm => {
       if (kept.length) {
-        walk(nearest(mm))
+        walk(near(mm))
         onstep(kept[at])
       }
       return words()
@@ -88,20 +89,8 @@ export function tourView({ onstep, label, query, signal }) {
     ),
   )
 
-  const nearest = ([x, y]) => {
-    let best = 0
-    let least = Infinity
-    kept.forEach((step, i) => {
-      for (const [cx, cy] of tour.steps.contacts_mm[step]) {
-        const d = (cx - x) ** 2 + (cy - y) ** 2
-        if (d < least) {
-          least = d
-          best = i
-        }
-      }
-    })
-    return best
-  }
+  /** The first kept step that presses the place nearest to a position. */
+  const near = mm => pressed[nearest(spots, mm)]?.of[0] ?? 0
   function describe(i) {
     const step = kept[i]
     const contacts = tour.steps.contacts_mm[step]
@@ -171,7 +160,8 @@ export function tourView({ onstep, label, query, signal }) {
       shape = sensor
       kept = tour.steps.tips.map((n, i) => i).filter(i => only == null || tour.steps.tips[i] === only)
       middles = kept.map(i => middle(tour.steps.contacts_mm[i]))
-      spots = places({ contacts_mm: kept.map(i => tour.steps.contacts_mm[i]) }).map(({ x, y }) => [x, y])
+      pressed = places({ contacts_mm: kept.map(i => tour.steps.contacts_mm[i]) })
+      spots = pressed.map(({ x, y }) => [x, y])
       slider.max = Math.max(0, kept.length - 1)
       slider.disabled = kept.length < 2
       view.geometry(sensor)

@@ -21,17 +21,18 @@ export function backlog(twins, run) {
 
 /** Makes the panel of the twins; it asks every five seconds until `signal` aborts. */
 export function twins(signal) {
-  const numbers = el('div'), verdict = el('p'), error = el('p', { className: 'bad' })
+  const numbers = el('div'), verdict = el('p'), error = el('p', { className: 'bad' }), names = new Map()
   const runs = table({ empty: 'No run is stored yet.',
-    columns: [{ head: 'Run', cell: row => link(`/runs?run=${row.run}`, row.name ?? row.run) }, { head: 'Trials', cell: row => count(row.trials) },
+    columns: [{ head: 'Run', cell: row => link(`/runs?run=${row.run}`, names.get(row.run)) }, { head: 'Trials', cell: row => count(row.trials) },
     { head: 'Twins', cell: row => count(row.twins) },
     { head: 'Pending', cell: row => count(row.pending) }, { head: 'Cannot be simulated', cell: row => count(row.failures) }] })
   const node = panel('Twins: every trial simulated again from its measured forces', { className: 'live' }, numbers, verdict, error, runs.node)
-  const names = new Map()
   async function ask() {
     const { pool, runs: rows } = await get('/twins', {}, { signal })
-    if (rows.some(row => !names.has(row.run))) for (const run of (await get('/runs', { limit: 1000 }, { signal })).items) names.set(run.uid,
-      `${run.scan_id} ${run.experiment}`)
+    if (rows.some(row => !names.has(row.run))) {
+      for (const run of (await get('/runs', { limit: 1000 }, { signal })).items) names.set(run.uid, `${run.scan_id} ${run.experiment}`)
+      for (const { run } of rows) if (!names.has(run)) names.set(run, run) // One that is not listed is not asked for again.
+    }
     const { rolling } = pool
     changing(numbers, [['Speed', pool.per_s == null ? 'none made yet' : `${about(pool.per_s)}\u202f/s`], ['Made since start', count(pool.made)],
       ['Workers', count(pool.workers)], ['Pending', count(rows.reduce((sum, row) => sum + row.pending, 0))],
@@ -41,7 +42,7 @@ export function twins(signal) {
     say(verdict, !rolling ? '' : `${LEVELS[rolling.level] ?? plain(rolling.level)}${worst ? ` Worst pairs of electrodes, by FVU: ${worst}.` : ''}`)
     verdict.className = { ok: 'good', warn: 'warn', suspend: 'bad' }[rolling?.level] ?? 'soft'
     say(error, pool.last_error ? `Last failure: ${pool.last_error}` : '')
-    runs.show(rows.slice(0, 20).map(row => ({ ...row, name: names.get(row.run) })))
+    runs.show(rows.slice(0, 20))
   }
   every(PERIOD_MS, async () => {
     try { await ask() } catch (problem) { if (!signal.aborted) say(error, `No answer: ${problem.message}`) }

@@ -1,13 +1,12 @@
 // The waiting runs: their order, predicted times, and what may be done with each. Rows are dragged or moved by buttons.
 
 import { ask, get, send, withQuery } from './api.js'
-import { actor, confirm, named, only } from './actions.js'
+import { actor, confirm, only } from './actions.js'
 import { beginButton, startRights } from './begin.js'
 import { clockline } from './clockline.js'
 import { button, el, panel, say } from './dom.js'
 import { NONE, capital, count, counted, moment, momentBand, plain, span } from './format.js'
 import { live, who } from './live.js'
-import { lockWords } from './lock.js'
 import { dragRows } from './drag.js'
 import { table } from './table.js'
 
@@ -85,15 +84,22 @@ export function waiting({ said, go, signal }) {
       mine('Down', () => move(row, at + 2), { disabled: at === rows.length - 1, 'aria-label': `Move ${run} down` }),
       other('Edit', () => go(`/queue?edit=${row.scan_id}`)),
       other('Copy', () => go(`/queue?copy=${row.scan_id}`)),
-      other('Remove', () => remove(row), { className: 'danger' }),
+      mine('Remove', () => change(withQuery(`/queue/${row.uid}`, { who: who() }), undefined, 'DELETE'), {
+        className: 'danger',
+        'aria-label': `Remove ${run}`,
+        sure: () => confirm(`Remove ${run}?`, `${row.experiment} is taken from the queue. Its number is not used again; the experiment can be queued again.`, 'Remove'),
+      }),
     )
   }
-  const match = () => (tag ? { 'if-match': tag } : {})
 
-  async function move(row, position) {
+  function move(row, position) {
     pressed = `${position > rows.indexOf(row) + 1 ? 'Down' : 'Up'} ${row.uid}`
+    return change(`/queue/${row.uid}/move`, { position, who: who() })
+  }
+  /** Changes the queue if it is still as shown, and shows it as it is then. */
+  async function change(path, body, method) {
     try {
-      await send(`/queue/${row.uid}/move`, { position, who: who() }, { headers: match() })
+      await send(path, body, { method, headers: tag ? { 'if-match': tag } : {} })
     } catch (error) {
       if (error.status === 412) error.message = 'the queue has changed since it was shown. It is shown as it is now'
       throw error
@@ -101,34 +107,26 @@ export function waiting({ said, go, signal }) {
       await refresh()
     }
   }
-  async function remove(row) {
-    if (lockWords()) return void said.tell(lockWords(), 'warn')
-    const words = `${row.experiment} is taken from the queue. Its number is not used again; the experiment can be queued again.`
-    if (!(await confirm(`Remove run ${row.scan_id}?`, words, 'Remove')) || !(await named())) return
-    const path = withQuery(`/queue/${row.uid}`, { who: who() })
-    await said.run(`Remove run ${row.scan_id}`, () => send(path, undefined, { method: 'DELETE', headers: match() }))
-    await refresh()
-  }
 
   // The rows: read with the tag of what is shown, drawn again only if they changed.
-  let reading = null
+  let asked = 0
   let fails = ''
-  const refresh = () =>
-    (reading ??= read().finally(() => {
-      reading = null
-    }))
-  async function read() {
+  async function refresh() {
+    const mine = (asked += 1)
+    const isOver = () => signal.aborted || mine !== asked // What was asked later, as after a move, shows what is newer.
     try {
       const answer = await ask('/api/v1/queue', { signal, headers: tag ? { 'if-none-match': tag } : {} })
+      const items = answer.status === 304 ? null : (await answer.json()).items
+      if (isOver()) return
       fails = ''
-      if (answer.status !== 304) {
+      if (items) {
         tag = answer.headers.get('etag') ?? ''
-        draw((await answer.json()).items)
+        draw(items)
       }
       times()
-      await predict()
+      await predict(isOver)
     } catch (error) {
-      if (signal.aborted) return
+      if (isOver()) return
       fails = `The queue could not be read: ${error.message}.`
     }
     times()
@@ -141,15 +139,16 @@ export function waiting({ said, go, signal }) {
     drag.attach()
     if (focus) list.node.querySelector(`[data-key="${focus}"]`)?.focus()
   }
-  async function predict() {
+  async function predict(isOver) {
     const ms = text => (text == null ? null : Date.parse(text))
     let times = null
     try {
       times = await get('/queue/times', {}, { signal, wait: 30_000 })
     } catch (error) {
-      fails = `The times could not be predicted: ${error.message}.`
+      if (!isOver()) fails = `The times could not be predicted: ${error.message}.`
       return
     }
+    if (isOver()) return
     predicted = new Map(times.items.map(one => [one.run, { ...one, begin: ms(one.begin), end: ms(one.end), low: ms(one.low), high: ms(one.high) }]))
   }
 

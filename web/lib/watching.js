@@ -1,6 +1,6 @@
 // What may suspend a run: each monitor with its value, its threshold, and since when it is beyond.
 
-import { el, fill, say } from './dom.js'
+import { el, renew, say } from './dom.js'
 import { bytes, capital, fixed, moment, span } from './format.js'
 
 const HEADS = ['Watches', 'Value', 'Threshold', 'Beyond since']
@@ -16,25 +16,24 @@ function watchedValue(value, unit) {
 /** Makes the table; `show(rows)` takes `suspenders` of the status, undefined while they are not reported. */
 export function watching() {
   const node = el('div')
-  let shown = '', lines = []
+  let lines = []
   const tell = (line, one) => {
     const since = !one.since ? 'no' : `${moment(one.since)}${one.suspends ? '' : ', only warns'}`, tone = !one.since ? '' : one.suspends ? 'bad' : 'warn'
     const texts = [watchedValue(one.value, one.unit), watchedValue(one.threshold, one.unit), since]
     texts.forEach((text, i) => say(line.cells[i + 1], text))
     if (line.className !== tone) line.className = tone
-    return line
   }
-  const row = one => tell(el('tr', {}, el('th', { scope: 'row' }, capital(one.title)), el('td'), el('td'), el('td')), one)
   return {
     node,
     show(rows) {
       // New values are set in place; only other monitors make another table.
-      const text = JSON.stringify(rows?.map(one => one.name) ?? null)
-      if (text === shown) return void rows?.forEach((one, i) => tell(lines[i], one))
-      shown = text
-      if (!rows?.length) { fill(node, rows && el('p', { className: 'soft small' }, 'No run is watched now.')); return }
-      const head = el('thead', {}, el('tr', {}, HEADS.map(words => el('th', { scope: 'col' }, words))))
-      fill(node, el('div', { className: 'table' }, el('table', {}, el('caption', {}, 'What may suspend the run'), head, el('tbody', {}, lines = rows.map(row)))))
+      renew(node, rows?.map(one => one.name), () => {
+        if (!rows?.length) return rows && el('p', { className: 'soft small' }, 'No run is watched now.')
+        lines = rows.map(one => el('tr', {}, el('th', { scope: 'row' }, capital(one.title)), el('td'), el('td'), el('td')))
+        const head = el('thead', {}, el('tr', {}, HEADS.map(words => el('th', { scope: 'col' }, words))))
+        return el('div', { className: 'table' }, el('table', {}, el('caption', {}, 'What may suspend the run'), head, el('tbody', {}, lines)))
+      })
+      rows?.forEach((one, i) => tell(lines[i], one))
     },
   }
 }

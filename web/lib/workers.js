@@ -3,7 +3,7 @@
 
 import { get, send } from './api.js'
 import { actor, confirm, outcome } from './actions.js'
-import { el, every, fill, panel, say } from './dom.js'
+import { el, every, panel, renew, say } from './dom.js'
 import { bytes, count, countOf, counted, fixed, moment, NONE, plain, span } from './format.js'
 import { table } from './table.js'
 import { TONE } from './words.js'
@@ -55,11 +55,8 @@ export function workers(signal) {
     say(error, '')
     machines.show(found.workers)
     orders.show(found.orders)
-    const { gather, unsubmitted } = found, names = unsubmitted.join()
-    if (offered.dataset.names !== names) {
-      offered.dataset.names = names
-      fill(offered, names && 'Not submitted:', unsubmitted.map(name => [el('span', {}, name), submitting(name)]))
-    }
+    const { gather, unsubmitted } = found
+    renew(offered, unsubmitted, () => [unsubmitted.length > 0 && 'Not submitted:', unsubmitted.map(name => [el('span', {}, name), submitting(name)])])
     say(gathered, gather ? `Gathering of ${gather.folder} into ${gather.into}: ${gather.error ?? plain(gather.state)}.` : '')
     gathered.className = TONE[gather?.state] ?? 'soft'
     say(failures, found.orders.flatMap(order => [order.again_error && `A machine could not make ${counted(order.again, 'chunk')}: ${order.again_error}`,

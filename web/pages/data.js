@@ -2,7 +2,7 @@
 
 import { keep, once } from '../lib/api.js'
 import { actor, only, outcome } from '../lib/actions.js'
-import { el, fill, panel } from '../lib/dom.js'
+import { el, fill, panel, renew } from '../lib/dom.js'
 import { bytes, count, counted, moment } from '../lib/format.js'
 import { contactColumns, datasetView, partsWords } from '../lib/dataset.js'
 import { exportsPanel } from '../lib/exports.js'
@@ -123,8 +123,9 @@ export async function show(root, { query, signal, set, go }) {
     names = page?.definitions ?? names
     fill(told, items.length ? `${known.next ? 'first ' : ''}${counted(items.length, 'dataset')}, newest first` : '')
     list.show(items)
+    const isThere = name => items.some(item => item.name === name)
     const line = name => {
-      const there = items.some(item => item.name === name)
+      const there = isThere(name)
       return el(
         'li',
         {},
@@ -133,7 +134,7 @@ export async function show(root, { query, signal, set, go }) {
         make(there ? 'Make again' : 'Make', () => ({ name }), { what: `Make ${name}`, 'aria-label': `${there ? 'Make again' : 'Make'}: ${name}` })
       )
     }
-    fill(offered, el('ul', {}, names.map(line)))
+    renew(offered, names.map(name => [name, isThere(name)]), () => el('ul', {}, names.map(line)))
   }
   function update(changed) {
     query = changed

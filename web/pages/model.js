@@ -5,7 +5,7 @@
 import { get, send } from '../lib/api.js'
 import { asked, contactList, contactsText, most, parseContacts, within } from '../lib/presslist.js'
 import { dent } from '../lib/dent.js'
-import { button, el, facts, fill, note, pane, panel, say, select } from '../lib/dom.js'
+import { button, el, facts, fill, note, pane, panel, renew, say, select } from '../lib/dom.js'
 import { fit, scatter } from '../lib/fit.js'
 import { about, counted, fixed } from '../lib/format.js'
 import { frame, minus } from '../lib/frame.js'
@@ -156,10 +156,7 @@ export async function show(root, { query, signal, set }) {
   function drawFrame() {
     const { answer, trial, view } = state
     const choices = [...VIEWS, ...(trial?.voltages_v ? TRIAL_VIEWS : [])]
-    if (picker.dataset.views !== String(choices.length)) {
-      picker.dataset.views = choices.length
-      fill(picker, el('label', { className: 'inline' }, 'Shown', select(choices, view, next => set({ view: next === 'difference' ? null : next }))))
-    }
+    renew(picker, choices, () => el('label', { className: 'inline' }, 'Shown', select(choices, view, next => set({ view: next === 'difference' ? null : next }))))
     picker.querySelector('select').value = view
     const v = answer?.voltages_v, values = { difference: () => minus(v, answer?.untouched_v), frame: () => v, untouched: () => answer?.untouched_v,
       measured: () => trial?.voltages_v, residual: () => minus(trial?.voltages_v, v) }[view]?.()

@@ -2,17 +2,19 @@
 
 import { all, get } from '../lib/api.js'
 import { only, outcome } from '../lib/actions.js'
-import { button, el, fill, panel } from '../lib/dom.js'
+import { el, every, fill, panel } from '../lib/dom.js'
 import { counted, fixed, moment } from '../lib/format.js'
 import { jobView, jobsPanel } from '../lib/jobs.js'
 import { listing } from '../lib/listing.js'
 import { live } from '../lib/live.js'
 import { netView } from '../lib/net.js'
 import { evaluationForm, trainingForm } from '../lib/requests.js'
-import { contactTable, quantityTables, shortScore, voltageTable } from '../lib/scores.js'
+import { scoreTables, shortScore } from '../lib/scores.js'
 import { servingPanel } from '../lib/serving.js'
 import { table } from '../lib/table.js'
 import { meaning } from '../lib/vocabulary.js'
+
+const SERVING_MS = 10_000
 
 /** Shows the page. */
 export async function show(root, { query, signal, go }) {
@@ -33,7 +35,7 @@ export async function show(root, { query, signal, go }) {
       view.show(query.model)
     },
   })
-  const view = netView({ signal, models: () => models, promote: serving.promote })
+  const view = netView({ signal, models: () => models, promotion: serving.promotion })
   const work = jobView({ signal, said, models: () => models, onstopped: () => jobs.read() })
   const href = id => `/nets?job=${id}`
 
@@ -56,11 +58,7 @@ export async function show(root, { query, signal, go }) {
         cell: model =>
           model.serves
             ? el('span', { className: 'good' }, 'serves')
-            : model.slot &&
-              only(
-                'operator',
-                button('Promote', () => serving.promote(model.id, model.slot, model.manifest.sensor), { 'aria-label': `Promote ${model.name}, ${model.id}` })
-              ),
+            : model.slot && serving.promotion(model, { 'aria-label': `Promote ${model.name}, ${model.id}` }),
       },
     ],
   })
@@ -73,14 +71,10 @@ export async function show(root, { query, signal, go }) {
   function drawScores(jobs) {
     const reports = jobs.filter(job => job.result?.scored).map(job => ({ ...job.result, job: job.id, asked: job.request.dataset })),
       current = one => one.job != null && one.job === query.job
-    const volts = reports.filter(one => one.voltages),
-      touch = reports.filter(one => one.contacts),
-      quantities = reports.filter(one => one.quantity)
     fill(
       scores,
       reports.length
-        ? [volts.length ? voltageTable(volts, models, { href, current }) : '', touch.length ? contactTable(touch, models, { href, current }) : '',
-           quantityTables(quantities, models, { href, current })]
+        ? scoreTables(reports, models, { href, current })
         : el('p', { className: 'soft' }, `No evaluation has ended yet.${toForms('Start one below.')}`)
     )
   }
@@ -162,7 +156,7 @@ export async function show(root, { query, signal, go }) {
     { signal }
   )
   view.show(query.model)
-  serving.read()
+  every(SERVING_MS, serving.read, signal)
   readDatasets()
   known.read().then(() => !signal.aborted && work.show(query.job)) // A result names its nets.
   return { update }

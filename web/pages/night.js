@@ -198,15 +198,20 @@ export async function show(root, { query, signal, set }) {
   async function readProgress() {
     const of = run ?? last
     if (!of || !tour) return
+    const stored = live.status?.run?.trials_stored ?? -1 // What is stored while this is read may be missing in it.
     try {
       const read = await get(`/runs/${of.scan_id}/progress`, {}, { signal, wait: 20_000 })
       if (of.uid !== (run ?? last)?.uid) return
       progress = read
-      storedThen = live.status?.run?.trials_stored ?? -1
+      storedThen = stored
     } catch (error) { if (!signal.aborted && of.uid === (run ?? last)?.uid) say(skinWords, `The progress could not be read: ${error.message}`) }
     if (signal.aborted || !tour || of.uid !== (run ?? last)?.uid) return
     map.set(tour, progress, shape, !run)
-    const chosen = state.configuration == null ? -1 : tour.steps.configuration.indexOf(Number(state.configuration))
+    choose()
+  }
+  /** Marks the configuration of the address. */
+  function choose() {
+    const chosen = state.configuration == null || !tour ? -1 : tour.steps.configuration.indexOf(Number(state.configuration))
     map.choose(chosen < 0 ? null : chosen)
   }
   let reading = ''
@@ -248,8 +253,7 @@ export async function show(root, { query, signal, set }) {
       minutes.value = state.minutes ?? ''
       chart.minutes(Number(state.minutes) || 2)
       for (const part of [data, nightPart, log]) part.update(state)
-      const chosen = state.configuration == null || !tour ? -1 : tour.steps.configuration.indexOf(Number(state.configuration))
-      map.choose(chosen < 0 ? null : chosen)
+      choose()
     },
   }
 }

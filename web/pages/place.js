@@ -3,10 +3,10 @@
 
 import { hold } from '../lib/address.js'
 import { get, person } from '../lib/api.js'
-import { actOnRig, actOnRun, actor, confirm, named, outcome, runButtons, runRefusal } from '../lib/actions.js'
-import { button, el, fill, note, pane, say, sleep } from '../lib/dom.js'
+import { actOnRig, actOnRun, actor, confirm, named, only, outcome, runButtons, runRefusal } from '../lib/actions.js'
+import { button, el, fill, note, pane, renew, say, sleep } from '../lib/dom.js'
 import { fold } from '../lib/fold.js'
-import { age, count, counted, countOf, span } from '../lib/format.js'
+import { age, clock, count, counted, countOf, span } from '../lib/format.js'
 import { live, rigLabel, who } from '../lib/live.js'
 import { lockWords } from '../lib/lock.js'
 import { manual } from '../lib/manual.js'
@@ -14,7 +14,7 @@ import { overlay } from '../lib/overlay.js'
 import { STAGES, drawPlacement, feltOf, isRead, kilograms, newtons, notYet, present, rest, spot, verdict } from '../lib/placing.js'
 import { sensorOf, skin } from '../lib/skin.js'
 
-const PERIOD_MS = 333
+const PERIOD_MS = 333, OLD_MS = 5000
 const KEYS = ['Enter', ' ', 'PageDown']
 
 /** Shows the page. */
@@ -31,7 +31,7 @@ export async function show(root, { signal }) {
     }
     placement ? work.take(placement) : idle.tell(live.status?.run)
   }
-  watch(view, signal)
+  watch(view, work.draw, signal)
   live.on('fresh', work.draw, signal)
   let queued = null
   live.on('status', ({ status }) => {
@@ -41,8 +41,8 @@ export async function show(root, { signal }) {
   return { update() {} } // The parts follow the address themselves.
 }
 
-/** Asks for the placement while a manual run is active, three times a second; calls `take` with it or null. */
-async function watch(take, signal) {
+/** Asks for the placement while a manual run is active, three times a second; calls `take` with it or null, `failed` without an answer. */
+async function watch(take, failed, signal) {
   const kinds = new Map()
   for (let begun = 0; !signal.aborted; await sleep(Math.max(100, begun + PERIOD_MS - Date.now()), signal)) {
     begun = Date.now()
@@ -56,21 +56,22 @@ async function watch(take, signal) {
     } catch (error) {
       // 404: nothing is asked. A status that asks is newer: what is shown stays for this moment.
       if (error.status === 404 && !signal.aborted && live.status?.run?.wanted?.trial == null) take(null)
+      else failed()
     }
   }
 }
 
 /** The placement at work: skin, instruction, and the one button. */
 function placing(signal) {
-  const said = outcome(), state = { placement: null, open: false, sent: null, sentAt: 0, unrestSince: 0, chosen: null, refused: '' }
+  const said = outcome(), state = { placement: null, readAt: 0, open: false, sent: null, sentAt: 0, unrestSince: 0, chosen: null, refused: '', failed: '' }
   const view = skin({ title: 'Skin', tall: true, signal, label: rigLabel, describe, draw: (pen, scale, shape) => state.placement
     && drawPlacement(pen, scale, shape, state.placement, now()) })
   const head = el('span', { className: 'big' }), resting = el('span', { className: 'soft' }), bar = el('progress'), weights = el('ol', { className: 'weights' })
   const words = el('p', { className: 'verdict', role: 'status' }), refusal = el('p', { className: 'verdict bad', role: 'alert', hidden: true }),
     hint = el('p', { className: 'soft' })
-  const done = button('Done', () => press(false), { className: 'main done' })
-  const anyway = button('Store anyway', storeAnyway, { className: 'danger', hidden: true })
-  const again = button('Repeat the last one', repeat)
+  const done = only('operator', button('Done', () => press(false), { className: 'main done' }))
+  const anyway = only('operator', button('Store anyway', storeAnyway, { className: 'danger', hidden: true }))
+  const again = only('operator', button('Repeat the last one', repeat))
   const zero = el('span', { className: 'soft' }), tare = actor('Tare the empty skin', said, () => actOnRig('tare'))
   const by = el('p', { className: 'soft small' }), buttons = runButtons(said, { without: ['confirm'] })
   const node = el('div', { className: 'placing live' }, pane(view.node), el('section', { 'aria-label': 'What to do now' },
@@ -79,7 +80,7 @@ function placing(signal) {
     el('div', { className: 'row' }, tare, zero), el('div', { className: 'row' }, again, buttons.node), said.node, by,
     fold('overlay', 'Overlay to print', { signal }, overlay())))
   const now = () => state.placement?.contacts.find(({ number }) => number === (state.chosen ?? present(state.placement)))
-  live.on('status', buttons.show, signal)
+  for (const kind of ['status', 'fresh']) live.on(kind, buttons.show, signal)
   const write = hold('weight', { take: text => { state.chosen = Number(text) || null; draw() }, text: () => state.chosen && String(state.chosen), signal })
 
   function describe() {
@@ -91,14 +92,15 @@ function placing(signal) {
 
   function take(placement) {
     const other = placement.trial !== state.placement?.trial || placement.run !== state.placement?.run
-    if (placement.run !== state.placement?.run) sensorOf(placement.run).then(view.geometry, () => {})
+    if (placement.run !== state.placement?.run) sensorOf(placement.run).then(shape => placement.run === state.placement.run && view.geometry(shape), () => {})
     // The weight of the address is that of the placement at which the page was opened.
-    if (other) Object.assign(state, { chosen: state.placement ? null : state.chosen, refused: '' })
+    if (other) Object.assign(state, { chosen: state.placement ? null : state.chosen, refused: '', failed: '' })
     if (!placement.contacts.some(({ number }) => number === state.chosen)) state.chosen = null
     if (other || placement.stage !== 'place' || Date.now() - state.sentAt > 5000) state.sent = null
     if (placement.verdict?.kind !== 'wrong') state.refused = ''
+    if (placement.stage !== 'place') state.failed = '' // It has arrived.
     if (other || isRead(placement)) state.unrestSince = Date.now()
-    state.placement = placement
+    Object.assign(state, { placement, readAt: Date.now() })
     if (other) write()
     draw()
   }
@@ -113,17 +115,18 @@ function placing(signal) {
     if (!placement || signal.aborted) return
     const why = lockWords() || notYet(placement, { ...state, fresh: live.fresh }), busy = placement.stage !== 'place'
     say(head, `Trial ${countOf(placement.done + 1, placement.of)}${placement.repeated ? `, ${count(placement.repeated)} repeated` : ''}`)
-    say(resting, rest(placement))
+    const isOld = Math.abs(Date.now() - state.readAt) > OLD_MS
+    node.classList.toggle('old', isOld)
+    say(resting, isOld ? `The skin was last read at ${clock(state.readAt)}: what is shown is old.` : rest(placement))
     Object.assign(bar, { max: placement.of, value: placement.done, ariaLabel: `${placement.done} of ${placement.of} trials stored` })
     drawWeights(placement)
     const { words: judged, tone } = busy ? { words: STAGES[placement.stage] ?? '', tone: '' } : verdict(placement)
     say(words, judged)
     words.className = `verdict ${tone}`
-    note(refusal, state.refused && !judged.includes(state.refused) ? state.refused : '')
+    note(refusal, state.failed || (state.refused && !judged.includes(state.refused) ? state.refused : ''))
     done.disabled = Boolean(why) || busy
-    anyway.hidden = !state.refused && placement.verdict?.kind !== 'wrong' || busy
+    anyway.hidden = placement.verdict?.kind !== 'wrong' || busy
     anyway.disabled = done.disabled
-    for (const one of [done, anyway, again]) one.classList.toggle('denied', !live.may('operator'))
     say(hint, !live.may('operator') ? 'You see what is asked. To confirm it you need the key of an operator.' : why
       || (busy ? 'The next placement appears by itself.' : `${STAGES.place} Keys: Enter, Space, Page Down.`))
     const refused = live.status?.run ? runRefusal(live.status, 'repeat') : ''
@@ -139,11 +142,9 @@ function placing(signal) {
 
   function drawWeights(placement) {
     const chosen = now()?.number
-    const key = JSON.stringify([placement.trial, placement.run, chosen, placement.stage,
-      placement.contacts.map(({ number }) => Math.round(feltOf(placement, number)?.distance_mm ?? -1)), placement.verdict?.kind, Boolean(placement.felt)])
-    if (weights.dataset.key === key) return
-    weights.dataset.key = key
-    fill(weights, placement.contacts.map(contact => {
+    const of = [placement.trial, placement.run, chosen, placement.stage,
+      placement.contacts.map(({ number }) => Math.round(feltOf(placement, number)?.distance_mm ?? -1)), placement.verdict?.kind, Boolean(placement.felt)]
+    renew(weights, of, () => placement.contacts.map(contact => {
       const felt = feltOf(placement, contact.number), judged = placement.felt && placement.verdict?.kind !== 'unknown'
       const state_ = !judged ? '' : felt ? felt.contact.force_n == null ? `felt ${Math.round(felt.distance_mm)} mm away`
         : `felt ${Math.round(felt.distance_mm)} mm away, ${newtons(felt.contact.force_n)}` : 'not felt'
@@ -161,7 +162,7 @@ function placing(signal) {
   async function press(sure) {
     const { placement } = state
     if (done.disabled || !placement || !live.may('operator') || lockWords() || notYet(placement, { ...state, fresh: live.fresh })) return
-    state.open = true
+    Object.assign(state, { open: true, failed: '' })
     draw()
     try {
       if (!await named()) return
@@ -169,7 +170,9 @@ function placing(signal) {
       Object.assign(state, { sent: placement.trial, sentAt: Date.now(), refused: '' })
       said.tell('')
     } catch (error) {
-      state.refused = error.status ? error.message : `Not confirmed: no answer (${error.message}). Press again.`
+      // What the skin contradicts is shown while it does, with the other button; anything else until the next press.
+      if (error.status && state.placement.verdict?.kind === 'wrong') state.refused = error.message
+      else state.failed = error.status ? `Not confirmed: ${error.message}` : `Not confirmed: no answer (${error.message}). Press again.`
     } finally {
       state.open = false
       draw()

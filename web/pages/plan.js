@@ -137,6 +137,7 @@ export async function show(root, { query, signal, go, set }) {
       ),
       said.node,
     )
+    facing.classList.add('live')
     const label = () => run.label
     const absent = run.kind === 'imported' ? 'An imported run has no plan.' : 'The service has no tour of this run.'
     const picture = el('section', {}, drawing({ label, absent, source: `/api/v1/runs/${run.scan_id}/tour` }, query))

@@ -2,11 +2,11 @@
 // reason where one cannot be done, jog while a button is held, the check, and the pose to copy.
 
 import { hold } from '../lib/address.js'
-import { once, get } from '../lib/api.js'
+import { get, send } from '../lib/api.js'
 import { actOnRig, actor, outcome, refusal, sureHome } from '../lib/actions.js'
 import { chain, lastWord, stopWords, stoppingWords, streamWords, wireWords } from '../lib/chain.js'
 import { copyButton } from '../lib/copybutton.js'
-import { el, every, facts, fill, panel, say, select } from '../lib/dom.js'
+import { el, every, facts, fill, panel, renew, say, select } from '../lib/dom.js'
 import { capital, count, fixed, moment, plain } from '../lib/format.js'
 import { forceBars } from '../lib/forces.js'
 import { jog, stepsOf } from '../lib/jog.js'
@@ -72,7 +72,7 @@ export async function show(root, { query, signal, set }) {
   const checkNow = actor('Check every device', saidCheck, async () => {
     fill(report, el('p', { className: 'soft' }, 'Asking every device; this takes some seconds …'))
     try {
-      fill(report, checkReport(await once('/rig/check', { enable: enable.checked, who: who() }, { wait: CHECK_MS, signal })))
+      fill(report, checkReport(await send('/rig/check', { enable: enable.checked, who: who() }, { wait: CHECK_MS, signal })))
     } catch (error) {
       fill(report)
       throw error
@@ -182,12 +182,9 @@ export async function show(root, { query, signal, set }) {
   }
 
   function drawLimits(rig) {
-    const rows = [rig.force_limit_n != null && ['Force on one cell', fixed(rig.force_limit_n, 0, 'N')], ...(state.limits ?? [])].filter(Boolean),
-      text = JSON.stringify(rows)
-    if (limits.dataset.text === text) return
-    limits.dataset.text = text
-    fill(limits, facts(rows), el('p', { className: 'soft' }, state.limits ? 'From the rig file, which was read at the start of the service.'
-      : 'The other limits are in the rig file.'))
+    const rows = [rig.force_limit_n != null && ['Force on one cell', fixed(rig.force_limit_n, 0, 'N')], ...(state.limits ?? [])].filter(Boolean)
+    renew(limits, rows, () => [facts(rows), el('p', { className: 'soft' }, state.limits ? 'From the rig file, which was read at the start of the service.'
+      : 'The other limits are in the rig file.')])
   }
 
   get('/rig/limits', {}, { signal }).then(({ frame_age_ms, bench }) => {

@@ -27,7 +27,7 @@ export async function show(root, { query, signal, go, set }) {
   const summaries = new Map()
   const list = el('div', { className: 'list' })
   const body = el('div', { className: 'list' })
-  let known = null
+  const known = listing('/runs', { words: 'The runs', draw, limit: PAGE, key: run => run.uid, signal })
   let selected = ''
   let opened = ''
   let view = null
@@ -37,13 +37,13 @@ export async function show(root, { query, signal, go, set }) {
   // The list.
   const cells = new Map()
   const told = el('p', { className: 'soft' })
-  const trouble = el('div')
-  const foot = el('div', { className: 'row' })
-  const cell = (run, name, words) => {
+  // What the summary of a run states: it is read after the list, and later than it.
+  const SUMMED = { stored: s => count(s.trials_stored), skips: s => count(s.skips.length), retries: s => count(s.retries), duration: lasted }
+  const cell = (run, name) => {
     const key = `${run.uid} ${name}`
     if (!cells.has(key)) cells.set(key, el('span', {}, NONE))
-    const known = summaries.get(run.uid)
-    if (known) cells.get(key).textContent = words(known)
+    const found = summaries.get(run.uid)
+    if (found) cells.get(key).textContent = SUMMED[name](found, run)
     return cells.get(key)
   }
   const end = run =>
@@ -62,19 +62,10 @@ export async function show(root, { query, signal, go, set }) {
       { head: 'Kind', left: true, cell: run => run.kind },
       { head: 'Began', cell: run => moment(run.started_at) },
       { head: 'By', left: true, cell: run => run.submitted_by },
-      {
-        head: 'Stored',
-        cell: run =>
-          el(
-            'span',
-            {},
-            cell(run, 'stored', s => count(s.trials_stored)),
-            ` of ${count(run.trials_planned)}`,
-          ),
-      },
-      { head: 'Skipped', cell: run => cell(run, 'skips', s => count(s.skips.length)) },
-      { head: 'Failed attempts', cell: run => cell(run, 'retries', s => count(s.retries)) },
-      { head: 'Duration', cell: run => cell(run, 'duration', s => lasted(s, run)) },
+      { head: 'Stored', cell: run => el('span', {}, cell(run, 'stored'), ` of ${count(run.trials_planned)}`) },
+      { head: 'Skipped', cell: run => cell(run, 'skips') },
+      { head: 'Failed attempts', cell: run => cell(run, 'retries') },
+      { head: 'Duration', cell: run => cell(run, 'duration') },
       { head: 'End', left: true, cell: end },
     ],
   })
@@ -91,22 +82,9 @@ export async function show(root, { query, signal, go, set }) {
   const choice = (id, words) => el('span', { className: 'filter' }, el('label', { className: 'inline', htmlFor: id }, words), controls[id])
   const others = el('span', { className: 'chips', role: 'group', 'aria-label': 'Conditions' })
   const filters = el('div', { className: 'row' }, choice('state', 'Runs'), choice('kind', 'Kind'), choice('label', 'Data'), others)
-  list.append(panel('History', { className: 'live' }, filters, trouble, told, rows.node, foot))
+  list.append(panel('History', { className: 'live' }, filters, known.trouble, told, rows.node, el('div', { className: 'row' }, known.more)))
   const kept = () => conditions(query, 'runs')
 
-  /** Another selection begins another list; returns whether it does. */
-  function reselect() {
-    const given = kept()
-    const text = JSON.stringify(given)
-    if (known && text === selected) return false
-    selected = text
-    const all = Object.keys(given).some(key => ON_STATE.test(key)) ? given : { ...BEGUN, ...given }
-    const mine = listing('/runs', { words: 'The runs', draw: () => mine === known && draw(), query: all, limit: PAGE, key: run => run.uid, signal })
-    known = mine
-    fill(trouble, mine.trouble)
-    fill(foot, mine.more)
-    return true
-  }
   let unknown = []
   let working = 0
   function draw() {
@@ -137,17 +115,20 @@ export async function show(root, { query, signal, go, set }) {
     const found = await get(`/runs/${run.uid}/summary`, {}, { signal }).catch(() => null)
     if (!found) return
     summaries.set(run.uid, found)
-    cell(run, 'stored', s => count(s.trials_stored))
-    cell(run, 'skips', s => count(s.skips.length))
-    cell(run, 'retries', s => count(s.retries))
-    cell(run, 'duration', s => lasted(s, run))
+    for (const name of Object.keys(SUMMED)) cell(run, name)
   }
   async function refresh() {
     if (signal.aborted) return
     await (query.run ? view?.refresh?.() : known.read())
   }
   /** Follows the conditions of the address. */
-  const follow = () => (reselect() ? known.read() : draw())
+  function follow() {
+    const given = kept()
+    const text = JSON.stringify(given)
+    if (text === selected) return draw()
+    selected = text
+    return known.select(Object.keys(given).some(key => ON_STATE.test(key)) ? given : { ...BEGUN, ...given })
+  }
 
   // One run, or two.
   async function open() {
@@ -191,8 +172,7 @@ export async function show(root, { query, signal, go, set }) {
     },
     signal,
   )
-  reselect()
-  await known.read()
+  await follow()
   open()
   return {
     update: next => {

@@ -5,7 +5,7 @@ import { ask, giveKey, hasKey, person } from '../lib/api.js'
 import { actor, only, outcome } from '../lib/actions.js'
 import { actionLog } from '../lib/actionlog.js'
 import { copyButton } from '../lib/copybutton.js'
-import { button, el, facts, fill, note, panel, say } from '../lib/dom.js'
+import { button, el, facts, note, panel, renew, say } from '../lib/dom.js'
 import { capital, count, moment } from '../lib/format.js'
 import { keys } from '../lib/keys.js'
 import { live, who } from '../lib/live.js'
@@ -104,17 +104,14 @@ function operatorLock(signal, done) {
 }
 
 function drawService(node, { service, rig, queue_length: waiting }) {
-  const text = JSON.stringify([service, rig.name, waiting])
-  if (node.dataset.text === text) return
-  node.dataset.text = text
-  fill(node, facts([['Version', service.version], ['Commit', service.git_commit?.slice(0, 10) ?? 'not known'], ['Running since', moment(service.started_at)],
+  renew(node, [service, rig.name, waiting], () => [facts([['Version', service.version], ['Commit', service.git_commit?.slice(0, 10) ?? 'not known'], ['Running since', moment(service.started_at)],
     ['Process', String(service.pid)],
     ['Wrong keys', service.wrong_keys ? el('span', { className: 'warn' }, `${count(service.wrong_keys)}, last ${moment(service.wrong_key_at)}`) : 'none'],
       ['Queue', count(waiting)]]),
   facts([['Data', el('code', {}, service.database)]], { className: 'facts one' }),
   el('p', {}, el('a', { href: '/docs', target: '_blank', rel: 'noopener' }, 'Description of the API'), ', with its limits at each request · ',
     shows('metrics', '/metrics', 'metrics.txt')),
-  el('p', { className: 'soft small' }, 'A refusal always names the limit that it met.'))
+  el('p', { className: 'soft small' }, 'A refusal always names the limit that it met.')])
 }
 
 /** How other machines reach the service: words, and the commands to copy. */

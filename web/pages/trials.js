@@ -4,6 +4,7 @@ import { all, get, withQuery } from '../lib/api.js'
 import { around } from '../lib/around.js'
 import { button, el, fill, link, note, panel, sleep } from '../lib/dom.js'
 import { clock, count, counted, fixed, moment, plain } from '../lib/format.js'
+import { listing } from '../lib/listing.js'
 import { BEGUN } from '../lib/runwords.js'
 import { shows } from '../lib/save.js'
 import { conditions, selection } from '../lib/selection.js'
@@ -23,18 +24,17 @@ const byNumber = ({ run }) => (/^\d+$/.test(run ?? '') ? { run: null, scan_id: r
 export async function show(root, { query, signal, set, go }) {
   if (byNumber(query)) return set(byNumber(query))
   let state = query,
-    rows = [],
-    next = null,
     runs = [],
     asked = '',
-    listing = new AbortController(),
+    selecting = new AbortController(), // Of the charts of a selection.
     open = null,
     looked = ''
   // A chart puts its own zoom back: that of an old address would undo the newer one.
   const href = trial => withQuery('/trials', { ...conditions(state), sort: state.sort, scale: state.scale, trial })
-  const said = el('p', { className: 'bad', role: 'status', hidden: true })
-  const filters = selection({ set, said })
-  const charts = spread({ signal, query: () => conditions(state), label: () => (rows.some(row => row.label === 'virtual') ? 'virtual' : '') })
+  const known = listing('/trials', { words: 'The trials', draw: drawRows, limit: PAGE, most: ROWS_MOST, signal, key: row => row.trial_id })
+  const selected = () => ({ sort: '-trial_id', ...conditions(state), ...(state.sort && { sort: state.sort }) })
+  const filters = selection({ set, said: known.trouble })
+  const charts = spread({ signal, query: () => conditions(state), label: () => (known.items.some(row => row.label === 'virtual') ? 'virtual' : '') })
   const view = trialView({ signal, href, onscale: value => set({ scale: value || null }) })
 
   // The list.
@@ -61,8 +61,7 @@ export async function show(root, { query, signal, set, go }) {
       { head: 'Label', cell: row => row.label, left: true },
     ],
   })
-  const more = button('More', () => load(), { hidden: true }),
-    told = el('span', { className: 'soft' }),
+  const told = el('span', { className: 'soft' }),
     again = el('span', { className: 'soft small' })
   const listPanel = panel(
     'Trials',
@@ -71,7 +70,7 @@ export async function show(root, { query, signal, set, go }) {
     el(
       'div',
       { className: 'row' },
-      more,
+      known.more,
       button(
         'Read again',
         () => {
@@ -85,56 +84,32 @@ export async function show(root, { query, signal, set, go }) {
     )
   )
 
-  async function load() {
-    more.disabled = true
-    const mine = listing
-    try {
-      const page = await get(
-        '/trials',
-        { sort: '-trial_id', ...conditions(state), ...(state.sort && { sort: state.sort }), limit: PAGE, cursor: next },
-        { signal: mine.signal }
-      )
-      if (mine.signal.aborted) return
-      rows = [...rows, ...page.items]
-      next = page.next
-      note(said, '')
-    } catch (error) {
-      if (mine.signal.aborted) return
-      note(said, `The selection was refused: ${error.message}`)
-      if (rows.length) said.scrollIntoView({ block: 'nearest' }) // The button is below the rows.
-      next = null
-    }
-    more.disabled = false
-    more.hidden = !next || rows.length >= ROWS_MOST
+  function drawRows() {
+    const { items, next } = known
     fill(
       told,
-      rows.length
+      items.length
         ? next
-          ? `first ${count(rows.length)}${rows.length >= ROWS_MOST ? ': narrow the selection to see the others' : ''}`
-          : counted(rows.length, 'trial')
+          ? `first ${count(items.length)}${items.length >= ROWS_MOST ? ': narrow the selection to see the others' : ''}`
+          : counted(items.length, 'trial')
         : ''
     )
-    list.show(rows)
+    list.show(items)
   }
 
   async function drawCharts() {
-    const mine = listing
+    const until = AbortSignal.any([signal, selecting.signal])
     try {
-      const { rows: drawn, more: rest } = await columnsOf(
-        '/trials',
-        { sort: '-trial_id', ...conditions(state), ...(state.sort && { sort: state.sort }) },
-        ['trial_id', 'max_force_n', 'contact_count', 'fvu'],
-        { signal: mine.signal }
-      )
-      if (!mine.signal.aborted) charts.show(drawn, rest)
+      const { rows, more } = await columnsOf('/trials', selected(), ['trial_id', 'max_force_n', 'contact_count', 'fvu'], { signal: until })
+      if (!until.aborted) charts.show(rows, more)
     } catch {
-      if (!mine.signal.aborted) charts.show([], false)
+      if (!until.aborted) charts.show([], false)
     }
   }
 
   /** Marks the open one; the rows themselves stay. */
   function mark() {
-    list.node.querySelectorAll('tbody tr').forEach((line, i) => line.classList.toggle('current', String(rows[i]?.trial_id) === state.trial))
+    list.node.querySelectorAll('tbody tr').forEach((line, i) => line.classList.toggle('current', String(known.items[i]?.trial_id) === state.trial))
   }
 
   function reload() {
@@ -144,14 +119,11 @@ export async function show(root, { query, signal, set, go }) {
       return
     }
     asked = key
-    listing.abort()
-    listing = new AbortController()
-    rows = []
-    next = null
-    load()
+    selecting.abort()
+    selecting = new AbortController()
+    known.select(selected())
     drawCharts()
   }
-  signal.addEventListener('abort', () => listing.abort())
 
   // One trial. Read ones are kept, neighbours are read ahead, so that a key answers at once.
   const kept = new Map()
@@ -237,6 +209,7 @@ export async function show(root, { query, signal, set, go }) {
       row = await read(id)
     } catch (error) {
       if (open === id && !signal.aborted) {
+        looked = '' // It may be tried again.
         note(trouble, `Trial ${id} cannot be shown: ${error.message}`)
         view.node.hidden = true
         fill(words)
