@@ -15,7 +15,7 @@ use super::task::{NetTask, SensorFacts};
 use crate::dataset::force_map::ForceMapSpec;
 use crate::digest::{Hashing, ID_DIGITS};
 use crate::ids::{CalibrationId, DatasetId, ModelId};
-use crate::problem::{Checks, Problem};
+use crate::problem::{Checks, Problem, listed};
 use crate::store::Label;
 use crate::syntax::parse_toml;
 
@@ -161,10 +161,6 @@ pub enum ModelError {
     /// The net cannot be written as ONNX.
     #[error("net: {0}")]
     Write(#[from] WriteError),
-}
-
-fn listed(problems: &[Problem]) -> String {
-    problems.iter().map(Problem::to_string).collect::<Vec<_>>().join("; ")
 }
 
 impl ModelFacts {
