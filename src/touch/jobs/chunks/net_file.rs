@@ -2,7 +2,6 @@
 //! Uses: `chunk`, `learn::model_file`, `infer::registry`. Never: a net whose files are not those of its manifest;
 //! losses, which state times.
 
-use std::fs;
 use std::io::{self, Write};
 use std::path::Path;
 
@@ -13,7 +12,6 @@ use crate::chunk::MakeFailure;
 use crate::chunk::error::ChunkError;
 use crate::chunk::folder::OrderFolder;
 use crate::chunk::order::ChunkRow;
-use crate::digest::sha256_hex;
 use crate::infer::registry::{self, NewModel};
 use crate::jobs::JobError;
 use crate::learn::model_file::Manifest;
@@ -100,12 +98,10 @@ pub fn gather(
     let mut gathered = GatheredNets::default();
     for (row, recipe) in rows.iter().zip(&order.recipes) {
         let failed = |source: MakeFailure| ChunkError::Make { index: row.index, source };
-        let path = chunks.result(&row.key);
-        let bytes = fs::read(&path).map_err(ChunkError::file("reading", path))?;
-        if sha256_hex(&bytes) != row.sha256 {
+        let Some(bytes) = chunks.bytes(row)? else {
             gathered.damaged.push(row.index);
             continue;
-        }
+        };
         let ScoredNet { model, scores } = read_net(&bytes).map_err(failed)?;
         if model.name != recipe.name {
             let found = &model.name;
