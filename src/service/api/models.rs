@@ -286,7 +286,7 @@ pub async fn add_calibration(
     act: Act,
     Text(text): Text,
 ) -> ApiResult<(StatusCode, Json<CalibrationId>)> {
-    let id = app.serving.keep_calibration(&text).await?;
+    let id = app.serving.skins().keep(&text)?;
     act.about(id.as_str());
     Ok((StatusCode::CREATED, Json(id)))
 }
@@ -336,7 +336,7 @@ pub async fn roll_back(
     let (who, why, slot) = (request.who.as_deref(), request.why.as_deref(), request.slot);
     act.stated(who, why);
     let sensor = request.sensor.as_deref().unwrap_or(app.serving.rig());
-    app.serving.roll_back((sensor, slot), &act.name(), why).await?;
+    app.serving.roll_back(sensor, slot, &act.name(), why).await?;
     Ok(Json(serves_out(&app, sensor, slot, &app.serving.promotions().await?)))
 }
 
