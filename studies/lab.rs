@@ -101,7 +101,7 @@ pub struct DatasetFacts {
 }
 
 /// A training: a recipe with changes.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, Default, PartialEq)]
 pub struct Training {
     /// A carried recipe, or the path of a recipe file.
     pub recipe: String,
