@@ -8,6 +8,7 @@
 mod tests;
 
 use serde::{Deserialize, Serialize};
+use sim_core::stats::norm;
 
 use super::onnx::write::{Description, WriteError, to_onnx};
 use super::onnx::{OnnxError, OnnxFile, Port, sealed, unsealed};
@@ -59,7 +60,7 @@ pub enum OutOfRange {
 impl TrainedRange {
     /// Checks whether a frame, V, has a larger norm than in training.
     pub fn frame(&self, frame: &[f32]) -> Option<OutOfRange> {
-        let norm_v = frame.iter().map(|&v| f64::from(v).powi(2)).sum::<f64>().sqrt();
+        let norm_v = norm(frame);
         let max_norm_v = self.max_norm_v?;
         (norm_v > max_norm_v).then_some(OutOfRange::Norm { norm_v, max_norm_v })
     }
