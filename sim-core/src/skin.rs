@@ -141,7 +141,7 @@ impl SkinField {
     }
 }
 
-/// The fitted fields.
+/// What a fit to a skin found: its foam's law, and logarithms of factors over positions.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SkinFields {

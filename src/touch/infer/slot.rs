@@ -56,7 +56,7 @@ impl Slot {
         }
     }
 
-    /// What it holds.
+    /// Name of the kind of model that it holds, for people.
     pub fn title(self) -> &'static str {
         match self {
             Self::Transfer => "Transfer-Net",

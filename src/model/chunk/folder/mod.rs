@@ -127,7 +127,7 @@ impl OrderFolder {
         &self.path
     }
 
-    /// The work order.
+    /// The work order that the folder was opened with.
     pub fn order(&self) -> &WorkOrder {
         &self.order
     }

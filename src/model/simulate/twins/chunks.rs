@@ -51,7 +51,7 @@ pub struct TwinsDefinition {
 /// The skin of a run, as the service that stored it simulates it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct TwinSkin {
-    /// The run.
+    /// Run whose skin it is.
     pub run: RunUid,
     /// Simulation id of its model.
     pub model: String,

@@ -74,7 +74,7 @@ pub struct DatasetFile {
 pub struct NetOrder {
     /// Text of the recipe, TOML.
     pub recipe: String,
-    /// Its dataset.
+    /// Rows that the net learns from.
     pub dataset: DatasetFile,
     /// Label of the model.
     pub label: Label,

@@ -72,7 +72,7 @@ fn read_net(bytes: &[u8]) -> Result<ScoredNet, MakeFailure> {
     Ok(ScoredNet { model, scores })
 }
 
-/// What was gathered.
+/// Nets that were written from the chunks of a work order.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct GatheredNets {
     /// Number of nets.

@@ -48,9 +48,9 @@ const READ_BETWEEN: usize = 4;
 pub struct ReadingsDefinition {
     /// Version of lines and fits.
     pub format_version: u32,
-    /// The evaluation.
+    /// What the readings are for; it names the frames.
     pub request: EvaluationRequest,
-    /// Its dataset.
+    /// Dataset of the frames.
     pub dataset: DatasetId,
     /// Simulation id of the skin's model.
     pub model: String,
@@ -208,7 +208,7 @@ impl MakeChunks for ReadingChunks {
     }
 }
 
-/// What was gathered.
+/// Readings that were read from the chunks of a work order.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct GatheredReadings {
     /// The readings of all frames, a line of JSON each.
