@@ -296,10 +296,12 @@ pub async fn add_calibration(
     responses((status = 200, body = ServingOut)))]
 pub async fn serving(app: App) -> ApiResult<Json<ServingOut>> {
     let promotions = app.serving.promotions().await?;
-    let of = |sensor: &str| Slot::ALL.map(|slot| serves_out(&app, sensor, slot, &promotions));
+    let of = |sensor: &str| -> Vec<_> {
+        Slot::ALL.iter().map(|slot| serves_out(&app, sensor, *slot, &promotions)).collect()
+    };
     let others = promotions.sensors().into_iter().filter(|name| *name != app.serving.rig());
     let elsewhere = others.flat_map(of).filter(|serves| serves.what.is_some()).collect();
-    let (sensor, serves) = (app.serving.rig().into(), of(app.serving.rig()).into());
+    let (sensor, serves) = (app.serving.rig().into(), of(app.serving.rig()));
     Ok(Json(ServingOut { sensor, serves, elsewhere, history: promotions.into_rows() }))
 }
 

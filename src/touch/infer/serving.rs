@@ -141,7 +141,7 @@ impl Serving {
     /// Waits until the slots of a method are restored after a restart, and returns the pipeline:
     /// seconds, with a skin most of a minute. Without a method: until all slots are restored.
     pub async fn once_restored(&self, method: Option<Method>) -> Arc<Pipeline> {
-        let needed = method.map_or(Slot::ALL.as_slice(), Method::slots);
+        let needed = method.map_or(Slot::ALL, Method::slots);
         let mut restored = self.inner.restored.subscribe();
         // `self` owns the sender, so the wait cannot fail.
         let _ = restored.wait_for(|up| needed.iter().all(|slot| up.contains(slot))).await;
@@ -161,7 +161,7 @@ impl Serving {
             Ok(promotions) => promotions,
             Err(error) => return tracing::error!(%error, "the promotions could not be read"),
         };
-        for slot in Slot::ALL {
+        for &slot in Slot::ALL {
             if let Some(what) = promotions.serving(self.rig(), slot) {
                 match self.with(self.rig(), slot, Some(&what)).await {
                     Ok(next) => *self.inner.current.write() = next,
