@@ -147,6 +147,20 @@ impl OrderFolder {
         Ok((sha256_hex(&bytes) == row.sha256).then_some(bytes))
     }
 
+    /// Checks that no chunk of those that were gathered is damaged, which are given by their indexes.
+    ///
+    /// # Errors
+    /// `Incomplete` if there are any.
+    pub fn all_whole(&self, damaged: Vec<u64>) -> Result<(), ChunkError> {
+        if damaged.is_empty() {
+            return Ok(());
+        }
+        let why = |index| (index, "its bytes do not have the sha256 of its row".to_owned());
+        let damaged = damaged.into_iter().map(why).collect();
+        let gaps = Box::new(Gaps { damaged, ..Gaps::default() });
+        Err(ChunkError::Incomplete { folder: self.path.clone(), gaps })
+    }
+
     /// Registers this process as one that makes chunks. If there is no other one, what killed processes left
     /// unfinished is removed first.
     ///

@@ -79,15 +79,14 @@ pub struct GatheredNets {
     pub nets: u64,
     /// Number of bytes of their chunks.
     pub bytes: u64,
-    /// Indexes of the chunks whose bytes do not have the sha256 of their row, ascending.
-    pub damaged: Vec<u64>,
 }
 
 /// Writes each net of a work order to a folder of its name in `out`: scores, ONNX file, manifest, sensor file,
 /// residuals. `rows` are all rows of the order; `tell` receives a call for each net.
 ///
 /// # Errors
-/// `ChunkError::File` if a chunk cannot be read; `Make` if it is not the net of its order, or cannot be written.
+/// `ChunkError::File` if a chunk cannot be read; `Make` if it is not the net of its order, or cannot be written;
+/// `Incomplete` if chunks are damaged: the others were written.
 pub fn gather(
     order: &TrainingsOrder,
     chunks: &OrderFolder,
@@ -95,11 +94,11 @@ pub fn gather(
     out: &Path,
     tell: &mut dyn FnMut(),
 ) -> Result<GatheredNets, ChunkError> {
-    let mut gathered = GatheredNets::default();
+    let (mut gathered, mut damaged) = (GatheredNets::default(), Vec::new());
     for (row, recipe) in rows.iter().zip(&order.recipes) {
         let failed = |source: MakeFailure| ChunkError::Make { index: row.index, source };
         let Some(bytes) = chunks.bytes(row)? else {
-            gathered.damaged.push(row.index);
+            damaged.push(row.index);
             continue;
         };
         let ScoredNet { model, scores } = read_net(&bytes).map_err(failed)?;
@@ -117,6 +116,7 @@ pub fn gather(
         gathered.bytes += row.bytes;
         tell();
     }
+    chunks.all_whole(damaged)?;
     Ok(gathered)
 }
 

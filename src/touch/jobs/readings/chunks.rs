@@ -208,33 +208,26 @@ impl MakeChunks for ReadingChunks {
     }
 }
 
-/// Readings that were read from the chunks of a work order.
-#[derive(Debug, Clone, Default, PartialEq, Eq)]
-pub struct GatheredReadings {
-    /// The readings of all frames, a line of JSON each.
-    pub lines: Vec<u8>,
-    /// Indexes of the chunks whose bytes do not have the sha256 of their row, ascending.
-    pub damaged: Vec<u64>,
-}
-
-/// Reads the chunks of a work order, which have these rows; `tell` receives a call for each chunk.
+/// Reads the chunks of a work order, which have these rows; `tell` receives a call for each chunk. Returns the readings
+/// of all frames, a line of JSON each.
 ///
 /// # Errors
-/// `ChunkError::File` if a chunk cannot be read.
+/// `ChunkError::File` if a chunk cannot be read, `Incomplete` if any is damaged.
 pub fn gather(
     chunks: &OrderFolder,
     rows: &[ChunkRow],
     tell: &mut dyn FnMut(),
-) -> Result<GatheredReadings, ChunkError> {
-    let mut gathered = GatheredReadings::default();
+) -> Result<Vec<u8>, ChunkError> {
+    let (mut lines, mut damaged) = (Vec::new(), Vec::new());
     for row in rows {
         match chunks.bytes(row)? {
             Some(bytes) => {
-                gathered.lines.extend(bytes);
+                lines.extend(bytes);
                 tell();
             }
-            None => gathered.damaged.push(row.index),
+            None => damaged.push(row.index),
         }
     }
-    Ok(gathered)
+    chunks.all_whole(damaged)?;
+    Ok(lines)
 }
