@@ -141,7 +141,7 @@ impl SkinField {
     }
 }
 
-/// What a fit to a skin found: its foam's law, and logarithms of factors over positions.
+/// The fitted fields.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SkinFields {
