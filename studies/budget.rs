@@ -141,13 +141,10 @@ impl Budget {
             stem: format!("{stem}-{}", self.scale.name()),
             dataset: Some(self.dataset(dataset)),
             conditions: conditions.to_vec(),
-            answers: None,
-            map: None,
             epochs: Some(self.epochs.unwrap_or(epochs)),
             rows: self.rows.or(rows),
-            batch: None,
-            noise: None,
             seed: self.seed,
+            ..Training::default()
         }
     }
 
@@ -162,14 +159,13 @@ impl Budget {
             stem: format!("{recipe}-{map}-{percent:.0}-{}", self.scale.name()),
             // Without a name it is that of the recipe, split by configuration.
             dataset: self.by_trial.then(|| self.dataset(learned)),
-            conditions: Vec::new(),
-            answers: None,
             map: Some(map),
             epochs: Some(self.epochs.unwrap_or(epochs)),
             rows: self.rows.or(rows),
             batch,
             noise,
             seed: self.seed,
+            ..Training::default()
         }
     }
 

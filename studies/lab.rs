@@ -101,7 +101,7 @@ pub struct DatasetFacts {
 }
 
 /// A training: a recipe with changes.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, Default, PartialEq)]
 pub struct Training {
     /// A carried recipe, or the path of a recipe file.
     pub recipe: String,
@@ -130,7 +130,7 @@ pub struct Training {
 /// A net of a table.
 #[derive(Debug, Clone, PartialEq)]
 pub struct TableNet {
-    /// Its training.
+    /// Training that makes the net.
     pub training: Training,
     /// The requests for its scores, on parts of its dataset; they do not name the net.
     pub scores: Vec<EvaluationRequest>,

@@ -18,7 +18,7 @@ use palpate_data::dataset;
 use palpate_model::figure;
 use palpate_store as store;
 use palpate_touch::{evaluate, infer, learn};
-use palpate_words::ids;
+use palpate_words::{ids, plain};
 
 pub mod lab;
 pub mod budget;

@@ -92,12 +92,10 @@ fn training(budget: &Budget, compared: &Compared, recipe: &str) -> Training {
         dataset: Some(budget.dataset(&compared.dataset)),
         conditions: compared.conditions.clone(),
         answers: Some(compared.quantity),
-        map: None,
         epochs: budget.epochs,
         rows: budget.rows,
-        batch: None,
-        noise: None,
         seed: budget.seed,
+        ..Training::default()
     }
 }
 

@@ -11,6 +11,7 @@ use crate::evaluate::frame_pairs::{FramePair, frame_pairs};
 use crate::evaluate::simulation::{BoxPlot, FORCE_BIN_N, SimulationReport};
 use crate::figure::Heading;
 use crate::figure::skin::Outline;
+use crate::plain::counted;
 use crate::sheet::OutputFile;
 use crate::store::RunRow;
 
@@ -74,12 +75,11 @@ pub fn text(run: &RunRow, report: &SimulationReport) -> String {
         v.map_or_else(|| "not known".into(), |v| format!("{:.3}{unit}", scale * v))
     };
     let mut text = format!(
-        "run {} ({}): simulation against {} {} ({} excluded by flags)\n\
+        "run {} ({}): simulation against {} ({} excluded by flags)\n\
          contact trials: median FVU {}, median RMSE {}; deadband {}\n",
         run.scan_id,
         run.label.as_str(),
-        report.trials,
-        if report.trials == 1 { "trial" } else { "trials" },
+        counted(report.trials, "trial", "trials"),
         report.flagged,
         number(report.median_fvu, 1.0, ""),
         number(report.median_rmse_v, 1e3, " mV"),

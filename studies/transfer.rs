@@ -10,6 +10,7 @@ use crate::evaluate::request::{EvaluationReport, EvaluationRequest, Scored};
 use crate::evaluate::table::markdown;
 use crate::evaluate::voltages::VoltageScores;
 use crate::figure::Heading;
+use crate::ids::ModelId;
 use crate::lab::{Lab, StudyError, TableNet};
 use crate::sheet::{OutputFile, Sheet};
 
@@ -58,10 +59,8 @@ pub async fn table_iii<L: Lab>(lab: &L, budget: &Budget, dataset: &str) -> Resul
     let mut last = None;
     for (published, net) in TABLE_III.iter().zip(nets) {
         let most = published.trained_to;
-        let model = lab.train(&net.training).await?;
-        let test = lab.score(&net.scores[0].of_net(&model)).await?;
-        let train = lab.score(&net.scores[1].of_net(&model)).await?;
-        if let (Some(test), Some(train)) = (&test.voltages, &train.voltages) {
+        let (model, [test, train]) = scored(lab, &net).await?;
+        if let (Some(test), Some(train)) = (&test, &train) {
             rows.push(row(&format!("1 to {most}"), Some(train), test));
             curves.push(panel(published, test, plain.voltages.as_ref()));
         }
@@ -69,21 +68,17 @@ pub async fn table_iii<L: Lab>(lab: &L, budget: &Budget, dataset: &str) -> Resul
         let mut paper = vec![format!("  paper, 1 to {most}"), cell(&published.train)];
         paper.extend(published.test.iter().map(cell));
         rows.push(paper);
-        numbers.push(json!({ "trained_to": most, "model": model, "test": test.voltages,
-            "train": train.voltages }));
-        last = test.voltages;
+        numbers.push(json!({ "trained_to": most, "model": model, "test": test, "train": train }));
+        last = test;
     }
     let (mut verdicts, mut compared) = (String::new(), Vec::new());
     for ((_, name), net) in REGRESSIONS.into_iter().zip(regressions) {
-        let model = lab.train(&net.training).await?;
-        let test = lab.score(&net.scores[0].of_net(&model)).await?;
-        let train = lab.score(&net.scores[1].of_net(&model)).await?;
-        if let (Some(test), Some(train)) = (&test.voltages, &train.voltages) {
+        let (model, [test, train]) = scored(lab, &net).await?;
+        if let (Some(test), Some(train)) = (&test, &train) {
             rows.push(row(&format!("{name}, 1 to 6"), Some(train), test));
             verdicts += &last.as_ref().map_or(String::new(), |net| verdict(net, name, test));
         }
-        compared.push(json!({ "name": name, "model": model, "test": test.voltages,
-            "train": train.voltages }));
+        compared.push(json!({ "name": name, "model": model, "test": test, "train": train }));
     }
     let text = format!(
         "# Table III: mean RMSE (V) / mean FVU (%) by the number of contacts\n\n{}\n{verdicts}{}\n",
@@ -100,6 +95,17 @@ pub async fn table_iii<L: Lab>(lab: &L, budget: &Budget, dataset: &str) -> Resul
         "regressions": compared });
     let figures = vec![OutputFile::new(format!("{name}.svg"), figure)];
     Ok(Sheet::new(&name, text, numbers, figures))
+}
+
+/// Trains a net, and scores it on the parts test and train.
+async fn scored<L: Lab>(
+    lab: &L,
+    net: &TableNet,
+) -> Result<(ModelId, [Option<VoltageScores>; 2]), L::Error> {
+    let model = lab.train(&net.training).await?;
+    let test = lab.score(&net.scores[0].of_net(&model)).await?.voltages;
+    let train = lab.score(&net.scores[1].of_net(&model)).await?.voltages;
+    Ok((model, [test, train]))
 }
 
 /// States whether the last net beats a regression on all test trials.

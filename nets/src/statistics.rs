@@ -3,7 +3,7 @@
 
 use faer::{Mat, Side};
 use rand::RngExt;
-use sim_core::stats::median;
+use sim_core::stats::{median, norm};
 
 use crate::chance::{Purpose, generator};
 use crate::error::SamplesError;
@@ -176,7 +176,7 @@ impl Statistics {
                     held.extend_from_slice(frame);
                 }
                 of_inputs.add(frame.iter().map(|&v| f64::from(v)));
-                let norm = norm(frame);
+                let norm = norm(frame).max(f64::from(NORM_FLOOR_V));
                 of_logs.add([norm.ln()].into_iter());
                 for (i, &v) in frame.iter().enumerate() {
                     units[(i, row)] = f64::from(v) / norm;
@@ -230,12 +230,6 @@ impl Statistics {
         let terms = self.target_mean.iter().zip(&sd);
         Layer::Standardise { mean: terms.map(|(mean, sd)| -(mean + shift) * sd).collect(), sd }
     }
-}
-
-/// Euclidean norm, at least [`NORM_FLOOR_V`].
-fn norm(frame: &[f32]) -> f64 {
-    let square: f64 = frame.iter().map(|&v| f64::from(v).powi(2)).sum();
-    square.sqrt().max(f64::from(NORM_FLOOR_V))
 }
 
 /// Numbers of the samples to measure: all if there are at most `most`, else drawn with replacement.

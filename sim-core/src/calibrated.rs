@@ -33,6 +33,14 @@ impl CalibratedSensor {
         self.skin.as_deref()
     }
 
+    /// Offset of each channel of the readout, V; zero if the offsets are unknown.
+    pub fn offsets_v(&self) -> Vec<f64> {
+        let channels = self.sensor.channels();
+        let known = self.skin().filter(|skin| skin.offsets_mv.len() == channels);
+        let of = |skin: &SkinCalibration| skin.offsets_mv.iter().map(|mv| 1e-3 * mv).collect();
+        known.map_or_else(|| vec![0.0; channels], of)
+    }
+
     /// Returns the sensor without the id and the skin; its values remain the calibrated ones.
     pub fn into_sensor(self) -> Sensor {
         self.sensor

@@ -1,5 +1,5 @@
-//! Quantiles of samples; the fraction of variance unexplained of a frame, and its sums over the injections; waves
-//! around a ring of numbers.
+//! Quantiles of samples; the norm of a frame, its fraction of variance unexplained, and its sums over the injections;
+//! waves around a ring of numbers.
 //! Uses: nothing. Never: weights, missing values (callers remove them).
 //!
 //! There are two quantiles. [`quantile`] interpolates and is that of every reported number.
@@ -101,6 +101,11 @@ pub fn squared_error(measured_v: &[f32], modelled_v: impl IntoIterator<Item = f6
     pairs.map(|(&measured, modelled)| (f64::from(measured) - modelled).powi(2)).sum()
 }
 
+/// Euclidean norm of a frame, in its unit.
+pub fn norm(frame: &[f32]) -> f64 {
+    frame.iter().map(|&v| f64::from(v).powi(2)).sum::<f64>().sqrt()
+}
+
 fn check(sorted: &[f64], share: f64) {
     assert!((0.0..=1.0).contains(&share), "a share is 0 to 1, not {share}");
     debug_assert!(sorted.is_sorted_by(|a, b| a.total_cmp(b).is_le()), "the values are not sorted");
@@ -180,6 +185,11 @@ mod tests {
         let turns = |wave: &[f64]| wave.windows(2).filter(|v| v[0] * v[1] < 0.0).count();
         let waves = waves(28);
         assert_eq!((turns(&waves[0]), turns(&waves[27])), (0, 27));
+    }
+
+    #[test]
+    fn a_norm_is_that_of_all_values() {
+        assert_eq!((norm(&[3.0, -4.0]), norm(&[])), (5.0, 0.0));
     }
 
     #[test]

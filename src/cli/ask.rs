@@ -104,7 +104,7 @@ pub async fn metrics(at: &At) -> CliResult<()> {
 pub async fn act(args: &ActArgs, action: &str, more: Value) -> CliResult<()> {
     let client = embed::server(&args.at).await?;
     let run = client.status().await?.run.ok_or(CliError::Idle)?;
-    request(&client, (run.uid, run.scan_id), args, action, more).await
+    request(&client, run.uid, run.scan_id, args, action, more).await
 }
 
 /// Sends an action on a run, and prints that it was accepted.
@@ -113,7 +113,8 @@ pub async fn act(args: &ActArgs, action: &str, more: Value) -> CliResult<()> {
 /// As [`act`].
 pub async fn request(
     client: &Client,
-    (uid, scan_id): (RunUid, i64),
+    uid: RunUid,
+    scan_id: i64,
     args: &ActArgs,
     action: &str,
     mut more: Value,
@@ -144,7 +145,7 @@ pub async fn abort(args: &AbortArgs) -> CliResult<()> {
     let Some(run) = &args.run else { return act(&args.act, "abort", json!({})).await };
     let client = embed::server(&args.act.at).await?;
     let run = find_run(&client, run).await?;
-    request(&client, (run.uid, run.scan_id), &args.act, "abort", json!({})).await
+    request(&client, run.uid, run.scan_id, &args.act, "abort", json!({})).await
 }
 
 /// An emergency stop that the service has latched.

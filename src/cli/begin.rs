@@ -63,7 +63,7 @@ pub async fn resume(args: &ResumeArgs) -> CliResult<()> {
     };
     let paused = active.filter(|active| named.as_ref().is_none_or(|run| run.uid == active.uid));
     if let Some(run) = paused {
-        return request(&client, (run.uid, run.scan_id), &args.act, "resume", json!({})).await;
+        return request(&client, run.uid, run.scan_id, &args.act, "resume", json!({})).await;
     }
     let Some(run) = named else { return Err(CliError::NothingToResume) };
     let stored = client.summary(run.uid).await?.trials_stored;

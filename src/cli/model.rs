@@ -99,8 +99,9 @@ enum What {
 }
 
 fn slot(name: &str) -> Result<Slot, String> {
-    let found = Slot::ALL.into_iter().find(|slot| slot.name() == name);
-    found.ok_or_else(|| format!("must be {}", Slot::ALL.map(Slot::name).join(", ")))
+    let found = Slot::ALL.iter().copied().find(|slot| slot.name() == name);
+    let names = || Slot::ALL.iter().map(|slot| slot.name()).collect::<Vec<_>>().join(", ");
+    found.ok_or_else(|| format!("must be {}", names()))
 }
 
 /// Longest wait for a promotion: the preparation of a skin takes most of a minute, or longer under

@@ -24,7 +24,8 @@ use palpate_data::dataset;
 use palpate_model::{calibrate, chunk, figure, simulate};
 use palpate_store as store;
 use palpate_words::{
-    chance, clock, commit, digest, ids, journal, new_file, problem, program, record, state, syntax,
+    chance, clock, commit, digest, ids, journal, new_file, plain, problem, program, record, state,
+    syntax,
 };
 
 pub mod learn;

@@ -68,6 +68,11 @@ impl fmt::Display for Problem {
     }
 }
 
+/// Problems in one line.
+pub fn listed(problems: &[Problem]) -> String {
+    problems.iter().map(Problem::to_string).collect::<Vec<_>>().join("; ")
+}
+
 /// Collects the problems of a file; each check has a key and its limit as text.
 #[derive(Debug)]
 pub struct Checks<'a> {

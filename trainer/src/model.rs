@@ -71,8 +71,7 @@ impl Model {
                 continue;
             }
             let read = |t: &Tensor<2>| {
-                let inner = if t.is_autodiff() { t.clone().inner() } else { t.clone() };
-                inner.into_data().try_to_vec::<f32>().expect("parameters are f32")
+                without_gradient(t).into_data().try_to_vec::<f32>().expect("parameters are f32")
             };
             let trained: Vec<_> = trained.iter().map(read).collect();
             set_matrices(layer, &trained, &kept.iter().map(read).collect::<Vec<_>>());
@@ -118,8 +117,7 @@ impl Model {
     }
 
     fn without_gradients(&self) -> Vec<Vec<Tensor<2>>> {
-        let inner = |t: &Tensor<2>| if t.is_autodiff() { t.clone().inner() } else { t.clone() };
-        self.parameters.iter().map(|p| p.iter().map(inner).collect()).collect()
+        self.parameters.iter().map(|p| p.iter().map(without_gradient).collect()).collect()
     }
 
     /// `frames` are `[batch, inputs]`, answers `[batch, numbers of an answer]`.
@@ -267,6 +265,11 @@ fn biased(x: Tensor<2>, p: &[Tensor<2>]) -> Tensor<2> {
         Some(bias) => x + bias.clone(),
         None => x,
     }
+}
+
+/// The same numbers, not followed by gradients.
+fn without_gradient(t: &Tensor<2>) -> Tensor<2> {
+    if t.is_autodiff() { t.clone().inner() } else { t.clone() }
 }
 
 /// Marks matrices as parameters with gradients.

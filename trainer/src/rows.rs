@@ -3,6 +3,7 @@
 
 use nets::error::SamplesError;
 use nets::samples::Samples;
+use sim_core::stats::norm;
 
 use crate::dataset::force_map::{ForceMap, MapContact};
 use crate::learn::error::LearnError;
@@ -66,7 +67,6 @@ impl Fixed {
 
     /// The largest Euclidean norm of an input.
     pub fn max_norm_v(&self) -> Option<f64> {
-        let norm = |input: &[f32]| input.iter().map(|&v| f64::from(v).powi(2)).sum::<f64>().sqrt();
         self.inputs.chunks_exact(self.lens[0]).map(norm).reduce(f64::max)
     }
 }

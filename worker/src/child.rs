@@ -7,9 +7,10 @@
 use std::collections::VecDeque;
 use std::path::{Path, PathBuf};
 use std::process::Stdio;
-use std::sync::{Arc, Mutex};
+use std::sync::Arc;
 use std::time::Duration;
 
+use parking_lot::Mutex;
 use serde::Deserialize;
 use serde_json::json;
 use tokio::io::{AsyncBufReadExt, AsyncRead, AsyncReadExt, AsyncWriteExt, BufReader};
@@ -177,7 +178,7 @@ impl Running {
         };
         // Its last lines may still be in the pipe.
         tokio::time::sleep(Duration::from_millis(50)).await;
-        let tail = self.tail.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
+        let tail = self.tail.lock();
         let last: Vec<&str> = tail.iter().map(String::as_str).collect();
         let text =
             format!("the program ended while it made this chunk ({how}): {}", last.join(" | "));
@@ -196,7 +197,7 @@ async fn read_errors(errors: impl AsyncRead + Unpin, tail: Arc<Mutex<VecDeque<St
         }
         let line = clipped(&String::from_utf8_lossy(&line));
         tracing::info!("palpate: {line}");
-        let mut tail = tail.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
+        let mut tail = tail.lock();
         tail.push_back(line);
         if tail.len() > TAIL_LINES {
             tail.pop_front();

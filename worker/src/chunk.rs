@@ -29,7 +29,7 @@ pub struct Bench {
 /// How a chunk became done.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Outcome {
-    /// It was made.
+    /// The program made it now.
     Made,
     /// Its result was in the store.
     Existed,

@@ -33,7 +33,7 @@ pub struct Fetched {
 /// What becomes of a damaged result of the store.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Damaged {
-    /// It remains.
+    /// It remains in the store.
     Kept,
     /// It is removed, so that `submit` has it made again.
     Discarded,

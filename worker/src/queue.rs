@@ -5,7 +5,7 @@
 //! replaced. Transactions are short, so that a repeated request costs one.
 
 use std::future::Future;
-use std::sync::{Arc, Mutex};
+use std::sync::Arc;
 use std::time::Duration;
 
 use futures::StreamExt;
@@ -19,6 +19,7 @@ use graphile_worker::{
     ActiveWorkerRow, Database, DbError, HookRegistry, Job, JobFlagFilter, JobSpec, RawJobSpec,
     SweepStaleWorkersOptions, TaskDetails, WorkerRecoveryConfig, WorkerUtils,
 };
+use parking_lot::Mutex;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use sqlx::postgres::{PgConnectOptions, PgPool, PgPoolOptions};
@@ -92,7 +93,7 @@ impl Queue {
     }
 
     fn pool(&self) -> PgPool {
-        self.pool.lock().unwrap_or_else(|poisoned| poisoned.into_inner()).clone()
+        self.pool.lock().clone()
     }
 
     fn utils(&self) -> WorkerUtils {
@@ -111,8 +112,7 @@ impl Queue {
             Err(_) => QueryError::lost(format!("no answer within {} s", limit.as_secs())),
         };
         if error.code.is_none() {
-            *self.pool.lock().unwrap_or_else(|poisoned| poisoned.into_inner()) =
-                pool(&self.options, self.connections);
+            *self.pool.lock() = pool(&self.options, self.connections);
         }
         let host = self.options.get_host();
         let text = format!("{host}: {}", error.message);

@@ -12,7 +12,7 @@ use crate::order::ORDER_FILE;
 use crate::queue::{ChunkRef, Queue};
 use crate::store::{INPUTS, Part, Store};
 
-/// What was submitted.
+/// What a submission added to the queue, and what was there.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct Submitted {
     /// Id of the order.

@@ -12,11 +12,12 @@
 
 use std::collections::BTreeSet;
 use std::path::PathBuf;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::{Duration, Instant};
 
 use graphile_worker::{HookRegistry, Job, JobRecovery, JobRecoveryContext, JobRecoveryResult};
+use parking_lot::Mutex;
 use serde_json::{Value, json};
 use tokio::signal::unix::{Signal, SignalKind, signal};
 use tokio::sync::{Notify, watch};
@@ -82,16 +83,6 @@ struct Shared {
     made: AtomicU64,
     existed: AtomicU64,
     failed: AtomicU64,
-}
-
-impl Shared {
-    fn held(&self) -> MutexGuard<'_, BTreeSet<i64>> {
-        self.held.lock().unwrap_or_else(|poisoned| poisoned.into_inner())
-    }
-
-    fn left(&self) -> MutexGuard<'_, LeftOrders> {
-        self.left.lock().unwrap_or_else(|poisoned| poisoned.into_inner())
-    }
 }
 
 /// Works until SIGTERM, SIGINT or SIGHUP; a second SIGTERM or SIGINT ends it within the present chunk.
@@ -184,7 +175,7 @@ async fn run_slot(shared: Arc<Shared>, mut bench: Bench) -> Result<(), WorkerErr
     let mut pause = Pause::default();
     let mut connected = false;
     while !*ending.borrow() {
-        let left = shared.left().now(Instant::now());
+        let left = shared.left.lock().now(Instant::now());
         let taken = async {
             let orders = shared.queue.orders(&left).await?;
             let job = shared.queue.take(&orders, &shared.id, &shared.allowed).await?;
@@ -214,7 +205,7 @@ async fn run_slot(shared: Arc<Shared>, mut bench: Bench) -> Result<(), WorkerErr
                 break;
             }
             let idle = if shared.work.until_idle { IDLE_AT_END } else { IDLE };
-            let back = shared.left().first_end(Instant::now());
+            let back = shared.left.lock().first_end(Instant::now());
             let idle = back.map_or(idle, |back| back.min(idle));
             tokio::select! {
                 () = rest(idle, &mut ending) => (),
@@ -222,9 +213,9 @@ async fn run_slot(shared: Arc<Shared>, mut bench: Bench) -> Result<(), WorkerErr
             }
             continue;
         };
-        shared.held().insert(*job.id());
+        shared.held.lock().insert(*job.id());
         settle(&shared, &mut bench, &job).await;
-        shared.held().remove(job.id());
+        shared.held.lock().remove(job.id());
     }
     bench.end().await;
     Ok(())
@@ -243,7 +234,7 @@ async fn settle(shared: &Shared, bench: &mut Bench, job: &Job) {
             let number = if is_made { &shared.made } else { &shared.existed };
             number.fetch_add(1, Ordering::Relaxed);
             if is_made && let Ok(chunk) = &chunk {
-                shared.left().returns(&chunk.order);
+                shared.left.lock().returns(&chunk.order);
             }
             acknowledge(|| shared.queue.complete(job, &shared.id)).await;
             return;
@@ -274,7 +265,7 @@ async fn settle(shared: &Shared, bench: &mut Bench, job: &Job) {
 /// Returns a chunk that this machine could not make, and leaves its order for a while. After too many refusals the
 /// order is set aside: no machine has made its first chunk.
 async fn give_back(shared: &Shared, bench: &mut Bench, job: &Job, chunk: ChunkRef, text: &str) {
-    shared.left().leave(&chunk.order, Instant::now());
+    shared.left.lock().leave(&chunk.order, Instant::now());
     acknowledge(|| shared.queue.give_back(job, &shared.id, &chunk, text)).await;
     if chunk.refused < REFUSALS_MAX {
         return;
@@ -320,7 +311,7 @@ async fn beat(shared: Arc<Shared>, about: Value) {
     loop {
         let renewed = async {
             shared.queue.heartbeat(&shared.id, &about).await?;
-            let held: Vec<i64> = shared.held().iter().copied().collect();
+            let held: Vec<i64> = shared.held.lock().iter().copied().collect();
             shared.queue.return_unknown(&shared.id, &held, ANSWER * 2).await
         };
         match renewed.await {

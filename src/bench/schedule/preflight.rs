@@ -10,7 +10,7 @@ use utoipa::ToSchema;
 use super::estimate::{Bench, Estimate, Estimates, Parts, estimate, fixed_bytes};
 use super::order::Place;
 use super::plan::{Kind, Plan, PlannedConfiguration, Step};
-use crate::plain::{bytes, duration};
+use crate::plain::{bytes, counted, duration};
 use crate::problem::Problem;
 
 /// Preflight of a plan on a bench.
@@ -178,9 +178,8 @@ impl fmt::Display for Preflight {
         let waits = format!("{} times, not in the duration", self.waits_for_person);
         line(f, "waits for a person", waits)?;
         for setting in &self.settings {
-            let name = setting
-                .tips
-                .map_or("manual".into(), |t| format!("{t} tip{}", if t == 1 { "" } else { "s" }));
+            let tips = |count: u8| counted(count.into(), "tip", "tips");
+            let name = setting.tips.map_or("manual".into(), tips);
             let (time, disk) = (duration(setting.duration_s), bytes(setting.disk_bytes as f64));
             writeln!(f, "    {name:<18} {time:>12} {:>8} trials {disk:>10}", setting.trials)?;
         }

@@ -7,7 +7,7 @@ use clap::Args;
 use serde_json::json;
 
 use super::OrderPlace;
-use super::kind::{all_whole, readings_order};
+use super::kind::readings_order;
 use crate::chunk::folder::OrderFolder;
 use crate::chunk::order::{ChunkRow, WorkOrder};
 use crate::cli::client::TextPart;
@@ -76,12 +76,10 @@ pub async fn score(
     mut verified: Counted,
 ) -> CliResult<u64> {
     let order = readings_order(folder)?;
-    let gathered = gather(folder, rows, &mut || verified.add(1));
+    let lines = gather(folder, rows, &mut || verified.add(1));
     drop(verified);
-    let gathered = gathered?;
-    all_whole(folder, gathered.damaged)?;
     let file = out.join(READINGS_FILE);
-    new_file::write(out, READINGS_FILE, &gathered.lines).map_err(CliError::file(&file))?;
+    new_file::write(out, READINGS_FILE, lines?).map_err(CliError::file(&file))?;
     let request = order.definition.request.clone();
     let texts = vec![
         TextPart::value("request", json!(request).to_string()),

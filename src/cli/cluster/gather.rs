@@ -8,7 +8,7 @@ use clap::Args;
 use serde_json::{Value, json};
 
 use super::evaluation;
-use super::kind::{ChunkKind, Gathered, all_whole, twins_order};
+use super::kind::{ChunkKind, Gathered, twins_order};
 use super::twins::{self, Stored};
 use crate::chunk::folder::OrderFolder;
 use crate::chunk::order::ChunkRow;
@@ -85,7 +85,7 @@ async fn store(folder: OrderFolder, rows: Vec<ChunkRow>, at: &At) -> CliResult<(
     let run = twins_order(&folder)?.definition.run;
     let done = twins::store(run, folder.clone(), rows, at, verified(&folder)).await?;
     let Stored { stored, present, damaged } = done;
-    all_whole(&folder, damaged)?;
+    folder.all_whole(damaged)?;
     let more = json!({ "run": run, "stored": stored, "present": present });
     let words = format!(
         "{} twins of {} chunks, each with its sha256, are stored in run {run}; {} of them were there before",

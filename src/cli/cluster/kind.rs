@@ -6,7 +6,7 @@ use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
 
 use crate::chunk::MakeChunks;
-use crate::chunk::error::{ChunkError, Gaps};
+use crate::chunk::error::ChunkError;
 use crate::chunk::folder::OrderFolder;
 use crate::chunk::order::{ChunkRow, ORDER_FILE};
 use crate::cli::error::{CliError, CliResult};
@@ -118,7 +118,7 @@ impl ChunkKind {
             Self::SimRandom => {
                 let order = RandomOrder::read(folder.order()).map_err(refused(folder))?;
                 let gathered = chunks::gather(&order, folder, rows, out, &mut |_| tell())?;
-                all_whole(folder, gathered.damaged)?;
+                folder.all_whole(gathered.damaged)?;
                 let shards = gathered.manifest.shards.iter();
                 let (rows, bytes) = shards.fold((0, 0), |(rows, bytes), shard| {
                     (rows + shard.trials, bytes + shard.bytes)
@@ -128,7 +128,6 @@ impl ChunkKind {
             Self::Trainings => {
                 let order = TrainingsOrder::read(folder.order()).map_err(refused(folder))?;
                 let gathered = trainings::gather(&order, folder, rows, out, tell)?;
-                all_whole(folder, gathered.damaged)?;
                 Ok(Gathered { rows: gathered.nets, bytes: gathered.bytes })
             }
             Self::Twins | Self::Readings => {
@@ -153,20 +152,6 @@ pub fn twins_order(folder: &OrderFolder) -> CliResult<TwinsOrder> {
 /// `ChunkError::Order` with the first value that is wrong.
 pub fn readings_order(folder: &OrderFolder) -> CliResult<ReadingsOrder> {
     ReadingsOrder::read(folder.order()).map_err(refused(folder))
-}
-
-/// Checks that no chunk of a folder is damaged.
-///
-/// # Errors
-/// `ChunkError::Incomplete` if there are any.
-pub fn all_whole(folder: &OrderFolder, damaged: Vec<u64>) -> Result<(), ChunkError> {
-    if damaged.is_empty() {
-        return Ok(());
-    }
-    let why = |index| (index, "its bytes do not have the sha256 of its row".to_owned());
-    let damaged = damaged.into_iter().map(why).collect();
-    let gaps = Box::new(Gaps { damaged, ..Gaps::default() });
-    Err(ChunkError::Incomplete { folder: folder.path().to_owned(), gaps })
 }
 
 /// Conversion of a problem of a folder's work order.

@@ -48,7 +48,7 @@ pub fn named(text: &str) -> Option<TrialName> {
 /// # Errors
 /// `CliError` if there is no such trial, or a request fails.
 pub async fn show(client: &Client, name: &TrialName, output: Output) -> CliResult<()> {
-    let trial = stored(client, name, true).await?;
+    let trial = stored(client, name, Frames::With).await?;
     if output == Output::Json {
         say_json(&trial);
         return Ok(());
@@ -67,11 +67,20 @@ pub async fn show(client: &Client, name: &TrialName, output: Output) -> CliResul
     Ok(())
 }
 
-/// Returns the stored trial that a person named, with its mean frame and the simulated one if requested.
+/// Whether a trial is read with its mean frame and the simulated one.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Frames {
+    /// With both.
+    With,
+    /// Without them.
+    Without,
+}
+
+/// Returns the stored trial that a person named.
 ///
 /// # Errors
 /// `CliError::Problems` if there is no such trial; others as [`Client::send`].
-pub async fn stored(client: &Client, name: &TrialName, with_voltages: bool) -> CliResult<TrialRow> {
+pub async fn stored(client: &Client, name: &TrialName, frames: Frames) -> CliResult<TrialRow> {
     let query = match name {
         TrialName::Id(id) => format!("/api/v1/trials?trial_id={id}"),
         TrialName::Key { run, configuration, depth_index } => {
@@ -80,7 +89,7 @@ pub async fn stored(client: &Client, name: &TrialName, with_voltages: bool) -> C
             format!("/api/v1/runs/{run}/trials?{key}")
         }
     };
-    let path = format!("{query}&voltages={with_voltages}&limit=1");
+    let path = format!("{query}&voltages={}&limit=1", frames == Frames::With);
     let page: Page<TrialRow> = client.get(&path).await?;
     page.items.into_iter().next().ok_or_else(|| {
         let limit = "no trial has this name: palpate trials lists them";

@@ -11,7 +11,7 @@ use parquet::errors::ParquetError;
 use super::format::FormatError;
 use super::shards::ShardsError;
 use crate::ids::DatasetId;
-use crate::problem::Problem;
+use crate::problem::{Problem, listed};
 use crate::store::StoreError;
 
 /// Why a dataset, an export or an import failed.
@@ -19,7 +19,7 @@ use crate::store::StoreError;
 #[allow(missing_docs, reason = "the message names the fields")]
 pub enum DatasetError {
     /// Values of a request, a definition or an imported file are invalid.
-    #[error("{}", .0.iter().map(ToString::to_string).collect::<Vec<_>>().join("; "))]
+    #[error("{}", listed(.0))]
     Problems(Vec<Problem>),
     /// No dataset has this id or name.
     #[error("no dataset {name}: choose from {choices}, or run-N for a run that has ended")]

@@ -8,7 +8,7 @@ use plotters::prelude::*;
 use super::CalibrateError;
 use super::foam::{FittedRow, FoamFit};
 use super::piezo::PiezoFit;
-use crate::figure::style::{AxesStyle, COLOURS, INK, decade, legend, plain};
+use crate::figure::style::{AxesStyle, COLOURS, INK, dash, decade, legend, plain};
 use crate::figure::{Area, Heading, PageSize, figure};
 
 const FIT_SIZE: PageSize = PageSize { width_px: 860, height_px: 520 };
@@ -74,7 +74,7 @@ fn draw_piezo(area: &Area<'_>, fit: &PiezoFit) -> Result<(), Box<dyn Error>> {
     chart
         .draw_series(LineSeries::new(curve, FIT.stroke_width(2)))?
         .label("Eq. 1")
-        .legend(|(x, y)| PathElement::new([(x, y), (x + 18, y)], FIT.stroke_width(2)));
+        .legend(dash(FIT));
     let dots = fit.rows.iter().map(|r| dot(r.displacement_mm, r.resistance_ohm, INK));
     chart
         .draw_series(dots)?
@@ -148,7 +148,7 @@ fn draw_foam(area: &Area<'_>, fit: &FoamFit) -> Result<(), Box<dyn Error>> {
                 colour.stroke_width(2),
             ))?
             .label(name)
-            .legend(move |(x, y)| PathElement::new([(x, y), (x + 18, y)], colour.stroke_width(2)));
+            .legend(dash(colour));
         let dots = rows.iter().map(|r| dot(r.measured.force_n, r.measured.displacement_mm, colour));
         chart.draw_series(dots)?;
     }

@@ -12,7 +12,7 @@ use sim_core::stats::sorted;
 use super::CalibrateError;
 use super::skin::CalibratedSkin;
 use crate::figure::skin::Outline;
-use crate::figure::style::{AxesStyle, COLOURS, INK, SMALL, diverging, legend, plain, whole};
+use crate::figure::style::{AxesStyle, COLOURS, INK, SMALL, dash, diverging, legend, plain, whole};
 use crate::figure::{Area, Heading, PageSize, figure};
 
 /// Width of the skin in a panel, px.
@@ -120,7 +120,7 @@ fn distributions(area: &Area<'_>, fitted: &CalibratedSkin) -> Result<(), Box<dyn
         chart
             .draw_series(LineSeries::new(line, colour.stroke_width(2)))?
             .label(name)
-            .legend(move |(x, y)| PathElement::new([(x, y), (x + 20, y)], colour.stroke_width(3)));
+            .legend(dash(colour));
     }
     legend(&mut chart, SeriesLabelPosition::UpperLeft)
 }

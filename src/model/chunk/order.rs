@@ -89,7 +89,8 @@ pub fn chunk_input(what: &str, index: u64) -> String {
 /// # Errors
 /// As text: an input that is not in the definition, or that cannot be read.
 pub fn read_input<'a, T>(
-    (what, index): (&str, u64),
+    what: &str,
+    index: u64,
     inputs: &BTreeMap<String, String>,
     stated: &'a [String],
     read: impl FnOnce(&str) -> Result<T, String>,

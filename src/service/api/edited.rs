@@ -87,8 +87,10 @@ pub async fn carry_out(app: &App, needs: Needs, request: Request, next: Next) ->
     let Some(thing) = needs.edited else { return next.run(request).await };
     if matches!(*request.method(), Method::GET | Method::HEAD) {
         let headers = request.headers().clone();
-        let shown = tagged(next.run(request).await).await;
-        return shown.map_or_else(ApiError::into_response, |shown| unless_known(&headers, shown));
+        return match tagged(next.run(request).await).await {
+            Ok((shown, tag)) => unless_known(&headers, shown, tag),
+            Err(error) => error.into_response(),
+        };
     }
     let _alone = app.facts.edits.of(thing).lock().await;
     match thing.check(app, request.headers()).await {

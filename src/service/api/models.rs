@@ -286,7 +286,7 @@ pub async fn add_calibration(
     act: Act,
     Text(text): Text,
 ) -> ApiResult<(StatusCode, Json<CalibrationId>)> {
-    let id = app.serving.keep_calibration(&text).await?;
+    let id = app.serving.skins().keep(&text)?;
     act.about(id.as_str());
     Ok((StatusCode::CREATED, Json(id)))
 }
@@ -296,10 +296,12 @@ pub async fn add_calibration(
     responses((status = 200, body = ServingOut)))]
 pub async fn serving(app: App) -> ApiResult<Json<ServingOut>> {
     let promotions = app.serving.promotions().await?;
-    let of = |sensor: &str| Slot::ALL.map(|slot| serves_out(&app, sensor, slot, &promotions));
+    let of = |sensor: &str| -> Vec<_> {
+        Slot::ALL.iter().map(|slot| serves_out(&app, sensor, *slot, &promotions)).collect()
+    };
     let others = promotions.sensors().into_iter().filter(|name| *name != app.serving.rig());
     let elsewhere = others.flat_map(of).filter(|serves| serves.what.is_some()).collect();
-    let (sensor, serves) = (app.serving.rig().into(), of(app.serving.rig()).into());
+    let (sensor, serves) = (app.serving.rig().into(), of(app.serving.rig()));
     Ok(Json(ServingOut { sensor, serves, elsewhere, history: promotions.into_rows() }))
 }
 
@@ -336,7 +338,7 @@ pub async fn roll_back(
     let (who, why, slot) = (request.who.as_deref(), request.why.as_deref(), request.slot);
     act.stated(who, why);
     let sensor = request.sensor.as_deref().unwrap_or(app.serving.rig());
-    app.serving.roll_back((sensor, slot), &act.name(), why).await?;
+    app.serving.roll_back(sensor, slot, &act.name(), why).await?;
     Ok(Json(serves_out(&app, sensor, slot, &app.serving.promotions().await?)))
 }
 

@@ -22,7 +22,7 @@ use crate::infer::error::InferError;
 use crate::jobs::JobError;
 use crate::journal::error_chain;
 use crate::plain::violated;
-use crate::problem::Problem;
+use crate::problem::{Problem, listed};
 use crate::query::QueryError;
 use crate::store::StoreError;
 
@@ -86,7 +86,7 @@ impl ApiError {
 
     /// Invalid values (422).
     pub fn problems(errors: Vec<Problem>) -> Self {
-        let detail = errors.iter().map(ToString::to_string).collect::<Vec<_>>().join("; ");
+        let detail = listed(&errors);
         Self { errors, ..Self::new(StatusCode::UNPROCESSABLE_ENTITY, detail) }
     }
 

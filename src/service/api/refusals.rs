@@ -1,9 +1,10 @@
 //! The actions on rig and run, each with the reason why it would be refused now.
-//! Uses: `campaign::shown`. Never: an action (`rig` and `runs` request them).
+//! Uses: `campaign::shown`, whether the service has no rig. Never: an action (`rig` and `runs` request them).
 
 use serde::Serialize;
 use utoipa::ToSchema;
 
+use super::App;
 use crate::campaign::bench::rig_state::RigState;
 use crate::campaign::shown::rig_action::RigAction;
 use crate::campaign::shown::run_action::ActionOnRun;
@@ -24,11 +25,11 @@ pub struct ActionStatus {
 }
 
 /// The actions that this rig has, each with the reason why it would be refused now.
-pub fn of_rig(status: &Status, desk: bool) -> Vec<ActionStatus> {
+pub fn of_rig(app: &App, status: &Status) -> Vec<ActionStatus> {
     let actions = RigAction::ALL.iter().copied();
     let actions = actions.filter(|action| status.rig.has_stage || !action.needs_stage());
     let actions = actions.map(|action| {
-        let at_a_desk = (desk && action == RigAction::Connect).then(|| DESK.to_owned());
+        let at_a_desk = (app.facts.desk && action == RigAction::Connect).then(|| DESK.to_owned());
         let refused = at_a_desk.or_else(|| action.refused(status));
         ActionStatus { action: action.as_str(), refused }
     });

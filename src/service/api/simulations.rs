@@ -190,7 +190,7 @@ impl Skin {
             let (sensor, text) = (app.serving.sensor().clone(), app.serving.sensor_text());
             let calibration = match app.serving.promoted_skin().await? {
                 Some(id) => {
-                    let file = app.serving.stored_calibration(&id)?;
+                    let file = app.serving.skins().stored(&id)?;
                     Some(SkinCalibration { id, source: Source::Stored(file) })
                 }
                 None => app.twins.calibration_of(&sensor.file.name),
@@ -208,7 +208,8 @@ impl Skin {
             // Without its file the answer states that it is the sensor file's.
             Some(id) => app
                 .serving
-                .stored_calibration(&id)
+                .skins()
+                .stored(&id)
                 .ok()
                 .map(|file| SkinCalibration { id, source: Source::Stored(file) }),
             None => None,

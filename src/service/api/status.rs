@@ -205,7 +205,7 @@ impl App {
         ServiceStatus {
             needs: needs(&campaign, around),
             glance: glances(&campaign, around, facts),
-            rig_actions: refusals::of_rig(&campaign, self.facts.desk),
+            rig_actions: refusals::of_rig(self, &campaign),
             run_actions: refusals::of_run(&campaign),
             campaign,
             service,

@@ -174,8 +174,8 @@ pub async fn vocabulary() -> Json<Vocabulary> {
     Json(Vocabulary {
         methods: Method::served().map(MethodWord::from).collect(),
         scored: Scored::all().map(ScoredWord::from).collect(),
-        slots: Slot::ALL.map(SlotWord::from).into(),
-        tasks: words(&NetTask::ALL, NetTask::as_str, NetTask::about),
+        slots: Slot::ALL.iter().copied().map(SlotWord::from).collect(),
+        tasks: words(NetTask::ALL, NetTask::as_str, NetTask::about),
         formats: Format::ALL.map(FormatWord::from).into(),
         maps: TABLE_IV_MAPS
             .map(|map| MapWord {
@@ -234,7 +234,7 @@ impl ModelKey {
     /// The keys of what is scored: one for each slot that it uses, or `net`.
     fn of(scored: Scored) -> Vec<Self> {
         if scored == Scored::Quantity {
-            let slots = Slot::ALL.into_iter().filter(|slot| slot.is_quantity()).collect();
+            let slots = Slot::ALL.iter().copied().filter(|slot| slot.is_quantity()).collect();
             return vec![Self { key: "net", slots, required: true }];
         }
         let of_slot = |slot: &Slot| Self {
@@ -249,7 +249,7 @@ impl ModelKey {
 impl From<Slot> for SlotWord {
     fn from(slot: Slot) -> Self {
         let uses = Method::served().filter(|method| method.slots().contains(&slot));
-        let takes = NetTask::ALL.into_iter().filter(|task| Slot::of(*task) == slot);
+        let takes = NetTask::ALL.iter().copied().filter(|task| Slot::of(*task) == slot);
         Self {
             name: slot,
             title: slot.title(),

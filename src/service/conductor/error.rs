@@ -3,7 +3,7 @@
 
 use crate::campaign::shown::command::Refusal;
 use crate::journal::JournalError;
-use crate::problem::Problem;
+use crate::problem::{Problem, listed};
 use crate::store::StoreError;
 
 /// Why a request was refused or failed.
@@ -11,7 +11,7 @@ use crate::store::StoreError;
 #[allow(missing_docs, reason = "the message names the fields")]
 pub enum ConductorError {
     /// The files cannot be used on this rig.
-    #[error("{}", problems.iter().map(ToString::to_string).collect::<Vec<_>>().join("; "))]
+    #[error("{}", listed(problems))]
     Problems { problems: Vec<Problem> },
     #[error("there is no run {0}")]
     NoRun(String),

@@ -6,6 +6,7 @@ use plotters::coord::ranged1d::SegmentedCoord;
 use plotters::coord::types::RangedCoordusize;
 use plotters::prelude::*;
 use plotters::style::colors::colormaps::ViridisRGB;
+use plotters::style::text_anchor::{HPos, Pos, VPos};
 
 use super::figures::{FigureError, page};
 use crate::figure::style::{AxesStyle, COLOURS, INK, SMALL, TEXT, TINY, plain, whole};
@@ -194,6 +195,12 @@ pub(super) fn segments(count: usize) -> SegmentedCoord<RangedCoordusize> {
     (0..count.saturating_sub(1).max(1)).into_segmented()
 }
 
+/// The item whose segment this is, if items are drawn one below the other, the first at the top.
+pub(super) fn from_top<'a, T>(at: &SegmentValue<usize>, items: &'a [T]) -> Option<&'a T> {
+    let SegmentValue::CenterOf(at) = at else { return None };
+    items.iter().rev().nth(*at)
+}
+
 /// Draws means and standard deviations, one below the other. `x`: the quantity with its unit.
 ///
 /// # Errors
@@ -223,13 +230,9 @@ pub fn bars(heading: &Heading, x: &str, bars: &[Bar]) -> Result<String, FigureEr
             .x_desc(x)
             .x_label_formatter(&plain)
             .y_labels(count)
-            .y_label_formatter(&|at| match at {
-                SegmentValue::CenterOf(at) => {
-                    (count - 1).checked_sub(*at).map_or(String::new(), |place| {
-                        format!("{}, n = {}", bars[place].name, bars[place].n)
-                    })
-                }
-                _ => String::new(),
+            .y_label_formatter(&|at| {
+                let bar = from_top(at, bars);
+                bar.map_or(String::new(), |bar| format!("{}, n = {}", bar.name, bar.n))
             })
             .styled()
             .draw()?;
@@ -272,9 +275,7 @@ pub fn heats(heading: &Heading, heats: &[Heat]) -> Result<String, FigureError> {
                 .y_label_area_size(52)
                 .build_cartesian_2d(segments(pixels.len()), segments(diameters.len()))?;
             let named = |values: &[f64], at: &SegmentValue<usize>| match at {
-                SegmentValue::CenterOf(at) => {
-                    values.get(*at).map_or(String::new(), |mm| format!("{mm:.0}"))
-                }
+                SegmentValue::CenterOf(at) => values.get(*at).map(whole).unwrap_or_default(),
                 _ => String::new(),
             };
             chart
@@ -302,10 +303,7 @@ pub fn heats(heading: &Heading, heats: &[Heat]) -> Result<String, FigureError> {
                 chart.draw_series([Rectangle::new(corners, colour.filled())])?;
                 let ink = if value.abs() > 0.6 * largest { BLACK } else { WHITE };
                 let style = TextStyle::from(TINY.into_font()).color(&ink);
-                let centred = style.pos(plotters::style::text_anchor::Pos::new(
-                    plotters::style::text_anchor::HPos::Center,
-                    plotters::style::text_anchor::VPos::Center,
-                ));
+                let centred = style.pos(Pos::new(HPos::Center, VPos::Center));
                 let at = (SegmentValue::CenterOf(x), SegmentValue::CenterOf(y));
                 chart.draw_series([Text::new(format!("{value:.0}"), at, centred)])?;
             }

@@ -8,6 +8,7 @@ use plotters::style::colors::colormaps::ViridisRGB;
 use crate::figure::skin::{Outline, colour_bar};
 use crate::figure::style::{AxesStyle, COLOURS, INK, TINY, legend, plain, whole};
 use crate::figure::{Area, Heading, PageSize};
+use crate::plain::counted;
 use crate::record::CONTACTS_MAX;
 
 use super::simulation::{BoxPlot, FORCE_BIN_N, FORCE_END_N, ForceBin, PointFit, SimulationReport};
@@ -212,8 +213,7 @@ fn counts(
 fn contacts_words(contacts: u8) -> String {
     match contacts {
         0 => "no contact".to_owned(),
-        1 => "1 contact".to_owned(),
-        n => format!("{n} contacts"),
+        n => counted(n.into(), "contact", "contacts"),
     }
 }
 

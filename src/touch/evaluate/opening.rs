@@ -6,7 +6,7 @@
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
 
-use super::charts::segments;
+use super::charts::{from_top, segments};
 use super::figures::{FigureError, page};
 use super::force_maps::Picture;
 use crate::dataset::read::PAPER_SKIN;
@@ -225,13 +225,7 @@ fn errors(area: &Area<'_>, ranks: &[Rank]) -> Result<(), Box<dyn std::error::Err
         .x_desc("mean location error (mm)")
         .x_label_formatter(&plain)
         .y_labels(count)
-        .y_label_formatter(&|at| match at {
-            SegmentValue::CenterOf(at) => {
-                let rank = (count - 1).checked_sub(*at).map(|place| ranks[place]);
-                rank.map_or(String::new(), named)
-            }
-            _ => String::new(),
-        })
+        .y_label_formatter(&|at| from_top(at, &ranks).copied().map_or(String::new(), named))
         .axis_style(INK.mix(0.4))
         .styled()
         .draw()?;

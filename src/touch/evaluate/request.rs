@@ -373,7 +373,8 @@ mod tests {
         let every = json!({ "transfer": "t", "map": "m", "points": "p", "skin": "cal-1" });
         for scored in Scored::all().filter(|scored| !is_quantity(scored)) {
             let unused: Vec<&str> = Slot::ALL
-                .into_iter()
+                .iter()
+                .copied()
                 .filter(|slot| !slot.is_quantity() && !scored.slots().contains(slot))
                 .map(Slot::name)
                 .collect();

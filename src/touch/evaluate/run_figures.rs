@@ -64,17 +64,17 @@ fn numbers<'a, 'b>(
     Ok(chart)
 }
 
-/// Draws curves with their bands: x from zero, y from zero or the lowest value.
+/// Draws curves over the depth, mm, with their bands: x from zero, y from zero or the lowest value.
 ///
 /// # Errors
 /// `FigureError` if the plotting backend fails.
-pub fn bands(heading: &Heading, x: &str, y: &str, bands: &[Band]) -> Result<String, FigureError> {
+pub fn bands(heading: &Heading, y: &str, bands: &[Band]) -> Result<String, FigureError> {
     let all = || bands.iter().flat_map(|band| &band.places);
     let right = all().map(|at| at[0]).fold(1e-6, f64::max);
     let (low, high) =
         all().fold((0.0, 1e-6), |(low, high): (f64, f64), at| (low.min(at[1]), high.max(at[3])));
     page("bands", RUN_SIZE, heading, |area| {
-        let mut chart = numbers(area, [x, y], [0.0..right, low..1.06 * high])?;
+        let mut chart = numbers(area, ["depth (mm)", y], [0.0..right, low..1.06 * high])?;
         for (band, colour) in bands.iter().zip(COLOURS.iter().cycle().skip(1)) {
             let colour = *colour;
             let lower = band.places.iter().map(|at| (at[0], at[1]));
@@ -243,8 +243,8 @@ mod tests {
         let line = Line { name: "arm 1".into(), places: vec![(0.0, 1.0), (2.0, 1.5)] };
         let heading = Heading::new("forces", 2, "readings", "virtual");
         let all = [
-            bands(&heading, "depth (mm)", "force (N)", &[band]),
-            bands(&heading, "depth (mm)", "force (N)", &[]),
+            bands(&heading, "force (N)", &[band]),
+            bands(&heading, "force (N)", &[]),
             contacts(&heading, &none),
             contacts(&heading, &some),
             histogram(&heading, "FVU", &[0.1, 0.2, 9.0], 2.0, Some(("median", 0.2))),

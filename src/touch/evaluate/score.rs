@@ -225,7 +225,7 @@ fn dealt(touches: &[&Touch]) -> Vec<Tallies<{ Metric::ALL.len() }>> {
     let none = [Tally::default(); Metric::ALL.len()];
     let mut hands = vec![none; touches.len().min(HANDS)];
     for (frame, touch) in touches.iter().enumerate() {
-        for (tally, metric) in hands[frame % HANDS].iter_mut().zip(Metric::ALL) {
+        for (tally, &metric) in hands[frame % HANDS].iter_mut().zip(Metric::ALL) {
             for value in touch.values(metric) {
                 tally.sum += value;
                 tally.count += 1.0;

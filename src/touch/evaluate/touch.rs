@@ -2,6 +2,8 @@
 //! PURE. Uses: `store::Contact`, `infer::{answer, matching}`. Never: maps, averages over frames, a 0 for
 //! an unknown.
 
+use strum::VariantArray;
+
 use crate::infer::answer::FoundContact;
 use crate::infer::matching::{GHOST_MM, Match, closest_mm, matched};
 use crate::store::Contact;
@@ -74,7 +76,7 @@ pub struct Places {
 }
 
 /// Metric of a frame's answer.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, VariantArray)]
 pub enum Metric {
     /// (estimated - true) / true number of contacts, %; absent on an untouched skin.
     Number,
@@ -98,17 +100,7 @@ pub enum Metric {
 
 impl Metric {
     /// All metrics, in the order of tables.
-    pub const ALL: [Self; 9] = [
-        Self::Number,
-        Self::Location,
-        Self::Closest,
-        Self::Force,
-        Self::Diameter,
-        Self::Exact,
-        Self::Ghosts,
-        Self::PlaceIn95,
-        Self::ForceIn95,
-    ];
+    pub const ALL: &[Self] = Self::VARIANTS;
 }
 
 impl Touch {

@@ -8,7 +8,7 @@ use super::plan::PlanError;
 use crate::dataset::force_map::ForceMapError;
 use crate::ids::{CalibrationId, ModelId};
 use crate::learn::model_file::ModelError;
-use crate::problem::Problem;
+use crate::problem::{Problem, listed};
 use crate::simulate::model::ModelUnavailable;
 use crate::store::StoreError;
 
@@ -17,7 +17,7 @@ use crate::store::StoreError;
 #[allow(missing_docs, reason = "the message names the fields")]
 pub enum InferError {
     /// Values of the request are invalid.
-    #[error("{}", .0.iter().map(ToString::to_string).collect::<Vec<_>>().join("; "))]
+    #[error("{}", listed(.0))]
     Problems(Vec<Problem>),
     /// No model has this id or name.
     #[error("no model {0}: `palpate model list` lists the models")]

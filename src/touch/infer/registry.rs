@@ -82,7 +82,24 @@ impl NewModel {
     /// # Errors
     /// `InferError::File` if a file cannot be written; `Json` if the residuals are not finite.
     pub fn save(&self, folder: &Path) -> Result<(), InferError> {
-        write(folder, self)
+        let residuals = self.residuals.as_ref().map(serde_json::to_vec).transpose();
+        let path = || folder.join(RESIDUALS);
+        let residuals = residuals.map_err(|source| InferError::Json { path: path(), source })?;
+        let manifest = self.manifest.to_toml();
+        // The manifest is written last: a folder without one is incomplete.
+        let files = [
+            (ONNX, Some(self.onnx.as_slice())),
+            (SENSOR_FILE, Some(self.sensor.as_bytes())),
+            (LOSSES, self.losses.as_deref().map(str::as_bytes)),
+            (RESIDUALS, residuals.as_deref()),
+            (MANIFEST, Some(manifest.as_bytes())),
+        ];
+        for (name, bytes) in files {
+            let Some(bytes) = bytes else { continue };
+            let failed = InferError::file("writing", &folder.join(name));
+            new_file::write(folder, name, bytes).map_err(failed)?;
+        }
+        Ok(())
     }
 }
 
@@ -275,27 +292,6 @@ impl Registry {
     fn loaded<T>(&self, with: impl FnOnce(&mut Vec<Arc<Model>>) -> T) -> T {
         with(&mut self.inner.loaded.lock())
     }
-}
-
-fn write(folder: &Path, new: &NewModel) -> Result<(), InferError> {
-    let residuals = new.residuals.as_ref().map(serde_json::to_vec).transpose();
-    let path = || folder.join(RESIDUALS);
-    let residuals = residuals.map_err(|source| InferError::Json { path: path(), source })?;
-    let manifest = new.manifest.to_toml();
-    // The manifest is written last: a folder without one is incomplete.
-    let files = [
-        (ONNX, Some(new.onnx.as_slice())),
-        (SENSOR_FILE, Some(new.sensor.as_bytes())),
-        (LOSSES, new.losses.as_deref().map(str::as_bytes)),
-        (RESIDUALS, residuals.as_deref()),
-        (MANIFEST, Some(manifest.as_bytes())),
-    ];
-    for (name, bytes) in files {
-        let Some(bytes) = bytes else { continue };
-        let failed = InferError::file("writing", &folder.join(name));
-        new_file::write(folder, name, bytes).map_err(failed)?;
-    }
-    Ok(())
 }
 
 fn read(folder: &Path, row: &ModelRow) -> Result<Model, InferError> {

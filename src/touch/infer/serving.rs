@@ -10,14 +10,13 @@ use std::path::Path;
 use std::sync::Arc;
 
 use parking_lot::RwLock;
-use sim_core::forward::ForwardModel;
 use sim_core::sensor::Sensor;
 use tokio::sync::watch;
 
 use super::error::InferError;
 use super::methods::Method;
 use super::methods::exact::ExactSkin;
-use super::methods::exact::skins::{Skins, StoredCalibration};
+use super::methods::exact::skins::Skins;
 use super::pipeline::Pipeline;
 use super::registry::Registry;
 use super::slot::Slot;
@@ -102,17 +101,6 @@ impl Serving {
         Self { inner: Arc::new(inner) }
     }
 
-    /// The sensor of this rig, as text, and the model of its free simulations.
-    ///
-    /// # Errors
-    /// `InferError` if there is no such calibration or its model cannot be built.
-    pub async fn simulation(
-        &self,
-        skin: Option<&CalibrationId>,
-    ) -> Result<(String, ForwardModel), InferError> {
-        Ok((self.inner.sensor_text.clone(), self.model(skin).await?))
-    }
-
     /// Id of the promoted calibration.
     ///
     /// # Errors
@@ -140,12 +128,9 @@ impl Serving {
         &self.inner.sensor_text
     }
 
-    /// Finds the file of a stored calibration.
-    ///
-    /// # Errors
-    /// `InferError::NoSkin` if there is no such calibration.
-    pub fn stored_calibration(&self, id: &CalibrationId) -> Result<StoredCalibration, InferError> {
-        self.inner.skins.stored(id)
+    /// The calibrations of this rig's sensor, with their models.
+    pub fn skins(&self) -> &Skins {
+        &self.inner.skins
     }
 
     /// The current pipeline.
@@ -156,7 +141,7 @@ impl Serving {
     /// Waits until the slots of a method are restored after a restart, and returns the pipeline:
     /// seconds, with a skin most of a minute. Without a method: until all slots are restored.
     pub async fn once_restored(&self, method: Option<Method>) -> Arc<Pipeline> {
-        let needed = method.map_or(Slot::ALL.as_slice(), Method::slots);
+        let needed = method.map_or(Slot::ALL, Method::slots);
         let mut restored = self.inner.restored.subscribe();
         // `self` owns the sender, so the wait cannot fail.
         let _ = restored.wait_for(|up| needed.iter().all(|slot| up.contains(slot))).await;
@@ -176,7 +161,7 @@ impl Serving {
             Ok(promotions) => promotions,
             Err(error) => return tracing::error!(%error, "the promotions could not be read"),
         };
-        for slot in Slot::ALL {
+        for &slot in Slot::ALL {
             if let Some(what) = promotions.serving(self.rig(), slot) {
                 match self.with(self.rig(), slot, Some(&what)).await {
                     Ok(next) => *self.inner.current.write() = next,
@@ -223,20 +208,11 @@ impl Serving {
         };
         // It serves once the promotion is stored, not before.
         let next = self.with(&sensor, slot, Some(&what)).await?;
-        self.store((sensor.as_str(), slot, Some(&what)), false, who, why).await?;
+        let (name, what) = (slot.name(), Some(&what));
+        let new = NewPromotion { slot: name, sensor: &sensor, what, rolled_back: false, who, why };
+        self.inner.store.promote(new).await?;
         *self.inner.current.write() = next;
         Ok((sensor, slot))
-    }
-
-    async fn store(
-        &self,
-        (sensor, slot, what): (&str, Slot, Option<&PromotedId>),
-        rolled_back: bool,
-        who: &str,
-        why: Option<&str>,
-    ) -> Result<(), InferError> {
-        let new = NewPromotion { slot: slot.name(), sensor, what, rolled_back, who, why };
-        Ok(self.inner.store.promote(new).await?)
     }
 
     /// Restores the previous promotion of the slot of a sensor, which may be empty.
@@ -245,7 +221,8 @@ impl Serving {
     /// `InferError::NoEarlier` if there is none; other variants if it cannot be loaded or stored.
     pub async fn roll_back(
         &self,
-        (sensor, slot): (&str, Slot),
+        sensor: &str,
+        slot: Slot,
         who: &str,
         why: Option<&str>,
     ) -> Result<(), InferError> {
@@ -253,7 +230,9 @@ impl Serving {
         let earlier = self.promotions().await?.earlier(sensor, slot);
         let earlier = earlier.ok_or(InferError::NoEarlier(slot.name()))?;
         let next = self.with(sensor, slot, earlier.as_ref()).await?;
-        self.store((sensor, slot, earlier.as_ref()), true, who, why).await?;
+        let (name, what) = (slot.name(), earlier.as_ref());
+        let new = NewPromotion { slot: name, sensor, what, rolled_back: true, who, why };
+        self.inner.store.promote(new).await?;
         *self.inner.current.write() = next;
         Ok(())
     }
@@ -310,26 +289,6 @@ impl Serving {
         let skin = Arc::new(self.inner.skins.ready(calibration).await?);
         *named = Some(skin.clone()).filter(|_| calibration.is_some());
         Ok(skin)
-    }
-
-    /// Returns the model of a stored calibration, or the nominal one.
-    ///
-    /// # Errors
-    /// `InferError` if there is no such calibration or the model cannot be built.
-    pub async fn model(
-        &self,
-        calibration: Option<&CalibrationId>,
-    ) -> Result<ForwardModel, InferError> {
-        self.inner.skins.model(calibration).await
-    }
-
-    /// Stores a calibration of this sensor; returns its id.
-    ///
-    /// # Errors
-    /// `InferError::Calibration` if it is invalid or of another sensor; `File` if it cannot be
-    /// written.
-    pub async fn keep_calibration(&self, text: &str) -> Result<CalibrationId, InferError> {
-        self.inner.skins.keep(text)
     }
 }
 

@@ -3,13 +3,17 @@
 
 use nets::quantity::Quantity;
 use serde::{Deserialize, Serialize};
+use strum::{IntoStaticStr, VariantArray};
 use utoipa::ToSchema;
 
 use crate::learn::task::{Answers, NetTask};
 
 /// Slot for promotions.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[derive(
+    Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema, IntoStaticStr, VariantArray,
+)]
 #[serde(rename_all = "lowercase")]
+#[strum(serialize_all = "lowercase")]
 pub enum Slot {
     /// The Transfer-Net of `paper`.
     Transfer,
@@ -31,32 +35,14 @@ pub enum Slot {
 
 impl Slot {
     /// All slots, in the order in which they are listed.
-    pub const ALL: [Self; 8] = [
-        Self::Transfer,
-        Self::Map,
-        Self::Points,
-        Self::Skin,
-        Self::Position,
-        Self::Pattern,
-        Self::Count,
-        Self::Force,
-    ];
+    pub const ALL: &[Self] = Self::VARIANTS;
 
     /// Name in commands, requests and the store.
     pub fn name(self) -> &'static str {
-        match self {
-            Self::Transfer => "transfer",
-            Self::Map => "map",
-            Self::Points => "points",
-            Self::Skin => "skin",
-            Self::Position => "position",
-            Self::Pattern => "pattern",
-            Self::Count => "count",
-            Self::Force => "force",
-        }
+        self.into()
     }
 
-    /// What it holds.
+    /// Name of the kind of model that it holds, for people.
     pub fn title(self) -> &'static str {
         match self {
             Self::Transfer => "Transfer-Net",

@@ -5,14 +5,14 @@ use super::trainer::TrainerError;
 use crate::dataset::error::DatasetError;
 use crate::infer::error::InferError;
 use crate::learn::error::LearnError;
-use crate::problem::Problem;
+use crate::problem::{Problem, listed};
 use crate::store::StoreError;
 
 /// Why a job is rejected, or failed.
 #[derive(Debug, thiserror::Error)]
 pub enum JobError {
     /// Values of the request are invalid.
-    #[error("{}", .0.iter().map(ToString::to_string).collect::<Vec<_>>().join("; "))]
+    #[error("{}", listed(.0))]
     Problems(Vec<Problem>),
     /// The queue is full.
     #[error("the queue is full with {0} jobs: stop some, or request again when some have ended")]

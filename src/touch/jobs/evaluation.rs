@@ -127,7 +127,7 @@ async fn reader(jobs: &Jobs, request: &EvaluationRequest) -> Result<Reader, JobE
             serving.once_restored(None).await;
             ready.skin = Some(serving.skin(calibration.as_ref()).await?);
         } else {
-            ready.forward = Some(Arc::new(serving.model(calibration.as_ref()).await?));
+            ready.forward = Some(Arc::new(serving.skins().model(calibration.as_ref()).await?));
         }
     }
     Ok(Reader::Contacts(background(move || method.ready(&ready)).await??))

@@ -136,7 +136,7 @@ async fn prepare(
             };
             let text = skin.as_ref().map_or("", CalibrationId::as_str);
             write(folder, SKIN_FILE, text.as_bytes())?;
-            let stored = skin.as_ref().map(|id| serving.stored_calibration(id)).transpose()?;
+            let stored = skin.as_ref().map(|id| serving.skins().stored(id)).transpose()?;
             let calibration = stored.map(|stored| absolute(stored.path()));
             let cache = absolute(&cache);
             (serving.sensor_text().to_owned(), Source::Stream { calibration, cache })

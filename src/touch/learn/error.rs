@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use crate::dataset::error::DatasetError;
 use crate::dataset::format::RowsError;
-use crate::problem::Problem;
+use crate::problem::{Problem, listed};
 use crate::store::StoreError;
 
 /// Why a training or a model failed.
@@ -14,7 +14,7 @@ use crate::store::StoreError;
 #[allow(missing_docs, reason = "the message names the fields")]
 pub enum LearnError {
     /// Values of the request are invalid.
-    #[error("{}", .0.iter().map(ToString::to_string).collect::<Vec<_>>().join("; "))]
+    #[error("{}", listed(.0))]
     Problems(Vec<Problem>),
     /// The dataset is not available.
     #[error(transparent)]

@@ -15,6 +15,7 @@ use arrow_array::cast::AsArray;
 use arrow_array::types::{Float32Type, Float64Type, Int64Type, UInt32Type};
 use arrow_array::{Array, RecordBatch};
 use arrow_schema::DataType;
+use sim_core::stats::norm;
 
 use super::error::LearnError;
 use super::model_file::TrainedRange;
@@ -199,8 +200,7 @@ impl Examples {
                 let numbers = frame.value(row);
                 let numbers = numbers.as_primitive::<Float32Type>().values();
                 if place == 0 {
-                    let square: f64 = numbers.iter().map(|&v| f64::from(v).powi(2)).sum();
-                    self.norms_v.push(square.sqrt() as f32);
+                    self.norms_v.push(norm(numbers) as f32);
                 }
                 for number in numbers {
                     out.write_all(&number.to_le_bytes())

@@ -59,7 +59,7 @@ pub enum Source {
     Dataset {
         /// Id of the dataset.
         id: DatasetId,
-        /// Its data file.
+        /// Parquet file of its rows.
         file: PathBuf,
         /// Number of its rows.
         rows: u64,

@@ -5,6 +5,7 @@ use nets::architecture::Answer as NetAnswer;
 pub use nets::architecture::Frames as Reads;
 use nets::quantity::Quantity;
 use serde::{Deserialize, Serialize};
+use strum::VariantArray;
 
 use crate::dataset::force_map::ForceMapSpec;
 use crate::dataset::schema::VOLTAGES_V;
@@ -16,7 +17,7 @@ pub const MEASURED: &str = VOLTAGES_V;
 pub const SIMULATED: &str = SIM_VOLTAGES_V;
 
 /// Task of a net (paper, section V).
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, VariantArray)]
 #[serde(rename_all = "kebab-case")]
 pub enum NetTask {
     /// Measured voltages to simulated ones (Transfer-Net).
@@ -115,16 +116,7 @@ impl NetTask {
     }
 
     /// All tasks.
-    pub const ALL: [Self; 8] = [
-        Self::Transfer,
-        Self::Recon,
-        Self::EndToEnd,
-        Self::Points,
-        Self::Position,
-        Self::Pattern,
-        Self::Count,
-        Self::Force,
-    ];
+    pub const ALL: &[Self] = Self::VARIANTS;
 
     /// Description in one line.
     pub fn about(self) -> &'static str {

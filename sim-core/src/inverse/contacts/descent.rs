@@ -104,8 +104,6 @@ pub(super) struct Optimum {
     pub score: f64,
     /// Number of model evaluations.
     pub predictions: usize,
-    /// Whether the descent converged.
-    pub converged: bool,
 }
 
 /// Uncertainty of a contact.
@@ -193,7 +191,6 @@ pub(super) fn descend(
     while !converged && predictions < effort.iterations && bad < BAD_STEPS {
         let expected = work.take_step(prior, places, damping);
         if expected < effort.tolerance {
-            converged = true;
             break;
         }
         let DescentWork { trial, trial_z, trial_slopes, .. } = work;
@@ -216,7 +213,7 @@ pub(super) fn descend(
         }
     }
     let score = cost + prior.of_count(places.len()) + work.ln_determinant(EACH * places.len());
-    Ok(Optimum { misfit, score, predictions, converged })
+    Ok(Optimum { misfit, score, predictions })
 }
 
 fn of_forces(prior: &Prior, places: &[Place]) -> f64 {

@@ -58,7 +58,7 @@ pub fn forces(facts: &Facts) -> Result<Vec<Plot>, FigureError> {
         let heading =
             Heading::new("Force of a tip over depth", count(&of_tips) as u64, "readings", label);
         let curves = curves(by_tips.iter().map(|(tips, values)| (name_tips(tips), values)));
-        let svg = bands(&heading, "depth (mm)", "force of a tip (N)", &curves)?;
+        let svg = bands(&heading, "force of a tip (N)", &curves)?;
         plots.push(plot(svg, "Median and quartiles of the force of each attached tip, by the number of tips. n: readings."));
     }
     let of_arms: Vec<Vec<(f64, f64)>> = by_arm.values().cloned().collect();
@@ -67,7 +67,7 @@ pub fn forces(facts: &Facts) -> Result<Vec<Plot>, FigureError> {
         let n = count(&of_arms) as u64;
         let heading = Heading::new(format!("Force of each arm, {with}"), n, "readings", label);
         let curves = curves(by_arm.iter().map(|(arm, values)| (name_arm(arm), values)));
-        let svg = bands(&heading, "depth (mm)", "force (N)", &curves)?;
+        let svg = bands(&heading, "force (N)", &curves)?;
         plots.push(plot(
             svg,
             "Median and quartiles by arm: arms that differ have another tip, cell or place.",

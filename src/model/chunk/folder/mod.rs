@@ -29,6 +29,7 @@ use super::error::{ChunkError, Gaps};
 use super::order::{ChunkRow, FailedChunk, ORDER_FILE, WorkOrder};
 use crate::commit;
 use crate::difference::first_difference;
+use crate::digest::sha256_hex;
 use crate::new_file::{self, Finished, Look, NewFile};
 
 /// Folder of the files that an order names.
@@ -126,7 +127,7 @@ impl OrderFolder {
         &self.path
     }
 
-    /// The work order.
+    /// The work order that the folder was opened with.
     pub fn order(&self) -> &WorkOrder {
         &self.order
     }
@@ -134,6 +135,30 @@ impl OrderFolder {
     /// Path of the bytes of a chunk.
     pub fn result(&self, key: &str) -> PathBuf {
         self.path.join(RESULTS).join(self.order.bytes_name(key))
+    }
+
+    /// The bytes of a chunk; none if they do not have the sha256 of its row.
+    ///
+    /// # Errors
+    /// `File` if they cannot be read.
+    pub fn bytes(&self, row: &ChunkRow) -> Result<Option<Vec<u8>>, ChunkError> {
+        let path = self.result(&row.key);
+        let bytes = fs::read(&path).map_err(ChunkError::file("reading", path))?;
+        Ok((sha256_hex(&bytes) == row.sha256).then_some(bytes))
+    }
+
+    /// Checks that no chunk of those that were gathered is damaged, which are given by their indexes.
+    ///
+    /// # Errors
+    /// `Incomplete` if there are any.
+    pub fn all_whole(&self, damaged: Vec<u64>) -> Result<(), ChunkError> {
+        if damaged.is_empty() {
+            return Ok(());
+        }
+        let why = |index| (index, "its bytes do not have the sha256 of its row".to_owned());
+        let damaged = damaged.into_iter().map(why).collect();
+        let gaps = Box::new(Gaps { damaged, ..Gaps::default() });
+        Err(ChunkError::Incomplete { folder: self.path.clone(), gaps })
     }
 
     /// Registers this process as one that makes chunks. If there is no other one, what killed processes left

@@ -115,7 +115,7 @@ impl MakeChunks for RandomChunks {
     }
 }
 
-/// What was gathered.
+/// Shards that were copied out of a work order.
 #[derive(Debug, Clone, PartialEq)]
 pub struct GatheredShards {
     /// The manifest of the folder: all shards that are whole.

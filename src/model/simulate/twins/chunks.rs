@@ -4,7 +4,6 @@
 use std::collections::BTreeMap;
 use std::num::NonZeroUsize;
 use std::ops::ControlFlow;
-use std::thread;
 
 use serde::{Deserialize, Serialize};
 use sim_core::batch::Kernel;
@@ -15,7 +14,7 @@ use super::file::{TwinRow, TwinsFile, TwinsHead};
 use super::{TwinInput, twin_frame};
 use crate::chunk::order::{WorkOrder, check_here, chunk_inputs, read_input};
 use crate::chunk::skin::{ordered_skin, skin_inputs};
-use crate::chunk::{MakeChunks, MakeFailure};
+use crate::chunk::{MakeChunks, MakeFailure, in_shares};
 use crate::digest::sha256_hex;
 use crate::ids::RunUid;
 use crate::new_file::NewFile;
@@ -52,7 +51,7 @@ pub struct TwinsDefinition {
 /// The skin of a run, as the service that stored it simulates it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct TwinSkin {
-    /// The run.
+    /// Run whose skin it is.
     pub run: RunUid,
     /// Simulation id of its model.
     pub model: String,
@@ -139,28 +138,15 @@ impl TwinChunks {
     }
 
     /// The twins of some inputs, in their order.
-    fn rows(&self, inputs: &[TwinInput]) -> Vec<TwinRow> {
-        let share = inputs.len().div_ceil(self.threads.get()).max(1);
-        thread::scope(|scope| {
-            let shares: Vec<_> = inputs
-                .chunks(share)
-                .map(|inputs| {
-                    scope.spawn(move || {
-                        let mut work = Workspace::default();
-                        inputs.iter().map(|input| self.row(input, &mut work)).collect::<Vec<_>>()
-                    })
-                })
-                .collect();
-            let rows = shares.into_iter().flat_map(|share| {
-                share.join().expect("a thread makes all of its twins, unless it panics")
-            });
-            rows.collect()
+    fn rows(&self, inputs: &[TwinInput]) -> Result<Vec<TwinRow>, String> {
+        in_shares(inputs, self.threads, |inputs| {
+            let mut work = Workspace::default();
+            let row = |input: &TwinInput| TwinRow {
+                trial: input.trial,
+                frame_v: twin_frame(&self.model, input.contacts.as_deref(), &mut work).ok(),
+            };
+            Ok(inputs.iter().map(row).collect())
         })
-    }
-
-    fn row(&self, input: &TwinInput, work: &mut Workspace) -> TwinRow {
-        let frame_v = twin_frame(&self.model, input.contacts.as_deref(), work).ok();
-        TwinRow { trial: input.trial, frame_v }
     }
 }
 
@@ -172,9 +158,8 @@ impl MakeChunks for TwinChunks {
         tell: &mut dyn FnMut(u64) -> ControlFlow<()>,
     ) -> Result<Option<(NewFile, u64)>, MakeFailure> {
         let TwinsDefinition { run, model, contacts, .. } = &self.order.definition;
-        let of_chunk = (CONTACTS, index);
         let (inputs, contacts_sha256) =
-            read_input(of_chunk, &self.order.inputs, contacts, TwinInput::read)?;
+            read_input(CONTACTS, index, &self.order.inputs, contacts, TwinInput::read)?;
         let head = TwinsHead {
             run: *run,
             model: model.clone(),
@@ -182,7 +167,7 @@ impl MakeChunks for TwinChunks {
         };
         let mut rows = Vec::with_capacity(inputs.len());
         for inputs in inputs.chunks(TOLD_TRIALS * self.threads.get()) {
-            rows.extend(self.rows(inputs));
+            rows.extend(self.rows(inputs)?);
             if tell(inputs.len() as u64).is_break() {
                 return Ok(None);
             }

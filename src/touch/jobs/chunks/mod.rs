@@ -40,7 +40,7 @@ use crate::ids::{CalibrationId, DatasetId};
 use crate::learn::order::{CHECKPOINT, Event, ORDER, ORDER_VERSION, Order, Source};
 use crate::learn::recipe::Recipe;
 use crate::new_file::{self, Finished, Look, NewFile};
-use crate::problem::Problem;
+use crate::problem::{Problem, listed};
 use crate::program::STOP_POLL;
 use crate::store::Label;
 
@@ -74,7 +74,7 @@ pub struct DatasetFile {
 pub struct NetOrder {
     /// Text of the recipe, TOML.
     pub recipe: String,
-    /// Its dataset.
+    /// Rows that the net learns from.
     pub dataset: DatasetFile,
     /// Label of the model.
     pub label: Label,
@@ -152,8 +152,7 @@ impl TrainingsOrder {
         for (index, net) in definition.nets.iter().enumerate() {
             let key = |of: &str| format!("definition.nets.{index}.{of}");
             let recipe = Recipe::from_toml(ORDER_FILE, &net.recipe).map_err(|problems| {
-                let all: Vec<String> = problems.iter().map(Problem::to_string).collect();
-                Problem::new(ORDER_FILE, &key("recipe"), "..", all.join("; "))
+                Problem::new(ORDER_FILE, &key("recipe"), "..", listed(&problems))
             })?;
             let refused = |of: &str, value: &str, limit: &str| {
                 Err(Problem::new(ORDER_FILE, &key(of), value, limit))

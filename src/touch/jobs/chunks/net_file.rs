@@ -2,7 +2,6 @@
 //! Uses: `chunk`, `learn::model_file`, `infer::registry`. Never: a net whose files are not those of its manifest;
 //! losses, which state times.
 
-use std::fs;
 use std::io::{self, Write};
 use std::path::Path;
 
@@ -13,7 +12,6 @@ use crate::chunk::MakeFailure;
 use crate::chunk::error::ChunkError;
 use crate::chunk::folder::OrderFolder;
 use crate::chunk::order::ChunkRow;
-use crate::digest::sha256_hex;
 use crate::infer::registry::{self, NewModel};
 use crate::jobs::JobError;
 use crate::learn::model_file::Manifest;
@@ -74,22 +72,21 @@ fn read_net(bytes: &[u8]) -> Result<ScoredNet, MakeFailure> {
     Ok(ScoredNet { model, scores })
 }
 
-/// What was gathered.
+/// Nets that were written from the chunks of a work order.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct GatheredNets {
     /// Number of nets.
     pub nets: u64,
     /// Number of bytes of their chunks.
     pub bytes: u64,
-    /// Indexes of the chunks whose bytes do not have the sha256 of their row, ascending.
-    pub damaged: Vec<u64>,
 }
 
 /// Writes each net of a work order to a folder of its name in `out`: scores, ONNX file, manifest, sensor file,
 /// residuals. `rows` are all rows of the order; `tell` receives a call for each net.
 ///
 /// # Errors
-/// `ChunkError::File` if a chunk cannot be read; `Make` if it is not the net of its order, or cannot be written.
+/// `ChunkError::File` if a chunk cannot be read; `Make` if it is not the net of its order, or cannot be written;
+/// `Incomplete` if chunks are damaged: the others were written.
 pub fn gather(
     order: &TrainingsOrder,
     chunks: &OrderFolder,
@@ -97,15 +94,13 @@ pub fn gather(
     out: &Path,
     tell: &mut dyn FnMut(),
 ) -> Result<GatheredNets, ChunkError> {
-    let mut gathered = GatheredNets::default();
+    let (mut gathered, mut damaged) = (GatheredNets::default(), Vec::new());
     for (row, recipe) in rows.iter().zip(&order.recipes) {
         let failed = |source: MakeFailure| ChunkError::Make { index: row.index, source };
-        let path = chunks.result(&row.key);
-        let bytes = fs::read(&path).map_err(ChunkError::file("reading", path))?;
-        if sha256_hex(&bytes) != row.sha256 {
-            gathered.damaged.push(row.index);
+        let Some(bytes) = chunks.bytes(row)? else {
+            damaged.push(row.index);
             continue;
-        }
+        };
         let ScoredNet { model, scores } = read_net(&bytes).map_err(failed)?;
         if model.name != recipe.name {
             let found = &model.name;
@@ -121,6 +116,7 @@ pub fn gather(
         gathered.bytes += row.bytes;
         tell();
     }
+    chunks.all_whole(damaged)?;
     Ok(gathered)
 }
 

@@ -2,11 +2,9 @@
 //! Uses: `chunk`, `frames`, the fits of `exact`, threads. Never: the store, a dataset, a score.
 
 use std::collections::BTreeMap;
-use std::fs;
 use std::num::NonZeroUsize;
 use std::ops::ControlFlow;
 use std::sync::Arc;
-use std::thread;
 
 use serde::{Deserialize, Serialize};
 use sim_core::batch::Kernel;
@@ -21,7 +19,7 @@ use crate::chunk::order::{
     ChunkRow, WorkOrder, check_here, chunk_input, chunk_inputs, invalid, read_input,
 };
 use crate::chunk::skin::{ordered_skin, skin_inputs};
-use crate::chunk::{MakeChunks, MakeFailure};
+use crate::chunk::{MakeChunks, MakeFailure, in_shares};
 use crate::digest::sha256_hex;
 use crate::evaluate::request::EvaluationRequest;
 use crate::ids::DatasetId;
@@ -50,9 +48,9 @@ const READ_BETWEEN: usize = 4;
 pub struct ReadingsDefinition {
     /// Version of lines and fits.
     pub format_version: u32,
-    /// The evaluation.
+    /// What the readings are for; it names the frames.
     pub request: EvaluationRequest,
-    /// Its dataset.
+    /// Dataset of the frames.
     pub dataset: DatasetId,
     /// Simulation id of the skin's model.
     pub model: String,
@@ -121,7 +119,7 @@ impl ReadingsOrder {
     /// The frames of a chunk, which must have the sha256 of the definition.
     fn chunk(&self, index: u64) -> Result<Vec<FrameInput>, String> {
         let stated = &self.definition.frames;
-        let (inputs, _) = read_input((FRAMES, index), &self.inputs, stated, FrameInput::read)?;
+        let (inputs, _) = read_input(FRAMES, index, &self.inputs, stated, FrameInput::read)?;
         let channels = self.sensor.channels();
         match inputs.iter().all(|input| input.voltages_v.len() == channels) {
             true => Ok(inputs),
@@ -176,25 +174,11 @@ impl ReadingChunks {
 
     /// The readings of some frames, in their order.
     fn readings(&self, inputs: &[FrameInput]) -> Result<Vec<Reading>, String> {
-        let share = inputs.len().div_ceil(self.threads.get()).max(1);
-        thread::scope(|scope| {
-            let shares: Vec<_> = inputs
-                .chunks(share)
-                .map(|inputs| {
-                    scope.spawn(move || -> Result<Vec<Reading>, String> {
-                        let mut readings = Vec::new();
-                        for input in inputs {
-                            let read = self.method.read(&input.frames(), ForceMaps::Without);
-                            readings.extend(read.map_err(|error| error.to_string())?);
-                        }
-                        Ok(readings)
-                    })
-                })
-                .collect();
+        in_shares(inputs, self.threads, |inputs| {
             let mut readings = Vec::new();
-            for share in shares {
-                let panicked = |_| Err("a thread that reads frames panicked".to_owned());
-                readings.extend(share.join().unwrap_or_else(panicked)?);
+            for input in inputs {
+                let read = self.method.read(&input.frames(), ForceMaps::Without);
+                readings.extend(read.map_err(|error| error.to_string())?);
             }
             Ok(readings)
         })
@@ -224,34 +208,26 @@ impl MakeChunks for ReadingChunks {
     }
 }
 
-/// What was gathered.
-#[derive(Debug, Clone, Default, PartialEq, Eq)]
-pub struct GatheredReadings {
-    /// The readings of all frames, a line of JSON each.
-    pub lines: Vec<u8>,
-    /// Indexes of the chunks whose bytes do not have the sha256 of their row, ascending.
-    pub damaged: Vec<u64>,
-}
-
-/// Reads the chunks of a work order, which have these rows; `tell` receives a call for each chunk.
+/// Reads the chunks of a work order, which have these rows; `tell` receives a call for each chunk. Returns the readings
+/// of all frames, a line of JSON each.
 ///
 /// # Errors
-/// `ChunkError::File` if a chunk cannot be read.
+/// `ChunkError::File` if a chunk cannot be read, `Incomplete` if any is damaged.
 pub fn gather(
     chunks: &OrderFolder,
     rows: &[ChunkRow],
     tell: &mut dyn FnMut(),
-) -> Result<GatheredReadings, ChunkError> {
-    let mut gathered = GatheredReadings::default();
+) -> Result<Vec<u8>, ChunkError> {
+    let (mut lines, mut damaged) = (Vec::new(), Vec::new());
     for row in rows {
-        let path = chunks.result(&row.key);
-        let bytes = fs::read(&path).map_err(ChunkError::file("reading", path))?;
-        if sha256_hex(&bytes) == row.sha256 {
-            gathered.lines.extend(bytes);
-            tell();
-        } else {
-            gathered.damaged.push(row.index);
+        match chunks.bytes(row)? {
+            Some(bytes) => {
+                lines.extend(bytes);
+                tell();
+            }
+            None => damaged.push(row.index),
         }
     }
-    Ok(gathered)
+    chunks.all_whole(damaged)?;
+    Ok(lines)
 }

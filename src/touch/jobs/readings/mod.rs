@@ -63,7 +63,7 @@ impl Jobs {
     ) -> Result<ReadingInputs, JobError> {
         let (skin, scoring) = self.prepared(request).await?;
         let (dataset, rows) = (scoring.dataset.clone(), scoring.gathered.rows.len() as u64);
-        let calibration = skin.calibration().map(|id| self.inner.serving.stored_calibration(id));
+        let calibration = skin.calibration().map(|id| self.inner.serving.skins().stored(id));
         let calibration = calibration.transpose()?;
         let reading = move || -> Result<_, JobError> {
             let stored = calibration.map(|stored| stored.text()).transpose()?;

@@ -8,6 +8,7 @@
 mod tests;
 
 use serde::{Deserialize, Serialize};
+use sim_core::stats::norm;
 
 use super::onnx::write::{Description, WriteError, to_onnx};
 use super::onnx::{OnnxError, OnnxFile, Port, sealed, unsealed};
@@ -15,7 +16,7 @@ use super::task::{NetTask, SensorFacts};
 use crate::dataset::force_map::ForceMapSpec;
 use crate::digest::{Hashing, ID_DIGITS};
 use crate::ids::{CalibrationId, DatasetId, ModelId};
-use crate::problem::{Checks, Problem};
+use crate::problem::{Checks, Problem, listed};
 use crate::store::Label;
 use crate::syntax::parse_toml;
 
@@ -59,7 +60,7 @@ pub enum OutOfRange {
 impl TrainedRange {
     /// Checks whether a frame, V, has a larger norm than in training.
     pub fn frame(&self, frame: &[f32]) -> Option<OutOfRange> {
-        let norm_v = frame.iter().map(|&v| f64::from(v).powi(2)).sum::<f64>().sqrt();
+        let norm_v = norm(frame);
         let max_norm_v = self.max_norm_v?;
         (norm_v > max_norm_v).then_some(OutOfRange::Norm { norm_v, max_norm_v })
     }
@@ -161,10 +162,6 @@ pub enum ModelError {
     /// The net cannot be written as ONNX.
     #[error("net: {0}")]
     Write(#[from] WriteError),
-}
-
-fn listed(problems: &[Problem]) -> String {
-    problems.iter().map(Problem::to_string).collect::<Vec<_>>().join("; ")
 }
 
 impl ModelFacts {

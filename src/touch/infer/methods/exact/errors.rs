@@ -11,7 +11,7 @@ use sim_core::inverse::skin::{MeasuredTrial, noise_v};
 use sim_core::stats::{sorted, upper_quantile};
 
 use super::rehearsal::{Rehearsal, Rehearsed, is_light};
-use super::skin::{ExactSkin, offset_v};
+use super::skin::ExactSkin;
 use super::skin_errors::{LEAST_KNOWN, SkinErrors, Stretch, grown};
 use super::untouched::Untouched;
 use crate::infer::error::InferError;
@@ -89,7 +89,7 @@ impl ExactSkin {
     pub fn new(model: &ForwardModel, trials: &KnownTrials) -> Result<Self, InferError> {
         let KnownTrials { pressed: known, crowded, untouched } = trials;
         let channels = model.sensor().channels();
-        let offset_v = offset_v(model);
+        let offset_v = model.sensor().offsets_v();
         let enough = known.len() >= LEAST_KNOWN;
         let noise_sd_v = untouched.noise_sd_v().filter(|_| enough);
         let noise_sd_v = noise_sd_v.or_else(|| enough.then(|| seen(known, &offset_v)).flatten());

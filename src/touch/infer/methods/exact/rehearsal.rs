@@ -32,7 +32,7 @@ const FACTOR_MOST: f64 = 5.0;
 pub(super) struct Rehearsal {
     /// Of answers with light contacts.
     light: Seen,
-    /// Of others.
+    /// Of answers with a heavier contact.
     heavy: Seen,
 }
 

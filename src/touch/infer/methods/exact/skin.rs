@@ -52,7 +52,7 @@ impl ExactSkin {
             run: model.sensor().skin().map(|skin| skin.evidence.run.clone()),
             simulation: model.model_hash().into(),
             size_mm: [model.sensor().file.width_mm, model.sensor().file.height_mm],
-            offset_v: offset_v(model),
+            offset_v: model.sensor().offsets_v(),
             fitter: ContactFitter::new(model, &errors.model, FitOptions::default())?,
             errors,
         })
@@ -238,15 +238,5 @@ impl ExactSkin {
         let offset_sd_v = self.offset_sd_v(untouched);
         let offset_spectrum = self.errors.drift.spectrum_after(untouched);
         Observation { frame_v, frames, offset_sd_v, offset_spectrum }
-    }
-}
-
-/// Offsets of a model's untouched frame, V; zero if they are unknown.
-pub(super) fn offset_v(model: &ForwardModel) -> Vec<f64> {
-    let channels = model.sensor().channels();
-    let offsets_mv = model.sensor().skin().map(|skin| skin.offsets_mv.as_slice());
-    match offsets_mv {
-        Some(mv) if mv.len() == channels => mv.iter().map(|mv| 1e-3 * mv).collect(),
-        _ => vec![0.0; channels],
     }
 }

@@ -38,13 +38,8 @@ impl PointPipeline {
     /// # Errors
     /// `InferError::OtherTask` if the model is not a Point-Net.
     pub fn new(model: Arc<Model>) -> Result<Self, InferError> {
-        let facts = &model.manifest.model;
-        if facts.task.answers() != Answers::Points {
-            return Err(InferError::OtherTask {
-                id: model.manifest.id.clone(),
-                task: facts.task.as_str(),
-                wanted: "a Point-Net is needed",
-            });
+        if model.manifest.model.task.answers() != Answers::Points {
+            return Err(model.of_other_task("a Point-Net is needed"));
         }
         Ok(Self { model })
     }

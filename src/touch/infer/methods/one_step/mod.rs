@@ -45,14 +45,10 @@ impl OneStepPipeline {
     ) -> Result<Self, InferError> {
         let sensor = model.sensor();
         let slopes = PointSlopes::secant(model, ABOUT_N)?;
-        let channels = sensor.channels();
-        let offsets =
-            sensor.skin().map(|skin| skin.offsets_mv.iter().map(|mv| 1e-3 * mv).collect());
-        let offsets = offsets.filter(|offsets: &Vec<f64>| offsets.len() == channels);
         Ok(Self {
             step: Arc::new(OneStep::new(&slopes, regularisation)?),
             points_mm: sensor.points().iter().map(|p| [p.x_mm, p.y_mm]).collect(),
-            offset_v: offsets.unwrap_or_else(|| vec![0.0; channels]),
+            offset_v: sensor.offsets_v(),
             draws: ForceMap::new(MAP_1, [sensor.file.width_mm, sensor.file.height_mm])?,
             threshold_n,
             calibration: sensor.calibration().map(CalibrationId::unchecked),

@@ -47,18 +47,13 @@ impl MapPipeline {
         map: Arc<Model>,
         threshold_n: Option<f64>,
     ) -> Result<Self, InferError> {
-        let other = |model: &Model, wanted| InferError::OtherTask {
-            id: model.manifest.id.clone(),
-            task: model.manifest.model.task.as_str(),
-            wanted,
-        };
         if let Some(transfer) = &transfer
             && transfer.manifest.model.task.answers() != Answers::Frame
         {
-            return Err(other(transfer, "a Transfer-Net is needed"));
+            return Err(transfer.of_other_task("a Transfer-Net is needed"));
         }
-        let spec = map.manifest.model.force_map;
-        let spec = spec.ok_or_else(|| other(&map, "a Recon-Net or an end-to-end net is needed"))?;
+        let wanted = "a Recon-Net or an end-to-end net is needed";
+        let spec = map.manifest.model.force_map.ok_or_else(|| map.of_other_task(wanted))?;
         if let Some(transfer) = &transfer
             && map.manifest.model.task.reads() == Reads::Measured
         {
