@@ -47,6 +47,8 @@ pub struct StandIn {
     pub starts_fail: AtomicBool,
     /// Motions and homings that were started.
     pub starts: AtomicU64,
+    /// Time until a motion that has started is acknowledged, wall time.
+    pub starts_take: Mutex<Duration>,
     /// Speed of the last motion that was requested, units/s.
     pub speed: Mutex<f64>,
     /// Stops that it received.
@@ -71,6 +73,7 @@ impl StandIn {
             replies: AtomicBool::new(true),
             starts_fail: AtomicBool::default(),
             starts: AtomicU64::default(),
+            starts_take: Mutex::default(),
             speed: Mutex::default(),
             stops: AtomicU64::default(),
         })
@@ -132,7 +135,12 @@ impl Axis for StandIn {
 
     async fn start_move(&self, target: f64, speed: f64) -> Result<(), RigError> {
         *self.speed.lock() = speed;
-        self.start("move", AxisStatus { position: target, ..self.present() })
+        self.start("move", AxisStatus { position: target, ..self.present() })?;
+        let takes = *self.starts_take.lock();
+        if !takes.is_zero() {
+            tokio::time::sleep(takes).await;
+        }
+        Ok(())
     }
 
     async fn status(&self) -> Result<AxisStatus, RigError> {

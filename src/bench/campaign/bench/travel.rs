@@ -10,7 +10,7 @@ use futures::future::{join, try_join, try_join_all};
 use tokio::time::Instant;
 
 use crate::campaign::bench::interlock::{self, TripKind};
-use crate::campaign::bench::stage::{AxisName, BEYOND_TRAVEL, GRACE, Stage};
+use crate::campaign::bench::stage::{AxisName, BEYOND_TRAVEL, GRACE, LastSample, Stage};
 use crate::campaign::run::control::Control;
 use crate::campaign::run::halt::Halt;
 use crate::record::{ARMS, Pose};
@@ -143,9 +143,8 @@ impl Stage {
         let mut polled_s = self.clock.process_s();
         loop {
             control.attend()?;
-            let last = self.last_sample.map_or_else(|| self.clock.now(), |last| last.at);
             let (statuses, reading) =
-                self.in_time(control, last, self.poll(targets, polled)).await?;
+                self.in_time(control, self.last_sample, self.poll(targets, polled)).await?;
             let now_s = self.clock.process_s();
             self.stopping.note_poll(now_s - polled_s);
             polled_s = now_s;
@@ -230,7 +229,10 @@ impl Stage {
         for target in targets {
             let driven = self.driven(target.axis);
             let speed = target.speed.unwrap_or(driven.speed);
-            control.attending(driven.axis.start_move(target.position, speed)).await??;
+            // It may move although the reply is lost.
+            let start =
+                async { Ok::<_, Halt>(driven.axis.start_move(target.position, speed).await?) };
+            self.in_time(control, self.last_sample, start).await?;
         }
         Ok(self.clock.now() + self.clock.wall(1.5 * longest_s + 0.5) + GRACE)
     }
@@ -251,18 +253,20 @@ impl Stage {
         Ok(z)
     }
 
-    /// Waits for readings while an axis moves, and meanwhile accepts requests. `last`: time of the readings before.
+    /// Waits for readings while an axis moves, or for the reply to its start, and meanwhile accepts requests. `last`: the
+    /// sample before; none if there was one just now.
     ///
     /// # Errors
-    /// Trips once those are too old, although a wire still waits for a reply; otherwise as the readings and as
+    /// Trips once that is too old, although a wire still waits for a reply; otherwise as the readings and as
     /// [`Control::attend`].
     async fn in_time<T>(
         &self,
         control: &mut Control,
-        last: Instant,
+        last: Option<LastSample>,
         readings: impl Future<Output = Result<T, Halt>>,
     ) -> Result<T, Halt> {
         let limit_ms = self.config.sample_age_ms();
+        let last = last.map_or_else(|| self.clock.now(), |last| last.at);
         let due = last + Duration::from_millis(limit_ms);
         let readings = control.attending(tokio::time::timeout_at(due, readings)).await?;
         readings.unwrap_or_else(|_late| {
@@ -332,7 +336,7 @@ impl Stage {
         };
         let read = async { Ok::<_, Halt>(self.bench.cells.read().await?) };
         let both = try_join(is_up, read);
-        let ((), reading) = self.in_time(control, self.clock.now(), both).await?;
+        let ((), reading) = self.in_time(control, None, both).await?;
         interlock::check_unloaded(&self.config.cells, self.tips, &reading, &self.tare_v)?;
         Ok(())
     }

@@ -268,6 +268,27 @@ async fn no_axis_goes_on_without_a_sample_while_the_wire_still_waits_for_one() {
 }
 
 #[tokio::test]
+async fn no_axis_goes_on_while_the_wire_still_waits_for_the_reply_to_its_start() {
+    for name in [AxisName::Z, AxisName::X] {
+        let axes = StandIns::default();
+        let mut engine = engine(&axes);
+        let axis = if name == AxisName::Z { &axes.z } else { &axes.x };
+        *axis.starts_take.lock() = Duration::from_secs(20);
+        let stage = engine.connection.as_mut().unwrap().stage.as_mut().unwrap();
+        stage.config.limits.sample_age_ms = Some(100);
+        let (began, target) = (Instant::now(), Target::of(name, 100.0));
+        let moved = if name == AxisName::Z {
+            stage.checked_travel(&mut engine.control, target).await
+        } else {
+            stage.travel(&mut engine.control, &[target]).await
+        };
+        let halt = moved.unwrap_err();
+        assert_eq!(halt.as_trip().expect("a trip").kind, TripKind::Stale, "{halt:?}");
+        assert!(began.elapsed() < Duration::from_secs(2), "{:?}", began.elapsed());
+    }
+}
+
+#[tokio::test]
 async fn a_lateral_motion_continues_while_z_jitters_at_rest() {
     let axes = StandIns::default();
     let mut engine = engine(&axes);
