@@ -50,12 +50,13 @@ impl Engine {
             // No person is called to tips that may be down, nor to an axis that may move.
             Halt::Needs(wanted) => match self.lets_hands_in(&wanted).await {
                 Ok(()) => self.need(wanted, attempts.not_measured.take()),
-                Err(halt) => {
-                    if let Some(trip) = halt.as_trip() {
+                Err(halt) => match halt.as_trip() {
+                    Some(trip) => {
                         self.control.latch(trip);
                         self.suspend_for(PausedWhy::Trip, trip.detail.clone());
                     }
-                }
+                    None => self.note_suspension(),
+                },
             },
             // A placement is never given up: the person is asked again.
             Halt::Failed(reason) if job.plan.kind == Kind::RealRandom => {

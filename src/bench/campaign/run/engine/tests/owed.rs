@@ -145,3 +145,21 @@ async fn hands_are_called_to_raised_tips_only_if_each_axis_stands_and_no_cell_re
         assert_eq!(is_called, why == PausedWhy::TipChange);
     }
 }
+
+#[tokio::test]
+async fn a_suspension_while_the_cells_are_asked_before_a_tip_change_states_its_reason() {
+    let (axes, job) = (StandIns::default(), job());
+    let (mut engine, handle) = with_handle(&axes);
+    engine.control.show(|status| status.run = Some(show::started(&job)));
+    engine.control.begin(job.run).unwrap();
+    *axes.cells.takes.lock() = Duration::from_millis(300);
+    let suspend = async move { handle.ask(Request::Suspend("a full disk".into())).await };
+    let (wanted, mut attempts) = (Halt::Needs(Wanted::Tips { tips: 1 }), Attempts::default());
+    let mut resumes = 0;
+    let decided = engine.decide(&job, wanted, &mut attempts, &mut resumes);
+    let (suspended, next) = tokio::join!(suspend, decided);
+    assert!(suspended.is_ok() && matches!(next, Next::Leave));
+    assert_eq!(engine.control.run(), RunState::Paused(PausedWhy::Suspender));
+    let run = engine.control.inbox.status.borrow().run.clone().unwrap();
+    assert_eq!((run.waiting_for.as_deref(), run.wanted), (Some("a full disk"), None));
+}
