@@ -256,7 +256,7 @@ async fn a_check_ends_with_stops_when_the_emergency_stop_is_latched() {
 #[test]
 fn a_rig_that_somebody_has_is_not_checked_by_another_process() {
     let text = std::fs::read_to_string(file("rigs/virtual.toml")).unwrap();
-    let text = text.replace("127.0.0.1:502", &format!("127.0.0.1:9/{}-", std::process::id()));
+    let text = text.replace("127.0.0.1:50", &format!("127.0.0.1:9/{}-", std::process::id()));
     let path = Path::new(env!("CARGO_TARGET_TMPDIR")).join("held.toml");
     std::fs::write(&path, &text).unwrap();
     let config = RigConfig::from_toml("held.toml", &text).unwrap();

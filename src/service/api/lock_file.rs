@@ -3,7 +3,7 @@
 //! file behind a symbolic link.
 //!
 //! A rig belongs to the machine, not to a user: with a lock file in a folder of each user, two users would
-//! drive it at once. A serial port refuses a second process itself (`TIOCEXCL`), Modbus TCP does not. So the
+//! drive it at once, and no wire refuses a second process itself (`link::serial_opener`, Modbus TCP). So the
 //! lock of a rig is in the machine's folder for locks, `/run/lock`, or else in `/tmp`, where every user may
 //! create files and none may replace those of another. Its name can be guessed. So no link is followed,
 //! the file must be an ordinary one with one name, it is written only by the holder of the lock, and it is
@@ -74,13 +74,12 @@ impl LockFile {
     /// # Errors
     /// `LockFileError::Held` if another process holds it, `File` if the lock file cannot be used.
     pub fn of_rig(rig: &RigSetup) -> Result<Vec<Self>, LockFileError> {
-        let mut wires: Vec<&str> = match rig {
-            RigSetup::Bench(bench) => bench.lines.values().map(wire).collect(),
-            RigSetup::Skin(skin) => match &skin.ert {
-                ErtConfig::Tcp { address, .. } => vec![address],
-                ErtConfig::Serial { path, .. } => vec![path],
-            },
+        let stream = match rig.ert() {
+            ErtConfig::Tcp { address, .. } => address,
+            ErtConfig::Serial { path, .. } => path,
         };
+        let lines = rig.bench().into_iter().flat_map(|bench| bench.lines.values().map(wire));
+        let mut wires: Vec<&str> = lines.chain([stream.as_str()]).collect();
         wires.sort_unstable();
         // Several lines may have one wire.
         wires.dedup();
@@ -175,18 +174,24 @@ mod tests {
     #[test]
     fn rigs_that_share_a_wire_exclude_one_another() {
         let text = include_str!("../../../experiments/rigs/virtual.toml");
-        let rig = |stage: u8, cells: u8| {
-            let at = |wire: u8| format!("192.0.2.{wire}:{}", std::process::id() % 60_000 + 1);
+        let at = |wire: u8| format!("192.0.2.{wire}:{}", std::process::id() % 60_000 + 1);
+        let rig = |stage: u8, cells: u8, stream: u8| {
             let text = text.replace("127.0.0.1:5020", &at(stage));
             let text = text.replace("127.0.0.1:5021", &at(cells));
+            let text = text.replace("127.0.0.1:5030", &at(stream));
             RigSetup::from_toml("virtual.toml", &text).unwrap()
         };
-        let held = LockFile::of_rig(&rig(1, 2)).unwrap();
-        let refused = LockFile::of_rig(&rig(3, 2)).unwrap_err();
-        assert!(matches!(refused, LockFileError::Held { .. }), "{refused:?}");
-        let other = LockFile::of_rig(&rig(3, 4)).unwrap();
+        let skin = include_str!("../../../experiments/rigs/skin-only.toml");
+        let skin = skin.replace("192.168.0.40:4001", &at(5));
+        let skin = RigSetup::from_toml("skin-only.toml", &skin).unwrap();
+        let held = LockFile::of_rig(&rig(1, 2, 5)).unwrap();
+        for sharing in [rig(3, 2, 6), rig(3, 4, 5), skin] {
+            let refused = LockFile::of_rig(&sharing).unwrap_err();
+            assert!(matches!(refused, LockFileError::Held { .. }), "{refused:?}");
+        }
+        let other = LockFile::of_rig(&rig(3, 4, 6)).unwrap();
         drop((held, other));
-        LockFile::of_rig(&rig(3, 2)).unwrap();
+        LockFile::of_rig(&rig(3, 2, 5)).unwrap();
     }
 
     #[test]
