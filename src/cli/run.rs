@@ -164,6 +164,8 @@ async fn drive(client: &Client, order: &Order, signals: &mut Signals) -> CliResu
     if begun.is_err()
         && let Some(run) = queued
         && let Err(left) = client.delete(&format!("/api/v1/queue/{run}")).await
+        // It may have begun meanwhile.
+        && client.act(run, "stop", json!({ "why": "left as it began" })).await.is_err()
     {
         tracing::warn!(error = %left, "the run stays in the queue");
     }

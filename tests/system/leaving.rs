@@ -1,5 +1,5 @@
-//! Leaving a run that `palpate run` follows: Ctrl-C stops it so that the same command resumes it, or takes it out of the
-//! queue; a closed terminal and --detach leave it to the service, and `attach` follows it again.
+//! Leaving a run that `palpate run` follows: Ctrl-C stops it so that the same command resumes it, takes it out of the
+//! queue, or takes its start back; a closed terminal and --detach leave it to the service, and `attach` follows it again.
 //! Uses: the program, as at a terminal without a person. Never: the service's API.
 
 use std::io::{BufRead, BufReader, Lines};
@@ -166,6 +166,38 @@ async fn ctrl_c_takes_a_run_that_waits_for_its_turn_out_of_the_queue() {
     assert_eq!(code, 1, "{last:#}");
     assert_ne!(last["resumable"], true, "{last:#}");
     assert_eq!(queued(), json!([]));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn ctrl_c_takes_back_the_start_of_a_stopped_run_that_waits_for_its_turn() {
+    let _turn = turn(COMPUTES).await;
+    let desk = Desk::new("taken-back");
+    let (left, code) = desk.palpate(&["run", "e.toml", "--speed", "10", "--detach"]).end();
+    assert_eq!((code, &left["event"]), (0, &json!("detached")), "{left:#}");
+    let mut attached = desk.palpate(&["attach"]);
+    attached.until_stored(1);
+    attached.signal(Signal::INT);
+    let (stopped, _) = attached.end();
+    assert_eq!(stopped["exit_status"], "stopped", "{stopped:#}");
+    std::fs::write(desk.0.join("next.toml"), EXPERIMENT.replace("leaving", "next")).unwrap();
+    let (left, code) = desk.palpate(&["run", "next.toml", "--detach"]).end();
+    assert_eq!((code, &left["scan_id"]), (0, &json!(2)), "{left:#}");
+
+    let resumed = desk.palpate(&["run", "e.toml"]);
+    let row = || desk.palpate(&["show", "1"]).end().0["summary"]["run"].clone();
+    for _ in 0..100 {
+        if row()["waiting_since"].is_string() {
+            break;
+        }
+        std::thread::sleep(std::time::Duration::from_millis(100));
+    }
+    assert!(row()["waiting_since"].is_string(), "{:#}", row());
+    resumed.signal(Signal::INT);
+    let (last, code) = resumed.end();
+    assert_eq!((code, &last["scan_id"]), (1, &json!(1)), "{last:#}");
+    assert_eq!((&last["exit_status"], &last["resumable"]), (&json!("stopped"), &json!(true)));
+    let row = row();
+    assert_eq!((&row["state"], &row["waiting_since"]), (&json!("ended"), &Value::Null));
 }
 
 #[tokio::test(flavor = "multi_thread")]

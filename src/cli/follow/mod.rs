@@ -28,6 +28,8 @@ const SILENT_MAX: Duration = Duration::from_secs(15);
 /// Longest wait for a started run to appear in the status.
 const TAKEN_UP: Duration = Duration::from_secs(30);
 
+/// The reason of each action.
+const WHY: &str = "Ctrl-C at the command line";
 /// What a stop is answered with.
 const STOPPING: &str = "stopping after this trial; Ctrl-C again aborts";
 
@@ -259,12 +261,22 @@ impl Follower {
         self.watch.waiting && !self.seen
     }
 
-    /// Takes a run that waits for its turn out of the queue; stops or aborts any other one.
+    /// Takes a run that waits for its turn out of the queue, or takes back the start of a stopped one that is to be
+    /// resumed; stops or aborts any other one.
     async fn halt(&self, action: &str, words: &str) -> Option<Left> {
-        let path = format!("/api/v1/queue/{}", self.watch.run);
-        // It is refused if the turn has come, or if the run is one that resumes.
-        if self.waits_for_turn() && self.client.delete(&path).await.is_ok() {
-            return Some(Left::Open("taken out of the queue"));
+        let run = self.watch.run;
+        if self.waits_for_turn() {
+            // It is refused if the turn has come, or if the run is one that resumes.
+            if self.client.delete(&format!("/api/v1/queue/{run}")).await.is_ok() {
+                return Some(Left::Open("taken out of the queue"));
+            }
+            let row = self.client.run(run).await;
+            let resumes =
+                row.is_ok_and(|row| row.state == StoredState::Ended && row.waiting_since.is_some());
+            if resumes && self.client.act(run, "abort", json!({ "why": WHY })).await.is_ok() {
+                self.screen.note("its start is taken back: it stays stopped");
+                return Some(Left::Open("its start was taken back"));
+            }
         }
         self.act(action, words).await;
         None
@@ -272,8 +284,7 @@ impl Follower {
 
     async fn act(&self, action: &str, words: &str) {
         self.screen.note(words);
-        let why = json!({ "why": "Ctrl-C at the command line" });
-        if let Err(error) = self.client.act(self.watch.run, action, why).await {
+        if let Err(error) = self.client.act(self.watch.run, action, json!({ "why": WHY })).await {
             self.screen.note(&error.to_string());
         }
     }

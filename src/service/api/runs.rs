@@ -285,16 +285,18 @@ async fn request_action(
     Ok(None)
 }
 
-/// An action on a run that is not driven: an abort ends an open one, and takes back the start of one that waits. A pause
-/// or an abort of one that has just ended is refused, and no waiting run begins.
+/// An action on a run that is not driven: an abort ends an open one, takes back the start of one that waits, and aborts
+/// one that is about to begin. A pause or an abort of one that has just ended is refused, and no waiting run begins.
 async fn on_undriven(app: &App, run: &RunRow, action: ActionOnRun) -> ApiResult<()> {
     // It may have ended since it was read.
     let run = &app.store.run(run.uid).await?.unwrap_or_else(|| run.clone());
-    if action == ActionOnRun::Abort && (run.is_open() || run.waiting_since.is_some()) {
-        app.conductor.abort_undriven(run).await?;
+    let is_late = comes_late(action, run.ended_at, Timestamp::now());
+    // It may be about to begin, unless it has just ended.
+    let may_abort = run.is_open() || run.waiting_since.is_some() || !is_late;
+    if action == ActionOnRun::Abort && may_abort && app.conductor.abort_undriven(run).await? {
         return Ok(());
     }
-    if comes_late(action, run.ended_at, Timestamp::now()) {
+    if is_late {
         app.campaign.ask(Request::CameLate).await?;
     }
     let (action, scan_id, state) = (action.as_str(), run.scan_id, run.state);

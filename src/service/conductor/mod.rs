@@ -260,22 +260,30 @@ impl Conductor {
     /// Ends a run that is open but not driven as aborted: it was interrupted, or is about to be driven again after a
     /// restart; if the rig homes for it, the homing ends, too. Its trials stay; it begins nothing, nor does a run that
     /// waits begin by itself, unless it was interrupted. Of a run that is not open and waits for its turn, takes the
-    /// start back: it stays what it was.
+    /// start back: it stays what it was. A run that has begun meanwhile is aborted by the campaign. Returns false if
+    /// there is nothing to abort.
     ///
     /// # Errors
-    /// `ConductorError::Forbidden` if the run neither is open nor waits, or is driven; `Store` if the store fails.
-    pub async fn abort_undriven(&self, run: &RunRow) -> Result<(), ConductorError> {
+    /// `ConductorError::Refused` if the campaign refuses; `Store` if the store fails.
+    pub async fn abort_undriven(&self, run: &RunRow) -> Result<bool, ConductorError> {
         let _one_at_a_time = self.inner.beginning.lock().await;
         let now = self.present(run).await?;
         let active = self.inner.campaign.status().run.is_some_and(|r| r.uid == run.uid);
-        if !active && !now.is_open() && now.waiting_since.is_some() {
-            self.forget(run.uid);
-            self.inner.store.clear_waiting(run.uid).await?;
-            return Ok(());
+        if active {
+            self.inner.campaign.ask(Request::Abort).await?;
+            return Ok(true);
         }
-        if active || !now.is_open() {
-            let words = format!("run {} is {}: there is nothing to abort", now.scan_id, now.state);
-            return Err(ConductorError::Forbidden(words));
+        if !now.is_open() && now.waiting_since.is_some() {
+            // In memory first: it does not begin, whatever the store does.
+            self.waiting().remove(&run.uid);
+            let why = "its start was taken back: start it again";
+            self.dropped().insert(run.uid, why.into());
+            self.inner.store.clear_waiting(run.uid).await?;
+            self.forget(run.uid);
+            return Ok(true);
+        }
+        if !now.is_open() {
+            return Ok(false);
         }
         self.end_bringing_up(run.uid);
         self.forget(run.uid);
@@ -291,7 +299,7 @@ impl Conductor {
             // Also before the runs of the earlier process are taken over. If the campaign is busy, it is noted later.
             let _ = self.inner.campaign.ask(Request::CameLate).await;
         }
-        Ok(())
+        Ok(true)
     }
 
     /// The row of a run as it is stored now.

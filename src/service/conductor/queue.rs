@@ -170,6 +170,27 @@ mod tests {
     }
 
     #[tokio::test]
+    async fn a_run_that_begins_as_it_is_aborted_is_aborted_then() {
+        let (conductor, mut inbox, _folder) = conductor().await;
+        let run = queued_on(&conductor, Terms::default()).await;
+        let code = conductor.arm(&run).await.unwrap().code;
+        let campaign = async {
+            let Envelope { request, answer, .. } = inbox.next().await.expect("a request");
+            let Request::Start(job) = request else { panic!("{request:?}") };
+            tokio::time::sleep(Duration::from_millis(100)).await;
+            inbox.status.send_modify(|status| status.run = Some(show::started(&job)));
+            let _ = answer.send(Ok(()));
+            let Envelope { request, answer, .. } = inbox.next().await.expect("a request");
+            assert!(matches!(request, Request::Abort), "{request:?}");
+            let _ = answer.send(Ok(()));
+        };
+        let start = conductor.start(&run, &code, "ada".into());
+        let (started, aborted, ()) = tokio::join!(start, conductor.abort_undriven(&run), campaign);
+        assert_eq!(started.unwrap(), Started::Running);
+        assert!(aborted.unwrap());
+    }
+
+    #[tokio::test]
     async fn a_run_that_is_aborted_as_it_is_started_does_not_wait() {
         let (conductor, _inbox, _folder) = conductor().await;
         let run = queued_on(&conductor, early()).await;
@@ -221,11 +242,11 @@ mod tests {
         for run in [queued, stopped] {
             let run = conductor.present(&run).await.unwrap();
             start(&conductor, &run).await;
-            conductor.abort_undriven(&run).await.unwrap();
+            assert!(conductor.abort_undriven(&run).await.unwrap());
             assert_eq!(conductor.present(&run).await.unwrap(), run, "it is what it was");
             assert!(conductor.still_waiting().await.unwrap().is_empty());
-            let again = conductor.abort_undriven(&run).await;
-            assert!(matches!(again, Err(ConductorError::Forbidden(_))), "{again:?}");
+            assert_eq!(conductor.why_dropped(run.uid), None);
+            assert!(!conductor.abort_undriven(&run).await.unwrap(), "it waits no more");
         }
     }
 }

@@ -344,7 +344,7 @@ mod tests {
             let _ = answer.send(Ok(()));
         };
         let (aborted, ()) = tokio::join!(conductor.abort_undriven(run), told);
-        aborted.unwrap();
+        assert!(aborted.unwrap());
     }
 
     #[tokio::test]

@@ -125,7 +125,7 @@ async fn pages_by_blocks_are_not_sorted_and_end_at_the_page() {
         vec!["trial_id__gt=5", "contact_count=3"],
         vec!["experiment=quickstart", "measured_at__gt=2026-11-20T18:00:00Z"],
         vec!["sim_model=sim-1", "settle_ms__lt=5"],
-        // SQLite would read every trial for an index of its own.
+        // For an automatic index SQLite would read every trial.
         vec!["tips=1", "max_force_n__gt=20"],
     ] {
         for (run, order, after) in [
