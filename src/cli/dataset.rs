@@ -124,7 +124,11 @@ pub async fn dataset(args: DatasetArgs) -> CliResult<()> {
             embed::reading(&at, async |client| export::list(client, at.output()).await).await
         }
         What::Prune(args) => {
-            embed::reading(&args.at, async |client| prune(client, &args).await).await
+            let purpose = match args.dry_run {
+                true => embed::Purpose::Reads,
+                false => embed::Purpose::Stores,
+            };
+            embed::with_purpose(&args.at, purpose, async |client| prune(client, &args).await).await
         }
         What::Make(args) => {
             embed::with_purpose(&args.at, embed::Purpose::Stores, async |client| {

@@ -140,7 +140,7 @@ pub enum Purpose {
     Reads,
     /// Its result leaves the folder. A copy serves if the folder cannot be written, as for `Reads`.
     Computes,
-    /// Its result is stored in the folder, which must be writable.
+    /// It changes the folder, which must be writable.
     Stores,
 }
 
@@ -190,7 +190,7 @@ impl Opened {
         }
         let data = at.data();
         if purpose == Purpose::Stores && View::is_needed(&data) {
-            let limit = "cannot be written, and this command stores something in it: name a copy of it with --data, \
+            let limit = "cannot be written, and this command changes it: name a copy of it with --data, \
                          or a service with --url";
             return Err(CliError::in_file(&data, limit));
         }

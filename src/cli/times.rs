@@ -52,10 +52,11 @@ fn start(text: &str, now: &Zoned) -> Result<Timestamp, String> {
 }
 
 fn since(text: &str, now: &Zoned) -> Result<Since, String> {
-    let found = match (text.parse::<i64>(), text.parse::<SignedDuration>()) {
-        (Ok(number), _) => (number >= 0).then_some(Since::Event(number)),
-        (Err(_), Ok(ago)) => now.timestamp().checked_sub(ago.abs()).ok().map(Since::Time),
-        (Err(_), Err(_)) => clock(text, now, Day::Last).map(Since::Time),
+    let ago = || now.timestamp().checked_sub(text.parse::<SignedDuration>().ok()?.abs()).ok();
+    let found = match text.parse::<i64>() {
+        Ok(number) => (number >= 0).then_some(Since::Event(number)),
+        // A time of day first: with seconds it would be read as a duration, too.
+        Err(_) => clock(text, now, Day::Last).or_else(ago).map(Since::Time),
     };
     found.ok_or_else(|| {
         "must be like 8h, 90min, 22:00, 2026-11-24T22:00, or the number of an event".into()
@@ -128,6 +129,7 @@ mod tests {
         let at = |text: &str| Ok(Since::Time(text.parse().unwrap()));
         assert_eq!(from("08:00"), at("2026-11-23T07:00:00Z"));
         assert_eq!(from("22:00"), at("2026-11-22T21:00:00Z"));
+        assert_eq!(from("22:00:30"), at("2026-11-22T21:00:30Z"));
         assert_eq!(from("8h"), at("2026-11-22T23:30:00Z"));
         assert_eq!(from("90min"), at("2026-11-23T06:00:00Z"));
         assert_eq!(from("2026-11-22T22:00"), at("2026-11-22T21:00:00Z"));

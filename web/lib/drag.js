@@ -39,7 +39,10 @@ export function dragRows(node, { rows, move }) {
         mark(tr, event.clientY > top + height / 2 ? 'below' : 'above')
       }
       tr.ondrop = event => drop(event, tr, at)
-      tr.ondragend = () => mark(null)
+      tr.ondragend = () => {
+        dragged = null
+        mark(null)
+      }
     })
   }
   return { attach }
