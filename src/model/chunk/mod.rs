@@ -48,11 +48,37 @@ pub fn in_shares<I: Sync, R: Send>(
     thread::scope(|scope| {
         let making: Vec<_> =
             inputs.chunks(share).map(|inputs| scope.spawn(move || make(inputs))).collect();
+        // All are joined, also after an error: else the scope would panic if a later one has.
+        let shares: Vec<_> = making.into_iter().map(|thread| thread.join()).collect();
         let mut rows = Vec::with_capacity(inputs.len());
-        for thread in making {
+        for share in shares {
             let panicked = |_| Err("a thread that makes a chunk panicked".to_owned());
-            rows.extend(thread.join().unwrap_or_else(panicked)?);
+            rows.extend(share.unwrap_or_else(panicked)?);
         }
         Ok(rows)
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn rows_are_in_the_order_of_the_inputs_and_a_panic_is_an_error() {
+        let threads = NonZeroUsize::new(3).unwrap();
+        let make = |inputs: &[u32]| -> Result<Vec<u32>, String> {
+            match inputs[0] {
+                10 => Err("refused".to_owned()),
+                20 => panic!("a thread of this test"),
+                _ => Ok(inputs.to_vec()),
+            }
+        };
+        let numbers: Vec<u32> = (0..8).collect();
+        assert_eq!(in_shares(&numbers, threads, make), Ok(numbers));
+        assert_eq!(in_shares(&[], threads, make), Ok(vec![]));
+        // The first of them is stated.
+        assert_eq!(in_shares(&[10, 20], threads, make), Err("refused".to_owned()));
+        let panicked = in_shares(&[20, 10], threads, make).unwrap_err();
+        assert!(panicked.contains("panicked"), "{panicked}");
+    }
 }
