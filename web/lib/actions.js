@@ -105,13 +105,16 @@ export function only(role, node) {
 }
 live.addEventListener('caller', () => { document.documentElement.dataset.caller = live.caller?.role ?? 'viewer' })
 
+/** Sends what may move the rig, with the time of the newest status: the service refuses it long after, unless it stops a run. */
+export const sendNow = (path, body, options) => send(path, body, { ...options, headers: live.status ? { 'status-at': live.status.at } : {} })
+
 /** An action on a run. */
-export const actOnRun = (run, action, more = {}) => send(`/runs/${run}/actions`, { action, who: who(), ...more }, { wait: 15_000 })
+export const actOnRun = (run, action, more = {}) => sendNow(`/runs/${run}/actions`, { action, who: who(), ...more }, { wait: 15_000 })
 /**
  * An action on the rig, sent once: long after the press, no axis must move, nothing must be tared, and no stop that another
  * person pressed since must be reset.
  */
-export const actOnRig = (action, more = {}) => send('/rig/actions', { action, who: who(), ...more }, { wait: action === 'home' ? 4000 : 15_000 })
+export const actOnRig = (action, more = {}) => sendNow('/rig/actions', { action, who: who(), ...more }, { wait: action === 'home' ? 4000 : 15_000 })
 
 /** Why the rig or its run would refuse an action on the rig now, in the service's words; '' if they would not. */
 export const refusal = ({ rig_actions }, action) => {

@@ -1,8 +1,7 @@
 // Jog: small moves while a button or a key is held, one after the other. Releasing sends no further one, so
 // that at most one small move is still carried out.
 
-import { send } from './api.js'
-import { named } from './actions.js'
+import { named, sendNow } from './actions.js'
 import { button, el, say, select, sleep } from './dom.js'
 import { fixed } from './format.js'
 import { live, who } from './live.js'
@@ -44,7 +43,7 @@ export function jog({ allowed, steps, choose, signal }) {
       to = Number((to + direction * size(axis)).toFixed(3))
       say(told, `${words}: ${axis} to ${fixed(to, 2, 'mm')}`)
       try {
-        await send('/rig/actions', { action: 'jog', axis, to_mm: to, who: who() }, { wait: WAIT_MS, signal })
+        await sendNow('/rig/actions', { action: 'jog', axis, to_mm: to, who: who() }, { wait: WAIT_MS, signal })
         last = { axis, to, at: Date.now() }
         await sleep(begun + REST_MS - Date.now(), signal)
       } catch (error) {

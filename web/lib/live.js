@@ -1,11 +1,11 @@
 // The state of rig and run as all pages share it: one socket, or polling where there is none.
-// Old is known to be old: `live.fresh` is false within 3 s after the last answer.
+// Old is known to be old: `live.fresh` is false within 3 s after the last answer, and while answers come late.
 
 import { Stopped, ask, door, get, person, socket } from './api.js'
 import { onBeat, sleep } from './dom.js'
 import { KEPT_MINUTES, addSamples, fillSamples, lastAt, samples } from './samples.js'
 
-const OLD_MS = 2600, CALLER_MS = 3000, TELL_MS = 240
+const OLD_MS = 2600, LATE_MS = 1500, CALLER_MS = 3000, TELL_MS = 240
 
 // A change of these is told at once; other values four times per second, since faster cannot be read.
 const urgent = ({ rig, run, lock, needs }) => [rig.state, rig.trip?.detail, needs.map(need => need.words), rig.stopping, rig.estop_acknowledged_ms, rig.safe_end?.tips, run?.uid, run?.state, run?.requested_state, run?.paused_why, run?.waiting_for, lock?.holder].join()
@@ -14,7 +14,7 @@ const urgent = ({ rig, run, lock, needs }) => [rig.state, rig.trip?.detail, need
 class Live extends EventTarget {
   /** Body of `GET /status`; null before the first one. */
   status = null
-  /** Whether the status is at most 3 s old. */
+  /** Whether a status came within the last 3 s, and in time. */
   fresh = false
   /** Time of the newest status, ms. */
   at = 0
@@ -88,10 +88,17 @@ async function poll(signal) {
   for (let begun; !signal.aborted; await sleep(Math.max(100, begun + 500 - Date.now()), signal)) {
     begun = Date.now()
     if (Math.abs(begun - socketAt) < 2000) continue
-    try { live.take(await (await ask('/api/v1/status', { wait: 2000 })).json()) } catch (error) { lost(error) }
+    try {
+      const status = await (await ask('/api/v1/status', { wait: 2000 })).json()
+      ahead = begun - Date.parse(status.at)
+      live.take(status)
+    } catch (error) { lost(error) }
   }
 }
 
+// At most the time by which this computer's clock is ahead of the service's, ms: a status was made after it was asked for.
+// By it a message of the socket that a slow network held back is late, and polls replace it. So they do if a clock was set.
+let ahead = -Infinity
 let socketAt = 0
 async function listen(signal) {
   // Without a socket no samples come: those after `since` are read once it is open again.
@@ -115,9 +122,12 @@ async function listen(signal) {
       whole = asked = false
     },
     onmessage(message) {
-      socketAt = Date.now()
+      const behind = Date.now() - Date.parse(message.status.at)
+      ahead = Math.min(ahead, behind)
+      const isLate = behind - ahead > LATE_MS
+      socketAt = isLate ? 0 : Date.now()
       take(message.samples)
-      if (message.status) live.take(message.status)
+      if (!isLate) live.take(message.status)
     },
   })
 }

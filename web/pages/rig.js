@@ -2,8 +2,8 @@
 // reason where one cannot be done, jog while a button is held, the check, and the pose to copy.
 
 import { hold } from '../lib/address.js'
-import { get, send } from '../lib/api.js'
-import { actOnRig, actor, outcome, refusal, sureHome } from '../lib/actions.js'
+import { get } from '../lib/api.js'
+import { actOnRig, actor, outcome, refusal, sendNow, sureHome } from '../lib/actions.js'
 import { chain, lastWord, stopWords, stoppingWords, streamWords, wireWords } from '../lib/chain.js'
 import { copyButton } from '../lib/copybutton.js'
 import { el, every, facts, fill, panel, renew, say, select } from '../lib/dom.js'
@@ -72,7 +72,7 @@ export async function show(root, { query, signal, set }) {
   const checkNow = actor('Check every device', saidCheck, async () => {
     fill(report, el('p', { className: 'soft' }, 'Asking every device; this takes some seconds …'))
     try {
-      fill(report, checkReport(await send('/rig/check', { enable: enable.checked, who: who() }, { wait: CHECK_MS, signal })))
+      fill(report, checkReport(await sendNow('/rig/check', { enable: enable.checked, who: who() }, { wait: CHECK_MS, signal })))
     } catch (error) {
       fill(report)
       throw error

@@ -1,4 +1,4 @@
-//! What an operation needs before its handler runs: role, lock, largest body, repetitions, entity tags.
+//! What an operation needs before its handler runs: role, lock, largest body, lateness, repetitions, entity tags.
 //! Uses: the roles of `store`. Never: an operation (`routes` has their table).
 
 use crate::store::Role;
@@ -21,6 +21,9 @@ pub struct Needs {
     /// (keys, tickets), that are uploads, which are refused or without effect when repeated, or that have
     /// the same effect when repeated.
     pub once: bool,
+    /// Whether it may move an axis: it is refused if it comes late (`in_time`), or its handler refuses those of its
+    /// actions that the operator lock refuses.
+    pub moves: bool,
     /// What it shows (GET) or changes (other methods), with an entity tag.
     pub edited: Option<Edited>,
 }

@@ -15,6 +15,7 @@ use utoipa::openapi::{
 
 use super::access::{Access, Lock, Needs};
 use super::examples;
+use super::limits::STATUS_AGE_MAX;
 use super::routes::AllNeeds;
 use crate::dataset::format::Format;
 use crate::store::Role;
@@ -178,6 +179,9 @@ fn complete_operation(operation: &mut Operation, method: &Method, needs: &Needs)
     if needs.once {
         describe_repetition(operation, &refusals);
     }
+    if needs.moves {
+        describe_lateness(operation);
+    }
     if needs.edited.is_some() {
         describe_tags(operation, *method == Method::GET);
     }
@@ -263,6 +267,19 @@ fn describe_repetition(operation: &mut Operation, refusals: &[Refusal]) {
             let header = HeaderBuilder::new().description(Some(replayed)).build();
             response.headers.insert("Idempotency-Replayed".into(), header.into());
         }
+    }
+}
+
+/// Adds the status that the client had, and what is answered if it is old.
+fn describe_lateness(operation: &mut Operation) {
+    let text = format!(
+        "`at` of the newest status that the client had. If it is more than {} s old when the request arrives, the \
+         request came late and is refused with 409, except to pause, stop or abort a run.",
+        STATUS_AGE_MAX.as_secs()
+    );
+    add_header(operation, "Status-At", &text);
+    if let Some(RefOr::T(response)) = operation.responses.responses.get_mut("409") {
+        response.description += "; or the status of `Status-At` is too old";
     }
 }
 

@@ -1,6 +1,6 @@
 //! Checks before a handler runs, by the table of operations: key, role, origin, number of requests,
-//! size and pace of the body, operator lock, repetitions (`once`), entity tags (`edited`). After it:
-//! the log of actions, and the end of streams whose key is revoked.
+//! size and pace of the body, lateness (`in_time`), operator lock, repetitions (`once`), entity tags (`edited`). After
+//! it: the log of actions, and the end of streams whose key is revoked.
 //! Uses: `access`, `auth`, `audit`, `body`, `once`, `edited`, the store (the lock). Never: the e-stop, which
 //! checks its key itself and waits for nothing.
 
@@ -171,7 +171,7 @@ fn too_many(caller: &Caller) -> Response {
     ApiError::new(StatusCode::TOO_MANY_REQUESTS, words).retry_after(1).into_response()
 }
 
-/// Receives the body of an action, then checks key and lock: what changed while it arrived counts.
+/// Receives the body of an action, then checks lateness, key and lock: what changed while it arrived counts.
 /// Uploads are received by their handlers, which check again.
 async fn checked(app: &App, needs: Needs, act: &Act, mut request: Request) -> ApiResult<Request> {
     if needs.body_max_bytes <= BODY_MAX_BYTES {
@@ -182,6 +182,9 @@ async fn checked(app: &App, needs: Needs, act: &Act, mut request: Request) -> Ap
         })?;
         act.read(&body);
         request = Request::from_parts(parts, Body::from(body));
+    }
+    if needs.moves && needs.lock == Lock::Refuses {
+        app.in_time(request.headers())?;
     }
     if needs.lock == Lock::Refuses
         && let Err(refused) = app.unlocked(act.caller()).await

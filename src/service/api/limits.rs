@@ -122,6 +122,8 @@ pub const LOGGED_LATER_MAX: usize = 1000;
 pub const LIST_PAGE: u32 = 100;
 /// Entries of a page of a list.
 pub const LIST_MAX: u32 = 1000;
+/// Largest age of the status that a request states with `Status-At`.
+pub const STATUS_AGE_MAX: Duration = Duration::from_secs(10);
 /// Characters of an `Idempotency-Key`.
 pub const ONCE_KEY_MAX_CHARS: usize = 128;
 /// Time for which a request with an `Idempotency-Key` is kept.
@@ -234,6 +236,7 @@ mod tests {
             line("message of a refusal in the log of actions", format!("{DETAIL_MAX_CHARS} characters"), "cut"),
             line("entries of a page of a list, by default 100", LIST_MAX.to_string(), "400"),
             line("rows of a page of trials or of a dataset, by default 100; groups of an answer", MAX_PAGE.to_string(), "400"),
+            line("age of the status that a request states with `Status-At`", seconds(STATUS_AGE_MAX), "409, except to pause, stop or abort a run"),
             line("`Idempotency-Key`", format!("{ONCE_KEY_MAX_CHARS} characters"), "400"),
             line("time for which a request with an `Idempotency-Key` is kept", seconds(ONCE_KEPT), "a repetition is a new request"),
             line("kept requests of one key, or of all clients without a key", ONCE_MAX.to_string(), "the oldest one is removed"),

@@ -5,6 +5,7 @@ use std::convert::Infallible;
 use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::sync::Arc;
+use std::time::Instant;
 
 use axum::extract::FromRequestParts;
 use axum::http::Method;
@@ -54,6 +55,7 @@ mod guard;
 mod health;
 mod history;
 mod imports;
+mod in_time;
 mod infer;
 mod jobs;
 mod kept;
@@ -186,6 +188,8 @@ struct Facts {
     bind: SocketAddr,
     data: PathBuf,
     started_at: Timestamp,
+    /// Process time of `started_at`.
+    began: Instant,
     rig: RigFile,
     ending: watch::Receiver<bool>,
     threads: runtime::Handle,

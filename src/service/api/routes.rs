@@ -36,6 +36,7 @@ const READS: Needs = Needs {
     body_max_bytes: BODY_MAX_BYTES,
     socket: false,
     once: false,
+    moves: false,
     edited: None,
 };
 const SOCKET: Needs = Needs { socket: true, ..READS };
@@ -70,6 +71,10 @@ impl Needs {
 
     const fn once(self) -> Self {
         Self { once: true, ..self }
+    }
+
+    const fn moves(self) -> Self {
+        Self { moves: true, ..self }
     }
 
     const fn of(self, edited: Edited) -> Self {
@@ -107,7 +112,7 @@ pub fn table() -> Vec<Operation> {
         (READS, routes!(sensor::sensor)),
         (acts("arm"), routes!(runs::arm)),
         // Any valid key may stop a run.
-        (acts("run_action").role(Viewer).lock(Lock::RefusesSome), routes!(runs::act)),
+        (acts("run_action").role(Viewer).lock(Lock::RefusesSome).moves(), routes!(runs::act)),
         (READS, routes!(placement::placement)),
         (READS, routes!(overlay::overlay)),
         (READS, routes!(trials::of_run)),
@@ -176,8 +181,8 @@ pub fn table() -> Vec<Operation> {
         (READS, routes!(wear::wear)),
         (READS, routes!(rig_limits::limits)),
         (READS, routes!(rates::rates)),
-        (acts("rig_action").once(), routes!(rig::act)),
-        (acts("rig_check").once(), routes!(rig::check)),
+        (acts("rig_action").once().moves(), routes!(rig::act)),
+        (acts("rig_check").once().moves(), routes!(rig::check)),
         (READS.of(Edited::Lock), routes!(people::lock)),
         // The lock itself: the handlers compare the holder.
         (acts("lock").lock(Lock::Ignored).of(Edited::Lock), routes!(people::take_lock)),

@@ -3,7 +3,7 @@
 
 use axum::Json;
 use axum::extract::Query;
-use axum::http::{StatusCode, header};
+use axum::http::{HeaderMap, StatusCode, header};
 use axum::response::IntoResponse;
 use jiff::{SignedDuration, Timestamp};
 use serde::{Deserialize, Serialize};
@@ -76,8 +76,8 @@ pub struct ActionRequest {
     pub why: Option<String>,
 }
 
-/// True if the action needs the role `operator` and respects the operator lock. Stopping never
-/// does.
+/// True if the action needs the role `operator`, respects the operator lock and is refused if it comes late.
+/// Stopping never is.
 fn needs_lock(action: ActionOnRun) -> bool {
     match action {
         ActionOnRun::Start | ActionOnRun::Resume | ActionOnRun::Confirm | ActionOnRun::Repeat => {
@@ -236,6 +236,7 @@ pub async fn arm(
 pub async fn act(
     app: App,
     act: Act,
+    headers: HeaderMap,
     Path(run): Path<String>,
     Body(asked): Body<ActionRequest>,
 ) -> ApiResult<(StatusCode, Json<ActionAccepted>)> {
@@ -243,18 +244,20 @@ pub async fn act(
     act.stated(asked.who.as_deref(), asked.why.as_deref());
     let run = find(&app, &run).await?;
     act.on(run.uid);
-    let started = request_action(&app, &act, &run, asked).await?;
+    let started = request_action(&app, &act, &headers, &run, asked).await?;
     Ok((StatusCode::ACCEPTED, Json(ActionAccepted { run: run.uid, started })))
 }
 
 async fn request_action(
     app: &App,
     act: &Act,
+    headers: &HeaderMap,
     run: &RunRow,
     asked: ActionRequest,
 ) -> ApiResult<Option<Started>> {
     if needs_lock(asked.action) {
         act.require(Role::Operator)?;
+        app.in_time(headers)?;
         app.unlocked(act.caller()).await?;
     }
     if asked.action == ActionOnRun::Start {

@@ -3,7 +3,7 @@
 
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};
 use std::sync::Arc;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use jiff::Timestamp;
 use tokio::net::TcpListener;
@@ -104,6 +104,7 @@ impl Service {
             bind: address,
             data: options.data.clone(),
             started_at: Timestamp::now(),
+            began: Instant::now(),
             rig,
             ending: ended,
             threads: runtime::Handle::current(),

@@ -25,6 +25,8 @@ use crate::store::{LockRow, StoreError, StoreResult};
 /// Status of rig, run and service.
 #[derive(Debug, Clone, Serialize, ToSchema)]
 pub struct ServiceStatus {
+    /// Time of the service at which the status was made, for `Status-At`. It does not follow a wall clock that is set.
+    pub at: Timestamp,
     /// Status of rig and run.
     #[serde(flatten)]
     pub campaign: Status,
@@ -162,6 +164,7 @@ impl App {
 
     /// The status as it is now, with a stored part.
     pub(super) async fn status_with(&self, stored: StoredPart) -> ServiceStatus {
+        let at = self.time();
         let (wrong_keys, wrong_key_at) = self.facts.wrong_keys.count();
         let service = ServiceInfo {
             version: env!("CARGO_PKG_VERSION"),
@@ -203,6 +206,7 @@ impl App {
             broken_channels: self.facts.memory.counters.broken_channels(),
         };
         ServiceStatus {
+            at,
             needs: needs(&campaign, around),
             glance: glances(&campaign, around, facts),
             rig_actions: refusals::of_rig(self, &campaign),
