@@ -106,7 +106,11 @@ impl Closing {
         let (url, is_default) = (self.follow_url.clone(), self.data == DEFAULT_DATA);
         let data = (url.is_none() && !is_default).then(|| self.data.clone().into());
         let mut next = Next::of(&At { url, data, ..At::default() });
-        if self.is_resumable() {
+        if self.summary.run.state == StoredState::Queued {
+            next = next
+                .suggest(format_args!("palpate resume {run}"), "starts it again")
+                .suggest(format_args!("palpate queue remove {run}"), "takes it out of the queue");
+        } else if self.is_resumable() {
             next = next.same_command("again", "resumes where it stopped");
         }
         next = next

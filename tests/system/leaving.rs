@@ -49,6 +49,21 @@ impl Desk {
         self.palpate(&[&["run", "e.toml", "--speed", "50"], more].concat())
     }
 
+    /// The runs of the queue.
+    fn queued(&self) -> Value {
+        self.palpate(&["queue"]).end().0["items"].clone()
+    }
+
+    /// Waits until the first run of the queue waits for its turn.
+    fn until_one_waits(&self) {
+        for _ in 0..100 {
+            if self.queued()[0]["waiting_since"].is_string() {
+                break;
+            }
+            std::thread::sleep(std::time::Duration::from_millis(100));
+        }
+    }
+
     /// Id of the service's process; none if it has ended.
     fn service(&self) -> Option<i64> {
         let text = std::fs::read_to_string(self.data().join("server.json")).ok()?;
@@ -153,19 +168,34 @@ async fn ctrl_c_takes_a_run_that_waits_for_its_turn_out_of_the_queue() {
     assert_eq!((code, &left["event"]), (0, &json!("detached")), "{left:#}");
     std::fs::write(desk.0.join("next.toml"), EXPERIMENT.replace("leaving", "next")).unwrap();
     let waiting = desk.palpate(&["run", "next.toml"]);
-    let queued = || desk.palpate(&["queue"]).end().0["items"].clone();
-    for _ in 0..100 {
-        if queued()[0]["waiting_since"].is_string() {
-            break;
-        }
-        std::thread::sleep(std::time::Duration::from_millis(100));
-    }
-    assert_eq!(queued()[0]["experiment"], "next");
+    desk.until_one_waits();
+    assert_eq!(desk.queued()[0]["experiment"], "next");
     waiting.signal(Signal::INT);
     let (last, code) = waiting.end();
     assert_eq!(code, 1, "{last:#}");
     assert_ne!(last["resumable"], true, "{last:#}");
-    assert_eq!(queued(), json!([]));
+    assert_eq!(desk.queued(), json!([]));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_run_whose_start_another_person_takes_back_is_followed_no_longer() {
+    let _turn = turn(COMPUTES).await;
+    let desk = Desk::new("not-begun");
+    let (left, code) = desk.palpate(&["run", "e.toml", "--speed", "5", "--detach"]).end();
+    assert_eq!((code, &left["event"]), (0, &json!("detached")), "{left:#}");
+    std::fs::write(desk.0.join("next.toml"), EXPERIMENT.replace("leaving", "next")).unwrap();
+    let waiting = desk.palpate(&["run", "next.toml"]);
+    desk.until_one_waits();
+    let (_, code) = desk.palpate(&["abort", "2"]).end();
+    assert_eq!(code, 0);
+    let (last, code) = waiting.end();
+    assert_eq!((code, &last["scan_id"]), (1, &json!(2)), "{last:#}");
+    assert_eq!(last["reason"], "it does not begin by itself any more: start it again");
+    let queued = desk.queued();
+    assert_eq!(
+        (&queued[0]["experiment"], &queued[0]["waiting_since"]),
+        (&json!("next"), &Value::Null)
+    );
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -30,6 +30,8 @@ const TAKEN_UP: Duration = Duration::from_secs(30);
 
 /// The reason of each action.
 const WHY: &str = "Ctrl-C at the command line";
+/// Reason to leave a run that waited for its turn.
+const NOT_BEGUN: &str = "it does not begin by itself any more: start it again";
 /// What a stop is answered with.
 const STOPPING: &str = "stopping after this trial; Ctrl-C again aborts";
 
@@ -136,11 +138,15 @@ impl Follower {
         }
         let row = self.client.run(self.watch.run).await?;
         // A stopped run that is to be resumed has ended until its turn comes.
-        let waits = self.watch.waiting && !self.seen && row.waiting_since.is_some();
+        let waits = self.waits_for_turn() && row.waiting_since.is_some();
         let left = match row.state {
             StoredState::Ended | StoredState::Removed if !waits => Some(Left::Ended),
             StoredState::Interrupted if self.seen => {
                 Some(Left::Open("the service stopped driving it"))
+            }
+            // A person took its start back, or an event states why it does not begin.
+            StoredState::Queued | StoredState::Interrupted if self.waits_for_turn() && !waits => {
+                Some(Left::Open(NOT_BEGUN))
             }
             _ if self.seen || self.watch.waiting => None,
             _ if self.started.elapsed() > TAKEN_UP => {
@@ -151,7 +157,7 @@ impl Follower {
         };
         if left.is_some() {
             self.tell_events().await?;
-        } else if self.watch.waiting && !self.seen {
+        } else if self.waits_for_turn() {
             self.screen.waits_in_queue(row.queue_position);
         }
         Ok(left)
