@@ -42,7 +42,7 @@ pub const QUESTION_ON_PAUSED_RUN: &str = "d  detach: the run stays paused\nr  re
 
 /// The question on a run that waits for its turn.
 pub const QUESTION_ON_WAITING_RUN: &str = "d  detach: the run begins when its turn comes\n\
-     s  take its start back: a queued run leaves the queue\nc  continue\nCtrl-C again takes its start back";
+     s  take its start back: if queued, it leaves the queue\nc  continue\nCtrl-C again takes its start back";
 
 /// The question on a training.
 pub const QUESTION_ON_TRAINING: &str = "d  detach: the training continues\n\

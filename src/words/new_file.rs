@@ -12,7 +12,9 @@
 //! is: files that a person asks for elsewhere (`--out`) follow it.
 //!
 //! [`NewFile::finish_unsynced`] omits both syncs, for files that are made again and that no later process
-//! reads: a sync of one file delays those of all others, such as the commit of a trial.
+//! reads: a sync of one file delays those of all others, such as the commit of a trial. It and
+//! [`NewFile::finish_first`] do not replace a file: the query engine may open only the files that existed when it
+//! began, and a file that replaces one of them is another file.
 //!
 //! Not covered: the entry of the folder in its parent if [`NewFile::create`] had to create the folder, and
 //! disks that report a sync before they have done it.
@@ -127,12 +129,31 @@ impl NewFile {
         Ok(Finished { bytes: self.bytes, sha256: std::mem::take(&mut self.sha256).finish() })
     }
 
-    /// Gives the file its name. A power failure may leave a part of it under this name.
+    /// Makes the file durable under `name`, unless a file of this name exists: that one stays.
     ///
     /// # Errors
-    /// If renaming fails; the file is then removed.
-    pub fn finish_unsynced(mut self, name: &str) -> io::Result<()> {
-        self.rename(name)
+    /// If syncing or linking fails; the file is then removed.
+    pub fn finish_first(self, name: &str) -> io::Result<()> {
+        self.file.sync_all()?;
+        self.link(name)?;
+        File::open(&self.folder)?.sync_all()
+    }
+
+    /// Gives the file its name, unless a file of this name exists: that one stays. A power failure may leave a part
+    /// of it under this name.
+    ///
+    /// # Errors
+    /// If linking fails; the file is then removed.
+    pub fn finish_unsynced(self, name: &str) -> io::Result<()> {
+        self.link(name)
+    }
+
+    /// The temporary name is removed with the value.
+    fn link(&self, name: &str) -> io::Result<()> {
+        match fs::hard_link(&self.partial, self.folder.join(name)) {
+            Err(error) if error.kind() == io::ErrorKind::AlreadyExists => Ok(()),
+            done => done,
+        }
     }
 
     fn rename(&mut self, name: &str) -> io::Result<()> {
@@ -226,7 +247,10 @@ mod tests {
 
     fn names(folder: &Path) -> Vec<String> {
         let entries = fs::read_dir(folder).unwrap();
-        entries.map(|e| e.unwrap().file_name().to_string_lossy().into_owned()).collect()
+        let mut names: Vec<String> =
+            entries.map(|e| e.unwrap().file_name().to_string_lossy().into_owned()).collect();
+        names.sort();
+        names
     }
 
     #[test]
@@ -245,8 +269,10 @@ mod tests {
         let mut again = NewFile::create(&folder).unwrap();
         again.write_all(b"e").unwrap();
         again.finish_unsynced("a.txt").unwrap();
-        assert_eq!(fs::read(folder.join("a.txt")).unwrap(), b"e");
-        assert_eq!(names(&folder), ["a.txt"]);
+        NewFile::create(&folder).unwrap().finish_first("a.txt").unwrap();
+        assert_eq!(fs::read(folder.join("a.txt")).unwrap(), b"d", "the first one stays");
+        NewFile::create(&folder).unwrap().finish_first("b.txt").unwrap();
+        assert_eq!(names(&folder), ["a.txt", "b.txt"]);
         fs::remove_dir_all(folder).unwrap();
     }
 

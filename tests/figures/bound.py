@@ -1,11 +1,11 @@
 """Places and counts of light contacts that the noise of a readout allows, on a skin as simple as possible.
 
-    python3 tests/figures/bound.py [--trials 150] [--offsets 0.19,0.1,0.05] [--model 0.05] [--law 1.8] [--spread 0.4]
+    python3 tests/figures/bound.py [--trials 150] [--offsets 0.19,0.1,0.05] [--model 0.05] [--power 1.8] [--spread 0.4]
         [--seed 5]
 
 Needs numpy; a minute for 300 trials on one core. The sheet is uniform, with the electrodes of sensors/ert-28.toml; a
 contact is a current, scaled so that 9.81 N make a frame of 2.6 mV (the median over the skin, root mean square). It
-grows with the power --law of the force, and differs between places 40 mm apart by a factor whose logarithm has the
+grows with a power of the force (--power), and differs between places 40 mm apart by a factor whose logarithm has the
 standard deviation --spread: by default as on gap c, which has 0.73 mV at 4.9 N. With 1 and 0 a weight of 4.9 N is half
 as strong as one of 9.81 N, everywhere. Trials are those of touch-real-random: 2 to 4 weights of 4.9, 7.4 and 9.8 N,
 40 mm apart, means of 30 frames with 1 mV of white noise each, and offsets that are left after the untouched frame, as
@@ -230,11 +230,11 @@ def main():
     parser.add_argument("--trials", type=int, default=150)
     parser.add_argument("--offsets", default="0.19,0.1,0.05", help="mV per pair of electrodes")
     parser.add_argument("--model", type=float, default=0.05, help="error of the model, share of the signal")
-    parser.add_argument("--law", type=float, default=1.8, help="power of the force in a contact's current")
+    parser.add_argument("--power", type=float, default=1.8, help="power of the force in a contact's current")
     parser.add_argument("--spread", type=float, default=0.4, help="standard deviation of ln of a place's strength")
     parser.add_argument("--seed", type=int, default=5)
     args = parser.parse_args()
-    sheet = Sheet(args.law, args.spread, np.random.default_rng(args.seed + 1))
+    sheet = Sheet(args.power, args.spread, np.random.default_rng(args.seed + 1))
     print("| offsets, mV | known of them | location, mm | closest, mm | number, % | right count, % |\n|" + "---|" * 6)
     for offset_mv in map(float, args.offsets.split(",")):
         for known in ["size", "all"]:

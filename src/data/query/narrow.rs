@@ -63,8 +63,7 @@ fn write(folder: &Path, name: &str, dataset: &Path) -> Result<(), DatasetError> 
         stream.push(&batch?)?;
     }
     // It is read by later processes, too.
-    stream.finish()?.finish(name).map_err(failed)?;
-    Ok(())
+    stream.finish()?.finish_first(name).map_err(failed)
 }
 
 /// Removes the files whose dataset is no longer in `datasets`. Those that cannot be removed now stay.
