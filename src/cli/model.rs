@@ -35,7 +35,7 @@ enum What {
     List,
     /// Show the facts of a model.
     Show {
-        /// Id or name of the model.
+        /// Id of the model, start of the id (mdl- and 6 digits or more), or name.
         model: String,
     },
     /// Make a model (by id or name), or a calibration (by id), serve from the next frame on.
@@ -44,7 +44,7 @@ enum What {
     /// transfer, map, points, position, pattern, count, force; a calibration is the skin of the exact method. A model of
     /// another sensor than the rig's answers as SLOT@SENSOR, such as position@pad-60.
     Promote {
-        /// Id or name of a model, or id of a calibration.
+        /// Id, start of the id, or name of a model, or id of a calibration.
         what: String,
         /// Reason, for the log of actions.
         #[arg(long, value_name = "WORDS")]
@@ -66,7 +66,7 @@ enum What {
     Serving,
     /// Write a model's ONNX file, and its manifest and scores to FILE.json.
     Onnx {
-        /// Id or name of the model.
+        /// Id of the model, start of the id (mdl- and 6 digits or more), or name.
         model: String,
         /// Path of the ONNX file to write.
         #[arg(long, value_name = "FILE")]

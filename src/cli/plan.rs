@@ -1,8 +1,8 @@
 //! `palpate plan`: preflight and ordered schedule of an experiment; nothing moves, no service is
 //! used.
-//! Uses: `files`, `schedule`. Never: the network, the clock: the same files give the same bytes.
+//! Uses: `files`, `schedule`, `next`. Never: the network, the clock: the same files give the same bytes.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use clap::Args;
@@ -10,6 +10,7 @@ use serde_json::json;
 
 use super::error::{CliError, CliResult};
 use super::files::{ExperimentFiles, RigFiles};
+use super::next::{Next, word};
 use super::output::{say, say_json};
 use super::picture::figure_file;
 use crate::schedule::configuration::Stand;
@@ -65,8 +66,29 @@ pub fn plan(args: &PlanArgs) -> CliResult<ExitCode> {
         }
     }
     match preflight.problems {
-        problems if problems.is_empty() => Ok(ExitCode::SUCCESS),
+        problems if problems.is_empty() => {
+            if !args.json {
+                next(args).say();
+            }
+            Ok(ExitCode::SUCCESS)
+        }
         problems => Err(CliError::Problems(problems)),
+    }
+}
+
+/// The command that runs the plan.
+fn next(args: &PlanArgs) -> Next {
+    let typed = |path: &Path| word(&path.display().to_string());
+    let experiment = typed(&args.experiment);
+    match &args.rig {
+        None => Next::default().suggest(
+            format_args!("palpate run {experiment}"),
+            "runs it with the running service, or else on a virtual rig",
+        ),
+        Some(rig) => Next::default().suggest(
+            format_args!("palpate run {experiment} --rig {}", typed(rig)),
+            "runs it on this rig, if no service runs",
+        ),
     }
 }
 

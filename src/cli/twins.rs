@@ -23,7 +23,8 @@ const TWINS_POLL: Duration = Duration::from_millis(200);
 /// # Errors
 /// `CliError` if the service cannot be reached.
 pub async fn status(at: &At) -> CliResult<()> {
-    let twins: Value = embed::server(at).await?.get("/api/v1/twins").await?;
+    let client = embed::server(at).await?;
+    let twins: Value = client.get("/api/v1/twins").await?;
     if at.json {
         say_json(&twins);
         return Ok(());
@@ -42,10 +43,10 @@ pub async fn status(at: &At) -> CliResult<()> {
     }
     let numbers = ["trials", "twins", "failures", "pending"];
     let mut table =
-        Table::new("run | trials> | twins> | failures> | pending>", "no run has trials");
+        Table::new("run> | trials> | twins> | failures> | pending>", "no run has trials");
     for run in twins["runs"].as_array().into_iter().flatten() {
-        let uid = text_of(&run["run"]);
-        table.push([uid].into_iter().chain(numbers.map(|number| run[number].to_string())));
+        let scan_id = client.run(text_of(&run["run"])).await?.scan_id.to_string();
+        table.push([scan_id].into_iter().chain(numbers.map(|number| run[number].to_string())));
     }
     say(&table);
     Ok(())

@@ -17,6 +17,7 @@ use crate::cli::client::Client;
 use crate::cli::embed;
 use crate::cli::error::CliResult;
 use crate::cli::find::find_run;
+use crate::cli::next::Next;
 use crate::cli::output::{grouped, say, say_json};
 use crate::cli::table::{Table, or_dash};
 use crate::cli::watch::answers::Tour;
@@ -133,6 +134,11 @@ async fn compare(client: &Client, args: &DiffArgs) -> CliResult<()> {
     }
     say(format_args!("\n{}", forces_words(&before, &after, &paired)));
     say(frames_words(&frames));
+    let scan_id = b.scan_id;
+    Next::of(&args.at)
+        .suggest(format_args!("palpate show {scan_id}"), "draws the second run in the terminal")
+        .suggest(format_args!("palpate report {scan_id}"), "its findings, as HTML and PDF")
+        .say();
     Ok(())
 }
 

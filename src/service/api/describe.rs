@@ -75,7 +75,11 @@ const NAMED: [(&str, &str, &str); 6] = [
     ("dataset", "id or name", "no dataset has this id, or none of this name has been made"),
     ("export", "id of the export", "no export has this id"),
     ("job", "id of the job", "no job has this id"),
-    ("model", "id or name of the model", "no model has this id or name"),
+    (
+        "model",
+        "id of the model, start of the id (`mdl-` and at least 6 digits), or name",
+        "no model has this id or name, or several ids begin like this",
+    ),
     ("folder", "name of the folder", "no folder of this name has an order"),
 ];
 

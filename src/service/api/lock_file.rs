@@ -49,8 +49,8 @@ impl Drop for LockFile {
 #[allow(missing_docs, reason = "the message names the fields")]
 pub enum LockFileError {
     #[error(
-        "{what} is in use by process {holder} (lock file {}): stop that process, or start `palpate serve` \
-         first and run commands as its clients",
+        "{what} is in use by process {holder} (lock file {}): wait until that process ends, or stop it; \
+         to run several commands at once, start `palpate serve` first",
         path.display()
     )]
     Held { what: String, holder: String, path: PathBuf },
@@ -166,6 +166,9 @@ mod tests {
         let user = rustix::process::geteuid().as_raw();
         let holder = format!("by process {} of user {user} (", std::process::id());
         assert!(refused.contains(&holder), "{refused}");
+        let start = format!("the data folder {} is in use", folder.path().display());
+        assert!(refused.starts_with(&start), "{refused}");
+        assert!(refused.contains("wait until that process ends"), "{refused}");
         drop(first);
         assert_eq!(folder.path().join("palpate.lock").metadata().unwrap().len(), 0);
         LockFile::of_data(folder.path()).unwrap();

@@ -55,7 +55,7 @@ pub struct ModelOut {
 #[derive(Debug, Deserialize, Serialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct PromotionRequest {
-    /// Id or name of a model, or id of a calibration.
+    /// Id, start of the id, or name of a model, or id of a calibration.
     pub what: String,
     /// Reason, for the log of actions.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -311,7 +311,8 @@ pub async fn serving(app: App) -> ApiResult<Json<ServingOut>> {
 /// rig's answers requests that name it by `SLOT@SENSOR`, such as `position@pad-60`.
 #[utoipa::path(post, path = "/api/v1/serving", tag = "models", request_body = PromotionRequest,
     responses((status = 200, body = ServesOut),
-        (status = 404, description = "no model or calibration has this id or name"),
+        (status = 404,
+            description = "no model or calibration has this id or name, or several ids begin like this"),
         (status = 409, description = "the model has other channels than the sensor of its name")))]
 pub async fn promote(
     app: App,

@@ -269,7 +269,9 @@ impl From<InferError> for ApiError {
             | InferError::Model(_)
             | InferError::Plan(_)
             | InferError::Fit(_) => StatusCode::UNPROCESSABLE_ENTITY,
-            InferError::NoModel(_) | InferError::NoSkin(_) => StatusCode::NOT_FOUND,
+            InferError::NoModel(_) | InferError::SeveralModels { .. } | InferError::NoSkin(_) => {
+                StatusCode::NOT_FOUND
+            }
             InferError::NotServed { .. }
             | InferError::OtherTask { .. }
             | InferError::OtherSensor { .. }

@@ -22,6 +22,9 @@ pub enum InferError {
     /// No model has this id or name.
     #[error("no model {0}: `palpate model list` lists the models")]
     NoModel(String),
+    /// The ids of several models begin with this text.
+    #[error("model {start}: several ids begin like this, state more digits of one: {ids}")]
+    SeveralModels { start: String, ids: String },
     /// No calibration has this id.
     #[error("no calibration {0}: add it with `palpate model add-calibration FILE`")]
     NoSkin(CalibrationId),

@@ -30,6 +30,8 @@ use crate::store::{ModelRow, Store};
 pub const SENSOR_FILE: &str = "sensor.toml";
 /// Number of models that stay loaded in addition to those in use.
 const LOADED_MAX: usize = 8;
+/// Shortest start of an id that names a model: `mdl-` and 6 digits.
+const ID_START_MIN_CHARS: usize = 10;
 
 /// The files and facts of a model to be added.
 #[derive(Debug, Clone)]
@@ -222,19 +224,22 @@ impl Registry {
         self.find(row.id.as_str()).await
     }
 
-    /// Returns the model with an id, or the newest one with a name, or the promoted one of a slot and a sensor:
-    /// `position@pad-60`.
+    /// Returns the model with an id, or the newest one with a name, or the only one whose id begins like this, or the
+    /// promoted one of a slot and a sensor: `position@pad-60`.
     ///
     /// # Errors
-    /// `InferError::NoModel` if there is none; `Store` if the store fails.
+    /// `InferError::NoModel` if there is none; `SeveralModels` if several ids begin like this; `Store` if the store
+    /// fails.
     pub async fn find(&self, id_or_name: &str) -> Result<ModelRow, InferError> {
         let promoted = match id_or_name.split_once('@') {
             Some((slot, sensor)) => self.inner.store.promoted(slot, sensor).await?,
             None => None,
         };
         let id_or_name = promoted.as_ref().map_or(id_or_name, PromotedId::as_str);
-        let found = self.inner.store.model(id_or_name).await?;
-        found.ok_or_else(|| InferError::NoModel(id_or_name.into()))
+        match self.inner.store.model(id_or_name).await? {
+            Some(row) => Ok(row),
+            None => only(self.inner.store.models().await?, id_or_name),
+        }
     }
 
     /// Returns a loaded model. The first call takes longer.
@@ -294,6 +299,18 @@ impl Registry {
     }
 }
 
+/// Returns the only model whose id begins with `start`: `mdl-` and at least 6 digits.
+fn only(models: Vec<ModelRow>, start: &str) -> Result<ModelRow, InferError> {
+    let is_start = start.len() >= ID_START_MIN_CHARS && start.starts_with("mdl-");
+    let begins = |row: &ModelRow| is_start && row.id.as_str().starts_with(start);
+    let mut found: Vec<ModelRow> = models.into_iter().filter(begins).collect();
+    if found.len() > 1 {
+        let ids: Vec<&str> = found.iter().map(|row| row.id.as_str()).collect();
+        return Err(InferError::SeveralModels { start: start.into(), ids: ids.join(", ") });
+    }
+    found.pop().ok_or_else(|| InferError::NoModel(start.into()))
+}
+
 fn read(folder: &Path, row: &ModelRow) -> Result<Model, InferError> {
     let text = |name: &str| {
         let path = folder.join(name);
@@ -308,4 +325,36 @@ fn read(folder: &Path, row: &ModelRow) -> Result<Model, InferError> {
     manifest.check_file(&onnx)?;
     let plan = Plan::load(&onnx, manifest.model.channels, &manifest.model.output_shape)?;
     Ok(Model { name: row.name.clone(), manifest, skin, points_mm: points_mm(&sensor), plan })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_start_of_an_id_names_a_model_if_it_is_the_only_one() {
+        let created_at = Clock::new(1.0).timestamp();
+        let row = |id: &str| ModelRow {
+            id: ModelId::unchecked(id),
+            name: "net".into(),
+            task: "transfer".into(),
+            manifest: String::new(),
+            created_at,
+        };
+        let models = ["mdl-0123456789abcdef", "mdl-0123457789abcdef"].map(row).to_vec();
+        let of = |start: &str| only(models.clone(), start).map_err(|error| error.to_string());
+        assert_eq!(of("mdl-0123456"), Ok(models[0].clone()));
+        assert_eq!(of("mdl-0123457"), Ok(models[1].clone()));
+        assert_eq!(
+            of("mdl-012345"),
+            Err("model mdl-012345: several ids begin like this, state more digits of one: \
+                 mdl-0123456789abcdef, mdl-0123457789abcdef"
+                .to_owned())
+        );
+        for unknown in ["mdl-999999", "mdl-01234", "0123456789", "mdl-0123456789abcdef0", ""] {
+            assert_eq!(of(unknown), Err(InferError::NoModel(unknown.into()).to_string()));
+        }
+        let short = only(vec![models[0].clone()], "mdl-01234");
+        assert!(matches!(short, Err(InferError::NoModel(_))), "5 digits: {short:?}");
+    }
 }

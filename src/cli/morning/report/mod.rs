@@ -19,6 +19,7 @@ use crate::cli::embed;
 use crate::cli::error::CliResult;
 use crate::cli::files::write;
 use crate::cli::find::find_run;
+use crate::cli::next::Next;
 use crate::cli::output::{counted, note, say, say_json};
 use crate::cli::print;
 use crate::cli::progress::shown_wait;
@@ -64,5 +65,10 @@ async fn make(client: &Client, args: &ReportArgs) -> CliResult<()> {
     if let Some(pdf) = printed {
         say(pdf.display());
     }
+    let scan_id = run.scan_id;
+    Next::of(&args.at)
+        .suggest(format_args!("palpate show {scan_id}"), "draws it in the terminal")
+        .suggest(format_args!("palpate events {scan_id} --important"), "what a person should see")
+        .say();
     Ok(())
 }
