@@ -120,8 +120,10 @@ fn too_much_memory_ends_it_with_the_words_that_the_service_knows() {
             other => panic!("{sql}: {other:?}"),
         }
     }
-    // The bound is not in the way of a small result. Counting voltages takes 350 to 650 MiB here, by
-    // how the threads meet: only the bound of the service is clear of that.
-    assert_eq!(ask("SELECT count(*) FROM frames", &known, bounds).rows().height(), 1);
-    assert_eq!(ask("SELECT count(*) FROM voltages", &known, BOUNDS).rows().height(), 1);
+    // The bound is not in the way of a small result. With the stack of a parser that has ended, or with
+    // two, half of these failed.
+    for _ in 0..5 {
+        let bounds = Bounds { memory_max_bytes: 500 << 20, ..BOUNDS };
+        assert_eq!(ask("SELECT count(*) FROM voltages", &known, bounds).rows().height(), 1);
+    }
 }
