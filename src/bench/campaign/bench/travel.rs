@@ -6,7 +6,7 @@
 
 use std::time::Duration;
 
-use futures::future::{join, try_join, try_join_all};
+use futures::future::{try_join, try_join_all};
 use tokio::time::Instant;
 
 use crate::campaign::bench::interlock::{self, TripKind};
@@ -19,6 +19,8 @@ use crate::schedule::configuration::Stand;
 
 /// Longest homing of one axis, process s.
 const HOMING_S: f64 = 180.0;
+/// Time in which a drive that was homed before accepts a homing, process s: until then it may still report its old zero.
+const HOMING_BEGINS_S: f64 = 0.1;
 /// Distance that z may sink during a lateral motion, beyond its tolerance, mm: more than an encoder jitters at rest, and
 /// less than the smallest clearance of a rig file (0.5 mm).
 const SINKS_MM: f64 = 0.2;
@@ -253,8 +255,8 @@ impl Stage {
         Ok(z)
     }
 
-    /// Waits for readings while an axis moves, or for the reply to its start, and meanwhile accepts requests. `last`: the
-    /// sample before; none if there was one just now.
+    /// Waits for readings while an axis moves or homes, or for the reply to its start, and meanwhile accepts requests.
+    /// `last`: the sample before; none if there was one just now.
     ///
     /// # Errors
     /// Trips once that is too old, although a wire still waits for a reply; otherwise as the readings and as
@@ -421,20 +423,31 @@ impl Stage {
     }
 
     async fn home_axes(&self, control: &mut Control, names: &[AxisName]) -> Result<(), Halt> {
+        let homes_z = names.contains(&AxisName::Z);
+        // Before z moves: until a late reply to its start it may already go into a load.
+        let mut first = match homes_z {
+            true => control.attending(self.cells_in_time()).await?,
+            false => None,
+        };
         control.attending(self.read_homing(names)).await??;
         control.attend()?;
         for &name in names {
-            control.attending(self.driven(name).axis.start_home()).await??;
+            // It may home although the reply is lost.
+            let start = async { Ok::<_, Halt>(self.driven(name).axis.start_home().await?) };
+            self.in_time(control, None, start).await?;
         }
-        let deadline = self.clock.now() + self.clock.wall(HOMING_S) + GRACE;
-        // A drive that was homed before needs a moment to accept the command. Meanwhile z may already go into a load.
-        let moment = join(self.clock.sleep(0.1), self.bench.cells.read());
-        let ((), read) = control.attending(moment).await?;
-        let mut first = read.ok();
+        let begun = self.clock.now();
+        let deadline = begun + self.clock.wall(HOMING_S) + GRACE;
         loop {
             control.attend()?;
-            let read = control.attending(self.read_homing(names)).await??;
-            if read.iter().all(|s| s.homed && !s.moving) {
+            if !homes_z {
+                self.require_still_clear(control).await?;
+            } else if let Some(now) = control.attending(self.cells_in_time()).await? {
+                interlock::check_rises(&self.config.cells, first.get_or_insert(now), &now)?;
+            }
+            let has_begun = self.clock.now() >= begun + self.clock.wall(HOMING_BEGINS_S);
+            let read = self.in_time(control, None, self.read_homing(names)).await?;
+            if has_begun && read.iter().all(|s| s.homed && !s.moving) {
                 let mut ends = names.iter().zip(&read);
                 return ends.try_for_each(|(&n, s)| self.require_within(n, s, BEYOND_TRAVEL));
             }
@@ -448,14 +461,14 @@ impl Stage {
                 let detail = format!("homing did not end within {HOMING_S} s: {left:?}");
                 return Err(Halt::trip(TripKind::Position, detail));
             }
-            if !names.contains(&AxisName::Z) {
-                self.require_still_clear(control).await?;
-            } else if let Ok(now) = control.attending(self.bench.cells.read()).await? {
-                // Cells that do not reply keep no tip down.
-                interlock::check_rises(&self.config.cells, first.get_or_insert(now), &now)?;
-            }
             self.poll_pause().await;
         }
+    }
+
+    /// Reads the cells while z homes. Those that do not reply in time keep no tip down, nor do they delay the status of z.
+    async fn cells_in_time(&self) -> Option<CellVolts> {
+        let limit = Duration::from_millis(self.config.sample_age_ms());
+        tokio::time::timeout(limit, self.bench.cells.read()).await.ok()?.ok()
     }
 
     /// Reads axes before they home, when the release of a stop could clear an alarm, and while they do: a drive in
