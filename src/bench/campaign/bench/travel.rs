@@ -6,7 +6,7 @@
 
 use std::time::Duration;
 
-use futures::future::{try_join, try_join_all};
+use futures::future::{join, try_join, try_join_all};
 use tokio::time::Instant;
 
 use crate::campaign::bench::interlock::{self, TripKind};
@@ -352,23 +352,24 @@ impl Stage {
         &self,
         control: &mut Control,
     ) -> Result<(), Halt> {
-        let z = control.attending(self.known_z()).await??;
-        let tolerance = self.driven(AxisName::Z).tolerance;
-        let clear = self.clear_z_mm();
-        if z.moving || z.position > clear + tolerance {
-            let detail =
-                format!("lateral motion refused: z at {:.3} mm, clear at {clear:.3}", z.position);
-            return Err(Halt::trip(TripKind::Position, detail));
-        }
+        let (clear, tolerance) = (self.clear_z_mm(), self.driven(AxisName::Z).tolerance);
         // A module that converts slowly still returns the load before the raise, and one that hangs needs some updates
-        // to show it.
+        // to show it. z may sink meanwhile.
         let cells = &self.config.cells;
         let updates_s = f64::from(cells.repeats_max() + 2) * cells.update_ms / 1e3;
         let deadline = self.clock.now() + self.clock.wall(updates_s);
         loop {
             let asked = self.clock.now();
-            let reading = control.attending(self.bench.cells.read()).await??;
-            match interlock::check_unloaded(cells, self.tips, &reading, &self.tare_v) {
+            let both = join(self.known_z(), self.bench.cells.read());
+            let (z, reading) = control.attending(both).await?;
+            let z = z?;
+            if z.moving || z.position > clear + tolerance {
+                let at = z.position;
+                let detail =
+                    format!("lateral motion refused: z at {at:.3} mm, clear at {clear:.3}");
+                return Err(Halt::trip(TripKind::Position, detail));
+            }
+            match interlock::check_unloaded(cells, self.tips, &reading?, &self.tare_v) {
                 Ok(()) => return Ok(()),
                 Err(trip) if asked > deadline => return Err(trip.into()),
                 Err(_) => self.poll_pause().await,

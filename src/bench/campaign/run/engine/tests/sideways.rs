@@ -170,6 +170,24 @@ async fn no_axis_moves_sideways_unless_z_is_homed_at_rest_and_clear() {
 }
 
 #[tokio::test]
+async fn no_axis_moves_sideways_if_z_sinks_while_the_cells_are_awaited() {
+    let axes = StandIns::default();
+    let mut engine = engine(&axes);
+    let stage = engine.connection.as_mut().unwrap().stage.as_mut().unwrap();
+    stage.tips = 1;
+    axes.cells.volts.lock()[0] = 1.0;
+    let target = [Target::of(AxisName::X, 10.0)];
+    let travel = stage.travel(&mut engine.control, &target);
+    let sinks = async {
+        tokio::time::sleep(Duration::from_millis(50)).await;
+        axes.z.status.lock().position = 60.0;
+        axes.cells.volts.lock()[0] = 0.5;
+    };
+    let (moved, ()) = tokio::join!(travel, sinks);
+    assert!(moved.is_err() && axes.x.starts.load(Ordering::SeqCst) == 0, "{moved:?}");
+}
+
+#[tokio::test]
 async fn nothing_moves_under_a_load_before_its_first_sample() {
     let axes = StandIns::default();
     let mut engine = engine(&axes);
