@@ -142,7 +142,14 @@ impl RigConfig {
 
     fn check(&self, file: &str) -> Result<(), Vec<Problem>> {
         let mut c = Checks::of(file);
-        c.within("clock_rate", self.clock_rate, 0.01..=2000.0);
+        match self.label {
+            RigLabel::Virtual => c.within("clock_rate", self.clock_rate, 0.01..=2000.0),
+            // Polls, deadlines and stopping distances use process time, and a real axis moves in wall time.
+            RigLabel::Measured => {
+                let limit = "must be 1 on a bench (label = \"measured\")";
+                c.require(self.clock_rate == 1.0, "clock_rate", self.clock_rate, limit);
+            }
+        }
         for (name, line) in &self.lines {
             line.check(name, &mut c);
         }
@@ -226,6 +233,12 @@ mod tests {
     fn a_value_that_would_disable_a_check_of_a_motion_is_refused() {
         let text = include_str!("../../../experiments/rigs/virtual.toml");
         for (from, to, words) in [
+            ("clock_rate = 1.0", "clock_rate = 0.0", "clock_rate = 0: must be from 0.01 to 2000"),
+            (
+                "label = \"virtual\"\nclock_rate = 1.0",
+                "label = \"measured\"\nclock_rate = 0.1",
+                "clock_rate = 0.1: must be 1 on a bench",
+            ),
             (
                 "tolerance_mm = 0.02",
                 "tolerance_mm = 2.6",

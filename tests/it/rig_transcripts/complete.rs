@@ -147,7 +147,7 @@ fn a_wrong_rig_file_is_told_with_file_key_value_and_limit() {
     assert!(unknown.contains("`clock_rate`"), "names what is allowed: {unknown}");
     assert_eq!(
         problems("clock_rate = 1.0", "clock_rate = 0.0"),
-        "iai-modbus-tcp.toml: clock_rate = 0: must be from 0.01 to 2000"
+        "iai-modbus-tcp.toml: clock_rate = 0: must be 1 on a bench (label = \"measured\")"
     );
     assert_eq!(
         problems("speed_mm_s = 60.0", "speed_mm_s = 9000.0"),

@@ -47,8 +47,10 @@ pub struct StandIn {
     pub starts_fail: AtomicBool,
     /// Motions and homings that were started.
     pub starts: AtomicU64,
-    /// Time until a motion that has started is acknowledged, wall time.
+    /// Time until a motion or homing that has started is acknowledged, wall time.
     pub starts_take: Mutex<Duration>,
+    /// Time that the reply to a reading of its status takes, wall time.
+    pub status_takes: Mutex<Duration>,
     /// Speed of the last motion that was requested, units/s.
     pub speed: Mutex<f64>,
     /// Stops that it received.
@@ -74,6 +76,7 @@ impl StandIn {
             starts_fail: AtomicBool::default(),
             starts: AtomicU64::default(),
             starts_take: Mutex::default(),
+            status_takes: Mutex::default(),
             speed: Mutex::default(),
             stops: AtomicU64::default(),
         })
@@ -104,6 +107,14 @@ impl StandIn {
     }
 }
 
+/// Waits for this time; does not yield if it is zero.
+async fn wait(takes: &Mutex<Duration>) {
+    let takes = *takes.lock();
+    if !takes.is_zero() {
+        tokio::time::sleep(takes).await;
+    }
+}
+
 #[async_trait]
 impl Axis for StandIn {
     fn name(&self) -> &'static str {
@@ -130,20 +141,20 @@ impl Axis for StandIn {
     }
 
     async fn start_home(&self) -> Result<(), RigError> {
-        self.start("homing", AxisStatus { position: 0.0, homed: true, ..self.present() })
+        self.start("homing", AxisStatus { position: 0.0, homed: true, ..self.present() })?;
+        wait(&self.starts_take).await;
+        Ok(())
     }
 
     async fn start_move(&self, target: f64, speed: f64) -> Result<(), RigError> {
         *self.speed.lock() = speed;
         self.start("move", AxisStatus { position: target, ..self.present() })?;
-        let takes = *self.starts_take.lock();
-        if !takes.is_zero() {
-            tokio::time::sleep(takes).await;
-        }
+        wait(&self.starts_take).await;
         Ok(())
     }
 
     async fn status(&self) -> Result<AxisStatus, RigError> {
+        wait(&self.status_takes).await;
         self.reply("status").map(|()| AxisStatus { at: Instant::now(), ..self.present() })
     }
 
@@ -180,10 +191,7 @@ impl LoadCells for Cells {
             let (device, operation) = ("cells".into(), "values".into());
             return Err(RigError::NoReply { device, operation, timeout_ms: 300 });
         }
-        let takes = *self.takes.lock();
-        if !takes.is_zero() {
-            tokio::time::sleep(takes).await;
-        }
+        wait(&self.takes).await;
         Ok(CellVolts { volts: *self.volts.lock(), repeats: [0; ARMS], at: Instant::now() })
     }
 }

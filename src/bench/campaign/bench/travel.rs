@@ -19,6 +19,8 @@ use crate::schedule::configuration::Stand;
 
 /// Longest homing of one axis, process s.
 const HOMING_S: f64 = 180.0;
+/// Time in which a drive that was homed before accepts a homing, process s: until then it may still report its old zero.
+const HOMING_BEGINS_S: f64 = 0.1;
 /// Distance that z may sink during a lateral motion, beyond its tolerance, mm: more than an encoder jitters at rest, and
 /// less than the smallest clearance of a rig file (0.5 mm).
 const SINKS_MM: f64 = 0.2;
@@ -253,8 +255,8 @@ impl Stage {
         Ok(z)
     }
 
-    /// Waits for readings while an axis moves, or for the reply to its start, and meanwhile accepts requests. `last`: the
-    /// sample before; none if there was one just now.
+    /// Waits for readings while an axis moves or homes, or for the reply to its start, and meanwhile accepts requests.
+    /// `last`: the sample before; none if there was one just now.
     ///
     /// # Errors
     /// Trips once that is too old, although a wire still waits for a reply; otherwise as the readings and as
@@ -350,23 +352,24 @@ impl Stage {
         &self,
         control: &mut Control,
     ) -> Result<(), Halt> {
-        let z = control.attending(self.known_z()).await??;
-        let tolerance = self.driven(AxisName::Z).tolerance;
-        let clear = self.clear_z_mm();
-        if z.moving || z.position > clear + tolerance {
-            let detail =
-                format!("lateral motion refused: z at {:.3} mm, clear at {clear:.3}", z.position);
-            return Err(Halt::trip(TripKind::Position, detail));
-        }
+        let (clear, tolerance) = (self.clear_z_mm(), self.driven(AxisName::Z).tolerance);
         // A module that converts slowly still returns the load before the raise, and one that hangs needs some updates
-        // to show it.
+        // to show it. z may sink meanwhile.
         let cells = &self.config.cells;
         let updates_s = f64::from(cells.repeats_max() + 2) * cells.update_ms / 1e3;
         let deadline = self.clock.now() + self.clock.wall(updates_s);
         loop {
             let asked = self.clock.now();
-            let reading = control.attending(self.bench.cells.read()).await??;
-            match interlock::check_unloaded(cells, self.tips, &reading, &self.tare_v) {
+            let both = join(self.known_z(), self.bench.cells.read());
+            let (z, reading) = control.attending(both).await?;
+            let z = z?;
+            if z.moving || z.position > clear + tolerance {
+                let at = z.position;
+                let detail =
+                    format!("lateral motion refused: z at {at:.3} mm, clear at {clear:.3}");
+                return Err(Halt::trip(TripKind::Position, detail));
+            }
+            match interlock::check_unloaded(cells, self.tips, &reading?, &self.tare_v) {
                 Ok(()) => return Ok(()),
                 Err(trip) if asked > deadline => return Err(trip.into()),
                 Err(_) => self.poll_pause().await,
@@ -421,20 +424,31 @@ impl Stage {
     }
 
     async fn home_axes(&self, control: &mut Control, names: &[AxisName]) -> Result<(), Halt> {
+        let homes_z = names.contains(&AxisName::Z);
+        // Before z moves: until a late reply to its start it may already go into a load.
+        let mut first = match homes_z {
+            true => control.attending(self.cells_in_time()).await?,
+            false => None,
+        };
         control.attending(self.read_homing(names)).await??;
         control.attend()?;
         for &name in names {
-            control.attending(self.driven(name).axis.start_home()).await??;
+            // It may home although the reply is lost.
+            let start = async { Ok::<_, Halt>(self.driven(name).axis.start_home().await?) };
+            self.in_time(control, None, start).await?;
         }
-        let deadline = self.clock.now() + self.clock.wall(HOMING_S) + GRACE;
-        // A drive that was homed before needs a moment to accept the command. Meanwhile z may already go into a load.
-        let moment = join(self.clock.sleep(0.1), self.bench.cells.read());
-        let ((), read) = control.attending(moment).await?;
-        let mut first = read.ok();
+        let begun = self.clock.now();
+        let deadline = begun + self.clock.wall(HOMING_S) + GRACE;
         loop {
             control.attend()?;
-            let read = control.attending(self.read_homing(names)).await??;
-            if read.iter().all(|s| s.homed && !s.moving) {
+            if !homes_z {
+                self.require_still_clear(control).await?;
+            } else if let Some(now) = control.attending(self.cells_in_time()).await? {
+                interlock::check_rises(&self.config.cells, first.get_or_insert(now), &now)?;
+            }
+            let has_begun = self.clock.now() >= begun + self.clock.wall(HOMING_BEGINS_S);
+            let read = self.in_time(control, None, self.read_homing(names)).await?;
+            if has_begun && read.iter().all(|s| s.homed && !s.moving) {
                 let mut ends = names.iter().zip(&read);
                 return ends.try_for_each(|(&n, s)| self.require_within(n, s, BEYOND_TRAVEL));
             }
@@ -448,14 +462,14 @@ impl Stage {
                 let detail = format!("homing did not end within {HOMING_S} s: {left:?}");
                 return Err(Halt::trip(TripKind::Position, detail));
             }
-            if !names.contains(&AxisName::Z) {
-                self.require_still_clear(control).await?;
-            } else if let Ok(now) = control.attending(self.bench.cells.read()).await? {
-                // Cells that do not reply keep no tip down.
-                interlock::check_rises(&self.config.cells, first.get_or_insert(now), &now)?;
-            }
             self.poll_pause().await;
         }
+    }
+
+    /// Reads the cells while z homes. Those that do not reply in time keep no tip down, nor do they delay the status of z.
+    async fn cells_in_time(&self) -> Option<CellVolts> {
+        let limit = Duration::from_millis(self.config.sample_age_ms());
+        tokio::time::timeout(limit, self.bench.cells.read()).await.ok()?.ok()
     }
 
     /// Reads axes before they home, when the release of a stop could clear an alarm, and while they do: a drive in

@@ -86,7 +86,8 @@ fn parse(block: &[u16]) -> Option<DriveState> {
 fn move_block(order: &MoveOrder) -> Request {
     let [target_high, target_low] = to_words(order.target);
     let [band_high, band_low] = to_words(to_count(order.tolerance, 999_999));
-    let [speed_high, speed_low] = to_words(to_count(order.speed, SPEED_MAX));
+    // Rounded down: the stopping distance of a press allows no more.
+    let [speed_high, speed_low] = to_words(to_count(order.speed.floor(), SPEED_MAX));
     let acceleration = to_count(order.acceleration / COUNTS_PER_CENTI_G, ACCELERATION_MAX);
     let words = vec![
         target_high,
@@ -150,7 +151,7 @@ mod tests {
 
     #[test]
     fn a_move_is_one_block_in_hundredths() {
-        let (speed, acceleration) = (25e3, 150e3);
+        let (speed, acceleration) = (25_000.9, 150e3);
         let (target, tolerance, torque_percent) = (12_345, 5.0, None);
         let order = MoveOrder { target, speed, acceleration, tolerance, torque_percent };
         // 1500 mm/s^2 = 0.153 G.

@@ -96,7 +96,8 @@ fn move_block(order: &MoveOrder) -> Request {
         0,
         ABSOLUTE,
         order.target,
-        to_count(order.speed, SPEED_MAX),
+        // Rounded down: the stopping distance of a press allows no more.
+        to_count(order.speed.floor(), SPEED_MAX),
         rate,
         rate,
         current(order.torque_percent),
@@ -183,7 +184,7 @@ mod tests {
 
     #[test]
     fn a_move_is_one_block_of_sixteen() {
-        let (speed, acceleration) = (2000.4, 1.5e5);
+        let (speed, acceleration) = (2000.9, 1.5e5);
         let (target, tolerance, torque_percent) = (-70_000, 5.0, None);
         let order = MoveOrder { target, speed, acceleration, tolerance, torque_percent };
         let Request::WriteRegisters { address, words } = move_block(&order) else {

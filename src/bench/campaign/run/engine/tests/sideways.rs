@@ -16,6 +16,9 @@ use crate::campaign::run::halt::Halt;
 use crate::campaign::shown::command::Request;
 use crate::rig::traits::AxisStatus;
 
+/// Longest wait of a test for a motion that must end, also on a loaded machine.
+const ENDS_WITHIN: Duration = Duration::from_secs(10);
+
 /// Motions and homings of x, y and the rotary actuator that were started.
 fn lateral_starts(axes: &StandIns) -> [u64; 3] {
     [&axes.x, &axes.y, &axes.radial].map(|axis| axis.starts.load(Ordering::SeqCst))
@@ -72,6 +75,27 @@ async fn z_that_homes_into_a_load_is_stopped() {
     let trip = engine.control.inbox.status.borrow().rig.trip.clone().expect("a trip");
     assert_eq!(trip.kind, TripKind::Force);
     assert!(trip.detail.starts_with("cell 1 reads 13.9 N more than"), "{}", trip.detail);
+}
+
+#[tokio::test]
+async fn z_that_homes_into_a_load_before_its_start_is_acknowledged_is_stopped() {
+    let axes = StandIns::default();
+    let mut engine = engine(&axes);
+    let down = AxisStatus { position: 60.0, homed: false, ..axes.z.present() };
+    *axes.z.status.lock() = down;
+    *axes.z.after_start.lock() = Some(AxisStatus { moving: true, ..down });
+    *axes.z.starts_take.lock() = Duration::from_millis(100);
+    let stage = engine.connection.as_mut().unwrap().stage.as_mut().unwrap();
+    let homing = tokio::time::timeout(ENDS_WITHIN, stage.home(&mut engine.control, None));
+    let grows = async {
+        while axes.z.starts.load(Ordering::SeqCst) == 0 {
+            tokio::time::sleep(Duration::from_millis(1)).await;
+        }
+        axes.cells.volts.lock()[0] = 1.0;
+    };
+    let (homed, ()) = tokio::join!(homing, grows);
+    let halt = homed.expect("it ends").unwrap_err();
+    assert_eq!(halt.as_trip().expect("a trip").kind, TripKind::Force, "{halt:?}");
 }
 
 #[tokio::test]
@@ -143,6 +167,24 @@ async fn no_axis_moves_sideways_unless_z_is_homed_at_rest_and_clear() {
     assert_eq!(axes.x.starts.load(Ordering::SeqCst), 0);
     axes.cells.volts.lock()[0] = 0.5;
     assert!(stage.travel(&mut engine.control, &target).await.is_ok());
+}
+
+#[tokio::test]
+async fn no_axis_moves_sideways_if_z_sinks_while_the_cells_are_awaited() {
+    let axes = StandIns::default();
+    let mut engine = engine(&axes);
+    let stage = engine.connection.as_mut().unwrap().stage.as_mut().unwrap();
+    stage.tips = 1;
+    axes.cells.volts.lock()[0] = 1.0;
+    let target = [Target::of(AxisName::X, 10.0)];
+    let travel = stage.travel(&mut engine.control, &target);
+    let sinks = async {
+        tokio::time::sleep(Duration::from_millis(50)).await;
+        axes.z.status.lock().position = 60.0;
+        axes.cells.volts.lock()[0] = 0.5;
+    };
+    let (moved, ()) = tokio::join!(travel, sinks);
+    assert!(moved.is_err() && axes.x.starts.load(Ordering::SeqCst) == 0, "{moved:?}");
 }
 
 #[tokio::test]
@@ -286,6 +328,58 @@ async fn no_axis_goes_on_while_the_wire_still_waits_for_the_reply_to_its_start()
         assert_eq!(halt.as_trip().expect("a trip").kind, TripKind::Stale, "{halt:?}");
         assert!(began.elapsed() < Duration::from_secs(2), "{:?}", began.elapsed());
     }
+}
+
+#[tokio::test]
+async fn no_axis_goes_on_homing_without_its_status_or_the_reply_to_its_start() {
+    for (name, is_started) in
+        [(AxisName::Z, true), (AxisName::Z, false), (AxisName::X, true), (AxisName::X, false)]
+    {
+        let axes = StandIns::default();
+        let mut engine = engine(&axes);
+        let axis = if name == AxisName::Z { &axes.z } else { &axes.x };
+        // It moves until it is stopped. z without a zero homes at once.
+        let homes = AxisStatus { moving: true, homed: false, ..axis.present() };
+        *axis.status.lock() = AxisStatus { moving: false, ..homes };
+        *axis.after_start.lock() = Some(homes);
+        if !is_started {
+            *axis.starts_take.lock() = 2 * ENDS_WITHIN;
+        }
+        let stage = engine.connection.as_mut().unwrap().stage.as_mut().unwrap();
+        stage.config.limits.sample_age_ms = Some(100);
+        let homing = tokio::time::timeout(ENDS_WITHIN, stage.home(&mut engine.control, None));
+        let falls_silent = async {
+            while axis.starts.load(Ordering::SeqCst) == 0 {
+                tokio::time::sleep(Duration::from_millis(1)).await;
+            }
+            *axis.status_takes.lock() = 2 * ENDS_WITHIN;
+        };
+        let (homed, ()) = tokio::join!(homing, falls_silent);
+        let halt = homed.expect("it ends").unwrap_err();
+        assert_eq!(halt.as_trip().expect("a trip").kind, TripKind::Stale, "{name:?} {halt:?}");
+    }
+}
+
+#[tokio::test]
+async fn z_that_homes_is_read_although_the_cells_are_silent() {
+    let axes = StandIns::default();
+    let mut engine = engine(&axes);
+    *axes.cells.takes.lock() = 2 * ENDS_WITHIN;
+    let rising = AxisStatus { position: 60.0, homed: false, moving: true, ..axes.z.present() };
+    *axes.z.status.lock() = AxisStatus { moving: false, ..rising };
+    *axes.z.after_start.lock() = Some(rising);
+    let stage = engine.connection.as_mut().unwrap().stage.as_mut().unwrap();
+    stage.config.limits.sample_age_ms = Some(100);
+    let homing = tokio::time::timeout(ENDS_WITHIN, stage.home(&mut engine.control, None));
+    let fails = async {
+        while axes.z.starts.load(Ordering::SeqCst) == 0 {
+            tokio::time::sleep(Duration::from_millis(1)).await;
+        }
+        axes.z.status.lock().alarm = Some(1);
+    };
+    let (homed, ()) = tokio::join!(homing, fails);
+    let halt = homed.expect("it ends").unwrap_err();
+    assert_eq!(halt.as_trip().expect("a trip").kind, TripKind::Device, "{halt:?}");
 }
 
 #[tokio::test]
