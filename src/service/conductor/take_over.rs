@@ -10,14 +10,14 @@ use serde_json::json;
 use tracing::Instrument;
 
 use super::restart::{AutoResume, TakenOver};
-use super::{Conductor, ConductorError, turn};
+use super::{Conductor, ConductorError, locked, turn};
 use crate::campaign::bench::rig_state::RigState;
 use crate::campaign::bench::travel::HOMING_WAIT;
 use crate::campaign::shown::command::{Refusal, Request};
 use crate::campaign::spans::run_span;
 use crate::ids::RunUid;
 use crate::journal::error_chain;
-use crate::store::{LockRow, RunKind, RunRow};
+use crate::store::{RunKind, RunRow};
 
 /// Interval of polling the rig's state.
 const HOMING_POLL: Duration = Duration::from_millis(50);
@@ -255,13 +255,7 @@ impl Conductor {
             (Some(lock), Some(since)) => Some(lock).filter(|lock| lock.since >= since),
             (lock, _) => lock.as_ref().filter(|_| !present.lets_begin(run)),
         };
-        match refusing {
-            None => Ok(()),
-            Some(LockRow { holder, note, .. }) => {
-                let words = format!("{holder} has taken the operator lock: {note}");
-                Err(Refusal::State(words).into())
-            }
-        }
+        refusing.map_or(Ok(()), |lock| Err(locked(lock)))
     }
 
     /// Opens the wires and homes the rig, as needed. A skin alone has nothing to home, and for a manual run nothing
