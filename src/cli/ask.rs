@@ -96,7 +96,7 @@ pub async fn metrics(at: &At) -> CliResult<()> {
     Ok(())
 }
 
-/// Sends an action to the active run.
+/// Sends an action that halts or ends the active run: it is carried out however late it comes.
 ///
 /// # Errors
 /// `CliError::Idle` without an active run; other variants if the service cannot be reached or
@@ -105,6 +105,23 @@ pub async fn act(args: &ActArgs, action: &str, more: Value) -> CliResult<()> {
     let client = embed::server(&args.at).await?;
     let run = client.status().await?.run.ok_or(CliError::Idle)?;
     request(&client, run.uid, run.scan_id, args, action, more).await
+}
+
+/// Sends an action after which the active run continues; `more` are its other fields, of the run as it is read. The
+/// service refuses it if it comes late.
+///
+/// # Errors
+/// As [`act`].
+pub async fn act_in_time(
+    args: &ActArgs,
+    action: &str,
+    more: impl FnOnce(&RunView) -> Value,
+) -> CliResult<()> {
+    let client = embed::server(&args.at).await?;
+    let status = client.status().await?;
+    let run = status.run.ok_or(CliError::Idle)?;
+    let more = more(&run);
+    request(&client.acting_on(status.at), run.uid, run.scan_id, args, action, more).await
 }
 
 /// Sends an action on a run, and prints that it was accepted.
