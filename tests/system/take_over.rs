@@ -88,6 +88,28 @@ async fn an_abort_ends_the_homing_for_a_run_that_is_about_to_be_driven_again() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn a_pause_of_a_run_that_is_about_to_be_driven_again_holds_it() {
+    let (lab, run) = started("held").await;
+    lab.stored(5).await;
+    // Its homing lasts until the limit of twelve seconds.
+    lab.tell_rig(json!({ "cmd": "fault", "kind": "stuck_axis", "device": "x", "for_s": 6000.0 }))
+        .await;
+    let lab = lab.restart().await;
+    lab.until("a homing", |s| s["rig"]["state"] == "disarmed").await;
+    let (status, answer) = lab.act(&run, json!({ "action": "pause" })).await;
+    assert_eq!(status, 409, "{answer:#}");
+    let words = answer["detail"].as_str().unwrap_or_default();
+    assert!(words.contains("start it again, or abort it"), "{words}");
+    lab.interrupted(&run).await;
+    let page = lab.get("/api/v1/events?kind=not_resumed").await;
+    let why = |event: &Value| event["data"]["why"].as_str().unwrap_or_default().to_owned();
+    let told = |event: &Value| why(event).contains("a person has operated the rig");
+    assert!(page["items"].as_array().unwrap().iter().any(told), "{page:#}");
+    lab.rests("disarmed").await;
+    lab.close().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn a_jog_at_the_start_time_of_a_run_does_not_drop_it() {
     // Slow enough that a jog lasts longer than a second.
     let lab = Lab::open("jogged", rig_args("virtual", 2.0), WAITS).await;
