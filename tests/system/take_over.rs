@@ -1,5 +1,6 @@
 //! What moves by itself after a start of the service, or at the start time of a run, and what ends or holds it.
 
+use std::process::Command;
 use std::time::Duration;
 
 use jiff::{SignedDuration, Timestamp};
@@ -96,9 +97,11 @@ async fn a_pause_of_a_run_that_is_about_to_be_driven_again_holds_it() {
         .await;
     let lab = lab.restart().await;
     lab.until("a homing", |s| s["rig"]["state"] == "disarmed").await;
-    let (status, answer) = lab.act(&run, json!({ "action": "pause" })).await;
-    assert_eq!(status, 409, "{answer:#}");
-    let words = answer["detail"].as_str().unwrap_or_default();
+    // The command names no run, and none is active.
+    let mut pause = Command::new(env!("CARGO_BIN_EXE_palpate"));
+    pause.args(["pause", "--url", &lab.service.url()]);
+    let paused = tokio::task::block_in_place(|| pause.output()).unwrap();
+    let words = String::from_utf8_lossy(&paused.stderr);
     assert!(words.contains("start it again, or abort it"), "{words}");
     lab.interrupted(&run).await;
     let page = lab.get("/api/v1/events?kind=not_resumed").await;
