@@ -20,6 +20,7 @@ use super::{At, embed, workers};
 use crate::campaign::bench::stopping::StoppingDistance;
 use crate::campaign::shown::safe_end::{SafeEnd, Tips};
 use crate::ids::RunUid;
+use crate::store::RunRow;
 
 /// Longest wait for the axes' acknowledgement of an emergency stop.
 const ACKNOWLEDGED: Duration = Duration::from_secs(3);
@@ -96,15 +97,38 @@ pub async fn metrics(at: &At) -> CliResult<()> {
     Ok(())
 }
 
-/// Sends an action to the active run.
+/// Sends an action that halts or ends the active run, or the one that is about to be driven again after a restart: it is
+/// carried out however late it comes.
 ///
 /// # Errors
-/// `CliError::Idle` without an active run; other variants if the service cannot be reached or
-/// refuses.
+/// `CliError::Idle` without such a run; other variants if the service cannot be reached or refuses.
 pub async fn act(args: &ActArgs, action: &str, more: Value) -> CliResult<()> {
     let client = embed::server(&args.at).await?;
-    let run = client.status().await?.run.ok_or(CliError::Idle)?;
-    request(&client, run.uid, run.scan_id, args, action, more).await
+    let (uid, scan_id) = match client.status().await?.run {
+        Some(run) => (run.uid, run.scan_id),
+        None => {
+            let run = client.find_run(RunRow::is_driven).await?.ok_or(CliError::Idle)?;
+            (run.uid, run.scan_id)
+        }
+    };
+    request(&client, uid, scan_id, args, action, more).await
+}
+
+/// Sends an action after which the active run continues; `more` are its other fields, of the run as it is read. The
+/// service refuses it if it comes late.
+///
+/// # Errors
+/// As [`act`].
+pub async fn act_in_time(
+    args: &ActArgs,
+    action: &str,
+    more: impl FnOnce(&RunView) -> Value,
+) -> CliResult<()> {
+    let client = embed::server(&args.at).await?;
+    let status = client.status().await?;
+    let run = status.run.ok_or(CliError::Idle)?;
+    let more = more(&run);
+    request(&client.acting_on(status.at), run.uid, run.scan_id, args, action, more).await
 }
 
 /// Sends an action on a run, and prints that it was accepted.

@@ -5,6 +5,7 @@ use std::io::{BufRead, IsTerminal};
 use std::time::Duration;
 
 use clap::Args;
+use jiff::Timestamp;
 use serde_json::json;
 
 use super::ask::{ActArgs, request};
@@ -16,6 +17,7 @@ use super::next::Next;
 use super::output::{self, say};
 use super::rig::until_rig;
 use super::view::{ArmedView, PreflightView, StatusView, TakenUpView};
+use crate::api::STATUS_AGE_MAX;
 use crate::campaign::bench::rig_state::RigState;
 use crate::campaign::bench::travel::HOMING_WAIT;
 use crate::conductor::Started;
@@ -55,7 +57,8 @@ pub struct ResumeArgs {
 /// the motion of a real rig is not confirmed.
 pub async fn resume(args: &ResumeArgs) -> CliResult<()> {
     let client = embed::server(&args.act.at).await?;
-    let active = client.status().await?.run;
+    let status = client.status().await?;
+    let active = status.run;
     let named = match &args.run {
         Some(run) => Some(find_run(&client, run).await?),
         None if active.is_some() => None,
@@ -63,6 +66,7 @@ pub async fn resume(args: &ResumeArgs) -> CliResult<()> {
     };
     let paused = active.filter(|active| named.as_ref().is_none_or(|run| run.uid == active.uid));
     if let Some(run) = paused {
+        let client = client.acting_on(status.at);
         return request(&client, run.uid, run.scan_id, &args.act, "resume", json!({})).await;
     }
     let Some(run) = named else { return Err(CliError::NothingToResume) };
@@ -109,7 +113,7 @@ pub async fn bring_up(client: &Client, motion: MotionArgs) -> CliResult<StatusVi
     if !status.rig.has_stage {
         return Ok(status);
     }
-    confirm_motion(motion, &status).await?;
+    status = confirm_motion(client, motion, status).await?;
     if status.rig.state == RigState::Disarmed {
         client.act_on_rig("home", json!({})).await?;
         status =
@@ -118,23 +122,48 @@ pub async fn bring_up(client: &Client, motion: MotionArgs) -> CliResult<StatusVi
     Ok(status)
 }
 
-/// Asks for the confirmation that a real rig may move.
-async fn confirm_motion(motion: MotionArgs, status: &StatusView) -> CliResult<()> {
+/// Asks for the confirmation that a real rig may move; returns the status after it.
+async fn confirm_motion(
+    client: &Client,
+    motion: MotionArgs,
+    status: StatusView,
+) -> CliResult<StatusView> {
     if motion.yes || status.rig.label == Label::Virtual {
-        return Ok(());
+        return Ok(status);
     }
     let rig = status.rig.name.clone();
     if !std::io::stdin().is_terminal() {
         return Err(CliError::NotConfirmed { rig });
     }
     let label = status.rig.label.as_str();
-    output::ask(format_args!("rig {rig} ({label}) will move. Is it clear? [y/N] "));
+    let within_s = STATUS_AGE_MAX.as_secs();
+    output::ask(format_args!(
+        "rig {rig} ({label}) will move. Is it clear? [y/N, within {within_s} s] "
+    ));
     // A separate thread, so that Ctrl-C is handled meanwhile.
     let answer = tokio::task::spawn_blocking(entered_line);
-    match answer.await {
-        Ok(Ok(answer)) if matches!(answer.trim(), "y" | "yes") => Ok(()),
-        _ => Err(CliError::NotConfirmed { rig }),
+    if !matches!(answer.await, Ok(Ok(answer)) if matches!(answer.trim(), "y" | "yes")) {
+        return Err(CliError::NotConfirmed { rig });
     }
+    let now = client.status().await?;
+    answered_in_time(rig, status.at, now.at)?;
+    Ok(now)
+}
+
+/// Checks that an answer came soon after its question: a terminal that was silent may deliver one long after it was
+/// entered, when a person may be at the rig. `asked`, `now`: times of the service, which an older one does not state.
+fn answered_in_time(
+    rig: String,
+    asked: Option<Timestamp>,
+    now: Option<Timestamp>,
+) -> CliResult<()> {
+    let (Some(asked), Some(now)) = (asked, now) else { return Ok(()) };
+    let (after_s, limit_s) = (now.duration_since(asked).as_secs_f64(), STATUS_AGE_MAX.as_secs());
+    // Earlier: another process of the service.
+    if (0.0..=limit_s as f64).contains(&after_s) {
+        return Ok(());
+    }
+    Err(CliError::ConfirmedLate { rig, after_s, limit_s })
 }
 
 /// Reads a line from standard input; waits for it.
@@ -165,6 +194,7 @@ pub async fn arm_and_start(client: &Client, run: &RunRow) -> CliResult<Begun> {
     let (path, who) = (format!("/api/v1/runs/{}", run.uid), client.who());
     let armed: ArmedView = client.post(&format!("{path}/arm"), &json!({ "who": who })).await?;
     let start = json!({ "action": "start", "code": armed.code, "who": who });
+    let client = client.acting_now().await?;
     let taken: TakenUpView = client.post(&format!("{path}/actions"), &start).await?;
     let waiting = taken.started == Some(Started::Waiting);
     Ok(Begun { since, waiting, preflight: armed.preflight })
@@ -178,4 +208,25 @@ pub async fn last_event(client: &Client, run: &RunRow) -> CliResult<i64> {
     // A negative number counts from the end.
     let newest = client.events(run.uid, -1).await?;
     Ok(newest.items.last().map_or(0, |last| last.seq))
+}
+
+#[cfg(test)]
+mod tests {
+    use jiff::SignedDuration;
+
+    use super::*;
+
+    #[test]
+    fn an_answer_long_after_its_question_does_not_confirm_a_motion() {
+        let asked = Timestamp::constant(1_795_000_000, 500_000_000);
+        let refusal = |after_ms: i64| {
+            let now = asked + SignedDuration::from_millis(after_ms);
+            answered_in_time("lab".into(), Some(asked), Some(now)).err().map(|e| e.to_string())
+        };
+        assert_eq!([0, 9_999, 10_000].map(refusal), [None, None, None]);
+        let words = refusal(190_000).unwrap();
+        assert!(words.contains("rig lab") && words.contains("190 s"), "{words}");
+        assert!(refusal(-1).is_some(), "of another process");
+        assert!(answered_in_time("lab".into(), None, None).is_ok(), "an older service");
+    }
 }

@@ -157,6 +157,11 @@ pub enum CliError {
     Late { what: String, after_s: u64 },
     #[error("rig {rig} is real: confirm its motion at the terminal or with --yes")]
     NotConfirmed { rig: String },
+    #[error(
+        "rig {rig}: its motion was confirmed {after_s:.0} s after the question, limit {limit_s} s: nothing moves; \
+         check the rig, then run the command again"
+    )]
+    ConfirmedLate { rig: String, after_s: f64, limit_s: u64 },
     #[error("interrupted before the run started")]
     Interrupted,
     #[error("ended by a signal: the next service resumes the training from its checkpoint")]

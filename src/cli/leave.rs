@@ -36,7 +36,7 @@ pub const QUESTION_ON_RUN: &str = "d  detach: the run continues\np  pause after 
      Ctrl-C again raises the tips now and aborts";
 
 /// The question on a run that is paused.
-pub const QUESTION_ON_PAUSED_RUN: &str = "d  detach: the run stays paused\nr  resume\n\
+pub const QUESTION_ON_PAUSED_RUN: &str = "d  detach: the run stays paused\nr  resume (answer within 10 s)\n\
      s  stop: the run can be resumed later\nc  continue\n\
      Ctrl-C again raises the tips now and aborts";
 

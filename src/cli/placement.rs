@@ -2,12 +2,14 @@
 //! Uses: `client`. Never: a judgement (the service makes it).
 
 use clap::Args;
-use serde_json::json;
+use serde_json::{Value, json};
 
-use super::ask::{ActArgs, act};
+use super::ask::{ActArgs, act_in_time};
 use super::error::CliResult;
+use super::view::RunView;
 use super::{At, embed};
 use crate::api::{PlacementOut, Stage};
+use crate::campaign::shown::status::Wanted;
 
 /// Options of `confirm`.
 #[derive(Debug, Clone, Args)]
@@ -35,22 +37,32 @@ pub struct RepeatArgs {
 /// Runs `palpate confirm`.
 ///
 /// # Errors
-/// As [`act`]; also if the skin contradicts the placement.
+/// As [`act_in_time`]; also if the skin contradicts the placement, or the run waits for something else meanwhile.
 pub async fn confirm(args: &ConfirmArgs) -> CliResult<()> {
+    let more = |run: &RunView| confirmation(args, run.wanted.as_ref());
+    act_in_time(&args.act, "confirm", more).await
+}
+
+/// Fields of a confirmation. It states what was done: if another person has confirmed it meanwhile, this one must not
+/// confirm what the run waits for next.
+fn confirmation(args: &ConfirmArgs, wanted: Option<&Wanted>) -> Value {
     let mut more = json!({ "anyway": args.anyway });
-    if let Some(trial) = args.trial {
-        more["trial"] = trial.into();
+    match (args.trial, wanted) {
+        (Some(trial), _) => more["trial"] = trial.into(),
+        (None, Some(Wanted::Placement { trial, .. })) => more["trial"] = (*trial).into(),
+        (None, Some(Wanted::Tips { tips })) => more["tips"] = (*tips).into(),
+        (None, None) => {}
     }
-    act(&args.act, "confirm", more).await
+    more
 }
 
 /// Runs `palpate repeat`.
 ///
 /// # Errors
-/// As [`act`].
+/// As [`act_in_time`].
 pub async fn repeat(args: &RepeatArgs) -> CliResult<()> {
     let more = args.trial.map_or_else(|| json!({}), |trial| json!({ "trial": trial }));
-    act(&args.act, "repeat", more).await
+    act_in_time(&args.act, "repeat", |_| more).await
 }
 
 /// Runs `palpate placement`.
@@ -95,4 +107,23 @@ fn words(placement: &PlacementOut) -> String {
         lines.push(format!("last     trial {}, verdict {verdict}", last.trial));
     }
     lines.join("\n")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_confirmation_states_what_the_run_waits_for() {
+        let of = |trial, wanted: Option<Wanted>| {
+            let act = ActArgs { why: None, at: At::default() };
+            confirmation(&ConfirmArgs { trial, anyway: false, act }, wanted.as_ref())
+        };
+        let placement = || Some(Wanted::Placement { trial: 5, contacts: Vec::new() });
+        assert_eq!(of(None, placement()), json!({ "anyway": false, "trial": 5 }));
+        assert_eq!(of(Some(4), placement()), json!({ "anyway": false, "trial": 4 }));
+        let tips = of(None, Some(Wanted::Tips { tips: 3 }));
+        assert_eq!(tips, json!({ "anyway": false, "tips": 3 }));
+        assert_eq!(of(None, None), json!({ "anyway": false }));
+    }
 }

@@ -259,7 +259,7 @@ async fn check_server(at: &At, enable: bool) -> CliResult<ExitCode> {
     let client = embed::server(at).await?;
     let asked = json!({ "enable": enable, "who": client.who() });
     let shown = Working::on(CHECKING);
-    let report: Value = client.post("/api/v1/rig/check", &asked).await?;
+    let report: Value = client.acting_now().await?.post("/api/v1/rig/check", &asked).await?;
     drop(shown);
     if at.json {
         say_json(&report);

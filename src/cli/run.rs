@@ -26,6 +26,7 @@ use crate::ids::RunUid;
 use crate::new_file::make_folder;
 use crate::problem::Problem;
 use crate::rig::setup::RigSetup;
+use crate::state::StoredState;
 use crate::store::RunRow;
 
 /// Options of `run`.
@@ -158,16 +159,10 @@ fn sound(files: &ExperimentFiles, rig: &RigFiles) -> CliResult<()> {
 
 /// Brings the rig up, starts the run and follows it, like any client.
 async fn drive(client: &Client, order: &Order, signals: &mut Signals) -> CliResult<Outcome> {
-    let mut queued = None;
-    let begun = signals.during(begin(client, order, &mut queued)).await;
-    // A queued run that was not started would surprise the next person.
-    if begun.is_err()
-        && let Some(run) = queued
-        && let Err(left) = client.delete(&format!("/api/v1/queue/{run}")).await
-        // It may have begun meanwhile.
-        && client.act(run, "stop", json!({ "why": "left as it began" })).await.is_err()
-    {
-        tracing::warn!(error = %left, "the run stays in the queue");
+    let mut starting = None;
+    let begun = signals.during(begin(client, order, &mut starting)).await;
+    if let (Err(error), Some(start)) = (&begun, starting) {
+        take_back(client, start, error).await;
     }
     let (run, since, waiting) = begun?;
     note(order, &format!("its page: {}/", client.url()));
@@ -192,12 +187,44 @@ async fn drive(client: &Client, order: &Order, signals: &mut Signals) -> CliResu
     })
 }
 
-/// Starts the run, or finds it: returns it, the number of the last event before, and whether it waits. `queued`: the run
-/// that it has queued for this.
+/// A run that this command starts.
+#[derive(Debug, Clone, Copy)]
+enum Start {
+    /// It was queued for this.
+    Queued(RunUid),
+    /// It was stopped or interrupted.
+    Resumed(RunUid),
+}
+
+/// Takes back a start that failed, or that was left: the service may have received it nevertheless. The start of a run
+/// that resumes only if it was left: if it failed, another person may have started the run.
+async fn take_back(client: &Client, start: Start, error: &CliError) {
+    let run = match start {
+        Start::Queued(run) => run,
+        Start::Resumed(run) if matches!(error, CliError::Interrupted) => run,
+        Start::Resumed(_) => return,
+    };
+    // A queued run that was not started would surprise the next person. The service answers once the start that it has
+    // received is decided; it refuses if the run has begun, or is one that resumes.
+    let Err(left) = client.delete(&format!("/api/v1/queue/{run}")).await else { return };
+    let why = json!({ "why": "left as it began" });
+    if client.act(run, "stop", why.clone()).await.is_ok() {
+        return;
+    }
+    // A stopped run waits for its turn.
+    let row = client.run(run).await;
+    let waits = row.is_ok_and(|row| row.state == StoredState::Ended && row.waiting_since.is_some());
+    if !waits || client.act(run, "abort", why).await.is_err() {
+        tracing::warn!(error = %left, "the start of the run was not taken back");
+    }
+}
+
+/// Starts the run, or finds it: returns it, the number of the last event before, and whether it waits. `starting`: the run
+/// that it starts.
 async fn begin(
     client: &Client,
     order: &Order,
-    queued: &mut Option<RunUid>,
+    starting: &mut Option<Start>,
 ) -> CliResult<(RunRow, i64, bool)> {
     let status = bring_up(client, order.motion).await?;
     if let Some(active) = status.run.as_ref().filter(|_| !order.new) {
@@ -211,11 +238,12 @@ async fn begin(
     let run = match resumable(client, order, &status).await? {
         Some(run) => {
             note(order, &format!("run {} resumes where it stopped", run.scan_id));
+            *starting = Some(Start::Resumed(run.uid));
             run
         }
         None => {
             let run = enqueue(client, &order.files).await?;
-            *queued = Some(run.uid);
+            *starting = Some(Start::Queued(run.uid));
             run
         }
     };

@@ -14,7 +14,7 @@ use crate::campaign::bench::rig_state::RigState;
 use crate::campaign::bench::stopping::StoppingDistance;
 use crate::campaign::shown::run_action::ActionOnRun;
 use crate::campaign::shown::safe_end::{self, SafeEnd};
-use crate::campaign::shown::status::{Eta, Phase};
+use crate::campaign::shown::status::{Eta, Phase, Wanted};
 use crate::conductor::Started;
 use crate::event::{self, Importance};
 use crate::ids::{RunUid, TrialKey};
@@ -26,6 +26,9 @@ use crate::store::LockRow;
 /// `GET /api/v1/status`.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 pub struct StatusView {
+    /// Time of the service at which it was made; absent from an older service.
+    #[serde(default)]
+    pub at: Option<Timestamp>,
     /// Rig part of the status.
     pub rig: RigView,
     /// The active run.
@@ -199,6 +202,8 @@ pub struct RunView {
     pub requested_state: Option<StoredState>,
     /// What the run waits for, as text.
     pub waiting_for: Option<String>,
+    /// What a person must do before it continues; absent if nothing.
+    pub wanted: Option<Wanted>,
     /// Activity within the current trial.
     pub phase: Phase,
     /// Current or most recent configuration or placement in the tour.

@@ -5,6 +5,7 @@
 //! they share the machine among themselves (`bench::turn`), and no other test may run at the same time. Most of them
 //! wait: with more threads than cores (`RUST_TEST_THREADS=4` on two) they take half the time.
 
+mod begin;
 mod bench;
 mod browser;
 mod campaign;

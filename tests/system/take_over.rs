@@ -1,5 +1,6 @@
 //! What moves by itself after a start of the service, or at the start time of a run, and what ends or holds it.
 
+use std::process::Command;
 use std::time::Duration;
 
 use jiff::{SignedDuration, Timestamp};
@@ -83,6 +84,30 @@ async fn an_abort_ends_the_homing_for_a_run_that_is_about_to_be_driven_again() {
     tokio::time::sleep(Duration::from_secs(3)).await;
     let row = lab.get(&format!("/api/v1/runs/{run}")).await;
     assert_eq!((&row["state"], &row["exit_status"]), (&json!("ended"), &json!("abort")));
+    lab.rests("disarmed").await;
+    lab.close().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_pause_of_a_run_that_is_about_to_be_driven_again_holds_it() {
+    let (lab, run) = started("held").await;
+    lab.stored(5).await;
+    // Its homing lasts until the limit of twelve seconds.
+    lab.tell_rig(json!({ "cmd": "fault", "kind": "stuck_axis", "device": "x", "for_s": 6000.0 }))
+        .await;
+    let lab = lab.restart().await;
+    lab.until("a homing", |s| s["rig"]["state"] == "disarmed").await;
+    // The command names no run, and none is active.
+    let mut pause = Command::new(env!("CARGO_BIN_EXE_palpate"));
+    pause.args(["pause", "--url", &lab.service.url()]);
+    let paused = tokio::task::block_in_place(|| pause.output()).unwrap();
+    let words = String::from_utf8_lossy(&paused.stderr);
+    assert!(words.contains("start it again, or abort it"), "{words}");
+    lab.interrupted(&run).await;
+    let page = lab.get("/api/v1/events?kind=not_resumed").await;
+    let why = |event: &Value| event["data"]["why"].as_str().unwrap_or_default().to_owned();
+    let told = |event: &Value| why(event).contains("a person has operated the rig");
+    assert!(page["items"].as_array().unwrap().iter().any(told), "{page:#}");
     lab.rests("disarmed").await;
     lab.close().await;
 }

@@ -6,6 +6,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use futures::StreamExt;
+use jiff::Timestamp;
 use nix::unistd::{User, geteuid};
 use reqwest::multipart::{Form, Part};
 use reqwest::{Method, RequestBuilder, Response, header};
@@ -43,6 +44,8 @@ pub struct Client {
     answer_within: Duration,
     /// Name of the work that is shown while an answer takes long.
     work: Option<&'static str>,
+    /// Time of the status that its requests follow; none for requests that are never late.
+    status_at: Option<Timestamp>,
 }
 
 /// What answers at a URL.
@@ -95,7 +98,8 @@ impl Client {
             .map_err(|source| CliError::Http { operation: "HTTP client".into(), source })?;
         let url = url.trim_end_matches('/').into();
         let (tls, who) = (tls.into(), who());
-        Ok(Self { url, http, tls, key, who, answer_within: ANSWER_WAIT, work: None })
+        let answer_within = ANSWER_WAIT;
+        Ok(Self { url, http, tls, key, who, answer_within, work: None, status_at: None })
     }
 
     /// Returns the same client with another deadline for answers.
@@ -107,6 +111,12 @@ impl Client {
     /// for requests next to a progress bar.
     pub fn showing(&self, work: &'static str) -> Self {
         Self { work: Some(work), ..self.clone() }
+    }
+
+    /// Returns the same client for an action upon a status of this time: the service refuses what may move the rig
+    /// if it arrives long after. Not for a stop, a pause or an abort. `None`: an older service states no time.
+    pub fn acting_on(&self, status_at: Option<Timestamp>) -> Self {
+        Self { status_at, ..self.clone() }
     }
 
     /// URL of the service.
@@ -314,7 +324,10 @@ impl Client {
         let operation = format!("{method} {path}");
         tracing::debug!(operation, url = self.url, "request");
         let request = complete(self.http.request(method, format!("{}{path}", self.url)));
-        let request = self.with_key(request).timeout(self.answer_within);
+        let mut request = self.with_key(request).timeout(self.answer_within);
+        if let Some(at) = self.status_at {
+            request = request.header("status-at", at.to_string());
+        }
         let sent = repeat::send(request, &operation, self.answer_within);
         let answer = match self.work {
             Some(work) => shown_wait(work, sent).await,

@@ -1,7 +1,9 @@
 //! Questions and requests that several commands send.
 //! Uses: `client`. Never: a repetition; text for people.
 
+use jiff::Timestamp;
 use reqwest::Method;
+use serde::Deserialize;
 use serde::de::DeserializeOwned;
 use serde_json::Value;
 
@@ -15,6 +17,13 @@ use crate::store::RunRow;
 /// Entries per request: whole trials take about 2 kB each.
 const PAGE_ENTRIES: usize = 500;
 
+/// Time of a status.
+#[derive(Deserialize)]
+struct StatusTime {
+    /// Absent from an older service.
+    at: Option<Timestamp>,
+}
+
 impl Client {
     /// Returns the status of rig, run and service.
     ///
@@ -22,6 +31,15 @@ impl Client {
     /// As [`Self::send`].
     pub async fn status(&self) -> CliResult<StatusView> {
         self.get("/api/v1/status").await
+    }
+
+    /// Returns the same client for an action upon the present status, as [`Self::acting_on`].
+    ///
+    /// # Errors
+    /// As [`Self::send`].
+    pub async fn acting_now(&self) -> CliResult<Self> {
+        let status: StatusTime = self.get("/api/v1/status").await?;
+        Ok(self.acting_on(status.at))
     }
 
     /// Returns one run, by uid or scan_id.
@@ -133,12 +151,80 @@ impl Client {
         self.send(Method::POST, &path, Some(&self.body(action, more))).await.map(|_| ())
     }
 
-    /// Sends an action on the rig; `more` are its other fields.
+    /// Sends an action on the rig, upon the present status; `more` are its other fields.
     ///
     /// # Errors
-    /// As [`Self::send`].
+    /// As [`Self::send`]; `CliError::Refused` also if it comes late.
     pub async fn act_on_rig(&self, action: &str, more: Value) -> CliResult<()> {
-        let body = self.body(action, more);
-        self.send(Method::POST, "/api/v1/rig/actions", Some(&body)).await.map(|_| ())
+        let (client, body) = (self.acting_now().await?, self.body(action, more));
+        client.send(Method::POST, "/api/v1/rig/actions", Some(&body)).await.map(|_| ())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use serde_json::json;
+    use tokio::io::{AsyncReadExt, AsyncWriteExt};
+    use tokio::net::TcpListener;
+    use tokio::task::JoinHandle;
+
+    use super::*;
+
+    /// The answer to every request.
+    const STATUS_BODY: &str = "{\"at\":\"2026-11-26T21:00:00.123456789Z\"}";
+    /// The header of an action upon that status.
+    const STATED: &str = "status-at: 2026-11-26t21:00:00.123456789z";
+
+    /// A service that answers this number of requests, one per connection; returns them in lower case.
+    async fn service(requests: usize) -> (Client, JoinHandle<Vec<String>>) {
+        let door = TcpListener::bind("127.0.0.1:0").await.unwrap();
+        let url = format!("http://{}", door.local_addr().unwrap());
+        let heard = tokio::spawn(async move {
+            let mut heard = Vec::new();
+            for _ in 0..requests {
+                let (mut wire, _) = door.accept().await.unwrap();
+                let mut request = Vec::new();
+                // Those with a body end with it.
+                while !(request.ends_with(b"}") || request.starts_with(b"GET"))
+                    || !request.windows(4).any(|end| end == b"\r\n\r\n")
+                {
+                    wire.read_buf(&mut request).await.unwrap();
+                }
+                heard.push(String::from_utf8_lossy(&request).to_lowercase());
+                let length = STATUS_BODY.len();
+                let head = "HTTP/1.1 200 OK\r\nconnection: close\r\ncontent-type: application/json";
+                let answer = format!("{head}\r\ncontent-length: {length}\r\n\r\n{STATUS_BODY}");
+                wire.write_all(answer.as_bytes()).await.unwrap();
+            }
+            heard
+        });
+        (Client::new(&url, None, None).unwrap(), heard)
+    }
+
+    /// Whether each request states the status.
+    fn stated(heard: &[String]) -> Vec<bool> {
+        heard.iter().map(|request| request.contains(STATED)).collect()
+    }
+
+    #[tokio::test]
+    async fn an_action_on_the_rig_states_the_status_that_was_read_before() {
+        let (client, heard) = service(2).await;
+        client.act_on_rig("home", json!({})).await.unwrap();
+        let heard = heard.await.unwrap();
+        assert!(heard[0].starts_with("get /api/v1/status ") && heard[1].contains("\"home\""));
+        assert_eq!(stated(&heard), [false, true], "{heard:?}");
+    }
+
+    #[tokio::test]
+    async fn what_continues_a_run_states_the_status_that_was_seen_and_a_stop_states_none() {
+        let (client, heard) = service(5).await;
+        let (run, at) = (RunUid::new(), "2026-11-26T21:00:00.123456789Z".parse().unwrap());
+        client.acting_on(Some(at)).act(run, "resume", json!({})).await.unwrap();
+        for action in ["pause", "stop", "abort"] {
+            client.act(run, action, json!({})).await.unwrap();
+        }
+        client.post::<Value>("/api/v1/estop", &json!({})).await.unwrap();
+        let heard = heard.await.unwrap();
+        assert_eq!(stated(&heard), [true, false, false, false, false], "{heard:?}");
     }
 }

@@ -5,6 +5,7 @@ mod screen;
 
 use std::time::Duration;
 
+use jiff::Timestamp;
 use serde_json::json;
 use tokio::time::{Instant, MissedTickBehavior, interval};
 
@@ -77,6 +78,9 @@ pub struct Follower {
     asking: Asking,
     /// State in which the run was seen last.
     state: Option<StoredState>,
+    /// Time of the newest status, and of the one before the question.
+    status_at: Option<Timestamp>,
+    asked_on: Option<Timestamp>,
     /// Time since which the run waits for a person.
     waits: Option<Instant>,
 }
@@ -95,6 +99,8 @@ impl Follower {
             interrupts: 0,
             asking: Asking::default(),
             state: None,
+            status_at: None,
+            asked_on: None,
             waits: None,
         }
     }
@@ -129,6 +135,7 @@ impl Follower {
     async fn look(&mut self) -> CliResult<Option<Left>> {
         self.tell_events().await?;
         let status = self.client.status().await?;
+        self.status_at = status.at;
         if let Some(run) = status.run.as_ref().filter(|r| r.uid == self.watch.run) {
             self.seen = true;
             self.state = Some(run.state);
@@ -243,6 +250,7 @@ impl Follower {
             Some(StoredState::Paused) => QUESTION_ON_PAUSED_RUN,
             _ => QUESTION_ON_RUN,
         });
+        self.asked_on = self.status_at;
         self.asking.open();
     }
 
@@ -257,7 +265,11 @@ impl Follower {
             Choice::Detach => return Some(Left::Detached),
             Choice::Continue => {}
             Choice::Pause => self.act("pause", "pausing after this trial").await,
-            Choice::Resume => self.act("resume", "resuming").await,
+            // It is refused if the answer comes late: a person may be at the rig.
+            Choice::Resume => {
+                let client = self.client.acting_on(self.asked_on);
+                self.request(&client, "resume", "resuming").await;
+            }
             Choice::Stop => return self.halt("stop", STOPPING).await,
         }
         None
@@ -289,8 +301,12 @@ impl Follower {
     }
 
     async fn act(&self, action: &str, words: &str) {
+        self.request(&self.client, action, words).await;
+    }
+
+    async fn request(&self, client: &Client, action: &str, words: &str) {
         self.screen.note(words);
-        if let Err(error) = self.client.act(self.watch.run, action, json!({ "why": WHY })).await {
+        if let Err(error) = client.act(self.watch.run, action, json!({ "why": WHY })).await {
             self.screen.note(&error.to_string());
         }
     }

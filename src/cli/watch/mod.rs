@@ -187,10 +187,12 @@ fn answer(asked: Asked, night: &mut Night, client: &Client, at: &At, news: &Send
         night.outcome = Some("no run is active".into());
         return;
     };
-    let (run, scan_id, client) = (run.uid, run.scan_id, client.clone());
-    let (action, more) = match asked {
-        Asked::Pause => ("pause", json!({ "when": "checkpoint" })),
-        Asked::Resume => ("resume", json!({})),
+    let (run, scan_id) = (run.uid, run.scan_id);
+    // The status that the person sees.
+    let shown_at = night.status.as_ref().and_then(|status| status.at);
+    let (client, action, more) = match asked {
+        Asked::Pause => (client.clone(), "pause", json!({ "when": "checkpoint" })),
+        Asked::Resume => (client.acting_on(shown_at), "resume", json!({})),
         Asked::Quit | Asked::Estop | Asked::Nothing => return,
     };
     night.outcome = Some(format!("{action} requested"));

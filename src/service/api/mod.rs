@@ -128,6 +128,7 @@ pub use glance::{Glance, Question, Rating};
 pub use history::History;
 pub use infer::{FrameAnswer, InferOptions, InferRequest};
 pub use jobs::JobOut;
+pub use limits::STATUS_AGE_MAX;
 pub use live_contacts::LiveAnswer;
 pub use lock_file::{LockFile, LockFileError};
 pub use models::{ModelOut, PromotionRequest, RollBackRequest, ServesOut, ServingOut};

@@ -289,7 +289,8 @@ async fn request_action(
 }
 
 /// An action on a run that is not driven: an abort ends an open one, takes back the start of one that waits, and aborts
-/// one that is about to begin. A pause or an abort of one that has just ended is refused, and no waiting run begins.
+/// one that is about to begin. A pause or a stop of one that is about to be driven again after a restart is refused, and
+/// the run is not driven. A pause or an abort of one that has just ended is refused, and no waiting run begins.
 async fn on_undriven(app: &App, run: &RunRow, action: ActionOnRun) -> ApiResult<()> {
     // It may have ended since it was read.
     let run = &app.store.run(run.uid).await?.unwrap_or_else(|| run.clone());
@@ -299,12 +300,31 @@ async fn on_undriven(app: &App, run: &RunRow, action: ActionOnRun) -> ApiResult<
     if action == ActionOnRun::Abort && may_abort && app.conductor.abort_undriven(run).await? {
         return Ok(());
     }
+    let halt = match action {
+        // Of one that has begun meanwhile: nothing of it was measured yet.
+        ActionOnRun::Pause => Some(Request::PauseNow),
+        ActionOnRun::Stop => Some(Request::Stop),
+        ActionOnRun::Start
+        | ActionOnRun::Resume
+        | ActionOnRun::Confirm
+        | ActionOnRun::Repeat
+        | ActionOnRun::Abort => None,
+    };
+    let held = halt.filter(|_| run.is_driven());
+    let is_held = held.is_some();
+    if let Some(request) = held
+        && app.conductor.hold_undriven(run.uid, request).await?
+    {
+        return Ok(());
+    }
     if is_late {
         app.campaign.ask(Request::CameLate).await?;
     }
     let (action, scan_id, state) = (action.as_str(), run.scan_id, run.state);
     let mut words = format!("action {action}: run {scan_id} is {state}, not active");
-    if run.is_driven() {
+    if is_held {
+        words += "; it is not driven again by itself any more: start it again, or abort it";
+    } else if run.is_driven() {
         words += "; it is about to be driven again after a restart: abort ends it";
     } else if let Some(other) = app.campaign.status().run {
         words += &format!("; run {} is active", other.scan_id);

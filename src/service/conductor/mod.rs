@@ -24,7 +24,7 @@ use crate::journal::{ExitStatus, Journal, error_chain};
 use crate::rig::setup::RigSetup;
 use crate::schedule::preflight::Preflight;
 use crate::state::StoredState;
-use crate::store::{RunRow, Soundness, Store};
+use crate::store::{LockRow, RunRow, Soundness, Store};
 use crate::suspension::Suspensions;
 
 mod error;
@@ -222,7 +222,8 @@ impl Conductor {
     ///
     /// # Errors
     /// `ConductorError::Forbidden` if the run is not startable, the code is invalid, the store is
-    /// damaged, or there is a sign of a person meanwhile; `Refused` if the campaign refuses.
+    /// damaged, or there is a sign of a person meanwhile; `Refused` if another person takes the operator lock
+    /// meanwhile, or the campaign refuses.
     pub async fn start(
         &self,
         run: &RunRow,
@@ -243,17 +244,19 @@ impl Conductor {
             self.unended(run).await?;
             let operations = self.operations();
             self.inner.store.set_waiting(run.uid).await?;
-            self.inner.handed_over.lock().insert(run.uid, HandedOver { operations, by });
+            let start = HandedOver { operations, by: by.clone() };
+            self.inner.handed_over.lock().insert(run.uid, start);
             self.dropped().remove(&run.uid);
             self.let_wait([run.uid]);
-            // Read after it: a sign of a person that came before was followed without it.
-            if let Err(error) = self.require_no_sign(signs) {
+            // Read after it: a sign of a person that came before was followed without it, and a lock that was taken
+            // before does not hold it up.
+            if let Err(error) = self.require_no_person(signs, &by).await {
                 self.drop_waiting(run, &error.to_string()).await?;
                 return Err(error);
             }
             return Ok(Started::Waiting);
         }
-        self.begin(run, async { self.require_no_sign(signs) }).await?;
+        self.begin(run, self.require_no_person(signs, &by)).await?;
         Ok(Started::Running)
     }
 
@@ -329,6 +332,14 @@ impl Conductor {
             true => Ok(()),
             false => Err(ConductorError::Forbidden(format!("{}: start it again", attended.why))),
         }
+    }
+
+    /// Refuses a start if a person may have come to the rig since it was requested: there was a sign of one, or another
+    /// person has taken the operator lock. `by`: who starts it, as the holder of a lock is named.
+    async fn require_no_person(&self, signs: u64, by: &str) -> Result<(), ConductorError> {
+        let lock = self.inner.store.lock().await?;
+        self.require_no_sign(signs)?;
+        lock.filter(|lock| lock.holder != by).map_or(Ok(()), |lock| Err(locked(&lock)))
     }
 
     fn check_code(&self, row: &RunRow, code: &str) -> Result<(), ConductorError> {
@@ -438,6 +449,11 @@ impl Conductor {
     fn armings(&self) -> parking_lot::MutexGuard<'_, BTreeMap<RunUid, Arming>> {
         self.inner.armings.lock()
     }
+}
+
+/// The refusal of a run because of the operator lock of another person.
+fn locked(LockRow { holder, note, .. }: &LockRow) -> ConductorError {
+    Refusal::State(format!("{holder} has taken the operator lock: {note}")).into()
 }
 
 fn startable(run: &RunRow) -> Result<(), ConductorError> {

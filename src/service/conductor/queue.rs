@@ -232,6 +232,35 @@ mod tests {
     }
 
     #[tokio::test]
+    async fn a_run_that_is_started_as_another_person_takes_the_lock_does_not_begin() {
+        let (conductor, mut inbox, _folder) = conductor().await;
+        let store = &conductor.inner.store;
+        for terms in [Terms::default(), early()] {
+            let run = queued_on(&conductor, terms).await;
+            let code = conductor.arm(&run).await.unwrap().code;
+            let one_at_a_time = conductor.inner.beginning.lock().await;
+            let locks = async {
+                tokio::time::sleep(Duration::from_millis(100)).await;
+                store.set_lock("bob", "hands in the rig").await.unwrap();
+                drop(one_at_a_time);
+            };
+            let start = conductor.start(&run, &code, "ada".into());
+            let started = tokio::select! {
+                both = async { tokio::join!(start, locks).0 } => both,
+                asked = inbox.next() => panic!("{asked:?}"),
+            };
+            let words = started.unwrap_err().to_string();
+            assert_eq!(words, "bob has taken the operator lock: hands in the rig");
+            assert!(conductor.waiting().is_empty());
+            assert!(store.waiting_runs().await.unwrap().is_empty());
+            store.clear_lock().await.unwrap();
+        }
+        // The holder may start one.
+        store.set_lock("ada", "mine").await.unwrap();
+        start(&conductor, &queued_on(&conductor, early()).await).await;
+    }
+
+    #[tokio::test]
     async fn an_abort_of_a_run_that_waits_takes_its_start_back() {
         let (conductor, _inbox, _folder) = conductor().await;
         let [queued, stopped] =

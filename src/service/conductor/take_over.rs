@@ -10,14 +10,14 @@ use serde_json::json;
 use tracing::Instrument;
 
 use super::restart::{AutoResume, TakenOver};
-use super::{Conductor, ConductorError, turn};
+use super::{Conductor, ConductorError, locked, turn};
 use crate::campaign::bench::rig_state::RigState;
 use crate::campaign::bench::travel::HOMING_WAIT;
 use crate::campaign::shown::command::{Refusal, Request};
 use crate::campaign::spans::run_span;
 use crate::ids::RunUid;
 use crate::journal::error_chain;
-use crate::store::{LockRow, RunKind, RunRow};
+use crate::store::{RunKind, RunRow};
 
 /// Interval of polling the rig's state.
 const HOMING_POLL: Duration = Duration::from_millis(50);
@@ -212,6 +212,28 @@ impl Conductor {
         self.begin(run, self.require_unattended(run, before)).await
     }
 
+    /// Holds a run that is about to be driven again: a person has requested to pause or stop it. It must be started
+    /// again; if the rig homes for it, the homing ends. One that has begun meanwhile gets the request. Returns whether it
+    /// has.
+    ///
+    /// # Errors
+    /// `ConductorError::Refused` if the campaign refuses.
+    pub async fn hold_undriven(
+        &self,
+        run: RunUid,
+        request: Request,
+    ) -> Result<bool, ConductorError> {
+        // Before the wait: an attempt in progress does not begin it.
+        self.note_operation();
+        self.end_bringing_up(run);
+        let _one_at_a_time = self.inner.beginning.lock().await;
+        let has_begun = self.active() == Some(run);
+        if has_begun {
+            self.inner.campaign.ask(request).await?;
+        }
+        Ok(has_begun)
+    }
+
     /// The run that this process drives.
     fn active(&self) -> Option<RunUid> {
         self.inner.campaign.status().run.map(|run| run.uid)
@@ -255,13 +277,7 @@ impl Conductor {
             (Some(lock), Some(since)) => Some(lock).filter(|lock| lock.since >= since),
             (lock, _) => lock.as_ref().filter(|_| !present.lets_begin(run)),
         };
-        match refusing {
-            None => Ok(()),
-            Some(LockRow { holder, note, .. }) => {
-                let words = format!("{holder} has taken the operator lock: {note}");
-                Err(Refusal::State(words).into())
-            }
-        }
+        refusing.map_or(Ok(()), |lock| Err(locked(lock)))
     }
 
     /// Opens the wires and homes the rig, as needed. A skin alone has nothing to home, and for a manual run nothing
@@ -289,7 +305,7 @@ impl Conductor {
                         // Refused if nothing moves any more.
                         let _ = campaign.ask(Request::Abort).await;
                     }
-                    return Err(Refusal::State("the run was aborted".into()));
+                    return Err(Refusal::State("the run was aborted or held".into()));
                 }
                 match rig.state {
                     RigState::Homed => return Ok(()),
@@ -318,6 +334,7 @@ mod tests {
     use super::super::follow::tests::{conductor, queued_on};
     use super::*;
     use crate::campaign::shown::command::{Envelope, Inbox};
+    use crate::campaign::shown::show;
     use crate::journal::Journal;
     use crate::state::{StateChange, StoredState};
 
@@ -384,6 +401,45 @@ mod tests {
         let words = conductor.not_begun().await.unwrap();
         assert!(words.is_some_and(|words| words.ends_with(why)));
         assert!(conductor.still_waiting().await.unwrap().is_empty());
+    }
+
+    #[tokio::test]
+    async fn a_run_that_is_held_as_it_is_taken_over_is_not_driven() {
+        let (conductor, mut inbox, _folder) = conductor().await;
+        let [driven, next] = earlier(&conductor).await;
+        let holds = async {
+            let Envelope { request, answer, .. } = inbox.next().await.expect("a request");
+            assert!(matches!(request, Request::Connect), "{request:?}");
+            let held = conductor.hold_undriven(driven.uid, Request::PauseNow).await;
+            assert!(!held.unwrap(), "it has not begun");
+            let _ = answer.send(Ok(()));
+            inbox.next().await
+        };
+        let taken = tokio::select! {
+            taken = conductor.resume_after_restart(AutoResume::Allowed) => taken,
+            // Nothing is homed for it.
+            asked = holds => panic!("{asked:?}"),
+        };
+        assert!(matches!(taken, Err(ConductorError::Forbidden(_))), "{taken:?}");
+        let state = conductor.present(&driven).await.unwrap().state;
+        assert_eq!(state, StoredState::Interrupted);
+        assert!(conductor.why_dropped(next.uid).is_some());
+    }
+
+    #[tokio::test]
+    async fn a_pause_of_a_run_that_has_just_begun_reaches_it() {
+        let (conductor, mut inbox, _folder) = conductor().await;
+        let [driven, _next] = earlier(&conductor).await;
+        let job = conductor.prepare_stored(&driven).await.unwrap().job(&driven);
+        inbox.status.send_modify(|status| status.run = Some(show::started(&job)));
+        let paused = async {
+            let Envelope { request, answer, .. } = inbox.next().await.expect("a request");
+            assert!(matches!(request, Request::PauseNow), "{request:?}");
+            let _ = answer.send(Ok(()));
+        };
+        let held = conductor.hold_undriven(driven.uid, Request::PauseNow);
+        let (held, ()) = tokio::join!(held, paused);
+        assert!(held.unwrap());
     }
 
     #[tokio::test]
