@@ -9,7 +9,7 @@ import os
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any, Generic, TypeVar, cast
 
-from palpate._dataset import PAGE_ROWS, Dataset
+from palpate._dataset import PAGE_ROWS, Dataset, names_frames, page_rows
 from palpate._frames import DATASETS, EVENTS, RUNS, TABLES, Arrow, F, Frames, Pandas, Polars
 from palpate._http import Service
 from palpate._select import Condition, selection
@@ -100,14 +100,15 @@ class Palpate(Generic[F]):
         parameters = selection(conditions, columns, slice)
         parameters |= {"voltages": voltages, "flag": flag, "flagged": flagged, "format": "arrow"}
         parameters |= {"sort": "-trial_id" if newest_first else None}
-        most = PAGE_ROWS if limit is None else min(limit, PAGE_ROWS)
+        rows = page_rows(PAGE_ROWS, bool(voltages) or names_frames(str(parameters["columns"])))
+        most = rows if limit is None else min(limit, rows)
         page = self._service.get(path, parameters | {"limit": most})
         pages = [page.body]
-        while page.next_path and (limit is None or len(pages) * PAGE_ROWS < limit):
+        while page.next_path and (limit is None or len(pages) * rows < limit):
             page = self._service.follow(page.next_path)
             pages.append(page.body)
         table = self._frames.of_streams(pages, None)
-        return cast(F, cast(Any, table)[:limit]) if limit and limit > PAGE_ROWS else table
+        return cast(F, cast(Any, table)[:limit]) if limit and limit > rows else table
 
     def runs(self) -> F:
         """The runs, newest first."""

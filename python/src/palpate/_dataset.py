@@ -25,8 +25,10 @@ if TYPE_CHECKING:
     from palpate._torch import TrialDataset
 
 PAGE_ROWS = 10_000
-# A page of maps is read in pieces of about this size.
-PAGE_BYTES = 64 << 20
+# Numbers in the frames and maps of a page; the service refuses more than 20 million.
+PAGE_NUMBERS = 16_000_000
+# Numbers that the frames of a row are taken to have: two frames of a skin with 45 electrodes.
+FRAME_NUMBERS = 4096
 
 
 class Dataset:
@@ -165,15 +167,30 @@ class Dataset:
         return frames.of_streams(list(self._pages(parameters)), map_side(str(map)) if map else None)
 
     def _pages(self, parameters: Parameters) -> Iterable[bytes]:
-        limit, map = PAGE_ROWS, parameters.get("map")
-        if map:
-            limit = max(1, min(limit, PAGE_BYTES // (4 * map_side(str(map)) ** 2)))
+        columns, map = parameters.get("columns"), parameters.get("map")
+        has_frames = columns is None or names_frames(str(columns))
+        limit = page_rows(PAGE_ROWS, has_frames, None if map is None else str(map))
         path = f"/datasets/{self.id}/rows"
         page = self._service.get(path, parameters | {"format": "arrow", "limit": limit})
         yield page.body
         while page.next_path:
             page = self._service.follow(page.next_path)
             yield page.body
+
+
+def names_frames(columns: str) -> bool:
+    """Whether one of these columns, separated by commas, holds frames."""
+    return any(name in ("voltages_v", "sim_voltages_v") for name in columns.split(","))
+
+
+def page_rows(most: int, has_frames: bool, map: str | None = None) -> int:
+    """Rows of a page that the service accepts with its frames and maps, at most ``most``.
+
+    >>> page_rows(10_000, False), page_rows(10_000, True), page_rows(10_000, True, "4x20")
+    (10000, 3906, 538)
+    """
+    numbers = (FRAME_NUMBERS if has_frames else 0) + (map_side(map) ** 2 if map else 0)
+    return max(1, min(most, PAGE_NUMBERS // max(1, numbers)))
 
 
 def _folder(folder: str | os.PathLike[str] | None) -> Path:

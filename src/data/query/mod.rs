@@ -39,6 +39,9 @@ use tables::Tables;
 
 /// Longest time of a query, without that of sending its result.
 pub const TIME_MAX: Duration = Duration::from_secs(60);
+/// Longest time in which a client takes the rows of a result, from their first one; then the query ends without the
+/// rest.
+pub const TAKEN_WITHIN: Duration = Duration::from_secs(300);
 /// Longest wait for the turn of a query.
 pub const QUERY_WAIT: Duration = Duration::from_secs(10);
 /// Queries in progress; further ones wait. While a run is driven it is one, with one thread.

@@ -10,7 +10,6 @@ use parking_lot::Mutex;
 use super::error::QueryError;
 use super::records::{self, Scratch};
 use super::{narrow, pieces};
-use crate::dataset::build::data_file;
 use crate::dataset::catalog::Catalog;
 use crate::dataset::error::DatasetError;
 use crate::ids::RunUid;
@@ -191,7 +190,7 @@ impl Tables {
     /// The file of a dataset.
     async fn dataset(&self, name: &str) -> Result<PathBuf, QueryError> {
         match self.datasets.find(name).await {
-            Ok(row) => Ok(data_file(&self.datasets.datasets(), &row.id)),
+            Ok(row) => Ok(self.datasets.used(&row.id)),
             Err(DatasetError::NoDataset { .. }) => {
                 let made = self.store.datasets().await?;
                 let made = made.iter().map(|dataset| dataset.name.as_str());

@@ -143,7 +143,6 @@ pub async fn file(app: App, Path(export): Path<String>, request: Request) -> Api
         serde_json::from_value(row.request.clone()).map_err(DatasetError::Json)?;
     let name = format!("{export}.{}", asked.format.extension());
     let download = Download { name: &name, immutable: true };
-    used::note(&export_file.path);
     send::file(request, &export_file, asked.format, download).await
 }
 

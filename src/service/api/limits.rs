@@ -146,7 +146,7 @@ mod tests {
     use super::*;
     use crate::dataset::import::extent::IMPORTED_TRIALS_MAX;
     use crate::dataset::space::KEPT_FREE_BYTES;
-    use crate::query::{MEMORY_MAX_BYTES, QUERIES, ROWS_MAX, TIME_MAX};
+    use crate::query::{MEMORY_MAX_BYTES, QUERIES, ROWS_MAX, TAKEN_WITHIN, TIME_MAX};
     use crate::query_lines::SQL_MAX_BYTES;
     use crate::schedule::experiment::NAME_MAX_CHARS;
     use crate::simulate::contacts::FORCE_MAX_N;
@@ -199,6 +199,7 @@ mod tests {
             line("queries in progress", format!("{QUERIES}; while a run is driven 1, with one thread"), "the request waits, then 503 with Retry-After"),
             line("statement of a query", bytes(SQL_MAX_BYTES), "400"),
             line("time of a query, without sending its rows", seconds(TIME_MAX), "400"),
+            line("time in which the client takes the rows of a query", seconds(TAKEN_WITHIN), "the query ends, the connection is closed before the last row"),
             line("memory of the engine of a query", bytes(MEMORY_MAX_BYTES as usize), "400"),
             line("rows of a query", ROWS_MAX.to_string(), "400"),
             line("result of a query as JSON", bytes(QUERY_JSON_MAX_BYTES), "400"),

@@ -24,6 +24,7 @@ use super::tags::lists;
 use crate::dataset::error::DatasetError;
 use crate::dataset::export::ExportFile;
 use crate::dataset::format::{Format, Stream};
+use crate::dataset::used;
 
 /// Media type of a format, as a header value.
 fn media_type(format: Format) -> HeaderValue {
@@ -65,7 +66,7 @@ pub struct Download<'a> {
 }
 
 /// Returns a file, or the requested parts of it. The entity tag is the sha256 of the file, so that
-/// parts of different files are never combined.
+/// parts of different files are never combined. The time at which the file was last read is noted.
 ///
 /// # Errors
 /// 412 if the client wants another file; 500 if the file cannot be read.
@@ -75,6 +76,7 @@ pub async fn file(
     format: Format,
     Download { name, immutable }: Download<'_>,
 ) -> ApiResult<Response> {
+    used::note(&export_file.path);
     let sent = request.headers();
     let tag = format!("\"{}\"", export_file.sha256);
     if sent.contains_key(header::IF_MATCH) && !lists(sent, &header::IF_MATCH, &tag) {

@@ -10,7 +10,6 @@ use super::gathered::{Gathered, first_frames};
 use super::scoring::{Reader, Scoring};
 use super::{Jobs, Watch};
 use crate::dataset::background::background;
-use crate::dataset::build::data_file;
 use crate::evaluate::held_out::{Made, is_held_out};
 use crate::evaluate::request::{EvaluationRequest, FramesRead, OffsetsRead, Scored};
 use crate::ids::{CalibrationId, DatasetId};
@@ -53,7 +52,7 @@ pub(super) async fn scoring(
     dataset: DatasetRow,
     watch: &Arc<Watch>,
 ) -> Result<Scoring, JobError> {
-    let file = data_file(&jobs.inner.datasets.datasets(), &dataset.id);
+    let file = jobs.inner.datasets.used(&dataset.id);
     watch.phase("gathering frames", dataset.rows);
     let scratch = jobs.inner.data.join("cache");
     let columns = reader.columns();

@@ -16,7 +16,6 @@ use super::starts::Starts;
 use super::trainer::{self, Ended};
 use super::{Jobs, Watch};
 use crate::dataset::background::background;
-use crate::dataset::build::data_file;
 use crate::dataset::import::sensor::ImportedSensor;
 use crate::ids::{CalibrationId, DatasetId, ModelId};
 use crate::infer::registry::{self, NewModel};
@@ -122,7 +121,7 @@ async fn prepare(
             let name = job.dataset.as_ref().map_or(name.as_str(), DatasetId::as_str);
             let dataset = jobs.inner.datasets.resolve(name).await?;
             jobs.inner.store.begin_task(job.id, Some(&dataset.id)).await?;
-            let file = data_file(&jobs.inner.datasets.datasets(), &dataset.id);
+            let file = jobs.inner.datasets.used(&dataset.id);
             let of = file.clone();
             let sensor = background(move || crate::dataset::read::sensor_text(&of)).await??;
             (sensor, of_dataset(dataset, &recipe, file, cache))

@@ -5,6 +5,7 @@
 use std::time::Duration;
 
 use futures::future::{select, select_all};
+use jiff::Timestamp;
 use palpate::dataset::format::Format;
 use palpate::ids::TrialKey;
 use palpate::journal::Journal;
@@ -127,7 +128,11 @@ async fn trials_of_a_run_that_goes_on_are_there_and_datasets_are_tables() {
     let made = lab.make("real").await;
     for name in ["real", made["id"].as_str().unwrap()] {
         let sql = format!("SELECT count(*) AS n FROM \"{name}\"");
+        let before = Timestamp::now();
         assert_eq!(number(&lab, &sql).await, made["rows"]);
+        // A statement uses the dataset.
+        let used = lab.get("/api/v1/datasets/real").await["last_used_at"].clone();
+        assert!(used.as_str().unwrap().parse::<Timestamp>().unwrap() >= before, "{used}");
     }
     // The dataset of a run is read without its frames, from a file with the same rows.
     let file = format!("{}.parquet", lab.make("run-1").await["id"].as_str().unwrap());

@@ -330,8 +330,8 @@ impl Catalog {
         DatasetRows::open(&self.used(id), wanted)
     }
 
-    /// The file of a dataset, whose rows are read now.
-    fn used(&self, id: &DatasetId) -> PathBuf {
+    /// Returns the file of a dataset, and notes that its rows are read now.
+    pub fn used(&self, id: &DatasetId) -> PathBuf {
         let path = data_file(&self.datasets(), id);
         used::note(&path);
         path
