@@ -2,6 +2,9 @@
 //! Uses: `palpate::cli`, and as the only one `virtual_rig`, which it runs as a separate process.
 //! Never: anything else.
 
+// The macros of std that print panic on a closed pipe.
+#![deny(clippy::print_stdout, clippy::print_stderr)]
+
 use std::fmt::Display;
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
