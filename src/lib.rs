@@ -2,6 +2,9 @@
 //! estimates position and force of contacts. The chapters below are listed in the order in which data flows
 //! through them; each is a crate, except `cli`, and uses only those before it.
 
+// The macros of std that print panic on a closed pipe: `cli::output` does not.
+#![deny(clippy::print_stdout, clippy::print_stderr)]
+
 pub use palpate_words::{
     carried, chance, clock, commit, digest, event, file_kind, ids, journal, locate, near, new_file,
     plain, problem, program, record, state, syntax, toml_words,

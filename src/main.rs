@@ -2,6 +2,9 @@
 //! Uses: `palpate::cli`, and as the only one `virtual_rig`, which it runs as a separate process.
 //! Never: anything else.
 
+// The macros of std that print panic on a closed pipe.
+#![deny(clippy::print_stdout, clippy::print_stderr)]
+
 use std::fmt::Display;
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
@@ -391,6 +394,10 @@ mod tests {
                 for variable in variables {
                     assert!(words.contains(variable), "palpate {path} --{name}: {words}");
                 }
+                let values = option.get_value_names().unwrap_or_default();
+                let is_model = values.iter().any(|value| value.as_str() == "MODEL");
+                let names = !is_model || words.contains("start of the id, or name");
+                assert!(names, "palpate {path} --{name}: how a model is named: {words}");
                 let hidden = option.is_hide_default_value_set();
                 assert!(!hidden || words.contains("[default:"), "palpate {path} --{name}: {words}");
             }

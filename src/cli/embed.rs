@@ -216,3 +216,18 @@ impl Opened {
         outcome.unwrap_or_else(|panic| resume_unwind(panic))
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_service_of_a_command_takes_no_rig() {
+        let rig = RigFiles::read(None).unwrap();
+        for purpose in [Purpose::Reads, Purpose::Computes, Purpose::Stores] {
+            let options = options("data".into(), &rig, purpose).unwrap();
+            assert!(options.desk, "{purpose:?}");
+            assert_eq!(options.idle, purpose == Purpose::Reads, "{purpose:?}");
+        }
+    }
+}

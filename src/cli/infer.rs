@@ -41,12 +41,13 @@ pub struct InferArgs {
     /// Method [default: that of the --model]; not for a model that answers a position, pattern, count or force.
     #[arg(long, value_parser = methods(Method::served()), required_unless_present = "model")]
     method: Option<Method>,
-    /// Id or name of a model, or id of a calibration, instead of the serving one; it need not be promoted.
+    /// Id, start of the id, or name of a model, or id of a calibration; it need not be promoted [default: the
+    /// serving one].
     ///
     /// SLOT@SENSOR, such as position@pad-60, is the promoted one of another sensor.
     #[arg(long, value_name = "MODEL")]
     model: Option<String>,
-    /// Id or name of a Transfer-Net before it, instead of the serving one.
+    /// Id, start of the id, or name of a Transfer-Net before it [default: the serving one].
     #[arg(long, value_name = "MODEL")]
     transfer: Option<String>,
     /// Include the force map (shown with --json): the net's own, or the contacts drawn as Map 1.

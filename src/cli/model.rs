@@ -38,7 +38,7 @@ enum What {
         /// Id of the model, start of the id (mdl- and 6 digits or more), or name.
         model: String,
     },
-    /// Make a model (by id or name), or a calibration (by id), serve from the next frame on.
+    /// Make a model (by id, start of the id, or name), or a calibration (by id), serve from the next frame on.
     ///
     /// It is loaded and warmed first: no frame is dropped. Its slot follows from its task:
     /// transfer, map, points, position, pattern, count, force; a calibration is the skin of the exact method. A model of

@@ -83,7 +83,7 @@ pub struct Changes {
     /// Factor on the noise of --noise-of [default: the recipe's].
     #[arg(long, value_name = "0.1")]
     pub noise: Option<f64>,
-    /// The Transfer-Net whose residuals are the noise [default: the recipe's].
+    /// Id, start of the id, or name of the Transfer-Net whose residuals are the noise [default: the recipe's].
     #[arg(long, value_name = "MODEL")]
     pub noise_of: Option<String>,
     /// Learn all epochs, without early stopping.

@@ -36,7 +36,7 @@ const EXAMPLES: u64 = 3;
 pub struct Unseen {
     /// Name or id of the dataset.
     pub dataset: String,
-    /// Id or name of a Point-Net, scored as `fast`; also proposes to `exact`.
+    /// Id, start of the id, or name of a Point-Net, scored as `fast`; also proposes to `exact`.
     pub points: Option<String>,
     /// Id of a stored calibration, scored as `exact`.
     pub skin: Option<CalibrationId>,

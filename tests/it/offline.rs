@@ -1,10 +1,31 @@
-//! Keys and lock without a running service, and without the rig.
+//! Keys and lock without a running service, and what needs no rig next to the service that has it.
 
-use palpate::api::Offline;
+use palpate::api::{LockFile, Offline};
+use palpate::rig::setup::RigSetup;
 use palpate::store::Role;
 use serde_json::{Value, json};
 
-use super::datasets::filled::{Filled, folder, store};
+use super::datasets::filled::{Filled, folder, rig, store};
+
+#[tokio::test]
+async fn a_service_without_a_rig_works_next_to_the_one_that_has_it() {
+    let text = rig();
+    let lab = folder("offline-lab");
+    let lab = Filled::serve_as(lab, |options| options.rig_text.clone_from(&text)).await;
+    let setup = RigSetup::from_toml("rig.toml", &text).unwrap();
+    let refused = LockFile::of_rig(&setup).unwrap_err().to_string();
+    assert!(refused.contains("in use by process"), "{refused}");
+    // As a command on data starts one.
+    let desk = Filled::serve_as(folder("offline-desk"), |options| {
+        options.rig_text.clone_from(&text);
+        options.desk = true;
+    });
+    let desk = desk.await;
+    assert_eq!(desk.get("/api/v1/runs").await["items"], json!([]));
+    desk.close().await;
+    lab.close().await;
+    LockFile::of_rig(&setup).unwrap();
+}
 
 #[tokio::test]
 async fn keys_and_lock_need_neither_a_service_nor_a_rig() {

@@ -70,7 +70,7 @@ enum What {
         /// A recipe to train: a carried one, or a file; may be repeated [default: mlp].
         #[arg(long = "recipe", value_name = "RECIPE")]
         recipes: Vec<String>,
-        /// Id or name of a trained net; may be repeated.
+        /// Id, start of the id, or name of a trained net; may be repeated.
         #[arg(long = "net", value_name = "MODEL")]
         nets: Vec<String>,
         #[command(flatten)]
@@ -92,7 +92,7 @@ enum What {
     Factorial(LabArgs),
     /// Fig. 12 and V-D: the paper's pipeline, both baselines and our methods on Real-Unseen.
     Unseen {
-        /// Id or name of a Point-Net, scored as `fast`; also proposes to `exact`.
+        /// Id, start of the id, or name of a Point-Net, scored as `fast`; also proposes to `exact`.
         #[arg(long, value_name = "MODEL")]
         points: Option<String>,
         /// Id of a calibration stored in the service, scored as `exact` [default: the serving one].
@@ -127,13 +127,13 @@ pub struct MethodRequest {
     /// A condition on its rows; may be repeated.
     #[arg(long = "where", value_name = "CONDITION")]
     conditions: Vec<String>,
-    /// Id or name of a Transfer-Net.
+    /// Id, start of the id, or name of a Transfer-Net.
     #[arg(long, value_name = "MODEL")]
     with_transfer: Option<String>,
-    /// Id or name of a net for maps.
+    /// Id, start of the id, or name of a net for maps.
     #[arg(long, value_name = "MODEL")]
     map: Option<String>,
-    /// Id or name of a Point-Net.
+    /// Id, start of the id, or name of a Point-Net.
     #[arg(long, value_name = "MODEL")]
     points: Option<String>,
     /// Id of a calibration stored in the service [default: the serving one].

@@ -31,11 +31,12 @@ pub struct InferOptions {
     /// Method from a frame to contacts.
     #[param(inline)]
     pub method: Method,
-    /// Id or name of a model to use instead of the serving one, or for `exact` id of a calibration; it need not
-    /// be promoted. `SLOT@SENSOR` is the promoted one of another sensor than the rig's, whose nets are used alone.
+    /// Id, start of the id, or name of a model to use instead of the serving one, or for `exact` id of a
+    /// calibration; it need not be promoted. `SLOT@SENSOR` is the promoted one of another sensor than the rig's,
+    /// whose nets are used alone.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub model: Option<String>,
-    /// Id or name of a Transfer-Net to use instead of the serving one.
+    /// Id, start of the id, or name of a Transfer-Net to use instead of the serving one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub transfer: Option<String>,
     /// Include the force map: the output of the net, or for `fast` and `exact` the contacts

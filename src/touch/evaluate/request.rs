@@ -172,16 +172,16 @@ pub struct EvaluationRequest {
     /// Conditions that a row must meet, each `COLUMN__gt=VALUE`.
     #[serde(default, rename = "where", skip_serializing_if = "Vec::is_empty")]
     pub conditions: Vec<String>,
-    /// Id or name of a Transfer-Net.
+    /// Id, start of the id, or name of a Transfer-Net.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub transfer: Option<String>,
-    /// Id or name of a net with force maps as answers.
+    /// Id, start of the id, or name of a net with force maps as answers.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub map: Option<String>,
-    /// Id or name of a Point-Net.
+    /// Id, start of the id, or name of a Point-Net.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub points: Option<String>,
-    /// Id or name of a net that answers a quantity; only for `quantity`.
+    /// Id, start of the id, or name of a net that answers a quantity; only for `quantity`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub net: Option<String>,
     /// Id of the calibration of the exact model; if absent, the serving one, or the sensor file's

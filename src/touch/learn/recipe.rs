@@ -47,7 +47,7 @@ pub struct Recipe {
     /// Pixel and diameter of the force maps, mm: `4x20`. Only for nets with force maps as answers.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub map: Option<ForceMapSpec>,
-    /// Id or name of the Transfer-Net whose residuals are the noise that `training.noise` scales.
+    /// Id, start of the id, or name of the Transfer-Net whose residuals are the noise that `training.noise` scales.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub noise_of: Option<String>,
     /// Net, optimiser, noise, end of training.
