@@ -69,17 +69,19 @@ pub async fn quantity<L: Lab>(
     }
     let label = reports.first().map_or("", |report| report.label.as_str());
     let name = compared.quantity.name();
+    let verdicts = verdicts(&entries);
     let text = format!(
-        "# {}{} on the test part of {} ({label}, split by {split_by})\n\n{}\n{}{}",
+        "# {}{} on the test part of {} ({label}, split by {split_by})\n\n{}\n{verdicts}{}{}",
         name[..1].to_uppercase(),
         &name[1..],
         dataset,
         markdown(&head(compared.quantity), &rows(&entries)),
-        verdicts(&entries),
+        remarks(&entries),
         notes(&reports),
     );
     let numbers = json!({ "quantity": name, "dataset": dataset, "split_by": split_by,
-        "label": label, "nets": entries.iter().map(Entry::numbers).collect::<Vec<Value>>() });
+        "label": label, "nets": entries.iter().map(Entry::numbers).collect::<Vec<Value>>(),
+        "verdicts": verdicts.lines().collect::<Vec<_>>() });
     Ok(Sheet::new(&format!("quantity-{name}"), text, numbers, Vec::new()))
 }
 
@@ -168,6 +170,12 @@ fn verdicts(entries: &[Entry]) -> String {
             text += &format!("{} {words}.\n", net.name);
         }
     }
+    text
+}
+
+/// What the errors are of.
+fn remarks(entries: &[Entry]) -> String {
+    let mut text = String::new();
     let left_out = entries.first().map_or(0, |entry| entry.scores.left_out);
     if left_out > 0 {
         text += &format!("{left_out} rows without this quantity have no score.\n");
@@ -250,7 +258,7 @@ mod tests {
         let text = verdicts(&entries);
         assert!(text.contains("mlp beats ridge: 25 % less error."), "{text}");
         assert!(text.contains("mlp does NOT beat kernel ridge."), "{text}");
-        assert!(text.contains("1 rows without"), "{text}");
+        assert!(remarks(&entries).contains("1 rows without"), "{}", remarks(&entries));
         assert_eq!(rows(&entries)[2], ["mlp", "2", "3.00 [3.00, 3.00]", "3.00", "-", "0.75"]);
     }
 }
