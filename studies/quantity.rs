@@ -154,7 +154,8 @@ impl Entry {
     }
 }
 
-/// For each net whether it beats each regression: a net that does not is not worth its training.
+/// For each net whether it beats each regression, and whether that may be chance: a net that does not is not worth its
+/// training.
 fn verdicts(entries: &[Entry]) -> String {
     let (baselines, nets): (Vec<&Entry>, Vec<&Entry>) =
         entries.iter().partition(|entry| entry.is_baseline);
@@ -163,7 +164,10 @@ fn verdicts(entries: &[Entry]) -> String {
         for baseline in &baselines {
             let (cost, other) = (net.scores.cost(), baseline.scores.cost());
             let words = if cost < other {
-                format!("beats {}: {:.0} % less error", baseline.name, 100.0 * (1.0 - cost / other))
+                let less = 100.0 * (1.0 - cost / other);
+                let overlap = net.scores.overlaps(&baseline.scores);
+                let chance = if overlap { ", but their 95 % intervals overlap" } else { "" };
+                format!("beats {}: {less:.0} % less error{chance}", baseline.name)
             } else {
                 format!("does NOT beat {}", baseline.name)
             };
@@ -253,12 +257,18 @@ mod tests {
             },
             models: Vec::new(),
         };
-        let entries =
+        let mut entries =
             [entry("ridge", true, 4.0), entry("kernel ridge", true, 2.0), entry("mlp", false, 3.0)];
         let text = verdicts(&entries);
         assert!(text.contains("mlp beats ridge: 25 % less error."), "{text}");
         assert!(text.contains("mlp does NOT beat kernel ridge."), "{text}");
         assert!(remarks(&entries).contains("1 rows without"), "{}", remarks(&entries));
         assert_eq!(rows(&entries)[2], ["mlp", "2", "3.00 [3.00, 3.00]", "3.00", "-", "0.75"]);
+        for Entry { scores, .. } in &mut entries {
+            let error = scores.error.mean;
+            scores.error = Mean::of_rows(&[error - 2.0, error + 2.0], 1).unwrap();
+        }
+        let text = verdicts(&entries);
+        assert!(text.contains("25 % less error, but their 95 % intervals overlap."), "{text}");
     }
 }
