@@ -93,7 +93,8 @@ pub async fn table_iv<L: Lab>(lab: &L, budget: &Budget) -> Result<Sheet, L::Erro
         budget.scale.name()
     ));
     let fig_9 = heats(&heading, &heats_of(&scores)).map_err(StudyError::from)?;
-    let numbers = json!({ "table": "IV", "scale": budget.scale.name(), "maps": numbers });
+    let numbers = json!({ "table": "IV", "scale": budget.scale.name(), "maps": numbers,
+        "verdicts": verdicts.lines().collect::<Vec<_>>() });
     Ok(Sheet::new("table-iv", text, numbers, vec![OutputFile::new("fig-9.svg", fig_9)]))
 }
 
@@ -157,6 +158,8 @@ mod tests {
             sheet.text
         );
         assert_eq!(sheet.numbers["maps"][11]["regressions"][1]["name"], "kernel ridge");
+        let last = sheet.numbers["verdicts"][1].as_str().unwrap();
+        assert!(last.contains(words), "{last}");
         assert!(verdict("ridge", &[]).contains("beats ridge on all maps"));
     }
 }

@@ -69,17 +69,19 @@ pub async fn quantity<L: Lab>(
     }
     let label = reports.first().map_or("", |report| report.label.as_str());
     let name = compared.quantity.name();
+    let verdicts = verdicts(&entries);
     let text = format!(
-        "# {}{} on the test part of {} ({label}, split by {split_by})\n\n{}\n{}{}",
+        "# {}{} on the test part of {} ({label}, split by {split_by})\n\n{}\n{verdicts}{}{}",
         name[..1].to_uppercase(),
         &name[1..],
         dataset,
         markdown(&head(compared.quantity), &rows(&entries)),
-        verdicts(&entries),
+        remarks(&entries),
         notes(&reports),
     );
     let numbers = json!({ "quantity": name, "dataset": dataset, "split_by": split_by,
-        "label": label, "nets": entries.iter().map(Entry::numbers).collect::<Vec<Value>>() });
+        "label": label, "nets": entries.iter().map(Entry::numbers).collect::<Vec<Value>>(),
+        "verdicts": verdicts.lines().collect::<Vec<_>>() });
     Ok(Sheet::new(&format!("quantity-{name}"), text, numbers, Vec::new()))
 }
 
@@ -152,7 +154,8 @@ impl Entry {
     }
 }
 
-/// For each net whether it beats each regression: a net that does not is not worth its training.
+/// For each net whether it beats each regression, and whether that may be chance: a net that does not is not worth its
+/// training.
 fn verdicts(entries: &[Entry]) -> String {
     let (baselines, nets): (Vec<&Entry>, Vec<&Entry>) =
         entries.iter().partition(|entry| entry.is_baseline);
@@ -161,13 +164,22 @@ fn verdicts(entries: &[Entry]) -> String {
         for baseline in &baselines {
             let (cost, other) = (net.scores.cost(), baseline.scores.cost());
             let words = if cost < other {
-                format!("beats {}: {:.0} % less error", baseline.name, 100.0 * (1.0 - cost / other))
+                let less = 100.0 * (1.0 - cost / other);
+                let overlap = net.scores.overlaps(&baseline.scores);
+                let chance = if overlap { ", but their 95 % intervals overlap" } else { "" };
+                format!("beats {}: {less:.0} % less error{chance}", baseline.name)
             } else {
                 format!("does NOT beat {}", baseline.name)
             };
             text += &format!("{} {words}.\n", net.name);
         }
     }
+    text
+}
+
+/// What the errors are of.
+fn remarks(entries: &[Entry]) -> String {
+    let mut text = String::new();
     let left_out = entries.first().map_or(0, |entry| entry.scores.left_out);
     if left_out > 0 {
         text += &format!("{left_out} rows without this quantity have no score.\n");
@@ -245,12 +257,18 @@ mod tests {
             },
             models: Vec::new(),
         };
-        let entries =
+        let mut entries =
             [entry("ridge", true, 4.0), entry("kernel ridge", true, 2.0), entry("mlp", false, 3.0)];
         let text = verdicts(&entries);
         assert!(text.contains("mlp beats ridge: 25 % less error."), "{text}");
         assert!(text.contains("mlp does NOT beat kernel ridge."), "{text}");
-        assert!(text.contains("1 rows without"), "{text}");
+        assert!(remarks(&entries).contains("1 rows without"), "{}", remarks(&entries));
         assert_eq!(rows(&entries)[2], ["mlp", "2", "3.00 [3.00, 3.00]", "3.00", "-", "0.75"]);
+        for Entry { scores, .. } in &mut entries {
+            let error = scores.error.mean;
+            scores.error = Mean::of_rows(&[error - 2.0, error + 2.0], 1).unwrap();
+        }
+        let text = verdicts(&entries);
+        assert!(text.contains("25 % less error, but their 95 % intervals overlap."), "{text}");
     }
 }

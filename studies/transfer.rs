@@ -92,7 +92,7 @@ pub async fn table_iii<L: Lab>(lab: &L, budget: &Budget, dataset: &str) -> Resul
             .map_err(StudyError::from)?;
     let numbers = json!({ "table": "III", "scale": budget.scale.name(), "label": plain.label,
         "dataset": plain.dataset, "no_net": plain.voltages, "rungs": numbers,
-        "regressions": compared });
+        "regressions": compared, "verdicts": verdicts.lines().collect::<Vec<_>>() });
     let figures = vec![OutputFile::new(format!("{name}.svg"), figure)];
     Ok(Sheet::new(&name, text, numbers, figures))
 }
@@ -199,10 +199,14 @@ mod tests {
         let text = verdict(&of(0.2), "kernel ridge", &of(0.2));
         assert!(text.contains("does NOT beat kernel ridge"), "{text}");
         let lab = FakeLab { scores: true, ..FakeLab::default() };
-        let text = result(table_iii(&lab, &small(), R2S)).unwrap().text;
+        let sheet = result(table_iii(&lab, &small(), R2S)).unwrap();
+        let text = &sheet.text;
         assert!(
             text.contains("| kernel ridge, 1 to 6 |") && text.contains("NOT beat ridge"),
             "{text}"
         );
+        let verdicts = sheet.numbers["verdicts"].as_array().unwrap();
+        let in_text = |line: &serde_json::Value| text.contains(line.as_str().unwrap());
+        assert!(verdicts.len() == 2 && verdicts.iter().all(in_text), "{verdicts:?}");
     }
 }

@@ -319,6 +319,7 @@ fn sheet(
     let numbers = json!({ "figure": "12", "scale": budget.scale.name(), "label": label,
         "real_to_sim": listed(pipeline), "end_to_end": listed(end_to_end),
         "regressions": compared, "ours": listed(ours),
+        "verdicts": verdicts.lines().collect::<Vec<_>>(),
         "best": best_pipeline.map(|(name, _)| name), "best_with_published_transfer": published });
     let heading = Heading::new("", any.map_or(0, |report| report.rows), "trials", label)
         .with_note(format!("Scale {}", budget.scale.name()));
@@ -406,6 +407,9 @@ mod tests {
             assert!(sheet.text.contains(words), "{words}: {}", sheet.text);
         }
         assert_eq!(sheet.numbers["regressions"][1]["nets"].as_array().unwrap().len(), 4);
+        let verdicts = sheet.numbers["verdicts"].as_array().unwrap();
+        let lost = |line: &serde_json::Value| line.as_str().unwrap().contains("does NOT beat");
+        assert!(verdicts.len() == 4 && verdicts.iter().all(lost), "{verdicts:?}");
     }
 
     #[test]

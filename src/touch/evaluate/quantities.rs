@@ -66,6 +66,23 @@ impl QuantityScores {
     pub fn cost(&self) -> f64 {
         self.right.map_or(self.error.mean, |right| 1.0 - right.mean)
     }
+
+    /// Whether the 95 % intervals of the costs of two nets overlap; `false` if one is unknown.
+    pub fn overlaps(&self, other: &Self) -> bool {
+        let both = self.cost_95().zip(other.cost_95());
+        both.is_some_and(|([low, high], [other_low, other_high])| {
+            low <= other_high && other_low <= high
+        })
+    }
+
+    /// Ends of the 95 % interval of the cost.
+    fn cost_95(&self) -> Option<[f64; 2]> {
+        let ends = |mean: Mean| Some([mean.low_95?, mean.high_95?]);
+        match self.right {
+            Some(right) => ends(right).map(|[low, high]| [1.0 - high, 1.0 - low]),
+            None => ends(self.error),
+        }
+    }
 }
 
 /// Error of an answer; `None` if the row does not have the quantity.

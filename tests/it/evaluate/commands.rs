@@ -185,6 +185,12 @@ async fn every_command_trains_scores_and_writes_what_it_is_for() {
     assert_eq!(names, ["ridge", "kernel ridge", "mlp"]);
     let scores: Vec<&Value> = nets.iter().map(|net| &net["scores"]["rows"]).collect();
     assert!(scores.iter().all(|rows| **rows == 20), "the same rows: {scores:?}");
+    let verdicts = table["verdicts"].as_array().unwrap();
+    let of_mlp = |line: &Value| line.as_str().unwrap().starts_with("mlp ");
+    assert!(
+        verdicts.len() == 2 && verdicts.iter().all(of_mlp),
+        "one of each regression: {verdicts:?}"
+    );
     let head = ["net", "rows", "wrong by", "median", "right %", "of ridge"];
     assert_eq!(rows(&data, "quantity-count", &head), 4);
 }

@@ -1,6 +1,6 @@
 """Two kinds of skins that are not Palpate's, as sheets of resistors, and what scikit-learn makes of them.
 
-`skins.py make FOLDER ROWS [NOISE]`: trials of a pad (192 channels, one contact) and of a sheet (3,000 channels,
+`skins.py make FOLDER ROWS [NOISE [SEED]]`: trials of a pad (192 channels, one contact) and of a sheet (3,000 channels,
 up to three of nine places pressed), as Parquet files with their sensor files and datasets' definitions. NOISE: share of
 the channels' standard deviation, 0.003 by default.
 `skins.py compare DATA_FILE pad|sheet`: errors of ridge and kernel ridge regression on the part test of a
@@ -96,8 +96,8 @@ def write(folder, name, volts, all_contacts):
     )
 
 
-def make(folder, rows, noise=0.003):
-    chance = np.random.default_rng(7)
+def make(folder, rows, noise=0.003, seed=7):
+    chance = np.random.default_rng(int(seed))
     touch = lambda: (*chance.uniform(15.0, SIZE_MM - 15.0, 2), chance.uniform(1.0, 10.0))
     contacts = [[touch()] for _ in range(rows)]
     write(folder, "pad", frames(contacts, boundary(16), pairs_of_pad(), chance, noise), contacts)
