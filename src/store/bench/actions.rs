@@ -119,7 +119,7 @@ impl Store {
             Ok(ActionRow {
                 id: c.get("id")?,
                 at: c.time("at")?,
-                run: c.uid_or_none("uid")?,
+                run: c.word_or_none("uid")?,
                 action: c.get("action")?,
                 who: c.get("who")?,
                 key_id: c.get("key_id")?,

@@ -193,7 +193,7 @@ impl Store {
 fn event(c: &Columns<'_>) -> StoreResult<Event> {
     Ok(Event {
         seq: c.get("seq")?,
-        run: c.uid_or_none("uid")?,
+        run: c.word_or_none("uid")?,
         at: c.time("at")?,
         kind: c.get("kind")?,
         data: c.json("data")?,

@@ -259,7 +259,7 @@ impl Store {
             "SELECT uid FROM runs r WHERE EXISTS (SELECT 1 FROM trials t WHERE t.run = r.scan_id)
              ORDER BY scan_id DESC",
         );
-        self.rows("reading the runs with trials", query, |c| c.uid("uid")).await
+        self.rows("reading the runs with trials", query, |c| c.word("uid")).await
     }
 
     /// Returns the fit of each trial of a run by the newest model with a twin of it, in the order of
