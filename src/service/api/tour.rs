@@ -16,6 +16,7 @@ use super::problem::{ApiError, ApiResult, Body, Path};
 use super::runs::find;
 use super::sensor::SensorOut;
 use super::tags::lists;
+use super::turns::turn;
 use crate::conductor::{Submission, run_kind};
 use crate::digest::sha256_hex;
 use crate::problem::Problem;
@@ -97,7 +98,7 @@ pub async fn of_submission(
     app: App,
     Body(submission): Body<Submission>,
 ) -> ApiResult<Json<SubmittedTour>> {
-    let _turn = app.turns.preflight().await?;
+    let _turn = turn(&app.turns.preflights).await?;
     // A plan of 198,000 trials takes about 0.3 s: not on a thread that answers requests.
     let planning = tokio::task::spawn_blocking(move || SubmittedTour::of(&submission));
     planning.await.map_err(ApiError::internal)?.map(Json).map_err(ApiError::problems)
