@@ -72,6 +72,13 @@ async fn fresh() -> (Folder, Store) {
     (folder, store)
 }
 
+/// A new store with a run, and its folder.
+async fn with_run(kind: RunKind) -> (Folder, Store, RunUid) {
+    let (folder, store) = fresh().await;
+    let run = store.create_run(new_run(kind)).await.unwrap().uid;
+    (folder, store, run)
+}
+
 /// Carries out statements behind the functions of the store.
 async fn execute(store: &Store, sql: &'static str) {
     let executing = store.write("changing the tables of a test", async move |c| {

@@ -8,7 +8,7 @@ use parking_lot::Mutex;
 use serde_json::json;
 use sqlx::Connection;
 
-use super::{Folder, execute, fresh, hex_trial, new_run, now, open, time};
+use super::{Folder, execute, fresh, hex_trial, new_run, now, open, time, with_run};
 use crate::core::store::Inner;
 use crate::journal::{ExitStatus, Journal, Mounting};
 use crate::record::TrialRecord;
@@ -17,8 +17,7 @@ use crate::{KeyRing, NewAction, Role, RunKind, Store, StoreError};
 
 #[tokio::test]
 async fn events_are_numbered_without_gaps() {
-    let (_folder, store) = fresh().await;
-    let run = store.create_run(new_run(RunKind::RealHex)).await.unwrap().uid;
+    let (_folder, store, run) = with_run(RunKind::RealHex).await;
     assert_eq!(store.last_event_seq().await.unwrap(), 0);
     let mut sent = Vec::new();
     for i in 0..6 {
@@ -35,8 +34,7 @@ async fn events_are_numbered_without_gaps() {
 
 #[tokio::test]
 async fn events_are_selected_by_kind_before_they_are_counted() {
-    let (_folder, store) = fresh().await;
-    let run = store.create_run(new_run(RunKind::RealHex)).await.unwrap().uid;
+    let (_folder, store, run) = with_run(RunKind::RealHex).await;
     for (of, kind) in [(Some(run), "state"), (Some(run), "trip"), (None, "trip"), (None, "keys")] {
         store.append_event(of, kind, json!({})).await.unwrap();
     }
@@ -199,8 +197,7 @@ async fn a_disk_that_hangs_is_waited_for_by_the_campaign_alone() {
 
 #[tokio::test]
 async fn actions_are_logged_newest_first() {
-    let (_folder, store) = fresh().await;
-    let run = store.create_run(new_run(RunKind::RealHex)).await.unwrap().uid;
+    let (_folder, store, run) = with_run(RunKind::RealHex).await;
     let action = |name: &str, accepted: bool| NewAction {
         at: now(),
         run: accepted.then_some(run),
