@@ -106,7 +106,7 @@ impl Store {
     /// # Errors
     /// `Sql` if the read fails.
     pub async fn imported_as(&self, new: &NewRun) -> StoreResult<Option<i64>> {
-        sqlx::query_scalar(
+        let query = sqlx::query(
             "SELECT scan_id FROM runs WHERE kind = ?1 AND state = 'ended'
                  AND experiment = ?2 AND label = ?3 AND sensor = ?4 AND definition = ?5",
         )
@@ -114,10 +114,8 @@ impl Store {
         .bind(&new.experiment)
         .bind(new.label.as_str())
         .bind(&new.sensor)
-        .bind(&new.definition)
-        .fetch_optional(&self.inner.readers)
-        .await
-        .during(STORING_IMPORT)
+        .bind(&new.definition);
+        self.row(STORING_IMPORT, query, |c| c.get("scan_id")).await
     }
 
     /// Stores a batch of trials of an import in one transaction. `model` is the model of their simulated
