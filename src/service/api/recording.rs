@@ -27,6 +27,7 @@ use super::limits::{FRAME_CLIENTS, RECORDED_FRAMES};
 use super::problem::{ApiError, ApiResult, Params};
 use super::query::for_pages;
 use super::send;
+use super::turns::place;
 use crate::campaign::bench::rig_state::RigState;
 use crate::dataset::format::Format;
 use crate::dataset::schema::VOLTAGES_V;
@@ -81,10 +82,7 @@ pub async fn record(
         let words = "no frames come: the rig is disconnected; connect it first";
         return Err(ApiError::new(StatusCode::CONFLICT, words));
     }
-    let place = app.turns.frames.clone().try_acquire_owned().map_err(|_| {
-        let words = format!("{FRAME_CLIENTS} clients of the live frames are connected, the limit");
-        ApiError::new(StatusCode::SERVICE_UNAVAILABLE, words)
-    })?;
+    let place = place(&app.turns.frames, (FRAME_CLIENTS, "live frames"))?;
     let label = app.facts.rig.config.label().as_str();
     let schema = schema(app.serving.sensor().channels() as i32);
     let encoder = RowEncoder::new(format, &schema)?;

@@ -44,6 +44,20 @@ pub(super) async fn turn(of: &Arc<Semaphore>) -> ApiResult<OwnedSemaphorePermit>
     Ok(turn)
 }
 
+/// Takes the place of a live client.
+///
+/// # Errors
+/// 503 if none is left; `limit` is their number, `kind` what the clients receive.
+pub(super) fn place(
+    places: &Arc<Semaphore>,
+    (limit, kind): (usize, &str),
+) -> ApiResult<OwnedSemaphorePermit> {
+    places.clone().try_acquire_owned().map_err(|_| {
+        let words = format!("{limit} clients of the {kind} are connected, the limit");
+        ApiError::new(StatusCode::SERVICE_UNAVAILABLE, words)
+    })
+}
+
 impl Default for Turns {
     fn default() -> Self {
         let of = |count| Arc::new(Semaphore::new(count));
