@@ -32,6 +32,7 @@ use crate::dataset::sort::Sort;
 use crate::ids::{RunUid, TrialId};
 use crate::problem::Problem;
 use crate::query::groups;
+use crate::record::ReferenceRecord;
 use crate::store::table::Column;
 use crate::store::{MAX_PAGE, RunKind, Store, StoreResult, TrialQuery, TrialRow};
 
@@ -343,40 +344,18 @@ pub async fn bench_records(
     asked: PageRequest,
 ) -> ApiResult<Page<Value>> {
     let run = find(&app, &run).await?.uid;
+    let store = &app.store;
     let rows: Vec<Value> = match kind.as_str() {
-        "attempts" => app
-            .store
-            .attempts(run, u32::MAX)
-            .await?
-            .into_iter()
-            .rev()
-            .map(|a| {
-                let k = a.key;
-                json!({ "configuration": k.configuration, "depth_index": k.depth_index,
-                    "attempt": a.attempt, "reason": a.reason, "at": a.at })
-            })
-            .collect(),
-        "tares" => app
-            .store
-            .tares(run)
-            .await?
-            .into_iter()
-            .map(|t| {
-                json!({ "configuration": t.configuration, "volts": t.volts,
-                    "samples": t.samples, "at": t.at })
-            })
-            .collect(),
-        "touch-offs" => app.store.touch_offs(run).await?.iter().map(|t| json!(t)).collect(),
-        "references" => app
-            .store
-            .references(run)
-            .await?
-            .into_iter()
-            .map(|r| {
+        "attempts" => store.attempts(run, u32::MAX).await?.iter().rev().map(|a| json!(a)).collect(),
+        "tares" => store.tares(run).await?.iter().map(|t| json!(t)).collect(),
+        "touch-offs" => store.touch_offs(run).await?.iter().map(|t| json!(t)).collect(),
+        "references" => {
+            let without_frame = |r: &ReferenceRecord| {
                 json!({ "before_configuration": r.before_configuration, "depth_mm": r.depth_mm,
                     "reached": r.reached, "arms": r.arms, "at": r.at })
-            })
-            .collect(),
+            };
+            store.references(run).await?.iter().map(without_frame).collect()
+        }
         _ => {
             let limit = "must be attempts, tares, touch-offs or references";
             return Err(ApiError::value("kind", kind, limit));
