@@ -6,7 +6,6 @@ use std::time::Duration;
 
 use parking_lot::Mutex;
 use serde_json::json;
-use sqlx::Connection;
 
 use super::{Folder, execute, fresh, hex_trial, new_run, now, open, time, with_run};
 use crate::core::store::Inner;
@@ -68,19 +67,11 @@ async fn events_are_selected_by_kind_before_they_are_counted() {
 #[tokio::test]
 async fn events_of_earlier_versions_have_the_kinds_of_today() {
     let folder = Folder::new();
-    let mut old = folder.file_before(18).await;
-    sqlx::raw_sql(
-        r#"INSERT INTO events (at, kind, data) VALUES
+    let filled = r#"INSERT INTO events (at, kind, data) VALUES
              ('2026-11-20T18:00:00.000Z', 'not_gone_on', '{"attempt":1,"why":"no answer"}'),
              ('2026-11-20T18:00:01.000Z', 'went_on', '{"attempt":2}'),
-             ('2026-11-20T18:00:02.000Z', 'not_begun', '{"why":"a lock"}');"#,
-    )
-    .execute(&mut old)
-    .await
-    .unwrap();
-    old.close().await.unwrap();
-
-    let store = open(&folder.file()).await;
+             ('2026-11-20T18:00:02.000Z', 'not_begun', '{"why":"a lock"}');"#;
+    let store = folder.open_from_before(18, filled).await;
     let events = store.events_since(0, 9, None, &[]).await.unwrap();
     let kinds: Vec<&str> = events.iter().map(|event| event.kind.as_str()).collect();
     assert_eq!(kinds, ["not_resumed", "resumed", "not_begun"]);
