@@ -282,9 +282,10 @@ impl TrialRecord {
 }
 
 /// An attempt that did not become a trial.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct AttemptRecord {
     /// Key of the trial that was attempted.
+    #[serde(flatten)]
     pub key: TrialKey,
     /// Number of the attempt, from 1.
     pub attempt: u32,
@@ -308,7 +309,7 @@ pub struct Untouched {
 }
 
 /// Zeros of the cells, measured before a configuration.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct TareRecord {
     /// Index of the configuration.
     pub configuration: u32,

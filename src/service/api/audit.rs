@@ -21,7 +21,7 @@ use super::problem::{ApiError, ApiResult, Refused};
 use crate::ids::RunUid;
 use crate::journal::error_chain;
 use crate::plain::escaped;
-use crate::store::{NewAction, Role, StoreError};
+use crate::store::{NewAction, StoreError};
 
 /// Longest name of an action that is read from a body, characters.
 const ACTION_MAX_CHARS: usize = 20;
@@ -114,14 +114,6 @@ impl Act {
     /// Returns the caller.
     pub fn caller(&self) -> &Caller {
         &self.caller
-    }
-
-    /// Checks that the caller has at least this role.
-    ///
-    /// # Errors
-    /// 403 if the role is lower.
-    pub fn require(&self, role: Role) -> ApiResult<()> {
-        self.caller.require(role)
     }
 
     /// Logs the action with its outcome.

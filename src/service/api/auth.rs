@@ -84,7 +84,7 @@ impl Caller {
 /// 401 without a valid key; on loopback a key is only needed if the service requires one, or if a
 /// proxy has forwarded the request. 403 on loopback for a foreign host or origin.
 pub fn identify(app: &App, headers: &HeaderMap) -> ApiResult<Caller> {
-    identify_with(app, headers, app.loopback(), || needs_key(app.facts.require_key, headers))
+    identify_with(app, headers, app.loopback(), app.facts.require_key)
 }
 
 /// Address from which a request came, as far as it is known.
@@ -99,15 +99,15 @@ pub struct Peer(pub IpAddr);
 /// 403 without one for a foreign host or origin.
 pub fn identify_stop(app: &App, headers: &HeaderMap, peer: Option<Peer>) -> ApiResult<Caller> {
     let is_here = peer.map_or(app.loopback(), |Peer(ip)| ip.to_canonical().is_loopback());
-    identify_with(app, headers, is_here, || needs_key(false, headers))
+    identify_with(app, headers, is_here, false)
 }
 
-/// Determines the caller; `local` decides whether a caller who `is_here`, on this machine, needs no key.
+/// Determines the caller; one who `is_here`, on this machine, needs a key only if it is `required`.
 fn identify_with(
     app: &App,
     headers: &HeaderMap,
     is_here: bool,
-    local: impl Fn() -> ApiResult<()>,
+    required: bool,
 ) -> ApiResult<Caller> {
     if let Some(secret) = secret(headers)? {
         let key = app.keys.find(&secret);
@@ -118,7 +118,7 @@ fn identify_with(
     if !is_here {
         return Err(unauthorized("no key: send the header Authorization: Bearer KEY"));
     }
-    local()?;
+    needs_key(required, headers)?;
     own_host(headers)?;
     is_own_origin(headers)?;
     let role = if app.facts.local_admin { Role::Admin } else { Role::Operator };

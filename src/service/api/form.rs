@@ -1,8 +1,8 @@
 //! Forms with files: their parts one after the other, each with a limit that holds while it arrives.
 //! Uses: axum's multipart. Never: a part in memory beyond its limit.
 
+use axum::extract::FromRequest;
 use axum::extract::multipart::{Field, Multipart, MultipartError};
-use axum::extract::{FromRequest, Request};
 use axum::http::StatusCode;
 use bytes::Bytes;
 
@@ -11,15 +11,9 @@ use super::problem::{ApiError, ApiResult};
 use crate::problem::Problem;
 
 /// Extractor of a form; another body is answered with a problem body.
+#[derive(FromRequest)]
+#[from_request(rejection(ApiError))]
 pub struct Form(Multipart);
-
-impl<S: Send + Sync> FromRequest<S> for Form {
-    type Rejection = ApiError;
-
-    async fn from_request(request: Request, state: &S) -> ApiResult<Self> {
-        Ok(Self(Multipart::from_request(request, state).await?))
-    }
-}
 
 impl Form {
     /// Returns the next part.

@@ -145,20 +145,16 @@ async fn read(app: &App, run: &RunRow, bins: u32) -> StoreResult<Arc<History>> {
     let is_interrupted = run.state == StoredState::Interrupted;
     let states = spans(&states, &last_records, run.ended_at, is_interrupted.then_some(to));
     let estimates = store.events_of_kinds(run.uid, &[ESTIMATE], ESTIMATES_MAX).await?;
-    let (trials, attempts_failed, largest_force_n, fvu) = arranged(&stored, bins as usize);
     Ok(Arc::new(History {
         from: Some(from),
         to: Some(to),
         bin_s: Some(bin_s),
-        trials,
-        attempts_failed,
-        largest_force_n,
-        fvu,
         states,
         predicted_s: estimates.first().and_then(predicted_s),
         elapsed_s: Some(range_s),
         predictions: thinned(&estimates).filter_map(prediction).collect(),
         events,
+        ..arranged(&stored, bins as usize)
     }))
 }
 
@@ -169,24 +165,21 @@ impl From<Event> for NotableEvent {
     }
 }
 
-/// Numbers per bin: trials, failed attempts, largest force, median FVU.
-type PerBin = (Vec<u32>, Vec<u32>, Vec<Option<f64>>, Vec<Option<f64>>);
-
-/// Arranges what is stored by bin, of which there are `bins`.
-fn arranged(stored: &StoredParts, bins: usize) -> PerBin {
-    let (mut trials, mut failed) = (vec![0; bins], vec![0; bins]);
-    let (mut forces, mut fvu) = (vec![None; bins], vec![None; bins]);
+/// A history with what is stored by bin, of which there are `bins`.
+fn arranged(stored: &StoredParts, bins: usize) -> History {
+    let (mut trials, mut attempts_failed) = (vec![0; bins], vec![0; bins]);
+    let (mut largest_force_n, mut fvu) = (vec![None; bins], vec![None; bins]);
     for bin in stored.trials.iter().filter(|bin| (bin.part as usize) < bins) {
         trials[bin.part as usize] = bin.stored;
-        forces[bin.part as usize] = bin.largest_force_n;
+        largest_force_n[bin.part as usize] = bin.largest_force_n;
     }
     for (bin, count) in stored.attempts_failed.iter().filter(|(bin, _)| (*bin as usize) < bins) {
-        failed[*bin as usize] = *count;
+        attempts_failed[*bin as usize] = *count;
     }
     for (bin, median) in stored.median_fvu.iter().filter(|(bin, _)| (*bin as usize) < bins) {
         fvu[*bin as usize] = Some(*median);
     }
-    (trials, failed, forces, fvu)
+    History { trials, attempts_failed, largest_force_n, fvu, ..History::default() }
 }
 
 /// Returns the start of a run, and its duration as it was predicted then, s; absent before either.
@@ -264,8 +257,9 @@ mod tests {
             attempts_failed: vec![(1, 2), (7, 1)],
             median_fvu: vec![(2, 0.25), (7, 0.5)],
         };
-        let (trials, failed, forces, fvu) = arranged(&stored, 3);
-        assert_eq!((trials, failed), (vec![4, 0, 4], vec![0, 2, 0]));
-        assert_eq!((forces, fvu), (vec![Some(9.5), None, None], vec![None, None, Some(0.25)]));
+        let History { trials, attempts_failed, largest_force_n, fvu, .. } = arranged(&stored, 3);
+        assert_eq!((trials, attempts_failed), (vec![4, 0, 4], vec![0, 2, 0]));
+        assert_eq!(largest_force_n, [Some(9.5), None, None]);
+        assert_eq!(fvu, [None, None, Some(0.25)]);
     }
 }

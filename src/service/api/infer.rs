@@ -12,6 +12,7 @@ use utoipa::{IntoParams, ToSchema};
 use super::App;
 use super::limits::{EXACT_MAX, FRAMES_MAX, MAPS_MAX};
 use super::problem::{ApiError, ApiResult};
+use super::turns::turn;
 use crate::clock::Clock;
 use crate::dataset::background::background;
 use crate::ids::CalibrationId;
@@ -98,10 +99,8 @@ pub async fn infer(app: App, request: Request) -> ApiResult<Json<Vec<FrameAnswer
     let (options, sent) = received(&app, request).await?;
     let named = Named::load(&app, &options).await?;
     let frames = sent.frames(&options, named.sensor(&app).1)?;
-    let turn = match options.method.is_fit() {
-        true => app.turns.fit().await?,
-        false => app.turns.answer().await?,
-    };
+    let fits = options.method.is_fit();
+    let turn = turn(if fits { &app.turns.fits } else { &app.turns.answers }).await?;
     let pipeline = named.pipeline(&app, &options).await?;
     let clock = Clock::new(1.0);
     let work = move || {
@@ -242,17 +241,15 @@ impl Sent {
             }
         };
         let count = frames.len() / channels;
-        if count == 0 || count > FRAMES_MAX {
-            let limit = format!("must be from 1 to {FRAMES_MAX}");
-            return Err(ApiError::value("frames", count, &limit));
-        }
-        if options.method.is_fit() && count > EXACT_MAX {
-            let limit = format!("must be from 1 to {EXACT_MAX} for a method that fits contacts");
-            return Err(ApiError::value("frames", count, &limit));
-        }
-        if options.map && count > MAPS_MAX {
-            let limit = format!("must be from 1 to {MAPS_MAX} if maps are requested");
-            return Err(ApiError::value("frames", count, &limit));
+        for (applies, most, of) in [
+            (true, FRAMES_MAX, ""),
+            (options.method.is_fit(), EXACT_MAX, " for a method that fits contacts"),
+            (options.map, MAPS_MAX, " if maps are requested"),
+        ] {
+            if applies && !(1..=most).contains(&count) {
+                let limit = format!("must be from 1 to {most}{of}");
+                return Err(ApiError::value("frames", count, &limit));
+            }
         }
         if let Some(at) = frames.iter().position(|v| !v.is_finite()) {
             let key = format!("frames[{}][{}]", at / channels, at % channels);

@@ -5,7 +5,7 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use axum::extract::ws::{Message, WebSocket};
+use axum::extract::ws::WebSocket;
 use axum::response::Response;
 use serde::Serialize;
 use tokio::sync::broadcast::error::{RecvError, TryRecvError};
@@ -16,7 +16,7 @@ use utoipa::ToSchema;
 use super::App;
 use super::limits::FRAME_CLIENTS;
 use super::problem::ApiResult;
-use super::socket::{LiveClient, is_sent};
+use super::socket::{LiveClient, closed, is_sent};
 use crate::campaign::bench::stuck::StuckChannels;
 use crate::rig::traits::Frame;
 
@@ -86,15 +86,10 @@ impl LiveFrames {
     /// Waits for the next frame. It is absent if the client closes the socket, or if the campaign or the service ends.
     pub(super) async fn next(&mut self, socket: &mut WebSocket) -> Option<Arc<Frame>> {
         sleep_until(self.due).await;
-        let frame = loop {
-            tokio::select! {
-                frame = self.frames.next() => break frame?,
-                _ = self.ending.wait_for(|e| *e) => return None,
-                message = socket.recv() => match message {
-                    Some(Ok(Message::Close(_)) | Err(_)) | None => return None,
-                    Some(Ok(_)) => {}
-                },
-            }
+        let frame = tokio::select! {
+            frame = self.frames.next() => frame?,
+            _ = self.ending.wait_for(|e| *e) => return None,
+            () = closed(socket) => return None,
         };
         self.due = due_after(self.due, Instant::now());
         Some(frame)

@@ -4,7 +4,7 @@
 
 use std::time::Duration;
 
-use axum::extract::ws::{Message, Utf8Bytes, WebSocket};
+use axum::extract::ws::{Utf8Bytes, WebSocket};
 use axum::response::Response;
 use serde::Serialize;
 use tokio::sync::broadcast::Sender;
@@ -18,7 +18,7 @@ use super::envelope::{SamplesOut, envelope};
 use super::limits::STATUS_CLIENTS;
 use super::problem::ApiResult;
 use super::samples::drained;
-use super::socket::{LiveClient, is_sent};
+use super::socket::{LiveClient, closed, is_sent};
 use super::status::{ServiceStatus, StoredPart};
 
 /// Shortest time between two messages.
@@ -77,10 +77,7 @@ async fn send(app: App, mut socket: WebSocket) {
                 Err(RecvError::Closed) => return,
             },
             _ = ending.wait_for(|e| *e) => return,
-            message = socket.recv() => match message {
-                Some(Ok(Message::Close(_)) | Err(_)) | None => return,
-                Some(Ok(_)) => continue,
-            },
+            () = closed(&mut socket) => return,
         };
         if !is_sent(&mut socket, text).await {
             return;

@@ -39,6 +39,7 @@ mod datasets;
 mod describe;
 mod door;
 mod edited;
+mod encoder;
 mod envelope;
 mod estop;
 mod evaluation;

@@ -10,7 +10,7 @@ use super::people::CreatedKey;
 use super::{LockFile, ServeError, data_folder};
 use crate::clock::Clock;
 use crate::journal::error_chain;
-use crate::store::{KeyRing, KeyRow, LockRow, NewAction, Role, Store, StoreError, StoreResult};
+use crate::store::{KeyRing, KeyRow, LockRow, NewAction, Role, Store, StoreResult};
 
 /// The database of a data folder, open in this process only. Its changes are in the log of actions.
 pub struct Offline {
@@ -51,7 +51,7 @@ impl Offline {
     /// As [`KeyRing::create`].
     pub async fn create_key(&self, name: &str, role: Role) -> StoreResult<CreatedKey> {
         let made = self.keys.create(name, role, rand::random()).await;
-        let (key, secret) = self.logged("key", None, Some(name), made).await?;
+        let (key, secret) = self.logged("key", None, Some(name), made.is_ok(), made).await?;
         Ok(CreatedKey { key, secret })
     }
 
@@ -63,8 +63,7 @@ impl Offline {
         let key = format!("key {id}");
         let revoked = self.keys.revoke(id).await;
         let accepted = matches!(revoked, Ok(true));
-        self.log("revoke_key", None, Some(&key), accepted, revoked.as_ref().err()).await;
-        revoked
+        self.logged("revoke_key", None, Some(&key), accepted, revoked).await
     }
 
     /// Returns the operator lock.
@@ -81,7 +80,7 @@ impl Offline {
     /// As [`Store::set_lock`].
     pub async fn take_lock(&self, who: &str, note: &str) -> StoreResult<LockRow> {
         let taken = self.store.set_lock(&self.caller.holder(Some(who)), note).await;
-        self.logged("lock", Some(who), Some(note), taken).await
+        self.logged("lock", Some(who), Some(note), taken.is_ok(), taken).await
     }
 
     /// Releases the operator lock of any holder.
@@ -90,28 +89,18 @@ impl Offline {
     /// As [`Store::clear_lock`].
     pub async fn clear_lock(&self) -> StoreResult<Option<LockRow>> {
         let cleared = self.store.clear_lock().await;
-        self.logged("unlock", None, None, cleared).await
+        self.logged("unlock", None, None, cleared.is_ok(), cleared).await
     }
 
+    /// Logs an action, and returns its outcome.
     async fn logged<T>(
         &self,
         action: &str,
         who: Option<&str>,
         why: Option<&str>,
+        accepted: bool,
         outcome: StoreResult<T>,
     ) -> StoreResult<T> {
-        self.log(action, who, why, outcome.is_ok(), outcome.as_ref().err()).await;
-        outcome
-    }
-
-    async fn log(
-        &self,
-        action: &str,
-        who: Option<&str>,
-        why: Option<&str>,
-        accepted: bool,
-        error: Option<&StoreError>,
-    ) {
         let new = NewAction {
             at: Timestamp::now(),
             run: None,
@@ -120,10 +109,11 @@ impl Offline {
             key_id: None,
             why: why.map(Into::into),
             accepted,
-            detail: error.map(ToString::to_string),
+            detail: outcome.as_ref().err().map(ToString::to_string),
         };
         if let Err(error) = self.store.log_action(new).await {
             tracing::error!(error = error_chain(&error), action, "an action is not logged");
         }
+        outcome
     }
 }

@@ -8,73 +8,56 @@ use utoipa::openapi::schema::{ArrayBuilder, ObjectBuilder, Schema, SchemaType, T
 use crate::dataset::format::Format;
 use crate::store::table::{self, Column, Kind, RUN_COLUMNS, TABLE};
 
-/// Parameters of pages of stored trials.
-pub struct TrialParams;
-/// Parameters of pages of a dataset's rows.
-pub struct RowsParams;
-/// Parameters of a dataset as a file.
-pub struct FileParams;
-/// Conditions on runs.
-pub struct RunParams;
-/// Parameters of groups of stored trials.
-pub struct TrialGroupParams;
-/// Parameters of groups of a dataset's rows.
-pub struct RowGroupParams;
+/// Types that stand for parameters in the description of an operation, each with its parameters.
+macro_rules! described {
+    ($($(#[$about:meta])* $name:ident: $parameters:expr;)*) => {$(
+        $(#[$about])*
+        pub struct $name;
 
-impl IntoParams for RunParams {
-    fn into_params(_: impl Fn() -> Option<ParameterIn>) -> Vec<Parameter> {
-        vec![conditions(&table::names_of(&RUN_COLUMNS, |_| true))]
-    }
+        impl IntoParams for $name {
+            fn into_params(_: impl Fn() -> Option<ParameterIn>) -> Vec<Parameter> {
+                $parameters
+            }
+        }
+    )*};
 }
 
-impl IntoParams for TrialGroupParams {
-    fn into_params(_: impl Fn() -> Option<ParameterIn>) -> Vec<Parameter> {
-        let mut all = groups(Column::is_of_stored);
-        all.push(parameter("flag", "only trials with this flag; may be repeated", text()));
-        all.push(parameter("flagged", "only trials with, or only without, any flag", boolean()));
-        all
-    }
-}
-
-impl IntoParams for RowGroupParams {
-    fn into_params(_: impl Fn() -> Option<ParameterIn>) -> Vec<Parameter> {
-        groups(|_| true)
-    }
-}
-
-impl IntoParams for TrialParams {
-    fn into_params(_: impl Fn() -> Option<ParameterIn>) -> Vec<Parameter> {
+described! {
+    /// Conditions on runs.
+    RunParams: vec![conditions(&table::names_of(&RUN_COLUMNS, |_| true))];
+    /// Parameters of pages of stored trials.
+    TrialParams: {
+        let order = "`trial_id` (default: oldest first), `-trial_id`, or another `COLUMN` or `-COLUMN`, for \
+                     which the query engine finds the trials; absent values come last";
         let mut all = selected(Column::is_of_stored).to_vec();
         all.extend(page("id of the last trial of the page before: its `next`"));
-        all.push(parameter(
-            "sort",
-            "`trial_id` (default: oldest first), `-trial_id`, or another `COLUMN` or `-COLUMN`, for \
-             which the query engine finds the trials; absent values come last",
-            text(),
-        ));
-        all.push(parameter("flag", "only trials with this flag; may be repeated", text()));
-        all.push(parameter("flagged", "only trials with, or only without, any flag", boolean()));
+        all.push(parameter("sort", order, text()));
+        all.extend(flags());
         all.push(parameter("voltages", "include measured and simulated frames", boolean()));
         all
-    }
-}
-
-impl IntoParams for RowsParams {
-    fn into_params(_: impl Fn() -> Option<ParameterIn>) -> Vec<Parameter> {
+    };
+    /// Parameters of pages of a dataset's rows.
+    RowsParams: {
         let mut all = selected(|_| true).to_vec();
         all.extend(page("row where the page starts: the `next` of the page before"));
         all.push(parameter("sort", "`COLUMN` or `-COLUMN`; absent values come last", text()));
         all.push(map());
         all
-    }
+    };
+    /// Parameters of a dataset as a file.
+    FileParams: [&selected(|_| true)[..], &[map()]].concat();
+    /// Parameters of groups of stored trials.
+    TrialGroupParams: [&groups(Column::is_of_stored)[..], &flags()].concat();
+    /// Parameters of groups of a dataset's rows.
+    RowGroupParams: groups(|_| true);
 }
 
-impl IntoParams for FileParams {
-    fn into_params(_: impl Fn() -> Option<ParameterIn>) -> Vec<Parameter> {
-        let mut all = selected(|_| true).to_vec();
-        all.push(map());
-        all
-    }
+/// Conditions on the flags of trials.
+fn flags() -> [Parameter; 2] {
+    [
+        parameter("flag", "only trials with this flag; may be repeated", text()),
+        parameter("flagged", "only trials with, or only without, any flag", boolean()),
+    ]
 }
 
 /// Names of the formats of a page: JSON, and the row formats.

@@ -10,6 +10,7 @@ use super::App;
 use super::problem::{ApiResult, Body, Path};
 use super::progress::{ForcesOfTips, along};
 use super::runs::find;
+use super::turns::turn;
 use crate::conductor::Submission;
 use crate::digest::sha256_hex;
 use crate::schedule::preflight::Preflight;
@@ -47,7 +48,7 @@ pub async fn of_submission(
     app: App,
     Body(submission): Body<Submission>,
 ) -> ApiResult<Json<RunPreflight>> {
-    let _turn = app.turns.preflight().await?;
+    let _turn = turn(&app.turns.preflights).await?;
     let prepared = app.conductor.prepare(submission).await?;
     let sensor_sha256 = sha256_hex(&prepared.sensor_text);
     let earlier = earlier(&app, &prepared.preflight, &sensor_sha256, Timestamp::now()).await?;

@@ -5,7 +5,6 @@ use axum::Json;
 use axum::extract::multipart::MultipartRejection;
 use axum::extract::rejection::{JsonRejection, PathRejection, QueryRejection, StringRejection};
 use axum::extract::ws::rejection::WebSocketUpgradeRejection;
-use axum::extract::{FromRequest, Request};
 use axum::http::{HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use hyper::ext::ReasonPhrase;
@@ -373,15 +372,9 @@ rejections! {
 pub struct Path<T>(pub T);
 
 /// Extractor of a body of text; an invalid one is answered with a problem body.
+#[derive(axum::extract::FromRequest)]
+#[from_request(rejection(ApiError))]
 pub struct Text(pub String);
-
-impl<S: Send + Sync> FromRequest<S> for Text {
-    type Rejection = ApiError;
-
-    async fn from_request(request: Request, state: &S) -> ApiResult<Self> {
-        Ok(Self(String::from_request(request, state).await?))
-    }
-}
 
 /// Extractor of a JSON body; an invalid body is answered with a problem body.
 #[derive(axum::extract::FromRequest)]

@@ -12,6 +12,7 @@ use super::limits::{FRAMES_MAX, LIVE_CLIENTS};
 use super::live_contacts::follow;
 use super::problem::{ApiError, ApiResult, Body, Path};
 use super::socket::LiveClient;
+use super::turns::turn;
 use crate::clock::Clock;
 use crate::dataset::background::background;
 use crate::infer::error::InferError;
@@ -47,7 +48,7 @@ pub async fn quantities(
         return Err(ApiError::value("frames", count, &format!("must be from 1 to {FRAMES_MAX}")));
     }
     check(&request.frames, channels)?;
-    let turn = app.turns.answer().await?;
+    let turn = turn(&app.turns.answers).await?;
     let work = move || {
         let _turn = turn;
         model.quantities(&request.frames.concat())

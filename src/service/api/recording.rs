@@ -10,9 +10,9 @@ use arrow_array::{
     UInt32Array, UInt64Array,
 };
 use arrow_schema::{ArrowError, DataType, Field, Schema, SchemaRef, TimeUnit};
-use axum::body::Body;
 use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
 use axum::response::Response;
+use futures::stream::unfold;
 use jiff::Timestamp;
 use serde::Deserialize;
 use tokio::sync::OwnedSemaphorePermit;
@@ -22,15 +22,15 @@ use tokio::time::timeout;
 use utoipa::IntoParams;
 
 use super::App;
+use super::encoder::RowEncoder;
 use super::limits::{FRAME_CLIENTS, RECORDED_FRAMES};
 use super::problem::{ApiError, ApiResult, Params};
 use super::query::for_pages;
-use super::send::{self, Piece};
+use super::send;
+use super::turns::place;
 use crate::campaign::bench::rig_state::RigState;
-use crate::dataset::error::DatasetError;
-use crate::dataset::format::{Format, Stream};
+use crate::dataset::format::Format;
 use crate::dataset::schema::VOLTAGES_V;
-use crate::journal::error_chain;
 use crate::rig::traits::Frame;
 use crate::simulate::schema::{voltage_element, voltages, with_unit};
 
@@ -82,31 +82,16 @@ pub async fn record(
         let words = "no frames come: the rig is disconnected; connect it first";
         return Err(ApiError::new(StatusCode::CONFLICT, words));
     }
-    let place = app.turns.frames.clone().try_acquire_owned().map_err(|_| {
-        let words = format!("{FRAME_CLIENTS} clients of the live frames are connected, the limit");
-        ApiError::new(StatusCode::SERVICE_UNAVAILABLE, words)
-    })?;
+    let place = place(&app.turns.frames, (FRAME_CLIENTS, "live frames"))?;
     let label = app.facts.rig.config.label().as_str();
     let schema = schema(app.serving.sensor().channels() as i32);
-    let piece = Piece::default();
-    let stream = Stream::new(format, &schema, piece.clone()).map_err(DatasetError::from)?;
+    let encoder = RowEncoder::new(format, &schema)?;
     let source = app.campaign.follow_frames();
     let ending = app.facts.ending.clone();
-    let recording = Recording {
-        source,
-        ending,
-        label,
-        schema,
-        stream,
-        piece,
-        left: frames,
-        is_cut: false,
-        _place: place,
-    };
-    let pieces = futures::stream::unfold(Some(recording), |recording| async move {
-        Some(recording?.next_piece().await)
-    });
-    let mut response = send::in_format(format, Body::from_stream(pieces));
+    let recording =
+        Recording { source, ending, label, schema, left: frames, is_cut: false, _place: place };
+    let batches = unfold(recording, Recording::next_batch);
+    let mut response = encoder.response(batches, "a recording is incomplete");
     let at = Timestamp::now().strftime("%Y-%m-%dT%H%M%S");
     let name = format!("attachment; filename=\"frames-{label}-{at}.{}\"", format.extension());
     if let Ok(name) = HeaderValue::from_str(&name) {
@@ -124,8 +109,6 @@ struct Recording {
     ending: watch::Receiver<bool>,
     label: &'static str,
     schema: SchemaRef,
-    stream: Stream<Piece>,
-    piece: Piece,
     /// Number of frames that are still to be recorded.
     left: usize,
     /// No more frames come, although some are left.
@@ -134,33 +117,27 @@ struct Recording {
 }
 
 impl Recording {
-    /// The bytes of the next batch, and the recording unless it has ended. One that is cut ends with an error, so that
-    /// nobody takes it for complete.
-    async fn next_piece(mut self) -> (io::Result<Vec<u8>>, Option<Self>) {
-        if self.is_cut {
-            let words = format!("no more frames: {} of the recording are missing", self.left);
-            return (Err(io::Error::other(words)), None);
-        }
+    /// The next batch, and the recording; none if it is complete. One that is cut ends with an error, so that nobody
+    /// takes it for complete.
+    async fn next_batch(mut self) -> Option<(io::Result<RecordBatch>, Self)> {
         let most = self.left.min(BATCH_FRAMES);
         let mut taken = Vec::with_capacity(most);
-        while taken.len() < most
-            && let Some(frame) = self.next_frame().await
-        {
-            taken.push(frame);
+        while !self.is_cut && taken.len() < most {
+            match self.next_frame().await {
+                Some(frame) => taken.push(frame),
+                None => self.is_cut = true,
+            }
         }
-        self.is_cut = taken.len() < most;
         self.left -= taken.len();
-        match self.write(&taken) {
-            Ok(()) if self.left == 0 => {
-                let end = self.stream.finish().map(|piece| piece.take());
-                (end.map_err(io::Error::other), None)
-            }
-            Ok(()) => (Ok(self.piece.take()), Some(self)),
-            Err(error) => {
-                tracing::warn!(error = error_chain(&error), "a recording is incomplete");
-                (Err(io::Error::other(error.to_string())), None)
-            }
-        }
+        let next = if !taken.is_empty() {
+            batch(&self.schema, self.label, &taken).map_err(io::Error::other)
+        } else if self.is_cut {
+            let words = format!("no more frames: {} of the recording are missing", self.left);
+            Err(io::Error::other(words))
+        } else {
+            return None;
+        };
+        Some((next, self))
     }
 
     /// Waits for the next frame; none if none comes, or if the service ends.
@@ -180,13 +157,6 @@ impl Recording {
                 Err(RecvError::Closed) => return None,
             }
         }
-    }
-
-    fn write(&mut self, taken: &[Taken]) -> Result<(), DatasetError> {
-        if !taken.is_empty() {
-            self.stream.push(&batch(&self.schema, self.label, taken)?)?;
-        }
-        Ok(())
     }
 }
 
@@ -235,6 +205,7 @@ fn batch(schema: &SchemaRef, label: &str, taken: &[Taken]) -> Result<RecordBatch
 
 #[cfg(test)]
 mod tests {
+    use futures::StreamExt;
     use tokio::time::Instant;
 
     use super::*;
@@ -254,9 +225,9 @@ mod tests {
     fn a_row_has_the_label_the_counters_and_the_voltages_of_its_frame() {
         let schema = schema(4);
         let frames = [taken(7, vec![2, -2, 4, 0]), taken(9, vec![1, 1, 1, 1])];
-        let mut stream = Stream::new(Format::Ndjson, &schema, Vec::new()).unwrap();
-        stream.push(&batch(&schema, "virtual", &frames).unwrap()).unwrap();
-        let text = String::from_utf8(stream.finish().unwrap()).unwrap();
+        let mut lines = RowEncoder::new(Format::Ndjson, &schema).unwrap();
+        lines.push(&batch(&schema, "virtual", &frames).unwrap()).unwrap();
+        let text = String::from_utf8(lines.finish().unwrap()).unwrap();
         let rows: Vec<serde_json::Value> =
             text.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
         assert_eq!(rows.len(), 2);
@@ -277,24 +248,24 @@ mod tests {
     async fn a_recording_whose_frames_stop_ends_with_an_error() {
         let (frames, source) = broadcast::channel(1);
         let (_ending, ending) = watch::channel(false);
-        let (schema, piece) = (schema(1), Piece::default());
+        let encoder = RowEncoder::new(Format::Ndjson, &schema(1)).unwrap();
         let recording = Recording {
             source,
             ending,
             label: "virtual",
-            stream: Stream::new(Format::Ndjson, &schema, piece.clone()).unwrap(),
-            schema,
-            piece,
+            schema: schema(1),
             left: 3,
             is_cut: false,
             _place: Arc::new(tokio::sync::Semaphore::new(1)).try_acquire_owned().unwrap(),
         };
         frames.send(taken(1, vec![1]).1).unwrap();
         drop(frames);
-        let (first, recording) = recording.next_piece().await;
-        assert!(String::from_utf8(first.unwrap()).unwrap().contains("\"sequence\":1"));
-        let (end, none) = recording.unwrap().next_piece().await;
-        assert_eq!(end.unwrap_err().to_string(), "no more frames: 2 of the recording are missing");
-        assert!(none.is_none());
+        let response = encoder.response(unfold(recording, Recording::next_batch), "cut");
+        let mut pieces = response.into_body().into_data_stream();
+        let first = pieces.next().await.unwrap().unwrap();
+        assert!(String::from_utf8(first.to_vec()).unwrap().contains("\"sequence\":1"));
+        let end = pieces.next().await.unwrap().unwrap_err();
+        assert_eq!(end.to_string(), "no more frames: 2 of the recording are missing");
+        assert!(pieces.next().await.is_none());
     }
 }

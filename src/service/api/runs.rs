@@ -256,7 +256,7 @@ async fn request_action(
     asked: ActionRequest,
 ) -> ApiResult<Option<Started>> {
     if needs_lock(asked.action) {
-        act.require(Role::Operator)?;
+        act.caller().require(Role::Operator)?;
         app.in_time(headers)?;
         app.unlocked(act.caller()).await?;
     }

@@ -3,7 +3,7 @@
 
 use std::sync::{Arc, Weak};
 
-use parking_lot::{Mutex, MutexGuard};
+use parking_lot::Mutex;
 use tokio::sync::Notify;
 use tokio::sync::futures::Notified;
 use tokio::time::Instant;
@@ -63,7 +63,7 @@ impl Seats {
     /// Closes the connections whose idle time has expired.
     pub fn sweep(&self, now: Instant) {
         for seat in self.all() {
-            if matches!(*seat.state(), State::Idle { until, .. } if until < now) {
+            if matches!(*seat.state.lock(), State::Idle { until, .. } if until < now) {
                 seat.close();
             }
         }
@@ -132,7 +132,7 @@ impl Seat {
 
     /// True if the connection is being closed and no request has arrived since.
     pub fn ends_now(&self) -> bool {
-        matches!(*self.state(), State::Closing { answering: false })
+        matches!(*self.state.lock(), State::Closing { answering: false })
     }
 
     /// Completes when the connection must be closed, see `ends_now`.
@@ -142,48 +142,44 @@ impl Seat {
 
     /// Records that the connection has become a WebSocket.
     pub fn upgrade(&self) {
-        *self.state() = State::Upgraded;
+        *self.state.lock() = State::Upgraded;
     }
 
     /// Records received bytes: the head of a request that begins must be complete within `HEAD_WITHIN`.
     pub fn bytes_received(&self) {
-        if let State::Idle { until, .. } = &mut *self.state() {
+        if let State::Idle { until, .. } = &mut *self.state.lock() {
             *until = (*until).min(Instant::now() + HEAD_WITHIN);
         }
     }
 
     /// Records sent bytes: while the rest of a response is sent, the idle time starts again.
     pub fn bytes_sent(&self) {
-        let mut state = self.state();
+        let mut state = self.state.lock();
         if matches!(*state, State::Idle { new: false, .. }) {
             *state = State::idle();
         }
     }
 
     fn idle_since(&self) -> Option<Instant> {
-        match *self.state() {
+        match *self.state.lock() {
             State::Idle { since, .. } => Some(since),
             State::Busy | State::Upgraded | State::Closing { .. } => None,
         }
     }
 
     fn is_closing(&self) -> bool {
-        matches!(*self.state(), State::Closing { .. })
+        matches!(*self.state.lock(), State::Closing { .. })
     }
 
     /// Closes the connection if it is idle; returns whether it was.
     fn close(&self) -> bool {
-        let mut state = self.state();
+        let mut state = self.state.lock();
         let idle = matches!(*state, State::Idle { .. });
         if idle {
             *state = State::Closing { answering: false };
             self.closed.notify_one();
         }
         idle
-    }
-
-    fn state(&self) -> MutexGuard<'_, State> {
-        self.state.lock()
     }
 }
 
@@ -200,7 +196,7 @@ impl InFlight {
     /// Records that a request has arrived.
     pub fn begin(seat: Arc<Seat>) -> Self {
         {
-            let mut state = seat.state();
+            let mut state = seat.state.lock();
             *state = match *state {
                 State::Closing { .. } => State::Closing { answering: true },
                 State::Idle { .. } | State::Busy | State::Upgraded => State::Busy,
@@ -212,7 +208,7 @@ impl InFlight {
 
 impl Drop for InFlight {
     fn drop(&mut self) {
-        let mut state = self.0.state();
+        let mut state = self.0.state.lock();
         if matches!(*state, State::Busy) {
             *state = State::idle();
             self.0.freed.notify_one();

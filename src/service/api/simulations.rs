@@ -14,6 +14,7 @@ use super::App;
 use super::limits::SIMULATED_CONTACTS;
 use super::problem::{ApiError, ApiResult, Body};
 use super::runs::find;
+use super::turns::turn;
 use crate::clock::Clock;
 use crate::dataset::background::background;
 use crate::ids::TrialId;
@@ -132,7 +133,7 @@ pub async fn simulate(
         }
         None => None,
     };
-    let turn = app.turns.simulation().await?;
+    let turn = turn(&app.turns.simulations).await?;
     let model = skin.calibration.as_ref().map_or("sensor file".into(), |of| of.id.to_string());
     let (skins, clock) = (app.twins.skins().clone(), Clock::new(1.0));
     let foam_mm = skin.sensor.file.layers.foam.thickness_mm;

@@ -9,7 +9,6 @@ use axum::Extension;
 use axum::extract::rejection::ExtensionRejection;
 use axum::extract::ws::{Message, Utf8Bytes, WebSocket, WebSocketUpgrade};
 use axum::extract::{FromRequestParts, State};
-use axum::http::StatusCode;
 use axum::response::Response;
 use tokio::sync::Semaphore;
 use tokio::time::timeout;
@@ -20,6 +19,7 @@ use super::auth::Caller;
 use super::guard::Place;
 use super::limits::MESSAGE_MAX_BYTES;
 use super::problem::{ApiError, ApiResult};
+use super::turns::place;
 
 /// Longest time for sending a message; a slower client is disconnected.
 const MESSAGE_WITHIN: Duration = Duration::from_secs(5);
@@ -27,6 +27,15 @@ const MESSAGE_WITHIN: Duration = Duration::from_secs(5);
 /// Sends a message; returns `false` if the client has gone or was too slow: the socket must be dropped.
 pub(super) async fn is_sent(socket: &mut WebSocket, text: Utf8Bytes) -> bool {
     matches!(timeout(MESSAGE_WITHIN, socket.send(Message::Text(text))).await, Ok(Ok(())))
+}
+
+/// Completes when the client closes the socket; its other messages are ignored.
+pub(super) async fn closed(socket: &mut WebSocket) {
+    while let Some(Ok(message)) = socket.recv().await {
+        if matches!(message, Message::Close(_)) {
+            return;
+        }
+    }
 }
 
 /// Extractor of a client that requests live data; a request for no WebSocket is answered with a problem body.
@@ -48,18 +57,15 @@ impl LiveClient {
     /// Opens the socket and runs `send` on it until it returns, or until the caller's key is revoked.
     ///
     /// # Errors
-    /// 503 if `places` has none left; `limit` is their number, `kind` what the clients receive.
+    /// As [`place`].
     pub(super) fn open<S: Future<Output = ()> + Send>(
         self,
         places: &Arc<Semaphore>,
-        (limit, kind): (usize, &str),
+        clients: (usize, &str),
         send: impl FnOnce(App, WebSocket) -> S + Send + 'static,
     ) -> ApiResult<Response> {
         let Self { app, caller, counted, upgrade } = self;
-        let place = places.clone().try_acquire_owned().map_err(|_| {
-            let words = format!("{limit} clients of the {kind} are connected, the limit");
-            ApiError::new(StatusCode::SERVICE_UNAVAILABLE, words)
-        })?;
+        let place = place(places, clients)?;
         let span = Span::current();
         Ok(upgrade.max_message_size(MESSAGE_MAX_BYTES).on_upgrade(async move |socket| {
             tokio::select! {

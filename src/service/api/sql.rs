@@ -3,23 +3,23 @@
 
 use arrow_schema::ArrowError;
 use axum::Json;
-use axum::body::Body;
 use axum::http::HeaderMap;
 use axum::response::{IntoResponse, Response};
+use futures::stream::unfold;
 use serde::{Deserialize, Serialize};
 use serde_json::value::RawValue;
 use utoipa::{IntoParams, ToSchema};
 
 use super::App;
 use super::audit::cut;
+use super::encoder::RowEncoder;
 use super::limits::{QUERY_JSON_MAX_BYTES, REPEATED_CHARS};
-use super::problem::{ApiError, ApiResult, Body as JsonBody, Params};
+use super::problem::{ApiError, ApiResult, Body, Params};
 use super::query::for_pages;
 use super::send;
 use crate::dataset::error::DatasetError;
-use crate::dataset::format::{Format, Stream};
+use crate::dataset::format::Format;
 use crate::dataset::schema::type_words;
-use crate::journal::error_chain;
 use crate::query::{QueryError, ResultRows, TABLES};
 
 /// A statement, and the format of its rows.
@@ -82,7 +82,7 @@ pub struct QueryTable {
 pub async fn ask(
     app: App,
     headers: HeaderMap,
-    JsonBody(request): JsonBody<QueryRequest>,
+    Body(request): Body<QueryRequest>,
 ) -> ApiResult<Response> {
     answer(&app, &headers, request).await
 }
@@ -156,38 +156,12 @@ async fn answer(app: &App, headers: &HeaderMap, request: QueryRequest) -> ApiRes
 /// # Errors
 /// `ApiError` if the format cannot hold a column, or the first rows cannot be read or encoded.
 pub async fn streamed(format: Format, mut rows: ResultRows) -> ApiResult<Response> {
-    let piece = send::Piece::default();
-    let mut stream =
-        Stream::new(format, &rows.schema, piece.clone()).map_err(DatasetError::from)?;
+    let mut encoder = RowEncoder::new(format, &rows.schema)?;
     if let Some(first) = rows.next().await {
-        stream.push(&first.map_err(unreadable)?).map_err(DatasetError::from)?;
+        encoder.push(&first.map_err(unreadable)?)?;
     }
-    let pieces = futures::stream::unfold(Some((rows, stream)), move |state| {
-        let piece = piece.clone();
-        async move {
-            let (mut rows, mut stream) = state?;
-            let pushed = match rows.next().await {
-                None => {
-                    let end = stream.finish().map(|piece| piece.take());
-                    return Some((end.map_err(std::io::Error::other), None));
-                }
-                Some(batch) => {
-                    batch.map_err(DatasetError::from).and_then(|batch| Ok(stream.push(&batch)?))
-                }
-            };
-            match pushed {
-                Ok(()) => Some((Ok(piece.take()), Some((rows, stream)))),
-                Err(error) => {
-                    tracing::warn!(
-                        error = error_chain(&error),
-                        "the answer to a query is incomplete"
-                    );
-                    Some((Err(std::io::Error::other(error.to_string())), None))
-                }
-            }
-        }
-    });
-    Ok(send::in_format(format, Body::from_stream(pieces)))
+    let batches = unfold(rows, |mut rows| async move { Some((rows.next().await?, rows)) });
+    Ok(encoder.response(batches, "the answer to a query is incomplete"))
 }
 
 /// A value that no format can hold is the statement's; anything else is a failure.
@@ -203,13 +177,11 @@ fn unreadable(error: ArrowError) -> ApiError {
 /// # Errors
 /// 400 if they are too long for JSON; 500 if the engine fails meanwhile.
 pub async fn items(mut rows: ResultRows) -> ApiResult<Vec<Box<RawValue>>> {
-    let piece = send::Piece::default();
-    let mut lines =
-        Stream::new(Format::Ndjson, &rows.schema, piece.clone()).map_err(DatasetError::from)?;
+    let mut lines = RowEncoder::new(Format::Ndjson, &rows.schema)?;
     let mut text = Vec::new();
     while let Some(batch) = rows.next().await {
-        lines.push(&batch.map_err(unreadable)?).map_err(DatasetError::from)?;
-        text.extend(piece.take());
+        lines.push(&batch.map_err(unreadable)?)?;
+        text.extend(lines.take());
         if text.len() > QUERY_JSON_MAX_BYTES {
             let limit = format!(
                 "must be another one for a result of more than {} MiB: ndjson, csv, parquet, arrow or feather",
@@ -218,6 +190,6 @@ pub async fn items(mut rows: ResultRows) -> ApiResult<Vec<Box<RawValue>>> {
             return Err(ApiError::query("format", "json", &limit));
         }
     }
-    text.extend(lines.finish().map_err(DatasetError::from)?.take());
+    text.extend(lines.finish()?);
     Ok(send::values(&text)?)
 }

@@ -16,13 +16,29 @@ pub async fn tagged(response: Response) -> ApiResult<(Response, Option<String>)>
     if !response.status().is_success() {
         return Ok((response, None));
     }
-    let (mut parts, body) = response.into_parts();
+    let (parts, body) = response.into_parts();
     let body = to_bytes(body, usize::MAX).await.map_err(ApiError::internal)?;
-    let tag = format!("\"{}\"", sha256_hex(&body));
-    let value = HeaderValue::from_str(&tag).map_err(ApiError::internal)?;
-    parts.headers.insert(header::ETAG, value);
-    parts.headers.insert(header::CACHE_CONTROL, HeaderValue::from_static("private, no-cache"));
-    Ok((Response::from_parts(parts, Body::from(body)), Some(tag)))
+    let tag = tag_of(&body);
+    let mut response = Response::from_parts(parts, Body::from(body));
+    label(&mut response, &tag)?;
+    Ok((response, Some(tag)))
+}
+
+/// Returns the entity tag of a body.
+pub fn tag_of(body: &[u8]) -> String {
+    format!("\"{}\"", sha256_hex(body))
+}
+
+/// Writes an entity tag to a response.
+///
+/// # Errors
+/// 500 if it is no value of a header.
+pub fn label(response: &mut Response, tag: &str) -> ApiResult<()> {
+    let tag = HeaderValue::from_str(tag).map_err(ApiError::internal)?;
+    response.headers_mut().insert(header::ETAG, tag);
+    let caching = HeaderValue::from_static("private, no-cache");
+    response.headers_mut().insert(header::CACHE_CONTROL, caching);
+    Ok(())
 }
 
 /// Returns 304 instead of what the client has already.

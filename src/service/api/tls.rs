@@ -111,8 +111,8 @@ mod tests {
 
     #[test]
     fn a_refusal_names_option_file_and_cause() {
-        let folder = std::env::temp_dir().join(format!("palpate-tls-{}", std::process::id()));
-        std::fs::create_dir_all(&folder).unwrap();
+        let temporary = tempfile::tempdir().unwrap();
+        let folder = temporary.path().to_owned();
         let made = rcgen::generate_simple_self_signed(["localhost".to_owned()]).unwrap();
         let other = rcgen::KeyPair::generate().unwrap();
         let file = |name: &str, text: &str| {
@@ -144,6 +144,5 @@ mod tests {
             let begin = format!("{option} = {}: ", file.display());
             assert!(refused.starts_with(&begin) && refused.contains(words), "{refused}");
         }
-        std::fs::remove_dir_all(&folder).unwrap();
     }
 }

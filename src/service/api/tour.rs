@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use axum::Json;
 use axum::body::Bytes;
-use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
+use axum::http::{HeaderMap, header};
 use axum::response::{IntoResponse, Response};
 use serde::Serialize;
 use sim_core::sensor::Sensor;
@@ -15,9 +15,9 @@ use super::App;
 use super::problem::{ApiError, ApiResult, Body, Path};
 use super::runs::find;
 use super::sensor::SensorOut;
-use super::tags::lists;
+use super::tags::{label, tag_of, unless_known};
+use super::turns::turn;
 use crate::conductor::{Submission, run_kind};
-use crate::digest::sha256_hex;
 use crate::problem::Problem;
 use crate::schedule::experiment::Experiment;
 use crate::schedule::plan::Plan;
@@ -97,7 +97,7 @@ pub async fn of_submission(
     app: App,
     Body(submission): Body<Submission>,
 ) -> ApiResult<Json<SubmittedTour>> {
-    let _turn = app.turns.preflight().await?;
+    let _turn = turn(&app.turns.preflights).await?;
     // A plan of 198,000 trials takes about 0.3 s: not on a thread that answers requests.
     let planning = tokio::task::spawn_blocking(move || SubmittedTour::of(&submission));
     planning.await.map_err(ApiError::internal)?.map(Json).map_err(ApiError::problems)
@@ -132,17 +132,10 @@ pub struct KeptTour {
 pub async fn of_run(app: App, Path(run): Path<String>, headers: HeaderMap) -> ApiResult<Response> {
     let run = find(&app, &run).await?;
     let kept = app.tour(&run).await?;
-    let is_known = lists(&headers, &header::IF_NONE_MATCH, &kept.tag);
-    let mut response = match is_known {
-        true => StatusCode::NOT_MODIFIED.into_response(),
-        false => ([(header::CONTENT_TYPE, "application/json")], kept.body.clone()).into_response(),
-    };
-    if let Ok(tag) = HeaderValue::from_str(&kept.tag) {
-        response.headers_mut().insert(header::ETAG, tag);
-    }
-    let caching = HeaderValue::from_static("private, no-cache");
-    response.headers_mut().insert(header::CACHE_CONTROL, caching);
-    Ok(response)
+    let json = [(header::CONTENT_TYPE, "application/json")];
+    let mut response = (json, kept.body.clone()).into_response();
+    label(&mut response, &kept.tag)?;
+    Ok(unless_known(&headers, response, Some(kept.tag.clone())))
 }
 
 impl App {
@@ -182,7 +175,7 @@ async fn read(app: &App, run: &RunRow) -> ApiResult<Arc<KeptTour>> {
             steps,
         };
         let body = Bytes::from(serde_json::to_vec(&tour).map_err(|e| e.to_string())?);
-        let tag = format!("\"{}\"", sha256_hex(&body));
+        let tag = tag_of(&body);
         Ok(Arc::new(KeptTour { tour, body, tag }))
     });
     let read: Result<_, String> = reading.await.unwrap_or_else(|error| Err(error.to_string()));

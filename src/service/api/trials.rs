@@ -7,18 +7,16 @@ use arrow_array::cast::AsArray;
 use arrow_array::types::Int64Type;
 use arrow_schema::SchemaRef;
 use axum::Json;
-use axum::body::Body;
 use axum::extract::Query;
 use axum::http::{HeaderMap, StatusCode};
 use axum::response::{IntoResponse, Response};
 use futures::StreamExt;
 use serde::Serialize;
 use serde_json::{Value, json};
-use tokio_stream::wrappers::ReceiverStream;
-use tracing::Instrument;
 use utoipa::ToSchema;
 
 use super::App;
+use super::encoder::RowEncoder;
 use super::pages::{Cursors, Page, PageParams, PageRequest};
 use super::params::{TrialGroupParams, TrialParams};
 use super::problem::{ApiError, ApiResult, Path};
@@ -27,14 +25,14 @@ use super::runs::find;
 use super::{send, sql};
 use crate::dataset::batch::{self, Row};
 use crate::dataset::error::DatasetError;
-use crate::dataset::format::{Format, Stream};
+use crate::dataset::format::Format;
 use crate::dataset::schema;
 use crate::dataset::select::{Selection, Wanted};
 use crate::dataset::sort::Sort;
 use crate::ids::{RunUid, TrialId};
-use crate::journal::error_chain;
 use crate::problem::Problem;
 use crate::query::groups;
+use crate::record::ReferenceRecord;
 use crate::store::table::Column;
 use crate::store::{MAX_PAGE, RunKind, Store, StoreResult, TrialQuery, TrialRow};
 
@@ -107,9 +105,8 @@ async fn page(
     let request = PageOf { query, sort, from: cursors.position(pairs)?.unwrap_or_default() };
     let (next, response) = match format {
         Some(format) => {
-            let Table { pieces, next } = table(app, request, &wanted, format).await?;
-            let next = next.map(|id| cursors.cursor(id));
-            (next, send::in_format(format, Body::from_stream(pieces)))
+            let (next, response) = table(app, request, &wanted, format).await?;
+            (next.map(|id| cursors.cursor(id)), response)
         }
         None => {
             let (items, next) = whole_trials(app, &request, &wanted).await?;
@@ -162,14 +159,6 @@ struct PageOf {
     sort: Option<Sort>,
     /// Last id of the page before; with `sort` the number of trials before.
     from: i64,
-}
-
-/// A page in a row format, encoded in pieces while it is sent, so that only a few pieces are in
-/// memory.
-struct Table {
-    pieces: ReceiverStream<std::io::Result<Vec<u8>>>,
-    /// Cursor of the next page, if more trials follow.
-    next: Option<i64>,
 }
 
 /// The whole trials of a page, and the cursor of the next one if more trials follow.
@@ -239,49 +228,30 @@ async fn ids(app: &App, request: &PageOf) -> ApiResult<(Vec<TrialId>, Option<i64
     Ok((ids, more.then_some(next)))
 }
 
-async fn table(app: &App, request: PageOf, wanted: &Wanted, format: Format) -> ApiResult<Table> {
+/// A page in a row format, encoded in pieces while it is sent, so that only a few pieces are in memory;
+/// and the cursor of the next one if more trials follow.
+async fn table(
+    app: &App,
+    request: PageOf,
+    wanted: &Wanted,
+    format: Format,
+) -> ApiResult<(Option<i64>, Response)> {
     for_pages(format).map_err(ApiError::bad_query)?;
     let CheckedPage { ids, next, table, selection, with_voltages } =
         checked(app, &request, wanted).await?;
-    let piece = send::Piece::default();
-    let mut stream =
-        Stream::new(format, selection.schema(), piece.clone()).map_err(DatasetError::from)?;
-    let (sender, pieces) = tokio::sync::mpsc::channel(2);
+    let encoder = RowEncoder::new(format, selection.schema())?;
     let store = app.store.clone();
-    let sending = async move {
-        let mut work = async || -> Result<(), DatasetError> {
-            let chunks: Vec<Vec<TrialId>> = ids.chunks(PIECE_ROWS).map(<[_]>::to_vec).collect();
-            let frames = with_voltages;
-            let reads = chunks.into_iter().map(|chunk| {
-                let store = store.clone();
-                async move { read(&store, &chunk, frames).await }
-            });
-            let mut reads = futures::stream::iter(reads).buffered(PIECES_AT_ONCE);
-            while let Some(trials) = reads.next().await {
-                let rows: Vec<Row> =
-                    trials?.into_iter().map(|trial| Row { trial, part: None }).collect();
-                let batch = selection.apply(&batch::of_trials(&table, &rows)?, None)?;
-                stream.push(&batch)?;
-                if sender.send(Ok(piece.take())).await.is_err() {
-                    // The client has disconnected.
-                    return Ok(());
-                }
-            }
-            Ok(())
-        };
-        let ended = match work().await {
-            Ok(()) => stream.finish().map(|piece| piece.take()).map_err(DatasetError::from),
-            Err(error) => Err(error),
-        };
-        let last = ended.map_err(|error| {
-            tracing::error!(error = error_chain(&error), "a page of trials is incomplete");
-            std::io::Error::other(error.to_string())
-        });
-        // The client may have disconnected.
-        let _ = sender.send(last).await;
+    let chunks: Vec<Vec<TrialId>> = ids.chunks(PIECE_ROWS).map(<[_]>::to_vec).collect();
+    let reads = chunks.into_iter().map(move |chunk| {
+        let store = store.clone();
+        async move { read(&store, &chunk, with_voltages).await }
+    });
+    let encodable = move |trials: StoreResult<Vec<TrialRow>>| -> Result<_, DatasetError> {
+        let rows: Vec<Row> = trials?.into_iter().map(|trial| Row { trial, part: None }).collect();
+        Ok(selection.apply(&batch::of_trials(&table, &rows)?, None)?)
     };
-    tokio::spawn(sending.in_current_span());
-    Ok(Table { pieces: ReceiverStream::new(pieces), next })
+    let batches = futures::stream::iter(reads).buffered(PIECES_AT_ONCE).map(encodable);
+    Ok((next, encoder.response(batches, "a page of trials is incomplete")))
 }
 
 /// The ids of a page, with its checked columns.
@@ -374,40 +344,18 @@ pub async fn bench_records(
     asked: PageRequest,
 ) -> ApiResult<Page<Value>> {
     let run = find(&app, &run).await?.uid;
+    let store = &app.store;
     let rows: Vec<Value> = match kind.as_str() {
-        "attempts" => app
-            .store
-            .attempts(run, u32::MAX)
-            .await?
-            .into_iter()
-            .rev()
-            .map(|a| {
-                let k = a.key;
-                json!({ "configuration": k.configuration, "depth_index": k.depth_index,
-                    "attempt": a.attempt, "reason": a.reason, "at": a.at })
-            })
-            .collect(),
-        "tares" => app
-            .store
-            .tares(run)
-            .await?
-            .into_iter()
-            .map(|t| {
-                json!({ "configuration": t.configuration, "volts": t.volts,
-                    "samples": t.samples, "at": t.at })
-            })
-            .collect(),
-        "touch-offs" => app.store.touch_offs(run).await?.iter().map(|t| json!(t)).collect(),
-        "references" => app
-            .store
-            .references(run)
-            .await?
-            .into_iter()
-            .map(|r| {
+        "attempts" => store.attempts(run, u32::MAX).await?.iter().rev().map(|a| json!(a)).collect(),
+        "tares" => store.tares(run).await?.iter().map(|t| json!(t)).collect(),
+        "touch-offs" => store.touch_offs(run).await?.iter().map(|t| json!(t)).collect(),
+        "references" => {
+            let without_frame = |r: &ReferenceRecord| {
                 json!({ "before_configuration": r.before_configuration, "depth_mm": r.depth_mm,
                     "reached": r.reached, "arms": r.arms, "at": r.at })
-            })
-            .collect(),
+            };
+            store.references(run).await?.iter().map(without_frame).collect()
+        }
         _ => {
             let limit = "must be attempts, tares, touch-offs or references";
             return Err(ApiError::value("kind", kind, limit));

@@ -16,46 +16,46 @@ use super::problem::{ApiError, ApiResult};
 /// Limits of concurrent inferences and simulations, so that enough processor time remains for the campaign.
 #[derive(Clone)]
 pub struct Turns {
-    answers: Arc<Semaphore>,
-    fits: Arc<Semaphore>,
+    /// Answers by nets.
+    pub(super) answers: Arc<Semaphore>,
+    /// Answers by fits.
+    pub(super) fits: Arc<Semaphore>,
     /// Clients of live contacts and quantities.
     pub(super) live: Arc<Semaphore>,
     /// Clients of live frames.
     pub(super) frames: Arc<Semaphore>,
     /// Clients of the live status.
     pub(super) status: Arc<Semaphore>,
-    preflights: Arc<Semaphore>,
-    simulations: Arc<Semaphore>,
+    /// Preflights and tours: planning takes processor time that a campaign may need.
+    pub(super) preflights: Arc<Semaphore>,
+    /// Simulations.
+    pub(super) simulations: Arc<Semaphore>,
 }
 
-impl Turns {
-    /// Waits for the turn of an answer by a net.
-    pub(super) async fn answer(&self) -> ApiResult<OwnedSemaphorePermit> {
-        Self::turn(&self.answers).await
-    }
+/// Waits for a turn of a kind.
+///
+/// # Errors
+/// 503 if none comes within `TURN_WAIT`.
+pub(super) async fn turn(of: &Arc<Semaphore>) -> ApiResult<OwnedSemaphorePermit> {
+    let Ok(Ok(turn)) = timeout(TURN_WAIT, of.clone().acquire_owned()).await else {
+        let words = "too many requests: none could be started within 10 s; retry";
+        return Err(ApiError::new(StatusCode::SERVICE_UNAVAILABLE, words));
+    };
+    Ok(turn)
+}
 
-    /// Waits for the turn of an answer by a fit.
-    pub(super) async fn fit(&self) -> ApiResult<OwnedSemaphorePermit> {
-        Self::turn(&self.fits).await
-    }
-
-    /// Waits for the turn of a preflight or a tour: planning takes processor time that a campaign may need.
-    pub(super) async fn preflight(&self) -> ApiResult<OwnedSemaphorePermit> {
-        Self::turn(&self.preflights).await
-    }
-
-    /// Waits for the turn of a simulation.
-    pub(super) async fn simulation(&self) -> ApiResult<OwnedSemaphorePermit> {
-        Self::turn(&self.simulations).await
-    }
-
-    async fn turn(of: &Arc<Semaphore>) -> ApiResult<OwnedSemaphorePermit> {
-        let Ok(Ok(turn)) = timeout(TURN_WAIT, of.clone().acquire_owned()).await else {
-            let words = "too many requests: none could be started within 10 s; retry";
-            return Err(ApiError::new(StatusCode::SERVICE_UNAVAILABLE, words));
-        };
-        Ok(turn)
-    }
+/// Takes the place of a live client.
+///
+/// # Errors
+/// 503 if none is left; `limit` is their number, `kind` what the clients receive.
+pub(super) fn place(
+    places: &Arc<Semaphore>,
+    (limit, kind): (usize, &str),
+) -> ApiResult<OwnedSemaphorePermit> {
+    places.clone().try_acquire_owned().map_err(|_| {
+        let words = format!("{limit} clients of the {kind} are connected, the limit");
+        ApiError::new(StatusCode::SERVICE_UNAVAILABLE, words)
+    })
 }
 
 impl Default for Turns {

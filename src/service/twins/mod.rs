@@ -158,7 +158,7 @@ impl TwinPool {
     /// # Errors
     /// `StoreError` if the store fails.
     pub async fn count(&self, run: RunUid) -> StoreResult<TwinCount> {
-        let model = self.models().get(&run).copied().unwrap_or(TwinModelId::NONE);
+        let model = self.inner.models.lock().get(&run).copied().unwrap_or(TwinModelId::NONE);
         self.inner.store.twin_count(run, model).await
     }
 
@@ -270,7 +270,7 @@ impl TwinPool {
             git_commit: crate::commit::known().map(Into::into),
         };
         let id = self.inner.store.twin_model(new).await?;
-        self.models().insert(run, id);
+        self.inner.models.lock().insert(run, id);
         Ok(Recipe { id, ..recipe })
     }
 
@@ -369,10 +369,6 @@ impl TwinPool {
 
     fn show(&self, change: impl FnOnce(&mut PoolStatus)) {
         change(&mut self.inner.status.lock());
-    }
-
-    fn models(&self) -> parking_lot::MutexGuard<'_, HashMap<RunUid, TwinModelId>> {
-        self.inner.models.lock()
     }
 }
 

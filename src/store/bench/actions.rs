@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 use crate::core::columns::{Columns, time_text};
-use crate::core::{During, Store, StoreResult};
+use crate::core::{Store, StoreResult};
 use crate::ids::RunUid;
 
 /// An action that is to be logged.
@@ -119,7 +119,7 @@ impl Store {
             Ok(ActionRow {
                 id: c.get("id")?,
                 at: c.time("at")?,
-                run: c.uid_or_none("uid")?,
+                run: c.word_or_none("uid")?,
                 action: c.get("action")?,
                 who: c.get("who")?,
                 key_id: c.get("key_id")?,
@@ -152,14 +152,11 @@ impl Store {
     pub async fn accepted_on(&self, run: RunUid, action: &str) -> StoreResult<u64> {
         const OPERATION: &str = "counting actions on a run";
         let scan_id = self.facts(run, OPERATION).await?.scan_id;
-        let number: i64 = sqlx::query_scalar(
-            "SELECT count(*) FROM actions WHERE run = ?1 AND accepted = 1 AND action = ?2",
+        let query = sqlx::query(
+            "SELECT count(*) AS n FROM actions WHERE run = ?1 AND accepted = 1 AND action = ?2",
         )
         .bind(scan_id)
-        .bind(action)
-        .fetch_one(&self.inner.readers)
-        .await
-        .during(OPERATION)?;
-        Ok(number.unsigned_abs())
+        .bind(action);
+        self.one(OPERATION, query, |c| c.whole("n")).await
     }
 }

@@ -1,6 +1,7 @@
 //! Auxiliary measurements of a run: tares, reference presses and touch-offs.
-//! Uses: `record`, `core::writer`, `table::checksum`. Never: trials.
+//! Uses: `record`, `core::writer`, `table::checksum`, the inserts of `trials`. Never: a trial.
 
+use super::trials::{insert_many, insert_tips};
 use crate::core::columns::{Columns, counts_blob, time_text};
 use crate::core::{During, Store, StoreError, StoreResult};
 use crate::ids::RunUid;
@@ -32,16 +33,11 @@ impl Store {
                 .fetch_one(&mut *connection)
                 .await
                 .during(OPERATION)?;
-                for (arm, volts) in tare.volts {
-                    sqlx::query("INSERT INTO tare_arms (tare, arm, cell_v) VALUES (?1, ?2, ?3)")
-                        .bind(id)
-                        .bind(arm)
-                        .bind(volts)
-                        .execute(&mut *connection)
-                        .await
-                        .during(OPERATION)?;
-                }
-                Ok(())
+                let into = "INSERT INTO tare_arms (tare, arm, cell_v) ";
+                insert_many(connection, into, &tare.volts, OPERATION, |mut row, _, (arm, volts)| {
+                    row.push_bind(id).push_bind(*arm).push_bind(*volts);
+                })
+                .await
             })
             .await
     }
@@ -85,24 +81,9 @@ impl Store {
                 .fetch_one(&mut *connection)
                 .await
                 .during(OPERATION)?;
-                for a in press.arms {
-                    sqlx::query(
-                        "INSERT INTO reference_tips
-                             (press, arm, x_mm, y_mm, force_n, cell_v, tare_v)
-                         VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7)",
-                    )
-                    .bind(id)
-                    .bind(a.arm)
-                    .bind(a.x_mm)
-                    .bind(a.y_mm)
-                    .bind(a.force_n)
-                    .bind(a.cell_v)
-                    .bind(a.tare_v)
-                    .execute(&mut *connection)
-                    .await
-                    .during(OPERATION)?;
-                }
-                Ok(())
+                let into = "INSERT INTO reference_tips
+                     (press, arm, x_mm, y_mm, force_n, cell_v, tare_v) ";
+                insert_tips(connection, into, id, &press.arms, OPERATION).await
             })
             .await
     }

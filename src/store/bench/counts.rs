@@ -4,6 +4,7 @@
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
+use crate::core::columns::Columns;
 use crate::core::{During, Store, StoreResult};
 use crate::ids::{RunUid, TrialKey};
 use crate::journal::Progress;
@@ -58,15 +59,20 @@ impl Store {
     pub async fn contact_counts(&self, run: RunUid) -> StoreResult<[u64; 7]> {
         const OPERATION: &str = "counting contacts";
         let scan_id = self.facts(run, OPERATION).await?.scan_id;
-        let rows = sqlx::query_as(
-            "SELECT contact_count, count(*) FROM trials INDEXED BY trials_in_order
+        let query = sqlx::query(
+            "SELECT contact_count, count(*) AS trials FROM trials INDEXED BY trials_in_order
              WHERE run = ?1 GROUP BY contact_count",
         )
-        .bind(scan_id)
-        .fetch_all(&self.inner.readers)
-        .await
-        .during(OPERATION)?;
-        Ok(by_count(rows))
+        .bind(scan_id);
+        let row = |c: &Columns<'_>| Ok((c.whole("contact_count")?, c.whole("trials")?));
+        let rows: Vec<(usize, u64)> = self.rows(OPERATION, query, row).await?;
+        let mut counts = [0; 7];
+        for (contacts, trials) in rows {
+            if let Some(count) = counts.get_mut(contacts) {
+                *count = trials;
+            }
+        }
+        Ok(counts)
     }
 
     /// Returns the number of stored trials of a run by setting, in ascending order of tips.
@@ -76,26 +82,14 @@ impl Store {
     pub async fn stored_per_setting(&self, run: RunUid) -> StoreResult<Vec<SettingCount>> {
         const OPERATION: &str = "counting trials by setting";
         let scan_id = self.facts(run, OPERATION).await?.scan_id;
-        let rows: Vec<(u8, i64)> = sqlx::query_as(
-            "SELECT tips, count(*) FROM trials INDEXED BY trials_in_order
+        let query = sqlx::query(
+            "SELECT tips, count(*) AS stored FROM trials INDEXED BY trials_in_order
              WHERE run = ?1 GROUP BY tips ORDER BY tips",
         )
-        .bind(scan_id)
-        .fetch_all(&self.inner.readers)
-        .await
-        .during(OPERATION)?;
-        let row = |(tips, stored): (u8, i64)| SettingCount { tips, stored: stored.unsigned_abs() };
-        Ok(rows.into_iter().map(row).collect())
+        .bind(scan_id);
+        let row = |c: &Columns<'_>| {
+            Ok(SettingCount { tips: c.whole("tips")?, stored: c.whole("stored")? })
+        };
+        self.rows(OPERATION, query, row).await
     }
-}
-
-/// Returns the numbers of trials by contacts, 0 to 6, from rows (contacts, trials).
-fn by_count(rows: Vec<(i64, i64)>) -> [u64; 7] {
-    let mut counts = [0; 7];
-    for (contacts, trials) in rows {
-        if let Some(count) = usize::try_from(contacts).ok().and_then(|n| counts.get_mut(n)) {
-            *count += trials.unsigned_abs();
-        }
-    }
-    counts
 }

@@ -5,7 +5,7 @@ use jiff::Timestamp;
 
 use crate::core::columns::{Columns, time_text};
 use crate::core::writer::Writer;
-use crate::core::{During, Store, StoreError, StoreResult};
+use crate::core::{Store, StoreError, StoreResult};
 use crate::ids::RunUid;
 use crate::journal::Event;
 
@@ -157,7 +157,7 @@ impl Store {
         let statement = match run {
             Some(run) => {
                 let scan_id = self.facts(run, OPERATION).await?.scan_id;
-                sqlx::query_scalar(
+                sqlx::query(
                     "SELECT seq FROM events
                      WHERE run = ?3 AND (?2 IS NULL OR kind IN (SELECT value FROM json_each(?2)))
                      ORDER BY seq DESC LIMIT 1 OFFSET ?1 - 1",
@@ -166,14 +166,11 @@ impl Store {
                 .bind(kinds)
                 .bind(scan_id)
             }
-            None if kinds.is_some() => sqlx::query_scalar(NEWEST_OF_KINDS).bind(newest).bind(kinds),
-            None => {
-                sqlx::query_scalar("SELECT seq FROM events ORDER BY seq DESC LIMIT 1 OFFSET ?1 - 1")
-                    .bind(newest)
-            }
+            None if kinds.is_some() => sqlx::query(NEWEST_OF_KINDS).bind(newest).bind(kinds),
+            None => sqlx::query("SELECT seq FROM events ORDER BY seq DESC LIMIT 1 OFFSET ?1 - 1")
+                .bind(newest),
         };
-        let first: Option<i64> =
-            statement.fetch_optional(&self.inner.readers).await.during(OPERATION)?;
+        let first = self.row(OPERATION, statement, |c| c.get::<i64>("seq")).await?;
         Ok(first.map_or(0, |seq| seq - 1))
     }
 
@@ -182,10 +179,8 @@ impl Store {
     /// # Errors
     /// `Sql` if the read fails.
     pub async fn last_event_seq(&self) -> StoreResult<i64> {
-        sqlx::query_scalar("SELECT coalesce(max(seq), 0) FROM events")
-            .fetch_one(&self.inner.readers)
-            .await
-            .during("reading the number of the last event")
+        let query = sqlx::query("SELECT coalesce(max(seq), 0) AS seq FROM events");
+        self.one("reading the number of the last event", query, |c| c.get("seq")).await
     }
 }
 
@@ -193,7 +188,7 @@ impl Store {
 fn event(c: &Columns<'_>) -> StoreResult<Event> {
     Ok(Event {
         seq: c.get("seq")?,
-        run: c.uid_or_none("uid")?,
+        run: c.word_or_none("uid")?,
         at: c.time("at")?,
         kind: c.get("kind")?,
         data: c.json("data")?,

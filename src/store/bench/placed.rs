@@ -1,7 +1,8 @@
 //! The placement of a run that was stored last, with the verdict with which it was confirmed.
 //! Uses: `core`. Never: the verdict itself (the service makes it, an event keeps it).
 
-use crate::core::{During, Store, StoreResult};
+use crate::core::columns::Columns;
+use crate::core::{Store, StoreResult};
 use crate::ids::{RunUid, TrialId};
 
 /// A stored placement.
@@ -23,19 +24,20 @@ impl Store {
     pub async fn last_placed(&self, run: RunUid) -> StoreResult<Option<LastPlaced>> {
         const OPERATION: &str = "reading the last placement";
         let scan_id = self.facts(run, OPERATION).await?.scan_id;
-        let row: Option<(i64, u32, Option<String>)> = sqlx::query_as(
+        let query = sqlx::query(
             "SELECT t.id, t.configuration,
                  (SELECT e.data ->> '$.verdict' FROM events e
                   WHERE e.run = t.run AND e.kind = 'placed'
                       AND e.data ->> '$.trial' = t.configuration
-                  ORDER BY e.seq DESC LIMIT 1)
+                  ORDER BY e.seq DESC LIMIT 1) AS verdict
              FROM trials t WHERE t.run = ?1 AND t.placed_by IS NOT NULL
              ORDER BY t.id DESC LIMIT 1",
         )
-        .bind(scan_id)
-        .fetch_optional(&self.inner.readers)
-        .await
-        .during(OPERATION)?;
-        Ok(row.map(|(id, trial, verdict)| LastPlaced { trial, trial_id: TrialId(id), verdict }))
+        .bind(scan_id);
+        let read = |c: &Columns<'_>| {
+            let (trial, verdict) = (c.whole("configuration")?, c.get("verdict")?);
+            Ok(LastPlaced { trial, trial_id: TrialId(c.get("id")?), verdict })
+        };
+        self.row(OPERATION, query, read).await
     }
 }

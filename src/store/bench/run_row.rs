@@ -153,7 +153,7 @@ impl RunRow {
         let (kind, state) = (c.word("kind")?, c.word("state")?);
         let exit_status = c.word_or_none("exit_status")?;
         Ok(Self {
-            uid: c.uid("uid")?,
+            uid: c.word("uid")?,
             scan_id: c.get("scan_id")?,
             experiment: c.get("experiment")?,
             kind,

@@ -6,11 +6,11 @@ use sqlx::query_builder::Separated;
 use sqlx::sqlite::SqliteConnection;
 use sqlx::{QueryBuilder, Sqlite};
 
-use crate::core::columns::{counts_blob, time_text, volts_blob};
+use crate::core::columns::{counts_blob, volts_blob};
 use crate::core::facts::{RunFacts, RunKind};
 use crate::core::{During, Store, StoreError, StoreResult};
 use crate::ids::{RunUid, TrialId, TrialKey};
-use crate::record::{ArmReading, CONTACTS_MAX, FrameRecord, PlacedContact, TrialRecord};
+use crate::record::{ArmReading, CONTACTS_MAX, FrameRecord, TrialRecord};
 use crate::table::checksum::{self, Numbers};
 use crate::table::trial_row::Contact;
 
@@ -19,15 +19,14 @@ const ROWS_AT_ONCE: usize = 100;
 
 const STORING_TRIAL: &str = "storing a trial";
 
-/// A checked trial with the values of its columns.
+/// A checked trial with what its columns hold in addition.
 struct Entry {
     scan_id: i64,
     record: TrialRecord,
+    placed: Vec<Contact>,
     voltages_v: Vec<f32>,
-    flags: String,
     contact_count: u8,
     max_force_n: Option<f64>,
-    crc32: u32,
 }
 
 impl Entry {
@@ -43,95 +42,31 @@ impl Entry {
             RunKind::RealHex => forces.clone().filter(|f| *f >= facts.deadband_n).count(),
             RunKind::RealRandom | RunKind::Imported => record.placed.len(),
         };
-        let largest = forces.chain(record.placed.iter().map(|p| p.force_n)).reduce(f64::max);
+        let max_force_n = forces.chain(record.placed.iter().map(|p| p.force_n)).reduce(f64::max);
         let contact_count = u8::try_from(contacts)
             .ok()
             .filter(|n| usize::from(*n) <= CONTACTS_MAX)
             .ok_or_else(|| refused("the number of contacts", "must be at most 6"))?;
-        let flags = serde_json::to_string(&record.flags)
-            .map_err(|_| refused("flags", "must be words that JSON can represent"))?;
-        let placed: Vec<Contact> = record.placed.iter().map(Contact::from).collect();
-        let crc32 = Numbers::of_record(&record, &placed, contact_count, largest).crc32();
         Ok(Self {
             scan_id: facts.scan_id,
+            placed: record.placed.iter().map(Contact::from).collect(),
             voltages_v: record.mean_voltages_v(),
             record,
-            flags,
             contact_count,
-            max_force_n: largest,
-            crc32,
+            max_force_n,
         })
     }
 
-    /// Inserts the trial with its tips, contacts and frames, unless its key is stored. Returns the id
-    /// of the stored trial.
+    /// Inserts the trial, unless its key is stored. Returns the id of the stored trial.
     async fn insert(&self, connection: &mut SqliteConnection) -> StoreResult<TrialId> {
-        let Some(id) = self.insert_row(connection).await? else {
-            let stored =
-                id_of_key(connection, self.scan_id, self.record.key, STORING_TRIAL).await?;
-            return stored.ok_or_else(|| refused("its key", "is neither new nor stored"));
-        };
-        insert_voltages(connection, id, &self.voltages_v, STORING_TRIAL).await?;
-        insert_tips(connection, id, &self.record.arms).await?;
-        insert_placed(connection, id, &self.record.placed).await?;
-        insert_frames(connection, id, &self.record.frames).await?;
-        Ok(id)
-    }
-
-    /// Inserts the row of the trial. Returns its id; `None` if its key is stored.
-    async fn insert_row(&self, connection: &mut SqliteConnection) -> StoreResult<Option<TrialId>> {
-        let r = &self.record;
-        let mut insert = QueryBuilder::<Sqlite>::new(
-            "INSERT INTO trials (run, configuration, depth_index, attempt, tips, depth_mm,
-                 target_x_mm, target_y_mm, target_z_mm, target_radius_mm,
-                 reached_x_mm, reached_y_mm, reached_z_mm, reached_radius_mm,
-                 placed_by, flags, settle_ms, contact_count, max_force_n, frame_count,
-                 started_at, measured_at, saturated_channels, stuck_channels, missing_channels,
-                 injection_sum_v, dropped_packets, crc32",
-        );
-        for (name, _) in r.scalars.columns() {
-            insert.push(", ").push(name);
+        let Self { scan_id, record, placed, .. } = self;
+        let numbers = Numbers::of_record(record, placed, self.contact_count, self.max_force_n);
+        let frames = Frames { mean_v: &self.voltages_v, raw: &record.frames };
+        if let Some(id) = insert(connection, *scan_id, &numbers, frames, STORING_TRIAL).await? {
+            return Ok(id);
         }
-        let mut values = insert.push(") VALUES (").separated(", ");
-        values
-            .push_bind(self.scan_id)
-            .push_bind(r.key.configuration)
-            .push_bind(r.key.depth_index)
-            .push_bind(r.attempt)
-            .push_bind(r.tips)
-            .push_bind(r.depth_mm);
-        for pose in [r.target, r.reached] {
-            values
-                .push_bind(pose.map(|p| p.x_mm))
-                .push_bind(pose.map(|p| p.y_mm))
-                .push_bind(pose.map(|p| p.z_mm))
-                .push_bind(pose.map(|p| p.radius_mm));
-        }
-        values
-            .push_bind(r.placed_by.as_deref())
-            .push_bind(self.flags.as_str())
-            .push_bind(r.settle_ms)
-            .push_bind(self.contact_count)
-            .push_bind(self.max_force_n)
-            .push_bind(r.frames.len() as i64)
-            .push_bind(time_text(r.started_at))
-            .push_bind(time_text(r.measured_at))
-            .push_bind(r.quality.saturated_channels)
-            .push_bind(r.quality.stuck_channels)
-            .push_bind(r.quality.missing_channels)
-            .push_bind(r.quality.injection_sum_v)
-            .push_bind(r.quality.dropped_packets)
-            .push_bind(self.crc32);
-        for (_, value) in r.scalars.columns() {
-            values.push_bind(value);
-        }
-        insert.push(
-            ") ON CONFLICT (run, configuration, depth_index) DO NOTHING
-             RETURNING id",
-        );
-        let id: Option<i64> =
-            insert.build_query_scalar().fetch_optional(connection).await.during(STORING_TRIAL)?;
-        Ok(id.map(TrialId))
+        let stored = id_of_key(connection, *scan_id, record.key, STORING_TRIAL).await?;
+        stored.ok_or_else(|| refused("its key", "is neither new nor stored"))
     }
 }
 
@@ -215,16 +150,134 @@ pub(crate) async fn id_of_key(
     Ok(id.map(TrialId))
 }
 
-/// Inserts the mean of the frames of a trial, V, injection-major.
-pub(crate) async fn insert_voltages(
+/// The frames of a trial.
+#[derive(Clone, Copy)]
+pub(crate) struct Frames<'a> {
+    /// Their mean, V, injection-major.
+    pub(crate) mean_v: &'a [f32],
+    /// The raw frames.
+    pub(crate) raw: &'a [FrameRecord],
+}
+
+/// Inserts a trial of a run, measured or imported, with its tips, placed contacts and frames. Returns its id; `None`
+/// if its key is stored, and then inserts nothing.
+pub(crate) async fn insert(
     connection: &mut SqliteConnection,
-    trial: TrialId,
-    voltages_v: &[f32],
+    scan_id: i64,
+    numbers: &Numbers<'_>,
+    frames: Frames<'_>,
+    operation: &'static str,
+) -> StoreResult<Option<TrialId>> {
+    let Some(id) = insert_row(connection, scan_id, numbers, operation).await? else {
+        return Ok(None);
+    };
+    insert_mean(connection, id, frames.mean_v, operation).await?;
+    let tips = "INSERT INTO trial_tips (trial, arm, x_mm, y_mm, force_n, cell_v, tare_v) ";
+    insert_tips(connection, tips, id, numbers.arms, operation).await?;
+    let placed = "INSERT INTO placed_contacts (trial, n, x_mm, y_mm, force_n, diameter_mm) ";
+    insert_many(connection, placed, numbers.placed, operation, |mut row, n, p| {
+        row.push_bind(id)
+            .push_bind(n)
+            .push_bind(p.x_mm)
+            .push_bind(p.y_mm)
+            .push_bind(p.force_n)
+            .push_bind(p.diameter_mm);
+    })
+    .await?;
+    let raw =
+        "INSERT INTO frames (trial, n, sequence, device_time_us, volts_per_count, counts, crc32) ";
+    insert_many(connection, raw, frames.raw, operation, |mut row, n, f| {
+        row.push_bind(id)
+            .push_bind(n)
+            .push_bind(f.sequence)
+            // A counter of microseconds; the sign bit is reached after 292,000 years.
+            .push_bind(f.device_time_us.cast_signed())
+            .push_bind(f.volts_per_count)
+            .push_bind(counts_blob(&f.counts))
+            .push_bind(checksum::of_frame(f));
+    })
+    .await?;
+    Ok(Some(TrialId(id)))
+}
+
+/// Inserts the row of a trial. Returns its id; `None` if its key is stored.
+async fn insert_row(
+    connection: &mut SqliteConnection,
+    scan_id: i64,
+    numbers: &Numbers<'_>,
+    operation: &'static str,
+) -> StoreResult<Option<i64>> {
+    let limit = "must be words that JSON can represent";
+    let flags = serde_json::to_string(numbers.flags).map_err(|_| StoreError::Refused {
+        operation,
+        field: "flags",
+        limit,
+    })?;
+    let mut row = QueryBuilder::<Sqlite>::new(
+        "INSERT INTO trials (run, configuration, depth_index, attempt, tips, depth_mm,
+             target_x_mm, target_y_mm, target_z_mm, target_radius_mm,
+             reached_x_mm, reached_y_mm, reached_z_mm, reached_radius_mm,
+             placed_by, flags, settle_ms, contact_count, max_force_n, frame_count,
+             started_at, measured_at, saturated_channels, stuck_channels, missing_channels,
+             injection_sum_v, dropped_packets, imported_split, imported_tag, crc32",
+    );
+    for (name, _) in numbers.scalars.columns() {
+        row.push(", ").push(name);
+    }
+    let mut values = row.push(") VALUES (").separated(", ");
+    values
+        .push_bind(scan_id)
+        .push_bind(numbers.key.configuration)
+        .push_bind(numbers.key.depth_index)
+        .push_bind(numbers.attempt)
+        .push_bind(numbers.tips)
+        .push_bind(numbers.depth_mm);
+    for pose in numbers.poses {
+        values
+            .push_bind(pose.map(|p| p.x_mm))
+            .push_bind(pose.map(|p| p.y_mm))
+            .push_bind(pose.map(|p| p.z_mm))
+            .push_bind(pose.map(|p| p.radius_mm));
+    }
+    values
+        .push_bind(numbers.placed_by)
+        .push_bind(flags)
+        .push_bind(numbers.settle_ms)
+        .push_bind(numbers.contact_count)
+        .push_bind(numbers.max_force_n)
+        .push_bind(numbers.frame_count);
+    for time in &numbers.times {
+        values.push_bind(time.as_deref());
+    }
+    values
+        .push_bind(numbers.quality.saturated_channels)
+        .push_bind(numbers.quality.stuck_channels)
+        .push_bind(numbers.quality.missing_channels)
+        .push_bind(numbers.quality.injection_sum_v)
+        .push_bind(numbers.quality.dropped_packets)
+        .push_bind(numbers.imported_split)
+        .push_bind(numbers.imported_tag)
+        .push_bind(numbers.crc32());
+    for (_, value) in numbers.scalars.columns() {
+        values.push_bind(value);
+    }
+    row.push(
+        ") ON CONFLICT (run, configuration, depth_index) DO NOTHING
+         RETURNING id",
+    );
+    row.build_query_scalar().fetch_optional(connection).await.during(operation)
+}
+
+/// Inserts the mean of the frames of a trial, V, injection-major.
+async fn insert_mean(
+    connection: &mut SqliteConnection,
+    trial: i64,
+    mean_v: &[f32],
     operation: &'static str,
 ) -> StoreResult<()> {
-    let volts = volts_blob(voltages_v);
+    let volts = volts_blob(mean_v);
     sqlx::query("INSERT INTO trial_voltages (trial, voltages_v, crc32) VALUES (?1, ?2, ?3)")
-        .bind(trial.0)
+        .bind(trial)
         .bind(&volts)
         .bind(checksum::of_volts(&volts))
         .execute(connection)
@@ -233,14 +286,17 @@ pub(crate) async fn insert_voltages(
     Ok(())
 }
 
-async fn insert_tips(
+/// Inserts the readings of the tips of a trial or a reference press. `into` names the table, and its columns: `owner`,
+/// then those of a reading.
+pub(super) async fn insert_tips(
     connection: &mut SqliteConnection,
-    trial: TrialId,
+    into: &'static str,
+    owner: i64,
     arms: &[ArmReading],
+    operation: &'static str,
 ) -> StoreResult<()> {
-    let into = "INSERT INTO trial_tips (trial, arm, x_mm, y_mm, force_n, cell_v, tare_v) ";
-    insert_many(connection, into, arms, |mut row, _, a| {
-        row.push_bind(trial.0)
+    insert_many(connection, into, arms, operation, |mut row, _, a| {
+        row.push_bind(owner)
             .push_bind(a.arm)
             .push_bind(a.x_mm)
             .push_bind(a.y_mm)
@@ -251,49 +307,13 @@ async fn insert_tips(
     .await
 }
 
-async fn insert_placed(
-    connection: &mut SqliteConnection,
-    trial: TrialId,
-    placed: &[PlacedContact],
-) -> StoreResult<()> {
-    let into = "INSERT INTO placed_contacts (trial, n, x_mm, y_mm, force_n) ";
-    insert_many(connection, into, placed, |mut row, n, p| {
-        row.push_bind(trial.0)
-            .push_bind(n)
-            .push_bind(p.x_mm)
-            .push_bind(p.y_mm)
-            .push_bind(p.force_n);
-    })
-    .await
-}
-
-/// Inserts the raw frames of a trial.
-pub(crate) async fn insert_frames(
-    connection: &mut SqliteConnection,
-    trial: TrialId,
-    frames: &[FrameRecord],
-) -> StoreResult<()> {
-    let into =
-        "INSERT INTO frames (trial, n, sequence, device_time_us, volts_per_count, counts, crc32) ";
-    insert_many(connection, into, frames, |mut row, n, f| {
-        row.push_bind(trial.0)
-            .push_bind(n)
-            .push_bind(f.sequence)
-            // A counter of microseconds; the sign bit is reached after 292,000 years.
-            .push_bind(f.device_time_us.cast_signed())
-            .push_bind(f.volts_per_count)
-            .push_bind(counts_blob(&f.counts))
-            .push_bind(checksum::of_frame(f));
-    })
-    .await
-}
-
 /// Inserts rows with few statements: each statement switches to the thread of sqlx and back. `bind`
 /// receives the index of the row.
-async fn insert_many<T>(
+pub(super) async fn insert_many<T>(
     connection: &mut SqliteConnection,
     into: &'static str,
     rows: &[T],
+    operation: &'static str,
     mut bind: impl FnMut(Separated<'_, Sqlite, &'static str>, i64, &T),
 ) -> StoreResult<()> {
     // SQLite allows 32,766 parameters per statement.
@@ -304,7 +324,7 @@ async fn insert_many<T>(
             .build()
             .execute(&mut *connection)
             .await
-            .during(STORING_TRIAL)?;
+            .during(operation)?;
     }
     Ok(())
 }

@@ -135,7 +135,7 @@ fn frame(connection: &Connection, id: i64, operation: &'static str) -> StoreResu
             voltages_v: checksum::volts(c, "voltages_v", "crc32", of)?.unwrap_or_default(),
             at: c.time("at")?,
             frames: c.whole("frame_count")?,
-            run: Some(c.uid("uid")?),
+            run: Some(c.word("uid")?),
         })
     })?;
     rows.into_iter().next().ok_or_else(|| StoreError::damaged(format!("{} is missing", of())))

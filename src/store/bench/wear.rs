@@ -1,11 +1,12 @@
 //! The wear of skin and axes by a run, and the stored trials in which the skin was untouched.
-//! Uses: `core`. Never: which runs wore the same skin (the caller knows).
+//! Uses: `core`, `table`. Never: which runs wore the same skin (the caller knows).
 
 use jiff::Timestamp;
 
 use crate::core::columns::Columns;
 use crate::core::{During, Store, StoreResult};
 use crate::ids::{RunUid, TrialId};
+use crate::table::pages::id;
 
 /// Wear by the stored trials of a run.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -114,16 +115,13 @@ impl Store {
     ) -> StoreResult<Vec<TrialId>> {
         const OPERATION: &str = "reading untouched trials";
         let scan_id = self.facts(run, OPERATION).await?.scan_id;
-        let ids: Vec<i64> = sqlx::query_scalar(
+        let query = sqlx::query(
             "SELECT id FROM trials WHERE run = ?1 AND contact_count = 0 AND max_force_n <= ?2
              ORDER BY id DESC LIMIT ?3",
         )
         .bind(scan_id)
         .bind(below_n)
-        .bind(limit)
-        .fetch_all(&self.inner.readers)
-        .await
-        .during(OPERATION)?;
-        Ok(ids.into_iter().map(TrialId).collect())
+        .bind(limit);
+        self.rows(OPERATION, query, id).await
     }
 }

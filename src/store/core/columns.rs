@@ -11,7 +11,6 @@ use sqlx::Row;
 use sqlx::sqlite::{Sqlite, SqliteRow};
 
 use super::error::{During, StoreError, StoreResult};
-use crate::ids::RunUid;
 
 /// Returns a time as it is stored: RFC 3339, UTC, truncated to milliseconds.
 pub(crate) fn time_text(at: Timestamp) -> String {
@@ -195,18 +194,6 @@ impl<'r> Columns<'r> {
         Ok(Some((time, text)))
     }
 
-    /// Returns the id of a run.
-    pub(crate) fn uid(&self, column: &'static str) -> StoreResult<RunUid> {
-        let text: &str = self.get(column)?;
-        text.parse().map_err(|_| self.unreadable(column, text))
-    }
-
-    /// Returns the id of a run; `None` for NULL.
-    pub(crate) fn uid_or_none(&self, column: &'static str) -> StoreResult<Option<RunUid>> {
-        let Some(text) = self.get::<Option<&str>>(column)? else { return Ok(None) };
-        text.parse().map(Some).map_err(|_| self.unreadable(column, text))
-    }
-
     /// Returns a value that is stored as JSON.
     pub(crate) fn json<T: serde::de::DeserializeOwned>(
         &self,
@@ -255,11 +242,7 @@ impl<'r> Columns<'r> {
     }
 
     /// Returns the error for a value that cannot be decoded.
-    pub(crate) fn unreadable(
-        &self,
-        column: &'static str,
-        value: impl std::fmt::Display,
-    ) -> StoreError {
+    fn unreadable(&self, column: &'static str, value: impl std::fmt::Display) -> StoreError {
         StoreError::Unreadable { operation: self.operation, column, value: value.to_string() }
     }
 }

@@ -10,8 +10,9 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicI64, Ordering};
 
 use jiff::Timestamp;
-use parking_lot::{RwLock, RwLockReadGuard, RwLockWriteGuard};
+use parking_lot::RwLock;
 use serde::{Deserialize, Serialize};
+use sqlx::sqlite::SqliteConnection;
 use strum::IntoStaticStr;
 use tokio::sync::watch;
 use tracing::Instrument;
@@ -31,6 +32,8 @@ const USE_GRAIN_S: i64 = 60;
 
 /// Longest name of a key, characters.
 const KEY_NAME_MAX_CHARS: usize = 100;
+
+const CREATING_KEY: &str = "creating a key";
 
 /// Name of a caller without a key and without a name.
 pub const KEYLESS: &str = "local";
@@ -169,12 +172,12 @@ impl KeyRing {
 
     /// Whether no key is valid.
     pub fn is_empty(&self) -> bool {
-        self.valid().is_empty()
+        self.valid.read().is_empty()
     }
 
     /// Returns the valid key with this text. Does not wait for the store.
     pub fn find(&self, secret: &str) -> Option<Key> {
-        self.valid().get(&sha256_hex(secret)).cloned()
+        self.valid.read().get(&sha256_hex(secret)).cloned()
     }
 
     /// Stores in the background that a key was used, at most once per minute. A failure is logged.
@@ -187,8 +190,12 @@ impl KeyRing {
             return;
         }
         let (store, id) = (self.store.clone(), key.id);
+        let query = sqlx::query("UPDATE api_keys SET last_used_at = ?2 WHERE id = ?1")
+            .bind(id)
+            .bind(time_text(now));
         let noting = async move {
-            if let Err(error) = store.note_key_use(id, now).await {
+            let noted = store.inner.writer.execute("storing the use of a key", query).await;
+            if let Err(error) = noted {
                 let error = error_chain(&error);
                 tracing::warn!(error, key = id, "the use of a key was not stored");
             }
@@ -208,27 +215,26 @@ impl KeyRing {
         role: Role,
         random: [u8; 32],
     ) -> StoreResult<(KeyRow, String)> {
-        self.check_name(name)?;
+        check_name(name)?;
         let secret = format!("{PREFIX}{}", hex::encode(random));
         let hash = sha256_hex(&secret);
-        let row = self.store.insert_key(name, role, hash.clone()).await?;
-        self.change().insert(hash, Key::of(&row));
+        let query = sqlx::query(
+            "INSERT INTO api_keys (name, sha256, role, created_at)
+             SELECT ?1, ?2, ?3, ?4 WHERE NOT EXISTS
+             (SELECT 1 FROM api_keys WHERE name = ?1 AND revoked_at IS NULL) RETURNING *",
+        )
+        .bind(name)
+        .bind(&hash)
+        .bind(role.as_str())
+        .bind(self.store.now_text());
+        let insert = async move |connection: &mut SqliteConnection| {
+            let row = query.fetch_optional(connection).await.during(CREATING_KEY)?;
+            let row = row.ok_or_else(|| refused("must not be the name of another valid key"))?;
+            KeyRow::read(&Columns::of(&row, CREATING_KEY))
+        };
+        let row = self.store.write(CREATING_KEY, insert).await?;
+        self.valid.write().insert(hash, Key::of(&row));
         Ok((row, secret))
-    }
-
-    fn check_name(&self, name: &str) -> StoreResult<()> {
-        if name.trim().is_empty() || name.chars().count() > KEY_NAME_MAX_CHARS {
-            return Err(refused("must have 1 to 100 characters"));
-        }
-        if violated(name, KEY_NAME_MAX_CHARS).is_some() {
-            return Err(refused("must have no control characters"));
-        }
-        if name == KEYLESS || name.ends_with(KEYLESS_SUFFIX) {
-            return Err(refused(
-                "must not be `local` or end in `(local)`: these names mean a caller without a key",
-            ));
-        }
-        Ok(())
     }
 
     /// Revokes a key. Returns false if no key has this number, or it is already revoked. The key is
@@ -237,14 +243,18 @@ impl KeyRing {
     /// # Errors
     /// `Sql`, `Late` or `Closed` if the write fails.
     pub async fn revoke(&self, id: i64) -> StoreResult<bool> {
-        self.change().retain(|_, key| key.id != id);
+        self.valid.write().retain(|_, key| key.id != id);
         self.revocations.send_replace(());
-        self.store.revoke_key(id).await
+        let query =
+            sqlx::query("UPDATE api_keys SET revoked_at = ?2 WHERE id = ?1 AND revoked_at IS NULL")
+                .bind(id)
+                .bind(self.store.now_text());
+        Ok(self.store.inner.writer.execute("revoking a key", query).await? > 0)
     }
 
     /// Whether a key has not been revoked.
     pub fn is_valid(&self, key: &Key) -> bool {
-        self.valid().values().any(|valid| valid.id == key.id)
+        self.valid.read().values().any(|valid| valid.id == key.id)
     }
 
     /// Completes when a key is revoked.
@@ -260,61 +270,28 @@ impl KeyRing {
             }
         }
     }
+}
 
-    fn valid(&self) -> RwLockReadGuard<'_, HashMap<String, Key>> {
-        self.valid.read()
+fn check_name(name: &str) -> StoreResult<()> {
+    if name.trim().is_empty() || name.chars().count() > KEY_NAME_MAX_CHARS {
+        return Err(refused("must have 1 to 100 characters"));
     }
-
-    fn change(&self) -> RwLockWriteGuard<'_, HashMap<String, Key>> {
-        self.valid.write()
+    if violated(name, KEY_NAME_MAX_CHARS).is_some() {
+        return Err(refused("must have no control characters"));
     }
+    if name == KEYLESS || name.ends_with(KEYLESS_SUFFIX) {
+        return Err(refused(
+            "must not be `local` or end in `(local)`: these names mean a caller without a key",
+        ));
+    }
+    Ok(())
 }
 
 fn refused(limit: &'static str) -> StoreError {
-    StoreError::Refused { operation: "creating a key", field: "name", limit }
-}
-
-fn taken() -> StoreError {
-    refused("must not be the name of another valid key")
+    StoreError::Refused { operation: CREATING_KEY, field: "name", limit }
 }
 
 impl Store {
-    async fn insert_key(&self, name: &str, role: Role, hash: String) -> StoreResult<KeyRow> {
-        const OPERATION: &str = "creating a key";
-        let (name, now) = (name.to_owned(), self.now_text());
-        self.write(OPERATION, async move |connection| {
-            let row = sqlx::query(
-                "INSERT INTO api_keys (name, sha256, role, created_at)
-                 SELECT ?1, ?2, ?3, ?4 WHERE NOT EXISTS
-                 (SELECT 1 FROM api_keys WHERE name = ?1 AND revoked_at IS NULL) RETURNING *",
-            )
-            .bind(name)
-            .bind(hash)
-            .bind(role.as_str())
-            .bind(now)
-            .fetch_optional(connection)
-            .await
-            .during(OPERATION)?;
-            row.map(|row| KeyRow::read(&Columns::of(&row, OPERATION))).transpose()?.ok_or(taken())
-        })
-        .await
-    }
-
-    async fn note_key_use(&self, id: i64, at: Timestamp) -> StoreResult<()> {
-        let query = sqlx::query("UPDATE api_keys SET last_used_at = ?2 WHERE id = ?1")
-            .bind(id)
-            .bind(time_text(at));
-        self.inner.writer.execute("storing the use of a key", query).await.map(drop)
-    }
-
-    async fn revoke_key(&self, id: i64) -> StoreResult<bool> {
-        let query =
-            sqlx::query("UPDATE api_keys SET revoked_at = ?2 WHERE id = ?1 AND revoked_at IS NULL")
-                .bind(id)
-                .bind(self.now_text());
-        Ok(self.inner.writer.execute("revoking a key", query).await? > 0)
-    }
-
     /// Returns all keys, also revoked ones, oldest first.
     ///
     /// # Errors

@@ -37,6 +37,17 @@ impl Store {
         let row = query.fetch_optional(&self.inner.readers).await.during(operation)?;
         row.map(|row| read(&Columns::of(&row, operation))).transpose()
     }
+
+    /// Returns what `read` makes of the row of a statement that always has one.
+    pub(crate) async fn one<T>(
+        &self,
+        operation: &'static str,
+        query: Query,
+        read: impl Fn(&Columns<'_>) -> StoreResult<T>,
+    ) -> StoreResult<T> {
+        let row = query.fetch_one(&self.inner.readers).await.during(operation)?;
+        read(&Columns::of(&row, operation))
+    }
 }
 
 impl Writer {

@@ -75,7 +75,7 @@ impl Store {
     pub async fn run_extent(&self, run: RunUid) -> StoreResult<RunExtent> {
         const OPERATION: &str = "reading the extent of a run";
         let scan_id = self.facts(run, OPERATION).await?.scan_id;
-        let row = sqlx::query(
+        let query = sqlx::query(
             "SELECT e.*, m.hash AS model,
                  (SELECT count(*) FROM attempts WHERE run = ?1 AND trial IS NOT NULL) AS taken_back
              FROM (SELECT count(DISTINCT t.id) AS trials, coalesce(max(t.id), 0) AS last,
@@ -84,19 +84,18 @@ impl Store {
                    LEFT JOIN twins w ON w.trial = t.id WHERE t.run = ?1) e
              LEFT JOIN twin_models m ON m.id = e.newest",
         )
-        .bind(scan_id)
-        .fetch_one(&self.inner.readers)
-        .await
-        .during(OPERATION)?;
-        let c = Columns::of(&row, OPERATION);
-        Ok(RunExtent {
-            trials: c.get("trials")?,
-            last: c.get("last")?,
-            taken_back: c.get("taken_back")?,
-            twins: c.get("twins")?,
-            newest: c.get("newest")?,
-            model: c.get("model")?,
-        })
+        .bind(scan_id);
+        let read = |c: &Columns<'_>| {
+            Ok(RunExtent {
+                trials: c.get("trials")?,
+                last: c.get("last")?,
+                taken_back: c.get("taken_back")?,
+                twins: c.get("twins")?,
+                newest: c.get("newest")?,
+                model: c.get("model")?,
+            })
+        };
+        self.one(OPERATION, query, read).await
     }
 
     /// Stores a dataset whose file exists, under the state of its inputs. If it is stored already, its

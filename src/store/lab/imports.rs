@@ -1,5 +1,5 @@
 //! Imports: a run that was measured elsewhere, and its trials in batches.
-//! Uses: `core::writer`, `bench::run_row`, `twins`. Never: a value that the imported file does not
+//! Uses: `core::writer`, `bench::{run_row, trials}`, `twins`. Never: a value that the imported file does not
 //! state.
 //!
 //! A batch is a transaction. The run becomes `ended` after the last one. A killed import therefore never
@@ -10,11 +10,11 @@ use sqlx::sqlite::SqliteConnection;
 
 use super::twins::{self, Twin, TwinModelId, TwinOutcome};
 use crate::bench::run_row::{self, NewRun, RunRow};
-use crate::bench::trials::{insert_frames, insert_voltages};
+use crate::bench::trials::{self, Frames};
 use crate::core::columns::time_text;
 use crate::core::facts::RunKind;
 use crate::core::{During, Store, StoreError, StoreResult};
-use crate::ids::{RunUid, TrialId, TrialKey};
+use crate::ids::{RunUid, TrialKey};
 use crate::journal::ExitStatus;
 use crate::record::{Flag, FrameQuality, FrameRecord, TrialScalars};
 use crate::state::StoredState;
@@ -106,7 +106,7 @@ impl Store {
     /// # Errors
     /// `Sql` if the read fails.
     pub async fn imported_as(&self, new: &NewRun) -> StoreResult<Option<i64>> {
-        sqlx::query_scalar(
+        let query = sqlx::query(
             "SELECT scan_id FROM runs WHERE kind = ?1 AND state = 'ended'
                  AND experiment = ?2 AND label = ?3 AND sensor = ?4 AND definition = ?5",
         )
@@ -114,18 +114,16 @@ impl Store {
         .bind(&new.experiment)
         .bind(new.label.as_str())
         .bind(&new.sensor)
-        .bind(&new.definition)
-        .fetch_optional(&self.inner.readers)
-        .await
-        .during(STORING_IMPORT)
+        .bind(&new.definition);
+        self.row(STORING_IMPORT, query, |c| c.get("scan_id")).await
     }
 
     /// Stores a batch of trials of an import in one transaction. `model` is the model of their simulated
     /// frames.
     ///
     /// # Errors
-    /// `Refused` if a trial has too many contacts; `NoSuchRun` if the run is not stored;
-    /// `Sql`, `Late` or `Closed` if the write fails.
+    /// `Refused` if a trial has too many contacts, invalid frames, or the key of a stored one; `NoSuchRun` if the run
+    /// is not stored; `Sql`, `Late` or `Closed` if the write fails.
     pub async fn import_trials(
         &self,
         run: RunUid,
@@ -173,7 +171,7 @@ impl Store {
     }
 }
 
-/// Inserts a trial with its voltages, contacts and simulated frame; `now` is the time of the import.
+/// Inserts a trial with its contacts, frames and simulated frame; `now` is the time of the import.
 async fn insert(
     connection: &mut SqliteConnection,
     scan_id: i64,
@@ -196,9 +194,6 @@ async fn insert(
         }
     }
     let contacts = trial.contacts.len() as u8;
-    let largest = trial.contacts.iter().filter_map(|c| c.force_n).reduce(f64::max);
-    let flags = serde_json::to_string(&trial.flags)
-        .map_err(|_| refused("flags", "must be words that JSON can represent"))?;
     let at = trial.started_at.map(time_text);
     let (configuration, depth_index) = (trial.configuration, trial.depth_index);
     let numbers = Numbers {
@@ -215,64 +210,22 @@ async fn insert(
         settle_ms: None,
         scalars: TrialScalars::default(),
         contact_count: contacts,
-        max_force_n: largest,
+        max_force_n: trial.contacts.iter().filter_map(|c| c.force_n).reduce(f64::max),
         frame_count: trial.frame_count,
         times: [at.as_deref().map(Into::into), None],
         imported_split: trial.split.as_deref(),
         imported_tag: trial.tag.as_deref(),
     };
-    let id: i64 = sqlx::query_scalar(
-        "INSERT INTO trials (run, configuration, depth_index, attempt, tips, depth_mm, flags,
-             contact_count, max_force_n, frame_count, started_at, measured_at, saturated_channels,
-             stuck_channels, missing_channels, injection_sum_v, dropped_packets, crc32,
-             imported_split, imported_tag)
-         VALUES (?1, ?2, ?3, 1, ?4, ?5, ?6, ?7, ?8, ?17, ?9, NULL, ?10, ?11, ?12, ?13, ?14, ?15, ?16, ?18)
-         RETURNING id",
-    )
-    .bind(scan_id)
-    .bind(trial.configuration)
-    .bind(trial.depth_index)
-    .bind(numbers.tips)
-    .bind(trial.depth_mm)
-    .bind(flags)
-    .bind(contacts)
-    .bind(largest)
-    .bind(at.as_deref())
-    .bind(trial.quality.saturated_channels)
-    .bind(trial.quality.stuck_channels)
-    .bind(trial.quality.missing_channels)
-    .bind(trial.quality.injection_sum_v)
-    .bind(trial.quality.dropped_packets)
-    .bind(numbers.crc32())
-    .bind(&trial.split)
-    .bind(trial.frame_count)
-    .bind(&trial.tag)
-    .fetch_one(&mut *connection)
-    .await
-    .during(STORING_IMPORT)?;
-    insert_voltages(connection, TrialId(id), &trial.voltages_v, STORING_IMPORT).await?;
-    insert_frames(connection, TrialId(id), &as_counts(&trial.frames_v)).await?;
-    for (n, contact) in trial.contacts.iter().enumerate() {
-        sqlx::query(
-            "INSERT INTO placed_contacts (trial, n, x_mm, y_mm, force_n, diameter_mm)
-             VALUES (?1, ?2, ?3, ?4, ?5, ?6)",
-        )
-        .bind(id)
-        .bind(n as i64)
-        .bind(contact.x_mm)
-        .bind(contact.y_mm)
-        .bind(contact.force_n)
-        .bind(contact.diameter_mm)
-        .execute(&mut *connection)
-        .await
-        .during(STORING_IMPORT)?;
-    }
+    let raw = as_counts(&trial.frames_v);
+    let frames = Frames { mean_v: &trial.voltages_v, raw: &raw };
+    let inserted = trials::insert(connection, scan_id, &numbers, frames, STORING_IMPORT).await?;
+    let id = inserted.ok_or_else(|| refused("its key", "must be new"))?;
     let (Some(model), Some(frame), Some((rmse_v, fvu))) = (model, &trial.sim_voltages_v, trial.fit)
     else {
         return Ok(());
     };
     let outcome = TwinOutcome::Frame { voltages_v: frame.clone(), rmse_v, fvu };
-    let twin = Twin { trial: TrialId(id), outcome };
+    let twin = Twin { trial: id, outcome };
     twins::insert(connection, model, twin, now).await
 }
 

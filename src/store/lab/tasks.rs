@@ -102,10 +102,9 @@ pub struct TaskRow {
 
 impl TaskRow {
     fn read(c: &Columns<'_>) -> StoreResult<Self> {
-        let id: &str = c.get("id")?;
         let result: Option<&str> = c.get("result")?;
         Ok(Self {
-            id: id.parse().map_err(|_| c.unreadable("id", id))?,
+            id: c.word("id")?,
             kind: c.word("kind")?,
             request: c.json("request")?,
             state: c.word("state")?,

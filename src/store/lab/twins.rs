@@ -233,21 +233,19 @@ impl Store {
     pub async fn twin_count(&self, run: RunUid, model: TwinModelId) -> StoreResult<TwinCount> {
         const OPERATION: &str = "counting twins";
         let scan_id = self.facts(run, OPERATION).await?.scan_id;
-        let (trials, rows, failures): (i64, i64, i64) = sqlx::query_as(
-            "SELECT count(*), count(w.trial), count(w.failure)
+        let query = sqlx::query(
+            "SELECT count(*) AS trials, count(w.failure) AS failures,
+                 count(w.trial) - count(w.failure) AS twins
              FROM trials t INDEXED BY trials_in_order
              LEFT JOIN twins w ON w.trial = t.id AND w.model = ?2 WHERE t.run = ?1",
         )
         .bind(scan_id)
-        .bind(model.0)
-        .fetch_one(&self.inner.readers)
-        .await
-        .during(OPERATION)?;
-        Ok(TwinCount {
-            trials: trials.unsigned_abs(),
-            twins: (rows - failures).unsigned_abs(),
-            failures: failures.unsigned_abs(),
-        })
+        .bind(model.0);
+        let read = |c: &Columns<'_>| {
+            let (twins, failures) = (c.whole("twins")?, c.whole("failures")?);
+            Ok(TwinCount { trials: c.whole("trials")?, twins, failures })
+        };
+        self.one(OPERATION, query, read).await
     }
 
     /// Returns the ids of the runs with trials, newest first.
@@ -259,7 +257,7 @@ impl Store {
             "SELECT uid FROM runs r WHERE EXISTS (SELECT 1 FROM trials t WHERE t.run = r.scan_id)
              ORDER BY scan_id DESC",
         );
-        self.rows("reading the runs with trials", query, |c| c.uid("uid")).await
+        self.rows("reading the runs with trials", query, |c| c.word("uid")).await
     }
 
     /// Returns the fit of each trial of a run by the newest model with a twin of it, in the order of

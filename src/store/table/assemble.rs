@@ -86,7 +86,7 @@ impl OfRun {
         let mut found = query.rows(connection, operation, |c| {
             Ok(Self {
                 scan_id,
-                uid: c.uid("uid")?,
+                uid: c.word("uid")?,
                 experiment: c.get("experiment")?,
                 kind: c.word("kind")?,
                 label: c.word("label")?,

@@ -7,7 +7,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use sqlx::Connection;
 
-use super::{Folder, execute, findings, fresh, hex_trial, new_run, now, open};
+use super::{Folder, execute, findings, hex_trial, new_run, now, open, with_run};
 use crate::clock::Clock;
 use crate::core::store::PAGE_BYTES;
 use crate::ids::{RunUid, TrialId, TrialKey};
@@ -321,8 +321,7 @@ async fn trials_of_before_the_checksums_are_read_as_they_are() {
 
 #[tokio::test]
 async fn a_negative_zero_and_what_is_absent_are_no_damage() {
-    let (_folder, store) = fresh().await;
-    let run = store.create_run(new_run(RunKind::RealHex)).await.unwrap().uid;
+    let (_folder, store, run) = with_run(RunKind::RealHex).await;
     let mut trial = hex_trial(0, 0, &[-0.0, 5.0]);
     (trial.target, trial.scalars) = (None, TrialScalars::all(-0.0));
     trial.quality.injection_sum_v = None;

@@ -2,9 +2,8 @@
 //! Uses: `store`. Never: files of datasets (see `dataset` and `tests/it/datasets`).
 
 use serde_json::json;
-use sqlx::Connection;
 
-use super::{Folder, execute, findings, fresh, new_run, open, random_trial, time};
+use super::{Folder, execute, findings, fresh, new_run, random_trial, time};
 use crate::ids::{DatasetId, RunUid, TrialKey};
 use crate::journal::Journal;
 use crate::state::StoredState;
@@ -173,8 +172,7 @@ async fn a_dataset_is_stored_once_and_found_by_its_inputs() {
 #[tokio::test]
 async fn tables_made_anew_lose_nothing() {
     let folder = Folder::new();
-    let mut old = folder.file_before(3).await;
-    sqlx::raw_sql(
+    let filled =
         "INSERT INTO runs (scan_id, uid, experiment, kind, definition, definition_sha256, seed,
              rig, rig_sha256, sensor, sensor_sha256, label, version, deadband_n, trials_planned,
              auto_resume, state, created_at, submitted_by)
@@ -190,14 +188,8 @@ async fn tables_made_anew_lose_nothing() {
          INSERT INTO placed_contacts VALUES (5, 0, 1.5, 2.5, 4.905);
          INSERT INTO trial_voltages VALUES (5, x'0000803f');
          INSERT INTO frames VALUES (5, 0, 1, 2, 0.5, x'0200');
-         DELETE FROM trials WHERE id = 6;",
-    )
-    .execute(&mut old)
-    .await
-    .unwrap();
-    old.close().await.unwrap();
-
-    let store = open(&folder.file()).await;
+         DELETE FROM trials WHERE id = 6;";
+    let store = folder.open_from_before(3, filled).await;
     store.integrity_check().await.unwrap();
     let run = store.run_by_scan_id(1).await.unwrap().unwrap();
     assert_eq!((run.seed, run.rig.as_deref()), (Some(7), Some("r")));

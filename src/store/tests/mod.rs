@@ -50,14 +50,16 @@ impl Folder {
         SqliteConnection::connect_with(&options).await.unwrap()
     }
 
-    /// Makes the file as the version before the migration of this number had it, and opens it.
-    async fn file_before(&self, migration: i64) -> SqliteConnection {
+    /// Opens a file that the version before the migration of this number has made and filled.
+    async fn open_from_before(&self, migration: i64, filled: &'static str) -> Store {
         let mut file = self.behind().await;
         let folder = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../migrations"));
         let mut before = Migrator::new(folder).await.unwrap();
         before.migrations.to_mut().retain(|known| known.version < migration);
         before.run(&mut file).await.unwrap();
-        file
+        sqlx::raw_sql(filled).execute(&mut file).await.unwrap();
+        file.close().await.unwrap();
+        open(&self.file()).await
     }
 }
 
@@ -70,6 +72,13 @@ async fn fresh() -> (Folder, Store) {
     let folder = Folder::new();
     let store = open(&folder.file()).await;
     (folder, store)
+}
+
+/// A new store with a run, and its folder.
+async fn with_run(kind: RunKind) -> (Folder, Store, RunUid) {
+    let (folder, store) = fresh().await;
+    let run = store.create_run(new_run(kind)).await.unwrap().uid;
+    (folder, store, run)
 }
 
 /// Carries out statements behind the functions of the store.

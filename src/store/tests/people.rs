@@ -6,9 +6,8 @@ use std::time::Duration;
 
 use parking_lot::Mutex;
 use serde_json::json;
-use sqlx::Connection;
 
-use super::{Folder, execute, fresh, hex_trial, new_run, now, open, time};
+use super::{Folder, execute, fresh, hex_trial, new_run, now, open, time, with_run};
 use crate::core::store::Inner;
 use crate::journal::{ExitStatus, Journal, Mounting};
 use crate::record::TrialRecord;
@@ -17,8 +16,7 @@ use crate::{KeyRing, NewAction, Role, RunKind, Store, StoreError};
 
 #[tokio::test]
 async fn events_are_numbered_without_gaps() {
-    let (_folder, store) = fresh().await;
-    let run = store.create_run(new_run(RunKind::RealHex)).await.unwrap().uid;
+    let (_folder, store, run) = with_run(RunKind::RealHex).await;
     assert_eq!(store.last_event_seq().await.unwrap(), 0);
     let mut sent = Vec::new();
     for i in 0..6 {
@@ -35,8 +33,7 @@ async fn events_are_numbered_without_gaps() {
 
 #[tokio::test]
 async fn events_are_selected_by_kind_before_they_are_counted() {
-    let (_folder, store) = fresh().await;
-    let run = store.create_run(new_run(RunKind::RealHex)).await.unwrap().uid;
+    let (_folder, store, run) = with_run(RunKind::RealHex).await;
     for (of, kind) in [(Some(run), "state"), (Some(run), "trip"), (None, "trip"), (None, "keys")] {
         store.append_event(of, kind, json!({})).await.unwrap();
     }
@@ -70,19 +67,11 @@ async fn events_are_selected_by_kind_before_they_are_counted() {
 #[tokio::test]
 async fn events_of_earlier_versions_have_the_kinds_of_today() {
     let folder = Folder::new();
-    let mut old = folder.file_before(18).await;
-    sqlx::raw_sql(
-        r#"INSERT INTO events (at, kind, data) VALUES
+    let filled = r#"INSERT INTO events (at, kind, data) VALUES
              ('2026-11-20T18:00:00.000Z', 'not_gone_on', '{"attempt":1,"why":"no answer"}'),
              ('2026-11-20T18:00:01.000Z', 'went_on', '{"attempt":2}'),
-             ('2026-11-20T18:00:02.000Z', 'not_begun', '{"why":"a lock"}');"#,
-    )
-    .execute(&mut old)
-    .await
-    .unwrap();
-    old.close().await.unwrap();
-
-    let store = open(&folder.file()).await;
+             ('2026-11-20T18:00:02.000Z', 'not_begun', '{"why":"a lock"}');"#;
+    let store = folder.open_from_before(18, filled).await;
     let events = store.events_since(0, 9, None, &[]).await.unwrap();
     let kinds: Vec<&str> = events.iter().map(|event| event.kind.as_str()).collect();
     assert_eq!(kinds, ["not_resumed", "resumed", "not_begun"]);
@@ -199,8 +188,7 @@ async fn a_disk_that_hangs_is_waited_for_by_the_campaign_alone() {
 
 #[tokio::test]
 async fn actions_are_logged_newest_first() {
-    let (_folder, store) = fresh().await;
-    let run = store.create_run(new_run(RunKind::RealHex)).await.unwrap().uid;
+    let (_folder, store, run) = with_run(RunKind::RealHex).await;
     let action = |name: &str, accepted: bool| NewAction {
         at: now(),
         run: accepted.then_some(run),

@@ -2,9 +2,8 @@
 //! Uses: `store`. Never: a file outside its own temporary folder.
 
 use serde_json::{Value, json};
-use sqlx::Connection;
 
-use super::{Folder, fresh, open, time};
+use super::{Folder, fresh, time};
 use crate::ids::TaskId;
 use crate::{Store, TaskEnd, TaskKind, TaskRow, TaskState};
 
@@ -119,9 +118,7 @@ fn states_and_kinds_have_one_text() {
 #[tokio::test]
 async fn exports_and_jobs_become_tasks() {
     let folder = Folder::new();
-    let mut old = folder.file_before(8).await;
-    sqlx::raw_sql(
-        "INSERT INTO datasets VALUES ('ds-1', 'real', '{}', 3, 4, 'ab', '{}', '{}',
+    let filled = "INSERT INTO datasets VALUES ('ds-1', 'real', '{}', 3, 4, 'ab', '{}', '{}',
              '2026-11-20T18:00:00.000Z');
          INSERT INTO exports VALUES
              ('ex-0190a0a0-0000-7000-8000-000000000001', '{\"format\":\"csv\"}', 'done', 'ds-1',
@@ -138,14 +135,8 @@ async fn exports_and_jobs_become_tasks() {
              ('job-0190a0a0-0000-7000-8000-000000000005', 'evaluation', '{}', 'running', 'ds-1',
                  NULL, NULL, 'ben', '2026-11-20T18:00:01.000Z', '2026-11-20T18:00:02.000Z', NULL),
              ('job-0190a0a0-0000-7000-8000-000000000006', 'training', '{}', 'stopped', NULL, NULL,
-                 NULL, 'ben', '2026-11-20T18:00:01.000Z', NULL, '2026-11-20T18:00:03.000Z');",
-    )
-    .execute(&mut old)
-    .await
-    .unwrap();
-    old.close().await.unwrap();
-
-    let store = open(&folder.file()).await;
+                 NULL, 'ben', '2026-11-20T18:00:01.000Z', NULL, '2026-11-20T18:00:03.000Z');";
+    let store = folder.open_from_before(8, filled).await;
     store.integrity_check().await.unwrap();
     let exports = store.tasks(TaskKind::EXPORTS, 10, None).await.unwrap();
     let states: Vec<_> = exports.iter().map(|export| export.state).collect();

@@ -3,20 +3,14 @@
 
 use std::sync::Arc;
 
-use super::{Folder, execute, fresh, hex_trial, new_run, now, random_trial, time};
+use super::{execute, hex_trial, new_run, now, random_trial, time, with_run};
 use crate::ids::{RunUid, TrialId, TrialKey};
 use crate::journal::Journal;
 use crate::record::{
     ArmTouch, AttemptRecord, Flag, ReferenceRecord, TareRecord, TouchOffRecord, TrialScalars,
     Untouched,
 };
-use crate::{Condition, Order, RunKind, SettingCount, Store, StoreError, TrialQuery};
-
-async fn with_run(kind: RunKind) -> (Folder, Store, RunUid) {
-    let (folder, store) = fresh().await;
-    let run = store.create_run(new_run(kind)).await.unwrap().uid;
-    (folder, store, run)
-}
+use crate::{Condition, Order, RunKind, SettingCount, StoreError, TrialQuery};
 
 fn that(condition: &str) -> Condition {
     Condition::parse(condition).unwrap()
