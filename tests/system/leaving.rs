@@ -5,15 +5,20 @@
 use std::io::{BufRead, BufReader, Lines};
 use std::path::{Path, PathBuf};
 use std::process::{Child, ChildStdout, Command, Stdio};
+use std::time::{Duration, Instant};
 
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::{Value, json};
 
-use crate::bench::{COMPUTES, turn, with_responses};
+use crate::bench::{COMPUTES, LIMIT, turn, with_responses};
 
 /// 66 trials with one tip.
 const EXPERIMENT: &str = "name = \"leaving\"\nseed = 1\nsensor = \"sensors/ert-28.toml\"\n\
     [real_hex]\ntips = [1]\nconfigurations = 6\nblock = 6\nreference_every = 6\n";
+
+const POLL: Duration = Duration::from_millis(20);
+/// Longest wait for the end of a service that a test leaves.
+const ENDED_WITHIN: Duration = Duration::from_secs(30);
 
 /// A separate data folder, removed at the end with the service that may still use it.
 struct Desk(PathBuf);
@@ -56,12 +61,7 @@ impl Desk {
 
     /// Waits until the first run of the queue waits for its turn.
     fn until_one_waits(&self) {
-        for _ in 0..100 {
-            if self.queued()[0]["waiting_since"].is_string() {
-                break;
-            }
-            std::thread::sleep(std::time::Duration::from_millis(100));
-        }
+        until("a run that waits", || self.queued()[0]["waiting_since"].is_string());
     }
 
     /// Id of the service's process; none if it has ended.
@@ -75,12 +75,9 @@ impl Drop for Desk {
     fn drop(&mut self) {
         if let Some(process) = self.service() {
             send(process as i32, Signal::TERM);
-            let ended = || !Path::new(&format!("/proc/{process}")).exists();
-            for _ in 0..300 {
-                if ended() {
-                    break;
-                }
-                std::thread::sleep(std::time::Duration::from_millis(100));
+            let (process, start) = (format!("/proc/{process}"), Instant::now());
+            while Path::new(&process).exists() && start.elapsed() < ENDED_WITHIN {
+                std::thread::sleep(POLL);
             }
         }
         let _ = std::fs::remove_dir_all(&self.0);
@@ -107,6 +104,15 @@ impl Started {
     fn end(mut self) -> (Value, i32) {
         let last = self.lines.by_ref().map(parsed).last().unwrap_or_default();
         (last, self.child.wait().unwrap().code().unwrap())
+    }
+}
+
+/// Waits for something that no line states.
+fn until(what: &str, is_so: impl Fn() -> bool) {
+    let start = Instant::now();
+    while !is_so() {
+        assert!(start.elapsed() < LIMIT, "{what} does not come");
+        std::thread::sleep(POLL);
     }
 }
 
@@ -215,13 +221,7 @@ async fn ctrl_c_takes_back_the_start_of_a_stopped_run_that_waits_for_its_turn() 
 
     let resumed = desk.palpate(&["run", "e.toml"]);
     let row = || desk.palpate(&["show", "1"]).end().0["summary"]["run"].clone();
-    for _ in 0..100 {
-        if row()["waiting_since"].is_string() {
-            break;
-        }
-        std::thread::sleep(std::time::Duration::from_millis(100));
-    }
-    assert!(row()["waiting_since"].is_string(), "{:#}", row());
+    until("a stopped run that waits", || row()["waiting_since"].is_string());
     resumed.signal(Signal::INT);
     let (last, code) = resumed.end();
     assert_eq!((code, &last["scan_id"]), (1, &json!(1)), "{last:#}");
@@ -235,12 +235,7 @@ async fn a_terminal_that_is_closed_before_the_run_begins_leaves_it_to_the_servic
     let _turn = turn(COMPUTES).await;
     let desk = Desk::new("hung-up");
     let run = desk.run(&[]);
-    for _ in 0..600 {
-        if desk.service().is_some() {
-            break;
-        }
-        std::thread::sleep(std::time::Duration::from_millis(100));
-    }
+    until("a service", || desk.service().is_some());
     run.signal(Signal::HUP);
     let (left, code) = run.end();
     assert_eq!((code, &left["event"]), (0, &json!("detached")), "{left:#}");
