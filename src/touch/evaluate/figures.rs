@@ -7,7 +7,7 @@ use plotters::style::colors::colormaps::ViridisRGB;
 
 use crate::figure::skin::{Outline, colour_bar};
 use crate::figure::style::{AxesStyle, COLOURS, INK, TINY, legend, plain, whole};
-use crate::figure::{Area, Heading, PageSize};
+use crate::figure::{Area, Drawn, Heading, PageSize};
 use crate::plain::counted;
 use crate::record::CONTACTS_MAX;
 
@@ -65,7 +65,7 @@ pub(super) fn page(
     name: &'static str,
     size: PageSize,
     heading: &Heading,
-    draw: impl FnOnce(&Area<'_>) -> Result<(), Box<dyn std::error::Error>>,
+    draw: impl FnOnce(&Area<'_>) -> Drawn,
 ) -> Result<String, FigureError> {
     crate::figure::figure(size, heading, draw).map_err(|why| FigureError { figure: name, why })
 }
@@ -171,12 +171,7 @@ pub fn by_force(
 }
 
 /// Number of trials of each bin, one bar above the other.
-fn counts(
-    area: &Area<'_>,
-    lines: &[(u8, Vec<Bin>)],
-    width_n: f64,
-    end_n: f64,
-) -> Result<(), Box<dyn std::error::Error>> {
+fn counts(area: &Area<'_>, lines: &[(u8, Vec<Bin>)], width_n: f64, end_n: f64) -> Drawn {
     let mut heights = std::collections::BTreeMap::<i64, u64>::new();
     let mut bars = Vec::new();
     for (contacts, bins) in lines {
