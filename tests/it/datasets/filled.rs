@@ -4,7 +4,7 @@
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU32, Ordering};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use palpate::api::{ServeOptions, Service};
 use palpate::clock::Clock;
@@ -22,7 +22,7 @@ use rand_chacha::ChaCha8Rng;
 use serde_json::{Value, json};
 use tokio::sync::OnceCell;
 
-use crate::support::{SENSOR, VIRTUAL_RIG, copy_folder, http, sensor, with_responses};
+use crate::support::{SENSOR, VIRTUAL_RIG, copy_folder, http, sensor, until, with_responses};
 
 /// Configurations of the Real-Hex run; each third is one that was drawn before.
 pub const CONFIGURATIONS: u32 = 30;
@@ -372,15 +372,7 @@ impl Filled {
 
     /// Waits for what stands at a path to satisfy this; returns it.
     pub async fn until(&self, path: &str, limit: Duration, done: impl Fn(&Value) -> bool) -> Value {
-        let start = Instant::now();
-        loop {
-            let found = self.get(path).await;
-            if done(&found) {
-                return found;
-            }
-            assert!(start.elapsed() < limit, "{path}: {found:#}");
-            tokio::time::sleep(Duration::from_millis(10)).await;
-        }
+        until(path, limit, async || self.get(path).await, done).await
     }
 
     pub async fn over(&self, export: &str) -> Value {
