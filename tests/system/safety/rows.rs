@@ -55,7 +55,7 @@ async fn a_cell_that_stands_at_its_zero_before_the_touch_off_stops_it_early() {
     harness.mount(1, 1).await;
     harness.fault("frozen_cell", "cells", json!({ "arm": 1 })).await;
     harness.tell(json!({ "cmd": "clear_peaks" })).await;
-    harness.start(harness.job(&experiment(1, ""), |_| {})).await;
+    harness.start_unmounted(1).await;
     let status = harness.tripped().await;
     let trip = status.rig.trip.clone().unwrap();
     assert!(matches!(trip.kind, TripKind::Stale | TripKind::Cell), "{trip:?}");
@@ -98,7 +98,7 @@ async fn a_cell_that_lost_its_tip_is_found_out_by_the_skin() {
     harness.mount(1, 1).await;
     harness.fault("uncoupled_cell", "cells", json!({ "arm": 1 })).await;
     harness.tell(json!({ "cmd": "clear_peaks" })).await;
-    harness.start(harness.job(&experiment(1, ""), |_| {})).await;
+    harness.start_unmounted(1).await;
     harness.tripped_by(TripKind::Cell, "the skin detects a touch").await;
     let (deepest_mm, peak_n) = peaks(&harness).await;
     assert!(peak_n < 60.0, "{deepest_mm} mm below the surface, {peak_n} N");
@@ -185,14 +185,10 @@ async fn an_alarm_of_z_in_contact_is_for_a_person_and_the_run_goes_on_afterwards
     harness.fault("alarm", "z", json!({ "count": 1 })).await;
     let status = harness.tripped().await;
     assert!(matches!(status.rig.safe_end.unwrap().tips, Tips::NotRaised(_)));
-    harness
-        .until("panicked", |s| s.run.as_ref().is_some_and(|r| r.state == StoredState::Panicked))
-        .await;
+    harness.run_is(StoredState::Panicked).await;
     harness.tell(json!({ "cmd": "mend" })).await;
     harness.ask(Request::Reset).await.unwrap();
-    harness
-        .until("paused", |s| s.run.as_ref().is_some_and(|r| r.state == StoredState::Paused))
-        .await;
+    harness.run_is(StoredState::Paused).await;
     harness.home().await;
     harness.resume_to_the_end().await;
     {
@@ -208,7 +204,7 @@ async fn an_alarm_of_z_in_contact_is_for_a_person_and_the_run_goes_on_afterwards
 async fn six_powered_cells_under_two_tips_are_legal_and_a_load_without_a_tip_is_not() {
     let harness = Harness::homed().await;
     harness.mount(2, 6).await;
-    harness.start(harness.job(&experiment(2, ""), |_| {})).await;
+    harness.start_unmounted(2).await;
     harness.stored(2).await;
     assert_eq!(harness.handle.status().rig.tips, Some(2));
     harness.fault("foreign_load", "cells", json!({ "arm": 5, "n": 20.0 })).await;
@@ -221,7 +217,7 @@ async fn a_tip_that_is_not_there_is_named_by_the_touch_off() {
     let harness = Harness::homed().await;
     harness.mount(3, 3).await;
     harness.fault("missing_tip", "cells", json!({ "arm": 2 })).await;
-    harness.start(harness.job(&experiment(3, ""), |_| {})).await;
+    harness.start_unmounted(3).await;
     harness.tripped_by(TripKind::Cell, "arm 2 touched nowhere").await;
     harness.close().await;
 }
@@ -231,9 +227,7 @@ async fn a_store_that_fails_raises_and_the_run_goes_on_when_it_is_back() {
     for mood in [Mood::Fails, Mood::Panics] {
         let harness = Harness::running(2, 2).await;
         harness.journal.set(mood);
-        harness
-            .until("paused", |s| s.run.as_ref().is_some_and(|r| r.state == StoredState::Paused))
-            .await;
+        harness.run_is(StoredState::Paused).await;
         harness.is_safe().await;
         assert_eq!(harness.handle.status().rig.state, RigState::Armed, "{mood:?}");
         harness.journal.set(Mood::Sound);
