@@ -10,7 +10,7 @@ use palpate::campaign::run::engine;
 use palpate::campaign::run::job::Job;
 use palpate::campaign::shown::command::{Handle, Refusal, Request};
 use palpate::campaign::shown::safe_end::Tips;
-use palpate::campaign::shown::status::Status;
+use palpate::campaign::shown::status::{Phase, Status};
 use palpate::ids::RunUid;
 use palpate::rig::config::RigConfig;
 use palpate::schedule::experiment::Experiment;
@@ -34,6 +34,11 @@ pub fn experiment(tips: u8, more: &str) -> String {
          depths = 6\ndepth_step_mm = 1.0\nblock = 3\nreference_every = 0\n\
          [measure]\nsettle_ms = 400.0\n{more}"
     )
+}
+
+/// A trial waits to be durable.
+pub fn committing(status: &Status) -> bool {
+    status.run.as_ref().is_some_and(|run| run.phase == Phase::Commit)
 }
 
 pub fn no_axis_moves(truth: &Value) {
