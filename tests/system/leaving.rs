@@ -28,6 +28,7 @@ impl Desk {
         let folder = std::env::temp_dir().join(format!("palpate-{name}-{}", std::process::id()));
         std::fs::create_dir_all(&folder).unwrap();
         std::fs::write(folder.join("e.toml"), EXPERIMENT).unwrap();
+        std::fs::write(folder.join("next.toml"), EXPERIMENT.replace("leaving", "next")).unwrap();
         let desk = Self(folder);
         with_responses(&desk.data());
         desk
@@ -100,6 +101,13 @@ impl Started {
         send(self.child.id() as i32, signal);
     }
 
+    /// Its last line, after it has left its run to the service.
+    fn detached(self) -> Value {
+        let (left, code) = self.end();
+        assert_eq!((code, &left["event"]), (0, &json!("detached")), "{left:#}");
+        left
+    }
+
     /// Its last line and its exit code.
     fn end(mut self) -> (Value, i32) {
         let last = self.lines.by_ref().map(parsed).last().unwrap_or_default();
@@ -149,15 +157,13 @@ async fn ctrl_c_stops_a_run_that_the_same_command_resumes() {
 async fn a_run_outlives_the_command_and_its_terminal() {
     let _turn = turn(COMPUTES).await;
     let desk = Desk::new("detached");
-    let (left, code) = desk.run(&["--detach"]).end();
-    assert_eq!((code, &left["event"]), (0, &json!("detached")), "{left:#}");
+    let left = desk.run(&["--detach"]).detached();
     assert_eq!(left["process"].as_i64(), desk.service());
 
     let mut attached = desk.palpate(&["attach"]);
     attached.until_stored(1);
     attached.signal(Signal::HUP);
-    let (last, code) = attached.end();
-    assert_eq!((code, &last["event"]), (0, &json!("detached")), "{last:#}");
+    attached.detached();
 
     // The same command finds the run instead of queueing another one.
     let (last, code) = desk.palpate(&["run", "e.toml"]).end();
@@ -170,9 +176,7 @@ async fn a_run_outlives_the_command_and_its_terminal() {
 async fn ctrl_c_takes_a_run_that_waits_for_its_turn_out_of_the_queue() {
     let _turn = turn(COMPUTES).await;
     let desk = Desk::new("waiting");
-    let (left, code) = desk.palpate(&["run", "e.toml", "--speed", "5", "--detach"]).end();
-    assert_eq!((code, &left["event"]), (0, &json!("detached")), "{left:#}");
-    std::fs::write(desk.0.join("next.toml"), EXPERIMENT.replace("leaving", "next")).unwrap();
+    desk.palpate(&["run", "e.toml", "--speed", "5", "--detach"]).detached();
     let waiting = desk.palpate(&["run", "next.toml"]);
     desk.until_one_waits();
     assert_eq!(desk.queued()[0]["experiment"], "next");
@@ -187,9 +191,7 @@ async fn ctrl_c_takes_a_run_that_waits_for_its_turn_out_of_the_queue() {
 async fn a_run_whose_start_another_person_takes_back_is_followed_no_longer() {
     let _turn = turn(COMPUTES).await;
     let desk = Desk::new("not-begun");
-    let (left, code) = desk.palpate(&["run", "e.toml", "--speed", "5", "--detach"]).end();
-    assert_eq!((code, &left["event"]), (0, &json!("detached")), "{left:#}");
-    std::fs::write(desk.0.join("next.toml"), EXPERIMENT.replace("leaving", "next")).unwrap();
+    desk.palpate(&["run", "e.toml", "--speed", "5", "--detach"]).detached();
     let waiting = desk.palpate(&["run", "next.toml"]);
     desk.until_one_waits();
     let (_, code) = desk.palpate(&["abort", "2"]).end();
@@ -208,14 +210,12 @@ async fn a_run_whose_start_another_person_takes_back_is_followed_no_longer() {
 async fn ctrl_c_takes_back_the_start_of_a_stopped_run_that_waits_for_its_turn() {
     let _turn = turn(COMPUTES).await;
     let desk = Desk::new("taken-back");
-    let (left, code) = desk.palpate(&["run", "e.toml", "--speed", "10", "--detach"]).end();
-    assert_eq!((code, &left["event"]), (0, &json!("detached")), "{left:#}");
+    desk.palpate(&["run", "e.toml", "--speed", "10", "--detach"]).detached();
     let mut attached = desk.palpate(&["attach"]);
     attached.until_stored(1);
     attached.signal(Signal::INT);
     let (stopped, _) = attached.end();
     assert_eq!(stopped["exit_status"], "stopped", "{stopped:#}");
-    std::fs::write(desk.0.join("next.toml"), EXPERIMENT.replace("leaving", "next")).unwrap();
     let (left, code) = desk.palpate(&["run", "next.toml", "--detach"]).end();
     assert_eq!((code, &left["scan_id"]), (0, &json!(2)), "{left:#}");
 
@@ -237,8 +237,7 @@ async fn a_terminal_that_is_closed_before_the_run_begins_leaves_it_to_the_servic
     let run = desk.run(&[]);
     until("a service", || desk.service().is_some());
     run.signal(Signal::HUP);
-    let (left, code) = run.end();
-    assert_eq!((code, &left["event"]), (0, &json!("detached")), "{left:#}");
+    run.detached();
     let (last, code) = desk.palpate(&["attach", "1"]).end();
     assert_eq!((code, &last["exit_status"]), (0, &json!("success")), "{last:#}");
 }
