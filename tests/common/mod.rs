@@ -1,10 +1,12 @@
-//! What the tests of both binaries need: the sensor, a client, a process that ends with its test, the solved skin.
+//! What the tests of both binaries need: the sensor, a client, a process that ends with its test, the skin, a wait.
 
+use std::fmt::Debug;
 use std::fs::DirBuilder;
 use std::os::unix::fs::DirBuilderExt;
 use std::path::{Path, PathBuf};
 use std::process::Child;
 use std::sync::Once;
+use std::time::{Duration, Instant};
 
 use palpate::cli::trust;
 use palpate::simulate::model::unit_responses;
@@ -50,5 +52,23 @@ pub fn with_responses(data: &Path) {
         if is_whole && std::fs::hard_link(&file, &to).is_err() && !to.exists() {
             std::fs::copy(&file, &to).unwrap();
         }
+    }
+}
+
+/// Reads again and again until what is read satisfies this; returns it.
+pub async fn until<T: Debug>(
+    what: &str,
+    limit: Duration,
+    mut read: impl AsyncFnMut() -> T,
+    done: impl Fn(&T) -> bool,
+) -> T {
+    let start = Instant::now();
+    loop {
+        let found = read().await;
+        if done(&found) {
+            return found;
+        }
+        assert!(start.elapsed() < limit, "{what} does not come: {found:#?}");
+        tokio::time::sleep(Duration::from_millis(10)).await;
     }
 }

@@ -8,6 +8,7 @@ use std::time::Duration;
 use serde_json::{Value, json};
 use tokio::time::timeout;
 
+use crate::datasets::filled::Filled;
 use crate::old_data::{HALF, WHOLE, open, recorded, served};
 use crate::support::{self, Process};
 
@@ -41,8 +42,16 @@ fn refused(url: &str, arguments: &[&str]) -> (i32, String) {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn runs_are_listed_newest_first_and_found_by_number_start_of_the_id_and_last() {
-    let (_folder, lab) = served("morning-runs").await;
+async fn the_morning_reads_what_was_recorded() {
+    let (_folder, lab) = served("morning").await;
+    runs_are_listed_newest_first_and_found_by_number_start_of_the_id_and_last(&lab).await;
+    trials_are_listed_by_the_conditions_of_the_api(&lab).await;
+    a_run_and_a_trial_are_drawn_as_plain_text_without_a_terminal(&lab).await;
+    two_runs_are_compared_at_the_same_place_and_depth(&lab).await;
+    lab.end().await;
+}
+
+async fn runs_are_listed_newest_first_and_found_by_number_start_of_the_id_and_last(lab: &Filled) {
     let url = lab.url("");
     let list = said(&url, &["runs"]);
     let lines: Vec<&str> = list.lines().collect();
@@ -70,12 +79,9 @@ async fn runs_are_listed_newest_first_and_found_by_number_start_of_the_id_and_la
     assert!(code == 2 && why.contains("3 runs begin like this"), "{code}: {why}");
     let (code, why) = refused(&url, &["show", "the last"]);
     assert!(code == 2 && why.contains("number, start of the id"), "{code}: {why}");
-    lab.end().await;
 }
 
-#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn trials_are_listed_by_the_conditions_of_the_api() {
-    let (_folder, lab) = served("morning-trials").await;
+async fn trials_are_listed_by_the_conditions_of_the_api(lab: &Filled) {
     let url = lab.url("");
     let list = said(&url, &["trials", "1", "--limit", "3"]);
     assert!(list.lines().next().unwrap().contains("largest, N"), "{list}");
@@ -92,12 +98,9 @@ async fn trials_are_listed_by_the_conditions_of_the_api() {
     assert!(said(&url, &["trials", "last"]).contains("no trial fits"));
     let (code, why) = refused(&url, &["trials", "1", "colour=red"]);
     assert!(code == 2 && why.contains("colour"), "{code}: {why}");
-    lab.end().await;
 }
 
-#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_run_and_a_trial_are_drawn_as_plain_text_without_a_terminal() {
-    let (_folder, lab) = served("morning-show").await;
+async fn a_run_and_a_trial_are_drawn_as_plain_text_without_a_terminal(lab: &Filled) {
     let url = lab.url("");
     let run = said(&url, &["show", "1"]);
     for part in
@@ -142,7 +145,6 @@ async fn a_run_and_a_trial_are_drawn_as_plain_text_without_a_terminal() {
     }
     let queued = said(&url, &["show", "3"]);
     assert!(queued.contains("queued") && queued.contains("0 of"), "{queued}");
-    lab.end().await;
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -199,9 +201,7 @@ async fn a_report_is_one_file_that_loads_nothing_and_a_missing_browser_is_a_sent
     lab.end().await;
 }
 
-#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn two_runs_are_compared_at_the_same_place_and_depth() {
-    let (_folder, lab) = served("morning-diff").await;
+async fn two_runs_are_compared_at_the_same_place_and_depth(lab: &Filled) {
     let url = lab.url("");
     let same = told(&url, &["diff", "1", "1"]);
     let pairs = same["forces"]["pairs"].as_u64().unwrap();
@@ -219,5 +219,4 @@ async fn two_runs_are_compared_at_the_same_place_and_depth() {
         assert!(name.contains(run["experiment"].as_str().unwrap()), "{text}");
     }
     assert!(name.ends_with("differs"), "{text}");
-    lab.end().await;
 }

@@ -13,6 +13,7 @@ use tokio::time::timeout;
 use tokio_tungstenite::connect_async;
 use tokio_tungstenite::tungstenite::Message;
 
+use crate::datasets::filled::Filled;
 use crate::old_data::{HALF, NEXT, WHOLE, copy, open, recorded, served};
 use crate::support::sensor;
 
@@ -43,9 +44,20 @@ fn is_near(found: Option<f64>, wanted: Option<f64>, within: f64) -> bool {
     }
 }
 
-#[tokio::test]
-async fn the_sensor_is_that_of_its_file() {
-    let (_folder, lab) = served("night-sensor").await;
+#[tokio::test(flavor = "multi_thread")]
+async fn the_night_reads_what_was_recorded() {
+    let (recorded, (_folder, lab)) = (recorded(), served("night").await);
+    the_sensor_is_that_of_its_file(&lab).await;
+    the_tour_leads_over_the_stored_trials_and_the_progress_counts_them(&lab, &recorded).await;
+    a_preflight_states_what_the_run_before_it_pressed_on_the_same_skin(&lab, &recorded).await;
+    a_tour_is_sent_once(&lab, &recorded).await;
+    the_history_has_every_trial_and_the_states_from_start_to_end(&lab, &recorded).await;
+    the_wear_follows_from_the_stored_poses_and_tips(&lab, &recorded).await;
+    the_live_status_beats_at_least_once_per_second(&lab).await;
+    lab.end().await;
+}
+
+async fn the_sensor_is_that_of_its_file(lab: &Filled) {
     let (skin, found) = (sensor(), lab.get("/api/v1/sensor").await);
     let size = |key: &str| number(&found[key]);
     assert_eq!((size("width_mm"), size("height_mm")), (skin.file.width_mm, skin.file.height_mm));
@@ -64,16 +76,15 @@ async fn the_sensor_is_that_of_its_file() {
     }
     assert_eq!(lab.get("/api/v1/sensor?run=1").await, found);
     assert_eq!(lab.refused("/api/v1/sensor?run=99").await.0, 404);
-    lab.end().await;
 }
 
-#[tokio::test]
-async fn the_tour_leads_over_the_stored_trials_and_the_progress_counts_them() {
-    let recorded = recorded();
-    let (_folder, lab) = served("night-tour").await;
+async fn the_tour_leads_over_the_stored_trials_and_the_progress_counts_them(
+    lab: &Filled,
+    recorded: &Value,
+) {
     for run in [WHOLE, HALF, NEXT] {
-        let tour = lab.get(&path(&recorded, run, "/tour")).await;
-        let progress = lab.get(&path(&recorded, run, "/progress")).await;
+        let tour = lab.get(&path(recorded, run, "/tour")).await;
+        let progress = lab.get(&path(recorded, run, "/progress")).await;
         let depths = tour["depths_mm"].as_array().unwrap().len();
         let order: Vec<u64> =
             serde_json::from_value(tour["steps"]["configuration"].clone()).unwrap();
@@ -83,7 +94,7 @@ async fn the_tour_leads_over_the_stored_trials_and_the_progress_counts_them() {
             (&tour["kind"], &progress["trials_planned"]),
             (&json!("real-hex"), &json!(planned))
         );
-        let stored = trials(&recorded, run);
+        let stored = trials(recorded, run);
         assert_eq!(progress["trials_stored"], stored.len());
         for (index, configuration) in order.iter().enumerate() {
             let of_it: Vec<&&Value> =
@@ -113,16 +124,15 @@ async fn the_tour_leads_over_the_stored_trials_and_the_progress_counts_them() {
         let next = [Value::Null, json!(1), json!(0)];
         assert_eq!(progress["next"], next[run], "{progress:#}");
     }
-    lab.end().await;
 }
 
-#[tokio::test]
-async fn a_preflight_states_what_the_run_before_it_pressed_on_the_same_skin() {
-    let recorded = recorded();
-    let (_folder, lab) = served("night-earlier").await;
+async fn a_preflight_states_what_the_run_before_it_pressed_on_the_same_skin(
+    lab: &Filled,
+    recorded: &Value,
+) {
     let earlier =
-        async |run: usize| lab.get(&path(&recorded, run, "/preflight")).await["earlier"].clone();
-    let progress = lab.get(&path(&recorded, HALF, "/progress")).await;
+        async |run: usize| lab.get(&path(recorded, run, "/preflight")).await["earlier"].clone();
+    let progress = lab.get(&path(recorded, HALF, "/progress")).await;
     let found = earlier(NEXT).await;
     assert_eq!(found["scan_id"], recorded["runs"][HALF]["scan_id"], "{found}");
     assert_eq!(found["forces_by_tips"], progress["forces_by_tips"]);
@@ -130,39 +140,34 @@ async fn a_preflight_states_what_the_run_before_it_pressed_on_the_same_skin() {
     assert_eq!(earlier(HALF).await["scan_id"], recorded["runs"][WHOLE]["scan_id"]);
     assert_eq!(earlier(WHOLE).await, Value::Null, "it was the first");
     // Over depth each trial counts once, and once for its number of tips.
-    let forces = lab.get(&path(&recorded, HALF, "/forces")).await;
+    let forces = lab.get(&path(recorded, HALF, "/forces")).await;
     let count = |tips: Value| {
         let items = forces["items"].as_array().unwrap().iter();
         let of_tips =
             items.filter(|at| at["tips"] == tips).map(|at| at["trials"].as_u64().unwrap());
         of_tips.sum::<u64>() as usize
     };
-    let stored = trials(&recorded, HALF).len();
+    let stored = trials(recorded, HALF).len();
     assert_eq!((count(Value::Null), count(json!(2))), (stored, stored), "{forces}");
-    lab.end().await;
 }
 
-#[tokio::test]
-async fn a_tour_is_sent_once() {
-    let recorded = recorded();
-    let (_folder, lab) = served("night-tag").await;
-    let address = path(&recorded, WHOLE, "/tour");
+async fn a_tour_is_sent_once(lab: &Filled, recorded: &Value) {
+    let address = path(recorded, WHOLE, "/tour");
     let first = lab.answer(&address).await;
     let tag = first.headers()["etag"].clone();
     let again = lab.http.get(lab.url(&address)).header("if-none-match", &tag).send().await.unwrap();
     assert_eq!((again.status().as_u16(), &again.headers()["etag"]), (304, &tag));
     assert!(again.bytes().await.unwrap().is_empty());
     lab.refuses_get("/api/v1/runs/99/tour", 404, "").await;
-    lab.end().await;
 }
 
-#[tokio::test]
-async fn the_history_has_every_trial_and_the_states_from_start_to_end() {
-    let recorded = recorded();
-    let (_folder, lab) = served("night-history").await;
+async fn the_history_has_every_trial_and_the_states_from_start_to_end(
+    lab: &Filled,
+    recorded: &Value,
+) {
     for bins in [1, 7, 120] {
-        let history = lab.get(&path(&recorded, WHOLE, &format!("/history?bins={bins}"))).await;
-        let stored = trials(&recorded, WHOLE);
+        let history = lab.get(&path(recorded, WHOLE, &format!("/history?bins={bins}"))).await;
+        let stored = trials(recorded, WHOLE);
         let counts = list(&history["trials"]);
         assert_eq!(counts.len(), bins);
         assert_eq!(counts.iter().flatten().sum::<f64>(), stored.len() as f64);
@@ -206,15 +211,14 @@ async fn the_history_has_every_trial_and_the_states_from_start_to_end() {
         let wanted = shown.iter().find(|e| e["kind"] == "wanted").unwrap();
         assert_eq!(wanted["importance"], "look");
     }
-    let half = lab.get(&path(&recorded, HALF, "/history")).await;
+    let half = lab.get(&path(recorded, HALF, "/history")).await;
     let last = half["states"].as_array().unwrap().last().unwrap();
     assert_eq!((&last["state"], &last["to"]), (&json!("interrupted"), &Value::Null), "{half:#}");
-    let next = lab.get(&path(&recorded, NEXT, "/history")).await;
+    let next = lab.get(&path(recorded, NEXT, "/history")).await;
     assert_eq!((&next["from"], &next["trials"]), (&Value::Null, &json!([])));
     for bins in [0, 1001] {
-        lab.refuses_get(&path(&recorded, WHOLE, &format!("/history?bins={bins}")), 400, "").await;
+        lab.refuses_get(&path(recorded, WHOLE, &format!("/history?bins={bins}")), 400, "").await;
     }
-    lab.end().await;
 }
 
 /// Seconds since 1970.
@@ -223,10 +227,7 @@ fn time(value: &Value) -> f64 {
     at.as_millisecond() as f64 / 1e3
 }
 
-#[tokio::test]
-async fn the_wear_follows_from_the_stored_poses_and_tips() {
-    let recorded = recorded();
-    let (_folder, lab) = served("night-wear").await;
+async fn the_wear_follows_from_the_stored_poses_and_tips(lab: &Filled, recorded: &Value) {
     let wear = lab.get("/api/v1/wear").await;
     let all = recorded["trials"].as_array().unwrap();
     assert_eq!((&wear["trials"], &wear["runs"]), (&json!(all.len()), &json!(2)));
@@ -253,7 +254,7 @@ async fn the_wear_follows_from_the_stored_poses_and_tips() {
     for (n, key) in ["x_mm", "y_mm", "z_mm", "radius_mm"].into_iter().enumerate() {
         let travelled = |run: usize| {
             let at: Vec<f64> =
-                trials(&recorded, run).iter().map(|t| number(&t["reached"][key])).collect();
+                trials(recorded, run).iter().map(|t| number(&t["reached"][key])).collect();
             at.windows(2).map(|pair| (pair[1] - pair[0]).abs()).sum::<f64>()
         };
         let wanted_m = (travelled(WHOLE) + travelled(HALF)) / 1e3;
@@ -263,12 +264,9 @@ async fn the_wear_follows_from_the_stored_poses_and_tips() {
     assert_eq!(wear["cells"].as_array().unwrap().len(), 6);
     assert_eq!(wear["cells"][0]["calibrated_on"], Value::Null);
     assert_eq!(wear["checked_at"], Value::Null);
-    lab.end().await;
 }
 
-#[tokio::test(flavor = "multi_thread")]
-async fn the_live_status_beats_at_least_once_per_second() {
-    let (_folder, lab) = served("night-socket").await;
+async fn the_live_status_beats_at_least_once_per_second(lab: &Filled) {
     let address = lab.url("/api/v1/status/live").replacen("http", "ws", 1);
     let (mut socket, _) = connect_async(address).await.unwrap();
     let mut beats = Vec::new();
@@ -311,7 +309,6 @@ async fn the_live_status_beats_at_least_once_per_second() {
         "{}",
         untouched["run"]
     );
-    lab.end().await;
 }
 
 fn list_of(value: &Value) -> usize {

@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 use serde_json::Value;
 use sim_core::sensor::Sensor;
 
-pub use crate::common::{Process, SENSOR, http, skin_cache, with_responses};
+pub use crate::common::{Process, SENSOR, http, skin_cache, until, with_responses};
 
 pub const PALPATE: &str = env!("CARGO_BIN_EXE_palpate");
 

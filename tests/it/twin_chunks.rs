@@ -6,17 +6,15 @@ use std::process::Output;
 use std::time::Duration;
 
 use palpate::ids::{TrialId, TrialKey};
-use palpate::journal::{ExitStatus, Journal};
-use palpate::store::{NewTwinModel, RunKind, TrialQuery, Twin, TwinOutcome};
+use palpate::journal::Journal;
+use palpate::store::{RunKind, TrialQuery, Twin, TwinOutcome};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use reqwest::multipart::{Form, Part};
 use serde_json::{Value, json};
 
-use crate::datasets::filled::{Filled, folder, new_run, press, store};
-use crate::support::{
-    VIRTUAL_RIG, command, copy_folder, done, finished, not_done, sensor, with_responses,
-};
+use crate::datasets::filled::{Filled, end, folder, new_run, points, press, store, twin_model};
+use crate::support::{VIRTUAL_RIG, command, copy_folder, done, finished, not_done, with_responses};
 
 /// Number of trials of the run, and of a chunk.
 const TRIALS: u32 = 44;
@@ -27,7 +25,7 @@ const TWINS_WITHIN: Duration = Duration::from_secs(120);
 /// A run of 44 trials without twins; a contact of one is off the skin.
 async fn pressed(data: &Path) {
     let store = store(data).await;
-    let points: Vec<[f64; 2]> = sensor().points().iter().map(|p| [p.x_mm, p.y_mm]).collect();
+    let points = points();
     let mut chance = ChaCha8Rng::seed_from_u64(19);
     let mut new = new_run(RunKind::RealHex, "made-up-hex");
     // Twins need the noise of a rig's forces.
@@ -43,7 +41,7 @@ async fn pressed(data: &Path) {
             store.trial(run, &trial).await.unwrap();
         }
     }
-    store.end_run(run, ExitStatus::Success, "made up", jiff::Timestamp::now()).await.unwrap();
+    end(&store, run).await;
     store.close().await;
 }
 
@@ -158,13 +156,7 @@ async fn twins_of_two_processes_are_those_of_the_service() {
     // other trials.
     pressed(&of_other).await;
     let store = store(&of_other).await;
-    let model = NewTwinModel {
-        hash: of_chunks[0].model.clone().unwrap(),
-        sensor_sha256: "s".into(),
-        calibration_id: None,
-        version: "0.1.0".into(),
-        git_commit: None,
-    };
+    let model = twin_model(of_chunks[0].model.as_ref().unwrap());
     let model = store.twin_model(model).await.unwrap();
     let outcome = TwinOutcome::Frame { voltages_v: vec![0.25; 784], rmse_v: 1.0, fvu: None };
     store.insert_twins(model, vec![Twin { trial: TrialId(17), outcome }]).await.unwrap();

@@ -12,7 +12,7 @@ use tokio::sync::{Semaphore, SemaphorePermit};
 use virtual_rig::run::{RigArgs, VirtualRig};
 use virtual_rig::{OperatorArgs, operator_main};
 
-pub use crate::common::{Process, SENSOR, http, skin_cache, with_responses};
+pub use crate::common::{Process, SENSOR, http, skin_cache, until, with_responses};
 
 /// Longest wait for anything that a test waits for.
 pub const LIMIT: Duration = Duration::from_secs(120);
@@ -157,15 +157,7 @@ impl Lab {
 
     /// Waits for what stands at a path to satisfy this.
     pub async fn eventually(&self, what: &str, path: &str, done: impl Fn(&Value) -> bool) -> Value {
-        let start = Instant::now();
-        loop {
-            let found = self.get(path).await;
-            if done(&found) {
-                return found;
-            }
-            assert!(start.elapsed() < LIMIT, "{what} does not come: {found:#}");
-            tokio::time::sleep(Duration::from_millis(20)).await;
-        }
+        until(what, LIMIT, async || self.get(path).await, done).await
     }
 
     pub async fn home(&self) {

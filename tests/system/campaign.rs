@@ -272,8 +272,8 @@ async fn a_run_that_is_about_to_be_driven_again_can_be_aborted() {
     assert!(refused["detail"].as_str().unwrap().contains("abort ends it"), "{refused:#}");
     lab.accepts(&run, json!({ "action": "abort" })).await;
     release(&lab).await;
-    // Longer than until the next attempt.
-    tokio::time::sleep(Duration::from_secs(8)).await;
+    // The next attempt is the last one.
+    lab.told("not_resumed", "meanwhile: it is not driven").await;
     let row = lab.get(&format!("/api/v1/runs/{run}")).await;
     assert_eq!((&row["state"], &row["exit_status"]), (&json!("ended"), &json!("abort")));
     lab.rests("disconnected").await;

@@ -10,13 +10,14 @@ use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
 use rand::{RngExt, SeedableRng};
+use reqwest::Response;
 use rustix::process::{Pid, Resource, Rlimit, Signal, kill_process, prlimit};
 use serde_json::{Value, json};
 use sqlx::sqlite::{SqliteConnectOptions, SqliteConnection};
 use sqlx::{ConnectOptions, Connection};
 
 use super::bench::{
-    COMPUTES, LIMIT, Process, SENSOR, WHOLE, http, skin_cache, tell_at, turn, with_responses,
+    COMPUTES, LIMIT, Process, SENSOR, WHOLE, http, skin_cache, tell_at, turn, until, with_responses,
 };
 
 const SPEED: &str = "20";
@@ -71,17 +72,13 @@ impl Site {
         let rig = ["virtual-rig", "--ephemeral", "--speed", speed, "--cache", cache];
         let (served, ready) = (site.path("served.toml"), site.path("ready.json"));
         let rig = palpate(&[&rig[..], &["--out-rig", &served, "--ready-file", &ready]].concat());
-        let start = Instant::now();
-        loop {
+        let read = async || {
             let text = std::fs::read_to_string(&ready).unwrap_or_default();
-            if let Ok(ready) = serde_json::from_str::<Value>(&text) {
-                let control = ready["control"].as_str().unwrap().to_owned();
-                with_responses(&site.folder.join("data"));
-                return (site, rig, control);
-            }
-            assert!(start.elapsed() < LIMIT, "the rig is not ready");
-            tokio::time::sleep(Duration::from_millis(20)).await;
-        }
+            serde_json::from_str::<Value>(&text).unwrap_or_default()
+        };
+        let ready = until("a rig", LIMIT, read, Value::is_object).await;
+        with_responses(&site.folder.join("data"));
+        (site, rig, ready["control"].as_str().unwrap().to_owned())
     }
 
     fn operator(&self, control: &str) -> Process {
@@ -103,16 +100,12 @@ impl Site {
 
     /// Waits for a GET to succeed.
     async fn answer(&self, path: &str) -> Value {
-        let start = Instant::now();
-        loop {
-            if let Ok(answer) = self.http.get(format!("{}{path}", self.url)).send().await
-                && answer.status().is_success()
-            {
-                return answer.json().await.unwrap();
-            }
-            assert!(start.elapsed() < LIMIT, "{path} is not answered");
-            tokio::time::sleep(Duration::from_millis(20)).await;
-        }
+        let ask = async || self.http.get(format!("{}{path}", self.url)).send().await;
+        let succeeds = |answer: &reqwest::Result<Response>| {
+            answer.as_ref().is_ok_and(|answer| answer.status().is_success())
+        };
+        let answer = until(path, LIMIT, ask, succeeds).await;
+        answer.unwrap().json().await.unwrap()
     }
 
     async fn post(&self, path: &str, body: Value) -> Value {
@@ -125,15 +118,7 @@ impl Site {
     }
 
     async fn until(&self, path: &str, done: impl Fn(&Value) -> bool) -> Value {
-        let start = Instant::now();
-        loop {
-            let value = self.answer(path).await;
-            if done(&value) {
-                return value;
-            }
-            assert!(start.elapsed() < LIMIT, "{path} stays {value:#}");
-            tokio::time::sleep(Duration::from_millis(20)).await;
-        }
+        until(path, LIMIT, async || self.answer(path).await, done).await
     }
 
     /// Queues and starts; returns the run.
@@ -198,11 +183,8 @@ async fn killed_at_random_instants_every_planned_trial_is_stored_once() {
         service = site.serve().await;
     }
     println!("killed in {at:?}");
-    let start = Instant::now();
-    while site.look_after(&run).await != "ended" {
-        assert!(start.elapsed() < LIMIT * 4, "the run does not end");
-        tokio::time::sleep(Duration::from_millis(200)).await;
-    }
+    let state = async || site.look_after(&run).await;
+    until("the end of the run", LIMIT * 4, state, |state: &String| state == "ended").await;
     let page = site.answer(&format!("/api/v1/runs/{run}/trials?limit=1000")).await;
     let trials = page["items"].as_array().unwrap();
     let keys: BTreeSet<String> =

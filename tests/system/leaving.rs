@@ -5,15 +5,20 @@
 use std::io::{BufRead, BufReader, Lines};
 use std::path::{Path, PathBuf};
 use std::process::{Child, ChildStdout, Command, Stdio};
+use std::time::{Duration, Instant};
 
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::{Value, json};
 
-use crate::bench::{COMPUTES, turn, with_responses};
+use crate::bench::{COMPUTES, LIMIT, turn, with_responses};
 
 /// 66 trials with one tip.
 const EXPERIMENT: &str = "name = \"leaving\"\nseed = 1\nsensor = \"sensors/ert-28.toml\"\n\
     [real_hex]\ntips = [1]\nconfigurations = 6\nblock = 6\nreference_every = 6\n";
+
+const POLL: Duration = Duration::from_millis(20);
+/// Longest wait for the end of a service that a test leaves.
+const ENDED_WITHIN: Duration = Duration::from_secs(30);
 
 /// A separate data folder, removed at the end with the service that may still use it.
 struct Desk(PathBuf);
@@ -23,6 +28,7 @@ impl Desk {
         let folder = std::env::temp_dir().join(format!("palpate-{name}-{}", std::process::id()));
         std::fs::create_dir_all(&folder).unwrap();
         std::fs::write(folder.join("e.toml"), EXPERIMENT).unwrap();
+        std::fs::write(folder.join("next.toml"), EXPERIMENT.replace("leaving", "next")).unwrap();
         let desk = Self(folder);
         with_responses(&desk.data());
         desk
@@ -56,12 +62,7 @@ impl Desk {
 
     /// Waits until the first run of the queue waits for its turn.
     fn until_one_waits(&self) {
-        for _ in 0..100 {
-            if self.queued()[0]["waiting_since"].is_string() {
-                break;
-            }
-            std::thread::sleep(std::time::Duration::from_millis(100));
-        }
+        until("a run that waits", || self.queued()[0]["waiting_since"].is_string());
     }
 
     /// Id of the service's process; none if it has ended.
@@ -75,12 +76,9 @@ impl Drop for Desk {
     fn drop(&mut self) {
         if let Some(process) = self.service() {
             send(process as i32, Signal::TERM);
-            let ended = || !Path::new(&format!("/proc/{process}")).exists();
-            for _ in 0..300 {
-                if ended() {
-                    break;
-                }
-                std::thread::sleep(std::time::Duration::from_millis(100));
+            let (process, start) = (format!("/proc/{process}"), Instant::now());
+            while Path::new(&process).exists() && start.elapsed() < ENDED_WITHIN {
+                std::thread::sleep(POLL);
             }
         }
         let _ = std::fs::remove_dir_all(&self.0);
@@ -103,10 +101,26 @@ impl Started {
         send(self.child.id() as i32, signal);
     }
 
+    /// Its last line, after it has left its run to the service.
+    fn detached(self) -> Value {
+        let (left, code) = self.end();
+        assert_eq!((code, &left["event"]), (0, &json!("detached")), "{left:#}");
+        left
+    }
+
     /// Its last line and its exit code.
     fn end(mut self) -> (Value, i32) {
         let last = self.lines.by_ref().map(parsed).last().unwrap_or_default();
         (last, self.child.wait().unwrap().code().unwrap())
+    }
+}
+
+/// Waits for something that no line states.
+fn until(what: &str, is_so: impl Fn() -> bool) {
+    let start = Instant::now();
+    while !is_so() {
+        assert!(start.elapsed() < LIMIT, "{what} does not come");
+        std::thread::sleep(POLL);
     }
 }
 
@@ -143,15 +157,13 @@ async fn ctrl_c_stops_a_run_that_the_same_command_resumes() {
 async fn a_run_outlives_the_command_and_its_terminal() {
     let _turn = turn(COMPUTES).await;
     let desk = Desk::new("detached");
-    let (left, code) = desk.run(&["--detach"]).end();
-    assert_eq!((code, &left["event"]), (0, &json!("detached")), "{left:#}");
+    let left = desk.run(&["--detach"]).detached();
     assert_eq!(left["process"].as_i64(), desk.service());
 
     let mut attached = desk.palpate(&["attach"]);
     attached.until_stored(1);
     attached.signal(Signal::HUP);
-    let (last, code) = attached.end();
-    assert_eq!((code, &last["event"]), (0, &json!("detached")), "{last:#}");
+    attached.detached();
 
     // The same command finds the run instead of queueing another one.
     let (last, code) = desk.palpate(&["run", "e.toml"]).end();
@@ -164,9 +176,7 @@ async fn a_run_outlives_the_command_and_its_terminal() {
 async fn ctrl_c_takes_a_run_that_waits_for_its_turn_out_of_the_queue() {
     let _turn = turn(COMPUTES).await;
     let desk = Desk::new("waiting");
-    let (left, code) = desk.palpate(&["run", "e.toml", "--speed", "5", "--detach"]).end();
-    assert_eq!((code, &left["event"]), (0, &json!("detached")), "{left:#}");
-    std::fs::write(desk.0.join("next.toml"), EXPERIMENT.replace("leaving", "next")).unwrap();
+    desk.palpate(&["run", "e.toml", "--speed", "5", "--detach"]).detached();
     let waiting = desk.palpate(&["run", "next.toml"]);
     desk.until_one_waits();
     assert_eq!(desk.queued()[0]["experiment"], "next");
@@ -181,9 +191,7 @@ async fn ctrl_c_takes_a_run_that_waits_for_its_turn_out_of_the_queue() {
 async fn a_run_whose_start_another_person_takes_back_is_followed_no_longer() {
     let _turn = turn(COMPUTES).await;
     let desk = Desk::new("not-begun");
-    let (left, code) = desk.palpate(&["run", "e.toml", "--speed", "5", "--detach"]).end();
-    assert_eq!((code, &left["event"]), (0, &json!("detached")), "{left:#}");
-    std::fs::write(desk.0.join("next.toml"), EXPERIMENT.replace("leaving", "next")).unwrap();
+    desk.palpate(&["run", "e.toml", "--speed", "5", "--detach"]).detached();
     let waiting = desk.palpate(&["run", "next.toml"]);
     desk.until_one_waits();
     let (_, code) = desk.palpate(&["abort", "2"]).end();
@@ -202,26 +210,18 @@ async fn a_run_whose_start_another_person_takes_back_is_followed_no_longer() {
 async fn ctrl_c_takes_back_the_start_of_a_stopped_run_that_waits_for_its_turn() {
     let _turn = turn(COMPUTES).await;
     let desk = Desk::new("taken-back");
-    let (left, code) = desk.palpate(&["run", "e.toml", "--speed", "10", "--detach"]).end();
-    assert_eq!((code, &left["event"]), (0, &json!("detached")), "{left:#}");
+    desk.palpate(&["run", "e.toml", "--speed", "10", "--detach"]).detached();
     let mut attached = desk.palpate(&["attach"]);
     attached.until_stored(1);
     attached.signal(Signal::INT);
     let (stopped, _) = attached.end();
     assert_eq!(stopped["exit_status"], "stopped", "{stopped:#}");
-    std::fs::write(desk.0.join("next.toml"), EXPERIMENT.replace("leaving", "next")).unwrap();
     let (left, code) = desk.palpate(&["run", "next.toml", "--detach"]).end();
     assert_eq!((code, &left["scan_id"]), (0, &json!(2)), "{left:#}");
 
     let resumed = desk.palpate(&["run", "e.toml"]);
     let row = || desk.palpate(&["show", "1"]).end().0["summary"]["run"].clone();
-    for _ in 0..100 {
-        if row()["waiting_since"].is_string() {
-            break;
-        }
-        std::thread::sleep(std::time::Duration::from_millis(100));
-    }
-    assert!(row()["waiting_since"].is_string(), "{:#}", row());
+    until("a stopped run that waits", || row()["waiting_since"].is_string());
     resumed.signal(Signal::INT);
     let (last, code) = resumed.end();
     assert_eq!((code, &last["scan_id"]), (1, &json!(1)), "{last:#}");
@@ -235,15 +235,9 @@ async fn a_terminal_that_is_closed_before_the_run_begins_leaves_it_to_the_servic
     let _turn = turn(COMPUTES).await;
     let desk = Desk::new("hung-up");
     let run = desk.run(&[]);
-    for _ in 0..600 {
-        if desk.service().is_some() {
-            break;
-        }
-        std::thread::sleep(std::time::Duration::from_millis(100));
-    }
+    until("a service", || desk.service().is_some());
     run.signal(Signal::HUP);
-    let (left, code) = run.end();
-    assert_eq!((code, &left["event"]), (0, &json!("detached")), "{left:#}");
+    run.detached();
     let (last, code) = desk.palpate(&["attach", "1"]).end();
     assert_eq!((code, &last["exit_status"]), (0, &json!("success")), "{last:#}");
 }

@@ -7,7 +7,7 @@ use jiff::{SignedDuration, Timestamp};
 use reqwest::Response;
 use serde_json::{Value, json};
 
-use super::bench::{LIMIT, Lab, WAITS, http, rig_args, tell};
+use super::bench::{LIMIT, Lab, WAITS, http, rig_args, tell, until};
 
 /// 66 trials with one tip.
 const EXPERIMENT: &str = "name = 'late'\nseed = 1\nsensor = 's'\n[real_hex]\ntips = [1]\n\
@@ -28,17 +28,13 @@ async fn jog_with(lab: &Lab, (name, value): (&str, &str), to_mm: f64) -> Respons
 
 /// Waits until x is at rest at a place, in truth.
 async fn is_at(lab: &Lab, to_mm: f64) {
-    let start = std::time::Instant::now();
-    loop {
-        let truth = tell(&lab.rig, json!({ "cmd": "status" })).await;
+    let rests = |truth: &Value| {
         let x = &truth["axes"][0];
         let off_mm = (x["position"].as_f64().unwrap() - to_mm).abs();
-        if off_mm < 0.5 && x["moving"] == false {
-            return;
-        }
-        assert!(start.elapsed() < LIMIT, "{truth:#}");
-        tokio::time::sleep(Duration::from_millis(20)).await;
-    }
+        off_mm < 0.5 && x["moving"] == false
+    };
+    let truth = async || tell(&lab.rig, json!({ "cmd": "status" })).await;
+    until("x at rest", LIMIT, truth, rests).await;
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -80,8 +80,8 @@ async fn an_abort_ends_the_homing_for_a_run_that_is_about_to_be_driven_again() {
         (&status["rig"]["state"], &status["rig"]["trip"]),
         (&json!("disarmed"), &Value::Null)
     );
-    // Longer than until the next attempt.
-    tokio::time::sleep(Duration::from_secs(3)).await;
+    // The next attempt is the last one.
+    lab.told("not_resumed", "meanwhile: it is not driven").await;
     let row = lab.get(&format!("/api/v1/runs/{run}")).await;
     assert_eq!((&row["state"], &row["exit_status"]), (&json!("ended"), &json!("abort")));
     lab.rests("disarmed").await;

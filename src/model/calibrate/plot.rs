@@ -1,15 +1,13 @@
 //! Figures of a calibration: data, fit and bands, as SVG text.
 //! PURE. Uses: plotters, `figure`. Never: files, fitting.
 
-use std::error::Error;
-
 use plotters::prelude::*;
 
 use super::CalibrateError;
 use super::foam::{FittedRow, FoamFit};
 use super::piezo::PiezoFit;
 use crate::figure::style::{AxesStyle, COLOURS, INK, dash, decade, legend, plain};
-use crate::figure::{Area, Heading, PageSize, figure};
+use crate::figure::{Area, Drawn, Heading, PageSize, figure};
 
 const FIT_SIZE: PageSize = PageSize { width_px: 860, height_px: 520 };
 const FIT: RGBColor = COLOURS[1];
@@ -35,7 +33,7 @@ fn piezo_heading(fit: &PiezoFit) -> Heading {
     Heading::new(title, fit.rows.len() as u64, "rows", LABEL).with_note(note)
 }
 
-fn draw_piezo(area: &Area<'_>, fit: &PiezoFit) -> Result<(), Box<dyn Error>> {
+fn draw_piezo(area: &Area<'_>, fit: &PiezoFit) -> Drawn {
     let [least, most] = fit.calibration.compression_mm;
     let at = |n: u32| least + (most - least) * f64::from(n) / f64::from(CURVE_STEPS);
     let bands: Vec<_> = (0..=CURVE_STEPS).map(|n| (at(n), fit.band(at(n)))).collect();
@@ -106,7 +104,7 @@ fn foam_heading(fit: &FoamFit) -> Heading {
     Heading::new(title, fit.rows.len() as u64, "rows", LABEL).with_note(note)
 }
 
-fn draw_foam(area: &Area<'_>, fit: &FoamFit) -> Result<(), Box<dyn Error>> {
+fn draw_foam(area: &Area<'_>, fit: &FoamFit) -> Drawn {
     let measured = fit.rows.iter().map(|r| r.measured.displacement_mm);
     let fitted = fit.rows.iter().map(|r| r.fitted_mm);
     let (low, high) = measured.chain(fitted).fold((0f64, 0f64), |(l, h), v| (l.min(v), h.max(v)));

@@ -2,8 +2,6 @@
 //! electrodes, and FVU of held-out trials before and after; SVG text.
 //! PURE. Uses: plotters, `figure`, `calibrate::skin`. Never: files, fitting.
 
-use std::error::Error;
-
 use plotters::prelude::*;
 use sim_core::sensor::Sensor;
 use sim_core::skin::SkinField;
@@ -13,7 +11,7 @@ use super::CalibrateError;
 use super::skin::CalibratedSkin;
 use crate::figure::skin::Outline;
 use crate::figure::style::{AxesStyle, COLOURS, INK, SMALL, dash, diverging, legend, plain, whole};
-use crate::figure::{Area, Heading, PageSize, figure};
+use crate::figure::{Area, Drawn, Heading, PageSize, figure};
 
 /// Width of the skin in a panel, px.
 const SKIN_PX: u32 = 350;
@@ -41,7 +39,7 @@ pub fn skin(sensor: &Sensor, fitted: &CalibratedSkin) -> Result<String, Calibrat
     figure(size, &heading, |area| draw(area, sensor, fitted)).map_err(CalibrateError::Plot)
 }
 
-fn draw(area: &Area<'_>, sensor: &Sensor, fitted: &CalibratedSkin) -> Result<(), Box<dyn Error>> {
+fn draw(area: &Area<'_>, sensor: &Sensor, fitted: &CalibratedSkin) -> Drawn {
     let panels = area.split_evenly((2, 3));
     let fields = &fitted.skin.fields;
     for (panel, (name, field)) in panels.iter().zip([
@@ -64,7 +62,7 @@ fn map(
     fitted: &CalibratedSkin,
     name: &str,
     field: &SkinField,
-) -> Result<(), Box<dyn Error>> {
+) -> Drawn {
     let (width, height) = (sensor.file.width_mm, sensor.file.height_mm);
     let end = field.values.iter().fold(0.01, |end: f64, v| end.max(v.abs()));
     let caption = format!("{name}: full colour at -{end:.2} and +{end:.2}");
@@ -93,7 +91,7 @@ fn map(
 }
 
 /// Share of the held-out trials below each FVU, before and after.
-fn distributions(area: &Area<'_>, fitted: &CalibratedSkin) -> Result<(), Box<dyn Error>> {
+fn distributions(area: &Area<'_>, fitted: &CalibratedSkin) -> Drawn {
     let above_0 = |fvus: &[f64]| sorted(fvus.iter().copied().filter(|v| *v > 0.0));
     let (before, after) = (above_0(&fitted.before), above_0(&fitted.after));
     let ends =

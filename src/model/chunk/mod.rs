@@ -20,6 +20,12 @@ use crate::new_file::NewFile;
 /// Why the bytes of a chunk could not be made.
 pub type MakeFailure = Box<dyn Error + Send + Sync>;
 
+/// Receives the number of rows, or of other parts, that are done; what it breaks off is not made.
+pub type Tell<'a> = dyn FnMut(u64) -> ControlFlow<()> + 'a;
+
+/// A chunk that was written, with its number of rows; none if it was broken off.
+pub type WrittenChunk = Result<Option<(NewFile, u64)>, MakeFailure>;
+
 /// What makes the chunks of one work order.
 pub trait MakeChunks: Send {
     /// Writes the bytes of a chunk to `out`; returns it with the number of rows. While rows are written `tell`
@@ -27,12 +33,7 @@ pub trait MakeChunks: Send {
     ///
     /// # Errors
     /// The failure of the kind.
-    fn write(
-        &mut self,
-        index: u64,
-        out: NewFile,
-        tell: &mut dyn FnMut(u64) -> ControlFlow<()>,
-    ) -> Result<Option<(NewFile, u64)>, MakeFailure>;
+    fn write(&mut self, index: u64, out: NewFile, tell: &mut Tell<'_>) -> WrittenChunk;
 }
 
 /// Makes the rows of some inputs, a share of them on each thread; returns the rows in the order of the inputs.

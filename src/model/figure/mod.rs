@@ -19,6 +19,9 @@ use style::{FONT, INK};
 /// The part of a page below its heading, or a part of it.
 pub type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
 
+/// Result of drawing: what was drawn, or the error of the plotting backend.
+pub type Drawn<T = ()> = Result<T, Box<dyn Error>>;
+
 /// Size of a drawing; the heading adds to its height.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct PageSize {
@@ -119,7 +122,7 @@ fn wrapped(text: &str, most: usize) -> Vec<String> {
 pub fn figure(
     size: PageSize,
     heading: &Heading,
-    draw: impl FnOnce(&Area<'_>) -> Result<(), Box<dyn Error>>,
+    draw: impl FnOnce(&Area<'_>) -> Drawn,
 ) -> Result<String, String> {
     let [title, notes] = heading.lines(size.width_px);
     let top_px = ABOVE + TITLE.1 * title.len() as i32 + NOTE.1 * notes.len() as i32 + 6;
@@ -129,7 +132,7 @@ pub fn figure(
         let page = SVGBackend::with_string(&mut svg, whole).into_drawing_area();
         let title_style = (FONT, TITLE.0).into_font().style(FontStyle::Bold).color(&INK);
         let note_style = (FONT, NOTE.0).into_font().color(&INK.mix(0.75));
-        let drawn = || -> Result<(), Box<dyn Error>> {
+        let drawn = || -> Drawn {
             page.fill(&WHITE)?;
             let mut y = ABOVE;
             for line in &title {

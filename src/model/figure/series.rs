@@ -1,12 +1,10 @@
 //! Series over numbers or names: bars, lines or dots, as a result of a query is drawn.
 //! PURE. Uses: plotters, `style`. Never: what the numbers mean (the names of the axes state it).
 
-use std::error::Error;
-
 use plotters::prelude::*;
 
 use super::style::{AxesStyle, COLOURS, dash, legend, plain};
-use super::{Area, Heading, PageSize, figure};
+use super::{Area, Drawn, Heading, PageSize, figure};
 
 /// Size of a drawing of series.
 const SERIES_SIZE: PageSize = PageSize { width_px: 960, height_px: 480 };
@@ -112,7 +110,7 @@ impl Chart {
         x_range: std::ops::Range<f64>,
         y_range: std::ops::Range<f64>,
         [before, after]: [f64; 2],
-    ) -> Result<(), Box<dyn Error>> {
+    ) -> Drawn {
         let mut chart = ChartBuilder::on(area)
             .margin(14)
             .x_label_area_size(54)

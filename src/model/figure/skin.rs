@@ -1,14 +1,12 @@
 //! The outline of a skin with its electrodes, at the same scale along x and y, and colour bars.
 //! PURE. Uses: plotters, sim-core's sensor. Never: what is drawn on the skin.
 
-use std::error::Error;
-
 use plotters::coord::types::RangedCoordf64;
 use plotters::prelude::*;
 use sim_core::sensor::Sensor;
 
 use super::style::{INK, SMALL, plain, whole};
-use super::{Area, PageSize};
+use super::{Area, Drawn, PageSize};
 
 /// A chart whose axes are those of the skin, mm.
 pub type SkinChart<'a, 'b> =
@@ -62,11 +60,7 @@ impl Outline {
     ///
     /// # Errors
     /// Error of the plotting backend.
-    pub fn chart<'a, 'b>(
-        &self,
-        area: &'a Area<'b>,
-        caption: &str,
-    ) -> Result<SkinChart<'a, 'b>, Box<dyn Error>> {
+    pub fn chart<'a, 'b>(&self, area: &'a Area<'b>, caption: &str) -> Drawn<SkinChart<'a, 'b>> {
         let [width, height] = self.size_mm;
         let around = AROUND * width;
         let mut builder = ChartBuilder::on(area);
@@ -99,11 +93,7 @@ impl Outline {
     ///
     /// # Errors
     /// Error of the plotting backend.
-    pub fn edge(
-        &self,
-        chart: &mut SkinChart<'_, '_>,
-        radius_px: i32,
-    ) -> Result<(), Box<dyn Error>> {
+    pub fn edge(&self, chart: &mut SkinChart<'_, '_>, radius_px: i32) -> Drawn {
         let [width, height] = self.size_mm;
         let corners = [(0.0, 0.0), (width, height)];
         chart.draw_series([Rectangle::new(corners, INK.stroke_width(2))])?;
@@ -125,7 +115,7 @@ pub fn colour_bar(
     name: &str,
     [from, to]: [f64; 2],
     colour: impl Fn(f64) -> RGBColor,
-) -> Result<(), Box<dyn Error>> {
+) -> Drawn {
     let mut chart = ChartBuilder::on(area)
         .margin_top(MARGIN + CAPTION)
         .margin_bottom(MARGIN + BELOW)

@@ -3,14 +3,13 @@
 //! PURE. Uses: plotters, `skin`. Never: the plan itself (the caller passes positions).
 
 use std::collections::BTreeSet;
-use std::error::Error;
 
 use plotters::prelude::*;
 use plotters::style::colors::colormaps::ViridisRGB;
 
 use super::skin::{BAR_PX, Outline, SkinChart, colour_bar};
 use super::style::{COLOURS, INK};
-use super::{Area, Heading, PageSize, figure};
+use super::{Area, Drawn, Heading, PageSize, figure};
 
 /// Most panels next to each other.
 const PANELS_ACROSS: usize = 3;
@@ -80,7 +79,7 @@ fn draw(
     leg: &Leg,
     shade: impl Fn(usize) -> RGBColor,
     radius_px: i32,
-) -> Result<(), Box<dyn Error>> {
+) -> Drawn {
     let mut chart = outline.chart(area, &leg.name)?;
     if leg.stops.len() <= WAY_STOPS {
         way(&mut chart, leg)?;
@@ -118,7 +117,7 @@ fn draw(
 }
 
 /// The way of the indenter's centre.
-fn way(chart: &mut SkinChart<'_, '_>, leg: &Leg) -> Result<(), Box<dyn Error>> {
+fn way(chart: &mut SkinChart<'_, '_>, leg: &Leg) -> Drawn {
     let centres = leg.stops.iter().filter_map(|stop| stop.centre_mm).map(|[x, y]| (x, y));
     chart.draw_series(LineSeries::new(centres, INK.mix(0.35).stroke_width(1)))?;
     Ok(())

@@ -10,7 +10,7 @@ use plotters::style::text_anchor::{HPos, Pos, VPos};
 
 use super::figures::{FigureError, page};
 use crate::figure::style::{AxesStyle, COLOURS, INK, SMALL, TEXT, TINY, plain, whole};
-use crate::figure::{Area, Heading, PageSize};
+use crate::figure::{Area, Drawn, Heading, PageSize};
 
 /// A named line of points.
 #[derive(Debug, Clone, PartialEq)]
@@ -105,7 +105,7 @@ fn draw_panel(
     [x, y]: [&str; 2],
     [left, right, low, high]: [f64; 4],
     panel: &Panel,
-) -> Result<(), Box<dyn std::error::Error>> {
+) -> Drawn {
     let mut chart = ChartBuilder::on(area)
         .caption(&panel.name, SMALL)
         .margin(8)
@@ -150,12 +150,7 @@ fn draw_panel(
 }
 
 /// Mark of a line in the legend below the panels.
-fn mark(
-    area: &Area<'_>,
-    (x, y): (i32, i32),
-    role: usize,
-    colour: RGBColor,
-) -> Result<(), Box<dyn std::error::Error>> {
+fn mark(area: &Area<'_>, (x, y): (i32, i32), role: usize, colour: RGBColor) -> Drawn {
     let stretches = if role == 0 { vec![[-14, 14]] } else { vec![[-14, -8], [-4, 4], [8, 14]] };
     for [from, to] in stretches {
         area.draw(&PathElement::new([(x + from, y), (x + to, y)], colour.stroke_width(3)))?;

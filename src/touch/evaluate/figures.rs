@@ -7,7 +7,7 @@ use plotters::style::colors::colormaps::ViridisRGB;
 
 use crate::figure::skin::{Outline, colour_bar};
 use crate::figure::style::{AxesStyle, COLOURS, INK, TINY, legend, plain, whole};
-use crate::figure::{Area, Heading, PageSize};
+use crate::figure::{Area, Drawn, Heading, PageSize};
 use crate::plain::counted;
 use crate::record::CONTACTS_MAX;
 
@@ -65,7 +65,7 @@ pub(super) fn page(
     name: &'static str,
     size: PageSize,
     heading: &Heading,
-    draw: impl FnOnce(&Area<'_>) -> Result<(), Box<dyn std::error::Error>>,
+    draw: impl FnOnce(&Area<'_>) -> Drawn,
 ) -> Result<String, FigureError> {
     crate::figure::figure(size, heading, draw).map_err(|why| FigureError { figure: name, why })
 }
@@ -171,12 +171,7 @@ pub fn by_force(
 }
 
 /// Number of trials of each bin, one bar above the other.
-fn counts(
-    area: &Area<'_>,
-    lines: &[(u8, Vec<Bin>)],
-    width_n: f64,
-    end_n: f64,
-) -> Result<(), Box<dyn std::error::Error>> {
+fn counts(area: &Area<'_>, lines: &[(u8, Vec<Bin>)], width_n: f64, end_n: f64) -> Drawn {
     let mut heights = std::collections::BTreeMap::<i64, u64>::new();
     let mut bars = Vec::new();
     for (contacts, bins) in lines {
@@ -316,29 +311,17 @@ fn colour(fvu: f64) -> RGBColor {
 mod tests {
     use super::*;
     use crate::evaluate::simulation::report;
-    use crate::ids::TrialId;
+    use crate::evaluate::simulation::tests::fit;
     use crate::store::Fit;
-
-    fn fit(n: u32, force_n: f64) -> Fit {
-        Fit {
-            trial: TrialId(i64::from(n)),
-            tips: 1,
-            contact_count: 1,
-            max_force_n: Some(force_n),
-            single_tip_mm: Some([100.0, 200.0]),
-            flagged: false,
-            rmse_v: 0.01,
-            fvu: Some(0.25),
-        }
-    }
 
     #[test]
     fn few_trials_get_wider_bins_and_no_line_crosses_a_gap() {
-        let sparse: Vec<Fit> = (0..20).map(|n| fit(n, f64::from(n % 10))).collect();
+        let sparse: Vec<Fit> = (0..20_u32).map(|n| fit(1, f64::from(n % 10), 0.25)).collect();
         let (width_n, lines) = bins(&report(&sparse), Quantity::Fvu);
         assert_eq!((width_n, lines[0].1.len()), (5.0, 2));
         assert_eq!(lines[0].1[0], Bin { middle_n: 2.5, trials: 10, mean: 0.25 });
-        let apart: Vec<Fit> = (0..20).map(|n| fit(n, if n < 10 { 3.0 } else { 30.0 })).collect();
+        let apart = (0..20).map(|n| fit(1, if n < 10 { 3.0 } else { 30.0 }, 0.25));
+        let apart: Vec<Fit> = apart.collect();
         let heading = Heading::new("Fit by force", 20, "trials", "virtual");
         let svg = by_force(&heading, &report(&apart), Quantity::Fvu).unwrap();
         let line =

@@ -8,7 +8,7 @@ use sim_core::stats::{quantile, sorted};
 use super::figures::{FigureError, page};
 use crate::figure::skin::{BAR_PX, colour_bar};
 use crate::figure::style::{INK, SMALL, TEXT, TINY, diverging};
-use crate::figure::{Area, Heading, PageSize};
+use crate::figure::{Area, Drawn, Heading, PageSize};
 
 /// A trial that is shown.
 #[derive(Debug, Clone, PartialEq)]
@@ -48,7 +48,7 @@ pub fn frame_pairs(heading: &Heading, pairs: &[FramePair]) -> Result<String, Fig
     })
 }
 
-fn draw(area: &Area<'_>, pair: &FramePair) -> Result<(), Box<dyn std::error::Error>> {
+fn draw(area: &Area<'_>, pair: &FramePair) -> Drawn {
     let name = TEXT.into_font().style(FontStyle::Bold).color(&INK);
     area.draw(&Text::new(pair.name.as_str(), (20, 8), name))?;
     let (_, below) = area.split_vertically(NAME_PX);
@@ -70,12 +70,7 @@ fn draw(area: &Area<'_>, pair: &FramePair) -> Result<(), Box<dyn std::error::Err
 }
 
 /// One frame as a square image, or as one row if its readings do not form a square.
-fn image(
-    area: &Area<'_>,
-    name: &str,
-    frame: &[f32],
-    end_mv: f64,
-) -> Result<(), Box<dyn std::error::Error>> {
+fn image(area: &Area<'_>, name: &str, frame: &[f32], end_mv: f64) -> Drawn {
     let side = (frame.len() as f64).sqrt().round() as usize;
     let [rows, columns] = if side * side == frame.len() { [side; 2] } else { [1, frame.len()] };
     let mut chart = ChartBuilder::on(area)

@@ -11,7 +11,7 @@ use super::figures::{FigureError, page};
 use super::force_maps::Picture;
 use crate::dataset::read::PAPER_SKIN;
 use crate::figure::style::{AxesStyle, COLOURS, INK, SMALL, TEXT, TINY, plain};
-use crate::figure::{Area, Heading, PageSize};
+use crate::figure::{Area, Drawn, Heading, PageSize};
 use crate::store::Contact;
 
 /// A method's answer to a trial.
@@ -119,11 +119,7 @@ pub fn opening(
 }
 
 /// One skin with true contacts, and the answer of a method to them.
-fn cell(
-    area: &Area<'_>,
-    truth: &[Contact],
-    answer: Option<&Answer>,
-) -> Result<(), Box<dyn std::error::Error>> {
+fn cell(area: &Area<'_>, truth: &[Contact], answer: Option<&Answer>) -> Drawn {
     let (width, height) = (PAPER_SKIN.width_mm, PAPER_SKIN.height_mm);
     let mut chart = ChartBuilder::on(area)
         .margin(8)
@@ -189,7 +185,7 @@ fn force(
     [x, y]: [f64; 2],
     newtons: f64,
     (radius_px, on_right): (i32, bool),
-) -> Result<(), Box<dyn std::error::Error>> {
+) -> Drawn {
     let share = x / PAPER_SKIN.width_mm;
     let is_left = share < 0.15 || (on_right && share < 0.85);
     let side = if is_left { HPos::Left } else { HPos::Right };
@@ -201,7 +197,7 @@ fn force(
 }
 
 /// Location errors, one below the other, the smallest first.
-fn errors(area: &Area<'_>, ranks: &[Rank]) -> Result<(), Box<dyn std::error::Error>> {
+fn errors(area: &Area<'_>, ranks: &[Rank]) -> Drawn {
     let mut ranks: Vec<&Rank> = ranks.iter().collect();
     ranks.sort_by(|a, b| a.mean_mm.total_cmp(&b.mean_mm));
     let count = ranks.len();

@@ -2,7 +2,6 @@
 //! PURE. Uses: plotters, `figure`, `evaluate::{figures, charts}` (page, lines). Never: files, a number
 //! that was not measured.
 
-use std::error::Error;
 use std::ops::Range;
 
 use plotters::coord::types::RangedCoordf64;
@@ -11,7 +10,7 @@ use plotters::prelude::*;
 use super::charts::Line;
 use super::figures::{FigureError, page};
 use crate::figure::style::{AxesStyle, COLOURS, TINY, dash, legend, plain, whole};
-use crate::figure::{Area, Heading, PageSize};
+use crate::figure::{Area, Drawn, Heading, PageSize};
 
 const RUN_SIZE: PageSize = PageSize { width_px: 900, height_px: 500 };
 const HISTOGRAM_BINS: usize = 40;
@@ -47,7 +46,7 @@ fn numbers<'a, 'b>(
     area: &'a Area<'b>,
     [x, y]: [&str; 2],
     [across, up]: [Range<f64>; 2],
-) -> Result<NumberChart<'a, 'b>, Box<dyn Error>> {
+) -> Drawn<NumberChart<'a, 'b>> {
     let mut chart = ChartBuilder::on(area)
         .margin(18)
         .x_label_area_size(50)

@@ -276,12 +276,13 @@ fn by_point(touched: &[&Fit]) -> Vec<PointFit> {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::{BoxPlot, newest_touched, pair_fits, report, with_frames};
     use crate::ids::TrialId;
     use crate::store::Fit;
 
-    fn fit(contact_count: u8, force_n: f64, fvu: f64) -> Fit {
+    /// The fit of a trial.
+    pub fn fit(contact_count: u8, force_n: f64, fvu: f64) -> Fit {
         Fit {
             trial: TrialId(1),
             tips: 1,

@@ -112,7 +112,8 @@ async fn every_example_of_a_body_is_one_that_the_service_understands() {
 /// no 5xx, and no answer that the description does not state. `PALPATE_CONTRACT_EXAMPLES` sets the number of
 /// examples for each operation; 300 take a quarter of an hour.
 ///
-/// All checks are on, with the statuses of `schemathesis.toml`. Left out: the WebSockets, and the
+/// All checks are on, with the statuses of `schemathesis.toml`. The phase `coverage` sends every case that the schemas
+/// define, the same for each role: an admin, who may request all, sends them. Left out: the WebSockets, and the
 /// revocation of keys, which would end the test's own.
 #[tokio::test(flavor = "multi_thread")]
 async fn every_answer_is_one_that_the_description_states() {
@@ -124,6 +125,10 @@ async fn every_answer_is_one_that_the_description_states() {
             "keyless" => "X-No-Key: 1".to_owned(),
             _ => format!("Authorization: Bearer {}", lab.key(role, role).await.1),
         };
+        let phases = match role {
+            "admin" => "examples,coverage,fuzzing,stateful",
+            _ => "examples,fuzzing,stateful",
+        };
         let folder = Folder::new(&format!("contract-fuzz-{role}"));
         let mut command = Command::new(Path::new(&python).with_file_name("schemathesis"));
         command
@@ -133,7 +138,7 @@ async fn every_answer_is_one_that_the_description_states() {
                 concat!(env!("CARGO_MANIFEST_DIR"), "/tests/it/contract/schemathesis.toml"),
             ])
             .args(["run", DESCRIPTION, "--url", &lab.url(""), "-H", &header])
-            .args(["--max-examples", &examples, "--seed", "1", "--no-color"])
+            .args(["--phases", phases, "--max-examples", &examples, "--seed", "1", "--no-color"])
             // Other tests share the processor.
             .args(["--checks", "all", "--max-response-time", "180"])
             .args(["--exclude-path", "/api/v1/live", "--exclude-path", "/api/v1/frames/live"])

@@ -2,6 +2,7 @@
 //! written after the run's end, byte for byte, whatever has changed meanwhile.
 
 use std::fs::{hard_link, read_dir};
+use std::ops::Range;
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 
@@ -11,15 +12,16 @@ use palpate::dataset::build::data_file;
 use palpate::dataset::catalog::Catalog;
 use palpate::dataset::definition::Definition;
 use palpate::ids::{RunUid, TrialKey};
-use palpate::journal::{ExitStatus, Journal};
+use palpate::journal::Journal;
 use palpate::record::FrameRecord;
 use palpate::store::{
-    DatasetRow, NewTwinModel, RunKind, Store, TrialQuery, Twin, TwinModelId, TwinOutcome,
+    DatasetRow, RunKind, RunRow, Store, TrialQuery, Twin, TwinModelId, TwinOutcome,
 };
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
+use tokio::sync::OnceCell;
 
-use super::filled::{folder, new_run, press, store};
+use super::filled::{copied, end, folder, new_run, press, store, twin_model};
 
 /// Values of a frame: short ones are written faster.
 const CHANNELS: i16 = 8;
@@ -37,36 +39,17 @@ struct Lab {
 
 impl Lab {
     async fn open(name: &str) -> Self {
+        static KEPT: OnceCell<PathBuf> = OnceCell::const_new();
         let data = folder(name);
+        copied(&data, &KEPT, "ahead-kept", pressed).await;
         let store = store(&data).await;
-        let created = store.create_run(new_run(RunKind::RealHex, "made-up")).await.unwrap();
+        let RunRow { uid: run, scan_id, .. } = store.run_by_scan_id(1).await.unwrap().unwrap();
         let datasets = Catalog::open(store.clone(), &data, Clock::new(1.0)).unwrap();
-        let lab = Self { data, store, datasets, run: created.uid, scan_id: created.scan_id };
-        lab.press(0, TRIALS).await;
-        lab
-    }
-
-    async fn press(&self, first: u32, end: u32) {
-        let mut chance = ChaCha8Rng::seed_from_u64(3);
-        for configuration in first..end {
-            let key = TrialKey { configuration, depth_index: 4 };
-            let mut trial = press(key, 1, &[[100.0, 200.0], [300.0, 250.0]], &mut chance);
-            let counts = (0..CHANNELS).map(|n| n * 7 + configuration as i16).collect();
-            let (sequence, device_time_us, volts_per_count) = (1, 2, 12.0 / 32_768.0);
-            trial.frames = vec![FrameRecord { sequence, device_time_us, volts_per_count, counts }];
-            self.store.trial(self.run, &trial).await.unwrap();
-        }
+        Self { data, store, datasets, run, scan_id }
     }
 
     async fn model(&self, hash: &str) -> TwinModelId {
-        let new = NewTwinModel {
-            hash: hash.into(),
-            sensor_sha256: "s".into(),
-            calibration_id: None,
-            version: "0.1.0".into(),
-            git_commit: None,
-        };
-        self.store.twin_model(new).await.unwrap()
+        self.store.twin_model(twin_model(hash)).await.unwrap()
     }
 
     /// Stores twins of the trials from `first` to `end`, in the order of storing.
@@ -97,8 +80,7 @@ impl Lab {
 
     /// Ends the run, makes its dataset, and makes it a second time of the stored trials alone.
     async fn made_twice(&self) -> [(DatasetRow, u64); 2] {
-        let now = jiff::Timestamp::now();
-        self.store.end_run(self.run, ExitStatus::Success, "made up", now).await.unwrap();
+        end(&self.store, self.run).await;
         let first = self.make().await;
         std::fs::remove_file(data_file(&self.datasets.datasets(), &first.0.id)).unwrap();
         [first, self.make().await]
@@ -115,6 +97,26 @@ impl Lab {
     async fn close(self) {
         self.store.close().await;
         std::fs::remove_dir_all(&self.data).unwrap();
+    }
+}
+
+/// Fills a folder with the run.
+async fn pressed(data: &Path) {
+    let store = store(data).await;
+    let run = store.create_run(new_run(RunKind::RealHex, "made-up")).await.unwrap().uid;
+    add_trials(&store, run, 0..TRIALS).await;
+    store.close().await;
+}
+
+async fn add_trials(store: &Store, run: RunUid, configurations: Range<u32>) {
+    let mut chance = ChaCha8Rng::seed_from_u64(3);
+    for configuration in configurations {
+        let key = TrialKey { configuration, depth_index: 4 };
+        let mut trial = press(key, 1, &[[100.0, 200.0], [300.0, 250.0]], &mut chance);
+        let counts = (0..CHANNELS).map(|n| n * 7 + configuration as i16).collect();
+        let (sequence, device_time_us, volts_per_count) = (1, 2, 12.0 / 32_768.0);
+        trial.frames = vec![FrameRecord { sequence, device_time_us, volts_per_count, counts }];
+        store.trial(run, &trial).await.unwrap();
     }
 }
 
@@ -175,7 +177,7 @@ async fn a_begun_file_with_a_withdrawn_trial_is_written_again() {
     assert!(lab.ahead().await.is_empty(), "the next thousand shows that the file is outdated");
     let second = lab.ahead().await;
     assert!(second.len() == 1 && second != begun, "{begun:?} {second:?}");
-    lab.press(TRIALS, TRIALS + 200).await;
+    add_trials(&lab.store, lab.run, TRIALS..TRIALS + 200).await;
     let [(first, file), (again, _)] = lab.made_twice().await;
     assert_eq!((first.rows, file), (u64::from(TRIALS) + 199, second[0]));
     assert_eq!((&first.id, &first.sha256), (&again.id, &again.sha256));

@@ -13,16 +13,14 @@ use palpate::dataset::format::Rows;
 use palpate::dataset::read::DatasetRows;
 use palpate::dataset::select::Wanted;
 use palpate::digest::sha256_hex;
-use palpate::ids::TrialKey;
-use palpate::journal::{ExitStatus, Journal};
 use palpate::store::{NewRun, RunKind};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use serde_json::{Value, json};
 use tokio::net::TcpListener;
 
-use super::filled::{Filled, folder, new_run, press, store};
-use crate::support::{self, SENSOR, command, finished, sensor, succeeded};
+use super::filled::{Filled, fill, folder, new_run, press_run, store};
+use crate::support::{self, SENSOR, command, finished, succeeded};
 
 /// Rows of `real` in a filled folder.
 const REAL: u64 = 235;
@@ -61,9 +59,11 @@ async fn federate(out: &Path, words: &[&str]) -> Called {
     }
 }
 
-/// A service with the dataset `real`.
+/// A service with the dataset `real` of runs that no other one has.
 async fn rig(name: &str) -> Filled {
-    let rig = Filled::open(name).await;
+    let data = folder(name);
+    fill(&data).await;
+    let rig = Filled::serve(data).await;
     assert_eq!(rig.make("real").await["rows"], REAL);
     rig
 }
@@ -71,14 +71,7 @@ async fn rig(name: &str) -> Filled {
 /// Adds three trials of another run to a folder.
 async fn add_run(data: &Path, run: NewRun) {
     let store = store(data).await;
-    let points: Vec<[f64; 2]> = sensor().points().iter().map(|p| [p.x_mm, p.y_mm]).collect();
-    let mut chance = ChaCha8Rng::seed_from_u64(9);
-    let run = store.create_run(run).await.unwrap().uid;
-    for depth_index in 4..7 {
-        let key = TrialKey { configuration: 0, depth_index };
-        store.trial(run, &press(key, 2, &points, &mut chance)).await.unwrap();
-    }
-    store.end_run(run, ExitStatus::Success, "made up", jiff::Timestamp::now()).await.unwrap();
+    press_run(&store, run, 2, 1, 4..7, &mut ChaCha8Rng::seed_from_u64(9)).await;
     store.close().await;
 }
 

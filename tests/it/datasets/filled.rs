@@ -1,9 +1,10 @@
 //! A data folder with trials, as campaigns would leave it, and a service on it. Frames are made up:
 //! nothing here is about physics.
 
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU32, Ordering};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use palpate::api::{ServeOptions, Service};
 use palpate::clock::Clock;
@@ -19,8 +20,9 @@ use palpate::store::{
 use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use serde_json::{Value, json};
+use tokio::sync::OnceCell;
 
-use crate::support::{SENSOR, VIRTUAL_RIG, http, sensor, with_responses};
+use crate::support::{SENSOR, VIRTUAL_RIG, copy_folder, http, sensor, until, with_responses};
 
 /// Configurations of the Real-Hex run; each third is one that was drawn before.
 pub const CONFIGURATIONS: u32 = 30;
@@ -146,29 +148,75 @@ pub fn placed(key: TrialKey, points: &[[f64; 2]], chance: &mut ChaCha8Rng) -> Tr
     }
 }
 
+/// Points of the sensor, mm.
+pub fn points() -> Vec<[f64; 2]> {
+    sensor().points().iter().map(|p| [p.x_mm, p.y_mm]).collect()
+}
+
+/// Stores a run of presses that has ended; returns its uid.
+pub async fn press_run(
+    store: &Store,
+    new: NewRun,
+    tips: u8,
+    configurations: u32,
+    depths: Range<u32>,
+    chance: &mut ChaCha8Rng,
+) -> RunUid {
+    let points = points();
+    let run = store.create_run(new).await.unwrap().uid;
+    for configuration in 0..configurations {
+        for depth_index in depths.clone() {
+            let key = TrialKey { configuration, depth_index };
+            store.trial(run, &press(key, tips, &points, chance)).await.unwrap();
+        }
+    }
+    end(store, run).await;
+    run
+}
+
+/// Ends a run, whose trials are all stored.
+pub async fn end(store: &Store, run: RunUid) {
+    store.end_run(run, ExitStatus::Success, "made up", jiff::Timestamp::now()).await.unwrap();
+}
+
 /// Fills a folder: run 1 is Real-Hex, run 2 is Real-Random.
 pub async fn fill(data: &Path) {
     let store = store(data).await;
-    let sensor = sensor();
-    let points: Vec<[f64; 2]> = sensor.points().iter().map(|p| [p.x_mm, p.y_mm]).collect();
     let mut chance = ChaCha8Rng::seed_from_u64(5);
-    let hex = store.create_run(new_run(RunKind::RealHex, "made-up-hex")).await.unwrap().uid;
-    for configuration in 0..CONFIGURATIONS {
-        for depth_index in 0..DEPTHS {
-            let key = TrialKey { configuration, depth_index };
-            store.trial(hex, &press(key, 2, &points, &mut chance)).await.unwrap();
-        }
-    }
+    let new = new_run(RunKind::RealHex, "made-up-hex");
+    let hex = press_run(&store, new, 2, CONFIGURATIONS, 0..DEPTHS, &mut chance).await;
     twins(&store, hex, "sim-0000000000000001", &mut chance).await;
-    store.end_run(hex, ExitStatus::Success, "made up", jiff::Timestamp::now()).await.unwrap();
     let random =
         store.create_run(new_run(RunKind::RealRandom, "made-up-random")).await.unwrap().uid;
+    let points = points();
     for configuration in 0..12 {
         let key = TrialKey { configuration, depth_index: 0 };
         store.trial(random, &placed(key, &points, &mut chance)).await.unwrap();
     }
-    store.end_run(random, ExitStatus::Success, "made up", jiff::Timestamp::now()).await.unwrap();
+    end(&store, random).await;
     store.close().await;
+}
+
+/// Fills a folder with a copy of what `fill` leaves in one that stays: each trial waits for the disk, a copy does not.
+/// Runs have the same uid in all copies.
+pub async fn copied(
+    data: &Path,
+    kept: &OnceCell<PathBuf>,
+    name: &str,
+    fill: impl AsyncFnOnce(&Path),
+) {
+    let make = || async move {
+        let kept = folder(name);
+        fill(kept.as_path()).await;
+        kept
+    };
+    copy_folder(&kept.get_or_init(make).await.join("."), data);
+}
+
+/// As [`fill`], by a copy.
+pub async fn copy_filled(data: &Path) {
+    static FILLED: OnceCell<PathBuf> = OnceCell::const_new();
+    copied(data, &FILLED, "filled", fill).await;
 }
 
 /// A rig whose lock no other process has.
@@ -177,6 +225,16 @@ pub fn rig() -> String {
     let (process, n) = (std::process::id(), NEXT.fetch_add(1, Ordering::Relaxed));
     let own = format!("127.{}.{}.{}:", process >> 8 & 0x7F, process & 0xFF, n + 1);
     VIRTUAL_RIG.replace("127.0.0.1:", &own)
+}
+
+pub fn twin_model(hash: &str) -> NewTwinModel {
+    NewTwinModel {
+        hash: hash.into(),
+        sensor_sha256: "s".into(),
+        calibration_id: None,
+        version: "0.1.0".into(),
+        git_commit: None,
+    }
 }
 
 /// Twins of all trials of a run but the last three.
@@ -193,11 +251,9 @@ pub async fn twins_but(
     chance: &mut ChaCha8Rng,
 ) {
     let new = NewTwinModel {
-        hash: model.into(),
-        sensor_sha256: "s".into(),
         calibration_id: Some(CalibrationId::unchecked("cal-1")),
-        version: "0.1.0".into(),
         git_commit: Some("c".into()),
+        ..twin_model(model)
     };
     let model: TwinModelId = store.twin_model(new).await.unwrap();
     let query = TrialQuery { run: Some(run), limit: 10_000, ..TrialQuery::default() };
@@ -214,7 +270,7 @@ impl Filled {
     /// A filled folder of this test's own, and a service on it.
     pub async fn open(name: &str) -> Self {
         let data = folder(name);
-        fill(&data).await;
+        copy_filled(&data).await;
         Self::serve(data).await
     }
 
@@ -316,15 +372,7 @@ impl Filled {
 
     /// Waits for what stands at a path to satisfy this; returns it.
     pub async fn until(&self, path: &str, limit: Duration, done: impl Fn(&Value) -> bool) -> Value {
-        let start = Instant::now();
-        loop {
-            let found = self.get(path).await;
-            if done(&found) {
-                return found;
-            }
-            assert!(start.elapsed() < limit, "{path}: {found:#}");
-            tokio::time::sleep(Duration::from_millis(10)).await;
-        }
+        until(path, limit, async || self.get(path).await, done).await
     }
 
     pub async fn over(&self, export: &str) -> Value {

@@ -6,10 +6,19 @@ use serde_json::Value;
 use super::filled::Filled;
 
 #[tokio::test]
-async fn pages_cover_a_dataset_once_also_filtered() {
-    let lab = Filled::open("pages").await;
+async fn what_is_stored_is_read_by_queries() {
+    let lab = Filled::open("queries").await;
     lab.make("real").await;
     lab.make("run-1").await;
+    pages_cover_a_dataset_once_also_filtered(&lab).await;
+    rows_come_in_the_order_of_a_column(&lab).await;
+    frames_are_cut_and_maps_sum_to_the_forces(&lab).await;
+    stored_trials_come_in_every_format(&lab).await;
+    bad_queries_are_400_with_the_column_and_the_choices(&lab).await;
+    lab.close().await;
+}
+
+async fn pages_cover_a_dataset_once_also_filtered(lab: &Filled) {
     for filter in ["", "&configuration__gte=7&max_force_n__lt=12.5&split=train"] {
         let mut seen = Vec::new();
         let mut path = format!("/api/v1/datasets/run-1/rows?limit=17&columns=trial_id{filter}");
@@ -35,13 +44,9 @@ async fn pages_cover_a_dataset_once_also_filtered() {
         assert_eq!(seen, all);
         assert!(!all.is_empty() && all.windows(2).all(|pair| pair[0] < pair[1]));
     }
-    lab.close().await;
 }
 
-#[tokio::test]
-async fn rows_come_in_the_order_of_a_column() {
-    let lab = Filled::open("sorted").await;
-    lab.make("run-1").await;
+async fn rows_come_in_the_order_of_a_column(lab: &Filled) {
     let path = "/api/v1/datasets/run-1/rows?columns=trial_id,max_force_n,voltages_v&tips=2";
     let all = lab.get(&format!("{path}&limit=10000")).await["items"].as_array().unwrap().clone();
     let mut wanted = all.clone();
@@ -57,13 +62,9 @@ async fn rows_come_in_the_order_of_a_column() {
     assert_eq!(found.len(), all.len());
     assert!(found == wanted, "frames belong to their rows");
     lab.refuses_get(&format!("{path}&sort=voltages_v"), 400, "max_force_n").await;
-    lab.close().await;
 }
 
-#[tokio::test]
-async fn frames_are_cut_and_maps_sum_to_the_forces() {
-    let lab = Filled::open("maps").await;
-    lab.make("real").await;
+async fn frames_are_cut_and_maps_sum_to_the_forces(lab: &Filled) {
     let whole = lab.get("/api/v1/datasets/real/rows?limit=3&columns=voltages_v").await;
     let cut = lab.get("/api/v1/datasets/real/rows?limit=3&columns=voltages_v&slice=28:56").await;
     let maps = lab.get("/api/v1/datasets/real/rows?limit=3&columns=contacts&map=10x10").await;
@@ -78,12 +79,9 @@ async fn frames_are_cut_and_maps_sum_to_the_forces() {
         let forces: Vec<Value> = contacts.iter().map(|c| c["force_n"].clone()).collect();
         assert!((sum(map) / sum(&forces) - 1.0).abs() < 1e-6, "{} {}", sum(map), sum(&forces));
     }
-    lab.close().await;
 }
 
-#[tokio::test]
-async fn stored_trials_come_in_every_format() {
-    let lab = Filled::open("formats").await;
+async fn stored_trials_come_in_every_format(lab: &Filled) {
     let path = "/api/v1/trials?contact_count=2&max_force_n__gt=10&limit=40";
     let json = lab.get(path).await;
     let ids: Vec<i64> =
@@ -131,13 +129,9 @@ async fn stored_trials_come_in_every_format() {
     let backwards = lab.get(&format!("{path}&sort=-trial_id")).await;
     let backwards = backwards["items"][0]["trial_id"].as_i64().unwrap();
     assert!(backwards > ids[0]);
-    lab.close().await;
 }
 
-#[tokio::test]
-async fn bad_queries_are_400_with_the_column_and_the_choices() {
-    let lab = Filled::open("bad-queries").await;
-    lab.make("real").await;
+async fn bad_queries_are_400_with_the_column_and_the_choices(lab: &Filled) {
     for path in [
         "/api/v1/trials",
         "/api/v1/runs/1/trials",
@@ -176,5 +170,4 @@ async fn bad_queries_are_400_with_the_column_and_the_choices() {
     ] {
         lab.refuses_get(&format!("/api/v1/datasets/real/rows?{query}"), 400, word).await;
     }
-    lab.close().await;
 }

@@ -40,8 +40,16 @@ async fn number(lab: &Filled, sql: &str) -> Value {
 }
 
 #[tokio::test]
-async fn the_tables_hold_what_is_stored() {
-    let Some(lab) = lab("tables").await else { return };
+async fn what_is_stored_is_read_by_sql() {
+    let Some(lab) = lab("read").await else { return };
+    the_tables_hold_what_is_stored(&lab).await;
+    an_answer_comes_in_every_row_format_and_by_the_address(&lab).await;
+    groups_and_orders_follow_from_the_parameters_of_filters(&lab).await;
+    a_refusal_names_what_is_wrong(&lab).await;
+    lab.close().await;
+}
+
+async fn the_tables_hold_what_is_stored(lab: &Filled) {
     let counts = [
         ("trials", json!(342)),
         ("runs", json!(2)),
@@ -53,11 +61,11 @@ async fn the_tables_hold_what_is_stored() {
         ("contacts", json!(30 * 8 * 2 + 4 * (2 + 3 + 4))),
     ];
     for (table, count) in counts {
-        let found = number(&lab, &format!("SELECT count(*) AS n FROM {table}")).await;
+        let found = number(lab, &format!("SELECT count(*) AS n FROM {table}")).await;
         assert_eq!(found, count, "{table}");
     }
     assert_eq!(
-        number(&lab, "SELECT count(*) AS n FROM events").await,
+        number(lab, "SELECT count(*) AS n FROM events").await,
         json!(
             lab.get("/api/v1/events?follow=false&limit=1000").await["items"]
                 .as_array()
@@ -73,9 +81,9 @@ async fn the_tables_hold_what_is_stored() {
     let path = format!("/api/v1/trials?trial_id__in=5,20,335&format=ndjson&columns={columns}");
     let lines = lab.answer(&path).await.text().await.unwrap();
     let rows: Vec<Value> = lines.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
-    assert_eq!(ask(&lab, &sql).await, json!(rows));
+    assert_eq!(ask(lab, &sql).await, json!(rows));
     // Frames, measured and simulated, and the FVU by Eq. 2 from the long table.
-    let frame = &ask(&lab, "SELECT * FROM frames WHERE trial_id = 20").await[0];
+    let frame = &ask(lab, "SELECT * FROM frames WHERE trial_id = 20").await[0];
     let trial = lab.get("/api/v1/trials/20").await;
     for column in ["voltages_v", "sim_voltages_v"] {
         // Of some numbers two shortest texts are the same f32.
@@ -87,12 +95,11 @@ async fn the_tables_hold_what_is_stored() {
         assert_eq!(volts(frame).len(), 784);
     }
     let long = ask(
-        &lab,
+        lab,
         "SELECT injection, pair, voltage_v AS v FROM voltages WHERE trial_id = 20 AND position = 29",
     )
     .await;
     assert_eq!(long[0], json!({ "injection": 1, "pair": 1, "v": frame["voltages_v"][29] }));
-    lab.close().await;
 }
 
 #[tokio::test]
@@ -163,9 +170,7 @@ async fn trials_of_a_run_that_goes_on_are_there_and_datasets_are_tables() {
     lab.close().await;
 }
 
-#[tokio::test]
-async fn an_answer_comes_in_every_row_format_and_by_the_address() {
-    let Some(lab) = lab("formats").await else { return };
+async fn an_answer_comes_in_every_row_format_and_by_the_address(lab: &Filled) {
     let sql = "SELECT trial_id, label, fvu, measured_at, flags FROM trials ORDER BY trial_id";
     for format in Format::ALL {
         let body = json!({ "sql": sql, "format": format.name() });
@@ -193,12 +198,9 @@ async fn an_answer_comes_in_every_row_format_and_by_the_address() {
     let get =
         lab.answer("/api/v1/query?sql=SELECT%20max(tips)%20AS%20n%20FROM%20trials&format=csv");
     assert_eq!(get.await.text().await.unwrap(), "n\r\n4\r\n");
-    lab.close().await;
 }
 
-#[tokio::test]
-async fn groups_and_orders_follow_from_the_parameters_of_filters() {
-    let Some(lab) = lab("groups").await else { return };
+async fn groups_and_orders_follow_from_the_parameters_of_filters(lab: &Filled) {
     let by_count =
         lab.get("/api/v1/trials/groups?group_by=contact_count&agg=count,max(max_force_n)").await;
     let counts: Vec<&Value> =
@@ -222,11 +224,10 @@ async fn groups_and_orders_follow_from_the_parameters_of_filters() {
     assert_eq!(pairs.len(), 28);
     let of = "FROM voltages WHERE scan_id = 1 AND pair = 3 AND sim_voltage_v IS NOT NULL";
     assert_eq!(pairs[3]["pair"], 3);
-    assert_eq!(pairs[3]["count"], number(&lab, &format!("SELECT count(*) AS n {of}")).await);
+    assert_eq!(pairs[3]["count"], number(lab, &format!("SELECT count(*) AS n {of}")).await);
     let squares = "sum((voltage_v - sim_voltage_v) * (voltage_v - sim_voltage_v))";
     let fvu = format!("SELECT {squares} / (variance(voltage_v) * (count(*) - 1)) AS n {of}");
-    let [found, wanted] =
-        [&pairs[3]["fvu"], &number(&lab, &fvu).await].map(|n| n.as_f64().unwrap());
+    let [found, wanted] = [&pairs[3]["fvu"], &number(lab, &fvu).await].map(|n| n.as_f64().unwrap());
     assert!((found / wanted - 1.0).abs() < 1e-3, "{found} {wanted}");
     // One of several conditions.
     let either = "/api/v1/trials/groups?agg=count&contact_count=3|depth_mm__gt=4.9";
@@ -256,7 +257,6 @@ async fn groups_and_orders_follow_from_the_parameters_of_filters() {
     }
     assert_eq!(forces.len(), 342);
     assert!(forces.windows(2).all(|pair| pair[0] >= pair[1]));
-    lab.close().await;
 }
 
 #[tokio::test]
@@ -285,9 +285,7 @@ async fn a_query_ends_when_its_client_leaves() {
     lab.close().await;
 }
 
-#[tokio::test]
-async fn a_refusal_names_what_is_wrong() {
-    let Some(lab) = lab("refusals").await else { return };
+async fn a_refusal_names_what_is_wrong(lab: &Filled) {
     for (sql, word) in [
         ("DROP TABLE trials", "DROP"),
         ("SELECT 1; SELECT 2", "2 statements"),
@@ -315,6 +313,5 @@ async fn a_refusal_names_what_is_wrong() {
     lab.refuses_get("/api/v1/trials?group_by=tips", 400, "/api/v1/trials/groups").await;
     lab.refuses_get("/api/v1/trials?sort=contacts", 400, "max_force_n").await;
     // The service is steady.
-    assert_eq!(number(&lab, "SELECT count(*) AS n FROM trials").await, json!(342));
-    lab.close().await;
+    assert_eq!(number(lab, "SELECT count(*) AS n FROM trials").await, json!(342));
 }

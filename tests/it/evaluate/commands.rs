@@ -1,18 +1,17 @@
 //! The `palpate evaluate` commands, run as a person runs them, on few trials with made-up frames: what each
 //! trains and scores, the form of its table, and its files. The scores themselves mean nothing here.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
-use palpate::ids::TrialKey;
-use palpate::journal::{ExitStatus, Journal};
 use palpate::store::{Contact, ImportedTrial, NewRun, RunKind};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use serde_json::Value;
+use tokio::sync::OnceCell;
 
-use crate::datasets::filled::{fill, folder, new_run, press, store, twins_but};
-use crate::support::{PALPATE, VIRTUAL_RIG, sensor, succeeded};
+use crate::datasets::filled::{copied, copy_filled, folder, new_run, press_run, store, twins_but};
+use crate::support::{PALPATE, VIRTUAL_RIG, succeeded};
 
 /// Columns of a table of scores of contacts.
 const SCORES: [&str; 10] = [
@@ -33,22 +32,18 @@ const CONFIGURATIONS: u32 = 15;
 
 /// The trials of `fill`, and runs of one and of three tips.
 pub(super) async fn trials(data: &Path) {
-    fill(data).await;
+    static KEPT: OnceCell<PathBuf> = OnceCell::const_new();
+    copied(data, &KEPT, "evaluate-kept", made_up).await;
+}
+
+async fn made_up(data: &Path) {
+    copy_filled(data).await;
     let store = store(data).await;
-    let points: Vec<[f64; 2]> = sensor().points().iter().map(|p| [p.x_mm, p.y_mm]).collect();
     let mut chance = ChaCha8Rng::seed_from_u64(6);
     for tips in TIPS {
         let new = new_run(RunKind::RealHex, "made-up-tips");
-        let run = store.create_run(new).await.unwrap().uid;
-        for configuration in 0..CONFIGURATIONS {
-            for depth_index in 0..11 {
-                let key = TrialKey { configuration, depth_index };
-                store.trial(run, &press(key, tips, &points, &mut chance)).await.unwrap();
-            }
-        }
+        let run = press_run(&store, new, tips, CONFIGURATIONS, 0..11, &mut chance).await;
         twins_but(0, &store, run, "sim-0000000000000001", &mut chance).await;
-        let now = jiff::Timestamp::now();
-        store.end_run(run, ExitStatus::Success, "made up", now).await.unwrap();
     }
     store.close().await;
 }
@@ -261,17 +256,9 @@ async fn fig_12_is_made_of_imported_trials_of_another_skin() {
 async fn the_fit_of_twins_and_the_papers_values_are_shown_by_their_commands() {
     let data = folder("evaluate-simulation");
     let store = store(&data).await;
-    let points: Vec<[f64; 2]> = sensor().points().iter().map(|p| [p.x_mm, p.y_mm]).collect();
-    let mut chance = ChaCha8Rng::seed_from_u64(7);
-    let mut new = new_run(RunKind::RealHex, "made-up-hex");
     // Twins need the frames of a rig.
-    new.rig = Some(VIRTUAL_RIG.into());
-    let run = store.create_run(new).await.unwrap().uid;
-    for depth_index in 4..11 {
-        let key = TrialKey { configuration: 0, depth_index };
-        store.trial(run, &press(key, 1, &points, &mut chance)).await.unwrap();
-    }
-    store.end_run(run, ExitStatus::Success, "made up", jiff::Timestamp::now()).await.unwrap();
+    let new = NewRun { rig: Some(VIRTUAL_RIG.into()), ..new_run(RunKind::RealHex, "made-up-hex") };
+    press_run(&store, new, 1, 1, 4..11, &mut ChaCha8Rng::seed_from_u64(7)).await;
     store.close().await;
     let fit = evaluate(&data, "simulation", &["--run", "1"]);
     assert_eq!((&fit["label"], &fit["report"]["trials"]), (&"virtual".into(), &7.into()), "{fit}");

@@ -50,16 +50,21 @@ def axe_empty(page, browser):
 
 
 def nothing_serious(browser, looked_at):
-    """Looks at views in their states and sizes; a size is that of the same page, whose content follows it."""
+    """Looks at views in their states and sizes, first at a desk; a size is that of the same page, whose content follows
+    it."""
     found, met = [], set()
+    look = {"viewport": DESK, "color_scheme": "light"}
+    # Its pages share the scripts; what is changed before a view would stay in it.
+    context = browser.new_context(**look)
     for view, state, sizes in looked_at:
-        with views.shown(browser, URL, view, state, viewport=sizes[0], color_scheme="light") as (one, errors):
+        place, of_place = (context, {}) if view.before is views.nothing else (browser, look)
+        with views.shown(place, URL, view, state, **of_place) as (one, errors):
             found += [f"{view.name}, {state}: {error}" for error in errors]
             one.evaluate(Axe().axe_script)
             for size in sizes:
-                if size != sizes[0]:  # The view has settled in the first one.
+                if size != DESK:  # The view has settled at the desk.
                     one.set_viewport_size(size)
-                    one.wait_for_timeout(REDRAWN_MS)
+                    one.evaluate(NEXT_FRAME)
                 for light, rules in LIGHTS.items():
                     one.emulate_media(color_scheme=light)
                     one.wait_for_timeout(REDRAWN_MS) if view.is_docs else one.evaluate(NEXT_FRAME)

@@ -34,7 +34,7 @@ def until(what, test, seconds=120):
     ends = time.monotonic() + seconds
     while not (found := test()):
         assert time.monotonic() < ends, f"{what} does not come"
-        time.sleep(0.2)
+        time.sleep(0.05)
     return found
 
 

@@ -261,13 +261,13 @@ def launched(playwright, *more):
 
 @contextmanager
 def shown(browser, url, view, state="busy", settle_ms=None, **look):
-    """Opens a view in a state in a new context; yields the page, settled, and the errors that it wrote until then.
+    """Opens a view in a state; yields the page, settled, and the errors that it wrote until then. `browser` may be a
+    context; otherwise the page has a new one with this `look`.
 
     It has settled once it is `quiet`, or after `settle_ms`.
     """
     wire = Wire(url) if state == "lost" else None
-    context = browser.new_context(**look)
-    page = context.new_page()
+    page = browser.new_page(**look)
     page.set_default_timeout(LIMIT_MS)
     errors, waiting = watched(page), unanswered(page)
     try:
@@ -284,7 +284,7 @@ def shown(browser, url, view, state="busy", settle_ms=None, **look):
         yield page, written
     finally:
         page.unroute_all(behavior="ignoreErrors")
-        context.close()
+        page.close()
         if wire:
             wire.close()
 

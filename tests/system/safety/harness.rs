@@ -10,7 +10,7 @@ use palpate::campaign::run::engine;
 use palpate::campaign::run::job::Job;
 use palpate::campaign::shown::command::{Handle, Refusal, Request};
 use palpate::campaign::shown::safe_end::Tips;
-use palpate::campaign::shown::status::Status;
+use palpate::campaign::shown::status::{Phase, Status};
 use palpate::ids::RunUid;
 use palpate::rig::config::RigConfig;
 use palpate::schedule::experiment::Experiment;
@@ -34,6 +34,17 @@ pub fn experiment(tips: u8, more: &str) -> String {
          depths = 6\ndepth_step_mm = 1.0\nblock = 3\nreference_every = 0\n\
          [measure]\nsettle_ms = 400.0\n{more}"
     )
+}
+
+/// A trial waits to be durable.
+pub fn committing(status: &Status) -> bool {
+    status.run.as_ref().is_some_and(|run| run.phase == Phase::Commit)
+}
+
+pub fn no_axis_moves(truth: &Value) {
+    for axis in truth["axes"].as_array().unwrap() {
+        assert_eq!(axis["moving"], false, "{axis}");
+    }
 }
 
 /// Everything of one test.
@@ -146,6 +157,11 @@ impl Harness {
         self.stored(1).await;
     }
 
+    /// Starts the experiment without mounting tips.
+    pub async fn start_unmounted(&self, tips: u8) {
+        self.start(self.job(&experiment(tips, ""), |_| {})).await;
+    }
+
     pub async fn start(&self, job: Job) {
         self.ask(Request::Start(Arc::new(job))).await.unwrap();
     }
@@ -166,6 +182,41 @@ impl Harness {
     /// Waits until `n` trials are stored.
     pub async fn stored(&self, n: u64) {
         self.until("trials", |s| s.run.as_ref().is_some_and(|r| r.trials_stored >= n)).await;
+    }
+
+    /// Number of trials that the journal took.
+    pub fn taken_trials(&self) -> u64 {
+        self.journal.taken().trials.len() as u64
+    }
+
+    /// Waits until another trial is stored.
+    pub async fn stores_another(&self) {
+        self.stored(self.taken_trials() + 1).await;
+    }
+
+    /// Waits until the run is in this state.
+    pub async fn run_is(&self, state: StoredState) {
+        let is = |s: &Status| s.run.as_ref().is_some_and(|r| r.state == state);
+        self.until(state.as_str(), is).await;
+    }
+
+    /// Waits until each of the axes has stopped after an e-stop.
+    pub async fn every_axis_stands(&self) {
+        let stand = |s: &Status| {
+            let stops = &s.rig.estop_stops;
+            stops.len() == 4 && stops.iter().all(|stop| stop.stood_ms.is_some())
+        };
+        self.until("every axis stands", stand).await;
+    }
+
+    /// Nothing is stored for this long, and the rig is still tripped afterwards; returns the status then.
+    pub async fn stays_tripped(&self, seconds: u64) -> Status {
+        let stored = self.taken_trials();
+        tokio::time::sleep(Duration::from_secs(seconds)).await;
+        let status = self.handle.status();
+        assert_eq!(status.rig.state, RigState::Tripped, "{:#?}", status.rig);
+        assert_eq!(self.taken_trials(), stored);
+        status
     }
 
     /// Waits until the rig's tips truly press.
@@ -239,9 +290,7 @@ impl Harness {
         }
         assert_eq!(truth["pressing"], false, "{truth:#}");
         assert_eq!(truth["lateral_in_contact"], 0, "{truth:#}");
-        for axis in truth["axes"].as_array().unwrap() {
-            assert_eq!(axis["moving"], false, "{axis}");
-        }
+        no_axis_moves(&truth);
         let z = truth["axes"][2]["position"].as_f64().unwrap();
         assert!(z < truth["surface_z_mm"].as_f64().unwrap() - 1.0, "{truth:#}");
     }

@@ -2,6 +2,7 @@
 //! stopped and the tips are up afterwards, that one cause is latched, and that the diary has it all in
 //! its order.
 
+mod alone;
 mod harness;
 mod journal;
 mod people;

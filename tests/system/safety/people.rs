@@ -28,7 +28,7 @@ fn confirm() -> Request {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_confirmed_tip_change_moves_only_a_rig_that_was_homed_after_a_stop() {
     let harness = homed().await;
-    harness.start(harness.job(&experiment(2, ""), |_| {})).await;
+    harness.start_unmounted(2).await;
     let waits = |s: &Status| s.run.as_ref().is_some_and(|r| r.wanted.is_some());
     harness.until("a tip change", waits).await;
     harness.handle.estop("hands at the tips");
@@ -54,9 +54,8 @@ async fn an_automatic_resume_waits_for_the_release_of_a_lock_that_was_taken_afte
     harness.journal.taken().locked_at = Some(jiff::Timestamp::now());
     stays_for(&harness, "ada").await;
     assert_eq!(harness.handle.status().rig.state, RigState::Tripped);
-    let stored = harness.journal.taken().trials.len() as u64;
     harness.journal.taken().locked_at = None;
-    harness.stored(stored + 1).await;
+    harness.stores_another().await;
     harness.abort_and_close().await;
 }
 
@@ -110,9 +109,9 @@ async fn tripped_by_its_wires() -> Harness {
 
 /// Nothing is stored in three seconds more.
 async fn stays(harness: &Harness) {
-    let stored = harness.journal.taken().trials.len();
+    let stored = harness.taken_trials();
     tokio::time::sleep(Duration::from_secs(3)).await;
-    assert_eq!(harness.journal.taken().trials.len(), stored);
+    assert_eq!(harness.taken_trials(), stored);
 }
 
 /// The run waits, for what these words name.
@@ -140,8 +139,7 @@ async fn a_pause_holds_a_run_that_was_to_resume_automatically() {
     }
     harness.home().await;
     harness.ask(Request::Resume).await.unwrap();
-    let stored = harness.journal.taken().trials.len() as u64;
-    harness.stored(stored + 1).await;
+    harness.stores_another().await;
     harness.abort_and_close().await;
 }
 
@@ -164,8 +162,7 @@ async fn a_lock_that_is_taken_while_the_rig_homes_automatically_holds_the_run() 
     let run = harness.handle.status().run.unwrap();
     assert_eq!((run.state, run.paused_why), (StoredState::Paused, Some(PausedWhy::Trip)));
     harness.journal.taken().locked_at = None;
-    let stored = harness.journal.taken().trials.len() as u64;
-    harness.stored(stored + 1).await;
+    harness.stores_another().await;
     harness.abort_and_close().await;
 }
 
@@ -189,11 +186,10 @@ async fn hands_are_not_called_to_tips_that_are_not_raised() {
     harness.until("z at 40 mm", is_down).await;
     // It reports no alarm: the raise to the top for the tip change does not arrive.
     harness.fault("stuck_axis", "z", json!({ "for_s": 6000.0 })).await;
-    harness.start(harness.job(&experiment(2, ""), |_| {})).await;
+    harness.start_unmounted(2).await;
     let status = harness.tripped().await;
     assert!(matches!(status.rig.safe_end.unwrap().tips, Tips::NotRaised(_)));
-    let panicked = |s: &Status| s.run.as_ref().is_some_and(|r| r.state == StoredState::Panicked);
-    harness.until("panicked", panicked).await;
+    harness.run_is(StoredState::Panicked).await;
     tokio::time::sleep(Duration::from_millis(500)).await;
     assert_eq!(harness.handle.status().run.unwrap().wanted, None);
     assert!(!harness.journal.taken().order.iter().any(|taken| taken == "wanted"));

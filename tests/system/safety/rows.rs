@@ -2,69 +2,18 @@
 
 use std::collections::BTreeSet;
 use std::path::Path;
-use std::time::Duration;
 
 use palpate::campaign::bench::interlock::TripKind;
 use palpate::campaign::bench::rig_state::RigState;
 use palpate::campaign::shown::command::Request;
 use palpate::campaign::shown::safe_end::Tips;
-use palpate::campaign::shown::status::{Phase, Status};
 use serde_json::json;
 use virtual_rig::run::RigArgs;
 
-use super::harness::{Harness, SPEED, experiment};
+use super::harness::{Harness, SPEED, committing, experiment};
 use super::journal::Mood;
 use crate::bench::{self, rig_args};
 use palpate::state::StoredState;
-
-/// A trial waits to be durable.
-fn committing(status: &Status) -> bool {
-    status.run.as_ref().is_some_and(|run| run.phase == Phase::Commit)
-}
-
-/// Deepest z below the nominal surface since the peaks were cleared, mm, and the largest force, N.
-async fn peaks(harness: &Harness) -> (f64, f64) {
-    let truth = harness.truth().await;
-    let number = |key: &str| truth[key].as_f64().unwrap_or(f64::NEG_INFINITY);
-    (number("deepest_below_surface_mm"), number("peak_force_n"))
-}
-
-#[tokio::test(flavor = "multi_thread")]
-async fn over_force_raises_and_the_force_stays_within_limit_and_margin() {
-    let harness = Harness::homed_alone().await;
-    harness.run(2, "[limits]\nforce_n = 15.0\n").await;
-    let status = harness.tripped_by(TripKind::Force, "over its limit 15 N").await;
-    harness.diary_tells("force").await;
-    let (_, peak_n) = peaks(&harness).await;
-    let most = 15.0 + harness.config.limits.force_margin_n;
-    assert!(peak_n < most, "{peak_n} N, limit and margin {most} N");
-    let end = status.rig.safe_end.unwrap();
-    let ms = end.sample_to_stop_ms.unwrap();
-    assert!(ms < 1000.0 * 0.1, "{ms} ms from the sample to z's stop");
-    // Measured next to computed.
-    let shown = harness.handle.status().rig.stopping.unwrap();
-    let travelled_mm = end.travelled_mm.expect("z moved when the limit was exceeded");
-    assert!(travelled_mm <= shown.travel_mm, "{travelled_mm} mm of {shown:?}");
-    assert!(shown.measured_mm.unwrap() >= travelled_mm && shown.measured_ms.unwrap() >= ms);
-    harness.close().await;
-}
-
-#[tokio::test(flavor = "multi_thread")]
-async fn a_cell_that_stands_at_its_zero_before_the_touch_off_stops_it_early() {
-    let harness = Harness::homed_alone().await;
-    harness.mount(1, 1).await;
-    harness.fault("frozen_cell", "cells", json!({ "arm": 1 })).await;
-    harness.tell(json!({ "cmd": "clear_peaks" })).await;
-    harness.start(harness.job(&experiment(1, ""), |_| {})).await;
-    let status = harness.tripped().await;
-    let trip = status.rig.trip.clone().unwrap();
-    assert!(matches!(trip.kind, TripKind::Stale | TripKind::Cell), "{trip:?}");
-    harness.is_safe().await;
-    let (deepest_mm, peak_n) = peaks(&harness).await;
-    assert!(deepest_mm < 2.0 && peak_n < 30.0, "{deepest_mm} mm below the surface, {peak_n} N");
-    assert!(harness.journal.taken().trials.is_empty());
-    harness.close().await;
-}
 
 /// Heights of the touches of one tip on a rig whose cells convert at this period, machine mm.
 async fn heights(update_ms: f64) -> Vec<f64> {
@@ -89,20 +38,6 @@ async fn a_reply_that_still_shows_the_coarse_touch_gives_no_height() {
     for (fast_mm, slow_mm) in fast.iter().zip(&slow) {
         assert!((fast_mm - slow_mm).abs() < 0.5, "{fast:?} {slow:?}");
     }
-}
-
-#[tokio::test(flavor = "multi_thread")]
-async fn a_cell_that_lost_its_tip_is_found_out_by_the_skin() {
-    // Its zero is alive with noise: nothing in the cell's own voltage shows it.
-    let harness = Harness::homed_alone().await;
-    harness.mount(1, 1).await;
-    harness.fault("uncoupled_cell", "cells", json!({ "arm": 1 })).await;
-    harness.tell(json!({ "cmd": "clear_peaks" })).await;
-    harness.start(harness.job(&experiment(1, ""), |_| {})).await;
-    harness.tripped_by(TripKind::Cell, "the skin detects a touch").await;
-    let (deepest_mm, peak_n) = peaks(&harness).await;
-    assert!(peak_n < 60.0, "{deepest_mm} mm below the surface, {peak_n} N");
-    harness.close().await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -185,14 +120,10 @@ async fn an_alarm_of_z_in_contact_is_for_a_person_and_the_run_goes_on_afterwards
     harness.fault("alarm", "z", json!({ "count": 1 })).await;
     let status = harness.tripped().await;
     assert!(matches!(status.rig.safe_end.unwrap().tips, Tips::NotRaised(_)));
-    harness
-        .until("panicked", |s| s.run.as_ref().is_some_and(|r| r.state == StoredState::Panicked))
-        .await;
+    harness.run_is(StoredState::Panicked).await;
     harness.tell(json!({ "cmd": "mend" })).await;
     harness.ask(Request::Reset).await.unwrap();
-    harness
-        .until("paused", |s| s.run.as_ref().is_some_and(|r| r.state == StoredState::Paused))
-        .await;
+    harness.run_is(StoredState::Paused).await;
     harness.home().await;
     harness.resume_to_the_end().await;
     {
@@ -208,7 +139,7 @@ async fn an_alarm_of_z_in_contact_is_for_a_person_and_the_run_goes_on_afterwards
 async fn six_powered_cells_under_two_tips_are_legal_and_a_load_without_a_tip_is_not() {
     let harness = Harness::homed().await;
     harness.mount(2, 6).await;
-    harness.start(harness.job(&experiment(2, ""), |_| {})).await;
+    harness.start_unmounted(2).await;
     harness.stored(2).await;
     assert_eq!(harness.handle.status().rig.tips, Some(2));
     harness.fault("foreign_load", "cells", json!({ "arm": 5, "n": 20.0 })).await;
@@ -221,7 +152,7 @@ async fn a_tip_that_is_not_there_is_named_by_the_touch_off() {
     let harness = Harness::homed().await;
     harness.mount(3, 3).await;
     harness.fault("missing_tip", "cells", json!({ "arm": 2 })).await;
-    harness.start(harness.job(&experiment(3, ""), |_| {})).await;
+    harness.start_unmounted(3).await;
     harness.tripped_by(TripKind::Cell, "arm 2 touched nowhere").await;
     harness.close().await;
 }
@@ -231,9 +162,7 @@ async fn a_store_that_fails_raises_and_the_run_goes_on_when_it_is_back() {
     for mood in [Mood::Fails, Mood::Panics] {
         let harness = Harness::running(2, 2).await;
         harness.journal.set(mood);
-        harness
-            .until("paused", |s| s.run.as_ref().is_some_and(|r| r.state == StoredState::Paused))
-            .await;
+        harness.run_is(StoredState::Paused).await;
         harness.is_safe().await;
         assert_eq!(harness.handle.status().rig.state, RigState::Armed, "{mood:?}");
         harness.journal.set(Mood::Sound);
@@ -243,28 +172,6 @@ async fn a_store_that_fails_raises_and_the_run_goes_on_when_it_is_back() {
         assert_eq!((keys.len(), distinct.len()), (18, 18), "{mood:?}");
         harness.close().await;
     }
-}
-
-#[tokio::test(flavor = "multi_thread")]
-async fn while_the_store_hangs_forces_are_watched_and_the_diary_is_complete_afterwards() {
-    let harness = Harness::homed_alone().await;
-    harness.run(2, "").await;
-    harness.stored(2).await;
-    harness.journal.set(Mood::Hangs);
-    harness.until("a commit", committing).await;
-    tokio::time::sleep(Duration::from_millis(300)).await;
-    assert!(committing(&harness.handle.status()), "the stage does not move on");
-    // A load comes while the commit is pending.
-    harness.fault("drifting_cell", "cells", json!({ "arm": 1, "n_per_s": 200.0 })).await;
-    let status = harness.tripped_by(TripKind::Force, "force on arm 1").await;
-    let ms = status.rig.safe_end.unwrap().sample_to_stop_ms.unwrap();
-    assert!(ms < 100.0, "{ms} ms from the sample to z's stop while the store hangs");
-    let written = harness.journal.taken().order.len();
-    tokio::time::sleep(Duration::from_millis(200)).await;
-    assert_eq!(harness.journal.taken().order.len(), written, "the store hung all the while");
-    harness.journal.set(Mood::Sound);
-    harness.diary_tells("force").await;
-    harness.close().await;
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -9,7 +9,7 @@ use palpate::campaign::shown::safe_end::Tips;
 use palpate::campaign::shown::status::Status;
 use serde_json::{Value, json};
 
-use super::harness::{Harness, experiment};
+use super::harness::{Harness, no_axis_moves};
 
 fn x(truth: &Value) -> (f64, bool) {
     (truth["axes"][0]["position"].as_f64().unwrap(), truth["axes"][0]["moving"] == true)
@@ -44,9 +44,7 @@ async fn a_service_told_to_end_stops_a_jog_a_homing_and_a_press() {
     harness.until("a safe end", |s| s.rig.safe_end.is_some()).await;
     let truth = harness.truth().await;
     assert!(x(&truth).0 > 1.0, "homing had ended before: {truth:#}");
-    for axis in truth["axes"].as_array().unwrap() {
-        assert_eq!(axis["moving"], false, "{axis}");
-    }
+    no_axis_moves(&truth);
     harness.close().await;
 
     let harness = Harness::running(2, 1).await;
@@ -95,10 +93,7 @@ async fn a_drive_that_does_not_reply_to_an_e_stop_is_named_and_requests_are_answ
     let refused = harness.ask(Request::Reset).await.unwrap_err().to_string();
     assert!(refused.contains("x has not acknowledged its stop"), "{refused}");
     assert!(pressed.elapsed() < Duration::from_secs(7), "{:?}", pressed.elapsed());
-    let stand = |s: &Status| {
-        s.rig.estop_stops.len() == 4 && s.rig.estop_stops.iter().all(|stop| stop.stood_ms.is_some())
-    };
-    harness.until("every axis stands", stand).await;
+    harness.every_axis_stands().await;
     harness.reset_and_home().await;
     harness.close().await;
 }
@@ -115,10 +110,7 @@ async fn an_e_stop_while_the_wires_are_opened_reaches_every_axis_and_ends_the_co
     let refused = connecting.await.unwrap_err().to_string();
     assert!(refused.contains("the stop was pressed while the wires were opened"), "{refused}");
     assert_eq!(harness.handle.status().rig.state, RigState::Tripped);
-    let stand = |s: &Status| {
-        s.rig.estop_stops.len() == 4 && s.rig.estop_stops.iter().all(|stop| stop.stood_ms.is_some())
-    };
-    harness.until("every axis stands", stand).await;
+    harness.every_axis_stands().await;
     assert!(harness.truth().await["stops"].as_u64().unwrap() >= before + 4);
     // The reset takes control of the devices, which the stop has prevented.
     harness.reset_and_home().await;
@@ -133,9 +125,7 @@ async fn an_e_stop_in_a_press_stops_every_axis_and_moves_nothing_else() {
     let status = harness.tripped().await;
     assert_eq!(status.rig.safe_end.unwrap().tips, Tips::HeldByEstop);
     let truth = harness.truth().await;
-    for axis in truth["axes"].as_array().unwrap() {
-        assert_eq!(axis["moving"], false, "{axis}");
-    }
+    no_axis_moves(&truth);
     assert_eq!(truth["lateral_in_contact"], 0);
     harness.diary_tells("estop").await;
     harness.reset_and_home().await;
@@ -176,12 +166,8 @@ async fn an_e_stop_outlasts_an_automatic_resume_that_was_to_come() {
     harness.handle.estop("test");
     let stopped = |s: &Status| s.rig.trip.as_ref().is_some_and(|t| t.kind == TripKind::Estop);
     harness.until("the stop is shown", stopped).await;
-    let stored = harness.journal.taken().trials.len();
-    tokio::time::sleep(Duration::from_secs(5)).await;
-    let status = harness.handle.status();
-    assert_eq!(status.rig.state, RigState::Tripped, "{:#?}", status.rig);
+    harness.stays_tripped(5).await;
     assert!(harness.ask(Request::Resume).await.is_err());
-    assert_eq!(harness.journal.taken().trials.len(), stored);
     harness.reset_and_home().await;
     harness.abort_and_close().await;
 }
@@ -200,12 +186,8 @@ async fn an_automatic_resume_that_meets_an_alarm_leaves_it_to_a_person() {
         matches!(trip, Some(TripKind::Device | TripKind::Position))
     };
     harness.until("the alarm", alarmed).await;
-    let stored = harness.journal.taken().trials.len();
-    tokio::time::sleep(Duration::from_secs(14)).await;
-    let status = harness.handle.status();
-    assert_eq!(status.rig.state, RigState::Tripped, "{:#?}", status.rig);
+    let status = harness.stays_tripped(14).await;
     assert!(alarmed(&status), "{:#?}", status.rig.trip);
-    assert_eq!(harness.journal.taken().trials.len(), stored);
     harness.reset_and_home().await;
     harness.resume_to_the_end().await;
     harness.close().await;
@@ -222,11 +204,7 @@ async fn failed_automatic_resumes_count_and_the_last_one_leaves_the_run_to_a_per
     harness.fault("no_reply", "x", json!({ "for_s": 24.0 })).await;
     let status = harness.tripped().await;
     assert_eq!(status.rig.trip.map(|t| t.kind), Some(TripKind::Wire));
-    let stored = harness.journal.taken().trials.len();
-    tokio::time::sleep(Duration::from_secs(12)).await;
-    let status = harness.handle.status();
-    assert_eq!(status.rig.state, RigState::Tripped, "{:#?}", status.rig);
-    assert_eq!(harness.journal.taken().trials.len(), stored);
+    harness.stays_tripped(12).await;
     let tries =
         harness.journal.taken().events.iter().filter(|(kind, ..)| kind == "recovering").count();
     assert_eq!(tries, 2, "one attempt and its end");
@@ -240,7 +218,7 @@ async fn a_load_on_an_arm_without_a_tip_is_not_tared_away() {
     let harness = Harness::homed().await;
     harness.mount(2, 6).await;
     harness.fault("foreign_load", "cells", json!({ "arm": 5, "n": 20.0 })).await;
-    harness.start(harness.job(&experiment(2, ""), |_| {})).await;
+    harness.start_unmounted(2).await;
     let status = harness.tripped().await;
     let trip = status.rig.trip.unwrap();
     assert!(trip.detail.contains("in the air and no tip"), "{trip:?}");

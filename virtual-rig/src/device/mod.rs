@@ -19,6 +19,9 @@ use crate::modbus::{Exception, Reply, Request};
 /// Number of inputs of an analog module.
 pub const INPUTS: usize = 8;
 
+/// Reply of a device to a request, or the exception that it returns.
+pub type Answer = Result<Reply, Exception>;
+
 /// The register map of an axis.
 pub trait AxisMap: fmt::Debug + Send + Sync {
     /// A copy of the map with its present state.
@@ -27,12 +30,22 @@ pub trait AxisMap: fmt::Debug + Send + Sync {
     /// Resets the state that a device does not keep without power.
     fn power_cycle(&mut self);
 
-    /// Executes one request at a process time.
+    /// Value of a register at a process time; `None` if the device does not have it.
+    fn register(&self, address: u16, drive: &Drive, t_s: f64) -> Option<u16>;
+
+    /// Writes consecutive registers at a process time.
     ///
     /// # Errors
     /// The Modbus exception that the device returns.
-    fn serve(&mut self, request: &Request, drive: &mut Drive, t_s: f64)
-    -> Result<Reply, Exception>;
+    fn write(&mut self, address: u16, values: &[u16], drive: &mut Drive, t_s: f64) -> Answer;
+
+    /// Executes one request at a process time: here that of a device with holding registers alone.
+    ///
+    /// # Errors
+    /// The Modbus exception that the device returns.
+    fn serve(&mut self, request: &Request, drive: &mut Drive, t_s: f64) -> Answer {
+        serve_registers(self, request, drive, t_s)
+    }
 
     /// Records that a request has reached the device, whatever its result.
     fn hear(&mut self, _t_s: f64) {}
@@ -62,7 +75,7 @@ pub trait CellsMap: fmt::Debug + Send + Sync {
     ///
     /// # Errors
     /// The Modbus exception that the module returns.
-    fn serve(&mut self, request: &Request, volts: &[f64; INPUTS]) -> Result<Reply, Exception> {
+    fn serve(&mut self, request: &Request, volts: &[f64; INPUTS]) -> Answer {
         match *request {
             Request::ReadRegisters { function, address, count } => {
                 return read_each(address, count, |a| self.register(function, a, volts));
@@ -138,12 +151,27 @@ impl fmt::Debug for CellsDevice {
     }
 }
 
+/// Executes a request to the holding registers of a map, and refuses all others.
+fn serve_registers<M: AxisMap + ?Sized>(
+    map: &mut M,
+    request: &Request,
+    drive: &mut Drive,
+    t_s: f64,
+) -> Answer {
+    match *request {
+        Request::ReadRegisters { function: 3, address, count } => {
+            read_each(address, count, |a| map.register(a, drive, t_s))
+        }
+        Request::WriteRegister { address, value } => map.write(address, &[value], drive, t_s),
+        Request::WriteRegisters { address, ref values } => map.write(address, values, drive, t_s),
+        Request::ReadRegisters { .. } | Request::ReadBits { .. } | Request::WriteCoil { .. } => {
+            Err(Exception::IllegalFunction)
+        }
+    }
+}
+
 /// Reads `count` registers one by one. If the device lacks one of them, the whole read is refused.
-fn read_each(
-    address: u16,
-    count: u16,
-    mut register: impl FnMut(u16) -> Option<u16>,
-) -> Result<Reply, Exception> {
+fn read_each(address: u16, count: u16, mut register: impl FnMut(u16) -> Option<u16>) -> Answer {
     let values: Option<Vec<u16>> =
         (0..count).map(|i| address.checked_add(i).and_then(&mut register)).collect();
     values.map(Reply::Registers).ok_or(Exception::IllegalAddress)
@@ -167,4 +195,28 @@ fn long(high: u16, low: u16) -> i32 {
 /// Counts of a value, as a 32-bit register pair holds them.
 fn counts(value: f64, counts_per_unit: f64) -> i32 {
     (value * counts_per_unit).round() as i32
+}
+
+/// A drive as the tests of the maps use it.
+#[cfg(test)]
+mod on_a_stage {
+    use super::{AxisMap, Reply, Request};
+    use crate::drive::{Drive, Mechanism};
+
+    pub const STAGE: Mechanism =
+        Mechanism { travel: [0.0, 560.0], speed: 250.0, acceleration: 1500.0 };
+
+    /// Consecutive registers.
+    pub fn read<const N: usize>(
+        map: &mut dyn AxisMap,
+        drive: &mut Drive,
+        address: u16,
+        t_s: f64,
+    ) -> [u16; N] {
+        let request = Request::ReadRegisters { function: 3, address, count: N as u16 };
+        match map.serve(&request, drive, t_s) {
+            Ok(Reply::Registers(words)) => words.try_into().unwrap(),
+            other => panic!("{other:?}"),
+        }
+    }
 }

@@ -17,16 +17,15 @@
 use std::collections::BTreeSet;
 use std::fs::{self, File, TryLockError};
 use std::io;
-use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant, SystemTime};
 
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
-use super::MakeChunks;
 use super::error::{ChunkError, Gaps};
 use super::order::{ChunkRow, FailedChunk, ORDER_FILE, WorkOrder};
+use super::{MakeChunks, Tell};
 use crate::commit;
 use crate::difference::first_difference;
 use crate::digest::sha256_hex;
@@ -250,7 +249,7 @@ impl OrderFolder {
         &self,
         index: u64,
         maker: &mut dyn MakeChunks,
-        tell: &mut dyn FnMut(u64) -> ControlFlow<()>,
+        tell: &mut Tell<'_>,
     ) -> Result<Option<ChunkRow>, ChunkError> {
         let key = self.order.key(index);
         let made = self.make_bytes(index, &key, maker, tell);
@@ -322,7 +321,7 @@ impl OrderFolder {
         index: u64,
         key: &str,
         maker: &mut dyn MakeChunks,
-        tell: &mut dyn FnMut(u64) -> ControlFlow<()>,
+        tell: &mut Tell<'_>,
     ) -> Result<Option<ChunkRow>, ChunkError> {
         let started = Instant::now();
         let results = self.path.join(RESULTS);

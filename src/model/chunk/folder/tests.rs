@@ -3,11 +3,12 @@
 
 use std::collections::BTreeMap;
 use std::io::Write;
+use std::ops::ControlFlow;
 
 use serde_json::json;
 
 use super::*;
-use crate::chunk::MakeFailure;
+use crate::chunk::WrittenChunk;
 
 /// Makes chunks of text: that of chunk 2 fails, and one that is told to break off is not made.
 struct Texts {
@@ -15,12 +16,7 @@ struct Texts {
 }
 
 impl MakeChunks for Texts {
-    fn write(
-        &mut self,
-        index: u64,
-        mut out: NewFile,
-        tell: &mut dyn FnMut(u64) -> ControlFlow<()>,
-    ) -> Result<Option<(NewFile, u64)>, MakeFailure> {
+    fn write(&mut self, index: u64, mut out: NewFile, tell: &mut Tell<'_>) -> WrittenChunk {
         if index == 2 {
             return Err("two is too many".into());
         }

@@ -4,7 +4,6 @@
 use std::fs::File;
 use std::io;
 use std::num::NonZeroUsize;
-use std::ops::ControlFlow;
 use std::path::Path;
 
 use sim_core::batch::BatchModel;
@@ -19,7 +18,7 @@ use super::shards::ShardMaker;
 use crate::chunk::folder::OrderFolder;
 use crate::chunk::order::{CHUNKS_MAX, ChunkRow, ORDER_FILE, WorkOrder, check_here, invalid};
 use crate::chunk::skin::{ordered_skin, skin_inputs};
-use crate::chunk::{MakeChunks, MakeFailure};
+use crate::chunk::{MakeChunks, Tell, WrittenChunk};
 use crate::new_file::{Look, NewFile};
 use crate::problem::Problem;
 
@@ -99,12 +98,7 @@ impl RandomChunks {
 }
 
 impl MakeChunks for RandomChunks {
-    fn write(
-        &mut self,
-        index: u64,
-        out: NewFile,
-        tell: &mut dyn FnMut(u64) -> ControlFlow<()>,
-    ) -> Result<Option<(NewFile, u64)>, MakeFailure> {
+    fn write(&mut self, index: u64, out: NewFile, tell: &mut Tell<'_>) -> WrittenChunk {
         let shard = self.definition.shard(index);
         let maker = ShardMaker::new(&self.definition, &self.sensor, &self.model)?;
         let name = out.path().display().to_string();

@@ -7,7 +7,6 @@
 
 use std::io::Write;
 use std::num::NonZeroUsize;
-use std::ops::ControlFlow;
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::thread;
 
@@ -17,6 +16,7 @@ use sim_core::sensor::Sensor;
 use super::encode::{self, Encoder, Layout, RowGroup, Trials};
 use super::error::RandomError;
 use super::manifest::{Definition, Shard};
+use crate::chunk::Tell;
 
 /// Number of row groups that a thread may be ahead of the file.
 const GROUPS_AHEAD: usize = 2;
@@ -87,7 +87,7 @@ impl<'a> ShardMaker<'a> {
         out: W,
         name: &str,
         made: &mut dyn Iterator<Item = MadeGroup>,
-        tell: &mut dyn FnMut(u64) -> ControlFlow<()>,
+        tell: &mut Tell<'_>,
     ) -> Result<Option<W>, RandomError> {
         let failed = |source| RandomError::Encode { file: name.to_owned(), source };
         let mut file = self.layout.file(out).map_err(failed)?;

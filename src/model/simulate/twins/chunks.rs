@@ -3,7 +3,6 @@
 
 use std::collections::BTreeMap;
 use std::num::NonZeroUsize;
-use std::ops::ControlFlow;
 
 use serde::{Deserialize, Serialize};
 use sim_core::batch::Kernel;
@@ -14,7 +13,7 @@ use super::file::{TwinRow, TwinsFile, TwinsHead};
 use super::{TwinInput, twin_frame};
 use crate::chunk::order::{WorkOrder, check_here, chunk_inputs, read_input};
 use crate::chunk::skin::{ordered_skin, skin_inputs};
-use crate::chunk::{MakeChunks, MakeFailure, in_shares};
+use crate::chunk::{MakeChunks, Tell, WrittenChunk, in_shares};
 use crate::digest::sha256_hex;
 use crate::ids::RunUid;
 use crate::new_file::NewFile;
@@ -151,12 +150,7 @@ impl TwinChunks {
 }
 
 impl MakeChunks for TwinChunks {
-    fn write(
-        &mut self,
-        index: u64,
-        out: NewFile,
-        tell: &mut dyn FnMut(u64) -> ControlFlow<()>,
-    ) -> Result<Option<(NewFile, u64)>, MakeFailure> {
+    fn write(&mut self, index: u64, out: NewFile, tell: &mut Tell<'_>) -> WrittenChunk {
         let TwinsDefinition { run, model, contacts, .. } = &self.order.definition;
         let (inputs, contacts_sha256) =
             read_input(CONTACTS, index, &self.order.inputs, contacts, TwinInput::read)?;
@@ -181,6 +175,7 @@ impl MakeChunks for TwinChunks {
 #[cfg(test)]
 mod tests {
     use std::fs::{self, File};
+    use std::ops::ControlFlow;
     use std::path::Path;
 
     use sim_core::forward::Contact;

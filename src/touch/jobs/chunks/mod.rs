@@ -12,7 +12,6 @@
 use std::cell::Cell;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs::{self, File, TryLockError};
-use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::pin::pin;
 
@@ -33,7 +32,7 @@ use super::training::{self, Inherited};
 use super::{JobError, Watch};
 use crate::chunk::folder::input_file;
 use crate::chunk::order::{ORDER_FILE, WorkOrder};
-use crate::chunk::{MakeChunks, MakeFailure};
+use crate::chunk::{MakeChunks, MakeFailure, Tell, WrittenChunk};
 use crate::dataset::read::sensor_text;
 use crate::evaluate::request::{EvaluationRequest, FramesRead};
 use crate::ids::{CalibrationId, DatasetId};
@@ -258,12 +257,7 @@ impl TrainingChunks {
 }
 
 impl MakeChunks for TrainingChunks {
-    fn write(
-        &mut self,
-        index: u64,
-        mut out: NewFile,
-        tell: &mut dyn FnMut(u64) -> ControlFlow<()>,
-    ) -> Result<Option<(NewFile, u64)>, MakeFailure> {
+    fn write(&mut self, index: u64, mut out: NewFile, tell: &mut Tell<'_>) -> WrittenChunk {
         let at = usize::try_from(index)?;
         let (net, recipe) = (&self.order.definition.nets[at], &self.order.recipes[at]);
         let work = self.folder.join(UNFINISHED);
@@ -305,11 +299,7 @@ fn lock(path: &Path) -> Result<Option<File>, MakeFailure> {
 }
 
 /// Writes the trainer's order into a folder, and runs the trainer.
-fn trained(
-    folder: &Path,
-    order: &Order,
-    tell: &mut dyn FnMut(u64) -> ControlFlow<()>,
-) -> Result<Ended, MakeFailure> {
+fn trained(folder: &Path, order: &Order, tell: &mut Tell<'_>) -> Result<Ended, MakeFailure> {
     new_file::write(folder, ORDER, serde_json::to_vec(order)?)?;
     // The runtime is this call's: a chunk is made on a blocking thread, or without any runtime.
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
@@ -331,10 +321,7 @@ fn is_repeatable_from_start(error: &TrainerError) -> bool {
 }
 
 /// Runs the trainer on a folder; `tell` receives the number of learned samples, and ends it if it breaks off.
-async fn train(
-    folder: &Path,
-    tell: &mut dyn FnMut(u64) -> ControlFlow<()>,
-) -> Result<Ended, TrainerError> {
+async fn train(folder: &Path, tell: &mut Tell<'_>) -> Result<Ended, TrainerError> {
     let watch = Watch::default();
     let learned = Cell::new(0);
     let work = async {

@@ -1,7 +1,6 @@
 //! The scores of a net that a chunk has trained, on parts of its dataset.
 //! Uses: `scoring`, `gathered`. Never: the store, another model, a time.
 
-use std::ops::ControlFlow;
 use std::path::Path;
 use std::sync::Arc;
 
@@ -9,6 +8,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::json;
 
 use super::NetOrder;
+use crate::chunk::Tell;
 use crate::clock::Clock;
 use crate::evaluate::request::{EvaluationReport, EvaluationRequest, Scored};
 use crate::infer::methods::Models;
@@ -38,7 +38,7 @@ pub(super) fn net_scores(
     net: &NetOrder,
     model: &NewModel,
     [file, scratch]: [&Path; 2],
-    tell: &mut dyn FnMut(u64) -> ControlFlow<()>,
+    tell: &mut Tell<'_>,
 ) -> Result<Option<Vec<NetScore>>, JobError> {
     if net.evaluations.is_empty() {
         return Ok(Some(Vec::new()));

@@ -3,7 +3,6 @@
 
 use std::collections::BTreeMap;
 use std::num::NonZeroUsize;
-use std::ops::ControlFlow;
 use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
@@ -19,7 +18,7 @@ use crate::chunk::order::{
     ChunkRow, WorkOrder, check_here, chunk_input, chunk_inputs, invalid, read_input,
 };
 use crate::chunk::skin::{ordered_skin, skin_inputs};
-use crate::chunk::{MakeChunks, MakeFailure, in_shares};
+use crate::chunk::{MakeChunks, Tell, WrittenChunk, in_shares};
 use crate::digest::sha256_hex;
 use crate::evaluate::request::EvaluationRequest;
 use crate::ids::DatasetId;
@@ -186,12 +185,7 @@ impl ReadingChunks {
 }
 
 impl MakeChunks for ReadingChunks {
-    fn write(
-        &mut self,
-        index: u64,
-        mut out: NewFile,
-        tell: &mut dyn FnMut(u64) -> ControlFlow<()>,
-    ) -> Result<Option<(NewFile, u64)>, MakeFailure> {
+    fn write(&mut self, index: u64, mut out: NewFile, tell: &mut Tell<'_>) -> WrittenChunk {
         use std::io::Write;
         let inputs = self.order.chunk(index)?;
         for inputs in inputs.chunks(READ_BETWEEN * self.threads.get()) {

@@ -4,7 +4,7 @@
 //! (unverified). PURE.
 //! Never: clocks, wires; push motion, position tables and PIO patterns are omitted.
 
-use crate::device::{AxisDevice, AxisMap, counts, high, long, low, read_each};
+use crate::device::{Answer, AxisDevice, AxisMap, counts, high, long, low, serve_registers};
 use crate::drive::{Alarm, Drive, Servo};
 use crate::kinematics::Pace;
 use crate::modbus::{Exception, Reply, Request};
@@ -92,12 +92,48 @@ impl AxisMap for Iai {
         *self = Self::new(self.counts_per_unit);
     }
 
-    fn serve(
-        &mut self,
-        request: &Request,
-        drive: &mut Drive,
-        t_s: f64,
-    ) -> Result<Reply, Exception> {
+    fn register(&self, address: u16, drive: &Drive, t_s: f64) -> Option<u16> {
+        if let Some(offset) = address.checked_sub(PCMD).map(usize::from) {
+            return self.block.get(offset).copied();
+        }
+        let pair = |value: i32, base: u16| if address == base { high(value) } else { low(value) };
+        Some(match address {
+            PNOW | 0x9001 => pair(counts(drive.counter(t_s), self.counts_per_unit), PNOW),
+            ALARM_CODE => drive.alarm().map_or(0, alarm_code),
+            DSS1 => self.dss1(drive, t_s),
+            DSSE => self.dsse(drive, t_s),
+            STAT => 0,
+            0x9009 => {
+                1 | u16::from(drive.servo()) << 1
+                    | u16::from(drive.servo()) << 2
+                    | u16::from(drive.homed()) << 3
+            }
+            VNOW | 0x900B => pair(counts(drive.velocity(t_s), self.counts_per_unit), VNOW),
+            DEVI | 0x900F => {
+                let off = drive.commanded_counter(t_s) - drive.counter(t_s);
+                pair(counts(off, self.counts_per_unit), DEVI)
+            }
+            _ if (PNOW..=MONITOR_END).contains(&address) => 0,
+            _ => return None,
+        })
+    }
+
+    fn write(&mut self, address: u16, values: &[u16], drive: &mut Drive, t_s: f64) -> Answer {
+        let first = address.checked_sub(PCMD).map(usize::from);
+        let first =
+            first.filter(|f| f + values.len() <= COMMAND_WORDS).ok_or(Exception::IllegalAddress)?;
+        self.block[first..first + values.len()].copy_from_slice(values);
+        if (first..first + values.len()).contains(&PCMD_LOW) && self.modbus_commands {
+            let (mut target, pace) = (self.commanded(), self.pace());
+            if self.block[FLAGS] & FLAG_RELATIVE != 0 {
+                target += drive.counter(t_s);
+            }
+            self.go(Held::Move(target, pace), drive, t_s);
+        }
+        Ok(Reply::Written)
+    }
+
+    fn serve(&mut self, request: &Request, drive: &mut Drive, t_s: f64) -> Answer {
         match *request {
             Request::ReadBits { function: 1, address, count } => {
                 let bits: Option<Vec<bool>> = (0..count)
@@ -105,31 +141,14 @@ impl AxisMap for Iai {
                     .collect();
                 bits.map(Reply::Bits).ok_or(Exception::IllegalAddress)
             }
-            Request::ReadRegisters { function: 3, address, count } => {
-                read_each(address, count, |a| self.register(a, drive, t_s))
-            }
             Request::WriteCoil { address, on } => self.write_coil(address, on, drive, t_s),
-            Request::WriteRegister { address, value } => {
-                self.write_block(address, &[value], drive, t_s)
-            }
-            Request::WriteRegisters { address, ref values } => {
-                self.write_block(address, values, drive, t_s)
-            }
-            Request::ReadBits { .. } | Request::ReadRegisters { .. } => {
-                Err(Exception::IllegalFunction)
-            }
+            _ => serve_registers(self, request, drive, t_s),
         }
     }
 }
 
 impl Iai {
-    fn write_coil(
-        &mut self,
-        address: u16,
-        on: bool,
-        drive: &mut Drive,
-        t_s: f64,
-    ) -> Result<Reply, Exception> {
+    fn write_coil(&mut self, address: u16, on: bool, drive: &mut Drive, t_s: f64) -> Answer {
         match address {
             MODBUS_COMMANDS => self.modbus_commands = on,
             SERVO if self.modbus_commands && !(on && drive.alarm().is_some()) => {
@@ -175,27 +194,6 @@ impl Iai {
         } else if let Some(held) = self.held.take() {
             self.go(held, drive, t_s);
         }
-    }
-
-    fn write_block(
-        &mut self,
-        address: u16,
-        values: &[u16],
-        drive: &mut Drive,
-        t_s: f64,
-    ) -> Result<Reply, Exception> {
-        let first = address.checked_sub(PCMD).map(usize::from);
-        let first =
-            first.filter(|f| f + values.len() <= COMMAND_WORDS).ok_or(Exception::IllegalAddress)?;
-        self.block[first..first + values.len()].copy_from_slice(values);
-        if (first..first + values.len()).contains(&PCMD_LOW) && self.modbus_commands {
-            let (mut target, pace) = (self.commanded(), self.pace());
-            if self.block[FLAGS] & FLAG_RELATIVE != 0 {
-                target += drive.counter(t_s);
-            }
-            self.go(Held::Move(target, pace), drive, t_s);
-        }
-        Ok(Reply::Written)
     }
 
     /// Executes a motion, or raises an alarm with the reason.
@@ -265,32 +263,6 @@ impl Iai {
         1 << 15 | u16::from(self.modbus_commands) << 8 | u16::from(drive.moving(t_s)) << 5
     }
 
-    fn register(&self, address: u16, drive: &Drive, t_s: f64) -> Option<u16> {
-        if let Some(offset) = address.checked_sub(PCMD).map(usize::from) {
-            return self.block.get(offset).copied();
-        }
-        let pair = |value: i32, base: u16| if address == base { high(value) } else { low(value) };
-        Some(match address {
-            PNOW | 0x9001 => pair(counts(drive.counter(t_s), self.counts_per_unit), PNOW),
-            ALARM_CODE => drive.alarm().map_or(0, alarm_code),
-            DSS1 => self.dss1(drive, t_s),
-            DSSE => self.dsse(drive, t_s),
-            STAT => 0,
-            0x9009 => {
-                1 | u16::from(drive.servo()) << 1
-                    | u16::from(drive.servo()) << 2
-                    | u16::from(drive.homed()) << 3
-            }
-            VNOW | 0x900B => pair(counts(drive.velocity(t_s), self.counts_per_unit), VNOW),
-            DEVI | 0x900F => {
-                let off = drive.commanded_counter(t_s) - drive.counter(t_s);
-                pair(counts(off, self.counts_per_unit), DEVI)
-            }
-            _ if (PNOW..=MONITOR_END).contains(&address) => 0,
-            _ => return None,
-        })
-    }
-
     fn bit(&self, address: u16, drive: &Drive, t_s: f64) -> Option<bool> {
         let of = |word: u16, base: u16| word >> (15 - (address - base)) & 1 == 1;
         Some(match address {
@@ -321,9 +293,7 @@ fn alarm_code(alarm: Alarm) -> u16 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::drive::Mechanism;
-
-    const STAGE: Mechanism = Mechanism { travel: [0.0, 560.0], speed: 250.0, acceleration: 1500.0 };
+    use crate::device::on_a_stage::{self, STAGE};
 
     struct Rig {
         map: Iai,
@@ -357,11 +327,8 @@ mod tests {
         }
 
         fn read(&mut self, address: u16, t_s: f64) -> u16 {
-            let request = Request::ReadRegisters { function: 3, address, count: 1 };
-            match self.map.serve(&request, &mut self.drive, t_s) {
-                Ok(Reply::Registers(values)) => values[0],
-                other => panic!("{other:?}"),
-            }
+            let [word] = on_a_stage::read(&mut self.map, &mut self.drive, address, t_s);
+            word
         }
     }
 

@@ -3,10 +3,10 @@
 //! first. The value read back from the trigger register is (unverified). PURE.
 //! Never: clocks, wires; jog, velocity paths, chained paths and saved parameters are omitted.
 
-use crate::device::{AxisDevice, AxisMap, counts, high, long, low, read_each};
+use crate::device::{Answer, AxisDevice, AxisMap, counts, high, long, low};
 use crate::drive::{Alarm, Drive, Servo};
 use crate::kinematics::Pace;
-use crate::modbus::{Exception, Reply, Request};
+use crate::modbus::{Exception, Reply};
 
 const PULSES_PER_TURN: u16 = 0x0001;
 const DIRECTION: u16 = 0x0007;
@@ -100,30 +100,51 @@ impl AxisMap for Em2rs {
         *self = Self::new(f64::from(FACTORY_PULSES) / self.units_per_turn);
     }
 
-    fn serve(
-        &mut self,
-        request: &Request,
-        drive: &mut Drive,
-        t_s: f64,
-    ) -> Result<Reply, Exception> {
-        match *request {
-            Request::ReadRegisters { function: 3, address, count } => {
-                read_each(address, count, |a| self.register(a, drive, t_s))
-            }
-            Request::WriteRegister { address, value } => {
-                self.write(address, value, drive, t_s).map(|()| Reply::Written)
-            }
-            Request::WriteRegisters { address, ref values } => {
-                for (i, &value) in values.iter().enumerate() {
-                    let a = address.checked_add(i as u16).ok_or(Exception::IllegalAddress)?;
-                    self.write(a, value, drive, t_s)?;
-                }
-                Ok(Reply::Written)
-            }
-            Request::ReadRegisters { .. }
-            | Request::ReadBits { .. }
-            | Request::WriteCoil { .. } => Err(Exception::IllegalFunction),
+    fn register(&self, address: u16, drive: &Drive, t_s: f64) -> Option<u16> {
+        if let Some((path, word)) = path_word(address) {
+            return Some(self.paths[path][word]);
         }
+        let pair = |value: f64, base: u16| {
+            let pulses = counts(value, self.pulses_per_unit());
+            if address == base { high(pulses) } else { low(pulses) }
+        };
+        let (counter, commanded) = (drive.counter(t_s), drive.commanded_counter(t_s));
+        Some(match address {
+            PULSES_PER_TURN => self.pulses_per_turn,
+            DIRECTION => self.direction,
+            ENABLE => self.enable,
+            BAUD => 4,
+            STATION => 1,
+            DATA_TYPE => 4,
+            STATUS => self.status(drive, t_s),
+            FOLLOWING_ERROR | 0x1011 => pair(commanded - counter, FOLLOWING_ERROR),
+            COMMANDED | 0x1013 => pair(commanded, COMMANDED),
+            FEEDBACK | 0x1015 => pair(counter, FEEDBACK),
+            VELOCITY => {
+                let rpm = drive.velocity(t_s) / self.units_per_turn * 60.0;
+                (rpm.round() as i32) as u16
+            }
+            CONTROL => 0,
+            PRESENT_ALARM => drive.alarm().map_or(0, alarm_code),
+            GLOBAL => self.global,
+            TRIGGER => match self.trigger {
+                running if drive.moving(t_s) && running < TRIGGER_STOP => {
+                    TRIGGER_RUNNING | running & 0x2F
+                }
+                done => done & 0x0F,
+            },
+            0x6006..=0x6009 => self.soft_limits[usize::from(address - SOFT_LIMITS)],
+            0x600A..=0x6012 => self.home[usize::from(address - HOME)],
+            _ => return None,
+        })
+    }
+
+    fn write(&mut self, address: u16, values: &[u16], drive: &mut Drive, t_s: f64) -> Answer {
+        for (i, &value) in values.iter().enumerate() {
+            let a = address.checked_add(i as u16).ok_or(Exception::IllegalAddress)?;
+            self.set(a, value, drive, t_s)?;
+        }
+        Ok(Reply::Written)
     }
 }
 
@@ -132,7 +153,7 @@ impl Em2rs {
         f64::from(self.pulses_per_turn) / self.units_per_turn
     }
 
-    fn write(
+    fn set(
         &mut self,
         address: u16,
         value: u16,
@@ -248,45 +269,6 @@ impl Em2rs {
             | u16::from(idle && self.path_commanded) << 5
             | u16::from(drive.homed()) << 6
     }
-
-    fn register(&self, address: u16, drive: &Drive, t_s: f64) -> Option<u16> {
-        if let Some((path, word)) = path_word(address) {
-            return Some(self.paths[path][word]);
-        }
-        let pair = |value: f64, base: u16| {
-            let pulses = counts(value, self.pulses_per_unit());
-            if address == base { high(pulses) } else { low(pulses) }
-        };
-        let (counter, commanded) = (drive.counter(t_s), drive.commanded_counter(t_s));
-        Some(match address {
-            PULSES_PER_TURN => self.pulses_per_turn,
-            DIRECTION => self.direction,
-            ENABLE => self.enable,
-            BAUD => 4,
-            STATION => 1,
-            DATA_TYPE => 4,
-            STATUS => self.status(drive, t_s),
-            FOLLOWING_ERROR | 0x1011 => pair(commanded - counter, FOLLOWING_ERROR),
-            COMMANDED | 0x1013 => pair(commanded, COMMANDED),
-            FEEDBACK | 0x1015 => pair(counter, FEEDBACK),
-            VELOCITY => {
-                let rpm = drive.velocity(t_s) / self.units_per_turn * 60.0;
-                (rpm.round() as i32) as u16
-            }
-            CONTROL => 0,
-            PRESENT_ALARM => drive.alarm().map_or(0, alarm_code),
-            GLOBAL => self.global,
-            TRIGGER => match self.trigger {
-                running if drive.moving(t_s) && running < TRIGGER_STOP => {
-                    TRIGGER_RUNNING | running & 0x2F
-                }
-                done => done & 0x0F,
-            },
-            0x6006..=0x6009 => self.soft_limits[usize::from(address - SOFT_LIMITS)],
-            0x600A..=0x6012 => self.home[usize::from(address - HOME)],
-            _ => return None,
-        })
-    }
 }
 
 fn path_word(address: u16) -> Option<(usize, usize)> {
@@ -306,9 +288,8 @@ fn alarm_code(alarm: Alarm) -> u16 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::drive::Mechanism;
-
-    const STAGE: Mechanism = Mechanism { travel: [0.0, 560.0], speed: 250.0, acceleration: 1500.0 };
+    use crate::device::on_a_stage::{self, STAGE};
+    use crate::modbus::Request;
 
     fn ready() -> (Em2rs, Drive) {
         let (mut map, mut drive) = (Em2rs::new(2000.0), Drive::power_up(STAGE, 40.0, Servo::On));
@@ -327,11 +308,8 @@ mod tests {
     }
 
     fn read(map: &mut Em2rs, drive: &mut Drive, address: u16, t_s: f64) -> u16 {
-        let request = Request::ReadRegisters { function: 3, address, count: 1 };
-        match map.serve(&request, drive, t_s) {
-            Ok(Reply::Registers(w)) => w[0],
-            other => panic!("{other:?}"),
-        }
+        let [word] = on_a_stage::read(map, drive, address, t_s);
+        word
     }
 
     #[test]

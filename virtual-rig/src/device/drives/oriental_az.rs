@@ -5,10 +5,10 @@
 //! alarm that a driver may raise in addition is omitted. PURE.
 //! Never: clocks, wires; stored data operation, push and wrap motion are omitted.
 
-use crate::device::{AxisDevice, AxisMap, counts, high, long, low, read_each};
+use crate::device::{Answer, AxisDevice, AxisMap, counts, high, long, low};
 use crate::drive::{Alarm, Drive, Servo};
 use crate::kinematics::Pace;
-use crate::modbus::{Exception, Reply, Request};
+use crate::modbus::{Exception, Reply};
 
 /// Direct data operation: data number, type, position, speed, start and stop rate, current,
 /// trigger; each a 32-bit value.
@@ -124,35 +124,30 @@ impl AxisMap for OrientalAz {
         }
     }
 
-    fn serve(
-        &mut self,
-        request: &Request,
-        drive: &mut Drive,
-        t_s: f64,
-    ) -> Result<Reply, Exception> {
-        match *request {
-            Request::ReadRegisters { function: 3, address, count } => {
-                read_each(address, count, |a| self.register(a, drive, t_s))
-            }
-            Request::WriteRegister { address, value } => self.write(address, &[value], drive, t_s),
-            Request::WriteRegisters { address, ref values } => {
-                self.write(address, values, drive, t_s)
-            }
-            Request::ReadRegisters { .. }
-            | Request::ReadBits { .. }
-            | Request::WriteCoil { .. } => Err(Exception::IllegalFunction),
+    fn register(&self, address: u16, drive: &Drive, t_s: f64) -> Option<u16> {
+        if let Some(&word) =
+            address.checked_sub(DIRECT_DATA).and_then(|offset| self.block.get(usize::from(offset)))
+        {
+            return Some(word);
         }
+        let base = address & !1;
+        let hertz = counts(drive.velocity(t_s), self.counts_per_unit);
+        let value = match base {
+            INPUT => return Some(self.input[usize::from(address - INPUT)]),
+            OUTPUT => i32::from(self.output(drive, t_s)),
+            PRESENT_ALARM => drive.alarm().map_or(0, |a| i32::from(alarm_code(a))),
+            COMMAND_POSITION => counts(drive.commanded_counter(t_s), self.counts_per_unit),
+            FEEDBACK_POSITION => counts(drive.counter(t_s), self.counts_per_unit),
+            FEEDBACK_RPM => (f64::from(hertz) / STEPS_PER_TURN * 60.0).round() as i32,
+            FEEDBACK_HZ => hertz,
+            TORQUE => 0,
+            TIMEOUT => long(self.timeout[0], self.timeout[1]),
+            _ => return None,
+        };
+        Some(if address == base { high(value) } else { low(value) })
     }
-}
 
-impl OrientalAz {
-    fn write(
-        &mut self,
-        address: u16,
-        values: &[u16],
-        drive: &mut Drive,
-        t_s: f64,
-    ) -> Result<Reply, Exception> {
+    fn write(&mut self, address: u16, values: &[u16], drive: &mut Drive, t_s: f64) -> Answer {
         let end = usize::from(address) + values.len();
         if address >= DIRECT_DATA && end <= usize::from(DIRECT_DATA) + DIRECT_DATA_WORDS {
             let first = usize::from(address - DIRECT_DATA);
@@ -180,7 +175,9 @@ impl OrientalAz {
         }
         Err(Exception::IllegalAddress)
     }
+}
 
+impl OrientalAz {
     /// The nth 32-bit value of the block.
     fn value(&self, n: usize) -> i32 {
         long(self.block[2 * n], self.block[2 * n + 1])
@@ -188,7 +185,7 @@ impl OrientalAz {
 
     /// A trigger of 1 starts with all values; -1 to -7 update one value of the running operation,
     /// which here continues with the present block.
-    fn trigger(&self, trigger: i32, drive: &mut Drive, t_s: f64) -> Result<Reply, Exception> {
+    fn trigger(&self, trigger: i32, drive: &mut Drive, t_s: f64) -> Answer {
         match trigger {
             0 => Ok(Reply::Written),
             1 => self.start(drive, t_s),
@@ -198,7 +195,7 @@ impl OrientalAz {
         }
     }
 
-    fn start(&self, drive: &mut Drive, t_s: f64) -> Result<Reply, Exception> {
+    fn start(&self, drive: &mut Drive, t_s: f64) -> Answer {
         if drive.alarm().is_some() || !drive.servo() || self.input[1] & IN_STOP != 0 {
             return Err(Exception::DeviceFailure);
         }
@@ -259,29 +256,6 @@ impl OrientalAz {
         set(!moving, OUT_IN_POSITION);
         out
     }
-
-    fn register(&self, address: u16, drive: &Drive, t_s: f64) -> Option<u16> {
-        if let Some(&word) =
-            address.checked_sub(DIRECT_DATA).and_then(|offset| self.block.get(usize::from(offset)))
-        {
-            return Some(word);
-        }
-        let base = address & !1;
-        let hertz = counts(drive.velocity(t_s), self.counts_per_unit);
-        let value = match base {
-            INPUT => return Some(self.input[usize::from(address - INPUT)]),
-            OUTPUT => i32::from(self.output(drive, t_s)),
-            PRESENT_ALARM => drive.alarm().map_or(0, |a| i32::from(alarm_code(a))),
-            COMMAND_POSITION => counts(drive.commanded_counter(t_s), self.counts_per_unit),
-            FEEDBACK_POSITION => counts(drive.counter(t_s), self.counts_per_unit),
-            FEEDBACK_RPM => (f64::from(hertz) / STEPS_PER_TURN * 60.0).round() as i32,
-            FEEDBACK_HZ => hertz,
-            TORQUE => 0,
-            TIMEOUT => long(self.timeout[0], self.timeout[1]),
-            _ => return None,
-        };
-        Some(if address == base { high(value) } else { low(value) })
-    }
 }
 
 /// Alarm code of Oriental Motor.
@@ -298,9 +272,8 @@ fn alarm_code(alarm: Alarm) -> u16 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::drive::Mechanism;
-
-    const STAGE: Mechanism = Mechanism { travel: [0.0, 560.0], speed: 250.0, acceleration: 1500.0 };
+    use crate::device::on_a_stage::{STAGE, read};
+    use crate::modbus::Request;
 
     fn ready() -> (OrientalAz, Drive) {
         let mut map = OrientalAz::new(200.0, 20.0);
@@ -323,11 +296,8 @@ mod tests {
     }
 
     fn read_long(map: &mut OrientalAz, drive: &mut Drive, address: u16, t_s: f64) -> i32 {
-        let request = Request::ReadRegisters { function: 3, address, count: 2 };
-        match map.serve(&request, drive, t_s) {
-            Ok(Reply::Registers(w)) => long(w[0], w[1]),
-            other => panic!("{other:?}"),
-        }
+        let [high, low] = read(map, drive, address, t_s);
+        long(high, low)
     }
 
     #[test]

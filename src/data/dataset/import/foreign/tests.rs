@@ -150,6 +150,11 @@ fn doubles(values: &[f64]) -> Vec<u8> {
     values.iter().flat_map(|value| value.to_le_bytes()).collect()
 }
 
+/// An array of numbers: its name, and its file.
+fn numbers<'a>(name: &'a str, shape: &str, values: &[f64]) -> (&'a str, Vec<u8>) {
+    (name, npy("<f8", false, shape, &doubles(values)))
+}
+
 fn npz(arrays: &[(&str, Vec<u8>)], method: CompressionMethod) -> Vec<u8> {
     let mut file = ZipWriter::new(Cursor::new(Vec::new()));
     for (name, bytes) in arrays {
@@ -176,8 +181,8 @@ fn arrays_of_either_order_and_compression_are_read() {
         let bytes = npz(
             &[
                 ("voltages_v", npy("<f8", by_columns, "(2, 3)", &volts)),
-                ("contacts_xy_mm", npy("<f8", false, "(2, 2, 2)", &doubles(&xy))),
-                ("force_n", npy("<f8", false, "(2, 2)", &doubles(&force))),
+                numbers("contacts_xy_mm", "(2, 2, 2)", &xy),
+                numbers("force_n", "(2, 2)", &force),
                 ("depth_index", npy("<i4", false, "(2,)", &depth)),
                 ("started_at", npy("<M8[us]", false, "(2,)", &times)),
                 ("notes", npy("|O", false, "(2,)", b"pickled")),
@@ -198,26 +203,11 @@ fn arrays_of_either_order_and_compression_are_read() {
     }
 }
 
-/// Three trials of a pad of 3 channels, each of up to two raw frames, row by row.
-const RAW: [f64; 18] = [
-    1.0,
-    2.0,
-    3.0,
-    3.0,
-    4.0,
-    5.0, // two frames
-    0.5,
-    0.5,
-    0.5,
-    f64::NAN,
-    f64::NAN,
-    f64::NAN, // one
-    -1.0,
-    0.0,
-    1.0,
-    -1.0,
-    2.0,
-    1.0, // two
+/// Three trials of a pad of 3 channels, each of up to two raw frames.
+const RAW: [[f64; 6]; 3] = [
+    [1.0, 2.0, 3.0, 3.0, 4.0, 5.0],
+    [0.5, 0.5, 0.5, f64::NAN, f64::NAN, f64::NAN],
+    [-1.0, 0.0, 1.0, -1.0, 2.0, 1.0],
 ];
 
 /// Mean frame, raw frames and their number of each trial of [`RAW`].
@@ -232,18 +222,17 @@ fn is_raw(trials: &[ImportedTrial]) {
 
 #[test]
 fn raw_frames_are_an_array_of_three_dimensions() {
-    let place = || [("x_mm", npy("<f8", false, "(3,)", &doubles(&[5.0; 3])))];
-    let y = || ("y_mm", npy("<f8", false, "(3,)", &doubles(&[6.0; 3])));
-    let raw = |shape: &str| ("frames_v", npy("<f8", false, shape, &doubles(&RAW)));
+    let place = || [numbers("x_mm", "(3,)", &[5.0; 3]), numbers("y_mm", "(3,)", &[6.0; 3])];
+    let raw = |shape: &str| numbers("frames_v", shape, RAW.as_flattened());
     let of = |more: Vec<(&str, Vec<u8>)>| {
-        let arrays: Vec<_> = more.into_iter().chain(place()).chain([y()]).collect();
+        let arrays: Vec<_> = more.into_iter().chain(place()).collect();
         npz(&arrays, CompressionMethod::Deflated)
     };
     let (trials, left_out) = read("raw.npz", &of(vec![raw("(3, 2, 3)")])).unwrap();
     assert!(left_out.is_empty(), "{left_out:?}");
     is_raw(&trials);
-    let volts = |values: &[f64]| ("voltages_v", npy("<f8", false, "(3, 3)", &doubles(values)));
-    let large = ("frames_v", npy("<f8", false, "(100000, 8, 784)", &[]));
+    let volts = |values: &[f64]| numbers("voltages_v", "(3, 3)", values);
+    let large = numbers("frames_v", "(100000, 8, 784)", &[]);
     for (bytes, wanted) in [
         (
             of(vec![raw("(3, 6)")]),
@@ -255,10 +244,7 @@ fn raw_frames_are_an_array_of_three_dimensions() {
             "row 0, voltages_v = a frame: must be null where frames_v has frames",
         ),
         (
-            of(vec![
-                raw("(3, 2, 3)"),
-                ("frame_count", npy("<f8", false, "(3,)", &doubles(&[2.0, 2.0, 2.0]))),
-            ]),
+            of(vec![raw("(3, 2, 3)"), numbers("frame_count", "(3,)", &[2.0; 3])]),
             "row 1, frame_count = 2: must be the 1 frames of frames_v",
         ),
         (
@@ -271,9 +257,9 @@ fn raw_frames_are_an_array_of_three_dimensions() {
     }
     // Where a trial has no raw frames, it may have its mean.
     let mut some = RAW;
-    some[..12].fill(f64::NAN);
+    some[..2].fill([f64::NAN; 6]);
     let means = [0.0, 0.0, 1.0, 0.0, 0.0, 2.0, f64::NAN, f64::NAN, f64::NAN];
-    let some = ("frames_v", npy("<f8", false, "(3, 2, 3)", &doubles(&some)));
+    let some = numbers("frames_v", "(3, 2, 3)", some.as_flattened());
     let (trials, _) = read("some.npz", &of(vec![some, volts(&means)])).unwrap();
     let counts: Vec<u32> = trials.iter().map(|trial| trial.frame_count).collect();
     assert_eq!((counts, trials[1].voltages_v[2]), (vec![0, 0, 2], 2.0));
@@ -281,11 +267,11 @@ fn raw_frames_are_an_array_of_three_dimensions() {
 
 #[test]
 fn arrays_of_other_shapes_or_sizes_are_refused_by_name() {
-    let volts = || ("voltages_v", npy("<f8", false, "(2, 3)", &doubles(&[0.0; 6])));
+    let volts = || numbers("voltages_v", "(2, 3)", &[0.0; 6]);
     let of = |arrays: Vec<(&str, Vec<u8>)>| npz(&arrays, CompressionMethod::Stored);
-    let x = |shape: &str, n: usize| ("x_mm", npy("<f8", false, shape, &doubles(&vec![1.0; n])));
-    let y = |shape: &str, n: usize| ("y_mm", npy("<f8", false, shape, &doubles(&vec![1.0; n])));
-    let large = || ("voltages_v", npy("<f8", false, "(1000000, 784)", &[]));
+    let x = |shape: &str, n: usize| numbers("x_mm", shape, &vec![1.0; n]);
+    let y = |shape: &str, n: usize| numbers("y_mm", shape, &vec![1.0; n]);
+    let large = || numbers("voltages_v", "(1000000, 784)", &[]);
     let nested = format!("({}", "(".repeat(2000));
     for (bytes, wanted) in [
         (
@@ -302,10 +288,7 @@ fn arrays_of_other_shapes_or_sizes_are_refused_by_name() {
             of(vec![("voltages_v", npy("|O", false, "(2, 3)", b"pickled"))]),
             "voltages_v = (2, 3) values of another type",
         ),
-        (
-            of(vec![("voltages_v", npy("<f8", false, &nested, &[]))]),
-            "voltages_v = () values of another type",
-        ),
+        (of(vec![numbers("voltages_v", &nested, &[])]), "voltages_v = () values of another type"),
         (
             of(vec![
                 ("voltages_v", npy("<f8", false, "(2, 3)", &[0; 40])),
@@ -378,7 +361,7 @@ fn matrices_are_read_by_columns_compressed_or_not() {
 #[test]
 fn raw_frames_of_a_matrix_are_read_by_columns() {
     // MATLAB: the first dimension varies fastest.
-    let by_columns: Vec<f64> = (0..18).map(|n| RAW[n % 3 * 6 + n / 3 % 2 * 3 + n / 6]).collect();
+    let by_columns: Vec<f64> = (0..18).map(|n| RAW[n % 3][n / 3 % 2 * 3 + n / 6]).collect();
     let raw = matrix("frames_v", 6, &[3, 2, 3], element(9, &doubles(&by_columns)));
     let xy = matrix("contacts_xy_mm", 6, &[3, 1, 2], element(2, &[10, 11, 12, 20, 21, 22]));
     let (trials, _) = read("raw.mat", &mat(&[compressed(&raw), xy])).unwrap();
