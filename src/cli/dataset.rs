@@ -8,6 +8,7 @@ use serde_json::{Value, json};
 
 use super::client::{Client, text_of};
 use super::download::DATASET_WAIT;
+use super::embed::Purpose::{Computes, Reads, Stores};
 use super::error::CliResult;
 use super::export::{self, ExportArgs};
 use super::federate::{FederateArgs, federate};
@@ -113,41 +114,25 @@ struct PruneArgs {
 /// `CliError` if the service cannot be reached or refuses, or a file cannot be read or written.
 pub async fn dataset(args: DatasetArgs) -> CliResult<()> {
     match args.what {
-        What::List(at) => embed::reading(&at, async |client| list(client, at.json).await).await,
-        What::Show(args) => {
-            embed::reading(&args.at, async |client| show(client, &args).await).await
-        }
-        What::Card(args) => {
-            embed::reading(&args.at, async |client| card(client, &args).await).await
-        }
-        What::Exports(at) => {
-            embed::reading(&at, async |client| export::list(client, at.output()).await).await
-        }
+        What::List(at) => embed::command(&at, Reads, &at, list).await,
+        What::Show(args) => embed::command(&args.at, Reads, &args, show).await,
+        What::Card(args) => embed::command(&args.at, Reads, &args, card).await,
+        What::Exports(at) => embed::command(&at, Reads, &at, export::list).await,
         What::Prune(args) => {
-            let purpose = match args.dry_run {
-                true => embed::Purpose::Reads,
-                false => embed::Purpose::Stores,
-            };
-            embed::with_purpose(&args.at, purpose, async |client| prune(client, &args).await).await
+            let purpose = if args.dry_run { Reads } else { Stores };
+            embed::command(&args.at, purpose, &args, prune).await
         }
-        What::Make(args) => {
-            embed::with_purpose(&args.at, embed::Purpose::Stores, async |client| {
-                make(client, &args).await
-            })
-            .await
-        }
-        What::Export(args) => {
-            embed::with_server(&args.at, async |client| export::export(client, &args).await).await
-        }
+        What::Make(args) => embed::command(&args.at, Stores, &args, make).await,
+        What::Export(args) => embed::command(&args.at, Computes, &args, export::export).await,
         What::Import(args) => import(args).await,
         What::Federate(args) => federate(args).await,
     }
 }
 
-async fn list(client: &Client, json: bool) -> CliResult<()> {
+async fn list(client: &Client, at: &At) -> CliResult<()> {
     let found: Value = client.get("/api/v1/datasets?limit=1").await?;
     let made: Vec<Value> = client.all("/api/v1/datasets?").await?;
-    if json {
+    if at.json {
         say_json(&json!({ "items": made, "definitions": found["definitions"] }));
         return Ok(());
     }

@@ -168,12 +168,17 @@ pub async fn with_server<T>(
     with_purpose(at, Purpose::Computes, work).await
 }
 
-/// As [`with_purpose`], for work that only reads.
+/// Carries out a command with its options, as [`with_purpose`].
 ///
 /// # Errors
 /// As [`with_purpose`].
-pub async fn reading<T>(at: &At, work: impl AsyncFnOnce(&Client) -> CliResult<T>) -> CliResult<T> {
-    with_purpose(at, Purpose::Reads, work).await
+pub async fn command<A>(
+    at: &At,
+    purpose: Purpose,
+    args: &A,
+    command: impl AsyncFnOnce(&Client, &A) -> CliResult<()>,
+) -> CliResult<()> {
+    with_purpose(at, purpose, async |client| command(client, args).await).await
 }
 
 /// A service for the work of a command: a running one, or one without a rig in this process.

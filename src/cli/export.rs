@@ -13,7 +13,7 @@ use super::client::{Client, text_of};
 use super::download::download_whole;
 use super::error::{CliError, CliResult};
 use super::next::Next;
-use super::output::{Output, bytes, counted, say, say_json};
+use super::output::{bytes, counted, say, say_json};
 use super::progress::Counted;
 use super::table::{Table, or_dash};
 use super::times::local;
@@ -135,7 +135,7 @@ async fn fetch(client: &Client, done: &ExportOut, out: &Path) -> CliResult<()> {
 ///
 /// # Errors
 /// As [`Client::send`].
-pub async fn list(client: &Client, output: Output) -> CliResult<()> {
+pub async fn list(client: &Client, at: &At) -> CliResult<()> {
     let exports: Vec<ExportOut> = client.all("/api/v1/exports?").await?;
     let mut table = Table::new(
         "export | state | dataset | format | size> | requested | last used | by |",
@@ -154,6 +154,6 @@ pub async fn list(client: &Client, output: Output) -> CliResult<()> {
             export.error.clone().unwrap_or_default(),
         ]);
     }
-    output.say(&json!({ "items": exports }), table);
+    at.output().say(&json!({ "items": exports }), table);
     Ok(())
 }

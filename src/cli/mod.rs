@@ -84,6 +84,7 @@ mod worker;
 mod workers;
 
 pub use drawn::{report, report_usage};
+use embed::Purpose::Reads;
 pub use error::CliError;
 use error::CliResult;
 pub use files::DEFAULT_SKIN_SEED;
@@ -348,15 +349,15 @@ async fn answer(command: Command) -> CliResult<ExitCode> {
         Command::Repeat(args) => placement::repeat(&args).await?,
         Command::Placement(at) => placement::placement(&at).await?,
         Command::Sensor(args) => sensor::sensor(&args)?,
-        Command::Runs(args) => morning::runs(args).await?,
+        Command::Runs(args) => embed::command(&args.at, Reads, &args, morning::runs).await?,
         Command::Trials(args) => morning::trials(args).await?,
-        Command::Query(args) => query::query(args).await?,
-        Command::Plot(args) => query::plot(args).await?,
+        Command::Query(args) => embed::command(&args.at, Reads, &args, query::query).await?,
+        Command::Plot(args) => embed::command(&args.at, Reads, &args, query::plot).await?,
         Command::Events(args) => morning::events(args).await?,
-        Command::Actions(args) => morning::actions(args).await?,
-        Command::Show(args) => morning::show(args).await?,
-        Command::Report(args) => morning::report(args).await?,
-        Command::Diff(args) => morning::diff(args).await?,
+        Command::Actions(args) => embed::command(&args.at, Reads, &args, morning::actions).await?,
+        Command::Show(args) => embed::command(&args.at, Reads, &args, morning::show).await?,
+        Command::Report(args) => embed::command(&args.at, Reads, &args, morning::report).await?,
+        Command::Diff(args) => embed::command(&args.at, Reads, &args, morning::diff).await?,
         Command::Estop(args) => ask::estop(&args).await?,
         Command::Lock(args) => access::lock(args).await?,
         Command::Key(args) => access::key(args).await?,

@@ -52,7 +52,7 @@ pub async fn published(at: &At) -> CliResult<()> {
 }
 
 async fn read(at: &At, path: &'static str) -> CliResult<Value> {
-    embed::reading(at, async |client| client.get(path).await).await
+    embed::with_purpose(at, embed::Purpose::Reads, async |client| client.get(path).await).await
 }
 
 fn table(words: &Value, list: Option<&str>) -> CliResult<Table> {

@@ -47,8 +47,10 @@ impl TwinsRequest {
             return Err(CliError::argument("chunk-trials", self.chunk_trials, limit));
         }
         let at = self.place.at(output);
-        embed::reading(&at, async |client| ordered(client, &self.run, self.chunk_trials).await)
-            .await
+        embed::with_purpose(&at, embed::Purpose::Reads, async |client| {
+            ordered(client, &self.run, self.chunk_trials).await
+        })
+        .await
     }
 }
 

@@ -11,7 +11,7 @@ use super::files::write;
 use super::infer::methods;
 use super::picture::Pictures;
 use super::train::quantities;
-use super::{At, vocabulary};
+use super::{At, embed, vocabulary};
 use crate::evaluate::request::{EvaluationRequest, FramesRead, OffsetsRead};
 use crate::ids::CalibrationId;
 use crate::infer::methods::Method;
@@ -162,7 +162,9 @@ pub struct MethodRequest {
 /// `CliError` if a training or an evaluation fails, or a file cannot be written.
 pub async fn evaluate(args: EvaluateArgs) -> CliResult<()> {
     match args.what {
-        What::Simulation(args) => simulation::simulation(args).await,
+        What::Simulation(args) => {
+            embed::command(&args.at, embed::Purpose::Computes, &args, simulation::simulation).await
+        }
         What::Method { method, lab } => {
             with_lab(lab, async |lab, budget| scores(lab, &method.request(budget)).await).await
         }

@@ -8,6 +8,7 @@ use clap::Args;
 use serde_json::{Value, json};
 
 use super::write_all;
+use crate::cli::At;
 use crate::cli::client::Client;
 use crate::cli::error::{CliError, CliResult};
 use crate::cli::find::find_run;
@@ -16,7 +17,6 @@ use crate::cli::next::Next;
 use crate::cli::output::{counted, say, say_json};
 use crate::cli::picture::Pictures;
 use crate::cli::twins::wait_for_twins;
-use crate::cli::{At, embed};
 use crate::evaluate::frame_pairs::FramePair;
 use crate::evaluate::simulation::SimulationReport;
 use crate::store::{RunRow, TrialRow};
@@ -37,18 +37,14 @@ pub struct SimulationArgs {
     #[command(flatten)]
     pictures: Pictures,
     #[command(flatten)]
-    at: At,
+    pub at: At,
 }
 
 /// Runs `palpate evaluate simulation`.
 ///
 /// # Errors
 /// `CliError` if there are no trials, twins are missing, or a file cannot be written.
-pub async fn simulation(args: SimulationArgs) -> CliResult<()> {
-    embed::with_server(&args.at, async |client| report(client, &args).await).await
-}
-
-async fn report(client: &Client, args: &SimulationArgs) -> CliResult<()> {
+pub async fn simulation(client: &Client, args: &SimulationArgs) -> CliResult<()> {
     let run = find_run(client, &run_of(client, args.run.clone()).await?).await?;
     let count = wait_for_twins(client, run.uid, STALLED).await?;
     let path = format!("/api/v1/runs/{}/evaluation/simulation", run.uid);

@@ -14,7 +14,6 @@ use super::compare::{
 };
 use crate::api::{Page, Summary};
 use crate::cli::client::Client;
-use crate::cli::embed;
 use crate::cli::error::CliResult;
 use crate::cli::find::find_run;
 use crate::cli::next::Next;
@@ -96,12 +95,8 @@ struct Frames {
 /// Runs `palpate diff`.
 ///
 /// # Errors
-/// `CliError` if the service cannot be reached or started, or has no such run.
-pub async fn diff(args: DiffArgs) -> CliResult<()> {
-    embed::reading(&args.at, async |client| compare(client, &args).await).await
-}
-
-async fn compare(client: &Client, args: &DiffArgs) -> CliResult<()> {
+/// As [`find_run`].
+pub async fn diff(client: &Client, args: &DiffArgs) -> CliResult<()> {
     let before = Side::read(client, &args.before).await?;
     let after = Side::read(client, &args.after).await?;
     let (a, b) = (before.run(), after.run());

@@ -39,7 +39,7 @@ pub async fn events(args: EventsArgs) -> CliResult<()> {
         let client = embed::server(&args.at).await?;
         return follow(&client, &args).await;
     }
-    embed::reading(&args.at, async |client| list(client, &args).await).await
+    embed::command(&args.at, embed::Purpose::Reads, &args, list).await
 }
 
 impl EventsArgs {

@@ -10,7 +10,6 @@ use super::answers::{duration_words, elapsed, state_words, stored_of, stored_wor
 use super::trials::encoded;
 use crate::api::Page;
 use crate::cli::client::Client;
-use crate::cli::embed;
 use crate::cli::error::CliResult;
 use crate::cli::output::{say, say_json};
 use crate::cli::table::{Table, or_dash};
@@ -63,12 +62,8 @@ impl RunLine {
 /// Runs `palpate runs`.
 ///
 /// # Errors
-/// `CliError` if the service cannot be reached or started, or refuses.
-pub async fn runs(args: RunsArgs) -> CliResult<()> {
-    embed::reading(&args.at, async |client| list(client, &args).await).await
-}
-
-async fn list(client: &Client, args: &RunsArgs) -> CliResult<()> {
+/// As [`Client::send`].
+pub async fn runs(client: &Client, args: &RunsArgs) -> CliResult<()> {
     let (rows, is_all) = select(client, args).await?;
     let lines = futures::stream::iter(rows.into_iter().map(|run| RunLine::of(client, run)));
     let lines: Vec<RunLine> = lines.buffered(REQUESTS).try_collect().await?;

@@ -11,7 +11,6 @@ use super::chart::{forces, picture, width};
 use super::{ShowArgs, history, raw, show_trial};
 use crate::api::{ForcesAtDepth, RunProgress, SensorOut, Summary};
 use crate::cli::client::Client;
-use crate::cli::embed;
 use crate::cli::error::CliResult;
 use crate::cli::find::find_run;
 use crate::cli::next::Next;
@@ -37,19 +36,16 @@ const BAR: usize = 30;
 /// Runs `palpate show`.
 ///
 /// # Errors
-/// `CliError` if the service cannot be reached or started, or has no such run or trial.
-pub async fn show(args: ShowArgs) -> CliResult<()> {
-    embed::reading(&args.at, async |client| {
-        if let Some(part) = args.raw {
-            return raw::show(client, &args.what, part).await;
-        }
-        match show_trial::named(&args.what) {
-            _ if args.history => history::show(client, &args.what, args.at.output()).await,
-            Some(trial) => show_trial::show(client, &trial, args.at.output()).await,
-            None => run(client, &args).await,
-        }
-    })
-    .await
+/// `CliError::Problems` if there is no such run or trial; others as [`Client::send`].
+pub async fn show(client: &Client, args: &ShowArgs) -> CliResult<()> {
+    if let Some(part) = args.raw {
+        return raw::show(client, &args.what, part).await;
+    }
+    match show_trial::named(&args.what) {
+        _ if args.history => history::show(client, &args.what, args.at.output()).await,
+        Some(trial) => show_trial::show(client, &trial, args.at.output()).await,
+        None => run(client, args).await,
+    }
 }
 
 /// What is drawn of a run.

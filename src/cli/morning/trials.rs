@@ -6,7 +6,7 @@ use serde_json::json;
 
 use super::TrialsArgs;
 use crate::cli::client::Client;
-use crate::cli::embed;
+use crate::cli::embed::{self, Purpose::Reads};
 use crate::cli::error::{CliError, CliResult};
 use crate::cli::find::find_run;
 use crate::cli::output::{grouped, say, say_json};
@@ -26,7 +26,7 @@ struct Asked {
 /// `CliError` if the service cannot be reached or started, or refuses a condition.
 pub async fn trials(args: TrialsArgs) -> CliResult<()> {
     let asked = asked(&args.what)?;
-    embed::reading(&args.at, async |client| list(client, &args, asked).await).await
+    embed::with_purpose(&args.at, Reads, async |client| list(client, &args, asked).await).await
 }
 
 /// Separates the run from the conditions.

@@ -13,13 +13,13 @@ use reqwest::Method;
 use serde::Deserialize;
 use serde_json::{Map, Value, json};
 
+use super::At;
 use super::client::Client;
 use super::download::keep;
 use super::error::{CliError, CliResult};
 use super::output::{bytes, counted, grouped, note, say, say_json};
 use super::progress::Working;
 use super::table::{Align, Table};
-use super::{At, embed};
 use crate::dataset::format::Format;
 use crate::query::TIME_MAX;
 
@@ -85,13 +85,8 @@ pub struct Answer {
 /// Runs `palpate query`.
 ///
 /// # Errors
-/// `CliError` if the service cannot be reached or started or refuses the statement, or if the file cannot
-/// be written.
-pub async fn query(args: QueryArgs) -> CliResult<()> {
-    embed::reading(&args.at, async |client| run(client, &args).await).await
-}
-
-async fn run(client: &Client, args: &QueryArgs) -> CliResult<()> {
+/// As [`ask`]; `CliError::Problems` if the format does not fit, `File` if the file cannot be written.
+pub async fn query(client: &Client, args: &QueryArgs) -> CliResult<()> {
     let Some(sql) = args.sql.as_deref().map(statement).transpose()? else {
         return tables(client, args.at.json).await;
     };

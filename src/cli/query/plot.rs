@@ -9,12 +9,12 @@ use serde_json::{Value, json};
 
 use super::prepared::{NAMES, Question, Trials, number};
 use super::{Answer, ask};
+use crate::cli::At;
 use crate::cli::client::Client;
 use crate::cli::error::{CliError, CliResult};
 use crate::cli::find::find_run;
 use crate::cli::output::note;
 use crate::cli::picture::{self, figure_file};
-use crate::cli::{At, embed};
 use crate::figure::Heading;
 use crate::figure::series::{Chart, Marks, Places, Series};
 use crate::near::did_you_mean;
@@ -59,13 +59,9 @@ fn marks() -> impl TypedValueParser<Value = Marks> {
 /// Runs `palpate plot`.
 ///
 /// # Errors
-/// `CliError` if the service cannot be reached or started or refuses the question, or if the picture
-/// cannot be written.
-pub async fn plot(args: PlotArgs) -> CliResult<()> {
-    embed::reading(&args.at, async |client| draw(client, &args).await).await
-}
-
-async fn draw(client: &Client, args: &PlotArgs) -> CliResult<()> {
+/// As [`ask`] and [`find_run`]; `CliError::Problems` if the question is unknown, others if the picture cannot be
+/// written.
+pub async fn plot(client: &Client, args: &PlotArgs) -> CliResult<()> {
     let trials = trials(client, &args.of).await?;
     let is_statement = args.what.contains(char::is_whitespace);
     let (question, answer, heading) = if is_statement {

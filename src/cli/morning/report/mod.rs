@@ -15,7 +15,6 @@ use facts::Facts;
 
 use super::ReportArgs;
 use crate::cli::client::Client;
-use crate::cli::embed;
 use crate::cli::error::CliResult;
 use crate::cli::files::write;
 use crate::cli::find::find_run;
@@ -27,13 +26,9 @@ use crate::cli::progress::shown_wait;
 /// Runs `palpate report`.
 ///
 /// # Errors
-/// `CliError` if the service cannot be reached or started, has no such run, or a file cannot be written.
+/// As [`find_run`]; `CliError::File` if the HTML cannot be written, `Figure` if a figure cannot be drawn.
 /// A PDF that cannot be printed is reported, and is no error: the HTML has all of it.
-pub async fn report(args: ReportArgs) -> CliResult<()> {
-    embed::reading(&args.at, async |client| make(client, &args).await).await
-}
-
-async fn make(client: &Client, args: &ReportArgs) -> CliResult<()> {
+pub async fn report(client: &Client, args: &ReportArgs) -> CliResult<()> {
     let run = find_run(client, &args.run).await?;
     let facts = Facts::read(client, &run).await?;
     let page = html::page(&facts, Timestamp::now())?;
