@@ -163,10 +163,6 @@ async fn prune(client: &Client, args: &PruneArgs) -> CliResult<()> {
         .showing("removing datasets")
         .post("/api/v1/datasets/prune", &body)
         .await?;
-    if args.at.json {
-        say_json(&pruned);
-        return Ok(());
-    }
     let mut table = Table::new("dataset | name | size> | last used |", "there are no datasets");
     for row in pruned["datasets"].as_array().into_iter().flatten() {
         let used = row["last_used_at"].as_str().and_then(|at| at.parse().ok());
@@ -180,12 +176,12 @@ async fn prune(client: &Client, args: &PruneArgs) -> CliResult<()> {
             stays.unwrap_or_else(|| gone.to_owned()),
         ]);
     }
-    say(&table);
     let freed = bytes(pruned["freed_bytes"].as_f64().unwrap_or_default());
-    say(match args.dry_run {
+    let freed = match args.dry_run {
         true => format!("{freed} would be freed; without --dry-run it is removed"),
         false => format!("{freed} freed"),
-    });
+    };
+    args.at.output().say(&pruned, format_args!("{table}\n{freed}"));
     Ok(())
 }
 

@@ -13,7 +13,7 @@ use super::client::{Client, text_of};
 use super::download::download_whole;
 use super::error::{CliError, CliResult};
 use super::next::Next;
-use super::output::{bytes, counted, say, say_json};
+use super::output::{bytes, counted};
 use super::progress::Counted;
 use super::table::{Table, or_dash};
 use super::times::local;
@@ -75,27 +75,21 @@ pub async fn export(client: &Client, args: &ExportArgs) -> CliResult<()> {
     };
     let asked: ExportOut = client.post("/api/v1/exports", &request).await?;
     let done = follow(client, asked).await?;
-    let out = args
-        .out
-        .clone()
-        .unwrap_or_else(|| PathBuf::from(format!("{}.{}", args.name, args.format.extension())));
+    let default = || format!("{}.{}", args.name, args.format.extension()).into();
+    let out: PathBuf = args.out.clone().unwrap_or_else(default);
     fetch(client, &done, &out).await?;
-    if args.at.json {
-        say_json(&json!({ "file": out, "export": done }));
-    } else {
-        let rows = counted(done.rows_total, "row", "rows");
-        let of = done.dataset.as_ref().map_or(args.name.as_str(), DatasetId::as_str);
-        let length = bytes(done.bytes.unwrap_or_default() as f64);
-        let rows = if done.rows_total > 0 { format!("{rows} of ") } else { String::new() };
-        say(format_args!(
-            "{}: {rows}{of}, {length}, sha256 {}",
-            out.display(),
-            done.sha256.clone().unwrap_or_default()
-        ));
-        Next::of(&args.at)
-            .suggest(format_args!("palpate dataset card {of}"), "its content, units and citation")
-            .say();
-    }
+    let of = done.dataset.as_ref().map_or(args.name.as_str(), DatasetId::as_str);
+    let rows = match done.rows_total {
+        0 => String::new(),
+        rows => format!("{} of ", counted(rows, "row", "rows")),
+    };
+    let (file, length) = (out.display(), bytes(done.bytes.unwrap_or_default() as f64));
+    let sha256 = done.sha256.as_deref().unwrap_or_default();
+    let words = format!("{file}: {rows}{of}, {length}, sha256 {sha256}");
+    args.at.output().say(&json!({ "file": out, "export": done }), words);
+    Next::of(&args.at)
+        .suggest(format_args!("palpate dataset card {of}"), "its content, units and citation")
+        .say();
     Ok(())
 }
 

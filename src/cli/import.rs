@@ -114,15 +114,11 @@ async fn store(
         .showing("storing the trials")
         .upload("/api/v1/imports", &args.file, texts.into_iter().chain(map))
         .await?;
-    if args.at.json {
-        made["summary"] = json!(summary);
-        say_json(&made);
-        return Ok(());
-    }
-    let run = &made["run"];
+    made["summary"] = json!(summary);
     let trials = counted(made["trials"].as_u64().unwrap_or_default(), "trial", "trials");
-    say(format_args!("run {}: {trials} ({})", run["scan_id"], text_of(&run["label"])));
-    let (run, dataset) = (&run["scan_id"], text_of(&made["dataset"]));
+    let (run, label) = (&made["run"]["scan_id"], text_of(&made["run"]["label"]));
+    args.at.output().say(&made, format_args!("run {run}: {trials} ({label})"));
+    let dataset = text_of(&made["dataset"]);
     Next::of(&args.at)
         .suggest(format_args!("palpate dataset show {dataset}"), "its parts and columns")
         .suggest(format_args!("palpate trials {run}"), "its trials")

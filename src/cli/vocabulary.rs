@@ -40,14 +40,13 @@ pub async fn vocabulary(args: VocabularyArgs) -> CliResult<()> {
 /// `CliError` if the service cannot be reached.
 pub async fn published(at: &At) -> CliResult<()> {
     let values = read(at, "/api/v1/published").await?;
-    if at.output() == Output::Json {
-        say_json(&values);
-        return Ok(());
-    }
-    say("Table III, Transfer-Net: RMSE in V / FVU in %, by number of contacts");
-    say(transfer(&values));
-    say("\nTable IV, Recon-Net alone, and V-D, the whole pipeline");
-    say(maps(&values));
+    let words = format!(
+        "Table III, Transfer-Net: RMSE in V / FVU in %, by number of contacts\n{}\n\n\
+         Table IV, Recon-Net alone, and V-D, the whole pipeline\n{}",
+        transfer(&values),
+        maps(&values),
+    );
+    at.output().say(&values, words);
     Ok(())
 }
 

@@ -14,7 +14,7 @@ use crate::cli::error::{CliError, CliResult};
 use crate::cli::find::find_run;
 use crate::cli::morning::{TrialFacts, all_trials};
 use crate::cli::next::Next;
-use crate::cli::output::{counted, say, say_json};
+use crate::cli::output::counted;
 use crate::cli::picture::Pictures;
 use crate::cli::twins::wait_for_twins;
 use crate::evaluate::frame_pairs::FramePair;
@@ -53,27 +53,26 @@ pub async fn simulation(client: &Client, args: &SimulationArgs) -> CliResult<()>
         let pairs = pairs(client, &run, report.trials).await?;
         write_all(folder, &files(&run, &report, &pairs)?, &args.pictures).await?;
     }
-    if args.at.json {
-        say_json(&json!({ "run": run.uid, "label": run.label, "twins": count, "report": report }));
-    } else {
-        say(text(&run, &report));
-        if let Some(folder) = &args.out {
-            say(format_args!("numbers, tables and figures in {}", folder.display()));
+    let (mut words, mut next) = (text(&run, &report), Next::of(&args.at));
+    let number = run.scan_id;
+    match &args.out {
+        Some(folder) => {
+            words += &format!("\nnumbers, tables and figures in {}", folder.display());
         }
-        let number = run.scan_id;
-        let mut next = Next::of(&args.at);
-        if args.out.is_none() {
+        None => {
             next = next.suggest(
                 format_args!("palpate evaluate simulation --run {number} --out fit"),
                 "writes numbers, tables and figures",
             );
         }
-        next.suggest(
-            format_args!("palpate calibrate skin --run {number} --out skin.toml"),
-            "fits the model to this skin",
-        )
-        .say();
     }
+    let numbers = json!({ "run": run.uid, "label": run.label, "twins": count, "report": report });
+    args.at.output().say(&numbers, words);
+    next.suggest(
+        format_args!("palpate calibrate skin --run {number} --out skin.toml"),
+        "fits the model to this skin",
+    )
+    .say();
     Ok(())
 }
 

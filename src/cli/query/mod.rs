@@ -17,7 +17,7 @@ use super::At;
 use super::client::Client;
 use super::download::keep;
 use super::error::{CliError, CliResult};
-use super::output::{bytes, counted, grouped, note, say, say_json};
+use super::output::{Output, bytes, counted, grouped, note, say, say_json};
 use super::progress::Working;
 use super::table::{Align, Table};
 use crate::dataset::format::Format;
@@ -88,7 +88,7 @@ pub struct Answer {
 /// As [`ask`]; `CliError::Problems` if the format does not fit, `File` if the file cannot be written.
 pub async fn query(client: &Client, args: &QueryArgs) -> CliResult<()> {
     let Some(sql) = args.sql.as_deref().map(statement).transpose()? else {
-        return tables(client, args.at.json).await;
+        return tables(client, args.at.output()).await;
     };
     match (args.format.or(args.out.as_deref().and_then(by_ending)), &args.out) {
         (Some(format), out) => write(client, &sql, format, out.clone()).await,
@@ -120,12 +120,8 @@ fn statement(text: &str) -> CliResult<String> {
     std::io::read_to_string(std::io::stdin()).map_err(failed)
 }
 
-async fn tables(client: &Client, as_json: bool) -> CliResult<()> {
+async fn tables(client: &Client, output: Output) -> CliResult<()> {
     let tables: Vec<Map<String, Value>> = client.get("/api/v1/query/tables").await?;
-    if as_json {
-        say_json(&tables);
-        return Ok(());
-    }
     let text = |table: &Map<String, Value>, key: &str| {
         table.get(key).and_then(Value::as_str).unwrap_or_default().replace('`', "")
     };
@@ -134,10 +130,8 @@ async fn tables(client: &Client, as_json: bool) -> CliResult<()> {
         let about = text(table, "about");
         shown.push([text(table, "name"), about.trim_start_matches("a row: ").to_owned()]);
     }
-    say(shown);
-    say(
-        "Names with a hyphen stand in double quotes: palpate query 'SELECT * FROM \"run-1\" LIMIT 5'",
-    );
+    let advice = "Names with a hyphen stand in double quotes: palpate query 'SELECT * FROM \"run-1\" LIMIT 5'";
+    output.say(&tables, format_args!("{shown}\n{advice}"));
     Ok(())
 }
 

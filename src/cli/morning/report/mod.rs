@@ -19,7 +19,7 @@ use crate::cli::error::CliResult;
 use crate::cli::files::write;
 use crate::cli::find::find_run;
 use crate::cli::next::Next;
-use crate::cli::output::{counted, note, say, say_json};
+use crate::cli::output::{counted, note};
 use crate::cli::print;
 use crate::cli::progress::shown_wait;
 
@@ -46,20 +46,14 @@ pub async fn report(client: &Client, args: &ReportArgs) -> CliResult<()> {
             }
         },
     };
-    let found = findings::findings(&facts);
-    if args.at.json {
-        let words: Vec<&str> = found.iter().map(|finding| finding.words.as_str()).collect();
-        say_json(&json!({ "run": run.uid, "html": file, "pdf": printed, "findings": words }));
-        return Ok(());
-    }
-    for finding in &found {
-        say(format_args!("- {}", finding.words));
-    }
+    let found: Vec<String> =
+        findings::findings(&facts).into_iter().map(|finding| finding.words).collect();
+    let mut lines: Vec<String> = found.iter().map(|words| format!("- {words}")).collect();
     let count = counted(found.len() as u64, "finding", "findings");
-    say(format_args!("{count}; {}", file.display()));
-    if let Some(pdf) = printed {
-        say(pdf.display());
-    }
+    lines.push(format!("{count}; {}", file.display()));
+    lines.extend(printed.iter().map(|pdf| pdf.display().to_string()));
+    let made = json!({ "run": run.uid, "html": file, "pdf": printed, "findings": found });
+    args.at.output().say(&made, lines.join("\n"));
     let scan_id = run.scan_id;
     Next::of(&args.at)
         .suggest(format_args!("palpate show {scan_id}"), "draws it in the terminal")
