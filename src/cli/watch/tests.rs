@@ -14,10 +14,11 @@ use super::Asked;
 use super::answers::Tour;
 use super::draw::draw;
 use super::facts::Now;
-use super::night::{Level, Mark, News, Night};
+use super::night::{Mark, News, Night};
 use super::theme::Theme;
 use crate::api::{History, RigRates, RunProgress, StreamRates, WireRates};
 use crate::cli::view::StatusView;
+use crate::event::Importance;
 use crate::ids::RunUid;
 use crate::schedule::visits::Visits;
 
@@ -241,16 +242,16 @@ fn what_a_person_must_do_first_is_named() {
         night.take(told_status(&changed), start());
         night.first()
     };
-    assert_eq!(first(&|_| {}), (Level::Fine, "nothing".into()));
+    assert_eq!(first(&|_| {}), (Importance::Routine, "nothing".into()));
     let need = |importance: &str, command: Value| {
         json!({ "kind": "reset", "importance": importance, "words": "Tripped\u{1b}[31m.\nReset.",
             "command": command, "page": "rig", "since": null })
     };
     let found = first(&|s| s["needs"] = json!([need("act", "palpate rig reset".into())]));
     let words = "Tripped\\u{1b}[31m. Reset. Next: palpate rig reset".to_owned();
-    assert_eq!(found, (Level::Act, words));
+    assert_eq!(found, (Importance::Act, words));
     let found = first(&|s| s["needs"] = json!([need("look", Value::Null)]));
-    assert_eq!(found, (Level::Look, "Tripped\\u{1b}[31m. Reset.".into()));
+    assert_eq!(found, (Importance::Look, "Tripped\\u{1b}[31m. Reset.".into()));
 }
 
 #[test]

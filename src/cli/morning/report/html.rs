@@ -7,13 +7,13 @@ use jiff::Timestamp;
 
 use super::super::answers::{duration_words, elapsed, state_words, stored_words};
 use super::facts::Facts;
-use super::findings::{Level, findings, outliers};
+use super::findings::{findings, outliers};
 use super::plots::{self, Plot};
 use crate::cli::output::{counted, duration, grouped};
 use crate::cli::summary::table_one;
 use crate::cli::times::second;
 use crate::evaluate::figures::FigureError;
-use crate::event::shown_kind;
+use crate::event::{Importance, shown_kind};
 use crate::state::StoredState;
 
 const STYLE: &str = include_str!("report.css");
@@ -77,10 +77,7 @@ fn look(page: &mut String, facts: &Facts) {
     } else {
         page.push_str("<ul class=\"findings\">\n");
         for finding in all {
-            let class = match finding.level {
-                Level::Act => "act",
-                Level::Look => "look",
-            };
+            let class = if finding.level == Importance::Act { "act" } else { "look" };
             let _ = writeln!(page, "<li class=\"{class}\">{}</li>", escaped(&finding.words));
         }
         page.push_str("</ul>\n");
