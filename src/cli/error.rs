@@ -196,6 +196,11 @@ impl CliError {
         move |source| Self::File { path: path.into(), source }
     }
 
+    /// Conversion of an error of the operating system in an operation without a file.
+    pub fn system(operation: &'static str) -> impl Fn(io::Error) -> Self {
+        move |source| Self::System { operation, source }
+    }
+
     /// Conversion of an error of the operating system at a file that is read because a person named it.
     pub fn input(path: &Path) -> impl FnOnce(io::Error) -> Self {
         move |error| Self::in_file(path, io_words(&error))

@@ -153,8 +153,7 @@ pub fn write_bytes(path: &Path, bytes: &[u8]) -> CliResult<()> {
 /// # Errors
 /// `CliError::System` if the system does not state it.
 pub fn this_program() -> CliResult<PathBuf> {
-    std::env::current_exe()
-        .map_err(|source| CliError::System { operation: "finding this program", source })
+    std::env::current_exe().map_err(CliError::system("finding this program"))
 }
 
 /// Reads a file named on the command line.

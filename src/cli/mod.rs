@@ -310,7 +310,7 @@ fn on_runtime(command: Command) -> CliResult<ExitCode> {
     let runtime = tokio::runtime::Builder::new_multi_thread()
         .enable_all()
         .build()
-        .map_err(|source| CliError::System { operation: "starting the runtime", source })?;
+        .map_err(CliError::system("starting the runtime"))?;
     let outcome = runtime.block_on(answer(command));
     // A thread may still wait for input at the terminal that is no longer needed.
     runtime.shutdown_background();

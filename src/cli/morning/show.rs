@@ -48,17 +48,6 @@ pub async fn show(client: &Client, args: &ShowArgs) -> CliResult<()> {
     }
 }
 
-/// What is drawn of a run.
-struct Drawn {
-    summary: Summary,
-    twins: TwinsOf,
-    median_fvu: Option<f64>,
-    /// Largest forces of all trials over depth.
-    curve: Vec<ForcesAtDepth>,
-    worst: Option<WorstFit>,
-    night: Night,
-}
-
 /// The trial with contacts whose twin fits worst.
 #[derive(Debug, Deserialize)]
 struct WorstFit {
@@ -83,49 +72,36 @@ async fn run(client: &Client, args: &ShowArgs) -> CliResult<()> {
         Some(_) => client.if_there(&format!("{path}/progress")).await?,
         None => None,
     };
-    let forces: Vec<ForcesAtDepth> = client.all(&format!("{path}/forces?")).await?;
-    let curve = forces.into_iter().filter(|at| at.tips.is_none()).collect();
+    // The largest forces of all trials over depth.
+    let mut curve: Vec<ForcesAtDepth> = client.all(&format!("{path}/forces?")).await?;
+    curve.retain(|at| at.tips.is_none());
     let worst_first = format!("{path}/trials?contact_count__gt=0&fvu__gte=0&sort=-fvu");
-    let (worst, _) = client.first(&worst_first, 1).await?;
-    let worst = worst.into_iter().next();
+    let (worst, _) = client.first::<WorstFit>(&worst_first, 1).await?;
     let night = Night { run: Some(found.uid), skin, tour, progress, ..Night::new(client.url()) };
-    let drawn = Drawn { summary, twins, median_fvu, curve, worst, night };
-    draw(&drawn)?;
-    with_commands(&drawn, Next::of(&args.at)).say();
-    Ok(())
-}
-
-fn draw(drawn: &Drawn) -> CliResult<()> {
-    say(facts(drawn));
-    let contacts = counts(&drawn.summary.contact_counts);
-    if let Some(contacts) = contacts {
+    say(facts(&summary, twins, median_fvu, &night));
+    if let Some(contacts) = counts(&summary.contact_counts) {
         say(format_args!("\n{contacts}"));
     }
-    let picture = pictures(&drawn.night, &drawn.curve)?;
+    let picture = pictures(&night, &curve)?;
     if !picture.is_empty() {
         say("");
         say_drawn(&picture);
     }
+    let run = found.scan_id;
+    let mut next = Next::of(&args.at)
+        .suggest(format_args!("palpate report {run}"), "all of it as HTML and PDF")
+        .suggest(format_args!("palpate trials {run}"), "its trials");
+    for WorstFit { trial_id, fvu } in worst {
+        next = next.suggest(
+            format_args!("palpate show t{trial_id}"),
+            format_args!("the trial with the largest FVU, {fvu:.2}"),
+        );
+    }
+    next.say();
     Ok(())
 }
 
-/// Adds the commands for this run, and for its trial with the worst fit.
-fn with_commands(drawn: &Drawn, next: Next) -> Next {
-    let run = drawn.summary.run.scan_id;
-    let next = next
-        .suggest(format_args!("palpate report {run}"), "all of it as HTML and PDF")
-        .suggest(format_args!("palpate trials {run}"), "its trials");
-    match &drawn.worst {
-        None => next,
-        Some(WorstFit { trial_id, fvu }) => next.suggest(
-            format_args!("palpate show t{trial_id}"),
-            format_args!("the trial with the largest FVU, {fvu:.2}"),
-        ),
-    }
-}
-
-fn facts(drawn: &Drawn) -> String {
-    let Drawn { summary, twins, median_fvu, night, .. } = drawn;
+fn facts(summary: &Summary, twins: TwinsOf, median_fvu: Option<f64>, night: &Night) -> String {
     let run = &summary.run;
     let mut lines = vec![format!(
         "run {}, {} ({}, {}): {}",

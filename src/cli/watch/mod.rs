@@ -52,10 +52,8 @@ struct Screen {
 impl Screen {
     fn open() -> CliResult<Self> {
         let held = log::hold();
-        let terminal = ratatui::try_init().map_err(|source| CliError::System {
-            operation: "opening the screen on the terminal",
-            source,
-        })?;
+        let terminal =
+            ratatui::try_init().map_err(CliError::system("opening the screen on the terminal"))?;
         Ok(Self { terminal, _log: held })
     }
 }
@@ -121,8 +119,7 @@ pub async fn watch(at: &At) -> CliResult<()> {
     loop {
         let now = Now { at: Timestamp::now(), zone: zone.clone() };
         let drawn = screen.terminal.draw(|frame| draw::draw(frame, &night, &now, theme));
-        drawn
-            .map_err(|source| CliError::System { operation: "drawing on the terminal", source })?;
+        drawn.map_err(CliError::system("drawing on the terminal"))?;
         tokio::select! {
             _ = tick.tick() => {}
             Some(read) = news.recv() => {
@@ -161,7 +158,7 @@ fn keys() -> CliResult<mpsc::Receiver<KeyEvent>> {
         }
     };
     let thread = std::thread::Builder::new().name("keys".into()).spawn(reading);
-    thread.map_err(|source| CliError::System { operation: "reading keys", source })?;
+    thread.map_err(CliError::system("reading keys"))?;
     Ok(keys)
 }
 
