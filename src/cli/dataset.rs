@@ -18,6 +18,7 @@ use super::next::Next;
 use super::output::{bytes, say, say_json};
 use super::table::{Table, or_dash};
 use super::times::local;
+use super::view::rows;
 use super::{At, embed};
 use crate::file_kind::FileKind;
 
@@ -150,8 +151,7 @@ async fn list(client: &Client, at: &At) -> CliResult<()> {
         ]);
     }
     say(&table);
-    let names: Vec<&str> =
-        found["definitions"].as_array().into_iter().flatten().filter_map(Value::as_str).collect();
+    let names: Vec<&str> = rows(&found, "definitions").iter().filter_map(Value::as_str).collect();
     say(format_args!("palpate dataset make NAME, of: {}, run-N", names.join(", ")));
     Ok(())
 }
@@ -164,7 +164,7 @@ async fn prune(client: &Client, args: &PruneArgs) -> CliResult<()> {
         .post("/api/v1/datasets/prune", &body)
         .await?;
     let mut table = Table::new("dataset | name | size> | last used |", "there are no datasets");
-    for row in pruned["datasets"].as_array().into_iter().flatten() {
+    for row in rows(&pruned, "datasets") {
         let used = row["last_used_at"].as_str().and_then(|at| at.parse().ok());
         let gone = if args.dry_run { "would be removed" } else { "removed" };
         let stays = row["stays"].as_str().map(|why| format!("stays: {why}"));

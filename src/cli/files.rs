@@ -125,19 +125,11 @@ impl RigFiles {
     }
 }
 
-/// Writes a text file, and creates its folders.
-///
-/// # Errors
-/// `CliError::File` if it cannot be written.
-pub fn write(path: &Path, text: &str) -> CliResult<()> {
-    write_bytes(path, text.as_bytes())
-}
-
 /// Writes a file, and creates its folders.
 ///
 /// # Errors
 /// `CliError::File` if it cannot be written.
-pub fn write_bytes(path: &Path, bytes: &[u8]) -> CliResult<()> {
+pub fn write(path: &Path, contents: &(impl AsRef<[u8]> + ?Sized)) -> CliResult<()> {
     let failed = |source| CliError::File { path: path.into(), source };
     if let Some(folder) = path.parent() {
         std::fs::create_dir_all(folder).map_err(|error| match error.kind() {
@@ -145,7 +137,7 @@ pub fn write_bytes(path: &Path, bytes: &[u8]) -> CliResult<()> {
             _ => failed(error),
         })?;
     }
-    std::fs::write(path, bytes).map_err(failed)
+    std::fs::write(path, contents).map_err(failed)
 }
 
 /// Returns the path of this program.

@@ -80,7 +80,7 @@ pub fn figure_file(name: &str) -> Result<PathBuf, String> {
 pub async fn write(path: &Path, svg: &str) -> CliResult<()> {
     let Some(format) = Format::of(path) else { return files::write(path, svg) };
     // Makes the folder, and refuses a file that cannot be written before a program starts.
-    files::write_bytes(path, &[])?;
+    files::write(path, "")?;
     let folder = std::env::temp_dir().join(format!("palpate-figure-{}", std::process::id()));
     let converted =
         shown_wait("converting the figure", converted(&folder, svg, path, format)).await;

@@ -10,6 +10,7 @@ use super::client::{Client, text_of};
 use super::error::CliResult;
 use super::output::{bytes, counted, duration, say, say_json};
 use super::table::{Table, or_dash};
+use super::view::rows;
 use super::{At, embed};
 
 /// Path of the state.
@@ -124,10 +125,6 @@ fn words(found: &Value) -> Option<String> {
         }
     }
     Some(words)
-}
-
-fn rows<'a>(of: &'a Value, key: &str) -> &'a [Value] {
-    of[key].as_array().map_or(&[], Vec::as_slice)
 }
 
 #[cfg(test)]

@@ -18,6 +18,7 @@ use crate::cli::next::Next;
 use crate::cli::output::{Output, note, say, say_json};
 use crate::cli::picture::Pictures;
 use crate::cli::train::{Changes, recipe_text};
+use crate::cli::view::rows;
 use crate::cli::{At, embed};
 use crate::dataset::import::sensor::ImportedSensor;
 use crate::digest::sha256_hex;
@@ -122,7 +123,12 @@ pub async fn with_lab(
 ) -> CliResult<()> {
     embed::with_server(&args.at, async |client| {
         let lab = ServiceLab::new(client.clone(), args.at.output(), args.trained.clone());
-        lab.take_evaluation()?;
+        // A gathered evaluation has its scores in the folder itself, a net in its own folder.
+        if let Some(folder) = &args.trained
+            && folder.join(SCORES_FILE).exists()
+        {
+            lab.take_scores(folder)?;
+        }
         let sheet = study(&lab, &args.extent.budget()).await?;
         show(&sheet, &args).await
     })
@@ -209,21 +215,7 @@ impl ServiceLab {
         Ok(ResolvedTraining { name, recipe, dataset })
     }
 
-    /// Folder of a gathered net, if there is one of this name.
-    fn gathered(&self, name: &str) -> Option<PathBuf> {
-        let folder = self.trained.as_ref()?.join(name);
-        folder.is_dir().then_some(folder)
-    }
-
-    /// Takes the scores of a gathered evaluation, if the folder has them.
-    fn take_evaluation(&self) -> CliResult<()> {
-        match &self.trained {
-            Some(folder) if folder.join(SCORES_FILE).exists() => self.take_scores(folder),
-            Some(_) | None => Ok(()),
-        }
-    }
-
-    /// Takes the scores of a gathered net.
+    /// Takes the scores of a gathered net or evaluation.
     fn take_scores(&self, folder: &Path) -> CliResult<()> {
         let path = folder.join(SCORES_FILE);
         let scores: Vec<NetScore> = serde_json::from_str(&read_input(&path)?)
@@ -282,9 +274,9 @@ impl Lab for ServiceLab {
         let row = self.dataset(dataset).await?;
         let (id, report) = (row["id"].as_str().unwrap_or_default(), &row["report"]);
         let lineage: Value = self.client.get(&format!("/api/v1/datasets/{id}/lineage")).await?;
-        let runs = lineage["lineage"]["runs"].as_array().map_or(&[][..], Vec::as_slice);
+        let runs = rows(&lineage["lineage"], "runs");
         let rig: Value = self.client.get("/api/v1/sensor").await?;
-        let mut columns = report["columns"].as_array().into_iter().flatten();
+        let mut columns = rows(report, "columns").iter();
         let side_mm = |of: &str| rig[of].as_f64().unwrap_or_default();
         let mut facts = DatasetFacts {
             has_parts: ["train", "test"].iter().all(|part| report["parts"][*part].is_u64()),
@@ -309,7 +301,8 @@ impl Lab for ServiceLab {
     async fn train(&self, training: &Training) -> CliResult<ModelId> {
         let stem = &training.stem;
         let ResolvedTraining { name, recipe, .. } = self.resolve(training).await?;
-        let gathered = self.gathered(&name);
+        let gathered = self.trained.as_ref().map(|folder| folder.join(&name));
+        let gathered = gathered.filter(|folder| folder.is_dir());
         if let Some(folder) = &gathered {
             self.take_scores(folder)?;
         }

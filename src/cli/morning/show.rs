@@ -6,7 +6,9 @@ use ratatui::layout::Rect;
 use serde::Deserialize;
 use serde_json::json;
 
-use super::answers::{TwinsOf, duration_words, elapsed, fit_of, state_words, stored_words};
+use super::answers::{
+    TwinsOf, duration_words, elapsed, fit_of, settings_words, state_words, stored_words,
+};
 use super::chart::{forces, picture, width};
 use super::{ShowArgs, history, raw, show_trial};
 use crate::api::{ForcesAtDepth, RunProgress, SensorOut, Summary};
@@ -133,12 +135,8 @@ fn facts(summary: &Summary, twins: TwinsOf, median_fvu: Option<f64>, night: &Nig
             counted(summary.retries, "retry", "retries"),
         ),
     );
-    let settings = summary.settings.iter();
-    let settings: Vec<String> = settings
-        .map(|of| format!("{} with {}", grouped(of.stored), counted(of.tips.into(), "tip", "tips")))
-        .collect();
-    if !settings.is_empty() {
-        line("settings", settings.join(", "));
+    if let Some(settings) = settings_words(summary) {
+        line("settings", settings);
     }
     for of in night.progress.iter().flat_map(|progress| &progress.forces_by_tips) {
         let tips = counted(of.tips.into(), "tip", "tips");

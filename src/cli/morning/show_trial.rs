@@ -10,6 +10,7 @@ use crate::cli::client::Client;
 use crate::cli::error::{CliError, CliResult};
 use crate::cli::find::find_run;
 use crate::cli::output::{Output, filled, is_coloured, say, say_drawn, say_json};
+use crate::cli::table::or_dash;
 use crate::cli::times::second;
 use crate::store::TrialRow;
 
@@ -120,7 +121,7 @@ fn pictures(measured_v: Vec<f32>, simulated_v: Option<Vec<f32>>) -> Vec<Picture>
 
 fn words(trial: &TrialRow) -> String {
     let number = |value: Option<f64>, digits: usize, unit: &str| {
-        value.map_or_else(|| "-".into(), |value| format!("{value:.digits$} {unit}"))
+        or_dash(value.map(|value| format!("{value:.digits$} {unit}")))
     };
     let mut text = format!(
         "trial t{} ({}): run {}, {}; configuration {}, depth {}, attempt {}",
@@ -185,8 +186,7 @@ fn forces(trial: &TrialRow) -> String {
     }
     if trial.arms.is_empty() {
         for contact in &trial.contacts {
-            let shown =
-                |value: Option<f64>| value.map_or("-".into(), |value| format!("{value:.2}"));
+            let shown = |value: Option<f64>| or_dash(value.map(|value| format!("{value:.2}")));
             let [x, y, n] = [contact.x_mm, contact.y_mm, contact.force_n].map(shown);
             let _ = write!(text, "\n  contact  {n} N  x {x}  y {y} mm");
         }
