@@ -7,7 +7,7 @@ use clap::Args;
 use serde_json::json;
 
 use super::OrderPlace;
-use super::kind::readings_order;
+use super::kind::order_of;
 use crate::chunk::folder::OrderFolder;
 use crate::chunk::order::{ChunkRow, WorkOrder};
 use crate::cli::client::TextPart;
@@ -21,7 +21,7 @@ use crate::cli::{At, embed};
 use crate::evaluate::request::EvaluationReport;
 use crate::jobs::chunks::{NetScore, SCORES_FILE};
 use crate::jobs::readings::ReadingInputs;
-use crate::jobs::readings::chunks::{gather, work_order};
+use crate::jobs::readings::chunks::{ReadingsOrder, gather, work_order};
 use crate::new_file;
 
 /// Name of the file with the readings of all frames, a line of JSON each.
@@ -75,7 +75,7 @@ pub async fn score(
     at: &At,
     mut verified: Counted,
 ) -> CliResult<u64> {
-    let order = readings_order(folder)?;
+    let order = order_of(folder, ReadingsOrder::read)?;
     let lines = gather(folder, rows, &mut || verified.add(1));
     drop(verified);
     let file = out.join(READINGS_FILE);
