@@ -183,12 +183,12 @@ pub enum CliError {
 impl CliError {
     /// Error for one option or argument.
     pub fn argument(key: &str, value: impl std::fmt::Display, limit: impl Into<String>) -> Self {
-        Self::Problems(vec![Problem::new("command line", key, value, limit)])
+        Problem::new("command line", key, value, limit).into()
     }
 
     /// Error for a file as a whole.
     pub fn in_file(path: &Path, limit: impl Into<String>) -> Self {
-        Self::Problems(vec![Problem::whole(&path.display().to_string(), limit)])
+        Problem::whole(&path.display().to_string(), limit).into()
     }
 
     /// Conversion of an error of the operating system at a file.
@@ -236,6 +236,18 @@ impl CliError {
             | CliError::Refused { status: 400 | 422, .. } => 2,
             _ => 1,
         }
+    }
+}
+
+impl From<Problem> for CliError {
+    fn from(problem: Problem) -> Self {
+        Self::Problems(vec![problem])
+    }
+}
+
+impl From<Vec<Problem>> for CliError {
+    fn from(problems: Vec<Problem>) -> Self {
+        Self::Problems(problems)
     }
 }
 

@@ -78,7 +78,7 @@ impl ExperimentFiles {
             _ => read_named(&file, "sensor", &experiment.sensor, &sensor_path)?,
         };
         let sensor = parse_sensor(&sensor_path.display().to_string(), &sensor_text)?;
-        let plan = Plan::of(&file, &experiment, &sensor).map_err(CliError::Problems)?;
+        let plan = Plan::of(&file, &experiment, &sensor)?;
         Ok(Self { file, definition, sensor_text, experiment, sensor, plan })
     }
 
@@ -235,7 +235,7 @@ fn similar(path: &Path, error: &io::Error) -> String {
 fn read_named(file: &str, key: &str, value: &str, path: &Path) -> CliResult<String> {
     std::fs::read_to_string(path).map_err(|e| {
         let limit = format!("{}: {}", path.display(), io_words(&e));
-        CliError::Problems(vec![Problem::new(file, key, value, limit)])
+        Problem::new(file, key, value, limit).into()
     })
 }
 
@@ -314,11 +314,11 @@ pub fn parse_calibration(path: &Path) -> CliResult<Calibration> {
 /// The problem of a calibration file.
 pub fn calibration_problem(path: &Path, error: CalibrationError) -> CliError {
     let file = path.display().to_string();
-    let problem = match error {
+    match error {
         CalibrationError::Value { key, value, limit } => Problem::new(&file, &key, value, limit),
         other => Problem::whole(&file, other.to_string()),
-    };
-    CliError::Problems(vec![problem])
+    }
+    .into()
 }
 
 #[cfg(test)]

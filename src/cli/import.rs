@@ -79,8 +79,7 @@ pub async fn import(args: ImportArgs) -> CliResult<()> {
 /// Checks the file as the service does.
 async fn understood(args: &ImportArgs, sensor: String, map: Option<&str>) -> CliResult<Summary> {
     let map_file = args.coordinates.as_ref().map(|path| path.display().to_string());
-    let map = Coordinates::from_toml(&map_file.unwrap_or_default(), map.unwrap_or_default())
-        .map_err(CliError::Problems)?;
+    let map = Coordinates::from_toml(&map_file.unwrap_or_default(), map.unwrap_or_default())?;
     let (path, sensor_file) = (args.file.clone(), args.sensor.display().to_string());
     let file = path.display().to_string();
     let reading =

@@ -104,8 +104,7 @@ pub fn quantities() -> impl TypedValueParser<Value = Quantity> {
 /// `CliError::Problems` if the recipe cannot be read, or a change does not apply.
 pub fn recipe_text(named: &str, changes: &Changes) -> CliResult<String> {
     let text = read_or_carried(FileKind::Recipe, Path::new(named), RECIPES)?;
-    let mut recipe: toml::Table =
-        crate::syntax::parse_toml(named, &text).map_err(CliError::Problems)?;
+    let mut recipe: toml::Table = crate::syntax::parse_toml(named, &text)?;
     changes.apply(&mut recipe);
     toml::to_string(&recipe).map_err(|error| CliError::argument("RECIPE", named, error.to_string()))
 }

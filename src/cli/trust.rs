@@ -37,7 +37,7 @@ impl Certificates {
     }
 
     fn parse(&self) -> CliResult<Vec<CertificateDer<'static>>> {
-        let invalid = |words: String| CliError::Problems(vec![Problem::whole(&self.name, words)]);
+        let invalid = |words: String| CliError::from(Problem::whole(&self.name, words));
         match CertificateDer::pem_slice_iter(&self.pem).collect() {
             Err(error) => Err(invalid(format!("must be PEM: {error}"))),
             Ok(none) if Vec::is_empty(&none) => Err(invalid("has no certificate".into())),

@@ -115,7 +115,7 @@ async fn fit_run(client: &Client, args: &SkinArgs) -> CliResult<()> {
 fn start(run: &RunRow, args: &SkinArgs) -> CliResult<(Sensor, Option<Calibration>)> {
     let sensor = Sensor::from_toml(&run.sensor).map_err(|e| {
         let file = format!("sensor file of run {}", run.scan_id);
-        CliError::Problems(vec![Problem::whole(&file, e.to_string())])
+        Problem::whole(&file, e.to_string())
     })?;
     let Some(path) = &args.from else { return Ok((sensor, None)) };
     let earlier = Calibration { skin: None, ..parse_calibration(path)? };
@@ -129,7 +129,7 @@ fn start(run: &RunRow, args: &SkinArgs) -> CliResult<(Sensor, Option<Calibration
 /// All trials of a run without a flag: positions of the tips, contacts.
 async fn candidates(client: &Client, run: &RunRow) -> CliResult<Vec<Candidate>> {
     let force_noise_n = match &run.rig {
-        Some(rig) => RigSetup::from_toml("rig", rig).map_err(CliError::Problems)?.force_noise_n(),
+        Some(rig) => RigSetup::from_toml("rig", rig)?.force_noise_n(),
         None => None,
     };
     let force_noise_n = force_noise_n.unwrap_or(0.0);

@@ -120,8 +120,7 @@ pub async fn sbatch(args: &SbatchArgs) -> CliResult<()> {
             let places = job.places(request.data.clone())?;
             let SolvedRequest { definition, sensor_text, calibration_text, .. } =
                 request.solve()?;
-            let order = work_order(&definition, sensor_text, calibration_text)
-                .map_err(|problem| CliError::Problems(vec![problem]))?;
+            let order = work_order(&definition, sensor_text, calibration_text)?;
             let rows = definition.trials;
             let (folder, is_new) = OrderFolder::write(&job.folder, order)?;
             let contents = format!("{} trials", grouped(rows));
@@ -191,7 +190,7 @@ impl JobArgs {
         for (key, path) in [("folder", &folder), ("data", &data), ("path of palpate", &palpate)] {
             checks.require(is_plain(path), key, path, words);
         }
-        checks.done().map_err(CliError::Problems)?;
+        checks.done()?;
         Ok(Places { palpate, folder, data })
     }
 

@@ -192,8 +192,7 @@ impl ServiceLab {
             .map_err(|_| CliError::argument("recipe", &training.recipe, limit))?;
         let path = format!("/api/v1/datasets/{}/lineage", file.id);
         let lineage: Value = self.client.get(&path).await?;
-        let net = NetOrder::new(&recipe, file, &lineage["lineage"], scores.clone());
-        net.map_err(CliError::Problems)
+        Ok(NetOrder::new(&recipe, file, &lineage["lineage"], scores.clone())?)
     }
 
     /// Resolves the names of a training; makes its dataset if needed.
@@ -227,8 +226,7 @@ impl ServiceLab {
     /// Adds a gathered net to the service.
     async fn add_gathered(&self, name: &str, folder: &Path) -> CliResult<ModelOut> {
         let path = folder.join(MANIFEST);
-        let manifest: Manifest = parse_toml(&path.display().to_string(), &read_input(&path)?)
-            .map_err(CliError::Problems)?;
+        let manifest: Manifest = parse_toml(&path.display().to_string(), &read_input(&path)?)?;
         let mut texts = vec![
             TextPart::value("sensor", read_input(&folder.join(SENSOR_FILE))?),
             TextPart::value("facts", manifest.model.to_toml()),
@@ -287,8 +285,7 @@ impl Lab for ServiceLab {
         };
         if let Some(uid) = runs.first().and_then(|run| run["uid"].as_str()) {
             let run: RunRow = self.client.get(&format!("/api/v1/runs/{uid}")).await?;
-            let sensor = ImportedSensor::from_toml("the sensor file of the run", &run.sensor);
-            let sensor = sensor.map_err(CliError::Problems)?;
+            let sensor = ImportedSensor::from_toml("the sensor file of the run", &run.sensor)?;
             facts.of_rig = rig["name"] == sensor.name && rig["channels"] == sensor.channels;
             facts.skin_mm = sensor.width_mm.max(sensor.height_mm);
         }

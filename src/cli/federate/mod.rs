@@ -232,7 +232,7 @@ async fn fetch(rig: &Rig, name: &str, stated: Stated, folder: &Path) -> CliResul
     let found = file.sha256();
     if found != fetched.sha256 {
         let advice = "the file that the service sends is not the one that it states";
-        return Err(CliError::Problems(vec![fetched.mismatch(&found, advice)]));
+        return Err(fetched.mismatch(&found, advice).into());
     }
     finish(file, &out)?;
     fetched.keep(folder).map_err(of_files)?;

@@ -84,11 +84,11 @@ pub async fn trials(args: &TrialArgs) -> CliResult<ExitCode> {
     let (input, name) = open(&args.contacts)?;
     let mut lines = ContactLines::new(input, &name, Limits::of(&sensor, args.max_contacts));
     // The first line is read before the model is built: an input error is reported at once.
-    let mut next = lines.next_trial().map_err(problem)?;
+    let mut next = lines.next_trial()?;
     if args.exports() {
         let only = "must hold one line for --spice, --calculix and --picture";
-        if next.is_none() || lines.next_trial().map_err(problem)?.is_some() {
-            return Err(problem(Problem::whole(&name, only)));
+        if next.is_none() || lines.next_trial()?.is_some() {
+            return Err(Problem::whole(&name, only).into());
         }
     }
     let model = solved(&sensor, &data_or_default(args.data.clone()).join("cache"))?;
@@ -100,7 +100,7 @@ pub async fn trials(args: &TrialArgs) -> CliResult<ExitCode> {
         if !answer(voltages_v)? {
             break;
         }
-        next = lines.next_trial().map_err(problem)?;
+        next = lines.next_trial()?;
     }
     Ok(ExitCode::SUCCESS)
 }
@@ -156,10 +156,6 @@ fn answer(voltages_v: &[f64]) -> CliResult<bool> {
     }
 }
 
-fn problem(problem: Problem) -> CliError {
-    CliError::Problems(vec![problem])
-}
-
 fn refused(file: &str, error: &dyn std::error::Error) -> CliError {
-    problem(Problem::whole(file, error.to_string()))
+    Problem::whole(file, error.to_string()).into()
 }
