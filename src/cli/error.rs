@@ -23,21 +23,6 @@ use crate::simulate::model::ModelUnavailable;
 use crate::simulate::random::error::RandomError;
 use crate::store::StoreError;
 
-/// A figure could not be written as PNG or PDF.
-#[derive(Debug, thiserror::Error)]
-pub enum PictureError {
-    /// No program converts.
-    #[error(
-        "{path}: was not written: PNG and PDF need rsvg-convert or Chromium, and none of them is in \
-         PATH; install `librsvg2-bin` or `chromium`, or name a file that ends in .svg",
-        path = path.display()
-    )]
-    NoConverter { path: PathBuf },
-    /// The program failed.
-    #[error("{path}: was not written: {why}; name a file that ends in .svg", path = path.display())]
-    Failed { path: PathBuf, why: String },
-}
-
 /// Result of a command or of a part of it.
 pub type CliResult<T> = Result<T, CliError>;
 
@@ -127,9 +112,16 @@ pub enum CliError {
     /// The rig cannot be opened.
     #[error("opening the rig: {0}")]
     Rig(#[from] RigError),
-    /// A figure could not be written as PNG or PDF.
-    #[error(transparent)]
-    Picture(#[from] PictureError),
+    /// No program converts a figure.
+    #[error(
+        "{path}: was not written: PNG and PDF need rsvg-convert or Chromium, and none of them is in \
+         PATH; install `librsvg2-bin` or `chromium`, or name a file that ends in .svg",
+        path = path.display()
+    )]
+    NoConverter { path: PathBuf },
+    /// The program that converts a figure failed.
+    #[error("{path}: was not written: {why}; name a file that ends in .svg", path = path.display())]
+    NotConverted { path: PathBuf, why: String },
     /// The model of the skin is not available.
     #[error(transparent)]
     Model(#[from] ModelUnavailable),

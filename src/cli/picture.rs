@@ -7,7 +7,7 @@ use std::process::Stdio;
 use clap::{Args, ValueEnum};
 use tokio::process::Command;
 
-use super::error::{CliResult, PictureError};
+use super::error::{CliError, CliResult};
 use super::files;
 use super::print::{self, PrintError};
 use super::progress::shown_wait;
@@ -36,7 +36,7 @@ impl Pictures {
     /// Writes a figure that is stored as SVG also in the requested formats, next to it.
     ///
     /// # Errors
-    /// `CliError::Picture` if it cannot be converted.
+    /// As [`write`].
     pub async fn write_also(&self, path: &Path, svg: &str) -> CliResult<()> {
         for format in &self.also {
             write(&path.with_extension(format.ending()), svg).await?;
@@ -76,7 +76,7 @@ pub fn figure_file(name: &str) -> Result<PathBuf, String> {
 /// Writes a figure: as PNG or PDF if the name ends like this, otherwise as SVG.
 ///
 /// # Errors
-/// `CliError::File` if the file cannot be written, `CliError::Picture` if it cannot be converted.
+/// `CliError::File` if the file cannot be written, `NoConverter` or `NotConverted` if it cannot be converted.
 pub async fn write(path: &Path, svg: &str) -> CliResult<()> {
     let Some(format) = Format::of(path) else { return files::write(path, svg) };
     // Makes the folder, and refuses a file that cannot be written before a program starts.
@@ -92,7 +92,7 @@ pub async fn write(path: &Path, svg: &str) -> CliResult<()> {
 }
 
 async fn converted(folder: &Path, svg: &str, path: &Path, format: Format) -> CliResult<()> {
-    let failed = |why: String| PictureError::Failed { path: path.into(), why };
+    let failed = |why: String| CliError::NotConverted { path: path.into(), why };
     let out = std::path::absolute(path).map_err(|error| failed(error.to_string()))?;
     let source = folder.join("figure.svg");
     files::write(&source, svg)?;
@@ -106,7 +106,7 @@ async fn converted(folder: &Path, svg: &str, path: &Path, format: Format) -> Cli
         Ok(ended) if ended.status.success() => return Ok(()),
         Ok(ended) => {
             let said = String::from_utf8_lossy(&ended.stderr);
-            return Err(failed(format!("{CONVERTER}: {}", said.trim())).into());
+            return Err(failed(format!("{CONVERTER}: {}", said.trim())));
         }
         // Without it a browser converts.
         Err(_) => {}
@@ -119,8 +119,8 @@ async fn converted(folder: &Path, svg: &str, path: &Path, format: Format) -> Cli
         Format::Pdf => print::print(&page, &out).await,
     };
     drawn.map_err(|error| match error {
-        PrintError::NoBrowser => PictureError::NoConverter { path: path.into() }.into(),
-        other => failed(other.to_string()).into(),
+        PrintError::NoBrowser => CliError::NoConverter { path: path.into() },
+        other => failed(other.to_string()),
     })
 }
 
@@ -165,7 +165,7 @@ mod tests {
 
     #[test]
     fn without_a_converter_the_sentence_says_what_to_install() {
-        let error = PictureError::NoConverter { path: "plan.png".into() }.to_string();
+        let error = CliError::NoConverter { path: "plan.png".into() }.to_string();
         assert!(error.starts_with("plan.png: was not written") && error.contains("`chromium`"));
     }
 }

@@ -11,7 +11,6 @@ use super::trials::encoded;
 use crate::api::Page;
 use crate::cli::client::Client;
 use crate::cli::error::CliResult;
-use crate::cli::output::{say, say_json};
 use crate::cli::table::{Table, or_dash};
 use crate::cli::times::local;
 use crate::store::RunRow;
@@ -67,11 +66,6 @@ pub async fn runs(client: &Client, args: &RunsArgs) -> CliResult<()> {
     let (rows, is_all) = select(client, args).await?;
     let lines = futures::stream::iter(rows.into_iter().map(|run| RunLine::of(client, run)));
     let lines: Vec<RunLine> = lines.buffered(REQUESTS).try_collect().await?;
-    if args.at.json {
-        let items: Vec<Value> = lines.iter().map(RunLine::value).collect();
-        say_json(&json!({ "items": items, "all": is_all }));
-        return Ok(());
-    }
     let filtered =
         !args.conditions.is_empty() || !args.state.is_empty() || args.experiment.is_some();
     let empty = match filtered {
@@ -83,10 +77,12 @@ pub async fn runs(client: &Client, args: &RunsArgs) -> CliResult<()> {
         empty,
     );
     lines.iter().for_each(|line| table.push(line.cells()));
-    say(&table);
+    let mut words = table.to_string();
     if !is_all {
-        say(format_args!("the newest {}; --limit N shows more", lines.len()));
+        words += &format!("\nthe newest {}; --limit N shows more", lines.len());
     }
+    let items: Vec<Value> = lines.iter().map(RunLine::value).collect();
+    args.at.output().say(&json!({ "items": items, "all": is_all }), words);
     Ok(())
 }
 

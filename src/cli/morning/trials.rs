@@ -47,10 +47,7 @@ fn asked(what: &[String]) -> CliResult<Asked> {
 
 /// A query string of pairs, encoded.
 pub fn encoded(pairs: &[(String, String)]) -> String {
-    let mut url = Url::parse("http://palpate/").ok();
-    if let Some(url) = &mut url {
-        url.query_pairs_mut().extend_pairs(pairs);
-    }
+    let url = Url::parse_with_params("http://palpate/", pairs).ok();
     url.and_then(|url| url.query().map(str::to_owned)).unwrap_or_default()
 }
 
