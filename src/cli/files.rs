@@ -75,7 +75,10 @@ impl ExperimentFiles {
         let sensor_path: PathBuf = path.parent().unwrap_or(Path::new("")).join(&experiment.sensor);
         let sensor_text = match carried::sensor(&experiment.sensor) {
             Some(text) if !sensor_path.exists() => text.to_owned(),
-            _ => read_named(&file, "sensor", &experiment.sensor, &sensor_path)?,
+            _ => std::fs::read_to_string(&sensor_path).map_err(|error| {
+                let limit = format!("{}: {}", sensor_path.display(), io_words(&error));
+                Problem::new(&file, "sensor", &experiment.sensor, limit)
+            })?,
         };
         let sensor = parse_sensor(&sensor_path.display().to_string(), &sensor_text)?;
         let plan = Plan::of(&file, &experiment, &sensor)?;
@@ -174,13 +177,17 @@ pub fn read_or_carried(
         return Ok(text.to_owned());
     }
     match name.filter(|name| !name.contains(['.', '/'])) {
-        // The path of a carried file in a checkout, typed elsewhere.
-        None => read_as(kind, path).map_err(|error| match (error, carried_name(path, files)) {
-            (CliError::Problems(mut problems), Some(name)) if !path.exists() => {
-                problems[0].limit += &format!("; palpate carries {name}, without a path");
-                CliError::Problems(problems)
+        None => read_as(kind, path).map_err(|error| {
+            // The path of a carried file in a checkout, typed elsewhere.
+            let stem = path.file_stem().filter(|_| !path.exists());
+            let carried = carried::names(files).find(|name| stem.is_some_and(|stem| stem == *name));
+            match (error, carried) {
+                (CliError::Problems(mut problems), Some(name)) => {
+                    problems[0].limit += &format!("; palpate carries {name}, without a path");
+                    CliError::Problems(problems)
+                }
+                (error, _) => error,
             }
-            (error, _) => error,
         }),
         Some(name) => {
             let names: Vec<&str> = carried::names(files).collect();
@@ -193,15 +200,6 @@ pub fn read_or_carried(
             Err(CliError::in_file(path, words))
         }
     }
-}
-
-/// The name of a path's file among the carried ones.
-fn carried_name(
-    path: &Path,
-    files: &'static [(&'static str, &'static str)],
-) -> Option<&'static str> {
-    let name = path.file_stem()?.to_str()?;
-    carried::names(files).find(|carried| *carried == name)
 }
 
 /// As [`read_input`], for a file of this kind.
@@ -229,14 +227,6 @@ fn similar(path: &Path, error: &io::Error) -> String {
     let names: Vec<String> =
         files.filter_map(|entry| entry.file_name().into_string().ok()).collect();
     did_you_mean(name, names.iter().map(String::as_str))
-}
-
-/// Reads a file named in another file.
-fn read_named(file: &str, key: &str, value: &str, path: &Path) -> CliResult<String> {
-    std::fs::read_to_string(path).map_err(|e| {
-        let limit = format!("{}: {}", path.display(), io_words(&e));
-        Problem::new(file, key, value, limit).into()
-    })
 }
 
 /// Reads a sensor file, or returns the carried one.

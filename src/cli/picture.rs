@@ -11,13 +11,17 @@ use super::error::{CliError, CliResult};
 use super::files;
 use super::print::{self, PrintError};
 use super::progress::shown_wait;
+use crate::studies::sheet::OutputFile;
 
 /// Program of librsvg, which needs no browser.
 const CONVERTER: &str = "rsvg-convert";
 
-/// Formats of the figures in a folder.
+/// The folder of a study's files, and the formats of its figures.
 #[derive(Debug, Clone, Default, Args)]
 pub struct Pictures {
+    /// Folder for numbers, tables and figures.
+    #[arg(long, value_name = "DIR")]
+    pub out: Option<PathBuf>,
     /// Write each figure of --out also in these formats; needs rsvg-convert or Chromium.
     #[arg(long, value_name = "FORMAT,..", value_enum, value_delimiter = ',', requires = "out")]
     also: Vec<Format>,
@@ -33,13 +37,18 @@ pub enum Format {
 }
 
 impl Pictures {
-    /// Writes a figure that is stored as SVG also in the requested formats, next to it.
+    /// Writes files to a folder, and creates it; figures also in the requested formats.
     ///
     /// # Errors
     /// As [`write`].
-    pub async fn write_also(&self, path: &Path, svg: &str) -> CliResult<()> {
-        for format in &self.also {
-            write(&path.with_extension(format.ending()), svg).await?;
+    pub async fn write_all(&self, folder: &Path, files: &[OutputFile]) -> CliResult<()> {
+        for OutputFile { name, text } in files {
+            let path = folder.join(name);
+            files::write(&path, text)?;
+            let is_figure = path.extension().is_some_and(|ending| ending == "svg");
+            for format in self.also.iter().filter(|_| is_figure) {
+                write(&path.with_extension(format.ending()), text).await?;
+            }
         }
         Ok(())
     }

@@ -172,32 +172,27 @@ pub async fn train(args: TrainArgs) -> CliResult<()> {
         return Ok(());
     }
     let mut signals = Signals::catch()?;
-    if let Some(client) = embed::find(&args.at).await? {
-        let asked = request(&client, &args.recipe, &recipe).await?;
-        return match train_on(&client, asked, &args, None, &mut signals).await? {
-            Some(done) => report(&client, &done, &args.at).await,
-            None => Ok(()),
-        };
-    }
-    let data = args.at.data();
-    let own = signals.during(OwnServer::at_desk(&data)).await?;
-    let client = own.client.clone();
+    let (client, own) = match embed::find(&args.at).await? {
+        Some(client) => (client, None),
+        None => {
+            let own = signals.during(OwnServer::at_desk(&args.at.data())).await?;
+            (own.client.clone(), Some(own))
+        }
+    };
+    let process = own.as_ref().and_then(OwnServer::process);
     let done = async {
         let asked = request(&client, &args.recipe, &recipe).await?;
-        train_on(&client, asked, &args, own.process(), &mut signals).await
+        train_on(&client, asked, &args, process, &mut signals).await
     };
-    match done.await {
-        Ok(None) => Ok(()),
-        Ok(Some(done)) => {
-            let reported = report(&client, &done, &args.at).await;
-            own.end().await?;
-            reported
-        }
-        Err(error) => {
-            own.end().await?;
-            Err(error)
-        }
+    let reported = match done.await {
+        Ok(None) => return Ok(()),
+        Ok(Some(done)) => report(&client, &done, &args.at).await,
+        Err(error) => Err(error),
+    };
+    if let Some(own) = own {
+        own.end().await?;
     }
+    reported
 }
 
 async fn request(client: &Client, named: &str, recipe: &str) -> CliResult<JobOut> {

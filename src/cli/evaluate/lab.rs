@@ -7,7 +7,6 @@ use clap::{Args, ValueEnum};
 use parking_lot::Mutex;
 use serde_json::{Value, json};
 
-use super::write_all;
 use crate::api::{FrameAnswer, InferOptions, InferRequest, JobOut, ModelOut};
 use crate::cli::client::{Client, TextPart};
 use crate::cli::download::DATASET_WAIT;
@@ -84,9 +83,6 @@ pub struct LabArgs {
     /// the scores that they have there; the others are trained. Of an evaluation: its scores are shown.
     #[arg(long, value_name = "DIR")]
     trained: Option<PathBuf>,
-    /// Folder for numbers, tables and figures.
-    #[arg(long, value_name = "DIR")]
-    out: Option<PathBuf>,
     #[command(flatten)]
     pictures: Pictures,
     #[command(flatten)]
@@ -137,8 +133,8 @@ pub async fn with_lab(
 
 /// Writes and prints the result of a study.
 async fn show(sheet: &Sheet, args: &LabArgs) -> CliResult<()> {
-    if let Some(folder) = &args.out {
-        write_all(folder, &sheet.files, &args.pictures).await?;
+    if let Some(folder) = &args.pictures.out {
+        args.pictures.write_all(folder, &sheet.files).await?;
     }
     if args.at.json {
         say_json(&sheet.numbers);
@@ -146,7 +142,7 @@ async fn show(sheet: &Sheet, args: &LabArgs) -> CliResult<()> {
     }
     say(sheet.text.trim_end());
     let mut next = Next::of(&args.at);
-    match &args.out {
+    match &args.pictures.out {
         Some(folder) => say(format_args!("\nnumbers, table and figures in {}", folder.display())),
         None => next = next.same_command("with --out DIR", "writes numbers, table and figures"),
     }

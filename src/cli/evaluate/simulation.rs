@@ -1,13 +1,11 @@
 //! `palpate evaluate simulation`: the fit of a run's twins, once all are made.
 //! Uses: `client`, `studies::simulation`. Never: computed scores (the service reports them).
 
-use std::path::PathBuf;
 use std::time::Duration;
 
 use clap::Args;
 use serde_json::{Value, json};
 
-use super::write_all;
 use crate::cli::At;
 use crate::cli::client::Client;
 use crate::cli::error::{CliError, CliResult};
@@ -31,9 +29,6 @@ pub struct SimulationArgs {
     /// Run: number, start of the id, or `last` [default: the run of the newest trial].
     #[arg(long, value_name = "RUN")]
     run: Option<String>,
-    /// Folder for numbers, tables and figures.
-    #[arg(long, value_name = "DIR")]
-    out: Option<PathBuf>,
     #[command(flatten)]
     pictures: Pictures,
     #[command(flatten)]
@@ -49,13 +44,13 @@ pub async fn simulation(client: &Client, args: &SimulationArgs) -> CliResult<()>
     let count = wait_for_twins(client, run.uid, STALLED).await?;
     let path = format!("/api/v1/runs/{}/evaluation/simulation", run.uid);
     let report: SimulationReport = client.showing("scoring the twins").get(&path).await?;
-    if let Some(folder) = &args.out {
+    if let Some(folder) = &args.pictures.out {
         let pairs = pairs(client, &run, report.trials).await?;
-        write_all(folder, &files(&run, &report, &pairs)?, &args.pictures).await?;
+        args.pictures.write_all(folder, &files(&run, &report, &pairs)?).await?;
     }
     let (mut words, mut next) = (text(&run, &report), Next::of(&args.at));
     let number = run.scan_id;
-    match &args.out {
+    match &args.pictures.out {
         Some(folder) => {
             words += &format!("\nnumbers, tables and figures in {}", folder.display());
         }

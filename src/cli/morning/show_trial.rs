@@ -57,10 +57,10 @@ pub async fn show(client: &Client, name: &TrialName, output: Output) -> CliResul
     say(words(&trial));
     if let Some(measured) = trial.voltages_v.clone() {
         let pictures = pictures(measured, trial.sim_voltages_v.clone());
-        let ink = match is_coloured() {
-            false => Ink::Shades,
-            true if is_true_colour() => Ink::Colours,
-            true => Ink::Palette,
+        let ink = match std::env::var("COLORTERM").as_deref() {
+            _ if !is_coloured() => Ink::Shades,
+            Ok("truecolor" | "24bit") => Ink::Colours,
+            _ => Ink::Palette,
         };
         say("\nframe: a row per injection, a column per reading; the end of each scale holds 98 %");
         say_drawn(&printed(&draw(&pictures, ink, width())));
@@ -102,10 +102,6 @@ pub async fn stored(client: &Client, name: &TrialName, frames: Frames) -> CliRes
         };
         CliError::argument("TRIAL", shown, limit)
     })
-}
-
-fn is_true_colour() -> bool {
-    std::env::var("COLORTERM").is_ok_and(|value| value == "truecolor" || value == "24bit")
 }
 
 /// The measured frame, its twin on the same scale, and their difference.

@@ -38,7 +38,7 @@ impl Theme {
 
     /// Titles and other text around the values.
     pub fn aside(self) -> Style {
-        if self.colour { self.coloured(Color::DarkGray) } else { Style::new() }
+        self.coloured(Color::DarkGray)
     }
 
     /// Values that are old.
