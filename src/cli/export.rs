@@ -1,7 +1,7 @@
 //! `palpate dataset export` and `dataset exports`: a dataset as a file, and the list of such files.
 //! Uses: `client`, `download`. Never: rows in this process (the service writes them).
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::time::Duration;
 
 use clap::Args;
@@ -77,14 +77,16 @@ pub async fn export(client: &Client, args: &ExportArgs) -> CliResult<()> {
     let done = follow(client, asked).await?;
     let default = || format!("{}.{}", args.name, args.format.extension()).into();
     let out: PathBuf = args.out.clone().unwrap_or_else(default);
-    fetch(client, &done, &out).await?;
+    let url = done.url.clone().unwrap_or_else(|| format!("/api/v1/exports/{}/file", done.id));
+    let (length, sha256) = (done.bytes.unwrap_or_default(), done.sha256.clone());
+    let whole = Finished { bytes: length, sha256: sha256.unwrap_or_default() };
+    download_whole(client, &url, &whole, &out).await?;
     let of = done.dataset.as_ref().map_or(args.name.as_str(), DatasetId::as_str);
     let rows = match done.rows_total {
         0 => String::new(),
         rows => format!("{} of ", counted(rows, "row", "rows")),
     };
-    let (file, length) = (out.display(), bytes(done.bytes.unwrap_or_default() as f64));
-    let sha256 = done.sha256.as_deref().unwrap_or_default();
+    let (file, length, sha256) = (out.display(), bytes(whole.bytes as f64), &whole.sha256);
     let words = format!("{file}: {rows}{of}, {length}, sha256 {sha256}");
     args.at.output().say(&json!({ "file": out, "export": done }), words);
     Next::of(&args.at)
@@ -116,13 +118,6 @@ async fn follow(client: &Client, asked: ExportOut) -> CliResult<ExportOut> {
         }
         now = client.get(&format!("/api/v1/exports/{}", now.id)).await?;
     }
-}
-
-/// Downloads the file of an export.
-async fn fetch(client: &Client, done: &ExportOut, out: &Path) -> CliResult<()> {
-    let url = done.url.clone().unwrap_or_else(|| format!("/api/v1/exports/{}/file", done.id));
-    let (bytes, sha256) = (done.bytes.unwrap_or_default(), done.sha256.clone().unwrap_or_default());
-    download_whole(client, &url, &Finished { bytes, sha256 }, out).await
 }
 
 /// Prints the exports, newest first.

@@ -297,7 +297,7 @@ pub enum Command {
 /// input.
 pub fn main(command: Command, output: Output) -> ExitCode {
     let outcome = match command {
-        Command::Plan(args) if args.plot.is_none() => plan::plan(&args),
+        Command::Plan(args) if args.plot.is_none() => plan::plan(&args).map(|()| ExitCode::SUCCESS),
         command => on_runtime(command),
     };
     outcome.unwrap_or_else(|error| {
@@ -322,15 +322,15 @@ async fn answer(command: Command) -> CliResult<ExitCode> {
     match command {
         Command::Plan(args) => {
             plan_plot::plot(&args).await?;
-            return plan::plan(&args);
+            plan::plan(&args)?;
         }
         Command::Init(args) => init::init(&args)?,
-        Command::Calibrate(args) => return calibrate::calibrate(args).await,
+        Command::Calibrate(args) => calibrate::calibrate(args).await?,
         Command::Run(args) => return run::run(args).await,
         Command::Attach(args) => return attach::attach(args).await,
         Command::Simulate(args) => return simulate::simulate(args).await,
         Command::Cluster(args) => return cluster::cluster(args).await,
-        Command::Worker(args) => return worker::worker(args).await,
+        Command::Worker(args) => worker::worker(args).await?,
         Command::Rig(args) => return rig::rig(args).await,
         Command::Serve(args) => serve::serve(args).await?,
         Command::Status(args) if args.watch => watch::watch(&args.at).await?,

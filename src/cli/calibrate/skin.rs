@@ -3,7 +3,6 @@
 //! trials except through the API, a fit on the threads that answer.
 
 use std::path::PathBuf;
-use std::process::ExitCode;
 use std::sync::Arc;
 use std::thread;
 
@@ -14,6 +13,7 @@ use sim_core::inverse::skin::{MeasuredTrial, SkinFitOptions, noise_v};
 use sim_core::responses::UnitResponses;
 use sim_core::sensor::Sensor;
 
+use super::super::At;
 use super::super::client::Client;
 use super::super::error::{CliError, CliResult};
 use super::super::files::{calibration_problem, parse_calibration, write};
@@ -22,7 +22,6 @@ use super::super::output::{counted, say, say_json};
 use super::super::picture::{self, figure_file};
 use super::super::progress::{Counted, LogLines, progress_bar};
 use super::super::simulate::solving;
-use super::super::{At, embed};
 use crate::api::Page;
 use crate::calibrate::CalibrateError;
 use crate::calibrate::skin::{CalibratedSkin, Candidate, Choice, Source, calibrate, choose};
@@ -62,19 +61,14 @@ pub struct SkinArgs {
     #[arg(long, value_name = "N")]
     threads: Option<usize>,
     #[command(flatten)]
-    at: At,
+    pub at: At,
 }
 
 /// Runs `palpate calibrate skin`.
 ///
 /// # Errors
 /// `CliError` if the run or an input is invalid, the fit fails, or a file cannot be written.
-pub async fn skin(args: &SkinArgs) -> CliResult<ExitCode> {
-    embed::with_server(&args.at, async |client| fit_run(client, args).await).await?;
-    Ok(ExitCode::SUCCESS)
-}
-
-async fn fit_run(client: &Client, args: &SkinArgs) -> CliResult<()> {
+pub async fn skin(client: &Client, args: &SkinArgs) -> CliResult<()> {
     let run = find_run(client, &args.run).await?;
     let (sensor, earlier) = start(&run, args)?;
     let candidates = candidates(&client.showing("reading the trials"), &run).await?;

@@ -61,15 +61,6 @@ pub struct TwinsOf {
     pub pending: u64,
 }
 
-/// Returns the number of stored trials of a run.
-///
-/// # Errors
-/// As [`Client::send`].
-pub async fn stored_of(client: &Client, run: RunUid) -> CliResult<u64> {
-    let count: TwinCount = client.get(&format!("/api/v1/runs/{run}/twins")).await?;
-    Ok(count.trials)
-}
-
 /// Returns the numbers of trials and twins of a run, and the fit of the newest twin of each trial.
 ///
 /// # Errors

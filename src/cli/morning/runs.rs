@@ -6,14 +6,14 @@ use jiff::{SignedDuration, Timestamp};
 use serde_json::{Value, json};
 
 use super::RunsArgs;
-use super::answers::{duration_words, elapsed, state_words, stored_of, stored_words};
+use super::answers::{duration_words, elapsed, state_words, stored_words};
 use super::trials::encoded;
 use crate::api::Page;
 use crate::cli::client::Client;
 use crate::cli::error::CliResult;
 use crate::cli::table::{Table, or_dash};
 use crate::cli::times::local;
-use crate::store::RunRow;
+use crate::store::{RunRow, TwinCount};
 
 /// Number of concurrent requests.
 const REQUESTS: usize = 4;
@@ -27,8 +27,8 @@ struct RunLine {
 
 impl RunLine {
     async fn of(client: &Client, run: RunRow) -> CliResult<Self> {
-        let trials_stored = stored_of(client, run.uid).await?;
-        Ok(Self { took: elapsed(&run, Timestamp::now()), run, trials_stored })
+        let count: TwinCount = client.get(&format!("/api/v1/runs/{}/twins", run.uid)).await?;
+        Ok(Self { took: elapsed(&run, Timestamp::now()), run, trials_stored: count.trials })
     }
 
     fn value(&self) -> Value {

@@ -9,7 +9,7 @@ use jiff::Timestamp;
 use jiff::tz::TimeZone;
 use ratatui::DefaultTerminal;
 use ratatui::crossterm::event::{self, Event, KeyCode, KeyEvent, KeyEventKind, KeyModifiers};
-use serde_json::{Value, json};
+use serde_json::json;
 use tokio::sync::mpsc::{self, Sender};
 use tokio::sync::watch;
 use tokio::time::{MissedTickBehavior, interval};
@@ -33,7 +33,6 @@ use super::error::{CliError, CliResult};
 use super::log::{self, Held};
 use super::signals::Signals;
 use super::{At, ask, embed};
-use crate::ids::RunUid;
 
 /// Interval at which the screen is drawn without news, for ages.
 const REDRAW: Duration = Duration::from_millis(250);
@@ -185,22 +184,18 @@ fn answer(asked: Asked, night: &mut Night, client: &Client, at: &At, news: &Send
         return;
     };
     let (run, scan_id, client) = (run.uid, run.scan_id, client.clone());
-    let (action, more) = match asked {
+    let (action, mut more) = match asked {
         Asked::Pause => ("pause", json!({ "when": "checkpoint" })),
         Asked::Resume => ("resume", json!({})),
         Asked::Quit | Asked::Estop | Asked::Nothing => return,
     };
+    more["why"] = "key at status --watch".into();
     night.outcome = Some(format!("{action} requested"));
     tokio::spawn(async move {
-        let words = match act(&client, run, action, more).await {
+        let words = match client.act(run, action, more).await {
             Ok(()) => format!("run {scan_id}: {action} accepted"),
             Err(error) => error.to_string(),
         };
         let _ = news.send(News::Outcome(words)).await;
     });
-}
-
-async fn act(client: &Client, run: RunUid, action: &str, mut more: Value) -> CliResult<()> {
-    more["why"] = "key at status --watch".into();
-    client.act(run, action, more).await
 }
