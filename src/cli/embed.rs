@@ -140,7 +140,13 @@ pub async fn with_purpose<T>(
     purpose: Purpose,
     work: impl AsyncFnOnce(&Client) -> CliResult<T>,
 ) -> CliResult<T> {
-    Opened::of(at, purpose).await?.carry_out(work).await
+    let (client, own) = opened(at, purpose).await?;
+    let outcome = AssertUnwindSafe(work(&client)).catch_unwind().await;
+    // It ends whatever the result, also if the work panics.
+    if let Some((service, _view)) = own {
+        service.shutdown().await;
+    }
+    outcome.unwrap_or_else(|panic| resume_unwind(panic))
 }
 
 /// As [`with_purpose`], for work that computes.
@@ -167,43 +173,29 @@ pub async fn command<A>(
     with_purpose(at, purpose, async |client| command(client, args).await).await
 }
 
-/// A service for the work of a command: a running one, or one without a rig in this process.
-struct Opened {
-    client: Client,
-    /// The service in this process, with the view of a data folder that it may only read.
-    own: Option<(Service, Option<View>)>,
-}
+/// A service in this process, with the view of a data folder that it may only read.
+type OwnService = (Service, Option<View>);
 
-impl Opened {
-    async fn of(at: &At, purpose: Purpose) -> CliResult<Self> {
-        if let Some(client) = find(at).await? {
-            return Ok(Self { client, own: None });
-        }
-        let data = at.data();
-        if purpose == Purpose::Stores && View::is_needed(&data) {
-            let limit = "cannot be written, and this command changes it: name a copy of it with --data, \
-                         or a service with --url";
-            return Err(CliError::in_file(&data, limit));
-        }
-        let view = View::of(&data).map_err(CliError::file(&data))?;
-        let folder = view.as_ref().map_or(data, |view| view.folder().to_owned());
-        let options = options(folder, &RigFiles::read(None)?, purpose)?;
-        let service = shown_wait("opening the data folder", Service::start(options)).await?;
-        match Client::new(&service.url(), None, None) {
-            Ok(client) => Ok(Self { client, own: Some((service, view)) }),
-            Err(error) => {
-                service.shutdown().await;
-                Err(error)
-            }
-        }
+/// A running service, or one without a rig in this process.
+async fn opened(at: &At, purpose: Purpose) -> CliResult<(Client, Option<OwnService>)> {
+    if let Some(client) = find(at).await? {
+        return Ok((client, None));
     }
-
-    /// Carries out `work`; a service in this process ends whatever the result, also if the work panics.
-    async fn carry_out<T>(self, work: impl AsyncFnOnce(&Client) -> CliResult<T>) -> CliResult<T> {
-        let outcome = AssertUnwindSafe(work(&self.client)).catch_unwind().await;
-        if let Some((service, _view)) = self.own {
+    let data = at.data();
+    if purpose == Purpose::Stores && View::is_needed(&data) {
+        let limit = "cannot be written, and this command changes it: name a copy of it with --data, \
+                     or a service with --url";
+        return Err(CliError::in_file(&data, limit));
+    }
+    let view = View::of(&data).map_err(CliError::file(&data))?;
+    let folder = view.as_ref().map_or(data, |view| view.folder().to_owned());
+    let options = options(folder, &RigFiles::read(None)?, purpose)?;
+    let service = shown_wait("opening the data folder", Service::start(options)).await?;
+    match Client::new(&service.url(), None, None) {
+        Ok(client) => Ok((client, Some((service, view)))),
+        Err(error) => {
             service.shutdown().await;
+            Err(error)
         }
-        outcome.unwrap_or_else(|panic| resume_unwind(panic))
     }
 }

@@ -13,7 +13,7 @@ use super::client::{Client, TextPart, text_of};
 use super::error::{CliError, CliResult};
 use super::files::read_input;
 use super::next::Next;
-use super::output::{counted, say, say_json};
+use super::output::{counted, say};
 use super::progress::shown_wait;
 use super::{At, embed};
 use crate::dataset::error::DatasetError;
@@ -61,13 +61,9 @@ pub async fn import(args: ImportArgs) -> CliResult<()> {
         show(&summary);
     }
     if args.dry_run {
-        match args.at.json {
-            true => say_json(&json!({ "summary": summary, "stored": false })),
-            false => {
-                say("nothing was stored: --dry-run");
-                Next::of(&args.at).same_command("without --dry-run", "stores the trials").say();
-            }
-        }
+        let answer = json!({ "summary": summary, "stored": false });
+        args.at.output().say(&answer, "nothing was stored: --dry-run");
+        Next::of(&args.at).same_command("without --dry-run", "stores the trials").say();
         return Ok(());
     }
     embed::with_purpose(&args.at, embed::Purpose::Stores, async |client| {

@@ -46,7 +46,8 @@ mod tests {
 
     #[test]
     fn a_key_is_the_first_line_of_its_file() {
-        let path = std::env::temp_dir().join(format!("palpate-key-{}", std::process::id()));
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("key");
         for (text, key) in [("palpate_0\n", Some("palpate_0")), ("k", Some("k")), ("\nk", None)] {
             std::fs::write(&path, text).unwrap();
             assert_eq!(key_of(&path).ok().as_deref(), key, "{text:?}");

@@ -318,7 +318,6 @@ fn on_runtime(command: Command) -> CliResult<ExitCode> {
 }
 
 async fn answer(command: Command) -> CliResult<ExitCode> {
-    let none = || json!({});
     match command {
         Command::Plan(args) => {
             plan_plot::plot(&args).await?;
@@ -343,7 +342,7 @@ async fn answer(command: Command) -> CliResult<ExitCode> {
         Command::Queue(args) => queue::queue(args).await?,
         Command::Pause(args) => ask::pause(&args).await?,
         Command::Resume(args) => begin::resume(&args).await?,
-        Command::Stop(args) => ask::act(&args, "stop", none()).await?,
+        Command::Stop(args) => ask::act(&args, "stop", json!({})).await?,
         Command::Abort(args) => ask::abort(&args).await?,
         Command::Confirm(args) => placement::confirm(&args).await?,
         Command::Repeat(args) => placement::repeat(&args).await?,

@@ -227,18 +227,17 @@ async fn train_on(
     {
         return Ok(Some(done));
     }
-    if args.at.json {
-        say_json(&json!({ "event": "detached", "job": id, "url": url, "process": process }));
-    } else {
-        say(format_args!("training {id} continues without this terminal; its page is {url}/nets"));
-        let mut next = Next::of(&At { url: Some(url.into()), ..At::default() })
-            .suggest(format_args!("palpate job show {id}"), "shows it");
-        if let Some(process) = process {
-            let what = "ends the service; the next one resumes the training";
-            next = next.line(format_args!("kill {process}"), what);
-        }
-        next.say();
+    args.at.output().say(
+        &json!({ "event": "detached", "job": id, "url": url, "process": process }),
+        format_args!("training {id} continues without this terminal; its page is {url}/nets"),
+    );
+    let at = At { url: Some(url.into()), json: args.at.json, ..At::default() };
+    let mut next = Next::of(&at).suggest(format_args!("palpate job show {id}"), "shows it");
+    if let Some(process) = process {
+        let what = "ends the service; the next one resumes the training";
+        next = next.line(format_args!("kill {process}"), what);
     }
+    next.say();
     Ok(None)
 }
 

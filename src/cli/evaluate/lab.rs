@@ -14,7 +14,7 @@ use crate::cli::error::{CliError, CliResult};
 use crate::cli::files::read_input;
 use crate::cli::job::wait_for;
 use crate::cli::next::Next;
-use crate::cli::output::{Output, note, say, say_json};
+use crate::cli::output::{Output, note};
 use crate::cli::picture::Pictures;
 use crate::cli::train::{Changes, recipe_text};
 use crate::cli::view::rows;
@@ -136,16 +136,14 @@ async fn show(sheet: &Sheet, args: &LabArgs) -> CliResult<()> {
     if let Some(folder) = &args.pictures.out {
         args.pictures.write_all(folder, &sheet.files).await?;
     }
-    if args.at.json {
-        say_json(&sheet.numbers);
-        return Ok(());
-    }
-    say(sheet.text.trim_end());
-    let mut next = Next::of(&args.at);
+    let (mut words, mut next) = (sheet.text.trim_end().to_owned(), Next::of(&args.at));
     match &args.pictures.out {
-        Some(folder) => say(format_args!("\nnumbers, table and figures in {}", folder.display())),
+        Some(folder) => {
+            words += &format!("\n\nnumbers, table and figures in {}", folder.display());
+        }
         None => next = next.same_command("with --out DIR", "writes numbers, table and figures"),
     }
+    args.at.output().say(&sheet.numbers, words);
     next.suggest("palpate model list", "the nets, with their last scores").say();
     Ok(())
 }

@@ -163,8 +163,8 @@ fn file_words(name: &str, changes: &[Change], a: i64, b: i64) -> String {
     }
     let mut table = Table::new(&format!("key | run {a} | run {b}"), "");
     for change in changes {
-        let value = |value: &Option<String>| value.clone().unwrap_or_else(|| "-".into());
-        table.push([change.key.clone(), value(&change.before), value(&change.after)]);
+        let Change { key, before, after } = change;
+        table.push([key.clone(), or_dash(before.as_ref()), or_dash(after.as_ref())]);
     }
     format!("{name} file:\n{table}")
 }
