@@ -84,10 +84,8 @@ pub async fn plot(client: &Client, args: &PlotArgs) -> CliResult<()> {
         (question, answer, heading)
     };
     let marks = args.marks.unwrap_or(question.marks);
-    let chart = chart(&question, marks, &answer)
-        .map_err(|limit| CliError::argument("the answer", &args.what, limit))?;
-    let svg = chart
-        .draw(&heading)
+    let svg = chart(&question, marks, &answer)
+        .and_then(|chart| chart.draw(&heading))
         .map_err(|limit| CliError::argument("the answer", &args.what, limit))?;
     picture::write(&args.out, &svg).await?;
     let drawn = json!({ "sql": question.sql, "rows": answer.count, "file": args.out });

@@ -49,11 +49,10 @@ pub struct RandomArgs {
 pub async fn random(args: RandomArgs) -> CliResult<ExitCode> {
     let mut signals = Signals::catch()?;
     let stop = Arc::new(AtomicBool::new(false));
-    let work = tokio::task::spawn_blocking({
+    let mut work = tokio::task::spawn_blocking({
         let stop = stop.clone();
         move || make(&args, &stop)
     });
-    tokio::pin!(work);
     loop {
         tokio::select! {
             made = &mut work => {
