@@ -28,15 +28,11 @@ pub fn key() -> CliResult<Option<String>> {
 /// # Errors
 /// `CliError::Problems` if the file cannot be read or has no key.
 pub fn key_of(path: &Path) -> CliResult<String> {
-    let text = std::fs::read_to_string(path);
-    let text = text.map_err(CliError::input(path))?;
+    let text = std::fs::read_to_string(path).map_err(CliError::input(path))?;
     warn_if_others_may_read(path);
     match text.lines().next().map(str::trim) {
         Some(key) if !key.is_empty() => Ok(key.into()),
-        _ => {
-            let words = "must have the key in its first line";
-            Err(CliError::in_file(path, words))
-        }
+        _ => Err(CliError::in_file(path, "must have the key in its first line")),
     }
 }
 

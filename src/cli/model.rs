@@ -193,9 +193,7 @@ async fn answer(client: &Client, what: What, at: &At) -> CliResult<()> {
             let bytes = bytes.map_err(|source| CliError::Http { operation, source })?;
             write(&out, &bytes)?;
             let known: ModelOut = client.get(&format!("/api/v1/models/{model}")).await?;
-            let mut manifest = out.clone().into_os_string();
-            manifest.push(".json");
-            let manifest = PathBuf::from(manifest);
+            let manifest = out.with_added_extension("json");
             write(&manifest, &format!("{:#}\n", json!(known)))?;
             let written = json!({ "file": out, "bytes": bytes.len(), "manifest": manifest });
             let (file, known) = (out.display(), manifest.display());

@@ -31,8 +31,7 @@ impl Certificates {
     /// # Errors
     /// `CliError::Problems` if it cannot be read.
     pub fn read(path: &Path) -> CliResult<Self> {
-        let pem = std::fs::read(path);
-        let pem = pem.map_err(CliError::input(path))?;
+        let pem = std::fs::read(path).map_err(CliError::input(path))?;
         Ok(Self { name: path.display().to_string(), pem })
     }
 

@@ -118,14 +118,12 @@ async fn question(client: &Client, trials: &Trials, name: &str) -> CliResult<Que
         return Ok(question);
     }
     let Some(column) = number(name) else {
-        let known = NAMES.iter().map(|(name, _)| *name);
         let columns = crate::store::table::TABLE.iter().map(|column| column.name);
-        let meant = did_you_mean(name, known.clone().chain(columns));
-        let limit = format!(
-            "must be {}, a column of numbers, or a SELECT statement{meant}",
-            known.collect::<Vec<_>>().join(", ")
-        );
-        return Err(refused(limit));
+        let meant = did_you_mean(name, NAMES.into_iter().chain(columns));
+        let known = NAMES.join(", ");
+        return Err(refused(format!(
+            "must be {known}, a column of numbers, or a SELECT statement{meant}"
+        )));
     };
     let ends: Answer = ask(client, &trials.ends(column)).await?;
     let end = |key: &str| ends.rows.first().and_then(|row| row.get(key)).and_then(Value::as_f64);
