@@ -296,11 +296,7 @@ pub enum Command {
 /// Runs a command. Errors are printed on standard error in this form; the exit code is 0, 1, or 2 for bad
 /// input.
 pub fn main(command: Command, output: Output) -> ExitCode {
-    let outcome = match command {
-        Command::Plan(args) if args.plot.is_none() => plan::plan(&args).map(|()| ExitCode::SUCCESS),
-        command => on_runtime(command),
-    };
-    outcome.unwrap_or_else(|error| {
+    on_runtime(command).unwrap_or_else(|error| {
         drawn::report(&error, output);
         error.exit_code()
     })

@@ -15,7 +15,6 @@ use crate::cli::download::DATASET_WAIT;
 use crate::cli::error::{CliError, CliResult};
 use crate::cli::evaluate::MethodRequest;
 use crate::cli::evaluate::lab::ExtentArgs;
-use crate::cli::output::Output;
 use crate::cli::progress::Counted;
 use crate::cli::{At, embed};
 use crate::evaluate::request::EvaluationReport;
@@ -47,8 +46,8 @@ impl ReadingsRequest {
     /// # Errors
     /// `CliError` if an option is invalid, the service cannot be reached or started, or the evaluation cannot be
     /// prepared.
-    pub async fn order(&self, output: Output) -> CliResult<(WorkOrder, u64)> {
-        let at = self.place.at(output);
+    pub async fn order(&self, json: bool) -> CliResult<(WorkOrder, u64)> {
+        let at = self.place.at(json);
         let request = self.method.clone().request(&self.extent.budget());
         let path = format!("/api/v1/evaluations/inputs?chunk_rows={}", self.chunk_rows);
         embed::with_server(&at, async |client| {
