@@ -15,7 +15,7 @@ use sim_core::sensor::Sensor;
 
 use super::super::At;
 use super::super::client::Client;
-use super::super::error::{CliError, CliResult};
+use super::super::error::CliResult;
 use super::super::files::{calibration_problem, parse_calibration, write};
 use super::super::find::find_run;
 use super::super::output::{counted, say, say_json};
