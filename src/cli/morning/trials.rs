@@ -9,7 +9,7 @@ use crate::cli::client::Client;
 use crate::cli::embed::{self, Purpose::Reads};
 use crate::cli::error::{CliError, CliResult};
 use crate::cli::find::find_run;
-use crate::cli::output::{grouped, say, say_json};
+use crate::cli::output::grouped;
 use crate::cli::table::{Table, or_dash};
 use crate::store::TrialRow;
 
@@ -64,29 +64,26 @@ async fn list(client: &Client, args: &TrialsArgs, asked: Asked) -> CliResult<()>
     pairs.push(("sort".into(), sort.into()));
     let path = format!("{list}?{}", encoded(&pairs));
     let (found, is_all) = client.first::<TrialRow>(&path, args.limit).await?;
-    if args.at.json {
-        say_json(&json!({ "items": found, "all": is_all }));
-        return Ok(());
-    }
     let is_everything = run.is_none() && pairs.len() == 1;
-    if found.is_empty() && is_everything {
-        say("there are no trials: palpate run quickstart measures some on the virtual rig");
-        return Ok(());
-    }
-    say(table(&found, run.is_none()));
-    let dataset = run.map_or("run-N".into(), |run| format!("run-{}", run.scan_id));
-    if !found.is_empty() {
+    let mut words = table(&found, run.is_none()).to_string();
+    if let Some(first) = found.first() {
         let which = if args.oldest { "oldest" } else { "newest" };
+        let count = grouped(found.len() as u64);
         let shown = match is_all {
-            true => format!("all {}", grouped(found.len() as u64)),
-            false => format!("the {which} {}; --limit N shows more", grouped(found.len() as u64)),
+            true => format!("all {count}"),
+            false => format!("the {which} {count}; --limit N shows more"),
         };
-        say(format_args!(
-            "{shown}. One trial, drawn: palpate show t{}. As a file, with frames: palpate dataset \
+        let dataset = run.map_or("run-N".into(), |run| format!("run-{}", run.scan_id));
+        words += &format!(
+            "\n{shown}. One trial, drawn: palpate show t{}. As a file, with frames: palpate dataset \
              export {dataset} --format parquet (or csv, npz, ..)",
-            found[0].trial_id.0
-        ));
+            first.trial_id.0
+        );
+    } else if is_everything {
+        words =
+            "there are no trials: palpate run quickstart measures some on the virtual rig".into();
     }
+    args.at.output().say(&json!({ "items": found, "all": is_all }), words);
     Ok(())
 }
 
