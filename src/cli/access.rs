@@ -100,10 +100,10 @@ async fn lock_of(people: &People, args: &LockArgs) -> CliResult<()> {
 /// # Errors
 /// `CliError` if the service or the data folder cannot be used, or refuses the request.
 pub async fn key(args: KeyArgs) -> CliResult<()> {
-    let (at, json) = (&args.at, args.at.json);
+    let at = &args.at;
     match args.command.unwrap_or(KeyCommand::List) {
         KeyCommand::Create { name, role } => {
-            with_people(at, async |people| create(people, &name, role, json).await).await
+            with_people(at, async |people| create(people, at, &name, role).await).await
         }
         KeyCommand::List => with_people(at, async |people| list(people, at).await).await,
         KeyCommand::Revoke { id } => {
@@ -133,15 +133,12 @@ async fn whoami(at: &At) -> CliResult<()> {
     Ok(())
 }
 
-async fn create(people: &People, name: &str, role: Role, json: bool) -> CliResult<()> {
+async fn create(people: &People, at: &At, name: &str, role: Role) -> CliResult<()> {
     let made = people.create_key(name, role).await?;
-    if json {
-        say_json(&made);
-        return Ok(());
-    }
-    let key = &made.key;
-    say(format_args!("key {}, {name}, {}; it is shown this once:", key.id, key.role.as_str()));
-    say(&made.secret);
+    let CreatedKey { key, secret } = &made;
+    let (id, role) = (key.id, key.role.as_str());
+    let words = format!("key {id}, {name}, {role}; it is shown this once:\n{secret}");
+    at.output().say(&made, words);
     Ok(())
 }
 

@@ -204,7 +204,7 @@ pub async fn press_estop(
         None
     });
     let named =
-        |key| embed::clients_with(at, key).map_err(|error| CliError::NotStopped(Box::new(error)));
+        |key| embed::clients(at, key).map_err(|error| CliError::NotStopped(Box::new(error)));
     let mut clients = named(key.clone())?;
     if key.is_some() {
         clients.extend(named(None)?);

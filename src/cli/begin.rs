@@ -14,7 +14,7 @@ use super::embed;
 use super::error::{CliError, CliResult};
 use super::find::find_run;
 use super::next::Next;
-use super::output::{self, say};
+use super::output;
 use super::rig::until_rig;
 use super::view::{ArmedView, PreflightView, StatusView, TakenUpView};
 use crate::api::STATUS_AGE_MAX;
@@ -73,13 +73,12 @@ pub async fn resume(args: &ResumeArgs) -> CliResult<()> {
     let stored = client.summary(run.uid).await?.trials_stored;
     bring_up(&client, args.motion).await?;
     let begun = arm_and_start(&client, &run).await?;
-    if args.act.at.json {
-        output::say_json(&json!({ "run": run.uid, "action": "resume", "taken_up": true }));
-        return Ok(());
-    }
     let (scan_id, planned) = (run.scan_id, run.trials_planned);
     let when = if begun.waiting { "resumes when the active run has ended," } else { "resumes" };
-    say(format_args!("run {scan_id} {when} at {stored} of {planned} trials"));
+    args.act.at.output().say(
+        &json!({ "run": run.uid, "action": "resume", "taken_up": true }),
+        format_args!("run {scan_id} {when} at {stored} of {planned} trials"),
+    );
     Next::of(&args.act.at).suggest(format_args!("palpate attach {scan_id}"), "follows it").say();
     Ok(())
 }

@@ -90,10 +90,8 @@ impl BenchArgs {
         }
         self.gap_text()?;
         let Some(path) = &self.fault else { return Ok(()) };
-        match std::fs::File::open(path) {
-            Ok(_) => Ok(()),
-            Err(error) => Err(CliError::argument("--fault", path.display(), io_words(&error))),
-        }
+        let opened = std::fs::File::open(path).map(drop);
+        opened.map_err(|error| CliError::argument("--fault", path.display(), io_words(&error)))
     }
 
     /// Text of the differences of the virtual skin from the model.

@@ -8,15 +8,17 @@ use serde_json::{Value, json};
 
 use super::client::{Client, text_of};
 use super::download::DATASET_WAIT;
+use super::embed::Purpose::{Computes, Reads, Stores};
 use super::error::CliResult;
 use super::export::{self, ExportArgs};
 use super::federate::{FederateArgs, federate};
 use super::files::read_as;
 use super::import::{ImportArgs, import};
 use super::next::Next;
-use super::output::{bytes, say, say_json};
+use super::output::bytes;
 use super::table::{Table, or_dash};
 use super::times::local;
+use super::view::rows;
 use super::{At, embed};
 use crate::file_kind::FileKind;
 
@@ -113,61 +115,43 @@ struct PruneArgs {
 /// `CliError` if the service cannot be reached or refuses, or a file cannot be read or written.
 pub async fn dataset(args: DatasetArgs) -> CliResult<()> {
     match args.what {
-        What::List(at) => embed::reading(&at, async |client| list(client, at.json).await).await,
-        What::Show(args) => {
-            embed::reading(&args.at, async |client| show(client, &args).await).await
-        }
-        What::Card(args) => {
-            embed::reading(&args.at, async |client| card(client, &args).await).await
-        }
-        What::Exports(at) => {
-            embed::reading(&at, async |client| export::list(client, at.output()).await).await
-        }
+        What::List(at) => embed::command(&at, Reads, &at, list).await,
+        What::Show(args) => embed::command(&args.at, Reads, &args, show).await,
+        What::Card(args) => embed::command(&args.at, Reads, &args, card).await,
+        What::Exports(at) => embed::command(&at, Reads, &at, export::list).await,
         What::Prune(args) => {
-            let purpose = match args.dry_run {
-                true => embed::Purpose::Reads,
-                false => embed::Purpose::Stores,
-            };
-            embed::with_purpose(&args.at, purpose, async |client| prune(client, &args).await).await
+            let purpose = if args.dry_run { Reads } else { Stores };
+            embed::command(&args.at, purpose, &args, prune).await
         }
-        What::Make(args) => {
-            embed::with_purpose(&args.at, embed::Purpose::Stores, async |client| {
-                make(client, &args).await
-            })
-            .await
-        }
-        What::Export(args) => {
-            embed::with_server(&args.at, async |client| export::export(client, &args).await).await
-        }
+        What::Make(args) => embed::command(&args.at, Stores, &args, make).await,
+        What::Export(args) => embed::command(&args.at, Computes, &args, export::export).await,
         What::Import(args) => import(args).await,
         What::Federate(args) => federate(args).await,
     }
 }
 
-async fn list(client: &Client, json: bool) -> CliResult<()> {
+async fn list(client: &Client, at: &At) -> CliResult<()> {
     let found: Value = client.get("/api/v1/datasets?limit=1").await?;
     let made: Vec<Value> = client.all("/api/v1/datasets?").await?;
-    if json {
-        say_json(&json!({ "items": made, "definitions": found["definitions"] }));
-        return Ok(());
-    }
     let mut table =
         Table::new("dataset | name | rows> | size> | made | last used", "there are no datasets");
     for row in &made {
-        let at = |key: &str| row[key].as_str().and_then(|at| at.parse().ok()).map(local);
+        let time = |key: &str| row[key].as_str().and_then(|at| at.parse().ok()).map(local);
         table.push([
             text_of(&row["id"]),
             text_of(&row["name"]),
             row["rows"].to_string(),
             bytes(row["bytes"].as_f64().unwrap_or_default()),
-            or_dash(at("created_at")),
-            or_dash(at("last_used_at")),
+            or_dash(time("created_at")),
+            or_dash(time("last_used_at")),
         ]);
     }
-    say(&table);
-    let names: Vec<&str> =
-        found["definitions"].as_array().into_iter().flatten().filter_map(Value::as_str).collect();
-    say(format_args!("palpate dataset make NAME, of: {}, run-N", names.join(", ")));
+    let names: Vec<&str> = rows(&found, "definitions").iter().filter_map(Value::as_str).collect();
+    let names = names.join(", ");
+    at.output().say(
+        &json!({ "items": made, "definitions": found["definitions"] }),
+        format_args!("{table}\npalpate dataset make NAME, of: {names}, run-N"),
+    );
     Ok(())
 }
 
@@ -178,12 +162,8 @@ async fn prune(client: &Client, args: &PruneArgs) -> CliResult<()> {
         .showing("removing datasets")
         .post("/api/v1/datasets/prune", &body)
         .await?;
-    if args.at.json {
-        say_json(&pruned);
-        return Ok(());
-    }
     let mut table = Table::new("dataset | name | size> | last used |", "there are no datasets");
-    for row in pruned["datasets"].as_array().into_iter().flatten() {
+    for row in rows(&pruned, "datasets") {
         let used = row["last_used_at"].as_str().and_then(|at| at.parse().ok());
         let gone = if args.dry_run { "would be removed" } else { "removed" };
         let stays = row["stays"].as_str().map(|why| format!("stays: {why}"));
@@ -195,12 +175,12 @@ async fn prune(client: &Client, args: &PruneArgs) -> CliResult<()> {
             stays.unwrap_or_else(|| gone.to_owned()),
         ]);
     }
-    say(&table);
     let freed = bytes(pruned["freed_bytes"].as_f64().unwrap_or_default());
-    say(match args.dry_run {
+    let freed = match args.dry_run {
         true => format!("{freed} would be freed; without --dry-run it is removed"),
         false => format!("{freed} freed"),
-    });
+    };
+    args.at.output().say(&pruned, format_args!("{table}\n{freed}"));
     Ok(())
 }
 
@@ -213,13 +193,11 @@ async fn show(client: &Client, args: &ShowArgs) -> CliResult<()> {
     let more = if args.lineage { "/lineage" } else { "" };
     let path = format!("/api/v1/datasets/{}{more}", args.name);
     let found: Value = making(client).get(&path).await?;
-    if args.at.json {
-        say_json(&found);
-    } else if args.lineage {
-        say(format_args!("{found:#}"));
-    } else {
-        describe(&found, client.url());
-    }
+    let words = match args.lineage {
+        true => format!("{found:#}"),
+        false => described(&found, client.url()),
+    };
+    args.at.output().say(&found, words);
     Ok(())
 }
 
@@ -244,42 +222,29 @@ async fn make(client: &Client, args: &MakeArgs) -> CliResult<()> {
         false => json!({ "name": what }),
     };
     let made: Value = making(client).post("/api/v1/datasets", &body).await?;
-    if args.at.json {
-        say_json(&made);
-    } else {
-        describe(&made, client.url());
-        let id = text_of(&made["id"]);
-        Next::of(&args.at)
-            .suggest(format_args!("palpate dataset card {id}"), "its content, units and citation")
-            .suggest(format_args!("palpate dataset export {id} --format csv"), "writes a file")
-            .say();
-    }
+    args.at.output().say(&made, described(&made, client.url()));
+    let id = text_of(&made["id"]);
+    Next::of(&args.at)
+        .suggest(format_args!("palpate dataset card {id}"), "its content, units and citation")
+        .suggest(format_args!("palpate dataset export {id} --format csv"), "writes a file")
+        .say();
     Ok(())
 }
 
-/// Prints a dataset for people.
-fn describe(row: &Value, url: &str) {
+/// A dataset, as text.
+fn described(row: &Value, url: &str) -> String {
+    let (name, id, rows) = (text_of(&row["name"]), text_of(&row["id"]), &row["rows"]);
     let length = bytes(row["bytes"].as_f64().unwrap_or_default());
-    say(format_args!(
-        "{} {}: {} rows, {length}",
-        text_of(&row["name"]),
-        text_of(&row["id"]),
-        row["rows"]
-    ));
+    let mut words = format!("{name} {id}: {rows} rows, {length}");
     if row["is_current"] == false {
-        let name = text_of(&row["name"]);
-        say(format_args!("  trials were stored since: palpate dataset make {name}"));
+        words += &format!("\n  trials were stored since: palpate dataset make {name}");
     }
-    let report = &row["report"];
-    part_lines("part", &report["parts"]);
-    part_lines("contacts", &report["contact_counts"]);
-    part_lines("excluded", &report["left_out"]);
-    say("  pandas.read_parquet(..), polars.scan_parquet(..) or DuckDB's read_parquet(..) of");
-    say(format_args!("  {url}{}", text_of(&row["url"])));
-}
-
-fn part_lines(heading: &str, counts: &Value) {
-    for (what, rows) in counts.as_object().into_iter().flatten() {
-        say(format_args!("  {heading:<9} {what:<44} {rows:>8}"));
+    let counts = [("part", "parts"), ("contacts", "contact_counts"), ("excluded", "left_out")];
+    for (heading, key) in counts {
+        for (what, rows) in row["report"][key].as_object().into_iter().flatten() {
+            words += &format!("\n  {heading:<9} {what:<44} {rows:>8}");
+        }
     }
+    words += "\n  pandas.read_parquet(..), polars.scan_parquet(..) or DuckDB's read_parquet(..) of";
+    words + &format!("\n  {url}{}", text_of(&row["url"]))
 }

@@ -76,9 +76,16 @@ pub async fn download_whole(
         let detail = format!("the downloaded file has the sha256 {found}");
         return Err(CliError::Refused { operation: format!("GET {url}"), status: 500, detail });
     }
+    finish(file, out).map(drop)
+}
+
+/// Finishes a downloaded file under its name.
+///
+/// # Errors
+/// `CliError::File` if it cannot be written.
+pub fn finish(file: NewFile, out: &Path) -> CliResult<Finished> {
     let name = out.file_name().unwrap_or_default().to_string_lossy();
-    let failed = |source| CliError::File { path: out.into(), source };
-    file.finish(&name).map(drop).map_err(failed)
+    file.finish(&name).map_err(CliError::file(out))
 }
 
 /// Writes an answer to a file, which appears when it is complete, and names this `work` while it lasts. Returns the
@@ -99,8 +106,7 @@ pub async fn keep(
     while let Some(piece) = pieces.next().await {
         file.write_all(&piece.map_err(&broken)?).map_err(failed)?;
     }
-    let name = out.file_name().unwrap_or_default().to_string_lossy();
-    Ok(file.finish(&name).map_err(failed)?.bytes)
+    Ok(finish(file, out)?.bytes)
 }
 
 async fn in_time<T>(work: impl Future<Output = T>) -> CliResult<T> {

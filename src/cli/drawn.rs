@@ -197,12 +197,11 @@ mod tests {
     use super::*;
 
     fn in_folder(text: &str, problem: impl Fn(&str) -> Problem) -> String {
-        let name = format!("palpate-drawn-{}-{}.toml", std::process::id(), text.len());
-        let path = std::env::temp_dir().join(name);
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("e.toml");
         std::fs::write(&path, text).unwrap();
         let file = path.display().to_string();
-        let text = drawn(&CliError::Problems(vec![problem(&file)]), &Renderer::plain(), None);
-        std::fs::remove_file(&path).unwrap();
+        let text = drawn(&problem(&file).into(), &Renderer::plain(), None);
         text.replace(&file, "e.toml")
     }
 

@@ -28,16 +28,8 @@ pub const TWIN_WORKERS: usize = 1;
 /// otherwise the one that serves the data folder, then the one at the default address.
 ///
 /// # Errors
-/// As [`key`] and [`Client::new`]; `CliError::Problems` if the file of `--ca` cannot be read.
-pub fn clients(at: &At) -> CliResult<Vec<Client>> {
-    clients_with(at, key()?)
-}
-
-/// As [`clients`], with this key.
-///
-/// # Errors
 /// As [`Client::new`]; `CliError::Problems` if the file of `--ca` cannot be read.
-pub fn clients_with(at: &At, key: Option<String>) -> CliResult<Vec<Client>> {
+pub fn clients(at: &At, key: Option<String>) -> CliResult<Vec<Client>> {
     let ca = at.ca().as_deref().map(Certificates::read).transpose()?;
     let ca = ca.as_ref();
     if let Some(url) = at.url() {
@@ -56,36 +48,38 @@ pub fn clients_with(at: &At, key: Option<String>) -> CliResult<Vec<Client>> {
 /// address is none for a command that names another data folder.
 ///
 /// # Errors
-/// `CliError::NoServer` if a named service does not answer, `Stranger` if something else does; otherwise
-/// as [`clients`] and [`Client::look`].
+/// As [`server`], if a service is named.
 pub async fn find(at: &At) -> CliResult<Option<Client>> {
-    let looked = look(at).await?;
-    match (looked, at.url()) {
-        (Ok(client), _) => Ok(Some(client)),
+    match server(at).await {
+        Ok(client) => Ok(Some(client)),
         // Without a named service, one is started at another address.
-        (Err(_), None) => Ok(None),
-        (Err(why), Some(_)) => Err(why),
+        Err(CliError::NoServer { .. } | CliError::Stranger { .. }) if at.url().is_none() => {
+            Ok(None)
+        }
+        Err(error) => Err(error),
     }
 }
 
-/// Returns the service, or why there is none.
-async fn look(at: &At) -> CliResult<CliResult<Client>> {
+/// Returns the service, which must be running.
+///
+/// # Errors
+/// `CliError::NoServer` if it does not answer, `Stranger` if something else does; otherwise as [`key`], [`clients`] and
+/// [`Client::look`].
+pub async fn server(at: &At) -> CliResult<Client> {
     let (mut untrusted, mut stranger) = (None, None);
-    for client in clients(at)? {
+    for client in clients(at, key()?)? {
         match client.look().await {
-            Ok(Found::Palpate) if serves(&client, at).await => return Ok(Ok(client)),
-            Ok(Found::Stranger) => stranger = Some(client.url().to_owned()),
+            Ok(Found::Palpate) if serves(&client, at).await => return Ok(client),
+            Ok(Found::Stranger) => {
+                stranger = Some(CliError::Stranger { url: client.url().to_owned() });
+            }
             Ok(Found::Palpate | Found::Nothing) => {}
             // A killed service may have left the address of what is now another program.
             Err(error) => untrusted = untrusted.or(Some(error)),
         }
     }
-    let url = at.url().unwrap_or_else(|| DEFAULT_URL.into());
-    match (untrusted, stranger) {
-        (Some(error), _) => Err(error),
-        (None, Some(url)) => Ok(Err(CliError::Stranger { url })),
-        (None, None) => Ok(Err(CliError::NoServer { url })),
-    }
+    let none = || CliError::NoServer { url: at.url().unwrap_or_else(|| DEFAULT_URL.into()) };
+    Err(untrusted.or(stranger).unwrap_or_else(none))
 }
 
 /// Whether a service that was found serves the data folder that a command names.
@@ -98,14 +92,6 @@ async fn serves(client: &Client, at: &At) -> bool {
     let Ok(status) = client.status().await else { return true };
     let database = folder(Path::new(&status.service.database));
     database.parent() == Some(folder(&at.data()).as_path())
-}
-
-/// Returns the service, which must be running.
-///
-/// # Errors
-/// `CliError::NoServer` if it does not answer, `Stranger` if something else does.
-pub async fn server(at: &At) -> CliResult<Client> {
-    look(at).await?
 }
 
 /// Options of a service in this process that reads and computes, on a free port of the loopback.
@@ -154,7 +140,13 @@ pub async fn with_purpose<T>(
     purpose: Purpose,
     work: impl AsyncFnOnce(&Client) -> CliResult<T>,
 ) -> CliResult<T> {
-    Opened::of(at, purpose).await?.carry_out(work).await
+    let (client, own) = opened(at, purpose).await?;
+    let outcome = AssertUnwindSafe(work(&client)).catch_unwind().await;
+    // It ends whatever the result, also if the work panics.
+    if let Some((service, _view)) = own {
+        service.shutdown().await;
+    }
+    outcome.unwrap_or_else(|panic| resume_unwind(panic))
 }
 
 /// As [`with_purpose`], for work that computes.
@@ -168,52 +160,43 @@ pub async fn with_server<T>(
     with_purpose(at, Purpose::Computes, work).await
 }
 
-/// As [`with_purpose`], for work that only reads.
+/// Carries out a command with its options, as [`with_purpose`].
 ///
 /// # Errors
 /// As [`with_purpose`].
-pub async fn reading<T>(at: &At, work: impl AsyncFnOnce(&Client) -> CliResult<T>) -> CliResult<T> {
-    with_purpose(at, Purpose::Reads, work).await
+pub async fn command<A>(
+    at: &At,
+    purpose: Purpose,
+    args: &A,
+    command: impl AsyncFnOnce(&Client, &A) -> CliResult<()>,
+) -> CliResult<()> {
+    with_purpose(at, purpose, async |client| command(client, args).await).await
 }
 
-/// A service for the work of a command: a running one, or one without a rig in this process.
-struct Opened {
-    client: Client,
-    /// The service in this process, with the view of a data folder that it may only read.
-    own: Option<(Service, Option<View>)>,
-}
+/// A service in this process, with the view of a data folder that it may only read.
+type OwnService = (Service, Option<View>);
 
-impl Opened {
-    async fn of(at: &At, purpose: Purpose) -> CliResult<Self> {
-        if let Some(client) = find(at).await? {
-            return Ok(Self { client, own: None });
-        }
-        let data = at.data();
-        if purpose == Purpose::Stores && View::is_needed(&data) {
-            let limit = "cannot be written, and this command changes it: name a copy of it with --data, \
-                         or a service with --url";
-            return Err(CliError::in_file(&data, limit));
-        }
-        let view = View::of(&data).map_err(CliError::file(&data))?;
-        let folder = view.as_ref().map_or(data, |view| view.folder().to_owned());
-        let options = options(folder, &RigFiles::read(None)?, purpose)?;
-        let service = shown_wait("opening the data folder", Service::start(options)).await?;
-        match Client::new(&service.url(), None, None) {
-            Ok(client) => Ok(Self { client, own: Some((service, view)) }),
-            Err(error) => {
-                service.shutdown().await;
-                Err(error)
-            }
-        }
+/// A running service, or one without a rig in this process.
+async fn opened(at: &At, purpose: Purpose) -> CliResult<(Client, Option<OwnService>)> {
+    if let Some(client) = find(at).await? {
+        return Ok((client, None));
     }
-
-    /// Carries out `work`; a service in this process ends whatever the result, also if the work panics.
-    async fn carry_out<T>(self, work: impl AsyncFnOnce(&Client) -> CliResult<T>) -> CliResult<T> {
-        let outcome = AssertUnwindSafe(work(&self.client)).catch_unwind().await;
-        if let Some((service, _view)) = self.own {
+    let data = at.data();
+    if purpose == Purpose::Stores && View::is_needed(&data) {
+        let limit = "cannot be written, and this command changes it: name a copy of it with --data, \
+                     or a service with --url";
+        return Err(CliError::in_file(&data, limit));
+    }
+    let view = View::of(&data).map_err(CliError::file(&data))?;
+    let folder = view.as_ref().map_or(data, |view| view.folder().to_owned());
+    let options = options(folder, &RigFiles::read(None)?, purpose)?;
+    let service = shown_wait("opening the data folder", Service::start(options)).await?;
+    match Client::new(&service.url(), None, None) {
+        Ok(client) => Ok((client, Some((service, view)))),
+        Err(error) => {
             service.shutdown().await;
+            Err(error)
         }
-        outcome.unwrap_or_else(|panic| resume_unwind(panic))
     }
 }
 

@@ -23,21 +23,6 @@ use crate::simulate::model::ModelUnavailable;
 use crate::simulate::random::error::RandomError;
 use crate::store::StoreError;
 
-/// A figure could not be written as PNG or PDF.
-#[derive(Debug, thiserror::Error)]
-pub enum PictureError {
-    /// No program converts.
-    #[error(
-        "{path}: was not written: PNG and PDF need rsvg-convert or Chromium, and none of them is in \
-         PATH; install `librsvg2-bin` or `chromium`, or name a file that ends in .svg",
-        path = path.display()
-    )]
-    NoConverter { path: PathBuf },
-    /// The program failed.
-    #[error("{path}: was not written: {why}; name a file that ends in .svg", path = path.display())]
-    Failed { path: PathBuf, why: String },
-}
-
 /// Result of a command or of a part of it.
 pub type CliResult<T> = Result<T, CliError>;
 
@@ -127,9 +112,16 @@ pub enum CliError {
     /// The rig cannot be opened.
     #[error("opening the rig: {0}")]
     Rig(#[from] RigError),
-    /// A figure could not be written as PNG or PDF.
-    #[error(transparent)]
-    Picture(#[from] PictureError),
+    /// No program converts a figure.
+    #[error(
+        "{path}: was not written: PNG and PDF need rsvg-convert or Chromium, and none of them is in \
+         PATH; install `librsvg2-bin` or `chromium`, or name a file that ends in .svg",
+        path = path.display()
+    )]
+    NoConverter { path: PathBuf },
+    /// The program that converts a figure failed.
+    #[error("{path}: was not written: {why}; name a file that ends in .svg", path = path.display())]
+    NotConverted { path: PathBuf, why: String },
     /// The model of the skin is not available.
     #[error(transparent)]
     Model(#[from] ModelUnavailable),
@@ -188,17 +180,22 @@ pub enum CliError {
 impl CliError {
     /// Error for one option or argument.
     pub fn argument(key: &str, value: impl std::fmt::Display, limit: impl Into<String>) -> Self {
-        Self::Problems(vec![Problem::new("command line", key, value, limit)])
+        Problem::new("command line", key, value, limit).into()
     }
 
     /// Error for a file as a whole.
     pub fn in_file(path: &Path, limit: impl Into<String>) -> Self {
-        Self::Problems(vec![Problem::whole(&path.display().to_string(), limit)])
+        Problem::whole(&path.display().to_string(), limit).into()
     }
 
     /// Conversion of an error of the operating system at a file.
     pub fn file(path: &Path) -> impl FnOnce(io::Error) -> Self {
         move |source| Self::File { path: path.into(), source }
+    }
+
+    /// Conversion of an error of the operating system in an operation without a file.
+    pub fn system(operation: &'static str) -> impl Fn(io::Error) -> Self {
+        move |source| Self::System { operation, source }
     }
 
     /// Conversion of an error of the operating system at a file that is read because a person named it.
@@ -236,6 +233,18 @@ impl CliError {
             | CliError::Refused { status: 400 | 422, .. } => 2,
             _ => 1,
         }
+    }
+}
+
+impl From<Problem> for CliError {
+    fn from(problem: Problem) -> Self {
+        Self::Problems(vec![problem])
+    }
+}
+
+impl From<Vec<Problem>> for CliError {
+    fn from(problems: Vec<Problem>) -> Self {
+        Self::Problems(problems)
     }
 }
 

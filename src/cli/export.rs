@@ -1,7 +1,7 @@
 //! `palpate dataset export` and `dataset exports`: a dataset as a file, and the list of such files.
 //! Uses: `client`, `download`. Never: rows in this process (the service writes them).
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::time::Duration;
 
 use clap::Args;
@@ -13,7 +13,7 @@ use super::client::{Client, text_of};
 use super::download::download_whole;
 use super::error::{CliError, CliResult};
 use super::next::Next;
-use super::output::{Output, bytes, counted, say, say_json};
+use super::output::{bytes, counted};
 use super::progress::Counted;
 use super::table::{Table, or_dash};
 use super::times::local;
@@ -75,27 +75,23 @@ pub async fn export(client: &Client, args: &ExportArgs) -> CliResult<()> {
     };
     let asked: ExportOut = client.post("/api/v1/exports", &request).await?;
     let done = follow(client, asked).await?;
-    let out = args
-        .out
-        .clone()
-        .unwrap_or_else(|| PathBuf::from(format!("{}.{}", args.name, args.format.extension())));
-    fetch(client, &done, &out).await?;
-    if args.at.json {
-        say_json(&json!({ "file": out, "export": done }));
-    } else {
-        let rows = counted(done.rows_total, "row", "rows");
-        let of = done.dataset.as_ref().map_or(args.name.as_str(), DatasetId::as_str);
-        let length = bytes(done.bytes.unwrap_or_default() as f64);
-        let rows = if done.rows_total > 0 { format!("{rows} of ") } else { String::new() };
-        say(format_args!(
-            "{}: {rows}{of}, {length}, sha256 {}",
-            out.display(),
-            done.sha256.clone().unwrap_or_default()
-        ));
-        Next::of(&args.at)
-            .suggest(format_args!("palpate dataset card {of}"), "its content, units and citation")
-            .say();
-    }
+    let default = || format!("{}.{}", args.name, args.format.extension()).into();
+    let out: PathBuf = args.out.clone().unwrap_or_else(default);
+    let url = done.url.clone().unwrap_or_else(|| format!("/api/v1/exports/{}/file", done.id));
+    let (length, sha256) = (done.bytes.unwrap_or_default(), done.sha256.clone());
+    let whole = Finished { bytes: length, sha256: sha256.unwrap_or_default() };
+    download_whole(client, &url, &whole, &out).await?;
+    let of = done.dataset.as_ref().map_or(args.name.as_str(), DatasetId::as_str);
+    let rows = match done.rows_total {
+        0 => String::new(),
+        rows => format!("{} of ", counted(rows, "row", "rows")),
+    };
+    let (file, length, sha256) = (out.display(), bytes(whole.bytes as f64), &whole.sha256);
+    let words = format!("{file}: {rows}{of}, {length}, sha256 {sha256}");
+    args.at.output().say(&json!({ "file": out, "export": done }), words);
+    Next::of(&args.at)
+        .suggest(format_args!("palpate dataset card {of}"), "its content, units and citation")
+        .say();
     Ok(())
 }
 
@@ -124,18 +120,11 @@ async fn follow(client: &Client, asked: ExportOut) -> CliResult<ExportOut> {
     }
 }
 
-/// Downloads the file of an export.
-async fn fetch(client: &Client, done: &ExportOut, out: &Path) -> CliResult<()> {
-    let url = done.url.clone().unwrap_or_else(|| format!("/api/v1/exports/{}/file", done.id));
-    let (bytes, sha256) = (done.bytes.unwrap_or_default(), done.sha256.clone().unwrap_or_default());
-    download_whole(client, &url, &Finished { bytes, sha256 }, out).await
-}
-
 /// Prints the exports, newest first.
 ///
 /// # Errors
 /// As [`Client::send`].
-pub async fn list(client: &Client, output: Output) -> CliResult<()> {
+pub async fn list(client: &Client, at: &At) -> CliResult<()> {
     let exports: Vec<ExportOut> = client.all("/api/v1/exports?").await?;
     let mut table = Table::new(
         "export | state | dataset | format | size> | requested | last used | by |",
@@ -154,6 +143,6 @@ pub async fn list(client: &Client, output: Output) -> CliResult<()> {
             export.error.clone().unwrap_or_default(),
         ]);
     }
-    output.say(&json!({ "items": exports }), table);
+    at.output().say(&json!({ "items": exports }), table);
     Ok(())
 }

@@ -75,10 +75,13 @@ impl ExperimentFiles {
         let sensor_path: PathBuf = path.parent().unwrap_or(Path::new("")).join(&experiment.sensor);
         let sensor_text = match carried::sensor(&experiment.sensor) {
             Some(text) if !sensor_path.exists() => text.to_owned(),
-            _ => read_named(&file, "sensor", &experiment.sensor, &sensor_path)?,
+            _ => std::fs::read_to_string(&sensor_path).map_err(|error| {
+                let limit = format!("{}: {}", sensor_path.display(), io_words(&error));
+                Problem::new(&file, "sensor", &experiment.sensor, limit)
+            })?,
         };
         let sensor = parse_sensor(&sensor_path.display().to_string(), &sensor_text)?;
-        let plan = Plan::of(&file, &experiment, &sensor).map_err(CliError::Problems)?;
+        let plan = Plan::of(&file, &experiment, &sensor)?;
         Ok(Self { file, definition, sensor_text, experiment, sensor, plan })
     }
 
@@ -125,19 +128,11 @@ impl RigFiles {
     }
 }
 
-/// Writes a text file, and creates its folders.
-///
-/// # Errors
-/// `CliError::File` if it cannot be written.
-pub fn write(path: &Path, text: &str) -> CliResult<()> {
-    write_bytes(path, text.as_bytes())
-}
-
 /// Writes a file, and creates its folders.
 ///
 /// # Errors
 /// `CliError::File` if it cannot be written.
-pub fn write_bytes(path: &Path, bytes: &[u8]) -> CliResult<()> {
+pub fn write(path: &Path, contents: &(impl AsRef<[u8]> + ?Sized)) -> CliResult<()> {
     let failed = |source| CliError::File { path: path.into(), source };
     if let Some(folder) = path.parent() {
         std::fs::create_dir_all(folder).map_err(|error| match error.kind() {
@@ -145,7 +140,7 @@ pub fn write_bytes(path: &Path, bytes: &[u8]) -> CliResult<()> {
             _ => failed(error),
         })?;
     }
-    std::fs::write(path, bytes).map_err(failed)
+    std::fs::write(path, contents).map_err(failed)
 }
 
 /// Returns the path of this program.
@@ -153,8 +148,7 @@ pub fn write_bytes(path: &Path, bytes: &[u8]) -> CliResult<()> {
 /// # Errors
 /// `CliError::System` if the system does not state it.
 pub fn this_program() -> CliResult<PathBuf> {
-    std::env::current_exe()
-        .map_err(|source| CliError::System { operation: "finding this program", source })
+    std::env::current_exe().map_err(CliError::system("finding this program"))
 }
 
 /// Reads a file named on the command line.
@@ -183,13 +177,17 @@ pub fn read_or_carried(
         return Ok(text.to_owned());
     }
     match name.filter(|name| !name.contains(['.', '/'])) {
-        // The path of a carried file in a checkout, typed elsewhere.
-        None => read_as(kind, path).map_err(|error| match (error, carried_name(path, files)) {
-            (CliError::Problems(mut problems), Some(name)) if !path.exists() => {
-                problems[0].limit += &format!("; palpate carries {name}, without a path");
-                CliError::Problems(problems)
+        None => read_as(kind, path).map_err(|error| {
+            // The path of a carried file in a checkout, typed elsewhere.
+            let stem = path.file_stem().filter(|_| !path.exists());
+            let carried = carried::names(files).find(|name| stem.is_some_and(|stem| stem == *name));
+            match (error, carried) {
+                (CliError::Problems(mut problems), Some(name)) => {
+                    problems[0].limit += &format!("; palpate carries {name}, without a path");
+                    CliError::Problems(problems)
+                }
+                (error, _) => error,
             }
-            (error, _) => error,
         }),
         Some(name) => {
             let names: Vec<&str> = carried::names(files).collect();
@@ -202,15 +200,6 @@ pub fn read_or_carried(
             Err(CliError::in_file(path, words))
         }
     }
-}
-
-/// The name of a path's file among the carried ones.
-fn carried_name(
-    path: &Path,
-    files: &'static [(&'static str, &'static str)],
-) -> Option<&'static str> {
-    let name = path.file_stem()?.to_str()?;
-    carried::names(files).find(|carried| *carried == name)
 }
 
 /// As [`read_input`], for a file of this kind.
@@ -238,14 +227,6 @@ fn similar(path: &Path, error: &io::Error) -> String {
     let names: Vec<String> =
         files.filter_map(|entry| entry.file_name().into_string().ok()).collect();
     did_you_mean(name, names.iter().map(String::as_str))
-}
-
-/// Reads a file named in another file.
-fn read_named(file: &str, key: &str, value: &str, path: &Path) -> CliResult<String> {
-    std::fs::read_to_string(path).map_err(|e| {
-        let limit = format!("{}: {}", path.display(), io_words(&e));
-        CliError::Problems(vec![Problem::new(file, key, value, limit)])
-    })
 }
 
 /// Reads a sensor file, or returns the carried one.
@@ -323,11 +304,11 @@ pub fn parse_calibration(path: &Path) -> CliResult<Calibration> {
 /// The problem of a calibration file.
 pub fn calibration_problem(path: &Path, error: CalibrationError) -> CliError {
     let file = path.display().to_string();
-    let problem = match error {
+    match error {
         CalibrationError::Value { key, value, limit } => Problem::new(&file, &key, value, limit),
         other => Problem::whole(&file, other.to_string()),
-    };
-    CliError::Problems(vec![problem])
+    }
+    .into()
 }
 
 #[cfg(test)]

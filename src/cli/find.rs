@@ -6,8 +6,6 @@ use super::error::{CliError, CliResult};
 use crate::ids::RunUid;
 use crate::store::RunRow;
 
-/// How a run is named on the command line.
-const A_RUN: &str = "number, start of the id (4 characters or more), or `last`";
 /// Shortest start of an id, characters.
 const PREFIX_MIN: usize = 4;
 /// Longest number of a run, digits: a longer text of digits is the start of an id.
@@ -64,7 +62,10 @@ pub async fn find_run(client: &Client, text: &str) -> CliResult<RunRow> {
                 }
             }
         }
-        None => Err(wrong(format!("must be the {A_RUN}"))),
+        None => {
+            let limit = "must be the number, start of the id (4 characters or more), or `last`";
+            Err(wrong(limit.into()))
+        }
     }
 }
 

@@ -13,7 +13,7 @@ use super::client::{Client, TextPart, text_of};
 use super::error::{CliError, CliResult};
 use super::files::read_input;
 use super::next::Next;
-use super::output::{counted, say, say_json};
+use super::output::{counted, say};
 use super::progress::shown_wait;
 use super::{At, embed};
 use crate::dataset::error::DatasetError;
@@ -61,13 +61,9 @@ pub async fn import(args: ImportArgs) -> CliResult<()> {
         show(&summary);
     }
     if args.dry_run {
-        match args.at.json {
-            true => say_json(&json!({ "summary": summary, "stored": false })),
-            false => {
-                say("nothing was stored: --dry-run");
-                Next::of(&args.at).same_command("without --dry-run", "stores the trials").say();
-            }
-        }
+        let answer = json!({ "summary": summary, "stored": false });
+        args.at.output().say(&answer, "nothing was stored: --dry-run");
+        Next::of(&args.at).same_command("without --dry-run", "stores the trials").say();
         return Ok(());
     }
     embed::with_purpose(&args.at, embed::Purpose::Stores, async |client| {
@@ -79,8 +75,7 @@ pub async fn import(args: ImportArgs) -> CliResult<()> {
 /// Checks the file as the service does.
 async fn understood(args: &ImportArgs, sensor: String, map: Option<&str>) -> CliResult<Summary> {
     let map_file = args.coordinates.as_ref().map(|path| path.display().to_string());
-    let map = Coordinates::from_toml(&map_file.unwrap_or_default(), map.unwrap_or_default())
-        .map_err(CliError::Problems)?;
+    let map = Coordinates::from_toml(&map_file.unwrap_or_default(), map.unwrap_or_default())?;
     let (path, sensor_file) = (args.file.clone(), args.sensor.display().to_string());
     let file = path.display().to_string();
     let reading =
@@ -114,15 +109,11 @@ async fn store(
         .showing("storing the trials")
         .upload("/api/v1/imports", &args.file, texts.into_iter().chain(map))
         .await?;
-    if args.at.json {
-        made["summary"] = json!(summary);
-        say_json(&made);
-        return Ok(());
-    }
-    let run = &made["run"];
+    made["summary"] = json!(summary);
     let trials = counted(made["trials"].as_u64().unwrap_or_default(), "trial", "trials");
-    say(format_args!("run {}: {trials} ({})", run["scan_id"], text_of(&run["label"])));
-    let (run, dataset) = (&run["scan_id"], text_of(&made["dataset"]));
+    let (run, label) = (&made["run"]["scan_id"], text_of(&made["run"]["label"]));
+    args.at.output().say(&made, format_args!("run {run}: {trials} ({label})"));
+    let dataset = text_of(&made["dataset"]);
     Next::of(&args.at)
         .suggest(format_args!("palpate dataset show {dataset}"), "its parts and columns")
         .suggest(format_args!("palpate trials {run}"), "its trials")

@@ -39,11 +39,8 @@ pub struct InitArgs {
 /// `CliError::File` if a file cannot be written, `System` if the schema cannot.
 pub fn init(args: &InitArgs) -> CliResult<()> {
     if args.schema {
-        let failed = |error: serde_json::Error| CliError::System {
-            operation: "writing the schema",
-            source: error.into(),
-        };
-        say_json(&of_experiments().map_err(failed)?);
+        let schema = of_experiments().map_err(std::io::Error::from);
+        say_json(&schema.map_err(CliError::system("writing the schema"))?);
         return Ok(());
     }
     if args.list {

@@ -28,15 +28,11 @@ pub fn key() -> CliResult<Option<String>> {
 /// # Errors
 /// `CliError::Problems` if the file cannot be read or has no key.
 pub fn key_of(path: &Path) -> CliResult<String> {
-    let text = std::fs::read_to_string(path);
-    let text = text.map_err(CliError::input(path))?;
+    let text = std::fs::read_to_string(path).map_err(CliError::input(path))?;
     warn_if_others_may_read(path);
     match text.lines().next().map(str::trim) {
         Some(key) if !key.is_empty() => Ok(key.into()),
-        _ => {
-            let words = "must have the key in its first line";
-            Err(CliError::in_file(path, words))
-        }
+        _ => Err(CliError::in_file(path, "must have the key in its first line")),
     }
 }
 
@@ -46,7 +42,8 @@ mod tests {
 
     #[test]
     fn a_key_is_the_first_line_of_its_file() {
-        let path = std::env::temp_dir().join(format!("palpate-key-{}", std::process::id()));
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("key");
         for (text, key) in [("palpate_0\n", Some("palpate_0")), ("k", Some("k")), ("\nk", None)] {
             std::fs::write(&path, text).unwrap();
             assert_eq!(key_of(&path).ok().as_deref(), key, "{text:?}");

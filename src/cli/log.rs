@@ -10,7 +10,7 @@ use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
 use std::time::{Duration, Instant};
 
 use clap::Args;
-use parking_lot::{Mutex, MutexGuard};
+use parking_lot::Mutex;
 use tracing::Dispatch;
 use tracing_appender::rolling::{InitError, RollingFileAppender, Rotation};
 use tracing_subscriber::filter::{LevelFilter, Targets};
@@ -59,20 +59,16 @@ pub fn hold() -> Option<Held> {
     if !io::stderr().is_terminal() {
         return None;
     }
-    *behind_screen() = Some(Vec::new());
+    *BEHIND_SCREEN.lock() = Some(Vec::new());
     Some(Held(()))
 }
 
 impl Drop for Held {
     fn drop(&mut self) {
-        for line in behind_screen().take().unwrap_or_default() {
+        for line in BEHIND_SCREEN.lock().take().unwrap_or_default() {
             let _ = io::stderr().write_all(line.as_bytes());
         }
     }
-}
-
-fn behind_screen() -> MutexGuard<'static, Option<Vec<String>>> {
-    BEHIND_SCREEN.lock()
 }
 
 /// Format of the lines.
@@ -105,13 +101,11 @@ pub fn start(args: &LogArgs) -> Option<Log> {
     let named = args.log_format.clone().or_else(|| from_env("PALPATE_LOG_FORMAT"));
     let named = named.unwrap_or_default();
     let path = args.log_file.clone().or_else(|| from_env("PALPATE_LOG_FILE").map(PathBuf::from));
-    let file = path.as_deref().map(daily);
-    let (out, unopened) = match file {
-        Some(Err(error)) => (Out::Terminal, Some(error)),
-        Some(Ok(file)) => (Out::File(Box::new(file)), None),
-        None => (Out::Terminal, None),
+    let (file, unopened) = match path.as_deref().map(daily).transpose() {
+        Ok(file) => (file, None),
+        Err(error) => (None, Some(error)),
     };
-    let to_terminal = matches!(out, Out::Terminal);
+    let colours = file.is_none() && io::stderr().is_terminal() && !no_color();
     let format = match named.as_str() {
         "json" => Format::Json,
         _ => Format::Text,
@@ -121,11 +115,10 @@ pub fn start(args: &LogArgs) -> Option<Log> {
     let lost = Arc::<AtomicU64>::default();
     let queue = Queue { lines: lines.clone(), lost: lost.clone() };
     let writing = move || {
-        write_all(&inbox, &lost, out);
+        write_all(&inbox, &lost, file);
         let _ = done.send(());
     };
     std::thread::Builder::new().name("log".into()).spawn(writing).ok()?;
-    let colours = to_terminal && io::stderr().is_terminal() && !no_color();
     let invalid_level = filter.as_ref().err().map(ToString::to_string);
     let filter = filter.unwrap_or_else(|_| default());
     let log = dispatch(format, filter, colours, move || queue.clone());
@@ -161,12 +154,6 @@ impl Drop for Log {
     }
 }
 
-/// Where the lines go.
-enum Out {
-    Terminal,
-    File(Box<RollingFileAppender>),
-}
-
 /// A file for each day.
 fn daily(path: &Path) -> Result<RollingFileAppender, InitError> {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
@@ -178,11 +165,11 @@ fn daily(path: &Path) -> Result<RollingFileAppender, InitError> {
         .build(folder.unwrap_or(Path::new(".")))
 }
 
-/// Writes lines until the end; reports lost ones.
-fn write_all(inbox: &Receiver<Item>, lost: &AtomicU64, mut out: Out) {
+/// Writes lines until the end, to the file or else to standard error; reports lost ones.
+fn write_all(inbox: &Receiver<Item>, lost: &AtomicU64, mut file: Option<RollingFileAppender>) {
     while let Ok(Item::Line(line)) = inbox.recv() {
         let line = safe(&line);
-        if let Some(kept) = behind_screen().as_mut().filter(|_| matches!(out, Out::Terminal)) {
+        if let Some(kept) = BEHIND_SCREEN.lock().as_mut().filter(|_| file.is_none()) {
             if kept.len() < WAITING_LINES {
                 kept.push(line);
             } else {
@@ -191,9 +178,9 @@ fn write_all(inbox: &Receiver<Item>, lost: &AtomicU64, mut out: Out) {
             continue;
         }
         // A log that cannot be written, on a full disk, must not end the process.
-        let _ = match &mut out {
-            Out::Terminal => io::stderr().write_all(line.as_bytes()),
-            Out::File(file) => file.write_all(line.as_bytes()),
+        let _ = match &mut file {
+            Some(file) => file.write_all(line.as_bytes()),
+            None => io::stderr().write_all(line.as_bytes()),
         };
         let missing = lost.swap(0, Ordering::Relaxed);
         if missing > 0 {
@@ -385,7 +372,7 @@ mod tests {
         let (lines, inbox) = sync_channel(2);
         lines.send(Item::Line(b"a line\n".to_vec())).unwrap();
         lines.send(Item::End).unwrap();
-        write_all(&inbox, &AtomicU64::new(0), Out::File(Box::new(file)));
+        write_all(&inbox, &AtomicU64::new(0), Some(file));
         let entry = std::fs::read_dir(&folder).unwrap().next().unwrap().unwrap();
         assert!(entry.file_name().to_string_lossy().starts_with("palpate.log.2"));
         assert_eq!(std::fs::read_to_string(entry.path()).unwrap(), "a line\n");

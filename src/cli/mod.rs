@@ -84,6 +84,7 @@ mod worker;
 mod workers;
 
 pub use drawn::{report, report_usage};
+use embed::Purpose::Reads;
 pub use error::CliError;
 use error::CliResult;
 pub use files::DEFAULT_SKIN_SEED;
@@ -295,11 +296,7 @@ pub enum Command {
 /// Runs a command. Errors are printed on standard error in this form; the exit code is 0, 1, or 2 for bad
 /// input.
 pub fn main(command: Command, output: Output) -> ExitCode {
-    let outcome = match command {
-        Command::Plan(args) if args.plot.is_none() => plan::plan(&args),
-        command => on_runtime(command),
-    };
-    outcome.unwrap_or_else(|error| {
+    on_runtime(command).unwrap_or_else(|error| {
         drawn::report(&error, output);
         error.exit_code()
     })
@@ -309,7 +306,7 @@ fn on_runtime(command: Command) -> CliResult<ExitCode> {
     let runtime = tokio::runtime::Builder::new_multi_thread()
         .enable_all()
         .build()
-        .map_err(|source| CliError::System { operation: "starting the runtime", source })?;
+        .map_err(CliError::system("starting the runtime"))?;
     let outcome = runtime.block_on(answer(command));
     // A thread may still wait for input at the terminal that is no longer needed.
     runtime.shutdown_background();
@@ -317,19 +314,18 @@ fn on_runtime(command: Command) -> CliResult<ExitCode> {
 }
 
 async fn answer(command: Command) -> CliResult<ExitCode> {
-    let none = || json!({});
     match command {
         Command::Plan(args) => {
             plan_plot::plot(&args).await?;
-            return plan::plan(&args);
+            plan::plan(&args)?;
         }
         Command::Init(args) => init::init(&args)?,
-        Command::Calibrate(args) => return calibrate::calibrate(args).await,
+        Command::Calibrate(args) => calibrate::calibrate(args).await?,
         Command::Run(args) => return run::run(args).await,
         Command::Attach(args) => return attach::attach(args).await,
         Command::Simulate(args) => return simulate::simulate(args).await,
         Command::Cluster(args) => return cluster::cluster(args).await,
-        Command::Worker(args) => return worker::worker(args).await,
+        Command::Worker(args) => worker::worker(args).await?,
         Command::Rig(args) => return rig::rig(args).await,
         Command::Serve(args) => serve::serve(args).await?,
         Command::Status(args) if args.watch => watch::watch(&args.at).await?,
@@ -342,21 +338,21 @@ async fn answer(command: Command) -> CliResult<ExitCode> {
         Command::Queue(args) => queue::queue(args).await?,
         Command::Pause(args) => ask::pause(&args).await?,
         Command::Resume(args) => begin::resume(&args).await?,
-        Command::Stop(args) => ask::act(&args, "stop", none()).await?,
+        Command::Stop(args) => ask::act(&args, "stop", json!({})).await?,
         Command::Abort(args) => ask::abort(&args).await?,
         Command::Confirm(args) => placement::confirm(&args).await?,
         Command::Repeat(args) => placement::repeat(&args).await?,
         Command::Placement(at) => placement::placement(&at).await?,
         Command::Sensor(args) => sensor::sensor(&args)?,
-        Command::Runs(args) => morning::runs(args).await?,
+        Command::Runs(args) => embed::command(&args.at, Reads, &args, morning::runs).await?,
         Command::Trials(args) => morning::trials(args).await?,
-        Command::Query(args) => query::query(args).await?,
-        Command::Plot(args) => query::plot(args).await?,
+        Command::Query(args) => embed::command(&args.at, Reads, &args, query::query).await?,
+        Command::Plot(args) => embed::command(&args.at, Reads, &args, query::plot).await?,
         Command::Events(args) => morning::events(args).await?,
-        Command::Actions(args) => morning::actions(args).await?,
-        Command::Show(args) => morning::show(args).await?,
-        Command::Report(args) => morning::report(args).await?,
-        Command::Diff(args) => morning::diff(args).await?,
+        Command::Actions(args) => embed::command(&args.at, Reads, &args, morning::actions).await?,
+        Command::Show(args) => embed::command(&args.at, Reads, &args, morning::show).await?,
+        Command::Report(args) => embed::command(&args.at, Reads, &args, morning::report).await?,
+        Command::Diff(args) => embed::command(&args.at, Reads, &args, morning::diff).await?,
         Command::Estop(args) => ask::estop(&args).await?,
         Command::Lock(args) => access::lock(args).await?,
         Command::Key(args) => access::key(args).await?,

@@ -10,7 +10,7 @@ use serde_json::{Value, json};
 
 use super::client::{Client, TextPart};
 use super::error::{CliError, CliResult};
-use super::files::{DEFAULT_SENSOR, read_input, write, write_bytes};
+use super::files::{DEFAULT_SENSOR, read_input, write};
 use super::next::Next;
 use super::output::{Output, say, say_json};
 use super::table::Table;
@@ -191,11 +191,9 @@ async fn answer(client: &Client, what: What, at: &At) -> CliResult<()> {
             let operation = format!("GET {path}");
             let bytes = answer.bytes().await;
             let bytes = bytes.map_err(|source| CliError::Http { operation, source })?;
-            write_bytes(&out, &bytes)?;
+            write(&out, &bytes)?;
             let known: ModelOut = client.get(&format!("/api/v1/models/{model}")).await?;
-            let mut manifest = out.clone().into_os_string();
-            manifest.push(".json");
-            let manifest = PathBuf::from(manifest);
+            let manifest = out.with_added_extension("json");
             write(&manifest, &format!("{:#}\n", json!(known)))?;
             let written = json!({ "file": out, "bytes": bytes.len(), "manifest": manifest });
             let (file, known) = (out.display(), manifest.display());

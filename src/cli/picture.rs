@@ -7,17 +7,21 @@ use std::process::Stdio;
 use clap::{Args, ValueEnum};
 use tokio::process::Command;
 
-use super::error::{CliResult, PictureError};
+use super::error::{CliError, CliResult};
 use super::files;
 use super::print::{self, PrintError};
 use super::progress::shown_wait;
+use crate::studies::sheet::OutputFile;
 
 /// Program of librsvg, which needs no browser.
 const CONVERTER: &str = "rsvg-convert";
 
-/// Formats of the figures in a folder.
+/// The folder of a study's files, and the formats of its figures.
 #[derive(Debug, Clone, Default, Args)]
 pub struct Pictures {
+    /// Folder for numbers, tables and figures.
+    #[arg(long, value_name = "DIR")]
+    pub out: Option<PathBuf>,
     /// Write each figure of --out also in these formats; needs rsvg-convert or Chromium.
     #[arg(long, value_name = "FORMAT,..", value_enum, value_delimiter = ',', requires = "out")]
     also: Vec<Format>,
@@ -33,13 +37,18 @@ pub enum Format {
 }
 
 impl Pictures {
-    /// Writes a figure that is stored as SVG also in the requested formats, next to it.
+    /// Writes files to a folder, and creates it; figures also in the requested formats.
     ///
     /// # Errors
-    /// `CliError::Picture` if it cannot be converted.
-    pub async fn write_also(&self, path: &Path, svg: &str) -> CliResult<()> {
-        for format in &self.also {
-            write(&path.with_extension(format.ending()), svg).await?;
+    /// As [`write`].
+    pub async fn write_all(&self, folder: &Path, files: &[OutputFile]) -> CliResult<()> {
+        for OutputFile { name, text } in files {
+            let path = folder.join(name);
+            files::write(&path, text)?;
+            let is_figure = path.extension().is_some_and(|ending| ending == "svg");
+            for format in self.also.iter().filter(|_| is_figure) {
+                write(&path.with_extension(format.ending()), text).await?;
+            }
         }
         Ok(())
     }
@@ -76,11 +85,11 @@ pub fn figure_file(name: &str) -> Result<PathBuf, String> {
 /// Writes a figure: as PNG or PDF if the name ends like this, otherwise as SVG.
 ///
 /// # Errors
-/// `CliError::File` if the file cannot be written, `CliError::Picture` if it cannot be converted.
+/// `CliError::File` if the file cannot be written, `NoConverter` or `NotConverted` if it cannot be converted.
 pub async fn write(path: &Path, svg: &str) -> CliResult<()> {
     let Some(format) = Format::of(path) else { return files::write(path, svg) };
     // Makes the folder, and refuses a file that cannot be written before a program starts.
-    files::write_bytes(path, &[])?;
+    files::write(path, "")?;
     let folder = std::env::temp_dir().join(format!("palpate-figure-{}", std::process::id()));
     let converted =
         shown_wait("converting the figure", converted(&folder, svg, path, format)).await;
@@ -92,7 +101,7 @@ pub async fn write(path: &Path, svg: &str) -> CliResult<()> {
 }
 
 async fn converted(folder: &Path, svg: &str, path: &Path, format: Format) -> CliResult<()> {
-    let failed = |why: String| PictureError::Failed { path: path.into(), why };
+    let failed = |why: String| CliError::NotConverted { path: path.into(), why };
     let out = std::path::absolute(path).map_err(|error| failed(error.to_string()))?;
     let source = folder.join("figure.svg");
     files::write(&source, svg)?;
@@ -106,7 +115,7 @@ async fn converted(folder: &Path, svg: &str, path: &Path, format: Format) -> Cli
         Ok(ended) if ended.status.success() => return Ok(()),
         Ok(ended) => {
             let said = String::from_utf8_lossy(&ended.stderr);
-            return Err(failed(format!("{CONVERTER}: {}", said.trim())).into());
+            return Err(failed(format!("{CONVERTER}: {}", said.trim())));
         }
         // Without it a browser converts.
         Err(_) => {}
@@ -119,8 +128,8 @@ async fn converted(folder: &Path, svg: &str, path: &Path, format: Format) -> Cli
         Format::Pdf => print::print(&page, &out).await,
     };
     drawn.map_err(|error| match error {
-        PrintError::NoBrowser => PictureError::NoConverter { path: path.into() }.into(),
-        other => failed(other.to_string()).into(),
+        PrintError::NoBrowser => CliError::NoConverter { path: path.into() },
+        other => failed(other.to_string()),
     })
 }
 
@@ -165,7 +174,7 @@ mod tests {
 
     #[test]
     fn without_a_converter_the_sentence_says_what_to_install() {
-        let error = PictureError::NoConverter { path: "plan.png".into() }.to_string();
+        let error = CliError::NoConverter { path: "plan.png".into() }.to_string();
         assert!(error.starts_with("plan.png: was not written") && error.contains("`chromium`"));
     }
 }

@@ -3,7 +3,6 @@
 //! Uses: `files`, `schedule`, `next`. Never: the network, the clock: the same files give the same bytes.
 
 use std::path::{Path, PathBuf};
-use std::process::ExitCode;
 
 use clap::Args;
 use serde_json::json;
@@ -41,7 +40,7 @@ pub struct PlanArgs {
 ///
 /// # Errors
 /// `CliError::Problems` if a file is invalid.
-pub fn plan(args: &PlanArgs) -> CliResult<ExitCode> {
+pub fn plan(args: &PlanArgs) -> CliResult<()> {
     let read = ExperimentFiles::read(&args.experiment)
         .and_then(|files| RigFiles::read(args.rig.as_deref()).map(|rig| (files, rig)));
     let (files, rig) = match read {
@@ -70,7 +69,7 @@ pub fn plan(args: &PlanArgs) -> CliResult<ExitCode> {
             if !args.json {
                 next(args).say();
             }
-            Ok(ExitCode::SUCCESS)
+            Ok(())
         }
         problems => Err(CliError::Problems(problems)),
     }

@@ -26,20 +26,17 @@ pub async fn plot(args: &PlanArgs) -> CliResult<()> {
         Kind::RealHex => "configurations",
         Kind::RealRandom => "manual trials",
     };
-    let heading = Heading::new(title(&files.plan), preflight.configurations, things, &label)
-        .with_note(format!(
-            "{}, about {} without persons. {}",
-            counted(preflight.trials, "trial", "trials"),
-            duration(preflight.duration_s),
-            marks(&files.plan)
-        ));
+    let Plan { experiment, sensor, seed, .. } = &files.plan;
+    let title = format!("Plan of {experiment} on {sensor}, seed {seed}");
+    let heading = Heading::new(title, preflight.configurations, things, &label).with_note(format!(
+        "{}, about {} without persons. {}",
+        counted(preflight.trials, "trial", "trials"),
+        duration(preflight.duration_s),
+        marks(&files.plan)
+    ));
     let drawn = tour(&heading, &Outline::of(&files.sensor), &legs(&files.plan));
     let svg = drawn.map_err(|why| FigureError { figure: "the plan", why })?;
     picture::write(file, &svg).await
-}
-
-fn title(plan: &Plan) -> String {
-    format!("Plan of {} on {}, seed {}", plan.experiment, plan.sensor, plan.seed)
 }
 
 /// What the marks of the figure are.

@@ -2,8 +2,9 @@
 //! files, so that everything that reads or computes works as usual.
 //! Uses: std's files. Never: a change to the folder.
 
+use std::fs::Permissions;
 use std::io;
-use std::os::unix::fs::symlink;
+use std::os::unix::fs::{PermissionsExt, symlink};
 use std::path::{Path, PathBuf};
 
 use rustix::fs::{Access, access};
@@ -56,11 +57,10 @@ impl View {
                     entry.path().display(),
                     view.0.display()
                 ));
-                std::fs::copy(entry.path(), view.0.join(&name))?;
+                let copy = view.0.join(&name);
+                std::fs::copy(entry.path(), &copy)?;
                 // The copy has the rights of the original.
-                let mut rights = std::fs::metadata(view.0.join(&name))?.permissions();
-                std::os::unix::fs::PermissionsExt::set_mode(&mut rights, 0o600);
-                std::fs::set_permissions(view.0.join(&name), rights)?;
+                std::fs::set_permissions(&copy, Permissions::from_mode(0o600))?;
             } else if entry.path().is_dir() && !is(&LEFT_OUT) {
                 // A folder of links: an export or a dataset that is made next to them does not reach the data.
                 let folder = view.0.join(&name);

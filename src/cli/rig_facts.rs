@@ -125,16 +125,13 @@ fn wire_table(rates: &RigRates) -> Table {
 /// As [`Client::send`].
 pub async fn samples(client: &Client, minutes: u8, output: Output) -> CliResult<()> {
     let samples: SamplesOut = client.get(&format!("/api/v1/rig/samples?minutes={minutes}")).await?;
-    if output == Output::Json {
-        say_json(&samples);
-        return Ok(());
-    }
     let time = |at_ms: &i64| Timestamp::from_millisecond(*at_ms).map(second).unwrap_or_default();
+    let mut words = ranges(&samples).to_string();
     if let (Some(first), Some(last)) = (samples.at_ms.first(), samples.at_ms.last()) {
         let count = grouped(samples.at_ms.len() as u64);
-        say(format_args!("{count} samples, {} to {}", time(first), time(last)));
+        words = format!("{count} samples, {} to {}\n{words}", time(first), time(last));
     }
-    say(ranges(&samples));
+    output.say(&samples, words);
     Ok(())
 }
 

@@ -8,7 +8,7 @@ use serde_json::json;
 
 use super::At;
 use super::error::CliResult;
-use super::files::{read_sensor, write_bytes};
+use super::files::{read_sensor, write};
 use crate::overlay::{self, Paper};
 
 /// Options of `sensor`.
@@ -57,7 +57,7 @@ pub fn sensor(args: &SensorArgs) -> CliResult<()> {
         PaperName::Sheet => Paper::Sheet,
     };
     let pdf = overlay::pdf(&sensor, paper);
-    write_bytes(out, &pdf)?;
+    write(out, &pdf)?;
     let written = json!({ "file": out, "bytes": pdf.len() });
     let out = out.display();
     let words = format_args!("{out} is written: print it at 100 %, and check its ruler of 100 mm");

@@ -77,10 +77,8 @@ pub struct ServeArgs {
 pub async fn serve(args: ServeArgs) -> CliResult<()> {
     args.bench.check()?;
     if args.own_session {
-        rustix::process::setsid().map_err(|source| CliError::System {
-            operation: "leaving the terminal",
-            source: source.into(),
-        })?;
+        let left = rustix::process::setsid().map_err(std::io::Error::from);
+        left.map_err(CliError::system("leaving the terminal"))?;
     }
     let mut signals = Signals::catch()?;
     let rig = RigFiles::read(args.bench.rig.as_deref())?;

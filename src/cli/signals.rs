@@ -30,10 +30,7 @@ impl Signals {
     /// # Errors
     /// `CliError::System` if a handler cannot be installed.
     pub fn catch() -> CliResult<Self> {
-        let one = |kind| {
-            signal(kind)
-                .map_err(|source| CliError::System { operation: "catching signals", source })
-        };
+        let one = |kind| signal(kind).map_err(CliError::system("catching signals"));
         Ok(Self {
             interrupt: one(SignalKind::interrupt())?,
             terminate: one(SignalKind::terminate())?,

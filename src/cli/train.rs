@@ -104,8 +104,7 @@ pub fn quantities() -> impl TypedValueParser<Value = Quantity> {
 /// `CliError::Problems` if the recipe cannot be read, or a change does not apply.
 pub fn recipe_text(named: &str, changes: &Changes) -> CliResult<String> {
     let text = read_or_carried(FileKind::Recipe, Path::new(named), RECIPES)?;
-    let mut recipe: toml::Table =
-        crate::syntax::parse_toml(named, &text).map_err(CliError::Problems)?;
+    let mut recipe: toml::Table = crate::syntax::parse_toml(named, &text)?;
     changes.apply(&mut recipe);
     toml::to_string(&recipe).map_err(|error| CliError::argument("RECIPE", named, error.to_string()))
 }
@@ -173,32 +172,27 @@ pub async fn train(args: TrainArgs) -> CliResult<()> {
         return Ok(());
     }
     let mut signals = Signals::catch()?;
-    if let Some(client) = embed::find(&args.at).await? {
-        let asked = request(&client, &args.recipe, &recipe).await?;
-        return match train_on(&client, asked, &args, None, &mut signals).await? {
-            Some(done) => report(&client, &done, &args.at).await,
-            None => Ok(()),
-        };
-    }
-    let data = args.at.data();
-    let own = signals.during(OwnServer::at_desk(&data)).await?;
-    let client = own.client.clone();
+    let (client, own) = match embed::find(&args.at).await? {
+        Some(client) => (client, None),
+        None => {
+            let own = signals.during(OwnServer::at_desk(&args.at.data())).await?;
+            (own.client.clone(), Some(own))
+        }
+    };
+    let process = own.as_ref().and_then(OwnServer::process);
     let done = async {
         let asked = request(&client, &args.recipe, &recipe).await?;
-        train_on(&client, asked, &args, own.process(), &mut signals).await
+        train_on(&client, asked, &args, process, &mut signals).await
     };
-    match done.await {
-        Ok(None) => Ok(()),
-        Ok(Some(done)) => {
-            let reported = report(&client, &done, &args.at).await;
-            own.end().await?;
-            reported
-        }
-        Err(error) => {
-            own.end().await?;
-            Err(error)
-        }
+    let reported = match done.await {
+        Ok(None) => return Ok(()),
+        Ok(Some(done)) => report(&client, &done, &args.at).await,
+        Err(error) => Err(error),
+    };
+    if let Some(own) = own {
+        own.end().await?;
     }
+    reported
 }
 
 async fn request(client: &Client, named: &str, recipe: &str) -> CliResult<JobOut> {
@@ -233,18 +227,17 @@ async fn train_on(
     {
         return Ok(Some(done));
     }
-    if args.at.json {
-        say_json(&json!({ "event": "detached", "job": id, "url": url, "process": process }));
-    } else {
-        say(format_args!("training {id} continues without this terminal; its page is {url}/nets"));
-        let mut next = Next::of(&At { url: Some(url.into()), ..At::default() })
-            .suggest(format_args!("palpate job show {id}"), "shows it");
-        if let Some(process) = process {
-            let what = "ends the service; the next one resumes the training";
-            next = next.line(format_args!("kill {process}"), what);
-        }
-        next.say();
+    args.at.output().say(
+        &json!({ "event": "detached", "job": id, "url": url, "process": process }),
+        format_args!("training {id} continues without this terminal; its page is {url}/nets"),
+    );
+    let at = At { url: Some(url.into()), json: args.at.json, ..At::default() };
+    let mut next = Next::of(&at).suggest(format_args!("palpate job show {id}"), "shows it");
+    if let Some(process) = process {
+        let what = "ends the service; the next one resumes the training";
+        next = next.line(format_args!("kill {process}"), what);
     }
+    next.say();
     Ok(None)
 }
 

@@ -31,13 +31,12 @@ impl Certificates {
     /// # Errors
     /// `CliError::Problems` if it cannot be read.
     pub fn read(path: &Path) -> CliResult<Self> {
-        let pem = std::fs::read(path);
-        let pem = pem.map_err(CliError::input(path))?;
+        let pem = std::fs::read(path).map_err(CliError::input(path))?;
         Ok(Self { name: path.display().to_string(), pem })
     }
 
     fn parse(&self) -> CliResult<Vec<CertificateDer<'static>>> {
-        let invalid = |words: String| CliError::Problems(vec![Problem::whole(&self.name, words)]);
+        let invalid = |words: String| CliError::from(Problem::whole(&self.name, words));
         match CertificateDer::pem_slice_iter(&self.pem).collect() {
             Err(error) => Err(invalid(format!("must be PEM: {error}"))),
             Ok(none) if Vec::is_empty(&none) => Err(invalid("has no certificate".into())),

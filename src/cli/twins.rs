@@ -11,6 +11,7 @@ use super::error::{CliError, CliResult};
 use super::output::{counted, say, say_json};
 use super::progress::Counted;
 use super::table::Table;
+use super::view::rows;
 use super::{At, embed};
 use crate::ids::RunUid;
 use crate::store::TwinCount;
@@ -44,7 +45,7 @@ pub async fn status(at: &At) -> CliResult<()> {
     let numbers = ["trials", "twins", "failures", "pending"];
     let mut table =
         Table::new("run> | trials> | twins> | failures> | pending>", "no run has trials");
-    for run in twins["runs"].as_array().into_iter().flatten() {
+    for run in rows(&twins, "runs") {
         let scan_id = client.run(text_of(&run["run"])).await?.scan_id.to_string();
         table.push([scan_id].into_iter().chain(numbers.map(|number| run[number].to_string())));
     }

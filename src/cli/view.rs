@@ -127,6 +127,11 @@ pub fn need_words(need: &NeedView) -> String {
     format!("{}{}", need.words, next.unwrap_or_default())
 }
 
+/// The entries of a list in an answer; none if it is absent.
+pub fn rows<'a>(of: &'a Value, key: &str) -> &'a [Value] {
+    of[key].as_array().map_or(&[], Vec::as_slice)
+}
+
 /// Rig part of the status.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 pub struct RigView {
@@ -299,16 +304,12 @@ impl EventView {
 
     /// Positions of the weights to place.
     fn weights(&self) -> String {
-        let contacts = self.data["wanted"]["contacts"].as_array();
-        contacts
-            .into_iter()
-            .flatten()
-            .map(|c| {
-                let number = |key: &str| c[key].as_f64().unwrap_or(f64::NAN);
-                let (x, y, force) = (number("x_mm"), number("y_mm"), number("force_n"));
-                format!("\n    {force:.3} N at x {x:.1}, y {y:.1} mm")
-            })
-            .collect()
+        let line = |contact: &Value| {
+            let [x, y, force] =
+                ["x_mm", "y_mm", "force_n"].map(|key| contact[key].as_f64().unwrap_or(f64::NAN));
+            format!("\n    {force:.3} N at x {x:.1}, y {y:.1} mm")
+        };
+        rows(&self.data["wanted"], "contacts").iter().map(line).collect()
     }
 }
 

@@ -68,7 +68,13 @@ impl VirtualBench {
         // The files and the log there may be those of the bench of another service.
         drop(LockFile::of_data(data)?);
         let served = folder.join("served.toml");
-        write_files(args, &folder, rig, sensor_text)?;
+        // Data of a virtual rig must not be labelled as measured.
+        let mut config = rig.config.clone();
+        config.set_label(RigLabel::Virtual);
+        let texts = [toml::to_string(&config)?, args.gap_text()?, sensor_text.to_owned()];
+        for (name, text) in BENCH_FILES.iter().zip(texts) {
+            write(&folder.join(name), &text)?;
+        }
         let mut command = rig_command(args, &folder, &served, &data.join("cache"))?;
         let log = folder.join("rig.log");
         let mut child = start("virtual rig", &mut command, &log, Stdio::piped())?;
@@ -114,19 +120,6 @@ impl VirtualBench {
 
 /// Names of the files of rig, differences of the skin, and skin.
 const BENCH_FILES: [&str; 3] = ["rig.toml", "gap.toml", "sensor.toml"];
-
-fn write_files(
-    args: &BenchArgs,
-    folder: &Path,
-    rig: &RigFiles,
-    sensor_text: &str,
-) -> CliResult<()> {
-    // Data of a virtual rig must not be labelled as measured.
-    let mut config = rig.config.clone();
-    config.set_label(RigLabel::Virtual);
-    let texts = [toml::to_string(&config)?, args.gap_text()?, sensor_text.to_owned()];
-    BENCH_FILES.iter().zip(texts).try_for_each(|(name, text)| write(&folder.join(name), &text))
-}
 
 fn rig_command(args: &BenchArgs, folder: &Path, served: &Path, cache: &Path) -> CliResult<Command> {
     let mut command = this_program("virtual-rig")?;

@@ -8,6 +8,7 @@ use serde_json::Value;
 use super::error::{CliError, CliResult};
 use super::output::{Output, say, say_json};
 use super::table::{Table, or_dash};
+use super::view::rows;
 use super::{At, embed};
 
 /// Options of `vocabulary`.
@@ -40,19 +41,18 @@ pub async fn vocabulary(args: VocabularyArgs) -> CliResult<()> {
 /// `CliError` if the service cannot be reached.
 pub async fn published(at: &At) -> CliResult<()> {
     let values = read(at, "/api/v1/published").await?;
-    if at.output() == Output::Json {
-        say_json(&values);
-        return Ok(());
-    }
-    say("Table III, Transfer-Net: RMSE in V / FVU in %, by number of contacts");
-    say(transfer(&values));
-    say("\nTable IV, Recon-Net alone, and V-D, the whole pipeline");
-    say(maps(&values));
+    let words = format!(
+        "Table III, Transfer-Net: RMSE in V / FVU in %, by number of contacts\n{}\n\n\
+         Table IV, Recon-Net alone, and V-D, the whole pipeline\n{}",
+        transfer(&values),
+        maps(&values),
+    );
+    at.output().say(&values, words);
     Ok(())
 }
 
 async fn read(at: &At, path: &'static str) -> CliResult<Value> {
-    embed::reading(at, async |client| client.get(path).await).await
+    embed::with_purpose(at, embed::Purpose::Reads, async |client| client.get(path).await).await
 }
 
 fn table(words: &Value, list: Option<&str>) -> CliResult<Table> {
@@ -91,8 +91,8 @@ fn text(value: &Value) -> String {
 fn transfer(values: &Value) -> Table {
     let heads = "trained on | 1> | 2> | 3> | 4> | 5> | 6>";
     let mut table = Table::new(heads, "the service states no values");
-    for rung in values["table_iii"].as_array().into_iter().flatten() {
-        let cells = rung["test"].as_array().into_iter().flatten();
+    for rung in rows(values, "table_iii") {
+        let cells = rows(rung, "test").iter();
         let cells = cells.map(|cell| format!("{} / {}", cell["rmse_v"], cell["fvu_percent"]));
         table.push([format!("1 to {}", rung["trained_to"])].into_iter().chain(cells));
     }
@@ -113,7 +113,7 @@ fn maps(values: &Value) -> Table {
         let keys = ["number_percent", "location_mm", "force_percent", "diameter_percent"];
         table.push([name].into_iter().chain(keys.map(spread)));
     };
-    for map in values["table_iv"].as_array().into_iter().flatten() {
+    for map in rows(values, "table_iv") {
         row(text(&map["map"]), &map["score"]);
     }
     row("Real-Unseen".into(), &values["real_unseen"]);

@@ -3,7 +3,7 @@
 
 use std::ffi::OsString;
 use std::os::unix::process::CommandExt;
-use std::process::{Command, ExitCode};
+use std::process::Command;
 
 use clap::Args;
 
@@ -27,7 +27,7 @@ pub struct WorkerArgs {
 ///
 /// # Errors
 /// `CliError` if there is no such program, and it cannot be built or started.
-pub async fn worker(args: WorkerArgs) -> CliResult<ExitCode> {
+pub async fn worker(args: WorkerArgs) -> CliResult<()> {
     let shown = Working::on("building the worker: once, some minutes");
     let found = WORKER.path(|line| shown.step(line), || false).await;
     drop(shown);

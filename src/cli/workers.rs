@@ -8,8 +8,9 @@ use tokio::time::timeout;
 
 use super::client::{Client, text_of};
 use super::error::CliResult;
-use super::output::{bytes, counted, duration, say, say_json};
+use super::output::{bytes, counted, duration};
 use super::table::{Table, or_dash};
+use super::view::rows;
 use super::{At, embed};
 
 /// Path of the state.
@@ -27,16 +28,16 @@ const ID_SHOWN: usize = 12;
 /// `CliError` if the service cannot be reached, or its queue does not answer.
 pub async fn status(at: &At) -> CliResult<()> {
     let found: Value = embed::server(at).await?.get(WORKERS).await?;
-    if at.json {
-        say_json(&found);
-        return Ok(());
-    }
-    if found["configured"] != true {
-        say("the service knows no queue: start it with PALPATE_QUEUE_FILE and PALPATE_STORE");
-        return Ok(());
-    }
+    let none = "the service knows no queue: start it with PALPATE_QUEUE_FILE and PALPATE_STORE";
+    let is_known = found["configured"] == true;
+    at.output().say(&found, if is_known { state(&found) } else { none.into() });
+    Ok(())
+}
+
+/// The workers, their orders and what failed, as text.
+fn state(found: &Value) -> String {
     let mut workers = Table::new("worker | heard> | at once> | memory> | GPU>", "no worker");
-    for worker in rows(&found, "workers") {
+    for worker in rows(found, "workers") {
         let lost = if worker["lost"] == true { " (lost)" } else { "" };
         let heard = duration(worker["heard_s"].as_f64().unwrap_or_default());
         let about = &worker["about"];
@@ -48,11 +49,10 @@ pub async fn status(at: &At) -> CliResult<()> {
             or_dash(about["gpu"].as_bool().map(|gpu| if gpu { "yes" } else { "no" })),
         ]);
     }
-    say(&workers);
     let numbers = ["chunks", "done", "running", "waiting", "again", "failed", "missing"];
     let heads = format!("order | folder | {}> | per min> | to go>", numbers.join("> | "));
     let mut orders = Table::new(&heads, "no order");
-    for order in rows(&found, "orders") {
+    for order in rows(found, "orders") {
         let id: String = text_of(&order["order"]).chars().take(ID_SHOWN).collect();
         let rate = or_dash(order["per_minute"].as_f64().map(|rate| format!("{rate:.1}")));
         let to_go = or_dash(order["to_go_s"].as_f64().map(duration));
@@ -60,28 +60,27 @@ pub async fn status(at: &At) -> CliResult<()> {
         let named = [id, text_of(&order["folder"])];
         orders.push(named.into_iter().chain(counts).chain([rate, to_go]));
     }
-    say(&orders);
-    for order in rows(&found, "orders") {
-        if let Some(error) = order["again_error"].as_str() {
-            say(format_args!("again: {error}"));
-        }
+    let mut lines = vec![workers.to_string(), orders.to_string()];
+    for order in rows(found, "orders") {
+        lines.extend(order["again_error"].as_str().map(|error| format!("again: {error}")));
         for failed in rows(order, "errors") {
             let (index, attempts) = (&failed["index"], &failed["attempts"]);
-            say(format_args!("chunk {index}: {attempts} attempts: {}", text_of(&failed["error"])));
+            lines
+                .push(format!("chunk {index}: {attempts} attempts: {}", text_of(&failed["error"])));
         }
     }
-    let unsubmitted = rows(&found, "unsubmitted").iter().filter_map(Value::as_str);
+    let unsubmitted = rows(found, "unsubmitted").iter().filter_map(Value::as_str);
     let unsubmitted: Vec<&str> = unsubmitted.collect();
     if !unsubmitted.is_empty() {
-        say(format_args!("not submitted: {}", unsubmitted.join(", ")));
+        lines.push(format!("not submitted: {}", unsubmitted.join(", ")));
     }
     let gather = &found["gather"];
     if let Some(state) = gather["state"].as_str() {
         let why = gather["error"].as_str().map_or(String::new(), |why| format!(": {why}"));
         let (folder, into) = (text_of(&gather["folder"]), text_of(&gather["into"]));
-        say(format_args!("gathering of {folder} into {into}: {state}{why}"));
+        lines.push(format!("gathering of {folder} into {into}: {state}{why}"));
     }
-    Ok(())
+    lines.join("\n")
 }
 
 /// The line of `palpate status`; `None` if the service knows no queue.
@@ -124,10 +123,6 @@ fn words(found: &Value) -> Option<String> {
         }
     }
     Some(words)
-}
-
-fn rows<'a>(of: &'a Value, key: &str) -> &'a [Value] {
-    of[key].as_array().map_or(&[], Vec::as_slice)
 }
 
 #[cfg(test)]

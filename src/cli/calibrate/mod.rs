@@ -3,7 +3,6 @@
 //! the service, for a run's trials. Never: the rig.
 
 use std::path::{Path, PathBuf};
-use std::process::ExitCode;
 
 use clap::{Args, Subcommand};
 use serde_json::json;
@@ -18,7 +17,7 @@ use super::next::{Next, word};
 use super::output::{counted, say, say_json};
 use super::picture::{self, figure_file};
 use super::progress::Working;
-use super::{At, data_or_default};
+use super::{At, data_or_default, embed};
 use crate::calibrate::{CalibrateError, foam, frames, piezo, plot};
 use crate::cli::simulate::solved;
 
@@ -80,9 +79,11 @@ struct Common {
 ///
 /// # Errors
 /// `CliError` if an input is invalid, the fit fails, or a file cannot be written.
-pub async fn calibrate(args: CalibrateArgs) -> CliResult<ExitCode> {
+pub async fn calibrate(args: CalibrateArgs) -> CliResult<()> {
     match &args.what {
-        What::Skin(args) => skin::skin(args).await,
+        What::Skin(args) => {
+            embed::command(&args.at, embed::Purpose::Computes, args, skin::skin).await
+        }
         What::Piezo(common) => of_table(Law::Piezo, common).await,
         What::Foam(common) => of_table(Law::Foam, common).await,
     }
@@ -96,7 +97,7 @@ enum Law {
 }
 
 /// Fits to a table of measurements.
-async fn of_table(law: Law, common: &Common) -> CliResult<ExitCode> {
+async fn of_table(law: Law, common: &Common) -> CliResult<()> {
     let sensor = read_sensor(common.sensor.as_deref())?;
     let earlier = common.from.as_deref().map(|path| read_calibration(path, &sensor)).transpose()?;
     let file = common.measurements.display().to_string();
@@ -127,8 +128,7 @@ async fn of_table(law: Law, common: &Common) -> CliResult<ExitCode> {
     if let (Some(path), Some(svg)) = (&common.plot, &drawn) {
         picture::write(path, svg).await?;
     }
-    answer(common, &whole, left_out)?;
-    Ok(ExitCode::SUCCESS)
+    answer(common, &whole, left_out)
 }
 
 /// Compares measured frames with the calibrated model; returns the number of skipped lines.

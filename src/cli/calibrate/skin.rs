@@ -3,7 +3,6 @@
 //! trials except through the API, a fit on the threads that answer.
 
 use std::path::PathBuf;
-use std::process::ExitCode;
 use std::sync::Arc;
 use std::thread;
 
@@ -14,15 +13,15 @@ use sim_core::inverse::skin::{MeasuredTrial, SkinFitOptions, noise_v};
 use sim_core::responses::UnitResponses;
 use sim_core::sensor::Sensor;
 
+use super::super::At;
 use super::super::client::Client;
-use super::super::error::{CliError, CliResult};
+use super::super::error::CliResult;
 use super::super::files::{calibration_problem, parse_calibration, write};
 use super::super::find::find_run;
 use super::super::output::{counted, say, say_json};
 use super::super::picture::{self, figure_file};
 use super::super::progress::{Counted, LogLines, progress_bar};
 use super::super::simulate::solving;
-use super::super::{At, embed};
 use crate::api::Page;
 use crate::calibrate::CalibrateError;
 use crate::calibrate::skin::{CalibratedSkin, Candidate, Choice, Source, calibrate, choose};
@@ -62,19 +61,14 @@ pub struct SkinArgs {
     #[arg(long, value_name = "N")]
     threads: Option<usize>,
     #[command(flatten)]
-    at: At,
+    pub at: At,
 }
 
 /// Runs `palpate calibrate skin`.
 ///
 /// # Errors
 /// `CliError` if the run or an input is invalid, the fit fails, or a file cannot be written.
-pub async fn skin(args: &SkinArgs) -> CliResult<ExitCode> {
-    embed::with_server(&args.at, async |client| fit_run(client, args).await).await?;
-    Ok(ExitCode::SUCCESS)
-}
-
-async fn fit_run(client: &Client, args: &SkinArgs) -> CliResult<()> {
+pub async fn skin(client: &Client, args: &SkinArgs) -> CliResult<()> {
     let run = find_run(client, &args.run).await?;
     let (sensor, earlier) = start(&run, args)?;
     let candidates = candidates(&client.showing("reading the trials"), &run).await?;
@@ -115,7 +109,7 @@ async fn fit_run(client: &Client, args: &SkinArgs) -> CliResult<()> {
 fn start(run: &RunRow, args: &SkinArgs) -> CliResult<(Sensor, Option<Calibration>)> {
     let sensor = Sensor::from_toml(&run.sensor).map_err(|e| {
         let file = format!("sensor file of run {}", run.scan_id);
-        CliError::Problems(vec![Problem::whole(&file, e.to_string())])
+        Problem::whole(&file, e.to_string())
     })?;
     let Some(path) = &args.from else { return Ok((sensor, None)) };
     let earlier = Calibration { skin: None, ..parse_calibration(path)? };
@@ -129,7 +123,7 @@ fn start(run: &RunRow, args: &SkinArgs) -> CliResult<(Sensor, Option<Calibration
 /// All trials of a run without a flag: positions of the tips, contacts.
 async fn candidates(client: &Client, run: &RunRow) -> CliResult<Vec<Candidate>> {
     let force_noise_n = match &run.rig {
-        Some(rig) => RigSetup::from_toml("rig", rig).map_err(CliError::Problems)?.force_noise_n(),
+        Some(rig) => RigSetup::from_toml("rig", rig)?.force_noise_n(),
         None => None,
     };
     let force_noise_n = force_noise_n.unwrap_or(0.0);

@@ -7,7 +7,7 @@ use clap::Args;
 use serde_json::json;
 
 use super::OrderPlace;
-use super::kind::readings_order;
+use super::kind::order_of;
 use crate::chunk::folder::OrderFolder;
 use crate::chunk::order::{ChunkRow, WorkOrder};
 use crate::cli::client::TextPart;
@@ -15,13 +15,12 @@ use crate::cli::download::DATASET_WAIT;
 use crate::cli::error::{CliError, CliResult};
 use crate::cli::evaluate::MethodRequest;
 use crate::cli::evaluate::lab::ExtentArgs;
-use crate::cli::output::Output;
 use crate::cli::progress::Counted;
 use crate::cli::{At, embed};
 use crate::evaluate::request::EvaluationReport;
 use crate::jobs::chunks::{NetScore, SCORES_FILE};
 use crate::jobs::readings::ReadingInputs;
-use crate::jobs::readings::chunks::{gather, work_order};
+use crate::jobs::readings::chunks::{ReadingsOrder, gather, work_order};
 use crate::new_file;
 
 /// Name of the file with the readings of all frames, a line of JSON each.
@@ -47,8 +46,8 @@ impl ReadingsRequest {
     /// # Errors
     /// `CliError` if an option is invalid, the service cannot be reached or started, or the evaluation cannot be
     /// prepared.
-    pub async fn order(&self, output: Output) -> CliResult<(WorkOrder, u64)> {
-        let at = self.place.at(output);
+    pub async fn order(&self, json: bool) -> CliResult<(WorkOrder, u64)> {
+        let at = self.place.at(json);
         let request = self.method.clone().request(&self.extent.budget());
         let path = format!("/api/v1/evaluations/inputs?chunk_rows={}", self.chunk_rows);
         embed::with_server(&at, async |client| {
@@ -75,7 +74,7 @@ pub async fn score(
     at: &At,
     mut verified: Counted,
 ) -> CliResult<u64> {
-    let order = readings_order(folder)?;
+    let order = order_of(folder, ReadingsOrder::read)?;
     let lines = gather(folder, rows, &mut || verified.add(1));
     drop(verified);
     let file = out.join(READINGS_FILE);

@@ -8,7 +8,7 @@ use clap::Args;
 use serde_json::{Value, json};
 
 use super::evaluation;
-use super::kind::{ChunkKind, Gathered, twins_order};
+use super::kind::{ChunkKind, Gathered, order_of};
 use super::twins::{self, Stored};
 use crate::chunk::folder::OrderFolder;
 use crate::chunk::order::ChunkRow;
@@ -17,6 +17,7 @@ use crate::cli::error::{CliError, CliResult};
 use crate::cli::next::Next;
 use crate::cli::output::{bytes, grouped};
 use crate::cli::progress::Counted;
+use crate::simulate::twins::chunks::TwinsOrder;
 
 /// Options of `cluster gather`.
 #[derive(Debug, Clone, Args)]
@@ -82,7 +83,7 @@ fn answer(folder: &OrderFolder, mut more: Value) -> Value {
 
 /// Stores the twins of a work order.
 async fn store(folder: OrderFolder, rows: Vec<ChunkRow>, at: &At) -> CliResult<()> {
-    let run = twins_order(&folder)?.definition.run;
+    let run = order_of(&folder, TwinsOrder::read)?.definition.run;
     let done = twins::store(run, folder.clone(), rows, at, verified(&folder)).await?;
     let Stored { stored, present, damaged } = done;
     folder.all_whole(damaged)?;

@@ -35,19 +35,20 @@ pub struct Job {
 impl fmt::Display for Job {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { palpate, folder, data, order, chunks, tasks, cpus, options } = self;
-        writeln!(f, "#!/bin/sh")?;
         writeln!(
             f,
-            "# Written by `palpate cluster sbatch`: makes the {chunks} chunks of work order {order}."
+            "#!/bin/sh\n\
+             # Written by `palpate cluster sbatch`: makes the {chunks} chunks of work order {order}.\n\
+             # Submit it with: sbatch {folder}/{JOB_FILE}\n\
+             #SBATCH --job-name=palpate-{order}\n\
+             #SBATCH --array=0-{}\n\
+             #SBATCH --output={folder}/{JOB_LOGS}/%A-%a.txt\n\
+             #SBATCH --open-mode=append\n\
+             #SBATCH --requeue\n\
+             #SBATCH --ntasks=1\n\
+             #SBATCH --cpus-per-task={cpus}",
+            tasks - 1
         )?;
-        writeln!(f, "# Submit it with: sbatch {folder}/{JOB_FILE}")?;
-        writeln!(f, "#SBATCH --job-name=palpate-{order}")?;
-        writeln!(f, "#SBATCH --array=0-{}", tasks - 1)?;
-        writeln!(f, "#SBATCH --output={folder}/{JOB_LOGS}/%A-%a.txt")?;
-        writeln!(f, "#SBATCH --open-mode=append")?;
-        writeln!(f, "#SBATCH --requeue")?;
-        writeln!(f, "#SBATCH --ntasks=1")?;
-        writeln!(f, "#SBATCH --cpus-per-task={cpus}")?;
         for option in options {
             writeln!(f, "#SBATCH --{option}")?;
         }

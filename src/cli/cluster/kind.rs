@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use crate::chunk::MakeChunks;
 use crate::chunk::error::ChunkError;
 use crate::chunk::folder::OrderFolder;
-use crate::chunk::order::{ChunkRow, ORDER_FILE};
+use crate::chunk::order::{ChunkRow, ORDER_FILE, WorkOrder};
 use crate::cli::error::{CliError, CliResult};
 use crate::cli::simulate::solved;
 use crate::jobs::chunks::{self as trainings, TRAININGS, TrainingChunks, TrainingsOrder};
@@ -74,29 +74,26 @@ impl ChunkKind {
     /// `ChunkError::Order` if a value of the order is not what this program makes; `CliError::Model` if the model of the
     /// skin is not available.
     pub fn open(self, folder: &OrderFolder, means: &ChunkMeans) -> CliResult<Box<dyn MakeChunks>> {
+        let cache = means.data.join("cache");
         match self {
             Self::SimRandom => {
-                let order = RandomOrder::read(folder.order()).map_err(refused(folder))?;
-                let model = solved(&order.sensor, &means.data.join("cache"))?;
-                let made = RandomChunks::new(order, &model, means.threads);
-                Ok(Box::new(made.map_err(refused(folder))?))
+                let order = order_of(folder, RandomOrder::read)?;
+                let model = solved(&order.sensor, &cache)?;
+                boxed(folder, RandomChunks::new(order, &model, means.threads))
             }
             Self::Trainings => {
-                let order = TrainingsOrder::read(folder.order()).map_err(refused(folder))?;
-                let made = TrainingChunks::new(order, folder.path(), means.data.join("cache"));
-                Ok(Box::new(made.map_err(refused(folder))?))
+                let order = order_of(folder, TrainingsOrder::read)?;
+                boxed(folder, TrainingChunks::new(order, folder.path(), cache))
             }
             Self::Twins => {
-                let order = twins_order(folder)?;
-                let model = solved(&order.sensor, &means.data.join("cache"))?;
-                let made = TwinChunks::new(order, model, means.threads);
-                Ok(Box::new(made.map_err(refused(folder))?))
+                let order = order_of(folder, TwinsOrder::read)?;
+                let model = solved(&order.sensor, &cache)?;
+                boxed(folder, TwinChunks::new(order, model, means.threads))
             }
             Self::Readings => {
-                let order = readings_order(folder)?;
-                let model = solved(&order.sensor, &means.data.join("cache"))?;
-                let made = ReadingChunks::new(order, &model, means.threads);
-                Ok(Box::new(made.map_err(refused(folder))?))
+                let order = order_of(folder, ReadingsOrder::read)?;
+                let model = solved(&order.sensor, &cache)?;
+                boxed(folder, ReadingChunks::new(order, &model, means.threads))
             }
         }
     }
@@ -116,7 +113,7 @@ impl ChunkKind {
     ) -> CliResult<Gathered> {
         match self {
             Self::SimRandom => {
-                let order = RandomOrder::read(folder.order()).map_err(refused(folder))?;
+                let order = order_of(folder, RandomOrder::read)?;
                 let gathered = chunks::gather(&order, folder, rows, out, &mut |_| tell())?;
                 folder.all_whole(gathered.damaged)?;
                 let shards = gathered.manifest.shards.iter();
@@ -126,7 +123,7 @@ impl ChunkKind {
                 Ok(Gathered { rows, bytes })
             }
             Self::Trainings => {
-                let order = TrainingsOrder::read(folder.order()).map_err(refused(folder))?;
+                let order = order_of(folder, TrainingsOrder::read)?;
                 let gathered = trainings::gather(&order, folder, rows, out, tell)?;
                 Ok(Gathered { rows: gathered.nets, bytes: gathered.bytes })
             }
@@ -138,20 +135,23 @@ impl ChunkKind {
     }
 }
 
-/// Reads a work order of twins.
+/// Reads the work order of a folder as one of a kind, such as `TwinsOrder::read`.
 ///
 /// # Errors
 /// `ChunkError::Order` with the first value that is wrong.
-pub fn twins_order(folder: &OrderFolder) -> CliResult<TwinsOrder> {
-    TwinsOrder::read(folder.order()).map_err(refused(folder))
+pub fn order_of<T>(
+    folder: &OrderFolder,
+    read: impl FnOnce(&WorkOrder) -> Result<T, Problem>,
+) -> CliResult<T> {
+    read(folder.order()).map_err(refused(folder))
 }
 
-/// Reads a work order of readings.
-///
-/// # Errors
-/// `ChunkError::Order` with the first value that is wrong.
-pub fn readings_order(folder: &OrderFolder) -> CliResult<ReadingsOrder> {
-    ReadingsOrder::read(folder.order()).map_err(refused(folder))
+/// What makes the chunks of a folder's work order, unless a value of the order is refused.
+fn boxed(
+    folder: &OrderFolder,
+    made: Result<impl MakeChunks + 'static, Problem>,
+) -> CliResult<Box<dyn MakeChunks>> {
+    Ok(Box::new(made.map_err(refused(folder))?))
 }
 
 /// Conversion of a problem of a folder's work order.

@@ -19,7 +19,7 @@ use crate::chunk::folder::OrderFolder;
 use crate::chunk::order::WorkOrder;
 use crate::cli::data_or_default;
 use crate::cli::error::{CliError, CliResult};
-use crate::cli::next::Next;
+use crate::cli::next::{Next, word};
 use crate::cli::output::{bytes, counted, duration, grouped, note, say, say_json};
 use crate::cli::progress::Counted;
 use crate::cli::signals::Signals;
@@ -66,24 +66,18 @@ pub struct MakeArgs {
 pub async fn make(args: MakeArgs) -> CliResult<ExitCode> {
     let mut signals = Signals::catch()?;
     let stop = Arc::new(StopRequest::default());
-    let work = tokio::task::spawn_blocking({
+    let mut work = tokio::task::spawn_blocking({
         let stop = stop.clone();
         move || work(&args, &stop)
     });
-    tokio::pin!(work);
     let mut grace_until: Option<Instant> = None;
     loop {
-        let grace = async move {
-            match grace_until {
-                Some(until) => sleep_until(until).await,
-                None => std::future::pending().await,
-            }
-        };
+        let grace = sleep_until(grace_until.unwrap_or_else(Instant::now));
         tokio::select! {
             made = &mut work => {
                 return made.unwrap_or_else(|e| std::panic::resume_unwind(e.into_panic()));
             }
-            () = grace => {
+            () = grace, if grace_until.is_some() => {
                 stop.within_chunk.store(true, Ordering::Relaxed);
                 grace_until = None;
             }
@@ -202,16 +196,15 @@ impl Screen {
     fn end(&self, folder: &OrderFolder) -> ExitCode {
         self.shown.bar.finish_and_clear();
         let wall_s = self.started.elapsed().as_secs_f64();
-        let is_complete = self.done == self.chunks;
-        let code = if is_complete { ExitCode::SUCCESS } else { ExitCode::FAILURE };
+        let (code, status, end) = match (self.done == self.chunks, self.failed) {
+            (true, _) => (ExitCode::SUCCESS, "success", String::new()),
+            (false, 0) => (ExitCode::FAILURE, "abort", "stopped: ".into()),
+            (false, failed) => (ExitCode::FAILURE, "fail", format!("{failed} failed: ")),
+        };
         if self.json {
             say_json(&json!({
                 "event": "finished",
-                "exit_status": match (is_complete, self.failed) {
-                    (true, _) => "success",
-                    (false, 0) => "abort",
-                    (false, _) => "fail",
-                },
+                "exit_status": status,
                 "chunks": self.chunks,
                 "done": self.done,
                 "made": self.made,
@@ -223,11 +216,6 @@ impl Screen {
             }));
             return code;
         }
-        let end = match (is_complete, self.failed) {
-            (true, _) => String::new(),
-            (false, 0) => "stopped: ".into(),
-            (false, failed) => format!("{failed} failed: "),
-        };
         say(format_args!(
             "{end}{} of {} done; {} made in {}: {} rows, {}",
             self.done,
@@ -237,7 +225,7 @@ impl Screen {
             grouped(self.rows),
             bytes(self.bytes as f64),
         ));
-        let folder = crate::cli::next::word(&folder.path().display().to_string());
+        let folder = word(&folder.path().display().to_string());
         Next::default()
             .suggest(format_args!("palpate cluster status {folder}"), "shows what is done")
             .say();

@@ -10,7 +10,6 @@ use clap::{Args, Subcommand};
 
 use super::At;
 use super::error::CliResult;
-use super::output::Output;
 
 mod evaluation;
 mod gather;
@@ -75,9 +74,9 @@ pub struct OrderPlace {
 
 impl OrderPlace {
     /// The service of these options, and the form of the output.
-    pub fn at(&self, output: Output) -> At {
+    pub fn at(&self, json: bool) -> At {
         let Self { url, ca, data } = self.clone();
-        At { url, ca, data, json: output == Output::Json }
+        At { url, ca, data, json }
     }
 }
 

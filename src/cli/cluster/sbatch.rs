@@ -16,7 +16,7 @@ use crate::cli::data_or_default;
 use crate::cli::error::{CliError, CliResult};
 use crate::cli::files::this_program;
 use crate::cli::next::Next;
-use crate::cli::output::{Output, counted, grouped, say, say_json};
+use crate::cli::output::{counted, grouped, say, say_json};
 use crate::cli::simulate::request::{RandomRequest, SolvedRequest, THREADS_MAX};
 use crate::new_file;
 use crate::problem::Checks;
@@ -120,8 +120,7 @@ pub async fn sbatch(args: &SbatchArgs) -> CliResult<()> {
             let places = job.places(request.data.clone())?;
             let SolvedRequest { definition, sensor_text, calibration_text, .. } =
                 request.solve()?;
-            let order = work_order(&definition, sensor_text, calibration_text)
-                .map_err(|problem| CliError::Problems(vec![problem]))?;
+            let order = work_order(&definition, sensor_text, calibration_text)?;
             let rows = definition.trials;
             let (folder, is_new) = OrderFolder::write(&job.folder, order)?;
             let contents = format!("{} trials", grouped(rows));
@@ -129,20 +128,20 @@ pub async fn sbatch(args: &SbatchArgs) -> CliResult<()> {
         }
         SbatchCommand::Table { request, job } => {
             let places = job.places(request.place.data.clone())?;
-            let (folder, is_new) = request.write(&job.folder, job.output()).await?;
+            let (folder, is_new) = request.write(&job.folder, job.json).await?;
             let contents = format!("{} nets", folder.order().chunks);
             job.finish(&folder, &places, is_new, &contents, request.resources())
         }
         SbatchCommand::Twins { request, job } => {
             let places = job.places(request.place.data.clone())?;
-            let (order, trials) = request.order(job.output()).await?;
+            let (order, trials) = request.order(job.json).await?;
             let contents = format!("{} twins", grouped(trials));
             let (folder, is_new) = OrderFolder::write(&job.folder, order)?;
             job.finish(&folder, &places, is_new, &contents, &[])
         }
         SbatchCommand::Evaluation { request, job } => {
             let places = job.places(request.place.data.clone())?;
-            let (order, frames) = request.order(job.output()).await?;
+            let (order, frames) = request.order(job.json).await?;
             let contents = format!("{} frames", grouped(frames));
             let (folder, is_new) = OrderFolder::write(&job.folder, order)?;
             job.finish(&folder, &places, is_new, &contents, &[])
@@ -158,11 +157,6 @@ struct Places {
 }
 
 impl JobArgs {
-    /// Form of what the command prints.
-    fn output(&self) -> Output {
-        if self.json { Output::Json } else { Output::Text }
-    }
-
     /// Checks the options, and returns the paths of the job.
     fn places(&self, data: Option<PathBuf>) -> CliResult<Places> {
         let mut checks = Checks::of("command line");
@@ -191,7 +185,7 @@ impl JobArgs {
         for (key, path) in [("folder", &folder), ("data", &data), ("path of palpate", &palpate)] {
             checks.require(is_plain(path), key, path, words);
         }
-        checks.done().map_err(CliError::Problems)?;
+        checks.done()?;
         Ok(Places { palpate, folder, data })
     }
 

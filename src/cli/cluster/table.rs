@@ -15,7 +15,6 @@ use crate::cli::download::download_whole;
 use crate::cli::embed;
 use crate::cli::error::{CliError, CliResult};
 use crate::cli::evaluate::lab::{ExtentArgs, ServiceLab};
-use crate::cli::output::Output;
 use crate::jobs::chunks::{DatasetFile, FIRST_GPU, ONE_THREAD, work_order};
 use crate::new_file::{Finished, Look};
 use crate::studies::budget::R2S;
@@ -59,8 +58,8 @@ impl TableRequest {
     /// # Errors
     /// `CliError` if the service cannot be reached or started, a recipe or a dataset is invalid, the folder contains
     /// another order, or a file cannot be downloaded or written.
-    pub async fn write(&self, folder: &Path, output: Output) -> CliResult<(OrderFolder, bool)> {
-        let at = self.place.at(output);
+    pub async fn write(&self, folder: &Path, json: bool) -> CliResult<(OrderFolder, bool)> {
+        let at = self.place.at(json);
         let budget = self.extent.budget();
         let table = match self.table {
             TableName::Maps => table_iv_nets(&budget),
@@ -68,7 +67,7 @@ impl TableRequest {
         };
         let compute = if self.gpu { FIRST_GPU } else { ONE_THREAD };
         embed::with_server(&at, async |client| {
-            let lab = ServiceLab::new(client.clone(), output, None);
+            let lab = ServiceLab::new(client.clone(), at.output(), None);
             let mut nets = Vec::new();
             for net in &table {
                 nets.push(lab.net_order(net).await?);

@@ -10,7 +10,6 @@ use crate::chunk::order::{ChunkRow, WorkOrder};
 use crate::cli::client::Client;
 use crate::cli::error::{CliError, CliResult};
 use crate::cli::find::find_run;
-use crate::cli::output::Output;
 use crate::cli::progress::Counted;
 use crate::cli::{At, embed};
 use crate::ids::RunUid;
@@ -41,14 +40,16 @@ impl TwinsRequest {
     /// # Errors
     /// `CliError` if an option is invalid, the service cannot be reached or started, or the run has no trials or no
     /// model.
-    pub async fn order(&self, output: Output) -> CliResult<(WorkOrder, u64)> {
+    pub async fn order(&self, json: bool) -> CliResult<(WorkOrder, u64)> {
         if !(1..=CHUNK_TRIALS_MAX).contains(&self.chunk_trials) {
             let limit = format!("must be from 1 to {CHUNK_TRIALS_MAX}");
             return Err(CliError::argument("chunk-trials", self.chunk_trials, limit));
         }
-        let at = self.place.at(output);
-        embed::reading(&at, async |client| ordered(client, &self.run, self.chunk_trials).await)
-            .await
+        let at = self.place.at(json);
+        embed::with_purpose(&at, embed::Purpose::Reads, async |client| {
+            ordered(client, &self.run, self.chunk_trials).await
+        })
+        .await
     }
 }
 

@@ -7,7 +7,6 @@ use clap::{Args, ValueEnum};
 use parking_lot::Mutex;
 use serde_json::{Value, json};
 
-use super::write_all;
 use crate::api::{FrameAnswer, InferOptions, InferRequest, JobOut, ModelOut};
 use crate::cli::client::{Client, TextPart};
 use crate::cli::download::DATASET_WAIT;
@@ -15,9 +14,10 @@ use crate::cli::error::{CliError, CliResult};
 use crate::cli::files::read_input;
 use crate::cli::job::wait_for;
 use crate::cli::next::Next;
-use crate::cli::output::{Output, note, say, say_json};
+use crate::cli::output::{Output, note};
 use crate::cli::picture::Pictures;
 use crate::cli::train::{Changes, recipe_text};
+use crate::cli::view::rows;
 use crate::cli::{At, embed};
 use crate::dataset::import::sensor::ImportedSensor;
 use crate::digest::sha256_hex;
@@ -83,9 +83,6 @@ pub struct LabArgs {
     /// the scores that they have there; the others are trained. Of an evaluation: its scores are shown.
     #[arg(long, value_name = "DIR")]
     trained: Option<PathBuf>,
-    /// Folder for numbers, tables and figures.
-    #[arg(long, value_name = "DIR")]
-    out: Option<PathBuf>,
     #[command(flatten)]
     pictures: Pictures,
     #[command(flatten)]
@@ -122,7 +119,12 @@ pub async fn with_lab(
 ) -> CliResult<()> {
     embed::with_server(&args.at, async |client| {
         let lab = ServiceLab::new(client.clone(), args.at.output(), args.trained.clone());
-        lab.take_evaluation()?;
+        // A gathered evaluation has its scores in the folder itself, a net in its own folder.
+        if let Some(folder) = &args.trained
+            && folder.join(SCORES_FILE).exists()
+        {
+            lab.take_scores(folder)?;
+        }
         let sheet = study(&lab, &args.extent.budget()).await?;
         show(&sheet, &args).await
     })
@@ -131,19 +133,17 @@ pub async fn with_lab(
 
 /// Writes and prints the result of a study.
 async fn show(sheet: &Sheet, args: &LabArgs) -> CliResult<()> {
-    if let Some(folder) = &args.out {
-        write_all(folder, &sheet.files, &args.pictures).await?;
+    if let Some(folder) = &args.pictures.out {
+        args.pictures.write_all(folder, &sheet.files).await?;
     }
-    if args.at.json {
-        say_json(&sheet.numbers);
-        return Ok(());
-    }
-    say(sheet.text.trim_end());
-    let mut next = Next::of(&args.at);
-    match &args.out {
-        Some(folder) => say(format_args!("\nnumbers, table and figures in {}", folder.display())),
+    let (mut words, mut next) = (sheet.text.trim_end().to_owned(), Next::of(&args.at));
+    match &args.pictures.out {
+        Some(folder) => {
+            words += &format!("\n\nnumbers, table and figures in {}", folder.display());
+        }
         None => next = next.same_command("with --out DIR", "writes numbers, table and figures"),
     }
+    args.at.output().say(&sheet.numbers, words);
     next.suggest("palpate model list", "the nets, with their last scores").say();
     Ok(())
 }
@@ -186,8 +186,7 @@ impl ServiceLab {
             .map_err(|_| CliError::argument("recipe", &training.recipe, limit))?;
         let path = format!("/api/v1/datasets/{}/lineage", file.id);
         let lineage: Value = self.client.get(&path).await?;
-        let net = NetOrder::new(&recipe, file, &lineage["lineage"], scores.clone());
-        net.map_err(CliError::Problems)
+        Ok(NetOrder::new(&recipe, file, &lineage["lineage"], scores.clone())?)
     }
 
     /// Resolves the names of a training; makes its dataset if needed.
@@ -209,21 +208,7 @@ impl ServiceLab {
         Ok(ResolvedTraining { name, recipe, dataset })
     }
 
-    /// Folder of a gathered net, if there is one of this name.
-    fn gathered(&self, name: &str) -> Option<PathBuf> {
-        let folder = self.trained.as_ref()?.join(name);
-        folder.is_dir().then_some(folder)
-    }
-
-    /// Takes the scores of a gathered evaluation, if the folder has them.
-    fn take_evaluation(&self) -> CliResult<()> {
-        match &self.trained {
-            Some(folder) if folder.join(SCORES_FILE).exists() => self.take_scores(folder),
-            Some(_) | None => Ok(()),
-        }
-    }
-
-    /// Takes the scores of a gathered net.
+    /// Takes the scores of a gathered net or evaluation.
     fn take_scores(&self, folder: &Path) -> CliResult<()> {
         let path = folder.join(SCORES_FILE);
         let scores: Vec<NetScore> = serde_json::from_str(&read_input(&path)?)
@@ -235,8 +220,7 @@ impl ServiceLab {
     /// Adds a gathered net to the service.
     async fn add_gathered(&self, name: &str, folder: &Path) -> CliResult<ModelOut> {
         let path = folder.join(MANIFEST);
-        let manifest: Manifest = parse_toml(&path.display().to_string(), &read_input(&path)?)
-            .map_err(CliError::Problems)?;
+        let manifest: Manifest = parse_toml(&path.display().to_string(), &read_input(&path)?)?;
         let mut texts = vec![
             TextPart::value("sensor", read_input(&folder.join(SENSOR_FILE))?),
             TextPart::value("facts", manifest.model.to_toml()),
@@ -282,9 +266,9 @@ impl Lab for ServiceLab {
         let row = self.dataset(dataset).await?;
         let (id, report) = (row["id"].as_str().unwrap_or_default(), &row["report"]);
         let lineage: Value = self.client.get(&format!("/api/v1/datasets/{id}/lineage")).await?;
-        let runs = lineage["lineage"]["runs"].as_array().map_or(&[][..], Vec::as_slice);
+        let runs = rows(&lineage["lineage"], "runs");
         let rig: Value = self.client.get("/api/v1/sensor").await?;
-        let mut columns = report["columns"].as_array().into_iter().flatten();
+        let mut columns = rows(report, "columns").iter();
         let side_mm = |of: &str| rig[of].as_f64().unwrap_or_default();
         let mut facts = DatasetFacts {
             has_parts: ["train", "test"].iter().all(|part| report["parts"][*part].is_u64()),
@@ -295,8 +279,7 @@ impl Lab for ServiceLab {
         };
         if let Some(uid) = runs.first().and_then(|run| run["uid"].as_str()) {
             let run: RunRow = self.client.get(&format!("/api/v1/runs/{uid}")).await?;
-            let sensor = ImportedSensor::from_toml("the sensor file of the run", &run.sensor);
-            let sensor = sensor.map_err(CliError::Problems)?;
+            let sensor = ImportedSensor::from_toml("the sensor file of the run", &run.sensor)?;
             facts.of_rig = rig["name"] == sensor.name && rig["channels"] == sensor.channels;
             facts.skin_mm = sensor.width_mm.max(sensor.height_mm);
         }
@@ -309,7 +292,8 @@ impl Lab for ServiceLab {
     async fn train(&self, training: &Training) -> CliResult<ModelId> {
         let stem = &training.stem;
         let ResolvedTraining { name, recipe, .. } = self.resolve(training).await?;
-        let gathered = self.gathered(&name);
+        let gathered = self.trained.as_ref().map(|folder| folder.join(&name));
+        let gathered = gathered.filter(|folder| folder.is_dir());
         if let Some(folder) = &gathered {
             self.take_scores(folder)?;
         }

@@ -2,16 +2,12 @@
 //! their results.
 //! Uses: `studies`, `client`. Never: computed scores (the service trains and scores).
 
-use std::path::Path;
-
 use clap::{Args, Subcommand};
 
 use super::error::CliResult;
-use super::files::write;
 use super::infer::methods;
-use super::picture::Pictures;
 use super::train::quantities;
-use super::{At, vocabulary};
+use super::{At, embed, vocabulary};
 use crate::evaluate::request::{EvaluationRequest, FramesRead, OffsetsRead};
 use crate::ids::CalibrationId;
 use crate::infer::methods::Method;
@@ -23,7 +19,6 @@ use crate::studies::maps::table_iv;
 use crate::studies::method::scores;
 use crate::studies::noise::fig_10;
 use crate::studies::quantity::Compared;
-use crate::studies::sheet::OutputFile;
 use crate::studies::transfer::table_iii;
 use crate::studies::unseen::{Unseen, fig_12};
 use lab::{LabArgs, with_lab};
@@ -162,7 +157,9 @@ pub struct MethodRequest {
 /// `CliError` if a training or an evaluation fails, or a file cannot be written.
 pub async fn evaluate(args: EvaluateArgs) -> CliResult<()> {
     match args.what {
-        What::Simulation(args) => simulation::simulation(args).await,
+        What::Simulation(args) => {
+            embed::command(&args.at, embed::Purpose::Computes, &args, simulation::simulation).await
+        }
         What::Method { method, lab } => {
             with_lab(lab, async |lab, budget| scores(lab, &method.request(budget)).await).await
         }
@@ -214,16 +211,4 @@ impl MethodRequest {
             ..budget.request(self.method, &self.dataset, self.part.as_deref())
         }
     }
-}
-
-/// Writes files to a folder, and creates it; figures also in the requested formats.
-async fn write_all(folder: &Path, files: &[OutputFile], pictures: &Pictures) -> CliResult<()> {
-    for file in files {
-        let path = folder.join(&file.name);
-        write(&path, &file.text)?;
-        if path.extension().is_some_and(|ending| ending == "svg") {
-            pictures.write_also(&path, &file.text).await?;
-        }
-    }
-    Ok(())
 }

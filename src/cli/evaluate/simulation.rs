@@ -1,22 +1,20 @@
 //! `palpate evaluate simulation`: the fit of a run's twins, once all are made.
 //! Uses: `client`, `studies::simulation`. Never: computed scores (the service reports them).
 
-use std::path::PathBuf;
 use std::time::Duration;
 
 use clap::Args;
 use serde_json::{Value, json};
 
-use super::write_all;
+use crate::cli::At;
 use crate::cli::client::Client;
 use crate::cli::error::{CliError, CliResult};
 use crate::cli::find::find_run;
 use crate::cli::morning::{TrialFacts, all_trials};
 use crate::cli::next::Next;
-use crate::cli::output::{counted, say, say_json};
+use crate::cli::output::counted;
 use crate::cli::picture::Pictures;
 use crate::cli::twins::wait_for_twins;
-use crate::cli::{At, embed};
 use crate::evaluate::frame_pairs::FramePair;
 use crate::evaluate::simulation::SimulationReport;
 use crate::store::{RunRow, TrialRow};
@@ -31,53 +29,45 @@ pub struct SimulationArgs {
     /// Run: number, start of the id, or `last` [default: the run of the newest trial].
     #[arg(long, value_name = "RUN")]
     run: Option<String>,
-    /// Folder for numbers, tables and figures.
-    #[arg(long, value_name = "DIR")]
-    out: Option<PathBuf>,
     #[command(flatten)]
     pictures: Pictures,
     #[command(flatten)]
-    at: At,
+    pub at: At,
 }
 
 /// Runs `palpate evaluate simulation`.
 ///
 /// # Errors
 /// `CliError` if there are no trials, twins are missing, or a file cannot be written.
-pub async fn simulation(args: SimulationArgs) -> CliResult<()> {
-    embed::with_server(&args.at, async |client| report(client, &args).await).await
-}
-
-async fn report(client: &Client, args: &SimulationArgs) -> CliResult<()> {
+pub async fn simulation(client: &Client, args: &SimulationArgs) -> CliResult<()> {
     let run = find_run(client, &run_of(client, args.run.clone()).await?).await?;
     let count = wait_for_twins(client, run.uid, STALLED).await?;
     let path = format!("/api/v1/runs/{}/evaluation/simulation", run.uid);
     let report: SimulationReport = client.showing("scoring the twins").get(&path).await?;
-    if let Some(folder) = &args.out {
+    if let Some(folder) = &args.pictures.out {
         let pairs = pairs(client, &run, report.trials).await?;
-        write_all(folder, &files(&run, &report, &pairs)?, &args.pictures).await?;
+        args.pictures.write_all(folder, &files(&run, &report, &pairs)?).await?;
     }
-    if args.at.json {
-        say_json(&json!({ "run": run.uid, "label": run.label, "twins": count, "report": report }));
-    } else {
-        say(text(&run, &report));
-        if let Some(folder) = &args.out {
-            say(format_args!("numbers, tables and figures in {}", folder.display()));
+    let (mut words, mut next) = (text(&run, &report), Next::of(&args.at));
+    let number = run.scan_id;
+    match &args.pictures.out {
+        Some(folder) => {
+            words += &format!("\nnumbers, tables and figures in {}", folder.display());
         }
-        let number = run.scan_id;
-        let mut next = Next::of(&args.at);
-        if args.out.is_none() {
+        None => {
             next = next.suggest(
                 format_args!("palpate evaluate simulation --run {number} --out fit"),
                 "writes numbers, tables and figures",
             );
         }
-        next.suggest(
-            format_args!("palpate calibrate skin --run {number} --out skin.toml"),
-            "fits the model to this skin",
-        )
-        .say();
     }
+    let numbers = json!({ "run": run.uid, "label": run.label, "twins": count, "report": report });
+    args.at.output().say(&numbers, words);
+    next.suggest(
+        format_args!("palpate calibrate skin --run {number} --out skin.toml"),
+        "fits the model to this skin",
+    )
+    .say();
     Ok(())
 }
 

@@ -15,7 +15,7 @@ use serde::Deserialize;
 use serde_json::{Value, json};
 
 use super::At;
-use super::download::download;
+use super::download::{download, finish};
 use super::error::{CliError, CliResult};
 use super::next::{Next, word};
 use super::output::{counted, grouped, say, say_json};
@@ -232,11 +232,9 @@ async fn fetch(rig: &Rig, name: &str, stated: Stated, folder: &Path) -> CliResul
     let found = file.sha256();
     if found != fetched.sha256 {
         let advice = "the file that the service sends is not the one that it states";
-        return Err(CliError::Problems(vec![fetched.mismatch(&found, advice)]));
+        return Err(fetched.mismatch(&found, advice).into());
     }
-    let file_name = out.file_name().unwrap_or_default().to_string_lossy();
-    let failed = |source| CliError::File { path: out.clone(), source };
-    file.finish(&file_name).map_err(failed)?;
+    finish(file, &out)?;
     fetched.keep(folder).map_err(of_files)?;
     Ok(fetched)
 }

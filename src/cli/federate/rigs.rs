@@ -55,8 +55,7 @@ pub fn rigs(urls: &[String], file: Option<&Path>) -> CliResult<Vec<Rig>> {
     }
     if let Some(path) = file {
         let shown = path.display().to_string();
-        let entries: BTreeMap<String, Entry> =
-            parse_toml(&shown, &read_input(path)?).map_err(CliError::Problems)?;
+        let entries: BTreeMap<String, Entry> = parse_toml(&shown, &read_input(path)?)?;
         let next_to = |file: &PathBuf| path.parent().unwrap_or(Path::new("")).join(file);
         for (name, entry) in entries {
             check(&shown, &format!("{name}."), &name, &entry.url)?;
@@ -73,7 +72,7 @@ pub fn rigs(urls: &[String], file: Option<&Path>) -> CliResult<Vec<Rig>> {
 
 fn twice(file: &str, name: &str) -> CliError {
     let limit = "must be the name of one rig: RIG=URL names a rig";
-    CliError::Problems(vec![Problem::new(file, "rig", name, limit)])
+    Problem::new(file, "rig", name, limit).into()
 }
 
 /// Name and address of an argument. Without a name it is the host, with its port if one is stated.
@@ -98,9 +97,8 @@ fn is_of_name(c: char) -> bool {
 
 /// Checks name and address of a rig. `table`: prefix of a key in problems.
 fn check(file: &str, table: &str, name: &str, url: &str) -> CliResult<()> {
-    let refused = |key: &str, value: &str, limit: String| {
-        CliError::Problems(vec![Problem::new(file, key, value, limit)])
-    };
+    let refused =
+        |key: &str, value: &str, limit: String| Problem::new(file, key, value, limit).into();
     let url_key = format!("{table}url");
     if let Some(limit) = url_limit(url) {
         return Err(refused(&url_key, url, limit));

@@ -188,19 +188,14 @@ impl Follower {
                     self.screen.note(&words);
                 }
                 if event.kind == "trip" {
-                    self.screen.note(&self.way_on());
+                    let at = format!("--url {}", self.client.url());
+                    self.screen.note(&format!(
+                        "  if it does not resume automatically: palpate rig reset {at}; palpate rig home {at}; \
+                         palpate resume {at}; or Ctrl-C to end"
+                    ));
                 }
             }
         }
-    }
-
-    /// Commands for a person after a trip.
-    fn way_on(&self) -> String {
-        let at = format!("--url {}", self.client.url());
-        format!(
-            "  if it does not resume automatically: palpate rig reset {at}; palpate rig home {at}; \
-             palpate resume {at}; or Ctrl-C to end"
-        )
     }
 
     /// Aborts a run that has waited too long for a person.

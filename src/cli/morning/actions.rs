@@ -7,7 +7,6 @@ use serde_json::json;
 
 use super::ActionsArgs;
 use crate::cli::client::Client;
-use crate::cli::embed;
 use crate::cli::error::CliResult;
 use crate::cli::find::find_run;
 use crate::cli::output::{say, say_json};
@@ -18,12 +17,8 @@ use crate::store::{ActionRow, RunRow};
 /// Runs `palpate actions`.
 ///
 /// # Errors
-/// `CliError` if the service cannot be reached or started, or has no such run.
-pub async fn actions(args: ActionsArgs) -> CliResult<()> {
-    embed::reading(&args.at, async |client| list(client, &args).await).await
-}
-
-async fn list(client: &Client, args: &ActionsArgs) -> CliResult<()> {
+/// As [`find_run`].
+pub async fn actions(client: &Client, args: &ActionsArgs) -> CliResult<()> {
     let of_run = match &args.run {
         Some(run) => format!("run={}", find_run(client, run).await?.uid),
         None => String::new(),

@@ -4,13 +4,14 @@
 use jiff::{SignedDuration, Timestamp};
 use serde::{Deserialize, Serialize};
 
+use crate::api::Summary;
 use crate::cli::client::Client;
 use crate::cli::error::{CliError, CliResult};
-use crate::cli::output::{duration, grouped};
+use crate::cli::output::{counted, duration, grouped};
 use crate::cli::progress::Counted;
 use crate::evaluate::simulation::SimulationReport;
 use crate::ids::RunUid;
-use crate::state::StoredState;
+use crate::state::{PausedWhy, StoredState};
 use crate::store::{MAX_PAGE, RunRow, TwinCount};
 
 /// Columns of a trial that these commands read.
@@ -60,15 +61,6 @@ pub struct TwinsOf {
     pub pending: u64,
 }
 
-/// Returns the number of stored trials of a run.
-///
-/// # Errors
-/// As [`Client::send`].
-pub async fn stored_of(client: &Client, run: RunUid) -> CliResult<u64> {
-    let count: TwinCount = client.get(&format!("/api/v1/runs/{run}/twins")).await?;
-    Ok(count.trials)
-}
-
 /// Returns the numbers of trials and twins of a run, and the fit of the newest twin of each trial.
 ///
 /// # Errors
@@ -114,11 +106,24 @@ pub async fn all_trials(client: &Client, run: RunUid, expected: u64) -> CliResul
 
 /// How a run ended, or its state with the reason of a wait.
 pub fn state_words(run: &RunRow) -> String {
-    match (run.exit_status, run.paused_why) {
-        (Some(status), _) => status.as_str().to_owned(),
-        (None, Some(why)) => format!("{} ({})", run.state, why.as_str().replace('_', " ")),
-        (None, None) => run.state.to_string(),
+    match run.exit_status {
+        Some(status) => status.as_str().to_owned(),
+        None => format!("{}{}", run.state, why_words(run.paused_why)),
     }
+}
+
+/// The reason of a wait, in brackets after the state; empty without one.
+pub fn why_words(why: Option<PausedWhy>) -> String {
+    why.map_or_else(String::new, |why| format!(" ({})", why.as_str().replace('_', " ")))
+}
+
+/// Stored trials by the number of tips; `None` without a setting.
+pub fn settings_words(summary: &Summary) -> Option<String> {
+    let words = summary.settings.iter().map(|of| {
+        format!("{} with {}", grouped(of.stored), counted(of.tips.into(), "tip", "tips"))
+    });
+    let words: Vec<String> = words.collect();
+    (!words.is_empty()).then(|| words.join(", "))
 }
 
 /// Wall time from the first start to the end, or to now while it is open; `None` before the start.

@@ -32,11 +32,11 @@ pub fn width() -> u16 {
 /// # Errors
 /// `CliError::System` if it cannot be drawn.
 pub fn picture(width: u16, height: u16, draw: impl FnOnce(&mut Frame)) -> CliResult<String> {
-    let failed = |source| CliError::System { operation: "drawing a picture", source };
+    let failed = CliError::system("drawing a picture");
     let viewport = Viewport::Fixed(Rect::new(0, 0, width, height));
     let options = TerminalOptions { viewport };
     let mut terminal =
-        Terminal::with_options(CrosstermBackend::new(io::sink()), options).map_err(failed)?;
+        Terminal::with_options(CrosstermBackend::new(io::sink()), options).map_err(&failed)?;
     let drawn = terminal.draw(draw).map_err(failed)?;
     Ok(printed(drawn.buffer))
 }

@@ -14,11 +14,10 @@ use super::compare::{
 };
 use crate::api::{Page, Summary};
 use crate::cli::client::Client;
-use crate::cli::embed;
 use crate::cli::error::CliResult;
 use crate::cli::find::find_run;
 use crate::cli::next::Next;
-use crate::cli::output::{grouped, say, say_json};
+use crate::cli::output::grouped;
 use crate::cli::table::{Table, or_dash};
 use crate::cli::watch::answers::Tour;
 use crate::store::{RunRow, TrialRow};
@@ -96,12 +95,8 @@ struct Frames {
 /// Runs `palpate diff`.
 ///
 /// # Errors
-/// `CliError` if the service cannot be reached or started, or has no such run.
-pub async fn diff(args: DiffArgs) -> CliResult<()> {
-    embed::reading(&args.at, async |client| compare(client, &args).await).await
-}
-
-async fn compare(client: &Client, args: &DiffArgs) -> CliResult<()> {
+/// As [`find_run`].
+pub async fn diff(client: &Client, args: &DiffArgs) -> CliResult<()> {
     let before = Side::read(client, &args.before).await?;
     let after = Side::read(client, &args.after).await?;
     let (a, b) = (before.run(), after.run());
@@ -118,22 +113,20 @@ async fn compare(client: &Client, args: &DiffArgs) -> CliResult<()> {
         _ => Vec::new(),
     };
     let frames = frames(client, &paired).await?;
-    if args.at.json {
-        let facts: Vec<Change> = facts(&before, &after).collect();
-        let files: HashMap<&str, Vec<Change>> = files.into_iter().collect();
-        say_json(&json!({
-            "runs": [a.uid, b.uid], "scan_ids": [a.scan_id, b.scan_id], "files": files, "facts": facts,
-            "forces": { "pairs": paired.len(), "all_n": by_place(&paired), "by_depth": by_depth(&paired) },
-            "frames": frames,
-        }));
-        return Ok(());
-    }
-    say(side_by_side(&before, &after));
+    let mut words = side_by_side(&before, &after).to_string();
     for (name, changes) in &files {
-        say(format_args!("\n{}", file_words(name, changes, a.scan_id, b.scan_id)));
+        words += &format!("\n\n{}", file_words(name, changes, a.scan_id, b.scan_id));
     }
-    say(format_args!("\n{}", forces_words(&before, &after, &paired)));
-    say(frames_words(&frames));
+    let forces = forces_words(&before, &after, &paired);
+    words += &format!("\n\n{forces}\n{}", frames_words(&frames));
+    let facts: Vec<Change> = facts(&before, &after).collect();
+    let files: HashMap<&str, Vec<Change>> = files.into_iter().collect();
+    let answer = json!({
+        "runs": [a.uid, b.uid], "scan_ids": [a.scan_id, b.scan_id], "files": files, "facts": facts,
+        "forces": { "pairs": paired.len(), "all_n": by_place(&paired), "by_depth": by_depth(&paired) },
+        "frames": frames,
+    });
+    args.at.output().say(&answer, words);
     let scan_id = b.scan_id;
     Next::of(&args.at)
         .suggest(format_args!("palpate show {scan_id}"), "draws the second run in the terminal")
@@ -168,8 +161,8 @@ fn file_words(name: &str, changes: &[Change], a: i64, b: i64) -> String {
     }
     let mut table = Table::new(&format!("key | run {a} | run {b}"), "");
     for change in changes {
-        let value = |value: &Option<String>| value.clone().unwrap_or_else(|| "-".into());
-        table.push([change.key.clone(), value(&change.before), value(&change.after)]);
+        let Change { key, before, after } = change;
+        table.push([key.clone(), or_dash(before.as_ref()), or_dash(after.as_ref())]);
     }
     format!("{name} file:\n{table}")
 }

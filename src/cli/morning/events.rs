@@ -39,7 +39,7 @@ pub async fn events(args: EventsArgs) -> CliResult<()> {
         let client = embed::server(&args.at).await?;
         return follow(&client, &args).await;
     }
-    embed::reading(&args.at, async |client| list(client, &args).await).await
+    embed::command(&args.at, embed::Purpose::Reads, &args, list).await
 }
 
 impl EventsArgs {
@@ -104,20 +104,17 @@ async fn list(client: &Client, args: &EventsArgs) -> CliResult<()> {
     let selection = selection(client, args).await?;
     let limit = args.limit.or(args.since.is_none().then_some(EVENTS_SHOWN));
     let kept = newest(client, args, &selection, limit).await?;
-    if args.at.json {
-        say_json(&json!({ "items": kept }));
-        return Ok(());
-    }
     let filtered = !args.kind.is_empty() || args.since.is_some() || args.important;
     let empty = if filtered { "no event fits" } else { "there are no events" };
     let mut table = Table::new("time | kind | event", empty);
     for event in &kept {
         table.push([time(event), event.kind.clone(), event.sentence()]);
     }
-    say(&table);
+    let mut words = table.to_string();
     if Some(kept.len()) == limit && args.limit.is_none() {
-        say(format_args!("the newest {}; --limit N or --since 8h shows more", kept.len()));
+        words += &format!("\nthe newest {}; --limit N or --since 8h shows more", kept.len());
     }
+    args.at.output().say(&json!({ "items": kept }), words);
     Ok(())
 }
 

@@ -4,7 +4,7 @@
 use jiff::{SignedDuration, Timestamp};
 use serde_json::Value;
 
-use super::answers::duration_words;
+use super::answers::{duration_words, why_words};
 use crate::api::{History, StateSpan};
 use crate::cli::client::Client;
 use crate::cli::error::CliResult;
@@ -73,9 +73,8 @@ fn intervals(history: &History, from: Timestamp, bin_s: f64) -> Table {
 fn states(spans: &[StateSpan]) -> Table {
     let mut table = Table::new("state | from | to", "no change of state is stored");
     for span in spans {
-        let why = span.why.map(|why| format!(" ({})", why.as_str().replace('_', " ")));
         table.push([
-            format!("{}{}", span.state.as_str(), why.unwrap_or_default()),
+            format!("{}{}", span.state.as_str(), why_words(span.why)),
             second(span.from),
             or_dash(span.to.map(second)),
         ]);

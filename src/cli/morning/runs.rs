@@ -6,16 +6,14 @@ use jiff::{SignedDuration, Timestamp};
 use serde_json::{Value, json};
 
 use super::RunsArgs;
-use super::answers::{duration_words, elapsed, state_words, stored_of, stored_words};
+use super::answers::{duration_words, elapsed, state_words, stored_words};
 use super::trials::encoded;
 use crate::api::Page;
 use crate::cli::client::Client;
-use crate::cli::embed;
 use crate::cli::error::CliResult;
-use crate::cli::output::{say, say_json};
 use crate::cli::table::{Table, or_dash};
 use crate::cli::times::local;
-use crate::store::RunRow;
+use crate::store::{RunRow, TwinCount};
 
 /// Number of concurrent requests.
 const REQUESTS: usize = 4;
@@ -29,8 +27,8 @@ struct RunLine {
 
 impl RunLine {
     async fn of(client: &Client, run: RunRow) -> CliResult<Self> {
-        let trials_stored = stored_of(client, run.uid).await?;
-        Ok(Self { took: elapsed(&run, Timestamp::now()), run, trials_stored })
+        let count: TwinCount = client.get(&format!("/api/v1/runs/{}/twins", run.uid)).await?;
+        Ok(Self { took: elapsed(&run, Timestamp::now()), run, trials_stored: count.trials })
     }
 
     fn value(&self) -> Value {
@@ -63,20 +61,11 @@ impl RunLine {
 /// Runs `palpate runs`.
 ///
 /// # Errors
-/// `CliError` if the service cannot be reached or started, or refuses.
-pub async fn runs(args: RunsArgs) -> CliResult<()> {
-    embed::reading(&args.at, async |client| list(client, &args).await).await
-}
-
-async fn list(client: &Client, args: &RunsArgs) -> CliResult<()> {
+/// As [`Client::send`].
+pub async fn runs(client: &Client, args: &RunsArgs) -> CliResult<()> {
     let (rows, is_all) = select(client, args).await?;
     let lines = futures::stream::iter(rows.into_iter().map(|run| RunLine::of(client, run)));
     let lines: Vec<RunLine> = lines.buffered(REQUESTS).try_collect().await?;
-    if args.at.json {
-        let items: Vec<Value> = lines.iter().map(RunLine::value).collect();
-        say_json(&json!({ "items": items, "all": is_all }));
-        return Ok(());
-    }
     let filtered =
         !args.conditions.is_empty() || !args.state.is_empty() || args.experiment.is_some();
     let empty = match filtered {
@@ -88,10 +77,12 @@ async fn list(client: &Client, args: &RunsArgs) -> CliResult<()> {
         empty,
     );
     lines.iter().for_each(|line| table.push(line.cells()));
-    say(&table);
+    let mut words = table.to_string();
     if !is_all {
-        say(format_args!("the newest {}; --limit N shows more", lines.len()));
+        words += &format!("\nthe newest {}; --limit N shows more", lines.len());
     }
+    let items: Vec<Value> = lines.iter().map(RunLine::value).collect();
+    args.at.output().say(&json!({ "items": items, "all": is_all }), words);
     Ok(())
 }
 

@@ -6,12 +6,13 @@ use ratatui::layout::Rect;
 use serde::Deserialize;
 use serde_json::json;
 
-use super::answers::{TwinsOf, duration_words, elapsed, fit_of, state_words, stored_words};
+use super::answers::{
+    TwinsOf, duration_words, elapsed, fit_of, settings_words, state_words, stored_words,
+};
 use super::chart::{forces, picture, width};
 use super::{ShowArgs, history, raw, show_trial};
 use crate::api::{ForcesAtDepth, RunProgress, SensorOut, Summary};
 use crate::cli::client::Client;
-use crate::cli::embed;
 use crate::cli::error::CliResult;
 use crate::cli::find::find_run;
 use crate::cli::next::Next;
@@ -37,30 +38,16 @@ const BAR: usize = 30;
 /// Runs `palpate show`.
 ///
 /// # Errors
-/// `CliError` if the service cannot be reached or started, or has no such run or trial.
-pub async fn show(args: ShowArgs) -> CliResult<()> {
-    embed::reading(&args.at, async |client| {
-        if let Some(part) = args.raw {
-            return raw::show(client, &args.what, part).await;
-        }
-        match show_trial::named(&args.what) {
-            _ if args.history => history::show(client, &args.what, args.at.output()).await,
-            Some(trial) => show_trial::show(client, &trial, args.at.output()).await,
-            None => run(client, &args).await,
-        }
-    })
-    .await
-}
-
-/// What is drawn of a run.
-struct Drawn {
-    summary: Summary,
-    twins: TwinsOf,
-    median_fvu: Option<f64>,
-    /// Largest forces of all trials over depth.
-    curve: Vec<ForcesAtDepth>,
-    worst: Option<WorstFit>,
-    night: Night,
+/// `CliError::Problems` if there is no such run or trial; others as [`Client::send`].
+pub async fn show(client: &Client, args: &ShowArgs) -> CliResult<()> {
+    if let Some(part) = args.raw {
+        return raw::show(client, &args.what, part).await;
+    }
+    match show_trial::named(&args.what) {
+        _ if args.history => history::show(client, &args.what, args.at.output()).await,
+        Some(trial) => show_trial::show(client, &trial, args.at.output()).await,
+        None => run(client, args).await,
+    }
 }
 
 /// The trial with contacts whose twin fits worst.
@@ -87,49 +74,36 @@ async fn run(client: &Client, args: &ShowArgs) -> CliResult<()> {
         Some(_) => client.if_there(&format!("{path}/progress")).await?,
         None => None,
     };
-    let forces: Vec<ForcesAtDepth> = client.all(&format!("{path}/forces?")).await?;
-    let curve = forces.into_iter().filter(|at| at.tips.is_none()).collect();
+    // The largest forces of all trials over depth.
+    let mut curve: Vec<ForcesAtDepth> = client.all(&format!("{path}/forces?")).await?;
+    curve.retain(|at| at.tips.is_none());
     let worst_first = format!("{path}/trials?contact_count__gt=0&fvu__gte=0&sort=-fvu");
-    let (worst, _) = client.first(&worst_first, 1).await?;
-    let worst = worst.into_iter().next();
+    let (worst, _) = client.first::<WorstFit>(&worst_first, 1).await?;
     let night = Night { run: Some(found.uid), skin, tour, progress, ..Night::new(client.url()) };
-    let drawn = Drawn { summary, twins, median_fvu, curve, worst, night };
-    draw(&drawn)?;
-    with_commands(&drawn, Next::of(&args.at)).say();
-    Ok(())
-}
-
-fn draw(drawn: &Drawn) -> CliResult<()> {
-    say(facts(drawn));
-    let contacts = counts(&drawn.summary.contact_counts);
-    if let Some(contacts) = contacts {
+    say(facts(&summary, twins, median_fvu, &night));
+    if let Some(contacts) = counts(&summary.contact_counts) {
         say(format_args!("\n{contacts}"));
     }
-    let picture = pictures(&drawn.night, &drawn.curve)?;
+    let picture = pictures(&night, &curve)?;
     if !picture.is_empty() {
         say("");
         say_drawn(&picture);
     }
+    let run = found.scan_id;
+    let mut next = Next::of(&args.at)
+        .suggest(format_args!("palpate report {run}"), "all of it as HTML and PDF")
+        .suggest(format_args!("palpate trials {run}"), "its trials");
+    for WorstFit { trial_id, fvu } in worst {
+        next = next.suggest(
+            format_args!("palpate show t{trial_id}"),
+            format_args!("the trial with the largest FVU, {fvu:.2}"),
+        );
+    }
+    next.say();
     Ok(())
 }
 
-/// Adds the commands for this run, and for its trial with the worst fit.
-fn with_commands(drawn: &Drawn, next: Next) -> Next {
-    let run = drawn.summary.run.scan_id;
-    let next = next
-        .suggest(format_args!("palpate report {run}"), "all of it as HTML and PDF")
-        .suggest(format_args!("palpate trials {run}"), "its trials");
-    match &drawn.worst {
-        None => next,
-        Some(WorstFit { trial_id, fvu }) => next.suggest(
-            format_args!("palpate show t{trial_id}"),
-            format_args!("the trial with the largest FVU, {fvu:.2}"),
-        ),
-    }
-}
-
-fn facts(drawn: &Drawn) -> String {
-    let Drawn { summary, twins, median_fvu, night, .. } = drawn;
+fn facts(summary: &Summary, twins: TwinsOf, median_fvu: Option<f64>, night: &Night) -> String {
     let run = &summary.run;
     let mut lines = vec![format!(
         "run {}, {} ({}, {}): {}",
@@ -161,12 +135,8 @@ fn facts(drawn: &Drawn) -> String {
             counted(summary.retries, "retry", "retries"),
         ),
     );
-    let settings = summary.settings.iter();
-    let settings: Vec<String> = settings
-        .map(|of| format!("{} with {}", grouped(of.stored), counted(of.tips.into(), "tip", "tips")))
-        .collect();
-    if !settings.is_empty() {
-        line("settings", settings.join(", "));
+    if let Some(settings) = settings_words(summary) {
+        line("settings", settings);
     }
     for of in night.progress.iter().flat_map(|progress| &progress.forces_by_tips) {
         let tips = counted(of.tips.into(), "tip", "tips");

@@ -10,6 +10,7 @@ use crate::cli::client::Client;
 use crate::cli::error::{CliError, CliResult};
 use crate::cli::find::find_run;
 use crate::cli::output::{Output, filled, is_coloured, say, say_drawn, say_json};
+use crate::cli::table::or_dash;
 use crate::cli::times::second;
 use crate::store::TrialRow;
 
@@ -56,10 +57,10 @@ pub async fn show(client: &Client, name: &TrialName, output: Output) -> CliResul
     say(words(&trial));
     if let Some(measured) = trial.voltages_v.clone() {
         let pictures = pictures(measured, trial.sim_voltages_v.clone());
-        let ink = match is_coloured() {
-            false => Ink::Shades,
-            true if is_true_colour() => Ink::Colours,
-            true => Ink::Palette,
+        let ink = match std::env::var("COLORTERM").as_deref() {
+            _ if !is_coloured() => Ink::Shades,
+            Ok("truecolor" | "24bit") => Ink::Colours,
+            _ => Ink::Palette,
         };
         say("\nframe: a row per injection, a column per reading; the end of each scale holds 98 %");
         say_drawn(&printed(&draw(&pictures, ink, width())));
@@ -103,10 +104,6 @@ pub async fn stored(client: &Client, name: &TrialName, frames: Frames) -> CliRes
     })
 }
 
-fn is_true_colour() -> bool {
-    std::env::var("COLORTERM").is_ok_and(|value| value == "truecolor" || value == "24bit")
-}
-
 /// The measured frame, its twin on the same scale, and their difference.
 fn pictures(measured_v: Vec<f32>, simulated_v: Option<Vec<f32>>) -> Vec<Picture> {
     let measured = Picture::new("measured", measured_v);
@@ -120,7 +117,7 @@ fn pictures(measured_v: Vec<f32>, simulated_v: Option<Vec<f32>>) -> Vec<Picture>
 
 fn words(trial: &TrialRow) -> String {
     let number = |value: Option<f64>, digits: usize, unit: &str| {
-        value.map_or_else(|| "-".into(), |value| format!("{value:.digits$} {unit}"))
+        or_dash(value.map(|value| format!("{value:.digits$} {unit}")))
     };
     let mut text = format!(
         "trial t{} ({}): run {}, {}; configuration {}, depth {}, attempt {}",
@@ -185,8 +182,7 @@ fn forces(trial: &TrialRow) -> String {
     }
     if trial.arms.is_empty() {
         for contact in &trial.contacts {
-            let shown =
-                |value: Option<f64>| value.map_or("-".into(), |value| format!("{value:.2}"));
+            let shown = |value: Option<f64>| or_dash(value.map(|value| format!("{value:.2}")));
             let [x, y, n] = [contact.x_mm, contact.y_mm, contact.force_n].map(shown);
             let _ = write!(text, "\n  contact  {n} N  x {x}  y {y} mm");
         }

@@ -6,10 +6,10 @@ use serde_json::json;
 
 use super::TrialsArgs;
 use crate::cli::client::Client;
-use crate::cli::embed;
+use crate::cli::embed::{self, Purpose::Reads};
 use crate::cli::error::{CliError, CliResult};
 use crate::cli::find::find_run;
-use crate::cli::output::{grouped, say, say_json};
+use crate::cli::output::grouped;
 use crate::cli::table::{Table, or_dash};
 use crate::store::TrialRow;
 
@@ -26,7 +26,7 @@ struct Asked {
 /// `CliError` if the service cannot be reached or started, or refuses a condition.
 pub async fn trials(args: TrialsArgs) -> CliResult<()> {
     let asked = asked(&args.what)?;
-    embed::reading(&args.at, async |client| list(client, &args, asked).await).await
+    embed::with_purpose(&args.at, Reads, async |client| list(client, &args, asked).await).await
 }
 
 /// Separates the run from the conditions.
@@ -47,10 +47,7 @@ fn asked(what: &[String]) -> CliResult<Asked> {
 
 /// A query string of pairs, encoded.
 pub fn encoded(pairs: &[(String, String)]) -> String {
-    let mut url = Url::parse("http://palpate/").ok();
-    if let Some(url) = &mut url {
-        url.query_pairs_mut().extend_pairs(pairs);
-    }
+    let url = Url::parse_with_params("http://palpate/", pairs).ok();
     url.and_then(|url| url.query().map(str::to_owned)).unwrap_or_default()
 }
 
@@ -67,29 +64,26 @@ async fn list(client: &Client, args: &TrialsArgs, asked: Asked) -> CliResult<()>
     pairs.push(("sort".into(), sort.into()));
     let path = format!("{list}?{}", encoded(&pairs));
     let (found, is_all) = client.first::<TrialRow>(&path, args.limit).await?;
-    if args.at.json {
-        say_json(&json!({ "items": found, "all": is_all }));
-        return Ok(());
-    }
     let is_everything = run.is_none() && pairs.len() == 1;
-    if found.is_empty() && is_everything {
-        say("there are no trials: palpate run quickstart measures some on the virtual rig");
-        return Ok(());
-    }
-    say(table(&found, run.is_none()));
-    let dataset = run.map_or("run-N".into(), |run| format!("run-{}", run.scan_id));
-    if !found.is_empty() {
+    let mut words = table(&found, run.is_none()).to_string();
+    if let Some(first) = found.first() {
         let which = if args.oldest { "oldest" } else { "newest" };
+        let count = grouped(found.len() as u64);
         let shown = match is_all {
-            true => format!("all {}", grouped(found.len() as u64)),
-            false => format!("the {which} {}; --limit N shows more", grouped(found.len() as u64)),
+            true => format!("all {count}"),
+            false => format!("the {which} {count}; --limit N shows more"),
         };
-        say(format_args!(
-            "{shown}. One trial, drawn: palpate show t{}. As a file, with frames: palpate dataset \
+        let dataset = run.map_or("run-N".into(), |run| format!("run-{}", run.scan_id));
+        words += &format!(
+            "\n{shown}. One trial, drawn: palpate show t{}. As a file, with frames: palpate dataset \
              export {dataset} --format parquet (or csv, npz, ..)",
-            found[0].trial_id.0
-        ));
+            first.trial_id.0
+        );
+    } else if is_everything {
+        words =
+            "there are no trials: palpate run quickstart measures some on the virtual rig".into();
     }
+    args.at.output().say(&json!({ "items": found, "all": is_all }), words);
     Ok(())
 }
 

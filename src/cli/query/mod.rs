@@ -13,13 +13,13 @@ use reqwest::Method;
 use serde::Deserialize;
 use serde_json::{Map, Value, json};
 
+use super::At;
 use super::client::Client;
 use super::download::keep;
 use super::error::{CliError, CliResult};
-use super::output::{bytes, counted, grouped, note, say, say_json};
+use super::output::{Output, bytes, counted, grouped, note, say, say_json};
 use super::progress::Working;
 use super::table::{Align, Table};
-use super::{At, embed};
 use crate::dataset::format::Format;
 use crate::query::TIME_MAX;
 
@@ -85,15 +85,10 @@ pub struct Answer {
 /// Runs `palpate query`.
 ///
 /// # Errors
-/// `CliError` if the service cannot be reached or started or refuses the statement, or if the file cannot
-/// be written.
-pub async fn query(args: QueryArgs) -> CliResult<()> {
-    embed::reading(&args.at, async |client| run(client, &args).await).await
-}
-
-async fn run(client: &Client, args: &QueryArgs) -> CliResult<()> {
+/// As [`ask`]; `CliError::Problems` if the format does not fit, `File` if the file cannot be written.
+pub async fn query(client: &Client, args: &QueryArgs) -> CliResult<()> {
     let Some(sql) = args.sql.as_deref().map(statement).transpose()? else {
-        return tables(client, args.at.json).await;
+        return tables(client, args.at.output()).await;
     };
     match (args.format.or(args.out.as_deref().and_then(by_ending)), &args.out) {
         (Some(format), out) => write(client, &sql, format, out.clone()).await,
@@ -125,12 +120,8 @@ fn statement(text: &str) -> CliResult<String> {
     std::io::read_to_string(std::io::stdin()).map_err(failed)
 }
 
-async fn tables(client: &Client, as_json: bool) -> CliResult<()> {
+async fn tables(client: &Client, output: Output) -> CliResult<()> {
     let tables: Vec<Map<String, Value>> = client.get("/api/v1/query/tables").await?;
-    if as_json {
-        say_json(&tables);
-        return Ok(());
-    }
     let text = |table: &Map<String, Value>, key: &str| {
         table.get(key).and_then(Value::as_str).unwrap_or_default().replace('`', "")
     };
@@ -139,10 +130,8 @@ async fn tables(client: &Client, as_json: bool) -> CliResult<()> {
         let about = text(table, "about");
         shown.push([text(table, "name"), about.trim_start_matches("a row: ").to_owned()]);
     }
-    say(shown);
-    say(
-        "Names with a hyphen stand in double quotes: palpate query 'SELECT * FROM \"run-1\" LIMIT 5'",
-    );
+    let advice = "Names with a hyphen stand in double quotes: palpate query 'SELECT * FROM \"run-1\" LIMIT 5'";
+    output.say(&tables, format_args!("{shown}\n{advice}"));
     Ok(())
 }
 

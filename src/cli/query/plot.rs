@@ -9,12 +9,12 @@ use serde_json::{Value, json};
 
 use super::prepared::{NAMES, Question, Trials, number};
 use super::{Answer, ask};
+use crate::cli::At;
 use crate::cli::client::Client;
 use crate::cli::error::{CliError, CliResult};
 use crate::cli::find::find_run;
 use crate::cli::output::note;
 use crate::cli::picture::{self, figure_file};
-use crate::cli::{At, embed};
 use crate::figure::Heading;
 use crate::figure::series::{Chart, Marks, Places, Series};
 use crate::near::did_you_mean;
@@ -59,13 +59,9 @@ fn marks() -> impl TypedValueParser<Value = Marks> {
 /// Runs `palpate plot`.
 ///
 /// # Errors
-/// `CliError` if the service cannot be reached or started or refuses the question, or if the picture
-/// cannot be written.
-pub async fn plot(args: PlotArgs) -> CliResult<()> {
-    embed::reading(&args.at, async |client| draw(client, &args).await).await
-}
-
-async fn draw(client: &Client, args: &PlotArgs) -> CliResult<()> {
+/// As [`ask`] and [`find_run`]; `CliError::Problems` if the question is unknown, others if the picture cannot be
+/// written.
+pub async fn plot(client: &Client, args: &PlotArgs) -> CliResult<()> {
     let trials = trials(client, &args.of).await?;
     let is_statement = args.what.contains(char::is_whitespace);
     let (question, answer, heading) = if is_statement {
@@ -88,10 +84,8 @@ async fn draw(client: &Client, args: &PlotArgs) -> CliResult<()> {
         (question, answer, heading)
     };
     let marks = args.marks.unwrap_or(question.marks);
-    let chart = chart(&question, marks, &answer)
-        .map_err(|limit| CliError::argument("the answer", &args.what, limit))?;
-    let svg = chart
-        .draw(&heading)
+    let svg = chart(&question, marks, &answer)
+        .and_then(|chart| chart.draw(&heading))
         .map_err(|limit| CliError::argument("the answer", &args.what, limit))?;
     picture::write(&args.out, &svg).await?;
     let drawn = json!({ "sql": question.sql, "rows": answer.count, "file": args.out });
@@ -124,14 +118,12 @@ async fn question(client: &Client, trials: &Trials, name: &str) -> CliResult<Que
         return Ok(question);
     }
     let Some(column) = number(name) else {
-        let known = NAMES.iter().map(|(name, _)| *name);
         let columns = crate::store::table::TABLE.iter().map(|column| column.name);
-        let meant = did_you_mean(name, known.clone().chain(columns));
-        let limit = format!(
-            "must be {}, a column of numbers, or a SELECT statement{meant}",
-            known.collect::<Vec<_>>().join(", ")
-        );
-        return Err(refused(limit));
+        let meant = did_you_mean(name, NAMES.into_iter().chain(columns));
+        let known = NAMES.join(", ");
+        return Err(refused(format!(
+            "must be {known}, a column of numbers, or a SELECT statement{meant}"
+        )));
     };
     let ends: Answer = ask(client, &trials.ends(column)).await?;
     let end = |key: &str| ends.rows.first().and_then(|row| row.get(key)).and_then(Value::as_f64);

@@ -60,7 +60,7 @@ pub fn solving() -> Working {
 /// `CliError` if an input is invalid, or a file cannot be written.
 pub async fn simulate(args: SimulateArgs) -> CliResult<ExitCode> {
     match args.command {
-        None => trials::trials(&args.trials).await,
+        None => trials::trials(&args.trials).await.map(|()| ExitCode::SUCCESS),
         Some(SimulateCommand::Random(args)) => random::random(args).await,
     }
 }

@@ -49,11 +49,10 @@ pub struct RandomArgs {
 pub async fn random(args: RandomArgs) -> CliResult<ExitCode> {
     let mut signals = Signals::catch()?;
     let stop = Arc::new(AtomicBool::new(false));
-    let work = tokio::task::spawn_blocking({
+    let mut work = tokio::task::spawn_blocking({
         let stop = stop.clone();
         move || make(&args, &stop)
     });
-    tokio::pin!(work);
     loop {
         tokio::select! {
             made = &mut work => {
@@ -136,7 +135,11 @@ impl Screen {
             Progress::Made(trials) => {
                 self.made += trials;
                 self.bar.inc(trials);
-                self.tell_a_log();
+                let (done, trials, rate) = (self.found + self.made, self.trials, self.rate());
+                self.lines.say(|| {
+                    let left = duration((trials - done) as f64 / rate);
+                    format!("{done}/{trials} {rate:.0} trials/s | done in {left}")
+                });
             }
             Progress::Shard(row) => {
                 self.stored += row.trials;
@@ -147,15 +150,6 @@ impl Screen {
                 }
             }
         }
-    }
-
-    /// Prints a progress line at intervals without a terminal.
-    fn tell_a_log(&mut self) {
-        let (done, trials, rate) = (self.found + self.made, self.trials, self.rate());
-        self.lines.say(|| {
-            let left = duration((trials - done) as f64 / rate);
-            format!("{done}/{trials} {rate:.0} trials/s | done in {left}")
-        });
     }
 
     /// Trials per second in this process.

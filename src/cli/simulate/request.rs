@@ -89,8 +89,7 @@ impl RandomRequest {
             ));
         };
         let draws = Draws { seed: self.seed, contacts: self.contacts, force_n: [least, largest] };
-        let order = Order::new(draws, self.trials, self.shard_trials, sensor.points().len())
-            .map_err(CliError::Problems)?;
+        let order = Order::new(draws, self.trials, self.shard_trials, sensor.points().len())?;
         let model = solved(&sensor, &data_or_default(self.data.clone()).join("cache"))?;
         let kernel = self.kernel.unwrap_or_else(Kernel::detect);
         let definition = Definition::new(order, &model, kernel);

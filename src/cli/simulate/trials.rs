@@ -5,7 +5,6 @@
 use std::fs::File;
 use std::io::{self, BufRead, BufReader, Write};
 use std::path::{Path, PathBuf};
-use std::process::ExitCode;
 
 use clap::Args;
 use serde::Serialize;
@@ -72,7 +71,7 @@ struct Answer<'a> {
 /// # Errors
 /// `CliError::Problems` if an option or a line is invalid; other variants if a file cannot be
 /// written.
-pub async fn trials(args: &TrialArgs) -> CliResult<ExitCode> {
+pub async fn trials(args: &TrialArgs) -> CliResult<()> {
     let mut sensor = CalibratedSensor::from(read_sensor(args.sensor.as_deref())?);
     if let Some(path) = &args.calibration {
         sensor = read_calibration(path, &sensor)?.apply(&sensor)?;
@@ -84,11 +83,11 @@ pub async fn trials(args: &TrialArgs) -> CliResult<ExitCode> {
     let (input, name) = open(&args.contacts)?;
     let mut lines = ContactLines::new(input, &name, Limits::of(&sensor, args.max_contacts));
     // The first line is read before the model is built: an input error is reported at once.
-    let mut next = lines.next_trial().map_err(problem)?;
+    let mut next = lines.next_trial()?;
     if args.exports() {
         let only = "must hold one line for --spice, --calculix and --picture";
-        if next.is_none() || lines.next_trial().map_err(problem)?.is_some() {
-            return Err(problem(Problem::whole(&name, only)));
+        if next.is_none() || lines.next_trial()?.is_some() {
+            return Err(Problem::whole(&name, only).into());
         }
     }
     let model = solved(&sensor, &data_or_default(args.data.clone()).join("cache"))?;
@@ -100,9 +99,9 @@ pub async fn trials(args: &TrialArgs) -> CliResult<ExitCode> {
         if !answer(voltages_v)? {
             break;
         }
-        next = lines.next_trial().map_err(problem)?;
+        next = lines.next_trial()?;
     }
-    Ok(ExitCode::SUCCESS)
+    Ok(())
 }
 
 impl TrialArgs {
@@ -156,10 +155,6 @@ fn answer(voltages_v: &[f64]) -> CliResult<bool> {
     }
 }
 
-fn problem(problem: Problem) -> CliError {
-    CliError::Problems(vec![problem])
-}
-
 fn refused(file: &str, error: &dyn std::error::Error) -> CliError {
-    problem(Problem::whole(file, error.to_string()))
+    Problem::whole(file, error.to_string()).into()
 }

@@ -62,9 +62,6 @@ pub struct Rolling {
 pub struct RunTwins {
     /// Uid of the run.
     pub run: RunUid,
-    /// Number of stored trials.
-    #[serde(default)]
-    pub trials: u64,
     /// Number of trials without twin.
     #[serde(default)]
     pub pending: u64,

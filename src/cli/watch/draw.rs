@@ -8,11 +8,12 @@ use ratatui::text::{Line, Span};
 use ratatui::widgets::{Block, Borders, Gauge, Paragraph, Wrap};
 
 use super::facts::{self, Now};
-use super::night::{Level, Night};
+use super::night::Night;
 use super::skin;
 use super::theme::Theme;
 use crate::cli::output::filled;
 use crate::cli::view::RigView;
+use crate::event::Importance::{Act, Look, Notable, Routine};
 use crate::record::ARMS;
 
 /// Keys, for the last line.
@@ -57,7 +58,7 @@ pub fn draw(frame: &mut Frame, night: &Night, now: &Now, theme: Theme) {
     }
     if let Some(words) = facts::lost(night, now) {
         frame.buffer_mut().set_style(area, theme.old());
-        let words = Span::styled(words, theme.level(Level::Act));
+        let words = Span::styled(words, theme.level(Act));
         frame.render_widget(ratatui::widgets::Clear, head);
         frame.render_widget(Line::from(words), head);
     }
@@ -102,9 +103,9 @@ fn draw_progress(frame: &mut Frame, area: Rect, night: &Night, now: &Now, theme:
 fn draw_first(frame: &mut Frame, area: Rect, night: &Night, theme: Theme) {
     let (level, words) = night.first();
     let name = match level {
-        Level::Fine => Span::styled(" needs you:  ", theme.aside()),
-        Level::Look => Span::styled(" look:  ", theme.level(level)),
-        Level::Act => Span::styled(" FIRST:  ", theme.level(level)),
+        Routine | Notable => Span::styled(" needs you:  ", theme.aside()),
+        Look => Span::styled(" look:  ", theme.level(level)),
+        Act => Span::styled(" FIRST:  ", theme.level(level)),
     };
     let line = Line::from(vec![name, Span::styled(words, theme.level(level))]);
     frame.render_widget(Paragraph::new(line).wrap(Wrap { trim: false }), area);
@@ -126,11 +127,11 @@ fn draw_forces(frame: &mut Frame, area: Rect, rig: &RigView, theme: Theme) {
         let share = force_n.zip(limit_n).map_or(0.0, |(force_n, limit_n)| force_n / limit_n);
         let tip = rig.tips.is_some_and(|tips| arm < usize::from(tips));
         let style =
-            if tip { theme.level(Level::Fine).add_modifier(Modifier::BOLD) } else { theme.aside() };
+            if tip { theme.level(Routine).add_modifier(Modifier::BOLD) } else { theme.aside() };
         frame.render_widget(Line::styled((arm + 1).to_string(), style), name);
         frame.render_widget(Line::styled(filled(share, bar.width.into()), theme.force(share)), bar);
         let words = force_n.map_or("-".into(), |force_n| format!("{force_n:.1} N"));
-        let style = if share >= 1.0 { theme.level(Level::Act) } else { theme.level(Level::Fine) };
+        let style = if share >= 1.0 { theme.level(Act) } else { theme.level(Routine) };
         frame.render_widget(Line::styled(words, style).right_aligned(), number);
     }
 }
@@ -147,7 +148,7 @@ fn draw_events(frame: &mut Frame, area: Rect, night: &Night, now: &Now, theme: T
 /// The keys, or the outcome of the last one.
 fn draw_foot(frame: &mut Frame, area: Rect, night: &Night, theme: Theme) {
     let line = match &night.outcome {
-        Some(words) => Line::styled(format!(" {words}"), theme.level(Level::Look)),
+        Some(words) => Line::styled(format!(" {words}"), theme.level(Look)),
         None => Line::styled(KEYS_HELP, theme.aside()),
     };
     frame.render_widget(line, area);

@@ -7,13 +7,14 @@ use ratatui::style::Modifier;
 use ratatui::text::{Line, Span};
 
 use super::answers::per_hour;
-use super::night::{Level, Night, Told, one_line};
+use super::night::{Night, Told, one_line};
 use super::theme::Theme;
 use crate::api::{Rating, RigRates, Suspender};
 use crate::campaign::shown::status::Eta;
 use crate::cli::output::{bytes, counted, duration, grouped};
 use crate::cli::rig_facts::broken_channels;
 use crate::cli::view::{RunView, StatusView};
+use crate::event::Importance::{self, Act, Look, Routine};
 use crate::record::Label;
 use crate::state::StoredState;
 
@@ -55,12 +56,12 @@ pub fn header(night: &Night, theme: Theme) -> Line<'static> {
         let state = run.state.as_str().to_uppercase();
         let style = match run.state {
             StoredState::Running => theme.life(),
-            StoredState::Panicked => theme.level(Level::Act),
-            _ => theme.level(Level::Look),
+            StoredState::Panicked => theme.level(Act),
+            _ => theme.level(Look),
         };
         spans.push(Span::styled(state, style.add_modifier(Modifier::BOLD)));
         if let Some(requested) = run.requested_state {
-            spans.push(Span::styled(format!(" → {requested}"), theme.level(Level::Look)));
+            spans.push(Span::styled(format!(" → {requested}"), theme.level(Look)));
         }
         spans.push(Span::raw(format!("  run {}, {}", run.scan_id, one_line(&run.experiment))));
     } else {
@@ -106,69 +107,69 @@ fn eta_words(eta: &Eta, heard_at: Timestamp, now: &Now) -> String {
 /// All other facts, the most important first.
 pub fn facts(night: &Night, status: &StatusView, now: &Now, theme: Theme) -> Vec<Line<'static>> {
     let mut lines = Vec::new();
-    let mut fact = |name: &str, words: String, level: Level| {
+    let mut fact = |name: &str, words: String, level: Importance| {
         let name = Span::styled(format!("{name:<NAME_COLUMNS$}"), theme.aside());
         lines.push(Line::from(vec![name, Span::styled(words, theme.level(level))]));
     };
     for glance in &status.glance {
         let level = match glance.rating() {
             Some(Rating::Unknown | Rating::Good) => continue,
-            Some(Rating::Warn) | None => Level::Look,
-            Some(Rating::Bad) => Level::Act,
+            Some(Rating::Warn) | None => Look,
+            Some(Rating::Bad) => Act,
         };
         fact(&one_line(&glance.title()), one_line(&glance.words), level);
     }
     if let Some(run) = &status.run {
-        fact("now", phase(run), Level::Fine);
+        fact("now", phase(run), Routine);
         if let Some(at) = status.care.last_trial_at {
-            fact("last trial", format!("{} ago", now.age(at)), Level::Fine);
+            fact("last trial", format!("{} ago", now.age(at)), Routine);
         }
     }
     if let Some(disk) = status.care.disk {
         let (free, needed) = (bytes(disk.free_bytes as f64), bytes(disk.needed_bytes as f64));
-        let level = if disk.free_bytes < disk.needed_bytes { Level::Act } else { Level::Fine };
+        let level = if disk.free_bytes < disk.needed_bytes { Act } else { Routine };
         fact("disk", format!("{free} free, {needed} needed"), level);
     }
     let rates = night.rates.as_ref();
     if let Some(words) = rates.and_then(|rates| broken_channels(&rates.stream)) {
-        fact("channels", words, Level::Look);
+        fact("channels", words, Look);
     }
     if let Some((words, level)) = twins(night) {
         fact("twins", words, level);
     }
     if let Some(lock) = &status.lock {
         let (holder, note) = (one_line(&lock.holder), one_line(&lock.note));
-        fact("lock", format!("{holder}: {note} ({})", now.clock(lock.since, "%H:%M")), Level::Look);
+        fact("lock", format!("{holder}: {note} ({})", now.clock(lock.since, "%H:%M")), Look);
     }
     for suspender in &status.care.suspenders {
         let level = match (suspender.since, suspender.suspends) {
-            (None, _) => Level::Fine,
-            (Some(_), false) => Level::Look,
-            (Some(_), true) => Level::Act,
+            (None, _) => Routine,
+            (Some(_), false) => Look,
+            (Some(_), true) => Act,
         };
         fact(&shortened(&suspender.name), suspender_words(suspender, now), level);
     }
     if let Some(words) = status.run.as_ref().and_then(|_| pace(night)) {
-        fact("pace", words, Level::Fine);
+        fact("pace", words, Routine);
     }
     if let Some(words) = status.run.as_ref().and_then(|run| predicted(night, run, now)) {
-        fact("predicted", words, Level::Fine);
+        fact("predicted", words, Routine);
     }
     for (name, words, level) in rates.map_or_else(Vec::new, rate_words) {
         fact(name, words, level);
     }
     if let Some(run) = status.run.as_ref().filter(|run| run.retries > 0) {
-        fact("retries", grouped(run.retries), Level::Fine);
+        fact("retries", grouped(run.retries), Routine);
     }
     let waits = status.waiting_for.as_deref().map(|words| format!("; {}", one_line(words)));
     let queued = counted(status.queue_length as u64, "run", "runs");
-    fact("queue", format!("{queued}{}", waits.unwrap_or_default()), Level::Fine);
+    fact("queue", format!("{queued}{}", waits.unwrap_or_default()), Routine);
     if let Some(p) = status.rig.pose {
         let (x, y, z, r) = (p.x_mm, p.y_mm, p.z_mm, p.radius_mm);
-        fact("pose", format!("x {x:.1} y {y:.1} z {z:.2} r {r:.1} mm"), Level::Fine);
+        fact("pose", format!("x {x:.1} y {y:.1} z {z:.2} r {r:.1} mm"), Routine);
     }
     if let Some(actions) = status.asked_of_run() {
-        fact("may", actions, Level::Fine);
+        fact("may", actions, Routine);
     }
     lines
 }
@@ -207,15 +208,15 @@ fn predicted(night: &Night, run: &RunView, now: &Now) -> Option<String> {
 }
 
 /// What the stream and the wires did in the last minute.
-fn rate_words(rates: &RigRates) -> Vec<(&'static str, String, Level)> {
+fn rate_words(rates: &RigRates) -> Vec<(&'static str, String, Importance)> {
     let stream = &rates.stream;
     let Some(frames_per_s) = stream.frames_per_s else { return Vec::new() };
     let lost = format!("{} missed, {} garbled", stream.missed, stream.garbled);
-    let level = if stream.garbled > 0 { Level::Look } else { Level::Fine };
+    let level = if stream.garbled > 0 { Look } else { Routine };
     let mut lines = vec![("stream", format!("{frames_per_s:.1} frames/s, {lost}"), level)];
     for wire in &rates.wires {
         let failed = wire.timeouts + wire.garbled + wire.reconnects;
-        let level = if failed > 0 { Level::Look } else { Level::Fine };
+        let level = if failed > 0 { Look } else { Routine };
         let per_min = wire.requests_per_min.unwrap_or(0.0);
         let words = format!(
             "{}: {per_min:.0}/min, {} repeated, {failed} failed",
@@ -228,24 +229,24 @@ fn rate_words(rates: &RigRates) -> Vec<(&'static str, String, Level)> {
 }
 
 /// Backlog and fit of the twins.
-fn twins(night: &Night) -> Option<(String, Level)> {
+fn twins(night: &Night) -> Option<(String, Importance)> {
     let twins = night.twins.as_ref()?;
     let mut parts = Vec::new();
     let run = night.run.or(twins.runs.first().map(|run| run.run));
     if let Some(of_run) = twins.runs.iter().find(|of_run| Some(of_run.run) == run) {
         parts.push(format!("{} pending", grouped(of_run.pending)));
     }
-    let mut level = Level::Fine;
+    let mut level = Routine;
     if let Some(rolling) = &twins.pool.rolling {
         parts.extend(rolling.median_fvu.map(|fvu| format!("rolling FVU {fvu:.3}")));
         level = match rolling.level.as_str() {
-            "warn" => Level::Look,
-            "suspend" => Level::Act,
-            _ => Level::Fine,
+            "warn" => Look,
+            "suspend" => Act,
+            _ => Routine,
         };
     }
     if let Some(error) = &twins.pool.last_error {
-        (parts, level) = ([parts, vec![one_line(error)]].concat(), level.max(Level::Look));
+        (parts, level) = ([parts, vec![one_line(error)]].concat(), level.max(Look));
     }
     (!parts.is_empty()).then(|| (parts.join(", "), level))
 }
@@ -285,7 +286,7 @@ pub fn event(told: &Told, now: &Now, theme: Theme) -> Line<'static> {
     let at = told.at.map_or_else(String::new, |at| now.clock(at, "%H:%M:%S"));
     let style = match told.level {
         // A past trip is no present one: only the line above the map asks for an action.
-        Level::Act => theme.level(Level::Look),
+        Act => theme.level(Look),
         level => theme.level(level),
     };
     let time = Span::styled(format!(" {at}  "), theme.aside());

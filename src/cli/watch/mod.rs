@@ -9,7 +9,7 @@ use jiff::Timestamp;
 use jiff::tz::TimeZone;
 use ratatui::DefaultTerminal;
 use ratatui::crossterm::event::{self, Event, KeyCode, KeyEvent, KeyEventKind, KeyModifiers};
-use serde_json::{Value, json};
+use serde_json::json;
 use tokio::sync::mpsc::{self, Sender};
 use tokio::sync::watch;
 use tokio::time::{MissedTickBehavior, interval};
@@ -33,7 +33,6 @@ use super::error::{CliError, CliResult};
 use super::log::{self, Held};
 use super::signals::Signals;
 use super::{At, ask, embed};
-use crate::ids::RunUid;
 
 /// Interval at which the screen is drawn without news, for ages.
 const REDRAW: Duration = Duration::from_millis(250);
@@ -52,10 +51,8 @@ struct Screen {
 impl Screen {
     fn open() -> CliResult<Self> {
         let held = log::hold();
-        let terminal = ratatui::try_init().map_err(|source| CliError::System {
-            operation: "opening the screen on the terminal",
-            source,
-        })?;
+        let terminal =
+            ratatui::try_init().map_err(CliError::system("opening the screen on the terminal"))?;
         Ok(Self { terminal, _log: held })
     }
 }
@@ -121,8 +118,7 @@ pub async fn watch(at: &At) -> CliResult<()> {
     loop {
         let now = Now { at: Timestamp::now(), zone: zone.clone() };
         let drawn = screen.terminal.draw(|frame| draw::draw(frame, &night, &now, theme));
-        drawn
-            .map_err(|source| CliError::System { operation: "drawing on the terminal", source })?;
+        drawn.map_err(CliError::system("drawing on the terminal"))?;
         tokio::select! {
             _ = tick.tick() => {}
             Some(read) = news.recv() => {
@@ -161,7 +157,7 @@ fn keys() -> CliResult<mpsc::Receiver<KeyEvent>> {
         }
     };
     let thread = std::thread::Builder::new().name("keys".into()).spawn(reading);
-    thread.map_err(|source| CliError::System { operation: "reading keys", source })?;
+    thread.map_err(CliError::system("reading keys"))?;
     Ok(keys)
 }
 
@@ -190,22 +186,18 @@ fn answer(asked: Asked, night: &mut Night, client: &Client, at: &At, news: &Send
     let (run, scan_id) = (run.uid, run.scan_id);
     // The status that the person sees.
     let shown_at = night.status.as_ref().and_then(|status| status.at);
-    let (client, action, more) = match asked {
+    let (client, action, mut more) = match asked {
         Asked::Pause => (client.clone(), "pause", json!({ "when": "checkpoint" })),
         Asked::Resume => (client.acting_on(shown_at), "resume", json!({})),
         Asked::Quit | Asked::Estop | Asked::Nothing => return,
     };
+    more["why"] = "key at status --watch".into();
     night.outcome = Some(format!("{action} requested"));
     tokio::spawn(async move {
-        let words = match act(&client, run, action, more).await {
+        let words = match client.act(run, action, more).await {
             Ok(()) => format!("run {scan_id}: {action} accepted"),
             Err(error) => error.to_string(),
         };
         let _ = news.send(News::Outcome(words)).await;
     });
-}
-
-async fn act(client: &Client, run: RunUid, action: &str, mut more: Value) -> CliResult<()> {
-    more["why"] = "key at status --watch".into();
-    client.act(run, action, more).await
 }

@@ -85,18 +85,7 @@ pub struct Told {
     /// Text for a person, on one line.
     pub words: String,
     /// How much it matters.
-    pub level: Level,
-}
-
-/// How much something matters.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Level {
-    /// As it should be.
-    Fine,
-    /// A person should look.
-    Look,
-    /// A person must act.
-    Act,
+    pub level: Importance,
 }
 
 /// State of a configuration on the map.
@@ -213,20 +202,11 @@ impl Night {
     }
 
     /// The one thing that a person must do first, with its cause and its command.
-    pub fn first(&self) -> (Level, String) {
-        let Some(status) = &self.status else { return (Level::Fine, "-".into()) };
-        let Some(need) = status.needs.first() else { return (Level::Fine, "nothing".into()) };
-        (Level::of(need.importance), one_line(&need_words(need)))
-    }
-}
-
-impl Level {
-    /// The level of what matters so much.
-    fn of(importance: Importance) -> Self {
-        match importance {
-            Importance::Act => Self::Act,
-            Importance::Look => Self::Look,
-            Importance::Notable | Importance::Routine => Self::Fine,
+    pub fn first(&self) -> (Importance, String) {
+        let Some(status) = &self.status else { return (Importance::Routine, "-".into()) };
+        match status.needs.first() {
+            Some(need) => (need.importance, one_line(&need_words(need))),
+            None => (Importance::Routine, "nothing".into()),
         }
     }
 }
@@ -234,7 +214,7 @@ impl Level {
 /// An event that a person may want to know, as one line.
 fn told(event: &EventView) -> Option<Told> {
     let words = one_line(&event.words()?);
-    Some(Told { at: event.at.parse().ok(), words, level: Level::of(event.importance()) })
+    Some(Told { at: event.at.parse().ok(), words, level: event.importance() })
 }
 
 /// A text of others on one line, without control characters.

@@ -14,10 +14,11 @@ use super::Asked;
 use super::answers::Tour;
 use super::draw::draw;
 use super::facts::Now;
-use super::night::{Level, Mark, News, Night};
+use super::night::{Mark, News, Night};
 use super::theme::Theme;
 use crate::api::{History, RigRates, RunProgress, StreamRates, WireRates};
 use crate::cli::view::StatusView;
+use crate::event::Importance;
 use crate::ids::RunUid;
 use crate::schedule::visits::Visits;
 
@@ -98,6 +99,20 @@ fn night() -> Night {
     ]);
     night.take(News::Events(serde_json::from_value(events).unwrap()), start());
     night
+}
+
+/// The screen of a status that differs from that of the campaign.
+fn night_with(change: impl FnOnce(&mut Value)) -> Night {
+    let mut changed = status();
+    change(&mut changed);
+    let mut night = Night::new("");
+    night.take(told_status(&changed), start());
+    night
+}
+
+/// The text of such a screen.
+fn shown_with(change: impl FnOnce(&mut Value)) -> String {
+    text(&drawn(&night_with(change), &after(0), (120, 40), COLOUR))
 }
 
 fn drawn(night: &Night, now: &Now, (width, height): (u16, u16), theme: Theme) -> Buffer {
@@ -225,8 +240,7 @@ fn without_colours_no_cell_has_one_and_states_differ_by_their_symbols() {
 fn configurations_have_the_marks_of_their_progress() {
     use Mark::{Done, Failed, Next, Now, Skipped};
     assert_eq!(night().marks(), [Done, Failed, Now, Next, Skipped]);
-    let mut waiting = Night::new("");
-    waiting.take(told_status(&status()), start());
+    let mut waiting = night_with(|_| {});
     assert_eq!(waiting.marks(), []);
     waiting.take(News::Tour(RunUid::new(), Some(Tour::default())), start());
     assert!(waiting.tour.is_none(), "of another run");
@@ -234,36 +248,27 @@ fn configurations_have_the_marks_of_their_progress() {
 
 #[test]
 fn what_a_person_must_do_first_is_named() {
-    let first = |change: &dyn Fn(&mut Value)| {
-        let mut changed = status();
-        change(&mut changed);
-        let mut night = Night::new("");
-        night.take(told_status(&changed), start());
-        night.first()
-    };
-    assert_eq!(first(&|_| {}), (Level::Fine, "nothing".into()));
+    let first = |change: &dyn Fn(&mut Value)| night_with(change).first();
+    assert_eq!(first(&|_| {}), (Importance::Routine, "nothing".into()));
     let need = |importance: &str, command: Value| {
         json!({ "kind": "reset", "importance": importance, "words": "Tripped\u{1b}[31m.\nReset.",
             "command": command, "page": "rig", "since": null })
     };
     let found = first(&|s| s["needs"] = json!([need("act", "palpate rig reset".into())]));
     let words = "Tripped\\u{1b}[31m. Reset. Next: palpate rig reset".to_owned();
-    assert_eq!(found, (Level::Act, words));
+    assert_eq!(found, (Importance::Act, words));
     let found = first(&|s| s["needs"] = json!([need("look", Value::Null)]));
-    assert_eq!(found, (Level::Look, "Tripped\\u{1b}[31m. Reset.".into()));
+    assert_eq!(found, (Importance::Look, "Tripped\\u{1b}[31m. Reset.".into()));
 }
 
 #[test]
 fn a_doubt_of_the_night_is_named_before_all_numbers() {
-    let mut changed = status();
-    changed["glance"] = json!([
+    let glance = json!([
         { "question": "safe", "rating": "good", "words": "No fault." },
         { "question": "on_time", "rating": "warn", "words": "It waits: the rig tripped." },
         { "question": "data", "rating": "bad", "words": "FVU 0.900 over 9 trials." },
         { "question": "later", "rating": "of a newer service", "words": "Further words." }]);
-    let mut night = Night::new("");
-    night.take(told_status(&changed), start());
-    let shown = text(&drawn(&night, &after(0), (120, 40), COLOUR));
+    let shown = shown_with(|status| status["glance"] = glance);
     assert!(shown.contains("on time    It waits: the rig tripped."), "{shown}");
     assert!(shown.contains("data       FVU 0.900 over 9 trials."), "{shown}");
     assert!(shown.contains("later      Further words."), "{shown}");
@@ -272,23 +277,17 @@ fn a_doubt_of_the_night_is_named_before_all_numbers() {
 
 #[test]
 fn what_the_queue_waits_for_is_named() {
-    let mut changed = status();
-    changed["waiting_for"] = "run 13 (short) starts at 2026-03-01T22:00:00Z or later".into();
-    let mut night = Night::new("");
-    night.take(told_status(&changed), start());
-    let shown = text(&drawn(&night, &after(0), (120, 40), COLOUR));
+    let words = "run 13 (short) starts at 2026-03-01T22:00:00Z or later";
+    let shown = shown_with(|status| status["waiting_for"] = words.into());
     assert!(shown.contains("queue      2 runs; run 13 (short) starts at"), "{shown}");
 }
 
 #[test]
 fn what_may_be_asked_of_the_run_is_named() {
-    let mut changed = status();
-    changed["run_actions"] = json!([{ "action": "start", "refused": null },
+    let actions = json!([{ "action": "start", "refused": null },
         { "action": "pause", "refused": null }, { "action": "resume", "refused": "it runs" },
         { "action": "stop", "refused": null }]);
-    let mut night = Night::new("");
-    night.take(told_status(&changed), start());
-    let shown = text(&drawn(&night, &after(0), (120, 40), COLOUR));
+    let shown = shown_with(|status| status["run_actions"] = actions);
     assert!(shown.contains("may        pause, stop"), "{shown}");
 }
 

@@ -6,7 +6,8 @@ use std::ffi::OsStr;
 
 use ratatui::style::{Color, Modifier, Style};
 
-use super::night::{Level, Mark};
+use super::night::Mark;
+use crate::event::Importance::{self, Act, Look, Notable, Routine};
 
 /// Styles with or without colours.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -37,7 +38,7 @@ impl Theme {
 
     /// Titles and other text around the values.
     pub fn aside(self) -> Style {
-        if self.colour { self.coloured(Color::DarkGray) } else { Style::new() }
+        self.coloured(Color::DarkGray)
     }
 
     /// Values that are old.
@@ -51,15 +52,15 @@ impl Theme {
     }
 
     /// Text by how much it matters.
-    pub fn level(self, level: Level) -> Style {
+    pub fn level(self, level: Importance) -> Style {
         match level {
-            Level::Fine => Style::new(),
-            Level::Look => self.coloured(Color::Yellow).add_modifier(Modifier::BOLD),
-            Level::Act if self.colour => {
+            Routine | Notable => Style::new(),
+            Look => self.coloured(Color::Yellow).add_modifier(Modifier::BOLD),
+            Act if self.colour => {
                 let style = Style::new().fg(Color::White).bg(Color::Red);
                 style.add_modifier(Modifier::BOLD)
             }
-            Level::Act => Style::new().add_modifier(Modifier::BOLD | Modifier::REVERSED),
+            Act => Style::new().add_modifier(Modifier::BOLD | Modifier::REVERSED),
         }
     }
 

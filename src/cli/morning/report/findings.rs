@@ -1,6 +1,7 @@
 //! Findings: conclusions from the facts of a run.
 //! PURE. Uses: `facts`, sim-core's quantiles. Never: a request, a limit that is not named here.
 
+use std::cmp::Reverse;
 use std::collections::BTreeMap;
 
 use jiff::SignedDuration;
@@ -9,6 +10,7 @@ use sim_core::stats::{median, quantile, sorted};
 use super::super::answers::{TrialFacts, duration_words, state_words, stored_words};
 use super::facts::Facts;
 use crate::cli::output::{counted, grouped};
+use crate::event::Importance;
 use crate::state::{PausedWhy, StoredState};
 
 /// Share of attempts that may fail.
@@ -29,20 +31,11 @@ const FVU_TRIALS: usize = 30;
 /// Longest pause that is not worth a sentence.
 const PAUSE: SignedDuration = SignedDuration::from_secs(60);
 
-/// How much a finding matters.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Level {
-    /// Data is missing or wrong.
-    Act,
-    /// A person should look.
-    Look,
-}
-
 /// A conclusion with the next step.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Finding {
-    /// How much it matters.
-    pub level: Level,
+    /// How much it matters: data that is missing or wrong asks a person to act.
+    pub level: Importance,
     /// One or two sentences.
     pub words: String,
 }
@@ -61,16 +54,16 @@ pub fn findings(facts: &Facts) -> Vec<Finding> {
     all.extend(fit_over_time(&facts.trials));
     all.extend(stiffness(&facts.trials));
     all.extend(references(facts));
-    all.sort_by_key(|finding| finding.level);
+    all.sort_by_key(|finding| Reverse(finding.level));
     all
 }
 
 fn act(words: String) -> Option<Finding> {
-    Some(Finding { level: Level::Act, words })
+    Some(Finding { level: Importance::Act, words })
 }
 
 fn look(words: String) -> Option<Finding> {
-    Some(Finding { level: Level::Look, words })
+    Some(Finding { level: Importance::Look, words })
 }
 
 fn end(facts: &Facts) -> Option<Finding> {

@@ -5,15 +5,18 @@ use std::fmt::Write;
 
 use jiff::Timestamp;
 
-use super::super::answers::{duration_words, elapsed, state_words, stored_words};
+use super::super::answers::{
+    duration_words, elapsed, settings_words, state_words, stored_words, why_words,
+};
 use super::facts::Facts;
-use super::findings::{Level, findings, outliers};
+use super::findings::{findings, outliers};
 use super::plots::{self, Plot};
 use crate::cli::output::{counted, duration, grouped};
 use crate::cli::summary::table_one;
+use crate::cli::table::or_dash;
 use crate::cli::times::second;
 use crate::evaluate::figures::FigureError;
-use crate::event::shown_kind;
+use crate::event::{Importance, shown_kind};
 use crate::state::StoredState;
 
 const STYLE: &str = include_str!("report.css");
@@ -77,10 +80,7 @@ fn look(page: &mut String, facts: &Facts) {
     } else {
         page.push_str("<ul class=\"findings\">\n");
         for finding in all {
-            let class = match finding.level {
-                Level::Act => "act",
-                Level::Look => "look",
-            };
+            let class = if finding.level == Importance::Act { "act" } else { "look" };
             let _ = writeln!(page, "<li class=\"{class}\">{}</li>", escaped(&finding.words));
         }
         page.push_str("</ul>\n");
@@ -91,22 +91,14 @@ fn look(page: &mut String, facts: &Facts) {
 fn measured(page: &mut String, facts: &Facts, now: Timestamp) -> Result<(), FigureError> {
     let (run, summary) = (facts.run(), &facts.summary);
     page.push_str("<section><h2>Planned and measured</h2>\n<div class=\"columns\">\n");
-    let settings: Vec<String> = summary
-        .settings
-        .iter()
-        .map(|of| format!("{} with {}", grouped(of.stored), counted(of.tips.into(), "tip", "tips")))
-        .collect();
-    let time = |at: Option<Timestamp>| at.map_or_else(|| "-".into(), second);
-    let took = elapsed(run, now).map_or_else(|| "-".into(), duration_words);
-    let mean = elapsed(run, now)
-        .filter(|_| summary.trials_stored > 0)
-        .map(|took| duration(took.as_secs_f64() / summary.trials_stored as f64));
+    let (took, stored) = (elapsed(run, now), summary.trials_stored);
+    let mean = took.filter(|_| stored > 0).map(|took| took.as_secs_f64() / stored as f64);
     let rows = [
         ("experiment", format!("{} ({})", run.experiment, run.kind.as_str())),
         ("label of the data", run.label.as_str().into()),
         ("planned", format!("{} trials", grouped(run.trials_planned))),
-        ("stored", format!("{} trials", grouped(summary.trials_stored))),
-        ("by setting", if settings.is_empty() { "-".into() } else { settings.join(", ") }),
+        ("stored", format!("{} trials", grouped(stored))),
+        ("by setting", or_dash(settings_words(summary))),
         (
             "skipped",
             format!(
@@ -116,10 +108,10 @@ fn measured(page: &mut String, facts: &Facts, now: Timestamp) -> Result<(), Figu
             ),
         ),
         ("failed attempts", grouped(summary.retries)),
-        ("started", time(run.started_at)),
-        ("ended", time(run.ended_at)),
-        ("duration", took),
-        ("wall time per trial", mean.unwrap_or_else(|| "-".into())),
+        ("started", or_dash(run.started_at.map(second))),
+        ("ended", or_dash(run.ended_at.map(second))),
+        ("duration", or_dash(took.map(duration_words))),
+        ("wall time per trial", or_dash(mean.map(duration))),
         ("submitted by", run.submitted_by.clone()),
     ];
     table(page, &["", ""], rows.map(|(name, value)| vec![name.into(), value]), "facts");
@@ -158,11 +150,8 @@ fn happened(page: &mut String, facts: &Facts) {
         })
     });
     let waits = waits.map(|span| {
-        let why = span
-            .why
-            .map_or_else(String::new, |why| format!(" ({})", why.as_str().replace('_', " ")));
         let took = span.to.map(|to| duration_words(to.duration_since(span.from)));
-        let words = format!("for {}{why}", took.unwrap_or_default());
+        let words = format!("for {}{}", took.unwrap_or_default(), why_words(span.why));
         (span.from, span.state.as_str().to_owned(), words)
     });
     let events = facts.events.iter();
@@ -200,7 +189,7 @@ fn fit(page: &mut String, facts: &Facts) -> Result<(), FigureError> {
     page.push_str("<section><h2>Twins</h2>\n");
     let twins = &facts.twins;
     let number = |value: Option<f64>, scale: f64, digits: usize| {
-        value.map_or_else(|| "-".into(), |value| format!("{:.digits$}", scale * value))
+        or_dash(value.map(|value| format!("{:.digits$}", scale * value)))
     };
     let rows = [
         ("trials with a twin", format!("{} of {}", grouped(twins.twins), grouped(twins.trials))),
@@ -252,12 +241,12 @@ fn sources(page: &mut String, facts: &Facts, now: Timestamp) {
     let rows = [
         ("run", run.uid.to_string()),
         ("version", run.version.clone()),
-        ("commit", run.git_commit.clone().unwrap_or_else(|| "-".into())),
-        ("seed", run.seed.map_or_else(|| "-".into(), |seed| seed.to_string())),
+        ("commit", or_dash(run.git_commit.as_ref())),
+        ("seed", or_dash(run.seed)),
         ("experiment, sha256", short(&run.definition_sha256)),
-        ("rig, sha256", run.rig_sha256.as_deref().map_or_else(|| "-".into(), short)),
+        ("rig, sha256", or_dash(run.rig_sha256.as_deref().map(short))),
         ("sensor, sha256", short(&run.sensor_sha256)),
-        ("calibration", run.calibration_id.as_ref().map_or("-", |id| id.as_str()).to_owned()),
+        ("calibration", or_dash(run.calibration_id.as_ref().map(|id| id.as_str()))),
         ("report made", second(now)),
     ];
     table(page, &["", ""], rows.map(|(name, value)| vec![name.into(), value]), "facts");
@@ -301,16 +290,7 @@ fn table(
 
 /// A text escaped for HTML.
 fn escaped(text: &str) -> String {
-    let mut safe = String::with_capacity(text.len());
-    for letter in text.chars() {
-        match letter {
-            '&' => safe.push_str("&amp;"),
-            '<' => safe.push_str("&lt;"),
-            '>' => safe.push_str("&gt;"),
-            '"' => safe.push_str("&quot;"),
-            '\'' => safe.push_str("&#39;"),
-            other => safe.push(other),
-        }
-    }
-    safe
+    // The ampersand first: those of the others stay.
+    let entities = [("&", "&amp;"), ("<", "&lt;"), (">", "&gt;"), ("\"", "&quot;"), ("'", "&#39;")];
+    entities.iter().fold(text.to_owned(), |text, (letter, entity)| text.replace(letter, entity))
 }

@@ -15,25 +15,20 @@ use facts::Facts;
 
 use super::ReportArgs;
 use crate::cli::client::Client;
-use crate::cli::embed;
 use crate::cli::error::CliResult;
 use crate::cli::files::write;
 use crate::cli::find::find_run;
 use crate::cli::next::Next;
-use crate::cli::output::{counted, note, say, say_json};
+use crate::cli::output::{counted, note};
 use crate::cli::print;
 use crate::cli::progress::shown_wait;
 
 /// Runs `palpate report`.
 ///
 /// # Errors
-/// `CliError` if the service cannot be reached or started, has no such run, or a file cannot be written.
+/// As [`find_run`]; `CliError::File` if the HTML cannot be written, `Figure` if a figure cannot be drawn.
 /// A PDF that cannot be printed is reported, and is no error: the HTML has all of it.
-pub async fn report(args: ReportArgs) -> CliResult<()> {
-    embed::reading(&args.at, async |client| make(client, &args).await).await
-}
-
-async fn make(client: &Client, args: &ReportArgs) -> CliResult<()> {
+pub async fn report(client: &Client, args: &ReportArgs) -> CliResult<()> {
     let run = find_run(client, &args.run).await?;
     let facts = Facts::read(client, &run).await?;
     let page = html::page(&facts, Timestamp::now())?;
@@ -51,20 +46,14 @@ async fn make(client: &Client, args: &ReportArgs) -> CliResult<()> {
             }
         },
     };
-    let found = findings::findings(&facts);
-    if args.at.json {
-        let words: Vec<&str> = found.iter().map(|finding| finding.words.as_str()).collect();
-        say_json(&json!({ "run": run.uid, "html": file, "pdf": printed, "findings": words }));
-        return Ok(());
-    }
-    for finding in &found {
-        say(format_args!("- {}", finding.words));
-    }
+    let found: Vec<String> =
+        findings::findings(&facts).into_iter().map(|finding| finding.words).collect();
+    let mut lines: Vec<String> = found.iter().map(|words| format!("- {words}")).collect();
     let count = counted(found.len() as u64, "finding", "findings");
-    say(format_args!("{count}; {}", file.display()));
-    if let Some(pdf) = printed {
-        say(pdf.display());
-    }
+    lines.push(format!("{count}; {}", file.display()));
+    lines.extend(printed.iter().map(|pdf| pdf.display().to_string()));
+    let made = json!({ "run": run.uid, "html": file, "pdf": printed, "findings": found });
+    args.at.output().say(&made, lines.join("\n"));
     let scan_id = run.scan_id;
     Next::of(&args.at)
         .suggest(format_args!("palpate show {scan_id}"), "draws it in the terminal")

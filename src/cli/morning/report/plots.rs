@@ -50,30 +50,29 @@ pub fn forces(facts: &Facts) -> Result<Vec<Plot>, FigureError> {
             by_arm.entry(arm).or_default().push((depth_mm, force_n));
         }
     }
-    let name_tips = |tips: &u8| counted(u64::from(*tips), "tip", "tips");
-    let name_arm = |arm: &usize| format!("arm {arm}");
-    let count = |curves: &[Vec<(f64, f64)>]| curves.iter().map(Vec::len).sum::<usize>();
-    let of_tips: Vec<Vec<(f64, f64)>> = by_tips.values().cloned().collect();
-    if count(&of_tips) > 0 {
-        let heading =
-            Heading::new("Force of a tip over depth", count(&of_tips) as u64, "readings", label);
-        let curves = curves(by_tips.iter().map(|(tips, values)| (name_tips(tips), values)));
-        let svg = bands(&heading, "force of a tip (N)", &curves)?;
+    if !by_tips.is_empty() {
+        let n = by_tips.values().map(Vec::len).sum::<usize>();
+        let heading = Heading::new("Force of a tip over depth", n as u64, "readings", label);
+        let named = by_tips.iter().map(|(tips, values)| (tips_words(*tips), values));
+        let svg = bands(&heading, "force of a tip (N)", &curves(named))?;
         plots.push(plot(svg, "Median and quartiles of the force of each attached tip, by the number of tips. n: readings."));
     }
-    let of_arms: Vec<Vec<(f64, f64)>> = by_arm.values().cloned().collect();
     if by_arm.len() > 1 {
-        let with = counted(most.into(), "tip", "tips");
-        let n = count(&of_arms) as u64;
-        let heading = Heading::new(format!("Force of each arm, {with}"), n, "readings", label);
-        let curves = curves(by_arm.iter().map(|(arm, values)| (name_arm(arm), values)));
-        let svg = bands(&heading, "force (N)", &curves)?;
+        let n = by_arm.values().map(Vec::len).sum::<usize>();
+        let title = format!("Force of each arm, {}", tips_words(most));
+        let heading = Heading::new(title, n as u64, "readings", label);
+        let named = by_arm.iter().map(|(arm, values)| (format!("arm {arm}"), values));
+        let svg = bands(&heading, "force (N)", &curves(named))?;
         plots.push(plot(
             svg,
             "Median and quartiles by arm: arms that differ have another tip, cell or place.",
         ));
     }
     Ok(plots)
+}
+
+fn tips_words(tips: u8) -> String {
+    counted(tips.into(), "tip", "tips")
 }
 
 /// Depth, mm, arm, force, N, and number of tips of each attached tip.
@@ -210,7 +209,7 @@ fn fit_over_time(facts: &Facts) -> Result<Option<Plot>, FigureError> {
             .chunks(size)
             .filter(|chunk| chunk.len() == size)
             .filter_map(|chunk| Some((chunk[size / 2].0, median(chunk.iter().map(|at| at.1))?)));
-        Line { name: counted(u64::from(*tips), "tip", "tips"), places: points.collect() }
+        Line { name: tips_words(*tips), places: points.collect() }
     });
     let lines: Vec<Line> = lines.filter(|line| line.places.len() > 1).collect();
     if lines.is_empty() {

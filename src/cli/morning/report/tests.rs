@@ -5,10 +5,11 @@ use serde_json::{Value, json};
 
 use super::super::answers::{TrialFacts, TwinsOf};
 use super::facts::{Facts, Reference, ReferenceArm, Tare, Told};
-use super::findings::{Level, findings, outliers};
+use super::findings::{findings, outliers};
 use super::html;
 use crate::api::{StateSpan, Summary};
 use crate::evaluate::simulation::report;
+use crate::event::Importance;
 use crate::state::{PausedWhy, StoredState};
 
 fn time(minutes: i64) -> Timestamp {
@@ -119,7 +120,7 @@ fn skipped_configurations_are_counted_with_the_first_reason_and_come_first() {
         s["skips"] = json!([{ "configuration": 7, "reason": "cell 3 is silent", "at": time(5) }]);
     });
     let all = findings(&facts);
-    assert_eq!((all.len(), all[0].level), (2, Level::Act));
+    assert_eq!((all.len(), all[0].level), (2, Importance::Act));
     assert!(all[0].words.contains("1 configuration was skipped; 2 trials are missing"));
     assert!(all[0].words.contains("configuration 7: cell 3 is silent"), "{}", all[0].words);
     assert!(all[1].words.contains("4 trials have no twin yet"), "{}", all[1].words);
