@@ -274,7 +274,7 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
-    use crate::dataset::force_map::{ForceMapSpec, MapContact};
+    use crate::dataset::force_map::ForceMapSpec;
 
     const PIXELS: usize = 160;
 
@@ -284,7 +284,7 @@ mod tests {
 
     fn drawn(map: &ForceMap, contacts: &[(f64, f64, f64)]) -> Vec<f32> {
         let mut pixels = vec![0.0; map.pixels() * map.pixels()];
-        let contact = |&(x_mm, y_mm, force_n)| MapContact { x_mm, y_mm, force_n };
+        let contact = |&(x_mm, y_mm, force_n)| sim_core::forward::Contact { x_mm, y_mm, force_n };
         map.render(&contacts.iter().map(contact).collect::<Vec<_>>(), &mut pixels).unwrap();
         pixels
     }
