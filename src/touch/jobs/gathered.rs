@@ -6,6 +6,7 @@ use std::path::Path;
 use super::error::JobError;
 use crate::dataset::import::sensor::ImportedSensor;
 use crate::dataset::read::sensor_text;
+use crate::dataset::split::Part;
 use crate::evaluate::request::EvaluationRequest;
 use crate::ids::TrialId;
 use crate::infer::registry;
@@ -39,11 +40,8 @@ impl Gathered {
     ) -> Result<Self, JobError> {
         let (skin, sensor) = registry::facts("sensor", &sensor_text(file)?)?;
         let examples = Examples::gather(file, &request.conditions, columns, scratch)?;
-        let part = |name: &str| {
-            crate::dataset::split::Part::ALL.into_iter().find(|part| part.name() == name)
-        };
         let mut rows = match &request.part {
-            Some(name) => part(name).map_or_else(Vec::new, |part| examples.part(part)),
+            Some(name) => Part::named(name).map_or_else(Vec::new, |part| examples.part(part)),
             None => (0..examples.len() as u32).collect(),
         };
         if rows.is_empty() {
