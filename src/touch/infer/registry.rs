@@ -248,24 +248,24 @@ impl Registry {
     /// `InferError` if there is no such model, or its files are damaged.
     pub async fn load(&self, id_or_name: &str) -> Result<Arc<Model>, InferError> {
         let row = self.find(id_or_name).await?;
-        let mut found = self.loaded(|models| {
+        let found = self.loaded(|models| {
             let at = models.iter().position(|model| model.manifest.id == row.id)?;
             let model = models.remove(at);
             models.push(model.clone());
             Some(model)
         });
-        if found.is_none() {
-            let folder = self.folder(&row.id);
-            let loading = tokio::task::spawn_blocking(move || read(&folder, &row));
-            let model = Arc::new(loading.await.map_err(|_| InferError::Worker)??);
-            self.loaded(|models| {
-                models.push(model.clone());
-                let over = models.len().saturating_sub(LOADED_MAX);
-                models.drain(..over);
-            });
-            found = Some(model);
+        if let Some(model) = found {
+            return Ok(model);
         }
-        found.ok_or(InferError::Worker)
+        let folder = self.folder(&row.id);
+        let loading = tokio::task::spawn_blocking(move || read(&folder, &row));
+        let model = Arc::new(loading.await.map_err(|_| InferError::Worker)??);
+        self.loaded(|models| {
+            models.push(model.clone());
+            let over = models.len().saturating_sub(LOADED_MAX);
+            models.drain(..over);
+        });
+        Ok(model)
     }
 
     /// Returns the residuals of a Transfer-Net.
