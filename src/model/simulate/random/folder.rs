@@ -6,7 +6,6 @@
 //! replaced in the same way. At any instant every row of the manifest therefore refers to a complete
 //! file. All names other than those of shards start with `_`, which readers of Parquet folders skip.
 
-use std::ffi::OsStr;
 use std::fs::{self, File, TryLockError};
 use std::io;
 use std::path::{Path, PathBuf};
@@ -20,8 +19,6 @@ use crate::new_file::{self, Finished, Look, NewFile};
 
 /// Name of the manifest.
 pub const SHARDS_MANIFEST: &str = "_manifest.json";
-/// Suffix of a temporary file's name in earlier versions.
-const OLD_PARTIAL: &str = ".partial";
 
 /// A folder that only this process writes to.
 #[derive(Debug)]
@@ -46,18 +43,11 @@ impl Folder {
                 return Err(RandomError::file("locking the folder", path)(source));
             }
         }
-        let folder = Self { path: path.into(), _lock: lock };
         new_file::sweep(path).map_err(RandomError::file("removing incomplete files in", path))?;
-        for name in folder.names()? {
-            if name.starts_with('_') && name.ends_with(OLD_PARTIAL) {
-                let stray = folder.path.join(name);
-                fs::remove_file(&stray).map_err(RandomError::file("removing", stray))?;
-            }
-        }
-        Ok(folder)
+        Ok(Self { path: path.into(), _lock: lock })
     }
 
-    /// Takes the folder of a definition, with its manifest, which then names the sensor.
+    /// Takes the folder of a definition, with its manifest.
     ///
     /// # Errors
     /// As [`Self::take`] and [`Self::manifest`].
@@ -67,11 +57,7 @@ impl Folder {
         sensor: &SensorFile,
     ) -> Result<(Self, Manifest), RandomError> {
         let folder = Self::take(path)?;
-        let mut manifest = folder.manifest(definition)?;
-        if manifest.sensor_file.is_none() {
-            manifest.sensor_file = Some(sensor.clone());
-            folder.write_manifest(&manifest)?;
-        }
+        let manifest = folder.manifest(definition, sensor)?;
         Ok((folder, manifest))
     }
 
@@ -81,7 +67,11 @@ impl Folder {
     /// # Errors
     /// `OtherDefinition` or `Foreign` if the folder belongs to something else; `Manifest` or `File`
     /// if the manifest cannot be read or written.
-    pub fn manifest(&self, definition: &Definition) -> Result<Manifest, RandomError> {
+    fn manifest(
+        &self,
+        definition: &Definition,
+        sensor: &SensorFile,
+    ) -> Result<Manifest, RandomError> {
         let path = self.path.join(SHARDS_MANIFEST);
         let bytes = match fs::read(&path) {
             Ok(bytes) => bytes,
@@ -89,8 +79,8 @@ impl Folder {
                 if let Some(file) = self.names()?.into_iter().find(|n| n.ends_with(".parquet")) {
                     return Err(RandomError::Foreign { folder: self.path.clone(), file });
                 }
-                let definition = definition.clone();
-                let new = Manifest { definition, sensor_file: None, shards: Vec::new() };
+                let (definition, sensor_file) = (definition.clone(), sensor.clone());
+                let new = Manifest { definition, sensor_file, shards: Vec::new() };
                 self.write_manifest(&new)?;
                 return Ok(new);
             }
@@ -163,12 +153,11 @@ impl Folder {
     fn names(&self) -> Result<Vec<String>, RandomError> {
         let listing = || RandomError::file("listing", &self.path);
         let entries = fs::read_dir(&self.path).map_err(listing())?;
-        entries.map(|entry| Ok(text(&entry.map_err(listing())?.file_name()))).collect()
+        let name = |entry: io::Result<fs::DirEntry>| {
+            Ok(entry.map_err(listing())?.file_name().to_string_lossy().into_owned())
+        };
+        entries.map(name).collect()
     }
-}
-
-fn text(name: &OsStr) -> String {
-    name.to_string_lossy().into_owned()
 }
 
 #[cfg(test)]
@@ -190,13 +179,10 @@ mod tests {
         let folder = Folder::take(&path).unwrap();
         assert!(matches!(Folder::take(&path), Err(RandomError::Busy { .. })));
         drop(folder);
-        let stray = path.join("_shard-00000.parquet.partial");
-        fs::write(&stray, "half").unwrap();
         let half = NewFile::create(&path).unwrap();
         fs::write(path.join("notes.partial"), "mine").unwrap();
         Folder::take(&path).unwrap();
-        assert!(!half.path().exists());
-        assert!(!stray.exists() && path.join("notes.partial").exists());
+        assert!(!half.path().exists() && path.join("notes.partial").exists());
         fs::remove_dir_all(path).unwrap();
     }
 
