@@ -166,16 +166,10 @@ mod tests {
 
     use super::*;
 
-    fn empty(name: &str) -> PathBuf {
-        let name = format!("palpate-shards-{name}-{}", std::process::id());
-        let path = std::env::temp_dir().join(name);
-        fs::remove_dir_all(&path).ok();
-        path
-    }
-
     #[test]
     fn a_folder_is_one_process_s_and_loses_what_was_half_written() {
-        let path = empty("taken");
+        let outer = tempfile::tempdir().unwrap();
+        let path = outer.path().join("shards");
         let folder = Folder::take(&path).unwrap();
         assert!(matches!(Folder::take(&path), Err(RandomError::Busy { .. })));
         drop(folder);
@@ -183,12 +177,12 @@ mod tests {
         fs::write(path.join("notes.partial"), "mine").unwrap();
         Folder::take(&path).unwrap();
         assert!(!half.path().exists() && path.join("notes.partial").exists());
-        fs::remove_dir_all(path).unwrap();
     }
 
     #[test]
     fn a_shard_shows_under_its_name_only_when_whole() {
-        let path = empty("settled");
+        let outer = tempfile::tempdir().unwrap();
+        let path = outer.path().join("shards");
         let folder = Folder::take(&path).unwrap();
         let shard = Shard { number: 7, first: 70, trials: 10 };
         let mut out = folder.begin().unwrap();
@@ -209,6 +203,5 @@ mod tests {
         assert!(!folder.holds(&row, Look::Length).unwrap());
         fs::remove_file(&named).unwrap();
         assert!(!folder.holds(&row, Look::Length).unwrap());
-        fs::remove_dir_all(path).unwrap();
     }
 }
