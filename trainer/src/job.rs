@@ -11,6 +11,7 @@ use nets::progress::End;
 use sim_core::calibration::Calibration;
 use sim_core::sensor::Sensor;
 
+use crate::dataset::import::sensor::ImportedSensor;
 use crate::device;
 use crate::error::TrainerError;
 use crate::ids::{CalibrationId, DatasetId};
@@ -135,8 +136,8 @@ impl Work<'_> {
         scratch: &Path,
         checkpoint: Option<Vec<u8>>,
     ) -> Result<Learned, TrainerError> {
-        let (skin, _) =
-            registry::facts("sensor", &self.order.sensor).map_err(LearnError::Problems)?;
+        let skin = ImportedSensor::from_toml("sensor", &self.order.sensor);
+        let skin = skin.map_err(LearnError::Problems)?;
         let (conditions, columns) = (&self.recipe.conditions, self.recipe.task().columns());
         let examples = Examples::gather(file, conditions, columns, scratch)?;
         let names = std::iter::once(id.as_str()).chain(conditions.iter().map(String::as_str));

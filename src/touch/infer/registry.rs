@@ -68,7 +68,8 @@ impl NewModel {
     /// # Errors
     /// `InferError::Problems` if its sensor file is invalid; `Plan` if it cannot be run.
     pub fn load(&self) -> Result<Model, InferError> {
-        let (skin, _) = facts(SENSOR_FILE, &self.sensor).map_err(InferError::Problems)?;
+        let skin = ImportedSensor::from_toml(SENSOR_FILE, &self.sensor);
+        let skin = skin.map_err(InferError::Problems)?;
         let ModelFacts { channels, output_shape, .. } = &self.manifest.model;
         Ok(Model {
             name: self.name.clone(),

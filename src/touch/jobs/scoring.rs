@@ -117,7 +117,7 @@ impl Scoring {
 
     /// Checks that the models are for the sensor of the rows.
     fn check_sensor(&self) -> Result<(), InferError> {
-        let here = &self.gathered.sensor;
+        let here = &self.gathered.skin;
         for net in self.reader.nets() {
             net.is_for(&here.name, here.channels)?;
         }

@@ -44,15 +44,16 @@ impl OneStepPipeline {
         threshold_n: f64,
     ) -> Result<Self, InferError> {
         let sensor = model.sensor();
+        let size_mm = [sensor.file.width_mm, sensor.file.height_mm];
         let slopes = PointSlopes::secant(model, ABOUT_N)?;
         Ok(Self {
             step: Arc::new(OneStep::new(&slopes, regularisation)?),
             points_mm: sensor.points().iter().map(|p| [p.x_mm, p.y_mm]).collect(),
             offset_v: sensor.offsets_v(),
-            draws: ForceMap::new(MAP_1, [sensor.file.width_mm, sensor.file.height_mm])?,
+            draws: ForceMap::new(MAP_1, size_mm)?,
             threshold_n,
             calibration: sensor.calibration().map(CalibrationId::unchecked),
-            size_mm: [sensor.file.width_mm, sensor.file.height_mm],
+            size_mm,
         })
     }
 }
