@@ -19,6 +19,8 @@ use crate::new_file::{self, Finished, Look, NewFile};
 
 /// Name of the manifest.
 pub const SHARDS_MANIFEST: &str = "_manifest.json";
+/// Suffix of a temporary file's name in earlier versions.
+const OLD_PARTIAL: &str = ".partial";
 
 /// A folder that only this process writes to.
 #[derive(Debug)]
@@ -43,14 +45,22 @@ impl Folder {
                 return Err(RandomError::file("locking the folder", path)(source));
             }
         }
+        let folder = Self { path: path.into(), _lock: lock };
         new_file::sweep(path).map_err(RandomError::file("removing incomplete files in", path))?;
-        Ok(Self { path: path.into(), _lock: lock })
+        for name in folder.names()? {
+            if name.starts_with('_') && name.ends_with(OLD_PARTIAL) {
+                let stray = folder.path.join(name);
+                fs::remove_file(&stray).map_err(RandomError::file("removing", stray))?;
+            }
+        }
+        Ok(folder)
     }
 
     /// Takes the folder of a definition, with its manifest.
     ///
     /// # Errors
-    /// As [`Self::take`] and [`Self::manifest`].
+    /// As [`Self::take`]; `OtherDefinition` or `Foreign` if the folder belongs to something else; `Manifest` if
+    /// the manifest cannot be read.
     pub fn take_for(
         path: &Path,
         definition: &Definition,
@@ -173,10 +183,13 @@ mod tests {
         let folder = Folder::take(&path).unwrap();
         assert!(matches!(Folder::take(&path), Err(RandomError::Busy { .. })));
         drop(folder);
+        let stray = path.join("_shard-00000.parquet.partial");
+        fs::write(&stray, "half").unwrap();
         let half = NewFile::create(&path).unwrap();
         fs::write(path.join("notes.partial"), "mine").unwrap();
         Folder::take(&path).unwrap();
-        assert!(!half.path().exists() && path.join("notes.partial").exists());
+        assert!(!half.path().exists());
+        assert!(!stray.exists() && path.join("notes.partial").exists());
     }
 
     #[test]
