@@ -11,6 +11,7 @@ use nets::progress::End;
 use sim_core::calibration::Calibration;
 use sim_core::sensor::Sensor;
 
+use crate::dataset::import::sensor::ImportedSensor;
 use crate::device;
 use crate::error::TrainerError;
 use crate::ids::{CalibrationId, DatasetId};
@@ -102,23 +103,13 @@ struct Lineage {
     simulation: Option<String>,
 }
 
-/// The rows of a dataset, on which a net trains.
-struct DatasetRows<'a> {
-    id: &'a DatasetId,
-    file: &'a Path,
-    /// Number of rows.
-    count: u64,
-    /// Folder for the frames while the net trains.
-    scratch: &'a Path,
-}
-
 impl Work<'_> {
     fn run(&self) -> Result<bool, TrainerError> {
         let checkpoint = fs::read(self.folder.join(CHECKPOINT)).ok();
         let (learned, lineage) = match &self.order.source {
             Source::Dataset { id, file, rows, scratch, label, calibration, simulation } => {
-                let rows = DatasetRows { id, file, count: *rows, scratch };
-                let learned = self.on_dataset(&rows, checkpoint)?;
+                self.phase("gathering frames", *rows);
+                let learned = self.on_dataset(id, file, scratch, checkpoint)?;
                 let lineage = Lineage {
                     label: *label,
                     dataset: Some(id.clone()),
@@ -140,15 +131,16 @@ impl Work<'_> {
 
     fn on_dataset(
         &self,
-        rows: &DatasetRows<'_>,
+        id: &DatasetId,
+        file: &Path,
+        scratch: &Path,
         checkpoint: Option<Vec<u8>>,
     ) -> Result<Learned, TrainerError> {
-        self.phase("gathering frames", rows.count);
-        let (skin, _) =
-            registry::facts("sensor", &self.order.sensor).map_err(LearnError::Problems)?;
+        let skin = ImportedSensor::from_toml("sensor", &self.order.sensor);
+        let skin = skin.map_err(LearnError::Problems)?;
         let (conditions, columns) = (&self.recipe.conditions, self.recipe.task().columns());
-        let examples = Examples::gather(rows.file, conditions, columns, rows.scratch)?;
-        let names = std::iter::once(rows.id.as_str()).chain(conditions.iter().map(String::as_str));
+        let examples = Examples::gather(file, conditions, columns, scratch)?;
+        let names = std::iter::once(id.as_str()).chain(conditions.iter().map(String::as_str));
         let given = Given {
             data: names.collect::<Vec<_>>().join(" "),
             examples: &examples,

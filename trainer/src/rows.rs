@@ -3,9 +3,10 @@
 
 use nets::error::SamplesError;
 use nets::samples::Samples;
+use sim_core::forward;
 use sim_core::stats::norm;
 
-use crate::dataset::force_map::{ForceMap, MapContact};
+use crate::dataset::force_map::ForceMap;
 use crate::learn::error::LearnError;
 use crate::learn::examples::Examples;
 use crate::learn::targets::Targets;
@@ -108,12 +109,12 @@ impl Samples for Fixed {
 fn drawn(
     contacts: &[Contact],
     force_of_unknown_n: Option<f64>,
-) -> Result<Vec<MapContact>, &'static str> {
+) -> Result<Vec<forward::Contact>, &'static str> {
     let of = |c: &Contact| {
         let force_n = c.force_n.or(force_of_unknown_n).ok_or("a contact without a force")?;
         let x_mm = c.x_mm.ok_or("a contact without a position")?;
         let y_mm = c.y_mm.ok_or("a contact without a position")?;
-        Ok(MapContact { x_mm, y_mm, force_n })
+        Ok(forward::Contact { x_mm, y_mm, force_n })
     };
     contacts.iter().map(of).collect()
 }

@@ -342,7 +342,7 @@ fn footer(
         ("palpate.lineage".to_owned(), lineage.to_string()),
     ]);
     let of_run = inputs.runs.first().map(|(run, _)| run.sensor.clone());
-    let of_shards = || toml::to_string(shards.first()?.folder.manifest.sensor_file.as_ref()?).ok();
+    let of_shards = || toml::to_string(&shards.first()?.folder.manifest.sensor_file).ok();
     if let Some(sensor) = of_run.or_else(of_shards) {
         footer.insert(schema::SENSOR_KEY.into(), sensor);
     }

@@ -4,25 +4,26 @@
 use serde::Deserialize;
 use sim_core::forward::Contact;
 
-use crate::store::{RunKind, TrialRow};
+use crate::store::{self, RunKind, TrialRow};
 
 /// Returns the contacts of a trial: in Real-Hex each attached tip with a force above
 /// `force_noise_n` (N), otherwise the stored contacts. `None` if the position or force of a contact
 /// is unknown.
 pub fn contacts(trial: &TrialRow, kind: RunKind, force_noise_n: f64) -> Option<Vec<Contact>> {
-    let contact = |x_mm, y_mm, force_n| Contact { x_mm, y_mm, force_n };
     match kind {
         RunKind::RealHex => trial
             .arms
             .iter()
             .filter(|arm| arm.force_n > force_noise_n)
-            .map(|arm| Some(contact(arm.x_mm, arm.y_mm, arm.force_n)))
+            .map(|arm| Some(Contact { x_mm: arm.x_mm, y_mm: arm.y_mm, force_n: arm.force_n }))
             .collect(),
-        RunKind::RealRandom | RunKind::Imported => {
-            let placed = |[x_mm, y_mm, force_n]: [f64; 3]| contact(x_mm, y_mm, force_n);
-            trial.contacts.iter().map(|c| c.pressed().map(placed)).collect()
-        }
+        RunKind::RealRandom | RunKind::Imported => trial.contacts.iter().map(as_pressed).collect(),
     }
+}
+
+/// Returns a stored contact with position and force; `None` if one of them is unknown.
+pub fn as_pressed(contact: &store::Contact) -> Option<Contact> {
+    contact.pressed().map(|[x_mm, y_mm, force_n]| Contact { x_mm, y_mm, force_n })
 }
 
 /// Returns where the tips of a trial are, mm: in Real-Hex each attached tip, with a force or without,

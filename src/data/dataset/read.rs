@@ -349,8 +349,8 @@ mod tests {
 
     #[test]
     fn pages_have_each_selected_row_once_across_row_groups() {
-        let name = format!("palpate-pages-{}.parquet", std::process::id());
-        let path = std::env::temp_dir().join(name);
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("pages.parquet");
         write(&path);
         let sort = Sort::parse("-max_force_n");
         let cases: [(Option<&str>, Fits); 3] =
@@ -373,6 +373,5 @@ mod tests {
             let whole: Vec<RecordBatch> = rows.batches(None).unwrap().map(Result::unwrap).collect();
             assert_eq!((ids(&whole), rows.count()), (expected.clone(), expected.len() as u64));
         }
-        std::fs::remove_file(path).unwrap();
     }
 }

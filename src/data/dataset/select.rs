@@ -11,10 +11,11 @@ use arrow_array::{
 use arrow_buffer::NullBuffer;
 use arrow_schema::{ArrowError, DataType, Field, Schema, SchemaRef};
 use serde::{Deserialize, Serialize};
+use sim_core::forward::Contact;
 use utoipa::ToSchema;
 
 use super::filter;
-use super::force_map::{ForceMap, ForceMapSpec, MapContact};
+use super::force_map::{ForceMap, ForceMapSpec};
 use super::schema;
 use crate::problem::Problem;
 use crate::simulate::schema as base;
@@ -225,7 +226,7 @@ impl Selection {
 }
 
 /// Positions and forces of contacts; `None` if one of these values is unknown.
-fn pressed(contacts: &arrow_array::StructArray) -> Result<Option<Vec<MapContact>>, ArrowError> {
+fn pressed(contacts: &arrow_array::StructArray) -> Result<Option<Vec<Contact>>, ArrowError> {
     let column = |name: &str| {
         let missing = || ArrowError::SchemaError(format!("contacts have no field {name}"));
         contacts.column_by_name(name).ok_or_else(missing)
@@ -234,11 +235,8 @@ fn pressed(contacts: &arrow_array::StructArray) -> Result<Option<Vec<MapContact>
     let y = column("y_mm")?.as_primitive::<Float64Type>();
     let force = column("force_n")?.as_primitive::<Float32Type>();
     let unknown = x.null_count() + y.null_count() + force.null_count() > 0;
-    let of = |at| MapContact {
-        x_mm: x.value(at),
-        y_mm: y.value(at),
-        force_n: f64::from(force.value(at)),
-    };
+    let of =
+        |at| Contact { x_mm: x.value(at), y_mm: y.value(at), force_n: f64::from(force.value(at)) };
     Ok((!unknown).then(|| (0..contacts.len()).map(of).collect()))
 }
 

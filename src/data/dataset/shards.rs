@@ -29,15 +29,12 @@ pub enum ShardsError {
     /// No folder of shards has this name.
     #[error("sim_random = {0}: must be a folder with shards under DATA/sim-random")]
     None(String),
-    /// The manifest is invalid.
-    #[error("{path}: {why}", path = path.display())]
-    Manifest { path: PathBuf, why: String },
     /// The sha256 of a shard differs from the manifest.
     #[error("{path}: its sha256 differs from the manifest: run `palpate simulate random --verify`", path = path.display())]
     Damaged { path: PathBuf },
-    /// A shard is not a valid Parquet file.
+    /// The manifest is invalid, or a shard is not a valid Parquet file.
     #[error("{path}: {why}", path = path.display())]
-    Parquet { path: PathBuf, why: String },
+    Invalid { path: PathBuf, why: String },
 }
 
 /// A folder of shards.
@@ -60,7 +57,7 @@ impl ShardFolder {
     ///
     /// # Errors
     /// `ShardsError::Read` if the file cannot be read, `Damaged` if its sha256 differs from the
-    /// manifest, `Parquet` if it cannot be decoded.
+    /// manifest, `Invalid` if it cannot be decoded.
     pub fn read(&self, shard: &ShardRow) -> Result<Vec<RecordBatch>, ShardsError> {
         let path = self.path.join(&shard.file);
         let read = |source| ShardsError::Read { path: path.clone(), source };
@@ -68,7 +65,7 @@ impl ShardFolder {
         if sha256_hex(&bytes) != shard.sha256 {
             return Err(ShardsError::Damaged { path });
         }
-        let parquet = |why: String| ShardsError::Parquet { path: path.clone(), why };
+        let parquet = |why: String| ShardsError::Invalid { path: path.clone(), why };
         let reader = ParquetRecordBatchReaderBuilder::try_new(bytes)
             .and_then(|builder| builder.with_batch_size(BATCH_ROWS).build())
             .map_err(|error| parquet(error.to_string()))?;
@@ -80,7 +77,7 @@ impl ShardFolder {
 /// folder.
 ///
 /// # Errors
-/// `ShardsError::None` if a folder does not exist, `Read` or `Manifest` if its manifest cannot be
+/// `ShardsError::None` if a folder does not exist, `Read` or `Invalid` if its manifest cannot be
 /// read.
 pub fn find(data: &Path, wanted: &[String]) -> Result<Vec<ShardFolder>, ShardsError> {
     let root = data.join(SHARDS_FOLDER);
@@ -124,6 +121,6 @@ fn open(root: &Path, name: String) -> Result<ShardFolder, ShardsError> {
         Err(source) => return Err(ShardsError::Read { path: file, source }),
     };
     let manifest = serde_json::from_slice(&text)
-        .map_err(|error| ShardsError::Manifest { path: file, why: error.to_string() })?;
+        .map_err(|error| ShardsError::Invalid { path: file, why: error.to_string() })?;
     Ok(ShardFolder { name, manifest, path })
 }

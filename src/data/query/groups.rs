@@ -52,7 +52,7 @@ struct Part {
 pub struct Grouping {
     keys: Vec<Part>,
     aggregates: Vec<Part>,
-    sort: Vec<(String, bool)>,
+    sort: Vec<Sort>,
 }
 
 impl Grouping {
@@ -75,10 +75,7 @@ impl Grouping {
                 "group_by" => self.keys.push(group(part).map_err(named)?),
                 "bin" => self.keys.push(bin(part).map_err(named)?),
                 "agg" => self.aggregates.push(aggregate(part).map_err(named)?),
-                "sort" => {
-                    let descending = part.starts_with('-');
-                    self.sort.push((part.trim_start_matches('-').to_owned(), descending));
-                }
+                "sort" => self.sort.push(Sort::parse(part)),
                 _ => return Ok(false),
             }
         }
@@ -98,7 +95,7 @@ impl Grouping {
         let aggregates = if self.aggregates.is_empty() { &counted[..] } else { &self.aggregates };
         let all = || self.keys.iter().chain(aggregates);
         let mut order = Vec::new();
-        for (name, descending) in &self.sort {
+        for Sort { column: name, descending } in &self.sort {
             if !all().any(|part| part.name == *name) {
                 let names: Vec<&str> = all().map(|part| part.name.as_str()).collect();
                 return Err(format!("sort = {name}: must be of {}", names.join(", ")));
@@ -108,7 +105,7 @@ impl Grouping {
         }
         // Polars refuses a key that is repeated.
         let keys: Vec<&str> = self.keys.iter().map(|key| key.name.as_str()).collect();
-        let more = keys.iter().filter(|key| !self.sort.iter().any(|(name, _)| name == **key));
+        let more = keys.iter().filter(|key| !self.sort.iter().any(|sort| sort.column == **key));
         order.extend(more.map(|key| format!("{key} NULLS LAST")));
         let values: Vec<String> =
             all().map(|Part { name, sql, .. }| format!("{sql} AS {name}")).collect();

@@ -111,9 +111,8 @@ mod tests {
 
     #[tokio::test]
     async fn a_narrow_file_has_the_rows_in_few_groups_until_its_dataset_goes() {
-        let name = format!("palpate-narrow-{}", std::process::id());
-        let folder = std::env::temp_dir().join(name);
-        let (datasets, narrow) = (folder.join("datasets"), folder.join("columns"));
+        let folder = tempfile::tempdir().unwrap();
+        let [datasets, narrow] = ["datasets", "columns"].map(|name| folder.path().join(name));
         let all: Vec<RecordBatch> = (0..40).map(|group| batch(group * 1000, 1000)).collect();
         let file = NewFile::create(&datasets).unwrap();
         let mut stream = Stream::new(Format::Parquet, &all[0].schema(), file).unwrap();
@@ -149,6 +148,5 @@ mod tests {
         trim(&narrow, &datasets);
         assert!(!made.exists());
         of_dataset(&narrow, &dataset, ROOM).await.unwrap_err();
-        std::fs::remove_dir_all(&folder).unwrap();
     }
 }

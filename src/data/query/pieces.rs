@@ -126,14 +126,14 @@ mod tests {
 
     #[test]
     fn no_piece_is_written_into_the_space_of_runs() {
-        let folder = std::env::temp_dir().join(format!("palpate-room-{}", std::process::id()));
+        let outer = tempfile::tempdir().unwrap();
+        let folder = outer.path().join("pieces");
         let written = |free| write(&folder, "run-1-a.parquet", Vec::new(), free);
         let full = written(KEPT_FREE_BYTES - 1).unwrap_err();
         assert!(matches!(full, DatasetError::DiskFull { .. }), "{full}");
         assert!(!folder.exists());
         written(KEPT_FREE_BYTES).unwrap();
         assert!(folder.join("run-1-a.parquet").is_file());
-        clear(&folder);
     }
 
     #[test]
@@ -152,9 +152,8 @@ mod tests {
 
     #[test]
     fn unused_pieces_go_the_short_ones_first() {
-        let name = format!("palpate-pieces-{}", std::process::id());
-        let folder = std::env::temp_dir().join(name);
-        std::fs::create_dir_all(&folder).unwrap();
+        let folder = tempfile::tempdir().unwrap();
+        let folder = folder.path();
         for (name, age_s) in [
             ("run-1-a.parquet", 0),
             ("run-1-b.parquet", 600),
@@ -165,14 +164,14 @@ mod tests {
             let file = std::fs::File::create(folder.join(name)).unwrap();
             file.set_modified(SystemTime::now() - Duration::from_secs(age_s)).unwrap();
         }
-        trim(&folder);
-        let entries = std::fs::read_dir(&folder).unwrap();
+        trim(folder);
+        let entries = std::fs::read_dir(folder).unwrap();
         let name = |entry: std::fs::DirEntry| entry.file_name().to_string_lossy().into_owned();
         let mut left: Vec<String> = entries.map(|entry| name(entry.unwrap())).collect();
         left.sort();
         assert_eq!(left, ["rest-of-run-1-a.parquet", "run-1-a.parquet", "run-1-b.parquet"]);
-        clear(&folder);
+        clear(folder);
         assert!(!folder.exists());
-        clear(&folder);
+        clear(folder);
     }
 }

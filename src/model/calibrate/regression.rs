@@ -187,9 +187,8 @@ impl<const P: usize> State<P> {
         let factor = cholesky(&self.normal, INDEPENDENT).map_err(undetermined)?;
         let freedom = self.residuals.len() - P;
         let variance = self.squares / freedom as f64;
-        let columns: [[f64; P]; P] = std::array::from_fn(|j| {
-            solve(&factor, std::array::from_fn(|i| f64::from(u8::from(i == j))))
-        });
+        let columns: [[f64; P]; P] =
+            std::array::from_fn(|j| solve(&factor, std::array::from_fn(|i| f64::from(i == j))));
         let covariance = std::array::from_fn(|i| {
             std::array::from_fn(|j| variance * columns[j][i] / (self.scale[i] * self.scale[j]))
         });

@@ -121,8 +121,8 @@ mod tests {
 
     #[test]
     fn what_a_killed_writer_left_is_removed_and_nothing_else() {
-        let dir = std::env::temp_dir().join(format!("palpate-sweep-{}", std::process::id()));
-        fs::create_dir_all(&dir).unwrap();
+        let folder = tempfile::tempdir().unwrap();
+        let dir = folder.path();
         // Linux does not assign this process number.
         let left = ["unit-responses-0a.999999999.partial", "unit-responses-0a.999999999.tmp"];
         let own = format!("unit-responses-0a.{}.partial", std::process::id());
@@ -130,9 +130,8 @@ mod tests {
         for name in left.iter().chain(&kept) {
             fs::write(dir.join(name), "x").unwrap();
         }
-        sweep_partial(&dir);
+        sweep_partial(dir);
         assert!(left.iter().all(|name| !dir.join(name).exists()));
         assert!(kept.iter().all(|name| dir.join(name).exists()));
-        fs::remove_dir_all(&dir).unwrap();
     }
 }

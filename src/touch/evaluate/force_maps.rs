@@ -5,7 +5,8 @@ use plotters::prelude::*;
 use plotters::style::colors::colormaps::ViridisRGB;
 
 use super::figures::{FigureError, page};
-use crate::dataset::force_map::{ForceMap, ForceMapSpec, MapContact};
+use crate::dataset::force_map::{ForceMap, ForceMapSpec};
+use crate::dataset::pressed::as_pressed;
 use crate::figure::style::{AxesStyle, COLOURS, SMALL, TINY, dash, legend, plain, whole};
 use crate::figure::{Heading, PageSize};
 use crate::learn::residuals::Residuals;
@@ -39,9 +40,7 @@ impl Picture {
         let skin = crate::dataset::read::PAPER_SKIN;
         let draws = ForceMap::new(spec, [skin.width_mm, skin.height_mm]).map_err(failed)?;
         let mut map = vec![0.0; draws.pixels() * draws.pixels()];
-        let pressed = contacts.iter().filter_map(|c| c.pressed());
-        let of = |[x_mm, y_mm, force_n]: [f64; 3]| MapContact { x_mm, y_mm, force_n };
-        let pressed: Vec<MapContact> = pressed.map(of).collect();
+        let pressed: Vec<_> = contacts.iter().filter_map(as_pressed).collect();
         draws.render(&pressed, &mut map).map_err(failed)?;
         Ok(Self { name: name.into(), spec, map })
     }

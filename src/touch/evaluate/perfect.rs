@@ -5,7 +5,8 @@
 //! threshold, two within one circle, a disc wider than the circle and large pixels all worsen the
 //! score of a perfect map; a method is compared with that score, not with 0.
 
-use crate::dataset::force_map::{ForceMap, ForceMapError, MapContact};
+use crate::dataset::force_map::{ForceMap, ForceMapError};
+use crate::dataset::pressed::as_pressed;
 use crate::store::Contact;
 
 use super::touch::{Touch, TouchError};
@@ -30,11 +31,6 @@ pub enum PerfectError {
     },
 }
 
-/// The peaks of a map, N per pixel, as estimates.
-pub fn estimates(map: &ForceMap, pixels: &[f32], threshold_n: f64) -> Vec<Contact> {
-    map.peaks(pixels, threshold_n).into_iter().map(Contact::from).collect()
-}
-
 /// Compares each frame's true contacts with the peaks of the force map of these contacts. Frames with a contact of
 /// unknown position or force have no map and are skipped.
 ///
@@ -48,12 +44,12 @@ pub fn perfect<'a>(
     let mut pixels = vec![0.0; map.pixels() * map.pixels()];
     let mut touches = Vec::new();
     for (frame, truths) in frames.into_iter().enumerate() {
-        let of = |[x_mm, y_mm, force_n]: [f64; 3]| MapContact { x_mm, y_mm, force_n };
-        let pressed = truths.iter().map(|c| c.pressed().map(of));
-        let Some(pressed) = pressed.collect::<Option<Vec<_>>>() else { continue };
+        let pressed: Option<Vec<_>> = truths.iter().map(as_pressed).collect();
+        let Some(pressed) = pressed else { continue };
         pixels.fill(0.0);
         map.render(&pressed, &mut pixels).map_err(|why| PerfectError::Draw { frame, why })?;
-        let touch = Touch::of(truths, &estimates(map, &pixels, threshold_n));
+        let peaks = map.peaks(&pixels, threshold_n).into_iter();
+        let touch = Touch::of(truths, &peaks.map(Contact::from).collect::<Vec<_>>());
         touches.push(touch.map_err(|why| PerfectError::Score { frame, why })?);
     }
     Ok(touches)

@@ -50,8 +50,7 @@ impl Reliability {
     /// Of these answers; `None` without any. `seed` is that of the bootstrap.
     pub fn of(answers: &[JudgedAnswer], seed: u64) -> Option<Self> {
         let share = |of: &mut dyn Iterator<Item = bool>| {
-            let values: Vec<f64> = of.map(|holds| f64::from(u8::from(holds))).collect();
-            Mean::of_rows(&values, seed)
+            Mean::of_rows(&of.map(f64::from).collect::<Vec<_>>(), seed)
         };
         let last = RANGES.len() - 1;
         let range = |(n, [from, to]): (usize, [f64; 2])| {

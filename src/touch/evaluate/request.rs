@@ -13,6 +13,7 @@ use super::quantities::QuantityScores;
 use super::reliability::Reliability;
 use super::score::Scores;
 use super::voltages::VoltageScores;
+use crate::dataset::split::Part;
 use crate::ids::{CalibrationId, DatasetId, ModelId};
 use crate::infer::answer::Reading;
 use crate::infer::methods::{Method, names};
@@ -235,8 +236,8 @@ impl EvaluationRequest {
     pub fn check(&self) -> Result<(), Vec<Problem>> {
         let mut checks = Checks::of("request");
         let part = self.part.as_deref().unwrap_or("test");
-        let parts = crate::dataset::split::Part::ALL.map(|part| part.name());
-        checks.require(parts.contains(&part), "part", part, "must be train, validation or test");
+        let is_part = Part::named(part).is_some();
+        checks.require(is_part, "part", part, "must be train, validation or test");
         if let Some(threshold_n) = self.threshold_n {
             checks.within("threshold_n", threshold_n, 0.0..=1000.0);
         }

@@ -8,6 +8,8 @@
 //! assigned to [`HANDS`] groups in turn, and groups are resampled: the means have the same spread,
 //! at bounded cost.
 
+use std::collections::BTreeSet;
+
 use serde::{Deserialize, Serialize};
 use sim_core::stats::{median, quantile};
 use utoipa::ToSchema;
@@ -124,9 +126,7 @@ impl Scores {
     /// Computes the scores of frames; `seed` is that of the bootstrap.
     pub fn of(touches: &[Touch], seed: u64) -> Self {
         let all: Vec<&Touch> = touches.iter().collect();
-        let mut counts: Vec<u32> = touches.iter().map(|touch| touch.contacts).collect();
-        counts.sort_unstable();
-        counts.dedup();
+        let counts: BTreeSet<u32> = touches.iter().map(|touch| touch.contacts).collect();
         let of_count = |contacts: u32| {
             let chosen: Vec<&Touch> =
                 all.iter().copied().filter(|touch| touch.contacts == contacts).collect();

@@ -172,10 +172,14 @@ impl Touch {
             Metric::Closest => self.places.as_ref().map_or_else(Vec::new, |p| p.closest_mm.clone()),
             Metric::Force => pairs().filter_map(|pair| pair.force_percent).collect(),
             Metric::Diameter => pairs().filter_map(|pair| pair.diameter_percent).collect(),
-            Metric::Exact => vec![share(difference == 0.0)],
+            Metric::Exact => vec![f64::from(difference == 0.0)],
             Metric::Ghosts => self.places.iter().map(|p| f64::from(p.ghosts)).collect(),
-            Metric::PlaceIn95 => pairs().filter_map(|pair| pair.in_95.place).map(share).collect(),
-            Metric::ForceIn95 => pairs().filter_map(|pair| pair.in_95.force).map(share).collect(),
+            Metric::PlaceIn95 => {
+                pairs().filter_map(|pair| pair.in_95.place).map(f64::from).collect()
+            }
+            Metric::ForceIn95 => {
+                pairs().filter_map(|pair| pair.in_95.force).map(f64::from).collect()
+            }
         }
     }
 
@@ -195,11 +199,6 @@ impl Touch {
             | Metric::ForceIn95 => self.values(metric),
         }
     }
-}
-
-/// 1 for a statement that holds, else 0.
-fn share(holds: bool) -> f64 {
-    f64::from(u8::from(holds))
 }
 
 fn percent(truth: Option<f64>, estimate: Option<f64>) -> Option<f64> {

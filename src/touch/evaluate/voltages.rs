@@ -1,6 +1,8 @@
 //! Agreement of voltages with simulated ones, by the number of contacts (paper, Table III).
 //! PURE. Uses: sim-core's quantiles. Never: nets.
 
+use std::collections::BTreeSet;
+
 use serde::{Deserialize, Serialize};
 use sim_core::stats::{quantile, sorted};
 use utoipa::ToSchema;
@@ -36,9 +38,7 @@ pub type VoltageFit = (u32, f64, Option<f64>);
 impl VoltageScores {
     /// Computes the scores of trials; `None` without trials.
     pub fn of(fits: &[VoltageFit]) -> Option<Self> {
-        let mut counts: Vec<u32> = fits.iter().map(|fit| fit.0).collect();
-        counts.sort_unstable();
-        counts.dedup();
+        let counts: BTreeSet<u32> = fits.iter().map(|fit| fit.0).collect();
         let of_count = |count: u32| {
             let chosen: Vec<VoltageFit> =
                 fits.iter().copied().filter(|fit| fit.0 == count).collect();

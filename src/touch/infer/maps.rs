@@ -1,9 +1,11 @@
 //! Force maps of methods: contacts drawn as a map, and the peaks of a map as contacts.
 //! Uses: `dataset::force_map`. Never: nets, its own threshold.
 
+use sim_core::forward::Contact;
+
 use super::answer::{FoundContact, Reading};
 use super::error::InferError;
-use crate::dataset::force_map::{ForceMap, ForceMapSpec, MapContact, TABLE_IV_MAPS};
+use crate::dataset::force_map::{ForceMap, ForceMapSpec, TABLE_IV_MAPS};
 
 /// Map in which the contacts of methods without a map are drawn: the paper's Map 1, 160 x 160
 /// pixels.
@@ -41,7 +43,7 @@ pub fn draw(readings: &mut [Reading], skin_mm: [f64; 2]) -> Result<(), InferErro
     let draws = ForceMap::new(MAP_1, skin_mm)?;
     for reading in readings.iter_mut().filter(|reading| reading.force_map_n.is_none()) {
         let of =
-            |c: &FoundContact| Some(MapContact { x_mm: c.x_mm, y_mm: c.y_mm, force_n: c.force_n? });
+            |c: &FoundContact| Some(Contact { x_mm: c.x_mm, y_mm: c.y_mm, force_n: c.force_n? });
         let pressed = reading.contacts.iter().filter_map(of);
         let mut map = vec![0.0; draws.pixels() * draws.pixels()];
         draws.render(&pressed.collect::<Vec<_>>(), &mut map)?;

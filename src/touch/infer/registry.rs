@@ -68,7 +68,8 @@ impl NewModel {
     /// # Errors
     /// `InferError::Problems` if its sensor file is invalid; `Plan` if it cannot be run.
     pub fn load(&self) -> Result<Model, InferError> {
-        let (skin, _) = facts(SENSOR_FILE, &self.sensor).map_err(InferError::Problems)?;
+        let skin = ImportedSensor::from_toml(SENSOR_FILE, &self.sensor);
+        let skin = skin.map_err(InferError::Problems)?;
         let ModelFacts { channels, output_shape, .. } = &self.manifest.model;
         Ok(Model {
             name: self.name.clone(),
@@ -248,24 +249,24 @@ impl Registry {
     /// `InferError` if there is no such model, or its files are damaged.
     pub async fn load(&self, id_or_name: &str) -> Result<Arc<Model>, InferError> {
         let row = self.find(id_or_name).await?;
-        let mut found = self.loaded(|models| {
+        let found = self.loaded(|models| {
             let at = models.iter().position(|model| model.manifest.id == row.id)?;
             let model = models.remove(at);
             models.push(model.clone());
             Some(model)
         });
-        if found.is_none() {
-            let folder = self.folder(&row.id);
-            let loading = tokio::task::spawn_blocking(move || read(&folder, &row));
-            let model = Arc::new(loading.await.map_err(|_| InferError::Worker)??);
-            self.loaded(|models| {
-                models.push(model.clone());
-                let over = models.len().saturating_sub(LOADED_MAX);
-                models.drain(..over);
-            });
-            found = Some(model);
+        if let Some(model) = found {
+            return Ok(model);
         }
-        found.ok_or(InferError::Worker)
+        let folder = self.folder(&row.id);
+        let loading = tokio::task::spawn_blocking(move || read(&folder, &row));
+        let model = Arc::new(loading.await.map_err(|_| InferError::Worker)??);
+        self.loaded(|models| {
+            models.push(model.clone());
+            let over = models.len().saturating_sub(LOADED_MAX);
+            models.drain(..over);
+        });
+        Ok(model)
     }
 
     /// Returns the residuals of a Transfer-Net.

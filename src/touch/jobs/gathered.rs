@@ -6,12 +6,11 @@ use std::path::Path;
 use super::error::JobError;
 use crate::dataset::import::sensor::ImportedSensor;
 use crate::dataset::read::sensor_text;
+use crate::dataset::split::Part;
 use crate::evaluate::request::EvaluationRequest;
 use crate::ids::TrialId;
-use crate::infer::registry;
 use crate::learn::error::LearnError;
 use crate::learn::examples::Examples;
-use crate::learn::task::SensorFacts;
 use crate::store::Store;
 
 /// Rows to score, with their sensor.
@@ -20,10 +19,8 @@ pub struct Gathered {
     pub examples: Examples,
     /// Indices of the rows that are scored.
     pub rows: Vec<u32>,
-    /// Skin of the rows.
-    pub skin: ImportedSensor,
     /// Sensor of the rows.
-    pub sensor: SensorFacts,
+    pub skin: ImportedSensor,
 }
 
 impl Gathered {
@@ -37,13 +34,10 @@ impl Gathered {
         columns: &'static [&'static str],
         scratch: &Path,
     ) -> Result<Self, JobError> {
-        let (skin, sensor) = registry::facts("sensor", &sensor_text(file)?)?;
+        let skin = ImportedSensor::from_toml("sensor", &sensor_text(file)?)?;
         let examples = Examples::gather(file, &request.conditions, columns, scratch)?;
-        let part = |name: &str| {
-            crate::dataset::split::Part::ALL.into_iter().find(|part| part.name() == name)
-        };
         let mut rows = match &request.part {
-            Some(name) => part(name).map_or_else(Vec::new, |part| examples.part(part)),
+            Some(name) => Part::named(name).map_or_else(Vec::new, |part| examples.part(part)),
             None => (0..examples.len() as u32).collect(),
         };
         if rows.is_empty() {
@@ -57,7 +51,7 @@ impl Gathered {
             let all = rows.len();
             rows = (0..limit as usize).map(|i| rows[i * all / limit as usize]).collect();
         }
-        Ok(Self { examples, rows, skin, sensor })
+        Ok(Self { examples, rows, skin })
     }
 }
 

@@ -84,7 +84,8 @@ mod tests {
 
     #[test]
     fn three_checkpoints_are_kept_and_move_with_their_losses() {
-        let jobs = std::env::temp_dir().join(format!("palpate-kept-{}", std::process::id()));
+        let folder = tempfile::tempdir().unwrap();
+        let jobs = folder.path();
         let [first, second, third, fourth, new] =
             ["a", "b", "c", "d", "new"].map(|name| jobs.join(name));
         for (folder, text) in [(&first, "1"), (&second, "2"), (&third, "3"), (&fourth, "4")] {
@@ -92,7 +93,7 @@ mod tests {
             new_file::write(folder, LOSSES, text).unwrap();
             assert!(keep(folder));
         }
-        let mut kept = marked(&jobs);
+        let mut kept = marked(jobs);
         kept.sort();
         assert_eq!(kept, [second.as_path(), &third, &fourth]);
         assert!(!first.join(CHECKPOINT).exists() && first.join(LOSSES).exists());
@@ -105,6 +106,5 @@ mod tests {
         keep(&new);
         unmark(&new);
         assert!(!is_kept(&new) && new.join(CHECKPOINT).exists());
-        fs::remove_dir_all(&jobs).unwrap();
     }
 }

@@ -20,6 +20,7 @@ use crate::infer::registry::Registry;
 use crate::infer::serving::Serving;
 use crate::journal::error_chain;
 use crate::learn::order::{CHECKPOINT, LOSSES};
+use crate::learn::recipe::Recipe;
 use crate::store::{Store, TaskEnd, TaskKind, TaskQueue, TaskRow, TaskState};
 use starts::{STARTS_MAX, Starts};
 
@@ -82,7 +83,7 @@ impl Jobs {
         request: &TrainingRequest,
         asked_by: &str,
     ) -> Result<TaskRow, JobError> {
-        training::check(&request.recipe)?;
+        Recipe::from_toml("recipe", &request.recipe)?;
         let request = serde_json::to_value(request).map_err(JobError::Json)?;
         self.ask(TaskKind::Training, request, asked_by).await
     }

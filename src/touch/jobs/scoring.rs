@@ -28,7 +28,7 @@ use crate::ids::{DatasetId, TrialId};
 use crate::infer::answer::{FoundContact, Reading};
 use crate::infer::error::InferError;
 use crate::infer::maps::ForceMaps;
-use crate::infer::methods::{Frames, ReadyMethod};
+use crate::infer::methods::ReadyMethod;
 use crate::infer::registry::Model;
 use crate::infer::untouched::UntouchedSkins;
 use crate::learn::error::LearnError;
@@ -117,7 +117,7 @@ impl Scoring {
 
     /// Checks that the models are for the sensor of the rows.
     fn check_sensor(&self) -> Result<(), InferError> {
-        let here = &self.gathered.sensor;
+        let here = &self.gathered.skin;
         for net in self.reader.nets() {
             net.is_for(&here.name, here.channels)?;
         }
@@ -257,26 +257,21 @@ impl Scoring {
         let (mut touches, mut judged, mut latencies) = (Vec::new(), Vec::new(), Vec::new());
         let mut calibrated = 0;
         // One frame at a time, as on a rig: the latency is measured.
-        for (at, rows) in self.gathered.rows.chunks(1).enumerate() {
-            let voltages_v = self.frames(at, rows)?;
-            let trial = self.gathered.examples.trial_id(rows[0]);
-            let untouched = trial.and_then(|trial| self.untouched.of(TrialId(trial)));
-            calibrated += u64::from(untouched.is_none());
-            let (averaged, untouched) = (self.averaged(rows[0]), untouched.as_ref());
-            let frames = Frames { voltages_v: &voltages_v, averaged, untouched };
+        for (at, &row) in self.gathered.rows.iter().enumerate() {
+            let input = self.input(at, row)?;
+            calibrated += u64::from(input.untouched.is_none());
+            let shown = report.examples.len() < self.request.examples as usize;
             let before_s = self.clock.process_s();
-            let shown = (self.request.examples as usize).saturating_sub(report.examples.len());
-            let readings = method.read(&frames, ForceMaps::if_wanted(shown > 0))?;
+            let readings = method.read(&input.frames(), ForceMaps::if_wanted(shown))?;
             latencies.push(1e3 * (self.clock.process_s() - before_s));
-            for (&row, reading) in rows.iter().zip(&readings) {
+            for reading in readings {
                 let sure = reading.contacts.iter().filter(|found| self.is_sure(found));
                 touches.push(self.touch(row, &sure.copied().collect::<Vec<_>>())?);
-                judged.extend(self.judged(row, reading)?);
+                judged.extend(self.judged(row, &reading)?);
+                if shown {
+                    report.examples.push(Example { truth: self.truths(row), reading });
+                }
             }
-            let examples = rows.iter().zip(readings).take(shown);
-            report.examples.extend(
-                examples.map(|(&row, reading)| Example { truth: self.truths(row), reading }),
-            );
             if !self.goes_on(touches.len(), began_s) {
                 return Ok(false);
             }
@@ -349,16 +344,18 @@ impl Scoring {
     /// # Errors
     /// `JobError::Learn` if a row cannot be read.
     pub(super) fn inputs(&self) -> Result<Vec<FrameInput>, JobError> {
-        let mut inputs = Vec::with_capacity(self.gathered.rows.len());
-        for (at, &row) in self.gathered.rows.iter().enumerate() {
-            let trial = self.gathered.examples.trial_id(row);
-            inputs.push(FrameInput {
-                voltages_v: self.frames(at, &[row])?,
-                averaged: self.averaged(row),
-                untouched: trial.and_then(|trial| self.untouched.of(TrialId(trial))),
-            });
-        }
-        Ok(inputs)
+        let rows = self.gathered.rows.iter().enumerate();
+        rows.map(|(at, &row)| self.input(at, row)).collect()
+    }
+
+    /// The frame of the row at a place, with what is known of it.
+    fn input(&self, at: usize, row: u32) -> Result<FrameInput, JobError> {
+        let trial = self.gathered.examples.trial_id(row);
+        Ok(FrameInput {
+            voltages_v: self.frames(at, &[row])?,
+            averaged: self.averaged(row),
+            untouched: trial.and_then(|trial| self.untouched.of(TrialId(trial))),
+        })
     }
 
     /// Frames of rows, V, one after the other.

@@ -43,15 +43,6 @@ pub struct TrainingRequest {
     pub recipe: String,
 }
 
-/// Checks a recipe.
-///
-/// # Errors
-/// `JobError::Problems` with all problems of the recipe.
-pub fn check(recipe: &str) -> Result<(), JobError> {
-    Recipe::from_toml("recipe", recipe)?;
-    Ok(())
-}
-
 /// Runs a training; `None` if it was stopped.
 ///
 /// # Errors

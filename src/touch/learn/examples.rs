@@ -209,8 +209,7 @@ impl Examples {
             }
         }
         let split = column(SPLIT).and_then(|c| c.as_string_opt::<i32>());
-        let named = |name: &str| Part::ALL.into_iter().find(|part| part.name() == name);
-        let part = |row| split.and_then(|names| named(names.value(row)));
+        let part = |row| split.and_then(|names| Part::named(names.value(row)));
         self.parts.extend((0..batch.num_rows()).map(part));
         let ids = column(TRIAL_ID).and_then(|c| c.as_primitive_opt::<Int64Type>());
         let id = |row| ids.filter(|ids| ids.is_valid(row)).map(|ids| ids.value(row));

@@ -90,7 +90,7 @@ impl Targets {
             }
             Quantity::Pattern => {
                 let pressed = self.pressed(contacts)?;
-                let numbers = pressed.places.iter().map(|&is| f32::from(u8::from(is)));
+                let numbers = pressed.places.iter().map(|&is| f32::from(is));
                 (pressed.elsewhere == 0).then(|| numbers.collect())
             }
         }

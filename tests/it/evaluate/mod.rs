@@ -6,7 +6,8 @@ use std::io::Write;
 use std::process::{Command, Output, Stdio};
 
 use palpate::chance::Chance;
-use palpate::dataset::force_map::{ForceMap, MapContact, TABLE_IV_MAPS};
+use palpate::dataset::force_map::{ForceMap, TABLE_IV_MAPS};
+use palpate::dataset::pressed::as_pressed;
 use palpate::evaluate::anova::{Factor, Factorial};
 use palpate::evaluate::score::Scores;
 use palpate::evaluate::touch::Touch;
@@ -46,9 +47,8 @@ fn contacts(chance: &mut Chance, fewest: u32) -> Vec<Contact> {
         .collect()
 }
 
-fn pressed(contacts: &[Contact]) -> Vec<MapContact> {
-    let of = |[x_mm, y_mm, force_n]: [f64; 3]| MapContact { x_mm, y_mm, force_n };
-    contacts.iter().filter_map(Contact::pressed).map(of).collect()
+fn pressed(contacts: &[Contact]) -> Vec<sim_core::forward::Contact> {
+    contacts.iter().filter_map(as_pressed).collect()
 }
 
 /// Labels as they are drawn (flat discs, which tie), blurred ones under noise as nets answer, and

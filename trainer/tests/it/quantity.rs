@@ -1,14 +1,13 @@
 //! Regressions in closed form, of a quantity, of a frame or of a force map, and perceptrons.
 
-use nets::compute::Compute;
-use nets::progress::{Flow, Observer, Plan, Progress, Trained};
+use nets::progress::Trained;
 use nets::recipe::Recipe;
 use palpate_trainer::answer::answer;
 use palpate_trainer::train::train;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-use super::Rows;
+use super::{ONE_THREAD, Rows, Watch, plan};
 
 const CHANNELS: usize = 12;
 
@@ -22,35 +21,13 @@ fn rows(count: usize, seed: u64, target: impl Fn(&[f32]) -> Vec<f32>) -> Rows {
     Rows { inputs, targets }
 }
 
-/// Records losses and warnings; stops after a number of steps.
-#[derive(Default)]
-struct Watch {
-    stop_after: Option<usize>,
-    losses: Vec<f64>,
-    warnings: Vec<String>,
-}
-
-impl Observer for Watch {
-    fn see(&mut self, progress: &Progress) -> Flow {
-        self.losses.extend(progress.validation_loss);
-        if self.stop_after == Some(self.losses.len()) { Flow::Stop } else { Flow::Continue }
-    }
-    fn warn(&mut self, message: String) {
-        self.warnings.push(message);
-    }
-    fn keep(&mut self, _: Vec<u8>) {}
-}
-
 fn trained(net: &str, learn: &Rows, choose: &Rows, watch: &mut Watch) -> Trained {
-    let recipe = Recipe::from_toml(&format!("seed = 1\n{net}")).unwrap();
-    let compute = Compute::Cpu { threads: 1 };
-    let plan = Plan { recipe, data: "ds-test".into(), noise_sd_v: None, compute };
-    train(&plan, learn, choose, None, watch).unwrap()
+    train(&plan(&format!("seed = 1\n{net}")), learn, choose, None, watch).unwrap()
 }
 
 /// Root mean square error on rows.
 fn error(trained: &Trained, rows: &Rows) -> f64 {
-    let answers = answer(&trained.network, &rows.inputs.concat(), Compute::Cpu { threads: 1 });
+    let answers = answer(&trained.network, &rows.inputs.concat(), ONE_THREAD);
     let targets = rows.targets.concat();
     let square = |(a, b): (&f32, &f32)| f64::from(a - b).powi(2);
     let sum: f64 = answers.unwrap().iter().zip(&targets).map(square).sum();
@@ -138,8 +115,7 @@ fn regressions_answer_force_maps_without_negative_forces() {
     let signed = |frame: &[f32]| vec![frame[0]; SIDE * SIDE];
     let learn = rows(300, 1, signed);
     let fitted = trained(net, &learn, &learn, &mut Watch::default());
-    let compute = Compute::Cpu { threads: 1 };
-    let found = answer(&fitted.network, &learn.inputs.concat(), compute).unwrap();
+    let found = answer(&fitted.network, &learn.inputs.concat(), ONE_THREAD).unwrap();
     assert!(found.iter().all(|n| *n >= 0.0) && found.iter().any(|n| *n > 0.0));
     for wrong in ["answers = 'map'", "answers = 'map'\nside = 161", "side = 40"] {
         let refused = Recipe::from_toml(&format!("seed = 1\n[net]\nkind = 'ridge'\n{wrong}\n"));
@@ -167,8 +143,7 @@ fn a_perceptron_learns_each_quantity() {
     }
     let (learn, other) = (rows(600, 1, pattern), rows(200, 2, pattern));
     let trained = trained(&net("pattern"), &learn, &other, &mut Watch::default());
-    let compute = Compute::Cpu { threads: 1 };
-    let logits = answer(&trained.network, &other.inputs.concat(), compute).unwrap();
+    let logits = answer(&trained.network, &other.inputs.concat(), ONE_THREAD).unwrap();
     let right =
         logits.iter().zip(other.targets.concat()).filter(|(z, t)| (**z > 0.0) == (*t > 0.5));
     assert!(right.count() > 370, "of 400");
@@ -215,8 +190,7 @@ fn faults_in_few_rows_do_not_spoil_a_robust_input() {
     assert!(error(&fitted, &other) < 0.03, "{} mm", error(&fitted, &other));
     let mut frame = other.inputs[0].clone();
     frame[0] = 1e6;
-    let compute = Compute::Cpu { threads: 1 };
-    let found = answer(&fitted.network, &frame, compute).unwrap();
+    let found = answer(&fitted.network, &frame, ONE_THREAD).unwrap();
     assert!(found.iter().all(|mm| mm.abs() < 1e3), "{found:?}");
     let refused = Recipe::from_toml(&format!("seed = 1\n{}", net.replace("robust", "unit")));
     assert!(refused.unwrap_err().to_string().contains("net.input"));
@@ -225,7 +199,7 @@ fn faults_in_few_rows_do_not_spoil_a_robust_input() {
 #[test]
 fn a_fit_in_closed_form_can_be_stopped() {
     let (learn, other) = (rows(100, 1, even), rows(50, 2, even));
-    let mut watch = Watch { stop_after: Some(2), ..Watch::default() };
+    let mut watch = Watch { checkpoint_at: Some(2), stop: true, ..Watch::default() };
     let net = "[net]\nkind = 'kernel-ridge'\nanswers = 'force'\n";
     let trained = trained(net, &learn, &other, &mut watch);
     assert_eq!((trained.end, watch.losses.len()), (nets::progress::End::Stopped, 2));

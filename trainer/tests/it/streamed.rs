@@ -4,17 +4,16 @@
 use std::collections::BTreeSet;
 use std::sync::{Arc, OnceLock};
 
-use nets::compute::Compute;
 use nets::points::draws::Draws;
 use nets::points::streamed::Streamed;
-use nets::progress::{Flow, Observer, Plan, Progress};
-use nets::recipe::Recipe;
 use nets::samples::Samples;
 use palpate_trainer::train::train;
 use sim_core::batch::{BatchModel, Kernel};
 use sim_core::forward::{Contact, ForwardModel, Workspace};
 use sim_core::responses::UnitResponses;
 use sim_core::sensor::Sensor;
+
+use super::{Watch, plan};
 
 const POINTS: usize = 804;
 const CHANNELS: usize = 784;
@@ -39,30 +38,17 @@ fn stream(seed: u64, len: u64) -> Streamed {
     Streamed::new(batch(), model().sensor().points(), Draws::default(), seed, len)
 }
 
-/// Stores validation losses.
-struct Losses(Vec<f64>);
-
-impl Observer for Losses {
-    fn see(&mut self, progress: &Progress) -> Flow {
-        self.0.extend(progress.validation_loss);
-        Flow::Continue
-    }
-    fn keep(&mut self, _: Vec<u8>) {}
-}
-
 #[test]
 fn point_net_learns_from_a_stream_that_never_repeats() {
     let toml = "seed = 4\nepochs = 4\nbatch = 64\n[net]\nkind = 'point-net'\nhidden = 2\n\
                 width = 128\n[noise]\nwhite_v = 0.0012\n[optimiser]\nbeta1 = 0.9\n";
-    let recipe = Recipe::from_toml(toml).unwrap();
-    let compute = Compute::Cpu { threads: 1 };
-    let plan = Plan { recipe, data: "model".into(), noise_sd_v: None, compute };
-    let mut losses = Losses(Vec::new());
-    train(&plan, &stream(5, 4000), &stream(6, 500), None, &mut losses).unwrap();
-    let [first, .., last] = losses.0[..] else { panic!("{:?}", losses.0) };
+    let mut watch = Watch::default();
+    train(&plan(toml), &stream(5, 4000), &stream(6, 500), None, &mut watch).unwrap();
+    let losses = watch.losses;
+    let [first, .., last] = losses[..] else { panic!("{losses:?}") };
     // Answer of a net that knows only the mean number of pressed points and their mean force:
     // 3.4 (1 + ln(804 / 3.4)) = 22.0 of entropy, and 3.4 x 0.47 of spread of ln force.
-    assert!(first < 24.0 && last < 21.5 && last < first, "{:?}", losses.0);
+    assert!(first < 24.0 && last < 21.5 && last < first, "{losses:?}");
 }
 
 fn read(from: &Streamed, numbers: &[u64]) -> (Vec<f32>, Vec<f32>) {

@@ -3,16 +3,14 @@
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
-use nets::compute::Compute;
 use nets::error::{CheckpointError, SamplesError, TrainError};
 use nets::network::Layer;
 use nets::progress::{End, Flow, Observer, Plan, Progress, Trained};
-use nets::recipe::Recipe;
 use nets::samples::Samples;
 use palpate_trainer::answer::answer;
 use palpate_trainer::train::train;
 
-use super::Rows;
+use super::{Rows, Watch, plan};
 
 const CHANNELS: usize = 12;
 
@@ -48,12 +46,6 @@ fn points(_: &[f32], row: usize) -> Vec<f32> {
     forces
 }
 
-fn plan(toml: &str) -> Plan {
-    let recipe = Recipe::from_toml(toml).unwrap();
-    let compute = Compute::Cpu { threads: 1 };
-    Plan { recipe, data: "ds-test".into(), noise_sd_v: None, compute }
-}
-
 const TRANSFER: &str = "seed = 1\nepochs = 300\nbatch = 5\n[net]\nkind = 'transfer-net'\nhidden = 2\n\
                         width = 64\nform = 'residual'\n";
 const PLAIN: &str = "seed = 1\nepochs = 300\nbatch = 5\n[net]\nkind = 'transfer-net'\nhidden = 2\n\
@@ -62,31 +54,6 @@ const RECON: &str = "seed = 2\nepochs = 600\nbatch = 5\n[net]\nkind = 'recon-net
                      channels = [16, 8]\nhidden = 64\ninput.whitened.components = 6\n";
 const POINTS: &str = "seed = 3\nepochs = 300\nbatch = 5\n[net]\nkind = 'point-net'\nhidden = 2\n\
                       width = 64\ncomponents = 6\n";
-
-/// Stops at a given batch; stores checkpoints.
-#[derive(Default)]
-struct Watch {
-    checkpoint_at: Option<u64>,
-    stop: bool,
-    seen: u64,
-    kept: Vec<Vec<u8>>,
-    losses: Vec<f64>,
-}
-
-impl Observer for Watch {
-    fn see(&mut self, progress: &Progress) -> Flow {
-        self.seen += 1;
-        self.losses.extend(progress.validation_loss);
-        match (self.checkpoint_at == Some(self.seen), self.stop) {
-            (false, _) => Flow::Continue,
-            (true, false) => Flow::Checkpoint,
-            (true, true) => Flow::Stop,
-        }
-    }
-    fn keep(&mut self, checkpoint: Vec<u8>) {
-        self.kept.push(checkpoint);
-    }
-}
 
 fn run(plan: &Plan, rows: &Rows) -> Trained {
     train(plan, rows, rows, None, &mut Watch::default()).unwrap()

@@ -1,5 +1,5 @@
 //! Force maps: newtons per pixel over a square centred on the skin (paper V-B, Table IV).
-//! PURE. Uses: nothing. Never: sampling, files, the choice of contacts.
+//! PURE. Uses: sim-core's contact. Never: sampling, files, the choice of contacts.
 //!
 //! Each contact's force is spread uniformly over a disc. A pixel gets the part of the disc's area
 //! that it covers, in closed form: with `g(t) = integral of sqrt(r^2 - s^2) ds from 0 to t`, the
@@ -25,6 +25,7 @@ use std::fmt;
 use std::str::FromStr;
 
 use serde::{Deserialize, Serialize};
+use sim_core::forward::Contact;
 
 /// Side of the square that a map covers in the paper, mm; its centre is the centre of the skin.
 pub const SIDE_MM: f64 = 640.0;
@@ -181,17 +182,6 @@ impl From<ForceMapSpec> for String {
     }
 }
 
-/// A contact as a map shows it: position, skin coordinates, and force.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct MapContact {
-    /// Position along x, mm.
-    pub x_mm: f64,
-    /// Position along y, mm.
-    pub y_mm: f64,
-    /// Normal force, N.
-    pub force_n: f64,
-}
-
 /// Renders the maps of one specification on one skin.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ForceMap {
@@ -237,11 +227,11 @@ impl ForceMap {
     ///
     /// # Panics
     /// If `map` is not `pixels x pixels` long.
-    pub fn render(&self, contacts: &[MapContact], map: &mut [f32]) -> Result<(), ForceMapError> {
+    pub fn render(&self, contacts: &[Contact], map: &mut [f32]) -> Result<(), ForceMapError> {
         let pixels = self.pixels();
         assert_eq!(map.len(), pixels * pixels, "a map of {pixels} x {pixels} pixels");
         let disc = Disc::new(self.spec.diameter_mm / 2.0);
-        for &MapContact { x_mm, y_mm, force_n } in contacts {
+        for &Contact { x_mm, y_mm, force_n } in contacts {
             let columns = self.axis(&disc, x_mm - self.origin_mm[0]);
             let rows = self.axis(&disc, y_mm - self.origin_mm[1]);
             let area_mm2 = disc.within(&columns.whole, &rows.whole);

@@ -68,8 +68,7 @@ impl ForceMap {
             let force_n = field.sum_around(plateau.place_mm);
             if force_n >= threshold_n {
                 let half = plateau.largest / 2.0;
-                let marks = Marks { marks: &mut visits, mark: number };
-                let half = field.joined(plateau.first, |value| value >= half, marks);
+                let half = field.joined(plateau.first, |value| value >= half, &mut visits, number);
                 let area_mm2 = half.len() as f64 * self.spec.pixel_mm * self.spec.pixel_mm;
                 peaks.push(Peak {
                     x_mm: self.origin_mm[0] + scale * plateau.place_mm[0],
@@ -102,14 +101,6 @@ struct Plateau {
     largest: f32,
     /// Mean of the pixels' centres, mm from the map's corner.
     place_mm: [f64; 2],
-}
-
-/// Marks of the pixels that a search has visited.
-struct Marks<'a> {
-    /// One mark per pixel.
-    marks: &'a mut [u32],
-    /// Mark of this search.
-    mark: u32,
 }
 
 /// A map with a rim of zeros as wide as the neighbourhood, so that no neighbourhood extends beyond
@@ -181,8 +172,7 @@ impl Field {
                         let own = self.values[at];
                         let equal =
                             |value| equal_or_above(value, own) && equal_or_above(own, value);
-                        let marks = Marks { marks: &mut taken, mark: 1 };
-                        found.push(self.plateau(&self.joined(at, equal, marks)));
+                        found.push(self.plateau(&self.joined(at, equal, &mut taken, 1)));
                     }
                 }
             }
@@ -198,12 +188,14 @@ impl Field {
     }
 
     /// Returns the pixels that are connected to `from` by edges over pixels for which `belongs` is
-    /// true (it must be false for 0) and that are not marked yet; marks them.
+    /// true (it must be false for 0) and that do not have this mark yet; marks them. `marks` has one
+    /// for each pixel.
     fn joined(
         &self,
         from: usize,
         belongs: impl Fn(f32) -> bool,
-        Marks { marks, mark }: Marks<'_>,
+        marks: &mut [u32],
+        mark: u32,
     ) -> Vec<usize> {
         let stride = self.stride();
         let mut region = vec![from];
@@ -274,7 +266,7 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
-    use crate::dataset::force_map::{ForceMapSpec, MapContact};
+    use crate::dataset::force_map::ForceMapSpec;
 
     const PIXELS: usize = 160;
 
@@ -284,7 +276,7 @@ mod tests {
 
     fn drawn(map: &ForceMap, contacts: &[(f64, f64, f64)]) -> Vec<f32> {
         let mut pixels = vec![0.0; map.pixels() * map.pixels()];
-        let contact = |&(x_mm, y_mm, force_n)| MapContact { x_mm, y_mm, force_n };
+        let contact = |&(x_mm, y_mm, force_n)| sim_core::forward::Contact { x_mm, y_mm, force_n };
         map.render(&contacts.iter().map(contact).collect::<Vec<_>>(), &mut pixels).unwrap();
         pixels
     }

@@ -5,9 +5,7 @@ use std::f64::consts::PI;
 
 use proptest::prelude::*;
 
-use super::{
-    Disc, ForceMap, ForceMapError, ForceMapSpec, MapContact, SIDE_MM, Span, TABLE_IV_MAPS,
-};
+use super::{Contact, Disc, ForceMap, ForceMapError, ForceMapSpec, SIDE_MM, Span, TABLE_IV_MAPS};
 
 const SKIN_MM: [f64; 2] = [540.0, 560.0];
 
@@ -15,13 +13,13 @@ fn map(spec: &str) -> ForceMap {
     ForceMap::new(spec.parse().unwrap(), SKIN_MM).unwrap()
 }
 
-fn contact((x_mm, y_mm, force_n): (f64, f64, f64)) -> MapContact {
-    MapContact { x_mm, y_mm, force_n }
+fn contact((x_mm, y_mm, force_n): (f64, f64, f64)) -> Contact {
+    Contact { x_mm, y_mm, force_n }
 }
 
 fn drawn(map: &ForceMap, contacts: &[(f64, f64, f64)]) -> Vec<f32> {
     let mut pixels = vec![0.0; map.pixels() * map.pixels()];
-    let contacts: Vec<MapContact> = contacts.iter().copied().map(contact).collect();
+    let contacts: Vec<Contact> = contacts.iter().copied().map(contact).collect();
     map.render(&contacts, &mut pixels).unwrap();
     pixels
 }

@@ -59,9 +59,6 @@ struct Row {
     extension: &'static str,
     media_type: &'static str,
     about: &'static str,
-    streams: bool,
-    /// Whether numbers are written as text.
-    is_text: bool,
 }
 
 impl Format {
@@ -78,8 +75,6 @@ impl Format {
                 extension: "parquet",
                 media_type: "application/vnd.apache.parquet",
                 about: "Apache Parquet, compressed with zstd",
-                streams: true,
-                is_text: false,
             },
             Self::Arrow => Row {
                 name: "arrow",
@@ -87,8 +82,6 @@ impl Format {
                 extension: "arrows",
                 media_type: "application/vnd.apache.arrow.stream",
                 about: "Arrow IPC stream, uncompressed",
-                streams: true,
-                is_text: false,
             },
             Self::Feather => Row {
                 name: "feather",
@@ -96,8 +89,6 @@ impl Format {
                 extension: "arrow",
                 media_type: "application/vnd.apache.arrow.file",
                 about: "Arrow IPC file (Feather 2), uncompressed",
-                streams: true,
-                is_text: false,
             },
             Self::Csv => Row {
                 name: "csv",
@@ -105,8 +96,6 @@ impl Format {
                 extension: "csv",
                 media_type: "text/csv; charset=utf-8; header=present",
                 about: "CSV (RFC 4180) with a header line",
-                streams: true,
-                is_text: true,
             },
             Self::Ndjson => Row {
                 name: "ndjson",
@@ -114,8 +103,6 @@ impl Format {
                 extension: "ndjson",
                 media_type: "application/x-ndjson",
                 about: "a JSON object per line, without missing values",
-                streams: true,
-                is_text: true,
             },
             Self::Npz => Row {
                 name: "npz",
@@ -123,8 +110,6 @@ impl Format {
                 extension: "npz",
                 media_type: "application/zip",
                 about: "NumPy arrays, one per column",
-                streams: false,
-                is_text: false,
             },
         }
     }
@@ -167,12 +152,12 @@ impl Format {
 
     /// True if rows can be written in one pass: all formats except NPZ.
     pub fn streams(self) -> bool {
-        self.row().streams
+        self != Self::Npz
     }
 
     /// True if numbers are written as text: a file is longer, and a person can read it.
     pub fn is_text(self) -> bool {
-        self.row().is_text
+        matches!(self, Self::Csv | Self::Ndjson)
     }
 }
 

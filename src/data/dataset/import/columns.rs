@@ -46,10 +46,14 @@ pub(super) const SCALARS: [(&str, Scalar); 9] = [
     (TAG, Scalar::Text),
 ];
 
+/// The column with one value per trial that has this name.
+pub(super) fn scalar(name: &str) -> Option<(&'static str, Scalar)> {
+    SCALARS.into_iter().find(|(known, _)| *known == name)
+}
+
 /// Whether an import reads the column with this name.
 pub(super) fn is_read(name: &str) -> bool {
-    [VOLTAGES_V, FRAMES_V, SIM_VOLTAGES_V, CONTACTS].contains(&name)
-        || SCALARS.iter().any(|(known, _)| *known == name)
+    [VOLTAGES_V, FRAMES_V, SIM_VOLTAGES_V, CONTACTS].contains(&name) || scalar(name).is_some()
 }
 
 /// A value as f64; `None` if it is null or NaN.

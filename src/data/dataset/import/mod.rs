@@ -92,8 +92,7 @@ pub async fn import(
         true => Some(model(store, &checked.sha256, &run).await?),
         false => None,
     };
-    let target = Target { run: run.uid, model };
-    store_trials(store, path, &import, &sensor, target).await?;
+    store_trials(store, path, &import, &sensor, run.uid, model).await?;
     let run = store.end_import(run.uid).await?;
     Ok(Imported {
         run,
@@ -214,19 +213,14 @@ async fn model(store: &Store, sha256: &str, run: &RunRow) -> Result<TwinModelId,
     Ok(store.twin_model(new).await?)
 }
 
-/// The rows of the store that imported trials belong to.
-struct Target {
-    run: RunUid,
-    /// Model of the simulated frames; `None` if the file has none.
-    model: Option<TwinModelId>,
-}
-
+/// Stores the trials of a file in a run; `model`: that of the simulated frames, if the file has some.
 async fn store_trials(
     store: &Store,
     path: &Path,
     import: &Import,
     sensor: &ImportedSensor,
-    target: Target,
+    run: RunUid,
+    model: Option<TwinModelId>,
 ) -> Result<(), DatasetError> {
     let (sender, mut pages) = mpsc::channel::<Vec<ImportedTrial>>(2);
     let (path, file, sensor) = (path.to_owned(), import.file.clone(), sensor.clone());
@@ -243,7 +237,7 @@ async fn store_trials(
     });
     let storing = async {
         while let Some(trials) = pages.recv().await {
-            store.import_trials(target.run, target.model, trials).await?;
+            store.import_trials(run, model, trials).await?;
         }
         // Dropped here, so that the reader also ends if storing fails.
         drop(pages);

@@ -36,10 +36,9 @@ impl ImportedSensor {
     /// The syntax error, or all invalid values.
     pub fn from_toml(file: &str, text: &str) -> Result<Self, Vec<Problem>> {
         if let Ok(sensor) = Sensor::from_toml(text) {
-            let electrodes: usize = sensor.file.electrodes.columns.iter().map(Vec::len).sum();
             return Ok(Self {
                 name: sensor.file.name.clone(),
-                channels: electrodes * electrodes,
+                channels: sensor.channels(),
                 width_mm: sensor.file.width_mm,
                 height_mm: sensor.file.height_mm,
                 tip_diameter_mm: Some(sensor.file.tip_diameter_mm),

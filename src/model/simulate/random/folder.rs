@@ -6,7 +6,6 @@
 //! replaced in the same way. At any instant every row of the manifest therefore refers to a complete
 //! file. All names other than those of shards start with `_`, which readers of Parquet folders skip.
 
-use std::ffi::OsStr;
 use std::fs::{self, File, TryLockError};
 use std::io;
 use std::path::{Path, PathBuf};
@@ -57,21 +56,18 @@ impl Folder {
         Ok(folder)
     }
 
-    /// Takes the folder of a definition, with its manifest, which then names the sensor.
+    /// Takes the folder of a definition, with its manifest.
     ///
     /// # Errors
-    /// As [`Self::take`] and [`Self::manifest`].
+    /// As [`Self::take`]; `OtherDefinition` or `Foreign` if the folder belongs to something else; `Manifest` if
+    /// the manifest cannot be read.
     pub fn take_for(
         path: &Path,
         definition: &Definition,
         sensor: &SensorFile,
     ) -> Result<(Self, Manifest), RandomError> {
         let folder = Self::take(path)?;
-        let mut manifest = folder.manifest(definition)?;
-        if manifest.sensor_file.is_none() {
-            manifest.sensor_file = Some(sensor.clone());
-            folder.write_manifest(&manifest)?;
-        }
+        let manifest = folder.manifest(definition, sensor)?;
         Ok((folder, manifest))
     }
 
@@ -81,7 +77,11 @@ impl Folder {
     /// # Errors
     /// `OtherDefinition` or `Foreign` if the folder belongs to something else; `Manifest` or `File`
     /// if the manifest cannot be read or written.
-    pub fn manifest(&self, definition: &Definition) -> Result<Manifest, RandomError> {
+    fn manifest(
+        &self,
+        definition: &Definition,
+        sensor: &SensorFile,
+    ) -> Result<Manifest, RandomError> {
         let path = self.path.join(SHARDS_MANIFEST);
         let bytes = match fs::read(&path) {
             Ok(bytes) => bytes,
@@ -89,8 +89,8 @@ impl Folder {
                 if let Some(file) = self.names()?.into_iter().find(|n| n.ends_with(".parquet")) {
                     return Err(RandomError::Foreign { folder: self.path.clone(), file });
                 }
-                let definition = definition.clone();
-                let new = Manifest { definition, sensor_file: None, shards: Vec::new() };
+                let (definition, sensor_file) = (definition.clone(), sensor.clone());
+                let new = Manifest { definition, sensor_file, shards: Vec::new() };
                 self.write_manifest(&new)?;
                 return Ok(new);
             }
@@ -163,12 +163,11 @@ impl Folder {
     fn names(&self) -> Result<Vec<String>, RandomError> {
         let listing = || RandomError::file("listing", &self.path);
         let entries = fs::read_dir(&self.path).map_err(listing())?;
-        entries.map(|entry| Ok(text(&entry.map_err(listing())?.file_name()))).collect()
+        let name = |entry: io::Result<fs::DirEntry>| {
+            Ok(entry.map_err(listing())?.file_name().to_string_lossy().into_owned())
+        };
+        entries.map(name).collect()
     }
-}
-
-fn text(name: &OsStr) -> String {
-    name.to_string_lossy().into_owned()
 }
 
 #[cfg(test)]
@@ -177,16 +176,10 @@ mod tests {
 
     use super::*;
 
-    fn empty(name: &str) -> PathBuf {
-        let name = format!("palpate-shards-{name}-{}", std::process::id());
-        let path = std::env::temp_dir().join(name);
-        fs::remove_dir_all(&path).ok();
-        path
-    }
-
     #[test]
     fn a_folder_is_one_process_s_and_loses_what_was_half_written() {
-        let path = empty("taken");
+        let outer = tempfile::tempdir().unwrap();
+        let path = outer.path().join("shards");
         let folder = Folder::take(&path).unwrap();
         assert!(matches!(Folder::take(&path), Err(RandomError::Busy { .. })));
         drop(folder);
@@ -197,12 +190,12 @@ mod tests {
         Folder::take(&path).unwrap();
         assert!(!half.path().exists());
         assert!(!stray.exists() && path.join("notes.partial").exists());
-        fs::remove_dir_all(path).unwrap();
     }
 
     #[test]
     fn a_shard_shows_under_its_name_only_when_whole() {
-        let path = empty("settled");
+        let outer = tempfile::tempdir().unwrap();
+        let path = outer.path().join("shards");
         let folder = Folder::take(&path).unwrap();
         let shard = Shard { number: 7, first: 70, trials: 10 };
         let mut out = folder.begin().unwrap();
@@ -223,6 +216,5 @@ mod tests {
         assert!(!folder.holds(&row, Look::Length).unwrap());
         fs::remove_file(&named).unwrap();
         assert!(!folder.holds(&row, Look::Length).unwrap());
-        fs::remove_dir_all(path).unwrap();
     }
 }

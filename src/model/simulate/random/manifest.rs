@@ -201,9 +201,8 @@ pub struct ShardRow {
 pub struct Manifest {
     /// Definition of the bytes.
     pub definition: Definition,
-    /// The sensor, for datasets; absent in a folder of an earlier version that was not continued since.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub sensor_file: Option<SensorFile>,
+    /// The sensor, for datasets.
+    pub sensor_file: SensorFile,
     /// The completed shards, in order.
     pub shards: Vec<ShardRow>,
 }

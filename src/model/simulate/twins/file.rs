@@ -172,7 +172,8 @@ mod tests {
 
     #[test]
     fn a_file_is_read_as_it_was_written_and_refused_in_another_form() {
-        let path = std::env::temp_dir().join(format!("palpate-twins-{}", std::process::id()));
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("twins.parquet");
         let head = TwinsHead {
             run: RunUid::new(),
             model: "sim-1".into(),
@@ -202,6 +203,5 @@ mod tests {
         fs::write(&path, "no Parquet").unwrap();
         let refused = TwinsFile::read(File::open(&path).unwrap(), 4).unwrap_err();
         assert!(refused.starts_with("cannot be read"), "{refused}");
-        fs::remove_file(path).unwrap();
     }
 }

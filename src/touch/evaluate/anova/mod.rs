@@ -327,7 +327,7 @@ fn has(set: u32, factor: usize) -> bool {
 
 /// Weights of levels: a single one, one minus the first, all equal.
 fn only(level: usize, levels: usize) -> Vec<f64> {
-    (0..levels).map(|l| f64::from(u8::from(l == level))).collect()
+    (0..levels).map(|l| f64::from(l == level)).collect()
 }
 
 fn difference(level: usize, levels: usize) -> Vec<f64> {

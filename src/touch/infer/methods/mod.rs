@@ -11,6 +11,7 @@ use std::sync::Arc;
 use serde::{Deserialize, Serialize};
 use sim_core::forward::ForwardModel;
 use sim_core::inverse::linear::Regularisation;
+use strum::IntoStaticStr;
 use utoipa::openapi::RefOr;
 use utoipa::openapi::schema::{ObjectBuilder, Schema, Type};
 use utoipa::{PartialSchema, ToSchema};
@@ -32,8 +33,9 @@ use crate::learn::task::Reads;
 
 /// Method from frames to contacts. As JSON and in `openapi.yaml`: one that serves; evaluations read
 /// all (`evaluate::request::Scored`).
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize, IntoStaticStr)]
 #[serde(try_from = "String", into = "&'static str")]
+#[strum(serialize_all = "lowercase")]
 pub enum Method {
     /// The paper's method: Transfer-Net, Recon-Net, peaks of the map (V-C).
     Paper,
@@ -49,13 +51,11 @@ pub enum Method {
 
 /// A row of the list of methods.
 struct Row {
-    name: &'static str,
     about: &'static str,
     /// Slots that it uses.
     slots: &'static [Slot],
     /// Slots whose model an evaluation must name. A skin that is not named is the serving one.
     named: &'static [Slot],
-    is_fit: bool,
     serves: bool,
 }
 
@@ -85,43 +85,33 @@ impl Method {
         use Slot::{Map, Points, Skin, Transfer};
         match self {
             Self::Paper => Row {
-                name: "paper",
                 about: "the paper's: Transfer-Net, Recon-Net, peaks of the force map",
                 slots: &[Transfer, Map],
                 named: &[Map],
-                is_fit: false,
                 serves: true,
             },
             Self::Fast => Row {
-                name: "fast",
                 about: "candidates of Point-Net",
                 slots: &[Points],
                 named: &[Points],
-                is_fit: false,
                 serves: true,
             },
             Self::Exact => Row {
-                name: "exact",
                 about: "contacts fitted to the frame through the exact model",
                 slots: &[Points, Skin],
                 named: &[],
-                is_fit: true,
                 serves: true,
             },
             Self::Tikhonov => Row {
-                name: "tikhonov",
                 about: "peaks of the one-step reconstruction with Tikhonov's regularisation",
                 slots: &[Skin],
                 named: &[],
-                is_fit: false,
                 serves: false,
             },
             Self::Noser => Row {
-                name: "noser",
                 about: "peaks of the one-step reconstruction with NOSER's regularisation",
                 slots: &[Skin],
                 named: &[],
-                is_fit: false,
                 serves: false,
             },
         }
@@ -175,7 +165,7 @@ impl Method {
 
     /// Name in commands and answers.
     pub fn name(self) -> &'static str {
-        self.row().name
+        self.into()
     }
 
     /// Description in one line.
@@ -206,7 +196,7 @@ impl Method {
 
     /// Whether contacts are fitted: an answer takes a tenth of a second instead of milliseconds.
     pub fn is_fit(self) -> bool {
-        self.row().is_fit
+        self == Self::Exact
     }
 }
 
@@ -224,12 +214,6 @@ impl TryFrom<String> for Method {
 
     fn try_from(name: String) -> Result<Self, UnknownMethod> {
         Self::served().find(|method| method.name() == name).ok_or(UnknownMethod(name))
-    }
-}
-
-impl From<Method> for &'static str {
-    fn from(method: Method) -> Self {
-        method.name()
     }
 }
 

@@ -82,8 +82,9 @@ fn a_net_that_chunks_cannot_make_is_refused_by_key() {
 
 #[test]
 fn another_program_another_processor_and_another_dataset_are_refused() {
-    let data = std::env::temp_dir().join(format!("palpate-trainings-{}", std::process::id()));
-    let new = |order| TrainingChunks::new(order, &data, data.join("cache"));
+    let folder = tempfile::tempdir().unwrap();
+    let data = folder.path();
+    let new = |order| TrainingChunks::new(order, data, data.join("cache"));
     let order = read(vec![net(RECIPE)]).unwrap();
     let missing = new(order.clone()).err().unwrap();
     assert_eq!(missing.key, "definition.nets.0.dataset.id");
@@ -99,17 +100,16 @@ fn another_program_another_processor_and_another_dataset_are_refused() {
     let mut elsewhere = order;
     elsewhere.definition.kernel = "none".into();
     assert_eq!(new(elsewhere).err().unwrap().key, "definition.kernel");
-    fs::remove_dir_all(data).unwrap();
 }
 
 #[test]
 fn one_process_trains_a_net() {
-    let path = std::env::temp_dir().join(format!("palpate-net-{}.lock", std::process::id()));
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("net.lock");
     let first = lock(&path).unwrap();
     assert!(first.is_some());
     let second = lock(&path).unwrap_err().to_string();
     assert_eq!(second, "another process trains this net");
     drop(first);
     assert!(lock(&path).unwrap().is_some());
-    fs::remove_file(path).unwrap();
 }

@@ -50,35 +50,26 @@ impl fmt::Display for TrainerEnd {
     }
 }
 
-/// What is known of a trainer whose process has ended.
-#[derive(Debug)]
-pub struct Exit {
-    /// Its last event, if it reported an end.
-    pub reported: Option<Event>,
-    /// Status of its process.
-    pub status: ExitStatus,
-    /// Whether a stop was requested.
-    pub stop_requested: bool,
-    /// The last lines of its standard error.
-    pub said: String,
-}
-
-impl Exit {
-    /// The end of the trainer.
-    ///
-    /// # Errors
-    /// `TrainerError::Failed` with what it reported; `Ended` if it ended without a report, or stopped
-    /// without a request.
-    pub fn end(self) -> Result<Ended, TrainerError> {
-        match self.reported {
-            Some(Event::Done) => Ok(Ended::Done),
-            Some(Event::Failed { error }) => Err(TrainerError::Failed(error)),
-            // Also if it had to be killed: its last checkpoint is not needed.
-            _ if self.stop_requested => Ok(Ended::Stopped),
-            _ => {
-                let (signal, code) = (self.status.signal(), self.status.code());
-                Err(TrainerError::Ended(TrainerEnd { signal, code, said: self.said }))
-            }
+/// The end of a trainer whose process has ended. `reported`: its last event, if it reported an end; `said`: the
+/// last lines of its standard error.
+///
+/// # Errors
+/// `TrainerError::Failed` with what it reported; `Ended` if it ended without a report, or stopped
+/// without a request.
+pub fn end_of(
+    reported: Option<Event>,
+    status: ExitStatus,
+    stop_requested: bool,
+    said: String,
+) -> Result<Ended, TrainerError> {
+    match reported {
+        Some(Event::Done) => Ok(Ended::Done),
+        Some(Event::Failed { error }) => Err(TrainerError::Failed(error)),
+        // Also if it had to be killed: its last checkpoint is not needed.
+        _ if stop_requested => Ok(Ended::Stopped),
+        _ => {
+            let (signal, code) = (status.signal(), status.code());
+            Err(TrainerError::Ended(TrainerEnd { signal, code, said }))
         }
     }
 }
@@ -99,7 +90,7 @@ mod tests {
     #[test]
     fn a_reported_end_counts_and_an_unreported_one_names_signal_or_status() {
         let of = |reported, status, stop_requested| {
-            Exit { reported, status, stop_requested, said: "last words".into() }.end()
+            end_of(reported, status, stop_requested, "last words".into())
         };
         let text = |event, status| of(event, status, false).unwrap_err().to_string();
         assert_eq!(of(Some(Event::Done), ended(0), false).unwrap(), Ended::Done);

@@ -19,7 +19,7 @@ use tokio::io::AsyncWriteExt;
 use tokio::process::{ChildStdin, Command};
 use tokio::time::Instant;
 
-use self::end::Exit;
+use self::end::end_of;
 pub use self::end::{Ended, TrainerEnd};
 use crate::jobs::Watch;
 use crate::learn::order::{Event, STOP_LINE};
@@ -117,7 +117,7 @@ pub async fn run(
     }
     let status = child.wait().await.map_err(failed)?;
     let said = errors.await.unwrap_or_default();
-    Exit { reported, status, stop_requested: watch.is_stopped(), said }.end()
+    end_of(reported, status, watch.is_stopped(), said)
 }
 
 /// Requests the end; the input is closed even if the line cannot be written.

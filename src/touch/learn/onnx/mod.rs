@@ -125,11 +125,6 @@ impl OnnxFile {
         let nodes = self.model.graph.iter().flat_map(|graph| &graph.node);
         nodes.map(|node| node.op_type.as_str()).filter(|kind| seen.insert(*kind)).collect()
     }
-
-    /// Program that wrote the file, as stated in it: `pytorch 2.15.0`.
-    pub fn producer(&self) -> String {
-        format!("{} {}", self.model.producer_name, self.model.producer_version).trim().to_owned()
-    }
 }
 
 /// Returns a file with its model's id appended. Protobuf allows a repeated field to continue at the

@@ -52,7 +52,8 @@ fn a_file_tells_its_ports_operators_and_producer() {
         ("answer", &[None, Some(2)][..])
     );
     assert_eq!(file.operators(), ["Gemm", "Relu", "Identity"]);
-    assert_eq!(file.producer(), "palpate 1");
+    let ModelProto { producer_name, producer_version, .. } = file.model();
+    assert_eq!((producer_name.as_str(), producer_version.as_str()), ("palpate", "1"));
 }
 
 #[test]

@@ -14,7 +14,7 @@ use arrow_schema::{DataType, Field, Schema};
 use super::array::{Kind, Shape, Values, is_frame};
 use super::{batch, mat, npz};
 use crate::dataset::error::DatasetError;
-use crate::dataset::import::columns::{CONTACT_FIELDS, FRAMES_V, SCALARS, Scalar};
+use crate::dataset::import::columns::{CONTACT_FIELDS, FRAMES_V, SCALARS, Scalar, scalar};
 use crate::dataset::import::extent::Extent;
 use crate::dataset::schema::VOLTAGES_V;
 use crate::problem::Problem;
@@ -148,7 +148,7 @@ impl Layout {
         layout.contacts = most.map(|most| (most, fields));
         for (name, shape) in arrays {
             let of_contacts = fields.iter().flatten().any(|place| place.array == name);
-            if is_frame(&name) || of_contacts || SCALARS.iter().any(|(known, _)| *known == name) {
+            if is_frame(&name) || of_contacts || scalar(&name).is_some() {
                 layout.read.insert(name, shape);
             } else {
                 layout.left_out.push(name);
@@ -199,11 +199,9 @@ impl Arrays {
     /// Names of the columns that are read, and of the arrays that are ignored.
     pub fn schema(&self) -> Schema {
         let layout = &self.layout;
-        let of_contacts = |name: &&String| {
-            is_frame(name) || SCALARS.iter().any(|(known, _)| *known == name.as_str())
-        };
+        let is_column = |name: &&str| is_frame(name) || scalar(name).is_some();
         let mut names: Vec<&str> =
-            layout.read.keys().filter(of_contacts).map(String::as_str).collect();
+            layout.read.keys().map(String::as_str).filter(is_column).collect();
         names.extend(layout.contacts.is_some().then_some(CONTACTS));
         names.extend(layout.left_out.iter().map(String::as_str));
         let field = |name: &str| Field::new(name, DataType::Null, true);
@@ -290,8 +288,8 @@ impl Batches {
                     columns.push((name, batch::frames(page, channels, may_lack)?));
                 }
                 _ => {
-                    if let Some((_, scalar)) = SCALARS.iter().find(|(known, _)| known == name) {
-                        columns.push((name, self.scalar(name, *scalar, values, first, end)?));
+                    if let Some((_, scalar)) = scalar(name) {
+                        columns.push((name, self.scalar(name, scalar, values, first, end)?));
                     }
                 }
             }

@@ -17,7 +17,7 @@ use super::batch;
 use super::line_limit::{Allowance, LINE_MAX_BYTES, LineLimit};
 use crate::dataset::error::DatasetError;
 use crate::dataset::import::BATCH_TRIALS;
-use crate::dataset::import::columns::{FRAMES_V, SCALARS, Scalar};
+use crate::dataset::import::columns::{FRAMES_V, Scalar, scalar};
 use crate::dataset::import::extent::Extent;
 use crate::dataset::schema::VOLTAGES_V;
 use crate::problem::Problem;
@@ -98,7 +98,7 @@ fn meaning(name: &str) -> Meaning {
     if name == CONTACTS {
         return Meaning::Json;
     }
-    match SCALARS.into_iter().find(|(known, _)| *known == name) {
+    match scalar(name) {
         Some((known, scalar)) => Meaning::Scalar(known, scalar),
         None => Meaning::Other,
     }

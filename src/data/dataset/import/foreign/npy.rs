@@ -180,7 +180,7 @@ pub(super) fn number(item: Item, bytes: &[u8]) -> Option<f64> {
     wide.get_mut(..bytes.len())?.copy_from_slice(bytes);
     let unused_bits = 64 - 8 * u32::try_from(bytes.len()).ok()?;
     Some(match (item, bytes.len()) {
-        (Item::Bool, _) => f64::from(u8::from(wide[0] != 0)),
+        (Item::Bool, _) => f64::from(wide[0] != 0),
         (Item::Uint, _) => u64::from_le_bytes(wide) as f64,
         // Shifted to the left end and back, which repeats the sign.
         (Item::Int, _) => (i64::from_le_bytes(wide) << unused_bits >> unused_bits) as f64,

@@ -187,10 +187,9 @@ mod tests {
 
     #[tokio::test]
     async fn an_imported_run_on_the_sensor_has_known_trials() {
-        let folder = std::env::temp_dir().join(format!("palpate-known-{}", std::process::id()));
-        std::fs::create_dir_all(&folder).unwrap();
+        let folder = tempfile::tempdir().unwrap();
         let sensor = Sensor::from_toml(SENSOR).unwrap();
-        let store = Store::open(&folder.join("palpate.db"), Clock::new(1.0)).await.unwrap();
+        let store = Store::open(&folder.path().join("palpate.db"), Clock::new(1.0)).await.unwrap();
         let none = known_trials(&store, &sensor.clone().into()).await.unwrap();
         assert!(none.pressed.is_empty() && none.untouched.frames_v.is_empty());
         let new = NewRun {
@@ -228,6 +227,5 @@ mod tests {
         assert!(known.pressed.iter().all(|trial| trial.frames == 8.0));
         assert_eq!(known.untouched.frames_v.len(), 49, "one lacks a channel");
         store.close().await;
-        std::fs::remove_dir_all(&folder).unwrap();
     }
 }

@@ -250,19 +250,20 @@ mod tests {
         let sensor = Sensor::from_toml(SENSOR).unwrap();
         let responses = Arc::new(UnitResponses::solve(&sensor).unwrap());
         let model = ForwardModel::new(&sensor, responses).unwrap();
-        let cache = std::env::temp_dir().join(format!("palpate-skins-{}", std::process::id()));
+        let folder = tempfile::tempdir().unwrap();
+        let cache = folder.path();
         let trials = trials(&model, 80);
         let known =
             |count: usize| KnownTrials { pressed: trials[..count].to_vec(), ..Default::default() };
         let (known, fewer, other) = (known(70), known(69), &trials[75]);
         let answer = || {
-            let skin = Arc::new(ready(&model, &known, &cache, None).unwrap());
+            let skin = Arc::new(ready(&model, &known, cache, None).unwrap());
             let exact = ExactPipeline { skin, points: None };
             let read = exact.read(&Frames::single(&other.frame_v), ForceMaps::Without);
             read.unwrap().remove(0)
         };
         let learnt = answer();
-        let files = || std::fs::read_dir(&cache).unwrap().count();
+        let files = || std::fs::read_dir(cache).unwrap().count();
         assert_eq!((files(), learnt.contacts.len()), (1, 1));
         assert!(learnt.probability.is_some_and(|p| p > 0.0 && p <= 1.0 + 1e-9), "{learnt:?}");
         let again = answer();
@@ -279,11 +280,10 @@ mod tests {
         // A calibration has its errors with it.
         let (carried, none) = (cache.join("cal-1.errors.json"), KnownTrials::default());
         let of =
-            |known: &KnownTrials| ready(&model, known, &cache, Some(carried.as_path())).unwrap();
+            |known: &KnownTrials| ready(&model, known, cache, Some(carried.as_path())).unwrap();
         assert!(of(&none).limitation().is_some() && !carried.exists());
         assert!(of(&known).limitation().is_none() && carried.exists());
         let elsewhere = of(&none);
         assert_eq!((elsewhere.limitation(), elsewhere.errors().learnt_from), (None, 70));
-        std::fs::remove_dir_all(&cache).unwrap();
     }
 }

@@ -6,11 +6,11 @@
 
 use std::sync::Arc;
 
-use sim_core::forward::ForwardModel;
+use sim_core::forward::{Contact, ForwardModel};
 use sim_core::inverse::linear::{OneStep, Penalty, PointSlopes, Regularisation};
 
 use super::{Frames, ReadyMethod, UsedSkin};
-use crate::dataset::force_map::{ForceMap, MapContact};
+use crate::dataset::force_map::ForceMap;
 use crate::ids::CalibrationId;
 use crate::infer::answer::Reading;
 use crate::infer::error::InferError;
@@ -44,15 +44,16 @@ impl OneStepPipeline {
         threshold_n: f64,
     ) -> Result<Self, InferError> {
         let sensor = model.sensor();
+        let size_mm = [sensor.file.width_mm, sensor.file.height_mm];
         let slopes = PointSlopes::secant(model, ABOUT_N)?;
         Ok(Self {
             step: Arc::new(OneStep::new(&slopes, regularisation)?),
             points_mm: sensor.points().iter().map(|p| [p.x_mm, p.y_mm]).collect(),
             offset_v: sensor.offsets_v(),
-            draws: ForceMap::new(MAP_1, [sensor.file.width_mm, sensor.file.height_mm])?,
+            draws: ForceMap::new(MAP_1, size_mm)?,
             threshold_n,
             calibration: sensor.calibration().map(CalibrationId::unchecked),
-            size_mm: [sensor.file.width_mm, sensor.file.height_mm],
+            size_mm,
         })
     }
 }
@@ -64,9 +65,8 @@ impl ReadyMethod for OneStepPipeline {
             let frame = frame.iter().zip(&self.offset_v).map(|(v, offset)| f64::from(*v) - offset);
             let forces = self.step.solve(&frame.collect::<Vec<_>>(), Penalty::Gcv)?.forces_n;
             let pressed = self.points_mm.iter().zip(forces).filter(|(_, n)| *n > 0.0);
-            let of =
-                |(&[x_mm, y_mm], force_n): (&[f64; 2], f64)| MapContact { x_mm, y_mm, force_n };
-            let pressed: Vec<MapContact> = pressed.map(of).collect();
+            let of = |(&[x_mm, y_mm], force_n): (&[f64; 2], f64)| Contact { x_mm, y_mm, force_n };
+            let pressed: Vec<Contact> = pressed.map(of).collect();
             let mut map = vec![0.0; self.draws.pixels() * self.draws.pixels()];
             self.draws.render(&pressed, &mut map)?;
             readings.push(Reading {

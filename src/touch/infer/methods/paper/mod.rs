@@ -62,7 +62,7 @@ impl MapPipeline {
             let problem = Problem::new("request", "transfer", &transfer.manifest.id, limit);
             return Err(InferError::Problems(vec![problem]));
         }
-        let draws = ForceMap::new(spec, [map.skin.width_mm, map.skin.height_mm])?;
+        let draws = ForceMap::new(spec, map.size_mm())?;
         let trained_on = &map.manifest.model.trained_on;
         let has_forces = !trained_on.forces_unknown;
         let threshold_n = threshold_n.unwrap_or_else(|| least_n(spec, trained_on.max_force_n));
