@@ -371,6 +371,8 @@ pub struct TouchOffRecord {
 
 #[cfg(test)]
 mod tests {
+    use serde_json::json;
+
     use super::*;
 
     #[test]
@@ -379,6 +381,18 @@ mod tests {
         let read = |text: &str| serde_json::from_str::<ArmTouch>(text).unwrap();
         assert_eq!(read("[270.0,297.3,2,41.4]"), touch);
         assert_eq!(read(&serde_json::to_string(&touch).unwrap()), touch);
+    }
+
+    #[test]
+    fn attempts_and_tares_are_shown_with_these_fields() {
+        let (key, at) = (TrialKey { configuration: 3, depth_index: 1 }, Timestamp::UNIX_EPOCH);
+        let attempt = AttemptRecord { key, attempt: 2, reason: "no answer".into(), at };
+        let shown = json!({ "configuration": 3, "depth_index": 1, "attempt": 2,
+            "reason": "no answer", "at": at });
+        assert_eq!(json!(attempt), shown);
+        let tare = TareRecord { configuration: 3, volts: vec![(2, 0.5)], samples: 40, at };
+        let shown = json!({ "configuration": 3, "volts": [[2, 0.5]], "samples": 40, "at": at });
+        assert_eq!(json!(tare), shown);
     }
 
     #[test]

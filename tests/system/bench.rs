@@ -207,11 +207,11 @@ impl Lab {
         self.eventually("the run is left alone", &format!("/api/v1/runs/{run}"), is_left).await
     }
 
-    /// Waits until the newest event of this kind states this reason.
+    /// Waits until an event of this kind states this reason.
     pub async fn told(&self, kind: &str, words: &str) {
         let is_told = |page: &Value| {
-            let why = page["items"][0]["data"]["why"].as_str().unwrap_or_default();
-            why.contains(words)
+            let mut events = page["items"].as_array().unwrap().iter();
+            events.any(|event| event["data"]["why"].as_str().is_some_and(|why| why.contains(words)))
         };
         self.eventually("the event", &format!("/api/v1/events?kind={kind}"), is_told).await;
     }

@@ -146,9 +146,12 @@ impl Site {
     /// A run that waited for a person when the service was killed does not resume automatically: that
     /// person starts it. Returns the run's state.
     async fn look_after(&self, run: &str) -> String {
-        let row = self.answer(&format!("/api/v1/runs/{run}")).await;
+        let path = format!("/api/v1/runs/{run}");
+        let row = self.answer(&path).await;
         if row["state"] == "interrupted" {
             self.start(run).await;
+            // The start is answered before its state is stored, and a second one is refused.
+            self.until(&path, |row| row["state"] != "interrupted").await;
         }
         row["state"].as_str().unwrap().to_owned()
     }

@@ -14,6 +14,7 @@ use arrow_ipc::reader::StreamReader;
 use arrow_schema::{ArrowError, DataType, Field, Fields, Schema, SchemaRef, TimeUnit};
 use tokio::sync::{OwnedSemaphorePermit, mpsc, oneshot};
 use tokio::time::sleep;
+use tracing::Instrument;
 
 use super::TAKEN_WITHIN;
 use super::engine::Engine;
@@ -76,7 +77,7 @@ impl ResultRows {
             }
         }));
         let schema = schema.await.map_err(|_| DatasetError::Worker)??;
-        tokio::spawn(async move {
+        let waiting = async move {
             tokio::select! {
                 _ = reading => {}
                 () = taken.closed() => {}
@@ -86,7 +87,8 @@ impl ResultRows {
                 }
             }
             drop(held);
-        });
+        };
+        tokio::spawn(waiting.in_current_span());
         Ok(Self { schema, count, batches })
     }
 

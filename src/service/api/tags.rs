@@ -20,7 +20,7 @@ pub async fn tagged(response: Response) -> ApiResult<(Response, Option<String>)>
     let body = to_bytes(body, usize::MAX).await.map_err(ApiError::internal)?;
     let tag = tag_of(&body);
     let mut response = Response::from_parts(parts, Body::from(body));
-    label(&mut response, &tag)?;
+    add_tag(&mut response, &tag)?;
     Ok((response, Some(tag)))
 }
 
@@ -29,11 +29,11 @@ pub fn tag_of(body: &[u8]) -> String {
     format!("\"{}\"", sha256_hex(body))
 }
 
-/// Writes an entity tag to a response.
+/// Adds an entity tag to a response; a client may keep it, and must compare the tag before each use.
 ///
 /// # Errors
 /// 500 if it is no value of a header.
-pub fn label(response: &mut Response, tag: &str) -> ApiResult<()> {
+pub fn add_tag(response: &mut Response, tag: &str) -> ApiResult<()> {
     let tag = HeaderValue::from_str(tag).map_err(ApiError::internal)?;
     response.headers_mut().insert(header::ETAG, tag);
     let caching = HeaderValue::from_static("private, no-cache");

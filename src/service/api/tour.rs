@@ -15,7 +15,7 @@ use super::App;
 use super::problem::{ApiError, ApiResult, Body, Path};
 use super::runs::find;
 use super::sensor::SensorOut;
-use super::tags::{label, tag_of, unless_known};
+use super::tags::{add_tag, tag_of, unless_known};
 use super::turns::turn;
 use crate::conductor::{Submission, run_kind};
 use crate::problem::Problem;
@@ -134,7 +134,7 @@ pub async fn of_run(app: App, Path(run): Path<String>, headers: HeaderMap) -> Ap
     let kept = app.tour(&run).await?;
     let json = [(header::CONTENT_TYPE, "application/json")];
     let mut response = (json, kept.body.clone()).into_response();
-    label(&mut response, &kept.tag)?;
+    add_tag(&mut response, &kept.tag)?;
     Ok(unless_known(&headers, response, Some(kept.tag.clone())))
 }
 

@@ -69,7 +69,8 @@ async fn an_import_is_a_run_whose_trials_lack_what_was_not_known() {
     assert_eq!(trial.sim_voltages_v, Some(vec![0.4, 0.0, -0.2]));
     assert_eq!((trial.sim_model.as_deref(), trial.rmse_v), (Some("sim-1"), Some(0.07)));
     let twice = store.import_trials(run.uid, None, vec![elsewhere(9), elsewhere(0)]).await;
-    assert!(twice.is_err());
+    let refused = twice.unwrap_err().to_string();
+    assert!(refused.contains("its key"), "{refused}");
     assert_eq!(all(&store, run.uid).await.len(), 2);
 }
 

@@ -112,9 +112,10 @@ async fn every_example_of_a_body_is_one_that_the_service_understands() {
 /// no 5xx, and no answer that the description does not state. `PALPATE_CONTRACT_EXAMPLES` sets the number of
 /// examples for each operation; 300 take a quarter of an hour.
 ///
-/// All checks are on, with the statuses of `schemathesis.toml`. The phase `coverage` sends every case that the schemas
-/// define, the same for each role: an admin, who may request all, sends them. Left out: the WebSockets, and the
-/// revocation of keys, which would end the test's own.
+/// All checks are on, with the statuses of `schemathesis.toml`. The phase `fuzzing` sends at least one request, and at
+/// most that number, to every operation as each role and without a key. The phase `coverage` sends every case that the
+/// schemas define, which does not depend on the role: only an admin, who may request all, sends them. Left out: the
+/// WebSockets, and the revocation of keys, which would end the test's own.
 #[tokio::test(flavor = "multi_thread")]
 async fn every_answer_is_one_that_the_description_states() {
     let Some(python) = support::python("schemathesis") else { return };

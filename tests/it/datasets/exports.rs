@@ -8,6 +8,10 @@ use serde_json::{Value, json};
 
 use super::filled::Filled;
 
+fn path_of(export: &Value) -> String {
+    format!("/api/v1/exports/{}", export["id"].as_str().unwrap())
+}
+
 async fn exported(lab: &Filled, request: Value) -> (Value, Vec<u8>) {
     let asked = lab.posted("/api/v1/exports", request, 202).await;
     let row = lab.over(asked["id"].as_str().unwrap()).await;
@@ -16,17 +20,19 @@ async fn exported(lab: &Filled, request: Value) -> (Value, Vec<u8>) {
     let file = lab.answer(row["url"].as_str().unwrap()).await.bytes().await.unwrap().to_vec();
     assert_eq!(row["sha256"], sha256_hex(&file).as_str());
     assert_eq!(row["bytes"], file.len());
-    let used = lab.over(asked["id"].as_str().unwrap()).await["last_used_at"].clone();
-    assert!(used.as_str().unwrap().parse::<Timestamp>().unwrap() >= before, "{used}");
+    assert!(lab.used_at(&path_of(&row)).await >= before);
     (row, file)
 }
 
 #[tokio::test]
 async fn files_come_in_pieces_that_belong_together() {
     let lab = Filled::open("pieces").await;
-    let (_, whole) = exported(&lab, json!({ "dataset": "real", "format": "npz" })).await;
+    let (row, whole) = exported(&lab, json!({ "dataset": "real", "format": "npz" })).await;
     let url = lab.url("/api/v1/data/real.npz");
+    let before = Timestamp::now();
     let part = lab.http.get(&url).header(RANGE, "bytes=100-299").send().await.unwrap();
+    // A download at the address of the dataset uses the same file.
+    assert!(lab.used_at(&path_of(&row)).await >= before);
     assert_eq!(part.status(), StatusCode::PARTIAL_CONTENT);
     let tag = part.headers()[ETAG].clone();
     assert_eq!(tag, format!("\"{}\"", sha256_hex(&whole)).as_str());

@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::Duration;
 
+use jiff::Timestamp;
 use palpate::api::{ServeOptions, Service};
 use palpate::clock::Clock;
 use palpate::conductor::AutoResume;
@@ -328,6 +329,11 @@ impl Filled {
         let text = answer.text().await.unwrap();
         assert!(status.is_success(), "{path}: {status} {text}");
         serde_json::from_str(&text).unwrap()
+    }
+
+    /// Wall time of the last use of the dataset or the export at this path.
+    pub async fn used_at(&self, path: &str) -> Timestamp {
+        self.get(path).await["last_used_at"].as_str().unwrap().parse().unwrap()
     }
 
     /// A GET that must not: its status and the problem's words.

@@ -3,6 +3,7 @@
 
 use std::time::Duration;
 
+use jiff::Timestamp;
 use serde_json::{Value, json};
 
 use super::filled::Filled;
@@ -60,7 +61,11 @@ impl Filled {
 async fn nets_are_trained_scored_promoted_and_asked() {
     let lab = Filled::open("models").await;
     let transfer = lab.trained(&transfer_net("small-transfer", 2)).await;
+    // A training uses its dataset, which has been read before: only the first read is noted by the file system.
+    let frame = lab.a_frame().await;
+    let before = Timestamp::now();
     let maps = lab.trained(RECON_NET).await;
+    assert!(lab.used_at("/api/v1/datasets/real").await >= before);
     let model = lab.get("/api/v1/models/small-transfer").await;
     assert_eq!((&model["id"], &model["task"]), (&json!(transfer), &json!("transfer")));
     let manifest = &model["manifest"];
@@ -86,7 +91,9 @@ async fn nets_are_trained_scored_promoted_and_asked() {
     let report = lab.scored(voltages).await;
     assert_eq!(report["voltages"]["all"]["trials"], report["rows"]);
     let contacts = json!({ "scored": "paper", "dataset": "real", "part": "test", "map": maps });
+    let before = Timestamp::now();
     let report = lab.scored(contacts).await;
+    assert!(lab.used_at("/api/v1/datasets/real").await >= before);
     assert_eq!(report["contacts"]["all"]["trials"], report["rows"]);
     // The true contacts of this run lie far apart: a perfect map finds nearly all of them.
     assert!(report["perfect"]["all"]["exact_rate"]["mean"].as_f64().unwrap() > 0.8, "{report:#}");
@@ -108,7 +115,6 @@ async fn nets_are_trained_scored_promoted_and_asked() {
     lab.scored(learned).await;
     assert_eq!(lab.get("/api/v1/models/maps").await["scores"], json!([report]));
 
-    let frame = lab.a_frame().await;
     let request = json!({ "method": "paper", "frames": [frame, frame], "map": true });
     lab.posted("/api/v1/infer", request.clone(), 409).await;
     lab.posted("/api/v1/serving", json!({ "what": "maps" }), 200).await;

@@ -138,8 +138,7 @@ async fn trials_of_a_run_that_goes_on_are_there_and_datasets_are_tables() {
         let before = Timestamp::now();
         assert_eq!(number(&lab, &sql).await, made["rows"]);
         // A statement uses the dataset.
-        let used = lab.get("/api/v1/datasets/real").await["last_used_at"].clone();
-        assert!(used.as_str().unwrap().parse::<Timestamp>().unwrap() >= before, "{used}");
+        assert!(lab.used_at("/api/v1/datasets/real").await >= before);
     }
     // The dataset of a run is read without its frames, from a file with the same rows.
     let file = format!("{}.parquet", lab.make("run-1").await["id"].as_str().unwrap());
