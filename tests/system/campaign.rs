@@ -267,10 +267,16 @@ async fn a_lock_that_was_taken_after_the_last_trial_holds_the_run_through_a_rest
 #[tokio::test(flavor = "multi_thread")]
 async fn a_run_that_is_about_to_be_driven_again_can_be_aborted() {
     let (lab, run) = held_by_a_lock("undriven").await;
+    let (status, refused) = lab.act(&run, json!({ "action": "pause" })).await;
+    assert_eq!(status, 409, "{refused:#}");
+    let words = refused["detail"].as_str().unwrap();
+    assert!(words.ends_with("start it again, or abort it"), "{refused:#}");
+    // At once: the next process does not drive it either.
+    assert_eq!(lab.get(&format!("/api/v1/runs/{run}")).await["state"], "interrupted");
     lab.accepts(&run, json!({ "action": "abort" })).await;
     release(&lab).await;
     // The next attempt is the last one.
-    lab.told("not_resumed", "meanwhile: it is not driven").await;
+    lab.told("not_resumed", "a person has operated the rig").await;
     let row = lab.get(&format!("/api/v1/runs/{run}")).await;
     assert_eq!((&row["state"], &row["exit_status"]), (&json!("ended"), &json!("abort")));
     lab.rests("disconnected").await;

@@ -206,6 +206,8 @@ impl Conductor {
     /// rig, also while it homed.
     async fn try_to_drive(&self, run: &RunRow, before: Unattended) -> Result<(), ConductorError> {
         *self.inner.brought_up.lock() = Some(run.uid);
+        // First: the cause, if an operation has also interrupted it.
+        self.require_not_operated(run.uid)?;
         self.unended(run).await?;
         self.require_unattended(run, before).await?;
         self.bring_up(run, before).await?;
@@ -213,11 +215,11 @@ impl Conductor {
     }
 
     /// Holds a run that is about to be driven again: a person has requested to pause or stop it. It must be started
-    /// again; if the rig homes for it, the homing ends. One that has begun meanwhile gets the request. Returns whether it
-    /// has.
+    /// again, also in the next process; if the rig homes for it, the homing ends. One that has begun meanwhile gets the
+    /// request. Returns whether it has.
     ///
     /// # Errors
-    /// `ConductorError::Refused` if the campaign refuses.
+    /// `ConductorError::Refused` if the campaign refuses; `Store` if the store fails: then only this process holds it.
     pub async fn hold_undriven(
         &self,
         run: RunUid,
@@ -227,11 +229,16 @@ impl Conductor {
         self.note_operation();
         self.end_bringing_up(run);
         let _one_at_a_time = self.inner.beginning.lock().await;
-        let has_begun = self.active() == Some(run);
-        if has_begun {
+        if self.active() == Some(run) {
             self.inner.campaign.ask(request).await?;
+            return Ok(true);
         }
-        Ok(has_begun)
+        // At once: this process may end before it has given the run up.
+        let stored = self.inner.store.interrupt_open_runs(self.active()).await;
+        // For the runs that wait behind it. If the campaign is busy, it is noted later.
+        let _ = self.inner.campaign.ask(Request::CameLate).await;
+        stored?;
+        Ok(false)
     }
 
     /// The run that this process drives.
@@ -256,13 +263,18 @@ impl Conductor {
         run: &RunRow,
         Unattended { since, signs }: Unattended,
     ) -> Result<(), ConductorError> {
-        if self.is_operated_since_start(run.uid) {
-            let words = "a person has operated the rig since the start of the service, or its computer was \
-                         suspended: start the run";
-            return Err(ConductorError::Forbidden(words.into()));
-        }
+        self.require_not_operated(run.uid)?;
         self.require_no_sign(signs)?;
         self.require_no_lock(run, since).await
+    }
+
+    fn require_not_operated(&self, run: RunUid) -> Result<(), ConductorError> {
+        if !self.is_operated_since_start(run) {
+            return Ok(());
+        }
+        let words = "a person has operated the rig since the start of the service, or its computer was suspended: \
+                     start the run";
+        Err(ConductorError::Forbidden(words.into()))
     }
 
     async fn require_no_lock(
@@ -292,10 +304,13 @@ impl Conductor {
         if rig.is_ready() || is_manual && rig.state == RigState::Disarmed {
             return Ok(());
         }
-        if rig.state == RigState::Disarmed && self.is_brought_up(run.uid) {
+        if rig.state == RigState::Disarmed {
             // Opening the wires may have taken a while.
             self.require_unattended(run, before).await?;
-            campaign.ask(Request::Home).await?;
+            // Read after it: the run may have been aborted or held meanwhile.
+            if self.is_brought_up(run.uid) {
+                campaign.ask(Request::Home).await?;
+            }
         }
         let homed = async {
             loop {
@@ -410,8 +425,16 @@ mod tests {
         let holds = async {
             let Envelope { request, answer, .. } = inbox.next().await.expect("a request");
             assert!(matches!(request, Request::Connect), "{request:?}");
-            let held = conductor.hold_undriven(driven.uid, Request::PauseNow).await;
+            let noted = async {
+                let Envelope { request, answer, .. } = inbox.next().await.expect("a request");
+                assert!(matches!(request, Request::CameLate), "{request:?}");
+                let _ = answer.send(Ok(()));
+            };
+            let held = conductor.hold_undriven(driven.uid, Request::PauseNow);
+            let (held, ()) = tokio::join!(held, noted);
             assert!(!held.unwrap(), "it has not begun");
+            // The next process does not drive it either.
+            assert!(!conductor.present(&driven).await.unwrap().is_driven());
             let _ = answer.send(Ok(()));
             inbox.next().await
         };

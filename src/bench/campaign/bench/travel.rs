@@ -6,7 +6,7 @@
 
 use std::time::Duration;
 
-use futures::future::{join, try_join, try_join_all};
+use futures::future::{try_join, try_join_all};
 use tokio::time::Instant;
 
 use crate::campaign::bench::interlock::{self, TripKind};
@@ -19,8 +19,8 @@ use crate::schedule::configuration::Stand;
 
 /// Longest homing of one axis, process s.
 const HOMING_S: f64 = 180.0;
-/// Time in which a drive that was homed before accepts a homing, process s: until then it may still report its old zero.
-const HOMING_BEGINS_S: f64 = 0.1;
+/// Longest time until a drive that was homed before begins to home, process s: it may still report its old zero.
+const HOMING_BEGINS_S: f64 = 0.2;
 /// Distance that z may sink during a lateral motion, beyond its tolerance, mm: more than an encoder jitters at rest, and
 /// less than the smallest clearance of a rig file (0.5 mm).
 const SINKS_MM: f64 = 0.2;
@@ -354,15 +354,15 @@ impl Stage {
     ) -> Result<(), Halt> {
         let (clear, tolerance) = (self.clear_z_mm(), self.driven(AxisName::Z).tolerance);
         // A module that converts slowly still returns the load before the raise, and one that hangs needs some updates
-        // to show it. z may sink meanwhile.
+        // to show it.
         let cells = &self.config.cells;
         let updates_s = f64::from(cells.repeats_max() + 2) * cells.update_ms / 1e3;
         let deadline = self.clock.now() + self.clock.wall(updates_s);
         loop {
             let asked = self.clock.now();
-            let both = join(self.known_z(), self.bench.cells.read());
-            let (z, reading) = control.attending(both).await?;
-            let z = z?;
+            let reading = control.attending(self.bench.cells.read()).await?;
+            // Read after each reply of the cells: z may have sunk while they were awaited.
+            let z = control.attending(self.known_z()).await??;
             if z.moving || z.position > clear + tolerance {
                 let at = z.position;
                 let detail =
@@ -466,7 +466,7 @@ impl Stage {
         }
     }
 
-    /// Reads the cells while z homes. Those that do not reply in time keep no tip down, nor do they delay the status of z.
+    /// Reads the cells while z homes. Silent ones keep no tip down, and delay its status by `limits.sample_age_ms` at most.
     async fn cells_in_time(&self) -> Option<CellVolts> {
         let limit = Duration::from_millis(self.config.sample_age_ms());
         tokio::time::timeout(limit, self.bench.cells.read()).await.ok()?.ok()

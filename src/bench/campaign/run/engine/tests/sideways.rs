@@ -56,6 +56,17 @@ async fn no_axis_homes_sideways_while_an_attached_cell_reads_a_load_and_z_is_rai
 }
 
 #[tokio::test]
+async fn a_homing_does_not_end_before_its_drives_can_have_begun() {
+    let axes = StandIns::default();
+    let mut engine = engine(&axes);
+    let began = Instant::now();
+    // Each reports its zero, at rest.
+    assert!(engine.home().await);
+    let [z, other_axes] = [Duration::from_millis(200); 2];
+    assert!(began.elapsed() >= z + other_axes);
+}
+
+#[tokio::test]
 async fn z_that_homes_into_a_load_is_stopped() {
     let axes = StandIns::default();
     let mut engine = engine(&axes);
@@ -171,20 +182,25 @@ async fn no_axis_moves_sideways_unless_z_is_homed_at_rest_and_clear() {
 
 #[tokio::test]
 async fn no_axis_moves_sideways_if_z_sinks_while_the_cells_are_awaited() {
-    let axes = StandIns::default();
-    let mut engine = engine(&axes);
-    let stage = engine.connection.as_mut().unwrap().stage.as_mut().unwrap();
-    stage.tips = 1;
-    axes.cells.volts.lock()[0] = 1.0;
-    let target = [Target::of(AxisName::X, 10.0)];
-    let travel = stage.travel(&mut engine.control, &target);
-    let sinks = async {
-        tokio::time::sleep(Duration::from_millis(50)).await;
-        axes.z.status.lock().position = 60.0;
-        axes.cells.volts.lock()[0] = 0.5;
-    };
-    let (moved, ()) = tokio::join!(travel, sinks);
-    assert!(moved.is_err() && axes.x.starts.load(Ordering::SeqCst) == 0, "{moved:?}");
+    // A module that still returns the load, and one whose reply takes long.
+    for (volts, takes) in [(1.0, Duration::ZERO), (0.5, Duration::from_millis(200))] {
+        let axes = StandIns::default();
+        let mut engine = engine(&axes);
+        let stage = engine.connection.as_mut().unwrap().stage.as_mut().unwrap();
+        stage.tips = 1;
+        axes.cells.volts.lock()[0] = volts;
+        *axes.cells.takes.lock() = takes;
+        let target = [Target::of(AxisName::X, 10.0)];
+        let travel = stage.travel(&mut engine.control, &target);
+        let sinks = async {
+            tokio::time::sleep(Duration::from_millis(50)).await;
+            axes.z.status.lock().position = 60.0;
+            axes.cells.volts.lock()[0] = 0.5;
+        };
+        // In this order: if both are due, z has sunk before the reply arrives.
+        let ((), moved) = futures::join!(sinks, travel);
+        assert!(moved.is_err() && axes.x.starts.load(Ordering::SeqCst) == 0, "{moved:?}");
+    }
 }
 
 #[tokio::test]
