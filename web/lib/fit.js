@@ -9,7 +9,7 @@ import { about, count, counted, fixed, percent } from './format.js'
 import { sequential } from './frame.js'
 import { BEGUN } from './runwords.js'
 import { scaleBar } from './scalebar.js'
-import { nearest, sensorOf, skin } from './skin.js'
+import { nearest, sensorOf, skin, tips } from './skin.js'
 import { paper } from './vocabulary.js'
 
 /** Trials of which the voltages are compared one by one: newest with contacts. */
@@ -127,13 +127,8 @@ function heat(run, report, { label, query, signal }) {
     draw(pen, scale, shape) {
       const colours = sequential()
       for (const p of report.by_point) {
-        pen.fillStyle = `rgb(${colours[Math.round(254 * Math.min(1, p.mean_fvu / TOP))]})`
-        pen.strokeStyle = scale.colour('--grey')
-        pen.lineWidth = 1
-        pen.beginPath()
-        pen.arc(scale.x(p.x_mm), scale.y(p.y_mm), Math.max(2, shape.tip_diameter_mm / 2 * scale.scale), 0, 7)
-        pen.fill()
-        pen.stroke()
+        const fill = `rgb(${colours[Math.round(254 * Math.min(1, p.mean_fvu / TOP))]})`
+        tips(pen, scale, [[p.x_mm, p.y_mm]], shape.tip_diameter_mm, { fill, stroke: scale.colour('--grey'), width: 1 })
       }
     } })
   sensorOf(run.scan_id).then(view.geometry, () => {})

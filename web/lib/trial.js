@@ -4,8 +4,9 @@ import { chart } from './chart.js'
 import { colour, el, facts, fill, note, panel, pane, select } from './dom.js'
 import { NONE, about, capital, count, counted, fixed, moment, plain, span } from './format.js'
 import { frame, minus, round125 } from './frame.js'
+import { lettering, line } from './pen.js'
 import { shows } from './save.js'
-import { lettering, sensorOf, skin, tips } from './skin.js'
+import { sensorOf, skin, tips } from './skin.js'
 import { table } from './table.js'
 import { meaning } from './vocabulary.js'
 
@@ -142,16 +143,13 @@ export function trialView({ signal, href, onscale }) {
   }
   function markDepth(u) {
     if (row?.depth_mm == null) return
-    const at = u.valToPos(row.depth_mm, 'x', true)
-    u.ctx.save()
-    u.ctx.strokeStyle = colour('--ink')
-    u.ctx.lineWidth = 2
-    u.ctx.setLineDash([6, 4])
-    u.ctx.beginPath()
-    u.ctx.moveTo(at, u.bbox.top)
-    u.ctx.lineTo(at, u.bbox.top + u.bbox.height)
-    u.ctx.stroke()
-    u.ctx.restore()
+    const at = u.valToPos(row.depth_mm, 'x', true), pen = u.ctx
+    pen.save()
+    pen.strokeStyle = colour('--ink')
+    pen.lineWidth = 2
+    pen.setLineDash([6, 4])
+    line(pen, [at, u.bbox.top], [at, u.bbox.top + u.bbox.height])
+    pen.restore()
   }
 
   function frames({ untouched, deepest }) {
