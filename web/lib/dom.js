@@ -157,6 +157,16 @@ export const sleep = (ms, signal) => new Promise(resolve => {
   signal?.addEventListener('abort', end, { once: true })
 })
 
+/** Makes a function for work of which only the newest counts: each call returns a signal that aborts at the next call, or with `signal`. */
+export function replacing(signal) {
+  let ending = new AbortController()
+  return () => {
+    ending.abort()
+    ending = new AbortController()
+    return AbortSignal.any([signal, ending.signal])
+  }
+}
+
 /** Resolves once the page is seen, or `signal` aborts. */
 export const seen = signal => new Promise(resolve => {
   const over = new AbortController()

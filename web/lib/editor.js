@@ -3,7 +3,7 @@
 
 import { Refused, get, keep, once, readOnce, send } from './api.js'
 import { actor, confirm, outcome } from './actions.js'
-import { button, el, fill, sleep } from './dom.js'
+import { button, el, fill, replacing, sleep } from './dom.js'
 import { fields } from './fields.js'
 import { live, who } from './live.js'
 import { NEEDS_OPERATOR, partsBar, planFacts, problemList } from './preflight.js'
@@ -67,7 +67,7 @@ export function editor({ draft, reread, ondone, onclose, signal }) {
       JSON.stringify({ text: state.text, notBefore: state.notBefore, sensor: state.sensor, named: state.named, file: state.file, of: state.of }),
     )
 
-  let asking = new AbortController()
+  const asking = replacing(signal)
   // Parts of the newest answer: those that a person has opened are open in the next one.
   let parts = null
   let tour = null
@@ -79,9 +79,7 @@ export function editor({ draft, reread, ondone, onclose, signal }) {
   }
   /** The preflight, after a rest: problems stand next to their keys. */
   async function check() {
-    asking.abort()
-    asking = new AbortController()
-    const until = AbortSignal.any([asking.signal, signal])
+    const until = asking()
     if (!live.may('operator'))
       return fill(found, el('p', { className: 'soft' }, NEEDS_OPERATOR))
     await sleep(REST_MS, until)

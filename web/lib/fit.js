@@ -4,7 +4,7 @@ import { all, get, withQuery } from './api.js'
 import { boxes } from './boxes.js'
 import { chart } from './chart.js'
 import { NUMERALS } from './contacts.js'
-import { el, facts, fill, pane, panel, say, select } from './dom.js'
+import { el, facts, fill, pane, panel, replacing, say, select } from './dom.js'
 import { about, count, counted, fixed, percent } from './format.js'
 import { sequential } from './frame.js'
 import { BEGUN } from './runwords.js'
@@ -20,7 +20,8 @@ const FVU_WORDS = 'FVU is the share of the variance of the measured voltages tha
 export function fit({ choose, signal: page }) {
   const body = el('div', { className: 'page' }), picker = el('div', { className: 'row' }), told = el('p', { className: 'soft' }, 'Reading the runs …')
   const node = el('div', { className: 'page fit' }, panel('How well does the simulation fit? (paper, Fig. 7)', {}, picker, told), body)
-  let runs = null, shown = null, ending = new AbortController(), signal = page, choice = null
+  const comparing = replacing(page)
+  let runs = null, shown = null, signal = page, choice = null
 
   async function show(wanted) {
     try { runs ??= await all('/runs', BEGUN, { most: 200, signal: page }) } catch (error) { return void say(told, `The runs could not be read: ${error.message}`) }
@@ -36,9 +37,7 @@ export function fit({ choose, signal: page }) {
     if (shown === run.uid) return undefined
     shown = run.uid
     // The charts of the run before end: two of the same name would write one zoom.
-    ending.abort()
-    ending = new AbortController()
-    signal = AbortSignal.any([page, ending.signal])
+    signal = comparing()
     say(told, 'Comparing …')
     try {
       const report = await get(`/runs/${run.scan_id}/evaluation/simulation`, {}, { signal, wait: 60_000 })

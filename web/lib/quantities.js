@@ -3,7 +3,7 @@
 
 import { socket } from './api.js'
 import { changing } from './changing.js'
-import { el, panel, say } from './dom.js'
+import { el, panel, replacing, say } from './dom.js'
 import { count, fixed } from './format.js'
 import { servedQuantities } from './serves.js'
 
@@ -24,17 +24,16 @@ function sureWords(answer, old) {
 export function quantityPart({ signal }) {
   const numbers = el('div'), sure = el('p', { className: 'soft' })
   const node = panel('Quantities', { className: 'live', hidden: true }, numbers, sure)
-  let cut = null, newest = null, at = 0
+  const listening = replacing(signal)
+  let newest = null, at = 0
 
   function follow(serving) {
     const isServed = servedQuantities(serving).length > 0
-    if (isServed === Boolean(cut)) return
+    if (isServed !== node.hidden) return
     node.hidden = !isServed
-    cut?.abort()
-    cut = isServed ? new AbortController() : null
     newest = null
-    if (!cut) return
-    const until = AbortSignal.any([signal, cut.signal])
+    const until = listening()
+    if (!isServed) return
     socket('/live/quantities', { signal: until, raw: true, rest: true, onmessage(text) {
       if (until.aborted) return
       newest = text

@@ -4,7 +4,7 @@
 import { get, socket } from '../lib/api.js'
 import { changing } from '../lib/changing.js'
 import { chart } from '../lib/chart.js'
-import { el, every, fill, panel, say, select } from '../lib/dom.js'
+import { el, every, fill, panel, replacing, say, select } from '../lib/dom.js'
 import { count, countOf, counted, fixed } from '../lib/format.js'
 import { round125 } from '../lib/frame.js'
 import { live, rigLabel } from '../lib/live.js'
@@ -41,11 +41,11 @@ const explained = ({ probability, contacts }) => `${contacts.length ? counted(co
 
 /** Shows the page. */
 export async function show(root, { query, signal, set }) {
-  let state = query, serving = null, cut = null, open = '' // The socket and its method.
+  let state = query, serving = null, open = '' // The method of the socket.
   let waiting = [], answer = null, at = 0, asked = false // Messages that are not drawn yet, and what was drawn.
   let listed = '', arrived = 0, drawings = 0, told = { arrived: 0, drawings: 0 }, since = performance.now(), rates = {}
   let heard = null // Frame counter of the newest drawn answer, and how many had arrived with it.
-  const latencies = [], lost = missingOf(), trace = { at: [], total: [], from: 0 }
+  const listening = replacing(signal), latencies = [], lost = missingOf(), trace = { at: [], total: [], from: 0 }
   const chosen = () => vocabulary.methods.find(one => one.name === state.method) ?? bestMethod(serving)
 
   const map = touchMap({ signal, label: rigLabel, query: '/api/v1/serving' })
@@ -75,14 +75,12 @@ export async function show(root, { query, signal, set }) {
     const method = chosen(), ready = method && !lacks(method, serving).length, wanted = ready ? method.name : ''
     if (wanted === open) return
     open = wanted
-    cut?.abort()
+    const until = listening()
     answer = heard = null
     waiting = []
     lost.clear()
     map.show(null)
     if (!wanted) return
-    cut = new AbortController()
-    const until = AbortSignal.any([signal, cut.signal])
     socket('/live', { signal: until, raw: true, rest: true, query: { method: wanted, map: method.uses.includes('map') || null }, onmessage(text) {
       if (until.aborted) return
       waiting.push(text)

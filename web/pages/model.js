@@ -5,7 +5,7 @@
 import { get, send } from '../lib/api.js'
 import { asked, contactList, contactsText, most, parseContacts, within } from '../lib/presslist.js'
 import { dent } from '../lib/dent.js'
-import { button, el, facts, fill, note, pane, panel, renew, say, select } from '../lib/dom.js'
+import { button, el, facts, fill, note, pane, panel, renew, replacing, say, select } from '../lib/dom.js'
 import { fit, scatter } from '../lib/fit.js'
 import { about, counted, fixed } from '../lib/format.js'
 import { frame, minus } from '../lib/frame.js'
@@ -64,7 +64,8 @@ export async function show(root, { query, signal, set }) {
   const viewWords = () => [...VIEWS, ...TRIAL_VIEWS].find(([name]) => name === state.view)?.[1].toLowerCase() ?? ''
 
   // Contacts: changed by mouse, list or address; asked for after a rest.
-  let timer = 0, cut = new AbortController()
+  const asking = replacing(signal)
+  let timer = 0
   function put(contacts) {
     state.contacts = contacts.slice(0, most()).map(contact => within(contact, drawn.shape))
     list.show(state.contacts, null, drawn.shape)
@@ -72,7 +73,7 @@ export async function show(root, { query, signal, set }) {
     clearTimeout(timer)
     timer = setTimeout(() => { state.text = contactsText(state.contacts); set({ contacts: state.text }); simulate() }, REST_MS)
   }
-  signal.addEventListener('abort', () => { clearTimeout(timer); cut.abort() })
+  signal.addEventListener('abort', () => clearTimeout(timer))
   const add = ([x_mm, y_mm]) => state.contacts.length < most()
     ? put([...state.contacts, { ...NEW, ...(({ kind, value }) => kind && { kind, value })(state.contacts.at(-1) ?? {}), x_mm, y_mm }])
     : note(told, `At most ${most()} contacts: remove one first.`)
@@ -117,20 +118,18 @@ export async function show(root, { query, signal, set }) {
   }
 
   async function simulate() {
-    cut.abort()
-    cut = new AbortController()
-    const mine = cut, begun = performance.now()
-    const slow = setTimeout(() => { if (!mine.signal.aborted) note(told, SLOW) }, SLOW_MS)
+    const until = asking(), begun = performance.now()
+    const slow = setTimeout(() => { if (!until.aborted) note(told, SLOW) }, SLOW_MS)
     try {
       const answer = await send('/simulations', { contacts: asked(state.contacts), run: state.run || state.trial?.run || null, trial: state.trial?.trial_id ?? null },
-        { signal: AbortSignal.any([signal, mine.signal]), wait: 120_000 })
+        { signal: until, wait: 120_000 })
       clearTimeout(slow)
-      if (mine.signal.aborted) return
+      if (until.aborted) return
       state.answer = answer
       tell(performance.now() - begun)
     } catch (error) {
       clearTimeout(slow)
-      if (mine.signal.aborted || signal.aborted) return
+      if (until.aborted) return
       state.answer = null
       fill(numbers)
       note(told, error.status === 404 && !state.run ? 'This version of the service answers no simulations here. The command: palpate simulate --contacts.'

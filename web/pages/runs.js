@@ -5,7 +5,7 @@ import { get, withQuery } from '../lib/api.js'
 import { outcome } from '../lib/actions.js'
 import { beginButton } from '../lib/begin.js'
 import { compare } from '../lib/compare.js'
-import { el, every, fill, link, panel, select, sleep } from '../lib/dom.js'
+import { el, every, fill, link, panel, replacing, select, sleep } from '../lib/dom.js'
 import { NONE, age, count, counted, moment, span } from '../lib/format.js'
 import { listing } from '../lib/listing.js'
 import { live } from '../lib/live.js'
@@ -31,7 +31,7 @@ export async function show(root, { query, signal, go, set }) {
   let selected = ''
   let opened = ''
   let view = null
-  let leaving = new AbortController()
+  const opening = replacing(signal)
   root.append(list, body)
 
   // The list.
@@ -137,15 +137,13 @@ export async function show(root, { query, signal, go, set }) {
     body.hidden = !wanted
     if (wanted === opened) return wanted ? view?.update?.(query) : follow()
     opened = wanted
-    leaving.abort()
-    leaving = new AbortController()
+    const until = opening()
     view = null
     if (!wanted) {
       fill(body)
       return follow()
     }
     const back = withQuery('/runs', kept())
-    const until = AbortSignal.any([signal, leaving.signal])
     try {
       if (query.with) await compare(body, { ...query, back, signal: until })
       else {

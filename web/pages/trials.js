@@ -2,7 +2,7 @@
 
 import { all, get, withQuery } from '../lib/api.js'
 import { around } from '../lib/around.js'
-import { button, el, fill, link, note, panel, sleep } from '../lib/dom.js'
+import { button, el, fill, link, note, panel, replacing, sleep } from '../lib/dom.js'
 import { clock, count, counted, fixed, moment, plain } from '../lib/format.js'
 import { listing } from '../lib/listing.js'
 import { BEGUN } from '../lib/runwords.js'
@@ -26,9 +26,10 @@ export async function show(root, { query, signal, set, go }) {
   let state = query,
     runs = [],
     asked = '',
-    selecting = new AbortController(), // Of the charts of a selection.
     open = null,
     looked = ''
+  const selecting = replacing(signal),
+    showing = replacing(signal)
   // A chart puts its own zoom back: that of an old address would undo the newer one.
   const href = trial => withQuery('/trials', { ...conditions(state), sort: state.sort, scale: state.scale, trial })
   const known = listing('/trials', { words: 'The trials', draw: drawRows, limit: PAGE, most: ROWS_MOST, signal, key: row => row.trial_id })
@@ -97,8 +98,7 @@ export async function show(root, { query, signal, set, go }) {
     list.show(items)
   }
 
-  async function drawCharts() {
-    const until = AbortSignal.any([signal, selecting.signal])
+  async function drawCharts(until) {
     try {
       const { rows, more } = await columnsOf('/trials', selected(), ['trial_id', 'max_force_n', 'contact_count', 'fvu'], { signal: until })
       if (!until.aborted) charts.show(rows, more)
@@ -119,10 +119,8 @@ export async function show(root, { query, signal, set, go }) {
       return
     }
     asked = key
-    selecting.abort()
-    selecting = new AbortController()
     known.select(selected())
-    drawCharts()
+    drawCharts(selecting())
   }
 
   // One trial. Read ones are kept, neighbours are read ahead, so that a key answers at once.
@@ -189,15 +187,12 @@ export async function show(root, { query, signal, set, go }) {
       view.renew()
     }
   }
-  let shown = new AbortController()
   async function showTrial() {
     const id = state.trial
     const look = `${id} ${state.scale ?? ''}`
     if (looked === look) return
     looked = look
-    shown.abort()
-    shown = new AbortController()
-    const until = AbortSignal.any([signal, shown.signal])
+    const until = showing()
     const first = detail.hidden
     open = id
     detail.hidden = !id
