@@ -8,6 +8,7 @@ import { clock, moment, momentBand, percent, plain, span, steadyCountOf } from '
 import { steadyEnds } from './lib/eta.js'
 import { live, start } from './lib/live.js'
 import { READ_KEYS } from './lib/readkeys.js'
+import { stateWords } from './lib/runwords.js'
 import { readVocabulary } from './lib/vocabulary.js'
 import { TONE } from './lib/words.js'
 import { FIRST, PAGES } from './pages.js'
@@ -175,10 +176,8 @@ live.on('status', ({ status, at }) => {
   const { rig, run } = status
   stopState(status)
   $('virtual').hidden = rig.label !== 'virtual'
-  const word = run ? plain(run.state) : plain(rig.state)
-  const requested = { paused: ', pause requested', idle: ', end requested' }[run?.requested_state] ?? ''
   say($('rig-name'), rig.name)
-  say($('bar-state'), `${run ? '' : 'Rig '}${word}${requested}${run ? ` · ${run.experiment}` : ''}`)
+  say($('bar-state'), run ? `${stateWords(run)} · ${run.experiment}` : `Rig ${plain(rig.state)}`)
   $('bar-state').className = `bar-state ${TONE[run?.state ?? rig.state] ?? ''}`
   say($('bar-count'), run ? steadyCountOf(run.trials_stored, run.trials_planned) : '')
   $('bar-count').title = run ? percent(run.trials_stored, run.trials_planned) : ''

@@ -2,7 +2,7 @@
 
 import { get, keep, once, readOnce } from './api.js'
 import { actor } from './actions.js'
-import { el, field, panel, say, select, set } from './dom.js'
+import { choose, el, field, panel, say, select } from './dom.js'
 import { fold } from './fold.js'
 import { capital } from './format.js'
 import { keepForm } from './formstate.js'
@@ -73,8 +73,8 @@ export function trainingForm({ said, onstart, signal }) {
   /** The fields as the text has them. */
   function show() {
     const [wanted, wantedMap] = [plainOf(text.value, dataset), plainOf(text.value, map)]
-    if (wanted && ![...dataset.options].some(option => option.value === wanted)) dataset.append(el('option', { value: wanted }, wanted))
-    set(dataset, { value: wanted })
+    if (wanted) choose(dataset, wanted)
+    else dataset.value = ''
     if (wantedMap) map.value = wantedMap
     for (const node of [epochs, rows, seed, name]) node.value = plainOf(text.value, node)
   }

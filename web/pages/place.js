@@ -33,11 +33,7 @@ export async function show(root, { signal }) {
   }
   watch(view, work.draw, signal)
   live.on('fresh', work.draw, signal)
-  let queued = null
-  live.on('status', ({ status }) => {
-    if (shown === idle && queued !== null && status.queue_length !== queued) idle.load()
-    queued = status.queue_length
-  }, signal)
+  live.onChange(status => status.queue_length, () => shown === idle && idle.load(), signal)
   return { update() {} } // The parts follow the address themselves.
 }
 

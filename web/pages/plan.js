@@ -213,16 +213,7 @@ export async function show(root, { query, signal, go, set }) {
     current = found
     say(told, standing(found))
   }
-  let seen = null
-  live.on(
-    'status',
-    ({ status }) => {
-      const now = `${status.run?.uid} ${status.run?.state} ${status.queue_length}`
-      if (seen != null && now !== seen) follow()
-      seen = now
-    },
-    signal,
-  )
+  live.onChange(({ run, queue_length }) => `${run?.uid} ${run?.state} ${queue_length}`, follow, signal)
   every(EVERY_MS, () => current?.state === 'queued' && follow(), signal)
   await update(query)
   return { update }

@@ -3,7 +3,7 @@
 
 import { ask, get, keep } from '../lib/api.js'
 import { confirm, only, outcome } from '../lib/actions.js'
-import { carried, carriedTable } from '../lib/carried.js'
+import { carriedItem, carriedTable } from '../lib/carried.js'
 import { button, el, every, fill, link, panel, replacing } from '../lib/dom.js'
 import { editor, isEdited } from '../lib/editor.js'
 import { readExperiment, takeDrops } from '../lib/filedrop.js'
@@ -47,9 +47,8 @@ export async function show(root, { query, signal, go }) {
   async function drafted({ add, edit, copy }) {
     if (add === 'file') return { name: 'file', ...file }
     if (add) {
-      const item = (await carried()).find(item => item.name === add)
-      if (!item) throw new Error(`the program carries no experiment ${add}`)
-      return { name: item.name, text: item.text, file: item.file }
+      const { name, text, file } = await carriedItem(add)
+      return { name, text, file }
     }
     // The tag is read before the text: what is changed later than this text has another one.
     const tag = edit && (await ask('/api/v1/queue', { signal })).headers.get('etag')

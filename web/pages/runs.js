@@ -160,16 +160,7 @@ export async function show(root, { query, signal, go, set }) {
   }
 
   sleep(EVERY_MS, signal).then(() => every(EVERY_MS, () => (query.run || live.status?.run) && refresh(), signal))
-  let seen = null
-  live.on(
-    'status',
-    ({ status }) => {
-      const now = `${status.run?.uid} ${status.run?.state}`
-      if (seen != null && now !== seen) refresh()
-      seen = now
-    },
-    signal,
-  )
+  live.onChange(({ run }) => `${run?.uid} ${run?.state}`, refresh, signal)
   await follow()
   open()
   return {
