@@ -3,10 +3,12 @@
 import { cellKeys } from './cellkeys.js'
 import { colour, el, onLook, say, soon } from './dom.js'
 import { about, count, percent } from './format.js'
+import { roundUp } from './frame.js'
 import { line, sharp } from './pen.js'
 import { picture } from './picture.js'
 
 const height = 200
+const FOURTHS = [1, 2, 4, 6, 8, 10] // Four parts divide them well.
 
 /**
  * Makes a box plot. `set([{ name, trials, low, q1, median, q3, high, outliers }])`. `paper`: a published
@@ -21,7 +23,7 @@ export function boxes({ title, unit = '', factor = 1, paper, query, label, signa
     if (!width) return
     const pen = sharp(canvas, width, height)
     pen.font = '12px system-ui, sans-serif'
-    const top = nice(Math.max(...items.map(item => item.high * factor), paper ?? 0, 1e-9)), left = 50, foot = 36, head = 10
+    const top = roundUp(Math.max(...items.map(item => item.high * factor), paper ?? 0, 1e-9), FOURTHS), left = 50, foot = 36, head = 10
     const y = value => height - foot - (height - foot - head) * value / top
     grid(pen, { top, left, width, y })
     items.forEach((item, i) => one(pen, { ...item, isMarked: i === marked }, left + (width - left) * (i + 0.5) / items.length, Math.min(46, (width - left) / items.length * 0.5), y))
@@ -75,10 +77,4 @@ export function boxes({ title, unit = '', factor = 1, paper, query, label, signa
   cellKeys(canvas, { kind: 'box plot', keys: 'On a box plot', size: () => [items.length, 1], show: cell => mark(cell?.[0]) })
   const node = picture({ title, query, label, data, canvas: () => canvas }, holder)
   return { node, set(next) { items = next; mark(marked) } }
-}
-
-/** A round number at least as large, that four parts divide well. */
-function nice(x) {
-  const ten = 10 ** Math.floor(Math.log10(x))
-  return [1, 2, 4, 6, 8, 10].map(n => n * ten).find(n => n >= x * 0.999)
 }

@@ -4,7 +4,7 @@
 
 import { colour, dark, el, fill } from './dom.js'
 import { count, fixed } from './format.js'
-import { round125, sequential, strip } from './frame.js'
+import { roundUp, sequential, strip } from './frame.js'
 import { disc, line, sharp } from './pen.js'
 import { nearest, skin, tips } from './skin.js'
 
@@ -32,7 +32,7 @@ export function tourMap({ signal, label, query, href, onselect = () => {}, force
   const legend = el('p', { className: 'legend' })
   const total = i => progress?.stored[i] ?? 0
   const values = () => kind === 'force' ? progress?.largest_force_n : progress?.fvu
-  const scaleEnd = () => kind === 'force' ? forceLimit() ?? 100 : round125(Math.max(0.05, ...quantile(progress?.fvu)))
+  const scaleEnd = () => kind === 'force' ? forceLimit() ?? 100 : roundUp(Math.max(0.05, ...quantile(progress?.fvu)))
 
   const view = skin({ title: 'Tour', signal, label, query, points: true, draw, describe, onhover, onpick, turn, spots: () => spots.map(({ x, y }) => [x, y]) })
 

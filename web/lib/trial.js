@@ -3,7 +3,7 @@
 import { chart } from './chart.js'
 import { colour, el, facts, fill, note, panel, pane, select } from './dom.js'
 import { NONE, about, capital, count, counted, fixed, moment, plain, span } from './format.js'
-import { frame, minus, round125 } from './frame.js'
+import { frame, minus, roundUp } from './frame.js'
 import { lettering, line } from './pen.js'
 import { shows } from './save.js'
 import { sensorOf, skin, tips } from './skin.js'
@@ -155,7 +155,7 @@ export function trialView({ signal, href, onscale }) {
   function frames({ untouched, deepest }) {
     const { voltages_v: v, sim_voltages_v: s } = row
     const wide = scale.value ? (deepest ?? row) : row
-    const end = round125(Math.max(largest(wide.voltages_v), largest(wide.sim_voltages_v)))
+    const end = roundUp(Math.max(largest(wide.voltages_v), largest(wide.sim_voltages_v)))
     shown.measured.show(v, { scale: end })
     for (const [kind, values] of [
       ['twin', s],

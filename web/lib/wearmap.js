@@ -3,7 +3,7 @@
 import { chart } from './chart.js'
 import { button, dark, el, facts, fill, pane } from './dom.js'
 import { NONE, count, counted, fixed } from './format.js'
-import { round125, sequential, strip } from './frame.js'
+import { roundUp, sequential, strip } from './frame.js'
 import { median } from './runwords.js'
 import { disc } from './pen.js'
 import { nearest, skin } from './skin.js'
@@ -29,7 +29,7 @@ export function wearMap({ onchoose, label, signal }) {
   const most = el('section')
   const at = i => [points.x_mm[i], points.y_mm[i], points.presses[i]]
   const top = () => points.presses[order[0]] ?? 0
-  const end = () => round125(Math.max(1, top()))
+  const end = () => roundUp(Math.max(1, top()))
 
   const view = skin({
     title: 'Presses on each place',

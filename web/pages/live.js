@@ -6,10 +6,10 @@ import { changing } from '../lib/changing.js'
 import { chart } from '../lib/chart.js'
 import { el, every, fill, panel, replacing, say, select } from '../lib/dom.js'
 import { count, countOf, counted, fixed } from '../lib/format.js'
-import { round125 } from '../lib/frame.js'
+import { roundUp } from '../lib/frame.js'
 import { live, rigLabel } from '../lib/live.js'
 import { missingOf } from '../lib/missing.js'
-import { quantityPart } from '../lib/quantities.js'
+import { doubt, quantityPart } from '../lib/quantities.js'
 import { recorder } from '../lib/recording.js'
 import { bestMethod, lacks, needWords, servingPart } from '../lib/serves.js'
 import { sensor } from '../lib/skin.js'
@@ -25,10 +25,8 @@ const TELL_MS = 250, TRACE_MS = 100, TRACED = 600, SERVING_MS = 10_000, STALE_MS
 
 /** How sure an answer is: { tone, words }. */
 function sureness(answer, old) {
-  if (!answer) return { tone: 'soft', words: 'No answer yet: frames come while the rig is connected.' }
-  if (answer.error) return { tone: 'bad', words: `The method failed: ${answer.error}` }
-  if (old) return { tone: 'warn', words: 'Outdated: no answer for some seconds.' }
-  if (answer.outside?.length) return { tone: 'warn', words: `Unsure: ${answer.outside.join('; ')}.` }
+  const unsure = doubt(answer, old, 'The method')
+  if (unsure) return unsure
   const misfit = answer.misfit == null ? '' : ` The fit leaves ${fixed(answer.misfit, 1)} times the noise (limit ${answer.misfit_limit}).`
   const notes = (answer.notes ?? []).map(note => ` Note: ${note}.`).join('')
   const found = answer.contacts.length ? counted(answer.contacts.length, 'contact') : 'Nothing touches the skin', others = answer.alternatives ?? []
@@ -61,7 +59,7 @@ export async function show(root, { query, signal, set }) {
   const [placed, proposed] = [columns, [...columns, presence]].map(columns => table({ caption: 'Contacts', empty: 'Nothing touches the skin.', columns }))
   const lists = el('div')
   const total = chart({ title: 'Total force, last minute', key: 'total', y: 'Force', unit: 'N', height: 130, signal, label: rigLabel,
-    series: [{ name: 'total', digits: 1, fill: true }], range: (_, high) => [0, round125(Math.max(5, high || 0))] })
+    series: [{ name: 'total', digits: 1, fill: true }], range: (_, high) => [0, roundUp(Math.max(5, high || 0))] })
   const now = panel('Now', { className: 'live touch', aside: methods }, sure, numbers, lists)
   const colours = el('label', { className: 'inline' }, 'Colours up to', scales)
   const picture = el('section', { className: 'live' }, el('div', { className: 'row tight' }, colours), map.node)
