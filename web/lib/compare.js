@@ -69,10 +69,7 @@ export async function compare(root, { run: first, with: second, back, signal }) 
         panel(
           'Fit of the twins',
           {},
-          fitTable([
-            { name: nameOf(a.run), fit: a.fit },
-            { name: nameOf(b.run), fit: b.fit },
-          ]),
+          fitTable([{ name: nameOf(a.run), fit: a.fit }, { name: nameOf(b.run), fit: b.fit }]),
         ),
         panel('Keys of the experiment files that differ', {}, pairTable(changed, a.run, b.run, 'Key')),
       ),

@@ -161,12 +161,7 @@ export function editor({ draft, reread, ondone, onclose, signal }) {
       el('label', { htmlFor: 'not-before' }, 'Earliest start (optional; the time of this computer)'),
       start,
       el('p', { className: 'soft small' }, 'The run begins at this time or later, once it is armed and started, and when no other run is active.'),
-      el(
-        'div',
-        { className: 'row' },
-        save,
-        button('Close', close, { className: 'plain' }),
-      ),
+      el('div', { className: 'row' }, save, button('Close', close, { className: 'plain' })),
       said.node,
     ),
   )

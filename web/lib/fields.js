@@ -144,10 +144,7 @@ export function fields({ schema, onchange }) {
             el(
               'div',
               { className: 'form' },
-              more(
-                'more-others',
-                others.map(table => [table, absent(table, new Set())]),
-              ),
+              more('more-others', others.map(table => [table, absent(table, new Set())])),
             ),
           )
         : null,

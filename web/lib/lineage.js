@@ -111,12 +111,7 @@ export function lineageWalk({ dataset, lineage, nets, label, signal, set }) {
       one.classList.toggle('chosen', to.getAttribute('aria-pressed') === 'true' || to === end)
       return one
     }
-    lines.replaceChildren(
-      ...[...boxes.values()]
-        .filter(one => one.of)
-        .map(path)
-        .filter(Boolean)
-    )
+    lines.replaceChildren(...[...boxes.values()].filter(one => one.of).map(path).filter(Boolean))
   })
   onLook(node, draw, signal)
 

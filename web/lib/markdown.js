@@ -92,11 +92,7 @@ function rows(lines) {
       'table',
       {},
       ruled && el('thead', {}, line('th', lines[0])),
-      el(
-        'tbody',
-        {},
-        body.map(text => line('td', text))
-      )
+      el('tbody', {}, body.map(text => line('td', text)))
     )
   )
 }

@@ -119,10 +119,7 @@ function residuals(model, label, signal) {
     ({ mean_v, sd_v, trials }) => {
       const top = values => values.reduce((a, v) => Math.max(a, Math.abs(v)), 0),
         rms = Math.sqrt(sd_v.reduce((sum, v, i) => sum + v * v + mean_v[i] ** 2, 0) / sd_v.length)
-      for (const [title, values] of [
-        ['Mean of the transfer error', mean_v],
-        ['Standard deviation', sd_v],
-      ]) {
+      for (const [title, values] of [['Mean of the transfer error', mean_v], ['Standard deviation', sd_v]]) {
         const one = frame({ title, name: `${model.id}-${title === 'Standard deviation' ? 'sd' : 'mean'}`, label, query: `/api/v1${path}`, signal })
         pictures.append(one.node)
         one.show(values)

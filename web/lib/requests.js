@@ -84,10 +84,7 @@ export function trainingForm({ said, onstart, signal }) {
     const { text: begun, about: words, maps } = chosen()
     text.value = begun
     say(about, words)
-    choices(
-      map,
-      maps.map(one => one.map)
-    )
+    choices(map, maps.map(one => one.map))
     map.parentNode.hidden = !maps.length
     show()
   }
@@ -143,10 +140,7 @@ export function trainingForm({ said, onstart, signal }) {
     found => {
       if (signal.aborted) return undefined
       carried = found
-      choices(
-        recipe,
-        carried.map(one => one.name)
-      )
+      choices(recipe, carried.map(one => one.name))
       begin()
       const kept = keep('sessionStorage', DRAFT)
       const usual = node => (node === recipe ? USUAL_RECIPE : plainOf(chosen().text, node) || (node === map ? (chosen().maps[0]?.map ?? '') : ''))
@@ -181,14 +175,7 @@ export function evaluationForm({ said, onstart, signal }) {
     }),
     dataset = select([], '', () => {}),
     part = select([['', 'all rows'], 'train', 'validation', 'test'], 'test', () => {}),
-    frames = select(
-      [
-        ['mean', 'mean of all'],
-        ['first', 'first only'],
-      ],
-      'mean',
-      () => {}
-    )
+    frames = select([['mean', 'mean of all'], ['first', 'first only']], 'mean', () => {})
   // The keys of a request that name nets; a skin that is not named is the serving one.
   const isOfNets = one => one.slots.every(slot => slotOf(slot).tasks.length)
   const keysOf = method => method.models.filter(isOfNets)

@@ -58,12 +58,7 @@ const what = (models, href) => [
     cell: one =>
       one.perfectOf || one.paper
         ? one.about ?? ''
-        : el(
-            'span',
-            {},
-            `${count(one.rows)}, `,
-            rows(one).map((part, i) => (i ? [' ', part] : part))
-          ),
+        : el('span', {}, `${count(one.rows)}, `, rows(one).map((part, i) => (i ? [' ', part] : part))),
   },
   { head: 'Held out', cell: one => (one.perfectOf || one.paper ? '' : one.held_out === false ? el('span', { className: 'warn' }, 'no') : 'yes') },
   { head: 'Label', left: true, cell: one => (one.perfectOf ? '' : one.paper ? 'measured' : one.label) },
@@ -205,11 +200,7 @@ export function reportView(report, models) {
       report.latency_ms && ['99 % after', fixed(report.latency_ms[1], 1, 'ms')],
     ]),
     report.notes?.length
-      ? el(
-          'ul',
-          { className: 'warn' },
-          report.notes.map(words => el('li', {}, words))
-        )
+      ? el('ul', { className: 'warn' }, report.notes.map(words => el('li', {}, words)))
       : '',
     volts.length
       ? table({

@@ -70,10 +70,7 @@ export function selection({ set, said }) {
     }
   )
   const order = select(
-    [
-      ['', 'newest first'],
-      ['trial_id', 'oldest first'],
-    ],
+    [['', 'newest first'], ['trial_id', 'oldest first']],
     '',
     value => set({ sort: value || null })
   )

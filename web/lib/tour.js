@@ -81,13 +81,7 @@ export function tourView({ onstep, label, query, signal }) {
     ),
     el('label', { htmlFor: 'tour-step' }, 'Step of the tour'),
     slider,
-    el(
-      'div',
-      { className: 'row' },
-      button('Back', () => by(-1)),
-      button('Forward', () => by(1)),
-      told,
-    ),
+    el('div', { className: 'row' }, button('Back', () => by(-1)), button('Forward', () => by(1)), told),
   )
 
   /** The first kept step that presses the place nearest to a position. */

@@ -40,10 +40,7 @@ export function trialView({ signal, href, onscale }) {
   }
   const why = { twin: el('p', { className: 'soft small' }), touch: el('p', { className: 'soft small' }) }
   const scale = select(
-    [
-      ['', 'this trial'],
-      ['configuration', 'the deepest trial of its configuration'],
-    ],
+    [['', 'this trial'], ['configuration', 'the deepest trial of its configuration']],
     '',
     onscale,
     { id: 'trial-scale' }
@@ -214,12 +211,7 @@ export function trialView({ signal, href, onscale }) {
       ]),
       row.sim_model ? el('p', { className: 'soft small' }, 'Twin by model ', el('code', {}, row.sim_model), '.') : ''
     )
-    const axes = [
-      ['x_mm', 'x'],
-      ['y_mm', 'y'],
-      ['z_mm', 'z'],
-      ['radius_mm', 'Radius'],
-    ]
+    const axes = [['x_mm', 'x'], ['y_mm', 'y'], ['z_mm', 'z'], ['radius_mm', 'Radius']]
     fill(
       poses,
       row.target || row.reached

@@ -108,10 +108,7 @@ export function wearMap({ onchoose, label, signal }) {
     const width = Math.max(1, Math.ceil(end() / BARS_MOST))
     const bins = new Array(Math.floor(end() / width) + 1).fill(0)
     for (const n of points.presses) bins[Math.floor(n / width)] += 1
-    spread.set([
-      [-width, ...bins.map((_, i) => i * width), bins.length * width],
-      [null, ...bins, null],
-    ])
+    spread.set([[-width, ...bins.map((_, i) => i * width), bins.length * width], [null, ...bins, null]])
   }
 
   function choose(x, y) {

@@ -136,10 +136,7 @@ export async function show(root, { query, signal, go }) {
   /** Names of datasets for the forms: made ones first, then what can be made. */
   async function readDatasets() {
     const found = await all('/datasets', {}, { most: 200, signal }).catch(() => [])
-    const built = await get('/datasets', { limit: 1 }, { signal }).then(
-      page => page.definitions,
-      () => []
-    )
+    const built = await get('/datasets', { limit: 1 }, { signal }).then(page => page.definitions, () => [])
     datasets = [...new Set([...found.map(item => item.name), ...built])]
     if (signal.aborted) return
     training.knows({ datasets })

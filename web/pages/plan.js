@@ -20,10 +20,7 @@ const ENDED = ['ended', 'removed']
 const FIRST_ANSWER_MS = 1500
 const EVERY_MS = 5000
 const settled = promise =>
-  promise.then(
-    p => ({ p }),
-    error => ({ error }),
-  )
+  promise.then(p => ({ p }), error => ({ error }))
 
 /** Shows the page. */
 export async function show(root, { query, signal, go, set }) {

@@ -67,11 +67,7 @@ function whatToDo(wear) {
   return panel(
     'What to do',
     {},
-    el(
-      'ul',
-      { className: 'listed' },
-      lines.map(line => el('li', {}, line)),
-    ),
+    el('ul', { className: 'listed' }, lines.map(line => el('li', {}, line))),
     el('p', { className: 'soft' }, unknown),
   )
 }
