@@ -103,10 +103,8 @@ export function exportsPanel({ signal }) {
     rows.node,
     known.more
   )
-  const controls = [dataset, format, map, where, columns]
-  const first = new Map(controls.map(control => [control, control.value]))
   let usual = '' // The dataset that is open, until a person enters another one.
-  const write = keepForm(controls, { usual: control => (control === dataset ? usual : first.get(control)), signal })
+  const write = keepForm([dataset, format, map, where, columns], { usual: control => (control === dataset ? usual : undefined), signal })
   return {
     node,
     /** Offers a dataset; one that a person entered stays, unless this was asked for (`asked`). */

@@ -50,26 +50,20 @@ export function trainingForm({ said, onstart, signal }) {
     rows = number({ placeholder: 'all' }),
     seed = number({ min: 0 }),
     name = el('input', { maxLength: 100, onchange: change })
-  const fields = [
-    field('Recipe', recipe, 'tr-recipe'),
-    field('Dataset', dataset, 'tr-dataset'),
-    field('Epochs', epochs, 'tr-epochs'),
-    field('Rows of an epoch', rows, 'tr-rows'),
-    field('Seed', seed, 'tr-seed'),
-    field('Force map, pixel x diameter, mm', map, 'tr-map'),
-    field('Name of the model', name, 'tr-name'),
+  // Words, control and key; and the table in which the text has the key, which has no recipe.
+  const CONTROLS = [
+    ['Recipe', recipe, 'recipe'],
+    ['Dataset', dataset, 'dataset', ''],
+    ['Epochs', epochs, 'epochs', 'training'],
+    ['Rows of an epoch', rows, 'rows', ''],
+    ['Seed', seed, 'seed', 'training'],
+    ['Force map, pixel x diameter, mm', map, 'map', ''],
+    ['Name of the model', name, 'name', ''],
   ]
-  // Where the text has the value of a field.
-  const AT = new Map([
-    [dataset, ['', 'dataset']],
-    [epochs, ['training', 'epochs']],
-    [rows, ['', 'rows']],
-    [seed, ['training', 'seed']],
-    [map, ['', 'map']],
-    [name, ['', 'name']],
-  ])
-  const all = [recipe, ...AT.keys()]
-  const plainOf = (of, node) => (raw(of, ...AT.get(node)) ?? '').replace(/^"|"$/g, '')
+  const fields = CONTROLS.map(([words, node, key]) => field(words, node, `tr-${key}`))
+  const all = CONTROLS.map(([, node]) => node)
+  const placeOf = new Map(CONTROLS.map(([, node, key, table]) => [node, [table, key]]))
+  const plainOf = (of, node) => (raw(of, ...placeOf.get(node)) ?? '').replace(/^"|"$/g, '')
   /** The fields as the text has them. */
   function show() {
     const [wanted, wantedMap] = [plainOf(text.value, dataset), plainOf(text.value, map)]
@@ -236,9 +230,8 @@ export function evaluationForm({ said, onstart, signal }) {
   )
   // A dataset and nets that no person has chosen follow the method and what is trained.
   const follows = new Set([dataset, ...Object.values(models)])
-  const first = new Map([scored, part, limit, frames, sd].map(control => [control, control.value]))
-  const usual = control => (!follows.has(control) ? first.get(control) : control.dataset.chosen ? null : control.value)
-  const write = keepForm([...first.keys(), ...follows], { usual, changed: show, signal })
+  const usual = control => (!follows.has(control) ? undefined : control.dataset.chosen ? false : control.value)
+  const write = keepForm([scored, part, limit, frames, sd, ...follows], { usual, changed: show, signal })
   return {
     node,
     knows(next) {
