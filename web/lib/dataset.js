@@ -196,7 +196,7 @@ export function datasetView({ signal, go, onmade, onexport }) {
           save('Save as Data Package', `/api/v1/datasets/${item.id}/datapackage.json`, 'datapackage.json')
         ),
       },
-      fold('card', 'Read the card', { className: 'card', signal: mine }, markdown(card))
+      fold('card', 'Read the card', { signal: mine }, markdown(card))
     )
     fill(node, head, counts, el('div', { className: 'columns two' }, files, columns), graph, about)
     walk.show(state)

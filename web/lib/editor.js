@@ -143,7 +143,7 @@ export function editor({ draft, reread, ondone, onclose, signal }) {
     { className: 'editor' },
     el(
       'div',
-      { className: 'editor-form' },
+      {},
       el('h3', {}, 'Keys'),
       el('p', { className: 'soft small' }, 'They write into the text. A key that is absent has its default.'),
       form.node,

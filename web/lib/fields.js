@@ -1,7 +1,7 @@
 // A form for an experiment file: one input for each key in the text, with unit, limits and meaning from the schema.
 // Writes into the text and reads from it: the text is what is sent.
 
-import { button, el, fill, note, select } from './dom.js'
+import { button, el, field, fill, note, select } from './dom.js'
 import { capital, count, plain } from './format.js'
 import { entries, kindOf, plainValue, put, written } from './toml.js'
 
@@ -16,6 +16,7 @@ const TABLES = {
   limits: 'Force limits',
 }
 
+const nameOf = table => TABLES[table] ?? plain(table)
 /** Unit of a key, by its name. */
 const unitOf = key => UNITS[key.split('_').at(-1)] ?? ''
 /** Name of a key in words, with its unit in brackets instead of its suffix. */
@@ -53,7 +54,7 @@ export function fields({ schema, onchange }) {
     onchange(next)
   }
 
-  function field({ table, key, raw }) {
+  function entry({ table, key, raw }) {
     const name = [table, key].filter(Boolean).join('.')
     const id = `key-${name.replace('.', '-')}`
     const rule = of(schema, table, key)
@@ -78,7 +79,7 @@ export function fields({ schema, onchange }) {
     inputs.set(name, { control, bad })
     return el(
       'div',
-      { className: 'field' },
+      {},
       el(
         'div',
         { className: 'field-head' },
@@ -107,13 +108,8 @@ export function fields({ schema, onchange }) {
     const groups =
       tables.length === 1
         ? options(...tables[0])
-        : tables.map(([table, keys]) => el('optgroup', { label: TABLES[table] ?? plain(table) }, options(table, keys)))
-    return el(
-      'div',
-      { className: 'field' },
-      el('label', { htmlFor: id }, 'Another key'),
-      el('select', { id, onchange: add }, el('option', { value: '' }, 'defaults apply'), groups),
-    )
+        : tables.map(([table, keys]) => el('optgroup', { label: nameOf(table) }, options(table, keys)))
+    return field('Another key', el('select', { onchange: add }, el('option', { value: '' }, 'defaults apply'), groups), id)
   }
 
   function build(found) {
@@ -122,32 +118,21 @@ export function fields({ schema, onchange }) {
     const others = Object.keys(schema?.properties ?? {}).filter(
       key => schema.properties[key].properties && !['real_hex', 'real_random', ...tables].includes(key),
     )
+    const part = (title, about, ...inside) =>
+      el('fieldset', {}, el('legend', {}, title), about && el('p', { className: 'soft small' }, about), el('div', { className: 'form' }, inside))
     fill(
       node,
       tables.map(table => {
         const here = found.filter(e => e.table === table)
-        const meaning = table && schema?.properties?.[table]?.description
-        return el(
-          'fieldset',
-          {},
-          el('legend', {}, TABLES[table] ?? plain(table)),
-          meaning && el('p', { className: 'soft small' }, meaning),
-          el('div', { className: 'form' }, here.map(field), more(`more-${table || 'file'}`, [[table, absent(table, new Set(here.map(e => e.key)))]])),
-        )
+        const keys = absent(table, new Set(here.map(e => e.key)))
+        return part(nameOf(table), table && schema?.properties?.[table]?.description, here.map(entry), more(`more-${table || 'file'}`, [[table, keys]]))
       }),
-      others.length
-        ? el(
-            'fieldset',
-            {},
-            el('legend', {}, 'All else'),
-            el('p', { className: 'soft small' }, `${others.map(table => TABLES[table] ?? plain(table)).join(', ')}: the default values apply.`),
-            el(
-              'div',
-              { className: 'form' },
-              more('more-others', others.map(table => [table, absent(table, new Set())])),
-            ),
-          )
-        : null,
+      others.length > 0 &&
+        part(
+          'All else',
+          `${others.map(nameOf).join(', ')}: the default values apply.`,
+          more('more-others', others.map(table => [table, absent(table, new Set())])),
+        ),
     )
   }
 

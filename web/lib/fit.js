@@ -19,7 +19,7 @@ const FVU_WORDS = 'FVU is the share of the variance of the measured voltages tha
 /** Makes the part of the page on the fit; `choose(run)` is called when a person takes another run. */
 export function fit({ choose, signal: page }) {
   const body = el('div', { className: 'page' }), picker = el('div', { className: 'row' }), told = el('p', { className: 'soft' }, 'Reading the runs …')
-  const node = el('div', { className: 'page fit' }, panel('How well does the simulation fit? (paper, Fig. 7)', {}, picker, told), body)
+  const node = el('div', { className: 'page' }, panel('How well does the simulation fit? (paper, Fig. 7)', {}, picker, told), body)
   const comparing = replacing(page)
   let runs = null, shown = null, signal = page, choice = null
 

@@ -65,7 +65,7 @@ export function selection({ set, said }) {
   const others = el('div', { className: 'chips', role: 'group', 'aria-label': 'Conditions' })
   const form = el(
     'div',
-    { className: 'form trial-filters' },
+    { className: 'form' },
     condition('Run', choice('scan_id', [['', 'all']])),
     condition('Contacts', choice('contact_count', counts)),
     condition('Largest force from, N', number('max_force_n__gte')),

@@ -81,7 +81,7 @@ export function trialView({ signal, href, onscale }) {
     { className: 'trial' },
     el(
       'div',
-      { className: 'columns two trial-top' },
+      { className: 'columns two' },
       el('div', { className: 'column' }, pane(map.node), el('section', {}, depths.node, alone, steps)),
       el(
         'section',

@@ -184,6 +184,6 @@ export function waiting({ said, go, signal }) {
   }
 
   live.addEventListener('caller', drag.attach, { signal })
-  const node = panel('In this order', { className: 'queue live' }, head, line.node, list.node, said.node, hint, startRights(signal))
+  const node = panel('In this order', { className: 'live' }, head, line.node, list.node, said.node, hint, startRights(signal))
   return { node, refresh }
 }

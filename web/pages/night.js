@@ -69,7 +69,7 @@ export async function show(root, { query, signal, set }) {
   const headline = el('p', { className: 'state' }), why = el('p', { className: 'why' }), step = el('p', { className: 'soft' })
   const bar = el('progress', { 'aria-label': 'Trials stored' }), runFacts = el('div')
   const buttons = runButtons(said), active = el('div', {}, el('div', { className: 'headline' }, headline, why), bar, step, runFacts, buttons.node)
-  const over = ended({ said, signal }), nowBody = el('div', { className: 'now-body' })
+  const over = ended({ said, signal }), nowBody = el('div')
   const low = innerWidth >= 1240 && innerHeight < 1200 // A wall shows all without scrolling.
   const bars = forceBars({ signal }), chart = forceChart({ signal, label, height: low ? 118 : 150, minutes: Number(state.minutes) || 2 })
   const minutes = select(MINUTES, state.minutes ?? '', value => set({ minutes: value }), { 'aria-label': 'Time that the chart shows' })

@@ -88,7 +88,7 @@ export async function show(root, { query, signal, go, set }) {
     const picture = made && el('section', {}, drawing({ label: rigLabel, absent: `The service has no tour of it: ${made.error?.message}.` }, query))
     const [others, parts] = [panel('Others', {}, await choices()), await details(answer.p)]
     if (isOver()) return undefined
-    return fill(root, el('div', { className: 'columns two plan' }, el('div', { className: 'column' }, words, picture, others), parts))
+    return fill(root, el('div', { className: 'columns two' }, el('div', { className: 'column' }, words, picture, others), parts))
   }
 
   function verdict({ p, error }) {
@@ -139,7 +139,7 @@ export async function show(root, { query, signal, go, set }) {
     const absent = run.kind === 'imported' ? 'An imported run has no plan.' : 'The service has no tour of this run.'
     const picture = el('section', {}, drawing({ label, absent, source: `/api/v1/runs/${run.scan_id}/tour` }, query))
     const parts = await details(answer.p)
-    if (!isOver()) fill(root, el('div', { className: 'columns two plan' }, el('div', { className: 'column' }, facing, picture), parts))
+    if (!isOver()) fill(root, el('div', { className: 'columns two' }, el('div', { className: 'column' }, facing, picture), parts))
   }
 
   function standing(run) {
