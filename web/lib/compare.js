@@ -2,7 +2,7 @@
 
 import { contactsTable, fitTable } from './contacts.js'
 import { el, fill, link, panel } from './dom.js'
-import { counted } from './format.js'
+import { counted, listed } from './format.js'
 import { medianChart, medians } from './medians.js'
 import { facing } from './report.js'
 import { runRows } from './runwords.js'
@@ -39,7 +39,7 @@ export async function compare(root, { run: first, with: second, back, signal }) 
   fill(root, panel('Two runs', {}, el('p', { className: 'soft' }, 'Loading …')))
   const [a, b] = await Promise.all([facing(first, signal), facing(second, signal)])
   if (signal.aborted) return
-  const keys = run => entries(run.definition).map(e => [[e.table, e.key].filter(Boolean).join('.'), plainValue(e.raw)])
+  const keys = run => entries(run.definition).map(e => [listed([e.table, e.key], '.'), plainValue(e.raw)])
   const facts = sideBySide(runRows(a), runRows(b))
   const changed = sideBySide(keys(a.run), keys(b.run)).filter(row => row.differs)
   const virtual = [a.run, b.run].some(run => run.label === 'virtual')

@@ -3,8 +3,8 @@
 import { ask, get, hasKey, once } from './api.js'
 import { actor, outcome } from './actions.js'
 import { HEADS } from './contacts.js'
-import { el, facts, fill, note, panel } from './dom.js'
-import { bytes, count, counted, moment, percent, plain } from './format.js'
+import { el, facts, fill, panel } from './dom.js'
+import { bytes, count, counted, listed, moment, percent, plain } from './format.js'
 import { fold } from './fold.js'
 import { lineageWalk } from './lineage.js'
 import { markdown } from './markdown.js'
@@ -60,7 +60,7 @@ function definitionWords({ definition: d }) {
       d.split.by !== 'none' &&
       `split by ${d.split.by} ${d.split.ratio.join(':')}, seed ${d.split.seed}${d.split.stratify ? ', stratified' : ''}`,
   ]
-  return `${words.filter(Boolean).join('; ')}.`
+  return `${listed(words, '; ')}.`
 }
 
 /** Makes the view of one dataset; `onmade(item)` after it was made again. */
@@ -219,7 +219,6 @@ const lineageIsNamed = ({ definition: d }) => !d.runs?.length && !d.where?.lengt
 function excluded(report, rows) {
   const out = Object.entries(report.left_out ?? {}),
     whole = rows + out.reduce((sum, [, n]) => sum + n, 0)
-  const node = el('p', { className: 'soft' })
-  note(node, out.length ? `Excluded: ${out.map(([why, n]) => `${count(n)} ${plain(why)} (${percent(n, whole)})`).join(', ')}.` : 'No trial was excluded.')
-  return node
+  const each = out.map(([why, n]) => `${count(n)} ${plain(why)} (${percent(n, whole)})`).join(', ')
+  return el('p', { className: 'soft' }, each ? `Excluded: ${each}.` : 'No trial was excluded.')
 }

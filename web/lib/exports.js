@@ -4,7 +4,7 @@ import { once } from './api.js'
 import { actor, outcome } from './actions.js'
 import { el, every, field, panel, select } from './dom.js'
 import { keepForm } from './formstate.js'
-import { bytes, count, moment, percent, plain } from './format.js'
+import { bytes, count, listed, moment, percent, plain } from './format.js'
 import { listing } from './listing.js'
 import { save } from './save.js'
 import { table } from './table.js'
@@ -56,14 +56,12 @@ export function exportsPanel({ signal }) {
           : plain(one.state)
     )
   const what = one =>
-    [
+    listed([
       formatOf(one.request.format)?.title ?? one.request.format,
       one.request.map && `with force maps ${one.request.map}`,
       one.request.where?.length && `where ${one.request.where.join(' and ')}`,
       one.request.columns?.length && `${one.request.columns.length} columns`,
-    ]
-      .filter(Boolean)
-      .join(', ')
+    ])
   const rows = table({
     empty: 'No export yet. Small datasets need none: they download at once, above.',
     columns: [

@@ -2,7 +2,7 @@
 // Writes into the text and reads from it: the text is what is sent.
 
 import { button, el, field, fill, note, select } from './dom.js'
-import { capital, count, plain } from './format.js'
+import { capital, count, listed, plain } from './format.js'
 import { entries, kindOf, plainValue, put, written } from './toml.js'
 
 const UNITS = { mm: 'mm', n: 'N', ms: 'ms', s: 's', v: 'V', pitches: 'pitches', fvu: '' }
@@ -37,7 +37,7 @@ function limits(rule) {
         : one.exclusiveMinimum != null
           ? `above ${one.exclusiveMinimum}`
           : ''
-  const words = [range, rule.default != null && `default ${JSON.stringify(rule.default).replaceAll(',', ', ')}`].filter(Boolean).join('; ')
+  const words = listed([range, rule.default != null && `default ${JSON.stringify(rule.default).replaceAll(',', ', ')}`], '; ')
   return words && `${capital(words)}.`
 }
 
@@ -55,7 +55,7 @@ export function fields({ schema, onchange }) {
   }
 
   function entry({ table, key, raw }) {
-    const name = [table, key].filter(Boolean).join('.')
+    const name = listed([table, key], '.')
     const id = `key-${name.replace('.', '-')}`
     const rule = of(schema, table, key)
     const kind = kindOf(raw)
@@ -73,7 +73,7 @@ export function fields({ schema, onchange }) {
             ...(kind === 'number' && { type: 'number', step: whole ? 1 : 'any', min: rule?.minimum, max: rule?.maximum > 1e15 ? null : rule?.maximum }),
           })
     const bad = el('p', { className: 'bad small', id: `${id}-bad`, hidden: true })
-    const hint = el('p', { className: 'soft small', id: `${id}-hint` }, [about, limits(rule)].filter(Boolean).join(' '))
+    const hint = el('p', { className: 'soft small', id: `${id}-hint` }, listed([about, limits(rule)], ' '))
     control.setAttribute('aria-describedby', `${id}-hint ${id}-bad`)
     const optional = schema && rule && !(table ? schema.properties[table] : schema).required?.includes(key)
     inputs.set(name, { control, bad })
@@ -146,7 +146,7 @@ export function fields({ schema, onchange }) {
       build(found)
     }
     for (const { table, key, raw } of found) {
-      const { control } = inputs.get([table, key].filter(Boolean).join('.'))
+      const { control } = inputs.get(listed([table, key], '.'))
       if (control !== document.activeElement || control.tagName === 'SELECT') control.value = plainValue(raw)
     }
     for (const [name, { control, bad }] of inputs) {

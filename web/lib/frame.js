@@ -2,7 +2,7 @@
 
 import { cellKeys } from './cellkeys.js'
 import { dark, el, say, soon } from './dom.js'
-import { count, fixed } from './format.js'
+import { count, fixed, listed } from './format.js'
 import { picture } from './picture.js'
 
 // Linear up to BEND of the scale's end, logarithmic beyond: far channels stay visible.
@@ -152,7 +152,7 @@ export function frame({ title, name, query, label, signal }) {
   function cellWords([channel, injection]) {
     if (!values?.length) return 'No frame.'
     const i = injection * size[0] + channel, kinds = Object.keys(MARK_PX).filter(kind => marks[kind]?.includes(i))
-    return `${[size[1] > 1 && `injection ${injection}`, `channel ${channel}`].filter(Boolean).join(', ')}: ${[fixed(values[i], 4, 'V'), ...kinds].join(', ')}`
+    return `${listed([size[1] > 1 && `injection ${injection}`, `channel ${channel}`])}: ${[fixed(values[i], 4, 'V'), ...kinds].join(', ')}`
   }
   // One line, so that nothing moves: the cell under the pointer or reached by a key, else how many channels are marked.
   function tellCell() {

@@ -4,7 +4,7 @@ import { get, send } from './api.js'
 import { actor, confirm } from './actions.js'
 import { changing } from './changing.js'
 import { el, every, fill, link, panel, say, seen, sleep } from './dom.js'
-import { capital, count, counted, fixed, moment, percent, plain, span, steadyCountOf } from './format.js'
+import { capital, count, counted, fixed, listed, moment, percent, plain, span, steadyCountOf } from './format.js'
 import { listing } from './listing.js'
 import { live } from './live.js'
 import { losses } from './losses.js'
@@ -26,14 +26,12 @@ function stateWords(job) {
   const p = job.progress
   if (job.state === 'failed') return `failed: ${job.error}`
   if (job.state !== 'running' || !p) return plain(job.state)
-  return [
+  return listed([
     p.phase,
     p.epoch != null && `epoch ${count(p.epoch)}`,
     p.total > 0 && percent(p.done, p.total),
     p.left_s != null && `${span(p.left_s)} to go in this phase`,
-  ]
-    .filter(Boolean)
-    .join(', ')
+  ])
 }
 const took = job => (job.started_at ? ((job.finished_at ? new Date(job.finished_at) : Date.now()) - new Date(job.started_at)) / 1e3 : null)
 const state = job => el('span', { className: TONE[job.state] ?? '' }, stateWords(job))

@@ -2,7 +2,7 @@
 
 import { get, withQuery } from './api.js'
 import { button, el, fill, link, onLook, soon } from './dom.js'
-import { NONE, count, counted, fixed, moment } from './format.js'
+import { NONE, count, counted, fixed, listed, moment } from './format.js'
 import { frame } from './frame.js'
 
 const PAGE = 8,
@@ -147,9 +147,7 @@ export function lineageWalk({ dataset, lineage, nets, label, signal, set }) {
           `trial-${row.trial_id}`,
           `Trial ${row.trial_id}`,
           [
-            [`configuration ${row.configuration}`, fixed(row.depth_mm, 1, 'mm'), counted(row.contact_count, 'contact'), force(row)]
-              .filter(Boolean)
-              .join(', '),
+            listed([`configuration ${row.configuration}`, fixed(row.depth_mm, 1, 'mm'), counted(row.contact_count, 'contact'), force(row)]),
           ],
           { of: `run-${chosen.run}`, pick: () => set({ trial: String(row.trial_id) === chosen.trial ? null : row.trial_id }) }
         )

@@ -1,8 +1,8 @@
 // One model in full: what it learned from, its losses, its scores, the residuals of a Transfer-Net, its file.
 
 import { Refused, ask, get } from './api.js'
-import { el, facts, fill, link, note, panel, pane } from './dom.js'
-import { bytes, count, counted, fixed, moment } from './format.js'
+import { el, facts, fill, link, note, panel, pane, say } from './dom.js'
+import { NONE, bytes, count, counted, fixed, listed, moment } from './format.js'
 import { frame } from './frame.js'
 import { losses } from './losses.js'
 import { opened, openedHead } from './opened.js'
@@ -26,20 +26,14 @@ export function netView({ signal, models, promotion }) {
     const size = el('span', {}, '…'),
       promoting = model.slot && promotion(model, { className: 'main' })
     ask(`/api/v1/models/${model.id}/onnx`, { method: 'HEAD', accept: '*/*', signal: mine }).then(
-      answer => {
-        size.textContent = bytes(Number(answer.headers.get('content-length')) || null)
-      },
-      () => {
-        size.textContent = '–'
-      }
+      answer => say(size, bytes(Number(answer.headers.get('content-length')) || null)),
+      () => say(size, NONE)
     )
-    const range = [
+    const range = listed([
       learned.contact_counts?.length && `${learned.contact_counts.join(', ')} contacts`,
       learned.max_force_n != null && `up to ${fixed(learned.max_force_n, 1, 'N')}`,
       learned.max_norm_v != null && `frames up to ${fixed(learned.max_norm_v, 1, 'V')}`,
-    ]
-      .filter(Boolean)
-      .join(', ')
+    ])
     const head = el(
       'section',
       { 'aria-label': model.name },
@@ -70,13 +64,11 @@ export function netView({ signal, models, promotion }) {
       el(
         'p',
         { className: 'soft small' },
-        [
+        listed([
           manifest.simulation && `Twins: ${manifest.simulation}.`,
           manifest.calibration && `Calibration: ${manifest.calibration}.`,
           manifest.code && `Code: ${manifest.code}.`,
-        ]
-          .filter(Boolean)
-          .join(' ')
+        ], ' ')
       ),
       el(
         'div',

@@ -2,7 +2,7 @@
 
 import { NUMERALS } from './contacts.js'
 import { el, facts, link } from './dom.js'
-import { NONE, capital, count, counted, fixed, percent } from './format.js'
+import { NONE, capital, count, counted, fixed, listed, percent } from './format.js'
 import { table } from './table.js'
 import { raw } from './toml.js'
 import { paper } from './vocabulary.js'
@@ -256,12 +256,10 @@ export function shortScore(report) {
   }
   const all = report.contacts?.all
   return all
-    ? [
+    ? listed([
         all.closest_mm && fixed(all.closest_mm.mean, 1, 'mm'),
         all.exact_rate && `${fixed(all.exact_rate.mean * 100, 0, '%')} right count`,
         `(${report.scored}, ${of})`,
-      ]
-        .filter(Boolean)
-        .join(' ')
+      ], ' ')
     : of
 }

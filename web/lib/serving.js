@@ -4,7 +4,7 @@ import { ask, once } from './api.js'
 import { actor, confirm, only } from './actions.js'
 import { el, link, note, panel } from './dom.js'
 import { fold } from './fold.js'
-import { capital, moment } from './format.js'
+import { capital, listed, moment } from './format.js'
 import { who } from './live.js'
 import { isOfQuantity, slotOf } from './serves.js'
 import { table } from './table.js'
@@ -12,7 +12,7 @@ import { table } from './table.js'
 /** paper: measured to simulated voltages; without a method: position of one contact, from a whole frame */
 function useOf(name) {
   const { methods, about } = slotOf(name)
-  return [methods.join(', '), about].filter(Boolean).join(': ')
+  return listed([methods.join(', '), about], ': ')
 }
 
 /** Makes the panel; `name(id)` gives a model's name. `promotion(model, props)` makes the button that promotes one. */

@@ -5,7 +5,7 @@ import { get, socket } from '../lib/api.js'
 import { changing } from '../lib/changing.js'
 import { chart } from '../lib/chart.js'
 import { el, every, fill, panel, replacing, say, select } from '../lib/dom.js'
-import { count, countOf, counted, fixed } from '../lib/format.js'
+import { count, counted, countOf, fixed, listed } from '../lib/format.js'
 import { roundUp } from '../lib/frame.js'
 import { live, rigLabel } from '../lib/live.js'
 import { missingOf } from '../lib/missing.js'
@@ -41,7 +41,7 @@ const explained = ({ probability, contacts }) => `${contacts.length ? counted(co
 export async function show(root, { query, signal, set }) {
   let state = query, serving = null, open = '' // The method of the socket.
   let waiting = [], answer = null, at = 0, asked = false // Messages that are not drawn yet, and what was drawn.
-  let listed = '', arrived = 0, drawings = 0, told = { arrived: 0, drawings: 0 }, since = performance.now(), rates = {}
+  let tabled = '', arrived = 0, drawings = 0, told = { arrived: 0, drawings: 0 }, since = performance.now(), rates = {}
   let heard = null // Frame counter of the newest drawn answer, and how many had arrived with it.
   const listening = replacing(signal), latencies = [], lost = missingOf(), trace = { at: [], total: [], from: 0 }
   const chosen = () => vocabulary.methods.find(one => one.name === state.method) ?? bestMethod(serving)
@@ -148,7 +148,7 @@ export async function show(root, { query, signal, set }) {
     if (lists.firstChild !== list.node) fill(lists, list.node)
     const contacts = [...answer?.contacts ?? []].sort((a, b) => a.number - b.number)
     const text = JSON.stringify([list === proposed, contacts])
-    if (text !== listed) { listed = text; list.show(contacts) }
+    if (text !== tabled) { tabled = text; list.show(contacts) }
     if (trace.at.length > 5) total.set([trace.at, trace.total])
     quantities.tell()
   }
@@ -193,7 +193,7 @@ function missingWords(last, isSlow) {
   if (!last) return '–'
   if (!last.missing) return 'none'
   const why = [isSlow && 'an answer takes longer than a frame', last.unreceived && `${count(last.unreceived)} not received from the rig`]
-  return [`${countOf(last.missing, last.frames)} frames`, ...why].filter(Boolean).join(', ')
+  return listed([`${countOf(last.missing, last.frames)} frames`, ...why])
 }
 
 /** A value with its standard deviation, where there is one. */

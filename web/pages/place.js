@@ -6,7 +6,7 @@ import { get, person } from '../lib/api.js'
 import { actOnRig, actOnRun, actor, confirm, named, only, outcome, runButtons, runRefusal } from '../lib/actions.js'
 import { button, el, fill, note, pane, renew, say, sleep } from '../lib/dom.js'
 import { fold } from '../lib/fold.js'
-import { age, clock, count, counted, countOf, span } from '../lib/format.js'
+import { age, clock, count, counted, countOf, listed, span } from '../lib/format.js'
 import { live, rigLabel, who } from '../lib/live.js'
 import { lockWords } from '../lib/lock.js'
 import { manual } from '../lib/manual.js'
@@ -150,8 +150,8 @@ function placing(signal) {
           el('span', { className: 'number-badge' }, String(contact.number)),
             el('span', { className: 'mass' }, kilograms(contact.force_n).split('\u202f')[0], el('span', { className: 'unit' }, '\u202fkg')),
             el('span', { className: 'point' }, spot(contact))),
-        el('p', { className: 'soft' }, [newtons(contact.force_n), contact.point && `x ${contact.x_mm.toFixed(0)}, y ${contact.y_mm.toFixed(0)} mm`,
-          state_].filter(Boolean).join(' · ')))
+        el('p', { className: 'soft' }, listed([newtons(contact.force_n), contact.point && `x ${contact.x_mm.toFixed(0)}, y ${contact.y_mm.toFixed(0)} mm`,
+          state_], ' · ')))
     }))
   }
 

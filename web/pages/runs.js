@@ -6,7 +6,7 @@ import { outcome } from '../lib/actions.js'
 import { beginButton } from '../lib/begin.js'
 import { compare } from '../lib/compare.js'
 import { el, every, fill, link, panel, replacing, select, sleep } from '../lib/dom.js'
-import { NONE, age, count, counted, moment, span } from '../lib/format.js'
+import { NONE, age, count, counted, listed, moment, span } from '../lib/format.js'
 import { listing } from '../lib/listing.js'
 import { live } from '../lib/live.js'
 import { report } from '../lib/report.js'
@@ -132,7 +132,7 @@ export async function show(root, { query, signal, go, set }) {
 
   // One run, or two.
   async function open() {
-    const wanted = [query.run, query.with].filter(Boolean).join(' ')
+    const wanted = listed([query.run, query.with], ' ')
     list.hidden = Boolean(wanted)
     body.hidden = !wanted
     if (wanted === opened) return wanted ? view?.update?.(query) : follow()
