@@ -14,7 +14,7 @@ export function el(tag, props = {}, ...inside) {
 /** Sets properties of an element; see `el`. */
 export function set(node, props) {
   for (const [key, value] of Object.entries(props)) {
-    if (value == null || value === undefined) continue
+    if (value == null) continue
     if (key.startsWith('on') && typeof value === 'function') node.addEventListener(key.slice(2), value)
     else if (key === 'style') Object.assign(node.style, value)
     else if (key === 'data') Object.assign(node.dataset, value)
@@ -157,7 +157,7 @@ export const sleep = (ms, signal) => new Promise(resolve => {
   signal?.addEventListener('abort', end, { once: true })
 })
 
-/** Makes a function for work of which only the newest counts: each call returns a signal that aborts at the next call, or with `signal`. */
+/** Makes a function for work of which only the newest counts: it returns a signal that aborts at its next call, or with `signal`. */
 export function replacing(signal) {
   let ending = new AbortController()
   return () => {

@@ -18,8 +18,9 @@ function give(node, value) {
 }
 
 /**
- * Keeps the values of controls in the address. `usual(node)` is the value that is not written: by default the present one, false for none;
- * `changed(node)` follows a value that came from the address. Returns `write(node)`, for values that the form itself sets.
+ * Keeps the values of controls in the address. `usual(node)` is the value that is not written: if it is undefined, the
+ * present one, if false, none. `changed(node)` follows a value that came from the address. Returns `write(node)`, for values
+ * that the form itself sets.
  */
 export function keepForm(controls, { usual = () => undefined, changed = () => {}, signal }) {
   const first = new Map(controls.map(node => [node, valueOf(node)]))

@@ -115,12 +115,11 @@ export function lineageWalk({ dataset, lineage, nets, label, signal, set }) {
   })
   onLook(node, draw, signal)
 
+  const rowsOf = query => get(`/datasets/${dataset.id}/rows`, { columns: COLUMNS, ...query }, { signal }).catch(() => null)
   async function readTrials() {
     const run = chosen.run
     more.disabled = true
-    const page = await get(`/datasets/${dataset.id}/rows`, { where: `scan_id=${run}`, columns: COLUMNS, limit: PAGE, cursor: next }, { signal }).catch(
-      () => null
-    )
+    const page = await rowsOf({ where: `scan_id=${run}`, limit: PAGE, cursor: next })
     more.disabled = false
     if (run !== chosen.run || signal.aborted) return
     if (!page) {
@@ -131,7 +130,7 @@ export function lineageWalk({ dataset, lineage, nets, label, signal, set }) {
     next = page.next
     if (chosen.trial && !rows.some(row => String(row.trial_id) === chosen.trial)) {
       // A chosen one beyond this page stands first.
-      const one = await get(`/datasets/${dataset.id}/rows`, { where: `trial_id=${chosen.trial}`, columns: COLUMNS, limit: 1 }, { signal }).catch(() => null)
+      const one = await rowsOf({ where: `trial_id=${chosen.trial}`, limit: 1 })
       if (run !== chosen.run || signal.aborted) return
       if (one?.items.length) rows = [...one.items, ...rows]
     }

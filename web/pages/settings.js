@@ -76,16 +76,16 @@ function operatorLock(signal, done) {
     text = el('input', { id: 'lock-note', maxLength: 500, placeholder: 'hands in the rig' })
   const tag = async () => (await ask('/api/v1/lock', { signal })).headers.get('etag')
   let seen = null, held = undefined
-  const changed = (method, body, query = '') => async () => {
+  const change = async (method, body, query = '') => {
     const fresh = await tag()
     // What the person saw is what is changed: a lock taken meanwhile is refused by its tag.
     await ask(`/api/v1/lock${query}`, { method, body, headers: { 'if-match': seen ?? fresh }, signal })
     seen = await tag()
     done()
   }
-  const take = actor('Take the lock', said, () => changed('PUT', { holder: who(), note: text.value || 'no reason given' })(),
+  const take = actor('Take the lock', said, () => change('PUT', { holder: who(), note: text.value || 'no reason given' }),
     { what: 'Lock', locks: false, className: 'main' })
-  const free = actor('Release it', said, () => changed('DELETE', undefined, `?who=${encodeURIComponent(who())}`)(), { what: 'Release', locks: false })
+  const free = actor('Release it', said, () => change('DELETE', undefined, `?who=${encodeURIComponent(who())}`), { what: 'Release', locks: false })
   const form = only('operator', el('div', {}, el('label', { htmlFor: 'lock-note' }, 'Why, for the others'), text))
   const node = panel('Operator lock', { className: 'live' }, words, noted, form, el('div', { className: 'row' }, take, free), said.node,
     el('p', { className: 'soft small' }, 'It keeps others from starting, editing and moving, never from stopping. ',
