@@ -3,7 +3,7 @@
 import { get, send } from './api.js'
 import { actor, confirm } from './actions.js'
 import { changing } from './changing.js'
-import { el, every, fill, link, panel, say, seen, sleep } from './dom.js'
+import { el, every, fill, link, panel, renew, say, seen, sleep } from './dom.js'
 import { capital, count, counted, fixed, listed, moment, percent, plain, span, steadyCountOf } from './format.js'
 import { listing } from './listing.js'
 import { live } from './live.js'
@@ -74,6 +74,16 @@ export function jobsPanel({ signal, href, current, onchange }) {
   return { node, read: () => known.read(), redraw: () => rows.show(known.items), all: () => known.items }
 }
 
+/** What a job has made, or the recipe of a training that has made nothing yet. */
+function resultPart({ kind, result, request }, models) {
+  if (result?.scored) return panel('Result', {}, reportView(result, models))
+  if (result?.model) {
+    const model = link(`/nets?model=${result.model}`, `${result.name} (${result.model})`)
+    return panel('Result', {}, el('p', {}, 'The model ', model, ' is stored. Evaluate it, then promote it.'))
+  }
+  return kind === 'training' && panel('Recipe', {}, el('pre', { tabIndex: 0 }, request.recipe.trim()))
+}
+
 /** Makes the view of one job; ends what it began when another one is shown. */
 export function jobView({ signal, said, models, onstopped }) {
   return opened({ className: 'job', signal, draw: follow, back: ['/nets', 'All nets'] })
@@ -101,8 +111,7 @@ export function jobView({ signal, said, models, onstopped }) {
       result
     )
     let job = null,
-      curves = null,
-      drawn = ''
+      curves = null
     const stop = actor('Stop the job', said, () => send(`/jobs/${id}/stop`, undefined, { method: 'POST' }).finally(onstopped), {
       locks: false,
       className: 'danger',
@@ -112,15 +121,11 @@ export function jobView({ signal, said, models, onstopped }) {
       say(title, capital(jobWords(job)))
       // Only what differs is set: a focus on the link or the button stays.
       say(stated, stateWords(job)).className = TONE[job.state] ?? ''
-      if (from.dataset.of !== `${job.state} ${job.dataset}`) {
-        from.dataset.of = `${job.state} ${job.dataset}`
-        fill(
-          from,
-          job.state === 'waiting' ? '. Jobs run one after the other; this one begins by itself.' : '.',
-          job.dataset ? [' Dataset: ', link(`/data?dataset=${job.dataset}`, job.dataset), '.'] : ''
-        )
-        fill(words, stated, from)
-      }
+      renew(from, [job.state, job.dataset], () => [
+        job.state === 'waiting' ? '. Jobs run one after the other; this one begins by itself.' : '.',
+        job.dataset && [' Dataset: ', link(`/data?dataset=${job.dataset}`, job.dataset), '.'],
+      ])
+      if (!words.contains(stated)) fill(words, stated, from)
       bar.hidden = job.state !== 'running'
       bar.value = job.progress?.total ? job.progress.done / job.progress.total : 0
       const p = job.progress
@@ -138,26 +143,7 @@ export function jobView({ signal, said, models, onstopped }) {
         curves = losses({ path: `/jobs/${id}/losses`, key: 'job-losses', signal: mine, live: () => job.state === 'running' })
         node.append(el('section', { className: 'live' }, curves.node))
       }
-      if (drawn !== job.state) {
-        drawn = job.state
-        if (job.result?.scored) fill(result, panel('Result', {}, reportView(job.result, models())))
-        else if (job.result?.model)
-          fill(
-            result,
-            panel(
-              'Result',
-              {},
-              el(
-                'p',
-                {},
-                'The model ',
-                link(`/nets?model=${job.result.model}`, `${job.result.name} (${job.result.model})`),
-                ' is stored. Evaluate it, then promote it.'
-              )
-            )
-          )
-        else if (job.kind === 'training') fill(result, panel('Recipe', {}, el('pre', { tabIndex: 0 }, job.request.recipe.trim())))
-      }
+      renew(result, job.state, () => resultPart(job, models()))
     }
     while (!mine.aborted) {
       try {
