@@ -63,6 +63,14 @@ function definitionWords({ definition: d }) {
   return `${listed(words, '; ')}.`
 }
 
+/** Whether a dataset is current; the button `again` is offered if it is not. */
+function currentPart({ is_current }, again) {
+  if (is_current === true) return el('p', {}, el('span', { className: 'good' }, 'Current.'), ' No trial and no twin was stored since it was made.')
+  if (is_current !== false) return el('p', { className: 'soft' }, 'Whether it is current is not known.')
+  const words = ' Trials or twins were stored since it was made. This id keeps its rows; making it again gives a new id.'
+  return el('div', {}, el('p', {}, el('span', { className: 'warn' }, 'Not current.'), words), el('div', { className: 'row' }, again))
+}
+
 /** Makes the view of one dataset; `onmade(item)` after it was made again. */
 export function datasetView({ signal, go, onmade, onexport }) {
   let state = {},
@@ -100,28 +108,12 @@ export function datasetView({ signal, go, onmade, onexport }) {
       },
       { what: `Make ${item.name} again` }
     )
-    const current =
-      item.is_current === true
-        ? el('p', {}, el('span', { className: 'good' }, 'Current.'), ' No trial and no twin was stored since it was made.')
-        : item.is_current === false
-          ? el(
-              'div',
-              {},
-              el(
-                'p',
-                {},
-                el('span', { className: 'warn' }, 'Not current.'),
-                ' Trials or twins were stored since it was made. This id keeps its rows; making it again gives a new id.'
-              ),
-              el('div', { className: 'row' }, again)
-            )
-          : el('p', { className: 'soft' }, 'Whether it is current is not known.')
     const head = el(
       'section',
       { 'aria-label': item.name },
       openedHead(item.name, item.id, '/data'),
       el('p', {}, definitionWords(item)),
-      current,
+      currentPart(item, again),
       said.node,
       facts([
         ['Rows', count(item.rows)],

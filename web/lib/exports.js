@@ -4,7 +4,7 @@ import { once } from './api.js'
 import { actor, outcome } from './actions.js'
 import { el, every, field, panel, select } from './dom.js'
 import { keepForm } from './formstate.js'
-import { bytes, count, listed, moment, percent, plain } from './format.js'
+import { bytes, countOf, listed, moment, percent, plain } from './format.js'
 import { listing } from './listing.js'
 import { save } from './save.js'
 import { table } from './table.js'
@@ -13,6 +13,11 @@ import { TONE, isUnderWay } from './words.js'
 
 /** Format of files by its name. */
 const formatOf = name => vocabulary.formats.find(format => format.name === name)
+
+function stateWords({ state, error, rows_done, rows_total }) {
+  if (state === 'failed') return `failed: ${error}`
+  return state === 'running' ? `${percent(rows_done, rows_total)}, ${countOf(rows_done, rows_total)} rows` : plain(state)
+}
 
 /** Makes the panel of the exports; `choose(name)` sets the dataset of the form, whose values are in the address. */
 export function exportsPanel({ signal }) {
@@ -23,11 +28,7 @@ export function exportsPanel({ signal }) {
     map = select([['', 'none'], ...maps], '', () => {}, { id: 'ex-map' })
   const where = el('input', { id: 'ex-where', placeholder: 'split=train, max_force_n__gt=10' }),
     columns = el('input', { id: 'ex-columns', placeholder: 'all' })
-  const list = text =>
-    text
-      .split(',')
-      .map(word => word.trim())
-      .filter(Boolean)
+  const list = text => text.split(',').map(word => word.trim()).filter(Boolean)
   const asks = actor(
     'Export',
     said,
@@ -45,16 +46,7 @@ export function exportsPanel({ signal }) {
     },
     { role: 'viewer', className: 'main', what: 'Export' }
   )
-  const state = one =>
-    el(
-      'span',
-      { className: TONE[one.state] ?? '' },
-      one.state === 'failed'
-        ? `failed: ${one.error}`
-        : one.state === 'running'
-          ? `${percent(one.rows_done, one.rows_total)}, ${count(one.rows_done)} of ${count(one.rows_total)} rows`
-          : plain(one.state)
-    )
+  const state = one => el('span', { className: TONE[one.state] ?? '' }, stateWords(one))
   const what = one =>
     listed([
       formatOf(one.request.format)?.title ?? one.request.format,

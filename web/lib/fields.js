@@ -23,21 +23,16 @@ const unitOf = key => UNITS[key.split('_').at(-1)] ?? ''
 const word = key => (unitOf(key) ? `${plain(key.slice(0, key.lastIndexOf('_')))} (${unitOf(key)})` : plain(key))
 const of = (schema, table, key) => (table ? schema?.properties?.[table] : schema)?.properties?.[key]
 
+function rangeOf({ minimum: low, maximum: high, exclusiveMinimum: above }) {
+  if (low != null && high != null && high <= 1e15) return `${count(low)} to ${count(high)}`
+  return low != null ? `at least ${low}` : above != null && `above ${above}`
+}
+
 /** Limits and default of a key, as words. */
 function limits(rule) {
   if (!rule) return ''
   const one = rule.type === 'array' ? (rule.items ?? {}) : rule
-  const { minimum: low, maximum: high } = one
-  const huge = high > 1e15
-  const range =
-    low != null && high != null && !huge
-      ? `${count(low)} to ${count(high)}`
-      : low != null
-        ? `at least ${low}`
-        : one.exclusiveMinimum != null
-          ? `above ${one.exclusiveMinimum}`
-          : ''
-  const words = listed([range, rule.default != null && `default ${JSON.stringify(rule.default).replaceAll(',', ', ')}`], '; ')
+  const words = listed([rangeOf(one), rule.default != null && `default ${JSON.stringify(rule.default).replaceAll(',', ', ')}`], '; ')
   return words && `${capital(words)}.`
 }
 

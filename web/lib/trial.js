@@ -25,6 +25,35 @@ export function trialWords(row) {
   return `${place}, ${contacts} by its labels, ${row.label}. Run ${row.scan_id}, ${row.experiment}.`
 }
 
+/** Number of the raw frames, as a link to them. */
+function rawFrames({ kind, frame_count, trial_id }) {
+  if (kind === 'imported') return 'none: imported'
+  return frame_count ? shows(count(frame_count), `/api/v1/trials/${trial_id}/frames`, `trial-${trial_id}-frames.json`) : 'none'
+}
+
+/** The pose that was reached, against its target. */
+function posesPart({ kind, target, reached }) {
+  if (!target && !reached) {
+    const why = kind === 'real-random' ? 'Weights were placed by a person: no axis moved.' : 'No pose was stored with this trial.'
+    return el('p', { className: 'soft' }, why)
+  }
+  return table({
+    rows: [['x_mm', 'x'], ['y_mm', 'y'], ['z_mm', 'z'], ['radius_mm', 'Radius']],
+    columns: [
+      { head: 'Axis', left: true, cell: ([, name]) => name },
+      { head: 'Target', unit: 'mm', cell: ([key]) => fixed(target?.[key], 3) },
+      { head: 'Reached', unit: 'mm', cell: ([key]) => fixed(reached?.[key], 3) },
+      { head: 'Difference', unit: 'mm', cell: ([key]) => (target && reached ? fixed(reached[key] - target[key], 3) : NONE) },
+    ],
+  }).node
+}
+
+/** What looks faulty in a trial. */
+function flagsPart({ flags }) {
+  const line = flag => el('li', { className: 'warn' }, `${capital(plain(flag))}. `, el('span', { className: 'soft' }, meaning('flags', flag)))
+  return flags.length ? el('ul', {}, flags.map(line)) : el('p', {}, 'No flag: nothing in this trial looks faulty.')
+}
+
 /** Makes the view of one trial; `show(row, { siblings, untouched, deepest })` draws it. */
 export function trialView({ signal, href, onscale }) {
   let row = null,
@@ -200,46 +229,12 @@ export function trialView({ signal, href, onscale }) {
         ['Attempt', count(row.attempt)],
         ['Measured', moment(row.measured_at, true)],
         row.placed_by && ['Placed by', row.placed_by],
-        [
-          'Raw frames',
-          row.kind === 'imported'
-            ? 'none: imported'
-            : row.frame_count
-              ? shows(count(row.frame_count), `/api/v1/trials/${row.trial_id}/frames`, `trial-${row.trial_id}-frames.json`)
-              : 'none',
-        ],
+        ['Raw frames', rawFrames(row)],
       ]),
       row.sim_model ? el('p', { className: 'soft small' }, 'Twin by model ', el('code', {}, row.sim_model), '.') : ''
     )
-    const axes = [['x_mm', 'x'], ['y_mm', 'y'], ['z_mm', 'z'], ['radius_mm', 'Radius']]
-    fill(
-      poses,
-      row.target || row.reached
-        ? table({
-            columns: [
-              { head: 'Axis', cell: r => r[1], left: true },
-              { head: 'Target', unit: 'mm', cell: r => fixed(row.target?.[r[0]], 3) },
-              { head: 'Reached', unit: 'mm', cell: r => fixed(row.reached?.[r[0]], 3) },
-              { head: 'Difference', unit: 'mm', cell: r => (row.target && row.reached ? fixed(row.reached[r[0]] - row.target[r[0]], 3) : NONE) },
-            ],
-            rows: axes,
-          }).node
-        : el(
-            'p',
-            { className: 'soft' },
-            row.kind === 'real-random' ? 'Weights were placed by a person: no axis moved.' : 'No pose was stored with this trial.'
-          )
-    )
-    fill(
-      verdict,
-      row.flags.length
-        ? el(
-            'ul',
-            {},
-            row.flags.map(flag => el('li', { className: 'warn' }, `${capital(plain(flag))}. `, el('span', { className: 'soft' }, meaning('flags', flag))))
-          )
-        : el('p', {}, 'No flag: nothing in this trial looks faulty.')
-    )
+    fill(poses, posesPart(row))
+    fill(verdict, flagsPart(row))
     fill(
       quality,
       facts([

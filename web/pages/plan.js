@@ -94,14 +94,9 @@ export async function show(root, { query, signal, go, set }) {
   function verdict({ p, error }) {
     if (!p && !error) return el('p', { className: 'soft' }, NEEDS_OPERATOR)
     const errors = error?.problem?.errors
-    if (error)
-      return el(
-        'div',
-        {},
-        el('p', { className: 'bad' }, errors ? 'The experiment file is refused:' : capital(`${error.message}.`)),
-        problemList(errors ?? []),
-      )
-    if (p.problems.length) return el('div', {}, el('p', { className: 'bad' }, 'This bench cannot run it:'), problemList(p.problems))
+    const refused = (words, problems) => el('div', {}, el('p', { className: 'bad' }, words), problemList(problems))
+    if (error) return refused(errors ? 'The experiment file is refused:' : capital(`${error.message}.`), errors ?? [])
+    if (p.problems.length) return refused('This bench cannot run it:', p.problems)
     return el('p', { className: 'good' }, 'This bench can run it.')
   }
 
