@@ -96,18 +96,13 @@ export function datasetView({ signal, go, onmade, onexport }) {
   function draw(node, item, described, lineage, card, mine) {
     const said = outcome(),
       { report, label } = item
-    const again = actor(
-      'Make again',
-      said,
-      async () => {
-        const named = item.name
-        const made = await once('/datasets', /^run-\d+$/.test(named) || lineageIsNamed(item) ? { name: named } : { definition: item.definition })
-        said.tell(made.id === item.id ? 'Made again: the same rows, so the same dataset.' : `Made again: ${made.id} has ${counted(made.rows, 'row')}.`)
-        onmade(made)
-        return made
-      },
-      { what: `Make ${item.name} again` }
-    )
+    const again = actor('Make again', said, async () => {
+      const named = item.name
+      const made = await once('/datasets', /^run-\d+$/.test(named) || lineageIsNamed(item) ? { name: named } : { definition: item.definition })
+      said.tell(made.id === item.id ? 'Made again: the same rows, so the same dataset.' : `Made again: ${made.id} has ${counted(made.rows, 'row')}.`)
+      onmade(made)
+      return made
+    }, { what: `Make ${item.name} again` })
     const head = el(
       'section',
       { 'aria-label': item.name },

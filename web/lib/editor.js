@@ -168,14 +168,11 @@ export function editor({ draft, reread, ondone, onclose, signal }) {
   again.hidden = draft.text == null || draft.text === state.text
   form.show(state.text)
   // Without it the form has no limits and no meanings; the text is checked all the same.
-  schema().then(
-    known => {
-      if (signal.aborted) return
-      form.setSchema(known)
-      check()
-    },
-    () => {},
-  )
+  schema().then(known => {
+    if (signal.aborted) return
+    form.setSchema(known)
+    check()
+  }, () => {})
   live.addEventListener('caller', check, { signal })
   check()
   return { node }

@@ -29,23 +29,18 @@ export function exportsPanel({ signal }) {
   const where = el('input', { id: 'ex-where', placeholder: 'split=train, max_force_n__gt=10' }),
     columns = el('input', { id: 'ex-columns', placeholder: 'all' })
   const list = text => text.split(',').map(word => word.trim()).filter(Boolean)
-  const asks = actor(
-    'Export',
-    said,
-    async () => {
-      const body = {
-        dataset: dataset.value.trim(),
-        format: format.value,
-        ...(map.value && { map: map.value }),
-        ...(where.value && { where: list(where.value) }),
-        ...(columns.value && { columns: list(columns.value) }),
-      }
-      const made = await once('/exports', body)
-      await known.read()
-      return made
-    },
-    { role: 'viewer', className: 'main', what: 'Export' }
-  )
+  const asks = actor('Export', said, async () => {
+    const body = {
+      dataset: dataset.value.trim(),
+      format: format.value,
+      ...(map.value && { map: map.value }),
+      ...(where.value && { where: list(where.value) }),
+      ...(columns.value && { columns: list(columns.value) }),
+    }
+    const made = await once('/exports', body)
+    await known.read()
+    return made
+  }, { role: 'viewer', className: 'main', what: 'Export' })
   const state = one => el('span', { className: TONE[one.state] ?? '' }, stateWords(one))
   const what = one =>
     listed([

@@ -130,24 +130,21 @@ export function trainingForm({ said, onstart, signal }) {
     fold('recipe', 'The recipe as it is sent', { signal }, el('label', { htmlFor: 'tr-text' }, 'Recipe (TOML)'), text),
     el('div', { className: 'row' }, start)
   )
-  recipes().then(
-    found => {
-      if (signal.aborted) return undefined
-      carried = found
-      choices(recipe, carried.map(one => one.name))
-      begin()
-      const kept = keep('sessionStorage', DRAFT)
-      const usual = node => (node === recipe ? USUAL_RECIPE : plainOf(chosen().text, node) || (node === map ? (chosen().maps[0]?.map ?? '') : ''))
-      write = keepForm(all, { usual, changed: node => (node === recipe ? begin() : change()), signal })
-      // What was written into the text belongs to the fields that it had.
-      const draft = kept && JSON.parse(kept)
-      if (draft?.values !== values()) return remember()
-      text.value = draft.text
-      show()
-      return written()
-    },
-    error => say(about, `The list of recipes could not be read: ${error.message}.`)
-  )
+  recipes().then(found => {
+    if (signal.aborted) return undefined
+    carried = found
+    choices(recipe, carried.map(one => one.name))
+    begin()
+    const kept = keep('sessionStorage', DRAFT)
+    const usual = node => (node === recipe ? USUAL_RECIPE : plainOf(chosen().text, node) || (node === map ? (chosen().maps[0]?.map ?? '') : ''))
+    write = keepForm(all, { usual, changed: node => (node === recipe ? begin() : change()), signal })
+    // What was written into the text belongs to the fields that it had.
+    const draft = kept && JSON.parse(kept)
+    if (draft?.values !== values()) return remember()
+    text.value = draft.text
+    show()
+    return written()
+  }, error => say(about, `The list of recipes could not be read: ${error.message}.`))
   return {
     node,
     knows({ datasets }) {

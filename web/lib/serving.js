@@ -114,19 +114,14 @@ export function servingPanel({ signal, said, name, onchange }) {
 
   // A calibration is a file: it is added here, and promoted by its id.
   const file = el('input', { id: 'cal-file', type: 'file', accept: '.toml,.txt' })
-  const add = actor(
-    'Add and promote',
-    said,
-    async () => {
-      if (!file.files[0]) throw new Error('choose the file that palpate calibrate skin wrote')
-      const id = await (
-        await ask('/api/v1/calibrations', { method: 'POST', body: new Blob([await file.files[0].text()], { type: 'text/plain' }), wait: 30_000 })
-      ).json()
-      const tag = etag
-      if (await surePromotion(id, 'skin')) await change('/serving', { what: id }, tag)
-    },
-    { what: 'Add the calibration' }
-  )
+  const add = actor('Add and promote', said, async () => {
+    if (!file.files[0]) throw new Error('choose the file that palpate calibrate skin wrote')
+    const id = await (
+      await ask('/api/v1/calibrations', { method: 'POST', body: new Blob([await file.files[0].text()], { type: 'text/plain' }), wait: 30_000 })
+    ).json()
+    const tag = etag
+    if (await surePromotion(id, 'skin')) await change('/serving', { what: id }, tag)
+  }, { what: 'Add the calibration' })
   const node = panel(
     'Active models',
     { className: 'live' },

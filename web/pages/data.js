@@ -79,16 +79,11 @@ export async function show(root, { query, signal, set, go }) {
     },
   })
   const make = (words, body, props) =>
-    actor(
-      words,
-      said,
-      async () => {
-        const item = await once('/datasets', body())
-        made(item)
-        return item
-      },
-      props
-    )
+    actor(words, said, async () => {
+      const item = await once('/datasets', body())
+      made(item)
+      return item
+    }, props)
   const own = fold(
     'definition',
     'A definition of your own',

@@ -143,15 +143,11 @@ export async function show(root, { query, signal, go }) {
     evaluation.knows({ datasets, models })
   }
   // What the empty lists say depends on the role.
-  live.addEventListener(
-    'caller',
-    () => {
-      list.show(models)
-      jobs.redraw()
-      drawScores(jobs.all())
-    },
-    { signal }
-  )
+  live.addEventListener('caller', () => {
+    list.show(models)
+    jobs.redraw()
+    drawScores(jobs.all())
+  }, { signal })
   view.show(query.model)
   every(SERVING_MS, serving.read, signal)
   readDatasets()

@@ -72,15 +72,11 @@ export async function show(root, { query, signal, set, go }) {
       'div',
       { className: 'row' },
       known.more,
-      button(
-        'Read again',
-        () => {
-          asked = ''
-          reload()
-          again.textContent = `Read at ${clock(Date.now())}.` // Often nothing else changes.
-        },
-        { className: 'plain', title: 'Trials may have been stored since' }
-      ),
+      button('Read again', () => {
+        asked = ''
+        reload()
+        again.textContent = `Read at ${clock(Date.now())}.` // Often nothing else changes.
+      }, { className: 'plain', title: 'Trials may have been stored since' }),
       again
     )
   )
@@ -236,17 +232,13 @@ export async function show(root, { query, signal, set, go }) {
     following.disabled = sides.later == null
     for (const side of [sides.later, sides.earlier]) if (side != null) read(side).catch(() => {})
   }
-  document.addEventListener(
-    'keydown',
-    event => {
-      if (!state.trial || event.metaKey || event.ctrlKey || event.altKey || event.target.closest?.('input, select, textarea, dialog, [role=slider]')) return
-      if (['j', 'ArrowRight'].includes(event.key)) to(sides.later)
-      else if (['k', 'ArrowLeft'].includes(event.key)) to(sides.earlier)
-      else return
-      event.preventDefault()
-    },
-    { signal }
-  )
+  document.addEventListener('keydown', event => {
+    if (!state.trial || event.metaKey || event.ctrlKey || event.altKey || event.target.closest?.('input, select, textarea, dialog, [role=slider]')) return
+    if (['j', 'ArrowRight'].includes(event.key)) to(sides.later)
+    else if (['k', 'ArrowLeft'].includes(event.key)) to(sides.earlier)
+    else return
+    event.preventDefault()
+  }, { signal })
 
   root.append(detail, filters.node, charts.node, listPanel)
   function update(query) {
@@ -257,12 +249,9 @@ export async function show(root, { query, signal, set, go }) {
     showTrial()
   }
   update(query)
-  all('/runs', BEGUN, { most: 200, signal }).then(
-    found => {
-      runs = found
-      filters.show(state, runs)
-    },
-    () => {}
-  )
+  all('/runs', BEGUN, { most: 200, signal }).then(found => {
+    runs = found
+    filters.show(state, runs)
+  }, () => {})
   return { update }
 }
