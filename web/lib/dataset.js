@@ -101,7 +101,6 @@ export function datasetView({ signal, go, onmade, onexport }) {
       const made = await once('/datasets', /^run-\d+$/.test(named) || lineageIsNamed(item) ? { name: named } : { definition: item.definition })
       said.tell(made.id === item.id ? 'Made again: the same rows, so the same dataset.' : `Made again: ${made.id} has ${counted(made.rows, 'row')}.`)
       onmade(made)
-      return made
     }, { what: `Make ${item.name} again` })
     const head = el(
       'section',

@@ -37,9 +37,8 @@ export function exportsPanel({ signal }) {
       ...(where.value && { where: list(where.value) }),
       ...(columns.value && { columns: list(columns.value) }),
     }
-    const made = await once('/exports', body)
+    await once('/exports', body)
     await known.read()
-    return made
   }, { role: 'viewer', className: 'main', what: 'Export' })
   const state = one => el('span', { className: TONE[one.state] ?? '' }, stateWords(one))
   const what = one =>
@@ -55,7 +54,7 @@ export function exportsPanel({ signal }) {
       { head: 'Dataset', cell: one => one.request.dataset, left: true },
       { head: 'File', cell: what, left: true },
       { head: 'State', cell: state, left: true },
-      { head: 'Size', cell: one => (one.bytes == null ? null : bytes(one.bytes)) },
+      { head: 'Size', cell: one => bytes(one.bytes) },
       { head: 'Requested', cell: one => `${moment(one.created_at)} by ${one.asked_by}` },
       { head: 'Save', cell: one => one.url && save('Save', one.url, `${one.dataset ?? one.request.dataset}.${formatOf(one.request.format)?.extension ?? one.request.format}`) },
     ],

@@ -78,12 +78,7 @@ export async function show(root, { query, signal, set, go }) {
       keep('sessionStorage', DRAFT, text.value)
     },
   })
-  const make = (words, body, props) =>
-    actor(words, said, async () => {
-      const item = await once('/datasets', body())
-      made(item)
-      return item
-    }, props)
+  const make = (words, body, props) => actor(words, said, async () => made(await once('/datasets', body())), props)
   const own = fold(
     'definition',
     'A definition of your own',
@@ -98,11 +93,7 @@ export async function show(root, { query, signal, set, go }) {
     text,
     el('label', { htmlFor: 'ds-file' }, 'or a file'),
     file,
-    el(
-      'div',
-      { className: 'row' },
-      make('Make the dataset', () => ({ toml: text.value }), { className: 'main' })
-    )
+    el('div', { className: 'row' }, make('Make the dataset', () => ({ toml: text.value }), { className: 'main' }))
   )
   const listPanel = panel('Datasets', { aside: told }, known.trouble, list.node, el('div', { className: 'row' }, known.more))
   const makePanel = only('operator', panel('Make one of the trials stored now', {}, offered, own, said.node))

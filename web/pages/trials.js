@@ -64,33 +64,17 @@ export async function show(root, { query, signal, set, go }) {
   })
   const told = el('span', { className: 'soft' }),
     again = el('span', { className: 'soft small' })
-  const listPanel = panel(
-    'Trials',
-    { aside: told },
-    list.node,
-    el(
-      'div',
-      { className: 'row' },
-      known.more,
-      button('Read again', () => {
-        asked = ''
-        reload()
-        again.textContent = `Read at ${clock(Date.now())}.` // Often nothing else changes.
-      }, { className: 'plain', title: 'Trials may have been stored since' }),
-      again
-    )
-  )
+  const readAgain = button('Read again', () => {
+    asked = ''
+    reload()
+    again.textContent = `Read at ${clock(Date.now())}.` // Often nothing else changes.
+  }, { className: 'plain', title: 'Trials may have been stored since' })
+  const listPanel = panel('Trials', { aside: told }, list.node, el('div', { className: 'row' }, known.more, readAgain, again))
 
   function drawRows() {
     const { items, next } = known
-    fill(
-      told,
-      items.length
-        ? next
-          ? `first ${count(items.length)}${items.length >= ROWS_MOST ? ': narrow the selection to see the others' : ''}`
-          : counted(items.length, 'trial')
-        : ''
-    )
+    const others = items.length >= ROWS_MOST ? ': narrow the selection to see the others' : ''
+    fill(told, items.length > 0 && (next ? `first ${count(items.length)}${others}` : counted(items.length, 'trial')))
     list.show(items)
   }
 
@@ -150,21 +134,11 @@ export async function show(root, { query, signal, set, go }) {
     links = el('span', { className: 'row' }),
     name = el('span', {}),
     trouble = el('p', { className: 'bad', role: 'alert', hidden: true })
+  const close = button('Close', () => go(href(null)), { className: 'plain' })
   const head = el(
     'section',
     { className: 'trial-head', 'aria-label': 'Trial' },
-    el(
-      'div',
-      { className: 'row spread' },
-      el('h2', { className: 'big' }, name),
-      el(
-        'span',
-        { className: 'row' },
-        previous,
-        following,
-        button('Close', () => go(href(null)), { className: 'plain' })
-      )
-    ),
+    el('div', { className: 'row spread' }, el('h2', { className: 'big' }, name), el('span', { className: 'row' }, previous, following, close)),
     words,
     links,
     trouble
