@@ -27,8 +27,7 @@ export function clockline() {
     const part = t => `${Math.max(0, Math.min(100, ((t - from) / (to - from)) * 100))}%`
     // Named, and a link, where a finger hits it on a phone; the table below leads to the others.
     const wide = bar => (bar.end - bar.begin) / (to - from) > 0.08
-    fill(
-      track,
+    fill(track,
       bars.map((bar, i) =>
         el(
           wide(bar) ? 'a' : 'span',
@@ -45,8 +44,7 @@ export function clockline() {
     )
     const days = to - from > 864e5
     const last = t => t === from
-    fill(
-      scale,
+    fill(scale,
       [from, ...ticks(from, to).filter(t => (t - from) / (to - from) > 0.06 && (t - from) / (to - from) < 0.88)].map(t =>
         el('span', { style: { left: part(t) } }, last(t) ? 'now' : days ? moment(t).replace('tomorrow ', 'tom. ') : clock(t).slice(0, 5)),
       ),

@@ -102,9 +102,7 @@ export function datasetView({ signal, go, onmade, onexport }) {
       said.tell(made.id === item.id ? 'Made again: the same rows, so the same dataset.' : `Made again: ${made.id} has ${counted(made.rows, 'row')}.`)
       onmade(made)
     }, { what: `Make ${item.name} again` })
-    const head = el(
-      'section',
-      { 'aria-label': item.name },
+    const head = el('section', { 'aria-label': item.name },
       openedHead(item.name, item.id, '/data'),
       el('p', {}, definitionWords(item)),
       currentPart(item, again),
@@ -120,21 +118,15 @@ export function datasetView({ signal, go, onmade, onexport }) {
       ]),
       el('p', {}, `Parts: ${partsWords(report)}.`)
     )
-    const counts = panel(
-      'Rows by number of contacts',
-      { aside: el('span', {}, 'as in the paper\u2019s Table I') },
+    const counts = panel('Rows by number of contacts', { aside: el('span', {}, 'as in the paper\u2019s Table I') },
       table({
         columns: [{ head: 'Dataset', cell: one => one.name, left: true }, ...contactColumns, { head: 'Total', cell: one => count(one.rows) }],
         rows: [item],
       }).node,
       excluded(report, item.rows)
     )
-    const files = panel(
-      'Load it',
-      {},
-      el(
-        'div',
-        { className: 'chips downloads' },
+    const files = panel('Load it', {},
+      el('div', { className: 'chips downloads' },
         vocabulary.formats.map(({ title, extension }) => save(title, `/api/v1/data/${item.id}.${extension}`, `${item.id}.${extension}`)),
         el(
           'a',
@@ -150,9 +142,7 @@ export function datasetView({ signal, go, onmade, onexport }) {
       ),
       lines(item).map(([words, text]) => copyable(words, text)),
       copyable('Cite', described.citation),
-      el(
-        'p',
-        { className: 'soft small' },
+      el('p', { className: 'soft small' },
         hasKey() ? 'The lines read the key from PALPATE_KEY; DuckDB takes it by CREATE SECRET (TYPE http, BEARER_TOKEN …). ' : '',
         `The name stands for the newest dataset made with it; ${item.id} always refers to these rows.`
       )
@@ -175,9 +165,7 @@ export function datasetView({ signal, go, onmade, onexport }) {
     const about = panel(
       'Card',
       {
-        aside: el(
-          'span',
-          { className: 'row' },
+        aside: el('span', { className: 'row' },
           save('Save as Markdown', `/api/v1/datasets/${item.id}/card`, `${item.id}.md`),
           save('Save as Data Package', `/api/v1/datasets/${item.id}/datapackage.json`, 'datapackage.json')
         ),

@@ -99,8 +99,7 @@ export function editor({ draft, reread, ondone, onclose, signal }) {
       const errors = error.problem?.errors
       const problems = form.show(state.text, errors ?? [])
       save.disabled = error.status === 422
-      return fill(
-        found,
+      return fill(found,
         el('p', { className: 'bad' }, errors ? 'The file is refused: change the values that are marked.' : `Not checked: ${error.message}`),
         problemList(problems),
       )
@@ -138,19 +137,13 @@ export function editor({ draft, reread, ondone, onclose, signal }) {
   }
   const save = actor(run ? 'Save changes' : 'Add to queue', said, submit, { className: 'main' })
 
-  const node = el(
-    'div',
-    { className: 'editor' },
-    el(
-      'div',
-      {},
+  const node = el('div', { className: 'editor' },
+    el('div', {},
       el('h3', {}, 'Keys'),
       el('p', { className: 'soft small' }, 'They write into the text. A key that is absent has its default.'),
       form.node,
     ),
-    el(
-      'div',
-      { className: 'editor-text' },
+    el('div', { className: 'editor-text' },
       again,
       el('label', { htmlFor: 'definition' }, `Text of ${state.file}`),
       area,

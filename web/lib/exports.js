@@ -62,9 +62,7 @@ export function exportsPanel({ signal }) {
   const known = listing('/exports', { words: 'The exports', draw: () => rows.show(known.items), limit: 20, most: 200, signal })
   known.read()
   every(1500, () => (!known.trouble.hidden || known.items.some(isUnderWay)) && known.read(), signal)
-  const node = panel(
-    'Exports',
-    { id: 'exports', className: 'live' },
+  const node = panel('Exports', { id: 'exports', className: 'live' },
     el('p', { className: 'soft' }, 'A large dataset, a selection or force maps: the service writes the file, also across a restart.'),
     el(
       'form',

@@ -72,12 +72,8 @@ export function fields({ schema, onchange }) {
     control.setAttribute('aria-describedby', `${id}-hint ${id}-bad`)
     const optional = schema && rule && !(table ? schema.properties[table] : schema).required?.includes(key)
     inputs.set(name, { control, bad })
-    return el(
-      'div',
-      {},
-      el(
-        'div',
-        { className: 'field-head' },
+    return el('div', {},
+      el('div', { className: 'field-head' },
         el('label', { htmlFor: id }, word(key)),
         optional &&
           button('Remove', () => change(put(text, table, key, null)), { className: 'plain small', 'aria-label': `Remove ${name}: the default applies` }),
@@ -115,8 +111,7 @@ export function fields({ schema, onchange }) {
     )
     const part = (title, about, ...inside) =>
       el('fieldset', {}, el('legend', {}, title), about && el('p', { className: 'soft small' }, about), el('div', { className: 'form' }, inside))
-    fill(
-      node,
+    fill(node,
       tables.map(table => {
         const here = found.filter(e => e.table === table)
         const keys = absent(table, new Set(here.map(e => e.key)))

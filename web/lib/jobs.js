@@ -97,11 +97,8 @@ export function jobView({ signal, said, models, onstopped }) {
       numbers = el('div'),
       result = el('div'),
       controls = el('div', { className: 'row' })
-    fill(
-      node,
-      el(
-        'section',
-        { className: 'live', 'aria-label': 'Job' },
+    fill(node,
+      el('section', { className: 'live', 'aria-label': 'Job' },
         el('div', { className: 'row spread' }, el('h2', { className: 'big' }, title), link('/nets', 'Close')),
         words,
         bar,

@@ -22,9 +22,7 @@ export function lineageWalk({ dataset, lineage, nets, label, signal, set }) {
   lines.setAttribute('aria-hidden', 'true')
   lines.classList.add('walk-lines')
   const box = (key, title, inside, { href, pick, of } = {}) => {
-    const node = el(
-      pick ? 'button' : 'div',
-      { className: 'walk-box', ...(pick && { type: 'button', onclick: pick }) },
+    const node = el(pick ? 'button' : 'div', { className: 'walk-box', ...(pick && { type: 'button', onclick: pick }) },
       el('b', {}, href ? el('a', { href }, title) : title),
       inside.filter(Boolean).map(words => el('span', { className: 'soft small' }, words))
     )
@@ -77,13 +75,9 @@ export function lineageWalk({ dataset, lineage, nets, label, signal, set }) {
     run: el('p', { className: 'soft' }, runs.length ? 'Choose a run.' : 'No run: simulated rows only.'),
     trial: el('p', { className: 'soft' }, 'Choose a trial.'),
   }
-  const node = el(
-    'div',
-    { className: 'walk' },
+  const node = el('div', { className: 'walk' },
     lines,
-    el(
-      'ol',
-      { className: 'walk-columns' },
+    el('ol', { className: 'walk-columns' },
       column(
         'Dataset',
         root,
@@ -139,8 +133,7 @@ export function lineageWalk({ dataset, lineage, nets, label, signal, set }) {
   }
   function listTrials() {
     for (const key of [...boxes.keys()]) if (String(key).startsWith('trial-')) boxes.delete(key)
-    fill(
-      trials,
+    fill(trials,
       rows.map(row => {
         const one = box(
           `trial-${row.trial_id}`,
@@ -168,11 +161,8 @@ export function lineageWalk({ dataset, lineage, nets, label, signal, set }) {
       if (id !== chosen.trial) return
       end.hidden = false
       picture.show(row.voltages_v)
-      fill(
-        words,
-        el(
-          'p',
-          {},
+      fill(words,
+        el('p', {},
           `Run ${row.scan_id}, configuration ${row.configuration}, ${fixed(row.depth_mm, 2, 'mm')}. Mean of ${counted(row.frame_count, 'raw frame')}.`
         ),
         el('p', {}, link(`/trials?trial=${id}`, 'Open this trial'))

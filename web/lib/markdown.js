@@ -55,9 +55,7 @@ export function markdown(text) {
         []
       )
       nodes.push(
-        el(
-          /^\s*\d/.test(line) ? 'ol' : 'ul',
-          { className: 'listed' },
+        el(/^\s*\d/.test(line) ? 'ol' : 'ul', { className: 'listed' },
           items.map(item => el('li', {}, inline(item)))
         )
       )
@@ -70,19 +68,13 @@ function rows(lines) {
   const ruled = isRule(lines[1]),
     body = lines.slice(ruled ? 2 : 0)
   const line = (tag, text) =>
-    el(
-      'tr',
-      {},
+    el('tr', {},
       cells(text).map((cell, i) =>
         el(tag, { ...(tag === 'th' && { scope: 'col' }), className: i === 0 || !/^[\d.,\s]*$/.test(cell) ? 'left' : '' }, inline(cell))
       )
     )
-  return el(
-    'div',
-    { className: 'table' },
-    el(
-      'table',
-      {},
+  return el('div', { className: 'table' },
+    el('table', {},
       ruled && el('thead', {}, line('th', lines[0])),
       el('tbody', {}, body.map(text => line('td', text)))
     )

@@ -34,13 +34,9 @@ export function netView({ signal, models, promotion }) {
       learned.max_force_n != null && `up to ${fixed(learned.max_force_n, 1, 'N')}`,
       learned.max_norm_v != null && `frames up to ${fixed(learned.max_norm_v, 1, 'V')}`,
     ])
-    const head = el(
-      'section',
-      { 'aria-label': model.name },
+    const head = el('section', { 'aria-label': model.name },
       openedHead(model.name, model.id, '/nets'),
-      el(
-        'p',
-        {},
+      el('p', {},
         `From ${meaning('tasks', model.task) || model.task}; learned on ${manifest.label} data of ${manifest.sensor}. `,
         model.serves ? el('span', { className: 'good' }, 'It serves.') : 'It does not serve.'
       ),
@@ -51,9 +47,7 @@ export function netView({ signal, models, promotion }) {
         manifest.force_map && ['Force map, mm', manifest.force_map],
         ['Channels', count(manifest.channels)],
       ]),
-      el(
-        'p',
-        {},
+      el('p', {},
         'Datasets: ',
         manifest.datasets?.length
           ? manifest.datasets.map((id, i) => [i ? ', ' : '', link(`/data?dataset=${id}`, id)])
@@ -61,37 +55,28 @@ export function netView({ signal, models, promotion }) {
         '. ',
         range && `Trained range: ${range}; a frame outside it is answered, and the answer says so.`
       ),
-      el(
-        'p',
-        { className: 'soft small' },
+      el('p', { className: 'soft small' },
         listed([
           manifest.simulation && `Twins: ${manifest.simulation}.`,
           manifest.calibration && `Calibration: ${manifest.calibration}.`,
           manifest.code && `Code: ${manifest.code}.`,
         ], ' ')
       ),
-      el(
-        'div',
-        { className: 'row' },
+      el('div', { className: 'row' },
         !model.serves && promoting,
         save('ONNX file', `/api/v1/models/${model.id}/onnx`, `${model.name}-${model.id}.onnx`),
         shows('JSON', `/api/v1/models/${model.id}`, `${model.name}-${model.id}.json`)
       )
     )
     const curves = losses({ path: `/models/${model.id}/losses`, label, signal: mine })
-    const recipe = panel(
-      'Recipe',
-      {},
+    const recipe = panel('Recipe', {},
       manifest.recipe ? el('pre', { tabIndex: 0 }, manifest.recipe.trim()) : el('p', { className: 'soft' }, 'It was added from a file: no recipe is known.')
     )
-    const scores = panel(
-      'Scores',
-      { aside: el('span', {}, counted(model.scores.length, 'evaluation')) },
+    const scores = panel('Scores', { aside: el('span', {}, counted(model.scores.length, 'evaluation')) },
       scoreTables(model.scores, models()),
       model.scores.length ? '' : el('p', { className: 'soft' }, 'It was not evaluated yet.')
     )
-    fill(
-      node,
+    fill(node,
       head,
       el('div', { className: 'columns two' }, pane(curves.node), recipe),
       scores,

@@ -68,9 +68,7 @@ export function partsBar(parts) {
     rows.map(row => el('i', { title: row.words, style: { width: `${(row.s / whole) * 100}%`, background: row.colour } })),
   )
   const mark = row => [el('i', { className: 'dot', style: { background: row.colour } }), row.words]
-  return el(
-    'div',
-    {},
+  return el('div', {},
     bar,
     table({
       rows,
@@ -99,9 +97,7 @@ export const settingsTable = p =>
 /** What forbids a plan: key, value, limit, and the file in which to change it. */
 export function problemList(problems) {
   const line = p =>
-    el(
-      'li',
-      {},
+    el('li', {},
       el('b', {}, [p.key, p.value].filter(x => x != null && x !== '').join(' = ') || p.file),
       `: ${p.limit}${p.at ? ` (line ${p.at.line})` : ''}`,
       p.key && p.file ? el('span', { className: 'soft' }, ` (${p.file.split('/').at(-1)})`) : '',

@@ -78,8 +78,7 @@ export function report(root, { state, set, go, said, others, signal }) {
     range: (_, high) => [0, Math.max(0.1, (high ?? 0) * 1.08)],
   })
   const byStep = el('section', {}, el('div', { className: 'pair' }, force.node, fvu.node))
-  fill(
-    root,
+  fill(root,
     top,
     contacts,
     el('div', { className: 'columns two' }, skin, el('div', { className: 'column' }, forces, fits)),
@@ -113,9 +112,7 @@ export function report(root, { state, set, go, said, others, signal }) {
       { id: 'compare' },
     )
     return [
-      el(
-        'h2',
-        {},
+      el('h2', {},
         el('span', {}, `Run ${run.scan_id}, ${run.experiment}`),
         run.label === 'virtual' ? el('span', { className: 'badge' }, 'virtual') : plain(run.label),
       ),
@@ -246,8 +243,7 @@ export function report(root, { state, set, go, said, others, signal }) {
     const found = await quiet(medians(data.run, signal))
     if (signal.aborted) return
     const view = found && medianChart([{ name: '', tips: found }], { label, signal, query: `/api/v1/runs/${n}/forces` })
-    fill(
-      forces,
+    fill(forces,
       view
         ? view.node
         : [

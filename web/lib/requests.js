@@ -121,9 +121,7 @@ export function trainingForm({ said, onstart, signal }) {
     written()
   })
   const start = starter('Train', 'Request the training', '/trainings', () => ({ recipe: text.value }), { said, onstart })
-  const node = panel(
-    'Start a training',
-    {},
+  const node = panel('Start a training', {},
     el('p', { className: 'soft' }, 'It trains in the service at low priority, one job after the other, and continues after a restart.'),
     el('div', { className: 'form' }, fields),
     about,
@@ -217,9 +215,7 @@ export function evaluationForm({ said, onstart, signal }) {
     }
   }
   const start = starter('Evaluate', 'Request the evaluation', '/evaluations', body, { said, onstart })
-  const node = panel(
-    'Start an evaluation',
-    {},
+  const node = panel('Start an evaluation', {},
     el('p', { className: 'soft' }, 'Scores on rows that the nets did not see: choose the part test, or a dataset of another run.'),
     el('div', { className: 'form' }, Object.values(fields)),
     about,

@@ -213,9 +213,7 @@ export function reportView(report, models) {
   const { contacts, quantity } = report
   const without = quantity?.left_out > 0 && `${counted(quantity.left_out, 'row')} without this quantity ${quantity.left_out === 1 ? 'has' : 'have'} no score.`
   const where = report.where?.length ? `, where ${report.where.join(' and ')}.` : '.'
-  return el(
-    'div',
-    {},
+  return el('div', {},
     el('p', {}, `By ${nets(report, models)}, on `, link(`/data?dataset=${report.dataset}`, report.dataset), where),
     facts([
       ['Scored', report.scored],

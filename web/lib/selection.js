@@ -63,9 +63,7 @@ export function selection({ set, said }) {
   )
   const order = select([['', 'newest first'], ['trial_id', 'oldest first']], '', value => set({ sort: value || null }))
   const others = el('div', { className: 'chips', role: 'group', 'aria-label': 'Conditions' })
-  const form = el(
-    'div',
-    { className: 'form' },
+  const form = el('div', { className: 'form' },
     condition('Run', choice('scan_id', [['', 'all']])),
     condition('Contacts', choice('contact_count', counts)),
     condition('Largest force from, N', number('max_force_n__gte')),

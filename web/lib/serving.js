@@ -122,18 +122,13 @@ export function servingPanel({ signal, said, name, onchange }) {
     const tag = etag
     if (await surePromotion(id, 'skin')) await change('/serving', { what: id }, tag)
   }, { what: 'Add the calibration' })
-  const node = panel(
-    'Active models',
-    { className: 'live' },
+  const node = panel('Active models', { className: 'live' },
     trouble,
     slots.node,
     fold('promotions', 'History of promotions', { signal }, past.node),
     only(
       'operator',
-      fold(
-        'calibration',
-        'Add a calibration of the skin',
-        { signal },
+      fold('calibration', 'Add a calibration of the skin', { signal },
         el('label', { htmlFor: 'cal-file' }, 'File of palpate calibrate skin'),
         file,
         el('div', { className: 'row' }, add)

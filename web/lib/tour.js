@@ -67,13 +67,9 @@ export function tourView({ onstep, label, query, signal }) {
     walk(at + n)
     onstep(kept[at])
   }
-  const node = el(
-    'div',
-    { className: 'tour' },
+  const node = el('div', { className: 'tour' },
     view.node,
-    el(
-      'div',
-      { className: 'tour-scale soft small' },
+    el('div', { className: 'tour-scale soft small' },
       el('span', {}, 'first'),
       colours,
       el('span', {}, 'last'),

@@ -105,19 +105,11 @@ export function trialView({ signal, href, onscale }) {
     verdict = el('div'),
     poses = el('div')
   const alone = el('p', { className: 'soft' })
-  const node = el(
-    'div',
-    { className: 'trial' },
-    el(
-      'div',
-      { className: 'columns two' },
+  const node = el('div', { className: 'trial' },
+    el('div', { className: 'columns two' },
       el('div', { className: 'column' }, pane(map.node), el('section', {}, depths.node, alone, steps)),
-      el(
-        'section',
-        {},
-        el(
-          'div',
-          { className: 'pair trial-frames' },
+      el('section', {},
+        el('div', { className: 'pair trial-frames' },
           shown.measured.node,
           el('div', {}, shown.twin.node, why.twin),
           shown.rest.node,
@@ -126,9 +118,7 @@ export function trialView({ signal, href, onscale }) {
         el('p', { className: 'soft small row' }, el('label', { className: 'inline', htmlFor: 'trial-scale' }, 'Colours by ', scale), scaleWords)
       )
     ),
-    el(
-      'div',
-      { className: 'columns three' },
+    el('div', { className: 'columns three' },
       panel('Fit and times', {}, fit),
       panel('Reached against target', {}, poses),
       panel('Quality', {}, verdict, quality)
@@ -202,8 +192,7 @@ export function trialView({ signal, href, onscale }) {
     note(alone, one ? 'This configuration has one trial: there is no curve over depth.' : '')
     const rows = [...siblings].sort((a, b) => a.depth_mm - b.depth_mm)
     depths.set([rows.map(r => r.depth_mm), ...ARMS.map((_, i) => rows.map(r => r.forces_n[i] ?? null))])
-    fill(
-      steps,
+    fill(steps,
       one
         ? []
         : rows.map(r =>
@@ -218,8 +207,7 @@ export function trialView({ signal, href, onscale }) {
   }
 
   function words() {
-    fill(
-      fit,
+    fill(fit,
       facts([
         ['FVU', fixed(row.fvu, 3)],
         ['RMSE', row.rmse_v == null ? NONE : fixed(row.rmse_v * 1e3, 2, 'mV')],
@@ -235,8 +223,7 @@ export function trialView({ signal, href, onscale }) {
     )
     fill(poses, posesPart(row))
     fill(verdict, flagsPart(row))
-    fill(
-      quality,
+    fill(quality,
       facts([
         ['Dropped packets', count(row.dropped_packets)],
         ['Missing channels', count(row.missing_channels)],

@@ -74,9 +74,7 @@ export function waiting({ said, go, signal }) {
       return node
     }
     const other = (words, work, props) => only('operator', button(words, work, { 'aria-label': `${words} ${run}`, ...props }))
-    return el(
-      'div',
-      { className: 'row tight' },
+    return el('div', { className: 'row tight' },
       !row.waiting_since && beginButton('Arm and start', row, said, { after: refresh, className: at ? '' : 'main', 'aria-label': `Arm and start ${run}` }),
       mine('Up', () => move(row, at), { disabled: at === 0, 'aria-label': `Move ${run} up` }),
       mine('Down', () => move(row, at + 2), { disabled: at === rows.length - 1, 'aria-label': `Move ${run} down` }),

@@ -79,13 +79,8 @@ export async function show(root, { query, signal, set, go }) {
     },
   })
   const make = (words, body, props) => actor(words, said, async () => made(await once('/datasets', body())), props)
-  const own = fold(
-    'definition',
-    'A definition of your own',
-    { signal },
-    el(
-      'p',
-      { className: 'soft small' },
+  const own = fold('definition', 'A definition of your own', { signal },
+    el('p', { className: 'soft small' },
       'Keys: name, task (trials, real, r2s-transfer, s2s-recon, real-unseen), runs, label, deadband_n, flagged, untouched, ',
       'contact_counts, where, sim_random, license, [split].'
     ),
@@ -112,9 +107,7 @@ export async function show(root, { query, signal, set, go }) {
     const isThere = name => items.some(item => item.name === name)
     const line = name => {
       const there = isThere(name)
-      return el(
-        'li',
-        {},
+      return el('li', {},
         el('code', {}, name),
         el('span', { className: 'soft' }, ABOUT[name] ?? 'a definition of this service'),
         make(there ? 'Make again' : 'Make', () => ({ name }), { what: `Make ${name}`, 'aria-label': `${there ? 'Make again' : 'Make'}: ${name}` })

@@ -71,8 +71,7 @@ export async function show(root, { query, signal, go }) {
   function drawScores(jobs) {
     const reports = jobs.filter(job => job.result?.scored).map(job => ({ ...job.result, job: job.id, asked: job.request.dataset })),
       current = one => one.job != null && one.job === query.job
-    fill(
-      scores,
+    fill(scores,
       reports.length
         ? scoreTables(reports, models, { href, current })
         : el('p', { className: 'soft' }, `No evaluation has ended yet.${toForms('Start one below.')}`)

@@ -118,9 +118,7 @@ export async function show(root, { query, signal, go, set }) {
       el('h2', {}, el('span', {}, `Run ${run.scan_id}, ${run.experiment}`), run.label === 'virtual' ? el('span', { className: 'badge' }, 'virtual') : ''),
       say(told, standing(run)),
       waits || answer.error ? verdict(answer) : null,
-      el(
-        'div',
-        { className: 'row' },
+      el('div', { className: 'row' },
         waits && !run.waiting_since && start,
         run.state === 'queued' && only('operator', link(`/queue?edit=${run.scan_id}`, 'Edit')),
         run.kind !== 'imported' && only('operator', link(`/queue?copy=${run.scan_id}`, 'Copy it')),

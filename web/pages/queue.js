@@ -99,8 +99,7 @@ export async function show(root, { query, signal, go }) {
   const chooser = el('input', { id: 'file', type: 'file', accept: '.toml', multiple: true, onchange: event => take(event.target.files) })
   const own = el('div', {}, el('label', { htmlFor: 'file' }, 'A file of yours (.toml; its sensor file too, if the program does not carry it)'), chooser)
   const words = 'Choose one, or drop a file anywhere on this page. You see what it takes before it is queued.'
-  fill(
-    add,
+  fill(add,
     el('h2', {}, 'Add an experiment'),
     el('p', { className: 'soft' }, words),
     only('operator', own),

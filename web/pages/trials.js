@@ -135,9 +135,7 @@ export async function show(root, { query, signal, set, go }) {
     name = el('span', {}),
     trouble = el('p', { className: 'bad', role: 'alert', hidden: true })
   const close = button('Close', () => go(href(null)), { className: 'plain' })
-  const head = el(
-    'section',
-    { className: 'trial-head', 'aria-label': 'Trial' },
+  const head = el('section', { className: 'trial-head', 'aria-label': 'Trial' },
     el('div', { className: 'row spread' }, el('h2', { className: 'big' }, name), el('span', { className: 'row' }, previous, following, close)),
     words,
     links,
@@ -188,8 +186,7 @@ export async function show(root, { query, signal, set, go }) {
     note(trouble, '')
     view.node.hidden = false
     words.textContent = trialWords(row)
-    fill(
-      links,
+    fill(links,
       link(`/runs?run=${row.scan_id}`, `Run ${row.scan_id}`),
       link(`/trials?scan_id=${row.scan_id}&configuration=${row.configuration}&sort=trial_id`, 'The same configuration'),
       link(`/model?trial=${id}`, 'In the model'),
