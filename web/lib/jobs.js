@@ -62,10 +62,7 @@ export function jobsPanel({ signal, href, current, onchange }) {
     if (!page) return
     const jobs = known.items
     rows.show(jobs)
-    const ended = jobs
-        .filter(job => !isUnderWay(job))
-        .map(job => job.id)
-        .join(),
+    const ended = jobs.filter(job => !isUnderWay(job)).map(job => job.id).join(),
       changed = before !== '' && before !== ended
     before = ended || '-'
     onchange(jobs, changed)

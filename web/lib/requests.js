@@ -199,11 +199,7 @@ export function evaluationForm({ said, onstart, signal }) {
   }
   function body() {
     const method = methodOf(scored.value)
-    const named = Object.fromEntries(
-      keysOf(method)
-        .map(({ key }) => [key, models[key].value])
-        .filter(([, value]) => value)
-    )
+    const named = Object.fromEntries(keysOf(method).map(({ key }) => [key, models[key].value]).filter(([, value]) => value))
     return {
       scored: scored.value,
       dataset: dataset.value,

@@ -83,10 +83,7 @@ export async function show(root, { query, signal, go }) {
     href,
     current: () => query.job,
     onchange: (found, ended) => {
-      const key = found
-        .filter(job => job.result)
-        .map(job => job.id)
-        .join()
+      const key = found.filter(job => job.result).map(job => job.id).join()
       if (key !== seen) {
         seen = key
         drawScores(found)
