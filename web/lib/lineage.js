@@ -21,7 +21,7 @@ export function lineageWalk({ dataset, lineage, nets, label, signal, set }) {
     lines = document.createElementNS(SVG, 'svg')
   lines.setAttribute('aria-hidden', 'true')
   lines.classList.add('walk-lines')
-  const box = (key, title, inside, { href, pick, of } = {}) => {
+  const box = (key, title, inside, { href, pick, of = 'dataset' } = {}) => {
     const node = el(pick ? 'button' : 'div', { className: 'walk-box', ...(pick && { type: 'button', onclick: pick }) },
       el('b', {}, href ? el('a', { href }, title) : title),
       inside.filter(Boolean).map(words => el('span', { className: 'soft small' }, words))
@@ -30,41 +30,22 @@ export function lineageWalk({ dataset, lineage, nets, label, signal, set }) {
     return node
   }
   const column = (title, ...inside) => el('li', {}, el('h3', {}, title), inside)
-  const root = box('dataset', dataset.name, [dataset.id, `${counted(dataset.rows, 'row')}, made ${moment(dataset.created_at)}`])
-  const runs = lineage.runs.map(run =>
-    box(
-      `run-${run.scan_id}`,
-      `Run ${run.scan_id} · ${run.experiment}`,
-      [
-        `${run.kind}, ${run.label}, seed ${run.seed ?? NONE}`,
-        `${counted(run.trials ?? 0, 'trial')} of it${run.taken_back ? `, ${count(run.taken_back)} taken back` : ''}`,
-      ],
-      { of: 'dataset', pick: () => set({ run: String(run.scan_id) === chosen.run ? null : run.scan_id, trial: null }) }
-    )
+  const root = box('dataset', dataset.name, [dataset.id, `${counted(dataset.rows, 'row')}, made ${moment(dataset.created_at)}`], { of: null })
+  const runs = lineage.runs.map(run => {
+    const used = `${counted(run.trials ?? 0, 'trial')} of it${run.taken_back ? `, ${count(run.taken_back)} taken back` : ''}`
+    const pick = () => set({ run: String(run.scan_id) === chosen.run ? null : run.scan_id, trial: null })
+    return box(`run-${run.scan_id}`, `Run ${run.scan_id} · ${run.experiment}`, [`${run.kind}, ${run.label}, seed ${run.seed ?? NONE}`, used], { pick })
+  })
+  const models = lineage.models.map(({ model, calibration }) =>
+    box(model, 'Twins by a model', [model, calibration ? `calibration ${calibration}` : 'values of the sensor file, not calibrated'])
   )
-  const models = lineage.models.map(model =>
-    box(
-      model.model,
-      'Twins by a model',
-      [model.model, model.calibration ? `calibration ${model.calibration}` : 'values of the sensor file, not calibrated'],
-      { of: 'dataset' }
-    )
-  )
-  const shards = lineage.sim_random.map(folder =>
-    box(
-      folder.folder,
-      `Sim-Random ${folder.folder}`,
-      [counted(folder.shards?.length ?? 0, 'shard'), `seed ${folder.definition?.draws?.seed ?? NONE}, ${folder.definition?.model ?? 'model unknown'}`],
-      { of: 'dataset' }
-    )
-  )
-  const code = box(
-    'code',
-    'Program',
-    [`Palpate ${lineage.code.version}`, lineage.code.git_commit ? `commit ${lineage.code.git_commit.slice(0, 12)}` : 'commit unknown'],
-    { of: 'dataset' }
-  )
-  const learned = nets.map(net => box(net.id, net.name, [net.id, net.task], { href: `/nets?model=${net.id}`, of: 'dataset' }))
+  const shards = lineage.sim_random.map(({ folder, shards, definition }) => {
+    const made = `seed ${definition?.draws?.seed ?? NONE}, ${definition?.model ?? 'model unknown'}`
+    return box(folder, `Sim-Random ${folder}`, [counted(shards?.length ?? 0, 'shard'), made])
+  })
+  const { version, git_commit } = lineage.code
+  const code = box('code', 'Program', [`Palpate ${version}`, git_commit ? `commit ${git_commit.slice(0, 12)}` : 'commit unknown'])
+  const learned = nets.map(net => box(net.id, net.name, [net.id, net.task], { href: `/nets?model=${net.id}` }))
   const trials = el('div', { className: 'walk-list' }),
     more = button('More', () => readTrials(), { hidden: true, className: 'plain' }),
     toTrials = el('p', { className: 'small' })
@@ -75,14 +56,11 @@ export function lineageWalk({ dataset, lineage, nets, label, signal, set }) {
     run: el('p', { className: 'soft' }, runs.length ? 'Choose a run.' : 'No run: simulated rows only.'),
     trial: el('p', { className: 'soft' }, 'Choose a trial.'),
   }
+  const trained = learned.length ? [el('h3', {}, 'Trained on it'), learned] : el('p', { className: 'soft small' }, 'No net was trained on it.')
   const node = el('div', { className: 'walk' },
     lines,
     el('ol', { className: 'walk-columns' },
-      column(
-        'Dataset',
-        root,
-        learned.length ? [el('h3', {}, 'Trained on it'), learned] : el('p', { className: 'soft small' }, 'No net was trained on it.')
-      ),
+      column('Dataset', root, trained),
       column('Made from', runs, models, shards, code),
       column('Trials', hint.run, trials, more, toTrials),
       column('Frame', hint.trial, end)
@@ -135,14 +113,9 @@ export function lineageWalk({ dataset, lineage, nets, label, signal, set }) {
     for (const key of [...boxes.keys()]) if (String(key).startsWith('trial-')) boxes.delete(key)
     fill(trials,
       rows.map(row => {
-        const one = box(
-          `trial-${row.trial_id}`,
-          `Trial ${row.trial_id}`,
-          [
-            listed([`configuration ${row.configuration}`, fixed(row.depth_mm, 1, 'mm'), counted(row.contact_count, 'contact'), force(row)]),
-          ],
-          { of: `run-${chosen.run}`, pick: () => set({ trial: String(row.trial_id) === chosen.trial ? null : row.trial_id }) }
-        )
+        const words = listed([`configuration ${row.configuration}`, fixed(row.depth_mm, 1, 'mm'), counted(row.contact_count, 'contact'), force(row)])
+        const pick = () => set({ trial: String(row.trial_id) === chosen.trial ? null : row.trial_id })
+        const one = box(`trial-${row.trial_id}`, `Trial ${row.trial_id}`, [words], { of: `run-${chosen.run}`, pick })
         one.setAttribute('aria-pressed', String(String(row.trial_id) === chosen.trial))
         return one
       })

@@ -100,17 +100,9 @@ export function report(root, { state, set, go, said, others, signal }) {
       sure: () => confirm(`Abort run ${run.scan_id}?`, 'It ends. Its stored trials stay; it can be resumed later. Nothing moves.', 'Abort the run'),
     })
   function heading(run) {
-    const compare = select(
-      [
-        ['', 'another run …'],
-        ...others()
-          .filter(other => other.scan_id !== run.scan_id)
-          .map(other => [other.scan_id, `${other.scan_id} ${other.experiment}`]),
-      ],
-      '',
-      other => other && go(`/runs?run=${run.scan_id}&with=${other}`),
-      { id: 'compare' },
-    )
+    const rest = others().filter(other => other.scan_id !== run.scan_id).map(other => [other.scan_id, `${other.scan_id} ${other.experiment}`])
+    const open = other => other && go(`/runs?run=${run.scan_id}&with=${other}`)
+    const compare = select([['', 'another run …'], ...rest], '', open, { id: 'compare' })
     return [
       el('h2', {},
         el('span', {}, `Run ${run.scan_id}, ${run.experiment}`),

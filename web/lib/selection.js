@@ -48,19 +48,11 @@ export function selection({ set, said }) {
     el('input', { type: 'number', step: 'any', inputMode: 'decimal', name: key, ...props, onchange: event => change(key)(event.target.value) })
   const choice = (key, choices) => select(choices, '', change(key), { name: key })
   const counts = [['', 'any'], ['0', 'none'], ...[1, 2, 3, 4, 5, 6].map(n => [String(n), String(n)])]
-  const flags = select(
-    [
-      ['', 'any'],
-      ['flagged=true', 'with a flag'],
-      ['flagged=false', 'without a flag'],
-      ...vocabulary.flags.map(({ name }) => [`flag=${name}`, plain(name)]),
-    ],
-    '',
-    value => {
-      const [key, wanted] = value.split('=')
-      set({ flag: null, flagged: null, trial: null, ...(key && { [key]: wanted }) })
-    }
-  )
+  const each = vocabulary.flags.map(({ name }) => [`flag=${name}`, plain(name)])
+  const flags = select([['', 'any'], ['flagged=true', 'with a flag'], ['flagged=false', 'without a flag'], ...each], '', value => {
+    const [key, wanted] = value.split('=')
+    set({ flag: null, flagged: null, trial: null, ...(key && { [key]: wanted }) })
+  })
   const order = select([['', 'newest first'], ['trial_id', 'oldest first']], '', value => set({ sort: value || null }))
   const others = el('div', { className: 'chips', role: 'group', 'aria-label': 'Conditions' })
   const form = el('div', { className: 'form' },

@@ -11,6 +11,7 @@ import { table } from './table.js'
 import { meaning } from './vocabulary.js'
 
 const ARMS = [1, 2, 3, 4, 5, 6]
+const SCALES = [['', 'this trial'], ['configuration', 'the deepest trial of its configuration']]
 const largest = values => (values ?? []).reduce((top, v) => Math.max(top, Math.abs(v ?? 0)), 1e-4)
 
 const armWords = arm => `arm ${arm.arm} at ${fixed(arm.x_mm, 0)}, ${fixed(arm.y_mm, 0, 'mm')}: ${fixed(arm.force_n, 1, 'N')}`
@@ -68,12 +69,7 @@ export function trialView({ signal, href, onscale }) {
     touch: picture('Measured minus untouched', 'touch'),
   }
   const why = { twin: el('p', { className: 'soft small' }), touch: el('p', { className: 'soft small' }) }
-  const scale = select(
-    [['', 'this trial'], ['configuration', 'the deepest trial of its configuration']],
-    '',
-    onscale,
-    { id: 'trial-scale' }
-  )
+  const scale = select(SCALES, '', onscale, { id: 'trial-scale' })
   const scaleWords = el('span')
   const map = skin({
     title: 'Skin: tips to scale, forces in N',
@@ -192,18 +188,11 @@ export function trialView({ signal, href, onscale }) {
     note(alone, one ? 'This configuration has one trial: there is no curve over depth.' : '')
     const rows = [...siblings].sort((a, b) => a.depth_mm - b.depth_mm)
     depths.set([rows.map(r => r.depth_mm), ...ARMS.map((_, i) => rows.map(r => r.forces_n[i] ?? null))])
-    fill(steps,
-      one
-        ? []
-        : rows.map(r =>
-            el(
-              'a',
-              { className: 'chip', href: href(r.trial_id), title: `trial ${r.trial_id}`, ...(r.trial_id === row.trial_id && { 'aria-current': 'page' }) },
-              fixed(r.depth_mm, 1)
-            )
-          ),
-      !one && el('span', { className: 'soft small' }, 'mm')
-    )
+    const step = ({ trial_id, depth_mm }) => {
+      const current = trial_id === row.trial_id ? 'page' : null
+      return el('a', { className: 'chip', href: href(trial_id), title: `trial ${trial_id}`, 'aria-current': current }, fixed(depth_mm, 1))
+    }
+    fill(steps, !one && [rows.map(step), el('span', { className: 'soft small' }, 'mm')])
   }
 
   function words() {
