@@ -36,6 +36,11 @@ function stateWords(job) {
 const took = job => (job.started_at ? ((job.finished_at ? new Date(job.finished_at) : Date.now()) - new Date(job.started_at)) / 1e3 : null)
 const state = job => el('span', { className: TONE[job.state] ?? '' }, stateWords(job))
 
+function resultCell({ result }) {
+  if (result?.model) return link(`/nets?model=${result.model}`, result.name)
+  return result?.scored ? counted(result.rows, 'row') : null
+}
+
 /** Makes the list. `onchange(jobs, ended)` after each reading; `ended`: whether one ended since the last. */
 export function jobsPanel({ signal, href, current, onchange }) {
   const rows = table({
@@ -47,12 +52,7 @@ export function jobsPanel({ signal, href, current, onchange }) {
       { head: 'State', left: true, cell: state },
       { head: 'Requested', left: true, cell: job => `${moment(job.created_at, true)} by ${job.asked_by}` },
       { head: 'Took', cell: job => span(took(job)) },
-      {
-        head: 'Result',
-        left: true,
-        cell: job =>
-          job.result?.model ? link(`/nets?model=${job.result.model}`, job.result.name) : job.result?.scored ? counted(job.result.rows, 'row') : null,
-      },
+      { head: 'Result', left: true, cell: resultCell },
     ],
   })
   const known = listing('/jobs', { words: 'The jobs', draw, limit: 25, most: 500, signal }),

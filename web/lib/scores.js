@@ -38,28 +38,22 @@ const contactsOfPaper = reports => [
   printed('V\u2011D', 'whole pipeline on Real-Unseen', { contacts: { all: paper.real_unseen } }),
 ]
 
+/** What was scored, as a link to its evaluation. */
+function scoredCell(one, models, href) {
+  if (one.paper) return one.paper
+  if (one.perfectOf) return el('span', { className: 'soft' }, `perfect map ${one.map ?? ''}`)
+  return one.job && href ? el('a', { href: href(one.job) }, one.scored === 'voltages' ? nets(one, models) : one.scored) : one.scored
+}
+function rowsCell(one) {
+  if (one.perfectOf || one.paper) return one.about ?? ''
+  return el('span', {}, `${count(one.rows)}, `, rows(one).map((part, i) => (i ? [' ', part] : part)))
+}
+
 /** Columns that say what was scored. */
 const what = (models, href) => [
-  {
-    head: 'Scored',
-    left: true,
-    cell: one =>
-      one.paper ??
-      (one.perfectOf
-        ? el('span', { className: 'soft' }, `perfect map ${one.map ?? ''}`)
-        : one.job && href
-          ? el('a', { href: href(one.job) }, one.scored === 'voltages' ? nets(one, models) : one.scored)
-          : one.scored),
-  },
+  { head: 'Scored', left: true, cell: one => scoredCell(one, models, href) },
   { head: 'Nets', left: true, cell: one => (one.paper || one.perfectOf || one.scored === 'voltages' ? '' : nets(one, models)) },
-  {
-    head: 'Rows',
-    left: true,
-    cell: one =>
-      one.perfectOf || one.paper
-        ? one.about ?? ''
-        : el('span', {}, `${count(one.rows)}, `, rows(one).map((part, i) => (i ? [' ', part] : part))),
-  },
+  { head: 'Rows', left: true, cell: rowsCell },
   { head: 'Held out', cell: one => (one.perfectOf || one.paper ? '' : one.held_out === false ? el('span', { className: 'warn' }, 'no') : 'yes') },
   { head: 'Label', left: true, cell: one => (one.perfectOf ? '' : one.paper ? 'measured' : one.label) },
 ]

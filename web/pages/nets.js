@@ -39,6 +39,7 @@ export async function show(root, { query, signal, go }) {
   const work = jobView({ signal, said, models: () => models, onstopped: () => jobs.read() })
   const href = id => `/nets?job=${id}`
 
+  const promote = model => model.slot && serving.promotion(model, { 'aria-label': `Promote ${model.name}, ${model.id}` })
   const list = table({
     href: model => `/nets?model=${model.id}`,
     current: model => [model.id, model.name].includes(query.model),
@@ -53,13 +54,7 @@ export async function show(root, { query, signal, go }) {
       { head: 'Up to', unit: 'N', cell: model => fixed(model.manifest.trained_on?.max_force_n, 0) },
       { head: 'Newest score', left: true, cell: model => (model.scores[0] ? shortScore(model.scores[0]) : 'not evaluated') },
       { head: 'Trained', cell: model => moment(model.created_at) },
-      {
-        head: 'Serves',
-        cell: model =>
-          model.serves
-            ? el('span', { className: 'good' }, 'serves')
-            : model.slot && serving.promotion(model, { 'aria-label': `Promote ${model.name}, ${model.id}` }),
-      },
+      { head: 'Serves', cell: model => (model.serves ? el('span', { className: 'good' }, 'serves') : promote(model)) },
     ],
   })
   const told = el('span')
