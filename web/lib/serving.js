@@ -43,12 +43,10 @@ export function servingPanel({ signal, said, name, onchange }) {
     ],
   })
   const trouble = el('p', { className: 'bad', hidden: true })
-  const words = id =>
-    id == null
-      ? el('span', { className: 'soft' }, 'nothing')
-      : id.startsWith('mdl-')
-        ? el('span', {}, link(`/nets?model=${id}`, name(id)), ' ', el('span', { className: 'soft small' }, id))
-        : id
+  const words = id => {
+    if (id == null) return el('span', { className: 'soft' }, 'nothing')
+    return id.startsWith('mdl-') ? el('span', {}, link(`/nets?model=${id}`, name(id)), ' ', el('span', { className: 'soft small' }, id)) : id
+  }
   /** Changes what serves, if it still has the entity tag `tag`: that of what the person saw at the press. */
   const change = (path, body, tag) =>
     once(path, { ...body, who: who() }, { headers: tag ? { 'if-match': tag } : {}, wait: 120_000 }).finally(async () => {
