@@ -125,20 +125,14 @@ export function datasetView({ signal, go, onmade, onexport }) {
       }).node,
       excluded(report, item.rows)
     )
+    const choose = event => {
+      event.preventDefault()
+      onexport(item.name)
+    }
     const files = panel('Load it', {},
       el('div', { className: 'chips downloads' },
         vocabulary.formats.map(({ title, extension }) => save(title, `/api/v1/data/${item.id}.${extension}`, `${item.id}.${extension}`)),
-        el(
-          'a',
-          {
-            href: '#exports',
-            onclick: event => {
-              event.preventDefault()
-              onexport(item.name)
-            },
-          },
-          'With force maps or a selection'
-        )
+        el('a', { href: '#exports', onclick: choose }, 'With force maps or a selection')
       ),
       lines(item).map(([words, text]) => copyable(words, text)),
       copyable('Cite', described.citation),
@@ -162,16 +156,11 @@ export function datasetView({ signal, go, onmade, onexport }) {
     const columns = panel('Columns', { aside: el('span', {}, counted(report.columns.length, 'column')) }, heads)
     walk = lineageWalk({ dataset: item, lineage: lineage.lineage, nets: lineage.trained, label, signal: mine, set: go })
     const graph = panel('What it was made from', { aside: el('span', {}, 'dataset, runs, trials, frame') }, walk.node)
-    const about = panel(
-      'Card',
-      {
-        aside: el('span', { className: 'row' },
-          save('Save as Markdown', `/api/v1/datasets/${item.id}/card`, `${item.id}.md`),
-          save('Save as Data Package', `/api/v1/datasets/${item.id}/datapackage.json`, 'datapackage.json')
-        ),
-      },
-      fold('card', 'Read the card', { signal: mine }, markdown(card))
+    const saved = el('span', { className: 'row' },
+      save('Save as Markdown', `/api/v1/datasets/${item.id}/card`, `${item.id}.md`),
+      save('Save as Data Package', `/api/v1/datasets/${item.id}/datapackage.json`, 'datapackage.json')
     )
+    const about = panel('Card', { aside: saved }, fold('card', 'Read the card', { signal: mine }, markdown(card)))
     fill(node, head, counts, el('div', { className: 'columns two' }, files, columns), graph, about)
     walk.show(state)
   }

@@ -73,6 +73,10 @@ export function field(words, control, id = control.id) {
   return el('div', {}, el('label', { htmlFor: id }, words), control)
 }
 
+/** Makes a form; `submit()` is called instead of sending it. */
+export const form = (submit, props, ...inside) =>
+  el('form', { ...props, onsubmit: event => { event.preventDefault(); submit() } }, ...inside)
+
 /** Makes a button. `props.title` says what it does where its word alone does not. */
 export function button(words, onclick, props = {}) {
   return el('button', { type: 'button', onclick, ...props }, words)

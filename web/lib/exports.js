@@ -2,7 +2,7 @@
 
 import { once } from './api.js'
 import { actor, outcome } from './actions.js'
-import { el, every, field, panel, select } from './dom.js'
+import { el, every, field, form, panel, select } from './dom.js'
 import { keepForm } from './formstate.js'
 import { bytes, countOf, listed, moment, percent, plain } from './format.js'
 import { listing } from './listing.js'
@@ -64,15 +64,7 @@ export function exportsPanel({ signal }) {
   every(1500, () => (!known.trouble.hidden || known.items.some(isUnderWay)) && known.read(), signal)
   const node = panel('Exports', { id: 'exports', className: 'live' },
     el('p', { className: 'soft' }, 'A large dataset, a selection or force maps: the service writes the file, also across a restart.'),
-    el(
-      'form',
-      {
-        className: 'form',
-        onsubmit: event => {
-          event.preventDefault()
-          asks.click()
-        },
-      },
+    form(() => asks.click(), { className: 'form' },
       field('Dataset', dataset),
       field('Format', format),
       field('Force maps', map),

@@ -5,7 +5,7 @@
 import { get, send } from '../lib/api.js'
 import { asked, contactList, contactsText, most, parseContacts, within } from '../lib/presslist.js'
 import { dent } from '../lib/dent.js'
-import { button, el, facts, fill, note, pane, panel, renew, replacing, say, select } from '../lib/dom.js'
+import { button, el, facts, fill, form, note, pane, panel, renew, replacing, say, select } from '../lib/dom.js'
 import { fit, scatter } from '../lib/fit.js'
 import { about, counted, fixed } from '../lib/format.js'
 import { frame, minus } from '../lib/frame.js'
@@ -31,11 +31,10 @@ export async function show(root, { query, signal, set }) {
   const list = contactList(edit), told = el('p', { className: 'said', role: 'status' }), numbers = el('div')
   const voltages = frame({ title: 'Voltages', name: 'simulated-frame', label: () => `simulated, ${viewWords()}`, signal })
   const picker = el('div', { className: 'row' }), against = scatter({ title: 'Trial: measured against simulated', key: 'trial', label: () => state.trial?.label, signal })
-  const trialForm = el('form', { className: 'row', onsubmit: event => {
-    event.preventDefault()
+  const trialForm = form(() => {
     state.trialId = null // The same trial again has its own contacts again.
     set({ trial: trialInput.value, contacts: null })
-  } })
+  }, { className: 'row' })
   const trialInput = el('input', { type: 'number', min: 1, id: 'model-trial', className: 'short' }), trialWords = el('p', { className: 'soft' })
   const scatterPane = pane(against.node)
   const without = button('Without', () => set({ trial: null }), { className: 'plain', hidden: true })

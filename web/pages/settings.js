@@ -5,7 +5,7 @@ import { ask, giveKey, hasKey, person } from '../lib/api.js'
 import { actor, only, outcome } from '../lib/actions.js'
 import { actionLog } from '../lib/actionlog.js'
 import { copyButton } from '../lib/copybutton.js'
-import { button, el, facts, note, panel, renew, say } from '../lib/dom.js'
+import { button, el, facts, form, note, panel, renew, say } from '../lib/dom.js'
 import { capital, count, moment } from '../lib/format.js'
 import { keys } from '../lib/keys.js'
 import { live, who } from '../lib/live.js'
@@ -49,17 +49,21 @@ export async function show(root, { query, signal, set }) {
 function yourself() {
   const name = el('input', { id: 'my-name', maxLength: 80, autocomplete: 'name', value: person.name }), kept = el('p', { className: 'soft', role: 'status' })
   const secret = el('input', { id: 'my-key', type: 'password', autocomplete: 'off' }), rights = el('p', {}), role = el('p', { className: 'big' })
-  const keep = event => { event.preventDefault(); person.name = name.value;
-    say(kept, person.name ? `Kept: actions are logged as ${who()}.` : 'No name: it is asked for at the next action.') }
-  const give = event => { event.preventDefault(); if (!secret.value) return say(kept, 'Enter a key first.')
+  const keep = () => {
+    person.name = name.value
+    say(kept, person.name ? `Kept: actions are logged as ${who()}.` : 'No name: it is asked for at the next action.')
+  }
+  const give = () => {
+    if (!secret.value) return say(kept, 'Enter a key first.')
     const wrong = giveKey(secret.value)
     if (!wrong) secret.value = ''
-    say(kept, wrong || 'The key is used from now on. It stays in this tab.') }
+    say(kept, wrong || 'The key is used from now on. It stays in this tab.')
+  }
   const forget = button('Forget the key', () => { giveKey(''); say(kept, 'Forgotten. Requests go without a key.') }, { className: 'plain' })
   const node = panel('You', {}, role, rights,
-    el('form', { onsubmit: keep }, el('label', { htmlFor: 'my-name' }, 'Your name, logged with every action'),
+    form(keep, {}, el('label', { htmlFor: 'my-name' }, 'Your name, logged with every action'),
       el('div', { className: 'row' }, name, el('button', {}, 'Keep'))),
-    el('form', { onsubmit: give }, el('label', { htmlFor: 'my-key' }, 'Your key of this service'),
+    form(give, {}, el('label', { htmlFor: 'my-key' }, 'Your key of this service'),
       el('div', { className: 'row' }, secret, el('button', {}, 'Use'), forget)), kept)
   function show() {
     const { caller } = live
