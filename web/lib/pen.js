@@ -1,6 +1,6 @@
 // Drawing on a canvas, for all pictures: lines, discs, and pixels as sharp as the screen. Knows no data.
 
-/** Gives a canvas a size in pixels of the page, sharp on this screen; returns its pen, which draws in these pixels. */
+/** Sets the size of a canvas in pixels of the page, sharp on this screen; returns its pen, which draws in these pixels. */
 export function sharp(canvas, width, height) {
   const ratio = window.devicePixelRatio || 1, pen = canvas.getContext('2d')
   Object.assign(canvas, { width: Math.round(width * ratio), height: Math.round(height * ratio) })
