@@ -4,10 +4,11 @@ import { address, go, params, set, shown } from './lib/address.js'
 import { Stopped, door, estop, giveKey, hasKey } from './lib/api.js'
 import { actOnRig, actor, modal, outcome, sureHome } from './lib/actions.js'
 import { button, el, fill, link, note, say } from './lib/dom.js'
-import { clock, moment, momentBand, percent, plain, span, steadyCountOf } from './lib/format.js'
+import { clock, listed, moment, momentBand, percent, plain, span, steadyCountOf } from './lib/format.js'
 import { steadyEnds } from './lib/eta.js'
 import { live, start } from './lib/live.js'
 import { READ_KEYS } from './lib/readkeys.js'
+import { stateWords } from './lib/runwords.js'
 import { readVocabulary } from './lib/vocabulary.js'
 import { TONE } from './lib/words.js'
 import { FIRST, PAGES } from './pages.js'
@@ -175,10 +176,8 @@ live.on('status', ({ status, at }) => {
   const { rig, run } = status
   stopState(status)
   $('virtual').hidden = rig.label !== 'virtual'
-  const word = run ? plain(run.state) : plain(rig.state)
-  const requested = { paused: ', pause requested', idle: ', end requested' }[run?.requested_state] ?? ''
   say($('rig-name'), rig.name)
-  say($('bar-state'), `${run ? '' : 'Rig '}${word}${requested}${run ? ` · ${run.experiment}` : ''}`)
+  say($('bar-state'), run ? `${stateWords(run)} · ${run.experiment}` : `Rig ${plain(rig.state)}`)
   $('bar-state').className = `bar-state ${TONE[run?.state ?? rig.state] ?? ''}`
   say($('bar-count'), run ? steadyCountOf(run.trials_stored, run.trials_planned) : '')
   $('bar-count').title = run ? percent(run.trials_stored, run.trials_planned) : ''
@@ -191,7 +190,7 @@ live.on('status', ({ status, at }) => {
 function entitle() {
   const { fresh, why, status } = live, { run, rig } = status ?? {}
   const state = !fresh ? why && (/^No status/.test(why) ? 'No status' : 'No connection') : run ? `${run.state} ${percent(run.trials_stored, run.trials_planned)}` : plain(rig.state)
-  const title = [state, PAGES.find(page => page.name === document.body.dataset.page)?.title ?? 'Unknown page', 'Palpate'].filter(Boolean).join(' · ')
+  const title = listed([state, PAGES.find(page => page.name === document.body.dataset.page)?.title ?? 'Unknown page', 'Palpate'], ' · ')
   if (document.title !== title) document.title = title
 }
 

@@ -44,15 +44,20 @@ def between(answer: Callable[[Handler], None]) -> Iterator[str]:
             thread.join()
 
 
+def reply(handler: Handler, status: int, body: bytes, headers: dict[str, str | None]) -> None:
+    """Answers with this body, and the headers that are not None."""
+    handler.send_response(status)
+    for name, value in ({"Content-Length": str(len(body))} | headers).items():
+        if value is not None:
+            handler.send_header(name, value)
+    handler.end_headers()
+    handler.wfile.write(body)
+
+
 def refuse(handler: Handler, status: int, detail: str, retry_after: str | None) -> None:
     """Answers with a problem body."""
     body = json.dumps({"type": "about:blank", "title": "T", "status": status, "detail": detail}).encode()
-    handler.send_response(status)
-    handler.send_header("Content-Length", str(len(body)))
-    if retry_after is not None:
-        handler.send_header("Retry-After", retry_after)
-    handler.end_headers()
-    handler.wfile.write(body)
+    reply(handler, status, body, {"Retry-After": retry_after})
 
 
 def passed_on(handler: Handler, service: Service) -> None:
@@ -63,11 +68,7 @@ def passed_on(handler: Handler, service: Service) -> None:
         service.url + handler.path, body, {"Content-Type": "application/json"}, method=handler.command
     )
     with urllib.request.urlopen(request) as answer:
-        got = answer.read()
-    handler.send_response(200)
-    handler.send_header("Content-Length", str(len(got)))
-    handler.end_headers()
-    handler.wfile.write(got)
+        reply(handler, 200, answer.read(), {})
 
 
 def test_a_question_waits_for_the_query_engine_and_shows_it(
@@ -113,10 +114,7 @@ def test_a_redirect_is_not_followed_with_the_key() -> None:
 
     def away(handler: Handler) -> None:
         asked.append(handler.path)
-        handler.send_response(302)
-        handler.send_header("Location", "/elsewhere")
-        handler.send_header("Content-Length", "0")
-        handler.end_headers()
+        reply(handler, 302, b"", {"Location": "/elsewhere"})
 
     with between(away) as url, pytest.raises(PalpateError) as refused:
         Palpate(url, "palpate_key").runs()
@@ -124,13 +122,7 @@ def test_a_redirect_is_not_followed_with_the_key() -> None:
 
 
 def test_an_incomplete_answer_is_an_error() -> None:
-    def half(handler: Handler) -> None:
-        handler.send_response(200)
-        handler.send_header("Content-Length", "1000")
-        handler.end_headers()
-        handler.wfile.write(b"{")
-
-    with between(half) as url, pytest.raises(PalpateError, match="incomplete") as broken:
+    with between(lambda handler: reply(handler, 200, b"{", {"Content-Length": "1000"})) as url, pytest.raises(PalpateError, match="incomplete") as broken:
         Palpate(url).runs()
     assert broken.value.status is None
 

@@ -66,6 +66,5 @@ def working(lab: Lab, desk: pathlib.Path) -> Iterator[subprocess.Popen]:
     try:
         yield process
     finally:
-        if process.poll() is None:
-            process.kill()
-            process.wait()
+        process.kill()  # nothing, if it has ended
+        process.wait()

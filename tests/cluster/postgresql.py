@@ -37,11 +37,14 @@ PGHOST=127.0.0.1 PGUSER=postgres PGPASSWORD={password} exec "$@"
 SCRIPT = "set -Eeuo pipefail\ntrap 'echo \"wrong line: $BASH_COMMAND\" >&2' ERR\nset -v\n{}"
 
 
-def programs() -> pathlib.Path | None:
-    """The folder with initdb and postgres."""
+def programs() -> pathlib.Path:
+    """The folder with initdb and postgres; without PostgreSQL this program ends, as its head states."""
     folders = [*os.environ["PATH"].split(":"), *sorted(glob.glob("/usr/lib/postgresql/*/bin"), reverse=True)]
     found = [folder for folder in folders if all(shutil.which(name, path=folder) for name in ("initdb", "postgres"))]
-    return pathlib.Path(found[0]) if found else None
+    if not found or shutil.which("psql") is None:
+        print("SKIPPED: no PostgreSQL (initdb, postgres, psql)")
+        sys.exit(1 if os.environ.get("PALPATE_REQUIRE_TOOLS") else 0)
+    return pathlib.Path(found[0])
 
 
 class Server:
@@ -117,9 +120,6 @@ def main(arguments: list[str]) -> int:
         sys.exit(__doc__)
     palpate = pathlib.Path(arguments[0]).resolve()
     found = programs()
-    if found is None or shutil.which("psql") is None:
-        print("SKIPPED: no PostgreSQL (initdb, postgres, psql)")
-        return 1 if os.environ.get("PALPATE_REQUIRE_TOOLS") else 0
     began = time.monotonic()
     with tempfile.TemporaryDirectory(prefix="palpate-cluster-") as name:
         folder = pathlib.Path(name)

@@ -1,7 +1,7 @@
 // The log of actions: who asked for what, when, and whether it was accepted. Paged by the cursor.
 
 import { el, panel, say } from './dom.js'
-import { clock, moment, plain } from './format.js'
+import { clock, listed, moment, plain } from './format.js'
 import { listing } from './listing.js'
 import { table } from './table.js'
 
@@ -30,7 +30,7 @@ export function actionLog(signal) {
       `${moment(one.at).replace(/\d\d:\d\d$/, '')}${clock(one.at)}`) }, { head: 'Who', left: true, cell: one => one.who },
       { head: 'Action', left: true, cell: one => `${plain(one.action)}${one.times > 1 ? `, ${one.times} times` : ''}` },
       { head: 'Result', left: true, cell: one => el('span', { className: one.accepted ? '' : 'warn' }, one.accepted ? 'accepted' : 'refused') },
-        { head: 'Why', left: true, cell: one => short([one.why, one.detail].filter(Boolean).join('. ')) }],
+        { head: 'Why', left: true, cell: one => short(listed([one.why, one.detail], '. ')) }],
   })
   const node = panel('Log of actions', {}, known.trouble, rows.node, el('div', { className: 'row' }, known.more, told))
   function load({ run = of ?? '', again = false } = {}) {
@@ -40,7 +40,7 @@ export function actionLog(signal) {
   }
   function draw({ items, next }) {
     rows.show(joined(items))
-    say(told, [next ? `${items.length} actions shown.` : items.length ? 'All are shown.' : '', `Read at ${clock(Date.now())}.`].filter(Boolean).join(' '))
+    say(told, listed([next ? `${items.length} actions shown.` : items.length ? 'All are shown.' : '', `Read at ${clock(Date.now())}.`], ' '))
   }
   return { node, load }
 }

@@ -1,6 +1,6 @@
 // The service: requests with a key and a deadline, pages, streams. Knows no page.
 
-import { clock } from './format.js'
+import { clock, listed } from './format.js'
 import { seen, sleep } from './dom.js'
 
 // A browser may forbid storage: the dashboard works without.
@@ -66,7 +66,7 @@ export async function ask(path, { body, method = body === undefined ? 'GET' : 'P
     return response
   }
   const problem = await response.json().catch(() => ({}))
-  const values = (problem.errors ?? []).map(e => [[e.key, e.value].filter(x => x != null && x !== '').join(' = '), e.limit].filter(Boolean).join(': '))
+  const values = (problem.errors ?? []).map(e => listed([[e.key, e.value].filter(x => x != null && x !== '').join(' = '), e.limit], ': '))
   const detail = problem.detail ?? problem.title ?? `the service answered ${response.status}`
   const words = [detail, ...values.filter(text => !detail.includes(text))].join('; ')
   // A late answer to another key than the present one says nothing of the present one.

@@ -3,7 +3,7 @@
 
 import { actOnRig, actOnRun, actor, confirm, named, runRefusal } from './actions.js'
 import { Unanswered, once, send } from './api.js'
-import { carried } from './carried.js'
+import { carriedItem } from './carried.js'
 import { el, facts, say } from './dom.js'
 import { bytes, capital, count, counted, moment } from './format.js'
 import { live, who } from './live.js'
@@ -126,7 +126,6 @@ export const queueText = (file, definition, more = {}) => once('/queue', { file,
 
 /** Queues an experiment that the program carries, by name; returns the run. */
 export async function queueCarried(name) {
-  const found = (await carried()).find(item => item.name === name)
-  if (!found) throw new Error(`the program carries no experiment ${name}`)
-  return queueText(found.file, found.text)
+  const { file, text } = await carriedItem(name)
+  return queueText(file, text)
 }

@@ -3,9 +3,12 @@
 import { cellKeys } from './cellkeys.js'
 import { colour, el, onLook, say, soon } from './dom.js'
 import { about, count, percent } from './format.js'
+import { roundUp } from './frame.js'
+import { line, sharp } from './pen.js'
 import { picture } from './picture.js'
 
 const height = 200
+const FOURTHS = [1, 2, 4, 6, 8, 10] // Four parts divide them well.
 
 /**
  * Makes a box plot. `set([{ name, trials, low, q1, median, q3, high, outliers }])`. `paper`: a published
@@ -16,12 +19,11 @@ export function boxes({ title, unit = '', factor = 1, paper, query, label, signa
   const holder = el('div', { className: 'chart' }, canvas, at)
   let items = [], marked = null // The box that is read by keys.
   const draw = soon(() => {
-    const width = canvas.clientWidth, ratio = window.devicePixelRatio || 1, pen = canvas.getContext('2d')
+    const width = canvas.clientWidth
     if (!width) return
-    Object.assign(canvas, { width: Math.round(width * ratio), height: Math.round(height * ratio) })
-    pen.setTransform(ratio, 0, 0, ratio, 0, 0)
+    const pen = sharp(canvas, width, height)
     pen.font = '12px system-ui, sans-serif'
-    const top = nice(Math.max(...items.map(item => item.high * factor), paper ?? 0, 1e-9)), left = 50, foot = 36, head = 10
+    const top = roundUp(Math.max(...items.map(item => item.high * factor), paper ?? 0, 1e-9), FOURTHS), left = 50, foot = 36, head = 10
     const y = value => height - foot - (height - foot - head) * value / top
     grid(pen, { top, left, width, y })
     items.forEach((item, i) => one(pen, { ...item, isMarked: i === marked }, left + (width - left) * (i + 0.5) / items.length, Math.min(46, (width - left) / items.length * 0.5), y))
@@ -35,10 +37,7 @@ export function boxes({ title, unit = '', factor = 1, paper, query, label, signa
       pen.strokeStyle = colour('--line')
       pen.fillStyle = colour('--soft')
       pen.textAlign = 'right'
-      pen.beginPath()
-      pen.moveTo(left, y(top * k / 4))
-      pen.lineTo(width, y(top * k / 4))
-      pen.stroke()
+      line(pen, [left, y(top * k / 4)], [width, y(top * k / 4)])
       pen.fillText(k ? about(top * k / 4) : `0 ${unit}`, left - 6, y(top * k / 4))
     }
   }
@@ -46,18 +45,13 @@ export function boxes({ title, unit = '', factor = 1, paper, query, label, signa
     const [low, q1, median, q3, high] = [item.low, item.q1, item.median, item.q3, item.high].map(v => y(v * factor))
     pen.strokeStyle = colour('--c1')
     pen.lineWidth = 1.5
-    pen.beginPath()
-    for (const [from, to] of [[low, q1], [q3, high]]) { pen.moveTo(x, from); pen.lineTo(x, to) }
-    for (const end of [low, high]) { pen.moveTo(x - wide / 4, end); pen.lineTo(x + wide / 4, end) }
-    pen.stroke()
+    for (const [from, to] of [[low, q1], [q3, high]]) line(pen, [x, from], [x, to])
+    for (const end of [low, high]) line(pen, [x - wide / 4, end], [x + wide / 4, end])
     pen.fillStyle = `${colour('--c1')}30`
     pen.fillRect(x - wide / 2, q3, wide, q1 - q3)
     pen.strokeRect(x - wide / 2, q3, wide, q1 - q3)
     pen.lineWidth = 3
-    pen.beginPath()
-    pen.moveTo(x - wide / 2, median)
-    pen.lineTo(x + wide / 2, median)
-    pen.stroke()
+    line(pen, [x - wide / 2, median], [x + wide / 2, median])
     pen.lineWidth = 1
     pen.textAlign = 'center'
     pen.fillStyle = colour('--ink')
@@ -69,10 +63,7 @@ export function boxes({ title, unit = '', factor = 1, paper, query, label, signa
   function dashed(pen, { left, width, y }) {
     pen.strokeStyle = colour('--soft')
     pen.setLineDash([5, 4])
-    pen.beginPath()
-    pen.moveTo(left, y)
-    pen.lineTo(width, y)
-    pen.stroke()
+    line(pen, [left, y], [width, y])
     pen.setLineDash([])
   }
   onLook(canvas, draw, signal)
@@ -86,10 +77,4 @@ export function boxes({ title, unit = '', factor = 1, paper, query, label, signa
   cellKeys(canvas, { kind: 'box plot', keys: 'On a box plot', size: () => [items.length, 1], show: cell => mark(cell?.[0]) })
   const node = picture({ title, query, label, data, canvas: () => canvas }, holder)
   return { node, set(next) { items = next; mark(marked) } }
-}
-
-/** A round number at least as large, that four parts divide well. */
-function nice(x) {
-  const ten = 10 ** Math.floor(Math.log10(x))
-  return [1, 2, 4, 6, 8, 10].map(n => n * ten).find(n => n >= x * 0.999)
 }

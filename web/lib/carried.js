@@ -8,6 +8,13 @@ import { table } from './table.js'
 /** Experiments that the program carries; asked for once. */
 export const carried = readOnce(() => get('/experiments').then(page => page.items))
 
+/** One of them by its name. */
+export async function carriedItem(name) {
+  const found = (await carried()).find(item => item.name === name)
+  if (!found) throw new Error(`the program carries no experiment ${name}`)
+  return found
+}
+
 /** A table of them; `href(item)` is where a choice leads. */
 export async function carriedTable(href) {
   try {

@@ -11,7 +11,6 @@ const UPRIGHT = ['ArrowUp', 'ArrowDown', 'PageUp', 'PageDown'] // Of no use in o
  */
 export function cellKeys(canvas, { size, show, kind = 'picture of cells', keys = 'On a frame' }) {
   let cell = null
-  byKeys(canvas, kind, keys)
   const MOVES = {
     ArrowLeft: ([column, row]) => [column - 1, row],
     ArrowRight: ([column, row]) => [column + 1, row],
@@ -27,13 +26,11 @@ export function cellKeys(canvas, { size, show, kind = 'picture of cells', keys =
     cell = to.map((at, axis) => Math.max(0, Math.min(size()[axis] - 1, at)))
     return speak(show(cell))
   }
-  canvas.addEventListener('keydown', event => {
-    const move = MOVES[event.key]
-    if (!move || event.ctrlKey || event.metaKey || event.altKey || (size()[1] === 1 && UPRIGHT.includes(event.key))) return
-    event.preventDefault()
-    event.stopPropagation() // The page has keys too, as the next trial.
-    go(cell ? move(cell) : [0, 0])
-  })
-  canvas.addEventListener('focus', () => canvas.matches(':focus-visible') && go(cell ?? [0, 0]))
-  canvas.addEventListener('blur', () => show(null)) // The cell is kept: the focus comes back to it.
+  function act({ key }) {
+    const move = MOVES[key]
+    if (!move || (size()[1] === 1 && UPRIGHT.includes(key))) return false
+    return go(cell ? move(cell) : [0, 0])
+  }
+  // The cell is kept: the focus comes back to it.
+  byKeys(canvas, kind, keys, { act, begin: () => go(cell ?? [0, 0]), end: () => show(null) })
 }

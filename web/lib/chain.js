@@ -1,7 +1,7 @@
 // The rig as a chain from wire to tip: each device with its last word and what is wrong with it.
 
 import { el, fill, renew, say } from './dom.js'
-import { NONE, about, count, counted, fixed, moment, percent, span } from './format.js'
+import { NONE, about, count, counted, fixed, listed, moment, percent, span } from './format.js'
 
 const BAD = [['timeouts', 'reply did not arrive in time', 'replies did not arrive in time'], ['garbled', 'reply was damaged', 'replies were damaged'],
   ['reconnects', 'reopening', 'reopenings'], ['retries', 'repeated request', 'repeated requests']]
@@ -43,7 +43,7 @@ export function streamWords(stream, rate, rig) {
 export function stoppingWords(stopping) {
   if (!stopping) return { tone: '', words: 'Known while a run presses or after one.', figures: [] }
   const { travel_mm, added_n, margin_n, measured_ms, measured_mm, sample_to_stop_ms, stops } = stopping
-  const measured = [fixed(measured_ms, 2, 'ms'), measured_mm != null && fixed(measured_mm, 2, 'mm')].filter(Boolean).join(', ')
+  const measured = listed([fixed(measured_ms, 2, 'ms'), measured_mm != null && fixed(measured_mm, 2, 'mm')])
   const over = added_n > margin_n * 1.000001
   return { tone: over ? 'bad' : '', words: over ? 'A stop may add more force than the margin allows: press more slowly.'
     : `A stop adds at most ${fixed(added_n, 1, 'N')} to a tip; ${fixed(margin_n, 1, 'N')} are allowed.`,

@@ -17,7 +17,6 @@ export function chartKeys(holder, { title, x, names, height, plot, zoom, onenter
   const at = el('p', { className: 'chart-at', 'aria-hidden': 'true', style: { top: `${height - FOOT_PX}px` } })
   let index = null
   let kept = null // The x of the cursor: its index changes with the data.
-  byKeys(holder, 'chart', 'On a chart')
   holder.setAttribute('aria-label', `${title}: ${names.join(', ')} over ${x.toLowerCase()}`)
   holder.append(at)
 
@@ -96,26 +95,21 @@ export function chartKeys(holder, { title, x, names, height, plot, zoom, onenter
     End: u => points(u).at(-1) ?? null,
   }
   const ACTS = { '+': u => closer(u, 0.5), '=': u => closer(u, 0.5), '-': u => closer(u, 2), _: u => closer(u, 2) }
-  function act(u, key) {
+  function act({ key }) {
+    const u = plot()
+    if (!u) return false
     if (MOVES[key]) return index == null ? start(u) : go(u, MOVES[key](u))
     if (ACTS[key]) return ACTS[key](u)
     if (/^[1-9]$/.test(key)) return toggle(u, Number(key))
     if (key === 'Enter' && onenter && kept != null) return Promise.resolve(onenter(kept)).then(found => found && speak(found))
     return key === 'Escape' ? far() : false
   }
-  holder.addEventListener('keydown', event => {
-    const u = plot()
-    if (!u || event.target !== holder || event.ctrlKey || event.metaKey || event.altKey || act(u, event.key) === false) return
-    // The page has keys too: those of the chart are its own while it has the focus.
-    event.preventDefault()
-    event.stopPropagation()
-  })
-  holder.addEventListener('focus', () => plot() && holder.matches(':focus-visible') && start(plot()))
-  holder.addEventListener('blur', () => {
+  function end() {
     index = null
     say(at, '')
     plot()?.setCursor({ left: -10, top: -10 })
-  })
+  }
+  byKeys(holder, 'chart', 'On a chart', { begin: () => plot() && start(plot()), act, end })
   return {
     refresh() {
       const u = plot()

@@ -22,35 +22,21 @@ export function clockline() {
   function show(now, bars) {
     node.hidden = !bars.length
     if (!bars.length) return
-    const from = now
-    const to = Math.max(...bars.map(bar => bar.end)) + Math.max(60_000, (Math.max(...bars.map(bar => bar.end)) - now) * 0.03)
-    const part = t => `${Math.max(0, Math.min(100, ((t - from) / (to - from)) * 100))}%`
+    const end = Math.max(...bars.map(bar => bar.end))
+    const whole = end + Math.max(60_000, (end - now) * 0.03) - now
+    const share = t => (t - now) / whole
+    const part = t => `${Math.max(0, Math.min(100, share(t) * 100))}%`
     // Named, and a link, where a finger hits it on a phone; the table below leads to the others.
-    const wide = bar => (bar.end - bar.begin) / (to - from) > 0.08
-    fill(
-      track,
-      bars.map((bar, i) =>
-        el(
-          wide(bar) ? 'a' : 'span',
-          {
-            ...(wide(bar) ? { href: bar.href } : { role: 'img' }),
-            className: `clock-bar ${bar.tone ?? (i % 2 ? 'even' : 'odd')}`,
-            'aria-label': `${bar.name}: ${moment(bar.begin)} to ${moment(bar.end)}`,
-            title: `${bar.name}: ${moment(bar.begin)} to ${moment(bar.end)}`,
-            style: { left: part(bar.begin), width: `max(3px, calc(${part(bar.end)} - ${part(bar.begin)}))` },
-          },
-          wide(bar) ? bar.name : '',
-        ),
-      ),
-    )
-    const days = to - from > 864e5
-    const last = t => t === from
-    fill(
-      scale,
-      [from, ...ticks(from, to).filter(t => (t - from) / (to - from) > 0.06 && (t - from) / (to - from) < 0.88)].map(t =>
-        el('span', { style: { left: part(t) } }, last(t) ? 'now' : days ? moment(t).replace('tomorrow ', 'tom. ') : clock(t).slice(0, 5)),
-      ),
-    )
+    const bar = ({ name, href, begin, end, tone }, i) => {
+      const words = `${name}: ${moment(begin)} to ${moment(end)}`
+      const style = { left: part(begin), width: `max(3px, calc(${part(end)} - ${part(begin)}))` }
+      const props = { className: `clock-bar ${tone ?? (i % 2 ? 'even' : 'odd')}`, 'aria-label': words, title: words, style }
+      return (end - begin) / whole > 0.08 ? el('a', { href, ...props }, name) : el('span', { role: 'img', ...props })
+    }
+    fill(track, bars.map(bar))
+    const moments = ticks(now, now + whole).filter(t => share(t) > 0.06 && share(t) < 0.88)
+    const word = t => (whole > 864e5 ? moment(t).replace('tomorrow ', 'tom. ') : clock(t).slice(0, 5))
+    fill(scale, [now, ...moments].map(t => el('span', { style: { left: part(t) } }, t === now ? 'now' : word(t))))
   }
   return { node, show }
 }

@@ -2,7 +2,7 @@
 
 import { contactsTable, fitTable } from './contacts.js'
 import { el, fill, link, panel } from './dom.js'
-import { counted } from './format.js'
+import { counted, listed } from './format.js'
 import { medianChart, medians } from './medians.js'
 import { facing } from './report.js'
 import { runRows } from './runwords.js'
@@ -39,40 +39,26 @@ export async function compare(root, { run: first, with: second, back, signal }) 
   fill(root, panel('Two runs', {}, el('p', { className: 'soft' }, 'Loading …')))
   const [a, b] = await Promise.all([facing(first, signal), facing(second, signal)])
   if (signal.aborted) return
-  const keys = run => entries(run.definition).map(e => [[e.table, e.key].filter(Boolean).join('.'), plainValue(e.raw)])
+  const keys = run => entries(run.definition).map(e => [listed([e.table, e.key], '.'), plainValue(e.raw)])
   const facts = sideBySide(runRows(a), runRows(b))
   const changed = sideBySide(keys(a.run), keys(b.run)).filter(row => row.differs)
   const virtual = [a.run, b.run].some(run => run.label === 'virtual')
   const forces = el('section', {}, el('p', { className: 'soft' }, 'Reading the forces …'))
   const who = run => link(`/runs?run=${run.scan_id}`, `${nameOf(run)}, ${run.experiment}`)
-  fill(
-    root,
-    el(
-      'section',
-      {},
+  fill(root,
+    el('section', {},
       el('h2', {}, el('span', {}, who(a.run), ' and ', who(b.run)), link(back, 'All runs')),
-      el(
-        'p',
-        {},
+      el('p', {},
         `${counted(facts.filter(row => row.differs).length, 'fact')} differ.`,
         virtual ? el('span', { className: 'badge inline-badge' }, 'virtual') : '',
       ),
     ),
-    el(
-      'div',
-      { className: 'columns two' },
+    el('div', { className: 'columns two' },
       panel('Facts', {}, pairTable(facts, a.run, b.run, 'Fact')),
-      el(
-        'div',
-        { className: 'column' },
+      el('div', { className: 'column' },
         forces,
-        panel(
-          'Fit of the twins',
-          {},
-          fitTable([
-            { name: nameOf(a.run), fit: a.fit },
-            { name: nameOf(b.run), fit: b.fit },
-          ]),
+        panel('Fit of the twins', {},
+          fitTable([{ name: nameOf(a.run), fit: a.fit }, { name: nameOf(b.run), fit: b.fit }]),
         ),
         panel('Keys of the experiment files that differ', {}, pairTable(changed, a.run, b.run, 'Key')),
       ),
@@ -87,8 +73,7 @@ export async function compare(root, { run: first, with: second, back, signal }) 
   )
   const unread = [a, b].filter((_, i) => !found[i]).map(({ run }) => nameOf(run))
   const lacks = unread.length ? `The forces of ${unread.join(' and of ')} could not be read.` : ''
-  fill(
-    forces,
+  fill(forces,
     view
       ? [view.node, el('p', { className: 'soft small' }, lacks || `${nameOf(b.run)} is dashed.`)]
       : el('p', { className: 'soft' }, lacks || 'Neither run has trials with a depth.'),

@@ -3,8 +3,8 @@
 import { ask, get, hasKey, once } from './api.js'
 import { actor, outcome } from './actions.js'
 import { HEADS } from './contacts.js'
-import { el, facts, fill, note, panel } from './dom.js'
-import { bytes, count, counted, moment, percent, plain } from './format.js'
+import { el, facts, fill, panel } from './dom.js'
+import { bytes, count, counted, listed, moment, percent, plain } from './format.js'
 import { fold } from './fold.js'
 import { lineageWalk } from './lineage.js'
 import { markdown } from './markdown.js'
@@ -60,7 +60,15 @@ function definitionWords({ definition: d }) {
       d.split.by !== 'none' &&
       `split by ${d.split.by} ${d.split.ratio.join(':')}, seed ${d.split.seed}${d.split.stratify ? ', stratified' : ''}`,
   ]
-  return `${words.filter(Boolean).join('; ')}.`
+  return `${listed(words, '; ')}.`
+}
+
+/** Whether a dataset is current; the button `again` is offered if it is not. */
+function currentPart({ is_current }, again) {
+  if (is_current === true) return el('p', {}, el('span', { className: 'good' }, 'Current.'), ' No trial and no twin was stored since it was made.')
+  if (is_current !== false) return el('p', { className: 'soft' }, 'Whether it is current is not known.')
+  const words = ' Trials or twins were stored since it was made. This id keeps its rows; making it again gives a new id.'
+  return el('div', {}, el('p', {}, el('span', { className: 'warn' }, 'Not current.'), words), el('div', { className: 'row' }, again))
 }
 
 /** Makes the view of one dataset; `onmade(item)` after it was made again. */
@@ -88,40 +96,16 @@ export function datasetView({ signal, go, onmade, onexport }) {
   function draw(node, item, described, lineage, card, mine) {
     const said = outcome(),
       { report, label } = item
-    const again = actor(
-      'Make again',
-      said,
-      async () => {
-        const named = item.name
-        const made = await once('/datasets', /^run-\d+$/.test(named) || lineageIsNamed(item) ? { name: named } : { definition: item.definition })
-        said.tell(made.id === item.id ? 'Made again: the same rows, so the same dataset.' : `Made again: ${made.id} has ${counted(made.rows, 'row')}.`)
-        onmade(made)
-        return made
-      },
-      { what: `Make ${item.name} again` }
-    )
-    const current =
-      item.is_current === true
-        ? el('p', {}, el('span', { className: 'good' }, 'Current.'), ' No trial and no twin was stored since it was made.')
-        : item.is_current === false
-          ? el(
-              'div',
-              {},
-              el(
-                'p',
-                {},
-                el('span', { className: 'warn' }, 'Not current.'),
-                ' Trials or twins were stored since it was made. This id keeps its rows; making it again gives a new id.'
-              ),
-              el('div', { className: 'row' }, again)
-            )
-          : el('p', { className: 'soft' }, 'Whether it is current is not known.')
-    const head = el(
-      'section',
-      { 'aria-label': item.name },
+    const again = actor('Make again', said, async () => {
+      const named = item.name
+      const made = await once('/datasets', /^run-\d+$/.test(named) || lineageIsNamed(item) ? { name: named } : { definition: item.definition })
+      said.tell(made.id === item.id ? 'Made again: the same rows, so the same dataset.' : `Made again: ${made.id} has ${counted(made.rows, 'row')}.`)
+      onmade(made)
+    }, { what: `Make ${item.name} again` })
+    const head = el('section', { 'aria-label': item.name },
       openedHead(item.name, item.id, '/data'),
       el('p', {}, definitionWords(item)),
-      current,
+      currentPart(item, again),
       said.node,
       facts([
         ['Rows', count(item.rows)],
@@ -134,39 +118,25 @@ export function datasetView({ signal, go, onmade, onexport }) {
       ]),
       el('p', {}, `Parts: ${partsWords(report)}.`)
     )
-    const counts = panel(
-      'Rows by number of contacts',
-      { aside: el('span', {}, 'as in the paper\u2019s Table I') },
+    const counts = panel('Rows by number of contacts', { aside: el('span', {}, 'as in the paper\u2019s Table I') },
       table({
         columns: [{ head: 'Dataset', cell: one => one.name, left: true }, ...contactColumns, { head: 'Total', cell: one => count(one.rows) }],
         rows: [item],
       }).node,
       excluded(report, item.rows)
     )
-    const files = panel(
-      'Load it',
-      {},
-      el(
-        'div',
-        { className: 'chips downloads' },
+    const choose = event => {
+      event.preventDefault()
+      onexport(item.name)
+    }
+    const files = panel('Load it', {},
+      el('div', { className: 'chips downloads' },
         vocabulary.formats.map(({ title, extension }) => save(title, `/api/v1/data/${item.id}.${extension}`, `${item.id}.${extension}`)),
-        el(
-          'a',
-          {
-            href: '#exports',
-            onclick: event => {
-              event.preventDefault()
-              onexport(item.name)
-            },
-          },
-          'With force maps or a selection'
-        )
+        el('a', { href: '#exports', onclick: choose }, 'With force maps or a selection')
       ),
       lines(item).map(([words, text]) => copyable(words, text)),
       copyable('Cite', described.citation),
-      el(
-        'p',
-        { className: 'soft small' },
+      el('p', { className: 'soft small' },
         hasKey() ? 'The lines read the key from PALPATE_KEY; DuckDB takes it by CREATE SECRET (TYPE http, BEARER_TOKEN …). ' : '',
         `The name stands for the newest dataset made with it; ${item.id} always refers to these rows.`
       )
@@ -186,18 +156,11 @@ export function datasetView({ signal, go, onmade, onexport }) {
     const columns = panel('Columns', { aside: el('span', {}, counted(report.columns.length, 'column')) }, heads)
     walk = lineageWalk({ dataset: item, lineage: lineage.lineage, nets: lineage.trained, label, signal: mine, set: go })
     const graph = panel('What it was made from', { aside: el('span', {}, 'dataset, runs, trials, frame') }, walk.node)
-    const about = panel(
-      'Card',
-      {
-        aside: el(
-          'span',
-          { className: 'row' },
-          save('Save as Markdown', `/api/v1/datasets/${item.id}/card`, `${item.id}.md`),
-          save('Save as Data Package', `/api/v1/datasets/${item.id}/datapackage.json`, 'datapackage.json')
-        ),
-      },
-      fold('card', 'Read the card', { className: 'card', signal: mine }, markdown(card))
+    const saved = el('span', { className: 'row' },
+      save('Save as Markdown', `/api/v1/datasets/${item.id}/card`, `${item.id}.md`),
+      save('Save as Data Package', `/api/v1/datasets/${item.id}/datapackage.json`, 'datapackage.json')
     )
+    const about = panel('Card', { aside: saved }, fold('card', 'Read the card', { signal: mine }, markdown(card)))
     fill(node, head, counts, el('div', { className: 'columns two' }, files, columns), graph, about)
     walk.show(state)
   }
@@ -219,7 +182,6 @@ const lineageIsNamed = ({ definition: d }) => !d.runs?.length && !d.where?.lengt
 function excluded(report, rows) {
   const out = Object.entries(report.left_out ?? {}),
     whole = rows + out.reduce((sum, [, n]) => sum + n, 0)
-  const node = el('p', { className: 'soft' })
-  note(node, out.length ? `Excluded: ${out.map(([why, n]) => `${count(n)} ${plain(why)} (${percent(n, whole)})`).join(', ')}.` : 'No trial was excluded.')
-  return node
+  const each = out.map(([why, n]) => `${count(n)} ${plain(why)} (${percent(n, whole)})`).join(', ')
+  return el('p', { className: 'soft' }, each ? `Excluded: ${each}.` : 'No trial was excluded.')
 }

@@ -2,7 +2,7 @@
 
 import { dark, el, soon } from './dom.js'
 import { fixed } from './format.js'
-import { round125, sequential } from './frame.js'
+import { roundUp, sequential } from './frame.js'
 import { scaleBar } from './scalebar.js'
 
 /** Makes a grid that can be drawn on a skin: `take(grid)`, `draw(pen, view)`, `legend` (a node). */
@@ -30,7 +30,7 @@ export function dent(signal) {
       grid = next
       const most = next ? next.values.reduce((a, b) => Math.max(a, b), 0) : 0
       // The scale grows and shrinks in steps, so that two glances can be compared.
-      if (most > end || most < 0.2 * end) end = round125(Math.max(most, 0.1))
+      if (most > end || most < 0.2 * end) end = roundUp(Math.max(most, 0.1))
       paint()
     },
     draw(pen, view) {

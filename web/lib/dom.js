@@ -14,7 +14,7 @@ export function el(tag, props = {}, ...inside) {
 /** Sets properties of an element; see `el`. */
 export function set(node, props) {
   for (const [key, value] of Object.entries(props)) {
-    if (value == null || value === undefined) continue
+    if (value == null) continue
     if (key.startsWith('on') && typeof value === 'function') node.addEventListener(key.slice(2), value)
     else if (key === 'style') Object.assign(node.style, value)
     else if (key === 'data') Object.assign(node.dataset, value)
@@ -72,6 +72,10 @@ export function field(words, control, id = control.id) {
   control.id = id
   return el('div', {}, el('label', { htmlFor: id }, words), control)
 }
+
+/** Makes a form; `submit()` is called instead of sending it. */
+export const form = (submit, props, ...inside) =>
+  el('form', { ...props, onsubmit: event => { event.preventDefault(); submit() } }, ...inside)
 
 /** Makes a button. `props.title` says what it does where its word alone does not. */
 export function button(words, onclick, props = {}) {
@@ -156,6 +160,16 @@ export const sleep = (ms, signal) => new Promise(resolve => {
   const timer = setTimeout(end, ms)
   signal?.addEventListener('abort', end, { once: true })
 })
+
+/** Makes a function for work of which only the newest counts: it returns a signal that aborts at its next call, or with `signal`. */
+export function replacing(signal) {
+  let ending = new AbortController()
+  return () => {
+    ending.abort()
+    ending = new AbortController()
+    return AbortSignal.any([signal, ending.signal])
+  }
+}
 
 /** Resolves once the page is seen, or `signal` aborts. */
 export const seen = signal => new Promise(resolve => {

@@ -3,7 +3,7 @@
 
 import { Refused, get, keep, once, readOnce, send } from './api.js'
 import { actor, confirm, outcome } from './actions.js'
-import { button, el, fill, sleep } from './dom.js'
+import { button, el, fill, replacing, sleep } from './dom.js'
 import { fields } from './fields.js'
 import { live, who } from './live.js'
 import { NEEDS_OPERATOR, partsBar, planFacts, problemList } from './preflight.js'
@@ -67,7 +67,7 @@ export function editor({ draft, reread, ondone, onclose, signal }) {
       JSON.stringify({ text: state.text, notBefore: state.notBefore, sensor: state.sensor, named: state.named, file: state.file, of: state.of }),
     )
 
-  let asking = new AbortController()
+  const asking = replacing(signal)
   // Parts of the newest answer: those that a person has opened are open in the next one.
   let parts = null
   let tour = null
@@ -79,9 +79,7 @@ export function editor({ draft, reread, ondone, onclose, signal }) {
   }
   /** The preflight, after a rest: problems stand next to their keys. */
   async function check() {
-    asking.abort()
-    asking = new AbortController()
-    const until = AbortSignal.any([asking.signal, signal])
+    const until = asking()
     if (!live.may('operator'))
       return fill(found, el('p', { className: 'soft' }, NEEDS_OPERATOR))
     await sleep(REST_MS, until)
@@ -101,8 +99,7 @@ export function editor({ draft, reread, ondone, onclose, signal }) {
       const errors = error.problem?.errors
       const problems = form.show(state.text, errors ?? [])
       save.disabled = error.status === 422
-      return fill(
-        found,
+      return fill(found,
         el('p', { className: 'bad' }, errors ? 'The file is refused: change the values that are marked.' : `Not checked: ${error.message}`),
         problemList(problems),
       )
@@ -140,19 +137,13 @@ export function editor({ draft, reread, ondone, onclose, signal }) {
   }
   const save = actor(run ? 'Save changes' : 'Add to queue', said, submit, { className: 'main' })
 
-  const node = el(
-    'div',
-    { className: 'editor' },
-    el(
-      'div',
-      { className: 'editor-form' },
+  const node = el('div', { className: 'editor' },
+    el('div', {},
       el('h3', {}, 'Keys'),
       el('p', { className: 'soft small' }, 'They write into the text. A key that is absent has its default.'),
       form.node,
     ),
-    el(
-      'div',
-      { className: 'editor-text' },
+    el('div', { className: 'editor-text' },
       again,
       el('label', { htmlFor: 'definition' }, `Text of ${state.file}`),
       area,
@@ -163,26 +154,18 @@ export function editor({ draft, reread, ondone, onclose, signal }) {
       el('label', { htmlFor: 'not-before' }, 'Earliest start (optional; the time of this computer)'),
       start,
       el('p', { className: 'soft small' }, 'The run begins at this time or later, once it is armed and started, and when no other run is active.'),
-      el(
-        'div',
-        { className: 'row' },
-        save,
-        button('Close', close, { className: 'plain' }),
-      ),
+      el('div', { className: 'row' }, save, button('Close', close, { className: 'plain' })),
       said.node,
     ),
   )
   again.hidden = draft.text == null || draft.text === state.text
   form.show(state.text)
   // Without it the form has no limits and no meanings; the text is checked all the same.
-  schema().then(
-    known => {
-      if (signal.aborted) return
-      form.setSchema(known)
-      check()
-    },
-    () => {},
-  )
+  schema().then(known => {
+    if (signal.aborted) return
+    form.setSchema(known)
+    check()
+  }, () => {})
   live.addEventListener('caller', check, { signal })
   check()
   return { node }

@@ -1,8 +1,8 @@
 // A form for an experiment file: one input for each key in the text, with unit, limits and meaning from the schema.
 // Writes into the text and reads from it: the text is what is sent.
 
-import { button, el, fill, note, select } from './dom.js'
-import { capital, count, plain } from './format.js'
+import { button, el, field, fill, note, select } from './dom.js'
+import { capital, count, listed, plain } from './format.js'
 import { entries, kindOf, plainValue, put, written } from './toml.js'
 
 const UNITS = { mm: 'mm', n: 'N', ms: 'ms', s: 's', v: 'V', pitches: 'pitches', fvu: '' }
@@ -16,27 +16,23 @@ const TABLES = {
   limits: 'Force limits',
 }
 
+const nameOf = table => TABLES[table] ?? plain(table)
 /** Unit of a key, by its name. */
 const unitOf = key => UNITS[key.split('_').at(-1)] ?? ''
 /** Name of a key in words, with its unit in brackets instead of its suffix. */
 const word = key => (unitOf(key) ? `${plain(key.slice(0, key.lastIndexOf('_')))} (${unitOf(key)})` : plain(key))
 const of = (schema, table, key) => (table ? schema?.properties?.[table] : schema)?.properties?.[key]
 
+function rangeOf({ minimum: low, maximum: high, exclusiveMinimum: above }) {
+  if (low != null && high != null && high <= 1e15) return `${count(low)} to ${count(high)}`
+  return low != null ? `at least ${low}` : above != null && `above ${above}`
+}
+
 /** Limits and default of a key, as words. */
 function limits(rule) {
   if (!rule) return ''
   const one = rule.type === 'array' ? (rule.items ?? {}) : rule
-  const { minimum: low, maximum: high } = one
-  const huge = high > 1e15
-  const range =
-    low != null && high != null && !huge
-      ? `${count(low)} to ${count(high)}`
-      : low != null
-        ? `at least ${low}`
-        : one.exclusiveMinimum != null
-          ? `above ${one.exclusiveMinimum}`
-          : ''
-  const words = [range, rule.default != null && `default ${JSON.stringify(rule.default).replaceAll(',', ', ')}`].filter(Boolean).join('; ')
+  const words = listed([rangeOf(one), rule.default != null && `default ${JSON.stringify(rule.default).replaceAll(',', ', ')}`], '; ')
   return words && `${capital(words)}.`
 }
 
@@ -53,8 +49,8 @@ export function fields({ schema, onchange }) {
     onchange(next)
   }
 
-  function field({ table, key, raw }) {
-    const name = [table, key].filter(Boolean).join('.')
+  function entry({ table, key, raw }) {
+    const name = listed([table, key], '.')
     const id = `key-${name.replace('.', '-')}`
     const rule = of(schema, table, key)
     const kind = kindOf(raw)
@@ -72,16 +68,12 @@ export function fields({ schema, onchange }) {
             ...(kind === 'number' && { type: 'number', step: whole ? 1 : 'any', min: rule?.minimum, max: rule?.maximum > 1e15 ? null : rule?.maximum }),
           })
     const bad = el('p', { className: 'bad small', id: `${id}-bad`, hidden: true })
-    const hint = el('p', { className: 'soft small', id: `${id}-hint` }, [about, limits(rule)].filter(Boolean).join(' '))
+    const hint = el('p', { className: 'soft small', id: `${id}-hint` }, listed([about, limits(rule)], ' '))
     control.setAttribute('aria-describedby', `${id}-hint ${id}-bad`)
     const optional = schema && rule && !(table ? schema.properties[table] : schema).required?.includes(key)
     inputs.set(name, { control, bad })
-    return el(
-      'div',
-      { className: 'field' },
-      el(
-        'div',
-        { className: 'field-head' },
+    return el('div', {},
+      el('div', { className: 'field-head' },
         el('label', { htmlFor: id }, word(key)),
         optional &&
           button('Remove', () => change(put(text, table, key, null)), { className: 'plain small', 'aria-label': `Remove ${name}: the default applies` }),
@@ -107,13 +99,8 @@ export function fields({ schema, onchange }) {
     const groups =
       tables.length === 1
         ? options(...tables[0])
-        : tables.map(([table, keys]) => el('optgroup', { label: TABLES[table] ?? plain(table) }, options(table, keys)))
-    return el(
-      'div',
-      { className: 'field' },
-      el('label', { htmlFor: id }, 'Another key'),
-      el('select', { id, onchange: add }, el('option', { value: '' }, 'defaults apply'), groups),
-    )
+        : tables.map(([table, keys]) => el('optgroup', { label: nameOf(table) }, options(table, keys)))
+    return field('Another key', el('select', { onchange: add }, el('option', { value: '' }, 'defaults apply'), groups), id)
   }
 
   function build(found) {
@@ -122,35 +109,20 @@ export function fields({ schema, onchange }) {
     const others = Object.keys(schema?.properties ?? {}).filter(
       key => schema.properties[key].properties && !['real_hex', 'real_random', ...tables].includes(key),
     )
-    fill(
-      node,
+    const part = (title, about, ...inside) =>
+      el('fieldset', {}, el('legend', {}, title), about && el('p', { className: 'soft small' }, about), el('div', { className: 'form' }, inside))
+    fill(node,
       tables.map(table => {
         const here = found.filter(e => e.table === table)
-        const meaning = table && schema?.properties?.[table]?.description
-        return el(
-          'fieldset',
-          {},
-          el('legend', {}, TABLES[table] ?? plain(table)),
-          meaning && el('p', { className: 'soft small' }, meaning),
-          el('div', { className: 'form' }, here.map(field), more(`more-${table || 'file'}`, [[table, absent(table, new Set(here.map(e => e.key)))]])),
-        )
+        const keys = absent(table, new Set(here.map(e => e.key)))
+        return part(nameOf(table), table && schema?.properties?.[table]?.description, here.map(entry), more(`more-${table || 'file'}`, [[table, keys]]))
       }),
-      others.length
-        ? el(
-            'fieldset',
-            {},
-            el('legend', {}, 'All else'),
-            el('p', { className: 'soft small' }, `${others.map(table => TABLES[table] ?? plain(table)).join(', ')}: the default values apply.`),
-            el(
-              'div',
-              { className: 'form' },
-              more(
-                'more-others',
-                others.map(table => [table, absent(table, new Set())]),
-              ),
-            ),
-          )
-        : null,
+      others.length > 0 &&
+        part(
+          'All else',
+          `${others.map(nameOf).join(', ')}: the default values apply.`,
+          more('more-others', others.map(table => [table, absent(table, new Set())])),
+        ),
     )
   }
 
@@ -164,7 +136,7 @@ export function fields({ schema, onchange }) {
       build(found)
     }
     for (const { table, key, raw } of found) {
-      const { control } = inputs.get([table, key].filter(Boolean).join('.'))
+      const { control } = inputs.get(listed([table, key], '.'))
       if (control !== document.activeElement || control.tagName === 'SELECT') control.value = plainValue(raw)
     }
     for (const [name, { control, bad }] of inputs) {

@@ -4,12 +4,12 @@ import { all, get, withQuery } from './api.js'
 import { boxes } from './boxes.js'
 import { chart } from './chart.js'
 import { NUMERALS } from './contacts.js'
-import { el, facts, fill, pane, panel, say, select } from './dom.js'
+import { el, facts, fill, pane, panel, replacing, say, select } from './dom.js'
 import { about, count, counted, fixed, percent } from './format.js'
 import { sequential } from './frame.js'
 import { BEGUN } from './runwords.js'
 import { scaleBar } from './scalebar.js'
-import { nearest, sensorOf, skin } from './skin.js'
+import { nearest, sensorOf, skin, tips } from './skin.js'
 import { paper } from './vocabulary.js'
 
 /** Trials of which the voltages are compared one by one: newest with contacts. */
@@ -19,8 +19,9 @@ const FVU_WORDS = 'FVU is the share of the variance of the measured voltages tha
 /** Makes the part of the page on the fit; `choose(run)` is called when a person takes another run. */
 export function fit({ choose, signal: page }) {
   const body = el('div', { className: 'page' }), picker = el('div', { className: 'row' }), told = el('p', { className: 'soft' }, 'Reading the runs …')
-  const node = el('div', { className: 'page fit' }, panel('How well does the simulation fit? (paper, Fig. 7)', {}, picker, told), body)
-  let runs = null, shown = null, ending = new AbortController(), signal = page, choice = null
+  const node = el('div', { className: 'page' }, panel('How well does the simulation fit? (paper, Fig. 7)', {}, picker, told), body)
+  const comparing = replacing(page)
+  let runs = null, shown = null, signal = page, choice = null
 
   async function show(wanted) {
     try { runs ??= await all('/runs', BEGUN, { most: 200, signal: page }) } catch (error) { return void say(told, `The runs could not be read: ${error.message}`) }
@@ -36,9 +37,7 @@ export function fit({ choose, signal: page }) {
     if (shown === run.uid) return undefined
     shown = run.uid
     // The charts of the run before end: two of the same name would write one zoom.
-    ending.abort()
-    ending = new AbortController()
-    signal = AbortSignal.any([page, ending.signal])
+    signal = comparing()
     say(told, 'Comparing …')
     try {
       const report = await get(`/runs/${run.scan_id}/evaluation/simulation`, {}, { signal, wait: 60_000 })
@@ -127,13 +126,8 @@ function heat(run, report, { label, query, signal }) {
     draw(pen, scale, shape) {
       const colours = sequential()
       for (const p of report.by_point) {
-        pen.fillStyle = `rgb(${colours[Math.round(254 * Math.min(1, p.mean_fvu / TOP))]})`
-        pen.strokeStyle = scale.colour('--grey')
-        pen.lineWidth = 1
-        pen.beginPath()
-        pen.arc(scale.x(p.x_mm), scale.y(p.y_mm), Math.max(2, shape.tip_diameter_mm / 2 * scale.scale), 0, 7)
-        pen.fill()
-        pen.stroke()
+        const fill = `rgb(${colours[Math.round(254 * Math.min(1, p.mean_fvu / TOP))]})`
+        tips(pen, scale, [[p.x_mm, p.y_mm]], shape.tip_diameter_mm, { fill, stroke: scale.colour('--grey'), width: 1 })
       }
     } })
   sensorOf(run.scan_id).then(view.geometry, () => {})

@@ -4,12 +4,10 @@ import { hold } from './address.js'
 import { el } from './dom.js'
 
 /** Makes a `details` with its summary; `name` is unique in its page. Ends with `signal`. */
-export function fold(name, words, { signal, ...props }, ...inside) {
-  const node = el('details', props, el('summary', {}, words), ...inside)
+export function fold(name, words, { signal }, ...inside) {
+  const node = el('details', {}, el('summary', {}, words), ...inside)
   const write = hold(`open-${name}`, {
-    take: text => {
-      node.open = text === 'yes'
-    },
+    take: text => { node.open = text === 'yes' },
     text: () => (node.open ? 'yes' : null),
     signal,
   })

@@ -4,6 +4,7 @@ import { colour, el, onBeat, say } from './dom.js'
 import { NONE, clock, fixed } from './format.js'
 import { chart } from './chart.js'
 import { live } from './live.js'
+import { line } from './pen.js'
 import { indexOf, lastAt, samples } from './samples.js'
 
 const ARMS = [0, 1, 2, 3, 4, 5], PEAK_MS = 30_000, BINS = 360, DRAW_MS = 980, SAY_MS = 240, OLD_MS = 5000
@@ -122,9 +123,6 @@ function limitLine(u, limit) {
   pen.strokeStyle = colour('--bad')
   pen.setLineDash([])
   pen.lineWidth = ratio
-  pen.beginPath()
-  pen.moveTo(left, y)
-  pen.lineTo(left + width, y)
-  pen.stroke()
+  line(pen, [left, y], [left + width, y])
   pen.restore()
 }

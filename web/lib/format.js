@@ -86,5 +86,8 @@ export const plain = x => typeof x === 'string' ? x.replaceAll('_', ' ') : JSON.
 /** First letter in capitals. */
 export const capital = text => text && text[0].toUpperCase() + text.slice(1)
 
+/** The parts that there are, as one text. */
+export const listed = (parts, between = ', ') => parts.filter(Boolean).join(between)
+
 /** 1 trial, 2 trials */
 export const counted = (n, word, words = `${word}s`) => `${count(n)} ${n === 1 ? word : words}`

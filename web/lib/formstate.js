@@ -18,12 +18,13 @@ function give(node, value) {
 }
 
 /**
- * Keeps the values of controls in the address. `usual(node)` is the value that is not written, at first the present one;
- * `changed(node)` follows a value that came from the address. Returns `write(node)`, for values that the form itself sets.
+ * Keeps the values of controls in the address. `usual(node)` is the value that is not written: if it is undefined, the
+ * present one, if false, none. `changed(node)` follows a value that came from the address. Returns `write(node)`, for values
+ * that the form itself sets.
  */
-export function keepForm(controls, { usual, changed = () => {}, signal }) {
+export function keepForm(controls, { usual = () => undefined, changed = () => {}, signal }) {
   const first = new Map(controls.map(node => [node, valueOf(node)]))
-  const isUsual = node => valueOf(node) === (usual ?? (one => first.get(one)))(node)
+  const isUsual = node => valueOf(node) === (usual(node) ?? first.get(node))
   const writes = new Map()
   for (const node of controls) {
     if (!node.id || SECRET.includes(node.type)) throw new Error(`${node.id || node.tagName}: this control is not kept in an address`)

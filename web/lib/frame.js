@@ -2,7 +2,7 @@
 
 import { cellKeys } from './cellkeys.js'
 import { dark, el, say, soon } from './dom.js'
-import { count, fixed } from './format.js'
+import { count, fixed, listed } from './format.js'
 import { picture } from './picture.js'
 
 // Linear up to BEND of the scale's end, logarithmic beyond: far channels stay visible.
@@ -48,10 +48,10 @@ export function minus(a, b) {
 
 const missing = v => v == null || Number.isNaN(v)
 
-/** 1, 2 or 5 times a power of ten, at least `top`. */
-export function round125(top) {
+/** One of `steps` times a power of ten, at least `top`. */
+export function roundUp(top, steps = [1, 2, 5, 10]) {
   const ten = 10 ** Math.floor(Math.log10(Math.max(top, 1e-9)))
-  return [1, 2, 5, 10].map(n => n * ten).find(n => n >= top * 0.999)
+  return steps.map(n => n * ten).find(n => n >= top * 0.999)
 }
 
 /**
@@ -152,7 +152,7 @@ export function frame({ title, name, query, label, signal }) {
   function cellWords([channel, injection]) {
     if (!values?.length) return 'No frame.'
     const i = injection * size[0] + channel, kinds = Object.keys(MARK_PX).filter(kind => marks[kind]?.includes(i))
-    return `${[size[1] > 1 && `injection ${injection}`, `channel ${channel}`].filter(Boolean).join(', ')}: ${[fixed(values[i], 4, 'V'), ...kinds].join(', ')}`
+    return `${listed([size[1] > 1 && `injection ${injection}`, `channel ${channel}`])}: ${[fixed(values[i], 4, 'V'), ...kinds].join(', ')}`
   }
   // One line, so that nothing moves: the cell under the pointer or reached by a key, else how many channels are marked.
   function tellCell() {
@@ -187,7 +187,7 @@ export function frame({ title, name, query, label, signal }) {
   const grown = next => {
     let top = 1e-6
     for (const v of next) if (!missing(v) && Math.abs(v) > top) top = Math.abs(v)
-    return top > end || top < 0.2 * end ? round125(top) : end
+    return top > end || top < 0.2 * end ? roundUp(top) : end
   }
   return {
     node,

@@ -3,8 +3,8 @@
 import { get, send } from './api.js'
 import { actor, confirm } from './actions.js'
 import { changing } from './changing.js'
-import { el, every, fill, link, panel, say, seen, sleep } from './dom.js'
-import { capital, count, counted, fixed, moment, percent, plain, span, steadyCountOf } from './format.js'
+import { el, every, fill, link, panel, renew, say, seen, sleep } from './dom.js'
+import { capital, count, counted, fixed, listed, moment, percent, plain, span, steadyCountOf } from './format.js'
 import { listing } from './listing.js'
 import { live } from './live.js'
 import { losses } from './losses.js'
@@ -26,17 +26,20 @@ function stateWords(job) {
   const p = job.progress
   if (job.state === 'failed') return `failed: ${job.error}`
   if (job.state !== 'running' || !p) return plain(job.state)
-  return [
+  return listed([
     p.phase,
     p.epoch != null && `epoch ${count(p.epoch)}`,
     p.total > 0 && percent(p.done, p.total),
     p.left_s != null && `${span(p.left_s)} to go in this phase`,
-  ]
-    .filter(Boolean)
-    .join(', ')
+  ])
 }
 const took = job => (job.started_at ? ((job.finished_at ? new Date(job.finished_at) : Date.now()) - new Date(job.started_at)) / 1e3 : null)
 const state = job => el('span', { className: TONE[job.state] ?? '' }, stateWords(job))
+
+function resultCell({ result }) {
+  if (result?.model) return link(`/nets?model=${result.model}`, result.name)
+  return result?.scored ? counted(result.rows, 'row') : null
+}
 
 /** Makes the list. `onchange(jobs, ended)` after each reading; `ended`: whether one ended since the last. */
 export function jobsPanel({ signal, href, current, onchange }) {
@@ -49,12 +52,7 @@ export function jobsPanel({ signal, href, current, onchange }) {
       { head: 'State', left: true, cell: state },
       { head: 'Requested', left: true, cell: job => `${moment(job.created_at, true)} by ${job.asked_by}` },
       { head: 'Took', cell: job => span(took(job)) },
-      {
-        head: 'Result',
-        left: true,
-        cell: job =>
-          job.result?.model ? link(`/nets?model=${job.result.model}`, job.result.name) : job.result?.scored ? counted(job.result.rows, 'row') : null,
-      },
+      { head: 'Result', left: true, cell: resultCell },
     ],
   })
   const known = listing('/jobs', { words: 'The jobs', draw, limit: 25, most: 500, signal }),
@@ -64,16 +62,23 @@ export function jobsPanel({ signal, href, current, onchange }) {
     if (!page) return
     const jobs = known.items
     rows.show(jobs)
-    const ended = jobs
-        .filter(job => !isUnderWay(job))
-        .map(job => job.id)
-        .join(),
+    const ended = jobs.filter(job => !isUnderWay(job)).map(job => job.id).join(),
       changed = before !== '' && before !== ended
     before = ended || '-'
     onchange(jobs, changed)
   }
   every(() => (known.items.some(isUnderWay) ? 2000 : 10_000), () => known.read(), signal)
   return { node, read: () => known.read(), redraw: () => rows.show(known.items), all: () => known.items }
+}
+
+/** What a job has made, or the recipe of a training that has made nothing yet. */
+function resultPart({ kind, result, request }, models) {
+  if (result?.scored) return panel('Result', {}, reportView(result, models))
+  if (result?.model) {
+    const model = link(`/nets?model=${result.model}`, `${result.name} (${result.model})`)
+    return panel('Result', {}, el('p', {}, 'The model ', model, ' is stored. Evaluate it, then promote it.'))
+  }
+  return kind === 'training' && panel('Recipe', {}, el('pre', { tabIndex: 0 }, request.recipe.trim()))
 }
 
 /** Makes the view of one job; ends what it began when another one is shown. */
@@ -89,11 +94,8 @@ export function jobView({ signal, said, models, onstopped }) {
       numbers = el('div'),
       result = el('div'),
       controls = el('div', { className: 'row' })
-    fill(
-      node,
-      el(
-        'section',
-        { className: 'live', 'aria-label': 'Job' },
+    fill(node,
+      el('section', { className: 'live', 'aria-label': 'Job' },
         el('div', { className: 'row spread' }, el('h2', { className: 'big' }, title), link('/nets', 'Close')),
         words,
         bar,
@@ -103,8 +105,7 @@ export function jobView({ signal, said, models, onstopped }) {
       result
     )
     let job = null,
-      curves = null,
-      drawn = ''
+      curves = null
     const stop = actor('Stop the job', said, () => send(`/jobs/${id}/stop`, undefined, { method: 'POST' }).finally(onstopped), {
       locks: false,
       className: 'danger',
@@ -114,15 +115,11 @@ export function jobView({ signal, said, models, onstopped }) {
       say(title, capital(jobWords(job)))
       // Only what differs is set: a focus on the link or the button stays.
       say(stated, stateWords(job)).className = TONE[job.state] ?? ''
-      if (from.dataset.of !== `${job.state} ${job.dataset}`) {
-        from.dataset.of = `${job.state} ${job.dataset}`
-        fill(
-          from,
-          job.state === 'waiting' ? '. Jobs run one after the other; this one begins by itself.' : '.',
-          job.dataset ? [' Dataset: ', link(`/data?dataset=${job.dataset}`, job.dataset), '.'] : ''
-        )
-        fill(words, stated, from)
-      }
+      renew(from, [job.state, job.dataset], () => [
+        job.state === 'waiting' ? '. Jobs run one after the other; this one begins by itself.' : '.',
+        job.dataset && [' Dataset: ', link(`/data?dataset=${job.dataset}`, job.dataset), '.'],
+      ])
+      if (!words.contains(stated)) fill(words, stated, from)
       bar.hidden = job.state !== 'running'
       bar.value = job.progress?.total ? job.progress.done / job.progress.total : 0
       const p = job.progress
@@ -140,26 +137,7 @@ export function jobView({ signal, said, models, onstopped }) {
         curves = losses({ path: `/jobs/${id}/losses`, key: 'job-losses', signal: mine, live: () => job.state === 'running' })
         node.append(el('section', { className: 'live' }, curves.node))
       }
-      if (drawn !== job.state) {
-        drawn = job.state
-        if (job.result?.scored) fill(result, panel('Result', {}, reportView(job.result, models())))
-        else if (job.result?.model)
-          fill(
-            result,
-            panel(
-              'Result',
-              {},
-              el(
-                'p',
-                {},
-                'The model ',
-                link(`/nets?model=${job.result.model}`, `${job.result.name} (${job.result.model})`),
-                ' is stored. Evaluate it, then promote it.'
-              )
-            )
-          )
-        else if (job.kind === 'training') fill(result, panel('Recipe', {}, el('pre', { tabIndex: 0 }, job.request.recipe.trim())))
-      }
+      renew(result, job.state, () => resultPart(job, models()))
     }
     while (!mine.aborted) {
       try {

@@ -70,7 +70,7 @@ export function jog({ allowed, steps, choose, signal }) {
   const sizes = Object.fromEntries([['xy', STEPS.flat], ['z', STEPS.down]].map(([key, choices]) => [key,
     select(choices.map(mm => [mm, `${mm} mm`]), steps()[key], mm => choose({ [key]: mm }))]))
   const step = key => el('label', { className: 'inline' }, key === 'xy' ? 'Step of x, y and arms' : 'Step of z', sizes[key])
-  const node = el('div', { className: 'jogs', tabIndex: 0, role: 'group', 'aria-label': 'Jog: hold a button, or an arrow key while this group has the focus' },
+  const node = el('div', { tabIndex: 0, role: 'group', 'aria-label': 'Jog: hold a button, or an arrow key while this group has the focus' },
     why, el('div', { className: 'row' }, pad(['x', 'y']), pad(['z']), pad(['radius'])),
       el('div', { className: 'row' }, step('xy'), step('z')), told)
   // Keys move only while the group has the focus, and only while they are down.

@@ -2,7 +2,7 @@
 
 import { get, withQuery } from './api.js'
 import { button, el, fill, link, onLook, soon } from './dom.js'
-import { NONE, count, counted, fixed, moment } from './format.js'
+import { NONE, count, counted, fixed, listed, moment } from './format.js'
 import { frame } from './frame.js'
 
 const PAGE = 8,
@@ -21,10 +21,8 @@ export function lineageWalk({ dataset, lineage, nets, label, signal, set }) {
     lines = document.createElementNS(SVG, 'svg')
   lines.setAttribute('aria-hidden', 'true')
   lines.classList.add('walk-lines')
-  const box = (key, title, inside, { href, pick, of } = {}) => {
-    const node = el(
-      pick ? 'button' : 'div',
-      { className: 'walk-box', ...(pick && { type: 'button', onclick: pick }) },
+  const box = (key, title, inside, { href, pick, of = 'dataset' } = {}) => {
+    const node = el(pick ? 'button' : 'div', { className: 'walk-box', ...(pick && { type: 'button', onclick: pick }) },
       el('b', {}, href ? el('a', { href }, title) : title),
       inside.filter(Boolean).map(words => el('span', { className: 'soft small' }, words))
     )
@@ -32,41 +30,22 @@ export function lineageWalk({ dataset, lineage, nets, label, signal, set }) {
     return node
   }
   const column = (title, ...inside) => el('li', {}, el('h3', {}, title), inside)
-  const root = box('dataset', dataset.name, [dataset.id, `${counted(dataset.rows, 'row')}, made ${moment(dataset.created_at)}`])
-  const runs = lineage.runs.map(run =>
-    box(
-      `run-${run.scan_id}`,
-      `Run ${run.scan_id} · ${run.experiment}`,
-      [
-        `${run.kind}, ${run.label}, seed ${run.seed ?? NONE}`,
-        `${counted(run.trials ?? 0, 'trial')} of it${run.taken_back ? `, ${count(run.taken_back)} taken back` : ''}`,
-      ],
-      { of: 'dataset', pick: () => set({ run: String(run.scan_id) === chosen.run ? null : run.scan_id, trial: null }) }
-    )
+  const root = box('dataset', dataset.name, [dataset.id, `${counted(dataset.rows, 'row')}, made ${moment(dataset.created_at)}`], { of: null })
+  const runs = lineage.runs.map(run => {
+    const used = `${counted(run.trials ?? 0, 'trial')} of it${run.taken_back ? `, ${count(run.taken_back)} taken back` : ''}`
+    const pick = () => set({ run: String(run.scan_id) === chosen.run ? null : run.scan_id, trial: null })
+    return box(`run-${run.scan_id}`, `Run ${run.scan_id} · ${run.experiment}`, [`${run.kind}, ${run.label}, seed ${run.seed ?? NONE}`, used], { pick })
+  })
+  const models = lineage.models.map(({ model, calibration }) =>
+    box(model, 'Twins by a model', [model, calibration ? `calibration ${calibration}` : 'values of the sensor file, not calibrated'])
   )
-  const models = lineage.models.map(model =>
-    box(
-      model.model,
-      'Twins by a model',
-      [model.model, model.calibration ? `calibration ${model.calibration}` : 'values of the sensor file, not calibrated'],
-      { of: 'dataset' }
-    )
-  )
-  const shards = lineage.sim_random.map(folder =>
-    box(
-      folder.folder,
-      `Sim-Random ${folder.folder}`,
-      [counted(folder.shards?.length ?? 0, 'shard'), `seed ${folder.definition?.draws?.seed ?? NONE}, ${folder.definition?.model ?? 'model unknown'}`],
-      { of: 'dataset' }
-    )
-  )
-  const code = box(
-    'code',
-    'Program',
-    [`Palpate ${lineage.code.version}`, lineage.code.git_commit ? `commit ${lineage.code.git_commit.slice(0, 12)}` : 'commit unknown'],
-    { of: 'dataset' }
-  )
-  const learned = nets.map(net => box(net.id, net.name, [net.id, net.task], { href: `/nets?model=${net.id}`, of: 'dataset' }))
+  const shards = lineage.sim_random.map(({ folder, shards, definition }) => {
+    const made = `seed ${definition?.draws?.seed ?? NONE}, ${definition?.model ?? 'model unknown'}`
+    return box(folder, `Sim-Random ${folder}`, [counted(shards?.length ?? 0, 'shard'), made])
+  })
+  const { version, git_commit } = lineage.code
+  const code = box('code', 'Program', [`Palpate ${version}`, git_commit ? `commit ${git_commit.slice(0, 12)}` : 'commit unknown'])
+  const learned = nets.map(net => box(net.id, net.name, [net.id, net.task], { href: `/nets?model=${net.id}` }))
   const trials = el('div', { className: 'walk-list' }),
     more = button('More', () => readTrials(), { hidden: true, className: 'plain' }),
     toTrials = el('p', { className: 'small' })
@@ -77,18 +56,11 @@ export function lineageWalk({ dataset, lineage, nets, label, signal, set }) {
     run: el('p', { className: 'soft' }, runs.length ? 'Choose a run.' : 'No run: simulated rows only.'),
     trial: el('p', { className: 'soft' }, 'Choose a trial.'),
   }
-  const node = el(
-    'div',
-    { className: 'walk' },
+  const trained = learned.length ? [el('h3', {}, 'Trained on it'), learned] : el('p', { className: 'soft small' }, 'No net was trained on it.')
+  const node = el('div', { className: 'walk' },
     lines,
-    el(
-      'ol',
-      { className: 'walk-columns' },
-      column(
-        'Dataset',
-        root,
-        learned.length ? [el('h3', {}, 'Trained on it'), learned] : el('p', { className: 'soft small' }, 'No net was trained on it.')
-      ),
+    el('ol', { className: 'walk-columns' },
+      column('Dataset', root, trained),
       column('Made from', runs, models, shards, code),
       column('Trials', hint.run, trials, more, toTrials),
       column('Frame', hint.trial, end)
@@ -111,21 +83,15 @@ export function lineageWalk({ dataset, lineage, nets, label, signal, set }) {
       one.classList.toggle('chosen', to.getAttribute('aria-pressed') === 'true' || to === end)
       return one
     }
-    lines.replaceChildren(
-      ...[...boxes.values()]
-        .filter(one => one.of)
-        .map(path)
-        .filter(Boolean)
-    )
+    lines.replaceChildren(...[...boxes.values()].filter(one => one.of).map(path).filter(Boolean))
   })
   onLook(node, draw, signal)
 
+  const rowsOf = query => get(`/datasets/${dataset.id}/rows`, { columns: COLUMNS, ...query }, { signal }).catch(() => null)
   async function readTrials() {
     const run = chosen.run
     more.disabled = true
-    const page = await get(`/datasets/${dataset.id}/rows`, { where: `scan_id=${run}`, columns: COLUMNS, limit: PAGE, cursor: next }, { signal }).catch(
-      () => null
-    )
+    const page = await rowsOf({ where: `scan_id=${run}`, limit: PAGE, cursor: next })
     more.disabled = false
     if (run !== chosen.run || signal.aborted) return
     if (!page) {
@@ -136,7 +102,7 @@ export function lineageWalk({ dataset, lineage, nets, label, signal, set }) {
     next = page.next
     if (chosen.trial && !rows.some(row => String(row.trial_id) === chosen.trial)) {
       // A chosen one beyond this page stands first.
-      const one = await get(`/datasets/${dataset.id}/rows`, { where: `trial_id=${chosen.trial}`, columns: COLUMNS, limit: 1 }, { signal }).catch(() => null)
+      const one = await rowsOf({ where: `trial_id=${chosen.trial}`, limit: 1 })
       if (run !== chosen.run || signal.aborted) return
       if (one?.items.length) rows = [...one.items, ...rows]
     }
@@ -145,19 +111,11 @@ export function lineageWalk({ dataset, lineage, nets, label, signal, set }) {
   }
   function listTrials() {
     for (const key of [...boxes.keys()]) if (String(key).startsWith('trial-')) boxes.delete(key)
-    fill(
-      trials,
+    fill(trials,
       rows.map(row => {
-        const one = box(
-          `trial-${row.trial_id}`,
-          `Trial ${row.trial_id}`,
-          [
-            [`configuration ${row.configuration}`, fixed(row.depth_mm, 1, 'mm'), counted(row.contact_count, 'contact'), force(row)]
-              .filter(Boolean)
-              .join(', '),
-          ],
-          { of: `run-${chosen.run}`, pick: () => set({ trial: String(row.trial_id) === chosen.trial ? null : row.trial_id }) }
-        )
+        const words = listed([`configuration ${row.configuration}`, fixed(row.depth_mm, 1, 'mm'), counted(row.contact_count, 'contact'), force(row)])
+        const pick = () => set({ trial: String(row.trial_id) === chosen.trial ? null : row.trial_id })
+        const one = box(`trial-${row.trial_id}`, `Trial ${row.trial_id}`, [words], { of: `run-${chosen.run}`, pick })
         one.setAttribute('aria-pressed', String(String(row.trial_id) === chosen.trial))
         return one
       })
@@ -176,11 +134,8 @@ export function lineageWalk({ dataset, lineage, nets, label, signal, set }) {
       if (id !== chosen.trial) return
       end.hidden = false
       picture.show(row.voltages_v)
-      fill(
-        words,
-        el(
-          'p',
-          {},
+      fill(words,
+        el('p', {},
           `Run ${row.scan_id}, configuration ${row.configuration}, ${fixed(row.depth_mm, 2, 'mm')}. Mean of ${counted(row.frame_count, 'raw frame')}.`
         ),
         el('p', {}, link(`/trials?trial=${id}`, 'Open this trial'))

@@ -1,7 +1,7 @@
 // A list of the API that is read page by page, and its first page again and again: what was read beyond it stays.
 
 import { get } from './api.js'
-import { button, el, note } from './dom.js'
+import { button, el, note, replacing } from './dom.js'
 
 /**
  * Makes the list at `path`: `items` in the order of the API, at most `most`, and `next` while there are more. `read()` reads
@@ -11,7 +11,8 @@ import { button, el, note } from './dom.js'
  */
 export function listing(path, { words, draw, limit, most = 1000, signal, key = item => item.id }) {
   let query = {}
-  let selecting = new AbortController()
+  const selecting = replacing(signal)
+  let selected = selecting()
   let items = []
   let next = null
   let isFurther = false
@@ -22,7 +23,7 @@ export function listing(path, { words, draw, limit, most = 1000, signal, key = i
   let newest = 0
   async function read(further = false) {
     const mine = (asked += 1)
-    const until = AbortSignal.any([signal, selecting.signal])
+    const until = selected
     more.disabled = further
     const page = await get(path, { ...query, limit, cursor: further ? next : null }, { signal: until }).catch(error => ({ error }))
     if (until.aborted) return undefined
@@ -36,8 +37,7 @@ export function listing(path, { words, draw, limit, most = 1000, signal, key = i
     return draw(page)
   }
   function select(wanted) {
-    selecting.abort()
-    selecting = new AbortController()
+    selected = selecting()
     query = wanted
     items = []
     next = null

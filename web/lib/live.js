@@ -33,6 +33,16 @@ class Live extends EventTarget {
     if (this.status || kind === 'fresh') then(this)
   }
 
+  /** Calls `then` when what `of(status)` returns differs from that of the status before, until `signal` aborts. */
+  onChange(of, then, signal) {
+    let before = null
+    this.on('status', ({ status }) => {
+      const now = of(status)
+      if (before != null && now !== before) then()
+      before = now
+    }, signal)
+  }
+
   /** Whether the caller may do what needs this role. */
   may(role) {
     const order = ['viewer', 'operator', 'admin']

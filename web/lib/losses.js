@@ -40,14 +40,8 @@ export function losses({ path, key = 'losses', label, signal, live = () => false
       const end = live() ? ' so far' : '; the model has the weights of that epoch',
         least = best?.validation_loss.toPrecision(4)
       curves.node.hidden = rows.length === 0
-      note(
-        said,
-        last
-          ? `${counted(last.epoch, 'epoch')} in ${span(last.elapsed_s)}. Best validation loss: ${least} after epoch ${best.epoch}${end}.`
-          : live()
-            ? 'No epoch has ended yet.'
-            : 'No losses are stored: the model was added from a file.'
-      )
+      const none = live() ? 'No epoch has ended yet.' : 'No losses are stored: the model was added from a file.'
+      note(said, last ? `${counted(last.epoch, 'epoch')} in ${span(last.elapsed_s)}. Best validation loss: ${least} after epoch ${best.epoch}${end}.` : none)
     } catch (error) {
       if (signal.aborted) return
       curves.node.hidden = true

@@ -29,7 +29,6 @@ function towards(places, [x, y], [right, up]) {
  */
 export function mapKeys(canvas, { spots, extent, show, pick, turn }) {
   let at = null
-  byKeys(canvas, 'map', 'On a skin')
   const go = to => {
     at = to ?? at
     speak(show(at))
@@ -53,6 +52,7 @@ export function mapKeys(canvas, { spots, extent, show, pick, turn }) {
     go(places[Math.max(0, Math.min(places.length - 1, i + by))])
   }
   function act({ key, shiftKey }) {
+    if (!extent()[0]) return false
     const places = spots()
     const by = { PageDown: 1, PageUp: -1 }[key]
     if (by && turn) return speak(turn(by) ?? '')
@@ -63,11 +63,5 @@ export function mapKeys(canvas, { spots, extent, show, pick, turn }) {
     if (key === 'Home' || key === 'End') return go(places.at(key === 'Home' ? 0 : -1))
     return speak(pick(at) ?? 'Chosen.')
   }
-  canvas.addEventListener('keydown', event => {
-    if (event.ctrlKey || event.metaKey || event.altKey || !extent()[0] || act(event) === false) return
-    event.preventDefault()
-    event.stopPropagation()
-  })
-  canvas.addEventListener('focus', () => canvas.matches(':focus-visible') && begin())
-  canvas.addEventListener('blur', () => show(null))
+  byKeys(canvas, 'map', 'On a skin', { begin, act, end: () => show(null) })
 }

@@ -9,28 +9,20 @@ function inline(text) {
   const nodes = []
   let from = 0
   for (const match of text.matchAll(INLINE)) {
-    const [all, code, strong, soft, words, href] = match
-    nodes.push(text.slice(from, match.index))
-    nodes.push(
-      code
-        ? el('code', {}, code.slice(1, -1))
-        : strong
-          ? el('strong', {}, strong)
-          : soft
-            ? el('em', {}, soft)
-            : el('a', { href, target: '_blank', rel: 'noopener' }, words)
-    )
-    from = match.index + all.length
+    nodes.push(text.slice(from, match.index), marked(match))
+    from = match.index + match[0].length
   }
   return [...nodes, text.slice(from)].filter(Boolean)
 }
 
-const cells = line =>
-  line
-    .replace(/^\s*\|/, '')
-    .replace(/\|\s*$/, '')
-    .split('|')
-    .map(cell => cell.trim())
+/** The element of a match of `INLINE`. */
+function marked([, code, strong, soft, words, href]) {
+  if (code) return el('code', {}, code.slice(1, -1))
+  if (strong) return el('strong', {}, strong)
+  return soft ? el('em', {}, soft) : el('a', { href, target: '_blank', rel: 'noopener' }, words)
+}
+
+const cells = line => line.replace(/^\s*\|/, '').replace(/\|\s*$/, '').split('|').map(cell => cell.trim())
 const isRow = line => /^\s*\|.*\|\s*$/.test(line ?? ''),
   isRule = line => /^\s*\|[\s:|-]+\|\s*$/.test(line ?? '')
 const ITEM = /^\s*([-*]|\d+\.)\s+/
@@ -63,9 +55,7 @@ export function markdown(text) {
         []
       )
       nodes.push(
-        el(
-          /^\s*\d/.test(line) ? 'ol' : 'ul',
-          { className: 'listed' },
+        el(/^\s*\d/.test(line) ? 'ol' : 'ul', { className: 'listed' },
           items.map(item => el('li', {}, inline(item)))
         )
       )
@@ -78,25 +68,15 @@ function rows(lines) {
   const ruled = isRule(lines[1]),
     body = lines.slice(ruled ? 2 : 0)
   const line = (tag, text) =>
-    el(
-      'tr',
-      {},
+    el('tr', {},
       cells(text).map((cell, i) =>
         el(tag, { ...(tag === 'th' && { scope: 'col' }), className: i === 0 || !/^[\d.,\s]*$/.test(cell) ? 'left' : '' }, inline(cell))
       )
     )
-  return el(
-    'div',
-    { className: 'table' },
-    el(
-      'table',
-      {},
+  return el('div', { className: 'table' },
+    el('table', {},
       ruled && el('thead', {}, line('th', lines[0])),
-      el(
-        'tbody',
-        {},
-        body.map(text => line('td', text))
-      )
+      el('tbody', {}, body.map(text => line('td', text)))
     )
   )
 }

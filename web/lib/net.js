@@ -1,8 +1,8 @@
 // One model in full: what it learned from, its losses, its scores, the residuals of a Transfer-Net, its file.
 
 import { Refused, ask, get } from './api.js'
-import { el, facts, fill, link, note, panel, pane } from './dom.js'
-import { bytes, count, counted, fixed, moment } from './format.js'
+import { el, facts, fill, link, note, panel, pane, say } from './dom.js'
+import { NONE, bytes, count, counted, fixed, listed, moment } from './format.js'
 import { frame } from './frame.js'
 import { losses } from './losses.js'
 import { opened, openedHead } from './opened.js'
@@ -26,27 +26,17 @@ export function netView({ signal, models, promotion }) {
     const size = el('span', {}, '…'),
       promoting = model.slot && promotion(model, { className: 'main' })
     ask(`/api/v1/models/${model.id}/onnx`, { method: 'HEAD', accept: '*/*', signal: mine }).then(
-      answer => {
-        size.textContent = bytes(Number(answer.headers.get('content-length')) || null)
-      },
-      () => {
-        size.textContent = '–'
-      }
+      answer => say(size, bytes(Number(answer.headers.get('content-length')) || null)),
+      () => say(size, NONE)
     )
-    const range = [
+    const range = listed([
       learned.contact_counts?.length && `${learned.contact_counts.join(', ')} contacts`,
       learned.max_force_n != null && `up to ${fixed(learned.max_force_n, 1, 'N')}`,
       learned.max_norm_v != null && `frames up to ${fixed(learned.max_norm_v, 1, 'V')}`,
-    ]
-      .filter(Boolean)
-      .join(', ')
-    const head = el(
-      'section',
-      { 'aria-label': model.name },
+    ])
+    const head = el('section', { 'aria-label': model.name },
       openedHead(model.name, model.id, '/nets'),
-      el(
-        'p',
-        {},
+      el('p', {},
         `From ${meaning('tasks', model.task) || model.task}; learned on ${manifest.label} data of ${manifest.sensor}. `,
         model.serves ? el('span', { className: 'good' }, 'It serves.') : 'It does not serve.'
       ),
@@ -57,9 +47,7 @@ export function netView({ signal, models, promotion }) {
         manifest.force_map && ['Force map, mm', manifest.force_map],
         ['Channels', count(manifest.channels)],
       ]),
-      el(
-        'p',
-        {},
+      el('p', {},
         'Datasets: ',
         manifest.datasets?.length
           ? manifest.datasets.map((id, i) => [i ? ', ' : '', link(`/data?dataset=${id}`, id)])
@@ -67,39 +55,28 @@ export function netView({ signal, models, promotion }) {
         '. ',
         range && `Trained range: ${range}; a frame outside it is answered, and the answer says so.`
       ),
-      el(
-        'p',
-        { className: 'soft small' },
-        [
+      el('p', { className: 'soft small' },
+        listed([
           manifest.simulation && `Twins: ${manifest.simulation}.`,
           manifest.calibration && `Calibration: ${manifest.calibration}.`,
           manifest.code && `Code: ${manifest.code}.`,
-        ]
-          .filter(Boolean)
-          .join(' ')
+        ], ' ')
       ),
-      el(
-        'div',
-        { className: 'row' },
+      el('div', { className: 'row' },
         !model.serves && promoting,
         save('ONNX file', `/api/v1/models/${model.id}/onnx`, `${model.name}-${model.id}.onnx`),
         shows('JSON', `/api/v1/models/${model.id}`, `${model.name}-${model.id}.json`)
       )
     )
     const curves = losses({ path: `/models/${model.id}/losses`, label, signal: mine })
-    const recipe = panel(
-      'Recipe',
-      {},
+    const recipe = panel('Recipe', {},
       manifest.recipe ? el('pre', { tabIndex: 0 }, manifest.recipe.trim()) : el('p', { className: 'soft' }, 'It was added from a file: no recipe is known.')
     )
-    const scores = panel(
-      'Scores',
-      { aside: el('span', {}, counted(model.scores.length, 'evaluation')) },
+    const scores = panel('Scores', { aside: el('span', {}, counted(model.scores.length, 'evaluation')) },
       scoreTables(model.scores, models()),
       model.scores.length ? '' : el('p', { className: 'soft' }, 'It was not evaluated yet.')
     )
-    fill(
-      node,
+    fill(node,
       head,
       el('div', { className: 'columns two' }, pane(curves.node), recipe),
       scores,
@@ -119,10 +96,7 @@ function residuals(model, label, signal) {
     ({ mean_v, sd_v, trials }) => {
       const top = values => values.reduce((a, v) => Math.max(a, Math.abs(v)), 0),
         rms = Math.sqrt(sd_v.reduce((sum, v, i) => sum + v * v + mean_v[i] ** 2, 0) / sd_v.length)
-      for (const [title, values] of [
-        ['Mean of the transfer error', mean_v],
-        ['Standard deviation', sd_v],
-      ]) {
+      for (const [title, values] of [['Mean of the transfer error', mean_v], ['Standard deviation', sd_v]]) {
         const one = frame({ title, name: `${model.id}-${title === 'Standard deviation' ? 'sd' : 'mean'}`, label, query: `/api/v1${path}`, signal })
         pictures.append(one.node)
         one.show(values)

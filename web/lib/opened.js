@@ -1,6 +1,6 @@
 // One thing of a list, opened above it: drawn when another one is chosen, ended when it is closed.
 
-import { el, fill, link } from './dom.js'
+import { el, fill, link, replacing } from './dom.js'
 
 /** The line above an opened thing: its name, its id, and the link that closes it. */
 export const openedHead = (name, id, href) =>
@@ -13,9 +13,8 @@ export const openedHead = (name, id, href) =>
  */
 export function opened({ className, signal, draw, back }) {
   const node = el('div', { className })
+  const opening = replacing(signal)
   let shown = null
-  let ending = new AbortController()
-  signal.addEventListener('abort', () => ending.abort())
   async function open(id, mine) {
     try { await draw(node, id, mine) } catch (error) {
       if (!mine.aborted) fill(node, el('section', {}, el('h2', { className: 'big' }, id), el('p', { className: 'bad' }, error.message), link(...back)))
@@ -26,11 +25,10 @@ export function opened({ className, signal, draw, back }) {
     show(id) {
       if (id === shown) return
       shown = id
-      ending.abort()
-      ending = new AbortController()
+      const mine = opening()
       node.hidden = !id
       fill(node)
-      if (id) open(id, ending.signal)
+      if (id) open(id, mine)
     },
     forget() {
       shown = undefined

@@ -1,6 +1,7 @@
 // The small menu of every picture: its numbers (CSV), the picture (PNG), the request behind it.
 
 import { button, download, el } from './dom.js'
+import { listed } from './format.js'
 import { shows } from './save.js'
 import { csv } from './table.js'
 
@@ -12,10 +13,10 @@ const slug = text => text.toLowerCase().replace(/[^a-z0-9]+/g, '-')
  */
 export function picture({ title, name, label, data, canvas, query, props = {} }, ...inside) {
   // The numbers have no place for the label: the name of the file has it.
-  const file = () => [name ?? slug(title), slug(label?.() ?? '')].filter(Boolean).join('-')
+  const file = () => listed([name ?? slug(title), slug(label?.() ?? '')], '-')
   const items = [
     data && button('Numbers (CSV)', () => { const { heads, rows } = data(); download(`${file()}.csv`, csv(heads, rows), 'text/csv') }),
-    canvas && button('Picture (PNG)', () => labelled(canvas(), [title, label?.()].filter(Boolean).join(' · ')).toBlob(blob => download(`${file()}.png`, blob))),
+    canvas && button('Picture (PNG)', () => labelled(canvas(), listed([title, label?.()], ' · ')).toBlob(blob => download(`${file()}.png`, blob))),
     query && shows('Request behind it', query, () => `${file()}.${/format=csv/.test(typeof query === 'function' ? query() : query) ? 'csv' : 'json'}`),
   ].filter(Boolean)
   const menu = items.length ? el('details', { className: 'menu', name: 'picture-menu' }, el('summary', { 'aria-label': `${title}: save` }, '⋯'), el('div', {}, items)) : null

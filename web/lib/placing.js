@@ -1,7 +1,8 @@
 // A placement of weights: what is asked, what is felt, what may be pressed. No requests; one drawing.
 
 import { capital, fixed, plain } from './format.js'
-import { lettering, tips } from './skin.js'
+import { disc, lettering, line } from './pen.js'
+import { tips } from './skin.js'
 
 const G = 9.81 // m/s²
 /** Time after which a skin that was not read at rest no longer forbids "Done", ms. */
@@ -69,8 +70,7 @@ export const rest = placement => placement.at_rest == null ? 'rest of the signal
 export function drawPlacement(pen, view, shape, placement, now) {
   const size = Math.max(13, Math.round(view.width / 34)), diameter = shape.tip_diameter_mm
   const tone = view.colour({ right: '--live', wrong: '--bad' }[placement.verdict?.kind] ?? '--warn')
-  pen.fillStyle = view.colour('--grey')
-  for (const [x, y] of shape.points_mm) { pen.beginPath(); pen.arc(view.x(x), view.y(y), Math.max(1, 1.7 * view.scale), 0, 7); pen.fill() }
+  for (const [x, y] of shape.points_mm) disc(pen, view.x(x), view.y(y), Math.max(1, 1.7 * view.scale), { fill: view.colour('--grey') })
   if (now) cross(pen, view, shape, now)
   for (const contact of placement.contacts) {
     const { number, x_mm, y_mm } = contact, chosen = number === now?.number
@@ -108,12 +108,8 @@ function cross(pen, view, shape, { x_mm, y_mm }) {
   pen.strokeStyle = view.colour('--live')
   pen.lineWidth = 1
   pen.setLineDash([4, 5])
-  pen.beginPath()
-  pen.moveTo(view.x(0), view.y(y_mm))
-  pen.lineTo(view.x(shape.width_mm), view.y(y_mm))
-  pen.moveTo(view.x(x_mm), view.y(0))
-  pen.lineTo(view.x(x_mm), view.y(shape.height_mm))
-  pen.stroke()
+  line(pen, [view.x(0), view.y(y_mm)], [view.x(shape.width_mm), view.y(y_mm)])
+  line(pen, [view.x(x_mm), view.y(0)], [view.x(x_mm), view.y(shape.height_mm)])
   pen.setLineDash([])
 }
 
@@ -129,10 +125,7 @@ function arrow(pen, view, from, to, diameter, tone) {
   if (Math.hypot(bx - ax, by - ay) <= start + end + head) return
   pen.strokeStyle = pen.fillStyle = tone
   pen.lineWidth = 3.5
-  pen.beginPath()
-  pen.moveTo(sx, sy)
-  pen.lineTo(ex - head * Math.cos(turn), ey - head * Math.sin(turn))
-  pen.stroke()
+  line(pen, [sx, sy], [ex - head * Math.cos(turn), ey - head * Math.sin(turn)])
   pen.beginPath()
   pen.moveTo(ex, ey)
   for (const side of [2.7, -2.7]) pen.lineTo(ex + 1.2 * head * Math.cos(turn + side), ey + 1.2 * head * Math.sin(turn + side))

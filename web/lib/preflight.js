@@ -55,33 +55,16 @@ export function partsBar(parts) {
   rows.forEach((row, i) => {
     row.colour = `var(${COLOURS[i] ?? '--grey'})`
   })
-  const bar = el(
-    'div',
-    {
-      className: 'parts',
-      role: 'img',
-      'aria-label': `Time by activity: ${rows
-        .slice(0, 3)
-        .map(row => `${row.words} ${percent(row.s, whole)}`)
-        .join(', ')}`,
-    },
-    rows.map(row => el('i', { title: row.words, style: { width: `${(row.s / whole) * 100}%`, background: row.colour } })),
-  )
+  const most = rows.slice(0, 3).map(row => `${row.words} ${percent(row.s, whole)}`).join(', ')
+  const part = row => el('i', { title: row.words, style: { width: `${(row.s / whole) * 100}%`, background: row.colour } })
+  const bar = el('div', { className: 'parts', role: 'img', 'aria-label': `Time by activity: ${most}` }, rows.map(part))
   const mark = row => [el('i', { className: 'dot', style: { background: row.colour } }), row.words]
-  return el(
-    'div',
-    {},
-    bar,
-    table({
-      rows,
-      columns: [
-        { head: 'Activity', left: true, cell: mark },
-        { head: 'Time', cell: row => span(row.s) },
-        { head: 'Share', cell: row => percent(row.s, whole) },
-      ],
-      empty: 'Nothing takes time.',
-    }).node,
-  )
+  const columns = [
+    { head: 'Activity', left: true, cell: mark },
+    { head: 'Time', cell: row => span(row.s) },
+    { head: 'Share', cell: row => percent(row.s, whole) },
+  ]
+  return el('div', {}, bar, table({ rows, columns, empty: 'Nothing takes time.' }).node)
 }
 
 /** The settings of a plan, one row for each number of tips. */
@@ -99,9 +82,7 @@ export const settingsTable = p =>
 /** What forbids a plan: key, value, limit, and the file in which to change it. */
 export function problemList(problems) {
   const line = p =>
-    el(
-      'li',
-      {},
+    el('li', {},
       el('b', {}, [p.key, p.value].filter(x => x != null && x !== '').join(' = ') || p.file),
       `: ${p.limit}${p.at ? ` (line ${p.at.line})` : ''}`,
       p.key && p.file ? el('span', { className: 'soft' }, ` (${p.file.split('/').at(-1)})`) : '',

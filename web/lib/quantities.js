@@ -3,7 +3,7 @@
 
 import { socket } from './api.js'
 import { changing } from './changing.js'
-import { el, panel, say } from './dom.js'
+import { el, panel, replacing, say } from './dom.js'
 import { count, fixed } from './format.js'
 import { servedQuantities } from './serves.js'
 
@@ -12,29 +12,28 @@ const STALE_MS = 2000
 const place = ([x, y]) => `${fixed(x, 1)}, ${fixed(y, 1, 'mm')}`
 const places = found => found.map(place).join('; ') || 'none'
 
-/** How sure the answers are, as words. */
-function sureWords(answer, old) {
-  if (!answer) return 'No answer yet: frames come while the rig is connected.'
-  if (answer.error) return `The nets failed: ${answer.error}`
-  if (old) return 'Outdated: no answer for some seconds.'
-  return answer.outside?.length ? `Unsure: ${answer.outside.join('; ')}.` : ''
+/** Why an answer to the live frames is not sure: { tone, words }, null if it is. `who` answers. */
+export function doubt(answer, old, who) {
+  if (!answer) return { tone: 'soft', words: 'No answer yet: frames come while the rig is connected.' }
+  if (answer.error) return { tone: 'bad', words: `${who} failed: ${answer.error}` }
+  if (old) return { tone: 'warn', words: 'Outdated: no answer for some seconds.' }
+  return answer.outside?.length ? { tone: 'warn', words: `Unsure: ${answer.outside.join('; ')}.` } : null
 }
 
 /** Makes the panel. `follow(serving)` opens the stream while a net of a quantity serves; `tell()` shows the newest answer. */
 export function quantityPart({ signal }) {
   const numbers = el('div'), sure = el('p', { className: 'soft' })
   const node = panel('Quantities', { className: 'live', hidden: true }, numbers, sure)
-  let cut = null, newest = null, at = 0
+  const listening = replacing(signal)
+  let newest = null, at = 0
 
   function follow(serving) {
     const isServed = servedQuantities(serving).length > 0
-    if (isServed === Boolean(cut)) return
+    if (isServed !== node.hidden) return
     node.hidden = !isServed
-    cut?.abort()
-    cut = isServed ? new AbortController() : null
     newest = null
-    if (!cut) return
-    const until = AbortSignal.any([signal, cut.signal])
+    const until = listening()
+    if (!isServed) return
     socket('/live/quantities', { signal: until, raw: true, rest: true, onmessage(text) {
       if (until.aborted) return
       newest = text
@@ -47,7 +46,7 @@ export function quantityPart({ signal }) {
     const answer = newest && JSON.parse(newest), old = answer && Date.now() - at > STALE_MS
     // After an error, and until the next answer, the numbers are those of an earlier frame.
     numbers.classList.toggle('old', Boolean(!answer || answer.error || old))
-    say(sure, sureWords(answer, old))
+    say(sure, doubt(answer, old, 'The nets')?.words)
     if (!answer || answer.error) return
     changing(numbers, [
       answer.position_mm && ['Position', place(answer.position_mm)],

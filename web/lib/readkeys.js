@@ -11,10 +11,7 @@ export const READ_KEYS = [
     ['1 to 9', 'hide or show a curve'],
     ['Enter', 'open the nearest event, where there are events'],
   ]],
-  ['On a box plot', [
-    ['Left, Right', 'box by box'],
-    ['Home, End', 'first and last box'],
-  ]],
+  ['On a box plot', [['Left, Right', 'box by box'], ['Home, End', 'first and last box']]],
   ['On a frame', [
     ['Arrows', 'cell by cell'],
     ['Home, End', 'first and last cell of the row'],

@@ -3,7 +3,7 @@
 import { outcome } from './actions.js'
 import { ask, withQuery } from './api.js'
 import { button, download, el, fill, panel, say, select } from './dom.js'
-import { bytes, count, countOf } from './format.js'
+import { bytes, count, countOf, listed } from './format.js'
 import { keepForm } from './formstate.js'
 import { live } from './live.js'
 import { speak } from './speak.js'
@@ -34,7 +34,7 @@ export function recorder({ signal }) {
     const frames = Number(length.value), { name, title, extension, is_text } = chosen(), label = live.status?.rig.label ?? 'unknown'
     const at = new Date().toISOString().slice(0, 19).replaceAll(':', ''), heads = name === 'csv' ? 1 : 0
     let pieces = [], size = 0, lines = 0, rows = 0, failure = null
-    const sum = () => [is_text && countOf(rows, frames), bytes(size), label].filter(Boolean).join(', ')
+    const sum = () => listed([is_text && countOf(rows, frames), bytes(size), label])
     cut = new AbortController()
     Object.assign(bar, { max: frames, value: 0, hidden: !is_text })
     said.tell('')
@@ -62,7 +62,7 @@ export function recorder({ signal }) {
     const why = failure?.status ? `Not recorded: ${failure.message}.` : failure && !isStopped ? `The recording was cut: ${failure.message}.` : ''
     const what = isSaved ? `Frames saved: ${sum()}.` : failure?.status ? '' : is_text ? 'No frame came: nothing is saved.'
       : `${title} needs its end: nothing is saved.`
-    said.tell([why, what].filter(Boolean).join(' '), failure && !isStopped ? 'bad' : isSaved && !why ? 'good' : 'warn')
+    said.tell(listed([why, what], ' '), failure && !isStopped ? 'bad' : isSaved && !why ? 'good' : 'warn')
     offer()
   }
 

@@ -43,12 +43,9 @@ export function references({ label, signal }) {
       range: (_, high) => [0, Math.max(1, (high || 1) * 1.1)],
       series: tips.map(n => ({ name: counted(n, 'tip'), digits: 2, points: true, line: false, colour: `--c${n}` })),
     })
-    fill(
-      node,
+    fill(node,
       view.node,
-      el(
-        'p',
-        { className: 'soft small' },
+      el('p', { className: 'soft small' },
         `${counted(drawn.length, 'press', 'presses')} at a depth of ${fixed(depth, 2, 'mm')}, newest ${counted(chosen.length, 'run')}. ${LIKE}`,
       ),
     )

@@ -78,8 +78,7 @@ export function report(root, { state, set, go, said, others, signal }) {
     range: (_, high) => [0, Math.max(0.1, (high ?? 0) * 1.08)],
   })
   const byStep = el('section', {}, el('div', { className: 'pair' }, force.node, fvu.node))
-  fill(
-    root,
+  fill(root,
     top,
     contacts,
     el('div', { className: 'columns two' }, skin, el('div', { className: 'column' }, forces, fits)),
@@ -101,21 +100,11 @@ export function report(root, { state, set, go, said, others, signal }) {
       sure: () => confirm(`Abort run ${run.scan_id}?`, 'It ends. Its stored trials stay; it can be resumed later. Nothing moves.', 'Abort the run'),
     })
   function heading(run) {
-    const compare = select(
-      [
-        ['', 'another run …'],
-        ...others()
-          .filter(other => other.scan_id !== run.scan_id)
-          .map(other => [other.scan_id, `${other.scan_id} ${other.experiment}`]),
-      ],
-      '',
-      other => other && go(`/runs?run=${run.scan_id}&with=${other}`),
-      { id: 'compare' },
-    )
+    const rest = others().filter(other => other.scan_id !== run.scan_id).map(other => [other.scan_id, `${other.scan_id} ${other.experiment}`])
+    const open = other => other && go(`/runs?run=${run.scan_id}&with=${other}`)
+    const compare = select([['', 'another run …'], ...rest], '', open, { id: 'compare' })
     return [
-      el(
-        'h2',
-        {},
+      el('h2', {},
         el('span', {}, `Run ${run.scan_id}, ${run.experiment}`),
         run.label === 'virtual' ? el('span', { className: 'badge' }, 'virtual') : plain(run.label),
       ),
@@ -246,8 +235,7 @@ export function report(root, { state, set, go, said, others, signal }) {
     const found = await quiet(medians(data.run, signal))
     if (signal.aborted) return
     const view = found && medianChart([{ name: '', tips: found }], { label, signal, query: `/api/v1/runs/${n}/forces` })
-    fill(
-      forces,
+    fill(forces,
       view
         ? view.node
         : [

@@ -2,7 +2,7 @@
 
 import { get, keep, once, readOnce } from './api.js'
 import { actor } from './actions.js'
-import { el, field, panel, say, select, set } from './dom.js'
+import { choose, el, field, panel, say, select } from './dom.js'
 import { fold } from './fold.js'
 import { capital } from './format.js'
 import { keepForm } from './formstate.js'
@@ -50,31 +50,25 @@ export function trainingForm({ said, onstart, signal }) {
     rows = number({ placeholder: 'all' }),
     seed = number({ min: 0 }),
     name = el('input', { maxLength: 100, onchange: change })
-  const fields = [
-    field('Recipe', recipe, 'tr-recipe'),
-    field('Dataset', dataset, 'tr-dataset'),
-    field('Epochs', epochs, 'tr-epochs'),
-    field('Rows of an epoch', rows, 'tr-rows'),
-    field('Seed', seed, 'tr-seed'),
-    field('Force map, pixel x diameter, mm', map, 'tr-map'),
-    field('Name of the model', name, 'tr-name'),
+  // Words, control and key; and the table in which the text has the key, which has no recipe.
+  const CONTROLS = [
+    ['Recipe', recipe, 'recipe'],
+    ['Dataset', dataset, 'dataset', ''],
+    ['Epochs', epochs, 'epochs', 'training'],
+    ['Rows of an epoch', rows, 'rows', ''],
+    ['Seed', seed, 'seed', 'training'],
+    ['Force map, pixel x diameter, mm', map, 'map', ''],
+    ['Name of the model', name, 'name', ''],
   ]
-  // Where the text has the value of a field.
-  const AT = new Map([
-    [dataset, ['', 'dataset']],
-    [epochs, ['training', 'epochs']],
-    [rows, ['', 'rows']],
-    [seed, ['training', 'seed']],
-    [map, ['', 'map']],
-    [name, ['', 'name']],
-  ])
-  const all = [recipe, ...AT.keys()]
-  const plainOf = (of, node) => (raw(of, ...AT.get(node)) ?? '').replace(/^"|"$/g, '')
+  const fields = CONTROLS.map(([words, node, key]) => field(words, node, `tr-${key}`))
+  const all = CONTROLS.map(([, node]) => node)
+  const placeOf = new Map(CONTROLS.map(([, node, key, table]) => [node, [table, key]]))
+  const plainOf = (of, node) => (raw(of, ...placeOf.get(node)) ?? '').replace(/^"|"$/g, '')
   /** The fields as the text has them. */
   function show() {
     const [wanted, wantedMap] = [plainOf(text.value, dataset), plainOf(text.value, map)]
-    if (wanted && ![...dataset.options].some(option => option.value === wanted)) dataset.append(el('option', { value: wanted }, wanted))
-    set(dataset, { value: wanted })
+    if (wanted) choose(dataset, wanted)
+    else dataset.value = ''
     if (wantedMap) map.value = wantedMap
     for (const node of [epochs, rows, seed, name]) node.value = plainOf(text.value, node)
   }
@@ -84,10 +78,7 @@ export function trainingForm({ said, onstart, signal }) {
     const { text: begun, about: words, maps } = chosen()
     text.value = begun
     say(about, words)
-    choices(
-      map,
-      maps.map(one => one.map)
-    )
+    choices(map, maps.map(one => one.map))
     map.parentNode.hidden = !maps.length
     show()
   }
@@ -130,36 +121,28 @@ export function trainingForm({ said, onstart, signal }) {
     written()
   })
   const start = starter('Train', 'Request the training', '/trainings', () => ({ recipe: text.value }), { said, onstart })
-  const node = panel(
-    'Start a training',
-    {},
+  const node = panel('Start a training', {},
     el('p', { className: 'soft' }, 'It trains in the service at low priority, one job after the other, and continues after a restart.'),
     el('div', { className: 'form' }, fields),
     about,
     fold('recipe', 'The recipe as it is sent', { signal }, el('label', { htmlFor: 'tr-text' }, 'Recipe (TOML)'), text),
     el('div', { className: 'row' }, start)
   )
-  recipes().then(
-    found => {
-      if (signal.aborted) return undefined
-      carried = found
-      choices(
-        recipe,
-        carried.map(one => one.name)
-      )
-      begin()
-      const kept = keep('sessionStorage', DRAFT)
-      const usual = node => (node === recipe ? USUAL_RECIPE : plainOf(chosen().text, node) || (node === map ? (chosen().maps[0]?.map ?? '') : ''))
-      write = keepForm(all, { usual, changed: node => (node === recipe ? begin() : change()), signal })
-      // What was written into the text belongs to the fields that it had.
-      const draft = kept && JSON.parse(kept)
-      if (draft?.values !== values()) return remember()
-      text.value = draft.text
-      show()
-      return written()
-    },
-    error => say(about, `The list of recipes could not be read: ${error.message}.`)
-  )
+  recipes().then(found => {
+    if (signal.aborted) return undefined
+    carried = found
+    choices(recipe, carried.map(one => one.name))
+    begin()
+    const kept = keep('sessionStorage', DRAFT)
+    const usual = node => (node === recipe ? USUAL_RECIPE : plainOf(chosen().text, node) || (node === map ? (chosen().maps[0]?.map ?? '') : ''))
+    write = keepForm(all, { usual, changed: node => (node === recipe ? begin() : change()), signal })
+    // What was written into the text belongs to the fields that it had.
+    const draft = kept && JSON.parse(kept)
+    if (draft?.values !== values()) return remember()
+    text.value = draft.text
+    show()
+    return written()
+  }, error => say(about, `The list of recipes could not be read: ${error.message}.`))
   return {
     node,
     knows({ datasets }) {
@@ -181,14 +164,7 @@ export function evaluationForm({ said, onstart, signal }) {
     }),
     dataset = select([], '', () => {}),
     part = select([['', 'all rows'], 'train', 'validation', 'test'], 'test', () => {}),
-    frames = select(
-      [
-        ['mean', 'mean of all'],
-        ['first', 'first only'],
-      ],
-      'mean',
-      () => {}
-    )
+    frames = select([['mean', 'mean of all'], ['first', 'first only']], 'mean', () => {})
   // The keys of a request that name nets; a skin that is not named is the serving one.
   const isOfNets = one => one.slots.every(slot => slotOf(slot).tasks.length)
   const keysOf = method => method.models.filter(isOfNets)
@@ -223,11 +199,7 @@ export function evaluationForm({ said, onstart, signal }) {
   }
   function body() {
     const method = methodOf(scored.value)
-    const named = Object.fromEntries(
-      keysOf(method)
-        .map(({ key }) => [key, models[key].value])
-        .filter(([, value]) => value)
-    )
+    const named = Object.fromEntries(keysOf(method).map(({ key }) => [key, models[key].value]).filter(([, value]) => value))
     return {
       scored: scored.value,
       dataset: dataset.value,
@@ -239,9 +211,7 @@ export function evaluationForm({ said, onstart, signal }) {
     }
   }
   const start = starter('Evaluate', 'Request the evaluation', '/evaluations', body, { said, onstart })
-  const node = panel(
-    'Start an evaluation',
-    {},
+  const node = panel('Start an evaluation', {},
     el('p', { className: 'soft' }, 'Scores on rows that the nets did not see: choose the part test, or a dataset of another run.'),
     el('div', { className: 'form' }, Object.values(fields)),
     about,
@@ -249,9 +219,8 @@ export function evaluationForm({ said, onstart, signal }) {
   )
   // A dataset and nets that no person has chosen follow the method and what is trained.
   const follows = new Set([dataset, ...Object.values(models)])
-  const first = new Map([scored, part, limit, frames, sd].map(control => [control, control.value]))
-  const usual = control => (!follows.has(control) ? first.get(control) : control.dataset.chosen ? null : control.value)
-  const write = keepForm([...first.keys(), ...follows], { usual, changed: show, signal })
+  const usual = control => (!follows.has(control) ? undefined : control.dataset.chosen ? false : control.value)
+  const write = keepForm([scored, part, limit, frames, sd, ...follows], { usual, changed: show, signal })
   return {
     node,
     knows(next) {

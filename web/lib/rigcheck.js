@@ -1,7 +1,7 @@
 // The report of a rig check as tables: problems first, then what each device answered.
 
 import { el } from './dom.js'
-import { about, count, fixed, NONE, plain } from './format.js'
+import { NONE, about, count, fixed, listed, plain } from './format.js'
 import { table } from './table.js'
 
 const ARMS = [0, 1, 2, 3, 4, 5]
@@ -24,8 +24,8 @@ export function checkReport(report) {
       { head: 'Alarm', cell: a => a.alarm == null ? 'none' : a.alarm.toString(16).toUpperCase() },
         { head: 'Status request', cell: a => a.status_us == null ? NONE : `${us(a.status_us)}, at most ${us(a.status_us_max)}` }] }).node),
     cells && part('Load cells', el('p', { className: 'soft' },
-      [cells.identity ?? 'no answer', cells.live == null ? '' : `${cells.live} of 6 connected`, cells.read_us == null ? ''
-      : `a reading takes ${us(cells.read_us)}`].filter(Boolean).join(', ')),
+      listed([cells.identity ?? 'no answer', cells.live == null ? '' : `${cells.live} of 6 connected`, cells.read_us == null ? ''
+      : `a reading takes ${us(cells.read_us)}`])),
       table({ rows: ARMS, columns: [{ head: 'Arm', cell: i => String(i + 1) }, { head: 'Output', unit: 'V', cell: i => fixed(cells.volts?.[i], 4) },
         { head: 'Force above nominal zero', unit: 'N', cell: i => fixed(cells.force_n?.[i], 2) },
         { head: 'Noise, 1 sd', unit: 'N', cell: i => fixed(cells.noise_n?.[i], 3) }] }).node),

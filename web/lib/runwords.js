@@ -26,6 +26,9 @@ export const STATES = [
 /** Whether a run holds the rig. */
 export const isActive = run => !['queued', 'removed', 'ended', 'interrupted'].includes(run.state)
 
+/** The state of the active run, with the one that was requested. */
+export const stateWords = run => `${plain(run.state)}${{ paused: ', pause requested', idle: ', end requested' }[run.requested_state] ?? ''}`
+
 /** State or end in one word. */
 export const endWord = run => (run.state === 'ended' ? (ENDS[run.exit_status] ?? plain(run.exit_status ?? 'ended')) : plain(run.state))
 

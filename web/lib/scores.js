@@ -2,7 +2,7 @@
 
 import { NUMERALS } from './contacts.js'
 import { el, facts, link } from './dom.js'
-import { NONE, capital, count, counted, fixed, percent } from './format.js'
+import { NONE, capital, count, counted, fixed, listed, percent } from './format.js'
 import { table } from './table.js'
 import { raw } from './toml.js'
 import { paper } from './vocabulary.js'
@@ -38,33 +38,22 @@ const contactsOfPaper = reports => [
   printed('V\u2011D', 'whole pipeline on Real-Unseen', { contacts: { all: paper.real_unseen } }),
 ]
 
+/** What was scored, as a link to its evaluation. */
+function scoredCell(one, models, href) {
+  if (one.paper) return one.paper
+  if (one.perfectOf) return el('span', { className: 'soft' }, `perfect map ${one.map ?? ''}`)
+  return one.job && href ? el('a', { href: href(one.job) }, one.scored === 'voltages' ? nets(one, models) : one.scored) : one.scored
+}
+function rowsCell(one) {
+  if (one.perfectOf || one.paper) return one.about ?? ''
+  return el('span', {}, `${count(one.rows)}, `, rows(one).map((part, i) => (i ? [' ', part] : part)))
+}
+
 /** Columns that say what was scored. */
 const what = (models, href) => [
-  {
-    head: 'Scored',
-    left: true,
-    cell: one =>
-      one.paper ??
-      (one.perfectOf
-        ? el('span', { className: 'soft' }, `perfect map ${one.map ?? ''}`)
-        : one.job && href
-          ? el('a', { href: href(one.job) }, one.scored === 'voltages' ? nets(one, models) : one.scored)
-          : one.scored),
-  },
+  { head: 'Scored', left: true, cell: one => scoredCell(one, models, href) },
   { head: 'Nets', left: true, cell: one => (one.paper || one.perfectOf || one.scored === 'voltages' ? '' : nets(one, models)) },
-  {
-    head: 'Rows',
-    left: true,
-    cell: one =>
-      one.perfectOf || one.paper
-        ? one.about ?? ''
-        : el(
-            'span',
-            {},
-            `${count(one.rows)}, `,
-            rows(one).map((part, i) => (i ? [' ', part] : part))
-          ),
-  },
+  { head: 'Rows', left: true, cell: rowsCell },
   { head: 'Held out', cell: one => (one.perfectOf || one.paper ? '' : one.held_out === false ? el('span', { className: 'warn' }, 'no') : 'yes') },
   { head: 'Label', left: true, cell: one => (one.perfectOf ? '' : one.paper ? 'measured' : one.label) },
 ]
@@ -169,87 +158,76 @@ export function scoreTables(reports, models, more) {
   ]
 }
 
+/** Scores of voltages by number of contacts, next to the paper's. */
+const voltageScores = ({ voltages }) =>
+  table({
+    rows: [...voltages.by_contacts, { ...voltages.all, contacts: 'all' }],
+    columns: [
+      { head: 'Contacts', left: true, cell: one => NUMERALS[one.contacts] ?? one.contacts },
+      { head: 'Trials', cell: one => count(one.trials) },
+      { head: 'RMSE', unit: 'mV', cell: one => fixed(one.rmse_v * 1e3, 2) },
+      { head: 'FVU', unit: '%', cell: one => fixed(one.fvu * 100, 1) },
+      { head: 'Median FVU', unit: '%', cell: one => fixed(one.median_fvu * 100, 1) },
+      { head: 'Paper, Table III: RMSE', unit: 'mV', cell: one => fixed(transferOfPaper()[one.contacts - 1]?.rmse_v * 1e3, 0) },
+      { head: 'FVU', unit: '%', cell: one => fixed(transferOfPaper()[one.contacts - 1]?.fvu_percent, 1) },
+    ],
+  }).node
+
+/** Scores of contacts by their number, and those of the perfect map below them. */
+function contactScores({ contacts, perfect }) {
+  const lines = (of, map) => [...of.by_contacts.map(one => ({ name: `${one.contacts}${map}`, score: one.score })), { name: `all${map}`, score: of.all }]
+  return table({
+    rows: [...lines(contacts, ''), ...(perfect ? lines(perfect, ', perfect map') : [])],
+    columns: [
+      { head: 'Contacts', left: true, cell: one => one.name },
+      { head: 'Trials', cell: one => count(one.score.trials) },
+      { head: 'Estimates / true', cell: one => `${count(one.score.estimates)} / ${count(one.score.contacts)}` },
+      ...METRICS.map(metric => ({ ...metric, cell: one => metric.cell(one.score) })),
+    ],
+  }).node
+}
+
+/** How often the answers are right, by the probability that they state. */
+function reliabilityTable({ ranges, right, any_right }) {
+  const shares = `${interval(right, 100, 0)}\u202f% of all, with alternatives ${interval(any_right, 100, 0)}\u202f%`
+  return table({
+    caption: `Answers by their probability. Right: the number, and each contact within 40\u202fmm; ${shares}.`,
+    rows: ranges,
+    columns: [
+      { head: 'Probability', unit: '%', left: true, cell: one => `${fixed(one.from * 100, 0)} to ${fixed(one.to * 100, 0)}` },
+      { head: 'Answers', cell: one => count(one.right.n) },
+      { head: 'Stated', unit: '%', cell: one => fixed(one.stated * 100, 0) },
+      { head: 'Right', unit: '%', cell: one => interval(one.right, 100, 0) },
+    ],
+  }).node
+}
+
 /** One evaluation in full. */
 export function reportView(report, models) {
-  const by = report.contacts
-    ? [...report.contacts.by_contacts.map(one => ({ ...one, name: one.contacts })), { name: 'all', score: report.contacts.all }]
-    : []
-  const perfect = report.perfect
-    ? [
-        ...report.perfect.by_contacts.map(one => ({ ...one, name: `${one.contacts}, perfect map` })),
-        { name: 'all, perfect map', score: report.perfect.all },
-      ]
-    : []
-  const volts = report.voltages ? [...report.voltages.by_contacts, { ...report.voltages.all, contacts: 'all' }] : []
-  return el(
-    'div',
-    {},
-    el(
-      'p',
-      {},
-      `By ${nets(report, models)}, on `,
-      link(`/data?dataset=${report.dataset}`, report.dataset),
-      report.where?.length ? `, where ${report.where.join(' and ')}.` : '.'
-    ),
+  const { contacts, quantity } = report
+  const without = quantity?.left_out > 0 && `${counted(quantity.left_out, 'row')} without this quantity ${quantity.left_out === 1 ? 'has' : 'have'} no score.`
+  const where = report.where?.length ? `, where ${report.where.join(' and ')}.` : '.'
+  return el('div', {},
+    el('p', {}, `By ${nets(report, models)}, on `, link(`/data?dataset=${report.dataset}`, report.dataset), where),
     facts([
       ['Scored', report.scored],
       ['Rows', count(report.rows)],
       ['Part', report.part ?? 'all'],
       ['Label', report.label],
       ['Held out', report.held_out === false ? el('span', { className: 'warn' }, 'no') : 'yes'],
-      report.contacts && ['Least peak', fixed(report.threshold_n, 1, 'N')],
-      ...[['place', 'place_in_95'], ['force', 'force_in_95']].map(([of, share]) => report.contacts?.all[share] &&
-        [`95\u202f% regions hold the ${of}`, `${interval(report.contacts.all[share], 100, 0)}\u202f%`]),
+      contacts && ['Least peak', fixed(report.threshold_n, 1, 'N')],
+      ...[['place', 'place_in_95'], ['force', 'force_in_95']].map(([of, share]) => contacts?.all[share] &&
+        [`95\u202f% regions hold the ${of}`, `${interval(contacts.all[share], 100, 0)}\u202f%`]),
       report.place_sd_mm && ['Only known to', fixed(report.place_sd_mm, 0, 'mm')],
       report.latency_ms && ['Answer after', fixed(report.latency_ms[0], 1, 'ms')],
       report.latency_ms && ['99 % after', fixed(report.latency_ms[1], 1, 'ms')],
     ]),
-    report.notes?.length
-      ? el(
-          'ul',
-          { className: 'warn' },
-          report.notes.map(words => el('li', {}, words))
-        )
-      : '',
-    volts.length
-      ? table({
-          rows: volts,
-          columns: [
-            { head: 'Contacts', left: true, cell: one => NUMERALS[one.contacts] ?? one.contacts },
-            { head: 'Trials', cell: one => count(one.trials) },
-            { head: 'RMSE', unit: 'mV', cell: one => fixed(one.rmse_v * 1e3, 2) },
-            { head: 'FVU', unit: '%', cell: one => fixed(one.fvu * 100, 1) },
-            { head: 'Median FVU', unit: '%', cell: one => fixed(one.median_fvu * 100, 1) },
-            { head: 'Paper, Table III: RMSE', unit: 'mV', cell: one => fixed(transferOfPaper()[one.contacts - 1]?.rmse_v * 1e3, 0) },
-            { head: 'FVU', unit: '%', cell: one => fixed(transferOfPaper()[one.contacts - 1]?.fvu_percent, 1) },
-          ],
-        }).node
-      : '',
-    by.length
-      ? table({
-          rows: [...by, ...perfect],
-          columns: [
-            { head: 'Contacts', left: true, cell: one => one.name },
-            { head: 'Trials', cell: one => count(one.score.trials) },
-            { head: 'Estimates / true', cell: one => `${count(one.score.estimates)} / ${count(one.score.contacts)}` },
-            ...METRICS.map(metric => ({ ...metric, cell: one => metric.cell(one.score) })),
-          ],
-        }).node
-      : '',
-    report.reliability
-      ? table({
-          caption: `Answers by their probability. Right: the number, and each contact within 40\u202fmm; ${interval(report.reliability.right, 100, 0)}\u202f% of all, with alternatives ${interval(report.reliability.any_right, 100, 0)}\u202f%.`,
-          rows: report.reliability.ranges,
-          columns: [
-            { head: 'Probability', unit: '%', left: true, cell: one => `${fixed(one.from * 100, 0)} to ${fixed(one.to * 100, 0)}` },
-            { head: 'Answers', cell: one => count(one.right.n) },
-            { head: 'Stated', unit: '%', cell: one => fixed(one.stated * 100, 0) },
-            { head: 'Right', unit: '%', cell: one => interval(one.right, 100, 0) },
-          ],
-        }).node
-      : '',
-    report.quantity ? quantityTables([report], models) : '',
-    report.quantity?.left_out ? el('p', { className: 'soft' }, `${counted(report.quantity.left_out, 'row')} without this quantity ${report.quantity.left_out === 1 ? 'has' : 'have'} no score.`) : ''
+    report.notes?.length > 0 && el('ul', { className: 'warn' }, report.notes.map(words => el('li', {}, words))),
+    report.voltages && voltageScores(report),
+    contacts && contactScores(report),
+    report.reliability && reliabilityTable(report.reliability),
+    quantity && quantityTables([report], models),
+    without && el('p', { className: 'soft' }, without),
   )
 }
 
@@ -265,12 +243,10 @@ export function shortScore(report) {
   }
   const all = report.contacts?.all
   return all
-    ? [
+    ? listed([
         all.closest_mm && fixed(all.closest_mm.mean, 1, 'mm'),
         all.exact_rate && `${fixed(all.exact_rate.mean * 100, 0, '%')} right count`,
         `(${report.scored}, ${of})`,
-      ]
-        .filter(Boolean)
-        .join(' ')
+      ], ' ')
     : of
 }

@@ -14,7 +14,7 @@ export function conditions(query, page = 'trials') {
 }
 
 /** A condition as text: `fvu__gte`, 0.5 -> "FVU ≥ 0.5". */
-function condition(key, value) {
+function conditionWords(key, value) {
   const [column, compare = 'eq'] = key.split('__')
   return key === 'where' ? value : `${plain(column)} ${COMPARES[compare] ?? compare} ${value}`
 }
@@ -22,9 +22,9 @@ function condition(key, value) {
 /** Makes a button for each condition, which removes it, and one that removes all; `also` is changed with them. */
 export function chips(rest, all, set, also = {}) {
   const chip = ([key, value]) =>
-    button([condition(key, value), ' ×'].join(''), () => set({ ...also, [key]: null }), {
+    button(`${conditionWords(key, value)} ×`, () => set({ ...also, [key]: null }), {
       className: 'chip',
-      'aria-label': `Remove the condition ${condition(key, value)}`,
+      'aria-label': `Remove the condition ${conditionWords(key, value)}`,
     })
   return [
     rest.map(chip),
@@ -37,59 +37,34 @@ export function chips(rest, all, set, also = {}) {
  * address has. A condition without a control is a chip that a click removes.
  */
 export function selection({ set, said }) {
-  const change =
-    (key, also = {}) =>
-    value =>
-      set({ ...also, [key]: value || null, trial: null })
+  const change = key => value => set({ [key]: value || null, trial: null })
+  const controls = {} // By the condition that each sets.
   const labelled = (words, node) => field(words, node, `f-${words.toLowerCase().replace(/[^a-z]+/g, '-')}`)
+  const condition = (words, node) => {
+    controls[node.name] = node
+    return labelled(words, node)
+  }
   const number = (key, props = {}) =>
     el('input', { type: 'number', step: 'any', inputMode: 'decimal', name: key, ...props, onchange: event => change(key)(event.target.value) })
   const choice = (key, choices) => select(choices, '', change(key), { name: key })
   const counts = [['', 'any'], ['0', 'none'], ...[1, 2, 3, 4, 5, 6].map(n => [String(n), String(n)])]
-  const controls = {
-    scan_id: choice('scan_id', [['', 'all']]),
-    contact_count: choice('contact_count', counts),
-    max_force_n__gte: number('max_force_n__gte'),
-    max_force_n__lte: number('max_force_n__lte'),
-    depth_mm__gte: number('depth_mm__gte', { min: 0 }),
-    depth_mm__lte: number('depth_mm__lte', { min: 0 }),
-    fvu__gte: number('fvu__gte', { min: 0 }),
-    label: choice('label', [['', 'any'], 'measured', 'virtual']),
-  }
-  const flags = select(
-    [
-      ['', 'any'],
-      ['flagged=true', 'with a flag'],
-      ['flagged=false', 'without a flag'],
-      ...vocabulary.flags.map(({ name }) => [`flag=${name}`, plain(name)]),
-    ],
-    '',
-    value => {
-      const [key, wanted] = value.split('=')
-      set({ flag: null, flagged: null, trial: null, ...(key && { [key]: wanted }) })
-    }
-  )
-  const order = select(
-    [
-      ['', 'newest first'],
-      ['trial_id', 'oldest first'],
-    ],
-    '',
-    value => set({ sort: value || null })
-  )
+  const each = vocabulary.flags.map(({ name }) => [`flag=${name}`, plain(name)])
+  const flags = select([['', 'any'], ['flagged=true', 'with a flag'], ['flagged=false', 'without a flag'], ...each], '', value => {
+    const [key, wanted] = value.split('=')
+    set({ flag: null, flagged: null, trial: null, ...(key && { [key]: wanted }) })
+  })
+  const order = select([['', 'newest first'], ['trial_id', 'oldest first']], '', value => set({ sort: value || null }))
   const others = el('div', { className: 'chips', role: 'group', 'aria-label': 'Conditions' })
-  const form = el(
-    'div',
-    { className: 'form trial-filters' },
-    labelled('Run', controls.scan_id),
-    labelled('Contacts', controls.contact_count),
-    labelled('Largest force from, N', controls.max_force_n__gte),
-    labelled('to, N', controls.max_force_n__lte),
-    labelled('Depth from, mm', controls.depth_mm__gte),
-    labelled('to, mm', controls.depth_mm__lte),
-    labelled('FVU at least', controls.fvu__gte),
+  const form = el('div', { className: 'form' },
+    condition('Run', choice('scan_id', [['', 'all']])),
+    condition('Contacts', choice('contact_count', counts)),
+    condition('Largest force from, N', number('max_force_n__gte')),
+    condition('to, N', number('max_force_n__lte')),
+    condition('Depth from, mm', number('depth_mm__gte', { min: 0 })),
+    condition('to, mm', number('depth_mm__lte', { min: 0 })),
+    condition('FVU at least', number('fvu__gte', { min: 0 })),
     labelled('Flags', flags),
-    labelled('Label', controls.label),
+    condition('Label', choice('label', [['', 'any'], 'measured', 'virtual'])),
     labelled('Order', order)
   )
   const node = panel('Selection', {}, form, others, said)

@@ -4,7 +4,7 @@ import { ask, once } from './api.js'
 import { actor, confirm, only } from './actions.js'
 import { el, link, note, panel } from './dom.js'
 import { fold } from './fold.js'
-import { capital, moment } from './format.js'
+import { capital, listed, moment } from './format.js'
 import { who } from './live.js'
 import { isOfQuantity, slotOf } from './serves.js'
 import { table } from './table.js'
@@ -12,7 +12,7 @@ import { table } from './table.js'
 /** paper: measured to simulated voltages; without a method: position of one contact, from a whole frame */
 function useOf(name) {
   const { methods, about } = slotOf(name)
-  return [methods.join(', '), about].filter(Boolean).join(': ')
+  return listed([methods.join(', '), about], ': ')
 }
 
 /** Makes the panel; `name(id)` gives a model's name. `promotion(model, props)` makes the button that promotes one. */
@@ -43,12 +43,10 @@ export function servingPanel({ signal, said, name, onchange }) {
     ],
   })
   const trouble = el('p', { className: 'bad', hidden: true })
-  const words = id =>
-    id == null
-      ? el('span', { className: 'soft' }, 'nothing')
-      : id.startsWith('mdl-')
-        ? el('span', {}, link(`/nets?model=${id}`, name(id)), ' ', el('span', { className: 'soft small' }, id))
-        : id
+  const words = id => {
+    if (id == null) return el('span', { className: 'soft' }, 'nothing')
+    return id.startsWith('mdl-') ? el('span', {}, link(`/nets?model=${id}`, name(id)), ' ', el('span', { className: 'soft small' }, id)) : id
+  }
   /** Changes what serves, if it still has the entity tag `tag`: that of what the person saw at the press. */
   const change = (path, body, tag) =>
     once(path, { ...body, who: who() }, { headers: tag ? { 'if-match': tag } : {}, wait: 120_000 }).finally(async () => {
@@ -114,31 +112,21 @@ export function servingPanel({ signal, said, name, onchange }) {
 
   // A calibration is a file: it is added here, and promoted by its id.
   const file = el('input', { id: 'cal-file', type: 'file', accept: '.toml,.txt' })
-  const add = actor(
-    'Add and promote',
-    said,
-    async () => {
-      if (!file.files[0]) throw new Error('choose the file that palpate calibrate skin wrote')
-      const id = await (
-        await ask('/api/v1/calibrations', { method: 'POST', body: new Blob([await file.files[0].text()], { type: 'text/plain' }), wait: 30_000 })
-      ).json()
-      const tag = etag
-      if (await surePromotion(id, 'skin')) await change('/serving', { what: id }, tag)
-    },
-    { what: 'Add the calibration' }
-  )
-  const node = panel(
-    'Active models',
-    { className: 'live' },
+  const add = actor('Add and promote', said, async () => {
+    if (!file.files[0]) throw new Error('choose the file that palpate calibrate skin wrote')
+    const id = await (
+      await ask('/api/v1/calibrations', { method: 'POST', body: new Blob([await file.files[0].text()], { type: 'text/plain' }), wait: 30_000 })
+    ).json()
+    const tag = etag
+    if (await surePromotion(id, 'skin')) await change('/serving', { what: id }, tag)
+  }, { what: 'Add the calibration' })
+  const node = panel('Active models', { className: 'live' },
     trouble,
     slots.node,
     fold('promotions', 'History of promotions', { signal }, past.node),
     only(
       'operator',
-      fold(
-        'calibration',
-        'Add a calibration of the skin',
-        { signal },
+      fold('calibration', 'Add a calibration of the skin', { signal },
         el('label', { htmlFor: 'cal-file' }, 'File of palpate calibrate skin'),
         file,
         el('div', { className: 'row' }, add)

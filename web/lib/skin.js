@@ -3,6 +3,7 @@
 import { colour, dark, el, onLook, say, soon } from './dom.js'
 import { get } from './api.js'
 import { mapKeys } from './mapkeys.js'
+import { disc, line, sharp } from './pen.js'
 import { picture } from './picture.js'
 
 const known = new Map()
@@ -45,7 +46,7 @@ export function skin({ title = 'Skin', draw = () => {}, onpick, onhover, ondrag,
     view = { scale, width, height, colour, x: mm => left + mm * scale, y: mm => top + (shape.height_mm - mm) * scale, back: (px, py) => [(px - left) / scale, shape.height_mm - (py - top) / scale] }
     pen.setTransform(1, 0, 0, 1, 0, 0)
     pen.clearRect(0, 0, canvas.width, canvas.height)
-    pen.drawImage(background(ratio), 0, 0)
+    pen.drawImage(background(), 0, 0)
     pen.setTransform(ratio, 0, 0, ratio, 0, 0)
     pen.lineJoin = 'round'
     draw(pen, view, shape)
@@ -66,14 +67,13 @@ export function skin({ title = 'Skin', draw = () => {}, onpick, onhover, ondrag,
     }
   }
   // Outline, electrodes, points and ruler: drawn again only with another size, sensor or light.
-  function background(ratio) {
+  function background() {
     const now = `${canvas.width} ${canvas.height} ${dark.matches}`
     if (ground && groundOf === now && groundShape === shape) return ground
     groundOf = now
     groundShape = shape
-    ground = el('canvas', { width: canvas.width, height: canvas.height })
-    const pen = ground.getContext('2d')
-    pen.setTransform(ratio, 0, 0, ratio, 0, 0)
+    ground = el('canvas')
+    const pen = sharp(ground, view.width, view.height)
     pen.lineJoin = 'round'
     pen.fillStyle = colour('--skin')
     pen.strokeStyle = colour('--line')
@@ -84,12 +84,9 @@ export function skin({ title = 'Skin', draw = () => {}, onpick, onhover, ondrag,
     pen.closePath()
     pen.fill()
     pen.stroke()
-    if (points) {
-      pen.fillStyle = colour('--track')
-      for (const [x, y] of shape.points_mm) { pen.beginPath(); pen.arc(view.x(x), view.y(y), Math.max(1, 1.6 * view.scale), 0, 7); pen.fill() }
-    }
-    pen.fillStyle = colour('--electrode')
-    for (const { x_mm, y_mm } of shape.electrodes) { pen.beginPath(); pen.arc(view.x(x_mm), view.y(y_mm), Math.max(2, 4 * view.scale), 0, 7); pen.fill() }
+    const dot = (x, y, radius, fill) => disc(pen, view.x(x), view.y(y), radius, { fill })
+    if (points) for (const [x, y] of shape.points_mm) dot(x, y, Math.max(1, 1.6 * view.scale), colour('--track'))
+    for (const { x_mm, y_mm } of shape.electrodes) dot(x_mm, y_mm, Math.max(2, 4 * view.scale), colour('--electrode'))
     ruler(pen)
     return ground
   }
@@ -97,11 +94,8 @@ export function skin({ title = 'Skin', draw = () => {}, onpick, onhover, ondrag,
     const y = view.height - 9, from = view.x(0), to = view.x(100)
     pen.strokeStyle = pen.fillStyle = colour('--soft')
     pen.lineWidth = 1
-    pen.beginPath()
-    for (let mm = 0; mm <= 100; mm += 20) { pen.moveTo(view.x(mm), y - (mm % 100 ? 3 : 6)); pen.lineTo(view.x(mm), y) }
-    pen.moveTo(from, y)
-    pen.lineTo(to, y)
-    pen.stroke()
+    for (let mm = 0; mm <= 100; mm += 20) line(pen, [view.x(mm), y - (mm % 100 ? 3 : 6)], [view.x(mm), y])
+    line(pen, [from, y], [to, y])
     pen.font = '11px system-ui, sans-serif'
     pen.textBaseline = 'alphabetic'
     pen.textAlign = 'left'
@@ -138,21 +132,7 @@ export function nearest(places, [x, y], within = Infinity) {
   return best
 }
 
-/** Writes a text over what is drawn, with a rim, so that it is read on every colour. Font and alignment are those of the pen. */
-export function lettering(pen, words, x, y, ink, rim, width = 4) {
-  pen.lineWidth = width
-  pen.strokeStyle = rim
-  pen.strokeText(words, x, y)
-  pen.fillStyle = ink
-  pen.fillText(words, x, y)
-}
-
 /** Draws tips to scale. */
-export function tips(pen, view, contacts, diameter, { fill, stroke, width = 1.5 } = {}) {
-  for (const [x, y] of contacts) {
-    pen.beginPath()
-    pen.arc(view.x(x), view.y(y), Math.max(2, diameter / 2 * view.scale), 0, 7)
-    if (fill) { pen.fillStyle = fill; pen.fill() }
-    if (stroke) { pen.strokeStyle = stroke; pen.lineWidth = width; pen.stroke() }
-  }
+export function tips(pen, view, contacts, diameter, style) {
+  for (const [x, y] of contacts) disc(pen, view.x(x), view.y(y), Math.max(2, diameter / 2 * view.scale), style)
 }

@@ -10,10 +10,7 @@ const MOST = 2000
 const COUNTS = [0, 1, 2, 3, 4, 5, 6],
   COLOUR = n => (n === 0 ? '--grey' : `--c${n}`)
 // Room for half a bar at both ends.
-const wide = (x, y, step) => [
-  [x[0] - 0.8 * step, ...x, x.at(-1) + 0.8 * step],
-  [null, ...y, null],
-]
+const wide = (x, y, step) => [[x[0] - 0.8 * step, ...x, x.at(-1) + 0.8 * step], [null, ...y, null]]
 const words = n => (n === 0 ? 'no contact' : counted(n, 'contact'))
 
 /** Reads columns of the first rows of a list of the API as NDJSON, page by page; resolves to { rows, more }. */
@@ -79,20 +76,8 @@ export function spread({ signal, label, query }) {
       }
       const last = Math.max(0, ...bins.keys()),
         all = Array.from({ length: last + 1 }, (_, i) => i)
-      force.set(
-        wide(
-          all.map(i => (i + 0.5) * step),
-          all.map(i => bins.get(i) ?? 0),
-          step
-        )
-      )
-      contacts.set(
-        wide(
-          COUNTS,
-          COUNTS.map(n => rows.filter(row => row.contact_count === n).length),
-          1
-        )
-      )
+      force.set(wide(all.map(i => (i + 0.5) * step), all.map(i => bins.get(i) ?? 0), step))
+      contacts.set(wide(COUNTS, COUNTS.map(n => rows.filter(row => row.contact_count === n).length), 1))
       const dots = rows.filter(row => row.max_force_n != null && row.fvu != null).sort((a, b) => a.max_force_n - b.max_force_n)
       fit.set([dots.map(row => row.max_force_n), ...COUNTS.map(n => dots.map(row => (row.contact_count === n ? row.fvu : null)))])
     },

@@ -4,7 +4,8 @@
 import { colour, dark, el, fill } from './dom.js'
 import { fixed } from './format.js'
 import { sequential, strip } from './frame.js'
-import { lettering, skin } from './skin.js'
+import { disc, lettering } from './pen.js'
+import { nearest, skin } from './skin.js'
 
 const SAME_MM = 40, SDS = 2
 
@@ -12,11 +13,7 @@ const SAME_MM = 40, SDS = 2
 export function numbered(contacts, before) {
   const free = [...before], used = new Set()
   for (const contact of contacts) {
-    let best = -1, least = SAME_MM ** 2
-    free.forEach((old, i) => {
-      const d = (old.x_mm - contact.x_mm) ** 2 + (old.y_mm - contact.y_mm) ** 2
-      if (d < least) { least = d; best = i }
-    })
+    const best = nearest(free.map(old => [old.x_mm, old.y_mm]), [contact.x_mm, contact.y_mm], SAME_MM)
     contact.number = best < 0 ? 0 : free.splice(best, 1)[0].number
     if (contact.number) used.add(contact.number)
   }
@@ -51,8 +48,7 @@ export function touchMap({ signal, label, query }) {
     const n = Math.round(Math.sqrt(map.length))
     if (n !== side) {
       side = n
-      board = document.createElement('canvas')
-      board.width = board.height = n
+      board = el('canvas', { width: n, height: n })
       image = new ImageData(n, n)
     }
     // A contact of `end` newtons spread over a tip fills the colours.
@@ -90,10 +86,7 @@ export function touchMap({ signal, label, query }) {
       const x = view.x(contact.x_mm), y = view.y(contact.y_mm), r = shape.tip_diameter_mm / 2 * view.scale
       if (!answer.force_map_n) {
         const rgb = shade(contact.force_n ?? end / 2)
-        pen.fillStyle = `rgb(${rgb[0]} ${rgb[1]} ${rgb[2]})`
-        pen.beginPath()
-        pen.arc(x, y, r, 0, 7)
-        pen.fill()
+        disc(pen, x, y, r, { fill: `rgb(${rgb[0]} ${rgb[1]} ${rgb[2]})` })
       }
       pen.strokeStyle = unsure ? ink.unsure : ink.line
       pen.lineWidth = 1.5

@@ -4,6 +4,7 @@
 import { button, dark, el, fill, say } from './dom.js'
 import { count, counted, fixed } from './format.js'
 import { paintStrip, sequential } from './frame.js'
+import { disc, line, sharp } from './pen.js'
 import { nearest, skin, tips } from './skin.js'
 import { places } from './tourmap.js'
 
@@ -66,13 +67,9 @@ export function tourView({ onstep, label, query, signal }) {
     walk(at + n)
     onstep(kept[at])
   }
-  const node = el(
-    'div',
-    { className: 'tour' },
+  const node = el('div', { className: 'tour' },
     view.node,
-    el(
-      'div',
-      { className: 'tour-scale soft small' },
+    el('div', { className: 'tour-scale soft small' },
       el('span', {}, 'first'),
       colours,
       el('span', {}, 'last'),
@@ -80,13 +77,7 @@ export function tourView({ onstep, label, query, signal }) {
     ),
     el('label', { htmlFor: 'tour-step' }, 'Step of the tour'),
     slider,
-    el(
-      'div',
-      { className: 'row' },
-      button('Back', () => by(-1)),
-      button('Forward', () => by(1)),
-      told,
-    ),
+    el('div', { className: 'row' }, button('Back', () => by(-1)), button('Forward', () => by(1)), told),
   )
 
   /** The first kept step that presses the place nearest to a position. */
@@ -108,46 +99,34 @@ export function tourView({ onstep, label, query, signal }) {
   }
 
   // The whole line once as a bitmap: the walk draws only what moves.
-  function line(width, height, v) {
-    const ratio = window.devicePixelRatio || 1
-    const name = `${width} ${height} ${dark.matches} ${kept.length} ${kept[0]}`
+  function course(v) {
+    const name = `${v.width} ${v.height} ${dark.matches} ${kept.length} ${kept[0]}`
     if (drawn === name && bitmap) return bitmap
     drawn = name
-    bitmap = el('canvas', { width: Math.round(width * ratio), height: Math.round(height * ratio) })
-    const pen = bitmap.getContext('2d')
+    bitmap = el('canvas')
+    const pen = sharp(bitmap, v.width, v.height)
     const shade = shades()
-    pen.setTransform(ratio, 0, 0, ratio, 0, 0)
+    const points = middles.map(([x, y]) => [v.x(x), v.y(y)])
     pen.lineWidth = kept.length > 2000 ? 0.35 : kept.length > 300 ? 0.7 : 1.2
     pen.lineJoin = 'round'
     const each = Math.max(1, Math.ceil(kept.length / BINS))
     for (let from = 0; from < kept.length; from += each) {
       pen.strokeStyle = `rgb(${shade(from / kept.length)})`
-      pen.beginPath()
-      for (let i = from; i <= Math.min(from + each, kept.length - 1); i += 1) pen.lineTo(v.x(middles[i][0]), v.y(middles[i][1]))
-      pen.stroke()
-      if (kept.length > 600) continue
-      pen.fillStyle = pen.strokeStyle
-      for (let i = from; i < Math.min(from + each, kept.length); i += 1) {
-        pen.beginPath()
-        pen.arc(v.x(middles[i][0]), v.y(middles[i][1]), 2.2, 0, 7)
-        pen.fill()
-      }
+      line(pen, ...points.slice(from, from + each + 1))
+      if (kept.length <= 600) for (const [x, y] of points.slice(from, from + each)) disc(pen, x, y, 2.2, { fill: pen.strokeStyle })
     }
     paintStrip(colours, i => shade(i / 254))
     return bitmap
   }
   function draw(pen, v) {
     if (!kept.length) return
-    pen.drawImage(line(v.width, v.height, v), 0, 0, v.width, v.height)
+    pen.drawImage(course(v), 0, 0, v.width, v.height)
     // The way that led here, fading.
     pen.strokeStyle = v.colour('--ink')
     pen.lineWidth = 1.4
     for (let i = Math.max(1, at - TRAIL); i <= at; i += 1) {
       pen.globalAlpha = 0.15 + 0.85 * (1 - (at - i) / TRAIL) ** 2
-      pen.beginPath()
-      pen.moveTo(v.x(middles[i - 1][0]), v.y(middles[i - 1][1]))
-      pen.lineTo(v.x(middles[i][0]), v.y(middles[i][1]))
-      pen.stroke()
+      line(pen, ...[i - 1, i].map(k => [v.x(middles[k][0]), v.y(middles[k][1])]))
     }
     pen.globalAlpha = 1
     tips(pen, v, tour.steps.contacts_mm[kept[at]], shape.tip_diameter_mm, { fill: v.colour('--next'), stroke: v.colour('--panel') })

@@ -4,7 +4,8 @@
 
 import { colour, dark, el, fill } from './dom.js'
 import { count, fixed } from './format.js'
-import { round125, sequential, strip } from './frame.js'
+import { roundUp, sequential, strip } from './frame.js'
+import { disc, line, sharp } from './pen.js'
 import { nearest, skin, tips } from './skin.js'
 
 /** What the colours may show. */
@@ -31,7 +32,7 @@ export function tourMap({ signal, label, query, href, onselect = () => {}, force
   const legend = el('p', { className: 'legend' })
   const total = i => progress?.stored[i] ?? 0
   const values = () => kind === 'force' ? progress?.largest_force_n : progress?.fvu
-  const scaleEnd = () => kind === 'force' ? forceLimit() ?? 100 : round125(Math.max(0.05, ...quantile(progress?.fvu)))
+  const scaleEnd = () => kind === 'force' ? forceLimit() ?? 100 : roundUp(Math.max(0.05, ...quantile(progress?.fvu)))
 
   const view = skin({ title: 'Tour', signal, label, query, points: true, draw, describe, onhover, onpick, turn, spots: () => spots.map(({ x, y }) => [x, y]) })
 
@@ -49,30 +50,17 @@ export function tourMap({ signal, label, query, href, onselect = () => {}, force
 
   // The part that changes with the progress only.
   function paint(view) {
-    const ratio = window.devicePixelRatio || 1
-    bitmap ??= document.createElement('canvas')
-    bitmap.width = Math.round(view.width * ratio)
-    bitmap.height = Math.round(view.height * ratio)
-    const pen = bitmap.getContext('2d'), palette = kind === 'progress' ? null : sequential(), end = palette && scaleEnd()
-    pen.setTransform(ratio, 0, 0, ratio, 0, 0)
+    bitmap ??= el('canvas')
+    const pen = sharp(bitmap, view.width, view.height), palette = kind === 'progress' ? null : sequential(), end = palette && scaleEnd()
     const radius = Math.max(1.5, DOT_MM * view.scale), lost = new Set(progress?.skipped)
-    const [line, bad, skipped] = ['--grey', '--bad', '--skipped'].map(colour)
+    const [grey, bad, skipped] = ['--grey', '--bad', '--skipped'].map(colour)
     for (const spot of spots) {
       const x = view.x(spot.x), y = view.y(spot.y), shade = spotColour(spot, palette, end)
-      pen.beginPath()
-      pen.arc(x, y, radius, 0, 7)
-      if (shade) {
-        pen.globalAlpha = shade.alpha
-        pen.fillStyle = shade.ink
-        pen.fill()
-        pen.globalAlpha = 1
-      } else {
-        pen.strokeStyle = line
-        pen.lineWidth = 0.75
-        pen.stroke()
-      }
+      pen.globalAlpha = shade?.alpha ?? 1
+      disc(pen, x, y, radius, shade ? { fill: shade.ink } : { stroke: grey, width: 0.75 })
+      pen.globalAlpha = 1
       if (lost.size && spot.of.some(i => lost.has(i))) cross(pen, x, y, 0.7 * radius, skipped)
-      else if (spot.of.some(i => progress?.attempts_failed[i])) ring(pen, x, y, radius - 1, bad)
+      else if (spot.of.some(i => progress?.attempts_failed[i])) disc(pen, x, y, radius - 1, { stroke: bad, width: 2 })
     }
   }
 
@@ -181,23 +169,11 @@ export function tourMap({ signal, label, query, href, onselect = () => {}, force
   }
 }
 
-function ring(pen, x, y, r, ink) {
-  pen.strokeStyle = ink
-  pen.lineWidth = 2
-  pen.beginPath()
-  pen.arc(x, y, r, 0, 7)
-  pen.stroke()
-}
-
 function cross(pen, x, y, r, ink) {
   pen.strokeStyle = ink
   pen.lineWidth = 2.5
-  pen.beginPath()
-  pen.moveTo(x - r, y - r)
-  pen.lineTo(x + r, y + r)
-  pen.moveTo(x + r, y - r)
-  pen.lineTo(x - r, y + r)
-  pen.stroke()
+  line(pen, [x - r, y - r], [x + r, y + r])
+  line(pen, [x + r, y - r], [x - r, y + r])
 }
 
 // The 98th percentile, so that one bad trial does not hide the others.

@@ -3,13 +3,15 @@
 import { chart } from './chart.js'
 import { colour, el, facts, fill, note, panel, pane, select } from './dom.js'
 import { NONE, about, capital, count, counted, fixed, moment, plain, span } from './format.js'
-import { frame, minus, round125 } from './frame.js'
+import { frame, minus, roundUp } from './frame.js'
+import { lettering, line } from './pen.js'
 import { shows } from './save.js'
-import { lettering, sensorOf, skin, tips } from './skin.js'
+import { sensorOf, skin, tips } from './skin.js'
 import { table } from './table.js'
 import { meaning } from './vocabulary.js'
 
 const ARMS = [1, 2, 3, 4, 5, 6]
+const SCALES = [['', 'this trial'], ['configuration', 'the deepest trial of its configuration']]
 const largest = values => (values ?? []).reduce((top, v) => Math.max(top, Math.abs(v ?? 0)), 1e-4)
 
 const armWords = arm => `arm ${arm.arm} at ${fixed(arm.x_mm, 0)}, ${fixed(arm.y_mm, 0, 'mm')}: ${fixed(arm.force_n, 1, 'N')}`
@@ -22,6 +24,35 @@ export function trialWords(row) {
       : `Configuration ${row.configuration}, depth ${fixed(row.depth_mm, 2, 'mm')}, ${counted(row.tips, 'tip')}`
   const contacts = row.contact_count ? counted(row.contact_count, 'contact') : 'no contact'
   return `${place}, ${contacts} by its labels, ${row.label}. Run ${row.scan_id}, ${row.experiment}.`
+}
+
+/** Number of the raw frames, as a link to them. */
+function rawFrames({ kind, frame_count, trial_id }) {
+  if (kind === 'imported') return 'none: imported'
+  return frame_count ? shows(count(frame_count), `/api/v1/trials/${trial_id}/frames`, `trial-${trial_id}-frames.json`) : 'none'
+}
+
+/** The pose that was reached, against its target. */
+function posesPart({ kind, target, reached }) {
+  if (!target && !reached) {
+    const why = kind === 'real-random' ? 'Weights were placed by a person: no axis moved.' : 'No pose was stored with this trial.'
+    return el('p', { className: 'soft' }, why)
+  }
+  return table({
+    rows: [['x_mm', 'x'], ['y_mm', 'y'], ['z_mm', 'z'], ['radius_mm', 'Radius']],
+    columns: [
+      { head: 'Axis', left: true, cell: ([, name]) => name },
+      { head: 'Target', unit: 'mm', cell: ([key]) => fixed(target?.[key], 3) },
+      { head: 'Reached', unit: 'mm', cell: ([key]) => fixed(reached?.[key], 3) },
+      { head: 'Difference', unit: 'mm', cell: ([key]) => (target && reached ? fixed(reached[key] - target[key], 3) : NONE) },
+    ],
+  }).node
+}
+
+/** What looks faulty in a trial. */
+function flagsPart({ flags }) {
+  const line = flag => el('li', { className: 'warn' }, `${capital(plain(flag))}. `, el('span', { className: 'soft' }, meaning('flags', flag)))
+  return flags.length ? el('ul', {}, flags.map(line)) : el('p', {}, 'No flag: nothing in this trial looks faulty.')
 }
 
 /** Makes the view of one trial; `show(row, { siblings, untouched, deepest })` draws it. */
@@ -38,15 +69,7 @@ export function trialView({ signal, href, onscale }) {
     touch: picture('Measured minus untouched', 'touch'),
   }
   const why = { twin: el('p', { className: 'soft small' }), touch: el('p', { className: 'soft small' }) }
-  const scale = select(
-    [
-      ['', 'this trial'],
-      ['configuration', 'the deepest trial of its configuration'],
-    ],
-    '',
-    onscale,
-    { id: 'trial-scale' }
-  )
+  const scale = select(SCALES, '', onscale, { id: 'trial-scale' })
   const scaleWords = el('span')
   const map = skin({
     title: 'Skin: tips to scale, forces in N',
@@ -78,19 +101,11 @@ export function trialView({ signal, href, onscale }) {
     verdict = el('div'),
     poses = el('div')
   const alone = el('p', { className: 'soft' })
-  const node = el(
-    'div',
-    { className: 'trial' },
-    el(
-      'div',
-      { className: 'columns two trial-top' },
+  const node = el('div', { className: 'trial' },
+    el('div', { className: 'columns two' },
       el('div', { className: 'column' }, pane(map.node), el('section', {}, depths.node, alone, steps)),
-      el(
-        'section',
-        {},
-        el(
-          'div',
-          { className: 'pair trial-frames' },
+      el('section', {},
+        el('div', { className: 'pair trial-frames' },
           shown.measured.node,
           el('div', {}, shown.twin.node, why.twin),
           shown.rest.node,
@@ -99,9 +114,7 @@ export function trialView({ signal, href, onscale }) {
         el('p', { className: 'soft small row' }, el('label', { className: 'inline', htmlFor: 'trial-scale' }, 'Colours by ', scale), scaleWords)
       )
     ),
-    el(
-      'div',
-      { className: 'columns three' },
+    el('div', { className: 'columns three' },
       panel('Fit and times', {}, fit),
       panel('Reached against target', {}, poses),
       panel('Quality', {}, verdict, quality)
@@ -142,22 +155,19 @@ export function trialView({ signal, href, onscale }) {
   }
   function markDepth(u) {
     if (row?.depth_mm == null) return
-    const at = u.valToPos(row.depth_mm, 'x', true)
-    u.ctx.save()
-    u.ctx.strokeStyle = colour('--ink')
-    u.ctx.lineWidth = 2
-    u.ctx.setLineDash([6, 4])
-    u.ctx.beginPath()
-    u.ctx.moveTo(at, u.bbox.top)
-    u.ctx.lineTo(at, u.bbox.top + u.bbox.height)
-    u.ctx.stroke()
-    u.ctx.restore()
+    const at = u.valToPos(row.depth_mm, 'x', true), pen = u.ctx
+    pen.save()
+    pen.strokeStyle = colour('--ink')
+    pen.lineWidth = 2
+    pen.setLineDash([6, 4])
+    line(pen, [at, u.bbox.top], [at, u.bbox.top + u.bbox.height])
+    pen.restore()
   }
 
   function frames({ untouched, deepest }) {
     const { voltages_v: v, sim_voltages_v: s } = row
     const wide = scale.value ? (deepest ?? row) : row
-    const end = round125(Math.max(largest(wide.voltages_v), largest(wide.sim_voltages_v)))
+    const end = roundUp(Math.max(largest(wide.voltages_v), largest(wide.sim_voltages_v)))
     shown.measured.show(v, { scale: end })
     for (const [kind, values] of [
       ['twin', s],
@@ -178,24 +188,15 @@ export function trialView({ signal, href, onscale }) {
     note(alone, one ? 'This configuration has one trial: there is no curve over depth.' : '')
     const rows = [...siblings].sort((a, b) => a.depth_mm - b.depth_mm)
     depths.set([rows.map(r => r.depth_mm), ...ARMS.map((_, i) => rows.map(r => r.forces_n[i] ?? null))])
-    fill(
-      steps,
-      one
-        ? []
-        : rows.map(r =>
-            el(
-              'a',
-              { className: 'chip', href: href(r.trial_id), title: `trial ${r.trial_id}`, ...(r.trial_id === row.trial_id && { 'aria-current': 'page' }) },
-              fixed(r.depth_mm, 1)
-            )
-          ),
-      !one && el('span', { className: 'soft small' }, 'mm')
-    )
+    const step = ({ trial_id, depth_mm }) => {
+      const current = trial_id === row.trial_id ? 'page' : null
+      return el('a', { className: 'chip', href: href(trial_id), title: `trial ${trial_id}`, 'aria-current': current }, fixed(depth_mm, 1))
+    }
+    fill(steps, !one && [rows.map(step), el('span', { className: 'soft small' }, 'mm')])
   }
 
   function words() {
-    fill(
-      fit,
+    fill(fit,
       facts([
         ['FVU', fixed(row.fvu, 3)],
         ['RMSE', row.rmse_v == null ? NONE : fixed(row.rmse_v * 1e3, 2, 'mV')],
@@ -205,53 +206,13 @@ export function trialView({ signal, href, onscale }) {
         ['Attempt', count(row.attempt)],
         ['Measured', moment(row.measured_at, true)],
         row.placed_by && ['Placed by', row.placed_by],
-        [
-          'Raw frames',
-          row.kind === 'imported'
-            ? 'none: imported'
-            : row.frame_count
-              ? shows(count(row.frame_count), `/api/v1/trials/${row.trial_id}/frames`, `trial-${row.trial_id}-frames.json`)
-              : 'none',
-        ],
+        ['Raw frames', rawFrames(row)],
       ]),
       row.sim_model ? el('p', { className: 'soft small' }, 'Twin by model ', el('code', {}, row.sim_model), '.') : ''
     )
-    const axes = [
-      ['x_mm', 'x'],
-      ['y_mm', 'y'],
-      ['z_mm', 'z'],
-      ['radius_mm', 'Radius'],
-    ]
-    fill(
-      poses,
-      row.target || row.reached
-        ? table({
-            columns: [
-              { head: 'Axis', cell: r => r[1], left: true },
-              { head: 'Target', unit: 'mm', cell: r => fixed(row.target?.[r[0]], 3) },
-              { head: 'Reached', unit: 'mm', cell: r => fixed(row.reached?.[r[0]], 3) },
-              { head: 'Difference', unit: 'mm', cell: r => (row.target && row.reached ? fixed(row.reached[r[0]] - row.target[r[0]], 3) : NONE) },
-            ],
-            rows: axes,
-          }).node
-        : el(
-            'p',
-            { className: 'soft' },
-            row.kind === 'real-random' ? 'Weights were placed by a person: no axis moved.' : 'No pose was stored with this trial.'
-          )
-    )
-    fill(
-      verdict,
-      row.flags.length
-        ? el(
-            'ul',
-            {},
-            row.flags.map(flag => el('li', { className: 'warn' }, `${capital(plain(flag))}. `, el('span', { className: 'soft' }, meaning('flags', flag))))
-          )
-        : el('p', {}, 'No flag: nothing in this trial looks faulty.')
-    )
-    fill(
-      quality,
+    fill(poses, posesPart(row))
+    fill(verdict, flagsPart(row))
+    fill(quality,
       facts([
         ['Dropped packets', count(row.dropped_packets)],
         ['Missing channels', count(row.missing_channels)],

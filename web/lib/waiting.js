@@ -5,7 +5,7 @@ import { actor, confirm, only } from './actions.js'
 import { beginButton, startRights } from './begin.js'
 import { clockline } from './clockline.js'
 import { button, el, panel, say } from './dom.js'
-import { NONE, capital, count, counted, moment, momentBand, plain, span } from './format.js'
+import { NONE, capital, count, counted, listed, moment, momentBand, plain, span } from './format.js'
 import { live, who } from './live.js'
 import { dragRows } from './drag.js'
 import { table } from './table.js'
@@ -24,13 +24,11 @@ function conditions(rows, rig) {
   const held = rows.filter(row => !row.waiting_since).length
   if (!rows.length) return ''
   const open = held === rows.length ? 'None of these runs is' : `${count(held)} of these runs ${held === 1 ? 'is' : 'are'} not`
-  return [
+  return listed([
     held > 0 && `${open} started yet: the times hold if each is started before its turn.`,
     'Times exclude manual work (tips, weights).',
     rig?.label === 'virtual' && 'The rig is virtual: durations are at the speed of its clock.',
-  ]
-    .filter(Boolean)
-    .join(' ')
+  ], ' ')
 }
 
 /** Makes the panel: { node, refresh }. `said` tells what became of an action, `go` leads to the editor. */
@@ -76,9 +74,7 @@ export function waiting({ said, go, signal }) {
       return node
     }
     const other = (words, work, props) => only('operator', button(words, work, { 'aria-label': `${words} ${run}`, ...props }))
-    return el(
-      'div',
-      { className: 'row tight' },
+    return el('div', { className: 'row tight' },
       !row.waiting_since && beginButton('Arm and start', row, said, { after: refresh, className: at ? '' : 'main', 'aria-label': `Arm and start ${run}` }),
       mine('Up', () => move(row, at), { disabled: at === 0, 'aria-label': `Move ${run} up` }),
       mine('Down', () => move(row, at + 2), { disabled: at === rows.length - 1, 'aria-label': `Move ${run} down` }),
@@ -157,7 +153,7 @@ export function waiting({ said, go, signal }) {
     const early = row.not_before && Date.parse(row.not_before) > now ? `not before ${moment(row.not_before)}` : ''
     const bad = problem ? `refused: ${problem}` : ''
     const words = row.waiting_since ? 'started, waits for its turn' : dropped ? `does not begin by itself: ${dropped}` : 'to be started by a person'
-    return { words: capital([bad, words, early].filter(Boolean).join(', ')), tone: bad ? 'bad' : row.waiting_since ? 'good' : 'warn' }
+    return { words: capital(listed([bad, words, early])), tone: bad ? 'bad' : row.waiting_since ? 'good' : 'warn' }
   }
 
   function times() {
@@ -184,6 +180,6 @@ export function waiting({ said, go, signal }) {
   }
 
   live.addEventListener('caller', drag.attach, { signal })
-  const node = panel('In this order', { className: 'queue live' }, head, line.node, list.node, said.node, hint, startRights(signal))
+  const node = panel('In this order', { className: 'live' }, head, line.node, list.node, said.node, hint, startRights(signal))
   return { node, refresh }
 }

@@ -3,8 +3,9 @@
 import { chart } from './chart.js'
 import { button, dark, el, facts, fill, pane } from './dom.js'
 import { NONE, count, counted, fixed } from './format.js'
-import { round125, sequential, strip } from './frame.js'
+import { roundUp, sequential, strip } from './frame.js'
 import { median } from './runwords.js'
+import { disc } from './pen.js'
 import { nearest, skin } from './skin.js'
 import { table } from './table.js'
 
@@ -28,7 +29,7 @@ export function wearMap({ onchoose, label, signal }) {
   const most = el('section')
   const at = i => [points.x_mm[i], points.y_mm[i], points.presses[i]]
   const top = () => points.presses[order[0]] ?? 0
-  const end = () => round125(Math.max(1, top()))
+  const end = () => roundUp(Math.max(1, top()))
 
   const view = skin({
     title: 'Presses on each place',
@@ -68,27 +69,13 @@ export function wearMap({ onchoose, label, signal }) {
     view.node.scrollIntoView({ block: 'nearest' }) // On a phone the map is beyond the table.
   }
 
-  function disc(pen, v, [x, y], radius) {
-    pen.beginPath()
-    pen.arc(v.x(x), v.y(y), radius, 0, 7)
-  }
   function draw(pen, v) {
     const shades = sequential()
     const radius = Math.max(1.5, DISC_MM * v.scale)
-    pen.strokeStyle = v.colour('--line')
-    pen.lineWidth = 1
-    for (const i of order) {
-      disc(pen, v, at(i), radius)
-      if (points.presses[i] > 0) {
-        pen.fillStyle = `rgb(${shades[shadeOf(points.presses[i] / end())]})`
-        pen.fill()
-      } else pen.stroke()
-    }
-    if (marked == null) return
-    pen.strokeStyle = v.colour('--ink')
-    pen.lineWidth = 2.5
-    disc(pen, v, at(marked), radius + 2)
-    pen.stroke()
+    const place = (i, radius, style) => disc(pen, v.x(points.x_mm[i]), v.y(points.y_mm[i]), radius, style)
+    const styleOf = presses => (presses > 0 ? { fill: `rgb(${shades[shadeOf(presses / end())]})` } : { stroke: v.colour('--line'), width: 1 })
+    for (const i of order) place(i, radius, styleOf(points.presses[i]))
+    if (marked != null) place(marked, radius + 2, { stroke: v.colour('--ink'), width: 2.5 })
   }
   function tellLegend() {
     const shades = sequential()
@@ -121,10 +108,7 @@ export function wearMap({ onchoose, label, signal }) {
     const width = Math.max(1, Math.ceil(end() / BARS_MOST))
     const bins = new Array(Math.floor(end() / width) + 1).fill(0)
     for (const n of points.presses) bins[Math.floor(n / width)] += 1
-    spread.set([
-      [-width, ...bins.map((_, i) => i * width), bins.length * width],
-      [null, ...bins, null],
-    ])
+    spread.set([[-width, ...bins.map((_, i) => i * width), bins.length * width], [null, ...bins, null]])
   }
 
   function choose(x, y) {

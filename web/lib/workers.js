@@ -4,7 +4,7 @@
 import { get, send } from './api.js'
 import { actor, confirm, outcome } from './actions.js'
 import { el, every, panel, renew, say } from './dom.js'
-import { bytes, count, countOf, counted, fixed, moment, NONE, plain, span } from './format.js'
+import { bytes, count, countOf, counted, fixed, listed, moment, NONE, plain, span } from './format.js'
 import { table } from './table.js'
 import { TONE } from './words.js'
 
@@ -59,8 +59,8 @@ export function workers(signal) {
     renew(offered, unsubmitted, () => [unsubmitted.length > 0 && 'Not submitted:', unsubmitted.map(name => [el('span', {}, name), submitting(name)])])
     say(gathered, gather ? `Gathering of ${gather.folder} into ${gather.into}: ${gather.error ?? plain(gather.state)}.` : '')
     gathered.className = TONE[gather?.state] ?? 'soft'
-    say(failures, found.orders.flatMap(order => [order.again_error && `A machine could not make ${counted(order.again, 'chunk')}: ${order.again_error}`,
-      ...order.errors.map(one => `Chunk ${one.index}, ${counted(one.attempts, 'attempt')}: ${one.error}`)]).filter(Boolean).join('. '))
+    say(failures, listed(found.orders.flatMap(order => [order.again_error && `A machine could not make ${counted(order.again, 'chunk')}: ${order.again_error}`,
+      ...order.errors.map(one => `Chunk ${one.index}, ${counted(one.attempts, 'attempt')}: ${one.error}`)]), '. '))
   }
   async function read() {
     try { await ask() } catch (problem) {

@@ -78,24 +78,9 @@ export async function show(root, { query, signal, set, go }) {
       keep('sessionStorage', DRAFT, text.value)
     },
   })
-  const make = (words, body, props) =>
-    actor(
-      words,
-      said,
-      async () => {
-        const item = await once('/datasets', body())
-        made(item)
-        return item
-      },
-      props
-    )
-  const own = fold(
-    'definition',
-    'A definition of your own',
-    { signal },
-    el(
-      'p',
-      { className: 'soft small' },
+  const make = (words, body, props) => actor(words, said, async () => made(await once('/datasets', body())), props)
+  const own = fold('definition', 'A definition of your own', { signal },
+    el('p', { className: 'soft small' },
       'Keys: name, task (trials, real, r2s-transfer, s2s-recon, real-unseen), runs, label, deadband_n, flagged, untouched, ',
       'contact_counts, where, sim_random, license, [split].'
     ),
@@ -103,11 +88,7 @@ export async function show(root, { query, signal, set, go }) {
     text,
     el('label', { htmlFor: 'ds-file' }, 'or a file'),
     file,
-    el(
-      'div',
-      { className: 'row' },
-      make('Make the dataset', () => ({ toml: text.value }), { className: 'main' })
-    )
+    el('div', { className: 'row' }, make('Make the dataset', () => ({ toml: text.value }), { className: 'main' }))
   )
   const listPanel = panel('Datasets', { aside: told }, known.trouble, list.node, el('div', { className: 'row' }, known.more))
   const makePanel = only('operator', panel('Make one of the trials stored now', {}, offered, own, said.node))
@@ -126,9 +107,7 @@ export async function show(root, { query, signal, set, go }) {
     const isThere = name => items.some(item => item.name === name)
     const line = name => {
       const there = isThere(name)
-      return el(
-        'li',
-        {},
+      return el('li', {},
         el('code', {}, name),
         el('span', { className: 'soft' }, ABOUT[name] ?? 'a definition of this service'),
         make(there ? 'Make again' : 'Make', () => ({ name }), { what: `Make ${name}`, 'aria-label': `${there ? 'Make again' : 'Make'}: ${name}` })

@@ -4,12 +4,12 @@
 import { get, socket } from '../lib/api.js'
 import { changing } from '../lib/changing.js'
 import { chart } from '../lib/chart.js'
-import { el, every, fill, panel, say, select } from '../lib/dom.js'
-import { count, countOf, counted, fixed } from '../lib/format.js'
-import { round125 } from '../lib/frame.js'
+import { el, every, fill, panel, replacing, say, select } from '../lib/dom.js'
+import { count, counted, countOf, fixed, listed } from '../lib/format.js'
+import { roundUp } from '../lib/frame.js'
 import { live, rigLabel } from '../lib/live.js'
 import { missingOf } from '../lib/missing.js'
-import { quantityPart } from '../lib/quantities.js'
+import { doubt, quantityPart } from '../lib/quantities.js'
 import { recorder } from '../lib/recording.js'
 import { bestMethod, lacks, needWords, servingPart } from '../lib/serves.js'
 import { sensor } from '../lib/skin.js'
@@ -25,10 +25,8 @@ const TELL_MS = 250, TRACE_MS = 100, TRACED = 600, SERVING_MS = 10_000, STALE_MS
 
 /** How sure an answer is: { tone, words }. */
 function sureness(answer, old) {
-  if (!answer) return { tone: 'soft', words: 'No answer yet: frames come while the rig is connected.' }
-  if (answer.error) return { tone: 'bad', words: `The method failed: ${answer.error}` }
-  if (old) return { tone: 'warn', words: 'Outdated: no answer for some seconds.' }
-  if (answer.outside?.length) return { tone: 'warn', words: `Unsure: ${answer.outside.join('; ')}.` }
+  const unsure = doubt(answer, old, 'The method')
+  if (unsure) return unsure
   const misfit = answer.misfit == null ? '' : ` The fit leaves ${fixed(answer.misfit, 1)} times the noise (limit ${answer.misfit_limit}).`
   const notes = (answer.notes ?? []).map(note => ` Note: ${note}.`).join('')
   const found = answer.contacts.length ? counted(answer.contacts.length, 'contact') : 'Nothing touches the skin', others = answer.alternatives ?? []
@@ -41,11 +39,11 @@ const explained = ({ probability, contacts }) => `${contacts.length ? counted(co
 
 /** Shows the page. */
 export async function show(root, { query, signal, set }) {
-  let state = query, serving = null, cut = null, open = '' // The socket and its method.
+  let state = query, serving = null, open = '' // The method of the socket.
   let waiting = [], answer = null, at = 0, asked = false // Messages that are not drawn yet, and what was drawn.
-  let listed = '', arrived = 0, drawings = 0, told = { arrived: 0, drawings: 0 }, since = performance.now(), rates = {}
+  let tabled = '', arrived = 0, drawings = 0, told = { arrived: 0, drawings: 0 }, since = performance.now(), rates = {}
   let heard = null // Frame counter of the newest drawn answer, and how many had arrived with it.
-  const latencies = [], lost = missingOf(), trace = { at: [], total: [], from: 0 }
+  const listening = replacing(signal), latencies = [], lost = missingOf(), trace = { at: [], total: [], from: 0 }
   const chosen = () => vocabulary.methods.find(one => one.name === state.method) ?? bestMethod(serving)
 
   const map = touchMap({ signal, label: rigLabel, query: '/api/v1/serving' })
@@ -61,7 +59,7 @@ export async function show(root, { query, signal, set }) {
   const [placed, proposed] = [columns, [...columns, presence]].map(columns => table({ caption: 'Contacts', empty: 'Nothing touches the skin.', columns }))
   const lists = el('div')
   const total = chart({ title: 'Total force, last minute', key: 'total', y: 'Force', unit: 'N', height: 130, signal, label: rigLabel,
-    series: [{ name: 'total', digits: 1, fill: true }], range: (_, high) => [0, round125(Math.max(5, high || 0))] })
+    series: [{ name: 'total', digits: 1, fill: true }], range: (_, high) => [0, roundUp(Math.max(5, high || 0))] })
   const now = panel('Now', { className: 'live touch', aside: methods }, sure, numbers, lists)
   const colours = el('label', { className: 'inline' }, 'Colours up to', scales)
   const picture = el('section', { className: 'live' }, el('div', { className: 'row tight' }, colours), map.node)
@@ -75,14 +73,12 @@ export async function show(root, { query, signal, set }) {
     const method = chosen(), ready = method && !lacks(method, serving).length, wanted = ready ? method.name : ''
     if (wanted === open) return
     open = wanted
-    cut?.abort()
+    const until = listening()
     answer = heard = null
     waiting = []
     lost.clear()
     map.show(null)
     if (!wanted) return
-    cut = new AbortController()
-    const until = AbortSignal.any([signal, cut.signal])
     socket('/live', { signal: until, raw: true, rest: true, query: { method: wanted, map: method.uses.includes('map') || null }, onmessage(text) {
       if (until.aborted) return
       waiting.push(text)
@@ -152,7 +148,7 @@ export async function show(root, { query, signal, set }) {
     if (lists.firstChild !== list.node) fill(lists, list.node)
     const contacts = [...answer?.contacts ?? []].sort((a, b) => a.number - b.number)
     const text = JSON.stringify([list === proposed, contacts])
-    if (text !== listed) { listed = text; list.show(contacts) }
+    if (text !== tabled) { tabled = text; list.show(contacts) }
     if (trace.at.length > 5) total.set([trace.at, trace.total])
     quantities.tell()
   }
@@ -197,7 +193,7 @@ function missingWords(last, isSlow) {
   if (!last) return '–'
   if (!last.missing) return 'none'
   const why = [isSlow && 'an answer takes longer than a frame', last.unreceived && `${count(last.unreceived)} not received from the rig`]
-  return [`${countOf(last.missing, last.frames)} frames`, ...why].filter(Boolean).join(', ')
+  return listed([`${countOf(last.missing, last.frames)} frames`, ...why])
 }
 
 /** A value with its standard deviation, where there is one. */

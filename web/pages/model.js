@@ -5,11 +5,12 @@
 import { get, send } from '../lib/api.js'
 import { asked, contactList, contactsText, most, parseContacts, within } from '../lib/presslist.js'
 import { dent } from '../lib/dent.js'
-import { button, el, facts, fill, note, pane, panel, renew, say, select } from '../lib/dom.js'
+import { button, el, facts, fill, form, note, pane, panel, renew, replacing, say, select } from '../lib/dom.js'
 import { fit, scatter } from '../lib/fit.js'
 import { about, counted, fixed } from '../lib/format.js'
 import { frame, minus } from '../lib/frame.js'
-import { lettering, sensorOf, skin, tips } from '../lib/skin.js'
+import { lettering } from '../lib/pen.js'
+import { sensorOf, skin, tips } from '../lib/skin.js'
 import { twins } from '../lib/twinpool.js'
 import { workers } from '../lib/workers.js'
 
@@ -30,11 +31,10 @@ export async function show(root, { query, signal, set }) {
   const list = contactList(edit), told = el('p', { className: 'said', role: 'status' }), numbers = el('div')
   const voltages = frame({ title: 'Voltages', name: 'simulated-frame', label: () => `simulated, ${viewWords()}`, signal })
   const picker = el('div', { className: 'row' }), against = scatter({ title: 'Trial: measured against simulated', key: 'trial', label: () => state.trial?.label, signal })
-  const trialForm = el('form', { className: 'row', onsubmit: event => {
-    event.preventDefault()
+  const trialForm = form(() => {
     state.trialId = null // The same trial again has its own contacts again.
     set({ trial: trialInput.value, contacts: null })
-  } })
+  }, { className: 'row' })
   const trialInput = el('input', { type: 'number', min: 1, id: 'model-trial', className: 'short' }), trialWords = el('p', { className: 'soft' })
   const scatterPane = pane(against.node)
   const without = button('Without', () => set({ trial: null }), { className: 'plain', hidden: true })
@@ -63,7 +63,8 @@ export async function show(root, { query, signal, set }) {
   const viewWords = () => [...VIEWS, ...TRIAL_VIEWS].find(([name]) => name === state.view)?.[1].toLowerCase() ?? ''
 
   // Contacts: changed by mouse, list or address; asked for after a rest.
-  let timer = 0, cut = new AbortController()
+  const asking = replacing(signal)
+  let timer = 0
   function put(contacts) {
     state.contacts = contacts.slice(0, most()).map(contact => within(contact, drawn.shape))
     list.show(state.contacts, null, drawn.shape)
@@ -71,7 +72,7 @@ export async function show(root, { query, signal, set }) {
     clearTimeout(timer)
     timer = setTimeout(() => { state.text = contactsText(state.contacts); set({ contacts: state.text }); simulate() }, REST_MS)
   }
-  signal.addEventListener('abort', () => { clearTimeout(timer); cut.abort() })
+  signal.addEventListener('abort', () => clearTimeout(timer))
   const add = ([x_mm, y_mm]) => state.contacts.length < most()
     ? put([...state.contacts, { ...NEW, ...(({ kind, value }) => kind && { kind, value })(state.contacts.at(-1) ?? {}), x_mm, y_mm }])
     : note(told, `At most ${most()} contacts: remove one first.`)
@@ -116,20 +117,18 @@ export async function show(root, { query, signal, set }) {
   }
 
   async function simulate() {
-    cut.abort()
-    cut = new AbortController()
-    const mine = cut, begun = performance.now()
-    const slow = setTimeout(() => { if (!mine.signal.aborted) note(told, SLOW) }, SLOW_MS)
+    const until = asking(), begun = performance.now()
+    const slow = setTimeout(() => { if (!until.aborted) note(told, SLOW) }, SLOW_MS)
     try {
       const answer = await send('/simulations', { contacts: asked(state.contacts), run: state.run || state.trial?.run || null, trial: state.trial?.trial_id ?? null },
-        { signal: AbortSignal.any([signal, mine.signal]), wait: 120_000 })
+        { signal: until, wait: 120_000 })
       clearTimeout(slow)
-      if (mine.signal.aborted) return
+      if (until.aborted) return
       state.answer = answer
       tell(performance.now() - begun)
     } catch (error) {
       clearTimeout(slow)
-      if (mine.signal.aborted || signal.aborted) return
+      if (until.aborted) return
       state.answer = null
       fill(numbers)
       note(told, error.status === 404 && !state.run ? 'This version of the service answers no simulations here. The command: palpate simulate --contacts.'

@@ -39,6 +39,7 @@ export async function show(root, { query, signal, go }) {
   const work = jobView({ signal, said, models: () => models, onstopped: () => jobs.read() })
   const href = id => `/nets?job=${id}`
 
+  const promote = model => model.slot && serving.promotion(model, { 'aria-label': `Promote ${model.name}, ${model.id}` })
   const list = table({
     href: model => `/nets?model=${model.id}`,
     current: model => [model.id, model.name].includes(query.model),
@@ -53,13 +54,7 @@ export async function show(root, { query, signal, go }) {
       { head: 'Up to', unit: 'N', cell: model => fixed(model.manifest.trained_on?.max_force_n, 0) },
       { head: 'Newest score', left: true, cell: model => (model.scores[0] ? shortScore(model.scores[0]) : 'not evaluated') },
       { head: 'Trained', cell: model => moment(model.created_at) },
-      {
-        head: 'Serves',
-        cell: model =>
-          model.serves
-            ? el('span', { className: 'good' }, 'serves')
-            : model.slot && serving.promotion(model, { 'aria-label': `Promote ${model.name}, ${model.id}` }),
-      },
+      { head: 'Serves', cell: model => (model.serves ? el('span', { className: 'good' }, 'serves') : promote(model)) },
     ],
   })
   const told = el('span')
@@ -71,8 +66,7 @@ export async function show(root, { query, signal, go }) {
   function drawScores(jobs) {
     const reports = jobs.filter(job => job.result?.scored).map(job => ({ ...job.result, job: job.id, asked: job.request.dataset })),
       current = one => one.job != null && one.job === query.job
-    fill(
-      scores,
+    fill(scores,
       reports.length
         ? scoreTables(reports, models, { href, current })
         : el('p', { className: 'soft' }, `No evaluation has ended yet.${toForms('Start one below.')}`)
@@ -84,10 +78,7 @@ export async function show(root, { query, signal, go }) {
     href,
     current: () => query.job,
     onchange: (found, ended) => {
-      const key = found
-        .filter(job => job.result)
-        .map(job => job.id)
-        .join()
+      const key = found.filter(job => job.result).map(job => job.id).join()
       if (key !== seen) {
         seen = key
         drawScores(found)
@@ -136,25 +127,18 @@ export async function show(root, { query, signal, go }) {
   /** Names of datasets for the forms: made ones first, then what can be made. */
   async function readDatasets() {
     const found = await all('/datasets', {}, { most: 200, signal }).catch(() => [])
-    const built = await get('/datasets', { limit: 1 }, { signal }).then(
-      page => page.definitions,
-      () => []
-    )
+    const built = await get('/datasets', { limit: 1 }, { signal }).then(page => page.definitions, () => [])
     datasets = [...new Set([...found.map(item => item.name), ...built])]
     if (signal.aborted) return
     training.knows({ datasets })
     evaluation.knows({ datasets, models })
   }
   // What the empty lists say depends on the role.
-  live.addEventListener(
-    'caller',
-    () => {
-      list.show(models)
-      jobs.redraw()
-      drawScores(jobs.all())
-    },
-    { signal }
-  )
+  live.addEventListener('caller', () => {
+    list.show(models)
+    jobs.redraw()
+    drawScores(jobs.all())
+  }, { signal })
   view.show(query.model)
   every(SERVING_MS, serving.read, signal)
   readDatasets()

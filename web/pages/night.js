@@ -13,7 +13,7 @@ import { age, bytes, capital, count, countOf, counted, fixed, moment, momentBand
 import { history } from '../lib/history.js'
 import { live } from '../lib/live.js'
 import { eventLog } from '../lib/log.js'
-import { BEGUN } from '../lib/runwords.js'
+import { BEGUN, stateWords } from '../lib/runwords.js'
 import { sensorOf } from '../lib/skin.js'
 import { COLOURINGS, tourMap } from '../lib/tourmap.js'
 import { backlog } from '../lib/twinpool.js'
@@ -35,7 +35,7 @@ const SAYS = {
 const WAITS = ['tips', 'weights', 'resume'] // Needs of a run.
 
 /** What a run does, as one sentence. */
-function stateWords(run, needs) {
+function doingWords(run, needs) {
   if (run.state === 'running') return `It is ${meaning('phases', run.phase) || plain(run.phase)}.`
   if (run.state === 'paused') return needs.find(need => WAITS.includes(need.kind))?.words ?? ''
   return SAYS[run.state] ?? ''
@@ -69,7 +69,7 @@ export async function show(root, { query, signal, set }) {
   const headline = el('p', { className: 'state' }), why = el('p', { className: 'why' }), step = el('p', { className: 'soft' })
   const bar = el('progress', { 'aria-label': 'Trials stored' }), runFacts = el('div')
   const buttons = runButtons(said), active = el('div', {}, el('div', { className: 'headline' }, headline, why), bar, step, runFacts, buttons.node)
-  const over = ended({ said, signal }), nowBody = el('div', { className: 'now-body' })
+  const over = ended({ said, signal }), nowBody = el('div')
   const low = innerWidth >= 1240 && innerHeight < 1200 // A wall shows all without scrolling.
   const bars = forceBars({ signal }), chart = forceChart({ signal, label, height: low ? 118 : 150, minutes: Number(state.minutes) || 2 })
   const minutes = select(MINUTES, state.minutes ?? '', value => set({ minutes: value }), { 'aria-label': 'Time that the chart shows' })
@@ -121,10 +121,9 @@ export async function show(root, { query, signal, set }) {
   }
 
   function tellRun(now, needs, fresh) {
-    const requested = { paused: ', pause requested', idle: ', end requested' }[now.requested_state] ?? ''
-    say(headline, `${plain(now.state)}${requested}`)
+    say(headline, stateWords(now))
     headline.className = `state ${TONE[now.state] ?? ''}`
-    say(why, stateWords(now, needs))
+    say(why, doingWords(now, needs))
     const index = now.current_step?.index ?? progress?.current, of = now.current_step?.of ?? tour?.steps.configuration.length
     const depth = now.trial && tour?.depths_mm[now.trial.depth_index]
     const thing = tour?.kind === 'real-random' ? 'Placement' : 'Configuration'

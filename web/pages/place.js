@@ -6,7 +6,7 @@ import { get, person } from '../lib/api.js'
 import { actOnRig, actOnRun, actor, confirm, named, only, outcome, runButtons, runRefusal } from '../lib/actions.js'
 import { button, el, fill, note, pane, renew, say, sleep } from '../lib/dom.js'
 import { fold } from '../lib/fold.js'
-import { age, clock, count, counted, countOf, span } from '../lib/format.js'
+import { age, clock, count, counted, countOf, listed, span } from '../lib/format.js'
 import { live, rigLabel, who } from '../lib/live.js'
 import { lockWords } from '../lib/lock.js'
 import { manual } from '../lib/manual.js'
@@ -33,11 +33,7 @@ export async function show(root, { signal }) {
   }
   watch(view, work.draw, signal)
   live.on('fresh', work.draw, signal)
-  let queued = null
-  live.on('status', ({ status }) => {
-    if (shown === idle && queued !== null && status.queue_length !== queued) idle.load()
-    queued = status.queue_length
-  }, signal)
+  live.onChange(status => status.queue_length, () => shown === idle && idle.load(), signal)
   return { update() {} } // The parts follow the address themselves.
 }
 
@@ -154,8 +150,8 @@ function placing(signal) {
           el('span', { className: 'number-badge' }, String(contact.number)),
             el('span', { className: 'mass' }, kilograms(contact.force_n).split('\u202f')[0], el('span', { className: 'unit' }, '\u202fkg')),
             el('span', { className: 'point' }, spot(contact))),
-        el('p', { className: 'soft' }, [newtons(contact.force_n), contact.point && `x ${contact.x_mm.toFixed(0)}, y ${contact.y_mm.toFixed(0)} mm`,
-          state_].filter(Boolean).join(' · ')))
+        el('p', { className: 'soft' }, listed([newtons(contact.force_n), contact.point && `x ${contact.x_mm.toFixed(0)}, y ${contact.y_mm.toFixed(0)} mm`,
+          state_], ' · ')))
     }))
   }
 

@@ -20,10 +20,7 @@ const ENDED = ['ended', 'removed']
 const FIRST_ANSWER_MS = 1500
 const EVERY_MS = 5000
 const settled = promise =>
-  promise.then(
-    p => ({ p }),
-    error => ({ error }),
-  )
+  promise.then(p => ({ p }), error => ({ error }))
 
 /** Shows the page. */
 export async function show(root, { query, signal, go, set }) {
@@ -91,20 +88,15 @@ export async function show(root, { query, signal, go, set }) {
     const picture = made && el('section', {}, drawing({ label: rigLabel, absent: `The service has no tour of it: ${made.error?.message}.` }, query))
     const [others, parts] = [panel('Others', {}, await choices()), await details(answer.p)]
     if (isOver()) return undefined
-    return fill(root, el('div', { className: 'columns two plan' }, el('div', { className: 'column' }, words, picture, others), parts))
+    return fill(root, el('div', { className: 'columns two' }, el('div', { className: 'column' }, words, picture, others), parts))
   }
 
   function verdict({ p, error }) {
     if (!p && !error) return el('p', { className: 'soft' }, NEEDS_OPERATOR)
     const errors = error?.problem?.errors
-    if (error)
-      return el(
-        'div',
-        {},
-        el('p', { className: 'bad' }, errors ? 'The experiment file is refused:' : capital(`${error.message}.`)),
-        problemList(errors ?? []),
-      )
-    if (p.problems.length) return el('div', {}, el('p', { className: 'bad' }, 'This bench cannot run it:'), problemList(p.problems))
+    const refused = (words, problems) => el('div', {}, el('p', { className: 'bad' }, words), problemList(problems))
+    if (error) return refused(errors ? 'The experiment file is refused:' : capital(`${error.message}.`), errors ?? [])
+    if (p.problems.length) return refused('This bench cannot run it:', p.problems)
     return el('p', { className: 'good' }, 'This bench can run it.')
   }
 
@@ -126,9 +118,7 @@ export async function show(root, { query, signal, go, set }) {
       el('h2', {}, el('span', {}, `Run ${run.scan_id}, ${run.experiment}`), run.label === 'virtual' ? el('span', { className: 'badge' }, 'virtual') : ''),
       say(told, standing(run)),
       waits || answer.error ? verdict(answer) : null,
-      el(
-        'div',
-        { className: 'row' },
+      el('div', { className: 'row' },
         waits && !run.waiting_since && start,
         run.state === 'queued' && only('operator', link(`/queue?edit=${run.scan_id}`, 'Edit')),
         run.kind !== 'imported' && only('operator', link(`/queue?copy=${run.scan_id}`, 'Copy it')),
@@ -142,7 +132,7 @@ export async function show(root, { query, signal, go, set }) {
     const absent = run.kind === 'imported' ? 'An imported run has no plan.' : 'The service has no tour of this run.'
     const picture = el('section', {}, drawing({ label, absent, source: `/api/v1/runs/${run.scan_id}/tour` }, query))
     const parts = await details(answer.p)
-    if (!isOver()) fill(root, el('div', { className: 'columns two plan' }, el('div', { className: 'column' }, facing, picture), parts))
+    if (!isOver()) fill(root, el('div', { className: 'columns two' }, el('div', { className: 'column' }, facing, picture), parts))
   }
 
   function standing(run) {
@@ -213,16 +203,7 @@ export async function show(root, { query, signal, go, set }) {
     current = found
     say(told, standing(found))
   }
-  let seen = null
-  live.on(
-    'status',
-    ({ status }) => {
-      const now = `${status.run?.uid} ${status.run?.state} ${status.queue_length}`
-      if (seen != null && now !== seen) follow()
-      seen = now
-    },
-    signal,
-  )
+  live.onChange(({ run, queue_length }) => `${run?.uid} ${run?.state} ${queue_length}`, follow, signal)
   every(EVERY_MS, () => current?.state === 'queued' && follow(), signal)
   await update(query)
   return { update }

@@ -3,8 +3,8 @@
 
 import { ask, get, keep } from '../lib/api.js'
 import { confirm, only, outcome } from '../lib/actions.js'
-import { carried, carriedTable } from '../lib/carried.js'
-import { button, el, every, fill, link, panel } from '../lib/dom.js'
+import { carriedItem, carriedTable } from '../lib/carried.js'
+import { button, el, every, fill, link, panel, replacing } from '../lib/dom.js'
 import { editor, isEdited } from '../lib/editor.js'
 import { readExperiment, takeDrops } from '../lib/filedrop.js'
 import { capital, plain } from '../lib/format.js'
@@ -47,9 +47,8 @@ export async function show(root, { query, signal, go }) {
   async function drafted({ add, edit, copy }) {
     if (add === 'file') return { name: 'file', ...file }
     if (add) {
-      const item = (await carried()).find(item => item.name === add)
-      if (!item) throw new Error(`the program carries no experiment ${add}`)
-      return { name: item.name, text: item.text, file: item.file }
+      const { name, text, file } = await carriedItem(add)
+      return { name, text, file }
     }
     // The tag is read before the text: what is changed later than this text has another one.
     const tag = edit && (await ask('/api/v1/queue', { signal })).headers.get('etag')
@@ -59,31 +58,29 @@ export async function show(root, { query, signal, go }) {
     return edit ? { ...draft, name: `edit-${run.scan_id}`, run, tag, notBefore: run.not_before } : { ...draft, name: `copy-${run.scan_id}` }
   }
   let opened = null
-  let closing = new AbortController()
-  async function editing(next) {
-    const wanted = wantedOf(next)
+  const opening = replacing(signal)
+  async function editing(query) {
+    const wanted = wantedOf(query)
     if (wanted === opened) return
     opened = wanted
-    closing.abort()
-    closing = new AbortController()
+    const until = opening()
     edit.hidden = !wanted
     if (!wanted) {
       fill(edit)
       return
     }
     const close = () => go('/queue', { replace: true })
-    const heading = el('h2', {}, el('span', {}, titleOf(next)), link('/queue', 'Close'))
-    const until = AbortSignal.any([signal, closing.signal])
+    const heading = el('h2', {}, el('span', {}, titleOf(query)), link('/queue', 'Close'))
     try {
-      const draft = await drafted(next)
+      const draft = await drafted(query)
       if (draft.text == null && !keep('sessionStorage', 'palpate-draft-file')) throw new Error('the file is no longer known: choose it again')
       if (until.aborted) return
       const ondone = row => {
-        said.tell(next.edit ? `Run ${row.scan_id} is changed: its plan is new, its place is kept.` : `Queued as run ${row.scan_id}.`, 'good')
+        said.tell(query.edit ? `Run ${row.scan_id} is changed: its plan is new, its place is kept.` : `Queued as run ${row.scan_id}.`, 'good')
         close()
         list.refresh()
       }
-      fill(edit, heading, editor({ draft, reread: () => drafted(next), ondone, onclose: close, signal: until }).node)
+      fill(edit, heading, editor({ draft, reread: () => drafted(query), ondone, onclose: close, signal: until }).node)
       edit.scrollIntoView({ block: 'start' })
     } catch (error) {
       if (!until.aborted) fill(edit, heading, el('p', { className: 'bad' }, `${capital(error.message)}.`), button('Close', close))
@@ -102,8 +99,7 @@ export async function show(root, { query, signal, go }) {
   const chooser = el('input', { id: 'file', type: 'file', accept: '.toml', multiple: true, onchange: event => take(event.target.files) })
   const own = el('div', {}, el('label', { htmlFor: 'file' }, 'A file of yours (.toml; its sensor file too, if the program does not carry it)'), chooser)
   const words = 'Choose one, or drop a file anywhere on this page. You see what it takes before it is queued.'
-  fill(
-    add,
+  fill(add,
     el('h2', {}, 'Add an experiment'),
     el('p', { className: 'soft' }, words),
     only('operator', own),

@@ -7,7 +7,7 @@ import { actOnRig, actor, outcome, refusal, sendNow, sureHome } from '../lib/act
 import { chain, lastWord, stopWords, stoppingWords, streamWords, wireWords } from '../lib/chain.js'
 import { copyButton } from '../lib/copybutton.js'
 import { el, every, facts, fill, panel, renew, say, select } from '../lib/dom.js'
-import { capital, count, fixed, moment, plain } from '../lib/format.js'
+import { capital, count, fixed, listed, moment, plain } from '../lib/format.js'
 import { forceBars } from '../lib/forces.js'
 import { jog, stepsOf } from '../lib/jog.js'
 import { live, who } from '../lib/live.js'
@@ -169,8 +169,8 @@ export async function show(root, { query, signal, set }) {
         : [] })
     const dead = rig.forces_n.slice(0, rig.tips ?? 0).flatMap((force, i) => force == null ? [i + 1] : [])
     const cells = { name: 'Load cells', inside: bars, tone: dead.length ? 'bad' : '', words: closed ? 'Closed.'
-      : [lastWord(state.found.cells), dead.length ? `no output on arm ${dead.join(', ')}: check its cable` : '', rig.live_cells == null ? ''
-      : `${rig.live_cells} of 6 connected`].filter(Boolean).join('; ') || 'No word yet.' }
+      : listed([lastWord(state.found.cells), dead.length ? `no output on arm ${dead.join(', ')}: check its cable` : '', rig.live_cells == null ? ''
+      : `${rig.live_cells} of 6 connected`], '; ') || 'No word yet.' }
     const { surface } = rig
     const tips = { name: 'Tips and surface', words: rig.tips == null ? 'No number of tips was entered.'
       : `${count(rig.tips)} mounted${rig.tips ? ` on arms 1 to ${rig.tips}` : ''}.`, figures: surface

@@ -5,8 +5,8 @@ import { get, withQuery } from '../lib/api.js'
 import { outcome } from '../lib/actions.js'
 import { beginButton } from '../lib/begin.js'
 import { compare } from '../lib/compare.js'
-import { el, every, fill, link, panel, select, sleep } from '../lib/dom.js'
-import { NONE, age, count, counted, moment, span } from '../lib/format.js'
+import { el, every, fill, link, panel, replacing, select, sleep } from '../lib/dom.js'
+import { NONE, age, count, counted, listed, moment, span } from '../lib/format.js'
 import { listing } from '../lib/listing.js'
 import { live } from '../lib/live.js'
 import { report } from '../lib/report.js'
@@ -31,7 +31,7 @@ export async function show(root, { query, signal, go, set }) {
   let selected = ''
   let opened = ''
   let view = null
-  let leaving = new AbortController()
+  const opening = replacing(signal)
   root.append(list, body)
 
   // The list.
@@ -132,20 +132,18 @@ export async function show(root, { query, signal, go, set }) {
 
   // One run, or two.
   async function open() {
-    const wanted = [query.run, query.with].filter(Boolean).join(' ')
+    const wanted = listed([query.run, query.with], ' ')
     list.hidden = Boolean(wanted)
     body.hidden = !wanted
     if (wanted === opened) return wanted ? view?.update?.(query) : follow()
     opened = wanted
-    leaving.abort()
-    leaving = new AbortController()
+    const until = opening()
     view = null
     if (!wanted) {
       fill(body)
       return follow()
     }
     const back = withQuery('/runs', kept())
-    const until = AbortSignal.any([signal, leaving.signal])
     try {
       if (query.with) await compare(body, { ...query, back, signal: until })
       else {
@@ -162,16 +160,7 @@ export async function show(root, { query, signal, go, set }) {
   }
 
   sleep(EVERY_MS, signal).then(() => every(EVERY_MS, () => (query.run || live.status?.run) && refresh(), signal))
-  let seen = null
-  live.on(
-    'status',
-    ({ status }) => {
-      const now = `${status.run?.uid} ${status.run?.state}`
-      if (seen != null && now !== seen) refresh()
-      seen = now
-    },
-    signal,
-  )
+  live.onChange(({ run }) => `${run?.uid} ${run?.state}`, refresh, signal)
   await follow()
   open()
   return {

@@ -5,7 +5,7 @@ import { ask, giveKey, hasKey, person } from '../lib/api.js'
 import { actor, only, outcome } from '../lib/actions.js'
 import { actionLog } from '../lib/actionlog.js'
 import { copyButton } from '../lib/copybutton.js'
-import { button, el, facts, note, panel, renew, say } from '../lib/dom.js'
+import { button, el, facts, form, note, panel, renew, say } from '../lib/dom.js'
 import { capital, count, moment } from '../lib/format.js'
 import { keys } from '../lib/keys.js'
 import { live, who } from '../lib/live.js'
@@ -49,17 +49,21 @@ export async function show(root, { query, signal, set }) {
 function yourself() {
   const name = el('input', { id: 'my-name', maxLength: 80, autocomplete: 'name', value: person.name }), kept = el('p', { className: 'soft', role: 'status' })
   const secret = el('input', { id: 'my-key', type: 'password', autocomplete: 'off' }), rights = el('p', {}), role = el('p', { className: 'big' })
-  const keep = event => { event.preventDefault(); person.name = name.value;
-    say(kept, person.name ? `Kept: actions are logged as ${who()}.` : 'No name: it is asked for at the next action.') }
-  const give = event => { event.preventDefault(); if (!secret.value) return say(kept, 'Enter a key first.')
+  const keep = () => {
+    person.name = name.value
+    say(kept, person.name ? `Kept: actions are logged as ${who()}.` : 'No name: it is asked for at the next action.')
+  }
+  const give = () => {
+    if (!secret.value) return say(kept, 'Enter a key first.')
     const wrong = giveKey(secret.value)
     if (!wrong) secret.value = ''
-    say(kept, wrong || 'The key is used from now on. It stays in this tab.') }
+    say(kept, wrong || 'The key is used from now on. It stays in this tab.')
+  }
   const forget = button('Forget the key', () => { giveKey(''); say(kept, 'Forgotten. Requests go without a key.') }, { className: 'plain' })
   const node = panel('You', {}, role, rights,
-    el('form', { onsubmit: keep }, el('label', { htmlFor: 'my-name' }, 'Your name, logged with every action'),
+    form(keep, {}, el('label', { htmlFor: 'my-name' }, 'Your name, logged with every action'),
       el('div', { className: 'row' }, name, el('button', {}, 'Keep'))),
-    el('form', { onsubmit: give }, el('label', { htmlFor: 'my-key' }, 'Your key of this service'),
+    form(give, {}, el('label', { htmlFor: 'my-key' }, 'Your key of this service'),
       el('div', { className: 'row' }, secret, el('button', {}, 'Use'), forget)), kept)
   function show() {
     const { caller } = live
@@ -76,16 +80,16 @@ function operatorLock(signal, done) {
     text = el('input', { id: 'lock-note', maxLength: 500, placeholder: 'hands in the rig' })
   const tag = async () => (await ask('/api/v1/lock', { signal })).headers.get('etag')
   let seen = null, held = undefined
-  const changed = (method, body, query = '') => async () => {
+  const change = async (method, body, query = '') => {
     const fresh = await tag()
     // What the person saw is what is changed: a lock taken meanwhile is refused by its tag.
     await ask(`/api/v1/lock${query}`, { method, body, headers: { 'if-match': seen ?? fresh }, signal })
     seen = await tag()
     done()
   }
-  const take = actor('Take the lock', said, () => changed('PUT', { holder: who(), note: text.value || 'no reason given' })(),
+  const take = actor('Take the lock', said, () => change('PUT', { holder: who(), note: text.value || 'no reason given' }),
     { what: 'Lock', locks: false, className: 'main' })
-  const free = actor('Release it', said, () => changed('DELETE', undefined, `?who=${encodeURIComponent(who())}`)(), { what: 'Release', locks: false })
+  const free = actor('Release it', said, () => change('DELETE', undefined, `?who=${encodeURIComponent(who())}`), { what: 'Release', locks: false })
   const form = only('operator', el('div', {}, el('label', { htmlFor: 'lock-note' }, 'Why, for the others'), text))
   const node = panel('Operator lock', { className: 'live' }, words, noted, form, el('div', { className: 'row' }, take, free), said.node,
     el('p', { className: 'soft small' }, 'It keeps others from starting, editing and moving, never from stopping. ',

@@ -2,7 +2,7 @@
 
 import { all, get, withQuery } from '../lib/api.js'
 import { around } from '../lib/around.js'
-import { button, el, fill, link, note, panel, sleep } from '../lib/dom.js'
+import { button, el, fill, link, note, panel, replacing, sleep } from '../lib/dom.js'
 import { clock, count, counted, fixed, moment, plain } from '../lib/format.js'
 import { listing } from '../lib/listing.js'
 import { BEGUN } from '../lib/runwords.js'
@@ -26,9 +26,10 @@ export async function show(root, { query, signal, set, go }) {
   let state = query,
     runs = [],
     asked = '',
-    selecting = new AbortController(), // Of the charts of a selection.
     open = null,
     looked = ''
+  const selecting = replacing(signal),
+    showing = replacing(signal)
   // A chart puts its own zoom back: that of an old address would undo the newer one.
   const href = trial => withQuery('/trials', { ...conditions(state), sort: state.sort, scale: state.scale, trial })
   const known = listing('/trials', { words: 'The trials', draw: drawRows, limit: PAGE, most: ROWS_MOST, signal, key: row => row.trial_id })
@@ -63,42 +64,21 @@ export async function show(root, { query, signal, set, go }) {
   })
   const told = el('span', { className: 'soft' }),
     again = el('span', { className: 'soft small' })
-  const listPanel = panel(
-    'Trials',
-    { aside: told },
-    list.node,
-    el(
-      'div',
-      { className: 'row' },
-      known.more,
-      button(
-        'Read again',
-        () => {
-          asked = ''
-          reload()
-          again.textContent = `Read at ${clock(Date.now())}.` // Often nothing else changes.
-        },
-        { className: 'plain', title: 'Trials may have been stored since' }
-      ),
-      again
-    )
-  )
+  const readAgain = button('Read again', () => {
+    asked = ''
+    reload()
+    again.textContent = `Read at ${clock(Date.now())}.` // Often nothing else changes.
+  }, { className: 'plain', title: 'Trials may have been stored since' })
+  const listPanel = panel('Trials', { aside: told }, list.node, el('div', { className: 'row' }, known.more, readAgain, again))
 
   function drawRows() {
     const { items, next } = known
-    fill(
-      told,
-      items.length
-        ? next
-          ? `first ${count(items.length)}${items.length >= ROWS_MOST ? ': narrow the selection to see the others' : ''}`
-          : counted(items.length, 'trial')
-        : ''
-    )
+    const others = items.length >= ROWS_MOST ? ': narrow the selection to see the others' : ''
+    fill(told, items.length > 0 && (next ? `first ${count(items.length)}${others}` : counted(items.length, 'trial')))
     list.show(items)
   }
 
-  async function drawCharts() {
-    const until = AbortSignal.any([signal, selecting.signal])
+  async function drawCharts(until) {
     try {
       const { rows, more } = await columnsOf('/trials', selected(), ['trial_id', 'max_force_n', 'contact_count', 'fvu'], { signal: until })
       if (!until.aborted) charts.show(rows, more)
@@ -119,10 +99,8 @@ export async function show(root, { query, signal, set, go }) {
       return
     }
     asked = key
-    selecting.abort()
-    selecting = new AbortController()
     known.select(selected())
-    drawCharts()
+    drawCharts(selecting())
   }
 
   // One trial. Read ones are kept, neighbours are read ahead, so that a key answers at once.
@@ -156,21 +134,9 @@ export async function show(root, { query, signal, set, go }) {
     links = el('span', { className: 'row' }),
     name = el('span', {}),
     trouble = el('p', { className: 'bad', role: 'alert', hidden: true })
-  const head = el(
-    'section',
-    { className: 'trial-head', 'aria-label': 'Trial' },
-    el(
-      'div',
-      { className: 'row spread' },
-      el('h2', { className: 'big' }, name),
-      el(
-        'span',
-        { className: 'row' },
-        previous,
-        following,
-        button('Close', () => go(href(null)), { className: 'plain' })
-      )
-    ),
+  const close = button('Close', () => go(href(null)), { className: 'plain' })
+  const head = el('section', { className: 'trial-head', 'aria-label': 'Trial' },
+    el('div', { className: 'row spread' }, el('h2', { className: 'big' }, name), el('span', { className: 'row' }, previous, following, close)),
     words,
     links,
     trouble
@@ -189,15 +155,12 @@ export async function show(root, { query, signal, set, go }) {
       view.renew()
     }
   }
-  let shown = new AbortController()
   async function showTrial() {
     const id = state.trial
     const look = `${id} ${state.scale ?? ''}`
     if (looked === look) return
     looked = look
-    shown.abort()
-    shown = new AbortController()
-    const until = AbortSignal.any([signal, shown.signal])
+    const until = showing()
     const first = detail.hidden
     open = id
     detail.hidden = !id
@@ -223,8 +186,7 @@ export async function show(root, { query, signal, set, go }) {
     note(trouble, '')
     view.node.hidden = false
     words.textContent = trialWords(row)
-    fill(
-      links,
+    fill(links,
       link(`/runs?run=${row.scan_id}`, `Run ${row.scan_id}`),
       link(`/trials?scan_id=${row.scan_id}&configuration=${row.configuration}&sort=trial_id`, 'The same configuration'),
       link(`/model?trial=${id}`, 'In the model'),
@@ -241,17 +203,13 @@ export async function show(root, { query, signal, set, go }) {
     following.disabled = sides.later == null
     for (const side of [sides.later, sides.earlier]) if (side != null) read(side).catch(() => {})
   }
-  document.addEventListener(
-    'keydown',
-    event => {
-      if (!state.trial || event.metaKey || event.ctrlKey || event.altKey || event.target.closest?.('input, select, textarea, dialog, [role=slider]')) return
-      if (['j', 'ArrowRight'].includes(event.key)) to(sides.later)
-      else if (['k', 'ArrowLeft'].includes(event.key)) to(sides.earlier)
-      else return
-      event.preventDefault()
-    },
-    { signal }
-  )
+  document.addEventListener('keydown', event => {
+    if (!state.trial || event.metaKey || event.ctrlKey || event.altKey || event.target.closest?.('input, select, textarea, dialog, [role=slider]')) return
+    if (['j', 'ArrowRight'].includes(event.key)) to(sides.later)
+    else if (['k', 'ArrowLeft'].includes(event.key)) to(sides.earlier)
+    else return
+    event.preventDefault()
+  }, { signal })
 
   root.append(detail, filters.node, charts.node, listPanel)
   function update(query) {
@@ -262,12 +220,9 @@ export async function show(root, { query, signal, set, go }) {
     showTrial()
   }
   update(query)
-  all('/runs', BEGUN, { most: 200, signal }).then(
-    found => {
-      runs = found
-      filters.show(state, runs)
-    },
-    () => {}
-  )
+  all('/runs', BEGUN, { most: 200, signal }).then(found => {
+    runs = found
+    filters.show(state, runs)
+  }, () => {})
   return { update }
 }

@@ -64,14 +64,8 @@ function whatToDo(wear) {
   ]
   const unknown =
     'How many presses a skin withstands, and how far an axis may travel before it needs grease, is not stored here: see the manufacturers’ manuals.'
-  return panel(
-    'What to do',
-    {},
-    el(
-      'ul',
-      { className: 'listed' },
-      lines.map(line => el('li', {}, line)),
-    ),
+  return panel('What to do', {},
+    el('ul', { className: 'listed' }, lines.map(line => el('li', {}, line))),
     el('p', { className: 'soft' }, unknown),
   )
 }
