@@ -65,6 +65,18 @@ async fn a_run_is_not_driven_again_by_itself_after_a_person_has_operated_the_rig
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn an_e_stop_with_closed_wires_is_stored_at_once_for_the_next_process() {
+    let (lab, run) = held_by_a_lock("closed").await;
+    lab.posted("/api/v1/estop", json!({ "why": "test" })).await;
+    // Before the next attempt, which is the last one.
+    lab.interrupted(&run).await;
+    release(&lab).await;
+    lab.told("not_resumed", "a person has operated the rig").await;
+    lab.rests("disconnected").await;
+    lab.close().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn an_abort_ends_the_homing_for_a_run_that_is_about_to_be_driven_again() {
     let (lab, run) = started("homes").await;
     lab.stored(5).await;

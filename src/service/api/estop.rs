@@ -1,5 +1,5 @@
 //! The e-stop by HTTP: latch first, then read name and reason from the body, then log.
-//! Uses: `auth` (the keys in memory), `campaign::shown::command`, `trace` (after the latch). Never,
+//! Uses: `auth` (the keys in memory), `campaign::shown::command`; after the latch `trace`, `conductor`. Never,
 //! before the latch: the body, a lock, a queue, the store, a log, a span, any other wait.
 
 use std::time::{Duration, Instant};
@@ -21,6 +21,8 @@ use super::limits::WHO_MAX_CHARS;
 use super::problem::ApiResult;
 use super::runs::Attribution;
 use super::trace::RequestId;
+use crate::conductor::Conductor;
+use crate::journal::error_chain;
 
 /// Part of the body that is read, bytes.
 const ESTOP_BODY_BYTES: usize = 4096;
@@ -61,7 +63,9 @@ pub async fn estop(app: App, request: Request) -> Response {
                     let latched_ms = latched_after.as_secs_f64() * 1e3;
                     tracing::warn!(latched_ms, "the e-stop was requested and is latched");
                 });
-                log(app, caller, request.into_body()).instrument(span).await;
+                let conductor = app.conductor.clone();
+                let logged = log(app, caller, request.into_body());
+                async { tokio::join!(note(&conductor), logged) }.instrument(span).await;
             });
             // A body that arrives later must not delay the response, nor be read as another request.
             ([(header::CONNECTION, "close")], Json(Latched { latched: true })).into_response()
@@ -89,6 +93,14 @@ fn latch(app: &App, request: &Request) -> ApiResult<Caller> {
     let name = cut(&caller.name(None), WHO_MAX_CHARS);
     app.campaign.estop(&format!("emergency stop ({name})"));
     Ok(caller)
+}
+
+/// Stores that a person is at the rig: after a crash, too, no run is driven by itself.
+async fn note(conductor: &Conductor) {
+    if let Err(error) = conductor.note_stop().await {
+        let error = error_chain(&error);
+        tracing::error!(error, "after a crash a run may be driven again in spite of the e-stop");
+    }
 }
 
 /// Logs who stopped, and the reason, if the body states it.

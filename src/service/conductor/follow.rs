@@ -188,35 +188,6 @@ impl Conductor {
         Ok(())
     }
 
-    /// Called at the end of the service, after that of the campaign: what the next process would not know. While an
-    /// e-stop is latched it must drive no run by itself. No waiting run begins after a sign of a person that was not
-    /// followed any more, such as an abort, and none that was dropped in memory only.
-    pub async fn keep_stopped(&self) {
-        let attended = self.inner.campaign.status().attended;
-        let is_stopped = self.inner.campaign.stop_switch().pressed().is_some();
-        let is_followed = self.inner.signs.load(Ordering::SeqCst) == attended.signs;
-        let of_all = match is_stopped {
-            true => {
-                Some("the e-stop was latched when the service ended: start it again".to_owned())
-            }
-            false => (!is_followed).then(|| format!("{}: start it again", attended.why)),
-        };
-        let kept = async {
-            if is_stopped {
-                self.inner.store.interrupt_open_runs(None).await?;
-            }
-            for run in self.inner.store.waiting_runs().await? {
-                if let Some(why) = of_all.clone().or_else(|| self.why_dropped(run.uid)) {
-                    self.drop_waiting(&run, &why).await?;
-                }
-            }
-            Ok::<(), ConductorError>(())
-        };
-        if let Err(error) = kept.await {
-            tracing::error!(error = error_chain(&error), "a run may begin or resume automatically");
-        }
-    }
-
     /// Removes runs from those that wait, all first in memory: none of them begins, whatever the store does.
     pub(super) async fn drop_each(&self, runs: &[RunRow], why: &str) -> Result<(), ConductorError> {
         self.waiting().retain(|uid| runs.iter().all(|run| run.uid != *uid));
@@ -374,31 +345,6 @@ pub(super) mod tests {
         tokio::time::timeout(Duration::from_secs(20), dropped).await.expect("it is dropped again");
         following.abort();
         let _ = following.await;
-    }
-
-    #[tokio::test]
-    async fn an_abort_shortly_before_the_end_of_the_service_is_kept_for_the_next_one() {
-        let (conductor, inbox, _folder) = conductor().await;
-        let run = queued(&conductor, in_an_hour()).await;
-        start(&conductor, &run).await;
-        let waits = async || conductor.inner.store.waiting_runs().await.unwrap().len();
-        conductor.keep_stopped().await;
-        assert_eq!(waits().await, 1, "without a sign");
-        inbox.status.send_modify(|status| status.attended.note(BEFORE_ABORTED));
-        conductor.keep_stopped().await;
-        assert_eq!(waits().await, 0);
-        start(&conductor, &run).await;
-        // The sign is followed, and the store did not take what follows from it.
-        conductor.inner.signs.store(1, Ordering::SeqCst);
-        conductor.keep_stopped().await;
-        assert_eq!(waits().await, 1);
-        conductor.dropped().insert(run.uid, BEFORE_ABORTED.into());
-        conductor.keep_stopped().await;
-        assert_eq!(waits().await, 0);
-        start(&conductor, &run).await;
-        conductor.inner.campaign.estop("hands");
-        conductor.keep_stopped().await;
-        assert_eq!(waits().await, 0);
     }
 
     #[tokio::test]

@@ -34,6 +34,7 @@ mod prepare;
 mod queue;
 mod restart;
 pub mod room;
+mod stopped;
 mod take_over;
 mod turn;
 

@@ -242,7 +242,7 @@ impl Conductor {
     }
 
     /// The run that this process drives.
-    fn active(&self) -> Option<RunUid> {
+    pub(super) fn active(&self) -> Option<RunUid> {
         self.inner.campaign.status().run.map(|run| run.uid)
     }
 

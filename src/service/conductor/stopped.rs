@@ -1,0 +1,124 @@
+//! What a stop by a person leaves to the next process, which does not know of it: that drives no run by itself.
+//! Uses: `campaign` (its handle), `store`. Never: motion, HTTP, a delay of the stop.
+
+use std::sync::atomic::Ordering;
+
+use super::{Conductor, ConductorError};
+use crate::campaign::bench::rig_state::RigState;
+use crate::journal::error_chain;
+
+/// Why a run that waited does not begin after a press of the e-stop that tripped nothing.
+const PRESSED: &str = "the e-stop was pressed while no wires were open: start it again";
+
+impl Conductor {
+    /// Called after each press of the e-stop, once it is latched: a person is at the rig. No run of an earlier process
+    /// is driven again by itself. This is stored at once: while no wires are open nothing trips, and this process may
+    /// end before its next attempt to drive the run.
+    ///
+    /// # Errors
+    /// `Store` if the store fails: then only this process drives nothing.
+    pub async fn note_stop(&self) -> Result<(), ConductorError> {
+        // Before the wait: an attempt in progress does not begin it.
+        self.note_operation();
+        let _one_at_a_time = self.inner.beginning.lock().await;
+        self.inner.store.interrupt_open_runs(self.active()).await?;
+        // With open wires the press trips the rig, which drops them.
+        if self.inner.campaign.status().rig.state == RigState::Disconnected {
+            let waiting = self.inner.store.waiting_runs().await?;
+            self.drop_each(&waiting, PRESSED).await?;
+        }
+        Ok(())
+    }
+
+    /// Called at the end of the service, after that of the campaign: what the next process would not know. While an
+    /// e-stop is latched it must drive no run by itself. No waiting run begins after a sign of a person that was not
+    /// followed any more, such as an abort, and none that was dropped in memory only.
+    pub async fn keep_stopped(&self) {
+        let attended = self.inner.campaign.status().attended;
+        let is_stopped = self.inner.campaign.stop_switch().pressed().is_some();
+        let is_followed = self.inner.signs.load(Ordering::SeqCst) == attended.signs;
+        let of_all = match is_stopped {
+            true => {
+                Some("the e-stop was latched when the service ended: start it again".to_owned())
+            }
+            false => (!is_followed).then(|| format!("{}: start it again", attended.why)),
+        };
+        let kept = async {
+            if is_stopped {
+                self.inner.store.interrupt_open_runs(None).await?;
+            }
+            for run in self.inner.store.waiting_runs().await? {
+                if let Some(why) = of_all.clone().or_else(|| self.why_dropped(run.uid)) {
+                    self.drop_waiting(&run, &why).await?;
+                }
+            }
+            Ok::<(), ConductorError>(())
+        };
+        if let Err(error) = kept.await {
+            tracing::error!(error = error_chain(&error), "a run may begin or resume automatically");
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use jiff::Timestamp;
+
+    use super::super::follow::tests::{conductor, in_an_hour, queued_on, start};
+    use super::super::{AutoResume, Terms};
+    use super::*;
+    use crate::journal::Journal;
+    use crate::state::{StateChange, StoredState};
+
+    /// Why a run is dropped.
+    const ABORTED: &str = "the run before it was aborted";
+
+    #[tokio::test]
+    async fn after_an_e_stop_with_closed_wires_neither_this_process_nor_the_next_drives_a_run() {
+        let (conductor, mut inbox, _folder) = conductor().await;
+        let terms = Terms { auto_resume: Some(true), not_before: None };
+        let [driven, next] =
+            [queued_on(&conductor, terms).await, queued_on(&conductor, terms).await];
+        let store = &conductor.inner.store;
+        let running = StateChange::to(StoredState::Running);
+        store.run_state(driven.uid, running, Timestamp::now()).await.unwrap();
+        store.set_waiting(next.uid).await.unwrap();
+        conductor.note_stop().await.unwrap();
+        // The next process reads only what is stored.
+        let stored = conductor.present(&driven).await.unwrap();
+        assert_eq!(stored.state, StoredState::Interrupted);
+        assert!(store.waiting_runs().await.unwrap().is_empty());
+        assert_eq!(conductor.why_dropped(next.uid).as_deref(), Some(PRESSED));
+        let taken = tokio::select! {
+            taken = conductor.resume_after_restart(AutoResume::Allowed) => taken,
+            asked = inbox.next() => panic!("{asked:?}"),
+        };
+        taken.unwrap();
+    }
+
+    #[tokio::test]
+    async fn an_abort_shortly_before_the_end_of_the_service_is_kept_for_the_next_one() {
+        let (conductor, inbox, _folder) = conductor().await;
+        let terms = Terms { auto_resume: None, not_before: in_an_hour() };
+        let run = queued_on(&conductor, terms).await;
+        start(&conductor, &run).await;
+        let waits = async || conductor.inner.store.waiting_runs().await.unwrap().len();
+        conductor.keep_stopped().await;
+        assert_eq!(waits().await, 1, "without a sign");
+        inbox.status.send_modify(|status| status.attended.note(ABORTED));
+        conductor.keep_stopped().await;
+        assert_eq!(waits().await, 0);
+        start(&conductor, &run).await;
+        // The sign is followed, and the store did not take what follows from it.
+        conductor.inner.signs.store(1, Ordering::SeqCst);
+        conductor.keep_stopped().await;
+        assert_eq!(waits().await, 1);
+        conductor.dropped().insert(run.uid, ABORTED.into());
+        conductor.keep_stopped().await;
+        assert_eq!(waits().await, 0);
+        start(&conductor, &run).await;
+        conductor.inner.campaign.estop("hands");
+        conductor.keep_stopped().await;
+        assert_eq!(waits().await, 0);
+    }
+}
