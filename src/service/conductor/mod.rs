@@ -83,6 +83,8 @@ struct Inner {
     brought_up: Mutex<Option<RunUid>>,
     /// How many times a person has operated the rig, or may have come to it, since the start of the service.
     operations: AtomicU64,
+    /// Runs that this process has begun.
+    begun: Mutex<BTreeSet<RunUid>>,
     /// The last start of each run in this process that lets it wait.
     handed_over: Mutex<BTreeMap<RunUid, HandedOver>>,
     /// Notices that the computer was suspended.
@@ -166,6 +168,7 @@ impl Conductor {
             beginning: tokio::sync::Mutex::default(),
             brought_up: Mutex::default(),
             operations: AtomicU64::default(),
+            begun: Mutex::default(),
             handed_over: Mutex::default(),
             suspensions: Mutex::new(Suspensions::watch()),
             signs: AtomicU64::default(),
@@ -268,15 +271,16 @@ impl Conductor {
     /// there is nothing to abort.
     ///
     /// # Errors
-    /// `ConductorError::Refused` if the campaign refuses; `Store` if the store fails.
+    /// `ConductorError::Refused` if the campaign refuses; `Forbidden` if it has ended in this process, and how is not
+    /// stored yet; `Store` if the store fails.
     pub async fn abort_undriven(&self, run: &RunRow) -> Result<bool, ConductorError> {
         let _one_at_a_time = self.inner.beginning.lock().await;
-        let now = self.present(run).await?;
-        let active = self.inner.campaign.status().run.is_some_and(|r| r.uid == run.uid);
-        if active {
+        if self.active() == Some(run.uid) {
             self.inner.campaign.ask(Request::Abort).await?;
             return Ok(true);
         }
+        // Read after it: it may just have ended.
+        let now = self.present(run).await?;
         if !now.is_open() && now.waiting_since.is_some() {
             // In memory first: it does not begin, whatever the store does.
             self.waiting().remove(&run.uid);
@@ -288,6 +292,14 @@ impl Conductor {
         }
         if !now.is_open() {
             return Ok(false);
+        }
+        if now.is_driven() && self.inner.begun.lock().contains(&run.uid) {
+            // It waits for the store, and may be a success.
+            let _ = self.inner.campaign.ask(Request::CameLate).await;
+            let scan_id = now.scan_id;
+            return Err(ConductorError::Forbidden(format!(
+                "run {scan_id} has ended, and how is not stored yet: read it again"
+            )));
         }
         self.end_bringing_up(run.uid);
         self.forget(run.uid);
@@ -387,6 +399,7 @@ impl Conductor {
             let job = self.prepare_stored(run).await?.job(run);
             refused.await?;
             self.inner.campaign.ask(Request::Start(Arc::new(job))).await?;
+            self.inner.begun.lock().insert(run.uid);
             self.forget(run.uid);
             Ok(())
         };

@@ -191,6 +191,35 @@ mod tests {
     }
 
     #[tokio::test]
+    async fn an_abort_does_not_misstate_a_run_whose_end_is_not_stored_yet() {
+        let (conductor, mut inbox, _folder) = conductor().await;
+        let run = queued_on(&conductor, Terms::default()).await;
+        let code = conductor.arm(&run).await.unwrap().code;
+        let begins = async {
+            let Envelope { request, answer, .. } = inbox.next().await.expect("a request");
+            assert!(matches!(request, Request::Start(_)), "{request:?}");
+            let _ = answer.send(Ok(()));
+        };
+        let (started, ()) = tokio::join!(conductor.start(&run, &code, "ada".into()), begins);
+        assert_eq!(started.unwrap(), Started::Running);
+        let store = &conductor.inner.store;
+        let running = StateChange::to(StoredState::Running);
+        store.run_state(run.uid, running, Timestamp::now()).await.unwrap();
+        // The campaign does not drive it any more: its end waits for the store.
+        let noted = async {
+            let Envelope { request, answer, .. } = inbox.next().await.expect("a request");
+            assert!(matches!(request, Request::CameLate), "{request:?}");
+            let _ = answer.send(Ok(()));
+        };
+        let (aborted, ()) = tokio::join!(conductor.abort_undriven(&run), noted);
+        assert!(matches!(aborted, Err(ConductorError::Forbidden(_))), "{aborted:?}");
+        store.end_run(run.uid, ExitStatus::Success, "done", Timestamp::now()).await.unwrap();
+        assert!(!conductor.abort_undriven(&run).await.unwrap(), "it has ended");
+        let row = conductor.present(&run).await.unwrap();
+        assert_eq!(row.exit_status, Some(ExitStatus::Success));
+    }
+
+    #[tokio::test]
     async fn a_run_that_is_aborted_as_it_is_started_does_not_wait() {
         let (conductor, _inbox, _folder) = conductor().await;
         let run = queued_on(&conductor, early()).await;
