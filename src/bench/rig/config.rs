@@ -164,18 +164,18 @@ impl RigConfig {
             format!("[{low}, {high}]"),
             "must be [lower, upper], positive",
         );
-        c.require(
-            self.slot.mm_per_deg != 0.0,
-            "slot.mm_per_deg",
-            self.slot.mm_per_deg,
-            "must not be 0",
-        );
+        let slope = self.slot.mm_per_deg;
+        let ok = (1e-3..=1000.0).contains(&slope.abs());
+        c.require(ok, "slot.mm_per_deg", slope, "must be from 0.001 to 1000, or its negative");
+        c.within("slot.backlash_mm", self.slot.backlash_mm, 0.0..=20.0);
         let [deg_min, deg_max] = self.axes.radial.travel_deg;
         for r in self.slot.radius_mm {
             let a = self.slot.angle_deg(r);
             let limit = format!("needs {a:.2} deg, outside axes.radial.travel_deg");
             c.require((deg_min..=deg_max).contains(&a), "slot.radius_mm", r, &limit);
         }
+        c.within("skin.origin_x_mm", self.skin.origin_x_mm, -1e4..=1e4);
+        c.within("skin.origin_y_mm", self.skin.origin_y_mm, -1e4..=1e4);
         let [top, bottom] = self.skin.surface_z_mm;
         let z = self.axes.z.travel_mm;
         c.require(
@@ -249,6 +249,13 @@ mod tests {
                 "sample_age_ms = 60000",
                 "limits.sample_age_ms = 60000: must be",
             ),
+            ("mm_per_deg = 1.0", "mm_per_deg = inf", "slot.mm_per_deg = inf: must be from 0.001"),
+            ("mm_per_deg = 1.0", "mm_per_deg = nan", "slot.mm_per_deg = NaN: must be from 0.001"),
+            ("backlash_mm = 0.3", "backlash_mm = nan", "slot.backlash_mm = NaN: must be from 0"),
+            ("backlash_mm = 0.3", "backlash_mm = -0.3", "slot.backlash_mm = -0.3: must be from 0"),
+            ("backlash_mm = 0.3", "backlash_mm = 1e6", "slot.backlash_mm = 1000000: must be from"),
+            ("origin_x_mm = 10.0", "origin_x_mm = nan", "skin.origin_x_mm = NaN: must be from"),
+            ("origin_y_mm = 10.0", "origin_y_mm = -inf", "skin.origin_y_mm = -inf: must be from"),
             (
                 "force_noise_n = 0.1",
                 "force_noise_n = 30.0",
