@@ -104,6 +104,10 @@ pub trait Drive: Send + Sync + 'static {
     fn prepare_requests(&self) -> Vec<Request>;
     /// Requests that prepare and start an absolute motion.
     fn move_requests(&self, order: &MoveOrder) -> Vec<Request>;
+    /// Slowest motion that it can be commanded, counts/s.
+    fn slowest(&self) -> f64 {
+        1.0
+    }
     /// Requests that start homing.
     fn home_requests(&self) -> Vec<Request>;
     /// Requests that decelerate to standstill.
@@ -338,6 +342,10 @@ impl<D: Drive> Axis for ModbusAxis<D> {
 
     fn guard(&self) -> Guard {
         self.profile.guard
+    }
+
+    fn slowest(&self) -> f64 {
+        self.drive.slowest() / self.profile.counts_per_unit
     }
 
     async fn identify(&self) -> Result<Found, RigError> {

@@ -51,6 +51,8 @@ pub struct StandIn {
     pub starts_take: Mutex<Duration>,
     /// Time that the reply to a reading of its status takes, wall time.
     pub status_takes: Mutex<Duration>,
+    /// Slowest motion of its drive, units/s.
+    pub slowest: Mutex<f64>,
     /// Speed of the last motion that was requested, units/s.
     pub speed: Mutex<f64>,
     /// Stops that it received.
@@ -77,6 +79,7 @@ impl StandIn {
             starts: AtomicU64::default(),
             starts_take: Mutex::default(),
             status_takes: Mutex::default(),
+            slowest: Mutex::default(),
             speed: Mutex::default(),
             stops: AtomicU64::default(),
         })
@@ -127,6 +130,10 @@ impl Axis for StandIn {
 
     fn guard(&self) -> Guard {
         Guard::default()
+    }
+
+    fn slowest(&self) -> f64 {
+        *self.slowest.lock()
     }
 
     async fn identify(&self) -> Result<Found, RigError> {

@@ -110,16 +110,22 @@ impl Stopping {
     }
 
     /// Stopping distance of a press with `tips` tips at the present pace of the wires, with the
-    /// measured values.
+    /// measured values. `drive_mm_s`: slowest motion of the drive of z, mm/s.
     ///
     /// # Errors
     /// No usable press is slow enough for the margin; the message names the key and the speed
     /// required.
-    pub fn distance(&self, rig: &RigConfig, tips: u8) -> Result<StoppingDistance, String> {
+    pub fn distance(
+        &self,
+        rig: &RigConfig,
+        tips: u8,
+        drive_mm_s: f64,
+    ) -> Result<StoppingDistance, String> {
         let (speed, blind_s) = (self.press_speed_mm_s(rig, tips), self.blind_s(rig));
         let travel_mm = speed * blind_s + speed * speed / (2.0 * rig.axes.z.acceleration_mm_s2);
         let limits = &rig.limits;
-        if speed < SLOWEST_MM_S {
+        let slowest = SLOWEST_MM_S.max(drive_mm_s);
+        if speed < slowest {
             let (key, margin_n) = match limits.force_margin_n * f64::from(tips) {
                 sum_n if sum_n <= limits.sum_margin_n() => {
                     ("force_margin_n", limits.force_margin_n)
@@ -128,8 +134,8 @@ impl Stopping {
             };
             return Err(format!(
                 "limits.{key} = {margin_n}: with {tips} tips, {:.0} ms from a force to its stop and \
-                 {} N/mm, a press must not exceed {speed:.4} mm/s; the slowest press is \
-                 {SLOWEST_MM_S}",
+                 {} N/mm, a press must not exceed {speed:.4} mm/s; the slowest press \
+                 of axes.z is {slowest:.4}",
                 blind_s * 1e3,
                 limits.stiffness_n_per_mm
             ));
@@ -175,7 +181,7 @@ mod tests {
             for tips in 1..=6 {
                 let mut stopping = Stopping::default();
                 stopping.note_poll(poll_s);
-                let distance = stopping.distance(&rig, tips).unwrap();
+                let distance = stopping.distance(&rig, tips, 0.0).unwrap();
                 let within = |added: f64, margin: f64| added <= margin * (1.0 + 1e-9);
                 assert!(within(distance.added_n, distance.margin_n), "{distance:?}");
                 assert!(within(distance.added_sum_n, distance.margin_sum_n), "{distance:?}");
@@ -199,11 +205,21 @@ mod tests {
         let mut stopping = Stopping::default();
         stopping.note_poll(100.0);
         let mut rig = rig();
-        let refused = stopping.distance(&rig, 6).unwrap_err();
+        let refused = stopping.distance(&rig, 6, 0.0).unwrap_err();
         assert!(refused.starts_with("limits.force_margin_n = 8"), "{refused}");
         rig.limits.force_sum_margin_n = Some(20.0);
-        let refused = stopping.distance(&rig, 6).unwrap_err();
+        let refused = stopping.distance(&rig, 6, 0.0).unwrap_err();
         assert!(refused.starts_with("limits.force_sum_margin_n = 20: with 6 tips"), "{refused}");
+    }
+
+    #[test]
+    fn a_press_that_is_slower_than_the_drive_of_z_can_move_is_refused() {
+        let (rig, stopping) = (rig(), Stopping::default());
+        let press_mm_s = stopping.press_speed_mm_s(&rig, 1);
+        stopping.distance(&rig, 1, press_mm_s).unwrap();
+        let refused = stopping.distance(&rig, 1, 5.0).unwrap_err();
+        assert!(refused.starts_with("limits.force_margin_n = 8: with 1 tips"), "{refused}");
+        assert!(refused.ends_with("the slowest press of axes.z is 5.0000"), "{refused}");
     }
 
     #[test]
@@ -216,10 +232,10 @@ mod tests {
         stopping.note_travel(Some(0.2));
         stopping.note_travel(Some(0.1));
         stopping.note_travel(None);
-        let distance = stopping.distance(&rig(), 1).unwrap();
+        let distance = stopping.distance(&rig(), 1, 0.0).unwrap();
         assert_eq!((distance.stops, distance.measured_mm), (3, Some(0.2)));
         assert_eq!(distance.measured_ms, Some(9.0));
         stopping.begin();
-        assert_eq!(stopping.distance(&rig(), 1).unwrap().stops, 0);
+        assert_eq!(stopping.distance(&rig(), 1, 0.0).unwrap().stops, 0);
     }
 }

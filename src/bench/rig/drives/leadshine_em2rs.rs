@@ -151,6 +151,11 @@ impl Drive for LeadshineEm2rs {
         move_by_path(order, self.pulses_per_rev.load(Ordering::Relaxed)).to_vec()
     }
 
+    /// One rpm.
+    fn slowest(&self) -> f64 {
+        f64::from(self.pulses_per_rev.load(Ordering::Relaxed)) / 60.0
+    }
+
     fn home_requests(&self) -> Vec<Request> {
         vec![trigger(HOME)]
     }
@@ -192,6 +197,14 @@ mod tests {
         assert_eq!(rpm(200_000.0, 10_000), 1200);
         assert_eq!(rpm(1e9, 10_000), 3000);
         assert_eq!(ms_per_1000_rpm(1.0, 10_000), 65_535);
+    }
+
+    #[test]
+    fn its_slowest_motion_is_one_rpm_of_the_pulses_that_it_has_reported() {
+        let drive = LeadshineEm2rs::default();
+        assert_eq!(rpm(drive.slowest(), 10_000), 1);
+        drive.pulses_per_rev.store(600, Ordering::Relaxed);
+        assert_eq!(drive.slowest(), 10.0);
     }
 
     #[test]

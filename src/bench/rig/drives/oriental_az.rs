@@ -193,6 +193,11 @@ mod tests {
         assert_eq!(address, 0x0058);
         let expected = [0, 0, 0, 1, 0xFFFE, 0xEE90, 0, 2000, 2, 0x49F0, 2, 0x49F0, 0, 1000, 0, 1];
         assert_eq!(words, expected);
+        let Request::WriteRegisters { words, .. } = move_block(&MoveOrder { speed: 0.2, ..order })
+        else {
+            panic!("a block write");
+        };
+        assert_eq!(words[6..8], [0, 1], "the slowest");
         let weak = move_block(&MoveOrder { torque_percent: Some(60), ..order });
         let Request::WriteRegisters { words, .. } = weak else { panic!("a block write") };
         assert_eq!(words[12..], [0, 600, 0, 1]);

@@ -16,7 +16,7 @@ use super::{
 use crate::campaign::bench::evidence::SilentArms;
 use crate::campaign::bench::interlock::{self, ForceLimits, TripKind};
 use crate::campaign::bench::rig_state::{RigEvent, RigState};
-use crate::campaign::bench::stage::Height;
+use crate::campaign::bench::stage::{AxisName, Height, Stage};
 use crate::campaign::bench::touch_off;
 use crate::campaign::diary::Note;
 use crate::campaign::run::eta::Pace;
@@ -46,7 +46,8 @@ impl Engine {
     ///
     /// # Errors
     /// No wires are open, the computer was suspended, an axis is not stopped, a device does not reply, no press is
-    /// slow enough for the margin, the state does not allow arming, or its client no longer waits for the answer.
+    /// slow enough for the margin, a drive cannot move as slowly as its axis must, the state does not allow arming, or
+    /// its client no longer waits for the answer.
     pub(super) async fn arm(&mut self, job: &Job, answer: &Answer) -> Result<(), Refusal> {
         if self.connection.is_none() {
             return Err(no_wires());
@@ -88,7 +89,9 @@ impl Engine {
             let timed = stage.time_polls().await;
             timed.map_err(|halt| Refusal::State(trip_of(&halt).detail))?;
         }
-        let distance = stage.stopping.distance(&stage.config, job.plan.most_tips());
+        require_speeds(stage)?;
+        let (tips, slowest) = (job.plan.most_tips(), stage.bench.z.slowest());
+        let distance = stage.stopping.distance(&stage.config, tips, slowest);
         let distance = distance.map_err(Refusal::Value)?;
         if answer.is_some_and(Answer::is_closed) {
             return Err(Refusal::Gone);
@@ -136,7 +139,8 @@ impl Engine {
     fn show_stopping(&mut self) {
         let Some(stage) = self.connection.as_ref().and_then(|c| c.stage.as_ref()) else { return };
         let tips = stage.tips.max(1);
-        if let Ok(distance) = stage.stopping.distance(&stage.config, tips) {
+        let slowest = stage.bench.z.slowest();
+        if let Ok(distance) = stage.stopping.distance(&stage.config, tips, slowest) {
             self.control.show(|status| status.rig.stopping = Some(distance));
         }
     }
@@ -412,4 +416,20 @@ fn done_words(progress: &Progress) -> String {
         0 => "every planned trial is stored".into(),
         n => format!("every planned trial is stored, except {n} skipped configurations"),
     }
+}
+
+/// Refuses an axis whose travelling speed is below the slowest motion of its drive, which would exceed it.
+fn require_speeds(stage: &Stage) -> Result<(), Refusal> {
+    for name in [AxisName::X, AxisName::Y, AxisName::Z, AxisName::Radial] {
+        let driven = stage.driven(name);
+        let (axis, speed, slowest) = (driven.axis.name(), driven.speed, driven.axis.slowest());
+        if speed < slowest {
+            let unit = if name == AxisName::Radial { "deg" } else { "mm" };
+            return Err(Refusal::Value(format!(
+                "axes.{axis}.speed_{unit}_s = {speed}: must be at least {slowest:.4}, the slowest \
+                 motion of its drive"
+            )));
+        }
+    }
+    Ok(())
 }

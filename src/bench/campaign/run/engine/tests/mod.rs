@@ -131,6 +131,24 @@ async fn a_start_and_a_resume_whose_caller_was_told_that_they_failed_are_not_car
 }
 
 #[tokio::test]
+async fn a_drive_that_cannot_move_as_slowly_as_it_must_is_not_armed() {
+    let (axes, job) = (StandIns::default(), job());
+    let mut engine = engine(&axes);
+    engine.control.rig_event(RigEvent::Homed).unwrap();
+    let (waited_for, _caller) = oneshot::channel();
+    *axes.z.slowest.lock() = 5.0;
+    let refused = engine.arm(&job, &waited_for).await.unwrap_err().to_string();
+    assert!(refused.ends_with("the slowest press of axes.z is 5.0000"), "{refused}");
+    *axes.z.slowest.lock() = 0.01;
+    *axes.radial.slowest.lock() = 150.0;
+    let refused = engine.arm(&job, &waited_for).await.unwrap_err().to_string();
+    assert!(refused.starts_with("axes.radial.speed_deg_s = 120: must be"), "{refused}");
+    assert_eq!(engine.control.rig(), RigState::Homed);
+    *axes.radial.slowest.lock() = 120.0;
+    assert_eq!(engine.arm(&job, &waited_for).await, Ok(()));
+}
+
+#[tokio::test]
 async fn a_confirmation_whose_caller_was_told_that_it_failed_resumes_nothing() {
     let (axes, job) = (StandIns::default(), job());
     let mut engine = engine(&axes);
