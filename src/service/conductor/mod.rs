@@ -23,7 +23,7 @@ use crate::ids::RunUid;
 use crate::journal::{ExitStatus, Journal, error_chain};
 use crate::rig::setup::RigSetup;
 use crate::schedule::preflight::Preflight;
-use crate::state::StoredState;
+use crate::state::{PausedWhy, StoredState};
 use crate::store::{LockRow, RunRow, Soundness, Store};
 use crate::suspension::Suspensions;
 
@@ -293,8 +293,10 @@ impl Conductor {
         if !now.is_open() {
             return Ok(false);
         }
-        if now.is_driven() && self.inner.begun.lock().contains(&run.uid) {
-            // It waits for the store, and may be a success.
+        // An e-stop or a pause may have marked it as interrupted meanwhile.
+        let is_driven = now.is_driven() || now.paused_why == Some(PausedWhy::Restart);
+        if is_driven && self.inner.begun.lock().contains(&run.uid) {
+            // Its end waits for the store, and may be a success.
             let _ = self.inner.campaign.ask(Request::CameLate).await;
             let scan_id = now.scan_id;
             return Err(ConductorError::Forbidden(format!(

@@ -206,13 +206,17 @@ mod tests {
         let running = StateChange::to(StoredState::Running);
         store.run_state(run.uid, running, Timestamp::now()).await.unwrap();
         // The campaign does not drive it any more: its end waits for the store.
-        let noted = async {
-            let Envelope { request, answer, .. } = inbox.next().await.expect("a request");
-            assert!(matches!(request, Request::CameLate), "{request:?}");
-            let _ = answer.send(Ok(()));
-        };
-        let (aborted, ()) = tokio::join!(conductor.abort_undriven(&run), noted);
-        assert!(matches!(aborted, Err(ConductorError::Forbidden(_))), "{aborted:?}");
+        for _ in 0..2 {
+            let noted = async {
+                let Envelope { request, answer, .. } = inbox.next().await.expect("a request");
+                assert!(matches!(request, Request::CameLate), "{request:?}");
+                let _ = answer.send(Ok(()));
+            };
+            let (aborted, ()) = tokio::join!(conductor.abort_undriven(&run), noted);
+            assert!(matches!(aborted, Err(ConductorError::Forbidden(_))), "{aborted:?}");
+            // As after a pause or an e-stop meanwhile.
+            store.interrupt_open_runs(None).await.unwrap();
+        }
         store.end_run(run.uid, ExitStatus::Success, "done", Timestamp::now()).await.unwrap();
         assert!(!conductor.abort_undriven(&run).await.unwrap(), "it has ended");
         let row = conductor.present(&run).await.unwrap();
