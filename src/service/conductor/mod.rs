@@ -226,8 +226,8 @@ impl Conductor {
     ///
     /// # Errors
     /// `ConductorError::Forbidden` if the run is not startable, the code is invalid, the store is
-    /// damaged, or there is a sign of a person meanwhile; `Refused` if another person takes the operator lock
-    /// meanwhile, or the campaign refuses.
+    /// damaged, the e-stop is latched, or there is a sign of a person meanwhile; `Refused` if another person takes the
+    /// operator lock meanwhile, or the campaign refuses.
     pub async fn start(
         &self,
         run: &RunRow,
@@ -254,7 +254,8 @@ impl Conductor {
             self.let_wait([run.uid]);
             // Read after it: a sign of a person that came before was followed without it, and a lock that was taken
             // before does not hold it up.
-            if let Err(error) = self.require_no_person(signs, &by).await {
+            let attended = self.require_no_person(signs, &by).await;
+            if let Err(error) = attended.and_then(|()| self.require_released()) {
                 self.drop_waiting(run, &error.to_string()).await?;
                 return Err(error);
             }

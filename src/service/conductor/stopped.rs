@@ -30,6 +30,18 @@ impl Conductor {
         Ok(())
     }
 
+    /// Refuses to let a run wait while the e-stop is latched, also with closed wires, where nothing is tripped: it
+    /// would wait in the next process, too.
+    pub(super) fn require_released(&self) -> Result<(), ConductorError> {
+        let pressed = self.inner.campaign.stop_switch().pressed();
+        pressed.map_or(Ok(()), |press| {
+            let why = press.why;
+            Err(ConductorError::Forbidden(format!(
+                "the e-stop is latched ({why}): open the wires and reset it, then start the run"
+            )))
+        })
+    }
+
     /// Called at the end of the service, after that of the campaign: what the next process would not know. While an
     /// e-stop is latched it must drive no run by itself. No waiting run begins after a sign of a person that was not
     /// followed any more, such as an abort, and none that was dropped in memory only.
@@ -94,6 +106,20 @@ mod tests {
             asked = inbox.next() => panic!("{asked:?}"),
         };
         taken.unwrap();
+    }
+
+    #[tokio::test]
+    async fn no_run_is_let_wait_while_the_e_stop_is_latched_with_closed_wires() {
+        let (conductor, _inbox, _folder) = conductor().await;
+        let terms = Terms { auto_resume: Some(true), not_before: in_an_hour() };
+        let run = queued_on(&conductor, terms).await;
+        let code = conductor.arm(&run).await.unwrap().code;
+        conductor.inner.campaign.estop("hands");
+        let refused = conductor.start(&run, &code, "ada".into()).await.unwrap_err().to_string();
+        assert!(refused.starts_with("the e-stop is latched (hands)"), "{refused}");
+        assert!(conductor.inner.store.waiting_runs().await.unwrap().is_empty());
+        assert!(conductor.inner.campaign.stop_switch().release(1));
+        start(&conductor, &run).await;
     }
 
     #[tokio::test]
