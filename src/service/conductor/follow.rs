@@ -169,7 +169,7 @@ impl Conductor {
 
     /// Removes all runs from those that wait, because a person may be at the rig: in memory, so that none of them
     /// begins, whatever the store does. Returns whether one waited.
-    fn drop_all_waiting(&self, why: &str) -> bool {
+    pub(super) fn drop_all_waiting(&self, why: &str) -> bool {
         let dropped = std::mem::take(&mut *self.waiting());
         let why = format!("{why}: start it again");
         self.dropped().extend(dropped.iter().map(|run| (*run, why.clone())));

@@ -8,7 +8,7 @@ use crate::campaign::bench::rig_state::RigState;
 use crate::journal::error_chain;
 
 /// Why a run that waited does not begin after a press of the e-stop that tripped nothing.
-const PRESSED: &str = "the e-stop was pressed while no wires were open: start it again";
+const PRESSED: &str = "the e-stop was pressed while no wires were open";
 
 impl Conductor {
     /// Called after each press of the e-stop, once it is latched: a person is at the rig. No run of an earlier process
@@ -18,14 +18,19 @@ impl Conductor {
     /// # Errors
     /// `Store` if the store fails: then only this process drives nothing.
     pub async fn note_stop(&self) -> Result<(), ConductorError> {
-        // Before the wait: an attempt in progress does not begin it.
+        // Before the wait, and in memory: an attempt in progress does not begin it, whatever the store does.
         self.note_operation();
+        // With open wires the press trips the rig, which drops the runs that wait.
+        let is_closed = || self.inner.campaign.status().rig.state == RigState::Disconnected;
+        let was_closed = is_closed();
+        if was_closed {
+            self.drop_all_waiting(PRESSED);
+        }
         let _one_at_a_time = self.inner.beginning.lock().await;
         self.inner.store.interrupt_open_runs(self.active()).await?;
-        // With open wires the press trips the rig, which drops them.
-        if self.inner.campaign.status().rig.state == RigState::Disconnected {
+        if was_closed || is_closed() {
             let waiting = self.inner.store.waiting_runs().await?;
-            self.drop_each(&waiting, PRESSED).await?;
+            self.drop_each(&waiting, &format!("{PRESSED}: start it again")).await?;
         }
         Ok(())
     }
@@ -100,12 +105,24 @@ mod tests {
         let stored = conductor.present(&driven).await.unwrap();
         assert_eq!(stored.state, StoredState::Interrupted);
         assert!(store.waiting_runs().await.unwrap().is_empty());
-        assert_eq!(conductor.why_dropped(next.uid).as_deref(), Some(PRESSED));
+        assert_eq!(conductor.why_dropped(next.uid), Some(format!("{PRESSED}: start it again")));
         let taken = tokio::select! {
             taken = conductor.resume_after_restart(AutoResume::Allowed) => taken,
             asked = inbox.next() => panic!("{asked:?}"),
         };
         taken.unwrap();
+    }
+
+    #[tokio::test]
+    async fn after_an_e_stop_with_closed_wires_no_run_begins_although_the_store_fails() {
+        let (conductor, _inbox, _folder) = conductor().await;
+        let terms = Terms { auto_resume: None, not_before: in_an_hour() };
+        let run = queued_on(&conductor, terms).await;
+        start(&conductor, &run).await;
+        conductor.inner.store.close().await;
+        conductor.note_stop().await.unwrap_err();
+        assert!(conductor.waiting().is_empty());
+        assert_eq!(conductor.why_dropped(run.uid), Some(format!("{PRESSED}: start it again")));
     }
 
     #[tokio::test]
