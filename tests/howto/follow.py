@@ -39,7 +39,8 @@ SHORT_SPEED = 200
 QUICKSTART = "quickstart/copy/palpate-data"
 NEVER_THERE = {"rig", "person", "network"}
 CARGO = re.compile(r"^\s*(\.ci/|cargo (?!run --( |$)))", re.M)
-LOG = re.compile(r"\S+Z +(ERROR|WARN|INFO|DEBUG) ")
+# Lines of the log, and of what takes long before a service listens.
+BEFORE_READY = re.compile(r"\S+Z +(ERROR|WARN|INFO|DEBUG) |.* \.\. \d+ s$")
 TRAP = "set -Eeuo pipefail; trap 'echo \"wrong line: $BASH_COMMAND\" >&2' ERR\n"
 SHIM = """#!/usr/bin/env bash
 # `palpate`, and with `cargo` before it `cargo run -- ..`.
@@ -83,11 +84,11 @@ class Running:
         return "".join(self.lines)
 
     def ready(self) -> bool:
-        """Waits for the first line that it prints, those of the log excepted; false if it ends before, or prints
-        none in time."""
+        """Waits for the first line that it prints, those of the log and of progress excepted; false if it
+        ends before, or prints none in time."""
         until = time.monotonic() + START_S
         while time.monotonic() < until and self.process.poll() is None:
-            if any(not LOG.match(line) for line in self.lines):
+            if any(not BEFORE_READY.match(line) for line in self.lines):
                 return True
             time.sleep(0.05)
         return False
