@@ -62,6 +62,8 @@ pub async fn quantity<L: Lab>(
         let mut request = budget.request(Scored::Quantity, &dataset, Some("test"));
         request.conditions.clone_from(&compared.conditions);
         request.net = Some(net);
+        // The table states no scale, so none limits its rows.
+        request.limit = budget.scored;
         let report = lab.score(&request).await?;
         if let Some(scores) = report.quantity.clone() {
             let wanted = compared.quantity.name();
@@ -245,6 +247,7 @@ mod tests {
         assert!(
             scored.iter().all(|r| r.part.as_deref() == Some("test") && r.limit == scored[0].limit)
         );
+        assert_eq!(scored[0].limit, None, "all rows of the part, whatever the scale");
     }
 
     #[test]
