@@ -183,6 +183,9 @@ pub enum StudyError {
     /// The dataset has no trial for a figure.
     #[error("{dataset}: must have {trial}")]
     NoTrial { dataset: String, trial: String },
+    /// A net answers another quantity than the one that is compared: their errors have other units.
+    #[error("{net} answers the {answers}: must answer the {wanted}")]
+    OtherQuantity { net: String, answers: String, wanted: &'static str },
 }
 
 /// A lab for tests: it records what is requested; its reports have no scores, unless it is requested to
@@ -196,8 +199,9 @@ pub mod fake {
     use serde_json::json;
 
     use super::*;
+    use crate::evaluate::quantities::QuantityScores;
     use crate::evaluate::request::{Example, Scored};
-    use crate::evaluate::score::Scores;
+    use crate::evaluate::score::{Mean, Scores};
     use crate::evaluate::touch::Touch;
     use crate::evaluate::voltages::VoltageScores;
     use crate::infer::answer::FoundContact;
@@ -240,6 +244,18 @@ pub mod fake {
         if request.scored == Scored::Voltages {
             let fits = counts.map(|count| (count, 0.01, Some(0.05 * f64::from(count))));
             report.voltages = VoltageScores::of(&fits);
+            return report;
+        }
+        if request.scored == Scored::Quantity {
+            report.quantity = Some(QuantityScores {
+                quantity: "force".into(),
+                rows: 2,
+                left_out: 0,
+                error: Mean::of_rows(&[1.0, 3.0], 1).unwrap(),
+                median_error: 2.0,
+                right: None,
+                constant_error: 9.0,
+            });
             return report;
         }
         let truth = |count: u32| -> Vec<Contact> {

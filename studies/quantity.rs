@@ -9,7 +9,7 @@ use crate::evaluate::request::{EvaluationReport, Scored};
 use crate::evaluate::score::Mean;
 use crate::evaluate::table::markdown;
 use crate::ids::ModelId;
-use crate::lab::{Lab, Training};
+use crate::lab::{Lab, StudyError, Training};
 use crate::learn::targets::Quantity;
 use crate::sheet::Sheet;
 
@@ -40,7 +40,8 @@ struct Entry {
 /// the test part.
 ///
 /// # Errors
-/// Error of the lab if a training or an evaluation fails.
+/// Error of the lab if a training or an evaluation fails; `StudyError::OtherQuantity` if a named net answers another
+/// quantity.
 pub async fn quantity<L: Lab>(
     lab: &L,
     budget: &Budget,
@@ -61,8 +62,15 @@ pub async fn quantity<L: Lab>(
         let mut request = budget.request(Scored::Quantity, &dataset, Some("test"));
         request.conditions.clone_from(&compared.conditions);
         request.net = Some(net);
+        // The table states no scale, so none limits its rows.
+        request.limit = budget.scored;
         let report = lab.score(&request).await?;
         if let Some(scores) = report.quantity.clone() {
+            let wanted = compared.quantity.name();
+            if scores.quantity != wanted {
+                let (net, answers) = (name, scores.quantity);
+                return Err(StudyError::OtherQuantity { net, answers, wanted }.into());
+            }
             entries.push(Entry { name, is_baseline, scores, models: report.models.clone() });
         }
         reports.push(report);
@@ -238,6 +246,26 @@ mod tests {
         assert_eq!(nets, ["mdl-1", "mdl-2", "mdl-3", "mine"]);
         assert!(
             scored.iter().all(|r| r.part.as_deref() == Some("test") && r.limit == scored[0].limit)
+        );
+        assert_eq!(scored[0].limit, None, "all rows of the part, whatever the scale");
+    }
+
+    #[test]
+    fn a_net_of_another_quantity_is_refused() {
+        // The nets of the fake lab answer a force.
+        let lab = FakeLab { scores: true, ..FakeLab::default() };
+        let of =
+            |quantity| result(self::quantity(&lab, &small(), &Compared { quantity, ..compared() }));
+        let refused = of(Quantity::Position).unwrap_err().to_string();
+        assert_eq!(refused, "ridge answers the force: must answer the position");
+        let sheet = of(Quantity::Force).unwrap();
+        let verdicts = &sheet.numbers["verdicts"];
+        assert_eq!(
+            (&verdicts[0], &verdicts[3]),
+            (
+                &"my/mlp.toml does NOT beat ridge.".into(),
+                &"mine does NOT beat kernel ridge.".into()
+            )
         );
     }
 

@@ -35,7 +35,10 @@ pub enum SamplesError {
     #[error("samples: {message}")]
     Source { message: String },
     /// A value is not finite.
-    #[error("sample {sample}: {side} number {number} is not finite")]
+    #[error(
+        "sample {sample}: {side} number {number} is not finite; the condition missing_channels=0 excludes rows that lack \
+         a channel"
+    )]
     NotFinite {
         /// Number of the sample, from 0.
         sample: u64,

@@ -65,32 +65,38 @@ pub struct Statistics {
     pub whitening: (Vec<f32>, Vec<f32>),
 }
 
-/// Sums over samples, in f64.
+/// Sums over samples of the differences from the first one, in f64: those of a constant number are zero, whereas its
+/// sums would be rounded, and the rounding taken for a spread.
 struct Moments {
     count: f64,
+    first: Vec<f64>,
     sum: Vec<f64>,
     square: Vec<f64>,
 }
 
 impl Moments {
     fn new(len: usize) -> Self {
-        Self { count: 0.0, sum: vec![0.0; len], square: vec![0.0; len] }
+        Self { count: 0.0, first: vec![0.0; len], sum: vec![0.0; len], square: vec![0.0; len] }
     }
 
     fn add(&mut self, numbers: impl Iterator<Item = f64>) {
-        self.count += 1.0;
-        for ((sum, square), x) in self.sum.iter_mut().zip(&mut self.square).zip(numbers) {
-            *sum += x;
-            *square += x * x;
+        for (i, x) in numbers.enumerate() {
+            if self.count == 0.0 {
+                self.first[i] = x;
+            }
+            let apart = x - self.first[i];
+            self.sum[i] += apart;
+            self.square[i] += apart * apart;
         }
+        self.count += 1.0;
     }
 
     fn mean(&self, i: usize) -> f64 {
-        self.sum[i] / self.count
+        self.first[i] + self.sum[i] / self.count
     }
 
     fn spread(&self, i: usize) -> f64 {
-        (self.square[i] / self.count - self.mean(i).powi(2)).max(0.0).sqrt()
+        (self.square[i] / self.count - (self.sum[i] / self.count).powi(2)).max(0.0).sqrt()
     }
 
     fn sd(&self, i: usize) -> f64 {
@@ -192,7 +198,7 @@ impl Statistics {
             }
         }
         let each = |len: usize, f: &dyn Fn(usize) -> f64| (0..len).map(|i| f(i) as f32).collect();
-        let size = (of_targets.square[0] / of_targets.count).sqrt();
+        let size = of_targets.mean(0).hypot(of_targets.spread(0));
         let mut statistics = Self {
             mean: each(channels, &|i| of_inputs.mean(i)),
             sd: divisors(&of_inputs.spreads()),

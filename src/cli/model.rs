@@ -285,3 +285,19 @@ fn score(report: &EvaluationReport) -> String {
         report.rows
     )
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_promotion_states_what_limits_its_answers() {
+        let serves = |limitation: Option<&str>| {
+            let limitation = limitation.map(str::to_owned);
+            ServesOut { slot: Slot::Skin, sensor: None, what: None, limitation, restores: None }
+        };
+        assert_eq!(words(&serves(None)), "skin      nothing");
+        let limited = words(&serves(Some("the errors are unknown")));
+        assert_eq!(limited, "skin      nothing\n          note: the errors are unknown");
+    }
+}

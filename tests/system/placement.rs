@@ -83,6 +83,8 @@ pub async fn serve_exact(lab: &Lab) {
     assert_eq!(status, 409, "it was not promoted: {refused}");
     let serves = lab.posted("/api/v1/serving", json!({ "what": id })).await;
     assert_eq!(serves["slot"], "skin", "{serves}");
+    let limitation = serves["limitation"].as_str().unwrap_or_default();
+    assert!(limitation.contains("errors of the skin's model are unknown"), "no run: {serves}");
 }
 
 async fn connect(lab: &Lab) {

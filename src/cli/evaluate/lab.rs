@@ -401,6 +401,10 @@ impl From<StudyError> for CliError {
             StudyError::Design(error) => {
                 Self::argument("factorial", "the design", error.to_string())
             }
+            StudyError::OtherQuantity { net, answers, wanted } => {
+                let limit = format!("must be a net of the {wanted}, not of the {answers}");
+                Self::argument("net", net, limit)
+            }
             StudyError::NoMethod { dataset } => Self::argument("dataset", dataset, NO_METHOD),
             StudyError::NoTrial { dataset, trial } => {
                 Self::argument(&dataset, "none", format!("must have {trial}"))

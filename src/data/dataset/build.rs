@@ -158,14 +158,11 @@ async fn survey(
         let mut query =
             TrialQuery { run: Some(run.uid), limit: SURVEY_ROWS, ..TrialQuery::default() };
         loop {
-            let mut page = store.trials(&query).await?;
+            let page = store.trials(&query).await?;
             let Some(last) = page.last().map(|trial| trial.trial_id) else { break };
             query.after = Some(last);
             *rows.entry(run.scan_id).or_default() += page.len() as u64;
-            for trial in &mut page {
-                label(trial, &inputs.definition, run);
-            }
-            survey.push(page)?;
+            survey.push(run, page)?;
         }
     }
     let mut surveyed = survey.finish();

@@ -84,21 +84,28 @@ impl<'a> Survey<'a> {
         }
     }
 
-    /// Adds labelled trials of a run.
+    /// Adds trials of a run as they are stored, and labels them.
     ///
     /// # Errors
     /// `ArrowError` if the trials do not fit the columns.
-    pub fn push(&mut self, trials: Vec<TrialRow>) -> Result<(), ArrowError> {
-        let rows: Vec<Row> = trials.into_iter().map(|trial| Row { trial, part: None }).collect();
+    pub fn push(&mut self, run: &RunRow, trials: Vec<TrialRow>) -> Result<(), ArrowError> {
+        // By all positions that were pressed: a deadband removes contacts from the labels, at some depths only.
+        let by = self.definition.split.by;
+        let key = |trial: &TrialRow| self.is_drawn(trial).then(|| group_key(trial, by));
+        let keys: Vec<Option<String>> = trials.iter().map(key).collect();
+        let labelled = trials.into_iter().map(|mut trial| {
+            label(&mut trial, self.definition, run);
+            Row { trial, part: None }
+        });
+        let rows: Vec<Row> = labelled.collect();
         let batch = batch::of_trials(&self.schema, &rows)?;
         let masks: Vec<_> = self.filters.iter().map(|condition| mask(condition, &batch)).collect();
-        for (at, Row { trial, .. }) in rows.iter().enumerate() {
+        for (at, (Row { trial, .. }, key)) in rows.iter().zip(&keys).enumerate() {
             let failed = masks.iter().position(|mask| !mask.value(at));
             let fixed = self.fixed_part(trial);
-            let has_tag = trial.imported_tag.is_some();
             let lacks = match self.definition.split.by {
                 SplitBy::Imported if fixed.is_none() => Some(NO_PART),
-                SplitBy::Tag if !has_tag => Some(NO_TAG),
+                SplitBy::Tag if trial.imported_tag.is_none() => Some(NO_TAG),
                 SplitBy::Imported
                 | SplitBy::Tag
                 | SplitBy::Configuration
@@ -111,16 +118,20 @@ impl<'a> Survey<'a> {
                 failed.map(|condition| format!("not {}", self.definition.conditions[condition]))
             });
             let excluded = why.map(|why| self.reason(why));
-            let is_drawn = match self.definition.split.by {
-                SplitBy::Configuration | SplitBy::Trial => true,
-                SplitBy::Run => fixed.is_none(),
-                SplitBy::Tag => has_tag,
-                SplitBy::Imported | SplitBy::None => false,
-            };
-            let group = is_drawn.then(|| self.group(trial));
+            let group = key.as_ref().map(|key| self.group(key, trial));
             self.candidates.push(Candidate { trial: trial.trial_id, group, fixed, excluded });
         }
         Ok(())
+    }
+
+    /// Whether the part of a trial is drawn.
+    fn is_drawn(&self, trial: &TrialRow) -> bool {
+        match self.definition.split.by {
+            SplitBy::Configuration | SplitBy::Trial => true,
+            SplitBy::Run => self.fixed_part(trial).is_none(),
+            SplitBy::Tag => trial.imported_tag.is_some(),
+            SplitBy::Imported | SplitBy::None => false,
+        }
     }
 
     /// Part of a trial that its file or its run determines, before anything is drawn.
@@ -176,10 +187,10 @@ impl<'a> Survey<'a> {
         })
     }
 
-    /// Adds a trial to its group and returns the index of the group.
-    fn group(&mut self, trial: &TrialRow) -> usize {
+    /// Adds a labelled trial to the group with a key and returns the index of the group.
+    fn group(&mut self, key: &str, trial: &TrialRow) -> usize {
         let split = &self.definition.split;
-        let place = place(split.seed, group_key(trial, split.by).as_bytes());
+        let place = place(split.seed, key.as_bytes());
         let count = if split.stratify { u32::from(trial.contact_count) } else { 0 };
         let at = *self.by_place.entry(place).or_insert_with(|| {
             self.groups.push(Group { place, rows: 0, stratum: count });

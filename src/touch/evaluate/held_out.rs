@@ -30,12 +30,15 @@ impl Made<'_> {
 
 /// Whether no row of a part of `scored` (`None`: of all parts) was used to train a net on
 /// `learned`: the two share no run and no simulations, or have the same split and the part is the
-/// test part.
+/// test part. The strata of a split are numbers of contacts, which follow from the deadband.
 pub fn is_held_out(part: Option<&str>, scored: &Made<'_>, learned: &Made<'_>) -> bool {
     let apart = scored.runs().is_disjoint(&learned.runs())
         && scored.shards().is_disjoint(&learned.shards());
-    let divided_alike = scored.runs() == learned.runs()
-        && scored.definition["split"] == learned.definition["split"];
+    let [scored_of, learned_of] = [scored.definition, learned.definition];
+    let same_strata = scored_of["split"]["stratify"] != true
+        || scored_of["deadband_n"] == learned_of["deadband_n"];
+    let divided_alike =
+        scored.runs() == learned.runs() && scored_of["split"] == learned_of["split"] && same_strata;
     apart || (part == Some("test") && divided_alike)
 }
 
@@ -65,5 +68,22 @@ mod tests {
         // With one further run the parts differ.
         assert!(!held_out(Some("test"), made(&["a", "b", "c"], "configuration")));
         assert!(held_out(None, made(&["c"], "none")));
+    }
+
+    #[test]
+    fn another_deadband_divides_strata_otherwise_and_nothing_else() {
+        let held_out = |stratify: bool, deadband_n: f64| {
+            let of = |deadband_n: f64| {
+                let split = json!({ "by": "trial", "stratify": stratify });
+                json!({ "split": split, "deadband_n": deadband_n })
+            };
+            let (one, two, lineage) =
+                (of(5.0), of(deadband_n), json!({ "runs": [{ "uid": "a" }] }));
+            let [scored, learned] =
+                [&one, &two].map(|definition| Made { definition, lineage: &lineage });
+            is_held_out(Some("test"), &scored, &learned)
+        };
+        assert!(held_out(true, 5.0) && !held_out(true, 2.0));
+        assert!(held_out(false, 5.0) && held_out(false, 2.0));
     }
 }

@@ -237,6 +237,39 @@ async fn what_cannot_be_used_is_named_and_nothing_is_stored() {
     lab.close().await;
 }
 
+/// Two contacts at each of 20 places and at two depths; at the first one of them is below the deadband.
+#[tokio::test]
+async fn depths_of_a_configuration_stay_together_under_a_deadband() {
+    let lab = Filled::open("import-depths").await;
+    let touches: Vec<Touch> = (0..40u32)
+        .flat_map(|trial| {
+            let (x_mm, light_n) = (2.0 * f64::from(trial / 2), [2.0, 6.0][trial as usize % 2]);
+            [(x_mm, 20.0, Some(light_n)), (x_mm, 60.0, Some(9.0))]
+        })
+        .collect();
+    let volts = (0..160).map(|n| Some(n as f32 / 200.0)).collect();
+    let columns = vec![("voltages_v", frames(4, volts)), ("contacts", lists(&touches, [2; 40]))];
+    let (status, made) = import(&lab, parquet(columns), PAD).await;
+    assert_eq!(status, 201, "{made}");
+    let heavy = serde_json::json!({ "definition": { "name": "heavy", "task": "real",
+        "runs": ["pad-study"], "deadband_n": 3.0 } });
+    let (status, made) = lab.post("/api/v1/datasets", heavy).await;
+    assert_eq!((status, &made["rows"]), (200, &40.into()), "{made}");
+    let path = "/api/v1/datasets/heavy/rows?columns=trial_id,split,contact_count&limit=100";
+    let page = lab.get(path).await;
+    let rows = page["items"].as_array().unwrap();
+    for depths in rows.chunks(2) {
+        assert_eq!(
+            (&depths[0]["contact_count"], &depths[1]["contact_count"]),
+            (&1.into(), &2.into())
+        );
+        assert_eq!(depths[0]["split"], depths[1]["split"], "{depths:?}");
+    }
+    let parts = |part: &str| rows.iter().filter(|row| row["split"] == part).count();
+    assert_eq!(["train", "validation", "test"].map(parts), [24, 8, 8]);
+    lab.close().await;
+}
+
 #[tokio::test]
 async fn an_import_that_the_disk_cannot_hold_stores_nothing() {
     let data = folder("import-disk");

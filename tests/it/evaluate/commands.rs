@@ -186,8 +186,13 @@ async fn every_command_trains_scores_and_writes_what_it_is_for() {
         verdicts.len() == 2 && verdicts.iter().all(of_mlp),
         "one of each regression: {verdicts:?}"
     );
+    assert_eq!((&table["dataset"], &table["split_by"]), (&"real".into(), &"configuration".into()));
     let head = ["net", "rows", "wrong by", "median", "right %", "of ridge"];
     assert_eq!(rows(&data, "quantity-count", &head), 4);
+
+    let table = evaluate(&data, "quantity", &all(&["force", "--by-trial"]));
+    let split = (&table["dataset"], &table["split_by"]);
+    assert_eq!(split, (&"real-by-trial".into(), &"trial".into()));
 }
 
 /// Each place of a pad has a separate channel; the file states means alone.

@@ -1,7 +1,9 @@
 //! Regressions in closed form, of a quantity, of a frame or of a force map, and perceptrons.
 
+use nets::noise::{Noise, NoiseSource};
 use nets::progress::Trained;
 use nets::recipe::Recipe;
+use nets::statistics::{Measured, Statistics};
 use palpate_trainer::answer::answer;
 use palpate_trainer::train::train;
 use rand::{RngExt, SeedableRng};
@@ -167,6 +169,20 @@ fn a_channel_that_is_constant_in_training_is_ignored_and_named() {
         assert!(error(&trained, &other) < 15.0, "{net}: {} mm", error(&trained, &other));
         let words = "1 of 13 channels are constant in the training rows";
         assert!(watch.warnings[0].starts_with(words), "{:?}", watch.warnings);
+    }
+}
+
+/// Its sum over these rows is rounded: without the differences from the first row, that was a spread of 2.7 uV, more than
+/// the limit, by which the channel was then divided.
+#[test]
+fn a_channel_is_constant_also_where_its_sum_is_rounded() {
+    let mut learn = rows(700, 1, linear);
+    learn.inputs.iter_mut().for_each(|frame| frame.push(24.1));
+    let noise = NoiseSource::new(1, Noise::default(), None, CHANNELS + 1);
+    for measured in [Measured::Moments, Measured::WithoutExtremes] {
+        let found = Statistics::measure(&learn, measured, &noise, 1).unwrap();
+        assert_eq!(found.constant_channels(), 1, "{measured:?}: {:?}", found.sd);
+        assert_eq!(found.mean[CHANNELS], 24.1);
     }
 }
 
