@@ -54,10 +54,10 @@ impl<X: Ranged, Y: Ranged, DB: DrawingBackend> AxesStyle for MeshStyle<'_, '_, X
 }
 
 /// A chart on an area with room around it, px: the margin, that of the names below and that of the names on the left.
-pub fn framed<'a, 'b, DB: DrawingBackend>(
-    area: &'a DrawingArea<DB, Shift>,
+pub fn framed<'t, DB: DrawingBackend>(
+    area: &DrawingArea<DB, Shift>,
     [margin_px, below_px, left_px]: [u32; 3],
-) -> ChartBuilder<'a, 'b, DB> {
+) -> ChartBuilder<'_, 't, DB> {
     let mut chart = ChartBuilder::on(area);
     chart.margin(margin_px).x_label_area_size(below_px).y_label_area_size(left_px);
     chart
