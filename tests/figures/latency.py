@@ -2,7 +2,6 @@
 
     python3 tests/figures/latency.py PALPATE dashboards [SECONDS]  gaps between trials, with and without 20 dashboards
     python3 tests/figures/latency.py URL gaps RUN [SECONDS [OF]]  (RUN: its number) gaps between trials, with and without load
-    python3 tests/figures/latency.py URL estop COUNT [moving] e-stop request to the last acknowledgement
     python3 tests/figures/latency.py URL load SECONDS         200 read requests a second against the API
 
 `gaps`: within a configuration, from the last frame of a trial to the start of the next one's motion: the
@@ -14,7 +13,7 @@ people who ask one question after the other, in SQL, as groups, or for 10,000 tr
 `dashboards`: starts a service, a virtual rig at speed 20 and a long run in a temporary folder, opens 20 dashboards in
 every second minute for SECONDS (480), and prints both p99 with their numbers; ends with 1 if either side has fewer than
 1000 gaps or dashboards lengthen the p99 by more than 1 ms.
-`estop moving`: x is on its way at each stop (a rig that may move, homed before each).
+How long a stop takes: `stops.py`.
 """
 
 import json
@@ -214,30 +213,6 @@ def load(url: str, seconds: float, rate: float = 200.0) -> None:
     spread("answer", took, "ms")
 
 
-def estop(url: str, count: int, moving: bool) -> None:
-    rig = lambda: call(url, "/api/v1/status")["rig"]
-    act = lambda action, **more: call(url, "/api/v1/rig/actions", {"action": action, "who": "figures", **more})
-
-    def until(state: str) -> None:
-        while rig()["state"] != state:
-            time.sleep(0.02)
-
-    took = []
-    for n in range(count):
-        if moving:
-            act("home")
-            until("homed")
-            act("jog", axis="x", to_mm=[100.0, 400.0][n % 2])
-            time.sleep(0.3)
-        call(url, "/api/v1/estop", {"why": "figures"})
-        until("tripped")
-        while (ms := rig()["estop_acknowledged_ms"]) is None:
-            time.sleep(0.02)
-        took.append(ms)
-        act("reset")
-    spread("e-stop to the last axis's acknowledgement", took, "ms")
-
-
 def main() -> None:
     url, what, value, more, of = [*sys.argv[1:6], "", "", ""][:5]
     if what == "dashboards":
@@ -245,8 +220,7 @@ def main() -> None:
             words, is_met = with_dashboards(url, folder, float(value or GAPS_S))
         print(f"last frame to next motion, p99, without and with 20 dashboards: {words}")
         sys.exit(not is_met)
-    {"gaps": lambda: gaps(url, value, float(more or 0), of), "load": lambda: load(url, float(value)),
-     "estop": lambda: estop(url, int(value), more == "moving")}[what]()
+    {"gaps": lambda: gaps(url, value, float(more or 0), of), "load": lambda: load(url, float(value))}[what]()
 
 
 if __name__ == "__main__":

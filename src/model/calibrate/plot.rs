@@ -6,7 +6,7 @@ use plotters::prelude::*;
 use super::CalibrateError;
 use super::foam::{FittedRow, FoamFit};
 use super::piezo::PiezoFit;
-use crate::figure::style::{AxesStyle, COLOURS, INK, dash, decade, legend, plain};
+use crate::figure::style::{AxesStyle, COLOURS, INK, dash, decade, framed, legend, plain};
 use crate::figure::{Area, Drawn, Heading, PageSize, figure};
 
 const FIT_SIZE: PageSize = PageSize { width_px: 860, height_px: 520 };
@@ -40,18 +40,13 @@ fn draw_piezo(area: &Area<'_>, fit: &PiezoFit) -> Drawn {
     let measured = fit.rows.iter().map(|r| r.resistance_ohm);
     let ends = bands.iter().flat_map(|(_, b)| b.measurement_ohm);
     let (low, high) = measured.chain(ends).fold((f64::MAX, 0f64), |(l, h), v| (l.min(v), h.max(v)));
-    let mut chart = ChartBuilder::on(area)
-        .margin(14)
-        .x_label_area_size(48)
-        .y_label_area_size(84)
+    let mut chart = framed(area, [14, 48, 84])
         .build_cartesian_2d(0.0..most * 1.03, (low / 1.5..high * 1.5).log_scale())?;
     chart
         .configure_mesh()
-        .x_desc("compression (mm)")
-        .y_desc("resistance (ohm)")
         .x_label_formatter(&plain)
         .y_label_formatter(&decade)
-        .styled()
+        .named("compression (mm)", "resistance (ohm)")
         .draw()?;
     let ring = |ends: &dyn Fn(usize) -> [f64; 2]| -> Vec<(f64, f64)> {
         let upper = bands.iter().enumerate().map(|(n, (x, _))| (*x, ends(n)[1]));
@@ -109,18 +104,13 @@ fn draw_foam(area: &Area<'_>, fit: &FoamFit) -> Drawn {
     let fitted = fit.rows.iter().map(|r| r.fitted_mm);
     let (low, high) = measured.chain(fitted).fold((0f64, 0f64), |(l, h), v| (l.min(v), h.max(v)));
     let most_n = fit.calibration.force_n;
-    let mut chart = ChartBuilder::on(area)
-        .margin(14)
-        .x_label_area_size(48)
-        .y_label_area_size(70)
-        .build_cartesian_2d(0.0..most_n * 1.05, low * 1.1..high * 1.1)?;
+    let mut chart =
+        framed(area, [14, 48, 70]).build_cartesian_2d(0.0..most_n * 1.05, low * 1.1..high * 1.1)?;
     chart
         .configure_mesh()
-        .x_desc("force on the tip (N)")
-        .y_desc("displacement (mm)")
         .x_label_formatter(&plain)
         .y_label_formatter(&plain)
-        .styled()
+        .named("force on the tip (N)", "displacement (mm)")
         .draw()?;
     for (n, (name, rows)) in series(fit).into_iter().enumerate() {
         let colour = COLOURS[1 + n % (COLOURS.len() - 1)];

@@ -10,7 +10,9 @@ use sim_core::stats::sorted;
 use super::CalibrateError;
 use super::skin::CalibratedSkin;
 use crate::figure::skin::Outline;
-use crate::figure::style::{AxesStyle, COLOURS, INK, SMALL, dash, diverging, legend, plain, whole};
+use crate::figure::style::{
+    AxesStyle, COLOURS, INK, SMALL, dash, diverging, framed, legend, plain, whole,
+};
 use crate::figure::{Area, Drawn, Heading, PageSize, figure};
 
 /// Width of the skin in a panel, px.
@@ -97,19 +99,14 @@ fn distributions(area: &Area<'_>, fitted: &CalibratedSkin) -> Drawn {
     let ends =
         |of: fn(f64, f64) -> f64, start: f64| before.iter().chain(&after).copied().fold(start, of);
     let (low, high) = (ends(f64::min, 0.1), ends(f64::max, 1.0));
-    let mut chart = ChartBuilder::on(area)
+    let mut chart = framed(area, [12, 46, 58])
         .caption(format!("held-out trials, n = {} and {}", before.len(), after.len()), SMALL)
-        .margin(12)
-        .x_label_area_size(46)
-        .y_label_area_size(58)
         .build_cartesian_2d((low..high).log_scale(), 0.0..100.0)?;
     chart
         .configure_mesh()
-        .x_desc("FVU")
-        .y_desc("share of trials below (%)")
         .x_label_formatter(&plain)
         .y_label_formatter(&whole)
-        .styled()
+        .named("FVU", "share of trials below (%)")
         .axis_desc_style(SMALL)
         .draw()?;
     for (name, fvus, colour) in [("before", &before, BEFORE), ("after", &after, AFTER)] {

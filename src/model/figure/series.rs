@@ -3,7 +3,7 @@
 
 use plotters::prelude::*;
 
-use super::style::{AxesStyle, COLOURS, dash, legend, plain};
+use super::style::{AxesStyle, COLOURS, dash, framed, legend, plain};
 use super::{Area, Drawn, Heading, PageSize, figure};
 
 /// Size of a drawing of series.
@@ -111,11 +111,7 @@ impl Chart {
         y_range: std::ops::Range<f64>,
         [before, after]: [f64; 2],
     ) -> Drawn {
-        let mut chart = ChartBuilder::on(area)
-            .margin(14)
-            .x_label_area_size(54)
-            .y_label_area_size(92)
-            .build_cartesian_2d(x_range, y_range)?;
+        let mut chart = framed(area, [14, 54, 92]).build_cartesian_2d(x_range, y_range)?;
         let name = |x: &f64| match &self.places {
             Places::Numbers(_) => plain(x),
             Places::Names(names) => {
@@ -133,9 +129,7 @@ impl Chart {
             .x_labels(labels)
             .x_label_formatter(&name)
             .y_label_formatter(&plain)
-            .x_desc(&self.x_name)
-            .y_desc(&self.y_name)
-            .styled();
+            .named(&self.x_name, &self.y_name);
         if self.marks == Marks::Bars {
             frame.disable_x_mesh();
         }

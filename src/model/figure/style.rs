@@ -4,7 +4,7 @@
 use std::error::Error;
 
 use plotters::chart::MeshStyle;
-use plotters::coord::CoordTranslate;
+use plotters::coord::{CoordTranslate, Shift};
 use plotters::prelude::*;
 
 /// Font of all figures: the first family that the viewer has.
@@ -35,6 +35,9 @@ const DIVERGING: [RGBColor; 3] =
 pub trait AxesStyle {
     /// Sets them; what is set afterwards differs from other figures.
     fn styled(&mut self) -> &mut Self;
+
+    /// Sets them, and the names of both axes, each with its unit.
+    fn named(&mut self, x: impl Into<String>, y: impl Into<String>) -> &mut Self;
 }
 
 impl<X: Ranged, Y: Ranged, DB: DrawingBackend> AxesStyle for MeshStyle<'_, '_, X, Y, DB> {
@@ -44,6 +47,20 @@ impl<X: Ranged, Y: Ranged, DB: DrawingBackend> AxesStyle for MeshStyle<'_, '_, X
             .label_style(SMALL)
             .axis_desc_style(TEXT)
     }
+
+    fn named(&mut self, x: impl Into<String>, y: impl Into<String>) -> &mut Self {
+        self.x_desc(x).y_desc(y).styled()
+    }
+}
+
+/// A chart on an area with room around it, px: the margin, that of the names below and that of the names on the left.
+pub fn framed<'t, DB: DrawingBackend>(
+    area: &DrawingArea<DB, Shift>,
+    [margin_px, below_px, left_px]: [u32; 3],
+) -> ChartBuilder<'_, 't, DB> {
+    let mut chart = ChartBuilder::on(area);
+    chart.margin(margin_px).x_label_area_size(below_px).y_label_area_size(left_px);
+    chart
 }
 
 /// A whole number.

@@ -9,7 +9,7 @@ use plotters::style::colors::colormaps::ViridisRGB;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
 
 use super::figures::{FigureError, page};
-use crate::figure::style::{AxesStyle, COLOURS, INK, SMALL, TEXT, TINY, plain, whole};
+use crate::figure::style::{AxesStyle, COLOURS, INK, SMALL, TEXT, TINY, framed, plain, whole};
 use crate::figure::{Area, Drawn, Heading, PageSize};
 
 /// A named line of points.
@@ -106,11 +106,8 @@ fn draw_panel(
     [left, right, low, high]: [f64; 4],
     panel: &Panel,
 ) -> Drawn {
-    let mut chart = ChartBuilder::on(area)
+    let mut chart = framed(area, [8, 44, 60])
         .caption(&panel.name, SMALL)
-        .margin(8)
-        .x_label_area_size(44)
-        .y_label_area_size(60)
         .build_cartesian_2d(left..right, upwards(low, high))?;
     if panel.known_to > 0.0 {
         let known = [(left, low), (panel.known_to + 0.4, high)];
@@ -121,9 +118,7 @@ fn draw_panel(
         .x_labels((right - left) as usize + 1)
         .x_label_formatter(&whole)
         .y_label_formatter(&plain)
-        .x_desc(x)
-        .y_desc(y)
-        .styled()
+        .named(x, y)
         .label_style(TINY)
         .axis_desc_style(SMALL)
         .draw()?;
@@ -214,10 +209,7 @@ pub fn bars(heading: &Heading, x: &str, bars: &[Bar]) -> Result<String, FigureEr
     ));
     let size = PageSize { width_px: 960, height_px: 80 + 30 * count as u32 };
     page("bars", size, &heading, |area| {
-        let mut chart = ChartBuilder::on(area)
-            .margin(18)
-            .x_label_area_size(50)
-            .y_label_area_size(330)
+        let mut chart = framed(area, [18, 50, 330])
             .build_cartesian_2d(low - room..high + room, segments(count))?;
         chart
             .configure_mesh()
@@ -263,11 +255,8 @@ pub fn heats(heading: &Heading, heats: &[Heat]) -> Result<String, FigureError> {
     page("heat maps", PageSize { width_px: 1240, height_px: 390 }, heading, |area| {
         for (heat, area) in heats.iter().zip(area.split_evenly((1, heats.len()))) {
             let largest = heat.cells.iter().map(|cell| cell.1.abs()).fold(1e-9, f64::max);
-            let mut chart = ChartBuilder::on(&area)
+            let mut chart = framed(&area, [10, 44, 52])
                 .caption(&heat.name, SMALL)
-                .margin(10)
-                .x_label_area_size(44)
-                .y_label_area_size(52)
                 .build_cartesian_2d(segments(pixels.len()), segments(diameters.len()))?;
             let named = |values: &[f64], at: &SegmentValue<usize>| match at {
                 SegmentValue::CenterOf(at) => values.get(*at).map(whole).unwrap_or_default(),

@@ -6,7 +6,7 @@ use plotters::prelude::*;
 use plotters::style::colors::colormaps::ViridisRGB;
 
 use crate::figure::skin::{Outline, colour_bar};
-use crate::figure::style::{AxesStyle, COLOURS, INK, TINY, legend, plain, whole};
+use crate::figure::style::{AxesStyle, COLOURS, INK, TINY, framed, legend, plain, whole};
 use crate::figure::{Area, Drawn, Heading, PageSize};
 use crate::plain::counted;
 use crate::record::CONTACTS_MAX;
@@ -133,11 +133,7 @@ pub fn by_force(
     ));
     page("means by force", REPORT_SIZE, &heading, |area| {
         let (above, below) = area.split_vertically(410);
-        let mut chart = ChartBuilder::on(&above)
-            .margin(14)
-            .x_label_area_size(10)
-            .y_label_area_size(78)
-            .build_cartesian_2d(0.0..end_n, 0.0..top)?;
+        let mut chart = framed(&above, [14, 10, 78]).build_cartesian_2d(0.0..end_n, 0.0..top)?;
         chart
             .configure_mesh()
             .x_label_formatter(&|_| String::new())
@@ -185,21 +181,15 @@ fn counts(area: &Area<'_>, lines: &[(u8, Vec<Bin>)], width_n: f64, end_n: f64) -
         }
     }
     let top = heights.values().copied().max().unwrap_or(1) as f64;
-    let mut chart = ChartBuilder::on(area)
-        .margin(14)
-        .margin_top(0)
-        .x_label_area_size(50)
-        .y_label_area_size(78)
-        .build_cartesian_2d(0.0..end_n, 0.0..1.08 * top)?;
+    let mut chart =
+        framed(area, [14, 50, 78]).margin_top(0).build_cartesian_2d(0.0..end_n, 0.0..1.08 * top)?;
     chart
         .configure_mesh()
         .disable_x_mesh()
         .y_labels(4)
         .x_label_formatter(&whole)
         .y_label_formatter(&whole)
-        .x_desc("largest force of a trial (N)")
-        .y_desc("trials")
-        .styled()
+        .named("largest force of a trial (N)", "trials")
         .draw()?;
     chart.draw_series(bars)?;
     Ok(())
@@ -235,20 +225,15 @@ pub fn boxes(
          values beyond them are not drawn",
     );
     page("boxes by contacts", REPORT_SIZE, &heading, |area| {
-        let mut chart = ChartBuilder::on(area)
-            .margin(14)
-            .x_label_area_size(50)
-            .y_label_area_size(78)
-            .build_cartesian_2d(0.4..6.6_f64, 0.0..1.12 * top)?;
+        let mut chart =
+            framed(area, [14, 50, 78]).build_cartesian_2d(0.4..6.6_f64, 0.0..1.12 * top)?;
         chart
             .configure_mesh()
             .disable_x_mesh()
             .x_labels(7)
             .x_label_formatter(&whole)
             .y_label_formatter(&plain)
-            .x_desc("contacts of a trial")
-            .y_desc(quantity.axis())
-            .styled()
+            .named("contacts of a trial", quantity.axis())
             .draw()?;
         for (contacts, trials, b, scale) in boxes {
             let x = f64::from(contacts);

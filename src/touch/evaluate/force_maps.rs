@@ -7,7 +7,7 @@ use plotters::style::colors::colormaps::ViridisRGB;
 use super::figures::{FigureError, page};
 use crate::dataset::force_map::{ForceMap, ForceMapSpec};
 use crate::dataset::pressed::as_pressed;
-use crate::figure::style::{AxesStyle, COLOURS, SMALL, TINY, dash, legend, plain, whole};
+use crate::figure::style::{AxesStyle, COLOURS, SMALL, TINY, dash, framed, legend, plain, whole};
 use crate::figure::{Heading, PageSize};
 use crate::learn::residuals::Residuals;
 use crate::store::Contact;
@@ -65,11 +65,8 @@ pub fn pictures(
             for (map, area) in maps.iter().zip(area.split_evenly((rows, columns))) {
                 let largest = map.map.iter().copied().fold(1e-6, f32::max);
                 let half = map.spec.side_mm / 2.0;
-                let mut chart = ChartBuilder::on(&area)
+                let mut chart = framed(&area, [8, 42, 52])
                     .caption(format!("{}, to {} N per pixel", map.name, short(largest)), SMALL)
-                    .margin(8)
-                    .x_label_area_size(42)
-                    .y_label_area_size(52)
                     .build_cartesian_2d(-half..half, -half..half)?;
                 chart
                     .configure_mesh()
@@ -118,18 +115,13 @@ pub fn residuals(heading: &Heading, of: &Residuals) -> Result<String, FigureErro
     let largest = mean_v.iter().zip(sd_v).map(|(m, s)| millivolts(m.abs() + s));
     let most = 1.08 * largest.fold(1e-6, f64::max);
     page("residuals", PageSize { width_px: 1100, height_px: 460 }, heading, |area| {
-        let mut chart = ChartBuilder::on(area)
-            .margin(18)
-            .x_label_area_size(50)
-            .y_label_area_size(70)
-            .build_cartesian_2d(0.0..mean_v.len() as f64, -most..most)?;
+        let mut chart =
+            framed(area, [18, 50, 70]).build_cartesian_2d(0.0..mean_v.len() as f64, -most..most)?;
         chart
             .configure_mesh()
             .x_label_formatter(&whole)
             .y_label_formatter(&plain)
-            .x_desc("reading (28 for each injection)")
-            .y_desc("transfer error (mV)")
-            .styled()
+            .named("reading (28 for each injection)", "transfer error (mV)")
             .draw()?;
         let spread = mean_v.iter().zip(sd_v).enumerate().map(|(at, (mean, sd))| {
             let x = at as f64 + 0.5;

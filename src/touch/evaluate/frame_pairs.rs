@@ -7,7 +7,7 @@ use sim_core::stats::{quantile, sorted};
 
 use super::figures::{FigureError, page};
 use crate::figure::skin::{BAR_PX, colour_bar};
-use crate::figure::style::{INK, SMALL, TEXT, TINY, diverging};
+use crate::figure::style::{INK, SMALL, TEXT, TINY, diverging, framed};
 use crate::figure::{Area, Drawn, Heading, PageSize};
 
 /// A trial that is shown.
@@ -73,11 +73,8 @@ fn draw(area: &Area<'_>, pair: &FramePair) -> Drawn {
 fn image(area: &Area<'_>, name: &str, frame: &[f32], end_mv: f64) -> Drawn {
     let side = (frame.len() as f64).sqrt().round() as usize;
     let [rows, columns] = if side * side == frame.len() { [side; 2] } else { [1, frame.len()] };
-    let mut chart = ChartBuilder::on(area)
+    let mut chart = framed(area, [8, 40, 50])
         .caption(name, SMALL)
-        .margin(8)
-        .x_label_area_size(40)
-        .y_label_area_size(50)
         // The first injection is at the top.
         .build_cartesian_2d(0.5..columns as f64 + 0.5, rows as f64 + 0.5..0.5)?;
     chart

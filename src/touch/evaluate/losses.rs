@@ -7,7 +7,7 @@ use serde::Deserialize;
 use super::charts::{empty, upwards};
 use super::figures::{FigureError, page};
 use crate::figure::series::MARKED_POINTS;
-use crate::figure::style::{AxesStyle, COLOURS, INK, dash, decade, legend, whole};
+use crate::figure::style::{AxesStyle, COLOURS, INK, dash, decade, framed, legend, whole};
 use crate::figure::{Heading, PageSize};
 
 /// Losses of an epoch, as a training stores them.
@@ -59,19 +59,14 @@ pub fn curve(heading: &Heading, unit: &str, losses: &[EpochLoss]) -> Result<Stri
         all.iter().fold((f64::MAX, f64::MIN), |(l, h), at| (l.min(at.1), h.max(at.1)));
     let room = (right * 0.02).max(0.2);
     page("learning curve", LOSSES_SIZE, heading, |area| {
-        let mut chart = ChartBuilder::on(area)
-            .margin(14)
-            .x_label_area_size(50)
-            .y_label_area_size(92)
+        let mut chart = framed(area, [14, 50, 92])
             .build_cartesian_2d(1.0 - room..right + room, upwards(low / 1.3, high * 1.3))?;
         chart
             .configure_mesh()
             .x_labels((right as usize).clamp(2, 12))
             .x_label_formatter(&whole)
             .y_label_formatter(&decade)
-            .x_desc("epoch")
-            .y_desc(unit)
-            .styled()
+            .named("epoch", unit)
             .draw()?;
         for (name, pick, colour) in picks {
             let places = places(pick);

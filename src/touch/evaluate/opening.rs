@@ -10,7 +10,7 @@ use super::charts::{from_top, segments};
 use super::figures::{FigureError, page};
 use super::force_maps::Picture;
 use crate::dataset::read::PAPER_SKIN;
-use crate::figure::style::{AxesStyle, COLOURS, INK, SMALL, TEXT, TINY, plain};
+use crate::figure::style::{AxesStyle, COLOURS, INK, SMALL, TEXT, TINY, framed, plain};
 use crate::figure::{Area, Drawn, Heading, PageSize};
 use crate::store::Contact;
 
@@ -208,11 +208,8 @@ fn errors(area: &Area<'_>, ranks: &[Rank]) -> Drawn {
     let end = ranks.iter().map(|rank| rank.interval_mm.map_or(rank.mean_mm, |[_, high]| high));
     // Room for the numbers right of the longest bar.
     let end = 1.9 * end.fold(1.0, f64::max);
-    let mut chart = ChartBuilder::on(area)
-        .margin(14)
+    let mut chart = framed(area, [14, 50, 250])
         .margin_top(HEAD_PX)
-        .x_label_area_size(50)
-        .y_label_area_size(250)
         .build_cartesian_2d(0.0..end, segments(count))?;
     let place = |at: usize| SegmentValue::CenterOf(count - 1 - at);
     chart

@@ -9,7 +9,7 @@ use plotters::prelude::*;
 
 use super::charts::Line;
 use super::figures::{FigureError, page};
-use crate::figure::style::{AxesStyle, COLOURS, TINY, dash, legend, plain, whole};
+use crate::figure::style::{AxesStyle, COLOURS, TINY, dash, framed, legend, plain, whole};
 use crate::figure::{Area, Drawn, Heading, PageSize};
 
 const RUN_SIZE: PageSize = PageSize { width_px: 900, height_px: 500 };
@@ -47,18 +47,12 @@ fn numbers<'a, 'b>(
     [x, y]: [&str; 2],
     [across, up]: [Range<f64>; 2],
 ) -> Drawn<NumberChart<'a, 'b>> {
-    let mut chart = ChartBuilder::on(area)
-        .margin(18)
-        .x_label_area_size(50)
-        .y_label_area_size(78)
-        .build_cartesian_2d(across, up)?;
+    let mut chart = framed(area, [18, 50, 78]).build_cartesian_2d(across, up)?;
     chart
         .configure_mesh()
         .x_label_formatter(&plain)
         .y_label_formatter(&plain)
-        .x_desc(x)
-        .y_desc(y)
-        .styled()
+        .named(x, y)
         .draw()?;
     Ok(chart)
 }
@@ -101,20 +95,14 @@ pub fn contacts(heading: &Heading, contacts: &Contacts) -> Result<String, Figure
     let top = here.iter().chain(published.iter().flat_map(|(_, all)| all)).copied();
     let top = 1.15 * top.fold(1.0, f64::max);
     page("contacts", RUN_SIZE, heading, |area| {
-        let mut chart = ChartBuilder::on(area)
-            .margin(18)
-            .x_label_area_size(50)
-            .y_label_area_size(78)
-            .build_cartesian_2d(-0.6..6.6_f64, 0.0..top)?;
+        let mut chart = framed(area, [18, 50, 78]).build_cartesian_2d(-0.6..6.6_f64, 0.0..top)?;
         chart
             .configure_mesh()
             .disable_x_mesh()
             .x_labels(CONTACTS_SHOWN)
             .x_label_formatter(&whole)
             .y_label_formatter(&whole)
-            .x_desc("contacts")
-            .y_desc("trials")
-            .styled()
+            .named("contacts", "trials")
             .draw()?;
         let shown = [(contacts.name.as_str(), here)].into_iter();
         let shown = shown.chain(published.map(|(name, all)| (name.as_str(), *all)));
@@ -159,19 +147,13 @@ pub fn histogram(
     }
     let top = 1.12 * f64::from(counts.iter().copied().max().unwrap_or(0).max(1));
     page("histogram", RUN_SIZE, heading, |area| {
-        let mut chart = ChartBuilder::on(area)
-            .margin(18)
-            .x_label_area_size(50)
-            .y_label_area_size(70)
-            .build_cartesian_2d(0.0..end, 0.0..top)?;
+        let mut chart = framed(area, [18, 50, 70]).build_cartesian_2d(0.0..end, 0.0..top)?;
         chart
             .configure_mesh()
             .disable_x_mesh()
             .x_label_formatter(&plain)
             .y_label_formatter(&whole)
-            .x_desc(format!("{x} (the last bin holds all above)"))
-            .y_desc("trials")
-            .styled()
+            .named(format!("{x} (the last bin holds all above)"), "trials")
             .draw()?;
         chart.draw_series(counts.iter().enumerate().filter(|(_, count)| **count > 0).map(
             |(bin, count)| {

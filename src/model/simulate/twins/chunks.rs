@@ -176,7 +176,6 @@ impl MakeChunks for TwinChunks {
 mod tests {
     use std::fs::{self, File};
     use std::ops::ControlFlow;
-    use std::path::Path;
 
     use sim_core::forward::Contact;
 
@@ -216,10 +215,10 @@ mod tests {
         work_order(skin, vec![TwinInput::lines(inputs(0, 70)), TwinInput::lines(inputs(70, 9))])
     }
 
-    /// Makes both chunks in a folder; returns their bytes.
-    fn made(folder: &Path, order: &WorkOrder, threads: usize) -> [Vec<u8>; 2] {
-        fs::remove_dir_all(folder).ok();
-        let (folder, _) = OrderFolder::write(folder, order.clone()).unwrap();
+    /// Makes both chunks; returns their bytes.
+    fn made(order: &WorkOrder, threads: usize) -> [Vec<u8>; 2] {
+        let place = tempfile::tempdir().unwrap();
+        let (folder, _) = OrderFolder::write(place.path(), order.clone()).unwrap();
         let read = TwinsOrder::read(folder.order()).unwrap();
         let threads = NonZeroUsize::new(threads).unwrap();
         let mut maker = TwinChunks::new(read, MODEL.clone(), threads).unwrap();
@@ -231,12 +230,11 @@ mod tests {
 
     #[test]
     fn chunks_of_any_number_of_threads_are_the_twins_of_their_contacts() {
-        let folder =
-            std::env::temp_dir().join(format!("palpate-twin-chunks-{}", std::process::id()));
         let order = ordered(skin());
-        let one = made(&folder, &order, 1);
-        assert!(one == made(&folder, &order, 3), "other bytes with three threads");
-        let path = folder.join("chunk");
+        let one = made(&order, 1);
+        assert!(one == made(&order, 3), "other bytes with three threads");
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("chunk");
         let mut work = Workspace::default();
         let mut failures = 0;
         for (bytes, inputs) in one.iter().zip([inputs(0, 70), inputs(70, 9)]) {
@@ -251,17 +249,15 @@ mod tests {
             }
         }
         assert!((20..40).contains(&failures), "{failures}");
-        fs::remove_dir_all(folder).unwrap();
     }
 
     #[test]
     fn a_chunk_of_other_contacts_is_not_made() {
-        let folder =
-            std::env::temp_dir().join(format!("palpate-twin-other-{}", std::process::id()));
+        let place = tempfile::tempdir().unwrap();
         let mut order = ordered(skin());
         let contacts = order.inputs.get_mut("contacts-00001").unwrap();
         *contacts = contacts.replace("70", "71");
-        let (folder, _) = OrderFolder::write(&folder, order).unwrap();
+        let (folder, _) = OrderFolder::write(place.path(), order).unwrap();
         let read = TwinsOrder::read(folder.order()).unwrap();
         let mut maker = TwinChunks::new(read, MODEL.clone(), NonZeroUsize::MIN).unwrap();
         let made = folder.make(1, &mut maker, &mut |_| ControlFlow::Continue(()));
@@ -269,7 +265,6 @@ mod tests {
         assert!(error.contains("contacts-00001: has other contacts"), "{error}");
         let stopped = folder.make(0, &mut maker, &mut |_| ControlFlow::Break(())).unwrap();
         assert_eq!(stopped, None);
-        fs::remove_dir_all(folder.path()).unwrap();
     }
 
     #[test]

@@ -2,8 +2,8 @@
 //! Uses: `import::source`, `import::rows`, zip. Never: a file outside the folder of a test.
 
 use std::io::{Cursor, Write};
-use std::path::PathBuf;
 
+use tempfile::NamedTempFile;
 use zip::write::SimpleFileOptions;
 use zip::{CompressionMethod, ZipWriter};
 
@@ -16,29 +16,12 @@ use crate::store::{Contact, ImportedTrial};
 
 const PAD: &str = "name = \"pad\"\nchannels = 3\nwidth_mm = 100\nheight_mm = 80\n";
 
-/// A file of a test, removed with the value.
-struct Written(PathBuf);
-
-impl Written {
-    fn new(name: &str, bytes: &[u8]) -> Self {
-        let path =
-            std::env::temp_dir().join(format!("palpate-foreign-{}-{name}", std::process::id()));
-        std::fs::write(&path, bytes).unwrap();
-        Self(path)
-    }
-}
-
-impl Drop for Written {
-    fn drop(&mut self) {
-        std::fs::remove_file(&self.0).ok();
-    }
-}
-
 /// Trials and ignored columns of a file, by the steps of an import.
 fn read(name: &str, bytes: &[u8]) -> Result<(Vec<ImportedTrial>, Vec<String>), DatasetError> {
-    let file = Written::new(name, bytes);
+    let file = NamedTempFile::new().unwrap();
+    std::fs::write(&file, bytes).unwrap();
     let sensor = ImportedSensor::from_toml("pad.toml", PAD).unwrap();
-    let source = Source::open(&file.0, name)?;
+    let source = Source::open(file.path(), name)?;
     let mut reader = Reader::new(name, &sensor, Coordinates::default());
     reader.check(source.schema()).map_err(DatasetError::Problems)?;
     source.extent().needed(name, &sensor).map_err(DatasetError::Problems)?;
