@@ -183,6 +183,8 @@ pub fn table() -> Vec<Operation> {
         (READS, routes!(rates::rates)),
         (acts("rig_action").once().moves(), routes!(rig::act)),
         (acts("rig_check").once().moves(), routes!(rig::check)),
+        // Any valid key may stop a motion.
+        (acts("rig_abort").role(Viewer).lock(Lock::Ignored), routes!(rig::abort)),
         (READS.of(Edited::Lock), routes!(people::lock)),
         // The lock itself: the handlers compare the holder.
         (acts("lock").lock(Lock::Ignored).of(Edited::Lock), routes!(people::take_lock)),
