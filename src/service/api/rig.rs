@@ -82,7 +82,9 @@ pub async fn act(app: App, act: Act, Body(asked): Body<RigActionRequest>) -> Api
         }
     };
     app.conductor.note_operation();
-    app.campaign.ask(request).await?;
+    let asked = app.campaign.ask(request).await;
+    app.conductor.keep_operation().await;
+    asked?;
     Ok(StatusCode::ACCEPTED)
 }
 
@@ -119,7 +121,11 @@ pub async fn check(
     if enable {
         app.conductor.note_operation();
     }
-    let report = checked(&app, enable).await?;
+    let report = checked(&app, enable).await;
+    if enable {
+        app.conductor.keep_operation().await;
+    }
+    let report = report?;
     let report = serde_json::to_value(report).map_err(ApiError::internal)?;
     Ok(Json(report))
 }

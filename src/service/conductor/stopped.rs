@@ -8,6 +8,7 @@ use super::{Conductor, ConductorError};
 use crate::campaign::bench::rig_state::RigState;
 use crate::campaign::shown::command::Request;
 use crate::journal::error_chain;
+use crate::store::StoreResult;
 
 /// Why a run that waited does not begin after a press of the e-stop that tripped nothing.
 const PRESSED: &str = "the e-stop was pressed while no wires were open";
@@ -52,9 +53,22 @@ impl Conductor {
         self.note_operation();
         let aborted = self.inner.campaign.ask(Request::Abort).await;
         *self.inner.brought_up.lock() = None;
-        let _one_at_a_time = self.inner.beginning.lock().await;
-        self.inner.store.interrupt_open_runs(self.active()).await?;
+        self.interrupt_undriven().await?;
         aborted.map_err(ConductorError::Refused)
+    }
+
+    /// Called after each action on the rig, also a refused one: stores what [`Conductor::note_operation`] has noted, since
+    /// this process may end before its next attempt to drive a run. If the store fails, only this process drives nothing.
+    pub async fn keep_operation(&self) {
+        if let Err(error) = self.interrupt_undriven().await {
+            tracing::error!(error = error_chain(&error), "a run may resume automatically");
+        }
+    }
+
+    /// Marks as interrupted what this process does not drive.
+    async fn interrupt_undriven(&self) -> StoreResult<()> {
+        let _one_at_a_time = self.inner.beginning.lock().await;
+        self.inner.store.interrupt_open_runs(self.active()).await
     }
 
     /// Refuses to let a run wait while the e-stop is latched, also with closed wires, where nothing is tripped: it
@@ -110,6 +124,7 @@ mod tests {
     use crate::campaign::shown::show;
     use crate::journal::Journal;
     use crate::state::{StateChange, StoredState};
+    use crate::store::RunRow;
 
     /// Why a run is dropped.
     const ABORTED: &str = "the run before it was aborted";
@@ -158,6 +173,27 @@ mod tests {
         assert_eq!(*conductor.inner.brought_up.lock(), None);
         let stored = conductor.present(&run).await.unwrap();
         assert_eq!(stored.state, StoredState::Interrupted);
+    }
+
+    #[tokio::test]
+    async fn after_an_action_on_the_rig_the_next_process_drives_no_run_but_the_active_one() {
+        let (conductor, inbox, _folder) = conductor().await;
+        let terms = Terms { auto_resume: Some(true), not_before: None };
+        let [active, left] =
+            [queued_on(&conductor, terms).await, queued_on(&conductor, terms).await];
+        let running = StateChange::to(StoredState::Running);
+        for run in [&active, &left] {
+            conductor.inner.store.run_state(run.uid, running, Timestamp::now()).await.unwrap();
+        }
+        let job = conductor.prepare_stored(&active).await.unwrap().job(&active);
+        inbox.status.send_modify(|status| status.run = Some(show::started(&job)));
+        conductor.keep_operation().await;
+        let state = async |run: &RunRow| conductor.present(run).await.unwrap().state;
+        assert_eq!(state(&active).await, StoredState::Running);
+        assert_eq!(state(&left).await, StoredState::Interrupted);
+        conductor.inner.store.close().await;
+        // It is only logged.
+        conductor.keep_operation().await;
     }
 
     #[tokio::test]
