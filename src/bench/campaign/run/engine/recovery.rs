@@ -9,6 +9,7 @@ use tokio::time::Instant;
 
 use super::{Engine, Owed, Waited, backoff};
 use crate::campaign::bench::rig_state::RigState;
+use crate::campaign::bench::stage::Height;
 use crate::campaign::run::job::Job;
 use crate::campaign::run::run_state::{PausedWhy, RunEvent, RunState};
 use crate::journal::error_chain;
@@ -251,8 +252,20 @@ impl Engine {
             return Recovery::Held(lock);
         }
         // A pause that was requested while it homed holds.
-        let still = self.control.run() == RunState::Paused(PausedWhy::Trip);
-        let resumed = still && self.resume(job, None).await.is_ok();
+        let halted = RunState::Paused(PausedWhy::Trip);
+        if self.control.run() != halted || self.arm_stage(job, None).await.is_err() {
+            return Recovery::Failed;
+        }
+        // So does what was requested since.
+        if let Err(halt) = self.control.attend() {
+            self.make_safe(halt.as_trip(), Height::Clear).await;
+            return Recovery::Failed;
+        }
+        if self.control.take_operated() {
+            return Recovery::ForPerson(BY_HAND.into());
+        }
+        let resumed =
+            self.control.run() == halted && self.control.run_event(RunEvent::Resume).is_ok();
         if resumed { Recovery::Done } else { Recovery::Failed }
     }
 
@@ -288,10 +301,10 @@ async fn switched_off(bench: &Bench, was_homed: &[bool; AXES]) -> Result<Option<
 mod tests {
     use std::sync::atomic::Ordering;
 
-    use super::super::tests::{engine, job, suspensions, trip};
+    use super::super::tests::{engine, job, suspensions, trip, with_handle};
     use super::*;
-    use crate::campaign::bench::stage::Height;
     use crate::campaign::bench::stand_in::StandIns;
+    use crate::campaign::shown::command::Request;
 
     /// One attempt of an automatic resume while a device has been silent for this time, and a person holds the operator
     /// lock or not: whether further ones follow, and what the run waits for.
@@ -368,6 +381,28 @@ mod tests {
             let is_homed = axes.x.starts.load(Ordering::SeqCst) > 0;
             assert_eq!([resumed.is_some(), is_homed], [owed == Owed::Nothing; 2]);
         }
+    }
+
+    #[tokio::test]
+    async fn a_run_does_not_resume_by_itself_if_a_person_operates_the_rig_once_it_is_homed() {
+        let (axes, job) = (StandIns::default(), job());
+        let (mut engine, handle) = with_handle(&axes);
+        trip(&mut engine, &job);
+        let mut resumes = 1;
+        let mut automatic = Some(Automatic::new(&job, &mut resumes, None));
+        automatic.as_mut().unwrap().at = Instant::now();
+        let mut status = handle.watch_status();
+        // While the pace of the wires is measured.
+        let operates = async {
+            drop(status.wait_for(|status| status.rig.state == RigState::Homed).await.unwrap());
+            handle.ask(Request::Tare).await
+        };
+        let resumed = engine.resume_automatically(&job, &mut automatic, 0);
+        let (resumed, operated) = tokio::join!(resumed, operates);
+        assert!(resumed.is_none() && automatic.is_none() && operated.is_err());
+        assert_eq!(engine.control.run(), RunState::Paused(PausedWhy::Trip));
+        let words = engine.control.inbox.status.borrow().run.as_ref().unwrap().waiting_for.clone();
+        assert_eq!(words.as_deref(), Some(BY_HAND));
     }
 
     #[tokio::test]
