@@ -8,7 +8,7 @@ use serde_json::json;
 use tokio::time::Instant;
 
 use super::{Engine, Owed, Waited, backoff};
-use crate::campaign::bench::rig_state::RigState;
+use crate::campaign::bench::rig_state::{RigEvent, RigState};
 use crate::campaign::bench::stage::Height;
 use crate::campaign::run::job::Job;
 use crate::campaign::run::run_state::{PausedWhy, RunEvent, RunState};
@@ -248,15 +248,17 @@ impl Engine {
         if !is_homed {
             return Recovery::Failed;
         }
-        if let Some(lock) = self.taken_lock().await {
-            return Recovery::Held(lock);
-        }
         // A pause that was requested while it homed holds.
         let halted = RunState::Paused(PausedWhy::Trip);
         if self.control.run() != halted || self.arm_stage(job, None).await.is_err() {
             return Recovery::Failed;
         }
-        // So does what was requested since.
+        // Arming takes a while: a lock and a request since hold, too.
+        if let Some(lock) = self.taken_lock().await {
+            // Armed always allows disarming.
+            let _ = self.control.rig_event(RigEvent::Disarm);
+            return Recovery::Held(lock);
+        }
         if let Err(halt) = self.control.attend() {
             self.make_safe(halt.as_trip(), Height::Clear).await;
             return Recovery::Failed;
@@ -403,6 +405,30 @@ mod tests {
         assert_eq!(engine.control.run(), RunState::Paused(PausedWhy::Trip));
         let words = engine.control.inbox.status.borrow().run.as_ref().unwrap().waiting_for.clone();
         assert_eq!(words.as_deref(), Some(BY_HAND));
+    }
+
+    #[tokio::test]
+    async fn a_run_does_not_resume_by_itself_if_a_person_takes_the_lock_once_the_rig_is_homed() {
+        let (axes, job) = (StandIns::default(), job());
+        let (mut engine, handle) = with_handle(&axes);
+        trip(&mut engine, &job);
+        let mut resumes = 1;
+        let mut automatic = Some(Automatic::new(&job, &mut resumes, None));
+        automatic.as_mut().unwrap().at = Instant::now();
+        let mut status = handle.watch_status();
+        // While the pace of the wires is measured.
+        let locks = async {
+            drop(status.wait_for(|status| status.rig.state == RigState::Homed).await.unwrap());
+            *axes.journal.locked_at.lock() = Some(jiff::Timestamp::now());
+        };
+        let resumed = engine.resume_automatically(&job, &mut automatic, 0);
+        let (resumed, ()) = tokio::join!(resumed, locks);
+        assert!(resumed.is_none() && automatic.is_some(), "it waits for the release");
+        let states = (engine.control.rig(), engine.control.run());
+        assert_eq!(states, (RigState::Homed, RunState::Paused(PausedWhy::Trip)));
+        *axes.journal.locked_at.lock() = None;
+        automatic.as_mut().unwrap().at = Instant::now();
+        assert!(engine.resume_automatically(&job, &mut automatic, 0).await.is_some());
     }
 
     #[tokio::test]
