@@ -52,7 +52,7 @@ pub struct PauseArgs {
 /// Options of `abort`.
 #[derive(Debug, Clone, Args)]
 pub struct AbortArgs {
-    /// Run: number, start of the id, or `last`; without it the active one.
+    /// Run: number, start of the id, or `last`; without it the active one, or else a homing or a jog.
     pub run: Option<String>,
     #[command(flatten)]
     pub act: ActArgs,
@@ -166,10 +166,24 @@ pub async fn pause(args: &PauseArgs) -> CliResult<()> {
 /// # Errors
 /// As [`act`]; also if the service has no such run.
 pub async fn abort(args: &AbortArgs) -> CliResult<()> {
-    let Some(run) = &args.run else { return act(&args.act, "abort", json!({})).await };
+    let Some(run) = &args.run else {
+        return match act(&args.act, "abort", json!({})).await {
+            Err(CliError::Idle) => abort_motion(&args.act).await,
+            done => done,
+        };
+    };
     let client = embed::server(&args.act.at).await?;
     let run = find_run(&client, run).await?;
     request(&client, run.uid, run.scan_id, &args.act, "abort", json!({})).await
+}
+
+/// Aborts a homing or a jog.
+async fn abort_motion(args: &ActArgs) -> CliResult<()> {
+    let client = embed::server(&args.at).await?;
+    client.abort_motion(args.why.as_deref()).await?;
+    let taken_up = json!({ "action": "abort", "taken_up": true });
+    args.at.output().say(&taken_up, "abort of the motion accepted");
+    Ok(())
 }
 
 /// An emergency stop that the service has latched.

@@ -7,6 +7,7 @@ use std::time::Duration;
 use clap::Args;
 use jiff::Timestamp;
 use serde_json::json;
+use tokio::time::sleep;
 
 use super::ask::{ActArgs, request};
 use super::client::Client;
@@ -16,6 +17,7 @@ use super::find::find_run;
 use super::next::Next;
 use super::output;
 use super::rig::until_rig;
+use super::signals::Signals;
 use super::view::{ArmedView, PreflightView, StatusView, TakenUpView};
 use crate::api::STATUS_AGE_MAX;
 use crate::campaign::bench::rig_state::RigState;
@@ -28,6 +30,11 @@ use crate::store::RunRow;
 
 /// Longest wait for the wires of a rig.
 const CONNECTING: Duration = Duration::from_secs(60);
+/// Attempts to abort a homing that is left, and the pause between them: its request may arrive after the first one.
+const ABORT_TRIES: u32 = 5;
+const ABORT_POLL: Duration = Duration::from_millis(200);
+/// Reason of such an abort.
+const LEFT: &str = "the command that homes the rig was ended";
 
 /// Option of the commands that move a rig.
 #[derive(Debug, Clone, Copy, Args)]
@@ -71,8 +78,14 @@ pub async fn resume(args: &ResumeArgs) -> CliResult<()> {
     }
     let Some(run) = named else { return Err(CliError::NothingToResume) };
     let stored = client.summary(run.uid).await?.trials_stored;
-    bring_up(&client, args.motion).await?;
-    let begun = arm_and_start(&client, &run).await?;
+    let (mut signals, mut homes) = (Signals::catch()?, false);
+    let beginning = async {
+        bring_up(&client, args.motion, &mut homes).await?;
+        arm_and_start(&client, &run).await
+    };
+    let begun = signals.during(beginning).await;
+    end_homing(&client, homes, &begun).await;
+    let begun = begun?;
     let (scan_id, planned) = (run.scan_id, run.trials_planned);
     let when = if begun.waiting { "resumes when the active run has ended," } else { "resumes" };
     args.act.at.output().say(
@@ -90,11 +103,15 @@ pub fn goes_on(run: &RunRow) -> bool {
 }
 
 /// Connects and homes the rig, if it is not connected or homed, and returns the status. A skin alone has
-/// nothing to home.
+/// nothing to home. `homes`: set while the rig homes for it.
 ///
 /// # Errors
 /// `CliError` if the rig cannot be brought up, is tripped, or its motion is not confirmed.
-pub async fn bring_up(client: &Client, motion: MotionArgs) -> CliResult<StatusView> {
+pub async fn bring_up(
+    client: &Client,
+    motion: MotionArgs,
+    homes: &mut bool,
+) -> CliResult<StatusView> {
     let mut status = client.status().await?;
     if status.run.is_some() {
         return Ok(status);
@@ -114,11 +131,32 @@ pub async fn bring_up(client: &Client, motion: MotionArgs) -> CliResult<StatusVi
     }
     status = confirm_motion(client, motion, status).await?;
     if status.rig.state == RigState::Disarmed {
+        *homes = true;
         client.act_on_rig("home", json!({})).await?;
         status =
             until_rig(client, "homing", HOMING_WAIT, |s| s.rig.state != RigState::Disarmed).await?;
+        *homes = false;
     }
     Ok(status)
+}
+
+/// Aborts a homing that a signal has left: the axes stop, then the tips rise. `homes`: as in [`bring_up`]. `begun`: how
+/// that ended.
+pub async fn end_homing<T>(client: &Client, homes: bool, begun: &CliResult<T>) {
+    if !homes || !matches!(begun, Err(CliError::Interrupted)) {
+        return;
+    }
+    output::note("aborting the homing: raising the tips now");
+    for left in (0..ABORT_TRIES).rev() {
+        match client.abort_motion(Some(LEFT)).await {
+            Ok(()) => return,
+            Err(CliError::Refused { .. }) if left > 0 => sleep(ABORT_POLL).await,
+            Err(error) => {
+                let words = "palpate estop stops every axis";
+                return output::note(format_args!("the homing is not aborted: {error}; {words}"));
+            }
+        }
+    }
 }
 
 /// Asks for the confirmation that a real rig may move; returns the status after it.

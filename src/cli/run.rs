@@ -10,7 +10,7 @@ use clap::Args;
 use serde_json::json;
 
 use super::attach::{closed, detached, to_its_end};
-use super::begin::{Begun, MotionArgs, arm_and_start, bring_up, goes_on, last_event};
+use super::begin::{Begun, MotionArgs, arm_and_start, bring_up, end_homing, goes_on, last_event};
 use super::bench_args::BenchArgs;
 use super::client::Client;
 use super::error::{CliError, CliResult};
@@ -159,8 +159,9 @@ fn sound(files: &ExperimentFiles, rig: &RigFiles) -> CliResult<()> {
 
 /// Brings the rig up, starts the run and follows it, like any client.
 async fn drive(client: &Client, order: &Order, signals: &mut Signals) -> CliResult<Outcome> {
-    let mut starting = None;
-    let begun = signals.during(begin(client, order, &mut starting)).await;
+    let (mut starting, mut homes) = (None, false);
+    let begun = signals.during(begin(client, order, &mut starting, &mut homes)).await;
+    end_homing(client, homes, &begun).await;
     if let (Err(error), Some(start)) = (&begun, starting) {
         take_back(client, start, error).await;
     }
@@ -220,13 +221,14 @@ async fn take_back(client: &Client, start: Start, error: &CliError) {
 }
 
 /// Starts the run, or finds it: returns it, the number of the last event before, and whether it waits. `starting`: the run
-/// that it starts.
+/// that it starts; `homes`: as in `bring_up`.
 async fn begin(
     client: &Client,
     order: &Order,
     starting: &mut Option<Start>,
+    homes: &mut bool,
 ) -> CliResult<(RunRow, i64, bool)> {
-    let status = bring_up(client, order.motion).await?;
+    let status = bring_up(client, order.motion, homes).await?;
     if let Some(active) = status.run.as_ref().filter(|_| !order.new) {
         let run = client.run(active.uid).await?;
         if order.is_of(&run, &status) {

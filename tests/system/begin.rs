@@ -1,5 +1,5 @@
-//! `palpate run` that is left as it begins: what it has requested to start is taken back. It states the status that it has
-//! read (`Status-At`) with a start, and none with a stop.
+//! `palpate run` that is left as it begins: what it has requested to start is taken back, and its homing ends. It states
+//! the status that it has read (`Status-At`) with a start, and none with a stop.
 //! Uses: the program, at a wire that can keep the answer to a start. Never: a mock of the service.
 
 use std::process::{Command, Stdio};
@@ -13,6 +13,7 @@ use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::{TcpListener, TcpStream};
 
 use super::bench::{Lab, Process, WAITS, rig_args};
+use super::campaign::SPEED;
 
 /// 66 trials with one tip.
 const EXPERIMENT: &str = "name = \"begins\"\nseed = 1\nsensor = \"sensors/ert-28.toml\"\n\
@@ -98,5 +99,34 @@ async fn ctrl_c_as_a_stopped_run_resumes_stops_it_again() {
         request.contains("status-at: ")
     };
     assert!(states("start") && !states("stop"), "{requested}");
+    lab.close().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn ctrl_c_as_the_rig_homes_ends_the_homing() {
+    let lab = Lab::open("left-as-it-homed", rig_args("virtual", SPEED), WAITS).await;
+    // Its homing lasts until the limit of twelve seconds, and trips then.
+    lab.tell_rig(json!({ "cmd": "fault", "kind": "stuck_axis", "device": "x", "for_s": 6000.0 }))
+        .await;
+    std::fs::write(lab.data.join("e.toml"), EXPERIMENT).unwrap();
+    let mut command = Command::new(env!("CARGO_BIN_EXE_palpate"));
+    command.args(["run", "e.toml", "--json", "--url", &lab.service.url()]).current_dir(&lab.data);
+    command.env("PALPATE_LOG", "warn").stdin(Stdio::null()).stdout(Stdio::null());
+    let mut homes = Process(command.spawn().unwrap());
+    // The request to home is logged once it is accepted.
+    let is_accepted = |page: &Value| {
+        let actions = page["items"].as_array().unwrap();
+        actions.iter().any(|act| act["action"] == "home" && act["accepted"] == true)
+    };
+    lab.eventually("a homing", "/api/v1/actions", is_accepted).await;
+    kill_process(Pid::from_raw(homes.0.id().cast_signed()).unwrap(), Signal::INT).unwrap();
+    let ended = tokio::task::block_in_place(|| homes.0.wait()).unwrap();
+    assert_eq!(ended.code(), Some(1));
+    let status = lab.until("a safe end", |s| !s["rig"]["safe_end"].is_null()).await;
+    assert_eq!(
+        (&status["rig"]["state"], &status["rig"]["trip"]),
+        (&json!("disarmed"), &Value::Null)
+    );
+    assert_eq!(lab.get("/api/v1/queue").await["items"], json!([]), "nothing is queued for it");
     lab.close().await;
 }

@@ -5,7 +5,7 @@ use jiff::Timestamp;
 use reqwest::Method;
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
-use serde_json::Value;
+use serde_json::{Value, json};
 
 use super::Client;
 use crate::api::{Page, Summary};
@@ -159,11 +159,19 @@ impl Client {
         let (client, body) = (self.acting_now().await?, self.body(action, more));
         client.send(Method::POST, "/api/v1/rig/actions", Some(&body)).await.map(|_| ())
     }
+
+    /// Aborts a homing or a jog, however late it comes.
+    ///
+    /// # Errors
+    /// As [`Self::send`].
+    pub async fn abort_motion(&self, why: Option<&str>) -> CliResult<()> {
+        let body = json!({ "who": self.who(), "why": why });
+        self.send(Method::POST, "/api/v1/rig/abort", Some(&body)).await.map(|_| ())
+    }
 }
 
 #[cfg(test)]
 mod tests {
-    use serde_json::json;
     use tokio::io::{AsyncReadExt, AsyncWriteExt};
     use tokio::net::TcpListener;
     use tokio::task::JoinHandle;
@@ -217,14 +225,15 @@ mod tests {
 
     #[tokio::test]
     async fn what_continues_a_run_states_the_status_that_was_seen_and_a_stop_states_none() {
-        let (client, heard) = service(5).await;
+        let (client, heard) = service(6).await;
         let (run, at) = (RunUid::new(), "2026-11-26T21:00:00.123456789Z".parse().unwrap());
         client.acting_on(Some(at)).act(run, "resume", json!({})).await.unwrap();
         for action in ["pause", "stop", "abort"] {
             client.act(run, action, json!({})).await.unwrap();
         }
         client.post::<Value>("/api/v1/estop", &json!({})).await.unwrap();
+        client.abort_motion(None).await.unwrap();
         let heard = heard.await.unwrap();
-        assert_eq!(stated(&heard), [true, false, false, false, false], "{heard:?}");
+        assert_eq!(stated(&heard), [true, false, false, false, false, false], "{heard:?}");
     }
 }

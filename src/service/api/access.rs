@@ -48,6 +48,8 @@ pub enum Lock {
     Refuses,
     /// It refuses some actions of the operation; the handler decides.
     RefusesSome,
+    /// Not at all, nor does the number of requests in progress: it ends a motion.
+    Stops,
 }
 
 /// A thing that two people may edit.

@@ -12,6 +12,7 @@ const SENSOR_TEXT: &str = include_str!("../../../experiments/sensors/ert-28.toml
 pub fn body(operation: &str) -> Option<Value> {
     let submission = || json!({ "file": "quickstart.toml", "definition": EXPERIMENT_TEXT, "sensor": SENSOR_TEXT });
     Some(match operation {
+        "abort_motion" => json!({ "who": "Ada", "why": "a cable is caught" }),
         "arm_run" => json!({ "who": "Ada", "why": "overnight run" }),
         "check_rig" => json!({ "enable": false, "who": "Ada" }),
         "create_key" => json!({ "name": "Ada", "role": "operator" }),

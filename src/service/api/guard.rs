@@ -72,9 +72,9 @@ pub async fn admit(app: App, mut request: Request, next: Next) -> Response {
     if let Some(key) = &caller.key {
         app.keys.note_use(key);
     }
-    // Pausing and ending a run waits for no other request.
+    // Pausing and ending a run, or a motion, waits for no other request.
     let place = match needs.lock {
-        Lock::RefusesSome => None,
+        Lock::RefusesSome | Lock::Stops => None,
         Lock::Ignored | Lock::Refuses => match app.facts.in_progress.begin(&caller) {
             Some(place) => Some(Place(Arc::new(place))),
             None => return too_many(&caller),

@@ -1,4 +1,4 @@
-//! Manual actions on the rig: connect, home, jog, tare, reset, check.
+//! Manual actions on the rig: connect, home, jog, tare, reset, check; the abort of a motion.
 //! Uses: `campaign::{check, shown}`. Never: motion except through the campaign.
 
 use axum::Json;
@@ -11,6 +11,7 @@ use super::App;
 use super::audit::Act;
 use super::problem::{ApiError, ApiResult, Body};
 use super::refusals::{CONNECTED, DESK};
+use super::runs::Attribution;
 use crate::campaign::bench::rig_state::RigState;
 use crate::campaign::check::{self, CheckReport, Scope};
 use crate::campaign::shown::command::Request;
@@ -81,7 +82,21 @@ pub async fn act(app: App, act: Act, Body(asked): Body<RigActionRequest>) -> Api
         }
     };
     app.conductor.note_operation();
-    app.campaign.ask(request).await?;
+    let asked = app.campaign.ask(request).await;
+    app.conductor.keep_operation().await;
+    asked?;
+    Ok(StatusCode::ACCEPTED)
+}
+
+/// Aborts a homing or a jog: the axes stop, then the tips rise.
+///
+/// Any valid key permits it, and no operator lock refuses it. A motion of a run is aborted with that run.
+#[utoipa::path(post, operation_id = "abort_motion", path = "/api/v1/rig/abort", tag = "rig",
+    request_body = Attribution, responses((status = 202),
+        (status = 409, description = "nothing moves, or a run is active")))]
+pub async fn abort(app: App, act: Act, Body(stated): Body<Attribution>) -> ApiResult<StatusCode> {
+    act.stated(stated.who.as_deref(), stated.why.as_deref());
+    app.conductor.abort_motion().await?;
     Ok(StatusCode::ACCEPTED)
 }
 
@@ -106,7 +121,11 @@ pub async fn check(
     if enable {
         app.conductor.note_operation();
     }
-    let report = checked(&app, enable).await?;
+    let report = checked(&app, enable).await;
+    if enable {
+        app.conductor.keep_operation().await;
+    }
+    let report = report?;
     let report = serde_json::to_value(report).map_err(ApiError::internal)?;
     Ok(Json(report))
 }

@@ -183,6 +183,8 @@ pub fn table() -> Vec<Operation> {
         (READS, routes!(rates::rates)),
         (acts("rig_action").once().moves(), routes!(rig::act)),
         (acts("rig_check").once().moves(), routes!(rig::check)),
+        // Any valid key may stop a motion.
+        (acts("rig_abort").role(Viewer).lock(Lock::Stops), routes!(rig::abort)),
         (READS.of(Edited::Lock), routes!(people::lock)),
         // The lock itself: the handlers compare the holder.
         (acts("lock").lock(Lock::Ignored).of(Edited::Lock), routes!(people::take_lock)),
@@ -247,7 +249,8 @@ mod tests {
     fn no_stop_waits_for_an_edit_or_a_write_and_what_is_repeated_is_a_small_action() {
         let all = AllNeeds::of(&table());
         for (method, path, needs) in all.iter() {
-            let stops = needs.lock == Lock::RefusesSome || needs.access == Access::Stop;
+            let stops = matches!(needs.lock, Lock::RefusesSome | Lock::Stops)
+                || needs.access == Access::Stop;
             assert!(!stops || (!needs.once && needs.edited.is_none()), "{path}");
             // The commands find it by its method and address.
             let is_simple = *method == Method::POST && !path.contains('{');

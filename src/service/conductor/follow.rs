@@ -14,6 +14,7 @@ use crate::campaign::shown::run_action;
 use crate::campaign::spans::run_span;
 use crate::ids::RunUid;
 use crate::journal::error_chain;
+use crate::state::StoredState;
 use crate::store::{RunRow, StoreResult};
 
 /// Pause before a run that the rig did not take up is offered again.
@@ -156,6 +157,26 @@ impl Conductor {
         Ok(None)
     }
 
+    /// Marks the run that the earlier process drove as interrupted: this one does not drive it. States why until a person
+    /// starts or ends it. `why`: none if the rig was not reached.
+    pub(super) async fn give_up(
+        &self,
+        run: &RunRow,
+        why: Option<String>,
+    ) -> Result<(), ConductorError> {
+        let _one_at_a_time = self.inner.beginning.lock().await;
+        let active = self.active();
+        self.inner.store.interrupt_open_runs(active).await?;
+        let is_left = self.present(run).await?.state == StoredState::Interrupted;
+        // A person may have started it meanwhile.
+        if is_left && active != Some(run.uid) && !self.waiting().contains(&run.uid) {
+            let why = why.as_deref().unwrap_or("the rig was not reached");
+            let why = format!("not driven again after the restart of the service: {why}");
+            self.dropped().insert(run.uid, why);
+        }
+        Ok(())
+    }
+
     /// Why a run does not begin by itself any more although a person had started it, as text.
     pub fn why_dropped(&self, run: RunUid) -> Option<String> {
         self.dropped().get(&run).cloned()
@@ -229,12 +250,14 @@ pub(super) mod tests {
     use super::super::{AutoResume, RigFile, Started, Submission, Terms};
     use super::*;
     use crate::campaign::bench::estop::StopSwitch;
-    use crate::campaign::shown::command::{Inbox, channel};
+    use crate::campaign::bench::interlock::{Trip, TripKind};
+    use crate::campaign::bench::rig_state::RigState;
+    use crate::campaign::shown::command::{Envelope, Inbox, Request, channel};
     use crate::campaign::shown::show;
     use crate::clock::Clock;
     use crate::journal::Journal;
     use crate::rig::setup::RigSetup;
-    use crate::state::{StateChange, StoredState};
+    use crate::state::StateChange;
     use crate::store::Store;
     use crate::suspension::Suspensions;
 
@@ -294,6 +317,41 @@ pub(super) mod tests {
         assert_eq!(conductor.not_begun().await.unwrap(), None);
         assert!(words().await.contains("starts at"));
         assert_eq!(conductor.why_dropped(run.uid), None);
+    }
+
+    #[tokio::test]
+    async fn a_run_that_is_not_driven_again_after_a_restart_says_why_until_it_is_started() {
+        let (conductor, mut inbox, _folder) = conductor().await;
+        let terms = Terms { auto_resume: Some(true), not_before: None };
+        let run = queued_on(&conductor, terms).await;
+        let running = StateChange::to(StoredState::Running);
+        conductor.inner.store.run_state(run.uid, running, Timestamp::now()).await.unwrap();
+        let trips = async {
+            let Envelope { request, answer, .. } = inbox.next().await.expect("a request");
+            assert!(matches!(request, Request::Connect), "{request:?}");
+            let trip = Trip { kind: TripKind::Stale, detail: "x: no reply".into() };
+            inbox.status.send_modify(|status| {
+                (status.rig.state, status.rig.trip) = (RigState::Tripped, Some(trip));
+            });
+            let _ = answer.send(Ok(()));
+        };
+        let taken = conductor.resume_after_restart(AutoResume::Allowed);
+        let (taken, ()) = tokio::join!(taken, trips);
+        assert_eq!(taken.unwrap_err().to_string(), "the rig tripped: x: no reply");
+        let run = conductor.present(&run).await.unwrap();
+        assert_eq!(run.state, StoredState::Interrupted);
+        let words = "run 1 (small) does not begin by itself: not driven again after the restart of the \
+                     service: the rig tripped: x: no reply";
+        assert_eq!(conductor.not_begun().await.unwrap().as_deref(), Some(words));
+        let code = conductor.arm(&run).await.unwrap().code;
+        let begins = async {
+            let Envelope { request, answer, .. } = inbox.next().await.expect("a request");
+            assert!(matches!(request, Request::Start(_)), "{request:?}");
+            let _ = answer.send(Ok(()));
+        };
+        let (started, ()) = tokio::join!(conductor.start(&run, &code, "ada".into()), begins);
+        assert_eq!(started.unwrap(), Started::Running);
+        assert_eq!(conductor.not_begun().await.unwrap(), None);
     }
 
     #[tokio::test]

@@ -400,8 +400,10 @@ impl Conductor {
             // It may have been aborted while the rig was homed.
             let run = &self.unended(run).await?;
             let job = self.prepare_stored(run).await?.job(run);
+            // Read before it: the campaign refuses the start after a sign that `refused` has not seen.
+            let signs = self.inner.campaign.status().attended.signs;
             refused.await?;
-            self.inner.campaign.ask(Request::Start(Arc::new(job))).await?;
+            self.inner.campaign.ask_since(Request::Start(Arc::new(job)), signs).await?;
             self.inner.begun.lock().insert(run.uid);
             self.forget(run.uid);
             Ok(())

@@ -134,7 +134,7 @@ mod tests {
     use super::super::Started;
     use super::super::follow::tests::{conductor, in_an_hour, queued_on, start};
     use super::*;
-    use crate::campaign::shown::command::{Envelope, Request};
+    use crate::campaign::shown::command::{Envelope, Refusal, Request};
     use crate::campaign::shown::show;
     use crate::journal::{ExitStatus, Journal};
     use crate::state::StateChange;
@@ -262,6 +262,26 @@ mod tests {
         assert!(conductor.waiting().is_empty());
         assert!(conductor.inner.store.waiting_runs().await.unwrap().is_empty());
         start(&conductor, &run).await;
+    }
+
+    #[tokio::test]
+    async fn a_start_states_no_sign_of_a_person_that_its_decision_has_not_seen() {
+        let (conductor, mut inbox, _folder) = conductor().await;
+        let run = queued_on(&conductor, Terms::default()).await;
+        // After the last look at the signs, and before the request.
+        let status = inbox.status.clone();
+        let decided = async {
+            status.send_modify(|status| status.attended.note("a run was aborted"));
+            Ok(())
+        };
+        let refuses = async {
+            let Envelope { answer, signs, .. } = inbox.next().await.expect("a request");
+            let _ = answer.send(Err(Refusal::Busy("a run was aborted".into())));
+            signs
+        };
+        let (begun, signs) = tokio::join!(conductor.begin(&run, decided), refuses);
+        assert!(matches!(begun, Err(ConductorError::Refused(_))), "{begun:?}");
+        assert_eq!((signs, inbox.status.borrow().attended.signs), (0, 1));
     }
 
     #[tokio::test]

@@ -1,11 +1,14 @@
-//! What a stop by a person leaves to the next process, which does not know of it: that drives no run by itself.
+//! A stop by a person outside a run, and what it leaves to the next process, which does not know of it: that drives no run
+//! by itself.
 //! Uses: `campaign` (its handle), `store`. Never: motion, HTTP, a delay of the stop.
 
 use std::sync::atomic::Ordering;
 
 use super::{Conductor, ConductorError};
 use crate::campaign::bench::rig_state::RigState;
+use crate::campaign::shown::command::Request;
 use crate::journal::error_chain;
+use crate::store::StoreResult;
 
 /// Why a run that waited does not begin after a press of the e-stop that tripped nothing.
 const PRESSED: &str = "the e-stop was pressed while no wires were open";
@@ -33,6 +36,39 @@ impl Conductor {
             self.drop_each(&waiting, &format!("{PRESSED}: start it again")).await?;
         }
         Ok(())
+    }
+
+    /// Ends a homing or a jog: the axes stop, then the tips rise. A person is at the rig: no run of an earlier process is
+    /// driven again by itself, also not the one for which the rig homes. This is stored, also if nothing moved any more.
+    ///
+    /// # Errors
+    /// `Forbidden` if a run is active; `Refused` if nothing moves; `Store` if the store fails: then only this process
+    /// drives nothing.
+    pub async fn abort_motion(&self) -> Result<(), ConductorError> {
+        if let Some(run) = self.inner.campaign.status().run {
+            let words = format!("run {} is active: pause, stop or abort it", run.scan_id);
+            return Err(ConductorError::Forbidden(words));
+        }
+        // In memory first: an attempt in progress does not begin a run, whatever the store does.
+        self.note_operation();
+        let aborted = self.inner.campaign.ask(Request::Abort).await;
+        *self.inner.brought_up.lock() = None;
+        self.interrupt_undriven().await?;
+        aborted.map_err(ConductorError::Refused)
+    }
+
+    /// Called after each action on the rig, also a refused one: stores what [`Conductor::note_operation`] has noted, since
+    /// this process may end before its next attempt to drive a run. If the store fails, only this process drives nothing.
+    pub async fn keep_operation(&self) {
+        if let Err(error) = self.interrupt_undriven().await {
+            tracing::error!(error = error_chain(&error), "a run may resume automatically");
+        }
+    }
+
+    /// Marks as interrupted what this process does not drive.
+    async fn interrupt_undriven(&self) -> StoreResult<()> {
+        let _one_at_a_time = self.inner.beginning.lock().await;
+        self.inner.store.interrupt_open_runs(self.active()).await
     }
 
     /// Refuses to let a run wait while the e-stop is latched, also with closed wires, where nothing is tripped: it
@@ -84,8 +120,11 @@ mod tests {
     use super::super::follow::tests::{conductor, in_an_hour, queued_on, start};
     use super::super::{AutoResume, Terms};
     use super::*;
+    use crate::campaign::shown::command::Envelope;
+    use crate::campaign::shown::show;
     use crate::journal::Journal;
     use crate::state::{StateChange, StoredState};
+    use crate::store::RunRow;
 
     /// Why a run is dropped.
     const ABORTED: &str = "the run before it was aborted";
@@ -111,6 +150,64 @@ mod tests {
             asked = inbox.next() => panic!("{asked:?}"),
         };
         taken.unwrap();
+    }
+
+    #[tokio::test]
+    async fn after_an_abort_of_a_motion_neither_this_process_nor_the_next_drives_a_run() {
+        let (conductor, mut inbox, _folder) = conductor().await;
+        let terms = Terms { auto_resume: Some(true), not_before: None };
+        let run = queued_on(&conductor, terms).await;
+        let store = &conductor.inner.store;
+        let running = StateChange::to(StoredState::Running);
+        store.run_state(run.uid, running, Timestamp::now()).await.unwrap();
+        // The rig homes for it.
+        *conductor.inner.brought_up.lock() = Some(run.uid);
+        let ended = async {
+            let Envelope { request, answer, .. } = inbox.next().await.expect("a request");
+            assert!(matches!(request, Request::Abort), "{request:?}");
+            let _ = answer.send(Ok(()));
+        };
+        let (aborted, ()) = tokio::join!(conductor.abort_motion(), ended);
+        aborted.unwrap();
+        assert!(conductor.is_operated_since_start(run.uid));
+        assert_eq!(*conductor.inner.brought_up.lock(), None);
+        let stored = conductor.present(&run).await.unwrap();
+        assert_eq!(stored.state, StoredState::Interrupted);
+    }
+
+    #[tokio::test]
+    async fn after_an_action_on_the_rig_the_next_process_drives_no_run_but_the_active_one() {
+        let (conductor, inbox, _folder) = conductor().await;
+        let terms = Terms { auto_resume: Some(true), not_before: None };
+        let [active, left] =
+            [queued_on(&conductor, terms).await, queued_on(&conductor, terms).await];
+        let running = StateChange::to(StoredState::Running);
+        for run in [&active, &left] {
+            conductor.inner.store.run_state(run.uid, running, Timestamp::now()).await.unwrap();
+        }
+        let job = conductor.prepare_stored(&active).await.unwrap().job(&active);
+        inbox.status.send_modify(|status| status.run = Some(show::started(&job)));
+        conductor.keep_operation().await;
+        let state = async |run: &RunRow| conductor.present(run).await.unwrap().state;
+        assert_eq!(state(&active).await, StoredState::Running);
+        assert_eq!(state(&left).await, StoredState::Interrupted);
+        conductor.inner.store.close().await;
+        // It is only logged.
+        conductor.keep_operation().await;
+    }
+
+    #[tokio::test]
+    async fn an_abort_of_a_motion_aborts_no_run() {
+        let (conductor, mut inbox, _folder) = conductor().await;
+        let run = queued_on(&conductor, Terms::default()).await;
+        let job = conductor.prepare_stored(&run).await.unwrap().job(&run);
+        inbox.status.send_modify(|status| status.run = Some(show::started(&job)));
+        let aborted = tokio::select! {
+            aborted = conductor.abort_motion() => aborted,
+            asked = inbox.next() => panic!("{asked:?}"),
+        };
+        let words = aborted.unwrap_err().to_string();
+        assert_eq!(words, "run 1 is active: pause, stop or abort it");
     }
 
     #[tokio::test]

@@ -83,8 +83,8 @@ impl Conductor {
             self.drive_again(&first, before).instrument(run_span(first.uid, first.scan_id)).await;
         let begun = matches!(outcome, Ok(true));
         if was_driven && !begun {
-            let _one_at_a_time = self.inner.beginning.lock().await;
-            store.interrupt_open_runs(self.active()).await?;
+            let why = outcome.as_ref().err().map(ToString::to_string);
+            self.give_up(&first, why).await?;
         }
         let mut waiting = store.waiting_runs().await?;
         // What was dropped meanwhile stays dropped, even if the store does not know it yet.

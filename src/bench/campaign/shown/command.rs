@@ -172,7 +172,7 @@ pub struct Envelope {
     pub asked_in: Span,
     /// Presses of the e-stop when it was made.
     pub presses: u64,
-    /// Signs of a person at the rig when it was made.
+    /// Signs of a person at the rig when it was decided.
     pub signs: u64,
 }
 
@@ -301,9 +301,18 @@ impl Handle {
     /// The refusal; `Refusal::Gone` if the thread has ended, its queue is full, or it does not
     /// answer in time.
     pub async fn ask(&self, request: Request) -> Result<(), Refusal> {
+        let signs = self.status.borrow().attended.signs;
+        self.ask_since(request, signs).await
+    }
+
+    /// As [`Self::ask`]. `signs`: signs of a person that were known when the request was decided; a start is refused after
+    /// a further one.
+    ///
+    /// # Errors
+    /// As [`Self::ask`].
+    pub async fn ask_since(&self, request: Request, signs: u64) -> Result<(), Refusal> {
         let (answer, answered) = oneshot::channel();
-        let asked_in = Span::current();
-        let (presses, signs) = (self.estop.presses(), self.status.borrow().attended.signs);
+        let (asked_in, presses) = (Span::current(), self.estop.presses());
         let sent = self.requests.try_send(Envelope { request, answer, asked_in, presses, signs });
         sent.map_err(|_| Refusal::Gone)?;
         match tokio::time::timeout(TAKE_UP, answered).await {

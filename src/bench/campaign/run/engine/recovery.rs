@@ -8,7 +8,8 @@ use serde_json::json;
 use tokio::time::Instant;
 
 use super::{Engine, Owed, Waited, backoff};
-use crate::campaign::bench::rig_state::RigState;
+use crate::campaign::bench::rig_state::{RigEvent, RigState};
+use crate::campaign::bench::stage::Height;
 use crate::campaign::run::job::Job;
 use crate::campaign::run::run_state::{PausedWhy, RunEvent, RunState};
 use crate::journal::error_chain;
@@ -247,12 +248,26 @@ impl Engine {
         if !is_homed {
             return Recovery::Failed;
         }
+        // A pause that was requested while it homed holds.
+        let halted = RunState::Paused(PausedWhy::Trip);
+        if self.control.run() != halted || self.arm_stage(job, None).await.is_err() {
+            return Recovery::Failed;
+        }
+        // Arming takes a while: a lock and a request since hold, too.
         if let Some(lock) = self.taken_lock().await {
+            // Armed always allows disarming.
+            let _ = self.control.rig_event(RigEvent::Disarm);
             return Recovery::Held(lock);
         }
-        // A pause that was requested while it homed holds.
-        let still = self.control.run() == RunState::Paused(PausedWhy::Trip);
-        let resumed = still && self.resume(job, None).await.is_ok();
+        if let Err(halt) = self.control.attend() {
+            self.make_safe(halt.as_trip(), Height::Clear).await;
+            return Recovery::Failed;
+        }
+        if self.control.take_operated() {
+            return Recovery::ForPerson(BY_HAND.into());
+        }
+        let resumed =
+            self.control.run() == halted && self.control.run_event(RunEvent::Resume).is_ok();
         if resumed { Recovery::Done } else { Recovery::Failed }
     }
 
@@ -288,10 +303,10 @@ async fn switched_off(bench: &Bench, was_homed: &[bool; AXES]) -> Result<Option<
 mod tests {
     use std::sync::atomic::Ordering;
 
-    use super::super::tests::{engine, job, suspensions, trip};
+    use super::super::tests::{engine, job, suspensions, trip, with_handle};
     use super::*;
-    use crate::campaign::bench::stage::Height;
     use crate::campaign::bench::stand_in::StandIns;
+    use crate::campaign::shown::command::Request;
 
     /// One attempt of an automatic resume while a device has been silent for this time, and a person holds the operator
     /// lock or not: whether further ones follow, and what the run waits for.
@@ -368,6 +383,52 @@ mod tests {
             let is_homed = axes.x.starts.load(Ordering::SeqCst) > 0;
             assert_eq!([resumed.is_some(), is_homed], [owed == Owed::Nothing; 2]);
         }
+    }
+
+    #[tokio::test]
+    async fn a_run_does_not_resume_by_itself_if_a_person_operates_the_rig_once_it_is_homed() {
+        let (axes, job) = (StandIns::default(), job());
+        let (mut engine, handle) = with_handle(&axes);
+        trip(&mut engine, &job);
+        let mut resumes = 1;
+        let mut automatic = Some(Automatic::new(&job, &mut resumes, None));
+        automatic.as_mut().unwrap().at = Instant::now();
+        let mut status = handle.watch_status();
+        // While the pace of the wires is measured.
+        let operates = async {
+            drop(status.wait_for(|status| status.rig.state == RigState::Homed).await.unwrap());
+            handle.ask(Request::Tare).await
+        };
+        let resumed = engine.resume_automatically(&job, &mut automatic, 0);
+        let (resumed, operated) = tokio::join!(resumed, operates);
+        assert!(resumed.is_none() && automatic.is_none() && operated.is_err());
+        assert_eq!(engine.control.run(), RunState::Paused(PausedWhy::Trip));
+        let words = engine.control.inbox.status.borrow().run.as_ref().unwrap().waiting_for.clone();
+        assert_eq!(words.as_deref(), Some(BY_HAND));
+    }
+
+    #[tokio::test]
+    async fn a_run_does_not_resume_by_itself_if_a_person_takes_the_lock_once_the_rig_is_homed() {
+        let (axes, job) = (StandIns::default(), job());
+        let (mut engine, handle) = with_handle(&axes);
+        trip(&mut engine, &job);
+        let mut resumes = 1;
+        let mut automatic = Some(Automatic::new(&job, &mut resumes, None));
+        automatic.as_mut().unwrap().at = Instant::now();
+        let mut status = handle.watch_status();
+        // While the pace of the wires is measured.
+        let locks = async {
+            drop(status.wait_for(|status| status.rig.state == RigState::Homed).await.unwrap());
+            *axes.journal.locked_at.lock() = Some(jiff::Timestamp::now());
+        };
+        let resumed = engine.resume_automatically(&job, &mut automatic, 0);
+        let (resumed, ()) = tokio::join!(resumed, locks);
+        assert!(resumed.is_none() && automatic.is_some(), "it waits for the release");
+        let states = (engine.control.rig(), engine.control.run());
+        assert_eq!(states, (RigState::Homed, RunState::Paused(PausedWhy::Trip)));
+        *axes.journal.locked_at.lock() = None;
+        automatic.as_mut().unwrap().at = Instant::now();
+        assert!(engine.resume_automatically(&job, &mut automatic, 0).await.is_some());
     }
 
     #[tokio::test]

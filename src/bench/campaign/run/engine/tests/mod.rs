@@ -42,7 +42,7 @@ pub(super) fn engine(axes: &StandIns) -> Engine {
 }
 
 /// As `engine`, with the handle for requests.
-fn with_handle(axes: &StandIns) -> (Engine, Handle) {
+pub(super) fn with_handle(axes: &StandIns) -> (Engine, Handle) {
     let (setup, estop) = (RigSetup::from(config()), StopSwitch::default());
     let (handle, inbox) = channel(estop.clone(), show::closed(&setup));
     let journal: Arc<dyn Journal> = axes.journal.clone();
