@@ -223,11 +223,16 @@ fn ended(outcome: Result<(), impl Display>) -> ExitCode {
 #[cfg(test)]
 mod tests {
     use std::collections::{BTreeMap, BTreeSet};
+    use std::sync::LazyLock;
 
     use super::*;
 
+    /// As the program completes it. A copy: to complete it takes long without optimisation, and hundreds of lines are
+    /// read.
     fn command_line() -> clap::Command {
-        cli::help::complete(CommandLine::command())
+        static COMPLETE: LazyLock<clap::Command> =
+            LazyLock::new(|| cli::help::complete(CommandLine::command()));
+        COMPLETE.clone()
     }
 
     #[test]

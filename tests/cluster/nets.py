@@ -1,4 +1,4 @@
-"""Table IV of nets that two workers train over PostgreSQL and a store equals that of nets that one process trains.
+"""Nets of Table IV that two workers train over PostgreSQL and a store have the bytes of those of one process, and make it.
 
 `postgresql.py` calls it after the page, whose queue, logins, store and Sim-Random it uses (standard library only). Each worker
 has an empty data folder: its dataset comes from the store. The nets learn almost nothing. Never: a process that outlives it.
@@ -33,12 +33,11 @@ def check(palpate: pathlib.Path, home: pathlib.Path, environment: dict[str, str]
     nets = [{path.name: path.read_bytes() for path in (home / place / "results").glob("*.net")} for place in PLACES]
     holds(f"{NETS} nets have the bytes of one process", len(nets[0]) == NETS and nets[0] == nets[1], [sorted(one) for one in nets])
     jobs = lab.run("job", "list", "--json")
-    for place in PLACES:
-        lab.run("cluster", "gather", place, "--out", f"{place}-trained")
-        lab.run("evaluate", "maps", *EXTENT, "--trained", f"{place}-trained", "--out", f"{place}-table")
+    # Equal bytes make equal tables: `tests/it/evaluate/chunks.rs`.
+    lab.run("cluster", "gather", "nets", "--out", "nets-trained")
+    lab.run("evaluate", "maps", *EXTENT, "--trained", "nets-trained", "--out", "nets-table")
     holds("the service has trained and scored nothing", lab.run("job", "list", "--json") == jobs, jobs)
-    same = subprocess.run(["diff", "-r", *(home / f"{place}-table" for place in PLACES)], capture_output=True, text=True)
-    holds("the tables are equal", same.returncode == 0 and any((home / "nets-table").iterdir()), same.stdout)
+    holds("there is a table of them", any((home / "nets-table").iterdir()), "no file")
 
 
 def trained(lab: Lab) -> None:

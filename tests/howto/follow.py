@@ -5,9 +5,9 @@
 PALPATE is the binary that `palpate` and `cargo run --` stand for. Each page gets a copy of the checkout's files,
 an empty home, no data, and, if the system allows it, its own network and processes: ports and locks of others do
 not matter, and nothing that a page starts outlives it. `--short`: without the blocks marked `long`, virtual rigs
-without a speed run at 200, and the pages after the README share its solved skin. `--cargo`: also the blocks that
-call cargo for more than `cargo run --`. `--folder`: where the copies are made and kept; by default they are
-removed.
+without a speed run at 200, and the pages after the README share its solved skin, also in a second data folder.
+`--cargo`: also the blocks that call cargo for more than `cargo run --`. `--folder`: where the copies are made and
+kept; by default they are removed.
 
 Prints each block with its exit status and, of a block that failed, the first wrong line. Before that it checks
 that every command named in a sentence of a document, and each of its options, exists. Exit status: 0, or 1 if a
@@ -48,6 +48,7 @@ if [[ "${{0##*/}}" == cargo ]]; then
     [[ "$1 $2" == "run --" ]] || exec {cargo} "$@"
     shift 2
 fi
+{share}
 case " $* " in
     *" --help "* | *" --speed "* | *" --rig "* | *" --url "*) ;;
     " run "*) (exec 3<> /dev/tcp/127.0.0.1/8080) 2> /dev/null || set -- "$@" {speed} ;;
@@ -55,6 +56,10 @@ case " $* " in
 esac
 exec {palpate} "$@"
 """
+# A new data folder begins with the skin that is solved for the first one.
+SHARE = """if [[ " $* " =~ " --data "([a-z-]+)" " && ! -e "${BASH_REMATCH[1]}" && -d palpate-data/cache ]]; then
+    mkdir -m 700 "${BASH_REMATCH[1]}" && cp -a palpate-data/cache "${BASH_REMATCH[1]}/"
+fi"""
 BENCH = ["palpate", "virtual-rig", "--ephemeral", "--speed", "20", "--out-rig", "RIG.toml"]
 OPERATOR = ["palpate", "virtual-operator", "--speed", "20", "--control"]
 
@@ -129,7 +134,8 @@ class Page:
                 (self.copy / name).parent.mkdir(parents=True, exist_ok=True)
                 shutil.copy(ROOT / name, self.copy / name)
         cargo = shutil.which("cargo") or "false"
-        shim = SHIM.format(cargo=cargo, palpate=args.palpate, speed=f"--speed {SHORT_SPEED}" if args.short else "")
+        speed, share = (f"--speed {SHORT_SPEED}", SHARE) if args.short else ("", "")
+        shim = SHIM.format(cargo=cargo, palpate=args.palpate, speed=speed, share=share)
         for name in ("palpate", "cargo"):
             (folder / "bin" / name).write_text(shim)
             (folder / "bin" / name).chmod(0o755)

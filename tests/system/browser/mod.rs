@@ -4,6 +4,7 @@
 
 use std::path::Path;
 use std::process::Command;
+use std::sync::OnceLock;
 
 use serde_json::{Value, json};
 
@@ -30,25 +31,29 @@ const WEIGHTS: &str = "name = 'weights'\nseed = 2\nsensor = 's'\n[real_random]\n
 ///
 /// # Panics
 /// If one is missing and `PALPATE_REQUIRE_TOOLS` is set.
-fn tools() -> Option<(String, String)> {
-    let or = |name: &str, other: &str| std::env::var(name).unwrap_or_else(|_| other.into());
-    let (python, chromium) = (or("PALPATE_PYTHON", "python3"), or("PALPATE_CHROMIUM", "chromium"));
-    let runs = |program: &str, args: &[&str]| {
-        Command::new(program).args(args).output().is_ok_and(|output| output.status.success())
-    };
-    let found =
-        runs(&python, &["-c", &format!("import {MODULES}")]) && runs(&chromium, &["--version"]);
-    if !found {
+fn tools() -> Option<&'static (String, String)> {
+    static FOUND: OnceLock<Option<(String, String)>> = OnceLock::new();
+    let found = FOUND.get_or_init(|| {
+        let or = |name: &str, other: &str| std::env::var(name).unwrap_or_else(|_| other.into());
+        let (python, chromium) =
+            (or("PALPATE_PYTHON", "python3"), or("PALPATE_CHROMIUM", "chromium"));
+        let runs = |program: &str, args: &[&str]| {
+            Command::new(program).args(args).output().is_ok_and(|output| output.status.success())
+        };
+        let has_all =
+            runs(&python, &["-c", &format!("import {MODULES}")]) && runs(&chromium, &["--version"]);
+        has_all.then_some((python, chromium))
+    });
+    if found.is_none() {
         let missing = format!("no Chromium, or no Python that has {MODULES}");
         assert!(std::env::var_os("PALPATE_REQUIRE_TOOLS").is_none(), "{missing}");
         println!("LEFT OUT: {missing} (set PALPATE_CHROMIUM, PALPATE_PYTHON)");
-        return None;
     }
-    Some((python, chromium))
+    found.as_ref()
 }
 
 /// Runs a scenario in the browser to its end.
-async fn plays(lab: &Lab, (python, chromium): (String, String), scenario: &str) {
+async fn plays(lab: &Lab, (python, chromium): &(String, String), scenario: &str) {
     let mut command = Command::new(python);
     command
         .arg(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/system/browser/scenarios.py"))
@@ -87,6 +92,17 @@ async fn furnished(name: &str) -> Lab {
     lab.stored(1).await;
     lab.queue(SHORT).await;
     lab
+}
+
+/// The longest test: tests begin in the order of their names, and this one is the first of the module.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_furnished_lab_has_no_serious_fault_for_axe_and_no_button_that_refuses_a_viewer() {
+    let Some(tools) = tools() else { return };
+    let lab = furnished("browser-furnished").await;
+    plays(&lab, tools, "axe").await;
+    // Last: it presses every button that a viewer sees, and ends the run.
+    plays(&lab, tools, "viewer").await;
+    lab.close().await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -178,28 +194,12 @@ async fn a_model_is_promoted_and_followed_live() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_viewer_sees_no_button_that_would_be_refused() {
-    let Some(tools) = tools() else { return };
-    let lab = furnished("browser-viewer").await;
-    plays(&lab, tools, "viewer").await;
-    lab.close().await;
-}
-
-#[tokio::test(flavor = "multi_thread")]
 async fn a_lost_connection_is_shown_and_heals() {
     let Some(tools) = tools() else { return };
     let (lab, _) = running("browser-lost").await;
     plays(&lab, tools, "lost").await;
     let status = lab.get("/api/v1/status").await;
     assert!(status["rig"]["trip"].is_null(), "no stop arrived later: {status:#}");
-    lab.close().await;
-}
-
-#[tokio::test(flavor = "multi_thread")]
-async fn axe_finds_no_serious_fault_on_any_page_item_dialog_or_state() {
-    let Some(tools) = tools() else { return };
-    let lab = furnished("browser-axe").await;
-    plays(&lab, tools, "axe").await;
     lab.close().await;
 }
 

@@ -262,9 +262,13 @@ mod tests {
             let read = exact.read(&Frames::single(&other.frame_v), ForceMaps::Without);
             read.unwrap().remove(0)
         };
+        // A damaged file is not read, and replaced.
+        let kept = cache.join(format!("skin-errors-{}.json", &key(&model, &known)[..16]));
+        std::fs::write(&kept, "{").unwrap();
         let learnt = answer();
         let files = || std::fs::read_dir(cache).unwrap().count();
         assert_eq!((files(), learnt.contacts.len()), (1, 1));
+        assert!(std::fs::read(&kept).unwrap().len() > 1);
         assert!(learnt.probability.is_some_and(|p| p > 0.0 && p <= 1.0 + 1e-9), "{learnt:?}");
         let again = answer();
         let [is, was] = [&again, &learnt].map(|reading| &reading.contacts[0]);
@@ -274,9 +278,6 @@ mod tests {
         assert!((is - was).abs() < 1e-6 * was, "{is} N for {was}");
         // Other trials have other errors.
         assert_ne!(key(&model, &known), key(&model, &fewer));
-        std::fs::write(cache.join(format!("skin-errors-{}.json", &key(&model, &known)[..16])), "{")
-            .unwrap();
-        assert_eq!(answer().contacts.len(), 1);
         // A calibration has its errors with it.
         let (carried, none) = (cache.join("cal-1.errors.json"), KnownTrials::default());
         let of =
