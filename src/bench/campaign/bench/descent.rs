@@ -2,6 +2,8 @@
 //! Uses: `campaign::{bench::stage, bench::travel, bench::interlock, run::control}`. Never: the plan, storage, another
 //! axis.
 
+use std::time::Duration;
+
 use tokio::time::Instant;
 
 use crate::campaign::bench::interlock::TripKind;
@@ -95,5 +97,14 @@ impl Stage {
             }
             self.poll_pause().await;
         }
+    }
+
+    /// Age of the newest sample at which z must be stopped, wall time; none unless it presses.
+    pub(super) fn sample_age(&self, targets: &[Target]) -> Option<Duration> {
+        let speed = targets.iter().find_map(|target| target.speed)?;
+        // What is slower, its drive moves at its slowest.
+        let speed_mm_s = speed.max(self.bench.z.slowest());
+        let age_s = self.stopping.sample_age_s(&self.config, self.tips, speed_mm_s);
+        Some(self.clock.wall(age_s))
     }
 }

@@ -10,7 +10,7 @@ use futures::future::{try_join, try_join_all};
 use tokio::time::Instant;
 
 use crate::campaign::bench::interlock::{self, TripKind};
-use crate::campaign::bench::stage::{AxisName, BEYOND_TRAVEL, GRACE, LastSample, Stage};
+use crate::campaign::bench::stage::{AxisName, BEYOND_TRAVEL, Driven, GRACE, LastSample, Stage};
 use crate::campaign::run::control::Control;
 use crate::campaign::run::halt::Halt;
 use crate::record::{ARMS, Pose};
@@ -182,10 +182,7 @@ impl Stage {
             let driven = self.driven(target.axis);
             require_zero(driven.axis, status)?;
             self.check_axis(target, status)?;
-            let speed = target.speed.unwrap_or(driven.speed);
-            let takes_s = (target.position - status.position).abs() / speed
-                + 2.0 * speed / driven.acceleration;
-            longest_s = longest_s.max(takes_s);
+            longest_s = longest_s.max(predicted_s(&driven, target, status.position));
         }
         // What was requested since the last poll must not be answered by one more motion.
         control.attend()?;
@@ -275,15 +272,6 @@ impl Stage {
             }
         };
         Ok((statuses, reading, is_late))
-    }
-
-    /// Age of the newest sample at which z must be stopped, wall time; none unless it presses.
-    fn sample_age(&self, targets: &[Target]) -> Option<Duration> {
-        let speed = targets.iter().find_map(|target| target.speed)?;
-        // What is slower, its drive moves at its slowest.
-        let speed_mm_s = speed.max(self.bench.z.slowest());
-        let age_s = self.stopping.sample_age_s(&self.config, self.tips, speed_mm_s);
-        Some(self.clock.wall(age_s))
     }
 
     /// Reads axes and cells several times at rest, so that the stopping distance uses the measured
@@ -475,6 +463,13 @@ impl Stage {
         }
         Ok(read)
     }
+}
+
+/// Longest duration of a motion from this position, process s: its drive may round the speed down by its step.
+pub(in crate::campaign) fn predicted_s(driven: &Driven<'_>, target: &Target, from: f64) -> f64 {
+    let (speed, step) = (target.speed.unwrap_or(driven.speed), driven.axis.slowest());
+    let rounded = (speed - step).max(step);
+    (target.position - from).abs() / rounded + 2.0 * speed / driven.acceleration
 }
 
 fn require_no_alarm(axis: &dyn Axis, status: &AxisStatus) -> Result<(), Halt> {

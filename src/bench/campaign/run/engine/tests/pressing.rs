@@ -6,7 +6,9 @@ use std::time::Duration;
 use super::engine;
 use crate::campaign::bench::descent::Descent;
 use crate::campaign::bench::interlock::TripKind;
+use crate::campaign::bench::stage::AxisName;
 use crate::campaign::bench::stand_in::StandIns;
+use crate::campaign::bench::travel::{Target, predicted_s};
 use crate::rig::traits::AxisStatus;
 
 /// Longest wait of a test for what must happen, also on a loaded machine.
@@ -86,4 +88,18 @@ async fn a_press_whose_samples_are_late_at_the_slowest_motion_of_the_drive_trips
     let trip = halt.as_trip().expect("a trip");
     assert_eq!((trip.kind, all.is_ok()), (TripKind::Stale, true), "{}", trip.detail);
     assert_eq!(axes.z.stops.load(Ordering::SeqCst), 20, "by its safe end it is stopped again");
+}
+
+#[tokio::test]
+async fn a_motion_has_the_time_that_it_takes_at_the_speed_to_which_its_drive_rounds() {
+    let axes = StandIns::default();
+    let stage = axes.stage();
+    // At 1 rpm on a lead of 10 mm.
+    *axes.z.slowest.lock() = 1.0 / 6.0;
+    for (speed, rounded) in [(0.1, 1.0), (0.33, 1.0), (0.34, 2.0), (3.3, 19.0)] {
+        let target = Target { axis: AxisName::Z, position: 10.0, speed: Some(speed) };
+        let (predicted, takes) =
+            (predicted_s(&stage.driven(AxisName::Z), &target, 0.0), 10.0 * 6.0 / rounded);
+        assert!(takes <= predicted && predicted <= 2.1 * takes, "{predicted} s, {takes} s");
+    }
 }
