@@ -104,7 +104,7 @@ pub trait Drive: Send + Sync + 'static {
     fn prepare_requests(&self) -> Vec<Request>;
     /// Requests that prepare and start an absolute motion.
     fn move_requests(&self, order: &MoveOrder) -> Vec<Request>;
-    /// Slowest motion that it can be commanded, counts/s.
+    /// Slowest motion that it can be commanded, and step of its speeds, counts/s.
     fn slowest(&self) -> f64 {
         1.0
     }

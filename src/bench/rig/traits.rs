@@ -88,7 +88,8 @@ pub trait Axis: Send + Sync {
     fn travel(&self) -> [f64; 2];
     /// Guards that `prepare` writes to the drive.
     fn guard(&self) -> Guard;
-    /// Slowest motion of the drive that was identified, units/s: what is slower moves at this speed.
+    /// Slowest motion of the drive that was identified, units/s: what is slower moves at this speed. It also is the step
+    /// of its speeds, which it rounds down.
     fn slowest(&self) -> f64;
     /// Identifies the device and its faults. Writes no coil and no register.
     async fn identify(&self) -> Result<Found, RigError>;

@@ -5,6 +5,7 @@
 
 pub mod stage;
 pub mod travel;
+pub mod descent;
 pub mod interlock;
 pub mod evidence;
 pub mod stopping;

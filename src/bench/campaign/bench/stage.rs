@@ -2,7 +2,7 @@
 //! Uses: `rig::traits`, `schedule::configuration`, `campaign::{bench::interlock, bench::evidence,
 //! bench::stopping}`. Never: the plan, storage.
 //!
-//! Motions are in `travel`. Every sample of the cells goes through `check`.
+//! Motions are in `travel` and `descent`. Every sample of the cells goes through `check`.
 
 use std::time::Duration;
 

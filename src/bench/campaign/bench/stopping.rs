@@ -109,6 +109,13 @@ impl Stopping {
         speed.min(rig.approach_speed_mm_s())
     }
 
+    /// Age of the newest sample, process s, at which a press at this speed must be stopped, so that the added forces stay
+    /// within their margins. A slower press has more time.
+    pub fn sample_age_s(&self, rig: &RigConfig, tips: u8, speed_mm_s: f64) -> f64 {
+        let brakes_s = speed_mm_s / (2.0 * rig.axes.z.acceleration_mm_s2);
+        rig.limits.margin_travel_mm(tips) / speed_mm_s - brakes_s - rig.cells.update_ms / 1e3
+    }
+
     /// Stopping distance of a press with `tips` tips at the present pace of the wires, with the
     /// measured values. `drive_mm_s`: slowest motion of the drive of z, mm/s.
     ///
@@ -186,6 +193,25 @@ mod tests {
                 assert!(within(distance.added_n, distance.margin_n), "{distance:?}");
                 assert!(within(distance.added_sum_n, distance.margin_sum_n), "{distance:?}");
                 assert!(distance.speed_mm_s <= rig.approach_speed_mm_s());
+            }
+        }
+    }
+
+    #[test]
+    fn a_press_that_is_stopped_at_this_age_of_its_sample_stays_within_its_margin() {
+        let (rig, mut stopping) = (rig(), Stopping::default());
+        for poll_s in [0.0, 0.1, 2.0] {
+            stopping.note_poll(poll_s);
+            let fastest = stopping.press_speed_mm_s(&rig, 2);
+            let age_s = stopping.sample_age_s(&rig, 2, fastest);
+            let polls_s = 2.0 * poll_s.max(POLL_S) + LATE_WALL_S;
+            assert!((age_s - polls_s).abs() < 1e-9, "{age_s} s, two polls {polls_s} s");
+            for speed in [fastest, fastest / 3.0] {
+                let age_s = stopping.sample_age_s(&rig, 2, speed);
+                let seconds = age_s + rig.cells.update_ms / 1e3;
+                let brakes_mm = speed * speed / (2.0 * rig.axes.z.acceleration_mm_s2);
+                let travel_mm = speed * seconds + brakes_mm;
+                assert!((travel_mm - rig.limits.margin_travel_mm(2)).abs() < 1e-9, "{travel_mm}");
             }
         }
     }

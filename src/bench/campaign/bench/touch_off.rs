@@ -1,5 +1,5 @@
 //! Touch-off: measures the surface, and the relative length of each tip, after a tip change.
-//! Uses: `campaign::{bench::stage, bench::travel, bench::tare, safe_end}`. Never: the plan,
+//! Uses: `campaign::{bench::stage, bench::travel, bench::descent, bench::tare, safe_end}`. Never: the plan,
 //! storage.
 //!
 //! At each place the tips go down until a cell detects a force, up a little, and, once the cells read no
@@ -10,10 +10,11 @@
 use jiff::Timestamp;
 use sim_core::stats::median;
 
+use crate::campaign::bench::descent::Descent;
 use crate::campaign::bench::interlock::TripKind;
 use crate::campaign::bench::stage::{AxisName, Stage};
 use crate::campaign::bench::tare::{self, Accept};
-use crate::campaign::bench::travel::{Descent, Sample, Target};
+use crate::campaign::bench::travel::{Sample, Target};
 use crate::campaign::run::control::Control;
 use crate::campaign::run::halt::Halt;
 use crate::campaign::safe_end::raise_as_planned;

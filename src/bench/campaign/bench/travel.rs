@@ -10,7 +10,7 @@ use futures::future::{try_join, try_join_all};
 use tokio::time::Instant;
 
 use crate::campaign::bench::interlock::{self, TripKind};
-use crate::campaign::bench::stage::{AxisName, BEYOND_TRAVEL, GRACE, LastSample, Stage};
+use crate::campaign::bench::stage::{AxisName, BEYOND_TRAVEL, Driven, GRACE, LastSample, Stage};
 use crate::campaign::run::control::Control;
 use crate::campaign::run::halt::Halt;
 use crate::record::{ARMS, Pose};
@@ -34,7 +34,7 @@ pub struct Target {
     pub axis: AxisName,
     /// Target position, in the axis's unit.
     pub position: f64,
-    /// Speed, units/s; absent: the travelling speed of the axis.
+    /// Speed of a press, mm/s; absent: the travelling speed of the axis.
     pub speed: Option<f64>,
 }
 
@@ -43,15 +43,6 @@ impl Target {
     pub fn of(axis: AxisName, position: f64) -> Self {
         Self { axis, position, speed: None }
     }
-}
-
-/// Motion of z at a speed.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Descent {
-    /// Target, machine mm.
-    pub z_mm: f64,
-    /// Largest speed, mm/s; slower if the stopping distance at the present pace of the wires requires it.
-    pub speed_mm_s: f64,
 }
 
 /// Values read by one poll of a press.
@@ -65,11 +56,22 @@ pub struct Sample {
 
 /// Devices that are read at every poll of a motion.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Polled {
+pub(super) enum Polled {
     /// The moving axes.
     Axes,
     /// The moving axes and the load cells, whose forces are checked.
     AxesAndCells,
+}
+
+/// How a motion ended.
+#[derive(Debug, Clone, Copy)]
+pub(super) enum Ended {
+    /// Each axis is at its target.
+    Arrived,
+    /// A sample at this height of z, machine mm, and time met the condition: z moves until it is stopped.
+    Met { z_mm: f64, at: Instant },
+    /// A sample came late: z was stopped before it arrived.
+    Late,
 }
 
 impl Stage {
@@ -94,39 +96,17 @@ impl Stage {
         self.watched_travel(control, &[target], Polled::AxesAndCells, |_| false).await.map(|_| ())
     }
 
-    /// Moves z, reads the cells at every poll, and stops z once `until` holds for a sample. Returns whether it did.
+    /// Moves axes and supervises them until they arrive, or until `until` holds for a sample of z.
     ///
     /// # Errors
-    /// As `checked_travel`.
-    pub async fn press_until(
-        &mut self,
-        control: &mut Control,
-        descent: Descent,
-        until: impl FnMut(&Sample) -> bool,
-    ) -> Result<bool, Halt> {
-        let Descent { z_mm, speed_mm_s } = descent;
-        // The wires may have become slower since it was chosen.
-        let speed_mm_s = self.stopping.press_speed_mm_s(&self.config, self.tips).min(speed_mm_s);
-        let target = Target { axis: AxisName::Z, position: z_mm, speed: Some(speed_mm_s) };
-        self.watched_travel(control, &[target], Polled::AxesAndCells, until).await
-    }
-
-    /// Moves z at the press speed and reads the cells at every poll.
-    ///
-    /// # Errors
-    /// As `checked_travel`.
-    pub async fn press_to(&mut self, control: &mut Control, z_mm: f64) -> Result<(), Halt> {
-        let descent = Descent { z_mm, speed_mm_s: f64::INFINITY };
-        self.press_until(control, descent, |_| false).await.map(|_| ())
-    }
-
-    async fn watched_travel(
+    /// As `travel` and, if the cells are polled, `checked_travel`.
+    pub(super) async fn watched_travel(
         &mut self,
         control: &mut Control,
         targets: &[Target],
         polled: Polled,
         mut until: impl FnMut(&Sample) -> bool,
-    ) -> Result<bool, Halt> {
+    ) -> Result<Ended, Halt> {
         let is_lateral = targets.iter().any(|t| t.axis != AxisName::Z);
         if is_lateral {
             self.require_clear(control).await?;
@@ -141,12 +121,16 @@ impl Stage {
         }
         self.held_since = None;
         let z_place = targets.iter().position(|t| t.axis == AxisName::Z);
+        let age = self.sample_age(targets);
         let deadline = self.start(control, targets).await?;
+        let started = self.clock.now();
         let mut polled_s = self.clock.process_s();
         loop {
             control.attend()?;
-            let (statuses, reading) =
-                self.in_time(control, self.last_sample, self.poll(targets, polled)).await?;
+            let sampled = self.last_sample.map_or(started, |last| last.at.max(started));
+            let poll = self.poll_or_stop(targets, polled, age.map(|age| sampled + age));
+            let (statuses, reading, is_late) =
+                self.in_time(control, self.last_sample, poll).await?;
             let now_s = self.clock.process_s();
             self.stopping.note_poll(now_s - polled_s);
             polled_s = now_s;
@@ -160,15 +144,17 @@ impl Stage {
                 if let Some(z) = z_mm
                     && until(&Sample { z_mm: z, volts: reading.volts })
                 {
-                    self.stop_z(control, z, reading.at).await?;
-                    return Ok(true);
+                    return Ok(Ended::Met { z_mm: z, at: reading.at });
                 }
             }
             if arrived {
-                return Ok(false);
+                return Ok(Ended::Arrived);
             }
             if self.clock.now() > deadline {
                 return Err(self.did_not_arrive(targets, &statuses));
+            }
+            if is_late {
+                return Ok(Ended::Late);
             }
             if is_lateral {
                 self.require_still_clear(control).await?;
@@ -187,31 +173,6 @@ impl Stage {
         Ok(!status.moving && (status.position - target.position).abs() <= driven.tolerance)
     }
 
-    /// Stops z after a sample that met the condition, and records the delay and travel of the stop.
-    async fn stop_z(
-        &mut self,
-        control: &mut Control,
-        sampled_mm: f64,
-        sampled: Instant,
-    ) -> Result<(), Halt> {
-        self.bench.z.stop().await?;
-        self.stopping.note_stop(Some(self.clock.now().saturating_duration_since(sampled)));
-        let deadline = self.clock.now() + self.clock.wall(2.0) + GRACE;
-        loop {
-            let z = control.attending(self.bench.z.status()).await??;
-            if !z.moving {
-                self.stopping.note_travel(Some((z.position - sampled_mm).max(0.0)));
-                return Ok(());
-            }
-            control.attend()?;
-            self.read_cells(control).await?;
-            if self.clock.now() > deadline {
-                return Err(Halt::trip(TripKind::Position, "z did not stop"));
-            }
-            self.poll_pause().await;
-        }
-    }
-
     /// Starts the motions, once each axis has been found homed, within its travel and without an alarm, which the release
     /// of a stop could clear.
     async fn start(&self, control: &mut Control, targets: &[Target]) -> Result<Instant, Halt> {
@@ -221,10 +182,7 @@ impl Stage {
             let driven = self.driven(target.axis);
             require_zero(driven.axis, status)?;
             self.check_axis(target, status)?;
-            let speed = target.speed.unwrap_or(driven.speed);
-            let takes_s = (target.position - status.position).abs() / speed
-                + 2.0 * speed / driven.acceleration;
-            longest_s = longest_s.max(takes_s);
+            longest_s = longest_s.max(predicted_s(&driven, target, status.position));
         }
         // What was requested since the last poll must not be answered by one more motion.
         control.attend()?;
@@ -290,6 +248,30 @@ impl Stage {
                 Ok((statuses?, Some(reading?)))
             }
         }
+    }
+
+    /// As `poll`, and stops z if there is no reply until `due`. Returns whether it did as well.
+    async fn poll_or_stop(
+        &self,
+        targets: &[Target],
+        polled: Polled,
+        due: Option<Instant>,
+    ) -> Result<(Vec<AxisStatus>, Option<CellVolts>, bool), Halt> {
+        let mut poll = std::pin::pin!(self.poll(targets, polled));
+        let on_time = match due {
+            Some(due) => tokio::time::timeout_at(due, &mut poll).await.ok(),
+            None => Some(poll.as_mut().await),
+        };
+        let is_late = on_time.is_none();
+        let (statuses, reading) = match on_time {
+            Some(read) => read?,
+            None => {
+                let (stopped, read) = futures::join!(self.bench.z.stop(), poll);
+                stopped?;
+                read?
+            }
+        };
+        Ok((statuses, reading, is_late))
     }
 
     /// Reads axes and cells several times at rest, so that the stopping distance uses the measured
@@ -481,6 +463,13 @@ impl Stage {
         }
         Ok(read)
     }
+}
+
+/// Longest duration of a motion from this position, process s: its drive may round the speed down by its step.
+pub(in crate::campaign) fn predicted_s(driven: &Driven<'_>, target: &Target, from: f64) -> f64 {
+    let (speed, step) = (target.speed.unwrap_or(driven.speed), driven.axis.slowest());
+    let rounded = (speed - step).max(step);
+    (target.position - from).abs() / rounded + 2.0 * speed / driven.acceleration
 }
 
 fn require_no_alarm(axis: &dyn Axis, status: &AxisStatus) -> Result<(), Halt> {

@@ -34,6 +34,7 @@ use crate::schedule::plan::{Kind, Plan};
 use crate::suspension::Suspensions;
 
 mod owed;
+mod pressing;
 mod sideways;
 
 /// An engine whose wires to these axes are open; the rig is disarmed.

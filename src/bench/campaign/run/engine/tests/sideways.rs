@@ -1,4 +1,4 @@
-//! When an axis moves or homes sideways, and how z presses; when neither does.
+//! When an axis moves or homes sideways, and when none does.
 
 use std::sync::atomic::Ordering;
 use std::time::Duration;
@@ -11,7 +11,7 @@ use crate::campaign::bench::interlock::TripKind;
 use crate::campaign::bench::rig_state::RigState;
 use crate::campaign::bench::stage::AxisName;
 use crate::campaign::bench::stand_in::{StandIn, StandIns};
-use crate::campaign::bench::travel::{Descent, Target};
+use crate::campaign::bench::travel::Target;
 use crate::campaign::run::halt::Halt;
 use crate::campaign::shown::command::Request;
 use crate::rig::traits::AxisStatus;
@@ -217,21 +217,6 @@ async fn nothing_moves_under_a_load_before_its_first_sample() {
     axes.cells.volts.lock()[0] = 0.5;
     stage.begin_watch();
     assert!(stage.checked_travel(&mut engine.control, target).await.is_ok());
-}
-
-#[tokio::test]
-async fn a_press_is_slower_once_the_wires_are_although_its_speed_was_chosen_before() {
-    let axes = StandIns::default();
-    let mut engine = engine(&axes);
-    let stage = engine.connection.as_mut().unwrap().stage.as_mut().unwrap();
-    let descent = Descent { z_mm: 10.0, speed_mm_s: 3.0 };
-    stage.press_until(&mut engine.control, descent, |_| false).await.unwrap();
-    assert_eq!(*axes.z.speed.lock(), 3.0);
-    stage.stopping.note_poll(1.0);
-    let deeper = Descent { z_mm: 20.0, ..descent };
-    stage.press_until(&mut engine.control, deeper, |_| false).await.unwrap();
-    let slower_mm_s = *axes.z.speed.lock();
-    assert!(slower_mm_s < 0.5, "{slower_mm_s}");
 }
 
 #[tokio::test]

@@ -1,0 +1,110 @@
+//! Descents of z at the speed of a press: z is stopped where a sample meets a condition, and where a sample comes late.
+//! Uses: `campaign::{bench::stage, bench::travel, bench::interlock, run::control}`. Never: the plan, storage, another
+//! axis.
+
+use std::time::Duration;
+
+use tokio::time::Instant;
+
+use crate::campaign::bench::interlock::TripKind;
+use crate::campaign::bench::stage::{AxisName, GRACE, Stage};
+use crate::campaign::bench::travel::{Ended, Polled, Sample, Target};
+use crate::campaign::run::control::Control;
+use crate::campaign::run::halt::Halt;
+
+/// Late samples of one descent after which the rig trips. Each makes the descent slower, so that the next one may be
+/// twice as old, except at the slowest motion of the drive.
+const LATE_SAMPLES_MAX: u32 = 20;
+
+/// Motion of z at a speed.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Descent {
+    /// Target, machine mm.
+    pub z_mm: f64,
+    /// Largest speed, mm/s; slower if the stopping distance at the present pace of the wires requires it.
+    pub speed_mm_s: f64,
+}
+
+impl Stage {
+    /// Moves z, reads the cells at every poll, and stops z once `until` holds for a sample. Returns whether it did. If no
+    /// sample arrives while a stop would keep the margins of the force limits, z is stopped, and the descent continues
+    /// once one has arrived.
+    ///
+    /// # Errors
+    /// As `checked_travel`; trips if samples come late again and again.
+    pub async fn press_until(
+        &mut self,
+        control: &mut Control,
+        descent: Descent,
+        mut until: impl FnMut(&Sample) -> bool,
+    ) -> Result<bool, Halt> {
+        for _ in 0..LATE_SAMPLES_MAX {
+            // The wires may have become slower since it was chosen, and during this descent.
+            let speed = self.stopping.press_speed_mm_s(&self.config, self.tips);
+            let speed = Some(speed.min(descent.speed_mm_s));
+            let target = Target { axis: AxisName::Z, position: descent.z_mm, speed };
+            let polled = Polled::AxesAndCells;
+            match self.watched_travel(control, &[target], polled, &mut until).await? {
+                Ended::Arrived => return Ok(false),
+                Ended::Met { z_mm, at } => {
+                    self.stop_z(control, z_mm, at).await?;
+                    return Ok(true);
+                }
+                Ended::Late => {
+                    self.z_at_rest(control).await?;
+                }
+            }
+        }
+        let detail = format!("cells: {LATE_SAMPLES_MAX} samples of one descent came late");
+        Err(Halt::trip(TripKind::Stale, detail))
+    }
+
+    /// Moves z at the press speed and reads the cells at every poll.
+    ///
+    /// # Errors
+    /// As `press_until`.
+    pub async fn press_to(&mut self, control: &mut Control, z_mm: f64) -> Result<(), Halt> {
+        let descent = Descent { z_mm, speed_mm_s: f64::INFINITY };
+        self.press_until(control, descent, |_| false).await.map(|_| ())
+    }
+
+    /// Stops z after a sample that met the condition, and records the delay and travel of the stop.
+    async fn stop_z(
+        &mut self,
+        control: &mut Control,
+        sampled_mm: f64,
+        sampled: Instant,
+    ) -> Result<(), Halt> {
+        self.bench.z.stop().await?;
+        self.stopping.note_stop(Some(self.clock.now().saturating_duration_since(sampled)));
+        let z_mm = self.z_at_rest(control).await?;
+        self.stopping.note_travel(Some((z_mm - sampled_mm).max(0.0)));
+        Ok(())
+    }
+
+    /// Waits until z is at rest after its stop, and checks every sample meanwhile. Returns its height, machine mm.
+    async fn z_at_rest(&mut self, control: &mut Control) -> Result<f64, Halt> {
+        let deadline = self.clock.now() + self.clock.wall(2.0) + GRACE;
+        loop {
+            let z = control.attending(self.bench.z.status()).await??;
+            if !z.moving {
+                return Ok(z.position);
+            }
+            control.attend()?;
+            self.read_cells(control).await?;
+            if self.clock.now() > deadline {
+                return Err(Halt::trip(TripKind::Position, "z did not stop"));
+            }
+            self.poll_pause().await;
+        }
+    }
+
+    /// Age of the newest sample at which z must be stopped, wall time; none unless it presses.
+    pub(super) fn sample_age(&self, targets: &[Target]) -> Option<Duration> {
+        let speed = targets.iter().find_map(|target| target.speed)?;
+        // What is slower, its drive moves at its slowest.
+        let speed_mm_s = speed.max(self.bench.z.slowest());
+        let age_s = self.stopping.sample_age_s(&self.config, self.tips, speed_mm_s);
+        Some(self.clock.wall(age_s))
+    }
+}

@@ -1,0 +1,105 @@
+//! How fast z presses, and what follows if its samples come late.
+
+use std::sync::atomic::Ordering;
+use std::time::Duration;
+
+use super::engine;
+use crate::campaign::bench::descent::Descent;
+use crate::campaign::bench::interlock::TripKind;
+use crate::campaign::bench::stage::AxisName;
+use crate::campaign::bench::stand_in::StandIns;
+use crate::campaign::bench::travel::{Target, predicted_s};
+use crate::rig::traits::AxisStatus;
+
+/// Longest wait of a test for what must happen, also on a loaded machine.
+const HAPPENS_WITHIN: Duration = Duration::from_secs(30);
+
+/// Waits until z has received this number of stops.
+async fn stopped(axes: &StandIns, stops: u64) {
+    while axes.z.stops.load(Ordering::SeqCst) < stops {
+        tokio::time::sleep(Duration::from_millis(1)).await;
+    }
+}
+
+#[tokio::test]
+async fn a_press_is_slower_once_the_wires_are_although_its_speed_was_chosen_before() {
+    let axes = StandIns::default();
+    let mut engine = engine(&axes);
+    let stage = engine.connection.as_mut().unwrap().stage.as_mut().unwrap();
+    let descent = Descent { z_mm: 10.0, speed_mm_s: 3.0 };
+    stage.press_until(&mut engine.control, descent, |_| false).await.unwrap();
+    assert_eq!(*axes.z.speed.lock(), 3.0);
+    stage.stopping.note_poll(1.0);
+    let deeper = Descent { z_mm: 20.0, ..descent };
+    stage.press_until(&mut engine.control, deeper, |_| false).await.unwrap();
+    let slower_mm_s = *axes.z.speed.lock();
+    assert!(slower_mm_s < 0.5, "{slower_mm_s}");
+}
+
+#[tokio::test]
+async fn a_press_whose_sample_is_late_is_stopped_and_continues_more_slowly() {
+    let axes = StandIns::default();
+    let mut engine = engine(&axes);
+    let stage = engine.connection.as_mut().unwrap().stage.as_mut().unwrap();
+    stage.config.limits.sample_age_ms = Some(60_000);
+    // It moves until it is stopped.
+    let moving = AxisStatus { position: 5.0, moving: true, ..axes.z.present() };
+    *axes.z.after_start.lock() = Some(moving);
+    let press = stage.press_to(&mut engine.control, 10.0);
+    let late = async {
+        while axes.z.starts.load(Ordering::SeqCst) == 0 {
+            tokio::time::sleep(Duration::from_millis(1)).await;
+        }
+        let fast_mm_s = *axes.z.speed.lock();
+        *axes.cells.takes.lock() = Duration::from_secs(2);
+        stopped(&axes, 1).await;
+        *axes.cells.takes.lock() = Duration::ZERO;
+        axes.z.status.lock().moving = false;
+        fast_mm_s
+    };
+    let (pressed, late) = tokio::join!(press, tokio::time::timeout(HAPPENS_WITHIN, late));
+    let fast_mm_s = late.expect("z is stopped while the sample is awaited");
+    assert!(pressed.is_ok() && axes.z.present().position == 10.0, "{pressed:?}");
+    assert_eq!([&axes.z.starts, &axes.z.stops].map(|n| n.load(Ordering::SeqCst)), [2, 1]);
+    let slow_mm_s = *axes.z.speed.lock();
+    assert!(slow_mm_s < fast_mm_s / 2.0, "{slow_mm_s} mm/s after {fast_mm_s} mm/s");
+}
+
+#[tokio::test]
+async fn a_press_whose_samples_are_late_at_the_slowest_motion_of_the_drive_trips() {
+    let axes = StandIns::default();
+    let mut engine = engine(&axes);
+    let stage = engine.connection.as_mut().unwrap().stage.as_mut().unwrap();
+    stage.config.limits.sample_age_ms = Some(60_000);
+    *axes.z.slowest.lock() = 3.0;
+    *axes.cells.takes.lock() = Duration::from_millis(100);
+    let moving = AxisStatus { position: 5.0, moving: true, ..axes.z.present() };
+    *axes.z.after_start.lock() = Some(moving);
+    let press = stage.press_to(&mut engine.control, 10.0);
+    let stops = async {
+        for stop in 1..=20 {
+            stopped(&axes, stop).await;
+            *axes.z.after_start.lock() = Some(moving);
+            axes.z.status.lock().moving = false;
+        }
+    };
+    let (pressed, all) = tokio::join!(press, tokio::time::timeout(HAPPENS_WITHIN, stops));
+    let halt = pressed.unwrap_err();
+    let trip = halt.as_trip().expect("a trip");
+    assert_eq!((trip.kind, all.is_ok()), (TripKind::Stale, true), "{}", trip.detail);
+    assert_eq!(axes.z.stops.load(Ordering::SeqCst), 20, "by its safe end it is stopped again");
+}
+
+#[tokio::test]
+async fn a_motion_has_the_time_that_it_takes_at_the_speed_to_which_its_drive_rounds() {
+    let axes = StandIns::default();
+    let stage = axes.stage();
+    // At 1 rpm on a lead of 10 mm.
+    *axes.z.slowest.lock() = 1.0 / 6.0;
+    for (speed, rounded) in [(0.1, 1.0), (0.33, 1.0), (0.34, 2.0), (3.3, 19.0)] {
+        let target = Target { axis: AxisName::Z, position: 10.0, speed: Some(speed) };
+        let (predicted, takes) =
+            (predicted_s(&stage.driven(AxisName::Z), &target, 0.0), 10.0 * 6.0 / rounded);
+        assert!(takes <= predicted && predicted <= 2.1 * takes, "{predicted} s, {takes} s");
+    }
+}
