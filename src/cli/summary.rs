@@ -33,14 +33,16 @@ pub struct Closing {
     fit: Option<SimulationReport>,
     data: String,
     follow_url: Option<String>,
+    /// How the command is typed to resume the run.
+    again: &'static str,
 }
 
 impl Closing {
     /// Summary of a run. `why_left` is the reason if it was left open.
     pub fn of(summary: Summary, database: String, clock_rate: f64, why_left: Option<&str>) -> Self {
         let reason = summary.run.reason.clone().or(why_left.map(Into::into)).unwrap_or_default();
-        let (fit, data, follow_url) = (None, String::new(), None);
-        Self { summary, reason, database, clock_rate, fit, data, follow_url }
+        let (fit, data, follow_url, again) = (None, String::new(), None, "again");
+        Self { summary, reason, database, clock_rate, fit, data, follow_url, again }
     }
 
     /// Adds the fit of the simulated twins.
@@ -93,8 +95,10 @@ impl Closing {
         })
     }
 
-    /// Adds the next commands: with the data folder, or the service that has the run.
-    pub fn with_next(mut self, data: &std::path::Path, server: Option<&str>) -> Self {
+    /// Adds the next commands: with the data folder, or the service that has the run. `new`: the command was typed
+    /// with `--new`.
+    pub fn with_next(mut self, data: &std::path::Path, server: Option<&str>, new: bool) -> Self {
+        self.again = if new { "without --new" } else { "again" };
         self.data = data.display().to_string();
         self.follow_url = server.map(Into::into);
         self
@@ -111,7 +115,12 @@ impl Closing {
                 .suggest(format_args!("palpate resume {run}"), "starts it again")
                 .suggest(format_args!("palpate queue remove {run}"), "takes it out of the queue");
         } else if self.is_resumable() {
-            next = next.same_command("again", "resumes where it stopped");
+            let what = "resumes where it stopped";
+            next = match self.follow_url {
+                None => next.same_command(self.again, what),
+                // The command may have been `attach`.
+                Some(_) => next.suggest(format_args!("palpate resume {run}"), what),
+            };
         }
         next = next
             .suggest(format_args!("palpate show {run}"), "draws it in the terminal")
