@@ -43,7 +43,13 @@ fn named(text: &str) -> Option<Named<'_>> {
 pub async fn find_run(client: &Client, text: &str) -> CliResult<RunRow> {
     let wrong = |limit: String| CliError::argument("RUN", text, limit);
     match named(text) {
-        Some(Named::Whole(id)) => client.run(id).await,
+        Some(Named::Whole(id)) => client.run(id).await.map_err(|error| match error {
+            CliError::Refused { operation, status: status @ 404, detail } => {
+                let detail = format!("{detail}: palpate runs lists all");
+                CliError::Refused { operation, status, detail }
+            }
+            error => error,
+        }),
         Some(Named::Last) => {
             let newest = client.find_run(|_| true).await?;
             newest.ok_or_else(|| wrong("there are no runs yet: palpate run quickstart".into()))
@@ -56,9 +62,10 @@ pub async fn find_run(client: &Client, text: &str) -> CliResult<RunRow> {
                 (1, Some(run)) => Ok(run),
                 (0, _) => Err(wrong("no run has this id: palpate runs lists them".into())),
                 (count, last) => {
-                    let mut numbers: Vec<i64> = found.iter().map(|run| run.scan_id).collect();
-                    numbers.extend(last.map(|run| run.scan_id));
-                    Err(wrong(format!("{count} runs begin like this; their numbers: {numbers:?}")))
+                    let runs = found.iter().chain(&last);
+                    let numbers: Vec<String> = runs.map(|run| run.scan_id.to_string()).collect();
+                    let numbers = numbers.join(", ");
+                    Err(wrong(format!("{count} runs begin like this; their numbers: {numbers}")))
                 }
             }
         }
