@@ -133,8 +133,8 @@ pub enum Purpose {
 /// Runs `work` with a running service, or with one started for it, which needs no rig.
 ///
 /// # Errors
-/// `CliError` if no service can be reached or started, or the error of `work`; `Problems` if it reads and the folder that
-/// was named does not exist, or stores and the folder cannot be written.
+/// `CliError` if no service can be reached or started, or the error of `work`; `Problems` if it reads and the folder
+/// that was named does not exist, or stores and the folder cannot be written.
 pub async fn with_purpose<T>(
     at: &At,
     purpose: Purpose,
