@@ -25,6 +25,8 @@ fn named(text: &str) -> Option<Named<'_>> {
     if text == "last" {
         return Some(Named::Last);
     }
+    // The name of its dataset and of its report.
+    let text = text.strip_prefix("run-").unwrap_or(text);
     let is_number = text.bytes().all(|byte| byte.is_ascii_digit());
     if is_number && !text.is_empty() && text.len() <= DIGITS_MAX && !text.starts_with('0') {
         return Some(Named::Whole(text));
@@ -86,9 +88,10 @@ mod tests {
         assert_eq!(named("12"), Some(Named::Whole("12")));
         assert_eq!(named("0193"), Some(Named::Start("0193".into())), "no number begins with 0");
         assert_eq!(named("019AB-"), Some(Named::Start("019ab-".into())));
+        assert_eq!(named("run-12"), Some(Named::Whole("12")));
         let whole = "01934f6e-7c1a-7000-8000-000000000000";
         assert_eq!(named(whole), Some(Named::Whole(whole)));
-        for wrong in ["", "abc", "the last one", "3/1"] {
+        for wrong in ["", "abc", "the last one", "3/1", "run-", "run-x"] {
             assert_eq!(named(wrong), None, "{wrong}");
         }
     }

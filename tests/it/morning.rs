@@ -67,6 +67,8 @@ async fn runs_are_listed_newest_first_and_found_by_number_start_of_the_id_and_la
         some["items"].as_array().unwrap().iter().map(|r| r["scan_id"].as_i64().unwrap()).collect();
     assert_eq!(numbers, [3, 1]);
     assert!(said(&url, &["runs", "--experiment", "nothing"]).contains("no run fits"));
+    let (code, why) = refused(&url, &["runs", "3"]);
+    assert!(code == 2 && why.contains("palpate show 3 shows one run"), "{code}: {why}");
     let (code, why) = refused(&url, &["runs", "--state", "succes"]);
     assert!(code == 2 && why.contains("; did you mean `success`?"), "{code}: {why}");
     let by_condition = told(&url, &["runs", "exit_status=success|state=queued"]);

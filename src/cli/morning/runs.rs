@@ -10,7 +10,7 @@ use super::trials::encoded;
 use super::{RunsArgs, check_names};
 use crate::api::Page;
 use crate::cli::client::Client;
-use crate::cli::error::CliResult;
+use crate::cli::error::{CliError, CliResult};
 use crate::cli::table::{Table, or_dash};
 use crate::cli::times::local;
 use crate::journal::ExitStatus;
@@ -92,6 +92,12 @@ pub async fn runs(client: &Client, args: &RunsArgs) -> CliResult<()> {
 async fn select(client: &Client, args: &RunsArgs) -> CliResult<(Vec<RunRow>, bool)> {
     let mut found = Vec::new();
     let mut conditions = args.conditions.clone();
+    if let Some(word) = args.conditions.iter().find(|text| !text.contains('=')) {
+        let limit = format!(
+            "must be a condition such as exit_status=fail; palpate show {word} shows one run"
+        );
+        return Err(CliError::argument("CONDITION", word, limit));
+    }
     if !args.state.is_empty() {
         let names = StoredState::names().chain(ExitStatus::names());
         check_names("--state", &args.state, names)?;
