@@ -134,7 +134,9 @@ fn main() -> ExitCode {
 fn write_manual(folder: &Path) -> Result<(), cli::CliError> {
     let write = || {
         std::fs::create_dir_all(folder)?;
-        clap_mangen::generate_to(cli::help::complete(CommandLine::command()), folder)
+        // Before it is completed: a page of each `help` of a command would be a copy.
+        let root = CommandLine::command().disable_help_subcommand(true);
+        clap_mangen::generate_to(cli::help::complete(root), folder)
     };
     write().map_err(cli::CliError::file(folder))
 }
@@ -454,6 +456,9 @@ mod tests {
         write_manual(&folder).unwrap();
         for page in ["palpate.1", "palpate-run.1", "palpate-rig-home.1"] {
             assert!(std::fs::read_to_string(folder.join(page)).unwrap().contains(".TH"), "{page}");
+        }
+        for page in ["palpate-help.1", "palpate-help-run.1", "palpate-rig-help.1"] {
+            assert!(!folder.join(page).exists(), "{page}");
         }
     }
 

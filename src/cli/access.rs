@@ -89,7 +89,7 @@ async fn lock_of(people: &People, args: &LockArgs) -> CliResult<()> {
     }
     match people.lock().await? {
         lock if json => say_json(&lock),
-        Some(l) => say(format_args!("locked by {} since {}: {}", l.holder, l.since, l.note)),
+        Some(l) => say(format_args!("locked by {} since {}: {}", l.holder, local(l.since), l.note)),
         None => say("not locked"),
     }
     Ok(())

@@ -63,7 +63,7 @@ pub async fn attach(args: AttachArgs) -> CliResult<ExitCode> {
         detached(&client, run.scan_id, run.uid, None, args.at.output());
         return Ok(ExitCode::SUCCESS);
     };
-    Ok(closed(&closing.with_next(&args.at.data(), Some(client.url())), args.at.output()))
+    Ok(closed(&closing.with_next(&args.at.data(), Some(client.url()), false), args.at.output()))
 }
 
 /// Follows a run to its end; none if it was left to the service.

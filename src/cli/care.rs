@@ -1,11 +1,12 @@
 //! Text of what needs care: disk, age of the last trial, what may suspend the run, wear of the rig.
-//! Uses: the service's answers, `output`. Never: a request.
+//! Uses: the service's answers, `output`, `times`. Never: a request.
 
 use jiff::Timestamp;
 use serde::Deserialize;
 use serde_json::Value;
 
 use super::output::{bytes, counted, duration};
+use super::times::local;
 use crate::api::{DiskStatus, Suspender};
 
 /// What the status reports in addition to rig and run. Absent in the answer of an older service.
@@ -60,12 +61,16 @@ fn suspender_words(suspender: &Suspender) -> String {
 /// Text of `palpate rig wear`.
 pub fn wear_words(wear: &Value) -> String {
     let text = |value: &Value| value.as_str().unwrap_or("-").to_owned();
+    let time = |value: &Value| {
+        let at = value.as_str().and_then(|at| at.parse().ok());
+        at.map_or_else(|| "-".into(), local)
+    };
     let trials = counted(wear["trials"].as_u64().unwrap_or_default(), "trial", "trials");
     let runs = counted(wear["runs"].as_u64().unwrap_or_default(), "run", "runs");
     let hours =
         wear["run_h"].as_f64().map_or_else(String::new, |hours| format!(" of {hours:.1} h"));
     let mut lines =
-        vec![format!("trials   {trials} in {runs}{hours}, since {}", text(&wear["since"]))];
+        vec![format!("trials   {trials} in {runs}{hours}, since {}", time(&wear["since"]))];
     let numbers = |key: &str| {
         let list = wear["points"][key].as_array().cloned().unwrap_or_default();
         list.iter().filter_map(Value::as_f64).collect::<Vec<f64>>()
@@ -92,7 +97,7 @@ pub fn wear_words(wear: &Value) -> String {
     });
     let cells = cells.collect::<Vec<_>>().join(", ");
     lines.push(format!("cells    calibrated, by arm: {cells} (`cells.calibrated_on`)"));
-    lines.push(format!("checked  {}", text(&wear["checked_at"])));
+    lines.push(format!("checked  {}", time(&wear["checked_at"])));
     lines.join("\n")
 }
 
@@ -142,5 +147,9 @@ mod tests {
         assert!(words.contains("4 presses on 2 places, most at x 34.6, y 55.0 mm: 3"), "{words}");
         assert!(words.contains("at least x 12.3 m, z 0.5 m"), "{words}");
         assert!(words.contains("1 unknown, 2 30 d ago"), "{words}");
+        let at: Timestamp = "2026-05-04T22:00:07.299Z".parse().unwrap();
+        let words = wear_words(&json!({ "since": at, "checked_at": at }));
+        assert!(words.contains(&format!("since {}\n", local(at))), "{words}");
+        assert!(words.ends_with(&format!("checked  {}", local(at))), "{words}");
     }
 }

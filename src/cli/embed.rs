@@ -133,8 +133,8 @@ pub enum Purpose {
 /// Runs `work` with a running service, or with one started for it, which needs no rig.
 ///
 /// # Errors
-/// `CliError` if no service can be reached or started, or the error of `work`; `Problems` if it stores and the
-/// folder cannot be written.
+/// `CliError` if no service can be reached or started, or the error of `work`; `Problems` if it reads and the folder
+/// that was named does not exist, or stores and the folder cannot be written.
 pub async fn with_purpose<T>(
     at: &At,
     purpose: Purpose,
@@ -182,6 +182,10 @@ async fn opened(at: &At, purpose: Purpose) -> CliResult<(Client, Option<OwnServi
         return Ok((client, None));
     }
     let data = at.data();
+    if purpose == Purpose::Reads && at.names_data() && !data.exists() {
+        let limit = "there is no such folder: --data and PALPATE_DATA name the folder of the runs";
+        return Err(CliError::in_file(&data, limit));
+    }
     if purpose == Purpose::Stores && View::is_needed(&data) {
         let limit = "cannot be written, and this command changes it: name a copy of it with --data, \
                      or a service with --url";

@@ -25,6 +25,8 @@ fn named(text: &str) -> Option<Named<'_>> {
     if text == "last" {
         return Some(Named::Last);
     }
+    // The name of its dataset and of its report.
+    let text = text.strip_prefix("run-").unwrap_or(text);
     let is_number = text.bytes().all(|byte| byte.is_ascii_digit());
     if is_number && !text.is_empty() && text.len() <= DIGITS_MAX && !text.starts_with('0') {
         return Some(Named::Whole(text));
@@ -43,7 +45,13 @@ fn named(text: &str) -> Option<Named<'_>> {
 pub async fn find_run(client: &Client, text: &str) -> CliResult<RunRow> {
     let wrong = |limit: String| CliError::argument("RUN", text, limit);
     match named(text) {
-        Some(Named::Whole(id)) => client.run(id).await,
+        Some(Named::Whole(id)) => client.run(id).await.map_err(|error| match error {
+            CliError::Refused { operation, status: status @ 404, detail } => {
+                let detail = format!("{detail}: palpate runs lists all");
+                CliError::Refused { operation, status, detail }
+            }
+            error => error,
+        }),
         Some(Named::Last) => {
             let newest = client.find_run(|_| true).await?;
             newest.ok_or_else(|| wrong("there are no runs yet: palpate run quickstart".into()))
@@ -56,9 +64,10 @@ pub async fn find_run(client: &Client, text: &str) -> CliResult<RunRow> {
                 (1, Some(run)) => Ok(run),
                 (0, _) => Err(wrong("no run has this id: palpate runs lists them".into())),
                 (count, last) => {
-                    let mut numbers: Vec<i64> = found.iter().map(|run| run.scan_id).collect();
-                    numbers.extend(last.map(|run| run.scan_id));
-                    Err(wrong(format!("{count} runs begin like this; their numbers: {numbers:?}")))
+                    let runs = found.iter().chain(&last);
+                    let numbers: Vec<String> = runs.map(|run| run.scan_id.to_string()).collect();
+                    let numbers = numbers.join(", ");
+                    Err(wrong(format!("{count} runs begin like this; their numbers: {numbers}")))
                 }
             }
         }
@@ -79,9 +88,10 @@ mod tests {
         assert_eq!(named("12"), Some(Named::Whole("12")));
         assert_eq!(named("0193"), Some(Named::Start("0193".into())), "no number begins with 0");
         assert_eq!(named("019AB-"), Some(Named::Start("019ab-".into())));
+        assert_eq!(named("run-12"), Some(Named::Whole("12")));
         let whole = "01934f6e-7c1a-7000-8000-000000000000";
         assert_eq!(named(whole), Some(Named::Whole(whole)));
-        for wrong in ["", "abc", "the last one", "3/1"] {
+        for wrong in ["", "abc", "the last one", "3/1", "run-", "run-x"] {
             assert_eq!(named(wrong), None, "{wrong}");
         }
     }

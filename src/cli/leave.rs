@@ -31,21 +31,25 @@ impl Choice {
 }
 
 /// The question on a run that is driven.
-pub const QUESTION_ON_RUN: &str = "d  detach: the run continues\np  pause after this trial\n\
+pub const QUESTION_ON_RUN: &str = "one letter, then Enter:\n\
+     d  detach: the run continues\np  pause after this trial\n\
      s  stop after this trial: the run can be resumed later\nc  continue\n\
      Ctrl-C again raises the tips now and aborts";
 
 /// The question on a run that is paused.
-pub const QUESTION_ON_PAUSED_RUN: &str = "d  detach: the run stays paused\nr  resume (answer within 10 s)\n\
+pub const QUESTION_ON_PAUSED_RUN: &str = "one letter, then Enter:\n\
+     d  detach: the run stays paused\nr  resume (answer within 10 s)\n\
      s  stop: the run can be resumed later\nc  continue\n\
      Ctrl-C again raises the tips now and aborts";
 
 /// The question on a run that waits for its turn.
-pub const QUESTION_ON_WAITING_RUN: &str = "d  detach: the run begins when its turn comes\n\
+pub const QUESTION_ON_WAITING_RUN: &str = "one letter, then Enter:\n\
+     d  detach: the run begins when its turn comes\n\
      s  take its start back: if queued, it leaves the queue\nc  continue\nCtrl-C again takes its start back";
 
 /// The question on a training.
-pub const QUESTION_ON_TRAINING: &str = "d  detach: the training continues\n\
+pub const QUESTION_ON_TRAINING: &str = "one letter, then Enter:\n\
+     d  detach: the training continues\n\
      s  stop: the same command resumes it\nc  continue\nCtrl-C again stops";
 
 /// What an interrupt leads to.
@@ -91,6 +95,7 @@ mod tests {
         for (question, count) in
             [(QUESTION_ON_RUN, 4), (QUESTION_ON_PAUSED_RUN, 4), (QUESTION_ON_WAITING_RUN, 3)]
         {
+            assert!(question.starts_with("one letter, then Enter:\n"), "{question}");
             let letters: Vec<&str> = question.split_whitespace().filter(|w| w.len() == 1).collect();
             assert_eq!(letters.len(), count);
             assert!(letters.iter().all(|letter| Choice::of(letter).is_some()), "{letters:?}");

@@ -292,14 +292,17 @@ fn report_words(report: &Value) -> String {
         Value::Null => "-".into(),
         other => other.to_string(),
     };
+    let number = |value: &Value, decimals: usize| {
+        value.as_f64().map_or_else(|| "-".into(), |number| format!("{number:.decimals$}"))
+    };
     let mut lines = vec![format!("rig {} ({})", text(&report["rig"]), text(&report["label"]))];
     for axis in report["axes"].as_array().into_iter().flatten() {
         lines.push(format!(
-            "  {:<7} {} {}, homed {}, {}",
+            "  {:<7} {} {}, {}",
             text(&axis["name"]),
-            text(&axis["position"]),
+            number(&axis["position"], 2),
             text(&axis["unit"]),
-            text(&axis["homed"]),
+            // With what it is, and whether it is homed.
             text(&axis["identity"]),
         ));
     }
@@ -308,7 +311,7 @@ fn report_words(report: &Value) -> String {
         let (live, identity) = (text(&cells["live"]), text(&cells["identity"]));
         lines.push(format!("  cells   {live} live, {identity}"));
     }
-    let (rate, noise) = (text(&stream["frame_rate_hz"]), text(&stream["noise_sd_v"]));
+    let (rate, noise) = (number(&stream["frame_rate_hz"], 1), number(&stream["noise_sd_v"], 5));
     lines.push(format!("  ert     {rate} frames/s, noise sd {noise} V"));
     for (mark, list) in [("WRONG", "problems"), ("NOT CHECKED", "unchecked")] {
         for words in report[list].as_array().into_iter().flatten() {
@@ -325,4 +328,28 @@ fn rig_words(status: &StatusView) -> String {
         format!(", at x {x:.2}  y {y:.2}  z {z:.2}  radius {r:.2} mm")
     });
     format!("rig {} ({}): {}{pose}", rig.name, rig.label.as_str(), rig.state.as_str())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_check_is_shown_with_the_digits_that_matter() {
+        let x = json!({
+            "name": "x", "position": 12.340_000_001, "unit": "mm", "homed": false,
+            "identity": "IAI, servo off, not homed",
+        });
+        let report = json!({
+            "rig": "iai", "label": "virtual", "axes": [x], "cells": null,
+            "stream": { "frame_rate_hz": 29.998, "noise_sd_v": 0.001_199_774_905 },
+            "problems": [], "unchecked": ["x: servo is off: not switched on"],
+        });
+        let shown = "rig iai (virtual)\n  x       12.34 mm, IAI, servo off, not homed\n  \
+                     ert     30.0 frames/s, noise sd 0.00120 V\n\
+                     NOT CHECKED  x: servo is off: not switched on";
+        assert_eq!(report_words(&report), shown);
+        let silent = json!({ "rig": "iai", "label": "real", "axes": [], "stream": {} });
+        assert!(report_words(&silent).ends_with("ert     - frames/s, noise sd - V"));
+    }
 }

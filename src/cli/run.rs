@@ -146,7 +146,7 @@ pub async fn run(args: RunArgs) -> CliResult<ExitCode> {
         }
         Outcome::Closed(closing) => {
             let url = process.is_none().then(|| client.url());
-            Ok(closed(&closing.with_next(&data, url), output))
+            Ok(closed(&closing.with_next(&data, url, args.new), output))
         }
     }
 }

@@ -33,14 +33,16 @@ pub struct Closing {
     fit: Option<SimulationReport>,
     data: String,
     follow_url: Option<String>,
+    /// How the command is typed to resume the run.
+    again: &'static str,
 }
 
 impl Closing {
     /// Summary of a run. `why_left` is the reason if it was left open.
     pub fn of(summary: Summary, database: String, clock_rate: f64, why_left: Option<&str>) -> Self {
         let reason = summary.run.reason.clone().or(why_left.map(Into::into)).unwrap_or_default();
-        let (fit, data, follow_url) = (None, String::new(), None);
-        Self { summary, reason, database, clock_rate, fit, data, follow_url }
+        let (fit, data, follow_url, again) = (None, String::new(), None, "again");
+        Self { summary, reason, database, clock_rate, fit, data, follow_url, again }
     }
 
     /// Adds the fit of the simulated twins.
@@ -93,8 +95,10 @@ impl Closing {
         })
     }
 
-    /// Adds the next commands: with the data folder, or the service that has the run.
-    pub fn with_next(mut self, data: &std::path::Path, server: Option<&str>) -> Self {
+    /// Adds the next commands: with the data folder, or the service that has the run. `new`: the command was typed
+    /// with `--new`.
+    pub fn with_next(mut self, data: &std::path::Path, server: Option<&str>, new: bool) -> Self {
+        self.again = if new { "without --new" } else { "again" };
         self.data = data.display().to_string();
         self.follow_url = server.map(Into::into);
         self
@@ -111,7 +115,17 @@ impl Closing {
                 .suggest(format_args!("palpate resume {run}"), "starts it again")
                 .suggest(format_args!("palpate queue remove {run}"), "takes it out of the queue");
         } else if self.is_resumable() {
-            next = next.same_command("again", "resumes where it stopped");
+            let what = "resumes where it stopped";
+            next = match (&self.follow_url, self.summary.run.exit_status) {
+                // The command may have been `attach`.
+                (Some(_), _) => next.suggest(format_args!("palpate resume {run}"), what),
+                (None, None | Some(ExitStatus::Stopped)) => next.same_command(self.again, what),
+                // A run that was aborted or has failed is resumed by its number only.
+                (None, _) => next.suggest(
+                    format_args!("palpate resume {run}"),
+                    format_args!("{what}, while `palpate serve` runs"),
+                ),
+            };
         }
         next = next
             .suggest(format_args!("palpate show {run}"), "draws it in the terminal")
@@ -218,7 +232,48 @@ fn scaled(counts: &[u64; 6], pressed: u64, stored: u64) -> [f64; 7] {
 
 #[cfg(test)]
 mod tests {
+    use std::path::Path;
+
     use super::*;
+
+    /// A run that ended short of its plan.
+    fn short(exit_status: &str) -> Closing {
+        let run = json!({
+            "uid": "01a208ed-3612-760c-9dff-1d5fb515cdf8", "scan_id": 3, "experiment": "night",
+            "kind": "real-hex", "definition": "", "definition_sha256": "ab", "seed": 1, "rig": "",
+            "rig_sha256": "cd", "sensor": "", "sensor_sha256": "ef", "calibration_id": null,
+            "label": "virtual", "version": "0.1.0", "git_commit": null, "deadband_n": 5.0,
+            "tip_diameter_mm": 20.0, "trials_planned": 40, "auto_resume": true,
+            "not_before": null, "plan_sha256": null, "state": "ended", "requested_state": null,
+            "paused_why": null, "exit_status": exit_status, "reason": "12 of 40 trials",
+            "queue_position": null, "waiting_since": null, "is_resumable": true,
+            "created_at": "2026-11-24T22:00:00Z", "started_at": null, "ended_at": null,
+            "submitted_by": "Ada",
+        });
+        let summary = json!({
+            "run": run, "trials_stored": 12, "trials_skipped": 0, "retries": 0,
+            "contact_counts": [0, 12, 0, 0, 0, 0, 0], "settings": [], "skips": [],
+            "duration_s": null,
+        });
+        Closing::of(serde_json::from_value(summary).unwrap(), "d".into(), 1.0, None)
+    }
+
+    #[test]
+    fn what_resumes_a_run_is_named_and_nothing_that_starts_another_one() {
+        let next = |status: &str, server: Option<&str>, new: bool| {
+            let closing = short(status).with_next(Path::new(DEFAULT_DATA), server, new);
+            format!("{:?}", closing.next_commands())
+        };
+        assert!(next("stopped", None, false).contains("the same command again"));
+        assert!(next("stopped", None, true).contains("the same command without --new"));
+        let served = next("stopped", Some("http://rig:8080"), false);
+        assert!(served.contains("palpate resume 3 --url http://rig:8080"), "{served}");
+        for status in ["abort", "fail"] {
+            let next = next(status, None, false);
+            assert!(!next.contains("the same command"), "{next}");
+            assert!(next.contains("\"palpate resume 3\""), "{next}");
+        }
+    }
 
     #[test]
     fn table_i_is_the_papers() {

@@ -17,7 +17,7 @@
 //! Methods of `Journal` wait for the disk without limit, since the campaign has its own deadlines; all
 //! others return [`StoreError::Late`] after 30 s.
 
-use palpate_words::{clock, digest, ids, journal, plain, priority, record, state};
+use palpate_words::{clock, digest, ids, journal, near, plain, priority, record, state};
 
 mod core;
 pub mod table;

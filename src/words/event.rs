@@ -161,7 +161,11 @@ fn sentence(kind: &str, data: &Value) -> Option<String> {
             format!("no longer recovering automatically{why}")
         }
         "recovering" => "recovering: checking whether the cause is gone".into(),
-        "ended" => format!("run ended, {}: {}", plain("exit_status")?, text("reason")?),
+        "ended" => match (plain("exit_status")?, text("reason")?) {
+            // "stopped at 56 of 264 trials" states both.
+            (status, reason) if reason.starts_with(&status) => format!("run ended, {reason}"),
+            (status, reason) => format!("run ended, {status}: {reason}"),
+        },
         "tips" => {
             let tips = counted(data["tips"].as_u64()?, "tip", "tips");
             let who = text("who").map_or_else(String::new, |who| format!(", by {who}"));
@@ -284,6 +288,8 @@ mod tests {
         assert_eq!(words("state", &pausing), "run pausing (tip change), paused is requested");
         let ended = json!({ "exit_status": "success", "reason": "every planned trial is stored" });
         assert_eq!(words("ended", &ended), "run ended, success: every planned trial is stored");
+        let short = json!({ "exit_status": "stopped", "reason": "stopped at 56 of 264 trials" });
+        assert_eq!(words("ended", &short), "run ended, stopped at 56 of 264 trials");
         assert_eq!(words("wanted", &json!({ "words": "mount 1 tip" })), "wanted: mount 1 tip");
         let tips = json!({ "tips": 4, "who": "Ada", "live_cells": 6 });
         assert_eq!(words("tips", &tips), "4 tips mounted, by Ada; 6 load cells connected");

@@ -10,7 +10,7 @@ use std::collections::BTreeSet;
 use async_trait::async_trait;
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
-use strum::IntoStaticStr;
+use strum::{EnumIter, IntoStaticStr};
 use utoipa::ToSchema;
 
 use crate::ids::{RunUid, TrialId, TrialKey};
@@ -82,7 +82,9 @@ pub struct Progress {
 }
 
 /// How a run ended.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema, IntoStaticStr)]
+#[derive(
+    Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema, IntoStaticStr, EnumIter,
+)]
 #[serde(rename_all = "lowercase")]
 #[strum(serialize_all = "lowercase")]
 pub enum ExitStatus {
@@ -100,6 +102,11 @@ impl ExitStatus {
     /// Name of the status, as stored.
     pub fn as_str(self) -> &'static str {
         self.into()
+    }
+
+    /// Names of all statuses.
+    pub fn names() -> impl Iterator<Item = &'static str> {
+        <Self as strum::IntoEnumIterator>::iter().map(Self::as_str)
     }
 }
 

@@ -58,6 +58,7 @@ pub fn in_plain_words(text: &str) -> String {
 fn plain_kind(kind: ErrorKind) -> Option<&'static str> {
     Some(match kind {
         ErrorKind::NotFound => "there is no such file or folder",
+        ErrorKind::AlreadyExists => "there is a file or folder of this name already",
         ErrorKind::PermissionDenied => "this user has no right to it",
         ErrorKind::IsADirectory => "is a folder, not a file",
         ErrorKind::NotADirectory => "a part of the path is a file, not a folder",
@@ -134,6 +135,8 @@ mod tests {
         assert_eq!(system_words(&error), "Connection refused");
         let missing = io::Error::from_raw_os_error(2);
         assert_eq!(system_words(&missing), "there is no such file or folder");
+        let there = system_words(&io::Error::from_raw_os_error(17));
+        assert_eq!(there, "there is a file or folder of this name already");
         let error = std::io::Error::other("port: Connection refused (os error 111); again");
         assert_eq!(system_words(&error), "port: Connection refused; again");
         assert_eq!(system_words(&std::io::Error::other("none")), "none");

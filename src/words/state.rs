@@ -45,6 +45,11 @@ impl StoredState {
     pub fn as_str(self) -> &'static str {
         self.into()
     }
+
+    /// Texts of all states.
+    pub fn names() -> impl Iterator<Item = &'static str> {
+        <Self as strum::IntoEnumIterator>::iter().map(Self::as_str)
+    }
 }
 
 impl fmt::Display for StoredState {

@@ -67,6 +67,10 @@ async fn runs_are_listed_newest_first_and_found_by_number_start_of_the_id_and_la
         some["items"].as_array().unwrap().iter().map(|r| r["scan_id"].as_i64().unwrap()).collect();
     assert_eq!(numbers, [3, 1]);
     assert!(said(&url, &["runs", "--experiment", "nothing"]).contains("no run fits"));
+    let (code, why) = refused(&url, &["runs", "3"]);
+    assert!(code == 2 && why.contains("palpate show 3 shows one run"), "{code}: {why}");
+    let (code, why) = refused(&url, &["runs", "--state", "succes"]);
+    assert!(code == 2 && why.contains("; did you mean `success`?"), "{code}: {why}");
     let by_condition = told(&url, &["runs", "exit_status=success|state=queued"]);
     assert_eq!(by_condition["items"], some["items"]);
 
@@ -77,6 +81,9 @@ async fn runs_are_listed_newest_first_and_found_by_number_start_of_the_id_and_la
     assert_eq!(told(&url, &["show", "last"])["summary"]["run"]["scan_id"], 3);
     let (code, why) = refused(&url, &["show", &uid[..4]]);
     assert!(code == 2 && why.contains("3 runs begin like this"), "{code}: {why}");
+    assert!(why.contains("their numbers: 3, 2, 1"), "{why}");
+    let (code, why) = refused(&url, &["show", "99"]);
+    assert!(code == 1 && why.contains("no run 99: palpate runs lists all"), "{code}: {why}");
     let (code, why) = refused(&url, &["show", "the last"]);
     assert!(code == 2 && why.contains("number, start of the id"), "{code}: {why}");
 }
@@ -85,7 +92,8 @@ async fn trials_are_listed_by_the_conditions_of_the_api(lab: &Filled) {
     let url = lab.url("");
     let list = said(&url, &["trials", "1", "--limit", "3"]);
     assert!(list.lines().next().unwrap().contains("largest, N"), "{list}");
-    assert_eq!(list.lines().count(), 5, "{list}");
+    assert_eq!(list.lines().count(), 7, "{list}");
+    assert!(list.lines().all(|line| line.chars().count() <= 110), "{list}");
     assert!(
         list.contains("the newest 3") && list.contains("dataset export run-1 --format"),
         "{list}"
@@ -160,6 +168,9 @@ async fn events_are_selected_by_kind_and_followed_as_they_happen() {
     let list = said(&url, &["events", "1", "--kind", "ended"]);
     assert!(list.starts_with("time ") && list.contains("success: "), "{list}");
     assert_eq!(said(&url, &["events", "--since", "0s", "--kind", "trip"]), "no event fits\n");
+    let (code, why) = refused(&url, &["events", "--kind", "ended,tripp"]);
+    assert!(code == 2 && why.contains("--kind = tripp: must be one of trip, "), "{code}: {why}");
+    assert!(why.contains("; did you mean `trip`?"), "{why}");
     let page = lab.get("/api/v1/events?kind=ended&run=1&limit=1").await;
     assert_eq!(page["items"][0]["kind"], "ended");
     assert_eq!(lab.get("/api/v1/events?kind=no_such_kind").await["items"], json!([]));

@@ -95,7 +95,7 @@ fn progress_words(run: &RunView, status: &StatusView) -> String {
         parts.push(counted(run.retries, "retry", "retries"));
     }
     if let Some(force_n) = status.rig.max_force_n() {
-        parts.push(format!("max {force_n:.1} N"));
+        parts.push(force_words(force_n));
     }
     parts.join(" | ")
 }
@@ -105,9 +105,20 @@ fn eta_words(eta: &Eta) -> String {
     format!("done in {} ({low} .. {high})", duration(eta.remaining_s))
 }
 
+/// Largest force, N. Zero has no sign.
+fn force_words(force_n: f64) -> String {
+    format!("max {:.1} N", (force_n * 10.0).round() / 10.0 + 0.0)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_force_of_zero_has_no_sign() {
+        let shown = [-0.04, 0.04, -0.06, 21.14].map(force_words);
+        assert_eq!(shown, ["max 0.0 N", "max 0.0 N", "max -0.1 N", "max 21.1 N"]);
+    }
 
     #[test]
     fn an_estimate_shows_its_band() {

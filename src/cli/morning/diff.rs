@@ -118,7 +118,7 @@ pub async fn diff(client: &Client, args: &DiffArgs) -> CliResult<()> {
         words += &format!("\n\n{}", file_words(name, changes, a.scan_id, b.scan_id));
     }
     let forces = forces_words(&before, &after, &paired);
-    words += &format!("\n\n{forces}\n{}", frames_words(&frames));
+    words += &format!("\n\n{forces}\n{}", frames_words(&frames, a.scan_id, b.scan_id));
     let facts: Vec<Change> = facts(&before, &after).collect();
     let files: HashMap<&str, Vec<Change>> = files.into_iter().collect();
     let answer = json!({
@@ -200,13 +200,15 @@ fn forces_words(before: &Side, after: &Side, paired: &[Pair]) -> String {
         table.push(["all".into(), n, median, ends]);
     }
     format!(
-        "largest force, after minus before, at the same place and depth ({label}; {} pairs; `all`: one \
+        "largest force, run {} minus run {}, at the same place and depth ({label}; {} pairs;\n`all`: one \
          value per place):\n{table}",
+        after.run().scan_id,
+        before.run().scan_id,
         grouped(paired.len() as u64)
     )
 }
 
-fn frames_words(frames: &Frames) -> String {
+fn frames_words(frames: &Frames, a: i64, b: i64) -> String {
     let [before, after] = &frames.sim_models;
     let models = match before == after {
         true => "of the same model".to_owned(),
@@ -218,7 +220,7 @@ fn frames_words(frames: &Frames) -> String {
             let interval =
                 interval.map_or_else(String::new, |(low, high)| format!(" [{low:.3}, {high:.3}]"));
             format!(
-                "\nframes: with contacts in both: median FVU of the earlier one by the later one {:.3}{interval} (n = {}); \
+                "\nframes with contacts in both: median FVU of run {a} by run {b} {:.3}{interval} (n = {});\n\
                  twins {models}",
                 fvu.median, fvu.n
             )

@@ -8,8 +8,8 @@ use futures::StreamExt;
 use jiff::Timestamp;
 use serde_json::json;
 
-use super::EventsArgs;
 use super::stream::Collect;
+use super::{EventsArgs, check_names};
 use crate::api::Page;
 use crate::cli::client::Client;
 use crate::cli::embed;
@@ -19,7 +19,7 @@ use crate::cli::output::{note, say, say_json};
 use crate::cli::table::Table;
 use crate::cli::times::{Since, second};
 use crate::cli::view::EventView;
-use crate::event::Importance;
+use crate::event::{Importance, KINDS};
 
 /// Events without `--limit` and `--since`.
 const EVENTS_SHOWN: usize = 50;
@@ -56,10 +56,7 @@ async fn selection(client: &Client, args: &EventsArgs) -> CliResult<String> {
         query += &format!("&run={}", find_run(client, run).await?.uid);
     }
     if !args.kind.is_empty() {
-        let is_kind = |c: char| c.is_ascii_alphanumeric() || c == '_' || c == '-';
-        if let Some(wrong) = args.kind.iter().find(|kind| !kind.chars().all(is_kind)) {
-            return Err(CliError::argument("--kind", wrong, "must be words such as trip,skipped"));
-        }
+        check_names("--kind", &args.kind, KINDS.iter().map(|kind| kind.name))?;
         query += &format!("&kind={}", args.kind.join(","));
     }
     Ok(query)

@@ -31,7 +31,9 @@ pub use show::show;
 pub use trials::trials;
 
 use super::At;
+use super::error::{CliError, CliResult};
 use super::times::Since;
+use crate::near::did_you_mean;
 
 /// Options of `runs`.
 #[derive(Debug, Clone, Args)]
@@ -48,7 +50,7 @@ pub struct RunsArgs {
     #[arg(long, value_name = "TEXT")]
     pub experiment: Option<String>,
     /// Largest number of runs.
-    #[arg(long, value_name = "N", default_value_t = 20)]
+    #[arg(long, value_name = "N", default_value_t = 20, value_parser = at_least_one)]
     pub limit: usize,
     #[command(flatten)]
     pub at: At,
@@ -65,7 +67,7 @@ pub struct TrialsArgs {
     #[arg(long)]
     pub oldest: bool,
     /// Largest number of trials.
-    #[arg(long, value_name = "N", default_value_t = 20)]
+    #[arg(long, value_name = "N", default_value_t = 20, value_parser = at_least_one)]
     pub limit: usize,
     #[command(flatten)]
     pub at: At,
@@ -102,7 +104,7 @@ pub struct ActionsArgs {
     /// Run: number, start of the id, or `last`; without it all actions.
     pub run: Option<String>,
     /// Largest number of actions.
-    #[arg(long, value_name = "N", default_value_t = 20)]
+    #[arg(long, value_name = "N", default_value_t = 20, value_parser = at_least_one)]
     pub limit: usize,
     #[command(flatten)]
     pub at: At,
@@ -151,4 +153,25 @@ pub struct DiffArgs {
     pub after: String,
     #[command(flatten)]
     pub at: At,
+}
+
+/// Parser of the largest number of rows: none is no list.
+fn at_least_one(text: &str) -> Result<usize, String> {
+    let count = text.parse::<usize>().ok().filter(|count| *count > 0);
+    count.ok_or_else(|| "must be a whole number, 1 or more".into())
+}
+
+/// Refuses names that an option does not have: no row would fit them, as if nothing had happened.
+fn check_names<'a>(
+    option: &str,
+    typed: &[String],
+    names: impl IntoIterator<Item = &'a str>,
+) -> CliResult<()> {
+    let names: Vec<&str> = names.into_iter().collect();
+    let Some(wrong) = typed.iter().find(|name| !names.contains(&name.as_str())) else {
+        return Ok(());
+    };
+    let meant = did_you_mean(wrong, names.iter().copied());
+    let limit = format!("must be one of {}{meant}", names.join(", "));
+    Err(CliError::argument(option, wrong, limit))
 }

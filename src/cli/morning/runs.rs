@@ -5,14 +5,16 @@ use futures::{StreamExt, TryStreamExt};
 use jiff::{SignedDuration, Timestamp};
 use serde_json::{Value, json};
 
-use super::RunsArgs;
 use super::answers::{duration_words, elapsed, state_words, stored_words};
 use super::trials::encoded;
+use super::{RunsArgs, check_names};
 use crate::api::Page;
 use crate::cli::client::Client;
-use crate::cli::error::CliResult;
+use crate::cli::error::{CliError, CliResult};
 use crate::cli::table::{Table, or_dash};
 use crate::cli::times::local;
+use crate::journal::ExitStatus;
+use crate::state::StoredState;
 use crate::store::{RunRow, TwinCount};
 
 /// Number of concurrent requests.
@@ -90,7 +92,15 @@ pub async fn runs(client: &Client, args: &RunsArgs) -> CliResult<()> {
 async fn select(client: &Client, args: &RunsArgs) -> CliResult<(Vec<RunRow>, bool)> {
     let mut found = Vec::new();
     let mut conditions = args.conditions.clone();
+    if let Some(word) = args.conditions.iter().find(|text| !text.contains('=')) {
+        let limit = format!(
+            "must be a condition such as exit_status=fail; palpate show {word} shows one run"
+        );
+        return Err(CliError::argument("CONDITION", word, limit));
+    }
     if !args.state.is_empty() {
+        let names = StoredState::names().chain(ExitStatus::names());
+        check_names("--state", &args.state, names)?;
         let states = args.state.join(",");
         conditions.push(format!("state__in={states}|exit_status__in={states}"));
     }

@@ -75,8 +75,8 @@ async fn list(client: &Client, args: &TrialsArgs, asked: Asked) -> CliResult<()>
         };
         let dataset = run.map_or("run-N".into(), |run| format!("run-{}", run.scan_id));
         words += &format!(
-            "\n{shown}. One trial, drawn: palpate show t{}. As a file, with frames: palpate dataset \
-             export {dataset} --format parquet (or csv, npz, ..)",
+            "\n{shown}\none trial, drawn: palpate show t{}\nas a file, with frames: palpate dataset export \
+             {dataset} --format parquet (or csv, npz, ..)",
             first.trial_id.0
         );
     } else if is_everything {

@@ -40,7 +40,7 @@ const CELL_MAX: usize = 60;
 /// Options of `query`.
 #[derive(Debug, Clone, Args)]
 pub struct QueryArgs {
-    /// One SELECT statement; `-` reads it from standard input. Without it: the tables.
+    /// One SELECT statement, in quotes; `-` reads it from standard input. Without it: the tables.
     #[arg(value_name = "SELECT ..")]
     pub sql: Option<String>,
     /// Format of the file, or of standard output; default: by the ending of --out, else a table.

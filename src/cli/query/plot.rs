@@ -33,7 +33,7 @@ pub struct PlotArgs {
     /// A run (number, start of the id, or `last`), and conditions as of `palpate trials`.
     #[arg(value_name = "RUN|COLUMN__gt=VALUE")]
     pub of: Vec<String>,
-    /// File of the picture; ends in .svg, .png or .pdf [default: palpate-plot.svg].
+    /// File of the picture; ends in .svg, .png or .pdf.
     #[arg(long, short, value_name = "FILE", default_value = "palpate-plot.svg",
         value_parser = figure_file)]
     pub out: PathBuf,

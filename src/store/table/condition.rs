@@ -1,12 +1,13 @@
 //! Filters, `COLUMN__gt=VALUE`: one language for stored trials and runs, where a condition becomes
 //! SQL, and for the rows of datasets, where it becomes a mask. A NULL meets no condition.
-//! Uses: `column`. Never: text of a request inside a statement.
+//! Uses: `column`, `near` of words. Never: text of a request inside a statement.
 
 use jiff::Timestamp;
 
 use super::column::{self, Column, Kind, TABLE};
 use crate::core::bulk::Statement;
 use crate::core::columns::time_text;
+use crate::near::did_you_mean;
 
 /// Operator of a condition.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -155,10 +156,13 @@ impl Part {
     fn from_pair(table: &'static [Column], key: &str, value: &str) -> Result<Self, String> {
         let (name, suffix) = key.rsplit_once("__").unwrap_or((key, "eq"));
         let comparable = || column::names_of(table, |column| column.kind() != Kind::List);
-        let column = table
-            .iter()
-            .find(|column| column.name == name)
-            .ok_or_else(|| format!("there is no column {name}; there are {}", comparable()))?;
+        let column = table.iter().find(|column| column.name == name).ok_or_else(|| {
+            let all = comparable();
+            format!(
+                "there is no column {name}; there are {all}{}",
+                did_you_mean(name, all.split(", "))
+            )
+        })?;
         let comparison = match suffix {
             "eq" | "in" => Comparison::Equal,
             "gt" => Comparison::Greater,
@@ -305,6 +309,7 @@ mod tests {
     fn what_is_wrong_names_the_column_and_the_choices() {
         let wrong = |text: &str| Condition::parse(text).unwrap_err();
         assert!(wrong("colour=red").contains("contact_count"));
+        assert!(wrong("deph__gt=3").ends_with("; did you mean `depth_mm`?"));
         assert!(wrong("voltages_v__gt=1").contains("cannot be compared; filter by trial_id"));
         assert!(wrong("tips__near=3").contains("gte"));
         assert!(wrong("tips__gt=many").contains("tips holds numbers"));

@@ -328,7 +328,7 @@ impl Operator {
                     self.weights_down = false;
                 }
                 self.tell_rig(&json!({ "cmd": "mount", "tips": tips })).await?;
-                Ok(format!("mounted {tips} tips"))
+                Ok(format!("mounted {}", counted(*tips, "tip")))
             }
             Requested::Weights { trial, contacts } => {
                 let placed = match refusals {
@@ -340,7 +340,8 @@ impl Operator {
                 };
                 self.tell_rig(&json!({ "cmd": "place", "weights": placed })).await?;
                 self.weights_down = !contacts.is_empty();
-                Ok(format!("placed {} weights for trial {trial}", contacts.len()))
+                let placed = counted(contacts.len(), "weight");
+                Ok(format!("placed {placed} for trial {trial}"))
             }
         }
     }
@@ -389,6 +390,11 @@ impl Operator {
         }
         Ok(reply)
     }
+}
+
+/// A number with its noun.
+fn counted(count: usize, noun: &str) -> String {
+    format!("{count} {noun}{}", if count == 1 { "" } else { "s" })
 }
 
 #[cfg(test)]

@@ -85,7 +85,7 @@ async fn it_does_what_the_run_asks_says_so_and_goes_home() {
         heard.lock().unwrap().iter().map(|l| serde_json::from_str(l).unwrap()).collect();
     let who = "virtual operator";
     let weight = json!({ "x_mm": 100.0, "y_mm": 80.0, "force_n": 4.905 });
-    let placed = "placed 1 weights for trial 12";
+    let placed = "placed 1 weight for trial 12";
     assert_eq!(
         heard,
         [

@@ -80,7 +80,12 @@ fn end(facts: &Facts) -> Option<Finding> {
     if stored + summary.trials_skipped >= planned {
         return None;
     }
-    let reason = run.reason.as_deref().map_or_else(String::new, |reason| format!(": {reason}"));
+    let reason = run.reason.as_deref();
+    // "stopped at 56 of 264 trials" states both already.
+    if let Some(reason) = reason.filter(|reason| reason.starts_with(&state)) {
+        return act(format!("The run ended short of its plan: {reason}."));
+    }
+    let reason = reason.map_or_else(String::new, |reason| format!(": {reason}"));
     act(format!(
         "The run ended short of its plan ({state}{reason}): {} trials are stored.",
         stored_words(stored, planned)

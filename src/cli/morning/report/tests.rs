@@ -102,6 +102,12 @@ fn a_run_that_ended_short_or_has_not_ended_says_so() {
     let said = one(&facts);
     assert!(said.contains("short of its plan") && said.contains("12 of 40"), "{said}");
     facts.summary = summary(|s| {
+        s["trials_stored"] = 12.into();
+        s["run"]["exit_status"] = "stopped".into();
+        s["run"]["reason"] = "stopped at 12 of 40 trials".into();
+    });
+    assert!(one(&facts).ends_with("The run ended short of its plan: stopped at 12 of 40 trials."));
+    facts.summary = summary(|s| {
         s["run"]["exit_status"] = Value::Null;
         s["run"]["state"] = "interrupted".into();
         s["trials_stored"] = 12.into();
