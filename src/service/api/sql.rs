@@ -5,7 +5,7 @@ use arrow_schema::ArrowError;
 use axum::Json;
 use axum::http::HeaderMap;
 use axum::response::{IntoResponse, Response};
-use futures::stream::unfold;
+use futures::stream::{StreamExt, iter, unfold};
 use serde::{Deserialize, Serialize};
 use serde_json::value::RawValue;
 use utoipa::{IntoParams, ToSchema};
@@ -157,10 +157,12 @@ async fn answer(app: &App, headers: &HeaderMap, request: QueryRequest) -> ApiRes
 /// `ApiError` if the format cannot hold a column, or the first rows cannot be read or encoded.
 pub async fn streamed(format: Format, mut rows: ResultRows) -> ApiResult<Response> {
     let mut encoder = RowEncoder::new(format, &rows.schema)?;
-    if let Some(first) = rows.next().await {
-        encoder.push(&first.map_err(unreadable)?)?;
-    }
+    let rest = match rows.next().await {
+        Some(first) => encoder.begin(first.map_err(unreadable)?)?,
+        None => None,
+    };
     let batches = unfold(rows, |mut rows| async move { Some((rows.next().await?, rows)) });
+    let batches = iter(rest.map(Ok)).chain(batches);
     Ok(encoder.response(batches, "the answer to a query is incomplete"))
 }
 
