@@ -8,7 +8,7 @@ seconds of the processor instead of the clock's, with one thread each. Inputs ar
 losses and batches are the same. --gpu: RATE_BINARY was built for a GPU, and PyTorch runs on the NVIDIA GPU, by
 its defaults (TF32 in convolutions alone); both copy every batch from host memory. Needs torch.
 """
-import argparse, json, statistics, subprocess, sys, time
+import argparse, json, statistics, subprocess, time
 import torch
 from torch import nn
 

@@ -56,6 +56,7 @@ export function exportsPanel({ signal }) {
       { head: 'State', cell: state, left: true },
       { head: 'Size', cell: one => bytes(one.bytes) },
       { head: 'Requested', cell: one => `${moment(one.created_at)} by ${one.asked_by}` },
+      { head: 'Last used', cell: one => moment(one.last_used_at) },
       { head: 'Save', cell: one => one.url && save('Save', one.url, `${one.dataset ?? one.request.dataset}.${formatOf(one.request.format)?.extension ?? one.request.format}`) },
     ],
   })

@@ -55,6 +55,7 @@ export async function show(root, { query, signal, set, go }) {
       { head: 'Parts', cell: item => partsWords(item.report), left: true },
       { head: 'Size', cell: item => bytes(item.bytes) },
       { head: 'Made', cell: item => el('span', {}, moment(item.created_at), newest(item) ? '' : el('span', { className: 'soft' }, ' (older)')) },
+      { head: 'Last used', cell: item => moment(item.last_used_at) },
     ],
   })
   const offered = el('div', { className: 'offers' })

@@ -9,7 +9,6 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use utoipa::ToSchema;
 
-use super::App;
 use super::audit::Act;
 use super::pages::{Cursors, Page, PageParams, PageRequest};
 use super::params::{FileParams, RowGroupParams, RowsParams};
@@ -17,6 +16,7 @@ use super::problem::{ApiError, ApiResult, Body, Path};
 use super::query::{GroupsOf, GroupsRequest, file_query, for_pages, groups_query, rows_query};
 use super::send::{self, Download};
 use super::trials::grouped;
+use super::{App, accept};
 use crate::dataset::definition::Definition;
 use crate::dataset::error::DatasetError;
 use crate::dataset::format::{Format, UnknownFormat};
@@ -316,7 +316,7 @@ pub async fn rows(
     headers: HeaderMap,
 ) -> ApiResult<Response> {
     let requested = rows_query(&pairs).map_err(ApiError::bad_query)?;
-    let format = requested.format.or_else(|| send::accepted(&headers));
+    let format = accept::of_list(requested.format, &pairs, &headers)?;
     format.map_or(Ok(()), for_pages).map_err(ApiError::bad_query)?;
     let at: Option<RowsAt> = cursors.position(&pairs)?;
     let from = at.as_ref().map_or(0, |at| at.from);
@@ -363,7 +363,7 @@ pub async fn groups(
         groups_query(&pairs, GroupsOf::Dataset).map_err(ApiError::bad_query)?;
     let row = app.datasets.find(&dataset).await?;
     let sql = groups.sql(row.id.as_str(), &conditions(&query), query.limit);
-    grouped(&app, sql, format.or_else(|| send::accepted(&headers))).await
+    grouped(&app, sql, accept::of_list(format, &pairs, &headers)?).await
 }
 
 /// Returns a dataset as a file: `real.parquet`, `ds-0123.npz`, `run-3.csv`.

@@ -37,6 +37,8 @@ const NO_KEY: Refusal = ("401", "NoKey", "the key is missing, unknown or revoked
 const FORBIDDEN: Refusal =
     ("403", "Forbidden", "the role is too low, or the request is from a page of another origin");
 const NOT_FOUND: Refusal = ("404", "NotFound", "an object that the address names does not exist");
+const NOT_ACCEPTED: Refusal =
+    ("406", "NotAccepted", "the header `Accept` permits no format of the response");
 const TOO_SLOW: Refusal = ("408", "TooSlow", "the body arrived too slowly");
 const LOCKED: Refusal = ("409", "Locked", "another person holds the operator lock");
 const TOO_LARGE: Refusal = ("413", "TooLarge", "the body is too large");
@@ -49,8 +51,9 @@ const NO_SOCKET: Refusal = ("426", "NoSocket", "the request does not ask for a W
 const TOO_MANY: Refusal = ("429", "TooMany", "the caller has too many requests in progress");
 const LONG_HEADERS: Refusal = ("431", "LongHeaders", "the headers are too many or too long");
 const BUSY: Refusal = ("503", "Busy", "all connections are in use, or the service ends");
-const ALL: [Refusal; 16] = [
+const ALL: [Refusal; 17] = [
     NOT_FOUND,
+    NOT_ACCEPTED,
     NO_SOCKET,
     BAD_REQUEST,
     NO_KEY,
@@ -177,6 +180,7 @@ fn complete_operation(operation: &mut Operation, method: &Method, needs: &Needs)
         }
     }
     if pages && let Some(RefOr::T(page)) = responses.get_mut("200") {
+        refusals.push(NOT_ACCEPTED);
         let formats = Format::ALL.into_iter().filter(|format| format.streams());
         page.content.extend(formats.map(|format| (format.media_type().into(), table().into())));
     }

@@ -30,6 +30,7 @@ use crate::schedule::experiment::Experiment;
 use crate::store::{KeyRing, Store};
 use crate::twins::TwinPool;
 
+mod accept;
 mod access;
 mod audit;
 mod auth;

@@ -112,7 +112,11 @@ fn page(cursor: &str) -> [Parameter; 3] {
     [
         parameter("limit", "number of rows per page, default 100", limit.into()),
         parameter("cursor", cursor, text()),
-        parameter("format", "format of the response; may also be given by `Accept`", format.into()),
+        parameter(
+            "format",
+            "format of the response; else that of `Accept`, else json",
+            format.into(),
+        ),
     ]
 }
 

@@ -26,7 +26,7 @@ pub struct TrialsRequest {
     pub sort: Option<Sort>,
     /// Columns and slice of the frames.
     pub wanted: Wanted,
-    /// Format; `None` for JSON or the format of the `Accept` header.
+    /// Format; `None` for JSON, or if the header `Accept` decides.
     pub format: Option<Format>,
 }
 
@@ -35,7 +35,7 @@ pub struct TrialsRequest {
 pub struct RowsRequest {
     /// Conditions, columns, slice and force map.
     pub wanted: Wanted,
-    /// Format; `None` for JSON or the format of the `Accept` header.
+    /// Format; `None` for JSON, or if the header `Accept` decides.
     pub format: Option<Format>,
     /// Order; `None` for the order of the file.
     pub sort: Option<Sort>,
@@ -138,7 +138,7 @@ pub struct GroupsRequest {
     pub query: TrialQuery,
     /// Groups, aggregates, order.
     pub groups: Grouping,
-    /// Format; `None` for JSON or the format of the `Accept` header.
+    /// Format; `None` for JSON, or if the header `Accept` decides.
     pub format: Option<Format>,
 }
 

@@ -21,13 +21,12 @@ use tokio::sync::{broadcast, watch};
 use tokio::time::timeout;
 use utoipa::IntoParams;
 
-use super::App;
 use super::encoder::RowEncoder;
 use super::limits::{FRAME_CLIENTS, RECORDED_FRAMES};
 use super::problem::{ApiError, ApiResult, Params};
 use super::query::for_pages;
-use super::send;
 use super::turns::place;
+use super::{App, accept};
 use crate::campaign::bench::rig_state::RigState;
 use crate::dataset::format::Format;
 use crate::dataset::schema::VOLTAGES_V;
@@ -38,6 +37,9 @@ use crate::simulate::schema::{voltage_element, voltages, with_unit};
 const SILENT: Duration = Duration::from_secs(10);
 /// Frames of a batch: about one second of them.
 const BATCH_FRAMES: usize = 30;
+
+/// Media type that clients made from the description of the API ask for: of any format, NDJSON unless one is named.
+const STREAM_TYPE: &str = "application/octet-stream";
 
 /// What is recorded, and how it is written.
 #[derive(Debug, Deserialize, IntoParams)]
@@ -72,7 +74,7 @@ pub async fn record(
         return Err(ApiError::query("frames", frames, &limit));
     }
     let format = match asked.format.as_deref() {
-        None => send::accepted(&headers).unwrap_or(Format::Ndjson),
+        None => accept::accepted(&headers, STREAM_TYPE)?.unwrap_or(Format::Ndjson),
         Some(name) => name
             .parse::<Format>()
             .map_err(|error| ApiError::query("format", name, &error.to_string()))?,

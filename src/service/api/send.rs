@@ -163,16 +163,6 @@ fn digest(sha256: &str) -> Option<String> {
     Some(format!("sha-256=:{}:", base64::engine::general_purpose::STANDARD.encode(bytes)))
 }
 
-/// Returns the format that an `Accept` header names; `None` if it names none.
-pub fn accepted(headers: &HeaderMap) -> Option<Format> {
-    let accept = headers.get(header::ACCEPT)?.to_str().ok()?;
-    let types: Vec<&str> =
-        accept.split(',').filter_map(|part| part.split(';').next()).map(str::trim).collect();
-    Format::ALL
-        .into_iter()
-        .find(|format| types.iter().any(|name| format.media_type().split(';').next() == Some(name)))
-}
-
 /// Output buffer of a stream of rows, emptied piece by piece. Clones share it.
 #[derive(Debug, Clone, Default)]
 pub struct Piece(Arc<Mutex<Vec<u8>>>);

@@ -5,18 +5,17 @@ use arrow_schema::ArrowError;
 use axum::Json;
 use axum::http::HeaderMap;
 use axum::response::{IntoResponse, Response};
-use futures::stream::unfold;
+use futures::stream::{StreamExt, iter, unfold};
 use serde::{Deserialize, Serialize};
 use serde_json::value::RawValue;
 use utoipa::{IntoParams, ToSchema};
 
-use super::App;
 use super::audit::cut;
 use super::encoder::RowEncoder;
 use super::limits::{QUERY_JSON_MAX_BYTES, REPEATED_CHARS};
 use super::problem::{ApiError, ApiResult, Body, Params};
 use super::query::for_pages;
-use super::send;
+use super::{App, accept, send};
 use crate::dataset::error::DatasetError;
 use crate::dataset::format::Format;
 use crate::dataset::schema::type_words;
@@ -77,6 +76,7 @@ pub struct QueryTable {
     request_body = QueryRequest, responses((status = 200, body = QueryOut),
         (status = 400,
             description = "the statement is invalid, or needs more time, memory or rows than a query may use"),
+        (status = 406, description = "the header `Accept` permits no format of the response"),
         (status = 503,
             description = "the query engine is being built, or other queries are in progress (with `Retry-After`)")))]
 pub async fn ask(
@@ -125,7 +125,7 @@ pub async fn tables(app: App) -> ApiResult<Json<Vec<QueryTable>>> {
 
 async fn answer(app: &App, headers: &HeaderMap, request: QueryRequest) -> ApiResult<Response> {
     let format = match request.format.as_deref() {
-        None => send::accepted(headers),
+        None => accept::accepted(headers, accept::PAGE_TYPE)?,
         Some("json") => None,
         Some(name) => Some(
             name.parse::<Format>()
@@ -157,10 +157,12 @@ async fn answer(app: &App, headers: &HeaderMap, request: QueryRequest) -> ApiRes
 /// `ApiError` if the format cannot hold a column, or the first rows cannot be read or encoded.
 pub async fn streamed(format: Format, mut rows: ResultRows) -> ApiResult<Response> {
     let mut encoder = RowEncoder::new(format, &rows.schema)?;
-    if let Some(first) = rows.next().await {
-        encoder.push(&first.map_err(unreadable)?)?;
-    }
+    let rest = match rows.next().await {
+        Some(first) => encoder.begin(first.map_err(unreadable)?)?,
+        None => None,
+    };
     let batches = unfold(rows, |mut rows| async move { Some((rows.next().await?, rows)) });
+    let batches = iter(rest.map(Ok)).chain(batches);
     Ok(encoder.response(batches, "the answer to a query is incomplete"))
 }
 

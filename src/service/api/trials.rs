@@ -15,14 +15,13 @@ use serde::Serialize;
 use serde_json::{Value, json};
 use utoipa::ToSchema;
 
-use super::App;
 use super::encoder::RowEncoder;
 use super::pages::{Cursors, Page, PageParams, PageRequest};
 use super::params::{TrialGroupParams, TrialParams};
 use super::problem::{ApiError, ApiResult, Path};
 use super::query::{GroupsOf, GroupsRequest, TrialsRequest, for_pages, groups_query, trial_query};
 use super::runs::find;
-use super::{send, sql};
+use super::{App, accept, send, sql};
 use crate::dataset::batch::{self, Row};
 use crate::dataset::error::DatasetError;
 use crate::dataset::format::Format;
@@ -101,7 +100,7 @@ async fn page(
 ) -> ApiResult<Response> {
     let TrialsRequest { query, sort, wanted, format } =
         trial_query(run, pairs).map_err(ApiError::bad_query)?;
-    let format = format.or_else(|| send::accepted(headers));
+    let format = accept::of_list(format, pairs, headers)?;
     let request = PageOf { query, sort, from: cursors.position(pairs)?.unwrap_or_default() };
     let (next, response) = match format {
         Some(format) => {
@@ -126,7 +125,7 @@ pub async fn groups(app: App, Query(pairs): Pairs, headers: HeaderMap) -> ApiRes
     let GroupsRequest { query, groups, format } =
         groups_query(&pairs, GroupsOf::StoredTrials).map_err(ApiError::bad_query)?;
     let sql = groups.sql("trials", &groups::conditions(&query), query.limit);
-    grouped(&app, sql, format.or_else(|| send::accepted(&headers))).await
+    grouped(&app, sql, accept::of_list(format, &pairs, &headers)?).await
 }
 
 /// The groups of a statement, as a page.

@@ -14,6 +14,7 @@ async fn what_is_stored_is_read_by_queries() {
     rows_come_in_the_order_of_a_column(&lab).await;
     frames_are_cut_and_maps_sum_to_the_forces(&lab).await;
     stored_trials_come_in_every_format(&lab).await;
+    the_header_accept_selects_a_format(&lab).await;
     bad_queries_are_400_with_the_column_and_the_choices(&lab).await;
     lab.close().await;
 }
@@ -78,6 +79,25 @@ async fn frames_are_cut_and_maps_sum_to_the_forces(lab: &Filled) {
         let contacts = maps["items"][row]["contacts"].as_array().unwrap();
         let forces: Vec<Value> = contacts.iter().map(|c| c["force_n"].clone()).collect();
         assert!((sum(map) / sum(&forces) - 1.0).abs() < 1e-6, "{} {}", sum(map), sum(&forces));
+    }
+}
+
+async fn the_header_accept_selects_a_format(lab: &Filled) {
+    let csv = Format::Csv.media_type();
+    for (accept, parameter, status, kind) in [
+        ("*/*", "", 200, "application/json"),
+        ("application/vnd.apache.parquet;q=0.1, text/csv", "", 200, csv),
+        ("text/csv;q=0.5, application/json;q=0.9", "", 200, "application/json"),
+        ("image/png", "", 406, "application/problem+json"),
+        ("image/png", "&format=json", 200, "application/json"),
+    ] {
+        for list in ["trials", "datasets/real/rows"] {
+            let path = format!("/api/v1/{list}?limit=2{parameter}");
+            let answer = lab.http.get(lab.url(&path)).header("accept", accept).send().await;
+            let answer = answer.unwrap();
+            assert_eq!(answer.status(), status, "{path} {accept}");
+            assert_eq!(answer.headers()["content-type"], kind, "{path} {accept}");
+        }
     }
 }
 

@@ -62,7 +62,11 @@ def first_evening(page, _browser):
     until("the trial before", another)
     # A dataset, its download and its lineage down to a frame.
     api("/datasets", {"name": "run-1"})
+    api("/exports", {"dataset": "run-1", "format": "csv"})
     page.goto(f"{URL}/data")
+    for table in ("Datasets", "Exports"):
+        used = page.get_by_role("region", name=table, exact=True).locator("td[data-head='Last used']").first
+        expect(used).to_have_text(re.compile(r"\d\d:\d\d$"), timeout=LIMIT_MS)
     page.locator("main tbody th a").first.click()
     said(page, re.compile("read_parquet"))
     name, content = downloaded(page, lambda: page.get_by_role("link", name="Parquet", exact=True).first.click())

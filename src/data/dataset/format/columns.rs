@@ -13,8 +13,13 @@ const LOOSE_BYTES: usize = 64;
 /// Returns the number of rows per batch, and so per Parquet row group: 1000, or fewer for wide rows
 /// (force maps), so that a batch holds at most 16 MiB; at least 1.
 pub fn rows_per_batch(schema: &Schema) -> usize {
+    rows_within(schema, BYTES).min(WRITTEN_ROWS)
+}
+
+/// Returns the number of rows that take `most` bytes; at least 1.
+pub fn rows_within(schema: &Schema, most: usize) -> usize {
     let row: usize = schema.fields().iter().map(|field| bytes(field.data_type())).sum();
-    (BYTES / row.max(1)).clamp(1, WRITTEN_ROWS)
+    (most / row.max(1)).max(1)
 }
 
 fn bytes(kind: &DataType) -> usize {

@@ -29,7 +29,7 @@ use serde::{Deserialize, Serialize};
 use zip::result::ZipError;
 
 pub(super) use self::parquet::Writer as ParquetWriter;
-pub use columns::rows_per_batch;
+pub use columns::{rows_per_batch, rows_within};
 
 /// File format of rows. A new format is a variant with its row in the list, and its writer.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]

@@ -21,7 +21,9 @@ use parquet::basic::Encoding;
 use proptest::prelude::*;
 use serde_json::{Value, json};
 
-use super::{Batches, Format, FormatError, Rows, RowsError, Stream, rows_per_batch, write};
+use super::{
+    Batches, Format, FormatError, Rows, RowsError, Stream, rows_per_batch, rows_within, write,
+};
 
 /// Batches in memory, and the number of rows that they claim to be.
 struct Table {
@@ -429,4 +431,6 @@ fn batches_of_wide_rows_are_shorter() {
     assert_eq!(rows_per_batch(&frame(160 * 160)), 163);
     assert_eq!(rows_per_batch(&frame(100_000_000)), 1);
     assert_eq!(rows_per_batch(&Schema::empty()), 1000);
+    assert_eq!(rows_within(&frame(784), 256 << 10), 83);
+    assert_eq!(rows_within(&frame(784), 1), 1);
 }
