@@ -1,5 +1,5 @@
 //! A table of numbers: CSV with a header, `#` comments, and every invalid cell reported.
-//! PURE. Uses: the csv crate, `problem`. Never: the meaning of the numbers.
+//! PURE. Uses: the csv crate, `problem`, `record`. Never: the meaning of the numbers.
 
 use crate::problem::Problem;
 use crate::record::Label;
