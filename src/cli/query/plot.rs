@@ -67,7 +67,9 @@ pub async fn plot(client: &Client, args: &PlotArgs) -> CliResult<()> {
     let (question, answer, heading) = if is_statement {
         let answer: Answer = ask(client, &args.what).await?;
         let title = args.title.clone().unwrap_or_else(|| title_of(&answer));
-        let heading = Heading::new(&title, answer.count, "rows", "query").with_note(&args.what);
+        let labels: Answer = ask(client, &Trials::default().labels()).await?;
+        let heading = Heading::new(&title, answer.count, "rows", &origin(&labels));
+        let heading = heading.with_note(&args.what);
         let question = of_statement(&args.what, &title, &answer);
         (question, answer, heading)
     } else {
@@ -168,6 +170,14 @@ fn label(labels: &Answer) -> (String, u64) {
     (names.join(" and "), count)
 }
 
+/// The origin of an answer to a statement, which may read any table: the label of all stored trials.
+fn origin(labels: &Answer) -> String {
+    match label(labels).0 {
+        none if none.is_empty() => "query".into(),
+        stored => format!("query, stored trials {stored}"),
+    }
+}
+
 /// The first column as places, the other columns of numbers as series.
 fn chart(question: &Question, marks: Marks, answer: &Answer) -> Result<Chart, String> {
     let (first, values) = answer.columns.split_first().ok_or("has no columns")?;
@@ -233,5 +243,7 @@ mod tests {
             json!([{ "label": "measured", "trials": 2 }, { "label": "virtual", "trials": 5 }]),
         );
         assert_eq!(label(&labels), ("measured and virtual".into(), 7));
+        assert_eq!(origin(&labels), "query, stored trials measured and virtual");
+        assert_eq!(origin(&Answer { count: 0, rows: Vec::new(), ..labels }), "query");
     }
 }

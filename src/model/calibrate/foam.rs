@@ -26,6 +26,7 @@ use super::table::{self, Column, Row};
 use super::{CalibrateError, accuracy};
 use crate::digest::sha256_hex;
 use crate::problem::Problem;
+use crate::record::Label;
 
 const MOST_MM: f64 = 1e4;
 const FOAM_COLUMNS: [Column; 7] = [
@@ -66,6 +67,8 @@ pub struct Indentation {
 pub struct FoamFit {
     /// Result for the calibration file.
     pub calibration: FoamCalibration,
+    /// Origin of the table.
+    pub label: Label,
     /// The measurements, each with the fitted displacement.
     pub rows: Vec<FittedRow>,
     /// Standard deviation of the residuals, mm.
@@ -177,7 +180,7 @@ fn finish<const P: usize>(
         displacement: accuracy(&measured, &modelled).ok_or_else(alike)?,
     };
     let (residual_sd_mm, t_95) = (r.residual_sd, r.t_95());
-    Ok(FoamFit { calibration, rows: fitted, residual_sd_mm, t_95 })
+    Ok(FoamFit { calibration, label: table::label(text), rows: fitted, residual_sd_mm, t_95 })
 }
 
 /// The skin under the rows' loads, at any moduli.

@@ -16,6 +16,7 @@ use super::CalibrateError;
 use super::regression::{self, Prediction, Regression, RegressionError};
 use super::table::{self, Column};
 use crate::digest::sha256_hex;
+use crate::record::Label;
 
 const PIEZO_COLUMNS: [Column; 2] = [
     Column::number(
@@ -49,6 +50,8 @@ pub struct Compression {
 pub struct PiezoFit {
     /// Result for the calibration file.
     pub calibration: PiezoCalibration,
+    /// Origin of the table.
+    pub label: Label,
     /// Rows of the table.
     pub rows: Vec<Compression>,
     regression: Regression<3>,
@@ -115,7 +118,7 @@ pub fn calibrate(file: &str, text: &str, sensor: &Piezo) -> Result<PiezoFit, Cal
         b_per_mm,
         c_ohm: holds_c.then_some(c_ohm),
     };
-    Ok(PiezoFit { calibration, rows, regression })
+    Ok(PiezoFit { calibration, label: table::label(text), rows, regression })
 }
 
 /// Whether an interval determines its number; an interval that is not a number does not.

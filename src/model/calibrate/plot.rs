@@ -12,8 +12,6 @@ use crate::figure::{Area, Drawn, Heading, PageSize, figure};
 const FIT_SIZE: PageSize = PageSize { width_px: 860, height_px: 520 };
 const FIT: RGBColor = COLOURS[1];
 const CURVE_STEPS: u32 = 200;
-/// Label of the measurements: a table of a test bench.
-const LABEL: &str = "measured";
 
 /// Draws Eq. 1 over a compression test: as Fig. 5, resistance on a logarithmic axis.
 ///
@@ -30,7 +28,7 @@ fn piezo_heading(fit: &PiezoFit) -> Heading {
     let note =
         format!("Fit: a = {:.2e} ohm, b = {:.3} /mm, {tail}", c.a_ohm.value, c.b_per_mm.value);
     let title = "Resistance of the compressed foam, and Eq. 1 fitted";
-    Heading::new(title, fit.rows.len() as u64, "rows", LABEL).with_note(note)
+    Heading::new(title, fit.rows.len() as u64, "rows", fit.label.as_str()).with_note(note)
 }
 
 fn draw_piezo(area: &Area<'_>, fit: &PiezoFit) -> Drawn {
@@ -71,7 +69,7 @@ fn draw_piezo(area: &Area<'_>, fit: &PiezoFit) -> Drawn {
     let dots = fit.rows.iter().map(|r| dot(r.displacement_mm, r.resistance_ohm, INK));
     chart
         .draw_series(dots)?
-        .label("measured")
+        .label("rows of the table")
         .legend(|(x, y)| Circle::new((x + 9, y), 3, INK.mix(0.7).filled()));
     legend(&mut chart, SeriesLabelPosition::UpperRight)
 }
@@ -92,11 +90,11 @@ fn foam_heading(fit: &FoamFit) -> Heading {
     let c = &fit.calibration;
     let fabric = if c.fabric_factor.is_some() { "fitted" } else { "not fitted" };
     let note = format!(
-        "Fit: foam {:.4} MPa, fabrics {:.3} and {:.3} MPa ({fabric}). Lines: fit; bands: 95 % of further measurements; dots: measured",
+        "Fit: foam {:.4} MPa, fabrics {:.3} and {:.3} MPa ({fabric}). Lines: fit; bands: 95 % of further measurements; dots: rows of the table",
         c.foam_mpa.value, c.bottom_mpa, c.top_mpa
     );
     let title = "Displacement of the skin by a force, and the moduli fitted";
-    Heading::new(title, fit.rows.len() as u64, "rows", LABEL).with_note(note)
+    Heading::new(title, fit.rows.len() as u64, "rows", fit.label.as_str()).with_note(note)
 }
 
 fn draw_foam(area: &Area<'_>, fit: &FoamFit) -> Drawn {

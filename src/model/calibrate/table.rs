@@ -1,7 +1,8 @@
 //! A table of numbers: CSV with a header, `#` comments, and every invalid cell reported.
-//! PURE. Uses: the csv crate, `problem`. Never: the meaning of the numbers.
+//! PURE. Uses: the csv crate, `problem`, `record`. Never: the meaning of the numbers.
 
 use crate::problem::Problem;
+use crate::record::Label;
 
 /// Number of problems after which reading ends: a file in another format has one in every row.
 const MOST_PROBLEMS: usize = 20;
@@ -81,6 +82,14 @@ pub fn read(file: &str, text: &str, columns: &[Column]) -> Result<Vec<Row>, Vec<
         }
     }
     if problems.is_empty() { Ok(rows) } else { Err(problems) }
+}
+
+/// Origin of a table: virtual if a comment above its header begins with `SYNTHETIC`, otherwise measured.
+pub fn label(text: &str) -> Label {
+    let above = text.trim_start_matches('\u{feff}').lines().map(str::trim);
+    let mut above = above.take_while(|line| line.is_empty() || line.starts_with('#'));
+    let is_synthetic = |line: &str| line.trim_start_matches(['#', ' ']).starts_with("SYNTHETIC");
+    if above.any(is_synthetic) { Label::Virtual } else { Label::Measured }
 }
 
 /// Lines of records. The csv crate returns the position from which it searched for a record: blank
@@ -178,6 +187,13 @@ mod tests {
         assert_eq!(rows.len(), 2);
         assert_eq!(rows[0].values, [Some(2.0), Some(0.5)]);
         assert_eq!(rows[1], Row { line: 6, values: vec![Some(3.0), Some(-0.5)] });
+    }
+
+    #[test]
+    fn a_table_is_measured_unless_it_begins_with_the_comment_that_it_is_synthetic() {
+        let of = |above: &str| label(&format!("{above}x_mm\n# SYNTHETIC row\n1\n"));
+        assert_eq!(of("\u{feff}# bench 3\n\n#  SYNTHETIC, from Eq. 1\n"), Label::Virtual);
+        assert_eq!([of(""), of("# bench 3\n")], [Label::Measured; 2]);
     }
 
     #[test]
