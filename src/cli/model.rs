@@ -16,6 +16,7 @@ use super::output::{Output, say, say_json};
 use super::table::Table;
 use super::{At, embed};
 use crate::api::{ModelOut, PromotionRequest, RollBackRequest, ServesOut, ServingOut};
+use crate::evaluate::quantities::QuantityScores;
 use crate::evaluate::request::EvaluationReport;
 use crate::ids::{CalibrationId, PromotedId};
 use crate::infer::slot::Slot;
@@ -260,7 +261,7 @@ fn cells(model: &ModelOut) -> [String; 6] {
         model.task.clone(),
         label.into(),
         if model.serves { "serves" } else { "" }.into(),
-        last.map_or_else(String::new, |report| score(&report)),
+        last.map_or_else(|| "not scored".into(), |report| score(&report)),
     ]
 }
 
@@ -274,6 +275,9 @@ fn score(report: &EvaluationReport) -> String {
     if let Some(voltages) = &report.voltages {
         return format!("FVU {:.1} % of {} rows", 100.0 * voltages.all.fvu, report.rows);
     }
+    if let Some(scores) = &report.quantity {
+        return format!("{} {} of {} rows", scores.quantity, wrong(scores), scores.rows);
+    }
     let Some(contacts) = &report.contacts else { return String::new() };
     let mean = |mean: &Option<crate::evaluate::score::Mean>| mean.as_ref().map(|mean| mean.mean);
     let shown = |value: Option<f64>| value.map_or("-".into(), |value| format!("{value:.1}"));
@@ -286,9 +290,52 @@ fn score(report: &EvaluationReport) -> String {
     )
 }
 
+/// How wrong answers of a quantity are.
+fn wrong(scores: &QuantityScores) -> String {
+    match (scores.right, scores.quantity.as_str()) {
+        (Some(right), _) => format!("right in {:.1} %", 100.0 * right.mean),
+        (None, "position") => format!("wrong by {:.2} mm", scores.error.mean),
+        (None, _) => format!("wrong by {:.2} N", scores.error.mean),
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::evaluate::score::Mean;
+    use crate::ids::ModelId;
+
+    #[test]
+    fn the_score_of_a_quantity_states_its_unit() {
+        let mean = Mean::of_rows(&[0.5, 1.0], 1);
+        let scores = |quantity: &str, right: Option<Mean>| QuantityScores {
+            quantity: quantity.into(),
+            rows: 2,
+            left_out: 0,
+            error: mean.unwrap(),
+            median_error: 0.75,
+            right,
+            constant_error: 9.0,
+        };
+        assert_eq!(wrong(&scores("position", None)), "wrong by 0.75 mm");
+        assert_eq!(wrong(&scores("force", None)), "wrong by 0.75 N");
+        assert_eq!(wrong(&scores("count", mean)), "right in 75.0 %");
+    }
+
+    #[test]
+    fn a_model_without_a_score_is_listed_as_not_scored() {
+        let model = ModelOut {
+            id: ModelId::unchecked("mdl-1"),
+            name: "mlp-force".into(),
+            task: "force".into(),
+            slot: None,
+            manifest: json!({ "label": "virtual" }),
+            created_at: jiff::Timestamp::UNIX_EPOCH,
+            serves: false,
+            scores: Vec::new(),
+        };
+        assert_eq!(line(&model), "mdl-1  mlp-force  force  virtual  not scored");
+    }
 
     #[test]
     fn a_promotion_states_what_limits_its_answers() {

@@ -143,6 +143,9 @@ async fn a_run_and_a_trial_are_drawn_as_plain_text_without_a_terminal(lab: &Fill
         assert_eq!(at(&lines("1", part)), at(stored["items"].as_array().unwrap()), "{part}");
     }
     assert!(!lines("1", "tares").is_empty());
+    let none = command(&url, &["show", "3", "--raw", "attempts"]).output().unwrap();
+    assert!(none.status.success() && none.stdout.is_empty(), "{none:?}");
+    assert!(String::from_utf8_lossy(&none.stderr).contains("run 3 has no failed attempts"));
     let frames = lab.get(&format!("/api/v1/trials/{}/frames", trial["trial_id"])).await;
     let printed = lines(&key, "frames");
     assert_eq!(Some(printed.len()), frames["items"].as_array().map(Vec::len));

@@ -99,14 +99,16 @@ fn find(
 }
 
 fn open_line(name: &str, config: &LineConfig, clock: &Clock) -> Line {
-    let (framing, opener) = match config {
-        LineConfig::ModbusTcp { address, .. } => (Framing::Tcp, tcp_opener(address.clone())),
+    let (framing, port, opener) = match config {
+        LineConfig::ModbusTcp { address, .. } => {
+            (Framing::Tcp, address, tcp_opener(address.clone()))
+        }
         LineConfig::ModbusRtu { path, baud, parity, .. } => {
             let settings = SerialSettings { path: path.clone(), baud: *baud, parity: *parity };
-            (Framing::Rtu, serial_opener(settings))
+            (Framing::Rtu, path, serial_opener(settings))
         }
     };
-    Line::spawn(name, framing, opener, policy(config), clock.clone())
+    Line::spawn(name, framing, port, opener, policy(config), clock.clone())
 }
 
 /// Deadlines and limits that follow from the settings of a line.

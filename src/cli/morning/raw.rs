@@ -1,6 +1,8 @@
 //! `palpate show RUN|TRIAL --raw PART`: what the service stores of a run or a trial, as JSON for scripts.
 //! Uses: `client`. Never: a change, or words for people (`show` has them).
 
+use std::fmt::Display;
+
 use clap::ValueEnum;
 use serde_json::Value;
 
@@ -8,7 +10,7 @@ use super::show_trial::{Frames, named, stored};
 use crate::cli::client::Client;
 use crate::cli::error::{CliError, CliResult};
 use crate::cli::find::find_run;
-use crate::cli::output::{say, say_json};
+use crate::cli::output::{note, say, say_json};
 
 /// Records per request; a longer list has several pages.
 const PAGE_RECORDS: usize = 1000;
@@ -38,26 +40,25 @@ pub enum Part {
 /// `CliError::Problems` if the part is not one of what was named; others as [`Client::send`].
 pub async fn show(client: &Client, what: &str, part: Part) -> CliResult<()> {
     let client = client.showing("reading");
-    let (kind, is_list) = match part {
-        Part::Plan => ("plan", false),
-        Part::Preflight => ("preflight", false),
-        Part::Attempts => ("records/attempts", true),
-        Part::Tares => ("records/tares", true),
-        Part::TouchOffs => ("records/touch-offs", true),
-        Part::References => ("records/references", true),
+    // Of a list, with the name of its records.
+    let (kind, records) = match part {
+        Part::Plan => ("plan", None),
+        Part::Preflight => ("preflight", None),
+        Part::Attempts => ("records/attempts", Some("failed attempts")),
+        Part::Tares => ("records/tares", Some("tares")),
+        Part::TouchOffs => ("records/touch-offs", Some("touch-offs")),
+        Part::References => ("records/references", Some("reference presses")),
         Part::Frames => return frames(&client, what).await,
     };
     if named(what).is_some() {
         let limit = "must be a run for this part; --raw frames is the part of a trial";
         return Err(CliError::argument("RUN|TRIAL", what, limit));
     }
-    let run = find_run(&client, what).await?.uid;
-    let path = format!("/api/v1/runs/{run}/{kind}");
-    if is_list {
-        let records: Vec<Value> = client.all(&format!("{path}?limit={PAGE_RECORDS}")).await?;
-        for record in &records {
-            say_json(record);
-        }
+    let run = find_run(&client, what).await?;
+    let path = format!("/api/v1/runs/{}/{kind}", run.uid);
+    if let Some(name) = records {
+        let list: Vec<Value> = client.all(&format!("{path}?limit={PAGE_RECORDS}")).await?;
+        print(&list, format_args!("run {} has no {name}", run.scan_id));
     } else {
         say(client.text(&path).await?.trim_end());
     }
@@ -71,8 +72,14 @@ async fn frames(client: &Client, what: &str) -> CliResult<()> {
     };
     let trial = stored(client, &name, Frames::Without).await?.trial_id.0;
     let frames: Vec<Value> = client.all(&format!("/api/v1/trials/{trial}/frames?")).await?;
-    for frame in &frames {
-        say_json(frame);
-    }
+    print(&frames, format_args!("trial t{trial} has no raw frames"));
     Ok(())
+}
+
+/// Prints records, one per line. `none`: the note, on standard error, if there are none.
+fn print(records: &[Value], none: impl Display) {
+    if records.is_empty() {
+        note(none);
+    }
+    records.iter().for_each(say_json);
 }

@@ -129,6 +129,7 @@ fn pieces<E>(
 
 #[cfg(test)]
 mod tests {
+    use std::slice::from_ref;
     use std::sync::Arc;
 
     use arrow_array::{ArrayRef, Float32Array};
@@ -160,7 +161,8 @@ mod tests {
                 longest = longest.max(piece.len());
                 text.extend_from_slice(&piece);
             }
-            assert!(text == encoded(format, &schema, &[batch.clone()]).unwrap(), "{format}");
+            let whole = encoded(format, &schema, from_ref(&batch)).unwrap();
+            assert!(text == whole, "{format}");
             assert!(longest < text.len() / 5, "{format}: {longest} of {} bytes", text.len());
         }
     }

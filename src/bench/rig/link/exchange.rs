@@ -30,6 +30,8 @@ use crate::clock::Clock;
 const RETRY_STEP: Duration = Duration::from_millis(25);
 /// Wait before the request to a busy device (exceptions 5 and 6) is repeated.
 const BUSY_BACKOFF: Duration = Duration::from_millis(10);
+/// Words of tokio-util for a connection that was closed within a frame.
+const ENDS_WITHIN_FRAME: &str = "bytes remaining on stream";
 
 /// Deadlines and limits of a line.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -112,6 +114,8 @@ pub(super) enum Next {
 /// The connection of a wire, opened by the first exchange.
 pub(super) struct Wire {
     framing: Framing,
+    /// Address or path, for errors.
+    port: String,
     opener: Opener,
     policy: LinePolicy,
     clock: Clock,
@@ -126,6 +130,7 @@ pub(super) struct Wire {
 impl Wire {
     pub(super) fn new(
         framing: Framing,
+        port: String,
         opener: Opener,
         policy: LinePolicy,
         clock: Clock,
@@ -133,7 +138,18 @@ impl Wire {
     ) -> Self {
         let silent_since = clock.now();
         let (context, opened, silent) = (None, false, BTreeSet::new());
-        Self { framing, opener, policy, clock, context, opened, silent, silent_since, counters }
+        Self {
+            framing,
+            port,
+            opener,
+            policy,
+            clock,
+            context,
+            opened,
+            silent,
+            silent_since,
+            counters,
+        }
     }
 
     fn close(&mut self) {
@@ -196,7 +212,7 @@ impl Wire {
                 self.silent.insert(job.unit);
                 return Err(LineError::NoReply { timeout_ms: limit.as_millis() as u64 });
             }
-            Ok(Err(error)) => return Err(from_wire(&error)),
+            Ok(Err(error)) => return Err(from_wire(&error, &self.port)),
             Ok(Ok(outcome)) => outcome,
         };
         self.silent.remove(&job.unit);
@@ -269,7 +285,7 @@ impl Wire {
     }
 }
 
-fn from_wire(error: &tokio_modbus::Error) -> LineError {
+fn from_wire(error: &tokio_modbus::Error, port: &str) -> LineError {
     use std::io::ErrorKind;
     match error {
         tokio_modbus::Error::Transport(e)
@@ -280,6 +296,12 @@ fn from_wire(error: &tokio_modbus::Error) -> LineError {
         // For a closed connection the library returns the last system error, often "success".
         tokio_modbus::Error::Transport(e) if e.raw_os_error() == Some(0) => {
             LineError::Disconnected { cause: "closed by the other side".into() }
+        }
+        tokio_modbus::Error::Transport(e) if e.to_string() == ENDS_WITHIN_FRAME => {
+            let cause = format!(
+                "{port}: the answer is not a Modbus reply, or only the start of one; check the address"
+            );
+            LineError::Disconnected { cause }
         }
         tokio_modbus::Error::Transport(e) => LineError::Disconnected { cause: e.to_string() },
         tokio_modbus::Error::Protocol(e) => LineError::Garbled { cause: e.to_string() },

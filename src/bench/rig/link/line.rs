@@ -40,13 +40,15 @@ pub struct Line {
 }
 
 impl Line {
-    /// Starts the owner of a wire on the current runtime. The port is opened by the first request.
+    /// Starts the owner of a wire on the current runtime. The port is opened by the first request. `port`: its address
+    /// or path, for errors.
     ///
     /// # Panics
     /// Outside a tokio runtime.
     pub fn spawn(
         name: impl Into<String>,
         framing: Framing,
+        port: impl Into<String>,
         opener: Opener,
         policy: LinePolicy,
         clock: Clock,
@@ -55,7 +57,7 @@ impl Line {
         let (urgent, urgent_jobs) = mpsc::channel(URGENT_QUEUE);
         let (bell, counters) = (Arc::<Notify>::default(), Arc::<Counters>::default());
         let owner = Owner {
-            wire: Wire::new(framing, opener, policy, clock, Arc::clone(&counters)),
+            wire: Wire::new(framing, port.into(), opener, policy, clock, Arc::clone(&counters)),
             stop_grace: policy.stop_grace,
             ordinary: ordinary_jobs,
             urgent: urgent_jobs,

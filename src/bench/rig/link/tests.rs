@@ -22,6 +22,8 @@ enum Act {
     Silence,
     Late(Duration),
     Hangup,
+    /// The words of a server that is no Modbus device.
+    Http,
 }
 
 /// A request as received by the device: unit, function, address.
@@ -53,6 +55,10 @@ async fn serve(
                     pdu[..5].to_vec()
                 }
                 Act::Hangup => break,
+                Act::Http => {
+                    wire.write_all(b"HTTP/1.1 400 Bad Request\r\n\r\n").await.unwrap();
+                    break;
+                }
             };
             n += 1;
             if !answer.is_empty() {
@@ -90,7 +96,8 @@ fn patient_rig(timeout: Duration, script: impl FnMut(usize, Asked) -> Act + Send
         })
     });
     let policy = LinePolicy { timeout, attempts: 3, silence: Duration::ZERO, stop_grace: GRACE };
-    let line = Arc::new(Line::spawn("wire", Framing::Tcp, opener, policy, Clock::new(1.0)));
+    let clock = Clock::new(1.0);
+    let line = Arc::new(Line::spawn("wire", Framing::Tcp, "rig:502", opener, policy, clock));
     Rig { line, asked }
 }
 
@@ -116,6 +123,15 @@ async fn a_silent_device_is_asked_three_times_over_fresh_connections() {
     assert_eq!(rig.seen().len(), 3);
     let counts = rig.line.counts();
     assert_eq!((counts.timeouts, counts.retries, counts.reconnects), (3, 2, 2));
+}
+
+#[tokio::test]
+async fn a_server_that_is_no_modbus_device_is_named_by_its_address() {
+    let rig = patient_rig(LONG, |_, _| Act::Http);
+    let error = rig.line.ask(1, read()).await.unwrap_err();
+    let words = "wire lost: rig:502: the answer is not a Modbus reply, or only the start of one; \
+                 check the address";
+    assert_eq!(error.to_string(), words);
 }
 
 #[tokio::test]
@@ -336,7 +352,8 @@ async fn a_motion_whose_wire_opens_after_the_stop_was_latched_is_not_sent() {
     });
     let silence = Duration::ZERO;
     let policy = LinePolicy { timeout: LONG, attempts: 3, silence, stop_grace: GRACE };
-    let line = Arc::new(Line::spawn("wire", Framing::Tcp, opener, policy, Clock::new(1.0)));
+    let clock = Clock::new(1.0);
+    let line = Arc::new(Line::spawn("wire", Framing::Tcp, "rig:502", opener, policy, clock));
     let latch = StopLatch::new();
     let permit = MotionGate::new(latch.clone()).permit().unwrap();
     let asking = Arc::clone(&line);
