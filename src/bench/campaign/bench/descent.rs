@@ -28,7 +28,7 @@ pub struct Descent {
 impl Stage {
     /// Moves z, reads the cells at every poll, and stops z once `until` holds for a sample. Returns whether it did. If no
     /// sample arrives while a stop would keep the margins of the force limits, z is stopped, and the descent continues
-    /// once one has arrived.
+    /// after one that was read at rest, unless `until` holds for that one.
     ///
     /// # Errors
     /// As `checked_travel`; trips if samples come late again and again.
@@ -51,7 +51,12 @@ impl Stage {
                     return Ok(true);
                 }
                 Ended::Late => {
-                    self.z_at_rest(control).await?;
+                    let z_mm = self.z_at_rest(control).await?;
+                    // The late one may show the force before the stop.
+                    let volts = self.read_cells(control).await?.volts;
+                    if until(&Sample { z_mm, volts }) {
+                        return Ok(true);
+                    }
                 }
             }
         }

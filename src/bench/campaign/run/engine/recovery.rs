@@ -264,6 +264,8 @@ impl Engine {
             return Recovery::Failed;
         }
         if self.control.take_operated() {
+            // An armed rig would refuse what this person requests next.
+            let _ = self.control.rig_event(RigEvent::Disarm);
             return Recovery::ForPerson(BY_HAND.into());
         }
         let resumed =
@@ -402,7 +404,8 @@ mod tests {
         let resumed = engine.resume_automatically(&job, &mut automatic, 0);
         let (resumed, operated) = tokio::join!(resumed, operates);
         assert!(resumed.is_none() && automatic.is_none() && operated.is_err());
-        assert_eq!(engine.control.run(), RunState::Paused(PausedWhy::Trip));
+        let states = (engine.control.rig(), engine.control.run());
+        assert_eq!(states, (RigState::Homed, RunState::Paused(PausedWhy::Trip)));
         let words = engine.control.inbox.status.borrow().run.as_ref().unwrap().waiting_for.clone();
         assert_eq!(words.as_deref(), Some(BY_HAND));
     }

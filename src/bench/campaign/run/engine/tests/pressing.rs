@@ -45,14 +45,12 @@ async fn a_press_whose_sample_is_late_is_stopped_and_continues_more_slowly() {
     // It moves until it is stopped.
     let moving = AxisStatus { position: 5.0, moving: true, ..axes.z.present() };
     *axes.z.after_start.lock() = Some(moving);
+    // Also before it starts, where nothing is late.
+    *axes.cells.takes.lock() = Duration::from_secs(1);
     let press = stage.press_to(&mut engine.control, 10.0);
     let late = async {
-        while axes.z.starts.load(Ordering::SeqCst) == 0 {
-            tokio::time::sleep(Duration::from_millis(1)).await;
-        }
-        let fast_mm_s = *axes.z.speed.lock();
-        *axes.cells.takes.lock() = Duration::from_secs(2);
         stopped(&axes, 1).await;
+        let fast_mm_s = *axes.z.speed.lock();
         *axes.cells.takes.lock() = Duration::ZERO;
         axes.z.status.lock().moving = false;
         fast_mm_s
@@ -63,6 +61,32 @@ async fn a_press_whose_sample_is_late_is_stopped_and_continues_more_slowly() {
     assert_eq!([&axes.z.starts, &axes.z.stops].map(|n| n.load(Ordering::SeqCst)), [2, 1]);
     let slow_mm_s = *axes.z.speed.lock();
     assert!(slow_mm_s < fast_mm_s / 2.0, "{slow_mm_s} mm/s after {fast_mm_s} mm/s");
+}
+
+#[tokio::test]
+async fn a_press_that_was_late_does_not_continue_if_the_sample_at_rest_meets_its_condition() {
+    let axes = StandIns::default();
+    let mut engine = engine(&axes);
+    let stage = engine.connection.as_mut().unwrap().stage.as_mut().unwrap();
+    stage.config.limits.sample_age_ms = Some(60_000);
+    let moving = AxisStatus { position: 5.0, moving: true, ..axes.z.present() };
+    *axes.z.after_start.lock() = Some(moving);
+    *axes.cells.takes.lock() = Duration::from_secs(1);
+    let descent = Descent { z_mm: 10.0, speed_mm_s: 3.0 };
+    let mut sampled_mm = Vec::new();
+    let press = stage.press_until(&mut engine.control, descent, |sample| {
+        sampled_mm.push(sample.z_mm);
+        sample.z_mm == 5.5
+    });
+    let late = async {
+        stopped(&axes, 1).await;
+        *axes.cells.takes.lock() = Duration::ZERO;
+        *axes.z.status.lock() = AxisStatus { position: 5.5, moving: false, ..moving };
+    };
+    let (pressed, late) = tokio::join!(press, tokio::time::timeout(HAPPENS_WITHIN, late));
+    assert!(matches!(pressed, Ok(true)) && late.is_ok(), "{pressed:?}");
+    assert_eq!(axes.z.starts.load(Ordering::SeqCst), 1, "z does not move again");
+    assert_eq!(sampled_mm, [5.0, 5.5], "the late sample, and the one at rest");
 }
 
 #[tokio::test]
