@@ -80,7 +80,7 @@ pub struct Alternative {
 /// The answer of a method to one frame.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, ToSchema)]
 pub struct Reading {
-    /// The contacts, strongest first. Their number is the most probable one among all explanations of the frame.
+    /// The contacts, strongest first.
     pub contacts: Vec<FoundContact>,
     /// Probability of these contacts among the explanations of the frame that the last search found, 0 to 1;
     /// only of `exact`.

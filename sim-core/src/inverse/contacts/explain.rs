@@ -1,4 +1,4 @@
-//! Several explanations of a frame: their shares of the evidence, which is the answer, and which are reported.
+//! Several explanations of a frame: their shares of the evidence, and which are reported.
 //! PURE. Uses: `fit`, `search`. Never: the model; an explanation twice.
 
 use super::fit::{Explanation, FittedContact};
@@ -11,25 +11,7 @@ const LEAST_PROBABILITY: f64 = 0.05;
 /// Largest number of explanations in addition to the answer.
 const MOST_ALTERNATIVES: usize = 3;
 
-/// Puts the answer first: of the most probable number of contacts the best hypothesis. A number that many hypotheses
-/// share may be more probable than that of the best one.
-pub(super) fn answer_first(hypotheses: &mut [Hypothesis]) {
-    let scores: Vec<f64> = hypotheses.iter().map(|hypothesis| hypothesis.score).collect();
-    let shares = shares(&scores);
-    let of_count = |count: usize| -> f64 {
-        let both = hypotheses.iter().zip(&shares);
-        both.filter(|(hypothesis, _)| hypothesis.places.len() == count).map(|(_, share)| share).sum()
-    };
-    let mut counts: Vec<usize> = hypotheses.iter().map(|h| h.places.len()).collect();
-    counts.sort_unstable();
-    counts.dedup();
-    let number = counts.into_iter().max_by(|a, b| of_count(*a).total_cmp(&of_count(*b)));
-    if let Some(at) = hypotheses.iter().position(|h| Some(h.places.len()) == number) {
-        hypotheses[..=at].rotate_right(1);
-    }
-}
-
-/// Share of the evidence of each hypothesis. `scores`: -2 ln evidence.
+/// Share of the evidence of each hypothesis. `scores`: -2 ln evidence, best first.
 pub(super) fn shares(scores: &[f64]) -> Vec<f64> {
     let Some(best) = scores.first() else { return Vec::new() };
     let odds: Vec<f64> = scores.iter().map(|score| (0.5 * (best - score)).exp()).collect();
@@ -109,21 +91,6 @@ mod tests {
         assert!((shares[0] - 0.75).abs() < 1e-6 && (shares[1] - 0.25).abs() < 1e-6, "{shares:?}");
         assert!((shares.iter().sum::<f64>() - 1.0).abs() < 1e-12);
         assert!(super::shares(&[]).is_empty());
-    }
-
-    #[test]
-    fn the_answer_has_the_most_probable_number_of_contacts() {
-        let of = |count: usize, score: f64| Hypothesis { places: vec![[0.0; 3]; count], score };
-        let first = |scores: &[(usize, f64)]| {
-            let mut all: Vec<Hypothesis> = scores.iter().map(|&(n, score)| of(n, score)).collect();
-            answer_first(&mut all);
-            all.iter().map(|h| (h.places.len(), h.score)).collect::<Vec<_>>()
-        };
-        // Evidence of 1 for two contacts, of 0.61, 0.55 and 0.22 for three.
-        let several = [(2, 0.0), (3, 1.0), (3, 1.2), (3, 3.0)];
-        assert_eq!(first(&several), [(3, 1.0), (2, 0.0), (3, 1.2), (3, 3.0)]);
-        assert_eq!(first(&several[..2]), several[..2], "one of each number: the best");
-        assert!(first(&[]).is_empty());
     }
 
     #[test]

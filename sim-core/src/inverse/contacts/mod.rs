@@ -5,8 +5,8 @@
 //! A frame is projected on the few directions in which the model's frames differ (`basis`), and whitened by the
 //! covariance of its error (`whitener`). A
 //! search over a table of single contacts (`shapes`, `search`) finds hypotheses of every count; the
-//! best are finished with the exact model (`exact`, `descent`), and evidence chooses the number of contacts, then the
-//! contacts; what else is probable is part of the result (`explain`).
+//! best are finished with the exact model (`exact`, `descent`), and evidence chooses among them; what else
+//! is probable is part of the result (`explain`).
 
 mod basis;
 mod dense;
@@ -126,7 +126,6 @@ impl ContactFitter {
         let mut hypotheses = self.search(&starts, work)?;
         hypotheses.truncate(self.options.finalists);
         self.approach(&mut hypotheses, work)?;
-        explain::answer_first(&mut hypotheses);
         let best = hypotheses.first().map(|h| h.places.clone()).unwrap_or_default();
         let mut fit = self.report(best, observation, self.effort(), work)?;
         fit.origin = Origin::Search;

@@ -33,7 +33,7 @@ use crate::problem::Problem;
 pub const READINGS: &str = "readings";
 /// Version of the lines of a chunk, and of the fits: increased by a change that gives other bytes, also one of the
 /// search of `exact` (`infer::methods::exact`, sim-core's `inverse::contacts`).
-const READINGS_VERSION: u32 = 3;
+const READINGS_VERSION: u32 = 2;
 /// Input of a work order: the errors of the skin, JSON.
 const READINGS_ERRORS: &str = "errors";
 /// Start of the names of the inputs with the frames of a chunk.
