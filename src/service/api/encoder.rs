@@ -141,15 +141,15 @@ mod tests {
     /// Rows of a batch: of several pieces.
     const ROWS: u16 = 10_000;
     /// Columns of a batch.
-    const COLUMNS: usize = 100;
+    const WIDE_COLUMNS: usize = 100;
 
     #[tokio::test]
     async fn the_text_of_a_batch_is_sent_in_pieces() {
         let field = |n: usize| Field::new(format!("v{n}"), DataType::Float32, false);
-        let schema = Arc::new(Schema::new((0..COLUMNS).map(field).collect::<Vec<_>>()));
+        let schema = Arc::new(Schema::new((0..WIDE_COLUMNS).map(field).collect::<Vec<_>>()));
         let values = (0..ROWS).map(f32::from);
         let column: ArrayRef = Arc::new(Float32Array::from_iter_values(values));
-        let batch = RecordBatch::try_new(schema.clone(), vec![column; COLUMNS]).unwrap();
+        let batch = RecordBatch::try_new(schema.clone(), vec![column; WIDE_COLUMNS]).unwrap();
         for format in [Format::Csv, Format::Ndjson] {
             let mut encoder = RowEncoder::new(format, &schema).unwrap();
             let rest = encoder.begin(batch.clone()).unwrap().unwrap();
