@@ -82,8 +82,8 @@ fn parse(block: &[u16]) -> Option<DriveState> {
     })
 }
 
-/// Converts counts/s^2 to 0.01 G, at least 1. Rounded down, except for the error of the division: the stated acceleration
-/// is not exceeded.
+/// Converts counts/s^2 to 0.01 G, at least 1. Rounded down, except for the error of the division: the stated
+/// acceleration is not exceeded.
 fn centi_g(acceleration: f64) -> i32 {
     to_count((acceleration / COUNTS_PER_CENTI_G + 1e-9).floor(), ACCELERATION_MAX)
 }
