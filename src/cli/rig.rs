@@ -222,8 +222,8 @@ async fn moved(
     done
 }
 
-/// Aborts a homing or a jog that a signal has left: the axes stop, then the tips rise. `moves`: whether the rig moves for
-/// the command. `done`: how that ended.
+/// Aborts a homing or a jog that a signal has left: the axes stop, then the tips rise. `moves`: whether the rig
+/// moves for the command. `done`: how that ended.
 pub async fn end_motion<T>(client: &Client, moves: bool, done: &CliResult<T>) {
     if !moves || !matches!(done, Err(CliError::Interrupted)) {
         return;

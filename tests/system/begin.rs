@@ -1,5 +1,5 @@
-//! `palpate run` that is left as it begins: what it has requested to start is taken back, and its homing ends, as that of
-//! `palpate rig home` does. It states the status that it has read (`Status-At`) with a start, and none with a stop.
+//! `palpate run` that is left as it begins: what it has requested to start is taken back, and its homing ends, as that
+//! of `palpate rig home` does. It states the status that it has read (`Status-At`) with a start, and none with a stop.
 //! Uses: the program, at a wire that can keep the answer to a start. Never: a mock of the service.
 
 use std::process::{Command, Stdio};
