@@ -7,7 +7,6 @@ use std::time::Duration;
 use clap::Args;
 use jiff::Timestamp;
 use serde_json::json;
-use tokio::time::sleep;
 
 use super::ask::{ActArgs, request};
 use super::client::Client;
@@ -16,7 +15,7 @@ use super::error::{CliError, CliResult};
 use super::find::find_run;
 use super::next::Next;
 use super::output;
-use super::rig::until_rig;
+use super::rig::{end_motion, until_rig};
 use super::signals::Signals;
 use super::view::{ArmedView, PreflightView, StatusView, TakenUpView};
 use crate::api::STATUS_AGE_MAX;
@@ -30,11 +29,6 @@ use crate::store::RunRow;
 
 /// Longest wait for the wires of a rig.
 const CONNECTING: Duration = Duration::from_secs(60);
-/// Attempts to abort a homing that is left, and the pause between them: its request may arrive after the first one.
-const ABORT_TRIES: u32 = 5;
-const ABORT_POLL: Duration = Duration::from_millis(200);
-/// Reason of such an abort.
-const LEFT: &str = "the command that homes the rig was ended";
 
 /// Option of the commands that move a rig.
 #[derive(Debug, Clone, Copy, Args)]
@@ -84,7 +78,7 @@ pub async fn resume(args: &ResumeArgs) -> CliResult<()> {
         arm_and_start(&client, &run).await
     };
     let begun = signals.during(beginning).await;
-    end_homing(&client, homes, &begun).await;
+    end_motion(&client, homes, &begun).await;
     let begun = begun?;
     let (scan_id, planned) = (run.scan_id, run.trials_planned);
     let when = if begun.waiting { "resumes when the active run has ended," } else { "resumes" };
@@ -138,25 +132,6 @@ pub async fn bring_up(
         *homes = false;
     }
     Ok(status)
-}
-
-/// Aborts a homing that a signal has left: the axes stop, then the tips rise. `homes`: as in [`bring_up`]. `begun`: how
-/// that ended.
-pub async fn end_homing<T>(client: &Client, homes: bool, begun: &CliResult<T>) {
-    if !homes || !matches!(begun, Err(CliError::Interrupted)) {
-        return;
-    }
-    output::note("aborting the homing: raising the tips now");
-    for left in (0..ABORT_TRIES).rev() {
-        match client.abort_motion(Some(LEFT)).await {
-            Ok(()) => return,
-            Err(CliError::Refused { .. }) if left > 0 => sleep(ABORT_POLL).await,
-            Err(error) => {
-                let words = "palpate estop stops every axis";
-                return output::note(format_args!("the homing is not aborted: {error}; {words}"));
-            }
-        }
-    }
 }
 
 /// Asks for the confirmation that a real rig may move; returns the status after it.

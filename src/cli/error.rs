@@ -154,7 +154,7 @@ pub enum CliError {
          check the rig, then run the command again"
     )]
     ConfirmedLate { rig: String, after_s: f64, limit_s: u64 },
-    #[error("interrupted before the run started")]
+    #[error("interrupted before it was done")]
     Interrupted,
     #[error("ended by a signal: the next service resumes the training from its checkpoint")]
     Terminated,

@@ -15,7 +15,7 @@ use super::care::wear_words;
 use super::client::Client;
 use super::error::{CliError, CliResult};
 use super::files::RigFiles;
-use super::output::{Output, say, say_json};
+use super::output::{Output, note, say, say_json};
 use super::progress::Working;
 use super::signals::Signals;
 use super::view::StatusView;
@@ -37,6 +37,11 @@ const CHECKING: &str = "checking every device";
 const RIG_POLL: Duration = Duration::from_millis(100);
 /// A jog has arrived when the axis is this close, mm.
 const ARRIVED_MM: f64 = 0.2;
+/// Attempts to abort a motion that is left, and the pause between them: its request may arrive after the first one.
+const ABORT_TRIES: u32 = 5;
+const ABORT_POLL: Duration = Duration::from_millis(200);
+/// Reason of such an abort.
+const LEFT: &str = "the command that moves the rig was ended";
 
 /// Options of `rig`.
 #[derive(Debug, Clone, Args)]
@@ -170,16 +175,22 @@ async fn operate(client: &Client, command: RigCommand, output: Output) -> CliRes
                 .await?
         }
         RigCommand::Home => {
-            client.act_on_rig("home", json!({})).await?;
-            until_rig(client, "homing", HOMING_WAIT, |s| s.rig.state == RigState::Homed).await?
+            let homes = async {
+                client.act_on_rig("home", json!({})).await?;
+                until_rig(client, "homing", HOMING_WAIT, |s| s.rig.state == RigState::Homed).await
+            };
+            moved(client, homes).await?
         }
         RigCommand::Jog { axis, to_mm } => {
             let more = json!({ "axis": axis, "to_mm": to_mm });
-            client.act_on_rig("jog", more).await?;
             let there = |s: &StatusView| {
                 s.rig.pose.is_some_and(|p| (axis.of(&p) - to_mm).abs() < ARRIVED_MM)
             };
-            until_rig(client, "the jog's arrival", JOGGING, there).await?
+            let jogs = async {
+                client.act_on_rig("jog", more).await?;
+                until_rig(client, "the jog's arrival", JOGGING, there).await
+            };
+            moved(client, jogs).await?
         }
         RigCommand::Tare => {
             client.act_on_rig("tare", json!({})).await?;
@@ -199,6 +210,35 @@ async fn operate(client: &Client, command: RigCommand, output: Output) -> CliRes
         Output::Text => say(rig_words(&status)),
     }
     Ok(())
+}
+
+/// Carries out a motion of this command; a signal that ends the command ends it, too.
+async fn moved(
+    client: &Client,
+    motion: impl Future<Output = CliResult<StatusView>>,
+) -> CliResult<StatusView> {
+    let done = Signals::catch()?.during(motion).await;
+    end_motion(client, true, &done).await;
+    done
+}
+
+/// Aborts a homing or a jog that a signal has left: the axes stop, then the tips rise. `moves`: whether the rig
+/// moves for the command. `done`: how that ended.
+pub async fn end_motion<T>(client: &Client, moves: bool, done: &CliResult<T>) {
+    if !moves || !matches!(done, Err(CliError::Interrupted)) {
+        return;
+    }
+    note("aborting the motion: raising the tips now");
+    for left in (0..ABORT_TRIES).rev() {
+        match client.abort_motion(Some(LEFT)).await {
+            Ok(()) => return,
+            Err(CliError::Refused { .. }) if left > 0 => sleep(ABORT_POLL).await,
+            Err(error) => {
+                let words = "palpate estop stops every axis";
+                return note(format_args!("the motion is not aborted: {error}; {words}"));
+            }
+        }
+    }
 }
 
 /// Polls the rig until `wanted` accepts its status.

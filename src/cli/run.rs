@@ -10,7 +10,7 @@ use clap::Args;
 use serde_json::json;
 
 use super::attach::{closed, detached, to_its_end};
-use super::begin::{Begun, MotionArgs, arm_and_start, bring_up, end_homing, goes_on, last_event};
+use super::begin::{Begun, MotionArgs, arm_and_start, bring_up, goes_on, last_event};
 use super::bench_args::BenchArgs;
 use super::client::Client;
 use super::error::{CliError, CliResult};
@@ -18,6 +18,7 @@ use super::files::{ExperimentFiles, RigFiles, write};
 use super::follow::Watch;
 use super::output::{self, bytes, duration};
 use super::own_server::OwnServer;
+use super::rig::end_motion;
 use super::signals::Signals;
 use super::summary::Closing;
 use super::view::{PreflightView, StatusView};
@@ -161,7 +162,7 @@ fn sound(files: &ExperimentFiles, rig: &RigFiles) -> CliResult<()> {
 async fn drive(client: &Client, order: &Order, signals: &mut Signals) -> CliResult<Outcome> {
     let (mut starting, mut homes) = (None, false);
     let begun = signals.during(begin(client, order, &mut starting, &mut homes)).await;
-    end_homing(client, homes, &begun).await;
+    end_motion(client, homes, &begun).await;
     if let (Err(error), Some(start)) = (&begun, starting) {
         take_back(client, start, error).await;
     }

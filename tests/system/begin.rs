@@ -1,5 +1,5 @@
-//! `palpate run` that is left as it begins: what it has requested to start is taken back, and its homing ends. It states
-//! the status that it has read (`Status-At`) with a start, and none with a stop.
+//! `palpate run` that is left as it begins: what it has requested to start is taken back, and its homing ends, as that
+//! of `palpate rig home` does. It states the status that it has read (`Status-At`) with a start, and none with a stop.
 //! Uses: the program, at a wire that can keep the answer to a start. Never: a mock of the service.
 
 use std::process::{Command, Stdio};
@@ -105,12 +105,29 @@ async fn ctrl_c_as_a_stopped_run_resumes_stops_it_again() {
 #[tokio::test(flavor = "multi_thread")]
 async fn ctrl_c_as_the_rig_homes_ends_the_homing() {
     let lab = Lab::open("left-as-it-homed", rig_args("virtual", SPEED), WAITS).await;
+    left_as_it_homes(&lab, &["run", "e.toml"]).await;
+    assert_eq!(lab.get("/api/v1/queue").await["items"], json!([]), "nothing is queued for it");
+    lab.close().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn ctrl_c_at_a_manual_homing_ends_it() {
+    let lab = Lab::open("left-manual-homing", rig_args("virtual", SPEED), WAITS).await;
+    let connect = json!({ "action": "connect", "who": "test" });
+    lab.posted("/api/v1/rig/actions", connect).await;
+    left_as_it_homes(&lab, &["rig", "home"]).await;
+    lab.close().await;
+}
+
+/// A command for which the rig homes is left meanwhile: the homing ends.
+async fn left_as_it_homes(lab: &Lab, command_args: &[&str]) {
     // Its homing lasts until the limit of twelve seconds, and trips then.
     lab.tell_rig(json!({ "cmd": "fault", "kind": "stuck_axis", "device": "x", "for_s": 6000.0 }))
         .await;
     std::fs::write(lab.data.join("e.toml"), EXPERIMENT).unwrap();
     let mut command = Command::new(env!("CARGO_BIN_EXE_palpate"));
-    command.args(["run", "e.toml", "--json", "--url", &lab.service.url()]).current_dir(&lab.data);
+    command.args(command_args).args(["--json", "--url", &lab.service.url()]);
+    command.current_dir(&lab.data);
     command.env("PALPATE_LOG", "warn").stdin(Stdio::null()).stdout(Stdio::null());
     let mut homes = Process(command.spawn().unwrap());
     // The request to home is logged once it is accepted.
@@ -127,6 +144,4 @@ async fn ctrl_c_as_the_rig_homes_ends_the_homing() {
         (&status["rig"]["state"], &status["rig"]["trip"]),
         (&json!("disarmed"), &Value::Null)
     );
-    assert_eq!(lab.get("/api/v1/queue").await["items"], json!([]), "nothing is queued for it");
-    lab.close().await;
 }

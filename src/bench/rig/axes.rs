@@ -106,6 +106,11 @@ pub struct RotaryAxis {
 }
 
 impl LinearAxis {
+    /// Acceleration and deceleration to which the drive rounds the stated ones, mm/s^2.
+    pub fn rounded_mm_s2(&self) -> f64 {
+        self.device.acceleration(self.acceleration_mm_s2 * self.counts_per_mm) / self.counts_per_mm
+    }
+
     /// Settings in the axis's unit, millimetres.
     pub fn profile(&self) -> AxisProfile {
         AxisProfile {

@@ -38,13 +38,19 @@ pub struct AxisParts {
 pub struct AxisDevice {
     name: &'static str,
     has_guards: bool,
+    acceleration: fn(f64) -> f64,
     open: fn(AxisParts) -> Arc<dyn Axis>,
 }
 
 impl AxisDevice {
     /// Describes a drive without guards: its name in rig files, and how its driver is created.
     pub const fn new(name: &'static str, open: fn(AxisParts) -> Arc<dyn Axis>) -> Self {
-        Self { name, has_guards: false, open }
+        Self { name, has_guards: false, acceleration: std::convert::identity, open }
+    }
+
+    /// The same drive, which rounds accelerations, counts/s^2, in this way.
+    pub const fn with_acceleration(self, acceleration: fn(f64) -> f64) -> Self {
+        Self { acceleration, ..self }
     }
 
     /// The same drive, with a communication watchdog and a torque limit that can be set.
@@ -60,6 +66,11 @@ impl AxisDevice {
     /// Whether the drive has a communication watchdog and a torque limit that can be set.
     pub const fn has_guards(self) -> bool {
         self.has_guards
+    }
+
+    /// Acceleration at which the drive moves and stops if this one is requested, counts/s^2.
+    pub fn acceleration(self, requested: f64) -> f64 {
+        (self.acceleration)(requested)
     }
 
     /// Checks the values of a guard, and that the drive supports them. `key` builds a dotted key.

@@ -51,7 +51,7 @@ impl Conductor {
         }
         // In memory first: an attempt in progress does not begin a run, whatever the store does.
         self.note_operation();
-        let aborted = self.inner.campaign.ask(Request::Abort).await;
+        let aborted = self.inner.campaign.ask(Request::AbortMotion).await;
         *self.inner.brought_up.lock() = None;
         self.interrupt_undriven().await?;
         aborted.map_err(ConductorError::Refused)
@@ -164,7 +164,7 @@ mod tests {
         *conductor.inner.brought_up.lock() = Some(run.uid);
         let ended = async {
             let Envelope { request, answer, .. } = inbox.next().await.expect("a request");
-            assert!(matches!(request, Request::Abort), "{request:?}");
+            assert!(matches!(request, Request::AbortMotion), "{request:?}");
             let _ = answer.send(Ok(()));
         };
         let (aborted, ()) = tokio::join!(conductor.abort_motion(), ended);

@@ -104,7 +104,7 @@ impl Stopping {
     pub fn press_speed_mm_s(&self, rig: &RigConfig, tips: u8) -> f64 {
         let travel_mm = rig.limits.margin_travel_mm(tips);
         // v blind + v^2 / 2a = travel, solved for v.
-        let (a, blind_s) = (rig.axes.z.acceleration_mm_s2, self.blind_s(rig));
+        let (a, blind_s) = (rig.axes.z.rounded_mm_s2(), self.blind_s(rig));
         let speed = a * ((blind_s * blind_s + 2.0 * travel_mm / a).sqrt() - blind_s);
         speed.min(rig.approach_speed_mm_s())
     }
@@ -112,7 +112,7 @@ impl Stopping {
     /// Age of the newest sample, process s, at which a press at this speed must be stopped, so that the added forces stay
     /// within their margins. A slower press has more time.
     pub fn sample_age_s(&self, rig: &RigConfig, tips: u8, speed_mm_s: f64) -> f64 {
-        let brakes_s = speed_mm_s / (2.0 * rig.axes.z.acceleration_mm_s2);
+        let brakes_s = speed_mm_s / (2.0 * rig.axes.z.rounded_mm_s2());
         rig.limits.margin_travel_mm(tips) / speed_mm_s - brakes_s - rig.cells.update_ms / 1e3
     }
 
@@ -129,7 +129,7 @@ impl Stopping {
         drive_mm_s: f64,
     ) -> Result<StoppingDistance, String> {
         let (speed, blind_s) = (self.press_speed_mm_s(rig, tips), self.blind_s(rig));
-        let travel_mm = speed * blind_s + speed * speed / (2.0 * rig.axes.z.acceleration_mm_s2);
+        let travel_mm = speed * blind_s + speed * speed / (2.0 * rig.axes.z.rounded_mm_s2());
         let limits = &rig.limits;
         let slowest = SLOWEST_MM_S.max(drive_mm_s);
         if speed < slowest {
@@ -209,11 +209,23 @@ mod tests {
             for speed in [fastest, fastest / 3.0] {
                 let age_s = stopping.sample_age_s(&rig, 2, speed);
                 let seconds = age_s + rig.cells.update_ms / 1e3;
-                let brakes_mm = speed * speed / (2.0 * rig.axes.z.acceleration_mm_s2);
+                let brakes_mm = speed * speed / (2.0 * rig.axes.z.rounded_mm_s2());
                 let travel_mm = speed * seconds + brakes_mm;
                 assert!((travel_mm - rig.limits.margin_travel_mm(2)).abs() < 1e-9, "{travel_mm}");
             }
         }
+    }
+
+    #[test]
+    fn a_stop_is_as_weak_as_the_acceleration_to_which_the_drive_of_z_rounds() {
+        let mut rig = rig();
+        rig.axes.z.acceleration_mm_s2 = 190.0;
+        let distance = Stopping::default().distance(&rig, 1, 0.0).unwrap();
+        let (speed, blind_s) = (distance.speed_mm_s, distance.blind_ms / 1e3);
+        // 0.0194 G: it is commanded 0.01 G.
+        let travel_mm = speed * blind_s + speed * speed / (2.0 * 98.0665);
+        assert!((distance.travel_mm - travel_mm).abs() < 1e-9, "{travel_mm}: {distance:?}");
+        assert!(travel_mm < rig.limits.margin_travel_mm(1) + 1e-9, "{travel_mm}");
     }
 
     #[test]

@@ -342,7 +342,11 @@ impl Control {
 
     /// Homing or jogging outside a run ends when the service ends, or by an abort.
     fn asked_without_run(&mut self, request: &Request) -> Result<RunAction, Refusal> {
-        match self.run_request(request) {
+        let event = match request {
+            Request::AbortMotion => Some(RunEvent::Abort),
+            _ => self.run_request(request),
+        };
+        match event {
             Some(event) if self.leaving || event == RunEvent::Abort => {
                 if event == RunEvent::Abort {
                     self.attended(MOTION_ABORTED);
@@ -409,6 +413,7 @@ impl Control {
             | Request::Start(_)
             | Request::Confirm { .. }
             | Request::Repeat { .. }
+            | Request::AbortMotion
             | Request::CameLate => None,
         }
     }
@@ -438,7 +443,7 @@ pub fn name(request: &Request) -> &'static str {
         Request::Suspend(_) => "suspend",
         Request::Resume => "resume",
         Request::Stop => "stop",
-        Request::Abort => "abort",
+        Request::Abort | Request::AbortMotion => "abort",
         Request::Confirm { .. } => "confirm",
         Request::Repeat { .. } => "repeat",
         Request::CameLate => "a late pause or abort",

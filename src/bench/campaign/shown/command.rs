@@ -69,6 +69,8 @@ pub enum Request {
     Stop,
     /// Raise now, end.
     Abort,
+    /// End a homing or a jog outside a run: stop, then raise.
+    AbortMotion,
     /// A person has done what a paused run waits for.
     Confirm {
         /// What was done, as far as it was stated.
@@ -107,6 +109,7 @@ impl Request {
             | Self::Resume
             | Self::Stop
             | Self::Abort
+            | Self::AbortMotion
             | Self::Confirm { .. }
             | Self::Repeat { .. }
             | Self::CameLate
@@ -137,6 +140,7 @@ impl Request {
             | Self::Mounted { .. }
             | Self::Start(_)
             | Self::Suspend(_)
+            | Self::AbortMotion
             | Self::CameLate
             | Self::Shutdown => return None,
         };
@@ -197,6 +201,7 @@ impl Envelope {
                 | Request::Suspend(_)
                 | Request::Stop
                 | Request::Abort
+                | Request::AbortMotion
                 | Request::Repeat { .. }
                 | Request::CameLate
                 | Request::Shutdown => false,

@@ -21,7 +21,8 @@ use crate::rig::station::Station;
 use crate::rig::words::{bit, from_words, to_count, to_words};
 
 /// The drive as rig files name it.
-pub const DRIVE: AxisDevice = AxisDevice::new("iai", |parts| parts.on(Iai));
+pub const DRIVE: AxisDevice =
+    AxisDevice::new("iai", |parts| parts.on(Iai)).with_acceleration(rounded);
 
 /// First register of the status block: PNOW (2), alarm code `[unverified]`, DIPM, DOPM, DSS1, DSS2,
 /// DSSE, STAT (2).
@@ -81,6 +82,17 @@ fn parse(block: &[u16]) -> Option<DriveState> {
     })
 }
 
+/// Converts counts/s^2 to 0.01 G, at least 1. Rounded down, except for the error of the division: the stated
+/// acceleration is not exceeded.
+fn centi_g(acceleration: f64) -> i32 {
+    to_count((acceleration / COUNTS_PER_CENTI_G + 1e-9).floor(), ACCELERATION_MAX)
+}
+
+/// Acceleration to which the drive rounds this one, counts/s^2.
+fn rounded(acceleration: f64) -> f64 {
+    f64::from(centi_g(acceleration)) * COUNTS_PER_CENTI_G
+}
+
 /// The move block: target, band, speed, acceleration, no push, absolute positioning. Writing the
 /// low word of the target starts the motion, so the block is written in one request.
 fn move_block(order: &MoveOrder) -> Request {
@@ -88,7 +100,6 @@ fn move_block(order: &MoveOrder) -> Request {
     let [band_high, band_low] = to_words(to_count(order.tolerance, 999_999));
     // Rounded down: the stopping distance of a press allows no more.
     let [speed_high, speed_low] = to_words(to_count(order.speed.floor(), SPEED_MAX));
-    let acceleration = to_count(order.acceleration / COUNTS_PER_CENTI_G, ACCELERATION_MAX);
     let words = vec![
         target_high,
         target_low,
@@ -96,7 +107,7 @@ fn move_block(order: &MoveOrder) -> Request {
         band_low,
         speed_high,
         speed_low,
-        acceleration as u16,
+        centi_g(order.acceleration) as u16,
         0,
         0,
     ];
@@ -166,6 +177,12 @@ mod tests {
         let order = MoveOrder { target, speed, acceleration, tolerance, torque_percent };
         let words = vec![0xFFFF, 0xFFFF, 0, 1, 0, 1, 1, 0, 0];
         assert_eq!(move_block(&order), Request::WriteRegisters { address: 0x9900, words });
+    }
+
+    #[test]
+    fn an_acceleration_is_not_exceeded() {
+        assert_eq!([98_066.5, 98_066.0, 19_000.0, 1e9].map(centi_g), [10, 9, 1, 300]);
+        assert_eq!(DRIVE.acceleration(19_000.0), 9806.65);
     }
 
     #[test]

@@ -11,7 +11,7 @@ use tokio::sync::OwnedMutexGuard;
 use tokio::task::JoinSet;
 use tokio::time::Instant;
 
-use super::{Answer, Connection, Engine, Owed, no_stage, no_wires, trip_of};
+use super::{Answer, Connection, Engine, JUST_MOVED, Owed, no_stage, no_wires, trip_of};
 use crate::campaign::bench::estop::AxisStop;
 use crate::campaign::bench::interlock::{self, Trip, TripKind};
 use crate::campaign::bench::rig_state::RigEvent;
@@ -34,6 +34,9 @@ use crate::rig::registry;
 use crate::rig::setup::RigSetup;
 use crate::rig::traits::{Bench, SkinReader};
 
+/// Why no waiting run begins after an abort of a motion that had just ended.
+const ABORTED_LATE: &str =
+    "an abort of a motion was requested when it had ended, and a person may be at the rig";
 /// Samples of a tare on request.
 const TARE_SAMPLES: u32 = 4;
 /// Longest wait of a reset, and of closing the wires, for axes that an e-stop is about to stop.
@@ -85,6 +88,12 @@ impl Engine {
             Request::CameLate => {
                 self.control.came_late();
                 Ok(())
+            }
+            Request::AbortMotion => {
+                if self.moved_at.is_some_and(|at| at.elapsed() <= JUST_MOVED) {
+                    self.control.attended(ABORTED_LATE);
+                }
+                Err(Refusal::State("abort is not possible: nothing moves".into()))
             }
             // Of a run.
             Request::Start(_)
@@ -378,6 +387,7 @@ impl Engine {
             return false;
         };
         let outcome = motion(stage, &mut self.control).await;
+        self.moved_at = Some(Instant::now());
         let Err(halt) = outcome else { return true };
         let requested = self.control.leaving() || matches!(halt, Halt::Asked);
         let trip = (!requested).then(|| trip_of(&halt));

@@ -63,6 +63,8 @@ const OWED_AGAIN: Duration = Duration::from_millis(500);
 const OWED_AGAIN_MAX: Duration = Duration::from_secs(30);
 /// Longest wait for the store when the thread starts and ends.
 const STORE_PATIENCE: Duration = Duration::from_secs(10);
+/// Time after the end of a homing or a jog within which an abort was meant for it, wall.
+const JUST_MOVED: Duration = Duration::from_secs(10);
 /// Longest wait between two automatic resumes, wall.
 const LONGEST_BACKOFF: Duration = Duration::from_secs(120);
 
@@ -127,6 +129,8 @@ struct Engine {
     owed: Owed,
     /// Pause before these are tried again.
     owed_pause: Duration,
+    /// When a homing or a jog ended last.
+    moved_at: Option<Instant>,
     /// Wall time and instant at which the driven run halted last.
     halted_at: (jiff::Timestamp, Instant),
     /// Span of the driven run, for the log; none outside a run.
@@ -176,6 +180,7 @@ impl Engine {
             empty_skin: EmptySkin::default(),
             owed: Owed::Nothing,
             owed_pause: OWED_AGAIN,
+            moved_at: None,
             halted_at: (jiff::Timestamp::now(), Instant::now()),
             driven: Span::none(),
         }

@@ -232,7 +232,7 @@ impl Engine {
                 let _ = answer.send(Ok(()));
                 None
             }
-            Request::Start(_) => {
+            Request::Start(_) | Request::AbortMotion => {
                 let (run, start) = (self.control.run(), name(&request));
                 let (state, next) = (run.as_str(), run.allowed());
                 let words = format!("{start} is not possible while the run is {state}: {next}");

@@ -321,7 +321,7 @@ async fn an_abort_of_a_jog_and_each_trip_for_a_person_hold_the_queue() {
     let travel = stage.travel(&mut engine.control, &target);
     let abort = async {
         tokio::time::sleep(Duration::from_millis(30)).await;
-        handle.ask(Request::Abort).await
+        handle.ask(Request::AbortMotion).await
     };
     let (moved, aborted) = tokio::join!(travel, abort);
     assert!(matches!(moved, Err(Halt::Asked)) && aborted.is_ok());
@@ -336,6 +336,17 @@ async fn an_abort_of_a_jog_and_each_trip_for_a_person_hold_the_queue() {
     engine.control.show(|status| status.run = None);
     engine.control.latch(&Trip { kind: TripKind::Wire, detail: "no reply".into() });
     assert_eq!(signs(&engine), 3);
+}
+
+#[tokio::test]
+async fn an_abort_while_nothing_moves_holds_the_queue_only_if_a_motion_has_just_ended() {
+    let (mut engine, handle) = with_handle(&StandIns::default());
+    let refused = Err(Refusal::State("abort is not possible: nothing moves".into()));
+    let abort = || handle.ask(Request::AbortMotion);
+    assert_eq!((answered(&mut engine, abort()).await, signs(&engine)), (refused.clone(), 0));
+    engine.home().await;
+    let before = signs(&engine);
+    assert_eq!((answered(&mut engine, abort()).await, signs(&engine)), (refused, before + 1));
 }
 
 /// The answer to requests that the engine takes up.
