@@ -320,9 +320,8 @@ async fn the_status_counts_the_failed_attempts_that_are_stored() {
     // A touch-off is not an attempt at a trial.
     for (trial, retries) in [(None, 0), (at, 1)] {
         engine.control.show_run(|run| run.trial = trial);
-        let mut attempts = Attempts { of_configuration: 1, ..Attempts::default() };
         let halt = Halt::Failed("no frames".into());
-        let next = engine.decide(&job, halt, &mut attempts, &mut 0).await;
+        let next = engine.decide(&job, halt, &mut Attempts::default(), &mut 0).await;
         assert!(matches!(next, Next::Again), "{trial:?}");
         let status = engine.control.inbox.status.borrow();
         assert_eq!(status.run.as_ref().unwrap().retries, retries, "{trial:?}");
