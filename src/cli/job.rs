@@ -31,6 +31,7 @@ pub const JOB_POLL: Duration = Duration::from_millis(250);
 /// # Errors
 /// `CliError::Refused` if the job failed or was stopped; other variants if a request fails.
 pub async fn wait_for(client: &Client, asked: JobOut) -> CliResult<JobOut> {
+    let client = client.quiet();
     let mut screen = JobScreen::new();
     let mut now = asked;
     while !screen.has_ended(&now)? {
