@@ -10,6 +10,7 @@ use serde_json::Value;
 
 use super::client::Client;
 use super::error::{CliError, CliResult};
+use super::next::Next;
 use super::output::{Output, duration, note, say, say_json};
 use super::picture::figure_file;
 use super::progress::{LogLines, bar};
@@ -179,7 +180,12 @@ pub async fn job(args: JobArgs) -> CliResult<()> {
             JobWhat::Losses { plot, one } => {
                 let id = named(client, &one.job).await?;
                 match plot {
-                    Some(file) => job_losses::draw(client, &id, &file).await?,
+                    Some(file) => {
+                        job_losses::draw(client, &id, &file).await?;
+                        Next::of(&at)
+                            .suggest(format_args!("palpate job show {id}"), "its state and result")
+                            .say();
+                    }
                     None => match job_losses::losses(client, &id).await?.trim_end() {
                         "" => note("there are no losses yet: the first ones come with an epoch"),
                         losses => say(losses),
