@@ -181,6 +181,12 @@ async fn prune(client: &Client, args: &PruneArgs) -> CliResult<()> {
         false => format!("{freed} freed"),
     };
     args.at.output().say(&pruned, format_args!("{table}\n{freed}"));
+    let next = Next::of(&args.at);
+    match args.dry_run {
+        true => next.same_command("without --dry-run", "removes them"),
+        false => next.suggest("palpate dataset list", "shows what stays"),
+    }
+    .say();
     Ok(())
 }
 

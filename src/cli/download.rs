@@ -34,7 +34,7 @@ pub async fn download(client: &Client, url: &str, wanted: u64, out: &Path) -> Cl
     let mut file = NewFile::create_for(out).map_err(failed)?;
     let (mut have, mut tries) = (0_u64, 0);
     let mut shown = Counted::of("bytes downloaded", wanted);
-    let client = client.patient(DATASET_WAIT);
+    let client = client.patient(DATASET_WAIT).quiet();
     'file: while have < wanted {
         let range = format!("bytes={have}-");
         let answer = in_time(client.part(url, &range)).await??;

@@ -24,6 +24,9 @@ use crate::conductor::AutoResume;
 /// speed, and leaves the other processors idle.
 pub const TWIN_WORKERS: usize = 1;
 
+/// What is shown while an answer takes long, if a command names nothing more specific.
+const WAITING: &str = "waiting for the service";
+
 /// Returns clients of the services that the options may mean, the most likely one first: the named one;
 /// otherwise the one that serves the data folder, then the one at the default address.
 ///
@@ -141,6 +144,7 @@ pub async fn with_purpose<T>(
     work: impl AsyncFnOnce(&Client) -> CliResult<T>,
 ) -> CliResult<T> {
     let (client, own) = opened(at, purpose).await?;
+    let client = client.showing(WAITING);
     let outcome = AssertUnwindSafe(work(&client)).catch_unwind().await;
     // It ends whatever the result, also if the work panics.
     if let Some((service, _view)) = own {

@@ -97,6 +97,7 @@ pub async fn export(client: &Client, args: &ExportArgs) -> CliResult<()> {
 
 /// Shows the progress of an export until it has ended.
 async fn follow(client: &Client, asked: ExportOut) -> CliResult<ExportOut> {
+    let client = client.quiet();
     let mut shown = Counted::of("rows exported", 0);
     let (mut now, mut rows) = (asked, 0);
     loop {

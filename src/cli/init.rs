@@ -1,5 +1,5 @@
-//! `palpate init`: writes the carried experiments, rigs, sensors and recipes into a folder, to be edited, or lists
-//! them.
+//! `palpate init`: writes the carried files (experiments, rigs, sensors, recipes, faults ..) into a folder, to be
+//! edited, or lists them.
 //! Uses: `carried`, `schedule` (trials and schema of experiments). Never: overwriting a file.
 
 use std::path::PathBuf;
@@ -129,6 +129,7 @@ mod tests {
             shown.lines().map(|line| line.split_whitespace().take(3).collect()).collect();
         assert!(rows.contains(&vec!["experiments", "quickstart", "264"]), "{shown}");
         assert!(rows.contains(&vec!["rigs", "virtual", "-"]), "{shown}");
+        assert!(rows.contains(&vec!["faults", "each-kind", "-"]), "{shown}");
         let all: usize = FOLDERS.iter().map(|(_, files)| files.len()).sum();
         assert_eq!(rows.len(), 1 + all);
         let texts = carried().map(Carried::value).filter(|file| file["text"] != "").count();

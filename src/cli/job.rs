@@ -10,6 +10,7 @@ use serde_json::Value;
 
 use super::client::Client;
 use super::error::{CliError, CliResult};
+use super::next::Next;
 use super::output::{Output, duration, note, say, say_json};
 use super::picture::figure_file;
 use super::progress::{LogLines, bar};
@@ -31,6 +32,7 @@ pub const JOB_POLL: Duration = Duration::from_millis(250);
 /// # Errors
 /// `CliError::Refused` if the job failed or was stopped; other variants if a request fails.
 pub async fn wait_for(client: &Client, asked: JobOut) -> CliResult<JobOut> {
+    let client = client.quiet();
     let mut screen = JobScreen::new();
     let mut now = asked;
     while !screen.has_ended(&now)? {
@@ -178,7 +180,12 @@ pub async fn job(args: JobArgs) -> CliResult<()> {
             JobWhat::Losses { plot, one } => {
                 let id = named(client, &one.job).await?;
                 match plot {
-                    Some(file) => job_losses::draw(client, &id, &file).await?,
+                    Some(file) => {
+                        job_losses::draw(client, &id, &file).await?;
+                        Next::of(&at)
+                            .suggest(format_args!("palpate job show {id}"), "its state and result")
+                            .say();
+                    }
                     None => match job_losses::losses(client, &id).await?.trim_end() {
                         "" => note("there are no losses yet: the first ones come with an epoch"),
                         losses => say(losses),

@@ -1,6 +1,7 @@
 //! `palpate queue`: the runs that wait.
 //! Uses: `client`, `files`, `times`. Never: starting anything.
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use clap::{Args, Subcommand};
@@ -136,11 +137,11 @@ async fn list(client: &Client, json: bool) -> CliResult<()> {
         "place> | run> | experiment | trials> | submitted by | starts from | takes> | begins | ends",
         "the queue is empty",
     );
-    let mut notes = Vec::new();
+    let (mut notes, mut refused) = (Vec::new(), BTreeMap::<&str, Vec<String>>::new());
     for run in queue.items {
         let time = times.items.iter().find(|time| time.run == run.uid);
         if let Some(problem) = time.and_then(|time| time.problem.as_ref()) {
-            notes.push(format!("run {} would be refused: {problem}", run.scan_id));
+            refused.entry(problem).or_default().push(run.scan_id.to_string());
         }
         if let Some(why) = time.and_then(|time| time.not_begun.as_ref()) {
             notes.push(format!("run {} does not begin by itself: {why}", run.scan_id));
@@ -159,7 +160,10 @@ async fn list(client: &Client, json: bool) -> CliResult<()> {
         ]);
     }
     say(&table);
-    for words in notes {
+    let refused = refused
+        .into_iter()
+        .map(|(problem, runs)| format!("run {} would be refused: {problem}", runs.join(", ")));
+    for words in refused.chain(notes) {
         say(words);
     }
     Ok(())

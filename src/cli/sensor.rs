@@ -9,6 +9,7 @@ use serde_json::json;
 use super::At;
 use super::error::CliResult;
 use super::files::{read_sensor, write};
+use super::next::Next;
 use crate::overlay::{self, Paper};
 
 /// Options of `sensor`.
@@ -62,5 +63,11 @@ pub fn sensor(args: &SensorArgs) -> CliResult<()> {
     let out = out.display();
     let words = format_args!("{out} is written: print it at 100 %, and check its ruler of 100 mm");
     args.at.output().say(&written, words);
+    if !args.at.json {
+        // It takes no data folder.
+        Next::default()
+            .suggest("palpate plan real-random", "checks a run with placed weights; nothing moves")
+            .say();
+    }
     Ok(())
 }

@@ -64,6 +64,7 @@ pub async fn wait_for_twins(
     patience: Duration,
 ) -> CliResult<TwinCount> {
     let path = format!("/api/v1/runs/{run}/twins");
+    let client = &client.quiet();
     let mut shown = Counted::of("twins", 0);
     let mut least = (u64::MAX, Instant::now());
     loop {

@@ -8,7 +8,7 @@ use std::{env, fs, io};
 fn main() -> io::Result<()> {
     println!("cargo::rerun-if-changed=../../experiments");
     list("experiments", Path::new(""))?;
-    for folder in ["rigs", "gaps", "sensors", "datasets", "recipes"] {
+    for folder in ["rigs", "gaps", "sensors", "datasets", "recipes", "faults"] {
         list(folder, Path::new(folder))?;
     }
     Ok(())

@@ -27,14 +27,18 @@ pub const DATASETS: &[(&str, &str)] = carried!("datasets");
 /// The recipes of trainings.
 pub const RECIPES: &[(&str, &str)] = carried!("recipes");
 
+/// Scripts of faults for the virtual rig.
+pub const FAULTS: &[(&str, &str)] = carried!("faults");
+
 /// All files, by their folder in `experiments/`.
-pub const FOLDERS: [(&str, &[(&str, &str)]); 6] = [
+pub const FOLDERS: [(&str, &[(&str, &str)]); 7] = [
     ("", EXPERIMENTS),
     ("rigs", RIGS),
     ("gaps", GAPS),
     ("sensors", SENSORS),
     ("datasets", DATASETS),
     ("recipes", RECIPES),
+    ("faults", FAULTS),
 ];
 
 /// Returns the text of a file.

@@ -80,7 +80,7 @@ impl FileKind {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::carried::{DATASETS, EXPERIMENTS, GAPS, RECIPES, SENSORS};
+    use crate::carried::{DATASETS, EXPERIMENTS, FAULTS, GAPS, RECIPES, SENSORS};
 
     #[test]
     fn every_carried_file_is_recognised() {
@@ -90,6 +90,7 @@ mod tests {
             (FileKind::Dataset, DATASETS),
             (FileKind::Gap, GAPS),
             (FileKind::Recipe, RECIPES),
+            (FileKind::Faults, FAULTS),
         ] {
             for (name, text) in files {
                 assert_eq!(FileKind::of(text), Some(kind), "{name}");
@@ -100,8 +101,6 @@ mod tests {
         assert_eq!(FileKind::of(rig), Some(FileKind::Rig));
         let skin = include_str!("../../experiments/rigs/skin-only.toml");
         assert_eq!(FileKind::of(skin), Some(FileKind::Rig));
-        let faults = include_str!("../../virtual-rig/examples/faults.toml");
-        assert_eq!(FileKind::of(faults), Some(FileKind::Faults));
         assert_eq!(FileKind::of("name = 1\n"), None);
         let words = FileKind::Experiment.instead_of(rig).unwrap();
         assert!(words.starts_with("this is a rig file, not an experiment; "), "{words}");

@@ -143,6 +143,17 @@ async fn recipes_and_limits_of_the_rig_are_those_of_their_files() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn a_service_without_a_rig_predicts_no_start_of_a_queued_run() {
+    let lab = Filled::serve_as(folder("desk-no-rig"), |options| options.desk = true).await;
+    lab.queue(submission(2)).await;
+    let times = lab.get("/api/v1/queue/times").await["items"].clone();
+    assert_eq!((&times[0]["begin"], &times[0]["end"]), (&Value::Null, &Value::Null), "{times}");
+    let problem = times[0]["problem"].as_str().unwrap();
+    assert!(problem.contains("without the rig: use `palpate serve`"), "{problem}");
+    lab.close().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn an_edited_run_has_a_new_plan_and_keeps_its_place() {
     let lab = Filled::serve(folder("desk-edit")).await;
     let first = lab.queue(submission(2)).await;

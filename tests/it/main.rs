@@ -40,4 +40,5 @@ mod store_durability;
 mod streams;
 mod support;
 mod twin_chunks;
+mod waiting;
 mod workers;

@@ -38,7 +38,10 @@ fn the_overlay_has_its_pages_at_true_scale_and_every_name() {
     {
         let path = folder.path(&format!("{paper}.pdf"));
         let mut make = command(&["sensor", "overlay", "--paper", paper, "--out", &path]);
-        succeeded(&make.output().unwrap());
+        let made = make.output().unwrap();
+        succeeded(&made);
+        let next = String::from_utf8(made.stderr).unwrap();
+        assert!(next.contains("palpate plan real-random"), "{next}");
         let Some(facts) = tool("pdfinfo", &[&path]) else { return };
         assert_eq!(info(&facts, "Pages"), pages);
         let size: Vec<f64> =

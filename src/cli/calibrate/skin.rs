@@ -150,6 +150,7 @@ async fn frames(
     channels: usize,
 ) -> CliResult<[Vec<MeasuredTrial>; 2]> {
     let count = choice.fitted.len() + choice.held_out.len();
+    let client = client.quiet();
     let mut shown = Counted::of("trials read", count as u64);
     let mut sides = [Vec::new(), Vec::new()];
     for (side, chosen) in sides.iter_mut().zip([&choice.fitted, &choice.held_out]) {

@@ -107,10 +107,14 @@ impl Client {
         Self { answer_within, ..self.clone() }
     }
 
-    /// Returns the same client; while an answer takes longer than a moment, standard error names this work. Not
-    /// for requests next to a progress bar.
+    /// Returns the same client; while an answer takes longer than a moment, standard error names this work.
     pub fn showing(&self, work: &'static str) -> Self {
         Self { work: Some(work), ..self.clone() }
+    }
+
+    /// Returns the same client for requests next to a progress bar: it shows no wait.
+    pub fn quiet(&self) -> Self {
+        Self { work: None, ..self.clone() }
     }
 
     /// Returns the same client for an action upon a status of this time: the service refuses what may move the rig

@@ -88,7 +88,7 @@ pub struct Follower {
 impl Follower {
     /// Follower of a started run.
     pub fn new(client: Client, watch: Watch) -> Self {
-        let screen = Screen::new(watch.json);
+        let screen = Screen::new(watch.json, client.url());
         let started = Instant::now();
         Self {
             client,

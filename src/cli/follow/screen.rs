@@ -19,24 +19,27 @@ pub(super) struct Screen {
     bar: ProgressBar,
     terminal: bool,
     json: bool,
-    /// Time of the last progress line, and what the run waited for then.
+    /// Address of the service, for the commands that are named.
+    url: String,
+    /// Time of the last progress line, and the words for what the run waited for then.
     told: Option<(Instant, Option<String>)>,
     stored: Option<u64>,
 }
 
 impl Screen {
-    pub(super) fn new(json: bool) -> Self {
+    pub(super) fn new(json: bool, url: &str) -> Self {
         let terminal = std::io::stderr().is_terminal();
         let bar = bar("{bar:24} {pos}/{len} {wide_msg}");
-        Self { bar, terminal, json, told: None, stored: None }
+        Self { bar, terminal, json, url: url.to_owned(), told: None, stored: None }
     }
 
     pub(super) fn progress(&mut self, run: &RunView, status: &StatusView) {
         self.bar.set_length(run.trials_planned);
         self.bar.set_position(run.trials_stored + run.trials_skipped);
-        let words = shown(progress_words(run, status));
-        if !self.terminal && self.is_due(run) {
-            self.told = Some((Instant::now(), run.waiting_for.clone()));
+        let wait = wait_words(run, &self.url);
+        let words = shown(progress_words(run, status, wait.as_deref()));
+        if !self.terminal && self.is_due(wait.as_deref()) {
+            self.told = Some((Instant::now(), wait));
             note(format_args!("{}/{} {words}", run.trials_stored, run.trials_planned));
         }
         self.bar.set_message(words);
@@ -47,9 +50,9 @@ impl Screen {
     }
 
     /// Whether a progress line is due; the same wait is not repeated.
-    fn is_due(&self, run: &RunView) -> bool {
+    fn is_due(&self, wait: Option<&str>) -> bool {
         self.told.as_ref().is_none_or(|(at, waited_for)| {
-            let same_wait = run.waiting_for.is_some() && *waited_for == run.waiting_for;
+            let same_wait = wait.is_some() && waited_for.as_deref() == wait;
             at.elapsed() >= PROGRESS_LINES && !same_wait
         })
     }
@@ -78,9 +81,21 @@ fn progress_line(run: &RunView, status: &StatusView) -> serde_json::Value {
     })
 }
 
-fn progress_words(run: &RunView, status: &StatusView) -> String {
-    let mut parts = vec![match (&run.waiting_for, run.state) {
-        (Some(words), _) => format!("waits: {words}"),
+/// What the run waits for, or the command that continues a run which a person paused; `None` if it waits for nothing.
+fn wait_words(run: &RunView, url: &str) -> Option<String> {
+    match (&run.waiting_for, run.state) {
+        (Some(words), _) => Some(format!("waits: {words}")),
+        (None, StoredState::Paused) => {
+            Some(format!("paused: palpate resume {} --url {url}", run.scan_id))
+        }
+        (None, _) => None,
+    }
+}
+
+/// Progress as text; `wait`: the words for what the run waits for.
+fn progress_words(run: &RunView, status: &StatusView, wait: Option<&str>) -> String {
+    let mut parts = vec![match (wait, run.state) {
+        (Some(wait), _) => wait.to_owned(),
         (None, StoredState::Running) => run.phase.as_str().replace('_', "-"),
         (None, state) => state.as_str().into(),
     }];
@@ -112,7 +127,34 @@ fn force_words(force_n: f64) -> String {
 
 #[cfg(test)]
 mod tests {
+    use serde::Deserialize;
+
     use super::*;
+
+    #[test]
+    fn a_run_that_a_person_paused_is_shown_once_with_the_command_that_continues_it() {
+        let run = json!({
+            "uid": "01a208ed-3612-760c-9dff-1d5fb515cdf8", "scan_id": 3, "experiment": "night",
+            "state": "paused", "requested_state": null, "waiting_for": null, "wanted": null,
+            "phase": "next", "trial": null, "trials_planned": 40, "trials_stored": 12,
+            "trials_skipped": 0, "retries": 0, "eta": null, "current_step": null,
+        });
+        let mut run = RunView::deserialize(&run).unwrap();
+        let url = "http://rig:8080";
+        let paused = wait_words(&run, url);
+        assert_eq!(paused.as_deref(), Some("paused: palpate resume 3 --url http://rig:8080"));
+        let mut screen = Screen::new(false, url);
+        assert!(screen.is_due(paused.as_deref()));
+        let earlier = Instant::now().checked_sub(PROGRESS_LINES).unwrap();
+        screen.told = Some((earlier, paused.clone()));
+        assert!(!screen.is_due(paused.as_deref()), "the same wait is not repeated");
+        run.waiting_for = Some("mount 1 tip".into());
+        assert_eq!(wait_words(&run, url).as_deref(), Some("waits: mount 1 tip"));
+        assert!(screen.is_due(wait_words(&run, url).as_deref()));
+        (run.waiting_for, run.state) = (None, StoredState::Running);
+        assert_eq!(wait_words(&run, url), None);
+        assert!(screen.is_due(None));
+    }
 
     #[test]
     fn a_force_of_zero_has_no_sign() {

@@ -81,6 +81,7 @@ pub async fn fit_of(client: &Client, run: RunUid) -> CliResult<(TwinsOf, Simulat
 /// # Errors
 /// As [`Client::send`]; `CliError::Refused` if a line cannot be read.
 pub async fn all_trials(client: &Client, run: RunUid, expected: u64) -> CliResult<Vec<TrialFacts>> {
+    let client = client.quiet();
     let mut shown = Counted::of("trials read", expected);
     let (mut all, mut last) = (Vec::new(), 0);
     loop {

@@ -11,6 +11,7 @@ use super::{RunsArgs, check_names};
 use crate::api::Page;
 use crate::cli::client::Client;
 use crate::cli::error::{CliError, CliResult};
+use crate::cli::progress::shown_wait;
 use crate::cli::table::{Table, or_dash};
 use crate::cli::times::local;
 use crate::journal::ExitStatus;
@@ -66,8 +67,11 @@ impl RunLine {
 /// As [`Client::send`].
 pub async fn runs(client: &Client, args: &RunsArgs) -> CliResult<()> {
     let (rows, is_all) = select(client, args).await?;
-    let lines = futures::stream::iter(rows.into_iter().map(|run| RunLine::of(client, run)));
-    let lines: Vec<RunLine> = lines.buffered(REQUESTS).try_collect().await?;
+    // One wait is shown for all of them.
+    let quiet = &client.quiet();
+    let lines = futures::stream::iter(rows.into_iter().map(|run| RunLine::of(quiet, run)));
+    let counting = lines.buffered(REQUESTS).try_collect::<Vec<_>>();
+    let lines = shown_wait("counting the trials", counting).await?;
     let filtered =
         !args.conditions.is_empty() || !args.state.is_empty() || args.experiment.is_some();
     let empty = match filtered {

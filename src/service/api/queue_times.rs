@@ -11,6 +11,7 @@ use super::App;
 use super::limits::ROOM_MAX;
 use super::pages::Page;
 use super::problem::ApiResult;
+use super::refusals::DESK;
 use crate::conductor::ConductorError;
 use crate::ids::RunUid;
 use crate::journal::error_chain;
@@ -67,6 +68,7 @@ pub async fn times(app: App) -> ApiResult<Page<QueueTime>> {
     let now = Timestamp::now();
     let run = app.campaign.status().run;
     let free_s = match run.as_ref().map(|run| run.eta) {
+        _ if app.facts.desk => None,
         None => Some([0.0; 3]),
         Some(eta) => eta.map(|eta| [eta.remaining_s, eta.low_s, eta.high_s]),
     };
@@ -91,7 +93,10 @@ pub async fn times(app: App) -> ApiResult<Page<QueueTime>> {
         end: time.and_then(|time| at(time.end_s[0])),
         low: time.and_then(|time| at(time.end_s[1])),
         high: time.and_then(|time| at(time.end_s[2])),
-        problem: planned.get(n).and_then(|planned| planned.problem.clone()),
+        problem: match app.facts.desk {
+            true => Some(DESK.to_owned()),
+            false => planned.get(n).and_then(|planned| planned.problem.clone()),
+        },
         not_begun: app.conductor.why_dropped(row.uid),
     };
     Ok(Page::whole(rows.iter().zip(times).enumerate().map(time).collect()))

@@ -256,7 +256,7 @@ mod tests {
 
     #[test]
     fn the_example_has_every_kind() {
-        let text = include_str!("../../examples/faults.toml");
+        let text = include_str!("../../../experiments/faults/each-kind.toml");
         script(text, &rig()).unwrap();
         let shown: std::collections::BTreeSet<&str> = text
             .lines()

@@ -226,8 +226,9 @@ impl Engine {
         attempts.configuration = key.map(|k| k.configuration);
         let data = json!({ "trial": key, "attempt": attempts.of_configuration, "reason": reason });
         self.control.say("attempt_failed", data);
-        self.control.show_run(|run| run.retries += 1);
+        // Only an attempt at a trial is stored: the status counts what the summary counts.
         let Some(key) = key else { return };
+        self.control.show_run(|run| run.retries += 1);
         let record = AttemptRecord {
             key,
             attempt: attempts.of_configuration,

@@ -25,7 +25,7 @@ use crate::campaign::shown::command::{Handle, Refusal, Request, channel};
 use crate::campaign::shown::show;
 use crate::campaign::shown::status::{Done, Wanted};
 use crate::clock::Clock;
-use crate::ids::RunUid;
+use crate::ids::{RunUid, TrialKey};
 use crate::journal::{ExitStatus, Journal};
 use crate::rig::setup::RigSetup;
 use crate::rig::traits::AxisStatus;
@@ -307,6 +307,24 @@ async fn an_end_brings_a_person_to_the_rig_unless_the_run_was_stopped_as_it_move
         let next = engine.decide(&job, halt, &mut attempts, &mut 0).await;
         assert!(matches!(next, Next::End(status, _) if status == end), "{request:?}");
         assert_eq!(signs(&engine), u64::from(is_sign), "{request:?}");
+    }
+}
+
+#[tokio::test]
+async fn the_status_counts_the_failed_attempts_that_are_stored() {
+    let (axes, job) = (StandIns::default(), job());
+    let mut engine = engine(&axes);
+    engine.control.show(|status| status.run = Some(show::started(&job)));
+    engine.control.begin(job.run).unwrap();
+    let at = Some(TrialKey { configuration: 0, depth_index: 1 });
+    // A touch-off is not an attempt at a trial.
+    for (trial, retries) in [(None, 0), (at, 1)] {
+        engine.control.show_run(|run| run.trial = trial);
+        let halt = Halt::Failed("no frames".into());
+        let next = engine.decide(&job, halt, &mut Attempts::default(), &mut 0).await;
+        assert!(matches!(next, Next::Again), "{trial:?}");
+        let status = engine.control.inbox.status.borrow();
+        assert_eq!(status.run.as_ref().unwrap().retries, retries, "{trial:?}");
     }
 }
 
