@@ -244,11 +244,14 @@ async fn fig_12_is_made_of_imported_trials_of_another_skin() {
     assert!(nets.iter().all(|net| net["report"]["held_out"] == true), "{nets:?}");
     // An eighth of the 9 N of all contacts.
     assert!(nets.iter().all(|net| net["report"]["threshold_n"] == 1.13), "{nets:?}");
+    let distances = serde_json::json!({ "ghost_mm": 7.143, "guess_mm": 51.25 });
+    assert!(nets.iter().all(|net| net["report"]["distances"] == distances), "{nets:?}");
     let text = table_text(&data, "fig-12");
     assert!(
         text.contains("| ridge, best: ") && text.contains("the best of kernel ridge by the"),
         "{text}"
     );
+    assert!(text.contains("farther than 7.143 mm") && text.contains("as 51.25 mm off"), "{text}");
     assert!(text.contains("end-to-end, best: ") && text.contains("part train of pad"), "{text}");
     assert!(!data.join("tables/fig-12.svg").exists(), "it shows the rig's skin");
     let refused = palpate(&data, &["evaluate", "unseen", "--ours", "--dataset", "pad"]);
