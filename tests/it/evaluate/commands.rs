@@ -4,7 +4,7 @@
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
-use palpate::store::{Contact, ImportedTrial, NewRun, RunKind};
+use palpate::store::{Contact, ImportedTrial, Label, NewRun, RunKind};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use serde_json::Value;
@@ -257,6 +257,23 @@ async fn fig_12_is_made_of_imported_trials_of_another_skin() {
     let refused = palpate(&data, &["evaluate", "unseen", "--ours", "--dataset", "pad"]);
     let words = String::from_utf8_lossy(&refused.stderr);
     assert!(!refused.status.success() && words.contains("the rig's sensor"), "{words}");
+}
+
+#[tokio::test]
+async fn a_learning_curve_states_the_labels_of_all_rows() {
+    let data = folder("evaluate-labels");
+    trials(&data).await;
+    let store = store(&data).await;
+    let mut chance = ChaCha8Rng::seed_from_u64(8);
+    let new = NewRun { label: Label::Measured, ..new_run(RunKind::RealHex, "made-up-measured") };
+    let run = press_run(&store, new, 1, CONFIGURATIONS, 0..11, &mut chance).await;
+    twins_but(0, &store, run, "sim-0000000000000001", &mut chance).await;
+    store.close().await;
+    let tiny = ["--map", "20x60", "--rows", "40", "--epochs", "1"];
+    succeeded(&palpate(&data, &[&["train", "recon-net"][..], &tiny].concat()));
+    succeeded(&palpate(&data, &["job", "losses", "last", "--plot", "losses.svg"]));
+    let picture = std::fs::read_to_string(data.join("losses.svg")).unwrap();
+    assert!(picture.contains("measured and virtual, n = 1 "), "{picture}");
 }
 
 /// The twins are real: the service of the command makes them.
