@@ -19,7 +19,7 @@ use crate::ids::ModelId;
 use crate::infer::methods::Method;
 use crate::lab::{Lab, Noise, StudyError};
 use crate::noise::LEVELS;
-use crate::rows::perfects;
+use crate::rows::{distances_note, perfects};
 use crate::sheet::{OutputFile, Sheet};
 
 /// The coarser of the two pixels, mm; the finer one depends on the scale.
@@ -134,8 +134,9 @@ fn sheet(
         }
     }
     text += &format!(
-        "\n## A perfect map under the same rule\n\n{}\n{}\n",
+        "\n## A perfect map under the same rule\n\n{}\n{}{}\n",
         table::markdown(&SCORE_COLUMNS, &perfects(conditions.iter().map(|c| &c.report))),
+        last.map_or_else(String::new, |condition| distances_note(&condition.report)),
         budget.caption(label)
     );
     let numbers = conditions.iter().map(|condition| {

@@ -268,7 +268,7 @@ pub mod fake {
         let touches = counts.map(|count| {
             let estimates: Vec<Contact> =
                 reading(count).contacts.iter().map(Contact::from).collect();
-            Touch::of(&truth(count), &estimates).unwrap()
+            Touch::of(&truth(count), &estimates, report.distances.ghost_mm).unwrap()
         });
         report.contacts = Some(Scores::of(&touches, 1));
         report.perfect = report.contacts.clone();

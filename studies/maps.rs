@@ -12,7 +12,7 @@ use crate::evaluate::table::{SCORE_COLUMNS, Uncertainty, markdown, published_row
 use crate::figure::Heading;
 use crate::infer::methods::Method;
 use crate::lab::{Lab, StudyError, TableNet};
-use crate::rows::beats;
+use crate::rows::{beats, distances_note};
 use crate::sheet::{OutputFile, Sheet};
 
 /// The nets of the twelve maps, in the order of the table: of each map the Recon-Net, then the regressions on its rows.
@@ -40,7 +40,7 @@ pub fn table_iv_nets(budget: &Budget) -> Vec<TableNet> {
 pub async fn table_iv<L: Lab>(lab: &L, budget: &Budget) -> Result<Sheet, L::Error> {
     let (mut rows, mut numbers, mut scores) = (Vec::new(), Vec::new(), Vec::new());
     let mut scored = 0;
-    let mut label = "";
+    let (mut label, mut note) = ("", String::new());
     // The maps on which the net does not beat a regression.
     let mut lost = REGRESSIONS.map(|_| Vec::new());
     let mut nets = table_iv_nets(budget).into_iter();
@@ -74,6 +74,7 @@ pub async fn table_iv<L: Lab>(lab: &L, budget: &Budget) -> Result<Sheet, L::Erro
         rows.extend(published_table_iv(spec).map(|paper| published_row("  paper", &paper)));
         scored = report.rows;
         label = report.label.as_str();
+        note = distances_note(&report);
         numbers.push(json!({ "map": spec.to_string(), "model": model, "report": report,
             "regressions": compared }));
     }
@@ -82,7 +83,7 @@ pub async fn table_iv<L: Lab>(lab: &L, budget: &Budget) -> Result<Sheet, L::Erro
         verdicts += &verdict(name, lost);
     }
     let text = format!(
-        "# Table IV: Recon-Net on simulated voltages, mean ± standard deviation\n\n{}\n{}{}\n",
+        "# Table IV: Recon-Net on simulated voltages, mean ± standard deviation\n\n{}\n{note}{}{}\n",
         markdown(&SCORE_COLUMNS, &rows),
         verdicts,
         budget.caption(&format!("simulated; twins of {label} trials"))

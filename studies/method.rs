@@ -6,7 +6,7 @@ use serde_json::json;
 use crate::evaluate::request::{EvaluationReport, EvaluationRequest};
 use crate::evaluate::table::{SCORE_COLUMNS, markdown};
 use crate::lab::Lab;
-use crate::rows::{by_contacts, coverage, perfect, read_by, reliability};
+use crate::rows::{by_contacts, coverage, distances_note, perfect, read_by, reliability};
 use crate::sheet::Sheet;
 
 /// Scores a method: over all frames, by the number of contacts, and a perfect map for comparison.
@@ -20,10 +20,11 @@ pub async fn scores<L: Lab>(lab: &L, request: &EvaluationRequest) -> Result<Shee
     let mut rows = by_contacts(name, &report);
     rows.extend(perfect(&report));
     let text = format!(
-        "# {name} on {} ({}), mean [95 % interval]\n\n{}\n{}{}{}{}{}",
+        "# {name} on {} ({}), mean [95 % interval]\n\n{}\n{}{}{}{}{}{}",
         request.dataset,
         report.label.as_str(),
         markdown(&SCORE_COLUMNS, &rows),
+        distances_note(&report),
         coverage([(name, &report)].into_iter()),
         reliability([(name, &report)].into_iter()),
         latency(&report),

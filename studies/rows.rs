@@ -1,6 +1,7 @@
 //! Rows, small tables and notes of an evaluation report, common to several tables.
-//! PURE. Uses: `evaluate::{table, score, reliability}`. Never: a number that is not in the report.
+//! PURE. Uses: `evaluate::{table, score, reliability, distances}`. Never: a number that is not in the report.
 
+use crate::evaluate::distances::Distances;
 use crate::evaluate::reliability::Reliability;
 use crate::evaluate::request::EvaluationReport;
 use crate::evaluate::score::Score;
@@ -32,7 +33,20 @@ pub fn perfect(report: &EvaluationReport) -> Option<Vec<String>> {
 
 /// Cost of a net by the paper's rule for the best of many (V-D); `None` if the report has no scores.
 pub fn paper_cost(report: &EvaluationReport) -> Option<f64> {
-    Some(report.contacts.as_ref()?.all.paper_cost())
+    Some(report.contacts.as_ref()?.all.paper_cost(report.distances.guess_mm))
+}
+
+/// Footnote of a table of scores: the distances by which contacts were judged. Empty if the report has no scores
+/// of contacts.
+pub fn distances_note(report: &EvaluationReport) -> String {
+    if report.contacts.is_none() {
+        return String::new();
+    }
+    let Distances { ghost_mm, guess_mm } = report.distances;
+    format!(
+        "Ghosts are estimates farther than {ghost_mm} mm from every true contact. If nets are compared, a contact of a \
+         trial without estimates counts as {guess_mm} mm off.\n\n"
+    )
 }
 
 /// Whether a net beats a regression by the paper's rule; `None` if one of the reports has no scores.
@@ -77,11 +91,14 @@ pub fn coverage<'a>(reports: impl Iterator<Item = (&'a str, &'a EvaluationReport
 /// Tables of how often answers are right that state a probability; empty if none does.
 pub fn reliability<'a>(reports: impl Iterator<Item = (&'a str, &'a EvaluationReport)>) -> String {
     reports
-        .filter_map(|(name, report)| Some(reliability_of(name, report.reliability.as_ref()?)))
+        .filter_map(|(name, report)| {
+            let ghost_mm = report.distances.ghost_mm;
+            Some(reliability_of(name, report.reliability.as_ref()?, ghost_mm))
+        })
         .collect()
 }
 
-fn reliability_of(name: &str, found: &Reliability) -> String {
+fn reliability_of(name: &str, found: &Reliability, ghost_mm: f64) -> String {
     let percent = |share: f64| format!("{:.0}", 100.0 * share);
     let mut rows: Vec<Vec<String>> = Vec::new();
     for range in &found.ranges {
@@ -91,7 +108,7 @@ fn reliability_of(name: &str, found: &Reliability) -> String {
     }
     let (right, any) = (share_cell(&Some(found.right)), share_cell(&Some(found.any_right)));
     format!(
-        "{name}, answers by their probability; right: the number, and each contact within 40 mm:\n\n{}\n\
+        "{name}, answers by their probability; right: the number, and each contact within {ghost_mm} mm:\n\n{}\n\
          Right are {right} % of the answers; these or an alternative: {any} %.\n\n",
         markdown(&["probability", "answers", "stated %", "right %"], &rows)
     )
@@ -135,8 +152,9 @@ mod tests {
             force_sd_n: sd_mm,
             ..FoundContact::default()
         };
-        let touches: Vec<Touch> =
-            off_mm.iter().map(|off| Touch::of_found(&[truth], &[found(off)]).unwrap()).collect();
+        let ghost_mm = Distances::PAPER.ghost_mm;
+        let touch = |off: &f64| Touch::of_found(&[truth], &[found(off)], ghost_mm).unwrap();
+        let touches: Vec<Touch> = off_mm.iter().map(touch).collect();
         let report = json!({ "scored": "exact", "dataset": "ds-1", "label": "virtual", "models": [],
             "rows": off_mm.len(), "threshold_n": 5.0, "contacts": Scores::of(&touches, 1) });
         serde_json::from_value(report).unwrap()
@@ -172,5 +190,25 @@ mod tests {
         let text = reliability([("exact", &report)].into_iter());
         assert!(text.contains("60 to 80 %") && text.contains(" 70 |"), "{text}");
         assert!(text.contains("an alternative: 100 [100, 100] %."), "{text}");
+        assert!(text.contains("each contact within 40 mm:"), "{text}");
+        report.distances = Distances::on_skin([60.0, 100.0]);
+        let text = reliability([("exact", &report)].into_iter());
+        assert!(text.contains("each contact within 7.143 mm:"), "{text}");
+    }
+
+    #[test]
+    fn a_table_states_the_distances_of_its_skin() {
+        let mut report = report(&[], None);
+        let note = distances_note(&report);
+        assert!(note.contains("farther than 40 mm") && note.contains("as 287 mm off"), "{note}");
+        report.contacts.as_mut().unwrap().all.contacts = 1;
+        // Without an estimate: force and diameter cost 1 each.
+        assert!((paper_cost(&report).unwrap() - 4.87).abs() < 1e-12);
+        report.distances = Distances::on_skin([60.0, 100.0]);
+        let note = distances_note(&report);
+        assert!(note.contains("farther than 7.143 mm") && note.contains("51.25 mm off"), "{note}");
+        assert!((paper_cost(&report).unwrap() - 2.5125).abs() < 1e-12);
+        report.contacts = None;
+        assert_eq!(distances_note(&report), "");
     }
 }

@@ -5,13 +5,16 @@ use std::path::Path;
 
 use serde_json::Value;
 
-use super::client::{Client, text_of};
+use super::client::Client;
 use super::error::{CliError, CliResult};
 use super::output::say;
 use super::picture;
+use super::view::rows;
 use crate::api::JobOut;
 use crate::evaluate::losses::{best, curve, read};
 use crate::figure::Heading;
+use crate::ids::DatasetId;
+use crate::record::Label;
 
 /// Name in the recipe of a training; `None` for an evaluation.
 pub fn recipe_name(job: &JobOut) -> Option<String> {
@@ -38,6 +41,19 @@ pub async fn losses(client: &Client, job: &str) -> CliResult<String> {
     }
 }
 
+/// The labels that rows of a dataset have: `virtual`, or `measured and virtual` (`s2s-recon` may have both).
+async fn labels(client: &Client, dataset: &DatasetId) -> CliResult<String> {
+    let mut found = Vec::new();
+    for label in [Label::Measured, Label::Virtual, Label::Simulated].map(Label::as_str) {
+        let path = format!("/api/v1/datasets/{dataset}/rows?label={label}&columns=label&limit=1");
+        let page: Value = client.get(&path).await?;
+        if !rows(&page, "items").is_empty() {
+            found.push(label);
+        }
+    }
+    Ok(found.join(" and "))
+}
+
 /// Draws the learning curve of a training to a file.
 ///
 /// # Errors
@@ -55,11 +71,7 @@ pub async fn draw(client: &Client, name: &str, file: &Path) -> CliResult<()> {
         return Err(CliError::argument("JOB", name, limit));
     }
     let label = match &job.task.dataset {
-        Some(dataset) => {
-            let path = format!("/api/v1/datasets/{dataset}/rows?columns=label&limit=1");
-            let page: Value = client.get(&path).await?;
-            text_of(&page["items"][0]["label"])
-        }
+        Some(dataset) => labels(client, dataset).await?,
         None => String::new(),
     };
     let title = format!("Learning curve of {net}");

@@ -15,7 +15,9 @@ use crate::ids::{CalibrationId, ModelId};
 use crate::infer::methods::Method;
 use crate::lab::{DatasetFacts, Lab, Noise, StudyError, Training};
 use crate::noise::LEVELS;
-use crate::rows::{beats, by_contacts, coverage, paper_cost, perfects, read_by, reliability};
+use crate::rows::{
+    beats, by_contacts, coverage, distances_note, paper_cost, perfects, read_by, reliability,
+};
 use crate::sheet::{OutputFile, Sheet};
 
 #[cfg(test)]
@@ -298,10 +300,11 @@ fn sheet(
     table.extend(perfects(all()));
     let any = all().next();
     let label = any.map_or("", |report| report.label.as_str());
+    let note = any.map_or_else(String::new, distances_note);
     let by_best = best_pipeline
         .map_or(String::new(), |(_, report)| format!("real-to-sim, best: {}", read_by(report)));
     let text = format!(
-        "# Fig. 12: contacts that no net has seen, mean [95 % interval]\n\n{}\n{verdicts}{}{}{nets}{by_best}{}\
+        "# Fig. 12: contacts that no net has seen, mean [95 % interval]\n\n{}\n{note}{verdicts}{}{}{nets}{by_best}{}\
          {learned}{}\n",
         markdown(&SCORE_COLUMNS, &table),
         coverage(named(ours)),

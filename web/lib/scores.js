@@ -188,10 +188,10 @@ function contactScores({ contacts, perfect }) {
 }
 
 /** How often the answers are right, by the probability that they state. */
-function reliabilityTable({ ranges, right, any_right }) {
+function reliabilityTable({ ranges, right, any_right }, ghost) {
   const shares = `${interval(right, 100, 0)}\u202f% of all, with alternatives ${interval(any_right, 100, 0)}\u202f%`
   return table({
-    caption: `Answers by their probability. Right: the number, and each contact within 40\u202fmm; ${shares}.`,
+    caption: `Answers by their probability. Right: the number, and each contact within ${ghost}; ${shares}.`,
     rows: ranges,
     columns: [
       { head: 'Probability', unit: '%', left: true, cell: one => `${fixed(one.from * 100, 0)} to ${fixed(one.to * 100, 0)}` },
@@ -206,6 +206,8 @@ function reliabilityTable({ ranges, right, any_right }) {
 export function reportView(report, models) {
   const { contacts, quantity } = report
   const without = quantity?.left_out > 0 && `${counted(quantity.left_out, 'row')} without this quantity ${quantity.left_out === 1 ? 'has' : 'have'} no score.`
+  // Reports without distances were judged by those of the paper's skin.
+  const ghost = fixed(report.distances?.ghost_mm ?? 40, 1, 'mm')
   const where = report.where?.length ? `, where ${report.where.join(' and ')}.` : '.'
   return el('div', {},
     el('p', {}, `By ${nets(report, models)}, on `, link(`/data?dataset=${report.dataset}`, report.dataset), where),
@@ -216,6 +218,7 @@ export function reportView(report, models) {
       ['Label', report.label],
       ['Held out', report.held_out === false ? el('span', { className: 'warn' }, 'no') : 'yes'],
       contacts && ['Least peak', fixed(report.threshold_n, 1, 'N')],
+      contacts && ['Ghosts beyond', ghost],
       ...[['place', 'place_in_95'], ['force', 'force_in_95']].map(([of, share]) => contacts?.all[share] &&
         [`95\u202f% regions hold the ${of}`, `${interval(contacts.all[share], 100, 0)}\u202f%`]),
       report.place_sd_mm && ['Only known to', fixed(report.place_sd_mm, 0, 'mm')],
@@ -225,7 +228,7 @@ export function reportView(report, models) {
     report.notes?.length > 0 && el('ul', { className: 'warn' }, report.notes.map(words => el('li', {}, words))),
     report.voltages && voltageScores(report),
     contacts && contactScores(report),
-    report.reliability && reliabilityTable(report.reliability),
+    report.reliability && reliabilityTable(report.reliability, ghost),
     quantity && quantityTables([report], models),
     without && el('p', { className: 'soft' }, without),
   )

@@ -2,12 +2,13 @@
 //! Uses: `store` (its rows), `dataset` (force maps), plotters. Never: motion, training, a number
 //! that was not measured.
 //!
-//! PURE, except for files whose heads state otherwise. Answers: `touch` (a frame) -> `score` (many) -> `table`, with
+//! PURE, except for files whose heads state otherwise. Answers: `touch` (a frame, judged by `distances`) -> `score` (many) -> `table`, with
 //! `perfect` and `published` for comparison; `anova` analyses factors.
 
 pub mod figures;
 pub mod held_out;
 pub mod simulation;
+pub mod distances;
 pub mod touch;
 pub mod score;
 pub mod reliability;

@@ -32,7 +32,7 @@ pub enum PerfectError {
 }
 
 /// Compares each frame's true contacts with the peaks of the force map of these contacts. Frames with a contact of
-/// unknown position or force have no map and are skipped.
+/// unknown position or force have no map and are skipped. `ghost_mm`: distance of a ghost, mm.
 ///
 /// # Errors
 /// `PerfectError::Draw` if a contact is outside the map; `Score` if a value is not finite.
@@ -40,6 +40,7 @@ pub fn perfect<'a>(
     map: &ForceMap,
     frames: impl IntoIterator<Item = &'a [Contact]>,
     threshold_n: f64,
+    ghost_mm: f64,
 ) -> Result<Vec<Touch>, PerfectError> {
     let mut pixels = vec![0.0; map.pixels() * map.pixels()];
     let mut touches = Vec::new();
@@ -49,7 +50,8 @@ pub fn perfect<'a>(
         pixels.fill(0.0);
         map.render(&pressed, &mut pixels).map_err(|why| PerfectError::Draw { frame, why })?;
         let peaks = map.peaks(&pixels, threshold_n).into_iter();
-        let touch = Touch::of(truths, &peaks.map(Contact::from).collect::<Vec<_>>());
+        let estimates: Vec<Contact> = peaks.map(Contact::from).collect();
+        let touch = Touch::of(truths, &estimates, ghost_mm);
         touches.push(touch.map_err(|why| PerfectError::Score { frame, why })?);
     }
     Ok(touches)
@@ -60,7 +62,11 @@ mod tests {
     use super::*;
     use crate::chance::Chance;
     use crate::dataset::force_map::peaks::THRESHOLD_N;
+    use crate::evaluate::distances::Distances;
     use crate::evaluate::score::Scores;
+
+    /// Distance of a ghost on the paper's skin, mm.
+    const GHOST_MM: f64 = Distances::PAPER.ghost_mm;
 
     fn map(spec: &str) -> ForceMap {
         ForceMap::new(spec.parse().unwrap(), [540.0, 560.0]).unwrap()
@@ -104,7 +110,7 @@ mod tests {
 
     fn score(spec: &str, frames: &[Vec<Contact>], threshold_n: f64) -> Scores {
         let frames = frames.iter().map(Vec::as_slice);
-        Scores::of(&perfect(&map(spec), frames, threshold_n).unwrap(), 1)
+        Scores::of(&perfect(&map(spec), frames, threshold_n, GHOST_MM).unwrap(), 1)
     }
 
     /// 600 such frames had errors of -32.8 % and 60.7 mm with the threshold of 5 N, above a third
@@ -129,10 +135,12 @@ mod tests {
         let known = vec![contact(100.0, 100.0, 10.0)];
         let pattern = vec![Contact { force_n: None, ..known[0] }];
         let frames = [known.clone(), pattern, Vec::new()];
-        let touches = perfect(&map("4x20"), frames.iter().map(Vec::as_slice), 5.0).unwrap();
+        let slices = frames.iter().map(Vec::as_slice);
+        let touches = perfect(&map("4x20"), slices, 5.0, GHOST_MM).unwrap();
         assert_eq!(touches.iter().map(|touch| touch.contacts).collect::<Vec<_>>(), [1, 0]);
         let off = [known, vec![contact(900.0, 0.0, 10.0)]];
-        let refused = perfect(&map("4x20"), off.iter().map(Vec::as_slice), 5.0).unwrap_err();
+        let slices = off.iter().map(Vec::as_slice);
+        let refused = perfect(&map("4x20"), slices, 5.0, GHOST_MM).unwrap_err();
         assert!(matches!(refused, PerfectError::Draw { frame: 1, .. }), "{refused}");
     }
 }

@@ -11,7 +11,7 @@ const RANGES: [[f64; 2]; 6] =
     [[0.0, 0.2], [0.2, 0.4], [0.4, 0.6], [0.6, 0.8], [0.8, 0.95], [0.95, 1.0]];
 
 /// An answer with its stated probability, compared with the truth. It is right if it has the right number of
-/// contacts, each within 40 mm of its true one.
+/// contacts, each within the distance of a ghost of its true one.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct JudgedAnswer {
     /// Stated probability, 0 to 1.
@@ -31,7 +31,8 @@ pub struct ReliabilityRange {
     pub to: f64,
     /// Mean of the stated probabilities.
     pub stated: f64,
-    /// Share of the answers that are right: the right number of contacts, each within 40 mm.
+    /// Share of the answers that are right: the right number of contacts, each within
+    /// `distances.ghost_mm` of the report.
     pub right: Mean,
 }
 

@@ -9,6 +9,7 @@ use utoipa::openapi::schema::Schema;
 use utoipa::{PartialSchema, ToSchema};
 
 use super::anova::Moments;
+use super::distances::Distances;
 use super::quantities::QuantityScores;
 use super::reliability::Reliability;
 use super::score::Scores;
@@ -305,6 +306,10 @@ pub struct EvaluationReport {
     pub rows: u64,
     /// Least force of a peak, N.
     pub threshold_n: f64,
+    /// Distances by which contacts were judged, mm, in proportion to the skin of the dataset. Reports without them
+    /// were judged by those of the paper's skin.
+    #[serde(default)]
+    pub distances: Distances,
     /// Contacts whose position has a larger standard deviation than this were skipped, mm.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub place_sd_mm: Option<f64>,
@@ -395,6 +400,17 @@ mod tests {
         assert_eq!(problems(Scored::Quantity, json!({})), ["net"]);
         let net = json!({ "net": "n", "points": "p", "examples": 1 });
         assert_eq!(problems(Scored::Quantity, net), ["points", "examples"]);
+    }
+
+    #[test]
+    fn a_report_without_distances_was_judged_by_those_of_the_papers_skin() {
+        let report = json!({ "scored": "exact", "dataset": "ds-1", "label": "virtual", "models": [],
+            "rows": 1, "threshold_n": 5.0 });
+        let mut report: EvaluationReport = serde_json::from_value(report).unwrap();
+        assert_eq!(report.distances, Distances::PAPER);
+        report.distances = Distances::on_skin([60.0, 100.0]);
+        let stated = &serde_json::to_value(&report).unwrap()["distances"];
+        assert_eq!(*stated, json!({ "ghost_mm": 7.143, "guess_mm": 51.25 }));
     }
 
     #[test]

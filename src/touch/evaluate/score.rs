@@ -24,8 +24,6 @@ pub const RESAMPLES: usize = 1000;
 pub const HANDS: usize = 2000;
 /// Share of the rounds below an interval, and above it.
 const TAIL: f64 = 0.025;
-/// Mean distance of two random positions on a skin of 540 x 560 mm, mm: the error of a guess.
-const GUESS_MM: f64 = 287.0;
 
 /// A mean of measured values.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, ToSchema)]
@@ -79,8 +77,8 @@ pub struct Score {
     /// Share of frames with the right number of contacts, 0 to 1; on an untouched skin, none.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub exact_rate: Option<Mean>,
-    /// Estimates farther than 40 mm from every true contact, over frames; on an untouched skin each
-    /// estimate is one.
+    /// Estimates farther than `distances.ghost_mm` of the report from every true contact, over frames; on an
+    /// untouched skin each estimate is one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub ghosts_per_trial: Option<Mean>,
     /// Share of the pairs whose 95 % region of the position holds the true one, 0 to 1; only of a method
@@ -141,12 +139,12 @@ impl Score {
     /// close to zero average force and diameter error"): location from each true contact to its
     /// closest estimate, as under its Table IV, in units of 100 mm, force and diameter in units of
     /// 100 %. So that a net that finds almost no contact is not the best, a contact of a frame
-    /// without any estimate counts as far off as a guess.
-    pub fn paper_cost(&self) -> f64 {
+    /// without any estimate counts as far off as a guess: `guess_mm`, mm.
+    pub fn paper_cost(&self, guess_mm: f64) -> f64 {
         let found = self.closest_mm.map_or(0.0, |closest| closest.n as f64);
         let sum_mm = self.closest_mm.map_or(0.0, |closest| found * closest.mean);
         let contacts = self.contacts as f64;
-        let location_mm = (sum_mm + (contacts - found) * GUESS_MM) / contacts.max(1.0);
+        let location_mm = (sum_mm + (contacts - found) * guess_mm) / contacts.max(1.0);
         let off = |mean: Option<Mean>| mean.map_or(1.0, |mean| mean.mean.abs() / 100.0);
         location_mm / 100.0 + off(self.force_percent) + off(self.diameter_percent)
     }
@@ -268,6 +266,7 @@ fn resampled<const METRICS: usize>(hands: &[Tallies<METRICS>], seed: u64) -> [Ve
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::evaluate::distances::Distances;
     use crate::store::Contact;
 
     fn contact(x_mm: f64, force_n: f64) -> Contact {
@@ -276,7 +275,7 @@ mod tests {
     }
 
     fn touch(truths: &[Contact], estimates: &[Contact]) -> Touch {
-        Touch::of(truths, estimates).unwrap()
+        Touch::of(truths, estimates, Distances::PAPER.ghost_mm).unwrap()
     }
 
     /// One contact, found 3 mm off; two, found 6 and 9 mm off and one ghost; none, and one found.
@@ -356,11 +355,21 @@ mod tests {
         let cost = |near: usize, off_mm: f64| {
             let found = |i: usize| if i < near { vec![contact(off_mm, 10.0)] } else { Vec::new() };
             let frames: Vec<Touch> = (0..100).map(|i| touch(&pressed, &found(i))).collect();
-            Scores::of(&frames, 1).all.paper_cost()
+            Scores::of(&frames, 1).all.paper_cost(Distances::PAPER.guess_mm)
         };
         assert!(cost(100, 60.0) < cost(1, 5.0));
         assert!(cost(100, 30.0) < cost(100, 60.0));
         assert!(cost(0, 0.0).is_finite());
+    }
+
+    #[test]
+    fn a_contact_without_an_estimate_costs_a_guess_on_its_skin() {
+        let missed = Scores::of(&[touch(&[contact(0.0, 10.0)], &[])], 1).all;
+        // Force and diameter, which are unknown, cost 1 each.
+        for (skin_mm, location) in [([540.0, 560.0], 2.87), ([60.0, 100.0], 0.5125)] {
+            let cost = missed.paper_cost(Distances::on_skin(skin_mm).guess_mm);
+            assert!((cost - 2.0 - location).abs() < 1e-12, "{skin_mm:?}: {cost}");
+        }
     }
 
     #[test]

@@ -5,7 +5,7 @@
 use strum::VariantArray;
 
 use crate::infer::answer::FoundContact;
-use crate::infer::matching::{GHOST_MM, Match, closest_mm, matched};
+use crate::infer::matching::{Match, closest_mm, matched};
 use crate::store::Contact;
 
 /// Why a contact cannot be scored.
@@ -71,7 +71,9 @@ pub struct Places {
     /// From each true contact to its closest estimate, mm: one per true contact, or empty without
     /// estimates.
     pub closest_mm: Vec<f64>,
-    /// Estimates farther than [`GHOST_MM`] from every true contact: all, on an untouched skin.
+    /// Whether the distance within each pair is at most that of a ghost.
+    pub all_near: bool,
+    /// Estimates farther than the distance of a ghost from every true contact: all, on an untouched skin.
     pub ghosts: u32,
 }
 
@@ -90,7 +92,7 @@ pub enum Metric {
     Diameter,
     /// 1 if the number is right (none, on an untouched skin), else 0.
     Exact,
-    /// Number of estimates farther than [`GHOST_MM`] from any true contact.
+    /// Number of ghosts.
     Ghosts,
     /// 1 for each pair whose 95 % region of the position holds the true one, else 0.
     PlaceIn95,
@@ -104,36 +106,46 @@ impl Metric {
 }
 
 impl Touch {
-    /// Compares the estimates of a frame with its true contacts.
+    /// Compares the estimates of a frame with its true contacts. `ghost_mm`: distance of a ghost, mm
+    /// (`evaluate::distances`).
     ///
     /// # Errors
     /// `TouchError` with the first value that is not finite.
-    pub fn of(truths: &[Contact], estimates: &[Contact]) -> Result<Self, TouchError> {
-        Self::compared(truths, estimates, |_, _| In95::default())
+    pub fn of(
+        truths: &[Contact],
+        estimates: &[Contact],
+        ghost_mm: f64,
+    ) -> Result<Self, TouchError> {
+        Self::compared(truths, estimates, ghost_mm, |_, _| In95::default())
     }
 
-    /// Compares the contacts of an answer with the true ones, and its 95 % regions if it has some.
+    /// Compares the contacts of an answer with the true ones, and its 95 % regions if it has some; `ghost_mm` as
+    /// of [`Self::of`].
     ///
     /// # Errors
     /// As [`Self::of`].
-    pub fn of_found(truths: &[Contact], found: &[FoundContact]) -> Result<Self, TouchError> {
+    pub fn of_found(
+        truths: &[Contact],
+        found: &[FoundContact],
+        ghost_mm: f64,
+    ) -> Result<Self, TouchError> {
         let estimates: Vec<Contact> = found.iter().map(Contact::from).collect();
-        Self::compared(truths, &estimates, |truth, estimate| {
+        Self::compared(truths, &estimates, ghost_mm, |truth, estimate| {
             In95::of(&truths[truth], &found[estimate])
         })
     }
 
-    /// Whether the answer is right: the right number of contacts, each within [`GHOST_MM`] of its estimate;
-    /// `None` if a position is unknown.
+    /// Whether the answer is right: the right number of contacts, each within the distance of a ghost of its
+    /// estimate; `None` if a position is unknown.
     pub fn is_right(&self) -> Option<bool> {
         let places = self.places.as_ref()?;
-        let near = places.pairs.iter().all(|pair| pair.distance_mm <= GHOST_MM);
-        Some(self.contacts == self.estimates && near)
+        Some(self.contacts == self.estimates && places.all_near)
     }
 
     fn compared(
         truths: &[Contact],
         estimates: &[Contact],
+        ghost_mm: f64,
         in_95: impl Fn(usize, usize) -> In95,
     ) -> Result<Self, TouchError> {
         let truth_places = places_mm(truths)?;
@@ -148,9 +160,11 @@ impl Touch {
                     in_95: in_95(found.truth, found.estimate),
                 }
             };
-            let far = |closest: &Option<f64>| closest.is_none_or(|mm| mm > GHOST_MM);
+            let far = |closest: &Option<f64>| closest.is_none_or(|mm| mm > ghost_mm);
+            let pairs: Vec<Pair> = matched(&true_mm, &estimated_mm).into_iter().map(pair).collect();
             Places {
-                pairs: matched(&true_mm, &estimated_mm).into_iter().map(pair).collect(),
+                all_near: pairs.iter().all(|pair| pair.distance_mm <= ghost_mm),
+                pairs,
                 closest_mm: closest_mm(&true_mm, &estimated_mm).into_iter().flatten().collect(),
                 ghosts: closest_mm(&estimated_mm, &true_mm).iter().filter(|c| far(c)).count()
                     as u32,
@@ -227,6 +241,14 @@ fn places_mm(contacts: &[Contact]) -> Result<Option<Vec<[f64; 2]>>, TouchError> 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::evaluate::distances::Distances;
+
+    /// Distance of a ghost on the paper's skin, mm.
+    const PAPER_MM: f64 = Distances::PAPER.ghost_mm;
+
+    fn touch_of(truths: &[Contact], estimates: &[Contact]) -> Result<Touch, TouchError> {
+        Touch::of(truths, estimates, PAPER_MM)
+    }
 
     fn contact(x_mm: f64, y_mm: f64, force_n: f64, diameter_mm: f64) -> Contact {
         let (x_mm, y_mm) = (Some(x_mm), Some(y_mm));
@@ -243,13 +265,13 @@ mod tests {
     #[test]
     fn misses_and_ghosts_are_seen_by_the_metrics_that_say_so() {
         let truths = [contact(0.0, 0.0, 10.0, 20.0), contact(100.0, 0.0, 20.0, 20.0)];
-        let one = Touch::of(&truths, &[contact(0.0, 5.0, 12.0, 15.0)]).unwrap();
+        let one = touch_of(&truths, &[contact(0.0, 5.0, 12.0, 15.0)]).unwrap();
         let far = 100.0_f64.hypot(5.0);
         let expected =
             [vec![-50.0], vec![5.0], vec![5.0, far], vec![20.0], vec![-25.0], vec![0.0], vec![0.0]];
         assert_eq!(values(&one), expected);
         let ghost = contact(300.0, 300.0, 6.0, 20.0);
-        let three = Touch::of(&truths, &[truths[1], ghost, truths[0]]).unwrap();
+        let three = touch_of(&truths, &[truths[1], ghost, truths[0]]).unwrap();
         let right = [0.0, 0.0].to_vec();
         assert_eq!(three.values(Metric::Location), right);
         assert_eq!(three.values(Metric::Force), right);
@@ -259,20 +281,20 @@ mod tests {
         assert_eq!(three.values_by_contact(Metric::Force), right);
         // At 40 mm it is still a poor estimate; beyond, it is a ghost.
         for (x_mm, ghosts) in [(40.0, 0.0), (40.1, 1.0)] {
-            let near = Touch::of(&truths[..1], &[contact(x_mm, 0.0, 6.0, 20.0)]).unwrap();
+            let near = touch_of(&truths[..1], &[contact(x_mm, 0.0, 6.0, 20.0)]).unwrap();
             assert_eq!(near.values(Metric::Ghosts), [ghosts]);
         }
     }
 
     #[test]
     fn an_untouched_skin_has_no_number_error_and_every_answer_to_it_is_a_ghost() {
-        let quiet = Touch::of(&[], &[]).unwrap();
+        let quiet = touch_of(&[], &[]).unwrap();
         let none = Vec::new;
         assert_eq!(values(&quiet), [none(), none(), none(), none(), none(), vec![1.0], vec![0.0]]);
-        let invented = Touch::of(&[], &[contact(0.0, 0.0, 6.0, 20.0); 2]).unwrap();
+        let invented = touch_of(&[], &[contact(0.0, 0.0, 6.0, 20.0); 2]).unwrap();
         let expected = [none(), none(), none(), none(), none(), vec![0.0], vec![2.0]];
         assert_eq!(values(&invented), expected);
-        let blind = Touch::of(&[contact(0.0, 0.0, 6.0, 20.0)], &[]).unwrap();
+        let blind = touch_of(&[contact(0.0, 0.0, 6.0, 20.0)], &[]).unwrap();
         let expected = [vec![-100.0], none(), none(), none(), none(), vec![0.0], vec![0.0]];
         assert_eq!(values(&blind), expected);
     }
@@ -281,25 +303,25 @@ mod tests {
     fn what_is_not_known_is_absent_and_what_is_no_number_is_refused() {
         let estimate = contact(3.0, 4.0, 6.0, 20.0);
         let pattern = Contact { force_n: None, diameter_mm: None, ..contact(0.0, 0.0, 0.0, 0.0) };
-        let touch = Touch::of(&[pattern], &[estimate]).unwrap();
+        let touch = touch_of(&[pattern], &[estimate]).unwrap();
         assert_eq!(touch.values(Metric::Location), [5.0]);
         assert!(
             touch.values(Metric::Force).is_empty() && touch.values(Metric::Diameter).is_empty()
         );
-        let resting = Touch::of(&[contact(0.0, 0.0, 0.0, 20.0)], &[estimate]).unwrap();
+        let resting = touch_of(&[contact(0.0, 0.0, 0.0, 20.0)], &[estimate]).unwrap();
         assert!(resting.values(Metric::Force).is_empty(), "nothing is relative to 0 N");
 
         let nowhere = Contact { x_mm: None, ..estimate };
-        let touch = Touch::of(&[nowhere, estimate], &[estimate]).unwrap();
+        let touch = touch_of(&[nowhere, estimate], &[estimate]).unwrap();
         assert_eq!(touch.places, None);
         assert_eq!(touch.values(Metric::Number), [-50.0]);
         assert!(touch.values(Metric::Ghosts).is_empty());
 
         let broken = Contact { force_n: Some(f64::NAN), ..estimate };
-        let refused = Touch::of(&[estimate], &[estimate, broken]).unwrap_err();
+        let refused = touch_of(&[estimate], &[estimate, broken]).unwrap_err();
         assert_eq!((refused.index, refused.field), (1, "force_n"));
         let endless = Contact { y_mm: Some(f64::INFINITY), ..estimate };
-        assert!(Touch::of(&[endless], &[]).unwrap_err().to_string().contains("y_mm is inf"));
+        assert!(touch_of(&[endless], &[]).unwrap_err().to_string().contains("y_mm is inf"));
     }
 
     #[test]
@@ -316,18 +338,18 @@ mod tests {
         };
         // 2.4 and 2.5 standard deviations along x; 1.9 and 2.1 of the force.
         let answer = [found(9.6, 0.0, 11.9), found(110.0, 0.0, 17.9)];
-        let touch = Touch::of_found(&truths, &answer).unwrap();
+        let touch = Touch::of_found(&truths, &answer, PAPER_MM).unwrap();
         assert_eq!(touch.values(Metric::PlaceIn95), [1.0, 0.0]);
         assert_eq!(touch.values(Metric::ForceIn95), [1.0, 0.0]);
         assert_eq!(touch.values(Metric::Location), [9.6, 10.0]);
         let place = FoundContact { force_sd_n: None, ..answer[0] };
-        let touch = Touch::of_found(&truths, &[place]).unwrap();
+        let touch = Touch::of_found(&truths, &[place], PAPER_MM).unwrap();
         assert_eq!(touch.values(Metric::PlaceIn95), [1.0]);
         assert!(touch.values(Metric::ForceIn95).is_empty());
         // 1.5 along both: 4.5 of 5.99; 1.8 along both: 6.48.
         for (times, holds) in [(1.5, 1.0), (1.8, 0.0)] {
             let both = found(4.0 * times, 2.0 * times, 10.0);
-            let touch = Touch::of_found(&truths[..1], &[both]).unwrap();
+            let touch = Touch::of_found(&truths[..1], &[both], PAPER_MM).unwrap();
             assert_eq!(touch.values(Metric::PlaceIn95), [holds], "{times}");
         }
     }
@@ -336,12 +358,26 @@ mod tests {
     fn an_answer_is_right_if_its_number_and_places_are() {
         let truths = [contact(0.0, 0.0, 10.0, 20.0), contact(100.0, 0.0, 20.0, 20.0)];
         let at = |x_mm: f64| contact(x_mm, 0.0, 10.0, 20.0);
-        let right = |estimates: &[Contact]| Touch::of(&truths, estimates).unwrap().is_right();
+        let right = |estimates: &[Contact]| touch_of(&truths, estimates).unwrap().is_right();
         assert_eq!(right(&[at(140.0), at(10.0)]), Some(true));
         assert_eq!(right(&[at(141.0), at(10.0)]), Some(false));
         assert_eq!(right(&[at(50.0)]), Some(false));
-        assert_eq!(Touch::of(&[], &[]).unwrap().is_right(), Some(true));
+        assert_eq!(touch_of(&[], &[]).unwrap().is_right(), Some(true));
         let nowhere = Contact { x_mm: None, ..truths[0] };
-        assert_eq!(Touch::of(&[nowhere], &truths[..1]).unwrap().is_right(), None);
+        assert_eq!(touch_of(&[nowhere], &truths[..1]).unwrap().is_right(), None);
+    }
+
+    #[test]
+    fn on_a_small_skin_ghosts_and_right_answers_are_judged_by_a_smaller_distance() {
+        let ghost_mm = Distances::on_skin([60.0, 100.0]).ghost_mm;
+        let truth = [contact(20.0, 20.0, 10.0, 5.0)];
+        for (off_mm, ghosts) in [(7.1, 0.0), (7.2, 1.0)] {
+            let answer = [contact(20.0 + off_mm, 20.0, 10.0, 5.0)];
+            let touch = Touch::of(&truth, &answer, ghost_mm).unwrap();
+            assert_eq!(touch.values(Metric::Ghosts), [ghosts], "{off_mm} mm");
+            assert_eq!(touch.is_right(), Some(ghosts == 0.0), "{off_mm} mm");
+            let of_paper = touch_of(&truth, &answer).unwrap();
+            assert_eq!(of_paper.values(Metric::Ghosts), [0.0], "{off_mm} mm");
+        }
     }
 }

@@ -4,8 +4,6 @@
 use pathfinding::kuhn_munkres::kuhn_munkres_min;
 use pathfinding::matrix::Matrix;
 
-/// An estimate farther than this from every true contact is a ghost, and one farther from its own is wrong, mm.
-pub const GHOST_MM: f64 = 40.0;
 /// Integer units of distance in the matching, per mm: micrometres.
 const UNITS_PER_MM: f64 = 1e3;
 /// Distances beyond this count as equal in the matching, mm: their sums must fit into 64 bits.

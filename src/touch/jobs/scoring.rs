@@ -17,6 +17,7 @@ use crate::clock::Clock;
 use crate::dataset::force_map::ForceMap;
 use crate::dataset::force_map::peaks::THRESHOLD_N;
 use crate::evaluate::anova::Moments;
+use crate::evaluate::distances::Distances;
 use crate::evaluate::perfect::perfect;
 use crate::evaluate::quantities::QuantityScores;
 use crate::evaluate::reliability::{JudgedAnswer, Reliability};
@@ -149,6 +150,12 @@ impl Scoring {
         seen.into_iter().chain(limited).chain(learned).collect()
     }
 
+    /// Distances by which contacts are judged on the skin of the rows.
+    fn distances(&self) -> Distances {
+        let skin = &self.gathered.skin;
+        Distances::on_skin([skin.width_mm, skin.height_mm])
+    }
+
     fn blank(&self) -> EvaluationReport {
         let models = self.reader.nets().iter().map(|net| net.manifest.id.clone()).collect();
         let skin = self.reader.method().and_then(|method| method.skin());
@@ -166,6 +173,7 @@ impl Scoring {
             calibration,
             rows: self.gathered.rows.len() as u64,
             threshold_n: self.request.threshold_n.unwrap_or(THRESHOLD_N),
+            distances: self.distances(),
             place_sd_mm: self.request.place_sd_mm,
             contacts: None,
             perfect: None,
@@ -296,7 +304,8 @@ impl Scoring {
             self.gathered.rows.iter().map(|&row| self.truths(row)).collect();
         let truths = truths.iter().map(Vec::as_slice);
         report.threshold_n = self.request.threshold_n.unwrap_or_else(|| method.threshold_n());
-        let perfect = perfect(&draws, truths, report.threshold_n).map_err(|error| {
+        let ghost_mm = report.distances.ghost_mm;
+        let perfect = perfect(&draws, truths, report.threshold_n, ghost_mm).map_err(|error| {
             LearnError::value("evaluation", "dataset", &self.dataset, &error.to_string())
         })?;
         if !perfect.is_empty() {
@@ -308,7 +317,7 @@ impl Scoring {
 
     /// Compares contacts of an answer with those of its row.
     fn touch(&self, row: u32, found: &[FoundContact]) -> Result<Touch, JobError> {
-        let touch = Touch::of_found(&self.truths(row), found);
+        let touch = Touch::of_found(&self.truths(row), found, self.distances().ghost_mm);
         let wrong = |e: TouchError| LearnError::value("evaluation", "row", row, &e.to_string());
         Ok(touch.map_err(wrong)?)
     }

@@ -4,7 +4,7 @@
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
-use palpate::store::{Contact, ImportedTrial, NewRun, RunKind};
+use palpate::store::{Contact, ImportedTrial, Label, NewRun, RunKind};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use serde_json::Value;
@@ -244,16 +244,36 @@ async fn fig_12_is_made_of_imported_trials_of_another_skin() {
     assert!(nets.iter().all(|net| net["report"]["held_out"] == true), "{nets:?}");
     // An eighth of the 9 N of all contacts.
     assert!(nets.iter().all(|net| net["report"]["threshold_n"] == 1.13), "{nets:?}");
+    let distances = serde_json::json!({ "ghost_mm": 7.143, "guess_mm": 51.25 });
+    assert!(nets.iter().all(|net| net["report"]["distances"] == distances), "{nets:?}");
     let text = table_text(&data, "fig-12");
     assert!(
         text.contains("| ridge, best: ") && text.contains("the best of kernel ridge by the"),
         "{text}"
     );
+    assert!(text.contains("farther than 7.143 mm") && text.contains("as 51.25 mm off"), "{text}");
     assert!(text.contains("end-to-end, best: ") && text.contains("part train of pad"), "{text}");
     assert!(!data.join("tables/fig-12.svg").exists(), "it shows the rig's skin");
     let refused = palpate(&data, &["evaluate", "unseen", "--ours", "--dataset", "pad"]);
     let words = String::from_utf8_lossy(&refused.stderr);
     assert!(!refused.status.success() && words.contains("the rig's sensor"), "{words}");
+}
+
+#[tokio::test]
+async fn a_learning_curve_states_the_labels_of_all_rows() {
+    let data = folder("evaluate-labels");
+    trials(&data).await;
+    let store = store(&data).await;
+    let mut chance = ChaCha8Rng::seed_from_u64(8);
+    let new = NewRun { label: Label::Measured, ..new_run(RunKind::RealHex, "made-up-measured") };
+    let run = press_run(&store, new, 1, CONFIGURATIONS, 0..11, &mut chance).await;
+    twins_but(0, &store, run, "sim-0000000000000001", &mut chance).await;
+    store.close().await;
+    let tiny = ["--map", "20x60", "--rows", "40", "--epochs", "1"];
+    succeeded(&palpate(&data, &[&["train", "recon-net"][..], &tiny].concat()));
+    succeeded(&palpate(&data, &["job", "losses", "last", "--plot", "losses.svg"]));
+    let picture = std::fs::read_to_string(data.join("losses.svg")).unwrap();
+    assert!(picture.contains("measured and virtual, n = 1 "), "{picture}");
 }
 
 /// The twins are real: the service of the command makes them.

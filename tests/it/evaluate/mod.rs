@@ -9,6 +9,7 @@ use palpate::chance::Chance;
 use palpate::dataset::force_map::{ForceMap, TABLE_IV_MAPS};
 use palpate::dataset::pressed::as_pressed;
 use palpate::evaluate::anova::{Factor, Factorial};
+use palpate::evaluate::distances::Distances;
 use palpate::evaluate::score::Scores;
 use palpate::evaluate::touch::Touch;
 use palpate::infer::matching::matched;
@@ -126,8 +127,9 @@ fn scores(chance: &mut Chance) -> Value {
             (truths, found)
         })
         .collect();
+    let ghost_mm = Distances::on_skin([540.0, 560.0]).ghost_mm;
     let touches: Vec<Touch> =
-        frames.iter().map(|(truths, found)| Touch::of(truths, found).unwrap()).collect();
+        frames.iter().map(|(truths, found)| Touch::of(truths, found, ghost_mm).unwrap()).collect();
     json!({ "frames": frames, "scores": Scores::of(&touches, 11) })
 }
 

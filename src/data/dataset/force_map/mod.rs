@@ -35,7 +35,7 @@ const SIDES_MM: (f64, f64) = (10.0, 6400.0);
 /// proportion.
 const PIXEL_MM: (f64, f64) = (2.0, 160.0);
 /// Larger side of the paper's skin, mm.
-const SKIN_MM: f64 = 560.0;
+pub const SKIN_MM: f64 = 560.0;
 /// Largest map diameter on a square of [`SIDE_MM`], mm.
 const DIAMETER_MAX_MM: f64 = 320.0;
 
