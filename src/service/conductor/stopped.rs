@@ -40,6 +40,7 @@ impl Conductor {
 
     /// Ends a homing or a jog: the axes stop, then the tips rise. A person is at the rig: no run of an earlier process is
     /// driven again by itself, also not the one for which the rig homes. This is stored, also if nothing moved any more.
+    /// A run that has begun meanwhile is aborted by the campaign.
     ///
     /// # Errors
     /// `Forbidden` if a run is active; `Refused` if nothing moves; `Store` if the store fails: then only this process

@@ -342,11 +342,7 @@ impl Control {
 
     /// Homing or jogging outside a run ends when the service ends, or by an abort.
     fn asked_without_run(&mut self, request: &Request) -> Result<RunAction, Refusal> {
-        let event = match request {
-            Request::AbortMotion => Some(RunEvent::Abort),
-            _ => self.run_request(request),
-        };
-        match event {
+        match self.run_request(request) {
             Some(event) if self.leaving || event == RunEvent::Abort => {
                 if event == RunEvent::Abort {
                     self.attended(MOTION_ABORTED);
@@ -398,7 +394,7 @@ impl Control {
             }
             Request::Resume => Some(RunEvent::Resume),
             Request::Stop => Some(RunEvent::Stop),
-            Request::Abort => Some(RunEvent::Abort),
+            Request::Abort | Request::AbortMotion => Some(RunEvent::Abort),
             Request::Shutdown => {
                 self.leaving = true;
                 Some(RunEvent::Suspend(PausedWhy::Restart))
@@ -413,7 +409,6 @@ impl Control {
             | Request::Start(_)
             | Request::Confirm { .. }
             | Request::Repeat { .. }
-            | Request::AbortMotion
             | Request::CameLate => None,
         }
     }

@@ -69,7 +69,7 @@ pub enum Request {
     Stop,
     /// Raise now, end.
     Abort,
-    /// End a homing or a jog outside a run: stop, then raise.
+    /// End a homing or a jog outside a run: stop, then raise. A run that has begun meanwhile is aborted.
     AbortMotion,
     /// A person has done what a paused run waits for.
     Confirm {
@@ -128,7 +128,7 @@ impl Request {
             Self::PauseAtCheckpoint => ActionOnRun::Pause,
             Self::Resume => ActionOnRun::Resume,
             Self::Stop => ActionOnRun::Stop,
-            Self::Abort => ActionOnRun::Abort,
+            Self::Abort | Self::AbortMotion => ActionOnRun::Abort,
             Self::Confirm { .. } => ActionOnRun::Confirm,
             Self::Repeat { .. } => ActionOnRun::Repeat,
             Self::Connect
@@ -140,7 +140,6 @@ impl Request {
             | Self::Mounted { .. }
             | Self::Start(_)
             | Self::Suspend(_)
-            | Self::AbortMotion
             | Self::CameLate
             | Self::Shutdown => return None,
         };

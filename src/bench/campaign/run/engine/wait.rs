@@ -186,7 +186,7 @@ impl Engine {
                 let _ = answer.send(repeated);
                 waited
             }
-            Request::Stop | Request::Abort | Request::Suspend(_) => {
+            Request::Stop | Request::Abort | Request::AbortMotion | Request::Suspend(_) => {
                 let event = self.control.run_request(&request)?;
                 let mut outcome = self.control.run_event(event);
                 if outcome == Ok(RunAction::Raise)
@@ -232,7 +232,7 @@ impl Engine {
                 let _ = answer.send(Ok(()));
                 None
             }
-            Request::Start(_) | Request::AbortMotion => {
+            Request::Start(_) => {
                 let (run, start) = (self.control.run(), name(&request));
                 let (state, next) = (run.as_str(), run.allowed());
                 let words = format!("{start} is not possible while the run is {state}: {next}");

@@ -367,6 +367,21 @@ async fn an_abort_while_nothing_moves_holds_the_queue_only_if_a_motion_has_just_
     assert_eq!((answered(&mut engine, abort()).await, signs(&engine)), (refused, before + 1));
 }
 
+#[tokio::test]
+async fn an_abort_of_a_motion_that_arrives_once_a_run_has_begun_aborts_that_run() {
+    let job = job();
+    let (mut engine, handle) = with_handle(&StandIns::default());
+    engine.control.show(|status| status.run = Some(show::started(&job)));
+    engine.control.begin(job.run).unwrap();
+    let moves = async {
+        tokio::task::yield_now().await;
+        engine.control.attend()
+    };
+    let (aborted, moved) = tokio::join!(handle.ask(Request::AbortMotion), moves);
+    assert!(aborted.is_ok() && matches!(moved, Err(Halt::Asked)), "{aborted:?}");
+    assert_eq!(engine.control.run(), RunState::Aborting);
+}
+
 /// The answer to requests that the engine takes up.
 async fn answered<T>(engine: &mut Engine, asked: impl Future<Output = T>) -> T {
     let answer = tokio::select! {
