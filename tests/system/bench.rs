@@ -50,7 +50,7 @@ pub const WAITS: u32 = 1;
 /// Share of a test that computes meanwhile, as a browser does, or that moves axes at full speed.
 pub const COMPUTES: u32 = 2;
 /// Share of a test that measures how soon something happens, or whose wires are serial: their gaps are milliseconds.
-/// Until it begins, the others end: `.ci/each-test` runs such tests first, one after the other.
+/// Until it begins, the others end.
 pub const WHOLE: u32 = 4;
 
 /// Held shares of the machine, given back when it is dropped.
