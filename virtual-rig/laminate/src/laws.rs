@@ -231,6 +231,8 @@ pub struct ReadoutLaw {
     pub offset_per_day_mv: f64,
     /// Change of that offset per kelvin, mV.
     pub offset_per_k_mv: f64,
+    /// Change of the converter's offset, which all channels share, per kelvin, mV.
+    pub converter_per_k_mv: f64,
     /// Relative growth of the signal per decade of seconds under a held load.
     pub relaxation_per_decade: f64,
     /// Relative change of the foam's conductance per kelvin.
@@ -274,6 +276,7 @@ impl Laws {
             ("readout.offset_per_day_mv", r.offset_per_day_mv),
             ("readout.hours_k", r.hours_k),
             ("readout.offset_per_k_mv", r.offset_per_k_mv),
+            ("readout.converter_per_k_mv", r.converter_per_k_mv),
             ("readout.relaxation_per_decade", r.relaxation_per_decade),
             ("readout.conductance_per_k", r.conductance_per_k),
             ("readout.day_k", r.day_k),

@@ -2,8 +2,9 @@
 //! Uses: `laws`, `field`. Never: the network (a held load is solved once).
 //!
 //! Channel i of a frame that begins at t is sampled at `t + i / sample_hz`. In its order,
-//! `counts(g(T, held) v + crosstalk + mains + buffers_j - buffers_(j+1) + white)`: temperature and relaxation
-//! change the signal, buffers of electrodes carry offsets, separate 1/f noise and a separate walk.
+//! `counts(g(T, held) v + crosstalk + mains + buffers_j - buffers_(j+1) + converter(T) + white)`: temperature and
+//! relaxation change the signal, buffers of electrodes carry offsets, separate 1/f noise and a separate walk, and the
+//! offset of the converter, which all channels share, follows the temperature.
 
 use std::f64::consts::{LN_10, TAU};
 
@@ -27,6 +28,7 @@ pub struct Readout {
     law: ReadoutLaw,
     rng: ChaCha8Rng,
     buffers: Vec<Buffer>,
+    converter_v_per_k: f64,
     temperature: Walk,
     day_phase: f64,
     mains_phase: f64,
@@ -108,10 +110,12 @@ impl Readout {
             .collect();
         let temperature = Walk::settled(law.hours_k, HOURS_S, &mut rng);
         let [day_phase, mains_phase] = [0, 1].map(|_| TAU * rng.random::<f64>());
+        let converter_v_per_k = 1e-3 * law.converter_per_k_mv * normal(&mut rng);
         Self {
             law,
             rng,
             buffers,
+            converter_v_per_k,
             temperature,
             day_phase,
             mains_phase,
@@ -143,13 +147,14 @@ impl Readout {
                 + buffer.per_k * warm_k
                 + buffer.flicker.iter().map(|w| w.value).sum::<f64>()
         };
+        let converter_v = self.converter_v_per_k * warm_k;
         let buffers_v: Vec<f64> = self.buffers.iter_mut().map(volts).collect();
         for (i, (out, v)) in out.iter_mut().zip(static_v).enumerate() {
             let j = i % count;
             let at_s = process_time_s + i as f64 / self.law.sample_hz;
             let mains = (TAU * self.law.mains_hz * at_s + self.mains_phase).sin();
             let clean = gain * v + buffers_v[j] - buffers_v[(j + 1) % count];
-            let mixed = clean + self.law.crosstalk * (self.previous_v - clean);
+            let mixed = clean + self.law.crosstalk * (self.previous_v - clean) + converter_v;
             self.previous_v = clean;
             let noise_mv = self.law.mains_mv * mains + self.law.white_mv * normal(&mut self.rng);
             let step_v = 1e-3 * self.law.count_mv;
