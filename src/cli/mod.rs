@@ -198,9 +198,10 @@ pub enum Command {
     ///
     /// Exit code 2 if something forbids it: each problem names file, key, value and limit.
     Plan(plan::PlanArgs),
-    /// Write the carried experiments, rigs, sensors and recipes into a folder, to edit them.
+    /// Write the carried experiments, rigs, gaps, sensors, datasets, recipes and faults into a folder.
     ///
-    /// Files that are there stay as they are. With --list or --schema nothing is written.
+    /// They are to be edited. Files that are there stay as they are. With --list or --schema nothing
+    /// is written.
     Init(init::InitArgs),
     /// Fit the model to measurements of a skin, and write a calibration file.
     ///
