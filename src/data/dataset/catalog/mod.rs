@@ -28,6 +28,7 @@ use crate::dataset::select::Wanted;
 use crate::dataset::space::{self, Space};
 use crate::dataset::used;
 use crate::ids::{DatasetId, RunUid};
+use crate::near::did_you_mean;
 use crate::new_file::sweep;
 use crate::problem::Problem;
 use crate::state::StoredState;
@@ -157,8 +158,9 @@ impl Catalog {
     }
 
     fn no_dataset(&self, name: &str) -> DatasetError {
-        let choices = Definition::built_in_names().collect::<Vec<_>>().join(", ");
-        DatasetError::NoDataset { name: name.into(), choices }
+        let choices = Definition::built_in_names().collect::<Vec<_>>();
+        let meant = did_you_mean(name, choices.iter().copied());
+        DatasetError::NoDataset { name: name.into(), choices: choices.join(", "), meant }
     }
 
     /// Returns the definition of a name: of a run (`run-N`), built in, or of the newest dataset of
