@@ -1,9 +1,11 @@
 //! `palpate dataset import`: checks a file, prints what was understood, and uploads it.
-//! Uses: `client`, `dataset::import`. Never: a trial that is stored in this process.
+//! Uses: `client`, `making`, `dataset::import`. Never: a trial that is stored in this process.
 
 use std::collections::BTreeMap;
 use std::fmt::Display;
 use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::Ordering::Relaxed;
 use std::time::Duration;
 
 use clap::Args;
@@ -12,10 +14,12 @@ use serde_json::{Value, json};
 use super::client::{Client, TextPart, text_of};
 use super::error::{CliError, CliResult};
 use super::files::read_input;
+use super::making;
 use super::next::Next;
 use super::output::{counted, say};
-use super::progress::shown_wait;
+use super::progress::counted_wait;
 use super::{At, embed};
+use crate::dataset::build::Progress;
 use crate::dataset::error::DatasetError;
 use crate::dataset::import::coordinates::Coordinates;
 use crate::dataset::import::preview;
@@ -78,9 +82,16 @@ async fn understood(args: &ImportArgs, sensor: String, map: Option<&str>) -> Cli
     let map = Coordinates::from_toml(&map_file.unwrap_or_default(), map.unwrap_or_default())?;
     let (path, sensor_file) = (args.file.clone(), args.sensor.display().to_string());
     let file = path.display().to_string();
-    let reading =
-        tokio::task::spawn_blocking(move || preview(&path, &file, &sensor_file, &sensor, map));
-    let read = shown_wait("reading the file", reading).await;
+    let progress = Arc::<Progress>::default();
+    let own = progress.clone();
+    let reading = tokio::task::spawn_blocking(move || {
+        preview(&path, &file, &sensor_file, &sensor, map, &own)
+    });
+    let count = async || {
+        let total = progress.total.load(Relaxed);
+        (total > 0).then(|| (progress.done.load(Relaxed), total))
+    };
+    let read = counted_wait("reading the file", "trials read", count, reading).await;
     read.unwrap_or(Err(DatasetError::Worker))
         .map_err(|error| CliError::of_dataset(format!("reading {}", args.file.display()), error))
 }
@@ -100,15 +111,13 @@ async fn store(
     let map = map.map(|text| TextPart { key: "coordinates", text, file_name: map_file });
     let texts = [
         TextPart { key: "sensor", text: sensor, file_name },
-        TextPart::value("name", name),
+        TextPart::value("name", name.clone()),
         TextPart::value("label", args.label.clone()),
         TextPart::value("who", client.who().to_owned()),
     ];
-    let mut made: Value = client
-        .patient(IMPORT_WAIT)
-        .showing("storing the trials")
-        .upload("/api/v1/imports", &args.file, texts.into_iter().chain(map))
-        .await?;
+    let patient = client.patient(IMPORT_WAIT).quiet();
+    let stored = patient.upload("/api/v1/imports", &args.file, texts.into_iter().chain(map));
+    let mut made: Value = making::import(client, &name, stored).await?;
     made["summary"] = json!(summary);
     let trials = counted(made["trials"].as_u64().unwrap_or_default(), "trial", "trials");
     let (run, label) = (&made["run"]["scan_id"], text_of(&made["run"]["label"]));

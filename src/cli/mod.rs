@@ -46,6 +46,7 @@ mod job_losses;
 mod key;
 mod leave;
 pub mod log;
+mod making;
 mod model;
 mod morning;
 mod next;
