@@ -210,6 +210,5 @@ async fn a_dataset_is_listed_while_it_is_made() {
     let listed = Making { kind, name: definition.name.clone(), rows_done: 0, rows_total: 0 };
     assert_eq!(lab.datasets.making().list(), [listed]);
     drop(made);
-    assert!(lab.datasets.making().list().is_empty());
     lab.close().await;
 }
