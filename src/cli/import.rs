@@ -3,6 +3,7 @@
 
 use std::collections::BTreeMap;
 use std::fmt::Display;
+use std::future::ready;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::Ordering::Relaxed;
@@ -87,9 +88,9 @@ async fn understood(args: &ImportArgs, sensor: String, map: Option<&str>) -> Cli
     let reading = tokio::task::spawn_blocking(move || {
         preview(&path, &file, &sensor_file, &sensor, map, &own)
     });
-    let count = async || {
+    let count = || {
         let total = progress.total.load(Relaxed);
-        (total > 0).then(|| (progress.done.load(Relaxed), total))
+        ready((total > 0).then(|| (progress.done.load(Relaxed), total)))
     };
     let read = counted_wait("reading the file", "trials read", count, reading).await;
     read.unwrap_or(Err(DatasetError::Worker))

@@ -26,8 +26,7 @@ pub async fn dataset<T>(
 ) -> CliResult<T> {
     // One is made at a time, and the other ones wait for it.
     let is_this = |one: &Making| one.kind == MakingKind::Dataset;
-    let rows = async || rows(client, is_this).await;
-    counted_wait("making the dataset", "rows", rows, answer).await
+    counted_wait("making the dataset", "rows", || rows(client, is_this), answer).await
 }
 
 /// Waits for the answer to an import of this name, and shows how many of its trials are stored.
@@ -40,8 +39,8 @@ pub async fn import<T>(
     answer: impl Future<Output = CliResult<T>>,
 ) -> CliResult<T> {
     let is_this = |one: &Making| one.kind == MakingKind::Import && one.name == name.trim();
-    let rows = async || rows(client, is_this).await;
-    counted_wait("storing the trials", "trials stored", rows, answer).await
+    let stored = || rows(client, is_this);
+    counted_wait("storing the trials", "trials stored", stored, answer).await
 }
 
 /// Number of rows that are done, and of all, of work that has counted them.

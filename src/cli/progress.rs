@@ -85,10 +85,10 @@ pub async fn shown_wait<T>(words: &str, work: impl Future<Output = T>) -> T {
 }
 
 /// As [`shown_wait`]; once `count` returns how many of how many units are done, they are shown with the time to go.
-pub async fn counted_wait<T>(
+pub async fn counted_wait<T, Count: Future<Output = Option<(u64, u64)>>>(
     words: &str,
     unit: &'static str,
-    count: impl AsyncFn() -> Option<(u64, u64)>,
+    count: impl Fn() -> Count,
     work: impl Future<Output = T>,
 ) -> T {
     let mut work = std::pin::pin!(work);
@@ -203,6 +203,7 @@ impl LogLines {
 #[cfg(test)]
 mod tests {
     use std::cell::Cell;
+    use std::future::ready;
 
     use tokio::sync::Notify;
 
@@ -211,14 +212,14 @@ mod tests {
     #[tokio::test]
     async fn counted_work_is_asked_for_until_it_ends() {
         let (asked, done) = (Cell::new(0_u64), Notify::new());
-        let count = async || {
+        let count = || {
             let now = asked.get() + 1;
             asked.set(now);
             if now == 4 {
                 done.notify_one();
             }
             // Not counted at first, and no longer at the end.
-            (2..4).contains(&now).then_some((now, 9))
+            ready((2..4).contains(&now).then_some((now, 9)))
         };
         let work = async {
             done.notified().await;
@@ -227,6 +228,6 @@ mod tests {
         assert_eq!(counted_wait("making", "rows", count, work).await, "made");
         assert_eq!(asked.get(), 4);
         let at_once = async { "there" };
-        assert_eq!(counted_wait("making", "rows", async || None, at_once).await, "there");
+        assert_eq!(counted_wait("making", "rows", || ready(None), at_once).await, "there");
     }
 }
