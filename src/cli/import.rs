@@ -14,17 +14,19 @@ use serde_json::{Value, json};
 
 use super::client::{Client, TextPart, text_of};
 use super::error::{CliError, CliResult};
-use super::files::read_input;
+use super::files::{read_input, read_or_carried};
 use super::making;
 use super::next::Next;
 use super::output::{counted, say};
 use super::progress::counted_wait;
 use super::{At, embed};
+use crate::carried::SENSORS;
 use crate::dataset::build::Progress;
 use crate::dataset::error::DatasetError;
 use crate::dataset::import::coordinates::Coordinates;
 use crate::dataset::import::preview;
 use crate::dataset::import::summary::Summary;
+use crate::file_kind::FileKind;
 
 /// Longest wait until an import is stored.
 const IMPORT_WAIT: Duration = Duration::from_secs(3600);
@@ -34,7 +36,8 @@ const IMPORT_WAIT: Duration = Duration::from_secs(3600);
 pub struct ImportArgs {
     /// Parquet, CSV, NPZ or MAT file.
     file: PathBuf,
-    /// Sensor file: TOML with name, channels, width_mm and height_mm, or one of Palpate's.
+    /// Sensor file: TOML with name, channels, width_mm and height_mm, one of Palpate's, or the name of a
+    /// carried one.
     #[arg(long, value_name = "SENSOR.toml")]
     sensor: PathBuf,
     /// Label: measured, virtual or simulated.
@@ -59,7 +62,7 @@ pub struct ImportArgs {
 /// # Errors
 /// `CliError` if a file cannot be read, a value is invalid, or the service refuses.
 pub async fn import(args: ImportArgs) -> CliResult<()> {
-    let sensor = read_input(&args.sensor)?;
+    let sensor = read_or_carried(FileKind::Sensor, &args.sensor, SENSORS)?;
     let map = args.coordinates.as_deref().map(read_input).transpose()?;
     let summary = understood(&args, sensor.clone(), map.as_deref()).await?;
     if !args.at.json {

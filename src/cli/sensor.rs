@@ -30,7 +30,7 @@ enum SensorCommand {
         /// Paper: sheets of A4 that overlap, or one sheet as large as the skin.
         #[arg(long, value_enum, default_value_t = PaperName::A4)]
         paper: PaperName,
-        /// Sensor file [default: ert-28].
+        /// Sensor file or the name of a carried one [default: ert-28].
         #[arg(long, value_name = "FILE")]
         sensor: Option<PathBuf>,
         /// File to write.
