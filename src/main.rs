@@ -57,13 +57,13 @@ enum Command {
 /// A virtual rig that a person starts; files that are not named are those of the default lab.
 #[derive(Debug, Args)]
 struct VirtualRigArgs {
-    /// Rig file: which devices, on which wires [default: the virtual rig].
+    /// Rig file, or the name of a carried one: which devices, on which wires [default: the virtual rig].
     #[arg(long, value_name = "FILE")]
     rig: Option<PathBuf>,
-    /// Gap file: how this skin differs from the model [default: gap-a].
+    /// Gap file, or the name of a carried one: how this skin differs from the model [default: gap-a].
     #[arg(long, value_name = "FILE")]
     gap: Option<PathBuf>,
-    /// Sensor file: the skin's geometry and materials [default: ert-28].
+    /// Sensor file, or the name of a carried one: the skin's geometry and materials [default: ert-28].
     #[arg(long, value_name = "FILE")]
     sensor: Option<PathBuf>,
     /// Seed of the skin: each seed is a different skin.
@@ -173,7 +173,7 @@ impl VirtualRigArgs {
     fn complete(self) -> Result<RigArgs, cli::CliError> {
         let data = cli::data_or_default(self.data);
         let named = [self.rig, self.gap, self.sensor];
-        for path in named.iter().chain([&self.fault]).flatten() {
+        if let Some(path) = &self.fault {
             std::fs::read(path).map_err(cli::CliError::input(path))?;
         }
         let files = cli::virtual_rig_files(&data.join("virtual-rig"), named)?;
