@@ -21,7 +21,7 @@ use virtual_rig::{OperatorArgs, RigArgs, RunError, operator_main, rig_main};
 ///
 /// Start with `palpate run quickstart`: without a rig it starts a virtual one.
 #[derive(Debug, Parser)]
-#[command(name = "palpate", version, propagate_version = true)]
+#[command(name = "palpate", version = env!("PALPATE_VERSION"), propagate_version = true)]
 struct CommandLine {
     #[command(subcommand)]
     command: Command,
@@ -57,13 +57,13 @@ enum Command {
 /// A virtual rig that a person starts; files that are not named are those of the default lab.
 #[derive(Debug, Args)]
 struct VirtualRigArgs {
-    /// Rig file: which devices, on which wires [default: the virtual rig].
+    /// Rig file, or the name of a carried one: which devices, on which wires [default: the virtual rig].
     #[arg(long, value_name = "FILE")]
     rig: Option<PathBuf>,
-    /// Gap file: how this skin differs from the model [default: gap-a].
+    /// Gap file, or the name of a carried one: how this skin differs from the model [default: gap-a].
     #[arg(long, value_name = "FILE")]
     gap: Option<PathBuf>,
-    /// Sensor file: the skin's geometry and materials [default: ert-28].
+    /// Sensor file, or the name of a carried one: the skin's geometry and materials [default: ert-28].
     #[arg(long, value_name = "FILE")]
     sensor: Option<PathBuf>,
     /// Seed of the skin: each seed is a different skin.
@@ -173,7 +173,7 @@ impl VirtualRigArgs {
     fn complete(self) -> Result<RigArgs, cli::CliError> {
         let data = cli::data_or_default(self.data);
         let named = [self.rig, self.gap, self.sensor];
-        for path in named.iter().chain([&self.fault]).flatten() {
+        if let Some(path) = &self.fault {
             std::fs::read(path).map_err(cli::CliError::input(path))?;
         }
         let files = cli::virtual_rig_files(&data.join("virtual-rig"), named)?;
@@ -423,15 +423,24 @@ mod tests {
                 let rest = word.strip_prefix("PALPATE_").unwrap_or_default();
                 !rest.is_empty() && rest.chars().all(|c| c.is_ascii_uppercase() || c == '_')
             };
-            // The commit is of the build, not of the environment.
-            for name in text.split('"').filter(is_variable).filter(|name| *name != "PALPATE_COMMIT")
-            {
+            // Those of the build are not of the environment.
+            let of_build = |name: &&str| matches!(*name, "PALPATE_COMMIT" | "PALPATE_VERSION");
+            for name in text.split('"').filter(is_variable).filter(|name| !of_build(name)) {
                 let listed = page.split([' ', ',', '\n']).any(|word| word == name);
                 assert!(listed, "{}: {name} is not in ENVIRONMENT, src/cli/help", path.display());
                 count += 1;
             }
         }
         assert!(count > 9, "{count} variables");
+    }
+
+    #[test]
+    fn the_version_states_the_commit() {
+        let root = command_line();
+        let version = root.get_version().unwrap();
+        assert!(version.starts_with(env!("CARGO_PKG_VERSION")), "{version}");
+        let commit = option_env!("PALPATE_COMMIT").unwrap_or_default();
+        assert!(version.contains(commit), "{version}: {commit}");
     }
 
     #[test]

@@ -18,6 +18,7 @@ use super::signals::Signals;
 use super::summary::Closing;
 use super::twins::wait_for_twins;
 use super::{At, embed};
+use crate::api::History;
 use crate::evaluate::simulation::SimulationReport;
 use crate::ids::RunUid;
 
@@ -90,8 +91,15 @@ pub async fn to_its_end(
         },
         Some(_) => None,
     };
+    let history = history(client, uid).await;
     let closing = Closing::of(summary, status.service.database, status.rig.clock_rate, why);
-    Ok(Some(closing.with_fit(fit)))
+    Ok(Some(closing.with_fit(fit).with_history(history.as_ref())))
+}
+
+/// History of a run, with all its trials in one interval: its states and events are what counts.
+async fn history(client: &Client, run: RunUid) -> Option<History> {
+    let history = client.get(&format!("/api/v1/runs/{run}/history?bins=1")).await;
+    history.inspect_err(|error| tracing::warn!(%error, "the history of the run is unknown")).ok()
 }
 
 /// Fit of the simulated twins, once all are made. The trials are what counts: if twins are late,

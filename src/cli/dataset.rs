@@ -1,5 +1,5 @@
 //! `palpate dataset`: lists, shows, makes and exports datasets.
-//! Uses: `client`, `import`, `federate`. Never: rows in this process (the service reads and writes them).
+//! Uses: `client`, `import`, `federate`, `making`. Never: rows in this process (the service reads and writes them).
 
 use std::path::PathBuf;
 
@@ -14,6 +14,7 @@ use super::export::{self, ExportArgs};
 use super::federate::{FederateArgs, federate};
 use super::files::read_as;
 use super::import::{ImportArgs, import};
+use super::making;
 use super::next::Next;
 use super::output::bytes;
 use super::table::{Table, or_dash};
@@ -190,15 +191,10 @@ async fn prune(client: &Client, args: &PruneArgs) -> CliResult<()> {
     Ok(())
 }
 
-/// A client that waits until a dataset is made, and shows it.
-fn making(client: &Client) -> Client {
-    client.patient(DATASET_WAIT).showing("making the dataset")
-}
-
 async fn show(client: &Client, args: &ShowArgs) -> CliResult<()> {
     let more = if args.lineage { "/lineage" } else { "" };
     let path = format!("/api/v1/datasets/{}{more}", args.name);
-    let found: Value = making(client).get(&path).await?;
+    let found: Value = client.get(&path).await?;
     let words = match args.lineage {
         true => format!("{found:#}"),
         false => described(&found, client.url()),
@@ -209,7 +205,6 @@ async fn show(client: &Client, args: &ShowArgs) -> CliResult<()> {
 
 async fn card(client: &Client, args: &CardArgs) -> CliResult<()> {
     let path = format!("/api/v1/datasets/{}", args.name);
-    let client = making(client);
     if args.datapackage {
         let package: Value = client.get(&format!("{path}/datapackage.json")).await?;
         args.at.output().say(&package, format_args!("{package:#}"));
@@ -227,7 +222,8 @@ async fn make(client: &Client, args: &MakeArgs) -> CliResult<()> {
         true => json!({ "toml": read_as(FileKind::Dataset, &args.what)?, "file": what }),
         false => json!({ "name": what }),
     };
-    let made: Value = making(client).post("/api/v1/datasets", &body).await?;
+    let patient = client.patient(DATASET_WAIT).quiet();
+    let made: Value = making::dataset(client, patient.post("/api/v1/datasets", &body)).await?;
     args.at.output().say(&made, described(&made, client.url()));
     let id = text_of(&made["id"]);
     Next::of(&args.at)

@@ -223,6 +223,12 @@ impl CliError {
             CliError::Problems(_)
             | CliError::NotConfirmed { .. }
             | CliError::Store(StoreError::Refused { .. })
+            | CliError::Serve(
+                ServeError::Rig { .. }
+                | ServeError::NoKey(_)
+                | ServeError::NoKeyAtAll
+                | ServeError::Tls(_),
+            )
             | CliError::SimRandom(RandomError::OtherDefinition { .. })
             | CliError::Chunk(
                 ChunkError::NoOrder { .. }

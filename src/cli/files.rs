@@ -8,7 +8,7 @@ use sim_core::calibration::{Calibration, CalibrationError};
 use sim_core::sensor::{Sensor, SensorError, SensorFile};
 
 use super::error::{CliError, CliResult, io_words};
-use crate::carried::{self, EXPERIMENTS, RECIPES, RIGS};
+use crate::carried::{self, EXPERIMENTS, RECIPES, RIGS, SENSORS};
 use crate::digest::sha256_hex;
 use crate::file_kind::FileKind;
 use crate::near::did_you_mean;
@@ -229,7 +229,7 @@ fn similar(path: &Path, error: &io::Error) -> String {
     did_you_mean(name, names.iter().map(String::as_str))
 }
 
-/// Reads a sensor file, or returns the carried one.
+/// Reads a sensor file, or the carried one of that name; without either, returns the carried one.
 ///
 /// # Errors
 /// `CliError::Problems` if the file cannot be read or is invalid.
@@ -243,7 +243,10 @@ pub fn read_sensor(path: Option<&Path>) -> CliResult<Sensor> {
 /// `CliError::Problems` if the file cannot be read or is invalid.
 pub fn read_sensor_text(path: Option<&Path>) -> CliResult<(Sensor, String)> {
     let (file, text) = match path {
-        Some(path) => (path.display().to_string(), read_input(path)?),
+        Some(path) => {
+            let text = read_or_carried(FileKind::Sensor, path, SENSORS)?;
+            (path.display().to_string(), text)
+        }
         None => (DEFAULT_SENSOR_FILE.into(), DEFAULT_SENSOR.into()),
     };
     Ok((parse_sensor(&file, &text)?, text))
@@ -333,6 +336,14 @@ mod tests {
         let shown = error.to_string();
         assert!(shown.contains("sensor = none.toml"), "{shown}");
         assert_eq!(error.exit_code(), std::process::ExitCode::from(2));
+    }
+
+    #[test]
+    fn a_sensor_is_named_as_its_default() {
+        let named = |name: &str| read_sensor_text(Some(Path::new(name))).map(|(_, text)| text);
+        assert_eq!(named("ert-28").unwrap(), DEFAULT_SENSOR);
+        let unknown = named("ert-29").unwrap_err().to_string();
+        assert!(unknown.contains("did you mean `ert-28`?"), "{unknown}");
     }
 
     #[test]

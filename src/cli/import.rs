@@ -1,9 +1,12 @@
 //! `palpate dataset import`: checks a file, prints what was understood, and uploads it.
-//! Uses: `client`, `dataset::import`. Never: a trial that is stored in this process.
+//! Uses: `client`, `making`, `dataset::import`. Never: a trial that is stored in this process.
 
 use std::collections::BTreeMap;
 use std::fmt::Display;
+use std::future::ready;
 use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::Ordering::Relaxed;
 use std::time::Duration;
 
 use clap::Args;
@@ -11,15 +14,19 @@ use serde_json::{Value, json};
 
 use super::client::{Client, TextPart, text_of};
 use super::error::{CliError, CliResult};
-use super::files::read_input;
+use super::files::{read_input, read_or_carried};
+use super::making;
 use super::next::Next;
 use super::output::{counted, say};
-use super::progress::shown_wait;
+use super::progress::counted_wait;
 use super::{At, embed};
+use crate::carried::SENSORS;
+use crate::dataset::build::Progress;
 use crate::dataset::error::DatasetError;
 use crate::dataset::import::coordinates::Coordinates;
 use crate::dataset::import::preview;
 use crate::dataset::import::summary::Summary;
+use crate::file_kind::FileKind;
 
 /// Longest wait until an import is stored.
 const IMPORT_WAIT: Duration = Duration::from_secs(3600);
@@ -29,7 +36,8 @@ const IMPORT_WAIT: Duration = Duration::from_secs(3600);
 pub struct ImportArgs {
     /// Parquet, CSV, NPZ or MAT file.
     file: PathBuf,
-    /// Sensor file: TOML with name, channels, width_mm and height_mm, or one of Palpate's.
+    /// Sensor file: TOML with name, channels, width_mm and height_mm, one of Palpate's, or the name of a
+    /// carried one.
     #[arg(long, value_name = "SENSOR.toml")]
     sensor: PathBuf,
     /// Label: measured, virtual or simulated.
@@ -54,7 +62,7 @@ pub struct ImportArgs {
 /// # Errors
 /// `CliError` if a file cannot be read, a value is invalid, or the service refuses.
 pub async fn import(args: ImportArgs) -> CliResult<()> {
-    let sensor = read_input(&args.sensor)?;
+    let sensor = read_or_carried(FileKind::Sensor, &args.sensor, SENSORS)?;
     let map = args.coordinates.as_deref().map(read_input).transpose()?;
     let summary = understood(&args, sensor.clone(), map.as_deref()).await?;
     if !args.at.json {
@@ -78,9 +86,16 @@ async fn understood(args: &ImportArgs, sensor: String, map: Option<&str>) -> Cli
     let map = Coordinates::from_toml(&map_file.unwrap_or_default(), map.unwrap_or_default())?;
     let (path, sensor_file) = (args.file.clone(), args.sensor.display().to_string());
     let file = path.display().to_string();
-    let reading =
-        tokio::task::spawn_blocking(move || preview(&path, &file, &sensor_file, &sensor, map));
-    let read = shown_wait("reading the file", reading).await;
+    let progress = Arc::<Progress>::default();
+    let own = progress.clone();
+    let reading = tokio::task::spawn_blocking(move || {
+        preview(&path, &file, &sensor_file, &sensor, map, &own)
+    });
+    let count = || {
+        let total = progress.total.load(Relaxed);
+        ready((total > 0).then(|| (progress.done.load(Relaxed), total)))
+    };
+    let read = counted_wait("reading the file", "trials read", count, reading).await;
     read.unwrap_or(Err(DatasetError::Worker))
         .map_err(|error| CliError::of_dataset(format!("reading {}", args.file.display()), error))
 }
@@ -100,15 +115,13 @@ async fn store(
     let map = map.map(|text| TextPart { key: "coordinates", text, file_name: map_file });
     let texts = [
         TextPart { key: "sensor", text: sensor, file_name },
-        TextPart::value("name", name),
+        TextPart::value("name", name.clone()),
         TextPart::value("label", args.label.clone()),
         TextPart::value("who", client.who().to_owned()),
     ];
-    let mut made: Value = client
-        .patient(IMPORT_WAIT)
-        .showing("storing the trials")
-        .upload("/api/v1/imports", &args.file, texts.into_iter().chain(map))
-        .await?;
+    let patient = client.patient(IMPORT_WAIT).quiet();
+    let stored = patient.upload("/api/v1/imports", &args.file, texts.into_iter().chain(map));
+    let mut made: Value = making::import(client, &name, stored).await?;
     made["summary"] = json!(summary);
     let trials = counted(made["trials"].as_u64().unwrap_or_default(), "trial", "trials");
     let (run, label) = (&made["run"]["scan_id"], text_of(&made["run"]["label"]));

@@ -1,5 +1,4 @@
-//! `palpate init`: writes the carried files (experiments, rigs, sensors, recipes, faults ..) into a folder, to be
-//! edited, or lists them.
+//! `palpate init`: writes the carried files into a folder, to be edited, or lists them.
 //! Uses: `carried`, `schedule` (trials and schema of experiments). Never: overwriting a file.
 
 use std::path::PathBuf;
@@ -120,7 +119,19 @@ fn list(files: impl Iterator<Item = Carried>) -> Table {
 
 #[cfg(test)]
 mod tests {
+    use clap::Subcommand;
+
     use super::*;
+
+    #[test]
+    fn the_help_names_the_folders_that_are_written() {
+        let root = crate::cli::Command::augment_subcommands(clap::Command::new("palpate"));
+        let about = root.find_subcommand("init").unwrap().get_about().unwrap().to_string();
+        for (folder, _) in FOLDERS {
+            let folder = if folder.is_empty() { "experiments" } else { folder };
+            assert!(about.contains(&format!(" {folder}")), "{folder}: {about}");
+        }
+    }
 
     #[test]
     fn carried_files_are_listed_with_the_trials_of_experiments() {

@@ -97,7 +97,7 @@ pub fn start(args: &LogArgs) -> Option<Log> {
     let from_env = |name: &str| std::env::var(name).ok().filter(|value| !value.is_empty());
     let wanted = args.log.clone().or_else(|| from_env("PALPATE_LOG"));
     let default = || Targets::new().with_default(LEVEL);
-    let filter = wanted.as_deref().map_or_else(|| Ok(default()), str::parse::<Targets>);
+    let filter = wanted.as_deref().map_or_else(|| Ok(default()), levels);
     let named = args.log_format.clone().or_else(|| from_env("PALPATE_LOG_FORMAT"));
     let named = named.unwrap_or_default();
     let path = args.log_file.clone().or_else(|| from_env("PALPATE_LOG_FILE").map(PathBuf::from));
@@ -119,7 +119,7 @@ pub fn start(args: &LogArgs) -> Option<Log> {
         let _ = done.send(());
     };
     std::thread::Builder::new().name("log".into()).spawn(writing).ok()?;
-    let invalid_level = filter.as_ref().err().map(ToString::to_string);
+    let invalid_level = filter.as_ref().err().cloned();
     let filter = filter.unwrap_or_else(|_| default());
     let log = dispatch(format, filter, colours, move || queue.clone());
     // A log that was set before stays.
@@ -152,6 +152,20 @@ impl Drop for Log {
         }
         let _ = self.written.recv_timeout(FLUSH_WAIT);
     }
+}
+
+/// Reads the level of all and those of parts. A word without a level would be a part, and silence all others; so would
+/// the level of a part alone.
+fn levels(wanted: &str) -> Result<Targets, String> {
+    let is_level = |word: &str| word.parse::<LevelFilter>().is_ok();
+    if let Some(word) = wanted.split(',').find(|word| !word.contains('=') && !is_level(word)) {
+        return Err(format!("{word}: must be error, warn, info, debug or trace, or PART=LEVEL"));
+    }
+    let levels = wanted.parse::<Targets>().map_err(|error| error.to_string())?;
+    Ok(match levels.default_level() {
+        Some(_) => levels,
+        None => levels.with_default(LEVEL),
+    })
 }
 
 /// A file for each day.
@@ -327,6 +341,21 @@ mod tests {
         assert_eq!(logged.len(), 2);
         for line in &logged {
             assert_eq!(line["spans"][0]["run"], RUN);
+        }
+    }
+
+    #[test]
+    fn a_level_that_is_none_or_of_a_part_silences_no_other_part() {
+        let of = |wanted: &str, part: &str, level: tracing::Level| {
+            levels(wanted).unwrap().would_enable(part, &level)
+        };
+        assert!(of("palpate_bench=debug", "palpate_store", tracing::Level::WARN));
+        assert!(of("palpate_bench=debug", "palpate_bench", tracing::Level::DEBUG));
+        assert!(!of("palpate_bench=debug", "palpate_store", tracing::Level::DEBUG));
+        assert!(of("info,palpate_bench=debug", "palpate_store", tracing::Level::INFO));
+        assert!(!of("off", "palpate_store", tracing::Level::ERROR));
+        for wanted in ["verbose", "info,palpate_bench", "palpate_bench=loud", "info debug"] {
+            assert!(levels(wanted).is_err(), "{wanted}");
         }
     }
 

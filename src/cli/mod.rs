@@ -4,14 +4,14 @@
 //! Uses: every stage through `api`, and the pure ones. Never: the virtual rig's code (`main` starts
 //! it), decisions about motion.
 
-use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use clap::{Args, Subcommand};
 
 use crate::campaign::STOPS;
-use crate::carried::{self, GAPS};
+use crate::carried::{self, GAPS, RIGS, SENSORS};
+use crate::file_kind::FileKind;
 use crate::new_file;
 use serde_json::json;
 
@@ -46,6 +46,7 @@ mod job_losses;
 mod key;
 mod leave;
 pub mod log;
+mod making;
 mod model;
 mod morning;
 mod next;
@@ -88,7 +89,7 @@ use embed::Purpose::Reads;
 pub use error::CliError;
 use error::CliResult;
 pub use files::DEFAULT_SKIN_SEED;
-use files::{DEFAULT_GAP, DEFAULT_RIG, DEFAULT_SENSOR};
+use files::{DEFAULT_GAP, DEFAULT_RIG, DEFAULT_SENSOR, read_or_carried};
 pub use output::Output;
 
 pub use crate::plain::in_plain_words;
@@ -198,9 +199,10 @@ pub enum Command {
     ///
     /// Exit code 2 if something forbids it: each problem names file, key, value and limit.
     Plan(plan::PlanArgs),
-    /// Write the carried experiments, rigs, sensors and recipes into a folder, to edit them.
+    /// Write the carried experiments, rigs, gaps, sensors, datasets, recipes and faults into a folder.
     ///
-    /// Files that are there stay as they are. With --list or --schema nothing is written.
+    /// They are to be edited. Files that are there stay as they are. With --list or --schema nothing
+    /// is written.
     Init(init::InitArgs),
     /// Fit the model to measurements of a skin, and write a calibration file.
     ///
@@ -378,24 +380,57 @@ pub struct VirtualRigFiles {
     pub sensor: PathBuf,
 }
 
-/// Returns the named files; the other ones are the carried files, written to a folder.
+/// Carried files of a kind: name and text.
+type CarriedFiles = &'static [(&'static str, &'static str)];
+
+/// Returns the named files. A name without a file is that of a carried one; it, and the default of what is not named, are
+/// written to a folder.
 ///
 /// # Errors
-/// `CliError::File` if a carried file cannot be written.
+/// `CliError::Problems` if a named file cannot be read, `File` if a carried one cannot be written.
 pub fn virtual_rig_files(folder: &Path, named: [Option<PathBuf>; 3]) -> CliResult<VirtualRigFiles> {
     let [rig, gap, sensor] = named;
-    let gap_text = carried::text(GAPS, DEFAULT_GAP).unwrap_or_default();
-    let or_carried = |named: Option<PathBuf>, name: &str, text: &str| match named {
-        Some(path) => Ok(path),
-        None => {
-            let path = folder.join(OsStr::new(name));
-            new_file::make_folder(folder).map_err(CliError::file(folder))?;
-            files::write(&path, text).map(|()| path)
+    let file = |kind: FileKind,
+                carried: CarriedFiles,
+                named: Option<PathBuf>,
+                [name, default]: [&str; 2]|
+     -> CliResult<PathBuf> {
+        let text = match &named {
+            Some(path) => read_or_carried(kind, path, carried)?,
+            None => default.to_owned(),
+        };
+        if let Some(path) = named.filter(|path| path.exists()) {
+            return Ok(path);
         }
+        let path = folder.join(name);
+        new_file::make_folder(folder).map_err(CliError::file(folder))?;
+        files::write(&path, &text).map(|()| path)
     };
+    let gap_text = carried::text(GAPS, DEFAULT_GAP).unwrap_or_default();
     Ok(VirtualRigFiles {
-        rig: or_carried(rig, "rig.toml", DEFAULT_RIG)?,
-        gap: or_carried(gap, "gap.toml", gap_text)?,
-        sensor: or_carried(sensor, "sensor.toml", DEFAULT_SENSOR)?,
+        rig: file(FileKind::Rig, RIGS, rig, ["rig.toml", DEFAULT_RIG])?,
+        gap: file(FileKind::Gap, GAPS, gap, ["gap.toml", gap_text])?,
+        sensor: file(FileKind::Sensor, SENSORS, sensor, ["sensor.toml", DEFAULT_SENSOR])?,
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn files_of_a_virtual_rig_may_be_named_like_carried_ones() {
+        let temporary = tempfile::tempdir().unwrap();
+        let folder = temporary.path().join("virtual-rig");
+        let own = temporary.path().join("own.toml");
+        std::fs::write(&own, DEFAULT_SENSOR).unwrap();
+        let named = [None, Some("gap-b".into()), Some(own.clone())];
+        let files = virtual_rig_files(&folder, named).unwrap();
+        let text = |path: &Path| std::fs::read_to_string(path).unwrap();
+        assert_eq!(text(&files.rig), DEFAULT_RIG);
+        assert_eq!(Some(&*text(&files.gap)), carried::text(GAPS, "gap-b"));
+        assert_eq!(files.sensor, own);
+        let unknown = virtual_rig_files(&folder, [None, Some("gap-z".into()), None]);
+        assert!(unknown.unwrap_err().to_string().contains("gap-a, gap-b"));
+    }
 }

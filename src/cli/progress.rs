@@ -58,6 +58,8 @@ pub fn bar(template: &str) -> ProgressBar {
     ProgressBar::new(0).with_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()))
 }
 
+/// Interval of asking how much of counted work is done.
+const COUNT_POLL: Duration = Duration::from_millis(250);
 /// Time after which a wait is shown.
 const UNSHOWN_WAIT: Duration = Duration::from_millis(1500);
 
@@ -80,6 +82,44 @@ pub async fn shown_wait<T>(words: &str, work: impl Future<Output = T>) -> T {
     let done = work.await;
     drop(shown);
     done
+}
+
+/// As [`shown_wait`]; once `count` returns how many of how many units are done, they are shown with the time to go.
+pub async fn counted_wait<T, Count: Future<Output = Option<(u64, u64)>>>(
+    words: &str,
+    unit: &'static str,
+    count: impl Fn() -> Count,
+    work: impl Future<Output = T>,
+) -> T {
+    let mut work = std::pin::pin!(work);
+    let counted = async {
+        tokio::time::sleep(UNSHOWN_WAIT).await;
+        loop {
+            if let Some(found) = count().await {
+                return found;
+            }
+            tokio::time::sleep(COUNT_POLL).await;
+        }
+    };
+    let (mut done, mut total) = tokio::select! {
+        ended = shown_wait(words, work.as_mut()) => return ended,
+        found = counted => found,
+    };
+    let mut shown = Counted::of(unit, total);
+    loop {
+        shown.show(done, total);
+        let next = async {
+            tokio::time::sleep(COUNT_POLL).await;
+            count().await
+        };
+        // After the last unit nothing may be counted: what was shown remains.
+        tokio::select! {
+            ended = work.as_mut() => return ended,
+            found = next => {
+                (done, total) = found.unwrap_or((done, total));
+            }
+        }
+    }
 }
 
 /// A sign of life while something works; it ends when it is dropped.
@@ -157,5 +197,37 @@ impl LogLines {
             *next = Instant::now() + PROGRESS_LINES;
             note(words());
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::cell::Cell;
+    use std::future::ready;
+
+    use tokio::sync::Notify;
+
+    use super::*;
+
+    #[tokio::test]
+    async fn counted_work_is_asked_for_until_it_ends() {
+        let (asked, done) = (Cell::new(0_u64), Notify::new());
+        let count = || {
+            let now = asked.get() + 1;
+            asked.set(now);
+            if now == 4 {
+                done.notify_one();
+            }
+            // Not counted at first, and no longer at the end.
+            ready((2..4).contains(&now).then_some((now, 9)))
+        };
+        let work = async {
+            done.notified().await;
+            "made"
+        };
+        assert_eq!(counted_wait("making", "rows", count, work).await, "made");
+        assert_eq!(asked.get(), 4);
+        let at_once = async { "there" };
+        assert_eq!(counted_wait("making", "rows", || ready(None), at_once).await, "there");
     }
 }

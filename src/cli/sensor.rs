@@ -30,11 +30,11 @@ enum SensorCommand {
         /// Paper: sheets of A4 that overlap, or one sheet as large as the skin.
         #[arg(long, value_enum, default_value_t = PaperName::A4)]
         paper: PaperName,
-        /// Sensor file [default: ert-28].
+        /// Sensor file or the name of a carried one [default: ert-28].
         #[arg(long, value_name = "FILE")]
         sensor: Option<PathBuf>,
         /// File to write.
-        #[arg(long, value_name = "FILE.pdf")]
+        #[arg(long, value_name = "FILE.pdf", value_parser = pdf_file)]
         out: PathBuf,
     },
 }
@@ -44,6 +44,18 @@ enum SensorCommand {
 enum PaperName {
     A4,
     Sheet,
+}
+
+/// Reads the name of a PDF file.
+///
+/// # Errors
+/// The limit, if the name ends otherwise; it may have no ending.
+fn pdf_file(name: &str) -> Result<PathBuf, String> {
+    let path = PathBuf::from(name);
+    match path.extension().is_none_or(|ending| ending.eq_ignore_ascii_case("pdf")) {
+        true => Ok(path),
+        false => Err("must end in .pdf".into()),
+    }
 }
 
 /// Runs `palpate sensor`.

@@ -56,7 +56,7 @@ pub struct ServeArgs {
     /// Calibration for simulated twins [default: the sensor file's values].
     #[arg(long, value_name = "FILE")]
     pub calibration: Option<PathBuf>,
-    /// Sensor file of the skin under the rig [default: ert-28].
+    /// Sensor file of the skin under the rig, or the name of a carried one [default: ert-28].
     #[arg(long, value_name = "FILE")]
     pub sensor: Option<PathBuf>,
     /// Number of threads that compute simulated twins; 0 for none.

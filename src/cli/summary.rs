@@ -1,6 +1,6 @@
 //! Result of a run: for scripts the last line, for people the closing summary with the paper's
 //! Table I for comparison.
-//! Uses: `api::Summary`. Never: numbers that were not measured.
+//! Uses: `api::{History, Summary}`. Never: numbers that were not measured.
 
 use std::fmt;
 
@@ -9,7 +9,7 @@ use serde_json::{Value, json};
 use super::next::Next;
 use super::output::{counted, duration};
 use super::{At, DEFAULT_DATA};
-use crate::api::Summary;
+use crate::api::{History, Summary};
 use crate::evaluate::published::{REAL_HEX, REAL_RANDOM};
 use crate::evaluate::simulation::SimulationReport;
 use crate::journal::ExitStatus;
@@ -31,6 +31,8 @@ pub struct Closing {
     clock_rate: f64,
     /// Fit of the simulated twins, if known.
     fit: Option<SimulationReport>,
+    /// Whether the run was stopped or interrupted, and resumed; `None` if unknown.
+    was_resumed: Option<bool>,
     data: String,
     follow_url: Option<String>,
     /// How the command is typed to resume the run.
@@ -41,13 +43,19 @@ impl Closing {
     /// Summary of a run. `why_left` is the reason if it was left open.
     pub fn of(summary: Summary, database: String, clock_rate: f64, why_left: Option<&str>) -> Self {
         let reason = summary.run.reason.clone().or(why_left.map(Into::into)).unwrap_or_default();
-        let (fit, data, follow_url, again) = (None, String::new(), None, "again");
-        Self { summary, reason, database, clock_rate, fit, data, follow_url, again }
+        let (fit, was_resumed, data, follow_url, again) =
+            (None, None, String::new(), None, "again");
+        Self { summary, reason, database, clock_rate, fit, was_resumed, data, follow_url, again }
     }
 
     /// Adds the fit of the simulated twins.
     pub fn with_fit(self, fit: Option<SimulationReport>) -> Self {
         Self { fit, ..self }
+    }
+
+    /// Adds the history of the run, if known.
+    pub fn with_history(self, history: Option<&History>) -> Self {
+        Self { was_resumed: history.map(was_resumed), ..self }
     }
 
     /// How the run ended; `Stopped` also if it is open.
@@ -163,9 +171,13 @@ impl fmt::Display for Closing {
         let planned = run.trials_planned;
         line(f, "trials", format!("{stored} of {planned} stored, {skipped}, {retries}"))?;
         if let Some(wall_s) = self.summary.duration_s {
-            let process = match self.clock_rate {
-                1.0 => String::new(),
-                rate => format!(", {} of process time at speed {rate}", duration(wall_s * rate)),
+            let process = match (self.was_resumed, self.clock_rate) {
+                // Not all of it was driven, and perhaps at another speed before.
+                (Some(true), _) => String::from(", interruptions included"),
+                (None, _) | (_, 1.0) => String::new(),
+                (Some(false), rate) => {
+                    format!(", {} of process time at speed {rate}", duration(wall_s * rate))
+                }
             };
             line(f, "start to end", format!("{}{process}", duration(wall_s)))?;
         }
@@ -211,6 +223,14 @@ impl Closing {
         }
         Ok(())
     }
+}
+
+/// Whether a run was stopped or interrupted, and resumed.
+fn was_resumed(history: &History) -> bool {
+    let of = |kind: &str| history.events.iter().filter(|event| event.kind == kind).count();
+    history.states.iter().any(|span| span.state == StoredState::Interrupted)
+        || of("resumed") + of("not_resumed") > 0
+        || of("ended") > 1
 }
 
 /// The name and the counts of Table I for runs of a kind, trials with 0, 1, .. 6 contacts, scaled to as
@@ -273,6 +293,31 @@ mod tests {
             assert!(!next.contains("the same command"), "{next}");
             assert!(next.contains("\"palpate resume 3\""), "{next}");
         }
+    }
+
+    #[test]
+    fn only_a_run_without_interruption_has_a_process_time() {
+        let line = |states: &[&str], events: &[&str]| {
+            let at = "2026-11-24T22:00:00Z";
+            let span = |state: &&str| json!({ "state": state, "why": null, "from": at, "to": at });
+            let event =
+                |kind: &&str| json!({ "seq": 1, "at": at, "kind": kind, "importance": "notable" });
+            let mut history = json!(History::default());
+            history["states"] = states.iter().map(span).collect();
+            history["events"] = events.iter().map(event).collect();
+            let history: History = serde_json::from_value(history).unwrap();
+            let mut closing = short("success").with_history(Some(&history));
+            (closing.summary.duration_s, closing.clock_rate) = (Some(1020.0), 60.0);
+            let shown = closing.to_string();
+            shown.lines().find_map(|line| line.strip_prefix("  start to end ")).unwrap().to_owned()
+        };
+        let (wall, process) = (duration(1020.0), duration(61_200.0));
+        let whole = format!("{wall}, {process} of process time at speed 60");
+        assert_eq!(line(&["running", "paused", "running"], &["ended"]), whole);
+        let parts = format!("{wall}, interruptions included");
+        assert_eq!(line(&["running", "interrupted", "running"], &["ended"]), parts);
+        assert_eq!(line(&["running"], &["ended", "ended"]), parts);
+        assert_eq!(line(&["paused", "running"], &["resumed", "ended"]), parts);
     }
 
     #[test]

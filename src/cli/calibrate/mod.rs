@@ -51,7 +51,7 @@ struct Common {
     /// Table of measurements.
     #[arg(value_name = "CSV")]
     measurements: PathBuf,
-    /// Sensor file [default: ert-28].
+    /// Sensor file or the name of a carried one [default: ert-28].
     #[arg(long, value_name = "FILE")]
     sensor: Option<PathBuf>,
     /// Earlier calibration whose other part is kept.

@@ -32,7 +32,7 @@ pub struct RandomRequest {
     /// digits of a frame depend on them.
     #[arg(long, value_name = "KERNEL", value_parser = kernel)]
     kernel: Option<Kernel>,
-    /// Sensor file: the skin's geometry and materials [default: ert-28].
+    /// Sensor file, or the name of a carried one: the skin's geometry and materials [default: ert-28].
     #[arg(long, value_name = "FILE")]
     sensor: Option<PathBuf>,
     /// Calibration file, whose values replace those of the sensor file [default: none].

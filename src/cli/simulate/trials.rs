@@ -29,7 +29,7 @@ pub struct TrialArgs {
     /// {"voltages_v":[784 numbers]}, in order, written before the next one is read.
     #[arg(long, value_name = "FILE|-", default_value = "-")]
     contacts: PathBuf,
-    /// Sensor file: the skin's geometry and materials [default: ert-28].
+    /// Sensor file, or the name of a carried one: the skin's geometry and materials [default: ert-28].
     #[arg(long, value_name = "FILE")]
     sensor: Option<PathBuf>,
     /// Calibration file, whose values replace those of the sensor file [default: none].

@@ -22,8 +22,8 @@ pub enum DatasetError {
     #[error("{}", listed(.0))]
     Problems(Vec<Problem>),
     /// No dataset has this id or name.
-    #[error("no dataset {name}: choose from {choices}, or run-N for a run that has ended")]
-    NoDataset { name: String, choices: String },
+    #[error("no dataset {name}: choose from {choices}, or run-N for a run that has ended{meant}")]
+    NoDataset { name: String, choices: String, meant: String },
     /// No dataset of this name has been made.
     #[error("dataset {0} has not been made: palpate dataset make {0}")]
     NotMade(String),

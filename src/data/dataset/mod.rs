@@ -30,6 +30,7 @@ pub mod pressed;
 pub mod encoder;
 pub mod begun;
 pub mod build;
+pub mod making;
 pub mod export;
 pub mod import;
 pub mod federate;

@@ -20,6 +20,7 @@ use super::{App, accept};
 use crate::dataset::definition::Definition;
 use crate::dataset::error::DatasetError;
 use crate::dataset::format::{Format, UnknownFormat};
+use crate::dataset::making::Making;
 use crate::dataset::package;
 use crate::dataset::prune::Pruned;
 use crate::ids::DatasetId;
@@ -98,6 +99,8 @@ pub struct DatasetsPage {
     pub page: Page<DatasetOut>,
     /// Names of the built-in definitions, of which datasets can be made.
     pub definitions: Vec<&'static str>,
+    /// Datasets that are being made and imports that are being stored, oldest first.
+    pub making: Vec<Making>,
 }
 
 /// Request for a dataset: exactly one of `name`, `definition` and `toml`.
@@ -161,7 +164,8 @@ pub async fn list(app: App, asked: PageRequest) -> ApiResult<Json<DatasetsPage>>
     });
     let datasets = datasets.collect();
     let page = asked.of_all(datasets, |dataset: &DatasetOut| dataset.id.clone())?;
-    Ok(Json(DatasetsPage { page, definitions: Definition::built_in_names().collect() }))
+    let definitions = Definition::built_in_names().collect();
+    Ok(Json(DatasetsPage { page, definitions, making: app.datasets.making().list() }))
 }
 
 /// Makes a dataset from the stored trials, or returns the existing one.

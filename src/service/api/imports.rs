@@ -16,6 +16,7 @@ use super::problem::{ApiError, ApiResult};
 use super::send::Created;
 use crate::dataset::import::coordinates::Coordinates;
 use crate::dataset::import::{Import, import};
+use crate::dataset::making::MakingKind;
 use crate::new_file::NewFile;
 use crate::plain::violated;
 use crate::store::{Label, RunRow};
@@ -98,7 +99,8 @@ pub async fn add(
         submitted_by: act.name(),
     };
     let free = app.store.free_bytes().await?;
-    let done = import(&app.store, upload.path(), request, free).await?;
+    let progress = app.datasets.making().begin(MakingKind::Import, &request.name);
+    let done = import(&app.store, upload.path(), request, free, &progress).await?;
     act.on(done.run.uid);
     let out = ImportOut {
         dataset: format!("run-{}", done.run.scan_id),

@@ -11,6 +11,7 @@ use palpate::clock::Clock;
 use palpate::dataset::build::data_file;
 use palpate::dataset::catalog::Catalog;
 use palpate::dataset::definition::Definition;
+use palpate::dataset::making::{Making, MakingKind};
 use palpate::ids::{RunUid, TrialKey};
 use palpate::journal::Journal;
 use palpate::record::FrameRecord;
@@ -196,5 +197,18 @@ async fn a_begun_file_of_a_killed_process_is_removed_and_nothing_is_lost() {
     let [(first, _), (again, _)] = lab.made_twice().await;
     assert_eq!((first.rows, &first.sha256), (u64::from(TRIALS), &again.sha256));
     drop(killed);
+    lab.close().await;
+}
+
+#[tokio::test]
+async fn a_dataset_is_listed_while_it_is_made() {
+    let lab = Lab::open("ahead-listed").await;
+    let definition = Definition::of_run(lab.scan_id);
+    let mut made = Box::pin(lab.datasets.make(&definition));
+    assert!(futures::poll!(made.as_mut()).is_pending());
+    let kind = MakingKind::Dataset;
+    let listed = Making { kind, name: definition.name.clone(), rows_done: 0, rows_total: 0 };
+    assert_eq!(lab.datasets.making().list(), [listed]);
+    drop(made);
     lab.close().await;
 }

@@ -1,6 +1,7 @@
 //! Trials measured elsewhere, from a file to datasets.
 
 use std::sync::Arc;
+use std::sync::atomic::Ordering::Relaxed;
 
 use arrow_array::{ArrayRef, Float32Array, Int64Array, ListArray, RecordBatch, StructArray};
 use arrow_array::{FixedSizeListArray, Float64Array};
@@ -10,6 +11,7 @@ use parquet::arrow::ArrowWriter;
 use reqwest::multipart::{Form, Part};
 use serde_json::Value;
 
+use palpate::dataset::build::Progress;
 use palpate::dataset::error::{DatasetError, Product};
 use palpate::dataset::import::coordinates::Coordinates;
 use palpate::dataset::import::{Import, import as import_file};
@@ -286,11 +288,16 @@ async fn an_import_that_the_disk_cannot_hold_stores_nothing() {
         submitted_by: "local".into(),
     };
     // Three trials without their numbers take 2400 bytes.
-    let refused = import_file(&store, &path, request.clone(), KEPT_FREE_BYTES + 2400).await;
+    let progress = Progress::default();
+    let free = KEPT_FREE_BYTES + 2400;
+    let refused = import_file(&store, &path, request.clone(), free, &progress).await;
     assert!(matches!(refused, Err(DatasetError::DiskFull { product: Product::Import, .. })));
     assert!(store.runs(&[], 10, None).await.unwrap().runs.is_empty());
-    let stored = import_file(&store, &path, request, KEPT_FREE_BYTES + 4000).await.unwrap();
+    let free = KEPT_FREE_BYTES + 4000;
+    let stored = import_file(&store, &path, request, free, &progress).await.unwrap();
     assert_eq!(stored.trials, 3);
+    // What a client shows while it waits.
+    assert_eq!([&progress.done, &progress.total].map(|n| n.load(Relaxed)), [3, 3]);
     store.close().await;
     std::fs::remove_dir_all(data).unwrap();
 }

@@ -100,6 +100,7 @@ async fn an_id_is_its_contents_and_a_name_follows_them() {
     let id = first["id"].as_str().unwrap().to_owned();
     assert!(id.starts_with("ds-") && id.len() == 19, "{id}");
     let again = lab.make("r2s-transfer").await;
+    assert_eq!(lab.get("/api/v1/datasets?limit=1").await["making"], json!([]), "it is made");
     assert_eq!((&again["id"], &again["created_at"]), (&first["id"], &first["created_at"]));
     // Made again from nothing, it is the same file.
     let file = lab.data.join("datasets").join(format!("{id}.parquet"));

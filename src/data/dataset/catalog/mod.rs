@@ -21,6 +21,7 @@ use crate::dataset::definition::Definition;
 use crate::dataset::error::{DatasetError, Product};
 use crate::dataset::format::Format;
 use crate::dataset::inputs::Inputs;
+use crate::dataset::making::{AllMaking, MakingKind};
 use crate::dataset::prune::{self, Pruned};
 use crate::dataset::read::{DatasetPages, DatasetRows};
 use crate::dataset::schema::{self, BATCH_ROWS};
@@ -28,6 +29,7 @@ use crate::dataset::select::Wanted;
 use crate::dataset::space::{self, Space};
 use crate::dataset::used;
 use crate::ids::{DatasetId, RunUid};
+use crate::near::did_you_mean;
 use crate::new_file::sweep;
 use crate::problem::Problem;
 use crate::state::StoredState;
@@ -49,6 +51,7 @@ struct Inner {
     building: tokio::sync::Mutex<Option<Begun>>,
     writing: tokio::sync::Mutex<()>,
     queue: TaskQueue<Progress>,
+    making: AllMaking,
 }
 
 impl Catalog {
@@ -64,6 +67,7 @@ impl Catalog {
             clock,
             building: tokio::sync::Mutex::default(),
             writing: tokio::sync::Mutex::default(),
+            making: AllMaking::default(),
         };
         let catalog = Self { inner: Arc::new(inner) };
         for folder in [catalog.datasets(), catalog.exports(), catalog.uploads()] {
@@ -80,6 +84,11 @@ impl Catalog {
     /// Folder of files that are being uploaded.
     pub fn uploads(&self) -> PathBuf {
         self.inner.data.join("uploads")
+    }
+
+    /// The datasets that are made on request, and the imports.
+    pub fn making(&self) -> &AllMaking {
+        &self.inner.making
     }
 
     /// Folder of the export files.
@@ -157,8 +166,9 @@ impl Catalog {
     }
 
     fn no_dataset(&self, name: &str) -> DatasetError {
-        let choices = Definition::built_in_names().collect::<Vec<_>>().join(", ");
-        DatasetError::NoDataset { name: name.into(), choices }
+        let choices = Definition::built_in_names().collect::<Vec<_>>();
+        let meant = did_you_mean(name, choices.iter().copied());
+        DatasetError::NoDataset { name: name.into(), choices: choices.join(", "), meant }
     }
 
     /// Returns the definition of a name: of a run (`run-N`), built in, or of the newest dataset of
@@ -221,7 +231,8 @@ impl Catalog {
     /// none, `DiskFull` without free space; `Store`, `File` or `Shards` if reading or writing
     /// fails.
     pub async fn make(&self, definition: &Definition) -> Result<DatasetRow, DatasetError> {
-        self.make_watched(definition, Arc::default()).await
+        let progress = self.making().begin(MakingKind::Dataset, &definition.name);
+        self.make_watched(definition, progress).await
     }
 
     async fn make_watched(

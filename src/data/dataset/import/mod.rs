@@ -12,10 +12,12 @@ pub mod summary;
 
 use std::fs::File;
 use std::path::Path;
+use std::sync::atomic::Ordering::Relaxed;
 
 use tokio::sync::mpsc;
 
 use super::background::background;
+use super::build::Progress;
 use super::error::{DatasetError, Product};
 use super::space::Space;
 use crate::digest::{Hashing, ID_DIGITS, sha256_hex};
@@ -64,7 +66,7 @@ pub struct Imported {
 }
 
 /// Imports a file as a run. The file is read twice: it is checked completely before the first trial
-/// is stored. `free`: free space of the disk, bytes.
+/// is stored. `free`: free space of the disk, bytes. `progress`: the trials stored, and all, once they are counted.
 ///
 /// # Errors
 /// `DatasetError::Problems` if sensor file, columns or values are invalid, or the file has no
@@ -75,13 +77,14 @@ pub async fn import(
     path: &Path,
     import: Import,
     free: u64,
+    progress: &Progress,
 ) -> Result<Imported, DatasetError> {
     let sensor = ImportedSensor::from_toml(&import.sensor_file, &import.sensor)
         .map_err(DatasetError::Problems)?;
     let checked = {
         let (path, file, sensor) = (path.to_owned(), import.file.clone(), sensor.clone());
         let map = import.coordinates;
-        background(move || check(&path, &file, &sensor, map, free)).await??
+        background(move || check(&path, &file, &sensor, map, free, &Progress::default())).await??
     };
     let new = new_run(&import, &sensor, &checked);
     if let Some(run) = store.imported_as(&new).await? {
@@ -92,7 +95,8 @@ pub async fn import(
         true => Some(model(store, &checked.sha256, &run).await?),
         false => None,
     };
-    store_trials(store, path, &import, &sensor, run.uid, model).await?;
+    progress.total.store(checked.summary.rows, Relaxed);
+    store_trials(store, path, &import, &sensor, run.uid, model, progress).await?;
     let run = store.end_import(run.uid).await?;
     Ok(Imported {
         run,
@@ -102,7 +106,7 @@ pub async fn import(
 }
 
 /// Checks a file as an import does, and returns what it understood; nothing is stored. `sensor` is the text
-/// of the sensor file; `file` and `sensor_file` are names in messages.
+/// of the sensor file; `file` and `sensor_file` are names in messages. `progress`: the trials read, and all.
 ///
 /// # Errors
 /// As [`import`], except those of the store and the disk.
@@ -112,9 +116,11 @@ pub fn preview(
     sensor_file: &str,
     sensor: &str,
     coordinates: Coordinates,
+    progress: &Progress,
 ) -> Result<Summary, DatasetError> {
     let sensor = ImportedSensor::from_toml(sensor_file, sensor).map_err(DatasetError::Problems)?;
-    check(path, file, &sensor, coordinates, u64::MAX).map(|checked| checked.summary)
+    let checked = check(path, file, &sensor, coordinates, u64::MAX, progress)?;
+    Ok(checked.summary)
 }
 
 /// Result of the first reading of a file.
@@ -130,12 +136,14 @@ fn check(
     sensor: &ImportedSensor,
     map: Coordinates,
     free: u64,
+    progress: &Progress,
 ) -> Result<Checked, DatasetError> {
     let source = Source::open(path, file)?;
     let mut reader = Reader::new(file, sensor, map);
     reader.check(source.schema()).map_err(DatasetError::Problems)?;
     // A few bytes of a compressed file may stand for any number of values.
     let rows = source.extent().rows();
+    progress.total.store(rows, Relaxed);
     let needed = source.extent().needed(file, sensor).map_err(DatasetError::Problems)?;
     Space { needed, free }.check(Product::Import)?;
     let mut hashing = Hashing::default();
@@ -154,6 +162,7 @@ fn check(
         let trials = reader.read(&batch?).map_err(DatasetError::Problems)?;
         trials.iter().for_each(|trial| checked.summary.add(trial));
         checked.simulated |= trials.iter().any(|trial| trial.sim_voltages_v.is_some());
+        progress.done.store(checked.summary.rows, Relaxed);
         if checked.summary.rows > rows {
             return Err(whole(file, "must not hold more rows than its footer states"));
         }
@@ -221,6 +230,7 @@ async fn store_trials(
     sensor: &ImportedSensor,
     run: RunUid,
     model: Option<TwinModelId>,
+    progress: &Progress,
 ) -> Result<(), DatasetError> {
     let (sender, mut pages) = mpsc::channel::<Vec<ImportedTrial>>(2);
     let (path, file, sensor) = (path.to_owned(), import.file.clone(), sensor.clone());
@@ -237,7 +247,9 @@ async fn store_trials(
     });
     let storing = async {
         while let Some(trials) = pages.recv().await {
+            let stored = trials.len() as u64;
             store.import_trials(run, model, trials).await?;
+            progress.done.fetch_add(stored, Relaxed);
         }
         // Dropped here, so that the reader also ends if storing fails.
         drop(pages);
