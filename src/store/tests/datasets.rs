@@ -120,6 +120,32 @@ async fn half_an_import_is_gone_after_the_next_start() {
     store.integrity_check().await.unwrap();
 }
 
+#[tokio::test]
+async fn of_two_equal_imports_at_once_one_is_a_run_and_nothing_of_the_other_stays() {
+    let (_folder, store) = fresh().await;
+    let begin = async |experiment: &str| {
+        let new = NewRun { experiment: experiment.into(), ..imported() };
+        let run = store.begin_import(new).await.unwrap().uid;
+        store.import_trials(run, None, vec![elsewhere(0), elsewhere(1)]).await.unwrap();
+        run
+    };
+    let (first, second, other) = (begin("a").await, begin("a").await, begin("b").await);
+    assert!(store.runs_with_trials().await.unwrap().is_empty(), "none is complete");
+    assert_eq!(store.end_import(second).await.unwrap().uid, second);
+    assert_eq!(store.end_import(first).await.unwrap().uid, second, "it is stored already");
+    assert_eq!(store.run(first).await.unwrap().unwrap().state, StoredState::Removed);
+    assert_eq!(store.end_import(other).await.unwrap().uid, other);
+    for run in [first, second, other] {
+        store.discard_import(run).await.unwrap();
+    }
+    assert!(all(&store, first).await.is_empty());
+    for run in [second, other] {
+        assert_eq!(all(&store, run).await.len(), 2, "an ended one stays");
+    }
+    assert_eq!(store.runs_with_trials().await.unwrap(), [other, second]);
+    store.integrity_check().await.unwrap();
+}
+
 fn dataset() -> DatasetRow {
     DatasetRow {
         id: DatasetId::unchecked("ds-1"),

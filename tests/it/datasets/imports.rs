@@ -14,7 +14,7 @@ use palpate::dataset::error::{DatasetError, Product};
 use palpate::dataset::import::coordinates::Coordinates;
 use palpate::dataset::import::{Import, import as import_file};
 use palpate::dataset::space::KEPT_FREE_BYTES;
-use palpate::store::Label;
+use palpate::store::{Label, TrialQuery};
 
 use super::filled::{Filled, folder, store};
 
@@ -270,13 +270,9 @@ async fn depths_of_a_configuration_stay_together_under_a_deadband() {
     lab.close().await;
 }
 
-#[tokio::test]
-async fn an_import_that_the_disk_cannot_hold_stores_nothing() {
-    let data = folder("import-disk");
-    let store = store(&data).await;
-    let path = data.join("pad.parquet");
-    std::fs::write(&path, parquet(good())).unwrap();
-    let request = Import {
+/// A request for an import of [`good`].
+fn request() -> Import {
+    Import {
         name: "pad-study".into(),
         label: Label::Measured,
         file: "pad.parquet".into(),
@@ -284,12 +280,38 @@ async fn an_import_that_the_disk_cannot_hold_stores_nothing() {
         sensor: PAD.into(),
         coordinates: Coordinates::default(),
         submitted_by: "local".into(),
-    };
+    }
+}
+
+#[tokio::test]
+async fn a_file_that_is_imported_twice_at_once_is_one_run() {
+    let data = folder("import-twice");
+    let store = store(&data).await;
+    let path = data.join("pad.parquet");
+    std::fs::write(&path, parquet(good())).unwrap();
+    let import = || import_file(&store, &path, request(), u64::MAX);
+    let (one, two) = tokio::join!(import(), import());
+    let (stored, refused) = if one.is_ok() { (one, two) } else { (two, one) };
+    let run = stored.unwrap().run;
+    assert!(matches!(refused, Err(DatasetError::Imported(known)) if known == run.scan_id));
+    let query = TrialQuery { limit: 100, ..TrialQuery::default() };
+    let trials = store.trials(&query).await.unwrap();
+    assert_eq!(trials.iter().map(|trial| trial.run).collect::<Vec<_>>(), [run.uid; 3]);
+    store.close().await;
+    std::fs::remove_dir_all(data).unwrap();
+}
+
+#[tokio::test]
+async fn an_import_that_the_disk_cannot_hold_stores_nothing() {
+    let data = folder("import-disk");
+    let store = store(&data).await;
+    let path = data.join("pad.parquet");
+    std::fs::write(&path, parquet(good())).unwrap();
     // Three trials without their numbers take 2400 bytes.
-    let refused = import_file(&store, &path, request.clone(), KEPT_FREE_BYTES + 2400).await;
+    let refused = import_file(&store, &path, request(), KEPT_FREE_BYTES + 2400).await;
     assert!(matches!(refused, Err(DatasetError::DiskFull { product: Product::Import, .. })));
     assert!(store.runs(&[], 10, None).await.unwrap().runs.is_empty());
-    let stored = import_file(&store, &path, request, KEPT_FREE_BYTES + 4000).await.unwrap();
+    let stored = import_file(&store, &path, request(), KEPT_FREE_BYTES + 4000).await.unwrap();
     assert_eq!(stored.trials, 3);
     store.close().await;
     std::fs::remove_dir_all(data).unwrap();
