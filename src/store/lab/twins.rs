@@ -254,7 +254,8 @@ impl Store {
     /// `Sql` or `Unreadable` if the read fails.
     pub async fn runs_with_trials(&self) -> StoreResult<Vec<RunUid>> {
         let query = sqlx::query(
-            "SELECT uid FROM runs r WHERE state <> 'removed'
+            // The state is behind the long texts of a run: it is read of imports only.
+            "SELECT uid FROM runs r WHERE (kind <> 'imported' OR state <> 'removed')
                  AND EXISTS (SELECT 1 FROM trials t WHERE t.run = r.scan_id)
              ORDER BY scan_id DESC",
         );
