@@ -130,10 +130,19 @@ async fn of_two_equal_imports_at_once_one_is_a_run_and_nothing_of_the_other_stay
         run
     };
     let (first, second, other) = (begin("a").await, begin("a").await, begin("b").await);
+    let listed = async || {
+        let query = TrialQuery { limit: 100, ..TrialQuery::default() };
+        let trials = store.trials(&query).await.unwrap();
+        let ids: Vec<_> = trials.iter().map(|trial| trial.trial_id).collect();
+        assert_eq!(store.trial_ids(&query).await.unwrap(), ids);
+        trials.into_iter().map(|trial| trial.run).collect::<Vec<_>>()
+    };
     assert!(store.runs_with_trials().await.unwrap().is_empty(), "none is complete");
+    assert!(listed().await.is_empty());
     assert_eq!(store.end_import(second).await.unwrap().uid, second);
     assert_eq!(store.end_import(first).await.unwrap().uid, second, "it is stored already");
     assert_eq!(store.run(first).await.unwrap().unwrap().state, StoredState::Removed);
+    assert_eq!(listed().await, [second; 2]);
     assert_eq!(store.end_import(other).await.unwrap().uid, other);
     for run in [first, second, other] {
         store.discard_import(run).await.unwrap();
