@@ -25,8 +25,8 @@ const LENGTHS_OF: &str = "SELECT DISTINCT length(v.voltages_v) / 4 AS channels
      FROM trial_voltages v WHERE v.trial IN (";
 
 impl Store {
-    /// Returns a page of trials, in the order of the query; of all runs without those of incomplete imports. Set `after`
-    /// to its last id for the next page.
+    /// Returns a page of trials, in the order of the query; those of incomplete imports are not among all runs. Set
+    /// `after` to its last id for the next page.
     ///
     /// # Errors
     /// `NoSuchRun` if the run of the query is not stored; `Damaged` if a trial differs from its
