@@ -104,14 +104,17 @@ impl Store {
     }
 
     /// Returns the number of the ended run that an import of this file, as hashed in `new`, made with the
-    /// same name, label and sensor.
+    /// same name, label and sensor, whatever the file was called.
     ///
     /// # Errors
     /// `Sql` if the read fails.
     pub async fn imported_as(&self, new: &NewRun) -> StoreResult<Option<i64>> {
         let query = sqlx::query(
             "SELECT scan_id FROM runs WHERE kind = ?1 AND state = 'ended'
-                 AND experiment = ?2 AND label = ?3 AND sensor = ?4 AND definition = ?5",
+                 AND experiment = ?2 AND label = ?3 AND sensor = ?4
+                 AND CASE WHEN json_valid(definition) THEN json_remove(definition, '$.imported')
+                     ELSE definition END
+                   = CASE WHEN json_valid(?5) THEN json_remove(?5, '$.imported') ELSE ?5 END",
         )
         .bind(new.kind.as_str())
         .bind(&new.experiment)
@@ -154,7 +157,11 @@ impl Store {
         self.write(STORING_IMPORT, async move |connection| {
             let equal = sqlx::query(
                 "SELECT e.* FROM runs own JOIN runs e ON e.kind = own.kind AND e.experiment = own.experiment
-                     AND e.label = own.label AND e.sensor = own.sensor AND e.definition = own.definition
+                     AND e.label = own.label AND e.sensor = own.sensor
+                     AND CASE WHEN json_valid(e.definition) THEN json_remove(e.definition, '$.imported')
+                         ELSE e.definition END
+                       = CASE WHEN json_valid(own.definition) THEN json_remove(own.definition, '$.imported')
+                         ELSE own.definition END
                  WHERE own.uid = ?1 AND own.kind = 'imported' AND e.uid <> ?1 AND e.state = 'ended' LIMIT 1",
             )
             .bind(&run)

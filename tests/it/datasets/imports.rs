@@ -297,6 +297,10 @@ async fn a_file_that_is_imported_twice_at_once_is_one_run() {
     let query = TrialQuery { limit: 100, ..TrialQuery::default() };
     let trials = store.trials(&query).await.unwrap();
     assert_eq!(trials.iter().map(|trial| trial.run).collect::<Vec<_>>(), [run.uid; 3]);
+    // Under another file name it is the same file.
+    let renamed = Import { file: "copy.parquet".into(), ..request() };
+    let refused = import_file(&store, &path, renamed, u64::MAX).await;
+    assert!(matches!(refused, Err(DatasetError::Imported(known)) if known == run.scan_id));
     store.close().await;
     std::fs::remove_dir_all(data).unwrap();
 }
