@@ -12,6 +12,8 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use reqwest::multipart::{Form, Part};
 use serde_json::{Value, json};
+use sqlx::sqlite::SqliteConnectOptions;
+use sqlx::{ConnectOptions, Connection};
 
 use crate::datasets::filled::{Filled, end, folder, new_run, points, press, store, twin_model};
 use crate::support::{VIRTUAL_RIG, command, copy_folder, done, finished, not_done, with_responses};
@@ -185,4 +187,25 @@ async fn twins_of_two_processes_are_those_of_the_service() {
     for folder in [data, others, node.into()] {
         std::fs::remove_dir_all(folder).unwrap();
     }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_damaged_trial_keeps_no_other_run_from_its_twins() {
+    let data = folder("twin-damage");
+    pressed(&data).await;
+    // Of the newest run, which gets its twins first.
+    pressed(&data).await;
+    with_responses(&data);
+    let options = SqliteConnectOptions::new().filename(data.join("palpate.db"));
+    let mut file = options.connect().await.unwrap();
+    let first = i64::from(TRIALS) + 1;
+    let damage = "UPDATE trial_voltages SET voltages_v = zeroblob(3136) WHERE trial = ?1";
+    let damaged = sqlx::query(damage).bind(first).execute(&mut file).await.unwrap();
+    assert_eq!(damaged.rows_affected(), 1);
+    file.close().await.unwrap();
+    let lab = Filled::serve_as(data, |options| options.twin_workers = 1).await;
+    lab.until("/api/v1/runs/1/twins", TWINS_WITHIN, |count| count["pending"] == 0).await;
+    let count = lab.get("/api/v1/runs/2/twins").await;
+    assert_eq!((&count["twins"], &count["pending"]), (&json!(0), &json!(TRIALS)));
+    lab.close().await;
 }

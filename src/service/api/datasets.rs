@@ -247,7 +247,7 @@ pub async fn lineage(app: App, Path(dataset): Path<String>) -> ApiResult<Json<Va
     tag = "datasets", responses((status = 200, body = String, content_type = "text/markdown")))]
 pub async fn card(app: App, Path(dataset): Path<String>) -> ApiResult<Response> {
     let row = app.datasets.find(&dataset).await?;
-    let text = app.datasets.card(&row.id)?;
+    let text = app.datasets.card(&row)?;
     Ok(([(header::CONTENT_TYPE, "text/markdown; charset=utf-8")], text).into_response())
 }
 

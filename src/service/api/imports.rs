@@ -5,6 +5,7 @@ use std::io::Write;
 
 use axum::http::{HeaderMap, StatusCode};
 use serde::Serialize;
+use tracing::Instrument;
 use utoipa::ToSchema;
 
 use super::App;
@@ -14,6 +15,7 @@ use super::form::{Form, invalid, missing};
 use super::limits::WHO_MAX_CHARS;
 use super::problem::{ApiError, ApiResult};
 use super::send::Created;
+use crate::dataset::error::DatasetError;
 use crate::dataset::import::coordinates::Coordinates;
 use crate::dataset::import::{Import, import};
 use crate::dataset::making::MakingKind;
@@ -99,8 +101,12 @@ pub async fn add(
         submitted_by: act.name(),
     };
     let free = app.store.free_bytes().await?;
+    let store = app.store.clone();
     let progress = app.datasets.making().begin(MakingKind::Import, &request.name);
-    let done = import(&app.store, upload.path(), request, free, &progress).await?;
+    let importing = async move { import(&store, upload.path(), request, free, &progress).await };
+    // It runs to its end even if its client disconnects: else a part of the trials would stay until the next start.
+    let done = tokio::spawn(importing.in_current_span()).await;
+    let done = done.map_err(|_| DatasetError::Worker)??;
     act.on(done.run.uid);
     let out = ImportOut {
         dataset: format!("run-{}", done.run.scan_id),

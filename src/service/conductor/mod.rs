@@ -13,6 +13,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::json;
 use sim_core::calibration::Calibration;
 use tokio::sync::Notify;
+use tokio::time::Instant;
 use tracing::Instrument;
 use utoipa::ToSchema;
 
@@ -106,6 +107,7 @@ struct HandedOver {
 struct Arming {
     code: String,
     expires_at: Timestamp,
+    armed: Instant,
     edition: Edition,
 }
 
@@ -217,7 +219,8 @@ impl Conductor {
         let code: String = RunUid::new().0.simple().to_string()[26..].into();
         let expires_at = Timestamp::now() + CODE_VALID;
         let edition = Edition::of(run);
-        self.armings().insert(run.uid, Arming { code: code.clone(), expires_at, edition });
+        let arming = Arming { code: code.clone(), expires_at, armed: Instant::now(), edition };
+        self.armings().insert(run.uid, arming);
         Ok(Armed { code, expires_at, preflight })
     }
 
@@ -363,8 +366,11 @@ impl Conductor {
         let forbidden = |words: String| Err(ConductorError::Forbidden(words));
         match armings.get(&run) {
             None => forbidden(format!("run {run} has not been armed")),
-            Some(arming) if arming.expires_at < Timestamp::now() => {
-                forbidden(format!("the code of run {run} expired at {}", arming.expires_at))
+            // The clock may have been set back.
+            Some(Arming { expires_at, armed, .. })
+                if *expires_at < Timestamp::now() || armed.elapsed() > CODE_VALID =>
+            {
+                forbidden(format!("the code of run {run} expired at {expires_at}"))
             }
             Some(arming) if arming.code != code => {
                 forbidden(format!("code = {code}: not the code from arming run {run}"))

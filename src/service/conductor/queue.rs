@@ -131,8 +131,8 @@ mod tests {
     use std::sync::atomic::Ordering;
     use std::time::Duration;
 
-    use super::super::Started;
     use super::super::follow::tests::{conductor, in_an_hour, queued_on, start};
+    use super::super::{CODE_VALID, Started};
     use super::*;
     use crate::campaign::shown::command::{Envelope, Refusal, Request};
     use crate::campaign::shown::show;
@@ -141,6 +141,17 @@ mod tests {
 
     fn early() -> Terms {
         Terms { auto_resume: None, not_before: in_an_hour() }
+    }
+
+    #[tokio::test]
+    async fn a_code_expires_although_the_clock_was_set_back() {
+        let (conductor, _inbox, _folder) = conductor().await;
+        let run = queued_on(&conductor, early()).await;
+        let code = conductor.arm(&run).await.unwrap().code;
+        let earlier = CODE_VALID + Duration::from_secs(1);
+        conductor.armings().get_mut(&run.uid).unwrap().armed -= earlier;
+        let refused = conductor.start(&run, &code, "ada".into()).await.unwrap_err().to_string();
+        assert!(refused.contains("expired at"), "{refused}");
     }
 
     #[tokio::test]

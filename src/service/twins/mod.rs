@@ -113,7 +113,7 @@ struct Progress {
     passed: HashMap<RunUid, TrialId>,
     /// Runs without pending trials.
     done: HashSet<RunUid>,
-    /// Runs whose files are invalid.
+    /// Runs whose files are invalid, or that have a damaged trial.
     unusable: HashSet<RunUid>,
     watch: Option<(RunUid, DriftWatch)>,
 }
@@ -219,7 +219,14 @@ impl TwinPool {
                 Err(error) => return Err(error),
             };
             let after = progress.passed.get(&run).copied().unwrap_or(TrialId(0));
-            let trials = store.pending_twins(run, recipe.id, after, limit).await?;
+            let trials = match store.pending_twins(run, recipe.id, after, limit).await {
+                // Older runs still get their twins.
+                Err(error @ (StoreError::Damaged { .. } | StoreError::Unreadable { .. })) => {
+                    progress.unusable.insert(run);
+                    return Err(error.into());
+                }
+                trials => trials?,
+            };
             let Some(last) = trials.last().map(|t| t.trial_id) else {
                 // Further trials of the active run will follow.
                 if Some(run) != active {

@@ -134,13 +134,15 @@ impl StoreError {
         }
     }
 
-    /// Whether the record itself is refused, so that a repetition fails, too.
+    /// Whether the record itself is refused, or what it changes is damaged, so that a repetition fails, too.
     fn is_refusal(&self) -> bool {
         match self {
             Self::Sql { source: sqlx::Error::Database(e), .. } => {
                 !matches!(e.kind(), sqlx::error::ErrorKind::Other)
             }
             Self::Refused { .. }
+            | Self::Unreadable { .. }
+            | Self::Damaged { .. }
             | Self::NoSuchRun(_)
             | Self::RunEnded(_)
             | Self::NotQueued(_)

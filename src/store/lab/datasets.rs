@@ -163,16 +163,13 @@ impl Store {
         .await
     }
 
-    /// Returns the newest dataset with this name; `None` if none is stored.
+    /// Returns the newest dataset with this name, the one that was stored last; `None` if none is stored.
     ///
     /// # Errors
     /// `Sql` or `Unreadable` if the read fails.
     pub async fn newest_dataset(&self, name: &str) -> StoreResult<Option<DatasetRow>> {
-        self.one_dataset(
-            "SELECT * FROM datasets WHERE name = ?1 ORDER BY created_at DESC, rowid DESC LIMIT 1",
-            name,
-        )
-        .await
+        self.one_dataset("SELECT * FROM datasets WHERE name = ?1 ORDER BY rowid DESC LIMIT 1", name)
+            .await
     }
 
     /// Returns the dataset that `sql` selects by `value`.
@@ -181,12 +178,12 @@ impl Store {
         self.row("reading a dataset", query, DatasetRow::read).await
     }
 
-    /// Returns all datasets, newest first.
+    /// Returns all datasets, newest first: in the order of storing, since the clock may have been set back.
     ///
     /// # Errors
     /// `Sql` or `Unreadable` if the read fails.
     pub async fn datasets(&self) -> StoreResult<Vec<DatasetRow>> {
-        let query = sqlx::query("SELECT * FROM datasets ORDER BY created_at DESC, rowid DESC");
+        let query = sqlx::query("SELECT * FROM datasets ORDER BY rowid DESC");
         self.rows("listing datasets", query, DatasetRow::read).await
     }
 

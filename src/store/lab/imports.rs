@@ -3,7 +3,7 @@
 //! state.
 //!
 //! A batch is a transaction. The run becomes `ended` after the last one. A killed import therefore never
-//! looks complete, and the next start removes its trials.
+//! looks complete, and the next start removes its trials. Of two equal imports at once the first one ends.
 
 use jiff::Timestamp;
 use sqlx::sqlite::SqliteConnection;
@@ -11,7 +11,7 @@ use sqlx::sqlite::SqliteConnection;
 use super::twins::{self, Twin, TwinModelId, TwinOutcome};
 use crate::bench::run_row::{self, NewRun, RunRow};
 use crate::bench::trials::{self, Frames};
-use crate::core::columns::time_text;
+use crate::core::columns::{Columns, time_text};
 use crate::core::facts::RunKind;
 use crate::core::{During, Store, StoreError, StoreResult};
 use crate::ids::{RunUid, TrialKey};
@@ -37,6 +37,9 @@ const LARGEST_COUNT: f32 = 32_767.0;
 pub const TAG_MAX_CHARS: usize = 100;
 
 const STORING_IMPORT: &str = "storing an import";
+
+/// Number of trials of an incomplete import that one transaction removes: a trial's commit must not wait for all.
+const REMOVED_AT_ONCE: i64 = 500;
 
 /// A trial measured elsewhere. Unknown values are absent.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -101,14 +104,17 @@ impl Store {
     }
 
     /// Returns the number of the ended run that an import of this file, as hashed in `new`, made with the
-    /// same name, label and sensor.
+    /// same name, label and sensor, whatever the file was called.
     ///
     /// # Errors
     /// `Sql` if the read fails.
     pub async fn imported_as(&self, new: &NewRun) -> StoreResult<Option<i64>> {
         let query = sqlx::query(
             "SELECT scan_id FROM runs WHERE kind = ?1 AND state = 'ended'
-                 AND experiment = ?2 AND label = ?3 AND sensor = ?4 AND definition = ?5",
+                 AND experiment = ?2 AND label = ?3 AND sensor = ?4
+                 AND CASE WHEN json_valid(definition) THEN json_remove(definition, '$.imported')
+                     ELSE definition END
+                   = CASE WHEN json_valid(?5) THEN json_remove(?5, '$.imported') ELSE ?5 END",
         )
         .bind(new.kind.as_str())
         .bind(&new.experiment)
@@ -141,19 +147,67 @@ impl Store {
         .await
     }
 
-    /// Ends an import: it is then an ended run like any other. Returns its row.
+    /// Ends an import: it is then an ended run like any other. Returns its row; that of an equal import, as
+    /// [`Store::imported_as`] compares them, if that one has ended meanwhile: then this one stays incomplete.
     ///
     /// # Errors
     /// `Sql` if the run is not an import; `Sql`, `Late` or `Closed` if the write fails.
     pub async fn end_import(&self, run: RunUid) -> StoreResult<RunRow> {
-        let query = sqlx::query(
-            "UPDATE runs SET state = 'ended', exit_status = ?2, reason = 'imported', ended_at = ?3
-             WHERE uid = ?1 AND kind = 'imported' RETURNING *",
-        )
-        .bind(run.to_string())
-        .bind(ExitStatus::Success.as_str())
-        .bind(self.now_text());
-        self.inner.writer.returned(STORING_IMPORT, query, RunRow::read).await
+        let (run, now) = (run.to_string(), self.now_text());
+        self.write(STORING_IMPORT, async move |connection| {
+            let equal = sqlx::query(
+                "SELECT e.* FROM runs own JOIN runs e ON e.kind = own.kind AND e.experiment = own.experiment
+                     AND e.label = own.label AND e.sensor = own.sensor
+                     AND CASE WHEN json_valid(e.definition) THEN json_remove(e.definition, '$.imported')
+                         ELSE e.definition END
+                       = CASE WHEN json_valid(own.definition) THEN json_remove(own.definition, '$.imported')
+                         ELSE own.definition END
+                 WHERE own.uid = ?1 AND own.kind = 'imported' AND e.uid <> ?1 AND e.state = 'ended' LIMIT 1",
+            )
+            .bind(&run)
+            .fetch_optional(&mut *connection)
+            .await
+            .during(STORING_IMPORT)?;
+            let row = match equal {
+                Some(row) => row,
+                None => sqlx::query(
+                    "UPDATE runs SET state = 'ended', exit_status = ?2, reason = 'imported', ended_at = ?3
+                     WHERE uid = ?1 AND kind = 'imported' RETURNING *",
+                )
+                .bind(&run)
+                .bind(ExitStatus::Success.as_str())
+                .bind(now)
+                .fetch_one(connection)
+                .await
+                .during(STORING_IMPORT)?,
+            };
+            RunRow::read(&Columns::of(&row, STORING_IMPORT))
+        })
+        .await
+    }
+
+    /// Removes the trials of an import that does not become complete. An ended one stays as it is.
+    ///
+    /// # Errors
+    /// `NoSuchRun` if the run is not stored; `Sql`, `Late` or `Closed` if a write fails: then the next start removes
+    /// the rest.
+    pub async fn discard_import(&self, run: RunUid) -> StoreResult<()> {
+        const OPERATION: &str = "removing a failed import";
+        let scan_id = self.facts(run, OPERATION).await?.scan_id;
+        loop {
+            let query = sqlx::query(
+                "DELETE FROM trials WHERE id IN
+                     (SELECT t.id FROM trials t JOIN runs r ON r.scan_id = t.run
+                      WHERE t.run = ?1 AND r.kind = ?2 AND r.state = ?3 LIMIT ?4)",
+            )
+            .bind(scan_id)
+            .bind(RunKind::Imported.as_str())
+            .bind(INCOMPLETE.as_str())
+            .bind(REMOVED_AT_ONCE);
+            if self.inner.writer.execute(OPERATION, query).await? == 0 {
+                return Ok(());
+            }
+        }
     }
 
     /// Removes the trials of incomplete imports, and returns their number. Call it at the start.

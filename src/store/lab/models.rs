@@ -105,25 +105,26 @@ impl Store {
         self.inner.writer.execute("storing a model", query).await.map(drop)
     }
 
-    /// Returns the model with this id, or else the newest with this name; `None` if there is none.
+    /// Returns the model with this id, or else the newest with this name, the one that was stored last; `None` if there
+    /// is none.
     ///
     /// # Errors
     /// `Sql` or `Unreadable` if the read fails.
     pub async fn model(&self, id_or_name: &str) -> StoreResult<Option<ModelRow>> {
         let query = sqlx::query(
             "SELECT * FROM models WHERE id = ?1 OR name = ?1
-             ORDER BY id = ?1 DESC, created_at DESC, rowid DESC LIMIT 1",
+             ORDER BY id = ?1 DESC, rowid DESC LIMIT 1",
         )
         .bind(id_or_name);
         self.row("reading a model", query, ModelRow::read).await
     }
 
-    /// Returns all models, newest first.
+    /// Returns all models, newest first: in the order of storing, since the clock may have been set back.
     ///
     /// # Errors
     /// `Sql` or `Unreadable` if the read fails.
     pub async fn models(&self) -> StoreResult<Vec<ModelRow>> {
-        let query = sqlx::query("SELECT * FROM models ORDER BY created_at DESC, rowid DESC");
+        let query = sqlx::query("SELECT * FROM models ORDER BY rowid DESC");
         self.rows("listing models", query, ModelRow::read).await
     }
 
@@ -132,10 +133,9 @@ impl Store {
     /// # Errors
     /// `Sql` or `Unreadable` if the read fails.
     pub async fn models_of(&self, dataset: &DatasetId) -> StoreResult<Vec<ModelRow>> {
-        let query = sqlx::query(
-            "SELECT * FROM models WHERE instr(manifest, ?1) > 0 ORDER BY created_at DESC, rowid DESC",
-        )
-        .bind(dataset.as_str());
+        let query =
+            sqlx::query("SELECT * FROM models WHERE instr(manifest, ?1) > 0 ORDER BY rowid DESC")
+                .bind(dataset.as_str());
         self.rows("listing the models of a dataset", query, ModelRow::read).await
     }
 

@@ -248,13 +248,15 @@ impl Store {
         self.one(OPERATION, query, read).await
     }
 
-    /// Returns the ids of the runs with trials, newest first.
+    /// Returns the ids of the runs with trials, newest first, except of incomplete imports.
     ///
     /// # Errors
     /// `Sql` or `Unreadable` if the read fails.
     pub async fn runs_with_trials(&self) -> StoreResult<Vec<RunUid>> {
         let query = sqlx::query(
-            "SELECT uid FROM runs r WHERE EXISTS (SELECT 1 FROM trials t WHERE t.run = r.scan_id)
+            // The state is behind the long texts of a run: it is read of imports only.
+            "SELECT uid FROM runs r WHERE (kind <> 'imported' OR state <> 'removed')
+                 AND EXISTS (SELECT 1 FROM trials t WHERE t.run = r.scan_id)
              ORDER BY scan_id DESC",
         );
         self.rows("reading the runs with trials", query, |c| c.word("uid")).await

@@ -15,24 +15,29 @@ use crate::record::FrameRecord;
 
 const READING: &str = "reading trials";
 
+/// The imports that are in progress, or whose trials are not removed yet (`lab/imports.rs`).
+const INCOMPLETE_IMPORTS: &str =
+    "SELECT scan_id FROM runs r WHERE kind = 'imported' AND state = 'removed'
+     AND EXISTS (SELECT 1 FROM trials t WHERE t.run = r.scan_id)";
+
 /// The lengths of the frames of some trials, whose ids follow.
 const LENGTHS_OF: &str = "SELECT DISTINCT length(v.voltages_v) / 4 AS channels
      FROM trial_voltages v WHERE v.trial IN (";
 
 impl Store {
-    /// Returns a page of trials, in the order of the query. Set `after` to its last id for the next page.
+    /// Returns a page of trials, in the order of the query; those of incomplete imports are not among all runs. Set
+    /// `after` to its last id for the next page.
     ///
     /// # Errors
     /// `NoSuchRun` if the run of the query is not stored; `Damaged` if a trial differs from its
     /// checksum; `Read` or `Unreadable` if the read fails.
     pub async fn trials(&self, query: &TrialQuery) -> StoreResult<Vec<TrialRow>> {
         let select = if query.with_voltages { SELECT_WITH_VOLTAGES } else { SELECT };
-        let ids = query.ids(self.scan_id_of(query).await?);
-        let order = query.order;
+        let (scan_id, query) = (self.scan_id_of(query).await?, query.clone());
         let read = move |c: &Connection| {
-            let ids = ids.rows(c, READING, id)?;
+            let ids = ids_of(&query, scan_id, c)?;
             let mut trials = rows_of_ids(c, select, &ids, READING)?;
-            if order == Order::NewestFirst {
+            if query.order == Order::NewestFirst {
                 trials.reverse();
             }
             Ok(trials)
@@ -40,13 +45,14 @@ impl Store {
         self.inner.bulk.read(READING, read).await
     }
 
-    /// Returns the ids of a page of trials, for a caller that reads the trials in smaller pieces.
+    /// Returns the ids of a page of trials, as [`Store::trials`] selects them, for a caller that reads the trials in
+    /// smaller pieces.
     ///
     /// # Errors
     /// `NoSuchRun` if the run of the query is not stored; `Read` if the read fails.
     pub async fn trial_ids(&self, query: &TrialQuery) -> StoreResult<Vec<TrialId>> {
-        let ids = query.ids(self.scan_id_of(query).await?);
-        self.inner.bulk.read(READING, move |c| ids.rows(c, READING, id)).await
+        let (scan_id, query) = (self.scan_id_of(query).await?, query.clone());
+        self.inner.bulk.read(READING, move |c| ids_of(&query, scan_id, c)).await
     }
 
     async fn scan_id_of(&self, query: &TrialQuery) -> StoreResult<Option<i64>> {
@@ -169,9 +175,23 @@ impl Store {
     /// Returns the query plan of SQLite for the ids of a page, one line per step.
     #[cfg(test)]
     pub(crate) async fn explain(&self, query: &TrialQuery) -> StoreResult<Vec<String>> {
-        let ids = query.ids(self.scan_id_of(query).await?);
+        let ids = query.ids(self.scan_id_of(query).await?, &[]);
         self.inner.bulk.read(READING, move |c| ids.explain(c)).await
     }
+}
+
+/// The ids of a page; `scan_id` is the number of its run.
+fn ids_of(
+    query: &TrialQuery,
+    scan_id: Option<i64>,
+    connection: &Connection,
+) -> StoreResult<Vec<TrialId>> {
+    let incomplete = match scan_id {
+        Some(_) => Vec::new(),
+        None => Statement::new(INCOMPLETE_IMPORTS)
+            .rows(connection, READING, |c| c.get::<i64>("scan_id"))?,
+    };
+    query.ids(scan_id, &incomplete).rows(connection, READING, id)
 }
 
 /// The id of a row of [`TrialQuery::ids`].

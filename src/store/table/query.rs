@@ -71,8 +71,9 @@ pub struct TrialQuery {
 }
 
 impl TrialQuery {
-    /// Returns the statement for the ids of these trials; `scan_id` is the number of `run`.
-    pub(crate) fn ids(&self, scan_id: Option<i64>) -> Statement {
+    /// Returns the statement for the ids of these trials; `scan_id` is the number of `run`, `but` those of runs whose
+    /// trials are not selected.
+    pub(crate) fn ids(&self, scan_id: Option<i64>, but: &[i64]) -> Statement {
         let by_blocks = self.is_by_blocks();
         let mut query =
             Statement::new(if by_blocks { OF_BLOCKS } else { "SELECT t.id FROM trials t" });
@@ -96,6 +97,10 @@ impl TrialQuery {
         }
         if let Some(scan_id) = scan_id {
             query.push(" AND t.run = ").bind(scan_id);
+        }
+        if !but.is_empty() {
+            let but = format!("{but:?}");
+            query.push(" AND t.run NOT IN (SELECT value FROM json_each(").bind(but).push("))");
         }
         if let Some(after) = self.after {
             let side = match self.order {

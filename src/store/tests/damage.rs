@@ -256,6 +256,18 @@ async fn whatever_of_a_trial_changes_is_found_where_it_is_read() {
 }
 
 #[tokio::test]
+async fn a_damaged_trial_stays_and_the_diary_does_not_wait_for_its_discard() {
+    let folder = Folder::new();
+    let run = filled(&folder).await;
+    let store = open(&folder.file()).await;
+    execute(&store, "UPDATE trial_tips SET force_n = -force_n WHERE trial = 9 AND arm = 2").await;
+    let key = TrialKey { configuration: 0, depth_index: 8 };
+    let refused = store.discard(run, key, "a hand slipped").await.unwrap_err();
+    assert!(refused.refused, "a repetition fails, too: {}", error_chain(&refused));
+    assert!(store.progress(run).await.unwrap().stored.contains(&key));
+}
+
+#[tokio::test]
 async fn whatever_column_of_the_trials_table_changes_is_found() {
     let folder = Folder::new();
     filled(&folder).await;

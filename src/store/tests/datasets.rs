@@ -4,12 +4,12 @@
 use serde_json::json;
 
 use super::{Folder, execute, findings, fresh, new_run, random_trial, time};
-use crate::ids::{DatasetId, RunUid, TrialKey};
+use crate::ids::{DatasetId, ModelId, RunUid, TrialKey};
 use crate::journal::Journal;
 use crate::state::StoredState;
 use crate::{
-    Condition, Contact, DatasetRow, ImportedTrial, Label, NewRun, RunKind, Soundness, Store,
-    TaskEnd, TaskKind, TrialQuery,
+    Condition, Contact, DatasetRow, ImportedTrial, Label, ModelRow, NewRun, RunKind, Soundness,
+    Store, TaskEnd, TaskKind, TrialQuery,
 };
 
 fn imported() -> NewRun {
@@ -120,6 +120,41 @@ async fn half_an_import_is_gone_after_the_next_start() {
     store.integrity_check().await.unwrap();
 }
 
+#[tokio::test]
+async fn of_two_equal_imports_at_once_one_is_a_run_and_nothing_of_the_other_stays() {
+    let (_folder, store) = fresh().await;
+    let begin = async |experiment: &str| {
+        let new = NewRun { experiment: experiment.into(), ..imported() };
+        let run = store.begin_import(new).await.unwrap().uid;
+        store.import_trials(run, None, vec![elsewhere(0), elsewhere(1)]).await.unwrap();
+        run
+    };
+    let (first, second, other) = (begin("a").await, begin("a").await, begin("b").await);
+    let listed = async || {
+        let query = TrialQuery { limit: 100, ..TrialQuery::default() };
+        let trials = store.trials(&query).await.unwrap();
+        let ids: Vec<_> = trials.iter().map(|trial| trial.trial_id).collect();
+        assert_eq!(store.trial_ids(&query).await.unwrap(), ids);
+        trials.into_iter().map(|trial| trial.run).collect::<Vec<_>>()
+    };
+    assert!(store.runs_with_trials().await.unwrap().is_empty(), "none is complete");
+    assert!(listed().await.is_empty());
+    assert_eq!(store.end_import(second).await.unwrap().uid, second);
+    assert_eq!(store.end_import(first).await.unwrap().uid, second, "it is stored already");
+    assert_eq!(store.run(first).await.unwrap().unwrap().state, StoredState::Removed);
+    assert_eq!(listed().await, [second; 2]);
+    assert_eq!(store.end_import(other).await.unwrap().uid, other);
+    for run in [first, second, other] {
+        store.discard_import(run).await.unwrap();
+    }
+    assert!(all(&store, first).await.is_empty());
+    for run in [second, other] {
+        assert_eq!(all(&store, run).await.len(), 2, "an ended one stays");
+    }
+    assert_eq!(store.runs_with_trials().await.unwrap(), [other, second]);
+    store.integrity_check().await.unwrap();
+}
+
 fn dataset() -> DatasetRow {
     DatasetRow {
         id: DatasetId::unchecked("ds-1"),
@@ -167,6 +202,36 @@ async fn a_dataset_is_stored_once_and_found_by_its_inputs() {
     assert_eq!(store.dataset_of_inputs("three").await.unwrap(), None);
     assert_eq!(store.newest_dataset("real").await.unwrap(), Some(row.clone()));
     assert_eq!(store.datasets().await.unwrap(), [row]);
+}
+
+#[tokio::test]
+async fn the_newest_of_a_name_is_the_last_one_although_the_clock_was_set_back() {
+    let (_folder, store) = fresh().await;
+    let made_at = [time("2026-11-20T18:00:00Z"), time("2026-11-20T17:00:00Z")];
+    for (n, created_at) in made_at.into_iter().enumerate() {
+        let id = DatasetId::unchecked(format!("ds-{n}"));
+        let row = DatasetRow { id, created_at, ..dataset() };
+        store.insert_dataset(row, &n.to_string()).await.unwrap();
+        let model = ModelRow {
+            id: ModelId::unchecked(format!("mdl-{n}")),
+            name: "net".into(),
+            task: "transfer".into(),
+            manifest: "datasets = [\"ds-0\"]\n".into(),
+            created_at,
+        };
+        store.insert_model(model).await.unwrap();
+    }
+    assert_eq!(store.newest_dataset("real").await.unwrap().unwrap().id.as_str(), "ds-1");
+    let datasets = store.datasets().await.unwrap();
+    assert_eq!(datasets.iter().map(|row| row.id.as_str()).collect::<Vec<_>>(), ["ds-1", "ds-0"]);
+    assert_eq!(store.model("net").await.unwrap().unwrap().id.as_str(), "mdl-1");
+    let of_dataset = store.models_of(&datasets[1].id).await.unwrap();
+    for models in [store.models().await.unwrap(), of_dataset] {
+        assert_eq!(
+            models.iter().map(|row| row.id.as_str()).collect::<Vec<_>>(),
+            ["mdl-1", "mdl-0"]
+        );
+    }
 }
 
 /// A file of the previous version, with a discarded trial, keeps everything.

@@ -206,7 +206,8 @@ impl Registry {
         Ok(Self { inner: Arc::new(Inner { store, folder, clock, loaded: Mutex::default() }) })
     }
 
-    /// Adds a model. An existing one with the same id does not change.
+    /// Adds a model. An existing one with the same id does not change, unless its files are damaged: they are written
+    /// again.
     ///
     /// # Errors
     /// `InferError::File` if the folder cannot be written; `Store` if the row cannot.
@@ -219,7 +220,13 @@ impl Registry {
             created_at: self.inner.clock.timestamp(),
         };
         let folder = self.folder(&row.id);
-        let writing = tokio::task::spawn_blocking(move || new.save(&folder));
+        let known = self.inner.store.model(row.id.as_str()).await?;
+        let known = known.filter(|known| known.id == row.id);
+        let writing = tokio::task::spawn_blocking(move || match known {
+            // The id covers neither the sensor file nor the residuals: those of a whole model stay.
+            Some(known) if read(&folder, &known).is_ok() => Ok(()),
+            _ => new.save(&folder),
+        });
         writing.await.map_err(|_| InferError::Worker)??;
         self.inner.store.insert_model(row.clone()).await?;
         self.find(row.id.as_str()).await

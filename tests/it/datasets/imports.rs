@@ -16,7 +16,7 @@ use palpate::dataset::error::{DatasetError, Product};
 use palpate::dataset::import::coordinates::Coordinates;
 use palpate::dataset::import::{Import, import as import_file};
 use palpate::dataset::space::KEPT_FREE_BYTES;
-use palpate::store::Label;
+use palpate::store::{Label, TrialQuery};
 
 use super::filled::{Filled, folder, store};
 
@@ -272,13 +272,9 @@ async fn depths_of_a_configuration_stay_together_under_a_deadband() {
     lab.close().await;
 }
 
-#[tokio::test]
-async fn an_import_that_the_disk_cannot_hold_stores_nothing() {
-    let data = folder("import-disk");
-    let store = store(&data).await;
-    let path = data.join("pad.parquet");
-    std::fs::write(&path, parquet(good())).unwrap();
-    let request = Import {
+/// A request for an import of [`good`].
+fn request() -> Import {
+    Import {
         name: "pad-study".into(),
         label: Label::Measured,
         file: "pad.parquet".into(),
@@ -286,15 +282,46 @@ async fn an_import_that_the_disk_cannot_hold_stores_nothing() {
         sensor: PAD.into(),
         coordinates: Coordinates::default(),
         submitted_by: "local".into(),
-    };
+    }
+}
+
+#[tokio::test]
+async fn a_file_that_is_imported_twice_at_once_is_one_run() {
+    let data = folder("import-twice");
+    let store = store(&data).await;
+    let path = data.join("pad.parquet");
+    std::fs::write(&path, parquet(good())).unwrap();
+    let progress = Progress::default();
+    let import = || import_file(&store, &path, request(), u64::MAX, &progress);
+    let (one, two) = tokio::join!(import(), import());
+    let (stored, refused) = if one.is_ok() { (one, two) } else { (two, one) };
+    let run = stored.unwrap().run;
+    assert!(matches!(refused, Err(DatasetError::Imported(known)) if known == run.scan_id));
+    let query = TrialQuery { limit: 100, ..TrialQuery::default() };
+    let trials = store.trials(&query).await.unwrap();
+    assert_eq!(trials.iter().map(|trial| trial.run).collect::<Vec<_>>(), [run.uid; 3]);
+    // Under another file name it is the same file.
+    let renamed = Import { file: "copy.parquet".into(), ..request() };
+    let refused = import_file(&store, &path, renamed, u64::MAX, &progress).await;
+    assert!(matches!(refused, Err(DatasetError::Imported(known)) if known == run.scan_id));
+    store.close().await;
+    std::fs::remove_dir_all(data).unwrap();
+}
+
+#[tokio::test]
+async fn an_import_that_the_disk_cannot_hold_stores_nothing() {
+    let data = folder("import-disk");
+    let store = store(&data).await;
+    let path = data.join("pad.parquet");
+    std::fs::write(&path, parquet(good())).unwrap();
     // Three trials without their numbers take 2400 bytes.
     let progress = Progress::default();
     let free = KEPT_FREE_BYTES + 2400;
-    let refused = import_file(&store, &path, request.clone(), free, &progress).await;
+    let refused = import_file(&store, &path, request(), free, &progress).await;
     assert!(matches!(refused, Err(DatasetError::DiskFull { product: Product::Import, .. })));
     assert!(store.runs(&[], 10, None).await.unwrap().runs.is_empty());
     let free = KEPT_FREE_BYTES + 4000;
-    let stored = import_file(&store, &path, request, free, &progress).await.unwrap();
+    let stored = import_file(&store, &path, request(), free, &progress).await.unwrap();
     assert_eq!(stored.trials, 3);
     // What a client shows while it waits.
     assert_eq!([&progress.done, &progress.total].map(|n| n.load(Relaxed)), [3, 3]);

@@ -236,10 +236,10 @@ async fn what_cannot_be_is_named_and_changes_nothing() {
     let onnx = lab.answer(&format!("/api/v1/models/{id}/onnx")).await.bytes().await.unwrap();
     let facts = "task = \"transfer\"\nlabel = \"virtual\"\nsensor = \"ert-28\"\nchannels = 784\n\
         output_shape = [784]\ncode = \"mine\"\n";
-    let add = async |file: Vec<u8>, facts: String| {
+    let add = async |file: Vec<u8>, facts: String, sensor: String| {
         let form = reqwest::multipart::Form::new()
             .part("file", reqwest::multipart::Part::bytes(file))
-            .text("sensor", SENSOR)
+            .text("sensor", sensor)
             .text("facts", facts)
             .text("name", "mine");
         let answer = lab.http.post(lab.url("/api/v1/models")).multipart(form).send().await.unwrap();
@@ -251,7 +251,7 @@ async fn what_cannot_be_is_named_and_changes_nothing() {
         (onnx.to_vec(), facts.replace("ert-28", "other"), "sensor = other"),
         (onnx.to_vec(), facts.replace("code", "cdoe"), "cdoe"),
     ] {
-        let (status, body) = add(file, facts).await;
+        let (status, body) = add(file, facts, SENSOR.to_owned()).await;
         assert_eq!(status, 422, "{body}");
         assert!(body["detail"].as_str().unwrap().contains(words), "{words}: {body}");
     }
@@ -279,9 +279,15 @@ async fn what_cannot_be_is_named_and_changes_nothing() {
         let words = "is for sensor ert-28 with 784 channels, this is pad with 4";
         assert!(failed["error"].as_str().unwrap().contains(words), "{failed}");
     }
-    let (status, added) = add(onnx.to_vec(), facts.to_owned()).await;
+    let (status, added) = add(onnx.to_vec(), facts.to_owned(), SENSOR.to_owned()).await;
     assert_eq!(status, 201, "{added}");
     lab.posted("/api/v1/serving", json!({ "what": "mine" }), 200).await;
+    // The id does not cover the sensor file.
+    let other = format!("# of another lab\n{SENSOR}");
+    let (status, again) = add(onnx.to_vec(), facts.to_owned(), other).await;
+    assert_eq!((status, &again["id"]), (201, &added["id"]), "{again}");
+    let folder = lab.data.join("models").join(added["id"].as_str().unwrap());
+    assert_eq!(std::fs::read_to_string(folder.join("sensor.toml")).unwrap(), SENSOR);
     lab.close().await;
 }
 

@@ -152,6 +152,10 @@ async fn an_id_is_its_contents_and_a_name_follows_them() {
     for words in [id.as_str(), "**Virtual**", "made-up-hex", "no contact | 90", "injection-major"] {
         assert!(card.contains(words), "{words}: {card}");
     }
+    // As if the service had been killed before it wrote the card.
+    std::fs::remove_file(lab.data.join(format!("datasets/{id}.md"))).unwrap();
+    let again = lab.answer(&format!("/api/v1/datasets/{id}/card")).await.text().await.unwrap();
+    assert_eq!(again, card);
     lab.close().await;
 }
 

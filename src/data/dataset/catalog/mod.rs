@@ -7,6 +7,7 @@
 
 mod exports;
 
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -17,6 +18,7 @@ use tracing::{Instrument, error_span};
 use crate::clock::Clock;
 use crate::dataset::begun::Begun;
 use crate::dataset::build::{self, Progress, build, data_file};
+use crate::dataset::card;
 use crate::dataset::definition::Definition;
 use crate::dataset::error::{DatasetError, Product};
 use crate::dataset::format::Format;
@@ -376,7 +378,7 @@ impl Catalog {
             let folder = self.datasets();
             for path in [data_file(&folder, id), build::card_file(&folder, id)] {
                 match std::fs::remove_file(&path) {
-                    Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
+                    Err(error) if error.kind() != ErrorKind::NotFound => {
                         return Err(DatasetError::file("removing", &path)(error));
                     }
                     _ => {}
@@ -392,12 +394,16 @@ impl Catalog {
         used::last_used_at(&data_file(&self.datasets(), id))
     }
 
-    /// Returns the card of a dataset, Markdown.
+    /// Returns the card of a dataset, Markdown. One without a file, since the process ended before it was written, is
+    /// written from the row.
     ///
     /// # Errors
     /// `DatasetError::File` if the card cannot be read.
-    pub fn card(&self, id: &DatasetId) -> Result<String, DatasetError> {
-        let path = build::card_file(&self.datasets(), id);
-        std::fs::read_to_string(&path).map_err(DatasetError::file("reading", &path))
+    pub fn card(&self, row: &DatasetRow) -> Result<String, DatasetError> {
+        let path = build::card_file(&self.datasets(), &row.id);
+        match std::fs::read_to_string(&path) {
+            Err(error) if error.kind() == ErrorKind::NotFound => Ok(card::text(row)),
+            text => text.map_err(DatasetError::file("reading", &path)),
+        }
     }
 }

@@ -22,6 +22,7 @@ use super::error::{DatasetError, Product};
 use super::space::Space;
 use crate::digest::{Hashing, ID_DIGITS, sha256_hex};
 use crate::ids::RunUid;
+use crate::journal::error_chain;
 use crate::problem::Problem;
 use crate::store::{
     IMPORTED_MODEL, ImportedTrial, Label, NewRun, NewTwinModel, RunKind, RunRow, Store, TwinModelId,
@@ -66,7 +67,8 @@ pub struct Imported {
 }
 
 /// Imports a file as a run. The file is read twice: it is checked completely before the first trial
-/// is stored. `free`: free space of the disk, bytes. `progress`: the trials stored, and all, once they are counted.
+/// is stored. If it fails later, no trial of it stays. `free`: free space of the disk, bytes. `progress`: the trials
+/// stored, and all, once they are counted.
 ///
 /// # Errors
 /// `DatasetError::Problems` if sensor file, columns or values are invalid, or the file has no
@@ -90,16 +92,27 @@ pub async fn import(
     if let Some(run) = store.imported_as(&new).await? {
         return Err(DatasetError::Imported(run));
     }
-    let run = store.begin_import(new).await?;
-    let model = match checked.simulated {
-        true => Some(model(store, &checked.sha256, &run).await?),
-        false => None,
-    };
+    let begun = store.begin_import(new).await?;
     progress.total.store(checked.summary.rows, Relaxed);
-    store_trials(store, path, &import, &sensor, run.uid, model, progress).await?;
-    let run = store.end_import(run.uid).await?;
+    let stored: Result<RunRow, DatasetError> = async {
+        let model = match checked.simulated {
+            true => Some(model(store, &checked.sha256, &begun).await?),
+            false => None,
+        };
+        store_trials(store, path, &import, &sensor, begun.uid, model, progress).await?;
+        let ended = store.end_import(begun.uid).await?;
+        // The file was imported twice at once.
+        if ended.uid == begun.uid { Ok(ended) } else { Err(DatasetError::Imported(ended.scan_id)) }
+    }
+    .await;
+    if stored.is_err()
+        && let Err(error) = store.discard_import(begun.uid).await
+    {
+        let error = error_chain(&error);
+        tracing::warn!(error, "the trials of a failed import are removed at the next start");
+    }
     Ok(Imported {
-        run,
+        run: stored?,
         trials: checked.summary.rows,
         columns_left_out: checked.summary.columns_left_out,
     })
