@@ -7,11 +7,11 @@ use std::time::{Duration, Instant};
 use palpate::api::{ServeOptions, Service};
 use palpate::conductor::AutoResume;
 use serde_json::{Value, json};
-use sim_core::sensor::Sensor;
 use tokio::sync::{Semaphore, SemaphorePermit};
 use virtual_rig::run::{RigArgs, VirtualRig};
 use virtual_rig::{OperatorArgs, operator_main};
 
+use crate::common::serve_options;
 pub use crate::common::{Process, SENSOR, http, skin_cache, until, with_responses};
 
 /// Longest wait for anything that a test waits for.
@@ -287,20 +287,6 @@ impl Lab {
 
 /// A service on a rig that is switched on.
 pub fn options(rig: &VirtualRig, data: &Path) -> ServeOptions {
-    ServeOptions {
-        tls: None,
-        require_key: false,
-        desk: false,
-        idle: false,
-        local_admin: true,
-        bind: "127.0.0.1:0".parse().unwrap(),
-        data: data.into(),
-        rig_file: "served.toml".into(),
-        rig_text: rig.rig_text.clone(),
-        resume: AutoResume::Allowed,
-        twin_workers: 1,
-        calibration: None,
-        sensor: Sensor::from_toml(SENSOR).unwrap(),
-        sensor_text: SENSOR.into(),
-    }
+    let base = serve_options(data, rig.rig_text.clone());
+    ServeOptions { resume: AutoResume::Allowed, twin_workers: 1, ..base }
 }
