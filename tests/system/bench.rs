@@ -161,9 +161,14 @@ impl Lab {
         until(what, LIMIT, async || self.get(path).await, done).await
     }
 
+    /// An action on the rig that must be accepted.
+    pub async fn operate(&self, action: Value) {
+        self.posted("/api/v1/rig/actions", action).await;
+    }
+
     pub async fn home(&self) {
-        self.posted("/api/v1/rig/actions", json!({ "action": "connect", "who": "test" })).await;
-        self.posted("/api/v1/rig/actions", json!({ "action": "home", "who": "test" })).await;
+        self.operate(json!({ "action": "connect", "who": "test" })).await;
+        self.operate(json!({ "action": "home", "who": "test" })).await;
         self.until("homed", |s| s["rig"]["state"] == "homed").await;
     }
 
