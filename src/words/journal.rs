@@ -10,7 +10,7 @@ use std::collections::BTreeSet;
 use async_trait::async_trait;
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
-use strum::{EnumIter, IntoStaticStr};
+use strum::{IntoStaticStr, VariantArray};
 use utoipa::ToSchema;
 
 use crate::ids::{RunUid, TrialId, TrialKey};
@@ -83,7 +83,7 @@ pub struct Progress {
 
 /// How a run ended.
 #[derive(
-    Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema, IntoStaticStr, EnumIter,
+    Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema, IntoStaticStr, VariantArray,
 )]
 #[serde(rename_all = "lowercase")]
 #[strum(serialize_all = "lowercase")]
@@ -99,14 +99,12 @@ pub enum ExitStatus {
 }
 
 impl ExitStatus {
+    /// All statuses.
+    pub const ALL: &[Self] = Self::VARIANTS;
+
     /// Name of the status, as stored.
     pub fn as_str(self) -> &'static str {
         self.into()
-    }
-
-    /// Names of all statuses.
-    pub fn names() -> impl Iterator<Item = &'static str> {
-        <Self as strum::IntoEnumIterator>::iter().map(Self::as_str)
     }
 }
 

@@ -1,4 +1,5 @@
-//! What the tests of both binaries need: the sensor, a client, a process that ends with its test, the skin, a wait.
+//! What the tests of both binaries need: the sensor, a client, a process that ends with its test, a service, the skin,
+//! a wait.
 
 use std::fmt::Debug;
 use std::fs::DirBuilder;
@@ -8,7 +9,9 @@ use std::process::Child;
 use std::sync::Once;
 use std::time::{Duration, Instant};
 
+use palpate::api::ServeOptions;
 use palpate::cli::trust;
+use palpate::conductor::AutoResume;
 use palpate::simulate::model::unit_responses;
 use sim_core::sensor::Sensor;
 
@@ -27,6 +30,26 @@ impl Drop for Process {
     fn drop(&mut self) {
         self.0.kill().ok();
         self.0.wait().ok();
+    }
+}
+
+/// Options of a service on a folder and a rig, at a free port. It makes no twins, and resumes no run automatically.
+pub fn serve_options(data: &Path, rig_text: String) -> ServeOptions {
+    ServeOptions {
+        tls: None,
+        require_key: false,
+        desk: false,
+        idle: false,
+        local_admin: true,
+        bind: "127.0.0.1:0".parse().unwrap(),
+        data: data.into(),
+        rig_file: "rig.toml".into(),
+        rig_text,
+        resume: AutoResume::Off,
+        twin_workers: 0,
+        calibration: None,
+        sensor: Sensor::from_toml(SENSOR).unwrap(),
+        sensor_text: SENSOR.into(),
     }
 }
 

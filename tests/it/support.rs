@@ -1,15 +1,16 @@
 //! What several tests need: the sensor, a folder, commands, a service as a process, Python.
 
+use std::fmt::Debug;
 use std::io::{BufRead, BufReader};
 use std::ops::Deref;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use serde_json::Value;
 use sim_core::sensor::Sensor;
 
-pub use crate::common::{Process, SENSOR, http, skin_cache, until, with_responses};
+pub use crate::common::{Process, SENSOR, http, serve_options, skin_cache, until, with_responses};
 
 pub const PALPATE: &str = env!("CARGO_BIN_EXE_palpate");
 
@@ -108,19 +109,12 @@ pub fn not_done(output: &Output, code: i32, words: &str) {
 }
 
 /// Waits until a value is there.
-pub async fn eventually<T>(
+pub async fn eventually<T: Debug>(
     what: &str,
     limit: Duration,
-    mut look: impl AsyncFnMut() -> Option<T>,
+    look: impl AsyncFnMut() -> Option<T>,
 ) -> T {
-    let start = Instant::now();
-    loop {
-        if let Some(found) = look().await {
-            return found;
-        }
-        assert!(start.elapsed() < limit, "{what}");
-        tokio::time::sleep(Duration::from_millis(10)).await;
-    }
+    until(what, limit, look, Option::is_some).await.unwrap()
 }
 
 pub fn copy_folder(from: &Path, to: &Path) {

@@ -113,8 +113,7 @@ async fn ctrl_c_as_the_rig_homes_ends_the_homing() {
 #[tokio::test(flavor = "multi_thread")]
 async fn ctrl_c_at_a_manual_homing_ends_it() {
     let lab = Lab::open("left-manual-homing", rig_args("virtual", SPEED), WAITS).await;
-    let connect = json!({ "action": "connect", "who": "test" });
-    lab.posted("/api/v1/rig/actions", connect).await;
+    lab.operate(json!({ "action": "connect", "who": "test" })).await;
     left_as_it_homes(&lab, &["rig", "home"]).await;
     lab.close().await;
 }

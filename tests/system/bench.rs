@@ -7,11 +7,11 @@ use std::time::{Duration, Instant};
 use palpate::api::{ServeOptions, Service};
 use palpate::conductor::AutoResume;
 use serde_json::{Value, json};
-use sim_core::sensor::Sensor;
 use tokio::sync::{Semaphore, SemaphorePermit};
 use virtual_rig::run::{RigArgs, VirtualRig};
 use virtual_rig::{OperatorArgs, operator_main};
 
+use crate::common::serve_options;
 pub use crate::common::{Process, SENSOR, http, skin_cache, until, with_responses};
 
 /// Longest wait for anything that a test waits for.
@@ -161,9 +161,14 @@ impl Lab {
         until(what, LIMIT, async || self.get(path).await, done).await
     }
 
+    /// An action on the rig that must be accepted.
+    pub async fn operate(&self, action: Value) {
+        self.posted("/api/v1/rig/actions", action).await;
+    }
+
     pub async fn home(&self) {
-        self.posted("/api/v1/rig/actions", json!({ "action": "connect", "who": "test" })).await;
-        self.posted("/api/v1/rig/actions", json!({ "action": "home", "who": "test" })).await;
+        self.operate(json!({ "action": "connect", "who": "test" })).await;
+        self.operate(json!({ "action": "home", "who": "test" })).await;
         self.until("homed", |s| s["rig"]["state"] == "homed").await;
     }
 
@@ -287,20 +292,6 @@ impl Lab {
 
 /// A service on a rig that is switched on.
 pub fn options(rig: &VirtualRig, data: &Path) -> ServeOptions {
-    ServeOptions {
-        tls: None,
-        require_key: false,
-        desk: false,
-        idle: false,
-        local_admin: true,
-        bind: "127.0.0.1:0".parse().unwrap(),
-        data: data.into(),
-        rig_file: "served.toml".into(),
-        rig_text: rig.rig_text.clone(),
-        resume: AutoResume::Allowed,
-        twin_workers: 1,
-        calibration: None,
-        sensor: Sensor::from_toml(SENSOR).unwrap(),
-        sensor_text: SENSOR.into(),
-    }
+    let base = serve_options(data, rig.rig_text.clone());
+    ServeOptions { resume: AutoResume::Allowed, twin_workers: 1, ..base }
 }

@@ -42,9 +42,8 @@ pub(super) async fn complete(lab: &Lab, run: &str) -> Value {
 }
 
 async fn home_again(lab: &Lab) {
-    let act = |action: &str| json!({ "action": action, "who": "test" });
-    lab.posted("/api/v1/rig/actions", act("reset")).await;
-    lab.posted("/api/v1/rig/actions", act("home")).await;
+    lab.operate(json!({ "action": "reset", "who": "test" })).await;
+    lab.operate(json!({ "action": "home", "who": "test" })).await;
     lab.until("homed", |s| s["rig"]["state"] == "homed").await;
 }
 
@@ -290,9 +289,8 @@ async fn a_stopped_run_whose_rig_homes_when_the_service_ends_does_not_go_on_by_i
     lab.posted("/estop", json!({ "why": "smoke" })).await;
     lab.until("acknowledged", |s| s["rig"]["estop_acknowledged_ms"].is_number()).await;
     lab.until("a trip", |s| s["run"]["paused_why"] == "trip").await;
-    let act = |action: &str| json!({ "action": action, "who": "test" });
-    lab.posted("/api/v1/rig/actions", act("reset")).await;
-    lab.posted("/api/v1/rig/actions", act("home")).await;
+    lab.operate(json!({ "action": "reset", "who": "test" })).await;
+    lab.operate(json!({ "action": "home", "who": "test" })).await;
     let lab = lab.restart().await;
     lab.interrupted(&run).await;
     lab.rests("disconnected").await;

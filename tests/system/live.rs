@@ -216,7 +216,7 @@ async fn models_change_between_two_live_frames_and_what_is_refused_changes_none(
     let lab = Lab::open("live", rig_args("virtual", SPEED), COMPUTES).await;
     let url = format!("{}/api/v1/frames/recording?frames=5", lab.service.url());
     assert_eq!(http().get(url).send().await.unwrap().status(), 409, "no frames come");
-    lab.posted("/api/v1/rig/actions", json!({ "action": "connect", "who": "test" })).await;
+    lab.operate(json!({ "action": "connect", "who": "test" })).await;
     let jobs = [queue(&lab, "one", 1).await, queue(&lab, "two", 2).await];
     let (one, two) = (trained(&lab, &jobs[0]).await, trained(&lab, &jobs[1]).await);
     assert_ne!(one, two);

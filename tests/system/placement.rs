@@ -88,7 +88,7 @@ pub async fn serve_exact(lab: &Lab) {
 }
 
 async fn connect(lab: &Lab) {
-    lab.posted("/api/v1/rig/actions", json!({ "action": "connect", "who": WHO })).await;
+    lab.operate(json!({ "action": "connect", "who": WHO })).await;
 }
 
 /// Waits until the run asks for a placement; returns it.
@@ -155,7 +155,7 @@ async fn a_wrong_placement_is_refused_placed_anyway_repeated_and_the_run_resumes
     // The empty skin is tared once.
     let page = asked(&lab, 0).await;
     assert_eq!(page["untouched_at"], Value::Null);
-    lab.posted("/api/v1/rig/actions", json!({ "action": "tare", "who": WHO })).await;
+    lab.operate(json!({ "action": "tare", "who": WHO })).await;
 
     // Refused with the weight and where it is felt; nothing is stored.
     let page = asked(&lab, 0).await;
@@ -301,7 +301,7 @@ async fn a_board_that_fails_or_a_stop_gives_up_no_placement() {
     // A stop latches, and after the reset the run asks for the same placement.
     lab.posted("/estop", json!({ "why": "test" })).await;
     lab.until("a trip", |s| s["rig"]["state"] == "tripped").await;
-    lab.posted("/api/v1/rig/actions", json!({ "action": "reset", "who": WHO })).await;
+    lab.operate(json!({ "action": "reset", "who": WHO })).await;
     lab.until("the reset", |s| s["rig"]["state"] == "disarmed").await;
     for trial in 1..4 {
         asked(&lab, trial).await;
@@ -342,7 +342,7 @@ async fn under_a_stage_nothing_moves_during_a_manual_run_nor_after_it_before_tip
     lab.tell_rig(json!({ "cmd": "mount", "tips": 1 })).await;
     let tips = json!({ "action": "tips", "tips": 1, "who": WHO });
     lab.eventually("the cell", "/api/v1/status", |s| s["rig"]["live_cells"] == 1).await;
-    lab.posted("/api/v1/rig/actions", tips).await;
+    lab.operate(tips).await;
     let run = lab.begin(TWO).await;
     let page = asked(&lab, 0).await;
     for action in [
@@ -365,7 +365,7 @@ async fn under_a_stage_nothing_moves_during_a_manual_run_nor_after_it_before_tip
     lab.posted("/api/v1/estop", json!({ "why": "test" })).await;
     lab.until("the stop", |s| s["rig"]["state"] == "tripped" && s["run"]["state"] == "paused")
         .await;
-    lab.posted("/api/v1/rig/actions", json!({ "action": "reset", "who": WHO })).await;
+    lab.operate(json!({ "action": "reset", "who": WHO })).await;
     lab.act(&run, json!({ "action": "resume", "who": WHO })).await;
     let page = asked(&lab, 0).await;
     assert!(trials(&lab, &run).await.is_empty());
@@ -380,7 +380,7 @@ async fn under_a_stage_nothing_moves_during_a_manual_run_nor_after_it_before_tip
     place(&lab, &page, false).await;
     lab.accepts(&run, confirm(1)).await;
     lab.ended(&run).await;
-    lab.posted("/api/v1/rig/actions", json!({ "action": "home", "who": WHO })).await;
+    lab.operate(json!({ "action": "home", "who": WHO })).await;
     lab.until("homed", |s| s["rig"]["state"] == "homed").await;
     lab.start(&next).await;
     let asks =

@@ -9,10 +9,6 @@ use serde_json::{Value, json};
 use super::bench::{Lab, WAITS, rig_args, tell};
 use super::campaign::{SMALL, SPEED, complete, held_by_a_lock, release, started, started_early};
 
-async fn rig(lab: &Lab, action: Value) {
-    lab.posted("/api/v1/rig/actions", action).await;
-}
-
 /// True position of x, mm.
 async fn x_mm(lab: &Lab) -> f64 {
     let truth = tell(&lab.rig, json!({ "cmd": "status" })).await;
@@ -23,7 +19,7 @@ async fn x_mm(lab: &Lab) -> f64 {
 async fn a_manual_run_is_taken_up_after_a_restart_without_a_motion() {
     let lab = Lab::open_alone("hands", rig_args("virtual", SPEED), WAITS).await;
     lab.home().await;
-    rig(&lab, json!({ "action": "jog", "axis": "x", "to_mm": 100.0 })).await;
+    lab.operate(json!({ "action": "jog", "axis": "x", "to_mm": 100.0 })).await;
     lab.until("x at 100 mm", |s| s["rig"]["pose"]["x_mm"].as_f64().is_some_and(|x| x > 99.9)).await;
     let definition = "name = 'weights'\nseed = 2\nsensor = 's'\n[real_random]\ncontacts = [2]\n\
         trials_each = 3\nweights_n = [4.905]\n[measure]\nsettle_ms = 60000.0\n\
@@ -48,12 +44,12 @@ async fn a_manual_run_is_taken_up_after_a_restart_without_a_motion() {
 async fn a_run_is_not_driven_again_by_itself_after_a_person_has_operated_the_rig() {
     let (lab, run) = held_by_a_lock("operated").await;
     release(&lab).await;
-    rig(&lab, json!({ "action": "connect" })).await;
+    lab.operate(json!({ "action": "connect" })).await;
     // At once: the next process does not drive it either.
     assert_eq!(lab.get(&format!("/api/v1/runs/{run}")).await["state"], "interrupted");
     lab.told("not_resumed", "a person has operated the rig").await;
     assert_eq!(lab.get("/api/v1/status").await["rig"]["state"], "disarmed");
-    rig(&lab, json!({ "action": "home" })).await;
+    lab.operate(json!({ "action": "home" })).await;
     lab.until("homed", |s| s["rig"]["state"] == "homed").await;
     tokio::time::sleep(Duration::from_secs(3)).await;
     lab.rests("homed").await;
@@ -131,7 +127,7 @@ async fn a_jog_at_the_start_time_of_a_run_does_not_drop_it() {
     let before = due - SignedDuration::from_millis(400);
     let left = Duration::try_from(before.duration_since(Timestamp::now())).unwrap();
     tokio::time::sleep(left).await;
-    rig(&lab, json!({ "action": "jog", "axis": "x", "to_mm": 550.0 })).await;
+    lab.operate(json!({ "action": "jog", "axis": "x", "to_mm": 550.0 })).await;
     let begun = |s: &Value| s["run"]["uid"] == run;
     lab.until("the run", begun).await;
     let late = Timestamp::now().duration_since(due);
@@ -179,8 +175,8 @@ async fn a_run_that_is_started_again_after_a_person_has_operated_the_rig_begins_
     lab.home().await;
     let run = started_early(&lab, 20).await;
     let lab = lab.restart().await;
-    rig(&lab, json!({ "action": "connect" })).await;
-    rig(&lab, json!({ "action": "disconnect" })).await;
+    lab.operate(json!({ "action": "connect" })).await;
+    lab.operate(json!({ "action": "disconnect" })).await;
     lab.start(&run).await;
     assert_eq!(lab.get("/api/v1/status").await["rig"]["state"], "disconnected");
     complete(&lab, &run).await;

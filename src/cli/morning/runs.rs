@@ -103,8 +103,9 @@ async fn select(client: &Client, args: &RunsArgs) -> CliResult<(Vec<RunRow>, boo
         return Err(CliError::argument("CONDITION", word, limit));
     }
     if !args.state.is_empty() {
-        let names = StoredState::names().chain(ExitStatus::names());
-        check_names("--state", &args.state, names)?;
+        let states = StoredState::ALL.iter().map(|state| state.as_str());
+        let ends = ExitStatus::ALL.iter().map(|status| status.as_str());
+        check_names("--state", &args.state, states.chain(ends))?;
         let states = args.state.join(",");
         conditions.push(format!("state__in={states}|exit_status__in={states}"));
     }

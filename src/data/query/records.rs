@@ -80,39 +80,33 @@ fn time() -> DataType {
 /// # Errors
 /// `DatasetError` if it cannot be written.
 pub fn runs(folder: &Path, runs: &[RunRow]) -> Result<Scratch, DatasetError> {
-    let columns = [
-        ("scan_id", DataType::Int64),
-        ("run", DataType::Utf8),
-        ("experiment", DataType::Utf8),
-        ("kind", DataType::Utf8),
-        ("label", DataType::Utf8),
-        ("state", DataType::Utf8),
-        ("exit_status", DataType::Utf8),
-        ("reason", DataType::Utf8),
-        ("trials_planned", DataType::Int64),
-        ("deadband_n", DataType::Float64),
-        ("tip_diameter_mm", DataType::Float64),
-        ("calibration_id", DataType::Utf8),
-        ("seed", DataType::UInt64),
-        ("version", DataType::Utf8),
-        ("submitted_by", DataType::Utf8),
-        ("created_at", time()),
-        ("started_at", time()),
-        ("ended_at", time()),
+    type Cell = fn(&RunRow) -> Value;
+    let columns: [(&str, DataType, Cell); 18] = [
+        ("scan_id", DataType::Int64, |run| json!(run.scan_id)),
+        ("run", DataType::Utf8, |run| json!(run.uid)),
+        ("experiment", DataType::Utf8, |run| json!(run.experiment)),
+        ("kind", DataType::Utf8, |run| json!(run.kind)),
+        ("label", DataType::Utf8, |run| json!(run.label)),
+        ("state", DataType::Utf8, |run| json!(run.state)),
+        ("exit_status", DataType::Utf8, |run| json!(run.exit_status)),
+        ("reason", DataType::Utf8, |run| json!(run.reason)),
+        ("trials_planned", DataType::Int64, |run| json!(run.trials_planned)),
+        ("deadband_n", DataType::Float64, |run| json!(run.deadband_n)),
+        ("tip_diameter_mm", DataType::Float64, |run| json!(run.tip_diameter_mm)),
+        ("calibration_id", DataType::Utf8, |run| json!(run.calibration_id)),
+        ("seed", DataType::UInt64, |run| json!(run.seed)),
+        ("version", DataType::Utf8, |run| json!(run.version)),
+        ("submitted_by", DataType::Utf8, |run| json!(run.submitted_by)),
+        ("created_at", time(), |run| json!(run.created_at)),
+        ("started_at", time(), |run| json!(run.started_at)),
+        ("ended_at", time(), |run| json!(run.ended_at)),
     ];
-    let row = |run: &RunRow| {
-        json!({
-            "scan_id": run.scan_id, "run": run.uid, "experiment": run.experiment, "kind": run.kind,
-            "label": run.label, "state": run.state, "exit_status": run.exit_status,
-            "reason": run.reason, "trials_planned": run.trials_planned,
-            "deadband_n": run.deadband_n, "tip_diameter_mm": run.tip_diameter_mm,
-            "calibration_id": run.calibration_id, "seed": run.seed, "version": run.version,
-            "submitted_by": run.submitted_by, "created_at": run.created_at,
-            "started_at": run.started_at, "ended_at": run.ended_at,
-        })
+    let row = |run: &RunRow| -> Value {
+        columns.iter().map(|(name, _, cell)| (*name, cell(run))).collect()
     };
-    let mut records = Records::new(folder, &columns)?;
-    records.push(&runs.iter().map(row).collect::<Vec<_>>())?;
+    let rows: Vec<Value> = runs.iter().map(row).collect();
+    let mut records = Records::new(folder, &columns.map(|(name, kind, _)| (name, kind)))?;
+    records.push(&rows)?;
     records.finish()
 }
 

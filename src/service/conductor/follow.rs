@@ -240,65 +240,26 @@ async fn until(at: Option<Instant>) {
 }
 
 #[cfg(test)]
-pub(super) mod tests {
+mod tests {
     use std::sync::Arc;
     use std::sync::atomic::AtomicU64;
 
-    use jiff::SignedDuration;
-    use tempfile::TempDir;
-
-    use super::super::{AutoResume, RigFile, Started, Submission, Terms};
+    use super::super::stand_in::{asked, conductor, granted, in_an_hour, queued_on, start};
+    use super::super::{AutoResume, Started, Terms};
     use super::*;
-    use crate::campaign::bench::estop::StopSwitch;
     use crate::campaign::bench::interlock::{Trip, TripKind};
     use crate::campaign::bench::rig_state::RigState;
-    use crate::campaign::shown::command::{Envelope, Inbox, Request, channel};
+    use crate::campaign::shown::command::Request;
     use crate::campaign::shown::show;
-    use crate::clock::Clock;
     use crate::journal::Journal;
-    use crate::rig::setup::RigSetup;
     use crate::state::StateChange;
-    use crate::store::Store;
     use crate::suspension::Suspensions;
 
     /// Why a run is dropped.
     const BEFORE_ABORTED: &str = "the run before it was aborted";
 
-    /// A conductor with an empty database and a disconnected rig, which answers nothing.
-    pub(in super::super) async fn conductor() -> (Conductor, Inbox, TempDir) {
-        let folder = tempfile::tempdir().unwrap();
-        let store = Store::open(&folder.path().join("palpate.db"), Clock::new(1.0)).await.unwrap();
-        let text = include_str!("../../../experiments/rigs/virtual.toml");
-        let config = RigSetup::from_toml("virtual.toml", text).unwrap();
-        let (handle, inbox) = channel(StopSwitch::default(), show::closed(&config));
-        let rig = RigFile { file: "virtual.toml".into(), text: text.into(), config };
-        (Conductor::new(store, handle, rig, None), inbox, folder)
-    }
-
     async fn queued(conductor: &Conductor, not_before: Option<Timestamp>) -> RunRow {
         queued_on(conductor, Terms { auto_resume: None, not_before }).await
-    }
-
-    pub(in super::super) async fn queued_on(conductor: &Conductor, terms: Terms) -> RunRow {
-        let definition = "name = 'small'\nseed = 3\nsensor = 's'\n[real_hex]\ntips = [1]\n\
-                          configurations = 2\ndepths = 2\n";
-        let sensor = include_str!("../../../experiments/sensors/ert-28.toml");
-        let submission = Submission {
-            file: "small.toml".into(),
-            definition: definition.into(),
-            sensor: Some(sensor.into()),
-        };
-        conductor.enqueue(submission, "ada".into(), terms).await.unwrap()
-    }
-
-    /// A person arms and starts a run whose time has not come.
-    pub(in super::super) async fn start(conductor: &Conductor, run: &RunRow) {
-        let code = conductor.arm(run).await.unwrap().code;
-        assert_eq!(conductor.start(run, &code, "ada".into()).await.unwrap(), Started::Waiting);
-    }
-
-    pub(in super::super) fn in_an_hour() -> Option<Timestamp> {
-        Some(Timestamp::now() + SignedDuration::from_hours(1))
     }
 
     #[tokio::test]
@@ -327,8 +288,7 @@ pub(super) mod tests {
         let running = StateChange::to(StoredState::Running);
         conductor.inner.store.run_state(run.uid, running, Timestamp::now()).await.unwrap();
         let trips = async {
-            let Envelope { request, answer, .. } = inbox.next().await.expect("a request");
-            assert!(matches!(request, Request::Connect), "{request:?}");
+            let answer = asked(&mut inbox, |request| matches!(request, Request::Connect)).await;
             let trip = Trip { kind: TripKind::Stale, detail: "x: no reply".into() };
             inbox.status.send_modify(|status| {
                 (status.rig.state, status.rig.trip) = (RigState::Tripped, Some(trip));
@@ -344,11 +304,7 @@ pub(super) mod tests {
                      service: the rig tripped: x: no reply";
         assert_eq!(conductor.not_begun().await.unwrap().as_deref(), Some(words));
         let code = conductor.arm(&run).await.unwrap().code;
-        let begins = async {
-            let Envelope { request, answer, .. } = inbox.next().await.expect("a request");
-            assert!(matches!(request, Request::Start(_)), "{request:?}");
-            let _ = answer.send(Ok(()));
-        };
+        let begins = granted(&mut inbox, |request| matches!(request, Request::Start(_)));
         let (started, ()) = tokio::join!(conductor.start(&run, &code, "ada".into()), begins);
         assert_eq!(started.unwrap(), Started::Running);
         assert_eq!(conductor.not_begun().await.unwrap(), None);

@@ -35,6 +35,8 @@ mod prepare;
 mod queue;
 mod restart;
 pub mod room;
+#[cfg(test)]
+mod stand_in;
 mod stopped;
 mod take_over;
 mod turn;

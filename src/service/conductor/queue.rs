@@ -131,7 +131,7 @@ mod tests {
     use std::sync::atomic::Ordering;
     use std::time::Duration;
 
-    use super::super::follow::tests::{conductor, in_an_hour, queued_on, start};
+    use super::super::stand_in::{conductor, granted, in_an_hour, queued_on, start};
     use super::super::{CODE_VALID, Started};
     use super::*;
     use crate::campaign::shown::command::{Envelope, Refusal, Request};
@@ -191,9 +191,7 @@ mod tests {
             tokio::time::sleep(Duration::from_millis(100)).await;
             inbox.status.send_modify(|status| status.run = Some(show::started(&job)));
             let _ = answer.send(Ok(()));
-            let Envelope { request, answer, .. } = inbox.next().await.expect("a request");
-            assert!(matches!(request, Request::Abort), "{request:?}");
-            let _ = answer.send(Ok(()));
+            granted(&mut inbox, |request| matches!(request, Request::Abort)).await;
         };
         let start = conductor.start(&run, &code, "ada".into());
         let (started, aborted, ()) = tokio::join!(start, conductor.abort_undriven(&run), campaign);
@@ -206,11 +204,7 @@ mod tests {
         let (conductor, mut inbox, _folder) = conductor().await;
         let run = queued_on(&conductor, Terms::default()).await;
         let code = conductor.arm(&run).await.unwrap().code;
-        let begins = async {
-            let Envelope { request, answer, .. } = inbox.next().await.expect("a request");
-            assert!(matches!(request, Request::Start(_)), "{request:?}");
-            let _ = answer.send(Ok(()));
-        };
+        let begins = granted(&mut inbox, |request| matches!(request, Request::Start(_)));
         let (started, ()) = tokio::join!(conductor.start(&run, &code, "ada".into()), begins);
         assert_eq!(started.unwrap(), Started::Running);
         let store = &conductor.inner.store;
@@ -218,11 +212,7 @@ mod tests {
         store.run_state(run.uid, running, Timestamp::now()).await.unwrap();
         // The campaign does not drive it any more: its end waits for the store.
         for _ in 0..2 {
-            let noted = async {
-                let Envelope { request, answer, .. } = inbox.next().await.expect("a request");
-                assert!(matches!(request, Request::CameLate), "{request:?}");
-                let _ = answer.send(Ok(()));
-            };
+            let noted = granted(&mut inbox, |request| matches!(request, Request::CameLate));
             let (aborted, ()) = tokio::join!(conductor.abort_undriven(&run), noted);
             assert!(matches!(aborted, Err(ConductorError::Forbidden(_))), "{aborted:?}");
             // As after a pause or an e-stop meanwhile.

@@ -118,10 +118,9 @@ impl Conductor {
 mod tests {
     use jiff::Timestamp;
 
-    use super::super::follow::tests::{conductor, in_an_hour, queued_on, start};
+    use super::super::stand_in::{conductor, granted, in_an_hour, queued_on, start};
     use super::super::{AutoResume, Terms};
     use super::*;
-    use crate::campaign::shown::command::Envelope;
     use crate::campaign::shown::show;
     use crate::journal::Journal;
     use crate::state::{StateChange, StoredState};
@@ -163,11 +162,7 @@ mod tests {
         store.run_state(run.uid, running, Timestamp::now()).await.unwrap();
         // The rig homes for it.
         *conductor.inner.brought_up.lock() = Some(run.uid);
-        let ended = async {
-            let Envelope { request, answer, .. } = inbox.next().await.expect("a request");
-            assert!(matches!(request, Request::AbortMotion), "{request:?}");
-            let _ = answer.send(Ok(()));
-        };
+        let ended = granted(&mut inbox, |request| matches!(request, Request::AbortMotion));
         let (aborted, ()) = tokio::join!(conductor.abort_motion(), ended);
         aborted.unwrap();
         assert!(conductor.is_operated_since_start(run.uid));

@@ -346,9 +346,9 @@ impl Conductor {
 #[cfg(test)]
 mod tests {
     use super::super::Terms;
-    use super::super::follow::tests::{conductor, queued_on};
+    use super::super::stand_in::{asked, conductor, granted, queued_on};
     use super::*;
-    use crate::campaign::shown::command::{Envelope, Inbox};
+    use crate::campaign::shown::command::Inbox;
     use crate::campaign::shown::show;
     use crate::journal::Journal;
     use crate::state::{StateChange, StoredState};
@@ -370,8 +370,7 @@ mod tests {
     /// A person aborts a run, and the campaign is told.
     async fn abort(conductor: &Conductor, run: &RunRow, inbox: &mut Inbox) {
         let told = async {
-            let Envelope { request, answer, .. } = inbox.next().await.expect("a request");
-            assert!(matches!(request, Request::CameLate), "{request:?}");
+            let answer = asked(inbox, |request| matches!(request, Request::CameLate)).await;
             inbox.status.send_modify(|status| status.attended.note(RUN_ABORTED));
             let _ = answer.send(Ok(()));
         };
@@ -399,8 +398,7 @@ mod tests {
         let (conductor, mut inbox, _folder) = conductor().await;
         let [driven, next] = earlier(&conductor).await;
         let aborts = async {
-            let Envelope { request, answer, .. } = inbox.next().await.expect("a request");
-            assert!(matches!(request, Request::Connect), "{request:?}");
+            let answer = asked(&mut inbox, |request| matches!(request, Request::Connect)).await;
             abort(&conductor, &driven, &mut inbox).await;
             let _ = answer.send(Ok(()));
             inbox.next().await
@@ -423,13 +421,8 @@ mod tests {
         let (conductor, mut inbox, _folder) = conductor().await;
         let [driven, next] = earlier(&conductor).await;
         let holds = async {
-            let Envelope { request, answer, .. } = inbox.next().await.expect("a request");
-            assert!(matches!(request, Request::Connect), "{request:?}");
-            let noted = async {
-                let Envelope { request, answer, .. } = inbox.next().await.expect("a request");
-                assert!(matches!(request, Request::CameLate), "{request:?}");
-                let _ = answer.send(Ok(()));
-            };
+            let answer = asked(&mut inbox, |request| matches!(request, Request::Connect)).await;
+            let noted = granted(&mut inbox, |request| matches!(request, Request::CameLate));
             let held = conductor.hold_undriven(driven.uid, Request::PauseNow);
             let (held, ()) = tokio::join!(held, noted);
             assert!(!held.unwrap(), "it has not begun");
@@ -455,11 +448,7 @@ mod tests {
         let [driven, _next] = earlier(&conductor).await;
         let job = conductor.prepare_stored(&driven).await.unwrap().job(&driven);
         inbox.status.send_modify(|status| status.run = Some(show::started(&job)));
-        let paused = async {
-            let Envelope { request, answer, .. } = inbox.next().await.expect("a request");
-            assert!(matches!(request, Request::PauseNow), "{request:?}");
-            let _ = answer.send(Ok(()));
-        };
+        let paused = granted(&mut inbox, |request| matches!(request, Request::PauseNow));
         let held = conductor.hold_undriven(driven.uid, Request::PauseNow);
         let (held, ()) = tokio::join!(held, paused);
         assert!(held.unwrap());
@@ -482,9 +471,8 @@ mod tests {
     async fn nothing_homes_for_a_run_after_a_lock_was_taken_while_the_wires_were_opened() {
         let (conductor, mut inbox, _folder) = conductor().await;
         earlier(&conductor).await;
-        let asked = async {
-            let Envelope { request, answer, .. } = inbox.next().await.expect("a request");
-            assert!(matches!(request, Request::Connect), "{request:?}");
+        let homing = async {
+            let answer = asked(&mut inbox, |request| matches!(request, Request::Connect)).await;
             tokio::time::sleep(Duration::from_millis(20)).await;
             conductor.inner.store.set_lock("bob", "hands in the rig").await.unwrap();
             inbox.status.send_modify(|status| status.rig.state = RigState::Disarmed);
@@ -493,7 +481,7 @@ mod tests {
         };
         let asked = tokio::select! {
             taken = conductor.resume_after_restart(AutoResume::Allowed) => panic!("{taken:?}"),
-            asked = asked => asked,
+            asked = homing => asked,
         };
         assert!(asked.is_err(), "{asked:?}");
     }

@@ -6,7 +6,7 @@ use std::fmt;
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
-use strum::EnumIter;
+use strum::VariantArray;
 use utoipa::ToSchema;
 
 use crate::core::columns::Columns;
@@ -47,7 +47,7 @@ impl fmt::Display for TaskKind {
 }
 
 /// State of a task.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema, EnumIter)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema, VariantArray)]
 #[serde(rename_all = "lowercase")]
 pub enum TaskState {
     /// It waits for earlier tasks of its queue.

@@ -3,7 +3,7 @@
 
 use std::path::Path;
 
-use strum::IntoEnumIterator;
+use strum::VariantArray;
 
 use crate::TaskState;
 use crate::state::StoredState;
@@ -36,9 +36,8 @@ fn check(folder: &Path, seen: &mut usize) {
         } else if path.extension().is_some_and(|extension| extension == "rs") {
             for state in states(&std::fs::read_to_string(&path).unwrap()) {
                 *seen += 1;
-                let known =
-                    StoredState::iter().map(StoredState::as_str).any(|known| known == state)
-                        || TaskState::iter().any(|known| known.to_string() == state);
+                let known = StoredState::ALL.iter().any(|known| known.as_str() == state)
+                    || TaskState::VARIANTS.iter().any(|known| known.to_string() == state);
                 assert!(known, "{}: no state is called {state:?}", path.display());
             }
         }

@@ -9,7 +9,6 @@ use std::time::Duration;
 use jiff::Timestamp;
 use palpate::api::{ServeOptions, Service};
 use palpate::clock::Clock;
-use palpate::conductor::AutoResume;
 use palpate::ids::{CalibrationId, RunUid, TrialKey};
 use palpate::journal::{ExitStatus, Journal};
 use palpate::record::{
@@ -23,7 +22,9 @@ use rand_chacha::ChaCha8Rng;
 use serde_json::{Value, json};
 use tokio::sync::OnceCell;
 
-use crate::support::{SENSOR, VIRTUAL_RIG, copy_folder, http, sensor, until, with_responses};
+use crate::support::{
+    SENSOR, VIRTUAL_RIG, copy_folder, http, sensor, serve_options, until, with_responses,
+};
 
 /// Configurations of the Real-Hex run; each third is one that was drawn before.
 pub const CONFIGURATIONS: u32 = 30;
@@ -287,22 +288,7 @@ impl Filled {
 
     /// A service on a folder, with other options.
     pub async fn serve_as(data: PathBuf, change: impl FnOnce(&mut ServeOptions)) -> Self {
-        let mut options = ServeOptions {
-            tls: None,
-            require_key: false,
-            desk: false,
-            idle: false,
-            local_admin: true,
-            bind: "127.0.0.1:0".parse().unwrap(),
-            data: data.clone(),
-            rig_file: "rig.toml".into(),
-            rig_text: rig(),
-            resume: AutoResume::Off,
-            twin_workers: 0,
-            calibration: None,
-            sensor: sensor(),
-            sensor_text: SENSOR.into(),
-        };
+        let mut options = serve_options(&data, rig());
         change(&mut options);
         with_responses(&data);
         let service = Service::start(options).await.unwrap();

@@ -171,7 +171,7 @@ async fn a_weight_on_a_wrong_point_is_named_before_it_is_stored_and_a_trial_is_r
     let Some(tools) = tools() else { return };
     let lab = Lab::open_alone("browser-wrong", skin_alone(), COMPUTES).await;
     serve_exact(&lab).await;
-    lab.posted("/api/v1/rig/actions", json!({ "action": "connect", "who": "test" })).await;
+    lab.operate(json!({ "action": "connect", "who": "test" })).await;
     let run = lab.queue(WEIGHTS).await;
     lab.start(&run).await;
     plays(&lab, tools, "wrong_weight").await;
@@ -186,7 +186,7 @@ async fn a_weight_on_a_wrong_point_is_named_before_it_is_stored_and_a_trial_is_r
 async fn a_model_is_promoted_and_followed_live() {
     let Some(tools) = tools() else { return };
     let lab = Lab::open("browser-touch", rig_args("virtual", 1.0), COMPUTES).await;
-    lab.posted("/api/v1/rig/actions", json!({ "action": "connect", "who": "test" })).await;
+    lab.operate(json!({ "action": "connect", "who": "test" })).await;
     super::live::small_net(&lab).await;
     super::live::quantity_nets(&lab).await;
     plays(&lab, tools, "touch").await;

@@ -5,10 +5,10 @@ use serde::{Deserialize, Serialize};
 
 use crate::Plan;
 
-/// A value outside its limits.
+/// A value of a gap file that is outside its limits.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[error("{key} = {value}: {limit}")]
-pub struct LawsError {
+pub struct ValueError {
     /// Dotted key in the gap file.
     pub key: &'static str,
     /// Value that was found.
@@ -247,8 +247,8 @@ impl Laws {
     /// Checks the values.
     ///
     /// # Errors
-    /// `LawsError` with the first value outside its limits.
-    pub fn check(&self, plan: &Plan) -> Result<(), LawsError> {
+    /// `ValueError` with the first value outside its limits.
+    pub fn check(&self, plan: &Plan) -> Result<(), ValueError> {
         let (g, t, s, e, r) =
             (&self.grid, &self.tips, &self.stage, &self.electrodes, &self.readout);
         let (f, c, k) = (&self.foam, &self.cover, &self.conductance);
@@ -359,11 +359,15 @@ impl Laws {
     }
 }
 
-fn require(
+/// Checks that a value is finite, and that its limit holds.
+///
+/// # Errors
+/// `ValueError` if not.
+pub fn require(
     key: &'static str,
     value: f64,
     holds: bool,
     limit: &'static str,
-) -> Result<(), LawsError> {
-    if holds && value.is_finite() { Ok(()) } else { Err(LawsError { key, value, limit }) }
+) -> Result<(), ValueError> {
+    if holds && value.is_finite() { Ok(()) } else { Err(ValueError { key, value, limit }) }
 }

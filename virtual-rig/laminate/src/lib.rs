@@ -27,7 +27,7 @@ use faer::Par;
 
 use conductance::Conductance;
 pub use forces::Forces;
-pub use laws::{Laws, LawsError};
+pub use laws::{Laws, ValueError};
 use press::{Foundation, Patch};
 pub use readout::Readout;
 use sheet::Sheet;
@@ -77,7 +77,7 @@ pub struct Touch {
 pub enum LaminateError {
     /// A value of the laws is outside its limits.
     #[error(transparent)]
-    Laws(#[from] LawsError),
+    Laws(#[from] ValueError),
     /// A system of equations has no solution.
     #[error("{part}: {why}")]
     Solve { part: &'static str, why: String },

@@ -1,18 +1,18 @@
 //! The gap file: difference between a virtual skin and the nominal model.
-//! Uses: serde, toml. Never: files (the text is passed in), random numbers.
+//! Uses: `laminate::laws` (the check of a value), serde, toml. Never: files (the text is passed in), random numbers.
 
+use laminate::laws::{ValueError, require};
 use serde::{Deserialize, Serialize};
 
 /// Error in a gap file.
 #[derive(Debug, thiserror::Error, PartialEq)]
-#[allow(missing_docs, reason = "the message names the fields")]
 pub enum GapError {
     /// The text is not TOML, or has a key or a type that a gap file does not have.
     #[error("{0}")]
     Syntax(#[from] toml::de::Error),
     /// A value is outside its limits.
-    #[error("{key} = {value}: {limit}")]
-    Value { key: &'static str, value: f64, limit: &'static str },
+    #[error(transparent)]
+    Value(#[from] ValueError),
 }
 
 /// Contents of a gap file.
@@ -167,7 +167,7 @@ impl Gap {
         Ok(gap)
     }
 
-    fn check(&self) -> Result<(), GapError> {
+    fn check(&self) -> Result<(), ValueError> {
         let (f, e, r, m) = (&self.fields, &self.electrodes, &self.readout, &self.mechanics);
         for (key, value) in [
             ("fields.ln_a_sd", f.ln_a_sd),
@@ -224,13 +224,4 @@ impl Gap {
             "must be in [0, 1)",
         )
     }
-}
-
-fn require(
-    key: &'static str,
-    value: f64,
-    holds: bool,
-    limit: &'static str,
-) -> Result<(), GapError> {
-    if holds && value.is_finite() { Ok(()) } else { Err(GapError::Value { key, value, limit }) }
 }

@@ -1,0 +1,63 @@
+//! What the tests of the conductor share: a conductor whose campaign is the test, its runs, and answers to its
+//! requests.
+//! Uses: `conductor`, a store in a temporary folder. Never: in a program.
+
+use jiff::{SignedDuration, Timestamp};
+use tempfile::TempDir;
+use tokio::sync::oneshot;
+
+use super::{Conductor, RigFile, Started, Submission, Terms};
+use crate::campaign::bench::estop::StopSwitch;
+use crate::campaign::shown::command::{Envelope, Inbox, Refusal, Request, channel};
+use crate::campaign::shown::show;
+use crate::clock::Clock;
+use crate::rig::setup::RigSetup;
+use crate::store::{RunRow, Store};
+
+/// A conductor with an empty database and a disconnected rig, which answers nothing.
+pub(super) async fn conductor() -> (Conductor, Inbox, TempDir) {
+    let folder = tempfile::tempdir().unwrap();
+    let store = Store::open(&folder.path().join("palpate.db"), Clock::new(1.0)).await.unwrap();
+    let text = include_str!("../../../experiments/rigs/virtual.toml");
+    let config = RigSetup::from_toml("virtual.toml", text).unwrap();
+    let (handle, inbox) = channel(StopSwitch::default(), show::closed(&config));
+    let rig = RigFile { file: "virtual.toml".into(), text: text.into(), config };
+    (Conductor::new(store, handle, rig, None), inbox, folder)
+}
+
+pub(super) async fn queued_on(conductor: &Conductor, terms: Terms) -> RunRow {
+    let definition = "name = 'small'\nseed = 3\nsensor = 's'\n[real_hex]\ntips = [1]\n\
+                      configurations = 2\ndepths = 2\n";
+    let sensor = include_str!("../../../experiments/sensors/ert-28.toml");
+    let submission = Submission {
+        file: "small.toml".into(),
+        definition: definition.into(),
+        sensor: Some(sensor.into()),
+    };
+    conductor.enqueue(submission, "ada".into(), terms).await.unwrap()
+}
+
+/// A person arms and starts a run whose time has not come.
+pub(super) async fn start(conductor: &Conductor, run: &RunRow) {
+    let code = conductor.arm(run).await.unwrap().code;
+    assert_eq!(conductor.start(run, &code, "ada".into()).await.unwrap(), Started::Waiting);
+}
+
+/// Waits for the next request, which must be this one; its answer is due.
+pub(super) async fn asked(
+    inbox: &mut Inbox,
+    is_this: fn(&Request) -> bool,
+) -> oneshot::Sender<Result<(), Refusal>> {
+    let Envelope { request, answer, .. } = inbox.next().await.expect("a request");
+    assert!(is_this(&request), "{request:?}");
+    answer
+}
+
+/// Grants the next request, which must be this one.
+pub(super) async fn granted(inbox: &mut Inbox, is_this: fn(&Request) -> bool) {
+    let _ = asked(inbox, is_this).await.send(Ok(()));
+}
+
+pub(super) fn in_an_hour() -> Option<Timestamp> {
+    Some(Timestamp::now() + SignedDuration::from_hours(1))
+}
