@@ -3,11 +3,11 @@
 //!
 //! After a lost or garbled reply the connection is closed and reopened, since a late reply would be
 //! taken for the answer to the next request (tokio-modbus #324; on RTU replies have no number at
-//! all, so that a request to which it could be an answer waits for it). Exceptions 1 to 4 are returned immediately, 5 and 6 are repeated within a deadline, 8, 0xA
-//! and 0xB are retried once over a new connection
-//! (`docs/references.md`, "Exceptions and lost replies"). A motion whose reply was lost, or whose
-//! exception (5, 8, 0xB) leaves open whether it was received, is returned as an error, because only
-//! its driver can check that.
+//! all, so that a request to which it could be an answer waits for it). Exceptions 1 to 4 are
+//! returned immediately, 5 and 6 are repeated within a deadline, 8, 0xA and 0xB are retried once
+//! over a new connection (`docs/references.md`, "Exceptions and lost replies"). A motion whose reply
+//! was lost, or whose exception (5, 8, 0xB) leaves open whether it was received, is returned as an
+//! error, because only its driver can check that.
 
 use std::collections::BTreeSet;
 use std::sync::Arc;
