@@ -59,7 +59,7 @@ pub struct ResumeArgs {
 pub async fn resume(args: &ResumeArgs) -> CliResult<()> {
     let client = embed::server(&args.act.at).await?;
     let status = client.status().await?;
-    let active = status.run;
+    let active = status.run.clone();
     let named = match &args.run {
         Some(run) => Some(find_run(&client, run).await?),
         None if active.is_some() => None,
@@ -67,6 +67,11 @@ pub async fn resume(args: &ResumeArgs) -> CliResult<()> {
     };
     let paused = active.filter(|active| named.as_ref().is_none_or(|run| run.uid == active.uid));
     if let Some(run) = paused {
+        // A person may have come to the rig since it was paused. A skin alone does not move.
+        let status = match status.rig.has_stage {
+            true => confirm_motion(&client, args.motion, status).await?,
+            false => status,
+        };
         let client = client.acting_on(status.at);
         return request(&client, run.uid, run.scan_id, &args.act, "resume", json!({})).await;
     }

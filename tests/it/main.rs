@@ -32,6 +32,7 @@ mod once;
 mod overlay;
 mod pages;
 mod requests;
+mod resume;
 mod rights;
 mod rig_transcripts;
 mod sim_random;

@@ -408,10 +408,12 @@ impl Conductor {
             // It may have been aborted while the rig was homed.
             let run = &self.unended(run).await?;
             let job = self.prepare_stored(run).await?.job(run);
-            // Read before it: the campaign refuses the start after a sign that `refused` has not seen.
+            // Read before it: the campaign refuses the start after a sign or a lock that `refused` has not seen.
             let signs = self.inner.campaign.status().attended.signs;
+            let decided_at = (Timestamp::now(), Instant::now());
             refused.await?;
-            self.inner.campaign.ask_since(Request::Start(Arc::new(job)), signs).await?;
+            let start = Request::Start(Arc::new(job));
+            self.inner.campaign.ask_since(start, signs, decided_at).await?;
             self.inner.begun.lock().insert(run.uid);
             self.forget(run.uid);
             Ok(())

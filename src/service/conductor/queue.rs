@@ -266,23 +266,28 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_start_states_no_sign_of_a_person_that_its_decision_has_not_seen() {
+    async fn a_start_states_no_sign_and_no_lock_of_a_person_that_its_decision_has_not_seen() {
         let (conductor, mut inbox, _folder) = conductor().await;
         let run = queued_on(&conductor, Terms::default()).await;
         // After the last look at the signs, and before the request.
         let status = inbox.status.clone();
         let decided = async {
             status.send_modify(|status| status.attended.note("a run was aborted"));
+            // The time of a lock is stored in milliseconds.
+            tokio::time::sleep(Duration::from_millis(2)).await;
+            conductor.inner.store.set_lock("bob", "hands in the rig").await?;
             Ok(())
         };
         let refuses = async {
-            let Envelope { answer, signs, .. } = inbox.next().await.expect("a request");
+            let Envelope { answer, signs, decided_at, .. } = inbox.next().await.expect("a request");
             let _ = answer.send(Err(Refusal::Busy("a run was aborted".into())));
-            signs
+            (signs, decided_at)
         };
-        let (begun, signs) = tokio::join!(conductor.begin(&run, decided), refuses);
+        let (begun, (signs, decided_at)) = tokio::join!(conductor.begin(&run, decided), refuses);
         assert!(matches!(begun, Err(ConductorError::Refused(_))), "{begun:?}");
         assert_eq!((signs, inbox.status.borrow().attended.signs), (0, 1));
+        let lock = conductor.inner.store.lock().await.unwrap().expect("it is taken");
+        assert!(decided_at.0 < lock.since);
     }
 
     #[tokio::test]

@@ -1,4 +1,5 @@
-//! Descents of z at the speed of a press: z is stopped where a sample meets a condition, and where a sample comes late.
+//! Descents of z at the speed of a press: z is stopped where a sample meets a condition, and where a sample, or the reply
+//! to the start, comes late.
 //! Uses: `campaign::{bench::stage, bench::travel, bench::interlock, run::control}`. Never: the plan, storage, another
 //! axis.
 
@@ -12,8 +13,8 @@ use crate::campaign::bench::travel::{Ended, Polled, Sample, Target};
 use crate::campaign::run::control::Control;
 use crate::campaign::run::halt::Halt;
 
-/// Late samples of one descent after which the rig trips. Each makes the descent slower, so that the next one may be
-/// twice as old, except at the slowest motion of the drive.
+/// Late samples and starts of one descent after which the rig trips. Each makes the descent slower, so that the next one
+/// may be twice as old, except at the slowest motion of the drive.
 const LATE_SAMPLES_MAX: u32 = 20;
 
 /// Motion of z at a speed.
@@ -27,8 +28,8 @@ pub struct Descent {
 
 impl Stage {
     /// Moves z, reads the cells at every poll, and stops z once `until` holds for a sample. Returns whether it did. If no
-    /// sample arrives while a stop would keep the margins of the force limits, z is stopped, and the descent continues
-    /// after one that was read at rest, unless `until` holds for that one.
+    /// sample, or no reply to the start, arrives while a stop would keep the margins of the force limits, z is stopped, and
+    /// the descent continues after a sample that was read at rest, unless `until` holds for that one.
     ///
     /// # Errors
     /// As `checked_travel`; trips if samples come late again and again.
@@ -52,7 +53,7 @@ impl Stage {
                 }
                 Ended::Late => {
                     let z_mm = self.z_at_rest(control).await?;
-                    // The late one may show the force before the stop.
+                    // A late one may show the force before the stop.
                     let volts = self.read_cells(control).await?.volts;
                     if until(&Sample { z_mm, volts }) {
                         return Ok(true);
@@ -60,7 +61,7 @@ impl Stage {
                 }
             }
         }
-        let detail = format!("cells: {LATE_SAMPLES_MAX} samples of one descent came late");
+        let detail = format!("{LATE_SAMPLES_MAX} samples or starts of one descent came late");
         Err(Halt::trip(TripKind::Stale, detail))
     }
 
@@ -102,6 +103,28 @@ impl Stage {
             }
             self.poll_pause().await;
         }
+    }
+
+    /// Starts the motion of an axis, and stops it if there is no reply until `due`: it may move although that is late.
+    /// Returns whether there was one.
+    pub(super) async fn start_or_stop(
+        &self,
+        target: &Target,
+        due: Option<Instant>,
+    ) -> Result<bool, Halt> {
+        let driven = self.driven(target.axis);
+        let start = driven.axis.start_move(target.position, target.speed.unwrap_or(driven.speed));
+        let on_time = match due {
+            Some(due) => tokio::time::timeout_at(due, start).await.ok(),
+            None => Some(start.await),
+        };
+        let is_on_time = on_time.is_some();
+        match on_time {
+            Some(started) => started?,
+            // It withdraws what was not sent yet.
+            None => driven.axis.stop().await?,
+        }
+        Ok(is_on_time)
     }
 
     /// Age of the newest sample at which z must be stopped, wall time; none unless it presses.

@@ -70,7 +70,7 @@ pub(super) enum Ended {
     Arrived,
     /// A sample at this height of z, machine mm, and time met the condition: z moves until it is stopped.
     Met { z_mm: f64, at: Instant },
-    /// A sample came late: z was stopped before it arrived.
+    /// A sample, or the reply to the start, came late: z was stopped before it arrived.
     Late,
 }
 
@@ -121,13 +121,27 @@ impl Stage {
         }
         self.held_since = None;
         let z_place = targets.iter().position(|t| t.axis == AxisName::Z);
-        let age = self.sample_age(targets);
-        let deadline = self.start(control, targets).await?;
-        let started = self.clock.now();
+        let longest_s = self.require_ready(control, targets).await?;
+        let (began, began_s) = (self.clock.now(), self.clock.process_s());
+        let (age, mut is_late) = (self.sample_age(targets), false);
+        for target in targets {
+            // It may move although the reply is lost.
+            let start = self.start_or_stop(target, age.map(|age| began + age));
+            is_late |= !self.in_time(control, self.last_sample, start).await?;
+        }
         let mut polled_s = self.clock.process_s();
+        if age.is_some() {
+            // The first sample must be on time although it follows the start: that counts as a poll.
+            self.stopping.note_poll(polled_s - began_s);
+        }
+        if is_late {
+            return Ok(Ended::Late);
+        }
+        let deadline = self.clock.now() + self.clock.wall(1.5 * longest_s + 0.5) + GRACE;
         loop {
             control.attend()?;
-            let sampled = self.last_sample.map_or(started, |last| last.at.max(started));
+            // z may move since the start was sent.
+            let sampled = self.last_sample.map_or(began, |last| last.at.max(began));
             let poll = self.poll_or_stop(targets, polled, age.map(|age| sampled + age));
             let (statuses, reading, is_late) =
                 self.in_time(control, self.last_sample, poll).await?;
@@ -173,9 +187,9 @@ impl Stage {
         Ok(!status.moving && (status.position - target.position).abs() <= driven.tolerance)
     }
 
-    /// Starts the motions, once each axis has been found homed, within its travel and without an alarm, which the release
-    /// of a stop could clear.
-    async fn start(&self, control: &mut Control, targets: &[Target]) -> Result<Instant, Halt> {
+    /// Checks that each axis is homed, within its travel and without an alarm, which the release of a stop could clear.
+    /// Returns the longest duration of the motions, process s.
+    async fn require_ready(&self, control: &mut Control, targets: &[Target]) -> Result<f64, Halt> {
         let (statuses, _) = control.attending(self.poll(targets, Polled::Axes)).await??;
         let mut longest_s = 0.0f64;
         for (target, status) in targets.iter().zip(&statuses) {
@@ -186,15 +200,7 @@ impl Stage {
         }
         // What was requested since the last poll must not be answered by one more motion.
         control.attend()?;
-        for target in targets {
-            let driven = self.driven(target.axis);
-            let speed = target.speed.unwrap_or(driven.speed);
-            // It may move although the reply is lost.
-            let start =
-                async { Ok::<_, Halt>(driven.axis.start_move(target.position, speed).await?) };
-            self.in_time(control, self.last_sample, start).await?;
-        }
-        Ok(self.clock.now() + self.clock.wall(1.5 * longest_s + 0.5) + GRACE)
+        Ok(longest_s)
     }
 
     /// Checks that an axis is within its travel, or beyond it by no more than this, in its unit.

@@ -1,7 +1,8 @@
 //! Where requests meet the state machines: what is allowed, the next state, the published status.
 //! All of it happens in memory; the diary stores it afterwards.
 //! Uses: `campaign::{shown::command, run::run_state, bench::rig_state, shown::status, diary}`.
-//! Never: motion, wires, a wait for the store except while the tips are up (`flush`, `at_rest`).
+//! Never: motion, wires, a wait for the store except while the tips are up (`flush`, `at_rest`,
+//! `taken_lock`).
 
 use std::sync::Arc;
 
@@ -16,11 +17,11 @@ use crate::campaign::bench::rig_state::{self, RigEvent, RigState};
 use crate::campaign::diary::{Diary, Note};
 use crate::campaign::run::halt::Halt;
 use crate::campaign::run::run_state::{self, PausedWhy, RunAction, RunEvent, RunState};
-use crate::campaign::shown::command::{Envelope, Inbox, Refusal, Request};
+use crate::campaign::shown::command::{Envelope, Inbox, Moment, Refusal, Request};
 use crate::campaign::shown::run_action::doing;
 use crate::campaign::shown::status::{Phase, RunStatus, Status};
 use crate::ids::RunUid;
-use crate::journal::{Journal, JournalError};
+use crate::journal::{Journal, JournalError, error_chain};
 use crate::record::Untouched;
 use crate::state::StateChange;
 use crate::suspension::Suspensions;
@@ -32,6 +33,8 @@ const MOTION_ABORTED: &str = "a motion of the rig was aborted, and a person may 
 /// Why no waiting run begins after a pause or an abort that came too late for the run before it.
 const CAME_LATE: &str =
     "a pause or an abort of a run that did not move was requested, and a person may be at the rig";
+/// Longest wait for the store before a run begins or resumes; meanwhile no request is read.
+const LOCK_LIMIT: Duration = Duration::from_secs(1);
 /// Period at which requests are checked while waiting for the store or for a reply, wall time.
 const REQUESTS_POLL: Duration = Duration::from_millis(20);
 
@@ -272,6 +275,19 @@ impl Control {
     /// The store fails or does not answer; the notes are kept.
     pub async fn flush(&self) -> Result<(), JournalError> {
         tokio::time::timeout(STORE_LIMIT, self.diary.flush()).await.unwrap_or(Err(silent()))
+    }
+
+    /// What must come before anything moves, as text: a person has taken the operator lock after this, for example with
+    /// hands in the rig, or the store does not answer.
+    pub async fn taken_lock(&self, (at, instant): Moment) -> Option<String> {
+        let journal = self.journal.clone();
+        // The wall clock may have been set since: then the earlier of the two times counts.
+        let since = at.min(Timestamp::now() - instant.elapsed());
+        match tokio::time::timeout(LOCK_LIMIT, journal.lock_since(since)).await {
+            Ok(Ok(lock)) => lock.map(|who| format!("the release of the operator lock ({who})")),
+            Ok(Err(error)) => Some(format!("an answer of the store ({})", error_chain(&error))),
+            Err(_late) => Some("an answer of the store".into()),
+        }
     }
 
     /// Whether the computer was suspended since this was last asked, as text. Drives then have moved to their targets

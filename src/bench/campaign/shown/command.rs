@@ -8,7 +8,9 @@
 use std::sync::Arc;
 use std::time::Duration;
 
+use jiff::Timestamp;
 use tokio::sync::{Mutex, OwnedMutexGuard, broadcast, mpsc, oneshot, watch};
+use tokio::time::Instant;
 use tracing::Span;
 
 use crate::campaign::bench::estop::StopSwitch;
@@ -164,6 +166,9 @@ pub enum Refusal {
     Gone,
 }
 
+/// A wall time and the same instant: the wall clock may be set later.
+pub type Moment = (Timestamp, Instant);
+
 /// A request with the channel for its answer.
 #[derive(Debug)]
 pub struct Envelope {
@@ -177,6 +182,8 @@ pub struct Envelope {
     pub presses: u64,
     /// Signs of a person at the rig when it was decided.
     pub signs: u64,
+    /// When it was decided: an operator lock that was taken later is not known to its caller.
+    pub decided_at: Moment,
 }
 
 impl Envelope {
@@ -306,19 +313,24 @@ impl Handle {
     /// answer in time.
     pub async fn ask(&self, request: Request) -> Result<(), Refusal> {
         let signs = self.status.borrow().attended.signs;
-        self.ask_since(request, signs).await
+        self.ask_since(request, signs, (Timestamp::now(), Instant::now())).await
     }
 
     /// As [`Self::ask`]. `signs`: signs of a person that were known when the request was decided; a start is refused after
-    /// a further one.
+    /// a further one. `decided_at`: when that was; a start or a resume is refused after a lock that was taken later.
     ///
     /// # Errors
     /// As [`Self::ask`].
-    pub async fn ask_since(&self, request: Request, signs: u64) -> Result<(), Refusal> {
+    pub async fn ask_since(
+        &self,
+        request: Request,
+        signs: u64,
+        decided_at: Moment,
+    ) -> Result<(), Refusal> {
         let (answer, answered) = oneshot::channel();
         let (asked_in, presses) = (Span::current(), self.estop.presses());
-        let sent = self.requests.try_send(Envelope { request, answer, asked_in, presses, signs });
-        sent.map_err(|_| Refusal::Gone)?;
+        let envelope = Envelope { request, answer, asked_in, presses, signs, decided_at };
+        self.requests.try_send(envelope).map_err(|_| Refusal::Gone)?;
         match tokio::time::timeout(TAKE_UP, answered).await {
             Ok(Ok(answer)) => answer,
             Ok(Err(_)) | Err(_) => Err(Refusal::Gone),

@@ -3,11 +3,11 @@
 //!
 //! After a lost or garbled reply the connection is closed and reopened, since a late reply would be
 //! taken for the answer to the next request (tokio-modbus #324; on RTU replies have no number at
-//! all). Exceptions 1 to 4 are returned immediately, 5 and 6 are repeated within a deadline, 8, 0xA
-//! and 0xB are retried once over a new connection
-//! (`docs/references.md`, "Exceptions and lost replies"). A motion whose reply was lost, or whose
-//! exception (5, 8, 0xB) leaves open whether it was received, is returned as an error, because only
-//! its driver can check that.
+//! all, so that a request to which it could be an answer waits for it). Exceptions 1 to 4 are
+//! returned immediately, 5 and 6 are repeated within a deadline, 8, 0xA and 0xB are retried once
+//! over a new connection (`docs/references.md`, "Exceptions and lost replies"). A motion whose reply
+//! was lost, or whose exception (5, 8, 0xB) leaves open whether it was received, is returned as an
+//! error, because only its driver can check that.
 
 use std::collections::BTreeSet;
 use std::sync::Arc;
@@ -23,13 +23,15 @@ use super::counts::{Counters, count};
 use super::error::LineError;
 use super::latch::MotionPermit;
 use super::pdu::{self, Reply, Request};
-use super::wire::{self, Framing, Opener};
+use super::wire::{self, Framing, LateReply, Opener};
 use crate::clock::Clock;
 
 /// Wait before the second retry; before the n-th it is n - 1 times as long.
 const RETRY_STEP: Duration = Duration::from_millis(25);
 /// Wait before the request to a busy device (exceptions 5 and 6) is repeated.
 const BUSY_BACKOFF: Duration = Duration::from_millis(10);
+/// Time beyond its deadline within which a reply on a serial line is still expected.
+const LATE_REPLY: Duration = Duration::from_millis(50);
 /// Words of tokio-util for a connection that was closed within a frame.
 const ENDS_WITHIN_FRAME: &str = "bytes remaining on stream";
 
@@ -104,6 +106,21 @@ impl Job {
     }
 }
 
+/// A request on a serial line whose reply may still arrive.
+#[derive(Debug)]
+struct Owed {
+    unit: u8,
+    request: Request,
+    until: Instant,
+}
+
+impl Owed {
+    /// Whether its reply would be taken for the answer to this request.
+    fn could_answer(&self, job: &Job) -> bool {
+        self.unit == job.unit && self.request.is_alike(&job.request)
+    }
+}
+
 /// Decision after a failed attempt.
 pub(super) enum Next {
     GiveUp,
@@ -124,6 +141,8 @@ pub(super) struct Wire {
     /// Devices that have not replied to their last request.
     silent: BTreeSet<u8>,
     silent_since: Instant,
+    /// Requests without a reply so far, on a serial line.
+    owed: Vec<Owed>,
     counters: Arc<Counters>,
 }
 
@@ -137,7 +156,7 @@ impl Wire {
         counters: Arc<Counters>,
     ) -> Self {
         let silent_since = clock.now();
-        let (context, opened, silent) = (None, false, BTreeSet::new());
+        let (context, opened, silent, owed) = (None, false, BTreeSet::new(), Vec::new());
         Self {
             framing,
             port,
@@ -148,6 +167,7 @@ impl Wire {
             opened,
             silent,
             silent_since,
+            owed,
             counters,
         }
     }
@@ -162,14 +182,14 @@ impl Wire {
         self.close();
     }
 
-    async fn open(&mut self) -> Result<Context, LineError> {
+    async fn open(&mut self, late: Option<LateReply>) -> Result<Context, LineError> {
         let lost = |cause: String| LineError::Disconnected { cause };
         let limit = self.policy.timeout;
         let port = tokio::time::timeout(limit, (self.opener)())
             .await
             .map_err(|_| lost(format!("not open within {} ms", limit.as_millis())))?
             .map_err(|e| lost(e.to_string()))?;
-        let context = wire::attach(port, self.framing, limit).await;
+        let context = wire::attach(port, self.framing, limit, late).await;
         if self.opened {
             count(&self.counters.reconnects);
         }
@@ -186,12 +206,32 @@ impl Wire {
         }
     }
 
+    /// The reply that would be taken for the answer to this request. A stop does not wait for one: the echo of an earlier
+    /// stop acknowledges a stop, too.
+    fn late_reply(&mut self, job: &Job) -> Option<LateReply> {
+        let now = self.clock.now();
+        self.owed.retain(|owed| owed.until > now);
+        if matches!(job.kind, Kind::Urgent) {
+            return None;
+        }
+        let alike = self.owed.iter().filter(|owed| owed.could_answer(job));
+        let until = alike.map(|owed| owed.until).max()?;
+        Some(LateReply { until, is_only: self.owed.len() == 1 })
+    }
+
     /// Executes one exchange. After a failure other than an exception the wire is closed.
     pub(super) async fn attempt(&mut self, job: &Job) -> Result<Reply, LineError> {
+        let late = self.late_reply(job);
+        if late.is_some() {
+            self.close();
+        }
         let mut context = match self.context.take() {
             Some(context) => context,
-            None => self.open().await?,
+            None => self.open(late).await?,
         };
+        if late.is_some() {
+            self.owed.retain(|owed| !owed.could_answer(job));
+        }
         let next = self.silent_since + self.policy.silence;
         if !self.policy.silence.is_zero() && next > self.clock.now() {
             tokio::time::sleep_until(next).await;
@@ -203,6 +243,10 @@ impl Wire {
         }
         context.set_slave(Slave(job.unit));
         let sent = self.clock.now();
+        if self.framing == Framing::Rtu {
+            let until = sent + self.policy.timeout + LATE_REPLY;
+            self.owed.push(Owed { unit: job.unit, request: job.request.clone(), until });
+        }
         let call = context.call(pdu::to_wire(&job.request));
         let limit = self.reply_limit(job);
         let outcome = tokio::time::timeout(limit, call).await;
@@ -212,19 +256,29 @@ impl Wire {
                 self.silent.insert(job.unit);
                 return Err(LineError::NoReply { timeout_ms: limit.as_millis() as u64 });
             }
-            Ok(Err(error)) => return Err(from_wire(&error, &self.port)),
+            Ok(Err(error)) => {
+                // After a reply to another request the own one is still awaited.
+                if matches!(error, tokio_modbus::Error::Transport(_)) {
+                    self.owed.pop();
+                }
+                return Err(from_wire(&error, &self.port));
+            }
             Ok(Ok(outcome)) => outcome,
         };
         self.silent.remove(&job.unit);
         let round_trip = self.silent_since - sent;
         self.counters.last_round_trip_us.store(round_trip.as_micros() as u64, Ordering::Relaxed);
         let result = match outcome {
-            Err(exception) => Err(LineError::Exception { code: exception.into() }),
+            Err(exception) => {
+                self.owed.pop();
+                Err(LineError::Exception { code: exception.into() })
+            }
             Ok(response) => {
                 let reply = pdu::reply_of(response);
                 if let Err(cause) = job.request.accepts(&reply) {
                     return Err(LineError::Garbled { cause });
                 }
+                self.owed.pop();
                 count(&self.counters.answered);
                 Ok(reply)
             }

@@ -72,6 +72,19 @@ pub enum Reply {
 }
 
 impl Request {
+    /// Whether a reply to the other request would be taken for one to this: a read does not return its address.
+    pub(super) fn is_alike(&self, other: &Self) -> bool {
+        match (self, other) {
+            (Request::ReadHolding { count, .. }, Request::ReadHolding { count: c, .. })
+            | (Request::ReadInput { count, .. }, Request::ReadInput { count: c, .. }) => count == c,
+            (
+                Request::WriteRegisters { address, words },
+                Request::WriteRegisters { address: a, words: w },
+            ) => address == a && words.len() == w.len(),
+            _ => self == other,
+        }
+    }
+
     /// Checks that the reply answers this request: the length of a read, the echo of a write.
     ///
     /// # Errors
@@ -162,6 +175,18 @@ pub(super) fn reply_of(response: tokio_modbus::Response) -> Reply {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn requests_whose_replies_look_the_same_are_alike() {
+        let read = |address, count| Request::ReadHolding { address, count };
+        assert!(read(0x9000, 2).is_alike(&read(0x9100, 2)));
+        assert!(!read(0x9000, 2).is_alike(&read(0x9000, 3)));
+        assert!(!read(0x9000, 2).is_alike(&Request::ReadInput { address: 0x9000, count: 2 }));
+        let block = |word| Request::WriteRegisters { address: 0x9900, words: vec![word; 9] };
+        assert!(block(1).is_alike(&block(2)));
+        let coil = |on| Request::WriteCoil { address: 0x040A, on };
+        assert!(coil(true).is_alike(&coil(true)) && !coil(true).is_alike(&coil(false)));
+    }
 
     #[test]
     fn only_the_echo_of_a_write_and_the_right_length_of_a_read_answer_it() {

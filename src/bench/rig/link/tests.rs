@@ -378,3 +378,72 @@ async fn requests_to_several_devices_share_the_wire_one_at_a_time() {
     }
     assert_eq!(rig.seen().len(), 20);
 }
+
+/// Bytes on a serial line: a read of one register and two answers to it, and a write of a coil with its echo.
+const READ: [u8; 8] = [1, 3, 0x90, 0, 0, 1, 0xA9, 0x0A];
+const SEVEN: [u8; 7] = [1, 3, 2, 0, 7, 0xF9, 0x86];
+const THIRTEEN: [u8; 7] = [1, 3, 2, 0, 13, 0x79, 0x81];
+const STOP: [u8; 8] = [1, 5, 0, 9, 0xFF, 0, 0x5C, 0x38];
+
+/// A serial line, and its ends at the device, one for each time that it is opened.
+fn serial(timeout: Duration) -> (Arc<Line>, mpsc::Receiver<DuplexStream>) {
+    let (wires_in, wires) = mpsc::channel(4);
+    let opener: Opener = Box::new(move || {
+        let wires = wires_in.clone();
+        Box::pin(async move {
+            let (ours, theirs) = tokio::io::duplex(1024);
+            wires.send(theirs).await.map_err(|_| std::io::ErrorKind::ConnectionRefused)?;
+            Ok(Box::new(ours) as Box<dyn Port>)
+        })
+    });
+    let policy = LinePolicy { timeout, attempts: 3, silence: Duration::ZERO, stop_grace: GRACE };
+    let line = Line::spawn("wire", Framing::Rtu, "port", opener, policy, Clock::new(1.0));
+    (Arc::new(line), wires)
+}
+
+/// Waits for a request on a serial line; false once it is closed.
+async fn is_asked(wire: &mut DuplexStream, request: [u8; 8]) -> bool {
+    let mut found = [0; 8];
+    let is_open = wire.read_exact(&mut found).await.is_ok();
+    assert!(!is_open || found == request, "{found:?}");
+    is_open
+}
+
+#[tokio::test]
+async fn a_serial_reply_that_a_stop_did_not_wait_for_is_no_answer_to_the_next_read() {
+    let (line, mut wires) = serial(LONG);
+    let asking = Arc::clone(&line);
+    let reading = tokio::spawn(async move { asking.ask(1, read()).await });
+    let mut first = wires.recv().await.unwrap();
+    assert!(is_asked(&mut first, READ).await);
+    let stopping = tokio::spawn(async move { line.ask_urgent(1, coil(9)).await });
+    let mut second = wires.recv().await.unwrap();
+    assert!(is_asked(&mut second, STOP).await);
+    second.write_all(&STOP).await.unwrap();
+    assert!(stopping.await.unwrap().is_ok(), "a stop does not wait for it");
+    // The read is sent again once the reply to the first has arrived.
+    if is_asked(&mut second, READ).await {
+        second.write_all(&THIRTEEN).await.unwrap();
+    } else {
+        let mut third = wires.recv().await.unwrap();
+        tokio::time::sleep(Duration::from_millis(100)).await;
+        third.write_all(&THIRTEEN).await.unwrap();
+        assert!(is_asked(&mut third, READ).await);
+        third.write_all(&SEVEN).await.unwrap();
+    }
+    assert_eq!(reading.await.unwrap(), Ok(Reply::Words(vec![7])));
+}
+
+#[tokio::test]
+async fn a_serial_reply_that_is_late_is_awaited_before_the_same_read_is_sent_again() {
+    let (line, mut wires) = serial(LONG / 4);
+    let asked = Instant::now();
+    let reading = tokio::spawn(async move { line.ask(1, read()).await });
+    let mut first = wires.recv().await.unwrap();
+    assert!(is_asked(&mut first, READ).await);
+    let mut second = wires.recv().await.unwrap();
+    assert!(is_asked(&mut second, READ).await);
+    assert!(asked.elapsed() >= LONG / 4 + Duration::from_millis(50), "{:?}", asked.elapsed());
+    second.write_all(&SEVEN).await.unwrap();
+    assert_eq!(reading.await.unwrap(), Ok(Reply::Words(vec![7])));
+}

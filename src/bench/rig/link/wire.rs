@@ -8,6 +8,7 @@ use std::time::Duration;
 
 use tokio::io::AsyncReadExt;
 use tokio::net::{TcpSocket, TcpStream, lookup_host};
+use tokio::time::Instant;
 use tokio_modbus::client::Context;
 use tokio_serial::{SerialPort, SerialPortBuilderExt};
 
@@ -32,6 +33,15 @@ pub enum Framing {
     Tcp,
     /// With an address and a checksum.
     Rtu,
+}
+
+/// What may still arrive on a serial line, and would be taken for the answer to the next request.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct LateReply {
+    /// When it does not arrive any more.
+    pub(super) until: Instant,
+    /// Whether no other reply is awaited, so that what arrives is this one.
+    pub(super) is_only: bool,
 }
 
 /// Settings of a serial port.
@@ -115,7 +125,7 @@ pub fn serial_opener(settings: SerialSettings) -> Opener {
 }
 
 /// Attaches a Modbus client to a new port. On RTU, where replies have no number, bytes that still
-/// arrive in reply to an older request are dropped first, for at most `limit`.
+/// arrive in reply to an older request are dropped first, for at most `limit`, and `late` is awaited.
 ///
 /// # Errors
 /// A port error, or data that keep arriving.
@@ -123,12 +133,14 @@ pub(super) async fn attach(
     mut port: Box<dyn Port>,
     framing: Framing,
     limit: Duration,
+    late: Option<LateReply>,
 ) -> io::Result<Context> {
     match framing {
         Framing::Tcp => Ok(tokio_modbus::client::tcp::attach(port)),
         Framing::Rtu => {
-            let drain = drain(&mut port);
-            tokio::time::timeout(limit, drain).await.map_err(|_| {
+            let wait = late.map_or(Duration::ZERO, |late| left(late.until));
+            let drain = drain(&mut port, late);
+            tokio::time::timeout(limit + wait, drain).await.map_err(|_| {
                 io::Error::new(io::ErrorKind::InvalidData, "data keep arriving on the line")
             })??;
             Ok(tokio_modbus::client::rtu::attach(Swept::new(port)))
@@ -136,13 +148,18 @@ pub(super) async fn attach(
     }
 }
 
-async fn drain(port: &mut Box<dyn Port>) -> io::Result<()> {
+fn left(until: Instant) -> Duration {
+    until.saturating_duration_since(Instant::now())
+}
+
+async fn drain(port: &mut Box<dyn Port>, mut late: Option<LateReply>) -> io::Result<()> {
     let mut scrap = [0_u8; 256];
     loop {
-        match tokio::time::timeout(DRAINED_AFTER, port.read(&mut scrap)).await {
+        let silence = late.map_or(DRAINED_AFTER, |late| left(late.until).max(DRAINED_AFTER));
+        match tokio::time::timeout(silence, port.read(&mut scrap)).await {
             Err(_silent) => return Ok(()),
             Ok(Ok(0)) => return Err(io::ErrorKind::UnexpectedEof.into()),
-            Ok(Ok(_)) => {}
+            Ok(Ok(_)) => late = late.filter(|late| !late.is_only),
             Ok(Err(e)) => return Err(e),
         }
     }

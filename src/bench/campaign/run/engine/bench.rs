@@ -47,7 +47,7 @@ const DECELERATION_POLL: Duration = Duration::from_millis(10);
 impl Engine {
     /// Accepts a request that concerns only the rig.
     pub(super) async fn rig_request(&mut self, envelope: Envelope) {
-        let Envelope { request, answer, asked_in: _, presses, signs: _ } = envelope;
+        let Envelope { request, answer, presses, .. } = envelope;
         let refused = {
             let status = self.control.inbox.status.borrow();
             request.rig_action().and_then(|action| action.refused_by_rig(&status.rig))

@@ -29,7 +29,7 @@ use crate::campaign::run::halt::Halt;
 use crate::campaign::run::job::Job;
 use crate::campaign::run::run_state::{PausedWhy, RunState};
 use crate::campaign::safe_end;
-use crate::campaign::shown::command::{Envelope, Handle, Refusal, Request, channel};
+use crate::campaign::shown::command::{Envelope, Handle, Moment, Refusal, Request, channel};
 use crate::campaign::shown::placement::Confirmation;
 use crate::campaign::shown::rig_action::{NO_STAGE, NO_WIRES};
 use crate::campaign::shown::safe_end::SafeEnd;
@@ -131,8 +131,10 @@ struct Engine {
     owed_pause: Duration,
     /// When a homing or a jog ended last.
     moved_at: Option<Instant>,
-    /// Wall time and instant at which the driven run halted last.
-    halted_at: (jiff::Timestamp, Instant),
+    /// When the driven run halted last.
+    halted_at: Moment,
+    /// When the newest request to begin or to resume a run was decided.
+    decided_at: Moment,
     /// Span of the driven run, for the log; none outside a run.
     driven: Span,
 }
@@ -171,6 +173,7 @@ enum Waited {
 
 impl Engine {
     fn new(config: RigSetup, control: Control) -> Self {
+        let now = (jiff::Timestamp::now(), Instant::now());
         Self {
             config,
             control,
@@ -181,7 +184,8 @@ impl Engine {
             owed: Owed::Nothing,
             owed_pause: OWED_AGAIN,
             moved_at: None,
-            halted_at: (jiff::Timestamp::now(), Instant::now()),
+            halted_at: now,
+            decided_at: now,
             driven: Span::none(),
         }
     }
@@ -214,7 +218,10 @@ impl Engine {
                         let _ = answer.send(Ok(()));
                         return;
                     }
-                    Some(Envelope { request: Request::Start(job), answer, asked_in, signs, .. }) => {
+                    Some(Envelope {
+                        request: Request::Start(job), answer, asked_in, signs, decided_at, ..
+                    }) => {
+                        self.decided_at = decided_at;
                         asked_in.in_scope(|| {
                             let (run, scan_id) = (job.run, job.scan_id);
                             tracing::info!(%run, scan_id, "the start of a run is requested");

@@ -12,13 +12,11 @@ use crate::campaign::bench::rig_state::{RigEvent, RigState};
 use crate::campaign::bench::stage::Height;
 use crate::campaign::run::job::Job;
 use crate::campaign::run::run_state::{PausedWhy, RunEvent, RunState};
-use crate::journal::error_chain;
+use crate::campaign::shown::command::Refusal;
 use crate::rig::error::RigError;
 use crate::rig::traits::Bench;
 use crate::schedule::plan::Kind;
 
-/// Longest wait for the store before an automatic resume; meanwhile no request is read.
-const LOCK_LIMIT: Duration = Duration::from_secs(1);
 /// Longest silence of a device after which a run resumes automatically, wall: a longer one may be a stop that removes
 /// the power of the drives, and a person may be at the rig.
 const SILENCE_MAX: Duration = Duration::from_secs(600);
@@ -122,7 +120,7 @@ impl Engine {
             self.end_automatic(automatic, Some(words));
             return None;
         }
-        let recovery = match self.taken_lock().await {
+        let recovery = match self.control.taken_lock(self.halted_at).await {
             Some(lock) => Recovery::Held(lock),
             None => self.recover(job, presses, &mut resume.homed).await,
         };
@@ -166,20 +164,6 @@ impl Engine {
         if automatic.take().is_some() {
             self.control.say("recovering", json!({ "ended": true, "why": words }));
             self.control.show_run(|run| run.waiting_for = words);
-        }
-    }
-
-    /// Why nothing may move automatically: a person has taken the operator lock since the run halted, for example
-    /// with hands in the rig, or the store does not answer.
-    async fn taken_lock(&self) -> Option<String> {
-        let journal = self.control.journal.clone();
-        let (halted_at, halted) = self.halted_at;
-        // The wall clock may have been set since: then the earlier of the two times counts.
-        let since = halted_at.min(jiff::Timestamp::now() - halted.elapsed());
-        match tokio::time::timeout(LOCK_LIMIT, journal.lock_since(since)).await {
-            Ok(Ok(lock)) => lock.map(|who| format!("release of the operator lock ({who})")),
-            Ok(Err(error)) => Some(format!("the store: {}", error_chain(&error))),
-            Err(_late) => Some("the store, which does not answer".into()),
         }
     }
 
@@ -250,15 +234,15 @@ impl Engine {
         }
         // A pause that was requested while it homed holds.
         let halted = RunState::Paused(PausedWhy::Trip);
-        if self.control.run() != halted || self.arm_stage(job, None).await.is_err() {
+        if self.control.run() != halted {
             return Recovery::Failed;
         }
-        // Arming takes a while: a lock and a request since hold, too.
-        if let Some(lock) = self.taken_lock().await {
-            // Armed always allows disarming.
-            let _ = self.control.rig_event(RigEvent::Disarm);
-            return Recovery::Held(lock);
+        match self.arm_stage(job, None).await {
+            Ok(()) => {}
+            Err(Refusal::Busy(words)) => return Recovery::Held(words),
+            Err(Refusal::State(_) | Refusal::Value(_) | Refusal::Gone) => return Recovery::Failed,
         }
+        // Arming takes a while: a request since holds, too.
         if let Err(halt) = self.control.attend() {
             self.make_safe(halt.as_trip(), Height::Clear).await;
             return Recovery::Failed;
@@ -454,14 +438,16 @@ mod tests {
     #[tokio::test]
     async fn a_lock_counts_although_the_clock_was_set_back_after_the_halt() {
         let axes = StandIns::default();
-        let mut engine = engine(&axes);
+        let engine = engine(&axes);
         let halted = Instant::now() - Duration::from_secs(60);
         let ahead = jiff::Timestamp::now() + Duration::from_secs(3600);
-        engine.halted_at = (ahead, halted);
-        assert_eq!(engine.taken_lock().await, None);
+        let since = (ahead, halted);
+        assert_eq!(engine.control.taken_lock(since).await, None);
         *axes.journal.locked_at.lock() = Some(jiff::Timestamp::now());
-        assert!(engine.taken_lock().await.is_some(), "taken a minute after the halt");
+        let taken = engine.control.taken_lock(since).await;
+        assert!(taken.is_some(), "taken a minute after the halt");
         *axes.journal.locked_at.lock() = Some(jiff::Timestamp::now() - Duration::from_secs(120));
-        assert_eq!(engine.taken_lock().await, None, "taken a minute before the halt");
+        let taken = engine.control.taken_lock(since).await;
+        assert_eq!(taken, None, "taken a minute before the halt");
     }
 }

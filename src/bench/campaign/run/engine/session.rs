@@ -46,8 +46,8 @@ impl Engine {
     ///
     /// # Errors
     /// No wires are open, the computer was suspended, an axis is not stopped, a device does not reply, no press is
-    /// slow enough for the margin, a drive cannot move as slowly as its axis must, the state does not allow arming, or
-    /// its client no longer waits for the answer.
+    /// slow enough for the margin, a drive cannot move as slowly as its axis must, the state does not allow arming, a
+    /// person has taken the operator lock meanwhile, or its client no longer waits for the answer.
     pub(super) async fn arm(&mut self, job: &Job, answer: &Answer) -> Result<(), Refusal> {
         if self.connection.is_none() {
             return Err(no_wires());
@@ -93,6 +93,11 @@ impl Engine {
         let (tips, slowest) = (job.plan.most_tips(), stage.bench.z.slowest());
         let distance = stage.stopping.distance(&stage.config, tips, slowest);
         let distance = distance.map_err(Refusal::Value)?;
+        // Homing and timing took a while: a lock that was taken meanwhile holds, too.
+        let since = if answer.is_some() { self.decided_at } else { self.halted_at };
+        if let Some(awaited) = self.control.taken_lock(since).await {
+            return Err(Refusal::Busy(format!("nothing moves before {awaited}")));
+        }
         if answer.is_some_and(Answer::is_closed) {
             return Err(Refusal::Gone);
         }

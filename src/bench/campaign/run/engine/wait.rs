@@ -157,7 +157,8 @@ impl Engine {
         envelope: Envelope,
         last: Last,
     ) -> Option<Waited> {
-        let Envelope { request, answer, asked_in, presses, signs } = envelope;
+        let Envelope { request, answer, asked_in, presses, signs, decided_at } = envelope;
+        self.decided_at = decided_at;
         let refused = {
             let status = self.control.inbox.status.borrow();
             let by_rig = request.rig_action().and_then(|action| action.refused(&status));
@@ -250,7 +251,8 @@ impl Engine {
             | Request::Tare
             | Request::Mounted { .. }
             | Request::Reset => {
-                self.rig_request(Envelope { request, answer, asked_in, presses, signs }).await;
+                let envelope = Envelope { request, answer, asked_in, presses, signs, decided_at };
+                self.rig_request(envelope).await;
                 None
             }
         }

@@ -115,6 +115,55 @@ async fn a_press_whose_samples_are_late_at_the_slowest_motion_of_the_drive_trips
 }
 
 #[tokio::test]
+async fn a_press_whose_start_is_not_acknowledged_is_stopped_and_continues_more_slowly() {
+    let axes = StandIns::default();
+    let mut engine = engine(&axes);
+    let stage = engine.connection.as_mut().unwrap().stage.as_mut().unwrap();
+    stage.config.limits.sample_age_ms = Some(60_000);
+    // It moves, and its reply is lost.
+    let moving = AxisStatus { position: 5.0, moving: true, ..axes.z.present() };
+    *axes.z.after_start.lock() = Some(moving);
+    *axes.z.starts_take.lock() = 2 * HAPPENS_WITHIN;
+    let press = stage.press_to(&mut engine.control, 10.0);
+    let late = async {
+        stopped(&axes, 1).await;
+        let fast_mm_s = *axes.z.speed.lock();
+        *axes.z.starts_take.lock() = Duration::ZERO;
+        axes.z.status.lock().moving = false;
+        fast_mm_s
+    };
+    let (pressed, late) = tokio::join!(press, tokio::time::timeout(HAPPENS_WITHIN, late));
+    let fast_mm_s = late.expect("z is stopped while the reply to its start is awaited");
+    assert!(pressed.is_ok() && axes.z.present().position == 10.0, "{pressed:?}");
+    assert_eq!([&axes.z.starts, &axes.z.stops].map(|n| n.load(Ordering::SeqCst)), [2, 1]);
+    let slow_mm_s = *axes.z.speed.lock();
+    assert!(slow_mm_s < fast_mm_s, "{slow_mm_s} mm/s after {fast_mm_s} mm/s");
+}
+
+#[tokio::test]
+async fn the_first_sample_of_a_press_is_late_from_when_its_start_was_sent() {
+    let axes = StandIns::default();
+    let mut engine = engine(&axes);
+    let stage = engine.connection.as_mut().unwrap().stage.as_mut().unwrap();
+    stage.config.limits.sample_age_ms = Some(60_000);
+    // A sample may be 0.4 s old. Neither the start nor the sample after it takes as long, but both together do.
+    stage.stopping.note_poll(0.2);
+    *axes.z.starts_take.lock() = Duration::from_millis(300);
+    *axes.cells.takes.lock() = Duration::from_millis(300);
+    *axes.z.after_start.lock() = Some(AxisStatus { moving: true, ..axes.z.present() });
+    let press = stage.press_to(&mut engine.control, 10.0);
+    let late = async {
+        stopped(&axes, 1).await;
+        *axes.z.starts_take.lock() = Duration::ZERO;
+        *axes.cells.takes.lock() = Duration::ZERO;
+        axes.z.status.lock().moving = false;
+    };
+    let (pressed, late) = tokio::join!(press, tokio::time::timeout(HAPPENS_WITHIN, late));
+    assert!(late.is_ok() && pressed.is_ok(), "{pressed:?}");
+    assert_eq!(axes.z.present().position, 10.0);
+}
+
+#[tokio::test]
 async fn a_motion_has_the_time_that_it_takes_at_the_speed_to_which_its_drive_rounds() {
     let axes = StandIns::default();
     let stage = axes.stage();

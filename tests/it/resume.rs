@@ -1,0 +1,84 @@
+//! `palpate resume` of a paused run: on a real rig it asks whether the rig is clear, as at the start of a run.
+
+use std::io::{BufRead, BufReader, Read, Write};
+use std::net::{TcpListener, TcpStream};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::thread;
+
+use serde_json::json;
+
+use crate::support::command;
+
+/// A service whose rig, with this label, has a paused run; counts the actions that are requested of it.
+fn service(label: &'static str) -> (String, Arc<AtomicUsize>) {
+    let door = TcpListener::bind("127.0.0.1:0").unwrap();
+    let url = format!("http://{}", door.local_addr().unwrap());
+    let actions = Arc::<AtomicUsize>::default();
+    let counted = actions.clone();
+    thread::spawn(move || {
+        for wire in door.incoming() {
+            answer(wire.unwrap(), label, &counted);
+        }
+    });
+    (url, actions)
+}
+
+fn answer(wire: TcpStream, label: &str, actions: &AtomicUsize) {
+    let mut reader = BufReader::new(wire);
+    let mut head = Vec::new();
+    loop {
+        let mut line = String::new();
+        if reader.read_line(&mut line).unwrap() == 0 {
+            return;
+        }
+        if line == "\r\n" {
+            break;
+        }
+        head.push(line.to_lowercase());
+    }
+    let length = head.iter().find_map(|line| line.strip_prefix("content-length: "));
+    let mut body = vec![0; length.map_or(0, |n| n.trim().parse().unwrap())];
+    reader.read_exact(&mut body).unwrap();
+    let body = match head[0].as_str() {
+        probe if probe.starts_with("get /health/live") => json!({ "service": "palpate" }),
+        action if action.starts_with("post ") => {
+            actions.fetch_add(1, Ordering::SeqCst);
+            json!({})
+        }
+        _ => json!({
+            "at": "2026-11-26T21:00:00Z",
+            "rig": { "name": "lab", "label": label, "has_stage": true, "state": "armed", "trip": null,
+                "clock_rate": 1.0, "forces_n": [], "estop_stops": [] },
+            "run": { "uid": "01a20548-5305-733a-b99f-4e84507b8e49", "scan_id": 3, "experiment": "hex",
+                "state": "paused", "phase": "wait", "trials_planned": 9, "trials_stored": 4,
+                "trials_skipped": 0, "retries": 0 },
+            "service": { "version": "0.1.0", "database": "palpate.db" },
+            "queue_length": 0,
+            "suspenders": [],
+        }),
+    };
+    let body = body.to_string();
+    let length = body.len();
+    let answer = format!(
+        "HTTP/1.1 200 OK\r\nconnection: close\r\ncontent-type: application/json\r\n\
+         content-length: {length}\r\n\r\n{body}"
+    );
+    reader.get_mut().write_all(answer.as_bytes()).unwrap();
+}
+
+#[test]
+fn a_paused_run_on_a_real_rig_resumes_only_if_its_motion_is_confirmed() {
+    for (label, option, resumes) in
+        [("measured", None, false), ("measured", Some("--yes"), true), ("virtual", None, true)]
+    {
+        let (url, actions) = service(label);
+        // Standard input is no terminal.
+        let mut asked = command(&["resume", "--url", &url]);
+        let output = asked.args(option).output().unwrap();
+        let words = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert_eq!(output.status.success(), resumes, "{label} {option:?}: {words}");
+        assert_eq!(actions.load(Ordering::SeqCst), usize::from(resumes), "{label} {option:?}");
+        assert!(resumes || words.contains("rig lab is real: confirm its motion"), "{words}");
+    }
+}
