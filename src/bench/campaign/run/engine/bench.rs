@@ -25,6 +25,7 @@ use crate::campaign::safe_end::raise_as_planned;
 use crate::campaign::shown::command::{Envelope, Refusal, Request};
 use crate::campaign::shown::safe_end::Tips;
 use crate::campaign::shown::show;
+use crate::campaign::shown::status::Motion;
 use crate::clock::Clock;
 use crate::journal::Mounting;
 use crate::record::ARMS;
@@ -344,7 +345,9 @@ impl Engine {
         self.prepared_setting = None;
         let entered = self.entered_tips();
         let homed = self
-            .guarded(|stage, control| Box::pin(async move { stage.home(control, entered).await }))
+            .guarded(Motion::Homing, |stage, control| {
+                Box::pin(async move { stage.home(control, entered).await })
+            })
             .await;
         if homed {
             self.owed = Owed::Nothing;
@@ -358,7 +361,7 @@ impl Engine {
 
     async fn jog(&mut self, target: Target) {
         let entered = self.entered_tips();
-        self.guarded(|stage, control| {
+        self.guarded(Motion::Jog, |stage, control| {
             Box::pin(async move {
                 stage.assume_tips(entered).await?;
                 if target.axis != AxisName::Z {
@@ -372,9 +375,9 @@ impl Engine {
         .await;
     }
 
-    /// Runs a motion outside a run. Every early end leads to the safe end, and latches unless it was
-    /// requested.
-    async fn guarded<F>(&mut self, motion: F) -> bool
+    /// Runs a motion outside a run, which the status shows until it ends. Every early end leads to the safe end, and
+    /// latches unless it was requested.
+    async fn guarded<F>(&mut self, motion: Motion, drive: F) -> bool
     where
         F: for<'a> FnOnce(
             &'a mut Stage,
@@ -386,7 +389,9 @@ impl Engine {
         let Some(stage) = self.connection.as_mut().and_then(|c| c.stage.as_mut()) else {
             return false;
         };
-        let outcome = motion(stage, &mut self.control).await;
+        self.control.show(|status| status.rig.motion = Some(motion));
+        let outcome = drive(stage, &mut self.control).await;
+        self.control.show(|status| status.rig.motion = None);
         self.moved_at = Some(Instant::now());
         let Err(halt) = outcome else { return true };
         let requested = self.control.leaving() || matches!(halt, Halt::Asked);

@@ -353,7 +353,7 @@ impl Engine {
             tracing::error!("the safe end itself failed: inspect the rig");
         }
         self.control.forget_run();
-        self.control.show(|status| status.run = None);
+        self.control.show(|status| (status.run, status.rig.motion) = (None, None));
         self.prepared_setting = None;
     }
 

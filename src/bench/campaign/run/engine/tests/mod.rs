@@ -23,7 +23,7 @@ use crate::campaign::run::job::Job;
 use crate::campaign::run::run_state::{PausedWhy, RunEvent, RunState};
 use crate::campaign::shown::command::{Handle, Refusal, Request, channel};
 use crate::campaign::shown::show;
-use crate::campaign::shown::status::{Done, Wanted};
+use crate::campaign::shown::status::{Done, Motion, Wanted};
 use crate::clock::Clock;
 use crate::ids::{RunUid, TrialKey};
 use crate::journal::{ExitStatus, Journal};
@@ -354,6 +354,30 @@ async fn an_abort_of_a_jog_and_each_trip_for_a_person_hold_the_queue() {
     engine.control.show(|status| status.run = None);
     engine.control.latch(&Trip { kind: TripKind::Wire, detail: "no reply".into() });
     assert_eq!(signs(&engine), 3);
+}
+
+#[tokio::test]
+async fn a_homing_and_a_jog_are_shown_until_they_end() {
+    let axes = StandIns::default();
+    let (mut engine, handle) = with_handle(&axes);
+    let mut status = handle.watch_status();
+    let home = async {
+        handle.ask(Request::Home).await.unwrap();
+        drop(status.wait_for(|status| status.rig.motion == Some(Motion::Homing)).await.unwrap());
+        let ends = status.wait_for(|status| status.rig.state == RigState::Homed);
+        ends.await.unwrap().rig.motion
+    };
+    assert_eq!(answered(&mut engine, home).await, None);
+    // It moves until it is stopped.
+    *axes.x.after_start.lock() = Some(AxisStatus { moving: true, ..axes.x.present() });
+    let jog = async {
+        handle.ask(Request::Jog { axis: "x".into(), to_mm: 100.0 }).await.unwrap();
+        drop(status.wait_for(|status| status.rig.motion == Some(Motion::Jog)).await.unwrap());
+        handle.ask(Request::AbortMotion).await.unwrap();
+        let ends = status.wait_for(|status| status.rig.motion.is_none());
+        ends.await.unwrap().rig.trip.clone()
+    };
+    assert_eq!(answered(&mut engine, jog).await, None, "it is aborted");
 }
 
 #[tokio::test]
