@@ -116,6 +116,9 @@ export const actOnRun = (run, action, more = {}) => sendNow(`/runs/${run}/action
  */
 export const actOnRig = (action, more = {}) => sendNow('/rig/actions', { action, who: who(), ...more }, { wait: action === 'home' ? 4000 : 15_000 })
 
+/** Ends a homing or a jog, however late it comes: the axes stop, then the tips rise. */
+export const endMotion = () => send('/rig/abort', { who: who() }, { wait: 15_000 })
+
 /** Why the rig or its run would refuse an action on the rig now, in the service's words; '' if they would not. */
 export const refusal = ({ rig_actions }, action) => {
   const found = rig_actions.find(one => one.action === action)

@@ -13,7 +13,7 @@ import { age, bytes, capital, count, countOf, counted, fixed, moment, momentBand
 import { history } from '../lib/history.js'
 import { live } from '../lib/live.js'
 import { eventLog } from '../lib/log.js'
-import { BEGUN, stateWords } from '../lib/runwords.js'
+import { BEGUN, motionWords, stateWords, withMotion } from '../lib/runwords.js'
 import { sensorOf } from '../lib/skin.js'
 import { COLOURINGS, tourMap } from '../lib/tourmap.js'
 import { backlog } from '../lib/twinpool.js'
@@ -116,12 +116,12 @@ export async function show(root, { query, signal, set }) {
       ['Disk', disk ? `${bytes(disk.free_bytes)} free, ${bytes(disk.needed_bytes)} needed` : 'not reported'],
       ['Queue', queue_length ? counted(queue_length, 'run') + next : 'empty'],
       ['Operator lock', lock ? `${lock.holder}, since ${moment(lock.since)}: ${lock.note}` : 'free'],
-      !run && ['Rig', meaning('rig_states', rig.state) || `${capital(plain(rig.state))}.`],
+      !run && ['Rig', motionWords(live.motion) || meaning('rig_states', rig.state) || `${capital(plain(rig.state))}.`],
     ])
   }
 
   function tellRun(now, needs, fresh) {
-    say(headline, stateWords(now))
+    say(headline, withMotion(stateWords(now), live.motion))
     headline.className = `state ${TONE[now.state] ?? ''}`
     say(why, doingWords(now, needs))
     const index = now.current_step?.index ?? progress?.current, of = now.current_step?.of ?? tour?.steps.configuration.length
